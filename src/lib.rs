@@ -1,0 +1,6 @@
+//! sweepd turns the packets of a spinning Velodyne LiDAR into labelled range images.
+
+#![deny(unsafe_code)]
+#![warn(missing_docs)]
+
+pub mod wire;

@@ -1,0 +1,305 @@
+//! The data packet: 1206 bytes, twelve blocks of 32 records, a time stamp and two factory bytes.
+//!
+//! ```text
+//! 0            100           200               1100          1200       1204        1205
+//! | block 0     | block 1     | ...           | block 11     | stamp us | return mode | product |
+//! | flag u16, azimuth u16 (0.01 degree), 32 x { distance u16, reflectivity u8 }
+//! ```
+//!
+//! All numbers are little-endian (VLP-16 User Manual 63-9243, section 9.3; HDL-32E manual, Appendix A).
+
+use zerocopy::little_endian::{U16, U32};
+use zerocopy::{FromBytes, Immutable, IntoBytes, KnownLayout, Unaligned};
+
+use super::PacketError;
+
+/// Bytes of a data packet.
+pub const DATA_PACKET_LEN: usize = 1206;
+/// Blocks of a data packet.
+pub const BLOCKS: usize = 12;
+/// Records of a block.
+pub const RECORDS: usize = 32;
+/// Azimuth units of a whole turn: hundredths of a degree.
+pub const TURN_CDEG: u16 = 36_000;
+
+/// Marker of a block of lasers 0-31; on an HDL-64E, the upper head.
+pub const FLAG_BANK_0: u16 = 0xEEFF;
+/// Marker of a block of lasers 32-63; on an HDL-64E, the lower head.
+pub const FLAG_BANK_1: u16 = 0xDDFF;
+/// Marker of a block of lasers 64-95 (VLS-128).
+pub const FLAG_BANK_2: u16 = 0xCCFF;
+/// Marker of a block of lasers 96-127 (VLS-128).
+pub const FLAG_BANK_3: u16 = 0xBBFF;
+/// Markers of the four unused blocks at the end of a VLS-128 dual-return packet.
+const FLAG_UNUSED: [u16; 2] = [0x0000, 0xFFFF];
+
+/// One measurement of one laser.
+#[derive(Clone, Copy, Debug, PartialEq, Eq, FromBytes, IntoBytes, KnownLayout, Immutable, Unaligned)]
+#[repr(C)]
+pub struct Record {
+    /// Distance in the sensor's unit (2 mm on most models); 0 = no return.
+    pub distance: U16,
+    /// Calibrated reflectivity, 0-100 diffuse, above that retro-reflecting.
+    pub reflectivity: u8,
+}
+
+/// The 100-byte unit of a data packet: 32 records that share one azimuth.
+#[derive(Clone, Copy, Debug, PartialEq, Eq, FromBytes, IntoBytes, KnownLayout, Immutable, Unaligned)]
+#[repr(C)]
+pub struct Block {
+    /// Which bank of lasers fired: [`FLAG_BANK_0`] and its kin.
+    pub flag: U16,
+    azimuth: U16,
+    /// The measurements, in channel order.
+    pub records: [Record; RECORDS],
+}
+
+impl Block {
+    /// Encoder azimuth at the first firing of the block, 0..36000 hundredths of a degree.
+    ///
+    /// The sensors send 36000 now and then (both VeloView captures do); it is 0.
+    #[inline]
+    pub fn azimuth_cdeg(&self) -> u16 {
+        match self.azimuth.get() {
+            TURN_CDEG => 0,
+            azimuth => azimuth,
+        }
+    }
+
+    /// Sets the azimuth, hundredths of a degree, as it stands on the wire.
+    pub fn set_azimuth_cdeg(&mut self, azimuth: u16) {
+        self.azimuth = U16::new(azimuth);
+    }
+}
+
+/// What the return mode byte (1204) says; VLP-16 since firmware 3.0.29, HDL-32E since 2.2.20.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub enum ReturnMode {
+    /// One return a record: the strongest.
+    Strongest,
+    /// One return a record: the last.
+    Last,
+    /// Two returns: blocks come in pairs of equal azimuth, even = last, odd = strongest; where the last is the strongest,
+    /// the odd one holds the second strongest, and both are equal where there is one return (VLP-16 manual, section 6).
+    Dual,
+}
+
+impl ReturnMode {
+    /// The mode that a factory byte names; `None` for a blank or unknown byte.
+    pub fn from_byte(byte: u8) -> Option<Self> {
+        match byte {
+            0x37 => Some(Self::Strongest),
+            0x38 => Some(Self::Last),
+            0x39 => Some(Self::Dual),
+            _ => None,
+        }
+    }
+
+    /// The factory byte of this mode.
+    pub fn byte(self) -> u8 {
+        match self {
+            Self::Strongest => 0x37,
+            Self::Last => 0x38,
+            Self::Dual => 0x39,
+        }
+    }
+
+    /// The word for it in output: `strongest`, `last` or `dual`.
+    pub fn name(self) -> &'static str {
+        match self {
+            Self::Strongest => "strongest",
+            Self::Last => "last",
+            Self::Dual => "dual",
+        }
+    }
+
+    /// Blocks that share one azimuth: 2 in dual mode, else 1.
+    pub fn blocks_per_azimuth(self) -> usize {
+        match self {
+            Self::Dual => 2,
+            Self::Strongest | Self::Last => 1,
+        }
+    }
+}
+
+impl std::fmt::Display for ReturnMode {
+    fn fmt(&self, f: &mut std::fmt::Formatter<'_>) -> std::fmt::Result {
+        f.write_str(self.name())
+    }
+}
+
+/// How the banks of lasers are laid out over the twelve blocks.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub enum Banks {
+    /// Every block is bank 0: VLP-16, Puck Hi-Res, HDL-32E, VLP-32C.
+    One,
+    /// Blocks alternate upper and lower head: HDL-64E.
+    Alternating,
+    /// Any other mixture: VLS-128, HDL-64E S1, or a corrupt packet.
+    Other,
+}
+
+/// A data packet as a view over its 1206 bytes, or as a value of its own.
+///
+/// ```
+/// use sweepd::wire::data::{DataPacket, ReturnMode};
+/// let packet = DataPacket::new(1_000_000, ReturnMode::Strongest.byte(), 0x22);
+/// assert_eq!(DataPacket::parse(packet.emit()).unwrap(), &packet);
+/// ```
+#[derive(Clone, Copy, Debug, PartialEq, Eq, FromBytes, IntoBytes, KnownLayout, Immutable, Unaligned)]
+#[repr(C)]
+pub struct DataPacket {
+    /// The twelve blocks.
+    pub blocks: [Block; BLOCKS],
+    stamp_us: U32,
+    /// Factory byte 1204: return mode, or status type on an HDL-64E. See [`ReturnMode::from_byte`].
+    pub return_mode: u8,
+    /// Factory byte 1205: product id, or status value on an HDL-64E.
+    pub product: u8,
+}
+
+impl DataPacket {
+    /// A packet without returns: all blocks bank 0, azimuth 0.
+    pub fn new(stamp_us: u32, return_mode: u8, product: u8) -> Self {
+        let silent = Record { distance: U16::ZERO, reflectivity: 0 };
+        let block = Block { flag: U16::new(FLAG_BANK_0), azimuth: U16::ZERO, records: [silent; RECORDS] };
+        Self { blocks: [block; BLOCKS], stamp_us: U32::new(stamp_us), return_mode, product }
+    }
+
+    /// Checks length, bank markers and azimuths, and gives the view.
+    ///
+    /// # Errors
+    /// [`PacketError`] with the block and what was found there.
+    #[inline]
+    pub fn parse(bytes: &[u8]) -> Result<&Self, PacketError> {
+        let packet = Self::ref_from_bytes(bytes)
+            .map_err(|_| PacketError::Length { expected: DATA_PACKET_LEN, found: bytes.len() })?;
+        for (index, block) in packet.blocks.iter().enumerate() {
+            let flag = block.flag.get();
+            match flag {
+                FLAG_BANK_0 | FLAG_BANK_1 | FLAG_BANK_2 | FLAG_BANK_3 => {}
+                _ if index >= 8 && FLAG_UNUSED.contains(&flag) => continue,
+                found => return Err(PacketError::Flag { block: index, found }),
+            }
+            if block.azimuth.get() > TURN_CDEG {
+                return Err(PacketError::Azimuth { block: index, found: block.azimuth.get() });
+            }
+        }
+        Ok(packet)
+    }
+
+    /// The bytes to send.
+    pub fn emit(&self) -> &[u8] {
+        self.as_bytes()
+    }
+
+    /// Sensor clock of the packet: microseconds since the top of the hour, truncated. Slightly more than an hour occurs.
+    #[inline]
+    pub fn stamp_us(&self) -> u32 {
+        self.stamp_us.get()
+    }
+
+    /// Sets the sensor clock, microseconds since the top of the hour.
+    pub fn set_stamp_us(&mut self, stamp_us: u32) {
+        self.stamp_us = U32::new(stamp_us);
+    }
+
+    /// How the banks lie over the blocks. Ask this before the factory bytes: on an HDL-64E those are status bytes that
+    /// may equal any product id.
+    pub fn banks(&self) -> Banks {
+        if self.blocks.iter().all(|b| b.flag.get() == FLAG_BANK_0) {
+            return Banks::One;
+        }
+        let alternates = self
+            .blocks
+            .chunks_exact(2)
+            .all(|pair| pair[0].flag.get() == FLAG_BANK_0 && pair[1].flag.get() == FLAG_BANK_1);
+        if alternates { Banks::Alternating } else { Banks::Other }
+    }
+
+    /// Whether blocks come in pairs of equal azimuth, as dual-return packets of one-bank models do.
+    ///
+    /// True also for a single-return packet of a head that stands still.
+    pub fn azimuths_paired(&self) -> bool {
+        self.blocks.chunks_exact(2).all(|pair| pair[0].azimuth_cdeg() == pair[1].azimuth_cdeg())
+    }
+
+    /// Non-zero distances in the packet.
+    pub fn returns(&self) -> usize {
+        self.blocks.iter().flat_map(|b| &b.records).filter(|r| r.distance != U16::ZERO).count()
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use proptest::prelude::*;
+
+    #[test]
+    fn offsets_are_those_of_the_manual() {
+        let mut packet = DataPacket::new(0x0403_0201, 0x39, 0x22);
+        packet.blocks[11].set_azimuth_cdeg(0x0605);
+        packet.blocks[11].records[31] = Record { distance: U16::new(0x0807), reflectivity: 9 };
+        let bytes = packet.emit();
+        assert_eq!(bytes.len(), DATA_PACKET_LEN);
+        assert_eq!(&bytes[..2], &[0xFF, 0xEE]);
+        assert_eq!(&bytes[1102..1104], &[5, 6]);
+        assert_eq!(&bytes[1104 + 31 * 3..1200], &[7, 8, 9]);
+        assert_eq!(&bytes[1200..], &[1, 2, 3, 4, 0x39, 0x22]);
+    }
+
+    #[test]
+    fn refuses_what_is_no_packet_and_says_where() {
+        let packet = DataPacket::new(0, 0x37, 0x22);
+        assert_eq!(DataPacket::parse(&packet.emit()[1..]), Err(PacketError::Length { expected: 1206, found: 1205 }));
+        let mut bad = packet;
+        bad.blocks[3].flag = U16::new(0x1234);
+        assert_eq!(DataPacket::parse(bad.emit()), Err(PacketError::Flag { block: 3, found: 0x1234 }));
+        let mut bad = packet;
+        bad.blocks[7].set_azimuth_cdeg(36_001);
+        assert_eq!(DataPacket::parse(bad.emit()), Err(PacketError::Azimuth { block: 7, found: 36_001 }));
+    }
+
+    #[test]
+    fn azimuth_36000_is_0() {
+        let mut packet = DataPacket::new(0, 0x37, 0x22);
+        packet.blocks[0].set_azimuth_cdeg(36_000);
+        assert_eq!(DataPacket::parse(packet.emit()).unwrap().blocks[0].azimuth_cdeg(), 0);
+    }
+
+    #[test]
+    fn banks_are_told_apart() {
+        let mut packet = DataPacket::new(0, 0x37, 0x22);
+        assert_eq!(packet.banks(), Banks::One);
+        for block in packet.blocks.iter_mut().skip(1).step_by(2) {
+            block.flag = U16::new(FLAG_BANK_1);
+        }
+        assert_eq!(packet.banks(), Banks::Alternating);
+        packet.blocks[11].flag = U16::ZERO;
+        assert_eq!(DataPacket::parse(packet.emit()).unwrap().banks(), Banks::Other);
+    }
+
+    proptest! {
+        #[test]
+        fn any_bytes_parse_or_are_refused(bytes in proptest::collection::vec(any::<u8>(), 0..1300)) {
+            let _ = DataPacket::parse(&bytes);
+        }
+
+        #[test]
+        fn parse_gives_back_what_emit_wrote(
+            records in proptest::collection::vec((any::<u16>(), any::<u8>()), BLOCKS * RECORDS),
+            azimuths in proptest::collection::vec(0..=TURN_CDEG, BLOCKS),
+            stamp in any::<u32>(), mode in any::<u8>(), product in any::<u8>(),
+        ) {
+            let mut packet = DataPacket::new(stamp, mode, product);
+            for (b, block) in packet.blocks.iter_mut().enumerate() {
+                block.set_azimuth_cdeg(azimuths[b]);
+                for (k, record) in block.records.iter_mut().enumerate() {
+                    let (distance, reflectivity) = records[b * RECORDS + k];
+                    *record = Record { distance: U16::new(distance), reflectivity };
+                }
+            }
+            prop_assert_eq!(DataPacket::parse(packet.emit()), Ok(&packet));
+        }
+    }
+}

@@ -1,0 +1,124 @@
+//! Packets counted by the sensor's clock and by their types, across losses, copies and packets out of order.
+
+use super::{CYCLE_LEN, place_of};
+use crate::wire::HOUR_US;
+
+/// Longest silence, microseconds, after which packets are still counted by the clock.
+const LONGEST_GAP_US: i32 = 500_000;
+/// Longest gap, packets, over which the count needs no witness: one type tells it from any other that is so short.
+const NEAR_STEPS: i64 = 8;
+/// Packets one after the other by their types, and as far apart each time, that show what the period really is.
+const ALIKE: u8 = 4;
+/// Packets in a row whose types contradict the count before the count is given up.
+const MOST_CONTRADICTIONS: u8 = 4;
+
+/// Counts packets, so that the count modulo 16 is the place in the cycle.
+#[derive(Clone, Debug, Default)]
+pub(super) struct Counter {
+    /// The count and the stamp of the last packet.
+    last: Option<(i64, u32)>,
+    /// From packet to packet, microseconds, once two have been seen.
+    period_us: Option<f64>,
+    /// The time from packet to packet that does not fit the period, and how often in a row it came.
+    unlike: (i32, u8),
+    contradictions: u8,
+    /// Whether the count has gone over a gap that leaves it in doubt.
+    pub(super) doubtful: bool,
+}
+
+/// What a packet does to the count.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub(super) enum Step {
+    /// The packet has this count.
+    At(i64),
+    /// The packet is a copy, or its type is wrong, or the place is not known yet: it says nothing.
+    Ignored,
+    /// The count starts anew, with this one.
+    Restarted(i64),
+}
+
+impl Counter {
+    /// Counts the next packet.
+    pub(super) fn step(&mut self, kind: u8, stamp_us: u32) -> Step {
+        let place = place_of(kind).map(|place| place as i64);
+        let Some((count, last_us)) = self.last else { return self.restart(place, stamp_us) };
+        let delta_us = since(last_us, stamp_us);
+        let cycle = CYCLE_LEN as i64;
+        let forward = place.map(|place| (place - count).rem_euclid(cycle));
+        let Some(period_us) = self.period_us else {
+            // The second packet: the types tell how many lie between, as long as it is less than a cycle.
+            let Some(steps @ 1..) = forward else { return Step::Ignored };
+            self.period_us = Some(f64::from(delta_us.max(0)) / steps as f64);
+            self.last = Some((count + steps, stamp_us));
+            return Step::At(count + steps);
+        };
+        if !(-LONGEST_GAP_US..=LONGEST_GAP_US).contains(&delta_us) {
+            return self.restart(place, stamp_us);
+        }
+        let delta = f64::from(delta_us);
+        if forward == Some(0) && delta_us == 0 {
+            return Step::Ignored;
+        }
+        // The next type so soon is the next packet, however long that took: the return mode may have been switched.
+        if forward == Some(1) && delta >= 0.0 && delta <= period_us * NEAR_STEPS as f64 {
+            self.unlike = (0, 0);
+            let is_usual = (delta - period_us).abs() < period_us / 4.0;
+            self.period_us = Some(if is_usual { period_us + (delta - period_us) / 32.0 } else { delta });
+            return self.advance(count + 1, stamp_us);
+        }
+        if forward == Some(1) && delta >= 0.0 {
+            let (usual_us, times) = self.unlike;
+            self.unlike = (delta_us, if (delta_us - usual_us).abs() <= 2 + usual_us / 20 { times + 1 } else { 1 });
+            if self.unlike.1 >= ALIKE {
+                let restarted = self.restart(place, stamp_us);
+                self.period_us = Some(delta);
+                return restarted;
+            }
+        } else {
+            self.unlike = (0, 0);
+        }
+        let exact = if period_us > 0.0 { delta / period_us } else { 0.0 };
+        let steps = exact.round() as i64;
+        let amiss = place.map_or(0, |place| (place - count - steps + cycle / 2).rem_euclid(cycle) - cycle / 2);
+        if amiss == 0 {
+            self.doubtful |= steps.abs() > NEAR_STEPS;
+            return match place {
+                Some(_) => self.advance(count + steps, stamp_us),
+                None => {
+                    self.last = Some((count + steps, stamp_us));
+                    Step::At(count + steps)
+                }
+            };
+        }
+        if steps.abs() > NEAR_STEPS || (exact - steps as f64).abs() > 0.3 {
+            self.doubtful = true;
+            return self.advance(count + steps + amiss, stamp_us);
+        }
+        self.contradictions += 1;
+        if self.contradictions >= MOST_CONTRADICTIONS {
+            return self.restart(place, stamp_us);
+        }
+        self.last = Some((count + steps, stamp_us));
+        Step::Ignored
+    }
+
+    fn advance(&mut self, count: i64, stamp_us: u32) -> Step {
+        self.contradictions = 0;
+        self.last = Some((count, stamp_us));
+        Step::At(count)
+    }
+
+    fn restart(&mut self, place: Option<i64>, stamp_us: u32) -> Step {
+        *self = Self::default();
+        let Some(place) = place else { return Step::Ignored };
+        self.last = Some((place, stamp_us));
+        Step::Restarted(place)
+    }
+}
+
+/// From one stamp to another the shorter way round the hour, microseconds.
+fn since(from_us: u32, to_us: u32) -> i32 {
+    let (hour, delta) = (i64::from(HOUR_US), i64::from(to_us) - i64::from(from_us));
+    let shorter = (delta + hour / 2).rem_euclid(hour) - hour / 2;
+    shorter as i32
+}

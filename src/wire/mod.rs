@@ -1,0 +1,63 @@
+//! Bytes and packets: what a Velodyne puts on the network, read and written.
+//!
+//! Each file is one packet type and holds both directions. The views are checked once, on `parse`; after that no
+//! accessor can fail or panic. Nothing here knows a sensor model: a packet says what it carries, not what it means.
+
+pub mod data;
+pub mod hdl64;
+pub mod nmea;
+pub mod position;
+
+use std::net::SocketAddr;
+
+pub use data::DataPacket;
+pub use position::Position;
+
+/// UDP port that data packets are sent to unless the sensor is set otherwise.
+pub const DATA_PORT: u16 = 2368;
+/// UDP port that position packets are sent to unless the sensor is set otherwise.
+pub const POSITION_PORT: u16 = 8308;
+/// Microseconds in an hour: the sensor clock counts from the top of the hour (ToH) and wraps here.
+pub const HOUR_US: u32 = 3_600_000_000;
+
+/// A UDP payload with its arrival time and its two ends, before anybody has looked inside.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub struct Datagram<'a> {
+    /// Arrival on this host or in the capture, nanoseconds since 1970.
+    pub arrival_ns: i64,
+    /// Who sent it.
+    pub source: SocketAddr,
+    /// The UDP port that it was sent to.
+    pub destination_port: u16,
+    /// The UDP payload.
+    pub payload: &'a [u8],
+}
+
+/// Why a payload is not a packet.
+#[derive(Clone, Copy, Debug, PartialEq, Eq, thiserror::Error)]
+pub enum PacketError {
+    /// Neither 1206 bytes (data) nor 512 (position).
+    #[error("{found} bytes, expected {expected}")]
+    Length {
+        /// Bytes that this packet type has.
+        expected: usize,
+        /// Bytes that came.
+        found: usize,
+    },
+    /// A block does not begin with one of the known bank markers.
+    #[error("block {block} begins with {found:#06x}, which marks no bank of lasers")]
+    Flag {
+        /// Index of the block, 0..12.
+        block: usize,
+        /// What stood there, as a little-endian number.
+        found: u16,
+    },
+    /// A block has an azimuth beyond a whole turn.
+    #[error("block {block} has azimuth {found}, more than 36000 hundredths of a degree")]
+    Azimuth {
+        /// Index of the block, 0..12.
+        block: usize,
+        /// Hundredths of a degree.
+        found: u16,
+    },
+}
