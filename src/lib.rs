@@ -3,4 +3,5 @@
 #![deny(unsafe_code)]
 #![warn(missing_docs)]
 
+pub mod sensor;
 pub mod wire;

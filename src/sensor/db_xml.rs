@@ -1,0 +1,171 @@
+//! Calibrations as Velodyne ships them: db.xml, a boost serialization in degrees and centimetres.
+//!
+//! ```text
+//! boost_serialization > DB > distLSB_                                  centimetres of one unit of distance
+//!                          > enabled_, minIntensity_, maxIntensity_    lists of 64, by laser
+//!                          > points_ > item > px > id_, rotCorrection_, vertCorrection_, distCorrection_, …
+//! ```
+//!
+//! There are always 64 slots. On a smaller sensor `enabled_` is 0 from slot 16 or 32 on; those slots hold zeros or
+//! (VLP-16 and Puck Hi-Res of VeloView) repeat the first ones, and are left out here.
+
+use roxmltree::{Document, Node, ParsingOptions};
+
+use super::table::{Entry, Form, Key, Laser, Table, Unit, at, quote};
+use super::{Calibration, CalibrationError};
+
+const FORM: Form = Form {
+    names: [
+        "id_",
+        "rotCorrection_",
+        "vertCorrection_",
+        "distCorrection_",
+        "distCorrectionX_",
+        "distCorrectionY_",
+        "vertOffsetCorrection_",
+        "horizOffsetCorrection_",
+        "focalDistance_",
+        "focalSlope_",
+        "minIntensity_",
+        "maxIntensity_",
+        // ROS alone has the switch.
+        "",
+    ],
+    // A program writes these files, and it leaves none of these out.
+    required: &[Key::Rotation, Key::Elevation, Key::Distance, Key::VerticalOffset, Key::HorizontalOffset],
+    angle: Unit { name: "degrees", factor: std::f64::consts::PI / 180.0, mistaken: None },
+    length: Unit { name: "centimetres", factor: 0.01, mistaken: None },
+    count: "count",
+    distance_unit: "distLSB_",
+};
+
+/// Numbers of beams that a sensor may have; the slots in use are rounded up to one of them.
+const SIZES: [usize; 4] = [16, 32, 64, 128];
+
+/// Nodes of the largest file that is still read; the real ones have about 4000.
+const MAX_NODES: u32 = 100_000;
+
+/// Reads the text of a file named `file` (for messages).
+///
+/// # Errors
+/// [`CalibrationError::At`] with file, line and key.
+pub fn parse(text: &str, file: &str) -> Result<Calibration, CalibrationError> {
+    let text = text.trim_start_matches('\u{feff}');
+    // The form has an empty document type, which must be allowed. Entities of one's own need `<!ENTITY`, and without
+    // them nothing can unfold to more text than there is.
+    if let Some(offset) = text.find("<!ENTITY") {
+        let line = 1 + text[..offset].matches('\n').count();
+        return Err(at(file, line, "declares an entity (<!ENTITY), which no db.xml does"));
+    }
+    let options = ParsingOptions { allow_dtd: true, nodes_limit: MAX_NODES, ..ParsingOptions::default() };
+    let document = Document::parse_with_options(text, options).map_err(|error| xml_error(&error, file))?;
+    let reader = Reader { file, lines: text.match_indices('\n').map(|(offset, _)| offset).collect() };
+    let root = document.root_element();
+    let db = reader.child(root, "DB")?;
+    let points = reader.child(db, "points_")?;
+    let mut table = Table {
+        file,
+        form: &FORM,
+        count: child(points, FORM.count).map(|node| reader.entry(node)),
+        distance_unit: child(db, FORM.distance_unit).map(|node| reader.entry(node)),
+        lasers: items(points).map(|item| reader.laser(item)).collect::<Result<_, _>>()?,
+        line: reader.line(points),
+    };
+    let channels = table.channels()?;
+    for key in [Key::MinIntensity, Key::MaxIntensity] {
+        let values = reader.list(db, FORM.name(key), channels.len())?;
+        for (laser, &channel) in table.lasers.iter_mut().zip(&channels) {
+            laser.entries[key as usize] = values.get(channel).cloned();
+        }
+    }
+    let used = reader.used(db, channels.len())?;
+    let mut channel = channels.iter();
+    table.lasers.retain(|_| channel.next().is_some_and(|&channel| channel < used));
+    table.count = None;
+    table.calibration()
+}
+
+/// Finds things in the document and knows on which line they stand.
+struct Reader<'a> {
+    file: &'a str,
+    /// Offsets of the line ends: counting lines from the top for every value would take quadratic time.
+    lines: Vec<usize>,
+}
+
+impl<'a> Reader<'a> {
+    fn line(&self, node: Node<'_, '_>) -> usize {
+        1 + self.lines.partition_point(|&end| end < node.range().start)
+    }
+
+    /// A child that must be there.
+    fn child<'d, 'i>(&self, parent: Node<'d, 'i>, name: &str) -> Result<Node<'d, 'i>, CalibrationError> {
+        child(parent, name).ok_or_else(|| {
+            let message = format!("no <{name}> in <{}>: not a db.xml, or a damaged one", parent.tag_name().name());
+            at(self.file, self.line(parent), message)
+        })
+    }
+
+    fn entry<'d>(&self, node: Node<'d, '_>) -> Entry<'d> {
+        Entry { text: node.text().unwrap_or_default().into(), line: self.line(node) }
+    }
+
+    fn laser<'d>(&self, item: Node<'d, '_>) -> Result<Laser<'d>, CalibrationError> {
+        let mut laser = Laser::new(self.line(item));
+        for node in self.child(item, "px")?.children().filter(Node::is_element) {
+            // Other keys occur (closeSlope_ of VeloView) and mean nothing here.
+            let Some(index) = FORM.names.iter().position(|name| *name == node.tag_name().name()) else { continue };
+            let entry = self.entry(node);
+            if laser.entries[index].is_some() {
+                return Err(at(self.file, entry.line, format!("{} is there twice in one laser", FORM.names[index])));
+            }
+            laser.entries[index] = Some(entry);
+        }
+        Ok(laser)
+    }
+
+    /// A list with one value a laser, or an empty one where the file has none.
+    fn list<'d>(&self, db: Node<'d, '_>, name: &str, lasers: usize) -> Result<Vec<Entry<'d>>, CalibrationError> {
+        let Some(node) = child(db, name) else { return Ok(Vec::new()) };
+        let values: Vec<Entry<'d>> = items(node).map(|item| self.entry(item)).collect();
+        if values.len() == lasers {
+            return Ok(values);
+        }
+        let message = format!("{name} has {} values, expected {lasers}, one a laser", values.len());
+        Err(at(self.file, self.line(node), message))
+    }
+
+    /// Slots in use: all up to the last enabled one, rounded up, since a beam that is switched off is still a beam.
+    fn used(&self, db: Node<'_, '_>, lasers: usize) -> Result<usize, CalibrationError> {
+        let mut end = 0;
+        let enabled = self.list(db, "enabled_", lasers)?;
+        for (slot, entry) in enabled.iter().enumerate() {
+            match entry.text.trim() {
+                "0" | "false" => {}
+                "1" | "true" => end = slot + 1,
+                other => {
+                    let message = format!("enabled_: expected 0 or 1, found {}", quote(other));
+                    return Err(at(self.file, entry.line, message));
+                }
+            }
+        }
+        Ok(match end {
+            0 => lasers,
+            _ => SIZES.into_iter().find(|&size| size >= end).unwrap_or(lasers).min(lasers),
+        })
+    }
+}
+
+fn child<'d, 'i>(parent: Node<'d, 'i>, name: &str) -> Option<Node<'d, 'i>> {
+    parent.children().find(|node| node.has_tag_name(name))
+}
+
+fn items<'d, 'i: 'd>(list: Node<'d, 'i>) -> impl Iterator<Item = Node<'d, 'i>> {
+    list.children().filter(|node| node.has_tag_name("item"))
+}
+
+/// The parser's own complaint, its place as ours.
+fn xml_error(error: &roxmltree::Error, file: &str) -> CalibrationError {
+    let message = error.to_string();
+    let message = message.rsplit_once(" at ").map_or(message.as_str(), |(message, _)| message);
+    at(file, error.pos().row as usize, message)
+}

@@ -1,0 +1,706 @@
+//! Which model sends these packets.
+//!
+//! The factory bytes alone mislead: they are blank on old firmware, and early VLP-16 firmware sends the product byte of
+//! an HDL-32E. The time from packet to packet by the sensor clock does not: it follows from the firing order and is
+//! exact to the microsecond that the stamps are cut to. So the first few packets of a stream decide, and the caller
+//! keeps them until then.
+//!
+//! ```
+//! use sweepd::sensor::Model;
+//! use sweepd::sensor::detect::{Basis, Detector};
+//! use sweepd::wire::data::DataPacket;
+//! let mut detector = Detector::new(None);
+//! // A VLP-16 that calls itself an HDL-32E.
+//! assert!(detector.observe(&DataPacket::new(1_000_000, 0x37, 0x21)).is_none());
+//! assert!(detector.observe(&DataPacket::new(1_001_327, 0x37, 0x21)).is_none());
+//! let detection = detector.observe(&DataPacket::new(1_002_654, 0x37, 0x21)).unwrap().unwrap();
+//! assert_eq!((detection.model, detection.basis), (Model::Vlp16, Basis::Period));
+//! ```
+
+use super::Model;
+use crate::wire::HOUR_US;
+use crate::wire::data::{BLOCKS, Banks, DataPacket, ReturnMode};
+
+/// Packets after which [`Detector::observe`] has decided, one way or the other.
+pub const MAX_PACKETS: usize = 12;
+
+/// Intervals that must agree before the last packet.
+const ENOUGH: usize = 2;
+/// Longest gap, in packets, that still counts as lost packets. At 5 a VLP-16 looks like an HDL-32E: 5 x 1327.104 us is
+/// 12 x 552.960.
+const MAX_MULTIPLE: u32 = 4;
+/// How far an interval may be from a multiple of the period: the stamps are cut to microseconds, and crystals drift.
+const TOLERANCE_NS: u64 = 3_000;
+
+/// Models that differ in timing; the others share the timing of one of them.
+const TIMINGS: [Model; 2] = [Model::Vlp16, Model::Hdl32e];
+
+/// Product bytes of sensors that speak this protocol and are not supported.
+const UNSUPPORTED: [(u8, &str); 5] = [
+    (0x23, "VLP-32A or VLP-32B"),
+    (0x28, "VLP-32C"),
+    (0x31, "Velarray"),
+    (0x63, "VLS-128"), // by the manual; real ones send 0xA1
+    (0xA1, "VLS-128"),
+];
+
+/// The model of a stream, how it was told, and what its packets hold.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub struct Detection {
+    /// The model.
+    pub model: Model,
+    /// Returns in a packet. A sensor that does not say is taken as strongest, its default, or dual.
+    pub return_mode: ReturnMode,
+    /// What told the model.
+    pub basis: Basis,
+}
+
+/// What told the model.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub enum Basis {
+    /// The user; neither product byte nor packet period speaks against it.
+    Given,
+    /// The user, against the product byte; the packet period does not speak against it.
+    GivenAgainstBytes,
+    /// The product byte, and the packet period agrees.
+    BytesAndPeriod,
+    /// The packet period: the product byte is blank, or it is the wrong one that early VLP-16 firmware sends.
+    Period,
+    /// The product byte: there were too few packets to measure their period.
+    BytesAlone,
+}
+
+impl std::fmt::Display for Basis {
+    fn fmt(&self, f: &mut std::fmt::Formatter<'_>) -> std::fmt::Result {
+        f.write_str(match self {
+            Self::Given => "as given by --model",
+            Self::GivenAgainstBytes => "as given by --model, although its factory bytes say otherwise",
+            Self::BytesAndPeriod => "by its factory bytes and packet period",
+            Self::Period => "by its packet period, since its factory bytes are blank or those of early firmware",
+            Self::BytesAlone => "by its factory bytes alone, too few packets to check their period",
+        })
+    }
+}
+
+/// Why there is no model.
+#[derive(Clone, Copy, Debug, PartialEq, Eq, thiserror::Error)]
+pub enum DetectError {
+    /// A sensor that is known and not supported.
+    #[error("this is the stream of another sensor, {sensor}; supported are {}", supported())]
+    Unsupported {
+        /// The sensor.
+        sensor: &'static str,
+    },
+    /// A product byte that no known sensor sends.
+    #[error(
+        "product byte {product:#04x} belongs to no known sensor; supported are {}: if it is one of these, say --model",
+        supported()
+    )]
+    UnknownProduct {
+        /// The byte.
+        product: u8,
+    },
+    /// The user or the product byte says one model, the packet period another.
+    #[error(
+        "{} says {said}, but packets come {interval_us} us apart, as those of the {timing} do; {}",
+        if *.given { "--model" } else { "the product byte" },
+        cure(.given, .timing)
+    )]
+    Contradiction {
+        /// The model that was said.
+        said: Model,
+        /// Whether the user said it.
+        given: bool,
+        /// A model with the timing that was measured.
+        timing: Model,
+        /// A measured interval, microseconds.
+        interval_us: u32,
+    },
+    /// The packet period is that of no supported model.
+    #[error(
+        "packets come {median_us} us apart by the sensor clock, expected in {mode} mode: {}; --model cannot help: \
+         is this another sensor, two sensors behind one address, or a capture with most packets lost?",
+        expected(.mode)
+    )]
+    UnknownPeriod {
+        /// The median interval, microseconds.
+        median_us: u32,
+        /// The return mode that the packets seem to have.
+        mode: ReturnMode,
+    },
+    /// Blank factory bytes, and too few packets to measure their period.
+    #[error(
+        "{packets} packets and blank factory bytes do not tell the sensor; supported are {}: say --model",
+        supported()
+    )]
+    TooFewPackets {
+        /// Packets that there were.
+        packets: usize,
+    },
+}
+
+/// The supported models, for a sentence.
+fn supported() -> String {
+    Model::ALL.map(|model| format!("{model} ({})", model.spec().flag)).join(", ")
+}
+
+/// What to do about a contradiction. By reference, as thiserror hands out the fields.
+fn cure(given: &bool, timing: &Model) -> String {
+    let flag = timing.spec().flag;
+    if *given {
+        format!("leave --model away, or give --model {flag}")
+    } else {
+        format!("if it is one, give --model {flag}")
+    }
+}
+
+/// What a packet period should have been.
+fn expected(mode: &ReturnMode) -> String {
+    TIMINGS
+        .map(|model| format!("{:.1} us on the {model}", f64::from(model.spec().packet_period_ns(*mode)) / 1e3))
+        .join(", ")
+}
+
+/// What the azimuths say about the return mode of packets that do not say it themselves.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+enum Azimuths {
+    /// The head stood still so far: nothing.
+    Still,
+    /// In equal pairs, in every packet.
+    Paired,
+    /// Each its own, in some packet.
+    Single,
+}
+
+/// Tells the model from the first packets of one sensor. It keeps no packets and does not allocate.
+#[derive(Clone, Debug)]
+pub struct Detector {
+    forced: Option<Model>,
+    /// Return mode and product byte of the last packet.
+    bytes: (u8, u8),
+    azimuths: Azimuths,
+    /// Packets observed, also those whose stamps were dropped when the bytes changed.
+    observed: usize,
+    /// Stamps since the bytes last changed, microseconds after the first, before or after the hour.
+    stamps: [i64; MAX_PACKETS],
+    first_stamp: u32,
+    len: usize,
+}
+
+/// The intervals between the packets so far and how many of them each timing explains.
+struct Intervals {
+    us: [u32; MAX_PACKETS],
+    len: usize,
+}
+
+/// A timing that explains some of the intervals.
+#[derive(Clone, Copy)]
+struct Vote {
+    timing: Model,
+    return_mode: ReturnMode,
+    /// Intervals that fit.
+    fits: usize,
+    /// The shortest of them, microseconds.
+    interval_us: u32,
+}
+
+impl Detector {
+    /// A detector for one sensor; `forced` is what the user says it is.
+    pub fn new(forced: Option<Model>) -> Self {
+        Self {
+            forced,
+            bytes: (0, 0),
+            azimuths: Azimuths::Still,
+            observed: 0,
+            stamps: [0; MAX_PACKETS],
+            first_stamp: 0,
+            len: 0,
+        }
+    }
+
+    /// Takes the next packet of the sensor, in the order of arrival, and decides as soon as that is safe: from the
+    /// third packet on, at the latest with packet [`MAX_PACKETS`], and with the first one for a sensor that is not
+    /// supported.
+    ///
+    /// # Errors
+    /// [`DetectError`], final like a detection.
+    pub fn observe(&mut self, packet: &DataPacket) -> Option<Result<Detection, DetectError>> {
+        // The bank markers come first: the factory bytes of an HDL-64E are status bytes and may equal any product.
+        match packet.banks() {
+            Banks::One => {}
+            Banks::Alternating => return Some(Err(DetectError::Unsupported { sensor: "HDL-64E" })),
+            Banks::Other => return Some(Err(DetectError::Unsupported { sensor: many_banks(packet.product) })),
+        }
+        match said_by(packet.product) {
+            // The user may know a product byte that nobody else does, but not turn one sensor into another.
+            Err(DetectError::UnknownProduct { .. }) if self.forced.is_some() => {}
+            Err(error) => return Some(Err(error)),
+            Ok(_) => {}
+        }
+        if self.observed >= MAX_PACKETS {
+            return Some(self.conclude());
+        }
+        self.record(packet);
+        if self.observed == MAX_PACKETS { Some(self.conclude()) } else { self.decide_early() }
+    }
+
+    /// Decides now: for a stream that ended before [`Detector::observe`] did.
+    ///
+    /// # Errors
+    /// [`DetectError`].
+    pub fn conclude(&self) -> Result<Detection, DetectError> {
+        let intervals = self.intervals();
+        if intervals.len < ENOUGH {
+            return self.without_period();
+        }
+        let [best, next] = self.votes(&intervals);
+        // A field of view leaves one odd interval a turn, heavy loss leaves many; chance fits one in a hundred.
+        if best.fits > next.fits && best.fits * 4 >= intervals.len {
+            return self.detection(best);
+        }
+        match unsupported(self.bytes.1) {
+            Some(sensor) => Err(DetectError::Unsupported { sensor }),
+            None => Err(DetectError::UnknownPeriod { median_us: intervals.median(), mode: best.return_mode }),
+        }
+    }
+
+    fn record(&mut self, packet: &DataPacket) {
+        let bytes = (packet.return_mode, packet.product);
+        if self.len == 0 || bytes != self.bytes {
+            // Somebody changed the return mode: the periods on the two sides have nothing in common.
+            self.bytes = bytes;
+            self.azimuths = Azimuths::Still;
+            self.first_stamp = packet.stamp_us();
+            self.len = 0;
+        }
+        if packet.blocks[0].azimuth_cdeg() != packet.blocks[BLOCKS - 1].azimuth_cdeg() {
+            self.azimuths = match (packet.azimuths_paired(), self.azimuths) {
+                (true, Azimuths::Still | Azimuths::Paired) => Azimuths::Paired,
+                _ => Azimuths::Single,
+            };
+        }
+        self.stamps[self.len] = since(self.first_stamp, packet.stamp_us());
+        self.len += 1;
+        self.observed += 1;
+    }
+
+    fn decide_early(&self) -> Option<Result<Detection, DetectError>> {
+        let intervals = self.intervals();
+        let [best, next] = self.votes(&intervals);
+        let clear = best.fits >= ENOUGH && best.fits > next.fits && best.fits * 2 > intervals.len;
+        clear.then(|| self.detection(best))
+    }
+
+    /// The intervals between stamps in order; those of duplicates are none.
+    fn intervals(&self) -> Intervals {
+        let mut stamps = self.stamps;
+        let stamps = &mut stamps[..self.len];
+        stamps.sort_unstable();
+        let mut intervals = Intervals { us: [0; MAX_PACKETS], len: 0 };
+        for pair in stamps.windows(2) {
+            let interval = u32::try_from(pair[1] - pair[0]).unwrap_or(u32::MAX);
+            if interval > 0 {
+                intervals.us[intervals.len] = interval;
+                intervals.len += 1;
+            }
+        }
+        intervals
+    }
+
+    /// The two timings, the better one first.
+    fn votes(&self, intervals: &Intervals) -> [Vote; 2] {
+        let [mut best, mut next] = TIMINGS.map(|timing| self.vote(timing, intervals));
+        if next.fits > best.fits {
+            std::mem::swap(&mut best, &mut next);
+        }
+        [best, next]
+    }
+
+    /// How well a timing explains the intervals, in the return mode that explains them best.
+    fn vote(&self, timing: Model, intervals: &Intervals) -> Vote {
+        // Strongest first: what both explain is one packet after the other in single mode, not every second one in
+        // dual.
+        let modes: &[ReturnMode] = match (ReturnMode::from_byte(self.bytes.0), self.azimuths) {
+            (Some(ReturnMode::Strongest), _) | (None, Azimuths::Single) => &[ReturnMode::Strongest],
+            (Some(ReturnMode::Last), _) => &[ReturnMode::Last],
+            (Some(ReturnMode::Dual), _) | (None, Azimuths::Paired) => &[ReturnMode::Dual],
+            (None, Azimuths::Still) => &[ReturnMode::Strongest, ReturnMode::Dual],
+        };
+        let mut best = Vote { timing, return_mode: modes[0], fits: 0, interval_us: 0 };
+        for &return_mode in modes {
+            let period_ns = timing.spec().packet_period_ns(return_mode);
+            let fitting = || intervals.us().iter().copied().filter(|&us| fits(us, period_ns));
+            let count = fitting().count();
+            if count > best.fits {
+                best = Vote { timing, return_mode, fits: count, interval_us: fitting().min().unwrap_or_default() };
+            }
+        }
+        best
+    }
+
+    /// The detection of a stream whose period is known.
+    fn detection(&self, vote: Vote) -> Result<Detection, DetectError> {
+        let Vote { timing, return_mode, interval_us, .. } = vote;
+        let found = |model, basis| Ok(Detection { model, return_mode, basis });
+        let contradiction = |said, given| Err(DetectError::Contradiction { said, given, timing, interval_us });
+        if let Some(model) = self.forced {
+            let basis = self.basis_of_given(model);
+            return if timing_of(model) == timing { found(model, basis) } else { contradiction(model, true) };
+        }
+        match said_by(self.bytes.1)? {
+            None => found(timing, Basis::Period),
+            Some(model) if timing_of(model) == timing => found(model, Basis::BytesAndPeriod),
+            // Early VLP-16 firmware sends the product byte of an HDL-32E.
+            Some(Model::Hdl32e) => found(timing, Basis::Period),
+            Some(model) => contradiction(model, false),
+        }
+    }
+
+    fn basis_of_given(&self, model: Model) -> Basis {
+        let product = self.bytes.1;
+        if product == 0 || product == model.spec().product { Basis::Given } else { Basis::GivenAgainstBytes }
+    }
+
+    /// The detection of a stream too short to measure its period.
+    fn without_period(&self) -> Result<Detection, DetectError> {
+        let (model, basis) = match self.forced {
+            Some(model) => (model, self.basis_of_given(model)),
+            None if self.len == 0 => return Err(DetectError::TooFewPackets { packets: 0 }),
+            None => match said_by(self.bytes.1)? {
+                Some(model) => (model, Basis::BytesAlone),
+                None => return Err(DetectError::TooFewPackets { packets: self.observed }),
+            },
+        };
+        let return_mode = ReturnMode::from_byte(self.bytes.0).unwrap_or(match self.azimuths {
+            Azimuths::Paired => ReturnMode::Dual,
+            Azimuths::Still | Azimuths::Single => ReturnMode::Strongest,
+        });
+        Ok(Detection { model, return_mode, basis })
+    }
+}
+
+impl Intervals {
+    fn us(&self) -> &[u32] {
+        &self.us[..self.len]
+    }
+
+    fn median(&self) -> u32 {
+        let mut sorted = self.us;
+        let sorted = &mut sorted[..self.len];
+        sorted.sort_unstable();
+        sorted[self.len / 2]
+    }
+}
+
+/// Microseconds from one stamp to another, the short way round the hour.
+fn since(from: u32, to: u32) -> i64 {
+    let hour = i64::from(HOUR_US);
+    match i64::from(to) - i64::from(from) {
+        ahead if ahead > hour / 2 => ahead - hour,
+        behind if behind < -hour / 2 => behind + hour,
+        difference => difference,
+    }
+}
+
+/// Whether an interval is a small multiple of a period.
+fn fits(interval_us: u32, period_ns: u32) -> bool {
+    let interval_ns = u64::from(interval_us) * 1_000;
+    (1..=MAX_MULTIPLE).any(|multiple| interval_ns.abs_diff(u64::from(period_ns * multiple)) <= TOLERANCE_NS)
+}
+
+/// The model of [`TIMINGS`] whose timing a model has.
+fn timing_of(model: Model) -> Model {
+    match model {
+        Model::Vlp16 | Model::PuckLite | Model::PuckHiRes => Model::Vlp16,
+        Model::Hdl32e => Model::Hdl32e,
+    }
+}
+
+/// The model that a product byte names, none if it is blank. A Puck LITE calls itself a VLP-16.
+fn said_by(product: u8) -> Result<Option<Model>, DetectError> {
+    if product == 0 {
+        return Ok(None);
+    }
+    if let Some(sensor) = unsupported(product) {
+        return Err(DetectError::Unsupported { sensor });
+    }
+    match Model::ALL.into_iter().find(|model| model.spec().product == product) {
+        Some(model) => Ok(Some(model)),
+        None => Err(DetectError::UnknownProduct { product }),
+    }
+}
+
+fn unsupported(product: u8) -> Option<&'static str> {
+    UNSUPPORTED.into_iter().find(|&(byte, _)| byte == product).map(|(_, sensor)| sensor)
+}
+
+/// The name of a sensor that mixes banks of lasers in a way of its own.
+fn many_banks(product: u8) -> &'static str {
+    match unsupported(product) {
+        Some(sensor @ "VLS-128") => sensor,
+        _ => "one with more than 32 lasers (VLS-128 or HDL-64E of the first series)",
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use crate::wire::data::FLAG_BANK_1;
+    use proptest::prelude::*;
+
+    const SINGLE: u8 = 0x37;
+    const DUAL: u8 = 0x39;
+    const VLP16_NS: u64 = 1_327_104;
+    const HDL32E_NS: u64 = 552_960;
+
+    /// A packet of a turning head, its azimuths in pairs or not.
+    fn packet(stamp_us: u32, bytes: (u8, u8), paired: bool) -> DataPacket {
+        let mut packet = DataPacket::new(stamp_us, bytes.0, bytes.1);
+        for (index, block) in packet.blocks.iter_mut().enumerate() {
+            let step = if paired { index / 2 } else { index };
+            block.set_azimuth_cdeg(100 + 20 * step as u16);
+        }
+        packet
+    }
+
+    /// Stamps as a sensor makes them: packets of so many periods after the first, cut to microseconds.
+    fn stamps(period_ns: u64, packets: &[u64]) -> Vec<u32> {
+        packets.iter().map(|packet| ((777_000_400 + packet * period_ns) / 1_000) as u32).collect()
+    }
+
+    /// The verdict and the number of packets it took, 0 for one at the end of the stream.
+    fn run(
+        forced: Option<Model>,
+        bytes: (u8, u8),
+        paired: bool,
+        stamps: &[u32],
+    ) -> (usize, Result<Detection, DetectError>) {
+        let mut detector = Detector::new(forced);
+        for (index, &stamp) in stamps.iter().enumerate() {
+            if let Some(verdict) = detector.observe(&packet(stamp, bytes, paired)) {
+                return (index + 1, verdict);
+            }
+        }
+        (0, detector.conclude())
+    }
+
+    fn found(model: Model, return_mode: ReturnMode, basis: Basis) -> Result<Detection, DetectError> {
+        Ok(Detection { model, return_mode, basis })
+    }
+
+    #[test]
+    fn three_packets_in_order_are_enough() {
+        use ReturnMode::{Dual, Strongest};
+        let cases = [
+            ((SINGLE, 0x22), VLP16_NS, Model::Vlp16, Strongest, Basis::BytesAndPeriod),
+            ((SINGLE, 0x24), VLP16_NS, Model::PuckHiRes, Strongest, Basis::BytesAndPeriod),
+            ((SINGLE, 0x21), HDL32E_NS, Model::Hdl32e, Strongest, Basis::BytesAndPeriod),
+            ((0x38, 0x21), HDL32E_NS, Model::Hdl32e, ReturnMode::Last, Basis::BytesAndPeriod),
+            ((DUAL, 0x22), VLP16_NS / 2, Model::Vlp16, Dual, Basis::BytesAndPeriod),
+            ((DUAL, 0x21), HDL32E_NS / 2, Model::Hdl32e, Dual, Basis::BytesAndPeriod),
+            // Early VLP-16 firmware.
+            ((SINGLE, 0x21), VLP16_NS, Model::Vlp16, Strongest, Basis::Period),
+            ((DUAL, 0x21), VLP16_NS / 2, Model::Vlp16, Dual, Basis::Period),
+            // Blank bytes.
+            ((0, 0), VLP16_NS, Model::Vlp16, Strongest, Basis::Period),
+            ((0, 0), HDL32E_NS, Model::Hdl32e, Strongest, Basis::Period),
+            ((0, 0), VLP16_NS / 2, Model::Vlp16, Dual, Basis::Period),
+            ((0, 0), HDL32E_NS / 2, Model::Hdl32e, Dual, Basis::Period),
+        ];
+        for (bytes, period_ns, model, mode, basis) in cases {
+            let verdict = run(None, bytes, mode == Dual, &stamps(period_ns, &[0, 1, 2, 3]));
+            assert_eq!(verdict, (3, found(model, mode, basis)), "{bytes:x?} {period_ns}");
+        }
+    }
+
+    #[test]
+    fn loss_duplicates_and_reordering_do_not_mislead() {
+        let vlp16 = found(Model::Vlp16, ReturnMode::Strongest, Basis::BytesAndPeriod);
+        let hdl32e = found(Model::Hdl32e, ReturnMode::Strongest, Basis::BytesAndPeriod);
+        let orders: [(&[u64], usize); 5] = [
+            (&[0, 2, 5], 3),
+            (&[0, 0, 1, 1, 2], 5),
+            (&[0, 2, 1], 3),
+            (&[3, 4, 0, 1], 3),
+            // Five packets later a VLP-16 stands where an HDL-32E does after twelve: such a gap says nothing.
+            (&[0, 5, 10, 11, 12, 13], 6),
+        ];
+        for (order, needed) in orders {
+            assert_eq!(run(None, (SINGLE, 0x22), false, &stamps(VLP16_NS, order)), (needed, vlp16), "{order:?}");
+        }
+        assert_eq!(run(None, (SINGLE, 0x21), false, &stamps(HDL32E_NS, &[0, 12, 24, 25, 26, 27])), (6, hdl32e));
+    }
+
+    #[test]
+    fn the_hour_may_end_within_the_stream() {
+        let stamps = [3_599_998_900, 227, 1_554];
+        let verdict = run(None, (SINGLE, 0x22), false, &stamps);
+        assert_eq!(verdict, (3, found(Model::Vlp16, ReturnMode::Strongest, Basis::BytesAndPeriod)));
+    }
+
+    #[test]
+    fn the_odd_interval_of_a_field_of_view_is_outvoted() {
+        let mut times = stamps(VLP16_NS, &[0, 1]);
+        let gap = times[1] + 50_311;
+        times.extend([gap, gap + 1_327, gap + 2_654]);
+        let verdict = run(None, (0, 0), false, &times);
+        assert_eq!(verdict, (4, found(Model::Vlp16, ReturnMode::Strongest, Basis::Period)));
+    }
+
+    #[test]
+    fn a_head_that_stands_still_tells_its_mode_by_the_period() {
+        for (period_ns, mode) in [(HDL32E_NS, ReturnMode::Strongest), (HDL32E_NS / 2, ReturnMode::Dual)] {
+            let mut detector = Detector::new(None);
+            let verdict =
+                stamps(period_ns, &[0, 1, 2]).into_iter().find_map(|s| detector.observe(&DataPacket::new(s, 0, 0)));
+            assert_eq!(verdict, Some(found(Model::Hdl32e, mode, Basis::Period)));
+        }
+    }
+
+    #[test]
+    fn unsupported_sensors_are_named_at_once() {
+        let cases = [(0x28, "VLP-32C"), (0xA1, "VLS-128"), (0x63, "VLS-128"), (0x31, "Velarray")];
+        for (product, sensor) in cases {
+            let verdict = run(None, (SINGLE, product), false, &[0]);
+            assert_eq!(verdict, (1, Err(DetectError::Unsupported { sensor })));
+        }
+        let message = run(None, (SINGLE, 0x23), false, &[0]).1.unwrap_err().to_string();
+        assert_eq!(
+            message,
+            "this is the stream of another sensor, VLP-32A or VLP-32B; supported are VLP-16 (vlp16), \
+             Puck LITE (puck-lite), Puck Hi-Res (puck-hires), HDL-32E (hdl32e)"
+        );
+        // Nothing helps against the bank markers, and the status bytes of an HDL-64E are not asked.
+        let mut hdl64e = DataPacket::new(0, SINGLE, 0x22);
+        for block in hdl64e.blocks.iter_mut().skip(1).step_by(2) {
+            block.flag.set(FLAG_BANK_1);
+        }
+        for forced in [None, Some(Model::Vlp16)] {
+            let verdict = Detector::new(forced).observe(&hdl64e);
+            assert_eq!(verdict, Some(Err(DetectError::Unsupported { sensor: "HDL-64E" })));
+        }
+        let mut vls128 = DataPacket::new(0, SINGLE, 0xA1);
+        vls128.blocks[1].flag.set(FLAG_BANK_1);
+        let verdict = Detector::new(Some(Model::Vlp16)).observe(&vls128);
+        assert_eq!(verdict, Some(Err(DetectError::Unsupported { sensor: "VLS-128" })));
+    }
+
+    #[test]
+    fn unknown_product_bytes_need_the_user() {
+        let times = stamps(VLP16_NS, &[0, 1, 2]);
+        assert_eq!(run(None, (SINGLE, 0x77), false, &times), (1, Err(DetectError::UnknownProduct { product: 0x77 })));
+        let verdict = run(Some(Model::PuckLite), (SINGLE, 0x77), false, &times);
+        assert_eq!(verdict, (3, found(Model::PuckLite, ReturnMode::Strongest, Basis::GivenAgainstBytes)));
+    }
+
+    #[test]
+    fn the_user_beats_the_bytes_but_not_the_period() {
+        let vlp16 = stamps(VLP16_NS, &[0, 1, 2]);
+        let given = |model| found(model, ReturnMode::Strongest, Basis::GivenAgainstBytes);
+        assert_eq!(run(Some(Model::PuckHiRes), (SINGLE, 0x22), false, &vlp16), (3, given(Model::PuckHiRes)));
+        let hdl32e = stamps(HDL32E_NS, &[0, 1, 2]);
+        assert_eq!(run(Some(Model::Hdl32e), (SINGLE, 0x22), false, &hdl32e), (3, given(Model::Hdl32e)));
+        let (packets, verdict) = run(Some(Model::Hdl32e), (SINGLE, 0x21), false, &vlp16);
+        assert_eq!(packets, 3);
+        assert_eq!(
+            verdict.unwrap_err().to_string(),
+            "--model says HDL-32E, but packets come 1327 us apart, as those of the VLP-16 do; \
+             leave --model away, or give --model vlp16"
+        );
+    }
+
+    #[test]
+    fn the_user_does_not_turn_another_sensor_into_a_vlp16() {
+        // A VLP-32C: its period is half that of a VLP-16.
+        let times = stamps(VLP16_NS / 2, &(0..12).collect::<Vec<_>>());
+        let verdict = run(Some(Model::Vlp16), (SINGLE, 0x28), false, &times);
+        assert_eq!(verdict, (1, Err(DetectError::Unsupported { sensor: "VLP-32C" })));
+    }
+
+    #[test]
+    fn a_byte_that_contradicts_the_period_is_an_error() {
+        for product in [0x22, 0x24] {
+            let (packets, verdict) = run(None, (SINGLE, product), false, &stamps(HDL32E_NS, &[0, 1, 2]));
+            let message = verdict.unwrap_err().to_string();
+            assert_eq!(packets, 3);
+            assert!(message.starts_with("the product byte says "), "{message}");
+            assert!(
+                message.ends_with("553 us apart, as those of the HDL-32E do; if it is one, give --model hdl32e"),
+                "{message}"
+            );
+        }
+    }
+
+    #[test]
+    fn a_period_of_no_model_is_an_error_after_the_last_packet() {
+        let times = stamps(800_000, &(0..20).collect::<Vec<_>>());
+        for forced in [None, Some(Model::Vlp16)] {
+            let (packets, verdict) = run(forced, (SINGLE, 0x22), false, &times);
+            assert_eq!(packets, MAX_PACKETS);
+            let mode = ReturnMode::Strongest;
+            assert_eq!(verdict, Err(DetectError::UnknownPeriod { median_us: 800, mode }));
+            let message = verdict.unwrap_err().to_string();
+            assert!(
+                message.contains("800 us apart")
+                    && message
+                        .contains("strongest mode: 1327.1 us on the VLP-16, 553.0 us on the HDL-32E; --model cannot"),
+                "{message}"
+            );
+        }
+    }
+
+    #[test]
+    fn streams_too_short_for_a_period_go_by_what_was_said() {
+        let strongest = ReturnMode::Strongest;
+        for packets in [&[0][..], &[0, 1], &[0, 0, 0, 1]] {
+            let times = stamps(VLP16_NS, packets);
+            let bytes = found(Model::PuckHiRes, strongest, Basis::BytesAlone);
+            assert_eq!(run(None, (SINGLE, 0x24), false, &times), (0, bytes));
+            let given = found(Model::Hdl32e, strongest, Basis::GivenAgainstBytes);
+            assert_eq!(run(Some(Model::Hdl32e), (SINGLE, 0x22), false, &times), (0, given));
+            let blank = Err(DetectError::TooFewPackets { packets: times.len() });
+            assert_eq!(run(None, (0, 0), false, &times), (0, blank));
+        }
+        assert_eq!(Detector::new(None).conclude(), Err(DetectError::TooFewPackets { packets: 0 }));
+        let dual = found(Model::Vlp16, ReturnMode::Dual, Basis::Given);
+        assert_eq!(run(Some(Model::Vlp16), (0, 0), true, &[0]), (0, dual));
+        // Nothing but copies of one packet: there is no period, and it ends all the same.
+        let bytes = found(Model::Vlp16, strongest, Basis::BytesAlone);
+        assert_eq!(run(None, (SINGLE, 0x22), false, &[5; 40]), (MAX_PACKETS, bytes));
+    }
+
+    #[test]
+    fn a_change_of_return_mode_starts_the_measurement_again() {
+        let mut detector = Detector::new(None);
+        let times = stamps(VLP16_NS, &[0, 1]);
+        assert_eq!(detector.observe(&packet(times[0], (SINGLE, 0x22), false)), None);
+        assert_eq!(detector.observe(&packet(times[1], (SINGLE, 0x22), false)), None);
+        let dual = stamps(VLP16_NS / 2, &[40, 41, 42]);
+        let verdict = dual.into_iter().find_map(|stamp| detector.observe(&packet(stamp, (DUAL, 0x22), true)));
+        assert_eq!(verdict, Some(found(Model::Vlp16, ReturnMode::Dual, Basis::BytesAndPeriod)));
+    }
+
+    #[test]
+    fn no_interval_fits_two_timings() {
+        for mode in [ReturnMode::Strongest, ReturnMode::Dual] {
+            let [vlp16, hdl32e] = TIMINGS.map(|model| model.spec().packet_period_ns(mode));
+            assert!((0..10_000).all(|us| !(fits(us, vlp16) && fits(us, hdl32e))));
+        }
+    }
+
+    proptest! {
+        #[test]
+        fn any_stream_ends_in_a_verdict(
+            packets in proptest::collection::vec((any::<u32>(), any::<u8>(), any::<u8>(), any::<bool>()), MAX_PACKETS),
+            forced in 0..=Model::ALL.len(),
+        ) {
+            let mut detector = Detector::new(Model::ALL.get(forced).copied());
+            let _ = detector.conclude();
+            let verdict = packets.into_iter().find_map(|(stamp, mode, product, paired)| {
+                let _ = detector.conclude();
+                detector.observe(&packet(stamp, (mode, product), paired))
+            });
+            prop_assert!(verdict.is_some());
+        }
+    }
+}
