@@ -1,0 +1,128 @@
+//! What can go wrong with a capture, each with the place where it did.
+
+use std::io;
+
+/// Why a capture cannot be read at all, or not any further because of the machine it lies on.
+///
+/// One that is damaged or cut is no error: what it holds up to there is read, and [`Truncation`] says the rest.
+#[derive(Debug, thiserror::Error)]
+pub enum CaptureError {
+    /// No such file, or no right to read it.
+    #[error("cannot open {name}: {source}")]
+    Open {
+        /// The path as it was given, or `standard input`.
+        name: String,
+        /// What the system says.
+        source: io::Error,
+    },
+    /// The file is something else.
+    #[error(
+        "{name} is no capture: it holds {found}; expected pcap or pcapng, plain or compressed with gzip or zstd. \
+         Check the path, or record one with `tcpdump -i INTERFACE -w FILE.pcap udp`"
+    )]
+    NotACapture {
+        /// The path as it was given, or `standard input`.
+        name: String,
+        /// What its first bytes look like.
+        found: String,
+    },
+    /// The disk or the pipe failed.
+    #[error("cannot read {name} beyond record {record} (byte {offset}): {source}")]
+    Read {
+        /// The path as it was given, or `standard input`.
+        name: String,
+        /// Number of the record that could not be read.
+        record: u64,
+        /// Where that record begins, in bytes of the decompressed capture.
+        offset: u64,
+        /// What the system says.
+        source: io::Error,
+    },
+}
+
+/// Where and why a capture breaks off. Everything before is good.
+#[derive(Clone, Debug, PartialEq, Eq, thiserror::Error)]
+#[error("the capture breaks off at record {record} (byte {offset}): {reason}")]
+pub struct Truncation {
+    /// Number of the record that is damaged, which is also how many were read.
+    pub record: u64,
+    /// Where the damage was met: the start of the record or block, in bytes of the decompressed capture.
+    pub offset: u64,
+    /// What is wrong there.
+    pub reason: Damage,
+}
+
+/// What is wrong at the place where a capture breaks off.
+#[derive(Clone, Debug, PartialEq, Eq, thiserror::Error)]
+pub enum Damage {
+    /// The writer was stopped, the copy was cut.
+    #[error("the file ends inside it")]
+    Cut,
+    /// The compressed stream is cut or corrupt.
+    #[error("the {format} stream is cut or corrupt: {message}")]
+    Compression {
+        /// `gzip` or `zstd`.
+        format: &'static str,
+        /// What the decompressor says.
+        message: String,
+    },
+    /// A length that no capture tool writes: the bytes there are no record.
+    #[error("it claims {found} captured bytes, more than the {limit} that can be there")]
+    RecordLength {
+        /// The length in the record header.
+        found: u32,
+        /// The most that was possible there.
+        limit: u32,
+    },
+    /// A pcapng block with an impossible length.
+    #[error("a pcapng block of type {kind:#010x} claims {found} bytes")]
+    BlockLength {
+        /// The block type.
+        kind: u32,
+        /// The length at the start of the block.
+        found: u32,
+    },
+    /// A pcapng block whose two lengths differ.
+    #[error("a pcapng block begins with length {head} and ends with length {tail}")]
+    BlockEnds {
+        /// The length at the start of the block.
+        head: u32,
+        /// The length at its end.
+        tail: u32,
+    },
+    /// A packet block names an interface that the section has not described.
+    #[error("it comes from interface {found}, but the section describes {described}")]
+    Interface {
+        /// The interface that the block names.
+        found: u32,
+        /// How many the section has described so far.
+        described: usize,
+    },
+    /// More interfaces in a section than any machine has.
+    #[error("the section describes more than {limit} interfaces")]
+    TooManyInterfaces {
+        /// The most that are accepted.
+        limit: usize,
+    },
+    /// A pcapng section that begins in no known byte order or version.
+    #[error("a pcapng section begins with byte-order mark {mark:#010x} and version {major}")]
+    Section {
+        /// The byte-order mark, read as big-endian; 0x1a2b3c4d or 0x4d3c2b1a are right.
+        mark: u32,
+        /// Major version; 1 is right.
+        major: u16,
+    },
+}
+
+/// What stops a reader: the machine, or the capture itself.
+#[derive(Debug)]
+pub(super) enum Stop {
+    Read(io::Error),
+    Damaged(Damage),
+}
+
+impl From<Damage> for Stop {
+    fn from(damage: Damage) -> Self {
+        Self::Damaged(damage)
+    }
+}

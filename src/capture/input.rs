@@ -1,0 +1,308 @@
+//! The bytes of a capture: opened, decompressed, counted, and read in pieces of known length.
+
+use std::error::Error;
+use std::fs::File;
+use std::io::{self, BufRead, BufReader, Cursor, Read};
+use std::path::Path;
+
+use flate2::bufread::MultiGzDecoder;
+use ruzstd::decoding::errors::{FrameDecoderError, ReadFrameHeaderError};
+use ruzstd::decoding::{BlockDecodingStrategy, FrameDecoder};
+
+use super::error::{CaptureError, Damage, Stop};
+
+const BUFFER_LEN: usize = 64 * 1024;
+const GZIP_MAGIC: [u8; 2] = [0x1F, 0x8B];
+const ZSTD_MAGIC: [u8; 4] = [0x28, 0xB5, 0x2F, 0xFD];
+
+/// Byte order of a capture: that of the machine that wrote it.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub(super) enum Order {
+    Little,
+    Big,
+}
+
+impl Order {
+    pub(super) fn u16(self, bytes: [u8; 2]) -> u16 {
+        match self {
+            Self::Little => u16::from_le_bytes(bytes),
+            Self::Big => u16::from_be_bytes(bytes),
+        }
+    }
+
+    pub(super) fn u32(self, bytes: [u8; 4]) -> u32 {
+        match self {
+            Self::Little => u32::from_le_bytes(bytes),
+            Self::Big => u32::from_be_bytes(bytes),
+        }
+    }
+
+    pub(super) fn i64(self, bytes: [u8; 8]) -> i64 {
+        match self {
+            Self::Little => i64::from_le_bytes(bytes),
+            Self::Big => i64::from_be_bytes(bytes),
+        }
+    }
+}
+
+/// Opens a file to read; a directory, which can be opened and not read, is refused here.
+fn open_file(path: &Path) -> io::Result<File> {
+    let file = File::open(path)?;
+    if file.metadata()?.is_dir() { Err(io::ErrorKind::IsADirectory.into()) } else { Ok(file) }
+}
+
+/// A decompressed stream of bytes that knows how far it was read.
+pub(super) struct Input {
+    source: BufReader<Box<dyn Read + Send>>,
+    compression: Option<&'static str>,
+    offset: u64,
+    /// Where the record or block begins that is being read.
+    mark: u64,
+    bytes: Vec<u8>,
+}
+
+impl Input {
+    /// Opens a path, or standard input for `-`.
+    ///
+    /// Gives its name, too.
+    pub(super) fn open(path: &Path) -> Result<(String, Box<dyn Read + Send>), CaptureError> {
+        if path == Path::new("-") {
+            return Ok(("standard input".to_owned(), Box::new(io::stdin())));
+        }
+        let name = path.display().to_string();
+        match open_file(path) {
+            Ok(file) => Ok((name, Box::new(file))),
+            Err(source) => Err(CaptureError::Open { name, source }),
+        }
+    }
+
+    /// Looks at the first bytes of `raw` and puts the decompressor before it that they call for.
+    pub(super) fn new(mut raw: Box<dyn Read + Send>) -> io::Result<Self> {
+        let mut magic = [0; 4];
+        let len = read_full(&mut raw, &mut magic)?;
+        let whole = Cursor::new(magic).take(len as u64).chain(raw);
+        let (source, compression): (Box<dyn Read + Send>, _) = if magic[..len].starts_with(&GZIP_MAGIC) {
+            let compressed = BufReader::with_capacity(BUFFER_LEN, whole);
+            (Box::new(MultiGzDecoder::new(compressed)), Some("gzip"))
+        } else if magic[..len] == ZSTD_MAGIC {
+            (Box::new(ZstdFrames::new(BufReader::with_capacity(BUFFER_LEN, whole))), Some("zstd"))
+        } else {
+            (Box::new(whole), None)
+        };
+        Ok(Self {
+            source: BufReader::with_capacity(BUFFER_LEN, source),
+            compression,
+            offset: 0,
+            mark: 0,
+            bytes: Vec::new(),
+        })
+    }
+
+    /// The format that the stream is compressed with.
+    pub(super) fn compression(&self) -> Option<&'static str> {
+        self.compression
+    }
+
+    /// Where the last [`Input::start`] was, in bytes of the decompressed stream.
+    pub(super) fn mark(&self) -> u64 {
+        self.mark
+    }
+
+    /// What [`Input::load`] read last.
+    pub(super) fn bytes(&self) -> &[u8] {
+        &self.bytes
+    }
+
+    /// Begins a record or block: its first `N` words as they stand, or `None` where the stream ends exactly here.
+    pub(super) fn start<const N: usize>(&mut self) -> Result<Option<[[u8; 4]; N]>, Stop> {
+        self.mark = self.offset;
+        let mut words = [[0; 4]; N];
+        match self.fill(words.as_flattened_mut())? {
+            0 => Ok(None),
+            len if len == 4 * N => Ok(Some(words)),
+            _ => Err(Damage::Cut.into()),
+        }
+    }
+
+    /// The next `N` words as they stand, which must be there.
+    pub(super) fn raw_words<const N: usize>(&mut self) -> Result<[[u8; 4]; N], Stop> {
+        let mut words = [[0; 4]; N];
+        let len = self.fill(words.as_flattened_mut())?;
+        if len < 4 * N { Err(Damage::Cut.into()) } else { Ok(words) }
+    }
+
+    /// The next `N` words as numbers, which must be there.
+    pub(super) fn words<const N: usize>(&mut self, order: Order) -> Result<[u32; N], Stop> {
+        Ok(self.raw_words()?.map(|word| order.u32(word)))
+    }
+
+    /// Reads `len` bytes, to be had from [`Input::bytes`]. The caller bounds `len`: so much memory is taken.
+    pub(super) fn load(&mut self, len: usize) -> Result<(), Stop> {
+        let mut bytes = std::mem::take(&mut self.bytes);
+        bytes.resize(len, 0);
+        let read = self.fill(&mut bytes);
+        self.bytes = bytes;
+        if read? < len { Err(Damage::Cut.into()) } else { Ok(()) }
+    }
+
+    /// Passes over `len` bytes without keeping them.
+    pub(super) fn skip(&mut self, len: u64) -> Result<(), Stop> {
+        let skipped = io::copy(&mut (&mut self.source).take(len), &mut io::sink());
+        let skipped = skipped.map_err(|error| self.stop(error))?;
+        self.offset += skipped;
+        if skipped < len { Err(Damage::Cut.into()) } else { Ok(()) }
+    }
+
+    /// Fills as much of `target` as the stream still has.
+    pub(super) fn fill(&mut self, target: &mut [u8]) -> Result<usize, Stop> {
+        let len = read_full(&mut self.source, target).map_err(|error| self.stop(error))?;
+        self.offset += len as u64;
+        Ok(len)
+    }
+
+    /// A compressed stream that cannot be decoded is damage; whatever the system says itself is not.
+    fn stop(&self, error: io::Error) -> Stop {
+        match self.compression {
+            Some(format) if !comes_from_system(&error) => {
+                Damage::Compression { format, message: error.to_string() }.into()
+            }
+            _ => Stop::Read(error),
+        }
+    }
+}
+
+/// Reads until `target` is full or the stream ends.
+fn read_full(source: &mut impl Read, target: &mut [u8]) -> io::Result<usize> {
+    let mut len = 0;
+    while len < target.len() {
+        match source.read(&mut target[len..]) {
+            Ok(0) => break,
+            Ok(more) => len += more,
+            Err(error) if error.kind() == io::ErrorKind::Interrupted => {}
+            Err(error) => return Err(error),
+        }
+    }
+    Ok(len)
+}
+
+/// Whether an error of the operating system is at the bottom of `error`, however often it was wrapped.
+fn comes_from_system(error: &io::Error) -> bool {
+    let mut cause: Option<&(dyn Error + 'static)> = Some(error);
+    while let Some(error) = cause {
+        if let Some(io_error) = error.downcast_ref::<io::Error>() {
+            if io_error.raw_os_error().is_some() {
+                return true;
+            }
+            // The `source` of a wrapping `io::Error` is already the source of what it wraps.
+            cause = io_error.get_ref().map(|inner| inner as &(dyn Error + 'static));
+        } else {
+            cause = error.source();
+        }
+    }
+    false
+}
+
+/// A zstd stream of any number of frames; ruzstd itself reads one frame.
+struct ZstdFrames<R> {
+    source: R,
+    decoder: FrameDecoder,
+    failure: Option<io::Error>,
+}
+
+impl<R: BufRead> ZstdFrames<R> {
+    fn new(source: R) -> Self {
+        Self { source, decoder: FrameDecoder::new(), failure: None }
+    }
+
+    /// Decodes a block, or begins the next frame. `false` at the end of the stream.
+    fn advance(&mut self) -> io::Result<bool> {
+        if !self.decoder.is_finished() {
+            self.decoder
+                .decode_blocks(&mut self.source, BlockDecodingStrategy::UptoBlocks(1))
+                .map_err(io::Error::other)?;
+            return Ok(true);
+        }
+        if self.decoder.get_checksum_from_data().is_some_and(|sum| Some(sum) != self.decoder.get_calculated_checksum())
+        {
+            return Err(io::Error::other("the checksum of a frame is wrong"));
+        }
+        if self.source.fill_buf()?.is_empty() {
+            return Ok(false);
+        }
+        match self.decoder.reset(&mut self.source) {
+            Ok(()) => Ok(true),
+            Err(FrameDecoderError::ReadFrameHeaderError(ReadFrameHeaderError::SkipFrame { length, .. })) => {
+                let length = u64::from(length);
+                let skipped = io::copy(&mut (&mut self.source).take(length), &mut io::sink())?;
+                if skipped < length { Err(io::ErrorKind::UnexpectedEof.into()) } else { Ok(true) }
+            }
+            Err(error) => Err(io::Error::other(error)),
+        }
+    }
+
+    /// Makes the decoder give out what it holds back as the window of blocks that will not come. It does so at the end
+    /// of a frame only, so it is given one: an empty last block and a checksum that nobody will look at.
+    fn release_window(&mut self) {
+        let end: [u8; 7] = [1, 0, 0, 0, 0, 0, 0];
+        let _ = self.decoder.decode_blocks(&end[..], BlockDecodingStrategy::UptoBlocks(1));
+    }
+}
+
+impl<R: BufRead> Read for ZstdFrames<R> {
+    fn read(&mut self, target: &mut [u8]) -> io::Result<usize> {
+        loop {
+            if self.decoder.can_collect() > 0 {
+                return self.decoder.read(target);
+            }
+            if let Some(failure) = self.failure.take() {
+                return Err(failure);
+            }
+            match self.advance() {
+                Ok(true) => {}
+                Ok(false) => return Ok(0),
+                Err(failure) => {
+                    self.failure = Some(failure);
+                    if !self.decoder.is_finished() {
+                        self.release_window();
+                    }
+                }
+            }
+        }
+    }
+}
+
+/// What a file that is no capture seems to be, from its first bytes.
+pub(super) fn describe(head: &[u8]) -> String {
+    const CUT_HEADER: &str = "the start of a capture, cut inside the file header";
+    const KNOWN: [(&[u8], &str); 14] = [
+        (b"\xD4\xC3\xB2\xA1", CUT_HEADER),
+        (b"\xA1\xB2\xC3\xD4", CUT_HEADER),
+        (b"\x4D\x3C\xB2\xA1", CUT_HEADER),
+        (b"\xA1\xB2\x3C\x4D", CUT_HEADER),
+        (b"\x0A\x0D\x0D\x0A", CUT_HEADER),
+        (b"\x89PNG", "a PNG image"),
+        (b"\xFF\xD8\xFF", "a JPEG image"),
+        (b"#ROSBAG", "a ROS 1 bag"),
+        (b"SQLite format 3", "a SQLite database, perhaps a ROS 2 bag"),
+        (b"\x89MCAP", "an MCAP file"),
+        (b"PK\x03\x04", "a zip archive"),
+        (b"\x7FELF", "a program"),
+        (b"\xFF\xEE", "bare Velodyne packets without capture records"),
+        (b"BZh", "a bzip2 stream"),
+    ];
+    if head.is_empty() {
+        return "nothing, it is empty".to_owned();
+    }
+    if let Some((_, what)) = KNOWN.iter().find(|(magic, _)| head.starts_with(magic)) {
+        return (*what).to_owned();
+    }
+    match std::str::from_utf8(head) {
+        Ok(text) if !text.contains(|c: char| c.is_control() && !c.is_whitespace()) => {
+            format!("text that begins with {text:?}")
+        }
+        _ => {
+            let bytes: Vec<String> = head.iter().take(8).map(|byte| format!("{byte:02x}")).collect();
+            format!("bytes that begin with {}", bytes.join(" "))
+        }
+    }
+}

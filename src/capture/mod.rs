@@ -1,0 +1,216 @@
+//! Captures: files of frames in, datagrams out.
+//!
+//! * [`pcap`]: the records of a pcap or pcapng file, plain or compressed.
+//! * [`link`]: the UDP datagram in a frame.
+//! * [`Capture`]: both together, with a count of everything passed over.
+//! * [`sensors`]: which sensor a datagram comes from, for captures and sockets alike.
+//! * [`pace`]: when to hand on what, for replay.
+//! * [`mod@write`]: captures written.
+
+pub mod error;
+mod input;
+pub mod link;
+pub mod pace;
+pub mod pcap;
+mod pcapng;
+pub mod sensors;
+pub mod write;
+
+use std::io::Read;
+use std::path::Path;
+
+use crate::wire::Datagram;
+pub use error::{CaptureError, Damage, Truncation};
+pub use link::{Decapsulator, LinkType, NoDatagram};
+pub use pace::{Pacer, Speed};
+pub use pcap::{CaptureReader, Record};
+pub use sensors::{Route, SensorFilter, SensorIndex, Sensors};
+pub use write::PcapWriter;
+
+/// Most link types that a capture is said to hold.
+const MAX_LINK_TYPES: usize = 16;
+
+/// What a capture held so far. Every record is a datagram or one of the others.
+#[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
+pub struct Tally {
+    /// Records read.
+    pub records: u64,
+    /// Records that gave a datagram, the last fragment of one included.
+    pub datagrams: u64,
+    /// Records without an IP packet.
+    pub not_ip: u64,
+    /// Records with another protocol than UDP.
+    pub not_udp: u64,
+    /// Records with less of a datagram than its headers promise: captured with too small a snap length.
+    pub truncated_records: u64,
+    /// Fragments, but for those that made a datagram whole.
+    pub fragments: u64,
+    /// Records whose link type is not understood.
+    pub unsupported_link: u64,
+    /// Records with headers that contradict themselves.
+    pub malformed: u64,
+    /// Records without a time (pcapng simple packet blocks), which took that of the record before. They are counted
+    /// above as well.
+    pub untimed: u64,
+}
+
+impl Tally {
+    fn count(&mut self, reason: NoDatagram) {
+        *match reason {
+            NoDatagram::NotIp => &mut self.not_ip,
+            NoDatagram::NotUdp => &mut self.not_udp,
+            NoDatagram::CutShort => &mut self.truncated_records,
+            NoDatagram::FragmentWaiting => &mut self.fragments,
+            NoDatagram::UnsupportedLink(_) => &mut self.unsupported_link,
+            NoDatagram::Malformed => &mut self.malformed,
+        } += 1;
+    }
+}
+
+/// The datagrams of a capture, in its order.
+///
+/// ```no_run
+/// let mut capture = sweepd::capture::Capture::open("drive.pcapng.gz")?;
+/// while let Some(datagram) = capture.next_datagram()? {
+///     println!("{}: {} bytes from {}", datagram.arrival_ns, datagram.payload.len(), datagram.source);
+/// }
+/// if let Some(truncation) = capture.truncation() {
+///     eprintln!("{truncation}");
+/// }
+/// # Ok::<(), sweepd::capture::CaptureError>(())
+/// ```
+pub struct Capture {
+    reader: CaptureReader,
+    decapsulator: Decapsulator,
+    seen: Seen,
+}
+
+/// A datagram with its place in the capture.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub struct Placed<'a> {
+    /// Number of the record that it came from, from 0.
+    pub record: u64,
+    /// Nanoseconds after the first record of the capture; negative where times go back.
+    pub since_start_ns: i64,
+    /// The datagram.
+    pub datagram: Datagram<'a>,
+}
+
+/// What is remembered of the records read.
+#[derive(Default)]
+struct Seen {
+    tally: Tally,
+    link_types: Vec<LinkType>,
+    first_ns: Option<i64>,
+    last_ns: Option<i64>,
+}
+
+impl Seen {
+    /// Notes a record, and says what time it has.
+    fn note(&mut self, record: &Record<'_>) -> i64 {
+        self.tally.records += 1;
+        if self.link_types.len() < MAX_LINK_TYPES && !self.link_types.contains(&record.link_type) {
+            self.link_types.push(record.link_type);
+        }
+        let Some(time_ns) = record.time_ns else {
+            self.tally.untimed += 1;
+            return self.last_ns.unwrap_or(0);
+        };
+        self.first_ns.get_or_insert(time_ns);
+        self.last_ns = Some(time_ns);
+        time_ns
+    }
+}
+
+impl Capture {
+    /// Opens the capture at `path`, or standard input for `-`.
+    ///
+    /// # Errors
+    /// [`CaptureError`]: it cannot be opened or read, or is no capture.
+    pub fn open(path: impl AsRef<Path>) -> Result<Self, CaptureError> {
+        CaptureReader::open(path).map(Self::over)
+    }
+
+    /// Reads a capture from anywhere; `name` is for messages.
+    ///
+    /// # Errors
+    /// [`CaptureError::Read`] and [`CaptureError::NotACapture`].
+    pub fn new(name: &str, source: Box<dyn Read + Send>) -> Result<Self, CaptureError> {
+        CaptureReader::new(name, source).map(Self::over)
+    }
+
+    fn over(reader: CaptureReader) -> Self {
+        Self { reader, decapsulator: Decapsulator::new(), seen: Seen::default() }
+    }
+
+    /// The next datagram; `None` at the end, and where the capture breaks off: then [`Capture::truncation`] says why.
+    ///
+    /// # Errors
+    /// [`CaptureError::Read`] when the disk or pipe fails. After that, `None`.
+    pub fn next_datagram(&mut self) -> Result<Option<Datagram<'_>>, CaptureError> {
+        Ok(self.next_placed()?.map(|placed| placed.datagram))
+    }
+
+    /// As [`Capture::next_datagram`], with its place in the capture.
+    ///
+    /// # Errors
+    /// As there.
+    pub fn next_placed(&mut self) -> Result<Option<Placed<'_>>, CaptureError> {
+        let (found, arrival_ns) = loop {
+            let Some(record) = self.reader.next()? else { return Ok(None) };
+            let time_ns = self.seen.note(&record);
+            match self.decapsulator.find(record.link_type, record.bytes, time_ns) {
+                Ok(found) => break (found, time_ns),
+                Err(reason) => self.seen.tally.count(reason),
+            }
+        };
+        self.seen.tally.datagrams += 1;
+        // Asked for again, since a record that the loop gave out could not be followed by another.
+        let frame = self.reader.record().map_or(&[][..], |record| record.bytes);
+        let payload = self.decapsulator.payload(&found, frame);
+        let datagram = Datagram { arrival_ns, source: found.source, destination_port: found.destination_port, payload };
+        let record = self.seen.tally.records - 1;
+        let since_start_ns = arrival_ns.saturating_sub(self.seen.first_ns.unwrap_or(arrival_ns));
+        Ok(Some(Placed { record, since_start_ns, datagram }))
+    }
+
+    /// The record that the last datagram came from, to say where something is wrong.
+    pub fn record(&self) -> Option<Record<'_>> {
+        self.reader.record()
+    }
+
+    /// What was read and passed over so far.
+    pub fn tally(&self) -> Tally {
+        self.seen.tally
+    }
+
+    /// The link types met so far, at most 16.
+    pub fn link_types(&self) -> &[LinkType] {
+        &self.seen.link_types
+    }
+
+    /// Time of the first record that has one, nanoseconds since 1970.
+    pub fn first_ns(&self) -> Option<i64> {
+        self.seen.first_ns
+    }
+
+    /// Time of the last record read that has one, nanoseconds since 1970.
+    pub fn last_ns(&self) -> Option<i64> {
+        self.seen.last_ns
+    }
+
+    /// Where and why the capture broke off, once it has.
+    pub fn truncation(&self) -> Option<&Truncation> {
+        self.reader.truncation()
+    }
+
+    /// The path or name that the capture was opened with.
+    pub fn name(&self) -> &str {
+        self.reader.name()
+    }
+}
+
+#[cfg(test)]
+mod tests;
+#[cfg(test)]
+mod testutil;

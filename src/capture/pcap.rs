@@ -1,0 +1,226 @@
+//! Records out of a capture file, pcap or pcapng, streamed; and the classic pcap itself.
+//!
+//! ```text
+//! file   | magic u32, version 2 x u16, zone u32, figures u32, snaplen u32, link type u32 | record | record | ...
+//! record | seconds u32, fraction u32, captured u32, original u32, bytes |
+//! ```
+//!
+//! Layout: draft-ietf-opsawg-pcap and draft-ietf-opsawg-pcapng. The reader is our own: of a capture that is cut or
+//! corrupt it must give every whole record and then say where and why it breaks off. pcap-parser keeps a block in one
+//! buffer that its caller grows by what a length field claims, drops the cause when a read fails, knows no resolution
+//! in powers of two and reads the time offset as little-endian. What is left of it is a header of four to six words;
+//! the tests hold this reader against it.
+
+use std::io::Read;
+use std::path::Path;
+
+use super::error::{CaptureError, Damage, Stop, Truncation};
+use super::input::{Input, Order, describe};
+use super::link::LinkType;
+use super::pcapng::Sections;
+
+/// Most captured bytes of a record: the limit of libpcap, four times the largest IP packet.
+pub const MAX_RECORD_LEN: u32 = 256 * 1024;
+/// Bytes of a pcap file header, and of a pcapng section header without its options: enough to tell what a file is.
+const HEAD_LEN: usize = 24;
+
+/// A frame as it was captured.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub struct Record<'a> {
+    /// Number of the record in the capture, from 0.
+    pub number: u64,
+    /// Where the record begins, in bytes of the decompressed capture.
+    pub offset: u64,
+    /// Arrival, nanoseconds since 1970. A pcapng simple packet block has none.
+    pub time_ns: Option<i64>,
+    /// What the bytes begin with.
+    pub link_type: LinkType,
+    /// Bytes of the frame on the network; more than `bytes` where the capture was told to cut frames.
+    pub original_len: u32,
+    /// The captured bytes.
+    pub bytes: &'a [u8],
+}
+
+/// What a record says besides its bytes.
+#[derive(Clone, Copy, Debug)]
+pub(super) struct Head {
+    pub(super) time_ns: Option<i64>,
+    pub(super) link_type: LinkType,
+    pub(super) original_len: u32,
+}
+
+/// A capture file, read record by record; see [`CaptureReader::next`].
+pub struct CaptureReader {
+    name: String,
+    input: Input,
+    format: Format,
+    /// The record in `input.bytes()`.
+    current: Option<Head>,
+    /// Records begun; the current one included.
+    records: u64,
+    ended: bool,
+    truncation: Option<Truncation>,
+}
+
+enum Format {
+    Pcap(Pcap),
+    Pcapng(Sections),
+}
+
+impl CaptureReader {
+    /// Opens the capture at `path`, or standard input for `-`.
+    ///
+    /// # Errors
+    /// [`CaptureError`]: it cannot be opened or read, or is no capture.
+    pub fn open(path: impl AsRef<Path>) -> Result<Self, CaptureError> {
+        let (name, source) = Input::open(path.as_ref())?;
+        Self::new(&name, source)
+    }
+
+    /// Reads a capture from anywhere; `name` is for messages.
+    ///
+    /// # Errors
+    /// [`CaptureError::Read`] and [`CaptureError::NotACapture`].
+    pub fn new(name: &str, source: Box<dyn Read + Send>) -> Result<Self, CaptureError> {
+        let name = name.to_owned();
+        let mut input = match Input::new(source) {
+            Ok(input) => input,
+            Err(source) => return Err(CaptureError::Read { name, record: 0, offset: 0, source }),
+        };
+        let mut head = Vec::with_capacity(HEAD_LEN);
+        match Format::recognise(&mut input, &mut head) {
+            Ok(Some(format)) => {
+                Ok(Self { name, input, format, current: None, records: 0, ended: false, truncation: None })
+            }
+            Ok(None) => {
+                let mut found = describe(&head);
+                if let Some(compression) = input.compression() {
+                    found = format!("{compression} of something else: {found}");
+                }
+                Err(CaptureError::NotACapture { name, found })
+            }
+            Err(Stop::Damaged(damage)) => {
+                Err(CaptureError::NotACapture { name, found: format!("a file header that is damaged ({damage})") })
+            }
+            Err(Stop::Read(source)) => Err(CaptureError::Read { name, record: 0, offset: 0, source }),
+        }
+    }
+
+    /// The next record; `None` at the end, and where the capture breaks off:
+    /// then [`CaptureReader::truncation`] says why.
+    ///
+    /// # Errors
+    /// [`CaptureError::Read`] when the disk or pipe fails. After that, `None`.
+    #[expect(clippy::should_implement_trait, reason = "the record borrows from the reader, which Iterator cannot say")]
+    pub fn next(&mut self) -> Result<Option<Record<'_>>, CaptureError> {
+        Ok(if self.advance()? { self.record() } else { None })
+    }
+
+    /// Reads the next record, to be had from [`CaptureReader::record`]. `false` at the end.
+    ///
+    /// # Errors
+    /// As [`CaptureReader::next`].
+    pub fn advance(&mut self) -> Result<bool, CaptureError> {
+        self.current = None;
+        if self.ended {
+            return Ok(false);
+        }
+        let next = match &mut self.format {
+            Format::Pcap(pcap) => pcap.next(&mut self.input),
+            Format::Pcapng(sections) => sections.next(&mut self.input),
+        };
+        match next {
+            Ok(Some(head)) => {
+                self.current = Some(head);
+                self.records += 1;
+                return Ok(true);
+            }
+            Ok(None) => {}
+            Err(Stop::Damaged(reason)) => {
+                let offset = self.input.mark();
+                self.truncation = Some(Truncation { record: self.records, offset, reason });
+            }
+            Err(Stop::Read(source)) => {
+                self.ended = true;
+                let (name, record, offset) = (self.name.clone(), self.records, self.input.mark());
+                return Err(CaptureError::Read { name, record, offset, source });
+            }
+        }
+        self.ended = true;
+        Ok(false)
+    }
+
+    /// The record that was read last.
+    pub fn record(&self) -> Option<Record<'_>> {
+        self.current.map(|Head { time_ns, link_type, original_len }| Record {
+            number: self.records - 1,
+            offset: self.input.mark(),
+            time_ns,
+            link_type,
+            original_len,
+            bytes: self.input.bytes(),
+        })
+    }
+
+    /// The path or name that the reader was opened with.
+    pub fn name(&self) -> &str {
+        &self.name
+    }
+
+    /// Where and why the capture broke off, once it has.
+    pub fn truncation(&self) -> Option<&Truncation> {
+        self.truncation.as_ref()
+    }
+}
+
+impl Format {
+    /// Reads the file header, and leaves its bytes in `head` for the message if it is none.
+    fn recognise(input: &mut Input, head: &mut Vec<u8>) -> Result<Option<Self>, Stop> {
+        head.resize(HEAD_LEN, 0);
+        let len = input.fill(head)?;
+        head.truncate(len);
+        let Some(words) = head.first_chunk::<HEAD_LEN>() else { return Ok(None) };
+        let (words, _) = words.as_chunks::<4>();
+        let &[magic, length, mark, version, _, link_type] = words else { return Ok(None) };
+        if let Some((order, tick_ns)) = Pcap::magic(magic) {
+            // The upper half holds the length of the frame check sequence, which the IP length makes needless.
+            let link_type = LinkType(order.u32(link_type) as u16);
+            return Ok(Some(Self::Pcap(Pcap { order, tick_ns, link_type })));
+        }
+        if magic != Sections::MAGIC {
+            return Ok(None);
+        }
+        let mut sections = Sections::default();
+        sections.begin(length, mark, version, input)?;
+        Ok(Some(Self::Pcapng(sections)))
+    }
+}
+
+/// The classic format: one link type, one resolution.
+struct Pcap {
+    order: Order,
+    tick_ns: i64,
+    link_type: LinkType,
+}
+
+impl Pcap {
+    /// Byte order and length of a tick, from the first word of the file.
+    fn magic(word: [u8; 4]) -> Option<(Order, i64)> {
+        [Order::Little, Order::Big].into_iter().find_map(|order| match order.u32(word) {
+            0xA1B2_C3D4 => Some((order, 1_000)),
+            0xA1B2_3C4D => Some((order, 1)),
+            _ => None,
+        })
+    }
+
+    fn next(&self, input: &mut Input) -> Result<Option<Head>, Stop> {
+        let Some(header) = input.start::<4>()? else { return Ok(None) };
+        let [seconds, fraction, captured, original_len] = header.map(|word| self.order.u32(word));
+        if captured > MAX_RECORD_LEN {
+            return Err(Damage::RecordLength { found: captured, limit: MAX_RECORD_LEN }.into());
+        }
+        input.load(captured as usize)?;
+        let time_ns = i64::from(seconds) * 1_000_000_000 + i64::from(fraction) * self.tick_ns;
+        Ok(Some(Head { time_ns: Some(time_ns), link_type: self.link_type, original_len }))
+    }
+}
