@@ -5,4 +5,5 @@
 
 pub mod capture;
 pub mod sensor;
+pub mod sweep;
 pub mod wire;

@@ -1,0 +1,330 @@
+//! Packets in order to columns, columns to sweeps: where each firing goes and where a sweep ends.
+
+use super::buffers::Buffers;
+use super::clock::{Clocks, SensorClock};
+use super::columns::{SoFar, decode};
+use super::cursor::{Cursor, Gap, Way};
+use super::decode::Decoder;
+use super::head::{Head, Turned};
+use super::image::SweepMut;
+use super::layout::{COLUMNS_CAPACITY, ReturnChoice, Shape, flags};
+use super::motion::TURN;
+use super::order::{Before, Packet};
+use crate::wire::data::ReturnMode;
+
+/// Speeds that a Velodyne is made for, with a margin, turns a minute.
+const RPM_RANGE: std::ops::RangeInclusive<f32> = 240.0..=1320.0;
+/// A speed that differs from the last sweep's by more than this share is not steady.
+const RPM_STEADY: f32 = 0.1;
+/// A piece of a turn that is shorter does not tell a speed: the encoder's noise is too large a part of it.
+const RPM_TELLING_CDEG: f64 = 1_000.0;
+/// No gap is filled that lasted longer: the times in a sweep are to stay small.
+const LONGEST_GAP_NS: i64 = 1_000_000_000;
+
+/// Builds sweeps out of packets that come in order.
+pub struct Builder<B: Buffers> {
+    buffers: B,
+    decoder: Decoder,
+    settings: Settings,
+    head: Head,
+    /// What brings sensor time to time since 1970.
+    pub clocks: Clocks,
+    open: Option<Open<B::Buffer>>,
+    cursor: Option<Cursor>,
+    last_firing_ns: i64,
+    sequence: u64,
+    last_rpm: Option<f32>,
+    lost: u64,
+}
+
+/// What does not change from sweep to sweep.
+#[derive(Clone, Debug)]
+pub struct Settings {
+    /// Azimuth at which sweeps are cut, hundredths of a degree, 0..36000.
+    pub cut_cdeg: f64,
+    /// Which of two returns is segmented.
+    pub return_choice: ReturnChoice,
+    /// Pixels of the smallest segment: what the segments table needs room for.
+    pub min_points: usize,
+    /// Name of the sensor.
+    pub sensor: String,
+}
+
+/// The sweep that is being filled.
+struct Open<T> {
+    buffer: T,
+    so_far: SoFar,
+}
+
+impl<B: Buffers> Builder<B> {
+    /// A builder that has seen nothing.
+    pub fn new(buffers: B, decoder: Decoder, settings: Settings) -> Self {
+        Self {
+            head: Head::new(settings.cut_cdeg),
+            buffers,
+            decoder,
+            settings,
+            clocks: Clocks::default(),
+            open: None,
+            cursor: None,
+            last_firing_ns: 0,
+            sequence: 0,
+            last_rpm: None,
+            lost: 0,
+        }
+    }
+
+    /// What turns records into pixels.
+    pub fn decoder(&self) -> &Decoder {
+        &self.decoder
+    }
+
+    /// Gives the buffers and the clocks back, for a builder of another model.
+    pub fn into_parts(self) -> (B, Clocks) {
+        (self.buffers, self.clocks)
+    }
+
+    /// Packets missing by the sensor's clock so far.
+    pub fn lost(&self) -> u64 {
+        self.lost
+    }
+
+    /// The slot of the packet that is being placed, if there is one.
+    pub fn at_hand(&self) -> Option<usize> {
+        self.cursor.map(|cursor| cursor.slot)
+    }
+
+    /// Arrival of the newest packet in the open sweep.
+    pub fn newest_arrival_ns(&self) -> Option<i64> {
+        self.open.as_ref().map(|open| open.so_far.newest_arrival_ns)
+    }
+
+    /// Adds to the time spent on the open sweep.
+    pub fn spent(&mut self, decode_ns: u64) {
+        if let Some(open) = &mut self.open {
+            open.so_far.decode_ns += decode_ns;
+        }
+    }
+
+    /// Takes the next packet in order to hand. The one before must have been placed.
+    pub fn begin(&mut self, slot: usize, packet: &Packet, before: Before) {
+        let spec = self.decoder.spec;
+        let mut cursor = Cursor {
+            slot,
+            anew: before == Before::Start,
+            jumped: before == Before::Start,
+            leaps: before == Before::Silence,
+            gap: None,
+            placed: 0,
+            turned: false,
+            counted: false,
+        };
+        let lasted_ns = packet.time_ns - self.last_firing_ns;
+        cursor.anew |= lasted_ns > LONGEST_GAP_NS;
+        if let Before::Lost { packets, travelled_cdeg, silence } = before {
+            self.lost += u64::from(packets);
+            let firings = packets as usize * spec.firings_per_packet(packet.mode);
+            cursor.anew |= travelled_cdeg.abs() >= TURN || firings >= COLUMNS_CAPACITY;
+            match self.head.last_cdeg() {
+                Some(from_cdeg) if !cursor.anew => {
+                    let way = Way { from_cdeg, from_ns: self.last_firing_ns, travelled_cdeg, silence };
+                    cursor.gap = Some(Gap::new(&way, firings, packet, spec));
+                }
+                // A whole turn is gone: nothing can be filled in.
+                _ => {
+                    cursor.anew = true;
+                    if let Some(open) = &mut self.open {
+                        open.so_far.lost += packets;
+                    }
+                }
+            }
+        }
+        if !cursor.anew {
+            self.note_arrival(packet);
+        }
+        self.cursor = Some(cursor);
+    }
+
+    fn note_arrival(&mut self, packet: &Packet) {
+        let sent_ns = packet.time_ns + i64::from(self.decoder.spec.packet_period_ns(packet.mode));
+        self.clocks.data(sent_ns, packet.arrival_ns);
+    }
+
+    /// Places firings of the packet at hand until a sweep is complete, which it returns, or the packet is used up.
+    pub fn advance(&mut self, packet: &Packet, clock: &SensorClock) -> Option<B::Buffer> {
+        let mut cursor = self.cursor?;
+        if std::mem::take(&mut cursor.anew) {
+            self.head.lose();
+            self.cursor = Some(cursor);
+            let closed = self.close(false, clock);
+            if cursor.jumped {
+                self.clocks.sensor_jumped();
+            }
+            self.note_arrival(packet);
+            if closed.is_some() {
+                return closed;
+            }
+        }
+        loop {
+            let end = self.fill(&mut cursor, packet);
+            cursor.counted = false;
+            self.cursor = (end != End::Packet).then_some(cursor);
+            let closed = match end {
+                End::Packet => return None,
+                End::Cut => self.close(true, clock),
+                End::Anew => self.close(false, clock),
+            };
+            let cut = end == End::Cut;
+            let mode = packet.mode;
+            self.open(mode, cut);
+            if closed.is_some() {
+                return closed;
+            }
+        }
+    }
+
+    /// Fills columns of the open sweep with firings of the packet until one does not belong there.
+    fn fill(&mut self, cursor: &mut Cursor, packet: &Packet) -> End {
+        if self.open.is_none() {
+            self.open(packet.mode, false);
+        }
+        let Some(Open { buffer, so_far: open }) = &mut self.open else { return End::Packet };
+        let Ok(mut sweep) = SweepMut::open(buffer.as_mut()) else { return End::Packet };
+        open.newest_arrival_ns = open.newest_arrival_ns.max(packet.arrival_ns);
+        while let Some(firing) = cursor.firing(packet, &self.decoder) {
+            if !std::mem::replace(&mut cursor.turned, true) {
+                match self.head.turn(firing.azimuth_cdeg, firing.time_ns, firing.leaps) {
+                    Turned::On if open.columns < COLUMNS_CAPACITY => {}
+                    Turned::Cut => return End::Cut,
+                    Turned::On | Turned::Anew => return End::Anew,
+                }
+            }
+            if firing.index.is_some() && !std::mem::replace(&mut cursor.counted, true) {
+                open.packets += 1;
+            }
+            open.place(&mut sweep, &firing, packet, &self.decoder, &self.head);
+            self.last_firing_ns = firing.time_ns;
+            cursor.placed += 1;
+            cursor.turned = false;
+        }
+        End::Packet
+    }
+
+    /// Decodes a packet that was overtaken by more than was held back, if its columns wait for it in the open sweep.
+    pub fn late(&mut self, packet: &Packet) -> bool {
+        let decoder = &self.decoder;
+        let firings = decoder.spec.firings_per_packet(packet.mode);
+        let Some(Open { buffer, so_far: open }) = &mut self.open else { return false };
+        let Ok(mut sweep) = SweepMut::open(buffer.as_mut()) else { return false };
+        if open.mode != packet.mode {
+            return false;
+        }
+        let Some(first) = open.room_for(&sweep, packet, decoder) else { return false };
+        for index in 0..firings {
+            let column = open.column(packet, index, packet.firing_ns(index, decoder.spec), decoder);
+            open.returns += decode(&mut sweep, first + index, column, index, packet, decoder);
+        }
+        open.lost = open.lost.saturating_sub(1);
+        self.lost = self.lost.saturating_sub(1);
+        open.missing -= firings as u32;
+        open.packets += 1;
+        true
+    }
+
+    /// Closes the open sweep: the stream ended or stalled.
+    pub fn interrupt(&mut self, clock: &SensorClock) -> Option<B::Buffer> {
+        self.head.lose();
+        self.close(false, clock)
+    }
+
+    fn open(&mut self, mode: ReturnMode, from_cut: bool) {
+        let rows = self.decoder.rows();
+        let shape = Shape {
+            rows,
+            columns_capacity: COLUMNS_CAPACITY,
+            dual: mode == ReturnMode::Dual,
+            segments_capacity: rows * COLUMNS_CAPACITY / self.settings.min_points.max(1),
+        };
+        let mut buffer = self.buffers.take(shape.total_bytes());
+        let Ok(sweep) = SweepMut::create(buffer.as_mut(), &shape) else { return };
+        sweep.beams.copy_from_slice(&self.decoder.beams);
+        let header = sweep.header;
+        header.sequence = self.sequence;
+        header.model = self.decoder.model.code();
+        header.return_mode = u32::from(mode.byte());
+        header.return_choice = self.settings.return_choice as u32;
+        header.cut_azimuth_rad = (self.settings.cut_cdeg / 100.0).to_radians() as f32;
+        header.set_sensor(&self.settings.sensor);
+        self.sequence += 1;
+        let so_far = SoFar {
+            mode,
+            from_cut,
+            columns: 0,
+            first_ns: 0,
+            last_ns: 0,
+            first_progress_cdeg: 0.0,
+            last_progress_cdeg: 0.0,
+            blanked: false,
+            packets: 0,
+            lost: 0,
+            missing: 0,
+            returns: 0,
+            newest_arrival_ns: i64::MIN,
+            decode_ns: 0,
+        };
+        self.open = Some(Open { buffer, so_far });
+    }
+
+    /// Completes the header of the open sweep and hands it out; an empty one is dropped.
+    fn close(&mut self, at_cut: bool, clock: &SensorClock) -> Option<B::Buffer> {
+        let Open { mut buffer, so_far: open } = self.open.take()?;
+        if open.columns == 0 {
+            self.sequence -= 1;
+            return None;
+        }
+        let (time_ns, time_source) = self.clocks.resolve(open.first_ns, clock, open.newest_arrival_ns);
+        let flags = self.flags(&open, at_cut);
+        let header = SweepMut::open(buffer.as_mut()).ok()?.header;
+        header.flags = flags;
+        header.columns = open.columns as u32;
+        header.time_ns = time_ns;
+        header.time_source = time_source as u32;
+        header.sensor_time_ns = open.first_ns;
+        header.duration_ns = (open.last_ns - open.first_ns) as u64;
+        header.arrival_ns = open.newest_arrival_ns;
+        header.rpm = open.rpm();
+        header.missing_columns = open.missing;
+        header.lost_packets = open.lost;
+        header.packets = open.packets;
+        header.returns = open.returns;
+        header.decode_ns = u32::try_from(open.decode_ns).unwrap_or(u32::MAX);
+        if open.travelled_cdeg() > RPM_TELLING_CDEG {
+            self.last_rpm = Some(open.rpm());
+        }
+        Some(buffer)
+    }
+
+    fn flags(&self, open: &SoFar, at_cut: bool) -> u32 {
+        let partial = !(at_cut && open.from_cut);
+        let rpm = open.rpm();
+        let tells = open.travelled_cdeg() > RPM_TELLING_CDEG || open.stands_still();
+        let steady = self.last_rpm.is_none_or(|last| (rpm - last).abs() <= RPM_STEADY * last);
+        let mut bits = 0;
+        let mut set = |flag: u32, is: bool| bits |= if is { flag } else { 0 };
+        set(flags::PARTIAL, partial);
+        set(flags::CIRCULAR, !partial && !open.blanked);
+        set(flags::REVERSED, self.head.reversed());
+        set(flags::BLANKED, open.blanked);
+        set(flags::STOPPED, open.stands_still());
+        set(flags::RATE_UNSTABLE, tells && !(RPM_RANGE.contains(&rpm) && steady));
+        bits
+    }
+}
+
+/// Why [`Builder::fill`] stopped.
+#[derive(Clone, Copy, PartialEq, Eq)]
+enum End {
+    Packet,
+    Cut,
+    Anew,
+}

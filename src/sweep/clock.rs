@@ -1,0 +1,198 @@
+//! The three clocks: the sensor's microseconds of the hour, the host's, and UTC where GPS vouches for it.
+
+use super::layout::TimeSource;
+use crate::wire::nmea::Rmc;
+use crate::wire::position::Pps;
+use crate::wire::{HOUR_US, Position};
+
+const HOUR_NS: i64 = HOUR_US as i64 * 1000;
+/// A fix older than this no longer vouches for the time.
+const FIX_AGE_NS: i64 = 3_000_000_000;
+/// How fast the least delay may grow: 100 ppm, since sensor clocks drift by up to 60.
+const DRIFT_PPM: i64 = 100;
+/// The applied offset stays until the least delay is this far from it: within a capture of seconds, times of different
+/// sweeps then differ by the sensor's clock alone. Queues on the way make p95 84 us on a VLP-16.
+const DEADBAND_NS: i64 = 250_000;
+/// A delay so much above the least one is no delay but a stepped clock.
+const STEP_NS: i64 = 500_000_000;
+/// Packets in a row that must agree before the host clock counts as stepped.
+const STEP_PACKETS: u32 = 50;
+
+/// Brings stamps of the sensor, which begin anew each hour, onto one line of time.
+#[derive(Clone, Copy, Debug, Default)]
+pub struct SensorClock {
+    last: Option<(u32, i64)>,
+}
+
+impl SensorClock {
+    /// Nanoseconds since the top of the hour in which this clock was started: the time next to the last one that has this
+    /// stamp. Stamps slightly above an hour occur and do no harm.
+    pub fn read_ns(&self, stamp_us: u32) -> i64 {
+        match self.last {
+            None => i64::from(stamp_us) * 1000,
+            Some((last_us, last_ns)) => {
+                let forward = (i64::from(stamp_us) - i64::from(last_us)).rem_euclid(i64::from(HOUR_US));
+                let nearest = if forward > i64::from(HOUR_US) / 2 { forward - i64::from(HOUR_US) } else { forward };
+                last_ns + nearest * 1000
+            }
+        }
+    }
+
+    /// Takes a stamp as the newest one.
+    pub fn set(&mut self, stamp_us: u32, time_ns: i64) {
+        self.last = Some((stamp_us, time_ns));
+    }
+}
+
+/// From sensor time to time since 1970.
+#[derive(Clone, Copy, Debug, Default)]
+pub struct Clocks {
+    /// Least host minus sensor time, and the sensor time it was seen at.
+    least_delay: Option<(i64, i64)>,
+    /// Host minus sensor time as sweeps are given it.
+    offset_ns: Option<i64>,
+    late_in_a_row: u32,
+    fix: Option<Fix>,
+}
+
+#[derive(Clone, Copy, Debug)]
+struct Fix {
+    stamp_us: u32,
+    utc_ns: i64,
+    arrival_ns: i64,
+}
+
+impl Clocks {
+    /// Notes a data packet whose last shot was at `sensor_ns` and which arrived at `arrival_ns`.
+    pub fn data(&mut self, sensor_ns: i64, arrival_ns: i64) {
+        let delay = arrival_ns - sensor_ns;
+        let Some((least, at)) = self.least_delay else {
+            self.least_delay = Some((delay, sensor_ns));
+            return;
+        };
+        let allowed = least + (sensor_ns - at).max(0) / 1_000_000 * DRIFT_PPM;
+        self.late_in_a_row = if delay > allowed + STEP_NS { self.late_in_a_row + 1 } else { 0 };
+        if self.late_in_a_row >= STEP_PACKETS {
+            self.late_in_a_row = 0;
+            self.least_delay = Some((delay, sensor_ns));
+        } else if delay <= allowed {
+            self.least_delay = Some((delay, sensor_ns));
+        } else if sensor_ns - at > 1_000_000_000 {
+            self.least_delay = Some((allowed, sensor_ns));
+        }
+    }
+
+    /// Notes a position packet: a fix when the pulse is locked and the sentence valid, else the end of one.
+    pub fn position(&mut self, position: &Position<'_>, arrival_ns: i64) {
+        let rmc = position.nmea.and_then(|text| Rmc::parse(text).ok());
+        self.fix = rmc.filter(|rmc| rmc.valid && position.pps == Pps::Locked).map(|rmc| {
+            // The sentence tells the hour, the stamp the rest: the hour that brings them closest together.
+            let of_hour_ns = i64::from(position.stamp_us) * 1000;
+            let hours = (rmc.utc_ns - of_hour_ns + HOUR_NS / 2).div_euclid(HOUR_NS);
+            Fix { stamp_us: position.stamp_us, utc_ns: hours * HOUR_NS + of_hour_ns, arrival_ns }
+        });
+    }
+
+    /// Forgets what linked the sensor's clock to others, because that clock has jumped.
+    pub fn sensor_jumped(&mut self) {
+        *self = Self { fix: self.fix, ..Self::default() };
+    }
+
+    /// Time since 1970 of a sensor time, and the clock that it is in. `newest_arrival_ns` says how old the fix is.
+    pub fn resolve(&mut self, sensor_ns: i64, clock: &SensorClock, newest_arrival_ns: i64) -> (i64, TimeSource) {
+        if let Some(fix) = self.fix {
+            let fix_ns = clock.read_ns(fix.stamp_us);
+            let fresh = (newest_arrival_ns - fix.arrival_ns).abs() < FIX_AGE_NS;
+            // A stamp far from the data packets' belongs to a clock that was since set anew.
+            if fresh && (sensor_ns - fix_ns).abs() < FIX_AGE_NS {
+                return (fix.utc_ns + sensor_ns - fix_ns, TimeSource::Gps);
+            }
+        }
+        let least = self.least_delay.map_or(0, |(least, _)| least);
+        let offset_ns = self.offset_ns.get_or_insert(least);
+        if (least - *offset_ns).abs() > DEADBAND_NS {
+            *offset_ns = least;
+        }
+        (sensor_ns + *offset_ns, TimeSource::Host)
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    const SECOND: i64 = 1_000_000_000;
+
+    #[test]
+    fn the_hour_wraps_and_packets_may_look_back_over_it() {
+        let mut clock = SensorClock::default();
+        assert_eq!(clock.read_ns(3_599_999_000), 3_599_999_000_000);
+        clock.set(3_599_999_000, 3_599_999_000_000);
+        assert_eq!(clock.read_ns(327), HOUR_NS + 327_000);
+        clock.set(327, HOUR_NS + 327_000);
+        assert_eq!(clock.read_ns(3_599_999_000), 3_599_999_000_000);
+        assert_eq!(clock.read_ns(1_654), HOUR_NS + 1_654_000);
+    }
+
+    #[test]
+    fn host_time_follows_the_least_delay() {
+        let mut clocks = Clocks::default();
+        let clock = SensorClock::default();
+        for (sensor, delay) in [(0, 900), (1, 200), (2, 5_000), (3, 300)] {
+            clocks.data(sensor * 1000, 7 * SECOND + sensor * 1000 + delay);
+        }
+        assert_eq!(clocks.resolve(3000, &clock, 0), (7 * SECOND + 3200, TimeSource::Host));
+    }
+
+    #[test]
+    fn small_changes_of_the_least_delay_do_not_move_the_time() {
+        let mut clocks = Clocks::default();
+        let clock = SensorClock::default();
+        clocks.data(0, 1_000_000);
+        assert_eq!(clocks.resolve(0, &clock, 0).0, 1_000_000);
+        clocks.data(1000, 1000 + 800_000);
+        assert_eq!(clocks.resolve(1000, &clock, 0).0, 1000 + 1_000_000);
+        clocks.data(2000, 2000 + 700_000);
+        assert_eq!(clocks.resolve(2000, &clock, 0).0, 2000 + 700_000);
+    }
+
+    #[test]
+    fn a_stepped_host_clock_is_followed_after_a_while() {
+        let mut clocks = Clocks::default();
+        clocks.data(0, 0);
+        for packet in 1..=60 {
+            clocks.data(packet * 1_000_000, 10 * SECOND + packet * 1_000_000);
+        }
+        assert_eq!(clocks.resolve(0, &SensorClock::default(), 0).0, 10 * SECOND);
+    }
+
+    /// The first position packet of a public VLP-16 capture and the stamp of its first data packet; the host clock of
+    /// that capture is 0.368 s ahead of GPS.
+    #[test]
+    fn utc_is_the_sentences_hour_and_the_stamps_minute() {
+        let text = "$GPRMC,081802.00,A,3649.7478558,N,00224.4542928,W,0.00,0.00,210116,,,A";
+        let sum = text.bytes().skip(1).fold(0, |sum, byte| sum ^ byte);
+        let sentence = format!("{text}*{sum:02X}");
+        let position = Position {
+            stamp_us: 1_082_340_000,
+            pps: Pps::Locked,
+            nmea: Some(&sentence),
+            inertial: None,
+            board: None,
+            thermal: None,
+        };
+        let mut clock = SensorClock::default();
+        clock.set(1_082_340_595, 1_082_340_595_000);
+        let mut clocks = Clocks::default();
+        clocks.position(&position, 5 * SECOND);
+        // 2016-01-21 08:18:02.340595 UTC.
+        let utc = (1_453_364_282_340_595_000, TimeSource::Gps);
+        assert_eq!(clocks.resolve(1_082_340_595_000, &clock, 6 * SECOND), utc);
+        assert_eq!(clocks.resolve(1_082_340_595_000, &clock, 9 * SECOND).1, TimeSource::Host);
+        for (pps, valid) in [(Pps::Synchronizing, true), (Pps::Absent, true), (Pps::Locked, false)] {
+            let doubtful = sentence.replace(",A,3649", if valid { ",A,3649" } else { ",V,3649" });
+            clocks.position(&Position { pps, nmea: Some(&doubtful), ..position }, 6 * SECOND);
+            assert_eq!(clocks.resolve(1_082_340_595_000, &clock, 6 * SECOND).1, TimeSource::Host);
+        }
+    }
+}

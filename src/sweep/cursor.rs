@@ -1,0 +1,119 @@
+//! The firings of a packet in their order, with those that are missing before it.
+
+use super::decode::Decoder;
+use super::motion::{Sector, TURN, shortest};
+use super::relation::Packet;
+use crate::sensor::model::Spec;
+
+/// How far the packet at hand, with the gap before it, has been placed.
+#[derive(Clone, Copy, Debug)]
+pub struct Cursor {
+    pub slot: usize,
+    /// The run ends before this packet.
+    pub anew: bool,
+    /// Nothing relates it to the clock of those before.
+    pub jumped: bool,
+    /// The first firing is beyond a sector that was left out.
+    pub leaps: bool,
+    pub gap: Option<Gap>,
+    /// Firings placed, missing ones first.
+    pub placed: usize,
+    /// The head has turned to the firing at hand already: it opens a sweep.
+    pub turned: bool,
+    /// The packet is counted in the open sweep.
+    pub counted: bool,
+}
+
+/// The way of the head over a gap.
+pub struct Way {
+    pub from_cdeg: f64,
+    pub from_ns: i64,
+    pub travelled_cdeg: f64,
+    pub silence: Option<Sector>,
+}
+
+/// Firings that are missing, evenly spread between two that are there.
+#[derive(Clone, Copy, Debug)]
+pub struct Gap {
+    pub firings: usize,
+    pub from_cdeg: f64,
+    pub from_ns: i64,
+    pub step_cdeg: f64,
+    pub step_ns: f64,
+    /// Firings before the sector that was left out in the gap, the way across it, signed as the step, and its duration.
+    pub silence: Option<(usize, f64, f64)>,
+}
+
+/// A firing on its way into a column.
+pub struct Firing {
+    pub azimuth_cdeg: f64,
+    pub time_ns: i64,
+    pub leaps: bool,
+    /// Its index in the packet; `None` when it is missing.
+    pub index: Option<usize>,
+    /// The first missing firing of a packet.
+    pub begins_lost_packet: bool,
+}
+
+impl Cursor {
+    pub fn first_measured(&self) -> usize {
+        self.gap.map_or(0, |gap| gap.firings)
+    }
+
+    /// The firing at hand.
+    pub fn firing(&self, packet: &Packet, decoder: &Decoder) -> Option<Firing> {
+        let spec = decoder.spec;
+        if let Some(gap) = self.gap.filter(|gap| self.placed < gap.firings) {
+            return Some(gap.firing(self.placed, spec.firings_per_packet(packet.mode)));
+        }
+        let index = self.placed - self.first_measured();
+        (index < spec.firings_per_packet(packet.mode)).then(|| Firing {
+            azimuth_cdeg: packet.motion.azimuth_cdeg(index, spec),
+            time_ns: packet.firing_ns(index, spec),
+            leaps: packet.motion.leaps_before(index, spec)
+                || index == 0 && (self.leaps || self.gap.is_some_and(|gap| gap.leaps_at(gap.firings))),
+            index: Some(index),
+            begins_lost_packet: false,
+        })
+    }
+}
+
+impl Gap {
+    /// Firings between the last one and this packet, at the lasers' beat.
+    pub fn new(way: &Way, firings: usize, packet: &Packet, spec: &Spec) -> Self {
+        let Way { from_cdeg, from_ns, travelled_cdeg, silence } = *way;
+        let lasted_ns = (packet.time_ns - from_ns) as f64;
+        let steps = (firings + 1) as f64;
+        // The last firing is less than a packet away from where the way was measured from: a turn's difference is none.
+        let travelled = travelled_cdeg + shortest(packet.motion.first_cdeg() - from_cdeg - travelled_cdeg);
+        let Some(sector) = silence else {
+            let (step_cdeg, step_ns) = (travelled / steps, lasted_ns / steps);
+            return Self { firings, from_cdeg, from_ns, step_cdeg, step_ns, silence: None };
+        };
+        let step_ns = f64::from(spec.firing_period_ns);
+        let width = sector.width_cdeg.copysign(travelled);
+        let step_cdeg = (travelled - width) / steps;
+        let before = sector.ahead_of(from_cdeg, travelled) / step_cdeg.abs().max(f64::MIN_POSITIVE);
+        let silence = Some(((before.max(0.0) as usize).min(firings), width, lasted_ns - steps * step_ns));
+        Self { firings, from_cdeg, from_ns, step_cdeg, step_ns, silence }
+    }
+
+    pub fn firing(&self, index: usize, firings_per_packet: usize) -> Firing {
+        let steps = (index + 1) as f64;
+        let (width, silent) = match self.silence {
+            Some((before, width, silent)) if index >= before => (width, silent),
+            _ => (0.0, 0.0),
+        };
+        Firing {
+            azimuth_cdeg: (self.from_cdeg + self.step_cdeg * steps + width).rem_euclid(TURN),
+            time_ns: self.from_ns + (self.step_ns * steps + silent) as i64,
+            leaps: self.leaps_at(index),
+            index: None,
+            begins_lost_packet: index.is_multiple_of(firings_per_packet),
+        }
+    }
+
+    pub fn leaps_at(&self, index: usize) -> bool {
+        self.silence.is_some_and(|(before, ..)| before == index)
+    }
+}

@@ -1,0 +1,197 @@
+//! The turning head: unwraps azimuths, finds the cut, and notices a head that stands still or turns the other way.
+
+use super::motion::{TURN, ahead, shortest};
+
+/// Progress since the cut below which a second crossing is encoder jitter, hundredths of a degree.
+const LEAST_TURN_CDEG: f64 = 35_000.0;
+/// Way against the sense of rotation after which the sense was wrong, hundredths of a degree: no noise goes so far.
+const REVERSAL_CDEG: f64 = 500.0;
+/// A head that turns less than this in [`STANDSTILL_NS`] stands still, hundredths of a degree: 1 rpm. An encoder at rest
+/// may be off by up to 11 either way.
+pub const STANDSTILL_CDEG: f64 = 30.0;
+/// See [`STANDSTILL_CDEG`].
+pub const STANDSTILL_NS: i64 = 50_000_000;
+
+/// What a firing means for the sweep at hand.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub enum Turned {
+    /// It belongs to it.
+    On,
+    /// It is the first behind the cut.
+    Cut,
+    /// It belongs to another run: the head stopped, started, or turns the other way.
+    Anew,
+}
+
+/// Where the head is and how it got there.
+#[derive(Clone, Copy, Debug)]
+pub struct Head {
+    cut_cdeg: f64,
+    sense: f64,
+    against_cdeg: f64,
+    last_cdeg: Option<f64>,
+    /// Since the cut, or since the run began, in the sense of rotation.
+    progress_cdeg: f64,
+    cut_seen: bool,
+    watched_since_ns: Option<i64>,
+    watched_cdeg: f64,
+    stopped: bool,
+}
+
+impl Head {
+    /// A head of which nothing is known; `cut_cdeg` in 0..36000.
+    pub fn new(cut_cdeg: f64) -> Self {
+        Self {
+            cut_cdeg,
+            sense: 1.0,
+            against_cdeg: 0.0,
+            last_cdeg: None,
+            progress_cdeg: 0.0,
+            cut_seen: false,
+            watched_since_ns: None,
+            watched_cdeg: 0.0,
+            stopped: false,
+        }
+    }
+
+    /// Whether it turns counter-clockwise seen from above.
+    pub fn reversed(&self) -> bool {
+        self.sense < 0.0
+    }
+
+    /// Turned since the cut or the start of the run, hundredths of a degree; not negative in steady rotation.
+    pub fn progress_cdeg(&self) -> f64 {
+        self.progress_cdeg
+    }
+
+    /// Where it was at the last firing.
+    pub fn last_cdeg(&self) -> Option<f64> {
+        self.last_cdeg
+    }
+
+    /// Forgets where it was: nothing relates the next firing to the last.
+    pub fn lose(&mut self) {
+        *self = Self { sense: self.sense, ..Self::new(self.cut_cdeg) };
+    }
+
+    /// Turns to the next firing. `leaps` says that firings are missing in between, so that it came here in the sense of
+    /// rotation however far that is; else it came the shorter way.
+    pub fn turn(&mut self, azimuth_cdeg: f64, time_ns: i64, leaps: bool) -> Turned {
+        let Some(last) = self.last_cdeg.replace(azimuth_cdeg) else {
+            self.watched_since_ns = Some(time_ns);
+            return Turned::On;
+        };
+        let advance =
+            if leaps { ahead(last, azimuth_cdeg, self.sense) } else { shortest(azimuth_cdeg - last) * self.sense };
+        self.progress_cdeg += advance;
+        if self.standstill_changes(advance, time_ns) || self.sense_is_wrong(advance) {
+            return Turned::Anew;
+        }
+        let phase = ahead(self.cut_cdeg, last, self.sense);
+        let crosses = advance > 0.0 && phase + advance >= TURN;
+        if !crosses || self.cut_seen && self.progress_cdeg < LEAST_TURN_CDEG {
+            return Turned::On;
+        }
+        self.cut_seen = true;
+        // From the cut and not from this firing, which may lie far behind it, beyond a sector that was left out.
+        self.progress_cdeg = phase + advance - TURN;
+        Turned::Cut
+    }
+
+    fn standstill_changes(&mut self, advance: f64, time_ns: i64) -> bool {
+        self.watched_cdeg += advance;
+        let since = *self.watched_since_ns.get_or_insert(time_ns);
+        if time_ns - since < STANDSTILL_NS {
+            return false;
+        }
+        let stopped = self.watched_cdeg.abs() < STANDSTILL_CDEG;
+        self.watched_since_ns = Some(time_ns);
+        self.watched_cdeg = 0.0;
+        let changes = stopped != self.stopped;
+        self.stopped = stopped;
+        if changes {
+            self.begin_run();
+        }
+        changes
+    }
+
+    fn sense_is_wrong(&mut self, advance: f64) -> bool {
+        self.against_cdeg = (self.against_cdeg - advance).max(0.0);
+        if self.against_cdeg <= REVERSAL_CDEG {
+            return false;
+        }
+        self.sense = -self.sense;
+        self.against_cdeg = 0.0;
+        self.begin_run();
+        true
+    }
+
+    fn begin_run(&mut self) {
+        self.cut_seen = false;
+        self.progress_cdeg = 0.0;
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    /// Turns through azimuths 40 hundredths and 0.1 ms apart and tells the indices of all that is not `On`.
+    fn events(head: &mut Head, azimuths: &[f64]) -> Vec<(usize, Turned)> {
+        let turned = azimuths
+            .iter()
+            .enumerate()
+            .map(|(index, &azimuth)| (index, head.turn(azimuth.rem_euclid(TURN), index as i64 * 100_000, false)));
+        turned.filter(|&(_, turned)| turned != Turned::On).collect()
+    }
+
+    #[test]
+    fn cuts_once_a_turn_whatever_the_encoder_does_at_the_cut() {
+        let mut azimuths: Vec<f64> = (0..2000).map(|i| 35_000.0 + 40.0 * f64::from(i)).collect();
+        // Jitter around both crossings: back over the cut and forward again.
+        azimuths.insert(26, 35_990.0);
+        azimuths.insert(927, 71_999.0);
+        azimuths.insert(927, 72_001.0);
+        let cuts = events(&mut Head::new(0.0), &azimuths);
+        assert_eq!(cuts, [(25, Turned::Cut), (926, Turned::Cut), (1828, Turned::Cut)]);
+    }
+
+    #[test]
+    fn the_cut_may_be_anywhere_and_is_itself_behind_the_cut() {
+        let azimuths: Vec<f64> = (0..1000).map(|i| 40.0 * f64::from(i)).collect();
+        assert_eq!(events(&mut Head::new(18_000.0), &azimuths), [(450, Turned::Cut)]);
+        assert_eq!(events(&mut Head::new(17_999.0), &azimuths), [(450, Turned::Cut)]);
+        assert_eq!(events(&mut Head::new(18_001.0), &azimuths), [(451, Turned::Cut)]);
+    }
+
+    #[test]
+    fn a_head_that_turns_backwards_is_noticed_and_cut_too() {
+        let azimuths: Vec<f64> = (0..1000).map(|i| 18_000.0 - 40.0 * f64::from(i)).collect();
+        let mut head = Head::new(0.0);
+        // The 13th step back tells; firing 450 is on the cut, and so the first of the next turn.
+        assert_eq!(events(&mut head, &azimuths), [(13, Turned::Anew), (450, Turned::Cut)]);
+        assert!(head.reversed());
+    }
+
+    #[test]
+    fn a_head_that_stops_begins_a_run_and_another_when_it_starts() {
+        let mut azimuths: Vec<f64> = (0..600).map(|i| 9_000.0 + 10.0 * f64::from(i)).collect();
+        azimuths.extend([15_000.0; 1100]);
+        azimuths.extend((0..1000).map(|i| 15_000.0 + 10.0 * f64::from(i)));
+        let mut head = Head::new(0.0);
+        let events = events(&mut head, &azimuths);
+        assert_eq!(events.len(), 2, "{events:?}");
+        assert!((1000..=1600).contains(&events[0].0) && (1700..=2300).contains(&events[1].0));
+        assert!(!head.stopped);
+    }
+
+    #[test]
+    fn a_leap_over_the_cut_is_a_cut() {
+        let mut head = Head::new(0.0);
+        assert_eq!(head.turn(27_000.0, 0, false), Turned::On);
+        assert_eq!(head.turn(9_000.0, 1_000_000, true), Turned::Cut);
+        assert_eq!(head.turn(9_040.0, 1_100_000, false), Turned::On);
+        assert_eq!(head.turn(27_000.0, 25_000_000, false), Turned::On);
+        assert_eq!(head.turn(8_000.0, 50_000_000, true), Turned::Cut);
+    }
+}

@@ -1,0 +1,484 @@
+//! A sweep as bytes: header, planes and tables in one aligned slice. Files, tests and shared memory hold the same bytes.
+//!
+//! ```text
+//! | Header | range | reflectivity | label | (dual: range 2 | reflectivity 2 | label 2 | kind) | columns | beams | segments |
+//! ```
+//!
+//! Every part starts at a multiple of 64 bytes; the header tells where. Planes are stored column after column:
+//! `index = column * rows + row`, row 0 being the highest beam. In a sweep of a dual-return sensor, the planes without a
+//! number hold the return that is segmented, the planes "2" the other one, and `kind` tells which is which.
+//!
+//! Whoever fills a sweep writes every pixel of every column that the header counts, so nothing that a header declares
+//! valid is left over from an earlier sweep in the same buffer. All numbers are little-endian, as the host's must be.
+
+use zerocopy::{FromBytes, FromZeros, Immutable, IntoBytes, KnownLayout};
+
+use crate::sensor::Beam;
+use crate::wire::data::ReturnMode;
+
+#[cfg(not(target_endian = "little"))]
+compile_error!("the layout of a sweep is little-endian, and so must be the host");
+
+/// First bytes of a sweep.
+pub const MAGIC: [u8; 8] = *b"sweepd\r\n";
+/// Version of this layout.
+pub const LAYOUT_VERSION: u32 = 1;
+/// Alignment of a sweep and of its parts, bytes.
+pub const ALIGN: usize = 64;
+/// Columns that a sweep has room for: an HDL-32E at 240 rpm has 5425.
+pub const COLUMNS_CAPACITY: usize = 5632;
+
+/// Whether a range in a plane is a return. The one place that knows how "no return" is written.
+#[inline(always)]
+pub fn is_return(range_m: f32) -> bool {
+    range_m > 0.0
+}
+
+/// Label of a pixel without segment: no return, masked, or part of a speck.
+pub const LABEL_NONE: u32 = 0;
+/// Label of a ground pixel.
+pub const LABEL_GROUND: u32 = 1;
+/// Label of the first segment.
+pub const LABEL_FIRST_SEGMENT: u32 = 2;
+
+/// What is true of a sweep, as bits of [`Header::flags`].
+pub mod flags {
+    /// Not from cut to cut: the first or last of a run, or interrupted.
+    pub const PARTIAL: u32 = 1 << 0;
+    /// A whole turn without a blanked sector: the last column and the first are neighbours.
+    pub const CIRCULAR: u32 = 1 << 1;
+    /// The head turns counter-clockwise seen from above.
+    pub const REVERSED: u32 = 1 << 2;
+    /// The sensor is set to leave out a sector.
+    pub const BLANKED: u32 = 1 << 3;
+    /// Turning slower than 240 rpm, faster than 1320, or more than a tenth faster or slower than the sweep before.
+    pub const RATE_UNSTABLE: u32 = 1 << 4;
+    /// The head stands still.
+    pub const STOPPED: u32 = 1 << 5;
+    /// The mounting height was estimated from the sweeps and not configured.
+    pub const HEIGHT_ESTIMATED: u32 = 1 << 6;
+}
+
+/// Which clock [`Header::time_ns`] is in.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+#[repr(u32)]
+pub enum TimeSource {
+    /// The host's or the capture's: sensor time brought to it by the least delay seen.
+    Host = 0,
+    /// UTC from GPS: the pulse per second was locked and the sentence valid.
+    Gps = 1,
+}
+
+/// Which of two returns is segmented.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+#[repr(u32)]
+pub enum ReturnChoice {
+    /// The nearer: safe for obstacles.
+    Nearest = 0,
+    /// The strongest.
+    Strongest = 1,
+    /// The last.
+    Last = 2,
+}
+
+/// Head of a sweep. Counts and offsets first, then what was measured.
+#[derive(Clone, Copy, Debug, FromBytes, IntoBytes, KnownLayout, Immutable)]
+#[repr(C)]
+pub struct Header {
+    /// [`MAGIC`].
+    pub magic: [u8; 8],
+    /// [`LAYOUT_VERSION`].
+    pub version: u32,
+    /// Bytes of this header.
+    pub header_bytes: u32,
+    /// Bytes of the whole sweep, capacity included.
+    pub total_bytes: u64,
+    /// Where each part begins, bytes from the start, 0 = absent; indexed by [`Part`].
+    pub offsets: [u64; PARTS],
+    /// Rows of the image.
+    pub rows: u32,
+    /// Columns of the image.
+    pub columns: u32,
+    /// Columns that the planes have room for.
+    pub columns_capacity: u32,
+    /// Segments in the table.
+    pub segments: u32,
+    /// Segments that the table has room for.
+    pub segments_capacity: u32,
+    /// Code of the [`Model`](crate::sensor::Model): 1 VLP-16, 2 Puck LITE, 3 Puck Hi-Res, 4 HDL-32E.
+    pub model: u32,
+    /// [`ReturnMode::byte`].
+    pub return_mode: u32,
+    /// [`ReturnChoice`].
+    pub return_choice: u32,
+    /// Bits of [`flags`].
+    pub flags: u32,
+    /// [`TimeSource`].
+    pub time_source: u32,
+    /// Sweeps of this pipeline before this one, partial ones included.
+    pub sequence: u64,
+    /// Time of the first column's first shot, nanoseconds since 1970 in the clock of `time_source`.
+    pub time_ns: i64,
+    /// From the first column's first shot to the last column's, nanoseconds.
+    pub duration_ns: u64,
+    /// Sensor clock at the first column's first shot, nanoseconds since the top of the hour at which this run began.
+    pub sensor_time_ns: i64,
+    /// Arrival of the newest packet in the sweep, nanoseconds since 1970.
+    pub arrival_ns: i64,
+    /// Speed over this sweep, turns a minute; not negative.
+    pub rpm: f32,
+    /// Azimuth at which sweeps are cut, radians.
+    pub cut_azimuth_rad: f32,
+    /// Height of the sensor above the ground used for the ground labels, metres; 0 = unknown.
+    pub height_m: f32,
+    /// Rotation of the sensor about its x axis (nose up), radians.
+    pub pitch_rad: f32,
+    /// Rotation of the sensor about its y axis (right side down), radians.
+    pub roll_rad: f32,
+    /// Columns marked missing.
+    pub missing_columns: u32,
+    /// Packets missing by the sensor clock.
+    pub lost_packets: u32,
+    /// Packets decoded into this sweep, in whole or in part.
+    pub packets: u32,
+    /// Non-zero returns, of both planes.
+    pub returns: u32,
+    /// Pixels labelled ground.
+    pub ground: u32,
+    /// Time spent on decoding, nanoseconds; 0 where no clock was given.
+    pub decode_ns: u32,
+    /// Time spent on ground removal, nanoseconds.
+    pub ground_ns: u32,
+    /// Time spent on labelling and the segments table, nanoseconds.
+    pub label_ns: u32,
+    _reserved: [u32; 5],
+    /// Source of the sensor's packets as text, zero padded.
+    pub sensor: [u8; 64],
+}
+
+/// One column: a firing.
+#[derive(Clone, Copy, Debug, PartialEq, FromBytes, IntoBytes, KnownLayout, Immutable)]
+#[repr(C)]
+pub struct Column {
+    /// Ordinal of the data packet among this sensor's, from 0; `u64::MAX` where it is missing.
+    pub packet: u64,
+    /// Azimuth at the firing's first shot, radians, 0..2 pi.
+    pub azimuth_rad: f32,
+    /// Turning rate during the firing, radians a second; negative when reversed.
+    pub azimuth_rate_rad_s: f32,
+    /// First shot after the sweep's first shot, nanoseconds.
+    pub time_ns: u32,
+    /// Block of the firing in its packet; in dual mode the even one, which holds the last return.
+    pub block: u8,
+    /// [`ColumnStatus`].
+    pub status: u8,
+    _reserved: [u8; 2],
+}
+
+/// What a column holds.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+#[repr(u8)]
+pub enum ColumnStatus {
+    /// A firing that arrived.
+    Measured = 1,
+    /// A firing whose packet was lost; azimuth and time are interpolated, all pixels are "no return".
+    Missing = 2,
+}
+
+impl Column {
+    /// A column of a packet.
+    pub fn measured(packet: u64, block: u8, azimuth_rad: f32, azimuth_rate_rad_s: f32, time_ns: u32) -> Self {
+        let status = ColumnStatus::Measured as u8;
+        Self { packet, azimuth_rad, azimuth_rate_rad_s, time_ns, block, status, _reserved: [0; 2] }
+    }
+
+    /// A column whose packet was lost.
+    pub fn missing(azimuth_rad: f32, azimuth_rate_rad_s: f32, time_ns: u32) -> Self {
+        let status = ColumnStatus::Missing as u8;
+        Self { packet: u64::MAX, azimuth_rad, azimuth_rate_rad_s, time_ns, block: 0, status, _reserved: [0; 2] }
+    }
+
+    /// Whether the packet of this firing was lost.
+    pub fn is_missing(&self) -> bool {
+        self.status == ColumnStatus::Missing as u8
+    }
+}
+
+/// One row: a beam, as far as a consumer needs it for x, y, z and time.
+#[derive(Clone, Copy, Debug, PartialEq, FromBytes, IntoBytes, KnownLayout, Immutable)]
+#[repr(C)]
+pub struct BeamRow {
+    /// Index of the beam's record within a firing.
+    pub channel: u32,
+    /// Angle above the horizon, radians.
+    pub elevation_rad: f32,
+    /// Subtracted from the azimuth, radians.
+    pub rotation_rad: f32,
+    /// Shot after the firing's first, nanoseconds.
+    pub time_offset_ns: u32,
+    /// Height of the beam's origin, metres.
+    pub vertical_offset_m: f32,
+    /// Sideways shift of the beam's origin, metres.
+    pub horizontal_offset_m: f32,
+    _reserved: [u32; 2],
+}
+
+impl BeamRow {
+    /// The row of a beam that shoots so long after the first shot of its firing.
+    pub fn new(beam: &Beam, time_offset_ns: u32) -> Self {
+        Self {
+            channel: beam.channel as u32,
+            elevation_rad: beam.elevation_rad as f32,
+            rotation_rad: beam.rotation_rad as f32,
+            time_offset_ns,
+            vertical_offset_m: beam.vertical_offset_m as f32,
+            horizontal_offset_m: beam.horizontal_offset_m as f32,
+            _reserved: [0; 2],
+        }
+    }
+}
+
+/// One segment: a connected set of non-ground pixels. Lengths in metres, axes of the sensor (x right, y forward, z up).
+#[derive(Clone, Copy, Debug, PartialEq, FromBytes, IntoBytes, KnownLayout, Immutable)]
+#[repr(C)]
+pub struct Segment {
+    /// Label of its pixels, from 2.
+    pub label: u32,
+    /// Pixels with a return in the segmented plane.
+    pub points: u32,
+    /// Least x, y, z.
+    pub min_m: [f32; 3],
+    /// Greatest x, y, z.
+    pub max_m: [f32; 3],
+    /// Mean x, y, z.
+    pub centroid_m: [f32; 3],
+    /// Range of its nearest pixel.
+    pub nearest_m: f32,
+    /// Highest row.
+    pub row_first: u16,
+    /// Lowest row.
+    pub row_last: u16,
+    /// First column in the sense of rotation; greater than the last where the segment lies across the seam.
+    pub column_first: u32,
+    /// Last column.
+    pub column_last: u32,
+    _reserved: u32,
+}
+
+const _: () = assert!(size_of::<Header>() == 320 && size_of::<Column>() == 24);
+const _: () = assert!(size_of::<BeamRow>() == 32 && size_of::<Segment>() == 64);
+
+/// The parts of a sweep behind its header.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+#[repr(usize)]
+pub enum Part {
+    /// f32 metres a pixel; see [`is_return`].
+    Range = 0,
+    /// u8 a pixel.
+    Reflectivity,
+    /// u32 a pixel: 0 none, 1 ground, 2.. segment.
+    Label,
+    /// Range of the other return, dual only.
+    Range2,
+    /// Reflectivity of the other return, dual only.
+    Reflectivity2,
+    /// Label of the other return, dual only.
+    Label2,
+    /// u8 a pixel, dual only: [`ReturnKind`] of the segmented return.
+    Kind,
+    /// [`Column`] a column.
+    Columns,
+    /// [`BeamRow`] a row.
+    Beams,
+    /// [`Segment`] a segment.
+    Segments,
+}
+
+/// Number of parts.
+pub const PARTS: usize = 10;
+
+/// Which of a pair of dual returns a plane holds.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+#[repr(u8)]
+pub enum ReturnKind {
+    /// The strongest (odd block), or the second strongest where the last is the strongest; the other is the last.
+    Strongest = 1,
+    /// The last (even block); the other is the strongest.
+    Last = 2,
+}
+
+impl ReturnKind {
+    /// The word for it in output.
+    pub fn name(self) -> &'static str {
+        match self {
+            Self::Strongest => "strongest",
+            Self::Last => "last",
+        }
+    }
+}
+
+/// What a sweep must have room for.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub struct Shape {
+    /// Rows.
+    pub rows: usize,
+    /// Columns at most.
+    pub columns_capacity: usize,
+    /// Two returns a pixel.
+    pub dual: bool,
+    /// Segments at most.
+    pub segments_capacity: usize,
+}
+
+impl Shape {
+    /// Where each part begins (0 = absent), and the bytes of the whole.
+    pub fn offsets(&self) -> ([u64; PARTS], usize) {
+        let mut offsets = [0; PARTS];
+        let mut end = size_of::<Header>();
+        for (offset, bytes) in offsets.iter_mut().zip(self.part_bytes()) {
+            if bytes > 0 {
+                *offset = end as u64;
+                end = (end + bytes).next_multiple_of(ALIGN);
+            }
+        }
+        (offsets, end)
+    }
+
+    /// Bytes of the whole sweep.
+    pub fn total_bytes(&self) -> usize {
+        self.offsets().1
+    }
+
+    pub(super) fn part_bytes(&self) -> [usize; PARTS] {
+        let pixels = self.rows * self.columns_capacity;
+        let other = if self.dual { pixels } else { 0 };
+        [
+            pixels * size_of::<f32>(),
+            pixels,
+            pixels * size_of::<u32>(),
+            other * size_of::<f32>(),
+            other,
+            other * size_of::<u32>(),
+            other,
+            self.columns_capacity * size_of::<Column>(),
+            self.rows * size_of::<BeamRow>(),
+            self.segments_capacity * size_of::<Segment>(),
+        ]
+    }
+}
+
+impl Header {
+    /// A header of an empty sweep of this shape.
+    pub fn new(shape: &Shape) -> Self {
+        let (offsets, total_bytes) = shape.offsets();
+        Self {
+            magic: MAGIC,
+            version: LAYOUT_VERSION,
+            header_bytes: size_of::<Self>() as u32,
+            total_bytes: total_bytes as u64,
+            offsets,
+            rows: shape.rows as u32,
+            columns_capacity: shape.columns_capacity as u32,
+            segments_capacity: shape.segments_capacity as u32,
+            return_mode: u32::from(ReturnMode::Strongest.byte()),
+            ..Self::new_zeroed()
+        }
+    }
+
+    /// The shape that the counts and offsets stand for.
+    pub fn shape(&self) -> Shape {
+        Shape {
+            rows: self.rows as usize,
+            columns_capacity: self.columns_capacity as usize,
+            dual: self.offsets[Part::Range2 as usize] != 0,
+            segments_capacity: self.segments_capacity as usize,
+        }
+    }
+
+    /// Whether a bit of [`flags`] is set.
+    pub fn has(&self, flag: u32) -> bool {
+        self.flags & flag != 0
+    }
+
+    /// The clock of [`Header::time_ns`].
+    pub fn time_source(&self) -> TimeSource {
+        if self.time_source == TimeSource::Gps as u32 { TimeSource::Gps } else { TimeSource::Host }
+    }
+
+    /// The sensor's return mode.
+    pub fn return_mode(&self) -> ReturnMode {
+        u8::try_from(self.return_mode).ok().and_then(ReturnMode::from_byte).unwrap_or(ReturnMode::Strongest)
+    }
+
+    /// Source of the sensor's packets.
+    pub fn sensor(&self) -> &str {
+        let end = self.sensor.iter().position(|&b| b == 0).unwrap_or(self.sensor.len());
+        std::str::from_utf8(&self.sensor[..end]).unwrap_or_default()
+    }
+
+    /// Names the sensor; what is over 64 bytes is cut off.
+    pub fn set_sensor(&mut self, name: &str) {
+        self.sensor = [0; 64];
+        let len = name.floor_char_boundary(self.sensor.len());
+        self.sensor[..len].copy_from_slice(&name.as_bytes()[..len]);
+    }
+}
+
+/// Why bytes are not a sweep.
+#[derive(Clone, Copy, Debug, PartialEq, Eq, thiserror::Error)]
+pub enum LayoutError {
+    /// Too short, or not aligned to 8 bytes.
+    #[error("{bytes} bytes cannot hold a sweep, or are not aligned to 8 bytes")]
+    Bytes {
+        /// Bytes that there are.
+        bytes: usize,
+    },
+    /// Other first bytes, or another version.
+    #[error("no sweep of layout version {LAYOUT_VERSION} (found version {found})")]
+    Version {
+        /// Version that the header names.
+        found: u32,
+    },
+    /// Counts and offsets that contradict each other.
+    #[error("the header's counts and offsets contradict each other")]
+    Inconsistent,
+}
+
+/// The shape of a header that was not written here, when everything in it can be true of `bytes` bytes.
+pub(super) fn checked_shape(header: &Header, bytes: usize) -> Result<Shape, LayoutError> {
+    if header.magic != MAGIC || header.version != LAYOUT_VERSION {
+        return Err(LayoutError::Version { found: header.version });
+    }
+    let shape = header.shape();
+    let bounded = shape.rows <= 256 && shape.columns_capacity <= 1 << 20 && shape.segments_capacity <= 1 << 28;
+    if !bounded || header.columns > header.columns_capacity || header.segments > header.segments_capacity {
+        return Err(LayoutError::Inconsistent);
+    }
+    let (offsets, total_bytes) = shape.offsets();
+    if offsets != header.offsets || total_bytes as u64 != header.total_bytes {
+        return Err(LayoutError::Inconsistent);
+    }
+    if total_bytes > bytes {
+        return Err(LayoutError::Bytes { bytes });
+    }
+    Ok(shape)
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn parts_are_aligned_and_do_not_overlap() {
+        for dual in [false, true] {
+            let shape = Shape { rows: 3, columns_capacity: 5, dual, segments_capacity: 2 };
+            let (offsets, total) = shape.offsets();
+            let mut end = size_of::<Header>();
+            for (offset, bytes) in offsets.into_iter().zip(shape.part_bytes()).filter(|&(_, bytes)| bytes > 0) {
+                assert!(offset as usize >= end && (offset as usize).is_multiple_of(ALIGN));
+                end = offset as usize + bytes;
+            }
+            assert!(end <= total);
+        }
+    }
+}

@@ -1,0 +1,28 @@
+//! Packets to columns, columns to sweeps.
+//!
+//! ```text
+//! packet -> motion (where the head points) -> order (by the sensor's clock) -> builder (columns, cut, gaps) -> sweep
+//!                                                       |                                |
+//!                            relation (loss, silence, jumps of the clock)                 |
+//!                      cursor (firings of a packet, and those missing)   head (turns, cut, standstill)
+//!                                        columns (what stands in the open sweep)   decode (records to pixels)
+//! ```
+//!
+//! [`layout`] defines a sweep as bytes, [`image`] gives the views over them, [`buffers`] says where the bytes live.
+
+pub mod buffers;
+pub mod builder;
+pub mod clock;
+mod columns;
+mod cursor;
+pub mod decode;
+pub mod head;
+pub mod image;
+pub mod layout;
+pub mod motion;
+pub mod order;
+pub mod relation;
+
+pub use buffers::{Buffers, HeapBuffers};
+pub use image::{Return, SweepMut, SweepRef};
+pub use layout::{BeamRow, Column, Header, Segment, Shape};

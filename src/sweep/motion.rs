@@ -1,0 +1,242 @@
+//! What one packet says of the head: where it points at each firing, how fast it turns, and whether it left a sector out.
+
+use crate::sensor::model::Spec;
+use crate::wire::DataPacket;
+use crate::wire::data::{BLOCKS, ReturnMode, TURN_CDEG};
+
+/// A whole turn, hundredths of a degree.
+pub const TURN: f64 = TURN_CDEG as f64;
+/// A step between block azimuths that differs this much from the others is no motion of the head.
+const BREAK_CDEG: f64 = 200.0;
+/// A head that turns less than this from block to block does not leave a sector out: it would take seconds.
+const LEAST_STEP_CDEG: f64 = 1.0;
+
+/// A sector that the sensor is set to leave out, met inside a packet or between two.
+#[derive(Clone, Copy, Debug, PartialEq)]
+pub struct Sector {
+    /// Where the head was when it fell silent, hundredths of a degree.
+    pub from_cdeg: f64,
+    /// How far it turned in silence, in the sense of rotation, hundredths of a degree.
+    pub width_cdeg: f64,
+}
+
+impl Sector {
+    /// How far it is from an azimuth ahead to the sector, hundredths of a degree; a little less than nothing when the
+    /// encoder's noise put the azimuth past the edge.
+    pub fn ahead_of(&self, from_cdeg: f64, sense: f64) -> f64 {
+        let way = ahead(from_cdeg, self.from_cdeg, sense);
+        if way > TURN - BREAK_CDEG { way - TURN } else { way }
+    }
+
+    /// Nanoseconds of silence when the head crosses the sector at a rate. The lasers keep their beat meanwhile (measured
+    /// on a VLP-32C), so that it is a whole number of blocks.
+    pub fn silent_ns(&self, rate_cdeg_ns: f64, spec: &Spec) -> i64 {
+        let block_ns = spec.block_period_ns();
+        let blocks = self.width_cdeg / (rate_cdeg_ns.abs() * f64::from(block_ns)).max(f64::MIN_POSITIVE);
+        blocks.min(1e6).round() as i64 * i64::from(block_ns)
+    }
+}
+
+/// The motion of the head during one packet.
+#[derive(Clone, Copy, Debug, PartialEq)]
+pub struct Motion {
+    /// Azimuths that the packet gives: one a block, one a pair of blocks in dual mode.
+    azimuths: [u16; BLOCKS],
+    count: usize,
+    /// From one azimuth to the next, hundredths of a degree, negative when the head turns the other way.
+    pub step_cdeg: f64,
+    /// The index of the first azimuth behind a sector that was left out, and the sector.
+    pub left_out: Option<(usize, Sector)>,
+    /// Nanoseconds of silence inside the packet. By the packet alone this is good to a few percent; who knows the speed
+    /// of the head better may set it.
+    pub silent_ns: i64,
+}
+
+/// Why a packet cannot come from a turning head.
+#[derive(Clone, Copy, Debug, PartialEq, Eq, thiserror::Error)]
+pub enum Implausible {
+    /// A dual-return packet whose blocks are not pairs.
+    #[error("the blocks of a dual-return packet come in pairs of equal azimuth, these do not")]
+    Unpaired,
+    /// Azimuths that jump more than once.
+    #[error("the azimuths jump to and fro")]
+    Jumps,
+}
+
+impl Motion {
+    /// Reads the azimuths of a packet.
+    ///
+    /// # Errors
+    /// [`Implausible`] where no head, not even one with a limited field of view, turns like that.
+    pub fn of(packet: &DataPacket, mode: ReturnMode, spec: &Spec) -> Result<Self, Implausible> {
+        let blocks_per_azimuth = mode.blocks_per_azimuth();
+        if mode == ReturnMode::Dual && !packet.azimuths_paired() {
+            return Err(Implausible::Unpaired);
+        }
+        let count = BLOCKS / blocks_per_azimuth;
+        let mut azimuths = [0; BLOCKS];
+        for (azimuth, block) in azimuths.iter_mut().zip(packet.blocks.iter().step_by(blocks_per_azimuth)) {
+            *azimuth = block.azimuth_cdeg();
+        }
+        let mut steps = [0.0; BLOCKS - 1];
+        let steps = &mut steps[..count - 1];
+        for (step, pair) in steps.iter_mut().zip(azimuths.windows(2)) {
+            *step = shortest(f64::from(pair[1]) - f64::from(pair[0]));
+        }
+        let median = median(steps);
+        let is_break = |step: f64| (step - median).abs() > BREAK_CDEG.max(5.0 * median.abs());
+        let (mut sum, mut kept, mut left_out) = (0.0, 0, None);
+        for (index, &step) in steps.iter().enumerate() {
+            if !is_break(step) {
+                sum += step;
+                kept += 1;
+            } else if left_out.replace(index + 1).is_some() {
+                return Err(Implausible::Jumps);
+            }
+        }
+        let step_cdeg = sum / f64::from(kept.max(1));
+        if left_out.is_some() && step_cdeg.abs() < LEAST_STEP_CDEG {
+            return Err(Implausible::Jumps);
+        }
+        let left_out = left_out.map(|index| {
+            let from_cdeg = (f64::from(azimuths[index - 1]) + step_cdeg).rem_euclid(TURN);
+            let width_cdeg = ahead(from_cdeg, f64::from(azimuths[index]), step_cdeg);
+            (index, Sector { from_cdeg, width_cdeg })
+        });
+        let rate = step_cdeg / f64::from(spec.block_period_ns());
+        let silent_ns = left_out.map_or(0, |(_, sector)| sector.silent_ns(rate, spec));
+        Ok(Self { azimuths, count, step_cdeg, left_out, silent_ns })
+    }
+
+    /// Azimuth of the first firing, hundredths of a degree.
+    pub fn first_cdeg(&self) -> f64 {
+        f64::from(self.azimuths[0])
+    }
+
+    /// Azimuth where the packet after this one should begin, hundredths of a degree.
+    pub fn next_cdeg(&self) -> f64 {
+        (f64::from(self.azimuths[self.count - 1]) + self.step_cdeg).rem_euclid(TURN)
+    }
+
+    /// Nanoseconds that the head needs to cross `width_cdeg` at this packet's speed; 0 when it stands still.
+    pub fn crossing_ns(&self, width_cdeg: f64, spec: &Spec) -> i64 {
+        if self.step_cdeg.abs() < 0.1 {
+            return 0;
+        }
+        (width_cdeg / self.step_cdeg.abs() * f64::from(spec.block_period_ns())) as i64
+    }
+
+    /// Turning rate, hundredths of a degree a nanosecond.
+    pub fn rate_cdeg_ns(&self, spec: &Spec) -> f64 {
+        self.step_cdeg / f64::from(spec.block_period_ns())
+    }
+
+    /// Azimuth at the first shot of a firing, hundredths of a degree, 0..36000. A firing that has no azimuth of its own
+    /// (the second of a VLP-16 block) gets it from the mean step of the packet: single steps carry the encoder's noise.
+    pub fn azimuth_cdeg(&self, firing: usize, spec: &Spec) -> f64 {
+        let per_block = spec.firings_per_block();
+        let within = (firing % per_block) as f64 / per_block as f64;
+        (f64::from(self.azimuths[firing / per_block]) + self.step_cdeg * within).rem_euclid(TURN)
+    }
+
+    /// First shot of a firing after that of the packet, nanoseconds.
+    pub fn offset_ns(&self, firing: usize, spec: &Spec) -> i64 {
+        let fired = i64::from(spec.firing_period_ns) * firing as i64;
+        match self.left_out {
+            Some((index, _)) if firing / spec.firings_per_block() >= index => fired + self.silent_ns,
+            _ => fired,
+        }
+    }
+
+    /// Whether the head leapt over a sector between the firing before and this one.
+    pub fn leaps_before(&self, firing: usize, spec: &Spec) -> bool {
+        self.left_out.is_some_and(|(index, _)| firing == index * spec.firings_per_block())
+    }
+}
+
+/// The same angle within -18000..18000 hundredths of a degree.
+pub(super) fn shortest(cdeg: f64) -> f64 {
+    (cdeg + TURN / 2.0).rem_euclid(TURN) - TURN / 2.0
+}
+
+/// From one azimuth ahead to another in the sense of rotation, 0..36000 hundredths of a degree.
+pub(super) fn ahead(from_cdeg: f64, to_cdeg: f64, sense: f64) -> f64 {
+    let sign = if sense < 0.0 { -1.0 } else { 1.0 };
+    ((to_cdeg - from_cdeg) * sign).rem_euclid(TURN)
+}
+
+fn median(values: &[f64]) -> f64 {
+    let mut sorted = [0.0; BLOCKS];
+    let sorted = &mut sorted[..values.len()];
+    sorted.copy_from_slice(values);
+    sorted.sort_by(f64::total_cmp);
+    sorted[sorted.len() / 2]
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use crate::sensor::Model;
+
+    const SPEC: &Spec = Model::Vlp16.spec();
+
+    fn packet(azimuths: [u16; 12]) -> DataPacket {
+        let mut packet = DataPacket::new(0, 0x37, 0x22);
+        for (block, azimuth) in packet.blocks.iter_mut().zip(azimuths) {
+            block.set_azimuth_cdeg(azimuth);
+        }
+        packet
+    }
+
+    /// A public VLP-16 packet: the turn ends between blocks 7 and 8.
+    const WRAPS: [u16; 12] = [35_695, 35_733, 35_773, 35_813, 35_853, 35_891, 35_931, 35_971, 11, 51, 91, 131];
+
+    #[test]
+    fn the_second_firing_of_a_block_is_interpolated_and_may_wrap_alone() {
+        let spec = SPEC;
+        let motion = Motion::of(&packet(WRAPS), ReturnMode::Strongest, SPEC).unwrap();
+        // 436 hundredths in eleven steps.
+        assert!((motion.step_cdeg - 436.0 / 11.0).abs() < 1e-9);
+        assert_eq!(motion.azimuth_cdeg(14, spec), 35_971.0);
+        assert!((motion.azimuth_cdeg(15, spec) - (35_971.0 + 218.0 / 11.0)).abs() < 1e-9);
+        let mut late = WRAPS;
+        late[7] = 35_985;
+        let motion = Motion::of(&packet(late), ReturnMode::Strongest, SPEC).unwrap();
+        assert!(motion.azimuth_cdeg(15, spec) < 10.0);
+    }
+
+    #[test]
+    fn a_limited_field_of_view_is_one_jump_ahead_and_takes_time() {
+        let mut azimuths = [0; 12];
+        for (index, azimuth) in azimuths.iter_mut().enumerate() {
+            *azimuth = if index < 5 { 9_000 } else { 26_800 } + 40 * index as u16;
+        }
+        let spec = SPEC;
+        let motion = Motion::of(&packet(azimuths), ReturnMode::Strongest, SPEC).unwrap();
+        let (index, sector) = motion.left_out.unwrap();
+        assert_eq!((index, sector.from_cdeg, sector.width_cdeg), (5, 9_200.0, 17_800.0));
+        // 178 degrees at 40 hundredths a block of 110.592 us: 445 blocks.
+        assert_eq!(motion.silent_ns, 445 * 110_592);
+        assert_eq!(motion.offset_ns(9, spec), 9 * 55_296);
+        assert_eq!(motion.offset_ns(10, spec), (10 + 890) * 55_296);
+        assert!(motion.leaps_before(10, spec) && !motion.leaps_before(11, spec));
+    }
+
+    #[test]
+    fn a_corrupt_azimuth_is_no_field_of_view() {
+        let mut azimuths = WRAPS;
+        azimuths[4] = 20_000;
+        assert_eq!(Motion::of(&packet(azimuths), ReturnMode::Strongest, SPEC), Err(Implausible::Jumps));
+        assert_eq!(Motion::of(&packet(WRAPS), ReturnMode::Dual, SPEC), Err(Implausible::Unpaired));
+    }
+
+    #[test]
+    fn a_head_may_turn_backwards_or_not_at_all() {
+        let mut azimuths = WRAPS;
+        azimuths.reverse();
+        let backwards = Motion::of(&packet(azimuths), ReturnMode::Strongest, SPEC).unwrap();
+        assert!((backwards.step_cdeg + 436.0 / 11.0).abs() < 1e-9);
+        let still = Motion::of(&packet([123; 12]), ReturnMode::Dual, SPEC).unwrap();
+        assert_eq!((still.step_cdeg, still.crossing_ns(1000.0, Model::Vlp16.spec())), (0.0, 0));
+    }
+}

@@ -1,0 +1,377 @@
+//! Packets into the order of the sensor's clock, and a name for what is missing between two of them.
+//!
+//! Velodynes send no sequence number, but their clock is crystal-exact: the interval between two stamps, divided by the
+//! packet period, is one. Packets in order pass at once. Behind a gap at most [`HOLD`] packets are held back, in case the
+//! missing ones were only overtaken. A packet that contradicts the clock or the return mode is believed when the next one
+//! agrees with it: then the stream did change; else it was corrupt.
+
+use std::collections::VecDeque;
+
+use super::clock::SensorClock;
+use super::motion::{Implausible, Motion, Sector};
+pub use super::relation::{Before, Packet};
+use super::relation::{Relation, Relations};
+use crate::sensor::model::Spec;
+use crate::wire::DataPacket;
+use crate::wire::data::ReturnMode;
+
+/// Packets that are held back behind a gap, at most.
+pub const HOLD: usize = 4;
+/// Packets kept: those held, those ready, and enough of the past to know a duplicate.
+const SLOTS: usize = 32;
+/// So many packets in a row that only look back: the clock was set back, by less than a second.
+const SET_BACK_PACKETS: u32 = 16;
+
+/// Why a packet will not come out again.
+#[derive(Clone, Copy, Debug, PartialEq)]
+pub enum Refusal {
+    /// The same bytes as a packet that was here before.
+    Duplicate,
+    /// Behind what has come out already; whoever has room for it may still take it.
+    Behind {
+        /// How its head moved.
+        motion: Motion,
+        /// Its sensor time.
+        time_ns: i64,
+    },
+    /// No turning head sends such a packet.
+    Implausible(Implausible),
+}
+
+/// Counts of what happened to the order.
+#[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
+pub struct OrderCounts {
+    /// Packets that were overtaken and put back.
+    pub reordered: u64,
+    /// Packets whose clock or mode no neighbour confirmed.
+    pub unconfirmed: u64,
+}
+
+/// The queue that puts packets in order.
+#[derive(Debug)]
+pub struct Order {
+    spec: &'static Spec,
+    clock: SensorClock,
+    slots: Vec<Packet>,
+    next_slot: usize,
+    held: Vec<usize>,
+    ready: VecDeque<(usize, Before)>,
+    last: Option<usize>,
+    suspect: Option<usize>,
+    set_back: u32,
+    relations: Relations,
+    counts: OrderCounts,
+}
+
+impl Order {
+    /// An empty queue for a model.
+    pub fn new(spec: &'static Spec) -> Self {
+        Self {
+            spec,
+            clock: SensorClock::default(),
+            slots: Vec::with_capacity(SLOTS),
+            next_slot: 0,
+            held: Vec::with_capacity(HOLD + 1),
+            ready: VecDeque::with_capacity(HOLD + 4),
+            last: None,
+            suspect: None,
+            set_back: 0,
+            relations: Relations::new(spec),
+            counts: OrderCounts::default(),
+        }
+    }
+
+    /// What happened so far.
+    pub fn counts(&self) -> OrderCounts {
+        self.counts
+    }
+
+    /// The sensor's clock, at the newest packet that came out.
+    pub fn clock(&self) -> &SensorClock {
+        &self.clock
+    }
+
+    /// The sector that the sensor leaves out every turn, once it was seen.
+    pub fn sector(&self) -> Option<Sector> {
+        self.relations.sector()
+    }
+
+    /// Takes a packet in. Call [`Order::pop`] until it is empty before the next one.
+    ///
+    /// # Errors
+    /// [`Refusal`]: the packet will not come out.
+    pub fn push(&mut self, bytes: &DataPacket, mode: ReturnMode, number: u64, arrival_ns: i64) -> Result<(), Refusal> {
+        let mut motion = Motion::of(bytes, mode, self.spec).map_err(Refusal::Implausible)?;
+        if self.slots.iter().any(|known| known.bytes.stamp_us() == bytes.stamp_us() && known.bytes == *bytes) {
+            return Err(Refusal::Duplicate);
+        }
+        if let Some((_, sector)) = motion.left_out {
+            motion.silent_ns = sector.silent_ns(self.relations.rate(&motion), self.spec);
+        }
+        let time_ns = self.clock.read_ns(bytes.stamp_us());
+        let packet = Packet { bytes: *bytes, motion, mode, number, arrival_ns, time_ns };
+        let Some(last) = self.last else {
+            self.start(packet);
+            return Ok(());
+        };
+        let relation = self.relations.between(&self.slots[last], &packet);
+        if relation != Relation::Follows(Before::Nothing) && self.confirm(&packet) {
+            return Ok(());
+        }
+        match relation {
+            Relation::Follows(_) if self.relations.is_familiar(&motion) => {
+                self.set_back = 0;
+                self.drop_suspect();
+                let slot = self.store(packet);
+                self.hold(slot);
+                self.settle(HOLD);
+                Ok(())
+            }
+            Relation::Behind => self.look_back(packet),
+            Relation::Follows(_) | Relation::Unrelated => {
+                self.drop_suspect();
+                self.suspect = Some(self.store(packet));
+                Ok(())
+            }
+        }
+    }
+
+    /// The next packet in order, by its slot, and what lies before it; `None` when more must come first.
+    pub fn pop(&mut self) -> Option<(usize, Before)> {
+        self.ready.pop_front()
+    }
+
+    /// The packet in a slot that [`Order::pop`] named; it stays there while later packets are pushed one by one.
+    pub fn packet(&self, slot: usize) -> &Packet {
+        &self.slots[slot]
+    }
+
+    /// Waits no longer for what is missing: the stream ended or stalled.
+    pub fn flush(&mut self) {
+        self.settle(0);
+        self.drop_suspect();
+    }
+
+    /// Believes the doubtful packet if this one follows it.
+    fn confirm(&mut self, packet: &Packet) -> bool {
+        let Some((suspect, last)) = self.suspect.zip(self.last) else { return false };
+        let Relation::Follows(before) = self.relations.between(&self.slots[suspect], packet) else { return false };
+        let doubtful = &mut self.slots[suspect];
+        if before == Before::Nothing && doubtful.motion.left_out.is_some() {
+            // Now the silence is known exactly.
+            let period = i64::from(self.spec.packet_period_ns(packet.mode));
+            doubtful.motion.silent_ns = packet.time_ns - doubtful.time_ns - period;
+        }
+        self.suspect = None;
+        self.set_back = 0;
+        if let Relation::Follows(_) = self.relations.between(&self.slots[last], &self.slots[suspect]) {
+            self.hold(suspect);
+        } else {
+            self.settle(0);
+            self.release(suspect, Before::Start);
+        }
+        let slot = self.store(*packet);
+        self.hold(slot);
+        self.settle(HOLD);
+        true
+    }
+
+    /// A packet from before what has come out already. Many of them in a row: the clock was set back.
+    fn look_back(&mut self, packet: Packet) -> Result<(), Refusal> {
+        self.set_back += 1;
+        if self.set_back >= SET_BACK_PACKETS {
+            self.restart(packet);
+            return Ok(());
+        }
+        // Kept, so that its copy is known.
+        self.store(packet);
+        Err(Refusal::Behind { motion: packet.motion, time_ns: packet.time_ns })
+    }
+
+    /// Puts a packet among those held, by time.
+    fn hold(&mut self, slot: usize) {
+        let time_ns = self.slots[slot].time_ns;
+        let at = self.held.partition_point(|&held| self.slots[held].time_ns < time_ns);
+        self.counts.reordered += u64::from(at < self.held.len());
+        self.held.insert(at, slot);
+    }
+
+    /// Makes ready what follows directly, and what waits behind a gap when more than `patience` packets do.
+    fn settle(&mut self, patience: usize) {
+        while let (Some(&slot), Some(last)) = (self.held.first(), self.last) {
+            let Relation::Follows(before) = self.relations.between(&self.slots[last], &self.slots[slot]) else {
+                // Two of one stamp, or one that came between disagrees.
+                self.held.remove(0);
+                self.counts.unconfirmed += 1;
+                continue;
+            };
+            if matches!(before, Before::Lost { .. }) && self.held.len() <= patience {
+                return;
+            }
+            self.held.remove(0);
+            self.release(slot, before);
+        }
+    }
+
+    fn drop_suspect(&mut self) {
+        self.counts.unconfirmed += u64::from(self.suspect.take().is_some());
+    }
+
+    fn start(&mut self, packet: Packet) {
+        let slot = self.store(packet);
+        self.release(slot, Before::Start);
+    }
+
+    fn restart(&mut self, packet: Packet) {
+        self.flush();
+        self.set_back = 0;
+        self.start(packet);
+    }
+
+    fn release(&mut self, slot: usize, before: Before) {
+        let packet = &self.slots[slot];
+        self.clock.set(packet.bytes.stamp_us(), packet.time_ns);
+        let last = self.last.map(|last| &self.slots[last]);
+        self.relations.learn(last, &self.slots[slot], before);
+        self.last = Some(slot);
+        self.ready.push_back((slot, before));
+    }
+
+    /// Keeps a packet in the slot that was used longest ago.
+    fn store(&mut self, packet: Packet) -> usize {
+        if self.slots.len() >= SLOTS {
+            for _ in 0..SLOTS {
+                let slot = self.next_slot;
+                self.next_slot = (slot + 1) % SLOTS;
+                if !self.is_in_use(slot) {
+                    self.slots[slot] = packet;
+                    return slot;
+                }
+            }
+        }
+        // Beyond the usual number only if nobody takes out what is ready.
+        self.slots.push(packet);
+        self.slots.len() - 1
+    }
+
+    fn is_in_use(&self, slot: usize) -> bool {
+        self.held.contains(&slot)
+            || self.ready.iter().any(|&(ready, _)| ready == slot)
+            || self.suspect == Some(slot)
+            || self.last == Some(slot)
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use crate::sensor::Model;
+
+    const PERIOD_US: f64 = 1327.104;
+
+    /// The n-th packet of a VLP-16 at 600 rpm.
+    fn packet(n: u32) -> DataPacket {
+        let mut packet = DataPacket::new(1_000_000 + (f64::from(n) * PERIOD_US) as u32, 0x37, 0x22);
+        for (block, stored) in (0..).zip(&mut packet.blocks) {
+            stored.set_azimuth_cdeg(((f64::from(n * 12 + block) * 39.813_12) % 36_000.0) as u16);
+        }
+        packet
+    }
+
+    struct Line(Order);
+
+    impl Line {
+        /// After ten packets in order.
+        fn new() -> Self {
+            let mut line = Self(Order::new(Model::Vlp16.spec()));
+            (0..10).for_each(|n| assert_eq!(line.push(&packet(n), n).unwrap().len(), 1));
+            line
+        }
+
+        /// What comes out when this arrives in place `n`.
+        fn push(&mut self, packet: &DataPacket, n: u32) -> Result<Vec<(u64, Before)>, Refusal> {
+            let arrival_ns = (f64::from(n) * PERIOD_US * 1e3) as i64;
+            self.0.push(packet, ReturnMode::Strongest, u64::from(n), arrival_ns)?;
+            Ok(self.out())
+        }
+
+        fn out(&mut self) -> Vec<(u64, Before)> {
+            let mut out = Vec::new();
+            while let Some((slot, before)) = self.0.pop() {
+                out.push((self.0.packet(slot).number, before));
+            }
+            out
+        }
+    }
+
+    #[test]
+    fn behind_a_gap_four_packets_are_held() {
+        let mut line = Line::new();
+        (11..15).for_each(|n| assert_eq!(line.push(&packet(n), n), Ok(vec![])));
+        let out = line.push(&packet(15), 15).unwrap();
+        assert!(matches!(out[0], (11, Before::Lost { packets: 1, silence: None, .. })));
+        assert_eq!(out[1..], [12, 13, 14, 15].map(|n| (n, Before::Nothing)));
+        assert!(matches!(line.push(&packet(10), 16), Err(Refusal::Behind { .. })));
+        assert_eq!(line.push(&packet(10), 17), Err(Refusal::Duplicate));
+    }
+
+    /// Minutes ahead every stamp is near some beat; nobody waits for it, and nobody counts what never was.
+    #[test]
+    fn a_stamp_far_ahead_is_forgotten_with_the_next_packet() {
+        let mut line = Line::new();
+        let mut corrupt = packet(10);
+        corrupt.set_stamp_us(corrupt.stamp_us() + 100 * 1_327_104);
+        assert_eq!(line.push(&corrupt, 10), Ok(vec![]));
+        (11..15).for_each(|n| assert_eq!(line.push(&packet(n), n), Ok(vec![])));
+        let out = line.push(&packet(15), 15).unwrap();
+        assert!(matches!(out[0], (11, Before::Lost { packets: 1, .. })));
+        line.0.flush();
+        assert_eq!((line.out(), line.0.counts()), (vec![], OrderCounts { reordered: 0, unconfirmed: 1 }));
+    }
+
+    /// One azimuth at the end of a packet cannot tell a sector that is left out from a corrupt byte; the next stamp can.
+    #[test]
+    fn a_jump_at_the_edge_of_a_packet_waits_for_the_next_stamp() {
+        for block in [0, 11] {
+            let mut line = Line::new();
+            let mut corrupt = packet(10);
+            corrupt.blocks[block].set_azimuth_cdeg(20_000);
+            assert_eq!(line.push(&corrupt, 10), Ok(vec![]));
+            assert_eq!(line.push(&packet(11), 11), Ok(vec![]));
+            line.0.flush();
+            assert!(matches!(line.out()[..], [(11, Before::Lost { packets: 1, .. })]));
+
+            let mut line = Line::new();
+            let mut leaping = packet(10);
+            let beyond = packet(10 + 37);
+            let from = block.max(1);
+            for (stored, later) in leaping.blocks.iter_mut().zip(&beyond.blocks).skip(from) {
+                stored.set_azimuth_cdeg(later.azimuth_cdeg());
+            }
+            assert_eq!(line.push(&leaping, 10), Ok(vec![]));
+            let out = line.push(&packet(48), 48).unwrap();
+            assert_eq!(out, [(10, Before::Nothing), (48, Before::Nothing)]);
+            assert!(line.0.sector().is_some());
+        }
+    }
+
+    #[test]
+    fn a_clock_that_jumps_is_believed_when_the_next_packet_agrees() {
+        let mut line = Line::new();
+        let mut jumped = [packet(10), packet(11)];
+        jumped.iter_mut().for_each(|one| one.set_stamp_us(one.stamp_us() + 77_777_777));
+        assert_eq!(line.push(&jumped[0], 10), Ok(vec![]));
+        assert_eq!(line.push(&jumped[1], 11), Ok(vec![(10, Before::Start), (11, Before::Nothing)]));
+        assert_eq!(line.0.counts(), OrderCounts::default());
+    }
+
+    #[test]
+    fn it_keeps_its_promises_when_nobody_takes_out_what_is_ready() {
+        let mut order = Order::new(Model::Vlp16.spec());
+        for n in 0..200 {
+            order.push(&packet(n), ReturnMode::Strongest, u64::from(n), 0).unwrap();
+        }
+        let mut numbers = std::iter::from_fn(|| order.pop().map(|(slot, _)| order.packet(slot).number));
+        assert!((0..200).all(|n| numbers.next() == Some(n)));
+    }
+}

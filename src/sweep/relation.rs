@@ -1,0 +1,276 @@
+//! How two packets stand to each other: by the sensor's clock, by where the head was, and by the host's clock if need be.
+//!
+//! An interval of more than a packet period is loss, when it is a whole number of periods and the head is where its speed
+//! brought it; a sector that the sensor leaves out, when it is a whole number of blocks; else the clock jumped.
+
+use super::motion::{Motion, Sector, TURN, ahead, shortest};
+use crate::sensor::model::Spec;
+use crate::wire::DataPacket;
+use crate::wire::data::ReturnMode;
+
+/// A packet that looks back further than this comes from another clock.
+const LOOK_BACK_NS: i64 = 1_000_000_000;
+/// How far an interval may be from a whole number of periods: two truncated stamps, and drift over the interval.
+const STAMP_SLACK_NS: i64 = 3_000;
+/// How far the pulse per second may set the sensor's clock, which drifts by up to 60 us a second: no jump.
+const CORRECTION_NS: i64 = 100_000;
+/// How far the head may be from where its speed would have brought it, hundredths of a degree and share of the way.
+const AZIMUTH_SLACK: (f64, f64) = (100.0, 0.1);
+/// How far a packet that follows directly may be from where the head should be, hundredths of a degree.
+const FOLLOWING_CDEG: f64 = 300.0;
+/// The shortest way that the head may turn in silence, hundredths of a degree.
+const LEAST_SECTOR_CDEG: f64 = 200.0;
+/// How far the edges of a sector may be from where they were the turn before, hundredths of a degree.
+const SECTOR_SLACK_CDEG: f64 = 300.0;
+/// How exactly the time of silence inside a packet is known beforehand: a share of it, and blocks.
+const SILENCE_SLACK: (i64, i64) = (20, 3);
+/// How far the interval of arrival may be from that of the stamps, beyond a quarter of it.
+const ARRIVAL_SLACK_NS: i64 = 20_000_000;
+
+/// A packet in the order of the sensor's clock.
+#[derive(Clone, Copy, Debug)]
+pub struct Packet {
+    /// Its bytes.
+    pub bytes: DataPacket,
+    /// How the head moved.
+    pub motion: Motion,
+    /// Its return mode.
+    pub mode: ReturnMode,
+    /// Ordinal among this sensor's data packets.
+    pub number: u64,
+    /// Arrival, nanoseconds since 1970.
+    pub arrival_ns: i64,
+    /// Sensor time of its first shot; see [`SensorClock`](super::clock::SensorClock).
+    pub time_ns: i64,
+}
+
+impl Packet {
+    /// Sensor time of the first shot of a firing.
+    pub fn firing_ns(&self, firing: usize, spec: &Spec) -> i64 {
+        self.time_ns + self.motion.offset_ns(firing, spec)
+    }
+}
+
+/// What lies between a packet and the one before.
+#[derive(Clone, Copy, Debug, PartialEq)]
+pub enum Before {
+    /// Nothing that could be related: the first packet, another return mode, or a clock that jumped.
+    Start,
+    /// Nothing: it follows directly.
+    Nothing,
+    /// A sector that the sensor leaves out.
+    Silence,
+    /// Packets that were lost.
+    Lost {
+        /// How many.
+        packets: u32,
+        /// How far the head turned from the end of the packet before, hundredths of a degree, whole turns too; negative
+        /// when it turns backwards.
+        travelled_cdeg: f64,
+        /// The sector that the sensor left out meanwhile.
+        silence: Option<Sector>,
+    },
+}
+
+/// How a packet stands to an earlier one.
+#[derive(Clone, Copy, Debug, PartialEq)]
+pub enum Relation {
+    /// After it, with this in between.
+    Follows(Before),
+    /// Before it.
+    Behind,
+    /// No head that turns and no clock that runs leads from one to the other.
+    Unrelated,
+}
+
+/// What lies between two packets, by stamps and azimuths.
+struct Between {
+    /// Where the head was at the end of the earlier one.
+    from_cdeg: f64,
+    /// How far it turned since, whole turns too; negative when it turns backwards.
+    travelled_cdeg: f64,
+    rate_cdeg_ns: f64,
+    /// Time without a firing.
+    unfired_ns: i64,
+}
+
+impl Between {
+    fn expected_cdeg(&self) -> f64 {
+        self.rate_cdeg_ns * self.unfired_ns as f64
+    }
+
+    /// How far the head is from where it should be.
+    fn off_cdeg(&self) -> f64 {
+        (self.travelled_cdeg - self.expected_cdeg()).abs()
+    }
+}
+
+/// What the packets so far tell of the head, to judge the next ones by.
+#[derive(Debug)]
+pub struct Relations {
+    spec: &'static Spec,
+    /// The sector that the sensor leaves out every turn.
+    sector: Option<Sector>,
+    /// Turning rate, a mean over about a quarter of a turn: that of one packet carries the encoder's noise.
+    rate_cdeg_ns: Option<f64>,
+}
+
+impl Relations {
+    /// Nothing is known yet.
+    pub fn new(spec: &'static Spec) -> Self {
+        Self { spec, sector: None, rate_cdeg_ns: None }
+    }
+
+    /// The sector that the sensor leaves out every turn, once it was seen.
+    pub fn sector(&self) -> Option<Sector> {
+        self.sector
+    }
+
+    /// How the packet stands to an earlier one.
+    pub fn between(&self, last: &Packet, packet: &Packet) -> Relation {
+        let interval = packet.time_ns - last.time_ns;
+        if packet.mode != last.mode || interval < -LOOK_BACK_NS {
+            return Relation::Unrelated;
+        }
+        if interval <= 0 {
+            return Relation::Behind;
+        }
+        let period = i64::from(self.spec.packet_period_ns(last.mode));
+        let between = self.way(last, packet, interval - period);
+        match between.unfired_ns {
+            // Not when all azimuths of one of them are wrong.
+            unfired if unfired.abs() <= CORRECTION_NS && between.off_cdeg() < FOLLOWING_CDEG => {
+                Relation::Follows(Before::Nothing)
+            }
+            unfired if unfired < 0 => Relation::Unrelated,
+            _ => self.gap(last, packet, &between),
+        }
+    }
+
+    /// Time and way from the end of one packet to the start of another.
+    fn way(&self, last: &Packet, packet: &Packet, beyond_ns: i64) -> Between {
+        let rate = self.rate(&last.motion);
+        let from_cdeg = last.motion.next_cdeg();
+        let mut unfired_ns = beyond_ns - last.motion.silent_ns;
+        let expected = rate * unfired_ns as f64;
+        let travelled = expected + shortest(packet.motion.first_cdeg() - from_cdeg - expected);
+        if last.motion.left_out.is_some() && rate != 0.0 {
+            // The silence inside the packet was estimated, but the azimuths tell how long ago it ended.
+            let block_ns = i64::from(self.spec.block_period_ns());
+            let by_azimuth = (travelled / rate / block_ns as f64).round() as i64 * block_ns;
+            let (share, blocks) = SILENCE_SLACK;
+            if (by_azimuth - unfired_ns).abs() <= last.motion.silent_ns / share + blocks * block_ns {
+                unfired_ns = by_azimuth;
+            }
+        }
+        Between { from_cdeg, travelled_cdeg: travelled, rate_cdeg_ns: rate, unfired_ns }
+    }
+
+    /// What a gap between two packets is: loss, a sector left out, both, or a clock that jumped.
+    fn gap(&self, last: &Packet, packet: &Packet, between: &Between) -> Relation {
+        let Between { travelled_cdeg, rate_cdeg_ns, unfired_ns, .. } = *between;
+        let expected = between.expected_cdeg();
+        let (least, share) = AZIMUTH_SLACK;
+        let in_place = between.off_cdeg() < least + share * expected.abs();
+        // Within a turn the head is the witness; later its place says little, and the host's clock is.
+        let within_turn = expected.abs() < TURN && rate_cdeg_ns != 0.0;
+        let trusted = if within_turn { in_place } else { on_time(last, packet) };
+        if !trusted {
+            return Relation::Unrelated;
+        }
+        let period = i64::from(self.spec.packet_period_ns(last.mode));
+        let (passed, silence_ns) = self.silence(between);
+        let lost = (unfired_ns - silence_ns + period / 2).div_euclid(period);
+        let off_beat = (unfired_ns - silence_ns - lost * period).abs();
+        let block_ns = i64::from(self.spec.block_period_ns());
+        if passed > 0 && off_beat <= SILENCE_SLACK.1 * block_ns * passed {
+            return Relation::Follows(lost_or(Before::Silence, lost, travelled_cdeg, self.sector));
+        }
+        let slack = STAMP_SLACK_NS + unfired_ns / 50_000;
+        if off_beat <= slack {
+            return Relation::Follows(lost_or(Before::Nothing, lost, travelled_cdeg, None));
+        }
+        // Silence that began exactly between two packets: a whole number of blocks, and not of packets.
+        let blocks = (unfired_ns + block_ns / 2).div_euclid(block_ns);
+        let on_block = (unfired_ns - blocks * block_ns).abs() <= slack;
+        if in_place && on_block && (LEAST_SECTOR_CDEG..TURN - LEAST_SECTOR_CDEG).contains(&travelled_cdeg.abs()) {
+            return Relation::Follows(Before::Silence);
+        }
+        if off_beat <= CORRECTION_NS && in_place && on_time(last, packet) {
+            return Relation::Follows(lost_or(Before::Nothing, lost, travelled_cdeg, None));
+        }
+        Relation::Unrelated
+    }
+
+    /// How often the head passed the sector that is left out, and how long it was silent.
+    fn silence(&self, between: &Between) -> (i64, i64) {
+        let Some(sector) = self.sector else { return (0, 0) };
+        let to_sector = sector.ahead_of(between.from_cdeg, between.rate_cdeg_ns);
+        let beyond = between.travelled_cdeg.abs() + LEAST_SECTOR_CDEG - to_sector - sector.width_cdeg;
+        let passed = if beyond < 0.0 { 0 } else { 1 + (beyond / TURN) as i64 };
+        (passed, passed * sector.silent_ns(between.rate_cdeg_ns, self.spec))
+    }
+
+    /// The turning rate, by this packet if no other told it.
+    pub fn rate(&self, motion: &Motion) -> f64 {
+        self.rate_cdeg_ns.unwrap_or_else(|| motion.rate_cdeg_ns(self.spec))
+    }
+
+    /// Whether a packet leaves nothing out but what was left out the turn before: else one of its azimuths may be corrupt.
+    pub fn is_familiar(&self, motion: &Motion) -> bool {
+        let Some((_, seen)) = motion.left_out else { return true };
+        self.sector.is_some_and(|known| {
+            shortest(seen.from_cdeg - known.from_cdeg).abs() < SECTOR_SLACK_CDEG
+                && (seen.width_cdeg - known.width_cdeg).abs() < 2.0 * SECTOR_SLACK_CDEG
+        })
+    }
+
+    /// Learns from a packet how fast the head turns and which sector is left out, and forgets the sector when the sensor
+    /// measures inside it.
+    pub fn learn(&mut self, last: Option<&Packet>, packet: &Packet, before: Before) {
+        if before == Before::Start {
+            (self.sector, self.rate_cdeg_ns) = (None, None);
+        }
+        let motion = &packet.motion;
+        if let Some(last) = last.filter(|_| matches!(before, Before::Nothing | Before::Silence)) {
+            self.learn_rate(last, packet, before);
+        }
+        if let Some((_, sector)) = motion.left_out {
+            self.sector = Some(sector);
+        } else if let (Before::Silence, Some(last)) = (before, last) {
+            let from_cdeg = last.motion.next_cdeg();
+            let width_cdeg = ahead(from_cdeg, motion.first_cdeg(), motion.step_cdeg);
+            self.sector = Some(Sector { from_cdeg, width_cdeg });
+        } else if let Some(sector) = self.sector {
+            let inside = ahead(sector.from_cdeg, motion.first_cdeg(), motion.step_cdeg);
+            if inside > LEAST_SECTOR_CDEG && inside < sector.width_cdeg - LEAST_SECTOR_CDEG {
+                self.sector = None;
+            }
+        }
+    }
+
+    fn learn_rate(&mut self, last: &Packet, packet: &Packet, before: Before) {
+        let (from, to) = (last.motion.first_cdeg(), packet.motion.first_cdeg());
+        let far = before == Before::Silence || last.motion.left_out.is_some();
+        let sense = last.motion.step_cdeg.signum();
+        let travelled = if far { sense * ahead(from, to, sense) } else { shortest(to - from) };
+        let measured = travelled / (packet.time_ns - last.time_ns) as f64;
+        // The further the head went, the less the encoder's noise matters.
+        let weight = (travelled.abs() / (travelled.abs() + TURN / 4.0)).max(0.03);
+        self.rate_cdeg_ns = Some(self.rate_cdeg_ns.map_or(measured, |rate| rate + weight * (measured - rate)));
+    }
+}
+
+/// Whether the host waited about as long as the stamps say.
+fn on_time(last: &Packet, packet: &Packet) -> bool {
+    let interval = packet.time_ns - last.time_ns;
+    let waited = packet.arrival_ns.saturating_sub(last.arrival_ns);
+    waited.saturating_sub(interval).saturating_abs() < interval / 4 + ARRIVAL_SLACK_NS
+}
+
+fn lost_or(nothing: Before, lost: i64, travelled_cdeg: f64, silence: Option<Sector>) -> Before {
+    match u32::try_from(lost) {
+        Ok(packets) if packets > 0 => Before::Lost { packets, travelled_cdeg, silence },
+        _ => nothing,
+    }
+}
