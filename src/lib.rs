@@ -4,6 +4,9 @@
 #![warn(missing_docs)]
 
 pub mod capture;
+pub mod cloud;
+pub mod pipeline;
+pub mod segment;
 pub mod sensor;
 pub mod sweep;
 pub mod wire;

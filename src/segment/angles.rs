@@ -1,0 +1,171 @@
+//! The angles between neighbouring measurements: the alpha of the beta test.
+
+use std::f64::consts::{PI, TAU};
+
+use crate::sweep::layout::flags;
+use crate::sweep::{BeamRow, Column, SweepRef};
+
+/// Columns further apart than this many nominal pitches are no neighbours.
+const MAX_PITCHES: f64 = 3.0;
+
+/// The true angle between each two measurements that are neighbours in an image.
+///
+/// Between two rows of a column it follows from the beams: their elevations, and the little that the head turns from
+/// one shot to the other. Between two columns it follows from the measured azimuths, and shrinks with the cosine of the
+/// elevation.
+#[derive(Clone, Debug, Default)]
+pub struct Angles {
+    down_rad: Vec<f64>,
+    cos_elevation: Vec<f64>,
+    gap_rad: Vec<Option<f64>>,
+    sorted_rad: Vec<f64>,
+}
+
+impl Angles {
+    /// Angles of an image whose columns are spread evenly over a whole turn, and as far apart in every row: the
+    /// approximation of the paper. `down_rad[r]` is the angle between row `r` and the one below it.
+    pub fn even(down_rad: &[f64], columns: usize, circular: bool) -> Self {
+        let mut gap_rad = vec![Some(TAU / columns as f64); columns];
+        if let (false, Some(seam)) = (circular, gap_rad.first_mut()) {
+            *seam = None;
+        }
+        let cos_elevation = vec![1.0; down_rad.len() + 1];
+        Self { down_rad: down_rad.to_vec(), cos_elevation, gap_rad, sorted_rad: Vec::new() }
+    }
+
+    /// Takes room for so many columns.
+    pub(super) fn reserve(&mut self, columns: usize) {
+        super::reserve(&mut self.gap_rad, columns);
+        super::reserve(&mut self.sorted_rad, columns);
+    }
+
+    /// Takes the angles of a sweep.
+    pub fn measure(&mut self, sweep: &SweepRef<'_>) {
+        self.measure_rows(sweep.beams, mean_rate_rad_s(sweep.columns));
+        self.measure_columns(sweep.columns, sweep.header.has(flags::CIRCULAR));
+    }
+
+    fn measure_rows(&mut self, beams: &[BeamRow], rate_rad_s: f64) {
+        let turn = |beam: &BeamRow| turn_rad(beam, rate_rad_s);
+        self.down_rad.clear();
+        self.down_rad.extend(beams.windows(2).map(|pair| {
+            let [high, low] = [f64::from(pair[0].elevation_rad), f64::from(pair[1].elevation_rad)];
+            let upright = ((high - low) / 2.0).sin();
+            let sideways = ((turn(&pair[0]) - turn(&pair[1])) / 2.0).sin();
+            2.0 * (upright * upright + high.cos() * low.cos() * sideways * sideways).sqrt().min(1.0).asin()
+        }));
+        self.cos_elevation.clear();
+        self.cos_elevation.extend(beams.iter().map(|beam| f64::from(beam.elevation_rad).cos()));
+    }
+
+    /// The nominal pitch is the median of the gaps themselves, so that it needs no model and holds at any speed.
+    fn measure_columns(&mut self, columns: &[Column], circular: bool) {
+        self.gap_rad.clear();
+        self.sorted_rad.clear();
+        let Some(last) = columns.last() else { return };
+        let before = std::iter::once(last).chain(columns);
+        self.gap_rad.extend(before.zip(columns).map(|(before, column)| Some(gap_rad(before, column))));
+        if !circular {
+            self.gap_rad[0] = None;
+        }
+        self.sorted_rad.extend(self.gap_rad.iter().flatten());
+        if self.sorted_rad.is_empty() {
+            return;
+        }
+        let middle = (self.sorted_rad.len() - 1) / 2;
+        let pitch_rad = *self.sorted_rad.select_nth_unstable_by(middle, f64::total_cmp).1;
+        for gap in &mut self.gap_rad {
+            *gap = gap.filter(|&gap| gap < MAX_PITCHES * pitch_rad);
+        }
+    }
+
+    /// Rows of the image.
+    pub fn rows(&self) -> usize {
+        self.cos_elevation.len()
+    }
+
+    /// Columns of the image.
+    pub fn columns(&self) -> usize {
+        self.gap_rad.len()
+    }
+
+    /// Angle between the measurements of a row and the row below it, radians.
+    pub fn down_rad(&self, row: usize) -> f64 {
+        self.down_rad[row]
+    }
+
+    /// Azimuth from the column before to this one, radians; of column 0, from the last one. None where the two are no
+    /// neighbours.
+    pub fn gap_rad(&self, column: usize) -> Option<f64> {
+        self.gap_rad[column]
+    }
+
+    /// What the angle between two columns shrinks with in a row: the cosine of its elevation.
+    pub fn cos_elevation(&self, row: usize) -> f64 {
+        self.cos_elevation[row]
+    }
+
+    /// Angle between the measurements of a row in a column and the one before it, radians. None where the two are no
+    /// neighbours.
+    pub fn across_rad(&self, row: usize, column: usize) -> Option<f64> {
+        self.gap_rad[column].map(|gap| 2.0 * (self.cos_elevation[row] * (gap / 2.0).sin()).asin())
+    }
+}
+
+/// How far a beam points from the azimuth of its firing at this turning rate, radians.
+pub(super) fn turn_rad(beam: &BeamRow, rate_rad_s: f64) -> f64 {
+    rate_rad_s * f64::from(beam.time_offset_ns) * 1e-9 - f64::from(beam.rotation_rad)
+}
+
+/// Mean turning rate over a sweep, radians a second.
+pub(super) fn mean_rate_rad_s(columns: &[Column]) -> f64 {
+    let sum: f64 = columns.iter().map(|column| f64::from(column.azimuth_rate_rad_s)).sum();
+    sum / columns.len().max(1) as f64
+}
+
+/// Azimuth between two columns, whichever comes first, 0..pi.
+fn gap_rad(a: &Column, b: &Column) -> f64 {
+    let gap = (f64::from(a.azimuth_rad) - f64::from(b.azimuth_rad)).rem_euclid(TAU);
+    if gap > PI { TAU - gap } else { gap }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use crate::sensor::Beam;
+
+    fn columns(degrees: &[f32]) -> Vec<Column> {
+        degrees.iter().map(|d| Column::measured(0, 0, d.to_radians(), 60.0, 0)).collect()
+    }
+
+    #[test]
+    fn a_jump_of_three_pitches_parts_two_columns() {
+        let mut angles = Angles::default();
+        angles.measure_columns(&columns(&[356.0, 357.0, 358.0, 359.0, 0.0, 2.9, 6.0]), true);
+        let neighbours: Vec<bool> = (0..7).map(|column| angles.gap_rad(column).is_some()).collect();
+        assert_eq!(neighbours, [false, true, true, true, true, true, false]);
+        assert!((angles.gap_rad(4).unwrap().to_degrees() - 1.0).abs() < 1e-4);
+
+        angles.measure_columns(&columns(&[0.0, 90.0, 180.0, 270.0]), true);
+        assert!(angles.gap_rad(0).is_some());
+        angles.measure_columns(&columns(&[0.0, 90.0, 180.0, 270.0]), false);
+        assert!(angles.gap_rad(0).is_none());
+    }
+
+    /// On the horizon and by hand: 2 degrees of elevation and 0.5 of turn are hypot(2, 0.5) apart, nearly.
+    #[test]
+    fn rows_are_apart_by_elevation_and_turn() {
+        let row = |degrees: f64, time_ns| BeamRow::new(&Beam::ideal(0, degrees.to_radians()), time_ns);
+        let mut angles = Angles::default();
+        angles.measure_rows(&[row(1.0, 0), row(-1.0, 1_000_000)], 500_f64.to_radians());
+        assert!((angles.down_rad(0).to_degrees() - 2_f64.hypot(0.5)).abs() < 1e-3);
+    }
+
+    #[test]
+    fn a_steep_row_is_narrower() {
+        let mut angles = Angles::default();
+        angles.measure_rows(&[BeamRow::new(&Beam::ideal(0, 60_f64.to_radians()), 0)], 0.0);
+        angles.measure_columns(&columns(&[0.0, 1.0]), false);
+        assert!((angles.across_rad(0, 1).unwrap().to_degrees() - 0.5).abs() < 1e-4);
+    }
+}

@@ -1,0 +1,97 @@
+//! Ground by slope: each column is climbed from its lowest row, and what rises too steeply is no ground.
+//!
+//! The climb starts at the sensor's foot, the point of the ground straight below it, and goes on from each ground point
+//! to the next. So it needs the sensor's height, and holds for sparse sensors, whose first ground point is metres out.
+
+use super::connect::{MAX_ROWS, pack};
+use super::rays::Level;
+use crate::sweep::layout::is_return;
+
+/// What counts as ground.
+#[derive(Clone, Copy, Debug, PartialEq)]
+pub struct SlopeGround {
+    /// Steepest way from one ground point to the next, up or down, metres a metre.
+    pub max_slope: f32,
+    /// Highest rise from one ground point to the next, however far apart they are, metres. A fall has no such limit.
+    pub max_rise_m: f32,
+    /// Rise or fall that is allowed at any distance: the noise of near points, metres.
+    pub min_rise_m: f32,
+    /// A step over the return below that is higher than this, and steeper than 45 degrees, is an object's, metres.
+    pub max_step_m: f32,
+    /// Two returns further apart than this are no step, metres.
+    pub step_reach_m: f32,
+}
+
+impl Default for SlopeGround {
+    fn default() -> Self {
+        Self { max_slope: 0.15, max_rise_m: 0.4, min_rise_m: 0.1, max_step_m: 0.05, step_reach_m: 0.5 }
+    }
+}
+
+impl SlopeGround {
+    /// The ground pixels of a column as a word; the points of pixels without range are no points.
+    pub fn find(&self, range_m: &[f32], level: &[Level], height_m: f32) -> u128 {
+        let mut ground = [false; MAX_ROWS];
+        let mut foothold = Level { away_m: 0.0, height_m: -f64::from(height_m) };
+        let mut below = foothold;
+        for ((&range_m, &point), ground) in range_m.iter().zip(level).zip(&mut ground).rev() {
+            if is_return(range_m) {
+                if self.is_walkable(foothold, point) && !self.is_step(below, point) {
+                    *ground = true;
+                    foothold = point;
+                }
+                below = point;
+            }
+        }
+        pack(range_m.len(), |row| ground[row])
+    }
+
+    /// Whether one could walk from a ground point to another.
+    #[inline]
+    fn is_walkable(&self, from: Level, to: Level) -> bool {
+        let (away_m, rise_m) = (to.away_m - from.away_m, to.height_m - from.height_m);
+        let (min_m, max_m) = (f64::from(self.min_rise_m), f64::from(self.max_rise_m));
+        let slope_m = f64::from(self.max_slope) * away_m;
+        let rises_little = rise_m < min_m || (rise_m < slope_m && rise_m < max_m);
+        let falls_little = -rise_m < min_m || -rise_m < slope_m.abs();
+        rises_little && falls_little
+    }
+
+    /// Whether a point is the upper end of a steep step.
+    #[inline]
+    fn is_step(&self, below: Level, point: Level) -> bool {
+        let (away_m, rise_m) = (point.away_m - below.away_m, point.height_m - below.height_m);
+        let reach_m = f64::from(self.step_reach_m);
+        rise_m > f64::from(self.max_step_m)
+            && rise_m > away_m.abs()
+            && away_m * away_m + rise_m * rise_m < reach_m * reach_m
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    fn find(points: &[(f64, f64)]) -> u128 {
+        let level: Vec<Level> = points.iter().map(|&(away_m, height_m)| Level { away_m, height_m }).collect();
+        SlopeGround::default().find(&vec![1.0; level.len()], &level, 1.7)
+    }
+
+    /// Top row first: road, a car on it, and road behind the car.
+    #[test]
+    fn a_car_stands_on_the_ground_before_and_behind_it() {
+        let column = [(40.0, -1.6), (20.0, -1.65), (12.1, -0.4), (12.0, -1.0), (11.9, -1.2), (9.0, -1.7), (7.0, -1.72)];
+        assert_eq!(find(&column), 0b110_0011);
+    }
+
+    #[test]
+    fn the_first_point_is_held_against_the_foot_of_the_sensor() {
+        assert_eq!(find(&[(7.0, -1.6)]), 1, "a sparse sensor's first ground point is far out");
+        assert_eq!(find(&[(7.0, -0.8)]), 0, "a wall that hides all ground");
+    }
+
+    #[test]
+    fn a_kerb_ends_at_its_upper_edge() {
+        assert_eq!(find(&[(8.02, -1.58), (8.0, -1.69), (7.9, -1.7)]), 0b110);
+    }
+}

@@ -1,0 +1,126 @@
+//! The direction of every pixel, without a sine per pixel.
+//!
+//! A pixel's azimuth is its column's plus a turn of its row: the head goes on while the beams fire one after another,
+//! and some beams point aside. Sines of sums come from the sines of the parts; where a column turned faster or slower
+//! than the mean of the sweep, the rest of the turn is small enough for the first order (under 1e-3 radians, so 1e-6).
+
+use super::angles::{mean_rate_rad_s, turn_rad};
+use super::mount::Up;
+use crate::sweep::{BeamRow, Column, SweepRef};
+
+/// The directions of a sweep's pixels.
+#[derive(Clone, Debug, Default)]
+pub struct Rays {
+    rows: Vec<RowRay>,
+    columns: Vec<ColumnRay>,
+}
+
+#[derive(Clone, Copy, Debug)]
+struct RowRay {
+    cos_elevation: f64,
+    sin_elevation: f64,
+    cos_turn: f64,
+    sin_turn: f64,
+    time_offset_s: f64,
+    vertical_offset_m: f64,
+    horizontal_offset_m: f64,
+}
+
+#[derive(Clone, Copy, Debug)]
+struct ColumnRay {
+    cos_azimuth: f64,
+    sin_azimuth: f64,
+    /// Turning rate over the mean of the sweep, radians a second.
+    surplus_rad_s: f64,
+}
+
+/// A point as the ground sees it.
+#[derive(Clone, Copy, Debug, Default, PartialEq)]
+pub struct Level {
+    /// Distance from the sensor's plumb line, metres.
+    pub away_m: f64,
+    /// Height over the sensor's origin, metres.
+    pub height_m: f64,
+}
+
+impl Rays {
+    /// Takes room for so many columns.
+    pub(super) fn reserve(&mut self, columns: usize) {
+        super::reserve(&mut self.columns, columns);
+    }
+
+    /// Takes the directions of a sweep.
+    pub fn measure(&mut self, sweep: &SweepRef<'_>) {
+        let mean_rad_s = mean_rate_rad_s(sweep.columns);
+        self.rows.clear();
+        self.rows.extend(sweep.beams.iter().map(|beam| RowRay::new(beam, mean_rad_s)));
+        self.columns.clear();
+        self.columns.extend(sweep.columns.iter().map(|column| ColumnRay::new(column, mean_rad_s)));
+    }
+
+    /// x right, y forward, z up of a range in a pixel, metres.
+    #[inline]
+    pub fn point_m(&self, row: usize, column: usize, range_m: f32) -> [f64; 3] {
+        let (beam, firing) = (&self.rows[row], &self.columns[column]);
+        let [sin, cos] = firing.azimuth_of(beam);
+        let flat = f64::from(range_m) * beam.cos_elevation;
+        [
+            flat * sin - beam.horizontal_offset_m * cos,
+            flat * cos + beam.horizontal_offset_m * sin,
+            f64::from(range_m) * beam.sin_elevation + beam.vertical_offset_m,
+        ]
+    }
+
+    /// The points of a column as the ground sees them, one a row; what stands for a pixel without range is no point.
+    pub fn level_column(&self, column: usize, range_m: &[f32], up: Up, level: &mut [Level]) {
+        let rows = self.rows.iter().zip(range_m).zip(level);
+        if up.is_sensor_z() {
+            // One loop for most sensors, which need no azimuth here.
+            for ((beam, &range_m), level) in rows {
+                let flat = f64::from(range_m) * beam.cos_elevation;
+                let height_m = f64::from(range_m) * beam.sin_elevation + beam.vertical_offset_m;
+                let away_m = (flat * flat + beam.horizontal_offset_m * beam.horizontal_offset_m).sqrt();
+                *level = Level { away_m, height_m };
+            }
+            return;
+        }
+        for (row, (_, level)) in rows.enumerate() {
+            let [x, y, z] = self.point_m(row, column, range_m[row]);
+            let height_m = up.height_m([x, y, z]);
+            let away_m = (x * x + y * y + z * z - height_m * height_m).max(0.0).sqrt();
+            *level = Level { away_m, height_m };
+        }
+    }
+}
+
+impl RowRay {
+    fn new(beam: &BeamRow, mean_rad_s: f64) -> Self {
+        let (sin_elevation, cos_elevation) = f64::from(beam.elevation_rad).sin_cos();
+        let (sin_turn, cos_turn) = turn_rad(beam, mean_rad_s).sin_cos();
+        Self {
+            cos_elevation,
+            sin_elevation,
+            cos_turn,
+            sin_turn,
+            time_offset_s: f64::from(beam.time_offset_ns) * 1e-9,
+            vertical_offset_m: f64::from(beam.vertical_offset_m),
+            horizontal_offset_m: f64::from(beam.horizontal_offset_m),
+        }
+    }
+}
+
+impl ColumnRay {
+    fn new(column: &Column, mean_rad_s: f64) -> Self {
+        let (sin_azimuth, cos_azimuth) = f64::from(column.azimuth_rad).sin_cos();
+        Self { cos_azimuth, sin_azimuth, surplus_rad_s: f64::from(column.azimuth_rate_rad_s) - mean_rad_s }
+    }
+
+    /// Sine and cosine of a beam's azimuth when it fired.
+    #[inline]
+    fn azimuth_of(&self, beam: &RowRay) -> [f64; 2] {
+        let sin = self.sin_azimuth * beam.cos_turn + self.cos_azimuth * beam.sin_turn;
+        let cos = self.cos_azimuth * beam.cos_turn - self.sin_azimuth * beam.sin_turn;
+        let rest = self.surplus_rad_s * beam.time_offset_s;
+        [sin + rest * cos, cos - rest * sin]
+    }
+}
