@@ -8,5 +8,6 @@ pub mod cloud;
 pub mod pipeline;
 pub mod segment;
 pub mod sensor;
+pub mod simulate;
 pub mod sweep;
 pub mod wire;

@@ -1,0 +1,57 @@
+//! A sensor without a sensor: a scene, a head that turns in it, and the datagrams that a real one would send.
+//!
+//! ```text
+//! setting ->  Scene  ->  View::cast  ->  optics  ->  Emitter  ->  deliver  ->  SimulatedDatagram { bytes, truth }
+//! seed        solids     nearest hit     returns     packets      faults
+//! ```
+//!
+//! * [`shape`]: convex solids and rays. [`scene`]: objects of such solids, and the ray that finds the nearest.
+//! * [`props`]: what stands there. [`mod@street`], [`parking`], [`mod@field`], [`mod@room`]: the scenes; [`setting`]:
+//!   which of them, and where the sensors stand.
+//! * [`optics`]: from what a beam meets to the returns that the sensor reports.
+//! * [`emitter`]: time, turning head and packets, each return with its truth. [`gps`]: the position packets.
+//! * [`delivery`]: what a network does to datagrams. [`plan`]: faults at random rates.
+//! * [`fixtures`]: the captures in `pcap_fixtures/`.
+//!
+//! The simulator solves the problem forwards, from time to direction to bytes, and shares nothing with the decoder but
+//! the tables in [`crate::sensor`]: an error in one does not hide in the other. The same configuration gives the same
+//! bytes, and a packet depends on its number alone, not on those before it.
+//!
+//! ```
+//! use sweepd::sensor::Model;
+//! use sweepd::simulate::{Class, Emitter, EmitterConfig, street};
+//! use sweepd::wire::data::ReturnMode;
+//!
+//! let scene = street(1);
+//! let config = EmitterConfig::new(Model::Vlp16, ReturnMode::Strongest).turns(0.25);
+//! let cars = Emitter::new(config, &scene)
+//!     .filter_map(|sent| sent.truth)
+//!     .flat_map(|truth| truth.returns.into_iter().flatten().flatten())
+//!     .filter(|one| one.class == Class::Car)
+//!     .count();
+//! assert!(cars > 100);
+//! ```
+
+mod builder;
+
+pub mod delivery;
+pub mod emitter;
+pub mod field;
+pub mod fixtures;
+pub mod gps;
+pub mod optics;
+pub mod parking;
+pub mod plan;
+pub mod props;
+pub mod room;
+pub mod scene;
+pub mod setting;
+pub mod shape;
+pub mod street;
+
+pub use delivery::{Faults, deliver};
+pub use emitter::{Emitter, EmitterConfig, Motor, PacketTruth, ReturnTruth, SimulatedDatagram};
+pub use plan::Rates;
+pub use scene::{Class, Scene};
+pub use setting::Setting;
+pub use street::street;

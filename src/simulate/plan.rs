@@ -1,0 +1,140 @@
+//! Faults at random rates: which packets they strike is settled before the first one is sent.
+
+use fastrand::Rng;
+
+use super::delivery::Faults;
+
+/// How often what goes wrong, each as a share of the data packets, 0 to 1.
+#[derive(Clone, Copy, Debug, Default, PartialEq)]
+pub struct Rates {
+    /// Packets lost one by one.
+    pub loss: f64,
+    /// Packets with which a burst of losses begins.
+    pub burst_loss: f64,
+    /// Packets lost in each burst.
+    pub burst_len: u64,
+    /// Packets that arrive twice.
+    pub duplicate: f64,
+    /// Packets that arrive after the one behind them.
+    pub reorder: f64,
+    /// Packets of which one bit is flipped.
+    pub corrupt: f64,
+}
+
+/// Dice for each kind of fault, so that one rate does not change what the others strike.
+struct Dice {
+    loss: Rng,
+    burst: Rng,
+    duplicate: Rng,
+    reorder: Rng,
+    corrupt: Rng,
+}
+
+impl Dice {
+    fn new(seed: u64) -> Self {
+        let dice = |kind: u64| Rng::with_seed(seed ^ kind.wrapping_mul(0xD1B5_4A32_D192_ED03));
+        Self { loss: dice(1), burst: dice(2), duplicate: dice(3), reorder: dice(4), corrupt: dice(5) }
+    }
+}
+
+impl Rates {
+    /// What strikes a stream of so many data packets.
+    ///
+    /// The first and the last packet are spared: without them no receiver could tell what is missing. A packet suffers
+    /// one fault at most, and the one that overtakes it none, so that each fault can be counted at the other end.
+    pub fn plan(&self, seed: u64, packets: u64) -> Faults {
+        let mut faults = Faults::default();
+        if *self == (Self { burst_len: self.burst_len, ..Self::default() }) {
+            return faults;
+        }
+        let mut dice = Dice::new(seed);
+        let mut burst_end = 0;
+        // Whether the packet before is to be overtaken by this one, if that may be.
+        let mut waits = false;
+        for ordinal in 1..packets {
+            let last = ordinal + 1 == packets;
+            if dice.burst.f64() < self.burst_loss && ordinal >= burst_end {
+                burst_end = ordinal + self.burst_len;
+            }
+            let lost = (dice.loss.f64() < self.loss || ordinal < burst_end) && !last;
+            let twice = dice.duplicate.f64() < self.duplicate && !lost && !last;
+            let late = dice.reorder.f64() < self.reorder && !lost && !twice && !last;
+            let bit = (dice.corrupt.f64() < self.corrupt).then(|| dice.corrupt.u16(..BITS));
+            let corrupt = bit.filter(|_| !lost && !twice && !last);
+            let overtakes = waits && !lost && !twice && corrupt.is_none();
+            if overtakes {
+                faults.swapped.push(ordinal - 1);
+            }
+            if lost {
+                lose(&mut faults, ordinal);
+            } else if twice {
+                faults.duplicated.push(ordinal);
+            } else if let Some(bit) = corrupt {
+                faults.corrupted.push((ordinal, bit));
+            }
+            waits = late && corrupt.is_none() && !overtakes;
+        }
+        faults
+    }
+}
+
+/// Bits of a data packet.
+const BITS: u16 = crate::wire::data::DATA_PACKET_LEN as u16 * 8;
+
+fn lose(faults: &mut Faults, ordinal: u64) {
+    match faults.lost.last_mut() {
+        Some(range) if range.end() + 1 == ordinal => *range = *range.start()..=ordinal,
+        _ => faults.lost.push(ordinal..=ordinal),
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    const ALL: Rates =
+        Rates { loss: 0.05, burst_loss: 0.002, burst_len: 7, duplicate: 0.04, reorder: 0.03, corrupt: 0.02 };
+
+    #[test]
+    fn no_rate_is_no_fault_and_a_rate_is_met() {
+        assert_eq!(Rates { burst_len: 5, ..Rates::default() }.plan(1, 1000), Faults::default());
+        let near = |count: u64, share: f64| (count as f64 / 1e5 - share).abs() < 0.1 * share;
+        assert!(near(Rates { loss: 0.05, ..Rates::default() }.plan(1, 100_000).lost_packets(), 0.05));
+        let bursts = Rates { burst_loss: 0.002, burst_len: 10, ..Rates::default() }.plan(1, 100_000);
+        assert!(bursts.lost.iter().all(|range| (range.end() - range.start() + 1).is_multiple_of(10)));
+        assert!(near(bursts.lost_packets(), 0.02), "{}", bursts.lost_packets());
+        let faults = ALL.plan(1, 100_000);
+        assert!(near(faults.duplicated.len() as u64, 0.04 * 0.93), "{}", faults.duplicated.len());
+        assert!(near(faults.corrupted.len() as u64, 0.02 * 0.9), "{}", faults.corrupted.len());
+        assert!(near(faults.swapped.len() as u64, 0.03 * 0.88 * 0.88), "{}", faults.swapped.len());
+    }
+
+    #[test]
+    fn a_packet_suffers_one_fault_and_the_ends_none() {
+        for (seed, rates) in [(1, ALL), (2, Rates { loss: 1.0, ..ALL }), (3, Rates { reorder: 1.0, ..ALL })] {
+            let faults = rates.plan(seed, 5_000);
+            let mut struck: Vec<u64> = faults.lost.iter().cloned().flatten().collect();
+            struck.extend(&faults.duplicated);
+            struck.extend(faults.swapped.iter().flat_map(|&one| [one, one + 1]));
+            struck.extend(faults.corrupted.iter().map(|&(one, _)| one));
+            let count = struck.len();
+            struck.sort();
+            struck.dedup();
+            assert_eq!(struck.len(), count, "none twice");
+            assert!(!struck.contains(&0) && struck.iter().all(|&one| one < 5_000));
+            assert!(faults.lost_packets() < 4_999);
+            assert_eq!(faults, rates.plan(seed, 5_000));
+            assert_ne!(faults.duplicated, ALL.plan(seed + 9, 5_000).duplicated);
+        }
+        for packets in 0..4 {
+            ALL.plan(1, packets);
+        }
+    }
+
+    #[test]
+    fn one_rate_does_not_move_the_others() {
+        let alone = Rates { loss: 0.05, ..Rates::default() }.plan(4, 10_000);
+        let beside = Rates { loss: 0.05, duplicate: 0.2, corrupt: 0.1, ..Rates::default() }.plan(4, 10_000);
+        assert_eq!(alone.lost, beside.lost);
+    }
+}

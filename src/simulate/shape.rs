@@ -1,0 +1,340 @@
+//! Convex solids and the rays that meet them, in double precision.
+//!
+//! The scene's frame is the sensor's: x to the right, y ahead, z up, metres; headings and azimuths run clockwise from
+//! +y as seen from above.
+
+use nalgebra::Vector3;
+
+/// A point or a direction.
+pub type Vec3 = Vector3<f64>;
+
+/// A half-line with a direction of length 1.
+#[derive(Clone, Copy, Debug)]
+pub struct Ray {
+    /// Where it starts.
+    pub origin: Vec3,
+    /// Where it goes, length 1.
+    pub direction: Vec3,
+    /// The direction's azimuth, clockwise from +y, radians.
+    pub azimuth_rad: f64,
+}
+
+impl Ray {
+    /// The ray from a point towards an azimuth and an elevation, radians.
+    pub fn new(origin: Vec3, azimuth_rad: f64, elevation_rad: f64) -> Self {
+        let ((sin_a, cos_a), (sin_w, cos_w)) = (azimuth_rad.sin_cos(), elevation_rad.sin_cos());
+        Self { origin, direction: Vec3::new(cos_w * sin_a, cos_w * cos_a, sin_w), azimuth_rad }
+    }
+
+    /// The point this far along.
+    pub fn at(&self, distance_m: f64) -> Vec3 {
+        self.origin + self.direction * distance_m
+    }
+}
+
+/// A convex solid.
+#[derive(Clone, Copy, Debug, PartialEq)]
+pub enum Shape {
+    /// A cuboid, upright, turned about the vertical.
+    Cuboid {
+        /// Its centre.
+        centre: Vec3,
+        /// Half its width (across), length (along) and height.
+        half: Vec3,
+        /// Sine and cosine of the heading of its length.
+        heading: (f64, f64),
+    },
+    /// An upright cylinder with flat ends.
+    Cylinder {
+        /// Centre of its lower end.
+        foot: Vec3,
+        /// Its radius.
+        radius_m: f64,
+        /// Its height.
+        height_m: f64,
+    },
+    /// An ellipsoid whose axes are those of the frame; a sphere when they are equal.
+    Ellipsoid {
+        /// Its centre.
+        centre: Vec3,
+        /// Its semi-axes.
+        semi: Vec3,
+    },
+}
+
+/// The stretch of a ray inside a solid.
+#[derive(Clone, Copy, Debug, PartialEq)]
+pub struct Span {
+    /// Distance at which the ray enters.
+    pub enter_m: f64,
+    /// Distance at which it leaves.
+    pub leave_m: f64,
+    /// Cosine of the angle between the ray and the surface's normal where it enters, 0 to 1.
+    pub cos_incidence: f64,
+    /// The ray enters through an upright flat face.
+    pub wall: bool,
+}
+
+/// An upright prism that holds a shape: a turned rectangle between two heights.
+#[derive(Clone, Copy, Debug)]
+pub struct Bounds {
+    /// Centre of the rectangle.
+    pub centre: [f64; 2],
+    /// Half its width and length.
+    pub half: [f64; 2],
+    /// Sine and cosine of the heading of its length.
+    pub heading: (f64, f64),
+    /// Lowest and highest point.
+    pub z: [f64; 2],
+}
+
+impl Shape {
+    /// A cuboid on a base centre: width across, length along the heading, height upwards.
+    pub fn cuboid(base: [f64; 3], size: [f64; 3], heading_rad: f64) -> Self {
+        let half = Vec3::from(size) / 2.0;
+        Self::Cuboid { centre: Vec3::from(base) + Vec3::z() * half.z, half, heading: heading_rad.sin_cos() }
+    }
+
+    /// An upright cylinder on the centre of its foot.
+    pub fn cylinder(foot: [f64; 3], radius_m: f64, height_m: f64) -> Self {
+        Self::Cylinder { foot: Vec3::from(foot), radius_m, height_m }
+    }
+
+    /// An ellipsoid about its centre.
+    pub fn ellipsoid(centre: [f64; 3], semi: [f64; 3]) -> Self {
+        Self::Ellipsoid { centre: Vec3::from(centre), semi: Vec3::from(semi) }
+    }
+
+    /// Where a ray from outside passes through, if it does.
+    pub fn span(&self, ray: &Ray) -> Option<Span> {
+        match *self {
+            Self::Cuboid { centre, half, heading } => cuboid_span(ray, centre, half, heading),
+            Self::Cylinder { foot, radius_m, height_m } => cylinder_span(ray, foot, radius_m, height_m),
+            Self::Ellipsoid { centre, semi } => ellipsoid_span(ray, centre, semi),
+        }
+    }
+
+    /// A prism around it.
+    pub fn bounds(&self) -> Bounds {
+        match *self {
+            Self::Cuboid { centre: c, half: h, heading } => {
+                Bounds { centre: [c.x, c.y], half: [h.x, h.y], heading, z: [c.z - h.z, c.z + h.z] }
+            }
+            Self::Cylinder { foot: f, radius_m: r, height_m } => {
+                Bounds { centre: [f.x, f.y], half: [r, r], heading: (0.0, 1.0), z: [f.z, f.z + height_m] }
+            }
+            Self::Ellipsoid { centre: c, semi: s } => {
+                Bounds { centre: [c.x, c.y], half: [s.x, s.y], heading: (0.0, 1.0), z: [c.z - s.z, c.z + s.z] }
+            }
+        }
+    }
+}
+
+/// A horizontal vector in the frame of a heading: across (to the right) and along.
+pub fn turned(x: f64, y: f64, (sin, cos): (f64, f64)) -> [f64; 2] {
+    [x * cos - y * sin, x * sin + y * cos]
+}
+
+/// Distances at which a line enters and leaves the slab -half..half.
+fn slab(origin: f64, direction: f64, half: f64) -> Option<[f64; 2]> {
+    if direction == 0.0 {
+        return (origin.abs() <= half).then_some([f64::NEG_INFINITY, f64::INFINITY]);
+    }
+    let (a, b) = ((-half - origin) / direction, (half - origin) / direction);
+    Some([a.min(b), a.max(b)])
+}
+
+fn cuboid_span(ray: &Ray, centre: Vec3, half: Vec3, heading: (f64, f64)) -> Option<Span> {
+    let from = ray.origin - centre;
+    let [ox, oy] = turned(from.x, from.y, heading);
+    let [dx, dy] = turned(ray.direction.x, ray.direction.y, heading);
+    let (mut enter_m, mut leave_m) = (f64::NEG_INFINITY, f64::INFINITY);
+    let (mut cos_incidence, mut wall) = (0.0, false);
+    for (origin, direction, half, upright) in
+        [(ox, dx, half.x, true), (oy, dy, half.y, true), (from.z, ray.direction.z, half.z, false)]
+    {
+        let [a, b] = slab(origin, direction, half)?;
+        if a > enter_m {
+            (enter_m, cos_incidence, wall) = (a, direction.abs(), upright);
+        }
+        leave_m = leave_m.min(b);
+    }
+    (enter_m < leave_m && enter_m > 0.0).then_some(Span { enter_m, leave_m, cos_incidence, wall })
+}
+
+fn cylinder_span(ray: &Ray, foot: Vec3, radius_m: f64, height_m: f64) -> Option<Span> {
+    let (from, d) = (ray.origin - foot, ray.direction);
+    let (a, b) = (d.x * d.x + d.y * d.y, from.x * d.x + from.y * d.y);
+    let c = from.x * from.x + from.y * from.y - radius_m * radius_m;
+    let root = (b * b - a * c).max(0.0).sqrt();
+    if root == 0.0 {
+        return None;
+    }
+    let side = [(-b - root) / a, (-b + root) / a];
+    let ends = slab(from.z - height_m / 2.0, d.z, height_m / 2.0)?;
+    let leave_m = side[1].min(ends[1]);
+    let (enter_m, cos_incidence) = if side[0] >= ends[0] {
+        let normal = [(from.x + d.x * side[0]) / radius_m, (from.y + d.y * side[0]) / radius_m];
+        (side[0], (normal[0] * d.x + normal[1] * d.y).abs())
+    } else {
+        (ends[0], d.z.abs())
+    };
+    (enter_m < leave_m && enter_m > 0.0).then_some(Span { enter_m, leave_m, cos_incidence, wall: false })
+}
+
+fn ellipsoid_span(ray: &Ray, centre: Vec3, semi: Vec3) -> Option<Span> {
+    // Scaled by its axes the ellipsoid is the unit sphere, and distances along the ray stay what they are.
+    let from = (ray.origin - centre).component_div(&semi);
+    let d = ray.direction.component_div(&semi);
+    let (a, b, c) = (d.norm_squared(), from.dot(&d), from.norm_squared() - 1.0);
+    let square = b * b - a * c;
+    if square <= 0.0 {
+        return None;
+    }
+    let (enter_m, leave_m) = ((-b - square.sqrt()) / a, (-b + square.sqrt()) / a);
+    let normal = (from + d * enter_m).component_div(&semi).normalize();
+    let cos_incidence = normal.dot(&ray.direction).abs();
+    (enter_m > 0.0).then_some(Span { enter_m, leave_m, cos_incidence, wall: false })
+}
+
+impl Bounds {
+    /// The same prism, larger by a margin to all sides.
+    pub fn grown(mut self, margin_m: f64) -> Self {
+        self.half = self.half.map(|half| half + margin_m);
+        self.z = [self.z[0] - margin_m, self.z[1] + margin_m];
+        self
+    }
+
+    /// Horizontal distances from a point to the nearest and the farthest place of the prism; the nearest is 0 inside.
+    pub fn reach(&self, eye: Vec3) -> [f64; 2] {
+        let [x, y] = turned(eye.x - self.centre[0], eye.y - self.centre[1], self.heading);
+        let (x, y) = (x.abs(), y.abs());
+        let near = f64::hypot((x - self.half[0]).max(0.0), (y - self.half[1]).max(0.0));
+        [near, f64::hypot(x + self.half[0], y + self.half[1])]
+    }
+
+    /// Azimuth of the centre from a point outside, and the angles from there to the prism's two edges, radians.
+    pub fn azimuths(&self, eye: Vec3) -> (f64, [f64; 2]) {
+        let (sin, cos) = self.heading;
+        let (x, y) = (self.centre[0] - eye.x, self.centre[1] - eye.y);
+        let mut edges = [0.0_f64; 2];
+        for (across, along) in [(1.0, 1.0), (1.0, -1.0), (-1.0, 1.0), (-1.0, -1.0)] {
+            let (u, v) = (across * self.half[0], along * self.half[1]);
+            let (cx, cy) = (x + u * cos + v * sin, y - u * sin + v * cos);
+            // Clockwise from the centre; it cannot wrap, as a footprint seen from outside spans less than half a turn.
+            let angle = f64::atan2(cx * y - cy * x, cx * x + cy * y);
+            edges = [edges[0].min(angle), edges[1].max(angle)];
+        }
+        (f64::atan2(x, y), edges)
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use std::f64::consts::{FRAC_1_SQRT_2, FRAC_PI_2, FRAC_PI_4, PI, SQRT_2};
+
+    fn ray(azimuth_rad: f64, elevation_rad: f64) -> Ray {
+        Ray::new(Vec3::new(0.0, 0.0, 2.0), azimuth_rad, elevation_rad)
+    }
+
+    fn near(a: f64, b: f64) -> bool {
+        (a - b).abs() < 1e-12
+    }
+
+    #[test]
+    fn azimuth_0_is_ahead_and_90_degrees_to_the_right() {
+        assert!((ray(0.0, 0.0).direction - Vec3::y()).norm() < 1e-15);
+        assert!((ray(FRAC_PI_2, 0.0).direction - Vec3::x()).norm() < 1e-15);
+        assert!((ray(1.0, FRAC_PI_2).direction - Vec3::z()).norm() < 1e-15);
+    }
+
+    #[test]
+    fn a_cuboid_is_met_on_its_near_face() {
+        // Front face at y = 8, back face at y = 12.
+        let cuboid = Shape::cuboid([0.0, 10.0, 0.0], [3.0, 4.0, 3.0], 0.0);
+        let straight = cuboid.span(&ray(0.0, 0.0)).unwrap();
+        assert!(near(straight.enter_m, 8.0) && near(straight.leave_m, 12.0) && near(straight.cos_incidence, 1.0));
+        let oblique = cuboid.span(&ray(0.1, 0.0)).unwrap();
+        assert!(near(oblique.enter_m, 8.0 / 0.1_f64.cos()) && near(oblique.cos_incidence, 0.1_f64.cos()));
+        assert_eq!(cuboid.span(&ray(0.2, 0.0)), None, "8 m * tan 0.2 = 1.62 m, beside the face");
+        assert_eq!(cuboid.span(&ray(PI, 0.0)), None, "behind");
+        assert_eq!(cuboid.span(&ray(0.0, 0.2)), None, "over the top");
+    }
+
+    #[test]
+    fn a_cuboid_from_above_is_met_on_its_top() {
+        let cuboid = Shape::cuboid([0.0, 3.0, 0.0], [2.0, 4.0, 1.0], 0.0);
+        let span = cuboid.span(&ray(0.0, -FRAC_PI_4)).unwrap();
+        assert!(near(span.enter_m, SQRT_2) && near(span.cos_incidence, FRAC_1_SQRT_2) && !span.wall);
+    }
+
+    #[test]
+    fn a_turned_cuboid_is_met_at_its_corner() {
+        // A square of side 2, turned by 45 degrees: its near corner lies at 10 - sqrt 2.
+        let cuboid = Shape::cuboid([0.0, 10.0, 0.0], [2.0, 2.0, 4.0], FRAC_PI_4);
+        let span = cuboid.span(&ray(1e-9, 0.0)).unwrap();
+        assert!((span.enter_m - (10.0 - SQRT_2)).abs() < 1e-7 && (span.cos_incidence - FRAC_1_SQRT_2).abs() < 1e-8);
+        // The heading is clockwise: a long box at 45 degrees reaches to the far right.
+        let long = Shape::cuboid([0.0, 0.0, 0.0], [1.0, 20.0, 1.0], FRAC_PI_4);
+        let down = Ray::new(Vec3::new(6.0, 6.0, 5.0), 0.0, -FRAC_PI_2);
+        assert!(near(long.span(&down).unwrap().enter_m, 4.0));
+        assert_eq!(long.span(&Ray::new(Vec3::new(-6.0, 6.0, 5.0), 0.0, -FRAC_PI_2)), None);
+    }
+
+    #[test]
+    fn a_cylinder_is_met_on_its_side_and_on_its_top() {
+        let cylinder = Shape::cylinder([0.0, 5.0, 0.0], 0.5, 3.0);
+        let side = cylinder.span(&ray(0.0, 0.0)).unwrap();
+        assert!(near(side.enter_m, 4.5) && near(side.leave_m, 5.5) && near(side.cos_incidence, 1.0));
+        // 0.3 m beside the axis: the chord begins sqrt(0.25 - 0.09) = 0.4 m before the axis, at cosine 0.4 / 0.5.
+        let beside = Ray::new(Vec3::new(0.3, 0.0, 2.0), 0.0, 0.0);
+        let span = cylinder.span(&beside).unwrap();
+        assert!(near(span.enter_m, 4.6) && near(span.cos_incidence, 0.8));
+        let above = Ray::new(Vec3::new(0.0, 3.0, 5.0), 0.0, -FRAC_PI_4);
+        assert!(near(cylinder.span(&above).unwrap().enter_m, 2.0 * SQRT_2));
+        assert_eq!(cylinder.span(&Ray::new(Vec3::new(0.6, 0.0, 2.0), 0.0, 0.0)), None);
+        assert_eq!(cylinder.span(&Ray::new(Vec3::new(0.0, 0.0, 3.1), 0.0, 0.0)), None);
+    }
+
+    #[test]
+    fn a_sphere_and_an_ellipsoid_are_met_where_the_formula_says() {
+        let sphere = Shape::ellipsoid([0.0, 10.0, 2.0], [2.0; 3]);
+        let span = sphere.span(&ray(0.0, 0.0)).unwrap();
+        assert!(near(span.enter_m, 8.0) && near(span.leave_m, 12.0) && near(span.cos_incidence, 1.0));
+        // 1.2 m beside the centre: sqrt(4 - 1.44) = 1.6 m before it, at cosine 1.6 / 2.
+        let beside = Ray::new(Vec3::new(1.2, 0.0, 2.0), 0.0, 0.0);
+        let span = sphere.span(&beside).unwrap();
+        assert!(near(span.enter_m, 8.4) && near(span.cos_incidence, 0.8));
+        let flat = Shape::ellipsoid([0.0, 10.0, 2.0], [3.0, 1.0, 0.5]);
+        assert!(near(flat.span(&ray(0.0, 0.0)).unwrap().enter_m, 9.0));
+        assert_eq!(flat.span(&Ray::new(Vec3::new(0.0, 0.0, 2.6), 0.0, 0.0)), None);
+    }
+
+    #[test]
+    fn every_ray_that_meets_a_shape_lies_within_its_bounds() {
+        let eye = Vec3::new(0.0, 0.0, 2.0);
+        let mut rng = fastrand::Rng::with_seed(1);
+        for _ in 0..20_000 {
+            let place = [rng.f64() * 40.0 - 20.0, rng.f64() * 40.0 - 20.0, rng.f64() * 3.0];
+            let size = [0.1 + rng.f64() * 5.0, 0.1 + rng.f64() * 9.0, 0.1 + rng.f64() * 4.0];
+            let shape = match rng.u8(0..3) {
+                0 => Shape::cuboid(place, size, rng.f64() * 7.0),
+                1 => Shape::cylinder(place, size[0], size[2]),
+                _ => Shape::ellipsoid(place, size),
+            };
+            let bounds = shape.bounds();
+            let [near, far] = bounds.reach(eye);
+            if near == 0.0 {
+                continue;
+            }
+            let (centre, edges) = bounds.azimuths(eye);
+            let ray = ray(centre + (rng.f64() - 0.5) * 2.0, (rng.f64() - 0.5) * 0.8);
+            let Some(span) = shape.span(&ray) else { continue };
+            let off = (ray.azimuth_rad - centre).sin().atan2((ray.azimuth_rad - centre).cos());
+            assert!(edges[0] - 1e-9 <= off && off <= edges[1] + 1e-9, "{shape:?}: {off} not in {edges:?}");
+            let across = (ray.at(span.enter_m) - eye).xy().norm();
+            assert!(near - 1e-9 <= across && across <= far + 1e-9, "{shape:?}: {across} not in {near}..{far}");
+        }
+    }
+}
