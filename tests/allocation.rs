@@ -1,0 +1,95 @@
+//! After the first turns the way from datagram to labelled sweep allocates nothing.
+
+#[path = "common/stream.rs"]
+mod stream;
+
+use std::alloc::{GlobalAlloc, Layout, System};
+use std::sync::atomic::{AtomicU64, Ordering};
+
+use stream::Spin;
+use sweepd::pipeline::{Config, Pipeline, Untimed};
+use sweepd::segment::Method;
+use sweepd::sensor::Model;
+use sweepd::simulate::{Emitter, EmitterConfig, street};
+use sweepd::sweep::HeapBuffers;
+use sweepd::wire::data::ReturnMode;
+
+struct Counting;
+
+static ALLOCATIONS: AtomicU64 = AtomicU64::new(0);
+
+// SAFETY: every call goes to the system's allocator as it came.
+unsafe impl GlobalAlloc for Counting {
+    unsafe fn alloc(&self, layout: Layout) -> *mut u8 {
+        ALLOCATIONS.fetch_add(1, Ordering::Relaxed);
+        // SAFETY: the caller's promises are the ones that `System` asks for.
+        unsafe { System.alloc(layout) }
+    }
+
+    unsafe fn dealloc(&self, pointer: *mut u8, layout: Layout) {
+        // SAFETY: as above.
+        unsafe { System.dealloc(pointer, layout) }
+    }
+}
+
+#[global_allocator]
+static COUNTING: Counting = Counting;
+
+/// Allocations during each sweep: from the first of its datagrams to the moment it is labelled and let go.
+fn per_sweep(config: Config, datagrams: &[(Vec<u8>, i64)]) -> Vec<u64> {
+    let mut pipeline = Pipeline::new("test", config, HeapBuffers::default(), Untimed).unwrap();
+    let mut counts = Vec::with_capacity(100);
+    let mut before = ALLOCATIONS.load(Ordering::Relaxed);
+    for (payload, arrival_ns) in datagrams {
+        pipeline.push(&stream::datagram(payload, *arrival_ns)).unwrap();
+        pipeline.tick(*arrival_ns);
+        while let Some(sweep) = pipeline.poll() {
+            drop(sweep);
+            let now = ALLOCATIONS.load(Ordering::Relaxed);
+            counts.push(now - before);
+            before = now;
+        }
+    }
+    counts
+}
+
+/// One test, since the count is of the whole process.
+#[test]
+fn the_steady_state_allocates_nothing() {
+    let scene = street(1);
+    for model in [Model::Vlp16, Model::Hdl32e] {
+        for mode in [ReturnMode::Strongest, ReturnMode::Dual] {
+            let config = EmitterConfig::new(model, mode).turns(1.1);
+            let turn: Vec<_> = Emitter::new(config, &scene).collect();
+            let mut street = Vec::new();
+            // The same turn again and again, with stamps that go on: what it shows is as large each time.
+            let sent = Spin { jitter_cdeg: 2.0, start_cdeg: 0.0, ..Spin::new(model, mode, 600.0) }.packets(1.2);
+            let per_turn = (1e8 / f64::from(model.spec().packet_period_ns(mode))) as usize;
+            let shown: Vec<_> = turn.iter().filter(|one| one.truth.is_some()).collect();
+            for one in sent.iter().filter(|one| one.ordinal % 50 != 40) {
+                let mut bytes = one.packet.emit().to_vec();
+                let like = &shown[one.ordinal % per_turn].payload;
+                (0..12).for_each(|block| {
+                    let records = block * 100 + 4..block * 100 + 100;
+                    bytes[records.clone()].copy_from_slice(&like[records]);
+                });
+                street.push((bytes, one.arrival_ns));
+                street.extend(
+                    turn.iter()
+                        .find(|one| one.truth.is_none())
+                        .map(|position| (position.payload.clone(), one.arrival_ns + 10)),
+                );
+            }
+            for method in [Method::Slope, Method::Paper] {
+                let mut config = Config::default();
+                config.segment.method = method;
+                // The second time all that it needs room for was there before.
+                let again = street.iter().map(|(bytes, arrival_ns)| (bytes.clone(), arrival_ns + 1_300_000_000));
+                let counts = per_sweep(config, &street.iter().cloned().chain(again).collect::<Vec<_>>());
+                assert!(counts.len() >= 20, "{counts:?}");
+                let steady = &counts[counts.len() / 2 + 1..];
+                assert!(steady.iter().all(|&count| count == 0), "{model} {mode} {method:?}: {counts:?}");
+            }
+        }
+    }
+}

@@ -1,0 +1,59 @@
+//! What the integration tests share.
+
+// Each test uses its part of this.
+#![allow(dead_code)]
+
+pub mod hdl64;
+pub mod npy;
+pub mod raw;
+pub mod run;
+
+use std::ffi::OsString;
+use std::path::{Path, PathBuf};
+use std::process::{Command, Stdio};
+
+const VELODYNE_DECODER: &str = "3.1.0";
+
+/// The folder with real captures and calibrations: `SWEEPD_DATA`, or `../shared/data` beside the project.
+///
+/// They belong to others and stay outside the repository. Where they are missing, this says aloud that the test is
+/// skipped, and gives `None`.
+///
+/// # Panics
+/// Under `CI=true`, if the folder is missing: there no test may be skipped.
+pub fn data_dir() -> Option<PathBuf> {
+    let dir = std::env::var_os("SWEEPD_DATA")
+        .map_or_else(|| Path::new(env!("CARGO_MANIFEST_DIR")).join("../shared/data"), PathBuf::from);
+    if dir.join("pcap").is_dir() {
+        return Some(dir);
+    }
+    skip(&format!("no real sensor data in {}; set SWEEPD_DATA to the folder that holds pcap/", dir.display()));
+    None
+}
+
+/// The Python interpreter, if it has the right velodyne-decoder: `SWEEPD_PYTHON`, else `python3`. Where it has not, this
+/// says aloud that the test is skipped.
+///
+/// # Panics
+/// Under `CI=true`, if it is missing.
+pub fn python() -> Option<OsString> {
+    let python = std::env::var_os("SWEEPD_PYTHON").unwrap_or_else(|| "python3".into());
+    // The module's own number was left behind by that of the package.
+    let code = "import velodyne_decoder, importlib.metadata as m; print(m.version('velodyne_decoder'))";
+    let output = Command::new(&python).args(["-c", code]).stderr(Stdio::null()).output();
+    if output.is_ok_and(|output| String::from_utf8_lossy(&output.stdout).trim() == VELODYNE_DECODER) {
+        return Some(python);
+    }
+    let python = python.to_string_lossy();
+    skip(&format!("{python} has no velodyne-decoder {VELODYNE_DECODER}; set SWEEPD_PYTHON to one that has"));
+    None
+}
+
+/// Says aloud that a test is skipped, and why.
+///
+/// # Panics
+/// Under `CI=true`: there no test may be skipped.
+pub fn skip(missing: &str) {
+    assert!(std::env::var("CI").as_deref() != Ok("true"), "{missing}");
+    eprintln!("SKIPPED: {missing}");
+}

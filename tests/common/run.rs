@@ -1,0 +1,113 @@
+//! A capture, or datagrams that never were in one, through the whole pipeline.
+
+use std::collections::HashMap;
+use std::path::Path;
+
+use sweepd::capture::Capture;
+use sweepd::capture::sensors::{Route, Sensors};
+use sweepd::pipeline::{Config, Counts, Fault, Pipeline, Untimed};
+use sweepd::sensor::detect::Detection;
+use sweepd::sweep::buffers::HeapBuffer;
+use sweepd::sweep::{HeapBuffers, Return, SweepRef};
+use sweepd::wire::Datagram;
+
+/// What came of the datagrams of one sensor.
+pub struct Run {
+    sweeps: Vec<HeapBuffer>,
+    pub counts: Counts,
+    pub detection: Detection,
+}
+
+/// A return, and where it stood on the wire.
+pub struct Placed {
+    /// Index of the sweep.
+    pub sweep: usize,
+    /// Index of the record within its block. A [`Return`] names the channel alone, and a block of a VLP-16
+    /// holds each channel twice.
+    pub record: usize,
+    pub found: Return,
+}
+
+/// A pipeline under way, and the sweeps it gave so far.
+pub struct Runner {
+    pipeline: Pipeline<HeapBuffers, Untimed>,
+    pub sweeps: Vec<HeapBuffer>,
+}
+
+impl Runner {
+    pub fn new(config: Config) -> Self {
+        Self { pipeline: Pipeline::new("test", config, HeapBuffers::default(), Untimed).unwrap(), sweeps: Vec::new() }
+    }
+
+    pub fn push(&mut self, datagram: &Datagram<'_>) -> Result<(), Fault> {
+        let result = self.pipeline.push(datagram);
+        self.sweeps.extend(std::iter::from_fn(|| self.pipeline.poll()));
+        result
+    }
+
+    pub fn end(&mut self) -> Result<(), Fault> {
+        let result = self.pipeline.end();
+        self.sweeps.extend(std::iter::from_fn(|| self.pipeline.poll()));
+        result
+    }
+
+    /// Pushes a whole capture; stops at a fault.
+    pub fn play(&mut self, capture: &Path) -> Result<(), Fault> {
+        let mut capture = Capture::open(capture).unwrap();
+        let mut sensors = Sensors::new(Vec::new());
+        while let Some(datagram) = capture.next_datagram().unwrap() {
+            if !matches!(sensors.route(&datagram), Route::Other(_)) {
+                self.push(&datagram)?;
+            }
+        }
+        self.end()
+    }
+
+    fn finish(self) -> Run {
+        let (counts, detection) = (self.pipeline.counts(), self.pipeline.detection().unwrap());
+        Run { sweeps: self.sweeps, counts, detection }
+    }
+}
+
+impl Run {
+    /// A capture of one sensor.
+    pub fn of_capture(capture: &Path) -> Self {
+        let mut runner = Runner::new(Config::default());
+        runner.play(capture).unwrap_or_else(|fault| panic!("{}: {fault}", capture.display()));
+        runner.finish()
+    }
+
+    /// Datagrams of one sensor.
+    pub fn of_datagrams<'a>(datagrams: impl IntoIterator<Item = Datagram<'a>>) -> Self {
+        let mut runner = Runner::new(Config::default());
+        datagrams.into_iter().for_each(|datagram| runner.push(&datagram).unwrap());
+        runner.end().unwrap();
+        runner.finish()
+    }
+
+    /// The sweeps.
+    pub fn views(&self) -> Vec<SweepRef<'_>> {
+        self.sweeps.iter().map(|sweep| SweepRef::open(sweep.as_ref()).unwrap()).collect()
+    }
+
+    /// All returns of all sweeps, each with its place on the wire. The firings of a block come one after the other, be
+    /// it in one sweep or in two.
+    pub fn returns(&self) -> Vec<Placed> {
+        let mut firings: HashMap<(u64, u8), usize> = HashMap::new();
+        let mut placed = Vec::new();
+        for (sweep, view) in self.views().into_iter().enumerate() {
+            let firing_of: Vec<usize> = (view.columns.iter())
+                .map(|column| {
+                    let firing = firings.entry((column.packet, column.block)).or_default();
+                    *firing += 1;
+                    *firing - 1
+                })
+                .collect();
+            placed.extend(view.returns().map(|found| {
+                let record = firing_of[found.column] * view.rows() + found.channel;
+                Placed { sweep, record, found }
+            }));
+        }
+        placed
+    }
+}

@@ -1,0 +1,274 @@
+//! Packet streams made by hand, block by block, and what a pipeline makes of them: no scene, only time and azimuth.
+#![allow(dead_code)]
+
+use std::collections::BTreeMap;
+
+use sweepd::pipeline::{Config, Counts, Pipeline, Untimed};
+use sweepd::sensor::Model;
+use sweepd::sweep::buffers::HeapBuffer;
+use sweepd::sweep::{HeapBuffers, SweepRef};
+use sweepd::wire::Datagram;
+use sweepd::wire::data::{BLOCKS, DataPacket, RECORDS, Record, ReturnMode};
+
+/// Arrival of a packet whose last shot is at sensor time 0.
+pub const START_NS: i64 = 1_777_888_800_000_000_000;
+const TURN: f64 = 36_000.0;
+
+/// A turning head, told by where it is at a time.
+pub struct Spin {
+    pub model: Model,
+    pub mode: ReturnMode,
+    /// Turns since the start, by seconds since the start; negative turns the other way.
+    pub turns_at: Box<dyn Fn(f64) -> f64>,
+    /// Hundredths of a degree.
+    pub start_cdeg: f64,
+    /// Azimuths are off by up to this, hundredths of a degree.
+    pub jitter_cdeg: f64,
+    /// What the sensor measures: from, to, hundredths of a degree.
+    pub fov: Option<(f64, f64)>,
+    /// Sensor clock at the start, nanoseconds.
+    pub clock_ns: i64,
+    pub seed: u64,
+}
+
+/// A packet on its way.
+#[derive(Clone)]
+pub struct Sent {
+    pub packet: DataPacket,
+    pub arrival_ns: i64,
+    /// Sensor time and true azimuth of the firings, nanoseconds since the start and hundredths of a degree.
+    pub firings: Vec<(i64, f64)>,
+    /// Its place in the stream as it was sent.
+    pub ordinal: usize,
+}
+
+impl Spin {
+    pub fn new(model: Model, mode: ReturnMode, rpm: f64) -> Self {
+        Self {
+            model,
+            mode,
+            turns_at: Box::new(move |seconds| rpm / 60.0 * seconds),
+            start_cdeg: 12_345.0,
+            jitter_cdeg: 2.0,
+            fov: None,
+            clock_ns: 1_234_567_891,
+            seed: 7,
+        }
+    }
+
+    fn azimuth_cdeg(&self, time_ns: i64) -> f64 {
+        (self.start_cdeg + TURN * (self.turns_at)(time_ns as f64 * 1e-9)).rem_euclid(TURN)
+    }
+
+    fn is_seen(&self, cdeg: f64) -> bool {
+        self.fov.is_none_or(|(from, to)| (cdeg - from).rem_euclid(TURN) <= (to - from).rem_euclid(TURN))
+    }
+
+    /// The packets that the sensor sends in so many seconds.
+    pub fn packets(&self, seconds: f64) -> Vec<Sent> {
+        let spec = self.model.spec();
+        let copies = self.mode.blocks_per_azimuth();
+        let block_ns = i64::from(spec.block_period_ns());
+        let mut rng = fastrand::Rng::with_seed(self.seed);
+        let mut sent: Vec<Sent> = Vec::new();
+        let mut packet = DataPacket::new(0, self.mode.byte(), spec.product);
+        let mut firings = Vec::new();
+        let mut blocks = 0;
+        for time_ns in (0..(seconds * 1e9) as i64).step_by(block_ns as usize) {
+            let cdeg = self.azimuth_cdeg(time_ns);
+            if !self.is_seen(cdeg) {
+                continue;
+            }
+            if blocks == 0 {
+                packet.set_stamp_us(((self.clock_ns + time_ns) / 1000 % 3_600_000_000) as u32);
+            }
+            let told = (cdeg + self.jitter_cdeg * (2.0 * rng.f64() - 1.0)).rem_euclid(TURN).round() as u16;
+            for block in &mut packet.blocks[blocks..blocks + copies] {
+                block.set_azimuth_cdeg(told);
+                block.records = std::array::from_fn(|_| record(&mut rng));
+            }
+            for firing in 0..spec.firings_per_block() {
+                let time_ns = time_ns + firing as i64 * i64::from(spec.firing_period_ns);
+                firings.push((time_ns, self.azimuth_cdeg(time_ns)));
+            }
+            blocks += copies;
+            if blocks == BLOCKS {
+                let arrival_ns = START_NS + time_ns + block_ns + 90_000 + rng.i64(0..20_000);
+                let firings = std::mem::take(&mut firings);
+                sent.push(Sent { packet, arrival_ns, firings, ordinal: sent.len() });
+                blocks = 0;
+            }
+        }
+        sent
+    }
+}
+
+/// One in four shots sees nothing.
+fn record(rng: &mut fastrand::Rng) -> Record {
+    let distance = if rng.u8(..) < 64 { 0 } else { rng.u16(250..50_000) };
+    Record { distance: distance.into(), reflectivity: rng.u8(..) }
+}
+
+/// What became of a stream.
+pub struct Run {
+    pub sweeps: Vec<HeapBuffer>,
+    pub counts: Counts,
+    /// How many packets had been pushed when each sweep came out.
+    pub out_after: Vec<usize>,
+}
+
+/// Nothing is segmented: the pixels are noise.
+pub fn config() -> Config {
+    let mut config = Config::default();
+    (config.segment.min_range_m, config.segment.max_range_m) = (0.0, 0.01);
+    config
+}
+
+pub fn cut_at(deg: f64) -> Config {
+    Config { cut_azimuth_rad: deg.to_radians(), ..config() }
+}
+
+pub fn datagram(payload: &[u8], arrival_ns: i64) -> Datagram<'_> {
+    Datagram { arrival_ns, source: ([192, 168, 1, 201], 2368).into(), destination_port: 2368, payload }
+}
+
+impl Run {
+    pub fn of(config: Config, arrived: &[Sent]) -> Self {
+        let payloads: Vec<_> = arrived.iter().map(|sent| (sent.packet.emit().to_vec(), sent.arrival_ns)).collect();
+        Self::of_payloads(config, &payloads)
+    }
+
+    pub fn of_payloads(config: Config, arrived: &[(Vec<u8>, i64)]) -> Self {
+        let mut pipeline = Pipeline::new("test", config, HeapBuffers::default(), Untimed).unwrap();
+        let (mut sweeps, mut out_after) = (Vec::new(), Vec::new());
+        for (index, (payload, arrival_ns)) in arrived.iter().enumerate() {
+            let _ = pipeline.push(&datagram(payload, *arrival_ns));
+            while let Some(sweep) = pipeline.poll() {
+                sweeps.push(sweep);
+                out_after.push(index + 1);
+            }
+        }
+        let _ = pipeline.end();
+        while let Some(sweep) = pipeline.poll() {
+            sweeps.push(sweep);
+            out_after.push(arrived.len());
+        }
+        Self { sweeps, counts: pipeline.counts(), out_after }
+    }
+
+    pub fn views(&self) -> Vec<SweepRef<'_>> {
+        self.sweeps.iter().map(|sweep| SweepRef::open(sweep.as_ref()).unwrap()).collect()
+    }
+
+    pub fn flags(&self) -> Vec<u32> {
+        self.views().iter().map(|sweep| sweep.header.flags).collect()
+    }
+
+    /// The numbers of the packets that were decoded.
+    pub fn decoded(&self) -> std::collections::BTreeSet<usize> {
+        let views = self.views();
+        let columns = views.iter().flat_map(|sweep| sweep.columns).filter(|column| !column.is_missing());
+        columns.map(|column| column.packet as usize).collect()
+    }
+
+    /// Every return of every decoded packet is in one pixel, every other packet is counted, and each sweep is sane.
+    #[track_caller]
+    pub fn check(&self, arrived: &[DataPacket]) -> &Self {
+        let mut found = Vec::new();
+        for sweep in self.views() {
+            check_sweep(&sweep);
+            for one in sweep.returns() {
+                let distance = (f64::from(one.range_m) / 0.002).round() as u16;
+                found.push((one.packet as usize, one.block, one.channel, distance, one.reflectivity));
+            }
+        }
+        let decoded = self.decoded();
+        let mut expected = Vec::new();
+        let rows: BTreeMap<usize, usize> = self
+            .views()
+            .iter()
+            .flat_map(|sweep| sweep.columns.iter().map(|column| (column.packet as usize, sweep.rows())))
+            .collect();
+        for &number in &decoded {
+            let channels = rows[&number];
+            for (block, stored) in (0..).zip(&arrived[number].blocks) {
+                for (index, record) in stored.records.iter().enumerate().filter(|(_, r)| r.distance.get() != 0) {
+                    expected.push((number, block, index % channels, record.distance.get(), record.reflectivity));
+                }
+            }
+        }
+        found.sort_unstable();
+        expected.sort_unstable();
+        assert!(found == expected, "returns are lost, doubled or elsewhere");
+        let counts = self.counts;
+        let Counts { duplicates, malformed, late, unconfirmed, foreign, undecoded, .. } = counts;
+        let refused = duplicates + malformed + late + unconfirmed + foreign + undecoded;
+        assert_eq!(counts.data, decoded.len() as u64 + refused, "{counts:?}");
+        let packets = |sweep: &SweepRef<'_>| {
+            let measured = sweep.columns.iter().filter(|column| !column.is_missing());
+            measured.map(|column| column.packet).collect::<std::collections::BTreeSet<_>>().len()
+        };
+        for sweep in self.views() {
+            assert_eq!(packets(&sweep), sweep.header.packets as usize);
+        }
+        self
+    }
+
+    #[track_caller]
+    pub fn check_sent(&self, arrived: &[Sent]) -> &Self {
+        self.check(&arrived.iter().map(|sent| sent.packet).collect::<Vec<_>>())
+    }
+
+    /// Packets that sweeps count as lost.
+    pub fn lost_in_sweeps(&self) -> u64 {
+        self.views().iter().map(|sweep| u64::from(sweep.header.lost_packets)).sum()
+    }
+
+    /// All that is in the sweeps but counters and arrival, with packets named by the order in which they were sent.
+    pub fn content(&self, arrived: &[Sent]) -> Vec<Content> {
+        let name = |number: u64| arrived.get(number as usize).map(|sent| sent.ordinal);
+        let content = |sweep: SweepRef<'_>| Content {
+            header: (sweep.header.flags, sweep.header.sensor_time_ns, sweep.header.duration_ns, sweep.header.rpm),
+            columns: sweep
+                .columns
+                .iter()
+                .map(|c| (name(c.packet), c.azimuth_rad, c.azimuth_rate_rad_s, c.time_ns, c.block, c.status))
+                .collect(),
+            pixels: [sweep.range, sweep.range2].concat(),
+            bytes: [sweep.reflectivity, sweep.reflectivity2, sweep.kind].concat(),
+            labels: [sweep.label, sweep.label2].concat(),
+        };
+        self.views().into_iter().map(content).collect()
+    }
+}
+
+/// See [`Run::content`].
+#[derive(Debug, PartialEq)]
+pub struct Content {
+    header: (u32, i64, u64, f32),
+    columns: Vec<(Option<usize>, f32, f32, u32, u8, u8)>,
+    pixels: Vec<f32>,
+    bytes: Vec<u8>,
+    labels: Vec<u32>,
+}
+
+#[track_caller]
+fn check_sweep(sweep: &SweepRef<'_>) {
+    use sweepd::sweep::layout::flags::*;
+    let header = sweep.header;
+    assert!(header.columns > 0 && header.columns <= header.columns_capacity);
+    assert_eq!(sweep.returns().count(), header.returns as usize);
+    assert!(sweep.columns.windows(2).all(|two| two[0].time_ns <= two[1].time_ns), "columns out of order");
+    assert!(sweep.columns.iter().all(|c| (0.0..std::f32::consts::TAU).contains(&c.azimuth_rad)));
+    assert_eq!(u64::from(sweep.columns[sweep.columns.len() - 1].time_ns), header.duration_ns);
+    let missing = sweep.columns.iter().filter(|column| column.is_missing()).count();
+    assert_eq!(missing, header.missing_columns as usize);
+    let rows = sweep.rows();
+    for (index, _) in sweep.columns.iter().enumerate().filter(|(_, column)| column.is_missing()) {
+        assert!(sweep.range[index * rows..][..rows].iter().all(|&range| range == 0.0));
+    }
+    assert!(header.flags & PARTIAL == 0 || header.flags & CIRCULAR == 0);
+    assert!(header.rpm >= 0.0 && header.rpm.is_finite());
+    assert!(sweep.returns().all(|one| (0.0..std::f64::consts::TAU).contains(&one.azimuth_rad)));
+    assert_eq!(RECORDS % rows, 0);
+}
