@@ -5,6 +5,7 @@
 
 pub mod capture;
 pub mod cloud;
+pub mod export;
 pub mod pipeline;
 pub mod segment;
 pub mod sensor;

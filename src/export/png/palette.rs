@@ -1,0 +1,186 @@
+//! The colours of a picture: one meaning each, the same in every panel.
+
+use std::sync::LazyLock;
+
+use embedded_graphics::pixelcolor::Rgb888;
+
+use crate::sweep::layout::{LABEL_FIRST_SEGMENT, LABEL_GROUND, LABEL_NONE};
+
+/// The page.
+pub const BACKGROUND: Rgb888 = Rgb888::new(20, 22, 28);
+/// Where nothing was measured.
+pub const NO_RETURN: Rgb888 = Rgb888::new(6, 7, 10);
+/// Text.
+pub const TEXT: Rgb888 = Rgb888::new(228, 231, 238);
+/// Text of the second order.
+pub const DIM: Rgb888 = Rgb888::new(146, 153, 170);
+/// Frames, rings and axes.
+pub const GRID: Rgb888 = Rgb888::new(52, 57, 70);
+/// What a reader should not overlook.
+pub const WARNING: Rgb888 = Rgb888::new(255, 176, 64);
+/// A return without label.
+pub const UNLABELLED: Rgb888 = Rgb888::new(62, 78, 118);
+/// Ground.
+pub const GROUND: Rgb888 = Rgb888::new(112, 112, 112);
+/// Ground seen from above, where it is only the background of what stands on it.
+pub const GROUND_FAINT: Rgb888 = Rgb888::new(66, 66, 68);
+/// A lost column, in stripes with [`MISSING_STRIPE`].
+pub const MISSING: Rgb888 = Rgb888::new(84, 12, 20);
+/// The other stripe of a lost column.
+pub const MISSING_STRIPE: Rgb888 = Rgb888::new(40, 8, 12);
+
+/// Colour of a pixel of a lost column: diagonal stripes.
+pub fn missing(x: i32, y: i32) -> Rgb888 {
+    if (x + y).rem_euclid(8) < 4 { MISSING } else { MISSING_STRIPE }
+}
+
+/// Colour of a label. A number has the same colour in every picture.
+pub fn label(label: u32) -> Rgb888 {
+    match label {
+        LABEL_NONE => UNLABELLED,
+        LABEL_GROUND => GROUND,
+        _ => SEGMENTS[(label - LABEL_FIRST_SEGMENT) as usize % SEGMENTS.len()],
+    }
+}
+
+/// Labels are dealt in the order in which segments appear, so neighbours in number are often neighbours in space:
+/// successive hues are a golden section of the circle apart, and lightness changes with each.
+static SEGMENTS: LazyLock<[Rgb888; 1000]> = LazyLock::new(|| {
+    std::array::from_fn(|index| {
+        let hue_turns = (index as f64 * 0.618_034 + 0.35).fract();
+        vivid([0.78, 0.62, 0.89, 0.70][index % 4], hue_turns * std::f64::consts::TAU)
+    })
+});
+
+/// The most saturated colour of this lightness and hue that a screen shows, up to where it begins to glare.
+fn vivid(lightness: f64, hue_rad: f64) -> Rgb888 {
+    let shown = (4..=19).rev().map(|chroma| oklch(lightness, f64::from(chroma) * 0.01, hue_rad));
+    let [r, g, b] = shown.clone().find(|rgb| rgb.iter().all(|c| (0.0..=1.0).contains(c))).unwrap_or([lightness; 3]);
+    let byte = |linear: f64| {
+        let encoded = if linear <= 0.003_130_8 { 12.92 * linear } else { 1.055 * linear.powf(1.0 / 2.4) - 0.055 };
+        (encoded * 255.0).round() as u8
+    };
+    Rgb888::new(byte(r), byte(g), byte(b))
+}
+
+/// OKLCH to linear sRGB (B. Ottosson, "A perceptual color space for image processing", 2020): colours of equal
+/// lightness look equally light, which those of HSL do not.
+fn oklch(lightness: f64, chroma: f64, hue_rad: f64) -> [f64; 3] {
+    let (a, b) = (chroma * hue_rad.cos(), chroma * hue_rad.sin());
+    let l = (lightness + 0.396_337_777_4 * a + 0.215_803_757_3 * b).powi(3);
+    let m = (lightness - 0.105_561_345_8 * a - 0.063_854_172_8 * b).powi(3);
+    let s = (lightness - 0.089_484_177_5 * a - 1.291_485_548_0 * b).powi(3);
+    [
+        4.076_741_662_1 * l - 3.307_711_591_3 * m + 0.230_969_929_2 * s,
+        -1.268_438_004_6 * l + 2.609_757_401_1 * m - 0.341_319_396_5 * s,
+        -0.004_196_086_3 * l - 0.703_418_614_7 * m + 1.707_614_701_0 * s,
+    ]
+}
+
+/// Ranges as colours, warm near and cold far, on a logarithmic scale: what is near matters most.
+#[derive(Clone, Copy, Debug, PartialEq)]
+pub struct RangeScale {
+    near_m: f64,
+    far_m: f64,
+}
+
+impl RangeScale {
+    /// A scale that spreads over nearly all of these ranges, between round numbers, so that sweeps of one place share it.
+    pub fn of(ranges_m: &mut [f64]) -> Self {
+        if ranges_m.is_empty() {
+            return Self { near_m: 1.0, far_m: 100.0 };
+        }
+        let near_m = round_down(percentile(ranges_m, 1)).max(0.1);
+        let far_m = round_up(percentile(ranges_m, 99)).max(2.0 * near_m);
+        Self { near_m, far_m }
+    }
+
+    /// Place of a range on the scale, 0 near to 1 far.
+    pub fn position(&self, range_m: f64) -> f64 {
+        ((range_m / self.near_m).ln() / (self.far_m / self.near_m).ln()).clamp(0.0, 1.0)
+    }
+
+    /// Colour of a place on the scale.
+    pub fn color_at(position: f64) -> Rgb888 {
+        // The ends of Turbo are too dark to be told from the page.
+        let color = colorous::TURBO.eval_continuous(0.92 - 0.84 * position);
+        Rgb888::new(color.r, color.g, color.b)
+    }
+
+    /// Colour of a range.
+    pub fn color(&self, range_m: f64) -> Rgb888 {
+        Self::color_at(self.position(range_m))
+    }
+
+    /// Round numbers on the scale, metres.
+    pub fn ticks_m(&self) -> impl Iterator<Item = f64> + use<> {
+        let far_m = self.far_m * 1.000_1;
+        std::iter::successors(Some(self.near_m), |&tick| Some(round_up(tick * 1.01)))
+            .take_while(move |&tick| tick <= far_m)
+    }
+}
+
+/// The value below which so many percent of the values are. Reorders them; there must be one.
+pub fn percentile(values: &mut [f64], percent: usize) -> f64 {
+    let index = (values.len() - 1) * percent / 100;
+    *values.select_nth_unstable_by(index, f64::total_cmp).1
+}
+
+/// The next of 1, 2, 5, 10, 20, 50... from a positive value up.
+pub fn round_up(value: f64) -> f64 {
+    let decade = 10_f64.powf(value.log10().floor());
+    let steps = [1.0, 2.0, 5.0].map(|step| step * decade);
+    steps.into_iter().find(|&step| step >= value * 0.999_999).unwrap_or(10.0 * decade)
+}
+
+fn round_down(value: f64) -> f64 {
+    let decade = 10_f64.powf(value.log10().floor());
+    let steps = [5.0, 2.0].map(|step| step * decade);
+    steps.into_iter().find(|&step| step <= value * 1.000_001).unwrap_or(decade)
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use embedded_graphics::pixelcolor::RgbColor;
+
+    fn apart(a: Rgb888, b: Rgb888) -> i32 {
+        let squared = |a: u8, b: u8| (i32::from(a) - i32::from(b)).pow(2);
+        (squared(a.r(), b.r()) + squared(a.g(), b.g()) + squared(a.b(), b.b())).isqrt()
+    }
+
+    #[test]
+    fn labels_of_near_numbers_and_other_meanings_look_different() {
+        let meanings = [NO_RETURN, UNLABELLED, GROUND, MISSING, MISSING_STRIPE, BACKGROUND];
+        for number in 2..2500 {
+            for step in 1..=4 {
+                let apart = apart(label(number), label(number + step));
+                assert!(apart > 50, "labels {number} and {} are {apart} apart", number + step);
+            }
+            assert!(apart(label(number), label(number + 1)) > 90, "labels {number} and the next");
+            assert!(meanings.iter().all(|&meaning| apart(label(number), meaning) > 55), "label {number}");
+        }
+        for (index, &a) in meanings.iter().enumerate() {
+            assert!(meanings[..index].iter().all(|&b| apart(a, b) > 20), "{a:?}");
+        }
+        assert!(label(u32::MAX) != GROUND);
+    }
+
+    #[test]
+    fn a_scale_spans_its_ranges_with_round_ticks() {
+        let mut ranges: Vec<f64> = (0..1000).map(|i| 2.3 + f64::from(i) * 0.04).collect();
+        let scale = RangeScale::of(&mut ranges);
+        assert_eq!(scale, RangeScale { near_m: 2.0, far_m: 50.0 });
+        assert_eq!(scale.ticks_m().collect::<Vec<_>>(), [2.0, 5.0, 10.0, 20.0, 50.0]);
+        assert_eq!((scale.position(2.0), scale.position(10_f64), scale.position(900.0)), (0.0, 0.5, 1.0));
+        assert_eq!(RangeScale::of(&mut [7.0]), RangeScale { near_m: 5.0, far_m: 10.0 });
+        let red = scale.color(2.0);
+        assert!(red.r() > 150 && red.b() < 60);
+    }
+
+    #[test]
+    fn rounding_by_hand() {
+        assert_eq!([0.3, 1.0, 1.1, 20.0, 21.0, 60.0].map(round_up), [0.5, 1.0, 2.0, 20.0, 50.0, 100.0]);
+        assert_eq!([0.3, 1.0, 1.9, 20.0, 49.0, 60.0].map(round_down), [0.2, 1.0, 1.0, 20.0, 20.0, 50.0]);
+    }
+}

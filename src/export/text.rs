@@ -1,0 +1,44 @@
+//! Numbers and times as people read them.
+
+use crate::wire::nmea::civil_from_days;
+
+/// A number with its thousands apart: `402,866`.
+pub fn grouped(number: u64) -> String {
+    let digits = number.to_string();
+    let mut text = String::with_capacity(digits.len() + digits.len() / 3);
+    for (index, digit) in digits.chars().enumerate() {
+        if index > 0 && (digits.len() - index).is_multiple_of(3) {
+            text.push(',');
+        }
+        text.push(digit);
+    }
+    text
+}
+
+/// So many things: `1 packet`, `1,192 packets`.
+pub fn count_of(number: u64, thing: &str) -> String {
+    format!("{} {thing}{}", grouped(number), if number == 1 { "" } else { "s" })
+}
+
+/// Nanoseconds since 1970 as date and time, to the millisecond: `2016-01-21 08:18:02.340 UTC`.
+pub fn utc_text(time_ns: i64) -> String {
+    const DAY_MS: i64 = 86_400_000;
+    let ms = time_ns.div_euclid(1_000_000);
+    let (year, month, day) = civil_from_days(ms.div_euclid(DAY_MS));
+    let ms = ms.rem_euclid(DAY_MS);
+    let (hour, minute, second) = (ms / 3_600_000, ms / 60_000 % 60, ms / 1000 % 60);
+    format!("{year:04}-{month:02}-{day:02} {hour:02}:{minute:02}:{second:02}.{:03} UTC", ms % 1000)
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn by_hand() {
+        assert_eq!(["0", "999", "1,000", "1,234,567"], [0, 999, 1000, 1_234_567].map(grouped)[..]);
+        assert_eq!(utc_text(1_453_364_282_340_595_000), "2016-01-21 08:18:02.340 UTC");
+        assert_eq!([1, 1192].map(|number| count_of(number, "packet")), ["1 packet", "1,192 packets"]);
+        assert_eq!(utc_text(-1), "1969-12-31 23:59:59.999 UTC");
+    }
+}
