@@ -1,9 +1,58 @@
-//! sweepd turns the packets of a spinning Velodyne LiDAR into labelled range images.
+//! sweepd owns a spinning Velodyne: packets in, labelled range images out.
+//!
+//! ```text
+//! socket | pcap | simulator -> Datagram -> Packet -> Column -> Sweep -> Labels + Segments -> shared memory | files
+//!          capture, simulate   wire        sweep ------------   segment                      export
+//! ```
+//!
+//! Everything from [`wire::Datagram`] to the segments is pure: bytes and time come in as arguments. [`pipeline`] holds the
+//! whole algorithm on one page; whoever has datagrams pushes them through it:
+//!
+//! ```
+//! use sweepd::capture::Capture;
+//! use sweepd::pipeline::{Config, Pipeline, Untimed};
+//! use sweepd::sweep::{HeapBuffers, SweepRef};
+//!
+//! let mut capture = Capture::open("pcap_fixtures/street_vlp16.pcap.gz")?;
+//! let mut pipeline = Pipeline::new("roof", Config::default(), HeapBuffers::default(), Untimed)?;
+//! let mut sweeps = 0;
+//! while let Some(datagram) = capture.next_datagram()? {
+//!     pipeline.push(&datagram)?;
+//!     while let Some(bytes) = pipeline.poll() {
+//!         let sweep = SweepRef::open(bytes.as_ref())?;
+//!         println!("{} columns, {} segments", sweep.columns.len(), sweep.segments.len());
+//!         sweeps += 1;
+//!     }
+//! }
+//! assert!(sweeps >= 5);
+//! # Ok::<(), Box<dyn std::error::Error>>(())
+//! ```
+//!
+//! # Words
+//!
+//! | word | meaning |
+//! |---|---|
+//! | datagram | a UDP payload with arrival time and source |
+//! | packet | a datagram accepted as a Velodyne data or position packet |
+//! | block | the 100-byte unit of a data packet |
+//! | channel | index of a record within a firing, as the packet orders it |
+//! | beam | the physical laser with its calibration; its row is fixed by its elevation |
+//! | firing | one pass of all beams; a VLP-16 stores two per block |
+//! | row, column | range-image indices; row 0 = highest elevation, a column = a firing |
+//! | azimuth, elevation | rotation angle, clockwise from above, 0 = sensor +y; vertical angle |
+//! | range | metres along the beam; 0 = no return, asked through [`sweep::layout::is_return`] only |
+//! | return | one echo: strongest, last; dual = both |
+//! | reflectivity | calibrated byte |
+//! | sweep | the columns between two crossings of the cut azimuth |
+//! | label | u32 per pixel: 0 none, 1 ground, 2.. segment |
+//! | segment | connected non-ground pixels with one label |
+//! | loss, gap | packets missing by the sensor's clock; columns missing in a sweep |
 
 #![deny(unsafe_code)]
 #![warn(missing_docs)]
 
 pub mod capture;
+pub mod cli;
 pub mod cloud;
 pub mod export;
 pub mod pipeline;

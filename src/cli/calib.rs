@@ -1,0 +1,269 @@
+//! `sweepd calib`: calibrations shown, compared, and taken from what an HDL-64E sends.
+
+use std::fmt::Write as _;
+use std::io::{self, Write as _};
+use std::path::{Path, PathBuf};
+
+use super::{CliError, complain};
+use crate::capture::{Capture, Route, SensorFilter, Sensors};
+use crate::export::text::{count_of, grouped};
+use crate::sensor::compare::{ANGLE_TOLERANCE_DEG, LENGTH_TOLERANCE_M, differences};
+use crate::sensor::{Beam, Calibration, Model, ros_yaml, stream};
+use crate::wire::data::{Banks, DataPacket};
+use crate::wire::hdl64::{BEAMS, DUMP_LEN, DUMP_PACKETS, Series, Status, Verdict};
+
+/// Options of `sweepd calib`.
+#[derive(Debug, clap::Args)]
+pub struct Args {
+    #[command(subcommand)]
+    command: Command,
+}
+
+#[derive(Debug, clap::Subcommand)]
+enum Command {
+    /// Print a calibration as a table, a beam a line from the highest down
+    #[command(after_help = "\
+Example:
+  sweepd calib show calib/hdl32e.yaml")]
+    Show {
+        /// A db.xml or ROS YAML
+        #[arg(value_name = "FILE")]
+        file: PathBuf,
+    },
+    /// Name the beams that differ by more than 0.02 degrees or 2 mm; exit code 1 if there are any
+    #[command(after_help = "\
+Example:
+  sweepd calib diff db.xml unit.yaml")]
+    Diff {
+        /// A db.xml or ROS YAML
+        #[arg(value_name = "A")]
+        a: PathBuf,
+        /// Another
+        #[arg(value_name = "B")]
+        b: PathBuf,
+    },
+    /// Write the calibration that an HDL-64E S2.1 or S3 sends with its packets as a ROS YAML
+    #[command(after_help = "\
+The factory's db.xml has more digits (the sensor sends hundredths of a degree and millimetres): use it if there is one.
+
+Example:
+  sweepd calib from-capture hdl64e.pcap -o unit.yaml")]
+    FromCapture(FromCapture),
+}
+
+#[derive(Debug, clap::Args)]
+struct FromCapture {
+    /// pcap or pcapng, plain or compressed with gzip or zstd; - is standard input
+    #[arg(value_name = "CAPTURE")]
+    capture: PathBuf,
+    /// The file to write, replaced as a whole if it is there
+    #[arg(short, long, value_name = "FILE.yaml")]
+    out: PathBuf,
+    /// Only the sensor at this address: IP or IP:PORT
+    #[arg(long, value_name = "ADDR")]
+    sensor: Option<SensorFilter>,
+}
+
+/// Runs the command.
+///
+/// # Errors
+/// [`CliError`]: a file that cannot be read or written, a capture without a whole calibration; and
+/// [`CliError::Reported`] for calibrations that differ.
+pub fn run(args: &Args) -> Result<(), CliError> {
+    match &args.command {
+        Command::Show { file } => print(&show(file, &Calibration::read(file)?)),
+        Command::Diff { a, b } => diff(a, b),
+        Command::FromCapture(args) => from_capture(args),
+    }
+}
+
+fn print(text: &str) -> Result<(), CliError> {
+    io::stdout().write_all(text.as_bytes()).map_err(CliError::Stdout)
+}
+
+fn show(file: &Path, calibration: &Calibration) -> String {
+    let beams = calibration.beams();
+    let (count, unit_mm) = (count_of(beams.len() as u64, "beam"), calibration.distance_unit_m() * 1e3);
+    let mut text =
+        format!("{}: {count}, distances in units of {unit_mm:.0} mm; {}\n\n", file.display(), fits(calibration));
+    text += "row  channel  elevation  rotation  distance    near x    near y  vertical  horizontal  focal  slope  \
+             intensity\n";
+    text += "                degrees   degrees         m         m         m         m           m      m\n";
+    for (row, &channel) in calibration.rows().iter().enumerate() {
+        let _ = writeln!(text, "{row:3}  {}", line(&beams[channel]));
+    }
+    text
+}
+
+/// A beam in the table; a dash where it has no such correction.
+fn line(beam: &Beam) -> String {
+    let (elevation, rotation) = (beam.elevation_rad.to_degrees(), beam.rotation_rad.to_degrees());
+    let near = match beam.two_point {
+        Some(two) => format!("{:8.4}  {:8.4}", two.distance_offset_x_m, two.distance_offset_y_m),
+        None => format!("{:>8}  {:>8}", "-", "-"),
+    };
+    let intensity = match beam.intensity {
+        Some(one) => {
+            format!("{:5.2}  {:5.2}  {:>9}", one.focal_distance_m, one.focal_slope, format!("{}-{}", one.min, one.max))
+        }
+        None => format!("{:>5}  {:>5}  {:>9}", "-", "-", "-"),
+    };
+    format!(
+        "{:7}  {elevation:9.4}  {rotation:8.4}  {:8.4}  {near}  {:8.4}  {:10.4}  {intensity}",
+        beam.channel, beam.distance_offset_m, beam.vertical_offset_m, beam.horizontal_offset_m
+    )
+}
+
+/// The models that a calibration may belong to.
+fn fits(calibration: &Calibration) -> String {
+    let fitting: Vec<&str> = Model::ALL
+        .into_iter()
+        .filter(|&model| calibration.clone().for_model(model).is_ok())
+        .map(|model| model.spec().name)
+        .collect();
+    match (fitting.is_empty(), calibration.beams().len()) {
+        (false, _) => format!("fits {}", fitting.join(", ")),
+        (true, BEAMS) => "has as many as the HDL-64E, whose packets are not decoded yet".to_owned(),
+        (true, _) => "fits no supported model".to_owned(),
+    }
+}
+
+fn diff(path_a: &Path, path_b: &Path) -> Result<(), CliError> {
+    let (a, b) = (Calibration::read(path_a)?, Calibration::read(path_b)?);
+    let (name_a, name_b) = (path_a.display(), path_b.display());
+    let mut text = String::new();
+    if a.beams().len() != b.beams().len() {
+        let _ = writeln!(text, "{name_a} has {} beams, {name_b} {}", a.beams().len(), b.beams().len());
+    }
+    if a.distance_unit_m() != b.distance_unit_m() {
+        let _ = writeln!(
+            text,
+            "{name_a} has distances in units of {} m, {name_b} of {} m",
+            a.distance_unit_m(),
+            b.distance_unit_m()
+        );
+    }
+    let found = differences(&a, &b);
+    if !found.is_empty() {
+        let _ = writeln!(text, "channel  {:<18}  {:>9}  {:>9}  {:>9}", "", "A", "B", "B - A");
+    }
+    for one in &found {
+        let ([a, b], unit) = (one.values, if one.quantity.is_angle() { "degrees" } else { "m" });
+        let (channel, name) = (one.channel, one.quantity.name());
+        let _ = writeln!(text, "{channel:7}  {name:<18}  {a:9.4}  {b:9.4}  {:9.4} {unit}", b - a);
+    }
+    if text.is_empty() {
+        let length_mm = LENGTH_TOLERANCE_M * 1e3;
+        return print(&format!("no beam differs by more than {ANGLE_TOLERANCE_DEG} degrees or {length_mm:.0} mm\n"));
+    }
+    print(&text)?;
+    Err(CliError::Reported)
+}
+
+/// What one sensor of a capture sent.
+struct Unit {
+    name: String,
+    packets: u64,
+    status: Status,
+}
+
+fn from_capture(args: &FromCapture) -> Result<(), CliError> {
+    let mut capture = Capture::open(&args.capture)?;
+    let units = read_units(&mut capture, args.sensor)?;
+    if let Some(truncation) = capture.truncation() {
+        complain("warning", truncation);
+    }
+    let refuse = |message: String| CliError::Usage(format!("{}: {message}", args.capture.display()));
+    let unit = match &units[..] {
+        [] => {
+            return Err(refuse(
+                "no packets of an HDL-64E, the only model that sends its calibration with them".to_owned(),
+            ));
+        }
+        [unit] => unit,
+        several => {
+            let names: Vec<&str> = several.iter().map(|unit| &unit.name[..]).collect();
+            return Err(refuse(format!("several HDL-64E: choose one with --sensor: {}", names.join(", "))));
+        }
+    };
+    let (Some(dump), Some(series)) = (unit.status.dump(), unit.status.series()) else {
+        return Err(refuse(incomplete(unit)));
+    };
+    let calibration = stream::calibration(dump).map_err(|message| refuse(format!("{}: {message}", unit.name)))?;
+    let calibrated = match dump.calibrated() {
+        Some(time) => format!("calibrated {time}"),
+        None => {
+            complain("warning", format!("{} says that it was never calibrated", unit.name));
+            "never calibrated".to_owned()
+        }
+    };
+    let source = format!("HDL-64E {series} at {}, {calibrated}, from its own packets", unit.name);
+    write_whole(&args.out, &format!("# {source}\n{}", ros_yaml::emit(&calibration)))?;
+    print(&describe(&args.out, &source, series))
+}
+
+/// All HDL-64E of a capture, with their status.
+fn read_units(capture: &mut Capture, filter: Option<SensorFilter>) -> Result<Vec<Unit>, CliError> {
+    let mut sensors = Sensors::new(filter.into_iter().collect());
+    let mut units: Vec<Option<Unit>> = Vec::new();
+    while let Some(datagram) = capture.next_datagram()? {
+        let Route::Data(index) = sensors.route(&datagram) else { continue };
+        if units.len() <= index.get() {
+            units.resize_with(index.get() + 1, || None);
+        }
+        // Asked of the blocks: the last two bytes may look like those of any model.
+        let Ok(packet) = DataPacket::parse(datagram.payload) else { continue };
+        if packet.banks() != Banks::Alternating {
+            continue;
+        }
+        let unit = units[index.get()].get_or_insert_with(|| Unit {
+            name: sensors.sensor(index).name.clone(),
+            packets: 0,
+            status: Status::new(),
+        });
+        unit.packets += 1;
+        unit.status.push(packet.return_mode, packet.product, packet.stamp_us());
+    }
+    Ok(units.into_iter().flatten().collect())
+}
+
+/// How far it came, and what to do.
+fn incomplete(unit: &Unit) -> String {
+    let (known, packets) = (unit.status.known(), count_of(unit.packets, "packet"));
+    let longer = format!("the sensor sends it every {} packets, about once a second", grouped(DUMP_PACKETS as u64));
+    let name = &unit.name;
+    match unit.status.verdict() {
+        Verdict::Contradictory(error) => {
+            format!("the calibration of {name} is damaged: {error}; {longer}: give a longer capture")
+        }
+        _ if known == 0 && unit.packets >= DUMP_PACKETS as u64 => format!(
+            "no calibration in {packets} of {name}: units before the S2.1 send none; use the db.xml that came with it"
+        ),
+        _ => format!(
+            "the calibration of {name} is incomplete: {} of {} bytes in {packets}; {longer}: give a longer capture, \
+             two seconds or more",
+            grouped(known as u64),
+            grouped(DUMP_LEN as u64)
+        ),
+    }
+}
+
+/// Writes a file that is there whole or not at all.
+fn write_whole(path: &Path, text: &str) -> Result<(), CliError> {
+    let mut part = path.as_os_str().to_owned();
+    part.push(".part");
+    let part = PathBuf::from(part);
+    std::fs::write(&part, text).and_then(|()| std::fs::rename(&part, path)).map_err(|source| {
+        // What is left of it is of no use to anybody.
+        let _ = std::fs::remove_file(&part);
+        CliError::Write { path: path.to_owned(), source }
+    })
+}
+
+fn describe(out: &Path, source: &str, series: Series) -> String {
+    let checked = match series {
+        Series::S3 => "its checksum is right",
+        Series::S21 => "complete; this series sends no checksum",
+    };
+    format!("{}: {source}; {checked}\n", out.display())
+}

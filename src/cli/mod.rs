@@ -1,0 +1,127 @@
+//! The command line: one file a subcommand, and what they share.
+
+// The macros panic when the reader has gone away: write what can fail with `write!`, and errors with `complain`.
+#![deny(clippy::print_stdout, clippy::print_stderr)]
+
+pub mod calib;
+pub mod inspect;
+pub mod options;
+pub mod output;
+pub mod play;
+pub mod replay;
+pub mod segment;
+pub mod send;
+pub mod simulate;
+pub mod summary;
+
+use std::fmt::Display;
+use std::fs::File;
+use std::io::{self, Read, Write};
+use std::path::{Path, PathBuf};
+
+use clap::{Parser, Subcommand};
+
+use crate::capture::CaptureError;
+use crate::export::ExportError;
+use crate::sensor::CalibrationError;
+
+/// Turns the packets of a spinning Velodyne into labelled range images
+#[derive(Debug, Parser)]
+#[command(name = "sweepd", version, about, long_about = None, max_term_width = 100)]
+#[command(after_help = "\
+Example:
+  sweepd replay pcap_fixtures/street_vlp16.pcap.gz --png out")]
+pub struct Cli {
+    /// What to do.
+    #[command(subcommand)]
+    pub command: Command,
+}
+
+/// The subcommands.
+#[derive(Debug, Subcommand)]
+pub enum Command {
+    /// Replay a capture: decode it, segment every sweep, and show or write what comes out
+    Replay(Box<replay::Args>),
+    /// Say what is in a capture without decoding it all
+    Inspect(inspect::Args),
+    /// Segment point clouds (KITTI .bin) that have no packets
+    Segment(Box<segment::Args>),
+    /// Show and compare calibrations, and read that of an HDL-64E from its packets
+    Calib(calib::Args),
+    /// Be a sensor that is not there: send its packets, or write them to a capture
+    Simulate(Box<simulate::Args>),
+}
+
+/// Why a command did not do all that was asked.
+#[derive(Debug, thiserror::Error)]
+pub enum CliError {
+    /// The capture cannot be read.
+    #[error(transparent)]
+    Capture(#[from] CaptureError),
+    /// The calibration cannot be read.
+    #[error(transparent)]
+    Calibration(#[from] CalibrationError),
+    /// An output cannot be written.
+    #[error(transparent)]
+    Export(#[from] ExportError),
+    /// A file cannot be read.
+    #[error("cannot read {}: {source}", path.display())]
+    Read {
+        /// The file.
+        path: PathBuf,
+        /// What the system says.
+        source: io::Error,
+    },
+    /// A file or directory cannot be written.
+    #[error("cannot write {}: {source}", path.display())]
+    Write {
+        /// The file.
+        path: PathBuf,
+        /// What the system says.
+        source: io::Error,
+    },
+    /// Options that contradict each other, or a value that cannot be meant.
+    #[error("{0}")]
+    Usage(String),
+    /// The network refuses.
+    #[error("cannot send to {to}: {source}")]
+    Send {
+        /// Where to.
+        to: std::net::SocketAddr,
+        /// What the system says.
+        source: io::Error,
+    },
+    /// Standard output is gone or full.
+    #[error("cannot write to standard output: {0}")]
+    Stdout(io::Error),
+    /// Something was not done, and a line on standard error has said why.
+    #[error("not all was done")]
+    Reported,
+}
+
+/// The bytes of a file of at most `limit` bytes.
+fn read_file(path: &Path, limit: u64) -> Result<Vec<u8>, CliError> {
+    let failed = |source| CliError::Read { path: path.to_owned(), source };
+    let mut bytes = Vec::new();
+    File::open(path).and_then(|file| file.take(limit + 1).read_to_end(&mut bytes)).map_err(failed)?;
+    if bytes.len() as u64 > limit {
+        let message = format!("{}: more than {} MiB, not what is expected here", path.display(), limit >> 20);
+        return Err(CliError::Usage(message));
+    }
+    Ok(bytes)
+}
+
+/// Shows an error on standard error, with its cause where the message does not hold it. A reader that went away
+/// (`| head`) is none.
+pub fn report(error: &CliError) {
+    match error {
+        CliError::Reported => {}
+        CliError::Stdout(cause) if cause.kind() == io::ErrorKind::BrokenPipe => {}
+        _ => complain("error", error),
+    }
+}
+
+/// A line on standard error. When even that is gone, there is nobody left to tell.
+fn complain(severity: &str, message: impl Display) {
+    let _ = writeln!(io::stderr(), "{severity}: {message}");
+}

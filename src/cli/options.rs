@@ -1,0 +1,239 @@
+//! Options that several subcommands share.
+
+use std::ops::RangeInclusive;
+use std::path::{Path, PathBuf};
+
+use clap::ValueEnum;
+
+use crate::capture::SensorFilter;
+use crate::cli::{CliError, read_file};
+use crate::pipeline;
+use crate::segment::{self, Mask, MaskError, Mount};
+use crate::sensor::{Calibration, Model};
+use crate::sweep::layout::ReturnChoice;
+
+/// A model, by its flag.
+pub(super) fn model(text: &str) -> Result<Model, String> {
+    Model::ALL.into_iter().find(|model| model.spec().flag == text).ok_or_else(|| {
+        let flags = Model::ALL.map(|model| model.spec().flag).join(", ");
+        format!("no supported model; expected one of {flags}")
+    })
+}
+
+/// Largest distance that an option may have, metres: no sensor sees half as far.
+const MAX_DISTANCE_M: f64 = 1000.0;
+
+/// Reads a number within `range`; the error names the range and the unit.
+pub(super) fn within(
+    range: RangeInclusive<f64>,
+    unit: &'static str,
+) -> impl Fn(&str) -> Result<f64, String> + Clone + Send + Sync + 'static {
+    move |text| match text.parse::<f64>() {
+        Ok(number) if range.contains(&number) => Ok(number),
+        _ if *range.end() == f64::MAX => Err(format!("expected {} or more {unit}", range.start())),
+        _ => Err(format!("expected {} to {} {unit}", range.start(), range.end())),
+    }
+}
+
+/// What the sensor is and how its packets are read.
+#[derive(Clone, Debug, clap::Args)]
+#[command(next_help_heading = "Sensor")]
+pub struct SensorOptions {
+    /// Model: vlp16, puck-lite, puck-hires or hdl32e [default: told by factory bytes and packet period]
+    #[arg(long, value_name = "MODEL", value_parser = model)]
+    pub model: Option<Model>,
+    /// Calibration of the unit, db.xml or ROS YAML [default: the model's own table]
+    #[arg(long, value_name = "FILE")]
+    pub calibration: Option<PathBuf>,
+    /// Only sensors at this address: IP or IP:PORT; may be given several times
+    #[arg(long, value_name = "ADDR")]
+    pub sensor: Vec<SensorFilter>,
+    /// Azimuth at which sweeps are cut, degrees clockwise from the sensor's +y
+    #[arg(
+        long,
+        value_name = "DEG",
+        default_value = "0",
+        value_parser = within(-360.0..=360.0, "degrees"),
+        allow_negative_numbers = true
+    )]
+    pub cut_azimuth: f64,
+    /// Which return is segmented when the sensor sends two
+    #[arg(long = "return", value_name = "WHICH", value_enum, default_value_t = WhichReturn::Nearest)]
+    pub which_return: WhichReturn,
+}
+
+/// Values of `--return`.
+#[derive(Clone, Copy, Debug, PartialEq, Eq, ValueEnum)]
+pub enum WhichReturn {
+    /// The nearer one: safe for obstacles
+    Nearest,
+    /// What the sensor sends as strongest: the second strongest where the last is the strongest
+    Strongest,
+    /// The last
+    Last,
+}
+
+/// Values of `--method`.
+#[derive(Clone, Copy, Debug, PartialEq, Eq, ValueEnum)]
+pub enum GroundMethod {
+    /// Ground by slope, column by column, from the sensor's foot up
+    Slope,
+    /// Ground as in the paper: inclination, smoothed, flooded from the lowest row
+    Paper,
+}
+
+/// How sweeps are segmented.
+#[derive(Clone, Debug, clap::Args)]
+#[command(next_help_heading = "Segmentation")]
+pub struct SegmentOptions {
+    /// How ground is found
+    #[arg(long, value_enum, default_value_t = GroundMethod::Slope)]
+    pub method: GroundMethod,
+    /// Two neighbouring returns belong to one segment when the line through them meets the beam at
+    /// more than this angle (beta of the paper), degrees
+    #[arg(
+        long,
+        value_name = "DEG",
+        default_value = "10",
+        value_parser = within(0.0..=90.0, "degrees"),
+        allow_negative_numbers = true
+    )]
+    pub theta: f64,
+    /// Fewest returns of a segment
+    #[arg(
+        long,
+        value_name = "N",
+        default_value = "10",
+        value_parser = clap::value_parser!(u32).range(1..),
+        allow_negative_numbers = true
+    )]
+    pub min_points: u32,
+    /// Height of the sensor above the ground, metres [default: estimated from the lowest returns]
+    #[arg(long, value_name = "M", value_parser = within(0.01..=200.0, "metres"), allow_negative_numbers = true)]
+    pub height: Option<f64>,
+    /// Pitch of the sensor, nose up, degrees
+    #[arg(
+        long,
+        value_name = "DEG",
+        default_value = "0",
+        value_parser = within(-90.0..=90.0, "degrees"),
+        allow_negative_numbers = true
+    )]
+    pub pitch: f64,
+    /// Roll of the sensor, right side down, degrees
+    #[arg(
+        long,
+        value_name = "DEG",
+        default_value = "0",
+        value_parser = within(-90.0..=90.0, "degrees"),
+        allow_negative_numbers = true
+    )]
+    pub roll: f64,
+    /// Returns nearer than this keep their range and get label 0, metres
+    #[arg(
+        long,
+        value_name = "M",
+        default_value = "0",
+        value_parser = within(0.0..=MAX_DISTANCE_M, "metres"),
+        allow_negative_numbers = true
+    )]
+    pub min_range: f64,
+    /// Returns further than this keep their range and get label 0, metres [default: none are]
+    #[arg(
+        long,
+        value_name = "M",
+        value_parser = within(0.0..=MAX_DISTANCE_M, "metres"),
+        allow_negative_numbers = true
+    )]
+    pub max_range: Option<f64>,
+    /// The robot's own body: a picture as high as the sensor has rows, azimuth 0 to 360 from left to right, whose black
+    /// pixels keep their range and get label 0
+    #[arg(long, value_name = "FILE.png")]
+    pub mask: Option<PathBuf>,
+}
+
+impl SensorOptions {
+    /// The calibration file, read.
+    ///
+    /// # Errors
+    /// [`CliError::Calibration`].
+    pub fn read_calibration(&self) -> Result<Option<Calibration>, CliError> {
+        Ok(self.calibration.as_deref().map(Calibration::read).transpose()?)
+    }
+
+    fn return_choice(&self) -> ReturnChoice {
+        match self.which_return {
+            WhichReturn::Nearest => ReturnChoice::Nearest,
+            WhichReturn::Strongest => ReturnChoice::Strongest,
+            WhichReturn::Last => ReturnChoice::Last,
+        }
+    }
+}
+
+/// The pipeline that these options ask for.
+///
+/// # Errors
+/// [`CliError`]: a file that cannot be read, a value that cannot be meant.
+pub fn pipeline_config(sensor: &SensorOptions, segment: &SegmentOptions) -> Result<pipeline::Config, CliError> {
+    Ok(pipeline::Config {
+        model: sensor.model,
+        calibration: sensor.read_calibration()?,
+        cut_azimuth_rad: sensor.cut_azimuth.to_radians(),
+        return_choice: sensor.return_choice(),
+        segment: segment.config()?,
+    })
+}
+
+/// Longest picture that is read, bytes: as many as its pixels could have uncompressed.
+const MAX_MASK_LEN: u64 = 64 << 20;
+
+fn read_mask(path: &Path) -> Result<Mask, CliError> {
+    let bytes = read_file(path, MAX_MASK_LEN)?;
+    let mask = Mask::decode(&bytes, &path.display().to_string());
+    let mask = mask.map_err(|error| CliError::Usage(mask_error(&error)))?;
+    if mask.hides_all() {
+        let message = format!("mask {} is all black: nothing would be labelled; white keeps", path.display());
+        return Err(CliError::Usage(message));
+    }
+    Ok(mask)
+}
+
+/// Why a mask is none, and what one is.
+fn mask_error(error: &MaskError) -> String {
+    match error {
+        MaskError::Png { .. } => {
+            let error = error.to_string();
+            format!("{}; expected a PNG picture with one row of pixels for each beam", error.trim_end_matches('.'))
+        }
+        MaskError::Size { .. } => error.to_string(),
+    }
+}
+
+impl SegmentOptions {
+    /// What the segmenter is told.
+    ///
+    /// # Errors
+    /// [`CliError`]: a mask that cannot be read, a value that cannot be meant.
+    pub fn config(&self) -> Result<segment::Config, CliError> {
+        let mask = self.mask.as_deref().map(read_mask).transpose()?;
+        let config = segment::Config {
+            method: match self.method {
+                GroundMethod::Slope => segment::Method::Slope,
+                GroundMethod::Paper => segment::Method::Paper,
+            },
+            theta_rad: self.theta.to_radians() as f32,
+            min_points: self.min_points,
+            mount: Mount {
+                height_m: self.height.map(|height| height as f32),
+                pitch_rad: self.pitch.to_radians() as f32,
+                roll_rad: self.roll.to_radians() as f32,
+            },
+            min_range_m: self.min_range as f32,
+            max_range_m: self.max_range.map_or(f32::INFINITY, |range| range as f32),
+            mask,
+            ..segment::Config::default()
+        };
+        config.check().map_err(|error| CliError::Usage(error.to_string()))?;
+        Ok(config)
+    }
+}

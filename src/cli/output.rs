@@ -1,0 +1,195 @@
+//! Where the sweeps of a replay go: a line of JSON, a table, a cloud, a picture.
+
+use std::io::{self, BufWriter, StdoutLock, Write};
+use std::path::{Path, PathBuf};
+
+use clap::ValueEnum;
+use serde::Serialize;
+
+use super::CliError;
+use crate::export::{self, Exporter, Format, Title};
+use crate::sensor::Model;
+use crate::sweep::SweepRef;
+use crate::sweep::layout::{TimeSource, flags};
+
+/// What to write of each sweep.
+#[derive(Clone, Debug, clap::Args)]
+#[command(next_help_heading = "Output")]
+pub struct OutputOptions {
+    /// One JSON object a sweep on standard output, then one with the summary
+    #[arg(long)]
+    pub json: bool,
+    /// A line per return: DIR/sweep_000000.csv, ...; each sensor but the first in a folder of its own
+    #[arg(long, value_name = "DIR")]
+    pub csv: Option<PathBuf>,
+    /// Point clouds for PCL, Open3D and CloudCompare: DIR/sweep_000000.pcd, ...
+    #[arg(long, value_name = "DIR")]
+    pub pcd: Option<PathBuf>,
+    /// A picture a sweep, of ranges, labels and the view from above: DIR/sweep_000000.png, ...
+    #[arg(long, value_name = "DIR")]
+    pub png: Option<PathBuf>,
+    /// Axes of the points in --csv and --pcd
+    #[arg(long, value_enum, default_value_t = Axes::Sensor)]
+    pub axes: Axes,
+    /// Leave out the times that each stage took, so that two runs print the same
+    #[arg(long)]
+    pub no_timing: bool,
+}
+
+/// Values of `--axes`.
+#[derive(Clone, Copy, Debug, PartialEq, Eq, ValueEnum)]
+pub enum Axes {
+    /// As the sensor's manual: x right, y forward at azimuth 0, z up
+    Sensor,
+    /// As ROS: x forward, y left, z up
+    Ros,
+}
+
+impl From<Axes> for export::Axes {
+    fn from(axes: Axes) -> Self {
+        match axes {
+            Axes::Sensor => Self::Sensor,
+            Axes::Ros => Self::Ros,
+        }
+    }
+}
+
+/// A sweep as `--json` prints it.
+#[derive(Debug, Serialize)]
+struct SweepLine<'a> {
+    sensor: &'a str,
+    model: &'a str,
+    return_mode: &'a str,
+    seq: u64,
+    partial: bool,
+    rows: usize,
+    columns: usize,
+    missing_columns: u32,
+    returns: u32,
+    ground: u32,
+    segments: u32,
+    rpm: f64,
+    lost_packets: u32,
+    time_ns: i64,
+    time_source: &'a str,
+    #[serde(skip_serializing_if = "Option::is_none")]
+    stage_us: Option<StageUs>,
+}
+
+/// Time spent on a sweep, microseconds.
+#[derive(Clone, Copy, Debug, Default, Serialize)]
+pub struct StageUs {
+    /// Packets to pixels.
+    pub decode: f64,
+    /// Ground removal.
+    pub ground: f64,
+    /// Joining, labels and the segments table.
+    pub label: f64,
+}
+
+impl StageUs {
+    /// As the sweep's header has it.
+    pub fn of(sweep: &SweepRef<'_>) -> Self {
+        let us = |ns: u32| f64::from(ns) / 1000.0;
+        let header = sweep.header;
+        Self { decode: us(header.decode_ns), ground: us(header.ground_ns), label: us(header.label_ns) }
+    }
+}
+
+/// The word for a clock in output.
+pub fn time_source_name(source: TimeSource) -> &'static str {
+    match source {
+        TimeSource::Gps => "gps",
+        TimeSource::Host => "host",
+    }
+}
+
+/// Everything that was asked for.
+pub struct Outputs {
+    files: Vec<(PathBuf, Format)>,
+    /// By number of the sensor; `None` until its first sweep.
+    exporters: Vec<Option<Vec<Exporter>>>,
+    axes: export::Axes,
+    stdout: Option<BufWriter<StdoutLock<'static>>>,
+    timing: bool,
+}
+
+impl Outputs {
+    /// Creates the directories, so that a wrong one is known before the work.
+    ///
+    /// # Errors
+    /// [`CliError::Export`].
+    pub fn new(options: &OutputOptions) -> Result<Self, CliError> {
+        let asked = [(&options.csv, Format::Csv), (&options.pcd, Format::Pcd), (&options.png, Format::Png)];
+        let files = asked.into_iter().filter_map(|(dir, format)| Some((dir.clone()?, format))).collect();
+        let stdout = options.json.then(|| BufWriter::new(io::stdout().lock()));
+        let axes = options.axes.into();
+        let mut outputs = Self { files, exporters: Vec::new(), axes, stdout, timing: !options.no_timing };
+        outputs.exporters(0, "")?;
+        Ok(outputs)
+    }
+
+    /// Writes a sweep of a sensor; `seq` counts the sweeps that were written of it.
+    ///
+    /// # Errors
+    /// [`CliError`].
+    pub fn sweep(&mut self, sensor: usize, model: Model, seq: u64, sweep: SweepRef<'_>) -> Result<(), CliError> {
+        let title = Title { model: model.spec().name, sweep_number: seq };
+        for exporter in self.exporters(sensor, sweep.header.sensor())? {
+            exporter.write(&export::file_stem(seq), sweep, &title)?;
+        }
+        let timing = self.timing;
+        self.line(|| SweepLine {
+            sensor: sweep.header.sensor(),
+            model: model.spec().name,
+            return_mode: sweep.header.return_mode().name(),
+            seq,
+            partial: sweep.header.has(flags::PARTIAL),
+            rows: sweep.rows(),
+            columns: sweep.columns.len(),
+            missing_columns: sweep.header.missing_columns,
+            returns: sweep.header.returns,
+            ground: sweep.header.ground,
+            segments: sweep.header.segments,
+            rpm: rounded(f64::from(sweep.header.rpm), 1000.0),
+            lost_packets: sweep.header.lost_packets,
+            time_ns: sweep.header.time_ns,
+            time_source: time_source_name(sweep.header.time_source()),
+            stage_us: timing.then(|| StageUs::of(&sweep)),
+        })
+    }
+
+    /// Prints a line of JSON, if JSON was asked for.
+    ///
+    /// # Errors
+    /// [`CliError::Stdout`].
+    pub fn line<T: Serialize>(&mut self, line: impl FnOnce() -> T) -> Result<(), CliError> {
+        let Some(stdout) = &mut self.stdout else { return Ok(()) };
+        serde_json::to_writer(&mut *stdout, &line()).map_err(|error| CliError::Stdout(error.into()))?;
+        stdout.write_all(b"\n").and_then(|()| stdout.flush()).map_err(CliError::Stdout)
+    }
+
+    /// The exporters of a sensor: the first one writes into the directories themselves, each other one into a folder of
+    /// its name in them.
+    fn exporters(&mut self, sensor: usize, name: &str) -> Result<&[Exporter], CliError> {
+        if self.exporters.len() <= sensor {
+            self.exporters.resize(sensor + 1, None);
+        }
+        let slot = &mut self.exporters[sensor];
+        let created = match slot.take() {
+            Some(exporters) => exporters,
+            None => {
+                let folder =
+                    |dir: &Path| if sensor == 0 { dir.to_owned() } else { dir.join(name.replace([':', '>'], "_")) };
+                let create = |(dir, format): &(PathBuf, Format)| Exporter::new(folder(dir), *format, self.axes);
+                self.files.iter().map(create).collect::<Result<_, _>>()?
+            }
+        };
+        Ok(slot.insert(created))
+    }
+}
+
+/// Rounds to a fraction that a person may want to read.
+pub fn rounded(value: f64, per_unit: f64) -> f64 {
+    (value * per_unit).round() / per_unit
+}

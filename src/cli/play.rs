@@ -1,0 +1,125 @@
+//! Which part of a capture is played, how fast and how often.
+
+use std::net::SocketAddr;
+use std::path::Path;
+use std::str::FromStr;
+
+use super::CliError;
+use super::options::within;
+use crate::capture::Speed;
+
+/// What is played, and how fast.
+#[derive(Clone, Debug, clap::Args)]
+#[command(next_help_heading = "Replay")]
+pub struct PlayOptions {
+    /// Leave out what comes before this, seconds from the start of the capture
+    #[arg(long, value_name = "SECONDS", value_parser = within(0.0..=f64::MAX, "seconds"), allow_negative_numbers = true)]
+    pub from: Option<f64>,
+    /// Stop at this, seconds from the start of the capture
+    #[arg(long, value_name = "SECONDS", value_parser = within(0.0..=f64::MAX, "seconds"), allow_negative_numbers = true)]
+    pub to: Option<f64>,
+    /// realtime, max, or a factor such as 0.5; gaps of over a minute are not waited for [default: max; realtime with
+    /// --to-udp]
+    #[arg(long, allow_negative_numbers = true)]
+    pub speed: Option<Speed>,
+    /// Begin again at the end, for ever or so many times in all
+    #[arg(long = "loop", value_name = "TIMES", num_args = 0..=1, require_equals = true, default_missing_value = "forever")]
+    pub times: Option<Times>,
+    /// Also emit partial sweeps: the first, the last, and those that were interrupted
+    #[arg(long)]
+    pub partial: bool,
+    /// Send the capture's own datagrams there with their own timing, each sensor from a port of its own
+    #[arg(long, value_name = "ADDR:PORT", value_parser = destination)]
+    pub to_udp: Option<SocketAddr>,
+}
+
+/// How often a capture is played.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub enum Times {
+    /// Until something stops it.
+    Forever,
+    /// So many times in all.
+    Count(u64),
+}
+
+impl FromStr for Times {
+    type Err = String;
+
+    fn from_str(text: &str) -> Result<Self, String> {
+        match text.parse() {
+            _ if text == "forever" => Ok(Self::Forever),
+            Ok(count) if count > 0 => Ok(Self::Count(count)),
+            _ => Err("expected how many times in all, 1 or more; --loop alone goes on for ever".to_owned()),
+        }
+    }
+}
+
+/// Where datagrams can be sent to.
+pub(super) fn destination(text: &str) -> Result<SocketAddr, String> {
+    match text.parse::<SocketAddr>() {
+        Ok(to) if to.port() != 0 => Ok(to),
+        _ => Err("expected IP:PORT such as 127.0.0.1:2368, with an IPv6 address in brackets".to_owned()),
+    }
+}
+
+/// Where a datagram is, seen from what is to be played.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub enum Place {
+    /// Not yet.
+    Before,
+    /// Now.
+    Within,
+    /// No more.
+    Behind,
+}
+
+impl PlayOptions {
+    /// Looks for options that contradict each other.
+    ///
+    /// # Errors
+    /// [`CliError::Usage`].
+    pub fn check(&self, capture: &Path) -> Result<(), CliError> {
+        let usage = |message: &str| Err(CliError::Usage(message.to_owned()));
+        if self.times.is_some() && capture.as_os_str() == "-" {
+            return usage("standard input cannot be played again: --loop needs a file");
+        }
+        match (self.from, self.to) {
+            (Some(from), Some(to)) if to <= from => usage("--to is not after --from: nothing would be left"),
+            (None, Some(0.0)) => usage("--to 0 leaves nothing of the capture: expected more than 0 seconds"),
+            _ => Ok(()),
+        }
+    }
+
+    /// How fast.
+    pub fn speed(&self) -> Speed {
+        self.speed.unwrap_or(if self.to_udp.is_some() { Speed::REALTIME } else { Speed::Max })
+    }
+
+    /// Whether the capture is to be played again after so many times.
+    pub fn again(&self, played: u64) -> bool {
+        match self.times {
+            None => false,
+            Some(Times::Forever) => true,
+            Some(Times::Count(times)) => played < times,
+        }
+    }
+
+    /// Where a moment of the capture is.
+    pub fn place(&self, since_start_ns: i64) -> Place {
+        let seconds = since_start_ns as f64 * 1e-9;
+        if self.from.is_some_and(|from| seconds < from) {
+            Place::Before
+        } else if self.to.is_some_and(|to| seconds >= to) {
+            Place::Behind
+        } else {
+            Place::Within
+        }
+    }
+
+    /// The part that is played, for a sentence: ` from 10 s to 20 s`, or nothing if it is all.
+    pub fn part(&self) -> String {
+        let from = self.from.map_or(String::new(), |from| format!(" from {from} s"));
+        let to = self.to.map_or(String::new(), |to| format!(" to {to} s"));
+        from + &to
+    }
+}

@@ -1,0 +1,391 @@
+//! `sweepd replay`: a capture through the same pipeline as the live sensor.
+
+use std::fs::File;
+use std::io::{self, IsTerminal, Write};
+use std::path::PathBuf;
+use std::time::{Duration, Instant};
+
+use indicatif::{ProgressBar, ProgressDrawTarget, ProgressStyle};
+
+use super::options::{SegmentOptions, SensorOptions, pipeline_config};
+use super::output::{OutputOptions, Outputs};
+use super::play::{Place, PlayOptions};
+use super::send::Sender;
+use super::summary::{SensorReport, SummaryLine, Sums, Traffic};
+use super::{CliError, complain};
+use crate::capture::{Capture, CaptureError, Pacer, Route, SensorIndex, Sensors};
+use crate::export::text::count_of;
+use crate::pipeline::{Config, Counts, Fault, Pipeline, Stopwatch};
+use crate::sensor::detect::Detection;
+use crate::sweep::layout::flags;
+use crate::sweep::{HeapBuffers, SweepRef};
+use crate::wire::Datagram;
+
+/// Options of `sweepd replay`.
+#[derive(Debug, clap::Args)]
+#[command(after_help = "\
+Examples:
+  sweepd replay pcap_fixtures/street_vlp16.pcap.gz --png out
+  sweepd replay drive.pcapng --sensor 192.168.1.201 --json --no-timing > sweeps.jsonl
+  sweepd replay drive.pcap --from 10 --to 20 --csv returns --partial
+  sweepd replay drive.pcap --to-udp 127.0.0.1:2368 --loop")]
+pub struct Args {
+    /// pcap or pcapng, plain or compressed with gzip or zstd; - is standard input
+    #[arg(value_name = "CAPTURE")]
+    pub capture: PathBuf,
+    #[command(flatten)]
+    sensor: SensorOptions,
+    #[command(flatten)]
+    segment: SegmentOptions,
+    #[command(flatten)]
+    output: OutputOptions,
+    #[command(flatten)]
+    play: PlayOptions,
+}
+
+/// Runs the command.
+///
+/// # Errors
+/// [`CliError`]: what stopped it, or what it could not decode.
+pub fn run(args: &Args) -> Result<(), CliError> {
+    args.play.check(&args.capture)?;
+    let config = pipeline_config(&args.sensor, &args.segment)?;
+    let mut replay = Replay::new(args, config)?;
+    for played in 1.. {
+        let mut capture = replay.open()?;
+        let read = replay.play(&mut capture)?;
+        if read.is_err() || !args.play.again(played) || !replay.is_worth_playing_again() {
+            return replay.conclude(&capture, read);
+        }
+    }
+    Ok(())
+}
+
+/// The monotonic clock, or one that stands still for output that two runs share.
+#[derive(Clone, Copy)]
+struct Watch(Option<Instant>);
+
+impl Stopwatch for Watch {
+    fn now_ns(&self) -> u64 {
+        self.0.map_or(0, |start| start.elapsed().as_nanos() as u64)
+    }
+}
+
+/// One sensor on its way.
+struct Track {
+    name: String,
+    pipeline: Pipeline<HeapBuffers, Watch>,
+    /// Of the last sweep; the pipeline forgets it when another sensor takes the place of this one.
+    detection: Option<Detection>,
+    sums: Sums,
+    emitted: u64,
+    /// Of the rounds before.
+    past: Counts,
+    fault: Option<String>,
+}
+
+/// A replay under way.
+struct Replay<'a> {
+    args: &'a Args,
+    config: Config,
+    watch: Watch,
+    outputs: Outputs,
+    sensors: Sensors,
+    /// Datagrams of other senders in the rounds before.
+    others_before: u64,
+    tracks: Vec<Track>,
+    sender: Option<Sender>,
+    progress: ProgressBar,
+}
+
+impl<'a> Replay<'a> {
+    fn new(args: &'a Args, config: Config) -> Result<Self, CliError> {
+        Ok(Self {
+            outputs: Outputs::new(&args.output)?,
+            watch: Watch((!args.output.no_timing).then(Instant::now)),
+            sensors: Sensors::new(args.sensor.sensor.clone()),
+            others_before: 0,
+            tracks: Vec::new(),
+            sender: args.play.to_udp.map(Sender::new),
+            progress: progress_bar(args),
+            args,
+            config,
+        })
+    }
+
+    /// Opens the capture; it tells the progress bar how far it was read.
+    fn open(&self) -> Result<Capture, CliError> {
+        let path = &self.args.capture;
+        if path.as_os_str() == "-" {
+            let style = ProgressStyle::with_template("{binary_bytes} read, {elapsed} gone");
+            self.progress.set_style(style.unwrap_or_else(|_| ProgressStyle::default_spinner()));
+            return Ok(Capture::new("standard input", Box::new(self.progress.wrap_read(io::stdin())))?);
+        }
+        let Some(len) = std::fs::metadata(path).ok().filter(std::fs::Metadata::is_file).map(|file| file.len()) else {
+            return Ok(Capture::open(path)?);
+        };
+        let name = path.display().to_string();
+        let file = File::open(path).map_err(|source| CaptureError::Open { name: name.clone(), source })?;
+        self.progress.set_length(len);
+        self.progress.reset();
+        Ok(Capture::new(&name, Box::new(self.progress.wrap_read(file)))?)
+    }
+
+    /// Plays the capture once; played again, each sensor begins anew. What cannot be read any further is given back:
+    /// everything before it is played to its end.
+    fn play(&mut self, capture: &mut Capture) -> Result<Result<(), CaptureError>, CliError> {
+        self.others_before = self.sensors.others().total();
+        for track in &mut self.tracks {
+            track.past += track.pipeline.counts();
+            track.pipeline = pipeline(&track.name, &self.config, self.watch)?;
+        }
+        let mut pacer = Pacer::new(self.args.play.speed());
+        let begun = Instant::now();
+        let (mut was_behind, mut before_ns) = (false, None::<i64>);
+        let read = loop {
+            let placed = match capture.next_placed() {
+                Ok(Some(placed)) => placed,
+                Ok(None) => break Ok(()),
+                Err(error) => break Err(error),
+            };
+            let place = self.args.play.place(placed.since_start_ns);
+            if place == Place::Behind {
+                // One alone may be a corrupt time.
+                if std::mem::replace(&mut was_behind, true) {
+                    break Ok(());
+                }
+                continue;
+            }
+            was_behind = false;
+            if place == Place::Within {
+                let wait = pacer.wait(placed.datagram.arrival_ns, begun.elapsed().as_nanos() as u64);
+                if wait > Duration::ZERO {
+                    std::thread::sleep(wait);
+                }
+            }
+            // The earlier of two neighbours: one alone may be a corrupt time.
+            let arrival_ns = placed.datagram.arrival_ns;
+            self.tick(before_ns.replace(arrival_ns).map_or(arrival_ns, |before_ns| before_ns.min(arrival_ns)))?;
+            self.datagram(&placed.datagram, place, placed.record)?;
+        };
+        for index in 0..self.tracks.len() {
+            if let Err(fault) = self.tracks[index].pipeline.end() {
+                self.note_fault(index, &fault, None);
+            }
+            self.emit(index)?;
+        }
+        Ok(read)
+    }
+
+    /// Tells all sensors the time of the capture: one that fell silent has its sweep closed, as it would be live.
+    fn tick(&mut self, now_ns: i64) -> Result<(), CliError> {
+        (0..self.tracks.len()).try_for_each(|index| match self.tracks[index].pipeline.tick(now_ns) {
+            true => self.emit(index),
+            false => Ok(()),
+        })
+    }
+
+    fn datagram(&mut self, datagram: &Datagram<'_>, place: Place, record: u64) -> Result<(), CliError> {
+        let ip = datagram.source.ip().to_canonical();
+        let route = self.sensors.route(datagram);
+        if let (Some(sender), Place::Within) = (&mut self.sender, place) {
+            match route {
+                Route::Data(index) => sender.data(index.get(), ip, datagram.payload)?,
+                Route::Position(_) => sender.position(ip, datagram.payload)?,
+                Route::Other(_) => {}
+            }
+        }
+        match route {
+            Route::Data(index) => {
+                self.track(index)?;
+                if place == Place::Before {
+                    self.tracks[index.get()].pipeline.pass_over();
+                    return Ok(());
+                }
+                self.push(index.get(), datagram, record)
+            }
+            // Also before --from: they tell the time.
+            Route::Position(set) => set.into_iter().try_for_each(|index| self.push(index.get(), datagram, record)),
+            Route::Other(_) => Ok(()),
+        }
+    }
+
+    /// Makes a track for a sensor that is heard for the first time.
+    fn track(&mut self, index: SensorIndex) -> Result<(), CliError> {
+        if index.get() < self.tracks.len() {
+            return Ok(());
+        }
+        let name = self.sensors.sensor(index).name.clone();
+        let mut pipeline = pipeline(&name, &self.config, self.watch)?;
+        if let Some(position) = self.sensors.position(index) {
+            // A position packet is never a fault.
+            let _ = pipeline.push(&position);
+        }
+        let (sums, past) = (Sums::default(), Counts::default());
+        self.tracks.push(Track { name, pipeline, detection: None, sums, emitted: 0, past, fault: None });
+        Ok(())
+    }
+
+    fn push(&mut self, index: usize, datagram: &Datagram<'_>, record: u64) -> Result<(), CliError> {
+        if let Err(fault) = self.tracks[index].pipeline.push(datagram) {
+            self.note_fault(index, &fault, Some(record));
+        }
+        self.emit(index)
+    }
+
+    /// Says a fault at once, since a replay may take long; the same one only once, since it may go round.
+    fn note_fault(&mut self, index: usize, fault: &Fault, record: Option<u64>) {
+        let fault = self.args.explain(fault);
+        let track = &mut self.tracks[index];
+        if track.fault.as_ref() != Some(&fault) {
+            let capture = self.args.capture.display();
+            let record = record.map_or(String::new(), |record| format!(", record {record}"));
+            self.progress.suspend(|| complain("error", format_args!("{capture}{record}: {}: {fault}", track.name)));
+            track.fault = Some(fault);
+        }
+    }
+
+    /// Writes the sweeps that are whole.
+    fn emit(&mut self, index: usize) -> Result<(), CliError> {
+        let track = &mut self.tracks[index];
+        while let Some(buffer) = track.pipeline.poll() {
+            let Ok(sweep) = SweepRef::open(buffer.as_ref()) else { continue };
+            let Some(detection) = track.pipeline.detection() else { continue };
+            track.detection = Some(detection);
+            track.sums.add(&sweep);
+            if self.args.play.partial || !sweep.header.has(flags::PARTIAL) {
+                self.outputs.sweep(index, detection.model, track.emitted, sweep)?;
+                track.emitted += 1;
+            }
+        }
+        Ok(())
+    }
+
+    /// Whether another round could bring more than this one.
+    fn is_worth_playing_again(&self) -> bool {
+        self.sender.is_some() || self.tracks.iter().any(|track| track.sums.any())
+    }
+
+    /// The summary, and an error when something could not be read or decoded.
+    fn conclude(mut self, capture: &Capture, read: Result<(), CaptureError>) -> Result<(), CliError> {
+        self.progress.finish_and_clear();
+        let timing = !self.args.output.no_timing;
+        let partial_emitted = self.args.play.partial;
+        let reports: Vec<SensorReport<'_>> = self.tracks.iter().map(|track| track.report(partial_emitted)).collect();
+        let traffic = Traffic::new(capture, self.sensors.others().total() - self.others_before);
+        self.outputs.line(|| SummaryLine::new(capture, &traffic, &reports, timing))?;
+        if !self.args.output.json {
+            print_tables(&traffic, &reports, timing).map_err(CliError::Stdout)?;
+        }
+        warn(capture);
+        if let Err(error) = &read {
+            complain("error", format_args!("{error}; everything before was replayed"));
+        }
+        let missing = self.missing(capture);
+        for message in &missing {
+            complain("error", message);
+        }
+        let all = read.is_ok() && missing.is_empty() && self.tracks.iter().all(|track| track.fault.is_none());
+        if all { Ok(()) } else { Err(CliError::Reported) }
+    }
+
+    /// What was asked for and is not there.
+    fn missing(&self, capture: &Capture) -> Vec<String> {
+        let name = capture.name();
+        let filters = self.args.sensor.sensor.iter();
+        let unheard = |filter: &&_| !self.sensors.sensors().iter().any(|sensor| sensor.is_selected_by(filter));
+        let mut missing: Vec<String> = filters
+            .filter(unheard)
+            .map(|filter| format!("{name}: no sensor {filter} in it; `sweepd inspect` lists those that are there"))
+            .collect();
+        if missing.is_empty() && self.tracks.is_empty() {
+            missing.push(nothing(capture, &self.args.play.part()));
+        } else if !self.tracks.is_empty() && self.tracks.iter().all(|track| track.counts().data == 0) {
+            let ns = capture.last_ns().unwrap_or(0).saturating_sub(capture.first_ns().unwrap_or(0));
+            let (part, seconds) = (self.args.play.part(), ns as f64 * 1e-9);
+            missing.push(format!("{name}: no data packets{part}; what was read of it spans {seconds:.3} s"));
+        }
+        missing
+    }
+}
+
+impl Args {
+    /// A fault in the words of the options that brought it.
+    fn explain(&self, fault: &Fault) -> String {
+        match (fault, &self.sensor.calibration, &self.segment.mask) {
+            (Fault::Calibration(why), Some(file), _) => format!(
+                "the calibration {} does not fit: {why}; give the file of this unit, or leave --calibration away",
+                file.display()
+            ),
+            (Fault::Mask { .. }, _, Some(file)) => format!("{}: {fault}", file.display()),
+            _ => fault.to_string(),
+        }
+    }
+}
+
+fn pipeline(name: &str, config: &Config, watch: Watch) -> Result<Pipeline<HeapBuffers, Watch>, CliError> {
+    Pipeline::new(name, config.clone(), HeapBuffers::default(), watch)
+        .map_err(|error| CliError::Usage(error.to_string()))
+}
+
+impl Track {
+    /// Of all rounds.
+    fn counts(&self) -> Counts {
+        let mut counts = self.past;
+        counts += self.pipeline.counts();
+        counts
+    }
+
+    fn report(&self, partial_emitted: bool) -> SensorReport<'_> {
+        SensorReport {
+            sensor: &self.name,
+            detection: self.pipeline.detection().or(self.detection),
+            fault: self.fault.as_deref(),
+            counts: self.counts(),
+            sums: &self.sums,
+            partial_emitted,
+        }
+    }
+}
+
+fn print_tables(traffic: &Traffic, reports: &[SensorReport<'_>], timing: bool) -> io::Result<()> {
+    let tables: Vec<String> = reports.iter().map(|report| report.table(timing)).collect();
+    let mut stdout = io::stdout().lock();
+    write!(stdout, "{}", tables.join("\n"))?;
+    if traffic.other > 0 && !tables.is_empty() {
+        writeln!(stdout, "\npassed over: {} of other traffic", count_of(traffic.other, "record"))?;
+    }
+    stdout.flush()
+}
+
+/// What is wrong with the capture and stops nobody.
+fn warn(capture: &Capture) {
+    let name = capture.name();
+    if let Some(truncation) = capture.truncation() {
+        complain("warning", format_args!("{name}: {truncation}; everything before was replayed"));
+    }
+    match capture.tally().truncated_records {
+        0 => {}
+        cut => {
+            let cut = count_of(cut, "record");
+            complain("warning", format_args!("{name}: {cut} cut short; capture with a larger snap length"));
+        }
+    }
+}
+
+/// What was there instead of a sensor.
+fn nothing(capture: &Capture, part: &str) -> String {
+    let (name, tally) = (capture.name(), capture.tally());
+    let (records, datagrams) = (count_of(tally.records, "record"), count_of(tally.datagrams, "UDP datagram"));
+    format!("{name}: no Velodyne data packets{part} ({records}, {datagrams}); `sweepd inspect` says what is in it")
+}
+
+/// How far the capture was read, on standard error; silent where that is no terminal, and where JSON comes out beside it.
+fn progress_bar(args: &Args) -> ProgressBar {
+    if args.output.json && io::stdout().is_terminal() {
+        return ProgressBar::hidden();
+    }
+    let template = "{wide_bar} {percent:>3} %  {binary_bytes} of {binary_total_bytes}, {eta} to go";
+    let style = ProgressStyle::with_template(template).unwrap_or_else(|_| ProgressStyle::default_bar());
+    ProgressBar::with_draw_target(None, ProgressDrawTarget::stderr()).with_style(style)
+}

@@ -1,0 +1,81 @@
+//! The datagrams of a capture on the network again.
+
+use std::io;
+use std::net::{IpAddr, Ipv4Addr, Ipv6Addr, SocketAddr, UdpSocket};
+
+use super::CliError;
+use crate::capture::sensors::MAX_SENSORS;
+
+/// Sends to one address, each sensor from a port of its own, so that a receiver can tell them apart.
+///
+/// A position packet belongs to an address, not to a sensor: it is sent once, by the first sensor at its address.
+pub struct Sender {
+    to: SocketAddr,
+    /// At most two for each of [`MAX_SENSORS`].
+    ports: Vec<Port>,
+}
+
+struct Port {
+    ip: IpAddr,
+    /// Number of the sensor; `None` while only position packets came from the address.
+    sensor: Option<usize>,
+    socket: UdpSocket,
+}
+
+impl Sender {
+    /// A sender that has sent nothing yet.
+    pub fn new(to: SocketAddr) -> Self {
+        Self { to, ports: Vec::new() }
+    }
+
+    /// Sends a data packet of a sensor.
+    ///
+    /// # Errors
+    /// [`CliError::Send`].
+    pub fn data(&mut self, sensor: usize, ip: IpAddr, payload: &[u8]) -> Result<(), CliError> {
+        let own = self.ports.iter().position(|port| port.sensor == Some(sensor));
+        let own = own.or_else(|| self.ports.iter().position(|port| port.sensor.is_none() && port.ip == ip));
+        let index = own.map_or_else(|| self.open(ip), Ok)?;
+        self.ports[index].sensor = Some(sensor);
+        self.send(index, payload)
+    }
+
+    /// Sends a position packet.
+    ///
+    /// # Errors
+    /// [`CliError::Send`].
+    pub fn position(&mut self, ip: IpAddr, payload: &[u8]) -> Result<(), CliError> {
+        let index = match self.ports.iter().position(|port| port.ip == ip) {
+            Some(index) => index,
+            // More addresses than there can be sensors are an attack on the number of sockets.
+            None if self.ports.len() >= MAX_SENSORS => return Ok(()),
+            None => self.open(ip)?,
+        };
+        self.send(index, payload)
+    }
+
+    fn open(&mut self, ip: IpAddr) -> Result<usize, CliError> {
+        let any: SocketAddr = match self.to {
+            SocketAddr::V4(_) => (Ipv4Addr::UNSPECIFIED, 0).into(),
+            SocketAddr::V6(_) => (Ipv6Addr::UNSPECIFIED, 0).into(),
+        };
+        let socket = UdpSocket::bind(any).and_then(|socket| {
+            // As the sensors do; without it, 255.255.255.255 is refused.
+            socket.set_broadcast(true)?;
+            Ok(socket)
+        });
+        let socket = socket.map_err(|source| self.failed(source))?;
+        self.ports.push(Port { ip, sensor: None, socket });
+        Ok(self.ports.len() - 1)
+    }
+
+    /// Not connected: a connected socket fails, and sends nothing, after a datagram that nobody was there to take.
+    fn send(&self, index: usize, payload: &[u8]) -> Result<(), CliError> {
+        let sent = self.ports[index].socket.send_to(payload, self.to);
+        sent.map(drop).map_err(|source| self.failed(source))
+    }
+
+    fn failed(&self, source: io::Error) -> CliError {
+        CliError::Send { to: self.to, source }
+    }
+}

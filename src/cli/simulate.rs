@@ -1,0 +1,303 @@
+//! `sweepd simulate`: sensors that are not there, in a scene that does not exist.
+
+mod faults;
+mod sink;
+mod truth;
+
+use std::io::{self, Write};
+use std::iter::Peekable;
+use std::net::{Ipv4Addr, SocketAddr};
+use std::path::PathBuf;
+use std::time::{Instant, SystemTime};
+
+use clap::ValueEnum;
+
+use self::faults::FaultOptions;
+use self::sink::CaptureFile;
+use self::truth::{TruthFile, write_objects};
+use super::CliError;
+use super::options::{model, within};
+use super::play::destination;
+use super::send::Sender;
+use crate::capture::write::Outgoing;
+use crate::capture::{Pacer, Speed};
+use crate::sensor::{Calibration, Model};
+use crate::simulate::delivery::Delivery;
+use crate::simulate::gps::Clock;
+use crate::simulate::{Emitter, EmitterConfig, Faults, Scene, Setting, SimulatedDatagram, deliver};
+use crate::wire::DATA_PORT;
+use crate::wire::data::ReturnMode;
+
+/// Options of `sweepd simulate`.
+#[derive(Debug, clap::Args)]
+#[command(after_help = "\
+The truth (--truth DIR), for scoring a segmentation:
+  objects.csv  object,class; classes are ground, building, car, lorry, person, cyclist, pole, sign,
+               tree and furniture
+  truth.csv    packet,block,record,object,class,range_m,azimuth_deg,time_ns: a line per return that
+               was delivered, before noise and rounding. Packets and blocks are counted as in the
+               files of replay --csv; record modulo the number of beams is the channel; time is UTC
+               since 1970
+
+Examples:
+  sweepd simulate --model vlp16 --pcap street.pcap.gz
+  sweepd simulate --model hdl32e --scene room --seconds 2 --pcap - | sweepd replay - --png out
+  sweepd simulate --model vlp16 --model hdl32e --seconds 3600 --to 127.0.0.1:2368
+  sweepd simulate --model vlp16 --loss 1 --burst-loss 0.1x20 --pcap lossy.pcap --truth truth")]
+pub struct Args {
+    /// Model: vlp16, puck-lite, puck-hires or hdl32e; several times for several sensors in one scene,
+    /// with the addresses 192.168.1.201, 192.168.1.202, ...
+    #[arg(long = "model", value_name = "MODEL", required = true, value_parser = model)]
+    models: Vec<Model>,
+    /// Scene: street, parking-lot, field or room
+    #[arg(long, default_value = "street", value_parser = setting)]
+    scene: Setting,
+    /// Seed of all chance: of the scene, the noise and the faults
+    #[arg(long, value_name = "N", default_value = "1", value_parser = seed, allow_negative_numbers = true)]
+    seed: u64,
+    /// Turns a minute
+    #[arg(
+        long,
+        default_value = "600",
+        value_parser = within(300.0..=1200.0, "turns a minute"),
+        allow_negative_numbers = true
+    )]
+    rpm: f64,
+    /// One return a shot, the strongest, or two
+    #[arg(long = "return", value_name = "WHICH", value_enum, default_value_t = Returns::Single)]
+    returns: Returns,
+    /// Simulate this unit's elevations and vertical offsets: db.xml or ROS YAML [default: the model's
+    /// own table]
+    #[arg(long, value_name = "FILE")]
+    calibration: Option<PathBuf>,
+    /// For how long
+    #[arg(
+        long,
+        value_name = "SECONDS",
+        default_value = "10",
+        value_parser = within(0.01..=86_400.0, "seconds"),
+        allow_negative_numbers = true
+    )]
+    seconds: f64,
+    #[command(flatten)]
+    target: Target,
+    /// Write there what every return really was: truth.csv and objects.csv; the truth.csv of each
+    /// sensor but the first is in a folder of its own
+    #[arg(long, value_name = "DIR")]
+    truth: Option<PathBuf>,
+    #[command(flatten)]
+    faults: FaultOptions,
+}
+
+/// Where the datagrams go.
+#[derive(Clone, Debug, clap::Args)]
+#[group(required = true, multiple = false)]
+struct Target {
+    /// Write a capture, as fast as possible: NAME.pcap or NAME.pcap.gz; - is standard output
+    #[arg(long, value_name = "FILE")]
+    pcap: Option<PathBuf>,
+    /// Send as a sensor does, in real time: data and position packets to one port, each sensor from a
+    /// port of its own
+    #[arg(long, value_name = "ADDR:PORT", value_parser = destination)]
+    to: Option<SocketAddr>,
+}
+
+/// Values of `--return`.
+#[derive(Clone, Copy, Debug, PartialEq, Eq, ValueEnum)]
+enum Returns {
+    /// The strongest
+    Single,
+    /// The last, and the strongest or second strongest
+    Dual,
+}
+
+/// A scene, by its name.
+fn setting(text: &str) -> Result<Setting, String> {
+    Setting::ALL.into_iter().find(|setting| setting.name() == text).ok_or_else(|| {
+        let names = Setting::ALL.map(Setting::name).join(", ");
+        format!("no scene; expected one of {names}")
+    })
+}
+
+fn seed(text: &str) -> Result<u64, String> {
+    text.parse().map_err(|_| format!("expected a whole number from 0 to {}", u64::MAX))
+}
+
+/// Sensors that there is room for: their addresses are 192.168.1.201 to .254.
+const MAX_SENSORS: usize = 54;
+/// First shot in a capture: 2026-05-04 10:17:23 UTC, so that the same command gives the same bytes.
+const START_UTC_NS: i64 = 1_777_889_843_000_000_000;
+
+/// Runs the command.
+///
+/// # Errors
+/// [`CliError`]: a value that cannot be meant, a file that cannot be read or written, a network that refuses.
+pub fn run(args: &Args) -> Result<(), CliError> {
+    args.check()?;
+    let configs = args.configs()?;
+    let scene = args.scene.build(args.seed);
+    let mut sensors =
+        configs.iter().map(|config| Simulated::new(args, config, &scene)).collect::<Result<Vec<_>, _>>()?;
+    if let Some(folder) = &args.truth {
+        write_objects(folder, &scene)?;
+    }
+    let mut output = Output::open(&args.target)?;
+    while let Some((index, datagram)) = next(&mut sensors) {
+        output.send(index, &datagram)?;
+        sensors[index].note(&datagram)?;
+    }
+    output.finish()?;
+    for sensor in &mut sensors {
+        sensor.conclude()?;
+    }
+    Ok(())
+}
+
+/// The next datagram of all sensors by time of arrival, and the number of its sensor.
+fn next(sensors: &mut [Simulated<'_>]) -> Option<(usize, SimulatedDatagram)> {
+    let arrival_ns = |sensor: &mut Simulated<'_>| sensor.datagrams.peek().map(|one| one.arrival_ns);
+    let (_, index) = (0..sensors.len()).filter_map(|index| Some((arrival_ns(&mut sensors[index])?, index))).min()?;
+    Some((index, sensors[index].datagrams.next()?))
+}
+
+impl Args {
+    fn check(&self) -> Result<(), CliError> {
+        if self.models.len() > MAX_SENSORS {
+            let count = self.models.len();
+            return Err(CliError::Usage(format!("--model is given {count} times; expected at most {MAX_SENSORS}")));
+        }
+        self.faults.check(self.seconds)
+    }
+
+    /// The calibration, fitted to a model.
+    fn calibration(&self, model: Model) -> Result<Option<Calibration>, CliError> {
+        let Some(path) = &self.calibration else { return Ok(None) };
+        let fitted = Calibration::read(path)?.for_model(model);
+        let wrong = |error| format!("--calibration {} does not fit the {model}: {error}", path.display());
+        fitted.map(Some).map_err(|error| CliError::Usage(wrong(error)))
+    }
+
+    /// The sensors that are to be simulated.
+    fn configs(&self) -> Result<Vec<EmitterConfig>, CliError> {
+        let start_utc_ns = match self.target.to {
+            Some(_) => SystemTime::UNIX_EPOCH.elapsed().map_or(START_UTC_NS, |since| since.as_nanos() as i64),
+            None => START_UTC_NS,
+        };
+        let mode = if self.returns == Returns::Dual { ReturnMode::Dual } else { ReturnMode::Strongest };
+        let config = |(number, &model): (usize, &Model)| {
+            let mut config = EmitterConfig::new(model, mode);
+            config.rpm = self.rpm;
+            config.calibration = self.calibration(model)?;
+            config.motor = self.faults.motor();
+            config.pose = self.scene.pose(number);
+            // In Frankfurt, as the captures in `pcap_fixtures/` are.
+            config.clock = Clock::Gps { position_deg: (50.110_6, 8.682_1) };
+            config.start_utc_ns = start_utc_ns;
+            config.address = Ipv4Addr::new(192, 168, 1, 201 + number as u8);
+            config.seed = self.seed.wrapping_add((number as u64) << 32);
+            Ok(config.seconds(self.seconds, self.faults.mode_switch))
+        };
+        self.models.iter().enumerate().map(config).collect()
+    }
+}
+
+/// A sensor at work.
+struct Simulated<'a> {
+    config: EmitterConfig,
+    faults: Faults,
+    datagrams: Peekable<Delivery<Emitter<'a>>>,
+    truth: Option<TruthFile>,
+    data: u64,
+    position: u64,
+}
+
+impl<'a> Simulated<'a> {
+    fn new(args: &Args, config: &EmitterConfig, scene: &'a Scene) -> Result<Self, CliError> {
+        let faults = args.faults.rates().plan(config.seed, config.packets);
+        let folder = args.truth.as_ref().map(|folder| match config.address.octets() {
+            [.., 201] => folder.clone(),
+            _ => folder.join(format!("{}_{DATA_PORT}", config.address)),
+        });
+        Ok(Self {
+            truth: folder.map(|folder| TruthFile::create(&folder, config.start_utc_ns)).transpose()?,
+            datagrams: deliver(Emitter::new(config.clone(), scene), faults.clone()).peekable(),
+            config: config.clone(),
+            faults,
+            data: 0,
+            position: 0,
+        })
+    }
+
+    fn note(&mut self, sent: &SimulatedDatagram) -> Result<(), CliError> {
+        let Some(truth) = &sent.truth else {
+            self.position += 1;
+            return Ok(());
+        };
+        self.data += 1;
+        self.truth.as_mut().map_or(Ok(()), |file| file.packet(truth))
+    }
+
+    /// Finishes the truth, and says on standard error what was sent and what was done to it.
+    fn conclude(&mut self) -> Result<(), CliError> {
+        self.truth.as_mut().map_or(Ok(()), TruthFile::finish)?;
+        let Self { config, faults, data, position, .. } = &*self;
+        let EmitterConfig { address, model, .. } = config;
+        let (lost, duplicated) = (faults.lost_packets(), faults.duplicated.len());
+        let (reordered, corrupted) = (faults.swapped.len(), faults.corrupted.len());
+        let switched = match config.mode_switch {
+            Some(at) => format!(", {} from data packet {at}", config.mode_of(at)),
+            None => String::new(),
+        };
+        // When even standard error is gone, there is nobody left to tell.
+        let _ = writeln!(
+            io::stderr(),
+            "{address} ({model}): data packets {data}, position packets {position}; injected: lost {lost}, duplicated \
+             {duplicated}, reordered {reordered}, corrupted {corrupted}{switched}"
+        );
+        Ok(())
+    }
+}
+
+/// Where the datagrams go, open.
+enum Output {
+    File(CaptureFile),
+    Network { sender: Sender, pacer: Pacer, start: Instant },
+}
+
+impl Output {
+    fn open(target: &Target) -> Result<Self, CliError> {
+        match (&target.pcap, target.to) {
+            (Some(path), _) => Ok(Self::File(CaptureFile::create(path)?)),
+            (None, Some(to)) => {
+                let (sender, pacer) = (Sender::new(to), Pacer::new(Speed::REALTIME));
+                Ok(Self::Network { sender, pacer, start: Instant::now() })
+            }
+            (None, None) => Err(CliError::Usage("expected --pcap FILE or --to ADDR:PORT".to_owned())),
+        }
+    }
+
+    fn send(&mut self, sensor: usize, sent: &SimulatedDatagram) -> Result<(), CliError> {
+        let SimulatedDatagram { arrival_ns, source, destination, payload, truth } = sent;
+        match self {
+            Self::File(file) => {
+                let (arrival_ns, source, destination) = (*arrival_ns, *source, *destination);
+                file.write(&Outgoing { arrival_ns, source, destination, payload })
+            }
+            Self::Network { sender, pacer, start } => {
+                let wait = pacer.wait(*arrival_ns, start.elapsed().as_nanos() as u64);
+                if !wait.is_zero() {
+                    std::thread::sleep(wait);
+                }
+                let ip = (*source.ip()).into();
+                if truth.is_some() { sender.data(sensor, ip, payload) } else { sender.position(ip, payload) }
+            }
+        }
+    }
+
+    fn finish(self) -> Result<(), CliError> {
+        match self {
+            Self::File(file) => file.finish(),
+            Self::Network { .. } => Ok(()),
+        }
+    }
+}

@@ -1,0 +1,25 @@
+//! The command line: each subcommand is one call.
+
+#![forbid(unsafe_code)]
+
+use std::process::ExitCode;
+
+use clap::Parser;
+use sweepd::cli::{Cli, Command};
+
+fn main() -> ExitCode {
+    let done = match Cli::parse().command {
+        Command::Replay(args) => sweepd::cli::replay::run(&args),
+        Command::Inspect(args) => sweepd::cli::inspect::run(&args),
+        Command::Segment(args) => sweepd::cli::segment::run(&args),
+        Command::Calib(args) => sweepd::cli::calib::run(&args),
+        Command::Simulate(args) => sweepd::cli::simulate::run(&args),
+    };
+    match done {
+        Ok(()) => ExitCode::SUCCESS,
+        Err(error) => {
+            sweepd::cli::report(&error);
+            ExitCode::FAILURE
+        }
+    }
+}

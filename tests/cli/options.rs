@@ -1,0 +1,128 @@
+//! Help, exit codes, and every number that cannot be meant.
+
+use crate::{Folder, Ran, command, fixture, inspect, replay, sweepd, sweeps};
+
+#[test]
+fn every_help_has_an_example_and_fits_a_terminal() {
+    for args in [
+        &["--help"][..],
+        &["replay", "--help"],
+        &["inspect", "--help"],
+        &["segment", "--help"],
+        &["replay", "-h"],
+        &["simulate", "--help"],
+    ] {
+        let text = sweepd(args).done();
+        assert!(text.contains("\nExample") && text.contains("\n  sweepd "), "{args:?}");
+        let longest = text.lines().map(|line| line.chars().count()).max();
+        assert!(longest <= Some(100), "{args:?}: {longest:?}");
+    }
+    assert!(sweepd(&["--version"]).done().starts_with("sweepd "));
+    for args in [&[][..], &["play"], &["replay"], &["replay", "a", "--fast"]] {
+        assert_eq!(sweepd(args).code, 2, "{args:?}");
+    }
+}
+
+#[test]
+fn the_examples_of_the_help_are_accepted() {
+    let text = sweepd(&["replay", "--help"]).done();
+    let examples: Vec<&str> = text.lines().filter_map(|line| line.strip_prefix("  sweepd replay ")).collect();
+    assert!(examples.len() >= 3);
+    // The folders for the output are made before the capture is opened.
+    let folder = Folder::new("examples");
+    for example in examples {
+        let words = example.split(" > ").next().unwrap().split(' ').skip(1);
+        // A capture that is not there: all options were understood when that is what is wrong.
+        let args = [&["replay", "none.pcap"], &words.collect::<Vec<_>>()[..]].concat();
+        let ran = Ran::of(command(&args).current_dir(folder.path("")).output().unwrap());
+        ran.says(&["cannot open none.pcap"]);
+    }
+}
+
+#[test]
+fn absurd_numbers_are_refused_with_what_was_expected() {
+    let cases = [
+        ("--theta=0", "more than 0 and less than 90"),
+        ("--theta=90", "more than 0 and less than 90"),
+        ("--theta=-5", "0 to 90 degrees"),
+        ("--theta=nan", "0 to 90 degrees"),
+        ("--min-points=0", "1.."),
+        ("--min-points=-3", "1.."),
+        ("--min-points=9999999999", "1.."),
+        ("--height=0", "0.01 to 200 metres"),
+        ("--height=-1", "0.01 to 200 metres"),
+        ("--height=1e30", "0.01 to 200 metres"),
+        ("--pitch=100", "-90 to 90 degrees"),
+        ("--roll=-181", "-90 to 90 degrees"),
+        ("--cut-azimuth=1e300", "-360 to 360 degrees"),
+        ("--min-range=-1", "0 to 1000 metres"),
+        ("--max-range=inf", "0 to 1000 metres"),
+        ("--max-range=0", "greater"),
+        ("--from=-1", "0 or more seconds"),
+        ("--to=-1", "0 or more seconds"),
+        ("--to=soon", "0 or more seconds"),
+        ("--to=0", "more than 0 seconds"),
+        ("--speed=0", "a number above 0"),
+        ("--speed=-2", "a number above 0"),
+        ("--speed=inf", "a number above 0"),
+        ("--loop=0", "1 or more"),
+        ("--loop=-1", "1 or more"),
+        ("--to-udp=127.0.0.1:0", "IP:PORT such as 127.0.0.1:2368"),
+        ("--to-udp=localhost", "IP:PORT such as 127.0.0.1:2368"),
+        ("--sensor=lidar", "expected IP, IP:PORT"),
+    ];
+    for (option, expected) in cases {
+        let ran = replay(&fixture("street_vlp16_losses.pcap"), &[option]);
+        let flag = option.split('=').next().unwrap();
+        assert_eq!(ran.stdout, "", "{option}");
+        assert!(ran.error().contains(expected), "{option}: {}", ran.stderr);
+        // Values with a minus need no equals sign.
+        let (_, value) = option.split_once('=').unwrap();
+        if flag != "--loop" {
+            let spaced = replay(&fixture("street_vlp16_losses.pcap"), &[flag, value]);
+            assert_eq!(spaced.stderr, ran.stderr, "{option}");
+        }
+    }
+    for pair in [["--from=2", "--to=1"], ["--from=1", "--to=1"]] {
+        replay(&fixture("street_vlp16_losses.pcap"), &pair).says(&["--to is not after --from"]);
+    }
+    replay(&fixture("street_vlp16_losses.pcap"), &["--min-range=5", "--max-range=3"]).says(&["greater"]);
+    let turned =
+        replay(&fixture("street_vlp16_losses.pcap"), &["--cut-azimuth", "-90", "--pitch", "-3", "--roll", "2"]);
+    assert!(turned.done().contains(" whole"));
+}
+
+#[test]
+fn what_was_asked_for_and_is_not_there_is_an_error() {
+    let capture = fixture("street_vlp16_losses.pcap");
+    replay(&capture, &["--sensor", "1.2.3.4"]).says(&["no sensor 1.2.3.4", "inspect"]);
+    let one = replay(&capture, &["--sensor", "192.168.1.201", "--sensor", "192.168.1.201:99"]);
+    one.says(&["no sensor 192.168.1.201:99"]);
+    assert!(one.stdout.contains("3 whole"), "{}", one.stdout);
+    replay(&capture, &["--from", "5"]).says(&["no data packets from 5 s", "0.399 s"]);
+    replay(&capture, &["--from", "5", "--to", "1e300", "--json"]).says(&["no data packets from 5 s"]);
+}
+
+#[test]
+fn a_loop_goes_round_and_goes_on_counting() {
+    let capture = fixture("street_vlp16_losses.pcap");
+    let once = sweeps(&replay(&capture, &["--json", "--no-timing", "--from", "0.1"]).done());
+    let twice = sweeps(&replay(&capture, &["--json", "--no-timing", "--from", "0.1", "--loop=2"]).done());
+    let count = once.len() - 1;
+    assert_eq!(twice.len() - 1, 2 * count);
+    for (index, line) in twice[..2 * count].iter().enumerate() {
+        assert_eq!(line["seq"], index);
+        assert_eq!(line["time_ns"], once[index % count]["time_ns"]);
+    }
+    let (once, twice) = (&once[count]["summary"], &twice[2 * count]["summary"]);
+    assert_eq!(twice["capture"], once["capture"]);
+    for key in ["packets", "returns", "lost_packets"] {
+        assert_eq!(twice["sensors"][0][key].as_u64(), once["sensors"][0][key].as_u64().map(|number| 2 * number));
+    }
+}
+
+#[test]
+fn standard_error_stays_empty_without_a_terminal() {
+    assert_eq!(replay(&fixture("street_hdl32e.pcap.gz"), &["--speed", "realtime"]).stderr, "");
+    assert_eq!(inspect(&fixture("street_hdl32e.pcap.gz")).stderr, "");
+}

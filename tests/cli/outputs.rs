@@ -1,0 +1,153 @@
+//! What comes out of a replay: JSON, tables, files.
+
+use crate::{Folder, fixture, made, replay, sweeps};
+
+const KEYS: [&str; 16] = [
+    "sensor",
+    "model",
+    "return_mode",
+    "seq",
+    "partial",
+    "rows",
+    "columns",
+    "missing_columns",
+    "returns",
+    "ground",
+    "segments",
+    "rpm",
+    "lost_packets",
+    "time_ns",
+    "time_source",
+    "stage_us",
+];
+
+/// The keys of a flat JSON object, in their order.
+fn keys(line: &str) -> Vec<&str> {
+    let (flat, nested) = line.split_once(":{").map_or((line, None), |(flat, nested)| (flat, Some(nested)));
+    let mut keys: Vec<&str> = flat
+        .split(",\"")
+        .filter_map(|pair| pair.trim_start_matches("{\"").split_once("\":"))
+        .map(|(key, _)| key)
+        .collect();
+    if nested.is_some() {
+        keys.push(flat.rsplit(",\"").next().unwrap().trim_end_matches('"'));
+    }
+    keys
+}
+
+#[test]
+fn a_sweep_in_json_has_exactly_its_keys() {
+    let capture = fixture("street_vlp16_losses.pcap");
+    let stdout = replay(&capture, &["--json", "--partial"]).done();
+    let lines: Vec<&str> = stdout.lines().collect();
+    assert_eq!(lines.len(), 6);
+    for line in &lines[..5] {
+        assert_eq!(keys(line), KEYS);
+        let stages = &serde_json::from_str::<serde_json::Value>(line).unwrap()["stage_us"];
+        let names: Vec<&String> = stages.as_object().unwrap().keys().collect();
+        assert_eq!(names, ["decode", "ground", "label"]);
+    }
+    assert!(lines[5].starts_with("{\"summary\":{"));
+    let stdout = replay(&capture, &["--json", "--no-timing"]).done();
+    let lines: Vec<&str> = stdout.lines().collect();
+    assert_eq!((lines.len(), keys(lines[0])), (4, KEYS[..15].to_vec()));
+    assert!(!stdout.contains("stage_us"));
+    let sweep = &sweeps(&stdout)[1];
+    for (key, value) in [("sensor", "192.168.1.201:2368"), ("model", "VLP-16"), ("return_mode", "strongest")] {
+        assert_eq!(sweep[key], value);
+    }
+    assert_eq!((&sweep["seq"], &sweep["partial"], &sweep["rows"]), (&1.into(), &false.into(), &16.into()));
+    assert_eq!(sweep["time_source"], "gps");
+}
+
+#[test]
+fn no_return_is_lost_between_the_capture_and_the_files() {
+    let folder = Folder::new("returns");
+    for (name, in_capture) in [("street_vlp16.pcap.gz", 151_614), ("street_hdl32e_dual.pcap.gz", 328_896)] {
+        let dir = folder.path(name);
+        let options = ["--json", "--partial", "--csv", dir.to_str().unwrap()];
+        let lines = sweeps(&replay(&fixture(name), &options).done());
+        let sum: u64 = lines.iter().filter_map(|line| line["returns"].as_u64()).sum();
+        let rows: usize =
+            folder.files(name).iter().map(|(_, bytes)| bytes.iter().filter(|&&b| b == b'\n').count() - 1).sum();
+        assert_eq!((sum, rows), (in_capture, in_capture as usize), "{name}");
+    }
+}
+
+#[test]
+fn two_runs_without_timing_are_the_same_byte_by_byte() {
+    let folder = Folder::new("twice");
+    let two = made::together(&[&made::vlp16(), &made::datagrams("street_hdl32e.pcap.gz")]);
+    let path = folder.write("two.pcap", made::pcap(&two));
+    let run = |dir: &str, json: &[&str]| {
+        let dirs = ["csv", "pcd", "png"].map(|kind| folder.path(&format!("{dir}/{kind}")).display().to_string());
+        let options = ["--no-timing", "--partial", "--csv", &dirs[0], "--pcd", &dirs[1], "--png", &dirs[2]];
+        replay(&path, &[&options[..], json].concat()).done()
+    };
+    assert_eq!(run("a", &["--json"]), run("b", &["--json"]));
+    let files = folder.files("a");
+    // 5 sweeps of the one and 6 of the other, three files each.
+    assert_eq!(files.len(), 3 * (5 + 6));
+    assert!(files == folder.files("b"));
+    assert_eq!(run("a", &[]), run("b", &[]));
+    assert!(files == folder.files("a"));
+}
+
+#[test]
+fn csv_has_its_header_and_counts_packets_of_the_whole_capture() {
+    let folder = Folder::new("csv");
+    let csv = |name: &str, options: &[&str]| -> String {
+        let dir = folder.path(name);
+        replay(&fixture("street_vlp16.pcap.gz"), &[&["--csv", dir.to_str().unwrap()], options].concat()).done();
+        folder.files(name).into_iter().map(|(_, bytes)| String::from_utf8(bytes).unwrap()).collect()
+    };
+    let all = csv("all", &["--partial"]);
+    let header = "packet,block,row,column,channel,return,azimuth_deg,elevation_deg,range_m,x_m,y_m,z_m,reflectivity,time_ns,label";
+    assert_eq!(all.lines().next(), Some(header));
+    // What tells a return: packet, block, channel, return. Columns and labels depend on the sweep.
+    let key = |line: &str| -> Option<[u32; 4]> {
+        let fields: Vec<&str> = line.split(',').collect();
+        Some([
+            fields[0].parse().ok()?,
+            fields[1].parse().ok()?,
+            fields[4].parse().ok()?,
+            fields[8].replace('.', "").parse().ok()?,
+        ])
+    };
+    let all: std::collections::BTreeSet<_> = all.lines().filter_map(key).collect();
+    assert_eq!(all.iter().next().unwrap()[0], 0);
+    for options in [&["--from", "0.2", "--partial"][..], &["--from", "0.15", "--to", "0.4", "--partial"]] {
+        let part: Vec<_> = csv(options[1], options).lines().filter_map(key).collect();
+        assert!(part.len() > 30_000 && part[0][0] >= 110, "{:?}", part[0]);
+        assert!(part.iter().all(|one| all.contains(one)), "{options:?}");
+    }
+}
+
+#[test]
+fn ros_axes_are_the_sensor_s_turned() {
+    let folder = Folder::new("axes");
+    let points = |axes: &str| -> Vec<[f64; 3]> {
+        let dir = folder.path(axes);
+        let options = ["--to", "0.25", "--axes", axes, "--csv", dir.to_str().unwrap()];
+        replay(&fixture("street_vlp16_losses.pcap"), &options).done();
+        let text = std::fs::read_to_string(dir.join("sweep_000000.csv")).unwrap();
+        let point = |line: &str| {
+            let fields: Vec<&str> = line.split(',').collect();
+            [9, 10, 11].map(|index| fields[index].parse().unwrap())
+        };
+        text.lines().skip(1).map(point).collect()
+    };
+    let (sensor, ros) = (points("sensor"), points("ros"));
+    assert!(sensor.len() > 10_000);
+    assert!(sensor.iter().zip(&ros).all(|(&[x, y, z], &[forward, left, up])| forward == y && left == -x && up == z));
+}
+
+#[test]
+fn the_table_says_all_that_was_promised() {
+    let table = replay(&fixture("street_vlp16_losses.pcap"), &[]).done();
+    for row in ["model", "return mode", "speed", "sweeps", "returns", "ground", "segments", "losses", "time"] {
+        assert!(table.lines().any(|line| line.starts_with(&format!("  {row:<13}"))), "{row} in\n{table}");
+    }
+    assert!(table.contains("18 packets lost") && table.contains("5,") && table.contains(" rpm"), "{table}");
+    assert!(!replay(&fixture("street_vlp16_losses.pcap"), &["--no-timing"]).done().contains("\n  time "));
+}

@@ -1,0 +1,323 @@
+//! `simulate`: what it sends comes back from `replay` as it was, and what it says it broke is what is counted.
+
+use std::collections::BTreeMap;
+use std::net::UdpSocket;
+use std::path::Path;
+use std::time::{Duration, Instant};
+
+use serde_json::Value;
+
+use crate::{Folder, Ran, command, replay, sweepd, sweeps};
+
+/// What a simulation says at its end of one sensor.
+#[derive(Debug, PartialEq)]
+pub struct Said {
+    data: u64,
+    position: u64,
+    lost: u64,
+    duplicated: u64,
+    reordered: u64,
+    corrupted: u64,
+}
+
+/// Runs a simulation that must work.
+#[track_caller]
+pub fn simulate(options: &[&str]) -> Vec<Said> {
+    let ran = sweepd(&[&["simulate"], options].concat());
+    assert_eq!((ran.code, &ran.stdout[..]), (0, ""), "{}", ran.stderr);
+    said(&ran.stderr)
+}
+
+fn said(stderr: &str) -> Vec<Said> {
+    let line = |line: &str| {
+        let after = |word: &str| {
+            let (_, rest) = line.split_once(&format!("{word} ")).expect(line);
+            rest.split(|c: char| !c.is_ascii_digit()).next().unwrap().parse().expect(line)
+        };
+        Said {
+            data: after("data packets"),
+            position: after("position packets"),
+            lost: after("lost"),
+            duplicated: after("duplicated"),
+            reordered: after("reordered"),
+            corrupted: after("corrupted"),
+        }
+    };
+    stderr.lines().map(line).collect()
+}
+
+/// The sweeps of a replay, and the summary of its sensors.
+#[track_caller]
+fn replayed(capture: &Path, options: &[&str]) -> (Vec<Value>, Vec<Value>) {
+    let mut lines = sweeps(&replay(capture, &[&["--json", "--no-timing"], options].concat()).done());
+    let summary = lines.pop().unwrap();
+    (lines, summary["summary"]["sensors"].as_array().unwrap().clone())
+}
+
+const SCENES: [&str; 4] = ["street", "parking-lot", "field", "room"];
+
+/// Every scene, return mode and both ends of the range of speeds.
+#[track_caller]
+fn comes_back(flag: &str, name: &str) {
+    let folder = Folder::new(&format!("round-trip-{flag}"));
+    let path = folder.path("made.pcap");
+    for scene in SCENES {
+        for (returns, mode) in [("single", "strongest"), ("dual", "dual")] {
+            for (rpm, seconds) in [("300", "0.41"), ("1200", "0.11")] {
+                let options =
+                    ["--model", flag, "--scene", scene, "--return", returns, "--rpm", rpm, "--seconds", seconds];
+                let said = simulate(&[&options[..], &["--pcap", path.to_str().unwrap()]].concat());
+                let (sweeps, sensors) = replayed(&path, &[]);
+                let what = format!("{options:?}: {sensors:?}");
+                assert!(!sweeps.is_empty() && said.len() == 1 && sensors.len() == 1, "{what}");
+                for sweep in sweeps {
+                    assert_eq!((&sweep["model"], &sweep["return_mode"]), (&name.into(), &mode.into()), "{what}");
+                    let off = sweep["rpm"].as_f64().unwrap() / rpm.parse::<f64>().unwrap() - 1.0;
+                    assert!(off.abs() < 0.001 && sweep["returns"].as_u64() > Some(5_000), "{sweep}");
+                }
+                assert_eq!(sensors[0]["packets"], said[0].data);
+                assert_eq!(sensors[0]["position_packets"], said[0].position);
+                for count in [
+                    "lost_packets",
+                    "missing_columns",
+                    "duplicates",
+                    "reordered",
+                    "late",
+                    "malformed",
+                    "unconfirmed",
+                    "foreign",
+                    "undecoded",
+                ] {
+                    assert_eq!(sensors[0][count], 0, "{count} {what}");
+                }
+            }
+        }
+    }
+}
+
+#[test]
+fn a_vlp16_comes_back() {
+    comes_back("vlp16", "VLP-16");
+}
+
+#[test]
+fn a_puck_lite_comes_back_as_the_vlp16_that_it_looks_like() {
+    comes_back("puck-lite", "VLP-16");
+}
+
+#[test]
+fn a_puck_hires_comes_back() {
+    comes_back("puck-hires", "Puck Hi-Res");
+}
+
+#[test]
+fn an_hdl32e_comes_back() {
+    comes_back("hdl32e", "HDL-32E");
+}
+
+#[test]
+fn the_network_faults_that_were_injected_are_those_that_are_counted() {
+    let folder = Folder::new("injected");
+    let path = folder.path("faulty.pcap");
+    let faults = ["--loss=1", "--burst-loss=0.2x12", "--duplicate=1.5", "--reorder=2"];
+    for (seed, model, returns) in
+        [("1", "vlp16", "single"), ("2", "vlp16", "dual"), ("3", "hdl32e", "single"), ("4", "puck-hires", "single")]
+    {
+        let options = ["--model", model, "--return", returns, "--seed", seed, "--seconds=1", "--scene=field"];
+        let said = simulate(&[&options[..], &faults, &["--pcap", path.to_str().unwrap()]].concat());
+        let (_, sensors) = replayed(&path, &[]);
+        let Said { data, lost, duplicated, reordered, corrupted, .. } = said[0];
+        assert!(lost > 10 && duplicated > 3 && reordered > 3 && corrupted == 0, "{said:?}");
+        let counted =
+            ["packets", "lost_packets", "duplicates", "reordered"].map(|key| sensors[0][key].as_u64().unwrap());
+        assert_eq!(counted, [data, lost, duplicated, reordered], "{options:?}");
+        assert_eq!(sensors[0]["late"], 0);
+    }
+}
+
+#[test]
+fn a_corrupt_packet_has_one_bit_flipped() {
+    let folder = Folder::new("corrupt");
+    let (clean, corrupt) = (folder.path("clean.pcap"), folder.path("corrupt.pcap"));
+    let options = ["--model=vlp16", "--scene=field", "--seconds=0.5", "--pcap"];
+    simulate(&[&options[..], &[clean.to_str().unwrap()]].concat());
+    let said = simulate(&[&options[..], &[corrupt.to_str().unwrap(), "--corrupt=5"]].concat());
+    let [clean, broken] = [&clean, &corrupt].map(|path| std::fs::read(path).unwrap());
+    let bits: u32 = clean.iter().zip(&broken).map(|(a, b)| (a ^ b).count_ones()).sum();
+    assert!(bits > 5 && clean.len() == broken.len());
+    assert_eq!(u64::from(bits), said[0].corrupted);
+    replayed(&corrupt, &[]);
+}
+
+#[test]
+fn the_same_command_gives_the_same_bytes_and_another_seed_others() {
+    let folder = Folder::new("same");
+    let options = "--model vlp16 --model puck-hires --scene room --seconds 0.15 --loss 2 --corrupt 2 --reorder 2";
+    let make = |seed: &str, name: &str| {
+        let (file, truth) = (folder.path(name), folder.path(&format!("truth-{name}")));
+        let mut args: Vec<&str> = options.split(' ').collect();
+        args.extend(["--seed", seed, "--pcap", file.to_str().unwrap(), "--truth", truth.to_str().unwrap()]);
+        simulate(&args);
+        (std::fs::read(&file).unwrap(), folder.files(&format!("truth-{name}")))
+    };
+    let [first, again, other] =
+        [("7", "a.pcap"), ("7", "b.pcap"), ("8", "c.pcap")].map(|(seed, name)| make(seed, name));
+    assert!(first == again && first.0 != other.0 && first.1 != other.1);
+    let names: Vec<&str> = first.1.iter().map(|(name, _)| &name[..]).collect();
+    assert_eq!(names, ["192.168.1.202_2368/truth.csv", "objects.csv", "truth.csv"]);
+
+    // Compressed, and to standard output, it is the same capture.
+    let (zipped, zipped_again) = (make("7", "d.pcap.gz"), make("7", "e.pcap.gz"));
+    assert!(zipped == zipped_again && zipped.0.len() < first.0.len());
+    let mut unzipped = Vec::new();
+    std::io::Read::read_to_end(&mut flate2::read::GzDecoder::new(&zipped.0[..]), &mut unzipped).unwrap();
+    assert!(unzipped == first.0);
+    let args: Vec<&str> = ["simulate", "--seed", "7", "--pcap", "-"].into_iter().chain(options.split(' ')).collect();
+    assert!(command(&args).output().unwrap().stdout == first.0);
+}
+
+#[test]
+fn several_sensors_stand_in_one_scene() {
+    let folder = Folder::new("several");
+    let path = folder.path("three.pcap");
+    let models = ["--model=vlp16", "--model=hdl32e", "--model=puck-hires"];
+    let said = simulate(&[&models[..], &["--seconds=0.25", "--pcap", path.to_str().unwrap()]].concat());
+    let (_, mut sensors) = replayed(&path, &[]);
+    sensors.sort_by_key(|sensor| sensor["sensor"].to_string());
+    let found: Vec<_> =
+        sensors.iter().map(|one| (one["sensor"].as_str().unwrap(), one["model"].as_str().unwrap())).collect();
+    let expected =
+        [("192.168.1.201:2368", "VLP-16"), ("192.168.1.202:2368", "HDL-32E"), ("192.168.1.203:2368", "Puck Hi-Res")];
+    assert_eq!(found, expected);
+    for (sensor, said) in sensors.iter().zip(&said) {
+        assert_eq!((&sensor["packets"], &sensor["lost_packets"]), (&said.data.into(), &0.into()));
+    }
+}
+
+#[test]
+fn the_motor_and_the_mode_do_what_they_are_told() {
+    let folder = Folder::new("motor");
+    let path = folder.path("made.pcap");
+    let made = |options: &[&str]| {
+        let fixed = ["--model=vlp16", "--scene=field", "--seconds=1", "--pcap", path.to_str().unwrap()];
+        simulate(&[&fixed[..], options].concat());
+        replayed(&path, &["--partial"])
+    };
+    let whole = |sweeps: &[Value]| sweeps.iter().filter(|sweep| sweep["partial"] == false).count();
+    let (steady, _) = made(&[]);
+    let (sweeps, sensors) = made(&["--stall=0.35..0.75"]);
+    assert_eq!((whole(&steady), whole(&sweeps)), (9, whole(&steady) - 5), "{sensors:?}");
+    let (sweeps, _) = made(&["--spin-up=0.6"]);
+    let rpm = |sweep: &Value| sweep["rpm"].as_f64().unwrap();
+    let last_whole = sweeps.iter().rfind(|sweep| sweep["partial"] == false).unwrap();
+    assert!(rpm(&sweeps[0]) < 500.0 && (rpm(last_whole) - 600.0).abs() < 0.6, "{sweeps:?}");
+    for (options, modes) in [
+        (&["--mode-switch=0.45"][..], ["strongest", "dual"]),
+        (&["--mode-switch=0.45", "--return=dual"], ["dual", "strongest"]),
+    ] {
+        let (_, sensors) = made(options);
+        assert_eq!(sensors[0]["return_modes"], serde_json::json!(modes));
+        assert_eq!((&sensors[0]["lost_packets"], &sensors[0]["sweeps"]), (&0.into(), &8.into()));
+    }
+}
+
+/// The datagrams that a simulation sends to a socket, by the port that each sensor sends from.
+fn received(options: &[&str]) -> (BTreeMap<u16, Vec<Vec<u8>>>, Vec<Said>, Duration) {
+    let socket = UdpSocket::bind("127.0.0.1:0").unwrap();
+    socket.set_read_timeout(Some(Duration::from_millis(100))).unwrap();
+    let to = socket.local_addr().unwrap().to_string();
+    let begun = Instant::now();
+    let mut child = command(&[&["simulate", "--to", &to], options].concat())
+        .stderr(std::process::Stdio::piped())
+        .spawn()
+        .expect("the binary runs");
+    let mut ports = BTreeMap::<u16, Vec<Vec<u8>>>::new();
+    let mut buffer = [0; 2000];
+    let mut took = None;
+    loop {
+        match socket.recv_from(&mut buffer) {
+            Ok((len, from)) => ports.entry(from.port()).or_default().push(buffer[..len].to_vec()),
+            // Silent, and it was over before: all is here.
+            Err(_) if took.is_some() => break,
+            Err(_) => {}
+        }
+        if took.is_none() && child.try_wait().unwrap().is_some() {
+            took = Some(begun.elapsed());
+        }
+    }
+    let ran = Ran::of(child.wait_with_output().unwrap());
+    assert_eq!((ran.code, &ran.stdout[..]), (0, ""), "{}", ran.stderr);
+    (ports, said(&ran.stderr), took.unwrap())
+}
+
+#[test]
+fn a_socket_gets_every_datagram_in_order_and_not_too_soon() {
+    let stamp_us = |payload: &Vec<u8>| u64::from(u32::from_le_bytes(payload[1200..1204].try_into().unwrap()));
+    let options = ["--model=vlp16", "--model=hdl32e", "--scene=field", "--seconds=0.3"];
+    let (ports, said, took) = received(&options);
+    assert!(took >= Duration::from_millis(295), "{took:?}");
+    assert_eq!((ports.len(), said.len()), (2, 2));
+    let mut counts = Vec::new();
+    for payloads in ports.into_values() {
+        let data: Vec<u64> = payloads.iter().filter(|payload| payload.len() == 1206).map(stamp_us).collect();
+        let step_us = |two: &[u64]| (two[1] + 3_600_000_000 - two[0]) % 3_600_000_000;
+        let steps: Vec<u64> = data.windows(2).map(step_us).collect();
+        let period_us = steps[0] + 1;
+        assert!(steps.iter().all(|step| step.abs_diff(period_us) <= 2), "{steps:?}");
+        counts.push((data.len() as u64, (payloads.len() - data.len()) as u64));
+    }
+    let mut expected: Vec<(u64, u64)> = said.iter().map(|said| (said.data, said.position)).collect();
+    counts.sort();
+    expected.sort();
+    assert_eq!(counts, expected);
+}
+
+#[test]
+fn what_cannot_be_simulated_is_one_error_with_its_flag_and_the_cure() {
+    let folder = Folder::new("not-simulated");
+    let file = folder.path("made.pcap");
+    let file = file.to_str().unwrap();
+    let cases = [
+        ("--model=vls128", "vlp16, puck-lite, puck-hires, hdl32e"),
+        ("--scene=moon", "street, parking-lot, field, room"),
+        ("--rpm=299", "300 to 1200 turns a minute"),
+        ("--rpm=nan", "300 to 1200 turns a minute"),
+        ("--return=last", "single, dual"),
+        ("--seed=-1", "a whole number from 0"),
+        ("--seconds=0", "0.01 to 86400 seconds"),
+        ("--seconds=1e9", "0.01 to 86400 seconds"),
+        ("--calibration=none.yaml", "none.yaml"),
+        ("--loss=101", "0 to 100 percent"),
+        ("--loss=-1", "0 to 100 percent"),
+        ("--burst-loss=1x0", "such as 0.1x20"),
+        ("--burst-loss=1x", "such as 0.1x20"),
+        ("--burst-loss=x5", "such as 0.1x20"),
+        ("--duplicate=2%", "0 to 100 percent"),
+        ("--reorder=inf", "0 to 100 percent"),
+        ("--corrupt=many", "0 to 100 percent"),
+        ("--spin-up=-1", "0 to 86400 seconds"),
+        ("--stall=3", "such as 2..3.5"),
+        ("--stall=3..3", "such as 2..3.5"),
+        ("--stall=10..11", "more --seconds than 10"),
+        ("--mode-switch=10", "more --seconds than 10"),
+    ];
+    for (option, cure) in cases {
+        let flag = option.split('=').next().unwrap();
+        let ran = sweepd(&["simulate", "--model=vlp16", "--pcap", file, option]);
+        let flag = if flag == "--calibration" { "calibration" } else { flag };
+        ran.says(&[flag]);
+        assert!(ran.error().contains(cure) || ran.stderr.contains(cure), "{option}: {}", ran.stderr);
+        assert!(!Path::new(file).exists(), "{option}");
+    }
+    sweepd(&["simulate", "--model=vlp16", "--to", "localhost"]).says(&["--to", "IP:PORT such as 127.0.0.1:2368"]);
+    sweepd(&["simulate", "--model=vlp16", "--pcap", "a.txt"]).says(&["--pcap a.txt", ".pcap or .pcap.gz"]);
+    sweepd(&["simulate", "--model=vlp16", "--pcap", "none/a.pcap"]).says(&["none/a.pcap", "No such file"]);
+    let truth = folder.write("file", "");
+    sweepd(&["simulate", "--model=vlp16", "--pcap", "-", "--truth", truth.to_str().unwrap()]).says(&["file: "]);
+    for args in [&["--pcap", "-"][..], &["--model=vlp16"], &["--model=vlp16", "--pcap", "-", "--to", "127.0.0.1:9"]] {
+        let ran = sweepd(&[&["simulate"], args].concat());
+        assert_eq!(ran.code, 2, "{}", ran.stderr);
+    }
+    let many = ["--model=vlp16"; 55];
+    sweepd(&[&["simulate", "--pcap", "-"], &many[..]].concat()).says(&["--model is given 55 times", "at most 54"]);
+}

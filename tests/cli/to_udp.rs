@@ -1,0 +1,80 @@
+//! `--to-udp`: the capture on the network again, to a socket of the test's own.
+
+use std::collections::BTreeMap;
+use std::net::UdpSocket;
+use std::time::{Duration, Instant};
+
+use crate::{Folder, Ran, command, fixture, made, replay};
+
+/// Replays to a socket, and gives what arrived by the port that it came from, and how long it took.
+fn received(capture: &std::path::Path, count: usize, options: &[&str]) -> (BTreeMap<u16, Vec<Vec<u8>>>, Duration) {
+    let socket = UdpSocket::bind("127.0.0.1:0").unwrap();
+    socket.set_read_timeout(Some(Duration::from_secs(20))).unwrap();
+    let to = socket.local_addr().unwrap().to_string();
+    let reader = std::thread::spawn(move || {
+        let mut ports = BTreeMap::<u16, Vec<Vec<u8>>>::new();
+        let mut buffer = [0; 2000];
+        for _ in 0..count {
+            let Ok((len, from)) = socket.recv_from(&mut buffer) else { break };
+            ports.entry(from.port()).or_default().push(buffer[..len].to_vec());
+        }
+        ports
+    });
+    let begun = Instant::now();
+    let args = [&["replay", capture.to_str().unwrap(), "--to-udp", &to], options].concat();
+    Ran::of(command(&args).output().unwrap()).done();
+    let took = begun.elapsed();
+    (reader.join().unwrap(), took)
+}
+
+#[test]
+fn every_datagram_arrives_in_order_with_the_timing_of_the_capture() {
+    let sent = made::vlp16();
+    let (ports, took) = received(&fixture("street_vlp16_losses.pcap"), sent.len(), &[]);
+    let arrived: Vec<_> = ports.into_values().collect();
+    assert_eq!(arrived.len(), 1);
+    let sent: Vec<Vec<u8>> = sent.into_iter().map(|sent| sent.payload).collect();
+    assert!(arrived[0] == sent);
+    assert!(took >= Duration::from_millis(390), "{took:?}");
+}
+
+#[test]
+fn each_sensor_sends_from_a_port_of_its_own() {
+    let folder = Folder::new("ports");
+    let mut one = made::vlp16();
+    // A position packet comes first, as it does now and then.
+    let first = one.iter().position(|sent| !sent.is_data()).unwrap();
+    one.drain(..first);
+    let mut other = made::with_ports(&made::vlp16(), "192.168.1.9:2368", 2368);
+    other.retain(|sent| sent.is_data());
+    other.iter_mut().for_each(|sent| sent.payload[5] ^= 1);
+    let both = made::together(&[&one, &other]);
+    let path = folder.write("two.pcap", made::pcap(&both));
+    let (ports, _) = received(&path, both.len(), &["--speed", "2"]);
+    let arrived: Vec<_> = ports.into_values().collect();
+    assert_eq!(arrived.len(), 2);
+    for of in [one, other] {
+        let payloads: Vec<Vec<u8>> = of.into_iter().map(|sent| sent.payload).collect();
+        assert!(arrived.contains(&payloads));
+    }
+}
+
+#[test]
+fn only_what_is_played_is_sent() {
+    let sent = made::vlp16();
+    let start_ns = sent[0].arrival_ns;
+    let played = sent.iter().filter(|sent| (100_000_000..200_000_000).contains(&(sent.arrival_ns - start_ns)));
+    let played: Vec<Vec<u8>> = played.map(|sent| sent.payload.clone()).collect();
+    let options = ["--from", "0.1", "--to", "0.2", "--loop=2", "--speed", "4"];
+    let (ports, _) = received(&fixture("street_vlp16_losses.pcap"), 2 * played.len(), &options);
+    let arrived = ports.into_values().next().unwrap();
+    assert!(arrived == [&played[..], &played].concat());
+}
+
+#[test]
+fn a_port_where_nobody_listens_is_no_error() {
+    let free = UdpSocket::bind("127.0.0.1:0").unwrap().local_addr().unwrap().to_string();
+    let options = ["--to-udp", &free, "--speed", "max", "--no-timing"];
+    let alone = replay(&fixture("street_vlp16_losses.pcap"), &["--no-timing"]).done();
+    assert_eq!(replay(&fixture("street_vlp16_losses.pcap"), &options).done(), alone);
+}
