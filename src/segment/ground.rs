@@ -20,11 +20,13 @@ pub struct SlopeGround {
     pub max_step_m: f32,
     /// Two returns further apart than this are no step, metres.
     pub step_reach_m: f32,
+    /// A step that is no higher than this is a kerb when the ground goes on level behind it, metres.
+    pub max_kerb_m: f32,
 }
 
 impl Default for SlopeGround {
     fn default() -> Self {
-        Self { max_slope: 0.15, max_rise_m: 0.4, min_rise_m: 0.1, max_step_m: 0.05, step_reach_m: 0.5 }
+        Self { max_slope: 0.15, max_rise_m: 0.4, min_rise_m: 0.1, max_step_m: 0.05, step_reach_m: 0.5, max_kerb_m: 0.2 }
     }
 }
 
@@ -34,14 +36,22 @@ impl SlopeGround {
         let mut ground = [false; MAX_ROWS];
         let mut foothold = Level { away_m: 0.0, height_m: -f64::from(height_m) };
         let mut below = foothold;
-        for ((&range_m, &point), ground) in range_m.iter().zip(level).zip(&mut ground).rev() {
-            if is_return(range_m) {
-                if self.is_walkable(foothold, point) && !self.is_step(below, point) {
-                    *ground = true;
-                    foothold = point;
-                }
-                below = point;
+        // The return below, when it may be the edge of a kerb.
+        let mut edge = None;
+        for row in (0..range_m.len()).rev().filter(|&row| is_return(range_m[row])) {
+            let point = level[row];
+            let kerb = edge.take().filter(|&edge: &usize| self.goes_on_level(level[edge], point));
+            if let Some(edge) = kerb {
+                ground[edge] = true;
+                foothold = level[edge];
             }
+            if self.is_walkable(foothold, point) && !self.is_step(below, point) {
+                ground[row] = true;
+                foothold = point;
+            } else if self.is_kerb(foothold, point) {
+                edge = Some(row);
+            }
+            below = point;
         }
         pack(range_m.len(), |row| ground[row])
     }
@@ -55,6 +65,20 @@ impl SlopeGround {
         let rises_little = rise_m < min_m || (rise_m < slope_m && rise_m < max_m);
         let falls_little = -rise_m < min_m || -rise_m < slope_m.abs();
         rises_little && falls_little
+    }
+
+    /// Whether a point is no higher over the last ground point than a kerb.
+    #[inline]
+    fn is_kerb(&self, from: Level, to: Level) -> bool {
+        let rise_m = to.height_m - from.height_m;
+        rise_m > 0.0 && rise_m <= f64::from(self.max_kerb_m) && to.away_m > from.away_m
+    }
+
+    /// Whether the way leads on from the edge of a kerb, neither up nor down a step.
+    #[inline]
+    fn goes_on_level(&self, edge: Level, next: Level) -> bool {
+        let (away_m, rise_m) = (next.away_m - edge.away_m, next.height_m - edge.height_m);
+        rise_m.abs() < f64::from(self.max_slope) * away_m
     }
 
     /// Whether a point is the upper end of a steep step.
@@ -93,5 +117,13 @@ mod tests {
     #[test]
     fn a_kerb_ends_at_its_upper_edge() {
         assert_eq!(find(&[(8.02, -1.58), (8.0, -1.69), (7.9, -1.7)]), 0b110);
+    }
+
+    /// A kerb of 12 cm with a pavement behind it; the same with a box behind it; a wall of 50 cm before a terrace.
+    #[test]
+    fn a_kerb_is_ground_where_the_way_goes_on_level() {
+        assert_eq!(find(&[(9.0, -1.57), (8.3, -1.575), (8.02, -1.58), (7.9, -1.7)]), 0b1111);
+        assert_eq!(find(&[(8.05, -1.2), (8.04, -1.4), (8.02, -1.58), (7.9, -1.7)]), 0b1000);
+        assert_eq!(find(&[(9.0, -1.2), (8.3, -1.2), (8.02, -1.2), (7.9, -1.7)]), 0b1000);
     }
 }

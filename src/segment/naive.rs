@@ -124,6 +124,7 @@ pub fn slope_ground(
     for column in 0..sweep.columns.len() {
         let mut foothold = (0.0, -f64::from(height_m));
         let mut below = foothold;
+        let mut edge: Option<(usize, (f64, f64))> = None;
         for row in (0..sweep.rows()).rev() {
             let index = column * sweep.rows() + row;
             if !is_return(range_m[index]) {
@@ -132,6 +133,13 @@ pub fn slope_ground(
             let [x, y, z] = sweep.point_m(row, column, range_m[index]);
             let high = up.height_m([x, y, z]);
             let away = (x * x + y * y + z * z - high * high).max(0.0).sqrt();
+
+            if let Some((index, place)) = edge.take()
+                && (high - place.1).abs() < f64::from(limits.max_slope) * (away - place.0)
+            {
+                ground[index] = true;
+                foothold = place;
+            }
 
             let (run, rise) = (away - foothold.0, high - foothold.1);
             let slope_rise = f64::from(limits.max_slope) * run;
@@ -147,6 +155,8 @@ pub fn slope_ground(
             if walkable && !(near && steep) {
                 ground[index] = true;
                 foothold = below;
+            } else if rise > 0.0 && rise <= f64::from(limits.max_kerb_m) && run > 0.0 {
+                edge = Some((index, below));
             }
         }
     }
