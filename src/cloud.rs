@@ -478,6 +478,37 @@ mod tests {
         assert!(same * 100 > own.len() * 98, "{same} of {}", own.len());
     }
 
+    /// The same points in the sense of the clock, and from the lowest ring up: the labels are the same, point by point.
+    #[test]
+    fn the_sense_and_the_order_of_the_rings_do_not_matter() {
+        let street = street();
+        let own = segmenter().segment(&bytes(&street)).unwrap();
+        let turned = |at: usize| at / FIRINGS * FIRINGS + (FIRINGS - 1 - at % FIRINGS);
+        let lowest_first = |at: usize| (BEAMS - 1 - at / FIRINGS) * FIRINGS + at % FIRINGS;
+        let backwards = |at: usize| street.len() - 1 - at;
+        let orders: [&dyn Fn(usize) -> usize; 3] = [&turned, &lowest_first, &backwards];
+        for (index, order) in orders.into_iter().enumerate() {
+            let moved: Vec<[f32; 4]> = (0..street.len()).map(|at| street[order(at)]).collect();
+            let labels = segmenter().segment(&bytes(&moved)).unwrap();
+            let same = (0..labels.len()).filter(|&at| labels[at] == own[order(at)]).count();
+            assert!(same * 100 > own.len() * 99, "order {index}: {same} of {}", own.len());
+        }
+    }
+
+    /// Near points, whose azimuth jumps about, begin no ring; a ring of many turns is none.
+    #[test]
+    fn noise_near_the_sensor_begins_no_ring_and_disorder_is_named() {
+        let mut noisy = street();
+        for (index, point) in noisy.iter_mut().enumerate().filter(|(index, _)| index % 50 == 7) {
+            *point = if index % 100 == 7 { [0.02, 0.01, 0.0, 0.0] } else { [0.02, -0.01, 0.0, 0.0] };
+        }
+        let mut projector = CloudProjector::new(FIRINGS).unwrap();
+        assert_eq!(projector.project(&noisy).unwrap().beams.len(), BEAMS);
+        let heap: Vec<[f32; 4]> = (0..10 * FIRINGS).map(|i| [5.0, 0.01 + 1e-4 * i as f32, 0.0, 0.0]).collect();
+        let error = segmenter().segment(&bytes(&heap)).unwrap_err().to_string();
+        assert!(error.contains("has 7200 points, a turn has about 720"), "{error}");
+    }
+
     #[test]
     fn what_is_no_cloud_is_refused_in_words() {
         let error = |bytes: &[u8]| segmenter().segment(bytes).unwrap_err().to_string();

@@ -38,6 +38,7 @@
 //! | channel | index of a record within a firing, as the packet orders it |
 //! | beam | the physical laser with its calibration; its row is fixed by its elevation |
 //! | firing | one pass of all beams; a VLP-16 stores two per block |
+//! | shot | one beam's part of a firing, at a time of its own |
 //! | row, column | range-image indices; row 0 = highest elevation, a column = a firing |
 //! | azimuth, elevation | rotation angle, clockwise from above, 0 = sensor +y; vertical angle |
 //! | range | metres along the beam; 0 = no return, asked through [`sweep::layout::is_return`] only |

@@ -1,5 +1,7 @@
 //! Calibration files that people have: all real ones are read, and broken ones are refused with file, line and key.
 
+mod common;
+
 use std::path::{Path, PathBuf};
 
 use proptest::prelude::*;
@@ -9,17 +11,9 @@ use sweepd::sensor::compare::Quantity;
 use sweepd::sensor::{Beam, Calibration, CalibrationError, Model, db_xml, ros_yaml, stream};
 use sweepd::wire::hdl64::{Clock, DUMP_PACKETS, Dump, Gps, Live, Series, Status, emit};
 
-/// The folder of real calibrations, if it is there; under `CI=true` it must be.
+/// The folder of real calibrations, if it is there.
 fn data_dir() -> Option<PathBuf> {
-    let root = std::env::var_os("SWEEPD_DATA")
-        .map_or_else(|| Path::new(env!("CARGO_MANIFEST_DIR")).join("../shared/data"), PathBuf::from);
-    let calib = root.join("calib");
-    if calib.is_dir() {
-        return Some(calib);
-    }
-    assert_ne!(std::env::var("CI").as_deref(), Ok("true"), "no {}, set SWEEPD_DATA", calib.display());
-    eprintln!("SKIPPED: no {}, set SWEEPD_DATA", calib.display());
-    None
+    Some(common::data_dir()?.join("calib"))
 }
 
 fn read(dir: &Path, name: &str) -> Calibration {

@@ -1,22 +1,16 @@
 //! Real captures: each is detected as the sensor that made it.
 
+mod common;
+
 use std::path::{Path, PathBuf};
 
 use sweepd::sensor::Model;
 use sweepd::sensor::detect::{Basis, DetectError, Detection, Detector, MAX_PACKETS};
 use sweepd::wire::data::{DATA_PACKET_LEN, DataPacket, ReturnMode};
 
-/// The folder of real captures, if it is there; under `CI=true` it must be.
+/// The folder of real captures, if it is there.
 fn data_dir() -> Option<PathBuf> {
-    let root = std::env::var_os("SWEEPD_DATA")
-        .map_or_else(|| Path::new(env!("CARGO_MANIFEST_DIR")).join("../shared/data"), PathBuf::from);
-    let pcap = root.join("pcap");
-    if pcap.is_dir() {
-        return Some(pcap);
-    }
-    assert_ne!(std::env::var("CI").as_deref(), Ok("true"), "no {}, set SWEEPD_DATA", pcap.display());
-    eprintln!("SKIPPED: no {}, set SWEEPD_DATA", pcap.display());
-    None
+    Some(common::data_dir()?.join("pcap"))
 }
 
 /// The data packets of a classic little-endian capture of Ethernet, IPv4 and UDP without anything special.

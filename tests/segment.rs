@@ -7,7 +7,7 @@ use std::f32::consts::TAU;
 
 use proptest::prelude::*;
 use sweepd::cloud::{COLUMNS, CloudProjector, CloudSegmenter, points};
-use sweepd::segment::{Config, Mask, Method, Mount, SAME_OBJECT_M, Segmenter, naive};
+use sweepd::segment::{Config, Mask, Method, Mount, Segmenter, naive};
 use sweepd::sensor::Beam;
 use sweepd::sweep::layout::{LABEL_FIRST_SEGMENT, LABEL_GROUND, LABEL_NONE, flags, is_return};
 use sweepd::sweep::{BeamRow, Buffers, Column, HeapBuffers, Shape, SweepMut, SweepRef};
@@ -51,11 +51,15 @@ impl Scene {
         let tilt = if self.tilted { [0.1, -0.06] } else { [0.0; 2] };
         let mount = Mount { height_m: Some(1.5 + rng.f32()), pitch_rad: tilt[0], roll_rad: tilt[1] };
         let mask = self.masked.then(|| self.mask(&mut rng));
+        let min_range_m = if self.masked { 3.0 * rng.f32() } else { 0.0 };
+        let max_range_m = if self.masked { min_range_m + 5.0 + 40.0 * rng.f32() } else { f32::INFINITY };
         Config {
             method,
             min_points: rng.u32(1..6),
             theta_rad: 0.02 + 0.5 * rng.f32(),
             mount,
+            min_range_m,
+            max_range_m,
             mask,
             ..Config::default()
         }
@@ -206,9 +210,12 @@ proptest! {
                 prop_assert!(label < sweep.header.segments + LABEL_FIRST_SEGMENT);
             }
             for (index, &label2) in sweep.label2.iter().enumerate() {
-                let apart = (sweep.range2[index] - sweep.range[index]).abs();
-                let same = is_return(sweep.range2[index]) && apart <= SAME_OBJECT_M;
+                // Near on the beam it is the same object; nothing is labelled beyond the limits, in either plane.
+                let (range_m, range2_m) = (sweep.range[index], sweep.range2[index]);
+                let within = |range_m: f32| range_m >= config.min_range_m && range_m <= config.max_range_m;
+                let same = (range2_m - range_m).abs() <= 0.3 && is_return(range2_m) && within(range2_m);
                 prop_assert_eq!(label2, if same { sweep.label[index] } else { LABEL_NONE });
+                prop_assert!(within(range_m) || sweep.label[index] == LABEL_NONE);
             }
             Ok(())
         })?;

@@ -132,3 +132,61 @@ impl Decoder {
         }
     }
 }
+
+#[cfg(test)]
+mod tests {
+    use zerocopy::little_endian::U16;
+
+    use super::*;
+    use crate::wire::data::RECORDS;
+
+    /// The segmented return, the other, and which the first is: metres for last and strongest in the only channel used.
+    fn dual(choice: ReturnChoice, limits_m: RangeInclusive<f32>, last_m: f32, strongest_m: f32) -> (f32, f32, u8) {
+        let model = Model::Vlp16;
+        let decoder = Decoder::new(model, model.calibration(), choice, limits_m);
+        let firing = |range_m: f32, reflectivity| {
+            let mut records = [Record { distance: U16::ZERO, reflectivity: 0 }; RECORDS];
+            // Channel 15 looks up highest: row 0. The unit is 2 mm.
+            records[15] = Record { distance: U16::new((range_m * 500.0).round() as u16), reflectivity };
+            records
+        };
+        let (last, strongest) = (firing(last_m, 1), firing(strongest_m, 2));
+        let (mut range, mut range2) = ([9.0; 16], [9.0; 16]);
+        let (mut reflectivity, mut reflectivity2, mut kind) = ([9; 16], [9; 16], [9; 16]);
+        let first = Pixels { range: &mut range, reflectivity: &mut reflectivity };
+        let second = Pixels { range: &mut range2, reflectivity: &mut reflectivity2 };
+        let returns = decoder.dual([&last[..16], &strongest[..16]], first, second, &mut kind);
+        assert_eq!(returns, u32::from(last_m > 0.0) + u32::from(strongest_m > 0.0));
+        let of_kind = |is_strongest: bool| if is_strongest { 2 } else { 1 };
+        let is_strongest = kind[0] == ReturnKind::Strongest as u8;
+        assert_eq!((reflectivity[0], reflectivity2[0]), (of_kind(is_strongest), of_kind(!is_strongest)));
+        assert!(range[1..].iter().chain(&range2[1..]).all(|&range| !is_return(range)));
+        // To the millimetre: the unit is no whole number of anything in binary.
+        let [first_m, second_m] = [range[0], range2[0]].map(|range_m| (range_m * 1000.0).round() / 1000.0);
+        (first_m, second_m, kind[0])
+    }
+
+    const ALL: RangeInclusive<f32> = 0.0..=f32::INFINITY;
+    const STRONGEST: u8 = ReturnKind::Strongest as u8;
+    const LAST: u8 = ReturnKind::Last as u8;
+
+    #[test]
+    fn the_choice_is_the_users() {
+        // Last at 30 m, strongest at 20 m, and the other way round, which rain and dust do.
+        assert_eq!(dual(ReturnChoice::Nearest, ALL, 30.0, 20.0), (20.0, 30.0, STRONGEST));
+        assert_eq!(dual(ReturnChoice::Nearest, ALL, 20.0, 30.0), (20.0, 30.0, LAST));
+        assert_eq!(dual(ReturnChoice::Strongest, ALL, 20.0, 30.0), (30.0, 20.0, STRONGEST));
+        assert_eq!(dual(ReturnChoice::Last, ALL, 30.0, 20.0), (30.0, 20.0, LAST));
+    }
+
+    #[test]
+    fn a_return_goes_before_none_and_one_within_the_limits_before_one_that_is_not() {
+        for choice in [ReturnChoice::Nearest, ReturnChoice::Strongest, ReturnChoice::Last] {
+            assert_eq!(dual(choice, ALL, 30.0, 0.0), (30.0, 0.0, LAST), "{choice:?}");
+            assert_eq!(dual(choice, ALL, 0.0, 20.0), (20.0, 0.0, STRONGEST), "{choice:?}");
+            assert_eq!(dual(choice, 1.0..=50.0, 30.0, 0.6), (30.0, 0.6, LAST), "{choice:?}");
+            assert_eq!(dual(choice, 1.0..=50.0, 60.0, 20.0), (20.0, 60.0, STRONGEST), "{choice:?}");
+            assert_eq!(dual(choice, 1.0..=50.0, 0.6, 0.0), (0.6, 0.0, LAST), "{choice:?}");
+        }
+    }
+}
