@@ -75,7 +75,12 @@ fn decode(bencher: Bencher, &Stream(model, mode): &Stream) {
         sensor: format!("{model} {mode}"),
     };
     bencher.counter(ItemsCount::new(returns)).bench_local(|| {
-        let decoder = Decoder::new(model, model.calibration(), ReturnChoice::Nearest, 0.0..=f32::INFINITY);
+        let decoder = Decoder::new(
+            (model, model.spec()),
+            model.calibration().unwrap(),
+            ReturnChoice::Nearest,
+            0.0..=f32::INFINITY,
+        );
         let mut order = Order::new(decoder.spec);
         let mut builder = Builder::new(buffers.clone(), decoder, settings.clone());
         for (number, packet) in packets.iter().enumerate() {

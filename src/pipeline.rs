@@ -171,6 +171,8 @@ struct Decoding<B: Buffers> {
     /// Product byte of its packets, and how many others came in a row.
     product: u8,
     foreign: u32,
+    /// Return mode of the packet before.
+    last_mode: ReturnMode,
     order: Order,
     builder: Builder<B>,
 }
@@ -340,7 +342,7 @@ impl<B: Buffers, W: Stopwatch> Pipeline<B, W> {
         let detection = result?;
         let calibration = match &self.config.calibration {
             Some(given) => given.clone().for_model(detection.model).map_err(Fault::Calibration)?,
-            None => detection.model.calibration().clone(),
+            None => detection.model.calibration().cloned().ok_or(Fault::Calibration("TODO".to_owned()))?,
         };
         if let Some(mask) = self.config.segment.mask.as_ref().filter(|mask| mask.rows() != calibration.rows().len()) {
             let (found, rows) = (mask.rows(), calibration.rows().len());
@@ -348,12 +350,20 @@ impl<B: Buffers, W: Stopwatch> Pipeline<B, W> {
         }
         self.counts.undecoded -= waiting.len() as u64;
         let limits_m = self.config.segment.min_range_m..=self.config.segment.max_range_m;
-        let decoder = Decoder::new(detection.model, &calibration, self.config.return_choice, limits_m);
+        let decoder =
+            Decoder::new((detection.model, detection.spec), &calibration, self.config.return_choice, limits_m);
         let order = Order::new(decoder.spec);
         let mut builder = Builder::new(buffers, decoder, self.settings());
         builder.clocks = clocks;
         let product = waiting.last().map_or(0, |packet| packet.bytes.product);
-        self.state = State::Decoding(Box::new(Decoding { detection, product, foreign: 0, order, builder }));
+        self.state = State::Decoding(Box::new(Decoding {
+            detection,
+            product,
+            foreign: 0,
+            last_mode: detection.return_mode,
+            order,
+            builder,
+        }));
         self.counts.reordered += sort_by_stamp(&mut waiting);
         for packet in &waiting {
             self.order(&packet.bytes, packet.number, packet.arrival_ns);
@@ -373,11 +383,13 @@ impl<B: Buffers, W: Stopwatch> Pipeline<B, W> {
     /// Puts a packet in order, or counts why it has no place.
     fn order(&mut self, packet: &DataPacket, number: u64, arrival_ns: i64) {
         let State::Decoding(decoding) = &mut self.state else { return };
-        if packet.banks() != Banks::One {
+        let same_layout = decoding.detection.has_layout(packet);
+        if matches!(packet.banks(), Banks::UpperHeavy | Banks::Other) {
             self.counts.malformed += 1;
             return;
         }
-        if self.config.model.is_none() && packet.product != decoding.product {
+        let has_product = decoding.detection.spec.product.is_some() && self.config.model.is_none();
+        if !same_layout || has_product && packet.product != decoding.product {
             self.counts.foreign += 1;
             decoding.foreign += 1;
             if decoding.foreign >= EXCHANGED_PACKETS {
@@ -387,7 +399,8 @@ impl<B: Buffers, W: Stopwatch> Pipeline<B, W> {
             return;
         }
         decoding.foreign = 0;
-        let mode = ReturnMode::from_byte(packet.return_mode).unwrap_or(decoding.detection.return_mode);
+        let mode = decoding.detection.mode_of(packet, decoding.last_mode);
+        decoding.last_mode = mode;
         match decoding.order.push(packet, mode, number, arrival_ns) {
             Ok(()) => {}
             Err(Refusal::Duplicate) => self.counts.duplicates += 1,

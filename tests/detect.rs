@@ -44,7 +44,7 @@ fn verdict(packets: &[Vec<u8>], forced: Option<Model>) -> Result<Detection, Dete
 #[test]
 fn every_capture_is_detected_as_its_sensor() {
     let Some(dir) = data_dir() else { return };
-    let is = |model, return_mode, basis| Ok(Detection { model, return_mode, basis });
+    let is = |model, return_mode, basis| Ok(Detection { model, return_mode, basis, spec: model.spec() });
     let unsupported = |sensor| Err(DetectError::Unsupported { sensor });
     let (strongest, sure) = (ReturnMode::Strongest, Basis::BytesAndPeriod);
     let expected = [
@@ -82,7 +82,8 @@ fn captures_with_their_factory_bytes_blanked_are_told_by_the_period() {
     for (name, model, return_mode) in rows {
         let mut packets = data_packets(&dir.join(name).with_extension("pcap"));
         packets.iter_mut().for_each(|bytes| bytes[1204..].fill(0));
-        assert_eq!(verdict(&packets, None), Ok(Detection { model, return_mode, basis: Basis::Period }), "{name}");
+        let found = Detection { model, return_mode, basis: Basis::Period, spec: model.spec() };
+        assert_eq!(verdict(&packets, None), Ok(found), "{name}");
     }
 }
 

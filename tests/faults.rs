@@ -53,7 +53,7 @@ fn a_clean_stream_is_cut_once_a_turn_as_soon_as_the_cut_is_crossed() {
             assert!(late && run.out_after.len() == expected.len(), "{:?} {expected:?}", run.out_after);
             for sweep in &run.views()[1..run.sweeps.len() - 1] {
                 assert!((f64::from(sweep.header.rpm) / rpm - 1.0).abs() < 2e-3, "{}", sweep.header.rpm);
-                let nominal = 60e9 / rpm / f64::from(model.spec().firing_period_ns);
+                let nominal = 60e9 / rpm / f64::from(model.spec().firing_period_ns(mode));
                 assert!((f64::from(sweep.header.columns) - nominal).abs() < 3.0);
             }
         }

@@ -12,7 +12,6 @@ use sweepd::simulate::shape::Vec3;
 use sweepd::simulate::{Class, PacketTruth, ReturnTruth, SimulatedDatagram};
 use sweepd::sweep::SweepRef;
 use sweepd::sweep::layout::{LABEL_FIRST_SEGMENT, LABEL_GROUND, TimeSource, flags};
-use sweepd::wire::data::BLOCKS;
 
 const HOUR_NS: i64 = 3_600_000_000_000;
 
@@ -53,7 +52,7 @@ struct Worst {
 /// is at most nine tenths of the step between two.
 fn azimuth_deg(fixture: &Fixture) -> f64 {
     let own = fixture.config.encoder.jitter_deg + 0.005;
-    let steps = (BLOCKS / fixture.config.return_mode.blocks_per_azimuth() - 1) as f64;
+    let steps = (fixture.config.model.spec().azimuths_per_packet(fixture.config.return_mode) - 1) as f64;
     own + 0.9 * 2.0 * own / steps
 }
 

@@ -139,6 +139,7 @@ struct Seen {
     model: Option<Result<Detection, DetectError>>,
     detector: Option<Detector>,
     waiting: Vec<(DataPacket, i64)>,
+    last_mode: Option<ReturnMode>,
     order: Option<Order>,
     motion: Moved,
 }
@@ -228,7 +229,7 @@ impl Seen {
     fn decide(&mut self, result: Result<Detection, DetectError>) {
         self.model = Some(result);
         if let Ok(detection) = result {
-            self.order = Some(Order::new(detection.model.spec()));
+            self.order = Some(Order::new(detection.spec));
             for (packet, arrival_ns) in std::mem::take(&mut self.waiting) {
                 self.place(&packet, arrival_ns);
             }
@@ -237,11 +238,15 @@ impl Seen {
 
     fn place(&mut self, packet: &DataPacket, arrival_ns: i64) {
         let (Some(order), Some(Ok(detection))) = (&mut self.order, &self.model) else { return };
-        if packet.banks() != Banks::One {
+        if !detection.has_layout(packet) {
             self.malformed += 1;
             return;
         }
-        let mode = ReturnMode::from_byte(packet.return_mode).unwrap_or(detection.return_mode);
+        let mode = detection.mode_of(packet, self.last_mode.unwrap_or(detection.return_mode));
+        self.last_mode = Some(mode);
+        if detection.model.is_hdl64e() && !self.modes.contains(&mode) {
+            self.modes.push(mode);
+        }
         match order.push(packet, mode, self.packets, arrival_ns) {
             Ok(()) => {}
             Err(Refusal::Duplicate) => self.motion.duplicates += 1,
@@ -295,7 +300,7 @@ impl Seen {
 
 impl Moved {
     fn follow(&mut self, order: &mut Order, detection: &Detection) {
-        let spec = detection.model.spec();
+        let spec = detection.spec;
         let mut first = self.rpm_count == 0;
         while let Some((slot, before)) = order.pop() {
             match before {

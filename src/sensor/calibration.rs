@@ -225,7 +225,9 @@ impl Calibration {
         if !spare.iter().enumerate().all(is_spare) {
             return Err(format!("{count} beams, the {model} has {}", spec.channels));
         }
-        for (beam, expected) in used.iter().zip(model.calibration().beams()) {
+        // Of an HDL-64E each unit has beams of its own.
+        let nominal = model.calibration().map_or(&[][..], |nominal| nominal.beams());
+        for (beam, expected) in used.iter().zip(nominal) {
             let (found, nominal) = (beam.elevation_rad.to_degrees(), expected.elevation_rad.to_degrees());
             if (found - nominal).abs() > MAX_ELEVATION_ERROR_DEG {
                 return Err(format!(

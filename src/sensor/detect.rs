@@ -3,7 +3,8 @@
 //! The factory bytes alone mislead: they are blank on old firmware, and early VLP-16 firmware sends the product byte of
 //! an HDL-32E. The time from packet to packet by the sensor clock does not: it follows from the firing order and is
 //! exact to the microsecond that the stamps are cut to. So the first few packets of a stream decide, and the caller
-//! keeps them until then.
+//! keeps them until then. An HDL-64E has no product byte at all (bytes of its status are there, and may equal any): its
+//! blocks alternate between two heads, which is asked first.
 //!
 //! ```
 //! use sweepd::sensor::Model;
@@ -18,6 +19,7 @@
 //! ```
 
 use super::Model;
+use super::model::Spec;
 use crate::wire::HOUR_US;
 use crate::wire::data::{BLOCKS, Banks, DataPacket, ReturnMode};
 
@@ -32,8 +34,16 @@ const MAX_MULTIPLE: u32 = 4;
 /// How far an interval may be from a multiple of the period: the stamps are cut to microseconds, and crystals drift.
 const TOLERANCE_NS: u64 = 3_000;
 
-/// Models that differ in timing; the others share the timing of one of them.
-const TIMINGS: [Model; 2] = [Model::Vlp16, Model::Hdl32e];
+/// Models that differ in timing, by how their blocks are laid out; the others share the timing of one of them.
+fn timings(banks: Banks) -> [(Model, &'static Spec); 2] {
+    match banks {
+        // What reports one return every 288 us may be an S2 or an S3; what reports two is an S3.
+        Banks::Alternating => {
+            [(Model::Hdl64eS2, Model::Hdl64eS2.spec()), (Model::Hdl64eS3, Model::Hdl64eS3.specs()[1])]
+        }
+        _ => [Model::Vlp16, Model::Hdl32e].map(|model| (model, model.spec())),
+    }
+}
 
 /// Product bytes of sensors that speak this protocol and are not supported.
 const UNSUPPORTED: [(u8, &str); 5] = [
@@ -45,7 +55,7 @@ const UNSUPPORTED: [(u8, &str); 5] = [
 ];
 
 /// The model of a stream, how it was told, and what its packets hold.
-#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+#[derive(Clone, Copy, Debug, PartialEq)]
 pub struct Detection {
     /// The model.
     pub model: Model,
@@ -53,6 +63,33 @@ pub struct Detection {
     pub return_mode: ReturnMode,
     /// What told the model.
     pub basis: Basis,
+    /// The table of the model that has the measured packet period.
+    pub spec: &'static Spec,
+}
+
+/// A packet of an HDL-64E says two returns by its azimuths alone; they must be so far apart for that, hundredths of a
+/// degree, lest a head that hardly turns seem to.
+const TELLING_STEP_CDEG: i32 = 4;
+
+impl Detection {
+    /// The return mode of a packet, the one before having that of `last`: an HDL-64E says it by its azimuths, and a head
+    /// that stands still does not say it; others have a byte, and where it is blank the detection's mode holds.
+    pub fn mode_of(&self, packet: &DataPacket, last: ReturnMode) -> ReturnMode {
+        if !self.model.is_hdl64e() {
+            return ReturnMode::from_byte(packet.return_mode).unwrap_or(self.return_mode);
+        }
+        let group = self.spec.blocks_per_azimuth(ReturnMode::Dual);
+        if !packet.azimuths_in_groups(group) {
+            return if last == ReturnMode::Dual { ReturnMode::Strongest } else { last };
+        }
+        let [first, second] = [0, group].map(|block| i32::from(packet.blocks[block].azimuth_cdeg()));
+        if (first - second).abs() >= TELLING_STEP_CDEG { ReturnMode::Dual } else { last }
+    }
+
+    /// Whether a packet is laid out as those of this sensor, whatever it holds.
+    pub fn has_layout(&self, packet: &DataPacket) -> bool {
+        packet.banks() == banks_of(self.model)
+    }
 }
 
 /// What told the model.
@@ -68,6 +105,10 @@ pub enum Basis {
     Period,
     /// The product byte: there were too few packets to measure their period.
     BytesAlone,
+    /// The two heads, whose blocks alternate, and the packet period.
+    HeadsAndPeriod,
+    /// The two heads: there were too few packets to measure their period.
+    HeadsAlone,
 }
 
 impl std::fmt::Display for Basis {
@@ -78,6 +119,8 @@ impl std::fmt::Display for Basis {
             Self::BytesAndPeriod => "by its factory bytes and packet period",
             Self::Period => "by its packet period, since its factory bytes are blank or those of early firmware",
             Self::BytesAlone => "by its factory bytes alone, too few packets to check their period",
+            Self::HeadsAndPeriod => "by its two heads and packet period",
+            Self::HeadsAlone => "by its two heads alone, too few packets to check their period",
         })
     }
 }
@@ -116,17 +159,29 @@ pub enum DetectError {
         /// A measured interval, microseconds.
         interval_us: u32,
     },
+    /// The user says one model, and the blocks are laid out as those of another.
+    #[error("--model says {said}, but {layout}; {}", cure_layout(.heads))]
+    Layout {
+        /// The model that was said.
+        said: Model,
+        /// How the blocks are laid out.
+        layout: &'static str,
+        /// Whether they are those of two heads.
+        heads: bool,
+    },
     /// The packet period is that of no supported model.
     #[error(
         "packets come {median_us} us apart by the sensor clock, expected in {mode} mode: {}; --model cannot help: \
          is this another sensor, two sensors behind one address, or a capture with most packets lost?",
-        expected(.mode)
+        expected(.mode, .heads)
     )]
     UnknownPeriod {
         /// The median interval, microseconds.
         median_us: u32,
         /// The return mode that the packets seem to have.
         mode: ReturnMode,
+        /// Whether the blocks are those of two heads.
+        heads: bool,
     },
     /// Blank factory bytes, and too few packets to measure their period.
     #[error(
@@ -154,10 +209,14 @@ fn cure(given: &bool, timing: &Model) -> String {
     }
 }
 
+fn cure_layout(heads: &bool) -> &'static str {
+    if *heads { "leave --model away, or give hdl64e-s2 or hdl64e-s3" } else { "leave --model away" }
+}
+
 /// What a packet period should have been.
-fn expected(mode: &ReturnMode) -> String {
-    TIMINGS
-        .map(|model| format!("{:.1} us on the {model}", f64::from(model.spec().packet_period_ns(*mode)) / 1e3))
+fn expected(mode: &ReturnMode, heads: &bool) -> String {
+    timings(if *heads { Banks::Alternating } else { Banks::One })
+        .map(|(model, spec)| format!("{:.1} us on the {model}", f64::from(spec.packet_period_ns(*mode)) / 1e3))
         .join(", ")
 }
 
@@ -176,8 +235,9 @@ enum Azimuths {
 #[derive(Clone, Debug)]
 pub struct Detector {
     forced: Option<Model>,
-    /// Return mode and product byte of the last packet.
-    bytes: (u8, u8),
+    /// How the blocks of the last packet are laid out, and its return mode and product byte: 0 on an HDL-64E, which has
+    /// none.
+    bytes: (Banks, u8, u8),
     azimuths: Azimuths,
     /// Packets observed, also those whose stamps were dropped when the bytes changed.
     observed: usize,
@@ -197,6 +257,7 @@ struct Intervals {
 #[derive(Clone, Copy)]
 struct Vote {
     timing: Model,
+    spec: &'static Spec,
     return_mode: ReturnMode,
     /// Intervals that fit.
     fits: usize,
@@ -209,7 +270,7 @@ impl Detector {
     pub fn new(forced: Option<Model>) -> Self {
         Self {
             forced,
-            bytes: (0, 0),
+            bytes: (Banks::One, 0, 0),
             azimuths: Azimuths::Still,
             observed: 0,
             stamps: [0; MAX_PACKETS],
@@ -227,15 +288,15 @@ impl Detector {
     pub fn observe(&mut self, packet: &DataPacket) -> Option<Result<Detection, DetectError>> {
         // The bank markers come first: the factory bytes of an HDL-64E are status bytes and may equal any product.
         match packet.banks() {
-            Banks::One => {}
-            Banks::Alternating => return Some(Err(DetectError::Unsupported { sensor: "HDL-64E" })),
+            Banks::Alternating => {}
+            Banks::UpperHeavy => return Some(Err(DetectError::Unsupported { sensor: "HDL-64E S1" })),
             Banks::Other => return Some(Err(DetectError::Unsupported { sensor: many_banks(packet.product) })),
-        }
-        match said_by(packet.product) {
-            // The user may know a product byte that nobody else does, but not turn one sensor into another.
-            Err(DetectError::UnknownProduct { .. }) if self.forced.is_some() => {}
-            Err(error) => return Some(Err(error)),
-            Ok(_) => {}
+            Banks::One => match said_by(packet.product) {
+                // The user may know a product byte that nobody else does, but not turn one sensor into another.
+                Err(DetectError::UnknownProduct { .. }) if self.forced.is_some() => {}
+                Err(error) => return Some(Err(error)),
+                Ok(_) => {}
+            },
         }
         if self.observed >= MAX_PACKETS {
             return Some(self.conclude());
@@ -249,6 +310,7 @@ impl Detector {
     /// # Errors
     /// [`DetectError`].
     pub fn conclude(&self) -> Result<Detection, DetectError> {
+        self.check_layout()?;
         let intervals = self.intervals();
         if intervals.len < ENOUGH {
             return self.without_period();
@@ -258,14 +320,37 @@ impl Detector {
         if best.fits > next.fits && best.fits * 4 >= intervals.len {
             return self.detection(best);
         }
-        match unsupported(self.bytes.1) {
+        match unsupported(self.bytes.2) {
             Some(sensor) => Err(DetectError::Unsupported { sensor }),
-            None => Err(DetectError::UnknownPeriod { median_us: intervals.median(), mode: best.return_mode }),
+            None => {
+                let (median_us, mode, heads) = (intervals.median(), best.return_mode, self.has_heads());
+                Err(DetectError::UnknownPeriod { median_us, mode, heads })
+            }
+        }
+    }
+
+    fn has_heads(&self) -> bool {
+        self.bytes.0 == Banks::Alternating
+    }
+
+    /// Whether the blocks can be those of the model that the user says it is.
+    fn check_layout(&self) -> Result<(), DetectError> {
+        let heads = self.has_heads();
+        let layout = match heads {
+            true => "the blocks of its packets alternate between two heads, as those of the HDL-64E do",
+            false => "the blocks of its packets are all of one head, and those of the HDL-64E alternate between two",
+        };
+        match self.forced {
+            Some(said) if self.len > 0 && said.is_hdl64e() != heads => Err(DetectError::Layout { said, layout, heads }),
+            _ => Ok(()),
         }
     }
 
     fn record(&mut self, packet: &DataPacket) {
-        let bytes = (packet.return_mode, packet.product);
+        let bytes = match packet.banks() {
+            Banks::Alternating => (Banks::Alternating, 0, 0),
+            banks => (banks, packet.return_mode, packet.product),
+        };
         if self.len == 0 || bytes != self.bytes {
             // Somebody changed the return mode: the periods on the two sides have nothing in common.
             self.bytes = bytes;
@@ -274,7 +359,8 @@ impl Detector {
             self.len = 0;
         }
         if packet.blocks[0].azimuth_cdeg() != packet.blocks[BLOCKS - 1].azimuth_cdeg() {
-            self.azimuths = match (packet.azimuths_paired(), self.azimuths) {
+            let paired = packet.azimuths_in_groups(if self.has_heads() { 4 } else { 2 });
+            self.azimuths = match (paired, self.azimuths) {
                 (true, Azimuths::Still | Azimuths::Paired) => Azimuths::Paired,
                 _ => Azimuths::Single,
             };
@@ -288,7 +374,7 @@ impl Detector {
         let intervals = self.intervals();
         let [best, next] = self.votes(&intervals);
         let clear = best.fits >= ENOUGH && best.fits > next.fits && best.fits * 2 > intervals.len;
-        clear.then(|| self.detection(best))
+        clear.then(|| self.check_layout().and_then(|()| self.detection(best)))
     }
 
     /// The intervals between stamps in order; those of duplicates are none.
@@ -309,7 +395,11 @@ impl Detector {
 
     /// The two timings, the better one first.
     fn votes(&self, intervals: &Intervals) -> [Vote; 2] {
-        let [mut best, mut next] = TIMINGS.map(|timing| self.vote(timing, intervals));
+        let [mut best, mut next] = timings(self.bytes.0).map(|timing| self.vote(timing, intervals));
+        if next.return_mode == ReturnMode::Dual && best.return_mode == next.return_mode && self.has_heads() {
+            // With two returns there is but one timing.
+            next.fits = 0;
+        }
         if next.fits > best.fits {
             std::mem::swap(&mut best, &mut next);
         }
@@ -317,22 +407,23 @@ impl Detector {
     }
 
     /// How well a timing explains the intervals, in the return mode that explains them best.
-    fn vote(&self, timing: Model, intervals: &Intervals) -> Vote {
+    fn vote(&self, (timing, spec): (Model, &'static Spec), intervals: &Intervals) -> Vote {
         // Strongest first: what both explain is one packet after the other in single mode, not every second one in
         // dual.
-        let modes: &[ReturnMode] = match (ReturnMode::from_byte(self.bytes.0), self.azimuths) {
+        let modes: &[ReturnMode] = match (ReturnMode::from_byte(self.bytes.1), self.azimuths) {
             (Some(ReturnMode::Strongest), _) | (None, Azimuths::Single) => &[ReturnMode::Strongest],
             (Some(ReturnMode::Last), _) => &[ReturnMode::Last],
             (Some(ReturnMode::Dual), _) | (None, Azimuths::Paired) => &[ReturnMode::Dual],
             (None, Azimuths::Still) => &[ReturnMode::Strongest, ReturnMode::Dual],
         };
-        let mut best = Vote { timing, return_mode: modes[0], fits: 0, interval_us: 0 };
+        let mut best = Vote { timing, spec, return_mode: modes[0], fits: 0, interval_us: 0 };
         for &return_mode in modes {
-            let period_ns = timing.spec().packet_period_ns(return_mode);
+            let period_ns = spec.packet_period_ns(return_mode);
             let fitting = || intervals.us().iter().copied().filter(|&us| fits(us, period_ns));
             let count = fitting().count();
             if count > best.fits {
-                best = Vote { timing, return_mode, fits: count, interval_us: fitting().min().unwrap_or_default() };
+                best =
+                    Vote { timing, spec, return_mode, fits: count, interval_us: fitting().min().unwrap_or_default() };
             }
         }
         best
@@ -340,14 +431,26 @@ impl Detector {
 
     /// The detection of a stream whose period is known.
     fn detection(&self, vote: Vote) -> Result<Detection, DetectError> {
-        let Vote { timing, return_mode, interval_us, .. } = vote;
-        let found = |model, basis| Ok(Detection { model, return_mode, basis });
+        let Vote { mut timing, spec, return_mode, interval_us, .. } = vote;
+        if self.has_heads() && return_mode == ReturnMode::Dual {
+            timing = Model::Hdl64eS3;
+        }
+        let found = |model: Model, basis| {
+            let period_ns = spec.packet_period_ns(return_mode);
+            let measured = model.specs().iter().find(|own| own.packet_period_ns(return_mode) == period_ns);
+            Ok(Detection { model, return_mode, basis, spec: measured.copied().unwrap_or(model.spec()) })
+        };
         let contradiction = |said, given| Err(DetectError::Contradiction { said, given, timing, interval_us });
         if let Some(model) = self.forced {
             let basis = self.basis_of_given(model);
-            return if timing_of(model) == timing { found(model, basis) } else { contradiction(model, true) };
+            // An S3 that reports one return may have the timing of an S2.
+            let fits = timing_of(model) == timing || model == Model::Hdl64eS3;
+            return if fits { found(model, basis) } else { contradiction(model, true) };
         }
-        match said_by(self.bytes.1)? {
+        if self.has_heads() {
+            return found(timing, Basis::HeadsAndPeriod);
+        }
+        match said_by(self.bytes.2)? {
             None => found(timing, Basis::Period),
             Some(model) if timing_of(model) == timing => found(model, Basis::BytesAndPeriod),
             // Early VLP-16 firmware sends the product byte of an HDL-32E.
@@ -357,8 +460,8 @@ impl Detector {
     }
 
     fn basis_of_given(&self, model: Model) -> Basis {
-        let product = self.bytes.1;
-        if product == 0 || product == model.spec().product { Basis::Given } else { Basis::GivenAgainstBytes }
+        let product = self.bytes.2;
+        if product == 0 || Some(product) == model.spec().product { Basis::Given } else { Basis::GivenAgainstBytes }
     }
 
     /// The detection of a stream too short to measure its period.
@@ -366,16 +469,21 @@ impl Detector {
         let (model, basis) = match self.forced {
             Some(model) => (model, self.basis_of_given(model)),
             None if self.len == 0 => return Err(DetectError::TooFewPackets { packets: 0 }),
-            None => match said_by(self.bytes.1)? {
+            None if self.has_heads() => (Model::Hdl64eS2, Basis::HeadsAlone),
+            None => match said_by(self.bytes.2)? {
                 Some(model) => (model, Basis::BytesAlone),
                 None => return Err(DetectError::TooFewPackets { packets: self.observed }),
             },
         };
-        let return_mode = ReturnMode::from_byte(self.bytes.0).unwrap_or(match self.azimuths {
+        let return_mode = ReturnMode::from_byte(self.bytes.1).unwrap_or(match self.azimuths {
             Azimuths::Paired => ReturnMode::Dual,
             Azimuths::Still | Azimuths::Single => ReturnMode::Strongest,
         });
-        Ok(Detection { model, return_mode, basis })
+        let model = match (model, return_mode) {
+            (Model::Hdl64eS2, ReturnMode::Dual) if self.forced.is_none() => Model::Hdl64eS3,
+            _ => model,
+        };
+        Ok(Detection { model, return_mode, basis, spec: model.spec() })
     }
 }
 
@@ -413,7 +521,14 @@ fn timing_of(model: Model) -> Model {
     match model {
         Model::Vlp16 | Model::PuckLite | Model::PuckHiRes => Model::Vlp16,
         Model::Hdl32e => Model::Hdl32e,
+        Model::Hdl64eS2 => Model::Hdl64eS2,
+        Model::Hdl64eS3 => Model::Hdl64eS3,
     }
+}
+
+/// How the blocks of a model are laid out.
+fn banks_of(model: Model) -> Banks {
+    if model.is_hdl64e() { Banks::Alternating } else { Banks::One }
 }
 
 /// The model that a product byte names, none if it is blank. A Puck LITE calls itself a VLP-16.
@@ -424,7 +539,7 @@ fn said_by(product: u8) -> Result<Option<Model>, DetectError> {
     if let Some(sensor) = unsupported(product) {
         return Err(DetectError::Unsupported { sensor });
     }
-    match Model::ALL.into_iter().find(|model| model.spec().product == product) {
+    match Model::ALL.into_iter().find(|model| model.spec().product == Some(product)) {
         Some(model) => Ok(Some(model)),
         None => Err(DetectError::UnknownProduct { product }),
     }
@@ -438,7 +553,7 @@ fn unsupported(product: u8) -> Option<&'static str> {
 fn many_banks(product: u8) -> &'static str {
     match unsupported(product) {
         Some(sensor @ "VLS-128") => sensor,
-        _ => "one with more than 32 lasers (VLS-128 or HDL-64E of the first series)",
+        _ => "one with more than 64 lasers (VLS-128)",
     }
 }
 
@@ -485,7 +600,7 @@ mod tests {
     }
 
     fn found(model: Model, return_mode: ReturnMode, basis: Basis) -> Result<Detection, DetectError> {
-        Ok(Detection { model, return_mode, basis })
+        Ok(Detection { model, return_mode, basis, spec: model.spec() })
     }
 
     #[test]
@@ -568,16 +683,14 @@ mod tests {
         assert_eq!(
             message,
             "this is the stream of another sensor, VLP-32A or VLP-32B; supported are VLP-16 (vlp16), \
-             Puck LITE (puck-lite), Puck Hi-Res (puck-hires), HDL-32E (hdl32e)"
+             Puck LITE (puck-lite), Puck Hi-Res (puck-hires), HDL-32E (hdl32e), HDL-64E S2 (hdl64e-s2), \
+             HDL-64E S3 (hdl64e-s3)"
         );
-        // Nothing helps against the bank markers, and the status bytes of an HDL-64E are not asked.
-        let mut hdl64e = DataPacket::new(0, SINGLE, 0x22);
-        for block in hdl64e.blocks.iter_mut().skip(1).step_by(2) {
-            block.flag.set(FLAG_BANK_1);
-        }
+        let mut s1 = DataPacket::new(0, SINGLE, 0x22);
+        s1.blocks.iter_mut().skip(2).step_by(4).for_each(|block| block.flag.set(FLAG_BANK_1));
         for forced in [None, Some(Model::Vlp16)] {
-            let verdict = Detector::new(forced).observe(&hdl64e);
-            assert_eq!(verdict, Some(Err(DetectError::Unsupported { sensor: "HDL-64E" })));
+            let verdict = Detector::new(forced).observe(&s1);
+            assert_eq!(verdict, Some(Err(DetectError::Unsupported { sensor: "HDL-64E S1" })));
         }
         let mut vls128 = DataPacket::new(0, SINGLE, 0xA1);
         vls128.blocks[1].flag.set(FLAG_BANK_1);
@@ -638,7 +751,7 @@ mod tests {
             let (packets, verdict) = run(forced, (SINGLE, 0x22), false, &times);
             assert_eq!(packets, MAX_PACKETS);
             let mode = ReturnMode::Strongest;
-            assert_eq!(verdict, Err(DetectError::UnknownPeriod { median_us: 800, mode }));
+            assert_eq!(verdict, Err(DetectError::UnknownPeriod { median_us: 800, mode, heads: false }));
             let message = verdict.unwrap_err().to_string();
             assert!(
                 message.contains("800 us apart")
@@ -683,8 +796,70 @@ mod tests {
     #[test]
     fn no_interval_fits_two_timings() {
         for mode in [ReturnMode::Strongest, ReturnMode::Dual] {
-            let [vlp16, hdl32e] = TIMINGS.map(|model| model.spec().packet_period_ns(mode));
+            let [vlp16, hdl32e] = timings(Banks::One).map(|(_, spec)| spec.packet_period_ns(mode));
             assert!((0..10_000).all(|us| !(fits(us, vlp16) && fits(us, hdl32e))));
+        }
+        let [fast, slow] = timings(Banks::Alternating).map(|(_, spec)| spec.packet_period_ns(ReturnMode::Strongest));
+        assert!((0..10_000).all(|us| !(fits(us, fast) && fits(us, slow))));
+    }
+
+    /// A packet of two heads that turn, with status bytes that would name a VLP-16 in dual mode.
+    fn two_heads(stamp_us: u32, blocks_per_azimuth: usize) -> DataPacket {
+        let mut packet = DataPacket::new(stamp_us, DUAL, 0x22);
+        for (index, block) in packet.blocks.iter_mut().enumerate() {
+            block.flag.set(if index % 2 == 1 { FLAG_BANK_1 } else { crate::wire::data::FLAG_BANK_0 });
+            block.set_azimuth_cdeg(100 + 17 * (index / blocks_per_azimuth) as u16);
+        }
+        packet
+    }
+
+    #[test]
+    fn an_hdl64e_is_told_by_its_heads_and_its_timing_by_the_period() {
+        use ReturnMode::{Dual, Strongest};
+        let run = |forced, period_ns, group, packets: &[u64]| {
+            let mut detector = Detector::new(forced);
+            let packets = stamps(period_ns, packets).into_iter().map(|stamp| two_heads(stamp, group));
+            packets.into_iter().find_map(|p| detector.observe(&p)).unwrap_or_else(|| detector.conclude())
+        };
+        let slow = Model::Hdl64eS3.specs()[1];
+        for (period_ns, group, mode, model, spec) in [
+            (288_000, 2, Strongest, Model::Hdl64eS2, Model::Hdl64eS2.spec()),
+            (345_600, 2, Strongest, Model::Hdl64eS3, slow),
+            (172_800, 4, Dual, Model::Hdl64eS3, Model::Hdl64eS2.spec()),
+        ] {
+            for order in [&[0, 1, 2][..], &[0, 2, 5], &[1, 0, 2], &[0, 0, 3, 4]] {
+                let found = run(None, period_ns, group, order).unwrap();
+                assert_eq!((found.model, found.return_mode, found.basis), (model, mode, Basis::HeadsAndPeriod));
+                assert_eq!(found.spec.packet_period_ns(mode), spec.packet_period_ns(mode), "{period_ns} {order:?}");
+            }
+            let s3 = run(Some(Model::Hdl64eS3), period_ns, group, &[0, 1, 2]).unwrap();
+            assert_eq!((s3.model, s3.return_mode, s3.basis), (Model::Hdl64eS3, mode, Basis::Given));
+        }
+        assert_eq!(run(None, 288_000, 2, &[0]).unwrap().basis, Basis::HeadsAlone);
+        let message =
+            |forced, period_ns, group| run(Some(forced), period_ns, group, &[0, 1, 2]).unwrap_err().to_string();
+        assert_eq!(
+            message(Model::Hdl64eS2, 172_800, 4),
+            "--model says HDL-64E S2, but packets come 173 us apart, as those of the HDL-64E S3 do; leave --model away, \
+             or give --model hdl64e-s3"
+        );
+        assert_eq!(
+            message(Model::Vlp16, 288_000, 2),
+            "--model says VLP-16, but the blocks of its packets alternate between two heads, as those of the HDL-64E do; \
+             leave --model away, or give hdl64e-s2 or hdl64e-s3"
+        );
+        let (_, one_head) = self::run(Some(Model::Hdl64eS2), (SINGLE, 0x22), false, &stamps(VLP16_NS, &[0, 1, 2]));
+        assert!(matches!(one_head, Err(DetectError::Layout { heads: false, .. })), "{one_head:?}");
+    }
+
+    #[test]
+    fn an_hdl64e_says_its_return_mode_by_azimuths_that_differ() {
+        use ReturnMode::{Dual, Strongest};
+        let detection = found(Model::Hdl64eS3, Strongest, Basis::HeadsAndPeriod).unwrap();
+        for last in [Strongest, Dual] {
+            assert_eq!(detection.mode_of(&two_heads(0, 2), last), Strongest);
+            assert_eq!(detection.mode_of(&two_heads(0, 4), last), Dual);
+            assert_eq!(detection.mode_of(&two_heads(0, 12), last), last);
         }
     }
 

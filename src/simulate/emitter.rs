@@ -271,10 +271,10 @@ impl<'a> Emitter<'a> {
         }
         let mode = self.config.mode_of(ordinal);
         let stamp_us = self.config.clock.stamp_us(self.config.start_utc_ns, first_ns);
-        let mut packet = DataPacket::new(stamp_us, mode.byte(), self.spec.product);
+        let mut packet = DataPacket::new(stamp_us, mode.byte(), self.spec.product.unwrap_or_default());
         let mut truth = Box::new(PacketTruth { ordinal, returns: [[None; RECORDS]; BLOCKS] });
         for firing in 0..self.spec.firings_per_packet(mode) {
-            let time_ns = first_ns + i64::from(self.spec.firing_period_ns) * firing as i64;
+            let time_ns = first_ns + i64::from(self.spec.firing_period_ns(mode)) * firing as i64;
             self.fire(firing, time_ns, &mut packet, &mut truth, rng);
         }
         (packet, truth)
@@ -284,15 +284,15 @@ impl<'a> Emitter<'a> {
     fn fire(&self, firing: usize, time_ns: i64, packet: &mut DataPacket, truth: &mut PacketTruth, rng: &mut Rng) {
         let Self { config, spec, .. } = self;
         let mode = config.mode_of(truth.ordinal);
-        let copies = mode.blocks_per_azimuth();
-        let first_block = firing / spec.firings_per_block() * copies;
-        let first_record = firing % spec.firings_per_block() * spec.channels;
+        let copies = spec.blocks_per_azimuth(mode);
+        let first_block = firing / spec.firings_per_azimuth() * copies;
+        let first_record = firing % spec.firings_per_azimuth() * spec.channels;
         if first_record == 0 {
             let azimuth = self.azimuth_cdeg(time_ns, rng);
             packet.blocks[first_block..][..copies].iter_mut().for_each(|block| block.set_azimuth_cdeg(azimuth));
         }
         for channel in 0..spec.channels {
-            let time_ns = time_ns + i64::from(spec.channel_offset_ns(channel));
+            let time_ns = time_ns + i64::from(spec.channel_offset_ns(channel, mode));
             let azimuth_rad = self.azimuth_rad(time_ns);
             let shot = self.shot(channel, azimuth_rad, time_ns);
             let returns = optics::shoot(&config.optics, &self.view.1, &shot, mode, rng);
@@ -313,7 +313,12 @@ impl<'a> Emitter<'a> {
     }
 
     fn shot(&self, channel: usize, azimuth_rad: f64, time_ns: i64) -> Shot {
-        let calibration = self.config.calibration.as_ref().unwrap_or_else(|| self.config.model.calibration());
+        let calibration = self
+            .config
+            .calibration
+            .as_ref()
+            .or_else(|| self.config.model.calibration())
+            .expect("an HDL-64E is given a calibration");
         let beam = &calibration.beams()[channel];
         let pose = &self.config.pose;
         Shot {
@@ -408,7 +413,7 @@ mod tests {
             assert_eq!(u64::from(stamps[125] - stamps[0]), whole);
             for (n, (packet, truth)) in (0..).zip(&packets) {
                 assert_eq!(truth.ordinal, n);
-                assert_eq!((packet.return_mode, packet.product), (mode.byte(), model.spec().product));
+                assert_eq!((packet.return_mode, packet.product), (mode.byte(), model.spec().product.unwrap()));
             }
         }
     }
@@ -435,9 +440,9 @@ mod tests {
                         let (sequence, channel) = (k / (32 / per_block), k % (32 / per_block));
                         let lag_us = firing_us * sequence as f64 + channel_us * channel as f64;
                         let a = (f64::from(block.azimuth_cdeg()) / 100.0 + deg_per_us * lag_us).to_radians();
-                        let w = model.calibration().beams()[channel].elevation_rad;
+                        let w = model.calibration().unwrap().beams()[channel].elevation_rad;
                         let to_walls = (12.0 / a.cos()).min(15.0 / a.sin()) / w.cos();
-                        let height = 1.9 + model.calibration().beams()[channel].vertical_offset_m;
+                        let height = 1.9 + model.calibration().unwrap().beams()[channel].vertical_offset_m;
                         if !(0.1..1.4).contains(&a)
                             || w.sin() * to_walls + height < 0.3
                             || (a.tan() - 1.25).abs() < 0.01
@@ -487,7 +492,7 @@ mod tests {
         config.optics.noise_m = 0.0;
         let (mut differ, mut nearer, mut equal) = (0, 0, 0);
         for (packet, _) in data(config, &street(3)) {
-            assert!(packet.azimuths_paired());
+            assert!(packet.azimuths_in_groups(2));
             for pair in packet.blocks.chunks_exact(2) {
                 for (last, strong) in pair[0].records.iter().zip(&pair[1].records) {
                     // Zero in one is zero in both.
@@ -546,7 +551,7 @@ mod tests {
 
     #[test]
     fn a_calibration_is_that_of_the_unit() {
-        let mut beams = Model::Vlp16.calibration().beams().to_vec();
+        let mut beams = Model::Vlp16.calibration().unwrap().beams().to_vec();
         for beam in &mut beams {
             beam.elevation_rad -= 0.005;
             beam.vertical_offset_m += 0.1;

@@ -37,7 +37,7 @@ impl SoFar {
     /// The first of the missing columns that wait for this packet: at its times, and with the head where it was.
     pub fn room_for(&self, sweep: &SweepMut<'_>, packet: &Packet, decoder: &Decoder) -> Option<usize> {
         let spec = decoder.spec;
-        let slack_ns = i64::from(spec.firing_period_ns) / 2;
+        let slack_ns = i64::from(spec.firing_period_ns(packet.mode)) / 2;
         let early = u32::try_from((packet.time_ns - self.first_ns - slack_ns).max(0)).ok()?;
         let columns = &sweep.columns[..self.columns];
         let first = columns.partition_point(|column| column.time_ns < early);
@@ -88,7 +88,7 @@ impl SoFar {
     /// The column of a firing that arrived.
     pub fn column(&self, packet: &Packet, index: usize, time_ns: i64, decoder: &Decoder) -> Column {
         let spec = decoder.spec;
-        let block = index / spec.firings_per_block() * packet.mode.blocks_per_azimuth();
+        let block = index / spec.firings_per_azimuth() * spec.blocks_per_azimuth(packet.mode);
         let (azimuth_rad, rate) = radians(packet.motion.azimuth_cdeg(index, spec), packet, decoder);
         Column::measured(packet.number, block as u8, azimuth_rad, rate, self.since_first(time_ns))
     }
@@ -132,7 +132,7 @@ pub fn decode(
     let rows = decoder.rows();
     let spec = decoder.spec;
     let pixels = at * rows..(at + 1) * rows;
-    let first = firing % spec.firings_per_block() * spec.channels;
+    let first = firing % spec.firings_per_azimuth() * spec.channels;
     let block = usize::from(column.block);
     let records = |block: usize| &packet.bytes.blocks[block].records[first..first + spec.channels];
     sweep.columns[at] = column;

@@ -90,7 +90,7 @@ impl Gap {
             let (step_cdeg, step_ns) = (travelled / steps, lasted_ns / steps);
             return Self { firings, from_cdeg, from_ns, step_cdeg, step_ns, silence: None };
         };
-        let step_ns = f64::from(spec.firing_period_ns);
+        let step_ns = f64::from(spec.firing_period_ns(packet.mode));
         let width = sector.width_cdeg.copysign(travelled);
         let step_cdeg = (travelled - width) / steps;
         let before = sector.ahead_of(from_cdeg, travelled) / step_cdeg.abs().max(f64::MIN_POSITIVE);

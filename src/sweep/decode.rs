@@ -5,7 +5,7 @@ use std::ops::RangeInclusive;
 use super::layout::{BeamRow, ReturnChoice, ReturnKind, is_return};
 use crate::sensor::model::Spec;
 use crate::sensor::{Calibration, Model};
-use crate::wire::data::Record;
+use crate::wire::data::{Record, ReturnMode};
 
 /// Least range of a record that is not zero, so that no correction can turn a return into none.
 const LEAST_RANGE_M: f32 = 0.001;
@@ -43,16 +43,19 @@ pub struct Pixels<'a> {
 impl Decoder {
     /// For a model with these beams, as [`Calibration::for_model`] fitted them. Of two returns, `choice` says which is
     /// segmented, where both are within the range limits.
-    pub fn new(model: Model, calibration: &Calibration, choice: ReturnChoice, limits_m: RangeInclusive<f32>) -> Self {
-        let spec = model.spec();
+    pub fn new(
+        (model, spec): (Model, &'static Spec),
+        calibration: &Calibration,
+        choice: ReturnChoice,
+        limits_m: RangeInclusive<f32>,
+    ) -> Self {
         let rows = calibration
             .rows()
             .iter()
             .map(|&channel| Row { channel, distance_offset_m: calibration.beams()[channel].distance_offset_m as f32 });
-        let beams = calibration
-            .rows()
-            .iter()
-            .map(|&channel| BeamRow::new(&calibration.beams()[channel], spec.channel_offset_ns(channel)));
+        let beams = calibration.rows().iter().map(|&channel| {
+            BeamRow::new(&calibration.beams()[channel], spec.channel_offset_ns(channel, ReturnMode::Strongest))
+        });
         Self {
             spec,
             model,
@@ -143,7 +146,7 @@ mod tests {
     /// The segmented return, the other, and which the first is: metres for last and strongest in the only channel used.
     fn dual(choice: ReturnChoice, limits_m: RangeInclusive<f32>, last_m: f32, strongest_m: f32) -> (f32, f32, u8) {
         let model = Model::Vlp16;
-        let decoder = Decoder::new(model, model.calibration(), choice, limits_m);
+        let decoder = Decoder::new((model, model.spec()), model.calibration().unwrap(), choice, limits_m);
         let firing = |range_m: f32, reflectivity| {
             let mut records = [Record { distance: U16::ZERO, reflectivity: 0 }; RECORDS];
             // Channel 15 looks up highest: row 0. The unit is 2 mm.

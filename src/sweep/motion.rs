@@ -30,8 +30,8 @@ impl Sector {
 
     /// Nanoseconds of silence when the head crosses the sector at a rate. The lasers keep their beat meanwhile (measured
     /// on a VLP-32C), so that it is a whole number of blocks.
-    pub fn silent_ns(&self, rate_cdeg_ns: f64, spec: &Spec) -> i64 {
-        let block_ns = spec.block_period_ns();
+    pub fn silent_ns(&self, rate_cdeg_ns: f64, spec: &Spec, mode: ReturnMode) -> i64 {
+        let block_ns = spec.azimuth_period_ns(mode);
         let blocks = self.width_cdeg / (rate_cdeg_ns.abs() * f64::from(block_ns)).max(f64::MIN_POSITIVE);
         blocks.min(1e6).round() as i64 * i64::from(block_ns)
     }
@@ -40,7 +40,8 @@ impl Sector {
 /// The motion of the head during one packet.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct Motion {
-    /// Azimuths that the packet gives: one a block, one a pair of blocks in dual mode.
+    mode: ReturnMode,
+    /// Azimuths that the packet gives: one for all blocks of a firing.
     azimuths: [u16; BLOCKS],
     count: usize,
     /// From one azimuth to the next, hundredths of a degree, negative when the head turns the other way.
@@ -55,8 +56,8 @@ pub struct Motion {
 /// Why a packet cannot come from a turning head.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, thiserror::Error)]
 pub enum Implausible {
-    /// A dual-return packet whose blocks are not pairs.
-    #[error("the blocks of a dual-return packet come in pairs of equal azimuth, these do not")]
+    /// Blocks of one firing that do not share its azimuth.
+    #[error("the blocks of one firing have one azimuth, these do not")]
     Unpaired,
     /// Azimuths that jump more than once.
     #[error("the azimuths jump to and fro")]
@@ -69,8 +70,8 @@ impl Motion {
     /// # Errors
     /// [`Implausible`] where no head, not even one with a limited field of view, turns like that.
     pub fn of(packet: &DataPacket, mode: ReturnMode, spec: &Spec) -> Result<Self, Implausible> {
-        let blocks_per_azimuth = mode.blocks_per_azimuth();
-        if mode == ReturnMode::Dual && !packet.azimuths_paired() {
+        let blocks_per_azimuth = spec.blocks_per_azimuth(mode);
+        if !packet.azimuths_in_groups(blocks_per_azimuth) {
             return Err(Implausible::Unpaired);
         }
         let count = BLOCKS / blocks_per_azimuth;
@@ -103,9 +104,9 @@ impl Motion {
             let width_cdeg = ahead(from_cdeg, f64::from(azimuths[index]), step_cdeg);
             (index, Sector { from_cdeg, width_cdeg })
         });
-        let rate = step_cdeg / f64::from(spec.block_period_ns());
-        let silent_ns = left_out.map_or(0, |(_, sector)| sector.silent_ns(rate, spec));
-        Ok(Self { azimuths, count, step_cdeg, left_out, silent_ns })
+        let rate = step_cdeg / f64::from(spec.azimuth_period_ns(mode));
+        let silent_ns = left_out.map_or(0, |(_, sector)| sector.silent_ns(rate, spec, mode));
+        Ok(Self { mode, azimuths, count, step_cdeg, left_out, silent_ns })
     }
 
     /// Azimuth of the first firing, hundredths of a degree.
@@ -123,34 +124,34 @@ impl Motion {
         if self.step_cdeg.abs() < 0.1 {
             return 0;
         }
-        (width_cdeg / self.step_cdeg.abs() * f64::from(spec.block_period_ns())) as i64
+        (width_cdeg / self.step_cdeg.abs() * f64::from(spec.azimuth_period_ns(self.mode))) as i64
     }
 
     /// Turning rate, hundredths of a degree a nanosecond.
     pub fn rate_cdeg_ns(&self, spec: &Spec) -> f64 {
-        self.step_cdeg / f64::from(spec.block_period_ns())
+        self.step_cdeg / f64::from(spec.azimuth_period_ns(self.mode))
     }
 
     /// Azimuth at the first shot of a firing, hundredths of a degree, 0..36000. A firing that has no azimuth of its own
     /// (the second of a VLP-16 block) gets it from the mean step of the packet: single steps carry the encoder's noise.
     pub fn azimuth_cdeg(&self, firing: usize, spec: &Spec) -> f64 {
-        let per_block = spec.firings_per_block();
-        let within = (firing % per_block) as f64 / per_block as f64;
-        (f64::from(self.azimuths[firing / per_block]) + self.step_cdeg * within).rem_euclid(TURN)
+        let per_azimuth = spec.firings_per_azimuth();
+        let within = (firing % per_azimuth) as f64 / per_azimuth as f64;
+        (f64::from(self.azimuths[firing / per_azimuth]) + self.step_cdeg * within).rem_euclid(TURN)
     }
 
     /// First shot of a firing after that of the packet, nanoseconds.
     pub fn offset_ns(&self, firing: usize, spec: &Spec) -> i64 {
-        let fired = i64::from(spec.firing_period_ns) * firing as i64;
+        let fired = i64::from(spec.firing_period_ns(self.mode)) * firing as i64;
         match self.left_out {
-            Some((index, _)) if firing / spec.firings_per_block() >= index => fired + self.silent_ns,
+            Some((index, _)) if firing / spec.firings_per_azimuth() >= index => fired + self.silent_ns,
             _ => fired,
         }
     }
 
     /// Whether the head leapt over a sector between the firing before and this one.
     pub fn leaps_before(&self, firing: usize, spec: &Spec) -> bool {
-        self.left_out.is_some_and(|(index, _)| firing == index * spec.firings_per_block())
+        self.left_out.is_some_and(|(index, _)| firing == index * spec.firings_per_azimuth())
     }
 }
 

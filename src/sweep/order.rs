@@ -106,9 +106,9 @@ impl Order {
             return Err(Refusal::Duplicate);
         }
         if let Some((_, sector)) = motion.left_out {
-            motion.silent_ns = sector.silent_ns(self.relations.rate(&motion), self.spec);
+            motion.silent_ns = sector.silent_ns(self.relations.rate(&motion), self.spec, mode);
         }
-        let time_ns = self.clock.read_ns(bytes.stamp_us());
+        let time_ns = self.clock.read_ns(bytes.stamp_us()) + self.spec.first_shot_ns(mode);
         let packet = Packet { bytes: *bytes, motion, mode, number, arrival_ns, time_ns };
         let Some(last) = self.last else {
             self.start(packet);
@@ -230,7 +230,7 @@ impl Order {
 
     fn release(&mut self, slot: usize, before: Before) {
         let packet = &self.slots[slot];
-        self.clock.set(packet.bytes.stamp_us(), packet.time_ns);
+        self.clock.set(packet.bytes.stamp_us(), packet.time_ns - self.spec.first_shot_ns(packet.mode));
         let last = self.last.map(|last| &self.slots[last]);
         self.relations.learn(last, &self.slots[slot], before);
         self.last = Some(slot);

@@ -156,7 +156,7 @@ impl Relations {
         let travelled = expected + shortest(packet.motion.first_cdeg() - from_cdeg - expected);
         if last.motion.left_out.is_some() && rate != 0.0 {
             // The silence inside the packet was estimated, but the azimuths tell how long ago it ended.
-            let block_ns = i64::from(self.spec.block_period_ns());
+            let block_ns = i64::from(self.spec.azimuth_period_ns(last.mode));
             let by_azimuth = (travelled / rate / block_ns as f64).round() as i64 * block_ns;
             let (share, blocks) = SILENCE_SLACK;
             if (by_azimuth - unfired_ns).abs() <= last.motion.silent_ns / share + blocks * block_ns {
@@ -179,10 +179,10 @@ impl Relations {
             return Relation::Unrelated;
         }
         let period = i64::from(self.spec.packet_period_ns(last.mode));
-        let (passed, silence_ns) = self.silence(between);
+        let (passed, silence_ns) = self.silence(between, last.mode);
         let lost = (unfired_ns - silence_ns + period / 2).div_euclid(period);
         let off_beat = (unfired_ns - silence_ns - lost * period).abs();
-        let block_ns = i64::from(self.spec.block_period_ns());
+        let block_ns = i64::from(self.spec.azimuth_period_ns(last.mode));
         if passed > 0 && off_beat <= SILENCE_SLACK.1 * block_ns * passed {
             return Relation::Follows(lost_or(Before::Silence, lost, travelled_cdeg, self.sector));
         }
@@ -203,12 +203,12 @@ impl Relations {
     }
 
     /// How often the head passed the sector that is left out, and how long it was silent.
-    fn silence(&self, between: &Between) -> (i64, i64) {
+    fn silence(&self, between: &Between, mode: ReturnMode) -> (i64, i64) {
         let Some(sector) = self.sector else { return (0, 0) };
         let to_sector = sector.ahead_of(between.from_cdeg, between.rate_cdeg_ns);
         let beyond = between.travelled_cdeg.abs() + LEAST_SECTOR_CDEG - to_sector - sector.width_cdeg;
         let passed = if beyond < 0.0 { 0 } else { 1 + (beyond / TURN) as i64 };
-        (passed, passed * sector.silent_ns(between.rate_cdeg_ns, self.spec))
+        (passed, passed * sector.silent_ns(between.rate_cdeg_ns, self.spec, mode))
     }
 
     /// The turning rate, by this packet if no other told it.

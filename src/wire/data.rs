@@ -113,8 +113,8 @@ impl ReturnMode {
         }
     }
 
-    /// Blocks that share one azimuth: 2 in dual mode, else 1.
-    pub fn blocks_per_azimuth(self) -> usize {
+    /// Returns that are reported of a shot: 2 in dual mode, else 1.
+    pub fn returns(self) -> usize {
         match self {
             Self::Dual => 2,
             Self::Strongest | Self::Last => 1,
@@ -135,7 +135,9 @@ pub enum Banks {
     One,
     /// Blocks alternate upper and lower head: HDL-64E.
     Alternating,
-    /// Any other mixture: VLS-128, HDL-64E S1, or a corrupt packet.
+    /// Three blocks of the upper head for one of the lower: HDL-64E S1.
+    UpperHeavy,
+    /// Any other mixture: VLS-128, or a corrupt packet.
     Other,
 }
 
@@ -214,14 +216,20 @@ impl DataPacket {
             .blocks
             .chunks_exact(2)
             .all(|pair| pair[0].flag.get() == FLAG_BANK_0 && pair[1].flag.get() == FLAG_BANK_1);
-        if alternates { Banks::Alternating } else { Banks::Other }
+        if alternates {
+            return Banks::Alternating;
+        }
+        let upper = self.blocks.iter().filter(|b| b.flag.get() == FLAG_BANK_0).count();
+        let lower = self.blocks.iter().filter(|b| b.flag.get() == FLAG_BANK_1).count();
+        if (upper, lower) == (9, 3) { Banks::UpperHeavy } else { Banks::Other }
     }
 
-    /// Whether blocks come in pairs of equal azimuth, as dual-return packets of one-bank models do.
+    /// Whether blocks come in groups of so many with equal azimuth: 2 in dual-return packets of one-bank models, and in
+    /// those of an HDL-64E, 4 in its dual-return packets.
     ///
-    /// True also for a single-return packet of a head that stands still.
-    pub fn azimuths_paired(&self) -> bool {
-        self.blocks.chunks_exact(2).all(|pair| pair[0].azimuth_cdeg() == pair[1].azimuth_cdeg())
+    /// True also for any packet of a head that stands still.
+    pub fn azimuths_in_groups(&self, of: usize) -> bool {
+        self.blocks.chunks(of.max(1)).all(|group| group.iter().all(|b| b.azimuth_cdeg() == group[0].azimuth_cdeg()))
     }
 
     /// Non-zero distances in the packet.

@@ -65,7 +65,7 @@ fn a_sensor_that_is_not_supported_is_one_error_and_never_decoded() {
     let cases = [
         ("vlp32c", made::with_product(made::vlp16(), 0x28), "VLP-32C"),
         ("vls128", made::with_product(made::vlp16(), 0xA1), "VLS-128"),
-        ("hdl64e", made::hdl64e(), "HDL-64E"),
+        ("hdl64e-s1", made::hdl64e_s1(), "HDL-64E S1"),
         ("unknown", made::with_product(made::vlp16(), 0x77), "0x77"),
     ];
     for (name, datagrams, model) in cases {

@@ -80,12 +80,12 @@ pub fn with_product(mut datagrams: Vec<Sent>, product: u8) -> Vec<Sent> {
     datagrams
 }
 
-/// Packets whose blocks alternate between the heads of an HDL-64E.
-pub fn hdl64e() -> Vec<Sent> {
+/// Packets with three blocks of the upper head for one of the lower, as the first HDL-64E sends them.
+pub fn hdl64e_s1() -> Vec<Sent> {
     let mut datagrams = vlp16();
     for sent in datagrams.iter_mut().filter(|sent| sent.is_data()) {
         let mut packet = *DataPacket::parse(&sent.payload).unwrap();
-        for block in packet.blocks.iter_mut().skip(1).step_by(2) {
+        for block in packet.blocks.iter_mut().skip(3).step_by(4) {
             block.flag.set(FLAG_BANK_1);
         }
         sent.payload = packet.emit().to_vec();

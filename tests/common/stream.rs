@@ -67,11 +67,11 @@ impl Spin {
     /// The packets that the sensor sends in so many seconds.
     pub fn packets(&self, seconds: f64) -> Vec<Sent> {
         let spec = self.model.spec();
-        let copies = self.mode.blocks_per_azimuth();
-        let block_ns = i64::from(spec.block_period_ns());
+        let copies = spec.blocks_per_azimuth(self.mode);
+        let block_ns = i64::from(spec.azimuth_period_ns(self.mode));
         let mut rng = fastrand::Rng::with_seed(self.seed);
         let mut sent: Vec<Sent> = Vec::new();
-        let mut packet = DataPacket::new(0, self.mode.byte(), spec.product);
+        let mut packet = DataPacket::new(0, self.mode.byte(), spec.product.unwrap_or_default());
         let mut firings = Vec::new();
         let mut blocks = 0;
         for time_ns in (0..(seconds * 1e9) as i64).step_by(block_ns as usize) {
@@ -87,8 +87,8 @@ impl Spin {
                 block.set_azimuth_cdeg(told);
                 block.records = std::array::from_fn(|_| record(&mut rng));
             }
-            for firing in 0..spec.firings_per_block() {
-                let time_ns = time_ns + firing as i64 * i64::from(spec.firing_period_ns);
+            for firing in 0..spec.firings_per_azimuth() {
+                let time_ns = time_ns + firing as i64 * i64::from(spec.firing_period_ns(self.mode));
                 firings.push((time_ns, self.azimuth_cdeg(time_ns)));
             }
             blocks += copies;
