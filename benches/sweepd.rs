@@ -164,7 +164,7 @@ fn config(method: Method) -> segment::Config {
 fn fast(bencher: Bencher, name: &str, method: Method) {
     let Some(mut buffer) = image(name) else { return };
     let mut sweep = SweepMut::open(buffer.as_mut()).unwrap();
-    let pixels = sweep.column_count() * sweep.beams.len();
+    let pixels = sweep.image_pixels().len();
     let mut segmenter = Segmenter::new(config(method)).unwrap();
     bencher.counter(ItemsCount::new(pixels)).bench_local(|| segmenter.segment(black_box(&mut sweep)));
 }

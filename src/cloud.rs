@@ -20,6 +20,8 @@ pub const COLUMNS: usize = 2083;
 pub const POINT_BYTES: usize = 16;
 /// Turns a second that the columns' times stand for; a cloud has none.
 const TURNS_A_SECOND: f64 = 10.0;
+/// Points of a file are not counted in units; a sweep wants one all the same, metres.
+const UNIT_M: f64 = 0.001;
 /// Columns that a point may be put behind its bin because the bin holds the point before.
 const MAX_SHIFT: usize = 8;
 
@@ -361,7 +363,7 @@ fn fill_tables(sweep: &mut SweepMut<'_>, rings: &[Ring], columns: usize) {
         *column = Column::measured(0, 0, (turn * TAU) as f32, rate_rad_s, time_ns as u32);
     }
     for (row, (beam, ring)) in sweep.beams.iter_mut().zip(rings).enumerate() {
-        *beam = BeamRow::new(&Beam::ideal(row, ring.elevation_rad), 0);
+        *beam = BeamRow::new(&Beam::ideal(row, ring.elevation_rad), 0, UNIT_M);
     }
 }
 

@@ -9,16 +9,19 @@
 //! ```
 
 use crate::segment::{self, ConfigError, Segmenter};
+use crate::sensor::compare::Difference;
 use crate::sensor::detect::{DetectError, Detection, Detector, MAX_PACKETS};
+use crate::sensor::unit::{Said, Unit};
 use crate::sensor::{Calibration, Model};
 use crate::sweep::builder::{Builder, Settings};
 use crate::sweep::clock::{Clocks, SensorClock};
 use crate::sweep::decode::Decoder;
 use crate::sweep::layout::ReturnChoice;
-use crate::sweep::motion::TURN;
+use crate::sweep::motion::{TURN, rate_between};
 use crate::sweep::order::{Order, OrderCounts, Packet, Refusal};
 use crate::sweep::{Buffers, SweepMut};
 use crate::wire::data::{Banks, ReturnMode};
+use crate::wire::hdl64::{CalibrationTime, Series};
 use crate::wire::position::POSITION_PACKET_LEN;
 use crate::wire::{DataPacket, Datagram, Position};
 
@@ -35,7 +38,7 @@ const DOUBTS: u32 = 3;
 pub struct Config {
     /// The model; `None` detects it.
     pub model: Option<Model>,
-    /// The unit's calibration; `None` takes the model's table.
+    /// The unit's calibration; `None` takes the model's table, or the one that an HDL-64E sends with its packets.
     pub calibration: Option<Calibration>,
     /// Azimuth at which sweeps are cut, radians.
     pub cut_azimuth_rad: f64,
@@ -94,7 +97,8 @@ pub struct Counts {
     pub unconfirmed: u64,
     /// Packets with another sensor's product byte.
     pub foreign: u64,
-    /// Packets that came before the model was known and after it proved to be unsupported.
+    /// Packets that came before the model was known and after it proved to be unsupported, and those of an HDL-64E before
+    /// its calibration was.
     pub undecoded: u64,
 }
 
@@ -122,6 +126,20 @@ pub enum Fault {
     /// The calibration that was given is of another model.
     #[error("the calibration does not fit: {0}")]
     Calibration(String),
+    /// The calibration that an HDL-64E sends is impossible.
+    #[error("the calibration in its packets cannot be used: {0}; give the file of this unit with --calibration")]
+    OwnCalibration(String),
+    /// The packets of an HDL-64E ended before they had told its calibration.
+    #[error(
+        "no calibration: {known} of the {of} bytes of the one in its packets had come when they ended, and a whole one takes \
+         4160 packets; give the file of this unit with --calibration"
+    )]
+    Uncalibrated {
+        /// Bytes that had come.
+        known: usize,
+        /// Bytes that there are.
+        of: usize,
+    },
     /// The mask has not as many rows as the sensor.
     #[error("the mask is {found} pixels high, a {model} has {rows} rows; make it one row a beam")]
     Mask {
@@ -131,6 +149,28 @@ pub enum Fault {
         model: Model,
         /// Its rows.
         rows: usize,
+    },
+}
+
+/// What happened that people want to know of, apart from the sweeps.
+#[derive(Clone, Debug, PartialEq)]
+pub enum Notice {
+    /// An HDL-64E is known and no calibration was given: nothing is decoded until the one in its packets is complete.
+    AwaitsCalibration {
+        /// The model.
+        model: Model,
+    },
+    /// It is complete, and decoding begins.
+    Calibrated {
+        /// When the unit was calibrated, by its own account.
+        calibrated: Option<CalibrationTime>,
+        /// Data packets that came before.
+        packets: u64,
+    },
+    /// The calibration in use is not the one that the unit sends.
+    OtherCalibration {
+        /// In what they differ, by beam: the one in use, the unit's own.
+        differences: Vec<Difference>,
     },
 }
 
@@ -145,11 +185,14 @@ pub struct Pipeline<B: Buffers, W: Stopwatch> {
     /// Ordinal of the next data packet.
     next_number: u64,
     closing: Closing,
+    notices: Vec<Notice>,
 }
 
 enum State<B: Buffers> {
     /// Which model is it? The packets so far wait for the answer.
     Detecting(Box<Detecting<B>>),
+    /// Where do its beams point? Its packets tell, a byte each.
+    Calibrating(Box<Calibrating<B>>),
     /// It is this one.
     Decoding(Box<Decoding<B>>),
     /// None that can be decoded.
@@ -166,8 +209,20 @@ struct Detecting<B: Buffers> {
     clocks: Clocks,
 }
 
+struct Calibrating<B: Buffers> {
+    detection: Detection,
+    unit: Unit,
+    foreign: u32,
+    /// The packets at the last two cycles of the status: from there on, how far the head turned tells its speed.
+    marks: [Option<DataPacket>; 2],
+    buffers: B,
+    clocks: Clocks,
+}
+
 struct Decoding<B: Buffers> {
     detection: Detection,
+    /// What the sensor says of itself, and the calibration in use to hold it against.
+    unit: Option<(Unit, Calibration)>,
     /// Product byte of its packets, and how many others came in a row.
     product: u8,
     foreign: u32,
@@ -201,7 +256,17 @@ impl<B: Buffers, W: Stopwatch> Pipeline<B, W> {
         let state = Self::detecting(config.model, buffers, Clocks::default());
         let counts = Counts::default();
         let sensor = sensor.to_owned();
-        Ok(Self { config, sensor, watch, state, segmenter, counts, next_number: 0, closing: Closing::No })
+        Ok(Self {
+            config,
+            sensor,
+            watch,
+            state,
+            segmenter,
+            counts,
+            next_number: 0,
+            closing: Closing::No,
+            notices: Vec::new(),
+        })
     }
 
     /// Takes a datagram of this sensor. Call [`Pipeline::poll`] until it is empty before the next one.
@@ -227,6 +292,7 @@ impl<B: Buffers, W: Stopwatch> Pipeline<B, W> {
                     None => Ok(()),
                 }
             }
+            State::Calibrating(_) => self.calibrate(packet, datagram.arrival_ns),
             State::Decoding(_) => {
                 self.order(packet, number, datagram.arrival_ns);
                 Ok(())
@@ -246,7 +312,7 @@ impl<B: Buffers, W: Stopwatch> Pipeline<B, W> {
     /// The next sweep that is whole, labelled; see [`SweepRef::open`](crate::sweep::SweepRef::open).
     pub fn poll(&mut self) -> Option<B::Buffer> {
         let begun_ns = self.watch.now_ns();
-        let State::Decoding(decoding) = &mut self.state else { return None };
+        let State::Decoding(decoding) = &mut self.state else { return self.close() };
         let Decoding { order, builder, .. } = &mut **decoding;
         let whole = loop {
             // Firing by firing into columns, up to a cut.
@@ -287,17 +353,31 @@ impl<B: Buffers, W: Stopwatch> Pipeline<B, W> {
         {
             self.detected(result)?;
         }
-        if let State::Decoding(decoding) = &mut self.state {
-            decoding.order.flush();
-            self.closing = Closing::Silence;
+        match &mut self.state {
+            State::Decoding(decoding) => {
+                decoding.order.flush();
+                self.closing = Closing::Silence;
+            }
+            State::Calibrating(calibrating) => {
+                let (known, of) = calibrating.unit.known();
+                self.state = State::Refusing;
+                return Err(Fault::Uncalibrated { known, of });
+            }
+            State::Detecting(_) | State::Refusing => {}
         }
         Ok(())
+    }
+
+    /// What happened since this was asked last.
+    pub fn take_notices(&mut self) -> Vec<Notice> {
+        std::mem::take(&mut self.notices)
     }
 
     /// The model and how it was told, once it is known.
     pub fn detection(&self) -> Option<Detection> {
         match &self.state {
             State::Decoding(decoding) => Some(decoding.detection),
+            State::Calibrating(calibrating) => Some(calibrating.detection),
             State::Detecting(_) | State::Refusing => None,
         }
     }
@@ -334,36 +414,88 @@ impl<B: Buffers, W: Stopwatch> Pipeline<B, W> {
         State::Detecting(Box::new(Detecting { detector, waiting, doubts: 0, doubt: None, buffers, clocks }))
     }
 
-    /// Builds what decodes this model and gives it the packets that waited.
+    /// The model is told: decoding begins with the packets that waited, or the wait for the calibration does.
     fn detected(&mut self, result: Result<Detection, DetectError>) -> Result<(), Fault> {
         let State::Detecting(detecting) = std::mem::replace(&mut self.state, State::Refusing) else { return Ok(()) };
-        let Detecting { mut waiting, doubts, buffers, clocks, .. } = *detecting;
+        let Detecting { waiting, doubts, buffers, clocks, .. } = *detecting;
         self.counts.undecoded += u64::from(doubts) + waiting.len() as u64;
         let detection = result?;
         let calibration = match &self.config.calibration {
             Some(given) => given.clone().for_model(detection.model).map_err(Fault::Calibration)?,
-            None => detection.model.calibration().cloned().ok_or(Fault::Calibration("TODO".to_owned()))?,
+            None => match detection.model.calibration() {
+                Some(nominal) => nominal.clone(),
+                None => {
+                    let mut unit = Unit::default();
+                    for packet in &waiting {
+                        let _ = unit.hear(&packet.bytes);
+                    }
+                    self.notices.push(Notice::AwaitsCalibration { model: detection.model });
+                    let calibrating = Calibrating { detection, unit, foreign: 0, marks: [None; 2], buffers, clocks };
+                    self.state = State::Calibrating(Box::new(calibrating));
+                    return Ok(());
+                }
+            },
         };
+        let unit = detection.model.is_hdl64e().then(Unit::default);
+        let ends = waiting.first().zip(waiting.last()).map(|(first, last)| (&first.bytes, &last.bytes));
+        let rate = ends.and_then(|(first, last)| rate_between(first, last, detection.return_mode, detection.spec));
+        self.decode(detection, (calibration, unit), (buffers, clocks, rate), waiting)
+    }
+
+    /// Takes the byte of the calibration that a packet brings; with the last one, decoding begins.
+    fn calibrate(&mut self, packet: &DataPacket, arrival_ns: i64) -> Result<(), Fault> {
+        let State::Calibrating(calibrating) = &mut self.state else { return Ok(()) };
+        self.counts.undecoded += 1;
+        if !calibrating.detection.has_layout(packet) {
+            calibrating.foreign += 1;
+            self.closing = if calibrating.foreign >= EXCHANGED_PACKETS { Closing::Exchanged } else { Closing::No };
+            return Ok(());
+        }
+        calibrating.foreign = 0;
+        if let Some(Said { utc_ns, .. }) = calibrating.unit.hear(packet) {
+            calibrating.clocks.said(utc_ns, packet.stamp_us(), arrival_ns);
+            calibrating.marks = [calibrating.marks[1], Some(*packet)];
+        }
+        let Some(calibration) = calibrating.unit.calibration() else { return Ok(()) };
+        let State::Calibrating(calibrating) = std::mem::replace(&mut self.state, State::Refusing) else {
+            return Ok(());
+        };
+        let Calibrating { mut detection, unit, marks, buffers, clocks, .. } = *calibrating;
+        let calibration = calibration.and_then(|own| own.for_model(detection.model)).map_err(Fault::OwnCalibration)?;
+        // With one return, only the unit itself knows which.
+        if let (ReturnMode::Strongest, Some(ReturnMode::Last)) = (detection.return_mode, unit.return_mode()) {
+            detection.return_mode = ReturnMode::Last;
+        }
+        self.notices.push(Notice::Calibrated { calibrated: unit.calibrated(), packets: self.counts.data });
+        let rate = marks[0].and_then(|mark| rate_between(&mark, packet, detection.return_mode, detection.spec));
+        self.decode(detection, (calibration, Some(unit)), (buffers, clocks, rate), Vec::new())
+    }
+
+    /// Builds what decodes this model and gives it the packets that waited.
+    fn decode(
+        &mut self,
+        detection: Detection,
+        (calibration, unit): (Calibration, Option<Unit>),
+        (buffers, clocks, rate_cdeg_ns): (B, Clocks, Option<f64>),
+        mut waiting: Vec<Waiting>,
+    ) -> Result<(), Fault> {
         if let Some(mask) = self.config.segment.mask.as_ref().filter(|mask| mask.rows() != calibration.rows().len()) {
             let (found, rows) = (mask.rows(), calibration.rows().len());
             return Err(Fault::Mask { found, model: detection.model, rows });
         }
         self.counts.undecoded -= waiting.len() as u64;
         let limits_m = self.config.segment.min_range_m..=self.config.segment.max_range_m;
-        let decoder =
-            Decoder::new((detection.model, detection.spec), &calibration, self.config.return_choice, limits_m);
+        let model = (detection.model, detection.spec);
+        let decoder = Decoder::new(model, &calibration, self.config.return_choice, limits_m);
         let order = Order::new(decoder.spec);
         let mut builder = Builder::new(buffers, decoder, self.settings());
         builder.clocks = clocks;
+        builder.expect_rate(rate_cdeg_ns);
         let product = waiting.last().map_or(0, |packet| packet.bytes.product);
-        self.state = State::Decoding(Box::new(Decoding {
-            detection,
-            product,
-            foreign: 0,
-            last_mode: detection.return_mode,
-            order,
-            builder,
-        }));
+        let unit = unit.map(|unit| (unit, calibration));
+        let last_mode = detection.return_mode;
+        let decoding = Decoding { detection, unit, product, foreign: 0, last_mode, order, builder };
+        self.state = State::Decoding(Box::new(decoding));
         self.counts.reordered += sort_by_stamp(&mut waiting);
         for packet in &waiting {
             self.order(&packet.bytes, packet.number, packet.arrival_ns);
@@ -399,6 +531,9 @@ impl<B: Buffers, W: Stopwatch> Pipeline<B, W> {
             return;
         }
         decoding.foreign = 0;
+        if let Some(differences) = decoding.hear(packet, arrival_ns, self.config.model.is_none()) {
+            self.notices.push(Notice::OtherCalibration { differences });
+        }
         let mode = decoding.detection.mode_of(packet, decoding.last_mode);
         decoding.last_mode = mode;
         match decoding.order.push(packet, mode, number, arrival_ns) {
@@ -421,6 +556,7 @@ impl<B: Buffers, W: Stopwatch> Pipeline<B, W> {
         let Ok(position) = Position::parse(datagram.payload) else { return };
         match &mut self.state {
             State::Detecting(detecting) => detecting.clocks.position(&position, datagram.arrival_ns),
+            State::Calibrating(calibrating) => calibrating.clocks.position(&position, datagram.arrival_ns),
             State::Decoding(decoding) => decoding.builder.clocks.position(&position, datagram.arrival_ns),
             State::Refusing => {}
         }
@@ -428,21 +564,44 @@ impl<B: Buffers, W: Stopwatch> Pipeline<B, W> {
 
     /// All packets are placed: closes the open sweep if that is due, and begins anew with another sensor.
     fn close(&mut self) -> Option<B::Buffer> {
-        let State::Decoding(decoding) = &mut self.state else { return None };
         if self.closing == Closing::No {
             return None;
         }
-        if let Some(sweep) = decoding.builder.interrupt(decoding.order.clock()) {
+        if let State::Decoding(decoding) = &mut self.state
+            && let Some(sweep) = decoding.builder.interrupt(decoding.order.clock())
+        {
             return Some(sweep);
         }
         if std::mem::replace(&mut self.closing, Closing::No) == Closing::Exchanged {
             self.counts = self.counts();
-            if let State::Decoding(decoding) = std::mem::replace(&mut self.state, State::Refusing) {
-                let (buffers, clocks) = decoding.builder.into_parts();
-                self.state = Self::detecting(self.config.model, buffers, clocks);
-            }
+            let (buffers, clocks) = match std::mem::replace(&mut self.state, State::Refusing) {
+                State::Decoding(decoding) => decoding.builder.into_parts(),
+                State::Calibrating(calibrating) => (calibrating.buffers, calibrating.clocks),
+                other => {
+                    self.state = other;
+                    return None;
+                }
+            };
+            self.state = Self::detecting(self.config.model, buffers, clocks);
         }
         None
+    }
+}
+
+impl<B: Buffers> Decoding<B> {
+    /// Listens to what an HDL-64E says of itself. Gives in what its calibration differs from the one in use, once it is
+    /// known and if it does.
+    fn hear(&mut self, packet: &DataPacket, arrival_ns: i64, may_rename: bool) -> Option<Vec<Difference>> {
+        let (unit, calibration) = self.unit.as_mut()?;
+        let Said { series, is_normalised, utc_ns } = unit.hear(packet)?;
+        self.builder.clocks.said(utc_ns, packet.stamp_us(), arrival_ns);
+        self.builder.decoder_mut().is_normalised = is_normalised;
+        if series == Some(Series::S3) && may_rename {
+            // Until then it may have been either: with one return their timing is the same.
+            self.detection.model = Model::Hdl64eS3;
+            self.builder.decoder_mut().model = Model::Hdl64eS3;
+        }
+        unit.differences(calibration).filter(|differences| !differences.is_empty())
     }
 }
 

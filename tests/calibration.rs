@@ -104,6 +104,19 @@ fn files_of_other_sensors_are_read_and_fit_no_model() {
 }
 
 #[test]
+fn all_files_of_an_hdl64e_fit_it_and_no_other() {
+    let Some(dir) = data_dir() else { return };
+    for name in OF_AN_HDL64E {
+        let calibration = read(&dir, name);
+        for model in Model::ALL {
+            let fitted = calibration.clone().for_model(model);
+            assert_eq!(fitted.is_ok(), model.is_hdl64e(), "{name} {model}");
+            assert!(fitted.is_ok() || fitted.unwrap_err().ends_with("; this is the calibration of the HDL-64E S2"));
+        }
+    }
+}
+
+#[test]
 fn a_file_that_ignores_enabled_slots_still_fits() {
     let Some(dir) = data_dir() else { return };
     let text = std::fs::read_to_string(dir.join("veloview_VLP-16.xml")).unwrap();

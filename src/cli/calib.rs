@@ -10,7 +10,7 @@ use crate::export::text::{count_of, grouped};
 use crate::sensor::compare::{ANGLE_TOLERANCE_DEG, LENGTH_TOLERANCE_M, differences};
 use crate::sensor::{Beam, Calibration, Model, ros_yaml, stream};
 use crate::wire::data::{Banks, DataPacket};
-use crate::wire::hdl64::{BEAMS, DUMP_LEN, DUMP_PACKETS, Series, Status, Verdict};
+use crate::wire::hdl64::{DUMP_LEN, DUMP_PACKETS, Series, Status, Verdict};
 
 /// Options of `sweepd calib`.
 #[derive(Debug, clap::Args)]
@@ -123,7 +123,6 @@ fn fits(calibration: &Calibration) -> String {
         .collect();
     match (fitting.is_empty(), calibration.beams().len()) {
         (false, _) => format!("fits {}", fitting.join(", ")),
-        (true, BEAMS) => "has as many as the HDL-64E, whose packets are not decoded yet".to_owned(),
         (true, _) => "fits no supported model".to_owned(),
     }
 }

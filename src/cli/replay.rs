@@ -15,7 +15,8 @@ use super::summary::{SensorReport, SummaryLine, Sums, Traffic};
 use super::{CliError, complain};
 use crate::capture::{Capture, CaptureError, Pacer, Route, SensorIndex, Sensors};
 use crate::export::text::count_of;
-use crate::pipeline::{Config, Counts, Fault, Pipeline, Stopwatch};
+use crate::pipeline::{Config, Counts, Fault, Notice, Pipeline, Stopwatch};
+use crate::sensor::compare::Difference;
 use crate::sensor::detect::Detection;
 use crate::sweep::layout::flags;
 use crate::sweep::{HeapBuffers, SweepRef};
@@ -230,7 +231,17 @@ impl<'a> Replay<'a> {
         if let Err(fault) = self.tracks[index].pipeline.push(datagram) {
             self.note_fault(index, &fault, Some(record));
         }
+        self.note(index);
         self.emit(index)
+    }
+
+    /// Says what happened at once, on standard error.
+    fn note(&mut self, index: usize) {
+        let track = &mut self.tracks[index];
+        for notice in track.pipeline.take_notices() {
+            let (level, text) = explain_notice(&notice);
+            self.progress.suspend(|| complain(level, format_args!("{}: {text}", track.name)));
+        }
     }
 
     /// Says a fault at once, since a replay may take long; the same one only once, since it may go round.
@@ -321,6 +332,39 @@ impl Args {
             _ => fault.to_string(),
         }
     }
+}
+
+/// A notice in words, and how serious it is.
+fn explain_notice(notice: &Notice) -> (&'static str, String) {
+    match notice {
+        Notice::AwaitsCalibration { model } => {
+            let text = "and no --calibration: waiting for the one that it sends with its packets, a byte each";
+            ("note", format!("{model}, {text}"))
+        }
+        Notice::Calibrated { calibrated, packets } => {
+            let packets = count_of(*packets, "data packet");
+            let of = calibrated.map_or(String::new(), |time| format!(", of {time}"));
+            ("note", format!("its own calibration{of}, is complete after {packets}: decoding begins"))
+        }
+        Notice::OtherCalibration { differences } => {
+            let text = "--calibration is not the one that the unit sends";
+            ("warning", format!("{text}: {}; is it the file of another unit?", summarize(differences)))
+        }
+    }
+}
+
+/// Beams that differ, the first few with what.
+fn summarize(differences: &[Difference]) -> String {
+    let mut beams: Vec<usize> = differences.iter().map(|one| one.channel).collect();
+    beams.dedup();
+    let first = |one: &Difference| {
+        let (unit, [used, own]) = (if one.quantity.is_angle() { "degrees" } else { "m" }, one.values);
+        format!("beam {} {} {used:.3} and not {own:.3} {unit}", one.channel, one.quantity.name())
+    };
+    let examples: Vec<String> = differences.iter().take(3).map(first).collect();
+    let list = beams.iter().map(ToString::to_string).collect::<Vec<_>>().join(", ");
+    let rest = if differences.len() > examples.len() { ", ..." } else { "" };
+    format!("{} differ ({list}): {}{rest}", count_of(beams.len() as u64, "beam"), examples.join(", "))
 }
 
 fn pipeline(name: &str, config: &Config, watch: Watch) -> Result<Pipeline<HeapBuffers, Watch>, CliError> {

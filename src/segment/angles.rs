@@ -2,6 +2,7 @@
 
 use std::f64::consts::{PI, TAU};
 
+use crate::sweep::image::shifted;
 use crate::sweep::layout::flags;
 use crate::sweep::{BeamRow, Column, SweepRef};
 
@@ -12,13 +13,20 @@ const MAX_PITCHES: f64 = 3.0;
 ///
 /// Between two rows of a column it follows from the beams: their elevations, and the little that the head turns from
 /// one shot to the other. Between two columns it follows from the measured azimuths, and shrinks with the cosine of the
-/// elevation.
+/// elevation. Where the rows are shifted, neighbours in a row were fired one after the other too, but in other columns:
+/// their gap is that of their firings.
 #[derive(Clone, Debug, Default)]
 pub struct Angles {
     down_rad: Vec<f64>,
     cos_elevation: Vec<f64>,
+    /// By column of the firing.
     gap_rad: Vec<Option<f64>>,
     sorted_rad: Vec<f64>,
+    /// By row; empty where no row is shifted.
+    shifts: Vec<i32>,
+    circular: bool,
+    /// Median gap between two firings.
+    pitch_rad: f64,
 }
 
 impl Angles {
@@ -30,7 +38,7 @@ impl Angles {
             *seam = None;
         }
         let cos_elevation = vec![1.0; down_rad.len() + 1];
-        Self { down_rad: down_rad.to_vec(), cos_elevation, gap_rad, sorted_rad: Vec::new() }
+        Self { down_rad: down_rad.to_vec(), cos_elevation, gap_rad, circular, ..Self::default() }
     }
 
     /// Takes room for so many columns.
@@ -41,12 +49,19 @@ impl Angles {
 
     /// Takes the angles of a sweep.
     pub fn measure(&mut self, sweep: &SweepRef<'_>) {
-        self.measure_rows(sweep.beams, mean_rate_rad_s(sweep.columns));
         self.measure_columns(sweep.columns, sweep.header.has(flags::CIRCULAR));
+        self.measure_rows(sweep.beams, mean_rate_rad_s(sweep.columns));
     }
 
+    /// The nominal pitch comes from the columns, which were measured before.
     fn measure_rows(&mut self, beams: &[BeamRow], rate_rad_s: f64) {
-        let turn = |beam: &BeamRow| turn_rad(beam, rate_rad_s);
+        self.shifts.clear();
+        if beams.iter().any(|beam| beam.shift != 0) {
+            self.shifts.extend(beams.iter().map(|beam| beam.shift));
+        }
+        let pitch_rad = self.pitch_rad.copysign(rate_rad_s);
+        // From the azimuth of the column to that of the pixel.
+        let turn = |beam: &BeamRow| turn_rad(beam, rate_rad_s) + f64::from(beam.shift) * pitch_rad;
         self.down_rad.clear();
         self.down_rad.extend(beams.windows(2).map(|pair| {
             let [high, low] = [f64::from(pair[0].elevation_rad), f64::from(pair[1].elevation_rad)];
@@ -62,6 +77,7 @@ impl Angles {
     fn measure_columns(&mut self, columns: &[Column], circular: bool) {
         self.gap_rad.clear();
         self.sorted_rad.clear();
+        self.circular = circular;
         let Some(last) = columns.last() else { return };
         let before = std::iter::once(last).chain(columns);
         self.gap_rad.extend(before.zip(columns).map(|(before, column)| Some(gap_rad(before, column))));
@@ -74,6 +90,7 @@ impl Angles {
         }
         let middle = (self.sorted_rad.len() - 1) / 2;
         let pitch_rad = *self.sorted_rad.select_nth_unstable_by(middle, f64::total_cmp).1;
+        self.pitch_rad = pitch_rad;
         for gap in &mut self.gap_rad {
             *gap = gap.filter(|&gap| gap < MAX_PITCHES * pitch_rad);
         }
@@ -94,10 +111,20 @@ impl Angles {
         self.down_rad[row]
     }
 
-    /// Azimuth from the column before to this one, radians; of column 0, from the last one. None where the two are no
-    /// neighbours.
+    /// Azimuth from the firing of the column before to that of this one, radians; of column 0, from the last one. None where
+    /// the two are no neighbours.
     pub fn gap_rad(&self, column: usize) -> Option<f64> {
         self.gap_rad[column]
+    }
+
+    /// Shift of each row, if there is any: the firing of a pixel in another column.
+    pub fn shifts(&self) -> Option<&[i32]> {
+        (!self.shifts.is_empty()).then_some(&self.shifts)
+    }
+
+    /// Whether the last column and the first are neighbours.
+    pub fn is_circular(&self) -> bool {
+        self.circular
     }
 
     /// What the angle between two columns shrinks with in a row: the cosine of its elevation.
@@ -108,7 +135,16 @@ impl Angles {
     /// Angle between the measurements of a row in a column and the one before it, radians. None where the two are no
     /// neighbours.
     pub fn across_rad(&self, row: usize, column: usize) -> Option<f64> {
-        self.gap_rad[column].map(|gap| 2.0 * (self.cos_elevation[row] * (gap / 2.0).sin()).asin())
+        self.gap_before_rad(row, column).map(|gap| 2.0 * (self.cos_elevation[row] * (gap / 2.0).sin()).asin())
+    }
+
+    /// Azimuth to a pixel from the one of its row in the column before, radians; None where the two are no neighbours.
+    pub fn gap_before_rad(&self, row: usize, column: usize) -> Option<f64> {
+        if column == 0 && !self.circular {
+            return None;
+        }
+        let shift = self.shifts.get(row).copied().unwrap_or(0);
+        self.gap_rad[shifted(column, shift, self.columns(), self.circular)]
     }
 }
 
@@ -155,7 +191,7 @@ mod tests {
     /// On the horizon and by hand: 2 degrees of elevation and 0.5 of turn are hypot(2, 0.5) apart, nearly.
     #[test]
     fn rows_are_apart_by_elevation_and_turn() {
-        let row = |degrees: f64, time_ns| BeamRow::new(&Beam::ideal(0, degrees.to_radians()), time_ns);
+        let row = |degrees: f64, time_ns| BeamRow::new(&Beam::ideal(0, degrees.to_radians()), time_ns, 0.002);
         let mut angles = Angles::default();
         angles.measure_rows(&[row(1.0, 0), row(-1.0, 1_000_000)], 500_f64.to_radians());
         assert!((angles.down_rad(0).to_degrees() - 2_f64.hypot(0.5)).abs() < 1e-3);
@@ -164,7 +200,7 @@ mod tests {
     #[test]
     fn a_steep_row_is_narrower() {
         let mut angles = Angles::default();
-        angles.measure_rows(&[BeamRow::new(&Beam::ideal(0, 60_f64.to_radians()), 0)], 0.0);
+        angles.measure_rows(&[BeamRow::new(&Beam::ideal(0, 60_f64.to_radians()), 0, 0.002)], 0.0);
         angles.measure_columns(&columns(&[0.0, 1.0]), false);
         assert!((angles.across_rad(0, 1).unwrap().to_degrees() - 0.5).abs() < 1e-4);
     }

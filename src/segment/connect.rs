@@ -11,6 +11,7 @@
 //! `reach = cos alpha + sin alpha / t`. A pixel without return has range 0 and passes neither way round.
 
 use super::angles::Angles;
+use crate::sweep::image::shifted;
 
 /// Most rows of an image: the bits of a word.
 pub const MAX_ROWS: usize = u128::BITS as usize;
@@ -32,6 +33,10 @@ pub struct Connector {
     below: Vec<f64>,
     before: Vec<f64>,
     cos_elevation: Vec<f64>,
+    /// Sine of half the gap before each firing; no number where there is no neighbour.
+    sin_half_gap: Vec<f64>,
+    /// The same for the firings of one column's pixels, by row.
+    sin_half_gap_of: Vec<f64>,
 }
 
 impl Connector {
@@ -49,11 +54,18 @@ impl Connector {
         let mut known_gap = None;
         for (index, column) in range_m.chunks_exact(rows).enumerate() {
             let gap = angles.gap_rad(index);
-            if gap.is_some() && gap != known_gap {
-                self.reach_across(gap.unwrap_or_default(), cotangent);
-                known_gap = gap;
-            }
-            let before_mask = if gap.is_some() { joined(before, column, &self.before) } else { 0 };
+            let before_mask = if let Some(shifts) = angles.shifts() {
+                self.reach_across_shifted(index, shifts, angles.is_circular(), cotangent);
+                if index > 0 || angles.is_circular() { joined(before, column, &self.before) } else { 0 }
+            } else if gap.is_some() {
+                if gap != known_gap {
+                    self.reach_across(gap.unwrap_or_default(), cotangent);
+                    known_gap = gap;
+                }
+                joined(before, column, &self.before)
+            } else {
+                0
+            };
             let filled = filled(column);
             joins.push(Joins { filled, below: joined(column, &column[1..], &self.below), before: before_mask });
             before = column;
@@ -71,17 +83,46 @@ impl Connector {
         }));
         self.before.clear();
         self.before.resize(rows, 0.0);
+        self.sin_half_gap.clear();
+        self.sin_half_gap_of.clear();
+        if angles.shifts().is_some() {
+            let sine = |column| angles.gap_rad(column).map_or(f64::NAN, |gap| (gap / 2.0).sin());
+            self.sin_half_gap.extend((0..angles.columns()).map(sine));
+            self.sin_half_gap_of.resize(rows, 0.0);
+        }
+    }
+
+    /// Takes room for so many columns.
+    pub(super) fn reserve(&mut self, columns: usize) {
+        super::reserve(&mut self.sin_half_gap, columns);
     }
 
     /// The reach between two columns: sin(alpha / 2) = cos(elevation) sin(gap / 2), and the half-angle formulas.
     fn reach_across(&mut self, gap_rad: f64, cotangent: f64) {
         let sin_half_gap = (gap_rad / 2.0).sin();
         for (reach, cos_elevation) in self.before.iter_mut().zip(&self.cos_elevation) {
-            let sin_half = cos_elevation * sin_half_gap;
-            let square = sin_half * sin_half;
-            *reach = 1.0 - 2.0 * square + 2.0 * sin_half * (1.0 - square).sqrt() * cotangent;
+            *reach = reach_at(cos_elevation * sin_half_gap, cotangent);
         }
     }
+
+    /// The same where each row of a column was fired in another one. A reach that is no number joins nothing.
+    fn reach_across_shifted(&mut self, column: usize, shifts: &[i32], circular: bool, cotangent: f64) {
+        let columns = self.sin_half_gap.len();
+        for (sine, &shift) in self.sin_half_gap_of.iter_mut().zip(shifts) {
+            *sine = self.sin_half_gap[shifted(column, shift, columns, circular)];
+        }
+        let rows = self.before.iter_mut().zip(&self.cos_elevation).zip(&self.sin_half_gap_of);
+        for ((reach, cos_elevation), sin_half_gap) in rows {
+            *reach = reach_at(cos_elevation * sin_half_gap, cotangent);
+        }
+    }
+}
+
+/// cos alpha + sin alpha / tan theta, from the sine of half of alpha.
+#[inline(always)]
+fn reach_at(sin_half: f64, cotangent: f64) -> f64 {
+    let square = sin_half * sin_half;
+    1.0 - 2.0 * square + 2.0 * sin_half * (1.0 - square).sqrt() * cotangent
 }
 
 /// Bits of the pixels with a range.

@@ -238,6 +238,7 @@ impl Segmenter {
         reserve(&mut self.joins, columns);
         self.angles.reserve(columns);
         self.rays.reserve(columns);
+        self.connector.reserve(columns);
         self.components.reserve(pixels);
         self.table.reserve(sweep.segments.len());
         match self.config.method {
@@ -295,7 +296,8 @@ impl Segmenter {
         self.connector.connect(&self.range_m, &self.angles, theta_rad, &mut self.joins);
         let parts = Parts { rows: self.angles.rows(), joins: &self.joins, real: &self.real, ground: &self.ground };
         let limits = Limits { min_points: self.config.min_points, max_segments: sweep.segments.len() };
-        let labels = &mut sweep.label[..self.range_m.len()];
+        let pixels = sweep.image_pixels();
+        let labels = &mut sweep.label[pixels];
         sweep.header.segments = self.components.label(&parts, limits, labels) as u32;
         label_other_returns(sweep, &self.config);
     }
@@ -323,10 +325,13 @@ fn write_height(sweep: &mut SweepMut<'_>, height_m: Option<f32>, estimated: bool
 /// The other return of a pixel gets the label of the segmented one where it lies near it on the beam and within the range
 /// limits, else none. Where the pixel is masked, the segmented return has none to give.
 fn label_other_returns(sweep: &mut SweepMut<'_>, config: &Config) {
-    let pixels = sweep.column_count() * sweep.header.rows as usize;
-    let segmented = sweep.range.iter().zip(&*sweep.label);
-    let other = sweep.range2.iter().zip(&mut *sweep.label2);
-    for ((&range_m, &label), (&range2_m, label2)) in segmented.zip(other).take(pixels) {
+    if sweep.range2.is_empty() {
+        return;
+    }
+    let pixels = sweep.image_pixels();
+    let segmented = sweep.range[pixels.clone()].iter().zip(&sweep.label[pixels.clone()]);
+    let other = sweep.range2[pixels.clone()].iter().zip(&mut sweep.label2[pixels]);
+    for ((&range_m, &label), (&range2_m, label2)) in segmented.zip(other) {
         let same = config.holds(range2_m) && (range2_m - range_m).abs() <= SAME_OBJECT_M;
         *label2 = if same { label } else { crate::sweep::layout::LABEL_NONE };
     }

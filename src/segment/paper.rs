@@ -226,8 +226,8 @@ impl Flood<'_> {
         let neighbours = [
             (row > 0).then(|| (row - 1, column)),
             (row + 1 < self.rows).then_some((row + 1, column)),
-            angles.gap_rad(column).map(|_| (row, before)),
-            angles.gap_rad(after).map(|_| (row, after)),
+            angles.gap_before_rad(row, column).map(|_| (row, before)),
+            angles.gap_before_rad(row, after).map(|_| (row, after)),
         ];
         for (row, column) in neighbours.into_iter().flatten() {
             if level(column * self.rows + row) {

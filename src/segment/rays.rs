@@ -3,9 +3,13 @@
 //! A pixel's azimuth is its column's plus a turn of its row: the head goes on while the beams fire one after another,
 //! and some beams point aside. Sines of sums come from the sines of the parts; where a column turned faster or slower
 //! than the mean of the sweep, the rest of the turn is small enough for the first order (under 1e-3 radians, so 1e-6).
+//! Where the rows are shifted, the column is that in which the pixel was fired.
 
 use super::angles::{mean_rate_rad_s, turn_rad};
 use super::mount::Up;
+use crate::sweep::corrected::Corrected;
+use crate::sweep::image::shifted;
+use crate::sweep::layout::flags;
 use crate::sweep::{BeamRow, Column, SweepRef};
 
 /// The directions of a sweep's pixels.
@@ -13,6 +17,7 @@ use crate::sweep::{BeamRow, Column, SweepRef};
 pub struct Rays {
     rows: Vec<RowRay>,
     columns: Vec<ColumnRay>,
+    circular: bool,
 }
 
 #[derive(Clone, Copy, Debug)]
@@ -24,6 +29,8 @@ struct RowRay {
     time_offset_s: f64,
     vertical_offset_m: f64,
     horizontal_offset_m: f64,
+    shift: i32,
+    corrected: Corrected,
 }
 
 #[derive(Clone, Copy, Debug)]
@@ -52,6 +59,7 @@ impl Rays {
     /// Takes the directions of a sweep.
     pub fn measure(&mut self, sweep: &SweepRef<'_>) {
         let mean_rad_s = mean_rate_rad_s(sweep.columns);
+        self.circular = sweep.header.has(flags::CIRCULAR);
         self.rows.clear();
         self.rows.extend(sweep.beams.iter().map(|beam| RowRay::new(beam, mean_rad_s)));
         self.columns.clear();
@@ -61,21 +69,26 @@ impl Rays {
     /// x right, y forward, z up of a range in a pixel, metres.
     #[inline]
     pub fn point_m(&self, row: usize, column: usize, range_m: f32) -> [f64; 3] {
-        let (beam, firing) = (&self.rows[row], &self.columns[column]);
+        let beam = &self.rows[row];
+        let firing = &self.columns[shifted(column, beam.shift, self.columns.len(), self.circular)];
         let [sin, cos] = firing.azimuth_of(beam);
-        let flat = f64::from(range_m) * beam.cos_elevation;
-        [
-            flat * sin - beam.horizontal_offset_m * cos,
-            flat * cos + beam.horizontal_offset_m * sin,
-            f64::from(range_m) * beam.sin_elevation + beam.vertical_offset_m,
-        ]
+        let [x, y, z] = match beam.corrected.is_straight() {
+            true => {
+                let flat = f64::from(range_m) * beam.cos_elevation;
+                [flat * sin, flat * cos, f64::from(range_m) * beam.sin_elevation]
+            }
+            false => beam.corrected.point_m(f64::from(range_m), sin, cos),
+        };
+        let sideways = beam.horizontal_offset_m;
+        [x - sideways * cos, y + sideways * sin, z + beam.vertical_offset_m]
     }
 
     /// The points of a column as the ground sees them, one a row; what stands for a pixel without range is no point.
     pub fn level_column(&self, column: usize, range_m: &[f32], up: Up, level: &mut [Level]) {
         let rows = self.rows.iter().zip(range_m).zip(level);
         if up.is_sensor_z() {
-            // One loop for most sensors, which need no azimuth here.
+            // One loop for most sensors, which need no azimuth here. That an HDL-64E's beams are bent a little near the sensor
+            // does not matter to the ground: it is 2 cm at most.
             for ((beam, &range_m), level) in rows {
                 let flat = f64::from(range_m) * beam.cos_elevation;
                 let height_m = f64::from(range_m) * beam.sin_elevation + beam.vertical_offset_m;
@@ -105,6 +118,8 @@ impl RowRay {
             time_offset_s: f64::from(beam.time_offset_ns) * 1e-9,
             vertical_offset_m: f64::from(beam.vertical_offset_m),
             horizontal_offset_m: f64::from(beam.horizontal_offset_m),
+            shift: beam.shift,
+            corrected: Corrected::new(beam),
         }
     }
 }

@@ -38,7 +38,8 @@ impl Table {
 
     /// Writes the table of the segments in the label plane; the words, one a column, tell which pixels may be in one.
     pub fn describe(&mut self, sweep: &mut SweepMut<'_>, words: impl Iterator<Item = u128>, rays: &Rays) {
-        let rows = sweep.header.rows as usize;
+        let (rows, pixels) = (sweep.header.rows as usize, sweep.image_pixels());
+        let (label, range) = (&sweep.label[pixels.clone()], &sweep.range[pixels]);
         let segments = &mut sweep.segments[..sweep.header.segments as usize];
         for (segment, label) in segments.iter_mut().zip(LABEL_FIRST_SEGMENT..) {
             *segment = empty(label);
@@ -48,9 +49,9 @@ impl Table {
         for (column, word) in words.enumerate() {
             for row in bits(word) {
                 let index = column * rows + row;
-                let Some(place) = sweep.label[index].checked_sub(LABEL_FIRST_SEGMENT) else { continue };
+                let Some(place) = label[index].checked_sub(LABEL_FIRST_SEGMENT) else { continue };
                 let (segment, sum) = (&mut segments[place as usize], &mut self.sums[place as usize]);
-                let range_m = sweep.range[index];
+                let range_m = range[index];
                 sum.add_column(segment, column as u32);
                 add_pixel(segment, row as u16, range_m);
                 add_point(segment, &mut sum.point_m, rays.point_m(row, column, range_m));

@@ -21,6 +21,9 @@ pub(super) const DISTANCE_UNITS_M: RangeInclusive<f64> = 0.0005..=0.05;
 const MAX_ELEVATION_ERROR_DEG: f64 = 0.5;
 /// How far a beam may be turned on a model whose beams all point the same way.
 const MAX_ROTATION_DEG: f64 = 0.1;
+/// How far a beam may be turned on a model whose beams point aside; those of real units stay under 10. More would shift
+/// rows by more columns than a sweep has room for.
+const MAX_ASIDE_DEG: f64 = 12.0;
 
 /// Two-point distance correction of an HDL-64E beam: what to add at the near end of each axis.
 #[derive(Clone, Copy, Debug, PartialEq)]
@@ -225,7 +228,15 @@ impl Calibration {
         if !spare.iter().enumerate().all(is_spare) {
             return Err(format!("{count} beams, the {model} has {}", spec.channels));
         }
-        // Of an HDL-64E each unit has beams of its own.
+        for beam in used {
+            let most_deg = if spec.shifted { MAX_ASIDE_DEG } else { MAX_ROTATION_DEG };
+            let rotation = beam.rotation_rad.to_degrees();
+            if rotation.abs() > most_deg {
+                let channel = beam.channel;
+                return Err(format!("beam {channel} is turned by {rotation:.2} degrees, no beam of the {model} is"));
+            }
+        }
+        // Of an HDL-64E each unit has elevations of its own.
         let nominal = model.calibration().map_or(&[][..], |nominal| nominal.beams());
         for (beam, expected) in used.iter().zip(nominal) {
             let (found, nominal) = (beam.elevation_rad.to_degrees(), expected.elevation_rad.to_degrees());
@@ -234,11 +245,6 @@ impl Calibration {
                     "beam {} is at {found:.2} degrees, that of the {model} at {nominal:.2}",
                     beam.channel
                 ));
-            }
-            let rotation = beam.rotation_rad.to_degrees();
-            if rotation.abs() > MAX_ROTATION_DEG {
-                let channel = beam.channel;
-                return Err(format!("beam {channel} is turned by {rotation:.2} degrees, no beam of the {model} is"));
             }
         }
         if (self.distance_unit_m - spec.distance_unit_m).abs() > 1e-6 {

@@ -18,6 +18,8 @@
 //! assert_eq!((detection.model, detection.basis), (Model::Vlp16, Basis::Period));
 //! ```
 
+use std::cmp::Ordering;
+
 use super::Model;
 use super::model::Spec;
 use crate::wire::HOUR_US;
@@ -220,15 +222,12 @@ fn expected(mode: &ReturnMode, heads: &bool) -> String {
         .join(", ")
 }
 
-/// What the azimuths say about the return mode of packets that do not say it themselves.
-#[derive(Clone, Copy, Debug, PartialEq, Eq)]
-enum Azimuths {
-    /// The head stood still so far: nothing.
-    Still,
-    /// In equal pairs, in every packet.
-    Paired,
-    /// Each its own, in some packet.
-    Single,
+/// What the azimuths say about the return mode of packets that do not say it themselves: in how many packets of a turning
+/// head they come in equal pairs, and in how many each is its own. One packet may be corrupt.
+#[derive(Clone, Copy, Debug, Default)]
+struct Azimuths {
+    paired: usize,
+    single: usize,
 }
 
 /// Tells the model from the first packets of one sensor. It keeps no packets and does not allocate.
@@ -271,7 +270,7 @@ impl Detector {
         Self {
             forced,
             bytes: (Banks::One, 0, 0),
-            azimuths: Azimuths::Still,
+            azimuths: Azimuths::default(),
             observed: 0,
             stamps: [0; MAX_PACKETS],
             first_stamp: 0,
@@ -354,16 +353,13 @@ impl Detector {
         if self.len == 0 || bytes != self.bytes {
             // Somebody changed the return mode: the periods on the two sides have nothing in common.
             self.bytes = bytes;
-            self.azimuths = Azimuths::Still;
+            self.azimuths = Azimuths::default();
             self.first_stamp = packet.stamp_us();
             self.len = 0;
         }
         if packet.blocks[0].azimuth_cdeg() != packet.blocks[BLOCKS - 1].azimuth_cdeg() {
             let paired = packet.azimuths_in_groups(if self.has_heads() { 4 } else { 2 });
-            self.azimuths = match (paired, self.azimuths) {
-                (true, Azimuths::Still | Azimuths::Paired) => Azimuths::Paired,
-                _ => Azimuths::Single,
-            };
+            *if paired { &mut self.azimuths.paired } else { &mut self.azimuths.single } += 1;
         }
         self.stamps[self.len] = since(self.first_stamp, packet.stamp_us());
         self.len += 1;
@@ -410,11 +406,12 @@ impl Detector {
     fn vote(&self, (timing, spec): (Model, &'static Spec), intervals: &Intervals) -> Vote {
         // Strongest first: what both explain is one packet after the other in single mode, not every second one in
         // dual.
-        let modes: &[ReturnMode] = match (ReturnMode::from_byte(self.bytes.1), self.azimuths) {
-            (Some(ReturnMode::Strongest), _) | (None, Azimuths::Single) => &[ReturnMode::Strongest],
+        let Azimuths { paired, single } = self.azimuths;
+        let modes: &[ReturnMode] = match (ReturnMode::from_byte(self.bytes.1), paired.cmp(&single)) {
+            (Some(ReturnMode::Strongest), _) | (None, Ordering::Less) => &[ReturnMode::Strongest],
             (Some(ReturnMode::Last), _) => &[ReturnMode::Last],
-            (Some(ReturnMode::Dual), _) | (None, Azimuths::Paired) => &[ReturnMode::Dual],
-            (None, Azimuths::Still) => &[ReturnMode::Strongest, ReturnMode::Dual],
+            (Some(ReturnMode::Dual), _) | (None, Ordering::Greater) => &[ReturnMode::Dual],
+            (None, Ordering::Equal) => &[ReturnMode::Strongest, ReturnMode::Dual],
         };
         let mut best = Vote { timing, spec, return_mode: modes[0], fits: 0, interval_us: 0 };
         for &return_mode in modes {
@@ -476,8 +473,8 @@ impl Detector {
             },
         };
         let return_mode = ReturnMode::from_byte(self.bytes.1).unwrap_or(match self.azimuths {
-            Azimuths::Paired => ReturnMode::Dual,
-            Azimuths::Still | Azimuths::Single => ReturnMode::Strongest,
+            Azimuths { paired, single } if paired > single => ReturnMode::Dual,
+            _ => ReturnMode::Strongest,
         });
         let model = match (model, return_mode) {
             (Model::Hdl64eS2, ReturnMode::Dual) if self.forced.is_none() => Model::Hdl64eS3,

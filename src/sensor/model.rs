@@ -261,11 +261,12 @@ impl Spec {
         burst_period_ns * (shot / burst_ns.len()) as u32 + burst_ns[shot % burst_ns.len()]
     }
 
-    /// First shot of a packet after its stamp, nanoseconds: 0 or less.
-    pub fn first_shot_ns(&self, mode: ReturnMode) -> i64 {
+    /// First shot of a packet after its stamp, nanoseconds: 0 or less. The sensor may have been silent meanwhile, where it
+    /// is set to leave a sector out.
+    pub fn first_shot_ns(&self, mode: ReturnMode, silent_ns: i64) -> i64 {
         match self.stamp {
             Stamp::FirstShot => 0,
-            Stamp::Output => -i64::from(self.packet_period_ns(mode)),
+            Stamp::Output => -i64::from(self.packet_period_ns(mode)) - silent_ns,
         }
     }
 }
@@ -301,8 +302,9 @@ mod tests {
         {
             let spec = Model::Hdl64eS3.spec();
             let last = spec.firing_period_ns(mode) as usize * (spec.firings_per_packet(mode) - 1);
-            let before =
-                |channel| -(spec.first_shot_ns(mode) + last as i64 + i64::from(spec.channel_offset_ns(channel, mode)));
+            let before = |channel| {
+                -(spec.first_shot_ns(mode, 0) + last as i64 + i64::from(spec.channel_offset_ns(channel, mode)))
+            };
             assert_eq!([28, 29, 30, 31].map(before), expected);
             assert_eq!([60, 61, 62, 63].map(before), expected);
         }

@@ -2,7 +2,7 @@
 
 use super::buffers::Buffers;
 use super::clock::{Clocks, SensorClock};
-use super::columns::{SoFar, decode};
+use super::columns::{Place, SoFar, decode};
 use super::cursor::{Cursor, Gap, Way};
 use super::decode::Decoder;
 use super::head::{Head, Turned};
@@ -10,6 +10,7 @@ use super::image::SweepMut;
 use super::layout::{COLUMNS_CAPACITY, ReturnChoice, Shape, flags};
 use super::motion::TURN;
 use super::order::{Before, Packet};
+use super::turns::Turns;
 use crate::wire::data::ReturnMode;
 
 /// Speeds that a Velodyne is made for, with a margin, turns a minute.
@@ -30,10 +31,14 @@ pub struct Builder<B: Buffers> {
     /// What brings sensor time to time since 1970.
     pub clocks: Clocks,
     open: Option<Open<B::Buffer>>,
+    /// How the rows of the open sweep are turned.
+    turns: Turns,
     cursor: Option<Cursor>,
     last_firing_ns: i64,
     sequence: u64,
     last_rpm: Option<f32>,
+    /// Turning rate over the last sweep that tells one, hundredths of a degree a nanosecond; negative when reversed.
+    last_rate_cdeg_ns: Option<f64>,
     lost: u64,
 }
 
@@ -66,17 +71,29 @@ impl<B: Buffers> Builder<B> {
             settings,
             clocks: Clocks::default(),
             open: None,
+            turns: Turns::default(),
             cursor: None,
             last_firing_ns: 0,
             sequence: 0,
             last_rpm: None,
+            last_rate_cdeg_ns: None,
             lost: 0,
         }
+    }
+
+    /// Tells how fast the head turns, before any sweep has, hundredths of a degree a nanosecond; negative backwards.
+    pub fn expect_rate(&mut self, rate_cdeg_ns: Option<f64>) {
+        self.last_rate_cdeg_ns = rate_cdeg_ns;
     }
 
     /// What turns records into pixels.
     pub fn decoder(&self) -> &Decoder {
         &self.decoder
+    }
+
+    /// The same, to be told what the sensor says of itself.
+    pub fn decoder_mut(&mut self) -> &mut Decoder {
+        &mut self.decoder
     }
 
     /// Gives the buffers and the clocks back, for a builder of another model.
@@ -174,9 +191,7 @@ impl<B: Buffers> Builder<B> {
                 End::Cut => self.close(true, clock),
                 End::Anew => self.close(false, clock),
             };
-            let cut = end == End::Cut;
-            let mode = packet.mode;
-            self.open(mode, cut);
+            self.open(packet, end == End::Cut);
             if closed.is_some() {
                 return closed;
             }
@@ -186,23 +201,28 @@ impl<B: Buffers> Builder<B> {
     /// Fills columns of the open sweep with firings of the packet until one does not belong there.
     fn fill(&mut self, cursor: &mut Cursor, packet: &Packet) -> End {
         if self.open.is_none() {
-            self.open(packet.mode, false);
+            self.open(packet, false);
         }
         let Some(Open { buffer, so_far: open }) = &mut self.open else { return End::Packet };
         let Ok(mut sweep) = SweepMut::open(buffer.as_mut()) else { return End::Packet };
+        let turns = &self.turns;
         open.newest_arrival_ns = open.newest_arrival_ns.max(packet.arrival_ns);
         while let Some(firing) = cursor.firing(packet, &self.decoder) {
             if !std::mem::replace(&mut cursor.turned, true) {
                 match self.head.turn(firing.azimuth_cdeg, firing.time_ns, firing.leaps) {
-                    Turned::On if open.columns < COLUMNS_CAPACITY => {}
-                    Turned::Cut => return End::Cut,
+                    Turned::On if open.has_room(&firing, turns) => {}
+                    Turned::Cut => {
+                        // A sector that reaches over the cut is left out of both sweeps.
+                        open.blanked |= firing.leaps;
+                        return End::Cut;
+                    }
                     Turned::On | Turned::Anew => return End::Anew,
                 }
             }
             if firing.index.is_some() && !std::mem::replace(&mut cursor.counted, true) {
                 open.packets += 1;
             }
-            open.place(&mut sweep, &firing, packet, &self.decoder, &self.head);
+            open.place(&mut sweep, &firing, (packet, turns), &self.decoder, &self.head);
             self.last_firing_ns = firing.time_ns;
             cursor.placed += 1;
             cursor.turned = false;
@@ -222,7 +242,8 @@ impl<B: Buffers> Builder<B> {
         let Some(first) = open.room_for(&sweep, packet, decoder) else { return false };
         for index in 0..firings {
             let column = open.column(packet, index, packet.firing_ns(index, decoder.spec), decoder);
-            open.returns += decode(&mut sweep, first + index, column, index, packet, decoder);
+            let place = Place { column: first + index, turns: &self.turns };
+            open.returns += decode(&mut sweep, place, column, index, packet, decoder);
         }
         open.lost = open.lost.saturating_sub(1);
         self.lost = self.lost.saturating_sub(1);
@@ -237,8 +258,11 @@ impl<B: Buffers> Builder<B> {
         self.close(false, clock)
     }
 
-    fn open(&mut self, mode: ReturnMode, from_cut: bool) {
-        let rows = self.decoder.rows();
+    fn open(&mut self, packet: &Packet, from_cut: bool) {
+        let (rows, mode, spec) = (self.decoder.rows(), packet.mode, self.decoder.spec);
+        let beams = self.decoder.beams(mode);
+        let rate_cdeg_ns = self.last_rate_cdeg_ns.unwrap_or_else(|| packet.motion.rate_cdeg_ns(spec));
+        self.turns.set(beams, rate_cdeg_ns, spec, mode);
         let shape = Shape {
             rows,
             columns_capacity: COLUMNS_CAPACITY,
@@ -247,7 +271,8 @@ impl<B: Buffers> Builder<B> {
         };
         let mut buffer = self.buffers.take(shape.total_bytes());
         let Ok(sweep) = SweepMut::create(buffer.as_mut(), &shape) else { return };
-        sweep.beams.copy_from_slice(&self.decoder.beams);
+        sweep.beams.copy_from_slice(beams);
+        sweep.beams.iter_mut().zip(self.turns.rows()).for_each(|(beam, turn)| beam.shift = turn.shift);
         let header = sweep.header;
         header.sequence = self.sequence;
         header.model = self.decoder.model.code();
@@ -256,37 +281,29 @@ impl<B: Buffers> Builder<B> {
         header.cut_azimuth_rad = (self.settings.cut_cdeg / 100.0).to_radians() as f32;
         header.set_sensor(&self.settings.sensor);
         self.sequence += 1;
-        let so_far = SoFar {
-            mode,
-            from_cut,
-            columns: 0,
-            first_ns: 0,
-            last_ns: 0,
-            first_progress_cdeg: 0.0,
-            last_progress_cdeg: 0.0,
-            blanked: false,
-            packets: 0,
-            lost: 0,
-            missing: 0,
-            returns: 0,
-            newest_arrival_ns: i64::MIN,
-            decode_ns: 0,
-        };
-        self.open = Some(Open { buffer, so_far });
+        self.open = Some(Open { buffer, so_far: SoFar::new(mode, from_cut, &self.turns) });
     }
 
     /// Completes the header of the open sweep and hands it out; an empty one is dropped.
     fn close(&mut self, at_cut: bool, clock: &SensorClock) -> Option<B::Buffer> {
-        let Open { mut buffer, so_far: open } = self.open.take()?;
-        if open.columns == 0 {
+        let Open { mut buffer, so_far: mut open } = self.open.take()?;
+        if open.is_empty() {
             self.sequence -= 1;
             return None;
         }
         let (time_ns, time_source) = self.clocks.resolve(open.first_ns, clock, open.newest_arrival_ns);
         let flags = self.flags(&open, at_cut);
-        let header = SweepMut::open(buffer.as_mut()).ok()?.header;
+        let mut sweep = SweepMut::open(buffer.as_mut()).ok()?;
+        let [margin, columns] = if flags & flags::CIRCULAR != 0 {
+            open.fold(&mut sweep, &self.turns)
+        } else {
+            open.widen(&mut sweep, &self.turns, self.decoder.spec.firing_period_ns(open.mode))
+        };
+        let header = sweep.header;
         header.flags = flags;
-        header.columns = open.columns as u32;
+        header.columns = columns as u32;
+        header.margin_columns = margin as u32;
+        header.unfired_columns = open.unfired as u32;
         header.time_ns = time_ns;
         header.time_source = time_source as u32;
         header.sensor_time_ns = open.first_ns;
@@ -300,6 +317,8 @@ impl<B: Buffers> Builder<B> {
         header.decode_ns = u32::try_from(open.decode_ns).unwrap_or(u32::MAX);
         if open.travelled_cdeg() > RPM_TELLING_CDEG {
             self.last_rpm = Some(open.rpm());
+            let sense = if self.head.reversed() { -1.0 } else { 1.0 };
+            self.last_rate_cdeg_ns = Some(sense * f64::from(open.rpm()) / 60.0 * TURN * 1e-9);
         }
         Some(buffer)
     }

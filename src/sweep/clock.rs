@@ -62,6 +62,15 @@ struct Fix {
     arrival_ns: i64,
 }
 
+impl Fix {
+    /// What is near a time tells the hour, the stamp the rest: the hour that brings them closest together.
+    fn new(stamp_us: u32, near_utc_ns: i64, arrival_ns: i64) -> Self {
+        let of_hour_ns = i64::from(stamp_us) * 1000;
+        let hours = (near_utc_ns - of_hour_ns + HOUR_NS / 2).div_euclid(HOUR_NS);
+        Self { stamp_us, utc_ns: hours * HOUR_NS + of_hour_ns, arrival_ns }
+    }
+}
+
 impl Clocks {
     /// Notes a data packet whose last shot was at `sensor_ns` and which arrived at `arrival_ns`.
     pub fn data(&mut self, sensor_ns: i64, arrival_ns: i64) {
@@ -85,12 +94,15 @@ impl Clocks {
     /// Notes a position packet: a fix when the pulse is locked and the sentence valid, else the end of one.
     pub fn position(&mut self, position: &Position<'_>, arrival_ns: i64) {
         let rmc = position.nmea.and_then(|text| Rmc::parse(text).ok());
-        self.fix = rmc.filter(|rmc| rmc.valid && position.pps == Pps::Locked).map(|rmc| {
-            // The sentence tells the hour, the stamp the rest: the hour that brings them closest together.
-            let of_hour_ns = i64::from(position.stamp_us) * 1000;
-            let hours = (rmc.utc_ns - of_hour_ns + HOUR_NS / 2).div_euclid(HOUR_NS);
-            Fix { stamp_us: position.stamp_us, utc_ns: hours * HOUR_NS + of_hour_ns, arrival_ns }
-        });
+        self.fix = rmc
+            .filter(|rmc| rmc.valid && position.pps == Pps::Locked)
+            .map(|rmc| Fix::new(position.stamp_us, rmc.utc_ns, arrival_ns));
+    }
+
+    /// Notes what a sensor without position packets says of UTC, to the second, along with a data packet of this stamp;
+    /// `None` when no receiver vouches for it.
+    pub fn said(&mut self, utc_ns: Option<i64>, stamp_us: u32, arrival_ns: i64) {
+        self.fix = utc_ns.map(|utc_ns| Fix::new(stamp_us, utc_ns, arrival_ns));
     }
 
     /// Forgets what linked the sensor's clock to others, because that clock has jumped.

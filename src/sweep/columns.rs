@@ -3,12 +3,14 @@
 use std::f32::consts::TAU;
 
 use super::cursor::Firing;
-use super::decode::{Decoder, Pixels};
+use super::decode::{Decoder, Pixels, Records};
 use super::head::{Head, STANDSTILL_CDEG, STANDSTILL_NS};
 use super::image::SweepMut;
-use super::layout::Column;
+use super::layout::{COLUMNS_CAPACITY, Column};
 use super::motion::{TURN, shortest};
 use super::relation::Packet;
+use super::turns::Turns;
+use crate::sensor::calibration::MAX_BEAMS;
 use crate::wire::data::ReturnMode;
 
 /// How far a packet that comes late may be from where its columns were thought to be.
@@ -19,7 +21,12 @@ const LATE_SLACK_CDEG: f64 = 100.0;
 pub struct SoFar {
     pub mode: ReturnMode,
     pub from_cut: bool,
+    /// Columns in use, with those before the first firing that its sideways beams need.
     pub columns: usize,
+    /// The column of the first firing.
+    pub first_column: usize,
+    /// Columns among them, behind the first firing, that hold none.
+    pub unfired: usize,
     pub first_ns: i64,
     pub last_ns: i64,
     pub first_progress_cdeg: f64,
@@ -33,13 +40,53 @@ pub struct SoFar {
     pub decode_ns: u64,
 }
 
+/// A place in the open sweep: the column of a firing, and how its rows are turned.
+#[derive(Clone, Copy)]
+pub struct Place<'a> {
+    pub column: usize,
+    pub turns: &'a Turns,
+}
+
 impl SoFar {
+    /// A sweep without a firing.
+    pub fn new(mode: ReturnMode, from_cut: bool, turns: &Turns) -> Self {
+        Self {
+            mode,
+            from_cut,
+            columns: turns.lead(),
+            first_column: turns.lead(),
+            unfired: 0,
+            first_ns: 0,
+            last_ns: 0,
+            first_progress_cdeg: 0.0,
+            last_progress_cdeg: 0.0,
+            blanked: false,
+            packets: 0,
+            lost: 0,
+            missing: 0,
+            returns: 0,
+            newest_arrival_ns: i64::MIN,
+            decode_ns: 0,
+        }
+    }
+
+    /// Whether it has no firing.
+    pub fn is_empty(&self) -> bool {
+        self.columns == self.first_column
+    }
+
+    /// Whether there is room for a firing, for what a sector left out takes before it, and for what is behind.
+    pub fn has_room(&self, firing: &Firing, turns: &Turns) -> bool {
+        let before = if firing.leaps { turns.span() } else { 0 };
+        self.columns + before + 1 + turns.trail() <= COLUMNS_CAPACITY
+    }
+
     /// The first of the missing columns that wait for this packet: at its times, and with the head where it was.
     pub fn room_for(&self, sweep: &SweepMut<'_>, packet: &Packet, decoder: &Decoder) -> Option<usize> {
         let spec = decoder.spec;
         let slack_ns = i64::from(spec.firing_period_ns(packet.mode)) / 2;
         let early = u32::try_from((packet.time_ns - self.first_ns - slack_ns).max(0)).ok()?;
-        let columns = &sweep.columns[..self.columns];
+        let columns = &sweep.columns[self.first_column..self.columns];
         let first = columns.partition_point(|column| column.time_ns < early);
         let waiting = columns.get(first..first + spec.firings_per_packet(packet.mode))?;
         let fits = |(index, column): (usize, &Column)| {
@@ -48,18 +95,18 @@ impl SoFar {
         };
         let azimuth_cdeg = f64::from(waiting[0].azimuth_rad).to_degrees() * 100.0;
         let in_place = shortest(azimuth_cdeg - packet.motion.first_cdeg()).abs() < LATE_SLACK_CDEG;
-        (in_place && waiting.iter().enumerate().all(fits)).then_some(first)
+        (in_place && waiting.iter().enumerate().all(fits)).then_some(self.first_column + first)
     }
 
     pub fn place(
         &mut self,
         sweep: &mut SweepMut<'_>,
         firing: &Firing,
-        packet: &Packet,
+        (packet, turns): (&Packet, &Turns),
         decoder: &Decoder,
         head: &Head,
     ) {
-        if self.columns == 0 {
+        if self.is_empty() {
             (self.first_ns, self.last_ns) = (firing.time_ns, firing.time_ns);
             self.first_progress_cdeg = head.progress_cdeg();
         }
@@ -68,21 +115,82 @@ impl SoFar {
         self.last_ns = firing.time_ns.max(self.last_ns);
         let time_ns = self.last_ns;
         self.last_progress_cdeg = head.progress_cdeg();
-        let at = self.columns;
+        let (azimuth_rad, rate) = radians(firing.azimuth_cdeg, packet, decoder);
+        if firing.leaps && !self.is_empty() {
+            let behind = Column::unfired(azimuth_rad, rate, self.since_first(time_ns));
+            self.part(sweep, &behind, turns, decoder.spec.firing_period_ns(packet.mode));
+        }
+        let place = Place { column: self.columns, turns };
         match firing.index {
             Some(index) => {
                 let column = self.column(packet, index, time_ns, decoder);
-                self.returns += decode(sweep, at, column, index, packet, decoder);
+                self.returns += decode(sweep, place, column, index, packet, decoder);
             }
             None => {
-                let (azimuth_rad, rate) = radians(firing.azimuth_cdeg, packet, decoder);
-                sweep.columns[at] = Column::missing(azimuth_rad, rate, self.since_first(time_ns));
-                clear(sweep, at, decoder.rows());
+                sweep.columns[place.column] = Column::missing(azimuth_rad, rate, self.since_first(time_ns));
+                clear(sweep, place);
                 self.missing += 1;
                 self.lost += u32::from(firing.begins_lost_packet);
             }
         }
         self.columns += 1;
+    }
+
+    /// Parts two firings between which a sector was left out, so that no beam of one lands among those of the other: with
+    /// columns that go on from the firing before, and then some that lead to the one behind.
+    fn part(&mut self, sweep: &mut SweepMut<'_>, behind: &Column, turns: &Turns, period_ns: u32) {
+        let before = sweep.columns[self.columns - 1];
+        for step in 1..=turns.trail() {
+            self.unfired(sweep, extrapolated(&before, step as i64, turns, period_ns), turns);
+        }
+        for step in (1..=turns.lead()).rev() {
+            self.unfired(sweep, extrapolated(behind, -(step as i64), turns, period_ns), turns);
+        }
+    }
+
+    fn unfired(&mut self, sweep: &mut SweepMut<'_>, column: Column, turns: &Turns) {
+        sweep.columns[self.columns] = column;
+        clear(sweep, Place { column: self.columns, turns });
+        self.columns += 1;
+        self.unfired += 1;
+    }
+
+    /// Makes an image of the whole turn: what fell beyond an end is folded to the other. The first column and the number
+    /// of them.
+    pub fn fold(&self, sweep: &mut SweepMut<'_>, turns: &Turns) -> [usize; 2] {
+        let (first, end) = (self.first_column, self.columns);
+        let columns = end - first;
+        for (row, turn) in turns.rows().iter().enumerate() {
+            let aside = turn.shift.unsigned_abs() as usize;
+            // A turn shorter than the shifts (a few firings beyond a leap) has nothing to fold onto.
+            for step in 0..aside.min(columns) {
+                match turn.shift > 0 {
+                    true => move_pixel(sweep, row, first - aside + step, end - aside + step),
+                    false => move_pixel(sweep, row, end + step, first + step),
+                }
+            }
+        }
+        [first, columns]
+    }
+
+    /// Makes an image of a part of a turn: wider than its firings by what fell beyond their ends.
+    pub fn widen(&mut self, sweep: &mut SweepMut<'_>, turns: &Turns, period_ns: u32) -> [usize; 2] {
+        let (first, end) = (self.first_column, self.columns);
+        let (earliest, latest) = (sweep.columns[first], sweep.columns[end - 1]);
+        for step in 1..=first {
+            sweep.columns[first - step] = extrapolated(&earliest, -(step as i64), turns, period_ns);
+        }
+        for step in 0..turns.trail() {
+            sweep.columns[end + step] = extrapolated(&latest, step as i64 + 1, turns, period_ns);
+        }
+        let rows = turns.rows().len();
+        for (row, turn) in turns.rows().iter().enumerate() {
+            let [from, to] = [first, end].map(|column| (column as i64 - i64::from(turn.shift)) as usize);
+            let empty = (0..from).chain(to..end + turns.trail());
+            empty.for_each(|column| clear_pixel(sweep, column * rows + row));
+        }
+        self.unfired += turns.span();
+        [0, end + turns.trail()]
     }
 
     /// The column of a firing that arrived.
@@ -120,44 +228,101 @@ fn radians(azimuth_cdeg: f64, packet: &Packet, decoder: &Decoder) -> (f32, f32) 
     (azimuth_rad, rate_rad_s as f32)
 }
 
+/// The column that is so many firings before or behind another, at the speed of the sweep: that of one packet carries the
+/// encoder's noise.
+fn extrapolated(from: &Column, firings: i64, turns: &Turns, period_ns: u32) -> Column {
+    let apart_ns = firings * i64::from(period_ns);
+    let azimuth_rad = f64::from(from.azimuth_rad) + turns.rate_rad_s() * apart_ns as f64 * 1e-9;
+    let azimuth_rad = azimuth_rad.rem_euclid(f64::from(TAU)) as f32;
+    let time_ns = (i64::from(from.time_ns) + apart_ns).clamp(0, i64::from(u32::MAX)) as u32;
+    Column::unfired(if azimuth_rad < TAU { azimuth_rad } else { 0.0 }, turns.rate_rad_s() as f32, time_ns)
+}
+
 /// Writes a firing and its column; returns how many returns it has.
 pub fn decode(
     sweep: &mut SweepMut<'_>,
-    at: usize,
+    place: Place<'_>,
     column: Column,
     firing: usize,
     packet: &Packet,
     decoder: &Decoder,
 ) -> u32 {
-    let rows = decoder.rows();
     let spec = decoder.spec;
-    let pixels = at * rows..(at + 1) * rows;
     let first = firing % spec.firings_per_azimuth() * spec.channels;
-    let block = usize::from(column.block);
-    let records = |block: usize| &packet.bytes.blocks[block].records[first..first + spec.channels];
-    sweep.columns[at] = column;
-    let chosen =
-        Pixels { range: &mut sweep.range[pixels.clone()], reflectivity: &mut sweep.reflectivity[pixels.clone()] };
-    match packet.mode {
-        ReturnMode::Strongest | ReturnMode::Last => decoder.single(records(block), chosen),
-        ReturnMode::Dual => {
-            let other = Pixels {
-                range: &mut sweep.range2[pixels.clone()],
-                reflectivity: &mut sweep.reflectivity2[pixels.clone()],
-            };
-            decoder.dual([records(block), records(block + 1)], chosen, other, &mut sweep.kind[pixels])
-        }
+    let blocks = &packet.bytes.blocks[usize::from(column.block)..][..spec.blocks_per_azimuth(packet.mode)];
+    let records = Records { blocks, first, azimuth_rad: f64::from(column.azimuth_rad) };
+    sweep.columns[place.column] = column;
+    if spec.shifted {
+        decode_shifted(sweep, place, records, decoder)
+    } else {
+        decode_straight(sweep, place, records, decoder)
     }
 }
 
-/// Writes a column without returns.
-fn clear(sweep: &mut SweepMut<'_>, at: usize, rows: usize) {
-    let pixels = at * rows..(at + 1) * rows;
-    sweep.range[pixels.clone()].fill(0.0);
-    sweep.reflectivity[pixels.clone()].fill(0);
+/// Writes a firing that fills one column.
+fn decode_straight(sweep: &mut SweepMut<'_>, place: Place<'_>, records: Records<'_>, decoder: &Decoder) -> u32 {
+    let rows = decoder.rows();
+    let pixels = place.column * rows..(place.column + 1) * rows;
+    let chosen =
+        Pixels { range: &mut sweep.range[pixels.clone()], reflectivity: &mut sweep.reflectivity[pixels.clone()] };
+    if sweep.range2.is_empty() {
+        return decoder.single(records, place.turns, chosen);
+    }
+    let other =
+        Pixels { range: &mut sweep.range2[pixels.clone()], reflectivity: &mut sweep.reflectivity2[pixels.clone()] };
+    decoder.dual(records, place.turns, chosen, other, &mut sweep.kind[pixels])
+}
+
+/// Writes a firing whose beams belong into many columns.
+fn decode_shifted(sweep: &mut SweepMut<'_>, place: Place<'_>, records: Records<'_>, decoder: &Decoder) -> u32 {
+    let rows = decoder.rows();
+    let (mut range, mut reflectivity) = ([0.0; MAX_BEAMS], [0; MAX_BEAMS]);
+    let chosen = Pixels { range: &mut range[..rows], reflectivity: &mut reflectivity[..rows] };
+    if sweep.range2.is_empty() {
+        let returns = decoder.single(records, place.turns, chosen);
+        for (row, index) in place.pixels() {
+            (sweep.range[index], sweep.reflectivity[index]) = (range[row], reflectivity[row]);
+        }
+        return returns;
+    }
+    let (mut range2, mut reflectivity2, mut kind) = ([0.0; MAX_BEAMS], [0; MAX_BEAMS], [0; MAX_BEAMS]);
+    let other = Pixels { range: &mut range2[..rows], reflectivity: &mut reflectivity2[..rows] };
+    let returns = decoder.dual(records, place.turns, chosen, other, &mut kind[..rows]);
+    for (row, index) in place.pixels() {
+        (sweep.range[index], sweep.reflectivity[index]) = (range[row], reflectivity[row]);
+        (sweep.range2[index], sweep.reflectivity2[index]) = (range2[row], reflectivity2[row]);
+        sweep.kind[index] = kind[row];
+    }
+    returns
+}
+
+impl Place<'_> {
+    /// The pixels of the firing: row, and index in the planes.
+    fn pixels(self) -> impl Iterator<Item = (usize, usize)> {
+        let rows = self.turns.rows().len();
+        let turns = self.turns.rows().iter().enumerate();
+        turns.map(move |(row, turn)| (row, (self.column as i64 - i64::from(turn.shift)) as usize * rows + row))
+    }
+}
+
+/// Writes a firing without returns.
+fn clear(sweep: &mut SweepMut<'_>, place: Place<'_>) {
+    place.pixels().for_each(|(_, index)| clear_pixel(sweep, index));
+}
+
+fn clear_pixel(sweep: &mut SweepMut<'_>, index: usize) {
+    (sweep.range[index], sweep.reflectivity[index]) = (0.0, 0);
     if !sweep.range2.is_empty() {
-        sweep.range2[pixels.clone()].fill(0.0);
-        sweep.reflectivity2[pixels.clone()].fill(0);
-        sweep.kind[pixels].fill(0);
+        (sweep.range2[index], sweep.reflectivity2[index], sweep.kind[index]) = (0.0, 0, 0);
+    }
+}
+
+fn move_pixel(sweep: &mut SweepMut<'_>, row: usize, from_column: usize, to_column: usize) {
+    let rows = sweep.header.rows as usize;
+    let [from, to] = [from_column, to_column].map(|column| column * rows + row);
+    (sweep.range[to], sweep.reflectivity[to]) = (sweep.range[from], sweep.reflectivity[from]);
+    if !sweep.range2.is_empty() {
+        (sweep.range2[to], sweep.reflectivity2[to]) = (sweep.range2[from], sweep.reflectivity2[from]);
+        sweep.kind[to] = sweep.kind[from];
     }
 }

@@ -1,11 +1,13 @@
 //! A sweep to read and to fill: views over the bytes that [`super::layout`] defines.
 
 use std::f64::consts::TAU;
+use std::ops::Range;
 
 use zerocopy::{FromBytes, Immutable, IntoBytes, KnownLayout};
 
+use super::corrected::Corrected;
 use super::layout::*;
-use crate::wire::data::ReturnMode;
+use crate::wire::data::{RECORDS, ReturnMode};
 
 /// A sweep to read: a view over its bytes, trimmed to the columns and segments that are there.
 #[derive(Clone, Copy)]
@@ -34,7 +36,7 @@ pub struct SweepRef<'a> {
     pub segments: &'a [Segment],
 }
 
-/// A sweep to fill: a view over its bytes in their full capacity.
+/// A sweep to fill: a view over its bytes in their full capacity, margin included.
 pub struct SweepMut<'a> {
     /// The header.
     pub header: &'a mut Header,
@@ -111,26 +113,32 @@ impl<'a> SweepMut<'a> {
         })
     }
 
-    /// Columns that are filled.
-    pub fn column_count(&self) -> usize {
-        self.header.columns as usize
+    /// Columns of the image, as indices of the table of columns.
+    pub fn image_columns(&self) -> Range<usize> {
+        let margin = self.header.margin_columns as usize;
+        margin..margin + self.header.columns as usize
+    }
+
+    /// Pixels of the image, as indices of each plane.
+    pub fn image_pixels(&self) -> Range<usize> {
+        let (Range { start, end }, rows) = (self.image_columns(), self.header.rows as usize);
+        start * rows..end * rows
     }
 
     /// The same sweep, to read: trimmed to what is filled.
     pub fn as_ref(&self) -> SweepRef<'_> {
-        let columns = self.header.columns as usize;
-        let pixels = columns * self.header.rows as usize;
-        let other = if self.range2.is_empty() { 0 } else { pixels };
+        let pixels = self.image_pixels();
+        let other = if self.range2.is_empty() { 0..0 } else { pixels.clone() };
         SweepRef {
             header: self.header,
-            range: &self.range[..pixels],
-            reflectivity: &self.reflectivity[..pixels],
-            label: &self.label[..pixels],
-            range2: &self.range2[..other],
-            reflectivity2: &self.reflectivity2[..other],
-            label2: &self.label2[..other],
-            kind: &self.kind[..other],
-            columns: &self.columns[..columns],
+            range: &self.range[pixels.clone()],
+            reflectivity: &self.reflectivity[pixels.clone()],
+            label: &self.label[pixels],
+            range2: &self.range2[other.clone()],
+            reflectivity2: &self.reflectivity2[other.clone()],
+            label2: &self.label2[other.clone()],
+            kind: &self.kind[other],
+            columns: &self.columns[self.image_columns()],
             beams: self.beams,
             segments: &self.segments[..self.header.segments as usize],
         }
@@ -191,25 +199,26 @@ impl<'a> SweepRef<'a> {
     pub fn open(bytes: &'a [u8]) -> Result<Self, LayoutError> {
         let (header, _) = Header::ref_from_prefix(bytes).map_err(|_| LayoutError::Bytes { bytes: bytes.len() })?;
         let shape = checked_shape(header, bytes.len())?;
-        let columns = header.columns as usize;
-        let pixels = columns * shape.rows;
-        let other = if shape.dual { pixels } else { 0 };
-        let part = |part: Part, len: usize| {
-            let start = header.offsets[part as usize] as usize;
-            &bytes[start..start + len]
+        let (margin, columns) = (header.margin_columns as usize, header.columns as usize);
+        let (before, pixels) = (margin * shape.rows, columns * shape.rows);
+        let part = |part: Part, first: usize, count: usize, size: usize| {
+            let start = header.offsets[part as usize] as usize + first * size;
+            &bytes[start..start + count * size]
         };
+        let plane = |one: Part, size: usize| part(one, before, pixels, size);
+        let other = |one: Part, size: usize| if shape.dual { plane(one, size) } else { &[] };
         Ok(Self {
             header,
-            range: cast_ref(part(Part::Range, pixels * 4))?,
-            reflectivity: part(Part::Reflectivity, pixels),
-            label: cast_ref(part(Part::Label, pixels * 4))?,
-            range2: cast_ref(part(Part::Range2, other * 4))?,
-            reflectivity2: part(Part::Reflectivity2, other),
-            label2: cast_ref(part(Part::Label2, other * 4))?,
-            kind: part(Part::Kind, other),
-            columns: cast_ref(part(Part::Columns, columns * size_of::<Column>()))?,
-            beams: cast_ref(part(Part::Beams, shape.rows * size_of::<BeamRow>()))?,
-            segments: cast_ref(part(Part::Segments, header.segments as usize * size_of::<Segment>()))?,
+            range: cast_ref(plane(Part::Range, 4))?,
+            reflectivity: plane(Part::Reflectivity, 1),
+            label: cast_ref(plane(Part::Label, 4))?,
+            range2: cast_ref(other(Part::Range2, 4))?,
+            reflectivity2: other(Part::Reflectivity2, 1),
+            label2: cast_ref(other(Part::Label2, 4))?,
+            kind: other(Part::Kind, 1),
+            columns: cast_ref(part(Part::Columns, margin, columns, size_of::<Column>()))?,
+            beams: cast_ref(part(Part::Beams, 0, shape.rows, size_of::<BeamRow>()))?,
+            segments: cast_ref(part(Part::Segments, 0, header.segments as usize, size_of::<Segment>()))?,
         })
     }
 
@@ -218,22 +227,38 @@ impl<'a> SweepRef<'a> {
         self.beams.len()
     }
 
-    /// Azimuth of a pixel's beam when it fired, radians, 0..2 pi.
+    /// The column in which a pixel was fired: its own, moved by the shift of its row. Beyond the ends of an image that is
+    /// not circular, where no pixel has a return, the one at the end.
+    #[inline]
+    pub fn fired_in(&self, row: usize, column: usize) -> usize {
+        let circular = self.header.has(flags::CIRCULAR);
+        shifted(column, self.beams[row].shift, self.columns.len(), circular)
+    }
+
+    /// The firing that a pixel belongs to.
+    #[inline]
+    pub fn firing(&self, row: usize, column: usize) -> &Column {
+        &self.columns[self.fired_in(row, column)]
+    }
+
+    /// Azimuth of a pixel's beam when it fired, radians, 0..2 pi. A return of a beam with a two-point correction is a
+    /// little beside it: [`Return::azimuth_rad`] is where that is.
     #[inline]
     pub fn azimuth_rad(&self, row: usize, column: usize) -> f64 {
-        pixel_azimuth_rad(&self.columns[column], &self.beams[row])
+        pixel_azimuth_rad(self.firing(row, column), &self.beams[row])
     }
 
     /// When a pixel's beam fired, nanoseconds since 1970 in the clock of [`Header::time_source`].
     #[inline]
     pub fn time_ns(&self, row: usize, column: usize) -> i64 {
-        self.header.time_ns + i64::from(self.columns[column].time_ns) + i64::from(self.beams[row].time_offset_ns)
+        let firing = self.firing(row, column);
+        self.header.time_ns + i64::from(firing.time_ns) + i64::from(self.beams[row].time_offset_ns)
     }
 
     /// x right, y forward, z up of a range in a pixel, metres.
     #[inline]
     pub fn point_m(&self, row: usize, column: usize, range_m: f32) -> [f64; 3] {
-        pixel_point_m(&self.columns[column], &self.beams[row], range_m)
+        pixel_point_m(self.firing(row, column), &self.beams[row], range_m)
     }
 
     /// All returns, column after column, from the top row down; of a dual pixel the segmented one first.
@@ -246,47 +271,58 @@ impl<'a> SweepRef<'a> {
     pub fn pixel(&self, row: usize, column: usize) -> [Option<Return>; 2] {
         let index = column * self.rows() + row;
         let first = (self.range[index], self.reflectivity[index], self.label[index]);
-        let kind = self.kind_of(index);
-        let second = self.range2.get(index).map(|&range| {
-            let other = match kind {
-                ReturnKind::Strongest => ReturnKind::Last,
-                ReturnKind::Last => ReturnKind::Strongest,
-            };
-            self.at(row, column, other, (range, self.reflectivity2[index], self.label2[index]))
-        });
-        [self.at(row, column, kind, first), second.flatten()]
-    }
-
-    fn kind_of(&self, index: usize) -> ReturnKind {
-        let last = match self.kind.get(index) {
-            Some(&kind) => kind == ReturnKind::Last as u8,
-            None => self.header.return_mode() == ReturnMode::Last,
+        let Some(&byte) = self.kind.get(index) else {
+            let last = self.header.return_mode() == ReturnMode::Last;
+            let kind = if last { ReturnKind::Last } else { ReturnKind::Strongest };
+            return [self.at(row, column, (kind, false), first), None];
         };
-        if last { ReturnKind::Last } else { ReturnKind::Strongest }
+        let (kind, is_second) = (ReturnKind::of_byte(byte), byte & SECOND_BLOCKS != 0);
+        let second = (self.range2[index], self.reflectivity2[index], self.label2[index]);
+        [self.at(row, column, (kind, is_second), first), self.at(row, column, (kind.other(), !is_second), second)]
     }
 
-    fn at(&self, row: usize, column: usize, kind: ReturnKind, values: (f32, u8, u32)) -> Option<Return> {
-        let (range_m, reflectivity, label) = values;
+    fn at(
+        &self,
+        row: usize,
+        column: usize,
+        (kind, in_second_blocks): (ReturnKind, bool),
+        (range_m, reflectivity, label): (f32, u8, u32),
+    ) -> Option<Return> {
         if !is_return(range_m) {
             return None;
         }
-        let (firing, beam) = (&self.columns[column], &self.beams[row]);
-        let odd_block = self.header.return_mode() == ReturnMode::Dual && kind == ReturnKind::Strongest;
+        let (firing, beam) = (self.firing(row, column), &self.beams[row]);
+        let banks = self.beams.len().div_ceil(RECORDS);
+        let block = beam.channel as usize / RECORDS + if in_second_blocks { banks } else { 0 };
+        let shot = Shot::new(firing, beam);
+        let along_m = shot.along_m(range_m);
+        let [azimuth_rad, elevation_rad] = shot.direction_rad(along_m);
         Some(Return {
             row,
             column,
             channel: beam.channel as usize,
             packet: firing.packet,
-            block: firing.block.wrapping_add(u8::from(odd_block)),
+            block: firing.block.wrapping_add(block as u8),
             kind,
             range_m,
-            azimuth_rad: self.azimuth_rad(row, column),
-            elevation_rad: f64::from(beam.elevation_rad),
+            azimuth_rad,
+            elevation_rad,
             reflectivity,
-            time_ns: self.time_ns(row, column),
+            time_ns: self.header.time_ns + i64::from(firing.time_ns) + i64::from(beam.time_offset_ns),
             label,
-            point_m: self.point_m(row, column, range_m),
+            point_m: shot.point_m(along_m),
         })
+    }
+}
+
+/// The column that is `shift` columns further.
+#[inline]
+pub(crate) fn shifted(column: usize, shift: i32, columns: usize, circular: bool) -> usize {
+    let at = column as i64 + i64::from(shift);
+    match usize::try_from(at) {
+        Ok(at) if at < columns => at,
+        _ if circular => at.rem_euclid(columns as i64) as usize,
+        _ => at.clamp(0, columns as i64 - 1) as usize,
     }
 }
 
@@ -299,19 +335,53 @@ pub fn pixel_azimuth_rad(column: &Column, beam: &BeamRow) -> f64 {
     if azimuth < TAU { azimuth } else { 0.0 }
 }
 
-/// x right, y forward, z up of a range along a beam of a firing, metres (VLP-16 User Manual, section 9.2, plus the
-/// beam's origin offsets).
+/// x right, y forward, z up of a range along a beam of a firing, metres (VLP-16 User Manual, section 9.2; HDL-64E S3
+/// manual, for the beam's origin offsets and the [corrected](super::corrected) beam).
 #[inline]
 pub fn pixel_point_m(column: &Column, beam: &BeamRow, range_m: f32) -> [f64; 3] {
-    let (sin_azimuth, cos_azimuth) = pixel_azimuth_rad(column, beam).sin_cos();
-    let (sin_elevation, cos_elevation) = f64::from(beam.elevation_rad).sin_cos();
-    let range = f64::from(range_m);
-    let sideways = f64::from(beam.horizontal_offset_m);
-    [
-        range * cos_elevation * sin_azimuth - sideways * cos_azimuth,
-        range * cos_elevation * cos_azimuth + sideways * sin_azimuth,
-        range * sin_elevation + f64::from(beam.vertical_offset_m),
-    ]
+    let shot = Shot::new(column, beam);
+    shot.point_m(shot.along_m(range_m))
+}
+
+/// A shot of a beam, and where it went.
+struct Shot<'a> {
+    beam: &'a BeamRow,
+    azimuth_rad: f64,
+    sin_azimuth: f64,
+    cos_azimuth: f64,
+    corrected: Corrected,
+}
+
+impl<'a> Shot<'a> {
+    #[inline]
+    fn new(column: &Column, beam: &'a BeamRow) -> Self {
+        let azimuth_rad = pixel_azimuth_rad(column, beam);
+        let (sin_azimuth, cos_azimuth) = azimuth_rad.sin_cos();
+        Self { beam, azimuth_rad, sin_azimuth, cos_azimuth, corrected: Corrected::new(beam) }
+    }
+
+    /// From the beam's origin to the point at a range, metres.
+    #[inline]
+    fn along_m(&self, range_m: f32) -> [f64; 3] {
+        self.corrected.point_m(f64::from(range_m), self.sin_azimuth, self.cos_azimuth)
+    }
+
+    /// The same from the sensor's origin.
+    #[inline]
+    fn point_m(&self, [x, y, z]: [f64; 3]) -> [f64; 3] {
+        let sideways = f64::from(self.beam.horizontal_offset_m);
+        let up = f64::from(self.beam.vertical_offset_m);
+        [x - sideways * self.cos_azimuth, y + sideways * self.sin_azimuth, z + up]
+    }
+
+    /// Azimuth and elevation of what lies along the beam, radians.
+    fn direction_rad(&self, [x, y, z]: [f64; 3]) -> [f64; 2] {
+        if self.corrected.is_straight() {
+            return [self.azimuth_rad, f64::from(self.beam.elevation_rad)];
+        }
+        let azimuth_rad = x.atan2(y).rem_euclid(TAU);
+        [if azimuth_rad < TAU { azimuth_rad } else { 0.0 }, z.atan2(x.hypot(y))]
+    }
 }
 
 #[cfg(test)]
@@ -331,7 +401,7 @@ mod tests {
         sweep.range[4] = 2.0;
         sweep.label2[5] = 7;
         sweep.columns[1] = Column::measured(9, 4, 1.5, 60.0, 11);
-        sweep.beams[2] = BeamRow::new(&Beam::ideal(1, -0.25), 2304);
+        sweep.beams[2] = BeamRow::new(&Beam::ideal(1, -0.25), 2304, 0.002);
         sweep.header.columns = 2;
         let read = SweepRef::open(bytes).unwrap();
         assert_eq!((read.range.len(), read.range[4], read.label2[5]), (6, 2.0, 7));
@@ -348,7 +418,7 @@ mod tests {
     #[test]
     fn axes_are_those_of_the_manual() {
         let raised = Beam { vertical_offset_m: 0.01, ..Beam::ideal(0, 30_f64.to_radians()) };
-        let beam = BeamRow::new(&raised, 1_000_000);
+        let beam = BeamRow::new(&raised, 1_000_000, 0.002);
         let column = Column::measured(0, 0, 80_f32.to_radians(), 10_f32.to_radians() * 1000.0, 0);
         let [x, y, z] = pixel_point_m(&column, &beam, 2.0);
         assert!((x - 1.732_050_8).abs() < 1e-6 && y.abs() < 1e-6 && (z - 1.01).abs() < 1e-6);

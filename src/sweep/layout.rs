@@ -5,8 +5,15 @@
 //! ```
 //!
 //! Every part starts at a multiple of 64 bytes; the header tells where. Planes are stored column after column:
-//! `index = column * rows + row`, row 0 being the highest beam. In a sweep of a dual-return sensor, the planes without a
-//! number hold the return that is segmented, the planes "2" the other one, and `kind` tells which is which.
+//! `index = (margin_columns + column) * rows + row`, row 0 being the highest beam; so are the columns themselves. In a
+//! sweep of a dual-return sensor, the planes without a number hold the return that is segmented, the planes "2" the other
+//! one, and `kind` tells which is which.
+//!
+//! The beams of an HDL-64E point up to ten degrees to the side. Its rows are shifted by whole columns, so that neighbours
+//! in the image are neighbours in space: the return in a row of column `c` was fired in column `c + shift`, whose azimuth
+//! and time are its own ([`BeamRow::shift`]). In a circular sweep columns are counted around the turn (what is beyond the
+//! last is at the first again); another one is wider by the shifts, with columns that hold no firing at its ends and where
+//! a sector was left out ([`ColumnStatus::Unfired`]).
 //!
 //! Whoever fills a sweep writes every pixel of every column that the header counts, so nothing that a header declares
 //! valid is left over from an earlier sweep in the same buffer. All numbers are little-endian, as the host's must be.
@@ -22,10 +29,10 @@ compile_error!("the layout of a sweep is little-endian, and so must be the host"
 /// First bytes of a sweep.
 pub const MAGIC: [u8; 8] = *b"sweepd\r\n";
 /// Version of this layout.
-pub const LAYOUT_VERSION: u32 = 1;
+pub const LAYOUT_VERSION: u32 = 2;
 /// Alignment of a sweep and of its parts, bytes.
 pub const ALIGN: usize = 64;
-/// Columns that a sweep has room for: an HDL-32E at 240 rpm has 5425.
+/// Columns that a sweep has room for: an HDL-32E at 240 rpm has 5425, an HDL-64E 5209 and up to 145 on each side.
 pub const COLUMNS_CAPACITY: usize = 5632;
 
 /// Whether a range in a plane is a return. The one place that knows how "no return" is written.
@@ -105,7 +112,8 @@ pub struct Header {
     pub segments: u32,
     /// Segments that the table has room for.
     pub segments_capacity: u32,
-    /// Code of the [`Model`](crate::sensor::Model): 1 VLP-16, 2 Puck LITE, 3 Puck Hi-Res, 4 HDL-32E.
+    /// Code of the [`Model`](crate::sensor::Model): 1 VLP-16, 2 Puck LITE, 3 Puck Hi-Res, 4 HDL-32E, 5 HDL-64E S2 (or
+    /// S2.1), 6 HDL-64E S3.
     pub model: u32,
     /// [`ReturnMode::byte`].
     pub return_mode: u32,
@@ -151,7 +159,11 @@ pub struct Header {
     pub ground_ns: u32,
     /// Time spent on labelling and the segments table, nanoseconds.
     pub label_ns: u32,
-    _reserved: [u32; 5],
+    /// Columns before the image's first in every plane and in the table of columns.
+    pub margin_columns: u32,
+    /// Columns of the image that hold no firing, because the rows are shifted.
+    pub unfired_columns: u32,
+    _reserved: [u32; 3],
     /// Source of the sensor's packets as text, zero padded.
     pub sensor: [u8; 64],
 }
@@ -168,7 +180,7 @@ pub struct Column {
     pub azimuth_rate_rad_s: f32,
     /// First shot after the sweep's first shot, nanoseconds.
     pub time_ns: u32,
-    /// Block of the firing in its packet; in dual mode the even one, which holds the last return.
+    /// First block of the firing in its packet.
     pub block: u8,
     /// [`ColumnStatus`].
     pub status: u8,
@@ -181,8 +193,10 @@ pub struct Column {
 pub enum ColumnStatus {
     /// A firing that arrived.
     Measured = 1,
-    /// A firing whose packet was lost; azimuth and time are interpolated, all pixels are "no return".
+    /// A firing whose packet was lost; azimuth and time are interpolated, all its pixels are "no return".
     Missing = 2,
+    /// No firing: here are only beams that point aside, of firings in other columns. The azimuth goes on from these.
+    Unfired = 3,
 }
 
 impl Column {
@@ -196,6 +210,21 @@ impl Column {
     pub fn missing(azimuth_rad: f32, azimuth_rate_rad_s: f32, time_ns: u32) -> Self {
         let status = ColumnStatus::Missing as u8;
         Self { packet: u64::MAX, azimuth_rad, azimuth_rate_rad_s, time_ns, block: 0, status, _reserved: [0; 2] }
+    }
+
+    /// A column in which nothing was fired.
+    pub fn unfired(azimuth_rad: f32, azimuth_rate_rad_s: f32, time_ns: u32) -> Self {
+        Self { status: ColumnStatus::Unfired as u8, ..Self::missing(azimuth_rad, azimuth_rate_rad_s, time_ns) }
+    }
+
+    /// Whether there is a firing, that arrived or was lost.
+    pub fn is_fired(&self) -> bool {
+        self.status != ColumnStatus::Unfired as u8
+    }
+
+    /// Whether it is a firing that arrived.
+    pub fn is_measured(&self) -> bool {
+        self.status == ColumnStatus::Measured as u8
     }
 
     /// Whether the packet of this firing was lost.
@@ -220,12 +249,24 @@ pub struct BeamRow {
     pub vertical_offset_m: f32,
     /// Sideways shift of the beam's origin, metres.
     pub horizontal_offset_m: f32,
-    _reserved: [u32; 2],
+    /// Columns from a pixel of this row to the firing that it belongs to.
+    pub shift: i32,
+    /// Added to the measured distance, metres.
+    pub distance_offset_m: f32,
+    /// The same for x at the near end of the two-point correction; equal where there is none.
+    pub distance_offset_x_m: f32,
+    /// The same for y.
+    pub distance_offset_y_m: f32,
+    /// One unit of the measured distance, metres.
+    pub distance_unit_m: f32,
+    _reserved: u32,
 }
 
 impl BeamRow {
-    /// The row of a beam that shoots so long after the first shot of its firing.
-    pub fn new(beam: &Beam, time_offset_ns: u32) -> Self {
+    /// The row of a beam that shoots so long after the first shot of its firing, and measures in such units.
+    pub fn new(beam: &Beam, time_offset_ns: u32, distance_unit_m: f64) -> Self {
+        let far_m = beam.distance_offset_m;
+        let [x_m, y_m] = beam.two_point.map_or([far_m; 2], |two| [two.distance_offset_x_m, two.distance_offset_y_m]);
         Self {
             channel: beam.channel as u32,
             elevation_rad: beam.elevation_rad as f32,
@@ -233,7 +274,12 @@ impl BeamRow {
             time_offset_ns,
             vertical_offset_m: beam.vertical_offset_m as f32,
             horizontal_offset_m: beam.horizontal_offset_m as f32,
-            _reserved: [0; 2],
+            shift: 0,
+            distance_offset_m: far_m as f32,
+            distance_offset_x_m: x_m as f32,
+            distance_offset_y_m: y_m as f32,
+            distance_unit_m: distance_unit_m as f32,
+            _reserved: 0,
         }
     }
 }
@@ -266,7 +312,7 @@ pub struct Segment {
 }
 
 const _: () = assert!(size_of::<Header>() == 320 && size_of::<Column>() == 24);
-const _: () = assert!(size_of::<BeamRow>() == 32 && size_of::<Segment>() == 64);
+const _: () = assert!(size_of::<BeamRow>() == 48 && size_of::<Segment>() == 64);
 
 /// The parts of a sweep behind its header.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
@@ -284,7 +330,7 @@ pub enum Part {
     Reflectivity2,
     /// Label of the other return, dual only.
     Label2,
-    /// u8 a pixel, dual only: [`ReturnKind`] of the segmented return.
+    /// u8 a pixel, dual only: [`ReturnKind`] of the segmented return, and [`SECOND_BLOCKS`].
     Kind,
     /// [`Column`] a column.
     Columns,
@@ -301,13 +347,29 @@ pub const PARTS: usize = 10;
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 #[repr(u8)]
 pub enum ReturnKind {
-    /// The strongest (odd block), or the second strongest where the last is the strongest; the other is the last.
+    /// The strongest, or the second strongest where the last is the strongest; the other is the last.
     Strongest = 1,
-    /// The last (even block); the other is the strongest.
+    /// The last; the other is the strongest. An HDL-64E does not say which is which: the farther is the last.
     Last = 2,
 }
 
+/// Bit of [`Part::Kind`]: the segmented return stands in the second blocks of its firing, the other in the first.
+pub const SECOND_BLOCKS: u8 = 4;
+
 impl ReturnKind {
+    /// The kind in a byte of [`Part::Kind`].
+    pub fn of_byte(byte: u8) -> Self {
+        if byte & !SECOND_BLOCKS == Self::Last as u8 { Self::Last } else { Self::Strongest }
+    }
+
+    /// The other of a pair.
+    pub fn other(self) -> Self {
+        match self {
+            Self::Strongest => Self::Last,
+            Self::Last => Self::Strongest,
+        }
+    }
+
     /// The word for it in output.
     pub fn name(self) -> &'static str {
         match self {
@@ -451,7 +513,8 @@ pub(super) fn checked_shape(header: &Header, bytes: usize) -> Result<Shape, Layo
     }
     let shape = header.shape();
     let bounded = shape.rows <= 256 && shape.columns_capacity <= 1 << 20 && shape.segments_capacity <= 1 << 28;
-    if !bounded || header.columns > header.columns_capacity || header.segments > header.segments_capacity {
+    let columns = u64::from(header.margin_columns) + u64::from(header.columns);
+    if !bounded || columns > u64::from(header.columns_capacity) || header.segments > header.segments_capacity {
         return Err(LayoutError::Inconsistent);
     }
     let (offsets, total_bytes) = shape.offsets();

@@ -6,6 +6,7 @@
 //!                            relation (loss, silence, jumps of the clock)                 |
 //!                      cursor (firings of a packet, and those missing)   head (turns, cut, standstill)
 //!                                        columns (what stands in the open sweep)   decode (records to pixels)
+//!                            turns (how far rows point aside)   corrected (a measured distance to a range, and back)
 //! ```
 //!
 //! [`layout`] defines a sweep as bytes, [`image`] gives the views over them, [`buffers`] says where the bytes live.
@@ -14,6 +15,7 @@ pub mod buffers;
 pub mod builder;
 pub mod clock;
 mod columns;
+pub mod corrected;
 mod cursor;
 pub mod decode;
 pub mod head;
@@ -22,6 +24,7 @@ pub mod layout;
 pub mod motion;
 pub mod order;
 pub mod relation;
+pub mod turns;
 
 pub use buffers::{Buffers, HeapBuffers};
 pub use image::{Return, SweepMut, SweepRef};

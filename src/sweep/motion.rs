@@ -1,11 +1,13 @@
 //! What one packet says of the head: where it points at each firing, how fast it turns, and whether it left a sector out.
 
 use crate::sensor::model::Spec;
-use crate::wire::DataPacket;
 use crate::wire::data::{BLOCKS, ReturnMode, TURN_CDEG};
+use crate::wire::{DataPacket, HOUR_US};
 
 /// A whole turn, hundredths of a degree.
 pub const TURN: f64 = TURN_CDEG as f64;
+/// The fastest head turns half around in this time, nanoseconds.
+const HALF_TURN_NS: i64 = 20_000_000;
 /// A step between block azimuths that differs this much from the others is no motion of the head.
 const BREAK_CDEG: f64 = 200.0;
 /// A head that turns less than this from block to block does not leave a sector out: it would take seconds.
@@ -155,6 +157,16 @@ impl Motion {
     }
 }
 
+/// How fast the head turned from the first azimuth of one packet to the last of another of the same mode, hundredths of a
+/// degree a nanosecond; `None` where that is too short a time, or so long that it may have turned half around.
+pub fn rate_between(first: &DataPacket, last: &DataPacket, mode: ReturnMode, spec: &Spec) -> Option<f64> {
+    let us = i64::from(last.stamp_us()) - i64::from(first.stamp_us());
+    let azimuths = spec.azimuths_per_packet(mode) as i64 - 1;
+    let lasted_ns = us.rem_euclid(i64::from(HOUR_US)) * 1000 + azimuths * i64::from(spec.azimuth_period_ns(mode));
+    let turned = f64::from(last.blocks[BLOCKS - 1].azimuth_cdeg()) - f64::from(first.blocks[0].azimuth_cdeg());
+    (0..HALF_TURN_NS).contains(&lasted_ns).then(|| shortest(turned) / lasted_ns.max(1) as f64)
+}
+
 /// The same angle within -18000..18000 hundredths of a degree.
 pub(super) fn shortest(cdeg: f64) -> f64 {
     (cdeg + TURN / 2.0).rem_euclid(TURN) - TURN / 2.0
@@ -166,12 +178,13 @@ pub(super) fn ahead(from_cdeg: f64, to_cdeg: f64, sense: f64) -> f64 {
     ((to_cdeg - from_cdeg) * sign).rem_euclid(TURN)
 }
 
+/// The median of steps by their length; of two the shorter, since the other may be a leap.
 fn median(values: &[f64]) -> f64 {
     let mut sorted = [0.0; BLOCKS];
     let sorted = &mut sorted[..values.len()];
     sorted.copy_from_slice(values);
-    sorted.sort_by(f64::total_cmp);
-    sorted[sorted.len() / 2]
+    sorted.sort_by(|a, b| a.abs().total_cmp(&b.abs()));
+    sorted[(sorted.len() - 1) / 2]
 }
 
 #[cfg(test)]

@@ -11,7 +11,7 @@ use super::clock::SensorClock;
 use super::motion::{Implausible, Motion, Sector};
 pub use super::relation::{Before, Packet};
 use super::relation::{Relation, Relations};
-use crate::sensor::model::Spec;
+use crate::sensor::model::{Spec, Stamp};
 use crate::wire::DataPacket;
 use crate::wire::data::ReturnMode;
 
@@ -108,18 +108,19 @@ impl Order {
         if let Some((_, sector)) = motion.left_out {
             motion.silent_ns = sector.silent_ns(self.relations.rate(&motion), self.spec, mode);
         }
-        let time_ns = self.clock.read_ns(bytes.stamp_us()) + self.spec.first_shot_ns(mode);
-        let packet = Packet { bytes: *bytes, motion, mode, number, arrival_ns, time_ns };
+        let time_ns = self.clock.read_ns(bytes.stamp_us()) + self.spec.first_shot_ns(mode, motion.silent_ns);
+        let mut packet = Packet { bytes: *bytes, motion, mode, number, arrival_ns, time_ns };
         let Some(last) = self.last else {
             self.start(packet);
             return Ok(());
         };
+        self.relations.settle_silence(&self.slots[last], &mut packet);
         let relation = self.relations.between(&self.slots[last], &packet);
         if relation != Relation::Follows(Before::Nothing) && self.confirm(&packet) {
             return Ok(());
         }
         match relation {
-            Relation::Follows(_) if self.relations.is_familiar(&motion) => {
+            Relation::Follows(_) if self.relations.is_familiar(&packet.motion) => {
                 self.set_back = 0;
                 self.drop_suspect();
                 let slot = self.store(packet);
@@ -157,7 +158,8 @@ impl Order {
         let Some((suspect, last)) = self.suspect.zip(self.last) else { return false };
         let Relation::Follows(before) = self.relations.between(&self.slots[suspect], packet) else { return false };
         let doubtful = &mut self.slots[suspect];
-        if before == Before::Nothing && doubtful.motion.left_out.is_some() {
+        let is_end_unknown = self.spec.stamp == Stamp::FirstShot;
+        if before == Before::Nothing && is_end_unknown && doubtful.motion.left_out.is_some() {
             // Now the silence is known exactly.
             let period = i64::from(self.spec.packet_period_ns(packet.mode));
             doubtful.motion.silent_ns = packet.time_ns - doubtful.time_ns - period;
@@ -230,7 +232,8 @@ impl Order {
 
     fn release(&mut self, slot: usize, before: Before) {
         let packet = &self.slots[slot];
-        self.clock.set(packet.bytes.stamp_us(), packet.time_ns - self.spec.first_shot_ns(packet.mode));
+        let stamp_ns = packet.time_ns - self.spec.first_shot_ns(packet.mode, packet.motion.silent_ns);
+        self.clock.set(packet.bytes.stamp_us(), stamp_ns);
         let last = self.last.map(|last| &self.slots[last]);
         self.relations.learn(last, &self.slots[slot], before);
         self.last = Some(slot);

@@ -4,7 +4,7 @@
 //! brought it; a sector that the sensor leaves out, when it is a whole number of blocks; else the clock jumped.
 
 use super::motion::{Motion, Sector, TURN, ahead, shortest};
-use crate::sensor::model::Spec;
+use crate::sensor::model::{Spec, Stamp};
 use crate::wire::DataPacket;
 use crate::wire::data::ReturnMode;
 
@@ -154,16 +154,33 @@ impl Relations {
         let mut unfired_ns = beyond_ns - last.motion.silent_ns;
         let expected = rate * unfired_ns as f64;
         let travelled = expected + shortest(packet.motion.first_cdeg() - from_cdeg - expected);
-        if last.motion.left_out.is_some() && rate != 0.0 {
-            // The silence inside the packet was estimated, but the azimuths tell how long ago it ended.
+        // The silence inside a packet was estimated. Where it puts the near end of that packet to a wrong time, the azimuths
+        // tell how long ago the one before ended.
+        let estimated = match self.spec.stamp {
+            Stamp::FirstShot => &last.motion,
+            Stamp::Output => &packet.motion,
+        };
+        if estimated.left_out.is_some() && rate != 0.0 {
             let block_ns = i64::from(self.spec.azimuth_period_ns(last.mode));
             let by_azimuth = (travelled / rate / block_ns as f64).round() as i64 * block_ns;
             let (share, blocks) = SILENCE_SLACK;
-            if (by_azimuth - unfired_ns).abs() <= last.motion.silent_ns / share + blocks * block_ns {
+            if (by_azimuth - unfired_ns).abs() <= estimated.silent_ns / share + blocks * block_ns {
                 unfired_ns = by_azimuth;
             }
         }
         Between { from_cdeg, travelled_cdeg: travelled, rate_cdeg_ns: rate, unfired_ns }
+    }
+
+    /// Corrects the silence inside a packet whose stamp is that of its end, and so when it began, by where the head was at
+    /// the end of the packet before.
+    pub fn settle_silence(&self, last: &Packet, packet: &mut Packet) {
+        if self.spec.stamp != Stamp::Output || packet.motion.left_out.is_none() || packet.mode != last.mode {
+            return;
+        }
+        let beyond_ns = packet.time_ns - last.time_ns - i64::from(self.spec.packet_period_ns(last.mode));
+        let too_early_ns = self.way(last, packet, beyond_ns).unfired_ns - (beyond_ns - last.motion.silent_ns);
+        packet.time_ns += too_early_ns;
+        packet.motion.silent_ns -= too_early_ns;
     }
 
     /// What a gap between two packets is: loss, a sector left out, both, or a clock that jumped.

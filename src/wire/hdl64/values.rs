@@ -2,6 +2,7 @@
 
 use std::fmt;
 
+use crate::wire::nmea::{civil_from_days, days_from_civil};
 use zerocopy::{FromBytes, Immutable, IntoBytes, KnownLayout, Unaligned};
 
 /// Which HDL-64E it is, as far as the status tells.
@@ -127,6 +128,17 @@ pub struct Clock {
     pub month: u8,
     /// Years since 2000.
     pub year: u8,
+}
+
+impl Clock {
+    /// Nanoseconds since 1970; `None` where this is no time.
+    pub fn utc_ns(&self) -> Option<i64> {
+        let [year, month, day] = [2000 + i64::from(self.year), self.month.into(), self.day.into()];
+        let [hour, minute, second] = [self.hour, self.minute, self.second].map(i64::from);
+        let days = days_from_civil(year, month, day);
+        let is_time = civil_from_days(days) == (year, month, day) && hour < 24 && minute < 60 && second < 60;
+        is_time.then_some((((days * 24 + hour) * 60 + minute) * 60 + second) * 1_000_000_000)
+    }
 }
 
 impl fmt::Display for Clock {

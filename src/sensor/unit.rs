@@ -1,0 +1,81 @@
+//! What an HDL-64E says of itself along with its packets, for whoever decodes them: its calibration, its clock, its power.
+
+use super::compare::{Difference, differences};
+use super::{Calibration, stream};
+use crate::wire::DataPacket;
+use crate::wire::data::ReturnMode;
+use crate::wire::hdl64::{CYCLE_LEN, CalibrationTime, DUMP_LEN, Dump, Gps, Series, Status};
+
+/// One unit, as far as it has been heard.
+#[derive(Clone, Debug)]
+pub struct Unit {
+    status: Status,
+    heard: usize,
+    /// The dump that was compared with the calibration in use.
+    compared: Option<Dump>,
+}
+
+/// What a unit says that decoding depends on; see [`Unit::hear`].
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub struct Said {
+    /// Its series, once that is known.
+    pub series: Option<Series>,
+    /// Its reflectivities are corrected already.
+    pub is_normalised: bool,
+    /// UTC to the second, nanoseconds since 1970, while a GPS receiver gives both pulse and sentence.
+    pub utc_ns: Option<i64>,
+}
+
+impl Default for Unit {
+    fn default() -> Self {
+        Self { status: Status::new(), heard: 0, compared: None }
+    }
+}
+
+impl Unit {
+    /// Takes a packet of this unit. Once a cycle of the status it gives what the unit says by then.
+    pub fn hear(&mut self, packet: &DataPacket) -> Option<Said> {
+        self.status.push(packet.return_mode, packet.product, packet.stamp_us());
+        self.heard += 1;
+        self.heard.is_multiple_of(CYCLE_LEN).then(|| self.said())
+    }
+
+    fn said(&self) -> Said {
+        let utc_ns = self.status.clock().filter(|_| self.status.gps() == Some(Gps::Both)).and_then(|c| c.utc_ns());
+        let is_normalised = self.status.power().is_some_and(|power| power.is_normalised());
+        Said { series: self.status.series(), is_normalised, utc_ns }
+    }
+
+    /// Bytes of the calibration that are known, and how many there are.
+    pub fn known(&self) -> (usize, usize) {
+        (self.status.known(), DUMP_LEN)
+    }
+
+    /// The calibration, when it is complete and verified.
+    ///
+    /// # Errors
+    /// A sentence: a beam cannot be as it says.
+    pub fn calibration(&self) -> Option<Result<Calibration, String>> {
+        self.status.dump().map(stream::calibration)
+    }
+
+    /// The return mode that it is set to, once that is known.
+    pub fn return_mode(&self) -> Option<ReturnMode> {
+        self.status.return_mode()
+    }
+
+    /// When it was calibrated, by its own account.
+    pub fn calibrated(&self) -> Option<CalibrationTime> {
+        self.status.calibrated()
+    }
+
+    /// In what the calibration in use differs from the unit's own; once for each that it sends.
+    pub fn differences(&mut self, used: &Calibration) -> Option<Vec<Difference>> {
+        let dump = self.status.dump()?;
+        if self.compared.as_ref() == Some(dump) {
+            return None;
+        }
+        self.compared = Some(*dump);
+        Some(differences(used, &stream::calibration(dump).ok()?))
+    }
+}
