@@ -4,10 +4,14 @@
 //! begins where the azimuth starts over. Where each beam points is measured from its points. The columns are even bins
 //! of azimuth, which the order of the points within a ring corrects.
 
-use std::f64::consts::{PI, TAU};
+pub(crate) mod places;
+pub(crate) mod rings;
+
+use std::f64::consts::TAU;
 
 use zerocopy::FromBytes;
 
+use self::rings::{Polar, Ring};
 use crate::segment::{Config, ConfigError, MAX_ROWS, SAME_OBJECT_M, Segmenter};
 use crate::sensor::Beam;
 use crate::sweep::buffers::HeapBuffer;
@@ -20,15 +24,8 @@ pub const COLUMNS: usize = 2083;
 pub const POINT_BYTES: usize = 16;
 /// Turns a second that the columns' times stand for; a cloud has none.
 const TURNS_A_SECOND: f64 = 10.0;
-/// Points of a file are not counted in units; a sweep wants one all the same, metres.
-const UNIT_M: f64 = 0.001;
-/// Columns that a point may be put behind its bin because the bin holds the point before.
-const MAX_SHIFT: usize = 8;
-
-/// Points so near tell nothing of the order: their azimuth is noise.
-const NOISE_M: f64 = 0.5;
-/// A ring may have so many times the points of a turn: dual returns, and columns chosen too few.
-const MOST_TURNS: usize = 8;
+/// Columns that a point without a pixel of its own looks to either side for one that it resembles.
+const REACH: usize = 8;
 
 /// Why bytes are not a cloud of a spinning sensor.
 #[derive(Debug, thiserror::Error)]
@@ -132,28 +129,9 @@ pub struct CloudProjector {
     buffers: HeapBuffers,
     buffer: Option<HeapBuffer>,
     rings: Vec<Ring>,
-    /// The points of a ring go clockwise.
-    clockwise: bool,
     elevations_rad: Vec<f64>,
     /// Pixel of each point; None where the point is not finite, at the origin, or behind another in its pixel.
     pixel: Vec<Option<u32>>,
-}
-
-/// A stretch of points of one beam.
-#[derive(Clone, Copy, Debug)]
-struct Ring {
-    first: usize,
-    end: usize,
-    elevation_rad: f64,
-}
-
-/// A point in the cylinder around the sensor.
-#[derive(Clone, Copy)]
-struct Polar {
-    /// Clockwise from straight ahead, radians, 0..2 pi.
-    azimuth_rad: f64,
-    away_m: f64,
-    z_m: f64,
 }
 
 impl CloudProjector {
@@ -170,7 +148,6 @@ impl CloudProjector {
             buffers: HeapBuffers::default(),
             buffer: None,
             rings: Vec::new(),
-            clockwise: false,
             elevations_rad: Vec::new(),
             pixel: Vec::new(),
         })
@@ -181,7 +158,7 @@ impl CloudProjector {
     /// # Errors
     /// [`CloudError::Rings`].
     pub fn project(&mut self, points: &[[f32; 4]]) -> Result<SweepMut<'_>, CloudError> {
-        self.find_rings(points)?;
+        rings::find(points, self.columns, &mut self.rings)?;
         for ring in &mut self.rings {
             ring.measure(points, &mut self.elevations_rad);
         }
@@ -197,7 +174,7 @@ impl CloudProjector {
         self.pixel.clear();
         self.pixel.resize(points.len(), None);
         for (row, ring) in self.rings.iter().enumerate() {
-            place_ring(&mut sweep, row, (ring, self.clockwise), points, &mut self.pixel);
+            place_ring(&mut sweep, row, ring, points, &mut self.pixel);
         }
         sweep.header.returns = sweep.range.iter().filter(|range_m| is_return(**range_m)).count() as u32;
         Ok(sweep)
@@ -217,106 +194,22 @@ impl CloudProjector {
     pub fn into_buffer(self) -> Option<HeapBuffer> {
         self.buffer
     }
-
-    /// Where the azimuth starts over, by more than half a turn, a new ring begins. Files go counter-clockwise (KITTI) or
-    /// clockwise: the sense in which it starts over more often is that of the file.
-    fn find_rings(&mut self, points: &[[f32; 4]]) -> Result<(), CloudError> {
-        self.rings.clear();
-        let starts = |clockwise: bool| ring_starts(points, clockwise);
-        self.clockwise = starts(true).count() > starts(false).count();
-        let mut first = 0;
-        for start in starts(self.clockwise).chain(std::iter::once(points.len())) {
-            if self.rings.len() >= MAX_ROWS {
-                return Err(CloudError::Rings { point: first });
-            }
-            let ring = Ring::new(first, start);
-            if ring.end - ring.first > MOST_TURNS * self.columns {
-                return Err(CloudError::Order { point: first, points: start - first, columns: self.columns });
-            }
-            if ring.end > ring.first {
-                self.rings.push(ring);
-            }
-            first = start;
-        }
-        Ok(())
-    }
 }
 
-/// The points whose azimuth starts over: all rings but the first begin with one. Near points are left out: their azimuth
-/// is noise.
-fn ring_starts(points: &[[f32; 4]], clockwise: bool) -> impl Iterator<Item = usize> {
-    let mut before_rad = None;
-    let far = points.iter().enumerate().filter_map(|(index, &point)| {
-        Polar::of(point).filter(|polar| polar.away_m > NOISE_M).map(|polar| (index, polar.azimuth_rad))
-    });
-    far.filter_map(move |(index, azimuth_rad)| {
-        let along_rad = if clockwise { azimuth_rad } else { TAU - azimuth_rad };
-        let starts_over = before_rad.replace(along_rad).is_some_and(|before_rad| before_rad - along_rad > PI);
-        starts_over.then_some(index)
-    })
-}
-
-impl Polar {
-    fn of([x, y, z, _]: [f32; 4]) -> Option<Self> {
-        let (forward, left, z_m) = (f64::from(x), f64::from(y), f64::from(z));
-        let away_m = forward.hypot(left);
-        let there = away_m.is_finite() && z_m.is_finite() && away_m > 0.0;
-        there.then(|| Self { azimuth_rad: (-left).atan2(forward).rem_euclid(TAU), away_m, z_m })
-    }
-
-    fn elevation_rad(self) -> f64 {
-        self.z_m.atan2(self.away_m)
-    }
-
-    fn range_m(self) -> f32 {
-        self.away_m.hypot(self.z_m) as f32
-    }
-
-    fn column(self, columns: usize) -> usize {
-        ((self.azimuth_rad / TAU * columns as f64) as usize).min(columns - 1)
-    }
-}
-
-impl Ring {
-    fn new(first: usize, end: usize) -> Self {
-        Self { first, end, elevation_rad: 0.0 }
-    }
-
-    /// Takes the median elevation of the points as the beam's.
-    fn measure(&mut self, points: &[[f32; 4]], elevations_rad: &mut Vec<f64>) {
-        elevations_rad.clear();
-        elevations_rad
-            .extend(points[self.first..self.end].iter().filter_map(|&point| Some(Polar::of(point)?.elevation_rad())));
-        let middle = elevations_rad.len() / 2;
-        if !elevations_rad.is_empty() {
-            self.elevation_rad = *elevations_rad.select_nth_unstable_by(middle, f64::total_cmp).1;
-        }
-    }
-}
-
-/// Puts the points of a ring into the pixels of a row, clockwise, and notes the pixel of each.
+/// Puts the points of a ring into the pixels of a row, and notes the pixel of each.
 ///
-/// Points come in the order in which they were fired, each in a column of its own; their azimuths are not as regular,
-/// since the encoder steps unevenly and a beam that starts beside the axis sees near and far things shifted. So a point
-/// whose bin is taken moves on to the next column. Where that would take it too far from its azimuth, points share a
-/// pixel: the nearer is segmented, and the other takes the label of the pixel that it resembles.
-fn place_ring(
-    sweep: &mut SweepMut<'_>,
-    row: usize,
-    (ring, clockwise): (&Ring, bool),
-    points: &[[f32; 4]],
-    pixel: &mut [Option<u32>],
-) {
+/// Points were fired one after the other, each in a column of its own, which [`places`] finds. Where a column is wanted
+/// by more points than have room around it, points share a pixel: the nearer is segmented, and the other takes the label
+/// of the pixel that it resembles.
+fn place_ring(sweep: &mut SweepMut<'_>, row: usize, ring: &Ring, points: &[[f32; 4]], pixel: &mut [Option<u32>]) {
     let (rows, columns) = (sweep.beams.len(), sweep.columns.len());
-    let mut next = 0;
-    for step in 0..ring.end - ring.first {
-        let point = if clockwise { ring.first + step } else { ring.end - 1 - step };
-        let Some(polar) = Polar::of(points[point]) else { continue };
-        let bin = polar.column(columns);
-        let column = next.max(bin);
-        let column = if column < columns && column - bin <= MAX_SHIFT { column } else { bin };
-        next = next.max(column + 1);
-        let index = column * rows + row;
+    let polars: Vec<Option<Polar>> = points[ring.first..ring.end].iter().map(|&point| Polar::of(point)).collect();
+    let position = |polar: &Option<Polar>| polar.map_or(f64::NAN, |polar| polar.position(columns));
+    let positions: Vec<f64> = polars.iter().map(position).collect();
+    let found = places::of_ring(&positions, columns);
+    for (point, (polar, column)) in (ring.first..).zip(polars.into_iter().zip(found)) {
+        let Some(polar) = polar else { continue };
+        let index = column.unwrap_or_else(|| polar.column(columns)) * rows + row;
         let range_m = polar.range_m();
         if !is_return(sweep.range[index]) || range_m < sweep.range[index] {
             sweep.range[index] = range_m;
@@ -332,7 +225,7 @@ fn place_ring(
 
 /// The pixel whose label a point takes: its own, unless another point holds that one and is more than
 /// [`SAME_OBJECT_M`] nearer. Then the pixel of the row whose range is most like the point's, no more than
-/// [`MAX_SHIFT`] columns off; its own all the same, where none is like it.
+/// [`REACH`] columns off; its own all the same, where none is like it.
 fn resembling(sweep: &SweepMut<'_>, own: u32, range_m: f32) -> u32 {
     let apart = |index: u32| (sweep.range[index as usize] - range_m).abs();
     if apart(own) <= SAME_OBJECT_M {
@@ -340,7 +233,7 @@ fn resembling(sweep: &SweepMut<'_>, own: u32, range_m: f32) -> u32 {
     }
     let (rows, columns) = (sweep.beams.len() as i64, sweep.columns.len() as i64);
     let (row, column) = (i64::from(own) % rows, i64::from(own) / rows);
-    let reach = MAX_SHIFT as i64;
+    let reach = REACH as i64;
     let around = (-reach..=reach).map(|by| ((column + by).rem_euclid(columns) * rows + row) as u32);
     let most_like = around.min_by(|&a, &b| apart(a).total_cmp(&apart(b)));
     most_like.filter(|&index| apart(index) <= SAME_OBJECT_M).unwrap_or(own)
@@ -363,7 +256,7 @@ fn fill_tables(sweep: &mut SweepMut<'_>, rings: &[Ring], columns: usize) {
         *column = Column::measured(0, 0, (turn * TAU) as f32, rate_rad_s, time_ns as u32);
     }
     for (row, (beam, ring)) in sweep.beams.iter_mut().zip(rings).enumerate() {
-        *beam = BeamRow::new(&Beam::ideal(row, ring.elevation_rad), 0, UNIT_M);
+        *beam = BeamRow::new(&Beam::ideal(row, ring.elevation_rad), 0);
     }
 }
 
@@ -456,17 +349,17 @@ mod tests {
         assert!(segmenter().segment(&[]).unwrap().is_empty());
     }
 
-    /// Two points at one azimuth have two columns; of eleven, two share the pixels of others.
+    /// Two points at one azimuth have two columns; of five, at least two share the pixels of others.
     #[test]
-    fn points_move_on_to_free_columns() {
+    fn points_make_room_for_each_other() {
         let crowd = |count: usize| -> Vec<[f32; 4]> { (0..count).map(|i| [5.0 + i as f32, -1.0, -0.5, 0.0]).collect() };
         let mut projector = CloudProjector::new(FIRINGS).unwrap();
         assert_eq!(projector.project(&crowd(2)).unwrap().header.returns, 2);
         assert!(projector.pixel.iter().all(Option::is_some));
-        let moved = MAX_SHIFT + 1;
-        let same_azimuth: Vec<[f32; 4]> = (0..moved + 2).map(|i| [1.0 + i as f32, 0.0, 0.0, 0.0]).collect();
-        assert_eq!(projector.project(&same_azimuth).unwrap().header.returns as usize, moved);
-        assert_eq!(projector.pixel.iter().flatten().count(), moved + 2);
+        let same_azimuth: Vec<[f32; 4]> = (0..5).map(|i| [1.0 + i as f32, 0.0, 0.0, 0.0]).collect();
+        let returns = projector.project(&same_azimuth).unwrap().header.returns;
+        assert!((2..=3).contains(&returns), "{returns}");
+        assert_eq!(projector.pixel.iter().flatten().count(), 5);
     }
 
     /// Four points a pixel: all are labelled, and as the twin scene in which each has a pixel of its own.

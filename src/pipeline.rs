@@ -487,7 +487,8 @@ impl<B: Buffers, W: Stopwatch> Pipeline<B, W> {
         let limits_m = self.config.segment.min_range_m..=self.config.segment.max_range_m;
         let model = (detection.model, detection.spec);
         let decoder = Decoder::new(model, &calibration, self.config.return_choice, limits_m);
-        let order = Order::new(decoder.spec);
+        let mut order = Order::new(decoder.spec);
+        order.expect_rate(rate_cdeg_ns);
         let mut builder = Builder::new(buffers, decoder, self.settings());
         builder.clocks = clocks;
         builder.expect_rate(rate_cdeg_ns);

@@ -104,7 +104,7 @@ impl Scene {
             let ideal = Beam::ideal(row, top + (bottom - top) * part);
             let rotation_rad = if self.tilted { 0.1 * (rng.f64() - 0.5) } else { 0.0 };
             let beam_of = Beam { rotation_rad, vertical_offset_m: 0.1 * rng.f64(), horizontal_offset_m: 0.03, ..ideal };
-            *beam = BeamRow::new(&beam_of, rng.u32(..46_000), 0.002);
+            *beam = BeamRow::new(&beam_of, rng.u32(..46_000));
         }
         // Gaps of up to four pitches, of which the widest part neighbours.
         let pitch = TAU / (self.columns as f32 * 1.2);
@@ -277,7 +277,7 @@ fn an_empty_sweep_and_a_full_table_are_no_trouble() {
         *place = Column::measured(0, 0, 0.004 * column as f32, 60.0, 0);
     }
     for (row, beam) in sweep.beams.iter_mut().enumerate() {
-        *beam = BeamRow::new(&Beam::ideal(row, (15.0 - 2.0 * row as f64).to_radians()), 0, 0.002);
+        *beam = BeamRow::new(&Beam::ideal(row, (15.0 - 2.0 * row as f64).to_radians()), 0);
     }
     for (index, range_m) in sweep.range.iter_mut().enumerate() {
         *range_m = if index / 16 < 20 { 3.0 } else { 30.0 };
@@ -300,7 +300,7 @@ fn sixteen_tilted_beams_see_a_floor_and_a_box() {
     sweep.header.columns = COLUMNS as u32;
     sweep.header.flags = flags::CIRCULAR;
     for (row, beam) in sweep.beams.iter_mut().enumerate() {
-        *beam = BeamRow::new(&Beam::ideal(row, (15.0 - 2.0 * row as f64).to_radians()), 2304 * row as u32, 0.002);
+        *beam = BeamRow::new(&Beam::ideal(row, (15.0 - 2.0 * row as f64).to_radians()), 2304 * row as u32);
     }
     for (index, column) in sweep.columns.iter_mut().enumerate() {
         *column = Column::measured(0, 0, TAU * ((index as f32 / COLUMNS as f32) + 0.5).fract(), 62.8, 0);

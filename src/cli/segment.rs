@@ -56,7 +56,7 @@ pub fn run(args: &Args) -> Result<(), CliError> {
 }
 
 /// Longest cloud that is read, bytes: 64 million points.
-const MAX_CLOUD_LEN: u64 = 1 << 30;
+pub(super) const MAX_CLOUD_LEN: u64 = 1 << 30;
 
 /// Where the labels of each cloud go; two clouds must not go to one place.
 fn label_files(args: &Args) -> Result<Vec<PathBuf>, CliError> {

@@ -42,7 +42,7 @@ impl Scene {
                 Column::measured(index as u64 / 24, (index % 12) as u8, azimuth as f32, 0.0, index as u32 * 55_296);
         }
         for (row, &elevation) in elevations_rad.iter().enumerate() {
-            sweep.beams[row] = BeamRow::new(&Beam::ideal(rows - 1 - row, elevation), 0, 0.002);
+            sweep.beams[row] = BeamRow::new(&Beam::ideal(rows - 1 - row, elevation), 0);
         }
         scene
     }

@@ -191,7 +191,7 @@ mod tests {
     /// On the horizon and by hand: 2 degrees of elevation and 0.5 of turn are hypot(2, 0.5) apart, nearly.
     #[test]
     fn rows_are_apart_by_elevation_and_turn() {
-        let row = |degrees: f64, time_ns| BeamRow::new(&Beam::ideal(0, degrees.to_radians()), time_ns, 0.002);
+        let row = |degrees: f64, time_ns| BeamRow::new(&Beam::ideal(0, degrees.to_radians()), time_ns);
         let mut angles = Angles::default();
         angles.measure_rows(&[row(1.0, 0), row(-1.0, 1_000_000)], 500_f64.to_radians());
         assert!((angles.down_rad(0).to_degrees() - 2_f64.hypot(0.5)).abs() < 1e-3);
@@ -200,7 +200,7 @@ mod tests {
     #[test]
     fn a_steep_row_is_narrower() {
         let mut angles = Angles::default();
-        angles.measure_rows(&[BeamRow::new(&Beam::ideal(0, 60_f64.to_radians()), 0, 0.002)], 0.0);
+        angles.measure_rows(&[BeamRow::new(&Beam::ideal(0, 60_f64.to_radians()), 0)], 0.0);
         angles.measure_columns(&columns(&[0.0, 1.0]), false);
         assert!((angles.across_rad(0, 1).unwrap().to_degrees() - 0.5).abs() < 1e-4);
     }

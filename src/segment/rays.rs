@@ -77,7 +77,7 @@ impl Rays {
                 let flat = f64::from(range_m) * beam.cos_elevation;
                 [flat * sin, flat * cos, f64::from(range_m) * beam.sin_elevation]
             }
-            false => beam.corrected.point_m(f64::from(range_m), sin, cos),
+            false => beam.corrected.point_m(range_m, sin, cos),
         };
         let sideways = beam.horizontal_offset_m;
         [x - sideways * cos, y + sideways * sin, z + beam.vertical_offset_m]

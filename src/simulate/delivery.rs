@@ -3,7 +3,7 @@
 use std::collections::VecDeque;
 use std::ops::RangeInclusive;
 
-use super::emitter::SimulatedDatagram;
+use super::truth::SimulatedDatagram;
 
 /// What goes wrong, by number of data packet; each list in ascending order.
 #[derive(Clone, Debug, Default, PartialEq, Eq)]

@@ -1,6 +1,6 @@
 //! The captures that the project ships in `pcap_fixtures/`, and how each is made.
 
-use super::gps::Clock;
+use super::gps::{Clock, Reception};
 use super::{Emitter, EmitterConfig, Faults, Scene, SimulatedDatagram, deliver, street};
 use crate::sensor::Model;
 use crate::wire::data::ReturnMode;
@@ -81,7 +81,7 @@ pub fn scene() -> Scene {
 /// A VLP-16 in the old town of Frankfurt whose receiver has a fix, on a host whose clock is 3.2 ms ahead.
 fn puck(return_mode: ReturnMode, turns: f64, start_deg: f64) -> EmitterConfig {
     let mut config = EmitterConfig::new(Model::Vlp16, return_mode).turns(turns);
-    config.clock = Clock::Gps { position_deg: (50.110_6, 8.682_1) };
+    config.clock = Clock::Gps { position_deg: (50.110_6, 8.682_1), reception: Reception::ALWAYS };
     // 2026-05-04 10:17:23 UTC.
     config.start_utc_ns = 1_777_889_843_000_000_000;
     config.host_ahead_ns = 3_200_000;
@@ -95,6 +95,28 @@ fn hdl32e(return_mode: ReturnMode, turns: f64) -> EmitterConfig {
     let mut config = EmitterConfig::new(Model::Hdl32e, return_mode).turns(turns);
     config.clock = Clock::Free { hour_ns: 3_599_850_000_417 };
     config.encoder.start_deg = 222.68;
+    config
+}
+
+/// An HDL-64E S2 whose receiver is locked, with a motor that drifts.
+fn hdl64e_s2(seconds: f64, start_deg: f64) -> EmitterConfig {
+    let mut config = EmitterConfig::new(Model::Hdl64eS2, ReturnMode::Strongest);
+    config.motor.drift = 0.0003;
+    hdl64e(config, i64::MIN, start_deg).seconds(seconds, None)
+}
+
+/// An HDL-64E S3 whose receiver is heard late, so that it is never locked.
+fn hdl64e_s3(return_mode: ReturnMode, start_deg: f64) -> EmitterConfig {
+    hdl64e(EmitterConfig::new(Model::Hdl64eS3, return_mode), 200_000_000, start_deg)
+}
+
+fn hdl64e(mut config: EmitterConfig, from_ns: i64, start_deg: f64) -> EmitterConfig {
+    let reception = Reception { from_ns, to_ns: i64::MAX };
+    config.clock = Clock::Gps { position_deg: (50.110_6, 8.682_1), reception };
+    config.start_utc_ns = 1_777_889_843_000_000_000;
+    config.encoder.start_deg = start_deg;
+    // Ranges compress better for it: a status takes 4160 packets to tell.
+    config.optics.noise_m = 0.004;
     config
 }
 
@@ -114,5 +136,9 @@ pub fn all() -> Vec<Fixture> {
         clean("street_vlp16_dual.pcap.gz", puck(ReturnMode::Dual, 4.0, 118.89)),
         clean("street_hdl32e_dual.pcap.gz", hdl32e(ReturnMode::Dual, 2.5)),
         Fixture { file: "street_vlp16_losses.pcap", config: puck(ReturnMode::Strongest, 4.0, 118.98), faults: losses },
+        clean("street_hdl64e_s2.pcap.gz", hdl64e_s2(1.25, 48.939)),
+        clean("street_hdl64e_s3.pcap.gz", hdl64e_s3(ReturnMode::Strongest, 48.958).seconds(1.25, None)),
+        clean("street_hdl64e_s3_dual.pcap.gz", hdl64e_s3(ReturnMode::Dual, 235.59).seconds(0.25, None)),
+        clean("street_hdl64e_s3_switch.pcap.gz", hdl64e_s3(ReturnMode::Strongest, 152.646).seconds(0.4, Some(0.2))),
     ]
 }

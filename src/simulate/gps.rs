@@ -24,7 +24,44 @@ pub enum Clock {
     Gps {
         /// Where the receiver is: latitude and longitude, degrees.
         position_deg: (f64, f64),
+        /// When it hears satellites.
+        reception: Reception,
     },
+}
+
+/// When a GPS receiver hears satellites, nanoseconds after the first shot.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub struct Reception {
+    /// From then on.
+    pub from_ns: i64,
+    /// Until then.
+    pub to_ns: i64,
+}
+
+/// So long after the first pulse the sensor clock follows it.
+const SYNCHRONIZING_NS: i64 = 2_000_000_000;
+
+impl Reception {
+    /// Since long ago, and forever.
+    pub const ALWAYS: Self = Self { from_ns: i64::MIN, to_ns: i64::MAX };
+
+    fn locks_ns(self) -> i64 {
+        self.from_ns.saturating_add(SYNCHRONIZING_NS)
+    }
+
+    /// Whether the sensor clock counts UTC by then: since it was first locked, also when the receiver is lost again.
+    pub fn follows_utc(self, elapsed_ns: i64) -> bool {
+        elapsed_ns >= self.locks_ns() && self.to_ns > self.locks_ns()
+    }
+
+    /// What the sensor says of the pulse.
+    fn pps(self, elapsed_ns: i64) -> Pps {
+        match elapsed_ns {
+            at if at < self.from_ns || at >= self.to_ns => Pps::Absent,
+            at if at < self.locks_ns() => Pps::Synchronizing,
+            _ => Pps::Locked,
+        }
+    }
 }
 
 impl Clock {
@@ -32,9 +69,24 @@ impl Clock {
     pub fn stamp_us(&self, start_utc_ns: i64, elapsed_ns: i64) -> u32 {
         let start_ns = match self {
             Self::Free { hour_ns } => *hour_ns,
-            Self::Gps { .. } => start_utc_ns,
+            Self::Gps { reception, .. } if reception.follows_utc(elapsed_ns) => start_utc_ns,
+            // Switched on with the first shot.
+            Self::Gps { .. } => 0,
         };
         ((start_ns + elapsed_ns).rem_euclid(HOUR_NS) / 1000) as u32
+    }
+
+    /// What the sensor says of the pulse, and the place that the receiver's sentence tells: a sentence since satellites
+    /// were first heard, a place while they are.
+    pub(super) fn received(&self, elapsed_ns: i64) -> (Pps, Option<Option<(f64, f64)>>) {
+        match *self {
+            Self::Free { .. } => (Pps::Absent, None),
+            Self::Gps { position_deg, reception } => {
+                let heard = elapsed_ns >= reception.from_ns;
+                let place = (elapsed_ns < reception.to_ns).then_some(position_deg);
+                (reception.pps(elapsed_ns), heard.then_some(place))
+            }
+        }
     }
 }
 
@@ -49,17 +101,15 @@ pub fn position_packet(
     elapsed_ns: i64,
     rng: &mut Rng,
 ) -> [u8; POSITION_PACKET_LEN] {
-    let sentence = match *clock {
-        Clock::Free { .. } => None,
-        Clock::Gps { position_deg } => {
-            let second = (start_utc_ns + elapsed_ns - SENTENCE_DELAY_NS).div_euclid(1_000_000_000);
-            let rmc = Rmc { utc_ns: second * 1_000_000_000, valid: true, position_deg: Some(position_deg) };
-            Some(rmc.emit())
-        }
-    };
+    let (pulse, place) = clock.received(elapsed_ns);
+    let sentence = place.map(|position_deg| {
+        let second = (start_utc_ns + elapsed_ns - SENTENCE_DELAY_NS).div_euclid(1_000_000_000);
+        // Without satellites it goes on by its own clock, with a warning.
+        Rmc { utc_ns: second * 1_000_000_000, valid: position_deg.is_some(), position_deg }.emit()
+    });
     let inertial = model == Model::Hdl32e;
     // The HDL-32E has no byte for the pulse.
-    let pps = if sentence.is_some() && !inertial { Pps::Locked } else { Pps::Absent };
+    let pps = if inertial { Pps::Absent } else { pulse };
     Position {
         stamp_us: clock.stamp_us(start_utc_ns, elapsed_ns),
         pps,
@@ -87,10 +137,19 @@ const BOARD: Board = Board {
     adc_status: 0,
 };
 
-/// The factory address of a model.
+/// The factory address of a model; of the HDL-64E, its manuals' section on Ethernet.
 pub fn address(model: Model) -> Ipv4Addr {
-    let last = if model == Model::Hdl32e { 202 } else { 201 };
-    Ipv4Addr::new(192, 168, 1, last)
+    match model {
+        Model::Hdl64eS2 | Model::Hdl64eS3 => Ipv4Addr::new(192, 168, 3, 43),
+        Model::Hdl32e => Ipv4Addr::new(192, 168, 1, 202),
+        Model::Vlp16 | Model::PuckLite | Model::PuckHiRes => Ipv4Addr::new(192, 168, 1, 201),
+    }
+}
+
+/// Where a sensor sends to: everyone, or on an HDL-64E everyone of its own network.
+pub fn destination(model: Model, address: Ipv4Addr) -> Ipv4Addr {
+    let [a, b, c, _] = address.octets();
+    if model.is_hdl64e() { Ipv4Addr::new(a, b, c, 255) } else { Ipv4Addr::BROADCAST }
 }
 
 #[cfg(test)]
@@ -99,7 +158,7 @@ mod tests {
 
     /// 2026-05-04 09:59:59.5 UTC (`date -u -d 2026-05-04T09:59:59 +%s`).
     const UTC_NS: i64 = 1_777_888_799_500_000_000;
-    const GPS: Clock = Clock::Gps { position_deg: (50.1, 8.7) };
+    const GPS: Clock = Clock::Gps { position_deg: (50.1, 8.7), reception: Reception::ALWAYS };
 
     #[test]
     fn the_stamp_is_truncated_and_wraps_with_the_hour() {
@@ -132,5 +191,23 @@ mod tests {
         assert_eq!((position.pps, position.nmea, position.board), (Pps::Absent, None, None));
         let gravity = position.inertial.unwrap()[1].accel_g()[1];
         assert!((gravity - 1.0).abs() < 0.01, "{gravity}");
+    }
+
+    #[test]
+    fn a_receiver_that_comes_and_goes_is_synchronized_locked_and_absent() {
+        const SECOND_NS: i64 = 1_000_000_000;
+        let reception = Reception { from_ns: 3 * SECOND_NS, to_ns: 9 * SECOND_NS };
+        let clock = Clock::Gps { position_deg: (50.1, 8.7), reception };
+        let at = |second: i64| {
+            let bytes = position_packet(Model::Vlp16, &clock, UTC_NS, second * SECOND_NS, &mut Rng::with_seed(0));
+            let position = Position::parse(&bytes).unwrap();
+            (position.pps, position.nmea.map(|text| Rmc::parse(text).unwrap().valid), position.stamp_us)
+        };
+        assert_eq!(at(2), (Pps::Absent, None, 2_000_000));
+        assert_eq!(at(4), (Pps::Synchronizing, Some(true), 4_000_000));
+        assert_eq!(at(5), (Pps::Locked, Some(true), 4_500_000), "from its own hour to that of UTC, 09:59:59.5 before");
+        assert_eq!(at(9), (Pps::Absent, Some(false), 8_500_000), "it goes on from there");
+        let too_short = Reception { to_ns: 4 * SECOND_NS, ..reception };
+        assert!(!too_short.follows_utc(10 * SECOND_NS));
     }
 }

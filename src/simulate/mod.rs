@@ -8,8 +8,11 @@
 //! * [`shape`]: convex solids and rays. [`scene`]: objects of such solids, and the ray that finds the nearest.
 //! * [`props`]: what stands there. [`mod@street`], [`parking`], [`mod@field`], [`mod@room`]: the scenes; [`setting`]:
 //!   which of them, and where the sensors stand.
+//! * [`beam`]: where a beam starts and goes, by the manual's formulas, and what the packet says of it. [`mod@unit`]: the
+//!   beams of an HDL-64E that was never built.
 //! * [`optics`]: from what a beam meets to the returns that the sensor reports.
-//! * [`emitter`]: time, turning head and packets, each return with its truth. [`gps`]: the position packets.
+//! * [`config`]: a sensor. [`head`]: how it turns. [`emitter`]: time, turning head and packets. [`truth`]: what each
+//!   return really was. [`gps`]: the position packets; an HDL-64E has its `status` instead.
 //! * [`delivery`]: what a network does to datagrams. [`plan`]: faults at random rates.
 //! * [`fixtures`]: the captures in `pcap_fixtures/`.
 //!
@@ -33,12 +36,18 @@
 //! ```
 
 mod builder;
+mod layout;
+mod status;
 
+pub mod beam;
+pub mod cloud;
+pub mod config;
 pub mod delivery;
 pub mod emitter;
 pub mod field;
 pub mod fixtures;
 pub mod gps;
+pub mod head;
 pub mod optics;
 pub mod parking;
 pub mod plan;
@@ -48,10 +57,15 @@ pub mod scene;
 pub mod setting;
 pub mod shape;
 pub mod street;
+pub mod truth;
+pub mod unit;
 
+pub use config::EmitterConfig;
 pub use delivery::{Faults, deliver};
-pub use emitter::{Emitter, EmitterConfig, Motor, PacketTruth, ReturnTruth, SimulatedDatagram};
+pub use emitter::Emitter;
+pub use head::Motor;
 pub use plan::Rates;
 pub use scene::{Class, Scene};
 pub use setting::Setting;
 pub use street::street;
+pub use truth::{PacketTruth, ReturnTruth, SimulatedDatagram};

@@ -34,6 +34,8 @@ pub enum Class {
     Tree,
     /// Bins, benches, shelters, fences, tables and shelves.
     Furniture,
+    /// Whatever a point of a real scan is on: its labels tell.
+    Unknown,
 }
 
 impl Class {
@@ -50,6 +52,7 @@ impl Class {
             Self::Sign => "sign",
             Self::Tree => "tree",
             Self::Furniture => "furniture",
+            Self::Unknown => "unknown",
         }
     }
 }
@@ -177,6 +180,20 @@ impl Scene {
         })
     }
 
+    /// Whether a bent ray comes within so many metres of a solid, and if so, from where on the outline of it may be as
+    /// near: a number beyond all distances where it is not. Leaves are nothing but outline.
+    fn outline_m(&self, part: &Part, bent: &Ray, rim_m: f64, time_s: f64) -> Option<f64> {
+        let ray = Ray { origin: bent.origin - self.object(part.object).velocity * time_s, ..*bent };
+        let enter_m = part.shape.grown(rim_m)?.span(&ray)?.enter_m;
+        let core = || part.shape.grown(-rim_m).and_then(|core| core.span(&ray));
+        let within = match part.surface {
+            Surface::Leaves { .. } => false,
+            Surface::Plain(_) => core().is_some(),
+            Surface::Windows(_) => core().is_some_and(|span| !is_frame(ray.at(span.enter_m), rim_m)),
+        };
+        Some(if within { f64::INFINITY } else { enter_m })
+    }
+
     /// Where a bent ray meets a solid at a time; leaves and windows answer by chance.
     fn meet(&self, part: &Part, bent: &Ray, time_s: f64, rng: &mut Rng) -> Option<Hit> {
         let object = self.object(part.object);
@@ -219,8 +236,19 @@ fn is_window(place: Vec3) -> bool {
     place.z > 0.9 && along < 1.2 && (0.6..2.1).contains(&up)
 }
 
+/// Whether a place on a front is within so many metres of where glass begins or ends.
+fn is_frame(place: Vec3, rim_m: f64) -> bool {
+    let is_glass = is_window(place);
+    [Vec3::x(), Vec3::z()]
+        .into_iter()
+        .any(|way| [rim_m, -rim_m].into_iter().any(|off_m| is_window(place + way * off_m) != is_glass))
+}
+
 /// Sectors of a turn in the index of a [`View`].
 const SECTORS: usize = 720;
+
+/// How far beside a beam a solid is still looked for: more than the beams of any sensor are wide, radians.
+const RIM_RAD: f64 = 0.003;
 
 /// One solid as seen from the eye: what a ray must have for a test to be worth while.
 #[derive(Clone, Copy)]
@@ -228,6 +256,8 @@ struct Candidate {
     part: u32,
     /// Horizontal distance of its nearest place.
     near_m: f64,
+    /// Horizontal distance of its farthest place.
+    far_m: f64,
     /// Least and greatest rise of a ray that can meet it, metres a metre.
     rise: [f64; 2],
 }
@@ -259,41 +289,66 @@ impl<'a> View<'a> {
         let [near_m, far_m] = bounds.reach(eye);
         let [low, high] = bounds.z.map(|z| z - eye.z);
         if near_m == 0.0 {
-            let candidate = Candidate { part, near_m, rise: [f64::NEG_INFINITY, f64::INFINITY] };
+            let candidate = Candidate { part, near_m, far_m, rise: [f64::NEG_INFINITY, f64::INFINITY] };
             self.sectors.iter_mut().for_each(|sector| sector.push(candidate));
             return;
         }
         let rise = [low / if low < 0.0 { near_m } else { far_m }, high / if high > 0.0 { near_m } else { far_m }];
         let (centre, edges) = bounds.azimuths(eye);
-        let [first, last] = edges.map(|edge| ((centre + edge) * PER_SECTOR).floor() as i64);
+        let [first, last] =
+            [edges[0] - RIM_RAD, edges[1] + RIM_RAD].map(|edge| ((centre + edge) * PER_SECTOR).floor() as i64);
         for sector in first..=last {
-            self.sectors[sector.rem_euclid(SECTORS as i64) as usize].push(Candidate { part, near_m, rise });
+            self.sectors[sector.rem_euclid(SECTORS as i64) as usize].push(Candidate { part, near_m, far_m, rise });
         }
     }
 
     /// The nearest thing that a ray meets within `max_m`. Chance decides about leaves and windows.
     pub fn cast(&self, ray: &Ray, time_s: f64, max_m: f64, rng: &mut Rng) -> Option<Hit> {
+        self.look(ray, 0.0, time_s, max_m, rng).hit
+    }
+
+    /// The same of the middle of a beam, with whether the whole of it may meet something else: a cone about the ray of
+    /// half an angle of `spread_rad`.
+    pub fn look(&self, ray: &Ray, spread_rad: f64, time_s: f64, max_m: f64, rng: &mut Rng) -> Look {
         let bent = self.scene.bent(ray);
-        let mut best = self.scene.meet_ground(&bent).filter(|hit| hit.distance_m <= max_m);
-        let mut limit_m = best.map_or(max_m, |hit| hit.distance_m);
+        let mut hit = self.scene.meet_ground(&bent).filter(|hit| hit.distance_m <= max_m);
+        let mut limit_m = hit.map_or(max_m, |hit| hit.distance_m);
         let across = bent.direction.xy().norm();
         let rise = bent.direction.z / across;
+        // What a rise of the cone's rim adds, and with it the growth of the solids at their farthest.
+        let slack = spread_rad * (1.0 + rise * rise);
+        let mut edge_m = f64::INFINITY;
         let sector = (ray.azimuth_rad * PER_SECTOR).floor() as i64;
         for candidate in &self.sectors[sector.rem_euclid(SECTORS as i64) as usize] {
             if candidate.near_m > limit_m * across {
                 break;
             }
-            if rise < candidate.rise[0] || rise > candidate.rise[1] {
+            if rise < candidate.rise[0] - slack || rise > candidate.rise[1] + slack {
                 continue;
             }
             let part = &self.scene.parts[candidate.part as usize];
-            if let Some(hit) = self.scene.meet(part, &bent, time_s, rng).filter(|hit| hit.distance_m < limit_m) {
-                limit_m = hit.distance_m;
-                best = Some(hit);
+            if spread_rad > 0.0 {
+                let rim_m = spread_rad * (candidate.far_m / across).min(limit_m);
+                let Some(met_m) = self.scene.outline_m(part, &bent, rim_m, time_s) else { continue };
+                edge_m = edge_m.min(met_m);
+            }
+            let met = self.scene.meet(part, &bent, time_s, rng);
+            if let Some(met) = met.filter(|met| met.distance_m < limit_m) {
+                limit_m = met.distance_m;
+                hit = Some(met);
             }
         }
-        best
+        Look { hit, edge: edge_m <= limit_m }
     }
+}
+
+/// What the middle of a beam met.
+#[derive(Clone, Copy, Debug, PartialEq)]
+pub struct Look {
+    /// The nearest thing on the ray.
+    pub hit: Option<Hit>,
+    /// An edge, or leaves, are within the beam: parts of it may meet something else.
+    pub edge: bool,
 }
 
 /// Sectors a radian.
@@ -365,6 +420,42 @@ mod tests {
                 .min_by(|a, b| a.distance_m.total_cmp(&b.distance_m));
             assert_eq!(view.cast(&ray, at_s, 100.0, &mut Rng::with_seed(0)), naive);
         }
+    }
+
+    #[test]
+    fn away_from_edges_the_whole_beam_meets_what_its_middle_does() {
+        let mut rng = Rng::with_seed(9);
+        let mut scene = Scene::new([0.01, -0.02], 20);
+        for _ in 0..200 {
+            let place = [rng.f64() * 80.0 - 40.0, rng.f64() * 80.0 - 40.0, rng.f64()];
+            let size = [0.2 + rng.f64() * 2.0, 0.2 + rng.f64() * 4.0, 0.2 + rng.f64() * 4.0];
+            let shape = match rng.u8(0..3) {
+                0 => Shape::cuboid(place, size, rng.f64() * 7.0),
+                1 => Shape::cylinder(place, size[0], size[2]),
+                _ => Shape::ellipsoid(place, size),
+            };
+            scene.add(Class::Furniture, Vec3::zeros(), [(shape, Surface::Plain(50))]);
+        }
+        let (view, spread_rad) = (View::new(&scene, EYE, 0.03, 0.0, 0.01), 0.001_5);
+        let (mut edges, mut missed) = (0, 0);
+        let dice = &mut Rng::with_seed(0);
+        for _ in 0..20_000 {
+            let (azimuth_rad, elevation_rad) = (rng.f64() * 7.0, (rng.f64() - 0.6) * 0.6);
+            let look = view.look(&Ray::new(EYE, azimuth_rad, elevation_rad), spread_rad, 0.0, 60.0, dice);
+            let range_m = |hit: Option<Hit>| hit.map_or(60.0, |hit| hit.distance_m);
+            let object = |hit: Option<Hit>| hit.map(|hit| hit.object);
+            let differs = [(1.0, 0.0), (-1.0, 0.0), (0.0, 1.0), (0.0, -1.0)].into_iter().any(|(across, up)| {
+                let (across, up) = (0.8 * spread_rad * across, 0.8 * spread_rad * up);
+                let hit = view.cast(&Ray::new(EYE, azimuth_rad + across, elevation_rad + up), 0.0, 60.0, dice);
+                object(hit) != object(look.hit) && (range_m(hit) - range_m(look.hit)).abs() > 0.3
+            });
+            // Ground that ends at the greatest range is no edge.
+            let horizon = look.hit.is_none_or(|hit| hit.object == GROUND && hit.distance_m > 40.0);
+            edges += usize::from(look.edge);
+            missed += usize::from(differs && !look.edge && !horizon);
+        }
+        // Of the foot of a thing the ground before it is no edge: there is no step in range but where it is flat.
+        assert!((200..4_000).contains(&edges) && missed * 50 < edges, "{edges} {missed}");
     }
 
     #[test]

@@ -1,7 +1,7 @@
 //! The scenes that there are, and where a sensor stands in each.
 
-use super::emitter::Pose;
 use super::field::field;
+use super::head::Pose;
 use super::parking::parking_lot;
 use super::room::room;
 use super::scene::Scene;

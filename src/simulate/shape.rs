@@ -114,6 +114,25 @@ impl Shape {
         }
     }
 
+    /// The same solid, larger by a margin to all sides, or smaller by one below 0; none if nothing of it is left.
+    pub fn grown(&self, margin_m: f64) -> Option<Self> {
+        let (grown, least_m) = match *self {
+            Self::Cuboid { centre, half, heading } => {
+                let half = half.add_scalar(margin_m);
+                (Self::Cuboid { centre, half, heading }, half.min())
+            }
+            Self::Cylinder { foot, radius_m, height_m } => {
+                let (radius_m, height_m) = (radius_m + margin_m, height_m + 2.0 * margin_m);
+                (Self::Cylinder { foot: foot - Vec3::z() * margin_m, radius_m, height_m }, radius_m.min(height_m))
+            }
+            Self::Ellipsoid { centre, semi } => {
+                let semi = semi.add_scalar(margin_m);
+                (Self::Ellipsoid { centre, semi }, semi.min())
+            }
+        };
+        (least_m > 0.0).then_some(grown)
+    }
+
     /// A prism around it.
     pub fn bounds(&self) -> Bounds {
         match *self {

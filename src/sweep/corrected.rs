@@ -14,7 +14,8 @@
 //! ```
 //!
 //! with the elevation w and the azimuth a of the beam. All of it is linear in d, so the range is the root of a quadratic,
-//! and the way back solves that.
+//! and the way back solves that. Near 25.04 m a range can come from either side of the limit; so in the range of a beam that
+//! has such offsets, the last bit of the f32 says which: 1 within the limit, 0 beyond.
 
 use super::layout::BeamRow;
 
@@ -31,7 +32,6 @@ pub struct Corrected {
     distance_offset_m: f64,
     /// Offsets for x and y at the near end, less the plain one; `None` where the beam is straight.
     near_m: Option<[f64; 2]>,
-    unit_m: f64,
 }
 
 /// Each axis of the corrected beam as a multiple of d and a constant.
@@ -48,13 +48,8 @@ impl Corrected {
         let distance_offset_m = f64::from(beam.distance_offset_m);
         let near_m =
             [beam.distance_offset_x_m, beam.distance_offset_y_m].map(|near_m| f64::from(near_m) - distance_offset_m);
-        Self {
-            sin_elevation,
-            cos_elevation,
-            distance_offset_m,
-            near_m: Some(near_m).filter(|near_m| *near_m != [0.0; 2]),
-            unit_m: f64::from(beam.distance_unit_m),
-        }
+        let near_m = Some(near_m).filter(|near_m| *near_m != [0.0; 2]);
+        Self { sin_elevation, cos_elevation, distance_offset_m, near_m }
     }
 
     /// Whether the beam is a straight line, so that its direction does not depend on the range.
@@ -63,39 +58,33 @@ impl Corrected {
         self.near_m.is_none()
     }
 
-    /// Range of a measured distance, metres, at this sine and cosine of the azimuth.
+    /// The range to store for a measured distance, metres, at this sine and cosine of the azimuth; at least `least_m`.
     #[inline]
-    pub fn range_m(&self, measured_m: f64, sin_azimuth: f64, cos_azimuth: f64) -> f64 {
+    pub fn range_m(&self, measured_m: f64, [sin_azimuth, cos_azimuth]: [f64; 2], least_m: f32) -> f32 {
         let d = measured_m + self.distance_offset_m;
-        match self.near_m {
-            Some(near_m) if measured_m < FAR_M => {
+        let Some(near_m) = self.near_m else { return (d as f32).max(least_m) };
+        let is_near = measured_m < FAR_M;
+        let range_m = match is_near {
+            true => {
                 let [x, y, z] = self.lines(near_m, sin_azimuth, cos_azimuth).at(d);
                 (x * x + y * y + z * z).sqrt()
             }
-            _ => d,
-        }
+            false => d,
+        };
+        f32::from_bits((range_m as f32).max(least_m).to_bits() & !1 | u32::from(is_near))
     }
 
-    /// From the beam's origin to the point at a range: right, forward, up, metres.
+    /// From the beam's origin to the point at a stored range: right, forward, up, metres.
     #[inline]
-    pub fn point_m(&self, range_m: f64, sin_azimuth: f64, cos_azimuth: f64) -> [f64; 3] {
-        let straight = [self.cos_elevation * sin_azimuth, self.cos_elevation * cos_azimuth, self.sin_elevation]
-            .map(|axis| axis * range_m);
-        let Some(near_m) = self.near_m else { return straight };
-        let lines = self.lines(near_m, sin_azimuth, cos_azimuth);
-        let near_d = lines.solve(range_m).filter(|d| d - self.distance_offset_m < FAR_M);
-        let is_far = range_m - self.distance_offset_m >= FAR_M;
-        match near_d {
-            // At the far end a beam can have one range at two distances: the sensor measured a whole number of units.
-            Some(d) if !is_far || self.off_unit(d) < self.off_unit(range_m) => lines.at(d),
-            _ => straight,
-        }
-    }
-
-    /// How far a corrected distance is from a whole number of units, in units.
-    fn off_unit(&self, d: f64) -> f64 {
-        let units = (d - self.distance_offset_m) / self.unit_m;
-        (units - units.round()).abs()
+    pub fn point_m(&self, range_m: f32, sin_azimuth: f64, cos_azimuth: f64) -> [f64; 3] {
+        let is_near = range_m.to_bits() & 1 == 1;
+        let range_m = f64::from(range_m);
+        let bent = self.near_m.filter(|_| is_near).and_then(|near_m| {
+            let lines = self.lines(near_m, sin_azimuth, cos_azimuth);
+            Some(lines.at(lines.solve(range_m)?))
+        });
+        let straight = [self.cos_elevation * sin_azimuth, self.cos_elevation * cos_azimuth, self.sin_elevation];
+        bent.unwrap_or_else(|| straight.map(|axis| axis * range_m))
     }
 
     fn lines(&self, near_m: [f64; 2], sin_azimuth: f64, cos_azimuth: f64) -> Lines {
@@ -122,5 +111,65 @@ impl Lines {
         let (square, linear, rest) = (sum(0, 0), sum(0, 1), sum(1, 1) - range_m * range_m);
         let root = linear * linear - square * rest;
         (root >= 0.0 && square > 0.0).then(|| (root.sqrt() - linear) / square)
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use crate::sensor::Beam;
+    use crate::sensor::calibration::TwoPoint;
+    use proptest::prelude::*;
+
+    fn beam(elevation_deg: f64, far_m: f64, x_m: f64, y_m: f64) -> Corrected {
+        let beam = Beam {
+            distance_offset_m: far_m,
+            two_point: Some(TwoPoint { distance_offset_x_m: x_m, distance_offset_y_m: y_m }),
+            ..Beam::ideal(0, elevation_deg.to_radians())
+        };
+        Corrected::new(&BeamRow::new(&beam, 0))
+    }
+
+    /// By hand, level, D = 1.2, Dx = 1.3, Dy = 1.25. Measured 8.8 m, straight to the right: d = 10, and
+    /// ex = 0.1 x 15.04 / 22.64 = 0.066431. Straight ahead: ey = 0.05 x 15.04 / 23.11 = 0.032540. From 25.04 m on: D alone.
+    #[test]
+    fn ranges_are_those_of_the_manual() {
+        let beam = beam(0.0, 1.2, 1.3, 1.25);
+        for (measured_m, direction, expected_m) in [
+            (8.8, [1.0, 0.0], 10.066_431),
+            (8.8, [0.0, 1.0], 10.032_540),
+            (25.04, [1.0, 0.0], 26.24),
+            (40.0, [0.0, -1.0], 41.2),
+        ] {
+            let range_m = beam.range_m(measured_m, direction, 0.001);
+            assert!((f64::from(range_m) - expected_m).abs() < 6e-6, "{measured_m}: {range_m}");
+        }
+    }
+
+    proptest! {
+        #[test]
+        fn a_stored_range_leads_back_to_the_point(
+            elevation_deg in -30.0_f64..10.0, azimuth in 0.0_f64..6.3, far_m in 0.9_f64..1.6,
+            x_m in -0.2_f64..0.2, y_m in -0.2_f64..0.2, units in prop_oneof![1_u16..65_535, 12_480_u16..12_560],
+        ) {
+            let beam = beam(elevation_deg, far_m, far_m + x_m, far_m + y_m);
+            let (sin, cos) = azimuth.sin_cos();
+            let measured_m = f64::from(units) * 0.002;
+            let range_m = beam.range_m(measured_m, [sin, cos], 0.001);
+            let [x, y, z] = beam.point_m(range_m, sin, cos);
+            // The manual's formulas, one after the other.
+            let (d, w) = (measured_m + far_m, elevation_deg.to_radians());
+            let (xx, yy) = ((d * w.cos() * sin).abs(), (d * w.cos() * cos).abs());
+            let (mut cx, mut cy) = (far_m, far_m);
+            if measured_m < 25.04 {
+                cx = far_m + x_m + (-x_m) * (xx - 2.40) / (25.04 - 2.40);
+                cy = far_m + y_m + (-y_m) * (yy - 1.93) / (25.04 - 1.93);
+            }
+            let (ex, ey) = ((measured_m + cx) * w.cos() * sin, (measured_m + cy) * w.cos() * cos);
+            let ez = (measured_m + (cx + cy) / 2.0) * w.sin();
+            prop_assert!((x - ex).abs().max((y - ey).abs()).max((z - ez).abs()) < 4e-5, "{x} {y} {z}, {ex} {ey} {ez}");
+            let length_m = (ex * ex + ey * ey + ez * ez).sqrt();
+            prop_assert!((f64::from(range_m) - length_m).abs() < 4e-5);
+        }
     }
 }

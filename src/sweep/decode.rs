@@ -29,7 +29,7 @@ pub struct Decoder {
     rows: Vec<Row>,
     /// Rows whose range or reflectivity takes more than an offset.
     corrected: Vec<CorrectedRow>,
-    unit_m: f32,
+    unit_m: f64,
     choice: ReturnChoice,
     /// Ranges that may be labelled: of two returns, one of these goes before one that is not.
     limits_m: RangeInclusive<f32>,
@@ -87,7 +87,7 @@ impl Decoder {
         let unit_m = calibration.distance_unit_m();
         let beams = || calibration.rows().iter().map(|&channel| &calibration.beams()[channel]);
         let beam_rows = |mode| -> Vec<BeamRow> {
-            beams().map(|beam| BeamRow::new(beam, spec.channel_offset_ns(beam.channel, mode), unit_m)).collect()
+            beams().map(|beam| BeamRow::new(beam, spec.channel_offset_ns(beam.channel, mode))).collect()
         };
         let single = beam_rows(ReturnMode::Strongest);
         let corrected = beams().zip(&single).enumerate().filter_map(|(row, (beam, of_sweep))| {
@@ -105,7 +105,7 @@ impl Decoder {
             corrected: corrected.collect(),
             beams: [beam_rows(ReturnMode::Strongest), beam_rows(ReturnMode::Dual)],
             rows: beams().map(Row::new).collect(),
-            unit_m: unit_m as f32,
+            unit_m,
             choice,
             limits_m,
         }
@@ -176,9 +176,8 @@ impl Decoder {
             }
             if !one.range.is_straight() {
                 let turn = &turns.rows()[one.row];
-                let (sin, cos) = (sin * turn.cos + cos * turn.sin, cos * turn.cos - sin * turn.sin);
-                let range_m = one.range.range_m(f64::from(distance) * f64::from(self.unit_m), sin, cos) as f32;
-                pixels.range[one.row] = range_m.max(LEAST_RANGE_M);
+                let direction = [sin * turn.cos + cos * turn.sin, cos * turn.cos - sin * turn.sin];
+                pixels.range[one.row] = one.range.range_m(f64::from(distance) * self.unit_m, direction, LEAST_RANGE_M);
             }
             if let Some(intensity) = one.intensity.filter(|_| !self.is_normalised) {
                 pixels.reflectivity[one.row] = compensated(&intensity, record.reflectivity, distance);
@@ -223,7 +222,7 @@ impl Decoder {
     fn plain_range_m(&self, record: &Record, row: &Row) -> f32 {
         match record.distance.get() {
             0 => 0.0,
-            distance => (f32::from(distance) * self.unit_m + row.distance_offset_m).max(LEAST_RANGE_M),
+            distance => (f32::from(distance) * self.unit_m as f32 + row.distance_offset_m).max(LEAST_RANGE_M),
         }
     }
 }

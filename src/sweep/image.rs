@@ -363,7 +363,7 @@ impl<'a> Shot<'a> {
     /// From the beam's origin to the point at a range, metres.
     #[inline]
     fn along_m(&self, range_m: f32) -> [f64; 3] {
-        self.corrected.point_m(f64::from(range_m), self.sin_azimuth, self.cos_azimuth)
+        self.corrected.point_m(range_m, self.sin_azimuth, self.cos_azimuth)
     }
 
     /// The same from the sensor's origin.
@@ -401,7 +401,7 @@ mod tests {
         sweep.range[4] = 2.0;
         sweep.label2[5] = 7;
         sweep.columns[1] = Column::measured(9, 4, 1.5, 60.0, 11);
-        sweep.beams[2] = BeamRow::new(&Beam::ideal(1, -0.25), 2304, 0.002);
+        sweep.beams[2] = BeamRow::new(&Beam::ideal(1, -0.25), 2304);
         sweep.header.columns = 2;
         let read = SweepRef::open(bytes).unwrap();
         assert_eq!((read.range.len(), read.range[4], read.label2[5]), (6, 2.0, 7));
@@ -418,7 +418,7 @@ mod tests {
     #[test]
     fn axes_are_those_of_the_manual() {
         let raised = Beam { vertical_offset_m: 0.01, ..Beam::ideal(0, 30_f64.to_radians()) };
-        let beam = BeamRow::new(&raised, 1_000_000, 0.002);
+        let beam = BeamRow::new(&raised, 1_000_000);
         let column = Column::measured(0, 0, 80_f32.to_radians(), 10_f32.to_radians() * 1000.0, 0);
         let [x, y, z] = pixel_point_m(&column, &beam, 2.0);
         assert!((x - 1.732_050_8).abs() < 1e-6 && y.abs() < 1e-6 && (z - 1.01).abs() < 1e-6);

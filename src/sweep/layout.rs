@@ -257,14 +257,12 @@ pub struct BeamRow {
     pub distance_offset_x_m: f32,
     /// The same for y.
     pub distance_offset_y_m: f32,
-    /// One unit of the measured distance, metres.
-    pub distance_unit_m: f32,
-    _reserved: u32,
+    _reserved: [u32; 2],
 }
 
 impl BeamRow {
-    /// The row of a beam that shoots so long after the first shot of its firing, and measures in such units.
-    pub fn new(beam: &Beam, time_offset_ns: u32, distance_unit_m: f64) -> Self {
+    /// The row of a beam that shoots so long after the first shot of its firing.
+    pub fn new(beam: &Beam, time_offset_ns: u32) -> Self {
         let far_m = beam.distance_offset_m;
         let [x_m, y_m] = beam.two_point.map_or([far_m; 2], |two| [two.distance_offset_x_m, two.distance_offset_y_m]);
         Self {
@@ -278,8 +276,7 @@ impl BeamRow {
             distance_offset_m: far_m as f32,
             distance_offset_x_m: x_m as f32,
             distance_offset_y_m: y_m as f32,
-            distance_unit_m: distance_unit_m as f32,
-            _reserved: 0,
+            _reserved: [0; 2],
         }
     }
 }
@@ -318,7 +315,7 @@ const _: () = assert!(size_of::<BeamRow>() == 48 && size_of::<Segment>() == 64);
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 #[repr(usize)]
 pub enum Part {
-    /// f32 metres a pixel; see [`is_return`].
+    /// f32 metres a pixel; see [`is_return`], and [`super::corrected`] for the last bit on an HDL-64E.
     Range = 0,
     /// u8 a pixel.
     Reflectivity,

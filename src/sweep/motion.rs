@@ -6,6 +6,10 @@ use crate::wire::{DataPacket, HOUR_US};
 
 /// A whole turn, hundredths of a degree.
 pub const TURN: f64 = TURN_CDEG as f64;
+/// How far the encoder's noise can carry the first azimuth of a packet from the last one, hundredths of a degree.
+const STEP_NOISE_CDEG: f64 = 8.0;
+/// How far the turning rate of one packet can be from that of those before.
+const STEADY_SHARE: f64 = 0.02;
 /// The fastest head turns half around in this time, nanoseconds.
 const HALF_TURN_NS: i64 = 20_000_000;
 /// A step between block azimuths that differs this much from the others is no motion of the head.
@@ -48,6 +52,8 @@ pub struct Motion {
     count: usize,
     /// From one azimuth to the next, hundredths of a degree, negative when the head turns the other way.
     pub step_cdeg: f64,
+    /// The same as the packets before have it, without the encoder's noise; see [`Motion::steady`].
+    steady_step_cdeg: Option<f64>,
     /// The index of the first azimuth behind a sector that was left out, and the sector.
     pub left_out: Option<(usize, Sector)>,
     /// Nanoseconds of silence inside the packet. By the packet alone this is good to a few percent; who knows the speed
@@ -108,7 +114,20 @@ impl Motion {
         });
         let rate = step_cdeg / f64::from(spec.azimuth_period_ns(mode));
         let silent_ns = left_out.map_or(0, |(_, sector)| sector.silent_ns(rate, spec, mode));
-        Ok(Self { mode, azimuths, count, step_cdeg, left_out, silent_ns })
+        Ok(Self { mode, azimuths, count, step_cdeg, steady_step_cdeg: None, left_out, silent_ns })
+    }
+
+    /// Tells the turning rate that the packets before had, hundredths of a degree a nanosecond. Where the azimuths of this
+    /// one do not speak against it, it is the better one: they carry the encoder's noise, and there may be but three.
+    pub fn steady(&mut self, rate_cdeg_ns: f64, spec: &Spec) {
+        let step_cdeg = rate_cdeg_ns * f64::from(spec.azimuth_period_ns(self.mode));
+        let noise_cdeg = STEP_NOISE_CDEG / (self.count - 1) as f64;
+        let agrees = (step_cdeg - self.step_cdeg).abs() < noise_cdeg + STEADY_SHARE * step_cdeg.abs();
+        self.steady_step_cdeg = agrees.then_some(step_cdeg);
+    }
+
+    fn best_step_cdeg(&self) -> f64 {
+        self.steady_step_cdeg.unwrap_or(self.step_cdeg)
     }
 
     /// Azimuth of the first firing, hundredths of a degree.
@@ -131,15 +150,15 @@ impl Motion {
 
     /// Turning rate, hundredths of a degree a nanosecond.
     pub fn rate_cdeg_ns(&self, spec: &Spec) -> f64 {
-        self.step_cdeg / f64::from(spec.azimuth_period_ns(self.mode))
+        self.best_step_cdeg() / f64::from(spec.azimuth_period_ns(self.mode))
     }
 
     /// Azimuth at the first shot of a firing, hundredths of a degree, 0..36000. A firing that has no azimuth of its own
-    /// (the second of a VLP-16 block) gets it from the mean step of the packet: single steps carry the encoder's noise.
+    /// (the second of a VLP-16 block) gets it from the turning rate: single steps carry the encoder's noise.
     pub fn azimuth_cdeg(&self, firing: usize, spec: &Spec) -> f64 {
         let per_azimuth = spec.firings_per_azimuth();
         let within = (firing % per_azimuth) as f64 / per_azimuth as f64;
-        (f64::from(self.azimuths[firing / per_azimuth]) + self.step_cdeg * within).rem_euclid(TURN)
+        (f64::from(self.azimuths[firing / per_azimuth]) + self.best_step_cdeg() * within).rem_euclid(TURN)
     }
 
     /// First shot of a firing after that of the packet, nanoseconds.

@@ -91,6 +91,11 @@ impl Order {
         &self.clock
     }
 
+    /// Tells how fast the head turns, before any packet has, hundredths of a degree a nanosecond; negative backwards.
+    pub fn expect_rate(&mut self, rate_cdeg_ns: Option<f64>) {
+        self.relations.expect_rate(rate_cdeg_ns);
+    }
+
     /// The sector that the sensor leaves out every turn, once it was seen.
     pub fn sector(&self) -> Option<Sector> {
         self.relations.sector()
@@ -105,6 +110,7 @@ impl Order {
         if self.slots.iter().any(|known| known.bytes.stamp_us() == bytes.stamp_us() && known.bytes == *bytes) {
             return Err(Refusal::Duplicate);
         }
+        self.relations.steady(&mut motion);
         if let Some((_, sector)) = motion.left_out {
             motion.silent_ns = sector.silent_ns(self.relations.rate(&motion), self.spec, mode);
         }
@@ -236,6 +242,7 @@ impl Order {
         self.clock.set(packet.bytes.stamp_us(), stamp_ns);
         let last = self.last.map(|last| &self.slots[last]);
         self.relations.learn(last, &self.slots[slot], before);
+        self.relations.steady(&mut self.slots[slot].motion);
         self.last = Some(slot);
         self.ready.push_back((slot, before));
     }

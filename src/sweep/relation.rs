@@ -233,6 +233,18 @@ impl Relations {
         self.rate_cdeg_ns.unwrap_or_else(|| motion.rate_cdeg_ns(self.spec))
     }
 
+    /// Tells a packet the turning rate of those before it.
+    pub fn steady(&self, motion: &mut Motion) {
+        if let Some(rate) = self.rate_cdeg_ns {
+            motion.steady(rate, self.spec);
+        }
+    }
+
+    /// Takes a turning rate from elsewhere, until the packets tell it.
+    pub fn expect_rate(&mut self, rate_cdeg_ns: Option<f64>) {
+        self.rate_cdeg_ns = rate_cdeg_ns;
+    }
+
     /// Whether a packet leaves nothing out but what was left out the turn before: else one of its azimuths may be corrupt.
     pub fn is_familiar(&self, motion: &Motion) -> bool {
         let Some((_, seen)) = motion.left_out else { return true };
@@ -246,7 +258,9 @@ impl Relations {
     /// measures inside it.
     pub fn learn(&mut self, last: Option<&Packet>, packet: &Packet, before: Before) {
         if before == Before::Start {
-            (self.sector, self.rate_cdeg_ns) = (None, None);
+            self.sector = None;
+            // A head does not turn otherwise because the return mode was changed.
+            self.rate_cdeg_ns = self.rate_cdeg_ns.filter(|_| last.is_none_or(|last| last.mode != packet.mode));
         }
         let motion = &packet.motion;
         if let Some(last) = last.filter(|_| matches!(before, Before::Nothing | Before::Silence)) {

@@ -4,6 +4,7 @@ mod calib;
 #[path = "../common/mod.rs"]
 mod common;
 mod errors;
+mod from_cloud;
 mod inputs;
 mod inspect;
 mod made;

@@ -221,6 +221,69 @@ fn the_motor_and_the_mode_do_what_they_are_told() {
     }
 }
 
+/// The data packets of a plain capture that the simulator wrote.
+fn payloads(capture: &Path) -> Vec<Vec<u8>> {
+    let bytes = std::fs::read(capture).unwrap();
+    let mut payloads = Vec::new();
+    let mut at = 24;
+    while at < bytes.len() {
+        let len = u32::from_le_bytes(bytes[at + 8..at + 12].try_into().unwrap()) as usize;
+        // Behind the headers of the record, Ethernet, IP and UDP.
+        payloads.push(bytes[at + 16 + 42..at + 16 + len].to_vec());
+        at += 16 + len;
+    }
+    payloads.into_iter().filter(|payload| payload.len() == 1206).collect()
+}
+
+#[test]
+fn an_hdl64e_sends_its_calibration_and_fires_as_often_as_it_is_told() {
+    let folder = Folder::new("hdl64e");
+    let path = folder.path("made.pcap");
+    let (unit, again) = (folder.path("unit.yaml"), folder.path("again.yaml"));
+    let [to, unit_to, again_to] = [&path, &unit, &again].map(|path| path.to_str().unwrap());
+    let fixed = ["--scene=field", "--pcap", to];
+    let step_us = |payloads: &[Vec<u8>]| {
+        let stamp = |payload: &[u8]| u32::from_le_bytes(payload[1200..1204].try_into().unwrap());
+        f64::from(stamp(&payloads[500]) - stamp(&payloads[0])) / 500.0
+    };
+    for (options, period_us) in [
+        (&["--model=hdl64e-s2"][..], 288.0),
+        (&["--model=hdl64e-s3"], 288.0),
+        (&["--model=hdl64e-s3", "--firing-period=57.6"], 345.6),
+        (&["--model=hdl64e-s3", "--return=dual"], 172.8),
+    ] {
+        let said = simulate(&[options, &fixed, &["--seconds=1.6"]].concat());
+        let payloads = payloads(&path);
+        assert_eq!((said[0].data, said[0].position), (payloads.len() as u64, 0));
+        assert!((step_us(&payloads) - period_us).abs() < 0.01, "{options:?}: {}", step_us(&payloads));
+        assert!(payloads.iter().all(|payload| payload[..2] == [0xFF, 0xEE] && payload[100..102] == [0xFF, 0xDD]));
+        // What it says of itself is what it is: another one with that calibration is the same.
+        let ran = sweepd(&["calib", "from-capture", to, "-o", unit_to]);
+        assert_eq!(ran.code, 0, "{options:?}: {}", ran.stderr);
+        simulate(&[options, &fixed, &["--seconds=1.6", "--calibration", unit_to]].concat());
+        assert!(self::payloads(&path) == payloads, "{options:?}");
+        let ran = sweepd(&["calib", "from-capture", to, "-o", again_to]);
+        assert_eq!(ran.code, 0, "{options:?}: {}", ran.stderr);
+        assert_eq!(std::fs::read(&unit).unwrap(), std::fs::read(&again).unwrap());
+    }
+}
+
+#[test]
+fn a_receiver_is_heard_when_it_is_told_to_be() {
+    let folder = Folder::new("gps");
+    let path = folder.path("made.pcap");
+    let hour_us = |options: &[&str]| {
+        let fixed = ["--model=hdl64e-s3", "--scene=field", "--seconds=0.01", "--pcap", path.to_str().unwrap()];
+        simulate(&[&fixed[..], options].concat());
+        u32::from_le_bytes(payloads(&path)[0][1200..1204].try_into().unwrap())
+    };
+    // 17 minutes and 23 seconds past the hour, and the first packet's 288 us.
+    assert_eq!(hour_us(&[]), 1_043_000_288);
+    assert_eq!(hour_us(&["--gps=none"]), 288);
+    assert_eq!(hour_us(&["--gps=0.."]), 288, "two seconds later it would");
+    assert_eq!(hour_us(&["--gps=..0.005"]), 1_043_000_288);
+}
+
 /// The datagrams that a simulation sends to a socket, by the port that each sensor sends from.
 fn received(options: &[&str]) -> (BTreeMap<u16, Vec<Vec<u8>>>, Vec<Said>, Duration) {
     let socket = UdpSocket::bind("127.0.0.1:0").unwrap();
@@ -278,7 +341,7 @@ fn what_cannot_be_simulated_is_one_error_with_its_flag_and_the_cure() {
     let file = folder.path("made.pcap");
     let file = file.to_str().unwrap();
     let cases = [
-        ("--model=vls128", "vlp16, puck-lite, puck-hires, hdl32e"),
+        ("--model=vls128", "vlp16, puck-lite, puck-hires, hdl32e, hdl64e-s2, hdl64e-s3"),
         ("--scene=moon", "street, parking-lot, field, room"),
         ("--rpm=299", "300 to 1200 turns a minute"),
         ("--rpm=nan", "300 to 1200 turns a minute"),
@@ -287,6 +350,11 @@ fn what_cannot_be_simulated_is_one_error_with_its_flag_and_the_cure() {
         ("--seconds=0", "0.01 to 86400 seconds"),
         ("--seconds=1e9", "0.01 to 86400 seconds"),
         ("--calibration=none.yaml", "none.yaml"),
+        ("--gps=5..2", "locked, none, or FROM..TO"),
+        ("--gps=never", "locked, none, or FROM..TO"),
+        ("--rpm-drift=21", "0 to 20 percent"),
+        ("--firing-period=50", "48 or 57.6 microseconds"),
+        ("--firing-period=48", "the VLP-16 always fires every 55.296 us; only the HDL-64E S3 may differ"),
         ("--loss=101", "0 to 100 percent"),
         ("--loss=-1", "0 to 100 percent"),
         ("--burst-loss=1x0", "such as 0.1x20"),
@@ -309,6 +377,16 @@ fn what_cannot_be_simulated_is_one_error_with_its_flag_and_the_cure() {
         assert!(ran.error().contains(cure) || ran.stderr.contains(cure), "{option}: {}", ran.stderr);
         assert!(!Path::new(file).exists(), "{option}");
     }
+    for option in ["--return=dual", "--mode-switch=1"] {
+        let flag = option.replace('=', " ");
+        let flag = if flag.contains("switch") { "--mode-switch" } else { &flag };
+        let args = ["simulate", "--model=hdl64e-s2", "--pcap", file, option];
+        sweepd(&args).says(&[flag, "an HDL-64E S2 has one return", "--model hdl64e-s3"]);
+    }
+    let args = ["simulate", "--model=hdl64e-s2", "--pcap", file, "--firing-period=57.6"];
+    sweepd(&args).says(&["--firing-period", "the HDL-64E S2 always fires every 48 us"]);
+    let args = ["simulate", "--model=hdl64e-s3", "--pcap", file, "--calibration=calib/vlp16.yaml"];
+    sweepd(&args).says(&["--calibration calib/vlp16.yaml", "16 beams", "calibration of the VLP-16"]);
     sweepd(&["simulate", "--model=vlp16", "--to", "localhost"]).says(&["--to", "IP:PORT such as 127.0.0.1:2368"]);
     sweepd(&["simulate", "--model=vlp16", "--pcap", "a.txt"]).says(&["--pcap a.txt", ".pcap or .pcap.gz"]);
     sweepd(&["simulate", "--model=vlp16", "--pcap", "none/a.pcap"]).says(&["none/a.pcap", "No such file"]);

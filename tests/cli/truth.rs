@@ -87,13 +87,16 @@ fn a_calibration_is_simulated_and_undone_by_the_same_one() {
     let file = folder.write("unit.yaml", yaml);
     let file = ["--calibration", file.to_str().unwrap()];
     let options = [&["--model=vlp16", "--scene=room", "--seconds=0.2"][..], &file].concat();
-    // Metres that the floor, 0.9 m below the sensor, is off at the worst return.
-    let worst = |replay_options: &[&str]| {
+    // Metres that the floor, 0.9 m below the sensor, is off at the worst return of a hundred: at the foot of things, a
+    // beam that meets both lies between the two.
+    let off = |replay_options: &[&str]| {
         let both = with_truth(&folder, 16, &options, replay_options);
         let floor = both.iter().filter(|[_, truth]| truth[4] == "ground");
-        floor.map(|[found, _]| (number(&found[11]) + 0.9).abs()).fold(0.0, f64::max)
+        let mut off: Vec<f64> = floor.map(|[found, _]| (number(&found[11]) + 0.9).abs()).collect();
+        off.sort_by(f64::total_cmp);
+        off[off.len() * 99 / 100]
     };
-    let [with, without] = [worst(&file), worst(&[])];
+    let [with, without] = [off(&file), off(&[])];
     assert!(with < 0.015 && without > 0.03, "{with} {without}");
 
     let ran = sweepd(&[&["simulate", "--model=hdl32e", "--pcap", "-"], &file[..]].concat());

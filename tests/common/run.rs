@@ -5,11 +5,12 @@ use std::path::Path;
 
 use sweepd::capture::Capture;
 use sweepd::capture::sensors::{Route, Sensors};
-use sweepd::pipeline::{Config, Counts, Fault, Pipeline, Untimed};
+use sweepd::pipeline::{Config, Counts, Fault, Notice, Pipeline, Untimed};
 use sweepd::sensor::detect::Detection;
 use sweepd::sweep::buffers::HeapBuffer;
 use sweepd::sweep::{HeapBuffers, Return, SweepRef};
 use sweepd::wire::Datagram;
+use sweepd::wire::data::RECORDS;
 
 /// What came of the datagrams of one sensor.
 pub struct Run {
@@ -63,7 +64,12 @@ impl Runner {
         self.end()
     }
 
-    fn finish(self) -> Run {
+    /// What happened since this was asked last.
+    pub fn notices(&mut self) -> Vec<Notice> {
+        self.pipeline.take_notices()
+    }
+
+    pub fn finish(self) -> Run {
         let (counts, detection) = (self.pipeline.counts(), self.pipeline.detection().unwrap());
         Run { sweeps: self.sweeps, counts, detection }
     }
@@ -72,14 +78,24 @@ impl Runner {
 impl Run {
     /// A capture of one sensor.
     pub fn of_capture(capture: &Path) -> Self {
-        let mut runner = Runner::new(Config::default());
+        Self::of_capture_with(Config::default(), capture)
+    }
+
+    /// A capture of one sensor, decoded as it is said.
+    pub fn of_capture_with(config: Config, capture: &Path) -> Self {
+        let mut runner = Runner::new(config);
         runner.play(capture).unwrap_or_else(|fault| panic!("{}: {fault}", capture.display()));
         runner.finish()
     }
 
     /// Datagrams of one sensor.
     pub fn of_datagrams<'a>(datagrams: impl IntoIterator<Item = Datagram<'a>>) -> Self {
-        let mut runner = Runner::new(Config::default());
+        Self::of_datagrams_with(Config::default(), datagrams)
+    }
+
+    /// Datagrams of one sensor, decoded as it is said.
+    pub fn of_datagrams_with<'a>(config: Config, datagrams: impl IntoIterator<Item = Datagram<'a>>) -> Self {
+        let mut runner = Runner::new(config);
         datagrams.into_iter().for_each(|datagram| runner.push(&datagram).unwrap());
         runner.end().unwrap();
         runner.finish()
@@ -104,7 +120,8 @@ impl Run {
                 })
                 .collect();
             placed.extend(view.returns().map(|found| {
-                let record = firing_of[found.column] * view.rows() + found.channel;
+                let firing = firing_of[view.fired_in(found.row, found.column)];
+                let record = (firing * view.rows() + found.channel) % RECORDS;
                 Placed { sweep, record, found }
             }));
         }

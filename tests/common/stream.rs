@@ -274,6 +274,17 @@ pub struct Content {
     labels: Vec<u32>,
 }
 
+impl Content {
+    /// The same but for the columns' turning rates, and azimuths to a hundredth of a degree.
+    pub fn without_rates(mut self) -> Self {
+        for (_, azimuth_rad, rate_rad_s, ..) in &mut self.columns {
+            *rate_rad_s = 0.0;
+            *azimuth_rad = (azimuth_rad.to_degrees() * 50.0).round();
+        }
+        self
+    }
+}
+
 #[track_caller]
 fn check_sweep(sweep: &SweepRef<'_>) {
     use sweepd::sweep::layout::flags::*;

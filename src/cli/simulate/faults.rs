@@ -126,6 +126,7 @@ impl FaultOptions {
         Motor {
             spin_up_ns: nanoseconds(self.spin_up),
             stall_ns: self.stall.map(|stall| [stall.from, stall.to].map(nanoseconds)),
+            drift: 0.0,
         }
     }
 }
