@@ -3,7 +3,6 @@
 //! The climb starts at the sensor's foot, the point of the ground straight below it, and goes on from each ground point
 //! to the next. So it needs the sensor's height, and holds for sparse sensors, whose first ground point is metres out.
 
-use super::connect::{MAX_ROWS, pack};
 use super::rays::Level;
 use crate::sweep::layout::is_return;
 
@@ -16,7 +15,7 @@ pub struct SlopeGround {
     pub max_rise_m: f32,
     /// Rise or fall that is allowed at any distance: the noise of near points, metres.
     pub min_rise_m: f32,
-    /// A step over the return below that is higher than this, and steeper than 45 degrees, is an object's, metres.
+    /// What rises higher than this over its foot, at more than 45 degrees, is an object, metres.
     pub max_step_m: f32,
     /// Two returns further apart than this are no step, metres.
     pub step_reach_m: f32,
@@ -33,27 +32,32 @@ impl Default for SlopeGround {
 impl SlopeGround {
     /// The ground pixels of a column as a word; the points of pixels without range are no points.
     pub fn find(&self, range_m: &[f32], level: &[Level], height_m: f32) -> u128 {
-        let mut ground = [false; MAX_ROWS];
+        let mut ground = 0;
         let mut foothold = Level { away_m: 0.0, height_m: -f64::from(height_m) };
-        let mut below = foothold;
-        // The return below, when it may be the edge of a kerb.
-        let mut edge = None;
+        // The foot of what rises steeply: near the sensor, beams are so close that no step from one to the next is high.
+        let mut foot = foothold;
+        // The returns below that may be the face of a kerb, and its upper edge.
+        let (mut face, mut edge) = (0, None::<Level>);
         for row in (0..range_m.len()).rev().filter(|&row| is_return(range_m[row])) {
             let point = level[row];
-            let kerb = edge.take().filter(|&edge: &usize| self.goes_on_level(level[edge], point));
-            if let Some(edge) = kerb {
-                ground[edge] = true;
-                foothold = level[edge];
+            if let Some(top) = edge.take().filter(|&edge| self.goes_on_level(edge, point)) {
+                ground |= std::mem::take(&mut face);
+                foothold = top;
             }
-            if self.is_walkable(foothold, point) && !self.is_step(below, point) {
-                ground[row] = true;
-                foothold = point;
+            if self.is_walkable(foothold, point) && !self.is_step(foot, point) {
+                ground |= 1 << row;
+                (foothold, face) = (point, 0);
             } else if self.is_kerb(foothold, point) {
-                edge = Some(row);
+                face |= 1 << row;
+                edge = Some(point);
+            } else {
+                face = 0;
             }
-            below = point;
+            if !self.is_steep(foot, point) {
+                foot = point;
+            }
         }
-        pack(range_m.len(), |row| ground[row])
+        ground
     }
 
     /// Whether one could walk from a ground point to another.
@@ -67,11 +71,11 @@ impl SlopeGround {
         rises_little && falls_little
     }
 
-    /// Whether a point is no higher over the last ground point than a kerb.
+    /// Whether a point is no higher over the last ground point than a kerb. That may be on the kerb's upright face already.
     #[inline]
     fn is_kerb(&self, from: Level, to: Level) -> bool {
         let rise_m = to.height_m - from.height_m;
-        rise_m > 0.0 && rise_m <= f64::from(self.max_kerb_m) && to.away_m > from.away_m
+        rise_m > 0.0 && rise_m <= f64::from(self.max_kerb_m) && to.away_m > from.away_m - f64::from(self.max_step_m)
     }
 
     /// Whether the way leads on from the edge of a kerb, neither up nor down a step.
@@ -83,12 +87,16 @@ impl SlopeGround {
 
     /// Whether a point is the upper end of a steep step.
     #[inline]
-    fn is_step(&self, below: Level, point: Level) -> bool {
-        let (away_m, rise_m) = (point.away_m - below.away_m, point.height_m - below.height_m);
+    fn is_step(&self, foot: Level, point: Level) -> bool {
+        self.is_steep(foot, point) && point.height_m - foot.height_m > f64::from(self.max_step_m)
+    }
+
+    /// Whether the way up from a point near by is steeper than 45 degrees.
+    #[inline]
+    fn is_steep(&self, from: Level, to: Level) -> bool {
+        let (away_m, rise_m) = (to.away_m - from.away_m, to.height_m - from.height_m);
         let reach_m = f64::from(self.step_reach_m);
-        rise_m > f64::from(self.max_step_m)
-            && rise_m > away_m.abs()
-            && away_m * away_m + rise_m * rise_m < reach_m * reach_m
+        rise_m > away_m.abs() && away_m * away_m + rise_m * rise_m < reach_m * reach_m
     }
 }
 
@@ -117,6 +125,23 @@ mod tests {
     #[test]
     fn a_kerb_ends_at_its_upper_edge() {
         assert_eq!(find(&[(8.02, -1.58), (8.0, -1.69), (7.9, -1.7)]), 0b110);
+    }
+
+    /// A wall so near that its returns are 3 cm apart: the climb ends at its foot.
+    #[test]
+    fn a_near_wall_is_not_climbed_in_small_steps() {
+        let wall: Vec<(f64, f64)> = (0..20).rev().map(|step| (3.6, -1.7 + 0.03 * f64::from(step))).collect();
+        let column: Vec<(f64, f64)> = wall.into_iter().chain([(3.2, -1.7), (2.9, -1.71)]).collect();
+        assert_eq!(find(&column), 0b1111 << 18);
+    }
+
+    /// A kerb whose face four beams meet is ground as a whole.
+    #[test]
+    fn the_face_of_a_near_kerb_is_ground() {
+        let face = [(5.0, -1.58), (5.0, -1.61), (5.0, -1.64), (5.0, -1.67)];
+        let column: Vec<(f64, f64)> =
+            [(5.6, -1.57), (5.3, -1.575)].into_iter().chain(face).chain([(4.8, -1.7)]).collect();
+        assert_eq!(find(&column), 0b111_1111);
     }
 
     /// A kerb of 12 cm with a pavement behind it; the same with a box behind it; a wall of 50 cm before a terrace.

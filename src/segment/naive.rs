@@ -123,8 +123,9 @@ pub fn slope_ground(
     let up = mount.up();
     for column in 0..sweep.columns.len() {
         let mut foothold = (0.0, -f64::from(height_m));
-        let mut below = foothold;
-        let mut edge: Option<(usize, (f64, f64))> = None;
+        let mut foot = foothold;
+        let mut face: Vec<usize> = Vec::new();
+        let mut edge: Option<(f64, f64)> = None;
         for row in (0..sweep.rows()).rev() {
             let index = column * sweep.rows() + row;
             if !is_return(range_m[index]) {
@@ -134,11 +135,11 @@ pub fn slope_ground(
             let high = up.height_m([x, y, z]);
             let away = (x * x + y * y + z * z - high * high).max(0.0).sqrt();
 
-            if let Some((index, place)) = edge.take()
-                && (high - place.1).abs() < f64::from(limits.max_slope) * (away - place.0)
+            if let Some(top) = edge.take()
+                && (high - top.1).abs() < f64::from(limits.max_slope) * (away - top.0)
             {
-                ground[index] = true;
-                foothold = place;
+                face.drain(..).for_each(|index| ground[index] = true);
+                foothold = top;
             }
 
             let (run, rise) = (away - foothold.0, high - foothold.1);
@@ -147,16 +148,23 @@ pub fn slope_ground(
             let highest = slope_rise.min(f64::from(limits.max_rise_m)).max(noise);
             let walkable = rise < highest && -rise < slope_rise.abs().max(noise);
 
-            let (step_run, step_rise) = (away - below.0, high - below.1);
+            let (step_run, step_rise) = (away - foot.0, high - foot.1);
             let near = step_run.powi(2) + step_rise.powi(2) < f64::from(limits.step_reach_m).powi(2);
-            let steep = step_rise > step_run.abs() && step_rise > f64::from(limits.max_step_m);
+            let steep = near && step_rise > step_run.abs();
 
-            below = (away, high);
-            if walkable && !(near && steep) {
+            let here = (away, high);
+            if walkable && !(steep && step_rise > f64::from(limits.max_step_m)) {
                 ground[index] = true;
-                foothold = below;
-            } else if rise > 0.0 && rise <= f64::from(limits.max_kerb_m) && run > 0.0 {
-                edge = Some((index, below));
+                foothold = here;
+                face.clear();
+            } else if rise > 0.0 && rise <= f64::from(limits.max_kerb_m) && run > -f64::from(limits.max_step_m) {
+                face.push(index);
+                edge = Some(here);
+            } else {
+                face.clear();
+            }
+            if !steep {
+                foot = here;
             }
         }
     }
