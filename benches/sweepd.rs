@@ -15,9 +15,7 @@ use sweepd::capture::{Capture, Route, Sensors};
 use sweepd::cloud::{self, CloudProjector};
 use sweepd::pipeline::{Config, Pipeline, Untimed};
 use sweepd::segment::{self, Method, Segmenter};
-use sweepd::sensor::Model;
-use sweepd::simulate::scene::View;
-use sweepd::simulate::shape::{Ray, Vec3};
+use sweepd::sensor::{Calibration, Model};
 use sweepd::simulate::{Emitter, EmitterConfig, fixtures};
 use sweepd::sweep::buffers::HeapBuffer;
 use sweepd::sweep::builder::{Builder, Settings};
@@ -45,6 +43,11 @@ fn packets(model: Model, mode: ReturnMode, turns: f64) -> Vec<DataPacket> {
     emitter.filter_map(|one| DataPacket::parse(&one.payload).ok().copied()).collect()
 }
 
+/// The beams that the simulated sensor of a model has.
+fn beams(model: Model) -> Calibration {
+    EmitterConfig::new(model, ReturnMode::Strongest).beams().into_owned()
+}
+
 /// A stream to decode, named for the table.
 struct Stream(Model, ReturnMode);
 
@@ -55,11 +58,13 @@ impl std::fmt::Display for Stream {
     }
 }
 
-const STREAMS: [Stream; 4] = [
+const STREAMS: [Stream; 6] = [
     Stream(Model::Vlp16, ReturnMode::Strongest),
     Stream(Model::Vlp16, ReturnMode::Dual),
     Stream(Model::Hdl32e, ReturnMode::Strongest),
     Stream(Model::Hdl32e, ReturnMode::Dual),
+    Stream(Model::Hdl64eS2, ReturnMode::Strongest),
+    Stream(Model::Hdl64eS3, ReturnMode::Dual),
 ];
 
 /// Packets to sweeps, without segmentation; items are returns.
@@ -75,12 +80,8 @@ fn decode(bencher: Bencher, &Stream(model, mode): &Stream) {
         sensor: format!("{model} {mode}"),
     };
     bencher.counter(ItemsCount::new(returns)).bench_local(|| {
-        let decoder = Decoder::new(
-            (model, model.spec()),
-            model.calibration().unwrap(),
-            ReturnChoice::Nearest,
-            0.0..=f32::INFINITY,
-        );
+        let limits_m = 0.0..=f32::INFINITY;
+        let decoder = Decoder::new((model, model.spec()), &beams(model), ReturnChoice::Nearest, limits_m);
         let mut order = Order::new(decoder.spec);
         let mut builder = Builder::new(buffers.clone(), decoder, settings.clone());
         for (number, packet) in packets.iter().enumerate() {
@@ -103,7 +104,7 @@ fn image(name: &str) -> Option<HeapBuffer> {
     match name {
         "16x1808 street" => Some(whole_sweep(Model::Vlp16)),
         "32x2170 street" => Some(whole_sweep(Model::Hdl32e)),
-        "64x2083 street" => Some(projected(&street_cloud())),
+        "64x2083 street" => Some(whole_sweep(Model::Hdl64eS2)),
         _ => {
             let bytes = std::fs::read(data()?.join("labelled/semantickitti/00/000000.bin")).ok()?;
             Some(projected(&cloud::points(&bytes).ok()?))
@@ -115,7 +116,8 @@ fn image(name: &str) -> Option<HeapBuffer> {
 fn whole_sweep(model: Model) -> HeapBuffer {
     let scene = fixtures::scene();
     let emitter = Emitter::new(EmitterConfig::new(model, ReturnMode::Strongest).turns(2.5), &scene);
-    let mut pipeline = Pipeline::new("bench", Config::default(), HeapBuffers::default(), Untimed).unwrap();
+    let config = Config { calibration: Some(beams(model)), ..Config::default() };
+    let mut pipeline = Pipeline::new("bench", config, HeapBuffers::default(), Untimed).unwrap();
     for one in emitter {
         pipeline.push(&one.datagram()).unwrap();
         while let Some(buffer) = pipeline.poll() {
@@ -125,29 +127,6 @@ fn whole_sweep(model: Model) -> HeapBuffer {
         }
     }
     unreachable!("two and a half turns hold a whole one")
-}
-
-/// The street as a sensor with 64 beams from +2 to -24.9 degrees sees it, ring after ring from the top.
-fn street_cloud() -> Vec<[f32; 4]> {
-    let scene = fixtures::scene();
-    let eye = Vec3::new(0.0, 0.0, 1.9);
-    let view = View::new(&scene, eye, 0.5, 0.0, 0.1);
-    let mut rng = fastrand::Rng::with_seed(1);
-    let mut points = Vec::new();
-    for ring in 0..64 {
-        let elevation = (2.0 - f64::from(ring) * 26.9 / 63.0).to_radians();
-        for column in 0..2083 {
-            let around = f64::from(column) / 2083.0 * std::f64::consts::TAU;
-            let (sin, cos) = around.sin_cos();
-            // KITTI counts counter-clockwise from straight ahead, the scene clockwise.
-            let ray = Ray::new(eye, -around, elevation);
-            if let Some(hit) = view.cast(&ray, 0.0, 80.0, &mut rng) {
-                let (out, up) = (hit.distance_m * elevation.cos(), hit.distance_m * elevation.sin());
-                points.push([(out * cos) as f32, (out * sin) as f32, up as f32, 0.5]);
-            }
-        }
-    }
-    points
 }
 
 fn projected(points: &[[f32; 4]]) -> HeapBuffer {

@@ -30,8 +30,15 @@ pub struct Corrected {
     sin_elevation: f64,
     cos_elevation: f64,
     distance_offset_m: f64,
-    /// Offsets for x and y at the near end, less the plain one; `None` where the beam is straight.
-    near_m: Option<[f64; 2]>,
+    /// Additional offsets for x and y; `None` where the beam is straight.
+    near: Option<[Offset; 2]>,
+}
+
+/// An additional offset along an axis: what it is at the axis' zero, and what it loses each metre.
+#[derive(Clone, Copy, Debug)]
+struct Offset {
+    base_m: f64,
+    slope: f64,
 }
 
 /// Each axis of the corrected beam as a multiple of d and a constant.
@@ -46,27 +53,30 @@ impl Corrected {
     pub fn new(beam: &BeamRow) -> Self {
         let (sin_elevation, cos_elevation) = f64::from(beam.elevation_rad).sin_cos();
         let distance_offset_m = f64::from(beam.distance_offset_m);
-        let near_m =
-            [beam.distance_offset_x_m, beam.distance_offset_y_m].map(|near_m| f64::from(near_m) - distance_offset_m);
-        let near_m = Some(near_m).filter(|near_m| *near_m != [0.0; 2]);
-        Self { sin_elevation, cos_elevation, distance_offset_m, near_m }
+        let offset = |near_m: f32, at_m: f64| {
+            let slope = (f64::from(near_m) - distance_offset_m) / (FAR_M - at_m);
+            Offset { base_m: slope * FAR_M, slope }
+        };
+        let near = [offset(beam.distance_offset_x_m, NEAR_M[0]), offset(beam.distance_offset_y_m, NEAR_M[1])];
+        let near = Some(near).filter(|near| near.iter().any(|offset| offset.slope != 0.0));
+        Self { sin_elevation, cos_elevation, distance_offset_m, near }
     }
 
     /// Whether the beam is a straight line, so that its direction does not depend on the range.
     #[inline]
     pub fn is_straight(&self) -> bool {
-        self.near_m.is_none()
+        self.near.is_none()
     }
 
     /// The range to store for a measured distance, metres, at this sine and cosine of the azimuth; at least `least_m`.
     #[inline]
     pub fn range_m(&self, measured_m: f64, [sin_azimuth, cos_azimuth]: [f64; 2], least_m: f32) -> f32 {
         let d = measured_m + self.distance_offset_m;
-        let Some(near_m) = self.near_m else { return (d as f32).max(least_m) };
+        let Some(near) = self.near else { return (d as f32).max(least_m) };
         let is_near = measured_m < FAR_M;
         let range_m = match is_near {
             true => {
-                let [x, y, z] = self.lines(near_m, sin_azimuth, cos_azimuth).at(d);
+                let [x, y, z] = self.lines(&near, sin_azimuth, cos_azimuth).at(d);
                 (x * x + y * y + z * z).sqrt()
             }
             false => d,
@@ -79,21 +89,19 @@ impl Corrected {
     pub fn point_m(&self, range_m: f32, sin_azimuth: f64, cos_azimuth: f64) -> [f64; 3] {
         let is_near = range_m.to_bits() & 1 == 1;
         let range_m = f64::from(range_m);
-        let bent = self.near_m.filter(|_| is_near).and_then(|near_m| {
-            let lines = self.lines(near_m, sin_azimuth, cos_azimuth);
+        let bent = self.near.filter(|_| is_near).and_then(|near| {
+            let lines = self.lines(&near, sin_azimuth, cos_azimuth);
             Some(lines.at(lines.solve(range_m)?))
         });
         let straight = [self.cos_elevation * sin_azimuth, self.cos_elevation * cos_azimuth, self.sin_elevation];
         bent.unwrap_or_else(|| straight.map(|axis| axis * range_m))
     }
 
-    fn lines(&self, near_m: [f64; 2], sin_azimuth: f64, cos_azimuth: f64) -> Lines {
-        let axis = |near_m: f64, at_m: f64, along: f64| {
-            let slope = near_m / (FAR_M - at_m);
-            [1.0 - slope * along.abs(), slope * FAR_M]
-        };
+    #[inline]
+    fn lines(&self, [near_x, near_y]: &[Offset; 2], sin_azimuth: f64, cos_azimuth: f64) -> Lines {
         let [along_x, along_y] = [self.cos_elevation * sin_azimuth, self.cos_elevation * cos_azimuth];
-        let [x, y] = [axis(near_m[0], NEAR_M[0], along_x), axis(near_m[1], NEAR_M[1], along_y)];
+        let axis = |near: &Offset, along: f64| [1.0 - near.slope * along.abs(), near.base_m];
+        let [x, y] = [axis(near_x, along_x), axis(near_y, along_y)];
         let z = [(x[0] + y[0]) / 2.0, (x[1] + y[1]) / 2.0];
         let scaled = |line: [f64; 2], by: f64| line.map(|one| one * by);
         Lines { x: scaled(x, along_x), y: scaled(y, along_y), z: scaled(z, self.sin_elevation) }
@@ -101,6 +109,7 @@ impl Corrected {
 }
 
 impl Lines {
+    #[inline]
     fn at(&self, d: f64) -> [f64; 3] {
         [self.x, self.y, self.z].map(|[slope, base]| slope * d + base)
     }

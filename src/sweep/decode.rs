@@ -47,7 +47,17 @@ struct Row {
 struct CorrectedRow {
     row: usize,
     range: Corrected,
-    intensity: Option<Intensity>,
+    focus: Option<Focus>,
+}
+
+/// How much less a beam reports of what is not in its focus (HDL-64E S3 manual, appendix F).
+#[derive(Clone, Copy, Debug)]
+struct Focus {
+    /// Where it is bright: 256 times the square of the share of the full scale that is left beyond.
+    at: f32,
+    slope: f32,
+    min: f32,
+    max: f32,
 }
 
 /// The two returns of a pixel, by blocks.
@@ -95,7 +105,7 @@ impl Decoder {
             (!range.is_straight() || beam.intensity.is_some()).then_some(CorrectedRow {
                 row,
                 range,
-                intensity: beam.intensity,
+                focus: beam.intensity.map(Focus::new),
             })
         });
         Self {
@@ -179,8 +189,8 @@ impl Decoder {
                 let direction = [sin * turn.cos + cos * turn.sin, cos * turn.cos - sin * turn.sin];
                 pixels.range[one.row] = one.range.range_m(f64::from(distance) * self.unit_m, direction, LEAST_RANGE_M);
             }
-            if let Some(intensity) = one.intensity.filter(|_| !self.is_normalised) {
-                pixels.reflectivity[one.row] = compensated(&intensity, record.reflectivity, distance);
+            if let Some(focus) = one.focus.filter(|_| !self.is_normalised) {
+                pixels.reflectivity[one.row] = focus.reflectivity(record.reflectivity, distance);
             }
         }
     }
@@ -239,13 +249,22 @@ impl Row {
     }
 }
 
-/// Reflectivity of what a beam measured, from what it reports (HDL-64E S3 manual, appendix F): a laser is brightest where
-/// it is focused, and reports less before and behind.
-fn compensated(intensity: &Intensity, reported: u8, distance: u16) -> u8 {
-    let Intensity { focal_distance_m, focal_slope, min, max } = *intensity;
-    let share = |of: f64| 256.0 * (1.0 - of) * (1.0 - of);
-    let off = share(focal_distance_m / FULL_SCALE_M) - share(f64::from(distance) / f64::from(u16::MAX));
-    (f64::from(reported) + focal_slope * off.abs()).clamp(min, max).round() as u8
+impl Focus {
+    fn new(intensity: Intensity) -> Self {
+        let beyond = 1.0 - intensity.focal_distance_m / FULL_SCALE_M;
+        let [slope, min, max] = [intensity.focal_slope, intensity.min, intensity.max].map(|value| value as f32);
+        Self { at: (256.0 * beyond * beyond) as f32, slope, min, max }
+    }
+
+    /// Reflectivity of what a beam measured, from what it reports.
+    #[inline]
+    fn reflectivity(&self, reported: u8, distance: u16) -> u8 {
+        const UNITS: f32 = 1.0 / u16::MAX as f32;
+        let beyond = 1.0 - f32::from(distance) * UNITS;
+        let off = (self.at - 256.0 * beyond * beyond).abs();
+        // To the nearest: what is clamped is never negative.
+        (((f32::from(reported) + self.slope * off).clamp(self.min, self.max)) + 0.5) as u8
+    }
 }
 
 #[cfg(test)]
