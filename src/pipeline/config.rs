@@ -1,0 +1,48 @@
+//! What a pipeline is told once.
+
+use crate::segment;
+use crate::sensor::{Calibration, Model};
+use crate::sweep::layout::ReturnChoice;
+
+/// How a sensor's packets are to be read and its sweeps cut and segmented.
+#[derive(Clone, Debug)]
+pub struct Config {
+    /// The model; `None` detects it.
+    pub model: Option<Model>,
+    /// The unit's calibration; `None` takes the model's table, or the one that an HDL-64E sends with its packets.
+    pub calibration: Option<Calibration>,
+    /// Azimuth at which sweeps are cut, radians.
+    pub cut_azimuth_rad: f64,
+    /// Which of two returns is segmented.
+    pub return_choice: ReturnChoice,
+    /// How sweeps are segmented.
+    pub segment: segment::Config,
+}
+
+impl Default for Config {
+    fn default() -> Self {
+        Self {
+            model: None,
+            calibration: None,
+            cut_azimuth_rad: 0.0,
+            return_choice: ReturnChoice::Nearest,
+            segment: segment::Config::default(),
+        }
+    }
+}
+
+/// Reads a clock, for the times spent on each stage; the core itself has none.
+pub trait Stopwatch {
+    /// Nanoseconds since any fixed moment.
+    fn now_ns(&self) -> u64;
+}
+
+/// A stopwatch that stands still: all times are 0.
+#[derive(Clone, Copy, Debug, Default)]
+pub struct Untimed;
+
+impl Stopwatch for Untimed {
+    fn now_ns(&self) -> u64 {
+        0
+    }
+}

@@ -1,0 +1,292 @@
+//! How a sensor comes to be decoded: which model it is, where its beams point, and then packet after packet.
+//!
+//! ```text
+//! Detecting -> Decoding               most models: the table in `calib/`, or a given file
+//! Detecting -> Calibrating -> Decoding    an HDL-64E without a file: its packets tell
+//! any -> Refusing                     nothing that can be decoded
+//! Decoding, Calibrating -> Detecting  another sensor took its place
+//! ```
+
+use super::{Closing, Fault, Notice, Pipeline, Stopwatch};
+use crate::sensor::compare::Difference;
+use crate::sensor::detect::{DetectError, Detection, Detector, MAX_PACKETS};
+use crate::sensor::unit::{Said, Unit};
+use crate::sensor::{Calibration, Model};
+use crate::sweep::Buffers;
+use crate::sweep::builder::{Builder, Settings};
+use crate::sweep::clock::{Clocks, SensorClock};
+use crate::sweep::decode::Decoder;
+use crate::sweep::motion::{TURN, rate_between};
+use crate::sweep::order::{Order, Packet, Refusal};
+use crate::wire::data::{Banks, ReturnMode};
+use crate::wire::hdl64::Series;
+use crate::wire::{DataPacket, Datagram, Position};
+
+/// Packets in a row with another product byte after which the sensor counts as exchanged.
+const EXCHANGED_PACKETS: u32 = 8;
+/// Packets that must speak of an unsupported sensor before it is believed.
+const DOUBTS: u32 = 3;
+
+pub(super) enum State<B: Buffers> {
+    /// Which model is it? The packets so far wait for the answer.
+    Detecting(Box<Detecting<B>>),
+    /// Where do its beams point? Its packets tell, a byte each.
+    Calibrating(Box<Calibrating<B>>),
+    /// It is this one.
+    Decoding(Box<Decoding<B>>),
+    /// None that can be decoded.
+    Refusing,
+}
+
+pub(super) struct Detecting<B: Buffers> {
+    pub(super) detector: Detector,
+    pub(super) waiting: Vec<Waiting>,
+    /// Packets that spoke of no supported sensor, and what the last one said.
+    pub(super) doubts: u32,
+    pub(super) doubt: Option<DetectError>,
+    pub(super) buffers: B,
+    pub(super) clocks: Clocks,
+}
+
+pub(super) struct Calibrating<B: Buffers> {
+    pub(super) detection: Detection,
+    pub(super) unit: Unit,
+    pub(super) foreign: u32,
+    /// The packets at the last two cycles of the status: from there on, how far the head turned tells its speed.
+    pub(super) marks: [Option<DataPacket>; 2],
+    pub(super) buffers: B,
+    pub(super) clocks: Clocks,
+}
+
+pub(super) struct Decoding<B: Buffers> {
+    pub(super) detection: Detection,
+    /// What the sensor says of itself, and the calibration in use to hold it against.
+    pub(super) unit: Option<(Unit, Calibration)>,
+    /// Product byte of its packets, and how many others came in a row.
+    pub(super) product: u8,
+    pub(super) foreign: u32,
+    /// Return mode of the packet before.
+    pub(super) last_mode: ReturnMode,
+    pub(super) order: Order,
+    pub(super) builder: Builder<B>,
+}
+
+pub(super) struct Waiting {
+    pub(super) bytes: DataPacket,
+    pub(super) number: u64,
+    pub(super) arrival_ns: i64,
+}
+
+impl<B: Buffers, W: Stopwatch> Pipeline<B, W> {
+    pub(super) fn detecting(model: Option<Model>, buffers: B, clocks: Clocks) -> State<B> {
+        let (detector, waiting) = (Detector::new(model), Vec::with_capacity(MAX_PACKETS));
+        State::Detecting(Box::new(Detecting { detector, waiting, doubts: 0, doubt: None, buffers, clocks }))
+    }
+
+    /// The model is told: decoding begins with the packets that waited, or the wait for the calibration does.
+    pub(super) fn detected(&mut self, result: Result<Detection, DetectError>) -> Result<(), Fault> {
+        let State::Detecting(detecting) = std::mem::replace(&mut self.state, State::Refusing) else { return Ok(()) };
+        let Detecting { waiting, doubts, buffers, clocks, .. } = *detecting;
+        self.counts.undecoded += u64::from(doubts) + waiting.len() as u64;
+        let detection = result?;
+        let calibration = match &self.config.calibration {
+            Some(given) => given.clone().for_model(detection.model).map_err(Fault::Calibration)?,
+            None => match detection.model.calibration() {
+                Some(nominal) => nominal.clone(),
+                None => {
+                    let mut unit = Unit::default();
+                    for packet in &waiting {
+                        let _ = unit.hear(&packet.bytes);
+                    }
+                    self.notices.push(Notice::AwaitsCalibration { model: detection.model });
+                    let calibrating = Calibrating { detection, unit, foreign: 0, marks: [None; 2], buffers, clocks };
+                    self.state = State::Calibrating(Box::new(calibrating));
+                    return Ok(());
+                }
+            },
+        };
+        let unit = detection.model.is_hdl64e().then(Unit::default);
+        let ends = waiting.first().zip(waiting.last()).map(|(first, last)| (&first.bytes, &last.bytes));
+        let rate = ends.and_then(|(first, last)| rate_between(first, last, detection.return_mode, detection.spec));
+        self.decode(detection, (calibration, unit), (buffers, clocks, rate), waiting)
+    }
+
+    /// Takes the byte of the calibration that a packet brings; with the last one, decoding begins.
+    pub(super) fn calibrate(&mut self, packet: &DataPacket, arrival_ns: i64) -> Result<(), Fault> {
+        let State::Calibrating(calibrating) = &mut self.state else { return Ok(()) };
+        self.counts.undecoded += 1;
+        if !calibrating.detection.has_layout(packet) {
+            calibrating.foreign += 1;
+            self.closing = if calibrating.foreign >= EXCHANGED_PACKETS { Closing::Exchanged } else { Closing::No };
+            return Ok(());
+        }
+        calibrating.foreign = 0;
+        if let Some(Said { utc_ns, .. }) = calibrating.unit.hear(packet) {
+            calibrating.clocks.said(utc_ns, packet.stamp_us(), arrival_ns);
+            calibrating.marks = [calibrating.marks[1], Some(*packet)];
+        }
+        let Some(calibration) = calibrating.unit.calibration() else { return Ok(()) };
+        let State::Calibrating(calibrating) = std::mem::replace(&mut self.state, State::Refusing) else {
+            return Ok(());
+        };
+        let Calibrating { mut detection, unit, marks, buffers, clocks, .. } = *calibrating;
+        let calibration = calibration.and_then(|own| own.for_model(detection.model)).map_err(Fault::OwnCalibration)?;
+        // With one return, only the unit itself knows which.
+        if let (ReturnMode::Strongest, Some(ReturnMode::Last)) = (detection.return_mode, unit.return_mode()) {
+            detection.return_mode = ReturnMode::Last;
+        }
+        self.notices.push(Notice::Calibrated { calibrated: unit.calibrated(), packets: self.counts.data });
+        let rate = marks[0].and_then(|mark| rate_between(&mark, packet, detection.return_mode, detection.spec));
+        self.decode(detection, (calibration, Some(unit)), (buffers, clocks, rate), Vec::new())
+    }
+
+    /// Builds what decodes this model and gives it the packets that waited.
+    fn decode(
+        &mut self,
+        detection: Detection,
+        (calibration, unit): (Calibration, Option<Unit>),
+        (buffers, clocks, rate_cdeg_ns): (B, Clocks, Option<f64>),
+        mut waiting: Vec<Waiting>,
+    ) -> Result<(), Fault> {
+        if let Some(mask) = self.config.segment.mask.as_ref().filter(|mask| mask.rows() != calibration.rows().len()) {
+            let (found, rows) = (mask.rows(), calibration.rows().len());
+            return Err(Fault::Mask { found, model: detection.model, rows });
+        }
+        self.counts.undecoded -= waiting.len() as u64;
+        let limits_m = self.config.segment.min_range_m..=self.config.segment.max_range_m;
+        let model = (detection.model, detection.spec);
+        let decoder = Decoder::new(model, &calibration, self.config.return_choice, limits_m);
+        let mut order = Order::new(decoder.spec);
+        order.expect_rate(rate_cdeg_ns);
+        let mut builder = Builder::new(buffers, decoder, self.settings());
+        builder.clocks = clocks;
+        builder.expect_rate(rate_cdeg_ns);
+        let product = waiting.last().map_or(0, |packet| packet.bytes.product);
+        let unit = unit.map(|unit| (unit, calibration));
+        let last_mode = detection.return_mode;
+        let decoding = Decoding { detection, unit, product, foreign: 0, last_mode, order, builder };
+        self.state = State::Decoding(Box::new(decoding));
+        self.counts.reordered += sort_by_stamp(&mut waiting);
+        for packet in &waiting {
+            self.order(&packet.bytes, packet.number, packet.arrival_ns);
+        }
+        Ok(())
+    }
+
+    fn settings(&self) -> Settings {
+        Settings {
+            cut_cdeg: (self.config.cut_azimuth_rad.to_degrees() * 100.0).rem_euclid(TURN),
+            return_choice: self.config.return_choice,
+            min_points: self.config.segment.min_points as usize,
+            sensor: self.sensor.clone(),
+        }
+    }
+
+    /// Puts a packet in order, or counts why it has no place.
+    pub(super) fn order(&mut self, packet: &DataPacket, number: u64, arrival_ns: i64) {
+        let State::Decoding(decoding) = &mut self.state else { return };
+        let same_layout = decoding.detection.has_layout(packet);
+        if matches!(packet.banks(), Banks::UpperHeavy | Banks::Other) {
+            self.counts.malformed += 1;
+            return;
+        }
+        let has_product = decoding.detection.spec.product.is_some() && self.config.model.is_none();
+        if !same_layout || has_product && packet.product != decoding.product {
+            self.counts.foreign += 1;
+            decoding.foreign += 1;
+            if decoding.foreign >= EXCHANGED_PACKETS {
+                decoding.order.flush();
+                self.closing = Closing::Exchanged;
+            }
+            return;
+        }
+        decoding.foreign = 0;
+        if let Some(differences) = decoding.hear(packet, arrival_ns, self.config.model.is_none()) {
+            self.notices.push(Notice::OtherCalibration { differences });
+        }
+        let mode = decoding.detection.mode_of(packet, decoding.last_mode);
+        decoding.last_mode = mode;
+        match decoding.order.push(packet, mode, number, arrival_ns) {
+            Ok(()) => {}
+            Err(Refusal::Duplicate) => self.counts.duplicates += 1,
+            Err(Refusal::Implausible(_)) => self.counts.malformed += 1,
+            Err(Refusal::Behind { motion, time_ns }) => {
+                let packet = Packet { bytes: *packet, motion, mode, number, arrival_ns, time_ns };
+                if decoding.builder.late(&packet) {
+                    self.counts.reordered += 1;
+                } else {
+                    self.counts.late += 1;
+                }
+            }
+        }
+    }
+
+    pub(super) fn position(&mut self, datagram: &Datagram<'_>) {
+        self.counts.position += 1;
+        let Ok(position) = Position::parse(datagram.payload) else { return };
+        match &mut self.state {
+            State::Detecting(detecting) => detecting.clocks.position(&position, datagram.arrival_ns),
+            State::Calibrating(calibrating) => calibrating.clocks.position(&position, datagram.arrival_ns),
+            State::Decoding(decoding) => decoding.builder.clocks.position(&position, datagram.arrival_ns),
+            State::Refusing => {}
+        }
+    }
+}
+
+impl<B: Buffers> Decoding<B> {
+    /// Listens to what an HDL-64E says of itself. Gives in what its calibration differs from the one in use, once it is
+    /// known and if it does.
+    fn hear(&mut self, packet: &DataPacket, arrival_ns: i64, may_rename: bool) -> Option<Vec<Difference>> {
+        let (unit, calibration) = self.unit.as_mut()?;
+        let Said { series, is_normalised, utc_ns } = unit.hear(packet)?;
+        self.builder.clocks.said(utc_ns, packet.stamp_us(), arrival_ns);
+        self.builder.decoder_mut().is_normalised = is_normalised;
+        if series == Some(Series::S3) && may_rename {
+            // Until then it may have been either: with one return their timing is the same.
+            self.detection.model = Model::Hdl64eS3;
+            self.builder.decoder_mut().model = Model::Hdl64eS3;
+        }
+        unit.differences(calibration).filter(|differences| !differences.is_empty())
+    }
+}
+
+impl<B: Buffers> Detecting<B> {
+    /// Looks at a packet and keeps it. One that speaks of no supported sensor may be corrupt: only the third is believed.
+    pub(super) fn observe(&mut self, packet: Waiting) -> Option<Result<Detection, DetectError>> {
+        let result = self.detector.observe(&packet.bytes);
+        if let Some(Err(error @ (DetectError::Unsupported { .. } | DetectError::UnknownProduct { .. }))) = result
+            && self.waiting.len() + 1 < MAX_PACKETS
+        {
+            self.doubts += 1;
+            self.doubt = Some(error);
+            return result.filter(|_| self.doubts >= DOUBTS);
+        }
+        self.waiting.push(packet);
+        result
+    }
+
+    /// What the packets so far tell, for a stream that ended; `None` when there were none.
+    pub(super) fn conclude(&self) -> Option<Result<Detection, DetectError>> {
+        match self.doubt {
+            Some(doubt) if self.waiting.is_empty() => Some(Err(doubt)),
+            _ if self.waiting.is_empty() => None,
+            _ => Some(self.detector.conclude()),
+        }
+    }
+}
+
+/// Sorts by the sensor's clock, over the hour if need be; returns how many packets had been overtaken.
+fn sort_by_stamp(waiting: &mut [Waiting]) -> u64 {
+    let Some(first) = waiting.first().map(|packet| packet.bytes.stamp_us()) else { return 0 };
+    let mut clock = SensorClock::default();
+    clock.set(first, 0);
+    let time_ns = |packet: &Waiting| clock.read_ns(packet.bytes.stamp_us());
+    let mut newest_ns = i64::MIN;
+    let mut overtaken = 0;
+    for packet in waiting.iter() {
+        overtaken += u64::from(time_ns(packet) < newest_ns);
+        newest_ns = newest_ns.max(time_ns(packet));
+    }
+    waiting.sort_by_key(time_ns);
+    overtaken
+}
