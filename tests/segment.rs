@@ -9,6 +9,7 @@ use proptest::prelude::*;
 use sweepd::cloud::{COLUMNS, CloudProjector, CloudSegmenter, points};
 use sweepd::segment::{Config, Mask, Method, Mount, Segmenter, naive};
 use sweepd::sensor::Beam;
+use sweepd::sensor::calibration::TwoPoint;
 use sweepd::sweep::layout::{LABEL_FIRST_SEGMENT, LABEL_GROUND, LABEL_NONE, flags, is_return};
 use sweepd::sweep::{BeamRow, Buffers, Column, HeapBuffers, Shape, SweepMut, SweepRef};
 
@@ -21,6 +22,10 @@ struct Scene {
     dual: bool,
     tilted: bool,
     masked: bool,
+    /// Rows are shifted and beams bent, as those of an HDL-64E are.
+    shifted: bool,
+    /// All beams start at one place.
+    one_origin: bool,
     kind: Kind,
     seed: u64,
 }
@@ -38,10 +43,10 @@ enum Kind {
 fn scenes() -> impl Strategy<Value = Scene> {
     let kind = prop_oneof![Just(Kind::Noise), Just(Kind::Steps), Just(Kind::Street), Just(Kind::Street)];
     let rows = prop_oneof![1..20_usize, Just(32), Just(64), Just(65), Just(127), Just(128)];
-    let bools = (any::<bool>(), any::<bool>(), any::<bool>(), any::<bool>());
+    let bools = any::<[bool; 6]>();
     (rows, 1..70_usize, bools, kind, any::<u64>()).prop_map(|(rows, columns, bools, kind, seed)| {
-        let (circular, dual, tilted, masked) = bools;
-        Scene { rows, columns, circular, dual, tilted, masked, kind, seed }
+        let [circular, dual, tilted, masked, shifted, one_origin] = bools;
+        Scene { rows, columns, circular, dual, tilted, masked, shifted, one_origin, kind, seed }
     })
 }
 
@@ -79,17 +84,19 @@ impl Scene {
     fn with_sweep<T>(&self, start: usize, look: impl FnOnce(&mut SweepMut<'_>) -> T) -> T {
         let pixels = self.rows * self.columns;
         let shape =
-            Shape { rows: self.rows, columns_capacity: self.columns + 3, dual: self.dual, segments_capacity: pixels };
+            Shape { rows: self.rows, columns_capacity: self.columns + 5, dual: self.dual, segments_capacity: pixels };
         let mut buffer = HeapBuffers::default().take(shape.total_bytes());
         let mut sweep = SweepMut::create(buffer.as_mut(), &shape).unwrap();
         sweep.header.columns = self.columns as u32;
+        sweep.header.margin_columns = if self.shifted { 4 } else { 0 };
         sweep.header.flags = if self.circular { flags::CIRCULAR } else { 0 };
         sweep.label.fill(0xDEAD);
         sweep.label2.fill(0xDEAD);
         let mut rng = fastrand::Rng::with_seed(self.seed);
         self.draw(&mut sweep, &mut rng);
-        sweep.columns[..self.columns].rotate_left(start);
-        sweep.range[..pixels].rotate_left(start * self.rows);
+        let image = (sweep.image_columns(), sweep.image_pixels());
+        sweep.columns[image.0].rotate_left(start);
+        sweep.range[image.1].rotate_left(start * self.rows);
         for (range2, range) in sweep.range2.iter_mut().zip(&*sweep.range) {
             let apart = [0.0, 0.1, 0.29, 0.31, 2.0][rng.usize(..5)];
             *range2 = if rng.bool() { *range + apart } else { 0.0 };
@@ -103,13 +110,21 @@ impl Scene {
             let part = row as f64 / self.rows as f64;
             let ideal = Beam::ideal(row, top + (bottom - top) * part);
             let rotation_rad = if self.tilted { 0.1 * (rng.f64() - 0.5) } else { 0.0 };
-            let beam_of = Beam { rotation_rad, vertical_offset_m: 0.1 * rng.f64(), horizontal_offset_m: 0.03, ..ideal };
+            let [vertical_offset_m, horizontal_offset_m] = match self.one_origin {
+                true => [0.2, 0.03],
+                false => [0.1 * rng.f64(), 0.06 * (rng.f64() - 0.5)],
+            };
+            let two_point = Some(TwoPoint { distance_offset_x_m: 0.1 * rng.f64(), distance_offset_y_m: 0.1 });
+            let two_point = two_point.filter(|_| self.shifted);
+            let beam_of = Beam { rotation_rad, vertical_offset_m, horizontal_offset_m, two_point, ..ideal };
             *beam = BeamRow::new(&beam_of, rng.u32(..46_000));
+            beam.shift = if self.shifted { rng.i32(-9..9) } else { 0 };
         }
         // Gaps of up to four pitches, of which the widest part neighbours.
         let pitch = TAU / (self.columns as f32 * 1.2);
         let mut azimuth_rad = rng.f32();
-        for column in &mut sweep.columns[..self.columns] {
+        let columns = sweep.image_columns();
+        for column in &mut sweep.columns[columns] {
             *column = Column::measured(0, 0, azimuth_rad % TAU, 62.0 + rng.f32(), 0);
             azimuth_rad += pitch * if rng.u8(..) < 20 { 1.0 + 3.0 * rng.f32() } else { 0.9 + 0.2 * rng.f32() };
         }
@@ -126,7 +141,8 @@ impl Scene {
                     if wall > 0.0 && (road == 0.0 || wall < road) { wall } else { road + 0.02 * rng.f32() }
                 }
             };
-            sweep.range[index] = if rng.u8(..) < 25 { 0.0 } else { range_m };
+            let first = sweep.image_pixels().start;
+            sweep.range[first + index] = if rng.u8(..) < 25 { 0.0 } else { range_m };
         }
     }
 }
@@ -246,6 +262,8 @@ fn a_workspace_keeps_nothing() {
         dual: false,
         tilted: false,
         masked: false,
+        shifted: seed % 2 == 0,
+        one_origin: seed % 3 == 0,
         kind: Kind::Street,
         seed,
     };

@@ -15,11 +15,12 @@ use super::CliError;
 use super::summary::Traffic;
 use crate::capture::{Capture, Route, Sensors};
 use crate::export::text::{count_of, grouped, utc_text};
+use crate::sensor::Model;
 use crate::sensor::detect::{DetectError, Detection, Detector};
 use crate::sweep::motion::TURN;
 use crate::sweep::order::{Before, Order, Refusal};
 use crate::wire::data::{Banks, ReturnMode};
-use crate::wire::hdl64::Status;
+use crate::wire::hdl64::{Series, Status};
 use crate::wire::{DataPacket, Datagram};
 
 /// Options of `sweepd inspect`.
@@ -272,7 +273,17 @@ impl Seen {
 
     fn describe(&self, text: &mut String) {
         match &self.model {
-            Some(Ok(detection)) => row(text, "model", &format!("{}, {}", detection.model, detection.basis)),
+            Some(Ok(detection)) => {
+                let series = self.status.as_ref().and_then(Status::series);
+                let (model, basis) = match (detection.model, series) {
+                    // With one return the packets of both series are alike; the status is not.
+                    (Model::Hdl64eS2, Some(Series::S3)) => {
+                        (Model::Hdl64eS3, "by its two heads, packet period and status")
+                    }
+                    (model, _) => (model, detection.basis.words()),
+                };
+                row(text, "model", &format!("{model}, {basis}"));
+            }
             Some(Err(error)) => row(text, "model", &format!("cannot be decoded: {error}")),
             None => row(text, "model", "no well-formed packet tells"),
         }
@@ -280,6 +291,8 @@ impl Seen {
         if self.blank_mode {
             modes.push("not stated".to_owned());
         }
+        let said = self.status.as_ref().and_then(Status::return_mode);
+        modes.extend(said.map(|mode| format!("by its status {mode}")));
         if !modes.is_empty() {
             row(text, "return mode", &modes.join(", "));
         }

@@ -231,6 +231,8 @@ impl<'a> Replay<'a> {
         if let Err(fault) = self.tracks[index].pipeline.push(datagram) {
             self.note_fault(index, &fault, Some(record));
         }
+        let track = &mut self.tracks[index];
+        track.detection = track.pipeline.detection().or(track.detection);
         self.note(index);
         self.emit(index)
     }
@@ -262,7 +264,6 @@ impl<'a> Replay<'a> {
         while let Some(buffer) = track.pipeline.poll() {
             let Ok(sweep) = SweepRef::open(buffer.as_ref()) else { continue };
             let Some(detection) = track.pipeline.detection() else { continue };
-            track.detection = Some(detection);
             track.sums.add(&sweep);
             if self.args.play.partial || !sweep.header.has(flags::PARTIAL) {
                 self.outputs.sweep(index, detection.model, track.emitted, sweep)?;

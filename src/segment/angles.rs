@@ -8,6 +8,56 @@ use crate::sweep::{BeamRow, Column, SweepRef};
 
 /// Columns further apart than this many nominal pitches are no neighbours.
 const MAX_PITCHES: f64 = 3.0;
+/// Beams whose origins are closer together than this count as beams of one origin, metres: on a VLP-16 the origins of
+/// neighbours are 1.4 mm apart, on an HDL-64E up to 90 mm.
+const ONE_ORIGIN_M: f64 = 0.005;
+
+/// How two neighbours of a column lie to each other when their beams start at different places, as those of the two heads
+/// of an HDL-64E do: what they are apart grows with the range from there on.
+///
+/// At the range d, the upper one is `sin_up d + up_m` above the lower one and `sin_aside d + aside_m` to the right of it,
+/// and its range, counted from the origin of the lower one, is `along_m` more.
+#[derive(Clone, Copy, Debug, Default, PartialEq)]
+pub struct Parallax {
+    /// Sine of the angle between the elevations.
+    pub sin_up: f64,
+    /// Height of the upper beam's origin over the lower one's, across the beams, metres.
+    pub up_m: f64,
+    /// Sine of the angle between the azimuths, seen at this elevation.
+    pub sin_aside: f64,
+    /// How far the upper beam's origin is to the right of the lower one's, metres.
+    pub aside_m: f64,
+    /// Along the beams, metres.
+    pub along_m: f64,
+    /// Cosine of the angle between the beams.
+    pub cos_alpha: f64,
+}
+
+impl Parallax {
+    fn new(high: &BeamRow, low: &BeamRow, turned_rad: f64, alpha_rad: f64) -> Self {
+        let [w_high, w_low] = [high, low].map(|beam| f64::from(beam.elevation_rad));
+        let (sin_w, cos_w) = ((w_high + w_low) / 2.0).sin_cos();
+        let up_m = f64::from(high.vertical_offset_m) - f64::from(low.vertical_offset_m);
+        let aside_m = f64::from(low.horizontal_offset_m) - f64::from(high.horizontal_offset_m);
+        Self {
+            sin_up: (w_high - w_low).sin(),
+            up_m: up_m * cos_w,
+            sin_aside: turned_rad.sin() * cos_w,
+            aside_m,
+            along_m: up_m * sin_w,
+            cos_alpha: alpha_rad.cos(),
+        }
+    }
+
+    /// Ranges from one origin, the upper and the lower one, and how far apart the two are across the beams.
+    #[inline(always)]
+    pub fn apply(&self, high_m: f64, low_m: f64) -> ([f64; 2], f64) {
+        let high_m = high_m + self.along_m;
+        let near_m = if high_m < low_m { high_m } else { low_m };
+        let (up_m, aside_m) = (self.sin_up * near_m + self.up_m, self.sin_aside * near_m + self.aside_m);
+        ([high_m, low_m], (up_m * up_m + aside_m * aside_m).sqrt())
+    }
+}
 
 /// The true angle between each two measurements that are neighbours in an image.
 ///
@@ -18,6 +68,8 @@ const MAX_PITCHES: f64 = 3.0;
 #[derive(Clone, Debug, Default)]
 pub struct Angles {
     down_rad: Vec<f64>,
+    /// By row, for the row and the one below; empty where all beams start at one place.
+    parallax: Vec<Parallax>,
     cos_elevation: Vec<f64>,
     /// By column of the firing.
     gap_rad: Vec<Option<f64>>,
@@ -69,6 +121,16 @@ impl Angles {
             let sideways = ((turn(&pair[0]) - turn(&pair[1])) / 2.0).sin();
             2.0 * (upright * upright + high.cos() * low.cos() * sideways * sideways).sqrt().min(1.0).asin()
         }));
+        self.parallax.clear();
+        let apart = |a: f32, b: f32| f64::from(a - b).abs() > ONE_ORIGIN_M;
+        if beams.windows(2).any(|pair| {
+            apart(pair[0].vertical_offset_m, pair[1].vertical_offset_m)
+                || apart(pair[0].horizontal_offset_m, pair[1].horizontal_offset_m)
+        }) {
+            self.parallax.extend(beams.windows(2).zip(&self.down_rad).map(|(pair, &alpha_rad)| {
+                Parallax::new(&pair[0], &pair[1], turn(&pair[0]) - turn(&pair[1]), alpha_rad)
+            }));
+        }
         self.cos_elevation.clear();
         self.cos_elevation.extend(beams.iter().map(|beam| f64::from(beam.elevation_rad).cos()));
     }
@@ -109,6 +171,11 @@ impl Angles {
     /// Angle between the measurements of a row and the row below it, radians.
     pub fn down_rad(&self, row: usize) -> f64 {
         self.down_rad[row]
+    }
+
+    /// How the pixels of each row lie to those of the row below, where beams start at different places.
+    pub fn parallax(&self) -> Option<&[Parallax]> {
+        (!self.parallax.is_empty()).then_some(&self.parallax)
     }
 
     /// Azimuth from the firing of the column before to that of this one, radians; of column 0, from the last one. None where

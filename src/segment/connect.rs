@@ -9,8 +9,11 @@
 //!
 //! Neither the arctangent nor a branch is needed: with t = tan theta, the same is `d2 * reach > d1`, where
 //! `reach = cos alpha + sin alpha / t`. A pixel without return has range 0 and passes neither way round.
+//!
+//! Where the two beams start at different places, `d2 sin alpha` is what the two measurements are apart across the beams
+//! ([`Parallax`]).
 
-use super::angles::Angles;
+use super::angles::{Angles, Parallax};
 use crate::sweep::image::shifted;
 
 /// Most rows of an image: the bits of a word.
@@ -67,7 +70,11 @@ impl Connector {
                 0
             };
             let filled = filled(column);
-            joins.push(Joins { filled, below: joined(column, &column[1..], &self.below), before: before_mask });
+            let below = match angles.parallax() {
+                Some(parallax) => joined_apart(column, parallax, cotangent) & filled & filled >> 1,
+                None => joined(column, &column[1..], &self.below),
+            };
+            joins.push(Joins { filled, below, before: before_mask });
             before = column;
         }
     }
@@ -171,6 +178,17 @@ fn joined(a: &[f32], b: &[f32], reach: &[f64]) -> u128 {
         // Not f32::min and max: those care for NaN, which no range is, at thrice the price.
         let (shorter, longer) = if a[row] < b[row] { (a[row], b[row]) } else { (b[row], a[row]) };
         f64::from(shorter) * reach[row] > f64::from(longer)
+    })
+}
+
+/// Bits of the pixels of a column that pass the test with the one below, where beams start at different places. Says nothing
+/// of pixels without range.
+fn joined_apart(column: &[f32], parallax: &[Parallax], cotangent: f64) -> u128 {
+    let len = parallax.len().min(column.len().saturating_sub(1));
+    pack(len, |row| {
+        let ([high, low], across) = parallax[row].apply(f64::from(column[row]), f64::from(column[row + 1]));
+        let (shorter, longer) = if high < low { (high, low) } else { (low, high) };
+        shorter * parallax[row].cos_alpha + across * cotangent > longer
     })
 }
 

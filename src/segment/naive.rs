@@ -5,7 +5,7 @@
 
 use std::collections::VecDeque;
 
-use super::angles::Angles;
+use super::angles::{Angles, Parallax};
 use super::mount::Mount;
 use super::{Config, Limits, Method, PaperGround, SlopeGround, Window};
 use crate::sweep::SweepRef;
@@ -55,6 +55,12 @@ pub fn beta_rad(d1: f32, d2: f32, alpha_rad: f64) -> f64 {
     (shorter * alpha_rad.sin()).atan2(longer - shorter * alpha_rad.cos())
 }
 
+/// The same for a pixel and the one below it, whose beams start at different places.
+fn beta_apart_rad(range_m: &[f32], upper: usize, parallax: &Parallax) -> f64 {
+    let ([high, low], across_m) = parallax.apply(f64::from(range_m[upper]), f64::from(range_m[upper + 1]));
+    across_m.atan2(high.max(low) - high.min(low) * parallax.cos_alpha)
+}
+
 /// Breadth-first search over neighbours whose beta is greater than theta (paper, algorithm 1); then the small components
 /// are dropped and the others numbered by their first pixel in memory. Only pixels with a range in `real` count and are
 /// labelled.
@@ -71,8 +77,13 @@ pub fn connect(range_m: &[f32], real: &[f32], angles: &Angles, theta_rad: f64, l
         let mut queue = VecDeque::from([start]);
         while let Some(here) = queue.pop_front() {
             for (there, alpha_rad) in neighbours(here, angles) {
-                let joined =
-                    is_return(range_m[there]) && beta_rad(range_m[here], range_m[there], alpha_rad) > theta_rad;
+                let beta_rad = match angles.parallax().filter(|_| here.abs_diff(there) == 1) {
+                    Some(parallax) => {
+                        beta_apart_rad(range_m, here.min(there), &parallax[here.min(there) % angles.rows()])
+                    }
+                    None => beta_rad(range_m[here], range_m[there], alpha_rad),
+                };
+                let joined = is_return(range_m[there]) && beta_rad > theta_rad;
                 if joined && !seen[there] {
                     seen[there] = true;
                     component.push(there);
@@ -131,7 +142,7 @@ pub fn slope_ground(
             if !is_return(range_m[index]) {
                 continue;
             }
-            let [x, y, z] = sweep.point_m(row, column, range_m[index]);
+            let [x, y, z] = straight_point_m(sweep, row, column, range_m[index]);
             let high = up.height_m([x, y, z]);
             let away = (x * x + y * y + z * z - high * high).max(0.0).sqrt();
 
@@ -169,6 +180,18 @@ pub fn slope_ground(
         }
     }
     ground
+}
+
+/// Where a pixel's return is if its beam is a straight line.
+fn straight_point_m(sweep: &SweepRef<'_>, row: usize, column: usize, range_m: f32) -> [f64; 3] {
+    let beam = &sweep.beams[row];
+    let (azimuth_rad, elevation_rad) = (sweep.azimuth_rad(row, column), f64::from(beam.elevation_rad));
+    let (out_m, aside_m) = (f64::from(range_m) * elevation_rad.cos(), f64::from(beam.horizontal_offset_m));
+    [
+        out_m * azimuth_rad.sin() - aside_m * azimuth_rad.cos(),
+        out_m * azimuth_rad.cos() + aside_m * azimuth_rad.sin(),
+        f64::from(range_m) * elevation_rad.sin() + f64::from(beam.vertical_offset_m),
+    ]
 }
 
 /// Ground as the paper's authors find it; repairs the ranges. Holes that the ground reaches are marked as well.

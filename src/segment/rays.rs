@@ -69,26 +69,29 @@ impl Rays {
     /// x right, y forward, z up of a range in a pixel, metres.
     #[inline]
     pub fn point_m(&self, row: usize, column: usize, range_m: f32) -> [f64; 3] {
+        let (beam, [sin, cos]) = self.aim(row, column);
+        match beam.corrected.is_straight() {
+            true => beam.straight_m(range_m, [sin, cos]),
+            false => beam.from_origin_m(beam.corrected.point_m(range_m, sin, cos), [sin, cos]),
+        }
+    }
+
+    /// The beam of a pixel, and sine and cosine of its azimuth when it fired.
+    #[inline]
+    fn aim(&self, row: usize, column: usize) -> (&RowRay, [f64; 2]) {
         let beam = &self.rows[row];
         let firing = &self.columns[shifted(column, beam.shift, self.columns.len(), self.circular)];
-        let [sin, cos] = firing.azimuth_of(beam);
-        let [x, y, z] = match beam.corrected.is_straight() {
-            true => {
-                let flat = f64::from(range_m) * beam.cos_elevation;
-                [flat * sin, flat * cos, f64::from(range_m) * beam.sin_elevation]
-            }
-            false => beam.corrected.point_m(range_m, sin, cos),
-        };
-        let sideways = beam.horizontal_offset_m;
-        [x - sideways * cos, y + sideways * sin, z + beam.vertical_offset_m]
+        (beam, firing.azimuth_of(beam))
     }
 
     /// The points of a column as the ground sees them, one a row; what stands for a pixel without range is no point.
+    ///
+    /// All beams count as straight: those of an HDL-64E bend by 2 cm at most near the sensor, which no rule of the ground
+    /// notices, and three times the work would not be worth that.
     pub fn level_column(&self, column: usize, range_m: &[f32], up: Up, level: &mut [Level]) {
         let rows = self.rows.iter().zip(range_m).zip(level);
         if up.is_sensor_z() {
-            // One loop for most sensors, which need no azimuth here. That an HDL-64E's beams are bent a little near the sensor
-            // does not matter to the ground: it is 2 cm at most.
+            // One loop for most sensors, which need no azimuth here.
             for ((beam, &range_m), level) in rows {
                 let flat = f64::from(range_m) * beam.cos_elevation;
                 let height_m = f64::from(range_m) * beam.sin_elevation + beam.vertical_offset_m;
@@ -98,7 +101,8 @@ impl Rays {
             return;
         }
         for (row, (_, level)) in rows.enumerate() {
-            let [x, y, z] = self.point_m(row, column, range_m[row]);
+            let (beam, azimuth) = self.aim(row, column);
+            let [x, y, z] = beam.straight_m(range_m[row], azimuth);
             let height_m = up.height_m([x, y, z]);
             let away_m = (x * x + y * y + z * z - height_m * height_m).max(0.0).sqrt();
             *level = Level { away_m, height_m };
@@ -107,6 +111,20 @@ impl Rays {
 }
 
 impl RowRay {
+    /// The point at a range of a straight beam, from the sensor's origin.
+    #[inline]
+    fn straight_m(&self, range_m: f32, [sin, cos]: [f64; 2]) -> [f64; 3] {
+        let flat = f64::from(range_m) * self.cos_elevation;
+        self.from_origin_m([flat * sin, flat * cos, f64::from(range_m) * self.sin_elevation], [sin, cos])
+    }
+
+    /// What lies there from the beam's origin, from the sensor's.
+    #[inline]
+    fn from_origin_m(&self, [x, y, z]: [f64; 3], [sin, cos]: [f64; 2]) -> [f64; 3] {
+        let sideways = self.horizontal_offset_m;
+        [x - sideways * cos, y + sideways * sin, z + self.vertical_offset_m]
+    }
+
     fn new(beam: &BeamRow, mean_rad_s: f64) -> Self {
         let (sin_elevation, cos_elevation) = f64::from(beam.elevation_rad).sin_cos();
         let (sin_turn, cos_turn) = turn_rad(beam, mean_rad_s).sin_cos();

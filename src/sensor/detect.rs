@@ -113,9 +113,10 @@ pub enum Basis {
     HeadsAlone,
 }
 
-impl std::fmt::Display for Basis {
-    fn fmt(&self, f: &mut std::fmt::Formatter<'_>) -> std::fmt::Result {
-        f.write_str(match self {
+impl Basis {
+    /// The words for it in output.
+    pub fn words(self) -> &'static str {
+        match self {
             Self::Given => "as given by --model",
             Self::GivenAgainstBytes => "as given by --model, although its factory bytes say otherwise",
             Self::BytesAndPeriod => "by its factory bytes and packet period",
@@ -123,7 +124,13 @@ impl std::fmt::Display for Basis {
             Self::BytesAlone => "by its factory bytes alone, too few packets to check their period",
             Self::HeadsAndPeriod => "by its two heads and packet period",
             Self::HeadsAlone => "by its two heads alone, too few packets to check their period",
-        })
+        }
+    }
+}
+
+impl std::fmt::Display for Basis {
+    fn fmt(&self, f: &mut std::fmt::Formatter<'_>) -> std::fmt::Result {
+        f.write_str(self.words())
     }
 }
 

@@ -10,9 +10,6 @@ pub fn describe(status: &Status, text: &mut String) {
         return;
     }
     let series = status.series();
-    if let Some(mode) = status.return_mode() {
-        row(text, "return mode", &format!("{mode}, by its status"));
-    }
     let mut unit: Vec<String> = Vec::new();
     unit.extend(series.map(|series| format!("series {series}")));
     unit.extend(status.firmware().map(|firmware| format!("firmware {firmware:#04x}")));
