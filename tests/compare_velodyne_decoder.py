@@ -1,86 +1,149 @@
 """Compares the CSV of `sweepd replay --partial` with velodyne-decoder 3.1.0, return by return.
 
-usage: compare_velodyne_decoder.py CAPTURE MODEL CSV_DIR EQUAL_PAIRS
+usage: compare_velodyne_decoder.py CAPTURE MODEL CSV_DIR [CALIBRATION]
 
-MODEL is vlp16 or hdl32e. Prints one line with counts and worst differences; says what is wrong and fails otherwise.
-EQUAL_PAIRS is how many dual returns are equal: velodyne-decoder gives one point for such a pair, so of each of these
-pairs one line is left out of the comparison.
+MODEL is a key of MODELS. With CALIBRATION, a ROS YAML, velodyne-decoder decodes with it, as sweepd did; without, it
+uses the table of the model that it brings along, which is compared with calib/MODEL.yaml that way. Prints one line
+with counts and worst differences; says what is wrong and fails otherwise.
 
-Differences between the two that are meant, and taken into account here:
+Of each return are compared the point, range, azimuth and elevation as seen from the origin of its beam, reflectivity,
+row, kind and time. The limits follow from these differences, which are meant:
 
-* velodyne-decoder cuts scans between packets, sweepd between firings: whole captures are compared.
-* It refuses a VLP-16 with the HDL-32E's product byte (early firmware): all packets are given to it with the byte of
-  the model.
-* It leaves out ranges under 0.1 m unless told otherwise; it is told so.
-* Its z holds the height of the beam's origin, as sweepd's does; that is taken off before angles are compared.
-* Its axes are those of ROS (x forward, y left); it numbers rings from the lowest, sweepd rows from the highest.
-* It rounds azimuths to hundredths of a degree.
-* Its times are the sensor's microseconds, with the hour of the arrival. sweepd's are these where GPS is locked; else it
-  moves them to the host's clock by the least delay that it has seen when the first sweep ends: a constant.
+* scans: velodyne-decoder cuts scans between packets, sweepd between firings: whole captures are compared.
+* product byte: it refuses a VLP-16 with the HDL-32E's byte (early firmware): all packets of models that have such a
+  byte are given to it with the byte of the model.
+* least range: it leaves out ranges under 0.1 m unless told otherwise; it is told so.
+* rings and axes: its axes are those of ROS (x forward, y left); it numbers rings from the lowest, sweepd rows from
+  the highest.
+* equal pairs: of two equal returns of a shot it gives one point, of kind "both": of each such pair one line is left
+  out.
+* last of an HDL-64E: its last return is that of the third and fourth block of a firing. No manual says so, and sweepd
+  calls the farther one the last. `sweepd simulate` sends the farther one there: the kinds must be equal.
+* azimuth, rounding: it rounds azimuths to hundredths of a degree, CENTIDEGREE.
+* azimuth, turning rate: it takes the rate of the head from the first and the last azimuth of the packet, each of
+  which is rounded and carries the encoder's noise, together ENDS_DEG; sweepd from many packets. Shots a while after
+  their block's azimuth differ by that share of it.
+* azimuth and times, period: it knows 57.6 us from firing to firing on an S3, whatever the packets' own period. At 288
+  us a packet its times are not compared, and its azimuths need only be within OTHER_PERIOD_DEG at 600 turns a minute.
+* times, clock: its times are the sensor's microseconds, with the hour of the arrival. sweepd's are these where GPS is
+  locked; until it has heard so it moves them to the host's clock by the least delay that it has seen when the first
+  sweep ends: a constant.
+* times, stamp: it takes the stamp of a packet for the time of the first shot. On an HDL-64E it is that of the output,
+  by the manual, and sweepd subtracts: sweepd's times are earlier by the packet's period, a constant.
+* numbers: its points are of single precision, the CSV has tenths of a millimetre: LENGTH_M. On an HDL-64E all three
+  axes count, and through the two-point correction differences in azimuth change ranges by up to 0.1 mm: BENT_M. The
+  VLP-16's manual and calib/ round the height of a beam's origin to 0.1 mm, velodyne-decoder's table does not:
+  HEIGHT_M.
+* elevation: of the Puck Hi-Res its table has three decimals of two thirds of a degree, calib/ the manual's two.
+* reflectivity: it does not round what it computes with an HDL-64E's focal distance and slope, REFLECTIVITY.
 """
 
 import glob
 import os
 import struct
 import sys
+from typing import NamedTuple
 
 import numpy as np
 import velodyne_decoder as vd
 import yaml
 
-# Model, product byte, period of the packets in nanoseconds by its manual, elevation of the rings from the lowest.
+
+class Sensor(NamedTuple):
+    """Times in nanoseconds, by the manual, of packets with one return."""
+
+    model: vd.Model
+    product: int | None  # what to write into byte 1205
+    packet_ns: int
+    azimuth_ns: int  # from one azimuth to the next
+    last_shot_ns: int  # after its azimuth
+    table_deg: float = 1e-4  # how far elevations may be off velodyne-decoder's own table
+    knows_period: bool = True
+
+    @property
+    def is_hdl64e(self):
+        return self.product is None
+
+
 MODELS = {
-    "vlp16": (vd.Model.VLP16, 0x22, 1_327_104, np.arange(-15.0, 16.0, 2.0)),
-    "hdl32e": (vd.Model.HDL32E, 0x21, 552_960, np.round(-92 / 3 + np.arange(32) * 4 / 3, 2)),
+    "vlp16": Sensor(vd.Model.VLP16, 0x22, 1_327_104, 110_592, 89_856),
+    "puck-hires": Sensor(vd.Model.PuckHiRes, 0x24, 1_327_104, 110_592, 89_856, table_deg=0.0035),
+    "hdl32e": Sensor(vd.Model.HDL32E, 0x21, 552_960, 46_080, 35_712),
+    "hdl64e-s2": Sensor(vd.Model.HDL64E_S2, None, 288_000, 48_000, 45_660),
+    "hdl64e-s3": Sensor(vd.Model.HDL64E_S3, None, 345_600, 57_600, 54_100),
+    "hdl64e-s3-288us": Sensor(vd.Model.HDL64E_S3, None, 288_000, 48_000, 45_660, knows_period=False),
 }
 
 CSV = [
-    ("packet", "i8"), ("block", "i8"), ("row", "i8"), ("column", "i8"), ("channel", "i8"), ("last", "i8"),
+    ("packet", "i8"), ("block", "i8"), ("row", "i8"), ("column", "i8"), ("channel", "i8"), ("kind", "i8"),
     ("azimuth", "f8"), ("elevation", "f8"), ("range", "f8"), ("x", "f8"), ("y", "f8"), ("z", "f8"),
     ("reflectivity", "i8"), ("time_ns", "i8"), ("label", "i8"),
 ]
 
-RANGE_M = 0.0001
-AZIMUTH_DEG, AZIMUTH_NEARLY_ALL_DEG, NEARLY_ALL = 0.03, 0.02, 0.998
-ELEVATION_DEG = 0.005
-# The VLP-16's manual and calib/ round the height of a beam's origin to 0.1 mm, velodyne-decoder does not.
+CENTIDEGREE = 0.005
+# Two azimuths, each off by the encoder's 0.02 degrees and by rounding to 0.01.
+ENDS_DEG = 0.05
+OTHER_PERIOD_DEG = 0.05
+# Half of the last decimal of an angle in the CSV, and a little for single precision.
+DECIMALS_DEG = 6e-5
+LENGTH_M, BENT_M = 0.0001, 0.0002
 HEIGHT_M = 0.00005
+REFLECTIVITY = 0.501
 TIME_NS = 1_000
 # How fast the least delay may grow in sweepd, for clocks that drift.
 DRIFT = 100e-6
+# Kinds are numbered as by velodyne-decoder: 1 strongest, 2 last, and for two equal ones:
+BOTH = 3
+# Where the origin of a beam is, by the calibration: aside, up.
+ORIGIN = ["horiz_offset_correction", "vert_offset_correction"]
 
 
 def ours(folder):
-    """The lines of all sweeps in the order of the wire, and the sweep of each."""
+    """The lines of all sweeps, in no order."""
     sweeps = []
     for path in sorted(glob.glob(os.path.join(folder, "sweep_*.csv"))):
         with open(path) as file:
-            lines = (line.replace("strongest", "0").replace("last", "1") for line in file)
+            lines = (line.replace("strongest", "1").replace("last", "2") for line in file)
             sweeps.append(np.loadtxt(lines, delimiter=",", dtype=CSV, skiprows=1, ndmin=1))
-    sweep = np.repeat(np.arange(len(sweeps)), [len(lines) for lines in sweeps])
-    lines = np.concatenate(sweeps)
-    # A packet can be in two sweeps, and in each its columns are in the order of time. Last comes before strongest.
-    order = np.lexsort((-lines["last"], lines["channel"], lines["column"], sweep, lines["packet"]))
-    return lines[order], sweep[order]
+    return np.concatenate(sweeps)
 
 
-def without_equal_pairs(lines, sweep):
-    """The same without the second of two equal returns of a pixel, and how many these were."""
-    same = ["packet", "column", "channel", "range", "reflectivity"]
-    second = np.logical_and.reduce([lines[name][1:] == lines[name][:-1] for name in same])
-    second = np.append(False, second & (sweep[1:] == sweep[:-1]) & (lines["last"][1:] < lines["last"][:-1]))
-    return lines[~second], sweep[~second], int(second.sum())
+def in_the_order_of_points(lines, sensor, is_dual):
+    """As velodyne-decoder has them: azimuth by azimuth, shot by shot, of two returns the last before the strongest."""
+    azimuth = lines["block"] // ((2 if sensor.is_hdl64e else 1) * (2 if is_dual else 1))
+    # Two firings of a VLP-16 share an azimuth, and the later has the same channels; an HDL-64E's heads fire together.
+    shot = lines["channel"] if sensor.is_hdl64e else lines["time_ns"]
+    comes_second = lines["block"] % 4 < 2 if sensor.is_hdl64e else lines["block"] % 2 == 1
+    return lines[np.lexsort((comes_second, shot, azimuth, lines["packet"]))]
 
 
-def theirs(capture, model, product):
-    """Points in the order of the wire: x, y, z, intensity, ring, return type; the sensor's time of each, ns since 1970;
-    and of each packet from its first shot to its arrival, ns, by the two clocks."""
-    decoder = vd.StreamDecoder(vd.Config(model=model, min_range=0))
+def with_equal_pairs_as_one(lines):
+    """The lines without the second of two equal returns of a shot, and of what kind each then is."""
+    same = ["packet", "time_ns", "channel", "range", "reflectivity"]
+    is_first = np.logical_and.reduce([lines[name][1:] == lines[name][:-1] for name in same])
+    is_first, is_second = np.append(is_first, False), np.append(False, is_first)
+    return lines[~is_second], np.where(is_first, BOTH, lines["kind"])[~is_second]
+
+
+class Theirs(NamedTuple):
+    points: np.ndarray  # in the order of the wire: rows of right, forward, up, intensity, ring, kind
+    time_ns: np.ndarray  # of each by the sensor's clock, since 1970
+    lag_ns: np.ndarray  # of each packet from its stamp to its arrival, by the two clocks
+    is_dual: bool
+
+
+def theirs(capture, sensor, calibration):
+    """What velodyne-decoder makes of a capture, with a calibration file or without."""
+    calibration = vd.Calibration.read(calibration) if calibration else None
+    decoder = vd.StreamDecoder(vd.Config(model=sensor.model, min_range=0, calibration=calibration))
     scans, arrivals = [], []
     for arrival, data in vd.util.iter_pcap(capture):
         if len(data) == vd.PACKET_SIZE:
+            arrival = float(arrival)
             arrivals.append((round(arrival * 1e6) * 1000, struct.unpack("<L", data[1200:1204])[0] * 1000))
-            scans.append(decoder.decode(arrival, data[:1205] + bytes([product])))
+            is_dual = data[2:4] == data[202:204] if sensor.is_hdl64e else data[1204] == 0x39
+            known = data if sensor.is_hdl64e else data[:1205] + bytes([sensor.product])
+            scans.append(decoder.decode(arrival, known))
     scans.append(decoder.finish())
     scans = [scan for scan in scans if scan is not None]
     points = np.concatenate([points for _, points in scans])
@@ -92,78 +155,111 @@ def theirs(capture, model, product):
     hour = 3_600_000_000_000
     hour_begins = stamps[0] - stamps[0] % hour
     lag_ns = np.array([arrival - hour_begins - of_hour for arrival, of_hour in arrivals])
-    return points[:, [0, 1, 2, 3, 6, 7]].astype(float), time_ns, lag_ns
+    forward, left, *rest = points[:, [0, 1, 2, 3, 6, 7]].astype(float).T
+    return Theirs(np.stack([-left, forward, *rest]), time_ns, lag_ns, is_dual)
 
 
 def turned(degrees):
     return (degrees + 180) % 360 - 180
 
 
-def compare(capture, model, folder, equal_pairs):
-    with open(os.path.join(os.path.dirname(__file__), "..", "calib", f"{model}.yaml")) as file:
-        beams = sorted(yaml.safe_load(file)["lasers"], key=lambda beam: beam["vert_correction"])
-    heights = np.array([beam["vert_offset_correction"] for beam in beams])
-    model, product, period_ns, elevations = MODELS[model]
-    lines, sweep = ours(folder)
-    lines, sweep, merged = without_equal_pairs(lines, sweep)
-    points, time_ns, lag_ns = theirs(capture, model, product)
-    name = os.path.basename(capture)
-    failures = []
+def differences(lines, decoded, sensor, beams, own_table):
+    """What is compared of where a return is, and its unit; how far each return is off; and how far it may be."""
+    key_of_beams = [[beams[channel].get(key, 0) for channel in range(len(beams))] for key in ORIGIN]
+    aside_m, vertical_m = np.array(key_of_beams)[:, lines["channel"]]
+    azimuth, elevation = np.radians(lines["azimuth"]), np.radians(lines["elevation"])
+    level = lines["range"] * np.cos(elevation)
+    along = np.stack([level * np.sin(azimuth), level * np.cos(azimuth), lines["range"] * np.sin(elevation)])
+    point = np.stack([lines["x"], lines["y"], lines["z"]])
+    # Aside of the axis an origin turns with the beam, which bends away from there: sweepd's columns tell where it is.
+    origin = point - along
+    seen_from = origin if sensor.is_hdl64e else np.stack([aside_m, aside_m, vertical_m])
+    right, forward, up = decoded.points[:3] - seen_from
+    level = np.hypot(right, forward)
 
-    def require(condition, what):
-        if not condition:
-            failures.append(f"{name}: {what}")
+    packet_ns = sensor.packet_ns // (2 if decoded.is_dual else 1)
+    ends_share = sensor.last_shot_ns / (packet_ns - sensor.azimuth_ns)
+    azimuth_deg = CENTIDEGREE + ENDS_DEG * ends_share if sensor.knows_period else OTHER_PERIOD_DEG
+    table_deg, table_m = (sensor.table_deg, HEIGHT_M) if own_table else (0, 0)
+    length_m = BENT_M if sensor.is_hdl64e else LENGTH_M
+    decimals_m = length_m + np.radians(DECIMALS_DEG) * lines["range"]
+    decimals_deg = np.degrees(decimals_m / level) if sensor.is_hdl64e else DECIMALS_DEG
+    point_m = decimals_m + table_m + np.radians(azimuth_deg + table_deg) * level
+    azimuth_off = np.abs(turned(np.degrees(np.arctan2(right, forward)) - lines["azimuth"]))
+    elevation_off = np.abs(np.degrees(np.arctan2(up, level)) - lines["elevation"])
+    intensity_off = np.abs(decoded.points[3] - lines["reflectivity"])
+    return [
+        ("point", "m", np.linalg.norm(decoded.points[:3] - point, axis=0), point_m),
+        ("range", "m", np.abs(np.hypot(level, up) - lines["range"]), length_m),
+        ("azimuth", "deg", np.maximum(azimuth_off - decimals_deg, 0), azimuth_deg),
+        ("elevation", "deg", np.maximum(elevation_off - decimals_deg - np.degrees(table_m / level), 0), table_deg),
+        ("origin aside", "m", np.abs(np.hypot(origin[0], origin[1]) - np.abs(aside_m)), decimals_m),
+        ("origin in height", "m", np.abs(origin[2] - vertical_m), decimals_m),
+        ("reflectivity", "", intensity_off, REFLECTIVITY if sensor.is_hdl64e else 0),
+    ]
 
-    require(merged == equal_pairs, f"{merged} equal pairs of dual returns, expected {equal_pairs}")
-    require(len(lines) == len(points), f"{len(lines)} returns, velodyne-decoder has {len(points)}")
-    if failures:
-        return failures
-    x, y, z, intensity, ring, kind = points.T
-    ring = ring.astype(int)
-    z = z - heights[ring]
-    ranges = np.sqrt(x * x + y * y + z * z)
-    azimuths = np.degrees(np.arctan2(-y, x))
-    range_off = np.abs(ranges - lines["range"])
-    azimuth_off = np.abs(turned(azimuths - lines["azimuth"]))
-    elevation_off = np.abs(np.degrees(np.arcsin(z / ranges)) - lines["elevation"])
-    elevation_off = np.maximum(elevation_off - np.degrees(HEIGHT_M / ranges), 0)
 
-    # Both in the order of the wire, with the same ring at every place: each return has its point, and the reverse.
-    require(np.array_equal(len(elevations) - 1 - lines["row"], ring), "other rings")
-    require(np.allclose(lines["elevation"], elevations[ring], atol=5e-5, rtol=0), "other elevations than the manual's")
-    require(np.array_equal(lines["reflectivity"], intensity), "other intensities")
-    # 1 strongest, 2 last, 3 both.
-    if equal_pairs:
-        require(np.all((kind == 3) | (kind == lines["last"] + 1)), "strongest and last exchanged")
-    require(np.sum(kind == 3) == equal_pairs, "other equal pairs of dual returns")
-    require(range_off.max() < RANGE_M, f"ranges up to {range_off.max()} m off")
-    require(azimuth_off.max() < AZIMUTH_DEG, f"azimuths up to {azimuth_off.max()} degrees off")
-    nearly_all = np.mean(azimuth_off < AZIMUTH_NEARLY_ALL_DEG)
-    require(nearly_all >= NEARLY_ALL, f"only {nearly_all} of the azimuths within {AZIMUTH_NEARLY_ALL_DEG} degrees")
-    require(elevation_off.max() < ELEVATION_DEG, f"elevations up to {elevation_off.max()} degrees off")
+def differences_in_time(lines, decoded, sensor):
+    """How far each time is off, ns; on which clock sweepd's times are, in words; and what is wrong with that."""
+    packet_ns = sensor.packet_ns // (2 if decoded.is_dual else 1)
+    moved = lines["time_ns"] - decoded.time_ns + (packet_ns if sensor.is_hdl64e else 0)
+    on_host = np.abs(moved) > TIME_NS
+    if not on_host.any():
+        return np.abs(moved), "UTC", []
+    constant = (moved[on_host].min() + moved[on_host].max()) // 2
+    off = np.abs(moved - np.where(on_host, constant, 0))
+    wrong = []
+    if not on_host.all() and lines["packet"][on_host].max() > lines["packet"][~on_host].min():
+        wrong.append("times on the host's clock after times on that of GPS")
+    # A packet is sent when it is full: no delay is less than the least, and the first counts until that is far off.
+    delays = decoded.lag_ns - (0 if sensor.is_hdl64e else packet_ns)
+    slack = TIME_NS + DRIFT * np.ptp(decoded.time_ns)
+    if not delays.min() - TIME_NS <= constant <= delays[0] + slack:
+        wrong.append(f"times moved by {constant} ns, the delays are {delays.min()} to {delays[0]}")
+    return off, f"host for {np.mean(on_host):.2%}, sensor + {constant / 1000:.1f} us", wrong
 
-    # One constant a capture: sweepd's clock less theirs.
-    moved = lines["time_ns"] - time_ns
-    constant = (moved.min() + moved.max()) // 2
-    time_off = np.abs(moved - constant).max()
-    require(time_off <= TIME_NS, f"times up to {time_off} ns off the constant {constant} ns")
-    if abs(constant) <= TIME_NS:
-        clock = "UTC"
-    else:
-        # A packet is sent when it is full: no delay is less than the least, and the first counts until that is far off.
-        clock = f"host, sensor + {constant / 1000:.1f} us"
-        delays = lag_ns - (period_ns // 2 if equal_pairs else period_ns)
-        slack = TIME_NS + DRIFT * np.ptp(time_ns)
-        bounded = delays.min() - TIME_NS <= constant <= delays[0] + slack
-        require(bounded, f"times moved by {constant}, the delays are {delays.min()} to {delays[0]}")
-    print(
-        f"{name}: {len(points)} points, {merged} merged pairs; range {range_off.max() * 1e3:.4f} mm, azimuth "
-        f"{azimuth_off.max():.4f} deg, elevation {elevation_off.max():.4f} deg, time {time_off} ns off; clock {clock}"
-    )
-    return failures
+
+def compare(capture, model, folder, calibration):
+    """Prints a line, and gives a list of what is wrong."""
+    sensor = MODELS[model]
+    with open(calibration or os.path.join(os.path.dirname(__file__), "..", "calib", f"{model}.yaml")) as file:
+        beams = {beam["laser_id"]: beam for beam in yaml.safe_load(file)["lasers"]}
+    decoded = theirs(capture, sensor, calibration)
+    returns = in_the_order_of_points(ours(folder), sensor, decoded.is_dual)
+    lines, kinds = with_equal_pairs_as_one(returns)
+    pairs = [len(returns) - len(lines), int(np.sum(decoded.points[5] == BOTH))]
+    # Both in the same order, with the same ring at every place: each return has its point, and the reverse.
+    if len(lines) != len(decoded.time_ns) or pairs[0] != pairs[1]:
+        return [f"{len(lines)} returns, {len(decoded.time_ns)} by velodyne-decoder; {pairs} of them are equal pairs"]
+    wrong = []
+    for what, found, expected in [
+        ("rings", len(beams) - 1 - lines["row"], decoded.points[4]),
+        ("kinds of returns", kinds, decoded.points[5]),
+    ]:
+        if not np.array_equal(found, expected):
+            wrong.append(f"{np.sum(found != expected)} other {what}")
+
+    compared = differences(lines, decoded, sensor, beams, own_table=not calibration)
+    clock = "times not compared"
+    if sensor.knows_period:
+        time_off, clock, wrong_clock = differences_in_time(lines, decoded, sensor)
+        compared.append(("time", "ns", time_off, TIME_NS))
+        wrong += wrong_clock
+    for what, unit, off, limit in compared:
+        limit = np.broadcast_to(limit, off.shape)
+        worst = np.argmax(off - limit)
+        if off[worst] > limit[worst]:
+            where = ", ".join(f"{name} {lines[name][worst]}" for name in ("packet", "block", "channel"))
+            wrong.append(
+                f"{what} of {np.sum(off > limit)} returns too far off, worst of all by {off[worst]:.6g} {unit} where "
+                f"{limit[worst]:.6g} are allowed ({where})"
+            )
+    worst = ", ".join(f"{what} {off.max():.4g} {unit}".rstrip() for what, unit, off, _ in compared)
+    print(f"{os.path.basename(capture)}: {len(lines)} points, {pairs[0]} equal pairs; {worst}; clock: {clock}")
+    return wrong
 
 
 if __name__ == "__main__":
-    found = compare(sys.argv[1], sys.argv[2], sys.argv[3], int(sys.argv[4]))
+    found = compare(*sys.argv[1:4], sys.argv[4] if len(sys.argv) > 4 else None)
     # Text is printed and is a failure; no text is neither.
-    sys.exit("\n".join(found) or None)
+    sys.exit("\n".join(f"{os.path.basename(sys.argv[1])}: {one}" for one in found) or None)

@@ -7,7 +7,7 @@ use crate::wire::data::ReturnMode;
 use crate::wire::hdl64::{CYCLE_LEN, CalibrationTime, DUMP_LEN, Dump, Gps, Series, Status};
 
 /// One unit, as far as it has been heard.
-#[derive(Clone, Debug)]
+#[derive(Clone, Debug, Default)]
 pub struct Unit {
     status: Status,
     heard: usize,
@@ -24,12 +24,6 @@ pub struct Said {
     pub is_normalised: bool,
     /// UTC to the second, nanoseconds since 1970, while a GPS receiver gives both pulse and sentence.
     pub utc_ns: Option<i64>,
-}
-
-impl Default for Unit {
-    fn default() -> Self {
-        Self { status: Status::new(), heard: 0, compared: None }
-    }
 }
 
 impl Unit {

@@ -323,5 +323,5 @@ fn check_sweep(sweep: &SweepRef<'_>) {
     }
     assert!(header.rpm >= 0.0 && header.rpm.is_finite());
     assert!(sweep.returns().all(|one| (0.0..std::f64::consts::TAU).contains(&one.azimuth_rad)));
-    assert!(RECORDS % rows == 0 || rows == 64);
+    assert!(RECORDS.is_multiple_of(rows) || rows == 64);
 }
