@@ -57,7 +57,7 @@ fn per_sweep(config: Config, datagrams: &[(Vec<u8>, i64)]) -> Vec<u64> {
 #[test]
 fn the_steady_state_allocates_nothing() {
     let scene = street(1);
-    for model in [Model::Vlp16, Model::Hdl32e] {
+    for model in [Model::Vlp16, Model::Hdl32e, Model::Hdl64eS3] {
         for mode in [ReturnMode::Strongest, ReturnMode::Dual] {
             let config = EmitterConfig::new(model, mode).turns(1.1);
             let turn: Vec<_> = Emitter::new(config, &scene).collect();
@@ -81,7 +81,8 @@ fn the_steady_state_allocates_nothing() {
                 );
             }
             for method in [Method::Slope, Method::Paper] {
-                let mut config = Config::default();
+                let unit = model.is_hdl64e().then(stream::unit);
+                let mut config = Config { calibration: unit, ..Config::default() };
                 config.segment.method = method;
                 // The second time all that it needs room for was there before.
                 let again = street.iter().map(|(bytes, arrival_ns)| (bytes.clone(), arrival_ns + 1_300_000_000));

@@ -194,33 +194,29 @@ impl Run {
     /// Every return of every decoded packet is in one pixel, every other packet is counted, and each sweep is sane.
     #[track_caller]
     pub fn check(&self, arrived: &[DataPacket]) -> &Self {
-        let mut found = Vec::new();
+        let mut found = Wire::new(arrived.len());
         for sweep in self.views() {
             check_sweep(&sweep);
             for one in sweep.returns() {
                 let distance = (f64::from(one.range_m) / 0.002).round() as u16;
-                found.push((one.packet as usize, one.block, one.channel, distance, one.reflectivity));
+                found.add(one.packet as usize, usize::from(one.block), one.channel, (distance, one.reflectivity));
             }
         }
         let decoded = self.decoded();
-        let mut expected = Vec::new();
+        let mut expected = Wire::new(arrived.len());
         let rows: BTreeMap<usize, usize> = self
             .views()
             .iter()
             .flat_map(|sweep| sweep.columns.iter().map(|column| (column.packet as usize, sweep.rows())))
             .collect();
         for &number in &decoded {
-            let channels = rows[&number];
-            for (block, stored) in (0..).zip(&arrived[number].blocks) {
-                let bank = usize::from(stored.flag.get() == FLAG_BANK_1);
+            for (block, stored) in arrived[number].blocks.iter().enumerate() {
                 for (index, record) in stored.records.iter().enumerate().filter(|(_, r)| r.distance.get() != 0) {
-                    let channel = (bank * RECORDS + index) % channels;
-                    expected.push((number, block, channel, record.distance.get(), record.reflectivity));
+                    let channel = index % rows[&number];
+                    expected.add(number, block, channel, (record.distance.get(), record.reflectivity));
                 }
             }
         }
-        found.sort_unstable();
-        expected.sort_unstable();
         assert!(found == expected, "returns are lost, doubled or elsewhere");
         let counts = self.counts;
         let Counts { duplicates, malformed, late, unconfirmed, foreign, undecoded, .. } = counts;
@@ -272,6 +268,24 @@ pub struct Content {
     pixels: Vec<f32>,
     bytes: Vec<u8>,
     labels: Vec<u32>,
+}
+
+/// Returns by packet, block and channel within the block; a block of a 16-beam sensor has two of each.
+#[derive(PartialEq)]
+struct Wire(Vec<[u32; 2]>);
+
+impl Wire {
+    fn new(packets: usize) -> Self {
+        Self(vec![[0; 2]; packets * BLOCKS * RECORDS])
+    }
+
+    #[track_caller]
+    fn add(&mut self, packet: usize, block: usize, channel: usize, (distance, reflectivity): (u16, u8)) {
+        let pair = &mut self.0[(packet * BLOCKS + block) * RECORDS + channel % RECORDS];
+        assert_eq!(pair[0], 0, "three returns where there is room for two");
+        pair[0] = 1 << 24 | u32::from(distance) << 8 | u32::from(reflectivity);
+        pair.sort_unstable();
+    }
 }
 
 impl Content {
