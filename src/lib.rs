@@ -39,11 +39,13 @@
 //! | beam | the physical laser with its calibration; its row is fixed by its elevation |
 //! | firing | one pass of all beams; a VLP-16 stores two per block |
 //! | shot | one beam's part of a firing, at a time of its own |
-//! | row, column | range-image indices; row 0 = highest elevation, a column = a firing |
+//! | row, column | range-image indices; row 0 = highest elevation, a column = a firing, after each row's shift |
+//! | shift | whole columns from a pixel to its firing, by row: the beams of an HDL-64E point aside |
 //! | azimuth, elevation | rotation angle, clockwise from above, 0 = sensor +y; vertical angle |
 //! | range | metres along the beam; 0 = no return, asked through [`sweep::layout::is_return`] only |
 //! | return | one echo: strongest, last; dual = both |
 //! | reflectivity | calibrated byte |
+//! | unit | one sensor with its serial number: each HDL-64E has beams of its own |
 //! | sweep | the columns between two crossings of the cut azimuth |
 //! | label | u32 per pixel: 0 none, 1 ground, 2.. segment |
 //! | segment | connected non-ground pixels with one label |

@@ -31,19 +31,6 @@ const OF_A_MODEL: [(&str, Model); 7] = [
     ("veloview_HDL-32.xml", Model::Hdl32e),
 ];
 
-/// Files of units of the HDL-64E.
-const OF_AN_HDL64E: [&str; 9] = [
-    "hdl64e_ajaayc_db.xml",
-    "hdl64e_libvelodyne_calib.xml",
-    "hdl64e_s2.1-sztaki.xml",
-    "hdl64e_s3-unit1090_db.yaml",
-    "hdl64e_s3-veloview_valgur.yml",
-    "rosdrivers_64e_s2.1-sztaki.yaml",
-    "rosdrivers_64e_s3-xiesc.yaml",
-    "rosdrivers_64e_utexas.yaml",
-    "veloview_HDL-64.xml",
-];
-
 /// Files of sensors that are read but belong to no supported model, with their numbers of beams.
 const OF_OTHERS: [(&str, usize); 3] =
     [("rosdrivers_VLS128.yaml", 128), ("rosdrivers_VeloView-VLP-32C.yaml", 32), ("veloview_VLP-32c.xml", 32)];
@@ -60,7 +47,7 @@ fn every_real_file_is_in_the_tables_above() {
     let mut files: Vec<String> =
         std::fs::read_dir(dir).unwrap().map(|entry| entry.unwrap().file_name().into_string().unwrap()).collect();
     files.sort();
-    let models = OF_A_MODEL.iter().map(|row| row.0).chain(OF_AN_HDL64E);
+    let models = OF_A_MODEL.iter().map(|row| row.0).chain(common::HDL64E_UNITS);
     let mut listed: Vec<&str> = models.chain(OF_OTHERS.iter().map(|row| row.0)).collect();
     listed.sort_unstable();
     assert_eq!(files, listed);
@@ -106,7 +93,7 @@ fn files_of_other_sensors_are_read_and_fit_no_model() {
 #[test]
 fn all_files_of_an_hdl64e_fit_it_and_no_other() {
     let Some(dir) = data_dir() else { return };
-    for name in OF_AN_HDL64E {
+    for name in common::HDL64E_UNITS {
         let calibration = read(&dir, name);
         for model in Model::ALL {
             let fitted = calibration.clone().for_model(model);
@@ -478,7 +465,7 @@ fn through_the_stream(calibration: &Calibration, series: Series) -> Calibration 
 fn real_hdl64e_files_go_through_the_stream_but_for_rounding() {
     let Some(dir) = data_dir() else { return };
     let mut count = 0;
-    for name in OF_AN_HDL64E {
+    for name in common::HDL64E_UNITS {
         let source = read(&dir, name);
         for series in [Series::S21, Series::S3] {
             let found = through_the_stream(&source, series);

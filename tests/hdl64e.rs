@@ -16,22 +16,10 @@ use sweepd::sweep::SweepRef;
 use sweepd::sweep::layout::flags;
 use sweepd::wire::data::ReturnMode;
 
-const UNITS: [&str; 9] = [
-    "hdl64e_ajaayc_db.xml",
-    "hdl64e_libvelodyne_calib.xml",
-    "hdl64e_s2.1-sztaki.xml",
-    "hdl64e_s3-unit1090_db.yaml",
-    "hdl64e_s3-veloview_valgur.yml",
-    "rosdrivers_64e_s2.1-sztaki.yaml",
-    "rosdrivers_64e_s3-xiesc.yaml",
-    "rosdrivers_64e_utexas.yaml",
-    "veloview_HDL-64.xml",
-];
-
 /// The real units, if they are there, with the name of each.
 fn units() -> Option<Vec<(&'static str, Calibration)>> {
     let folder = common::data_dir()?.join("calib");
-    Some(UNITS.map(|name| (name, Calibration::read(&folder.join(name)).unwrap())).into())
+    Some(common::HDL64E_UNITS.map(|name| (name, Calibration::read(&folder.join(name)).unwrap())).into())
 }
 
 /// A flawless sensor of this unit, so high above the ground, from a third of a turn before azimuth 0 on.

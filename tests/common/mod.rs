@@ -14,6 +14,19 @@ use std::process::{Command, Stdio};
 
 const VELODYNE_DECODER: &str = "3.1.0";
 
+/// The calibrations of real HDL-64E units among the shared data.
+pub const HDL64E_UNITS: [&str; 9] = [
+    "hdl64e_ajaayc_db.xml",
+    "hdl64e_libvelodyne_calib.xml",
+    "hdl64e_s2.1-sztaki.xml",
+    "hdl64e_s3-unit1090_db.yaml",
+    "hdl64e_s3-veloview_valgur.yml",
+    "rosdrivers_64e_s2.1-sztaki.yaml",
+    "rosdrivers_64e_s3-xiesc.yaml",
+    "rosdrivers_64e_utexas.yaml",
+    "veloview_HDL-64.xml",
+];
+
 /// The folder with real captures and calibrations: `SWEEPD_DATA`, or `../shared/data` beside the project.
 ///
 /// They belong to others and stay outside the repository. Where they are missing, this says aloud that the test is

@@ -1,0 +1,84 @@
+//! The model of a stream, once it is told.
+
+use super::banks_of;
+use crate::sensor::Model;
+use crate::sensor::model::Spec;
+use crate::wire::data::{DataPacket, ReturnMode};
+
+/// The model of a stream, how it was told, and what its packets hold.
+#[derive(Clone, Copy, Debug, PartialEq)]
+pub struct Detection {
+    /// The model.
+    pub model: Model,
+    /// Returns in a packet. A sensor that does not say is taken as strongest, its default, or dual.
+    pub return_mode: ReturnMode,
+    /// What told the model.
+    pub basis: Basis,
+    /// The table of the model that has the measured packet period.
+    pub spec: &'static Spec,
+}
+
+/// A packet of an HDL-64E says two returns by its azimuths alone; they must be so far apart for that, hundredths of a
+/// degree, lest a head that hardly turns seem to.
+const TELLING_STEP_CDEG: i32 = 4;
+
+impl Detection {
+    /// The return mode of a packet, the one before having that of `last`: an HDL-64E says it by its azimuths, and a head
+    /// that stands still does not say it; others have a byte, and where it is blank the detection's mode holds.
+    pub fn mode_of(&self, packet: &DataPacket, last: ReturnMode) -> ReturnMode {
+        if !self.model.is_hdl64e() {
+            return ReturnMode::from_byte(packet.return_mode).unwrap_or(self.return_mode);
+        }
+        let group = self.spec.blocks_per_azimuth(ReturnMode::Dual);
+        if !packet.azimuths_in_groups(group) {
+            return if last == ReturnMode::Dual { ReturnMode::Strongest } else { last };
+        }
+        let [first, second] = [0, group].map(|block| i32::from(packet.blocks[block].azimuth_cdeg()));
+        if (first - second).abs() >= TELLING_STEP_CDEG { ReturnMode::Dual } else { last }
+    }
+
+    /// Whether a packet is laid out as those of this sensor, whatever it holds.
+    pub fn has_layout(&self, packet: &DataPacket) -> bool {
+        packet.banks() == banks_of(self.model)
+    }
+}
+
+/// What told the model.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub enum Basis {
+    /// The user; neither product byte nor packet period speaks against it.
+    Given,
+    /// The user, against the product byte; the packet period does not speak against it.
+    GivenAgainstBytes,
+    /// The product byte, and the packet period agrees.
+    BytesAndPeriod,
+    /// The packet period: the product byte is blank, or it is the wrong one that early VLP-16 firmware sends.
+    Period,
+    /// The product byte: there were too few packets to measure their period.
+    BytesAlone,
+    /// The two heads, whose blocks alternate, and the packet period.
+    HeadsAndPeriod,
+    /// The two heads: there were too few packets to measure their period.
+    HeadsAlone,
+}
+
+impl Basis {
+    /// The words for it in output.
+    pub fn words(self) -> &'static str {
+        match self {
+            Self::Given => "as given by --model",
+            Self::GivenAgainstBytes => "as given by --model, although its factory bytes say otherwise",
+            Self::BytesAndPeriod => "by its factory bytes and packet period",
+            Self::Period => "by its packet period, since its factory bytes are blank or those of early firmware",
+            Self::BytesAlone => "by its factory bytes alone, too few packets to check their period",
+            Self::HeadsAndPeriod => "by its two heads and packet period",
+            Self::HeadsAlone => "by its two heads alone, too few packets to check their period",
+        }
+    }
+}
+
+impl std::fmt::Display for Basis {
+    fn fmt(&self, f: &mut std::fmt::Formatter<'_>) -> std::fmt::Result {
+        f.write_str(self.words())
+    }
+}
