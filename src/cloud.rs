@@ -1,9 +1,11 @@
 //! Point clouds without a range image, as KITTI has them, to sweeps: the projection of the paper's section III.
 //!
 //! A cloud of a spinning sensor that lists ring after ring still tells which beam each point came from: a new ring
-//! begins where the azimuth starts over. Where each beam points is measured from its points. The columns are even bins
-//! of azimuth, which the order of the points within a ring corrects.
+//! begins where the azimuth starts over. Where each beam starts and points is fitted to its points, which lie on a cone
+//! whose tip is up to a hand's breadth above the sensor's origin. The columns are even in azimuth, and each shows one
+//! point.
 
+pub(crate) mod fit;
 pub(crate) mod places;
 pub(crate) mod rings;
 
@@ -161,6 +163,7 @@ impl CloudProjector {
         rings::find(points, self.columns, &mut self.rings)?;
         for ring in &mut self.rings {
             ring.measure(points, &mut self.elevations_rad);
+            ring.fit(points);
         }
         // Calibrated beams of the lower block can lie above those of the upper one in the order of the file.
         self.rings.sort_by(|a, b| b.elevation_rad.total_cmp(&a.elevation_rad));
@@ -204,21 +207,14 @@ impl CloudProjector {
 fn place_ring(sweep: &mut SweepMut<'_>, row: usize, ring: &Ring, points: &[[f32; 4]], pixel: &mut [Option<u32>]) {
     let (rows, columns) = (sweep.beams.len(), sweep.columns.len());
     let polars: Vec<Option<Polar>> = points[ring.first..ring.end].iter().map(|&point| Polar::of(point)).collect();
-    let position = |polar: &Option<Polar>| polar.map_or(f64::NAN, |polar| polar.position(columns));
-    let positions: Vec<f64> = polars.iter().map(position).collect();
-    let found = places::of_ring(&positions, columns);
-    for (point, (polar, column)) in (ring.first..).zip(polars.into_iter().zip(found)) {
-        let Some(polar) = polar else { continue };
-        let index = column.unwrap_or_else(|| polar.column(columns)) * rows + row;
-        let range_m = polar.range_m();
-        if !is_return(sweep.range[index]) || range_m < sweep.range[index] {
-            sweep.range[index] = range_m;
-        }
-        pixel[point] = Some(index as u32);
+    let placed = places::of_ring(&polars, columns);
+    let range_m = |polar: Polar| polar.range_m(ring.vertical_offset_m);
+    for (column, point) in placed.shown.into_iter().enumerate() {
+        sweep.range[column * rows + row] = point.and_then(|point| polars[point]).map_or(0.0, range_m);
     }
-    for (pixel, &point) in pixel[ring.first..ring.end].iter_mut().zip(&points[ring.first..ring.end]) {
-        if let (Some(index), Some(polar)) = (*pixel, Polar::of(point)) {
-            *pixel = Some(resembling(sweep, index, polar.range_m()));
+    for ((pixel, polar), column) in pixel[ring.first..ring.end].iter_mut().zip(polars).zip(placed.columns) {
+        if let (Some(polar), Some(column)) = (polar, column) {
+            *pixel = Some(resembling(sweep, (column * rows + row) as u32, range_m(polar)));
         }
     }
 }
@@ -256,7 +252,8 @@ fn fill_tables(sweep: &mut SweepMut<'_>, rings: &[Ring], columns: usize) {
         *column = Column::measured(0, 0, (turn * TAU) as f32, rate_rad_s, time_ns as u32);
     }
     for (row, (beam, ring)) in sweep.beams.iter_mut().zip(rings).enumerate() {
-        *beam = BeamRow::new(&Beam::ideal(row, ring.elevation_rad), 0);
+        let fitted = Beam { vertical_offset_m: ring.vertical_offset_m, ..Beam::ideal(row, ring.elevation_rad) };
+        *beam = BeamRow::new(&fitted, 0);
     }
 }
 
@@ -349,17 +346,17 @@ mod tests {
         assert!(segmenter().segment(&[]).unwrap().is_empty());
     }
 
-    /// Two points at one azimuth have two columns; of five, at least two share the pixels of others.
+    /// Two points at one azimuth have two columns; of seven, at least two share the pixels of others.
     #[test]
     fn points_make_room_for_each_other() {
         let crowd = |count: usize| -> Vec<[f32; 4]> { (0..count).map(|i| [5.0 + i as f32, -1.0, -0.5, 0.0]).collect() };
         let mut projector = CloudProjector::new(FIRINGS).unwrap();
         assert_eq!(projector.project(&crowd(2)).unwrap().header.returns, 2);
         assert!(projector.pixel.iter().all(Option::is_some));
-        let same_azimuth: Vec<[f32; 4]> = (0..5).map(|i| [1.0 + i as f32, 0.0, 0.0, 0.0]).collect();
+        let same_azimuth: Vec<[f32; 4]> = (0..7).map(|i| [1.0 + i as f32, 0.0, 0.0, 0.0]).collect();
         let returns = projector.project(&same_azimuth).unwrap().header.returns;
-        assert!((2..=3).contains(&returns), "{returns}");
-        assert_eq!(projector.pixel.iter().flatten().count(), 5);
+        assert!((4..=5).contains(&returns), "{returns}");
+        assert_eq!(projector.pixel.iter().flatten().count(), 7);
     }
 
     /// Four points a pixel: all are labelled, and as the twin scene in which each has a pixel of its own.

@@ -3,12 +3,16 @@
 use std::f64::consts::{PI, TAU};
 
 use super::CloudError;
+use super::fit::{self, Prior, Sample};
 use crate::segment::MAX_ROWS;
 
 /// Points so near tell nothing of the order: their azimuth is noise.
 const NOISE_M: f64 = 0.5;
 /// A ring may have so many times the points of a turn: dual returns, and columns chosen too few.
 const MOST_TURNS: usize = 8;
+
+/// The vertical offset of a beam of which nothing is known: most sensors' beams start at the origin.
+const OF_ANY_SENSOR: Prior = Prior { offset_m: 0.0, spread_m: 0.05 };
 
 /// A stretch of points of one beam.
 #[derive(Clone, Copy, Debug)]
@@ -19,10 +23,12 @@ pub(crate) struct Ring {
     pub end: usize,
     /// Median elevation of its points, once it is measured.
     pub elevation_rad: f64,
+    /// Height of the beam's origin over that of the sensor, once it is fitted.
+    pub vertical_offset_m: f64,
 }
 
 /// A point in the cylinder around the sensor.
-#[derive(Clone, Copy)]
+#[derive(Clone, Copy, Debug)]
 pub(crate) struct Polar {
     /// Clockwise from straight ahead, radians, 0..2 pi.
     pub azimuth_rad: f64,
@@ -83,23 +89,20 @@ impl Polar {
         self.z_m.atan2(self.away_m)
     }
 
-    pub fn range_m(self) -> f32 {
-        self.away_m.hypot(self.z_m) as f32
+    /// From so far above the sensor's origin.
+    pub fn range_m(self, vertical_offset_m: f64) -> f32 {
+        self.away_m.hypot(self.z_m - vertical_offset_m) as f32
     }
 
     /// Where it lies, in columns after the middle of the first.
     pub fn position(self, columns: usize) -> f64 {
         (self.azimuth_rad / TAU * columns as f64 - 0.5).rem_euclid(columns as f64)
     }
-
-    pub fn column(self, columns: usize) -> usize {
-        ((self.azimuth_rad / TAU * columns as f64) as usize).min(columns - 1)
-    }
 }
 
 impl Ring {
     fn new(first: usize, end: usize) -> Self {
-        Self { first, end, elevation_rad: 0.0 }
+        Self { first, end, elevation_rad: 0.0, vertical_offset_m: 0.0 }
     }
 
     /// Takes the median elevation of the points as the beam's.
@@ -110,6 +113,16 @@ impl Ring {
         let middle = elevations_rad.len() / 2;
         if !elevations_rad.is_empty() {
             self.elevation_rad = *elevations_rad.select_nth_unstable_by(middle, f64::total_cmp).1;
+        }
+    }
+
+    /// Takes elevation and vertical offset of the beam from its points, where there are enough of them. Heights that are
+    /// told by the median elevation alone would be off by the offset, 20 cm, near the sensor.
+    pub fn fit(&mut self, points: &[[f32; 4]]) {
+        let sample = |&point: &[f32; 4]| Polar::of(point).map(|polar| Sample { away_m: polar.away_m, z_m: polar.z_m });
+        let samples: Vec<Sample> = points[self.first..self.end].iter().filter_map(sample).collect();
+        if let Some(line) = fit::fit(OF_ANY_SENSOR, &samples) {
+            (self.elevation_rad, self.vertical_offset_m) = (line.slope.atan(), line.offset_m);
         }
     }
 }

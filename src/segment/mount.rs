@@ -56,11 +56,13 @@ const MIN_COLUMNS: usize = 64;
 ///
 /// The lowest return of most columns lies on the ground, the others on what stands near: their heights make a
 /// histogram, in which the lowest strong mode is the ground (the robot's own roof, or a wall, is higher). Its estimate
-/// is the median near that mode, and over the last sweeps, so that it does not jump.
+/// is the median near that mode, and over the last sweeps, so that it does not jump; a sweep counts by its columns, since
+/// a piece of a turn may see little ground.
 #[derive(Clone, Debug, Default)]
 pub struct HeightEstimator {
     lowest_m: Vec<f64>,
-    recent_m: [f32; SWEEPS],
+    /// Heights by the last sweeps, and columns that each is from.
+    recent: [(f32, usize); SWEEPS],
     seen: usize,
 }
 
@@ -75,14 +77,21 @@ impl HeightEstimator {
     /// `range_m` are the working ranges, `real` their words, one a column.
     pub fn estimate(&mut self, range_m: &[f32], real: &[u128], rays: &Rays, up: Up) -> Option<f32> {
         self.collect(range_m, real, rays, up);
+        let columns = self.lowest_m.len();
         if let Some(height_m) = self.one_sweep() {
-            self.recent_m[self.seen % SWEEPS] = height_m as f32;
+            self.recent[self.seen % SWEEPS] = (height_m as f32, columns);
             self.seen += 1;
         }
-        let mut recent_m = self.recent_m;
-        let recent_m = &mut recent_m[..self.seen.min(SWEEPS)];
-        recent_m.sort_unstable_by(f32::total_cmp);
-        recent_m.get(recent_m.len() / 2).copied()
+        let mut recent = self.recent;
+        let recent = &mut recent[..self.seen.min(SWEEPS)];
+        recent.sort_unstable_by(|a, b| a.0.total_cmp(&b.0));
+        let half = recent.iter().map(|(_, columns)| columns).sum::<usize>() / 2;
+        let mut below = 0;
+        let middle = recent.iter().find(|(_, columns)| {
+            below += columns;
+            below > half
+        });
+        middle.map(|(height_m, _)| *height_m)
     }
 
     /// Depths below the sensor of the lowest return of each column.

@@ -16,8 +16,10 @@ use crate::simulate::{Faults, deliver, gps};
 #[command(next_help_heading = "A real scan instead of a scene")]
 pub struct CloudOptions {
     /// Encode this KITTI cloud (x forward, y left, z up, remission as f32, ring after ring) as what an HDL-64E S2 with
-    /// the given --calibration would have sent, at the speed of the scan unless --rpm is given: one turn, with a part
-    /// of a turn before and behind it; with --seconds, the same turn again and again
+    /// the given --calibration would have sent, at 600 turns a minute unless --rpm is given: one turn, with a part of a
+    /// turn before and behind it; with --seconds, the same turn again and again. A point goes to the firing that stands
+    /// for its column of the image of `sweepd segment`: its range comes back, its azimuth to about a column; of two
+    /// points without room the nearer is sent
     #[arg(
         long,
         value_name = "FILE.bin",

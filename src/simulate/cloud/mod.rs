@@ -3,7 +3,7 @@
 //! ```text
 //! points -> rings -> rows        whose ring it is: elevation by elevation
 //!           rings -> fit         elevation and vertical offset of each beam, from its ring
-//!           rings -> places      which firing of the turn each point goes to
+//!           rings -> places      which column of the turn each point is in, and so which firing of its beam
 //!           range -> distance    the correction formulas, solved for the raw distance
 //!                     Turn -> Sender -> packets, each return with the index of its point
 //! ```
@@ -11,18 +11,22 @@
 //! A cloud has lost what its sensor was: rotations, distance offsets and the columns. So the unit is one whose
 //! calibration is given, and the scan is what that unit would have seen. Its elevations are another unit's, and bend
 //! flat ground: [`Options::fit`] takes those of the scan.
+//!
+//! The columns are those onto which `sweepd segment` projects the scan, and a firing stands for a column as it does to
+//! whoever shifts each row by whole columns so that neighbours in space are neighbours in the image. So both paths see
+//! one image, and what they make of it can be compared. The price: a beam points up to half a column beside its column,
+//! and starts beside the axis; points come back at their range, but so far aside.
 
-mod distance;
-mod fit;
 mod rows;
 mod send;
 
 use std::f64::consts::TAU;
 
-use self::distance::{raw_distance, steepness};
-use self::fit::Sample;
 use self::rows::RingPlace;
 pub use self::send::{Sender, Sending};
+use super::beam::Laser;
+use super::shape::Vec3;
+use crate::cloud::fit::{self, Line, Prior, Sample};
 use crate::cloud::rings::{self, Polar, Ring};
 use crate::cloud::{COLUMNS, CloudError, places};
 use crate::sensor::model::Spec;
@@ -35,6 +39,10 @@ pub const MODEL: Model = Model::Hdl64eS2;
 pub const MODE: ReturnMode = ReturnMode::Strongest;
 /// Turns a minute that a sensor can make.
 const RPM: [f64; 2] = [300.0, 1200.0];
+/// What a scan is mostly made with.
+const DEFAULT_RPM: f64 = 600.0;
+/// How far the vertical offset of a unit is from that of another one, metres.
+const OFFSET_SPREAD_M: f64 = 0.03;
 
 /// Why a cloud cannot be encoded.
 #[derive(Debug, thiserror::Error)]
@@ -74,7 +82,7 @@ pub enum FromCloudError {
 pub struct Options {
     /// Fit elevation and vertical offset of each beam to the scan.
     pub fit: bool,
-    /// Turns a minute; `None` for those of the scan, of which the points of its fullest ring tell.
+    /// Turns a minute; `None` for 600, whose columns are those of `sweepd segment`.
     pub rpm: Option<f64>,
 }
 
@@ -89,10 +97,10 @@ pub struct Report {
     pub firings: usize,
     /// Points that have a firing and are in the packets.
     pub encoded: usize,
-    /// Those of them that are more than half a pitch from their firing, since another point has the nearest one.
-    pub moved: usize,
-    /// Points all of whose firings within a pitch have other points.
-    pub taken: usize,
+    /// Those of them that are within half a pitch of the azimuth of their beam.
+    pub within: usize,
+    /// Points in whose column a nearer one is shown.
+    pub hidden: usize,
     /// Points that have a firing, but are nearer or farther than the sensor can report.
     pub out_of_reach: usize,
     /// Points that are not finite, or on the sensor's axis.
@@ -101,13 +109,14 @@ pub struct Report {
 
 impl std::fmt::Display for Report {
     fn fmt(&self, f: &mut std::fmt::Formatter<'_>) -> std::fmt::Result {
-        let Self { points, rings, firings, encoded, moved, taken, out_of_reach, void } = self;
+        let Self { points, rings, firings, encoded, within, hidden, out_of_reach, void } = self;
         let percent = 100.0 * *encoded as f64 / (*points).max(1) as f64;
+        let farther = encoded - within;
         write!(
             f,
-            "{points} points in {rings} rings, {firings} firings a turn; encoded {encoded} ({percent:.1} %), {moved} of \
-             them in the firing beside their own; not encoded: {taken} whose firings have other points, {out_of_reach} \
-             out of the sensor's reach, {void} void"
+            "{points} points in {rings} rings, {firings} firings a turn; {encoded} have a firing ({percent:.1} %), \
+             {within} within half a pitch of its beam and {farther} farther; left out: {hidden} that share the firing of \
+             a nearer point, {out_of_reach} out of the sensor's reach, {void} void"
         )
     }
 }
@@ -151,14 +160,13 @@ impl Turn {
         let spec = MODEL.spec();
         let calibration = calibration.clone().for_model(MODEL).map_err(FromCloudError::Calibration)?;
         let mut beams: Vec<Beam> = calibration.rows().iter().map(|&channel| calibration.beams()[channel]).collect();
+        let unit_m = calibration.distance_unit_m();
         let rings = row_rings(points, &beams)?;
         if options.fit {
-            beams = fitted(&rings, &beams);
+            beams = fitted(&rings, &beams, unit_m);
         }
-        let unit_m = calibration.distance_unit_m();
         let calibration = Calibration::new(beams.clone(), unit_m).map_err(FromCloudError::Calibration)?;
-        let fullest = rings.iter().map(|ring| ring.points.len()).max().unwrap_or(0);
-        let firings = firings_of(spec, fullest, options.rpm);
+        let firings = firings_of(spec, options.rpm.unwrap_or(DEFAULT_RPM));
         let report = Report { points: points.len(), rings: rings.len(), firings, ..Report::default() };
         let echoes = vec![None; firings * spec.channels];
         let mut turn = Self { calibration, spec, firings, echoes, report };
@@ -198,56 +206,65 @@ impl Turn {
         first_rad + self.shot_offset(channel) / self.firings as f64 * TAU
     }
 
+    /// Azimuth of a beam at its shot, radians from 0 to a whole turn.
+    fn beam_rad(&self, firing: usize, channel: usize) -> f64 {
+        (self.head_rad(firing, channel) - self.calibration.beams()[channel].rotation_rad).rem_euclid(TAU)
+    }
+
     /// Gives the points of a ring to the firings of its beam.
     fn place(&mut self, ring: &RowRing<'_>, beam: &Beam) {
-        let (firings, offset) = (self.firings as f64, self.shot_offset(beam.channel));
-        let position = |polar: Polar| {
-            let turns = (beam_azimuth_rad(beam, polar) + beam.rotation_rad) / TAU;
-            (turns * firings - offset - 0.5).rem_euclid(firings)
-        };
+        let turn = self.firings as f64;
+        // Firings by which the beam is turned back from the head.
+        let behind = beam.rotation_rad / TAU * turn - self.shot_offset(beam.channel);
+        let laser = Laser::new(beam, self.calibration.distance_unit_m());
         let polars: Vec<Option<Polar>> = ring.points.iter().map(|&point| Polar::of(point)).collect();
-        let positions: Vec<f64> = polars.iter().map(|polar| polar.map_or(f64::NAN, position)).collect();
-        let places = places::of_ring(&positions, self.firings);
-        for (index, (polar, firing)) in polars.into_iter().zip(places).enumerate() {
-            let (Some(polar), Some(firing)) = (polar, firing) else {
-                let lost = if polar.is_some() { &mut self.report.taken } else { &mut self.report.void };
-                *lost += 1;
-                continue;
-            };
-            let Some(echo) = self.echo(beam, firing, polar, ring.points[index][3], ring.first + index) else {
+        let shown = places::of_ring(&polars, self.firings).shown;
+        let there = polars.iter().flatten().count();
+        self.report.void += polars.len() - there;
+        self.report.hidden += there - shown.iter().flatten().count();
+        for (column, point) in shown.into_iter().enumerate() {
+            let Some((point, polar)) = point.and_then(|point| Some((point, polars[point]?))) else { continue };
+            let firing = (column as i64 + behind.round() as i64).rem_euclid(self.firings as i64) as usize;
+            let Some(echo) =
+                self.echo(&laser, (firing, beam.channel), polar, ring.points[point][3], ring.first + point)
+            else {
                 self.report.out_of_reach += 1;
                 continue;
             };
-            let off = (positions[index] - firing as f64).rem_euclid(firings);
-            self.report.moved += usize::from(off.min(firings - off) > 0.5);
+            let off = (polar.position(self.firings) + behind - firing as f64).rem_euclid(turn);
+            self.report.within += usize::from(off.min(turn - off) <= 0.5);
             self.report.encoded += 1;
             self.echoes[firing * self.spec.channels + beam.channel] = Some(echo);
         }
     }
 
-    /// What a beam reports of a point.
-    fn echo(&self, beam: &Beam, firing: usize, polar: Polar, remission: f32, point: usize) -> Option<Echo> {
-        let azimuth_rad = self.head_rad(firing, beam.channel) - beam.rotation_rad;
-        let (sin, cos) = azimuth_rad.sin_cos();
-        let (x, y) = (polar.away_m * polar.azimuth_rad.sin(), polar.away_m * polar.azimuth_rad.cos());
-        let beside_m = beam.horizontal_offset_m;
-        let level_m = (x + beside_m * cos).hypot(y - beside_m * sin);
-        let range_m = level_m.hypot(polar.z_m - beam.vertical_offset_m);
-        let distance = raw_distance(beam, self.calibration.distance_unit_m(), azimuth_rad, range_m)?;
+    /// What a beam reports of a point in a firing.
+    fn echo(
+        &self,
+        laser: &Laser,
+        (firing, channel): (usize, usize),
+        polar: Polar,
+        remission: f32,
+        point: usize,
+    ) -> Option<Echo> {
+        let aim = laser.aimed(self.head_rad(firing, channel));
+        let (sin, cos) = polar.azimuth_rad.sin_cos();
+        let range_m = (Vec3::new(polar.away_m * sin, polar.away_m * cos, polar.z_m) - aim.origin).norm();
+        let distance_m = aim.distance_m(range_m);
+        if !aim.is_sayable(distance_m) {
+            return None;
+        }
+        let units = aim.units(distance_m, 0.0).clamp(1.0, f64::from(u16::MAX));
         // A remission that is none is 0.
         let reflectivity = (f64::from(remission) * 255.0).round().clamp(0.0, 255.0) as u8;
-        Some(Echo { point: u32::try_from(point).ok()?, distance, reflectivity, range_m })
+        let reflectivity = aim.intensity_byte(units, reflectivity);
+        Some(Echo { point: u32::try_from(point).ok()?, distance: units as u16, reflectivity, range_m })
     }
 
     /// What a channel reports in a firing.
     fn at(&self, firing: usize, channel: usize) -> Option<&Echo> {
         self.echoes[firing * self.spec.channels + channel].as_ref()
     }
-}
-
-/// Where a beam must point to hit what is there, radians: it starts beside the axis.
-fn beam_azimuth_rad(beam: &Beam, polar: Polar) -> f64 {
-    polar.azimuth_rad + (beam.horizontal_offset_m / polar.away_m).clamp(-1.0, 1.0).asin()
 }
 
 /// The rings of a cloud, each with its row, from the top.
@@ -276,26 +293,35 @@ fn row_rings<'a>(points: &'a [[f32; 4]], rows: &[Beam]) -> Result<Vec<RowRing<'a
 }
 
 /// The beams of all rows, with elevations and vertical offsets as the rings have them.
-fn fitted(rings: &[RowRing<'_>], rows: &[Beam]) -> Vec<Beam> {
+fn fitted(rings: &[RowRing<'_>], rows: &[Beam], unit_m: f64) -> Vec<Beam> {
     let mut fits = vec![None; rows.len()];
     for ring in rings {
         let beam = &rows[ring.row];
-        let sample = |polar: Polar| {
-            let away_m = (polar.away_m.powi(2) - beam.horizontal_offset_m.powi(2)).max(0.0).sqrt();
-            let range_m = away_m.hypot(polar.z_m - beam.vertical_offset_m);
-            let away_m = away_m * steepness(beam, beam_azimuth_rad(beam, polar), range_m);
-            (away_m > 0.0).then_some(Sample { away_m, z_m: polar.z_m })
-        };
-        let samples: Vec<Sample> = ring.points.iter().filter_map(|&point| sample(Polar::of(point)?)).collect();
-        fits[ring.row] = fit::fit(beam, &samples);
+        let laser = Laser::new(beam, unit_m);
+        let samples: Vec<Sample> =
+            ring.points.iter().filter_map(|&point| sample(beam, &laser, Polar::of(point)?)).collect();
+        let prior = Prior { offset_m: beam.vertical_offset_m, spread_m: OFFSET_SPREAD_M };
+        let beam_on = |line: Line| Beam { elevation_rad: line.slope.atan(), vertical_offset_m: line.offset_m, ..*beam };
+        fits[ring.row] = fit::fit(prior, &samples).map(beam_on);
     }
-    fit::complete(rows, &fits)
+    rows::complete(rows, &fits)
 }
 
-/// Firings of a turn: as many as the fullest ring of the scan has points, if that says anything; a scan of which no ring
-/// is full comes from a sensor at 10 turns a second.
-fn firings_of(spec: &Spec, fullest: usize, rpm: Option<f64>) -> usize {
-    let at = |rpm: f64| 60e9 / (rpm * f64::from(spec.firing_period_ns(MODE)));
-    let firings = rpm.map_or(fullest.max(COLUMNS) as f64, at);
-    firings.clamp(at(RPM[1]), at(RPM[0])).round() as usize
+/// A point in the plane of its beam, as it would be if the beam were straight: the two-point correction moves the
+/// horizontal and the vertical part of a point differently, so that a beam rises more steeply than its elevation says.
+fn sample(beam: &Beam, laser: &Laser, polar: Polar) -> Option<Sample> {
+    let aside_m = beam.horizontal_offset_m;
+    let away_m = (polar.away_m.powi(2) - aside_m.powi(2)).max(0.0).sqrt();
+    let towards_rad = polar.azimuth_rad + (aside_m / polar.away_m).clamp(-1.0, 1.0).asin();
+    let aim = laser.aimed(towards_rad + beam.rotation_rad);
+    let rise = |way: Vec3| way.z / way.x.hypot(way.y);
+    let (bent, _) = aim.towards_range(away_m.hypot(polar.z_m - beam.vertical_offset_m));
+    let steeper = rise(bent) / rise(aim.straight);
+    let away_m = if steeper > 0.0 && steeper.is_finite() { away_m * steeper } else { away_m };
+    (away_m > 0.0).then_some(Sample { away_m, z_m: polar.z_m })
+}
+
+/// Firings of a turn.
+fn firings_of(spec: &Spec, rpm: f64) -> usize {
+    (60e9 / (rpm.clamp(RPM[0], RPM[1]) * f64::from(spec.firing_period_ns(MODE)))).round() as usize
 }

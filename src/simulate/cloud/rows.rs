@@ -5,6 +5,8 @@ use crate::sensor::Beam;
 
 /// A ring may lie so far from the beam that it is given to, degrees: units differ by half as much, models by more.
 const MAX_APART_DEG: f64 = 6.0;
+/// Least difference of the elevations of two beams, degrees: what the status stream can tell.
+const STEP_DEG: f64 = 0.01;
 
 /// Where a ring lies.
 #[derive(Clone, Copy, Debug)]
@@ -67,6 +69,30 @@ fn check(rings: &[RingPlace], rows: &[Beam], found: &[usize]) -> Result<(), From
     }
 }
 
+/// Brings beams, row by row from the top, into an order that a calibration keeps: those without a fit follow their
+/// neighbours, and each lies at least [`STEP_DEG`] below the one above it.
+///
+/// `fits` holds, for each row, what the fit gave.
+pub(super) fn complete(rows: &[Beam], fits: &[Option<Beam>]) -> Vec<Beam> {
+    let shift_rad = |row: usize| Some(fits[row]?.elevation_rad - rows[row].elevation_rad);
+    let mut beams: Vec<Beam> = Vec::with_capacity(rows.len());
+    for (row, beam) in rows.iter().enumerate() {
+        let above = (0..row).rev().find_map(|other| Some((row - other, shift_rad(other)?)));
+        let below = (row + 1..rows.len()).find_map(|other| Some((other - row, shift_rad(other)?)));
+        let shift_rad = match (above, below) {
+            (Some((up, a)), Some((down, b))) => (a * down as f64 + b * up as f64) / (up + down) as f64,
+            (Some((_, only)), None) | (None, Some((_, only))) => only,
+            (None, None) => 0.0,
+        };
+        let mut beam = fits[row].unwrap_or(Beam { elevation_rad: beam.elevation_rad + shift_rad, ..*beam });
+        if let Some(above) = beams.last() {
+            beam.elevation_rad = beam.elevation_rad.min(above.elevation_rad - STEP_DEG.to_radians());
+        }
+        beams.push(beam);
+    }
+    beams
+}
+
 #[cfg(test)]
 mod tests {
     use super::*;
@@ -103,5 +129,17 @@ mod tests {
         let error = of_rings(&[RingPlace { elevation_rad: 0.2, away_m: 10.0 }], &rows()).unwrap_err().to_string();
         assert!(error.contains("11.46 degrees") && error.contains("2.00"), "{error}");
         assert!(of_rings(&[RingPlace { elevation_rad: f64::NAN, away_m: 10.0 }], &rows()).is_err());
+    }
+
+    #[test]
+    fn beams_without_a_fit_follow_their_neighbours_and_none_overtakes_another() {
+        let rows = [0.3, 0.2, 0.1, 0.0, -0.1].map(|elevation_rad| Beam::ideal(0, elevation_rad));
+        let at = |elevation_rad| Some(Beam::ideal(0, elevation_rad));
+        let elevations = |fits: &[Option<Beam>]| -> Vec<i64> {
+            complete(&rows, fits).iter().map(|beam| (beam.elevation_rad * 1e6).round() as i64).collect()
+        };
+        assert_eq!(elevations(&[None; 5]), [300_000, 200_000, 100_000, 0, -100_000]);
+        assert_eq!(elevations(&[None, at(0.21), None, at(0.03), None]), [310_000, 210_000, 120_000, 30_000, -70_000]);
+        assert_eq!(elevations(&[None, at(0.2), at(0.25), None, None]), [300_000, 200_000, 199_825, 150_000, 50_000]);
     }
 }
