@@ -351,6 +351,22 @@ fn a_limited_field_of_view_is_no_loss() {
     }
 }
 
+/// The rows of an HDL-64E are apart by more than such a sector is wide.
+#[test]
+fn a_sector_narrower_than_the_shifts_may_be_left_out() {
+    for width_cdeg in [300.0, 600.0, 1_000.0] {
+        let fov = Some((27_000.0, 27_000.0 - width_cdeg));
+        let mut sent = Spin { fov, ..Spin::new(Hdl64eS3, Dual, 600.0) }.packets(0.35);
+        Run::of(config(), &sent).check_sent(&sent);
+        // A packet that comes late finds its place behind the sector too.
+        let late = sent.remove(830);
+        sent.insert(860, late);
+        let run = Run::of(config(), &sent);
+        run.check_sent(&sent);
+        assert_eq!(run.counts, Counts { data: run.counts.data, reordered: 1, ..Counts::default() }, "{width_cdeg}");
+    }
+}
+
 #[test]
 fn losses_in_a_limited_field_of_view_are_counted() {
     for (model, mode) in KINDS {

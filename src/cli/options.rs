@@ -43,7 +43,8 @@ pub struct SensorOptions {
     /// packets: factory bytes, heads and period]
     #[arg(long, value_name = "MODEL", value_parser = model)]
     pub model: Option<Model>,
-    /// Calibration of the unit, db.xml or ROS YAML [default: the model's own table]
+    /// Calibration of the unit, db.xml or ROS YAML [default: the model's own table; of an HDL-64E,
+    /// the one in its packets]
     #[arg(long, value_name = "FILE")]
     pub calibration: Option<PathBuf>,
     /// Only sensors at this address: IP or IP:PORT; may be given several times

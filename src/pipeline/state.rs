@@ -135,6 +135,9 @@ impl<B: Buffers, W: Stopwatch> Pipeline<B, W> {
         if let (ReturnMode::Strongest, Some(ReturnMode::Last)) = (detection.return_mode, unit.return_mode()) {
             detection.return_mode = ReturnMode::Last;
         }
+        if self.config.model.is_none() && unit.series() == Some(Series::S3) {
+            detection.model = Model::Hdl64eS3;
+        }
         self.notices.push(Notice::Calibrated { calibrated: unit.calibrated(), packets: self.counts.data });
         let rate = marks[0].and_then(|mark| rate_between(&mark, packet, detection.return_mode, detection.spec));
         self.decode(detection, (calibration, Some(unit)), (buffers, clocks, rate), Vec::new())

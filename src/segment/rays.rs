@@ -72,7 +72,7 @@ impl Rays {
         let (beam, [sin, cos]) = self.aim(row, column);
         match beam.corrected.is_straight() {
             true => beam.straight_m(range_m, [sin, cos]),
-            false => beam.beside_origin_m(beam.corrected.point_m(range_m, sin, cos), [sin, cos]),
+            false => beam.sensor_m(beam.corrected.point_m(range_m, sin, cos), [sin, cos]),
         }
     }
 
@@ -115,12 +115,12 @@ impl RowRay {
     #[inline]
     fn straight_m(&self, range_m: f32, [sin, cos]: [f64; 2]) -> [f64; 3] {
         let flat = f64::from(range_m) * self.cos_elevation;
-        self.beside_origin_m([flat * sin, flat * cos, f64::from(range_m) * self.sin_elevation], [sin, cos])
+        self.sensor_m([flat * sin, flat * cos, f64::from(range_m) * self.sin_elevation], [sin, cos])
     }
 
     /// What lies there from the beam's origin, from the sensor's.
     #[inline]
-    fn beside_origin_m(&self, [x, y, z]: [f64; 3], [sin, cos]: [f64; 2]) -> [f64; 3] {
+    fn sensor_m(&self, [x, y, z]: [f64; 3], [sin, cos]: [f64; 2]) -> [f64; 3] {
         let sideways = self.horizontal_offset_m;
         [x - sideways * cos, y + sideways * sin, z + self.vertical_offset_m]
     }

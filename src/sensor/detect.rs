@@ -197,8 +197,12 @@ impl Detector {
             self.first_stamp = packet.stamp_us();
             self.len = 0;
         }
-        if packet.blocks[0].azimuth_cdeg() != packet.blocks[BLOCKS - 1].azimuth_cdeg() {
-            let paired = packet.azimuths_in_groups(if self.has_heads() { 4 } else { 2 });
+        let turns = || packet.blocks[0].azimuth_cdeg() != packet.blocks[BLOCKS - 1].azimuth_cdeg();
+        let paired = match self.has_heads() {
+            true => detection::says_two_returns(packet),
+            false => turns().then(|| packet.azimuths_in_groups(2)),
+        };
+        if let Some(paired) = paired {
             *if paired { &mut self.azimuths.paired } else { &mut self.azimuths.single } += 1;
         }
         self.stamps[self.len] = since(self.first_stamp, packet.stamp_us());
@@ -258,7 +262,9 @@ impl Detector {
             let period_ns = spec.packet_period_ns(return_mode);
             let fitting = || intervals.us().iter().copied().filter(|&us| fits(us, period_ns));
             let count = fitting().count();
-            if count > best.fits {
+            // Of two modes, the one with the shorter period fits too where the other is meant.
+            let is_seen = modes.len() == 1 || fitting().any(|us| fits_once(us, period_ns));
+            if count > best.fits && is_seen {
                 best =
                     Vote { timing, spec, return_mode, fits: count, interval_us: fitting().min().unwrap_or_default() };
             }
@@ -353,7 +359,12 @@ fn fits(interval_us: u32, period_ns: u32) -> bool {
     (1..=MAX_MULTIPLE).any(|multiple| interval_ns.abs_diff(u64::from(period_ns * multiple)) <= TOLERANCE_NS)
 }
 
-/// The model of [`TIMINGS`] whose timing a model has.
+/// Whether an interval is one period.
+fn fits_once(interval_us: u32, period_ns: u32) -> bool {
+    (u64::from(interval_us) * 1_000).abs_diff(u64::from(period_ns)) <= TOLERANCE_NS
+}
+
+/// The model of [`timings`] whose timing a model has.
 fn timing_of(model: Model) -> Model {
     match model {
         Model::Vlp16 | Model::PuckLite | Model::PuckHiRes => Model::Vlp16,

@@ -53,6 +53,11 @@ impl Unit {
         self.status.dump().map(stream::calibration)
     }
 
+    /// Its series, once that is known.
+    pub fn series(&self) -> Option<Series> {
+        self.status.series()
+    }
+
     /// The return mode that it is set to, once that is known.
     pub fn return_mode(&self) -> Option<ReturnMode> {
         self.status.return_mode()

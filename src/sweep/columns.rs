@@ -140,11 +140,17 @@ impl SoFar {
     /// columns that go on from the firing before, and then some that lead to the one behind.
     fn part(&mut self, sweep: &mut SweepMut<'_>, behind: &Column, turns: &Turns, period_ns: u32) {
         let before = sweep.columns[self.columns - 1];
+        // A narrow sector takes less time than these columns would: times never step back.
+        let middle_ns = before.time_ns.midpoint(behind.time_ns);
         for step in 1..=turns.trail() {
-            self.unfired(sweep, extrapolated(&before, step as i64, turns, period_ns), turns);
+            let mut column = extrapolated(&before, step as i64, turns, period_ns);
+            column.time_ns = column.time_ns.min(middle_ns);
+            self.unfired(sweep, column, turns);
         }
         for step in (1..=turns.lead()).rev() {
-            self.unfired(sweep, extrapolated(behind, -(step as i64), turns, period_ns), turns);
+            let mut column = extrapolated(behind, -(step as i64), turns, period_ns);
+            column.time_ns = column.time_ns.max(middle_ns);
+            self.unfired(sweep, column, turns);
         }
     }
 
@@ -161,13 +167,11 @@ impl SoFar {
         let (first, end) = (self.first_column, self.columns);
         let columns = end - first;
         for (row, turn) in turns.rows().iter().enumerate() {
-            let aside = turn.shift.unsigned_abs() as usize;
-            // A turn shorter than the shifts (a few firings beyond a leap) has nothing to fold onto.
-            for step in 0..aside.min(columns) {
-                match turn.shift > 0 {
-                    true => move_pixel(sweep, row, first - aside + step, end - aside + step),
-                    false => move_pixel(sweep, row, end + step, first + step),
-                }
+            let [filled, behind] = [first, end].map(|column| (column as i64 - i64::from(turn.shift)) as usize);
+            // Azimuths that no head has can make a turn of fewer columns than the shift: then all of it lies beyond.
+            for from in (filled..behind.min(first)).chain(filled.max(end)..behind) {
+                let onto = (from as i64 - first as i64).rem_euclid(columns as i64) as usize;
+                move_pixel(sweep, row, from, first + onto);
             }
         }
         [first, columns]

@@ -252,7 +252,7 @@ impl<'a> SweepRef<'a> {
     #[inline]
     pub fn time_ns(&self, row: usize, column: usize) -> i64 {
         let firing = self.firing(row, column);
-        self.header.time_ns + i64::from(firing.time_ns) + i64::from(self.beams[row].time_offset_ns)
+        shot_ns(self.header, firing, &self.beams[row])
     }
 
     /// x right, y forward, z up of a range in a pixel, metres.
@@ -308,7 +308,7 @@ impl<'a> SweepRef<'a> {
             azimuth_rad,
             elevation_rad,
             reflectivity,
-            time_ns: self.header.time_ns + i64::from(firing.time_ns) + i64::from(beam.time_offset_ns),
+            time_ns: shot_ns(self.header, firing, beam),
             label,
             point_m: shot.point_m(along_m),
         })
@@ -324,6 +324,12 @@ pub(crate) fn shifted(column: usize, shift: i32, columns: usize, circular: bool)
         _ if circular => at.rem_euclid(columns as i64) as usize,
         _ => at.clamp(0, columns as i64 - 1) as usize,
     }
+}
+
+/// When a beam of a firing fired; at the end of time for a header that is not to be trusted.
+#[inline]
+fn shot_ns(header: &Header, firing: &Column, beam: &BeamRow) -> i64 {
+    header.time_ns.saturating_add(i64::from(firing.time_ns) + i64::from(beam.time_offset_ns))
 }
 
 /// Azimuth of a beam of a firing at its own shot, radians, 0..2 pi.
@@ -408,6 +414,14 @@ mod tests {
         assert_eq!((read.columns.len(), read.columns[1].packet, read.beams[2].channel), (2, 9, 1));
 
         assert_eq!(SweepRef::open(&bytes[..100]).err(), Some(LayoutError::Bytes { bytes: 100 }));
+        // What stands in the tables is anybody's.
+        let sweep = SweepMut::open(bytes).unwrap();
+        sweep.range[..6].fill(1.0);
+        (sweep.header.time_ns, sweep.beams[0].shift, sweep.beams[1].shift) = (i64::MAX, i32::MIN, i32::MAX);
+        for circular in [0, flags::CIRCULAR] {
+            SweepMut::open(bytes).unwrap().header.flags = circular;
+            assert!(SweepRef::open(bytes).unwrap().returns().all(|one| one.time_ns == i64::MAX));
+        }
         SweepMut::open(bytes).unwrap().header.columns = 6;
         assert_eq!(SweepRef::open(bytes).err(), Some(LayoutError::Inconsistent));
         bytes[0] = 0;

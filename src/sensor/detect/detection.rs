@@ -22,6 +22,16 @@ pub struct Detection {
 /// degree, lest a head that hardly turns seem to.
 const TELLING_STEP_CDEG: i32 = 4;
 
+/// Whether a packet of an HDL-64E holds two returns, where its azimuths tell.
+pub(super) fn says_two_returns(packet: &DataPacket) -> Option<bool> {
+    const BLOCKS_OF_TWO: usize = 4;
+    if !packet.azimuths_in_groups(BLOCKS_OF_TWO) {
+        return Some(false);
+    }
+    let [first, second] = [0, BLOCKS_OF_TWO].map(|block| i32::from(packet.blocks[block].azimuth_cdeg()));
+    ((first - second).abs() >= TELLING_STEP_CDEG).then_some(true)
+}
+
 impl Detection {
     /// The return mode of a packet, the one before having that of `last`: an HDL-64E says it by its azimuths, and a head
     /// that stands still does not say it; others have a byte, and where it is blank the detection's mode holds.
@@ -29,12 +39,11 @@ impl Detection {
         if !self.model.is_hdl64e() {
             return ReturnMode::from_byte(packet.return_mode).unwrap_or(self.return_mode);
         }
-        let group = self.spec.blocks_per_azimuth(ReturnMode::Dual);
-        if !packet.azimuths_in_groups(group) {
-            return if last == ReturnMode::Dual { ReturnMode::Strongest } else { last };
+        match says_two_returns(packet) {
+            Some(true) => ReturnMode::Dual,
+            Some(false) if last == ReturnMode::Dual => ReturnMode::Strongest,
+            Some(false) | None => last,
         }
-        let [first, second] = [0, group].map(|block| i32::from(packet.blocks[block].azimuth_cdeg()));
-        if (first - second).abs() >= TELLING_STEP_CDEG { ReturnMode::Dual } else { last }
     }
 
     /// Whether a packet is laid out as those of this sensor, whatever it holds.

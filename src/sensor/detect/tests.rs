@@ -289,6 +289,32 @@ fn an_hdl64e_is_told_by_its_heads_and_its_timing_by_the_period() {
     assert!(matches!(one_head, Err(DetectError::Layout { heads: false, .. })), "{one_head:?}");
 }
 
+/// A head that starts: what looks like pairs may be chance.
+#[test]
+fn an_hdl64e_that_hardly_turns_is_told_by_its_period() {
+    use ReturnMode::{Dual, Strongest};
+    for (period_ns, mode, packet_ns) in
+        [(288_000, Strongest, 288_000), (345_600, Strongest, 345_600), (172_800, Dual, 288_000)]
+    {
+        let firings = if mode == Dual { 3 } else { 6 };
+        for (rpm, start) in [0.0, 0.3, 1.0, 3.0, 10.0].into_iter().flat_map(|rpm| (0..50).map(move |s| (rpm, s))) {
+            let mut detector = Detector::new(None);
+            let sent = (0..12).map(|n: u64| {
+                let mut packet = two_heads((n * period_ns / 1000) as u32, 12);
+                for (index, block) in packet.blocks.iter_mut().enumerate() {
+                    let firing = (index * firings / BLOCKS) as f64 / firings as f64;
+                    let seconds = (n as f64 + firing) * period_ns as f64 * 1e-9;
+                    block.set_azimuth_cdeg((f64::from(start) * 0.37 + rpm * 600.0 * seconds).round() as u16);
+                }
+                packet
+            });
+            let found = sent.into_iter().find_map(|p| detector.observe(&p)).unwrap().unwrap();
+            let single_ns = found.spec.packet_period_ns(Strongest);
+            assert_eq!((found.return_mode, single_ns), (mode, packet_ns), "{period_ns} {rpm} {start}");
+        }
+    }
+}
+
 #[test]
 fn an_hdl64e_says_its_return_mode_by_azimuths_that_differ() {
     use ReturnMode::{Dual, Strongest};
