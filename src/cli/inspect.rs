@@ -292,9 +292,14 @@ impl Seen {
             modes.push("not stated".to_owned());
         }
         let said = self.status.as_ref().and_then(Status::return_mode);
-        modes.extend(said.map(|mode| format!("by its status {mode}")));
-        if !modes.is_empty() {
-            row(text, "return mode", &modes.join(", "));
+        let seen = modes.join(", ");
+        match said.map(|mode| mode.to_string()) {
+            Some(said) if seen.is_empty() || said == seen => {
+                row(text, "return mode", &format!("{said}, by its status"))
+            }
+            Some(said) => row(text, "return mode", &format!("{seen}; its status says {said}")),
+            None if seen.is_empty() => {}
+            None => row(text, "return mode", &seen),
         }
         if let Some(status) = &self.status {
             status::describe(status, text);

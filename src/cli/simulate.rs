@@ -333,9 +333,11 @@ impl<'a> Simulated<'a> {
             [.., 201] => folder.clone(),
             _ => folder.join(format!("{}_{DATA_PORT}", config.address)),
         });
+        let emitter = Emitter::new(config.clone(), scene);
+        let emitter = if folder.is_some() { emitter } else { emitter.untold() };
         Ok(Self {
             truth: folder.map(|folder| TruthFile::create(&folder, config.start_utc_ns)).transpose()?,
-            datagrams: deliver(Emitter::new(config.clone(), scene), faults.clone()).peekable(),
+            datagrams: deliver(emitter, faults.clone()).peekable(),
             config: config.clone(),
             faults,
             data: 0,

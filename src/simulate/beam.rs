@@ -11,7 +11,7 @@
 //! z = (d + cz) sin w        + V
 //! ```
 
-use super::shape::Vec3;
+use super::shape::{Vec3, rounded};
 use crate::sensor::Beam;
 use crate::sensor::calibration::Intensity;
 
@@ -48,6 +48,9 @@ struct Near {
     /// What the offsets change by for each metre of x and of y.
     x_gain: f64,
     y_gain: f64,
+    /// More than the offsets of x, y and z ever differ by, and more than that changes by in a metre.
+    bend_m: f64,
+    gain: f64,
 }
 
 impl Laser {
@@ -57,7 +60,8 @@ impl Laser {
         let near = beam.two_point.map(|two| {
             let (x_m, y_m) = (two.distance_offset_x_m, two.distance_offset_y_m);
             let (x_gain, y_gain) = ((far_m - x_m) / (FAR_M - NEAR_X_M), (far_m - y_m) / (FAR_M - NEAR_Y_M));
-            Near { x_m, y_m, x_gain, y_gain }
+            let gain = x_gain.abs() + y_gain.abs();
+            Near { x_m, y_m, x_gain, y_gain, bend_m: (x_m - y_m).abs() + gain * FAR_M, gain }
         });
         Self {
             rotation_rad: beam.rotation_rad,
@@ -100,6 +104,21 @@ impl Aim<'_> {
     /// Whether its direction depends on how far away a surface is.
     pub fn is_curved(&self) -> bool {
         self.laser.near.is_some()
+    }
+
+    /// Whether it is plain that the ways to a distance in the packet and to a range part by less than so many metres
+    /// there. That they do is not always plain: then only [`Aim::towards_range`] tells.
+    pub fn goes_by(&self, distance_m: f64, range_m: f64, beside_m: f64) -> bool {
+        let Some(near) = &self.laser.near else { return true };
+        let is_far = [distance_m, range_m - self.laser.far_offset_m].map(|distance_m| distance_m >= FAR_M);
+        if is_far != [false; 2] {
+            return is_far == [true; 2];
+        }
+        let apart_m = (self.near_vector(near, distance_m).norm() - range_m).abs();
+        let is_before_the_break = distance_m + 2.0 * apart_m < FAR_M;
+        // By what the offsets differ from each other the beam is aslant, and less so the farther it goes.
+        let aslant_m = 2.5 * apart_m * (near.bend_m + near.gain * range_m);
+        is_before_the_break && apart_m < range_m / 4.0 && aslant_m < beside_m * range_m
     }
 
     /// From the origin to the place that a distance in the packet means, metres. Its length is the range.
@@ -165,14 +184,14 @@ impl Aim<'_> {
     /// The number of units that says a distance, less or more by noise, best; outside of 1 to 65535 no packet can.
     pub fn units(&self, distance_m: f64, noise_m: f64) -> f64 {
         let unit_m = self.laser.distance_unit_m;
-        let units = ((distance_m + noise_m) / unit_m).round();
+        let units = rounded((distance_m + noise_m) / unit_m);
         if !self.is_curved() || (distance_m - FAR_M).abs() > 2.0 * unit_m + noise_m.abs() {
             return units;
         }
         // Carried or rounded over the end of the correction, a number would mean a range centimetres off.
         let range_m = self.vector(distance_m).norm() + noise_m;
         let miss_m = |units: f64| (self.vector(units * unit_m).norm() - range_m).abs();
-        let units = (self.distance_m(range_m) / unit_m).round();
+        let units = rounded(self.distance_m(range_m) / unit_m);
         [units - 1.0, units + 1.0]
             .into_iter()
             .fold(units, |best, other| if miss_m(other) < miss_m(best) { other } else { best })
@@ -180,7 +199,7 @@ impl Aim<'_> {
 
     /// Whether a number of 16 bits can say a distance.
     pub fn is_sayable(&self, distance_m: f64) -> bool {
-        (1.0..=f64::from(u16::MAX)).contains(&(distance_m / self.laser.distance_unit_m).round())
+        (1.0..=f64::from(u16::MAX)).contains(&rounded(distance_m / self.laser.distance_unit_m))
     }
 
     /// The direction towards the place that a distance in the packet means, and its azimuth, radians, to a hundredth of
@@ -223,7 +242,7 @@ impl Aim<'_> {
     pub fn intensity_byte(&self, units: f64, reflectivity: u8) -> u8 {
         let boost = self.laser.intensity.map_or(0.0, |intensity| intensity_boost(&intensity, units));
         // From a float to an integer, 'as' keeps to the integer's limits.
-        (f64::from(reflectivity) - boost).round() as u8
+        rounded(f64::from(reflectivity) - boost) as u8
     }
 }
 

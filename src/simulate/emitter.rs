@@ -5,6 +5,7 @@
 //! stamp is truncated to microseconds, the azimuth is that of the first shot in the block, rounded, and the range is
 //! noisy and counted in units. The [`PacketTruth`] keeps what was lost.
 
+use std::f64::consts::TAU;
 use std::net::SocketAddrV4;
 
 use fastrand::Rng;
@@ -15,10 +16,11 @@ use super::gps;
 use super::head::Pose;
 use super::layout::Layout;
 use super::optics::{self, Shot};
-use super::scene::{Hit, Scene, View};
-use super::shape::Vec3;
+use super::scene::{Hit, Scene};
+use super::shape::{Vec3, floor};
 use super::status::Status;
 use super::truth::{PacketTruth, ReturnTruth, SimulatedDatagram};
+use super::view::View;
 use crate::sensor::Calibration;
 use crate::wire::data::{BLOCKS, DataPacket, RECORDS, ReturnMode};
 use crate::wire::{DATA_PORT, POSITION_PORT};
@@ -30,15 +32,14 @@ const VIEW_NS: i64 = 10_000_000;
 pub struct Emitter<'a> {
     config: EmitterConfig,
     lasers: Vec<Laser>,
-    /// Where the beams start: the middle of them, and how far from it the farthest does, metres.
-    eye: (Vec3, f64),
     /// What bytes 1204 and 1205 say, where that is not mode and product.
     status: Option<Status>,
-    scene: &'a Scene,
     /// The scene around a time, and the number of that time.
     view: (i64, View<'a>),
     ordinal: u64,
     position: Option<SimulatedDatagram>,
+    /// Whether the truth of each return is wanted.
+    tells: bool,
 }
 
 /// A data packet while it is filled.
@@ -65,22 +66,31 @@ impl<'a> Emitter<'a> {
         let lasers = beams.beams().iter().map(|beam| Laser::new(beam, config.spec.distance_unit_m)).collect();
         let eye = eye(&config.pose, &beams);
         let status = config.model.is_hdl64e().then(|| Status::new(&config).expect("checked"));
-        let view = (0, view(scene, eye, 0));
-        Self { lasers, eye, status, scene, view, ordinal: 0, position: None, config }
+        let (time_s, half_s) = stretch_s(0);
+        let view = (0, View::new(scene, eye.0, eye.1, time_s, half_s));
+        Self { lasers, status, view, ordinal: 0, position: None, tells: true, config }
+    }
+
+    /// The same, with nothing but its number in the truth of a packet: for whoever does not want more, and has no time.
+    pub fn untold(mut self) -> Self {
+        self.tells = false;
+        self
     }
 
     /// Where the head points, radians from 0 to a whole turn.
     fn azimuth_rad(&self, time_ns: i64) -> f64 {
         let steady_ns = self.config.motor.steady_ns(time_ns);
         let turns = self.config.encoder.start_deg / 360.0 + self.config.rpm / 60.0 * steady_ns * 1e-9;
-        turns.rem_euclid(1.0) * std::f64::consts::TAU
+        (turns - floor(turns)) * TAU
     }
 
     fn data_packet(&mut self, ordinal: u64, rng: &mut Rng) -> (DataPacket, Box<PacketTruth>) {
         let first_ns = self.config.first_shot_ns(ordinal);
         let stretch = first_ns / VIEW_NS;
         if self.view.0 != stretch {
-            self.view = (stretch, view(self.scene, self.eye, stretch));
+            self.view.0 = stretch;
+            let (time_s, half_s) = stretch_s(stretch);
+            self.view.1.turn_to(time_s, half_s);
         }
         let EmitterConfig { spec, clock, start_utc_ns, .. } = &self.config;
         let mode = self.config.mode_of(ordinal);
@@ -135,7 +145,9 @@ impl<'a> Emitter<'a> {
                 written = Some((*one, bytes));
                 let (block, record) = draft.layout.place(firing, channel, slot);
                 draft.packet.blocks[block].records[record] = bytes;
-                draft.truth.returns[block][record] = Some(truth(&one.hit, aim.azimuth_of(one.distance_m), time_ns));
+                if self.tells {
+                    draft.truth.returns[block][record] = Some(truth(&one.hit, aim.azimuth_of(one.distance_m), time_ns));
+                }
             }
         }
     }
@@ -149,8 +161,18 @@ impl<'a> Emitter<'a> {
 }
 
 fn truth(hit: &Hit, azimuth_rad: f64, time_ns: i64) -> ReturnTruth {
-    let azimuth_rad = azimuth_rad.rem_euclid(std::f64::consts::TAU);
-    ReturnTruth { object: hit.object, class: hit.class, range_m: hit.distance_m, azimuth_rad, time_ns }
+    ReturnTruth {
+        object: hit.object,
+        class: hit.class,
+        range_m: hit.distance_m,
+        azimuth_rad: within_turn(azimuth_rad),
+        time_ns,
+    }
+}
+
+/// An azimuth from 0 to a whole turn; most are, and need not be divided.
+fn within_turn(azimuth_rad: f64) -> f64 {
+    if (0.0..TAU).contains(&azimuth_rad) { azimuth_rad } else { azimuth_rad.rem_euclid(TAU) }
 }
 
 /// Where the beams of a sensor start: the middle of them, and how far from it the farthest does, metres.
@@ -161,11 +183,11 @@ fn eye(pose: &Pose, beams: &Calibration) -> (Vec3, f64) {
     (pose.origin + Vec3::z() * ((low + high) / 2.0), f64::hypot((high - low) / 2.0, aside_m) + 0.01)
 }
 
-/// The scene within a stretch of time, as seen by beams that start so far from an eye.
-fn view(scene: &Scene, (eye, margin_m): (Vec3, f64), stretch: i64) -> View<'_> {
+/// The middle of a stretch of time and half of how long it is, seconds.
+fn stretch_s(stretch: i64) -> (f64, f64) {
     let half_s = VIEW_NS as f64 * 0.5e-9;
     // A packet that begins in the stretch may end a little after it.
-    View::new(scene, eye, margin_m, (2 * stretch + 1) as f64 * half_s, half_s + 0.002)
+    ((2 * stretch + 1) as f64 * half_s, half_s + 0.002)
 }
 
 impl Iterator for Emitter<'_> {
@@ -287,6 +309,20 @@ mod tests {
                 }
             }
             assert!(checked > 2_000, "{checked}");
+        }
+    }
+
+    #[test]
+    fn who_is_told_nothing_gets_the_same_bytes() {
+        let scene = street(3);
+        let mut config = EmitterConfig::new(Model::Hdl64eS3, ReturnMode::Dual);
+        config.packets = 5;
+        let (told, untold) = (Emitter::new(config.clone(), &scene), Emitter::new(config, &scene).untold());
+        for (told, untold) in told.zip(untold) {
+            assert_eq!((told.payload, told.arrival_ns), (untold.payload, untold.arrival_ns));
+            let truth = untold.truth.unwrap();
+            assert_eq!(truth.ordinal, told.truth.unwrap().ordinal);
+            assert!(truth.returns.as_flattened().iter().all(Option::is_none));
         }
     }
 
@@ -493,7 +529,7 @@ mod tests {
                         );
                         let beam = end - origin;
                         assert!((beam.norm() - truth.range_m).abs() < 0.001_01, "{beam:?} {truth:?}");
-                        let azimuth = f64::atan2(beam.x, beam.y).rem_euclid(std::f64::consts::TAU);
+                        let azimuth = f64::atan2(beam.x, beam.y).rem_euclid(TAU);
                         assert!((azimuth - truth.azimuth_rad).abs() < 1e-4, "{azimuth} {truth:?}");
                         // Along the beam a unit is 2 mm; a wall that is met at a slant is missed by less, and where the
                         // near correction ends, by what no number says.

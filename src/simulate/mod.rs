@@ -59,6 +59,7 @@ pub mod shape;
 pub mod street;
 pub mod truth;
 pub mod unit;
+pub mod view;
 
 pub use config::EmitterConfig;
 pub use delivery::{Faults, deliver};

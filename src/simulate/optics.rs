@@ -4,8 +4,9 @@ use fastrand::Rng;
 
 use super::beam::Aim;
 use super::head::Pose;
-use super::scene::{Class, Hit, Look, View};
+use super::scene::{Class, Hit};
 use super::shape::{Ray, Vec3};
+use super::view::{Look, View};
 use crate::sensor::Model;
 use crate::wire::data::{Record, ReturnMode};
 
@@ -105,9 +106,13 @@ pub fn shoot(
         let only = only.filter(|only| is_seen(optics, only.1, rng)).and_then(|only| sayable(&shot.aim, only));
         return [only, only.filter(|_| mode == ReturnMode::Dual)];
     }
-    let mut returns = separate(optics, view, shot, centre.hit, rng);
-    returns.retain(|one| is_seen(optics, one.1, rng));
-    let mut returns: Vec<Return> = returns.into_iter().filter_map(|one| sayable(&shot.aim, one)).collect();
+    let met = met(optics, view, shot, centre.hit, rng);
+    let mut returns: Vec<Return> = Vec::with_capacity(met.len());
+    for pulse in met.chunk_by(is_one_pulse).filter_map(merged) {
+        if is_seen(optics, pulse.1, rng) {
+            returns.extend(sayable(&shot.aim, pulse));
+        }
+    }
     let last = returns.last().copied();
     returns.sort_by(|a, b| b.signal.total_cmp(&a.signal));
     match mode {
@@ -132,8 +137,8 @@ fn cast(optics: &Optics, view: &View<'_>, shot: &Shot<'_>, (across, up): (f64, f
     for casts in 1.. {
         let ray = shot.ray(if is_centre { towards } else { aim.beside(towards, across, up) });
         let mut look = view.look(&ray, spread_rad, shot.time_s, optics.max_range_m, rng);
-        if aim.is_curved() && casts < MOST_CASTS {
-            let range_m = look.hit.map_or(optics.max_range_m, |hit| hit.distance_m);
+        let range_m = look.hit.map_or(optics.max_range_m, |hit| hit.distance_m);
+        if casts < MOST_CASTS && !(casts == 1 && aim.goes_by(shot.guess_m, range_m, BESIDE_M)) {
             let better = aim.towards_range(range_m);
             if (better.0 - towards.0).norm() * range_m > BESIDE_M {
                 towards = better;
@@ -156,9 +161,8 @@ fn sayable(aim: &Aim<'_>, (mut hit, signal): (Hit, f64)) -> Option<Return> {
     aim.is_sayable(distance_m).then_some(Return { hit, signal, distance_m })
 }
 
-/// The returns of the whole beam, nearest first: what its rays meet, gathered where it lies too close to tell apart.
-/// What the receiver sees as one pulse lies between the surfaces that sent it, where the light's middle is.
-fn separate(optics: &Optics, view: &View<'_>, shot: &Shot<'_>, centre: Option<Hit>, rng: &mut Rng) -> Vec<(Hit, f64)> {
+/// What the rays of the whole beam meet, nearest first, each with its light.
+fn met(optics: &Optics, view: &View<'_>, shot: &Shot<'_>, centre: Option<Hit>, rng: &mut Rng) -> Vec<(Hit, f64)> {
     let mut met: Vec<(Hit, f64)> = Vec::with_capacity(FOOTPRINT.len());
     for (across, up, share) in FOOTPRINT {
         let (across, up) = (across * optics.spread_rad, up * optics.spread_rad);
@@ -166,12 +170,15 @@ fn separate(optics: &Optics, view: &View<'_>, shot: &Shot<'_>, centre: Option<Hi
         met.extend(hit.map(|hit| (hit, share * signal(optics, &hit))));
     }
     met.sort_by(|a, b| a.0.distance_m.total_cmp(&b.0.distance_m));
-    let is_one_pulse = |(a, _): &(Hit, f64), (b, _): &(Hit, f64)| {
-        // Ground under a flat beam gives one long pulse.
-        let ground = a.class == Class::Ground && b.class == Class::Ground;
-        b.distance_m - a.distance_m < RESOLUTION_M || ground
-    };
-    met.chunk_by(is_one_pulse).filter_map(merged).collect()
+    met
+}
+
+/// Whether the receiver sees two that follow each other as one pulse. It lies between the surfaces that sent it, where
+/// the light's middle is.
+fn is_one_pulse((a, _): &(Hit, f64), (b, _): &(Hit, f64)) -> bool {
+    // Ground under a flat beam gives one long pulse.
+    let ground = a.class == Class::Ground && b.class == Class::Ground;
+    b.distance_m - a.distance_m < RESOLUTION_M || ground
 }
 
 /// One return of several that are too close to tell apart.

@@ -75,6 +75,17 @@ pub struct Span {
     pub wall: bool,
 }
 
+/// What a ray meets of a solid and of those that are larger and smaller than it by a rim.
+#[derive(Clone, Copy, Debug, PartialEq)]
+pub struct Brim {
+    /// Distance at which the ray enters the larger one.
+    pub outer_m: f64,
+    /// Distance at which it enters the smaller one, if it does.
+    pub core_m: Option<f64>,
+    /// The stretch inside the solid itself.
+    pub span: Option<Span>,
+}
+
 /// An upright prism that holds a shape: a turned rectangle between two heights.
 #[derive(Clone, Copy, Debug)]
 pub struct Bounds {
@@ -111,6 +122,18 @@ impl Shape {
             Self::Cuboid { centre, half, heading } => cuboid_span(ray, centre, half, heading),
             Self::Cylinder { foot, radius_m, height_m } => cylinder_span(ray, foot, radius_m, height_m),
             Self::Ellipsoid { centre, semi } => ellipsoid_span(ray, centre, semi),
+        }
+    }
+
+    /// Where a ray passes the solid and its brim, if it comes within `rim_m` of it.
+    pub fn brim(&self, ray: &Ray, rim_m: f64) -> Option<Brim> {
+        match *self {
+            Self::Cuboid { centre, half, heading } => cuboid_brim(ray, centre, half, heading, rim_m),
+            _ => {
+                let outer_m = self.grown(rim_m)?.span(ray)?.enter_m;
+                let core_m = self.grown(-rim_m).and_then(|core| core.span(ray)).map(|span| span.enter_m);
+                Some(Brim { outer_m, core_m, span: self.span(ray) })
+            }
         }
     }
 
@@ -154,44 +177,100 @@ pub fn turned(x: f64, y: f64, (sin, cos): (f64, f64)) -> [f64; 2] {
     [x * cos - y * sin, x * sin + y * cos]
 }
 
+/// The lesser of two numbers, neither of which is NaN: one instruction, where `f64::min` takes several.
+fn lesser(a: f64, b: f64) -> f64 {
+    if a < b { a } else { b }
+}
+
+/// The greater of two numbers, neither of which is NaN.
+fn greater(a: f64, b: f64) -> f64 {
+    if a > b { a } else { b }
+}
+
+/// The number rounded down, if it is no more than a 64-bit integer holds: a few instructions, where `f64::floor` is a
+/// call on processors that may be old.
+pub fn floor(x: f64) -> f64 {
+    let whole = x as i64 as f64;
+    if whole > x { whole - 1.0 } else { whole }
+}
+
+/// The number rounded as `f64::round` does, if it is no more than a 64-bit integer holds.
+pub fn rounded(x: f64) -> f64 {
+    let whole = x as i64 as f64;
+    let rest = x - whole;
+    whole + f64::from(u8::from(rest >= 0.5)) - f64::from(u8::from(rest <= -0.5))
+}
+
 /// Distances at which a line enters and leaves the slab -half..half.
 fn slab(origin: f64, direction: f64, half: f64) -> Option<[f64; 2]> {
     if direction == 0.0 {
         return (origin.abs() <= half).then_some([f64::NEG_INFINITY, f64::INFINITY]);
     }
     let (a, b) = ((-half - origin) / direction, (half - origin) / direction);
-    Some([a.min(b), a.max(b)])
+    Some([lesser(a, b), greater(a, b)])
 }
 
-fn cuboid_span(ray: &Ray, centre: Vec3, half: Vec3, heading: (f64, f64)) -> Option<Span> {
+/// Where a ray starts and goes in the frame of a cuboid: across, along and up.
+fn in_frame(ray: &Ray, centre: Vec3, heading: (f64, f64)) -> [[f64; 3]; 2] {
     let from = ray.origin - centre;
     let [ox, oy] = turned(from.x, from.y, heading);
     let [dx, dy] = turned(ray.direction.x, ray.direction.y, heading);
-    let (mut enter_m, mut leave_m) = (f64::NEG_INFINITY, f64::INFINITY);
-    let (mut cos_incidence, mut wall) = (0.0, false);
-    for (origin, direction, half, upright) in
-        [(ox, dx, half.x, true), (oy, dy, half.y, true), (from.z, ray.direction.z, half.z, false)]
-    {
-        let [a, b] = slab(origin, direction, half)?;
-        if a > enter_m {
-            (enter_m, cos_incidence, wall) = (a, direction.abs(), upright);
+    [[ox, oy, from.z], [dx, dy, ray.direction.z]]
+}
+
+/// Where a ray passes through a cuboid that it crosses the three slabs of; the ray's direction in the cuboid's frame.
+fn slabs_span(slabs: &[[f64; 2]; 3], direction: &[f64; 3]) -> Option<Span> {
+    let leave_m = lesser(lesser(slabs[0][1], slabs[1][1]), slabs[2][1]);
+    let mut face = 0;
+    for other in [1, 2] {
+        if slabs[other][0] > slabs[face][0] {
+            face = other;
         }
-        leave_m = leave_m.min(b);
     }
+    let enter_m = slabs[face][0];
+    let (cos_incidence, wall) = (direction[face].abs(), face < 2);
     (enter_m < leave_m && enter_m > 0.0).then_some(Span { enter_m, leave_m, cos_incidence, wall })
+}
+
+fn cuboid_span(ray: &Ray, centre: Vec3, half: Vec3, heading: (f64, f64)) -> Option<Span> {
+    let [o, d] = in_frame(ray, centre, heading);
+    let slabs = [slab(o[0], d[0], half.x)?, slab(o[1], d[1], half.y)?, slab(o[2], d[2], half.z)?];
+    slabs_span(&slabs, &d)
+}
+
+/// Where a ray enters the cuboid that is larger by so much to all sides, if it meets that. `steps_m` is what it goes
+/// along the ray between the faces of the two.
+fn grown_enter_m(slabs: &[[f64; 2]; 3], steps_m: [f64; 3]) -> Option<f64> {
+    let [x, y, z] = [0, 1, 2].map(|axis| [slabs[axis][0] - steps_m[axis], slabs[axis][1] + steps_m[axis]]);
+    let enter_m = greater(greater(x[0], y[0]), z[0]);
+    let leave_m = lesser(lesser(x[1], y[1]), z[1]);
+    (enter_m < leave_m && enter_m > 0.0).then_some(enter_m)
+}
+
+/// [`Shape::brim`] of a cuboid: all three from the same six divisions.
+fn cuboid_brim(ray: &Ray, centre: Vec3, half: Vec3, heading: (f64, f64), rim_m: f64) -> Option<Brim> {
+    let [o, d] = in_frame(ray, centre, heading);
+    // Along a face the step would be infinite; so it is hardly aslant.
+    let d = d.map(|d| if d == 0.0 { 1e-300 } else { d });
+    let slabs = [slab(o[0], d[0], half.x)?, slab(o[1], d[1], half.y)?, slab(o[2], d[2], half.z)?];
+    let steps_m = d.map(|d| rim_m / d.abs());
+    let outer_m = grown_enter_m(&slabs, steps_m)?;
+    let has_core = lesser(lesser(half.x, half.y), half.z) > rim_m;
+    let core_m = if has_core { grown_enter_m(&slabs, steps_m.map(|step_m| -step_m)) } else { None };
+    Some(Brim { outer_m, core_m, span: slabs_span(&slabs, &d) })
 }
 
 fn cylinder_span(ray: &Ray, foot: Vec3, radius_m: f64, height_m: f64) -> Option<Span> {
     let (from, d) = (ray.origin - foot, ray.direction);
     let (a, b) = (d.x * d.x + d.y * d.y, from.x * d.x + from.y * d.y);
     let c = from.x * from.x + from.y * from.y - radius_m * radius_m;
-    let root = (b * b - a * c).max(0.0).sqrt();
+    let root = greater(b * b - a * c, 0.0).sqrt();
     if root == 0.0 {
         return None;
     }
     let side = [(-b - root) / a, (-b + root) / a];
     let ends = slab(from.z - height_m / 2.0, d.z, height_m / 2.0)?;
-    let leave_m = side[1].min(ends[1]);
+    let leave_m = lesser(side[1], ends[1]);
     let (enter_m, cos_incidence) = if side[0] >= ends[0] {
         let normal = [(from.x + d.x * side[0]) / radius_m, (from.y + d.y * side[0]) / radius_m];
         (side[0], (normal[0] * d.x + normal[1] * d.y).abs())
@@ -230,6 +309,33 @@ impl Bounds {
         let (x, y) = (x.abs(), y.abs());
         let near = f64::hypot((x - self.half[0]).max(0.0), (y - self.half[1]).max(0.0));
         [near, f64::hypot(x + self.half[0], y + self.half[1])]
+    }
+
+    /// The same of what of the prism is between two azimuths a few degrees apart, radians, as seen from a point outside;
+    /// none if nothing is. The nearest may be a little nearer than it is.
+    pub fn reach_between(&self, eye: Vec3, edges: [f64; 2]) -> Option<[f64; 2]> {
+        let [x, y] = turned(eye.x - self.centre[0], eye.y - self.centre[1], self.heading);
+        let ways = edges.map(|edge_rad| {
+            let (sin, cos) = edge_rad.sin_cos();
+            turned(sin, cos, self.heading)
+        });
+        // The corners of what is between: those of the prism, and where the edges go in and out.
+        let [first, last] = ways;
+        let corners = [(1.0, 1.0), (1.0, -1.0), (-1.0, 1.0), (-1.0, -1.0)]
+            .map(|(across, along)| (across * self.half[0] - x, along * self.half[1] - y));
+        let inside = corners.into_iter().filter(|(u, v)| {
+            let ahead = u * first[0] + v * first[1] > 0.0;
+            ahead && u * first[1] - v * first[0] >= 0.0 && u * last[1] - v * last[0] <= 0.0
+        });
+        let crossings = ways.into_iter().filter_map(|way| {
+            let (across, along) = (slab(x, way[0], self.half[0])?, slab(y, way[1], self.half[1])?);
+            let [from, to] = [greater(across[0], along[0]), lesser(across[1], along[1])];
+            (from <= to && to > 0.0).then_some([greater(from, 0.0), to])
+        });
+        let places = inside.map(|(u, v)| f64::hypot(u, v)).chain(crossings.flatten());
+        let [near, far] = places.fold([f64::INFINITY, 0.0], |[near, far], at| [lesser(near, at), greater(far, at)]);
+        // A side between two corners comes nearer than both by as much as its chord.
+        (far > 0.0).then_some([near * (edges[1] - edges[0]).cos(), far])
     }
 
     /// Azimuth of the centre from a point outside, and the angles from there to the prism's two edges, radians.
@@ -331,6 +437,36 @@ mod tests {
     }
 
     #[test]
+    fn numbers_are_rounded_as_the_library_does() {
+        for x in [0.0, 0.499_999_999_999_999_94, 0.5, 1.5, 2.499, 2.5, 65_535.4, 1e15 + 0.5, 250_199.999_999] {
+            for x in [x, -x] {
+                assert_eq!((rounded(x), floor(x)), (x.round(), x.floor()), "{x}");
+            }
+        }
+    }
+
+    #[test]
+    fn the_brim_of_a_cuboid_is_between_a_larger_and_a_smaller_one() {
+        let mut rng = fastrand::Rng::with_seed(2);
+        let mut met = [0; 3];
+        for _ in 0..20_000 {
+            let shape = Shape::cuboid([0.0, 9.0, 0.0], [3.0, 0.1 + rng.f64(), 4.0], rng.f64() * 7.0);
+            let ray = if rng.bool() { ray(0.0, 0.0) } else { ray(rng.f64() - 0.5, rng.f64() * 0.6 - 0.3) };
+            let rim_m = rng.f64() * 0.3;
+            let enter_m = |grown: Option<Shape>| Some(grown?.span(&ray)?.enter_m);
+            let outer_m = enter_m(shape.grown(rim_m));
+            let brim = shape.brim(&ray, rim_m);
+            assert_eq!(brim.is_some(), outer_m.is_some());
+            let Some(brim) = brim else { continue };
+            let is_near = |a: Option<f64>, b: Option<f64>| a == b || (a.unwrap() - b.unwrap()).abs() < 1e-9;
+            assert!(is_near(Some(brim.outer_m), outer_m) && is_near(brim.core_m, enter_m(shape.grown(-rim_m))));
+            assert_eq!(brim.span, shape.span(&ray));
+            met[usize::from(brim.span.is_some()) + usize::from(brim.core_m.is_some())] += 1;
+        }
+        assert!(met.iter().all(|&n| n > 100), "{met:?}");
+    }
+
+    #[test]
     fn every_ray_that_meets_a_shape_lies_within_its_bounds() {
         let eye = Vec3::new(0.0, 0.0, 2.0);
         let mut rng = fastrand::Rng::with_seed(1);
@@ -353,6 +489,9 @@ mod tests {
             let off = (ray.azimuth_rad - centre).sin().atan2((ray.azimuth_rad - centre).cos());
             assert!(edges[0] - 1e-9 <= off && off <= edges[1] + 1e-9, "{shape:?}: {off} not in {edges:?}");
             let across = (ray.at(span.enter_m) - eye).xy().norm();
+            assert!(near - 1e-9 <= across && across <= far + 1e-9, "{shape:?}: {across} not in {near}..{far}");
+            let edges = [ray.azimuth_rad - 0.004, ray.azimuth_rad + 0.003];
+            let [near, far] = bounds.reach_between(eye, edges).expect("the ray is between the edges");
             assert!(near - 1e-9 <= across && across <= far + 1e-9, "{shape:?}: {across} not in {near}..{far}");
         }
     }
