@@ -163,8 +163,13 @@ impl<B: Buffers, W: Stopwatch> Pipeline<B, W> {
             }
             State::Calibrating(calibrating) => {
                 let (known, of) = calibrating.unit.known();
+                let model = calibrating.detection.model;
+                let own = calibrating.unit.calibration().map(|own| own.and_then(|own| own.for_model(model)));
                 self.state = State::Refusing;
-                return Err(Fault::Uncalibrated { known, of });
+                return Err(match own {
+                    Some(Err(error)) => Fault::OwnCalibration(error),
+                    _ => Fault::Uncalibrated { known, of },
+                });
             }
             State::Detecting(_) | State::Refusing => {}
         }

@@ -338,9 +338,10 @@ impl Args {
 /// A notice in words, and how serious it is.
 fn explain_notice(notice: &Notice) -> (&'static str, String) {
     match notice {
-        Notice::AwaitsCalibration { model } => {
-            let text = "and no --calibration: waiting for the one that it sends with its packets, a byte each";
-            ("note", format!("{model}, {text}"))
+        Notice::AwaitsCalibration => {
+            let text =
+                "an HDL-64E, and no --calibration: waiting for the one that it sends with its packets, a byte each";
+            ("note", text.to_owned())
         }
         Notice::Calibrated { calibrated, packets } => {
             let packets = count_of(*packets, "data packet");

@@ -85,10 +85,7 @@ pub enum Fault {
 #[derive(Clone, Debug, PartialEq)]
 pub enum Notice {
     /// An HDL-64E is known and no calibration was given: nothing is decoded until the one in its packets is complete.
-    AwaitsCalibration {
-        /// The model.
-        model: Model,
-    },
+    AwaitsCalibration,
     /// It is complete, and decoding begins.
     Calibrated {
         /// When the unit was calibrated, by its own account.

@@ -9,7 +9,8 @@
 
 use super::{Closing, Fault, Notice, Pipeline, Stopwatch};
 use crate::sensor::compare::Difference;
-use crate::sensor::detect::{DetectError, Detection, Detector, MAX_PACKETS};
+use crate::sensor::detect::{self, DetectError, Detection, Detector, MAX_PACKETS};
+use crate::sensor::model::Spec;
 use crate::sensor::unit::{Said, Unit};
 use crate::sensor::{Calibration, Model};
 use crate::sweep::Buffers;
@@ -67,6 +68,8 @@ pub(super) struct Decoding<B: Buffers> {
     pub(super) foreign: u32,
     /// Return mode of the packet before.
     pub(super) last_mode: ReturnMode,
+    /// Stamp of the packet before, since two returns became one and until the packets' period with one is known.
+    pub(super) unmeasured_us: Option<u32>,
     pub(super) order: Order,
     pub(super) builder: Builder<B>,
 }
@@ -98,7 +101,7 @@ impl<B: Buffers, W: Stopwatch> Pipeline<B, W> {
                     for packet in &waiting {
                         let _ = unit.hear(&packet.bytes);
                     }
-                    self.notices.push(Notice::AwaitsCalibration { model: detection.model });
+                    self.notices.push(Notice::AwaitsCalibration);
                     let calibrating = Calibrating { detection, unit, foreign: 0, marks: [None; 2], buffers, clocks };
                     self.state = State::Calibrating(Box::new(calibrating));
                     return Ok(());
@@ -125,12 +128,14 @@ impl<B: Buffers, W: Stopwatch> Pipeline<B, W> {
             calibrating.clocks.said(utc_ns, packet.stamp_us(), arrival_ns);
             calibrating.marks = [calibrating.marks[1], Some(*packet)];
         }
-        let Some(calibration) = calibrating.unit.calibration() else { return Ok(()) };
+        // One that no unit can have was damaged on the way, where no checksum tells: the next dump brings it anew.
+        let own =
+            calibrating.unit.calibration().map(|own| own.and_then(|own| own.for_model(calibrating.detection.model)));
+        let Some(Ok(calibration)) = own else { return Ok(()) };
         let State::Calibrating(calibrating) = std::mem::replace(&mut self.state, State::Refusing) else {
             return Ok(());
         };
         let Calibrating { mut detection, unit, marks, buffers, clocks, .. } = *calibrating;
-        let calibration = calibration.and_then(|own| own.for_model(detection.model)).map_err(Fault::OwnCalibration)?;
         // With one return, only the unit itself knows which.
         if let (ReturnMode::Strongest, Some(ReturnMode::Last)) = (detection.return_mode, unit.return_mode()) {
             detection.return_mode = ReturnMode::Last;
@@ -167,7 +172,8 @@ impl<B: Buffers, W: Stopwatch> Pipeline<B, W> {
         let product = waiting.last().map_or(0, |packet| packet.bytes.product);
         let unit = unit.map(|unit| (unit, calibration));
         let last_mode = detection.return_mode;
-        let decoding = Decoding { detection, unit, product, foreign: 0, last_mode, order, builder };
+        let decoding =
+            Decoding { detection, unit, product, foreign: 0, last_mode, unmeasured_us: None, order, builder };
         self.state = State::Decoding(Box::new(decoding));
         self.counts.reordered += sort_by_stamp(&mut waiting);
         for packet in &waiting {
@@ -208,6 +214,7 @@ impl<B: Buffers, W: Stopwatch> Pipeline<B, W> {
             self.notices.push(Notice::OtherCalibration { differences });
         }
         let mode = decoding.detection.mode_of(packet, decoding.last_mode);
+        decoding.measure(packet, mode);
         decoding.last_mode = mode;
         match decoding.order.push(packet, mode, number, arrival_ns) {
             Ok(()) => {}
@@ -237,6 +244,29 @@ impl<B: Buffers, W: Stopwatch> Pipeline<B, W> {
 }
 
 impl<B: Buffers> Decoding<B> {
+    /// An HDL-64E S3 that reported two returns so far may have either timing when it reports one: two packets in a row tell.
+    fn measure(&mut self, packet: &DataPacket, mode: ReturnMode) {
+        let is_change = self.last_mode == ReturnMode::Dual && mode != ReturnMode::Dual;
+        let before_us = self.unmeasured_us.take();
+        let specs = self.detection.model.specs();
+        if mode == ReturnMode::Dual || specs.len() < 2 || !(is_change || before_us.is_some()) {
+            return;
+        }
+        let stamp_us = packet.stamp_us();
+        let fits = |spec: &&&'static Spec| {
+            before_us.is_some_and(|before_us| detect::is_next(before_us, stamp_us, spec.packet_period_ns(mode)))
+        };
+        match specs.iter().find(fits) {
+            Some(&spec) if spec != self.detection.spec => {
+                self.detection.spec = spec;
+                self.order.take_spec(spec);
+                self.builder.decoder_mut().take_spec(spec);
+            }
+            Some(_) => {}
+            None => self.unmeasured_us = Some(stamp_us),
+        }
+    }
+
     /// Listens to what an HDL-64E says of itself. Gives in what its calibration differs from the one in use, once it is
     /// known and if it does.
     fn hear(&mut self, packet: &DataPacket, arrival_ns: i64, may_rename: bool) -> Option<Vec<Difference>> {

@@ -359,6 +359,11 @@ fn fits(interval_us: u32, period_ns: u32) -> bool {
     (1..=MAX_MULTIPLE).any(|multiple| interval_ns.abs_diff(u64::from(period_ns * multiple)) <= TOLERANCE_NS)
 }
 
+/// Whether a stamp is one period after another, microseconds after the top of the hour.
+pub(crate) fn is_next(before_us: u32, stamp_us: u32, period_ns: u32) -> bool {
+    u32::try_from(since(before_us, stamp_us)).is_ok_and(|interval_us| fits_once(interval_us, period_ns))
+}
+
 /// Whether an interval is one period.
 fn fits_once(interval_us: u32, period_ns: u32) -> bool {
     (u64::from(interval_us) * 1_000).abs_diff(u64::from(period_ns)) <= TOLERANCE_NS

@@ -17,6 +17,9 @@ use crate::wire::data::ReturnMode;
 const RPM_RANGE: std::ops::RangeInclusive<f32> = 240.0..=1320.0;
 /// A speed that differs from the last sweep's by more than this share is not steady.
 const RPM_STEADY: f32 = 0.1;
+/// A packet whose speed differs from the last sweep's by more than this share is of a head that turns otherwise now; less may
+/// be the encoder's noise, where a packet has but three azimuths.
+const RATE_LIKE: f64 = 0.35;
 /// A piece of a turn that is shorter does not tell a speed: the encoder's noise is too large a part of it.
 const RPM_TELLING_CDEG: f64 = 1_000.0;
 /// No gap is filled that lasted longer: the times in a sweep are to stay small.
@@ -261,7 +264,7 @@ impl<B: Buffers> Builder<B> {
     fn open(&mut self, packet: &Packet, from_cut: bool) {
         let (rows, mode, spec) = (self.decoder.rows(), packet.mode, self.decoder.spec);
         let beams = self.decoder.beams(mode);
-        let rate_cdeg_ns = self.last_rate_cdeg_ns.unwrap_or_else(|| packet.motion.rate_cdeg_ns(spec));
+        let rate_cdeg_ns = self.expected_rate_cdeg_ns(packet);
         self.turns.set(beams, rate_cdeg_ns, spec, mode);
         let shape = Shape {
             rows,
@@ -282,6 +285,14 @@ impl<B: Buffers> Builder<B> {
         header.set_sensor(&self.settings.sensor);
         self.sequence += 1;
         self.open = Some(Open { buffer, so_far: SoFar::new(mode, from_cut, &self.turns) });
+    }
+
+    /// The speed of the sweep before, unless this packet says quite another one: then the head stood still meanwhile, or was
+    /// set to another speed.
+    fn expected_rate_cdeg_ns(&self, packet: &Packet) -> f64 {
+        let own = packet.motion.rate_cdeg_ns(self.decoder.spec);
+        let is_like = |last: &f64| (own - last).abs() < RATE_LIKE * last.abs();
+        self.last_rate_cdeg_ns.filter(is_like).unwrap_or(own)
     }
 
     /// Completes the header of the open sweep and hands it out; an empty one is dropped.

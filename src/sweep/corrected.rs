@@ -71,7 +71,7 @@ impl Corrected {
     /// The range to store for a measured distance, metres, at this sine and cosine of the azimuth; at least `least_m`.
     #[inline]
     pub fn range_m(&self, measured_m: f64, [sin_azimuth, cos_azimuth]: [f64; 2], least_m: f32) -> f32 {
-        let d = measured_m + self.distance_offset_m;
+        let d = (measured_m + self.distance_offset_m).max(f64::from(least_m));
         let Some(near) = self.near else { return (d as f32).max(least_m) };
         let is_near = measured_m < FAR_M;
         let range_m = match is_near {

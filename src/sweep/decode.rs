@@ -121,6 +121,14 @@ impl Decoder {
         }
     }
 
+    /// Takes another table of the same model, whose timing with one return differs.
+    pub fn take_spec(&mut self, spec: &'static Spec) {
+        self.spec = spec;
+        for beam in &mut self.beams[0] {
+            beam.time_offset_ns = spec.channel_offset_ns(beam.channel as usize, ReturnMode::Strongest);
+        }
+    }
+
     /// Rows of the image.
     pub fn rows(&self) -> usize {
         self.rows.len()

@@ -81,6 +81,17 @@ impl Order {
         }
     }
 
+    /// Takes another table of the same model, whose timing with one return differs: the packets tell it only now.
+    pub fn take_spec(&mut self, spec: &'static Spec) {
+        if let Some(suspect) = self.suspect.map(|slot| &mut self.slots[slot]) {
+            let silent_ns = suspect.motion.silent_ns;
+            let first_shot_ns = |spec: &Spec| spec.first_shot_ns(suspect.mode, silent_ns);
+            suspect.time_ns += first_shot_ns(spec) - first_shot_ns(self.spec);
+        }
+        self.spec = spec;
+        self.relations.take_spec(spec);
+    }
+
     /// What happened so far.
     pub fn counts(&self) -> OrderCounts {
         self.counts

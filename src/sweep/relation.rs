@@ -121,6 +121,11 @@ impl Relations {
         Self { spec, sector: None, rate_cdeg_ns: None }
     }
 
+    /// See [`Order::take_spec`](super::order::Order::take_spec).
+    pub fn take_spec(&mut self, spec: &'static Spec) {
+        self.spec = spec;
+    }
+
     /// The sector that the sensor leaves out every turn, once it was seen.
     pub fn sector(&self) -> Option<Sector> {
         self.sector
