@@ -222,8 +222,8 @@ mod tests {
                 let off = column.map_or(0.0, |column| (position - column as f64).rem_euclid(8.0));
                 prop_assert!(off.min(8.0 - off) <= REACH + 1e-9);
             }
-            // The cut of the ring can cost one.
-            prop_assert!(count + 1 >= most(&positions, 8, 0), "{:?}", found);
+            // Where the ring is cut open, on either side of the cut a point may find no room.
+            prop_assert!(count + 2 >= most(&positions, 8, 0), "{:?}", found);
         }
     }
 }
