@@ -111,7 +111,7 @@ fn inspect_tells_what_an_hdl64e_says_about_itself() {
     write_capture(&capture, (&dump(&unit(), Series::S3), Series::S3), 0..4160, |_| true);
     let text = inspect(&capture).done();
     for line in [
-        "  return mode  strongest, by its status strongest\n",
+        "  return mode  strongest, by its status\n",
         "  unit         series S3, firmware 0x47, 41 degrees Celsius, 600 rpm, power automatic, intensities raw, \
          0 hours of use\n",
         "  unit clock   2026-05-04 12:30:07 UTC, GPS: PPS and a sentence\n",
