@@ -1,19 +1,23 @@
-//! Captures: files of frames in, datagrams out.
+//! Captures and sockets: files of frames in, or a UDP port; datagrams out.
 //!
 //! * [`pcap`]: the records of a pcap or pcapng file, plain or compressed.
 //! * [`link`]: the UDP datagram in a frame.
 //! * [`Capture`]: both together, with a count of everything passed over.
+//! * [`udp`]: the datagrams of live sensors.
+//! * [`gate`]: what of them gets in.
 //! * [`sensors`]: which sensor a datagram comes from, for captures and sockets alike.
 //! * [`pace`]: when to hand on what, for replay.
 //! * [`mod@write`]: captures written.
 
 pub mod error;
+pub mod gate;
 mod input;
 pub mod link;
 pub mod pace;
 pub mod pcap;
 mod pcapng;
 pub mod sensors;
+pub mod udp;
 pub mod write;
 
 use std::io::Read;
@@ -21,10 +25,12 @@ use std::path::Path;
 
 use crate::wire::Datagram;
 pub use error::{CaptureError, Damage, Truncation};
+pub use gate::Gate;
 pub use link::{Decapsulator, LinkType, NoDatagram};
 pub use pace::{Pacer, Speed};
 pub use pcap::{CaptureReader, Record};
 pub use sensors::{Route, SensorFilter, SensorIndex, Sensors};
+pub use udp::{UdpConfig, UdpError, UdpSource};
 pub use write::PcapWriter;
 
 /// Most link types that a capture is said to hold.

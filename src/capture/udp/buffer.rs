@@ -1,0 +1,86 @@
+//! The socket's receive buffer: how large it must be, and how large it is.
+
+use std::io;
+use std::os::fd::AsFd;
+
+use socket2::Socket;
+
+use super::sys;
+use crate::sensor::Model;
+use crate::wire::data::ReturnMode;
+
+/// What a data packet costs of the buffer, its 1206 bytes and the kernel's own share; measured on Linux 6.18, where it is
+/// 2304 to 2315.
+pub const CHARGED_BYTES: usize = 2304;
+/// For how long the buffer shall hold what the fastest model sends, nanoseconds: longer than any scheduler lets a
+/// thread wait.
+const AMPLE_NS: u64 = 500_000_000;
+
+/// From one data packet to the next of the fastest model that is supported (an HDL-64E S3 with two returns),
+/// nanoseconds.
+fn fastest_period_ns() -> u64 {
+    let periods = Model::ALL
+        .map(|model| [ReturnMode::Strongest, ReturnMode::Dual].map(|mode| model.spec().packet_period_ns(mode)));
+    u64::from(periods.into_iter().flatten().min().unwrap_or(u32::MAX))
+}
+
+/// Buffer that holds half a second of the fastest supported model, bytes as the kernel charges them.
+pub fn ample_buffer_bytes() -> usize {
+    AMPLE_NS.div_ceil(fastest_period_ns()) as usize * CHARGED_BYTES
+}
+
+/// A receive buffer, as it was asked for and as it was given.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub struct ReceiveBuffer {
+    /// Bytes that were asked for, the kernel's own share included.
+    pub wanted_bytes: usize,
+    /// Bytes that the kernel gave.
+    pub granted_bytes: usize,
+}
+
+impl ReceiveBuffer {
+    /// Whether it is smaller than was asked for.
+    pub fn is_too_small(&self) -> bool {
+        self.granted_bytes < self.wanted_bytes
+    }
+
+    /// Data packets that it holds.
+    pub fn packets(&self) -> usize {
+        self.granted_bytes / CHARGED_BYTES
+    }
+
+    /// For how long it holds what the fastest supported model sends, milliseconds.
+    pub fn fastest_ms(&self) -> u64 {
+        self.packets() as u64 * fastest_period_ns() / 1_000_000
+    }
+
+    /// The value of the sysctl net.core.rmem_max that would have been enough: the kernel doubles what a program asks
+    /// for, but only up to this (socket(7)).
+    pub fn rmem_max(&self) -> usize {
+        self.wanted_bytes.div_ceil(2)
+    }
+
+    /// What to tell people where it is too small, and how to set it right.
+    pub fn warning(&self, port: u16) -> Option<String> {
+        let (packets, ms, rmem_max) = (self.packets(), self.fastest_ms(), self.rmem_max());
+        self.is_too_small().then(|| {
+            format!(
+                "port {port}: the kernel gave a receive buffer of {} bytes, not {}: room for {packets} packets, {ms} ms of \
+                 an HDL-64E S3 with two returns; more are dropped when the machine is busy. Allow it with \
+                 `sysctl -w net.core.rmem_max={rmem_max}`, for good with that line in /etc/sysctl.d/",
+                self.granted_bytes, self.wanted_bytes
+            )
+        })
+    }
+}
+
+/// Sets the buffer and reads it back.
+pub(super) fn enlarge(socket: &Socket, wanted_bytes: usize) -> io::Result<ReceiveBuffer> {
+    let ask = wanted_bytes.div_ceil(2);
+    socket.set_recv_buffer_size(ask)?;
+    if socket.recv_buffer_size()? < wanted_bytes {
+        // Who may not keeps what there is, and is warned.
+        let _ = sys::force_buffer(socket.as_fd(), ask);
+    }
+    Ok(ReceiveBuffer { wanted_bytes, granted_bytes: socket.recv_buffer_size()? })
+}

@@ -1,0 +1,207 @@
+//! Live sensors: the datagrams of one UDP port, in batches, stamped by the kernel.
+//!
+//! The socket is one that loses nothing quietly: its buffer is made large enough and read back
+//! ([`ReceiveBuffer`]), what the kernel drops is counted exactly ([`UdpSource::dropped`]), and the port is never
+//! shared. SO_REUSEADDR stays off: with it, Linux gives a unicast datagram to the socket bound last alone, so that a
+//! second program would silently take the sensor from the first.
+//!
+//! IPv4 only, as the sensors. Sources: socket(7), udp(7), ip(7), recvmmsg(2).
+
+pub mod buffer;
+pub mod error;
+mod sys;
+
+use std::io;
+use std::net::{Ipv4Addr, SocketAddr, SocketAddrV4};
+use std::num::NonZeroU32;
+use std::os::fd::AsFd;
+use std::time::{Duration, SystemTime, UNIX_EPOCH};
+
+use socket2::{Domain, InterfaceIndexOrAddress, Protocol, Socket, Type};
+
+use self::sys::{BATCH, Slot};
+use crate::wire::Datagram;
+pub use buffer::{ReceiveBuffer, ample_buffer_bytes};
+pub use error::UdpError;
+
+/// Where to listen.
+#[derive(Clone, Debug, PartialEq, Eq)]
+pub struct UdpConfig {
+    /// Address of this host; 0.0.0.0 hears all, and any other misses the broadcasts that the sensors send unless they
+    /// are told a receiver.
+    pub address: Ipv4Addr,
+    /// Port; 0 takes a free one.
+    pub port: u16,
+    /// Multicast group to join, if the sensor sends to one.
+    pub multicast: Option<Ipv4Addr>,
+    /// Network interface to listen on alone, and to join the group on; by default all, and that of the route.
+    pub interface: Option<String>,
+    /// Bytes that waiting datagrams may hold in the kernel, its own share included; [`ample_buffer_bytes`].
+    pub buffer_bytes: usize,
+}
+
+impl UdpConfig {
+    /// All that is sent to a port of this host, with a buffer for the fastest sensor.
+    pub fn port(port: u16) -> Self {
+        let buffer_bytes = ample_buffer_bytes();
+        Self { address: Ipv4Addr::UNSPECIFIED, port, multicast: None, interface: None, buffer_bytes }
+    }
+}
+
+/// The datagrams of one port.
+///
+/// ```
+/// use std::time::Duration;
+/// use sweepd::capture::udp::{UdpConfig, UdpSource};
+/// let mut source = UdpSource::bind(&UdpConfig { address: [127, 0, 0, 1].into(), ..UdpConfig::port(0) })?;
+/// let sender = std::net::UdpSocket::bind("127.0.0.1:0")?;
+/// sender.send_to(b"hello", source.local_addr())?;
+/// let arrived: Vec<_> = source.receive(Duration::from_secs(5))?.map(|datagram| datagram.payload.to_vec()).collect();
+/// assert_eq!(arrived, [b"hello"]);
+/// # Ok::<(), Box<dyn std::error::Error>>(())
+/// ```
+#[derive(Debug)]
+pub struct UdpSource {
+    socket: Socket,
+    local: SocketAddrV4,
+    buffer: ReceiveBuffer,
+    slots: Box<[Slot]>,
+    timeout: Option<Duration>,
+    drops: DropCounter,
+    received: u64,
+}
+
+impl UdpSource {
+    /// Opens the port.
+    ///
+    /// # Errors
+    /// [`UdpError`]: a port that is taken, an address or interface that this host has not, a group that is none.
+    pub fn bind(config: &UdpConfig) -> Result<Self, UdpError> {
+        let index = config.interface.as_deref().map(interface_index).transpose()?;
+        if let Some(group) = config.multicast.filter(|group| !group.is_multicast()) {
+            return Err(UdpError::NoGroup { group });
+        }
+        let failed = |source| UdpError::Socket { port: config.port, source };
+        let socket = Socket::new(Domain::IPV4, Type::DGRAM, Some(Protocol::UDP)).map_err(failed)?;
+        let buffer = buffer::enlarge(&socket, config.buffer_bytes).map_err(failed)?;
+        sys::ask_for_stamps_and_drops(socket.as_fd()).map_err(failed)?;
+        // Else it would hear every group that any program of this host has joined, on the same port (ip(7)).
+        socket.set_multicast_all_v4(false).map_err(failed)?;
+        if let Some(name) = &config.interface {
+            let refused = |source| UdpError::Interface { name: name.clone(), source };
+            socket.bind_device(Some(name.as_bytes())).map_err(refused)?;
+        }
+        let address = SocketAddrV4::new(config.address, config.port);
+        socket.bind(&address.into()).map_err(|source| UdpError::bind(address, source))?;
+        join(&socket, config.multicast, index)?;
+        let local = socket.local_addr().map_err(failed)?.as_socket_ipv4().unwrap_or(address);
+        let slots = vec![Slot::EMPTY; BATCH].into();
+        Ok(Self { socket, local, buffer, slots, timeout: None, drops: DropCounter::default(), received: 0 })
+    }
+
+    /// Waits for datagrams, at most `timeout` (at least a millisecond), and gives those that are there, up to 64 and
+    /// in the order of their arrival. None come after the timeout or a signal: that is the time to look at a clock.
+    ///
+    /// They are of any kind, from anyone; [`Gate`](super::Gate) takes those of sensors. One that the kernel gave no
+    /// stamp has the time of this call. Of one longer than 1280 bytes, these are given.
+    ///
+    /// # Errors
+    /// [`UdpError::Socket`], such as an interface that went away for good.
+    pub fn receive(&mut self, timeout: Duration) -> Result<impl Iterator<Item = Datagram<'_>> + Clone, UdpError> {
+        self.wait_at_most(timeout)?;
+        let count = match sys::receive(self.socket.as_fd(), &mut self.slots) {
+            Ok(count) => count,
+            Err(error) if is_no_datagram(&error) => 0,
+            Err(source) => return Err(self.failed(source)),
+        };
+        self.received += count as u64;
+        let arrived = &self.slots[..count];
+        arrived.iter().filter_map(|slot| slot.dropped).for_each(|dropped| self.drops.note(dropped));
+        let (now_ns, destination_port) = (now_ns(), self.local.port());
+        Ok(arrived.iter().map(move |slot| Datagram {
+            arrival_ns: slot.stamp_ns.unwrap_or(now_ns),
+            source: SocketAddr::V4(slot.source),
+            destination_port,
+            payload: slot.payload(),
+        }))
+    }
+
+    /// Datagrams received so far, of any kind.
+    pub fn received(&self) -> u64 {
+        self.received
+    }
+
+    /// Datagrams that the kernel dropped up to now because the buffer was full (or their checksum wrong).
+    pub fn dropped(&mut self) -> u64 {
+        // Before Linux 4.12 the next datagram will tell.
+        if let Ok(dropped) = sys::dropped_now(self.socket.as_fd()) {
+            self.drops.note(dropped);
+        }
+        self.drops.total
+    }
+
+    /// The address and port that it listens on.
+    pub fn local_addr(&self) -> SocketAddrV4 {
+        self.local
+    }
+
+    /// What the kernel gave.
+    pub fn buffer(&self) -> ReceiveBuffer {
+        self.buffer
+    }
+
+    fn wait_at_most(&mut self, timeout: Duration) -> Result<(), UdpError> {
+        // Zero would be for ever.
+        let timeout = timeout.max(Duration::from_millis(1));
+        if self.timeout != Some(timeout) {
+            self.socket.set_read_timeout(Some(timeout)).map_err(|source| self.failed(source))?;
+            self.timeout = Some(timeout);
+        }
+        Ok(())
+    }
+
+    fn failed(&self, source: io::Error) -> UdpError {
+        UdpError::Socket { port: self.local.port(), source }
+    }
+}
+
+fn is_no_datagram(error: &io::Error) -> bool {
+    matches!(error.kind(), io::ErrorKind::WouldBlock | io::ErrorKind::TimedOut | io::ErrorKind::Interrupted)
+}
+
+fn interface_index(name: &str) -> Result<NonZeroU32, UdpError> {
+    let index =
+        sys::interface_index(name).and_then(|index| NonZeroU32::new(index).ok_or(io::ErrorKind::NotFound.into()));
+    index.map_err(|source| UdpError::Interface { name: name.to_owned(), source })
+}
+
+fn join(socket: &Socket, group: Option<Ipv4Addr>, interface: Option<NonZeroU32>) -> Result<(), UdpError> {
+    let Some(group) = group else { return Ok(()) };
+    let on = InterfaceIndexOrAddress::Index(interface.map_or(0, NonZeroU32::get));
+    socket.join_multicast_v4_n(&group, &on).map_err(|source| UdpError::Join { group, source })
+}
+
+fn now_ns() -> i64 {
+    SystemTime::now().duration_since(UNIX_EPOCH).map_or(0, |since| since.as_nanos() as i64)
+}
+
+/// Adds up a counter of the kernel that wraps at 2^32 and that is read in two ways, one of which may lag behind.
+#[derive(Clone, Copy, Debug, Default)]
+struct DropCounter {
+    last: u32,
+    total: u64,
+}
+
+impl DropCounter {
+    fn note(&mut self, dropped: u32) {
+        let more = dropped.wrapping_sub(self.last);
+        // Half the circle or more is behind: read earlier than what is known.
+        if more <= u32::MAX / 2 {
+            self.last = dropped;
+            self.total += u64::from(more);
+        }
+    }
+}
+
+#[cfg(test)]
+mod tests;

@@ -1,0 +1,173 @@
+//! The system calls that no safe crate offers: batches with control messages, two socket options, an interface's index.
+//!
+//! nix 0.31 loses the control messages of a batch once datagrams are dropped (its headers are not reset: nix-rust/nix
+//! pull request 2813), rustix has no `recvmmsg`, socket2 neither it nor these options. All `unsafe` of the crate is
+//! here.
+
+#![allow(unsafe_code)]
+
+use std::ffi::CString;
+use std::io;
+use std::mem::{MaybeUninit, size_of};
+use std::net::{Ipv4Addr, SocketAddrV4};
+use std::os::fd::{AsRawFd, BorrowedFd};
+use std::ptr;
+
+/// Datagrams taken from the kernel at once.
+pub(super) const BATCH: usize = 64;
+/// Bytes kept of a datagram, more than any packet has. Of a longer one the rest is lost, not its length.
+pub(super) const SLOT_LEN: usize = 1280;
+/// Room for the control messages: 32 bytes of time stamp and 24 of drop counter where pointers have 64 bits.
+const CONTROL_LEN: usize = 64;
+
+/// Room for one datagram, and what the kernel said of it.
+#[derive(Clone, Debug)]
+#[repr(C, align(8))]
+pub(super) struct Slot {
+    control: [u8; CONTROL_LEN],
+    bytes: [u8; SLOT_LEN],
+    /// Bytes of the datagram, those that found no room included.
+    pub(super) len: usize,
+    pub(super) source: SocketAddrV4,
+    /// When the kernel received it, nanoseconds since 1970; `None` if it did not say.
+    pub(super) stamp_ns: Option<i64>,
+    /// Datagrams that the socket had dropped when this one came, modulo 2^32; `None` before the first.
+    pub(super) dropped: Option<u32>,
+}
+
+impl Slot {
+    pub(super) const EMPTY: Self = Self {
+        control: [0; CONTROL_LEN],
+        bytes: [0; SLOT_LEN],
+        len: 0,
+        source: SocketAddrV4::new(Ipv4Addr::UNSPECIFIED, 0),
+        stamp_ns: None,
+        dropped: None,
+    };
+
+    /// The payload; the first [`SLOT_LEN`] bytes of a longer one.
+    pub(super) fn payload(&self) -> &[u8] {
+        &self.bytes[..self.len.min(SLOT_LEN)]
+    }
+}
+
+/// Receives a batch (recvmmsg(2)): waits for the first datagram as long as the socket's own timeout says, then takes
+/// what is there. Gives the number of slots that were filled.
+///
+/// The headers are made anew each time, on the stack: the kernel shrinks the length of the control messages in them.
+pub(super) fn receive(socket: BorrowedFd<'_>, slots: &mut [Slot]) -> io::Result<usize> {
+    const NAME_LEN: u32 = size_of::<libc::sockaddr_in>() as u32;
+    let count = slots.len().min(BATCH);
+    // SAFETY: all three are C structs of numbers and pointers, for which zeroes are a value.
+    let mut names: [libc::sockaddr_in; BATCH] = unsafe { MaybeUninit::zeroed().assume_init() };
+    // SAFETY: as above.
+    let mut parts: [libc::iovec; BATCH] = unsafe { MaybeUninit::zeroed().assume_init() };
+    // SAFETY: as above.
+    let mut headers: [libc::mmsghdr; BATCH] = unsafe { MaybeUninit::zeroed().assume_init() };
+    for (index, slot) in slots[..count].iter_mut().enumerate() {
+        parts[index] = libc::iovec { iov_base: slot.bytes.as_mut_ptr().cast(), iov_len: SLOT_LEN };
+        let header = &mut headers[index].msg_hdr;
+        header.msg_name = (&raw mut names[index]).cast();
+        header.msg_namelen = NAME_LEN;
+        header.msg_iov = &raw mut parts[index];
+        header.msg_iovlen = 1;
+        header.msg_control = slot.control.as_mut_ptr().cast();
+        header.msg_controllen = CONTROL_LEN as _;
+    }
+    // MSG_WAITFORONE: the timeout argument is checked only after a datagram came (recvmmsg(2), BUGS), so there is none.
+    let flags = libc::MSG_WAITFORONE | libc::MSG_TRUNC;
+    // SAFETY: the first `count` headers point to buffers of the stated lengths that live, and that nothing else reads
+    // or writes, until the call returns; the kernel keeps none of the pointers.
+    let filled =
+        unsafe { libc::recvmmsg(socket.as_raw_fd(), headers.as_mut_ptr(), count as u32, flags as _, ptr::null_mut()) };
+    let filled = usize::try_from(filled).map_err(|_| io::Error::last_os_error())?;
+    for (index, slot) in slots[..filled.min(count)].iter_mut().enumerate() {
+        slot.len = headers[index].msg_len as usize;
+        slot.source = address(&names[index]);
+        (slot.stamp_ns, slot.dropped) = control(&headers[index].msg_hdr);
+    }
+    Ok(filled)
+}
+
+fn address(name: &libc::sockaddr_in) -> SocketAddrV4 {
+    SocketAddrV4::new(Ipv4Addr::from(u32::from_be(name.sin_addr.s_addr)), u16::from_be(name.sin_port))
+}
+
+/// Time stamp and drop counter from the control messages (cmsg(3)) of a header that the kernel has filled in.
+fn control(header: &libc::msghdr) -> (Option<i64>, Option<u32>) {
+    let (mut stamp_ns, mut dropped) = (None, None);
+    // SAFETY: `msg_control` points to the aligned control buffer of a slot that is borrowed by the caller, and
+    // `msg_controllen` is what the kernel wrote of it.
+    let mut next = unsafe { libc::CMSG_FIRSTHDR(header) };
+    // SAFETY: the macros of cmsg(3) give a pointer to a whole message header in the buffer, or null.
+    while let Some(message) = unsafe { next.as_ref() } {
+        // SAFETY: only an address is computed.
+        let data = unsafe { libc::CMSG_DATA(next) };
+        // SAFETY: only a length is computed.
+        let has = |len: usize| message.cmsg_len as usize >= unsafe { libc::CMSG_LEN(len as u32) } as usize;
+        match (message.cmsg_level, message.cmsg_type) {
+            (libc::SOL_SOCKET, libc::SCM_TIMESTAMPNS) if has(size_of::<libc::timespec>()) => {
+                // SAFETY: the message is as long as that, and any bytes are two numbers.
+                let time = unsafe { data.cast::<libc::timespec>().read_unaligned() };
+                stamp_ns = Some(i64::from(time.tv_sec) * 1_000_000_000 + i64::from(time.tv_nsec));
+            }
+            (libc::SOL_SOCKET, libc::SO_RXQ_OVFL) if has(size_of::<u32>()) => {
+                // SAFETY: as above, one number.
+                dropped = Some(unsafe { data.cast::<u32>().read_unaligned() });
+            }
+            _ => {}
+        }
+        // SAFETY: `next` is a message of this header.
+        next = unsafe { libc::CMSG_NXTHDR(header, next) };
+    }
+    (stamp_ns, dropped)
+}
+
+/// Has the kernel say of each datagram when it came (SO_TIMESTAMPNS) and how many were dropped before it
+/// (SO_RXQ_OVFL); socket(7).
+pub(super) fn ask_for_stamps_and_drops(socket: BorrowedFd<'_>) -> io::Result<()> {
+    set_option(socket, libc::SO_TIMESTAMPNS, 1)?;
+    set_option(socket, libc::SO_RXQ_OVFL, 1)
+}
+
+/// Sets the receive buffer beyond net.core.rmem_max (SO_RCVBUFFORCE), which CAP_NET_ADMIN may.
+pub(super) fn force_buffer(socket: BorrowedFd<'_>, bytes: usize) -> io::Result<()> {
+    set_option(socket, libc::SO_RCVBUFFORCE, libc::c_int::try_from(bytes).unwrap_or(libc::c_int::MAX))
+}
+
+fn set_option(socket: BorrowedFd<'_>, name: libc::c_int, value: libc::c_int) -> io::Result<()> {
+    // SAFETY: the kernel reads an int, of the stated length, while the call lasts.
+    let done = unsafe {
+        let len = size_of::<libc::c_int>() as libc::socklen_t;
+        libc::setsockopt(socket.as_raw_fd(), libc::SOL_SOCKET, name, (&raw const value).cast(), len)
+    };
+    if done == 0 { Ok(()) } else { Err(io::Error::last_os_error()) }
+}
+
+/// Datagrams that the socket has dropped up to now, modulo 2^32 (SO_MEMINFO, Linux 4.12): the control messages tell it
+/// only with the next datagram.
+pub(super) fn dropped_now(socket: BorrowedFd<'_>) -> io::Result<u32> {
+    const DROPS: usize = libc::SK_MEMINFO_DROPS as usize;
+    let mut numbers = [0_u32; DROPS + 1];
+    let mut len = size_of_val(&numbers) as libc::socklen_t;
+    // SAFETY: the kernel writes at most `len` bytes there while the call lasts; any bytes are numbers.
+    let done = unsafe {
+        let to = numbers.as_mut_ptr().cast();
+        libc::getsockopt(socket.as_raw_fd(), libc::SOL_SOCKET, libc::SO_MEMINFO, to, &raw mut len)
+    };
+    match done {
+        0 if len as usize == size_of_val(&numbers) => Ok(numbers[DROPS]),
+        0 => Err(io::ErrorKind::Unsupported.into()),
+        _ => Err(io::Error::last_os_error()),
+    }
+}
+
+/// Index of a network interface (if_nametoindex(3)).
+pub(super) fn interface_index(name: &str) -> io::Result<u32> {
+    let name = CString::new(name)?;
+    // SAFETY: a string that ends in a zero and lives while the call lasts.
+    match unsafe { libc::if_nametoindex(name.as_ptr()) } {
+        0 => Err(io::Error::last_os_error()),
+        index => Ok(index),
+    }
+}
