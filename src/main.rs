@@ -10,6 +10,7 @@ use sweepd::cli::{Cli, Command};
 fn main() -> ExitCode {
     let done = match Cli::parse().command {
         Command::Replay(args) => sweepd::cli::replay::run(&args),
+        Command::Record(args) => sweepd::cli::record::run(&args),
         Command::Inspect(args) => sweepd::cli::inspect::run(&args),
         Command::Segment(args) => sweepd::cli::segment::run(&args),
         Command::Calib(args) => sweepd::cli::calib::run(&args),

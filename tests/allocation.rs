@@ -1,17 +1,20 @@
-//! After the first turns the way from datagram to labelled sweep allocates nothing.
+//! After the first turns the way from socket to datagram, and from datagram to labelled sweep, allocates nothing.
 
 #[path = "common/stream.rs"]
 mod stream;
 
 use std::alloc::{GlobalAlloc, Layout, System};
 use std::sync::atomic::{AtomicU64, Ordering};
+use std::time::Duration;
 
 use stream::Spin;
+use sweepd::capture::{Gate, Route, UdpConfig, UdpSource};
 use sweepd::pipeline::{Config, Pipeline, Untimed};
 use sweepd::segment::Method;
 use sweepd::sensor::Model;
 use sweepd::simulate::{Emitter, EmitterConfig, street};
 use sweepd::sweep::HeapBuffers;
+use sweepd::wire::DataPacket;
 use sweepd::wire::data::ReturnMode;
 
 struct Counting;
@@ -53,9 +56,34 @@ fn per_sweep(config: Config, datagrams: &[(Vec<u8>, i64)]) -> Vec<u64> {
     counts
 }
 
+/// Allocations while packets are received and pass the gate, after the first batch. The packets wait in the socket: their
+/// sender is not counted.
+fn receiving() -> u64 {
+    let mut source = UdpSource::bind(&UdpConfig { address: [127, 0, 0, 1].into(), ..UdpConfig::port(0) }).unwrap();
+    let (sender, mut gate) = (std::net::UdpSocket::bind("127.0.0.1:0").unwrap(), Gate::default());
+    let packets = [DataPacket::new(0, 0x37, 0x22).emit().to_vec(), vec![0; 512], vec![9; 1206], vec![9; 100]];
+    let mut admitted = 0;
+    let mut receive = |count: u64| {
+        for number in 0..count as usize {
+            sender.send_to(&packets[number % 4], source.local_addr()).unwrap();
+        }
+        let (before, end) = (ALLOCATIONS.load(Ordering::Relaxed), source.received() + count);
+        while source.received() < end {
+            let batch = source.receive(Duration::from_secs(5)).unwrap();
+            admitted += batch.filter(|datagram| !matches!(gate.admit(datagram), Route::Other(_))).count();
+        }
+        ALLOCATIONS.load(Ordering::Relaxed) - before
+    };
+    receive(4);
+    let counts: u64 = (0..10).map(|_| receive(100)).sum();
+    assert_eq!(admitted, 502);
+    counts
+}
+
 /// One test, since the count is of the whole process.
 #[test]
 fn the_steady_state_allocates_nothing() {
+    assert_eq!(receiving(), 0);
     let scene = street(1);
     for model in [Model::Vlp16, Model::Hdl32e, Model::Hdl64eS3] {
         for mode in [ReturnMode::Strongest, ReturnMode::Dual] {

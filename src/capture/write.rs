@@ -13,6 +13,15 @@ const HEADERS_LEN: usize = ETHERNET_LEN + IPV4_LEN + UDP_LEN;
 /// Broadcast from a card of Velodyne's own address block.
 const ETHERNET: [u8; ETHERNET_LEN] = [0xFF, 0xFF, 0xFF, 0xFF, 0xFF, 0xFF, 0x60, 0x76, 0x88, 0, 0, 0, 8, 0];
 
+/// Bytes of a file's header.
+pub const FILE_HEADER_LEN: u64 = 24;
+
+/// Bytes that a datagram takes in a file, its headers included.
+pub fn record_len(payload_len: usize) -> u64 {
+    const RECORD_HEADER_LEN: usize = 16;
+    (RECORD_HEADER_LEN + HEADERS_LEN + payload_len) as u64
+}
+
 /// A datagram with both its ends, to be written.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub struct Outgoing<'a> {
@@ -58,6 +67,11 @@ impl<W: Write> PcapWriter<W> {
         self.sink.write_all([seconds, nanoseconds, len, len].map(u32::to_le_bytes).as_flattened())?;
         self.sink.write_all(&headers(datagram, ip_len))?;
         self.sink.write_all(datagram.payload)
+    }
+
+    /// The sink, to flush and sync it between two records.
+    pub fn sink_mut(&mut self) -> &mut W {
+        &mut self.sink
     }
 
     /// Flushes and gives the sink back.

@@ -8,10 +8,12 @@ pub mod inspect;
 pub mod options;
 pub mod output;
 pub mod play;
+pub mod record;
 pub mod replay;
 pub mod segment;
 pub mod send;
 pub mod simulate;
+pub mod sink;
 pub mod summary;
 
 use std::fmt::Display;
@@ -21,7 +23,7 @@ use std::path::{Path, PathBuf};
 
 use clap::{Parser, Subcommand};
 
-use crate::capture::CaptureError;
+use crate::capture::{CaptureError, UdpError};
 use crate::export::ExportError;
 use crate::sensor::CalibrationError;
 
@@ -42,6 +44,8 @@ pub struct Cli {
 pub enum Command {
     /// Replay a capture: decode it, segment every sweep, and show or write what comes out
     Replay(Box<replay::Args>),
+    /// Record live sensors to a capture, with the kernel's time stamps
+    Record(record::Args),
     /// Say what is in a capture without decoding it all
     Inspect(inspect::Args),
     /// Segment point clouds (KITTI .bin) that have no packets
@@ -77,6 +81,27 @@ pub enum CliError {
     Write {
         /// The file.
         path: PathBuf,
+        /// What the system says.
+        source: io::Error,
+    },
+    /// A recording cannot be written.
+    #[error("cannot write {}: {source}; {cure}", path.display())]
+    Recording {
+        /// The file.
+        path: PathBuf,
+        /// What the system says.
+        source: io::Error,
+        /// What to do about it.
+        cure: &'static str,
+    },
+    /// A port cannot be listened on.
+    #[error(transparent)]
+    Udp(#[from] UdpError),
+    /// The system refuses what it never should: a signal handler, a thread.
+    #[error("cannot {what}: {source}")]
+    System {
+        /// What was tried.
+        what: &'static str,
         /// What the system says.
         source: io::Error,
     },

@@ -2,7 +2,6 @@
 
 mod cloud;
 mod faults;
-mod sink;
 mod truth;
 
 use std::io::{self, Write};
@@ -15,12 +14,12 @@ use clap::ValueEnum;
 
 use self::cloud::CloudOptions;
 use self::faults::FaultOptions;
-use self::sink::CaptureFile;
 use self::truth::{TruthFile, write_objects};
 use super::CliError;
 use super::options::{model, within};
 use super::play::destination;
 use super::send::Sender;
+use super::sink::CaptureFile;
 use crate::capture::write::Outgoing;
 use crate::capture::{Pacer, Speed};
 use crate::sensor::model::Spec;

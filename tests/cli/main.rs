@@ -10,6 +10,7 @@ mod inspect;
 mod made;
 mod options;
 mod outputs;
+mod record;
 mod simulate;
 mod to_udp;
 mod truth;

@@ -11,6 +11,7 @@ fn every_help_has_an_example_and_fits_a_terminal() {
         &["segment", "--help"],
         &["replay", "-h"],
         &["simulate", "--help"],
+        &["record", "--help"],
     ] {
         let text = sweepd(args).done();
         assert!(text.contains("\nExample") && text.contains("\n  sweepd "), "{args:?}");
@@ -36,6 +37,23 @@ fn the_examples_of_the_help_are_accepted() {
         let args = [&["replay", "none.pcap"], &words.collect::<Vec<_>>()[..]].concat();
         let ran = Ran::of(command(&args).current_dir(folder.path("")).output().unwrap());
         ran.says(&["cannot open none.pcap"]);
+    }
+}
+
+#[test]
+fn the_examples_of_record_are_understood() {
+    let text = sweepd(&["record", "--help"]).done();
+    let examples: Vec<&str> = text.lines().filter_map(|line| line.strip_prefix("  sweepd record ")).collect();
+    assert!(examples.len() >= 3);
+    for example in examples {
+        // An address that is no host's, from the blocks for documentation.
+        let args = [&["record", "--bind", "192.0.2.1"], &example.split(' ').collect::<Vec<_>>()[..]].concat();
+        let args: Vec<&str> = args.into_iter().map(|word| if word == "eth1" { "lo" } else { word }).collect();
+        sweepd(&args).says(&["has the address 192.0.2.1"]);
+    }
+    for args in [["--seconds=0", "0.1 to"], ["--rotate-mb=-1", "0.01 to"], ["--rotate-seconds=nan", "0.1 to"]] {
+        let ran = sweepd(&["record", "-o", "x.pcap", args[0]]);
+        assert!(ran.code == 2 && ran.stderr.contains(args[1]), "{}", ran.stderr);
     }
 }
 

@@ -131,6 +131,11 @@ impl UdpSource {
         self.received
     }
 
+    /// Datagrams that the kernel had dropped when the last one that was received came; costs nothing.
+    pub fn dropped_so_far(&self) -> u64 {
+        self.drops.total
+    }
+
     /// Datagrams that the kernel dropped up to now because the buffer was full (or their checksum wrong).
     pub fn dropped(&mut self) -> u64 {
         // Before Linux 4.12 the next datagram will tell.

@@ -94,6 +94,11 @@ fn address(name: &libc::sockaddr_in) -> SocketAddrV4 {
 }
 
 /// Time stamp and drop counter from the control messages (cmsg(3)) of a header that the kernel has filled in.
+#[allow(
+    clippy::unnecessary_cast,
+    clippy::useless_conversion,
+    reason = "other C libraries and 32 bits have other types"
+)]
 fn control(header: &libc::msghdr) -> (Option<i64>, Option<u32>) {
     let (mut stamp_ns, mut dropped) = (None, None);
     // SAFETY: `msg_control` points to the aligned control buffer of a slot that is borrowed by the caller, and

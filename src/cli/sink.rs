@@ -1,7 +1,7 @@
-//! The capture that a simulation writes: plain, compressed, or standard output.
+//! The capture that a simulation or a recording writes: plain, compressed, or standard output.
 
 use std::fs::File;
-use std::io::{self, BufWriter, StdoutLock, Write};
+use std::io::{self, BufWriter, Stdout, Write};
 use std::path::{Path, PathBuf};
 
 use flate2::write::GzEncoder;
@@ -20,7 +20,7 @@ enum Sink {
     Plain(BufWriter<File>),
     // Small writes go through the buffer, not one by one through the compressor.
     Gzip(BufWriter<GzEncoder<File>>),
-    Stdout(BufWriter<StdoutLock<'static>>),
+    Stdout(BufWriter<Stdout>),
 }
 
 impl Write for Sink {
@@ -47,9 +47,48 @@ impl CaptureFile {
     /// # Errors
     /// [`CliError`]: a name that says no format, a file that cannot be written.
     pub fn create(path: &Path) -> Result<Self, CliError> {
-        let sink = open(path)?;
+        let stdout = path.as_os_str() == "-";
+        let sink = if stdout { Sink::Stdout(BufWriter::new(io::stdout())) } else { file(path, || File::create(path))? };
+        Self::over(path, sink)
+    }
+
+    /// As [`CaptureFile::create`], but overwrites no file: that is the error `AlreadyExists`. What is no file, such as a
+    /// named pipe, is written to.
+    ///
+    /// # Errors
+    /// As there.
+    pub fn create_new(path: &Path) -> Result<Self, CliError> {
+        let special = path.metadata().is_ok_and(|found| !found.is_file() && !found.is_dir());
+        let open = || if special { File::options().write(true).open(path) } else { File::create_new(path) };
+        Self::over(path, file(path, open)?)
+    }
+
+    fn over(path: &Path, sink: Sink) -> Result<Self, CliError> {
         let writer = PcapWriter::new(sink).map_err(|source| failed(path, source))?;
         Ok(Self { path: path.to_owned(), writer })
+    }
+
+    /// The path that it was opened with.
+    pub fn path(&self) -> &Path {
+        &self.path
+    }
+
+    /// Has everything so far on the disk, as a capture that can be read up to here.
+    ///
+    /// # Errors
+    /// [`CliError`]: what the disk says.
+    pub fn sync(&mut self) -> Result<(), CliError> {
+        let sink = self.writer.sink_mut();
+        let synced = sink.flush().and_then(|()| match sink {
+            Sink::Plain(file) => file.get_ref().sync_data(),
+            Sink::Gzip(file) => file.get_ref().get_ref().sync_data(),
+            Sink::Stdout(_) => Ok(()),
+        });
+        match synced {
+            // A pipe or device has nothing to sync (fsync(2), EINVAL).
+            Err(error) if error.kind() == io::ErrorKind::InvalidInput => Ok(()),
+            other => other.map_err(|source| failed(&self.path, source)),
+        }
     }
 
     /// Writes a record.
@@ -73,18 +112,16 @@ impl CaptureFile {
     }
 }
 
-fn open(path: &Path) -> Result<Sink, CliError> {
+fn file(path: &Path, open: impl FnOnce() -> io::Result<File>) -> Result<Sink, CliError> {
     let name = path.file_name().unwrap_or_default().to_string_lossy();
-    let create = || File::create(path).map_err(|source| failed(path, source));
-    if path.as_os_str() == "-" {
-        Ok(Sink::Stdout(BufWriter::new(io::stdout().lock())))
-    } else if name.ends_with(".pcap") {
-        Ok(Sink::Plain(BufWriter::new(create()?)))
+    let open = || open().map_err(|source| failed(path, source));
+    if name.ends_with(".pcap") {
+        Ok(Sink::Plain(BufWriter::new(open()?)))
     } else if name.ends_with(".pcap.gz") {
         // No time of making in the header: the same command gives the same file.
-        Ok(Sink::Gzip(BufWriter::new(GzBuilder::new().mtime(0).write(create()?, Compression::default()))))
+        Ok(Sink::Gzip(BufWriter::new(GzBuilder::new().mtime(0).write(open()?, Compression::default()))))
     } else {
-        let message = format!("--pcap {}: expected a name that ends in .pcap or .pcap.gz, or -", path.display());
+        let message = format!("{}: expected a name that ends in .pcap or .pcap.gz", path.display());
         Err(CliError::Usage(message))
     }
 }
