@@ -37,8 +37,8 @@ const TICK: Duration = Duration::from_millis(50);
 /// Options of `sweepd record`.
 #[derive(Clone, Debug, clap::Args)]
 #[command(after_help = "\
-Only data and position packets are recorded; whatever else comes to the ports is counted by reason. Ctrl-C
-ends a recording cleanly. It is on the disk at most a second after it came.
+Only data and position packets are recorded; whatever else comes is counted by reason. Ctrl-C ends a
+recording cleanly. What came is on the disk about a second later.
 
 Examples:
   sweepd record -o drive.pcap

@@ -48,7 +48,11 @@ impl CaptureFile {
     /// [`CliError`]: a name that says no format, a file that cannot be written.
     pub fn create(path: &Path) -> Result<Self, CliError> {
         let stdout = path.as_os_str() == "-";
-        let sink = if stdout { Sink::Stdout(BufWriter::new(io::stdout())) } else { file(path, || File::create(path))? };
+        let sink = if stdout {
+            Sink::Stdout(BufWriter::new(io::stdout()))
+        } else {
+            file(path, "--pcap", || File::create(path))?
+        };
         Self::over(path, sink)
     }
 
@@ -60,7 +64,7 @@ impl CaptureFile {
     pub fn create_new(path: &Path) -> Result<Self, CliError> {
         let special = path.metadata().is_ok_and(|found| !found.is_file() && !found.is_dir());
         let open = || if special { File::options().write(true).open(path) } else { File::create_new(path) };
-        Self::over(path, file(path, open)?)
+        Self::over(path, file(path, "-o", open)?)
     }
 
     fn over(path: &Path, sink: Sink) -> Result<Self, CliError> {
@@ -112,7 +116,7 @@ impl CaptureFile {
     }
 }
 
-fn file(path: &Path, open: impl FnOnce() -> io::Result<File>) -> Result<Sink, CliError> {
+fn file(path: &Path, option: &str, open: impl FnOnce() -> io::Result<File>) -> Result<Sink, CliError> {
     let name = path.file_name().unwrap_or_default().to_string_lossy();
     let open = || open().map_err(|source| failed(path, source));
     if name.ends_with(".pcap") {
@@ -121,7 +125,9 @@ fn file(path: &Path, open: impl FnOnce() -> io::Result<File>) -> Result<Sink, Cl
         // No time of making in the header: the same command gives the same file.
         Ok(Sink::Gzip(BufWriter::new(GzBuilder::new().mtime(0).write(open()?, Compression::default()))))
     } else {
-        let message = format!("{}: expected a name that ends in .pcap or .pcap.gz", path.display());
+        // A recording is to be synced, which standard output cannot be.
+        let or_stdout = if option == "--pcap" { ", or -" } else { "" };
+        let message = format!("{option} {}: expected a name that ends in .pcap or .pcap.gz{or_stdout}", path.display());
         Err(CliError::Usage(message))
     }
 }
