@@ -54,13 +54,25 @@
 #![deny(unsafe_code)]
 #![warn(missing_docs)]
 
+#[cfg(feature = "daemon")]
 pub mod capture;
+#[cfg(feature = "daemon")]
 pub mod cli;
+#[cfg(feature = "daemon")]
 pub mod cloud;
+#[cfg(feature = "daemon")]
+pub mod daemon;
+#[cfg(feature = "daemon")]
 pub mod export;
+#[cfg(feature = "daemon")]
 pub mod pipeline;
+#[cfg(feature = "client")]
+pub mod publish;
+#[cfg(feature = "daemon")]
 pub mod segment;
+#[cfg(feature = "daemon")]
 pub mod sensor;
+#[cfg(feature = "daemon")]
 pub mod simulate;
 pub mod sweep;
 pub mod wire;

@@ -214,6 +214,8 @@ impl<B: Buffers, W: Stopwatch> Pipeline<B, W> {
         let labelled_ns = self.watch.now_ns();
         sweep.header.ground_ns = (without_ground_ns - begun_ns) as u32;
         sweep.header.label_ns = (labelled_ns - without_ground_ns) as u32;
+        sweep.header.position_m = self.config.position_m;
+        sweep.header.yaw_rad = self.config.yaw_rad;
         whole
     }
 

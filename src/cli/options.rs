@@ -183,6 +183,7 @@ pub fn pipeline_config(sensor: &SensorOptions, segment: &SegmentOptions) -> Resu
         cut_azimuth_rad: sensor.cut_azimuth.to_radians(),
         return_choice: sensor.return_choice(),
         segment: segment.config()?,
+        ..pipeline::Config::default()
     })
 }
 

@@ -17,6 +17,10 @@ pub struct Config {
     pub return_choice: ReturnChoice,
     /// How sweeps are segmented.
     pub segment: segment::Config,
+    /// Position of the sensor in the frame of the robot, metres: x right, y forward, z up; only told on.
+    pub position_m: [f32; 3],
+    /// Rotation about the vertical in the frame of the robot, counter-clockwise from above, radians; only told on.
+    pub yaw_rad: f32,
 }
 
 impl Default for Config {
@@ -27,6 +31,8 @@ impl Default for Config {
             cut_azimuth_rad: 0.0,
             return_choice: ReturnChoice::Nearest,
             segment: segment::Config::default(),
+            position_m: [0.0; 3],
+            yaw_rad: 0.0,
         }
     }
 }

@@ -20,6 +20,7 @@
 
 use zerocopy::{FromBytes, FromZeros, Immutable, IntoBytes, KnownLayout};
 
+#[cfg(feature = "daemon")]
 use crate::sensor::Beam;
 use crate::wire::data::ReturnMode;
 
@@ -29,7 +30,7 @@ compile_error!("the layout of a sweep is little-endian, and so must be the host"
 /// First bytes of a sweep.
 pub const MAGIC: [u8; 8] = *b"sweepd\r\n";
 /// Version of this layout.
-pub const LAYOUT_VERSION: u32 = 2;
+pub const LAYOUT_VERSION: u32 = 3;
 /// Alignment of a sweep and of its parts, bytes.
 pub const ALIGN: usize = 64;
 /// Columns that a sweep has room for: an HDL-32E at 240 rpm has 5425, an HDL-64E 5209 and up to 145 on each side.
@@ -89,6 +90,13 @@ pub enum ReturnChoice {
 }
 
 /// Head of a sweep. Counts and offsets first, then what was measured.
+///
+/// The same packets give the same sweep, byte for byte, but for what depends on the host that took them:
+/// [`sequence`](Self::sequence), [`run_ns`](Self::run_ns), [`name`](Self::name) and [`sensor`](Self::sensor);
+/// [`arrival_ns`](Self::arrival_ns), [`completed_ns`](Self::completed_ns) and
+/// [`completed_monotonic_ns`](Self::completed_monotonic_ns); [`time_ns`](Self::time_ns) where it is in the host's clock;
+/// [`decode_ns`](Self::decode_ns), [`ground_ns`](Self::ground_ns) and [`label_ns`](Self::label_ns);
+/// [`dropped_datagrams`](Self::dropped_datagrams); and the ordinals of packets ([`Column::packet`]).
 #[derive(Clone, Copy, Debug, FromBytes, IntoBytes, KnownLayout, Immutable)]
 #[repr(C)]
 pub struct Header {
@@ -131,7 +139,8 @@ pub struct Header {
     pub duration_ns: u64,
     /// Sensor clock at the first column's first shot, nanoseconds since the top of the hour at which this run began.
     pub sensor_time_ns: i64,
-    /// Arrival of the newest packet in the sweep, nanoseconds since 1970.
+    /// Arrival of the newest packet up to the one that completed the sweep, with the first firing past the cut; nanoseconds
+    /// since 1970.
     pub arrival_ns: i64,
     /// Speed over this sweep, turns a minute; not negative.
     pub rpm: f32,
@@ -163,9 +172,27 @@ pub struct Header {
     pub margin_columns: u32,
     /// Columns of the image that hold no firing, because the rows are shifted.
     pub unfired_columns: u32,
-    _reserved: [u32; 3],
+    /// Datagrams that the kernel dropped on the sensor's port since the sweep before, because nobody fetched them in time.
+    pub dropped_datagrams: u32,
+    /// Rotation of the sensor about the vertical in the frame of the robot, counter-clockwise from above, radians. Its
+    /// position is [`Header::position_m`], the other two angles are [`Header::pitch_rad`] and [`Header::roll_rad`].
+    pub yaw_rad: f32,
+    _reserved: u32,
+    /// Position of the sensor in the frame of the robot as configured, metres: x right, y forward, z up.
+    pub position_m: [f32; 3],
+    _reserved_too: u32,
+    /// CLOCK_REALTIME when labels and segments were complete, nanoseconds since 1970; 0 where no clock was given.
+    pub completed_ns: i64,
+    /// CLOCK_MONOTONIC at the same moment, nanoseconds.
+    pub completed_monotonic_ns: i64,
+    /// CLOCK_REALTIME when the publisher of this sweep began, nanoseconds since 1970: with [`Header::sequence`] it names the
+    /// sweep for good. 0 where nothing is published.
+    pub run_ns: i64,
     /// Source of the sensor's packets as text, zero padded.
     pub sensor: [u8; 64],
+    /// Name that the sensor was given, which is also that of its service; zero padded, empty where it was given none.
+    pub name: [u8; 64],
+    _reserved_bytes: [u8; 24],
 }
 
 /// One column: a firing.
@@ -260,6 +287,7 @@ pub struct BeamRow {
     _reserved: [u32; 2],
 }
 
+#[cfg(feature = "daemon")]
 impl BeamRow {
     /// The row of a beam that shoots so long after the first shot of its firing.
     pub fn new(beam: &Beam, time_offset_ns: u32) -> Self {
@@ -308,7 +336,7 @@ pub struct Segment {
     _reserved: u32,
 }
 
-const _: () = assert!(size_of::<Header>() == 320 && size_of::<Column>() == 24);
+const _: () = assert!(size_of::<Header>() == 448 && size_of::<Column>() == 24);
 const _: () = assert!(size_of::<BeamRow>() == 48 && size_of::<Segment>() == 64);
 
 /// The parts of a sweep behind its header.
@@ -471,16 +499,35 @@ impl Header {
 
     /// Source of the sensor's packets.
     pub fn sensor(&self) -> &str {
-        let end = self.sensor.iter().position(|&b| b == 0).unwrap_or(self.sensor.len());
-        std::str::from_utf8(&self.sensor[..end]).unwrap_or_default()
+        text(&self.sensor)
+    }
+
+    /// Names the source; what is over 64 bytes is cut off.
+    pub fn set_sensor(&mut self, source: &str) {
+        self.sensor = padded(source);
+    }
+
+    /// Name of the sensor and of its service.
+    pub fn name(&self) -> &str {
+        text(&self.name)
     }
 
     /// Names the sensor; what is over 64 bytes is cut off.
-    pub fn set_sensor(&mut self, name: &str) {
-        self.sensor = [0; 64];
-        let len = name.floor_char_boundary(self.sensor.len());
-        self.sensor[..len].copy_from_slice(&name.as_bytes()[..len]);
+    pub fn set_name(&mut self, name: &str) {
+        self.name = padded(name);
     }
+}
+
+fn text(padded: &[u8; 64]) -> &str {
+    let end = padded.iter().position(|&byte| byte == 0).unwrap_or(padded.len());
+    std::str::from_utf8(&padded[..end]).unwrap_or_default()
+}
+
+fn padded(text: &str) -> [u8; 64] {
+    let mut padded = [0; 64];
+    let len = text.floor_char_boundary(padded.len());
+    padded[..len].copy_from_slice(&text.as_bytes()[..len]);
+    padded
 }
 
 /// Why bytes are not a sweep.

@@ -11,21 +11,33 @@
 //!
 //! [`layout`] defines a sweep as bytes, [`image`] gives the views over them, [`buffers`] says where the bytes live.
 
+#[cfg(feature = "daemon")]
 pub mod buffers;
+#[cfg(feature = "daemon")]
 pub mod builder;
+#[cfg(feature = "daemon")]
 pub mod clock;
+#[cfg(feature = "daemon")]
 mod columns;
 pub mod corrected;
+#[cfg(feature = "daemon")]
 mod cursor;
+#[cfg(feature = "daemon")]
 pub mod decode;
+#[cfg(feature = "daemon")]
 pub mod head;
 pub mod image;
 pub mod layout;
+#[cfg(feature = "daemon")]
 pub mod motion;
+#[cfg(feature = "daemon")]
 pub mod order;
+#[cfg(feature = "daemon")]
 pub mod relation;
+#[cfg(feature = "daemon")]
 pub mod turns;
 
+#[cfg(feature = "daemon")]
 pub use buffers::{Buffers, HeapBuffers};
 pub use image::{Return, SweepMut, SweepRef};
 pub use layout::{BeamRow, Column, Header, Segment, Shape};
