@@ -58,6 +58,8 @@
 pub mod capture;
 #[cfg(feature = "daemon")]
 pub mod cli;
+#[cfg(feature = "client")]
+pub mod client;
 #[cfg(feature = "daemon")]
 pub mod cloud;
 #[cfg(feature = "daemon")]

@@ -1,1 +1,133 @@
-//! Sweeps through shared memory.
+//! Sweeps through shared memory: buffers on loan, sent and received without a copy. Knows iceoryx2, and of a sweep only that
+//! it is bytes.
+//!
+//! ```text
+//! daemon    Loans::take -> Slot (filled while packets arrive) -> Slot::publish          consumer   Subscriber::wait -> Received
+//!                       \_________ one pool in /dev/shm, mapped by both _________________________________________/
+//! ```
+//!
+//! * [`Domain`]: the folder of the files by which both sides find each other.
+//! * [`Loans`]: the daemon's side, which gives out room in the pool and takes care that it stays reachable.
+//! * [`Subscriber`]: a consumer's side, which finds the service again whatever happens to the daemon.
+//!
+//! Each sensor has one service, `sweepd/<name>/sweep`, with an event of the same name that fires after each sweep. The payload
+//! is `[u8]`, the bytes that [`crate::sweep::layout`] defines; in front of it stands a [`Preamble`], whose alignment is also
+//! the payload's. The service's attributes say what it is: `schema` (version of the layout), `model`, `address`.
+//!
+//! A slow, stuck or crashed consumer delays nobody: each has room for [`BUFFERED`] sweeps of its own, of which the oldest gives
+//! way, and may hold [`BORROWED`] more. iceoryx2's settings, and which of them fail silently, were measured; the reasons stand
+//! beside them.
+
+mod domain;
+mod files;
+#[cfg(feature = "daemon")]
+mod loans;
+#[cfg(feature = "daemon")]
+mod pool;
+mod subscriber;
+#[cfg(feature = "daemon")]
+mod sys;
+
+use iceoryx2::node::NodeCreationFailure;
+use iceoryx2::prelude::*;
+use iceoryx2::service::attribute::{AttributeKey, AttributeValue};
+use iceoryx2::service::service_hash::ServiceHash;
+
+use crate::sweep::layout::LAYOUT_VERSION;
+
+pub use domain::{Domain, DomainError};
+#[cfg(feature = "daemon")]
+pub use loans::{Loans, PublishError, Settings, Slot, Status};
+pub use subscriber::{Received, SubscribeError, Subscriber};
+
+/// The kind of service: its samples may be sent from thread to thread. Consumers with the plain `ipc` kind see the same.
+pub(crate) type Ipc = iceoryx2::service::ipc_threadsafe::Service;
+
+/// Sweeps that wait for a consumer; the oldest gives way to a newer one.
+pub const BUFFERED: usize = 2;
+/// Sweeps that a consumer may hold at a time.
+pub const BORROWED: usize = 2;
+/// Sweeps that a consumer gets which comes later.
+pub const HISTORY: usize = 1;
+/// Sweeps that are being filled or segmented.
+pub const LOANED: usize = 2;
+/// Publishers at most: the pool, the pool before it while its last sweep is out, and a tunnel to another host.
+#[cfg(feature = "daemon")]
+const PUBLISHERS: usize = 3;
+/// Programs that may look at a service beside its consumers: the daemon, tools, a tunnel.
+#[cfg(feature = "daemon")]
+const MORE_NODES: usize = 8;
+
+/// Sweeps that the pool of one sensor has room for.
+pub const fn pool_sweeps(max_consumers: usize) -> usize {
+    max_consumers * (BUFFERED + BORROWED) + HISTORY + LOANED
+}
+
+/// What stands in front of the bytes of a sweep, as iceoryx2's user header.
+///
+/// Its alignment makes that of the payload. (Payload alignment, the other way to ask for it, would pad each single byte.)
+#[derive(Clone, Copy, Debug, Default, PartialEq, Eq, ZeroCopySend)]
+#[repr(C)]
+#[repr(align(64))]
+#[type_name("sweepd.Preamble")]
+pub struct Preamble {
+    /// Version of the layout of what follows: [`crate::sweep::layout::LAYOUT_VERSION`].
+    pub layout_version: u32,
+    _reserved: u32,
+    /// Bytes of the sweep, which may be fewer than the payload's.
+    pub sweep_bytes: u64,
+}
+
+impl Preamble {
+    /// Of a sweep with so many bytes.
+    #[cfg(feature = "daemon")]
+    fn of(sweep_bytes: usize) -> Self {
+        Self { layout_version: LAYOUT_VERSION, sweep_bytes: sweep_bytes as u64, ..Self::default() }
+    }
+}
+
+const _: () = assert!(size_of::<Preamble>() == 64 && align_of::<Preamble>() == crate::sweep::layout::ALIGN);
+
+/// Names of the attributes of a service.
+pub mod attributes {
+    /// Version of the layout.
+    pub const SCHEMA: &str = "schema";
+    /// Model of the sensor.
+    pub const MODEL: &str = "model";
+    /// Where its packets come from.
+    pub const ADDRESS: &str = "address";
+}
+
+/// The service of a sensor.
+fn service_name(sensor: &str) -> Option<ServiceName> {
+    (!sensor.is_empty()).then(|| format!("sweepd/{sensor}/sweep").as_str().try_into().ok()).flatten()
+}
+
+/// The sensor of a service.
+fn sensor_name(service: &str) -> Option<&str> {
+    service.strip_prefix("sweepd/")?.strip_suffix("/sweep")
+}
+
+fn attribute(key: &str, value: &str) -> Option<(AttributeKey, AttributeValue)> {
+    Some((AttributeKey::try_from(key).ok()?, AttributeValue::try_from(value).ok()?))
+}
+
+/// A node without signal handlers: those are the program's.
+fn node(domain: &Domain) -> Result<Node<Ipc>, NodeCreationFailure> {
+    // What fails is an error here and said once; iceoryx2 would say it on standard error as well.
+    set_log_level(LogLevel::Fatal);
+    NodeBuilder::new().config(&domain.config()).signal_handling_mode(SignalHandlingMode::Disabled).create::<Ipc>()
+}
+
+fn service_hash(name: &ServiceName, pattern: MessagingPattern) -> ServiceHash {
+    ServiceHash::new::<<Ipc as iceoryx2::service::Service>::ServiceNameHasher>(name, pattern)
+}
+
+/// Only a service with this layout will do.
+fn same_schema() -> AttributeVerifier {
+    let verifier = AttributeVerifier::new();
+    match attribute(attributes::SCHEMA, &LAYOUT_VERSION.to_string()) {
+        Some((key, value)) => verifier.require(&key, &value).unwrap_or_default(),
+        None => verifier,
+    }
+}

@@ -1,0 +1,193 @@
+//! Where the files are by which a daemon and its consumers find each other, and who may use them.
+
+use std::fs;
+use std::io;
+use std::os::unix::fs::{DirBuilderExt, MetadataExt};
+use std::path::{Path, PathBuf};
+
+use iceoryx2::config::Config;
+use iceoryx2::prelude::*;
+
+use super::service_hash;
+
+/// Environment variable that names the folder.
+const VARIABLE: &str = "SWEEPD_ROOT";
+/// The daemon's folder under systemd, and iceoryx2's in it.
+const RUN: (&str, &str) = ("/run/sweepd", "/run/sweepd/iox2");
+/// Where there is no such folder.
+const FALLBACK: &str = "/tmp/sweepd/iox2";
+/// What the names of all files begin with, in the folder and in /dev/shm.
+const PREFIX: &str = "sweepd_";
+
+/// A folder of iceoryx2's files. Daemons and consumers see each other when it is the same and belongs to the user of both:
+/// shared memory is open to its owner alone.
+#[derive(Clone, Debug, PartialEq, Eq)]
+pub struct Domain {
+    root: PathBuf,
+}
+
+/// Why a domain cannot be used.
+#[derive(Debug, thiserror::Error)]
+pub enum DomainError {
+    /// It belongs to someone else. Root could open it, and would silently get nothing.
+    #[error(
+        "{root} belongs to user {owner}, this program runs as {own}: sweeps are shared within one user alone. Run it as {owner} \
+         (`sudo -u {owner} ...`, or `User={owner}` in its systemd unit)",
+        root = root.display()
+    )]
+    OtherUser {
+        /// The folder.
+        root: PathBuf,
+        /// Whose it is.
+        owner: String,
+        /// Whose this program is.
+        own: String,
+    },
+    /// It cannot be made, or looked at.
+    #[error(
+        "cannot use {root} for shared memory: {source}; name a folder of this user with --root or the variable SWEEPD_ROOT, \
+         the same for the daemon and its consumers",
+        root = root.display()
+    )]
+    Unusable {
+        /// The folder.
+        root: PathBuf,
+        /// What the system says.
+        source: io::Error,
+    },
+}
+
+impl Default for Domain {
+    /// `$SWEEPD_ROOT`; else /run/sweepd/iox2 where there is a /run/sweepd; else /tmp/sweepd/iox2. The same for all users of a
+    /// host, so that who runs as the wrong one is told so and does not wait for ever.
+    fn default() -> Self {
+        let named = std::env::var_os(VARIABLE).filter(|value| !value.is_empty()).map(PathBuf::from);
+        let usual = || PathBuf::from(if Path::new(RUN.0).is_dir() { RUN.1 } else { FALLBACK });
+        Self { root: named.unwrap_or_else(usual) }
+    }
+}
+
+impl Domain {
+    /// The domain in a folder; a relative path is one of the current folder.
+    pub fn at(root: impl Into<PathBuf>) -> Self {
+        let root = root.into();
+        Self { root: std::path::absolute(&root).unwrap_or(root) }
+    }
+
+    /// The domain in a folder, or the default one.
+    pub fn at_or_default(root: Option<&Path>) -> Self {
+        root.map_or_else(Self::default, Self::at)
+    }
+
+    /// The folder.
+    pub fn root(&self) -> &Path {
+        &self.root
+    }
+
+    /// What the names of its files in /dev/shm begin with: another root has another prefix, so that two daemons never meet
+    /// there.
+    pub fn prefix(&self) -> String {
+        let is_usual = [RUN.1, FALLBACK].iter().any(|usual| self.root == Path::new(usual));
+        if is_usual {
+            return PREFIX.to_owned();
+        }
+        // FNV-1a: the same in every language and version.
+        let fnv = |hash: u64, byte: &u8| (hash ^ u64::from(*byte)).wrapping_mul(0x0100_0000_01b3);
+        let hash = self.root.as_os_str().as_encoded_bytes().iter().fold(0xcbf2_9ce4_8422_2325, fnv);
+        format!("{PREFIX}{hash:016x}_")
+    }
+
+    /// Makes the folder and checks whose it is: for who is to write there.
+    ///
+    /// # Errors
+    /// [`DomainError`].
+    pub fn prepare(&self) -> Result<(), DomainError> {
+        let unusable = |source| DomainError::Unusable { root: self.root.clone(), source };
+        fs::DirBuilder::new().recursive(true).mode(0o750).create(&self.root).map_err(unusable)?;
+        self.exists().map(|_| ())
+    }
+
+    /// Whether it is there; whose it is is checked.
+    ///
+    /// # Errors
+    /// [`DomainError`].
+    pub fn exists(&self) -> Result<bool, DomainError> {
+        let unusable = |source| DomainError::Unusable { root: self.root.clone(), source };
+        let owner = match fs::metadata(&self.root) {
+            Ok(metadata) if !metadata.is_dir() => return Err(unusable(io::ErrorKind::NotADirectory.into())),
+            Ok(metadata) => metadata.uid(),
+            Err(error) if error.kind() == io::ErrorKind::NotFound => return Ok(false),
+            Err(error) => return Err(unusable(error)),
+        };
+        let own = fs::metadata("/proc/self").map_err(unusable)?.uid();
+        if owner != own {
+            let root = self.root.clone();
+            return Err(DomainError::OtherUser { root, owner: user_name(owner), own: user_name(own) });
+        }
+        Ok(true)
+    }
+
+    /// What iceoryx2 is told; nothing is taken from its configuration files.
+    pub(super) fn config(&self) -> Config {
+        let mut config = Config::default();
+        // A path too long or with a zero in it makes the node fail, which is an error there.
+        if let Ok(root) = iceoryx2::prelude::Path::new(self.root.as_os_str().as_encoded_bytes()) {
+            config.global.set_root_path(&root);
+        }
+        if let Ok(prefix) = FileName::new(self.prefix().as_bytes()) {
+            config.global.prefix = prefix;
+        }
+        config
+    }
+
+    /// The file by which a service is found.
+    pub(super) fn service_file(&self, name: &ServiceName, pattern: MessagingPattern) -> PathBuf {
+        let service = Config::default().global.service;
+        let hash = service_hash(name, pattern);
+        let file = format!("{}{}{}", self.prefix(), hash.as_str(), service.static_config_storage_suffix);
+        self.root.join(service.directory.to_string()).join(file)
+    }
+
+    /// The folder of a node, there as long as others can find it.
+    #[cfg(feature = "daemon")]
+    pub(super) fn node_folder(&self, node: &iceoryx2::identifiers::UniqueNodeId) -> PathBuf {
+        self.root.join(Config::default().global.node.directory.to_string()).join(node.value().to_string())
+    }
+}
+
+/// The name of a user, or the number where it has none.
+fn user_name(uid: u32) -> String {
+    let users = fs::read_to_string("/etc/passwd").unwrap_or_default();
+    let of_line = |line: &str| {
+        let mut fields = line.split(':');
+        let (name, number) = (fields.next()?, fields.nth(1)?);
+        (number.parse() == Ok(uid)).then(|| name.to_owned())
+    };
+    users.lines().find_map(of_line).unwrap_or_else(|| format!("number {uid}"))
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn domains_in_different_folders_share_no_name() {
+        assert_eq!(Domain::at("/run/sweepd/iox2").prefix(), "sweepd_");
+        // FNV-1a of "/a" by hand: (((basis ^ 0x2f) * prime) ^ 0x61) * prime.
+        assert_eq!(Domain::at("/a").prefix(), "sweepd_07d66707b49cd92d_");
+        assert_ne!(Domain::at("/a").prefix(), Domain::at("/b").prefix());
+    }
+
+    #[test]
+    fn a_folder_of_another_user_is_refused_with_both_names() {
+        // Whoever runs this is not the owner of both: /proc/1 is root's, nobody's are rare.
+        let own = fs::metadata("/proc/self").unwrap().uid();
+        let other = if own == 0 { None } else { Some("/proc/1") };
+        if let Some(root) = other {
+            let error = Domain::at(root).exists().unwrap_err().to_string();
+            assert!(error.contains("user root") && error.contains(&user_name(own)), "{error}");
+        }
+        assert_eq!(user_name(0), "root");
+        assert_eq!(user_name(4_000_000_000), "number 4000000000");
+    }
+}

@@ -1,0 +1,47 @@
+//! The files by which a service is found: whether they are still there, and the same.
+
+use std::fs;
+use std::path::{Path, PathBuf};
+
+/// A service's file as it was when the service was opened. It names the service's own number, so that one that was made anew
+/// is another, even under the same name.
+#[derive(Debug)]
+pub(super) struct ServiceFile {
+    path: PathBuf,
+    content: Vec<u8>,
+}
+
+/// What became of a file.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub(super) enum Fate {
+    Same,
+    Gone,
+    Other,
+}
+
+impl ServiceFile {
+    /// Reads it; `None` when it is not there.
+    pub(super) fn read(path: &Path) -> Option<Self> {
+        let content = fs::read(path).ok()?;
+        Some(Self { path: path.to_owned(), content })
+    }
+
+    pub(super) fn fate(&self) -> Fate {
+        match fs::read(&self.path) {
+            Ok(content) if content == self.content => Fate::Same,
+            Ok(_) => Fate::Other,
+            Err(_) => Fate::Gone,
+        }
+    }
+
+    /// Puts it back under its name.
+    #[cfg(feature = "daemon")]
+    pub(super) fn restore(&self) -> std::io::Result<()> {
+        use std::os::unix::fs::PermissionsExt;
+        // Whole at once, for who reads it meanwhile; as readable as iceoryx2 makes it.
+        let beside = self.path.with_extension("restored");
+        fs::write(&beside, &self.content)?;
+        fs::set_permissions(&beside, fs::Permissions::from_mode(0o400))?;
+        fs::rename(beside, &self.path)
+    }
+}

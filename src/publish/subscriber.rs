@@ -1,0 +1,274 @@
+//! A consumer's side: finds the service of a sensor, waits for sweeps, and finds it again after the daemon was restarted or its
+//! files were deleted.
+
+use std::time::{Duration, Instant};
+
+use iceoryx2::port::ReceiveError;
+use iceoryx2::port::listener::Listener;
+use iceoryx2::port::subscriber::{Subscriber as Port, SubscriberCreateError};
+use iceoryx2::prelude::*;
+use iceoryx2::sample::Sample;
+use iceoryx2::service::attribute::AttributeKey;
+use iceoryx2::service::builder::publish_subscribe::PublishSubscribeOpenError;
+use iceoryx2::service::port_factory::PortFactory as _;
+use iceoryx2::service::port_factory::publish_subscribe::PortFactory;
+
+use super::files::{Fate, ServiceFile};
+use super::{BORROWED, Domain, DomainError, Ipc, Preamble, node, same_schema, sensor_name, service_name};
+use crate::sweep::layout::LAYOUT_VERSION;
+
+/// The longest that is slept at once: then it is looked whether everything is still there.
+const LOOK_EVERY: Duration = Duration::from_millis(200);
+/// How often it is looked for a service that is not there.
+const SEEK_EVERY: Duration = Duration::from_millis(50);
+
+/// Why no sweeps can be had.
+#[derive(Debug, thiserror::Error)]
+pub enum SubscribeError {
+    /// The folder, or whose it is.
+    #[error(transparent)]
+    Domain(#[from] DomainError),
+    /// No name of a service.
+    #[error("`{name}` cannot be the name of a sensor: it is empty or too long")]
+    Name {
+        /// The name.
+        name: String,
+    },
+    /// Another version of sweepd publishes it.
+    #[error(
+        "the sweeps of `{name}` have another layout than version {LAYOUT_VERSION}, which this program reads; build it with the \
+         version of sweepd that runs on this host"
+    )]
+    OtherVersion {
+        /// The name.
+        name: String,
+    },
+    /// There are as many consumers as the pool was made for.
+    #[error("`{name}` has as many consumers as it has room for; raise max_consumers of the sensor, or stop one")]
+    Full {
+        /// The name.
+        name: String,
+    },
+    /// The program holds too many sweeps.
+    #[error("this program holds {BORROWED} sweeps already, and no consumer may hold more; drop one first")]
+    TooManyHeld,
+    /// iceoryx2 refuses.
+    #[error("shared memory: {what}")]
+    Service {
+        /// Its words.
+        what: String,
+    },
+}
+
+impl SubscribeError {
+    fn service(error: impl std::fmt::Debug) -> Self {
+        Self::Service { what: format!("{error:?}") }
+    }
+}
+
+/// The sweeps of one sensor as bytes, one after the other.
+#[derive(Debug)]
+pub struct Subscriber {
+    domain: Domain,
+    name: String,
+    service: ServiceName,
+    open: Option<Open>,
+    looked: Instant,
+    reopened: u64,
+}
+
+/// A service that was found. Dropped in this order.
+#[derive(Debug)]
+struct Open {
+    samples: Port<Ipc, [u8], Preamble>,
+    listener: Listener<Ipc>,
+    service: PortFactory<Ipc, [u8], Preamble>,
+    file: ServiceFile,
+    node: Node<Ipc>,
+}
+
+/// The bytes of a sweep, in the memory that the daemon wrote them to. They stay as they are while this is held; what is held
+/// too long is no longer new, and no more than [`BORROWED`] can be held.
+#[derive(Debug)]
+pub struct Received {
+    sample: Sample<Ipc, [u8], Preamble>,
+}
+
+impl Received {
+    /// Where the bytes stand and what they are.
+    pub fn preamble(&self) -> &Preamble {
+        self.sample.user_header()
+    }
+}
+
+impl AsRef<[u8]> for Received {
+    fn as_ref(&self) -> &[u8] {
+        let bytes = self.sample.payload();
+        let len = usize::try_from(self.preamble().sweep_bytes).unwrap_or(usize::MAX);
+        &bytes[..len.min(bytes.len())]
+    }
+}
+
+impl Subscriber {
+    /// A subscriber of the sensor of this name; whether there is one shows at the first wait.
+    ///
+    /// # Errors
+    /// [`SubscribeError::Name`].
+    pub fn new(domain: &Domain, name: &str) -> Result<Self, SubscribeError> {
+        let service = service_name(name).ok_or_else(|| SubscribeError::Name { name: name.to_owned() })?;
+        let (domain, name) = (domain.clone(), name.to_owned());
+        Ok(Self { domain, name, service, open: None, looked: Instant::now(), reopened: 0 })
+    }
+
+    /// The next sweep; waits for it, and for the daemon if there is none, but at most `timeout`. It comes as soon as it is
+    /// published.
+    ///
+    /// # Errors
+    /// [`SubscribeError`]: what waiting longer does not mend.
+    pub fn wait(&mut self, timeout: Duration) -> Result<Option<Received>, SubscribeError> {
+        let deadline = Instant::now().checked_add(timeout);
+        loop {
+            if self.open.is_none() {
+                self.open = self.find()?;
+            }
+            let rest = deadline.map_or(LOOK_EVERY, |deadline| deadline.saturating_duration_since(Instant::now()));
+            let Some(open) = &self.open else {
+                if rest.is_zero() {
+                    return Ok(None);
+                }
+                std::thread::sleep(rest.min(SEEK_EVERY));
+                continue;
+            };
+            if let Some(received) = open.receive()? {
+                return Ok(Some(received));
+            }
+            if self.looked.elapsed() >= LOOK_EVERY {
+                self.looked = Instant::now();
+                if !open.is_current() {
+                    self.open = None;
+                    self.reopened += 1;
+                    continue;
+                }
+                // Of a daemon that crashed: nobody else cleans up.
+                open.node.try_cleanup_dead_nodes();
+            }
+            if rest.is_zero() {
+                return Ok(None);
+            }
+            open.listener.timed_wait(|_| {}, rest.min(LOOK_EVERY)).map_err(SubscribeError::service)?;
+        }
+    }
+
+    /// A sweep that is there already.
+    ///
+    /// # Errors
+    /// As [`Subscriber::wait`].
+    pub fn take(&mut self) -> Result<Option<Received>, SubscribeError> {
+        self.wait(Duration::ZERO)
+    }
+
+    /// Whether the service was found; the daemon may be gone for all that.
+    pub fn is_connected(&self) -> bool {
+        self.open.is_some()
+    }
+
+    /// Whether someone publishes at the moment.
+    pub fn is_published(&self) -> bool {
+        self.open.as_ref().is_some_and(|open| open.service.dynamic_config().number_of_publishers() > 0)
+    }
+
+    /// How often the service was lost and looked for anew.
+    pub fn reopened(&self) -> u64 {
+        self.reopened
+    }
+
+    /// Name of the sensor.
+    pub fn name(&self) -> &str {
+        &self.name
+    }
+
+    /// The folder it looks in.
+    pub fn domain(&self) -> &Domain {
+        &self.domain
+    }
+
+    /// The attribute of this name of the service, once it was found; see [`super::attributes`].
+    pub fn attribute(&self, key: &str) -> Option<String> {
+        let service = &self.open.as_ref()?.service;
+        let key = AttributeKey::try_from(key).ok()?;
+        service.attributes().key_value(&key, 0).map(ToString::to_string)
+    }
+
+    /// Names of the sensors that are published in a domain, or were until a crash.
+    ///
+    /// # Errors
+    /// [`SubscribeError::Domain`], and what the system says.
+    pub fn names(domain: &Domain) -> Result<Vec<String>, SubscribeError> {
+        if !domain.exists()? {
+            return Ok(Vec::new());
+        }
+        set_log_level(LogLevel::Fatal);
+        let mut names = Vec::new();
+        let note = |details: ServiceDetails<Ipc>| {
+            names.extend(sensor_name(details.static_details.name().as_str()).map(str::to_owned));
+            CallbackProgression::Continue
+        };
+        <Ipc as iceoryx2::service::Service>::list(&domain.config(), note).map_err(SubscribeError::service)?;
+        // The event has the same name.
+        names.sort();
+        names.dedup();
+        Ok(names)
+    }
+
+    /// Looks for the service: `None` when it is not there, or not yet whole.
+    fn find(&self) -> Result<Option<Open>, SubscribeError> {
+        if !self.domain.exists()? {
+            return Ok(None);
+        }
+        let path = self.domain.service_file(&self.service, MessagingPattern::PublishSubscribe);
+        let Some(file) = ServiceFile::read(&path) else { return Ok(None) };
+        let node = node(&self.domain).map_err(SubscribeError::service)?;
+        let samples = node.service_builder(&self.service).publish_subscribe::<[u8]>().user_header::<Preamble>();
+        let service = match samples.open_with_attributes(&same_schema()) {
+            Ok(service) => service,
+            Err(error) => return self.explain(error).map_or(Ok(None), Err),
+        };
+        let Ok(event) = node.service_builder(&self.service).event().open() else { return Ok(None) };
+        let listener = event.listener_builder().create().map_err(SubscribeError::service)?;
+        let samples = service.subscriber_builder().create().map_err(|error| match error {
+            SubscriberCreateError::ExceedsMaxSupportedSubscribers => SubscribeError::Full { name: self.name.clone() },
+            other => SubscribeError::service(other),
+        })?;
+        Ok(Some(Open { samples, listener, service, file, node }))
+    }
+
+    /// What waiting does not mend.
+    fn explain(&self, error: PublishSubscribeOpenError) -> Option<SubscribeError> {
+        use PublishSubscribeOpenError as E;
+        let name = self.name.clone();
+        match error {
+            E::DoesNotExist | E::IsMarkedForDestruction | E::HangsInCreation | E::ServiceInCorruptedState => None,
+            E::IncompatibleAttributes | E::IncompatibleTypes | E::VersionMismatch => {
+                Some(SubscribeError::OtherVersion { name })
+            }
+            E::ExceedsMaxNumberOfNodes => Some(SubscribeError::Full { name }),
+            other => Some(SubscribeError::service(other)),
+        }
+    }
+}
+
+impl Open {
+    fn receive(&self) -> Result<Option<Received>, SubscribeError> {
+        match self.samples.receive() {
+            Ok(sample) => Ok(sample.map(|sample| Received { sample })),
+            Err(ReceiveError::ExceedsMaxBorrows) => Err(SubscribeError::TooManyHeld),
+            // The pool of a daemon that is going away: the next look tells.
+            Err(ReceiveError::ConnectionFailure(_)) => Ok(None),
+        }
+    }
+
+    /// Whether the service that was opened is the one that others find.
+    fn is_current(&self) -> bool {
+        self.file.fate() == Fate::Same
+    }
+}
