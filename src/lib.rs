@@ -67,6 +67,8 @@ pub mod daemon;
 #[cfg(feature = "daemon")]
 pub mod export;
 #[cfg(feature = "daemon")]
+pub mod host;
+#[cfg(feature = "daemon")]
 pub mod pipeline;
 #[cfg(feature = "client")]
 pub mod publish;

@@ -8,13 +8,16 @@ pub mod inspect;
 pub mod options;
 pub mod output;
 pub mod play;
+pub mod publish;
 pub mod record;
 pub mod replay;
 pub mod segment;
 pub mod send;
+pub mod signals;
 pub mod simulate;
 pub mod sink;
 pub mod summary;
+pub mod watch;
 
 use std::fmt::Display;
 use std::fs::File;
@@ -24,7 +27,9 @@ use std::path::{Path, PathBuf};
 use clap::{Parser, Subcommand};
 
 use crate::capture::{CaptureError, UdpError};
+use crate::client::ClientError;
 use crate::export::ExportError;
+use crate::publish::PublishError;
 use crate::sensor::CalibrationError;
 
 /// Turns the packets of a spinning Velodyne into labelled range images
@@ -46,6 +51,8 @@ pub enum Command {
     Replay(Box<replay::Args>),
     /// Record live sensors to a capture, with the kernel's time stamps
     Record(record::Args),
+    /// Watch the sweeps that a running daemon shares
+    Watch(Box<watch::Args>),
     /// Say what is in a capture without decoding it all
     Inspect(inspect::Args),
     /// Segment point clouds (KITTI .bin) that have no packets
@@ -94,6 +101,12 @@ pub enum CliError {
         /// What to do about it.
         cure: &'static str,
     },
+    /// Sweeps cannot be shared.
+    #[error(transparent)]
+    Publish(#[from] PublishError),
+    /// No sweeps can be had from a daemon.
+    #[error(transparent)]
+    Client(#[from] ClientError),
     /// A port cannot be listened on.
     #[error(transparent)]
     Udp(#[from] UdpError),

@@ -74,6 +74,17 @@ struct SweepLine<'a> {
     time_source: &'a str,
     #[serde(skip_serializing_if = "Option::is_none")]
     stage_us: Option<StageUs>,
+    #[serde(skip_serializing_if = "Option::is_none")]
+    latency_us: Option<LatencyUs>,
+}
+
+/// How old a sweep was when it was received, microseconds.
+#[derive(Clone, Copy, Debug, Serialize)]
+pub struct LatencyUs {
+    /// Since the packet that completed it; in a replay, since it was recorded.
+    pub arrival: f64,
+    /// Since its labels were complete.
+    pub completed: f64,
 }
 
 /// Time spent on a sweep, microseconds.
@@ -129,11 +140,18 @@ impl Outputs {
         Ok(outputs)
     }
 
-    /// Writes a sweep of a sensor; `seq` counts the sweeps that were written of it.
+    /// Writes a sweep of a sensor; `seq` counts the sweeps that were written of it. One that was received says how old it
+    /// was.
     ///
     /// # Errors
     /// [`CliError`].
-    pub fn sweep(&mut self, sensor: usize, model: Model, seq: u64, sweep: SweepRef<'_>) -> Result<(), CliError> {
+    pub fn sweep(
+        &mut self,
+        (sensor, model): (usize, Model),
+        seq: u64,
+        sweep: SweepRef<'_>,
+        latency_us: Option<LatencyUs>,
+    ) -> Result<(), CliError> {
         let title = Title { model: model.spec().name, sweep_number: seq };
         for exporter in self.exporters(sensor, sweep.header.sensor())? {
             exporter.write(&export::file_stem(seq), sweep, &title)?;
@@ -156,6 +174,7 @@ impl Outputs {
             time_ns: sweep.header.time_ns,
             time_source: time_source_name(sweep.header.time_source()),
             stage_us: timing.then(|| StageUs::of(&sweep)),
+            latency_us: latency_us.filter(|_| timing),
         })
     }
 

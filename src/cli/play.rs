@@ -19,7 +19,7 @@ pub struct PlayOptions {
     #[arg(long, value_name = "SECONDS", value_parser = within(0.0..=f64::MAX, "seconds"), allow_negative_numbers = true)]
     pub to: Option<f64>,
     /// realtime, max, or a factor such as 0.5; gaps of over a minute are not waited for [default: max; realtime with
-    /// --to-udp]
+    /// --to-udp and --publish]
     #[arg(long, allow_negative_numbers = true)]
     pub speed: Option<Speed>,
     /// Begin again at the end, for ever or so many times in all
@@ -90,9 +90,9 @@ impl PlayOptions {
         }
     }
 
-    /// How fast.
-    pub fn speed(&self) -> Speed {
-        self.speed.unwrap_or(if self.to_udp.is_some() { Speed::REALTIME } else { Speed::Max })
+    /// How fast: by default as it was recorded, if anybody listens.
+    pub fn speed(&self, is_published: bool) -> Speed {
+        self.speed.unwrap_or(if self.to_udp.is_some() || is_published { Speed::REALTIME } else { Speed::Max })
     }
 
     /// Whether the capture is to be played again after so many times.

@@ -10,16 +10,19 @@ use indicatif::{ProgressBar, ProgressDrawTarget, ProgressStyle};
 use super::options::{SegmentOptions, SensorOptions, pipeline_config};
 use super::output::{OutputOptions, Outputs};
 use super::play::{Place, PlayOptions};
+use super::publish::{PublishOptions, publish};
 use super::send::Sender;
 use super::summary::{SensorReport, SummaryLine, Sums, Traffic};
 use super::{CliError, complain};
 use crate::capture::{Capture, CaptureError, Pacer, Route, SensorIndex, Sensors};
 use crate::export::text::count_of;
+use crate::host::realtime_ns;
 use crate::pipeline::{Config, Counts, Fault, Notice, Pipeline, Stopwatch};
+use crate::publish::Loans;
 use crate::sensor::compare::Difference;
 use crate::sensor::detect::Detection;
 use crate::sweep::layout::flags;
-use crate::sweep::{HeapBuffers, SweepRef};
+use crate::sweep::{Kept, SweepRef};
 use crate::wire::Datagram;
 
 /// Options of `sweepd replay`.
@@ -29,7 +32,8 @@ Examples:
   sweepd replay pcap_fixtures/street_vlp16.pcap.gz --png out
   sweepd replay drive.pcapng --sensor 192.168.1.201 --json --no-timing > sweeps.jsonl
   sweepd replay drive.pcap --from 10 --to 20 --csv returns --partial
-  sweepd replay drive.pcap --to-udp 127.0.0.1:2368 --loop")]
+  sweepd replay drive.pcap --to-udp 127.0.0.1:2368 --loop
+  sweepd replay drive.pcap --publish roof --loop")]
 pub struct Args {
     /// pcap or pcapng, plain or compressed with gzip or zstd; - is standard input
     #[arg(value_name = "CAPTURE")]
@@ -42,6 +46,8 @@ pub struct Args {
     output: OutputOptions,
     #[command(flatten)]
     play: PlayOptions,
+    #[command(flatten)]
+    publish: PublishOptions,
 }
 
 /// Runs the command.
@@ -75,7 +81,11 @@ impl Stopwatch for Watch {
 /// One sensor on its way.
 struct Track {
     name: String,
-    pipeline: Pipeline<HeapBuffers, Watch>,
+    pipeline: Pipeline<Kept<Loans>, Watch>,
+    /// The pipeline's: the next round has the same.
+    buffers: Kept<Loans>,
+    /// When this round began.
+    run_ns: i64,
     /// Of the last sweep; the pipeline forgets it when another sensor takes the place of this one.
     detection: Option<Detection>,
     sums: Sums,
@@ -138,9 +148,10 @@ impl<'a> Replay<'a> {
         self.others_before = self.sensors.others().total();
         for track in &mut self.tracks {
             track.past += track.pipeline.counts();
-            track.pipeline = pipeline(&track.name, &self.config, self.watch)?;
+            track.pipeline = pipeline(&track.name, &self.config, &track.buffers, self.watch)?;
+            track.run_ns = realtime_ns();
         }
-        let mut pacer = Pacer::new(self.args.play.speed());
+        let mut pacer = Pacer::new(self.args.play.speed(self.args.publish.is_wanted()));
         let begun = Instant::now();
         let (mut was_behind, mut before_ns) = (false, None::<i64>);
         let read = loop {
@@ -217,13 +228,16 @@ impl<'a> Replay<'a> {
             return Ok(());
         }
         let name = self.sensors.sensor(index).name.clone();
-        let mut pipeline = pipeline(&name, &self.config, self.watch)?;
+        let buffers = Kept::new(self.args.publish.loans(index.get(), &name)?);
+        let mut pipeline = pipeline(&name, &self.config, &buffers, self.watch)?;
         if let Some(position) = self.sensors.position(index) {
             // A position packet is never a fault.
             let _ = pipeline.push(&position);
         }
         let (sums, past) = (Sums::default(), Counts::default());
-        self.tracks.push(Track { name, pipeline, detection: None, sums, emitted: 0, past, fault: None });
+        let run_ns = realtime_ns();
+        let detection = None;
+        self.tracks.push(Track { name, pipeline, buffers, run_ns, detection, sums, emitted: 0, past, fault: None });
         Ok(())
     }
 
@@ -266,8 +280,11 @@ impl<'a> Replay<'a> {
             let Some(detection) = track.pipeline.detection() else { continue };
             track.sums.add(&sweep);
             if self.args.play.partial || !sweep.header.has(flags::PARTIAL) {
-                self.outputs.sweep(index, detection.model, track.emitted, sweep)?;
+                self.outputs.sweep((index, detection.model), track.emitted, sweep, None)?;
                 track.emitted += 1;
+            }
+            if let Some(name) = self.args.publish.name(index) {
+                publish(buffer, name, track.run_ns)?;
             }
         }
         Ok(())
@@ -369,9 +386,13 @@ fn summarize(differences: &[Difference]) -> String {
     format!("{} differ ({list}): {}{rest}", count_of(beams.len() as u64, "beam"), examples.join(", "))
 }
 
-fn pipeline(name: &str, config: &Config, watch: Watch) -> Result<Pipeline<HeapBuffers, Watch>, CliError> {
-    Pipeline::new(name, config.clone(), HeapBuffers::default(), watch)
-        .map_err(|error| CliError::Usage(error.to_string()))
+fn pipeline(
+    name: &str,
+    config: &Config,
+    buffers: &Kept<Loans>,
+    watch: Watch,
+) -> Result<Pipeline<Kept<Loans>, Watch>, CliError> {
+    Pipeline::new(name, config.clone(), buffers.clone(), watch).map_err(|error| CliError::Usage(error.to_string()))
 }
 
 impl Track {

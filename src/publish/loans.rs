@@ -25,7 +25,7 @@ use crate::sweep::{Buffers, HeapBuffers};
 const LOOK_EVERY: Duration = Duration::from_secs(1);
 
 /// What is shared under which name.
-#[derive(Clone, Debug, PartialEq, Eq)]
+#[derive(Clone, Debug, Default, PartialEq, Eq)]
 pub struct Settings {
     /// Name of the sensor.
     pub name: String,
@@ -153,6 +153,16 @@ pub struct Loans {
     status: Arc<Status>,
     looked: Instant,
     heap: HeapBuffers,
+    is_shared: bool,
+}
+
+impl Default for Loans {
+    /// Memory of this process alone, for who shares nothing.
+    fn default() -> Self {
+        let settings = Settings::default();
+        let (status, looked, heap) = (Arc::default(), Instant::now(), HeapBuffers::default());
+        Self { domain: Domain::default(), settings, service: None, status, looked, heap, is_shared: false }
+    }
 }
 
 /// A service that is open. Dropped in this order: the pools before what they belong to.
@@ -179,7 +189,7 @@ impl Loans {
         let (domain, settings) = (domain.clone(), settings.clone());
         let service = Some(Service::open(&domain, &settings)?);
         let (status, looked, heap) = (Arc::default(), Instant::now(), HeapBuffers::default());
-        Ok(Self { domain, settings, service, status, looked, heap })
+        Ok(Self { domain, settings, service, status, looked, heap, is_shared: true })
     }
 
     /// Takes the memory for sweeps of up to so many bytes now.
@@ -213,6 +223,9 @@ impl Loans {
     }
 
     fn loan(&mut self, bytes: usize) -> Result<(Loan, Arc<Notifier<Ipc>>), PublishError> {
+        if !self.is_shared {
+            return Err(PublishError::NotShared);
+        }
         let is_time = self.looked.elapsed() >= LOOK_EVERY;
         if is_time {
             self.looked = Instant::now();
@@ -264,7 +277,7 @@ impl Buffers for Loans {
                 if !matches!(error, PublishError::NotShared) {
                     status.set_trouble(Some(&error));
                 }
-                Memory::Own(self.heap.take(bytes))
+                Memory::Own(self.heap.take(bytes), error)
             }
         };
         Slot { memory, status }
@@ -329,7 +342,7 @@ fn open_samples(
     let schema = LAYOUT_VERSION.to_string();
     let pairs =
         [(attributes::SCHEMA, &schema), (attributes::MODEL, &settings.model), (attributes::ADDRESS, &settings.address)];
-    for (key, value) in pairs {
+    for (key, value) in pairs.into_iter().filter(|(_, value)| !value.is_empty()) {
         if let Some((key, value)) = attribute(key, value) {
             described = described.define(&key, &value).map_err(PublishError::service)?;
         }
@@ -384,7 +397,8 @@ pub struct Slot {
 #[derive(Debug)]
 enum Memory {
     Shared(Loan, Arc<Notifier<Ipc>>),
-    Own(HeapBuffer),
+    /// And why it is not shared.
+    Own(HeapBuffer, PublishError),
 }
 
 impl Slot {
@@ -394,7 +408,7 @@ impl Slot {
     /// [`PublishError`]; the sensor goes on, and the next sweep may find its way.
     pub fn publish(self) -> Result<usize, PublishError> {
         let sent = match self.memory {
-            Memory::Own(_) => Err(PublishError::NotShared),
+            Memory::Own(_, why) => Err(why),
             Memory::Shared(mut loan, notifier) => {
                 *loan.user_header_mut() = Preamble::of(loan.payload().len());
                 let sent = loan.send().map_err(PublishError::service);
@@ -429,7 +443,7 @@ impl AsRef<[u8]> for Slot {
     fn as_ref(&self) -> &[u8] {
         match &self.memory {
             Memory::Shared(loan, _) => loan.payload(),
-            Memory::Own(own) => own.as_ref(),
+            Memory::Own(own, _) => own.as_ref(),
         }
     }
 }
@@ -438,7 +452,7 @@ impl AsMut<[u8]> for Slot {
     fn as_mut(&mut self) -> &mut [u8] {
         match &mut self.memory {
             Memory::Shared(loan, _) => loan.payload_mut(),
-            Memory::Own(own) => own.as_mut(),
+            Memory::Own(own, _) => own.as_mut(),
         }
     }
 }

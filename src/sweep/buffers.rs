@@ -64,3 +64,29 @@ impl Drop for HeapBuffer {
         self.home.lock().unwrap_or_else(PoisonError::into_inner).push(lines);
     }
 }
+
+/// Buffers that outlive a pipeline: whoever begins another one gives it the same.
+#[derive(Debug)]
+pub struct Kept<B>(Arc<Mutex<B>>);
+
+impl<B> Kept<B> {
+    /// Keeps these.
+    pub fn new(buffers: B) -> Self {
+        Self(Arc::new(Mutex::new(buffers)))
+    }
+}
+
+impl<B> Clone for Kept<B> {
+    /// The same buffers once more.
+    fn clone(&self) -> Self {
+        Self(Arc::clone(&self.0))
+    }
+}
+
+impl<B: Buffers> Buffers for Kept<B> {
+    type Buffer = B::Buffer;
+
+    fn take(&mut self, bytes: usize) -> B::Buffer {
+        self.0.lock().unwrap_or_else(PoisonError::into_inner).take(bytes)
+    }
+}

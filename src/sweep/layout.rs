@@ -518,6 +518,32 @@ impl Header {
     }
 }
 
+/// What is known of a sweep only when it is shared: where and when.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub struct Completion<'a> {
+    /// Name of the sensor and of its service.
+    pub name: &'a str,
+    /// See [`Header::run_ns`].
+    pub run_ns: i64,
+    /// See [`Header::completed_ns`].
+    pub completed_ns: i64,
+    /// See [`Header::completed_monotonic_ns`].
+    pub completed_monotonic_ns: i64,
+    /// See [`Header::dropped_datagrams`].
+    pub dropped_datagrams: u32,
+}
+
+impl Header {
+    /// Says where and when the sweep was completed.
+    pub fn complete(&mut self, completion: &Completion<'_>) {
+        self.set_name(completion.name);
+        self.run_ns = completion.run_ns;
+        self.completed_ns = completion.completed_ns;
+        self.completed_monotonic_ns = completion.completed_monotonic_ns;
+        self.dropped_datagrams = completion.dropped_datagrams;
+    }
+}
+
 fn text(padded: &[u8; 64]) -> &str {
     let end = padded.iter().position(|&byte| byte == 0).unwrap_or(padded.len());
     std::str::from_utf8(&padded[..end]).unwrap_or_default()

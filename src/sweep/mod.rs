@@ -38,6 +38,6 @@ pub mod relation;
 pub mod turns;
 
 #[cfg(feature = "daemon")]
-pub use buffers::{Buffers, HeapBuffers};
+pub use buffers::{Buffers, HeapBuffers, Kept};
 pub use image::{Return, SweepMut, SweepRef};
 pub use layout::{BeamRow, Column, Header, Segment, Shape};

@@ -1,0 +1,76 @@
+//! Options of those who share sweeps, and what they write into them.
+
+use std::path::PathBuf;
+
+use crate::host::{monotonic_ns, realtime_ns};
+use crate::publish::{Domain, Loans, PublishError, Settings, Slot};
+use crate::sweep::SweepMut;
+use crate::sweep::layout::Completion;
+
+/// Where sweeps are shared.
+#[derive(Clone, Debug, clap::Args)]
+#[command(next_help_heading = "Sharing")]
+pub struct RootOptions {
+    /// Folder by which the daemon and its consumers find each other [default: $SWEEPD_ROOT, else /run/sweepd/iox2
+    /// where there is a /run/sweepd, else /tmp/sweepd/iox2]
+    #[arg(long, value_name = "DIR")]
+    pub root: Option<PathBuf>,
+}
+
+impl RootOptions {
+    /// The domain that they name.
+    pub fn domain(&self) -> Domain {
+        Domain::at_or_default(self.root.as_deref())
+    }
+}
+
+/// Sweeps that are shared as the daemon shares them.
+#[derive(Clone, Debug, clap::Args)]
+#[command(next_help_heading = "Sharing")]
+pub struct PublishOptions {
+    /// Share the sweeps as the daemon would, as the sensor of this name; again for the second sensor in the capture,
+    /// and so on
+    #[arg(long, value_name = "NAME")]
+    pub publish: Vec<String>,
+    /// Consumers that each may have at most
+    #[arg(long, value_name = "N", default_value = "4", value_parser = clap::value_parser!(u8).range(1..=16))]
+    pub max_consumers: u8,
+    #[command(flatten)]
+    root: RootOptions,
+}
+
+impl PublishOptions {
+    /// Whether anything is shared.
+    pub fn is_wanted(&self) -> bool {
+        !self.publish.is_empty()
+    }
+
+    /// The name under which a sensor is shared, if it is: the first one heard is number 0.
+    pub fn name(&self, sensor: usize) -> Option<&str> {
+        self.publish.get(sensor).map(String::as_str)
+    }
+
+    /// Room for the sweeps of a sensor.
+    ///
+    /// # Errors
+    /// [`PublishError`].
+    pub fn loans(&self, sensor: usize, address: &str) -> Result<Loans, PublishError> {
+        let Some(name) = self.name(sensor) else { return Ok(Loans::default()) };
+        let (name, address) = (name.to_owned(), address.to_owned());
+        let settings = Settings { name, max_consumers: self.max_consumers.into(), model: String::new(), address };
+        Loans::create(&self.root.domain(), &settings)
+    }
+}
+
+/// Says in a sweep where and when it was completed, and hands it to all consumers.
+///
+/// # Errors
+/// [`PublishError`].
+pub fn publish(mut slot: Slot, name: &str, run_ns: i64) -> Result<usize, PublishError> {
+    if let Ok(sweep) = SweepMut::open(slot.as_mut()) {
+        let (completed_ns, completed_monotonic_ns) = (realtime_ns(), monotonic_ns());
+        let completion = Completion { name, run_ns, completed_ns, completed_monotonic_ns, dropped_datagrams: 0 };
+        sweep.header.complete(&completion);
+    }
+    slot.publish()
+}

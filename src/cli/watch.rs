@@ -1,0 +1,166 @@
+//! `sweepd watch`: a consumer for people.
+
+mod latency;
+mod table;
+
+use std::io;
+use std::sync::Arc;
+use std::sync::atomic::{AtomicBool, Ordering};
+use std::time::{Duration, Instant};
+
+use self::latency::Latencies;
+use self::table::Table;
+use super::output::{LatencyUs, OutputOptions, Outputs};
+use super::publish::RootOptions;
+use super::signals::end_flag;
+use super::{CliError, complain};
+use crate::client::{Client, Domain, SweepRef};
+use crate::host::{monotonic_ns, realtime_ns};
+use crate::sensor::Model;
+
+/// How long is waited at once: then it is looked for a signal.
+const LOOK_EVERY: Duration = Duration::from_millis(100);
+/// Older than this is the replay of a capture, whose age says nothing, microseconds.
+const LIVE_US: f64 = 10e6;
+
+/// Options of `sweepd watch`.
+#[derive(Debug, clap::Args)]
+#[command(after_help = "\
+Examples:
+  sweepd watch                          the only sensor there is
+  sweepd watch roof --json > sweeps.jsonl
+  sweepd watch roof --png out --sweeps 10
+  sweepd watch roof --latency --sweeps 1000")]
+pub struct Args {
+    /// Name of the sensor [default: the only one; of several, all are listed]
+    #[arg(value_name = "NAME")]
+    name: Option<String>,
+    /// End after so many sweeps
+    #[arg(long, value_name = "N", value_parser = clap::value_parser!(u64).range(1..))]
+    sweeps: Option<u64>,
+    /// End with an error when no sweep comes for so long [default: wait for ever]
+    #[arg(long, value_name = "SECONDS", value_parser = super::options::within(0.001..=1e6, "seconds"))]
+    timeout: Option<f64>,
+    /// At the end, show how long each stage took, as histograms
+    #[arg(long)]
+    latency: bool,
+    #[command(flatten)]
+    output: OutputOptions,
+    #[command(flatten)]
+    root: RootOptions,
+}
+
+/// Runs the command.
+///
+/// # Errors
+/// [`CliError`]: no such sensor, another user's, or what cannot be written.
+pub fn run(args: &Args) -> Result<(), CliError> {
+    let over = end_flag().map_err(|source| CliError::System { what: "handle signals", source })?;
+    let domain = args.root.domain();
+    let Some(name) = args.find(&domain, &over)? else { return Ok(()) };
+    let client = Client::within(&domain, &name)?;
+    let outputs = Outputs::new(&args.output)?;
+    let table = (!args.output.json).then(|| Table::new(&name));
+    Watch { args, client, outputs, table, latencies: Latencies::default(), seen: 0 }.run(&over)
+}
+
+/// When a sweep came.
+#[derive(Clone, Copy)]
+struct Receipt {
+    realtime_ns: i64,
+    monotonic_ns: i64,
+}
+
+struct Watch<'a> {
+    args: &'a Args,
+    client: Client,
+    outputs: Outputs,
+    table: Option<Table>,
+    latencies: Latencies,
+    seen: u64,
+}
+
+impl Watch<'_> {
+    fn run(mut self, over: &AtomicBool) -> Result<(), CliError> {
+        let mut last = Instant::now();
+        let mut told = false;
+        while !over.load(Ordering::Relaxed) && self.args.sweeps.is_none_or(|sweeps| self.seen < sweeps) {
+            let next = self.client.next(LOOK_EVERY)?;
+            let receipt = Receipt { realtime_ns: realtime_ns(), monotonic_ns: monotonic_ns() };
+            if let Some(sweep) = next {
+                (last, told) = (Instant::now(), false);
+                self.seen += 1;
+                self.sweep(sweep.view().map_err(|error| CliError::Usage(error.to_string()))?, receipt)?;
+            } else if self.args.timeout.is_some_and(|timeout| last.elapsed().as_secs_f64() >= timeout) {
+                return Err(CliError::Usage(self.nothing(last.elapsed())));
+            } else if last.elapsed() > Duration::from_secs(2) && !std::mem::replace(&mut told, true) {
+                complain("note", self.nothing(last.elapsed()));
+            }
+            if let Some(table) = &mut self.table {
+                table.print_when_due().map_err(CliError::Stdout)?;
+            }
+        }
+        if self.args.latency {
+            self.latencies.print(&mut io::stdout().lock()).map_err(CliError::Stdout)?;
+        }
+        Ok(())
+    }
+
+    fn sweep(&mut self, sweep: SweepRef<'_>, receipt: Receipt) -> Result<(), CliError> {
+        let header = sweep.header;
+        let latency_us = LatencyUs {
+            arrival: (receipt.realtime_ns - header.arrival_ns) as f64 / 1000.0,
+            completed: (receipt.monotonic_ns - header.completed_monotonic_ns) as f64 / 1000.0,
+        };
+        self.latencies.add(header, latency_us);
+        if let Some(table) = &mut self.table {
+            table.add(&sweep, latency_us, self.client.reopened());
+        }
+        let Some(model) = Model::from_code(header.model) else {
+            let text =
+                format!("sweep {} is of model {}, which this version does not know", header.sequence, header.model);
+            return Err(CliError::Usage(text));
+        };
+        self.outputs.sweep((0, model), header.sequence, sweep, Some(latency_us))
+    }
+
+    fn nothing(&self, waited: Duration) -> String {
+        let (name, root) = (self.args.name.as_deref().unwrap_or("the sensor"), self.args.root.domain());
+        let seconds = waited.as_secs_f64();
+        match (self.client.is_connected(), self.client.is_published()) {
+            (true, true) => {
+                format!("{name}: no sweep for {seconds:.1} s, though it is published: does the sensor send?")
+            }
+            (true, false) => format!("{name}: nobody publishes it for {seconds:.1} s: was the daemon stopped?"),
+            _ => format!("{name}: not published in {} for {seconds:.1} s; waiting for it", root.root().display()),
+        }
+    }
+}
+
+impl Args {
+    /// The sensor to watch: the one that was named, or the only one. Of several, the names are shown, and it is an error.
+    fn find(&self, domain: &Domain, over: &Arc<AtomicBool>) -> Result<Option<String>, CliError> {
+        if let Some(name) = &self.name {
+            return Ok(Some(name.clone()));
+        }
+        let begun = Instant::now();
+        let mut told = false;
+        while !over.load(Ordering::Relaxed) {
+            let mut names = Client::sensors(domain)?;
+            match names.len() {
+                0 => {}
+                1 => return Ok(names.pop()),
+                _ => return Err(CliError::Usage(format!("there are several sensors, name one: {}", names.join(", ")))),
+            }
+            let root = domain.root().display();
+            if self.timeout.is_some_and(|timeout| begun.elapsed().as_secs_f64() >= timeout) {
+                return Err(CliError::Usage(format!("no sensor is published in {root}; is the daemon running?")));
+            }
+            if !std::mem::replace(&mut told, true) {
+                complain("note", format_args!("no sensor is published in {root} yet; waiting for one"));
+            }
+            std::thread::sleep(LOOK_EVERY);
+        }
+        Ok(None)
+    }
+}

@@ -1,0 +1,135 @@
+//! What people see of a running sensor: a line a second.
+
+use std::io::{self, Write};
+use std::time::{Duration, Instant};
+
+use super::LIVE_US;
+use crate::cli::output::LatencyUs;
+use crate::sensor::Model;
+use crate::sweep::SweepRef;
+use crate::sweep::layout::flags;
+
+/// Lines after which the head is shown again.
+const LINES: u32 = 20;
+
+/// Sums up the sweeps of a second at a time.
+pub struct Table {
+    name: String,
+    line: Line,
+    begun: Instant,
+    lines: u32,
+    /// What the last sweep was of, as it was shown.
+    shown: String,
+    kind: String,
+    last: Option<(i64, u64)>,
+}
+
+#[derive(Default)]
+struct Line {
+    sweeps: u32,
+    partial: u32,
+    returns: u64,
+    segments: u64,
+    lost_packets: u64,
+    dropped: u64,
+    missed: u64,
+    rpm: f32,
+    slowest_us: f64,
+    chain_us: Vec<f64>,
+    reopened: u64,
+}
+
+impl Table {
+    /// A table of a sensor.
+    pub fn new(name: &str) -> Self {
+        let (name, kind, shown) = (name.to_owned(), String::new(), String::new());
+        Self { name, line: Line::default(), begun: Instant::now(), lines: 0, shown, kind, last: None }
+    }
+
+    /// Adds a sweep to the line.
+    pub fn add(&mut self, sweep: &SweepRef<'_>, latency: LatencyUs, reopened: u64) {
+        let (header, line) = (sweep.header, &mut self.line);
+        if line.sweeps == 0 {
+            self.begun = self.begun.max(Instant::now() - Duration::from_secs(1));
+        }
+        line.sweeps += 1;
+        line.partial += u32::from(header.has(flags::PARTIAL));
+        line.returns += u64::from(header.returns);
+        line.segments += u64::from(header.segments);
+        line.lost_packets += u64::from(header.lost_packets);
+        line.dropped += u64::from(header.dropped_datagrams);
+        line.rpm = header.rpm;
+        line.reopened = reopened;
+        if latency.arrival.abs() < LIVE_US {
+            line.chain_us.push(latency.arrival);
+        }
+        line.slowest_us = line.slowest_us.max(latency.completed);
+        if let Some((run_ns, sequence)) = self.last
+            && run_ns == header.run_ns
+        {
+            line.missed += header.sequence.saturating_sub(sequence + 1);
+        }
+        self.last = Some((header.run_ns, header.sequence));
+        let model = Model::from_code(header.model).map_or("unknown model", |model| model.spec().name);
+        self.kind =
+            format!("{}: {model}, {} returns, from {}", self.name, header.return_mode().name(), header.sensor());
+    }
+
+    /// Prints a line when a second is over.
+    ///
+    /// # Errors
+    /// What writing gives.
+    pub fn print_when_due(&mut self) -> io::Result<()> {
+        let seconds = self.begun.elapsed().as_secs_f64();
+        if seconds < 1.0 {
+            return Ok(());
+        }
+        self.begun = Instant::now();
+        let line = std::mem::take(&mut self.line);
+        if line.sweeps == 0 {
+            return Ok(());
+        }
+        let mut out = io::stdout().lock();
+        if self.lines.is_multiple_of(LINES) || self.kind != self.shown {
+            self.shown.clone_from(&self.kind);
+            writeln!(out, "{}", self.kind)?;
+            writeln!(
+                out,
+                "{:>7} {:>5} {:>8} {:>8} {:>8} {:>8} {:>8} {:>6} {:>6} {:>6}",
+                "sweeps/s", "rpm", "returns", "segments", "age ms", "most ms", "share us", "lost", "drops", "missed"
+            )?;
+            self.lines = 0;
+        }
+        self.lines += 1;
+        line.write(&mut out, seconds)
+    }
+}
+
+impl Line {
+    fn write(mut self, out: &mut impl Write, seconds: f64) -> io::Result<()> {
+        let sweeps = f64::from(self.sweeps);
+        self.chain_us.sort_by(f64::total_cmp);
+        let ms = |us: Option<&f64>| us.map_or("replay".to_owned(), |us| format!("{:.2}", us / 1000.0));
+        let (median, most) = (ms(self.chain_us.get(self.chain_us.len() / 2)), ms(self.chain_us.last()));
+        write!(
+            out,
+            "{:>8.1} {:>5.0} {:>8.0} {:>8.0} {median:>8} {most:>8} {:>8.0} {:>6} {:>6} {:>6}",
+            sweeps / seconds,
+            self.rpm,
+            self.returns as f64 / sweeps,
+            self.segments as f64 / sweeps,
+            self.slowest_us,
+            self.lost_packets,
+            self.dropped,
+            self.missed,
+        )?;
+        if self.partial > 0 {
+            write!(out, "  {} partial", self.partial)?;
+        }
+        if self.reopened > 0 {
+            write!(out, "  found anew {} times", self.reopened)?;
+        }
+        writeln!(out)?;
+        out.flush()
+    }
+}
