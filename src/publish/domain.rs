@@ -2,13 +2,13 @@
 
 use std::fs;
 use std::io;
-use std::os::unix::fs::{DirBuilderExt, MetadataExt};
+use std::os::unix::fs::{DirBuilderExt, MetadataExt, PermissionsExt};
 use std::path::{Path, PathBuf};
 
 use iceoryx2::config::Config;
 use iceoryx2::prelude::*;
 
-use super::service_hash;
+use super::{SHARED_MEMORY, service_hash};
 
 /// Environment variable that names the folder.
 const VARIABLE: &str = "SWEEPD_ROOT";
@@ -138,6 +138,21 @@ impl Domain {
             config.global.prefix = prefix;
         }
         config
+    }
+
+    /// Closes to others what iceoryx2 leaves open to all: the counter by which it numbers nodes, which every program of the
+    /// domain maps and which nobody else has any business with.
+    pub(super) fn close_to_others(&self) {
+        let prefix = self.prefix();
+        let ending = Config::default().global.node.global_mgmt_suffix.to_string();
+        for entry in fs::read_dir(SHARED_MEMORY).into_iter().flatten().flatten() {
+            let name = entry.file_name();
+            let name = name.to_string_lossy();
+            if name.starts_with(&prefix) && name.ends_with(&ending) {
+                // Another user's is none of this domain, which belongs to one user.
+                let _ = fs::set_permissions(entry.path(), fs::Permissions::from_mode(0o600));
+            }
+        }
     }
 
     /// The file by which a service is found.

@@ -16,7 +16,7 @@ use iceoryx2::service::port_factory::publish_subscribe::PortFactory;
 use super::files::{Fate, ServiceFile};
 use super::pool::{Loan, Pool};
 use super::{BORROWED, BUFFERED, Domain, DomainError, HISTORY, Ipc, MORE_NODES, PUBLISHERS, Preamble};
-use super::{attribute, attributes, node, pool_sweeps, same_schema, service_name, sys};
+use super::{SHARED_MEMORY, attribute, attributes, node, pool_sweeps, same_schema, service_name, sys};
 use crate::sweep::buffers::HeapBuffer;
 use crate::sweep::layout::LAYOUT_VERSION;
 use crate::sweep::{Buffers, HeapBuffers};
@@ -71,8 +71,8 @@ pub enum PublishError {
     #[error(
         "{} has {free} bytes free, and this sensor's pool needs {wanted}; make it larger \
          (`mount -o remount,size=1G {}`, or --shm-size for a container), allow fewer consumers (max_consumers) or free some",
-        sys::SHARED_MEMORY,
-        sys::SHARED_MEMORY
+        SHARED_MEMORY,
+        SHARED_MEMORY
     )]
     Memory {
         /// Bytes that are needed.
@@ -81,7 +81,7 @@ pub enum PublishError {
         free: u64,
     },
     /// The system does not say how much there is, or gives none.
-    #[error("cannot take shared memory in {}: {_0}", sys::SHARED_MEMORY)]
+    #[error("cannot take shared memory in {}: {_0}", SHARED_MEMORY)]
     MemoryUnknown(std::io::Error),
     /// iceoryx2 refuses.
     #[error("shared memory: {what}")]

@@ -88,6 +88,9 @@ impl Preamble {
 
 const _: () = assert!(size_of::<Preamble>() == 64 && align_of::<Preamble>() == crate::sweep::layout::ALIGN);
 
+/// Where the system keeps shared memory, shm_open(3).
+pub(crate) const SHARED_MEMORY: &str = "/dev/shm";
+
 /// Names of the attributes of a service.
 pub mod attributes {
     /// Version of the layout.
@@ -116,7 +119,11 @@ fn attribute(key: &str, value: &str) -> Option<(AttributeKey, AttributeValue)> {
 fn node(domain: &Domain) -> Result<Node<Ipc>, NodeCreationFailure> {
     // What fails is an error here and said once; iceoryx2 would say it on standard error as well.
     set_log_level(LogLevel::Fatal);
-    NodeBuilder::new().config(&domain.config()).signal_handling_mode(SignalHandlingMode::Disabled).create::<Ipc>()
+    let config = domain.config();
+    let builder = NodeBuilder::new().config(&config).signal_handling_mode(SignalHandlingMode::Disabled);
+    let node = builder.create::<Ipc>();
+    domain.close_to_others();
+    node
 }
 
 fn service_hash(name: &ServiceName, pattern: MessagingPattern) -> ServiceHash {

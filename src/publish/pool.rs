@@ -13,7 +13,7 @@ use iceoryx2::service::port_factory::PortFactory as _;
 use iceoryx2::service::port_factory::publish_subscribe::PortFactory;
 
 use super::loans::PublishError;
-use super::{Domain, Ipc, LOANED, Preamble, sys};
+use super::{Domain, Ipc, LOANED, Preamble, SHARED_MEMORY, sys};
 
 /// A sweep in shared memory that nobody else sees yet.
 pub(super) type Loan = SampleMut<Ipc, [u8], Preamble>;
@@ -76,7 +76,7 @@ impl Pool {
 /// Takes the pages of the pool's file, whose name is between these two, and says how many bytes they are.
 fn take_pages(prefix: &str, ending: &str) -> io::Result<u64> {
     let mut bytes = 0;
-    for entry in fs::read_dir(sys::SHARED_MEMORY)? {
+    for entry in fs::read_dir(SHARED_MEMORY)? {
         let entry = entry?;
         let name = entry.file_name();
         let name = name.to_string_lossy();

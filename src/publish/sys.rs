@@ -7,9 +7,6 @@ use std::io;
 use std::mem::MaybeUninit;
 use std::os::fd::AsRawFd;
 
-/// Where the system keeps shared memory, shm_open(3).
-pub(super) const SHARED_MEMORY: &str = "/dev/shm";
-
 /// Takes all pages of a file (posix_fallocate(3)): where there are not enough, that is an error here and not a signal at the
 /// first write to one that is missing.
 pub(super) fn take_pages(file: &File, bytes: u64) -> io::Result<()> {

@@ -3,6 +3,8 @@
 mod calib;
 #[path = "../common/mod.rs"]
 mod common;
+#[path = "../common/domain.rs"]
+mod domain;
 mod errors;
 mod from_cloud;
 mod inputs;
@@ -14,6 +16,7 @@ mod record;
 mod simulate;
 mod to_udp;
 mod truth;
+mod watch;
 
 use std::io::Write;
 use std::path::{Path, PathBuf};

@@ -12,6 +12,7 @@ fn every_help_has_an_example_and_fits_a_terminal() {
         &["replay", "-h"],
         &["simulate", "--help"],
         &["record", "--help"],
+        &["watch", "--help"],
     ] {
         let text = sweepd(args).done();
         assert!(text.contains("\nExample") && text.contains("\n  sweepd "), "{args:?}");

@@ -70,3 +70,15 @@ pub fn skip(missing: &str) {
     assert!(std::env::var("CI").as_deref() != Ok("true"), "{missing}");
     eprintln!("SKIPPED: {missing}");
 }
+
+/// Whether this is root, who alone can act as another user. Where it is not, this says aloud that the test is skipped.
+///
+/// # Panics
+/// Under `CI=true`, if it is not.
+pub fn is_root() -> bool {
+    let is_root = std::fs::metadata("/proc/self").is_ok_and(|own| std::os::unix::fs::MetadataExt::uid(&own) == 0);
+    if !is_root {
+        skip("only root can act as a second user");
+    }
+    is_root
+}

@@ -1,0 +1,120 @@
+//! `sweepd watch` of what `sweepd replay --publish` shares, each in a process of its own.
+
+use std::os::unix::process::CommandExt;
+use std::process::{Child, Command, Output, Stdio};
+use std::time::{Duration, Instant};
+
+use crate::domain::Own;
+use crate::{Folder, Ran, command, fixture, replay, sweepd, sweeps};
+
+/// The binary in a domain of the test's own.
+fn within(own: &Own, args: &[&str]) -> Command {
+    let mut command = command(args);
+    command.env("SWEEPD_ROOT", own.root()).stdout(Stdio::piped()).stderr(Stdio::piped());
+    command
+}
+
+fn output(mut child: Child) -> Output {
+    let begun = Instant::now();
+    while child.try_wait().unwrap().is_none() {
+        if begun.elapsed() > Duration::from_secs(60) {
+            child.kill().unwrap();
+            panic!("it does not end");
+        }
+        std::thread::sleep(Duration::from_millis(10));
+    }
+    child.wait_with_output().unwrap()
+}
+
+#[test]
+fn what_is_watched_is_what_is_replayed() {
+    let own = Own::new();
+    let folder = Folder::new("watched");
+    for name in ["street_vlp16_dual.pcap.gz", "street_hdl32e.pcap.gz"] {
+        let capture = fixture(name);
+        let path = capture.to_str().unwrap();
+        let options = ["--json", "--no-timing", "--partial", "--csv", folder.path("replayed").to_str().unwrap()]
+            .map(str::to_owned);
+        let mut expected = sweeps(&replay(&capture, &options.each_ref().map(String::as_str)).done());
+        expected.pop();
+        let count = expected.len().to_string();
+        let csv = folder.path("watched");
+        let csv = csv.to_str().unwrap();
+        // Started first, it waits.
+        let args = ["watch", "--sweeps", &count, "--timeout", "40", "--json", "--no-timing", "--csv", csv];
+        let watch = within(&own, &args).spawn().unwrap();
+        // Slowly, since a process takes a while to begin.
+        let shared = within(&own, &["replay", path, "--publish", "roof", "--speed", "0.1"]).spawn().unwrap();
+        let watched = Ran::of(output(watch));
+        Ran::of(output(shared)).done();
+        assert_eq!(watched.code, 0, "{}", watched.stderr);
+        assert!(watched.stderr.lines().all(|line| line.starts_with("note: ")), "{}", watched.stderr);
+        let watched = sweeps(&watched.stdout);
+        assert!(watched.len() > 3 && watched == expected, "{name}");
+        assert!(folder.files("watched") == folder.files("replayed"), "{name}");
+    }
+}
+
+#[test]
+fn several_sensors_are_listed_and_none_are_waited_for() {
+    let own = Own::new();
+    within(&own, &["watch", "--timeout", "0.3"]).output().map(Ran::of).unwrap().says(&["no sensor is published in"]);
+    let capture = fixture("street_vlp16.pcap.gz");
+    let publishing =
+        |name| within(&own, &["replay", capture.to_str().unwrap(), "--publish", name, "--loop=20"]).spawn().unwrap();
+    let mut children = [publishing("roof"), publishing("rear")];
+    for name in ["roof", "rear"] {
+        let watched = within(&own, &["watch", name, "--sweeps", "1", "--timeout", "20"]).output().map(Ran::of).unwrap();
+        assert_eq!(watched.code, 0, "{}", watched.stderr);
+    }
+    within(&own, &["watch"]).output().map(Ran::of).unwrap().says(&["several sensors", "rear, roof"]);
+    let taken =
+        within(&own, &["replay", capture.to_str().unwrap(), "--publish", "roof"]).output().map(Ran::of).unwrap();
+    taken.says(&["`roof` is published by another program"]);
+    for child in &mut children {
+        child.kill().unwrap();
+        child.wait().unwrap();
+    }
+}
+
+#[test]
+fn another_user_gets_nothing_and_is_told_whose_it_is() {
+    let own = Own::new();
+    let capture = fixture("street_vlp16.pcap.gz");
+    let mut child =
+        within(&own, &["replay", capture.to_str().unwrap(), "--publish", "roof", "--loop=20"]).spawn().unwrap();
+    let watch = ["watch", "roof", "--sweeps", "1", "--timeout", "20"];
+    assert_eq!(within(&own, &watch).output().map(Ran::of).unwrap().code, 0);
+    if crate::common::is_root() {
+        // The binary is where nobody may look; a copy is not.
+        let folder = Folder::new("nobody");
+        let copy = folder.path("sweepd");
+        std::fs::copy(env!("CARGO_BIN_EXE_sweepd"), &copy).unwrap();
+        let nobody = |program: &str, args: &[&str]| {
+            let mut command = Command::new(program);
+            command.args(args).env("SWEEPD_ROOT", own.root()).current_dir("/").uid(65_534).gid(65_534);
+            Ran::of(command.output().unwrap())
+        };
+        nobody(copy.to_str().unwrap(), &watch).says(&["belongs to user root", "runs as nobody"]);
+        let shared = own.shared_memory();
+        assert!(shared.iter().any(|file| file.to_string_lossy().ends_with(".data")), "{shared:?}");
+        for file in &shared {
+            let file = file.to_str().unwrap();
+            assert_ne!(nobody("/usr/bin/head", &["-c", "1", file]).code, 0, "{file} can be read");
+            assert_ne!(nobody("/bin/sh", &["-c", &format!("echo >> {file}")]).code, 0, "{file} can be written");
+        }
+        assert_ne!(nobody("/bin/ls", &[own.root().to_str().unwrap()]).code, 0);
+    }
+    child.kill().unwrap();
+    child.wait().unwrap();
+}
+
+#[test]
+fn names_that_are_none_are_refused() {
+    let own = Own::new();
+    let long = "x".repeat(300);
+    for name in ["", &long] {
+        let ran = sweepd(&["watch", name, "--root", own.root().to_str().unwrap()]);
+        ran.says(&["cannot be the name of a sensor"]);
+    }
+}
