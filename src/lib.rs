@@ -67,6 +67,8 @@ pub mod daemon;
 #[cfg(feature = "daemon")]
 pub mod export;
 #[cfg(feature = "daemon")]
+mod file;
+#[cfg(feature = "daemon")]
 pub mod host;
 #[cfg(feature = "daemon")]
 pub mod pipeline;

@@ -15,6 +15,7 @@ fn main() -> ExitCode {
         Command::Inspect(args) => sweepd::cli::inspect::run(&args),
         Command::Segment(args) => sweepd::cli::segment::run(&args),
         Command::Calib(args) => sweepd::cli::calib::run(&args),
+        Command::Config(args) => sweepd::cli::config::run(&args),
         Command::Simulate(args) => sweepd::cli::simulate::run(&args),
     };
     match done {

@@ -4,6 +4,7 @@
 #![deny(clippy::print_stdout, clippy::print_stderr)]
 
 pub mod calib;
+pub mod config;
 pub mod inspect;
 pub mod options;
 pub mod output;
@@ -20,14 +21,14 @@ pub mod summary;
 pub mod watch;
 
 use std::fmt::Display;
-use std::fs::File;
-use std::io::{self, Read, Write};
+use std::io::{self, Write};
 use std::path::{Path, PathBuf};
 
 use clap::{Parser, Subcommand};
 
 use crate::capture::{CaptureError, UdpError};
 use crate::client::ClientError;
+use crate::daemon::config::ConfigError;
 use crate::export::ExportError;
 use crate::publish::PublishError;
 use crate::sensor::CalibrationError;
@@ -59,6 +60,8 @@ pub enum Command {
     Segment(Box<segment::Args>),
     /// Show and compare calibrations, and read that of an HDL-64E from its packets
     Calib(calib::Args),
+    /// Check the daemon's configuration, or print one to begin with
+    Config(config::Args),
     /// Be a sensor that is not there: send its packets, or write them to a capture
     Simulate(Box<simulate::Args>),
 }
@@ -72,6 +75,9 @@ pub enum CliError {
     /// The calibration cannot be read.
     #[error(transparent)]
     Calibration(#[from] CalibrationError),
+    /// The configuration cannot be read or meant.
+    #[error(transparent)]
+    Config(#[from] ConfigError),
     /// An output cannot be written.
     #[error(transparent)]
     Export(#[from] ExportError),
@@ -139,14 +145,7 @@ pub enum CliError {
 
 /// The bytes of a file of at most `limit` bytes.
 fn read_file(path: &Path, limit: u64) -> Result<Vec<u8>, CliError> {
-    let failed = |source| CliError::Read { path: path.to_owned(), source };
-    let mut bytes = Vec::new();
-    File::open(path).and_then(|file| file.take(limit + 1).read_to_end(&mut bytes)).map_err(failed)?;
-    if bytes.len() as u64 > limit {
-        let message = format!("{}: more than {} MiB, not what is expected here", path.display(), limit >> 20);
-        return Err(CliError::Usage(message));
-    }
-    Ok(bytes)
+    crate::file::read(path, limit).map_err(|source| CliError::Read { path: path.to_owned(), source })
 }
 
 /// Shows an error on standard error, with its cause where the message does not hold it. A reader that went away
@@ -154,6 +153,10 @@ fn read_file(path: &Path, limit: u64) -> Result<Vec<u8>, CliError> {
 pub fn report(error: &CliError) {
     match error {
         CliError::Reported => {}
+        // Its lines begin with their severity themselves.
+        CliError::Config(ConfigError::Invalid(problems)) => {
+            let _ = writeln!(io::stderr(), "{problems}");
+        }
         CliError::Stdout(cause) if cause.kind() == io::ErrorKind::BrokenPipe => {}
         _ => complain("error", error),
     }

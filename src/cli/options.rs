@@ -1,27 +1,22 @@
 //! Options that several subcommands share.
 
 use std::ops::RangeInclusive;
-use std::path::{Path, PathBuf};
+use std::path::PathBuf;
 
 use clap::ValueEnum;
 
 use crate::capture::SensorFilter;
-use crate::cli::{CliError, read_file};
+use crate::cli::CliError;
 use crate::pipeline;
-use crate::segment::{self, Mask, MaskError, Mount};
+use crate::segment::{self, Mask, Settings};
+use crate::sensor::model::UnknownModel;
 use crate::sensor::{Calibration, Model};
 use crate::sweep::layout::ReturnChoice;
 
 /// A model, by its flag.
 pub(super) fn model(text: &str) -> Result<Model, String> {
-    Model::ALL.into_iter().find(|model| model.spec().flag == text).ok_or_else(|| {
-        let flags = Model::ALL.map(|model| model.spec().flag).join(", ");
-        format!("no supported model; expected one of {flags}")
-    })
+    text.parse().map_err(|error: UnknownModel| error.to_string())
 }
-
-/// Largest distance that an option may have, metres: no sensor sees half as far.
-const MAX_DISTANCE_M: f64 = 1000.0;
 
 /// Reads a number within `range`; the error names the range and the unit.
 pub(super) fn within(
@@ -96,8 +91,8 @@ pub struct SegmentOptions {
     #[arg(
         long,
         value_name = "DEG",
-        default_value = "10",
-        value_parser = within(0.0..=90.0, "degrees"),
+        default_value_t = Settings::DEFAULT.theta_deg,
+        value_parser = within(Settings::THETA_DEG, "degrees"),
         allow_negative_numbers = true
     )]
     pub theta: f64,
@@ -105,20 +100,20 @@ pub struct SegmentOptions {
     #[arg(
         long,
         value_name = "N",
-        default_value = "10",
+        default_value_t = Settings::DEFAULT.min_points,
         value_parser = clap::value_parser!(u32).range(1..),
         allow_negative_numbers = true
     )]
     pub min_points: u32,
     /// Height of the sensor above the ground, metres [default: estimated from the lowest returns]
-    #[arg(long, value_name = "M", value_parser = within(0.01..=200.0, "metres"), allow_negative_numbers = true)]
+    #[arg(long, value_name = "M", value_parser = within(Settings::HEIGHT_M, "metres"), allow_negative_numbers = true)]
     pub height: Option<f64>,
     /// Pitch of the sensor, nose up, degrees
     #[arg(
         long,
         value_name = "DEG",
-        default_value = "0",
-        value_parser = within(-90.0..=90.0, "degrees"),
+        default_value_t = Settings::DEFAULT.pitch_deg,
+        value_parser = within(Settings::TILT_DEG, "degrees"),
         allow_negative_numbers = true
     )]
     pub pitch: f64,
@@ -126,8 +121,8 @@ pub struct SegmentOptions {
     #[arg(
         long,
         value_name = "DEG",
-        default_value = "0",
-        value_parser = within(-90.0..=90.0, "degrees"),
+        default_value_t = Settings::DEFAULT.roll_deg,
+        value_parser = within(Settings::TILT_DEG, "degrees"),
         allow_negative_numbers = true
     )]
     pub roll: f64,
@@ -135,8 +130,8 @@ pub struct SegmentOptions {
     #[arg(
         long,
         value_name = "M",
-        default_value = "0",
-        value_parser = within(0.0..=MAX_DISTANCE_M, "metres"),
+        default_value_t = Settings::DEFAULT.min_range_m,
+        value_parser = within(Settings::RANGE_M, "metres"),
         allow_negative_numbers = true
     )]
     pub min_range: f64,
@@ -144,7 +139,7 @@ pub struct SegmentOptions {
     #[arg(
         long,
         value_name = "M",
-        value_parser = within(0.0..=MAX_DISTANCE_M, "metres"),
+        value_parser = within(Settings::RANGE_M, "metres"),
         allow_negative_numbers = true
     )]
     pub max_range: Option<f64>,
@@ -187,56 +182,27 @@ pub fn pipeline_config(sensor: &SensorOptions, segment: &SegmentOptions) -> Resu
     })
 }
 
-/// Longest picture that is read, bytes: as many as its pixels could have uncompressed.
-const MAX_MASK_LEN: u64 = 64 << 20;
-
-fn read_mask(path: &Path) -> Result<Mask, CliError> {
-    let bytes = read_file(path, MAX_MASK_LEN)?;
-    let mask = Mask::decode(&bytes, &path.display().to_string());
-    let mask = mask.map_err(|error| CliError::Usage(mask_error(&error)))?;
-    if mask.hides_all() {
-        let message = format!("mask {} is all black: nothing would be labelled; white keeps", path.display());
-        return Err(CliError::Usage(message));
-    }
-    Ok(mask)
-}
-
-/// Why a mask is none, and what one is.
-fn mask_error(error: &MaskError) -> String {
-    match error {
-        MaskError::Png { .. } => {
-            let error = error.to_string();
-            format!("{}; expected a PNG picture with one row of pixels for each beam", error.trim_end_matches('.'))
-        }
-        MaskError::Size { .. } => error.to_string(),
-    }
-}
-
 impl SegmentOptions {
     /// What the segmenter is told.
     ///
     /// # Errors
     /// [`CliError`]: a mask that cannot be read, a value that cannot be meant.
     pub fn config(&self) -> Result<segment::Config, CliError> {
-        let mask = self.mask.as_deref().map(read_mask).transpose()?;
-        let config = segment::Config {
+        let usage = |error: &dyn std::error::Error| CliError::Usage(error.to_string());
+        let mask = self.mask.as_deref().map(Mask::read).transpose().map_err(|error| usage(&error))?;
+        let settings = Settings {
             method: match self.method {
                 GroundMethod::Slope => segment::Method::Slope,
                 GroundMethod::Paper => segment::Method::Paper,
             },
-            theta_rad: self.theta.to_radians() as f32,
+            theta_deg: self.theta,
             min_points: self.min_points,
-            mount: Mount {
-                height_m: self.height.map(|height| height as f32),
-                pitch_rad: self.pitch.to_radians() as f32,
-                roll_rad: self.roll.to_radians() as f32,
-            },
-            min_range_m: self.min_range as f32,
-            max_range_m: self.max_range.map_or(f32::INFINITY, |range| range as f32),
-            mask,
-            ..segment::Config::default()
+            height_m: self.height,
+            pitch_deg: self.pitch,
+            roll_deg: self.roll,
+            min_range_m: self.min_range,
+            max_range_m: self.max_range,
         };
-        config.check().map_err(|error| CliError::Usage(error.to_string()))?;
-        Ok(config)
+        settings.config(mask).map_err(|error| usage(&error))
     }
 }

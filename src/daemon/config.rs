@@ -1,9 +1,29 @@
-//! What the daemon is to run.
+//! What the daemon is to run: a TOML file, read, checked, and compared with the one before.
+//!
+//! ```text
+//! text -> file (keys and types) -> check (values, files, sensors among each other) -> Config -> changes (a reload)
+//! error, suggest                   what is wrong, where, and what was meant
+//! memory                           bytes that it takes
+//! ```
+
+mod changes;
+mod check;
+mod error;
+mod file;
+pub mod memory;
+mod suggest;
 
 use std::net::{IpAddr, Ipv4Addr, SocketAddr};
-use std::path::PathBuf;
+use std::path::{Path, PathBuf};
+
+pub use changes::{Change, Effect};
+pub use error::{ConfigError, Problems};
 
 use crate::pipeline;
+use error::Problem;
+
+/// Longest file that is read as a configuration, bytes.
+const MAX_FILE_LEN: u64 = 1 << 20;
 
 /// All of a configuration file, checked: nothing in it is impossible.
 #[derive(Clone, Debug)]
@@ -14,6 +34,36 @@ pub struct Config {
     pub sensors: Vec<SensorConfig>,
     /// Where the datagrams of all sensors are recorded, if they are.
     pub record: Option<RecordConfig>,
+}
+
+impl Config {
+    /// Reads a configuration file. What it names is relative to its folder.
+    ///
+    /// # Errors
+    /// [`ConfigError`], with every line that is to blame.
+    pub fn read(path: &Path) -> Result<Self, ConfigError> {
+        let bytes = crate::file::read(path, MAX_FILE_LEN)
+            .map_err(|source| ConfigError::Read { path: path.to_owned(), source })?;
+        let text = String::from_utf8(bytes).map_err(|error| {
+            let at = error.utf8_error().valid_up_to();
+            let text = String::from_utf8_lossy(error.as_bytes());
+            let problem =
+                Problem::new(at..at + char::REPLACEMENT_CHARACTER.len_utf8(), "this is no text", "expected UTF-8");
+            Problems::new(path.display().to_string(), &text, vec![problem])
+        })?;
+        Self::parse(path, &text)
+    }
+
+    /// The configuration in a text; `path` is what errors call it, and what it names is relative to that one's folder.
+    ///
+    /// # Errors
+    /// [`ConfigError::Invalid`]: the first slip in the form or the types, or all values that cannot be meant.
+    pub fn parse(path: &Path, text: &str) -> Result<Self, ConfigError> {
+        let folder = path.parent().unwrap_or(Path::new(""));
+        let file = toml::from_str(text).map_err(|error| vec![Problem::of_toml(&error, text)]);
+        let config = file.and_then(|file| check::check(&file, folder));
+        config.map_err(|problems| Problems::new(path.display().to_string(), text, problems).into())
+    }
 }
 
 /// What is not of one sensor.
@@ -75,3 +125,6 @@ pub struct RecordConfig {
     /// Seconds after which another file begins.
     pub rotate_seconds: Option<u64>,
 }
+
+#[cfg(test)]
+mod tests;

@@ -1,11 +1,16 @@
 //! The robot's own body: pixels that are never labelled.
 
 use std::f64::consts::TAU;
+use std::io;
+use std::path::Path;
 
 use super::connect::MAX_ROWS;
+use crate::file;
 
 /// Widest picture: finer than the encoder of any sensor.
 const MAX_WIDTH: u32 = 36_000;
+/// Longest file that is read as a picture, bytes: as many as its pixels could have uncompressed.
+const MAX_FILE_LEN: u64 = 64 << 20;
 
 /// An image of what the robot itself hides, one row a beam (the highest on top), any number of columns.
 ///
@@ -21,13 +26,21 @@ pub struct Mask {
 /// Why a picture is no mask.
 #[derive(Debug, thiserror::Error)]
 pub enum MaskError {
+    /// The file cannot be read at all.
+    #[error("cannot read {name}: {source}")]
+    Io {
+        /// The file.
+        name: String,
+        /// What the system says.
+        source: io::Error,
+    },
     /// The file is no picture in the PNG format.
-    #[error("mask {name}: {source}")]
+    #[error("mask {name}: {source}; expected a PNG picture with one row of pixels for each beam")]
     Png {
         /// The file.
         name: String,
         /// What the decoder says.
-        source: png::DecodingError,
+        source: Told,
     },
     /// Its height is that of no sensor, or it is absurdly wide.
     #[error(
@@ -42,15 +55,43 @@ pub enum MaskError {
         /// Its height.
         height: u32,
     },
+    /// It hides everything.
+    #[error("mask {name} is all black: nothing would be labelled; white keeps")]
+    AllBlack {
+        /// The file.
+        name: String,
+    },
 }
 
+/// What the PNG decoder says, without the full stop that it ends some sentences with.
+#[derive(Debug, thiserror::Error)]
+#[error("{}", .0.to_string().trim_end_matches('.'))]
+pub struct Told(#[from] png::DecodingError);
+
 impl Mask {
+    /// Reads a PNG picture that hides a part of what the sensor sees; see [`Mask::decode`].
+    ///
+    /// # Errors
+    /// [`MaskError`]; also for a picture that hides all, which nobody can mean.
+    pub fn read(path: &Path) -> Result<Self, MaskError> {
+        let name = path.display().to_string();
+        let bytes = match file::read(path, MAX_FILE_LEN) {
+            Ok(bytes) => bytes,
+            Err(source) => return Err(MaskError::Io { name, source }),
+        };
+        let mask = Self::decode(&bytes, &name)?;
+        if mask.hides_all() {
+            return Err(MaskError::AllBlack { name });
+        }
+        Ok(mask)
+    }
+
     /// Decodes the bytes of a PNG picture of any colour type, as high as its sensor has rows; `name` is what errors call it.
     ///
     /// # Errors
     /// [`MaskError`].
     pub fn decode(bytes: &[u8], name: &str) -> Result<Self, MaskError> {
-        let broken = |source| MaskError::Png { name: name.to_owned(), source };
+        let broken = |error| MaskError::Png { name: name.to_owned(), source: Told(error) };
         let mut decoder = png::Decoder::new(std::io::Cursor::new(bytes));
         decoder.set_transformations(png::Transformations::EXPAND | png::Transformations::STRIP_16);
         let mut reader = decoder.read_info().map_err(broken)?;

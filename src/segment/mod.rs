@@ -22,6 +22,7 @@ pub mod mount;
 pub mod naive;
 pub mod paper;
 pub mod rays;
+pub mod settings;
 mod table;
 
 use std::f32::consts::FRAC_PI_2;
@@ -33,6 +34,7 @@ pub use ground::SlopeGround;
 pub use mask::{Mask, MaskError};
 pub use mount::{HeightEstimator, Mount};
 pub use paper::{PaperFinder, PaperGround, Window};
+pub use settings::Settings;
 
 use crate::sweep::SweepMut;
 use crate::sweep::layout::{flags, is_return};
@@ -80,10 +82,10 @@ impl Default for Config {
     fn default() -> Self {
         Self {
             method: Method::Slope,
-            theta_rad: 10_f32.to_radians(),
+            theta_rad: Settings::DEFAULT.theta_deg.to_radians() as f32,
             slope: SlopeGround::default(),
             paper: PaperGround::default(),
-            min_points: 10,
+            min_points: Settings::DEFAULT.min_points,
             mount: Mount::default(),
             min_range_m: 0.0,
             max_range_m: f32::INFINITY,

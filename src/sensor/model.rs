@@ -271,6 +271,28 @@ impl Spec {
     }
 }
 
+/// A text that is the flag of no model.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub struct UnknownModel;
+
+impl std::fmt::Display for UnknownModel {
+    fn fmt(&self, f: &mut std::fmt::Formatter<'_>) -> std::fmt::Result {
+        let flags = Model::ALL.map(|model| model.spec().flag).join(", ");
+        write!(f, "no supported model; expected one of {flags}")
+    }
+}
+
+impl std::error::Error for UnknownModel {}
+
+/// By [`Spec::flag`].
+impl std::str::FromStr for Model {
+    type Err = UnknownModel;
+
+    fn from_str(text: &str) -> Result<Self, UnknownModel> {
+        Self::ALL.into_iter().find(|model| model.spec().flag == text).ok_or(UnknownModel)
+    }
+}
+
 impl std::fmt::Display for Model {
     fn fmt(&self, f: &mut std::fmt::Formatter<'_>) -> std::fmt::Result {
         f.write_str(self.spec().name)

@@ -266,12 +266,7 @@ impl<B: Buffers> Builder<B> {
         let beams = self.decoder.beams(mode);
         let rate_cdeg_ns = self.expected_rate_cdeg_ns(packet);
         self.turns.set(beams, rate_cdeg_ns, spec, mode);
-        let shape = Shape {
-            rows,
-            columns_capacity: COLUMNS_CAPACITY,
-            dual: mode == ReturnMode::Dual,
-            segments_capacity: rows * COLUMNS_CAPACITY / self.settings.min_points.max(1),
-        };
+        let shape = Shape::of(rows, mode == ReturnMode::Dual, self.settings.min_points);
         let mut buffer = self.buffers.take(shape.total_bytes());
         let Ok(sweep) = SweepMut::create(buffer.as_mut(), &shape) else { return };
         sweep.beams.copy_from_slice(beams);

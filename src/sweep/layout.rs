@@ -418,6 +418,13 @@ pub struct Shape {
 }
 
 impl Shape {
+    /// The shape of all sweeps of a sensor with so many rows, whose segments have at least so many pixels: the table has
+    /// room for as many segments as there can be.
+    pub fn of(rows: usize, dual: bool, min_points: usize) -> Self {
+        let segments_capacity = rows * COLUMNS_CAPACITY / min_points.max(1);
+        Self { rows, columns_capacity: COLUMNS_CAPACITY, dual, segments_capacity }
+    }
+
     /// Where each part begins (0 = absent), and the bytes of the whole.
     pub fn offsets(&self) -> ([u64; PARTS], usize) {
         let mut offsets = [0; PARTS];

@@ -1,0 +1,252 @@
+//! The daemon at work, over loopback: latency by stage, load, and what it costs.
+//!
+//! ```text
+//! cargo bench --bench live                       all of it, about six minutes
+//! cargo bench --bench live -- latency hdl64e     what has these words in its name
+//! ```
+//!
+//! Each runs `sweepd run` and `sweepd watch` in processes of their own. The packets are simulated beforehand and sent in a
+//! loop, with the sensor's clock and head going on, so that the sender costs little.
+
+use std::net::{Ipv4Addr, UdpSocket};
+use std::path::PathBuf;
+use std::process::{Child, Command, Stdio};
+use std::time::{Duration, Instant};
+
+use sweepd::client::{Client, Domain};
+use sweepd::sensor::Model;
+use sweepd::sensor::model::Spec;
+use sweepd::simulate::{Emitter, EmitterConfig, fixtures};
+use sweepd::wire::DataPacket;
+use sweepd::wire::data::ReturnMode;
+
+/// Sweeps of each latency.
+const SWEEPS: u32 = 1000;
+
+fn main() {
+    let words: Vec<String> = std::env::args().skip(1).filter(|word| !word.starts_with("--")).collect();
+    let is_wanted = |name: &str| words.iter().all(|word| name.contains(word.as_str()));
+    println!("{}", machine());
+    for (name, model, mode) in [
+        ("latency vlp16", Model::Vlp16, ReturnMode::Strongest),
+        ("latency hdl32e", Model::Hdl32e, ReturnMode::Strongest),
+        ("latency hdl64e", Model::Hdl64eS2, ReturnMode::Strongest),
+    ] {
+        if is_wanted(name) {
+            latency(name, Stream::new(model, mode, 1200.0));
+        }
+    }
+    for (name, model) in [("cost vlp16", Model::Vlp16), ("cost hdl64e", Model::Hdl64eS2)] {
+        if is_wanted(name) {
+            load(name, Stream::new(model, ReturnMode::Strongest, 600.0), 1.0, 20);
+        }
+    }
+    let name = "load hdl64e dual, 4 times real time";
+    if is_wanted(name) {
+        load(name, Stream::new(Model::Hdl64eS3, ReturnMode::Dual, 600.0), 4.0, 60);
+    }
+}
+
+/// The processor, its load, and the kernel.
+fn machine() -> String {
+    let read = |path| std::fs::read_to_string(path).unwrap_or_default();
+    let cpu = read("/proc/cpuinfo");
+    let cpu = cpu
+        .lines()
+        .find_map(|line| line.strip_prefix("model name"))
+        .unwrap_or("unknown")
+        .trim_start_matches([' ', '\t', ':']);
+    let cores = std::thread::available_parallelism().map_or(0, usize::from);
+    let load = read("/proc/loadavg");
+    let load = load.split(' ').next().unwrap_or_default();
+    format!("{cpu}, {cores} cores, load {load} before, Linux {}", read("/proc/sys/kernel/osrelease").trim())
+}
+
+/// A turn and a half of packets, to be sent for ever.
+struct Stream {
+    model: Model,
+    mode: ReturnMode,
+    packets: Vec<DataPacket>,
+    period_ns: u64,
+    /// How far clock and head get until the packets begin anew.
+    us: u32,
+    cdeg: f64,
+}
+
+impl Stream {
+    fn new(model: Model, mode: ReturnMode, rpm: f64) -> Self {
+        let scene = fixtures::scene();
+        let config = EmitterConfig { rpm, ..EmitterConfig::new(model, mode) }.turns(1.5);
+        let spec: &Spec = config.spec;
+        let period_ns = u64::from(spec.packet_period_ns(mode));
+        let packets: Vec<DataPacket> =
+            Emitter::new(config, &scene).filter_map(|one| DataPacket::parse(&one.payload).ok().copied()).collect();
+        let us = (packets.len() as f64 * period_ns as f64 / 1000.0).round();
+        let cdeg = us * 1e-6 * rpm / 60.0 * 36_000.0;
+        Self { model, mode, packets, period_ns, us: us as u32, cdeg }
+    }
+
+    /// The packet of this number: stamps and azimuths go on where the rendered ones end.
+    fn packet(&self, number: u64) -> DataPacket {
+        let (round, index) = (number / self.packets.len() as u64, (number % self.packets.len() as u64) as usize);
+        let mut packet = self.packets[index];
+        packet.set_stamp_us(((u64::from(packet.stamp_us()) + round * u64::from(self.us)) % 3_600_000_000) as u32);
+        let turned = (round as f64 * self.cdeg).round() as u64;
+        for block in &mut packet.blocks {
+            block.set_azimuth_cdeg(((u64::from(block.azimuth_cdeg()) + turned) % 36_000) as u16);
+        }
+        packet
+    }
+
+    /// Sends them to a port at so many times their own pace, for so long or until `over`; gives how many.
+    fn send(&self, port: u16, pace: f64, mut over: impl FnMut() -> bool) -> u64 {
+        let socket = UdpSocket::bind((Ipv4Addr::LOCALHOST, 0)).unwrap();
+        let (begun, mut number) = (Instant::now(), 0);
+        while !over() {
+            let due = (begun.elapsed().as_nanos() as f64 * pace / self.period_ns as f64) as u64;
+            while number < due {
+                socket.send_to(self.packet(number).emit(), (Ipv4Addr::LOCALHOST, port)).unwrap();
+                number += 1;
+            }
+            std::thread::sleep(Duration::from_nanos((self.period_ns as f64 / pace) as u64 / 2));
+        }
+        number
+    }
+}
+
+/// The daemon in a folder of its own, ended with this.
+struct Daemon {
+    child: Child,
+    folder: PathBuf,
+    port: u16,
+    http: u16,
+}
+
+impl Daemon {
+    fn start(model: Model) -> Self {
+        let folder = std::env::temp_dir().join(format!("sweepd-live-{}", std::process::id()));
+        std::fs::create_dir_all(&folder).unwrap();
+        let free = || UdpSocket::bind("127.0.0.1:0").unwrap().local_addr().unwrap().port();
+        let (port, position_port, http) = (free(), free(), free());
+        let calibration = match EmitterConfig::new(model, ReturnMode::Strongest).beams() {
+            beams if model.is_hdl64e() => {
+                std::fs::write(folder.join("unit.yaml"), sweepd::sensor::ros_yaml::emit(&beams)).unwrap();
+                "calibration = \"unit.yaml\"\n"
+            }
+            _ => "",
+        };
+        let config = format!(
+            "http = \"127.0.0.1:{http}\"\nroot = \"{}\"\n\n[[sensor]]\nname = \"bench\"\naddress = \"127.0.0.1\"\n\
+             port = {port}\nposition_port = {position_port}\nbind = \"127.0.0.1\"\n{calibration}",
+            folder.join("iox2").display()
+        );
+        std::fs::write(folder.join("sweepd.toml"), config).unwrap();
+        let child = Command::new(env!("CARGO_BIN_EXE_sweepd"))
+            .args(["run", "--config"])
+            .arg(folder.join("sweepd.toml"))
+            .stderr(std::fs::File::create(folder.join("log")).unwrap())
+            .spawn()
+            .unwrap();
+        Self { child, folder, port, http }
+    }
+
+    fn domain(&self) -> Domain {
+        Domain::at(self.folder.join("iox2"))
+    }
+
+    /// Processor time so far, seconds.
+    fn cpu_seconds(&self) -> f64 {
+        let stat = std::fs::read_to_string(format!("/proc/{}/stat", self.child.id())).unwrap();
+        let fields: Vec<&str> = stat.rsplit_once(')').unwrap().1.split_whitespace().collect();
+        // In hundredths of a second, as every Linux reports it.
+        (fields[11].parse::<f64>().unwrap() + fields[12].parse::<f64>().unwrap()) / 100.0
+    }
+
+    /// Resident memory, KiB.
+    fn memory_kib(&self) -> u64 {
+        let status = std::fs::read_to_string(format!("/proc/{}/status", self.child.id())).unwrap();
+        let line = status.lines().find_map(|line| line.strip_prefix("VmRSS:")).unwrap();
+        line.trim().trim_end_matches(" kB").parse().unwrap()
+    }
+
+    /// The metrics that have this in their name.
+    fn metrics(&self, words: &[&str]) -> Vec<String> {
+        use std::io::{Read, Write};
+        let mut socket = std::net::TcpStream::connect((Ipv4Addr::LOCALHOST, self.http)).unwrap();
+        socket.write_all(b"GET /metrics HTTP/1.1\r\nHost: localhost\r\nConnection: close\r\n\r\n").unwrap();
+        let mut text = String::new();
+        socket.read_to_string(&mut text).unwrap();
+        let is_wanted = |line: &&str| !line.starts_with('#') && words.iter().any(|word| line.contains(word));
+        text.lines().filter(is_wanted).map(str::to_owned).collect()
+    }
+}
+
+impl Drop for Daemon {
+    fn drop(&mut self) {
+        self.child.kill().unwrap();
+        self.child.wait().unwrap();
+        let prefix = self.domain().prefix();
+        for entry in std::fs::read_dir("/dev/shm").unwrap().flatten() {
+            if entry.file_name().to_string_lossy().starts_with(&prefix) {
+                let _ = std::fs::remove_file(entry.path());
+            }
+        }
+        let _ = std::fs::remove_dir_all(&self.folder);
+    }
+}
+
+fn latency(name: &str, stream: Stream) {
+    println!("\n== {name}: {} at 20 Hz, {SWEEPS} sweeps", stream.model);
+    let daemon = Daemon::start(stream.model);
+    let root = daemon.folder.join("iox2");
+    let mut watch = Command::new(env!("CARGO_BIN_EXE_sweepd"))
+        .args(["watch", "bench", "--latency", "--timeout", "20", "--sweeps", &SWEEPS.to_string(), "--root"])
+        .arg(root)
+        .stdout(Stdio::piped())
+        .spawn()
+        .unwrap();
+    stream.send(daemon.port, 1.0, || watch.try_wait().unwrap().is_some());
+    let text = String::from_utf8(watch.wait_with_output().unwrap().stdout).unwrap();
+    // The table of the seconds is for who watches.
+    println!("{}", text.find("\ndecode:").map_or(&text[..], |at| &text[at..]).trim_end());
+}
+
+fn load(name: &str, stream: Stream, pace: f64, seconds: u64) {
+    let rate = 1e9 / stream.period_ns as f64 * pace;
+    let returns = if stream.mode == ReturnMode::Dual { "two returns" } else { "one return" };
+    println!("\n== {name}: {}, {returns}, {rate:.0} packets/s for {seconds} s", stream.model);
+    let daemon = Daemon::start(stream.model);
+    let mut client = Client::within(&daemon.domain(), "bench").unwrap();
+    let consumer = std::thread::spawn(move || {
+        let (mut sweeps, mut lost, mut dropped) = (0_u64, 0_u64, 0_u64);
+        while let Some(sweep) = client.next(Duration::from_secs(5)).unwrap() {
+            let header = *sweep.view().unwrap().header;
+            sweeps += 1;
+            lost += u64::from(header.lost_packets);
+            dropped += u64::from(header.dropped_datagrams);
+        }
+        (sweeps, lost, dropped)
+    });
+    std::thread::sleep(Duration::from_secs(1));
+    let (begun, mut marks, mut memory) = (Instant::now(), Vec::new(), Vec::new());
+    let sent = stream.send(daemon.port, pace, || {
+        let elapsed = begun.elapsed().as_secs();
+        // The first seconds are for the pool and the caches.
+        if elapsed >= 3 && marks.is_empty() {
+            marks.push((Instant::now(), daemon.cpu_seconds()));
+        }
+        if elapsed >= 3 + 5 * memory.len() as u64 {
+            memory.push(daemon.memory_kib());
+        }
+        elapsed >= seconds
+    });
+    let (from, cpu) = marks[0];
+    let share = (daemon.cpu_seconds() - cpu) / from.elapsed().as_secs_f64() * 100.0;
+    std::thread::sleep(Duration::from_millis(300));
+    for line in daemon.metrics(&["packets_total", "dropped", "lost", "rejected"]) {
+        println!("  {line}");
+    }
+    let (sweeps, lost, dropped) = consumer.join().unwrap();
+    println!("  {sent} packets sent; {sweeps} sweeps received, {lost} packets lost, {dropped} dropped");
+    println!("  {share:.1} % of a core; memory every 5 s, KiB: {memory:?}");
+}

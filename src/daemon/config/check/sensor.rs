@@ -1,0 +1,270 @@
+//! One `[[sensor]]`.
+
+use std::net::{IpAddr, Ipv4Addr, SocketAddrV4};
+use std::ops::{Range, RangeInclusive};
+
+use toml::Spanned;
+
+use super::Check;
+use crate::daemon::config::error::Problem;
+use crate::daemon::config::file::{self, Returns};
+use crate::daemon::config::suggest::suggestion;
+use crate::daemon::config::{PortConfig, SensorConfig};
+use crate::pipeline;
+use crate::segment::{self, ConfigError, Mask, Settings};
+use crate::sensor::{Calibration, Model};
+use crate::sweep::layout::ReturnChoice;
+
+/// Ports that a Velodyne sends to unless it is told others.
+const PORT: u16 = 2368;
+const POSITION_PORT: u16 = 8308;
+const PORTS: RangeInclusive<i64> = 1..=u16::MAX as i64;
+/// Consumers that a service has room for.
+const MAX_CONSUMERS: usize = 4;
+const CONSUMERS: RangeInclusive<i64> = 1..=16;
+/// Longest name: that of the sweeps' header and of a file with an ending.
+const LONGEST_NAME: usize = 63;
+/// Priorities of SCHED_FIFO (sched(7)).
+const REALTIME_PRIORITIES: RangeInclusive<i64> = 1..=99;
+/// Speeds that a Velodyne can be set to, turns a minute.
+const RPM: RangeInclusive<f64> = 300.0..=1200.0;
+/// Distances from the origin of a robot, metres, and turns, degrees.
+const POSITION_M: RangeInclusive<f64> = -100.0..=100.0;
+const TURN_DEG: RangeInclusive<f64> = -360.0..=360.0;
+
+impl Check<'_> {
+    /// A sensor; where something is wrong, that has been said and what comes back is of no use.
+    pub(super) fn sensor(&mut self, sensor: &file::Sensor, at: Range<usize>) -> Option<SensorConfig> {
+        self.name(&sensor.name);
+        let source = self.source(&sensor.address);
+        let port = self.port(sensor);
+        let position_port = self.whole("position_port", &sensor.position_port, PORTS);
+        let max_consumers = self.whole("max_consumers", &sensor.max_consumers, CONSUMERS);
+        let rpm = self.number("rpm", &sensor.rpm, RPM, "turns a minute");
+        let model = self.model(&sensor.model);
+        self.returns_are_of(model, &sensor.returns);
+        let pipeline = self.pipeline(sensor, model, at);
+        let (ip, source_port) = source?;
+        Some(SensorConfig {
+            name: sensor.name.get_ref().clone(),
+            address: IpAddr::V4(ip),
+            source_port,
+            port,
+            position_port: position_port.unwrap_or(POSITION_PORT),
+            max_consumers: max_consumers.unwrap_or(MAX_CONSUMERS),
+            dual: sensor.returns.as_ref().map(|returns| *returns.get_ref() == Returns::Dual),
+            rpm: rpm.map(|rpm| rpm as f32),
+            pipeline: pipeline?,
+        })
+    }
+
+    /// A name stands in that of a service and in those of files.
+    fn name(&mut self, name: &Spanned<String>) {
+        let text = name.get_ref();
+        let is_allowed = |c: char| c.is_ascii_alphanumeric() || matches!(c, '-' | '_' | '.');
+        let begins_well = text.starts_with(|c: char| c.is_ascii_alphanumeric());
+        if !begins_well || !text.chars().all(is_allowed) || text.len() > LONGEST_NAME {
+            let expected = format!(
+                "expected letters, digits, `-`, `_` and `.`, a letter or digit first, {LONGEST_NAME} characters at most"
+            );
+            self.problem(name.span(), format!("a sensor cannot be called {text:?}"), expected);
+        }
+    }
+
+    /// Where packets come from: IP or IP:PORT.
+    fn source(&mut self, address: &Spanned<String>) -> Option<(Ipv4Addr, Option<u16>)> {
+        let text = address.get_ref();
+        let alone = text.parse::<Ipv4Addr>().ok().map(|ip| (ip, None));
+        let source = alone.or_else(|| text.parse::<SocketAddrV4>().ok().map(|at| (*at.ip(), Some(at.port()))));
+        let is_host = |&(ip, port): &(Ipv4Addr, _)| {
+            !ip.is_unspecified() && !ip.is_multicast() && !ip.is_broadcast() && port != Some(0)
+        };
+        let source = source.filter(is_host);
+        if source.is_none() {
+            let expected =
+                "expected the sensor's own IPv4 address, such as 192.168.1.201, or with its port, 192.168.1.201:2368";
+            let cure = "`sweepd inspect` of a recording names the senders";
+            let problem = Problem::new(address.span(), format!("`address` cannot be {text:?}"), expected);
+            self.problems.push(problem.with_cure(cure));
+        }
+        source
+    }
+
+    fn port(&mut self, sensor: &file::Sensor) -> PortConfig {
+        let an_address = "an IPv4 address of this host, such as 192.168.1.100, or 0.0.0.0 for all";
+        let bind =
+            self.text("bind", &sensor.bind, an_address, |ip: &Ipv4Addr| !ip.is_multicast() && !ip.is_broadcast());
+        let a_group = "a multicast group, 224.0.0.0 to 239.255.255.255";
+        // Linux: IFNAMSIZ less the zero at the end.
+        let is_interface = |name: &String| (1..=15).contains(&name.len()) && !name.contains([' ', '/', '\0']);
+        PortConfig {
+            bind: bind.unwrap_or(Ipv4Addr::UNSPECIFIED),
+            port: self.whole("port", &sensor.port, PORTS).unwrap_or(PORT),
+            multicast: self.text("multicast", &sensor.multicast, a_group, Ipv4Addr::is_multicast),
+            interface: self.text("interface", &sensor.interface, "a network interface such as eth1", is_interface),
+            cpu: self.cpu(&sensor.cpu),
+            realtime_priority: self.whole("realtime_priority", &sensor.realtime_priority, REALTIME_PRIORITIES),
+        }
+    }
+
+    /// A core that this machine has, where the system tells which it has.
+    fn cpu(&mut self, given: &Option<Spanned<file::Whole>>) -> Option<usize> {
+        let cpu = self.whole("cpu", given, 0..=u32::MAX.into())?;
+        let online = std::fs::read_to_string("/sys/devices/system/cpu/online").unwrap_or_default();
+        if let Some(given) = given
+            && !online.is_empty()
+            && !lists(&online, cpu)
+        {
+            let title = format!("`cpu` cannot be {cpu}");
+            self.problem(given.span(), title, format!("the cores of this machine are {}", online.trim()));
+        }
+        Some(cpu)
+    }
+
+    fn model(&mut self, given: &Option<Spanned<String>>) -> Option<Model> {
+        let given = given.as_ref()?;
+        let model = given.get_ref().parse();
+        if model.is_err() {
+            let flags = Model::ALL.map(|model| format!("`{}`", model.spec().flag)).join(", ");
+            let expected = format!("expected one of {flags}");
+            let cure = suggestion(given.get_ref(), &flags).map(|flag| format!("did you mean `{flag}`?"));
+            self.problem(given.span(), format!("no supported model is called {:?}", given.get_ref()), expected).cure =
+                cure;
+        }
+        model.ok()
+    }
+
+    fn returns_are_of(&mut self, model: Option<Model>, returns: &Option<Spanned<Returns>>) {
+        if let Some(returns) = returns
+            && *returns.get_ref() == Returns::Dual
+            && model == Some(Model::Hdl64eS2)
+        {
+            self.problem(returns.span(), "an HDL-64E S2 sends one return", "expected \"single\"").cure =
+                Some("one that sends two is an HDL-64E S3: `model = \"hdl64e-s3\"`".to_owned());
+        }
+    }
+
+    fn pipeline(&mut self, sensor: &file::Sensor, model: Option<Model>, at: Range<usize>) -> Option<pipeline::Config> {
+        let mount = &sensor.mount;
+        let metres =
+            |check: &mut Self, key, given| check.number(key, given, POSITION_M, "metres").unwrap_or(0.0) as f32;
+        let position_m =
+            [metres(self, "x_m", &mount.x_m), metres(self, "y_m", &mount.y_m), metres(self, "z_m", &mount.z_m)];
+        let yaw_deg = self.number("yaw_deg", &mount.yaw_deg, TURN_DEG, "degrees").unwrap_or(0.0);
+        let defaults = pipeline::Config::default();
+        let cut_azimuth_deg = self.number("cut_azimuth_deg", &sensor.cut_azimuth_deg, TURN_DEG, "degrees");
+        let calibration = self.calibration(&sensor.calibration, model);
+        Some(pipeline::Config {
+            model,
+            cut_azimuth_rad: cut_azimuth_deg.map_or(defaults.cut_azimuth_rad, f64::to_radians),
+            return_choice: sensor.which_return.map_or(defaults.return_choice, |which| match which {
+                file::WhichReturn::Nearest => ReturnChoice::Nearest,
+                file::WhichReturn::Strongest => ReturnChoice::Strongest,
+                file::WhichReturn::Last => ReturnChoice::Last,
+            }),
+            segment: self.segment(sensor, model, calibration.as_ref(), at)?,
+            calibration,
+            position_m,
+            yaw_rad: yaw_deg.to_radians() as f32,
+        })
+    }
+
+    fn calibration(&mut self, given: &Option<Spanned<String>>, model: Option<Model>) -> Option<Calibration> {
+        let path = self.path("calibration", given)?;
+        let read = Calibration::read(&path).map_err(|error| error.to_string()).and_then(|calibration| {
+            let of = |model| calibration.clone().for_model(model);
+            let fits = match model {
+                Some(model) => of(model).map(drop),
+                None if Model::ALL.into_iter().any(|model| of(model).is_ok()) => Ok(()),
+                None => Err(format!("{} beams that are those of no supported model", calibration.beams().len())),
+            };
+            fits.map(|()| calibration).map_err(|why| format!("calibration {}: {why}", path.display()))
+        });
+        self.file_of(given, read, "the calibration that is named here")
+    }
+
+    fn mask(
+        &mut self,
+        given: &Option<Spanned<String>>,
+        model: Option<Model>,
+        calibration: Option<&Calibration>,
+    ) -> Option<Mask> {
+        let path = self.path("mask", given)?;
+        let rows_of = |model: Model| model.spec().channels;
+        let rows = model.map(rows_of).or(calibration.map(|calibration| calibration.rows().len()));
+        let read = Mask::read(&path).map_err(|error| error.to_string()).and_then(|mask| match (rows, mask.rows()) {
+            (Some(rows), found) if rows != found => {
+                Err(format!("mask {} has {found} rows, the sensor {rows}", path.display()))
+            }
+            (None, found) if !Model::ALL.into_iter().any(|model| rows_of(model) == found) => {
+                Err(format!("mask {} has {found} rows, as no supported model", path.display()))
+            }
+            _ => Ok(mask),
+        });
+        self.file_of(given, read, "the mask that is named here")
+    }
+
+    /// What was read of a file that is named, or the reason why not.
+    fn file_of<T>(&mut self, given: &Option<Spanned<String>>, read: Result<T, String>, label: &str) -> Option<T> {
+        let at = given.as_ref().map_or(0..0, Spanned::span);
+        match read {
+            Ok(value) => Some(value),
+            Err(why) => {
+                self.problem(at, why, label);
+                None
+            }
+        }
+    }
+
+    fn segment(
+        &mut self,
+        sensor: &file::Sensor,
+        model: Option<Model>,
+        calibration: Option<&Calibration>,
+        at: Range<usize>,
+    ) -> Option<segment::Config> {
+        let (mount, written) = (&sensor.mount, &sensor.segment);
+        let tilt = Settings::TILT_DEG;
+        let given = Settings {
+            method: match written.method {
+                Some(file::Method::Slope) => segment::Method::Slope,
+                Some(file::Method::Paper) => segment::Method::Paper,
+                None => Settings::DEFAULT.method,
+            },
+            theta_deg: self
+                .number("theta_deg", &written.theta_deg, Settings::THETA_DEG, "degrees")
+                .unwrap_or(Settings::DEFAULT.theta_deg),
+            min_points: self
+                .whole("min_points", &written.min_points, 1..=u32::MAX.into())
+                .unwrap_or(Settings::DEFAULT.min_points),
+            height_m: self.number("height_m", &mount.height_m, Settings::HEIGHT_M, "metres"),
+            pitch_deg: self.number("pitch_deg", &mount.pitch_deg, tilt.clone(), "degrees").unwrap_or(0.0),
+            roll_deg: self.number("roll_deg", &mount.roll_deg, tilt, "degrees").unwrap_or(0.0),
+            min_range_m: self
+                .number("min_range_m", &written.min_range_m, Settings::RANGE_M, "metres")
+                .unwrap_or(Settings::DEFAULT.min_range_m),
+            max_range_m: self.number("max_range_m", &written.max_range_m, Settings::RANGE_M, "metres"),
+        };
+        let mask = self.mask(&written.mask, model, calibration);
+        let place = [&written.max_range_m, &written.min_range_m];
+        given
+            .config(mask)
+            .map_err(|error| {
+                let at = match error {
+                    ConfigError::Theta { .. } => written.theta_deg.as_ref().map_or(at, Spanned::span),
+                    ConfigError::Range { .. } => place.into_iter().flatten().next().map_or(at, Spanned::span),
+                    ConfigError::Height { .. } => mount.height_m.as_ref().map_or(at, Spanned::span),
+                };
+                self.problem(at, error.to_string(), "");
+            })
+            .ok()
+    }
+}
+
+/// Whether a list of the kernel, such as `0-3,6`, has a number.
+fn lists(list: &str, number: usize) -> bool {
+    list.trim().split(',').any(|part| {
+        let (first, last) = part.split_once('-').unwrap_or((part, part));
+        matches!((first.parse::<usize>(), last.parse::<usize>()), (Ok(first), Ok(last)) if (first..=last).contains(&number))
+    })
+}

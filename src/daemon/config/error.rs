@@ -1,0 +1,139 @@
+//! What is wrong with a configuration, shown where it is wrong.
+
+use std::fmt;
+use std::io;
+use std::ops::Range;
+use std::path::PathBuf;
+
+use annotate_snippets::{AnnotationKind, Group, Level, Renderer, Snippet};
+
+use super::suggest::suggestion;
+
+/// Why there is no [`Config`](super::Config).
+#[derive(Debug, thiserror::Error)]
+pub enum ConfigError {
+    /// The file cannot be read at all.
+    #[error("cannot read the configuration {}: {source}", path.display())]
+    Read {
+        /// The file.
+        path: PathBuf,
+        /// What the system says.
+        source: io::Error,
+    },
+    /// What stands in it cannot be meant.
+    #[error(transparent)]
+    Invalid(#[from] Problems),
+}
+
+/// All that is wrong with a file, at least one thing. Shown as rustc shows errors: several lines, each problem with its place,
+/// its text underlined, and a cure.
+#[derive(Clone, Debug)]
+pub struct Problems {
+    file: String,
+    text: String,
+    problems: Vec<Problem>,
+}
+
+/// One thing that is wrong.
+#[derive(Clone, Debug)]
+pub(super) struct Problem {
+    /// Where, bytes of the text.
+    pub at: Range<usize>,
+    /// What.
+    pub title: String,
+    /// What was expected there, or another word about it; shown under the place.
+    pub expected: String,
+    /// Another place that has to do with it, and what it is.
+    pub other: Option<(Range<usize>, String)>,
+    /// What to do.
+    pub cure: Option<String>,
+}
+
+impl Problem {
+    pub fn new(at: Range<usize>, title: impl Into<String>, expected: impl Into<String>) -> Self {
+        Self { at, title: title.into(), expected: expected.into(), other: None, cure: None }
+    }
+
+    pub fn with_other(mut self, at: Range<usize>, what: impl Into<String>) -> Self {
+        self.other = Some((at, what.into()));
+        self
+    }
+
+    pub fn with_cure(mut self, cure: impl Into<String>) -> Self {
+        self.cure = Some(cure.into());
+        self
+    }
+
+    /// What the TOML reader found: a slip of the pen, an unknown key, a wrong type.
+    pub fn of_toml(error: &toml::de::Error, text: &str) -> Self {
+        let at = error.span().unwrap_or(0..0);
+        let message = error.message();
+        let found = text.get(at.clone()).unwrap_or_default();
+        let (title, expected) = match message.split_once(", expected ") {
+            Some((title, expected)) => (title, format!("expected {expected}")),
+            None => (message, String::new()),
+        };
+        let words = [
+            ("unknown field", "unknown key"),
+            ("missing field", "missing key"),
+            ("unknown variant", "unknown value"),
+            ("invalid type: map", "wrong type: table"),
+            ("invalid type: sequence", "wrong type: list"),
+            ("invalid type", "wrong type"),
+        ];
+        let title = words.iter().fold(title.to_owned(), |title, (serde, ours)| title.replacen(serde, ours, 1));
+        let cure = suggestion(found, &expected).map(|word| format!("did you mean `{word}`?"));
+        Self { cure, ..Self::new(at, title, expected) }
+    }
+
+    fn report<'a>(&'a self, file: &'a str, text: &'a str) -> Vec<Group<'a>> {
+        let label = Some(&self.expected[..]).filter(|expected| !expected.is_empty());
+        let mut snippet =
+            Snippet::source(text).path(file).annotation(AnnotationKind::Primary.span(self.at.clone()).label(label));
+        if let Some((at, what)) = &self.other {
+            snippet = snippet.annotation(AnnotationKind::Context.span(at.clone()).label(&what[..]));
+        }
+        let group = Level::ERROR.primary_title(&self.title[..]).element(snippet);
+        vec![match &self.cure {
+            Some(cure) => group.element(Level::HELP.message(&cure[..])),
+            None => group,
+        }]
+    }
+}
+
+impl Problems {
+    pub(super) fn new(file: String, text: &str, mut problems: Vec<Problem>) -> Self {
+        problems.sort_by_key(|problem| problem.at.start);
+        Self { file, text: text.to_owned(), problems }
+    }
+
+    /// The lines that are to blame, from 1; one for each problem.
+    pub fn lines(&self) -> Vec<usize> {
+        let line =
+            |problem: &Problem| 1 + self.text.bytes().take(problem.at.start).filter(|&byte| byte == b'\n').count();
+        self.problems.iter().map(line).collect()
+    }
+
+    /// How many there are.
+    pub fn len(&self) -> usize {
+        self.problems.len()
+    }
+
+    /// Never: there is at least one.
+    pub fn is_empty(&self) -> bool {
+        self.problems.is_empty()
+    }
+}
+
+impl fmt::Display for Problems {
+    fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
+        let renderer = Renderer::plain();
+        for (number, problem) in self.problems.iter().enumerate() {
+            let blank = if number == 0 { "" } else { "\n\n" };
+            write!(f, "{blank}{}", renderer.render(&problem.report(&self.file, &self.text)))?;
+        }
+        Ok(())
+    }
+}
+
+impl std::error::Error for Problems {}

@@ -1,0 +1,179 @@
+//! A configuration file as it is written: keys and types, nothing checked yet.
+
+use std::fmt;
+
+use serde::de::{Deserialize, Deserializer, Error, SeqAccess, Visitor};
+use toml::Spanned;
+
+/// The whole file.
+#[derive(serde::Deserialize)]
+#[serde(deny_unknown_fields)]
+pub struct File {
+    pub http: Option<Spanned<String>>,
+    #[serde(default)]
+    pub http_public: bool,
+    pub root: Option<Spanned<String>>,
+    #[serde(default)]
+    pub sensor: Sensors,
+    pub record: Option<Record>,
+}
+
+/// A `[[sensor]]`.
+#[derive(serde::Deserialize)]
+#[serde(deny_unknown_fields)]
+pub struct Sensor {
+    pub name: Spanned<String>,
+    pub address: Spanned<String>,
+    pub port: Option<Spanned<Whole>>,
+    pub position_port: Option<Spanned<Whole>>,
+    pub bind: Option<Spanned<String>>,
+    pub multicast: Option<Spanned<String>>,
+    pub interface: Option<Spanned<String>>,
+    pub cpu: Option<Spanned<Whole>>,
+    pub realtime_priority: Option<Spanned<Whole>>,
+    pub model: Option<Spanned<String>>,
+    pub calibration: Option<Spanned<String>>,
+    pub returns: Option<Spanned<Returns>>,
+    #[serde(rename = "return")]
+    pub which_return: Option<WhichReturn>,
+    pub cut_azimuth_deg: Option<Spanned<Number>>,
+    pub rpm: Option<Spanned<Number>>,
+    pub max_consumers: Option<Spanned<Whole>>,
+    #[serde(default)]
+    pub mount: Mount,
+    #[serde(default)]
+    pub segment: Segment,
+}
+
+/// `[sensor.mount]`.
+#[derive(Default, serde::Deserialize)]
+#[serde(deny_unknown_fields)]
+pub struct Mount {
+    pub x_m: Option<Spanned<Number>>,
+    pub y_m: Option<Spanned<Number>>,
+    pub z_m: Option<Spanned<Number>>,
+    pub roll_deg: Option<Spanned<Number>>,
+    pub pitch_deg: Option<Spanned<Number>>,
+    pub yaw_deg: Option<Spanned<Number>>,
+    pub height_m: Option<Spanned<Number>>,
+}
+
+/// `[sensor.segment]`.
+#[derive(Default, serde::Deserialize)]
+#[serde(deny_unknown_fields)]
+pub struct Segment {
+    pub method: Option<Method>,
+    pub theta_deg: Option<Spanned<Number>>,
+    pub min_points: Option<Spanned<Whole>>,
+    pub min_range_m: Option<Spanned<Number>>,
+    pub max_range_m: Option<Spanned<Number>>,
+    pub mask: Option<Spanned<String>>,
+}
+
+/// `[record]`.
+#[derive(serde::Deserialize)]
+#[serde(deny_unknown_fields)]
+pub struct Record {
+    pub path: Spanned<String>,
+    pub rotate_mb: Option<Spanned<Number>>,
+    pub rotate_minutes: Option<Spanned<Number>>,
+}
+
+/// Values of `returns`.
+#[derive(Clone, Copy, PartialEq, Eq, serde::Deserialize)]
+#[serde(rename_all = "lowercase")]
+pub enum Returns {
+    Single,
+    Dual,
+}
+
+/// Values of `return`.
+#[derive(Clone, Copy, serde::Deserialize)]
+#[serde(rename_all = "lowercase")]
+pub enum WhichReturn {
+    Nearest,
+    Strongest,
+    Last,
+}
+
+/// Values of `method`.
+#[derive(Clone, Copy, serde::Deserialize)]
+#[serde(rename_all = "lowercase")]
+pub enum Method {
+    Slope,
+    Paper,
+}
+
+/// A whole number; an error calls it that, and not by the name of a type.
+#[derive(Clone, Copy)]
+pub struct Whole(pub i64);
+
+impl<'de> Deserialize<'de> for Whole {
+    fn deserialize<D: Deserializer<'de>>(deserializer: D) -> Result<Self, D::Error> {
+        struct Reader;
+        impl Visitor<'_> for Reader {
+            type Value = Whole;
+
+            fn expecting(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
+                f.write_str("a whole number")
+            }
+
+            fn visit_i64<E: Error>(self, value: i64) -> Result<Whole, E> {
+                Ok(Whole(value))
+            }
+        }
+        deserializer.deserialize_i64(Reader)
+    }
+}
+
+/// A number with a fraction or without.
+#[derive(Clone, Copy)]
+pub struct Number(pub f64);
+
+impl<'de> Deserialize<'de> for Number {
+    fn deserialize<D: Deserializer<'de>>(deserializer: D) -> Result<Self, D::Error> {
+        struct Reader;
+        impl Visitor<'_> for Reader {
+            type Value = Number;
+
+            fn expecting(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
+                f.write_str("a number")
+            }
+
+            fn visit_f64<E: Error>(self, value: f64) -> Result<Number, E> {
+                Ok(Number(value))
+            }
+
+            fn visit_i64<E: Error>(self, value: i64) -> Result<Number, E> {
+                Ok(Number(value as f64))
+            }
+        }
+        deserializer.deserialize_f64(Reader)
+    }
+}
+
+/// All `[[sensor]]`; an error says that these take two brackets.
+#[derive(Default)]
+pub struct Sensors(pub Vec<Spanned<Sensor>>);
+
+impl<'de> Deserialize<'de> for Sensors {
+    fn deserialize<D: Deserializer<'de>>(deserializer: D) -> Result<Self, D::Error> {
+        struct Reader;
+        impl<'de> Visitor<'de> for Reader {
+            type Value = Sensors;
+
+            fn expecting(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
+                f.write_str("one [[sensor]], in double brackets, for each sensor")
+            }
+
+            fn visit_seq<A: SeqAccess<'de>>(self, mut tables: A) -> Result<Sensors, A::Error> {
+                let mut sensors = Vec::new();
+                while let Some(sensor) = tables.next_element()? {
+                    sensors.push(sensor);
+                }
+                Ok(Sensors(sensors))
+            }
+        }
+        deserializer.deserialize_seq(Reader)
+    }
+}

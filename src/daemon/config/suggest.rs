@@ -1,0 +1,67 @@
+//! "Did you mean ...?"
+
+/// Longest word that is compared: the names of keys are shorter.
+const LONGEST: usize = 40;
+
+/// The word among the quoted ones of `expected` ("one of `a`, `b`") that was meant by `found`, if one is near: it begins with
+/// it (a unit is missing), or a third of its letters at most are wrong.
+pub fn suggestion<'a>(found: &str, expected: &'a str) -> Option<&'a str> {
+    let found = found.trim_matches(['"', '\'']);
+    if found.is_empty() || found.len() > LONGEST {
+        return None;
+    }
+    let near = |word: &&str| {
+        let distance = distance(found, word);
+        let lacks_unit = word.strip_prefix(found).is_some_and(|rest| rest.starts_with('_'));
+        let distance = if lacks_unit { 0 } else { distance };
+        (distance <= word.len().div_ceil(3)).then_some(distance)
+    };
+    let words = expected.split('`').skip(1).step_by(2);
+    words.filter_map(|word| Some((near(&word)?, word))).min_by_key(|&(distance, _)| distance).map(|(_, word)| word)
+}
+
+/// Letters to be inserted, removed, replaced or exchanged with their neighbour to make one word the other (optimal string
+/// alignment).
+fn distance(a: &str, b: &str) -> usize {
+    let (a, b): (Vec<char>, Vec<char>) = (a.chars().collect(), b.chars().collect());
+    let mut before: Vec<usize> = Vec::new();
+    let mut last: Vec<usize> = (0..=b.len()).collect();
+    for i in 1..=a.len() {
+        let mut row = vec![i];
+        for j in 1..=b.len() {
+            let replaced = last[j - 1] + usize::from(a[i - 1] != b[j - 1]);
+            let mut least = replaced.min(last[j] + 1).min(row[j - 1] + 1);
+            if i > 1 && j > 1 && a[i - 1] == b[j - 2] && a[i - 2] == b[j - 1] {
+                least = least.min(before[j - 2] + 1);
+            }
+            row.push(least);
+        }
+        before = std::mem::replace(&mut last, row);
+    }
+    last[b.len()]
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn distances_are_those_counted_by_hand() {
+        for (a, b, expected) in
+            [("port", "port", 0), ("prot", "port", 1), ("pot", "port", 1), ("", "rpm", 3), ("é", "e", 1)]
+        {
+            assert_eq!((distance(a, b), distance(b, a)), (expected, expected), "{a} {b}");
+        }
+    }
+
+    #[test]
+    fn the_nearest_word_is_meant_and_a_strange_one_is_not_guessed() {
+        let keys = "expected one of `name`, `port`, `position_port`, `theta_deg`";
+        assert_eq!(suggestion("prot", keys), Some("port"));
+        assert_eq!(suggestion("theta", keys), Some("theta_deg"));
+        assert_eq!(suggestion("'postion_port'", keys), Some("position_port"));
+        assert_eq!(suggestion("colour", keys), None);
+        assert_eq!(suggestion("", keys), None);
+        assert_eq!(suggestion("port", "expected a whole number"), None);
+    }
+}

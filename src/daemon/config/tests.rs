@@ -1,0 +1,466 @@
+use std::path::Path;
+
+use proptest::prelude::*;
+
+use super::*;
+use crate::segment::Method;
+use crate::sensor::Model;
+use crate::sweep::layout::ReturnChoice;
+
+const EXAMPLE: &str = include_str!("../../../systemd/sweepd.toml");
+
+fn parse(text: &str) -> Result<Config, ConfigError> {
+    Config::parse(Path::new("/nowhere/robot.toml"), text)
+}
+
+fn good(text: &str) -> Config {
+    parse(text).unwrap_or_else(|error| panic!("{error}"))
+}
+
+/// The lines that are to blame, and the whole message.
+fn bad(text: &str) -> (Vec<usize>, String) {
+    match parse(text).expect_err(text) {
+        ConfigError::Invalid(problems) => (problems.lines(), problems.to_string()),
+        error @ ConfigError::Read { .. } => panic!("{error}"),
+    }
+}
+
+/// A sensor with these lines after its name and address.
+fn roof(more: &str) -> String {
+    format!("[[sensor]]\nname = \"roof\"\naddress = \"192.168.1.201\"\n{more}")
+}
+
+#[test]
+fn two_lines_are_enough_for_a_sensor() {
+    let config = good(&roof(""));
+    assert_eq!(config.daemon, DaemonConfig { root: None, http: Some("127.0.0.1:9177".parse().unwrap()) });
+    let [sensor] = &config.sensors[..] else { panic!() };
+    assert_eq!((&sensor.name[..], sensor.address), ("roof", [192, 168, 1, 201].into()));
+    let (bind, multicast, interface) = ([0, 0, 0, 0].into(), None, None);
+    let port = PortConfig { bind, port: 2368, multicast, interface, cpu: None, realtime_priority: None };
+    assert_eq!((&sensor.port, sensor.position_port, sensor.source_port), (&port, 8308, None));
+    assert_eq!((sensor.max_consumers, sensor.dual, sensor.rpm), (4, None, None));
+    // Whatever the command line takes by default, the file does.
+    assert_eq!(sensor.pipeline.segment, crate::segment::Config::default());
+    assert_eq!((sensor.pipeline.model, sensor.pipeline.cut_azimuth_rad), (None, 0.0));
+    assert!(config.record.is_none());
+}
+
+#[test]
+fn every_key_arrives_where_it_belongs() {
+    let folder = concat!(env!("CARGO_MANIFEST_DIR"), "/calib/robot.toml");
+    let text = r#"
+        http = "0.0.0.0:9000"
+        http_public = true
+        root = "iox2"
+        [[sensor]]
+        name = "roof"
+        address = "192.168.1.201:2368"
+        port = 2370
+        position_port = 8309
+        bind = "127.0.0.1"
+        multicast = "239.1.1.1"
+        interface = "lo"
+        cpu = 0
+        realtime_priority = 50
+        model = "vlp16"
+        calibration = "vlp16.yaml"
+        returns = "dual"
+        return = "last"
+        cut_azimuth_deg = 180
+        rpm = 600
+        max_consumers = 2
+        mount = { x_m = 1, y_m = 2.5, z_m = -3, roll_deg = 90, pitch_deg = -90, yaw_deg = 180, height_m = 1.5 }
+        segment = { method = "paper", theta_deg = 45, min_points = 3, min_range_m = 0.5, max_range_m = 80 }
+        [record]
+        path = "/data/drive.pcap.gz"
+        rotate_mb = 1.5
+        rotate_minutes = 10
+    "#;
+    let config = Config::parse(Path::new(folder), text).unwrap_or_else(|error| panic!("{error}"));
+    let root = Path::new(folder).with_file_name("iox2");
+    assert_eq!(config.daemon, DaemonConfig { root: Some(root), http: Some("0.0.0.0:9000".parse().unwrap()) });
+    let sensor = &config.sensors[0];
+    assert_eq!(sensor.source_port, Some(2368));
+    let (bind, multicast) = ([127, 0, 0, 1].into(), Some([239, 1, 1, 1].into()));
+    let (interface, cpu, realtime_priority) = (Some("lo".to_owned()), Some(0), Some(50));
+    assert_eq!(sensor.port, PortConfig { bind, port: 2370, multicast, interface, cpu, realtime_priority });
+    assert_eq!((sensor.position_port, sensor.max_consumers), (8309, 2));
+    assert_eq!((sensor.dual, sensor.rpm), (Some(true), Some(600.0)));
+    let pipeline = &sensor.pipeline;
+    assert_eq!(pipeline.model, Some(Model::Vlp16));
+    assert_eq!(pipeline.calibration.as_ref(), Model::Vlp16.calibration());
+    assert_eq!(pipeline.return_choice, ReturnChoice::Last);
+    let half = std::f64::consts::PI;
+    assert_eq!((pipeline.cut_azimuth_rad, pipeline.yaw_rad), (half, half as f32));
+    assert_eq!(pipeline.position_m, [1.0, 2.5, -3.0]);
+    let segment = &pipeline.segment;
+    assert_eq!((segment.method, segment.min_points), (Method::Paper, 3));
+    assert_eq!((segment.theta_rad, segment.min_range_m, segment.max_range_m), ((half / 4.0) as f32, 0.5, 80.0));
+    let quarter = (half / 2.0) as f32;
+    let mount = segment.mount;
+    assert_eq!((mount.height_m, mount.pitch_rad, mount.roll_rad), (Some(1.5), -quarter, quarter));
+    let (rotate_bytes, rotate_seconds) = (Some(1_500_000), Some(600));
+    assert_eq!(config.record, Some(RecordConfig { path: "/data/drive.pcap.gz".into(), rotate_bytes, rotate_seconds }));
+}
+
+/// One line that cannot be meant, the words that say so, and (of several lines) which one is to blame.
+#[test]
+fn what_cannot_be_meant_is_shown_with_its_line_and_a_cure() {
+    for (line, parts) in [
+        ("prot = 2369", &["unknown key `prot`", "did you mean `port`?"][..]),
+        ("segment = { theta = 12 }", &["unknown key `theta`", "did you mean `theta_deg`?"]),
+        ("port = \"2369\"", &["wrong type: string \"2369\"", "expected a whole number"]),
+        ("port = 0", &["`port` cannot be 0", "expected 1 to 65535"]),
+        ("port = 23.5", &["wrong type: floating point", "expected a whole number"]),
+        ("port = 99999999999999999999", &["4:8"]),
+        ("position_port = 70000", &["`position_port` cannot be 70000"]),
+        ("bind = \"eth0\"", &["`bind` cannot be \"eth0\"", "0.0.0.0 for all"]),
+        ("bind = \"::1\"", &["`bind` cannot be \"::1\""]),
+        ("multicast = \"192.168.1.1\"", &["224.0.0.0 to 239.255.255.255"]),
+        ("interface = \"\"", &["such as eth1"]),
+        ("interface = \"a-name-far-too-long\"", &["such as eth1"]),
+        ("cpu = -1", &["`cpu` cannot be -1"]),
+        ("cpu = 99999", &["the cores of this machine are "]),
+        ("realtime_priority = 100", &["expected 1 to 99"]),
+        ("model = \"vlp-16\"", &["no supported model is called \"vlp-16\"", "did you mean `vlp16`?"]),
+        ("model = \"os1\"", &["expected one of `vlp16`"]),
+        ("returns = \"duel\"", &["unknown value `duel`", "did you mean `dual`?"]),
+        ("return = \"first\"", &["unknown value `first`", "expected one of `nearest`"]),
+        ("model = \"hdl64e-s2\"\nreturns = \"dual\"", &["5:11", "an HDL-64E S2 sends one return", "hdl64e-s3"]),
+        ("cut_azimuth_deg = nan", &["`cut_azimuth_deg` cannot be NaN", "-360 to 360 degrees"]),
+        ("rpm = 299.9", &["expected 300 to 1200 turns a minute"]),
+        ("max_consumers = 17", &["expected 1 to 16"]),
+        ("max_consumers = 0", &["expected 1 to 16"]),
+        ("mount = { x_m = 1e9 }", &["`x_m` cannot be 1000000000", "metres"]),
+        ("mount = { pitch_deg = 91 }", &["-90 to 90 degrees"]),
+        ("mount = { height_m = 0 }", &["`height_m` cannot be 0"]),
+        ("segment = { theta_deg = 0 }", &["4:25", "more than 0 and less than 90"]),
+        ("segment = { theta_deg = 91 }", &["expected 0 to 90 degrees"]),
+        ("segment = { min_points = 0 }", &["`min_points` cannot be 0"]),
+        ("segment = { min_range_m = 5, max_range_m = 4 }", &["4:44", "limited to 5..4 m"]),
+        ("segment = { method = \"slop\" }", &["did you mean `slope`?"]),
+        ("segment = { mask = \"body.png\" }", &["cannot read /nowhere/body.png"]),
+        ("segment = { mask = \"\" }", &["expected a path"]),
+        ("calibration = \"unit.xml\"", &["cannot read the calibration /nowhere/unit.xml"]),
+        ("[sensor.mount\nx_m = 1", &["unclosed table"]),
+        ("name = \"roof\"", &["duplicate key"]),
+        ("[record]\npath = \"drive.txt\"", &["5:8", "NAME.pcap or NAME.pcap.gz"]),
+        ("[record]\npath = \".pcap\"", &["5:8", "NAME.pcap or NAME.pcap.gz"]),
+        ("[record]\npath = \"a.pcap\"\nrotate_mb = 0", &["6:13", "expected 1 to 1000000 MB"]),
+        ("[record]\nrotate_mb = 10", &["4:1", "missing key `path`"]),
+    ] {
+        let (lines, message) = bad(&roof(line));
+        assert!(lines.len() == 1 && lines[0] >= 4, "{line}: {lines:?}");
+        assert!(message.contains("--> /nowhere/robot.toml:"), "{message}");
+        for part in parts {
+            assert!(message.contains(part), "{line} lacks {part:?}:\n{message}");
+        }
+    }
+}
+
+#[test]
+fn names_and_addresses_that_cannot_be_are_refused() {
+    let longest = "a".repeat(63);
+    for name in ["roof", "Front-left_2.b", "2", &longest] {
+        assert_eq!(good(&roof("").replace("roof", name)).sensors[0].name, name);
+    }
+    for name in ["", "ro of", "roof/left", "..", "-roof", "dach\u{fc}", "a\\u0000", &format!("{longest}a")] {
+        let (lines, message) = bad(&roof("").replace("roof", name));
+        assert!(lines == [2] && message.contains("a letter or digit first"), "{message}");
+    }
+    for address in
+        ["0.0.0.0", "239.1.1.1", "255.255.255.255", "fe80::1", "roof.local", "10.0.0.1:0", "10.0.0.1>2368", ""]
+    {
+        let (lines, message) = bad(&roof("").replace("192.168.1.201", address));
+        assert!(lines == [3] && message.contains("expected the sensor's own IPv4 address"), "{message}");
+    }
+}
+
+#[test]
+fn health_is_for_this_host_alone_unless_it_is_said() {
+    let of = |http: &str| format!("{http}\n{}", roof(""));
+    assert_eq!(good(&of("http = \"off\"")).daemon.http, None);
+    assert_eq!(good(&of("http = \"[::1]:80\"")).daemon.http, Some("[::1]:80".parse().unwrap()));
+    for open in ["0.0.0.0:80", "[::]:80", "192.168.1.100:80", "[::ffff:10.0.0.1]:80"] {
+        let (lines, message) = bad(&of(&format!("http = {open:?}")));
+        assert!(lines == [1] && message.contains("http_public = true"), "{message}");
+        good(&of(&format!("http = {open:?}\nhttp_public = true")));
+    }
+    for none in ["on", "127.0.0.1", "127.0.0.1:0", "9177", ""] {
+        assert!(bad(&of(&format!("http = {none:?}"))).1.contains("or \"off\""));
+    }
+}
+
+#[test]
+fn all_that_is_wrong_is_said_at_once_in_the_order_of_the_lines() {
+    let text = format!(
+        "{}[record]\npath = \"x\"\n",
+        roof("port = 0\nrpm = 1\n[[sensor]]\nname = \"roof\"\naddress = \"x\"\n")
+    );
+    let (lines, message) = bad(&format!("http = \"x\"\n{text}"));
+    assert_eq!(lines, [1, 5, 6, 8, 9, 11], "{message}");
+    assert_eq!(message.matches("error: ").count(), 6);
+    assert_eq!(bad("").0, [1]);
+    assert!(bad("# nothing\n").1.contains("sweepd config example"));
+    assert!(bad("[sensor]\nname = \"roof\"").1.contains("one [[sensor]], in double brackets"));
+    assert!(bad("[[sensor]]\nname = \"roof\"").1.contains("missing key `address`"));
+}
+
+/// Three sensors: two on a port, another beside them.
+fn three(roof: &str, left: &str, right: &str) -> String {
+    format!(
+        "[[sensor]]\nname = \"roof\"\naddress = \"10.0.0.1\"\n{roof}\n[[sensor]]\nname = \"left\"\naddress = \"10.0.0.2\"\n{left}\n\
+         [[sensor]]\nname = \"right\"\naddress = \"10.0.0.3\"\nport = 2369\n{right}\n"
+    )
+}
+
+#[test]
+fn sensors_on_a_port_agree_about_it() {
+    let config = good(&three("", "cpu = 0\nbind = \"127.0.0.1\"", "bind = \"127.0.0.2\""));
+    assert_eq!(config.sensors[0].port, config.sensors[1].port, "what one says holds for both");
+    assert_eq!((config.sensors[0].port.cpu, config.sensors[2].port.cpu), (Some(0), None));
+    for (key, one, other) in [
+        ("bind", "\"127.0.0.1\"", "\"127.0.0.2\""),
+        ("multicast", "\"239.0.0.1\"", "\"239.0.0.2\""),
+        ("interface", "\"lo\"", "\"eth1\""),
+        ("realtime_priority", "1", "2"),
+    ] {
+        let (one, other) = (format!("{key} = {one}"), format!("{key} = {other}"));
+        good(&three(&one, &one, &other));
+        let (lines, message) = bad(&three(&one, &other, ""));
+        assert!(lines == [8] && message.contains(&format!("do not agree about `{key}`")), "{message}");
+        assert!(message.contains("`roof` says this"), "{message}");
+    }
+}
+
+#[test]
+fn sensors_that_cannot_be_told_apart_are_refused() {
+    let of = |left: &str, right: &str, port: u16| {
+        format!(
+            "[[sensor]]\nname = \"a\"\naddress = \"{left}\"\n[[sensor]]\nname = \"b\"\naddress = \"{right}\"\nport = {port}\n"
+        )
+    };
+    good(&of("10.0.0.1", "10.0.0.1", 2369));
+    good(&of("10.0.0.1:2368", "10.0.0.1:2369", 2368));
+    for (left, right) in [("10.0.0.1", "10.0.0.1"), ("10.0.0.1:1", "10.0.0.1:1"), ("10.0.0.1", "10.0.0.1:1")] {
+        let (lines, message) = bad(&of(left, right, 2368));
+        assert!(lines == [6] && message.contains("`b` cannot be told from `a`"), "{message}");
+    }
+    let (lines, message) = bad(&of("10.0.0.1", "10.0.0.2", 2368).replace("\"b\"", "\"a\""));
+    assert!(lines == [5] && message.contains("the first of this name"), "{message}");
+    // The position packets of one may come where the data of another do.
+    good(&of("10.0.0.1", "10.0.0.2", 8308));
+}
+
+#[test]
+fn files_of_another_model_are_refused() {
+    let folder = std::env::temp_dir().join(format!("sweepd-config-{}", std::process::id()));
+    std::fs::create_dir_all(&folder).unwrap();
+    let mut bytes = Vec::new();
+    let mut encoder = png::Encoder::new(&mut bytes, 4, 32);
+    encoder.set_color(png::ColorType::Grayscale);
+    encoder.write_header().unwrap().write_image_data(&[255; 4 * 32]).unwrap();
+    std::fs::write(folder.join("32.png"), bytes).unwrap();
+    std::fs::copy(concat!(env!("CARGO_MANIFEST_DIR"), "/calib/hdl32e.yaml"), folder.join("32.yaml")).unwrap();
+    let parse = |more: &str| Config::parse(&folder.join("robot.toml"), &roof(more)).map_err(|error| error.to_string());
+    let mask = "[sensor.segment]\nmask = \"32.png\"";
+    let calibration = "calibration = \"32.yaml\"";
+    for fitting in [mask, calibration, &format!("model = \"hdl32e\"\n{calibration}\n{mask}")] {
+        let config = parse(fitting).unwrap_or_else(|error| panic!("{error}"));
+        let pipeline = &config.sensors[0].pipeline;
+        assert_eq!(pipeline.segment.mask.is_some(), fitting.contains("mask"));
+        assert_eq!(pipeline.calibration.is_some(), fitting.contains("calibration"));
+    }
+    let message = parse(&format!("model = \"vlp16\"\n{mask}")).unwrap_err();
+    assert!(message.contains("32.png has 32 rows, the sensor 16") && message.contains("robot.toml:6:8"), "{message}");
+    let message = parse(&format!("model = \"vlp16\"\n{calibration}")).unwrap_err();
+    assert!(
+        message.contains("this is the calibration of the HDL-32E") && message.contains("robot.toml:5:15"),
+        "{message}"
+    );
+    std::fs::remove_dir_all(&folder).unwrap();
+}
+
+#[test]
+fn a_reload_says_what_it_takes_over_and_what_waits() {
+    let old = good(&three("", "", ""));
+    let said = |new: &str| -> Vec<String> { old.changes(&good(new)).iter().map(ToString::to_string).collect() };
+    assert!(said(&three("", "", "")).is_empty());
+    assert_eq!(said(&three("port = 2370", "", "")), ["sensor roof: port 2368 -> 2370 needs a restart"]);
+    assert_eq!(said(&three("segment = { theta_deg = 12.5 }", "", "")), ["sensor roof: theta_deg 10 -> 12.5"]);
+    assert_eq!(
+        said(&three("segment = { theta_deg = 12.5, min_points = 5 }", "rpm = 600", "")),
+        [
+            "sensor roof: min_points 10 -> 5 needs a restart",
+            "sensor roof: theta_deg 10 -> 12.5 needs a restart",
+            "sensor left: rpm not watched -> 600"
+        ]
+    );
+    assert_eq!(said(&format!("http = \"off\"\n{}", three("", "", ""))), ["http 127.0.0.1:9177 -> off needs a restart"]);
+    assert_eq!(said(&three("", "", "[record]\npath = \"/a.pcap\"")), ["record off -> /a.pcap"]);
+    assert_eq!(
+        said(&three("", "", "").replace("left", "back")),
+        ["sensor left: is no longer there, which needs a restart", "sensor back: is new, which needs a restart"]
+    );
+}
+
+/// Each line changes a setting of its own: none of them is overlooked, and a reload does what it says.
+#[test]
+fn no_setting_changes_without_a_word() {
+    let settings = [
+        "port = 2371",
+        "position_port = 8310",
+        "bind = \"127.0.0.1\"",
+        "multicast = \"239.0.0.1\"",
+        "interface = \"lo\"",
+        "cpu = 0",
+        "realtime_priority = 1",
+        "model = \"hdl32e\"",
+        "calibration = \"vlp16.yaml\"",
+        "returns = \"dual\"",
+        "return = \"strongest\"",
+        "cut_azimuth_deg = 1",
+        "rpm = 1200",
+        "max_consumers = 5",
+        "mount = { x_m = 1 }",
+        "mount = { yaw_deg = 1 }",
+        "mount = { pitch_deg = 1 }",
+        "mount = { roll_deg = 1 }",
+        "mount = { height_m = 1 }",
+        "segment = { method = \"paper\" }",
+        "segment = { theta_deg = 11 }",
+        "segment = { min_points = 11 }",
+        "segment = { min_range_m = 1 }",
+        "segment = { max_range_m = 1 }",
+    ];
+    let parse = |more: &str| {
+        let path = Path::new(concat!(env!("CARGO_MANIFEST_DIR"), "/calib/robot.toml"));
+        Config::parse(path, &roof(more)).unwrap_or_else(|error| panic!("{error}"))
+    };
+    let old = parse("");
+    for line in settings {
+        let new = parse(line);
+        let [change] = &old.changes(&new)[..] else { panic!("{line}: {:?}", old.changes(&new)) };
+        let (back, running) = (new.changes(&old), old.reloaded(&new));
+        assert_eq!((back.len(), back[0].effect), (1, change.effect), "{line}");
+        let left = running.changes(&new).len();
+        assert_eq!(left, usize::from(change.effect == Effect::Restart), "{line}");
+        assert_eq!(old.changes(&running).len(), 1 - left, "{line}");
+    }
+    // A setting that is added to the configuration must be added to those that are compared: this stops compiling.
+    let SensorConfig {
+        name: _,
+        address: _,
+        source_port: _,
+        port: _,
+        position_port: _,
+        max_consumers: _,
+        dual: _,
+        rpm: _,
+        pipeline,
+    } = old.sensors[0].clone();
+    let pipeline::Config {
+        model: _,
+        calibration: _,
+        cut_azimuth_rad: _,
+        return_choice: _,
+        segment: _,
+        position_m: _,
+        yaw_rad: _,
+    } = pipeline;
+}
+
+#[test]
+fn memory_follows_from_the_model() {
+    let of = |more: &str| good(&roof(more)).sensors.remove(0);
+    let exact = of("model = \"vlp16\"\nreturns = \"single\"\nmax_consumers = 1");
+    let sweep = crate::sweep::layout::Shape::of(16, false, 10).total_bytes();
+    assert_eq!((memory::samples(1), memory::sweep_bytes(&exact)), (7, sweep..=sweep));
+    assert_eq!(memory::pool_bytes(&exact), 7 * sweep as u64..=7 * sweep as u64);
+    let unknown = memory::sweep_bytes(&of(""));
+    assert_eq!(unknown, sweep..=*memory::sweep_bytes(&of("model = \"hdl64e-s3\"\nreturns = \"dual\"")).end());
+    let s2 = memory::sweep_bytes(&of("model = \"hdl64e-s2\""));
+    assert_eq!(s2.start(), s2.end(), "one return, always");
+}
+
+/// Whether a text is a configuration, or an error that names a line of it; a panic is neither.
+fn is_answered(text: &str) -> Result<(), TestCaseError> {
+    if let Err(error) = parse(text) {
+        let ConfigError::Invalid(problems) = &error else { return Err(TestCaseError::fail("no file is read")) };
+        let lines = text.split('\n').count();
+        prop_assert!(!problems.is_empty());
+        prop_assert!(problems.lines().iter().all(|line| (1..=lines).contains(line)), "{error}");
+        prop_assert_eq!(error.to_string().matches("--> /nowhere/robot.toml:").count(), problems.len(), "{}", error);
+    }
+    Ok(())
+}
+
+/// The example with its optional lines switched on, as it may be edited.
+fn example_switched_on() -> String {
+    let on = |line: &str| match line.strip_prefix('#') {
+        Some(rest) if rest.starts_with(|c: char| c.is_ascii_lowercase() || c == '[') => rest.to_owned(),
+        _ => line.to_owned(),
+    };
+    EXAMPLE.lines().map(|line| on(line) + "\n").collect()
+}
+
+#[test]
+fn the_example_names_every_key_with_a_value_that_can_be() {
+    good(EXAMPLE);
+    let all = example_switched_on();
+    // Two name files that are not there, and the example of a core may be one that this machine has not.
+    let all = all.replace("calibration = ", "#").replace("mask = ", "#").replace("cpu = 1", "cpu = 0");
+    good(&all);
+    let (_, message) = bad(&roof("x = 1"));
+    let (_, mount) = bad(&roof("mount = { x = 1 }"));
+    let (_, segment) = bad(&roof("segment = { x = 1 }"));
+    let (_, record) = bad(&roof("[record]\nx = 1"));
+    let (_, daemon) = bad("x = 1");
+    let mut keys = 0;
+    for key in [message, mount, segment, record, daemon].iter().flat_map(|text| text.split('`').skip(3).step_by(2)) {
+        let is_there = |line: &str| {
+            line.starts_with(key) || line.contains(&format!("[{key}")) || line.contains(&format!(".{key}]"))
+        };
+        assert!(EXAMPLE.lines().any(|line| is_there(line.trim_start_matches('#'))), "no {key} in the example");
+        keys += 1;
+    }
+    assert!(keys > 30, "{keys}");
+}
+
+proptest! {
+    #[test]
+    fn any_text_is_answered(text in "(\\PC|[\\n\\r\\t\\[\\]=\"#.,{}]){0,200}") {
+        is_answered(&text)?;
+    }
+
+    #[test]
+    fn any_edit_of_the_example_is_answered(
+        edits in prop::collection::vec((any::<prop::sample::Index>(), 0..12_usize, "(\\PC|[\\n\\[\\]=\"#0-9-]){0,6}"), 1..4),
+    ) {
+        let mut text: Vec<char> = example_switched_on().chars().collect();
+        for (at, removed, added) in edits {
+            let at = at.index(text.len());
+            let end = (at + removed).min(text.len());
+            text.splice(at..end, added.chars());
+        }
+        is_answered(&text.into_iter().collect::<String>())?;
+    }
+
+    #[test]
+    fn any_value_of_a_key_is_answered(
+        line in any::<prop::sample::Index>(),
+        value in prop_oneof![
+            any::<i64>().prop_map(|value| value.to_string()),
+            any::<f64>().prop_map(|value| format!("{value:e}")),
+            "\\PC{0,80}".prop_map(|value| format!("{value:?}")),
+            Just("[]".to_owned()), Just("{}".to_owned()), Just("true".to_owned()), Just("1979-05-27".to_owned()),
+        ],
+    ) {
+        let text = example_switched_on();
+        let keys: Vec<&str> = text.lines().filter(|line| line.contains(" = ") && !line.starts_with('#')).collect();
+        let line = keys[line.index(keys.len())];
+        let (key, _) = line.split_once(" = ").unwrap();
+        is_answered(&text.replace(line, &format!("{key} = {value}")))?;
+    }
+}
