@@ -253,7 +253,7 @@ fn the_field_of_view_may_be_set_anew_at_any_time() {
         assert_eq!(flags[1], CIRCULAR);
         assert_eq!(flags[flags.len() - 2] & BLANKED, 0, "{model} {mode} {flags:?}");
         assert!(flags.iter().filter(|&&f| f == BLANKED).count() >= 4, "{model} {mode} {flags:?}");
-        assert!((13..=18).contains(&flags.len()), "{model} {mode} {flags:?}");
+        assert!((13..=20).contains(&flags.len()), "{model} {mode} {flags:?}");
     }
 }
 
@@ -339,7 +339,10 @@ fn a_limited_field_of_view_is_no_loss() {
                 let place = format!("{model} {mode} {fov:?} {cut_deg}");
                 assert_eq!(run.counts, Counts { data: run.counts.data, ..Counts::default() }, "{place}");
                 let flags = run.flags();
-                assert!(flags[1..flags.len() - 1].iter().all(|&f| f == BLANKED), "{place} {flags:?}");
+                // The cut may be moved out of what is not sent in time, once: see tests/field_of_view.rs.
+                let moved = flags[1..flags.len() - 1].iter().filter(|&&f| f == BLANKED | PARTIAL).count();
+                let whole = flags[1..flags.len() - 1].iter().filter(|&&f| f == BLANKED).count();
+                assert!(moved <= 1 && 1 + moved + whole + 1 == flags.len(), "{place} {flags:?}");
                 assert!((4..=6).contains(&flags.len()), "{place} {}", flags.len());
                 // With the encoder's noise the silence inside a packet may be taken for a block more or less.
                 assert_positions(&run, &sent, 10.0, if jitter_cdeg == 0.0 { 3_000 } else { 112_000 });

@@ -11,7 +11,8 @@ pub struct Config {
     pub model: Option<Model>,
     /// The unit's calibration; `None` takes the model's table, or the one that an HDL-64E sends with its packets.
     pub calibration: Option<Calibration>,
-    /// Azimuth at which sweeps are cut, radians.
+    /// Azimuth at which sweeps are cut, radians. Where the field of view is limited and nothing is sent there in time, they
+    /// are cut a packet's way ahead of the end of the sector that is measured; see [`sweep::edge`](crate::sweep::edge).
     pub cut_azimuth_rad: f64,
     /// Which of two returns is segmented.
     pub return_choice: ReturnChoice,

@@ -5,6 +5,7 @@ use super::clock::{Clocks, SensorClock};
 use super::columns::{Place, SoFar, decode};
 use super::cursor::{Cursor, Gap, Way};
 use super::decode::Decoder;
+use super::edge::Pace;
 use super::head::{Head, Turned};
 use super::image::SweepMut;
 use super::layout::{COLUMNS_CAPACITY, ReturnChoice, Shape, flags};
@@ -192,9 +193,9 @@ impl<B: Buffers> Builder<B> {
             let closed = match end {
                 End::Packet => return None,
                 End::Cut => self.close(true, clock),
-                End::Anew => self.close(false, clock),
+                End::Moved | End::Anew => self.close(false, clock),
             };
-            self.open(packet, end == End::Cut);
+            self.open(packet, end != End::Anew);
             if closed.is_some() {
                 return closed;
             }
@@ -212,12 +213,17 @@ impl<B: Buffers> Builder<B> {
         open.newest_arrival_ns = open.newest_arrival_ns.max(packet.arrival_ns);
         while let Some(firing) = cursor.firing(packet, &self.decoder) {
             if !std::mem::replace(&mut cursor.turned, true) {
-                match self.head.turn(firing.azimuth_cdeg, firing.time_ns, firing.leaps) {
+                let pace = |rate| Pace::new(rate, self.decoder.spec, packet.mode);
+                let turned = match firing.leaps {
+                    true => self.head.leap(firing.azimuth_cdeg, firing.time_ns, self.last_rate_cdeg_ns.map(pace)),
+                    false => self.head.turn(firing.azimuth_cdeg, firing.time_ns),
+                };
+                match turned {
                     Turned::On if open.has_room(&firing, turns) => {}
-                    Turned::Cut => {
+                    Turned::Cut | Turned::Moved => {
                         // A sector that reaches over the cut is left out of both sweeps.
                         open.blanked |= firing.leaps;
-                        return End::Cut;
+                        return if turned == Turned::Cut { End::Cut } else { End::Moved };
                     }
                     Turned::On | Turned::Anew => return End::Anew,
                 }
@@ -276,7 +282,7 @@ impl<B: Buffers> Builder<B> {
         header.model = self.decoder.model.code();
         header.return_mode = u32::from(mode.byte());
         header.return_choice = self.settings.return_choice as u32;
-        header.cut_azimuth_rad = (self.settings.cut_cdeg / 100.0).to_radians() as f32;
+        header.cut_azimuth_rad = (self.head.cut_cdeg() / 100.0).to_radians() as f32;
         header.set_sensor(&self.settings.sensor);
         self.sequence += 1;
         self.open = Some(Open { buffer, so_far: SoFar::new(mode, from_cut, &self.turns) });
@@ -349,7 +355,12 @@ impl<B: Buffers> Builder<B> {
 /// Why [`Builder::fill`] stopped.
 #[derive(Clone, Copy, PartialEq, Eq)]
 enum End {
+    /// The packet is used up.
     Packet,
+    /// It is behind the cut.
     Cut,
+    /// The same, and the sweep began where the cut was before.
+    Moved,
+    /// It belongs to another run, or there is no room.
     Anew,
 }

@@ -1,5 +1,6 @@
 //! The turning head: unwraps azimuths, finds the cut, and notices a head that stands still or turns the other way.
 
+use super::edge::{Edge, Leap, Pace};
 use super::motion::{TURN, ahead, shortest};
 
 /// Progress since the cut below which a second crossing is encoder jitter, hundredths of a degree.
@@ -19,6 +20,8 @@ pub enum Turned {
     On,
     /// It is the first behind the cut.
     Cut,
+    /// The same, and the cut was elsewhere when the sweep began; see [`Edge`].
+    Moved,
     /// It belongs to another run: the head stopped, started, or turns the other way.
     Anew,
 }
@@ -26,7 +29,13 @@ pub enum Turned {
 /// Where the head is and how it got there.
 #[derive(Clone, Copy, Debug)]
 pub struct Head {
+    /// Where it is configured.
+    configured_cdeg: f64,
+    /// Where it is: elsewhere when the field of view is limited.
     cut_cdeg: f64,
+    edge: Edge,
+    /// The cut was moved since the last one.
+    moved: bool,
     sense: f64,
     against_cdeg: f64,
     last_cdeg: Option<f64>,
@@ -42,7 +51,10 @@ impl Head {
     /// A head of which nothing is known; `cut_cdeg` in 0..36000.
     pub fn new(cut_cdeg: f64) -> Self {
         Self {
+            configured_cdeg: cut_cdeg,
             cut_cdeg,
+            edge: Edge::default(),
+            moved: false,
             sense: 1.0,
             against_cdeg: 0.0,
             last_cdeg: None,
@@ -69,25 +81,52 @@ impl Head {
         self.last_cdeg
     }
 
-    /// Forgets where it was: nothing relates the next firing to the last.
-    pub fn lose(&mut self) {
-        *self = Self { sense: self.sense, ..Self::new(self.cut_cdeg) };
+    /// Where sweeps are cut, hundredths of a degree.
+    pub fn cut_cdeg(&self) -> f64 {
+        self.cut_cdeg
     }
 
-    /// Turns to the next firing. `leaps` says that firings are missing in between, so that it came here in the sense of
-    /// rotation however far that is; else it came the shorter way.
-    pub fn turn(&mut self, azimuth_cdeg: f64, time_ns: i64, leaps: bool) -> Turned {
+    /// Forgets where it was: nothing relates the next firing to the last.
+    pub fn lose(&mut self) {
+        *self = Self { sense: self.sense, ..Self::new(self.configured_cdeg) };
+    }
+
+    /// Turns to the next firing, the shorter way.
+    pub fn turn(&mut self, azimuth_cdeg: f64, time_ns: i64) -> Turned {
+        self.go(azimuth_cdeg, time_ns, None)
+    }
+
+    /// Turns to the next firing over a sector that was left out, in the sense of rotation however far that is, and at this
+    /// pace if it is known.
+    pub fn leap(&mut self, azimuth_cdeg: f64, time_ns: i64, pace: Option<Pace>) -> Turned {
+        self.go(azimuth_cdeg, time_ns, Some(pace))
+    }
+
+    fn go(&mut self, azimuth_cdeg: f64, time_ns: i64, leap: Option<Option<Pace>>) -> Turned {
         let Some(last) = self.last_cdeg.replace(azimuth_cdeg) else {
             self.watched_since_ns = Some(time_ns);
             return Turned::On;
         };
-        let advance =
-            if leaps { ahead(last, azimuth_cdeg, self.sense) } else { shortest(azimuth_cdeg - last) * self.sense };
+        let advance = if leap.is_some() {
+            ahead(last, azimuth_cdeg, self.sense)
+        } else {
+            shortest(azimuth_cdeg - last) * self.sense
+        };
         self.progress_cdeg += advance;
         if self.standstill_changes(advance, time_ns) || self.sense_is_wrong(advance) {
             return Turned::Anew;
         }
-        let phase = ahead(self.cut_cdeg, last, self.sense);
+        let turned = self.crosses(last, advance);
+        match self.moves_cut(last, azimuth_cdeg, leap) {
+            // The cut may have moved to where the head has just come by.
+            true if turned == Turned::On => self.crosses(last, advance),
+            _ => turned,
+        }
+    }
+
+    /// Whether the head has just come by the cut.
+    fn crosses(&mut self, last_cdeg: f64, advance: f64) -> Turned {
+        let phase = ahead(self.cut_cdeg, last_cdeg, self.sense);
         let crosses = advance > 0.0 && phase + advance >= TURN;
         if !crosses || self.cut_seen && self.progress_cdeg < LEAST_TURN_CDEG {
             return Turned::On;
@@ -95,7 +134,26 @@ impl Head {
         self.cut_seen = true;
         // From the cut and not from this firing, which may lie far behind it, beyond a sector that was left out.
         self.progress_cdeg = phase + advance - TURN;
-        Turned::Cut
+        if std::mem::take(&mut self.moved) { Turned::Moved } else { Turned::Cut }
+    }
+
+    /// Moves the cut ahead of the end of the sector that is measured, or back, if that is due.
+    fn moves_cut(&mut self, last_cdeg: f64, azimuth_cdeg: f64, leap: Option<Option<Pace>>) -> bool {
+        match leap {
+            None => self.edge.fires(azimuth_cdeg),
+            Some(pace) => {
+                let leap = Leap { from_cdeg: last_cdeg, to_cdeg: azimuth_cdeg, sense: self.sense };
+                self.edge.leaps(leap, pace, self.configured_cdeg);
+            }
+        }
+        let cut_cdeg = self.edge.cut_cdeg().unwrap_or(self.configured_cdeg);
+        if cut_cdeg == self.cut_cdeg {
+            return false;
+        }
+        self.cut_cdeg = cut_cdeg;
+        self.cut_seen = false;
+        self.moved = true;
+        true
     }
 
     fn standstill_changes(&mut self, advance: f64, time_ns: i64) -> bool {
@@ -127,6 +185,9 @@ impl Head {
     }
 
     fn begin_run(&mut self) {
+        self.edge = Edge::default();
+        self.cut_cdeg = self.configured_cdeg;
+        self.moved = false;
         self.cut_seen = false;
         self.progress_cdeg = 0.0;
     }
@@ -141,7 +202,7 @@ mod tests {
         let turned = azimuths
             .iter()
             .enumerate()
-            .map(|(index, &azimuth)| (index, head.turn(azimuth.rem_euclid(TURN), index as i64 * 100_000, false)));
+            .map(|(index, &azimuth)| (index, head.turn(azimuth.rem_euclid(TURN), index as i64 * 100_000)));
         turned.filter(|&(_, turned)| turned != Turned::On).collect()
     }
 
@@ -188,10 +249,10 @@ mod tests {
     #[test]
     fn a_leap_over_the_cut_is_a_cut() {
         let mut head = Head::new(0.0);
-        assert_eq!(head.turn(27_000.0, 0, false), Turned::On);
-        assert_eq!(head.turn(9_000.0, 1_000_000, true), Turned::Cut);
-        assert_eq!(head.turn(9_040.0, 1_100_000, false), Turned::On);
-        assert_eq!(head.turn(27_000.0, 25_000_000, false), Turned::On);
-        assert_eq!(head.turn(8_000.0, 50_000_000, true), Turned::Cut);
+        assert_eq!(head.turn(27_000.0, 0), Turned::On);
+        assert_eq!(head.leap(9_000.0, 1_000_000, None), Turned::Cut);
+        assert_eq!(head.turn(9_040.0, 1_100_000), Turned::On);
+        assert_eq!(head.turn(27_000.0, 25_000_000), Turned::On);
+        assert_eq!(head.leap(8_000.0, 50_000_000, None), Turned::Cut);
     }
 }

@@ -144,7 +144,8 @@ pub struct Header {
     pub arrival_ns: i64,
     /// Speed over this sweep, turns a minute; not negative.
     pub rpm: f32,
-    /// Azimuth at which sweeps are cut, radians.
+    /// Azimuth at which sweeps are cut, radians: the configured one or, where the field of view is limited and what is
+    /// measured there would be sent late, one ahead of it.
     pub cut_azimuth_rad: f32,
     /// Height of the sensor above the ground used for the ground labels, metres; 0 = unknown.
     pub height_m: f32,

@@ -6,6 +6,7 @@
 //!                            relation (loss, silence, jumps of the clock)                 |
 //!                      cursor (firings of a packet, and those missing)   head (turns, cut, standstill)
 //!                                        columns (what stands in the open sweep)   decode (records to pixels)
+//!                                                                           edge (where a limited field of view ends)
 //!                            turns (how far rows point aside)   corrected (a measured distance to a range, and back)
 //! ```
 //!
@@ -24,6 +25,8 @@ pub mod corrected;
 mod cursor;
 #[cfg(feature = "daemon")]
 pub mod decode;
+#[cfg(feature = "daemon")]
+pub mod edge;
 #[cfg(feature = "daemon")]
 pub mod head;
 pub mod image;

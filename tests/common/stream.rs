@@ -27,6 +27,8 @@ pub struct Spin {
     pub jitter_cdeg: f64,
     /// What the sensor measures: from, to, hundredths of a degree.
     pub fov: Option<(f64, f64)>,
+    /// What it is set to later, and when, seconds since the start.
+    pub fov_later: Vec<(f64, Option<(f64, f64)>)>,
     /// Sensor clock at the start, nanoseconds.
     pub clock_ns: i64,
     pub seed: u64,
@@ -52,6 +54,7 @@ impl Spin {
             start_cdeg: 12_345.0,
             jitter_cdeg: 2.0,
             fov: None,
+            fov_later: Vec::new(),
             clock_ns: 1_234_567_891,
             seed: 7,
         }
@@ -61,8 +64,10 @@ impl Spin {
         (self.start_cdeg + TURN * (self.turns_at)(time_ns as f64 * 1e-9)).rem_euclid(TURN)
     }
 
-    fn is_seen(&self, cdeg: f64) -> bool {
-        self.fov.is_none_or(|(from, to)| (cdeg - from).rem_euclid(TURN) <= (to - from).rem_euclid(TURN))
+    fn is_seen(&self, cdeg: f64, time_ns: i64) -> bool {
+        let set = self.fov_later.iter().rfind(|(from_s, _)| time_ns as f64 * 1e-9 >= *from_s);
+        set.map_or(self.fov, |&(_, fov)| fov)
+            .is_none_or(|(from, to)| (cdeg - from).rem_euclid(TURN) <= (to - from).rem_euclid(TURN))
     }
 
     /// The packets that the sensor sends in so many seconds.
@@ -80,7 +85,7 @@ impl Spin {
         let mut blocks = 0;
         for time_ns in (0..(seconds * 1e9) as i64).step_by(block_ns as usize) {
             let cdeg = self.azimuth_cdeg(time_ns);
-            if !self.is_seen(cdeg) {
+            if !self.is_seen(cdeg, time_ns) {
                 continue;
             }
             let stamp_us = |time_ns| ((self.clock_ns + time_ns) / 1000 % 3_600_000_000) as u32;
