@@ -17,6 +17,7 @@ pub use report::{Counts, Fault, Notice};
 
 use crate::segment::{ConfigError, Segmenter};
 use crate::sensor::detect::Detection;
+use crate::sensor::unit::Unit;
 use crate::sweep::clock::Clocks;
 use crate::sweep::order::OrderCounts;
 use crate::sweep::{Buffers, SweepMut};
@@ -186,6 +187,15 @@ impl<B: Buffers, W: Stopwatch> Pipeline<B, W> {
         match &self.state {
             State::Decoding(decoding) => Some(decoding.detection),
             State::Calibrating(calibrating) => Some(calibrating.detection),
+            State::Detecting(_) | State::Refusing => None,
+        }
+    }
+
+    /// What an HDL-64E says of itself, as far as it has been heard.
+    pub fn unit(&self) -> Option<&Unit> {
+        match &self.state {
+            State::Decoding(decoding) => decoding.unit.as_ref().map(|(unit, _)| unit),
+            State::Calibrating(calibrating) => Some(&calibrating.unit),
             State::Detecting(_) | State::Refusing => None,
         }
     }

@@ -63,6 +63,16 @@ impl Unit {
         self.status.return_mode()
     }
 
+    /// Its temperature, degrees Celsius, once that is known.
+    pub fn temperature_c(&self) -> Option<i8> {
+        self.status.temperature_c()
+    }
+
+    /// What it receives from a GPS receiver, once that is known.
+    pub fn gps(&self) -> Option<Gps> {
+        self.status.gps()
+    }
+
     /// When it was calibrated, by its own account.
     pub fn calibrated(&self) -> Option<CalibrationTime> {
         self.status.calibrated()

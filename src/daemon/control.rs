@@ -1,0 +1,257 @@
+//! The control plane, on one thread: signals, what is told of the sensors, systemd, and health over HTTP.
+
+use std::future::pending;
+use std::io;
+use std::net::SocketAddr;
+use std::sync::{Arc, Mutex, PoisonError};
+use std::time::{Duration, Instant};
+
+use tokio::net::TcpListener;
+use tokio::signal::unix::{Signal, SignalKind, signal};
+use tokio::time::{Interval, MissedTickBehavior, interval};
+use tracing::{error, info, warn};
+
+use super::config::Config;
+use super::counters::SensorCounters;
+use super::health::{self, View};
+use super::notify::{Notifier, Pulse};
+use super::runtime::{DaemonError, Runtime};
+use super::sensor::Event;
+use super::sharing::Sharing;
+use super::state::{Message, Observation, Running, State, Watcher};
+use crate::pipeline::{self, Notice};
+
+/// What of a new configuration can be had without a restart.
+#[derive(Clone, Debug, Default)]
+pub struct Reload {
+    /// Sensors, by their places, that are decoded and segmented otherwise.
+    pub pipelines: Vec<(usize, pipeline::Config)>,
+    /// Sensors, by their places, whose speed is watched otherwise.
+    pub speeds: Vec<(usize, Option<f32>)>,
+    /// What takes effect only after a restart, a sentence each.
+    pub needs_restart: Vec<String>,
+}
+
+/// Reads the configuration anew and compares it with the one that was read last: gives the new one and what of it can be
+/// had, or a sentence why it is none.
+pub type Reread = Box<dyn FnMut(&Config) -> Result<(Config, Reload), String>>;
+
+/// Runs the daemon until SIGTERM or SIGINT; SIGHUP reads the configuration anew.
+///
+/// # Errors
+/// [`DaemonError`]: it cannot start, or cannot go on; then the process is to end, so that systemd starts it again.
+pub fn run<S: Sharing>(config: Config, sharing: &S, reread: Reread) -> Result<(), DaemonError> {
+    let failed = |source| DaemonError::System { what: "start the control thread", source };
+    let tokio = tokio::runtime::Builder::new_current_thread().enable_all().build().map_err(failed)?;
+    tokio.block_on(async {
+        // Before anything is opened, so that no signal leaves it half done.
+        let signals = Signals::new().map_err(|source| DaemonError::System { what: "handle signals", source })?;
+        let http = listen(config.daemon.http).await?;
+        let runtime = Runtime::start(&config, sharing)?;
+        Control::new(config, runtime, reread).serve(signals, http).await
+    })
+}
+
+struct Signals {
+    terminate: Signal,
+    interrupt: Signal,
+    reload: Signal,
+}
+
+impl Signals {
+    fn new() -> io::Result<Self> {
+        Ok(Self {
+            terminate: signal(SignalKind::terminate())?,
+            interrupt: signal(SignalKind::interrupt())?,
+            reload: signal(SignalKind::hangup())?,
+        })
+    }
+}
+
+async fn listen(address: Option<SocketAddr>) -> Result<Option<TcpListener>, DaemonError> {
+    let Some(address) = address else { return Ok(None) };
+    let refused = |source| DaemonError::Http { address, source };
+    let listener = TcpListener::bind(address).await.map_err(refused)?;
+    let address = listener.local_addr().map_err(refused)?;
+    info!("health and metrics at http://{address}/health and http://{address}/metrics");
+    if !address.ip().is_loopback() {
+        warn!("health and metrics are served to every host that reaches {address}");
+    }
+    Ok(Some(listener))
+}
+
+/// All that the control thread holds.
+struct Control {
+    config: Config,
+    runtime: Runtime,
+    reread: Reread,
+    begun: Instant,
+    watchers: Vec<Watcher>,
+    pulse: Pulse,
+    /// Threads that hang, as told last.
+    hanging: Vec<usize>,
+    notifier: Notifier,
+    view: Arc<Mutex<View>>,
+}
+
+impl Control {
+    fn new(config: Config, runtime: Runtime, reread: Reread) -> Self {
+        let watcher = |(status, sensor): (&super::runtime::SensorStatus, &super::config::SensorConfig)| {
+            let place = (status.address.to_string(), status.port);
+            Watcher::new(&status.name, place, sensor.rpm, Duration::ZERO)
+        };
+        let watchers: Vec<Watcher> = runtime.sensors.iter().zip(&config.sensors).map(watcher).collect();
+        let pulse = Pulse::new(sd_notify::watchdog_enabled(), runtime.ports.len(), Duration::ZERO);
+        let view = View::new(Arc::clone(&runtime.sensors), Arc::clone(&runtime.ports));
+        let (begun, view) = (Instant::now(), Arc::new(Mutex::new(view)));
+        let notifier = Notifier::default();
+        Self { config, runtime, reread, begun, watchers, pulse, hanging: Vec::new(), notifier, view }
+    }
+
+    async fn serve(mut self, mut signals: Signals, http: Option<TcpListener>) -> Result<(), DaemonError> {
+        for status in self.runtime.sensors.iter() {
+            info!("{}: waiting for packets from {} on port {}", status.name, status.address, status.port);
+        }
+        let view = Arc::clone(&self.view);
+        let serving = async move {
+            match http {
+                Some(listener) => health::serve(listener, view).await,
+                None => pending().await,
+            }
+        };
+        let mut ticks = ticks(self.pulse.interval());
+        self.notifier.ready();
+        tokio::pin!(serving);
+        let ended = loop {
+            tokio::select! {
+                _ = signals.terminate.recv() => break Ok(()),
+                _ = signals.interrupt.recv() => break Ok(()),
+                _ = signals.reload.recv() => self.reload(),
+                never = &mut serving => match never {},
+                _ = ticks.tick() => match self.look_around() {
+                    Ok(()) => {}
+                    Err(error) => break Err(error),
+                },
+            }
+        };
+        self.notifier.stopping();
+        let stopped = self.runtime.stop();
+        ended.and(stopped)
+    }
+
+    /// Looks at every thread and sensor, and tells what is new.
+    fn look_around(&mut self) -> Result<(), DaemonError> {
+        self.runtime.check()?;
+        let now = self.begun.elapsed();
+        self.hear_events();
+        for (watcher, sensor) in self.watchers.iter_mut().zip(self.runtime.sensors.iter()) {
+            watcher.observe(&observation(&sensor.counters, now)).iter().for_each(log);
+        }
+        let hanging = self.pulse.observe(now, self.runtime.ports.iter().map(|port| port.counters.heartbeat.get()));
+        for &index in hanging.iter().filter(|index| !self.hanging.contains(index)) {
+            error!("the thread of port {} hangs; systemd restarts the daemon, if it watches it", self.port(index));
+        }
+        for &index in self.hanging.iter().filter(|index| !hanging.contains(index)) {
+            warn!("the thread of port {} goes on", self.port(index));
+        }
+        if hanging.is_empty() && self.pulse.is_due(now) {
+            self.notifier.feed();
+        }
+        self.hanging = hanging;
+        self.tell();
+        Ok(())
+    }
+
+    fn hear_events(&mut self) {
+        let events: Vec<_> = self.runtime.events.try_iter().collect();
+        for (index, event) in events {
+            let (name, watcher) = (&self.runtime.sensors[index].name, &mut self.watchers[index]);
+            match event {
+                Event::Fault(fault) => watcher.refused(fault.to_string()),
+                Event::Notice(Notice::AwaitsCalibration) => watcher.awaits_calibration(),
+                Event::Notice(Notice::Calibrated { packets, .. }) => {
+                    watcher.unhindered();
+                    info!("{name}: calibrated by its own packets, the first {packets} of them");
+                }
+                Event::Notice(Notice::OtherCalibration { differences }) => warn!(
+                    "{name}: its calibration file is not that of this unit, it differs in {} values; compare them with \
+                     `sweepd calib`",
+                    differences.len()
+                ),
+                Event::Reconfigured(Ok(())) => {
+                    watcher.unhindered();
+                    info!("{name}: decoded with the new configuration");
+                }
+                Event::Reconfigured(Err(error)) => warn!("{name}: goes on as before: {error}"),
+                Event::NotShared(why) => warn!("{name}: sweeps reach nobody: {why}"),
+                Event::SharedAgain => info!("{name}: sweeps are shared again"),
+            }
+        }
+    }
+
+    /// Brings what others are told up to date.
+    fn tell(&mut self) {
+        let states: Vec<_> = self.watchers.iter().map(|watcher| (watcher.state(), watcher.complaint())).collect();
+        let named = self.runtime.sensors.iter().zip(&states);
+        let words: Vec<String> = named.map(|(sensor, (state, _))| format!("{} {state}", sensor.name)).collect();
+        self.notifier.status(&words.join(", "));
+        let hanging = self.hanging.iter().map(|&index| self.port(index).to_owned()).collect();
+        self.view.lock().unwrap_or_else(PoisonError::into_inner).update(states, hanging);
+    }
+
+    fn port(&self, index: usize) -> &str {
+        &self.runtime.ports[index].name
+    }
+
+    /// Reads the configuration anew; whatever comes of it, everything keeps running.
+    fn reload(&mut self) {
+        self.notifier.reloading();
+        match (self.reread)(&self.config) {
+            Ok((config, reload)) => {
+                info!("the configuration was read anew");
+                self.apply(reload);
+                self.config = config;
+            }
+            Err(why) => warn!("the configuration is not taken, everything goes on as before: {why}"),
+        }
+        self.notifier.ready();
+    }
+
+    fn apply(&mut self, reload: Reload) {
+        for (index, config) in reload.pipelines {
+            self.runtime.reconfigure(index, config);
+        }
+        for (index, rpm) in reload.speeds {
+            self.watchers[index].expect_rpm(rpm);
+        }
+        reload.needs_restart.iter().for_each(|what| warn!("only after a restart: {what}"));
+    }
+}
+
+fn ticks(period: Duration) -> Interval {
+    let mut ticks = interval(period);
+    ticks.set_missed_tick_behavior(MissedTickBehavior::Delay);
+    ticks
+}
+
+fn log(message: &Message) {
+    if message.is_warning {
+        warn!("{}", message.text);
+    } else {
+        info!("{}", message.text);
+    }
+}
+
+fn observation(counters: &SensorCounters, now: Duration) -> Observation {
+    // Sweeps before the packets, as they are counted the other way round.
+    let steady_sweeps = counters.steady_sweeps.get();
+    let (model, return_mode) = (counters.model(), counters.return_mode());
+    let running =
+        model.zip(return_mode).map(|(model, return_mode)| Running { model, return_mode, rpm: counters.rpm() });
+    Observation { now, data: counters.data.get(), position: counters.position.get(), steady_sweeps, running }
+}
+
+/// Whether all is well: every sensor streams as it should.
+pub(super) fn is_well((state, complaint): &(State, Option<String>)) -> bool {
+    *state == State::Streaming && complaint.is_none()
+}

@@ -1,0 +1,333 @@
+//! What the threads of the ports tell the others: plain atomics.
+//!
+//! A reader sees each number as it was a moment ago; two of them need not be of the same moment.
+
+use std::sync::atomic::{AtomicI32, AtomicU8, AtomicU32, AtomicU64, Ordering::Relaxed};
+
+use crate::pipeline::Counts;
+use crate::sensor::Model;
+use crate::sweep::Header;
+use crate::wire::data::ReturnMode;
+
+/// A number that only grows.
+#[derive(Debug, Default)]
+pub struct Counter(AtomicU64);
+
+impl Counter {
+    /// Adds to it.
+    pub fn add(&self, more: u64) {
+        self.0.fetch_add(more, Relaxed);
+    }
+
+    /// Sets it to a total that was counted elsewhere.
+    pub fn set(&self, total: u64) {
+        self.0.store(total, Relaxed);
+    }
+
+    /// What it is.
+    pub fn get(&self) -> u64 {
+        self.0.load(Relaxed)
+    }
+}
+
+/// How often something took how long.
+#[derive(Debug, Default)]
+pub struct Histogram {
+    /// One more than there are bounds: what took longer than all of them.
+    buckets: [Counter; Histogram::BOUNDS_NS.len() + 1],
+    sum_ns: Counter,
+}
+
+impl Histogram {
+    /// Upper bounds of the buckets, nanoseconds: 1 us to 1 s.
+    pub const BOUNDS_NS: [u64; 19] = [
+        1_000,
+        2_000,
+        5_000,
+        10_000,
+        20_000,
+        50_000,
+        100_000,
+        200_000,
+        500_000,
+        1_000_000,
+        2_000_000,
+        5_000_000,
+        10_000_000,
+        20_000_000,
+        50_000_000,
+        100_000_000,
+        200_000_000,
+        500_000_000,
+        1_000_000_000,
+    ];
+
+    /// Notes a time.
+    pub fn note(&self, ns: u64) {
+        self.buckets[Self::BOUNDS_NS.partition_point(|&bound| bound < ns)].add(1);
+        self.sum_ns.add(ns);
+    }
+
+    /// Upper bound in seconds and count of each bucket, the last without a bound; not added up.
+    pub fn buckets(&self) -> impl Iterator<Item = (f64, u64)> {
+        let bounds = Self::BOUNDS_NS.iter().map(|&ns| ns as f64 * 1e-9).chain([f64::MAX]);
+        bounds.zip(self.buckets.iter().map(Counter::get))
+    }
+
+    /// All times together, seconds.
+    pub fn sum_s(&self) -> f64 {
+        self.sum_ns.get() as f64 * 1e-9
+    }
+
+    /// How many times were noted.
+    pub fn count(&self) -> u64 {
+        self.buckets.iter().map(Counter::get).sum()
+    }
+}
+
+/// Part of a sweep's way through the daemon.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub enum Stage {
+    /// Packets to pixels, all those of a sweep together.
+    Decode,
+    /// Ground removal.
+    Ground,
+    /// Segments and their table.
+    Label,
+    /// From the kernel's stamp of the packet that completed the sweep until it was complete.
+    Complete,
+    /// From then until it was sent.
+    Send,
+}
+
+impl Stage {
+    /// All of them.
+    pub const ALL: [Self; 5] = [Self::Decode, Self::Ground, Self::Label, Self::Complete, Self::Send];
+
+    /// Its name in metrics.
+    pub fn name(self) -> &'static str {
+        match self {
+            Self::Decode => "decode",
+            Self::Ground => "ground",
+            Self::Label => "label",
+            Self::Complete => "complete",
+            Self::Send => "send",
+        }
+    }
+}
+
+/// What a sensor says of its GPS receiver.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+#[repr(u8)]
+pub enum Gps {
+    /// Neither pulse nor time.
+    Absent = 1,
+    /// One of them, or the clock does not follow yet.
+    Incomplete = 2,
+    /// The clock follows the pulse, and the time is valid.
+    Locked = 3,
+}
+
+impl Gps {
+    /// The word for it in output.
+    pub fn word(self) -> &'static str {
+        match self {
+            Self::Absent => "absent",
+            Self::Incomplete => "incomplete",
+            Self::Locked => "locked",
+        }
+    }
+}
+
+/// What became of one sensor's packets and sweeps.
+#[derive(Debug, Default)]
+pub struct SensorCounters {
+    /// Data packets that were let in.
+    pub data: Counter,
+    /// Position packets that were let in.
+    pub position: Counter,
+    /// Position packets from another port that found the queue of this sensor's thread full.
+    pub position_overflows: Counter,
+    /// Data packets missing by the sensor's clock.
+    pub lost: Counter,
+    /// Packets that were put back in order.
+    pub reordered: Counter,
+    /// Packets let in and not decoded: see [`SensorCounters::UNDECODED`] for the reasons.
+    undecoded: [Counter; 6],
+    /// Sweeps that were complete, partial ones included.
+    pub sweeps: Counter,
+    /// Those of them that are not from cut to cut.
+    pub partial_sweeps: Counter,
+    /// Whole sweeps at a steady speed.
+    pub steady_sweeps: Counter,
+    /// Sweeps that no consumer could have got.
+    pub unshared: Counter,
+    /// Times, by [`Stage`].
+    stages: [Histogram; Stage::ALL.len()],
+    model: AtomicU32,
+    return_mode: AtomicU8,
+    rpm: AtomicU32,
+    gps: AtomicU8,
+    /// Degrees Celsius and one more than the greatest of them, so that 0 is "not sent".
+    temperature: AtomicI32,
+}
+
+/// So much is added to a temperature to set it apart from 0, which stands for none.
+const TEMPERATURE_BIAS: i32 = 1_000;
+
+impl SensorCounters {
+    /// Why packets that were let in are not decoded, in the order of [`SensorCounters::undecoded`].
+    pub const UNDECODED: [&'static str; 6] =
+        ["malformed", "duplicate", "late", "unconfirmed", "other_product", "not_ready"];
+
+    /// Takes what the pipeline counted.
+    pub fn set(&self, counts: &Counts) {
+        self.data.set(counts.data);
+        self.position.set(counts.position);
+        self.lost.set(counts.lost);
+        self.reordered.set(counts.reordered);
+        let by_reason =
+            [counts.malformed, counts.duplicates, counts.late, counts.unconfirmed, counts.foreign, counts.undecoded];
+        self.undecoded.iter().zip(by_reason).for_each(|(counter, count)| counter.set(count));
+    }
+
+    /// How many packets were let in and not decoded, by reason.
+    pub fn undecoded(&self) -> impl Iterator<Item = (&'static str, u64)> {
+        Self::UNDECODED.into_iter().zip(self.undecoded.iter().map(Counter::get))
+    }
+
+    /// The times of a stage.
+    pub fn stage(&self, stage: Stage) -> &Histogram {
+        &self.stages[stage as usize]
+    }
+
+    /// Notes what the newest sweep says of its sensor.
+    pub fn set_sensor(&self, header: &Header) {
+        self.model.store(header.model, Relaxed);
+        self.return_mode.store(header.return_mode().byte(), Relaxed);
+        self.rpm.store(header.rpm.to_bits(), Relaxed);
+    }
+
+    /// The model, once a sweep has come.
+    pub fn model(&self) -> Option<Model> {
+        Model::from_code(self.model.load(Relaxed))
+    }
+
+    /// The return mode, once a sweep has come.
+    pub fn return_mode(&self) -> Option<ReturnMode> {
+        ReturnMode::from_byte(self.return_mode.load(Relaxed))
+    }
+
+    /// Turns a minute of the newest sweep; 0 before the first.
+    pub fn rpm(&self) -> f32 {
+        f32::from_bits(self.rpm.load(Relaxed))
+    }
+
+    /// Notes a temperature, degrees Celsius.
+    pub fn set_temperature_c(&self, temperature_c: i32) {
+        self.temperature.store(temperature_c + TEMPERATURE_BIAS, Relaxed);
+    }
+
+    /// The sensor's temperature, degrees Celsius, where it sends one.
+    pub fn temperature_c(&self) -> Option<i32> {
+        let biased = self.temperature.load(Relaxed);
+        (biased != 0).then_some(biased - TEMPERATURE_BIAS)
+    }
+
+    /// Notes what the sensor says of its GPS receiver.
+    pub fn set_gps(&self, gps: Gps) {
+        self.gps.store(gps as u8, Relaxed);
+    }
+
+    /// What the sensor says of its GPS receiver, where it says anything.
+    pub fn gps(&self) -> Option<Gps> {
+        let byte = self.gps.load(Relaxed);
+        [Gps::Absent, Gps::Incomplete, Gps::Locked].into_iter().find(|&gps| gps as u8 == byte)
+    }
+}
+
+/// What came through one port.
+#[derive(Debug, Default)]
+pub struct PortCounters {
+    /// Rounds of its thread: one that stands still hangs.
+    pub heartbeat: Counter,
+    /// Datagrams, of any kind.
+    pub received: Counter,
+    /// Datagrams that the kernel dropped because nobody fetched them in time.
+    pub dropped: Counter,
+    rejected: [Counter; Reject::ALL.len()],
+}
+
+/// Why a datagram is not let in.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub enum Reject {
+    /// Neither as long as a data packet nor as a position packet.
+    Length,
+    /// As long as a data packet, but a block begins with no marker.
+    Marker,
+    /// A data packet with an azimuth beyond the turn.
+    Azimuth,
+    /// From nobody who is configured.
+    Source,
+    /// A data packet of a sensor that is configured on another port.
+    Port,
+}
+
+impl Reject {
+    /// All of them.
+    pub const ALL: [Self; 5] = [Self::Length, Self::Marker, Self::Azimuth, Self::Source, Self::Port];
+
+    /// Its name in metrics.
+    pub fn name(self) -> &'static str {
+        match self {
+            Self::Length => "length",
+            Self::Marker => "marker",
+            Self::Azimuth => "azimuth",
+            Self::Source => "source",
+            Self::Port => "port",
+        }
+    }
+}
+
+impl PortCounters {
+    /// Counts a datagram that was not let in.
+    pub fn reject(&self, reason: Reject) {
+        self.rejected[reason as usize].add(1);
+    }
+
+    /// How many datagrams were not let in for a reason.
+    pub fn rejected(&self, reason: Reject) -> u64 {
+        self.rejected[reason as usize].get()
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn times_fall_into_the_bucket_whose_bound_they_do_not_exceed() {
+        let histogram = Histogram::default();
+        for ns in [0, 1_000, 1_001, 1_000_000_000, 1_000_000_001] {
+            histogram.note(ns);
+        }
+        let buckets: Vec<u64> = histogram.buckets().map(|(_, count)| count).collect();
+        assert_eq!((buckets[0], buckets[1], buckets[18], buckets[19]), (2, 1, 1, 1));
+        assert_eq!((buckets.len(), histogram.count()), (20, 5));
+        assert!((histogram.sum_s() - 2.000_002_002).abs() < 1e-12);
+        let bounds: Vec<f64> = histogram.buckets().map(|(bound, _)| bound).collect();
+        assert!(bounds.is_sorted() && (bounds[9] - 1e-3).abs() < 1e-12 && bounds[19] == f64::MAX);
+    }
+
+    #[test]
+    fn what_a_sensor_has_not_said_is_not_known() {
+        let counters = SensorCounters::default();
+        assert_eq!((counters.model(), counters.temperature_c(), counters.gps()), (None, None, None));
+        for degrees in [-40, 0, 41] {
+            counters.set_temperature_c(degrees);
+            assert_eq!(counters.temperature_c(), Some(degrees));
+        }
+        counters.set_gps(Gps::Locked);
+        assert_eq!(counters.gps(), Some(Gps::Locked));
+    }
+}

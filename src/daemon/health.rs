@@ -1,0 +1,203 @@
+//! Health and metrics over HTTP, for people and for what watches the robot.
+//!
+//! ```text
+//! GET /health    200 or 503 and JSON: how every sensor is, with the reasons; what came through every port
+//! GET /metrics   Prometheus (OpenMetrics text)
+//! ```
+//!
+//! Few connections at a time, each for one request and not for long: nobody can hold the daemon up here.
+
+use std::convert::Infallible;
+use std::sync::{Arc, Mutex, PoisonError};
+use std::time::{Duration, Instant};
+
+use http_body_util::Full;
+use hyper::body::{Bytes, Incoming};
+use hyper::header::{ALLOW, CACHE_CONTROL, CONTENT_TYPE, HeaderValue};
+use hyper::server::conn::http1;
+use hyper::service::service_fn;
+use hyper::{Method, Request, Response, StatusCode};
+use hyper_util::rt::{TokioIo, TokioTimer};
+use serde_json::{Value, json};
+use tokio::net::{TcpListener, TcpStream};
+use tokio::sync::Semaphore;
+use tokio::time::timeout;
+
+use super::control::is_well;
+use super::counters::Reject;
+use super::metrics;
+use super::runtime::{PortStatus, SensorStatus};
+use super::state::State;
+use crate::wire::data::ReturnMode;
+
+/// Connections that are served at a time; more are closed at once.
+const CONNECTIONS: usize = 16;
+/// How long a connection may take in all.
+const PATIENCE: Duration = Duration::from_secs(5);
+/// Bytes of a request at most; the least that hyper takes.
+const REQUEST_BYTES: usize = 8192;
+
+/// What is known of the daemon at a moment.
+pub struct View {
+    pub(super) sensors: Arc<[SensorStatus]>,
+    pub(super) ports: Arc<[PortStatus]>,
+    /// By sensor: how it is, and why it is not well.
+    pub(super) states: Vec<(State, Option<String>)>,
+    /// Ports whose threads hang.
+    hanging: Vec<String>,
+    begun: Instant,
+}
+
+impl View {
+    /// A daemon that has just started.
+    pub fn new(sensors: Arc<[SensorStatus]>, ports: Arc<[PortStatus]>) -> Self {
+        let waiting = (State::Waiting, Some("has not been looked at yet".to_owned()));
+        let states = vec![waiting; sensors.len()];
+        Self { sensors, ports, states, hanging: Vec::new(), begun: Instant::now() }
+    }
+
+    /// Takes how the sensors are, and the names of the ports whose threads hang.
+    pub fn update(&mut self, states: Vec<(State, Option<String>)>, hanging: Vec<String>) {
+        (self.states, self.hanging) = (states, hanging);
+    }
+
+    /// Why not all is well; empty if it is.
+    fn reasons(&self) -> Vec<String> {
+        let named = self.sensors.iter().zip(&self.states);
+        let unwell = named.filter(|(_, state)| !is_well(state));
+        let sensors = unwell.map(|(sensor, (state, why))| match why {
+            Some(why) => format!("{}: {state}: {why}", sensor.name),
+            None => format!("{}: {state}", sensor.name),
+        });
+        sensors.chain(self.hanging.iter().map(|port| format!("the thread of port {port} hangs"))).collect()
+    }
+
+    /// All of it, as JSON; and whether all is well.
+    pub fn report(&self) -> (bool, Value) {
+        let reasons = self.reasons();
+        let sensors: Vec<Value> =
+            self.sensors.iter().zip(&self.states).map(|(one, state)| sensor(one, state)).collect();
+        let ports: Vec<Value> = self.ports.iter().map(|one| port(one, self.hanging.contains(&one.name))).collect();
+        let is_well = reasons.is_empty();
+        let report = json!({
+            "status": if is_well { "ok" } else { "unwell" },
+            "reasons": reasons,
+            "pid": std::process::id(),
+            "version": env!("CARGO_PKG_VERSION"),
+            "uptime_s": self.begun.elapsed().as_secs(),
+            "sensors": sensors,
+            "ports": ports,
+        });
+        (is_well, report)
+    }
+}
+
+fn sensor(sensor: &SensorStatus, (state, complaint): &(State, Option<String>)) -> Value {
+    let counters = &sensor.counters;
+    let undecoded: serde_json::Map<String, Value> =
+        counters.undecoded().map(|(reason, count)| (reason.to_owned(), count.into())).collect();
+    json!({
+        "name": sensor.name,
+        "state": state.name(),
+        "reason": complaint,
+        "address": sensor.address,
+        "port": sensor.port,
+        "position_port": sensor.position_port,
+        "model": counters.model().map(|model| model.to_string()),
+        "rpm": counters.model().map(|_| counters.rpm()),
+        "returns": counters.return_mode().map(|mode| if mode == ReturnMode::Dual { 2 } else { 1 }),
+        "temperature_c": counters.temperature_c(),
+        "gps": counters.gps().map(|gps| gps.word()),
+        "packets": counters.data.get(),
+        "position_packets": counters.position.get(),
+        "lost": counters.lost.get(),
+        "reordered": counters.reordered.get(),
+        "undecoded": undecoded,
+        "sweeps": counters.sweeps.get(),
+        "partial_sweeps": counters.partial_sweeps.get(),
+        "unshared_sweeps": counters.unshared.get(),
+        "consumers": sensor.sharing.consumers(),
+        "shared_bytes": sensor.sharing.reserved_bytes(),
+    })
+}
+
+fn port(port: &PortStatus, hangs: bool) -> Value {
+    let counters = &port.counters;
+    let rejected: serde_json::Map<String, Value> =
+        Reject::ALL.into_iter().map(|reason| (reason.name().to_owned(), counters.rejected(reason).into())).collect();
+    json!({
+        "name": port.name,
+        "address": port.local.ip(),
+        "port": port.local.port(),
+        "interface": port.interface,
+        "hangs": hangs,
+        "received": counters.received.get(),
+        "dropped": counters.dropped.get(),
+        "rejected": rejected,
+        "buffer_bytes": port.buffer.granted_bytes,
+        "buffer_bytes_wanted": port.buffer.wanted_bytes,
+    })
+}
+
+/// Answers until the daemon ends.
+pub async fn serve(listener: TcpListener, view: Arc<Mutex<View>>) -> Infallible {
+    let places = Arc::new(Semaphore::new(CONNECTIONS));
+    loop {
+        let Ok((stream, _)) = listener.accept().await else {
+            // Out of file descriptors, most likely: they come back.
+            tokio::time::sleep(Duration::from_millis(100)).await;
+            continue;
+        };
+        let Ok(place) = Arc::clone(&places).try_acquire_owned() else { continue };
+        let view = Arc::clone(&view);
+        tokio::spawn(async move {
+            let _ = timeout(PATIENCE, converse(stream, view)).await;
+            drop(place);
+        });
+    }
+}
+
+async fn converse(stream: TcpStream, view: Arc<Mutex<View>>) {
+    let service = service_fn(|request| {
+        let response = answer(&request, &view);
+        async move { Ok::<_, Infallible>(response) }
+    });
+    let mut http = http1::Builder::new();
+    http.timer(TokioTimer::new()).header_read_timeout(PATIENCE).max_buf_size(REQUEST_BYTES).keep_alive(false);
+    // Whoever broke off knows it.
+    let _ = http.serve_connection(TokioIo::new(stream), service).await;
+}
+
+fn answer(request: &Request<Incoming>, view: &Mutex<View>) -> Response<Full<Bytes>> {
+    if !matches!(*request.method(), Method::GET | Method::HEAD) {
+        let mut refused = text(StatusCode::METHOD_NOT_ALLOWED, "only GET and HEAD");
+        refused.headers_mut().insert(ALLOW, HeaderValue::from_static("GET, HEAD"));
+        return refused;
+    }
+    let view = view.lock().unwrap_or_else(PoisonError::into_inner);
+    match request.uri().path() {
+        "/health" => {
+            let (is_well, report) = view.report();
+            let status = if is_well { StatusCode::OK } else { StatusCode::SERVICE_UNAVAILABLE };
+            response(status, "application/json", format!("{report:#}\n"))
+        }
+        "/metrics" => match metrics::encode(&view) {
+            Ok(text) => response(StatusCode::OK, metrics::CONTENT_TYPE, text),
+            Err(_) => text(StatusCode::INTERNAL_SERVER_ERROR, "the metrics cannot be written"),
+        },
+        _ => text(StatusCode::NOT_FOUND, "there are /health and /metrics"),
+    }
+}
+
+fn text(status: StatusCode, text: &str) -> Response<Full<Bytes>> {
+    response(status, "text/plain; charset=utf-8", format!("{text}\n"))
+}
+
+fn response(status: StatusCode, kind: &'static str, body: String) -> Response<Full<Bytes>> {
+    let mut response = Response::new(Full::new(Bytes::from(body)));
+    *response.status_mut() = status;
+    let headers = response.headers_mut();
+    headers.insert(CONTENT_TYPE, HeaderValue::from_static(kind));
+    headers.insert(CACHE_CONTROL, HeaderValue::from_static("no-store"));
+    response
+}

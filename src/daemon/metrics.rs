@@ -1,0 +1,195 @@
+//! The counters in the words of Prometheus: names, labels, units. Nothing is kept here; each request reads the atomics.
+
+use std::fmt;
+use std::sync::Arc;
+
+use prometheus_client::collector::Collector;
+use prometheus_client::encoding::{DescriptorEncoder, EncodeMetric, MetricEncoder, NoLabelSet, text};
+use prometheus_client::metrics::MetricType;
+use prometheus_client::registry::{Registry, Unit};
+
+use super::counters::{Gps, Reject, SensorCounters, Stage};
+use super::health::View;
+use super::runtime::{PortStatus, SensorStatus};
+use super::state::State;
+
+/// What [`encode`] writes.
+pub const CONTENT_TYPE: &str = "application/openmetrics-text; version=1.0.0; charset=utf-8";
+
+/// All metrics of this moment, in the OpenMetrics text format.
+///
+/// # Errors
+/// None that this format could not hold; what writes to it may fail.
+pub fn encode(view: &View) -> Result<String, fmt::Error> {
+    let states = view.states.iter().map(|&(state, _)| state).collect();
+    let snapshot = Snapshot { sensors: Arc::clone(&view.sensors), ports: Arc::clone(&view.ports), states };
+    let mut registry = Registry::with_prefix("sweepd");
+    registry.register_collector(Box::new(snapshot));
+    let mut out = String::new();
+    text::encode(&mut out, &registry)?;
+    Ok(out)
+}
+
+struct Snapshot {
+    sensors: Arc<[SensorStatus]>,
+    ports: Arc<[PortStatus]>,
+    states: Vec<State>,
+}
+
+impl fmt::Debug for Snapshot {
+    fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
+        write!(f, "{} sensors on {} ports", self.sensors.len(), self.ports.len())
+    }
+}
+
+type Labels<'a, const N: usize> = [(&'static str, &'a str); N];
+
+/// A number that only grows.
+#[derive(Debug)]
+struct Total(u64);
+
+/// A number that goes up and down.
+#[derive(Debug)]
+struct Now(f64);
+
+impl EncodeMetric for Total {
+    fn encode(&self, mut encoder: MetricEncoder<'_>) -> fmt::Result {
+        encoder.encode_counter::<NoLabelSet, _, u64>(&self.0, None)
+    }
+
+    fn metric_type(&self) -> MetricType {
+        MetricType::Counter
+    }
+}
+
+impl EncodeMetric for Now {
+    fn encode(&self, mut encoder: MetricEncoder<'_>) -> fmt::Result {
+        encoder.encode_gauge(&self.0)
+    }
+
+    fn metric_type(&self) -> MetricType {
+        MetricType::Gauge
+    }
+}
+
+impl Collector for Snapshot {
+    fn encode(&self, mut encoder: DescriptorEncoder<'_>) -> fmt::Result {
+        self.sensor_totals(&mut encoder)?;
+        self.port_totals(&mut encoder)?;
+        self.gauges(&mut encoder)?;
+        self.stages(&mut encoder)
+    }
+}
+
+impl Snapshot {
+    fn sensor_totals(&self, encoder: &mut DescriptorEncoder<'_>) -> fmt::Result {
+        type Read = fn(&SensorCounters) -> u64;
+        let totals: [(&str, &str, Read); 8] = [
+            ("packets", "Data packets let in", |counters| counters.data.get()),
+            ("position_packets", "Position packets let in", |counters| counters.position.get()),
+            ("position_overflows", "Position packets whose thread was busy", |c| c.position_overflows.get()),
+            ("lost", "Data packets missing by the sensor's clock", |counters| counters.lost.get()),
+            ("reordered", "Data packets put back in order", |counters| counters.reordered.get()),
+            ("sweeps", "Sweeps, partial ones included", |counters| counters.sweeps.get()),
+            ("partial_sweeps", "Sweeps that are not from cut to cut", |counters| counters.partial_sweeps.get()),
+            ("unshared_sweeps", "Sweeps that no consumer could have got", |counters| counters.unshared.get()),
+        ];
+        for (name, help, read) in totals {
+            let all = self.sensors.iter().map(|sensor| ([("sensor", &sensor.name[..])], Total(read(&sensor.counters))));
+            family(encoder, name, help, all)?;
+        }
+        let by_reason = |sensor| undecoded(sensor);
+        let help = "Data packets let in and not decoded, by reason";
+        family(encoder, "undecoded", help, self.sensors.iter().flat_map(by_reason))
+    }
+
+    fn port_totals(&self, encoder: &mut DescriptorEncoder<'_>) -> fmt::Result {
+        let all = |read: fn(&PortStatus) -> u64| {
+            self.ports.iter().map(move |port| ([("port", &port.name[..])], Total(read(port))))
+        };
+        family(encoder, "received", "Datagrams of any kind", all(|port| port.counters.received.get()))?;
+        let help = "Datagrams that the kernel dropped because nobody fetched them in time";
+        family(encoder, "dropped", help, all(|port| port.counters.dropped.get()))?;
+        let help = "Datagrams not let in, by reason";
+        family(encoder, "rejected", help, self.ports.iter().flat_map(rejected))
+    }
+
+    fn gauges(&self, encoder: &mut DescriptorEncoder<'_>) -> fmt::Result {
+        let of = |read: fn(&SensorStatus) -> Option<f64>| {
+            let of_sensor = move |sensor| Some(([("sensor", name_of(sensor))], Now(read(sensor)?)));
+            self.sensors.iter().filter_map(of_sensor)
+        };
+        family(encoder, "consumers", "Consumers connected", of(|sensor| Some(sensor.sharing.consumers() as f64)))?;
+        let reserved = of(|sensor| Some(sensor.sharing.reserved_bytes() as f64));
+        family_in(encoder, "shared_memory", "Shared memory reserved", Some(&Unit::Bytes), reserved)?;
+        let rpm = of(|sensor| sensor.counters.model().map(|_| sensor.counters.rpm().into()));
+        family(encoder, "rpm", "Turns a minute of the newest sweep", rpm)?;
+        let celsius = of(|sensor| sensor.counters.temperature_c().map(f64::from));
+        family_in(encoder, "temperature", "Temperature that the sensor tells", Some(&Unit::Celsius), celsius)?;
+        let locked = of(|sensor| sensor.counters.gps().map(|gps| f64::from(u8::from(gps == Gps::Locked))));
+        family(encoder, "gps_locked", "1 while pulse and time of a GPS receiver are good, where it is told", locked)?;
+        let states = self.sensors.iter().zip(&self.states).flat_map(|(sensor, &is)| {
+            let labels = move |state: State| [("sensor", name_of(sensor)), ("state", state.name())];
+            State::ALL.into_iter().map(move |state| (labels(state), Now(f64::from(u8::from(state == is)))))
+        });
+        family(encoder, "state", "1 for the state that the sensor is in", states)
+    }
+
+    fn stages(&self, encoder: &mut DescriptorEncoder<'_>) -> fmt::Result {
+        let help = "Time that a sweep takes, by stage";
+        let unit = Some(&Unit::Seconds);
+        let mut metrics = encoder.encode_descriptor("stage", help, unit, MetricType::Histogram)?;
+        for sensor in self.sensors.iter() {
+            for stage in Stage::ALL {
+                let labels: Labels<'_, 2> = [("sensor", &sensor.name), ("stage", stage.name())];
+                let histogram = sensor.counters.stage(stage);
+                let buckets: Vec<(f64, u64)> = histogram.buckets().collect();
+                let count = buckets.iter().map(|(_, count)| count).sum();
+                let mut metric = metrics.encode_family(&labels)?;
+                metric.encode_histogram::<NoLabelSet>(histogram.sum_s(), count, &buckets, None)?;
+            }
+        }
+        Ok(())
+    }
+}
+
+fn name_of(sensor: &SensorStatus) -> &str {
+    &sensor.name
+}
+
+fn undecoded(sensor: &SensorStatus) -> impl Iterator<Item = (Labels<'_, 2>, Total)> {
+    let labelled = |(reason, count)| ([("sensor", name_of(sensor)), ("reason", reason)], Total(count));
+    sensor.counters.undecoded().map(labelled)
+}
+
+fn rejected(port: &PortStatus) -> impl Iterator<Item = (Labels<'_, 2>, Total)> {
+    let labelled =
+        |reason: Reject| ([("port", &port.name[..]), ("reason", reason.name())], Total(port.counters.rejected(reason)));
+    Reject::ALL.into_iter().map(labelled)
+}
+
+fn family<'a, const N: usize, M: EncodeMetric>(
+    encoder: &mut DescriptorEncoder<'_>,
+    name: &str,
+    help: &str,
+    metrics: impl Iterator<Item = (Labels<'a, N>, M)>,
+) -> fmt::Result {
+    family_in(encoder, name, help, None, metrics)
+}
+
+/// One metric of several sensors or ports; none at all where nobody has it.
+fn family_in<'a, const N: usize, M: EncodeMetric>(
+    encoder: &mut DescriptorEncoder<'_>,
+    name: &str,
+    help: &str,
+    unit: Option<&Unit>,
+    metrics: impl Iterator<Item = (Labels<'a, N>, M)>,
+) -> fmt::Result {
+    let mut metrics = metrics.peekable();
+    let Some((_, first)) = metrics.peek() else { return Ok(()) };
+    let mut described = encoder.encode_descriptor(name, help, unit, first.metric_type())?;
+    for (labels, metric) in metrics {
+        metric.encode(described.encode_family(&labels)?)?;
+    }
+    Ok(())
+}

@@ -1,0 +1,130 @@
+//! Which ports there are, and whose packets come through each: worked out before anything is opened.
+
+use std::fmt;
+
+use super::config::{Config, PortConfig, SensorConfig};
+use crate::capture::udp::{UdpConfig, ample_buffer_bytes};
+use crate::sensor::Model;
+
+/// A port to open, and the thread that serves it.
+#[derive(Clone, Debug, PartialEq, Eq)]
+pub struct PortPlan {
+    /// Where it listens, and on which core and how urgently it is served.
+    pub config: PortConfig,
+    /// The sensors whose data come through it, as places in [`Config::sensors`]; none where it only takes position
+    /// packets.
+    pub sensors: Vec<usize>,
+}
+
+impl PortPlan {
+    /// What the socket is told.
+    pub fn udp(&self) -> UdpConfig {
+        let PortConfig { bind: address, port, multicast, .. } = self.config;
+        let interface = self.config.interface.clone();
+        UdpConfig { address, port, multicast, interface, buffer_bytes: ample_buffer_bytes() }
+    }
+}
+
+/// The name of a port in output: `2368`, or `10.0.0.5:2368%eth1` where it does not hear all of this host.
+pub struct PortName<'a>(pub &'a PortConfig, pub u16);
+
+impl fmt::Display for PortName<'_> {
+    fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
+        if !self.0.bind.is_unspecified() {
+            write!(f, "{}:", self.0.bind)?;
+        }
+        write!(f, "{}", self.1)?;
+        self.0.interface.as_ref().map_or(Ok(()), |interface| write!(f, "%{interface}"))
+    }
+}
+
+/// The ports of all sensors: first those that data come through, then those that only take position packets. Sensors
+/// with the same address, port, group and interface share one; so does a position port that is somebody's data port.
+pub fn ports(config: &Config) -> Vec<PortPlan> {
+    let mut plans: Vec<PortPlan> = Vec::new();
+    for (index, sensor) in config.sensors.iter().enumerate() {
+        let plan = find_or_open(&mut plans, &sensor.port);
+        plan.sensors.push(index);
+        plan.config.cpu = plan.config.cpu.or(sensor.port.cpu);
+        plan.config.realtime_priority = plan.config.realtime_priority.max(sensor.port.realtime_priority);
+    }
+    for sensor in config.sensors.iter().filter(|sensor| sends_positions(sensor)) {
+        // Its few packets are in no hurry.
+        let (cpu, realtime_priority) = (None, None);
+        find_or_open(
+            &mut plans,
+            &PortConfig { port: sensor.position_port, cpu, realtime_priority, ..sensor.port.clone() },
+        );
+    }
+    plans
+}
+
+fn find_or_open<'a>(plans: &'a mut Vec<PortPlan>, port: &PortConfig) -> &'a mut PortPlan {
+    let key = |port: &PortConfig| (port.bind, port.port, port.multicast, port.interface.clone());
+    let index = plans.iter().position(|plan| key(&plan.config) == key(port)).unwrap_or_else(|| {
+        plans.push(PortPlan { config: port.clone(), sensors: Vec::new() });
+        plans.len() - 1
+    });
+    &mut plans[index]
+}
+
+/// An HDL-64E tells its GPS state among its data.
+fn sends_positions(sensor: &SensorConfig) -> bool {
+    !sensor.pipeline.model.is_some_and(Model::is_hdl64e)
+}
+
+#[cfg(test)]
+mod tests {
+    use super::super::config::DaemonConfig;
+    use super::super::testing::sensor;
+    use super::*;
+
+    fn planned(sensors: Vec<SensorConfig>) -> Vec<(String, Vec<usize>)> {
+        let config = Config { daemon: DaemonConfig { root: None, http: None }, sensors, record: None };
+        let named = |plan: PortPlan| (PortName(&plan.config, plan.config.port).to_string(), plan.sensors);
+        ports(&config).into_iter().map(named).collect()
+    }
+
+    fn at(address: &str, port: u16) -> SensorConfig {
+        let mut sensor = sensor("x", address, port);
+        (sensor.port.bind, sensor.position_port) = ([0, 0, 0, 0].into(), 8308);
+        sensor
+    }
+
+    #[test]
+    fn sensors_share_ports_and_all_share_the_position_port() {
+        let sensors = vec![at("10.0.0.1", 2368), at("10.0.0.2", 2369), at("10.0.0.3", 2368)];
+        let expected = [("2368", vec![0, 2]), ("2369", vec![1]), ("8308", vec![])];
+        assert_eq!(planned(sensors), expected.map(|(name, sensors)| (name.to_owned(), sensors)));
+    }
+
+    #[test]
+    fn a_data_port_may_be_the_position_port_too() {
+        let (mut one, mut other) = (at("10.0.0.1", 2368), at("10.0.0.2", 8308));
+        one.position_port = 2368;
+        other.pipeline.model = Some(Model::Vlp16);
+        assert_eq!(planned(vec![one, other]), [("2368".to_owned(), vec![0]), ("8308".to_owned(), vec![1])]);
+    }
+
+    #[test]
+    fn the_same_port_on_two_interfaces_is_two_ports_and_an_hdl64e_needs_no_position_port() {
+        let [mut one, mut other] = [at("10.0.0.1", 2368), at("10.0.0.1", 2368)];
+        one.port.interface = Some("eth1".to_owned());
+        other.port.bind = [10, 0, 0, 9].into();
+        (one.pipeline.model, other.pipeline.model) = (Some(Model::Hdl64eS3), Some(Model::Hdl64eS2));
+        let expected = [("2368%eth1", vec![0]), ("10.0.0.9:2368", vec![1])];
+        assert_eq!(planned(vec![one, other]), expected.map(|(name, sensors)| (name.to_owned(), sensors)));
+    }
+
+    #[test]
+    fn the_most_urgent_sensor_of_a_port_says_how_it_is_served() {
+        let [mut one, mut other] = [at("10.0.0.1", 2368), at("10.0.0.2", 2368)];
+        (one.port.realtime_priority, other.port.realtime_priority) = (Some(10), Some(50));
+        other.port.cpu = Some(1);
+        let config =
+            Config { daemon: DaemonConfig { root: None, http: None }, sensors: vec![one, other], record: None };
+        let plans = ports(&config);
+        assert_eq!((plans[0].config.cpu, plans[0].config.realtime_priority), (Some(1), Some(50)));
+        assert_eq!((plans[1].config.cpu, plans[1].config.realtime_priority), (None, None));
+    }
+}

@@ -1,0 +1,178 @@
+//! One plain thread a port: receive, let in, decode, segment, share. No lock, no allocation, no log line a packet.
+//!
+//! ```text
+//! socket -> door -> data packet      -> pipeline of the sensor -> sweep -> consumers
+//!                -> position packet  -> pipelines of the sensors of that address: those of this port at once, those
+//!                                       of others through a short queue that their thread empties with each batch
+//! ```
+
+use std::net::{IpAddr, SocketAddr};
+use std::sync::Arc;
+use std::sync::atomic::{AtomicBool, Ordering};
+use std::sync::mpsc::{Receiver, SyncSender};
+use std::time::Duration;
+
+use super::counters::{PortCounters, SensorCounters};
+use super::door::{Admitted, Door};
+use super::sensor::{Sensor, realtime_ns};
+use super::sharing::Outgoing;
+use crate::capture::{UdpError, UdpSource};
+use crate::pipeline;
+use crate::sweep::Buffers;
+use crate::wire::Datagram;
+use crate::wire::position::POSITION_PACKET_LEN;
+
+/// How long to wait for packets while some come.
+const BUSY: Duration = Duration::from_millis(5);
+/// How long to wait while none come: how soon the thread hears that the daemon ends.
+const IDLE: Duration = Duration::from_millis(50);
+/// After so long without packets none come.
+const QUIET_NS: i64 = 1_000_000_000;
+/// A socket that fails so often in a row will not recover: the daemon ends, and opens it anew when it is restarted.
+const FAILURES: u32 = 20;
+/// Position packets that may wait for the thread of their sensor.
+pub const MAILS: usize = 32;
+
+/// A position packet on its way to the thread of its sensor.
+pub struct Mail {
+    arrival_ns: i64,
+    source: SocketAddr,
+    destination_port: u16,
+    payload: [u8; POSITION_PACKET_LEN],
+}
+
+impl Mail {
+    fn of(datagram: &Datagram<'_>) -> Option<Self> {
+        let Datagram { arrival_ns, source, destination_port, payload } = *datagram;
+        Some(Self { arrival_ns, source, destination_port, payload: payload.try_into().ok()? })
+    }
+
+    fn datagram(&self) -> Datagram<'_> {
+        let Self { arrival_ns, source, destination_port, .. } = *self;
+        Datagram { arrival_ns, source, destination_port, payload: &self.payload }
+    }
+}
+
+/// Where to put position packets for a sensor whose thread is another.
+pub struct Mailbox {
+    /// The address that they come from.
+    pub address: IpAddr,
+    /// The way there.
+    pub sender: SyncSender<Mail>,
+    /// What is counted when it is full.
+    pub counters: Arc<SensorCounters>,
+}
+
+/// A sensor of this port, and what reaches it from other threads.
+pub struct Served<B: Buffers> {
+    /// The address that its packets come from.
+    pub address: IpAddr,
+    /// The sensor.
+    pub sensor: Sensor<B>,
+    /// Its position packets from other ports.
+    pub mail: Receiver<Mail>,
+    /// New configurations.
+    pub orders: Receiver<pipeline::Config>,
+}
+
+/// A port and its sensors.
+pub struct Port<B: Buffers> {
+    /// The socket.
+    pub source: UdpSource,
+    /// Who is let in.
+    pub door: Door,
+    /// The sensors whose data come through this port, in the order of the door.
+    pub sensors: Vec<Served<B>>,
+    /// The other sensors.
+    pub others: Vec<Mailbox>,
+    /// What is counted.
+    pub counters: Arc<PortCounters>,
+    /// Set when the daemon ends.
+    pub over: Arc<AtomicBool>,
+}
+
+impl<B: Buffers<Buffer: Outgoing>> Port<B> {
+    /// Serves the port until the daemon ends.
+    ///
+    /// # Errors
+    /// [`UdpError::Socket`], when the socket fails and does not recover.
+    pub fn serve(mut self) -> Result<(), UdpError> {
+        let (mut newest_ns, mut failures) = (i64::MIN, 0);
+        while !self.over.load(Ordering::Relaxed) {
+            let is_quiet = realtime_ns().saturating_sub(newest_ns) > QUIET_NS;
+            match self.round(if is_quiet { IDLE } else { BUSY }) {
+                Ok(arrival_ns) => {
+                    failures = 0;
+                    newest_ns = arrival_ns.unwrap_or(newest_ns);
+                }
+                // An interface that goes down says so once.
+                Err(error) if failures >= FAILURES => return Err(error),
+                Err(_) => {
+                    failures += 1;
+                    std::thread::sleep(IDLE);
+                }
+            }
+            self.counters.heartbeat.add(1);
+        }
+        Ok(())
+    }
+
+    /// One batch, or a wait for one in vain; gives the arrival of its newest packet that was let in.
+    fn round(&mut self, timeout: Duration) -> Result<Option<i64>, UdpError> {
+        let Self { source, door, sensors, others, counters, .. } = self;
+        // Known for sure before the batch; what is dropped while it is fetched is told with the next sweep.
+        let dropped = source.dropped_so_far();
+        let mut newest_ns = None;
+        for datagram in source.receive(timeout)? {
+            match door.admit(&datagram) {
+                Ok(Admitted::Data(index)) => sensors[index].sensor.data(&datagram, dropped),
+                Ok(Admitted::Position(address)) => deliver(address, &datagram, sensors, others),
+                Err(reason) => {
+                    counters.reject(reason);
+                    continue;
+                }
+            }
+            newest_ns = Some(datagram.arrival_ns);
+        }
+        let dropped = if newest_ns.is_some() { source.dropped_so_far() } else { source.dropped() };
+        counters.received.set(source.received());
+        counters.dropped.set(dropped);
+        let now_ns = realtime_ns();
+        for served in sensors {
+            served.catch_up(now_ns, dropped);
+        }
+        Ok(newest_ns)
+    }
+}
+
+/// Hands a position packet to all sensors of its address.
+fn deliver<B: Buffers<Buffer: Outgoing>>(
+    address: IpAddr,
+    datagram: &Datagram<'_>,
+    here: &mut [Served<B>],
+    others: &[Mailbox],
+) {
+    for served in here.iter_mut().filter(|served| served.address == address) {
+        served.sensor.position(datagram);
+    }
+    for mailbox in others.iter().filter(|mailbox| mailbox.address == address) {
+        let sent = Mail::of(datagram).map(|mail| mailbox.sender.try_send(mail));
+        if !matches!(sent, Some(Ok(()))) {
+            mailbox.counters.position_overflows.add(1);
+        }
+    }
+}
+
+impl<B: Buffers<Buffer: Outgoing>> Served<B> {
+    /// What is done between batches.
+    fn catch_up(&mut self, now_ns: i64, dropped: u64) {
+        while let Ok(mail) = self.mail.try_recv() {
+            self.sensor.position(&mail.datagram());
+        }
+        while let Ok(config) = self.orders.try_recv() {
+            self.sensor.reconfigure(config);
+        }
+        self.sensor.tick(now_ns, dropped);
+        self.sensor.tell();
+    }
+}

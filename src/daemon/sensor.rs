@@ -1,0 +1,329 @@
+//! One sensor on the thread of its port: its packets through its pipeline, its sweeps on their way, and what is told.
+
+use std::sync::mpsc::Sender;
+use std::sync::{Arc, Mutex, PoisonError};
+use std::time::{SystemTime, UNIX_EPOCH};
+
+use super::counters::{Gps, SensorCounters, Stage};
+use super::sharing::Outgoing;
+use super::sys::monotonic_ns;
+use crate::pipeline::{self, Counts, Fault, Notice, Pipeline, Stopwatch};
+use crate::segment::ConfigError;
+use crate::sweep::layout::flags;
+use crate::sweep::{Buffers, Header, SweepMut};
+use crate::wire::nmea::Rmc;
+use crate::wire::position::Pps;
+use crate::wire::{Datagram, Position, hdl64};
+
+/// A sensor that could not be decoded is looked at anew after so long: it may have been exchanged, or its first packets
+/// may have been lost.
+const SECOND_LOOK_NS: u64 = 10_000_000_000;
+
+/// CLOCK_MONOTONIC.
+pub struct Monotonic;
+
+impl Stopwatch for Monotonic {
+    fn now_ns(&self) -> u64 {
+        monotonic_ns()
+    }
+}
+
+/// CLOCK_REALTIME, nanoseconds since 1970.
+pub fn realtime_ns() -> i64 {
+    SystemTime::now().duration_since(UNIX_EPOCH).map_or(0, |since| since.as_nanos() as i64)
+}
+
+/// What happened to a sensor that people want to know of; rare.
+#[derive(Debug)]
+pub enum Event {
+    /// Its packets cannot be decoded.
+    Fault(Fault),
+    /// Something else that the pipeline tells.
+    Notice(Notice),
+    /// It is decoded with a new configuration from now on, or why it cannot be.
+    Reconfigured(Result<(), ConfigError>),
+    /// Sweeps cannot be shared any more: why.
+    NotShared(String),
+    /// They can again.
+    SharedAgain,
+}
+
+/// Buffers that outlive the pipeline which builds sweeps in them: each pipeline of a sensor has a handle. The lock is
+/// taken once a sweep, by one thread.
+pub struct Kept<B>(Arc<Mutex<B>>);
+
+impl<B> Kept<B> {
+    /// Keeps these.
+    pub fn new(buffers: B) -> Self {
+        Self(Arc::new(Mutex::new(buffers)))
+    }
+
+    fn handle(&self) -> Self {
+        Self(Arc::clone(&self.0))
+    }
+}
+
+impl<B: Buffers> Buffers for Kept<B> {
+    type Buffer = B::Buffer;
+
+    fn take(&mut self, bytes: usize) -> B::Buffer {
+        self.0.lock().unwrap_or_else(PoisonError::into_inner).take(bytes)
+    }
+}
+
+/// A sensor at work.
+pub struct Sensor<B: Buffers> {
+    index: usize,
+    name: String,
+    address: String,
+    config: pipeline::Config,
+    buffers: Kept<B>,
+    pipeline: Pipeline<Kept<B>, Monotonic>,
+    counters: Arc<SensorCounters>,
+    events: Sender<(usize, Event)>,
+    /// What pipelines before this one counted.
+    counted: Counts,
+    /// When this pipeline began: with the number of a sweep it names it for good.
+    run_ns: i64,
+    /// What the kernel had dropped on the port when the sweep before was complete.
+    dropped_before: u64,
+    second_look_ns: Option<u64>,
+    is_shared: bool,
+}
+
+/// Who a sensor is and whom it tells what.
+pub struct Identity {
+    /// Its place among all sensors.
+    pub index: usize,
+    /// Its name and that of its service.
+    pub name: String,
+    /// Where its packets come from, as text.
+    pub address: String,
+    /// What is counted.
+    pub counters: Arc<SensorCounters>,
+    /// Whom to tell what happens.
+    pub events: Sender<(usize, Event)>,
+}
+
+impl<B: Buffers<Buffer: Outgoing>> Sensor<B> {
+    /// A sensor that has sent nothing yet.
+    ///
+    /// # Errors
+    /// [`ConfigError`]: no sweep can be segmented like that.
+    pub fn new(identity: Identity, config: pipeline::Config, buffers: B) -> Result<Self, ConfigError> {
+        let buffers = Kept::new(buffers);
+        let Identity { index, name, address, counters, events } = identity;
+        let pipeline = Pipeline::new(&address, config.clone(), buffers.handle(), Monotonic)?;
+        Ok(Self {
+            index,
+            name,
+            address,
+            config,
+            buffers,
+            pipeline,
+            counters,
+            events,
+            counted: Counts::default(),
+            run_ns: realtime_ns(),
+            dropped_before: 0,
+            second_look_ns: None,
+            is_shared: true,
+        })
+    }
+
+    /// Takes a data packet; `dropped` is what the kernel had dropped on the port so far.
+    pub fn data(&mut self, datagram: &Datagram<'_>, dropped: u64) {
+        self.push(datagram);
+        self.send_sweeps(dropped);
+    }
+
+    /// Takes a position packet.
+    pub fn position(&mut self, datagram: &Datagram<'_>) {
+        self.push(datagram);
+        if let Ok(position) = Position::parse(datagram.payload) {
+            self.counters.set_gps(gps_of(&position));
+            if let Some(temperature_c) = temperature_of(&position) {
+                self.counters.set_temperature_c(temperature_c);
+            }
+        }
+    }
+
+    /// Tells the time, between batches: a sweep may have stalled, and a sensor deserve a second look.
+    pub fn tick(&mut self, now_ns: i64, dropped: u64) {
+        if self.pipeline.tick(now_ns) {
+            self.send_sweeps(dropped);
+        }
+        if self.second_look_ns.is_some_and(|at_ns| monotonic_ns() >= at_ns) {
+            // It was valid before.
+            let _ = self.begin_anew(self.config.clone());
+        }
+    }
+
+    /// Brings the counters up to date, after a batch.
+    pub fn tell(&mut self) {
+        let mut counts = self.counted;
+        counts += self.pipeline.counts();
+        self.counters.set(&counts);
+        for notice in self.pipeline.take_notices() {
+            self.report(Event::Notice(notice));
+        }
+        if let Some(unit) = self.pipeline.unit() {
+            unit.temperature_c().into_iter().for_each(|celsius| self.counters.set_temperature_c(celsius.into()));
+            unit.gps().into_iter().for_each(|gps| self.counters.set_gps(gps_of_unit(gps)));
+        }
+    }
+
+    /// Decodes with another configuration from now on; the open sweep is given up.
+    pub fn reconfigure(&mut self, config: pipeline::Config) {
+        let done = self.begin_anew(config);
+        self.report(Event::Reconfigured(done));
+    }
+
+    fn begin_anew(&mut self, config: pipeline::Config) -> Result<(), ConfigError> {
+        let fresh = Pipeline::new(&self.address, config.clone(), self.buffers.handle(), Monotonic)?;
+        self.counted += std::mem::replace(&mut self.pipeline, fresh).counts();
+        self.config = config;
+        self.run_ns = realtime_ns();
+        self.second_look_ns = None;
+        Ok(())
+    }
+
+    fn push(&mut self, datagram: &Datagram<'_>) {
+        if let Err(fault) = self.pipeline.push(datagram) {
+            self.second_look_ns = Some(monotonic_ns() + SECOND_LOOK_NS);
+            self.report(Event::Fault(fault));
+        }
+    }
+
+    fn send_sweeps(&mut self, dropped: u64) {
+        while let Some(sweep) = self.pipeline.poll() {
+            self.send(sweep, dropped);
+        }
+    }
+
+    /// Completes the header of a sweep, sends it, and counts it.
+    fn send(&mut self, mut sweep: B::Buffer, dropped: u64) {
+        let (completed_ns, completed_monotonic_ns) = (realtime_ns(), monotonic_ns());
+        let Ok(whole) = SweepMut::open(sweep.as_mut()) else { return self.counters.unshared.add(1) };
+        let header = whole.header;
+        header.completed_ns = completed_ns;
+        header.completed_monotonic_ns = completed_monotonic_ns as i64;
+        header.dropped_datagrams = u32::try_from(dropped - self.dropped_before).unwrap_or(u32::MAX);
+        header.run_ns = self.run_ns;
+        header.set_name(&self.name);
+        self.dropped_before = dropped;
+        self.count(header);
+        let sent = sweep.publish();
+        self.counters.stage(Stage::Send).note(monotonic_ns() - completed_monotonic_ns);
+        self.note_sharing(sent.map(drop).map_err(|error| error.to_string()));
+    }
+
+    fn count(&self, header: &Header) {
+        let counters = &self.counters;
+        counters.sweeps.add(1);
+        let is_partial = header.has(flags::PARTIAL);
+        counters.partial_sweeps.add(is_partial.into());
+        counters.steady_sweeps.add((!is_partial && !header.has(flags::RATE_UNSTABLE | flags::STOPPED)).into());
+        counters.set_sensor(header);
+        counters.stage(Stage::Decode).note(header.decode_ns.into());
+        counters.stage(Stage::Ground).note(header.ground_ns.into());
+        counters.stage(Stage::Label).note(header.label_ns.into());
+        // A clock that was set back in between tells nothing.
+        if let Ok(ns) = u64::try_from(header.completed_ns - header.arrival_ns) {
+            counters.stage(Stage::Complete).note(ns);
+        }
+    }
+
+    /// Tells once that sweeps go nowhere, and once that they do again.
+    fn note_sharing(&mut self, sent: Result<(), String>) {
+        let was_shared = std::mem::replace(&mut self.is_shared, sent.is_ok());
+        match sent {
+            Ok(()) if !was_shared => self.report(Event::SharedAgain),
+            Ok(()) => {}
+            Err(why) => {
+                self.counters.unshared.add(1);
+                if was_shared {
+                    self.report(Event::NotShared(why));
+                }
+            }
+        }
+    }
+
+    fn report(&self, event: Event) {
+        // Nobody listens any more once the daemon ends.
+        let _ = self.events.send((self.index, event));
+    }
+}
+
+fn gps_of(position: &Position<'_>) -> Gps {
+    let is_valid = position.nmea.and_then(|text| Rmc::parse(text).ok()).is_some_and(|rmc| rmc.valid);
+    match position.pps {
+        Pps::Locked if is_valid => Gps::Locked,
+        Pps::Absent if !is_valid => Gps::Absent,
+        _ => Gps::Incomplete,
+    }
+}
+
+fn gps_of_unit(gps: hdl64::Gps) -> Gps {
+    match gps {
+        hdl64::Gps::None => Gps::Absent,
+        hdl64::Gps::Pulse | hdl64::Gps::Sentence => Gps::Incomplete,
+        hdl64::Gps::Both => Gps::Locked,
+    }
+}
+
+/// Degrees Celsius of the warmest place that a sensor reports.
+fn temperature_of(position: &Position<'_>) -> Option<i32> {
+    let boards = position.board.map(|board| i32::from(board.top_c.max(board.bottom_c)));
+    let chips = position.inertial.map(|chips| chips.map(|chip| chip.temperature_c().round() as i32));
+    boards.or(chips.and_then(|chips| chips.into_iter().max()))
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use crate::wire::position::{Board, Inertial};
+
+    const VALID: &str = "$GPRMC,101723,A,5006.636,N,00840.926,E,000.0,000.0,040526,000.0,W";
+
+    fn position<'a>(pps: Pps, nmea: Option<&'a str>) -> Position<'a> {
+        Position { stamp_us: 0, pps, nmea, inertial: None, board: None, thermal: None }
+    }
+
+    #[test]
+    fn gps_is_locked_only_with_pulse_and_valid_time() {
+        let checksum = VALID[1..].bytes().fold(0, |sum, byte| sum ^ byte);
+        let valid = format!("{VALID}*{checksum:02X}");
+        let cases = [
+            (Pps::Locked, Some(&valid[..]), Gps::Locked),
+            (Pps::Locked, None, Gps::Incomplete),
+            (Pps::Synchronizing, Some(&valid[..]), Gps::Incomplete),
+            (Pps::Absent, Some(&valid[..]), Gps::Incomplete),
+            (Pps::Absent, Some(VALID), Gps::Absent),
+            (Pps::Error, None, Gps::Incomplete),
+        ];
+        for (pps, nmea, expected) in cases {
+            assert_eq!(gps_of(&position(pps, nmea)), expected, "{pps}, {nmea:?}");
+        }
+    }
+
+    #[test]
+    fn the_warmest_place_tells_the_temperature() {
+        let mut sent = position(Pps::Absent, None);
+        assert_eq!(temperature_of(&sent), None);
+        let chip = |temperature| Inertial { gyro: 0, temperature, accel_x: 0, accel_y: 0 };
+        sent.inertial = Some([chip(0), chip(100), chip(-10)]);
+        assert_eq!(temperature_of(&sent), Some(40));
+        let board = Board {
+            top_c: -3,
+            bottom_c: -5,
+            adc_calibration_c: 0,
+            adc_change_c: 0,
+            adc_age_s: 0,
+            adc_reason: 0,
+            adc_status: 0,
+        };
+        sent.board = Some(board);
+        assert_eq!(temperature_of(&sent), Some(-3));
+    }
+}

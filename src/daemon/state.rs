@@ -1,0 +1,411 @@
+//! How a sensor is: from what was counted to a state, and from a change of state to a sentence. Pure: time comes in.
+
+use std::fmt;
+use std::time::Duration;
+
+use crate::sensor::Model;
+use crate::wire::data::ReturnMode;
+
+/// So long without packets, or without a steady sweep while packets come, and a sensor does not stream any more.
+pub const PATIENCE: Duration = Duration::from_secs(2);
+/// A speed further from the one that is set is told, as a share of it; it must come back to within half of that.
+const RPM_TOLERANCE: f32 = 0.05;
+
+/// How a sensor is.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub enum State {
+    /// No packet has come.
+    Waiting,
+    /// Packets come, and no whole sweep at a steady speed yet.
+    SpinningUp,
+    /// Sweeps come.
+    Streaming,
+    /// Packets came, and come no more.
+    Stalled,
+    /// What comes is of no model that can be decoded, or of another than is configured.
+    WrongModel,
+    /// An HDL-64E whose calibration is not known: the one that it sends is awaited.
+    NoCalibration,
+}
+
+impl State {
+    /// All of them.
+    pub const ALL: [Self; 6] =
+        [Self::Waiting, Self::SpinningUp, Self::Streaming, Self::Stalled, Self::WrongModel, Self::NoCalibration];
+
+    /// Its name in output.
+    pub fn name(self) -> &'static str {
+        match self {
+            Self::Waiting => "waiting",
+            Self::SpinningUp => "spinning up",
+            Self::Streaming => "streaming",
+            Self::Stalled => "stalled",
+            Self::WrongModel => "wrong model",
+            Self::NoCalibration => "no calibration",
+        }
+    }
+}
+
+impl fmt::Display for State {
+    fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
+        f.write_str(self.name())
+    }
+}
+
+/// What was counted of a sensor by a moment.
+#[derive(Clone, Copy, Debug, Default, PartialEq)]
+pub struct Observation {
+    /// The moment: time since any fixed one.
+    pub now: Duration,
+    /// Data packets let in so far.
+    pub data: u64,
+    /// Position packets let in so far.
+    pub position: u64,
+    /// Whole sweeps at a steady speed so far.
+    pub steady_sweeps: u64,
+    /// What the newest sweep says of its sensor.
+    pub running: Option<Running>,
+}
+
+/// What a sweep says of its sensor.
+#[derive(Clone, Copy, Debug, PartialEq)]
+pub struct Running {
+    /// The model.
+    pub model: Model,
+    /// Turns a minute.
+    pub rpm: f32,
+    /// Which returns it reports.
+    pub return_mode: ReturnMode,
+}
+
+impl fmt::Display for Running {
+    fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
+        let returns = if self.return_mode == ReturnMode::Dual { "two returns" } else { "one return" };
+        write!(f, "{} at {:.0} rpm, {returns}", self.model, self.rpm)
+    }
+}
+
+/// Why the pipeline decodes nothing although packets come.
+#[derive(Clone, Debug, PartialEq, Eq)]
+enum Hindrance {
+    WrongModel(String),
+    NoCalibration,
+}
+
+/// A sentence for the log, and how grave it is.
+#[derive(Clone, Debug, PartialEq, Eq)]
+pub struct Message {
+    /// Whether somebody should do something about it.
+    pub is_warning: bool,
+    /// The sentence, with the name of the sensor.
+    pub text: String,
+}
+
+/// Watches one sensor.
+#[derive(Clone, Debug)]
+pub struct Watcher {
+    name: String,
+    /// Where its packets come from.
+    address: String,
+    /// The port that they come to.
+    port: u16,
+    /// Turns a minute that it is set to, if that is watched.
+    rpm: Option<f32>,
+    state: State,
+    hindrance: Option<Hindrance>,
+    /// The hindrance that was told last.
+    told_hindrance: Option<Hindrance>,
+    before: Observation,
+    newest_data: Duration,
+    newest_sweep: Duration,
+    /// Whether it was told that no packets come at all.
+    has_hinted: bool,
+    is_off_speed: bool,
+    /// What it was when that was last told.
+    told: Option<(Model, ReturnMode)>,
+}
+
+impl Watcher {
+    /// A watcher of a sensor that has sent nothing yet; `now` as in [`Observation::now`].
+    pub fn new(name: &str, (address, port): (String, u16), rpm: Option<f32>, now: Duration) -> Self {
+        Self {
+            name: name.to_owned(),
+            address,
+            port,
+            rpm,
+            state: State::Waiting,
+            hindrance: None,
+            told_hindrance: None,
+            before: Observation::default(),
+            newest_data: now,
+            newest_sweep: now,
+            has_hinted: false,
+            is_off_speed: false,
+            told: None,
+        }
+    }
+
+    /// How the sensor is.
+    pub fn state(&self) -> State {
+        self.state
+    }
+
+    /// Watches another speed from now on.
+    pub fn expect_rpm(&mut self, rpm: Option<f32>) {
+        (self.rpm, self.is_off_speed) = (rpm, false);
+    }
+
+    /// Why the sensor is not well; `None` where it is.
+    pub fn complaint(&self) -> Option<String> {
+        match (self.state, &self.hindrance) {
+            (State::Streaming, _) => self.is_off_speed.then(|| self.off_speed()),
+            (State::Waiting | State::Stalled, _) => Some(self.silence()),
+            (State::WrongModel, Some(Hindrance::WrongModel(why))) => Some(why.clone()),
+            (State::NoCalibration, _) => Some(NO_CALIBRATION.to_owned()),
+            (State::SpinningUp | State::WrongModel, _) => Some(NO_SWEEP.to_owned()),
+        }
+    }
+
+    /// The pipeline says that it decodes nothing: why. The sentence for the log comes with the next observation.
+    pub fn refused(&mut self, why: String) {
+        self.hindrance = Some(Hindrance::WrongModel(why));
+    }
+
+    /// The pipeline says that it awaits the calibration of an HDL-64E.
+    pub fn awaits_calibration(&mut self) {
+        self.hindrance = Some(Hindrance::NoCalibration);
+    }
+
+    /// Whatever hindered the pipeline is over.
+    pub fn unhindered(&mut self) {
+        self.hindrance = None;
+    }
+
+    /// Takes what was counted by now, and gives what is to be told, once each.
+    pub fn observe(&mut self, now: &Observation) -> Vec<Message> {
+        let before = std::mem::replace(&mut self.before, *now);
+        if now.data > before.data {
+            self.newest_data = now.now;
+        }
+        if now.steady_sweeps > before.steady_sweeps {
+            (self.newest_sweep, self.hindrance) = (now.now, None);
+        }
+        let state = self.next(now, now.steady_sweeps > before.steady_sweeps);
+        let was = std::mem::replace(&mut self.state, state);
+        let running = now.running.filter(|_| state == State::Streaming);
+        let mut messages = Vec::new();
+        let is_other = running.is_some_and(|running| self.told != Some((running.model, running.return_mode)));
+        let is_other_hindrance = state == State::WrongModel && self.hindrance != self.told_hindrance;
+        if was != state || is_other || is_other_hindrance {
+            self.told = running.map(|running| (running.model, running.return_mode));
+            self.told_hindrance = self.hindrance.clone();
+            messages.push(self.transition(was, running));
+        } else if state == State::Waiting && !self.has_hinted && now.now - self.newest_data >= PATIENCE {
+            self.has_hinted = true;
+            messages.push(self.message(true, &self.silence()));
+        }
+        messages.extend(running.and_then(|running| self.watch_speed(running.rpm)));
+        messages
+    }
+
+    fn next(&self, now: &Observation, has_swept: bool) -> State {
+        if now.data == 0 {
+            return State::Waiting;
+        }
+        if now.now - self.newest_data >= PATIENCE {
+            return State::Stalled;
+        }
+        match (&self.hindrance, self.state) {
+            (Some(Hindrance::WrongModel(_)), _) => State::WrongModel,
+            (Some(Hindrance::NoCalibration), _) => State::NoCalibration,
+            _ if has_swept => State::Streaming,
+            (None, State::Streaming) if now.now - self.newest_sweep < PATIENCE => State::Streaming,
+            _ => State::SpinningUp,
+        }
+    }
+
+    fn transition(&self, was: State, running: Option<Running>) -> Message {
+        match self.state {
+            State::Waiting => self.message(true, &self.silence()),
+            State::Stalled => self.message(true, &self.silence()),
+            State::SpinningUp if was == State::Streaming => self.message(true, NO_SWEEP),
+            State::SpinningUp => {
+                let text = format!("packets from {} come, its first whole turn is awaited", self.address);
+                self.message(false, &text)
+            }
+            State::Streaming => match running {
+                Some(running) => self.message(false, &format!("streaming, {running}")),
+                None => self.message(false, "streaming"),
+            },
+            State::WrongModel => self.message(true, &self.complaint().unwrap_or_default()),
+            State::NoCalibration => self.message(false, NO_CALIBRATION),
+        }
+    }
+
+    fn watch_speed(&mut self, rpm: f32) -> Option<Message> {
+        let set = self.rpm?;
+        let share = (rpm - set).abs() / set;
+        let is_off = share > if self.is_off_speed { RPM_TOLERANCE / 2.0 } else { RPM_TOLERANCE };
+        let was_off = std::mem::replace(&mut self.is_off_speed, is_off);
+        match (was_off, is_off) {
+            (false, true) => Some(self.message(true, &self.off_speed())),
+            (true, false) => Some(self.message(false, &format!("turns at {rpm:.0} rpm again, as it is set to"))),
+            _ => None,
+        }
+    }
+
+    fn off_speed(&self) -> String {
+        let rpm = self.before.running.map_or(0.0, |running| running.rpm);
+        let set = self.rpm.unwrap_or_default();
+        format!("turns at {rpm:.0} rpm and is configured for {set:.0}: set one of them to the other")
+    }
+
+    fn silence(&self) -> String {
+        let Self { address, port, .. } = self;
+        if self.before.position > 0 && self.before.data == 0 {
+            return format!(
+                "only position packets from {address}, no data on port {port}: does it send its data to another port?"
+            );
+        }
+        let seconds = PATIENCE.as_secs();
+        let powered = "is it powered, and is this host its destination?";
+        format!("no packets from {address} on port {port} for {seconds} s: {powered}")
+    }
+
+    fn message(&self, is_warning: bool, text: &str) -> Message {
+        Message { is_warning, text: format!("{}: {text}", self.name) }
+    }
+}
+
+const NO_CALIBRATION: &str =
+    "an HDL-64E without a calibration file: the one in its packets is awaited, which takes some 2 s of them";
+const NO_SWEEP: &str = "packets come and no whole turn at a steady speed: does its head turn, and is its motor set?";
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    const RUNNING: Running = Running { model: Model::Vlp16, rpm: 599.6, return_mode: ReturnMode::Strongest };
+
+    /// A sensor that is observed ten times a second.
+    struct Watched {
+        watcher: Watcher,
+        seen: Observation,
+    }
+
+    impl Watched {
+        fn new(rpm: Option<f32>) -> Self {
+            let (seen, place) = (Observation::default(), ("192.168.1.201".to_owned(), 2368));
+            Self { watcher: Watcher::new("roof", place, rpm, Duration::ZERO), seen }
+        }
+
+        /// Observes for so many tenths of a second in which so many packets and sweeps come in each.
+        fn observe(&mut self, tenths: u32, data: u64, sweeps: u64) -> Vec<String> {
+            let mut texts = Vec::new();
+            for _ in 0..tenths {
+                self.seen.now += Duration::from_millis(100);
+                self.seen.data += data;
+                self.seen.steady_sweeps += sweeps;
+                self.seen.running = (self.seen.steady_sweeps > 0).then(|| self.seen.running.unwrap_or(RUNNING));
+                texts.extend(self.watcher.observe(&self.seen).into_iter().map(|message| message.text));
+            }
+            texts
+        }
+
+        fn turn(&mut self, running: Running) {
+            self.seen.running = Some(running);
+        }
+    }
+
+    #[test]
+    fn a_day_in_the_life_of_a_sensor_is_told_once_each() {
+        let mut roof = Watched::new(None);
+        let silence = "roof: no packets from 192.168.1.201 on port 2368 for 2 s: is it powered, and is this host its \
+                       destination?";
+        assert_eq!(roof.observe(19, 0, 0), [""; 0]);
+        assert_eq!(roof.observe(100, 0, 0), [silence]);
+        assert_eq!(roof.watcher.state(), State::Waiting);
+        let spinning = "roof: packets from 192.168.1.201 come, its first whole turn is awaited";
+        assert_eq!(roof.observe(100, 75, 0), [spinning]);
+        assert!(roof.watcher.complaint().is_some());
+        let streaming = "roof: streaming, VLP-16 at 600 rpm, one return";
+        assert_eq!(roof.observe(100, 75, 1), [streaming]);
+        assert_eq!((roof.watcher.state(), roof.watcher.complaint()), (State::Streaming, None));
+        assert_eq!(roof.observe(50, 0, 0), [silence]);
+        assert_eq!(roof.watcher.state(), State::Stalled);
+        assert_eq!(roof.observe(5, 75, 0), [spinning]);
+        assert_eq!(roof.observe(5, 75, 1), [streaming]);
+    }
+
+    #[test]
+    fn a_head_that_stops_is_told_and_a_stumble_is_not() {
+        let mut roof = Watched::new(None);
+        roof.observe(10, 75, 1);
+        assert_eq!(roof.observe(15, 75, 0), [""; 0]);
+        assert_eq!(roof.observe(1, 75, 1), [""; 0]);
+        assert_eq!(roof.observe(40, 75, 0), [format!("roof: {NO_SWEEP}")]);
+        assert_eq!(roof.watcher.state(), State::SpinningUp);
+    }
+
+    #[test]
+    fn a_wrong_model_is_told_in_its_own_words_and_again_only_when_they_change() {
+        let mut roof = Watched::new(None);
+        roof.observe(1, 75, 0);
+        for expected in [&["roof: this is a VLS-128"][..], &[], &[]] {
+            roof.watcher.refused("this is a VLS-128".to_owned());
+            assert_eq!(roof.observe(20, 75, 0), expected);
+            assert_eq!(roof.watcher.complaint().as_deref(), Some("this is a VLS-128"));
+            assert_eq!(roof.watcher.state(), State::WrongModel);
+        }
+        roof.watcher.refused("this is something else".to_owned());
+        assert_eq!(roof.observe(20, 75, 0), ["roof: this is something else"]);
+        assert_eq!(roof.observe(1, 75, 1), ["roof: streaming, VLP-16 at 600 rpm, one return"]);
+    }
+
+    #[test]
+    fn the_calibration_is_awaited_and_then_it_streams() {
+        let mut roof = Watched::new(None);
+        roof.watcher.awaits_calibration();
+        assert_eq!(roof.observe(5, 300, 0), [format!("roof: {NO_CALIBRATION}")]);
+        assert_eq!(roof.watcher.state(), State::NoCalibration);
+        roof.watcher.unhindered();
+        assert_eq!(roof.observe(5, 300, 0).len(), 1);
+        assert_eq!(roof.watcher.state(), State::SpinningUp);
+    }
+
+    #[test]
+    fn another_mode_or_model_is_told_and_a_speed_that_wanders_is_not() {
+        let mut roof = Watched::new(None);
+        roof.observe(1, 75, 1);
+        roof.turn(Running { rpm: 580.0, ..RUNNING });
+        assert_eq!(roof.observe(5, 75, 1), [""; 0]);
+        roof.turn(Running { return_mode: ReturnMode::Dual, ..RUNNING });
+        assert_eq!(roof.observe(5, 75, 1), ["roof: streaming, VLP-16 at 600 rpm, two returns"]);
+        roof.turn(Running { model: Model::Hdl32e, ..RUNNING });
+        assert_eq!(roof.observe(5, 75, 1), ["roof: streaming, HDL-32E at 600 rpm, one return"]);
+    }
+
+    #[test]
+    fn a_speed_that_is_off_is_told_once_and_makes_the_sensor_unwell() {
+        let mut roof = Watched::new(Some(600.0));
+        assert_eq!(roof.observe(5, 75, 1).len(), 1);
+        roof.turn(Running { rpm: 540.0, ..RUNNING });
+        let off = "turns at 540 rpm and is configured for 600: set one of them to the other";
+        assert_eq!(roof.observe(5, 75, 1), [format!("roof: {off}")]);
+        assert_eq!(roof.watcher.complaint().as_deref(), Some(off));
+        roof.turn(Running { rpm: 575.0, ..RUNNING });
+        assert_eq!(roof.observe(5, 75, 1), [""; 0], "within what is told, but not back yet");
+        roof.turn(RUNNING);
+        assert_eq!(roof.observe(5, 75, 1), ["roof: turns at 600 rpm again, as it is set to"]);
+        assert_eq!(roof.watcher.complaint(), None);
+    }
+
+    #[test]
+    fn position_packets_alone_are_no_silence() {
+        let mut roof = Watched::new(None);
+        roof.seen.position = 5;
+        let told = roof.observe(30, 0, 0);
+        assert_eq!(told.len(), 1);
+        assert!(told[0].contains("only position packets from 192.168.1.201"), "{told:?}");
+    }
+}

@@ -1,0 +1,26 @@
+//! What the daemon's unit tests share.
+
+use super::config::{PortConfig, SensorConfig};
+use crate::pipeline;
+
+/// A sensor at an address whose data and position packets come to one port of the loopback interface.
+pub fn sensor(name: &str, address: &str, port: u16) -> SensorConfig {
+    SensorConfig {
+        name: name.to_owned(),
+        address: address.parse().unwrap(),
+        source_port: None,
+        port: PortConfig {
+            bind: [127, 0, 0, 1].into(),
+            port,
+            multicast: None,
+            interface: None,
+            cpu: None,
+            realtime_priority: None,
+        },
+        position_port: port,
+        max_consumers: 4,
+        dual: None,
+        rpm: None,
+        pipeline: pipeline::Config::default(),
+    }
+}

@@ -1,0 +1,172 @@
+//! The control plane, with the daemon as a process of its own: signals, systemd, health and metrics.
+
+use std::net::{TcpListener, UdpSocket};
+use std::time::{Duration, Instant};
+
+use sweepd::sensor::Model;
+use sweepd::wire::data::ReturnMode;
+
+use crate::child::{Daemon, is_free, write};
+use crate::rig::{Sending, free_port, stream, until};
+
+const WATCHDOG: Duration = Duration::from_millis(400);
+
+fn free_tcp_port() -> u16 {
+    TcpListener::bind("127.0.0.1:0").unwrap().local_addr().unwrap().port()
+}
+
+/// A VLP-16 for so many turns.
+fn vlp16(host: u16, ports: (u16, u16), turns: f64) -> Sending {
+    Sending::start(host as u8, ports, stream(Model::Vlp16, ReturnMode::Strongest, turns))
+}
+
+#[test]
+fn ready_is_said_when_all_ports_are_bound_and_sigterm_ends_it_at_once() {
+    let ports = [free_port(), free_port()];
+    let mut daemon = Daemon::start(&[[71, ports[0], ports[1]]], free_tcp_port(), WATCHDOG);
+    daemon.until_ready();
+    assert!(!is_free(ports[0]) && !is_free(ports[1]));
+    let _sending = vlp16(71, (ports[0], ports[1]), 20.0);
+    until("it streams", || daemon.log().contains("s71: streaming, VLP-16 at 600 rpm, one return"));
+    until("it says so", || !daemon.notified("STATUS=s71 streaming", None).is_empty());
+    let begun = Instant::now();
+    daemon.signal("-TERM");
+    let status = daemon.end();
+    assert!(begun.elapsed() < Duration::from_millis(200), "{:?}", begun.elapsed());
+    assert!(status.success());
+    assert_eq!(daemon.notified("STOPPING=1", None).len(), 1);
+    assert_eq!(daemon.log().matches("s71: streaming").count(), 1, "told once");
+}
+
+#[test]
+fn a_port_that_is_taken_ends_it_before_it_is_ready() {
+    let taken = UdpSocket::bind("127.0.0.1:0").unwrap();
+    let port = taken.local_addr().unwrap().port();
+    let mut daemon = Daemon::start(&[[72, free_port(), port]], free_tcp_port(), WATCHDOG);
+    assert!(!daemon.end().success());
+    assert_eq!(daemon.notified("READY=1", None), [""; 0]);
+    until("it says why", || daemon.log().contains(&format!("error: port {port} is taken")));
+}
+
+#[test]
+fn the_watchdog_is_fed_until_a_sensor_thread_hangs() {
+    let port = free_port();
+    let mut daemon = Daemon::start(&[[73, port, port]], free_tcp_port(), WATCHDOG);
+    daemon.until_ready();
+    let _sending = vlp16(73, (port, port), 60.0);
+    let begun = Instant::now();
+    until("it is fed for a while", || daemon.notified("WATCHDOG=1", Some(begun)).len() >= 10);
+    assert!(begun.elapsed() > WATCHDOG * 2, "not more often than need be");
+    daemon.tell("hang");
+    let hangs = format!("the thread of port 127.0.0.1:{port} hangs");
+    until("it notices", || daemon.log().contains(&hangs));
+    let noticed = Instant::now();
+    std::thread::sleep(WATCHDOG * 3);
+    assert_eq!(daemon.notified("WATCHDOG=1", Some(noticed)), [""; 0]);
+    let (status, health) = daemon.health();
+    assert_eq!((status, &health["ports"][0]["hangs"]), (503, &true.into()));
+    assert!(health["reasons"].to_string().contains(&hangs));
+}
+
+#[test]
+fn a_thread_that_panics_ends_the_daemon_with_an_error() {
+    let port = free_port();
+    let mut daemon = Daemon::start(&[[74, port, port]], free_tcp_port(), WATCHDOG);
+    daemon.until_ready();
+    daemon.tell("panic");
+    let _sending = vlp16(74, (port, port), 20.0);
+    assert_eq!(daemon.end().code(), Some(1));
+    let why = format!("error: the thread of port 127.0.0.1:{port} has ended: the consumer's file is gone");
+    until("it says why", || daemon.log().contains(&why));
+}
+
+#[test]
+fn sighup_takes_what_it_can_and_a_bad_file_changes_nothing() {
+    let port = free_port();
+    let daemon = Daemon::start(&[[75, port, port]], free_tcp_port(), WATCHDOG);
+    daemon.until_ready();
+    let _sending = vlp16(75, (port, port), 100.0);
+    until("it streams", || daemon.health().0 == 200);
+    write(&daemon.reloaded_file(), "six hundred");
+    daemon.signal("-HUP");
+    until("it refuses", || daemon.log().contains("the configuration is not taken, everything goes on as before: six"));
+    until("it is ready again", || daemon.notified("READY=1", None).len() == 2);
+    let reloading = daemon.notified("RELOADING=1", None);
+    assert!(reloading.len() == 1 && reloading[0].contains("\nMONOTONIC_USEC="), "{reloading:?}");
+    assert_eq!(daemon.health().0, 200);
+
+    write(&daemon.reloaded_file(), "900");
+    daemon.signal("-HUP");
+    until("it is taken", || daemon.log().contains("s75: decoded with the new configuration"));
+    until("it is ready again", || daemon.notified("READY=1", None).len() == 3);
+    assert!(daemon.log().contains("only after a restart: daemon.http"));
+    until("the speed is watched", || daemon.health().0 == 503);
+    let off = "turns at 600 rpm and is configured for 900: set one of them to the other";
+    assert_eq!(daemon.health().1["sensors"][0]["reason"], off);
+}
+
+#[test]
+fn health_and_metrics_tell_how_the_sensors_are() {
+    let ports = [free_port(), free_port()];
+    let sensors = [[76, ports[0], ports[0]], [77, ports[1], ports[1]]];
+    let daemon = Daemon::start(&sensors, free_tcp_port(), WATCHDOG);
+    daemon.until_ready();
+    let (status, health) = daemon.health();
+    assert_eq!((status, &health["status"], health["pid"].is_u64()), (503, &"unwell".into(), true));
+    assert_eq!(health["sensors"][1]["state"], "waiting");
+    let sending = [76, 77].map(|host| vlp16(host, (ports[host as usize - 76], ports[host as usize - 76]), 100.0));
+    until("both stream", || daemon.health().0 == 200);
+    UdpSocket::bind("127.0.0.78:0").unwrap().send_to(b"hello", ("127.0.0.1", ports[1])).unwrap();
+    let rejected = format!("sweepd_rejected_total{{port=\"127.0.0.1:{}\",reason=\"length\"}}", ports[1]);
+    until("it is counted", || daemon.metrics()[&rejected] == 1.0);
+
+    let (_, health) = daemon.health();
+    assert_eq!((&health["reasons"], &health["ports"][1]["rejected"]["length"]), (&serde_json::json!([]), &1.into()));
+    let roof = &health["sensors"][0];
+    let expected = [("name", "s76"), ("state", "streaming"), ("model", "VLP-16"), ("gps", "locked")];
+    expected.iter().for_each(|(key, value)| assert_eq!(&roof[key], value));
+    assert_eq!((&roof["port"], &roof["consumers"], &roof["lost"]), (&ports[0].into(), &1.into(), &0.into()));
+
+    let metrics = daemon.metrics();
+    let of = |name: &str| metrics.get(name).copied().unwrap_or_else(|| panic!("no {name} in {metrics:#?}"));
+    assert!(of("sweepd_packets_total{sensor=\"s76\"}") > 75.0);
+    assert_eq!(of("sweepd_lost_total{sensor=\"s77\"}"), 0.0);
+    assert_eq!(of(&format!("sweepd_dropped_total{{port=\"127.0.0.1:{}\"}}", ports[0])), 0.0);
+    assert_eq!(of("sweepd_undecoded_total{sensor=\"s76\",reason=\"late\"}"), 0.0);
+    assert_eq!(of("sweepd_partial_sweeps_total{sensor=\"s76\"}"), 1.0);
+    assert_eq!(of("sweepd_consumers{sensor=\"s76\"}"), 1.0);
+    assert_eq!(of("sweepd_shared_memory_bytes{sensor=\"s76\"}"), 4096.0);
+    assert_eq!(of("sweepd_gps_locked{sensor=\"s76\"}"), 1.0);
+    assert!((10.0..100.0).contains(&of("sweepd_temperature_celsius{sensor=\"s76\"}")));
+    assert_eq!(of("sweepd_state{sensor=\"s76\",state=\"streaming\"}"), 1.0);
+    assert_eq!(of("sweepd_state{sensor=\"s76\",state=\"stalled\"}"), 0.0);
+    let sweeps = of("sweepd_sweeps_total{sensor=\"s76\"}");
+    let labels = "{sensor=\"s76\",stage=\"complete\"";
+    let all = of(&format!("sweepd_stage_seconds_bucket{{le=\"+Inf\",{}}}", &labels[1..]));
+    assert_eq!(all, of(&format!("sweepd_stage_seconds_count{labels}}}")));
+    assert!((all - sweeps).abs() <= 1.0 && of(&format!("sweepd_stage_seconds_sum{labels}}}")) > 0.0);
+
+    assert_eq!(daemon.ask("GET /").0, 404);
+    assert_eq!(daemon.ask("POST /health").0, 405);
+    assert_eq!(daemon.ask("HEAD /health"), (200, String::new()));
+    drop(sending);
+    until("both are missed", || daemon.health().1["reasons"].as_array().unwrap().len() == 2);
+    let (status, health) = daemon.health();
+    assert_eq!((status, &health["sensors"][0]["state"]), (503, &"stalled".into()));
+    let why = "s77: stalled: no packets from 127.0.0.77 on port";
+    assert!(health["reasons"][1].as_str().unwrap().starts_with(why), "{health}");
+}
+
+#[test]
+fn whoever_says_nothing_keeps_nobody_from_asking() {
+    let port = free_port();
+    let daemon = Daemon::start(&[[79, port, port]], free_tcp_port(), WATCHDOG);
+    daemon.until_ready();
+    let http = daemon.http_port();
+    let _silent: Vec<_> = (0..64).map(|_| std::net::TcpStream::connect(("127.0.0.1", http)).unwrap()).collect();
+    let begun = Instant::now();
+    until("there is an answer", || daemon.try_ask("GET /health").is_some());
+    assert!(begun.elapsed() < Duration::from_secs(10));
+    let fed = Instant::now();
+    until("the watchdog is fed", || daemon.notified("WATCHDOG=1", Some(fed)).len() > 2);
+}

@@ -1,0 +1,288 @@
+//! Packets in, sweeps out: who gets in, to whom a packet belongs, what is counted, and what a broken thread does.
+
+use std::collections::BTreeMap;
+use std::net::{Ipv4Addr, UdpSocket};
+use std::sync::mpsc::Receiver;
+use std::time::{Duration, Instant, SystemTime};
+
+use sweepd::daemon::counters::{Gps, Reject, Stage};
+use sweepd::daemon::sensor::Event;
+use sweepd::daemon::{DaemonError, Runtime};
+use sweepd::pipeline::{self, Pipeline, Untimed};
+use sweepd::sensor::Model;
+use sweepd::sweep::buffers::HeapBuffer;
+use sweepd::sweep::layout::TimeSource;
+use sweepd::sweep::{HeapBuffers, SweepRef};
+use sweepd::wire::data::ReturnMode;
+use sweepd::wire::{DataPacket, Datagram};
+
+use crate::rig::{Fate, Rig, Sending, Sent, config, free_port, sensor, stream, until};
+
+const SINGLE: ReturnMode = ReturnMode::Strongest;
+
+/// The sweeps that came, by sensor.
+fn by_sensor(sweeps: &Receiver<(String, HeapBuffer)>) -> BTreeMap<String, Vec<HeapBuffer>> {
+    let mut by_sensor = BTreeMap::<String, Vec<HeapBuffer>>::new();
+    for (name, sweep) in sweeps.try_iter() {
+        by_sensor.entry(name).or_default().push(sweep);
+    }
+    by_sensor
+}
+
+/// The sweeps of a stream in a replay.
+fn replayed(sent: &[Sent]) -> Vec<HeapBuffer> {
+    let buffers = HeapBuffers::default();
+    let mut pipeline = Pipeline::new("replay", pipeline::Config::default(), buffers, Untimed).unwrap();
+    let mut sweeps = Vec::new();
+    for sent in sent {
+        let arrival_ns = 1_700_000_000_000_000_000 + sent.after.as_nanos() as i64;
+        let source = "127.0.0.1:2368".parse().unwrap();
+        let datagram = Datagram { arrival_ns, source, destination_port: 2368, payload: &sent.payload };
+        pipeline.push(&datagram).unwrap();
+        sweeps.extend(std::iter::from_fn(|| pipeline.poll()));
+    }
+    sweeps
+}
+
+/// What must be the same in a replay.
+fn measured(sweep: &HeapBuffer) -> (i64, Vec<u32>, Vec<u32>, Vec<u8>, usize) {
+    let sweep = SweepRef::open(sweep.as_ref()).unwrap();
+    let ranges = sweep.range.iter().map(|range| range.to_bits()).collect();
+    let (labels, reflectivities) = (sweep.label.to_vec(), sweep.reflectivity.to_vec());
+    (sweep.header.sensor_time_ns, ranges, labels, reflectivities, sweep.segments.len())
+}
+
+#[test]
+fn what_a_sensor_sends_comes_out_as_in_a_replay_with_the_times_of_this_host() {
+    let (rig, sweeps) = Rig::new();
+    let begun_ns = SystemTime::UNIX_EPOCH.elapsed().unwrap().as_nanos() as i64;
+    let runtime = Runtime::start(&config(vec![sensor("roof", 11, (0, 0))]), &rig).unwrap();
+    assert_eq!(runtime.ports.len(), 1, "the data port is the position port too");
+    let port = runtime.ports[0].local.port();
+    let sent = stream(Model::Vlp16, SINGLE, 4.5);
+    Sending::start(11, (port, port), sent.clone()).finish();
+    let counters = &runtime.sensors[0].counters;
+    let data = sent.iter().filter(|sent| sent.is_data).count() as u64;
+    until("all packets are taken", || counters.data.get() == data);
+    // What is open when the packets end is closed by the clock.
+    let expected = replayed(&sent);
+    until("the open sweep is closed", || counters.sweeps.get() == expected.len() as u64 + 1);
+    let got = by_sensor(&sweeps).remove("roof").unwrap();
+    for (live, replay) in got.iter().zip(&expected) {
+        assert!(measured(live) == measured(replay));
+    }
+    assert_eq!(got.len(), expected.len() + 1);
+    let mut runs = Vec::new();
+    for sweep in got.iter().take(expected.len()) {
+        let header = SweepRef::open(sweep.as_ref()).unwrap().header;
+        assert_eq!((header.name(), header.sensor()), ("roof", "127.0.0.11"));
+        assert_eq!((header.dropped_datagrams, header.lost_packets), (0, 0));
+        let took_ns = header.completed_ns - header.arrival_ns;
+        assert!((0..2_000_000_000).contains(&took_ns), "{took_ns}");
+        assert!(header.completed_monotonic_ns > 0 && header.decode_ns > 0 && header.label_ns > 0);
+        runs.push(header.run_ns);
+    }
+    assert!(runs.iter().all(|&run_ns| run_ns == runs[0] && run_ns >= begun_ns));
+    assert_eq!(counters.partial_sweeps.get(), 2, "the first and the last");
+    assert!(counters.steady_sweeps.get() >= 2);
+    assert_eq!((counters.model(), counters.return_mode()), (Some(Model::Vlp16), Some(SINGLE)));
+    assert_eq!((counters.gps(), counters.lost.get(), counters.unshared.get()), (Some(Gps::Locked), 0, 0));
+    assert!(counters.temperature_c().is_some());
+    for stage in Stage::ALL {
+        let noted = counters.stage(stage).count();
+        assert!(noted == counters.sweeps.get(), "{}: {noted}", stage.name());
+    }
+    runtime.stop().unwrap();
+}
+
+#[test]
+fn two_sensors_on_one_port_are_told_apart_by_their_address() {
+    let (rig, sweeps) = Rig::new();
+    let both = config(vec![sensor("left", 21, (0, 0)), sensor("right", 22, (0, 0))]);
+    let runtime = Runtime::start(&both, &rig).unwrap();
+    let port = runtime.ports[0].local.port();
+    let streams = [(Model::Vlp16, 21), (Model::Hdl32e, 22)].map(|(model, host)| (host, stream(model, SINGLE, 3.2)));
+    let sending = streams.clone().map(|(host, stream)| Sending::start(host, (port, port), stream));
+    sending.into_iter().for_each(Sending::finish);
+    for (sensor, (_, stream)) in runtime.sensors.iter().zip(&streams) {
+        let data = stream.iter().filter(|sent| sent.is_data).count() as u64;
+        until("all packets are taken", || sensor.counters.data.get() == data);
+    }
+    let got = by_sensor(&sweeps);
+    for (name, (_, stream)) in ["left", "right"].iter().zip(&streams) {
+        let expected = replayed(stream);
+        assert!(expected.len() >= 3);
+        assert!(got[*name].iter().zip(&expected).all(|(live, replay)| measured(live) == measured(replay)), "{name}");
+    }
+    runtime.stop().unwrap();
+}
+
+#[test]
+fn three_sensors_on_three_ports_get_their_position_packets_from_a_fourth() {
+    let (rig, sweeps) = Rig::new();
+    let positions = free_port();
+    let hosts = [31, 32, 33];
+    let ports = hosts.map(|_| free_port());
+    let sensors = hosts.iter().zip(ports).map(|(&host, port)| sensor(&format!("s{host}"), host, (port, positions)));
+    let runtime = Runtime::start(&config(sensors.collect()), &rig).unwrap();
+    assert_eq!(runtime.ports.len(), 4);
+    let sent = stream(Model::Vlp16, SINGLE, 3.2);
+    let sending = [0, 1, 2].map(|index| Sending::start(hosts[index], (ports[index], positions), sent.clone()));
+    sending.into_iter().for_each(Sending::finish);
+    let count = |is_data| sent.iter().filter(|sent| sent.is_data == is_data).count() as u64;
+    for sensor in runtime.sensors.iter() {
+        until("all data are taken", || sensor.counters.data.get() == count(true));
+        until("all positions are taken", || sensor.counters.position.get() == count(false));
+        assert_eq!(sensor.counters.position_overflows.get(), 0);
+        assert_eq!(sensor.counters.gps(), Some(Gps::Locked));
+    }
+    for (name, sweeps) in by_sensor(&sweeps) {
+        let source = SweepRef::open(sweeps.last().unwrap().as_ref()).unwrap().header.time_source();
+        assert_eq!(source, TimeSource::Gps, "{name}");
+    }
+    runtime.stop().unwrap();
+}
+
+#[test]
+fn foreign_datagrams_change_nothing_but_a_counter() {
+    const RANDOM: u64 = 100_000;
+    let (rig, sweeps) = Rig::new();
+    let (data, position) = (free_port(), free_port());
+    let two = config(vec![sensor("roof", 41, (data, position)), sensor("rear", 42, (free_port(), position))]);
+    let runtime = Runtime::start(&two, &rig).unwrap();
+    let sent = stream(Model::Vlp16, SINGLE, 12.0);
+    let sending = Sending::start(41, (data, position), sent.clone());
+    let counters = &runtime.ports[0].counters;
+    let rejected = || Reject::ALL.iter().map(|&reason| counters.rejected(reason)).sum::<u64>();
+
+    let [own, other, foreign] = [41, 42, 43].map(|host| UdpSocket::bind((Ipv4Addr::new(127, 0, 0, host), 0)).unwrap());
+    let packet = DataPacket::new(0, 0x37, 0x22);
+    let mut broken = packet;
+    broken.blocks[3].flag.set(0);
+    for (socket, payload) in [
+        (&own, &packet.emit()[1..]),
+        (&own, broken.emit()),
+        (&foreign, packet.emit()),
+        (&foreign, &[0; 512]),
+        (&other, packet.emit()),
+    ] {
+        socket.send_to(payload, (Ipv4Addr::LOCALHOST, data)).unwrap();
+    }
+    until("five were refused", || rejected() == 5);
+    let by_reason = Reject::ALL.map(|reason| counters.rejected(reason));
+    assert_eq!(by_reason, [1, 1, 0, 2, 1]);
+
+    let mut rng = fastrand::Rng::with_seed(7);
+    let mut bytes = [0; 1400];
+    for sent in 1..=RANDOM {
+        rng.fill(&mut bytes);
+        let len = if rng.u8(..) < 64 { 1206 } else { rng.usize(..bytes.len()) };
+        // 512 bytes of the sensor itself are a position packet, whatever they hold.
+        let socket = if len == 512 || rng.bool() { &foreign } else { &own };
+        socket.send_to(&bytes[..len], (Ipv4Addr::LOCALHOST, data)).unwrap();
+        if sent % 200 == 0 {
+            until("they were refused", || rejected() == 5 + sent);
+        }
+    }
+    sending.finish();
+    let roof = &runtime.sensors[0].counters;
+    let count = sent.iter().filter(|sent| sent.is_data).count() as u64;
+    until("all packets are taken", || roof.data.get() == count);
+    assert_eq!((rejected(), counters.dropped.get()), (5 + RANDOM, 0));
+    assert_eq!((roof.lost.get(), roof.undecoded().map(|(_, count)| count).sum::<u64>()), (0, 0));
+    let got = by_sensor(&sweeps);
+    assert_eq!(got.keys().collect::<Vec<_>>(), ["roof"]);
+    let expected = replayed(&sent);
+    assert!(got["roof"].iter().zip(&expected).all(|(live, replay)| measured(live) == measured(replay)));
+    assert!(got["roof"].len() >= expected.len());
+    runtime.stop().unwrap();
+}
+
+#[test]
+fn another_configuration_is_taken_while_the_sensor_streams() {
+    let (rig, sweeps) = Rig::new();
+    let one = config(vec![sensor("roof", 51, (0, 0))]);
+    let runtime = Runtime::start(&one, &rig).unwrap();
+    let port = runtime.ports[0].local.port();
+    let _sending = Sending::start(51, (port, port), stream(Model::Vlp16, SINGLE, 30.0));
+    let counters = &runtime.sensors[0].counters;
+    until("it streams", || counters.steady_sweeps.get() >= 2);
+    let before = (by_sensor(&sweeps).remove("roof").unwrap(), counters.data.get());
+    let mut other = one.sensors[0].pipeline.clone();
+    (other.cut_azimuth_rad, other.position_m) = (1.0, [0.0, 1.5, 2.0]);
+    runtime.reconfigure(0, other);
+    let told = runtime.events.recv_timeout(Duration::from_secs(5)).unwrap();
+    assert!(matches!(told, (0, Event::Reconfigured(Ok(())))), "{told:?}");
+    let sweeps_then = counters.sweeps.get();
+    until("it streams again", || counters.sweeps.get() >= sweeps_then + 4);
+    let header = |sweep: &HeapBuffer| *SweepRef::open(sweep.as_ref()).unwrap().header;
+    let (old, new) = (header(before.0.last().unwrap()), header(by_sensor(&sweeps)["roof"].last().unwrap()));
+    assert_eq!((old.cut_azimuth_rad, new.cut_azimuth_rad), (0.0, 1.0));
+    assert_eq!(new.position_m, [0.0, 1.5, 2.0]);
+    assert!(new.run_ns > old.run_ns, "numbers begin anew, so must the run");
+    assert!(counters.data.get() > before.1, "counters go on");
+
+    let mut impossible = one.sensors[0].pipeline.clone();
+    impossible.segment.theta_rad = 0.0;
+    runtime.reconfigure(0, impossible);
+    let told = runtime.events.recv_timeout(Duration::from_secs(5)).unwrap();
+    assert!(matches!(told, (0, Event::Reconfigured(Err(_)))), "{told:?}");
+    let sweeps_then = counters.sweeps.get();
+    until("it streams as before", || counters.sweeps.get() >= sweeps_then + 2);
+    runtime.stop().unwrap();
+}
+
+#[test]
+fn a_port_that_is_taken_and_a_sensor_that_cannot_be_shared_are_errors_at_start() {
+    let (rig, _) = Rig::new();
+    let taken = UdpSocket::bind("127.0.0.1:0").unwrap();
+    let port = taken.local_addr().unwrap().port();
+    let error = Runtime::start(&config(vec![sensor("roof", 61, (port, port))]), &rig).err().unwrap();
+    assert!(error.to_string().contains(&format!("port {port} is taken")), "{error}");
+    let error = Runtime::start(&config(vec![sensor("unshareable", 61, (0, 0))]), &rig).err().unwrap();
+    assert_eq!(error.to_string(), "unshareable: no room in /dev/shm");
+}
+
+#[test]
+fn what_cannot_be_shared_is_told_once_and_the_sensor_goes_on() {
+    let (rig, sweeps) = Rig::new();
+    let runtime = Runtime::start(&config(vec![sensor("roof", 62, (0, 0))]), &rig).unwrap();
+    let port = runtime.ports[0].local.port();
+    rig.fate(Fate::Fails);
+    let _sending = Sending::start(62, (port, port), stream(Model::Vlp16, SINGLE, 20.0));
+    let counters = &runtime.sensors[0].counters;
+    until("three sweeps found no way", || counters.unshared.get() >= 3);
+    rig.fate(Fate::Sends);
+    assert_eq!(sweeps.recv_timeout(Duration::from_secs(5)).unwrap().0, "roof");
+    let told: Vec<_> = (0..2).map(|_| runtime.events.recv_timeout(Duration::from_secs(5)).unwrap().1).collect();
+    assert!(matches!(&told[..], [Event::NotShared(_), Event::SharedAgain]), "{told:?}");
+    assert!(runtime.events.try_recv().is_err());
+    runtime.stop().unwrap();
+}
+
+#[test]
+fn a_thread_that_panics_is_found_and_one_that_hangs_does_not_delay_the_end() {
+    for fate in [Fate::Panics, Fate::Hangs] {
+        let (rig, _sweeps) = Rig::new();
+        let mut runtime = Runtime::start(&config(vec![sensor("roof", 63, (0, 0))]), &rig).unwrap();
+        assert!(runtime.check().is_ok());
+        let port = runtime.ports[0].local.port();
+        rig.fate(fate);
+        let _sending = Sending::start(63, (port, port), stream(Model::Vlp16, SINGLE, 5.0));
+        let counters = std::sync::Arc::clone(&runtime.sensors[0].counters);
+        until("a sweep is complete", || counters.sweeps.get() > 0);
+        if fate == Fate::Panics {
+            let mut error = None;
+            until("the panic is found", || {
+                error = runtime.check().err();
+                error.is_some()
+            });
+            assert!(error.unwrap().to_string().ends_with("has ended: the consumer's file is gone"));
+            continue;
+        }
+        assert!(runtime.check().is_ok());
+        let begun = Instant::now();
+        assert!(matches!(runtime.stop(), Err(DaemonError::Hangs { .. })));
+        assert!(begun.elapsed() < Duration::from_millis(200));
+    }
+}

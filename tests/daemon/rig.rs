@@ -1,0 +1,227 @@
+//! A daemon whose sweeps the test gets, and sensors that are not there.
+
+use std::net::{Ipv4Addr, SocketAddr, UdpSocket};
+use std::sync::atomic::{AtomicBool, Ordering};
+use std::sync::mpsc::{self, Receiver, Sender};
+use std::sync::{Arc, Mutex};
+use std::thread::JoinHandle;
+use std::time::{Duration, Instant};
+
+use sweepd::daemon::config::{Config, DaemonConfig, PortConfig, SensorConfig};
+use sweepd::daemon::sharing::{Outgoing, Sharing, SharingError, SharingStatus, Way};
+use sweepd::pipeline;
+use sweepd::sensor::Model;
+use sweepd::simulate::gps::{Clock, Reception};
+use sweepd::simulate::{Emitter, EmitterConfig, street};
+use sweepd::sweep::buffers::HeapBuffer;
+use sweepd::sweep::{Buffers, HeapBuffers};
+use sweepd::wire::data::ReturnMode;
+
+/// What happens to a thread that sends a sweep.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub enum Fate {
+    /// It sends the sweep.
+    Sends,
+    /// It never comes back.
+    Hangs,
+    /// It panics.
+    Panics,
+    /// It is told that no consumer can be had.
+    Fails,
+}
+
+/// Sharing by a channel; everything that is sent arrives there, by the name of its sensor.
+pub struct Rig {
+    sender: Sender<(String, HeapBuffer)>,
+    fate: Arc<Mutex<Fate>>,
+}
+
+pub struct Buffers2 {
+    heap: HeapBuffers,
+    name: String,
+    sender: Sender<(String, HeapBuffer)>,
+    fate: Arc<Mutex<Fate>>,
+}
+
+pub struct Sweep {
+    bytes: HeapBuffer,
+    name: String,
+    sender: Sender<(String, HeapBuffer)>,
+    fate: Arc<Mutex<Fate>>,
+}
+
+struct OneConsumer;
+
+impl SharingStatus for OneConsumer {
+    fn consumers(&self) -> u64 {
+        1
+    }
+
+    fn reserved_bytes(&self) -> u64 {
+        4096
+    }
+}
+
+impl Rig {
+    pub fn new() -> (Self, Receiver<(String, HeapBuffer)>) {
+        let (sender, sweeps) = mpsc::channel();
+        (Self { sender, fate: Arc::new(Mutex::new(Fate::Sends)) }, sweeps)
+    }
+
+    /// From now on.
+    pub fn fate(&self, fate: Fate) {
+        *self.fate.lock().unwrap() = fate;
+    }
+}
+
+impl Sharing for Rig {
+    type Buffers = Buffers2;
+
+    fn open(&self, sensor: &SensorConfig, _bytes: Option<usize>) -> Result<Way<Buffers2>, SharingError> {
+        if sensor.name == "unshareable" {
+            return Err("no room in /dev/shm".into());
+        }
+        let (sender, fate, name) = (self.sender.clone(), Arc::clone(&self.fate), sensor.name.clone());
+        let buffers = Buffers2 { heap: HeapBuffers::default(), name, sender, fate };
+        Ok(Way { buffers, status: Arc::new(OneConsumer) })
+    }
+}
+
+impl Buffers for Buffers2 {
+    type Buffer = Sweep;
+
+    fn take(&mut self, bytes: usize) -> Sweep {
+        let (name, sender, fate) = (self.name.clone(), self.sender.clone(), Arc::clone(&self.fate));
+        Sweep { bytes: self.heap.take(bytes), name, sender, fate }
+    }
+}
+
+impl AsRef<[u8]> for Sweep {
+    fn as_ref(&self) -> &[u8] {
+        self.bytes.as_ref()
+    }
+}
+
+impl AsMut<[u8]> for Sweep {
+    fn as_mut(&mut self) -> &mut [u8] {
+        self.bytes.as_mut()
+    }
+}
+
+impl Outgoing for Sweep {
+    fn publish(self) -> Result<usize, SharingError> {
+        let fate = *self.fate.lock().unwrap();
+        match fate {
+            Fate::Sends => {
+                let _ = self.sender.send((self.name, self.bytes));
+                Ok(1)
+            }
+            Fate::Hangs => loop {
+                std::thread::park();
+            },
+            Fate::Panics => panic!("the consumer's file is gone"),
+            Fate::Fails => Err("no consumer can be had".into()),
+        }
+    }
+}
+
+/// A UDP port of the loopback interface that is free, most likely for a while.
+pub fn free_port() -> u16 {
+    UdpSocket::bind("127.0.0.1:0").unwrap().local_addr().unwrap().port()
+}
+
+/// A sensor at 127.0.0.`host` whose packets come to ports of 127.0.0.1.
+pub fn sensor(name: &str, host: u8, (data, position): (u16, u16)) -> SensorConfig {
+    SensorConfig {
+        name: name.to_owned(),
+        address: Ipv4Addr::new(127, 0, 0, host).into(),
+        source_port: None,
+        port: PortConfig {
+            bind: Ipv4Addr::LOCALHOST,
+            port: data,
+            multicast: None,
+            interface: None,
+            cpu: None,
+            realtime_priority: None,
+        },
+        position_port: position,
+        max_consumers: 4,
+        dual: None,
+        rpm: None,
+        pipeline: pipeline::Config::default(),
+    }
+}
+
+pub fn config(sensors: Vec<SensorConfig>) -> Config {
+    Config { daemon: DaemonConfig { root: None, http: None }, sensors, record: None }
+}
+
+/// A datagram of a sensor: when after the first it leaves, whether it is a data packet, and its bytes.
+#[derive(Clone)]
+pub struct Sent {
+    pub after: Duration,
+    pub is_data: bool,
+    pub payload: Vec<u8>,
+}
+
+/// What a sensor with GPS sends, for so many turns.
+pub fn stream(model: Model, mode: ReturnMode, turns: f64) -> Vec<Sent> {
+    let mut config = EmitterConfig::new(model, mode).turns(turns);
+    config.clock = Clock::Gps { position_deg: (50.1, 8.7), reception: Reception::ALWAYS };
+    let scene = street(1);
+    let sent: Vec<_> = Emitter::new(config, &scene).untold().collect();
+    let first_ns = sent[0].arrival_ns;
+    let of = |one: sweepd::simulate::SimulatedDatagram| Sent {
+        after: Duration::from_nanos((one.arrival_ns - first_ns).max(0) as u64),
+        is_data: one.truth.is_some() || one.payload.len() == 1206,
+        payload: one.payload,
+    };
+    sent.into_iter().map(of).collect()
+}
+
+/// A sensor that sends in real time from 127.0.0.`host`, its data and position packets to a port each.
+pub struct Sending(Arc<AtomicBool>, Option<JoinHandle<()>>);
+
+impl Sending {
+    pub fn start(host: u8, (data, position): (u16, u16), stream: Vec<Sent>) -> Self {
+        let over = Arc::new(AtomicBool::new(false));
+        let ended = Arc::clone(&over);
+        let socket = UdpSocket::bind((Ipv4Addr::new(127, 0, 0, host), 0)).unwrap();
+        let thread = std::thread::spawn(move || {
+            let begun = Instant::now();
+            for sent in stream {
+                std::thread::sleep((begun + sent.after).saturating_duration_since(Instant::now()));
+                if ended.load(Ordering::Relaxed) {
+                    return;
+                }
+                let port = if sent.is_data { data } else { position };
+                socket.send_to(&sent.payload, SocketAddr::from((Ipv4Addr::LOCALHOST, port))).unwrap();
+            }
+        });
+        Self(over, Some(thread))
+    }
+
+    /// Waits until all is sent.
+    pub fn finish(mut self) {
+        self.1.take().unwrap().join().unwrap();
+    }
+}
+
+impl Drop for Sending {
+    fn drop(&mut self) {
+        self.0.store(true, Ordering::Relaxed);
+        if let Some(thread) = self.1.take() {
+            let _ = thread.join();
+        }
+    }
+}
+
+/// Waits at most 20 s until something is so.
+#[track_caller]
+pub fn until(what: &str, mut is_so: impl FnMut() -> bool) {
+    let begun = Instant::now();
+    while !is_so() {
+        assert!(begun.elapsed() < Duration::from_secs(20), "waited in vain until {what}");
+        std::thread::sleep(Duration::from_millis(2));
+    }
+}
