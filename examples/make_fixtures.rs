@@ -9,7 +9,7 @@ use std::io::{BufWriter, Result, Write};
 use std::path::Path;
 
 use flate2::{Compression, GzBuilder};
-use sweepd::capture::write::{Outgoing, PcapWriter};
+use sweepd::capture::write::{Addressed, PcapWriter};
 use sweepd::simulate::Scene;
 use sweepd::simulate::fixtures::{self, Counts, Fixture};
 
@@ -40,7 +40,7 @@ fn write(fixture: &Fixture, scene: &Scene, out: impl Write) -> Result<Counts> {
     let mut counts = Counts::default();
     for one in fixture.datagrams(scene) {
         counts.add(&one);
-        capture.write(&Outgoing {
+        capture.write(&Addressed {
             arrival_ns: one.arrival_ns,
             source: one.source,
             destination: one.destination,

@@ -9,6 +9,7 @@ use sweepd::cli::{Cli, Command};
 
 fn main() -> ExitCode {
     let done = match Cli::parse().command {
+        Command::Run(args) => sweepd::cli::run::run(&args),
         Command::Replay(args) => sweepd::cli::replay::run(&args),
         Command::Record(args) => sweepd::cli::record::run(&args),
         Command::Watch(args) => sweepd::cli::watch::run(&args),
@@ -22,7 +23,7 @@ fn main() -> ExitCode {
         Ok(()) => ExitCode::SUCCESS,
         Err(error) => {
             sweepd::cli::report(&error);
-            ExitCode::FAILURE
+            ExitCode::from(error.exit_code())
         }
     }
 }

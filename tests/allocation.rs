@@ -8,7 +8,9 @@ use std::sync::atomic::{AtomicU64, Ordering};
 use std::time::Duration;
 
 use stream::Spin;
-use sweepd::capture::{Gate, Route, UdpConfig, UdpSource};
+use sweepd::capture::record::Rotation;
+use sweepd::capture::{Gate, Recorder, Route, UdpConfig, UdpSource};
+use sweepd::daemon::tap::{TapStream, Taps, socket_path};
 use sweepd::pipeline::{Config, Pipeline, Untimed};
 use sweepd::segment::Method;
 use sweepd::sensor::Model;
@@ -56,27 +58,47 @@ fn per_sweep(config: Config, datagrams: &[(Vec<u8>, i64)]) -> Vec<u64> {
     counts
 }
 
-/// Allocations while packets are received and pass the gate, after the first batch. The packets wait in the socket: their
-/// sender is not counted.
+/// Allocations while packets are received, pass the gate, and go to a recording and to somebody who listens at the tap,
+/// after the first batch. The packets wait in the socket: their sender is not counted. The threads that write and send
+/// are.
 fn receiving() -> u64 {
     let mut source = UdpSource::bind(&UdpConfig { address: [127, 0, 0, 1].into(), ..UdpConfig::port(0) }).unwrap();
+    let folder = std::env::temp_dir().join(format!("sweepd-allocation-{}", std::process::id()));
+    std::fs::create_dir_all(&folder).unwrap();
+    let recorder = Recorder::start(&folder.join("all.pcap"), Rotation::default()).unwrap();
+    let taps = Taps::listen(&socket_path(&folder)).unwrap();
+    let (mut lane, mut tap) = (recorder.lane(), taps.sensor("roof"));
+    let mut client = TapStream::connect(&socket_path(&folder), "roof").unwrap();
     let (sender, mut gate) = (std::net::UdpSocket::bind("127.0.0.1:0").unwrap(), Gate::default());
     let packets = [DataPacket::new(0, 0x37, 0x22).emit().to_vec(), vec![0; 512], vec![9; 1206], vec![9; 100]];
-    let mut admitted = 0;
+    let (mut admitted, mut tapped) = (0, 0);
     let mut receive = |count: u64| {
         for number in 0..count as usize {
             sender.send_to(&packets[number % 4], source.local_addr()).unwrap();
         }
         let (before, end) = (ALLOCATIONS.load(Ordering::Relaxed), source.received() + count);
         while source.received() < end {
-            let batch = source.receive(Duration::from_secs(5)).unwrap();
-            admitted += batch.filter(|datagram| !matches!(gate.admit(datagram), Route::Other(_))).count();
+            for one in source.receive_addressed(Duration::from_secs(5)).unwrap() {
+                if !matches!(gate.admit(&one.datagram()), Route::Other(_)) {
+                    admitted += 1;
+                    assert!(lane.put(&one));
+                    tap.put(&one);
+                }
+            }
+        }
+        while tapped < admitted {
+            tapped += client.receive(Duration::from_secs(5), |_| {}).unwrap();
+        }
+        while recorder.counts().written.load(Ordering::Relaxed) < admitted {
+            std::thread::sleep(Duration::from_millis(1));
         }
         ALLOCATIONS.load(Ordering::Relaxed) - before
     };
     receive(4);
     let counts: u64 = (0..10).map(|_| receive(100)).sum();
-    assert_eq!(admitted, 502);
+    assert_eq!((admitted, tapped), (502, 502));
+    recorder.finish().1.unwrap();
+    std::fs::remove_dir_all(&folder).unwrap();
     counts
 }
 

@@ -8,6 +8,7 @@
 //! * [`sensors`]: which sensor a datagram comes from, for captures and sockets alike.
 //! * [`pace`]: when to hand on what, for replay.
 //! * [`mod@write`]: captures written.
+//! * [`record`]: captures written of live sensors, without delaying them.
 
 pub mod error;
 pub mod gate;
@@ -16,6 +17,7 @@ pub mod link;
 pub mod pace;
 pub mod pcap;
 mod pcapng;
+pub mod record;
 pub mod sensors;
 pub mod udp;
 pub mod write;
@@ -29,6 +31,7 @@ pub use gate::Gate;
 pub use link::{Decapsulator, LinkType, NoDatagram};
 pub use pace::{Pacer, Speed};
 pub use pcap::{CaptureReader, Record};
+pub use record::{RecordError, Recorder};
 pub use sensors::{Route, SensorFilter, SensorIndex, Sensors};
 pub use udp::{UdpConfig, UdpError, UdpSource};
 pub use write::PcapWriter;

@@ -10,7 +10,7 @@ use ruzstd::encoding::{CompressionLevel, compress_to_vec};
 
 use super::input::Order;
 use super::testutil::*;
-use super::write::Outgoing;
+use super::write::Addressed;
 use super::*;
 
 const ORDERS: [Order; 2] = [Order::Little, Order::Big];
@@ -34,7 +34,7 @@ fn sample(count: u64) -> Vec<u8> {
         let payload: Vec<u8> = (0..100 + 13 * number).map(|byte| (byte * (number + 7)) as u8).collect();
         let arrival_ns = 1_700_000_000_000_000_001 + number as i64 * 1_327_104;
         let (source, destination) = (SocketAddrV4::new(SOURCE.into(), 2368), SocketAddrV4::new([255; 4].into(), 2369));
-        writer.write(&Outgoing { arrival_ns, source, destination, payload: &payload }).unwrap();
+        writer.write(&Addressed { arrival_ns, source, destination, payload: &payload }).unwrap();
     }
     writer.finish().unwrap()
 }
@@ -183,12 +183,12 @@ fn what_the_writer_wrote_comes_back() {
 fn the_writer_refuses_what_does_not_fit() {
     let mut writer = PcapWriter::new(Vec::new()).unwrap();
     let address = SocketAddrV4::new(SOURCE.into(), 2368);
-    let fits = Outgoing { arrival_ns: 0, source: address, destination: address, payload: &[0; 65_507] };
+    let fits = Addressed { arrival_ns: 0, source: address, destination: address, payload: &[0; 65_507] };
     writer.write(&fits).unwrap();
     for bad in [
-        Outgoing { arrival_ns: -1, ..fits },
-        Outgoing { arrival_ns: i64::MAX, ..fits },
-        Outgoing { payload: &[0; 65_508], ..fits },
+        Addressed { arrival_ns: -1, ..fits },
+        Addressed { arrival_ns: i64::MAX, ..fits },
+        Addressed { payload: &[0; 65_508], ..fits },
     ] {
         assert_eq!(writer.write(&bad).unwrap_err().kind(), io::ErrorKind::InvalidInput);
     }

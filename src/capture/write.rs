@@ -5,6 +5,7 @@ use std::net::SocketAddrV4;
 
 use super::link::LinkType;
 use super::pcap::MAX_RECORD_LEN;
+use crate::wire::Datagram;
 
 const ETHERNET_LEN: usize = 14;
 const IPV4_LEN: usize = 20;
@@ -22,9 +23,9 @@ pub fn record_len(payload_len: usize) -> u64 {
     (RECORD_HEADER_LEN + HEADERS_LEN + payload_len) as u64
 }
 
-/// A datagram with both its ends, to be written.
+/// A datagram with the addresses of both its ends.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
-pub struct Outgoing<'a> {
+pub struct Addressed<'a> {
     /// Arrival, nanoseconds since 1970; pcap has room for 0 to the year 2106.
     pub arrival_ns: i64,
     /// Who sent it.
@@ -33,6 +34,14 @@ pub struct Outgoing<'a> {
     pub destination: SocketAddrV4,
     /// The UDP payload.
     pub payload: &'a [u8],
+}
+
+impl<'a> Addressed<'a> {
+    /// What all but a recording need of it.
+    pub fn datagram(&self) -> Datagram<'a> {
+        let &Self { arrival_ns, source, destination, payload } = self;
+        Datagram { arrival_ns, source: source.into(), destination_port: destination.port(), payload }
+    }
 }
 
 /// Writes datagrams as Ethernet frames into a pcap file.
@@ -56,7 +65,7 @@ impl<W: Write> PcapWriter<W> {
     /// # Errors
     /// `InvalidInput` where the time or the payload does not fit the formats, with nothing written; else what the sink
     /// says.
-    pub fn write(&mut self, datagram: &Outgoing<'_>) -> io::Result<()> {
+    pub fn write(&mut self, datagram: &Addressed<'_>) -> io::Result<()> {
         let invalid = |what| io::Error::new(io::ErrorKind::InvalidInput, what);
         let seconds = u32::try_from(datagram.arrival_ns.div_euclid(1_000_000_000))
             .map_err(|_| invalid("the arrival time is before 1970 or after 2106, which pcap cannot say"))?;
@@ -84,7 +93,7 @@ impl<W: Write> PcapWriter<W> {
     }
 }
 
-fn headers(datagram: &Outgoing<'_>, ip_len: u16) -> [u8; HEADERS_LEN] {
+fn headers(datagram: &Addressed<'_>, ip_len: u16) -> [u8; HEADERS_LEN] {
     let mut ip = [0; IPV4_LEN];
     ip[0] = 0x45;
     ip[2..4].copy_from_slice(&ip_len.to_be_bytes());

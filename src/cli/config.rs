@@ -8,6 +8,7 @@ use std::path::{Path, PathBuf};
 use super::{CliError, complain};
 use crate::daemon::config::{Config, RecordConfig, SensorConfig, memory};
 use crate::export::text::count_of;
+use crate::publish::{SHARED_MEMORY, free_bytes, pool_sweeps};
 use crate::segment::Method;
 
 /// The configuration that systemd/ ships.
@@ -59,7 +60,7 @@ fn check(file: &Path) -> Result<(), CliError> {
     for sensor in &config.sensors {
         text += &told(&sensor.name, &sensor_lines(sensor));
     }
-    let free = memory::free_bytes(Path::new(memory::SHARED_MEMORY));
+    let free = free_bytes();
     text += &told("daemon", &daemon_lines(&config, &free));
     print(&text)?;
     let most: u64 = config.sensors.iter().map(|sensor| *memory::pool_bytes(sensor).end()).sum();
@@ -72,7 +73,7 @@ fn check(file: &Path) -> Result<(), CliError> {
             format_args!(
                 "{} has {free} free and {most} may be needed, if no daemon holds that now; enlarge it with \
                  `mount -o remount,size=...` (of a container: --shm-size), lower max_consumers, or tell model and returns",
-                memory::SHARED_MEMORY
+                SHARED_MEMORY
             ),
         );
     }
@@ -94,7 +95,7 @@ fn sensor_lines(sensor: &SensorConfig) -> Lines {
     let source = sensor.source_port.map_or_else(String::new, |port| format!(":{port}"));
     let sweeps = memory::sweep_bytes(sensor);
     let sweep = mib(*sweeps.start() as u64)..=mib(*sweeps.end() as u64);
-    let samples = memory::samples(sensor.max_consumers);
+    let samples = pool_sweeps(sensor.max_consumers);
     let consumers = count_of(sensor.max_consumers as u64, "consumer");
     vec![
         ("packets", format!("from {}{source} to port {}", sensor.address, sensor.port.port)),
@@ -185,8 +186,8 @@ fn daemon_lines(config: &Config, free: &io::Result<u64>) -> Lines {
     let pools = config.sensors.iter().map(memory::pool_bytes);
     let (least, most) = pools.fold((0, 0), |sum, pool| (sum.0 + pool.start(), sum.1 + pool.end()));
     let free = match free {
-        Ok(free) => format!("{} free in {}", mib(*free), memory::SHARED_MEMORY),
-        Err(error) => format!("{}: {error}", memory::SHARED_MEMORY),
+        Ok(free) => format!("{} free in {}", mib(*free), SHARED_MEMORY),
+        Err(error) => format!("{}: {error}", SHARED_MEMORY),
     };
     vec![
         ("health", http),

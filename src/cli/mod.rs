@@ -12,6 +12,7 @@ pub mod play;
 pub mod publish;
 pub mod record;
 pub mod replay;
+pub mod run;
 pub mod segment;
 pub mod send;
 pub mod signals;
@@ -23,12 +24,15 @@ pub mod watch;
 use std::fmt::Display;
 use std::io::{self, Write};
 use std::path::{Path, PathBuf};
+use std::sync::Arc;
 
 use clap::{Parser, Subcommand};
 
-use crate::capture::{CaptureError, UdpError};
+use crate::capture::{CaptureError, RecordError, UdpError};
 use crate::client::ClientError;
+use crate::daemon::DaemonError;
 use crate::daemon::config::ConfigError;
+use crate::daemon::tap::TapError;
 use crate::export::ExportError;
 use crate::publish::PublishError;
 use crate::sensor::CalibrationError;
@@ -48,6 +52,8 @@ pub struct Cli {
 /// The subcommands.
 #[derive(Debug, Subcommand)]
 pub enum Command {
+    /// Run the daemon: live sensors in, labelled sweeps to all programs of this host
+    Run(run::Args),
     /// Replay a capture: decode it, segment every sweep, and show or write what comes out
     Replay(Box<replay::Args>),
     /// Record live sensors to a capture, with the kernel's time stamps
@@ -98,24 +104,23 @@ pub enum CliError {
         source: io::Error,
     },
     /// A recording cannot be written.
-    #[error("cannot write {}: {source}; {cure}", path.display())]
-    Recording {
-        /// The file.
-        path: PathBuf,
-        /// What the system says.
-        source: io::Error,
-        /// What to do about it.
-        cure: &'static str,
-    },
+    #[error(transparent)]
+    Record(#[from] Arc<RecordError>),
     /// Sweeps cannot be shared.
     #[error(transparent)]
     Publish(#[from] PublishError),
     /// No sweeps can be had from a daemon.
     #[error(transparent)]
     Client(#[from] ClientError),
+    /// The daemon's datagrams cannot be had.
+    #[error(transparent)]
+    Tap(#[from] TapError),
     /// A port cannot be listened on.
     #[error(transparent)]
     Udp(#[from] UdpError),
+    /// The daemon cannot start, or cannot go on.
+    #[error(transparent)]
+    Daemon(#[from] DaemonError),
     /// The system refuses what it never should: a signal handler, a thread.
     #[error("cannot {what}: {source}")]
     System {
@@ -143,9 +148,26 @@ pub enum CliError {
     Reported,
 }
 
+impl From<RecordError> for CliError {
+    fn from(error: RecordError) -> Self {
+        Self::Record(Arc::new(error))
+    }
+}
+
 /// The bytes of a file of at most `limit` bytes.
 fn read_file(path: &Path, limit: u64) -> Result<Vec<u8>, CliError> {
     crate::file::read(path, limit).map_err(|source| CliError::Read { path: path.to_owned(), source })
+}
+
+impl CliError {
+    /// What the program ends with: 78 (EX_CONFIG of sysexits.h) where only another configuration would help, so that a
+    /// supervisor need not try again; else 1.
+    pub fn exit_code(&self) -> u8 {
+        match self {
+            Self::Config(ConfigError::Invalid(_)) => 78,
+            _ => 1,
+        }
+    }
 }
 
 /// Shows an error on standard error, with its cause where the message does not hold it. A reader that went away

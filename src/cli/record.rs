@@ -1,15 +1,14 @@
-//! `sweepd record`: live sensors to a capture.
+//! `sweepd record`: live sensors to a capture, from UDP or from the daemon that has them.
 //!
-//! A thread a port receives and does nothing that could wait; one writes. Signals come by signal-hook, which sets a flag
-//! without a runtime, a thread or `unsafe` of ours; there is nothing here that would want to be asynchronous.
+//! A thread an input receives and does nothing that could wait; a [`Recorder`] writes. Signals come by signal-hook, which
+//! sets a flag without a runtime, a thread or `unsafe` of ours; there is nothing here that would want to be asynchronous.
 
-mod files;
-mod queue;
+mod input;
 mod report;
 
 use std::io::{self, BufWriter, IsTerminal, Write};
 use std::net::Ipv4Addr;
-use std::path::PathBuf;
+use std::path::{Path, PathBuf};
 use std::sync::Arc;
 use std::sync::atomic::{AtomicBool, AtomicU64, Ordering};
 use std::thread;
@@ -19,18 +18,17 @@ use indicatif::{ProgressBar, ProgressStyle};
 use signal_hook::consts::{SIGHUP, SIGINT, SIGTERM};
 use signal_hook::flag;
 
-use self::files::{Files, Rotation};
-use self::queue::{Load, Queue};
-use self::report::{PortReport, Report};
+use self::input::{Input, InputReport};
+use self::report::Report;
 use super::options::within;
 use super::{CliError, complain};
+use crate::capture::record::Rotation;
 use crate::capture::udp::ample_buffer_bytes;
-use crate::capture::{Gate, Route, SensorFilter, UdpConfig, UdpError, UdpSource};
+use crate::capture::{Gate, Recorder, SensorFilter, UdpConfig, UdpError, UdpSource};
+use crate::daemon::tap::{TapStream, socket_path};
 use crate::export::text::grouped;
 use crate::wire::{DATA_PORT, POSITION_PORT};
 
-/// What may wait for the disk, bytes: 4.8 s of the fastest model.
-const QUEUE_BYTES: usize = 32 << 20;
 /// How soon everybody hears of the end.
 const TICK: Duration = Duration::from_millis(50);
 
@@ -38,17 +36,26 @@ const TICK: Duration = Duration::from_millis(50);
 #[derive(Clone, Debug, clap::Args)]
 #[command(after_help = "\
 Only data and position packets are recorded; whatever else comes is counted by reason. Ctrl-C ends a
-recording cleanly. What came is on the disk about a second later.
+recording cleanly. What came is on the disk about a second later. Where a daemon has the sensor, --from
+records what it receives.
 
 Examples:
   sweepd record -o drive.pcap
   sweepd record -o drive.pcap.gz --seconds 60 --sensor 192.168.1.201
   sweepd record -o drive.pcap --port 2368 --port 2369 --rotate-mb 1000 --rotate-seconds 600
-  sweepd record -o drive.pcap --multicast 239.1.2.3 --interface eth1")]
+  sweepd record -o drive.pcap --multicast 239.1.2.3 --interface eth1
+  sweepd record -o drive.pcap --from roof")]
 pub struct Args {
     /// Write there: NAME.pcap or NAME.pcap.gz; a file that exists is never overwritten
     #[arg(short, long, value_name = "FILE")]
     output: PathBuf,
+    /// Record what the running daemon receives of this sensor, by its name in the daemon's configuration
+    #[arg(long, value_name = "NAME", conflicts_with_all = ["ports", "bind", "multicast", "interface"])]
+    from: Option<String>,
+    /// Folder of the daemon's files [default: $SWEEPD_ROOT; else /run/sweepd/iox2 where there is a /run/sweepd, else
+    /// /tmp/sweepd/iox2]
+    #[arg(long, value_name = "DIR", requires = "from")]
+    root: Option<PathBuf>,
     /// UDP port to listen on; may be given several times
     #[arg(long = "port", value_name = "PORT", default_values_t = [DATA_PORT, POSITION_PORT])]
     ports: Vec<u16>,
@@ -79,15 +86,14 @@ pub struct Args {
 /// Runs the command.
 ///
 /// # Errors
-/// [`CliError`]: a port that cannot be listened on, a file that cannot be written.
+/// [`CliError`]: a port that cannot be listened on, a daemon that cannot be had, a file that cannot be written.
 pub fn run(args: &Args) -> Result<(), CliError> {
     // Before anything is opened, so that no signal leaves it half done.
     let over = on_signals().map_err(|source| CliError::System { what: "handle signals", source })?;
-    let sources = args.listen()?;
-    let files = Files::create(&args.output, args.rotation(), args.destination())?;
-    args.announce(&sources, &files);
-    let recording = Recording { queue: Queue::new(QUEUE_BYTES), over, counts: Counts::default() };
-    let (report, ended) = recording.run(args, sources, files);
+    let inputs = args.inputs()?;
+    let recorder = Recorder::start(&args.output, args.rotation())?;
+    announce(&inputs, recorder.path());
+    let (report, ended) = Recording { recorder, over, counts: Counts::default() }.run(args, inputs);
     report.print(&mut BufWriter::new(io::stdout().lock())).map_err(CliError::Stdout)?;
     // What an error explains needs no warning.
     if ended.is_ok() {
@@ -107,23 +113,41 @@ fn on_signals() -> io::Result<Arc<AtomicBool>> {
     Ok(over)
 }
 
+fn announce(inputs: &[Input], file: &Path) {
+    let places: Vec<String> = inputs.iter().map(Input::place).collect();
+    let _ = writeln!(io::stderr(), "recording {} to {}; Ctrl-C ends it", places.join(", "), file.display());
+}
+
 impl Args {
+    /// What to record: ports of this host, or a sensor of the daemon.
+    fn inputs(&self) -> Result<Vec<Input>, CliError> {
+        let Some(sensor) = &self.from else { return self.listen() };
+        let root = self.root.clone().unwrap_or_else(default_root);
+        let stream = TapStream::connect(&socket_path(&root), sensor)?;
+        Ok(vec![Input::Daemon { stream, sensor: sensor.clone(), gate: self.gate() }])
+    }
+
     /// Opens all ports, and says which have too small a buffer.
-    fn listen(&self) -> Result<Vec<UdpSource>, CliError> {
+    fn listen(&self) -> Result<Vec<Input>, CliError> {
         let mut ports = self.ports.clone();
         ports.sort_unstable();
         ports.dedup();
-        let mut sources = Vec::new();
+        let mut inputs = Vec::new();
         for port in ports {
             let (multicast, interface) = (self.multicast, self.interface.clone());
             let buffer_bytes = ample_buffer_bytes();
-            let source = UdpSource::bind(&UdpConfig { address: self.bind, port, multicast, interface, buffer_bytes })?;
+            let config = UdpConfig { address: self.bind, port, multicast, interface, buffer_bytes };
+            let source = UdpSource::bind(&config).map_err(in_place_of_daemon)?;
             if let Some(warning) = source.buffer().warning(source.local_addr().port()) {
                 complain("warning", warning);
             }
-            sources.push(source);
+            inputs.push(Input::Port { source, gate: self.gate() });
         }
-        Ok(sources)
+        Ok(inputs)
+    }
+
+    fn gate(&self) -> Gate {
+        Gate::new(self.sensor.clone())
     }
 
     fn rotation(&self) -> Rotation {
@@ -132,116 +156,64 @@ impl Args {
         Rotation { bytes: scaled(self.rotate_mb, 1e6), ns: scaled(self.rotate_seconds, 1e9) }
     }
 
-    /// Whom the sensors send to, as far as a socket can know: the group, this host, or all as they do by default.
-    fn destination(&self) -> Ipv4Addr {
-        let bound = Some(self.bind).filter(|bound| !bound.is_unspecified());
-        self.multicast.or(bound).unwrap_or(Ipv4Addr::BROADCAST)
-    }
-
-    fn announce(&self, sources: &[UdpSource], files: &Files) {
-        let places: Vec<String> = sources.iter().map(|source| source.local_addr().to_string()).collect();
-        let file = files.written().first.display().to_string();
-        let _ = writeln!(io::stderr(), "recording {} to {file}; Ctrl-C ends it", places.join(", "));
-    }
-
     fn is_due(&self, begun: Instant) -> bool {
         self.seconds.is_some_and(|seconds| begun.elapsed().as_secs_f64() >= seconds)
     }
 }
 
-/// What the live line shows.
+/// The daemon's folder where none is named.
+fn default_root() -> PathBuf {
+    let named = std::env::var_os("SWEEPD_ROOT").filter(|value| !value.is_empty()).map(PathBuf::from);
+    let usual =
+        || PathBuf::from(if Path::new("/run/sweepd").is_dir() { "/run/sweepd/iox2" } else { "/tmp/sweepd/iox2" });
+    named.unwrap_or_else(usual)
+}
+
+/// A port that the daemon has is no reason to stop it.
+fn in_place_of_daemon(error: UdpError) -> CliError {
+    match &error {
+        UdpError::PortTaken { port, holder: Some(holder) } if holder.is_sweepd() => CliError::Usage(format!(
+            "port {port} is held by {holder}; if that is the daemon, `sweepd record --from NAME` records what it receives"
+        )),
+        _ => error.into(),
+    }
+}
+
+/// What the live line shows of the inputs.
 #[derive(Default)]
 struct Counts {
     received: AtomicU64,
     dropped: AtomicU64,
-    overflowed: AtomicU64,
-    written: AtomicU64,
-    bytes: AtomicU64,
 }
 
 /// What the threads share.
 struct Recording {
-    queue: Queue,
+    recorder: Recorder,
     over: Arc<AtomicBool>,
     counts: Counts,
 }
 
 impl Recording {
     /// Records until the end. What was recorded is reported whatever ended it.
-    fn run(&self, args: &Args, sources: Vec<UdpSource>, mut files: Files) -> (Report, Result<(), CliError>) {
+    fn run(self, args: &Args, inputs: Vec<Input>) -> (Report, Result<(), CliError>) {
         let begun = Instant::now();
-        let (ports, written, received) = thread::scope(|scope| {
-            let writer = scope.spawn(|| self.write_all(&mut files));
-            let receivers: Vec<_> = (sources.into_iter())
-                .map(|source| scope.spawn(|| self.receive_all(source, Gate::new(args.sensor.clone()))))
-                .collect();
+        let received: Vec<(InputReport, Result<(), CliError>)> = thread::scope(|scope| {
+            let receive = |input: Input| scope.spawn(|| input.receive_all(&self));
+            let receivers: Vec<_> = inputs.into_iter().map(receive).collect();
             self.watch(args, begun);
-            let received: Vec<_> = receivers.into_iter().map(|receiver| resume(receiver.join())).collect();
-            self.queue.close();
-            let written = resume(writer.join());
-            let (ports, failed): (Vec<_>, Vec<_>) = received.into_iter().unzip();
-            let failed = failed.into_iter().collect::<Result<(), UdpError>>();
-            (ports, written, failed.map_err(CliError::Udp))
+            receivers.into_iter().map(|receiver| resume(receiver.join())).collect()
         });
+        let (written, finished) = self.recorder.finish();
         let took = begun.elapsed();
-        let (written, finished) = files.finish(written);
-        (Report { ports, written, took }, finished.and(received))
+        let (inputs, failed): (Vec<_>, Vec<_>) = received.into_iter().unzip();
+        let failed = failed.into_iter().collect::<Result<(), CliError>>();
+        (Report { inputs, written, took }, finished.map_err(CliError::from).and(failed))
     }
 
-    /// Receives on one port until the end, and then what came before it.
-    fn receive_all(&self, mut source: UdpSource, mut gate: Gate) -> (PortReport, Result<(), UdpError>) {
-        let mut result = Ok(());
-        while result.is_ok() && !self.is_over() {
-            result = self.receive(&mut source, &mut gate, TICK).map(drop);
-        }
-        self.end();
-        // As much as the kernel can hold, not as much as a sensor goes on sending.
-        for _ in 0..source.buffer().packets() {
-            if result.is_err() || self.receive(&mut source, &mut gate, Duration::ZERO).is_ok_and(|count| count == 0) {
-                break;
-            }
-        }
-        let (port, received, dropped) = (source.local_addr().port(), source.received(), source.dropped());
-        (PortReport { port, received, dropped, gate }, result)
-    }
-
-    fn receive(&self, source: &mut UdpSource, gate: &mut Gate, timeout: Duration) -> Result<u64, UdpError> {
-        let (received, dropped) = (source.received(), source.dropped_so_far());
-        let batch = source.receive(timeout)?;
-        let overflowed = self.queue.put(batch.filter(|one| !matches!(gate.admit(one), Route::Other(_))));
-        let count = source.received() - received;
-        self.counts.received.fetch_add(count, Ordering::Relaxed);
-        self.counts.dropped.fetch_add(source.dropped_so_far() - dropped, Ordering::Relaxed);
-        self.counts.overflowed.fetch_add(overflowed, Ordering::Relaxed);
-        Ok(count)
-    }
-
-    /// Writes until the queue is closed and empty. A disk that fails ends the recording.
-    fn write_all(&self, files: &mut Files) -> Result<(), CliError> {
-        let mut load = Load::new(QUEUE_BYTES);
-        while self.queue.take(&mut load) {
-            let written = self.write(files, &load);
-            if written.is_err() {
-                self.end();
-                return written;
-            }
-        }
-        Ok(())
-    }
-
-    fn write(&self, files: &mut Files, load: &Load) -> Result<(), CliError> {
-        for (source, datagram) in load.datagrams() {
-            files.write(source, &datagram)?;
-        }
-        self.counts.written.store(files.written().datagrams, Ordering::Relaxed);
-        self.counts.bytes.store(files.written().bytes, Ordering::Relaxed);
-        files.sync_now_and_then()
-    }
-
-    /// Waits for the end, with a live line where somebody sits.
+    /// Waits for the end, with a live line where somebody sits. A disk that fails is an end as well.
     fn watch(&self, args: &Args, begun: Instant) {
         let line = live_line();
-        while !self.is_over() && !args.is_due(begun) {
+        while !self.is_over() && !args.is_due(begun) && self.recorder.error().is_none() {
             thread::sleep(TICK);
             line.set_message(self.live(begun));
         }
@@ -250,18 +222,18 @@ impl Recording {
     }
 
     fn live(&self, begun: Instant) -> String {
-        let counts = &self.counts;
-        let [received, dropped, overflowed, written, bytes] =
-            [&counts.received, &counts.dropped, &counts.overflowed, &counts.written, &counts.bytes]
+        let (counts, recorded) = (&self.counts, self.recorder.counts());
+        let [received, dropped, refused, written, bytes] =
+            [&counts.received, &counts.dropped, &recorded.refused, &recorded.written, &recorded.bytes]
                 .map(|count| count.load(Ordering::Relaxed));
         let megabytes = bytes as f64 * 1e-6;
         format!(
-            "{:.0} s: {} datagrams came, {} recorded ({megabytes:.1} MB), {} dropped by the kernel, {} by the disk",
+            "{:.0} s: {} datagrams came, {} recorded ({megabytes:.1} MB), {} dropped before, {} for want of a faster disk",
             begun.elapsed().as_secs_f64(),
             grouped(received),
             grouped(written),
             grouped(dropped),
-            grouped(overflowed),
+            grouped(refused),
         )
     }
 

@@ -20,7 +20,7 @@ use super::options::{model, within};
 use super::play::destination;
 use super::send::Sender;
 use super::sink::CaptureFile;
-use crate::capture::write::Outgoing;
+use crate::capture::write::Addressed;
 use crate::capture::{Pacer, Speed};
 use crate::sensor::model::Spec;
 use crate::sensor::{Calibration, Model};
@@ -397,7 +397,7 @@ impl Output {
         match self {
             Self::File(file) => {
                 let (arrival_ns, source, destination) = (*arrival_ns, *source, *destination);
-                file.write(&Outgoing { arrival_ns, source, destination, payload })
+                file.write(&Addressed { arrival_ns, source, destination, payload })
             }
             Self::Network { sender, pacer, start } => {
                 let wait = pacer.wait(*arrival_ns, start.elapsed().as_nanos() as u64);

@@ -20,6 +20,7 @@ pub use changes::{Change, Effect};
 pub use error::{ConfigError, Problems};
 
 use crate::pipeline;
+use crate::sensor::{Calibration, Model};
 use error::Problem;
 
 /// Longest file that is read as a configuration, bytes.
@@ -124,6 +125,15 @@ pub struct RecordConfig {
     pub rotate_bytes: Option<u64>,
     /// Seconds after which another file begins.
     pub rotate_seconds: Option<u64>,
+}
+
+/// The models that a sensor may be of which so much is told.
+fn possible_models(model: Option<Model>, calibration: Option<&Calibration>) -> impl Iterator<Item = Model> {
+    Model::ALL.into_iter().filter(move |&candidate| match (model, calibration) {
+        (Some(own), _) => own == candidate,
+        (None, Some(calibration)) => calibration.clone().for_model(candidate).is_ok(),
+        (None, None) => true,
+    })
 }
 
 #[cfg(test)]

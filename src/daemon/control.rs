@@ -18,23 +18,21 @@ use super::notify::{Notifier, Pulse};
 use super::runtime::{DaemonError, Runtime};
 use super::sensor::Event;
 use super::sharing::Sharing;
-use super::state::{Message, Observation, Running, State, Watcher};
-use crate::pipeline::{self, Notice};
+use super::state::{Message, Observation, Running, Watcher};
+use crate::pipeline::{Fault, Notice};
 
-/// What of a new configuration can be had without a restart.
-#[derive(Clone, Debug, Default)]
+/// A configuration that was read anew.
+#[derive(Clone, Debug)]
 pub struct Reload {
-    /// Sensors, by their places, that are decoded and segmented otherwise.
-    pub pipelines: Vec<(usize, pipeline::Config)>,
-    /// Sensors, by their places, whose speed is watched otherwise.
-    pub speeds: Vec<(usize, Option<f32>)>,
-    /// What takes effect only after a restart, a sentence each.
+    /// What runs from now on: the sensors and ports of the one before, with what of the new one can be had without a
+    /// restart.
+    pub config: Config,
+    /// What of the new one cannot, a sentence each.
     pub needs_restart: Vec<String>,
 }
 
-/// Reads the configuration anew and compares it with the one that was read last: gives the new one and what of it can be
-/// had, or a sentence why it is none.
-pub type Reread = Box<dyn FnMut(&Config) -> Result<(Config, Reload), String>>;
+/// Reads the configuration anew and compares it with the one that runs, or says why it cannot be taken.
+pub type Reread = Box<dyn FnMut(&Config) -> Result<Reload, String>>;
 
 /// Runs the daemon until SIGTERM or SIGINT; SIGHUP reads the configuration anew.
 ///
@@ -165,9 +163,10 @@ impl Control {
     fn hear_events(&mut self) {
         let events: Vec<_> = self.runtime.events.try_iter().collect();
         for (index, event) in events {
-            let (name, watcher) = (&self.runtime.sensors[index].name, &mut self.watchers[index]);
+            let (sensor, watcher) = (&self.runtime.sensors[index], &mut self.watchers[index]);
+            let name = &sensor.name;
             match event {
-                Event::Fault(fault) => watcher.refused(fault.to_string()),
+                Event::Fault(fault) => watcher.refused(in_words_of_the_file(&fault)),
                 Event::Notice(Notice::AwaitsCalibration) => watcher.awaits_calibration(),
                 Event::Notice(Notice::Calibrated { packets, .. }) => {
                     watcher.unhindered();
@@ -183,7 +182,9 @@ impl Control {
                     info!("{name}: decoded with the new configuration");
                 }
                 Event::Reconfigured(Err(error)) => warn!("{name}: goes on as before: {error}"),
-                Event::NotShared(why) => warn!("{name}: sweeps reach nobody: {why}"),
+                Event::NotShared(why) => {
+                    warn!("{name}: sweeps reach nobody: {}", sensor.sharing.trouble().unwrap_or(why));
+                }
                 Event::SharedAgain => info!("{name}: sweeps are shared again"),
             }
         }
@@ -207,25 +208,32 @@ impl Control {
     fn reload(&mut self) {
         self.notifier.reloading();
         match (self.reread)(&self.config) {
-            Ok((config, reload)) => {
+            Ok(Reload { config, needs_restart }) => {
                 info!("the configuration was read anew");
-                self.apply(reload);
-                self.config = config;
+                self.apply(config);
+                needs_restart.iter().for_each(|what| warn!("{what}"));
             }
             Err(why) => warn!("the configuration is not taken, everything goes on as before: {why}"),
         }
         self.notifier.ready();
     }
 
-    fn apply(&mut self, reload: Reload) {
-        for (index, config) in reload.pipelines {
-            self.runtime.reconfigure(index, config);
+    fn apply(&mut self, config: Config) {
+        let old = std::mem::replace(&mut self.config, config);
+        for (index, (new, old)) in self.config.sensors.iter().zip(&old.sensors).enumerate() {
+            if new.pipeline != old.pipeline {
+                self.runtime.reconfigure(index, new.pipeline.clone());
+            }
+            if new.rpm != old.rpm {
+                self.watchers[index].expect_rpm(new.rpm);
+            }
         }
-        for (index, rpm) in reload.speeds {
-            self.watchers[index].expect_rpm(rpm);
-        }
-        reload.needs_restart.iter().for_each(|what| warn!("only after a restart: {what}"));
     }
+}
+
+/// Faults name the options of the command line; the configuration has keys of the same names.
+fn in_words_of_the_file(fault: &Fault) -> String {
+    fault.to_string().replace("--model", "`model`").replace("--calibration", "`calibration`")
 }
 
 fn ticks(period: Duration) -> Interval {
@@ -251,7 +259,17 @@ fn observation(counters: &SensorCounters, now: Duration) -> Observation {
     Observation { now, data: counters.data.get(), position: counters.position.get(), steady_sweeps, running }
 }
 
-/// Whether all is well: every sensor streams as it should.
-pub(super) fn is_well((state, complaint): &(State, Option<String>)) -> bool {
-    *state == State::Streaming && complaint.is_none()
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use crate::sensor::Model;
+    use crate::sensor::detect::DetectError;
+
+    #[test]
+    fn faults_name_keys_of_the_configuration() {
+        let (said, timing) = (Model::Vlp16, Model::Hdl32e);
+        let fault = DetectError::Contradiction { said, given: true, timing, interval_us: 553 };
+        let text = in_words_of_the_file(&Fault::Model(fault));
+        assert!(text.starts_with("`model` says VLP-16") && !text.contains("--"), "{text}");
+    }
 }

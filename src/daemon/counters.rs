@@ -70,7 +70,7 @@ impl Histogram {
 
     /// Upper bound in seconds and count of each bucket, the last without a bound; not added up.
     pub fn buckets(&self) -> impl Iterator<Item = (f64, u64)> {
-        let bounds = Self::BOUNDS_NS.iter().map(|&ns| ns as f64 * 1e-9).chain([f64::MAX]);
+        let bounds = Self::BOUNDS_NS.iter().map(|&ns| ns as f64 * 1e-9).chain([f64::INFINITY]);
         bounds.zip(self.buckets.iter().map(Counter::get))
     }
 
@@ -316,7 +316,7 @@ mod tests {
         assert_eq!((buckets.len(), histogram.count()), (20, 5));
         assert!((histogram.sum_s() - 2.000_002_002).abs() < 1e-12);
         let bounds: Vec<f64> = histogram.buckets().map(|(bound, _)| bound).collect();
-        assert!(bounds.is_sorted() && (bounds[9] - 1e-3).abs() < 1e-12 && bounds[19] == f64::MAX);
+        assert!(bounds.is_sorted() && (bounds[9] - 1e-3).abs() < 1e-12 && bounds[19] == f64::INFINITY);
     }
 
     #[test]

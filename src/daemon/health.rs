@@ -23,7 +23,6 @@ use tokio::net::{TcpListener, TcpStream};
 use tokio::sync::Semaphore;
 use tokio::time::timeout;
 
-use super::control::is_well;
 use super::counters::Reject;
 use super::metrics;
 use super::runtime::{PortStatus, SensorStatus};
@@ -64,12 +63,16 @@ impl View {
     /// Why not all is well; empty if it is.
     fn reasons(&self) -> Vec<String> {
         let named = self.sensors.iter().zip(&self.states);
-        let unwell = named.filter(|(_, state)| !is_well(state));
+        let unwell = named.filter(|(_, (state, why))| *state != State::Streaming || why.is_some());
         let sensors = unwell.map(|(sensor, (state, why))| match why {
             Some(why) => format!("{}: {state}: {why}", sensor.name),
             None => format!("{}: {state}", sensor.name),
         });
-        sensors.chain(self.hanging.iter().map(|port| format!("the thread of port {port} hangs"))).collect()
+        let unshared = self.sensors.iter().filter_map(|sensor| {
+            sensor.sharing.trouble().map(|why| format!("{}: sweeps reach nobody: {why}", sensor.name))
+        });
+        let hanging = self.hanging.iter().map(|port| format!("the thread of port {port} hangs"));
+        sensors.chain(unshared).chain(hanging).collect()
     }
 
     /// All of it, as JSON; and whether all is well.
@@ -118,6 +121,7 @@ fn sensor(sensor: &SensorStatus, (state, complaint): &(State, Option<String>)) -
         "unshared_sweeps": counters.unshared.get(),
         "consumers": sensor.sharing.consumers(),
         "shared_bytes": sensor.sharing.reserved_bytes(),
+        "sharing_trouble": sensor.sharing.trouble(),
     })
 }
 

@@ -2,10 +2,11 @@
 //!
 //! ```text
 //! config                            what is to run, from a TOML file
-//! plan, runtime                     ports and sensors worked out, opened and started
-//! port      one thread a port:      receive -> door -> sensor (pipeline, header) -> sharing; no lock, no log line a packet
-//! control   one tokio thread:       signals, reload, systemd (notify), health and metrics over HTTP
-//! counters, state                   what the first tell the second: plain atomics, and what they mean
+//! plan, runtime                     ports and sensors: worked out, opened, started, looked after
+//! port      one thread a port:      receive -> door (who gets in) -> sensor (pipeline, header) -> sharing
+//! control   one tokio thread:       signals, reload, notify (systemd), health and metrics over HTTP
+//! counters                          what the first tell the second: plain atomics
+//! state                             what that means, in words
 //! ```
 
 pub mod config;
@@ -27,3 +28,4 @@ pub mod sys;
 mod testing;
 
 pub use runtime::{DaemonError, Runtime};
+pub mod tap;

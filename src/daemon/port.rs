@@ -156,8 +156,7 @@ fn deliver<B: Buffers<Buffer: Outgoing>>(
         served.sensor.position(datagram);
     }
     for mailbox in others.iter().filter(|mailbox| mailbox.address == address) {
-        let sent = Mail::of(datagram).map(|mail| mailbox.sender.try_send(mail));
-        if !matches!(sent, Some(Ok(()))) {
+        if Mail::of(datagram).is_none_or(|mail| mailbox.sender.try_send(mail).is_err()) {
             mailbox.counters.position_overflows.add(1);
         }
     }

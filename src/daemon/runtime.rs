@@ -11,13 +11,13 @@ use std::time::{Duration, Instant};
 
 use tracing::{info, warn};
 
-use super::config::{Config, PortConfig, SensorConfig};
+use super::config::{Config, PortConfig, SensorConfig, memory};
 use super::counters::{PortCounters, SensorCounters};
 use super::door::Door;
 use super::plan::{self, PortName, PortPlan};
 use super::port::{MAILS, Mail, Mailbox, Port, Served};
 use super::sensor::{Event, Identity, Sensor};
-use super::sharing::{Sharing, SharingError, SharingStatus, largest_sweep_bytes};
+use super::sharing::{Sharing, SharingError, SharingStatus};
 use super::sys;
 use crate::capture::udp::ReceiveBuffer;
 use crate::capture::{UdpError, UdpSource};
@@ -239,7 +239,7 @@ impl Hall {
         events: &Sender<(usize, Event)>,
     ) -> Result<Served<S::Buffers>, DaemonError> {
         let name = || sensor.name.clone();
-        let way = sharing.open(sensor, largest_sweep_bytes(sensor));
+        let way = sharing.open(sensor, memory::exact_sweep_bytes(sensor));
         let way = way.map_err(|source| DaemonError::Sharing { sensor: name(), source })?;
         let counters = Arc::new(SensorCounters::default());
         let address = sensor.address.to_canonical();

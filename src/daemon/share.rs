@@ -1,8 +1,8 @@
 //! The daemon's sweeps through shared memory: what [`super::sharing`] asks for, done by [`crate::publish`].
 
-use super::config::SensorConfig;
+use super::config::{SensorConfig, memory};
 use super::sharing::{Outgoing, Sharing, SharingError, SharingStatus, Way};
-use crate::publish::{Domain, Loans, Settings, Slot, Status};
+use crate::publish::{Domain, Loans, PublishError, Settings, Slot, Status, free_bytes};
 use crate::sensor::Model;
 
 impl Sharing for Domain {
@@ -16,8 +16,12 @@ impl Sharing for Domain {
             address: sensor.address.to_string(),
         };
         let mut buffers = Loans::create(self, &settings)?;
-        if let Some(bytes) = bytes {
-            buffers.reserve(bytes)?;
+        // What is not known yet is at least this; better now than when the first sweep comes.
+        let (wanted, free) = (*memory::pool_bytes(sensor).start(), free_bytes()?);
+        match bytes {
+            Some(bytes) => buffers.reserve(bytes)?,
+            None if free < wanted => return Err(PublishError::Memory { wanted, free }.into()),
+            None => {}
         }
         let status = buffers.status();
         Ok(Way { buffers, status })
@@ -37,5 +41,9 @@ impl SharingStatus for Status {
 
     fn reserved_bytes(&self) -> u64 {
         Status::reserved_bytes(self)
+    }
+
+    fn trouble(&self) -> Option<String> {
+        Status::trouble(self)
     }
 }

@@ -219,7 +219,10 @@ impl Watcher {
             (Some(Hindrance::WrongModel(_)), _) => State::WrongModel,
             (Some(Hindrance::NoCalibration), _) => State::NoCalibration,
             _ if has_swept => State::Streaming,
-            (None, State::Streaming) if now.now - self.newest_sweep < PATIENCE => State::Streaming,
+            // Counted up to the newest packet: when they end in the middle of a turn, that is silence and no slow head.
+            (None, State::Streaming) if self.newest_data.saturating_sub(self.newest_sweep) < PATIENCE => {
+                State::Streaming
+            }
             _ => State::SpinningUp,
         }
     }
@@ -331,6 +334,8 @@ mod tests {
         let streaming = "roof: streaming, VLP-16 at 600 rpm, one return";
         assert_eq!(roof.observe(100, 75, 1), [streaming]);
         assert_eq!((roof.watcher.state(), roof.watcher.complaint()), (State::Streaming, None));
+        // The last turn is not complete.
+        assert_eq!(roof.observe(1, 37, 0), [""; 0]);
         assert_eq!(roof.observe(50, 0, 0), [silence]);
         assert_eq!(roof.watcher.state(), State::Stalled);
         assert_eq!(roof.observe(5, 75, 0), [spinning]);

@@ -5,7 +5,7 @@ use crate::sensor::{Calibration, Model};
 use crate::sweep::layout::ReturnChoice;
 
 /// How a sensor's packets are to be read and its sweeps cut and segmented.
-#[derive(Clone, Debug)]
+#[derive(Clone, Debug, PartialEq)]
 pub struct Config {
     /// The model; `None` detects it.
     pub model: Option<Model>,

@@ -63,7 +63,7 @@ impl Default for Domain {
     fn default() -> Self {
         let named = std::env::var_os(VARIABLE).filter(|value| !value.is_empty()).map(PathBuf::from);
         let usual = || PathBuf::from(if Path::new(RUN.0).is_dir() { RUN.1 } else { FALLBACK });
-        Self { root: named.unwrap_or_else(usual) }
+        Self::at(named.unwrap_or_else(usual))
     }
 }
 
@@ -71,7 +71,8 @@ impl Domain {
     /// The domain in a folder; a relative path is one of the current folder.
     pub fn at(root: impl Into<PathBuf>) -> Self {
         let root = root.into();
-        Self { root: std::path::absolute(&root).unwrap_or(root) }
+        // Its name makes names, so that one folder must have one name: `/x/` is `/x`.
+        Self { root: std::path::absolute(&root).unwrap_or(root).components().collect() }
     }
 
     /// The domain in a folder, or the default one.
@@ -191,6 +192,7 @@ mod tests {
         // FNV-1a of "/a" by hand: (((basis ^ 0x2f) * prime) ^ 0x61) * prime.
         assert_eq!(Domain::at("/a").prefix(), "sweepd_07d66707b49cd92d_");
         assert_ne!(Domain::at("/a").prefix(), Domain::at("/b").prefix());
+        assert_eq!(Domain::at("/a//./").prefix(), Domain::at("/a").prefix());
     }
 
     #[test]

@@ -16,7 +16,7 @@ use iceoryx2::service::port_factory::publish_subscribe::PortFactory;
 use super::files::{Fate, ServiceFile};
 use super::pool::{Loan, Pool};
 use super::{BORROWED, BUFFERED, Domain, DomainError, HISTORY, Ipc, MORE_NODES, PUBLISHERS, Preamble};
-use super::{SHARED_MEMORY, attribute, attributes, node, pool_sweeps, same_schema, service_name, sys};
+use super::{SHARED_MEMORY, attribute, attributes, node, same_schema, service_name};
 use crate::sweep::buffers::HeapBuffer;
 use crate::sweep::layout::LAYOUT_VERSION;
 use crate::sweep::{Buffers, HeapBuffers};
@@ -207,19 +207,6 @@ impl Loans {
     /// How the sharing goes.
     pub fn status(&self) -> Arc<Status> {
         Arc::clone(&self.status)
-    }
-
-    /// Bytes of shared memory for a sensor with sweeps of so many bytes; the files have some more for themselves.
-    pub fn pool_bytes(max_consumers: usize, sweep_bytes: usize) -> u64 {
-        (pool_sweeps(max_consumers) * sweep_bytes) as u64
-    }
-
-    /// Bytes of shared memory that are free on this host.
-    ///
-    /// # Errors
-    /// What the system says.
-    pub fn free_bytes() -> std::io::Result<u64> {
-        sys::free_bytes()
     }
 
     fn loan(&mut self, bytes: usize) -> Result<(Loan, Arc<Notifier<Ipc>>), PublishError> {

@@ -39,6 +39,8 @@ pub use domain::{Domain, DomainError};
 #[cfg(feature = "daemon")]
 pub use loans::{Loans, PublishError, Settings, Slot, Status};
 pub use subscriber::{Received, SubscribeError, Subscriber};
+#[cfg(feature = "daemon")]
+pub use sys::free_bytes;
 
 /// The kind of service: its samples may be sent from thread to thread. Consumers with the plain `ipc` kind see the same.
 pub(crate) type Ipc = iceoryx2::service::ipc_threadsafe::Service;
@@ -89,7 +91,7 @@ impl Preamble {
 const _: () = assert!(size_of::<Preamble>() == 64 && align_of::<Preamble>() == crate::sweep::layout::ALIGN);
 
 /// Where the system keeps shared memory, shm_open(3).
-pub(crate) const SHARED_MEMORY: &str = "/dev/shm";
+pub const SHARED_MEMORY: &str = "/dev/shm";
 
 /// Names of the attributes of a service.
 pub mod attributes {

@@ -18,8 +18,11 @@ pub(super) fn take_pages(file: &File, bytes: u64) -> io::Result<()> {
     }
 }
 
-/// Bytes of shared memory that are free (statvfs(3)).
-pub(super) fn free_bytes() -> io::Result<u64> {
+/// Bytes of shared memory that are free on this host (statvfs(3)).
+///
+/// # Errors
+/// What the system says.
+pub fn free_bytes() -> io::Result<u64> {
     let mut numbers = MaybeUninit::<libc::statvfs>::zeroed();
     // SAFETY: a path that ends in a zero, and room for the numbers; the call keeps neither.
     let done = unsafe { libc::statvfs(c"/dev/shm".as_ptr(), numbers.as_mut_ptr()) };

@@ -5,7 +5,7 @@ use std::net::SocketAddrV4;
 
 use flate2::Compression;
 use flate2::write::GzEncoder;
-use sweepd::capture::write::Outgoing;
+use sweepd::capture::write::Addressed;
 use sweepd::capture::{Capture, PcapWriter};
 use sweepd::wire::data::{DataPacket, FLAG_BANK_1};
 
@@ -99,7 +99,7 @@ pub fn pcap(datagrams: &[Sent]) -> Vec<u8> {
     for sent in datagrams {
         let destination = SocketAddrV4::new([255; 4].into(), sent.port);
         let (arrival_ns, source, payload) = (sent.arrival_ns, sent.source, &sent.payload[..]);
-        writer.write(&Outgoing { arrival_ns, source, destination, payload }).unwrap();
+        writer.write(&Addressed { arrival_ns, source, destination, payload }).unwrap();
     }
     writer.finish().unwrap()
 }

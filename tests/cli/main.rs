@@ -3,6 +3,7 @@
 mod calib;
 #[path = "../common/mod.rs"]
 mod common;
+mod config;
 #[path = "../common/domain.rs"]
 mod domain;
 mod errors;

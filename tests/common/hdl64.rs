@@ -5,7 +5,7 @@ use std::io::BufWriter;
 use std::path::Path;
 
 use sweepd::capture::PcapWriter;
-use sweepd::capture::write::Outgoing;
+use sweepd::capture::write::Addressed;
 use sweepd::sensor::{Calibration, stream};
 use sweepd::wire::DataPacket;
 use sweepd::wire::data::FLAG_BANK_1;
@@ -48,7 +48,7 @@ pub fn write_capture(
             block.set_azimuth_cdeg(((index * 6 + number / 2) * 17 % 36_000) as u16);
         }
         let arrival_ns = 1_770_000_000_000_000_000 + index as i64 * 288_000;
-        writer.write(&Outgoing { arrival_ns, source, destination, payload: packet.emit() }).unwrap();
+        writer.write(&Addressed { arrival_ns, source, destination, payload: packet.emit() }).unwrap();
     }
     writer.finish().unwrap();
 }

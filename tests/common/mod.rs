@@ -13,6 +13,7 @@ use std::path::{Path, PathBuf};
 use std::process::{Command, Stdio};
 
 const VELODYNE_DECODER: &str = "3.1.0";
+const ICEORYX2: &str = "0.10.0";
 
 /// The calibrations of real HDL-64E units among the shared data.
 pub const HDL64E_UNITS: [&str; 9] = [
@@ -50,15 +51,31 @@ pub fn data_dir() -> Option<PathBuf> {
 /// # Panics
 /// Under `CI=true`, if it is missing.
 pub fn python() -> Option<OsString> {
-    let python = std::env::var_os("SWEEPD_PYTHON").unwrap_or_else(|| "python3".into());
     // The module's own number was left behind by that of the package.
-    let code = "import velodyne_decoder, importlib.metadata as m; print(m.version('velodyne_decoder'))";
+    python_that_says(
+        "import velodyne_decoder, importlib.metadata as m; print(m.version('velodyne_decoder'))",
+        VELODYNE_DECODER,
+        "velodyne-decoder",
+    )
+}
+
+/// The same, if it has the right iceoryx2, and NumPy.
+///
+/// # Panics
+/// Under `CI=true`, if one is missing.
+pub fn python_with_iceoryx2() -> Option<OsString> {
+    let code = "import iceoryx2, numpy, importlib.metadata as m; print(m.version('iceoryx2'))";
+    python_that_says(code, ICEORYX2, "NumPy and iceoryx2")
+}
+
+fn python_that_says(code: &str, version: &str, package: &str) -> Option<OsString> {
+    let python = std::env::var_os("SWEEPD_PYTHON").unwrap_or_else(|| "python3".into());
     let output = Command::new(&python).args(["-c", code]).stderr(Stdio::null()).output();
-    if output.is_ok_and(|output| String::from_utf8_lossy(&output.stdout).trim() == VELODYNE_DECODER) {
+    if output.is_ok_and(|output| String::from_utf8_lossy(&output.stdout).trim() == version) {
         return Some(python);
     }
     let python = python.to_string_lossy();
-    skip(&format!("{python} has no velodyne-decoder {VELODYNE_DECODER}; set SWEEPD_PYTHON to one that has"));
+    skip(&format!("{python} has no {package} {version}; set SWEEPD_PYTHON to one that has"));
     None
 }
 

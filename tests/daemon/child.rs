@@ -37,6 +37,7 @@ fn runs_a_daemon() {
             told.fate(match &line[..] {
                 "hang" => Fate::Hangs,
                 "panic" => Fate::Panics,
+                "fail" => Fate::Fails,
                 _ => Fate::Sends,
             });
         }
@@ -47,9 +48,7 @@ fn runs_a_daemon() {
         let mut new = old.clone();
         new.sensors[0].rpm = Some(rpm);
         new.sensors[0].pipeline.cut_azimuth_rad = 1.0;
-        let pipelines = vec![(0, new.sensors[0].pipeline.clone())];
-        let needs_restart = vec!["daemon.http".to_owned()];
-        Ok((new, Reload { pipelines, speeds: vec![(0, Some(rpm))], needs_restart }))
+        Ok(Reload { config: new, needs_restart: vec!["http needs a restart".to_owned()] })
     };
     if let Err(error) = control::run(config, &*rig, Box::new(reread)) {
         eprintln!("error: {error}");

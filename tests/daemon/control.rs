@@ -81,6 +81,23 @@ fn a_thread_that_panics_ends_the_daemon_with_an_error() {
 }
 
 #[test]
+fn sweeps_that_reach_nobody_are_told_with_the_reason() {
+    let port = free_port();
+    let mut daemon = Daemon::start(&[[80, port, port]], free_tcp_port(), WATCHDOG);
+    daemon.until_ready();
+    let _sending = vlp16(80, (port, port), 100.0);
+    until("it streams", || daemon.health().0 == 200);
+    daemon.tell("fail");
+    until("it is unwell", || daemon.health().0 == 503);
+    assert_eq!(daemon.health().1["reasons"][0], "s80: sweeps reach nobody: the memory is full");
+    until("it says so", || daemon.log().contains("s80: sweeps reach nobody: the memory is full"));
+    daemon.tell("send");
+    until("it is well again", || daemon.health().0 == 200);
+    until("it says so", || daemon.log().contains("s80: sweeps are shared again"));
+    assert_eq!(daemon.log().matches("sweeps reach nobody").count(), 1);
+}
+
+#[test]
 fn sighup_takes_what_it_can_and_a_bad_file_changes_nothing() {
     let port = free_port();
     let daemon = Daemon::start(&[[75, port, port]], free_tcp_port(), WATCHDOG);
@@ -99,7 +116,7 @@ fn sighup_takes_what_it_can_and_a_bad_file_changes_nothing() {
     daemon.signal("-HUP");
     until("it is taken", || daemon.log().contains("s75: decoded with the new configuration"));
     until("it is ready again", || daemon.notified("READY=1", None).len() == 3);
-    assert!(daemon.log().contains("only after a restart: daemon.http"));
+    assert!(daemon.log().contains("WARN") && daemon.log().contains("http needs a restart"));
     until("the speed is watched", || daemon.health().0 == 503);
     let off = "turns at 600 rpm and is configured for 900: set one of them to the other";
     assert_eq!(daemon.health().1["sensors"][0]["reason"], off);

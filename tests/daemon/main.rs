@@ -2,5 +2,6 @@
 
 mod child;
 mod control;
+mod counting;
 mod ports;
 mod rig;

@@ -2,13 +2,14 @@
 
 use std::collections::BTreeMap;
 use std::net::{Ipv4Addr, UdpSocket};
+use std::sync::Arc;
 use std::sync::mpsc::Receiver;
 use std::time::{Duration, Instant, SystemTime};
 
 use sweepd::daemon::counters::{Gps, Reject, Stage};
 use sweepd::daemon::sensor::Event;
 use sweepd::daemon::{DaemonError, Runtime};
-use sweepd::pipeline::{self, Pipeline, Untimed};
+use sweepd::pipeline::{self, Notice, Pipeline, Untimed};
 use sweepd::sensor::Model;
 use sweepd::sweep::buffers::HeapBuffer;
 use sweepd::sweep::layout::TimeSource;
@@ -21,10 +22,10 @@ use crate::rig::{Fate, Rig, Sending, Sent, config, free_port, sensor, stream, un
 const SINGLE: ReturnMode = ReturnMode::Strongest;
 
 /// The sweeps that came, by sensor.
-fn by_sensor(sweeps: &Receiver<(String, HeapBuffer)>) -> BTreeMap<String, Vec<HeapBuffer>> {
+fn by_sensor(sweeps: &Receiver<(Arc<str>, HeapBuffer)>) -> BTreeMap<String, Vec<HeapBuffer>> {
     let mut by_sensor = BTreeMap::<String, Vec<HeapBuffer>>::new();
     for (name, sweep) in sweeps.try_iter() {
-        by_sensor.entry(name).or_default().push(sweep);
+        by_sensor.entry(name.to_string()).or_default().push(sweep);
     }
     by_sensor
 }
@@ -118,6 +119,75 @@ fn two_sensors_on_one_port_are_told_apart_by_their_address() {
 }
 
 #[test]
+fn a_steady_stream_of_packets_allocates_nothing_on_the_thread_of_its_port() {
+    let (rig, sweeps) = Rig::new();
+    let data = free_port();
+    let two = config(vec![sensor("roof", 25, (data, data)), sensor("rear", 26, (free_port(), data))]);
+    let runtime = Runtime::start(&two, &rig).unwrap();
+    // Buffers come back at once.
+    let consumer = std::thread::spawn(move || sweeps.iter().for_each(drop));
+    let [foreign, rear] = [27, 26].map(|host| UdpSocket::bind((Ipv4Addr::new(127, 0, 0, host), 0)).unwrap());
+    let sending = Sending::start(25, (data, data), stream(Model::Vlp16, SINGLE, 25.5));
+    let counters = &runtime.sensors[0].counters;
+    until("all sweeps are sent", || {
+        // Somebody else sends too, and a sensor of another port its position packets.
+        foreign.send_to(&[1; 100], (Ipv4Addr::LOCALHOST, data)).unwrap();
+        rear.send_to(&[0; 512], (Ipv4Addr::LOCALHOST, data)).unwrap();
+        counters.sweeps.get() >= 25
+    });
+    sending.finish();
+    until("position packets went over", || runtime.sensors[1].counters.position.get() >= 25);
+    runtime.stop().unwrap();
+    let allocated = rig.allocated.lock().unwrap().clone();
+    drop(rig);
+    consumer.join().unwrap();
+    // The height of the sensor is estimated over the first sweeps.
+    let between: Vec<u64> = allocated.windows(2).map(|pair| pair[1].0 - pair[0].1).skip(10).collect();
+    assert!(between.len() >= 14 && between.iter().all(|&count| count == 0), "{between:?}");
+}
+
+#[test]
+fn an_hdl64e_tells_its_calibration_and_then_streams() {
+    let (rig, sweeps) = Rig::new();
+    let mut one = sensor("roof", 28, (0, 0));
+    one.pipeline.model = Some(Model::Hdl64eS3);
+    let runtime = Runtime::start(&config(vec![one]), &rig).unwrap();
+    let port = runtime.ports[0].local.port();
+    let sending = Sending::start(28, (port, port), stream(Model::Hdl64eS3, SINGLE, 16.0));
+    let told = runtime.events.recv_timeout(Duration::from_secs(20)).unwrap();
+    assert!(matches!(told, (0, Event::Notice(Notice::AwaitsCalibration))), "{told:?}");
+    let told = runtime.events.recv_timeout(Duration::from_secs(20)).unwrap();
+    assert!(matches!(told, (0, Event::Notice(Notice::Calibrated { .. }))), "{told:?}");
+    let (_, sweep) = sweeps.recv_timeout(Duration::from_secs(20)).unwrap();
+    assert_eq!(SweepRef::open(sweep.as_ref()).unwrap().header.rows, 64);
+    sending.finish();
+    let counters = &runtime.sensors[0].counters;
+    assert_eq!((counters.model(), counters.lost.get()), (Some(Model::Hdl64eS3), 0));
+    assert!(counters.temperature_c().is_some() && counters.gps().is_some(), "told among its data");
+    assert!(counters.undecoded().any(|(reason, count)| reason == "not_ready" && count >= 4_000));
+    runtime.stop().unwrap();
+}
+
+#[test]
+fn a_sensor_of_the_wrong_model_may_be_exchanged_for_the_right_one() {
+    let (rig, sweeps) = Rig::new();
+    let mut one = sensor("roof", 29, (0, 0));
+    one.pipeline.model = Some(Model::Vlp16);
+    // A core that there is not, and perhaps no right to be urgent, are no reason not to start.
+    (one.port.cpu, one.port.realtime_priority) = (Some(1_000), Some(1));
+    let runtime = Runtime::start(&config(vec![one]), &rig).unwrap();
+    let port = runtime.ports[0].local.port();
+    Sending::start(29, (port, port), stream(Model::Hdl32e, SINGLE, 1.5)).finish();
+    let told = runtime.events.recv_timeout(Duration::from_secs(5)).unwrap();
+    assert!(matches!(told, (0, Event::Fault(_))), "{told:?}");
+    assert!(sweeps.try_recv().is_err());
+    let _right = Sending::start(29, (port, port), stream(Model::Vlp16, SINGLE, 200.0));
+    let (_, sweep) = sweeps.recv_timeout(Duration::from_secs(19)).unwrap();
+    assert_eq!(SweepRef::open(sweep.as_ref()).unwrap().header.rows, 16);
+    runtime.stop().unwrap();
+}
+
+#[test]
 fn three_sensors_on_three_ports_get_their_position_packets_from_a_fourth() {
     let (rig, sweeps) = Rig::new();
     let positions = free_port();
@@ -150,7 +220,7 @@ fn foreign_datagrams_change_nothing_but_a_counter() {
     let (data, position) = (free_port(), free_port());
     let two = config(vec![sensor("roof", 41, (data, position)), sensor("rear", 42, (free_port(), position))]);
     let runtime = Runtime::start(&two, &rig).unwrap();
-    let sent = stream(Model::Vlp16, SINGLE, 12.0);
+    let sent = stream(Model::Vlp16, SINGLE, 40.0);
     let sending = Sending::start(41, (data, position), sent.clone());
     let counters = &runtime.ports[0].counters;
     let rejected = || Reject::ALL.iter().map(|&reason| counters.rejected(reason)).sum::<u64>();
@@ -180,7 +250,8 @@ fn foreign_datagrams_change_nothing_but_a_counter() {
         // 512 bytes of the sensor itself are a position packet, whatever they hold.
         let socket = if len == 512 || rng.bool() { &foreign } else { &own };
         socket.send_to(&bytes[..len], (Ipv4Addr::LOCALHOST, data)).unwrap();
-        if sent % 200 == 0 {
+        // No more at once than the smallest buffer holds.
+        if sent % 50 == 0 {
             until("they were refused", || rejected() == 5 + sent);
         }
     }
@@ -253,7 +324,7 @@ fn what_cannot_be_shared_is_told_once_and_the_sensor_goes_on() {
     let counters = &runtime.sensors[0].counters;
     until("three sweeps found no way", || counters.unshared.get() >= 3);
     rig.fate(Fate::Sends);
-    assert_eq!(sweeps.recv_timeout(Duration::from_secs(5)).unwrap().0, "roof");
+    assert_eq!(sweeps.recv_timeout(Duration::from_secs(5)).unwrap().0.as_ref(), "roof");
     let told: Vec<_> = (0..2).map(|_| runtime.events.recv_timeout(Duration::from_secs(5)).unwrap().1).collect();
     assert!(matches!(&told[..], [Event::NotShared(_), Event::SharedAgain]), "{told:?}");
     assert!(runtime.events.try_recv().is_err());
@@ -269,7 +340,7 @@ fn a_thread_that_panics_is_found_and_one_that_hangs_does_not_delay_the_end() {
         let port = runtime.ports[0].local.port();
         rig.fate(fate);
         let _sending = Sending::start(63, (port, port), stream(Model::Vlp16, SINGLE, 5.0));
-        let counters = std::sync::Arc::clone(&runtime.sensors[0].counters);
+        let counters = Arc::clone(&runtime.sensors[0].counters);
         until("a sweep is complete", || counters.sweeps.get() > 0);
         if fate == Fate::Panics {
             let mut error = None;

@@ -7,6 +7,7 @@ use std::sync::{Arc, Mutex};
 use std::thread::JoinHandle;
 use std::time::{Duration, Instant};
 
+use crate::counting::allocations;
 use sweepd::daemon::config::{Config, DaemonConfig, PortConfig, SensorConfig};
 use sweepd::daemon::sharing::{Outgoing, Sharing, SharingError, SharingStatus, Way};
 use sweepd::pipeline;
@@ -31,26 +32,27 @@ pub enum Fate {
 }
 
 /// Sharing by a channel; everything that is sent arrives there, by the name of its sensor.
+#[derive(Clone)]
 pub struct Rig {
-    sender: Sender<(String, HeapBuffer)>,
+    sender: Sender<(Arc<str>, HeapBuffer)>,
     fate: Arc<Mutex<Fate>>,
+    /// What the thread of the sensor had allocated, in calls, after each sweep was sent and before the next was.
+    pub allocated: Arc<Mutex<Vec<(u64, u64)>>>,
 }
 
-pub struct Buffers2 {
+pub struct RigBuffers {
     heap: HeapBuffers,
-    name: String,
-    sender: Sender<(String, HeapBuffer)>,
-    fate: Arc<Mutex<Fate>>,
+    name: Arc<str>,
+    rig: Rig,
 }
 
 pub struct Sweep {
     bytes: HeapBuffer,
-    name: String,
-    sender: Sender<(String, HeapBuffer)>,
-    fate: Arc<Mutex<Fate>>,
+    name: Arc<str>,
+    rig: Rig,
 }
 
-struct OneConsumer;
+struct OneConsumer(Arc<Mutex<Fate>>);
 
 impl SharingStatus for OneConsumer {
     fn consumers(&self) -> u64 {
@@ -60,12 +62,17 @@ impl SharingStatus for OneConsumer {
     fn reserved_bytes(&self) -> u64 {
         4096
     }
+
+    fn trouble(&self) -> Option<String> {
+        (*self.0.lock().unwrap() == Fate::Fails).then(|| "the memory is full".to_owned())
+    }
 }
 
 impl Rig {
-    pub fn new() -> (Self, Receiver<(String, HeapBuffer)>) {
+    pub fn new() -> (Self, Receiver<(Arc<str>, HeapBuffer)>) {
         let (sender, sweeps) = mpsc::channel();
-        (Self { sender, fate: Arc::new(Mutex::new(Fate::Sends)) }, sweeps)
+        let allocated = Arc::new(Mutex::new(Vec::with_capacity(1_000)));
+        (Self { sender, fate: Arc::new(Mutex::new(Fate::Sends)), allocated }, sweeps)
     }
 
     /// From now on.
@@ -75,24 +82,23 @@ impl Rig {
 }
 
 impl Sharing for Rig {
-    type Buffers = Buffers2;
+    type Buffers = RigBuffers;
 
-    fn open(&self, sensor: &SensorConfig, _bytes: Option<usize>) -> Result<Way<Buffers2>, SharingError> {
+    fn open(&self, sensor: &SensorConfig, _bytes: Option<usize>) -> Result<Way<RigBuffers>, SharingError> {
         if sensor.name == "unshareable" {
             return Err("no room in /dev/shm".into());
         }
-        let (sender, fate, name) = (self.sender.clone(), Arc::clone(&self.fate), sensor.name.clone());
-        let buffers = Buffers2 { heap: HeapBuffers::default(), name, sender, fate };
-        Ok(Way { buffers, status: Arc::new(OneConsumer) })
+        let (name, rig) = (sensor.name.as_str().into(), self.clone());
+        let buffers = RigBuffers { heap: HeapBuffers::default(), name, rig };
+        Ok(Way { buffers, status: Arc::new(OneConsumer(Arc::clone(&self.fate))) })
     }
 }
 
-impl Buffers for Buffers2 {
+impl Buffers for RigBuffers {
     type Buffer = Sweep;
 
     fn take(&mut self, bytes: usize) -> Sweep {
-        let (name, sender, fate) = (self.name.clone(), self.sender.clone(), Arc::clone(&self.fate));
-        Sweep { bytes: self.heap.take(bytes), name, sender, fate }
+        Sweep { bytes: self.heap.take(bytes), name: Arc::clone(&self.name), rig: self.rig.clone() }
     }
 }
 
@@ -110,10 +116,11 @@ impl AsMut<[u8]> for Sweep {
 
 impl Outgoing for Sweep {
     fn publish(self) -> Result<usize, SharingError> {
-        let fate = *self.fate.lock().unwrap();
+        let (fate, before) = (*self.rig.fate.lock().unwrap(), allocations());
         match fate {
             Fate::Sends => {
-                let _ = self.sender.send((self.name, self.bytes));
+                let _ = self.rig.sender.send((self.name, self.bytes));
+                self.rig.allocated.lock().unwrap().push((before, allocations()));
                 Ok(1)
             }
             Fate::Hangs => loop {

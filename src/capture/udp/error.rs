@@ -3,17 +3,18 @@
 use std::io;
 use std::net::{Ipv4Addr, SocketAddrV4};
 
+use super::Holder;
+
 /// Why a port cannot be listened on.
 #[derive(Debug, thiserror::Error)]
 pub enum UdpError {
     /// Another program has the port.
-    #[error(
-        "port {port} is taken: another program listens on it. `ss -ulpn sport = :{port}` names it; stop it, or choose \
-         another port and have the sensor send there"
-    )]
+    #[error("port {port} is {}; stop it, or choose another port and have the sensor send there", held(*.port, .holder))]
     PortTaken {
         /// The port.
         port: u16,
+        /// Who has it, if that can be found out.
+        holder: Option<Holder>,
     },
     /// The address is not one of this host.
     #[error("no interface of this host has the address {address}; `ip -4 address` lists them, and 0.0.0.0 hears all")]
@@ -61,10 +62,18 @@ pub enum UdpError {
     },
 }
 
+fn held(port: u16, holder: &Option<Holder>) -> String {
+    match holder {
+        Some(holder) => format!("held by {holder}"),
+        // It has gone meanwhile, or /proc is not to be read.
+        None => format!("held by another program (`ss -ulpn sport = :{port}` as root may name it)"),
+    }
+}
+
 impl UdpError {
     pub(super) fn bind(address: SocketAddrV4, source: io::Error) -> Self {
         match source.kind() {
-            io::ErrorKind::AddrInUse => Self::PortTaken { port: address.port() },
+            io::ErrorKind::AddrInUse => Self::PortTaken { port: address.port(), holder: Holder::of(address) },
             io::ErrorKind::AddrNotAvailable => Self::NoSuchAddress { address: *address.ip() },
             _ => Self::Bind { address, source },
         }

@@ -9,10 +9,11 @@
 
 pub mod buffer;
 pub mod error;
+pub mod holder;
 mod sys;
 
 use std::io;
-use std::net::{Ipv4Addr, SocketAddr, SocketAddrV4};
+use std::net::{Ipv4Addr, SocketAddrV4};
 use std::num::NonZeroU32;
 use std::os::fd::AsFd;
 use std::time::{Duration, SystemTime, UNIX_EPOCH};
@@ -20,9 +21,11 @@ use std::time::{Duration, SystemTime, UNIX_EPOCH};
 use socket2::{Domain, InterfaceIndexOrAddress, Protocol, Socket, Type};
 
 use self::sys::{BATCH, Slot};
+use super::write::Addressed;
 use crate::wire::Datagram;
 pub use buffer::{ReceiveBuffer, ample_buffer_bytes};
 pub use error::UdpError;
+pub use holder::Holder;
 
 /// Where to listen.
 #[derive(Clone, Debug, PartialEq, Eq)]
@@ -84,7 +87,7 @@ impl UdpSource {
         let failed = |source| UdpError::Socket { port: config.port, source };
         let socket = Socket::new(Domain::IPV4, Type::DGRAM, Some(Protocol::UDP)).map_err(failed)?;
         let buffer = buffer::enlarge(&socket, config.buffer_bytes).map_err(failed)?;
-        sys::ask_for_stamps_and_drops(socket.as_fd()).map_err(failed)?;
+        sys::ask_to_be_told(socket.as_fd()).map_err(failed)?;
         // Else it would hear every group that any program of this host has joined, on the same port (ip(7)).
         socket.set_multicast_all_v4(false).map_err(failed)?;
         if let Some(name) = &config.interface {
@@ -99,8 +102,9 @@ impl UdpSource {
         Ok(Self { socket, local, buffer, slots, timeout: None, drops: DropCounter::default(), received: 0 })
     }
 
-    /// Waits for datagrams, at most `timeout` (at least a millisecond), and gives those that are there, up to 64 and
-    /// in the order of their arrival. None come after the timeout or a signal: that is the time to look at a clock.
+    /// Waits for datagrams, at most `timeout` (not at all if it is zero, else at least a millisecond), and gives those that
+    /// are there, up to 64 and in the order of their arrival. None come after the timeout or a signal: that is the time to
+    /// look at a clock.
     ///
     /// They are of any kind, from anyone; [`Gate`](super::Gate) takes those of sensors. One that the kernel gave no
     /// stamp has the time of this call. Of one longer than 1280 bytes, these are given.
@@ -108,20 +112,32 @@ impl UdpSource {
     /// # Errors
     /// [`UdpError::Socket`], such as an interface that went away for good.
     pub fn receive(&mut self, timeout: Duration) -> Result<impl Iterator<Item = Datagram<'_>> + Clone, UdpError> {
+        Ok(self.receive_addressed(timeout)?.map(|addressed| addressed.datagram()))
+    }
+
+    /// As [`UdpSource::receive`], with the addresses that they were sent to, for who records them: this host's, the
+    /// broadcast address, a multicast group.
+    ///
+    /// # Errors
+    /// As there.
+    pub fn receive_addressed(
+        &mut self,
+        timeout: Duration,
+    ) -> Result<impl Iterator<Item = Addressed<'_>> + Clone, UdpError> {
         self.wait_at_most(timeout)?;
-        let count = match sys::receive(self.socket.as_fd(), &mut self.slots) {
+        let count = match sys::receive(self.socket.as_fd(), &mut self.slots, !timeout.is_zero()) {
             Ok(count) => count,
             Err(error) if is_no_datagram(&error) => 0,
             Err(source) => return Err(self.failed(source)),
         };
         self.received += count as u64;
         let arrived = &self.slots[..count];
-        arrived.iter().filter_map(|slot| slot.dropped).for_each(|dropped| self.drops.note(dropped));
-        let (now_ns, destination_port) = (now_ns(), self.local.port());
-        Ok(arrived.iter().map(move |slot| Datagram {
-            arrival_ns: slot.stamp_ns.unwrap_or(now_ns),
-            source: SocketAddr::V4(slot.source),
-            destination_port,
+        arrived.iter().filter_map(|slot| slot.told.dropped).for_each(|dropped| self.drops.note(dropped));
+        let (now_ns, local) = (now_ns(), self.local);
+        Ok(arrived.iter().map(move |slot| Addressed {
+            arrival_ns: slot.told.stamp_ns.unwrap_or(now_ns),
+            source: slot.source,
+            destination: SocketAddrV4::new(slot.told.destination.unwrap_or(*local.ip()), local.port()),
             payload: slot.payload(),
         }))
     }
@@ -156,7 +172,10 @@ impl UdpSource {
     }
 
     fn wait_at_most(&mut self, timeout: Duration) -> Result<(), UdpError> {
-        // Zero would be for ever.
+        if timeout.is_zero() {
+            return Ok(());
+        }
+        // What is rounded to zero would be for ever.
         let timeout = timeout.max(Duration::from_millis(1));
         if self.timeout != Some(timeout) {
             self.socket.set_read_timeout(Some(timeout)).map_err(|source| self.failed(source))?;

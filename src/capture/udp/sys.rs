@@ -1,8 +1,7 @@
-//! The system calls that no safe crate offers: batches with control messages, two socket options, an interface's index.
+//! The system calls that no safe crate offers: batches with control messages, some socket options, an interface's index.
 //!
 //! nix 0.31 loses the control messages of a batch once datagrams are dropped (its headers are not reset: nix-rust/nix
-//! pull request 2813), rustix has no `recvmmsg`, socket2 neither it nor these options. All `unsafe` of the crate is
-//! here.
+//! pull request 2813), rustix has no `recvmmsg`, socket2 neither it nor these options.
 
 #![allow(unsafe_code)]
 
@@ -17,8 +16,9 @@ use std::ptr;
 pub(super) const BATCH: usize = 64;
 /// Bytes kept of a datagram, more than any packet has. Of a longer one the rest is lost, not its length.
 pub(super) const SLOT_LEN: usize = 1280;
-/// Room for the control messages: 32 bytes of time stamp and 24 of drop counter where pointers have 64 bits.
-const CONTROL_LEN: usize = 64;
+/// Room for the control messages: 32 bytes of time stamp, 24 of drop counter and 32 of destination where pointers have 64
+/// bits.
+const CONTROL_LEN: usize = 96;
 
 /// Room for one datagram, and what the kernel said of it.
 #[derive(Clone, Debug)]
@@ -29,10 +29,18 @@ pub(super) struct Slot {
     /// Bytes of the datagram, those that found no room included.
     pub(super) len: usize,
     pub(super) source: SocketAddrV4,
+    pub(super) told: Told,
+}
+
+/// What the kernel said of a datagram.
+#[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
+pub(super) struct Told {
     /// When the kernel received it, nanoseconds since 1970; `None` if it did not say.
     pub(super) stamp_ns: Option<i64>,
     /// Datagrams that the socket had dropped when this one came, modulo 2^32; `None` before the first.
     pub(super) dropped: Option<u32>,
+    /// Where it was sent to: this host, everybody, a multicast group; `None` if it did not say.
+    pub(super) destination: Option<Ipv4Addr>,
 }
 
 impl Slot {
@@ -41,8 +49,7 @@ impl Slot {
         bytes: [0; SLOT_LEN],
         len: 0,
         source: SocketAddrV4::new(Ipv4Addr::UNSPECIFIED, 0),
-        stamp_ns: None,
-        dropped: None,
+        told: Told { stamp_ns: None, dropped: None, destination: None },
     };
 
     /// The payload; the first [`SLOT_LEN`] bytes of a longer one.
@@ -51,11 +58,11 @@ impl Slot {
     }
 }
 
-/// Receives a batch (recvmmsg(2)): waits for the first datagram as long as the socket's own timeout says, then takes
+/// Receives a batch (recvmmsg(2)): `waits` for the first datagram as long as the socket's own timeout says, then takes
 /// what is there. Gives the number of slots that were filled.
 ///
 /// The headers are made anew each time, on the stack: the kernel shrinks the length of the control messages in them.
-pub(super) fn receive(socket: BorrowedFd<'_>, slots: &mut [Slot]) -> io::Result<usize> {
+pub(super) fn receive(socket: BorrowedFd<'_>, slots: &mut [Slot], waits: bool) -> io::Result<usize> {
     const NAME_LEN: u32 = size_of::<libc::sockaddr_in>() as u32;
     let count = slots.len().min(BATCH);
     // SAFETY: all three are C structs of numbers and pointers, for which zeroes are a value.
@@ -75,16 +82,19 @@ pub(super) fn receive(socket: BorrowedFd<'_>, slots: &mut [Slot]) -> io::Result<
         header.msg_controllen = CONTROL_LEN as _;
     }
     // MSG_WAITFORONE: the timeout argument is checked only after a datagram came (recvmmsg(2), BUGS), so there is none.
-    let flags = libc::MSG_WAITFORONE | libc::MSG_TRUNC;
+    let flags = libc::MSG_TRUNC | if waits { libc::MSG_WAITFORONE } else { libc::MSG_DONTWAIT };
     // SAFETY: the first `count` headers point to buffers of the stated lengths that live, and that nothing else reads
     // or writes, until the call returns; the kernel keeps none of the pointers.
     let filled =
         unsafe { libc::recvmmsg(socket.as_raw_fd(), headers.as_mut_ptr(), count as u32, flags as _, ptr::null_mut()) };
-    let filled = usize::try_from(filled).map_err(|_| io::Error::last_os_error())?;
-    for (index, slot) in slots[..filled.min(count)].iter_mut().enumerate() {
+    let filled = usize::try_from(filled).map_err(|_| io::Error::last_os_error())?.min(count);
+    for (index, slot) in slots[..filled].iter_mut().enumerate() {
         slot.len = headers[index].msg_len as usize;
         slot.source = address(&names[index]);
-        (slot.stamp_ns, slot.dropped) = control(&headers[index].msg_hdr);
+        let header = &mut headers[index].msg_hdr;
+        // The pointer that the kernel was given is older than this borrow of the slot, and may not be read through.
+        header.msg_control = slot.control.as_mut_ptr().cast();
+        slot.told = control(header);
     }
     Ok(filled)
 }
@@ -93,14 +103,14 @@ fn address(name: &libc::sockaddr_in) -> SocketAddrV4 {
     SocketAddrV4::new(Ipv4Addr::from(u32::from_be(name.sin_addr.s_addr)), u16::from_be(name.sin_port))
 }
 
-/// Time stamp and drop counter from the control messages (cmsg(3)) of a header that the kernel has filled in.
+/// The control messages (cmsg(3)) of a header that the kernel has filled in.
 #[allow(
     clippy::unnecessary_cast,
     clippy::useless_conversion,
     reason = "other C libraries and 32 bits have other types"
 )]
-fn control(header: &libc::msghdr) -> (Option<i64>, Option<u32>) {
-    let (mut stamp_ns, mut dropped) = (None, None);
+fn control(header: &libc::msghdr) -> Told {
+    let mut told = Told::default();
     // SAFETY: `msg_control` points to the aligned control buffer of a slot that is borrowed by the caller, and
     // `msg_controllen` is what the kernel wrote of it.
     let mut next = unsafe { libc::CMSG_FIRSTHDR(header) };
@@ -114,37 +124,43 @@ fn control(header: &libc::msghdr) -> (Option<i64>, Option<u32>) {
             (libc::SOL_SOCKET, libc::SCM_TIMESTAMPNS) if has(size_of::<libc::timespec>()) => {
                 // SAFETY: the message is as long as that, and any bytes are two numbers.
                 let time = unsafe { data.cast::<libc::timespec>().read_unaligned() };
-                stamp_ns = Some(i64::from(time.tv_sec) * 1_000_000_000 + i64::from(time.tv_nsec));
+                told.stamp_ns = Some(i64::from(time.tv_sec) * 1_000_000_000 + i64::from(time.tv_nsec));
             }
             (libc::SOL_SOCKET, libc::SO_RXQ_OVFL) if has(size_of::<u32>()) => {
                 // SAFETY: as above, one number.
-                dropped = Some(unsafe { data.cast::<u32>().read_unaligned() });
+                told.dropped = Some(unsafe { data.cast::<u32>().read_unaligned() });
+            }
+            (libc::IPPROTO_IP, libc::IP_PKTINFO) if has(size_of::<libc::in_pktinfo>()) => {
+                // SAFETY: as above, a struct of numbers.
+                let info = unsafe { data.cast::<libc::in_pktinfo>().read_unaligned() };
+                told.destination = Some(Ipv4Addr::from(u32::from_be(info.ipi_addr.s_addr)));
             }
             _ => {}
         }
         // SAFETY: `next` is a message of this header.
         next = unsafe { libc::CMSG_NXTHDR(header, next) };
     }
-    (stamp_ns, dropped)
+    told
 }
 
-/// Has the kernel say of each datagram when it came (SO_TIMESTAMPNS) and how many were dropped before it
-/// (SO_RXQ_OVFL); socket(7).
-pub(super) fn ask_for_stamps_and_drops(socket: BorrowedFd<'_>) -> io::Result<()> {
-    set_option(socket, libc::SO_TIMESTAMPNS, 1)?;
-    set_option(socket, libc::SO_RXQ_OVFL, 1)
+/// Has the kernel say of each datagram when it came (SO_TIMESTAMPNS), how many were dropped before it (SO_RXQ_OVFL) and
+/// where it was sent to (IP_PKTINFO); socket(7), ip(7).
+pub(super) fn ask_to_be_told(socket: BorrowedFd<'_>) -> io::Result<()> {
+    set_option(socket, libc::SOL_SOCKET, libc::SO_TIMESTAMPNS, 1)?;
+    set_option(socket, libc::SOL_SOCKET, libc::SO_RXQ_OVFL, 1)?;
+    set_option(socket, libc::IPPROTO_IP, libc::IP_PKTINFO, 1)
 }
 
 /// Sets the receive buffer beyond net.core.rmem_max (SO_RCVBUFFORCE), which CAP_NET_ADMIN may.
 pub(super) fn force_buffer(socket: BorrowedFd<'_>, bytes: usize) -> io::Result<()> {
-    set_option(socket, libc::SO_RCVBUFFORCE, libc::c_int::try_from(bytes).unwrap_or(libc::c_int::MAX))
+    set_option(socket, libc::SOL_SOCKET, libc::SO_RCVBUFFORCE, libc::c_int::try_from(bytes).unwrap_or(libc::c_int::MAX))
 }
 
-fn set_option(socket: BorrowedFd<'_>, name: libc::c_int, value: libc::c_int) -> io::Result<()> {
+fn set_option(socket: BorrowedFd<'_>, level: libc::c_int, name: libc::c_int, value: libc::c_int) -> io::Result<()> {
     // SAFETY: the kernel reads an int, of the stated length, while the call lasts.
     let done = unsafe {
         let len = size_of::<libc::c_int>() as libc::socklen_t;
-        libc::setsockopt(socket.as_raw_fd(), libc::SOL_SOCKET, name, (&raw const value).cast(), len)
+        libc::setsockopt(socket.as_raw_fd(), level, name, (&raw const value).cast(), len)
     };
     if done == 0 { Ok(()) } else { Err(io::Error::last_os_error()) }
 }

@@ -3,27 +3,15 @@
 use std::io::{self, Write};
 use std::time::Duration;
 
-use super::files::Written;
-use crate::capture::Gate;
+use super::input::InputReport;
+use crate::capture::record::Written;
 use crate::capture::sensors::OtherCounts;
 use crate::export::text::{count_of, grouped};
 
-/// What one port came to.
-pub struct PortReport {
-    /// The port.
-    pub port: u16,
-    /// Datagrams that came.
-    pub received: u64,
-    /// Datagrams that the kernel dropped before.
-    pub dropped: u64,
-    /// What got in, and what did not.
-    pub gate: Gate,
-}
-
-/// All of it.
+/// All that it came to.
 pub struct Report {
-    /// A line a port.
-    pub ports: Vec<PortReport>,
+    /// Of each port, or of the daemon.
+    pub inputs: Vec<InputReport>,
     /// What is in the files.
     pub written: Written,
     /// How long it was listened.
@@ -33,12 +21,17 @@ pub struct Report {
 impl Report {
     /// Datagrams that came, of any kind.
     pub fn received(&self) -> u64 {
-        self.ports.iter().map(|port| port.received).sum()
+        self.inputs.iter().map(|input| input.received).sum()
     }
 
-    /// Datagrams that the kernel dropped.
+    /// Datagrams that got lost before they came.
     pub fn dropped(&self) -> u64 {
-        self.ports.iter().map(|port| port.dropped).sum()
+        self.inputs.iter().map(|input| input.dropped.0).sum()
+    }
+
+    /// Where they did.
+    fn dropped_where(&self) -> &'static str {
+        self.inputs.first().map_or("", |input| input.dropped.1)
     }
 
     /// Datagrams that were let in and are not in the files.
@@ -47,7 +40,7 @@ impl Report {
     }
 
     fn refused(&self) -> OtherCounts {
-        let refused = self.ports.iter().map(|port| port.gate.refused());
+        let refused = self.inputs.iter().map(|input| input.gate.refused());
         refused.fold(OtherCounts::default(), |sum, more| OtherCounts {
             length: sum.length + more.length,
             not_velodyne: sum.not_velodyne + more.not_velodyne,
@@ -69,13 +62,15 @@ impl Report {
         let seconds = self.took.as_secs_f64();
         writeln!(to, "{names}")?;
         writeln!(to, "  recorded     {}, {} bytes, {seconds:.1} s", count_of(*datagrams, "datagram"), grouped(*bytes))?;
-        for (port, sensor, data) in self.sensors() {
-            writeln!(to, "  sensor       {}: {} on port {port}", sensor, count_of(data, "data packet"))?;
+        for (sensor, data) in self.inputs.iter().flat_map(|input| input.gate.by_sensor()) {
+            let (name, data, port) = (&sensor.name, count_of(data, "data packet"), sensor.destination_port);
+            writeln!(to, "  sensor       {name}: {data} on port {port}")?;
         }
-        let positions: u64 = self.ports.iter().map(|port| port.gate.positions()).sum();
+        let positions: u64 = self.inputs.iter().map(|input| input.gate.positions()).sum();
         writeln!(to, "  position     {}", count_of(positions, "packet"))?;
         let (dropped, unwritten) = (grouped(self.dropped()), grouped(self.unwritten()));
-        writeln!(to, "  dropped      {dropped} by the kernel, {unwritten} because the disk was too slow or failed")?;
+        let dropped_where = self.dropped_where();
+        writeln!(to, "  dropped      {dropped} {dropped_where}, {unwritten} because the disk was too slow or failed")?;
         let refused = self.refused();
         let [length, marker, source, many] =
             [refused.length, refused.not_velodyne, refused.not_selected, refused.too_many].map(grouped);
@@ -86,35 +81,32 @@ impl Report {
         to.flush()
     }
 
-    fn sensors(&self) -> impl Iterator<Item = (u16, &str, u64)> {
-        let of = |port: &PortReport| port.port;
-        self.ports
-            .iter()
-            .flat_map(move |port| port.gate.by_sensor().map(move |(sensor, data)| (of(port), &sensor.name[..], data)))
-    }
-
     /// What people must know of, each with its cure.
     pub fn warnings(&self) -> Vec<String> {
         let mut warnings = Vec::new();
         if self.dropped() > 0 {
-            let dropped = count_of(self.dropped(), "datagram");
+            let (dropped, dropped_where) = (count_of(self.dropped(), "datagram"), self.dropped_where());
             warnings.push(format!(
-                "the kernel dropped {dropped}: the machine was too busy, or the receive buffer too small (net.core.rmem_max)"
+                "{dropped} dropped {dropped_where}: the machine was too busy, or the receive buffer too small \
+                 (net.core.rmem_max)"
             ));
         }
         if self.unwritten() > 0 {
             let unwritten = count_of(self.unwritten(), "datagram");
             warnings.push(format!("{unwritten} could not be written: record to a faster disk, or without compression"));
         }
-        let ports: Vec<String> = self.ports.iter().map(|port| port.port.to_string()).collect();
-        let ports = ports.join(", ");
+        let names: Vec<&str> = self.inputs.iter().map(|input| &input.name[..]).collect();
+        let names = names.join(", ");
         if self.received() == 0 {
             warnings.push(format!(
-                "nothing came to port {ports}: is the sensor on, does it send to this host, does a firewall stop it? \
+                "nothing came from {names}: is the sensor on, does it send to this host, does a firewall stop it? \
                  `tcpdump -ni any udp` shows what comes"
             ));
         } else if self.received() == self.refused().total() {
-            warnings.push(format!("none of what came to port {ports} was of a sensor that was asked for"));
+            warnings.push(format!("none of what came from {names} was of a sensor that was asked for"));
+        }
+        if self.inputs.iter().any(|input| input.ended_early) {
+            warnings.push("the daemon has ended, and the recording with it".to_owned());
         }
         warnings
     }

@@ -1,39 +1,16 @@
 //! Shared memory that a sensor takes: known before it is taken.
 
-mod sys;
-
-use std::io;
 use std::ops::RangeInclusive;
-use std::path::Path;
 
-use super::SensorConfig;
+use super::{SensorConfig, possible_models};
+use crate::publish::pool_sweeps;
 use crate::sensor::Model;
 use crate::sweep::layout::Shape;
-
-/// Where shared memory is, on Linux.
-pub const SHARED_MEMORY: &str = "/dev/shm";
-
-/// Sweeps that wait for a consumer, and that it may hold at a time.
-const BUFFERED: usize = 2;
-const BORROWED: usize = 2;
-/// Sweeps that are kept for who comes late, and that are being filled.
-const HISTORY: usize = 1;
-const LOANS: usize = 2;
-
-/// Sweeps that the pool of a sensor has room for: whatever its consumers hold, one can be filled.
-pub fn samples(max_consumers: usize) -> usize {
-    max_consumers * (BUFFERED + BORROWED) + HISTORY + LOANS
-}
 
 /// Bytes of a sweep of this sensor. Where its packets are to tell the model or the return mode, from the least of what it
 /// may be to the most.
 pub fn sweep_bytes(sensor: &SensorConfig) -> RangeInclusive<usize> {
     let config = &sensor.pipeline;
-    let fits = |model: &Model| match (config.model, &config.calibration) {
-        (Some(own), _) => own == *model,
-        (None, Some(calibration)) => calibration.clone().for_model(*model).is_ok(),
-        (None, None) => true,
-    };
     let bytes = |model: Model| {
         let modes = [false, true].into_iter().filter(move |&dual| match sensor.dual {
             Some(own) => own == dual,
@@ -42,21 +19,70 @@ pub fn sweep_bytes(sensor: &SensorConfig) -> RangeInclusive<usize> {
         let min_points = config.segment.min_points as usize;
         modes.map(move |dual| Shape::of(model.spec().channels, dual, min_points).total_bytes())
     };
-    let all = Model::ALL.into_iter().filter(fits).flat_map(bytes);
+    let all = possible_models(config.model, config.calibration.as_ref()).flat_map(bytes);
     let (least, most) = all.fold((usize::MAX, 0), |(least, most), bytes| (least.min(bytes), most.max(bytes)));
     least..=most
 }
 
-/// Bytes of shared memory that this sensor takes, as [`sweep_bytes`].
-pub fn pool_bytes(sensor: &SensorConfig) -> RangeInclusive<u64> {
-    let (samples, bytes) = (samples(sensor.max_consumers) as u64, sweep_bytes(sensor));
-    samples * *bytes.start() as u64..=samples * *bytes.end() as u64
+/// The same, where nothing is left for its packets to tell.
+pub fn exact_sweep_bytes(sensor: &SensorConfig) -> Option<usize> {
+    let range = sweep_bytes(sensor);
+    (range.start() == range.end()).then_some(*range.end())
 }
 
-/// Bytes that this user may still write to the file system of `path`.
-///
-/// # Errors
-/// What the system says, of a path that is not there.
-pub fn free_bytes(path: &Path) -> io::Result<u64> {
-    sys::free_bytes(path)
+/// Bytes of shared memory that this sensor takes, as [`sweep_bytes`].
+pub fn pool_bytes(sensor: &SensorConfig) -> RangeInclusive<u64> {
+    let (sweeps, bytes) = (pool_sweeps(sensor.max_consumers) as u64, sweep_bytes(sensor));
+    sweeps * *bytes.start() as u64..=sweeps * *bytes.end() as u64
+}
+
+#[cfg(test)]
+mod tests {
+    use super::super::super::testing::sensor;
+    use super::*;
+    use crate::pipeline::{Pipeline, Untimed};
+    use crate::simulate::{Emitter, EmitterConfig, street};
+    use crate::sweep::{Buffers, HeapBuffers};
+    use crate::wire::data::ReturnMode;
+    use std::sync::{Arc, Mutex};
+
+    /// Notes how much is asked for.
+    struct Measuring(HeapBuffers, Arc<Mutex<usize>>);
+
+    impl Buffers for Measuring {
+        type Buffer = <HeapBuffers as Buffers>::Buffer;
+
+        fn take(&mut self, bytes: usize) -> Self::Buffer {
+            *self.1.lock().unwrap() = bytes;
+            self.0.take(bytes)
+        }
+    }
+
+    #[test]
+    fn what_is_reserved_is_what_the_pipeline_asks_for() {
+        let scene = street(1);
+        for (model, mode) in [(Model::Vlp16, ReturnMode::Strongest), (Model::Hdl32e, ReturnMode::Dual)] {
+            let mut config = sensor("roof", "127.0.0.1", 2368);
+            (config.pipeline.model, config.dual) = (Some(model), Some(mode == ReturnMode::Dual));
+            let asked = Arc::new(Mutex::new(0));
+            let buffers = Measuring(HeapBuffers::default(), Arc::clone(&asked));
+            let mut pipeline = Pipeline::new("roof", config.pipeline.clone(), buffers, Untimed).unwrap();
+            for sent in Emitter::new(EmitterConfig::new(model, mode).turns(0.2), &scene).untold() {
+                pipeline.push(&sent.datagram()).unwrap();
+                assert!(pipeline.poll().is_none());
+            }
+            assert_eq!(exact_sweep_bytes(&config), Some(*asked.lock().unwrap()), "{model}");
+        }
+    }
+
+    #[test]
+    fn nothing_is_reserved_for_what_is_not_known() {
+        let mut config = sensor("roof", "127.0.0.1", 2368);
+        config.dual = Some(true);
+        assert_eq!(exact_sweep_bytes(&config), None);
+        (config.dual, config.pipeline.model) = (None, Some(Model::Vlp16));
+        assert_eq!(exact_sweep_bytes(&config), None);
+        config.pipeline.model = Some(Model::Hdl64eS2);
+        assert!(exact_sweep_bytes(&config).is_some());
+    }
 }

@@ -273,7 +273,7 @@ fn files_of_another_model_are_refused() {
         assert_eq!(pipeline.calibration.is_some(), fitting.contains("calibration"));
     }
     let message = parse(&format!("model = \"vlp16\"\n{mask}")).unwrap_err();
-    assert!(message.contains("32.png has 32 rows, the sensor 16") && message.contains("robot.toml:6:8"), "{message}");
+    assert!(message.contains("32.png has 32 rows, not the VLP-16") && message.contains("robot.toml:6:8"), "{message}");
     let message = parse(&format!("model = \"vlp16\"\n{calibration}")).unwrap_err();
     assert!(
         message.contains("this is the calibration of the HDL-32E") && message.contains("robot.toml:5:15"),
@@ -376,7 +376,7 @@ fn memory_follows_from_the_model() {
     let of = |more: &str| good(&roof(more)).sensors.remove(0);
     let exact = of("model = \"vlp16\"\nreturns = \"single\"\nmax_consumers = 1");
     let sweep = crate::sweep::layout::Shape::of(16, false, 10).total_bytes();
-    assert_eq!((memory::samples(1), memory::sweep_bytes(&exact)), (7, sweep..=sweep));
+    assert_eq!((crate::publish::pool_sweeps(1), memory::sweep_bytes(&exact)), (7, sweep..=sweep));
     assert_eq!(memory::pool_bytes(&exact), 7 * sweep as u64..=7 * sweep as u64);
     let unknown = memory::sweep_bytes(&of(""));
     assert_eq!(unknown, sweep..=*memory::sweep_bytes(&of("model = \"hdl64e-s3\"\nreturns = \"dual\"")).end());

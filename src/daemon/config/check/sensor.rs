@@ -9,7 +9,7 @@ use super::Check;
 use crate::daemon::config::error::Problem;
 use crate::daemon::config::file::{self, Returns};
 use crate::daemon::config::suggest::suggestion;
-use crate::daemon::config::{PortConfig, SensorConfig};
+use crate::daemon::config::{PortConfig, SensorConfig, possible_models};
 use crate::pipeline;
 use crate::segment::{self, ConfigError, Mask, Settings};
 use crate::sensor::{Calibration, Model};
@@ -172,10 +172,9 @@ impl Check<'_> {
     fn calibration(&mut self, given: &Option<Spanned<String>>, model: Option<Model>) -> Option<Calibration> {
         let path = self.path("calibration", given)?;
         let read = Calibration::read(&path).map_err(|error| error.to_string()).and_then(|calibration| {
-            let of = |model| calibration.clone().for_model(model);
             let fits = match model {
-                Some(model) => of(model).map(drop),
-                None if Model::ALL.into_iter().any(|model| of(model).is_ok()) => Ok(()),
+                Some(model) => calibration.clone().for_model(model).map(drop),
+                None if possible_models(None, Some(&calibration)).next().is_some() => Ok(()),
                 None => Err(format!("{} beams that are those of no supported model", calibration.beams().len())),
             };
             fits.map(|()| calibration).map_err(|why| format!("calibration {}: {why}", path.display()))
@@ -190,16 +189,14 @@ impl Check<'_> {
         calibration: Option<&Calibration>,
     ) -> Option<Mask> {
         let path = self.path("mask", given)?;
-        let rows_of = |model: Model| model.spec().channels;
-        let rows = model.map(rows_of).or(calibration.map(|calibration| calibration.rows().len()));
-        let read = Mask::read(&path).map_err(|error| error.to_string()).and_then(|mask| match (rows, mask.rows()) {
-            (Some(rows), found) if rows != found => {
-                Err(format!("mask {} has {found} rows, the sensor {rows}", path.display()))
+        let read = Mask::read(&path).map_err(|error| error.to_string()).and_then(|mask| {
+            let rows = mask.rows();
+            if possible_models(model, calibration).any(|model| model.spec().channels == rows) {
+                return Ok(mask);
             }
-            (None, found) if !Model::ALL.into_iter().any(|model| rows_of(model) == found) => {
-                Err(format!("mask {} has {found} rows, as no supported model", path.display()))
-            }
-            _ => Ok(mask),
+            let sensor =
+                model.map_or_else(|| "no model that this may be".to_owned(), |model| format!("not the {model}"));
+            Err(format!("mask {} has {rows} rows, {sensor}", path.display()))
         });
         self.file_of(given, read, "the mask that is named here")
     }
@@ -224,40 +221,47 @@ impl Check<'_> {
         at: Range<usize>,
     ) -> Option<segment::Config> {
         let (mount, written) = (&sensor.mount, &sensor.segment);
-        let tilt = Settings::TILT_DEG;
-        let given = Settings {
-            method: match written.method {
-                Some(file::Method::Slope) => segment::Method::Slope,
-                Some(file::Method::Paper) => segment::Method::Paper,
-                None => Settings::DEFAULT.method,
-            },
-            theta_deg: self
-                .number("theta_deg", &written.theta_deg, Settings::THETA_DEG, "degrees")
-                .unwrap_or(Settings::DEFAULT.theta_deg),
-            min_points: self
-                .whole("min_points", &written.min_points, 1..=u32::MAX.into())
-                .unwrap_or(Settings::DEFAULT.min_points),
-            height_m: self.number("height_m", &mount.height_m, Settings::HEIGHT_M, "metres"),
-            pitch_deg: self.number("pitch_deg", &mount.pitch_deg, tilt.clone(), "degrees").unwrap_or(0.0),
-            roll_deg: self.number("roll_deg", &mount.roll_deg, tilt, "degrees").unwrap_or(0.0),
-            min_range_m: self
-                .number("min_range_m", &written.min_range_m, Settings::RANGE_M, "metres")
-                .unwrap_or(Settings::DEFAULT.min_range_m),
-            max_range_m: self.number("max_range_m", &written.max_range_m, Settings::RANGE_M, "metres"),
-        };
+        let settings = self.settings(mount, written);
         let mask = self.mask(&written.mask, model, calibration);
-        let place = [&written.max_range_m, &written.min_range_m];
-        given
-            .config(mask)
-            .map_err(|error| {
-                let at = match error {
-                    ConfigError::Theta { .. } => written.theta_deg.as_ref().map_or(at, Spanned::span),
-                    ConfigError::Range { .. } => place.into_iter().flatten().next().map_or(at, Spanned::span),
-                    ConfigError::Height { .. } => mount.height_m.as_ref().map_or(at, Spanned::span),
+        match settings.config(mask) {
+            Ok(config) => Some(config),
+            Err(error) => {
+                let to_blame = match error {
+                    ConfigError::Theta { .. } => &written.theta_deg,
+                    ConfigError::Range { .. } if written.max_range_m.is_none() => &written.min_range_m,
+                    ConfigError::Range { .. } => &written.max_range_m,
+                    ConfigError::Height { .. } => &mount.height_m,
                 };
-                self.problem(at, error.to_string(), "");
-            })
-            .ok()
+                self.problem(to_blame.as_ref().map_or(at, Spanned::span), error.to_string(), "");
+                None
+            }
+        }
+    }
+
+    fn settings(&mut self, mount: &file::Mount, written: &file::Segment) -> Settings {
+        let default = Settings::DEFAULT;
+        let mut degrees = |key, given, range, default| self.number(key, given, range, "degrees").unwrap_or(default);
+        let theta_deg = degrees("theta_deg", &written.theta_deg, Settings::THETA_DEG, default.theta_deg);
+        let pitch_deg = degrees("pitch_deg", &mount.pitch_deg, Settings::TILT_DEG, default.pitch_deg);
+        let roll_deg = degrees("roll_deg", &mount.roll_deg, Settings::TILT_DEG, default.roll_deg);
+        let mut metres = |key, given, range| self.number(key, given, range, "metres");
+        let height_m = metres("height_m", &mount.height_m, Settings::HEIGHT_M);
+        let min_range_m = metres("min_range_m", &written.min_range_m, Settings::RANGE_M);
+        let max_range_m = metres("max_range_m", &written.max_range_m, Settings::RANGE_M);
+        let min_points = self.whole("min_points", &written.min_points, 1..=u32::MAX.into());
+        Settings {
+            method: written.method.map_or(default.method, |method| match method {
+                file::Method::Slope => segment::Method::Slope,
+                file::Method::Paper => segment::Method::Paper,
+            }),
+            theta_deg,
+            min_points: min_points.unwrap_or(default.min_points),
+            height_m: height_m.or(default.height_m),
+            pitch_deg,
+            roll_deg,
+            min_range_m: min_range_m.unwrap_or(default.min_range_m),
+            max_range_m: max_range_m.or(default.max_range_m),
+        }
     }
 }
 

@@ -1,0 +1,397 @@
+/* The bytes of a sweep, for C99 and C++: layout version 3. Needs nothing but this file and -lm.
+ *
+ *     sweepd_sweep sweep;
+ *     if (sweepd_open(bytes, len, &sweep) == SWEEPD_OK) {
+ *         for (uint32_t column = 0; column < sweep.columns_len; column++)
+ *             for (uint32_t row = 0; row < sweep.rows; row++) {
+ *                 size_t pixel = sweepd_pixel(&sweep, row, column);
+ *                 double xyz[3];
+ *                 if (!sweepd_is_return(sweep.range[pixel])) continue;
+ *                 sweepd_point_m(&sweep, row, column, sweep.range[pixel], xyz);
+ *             }
+ *     }
+ *
+ * docs/layout.md says what each field means, and how the bytes come through shared memory. */
+
+#ifndef SWEEPD_H
+#define SWEEPD_H
+
+#include <math.h>
+#include <stddef.h>
+#include <stdint.h>
+#include <string.h>
+
+#if defined(__BYTE_ORDER__) && __BYTE_ORDER__ != __ORDER_LITTLE_ENDIAN__
+#error "the layout of a sweep is little-endian, and so must be the host"
+#endif
+
+#ifdef __cplusplus
+extern "C" {
+#endif
+
+/* First bytes of a sweep. */
+#define SWEEPD_MAGIC "sweepd\r\n"
+#define SWEEPD_LAYOUT_VERSION 3u
+/* Alignment of a sweep and of its parts, bytes. */
+#define SWEEPD_ALIGN 64u
+
+/* Bits of sweepd_header.flags. */
+#define SWEEPD_PARTIAL (1u << 0)          /* not from cut to cut */
+#define SWEEPD_CIRCULAR (1u << 1)         /* a whole turn: the last column and the first are neighbours */
+#define SWEEPD_REVERSED (1u << 2)         /* the head turns counter-clockwise seen from above */
+#define SWEEPD_BLANKED (1u << 3)          /* the sensor is set to leave out a sector */
+#define SWEEPD_RATE_UNSTABLE (1u << 4)    /* too slow, too fast, or changing */
+#define SWEEPD_STOPPED (1u << 5)          /* the head stands still */
+#define SWEEPD_HEIGHT_ESTIMATED (1u << 6) /* height_m was estimated, not configured */
+
+/* Labels of a pixel; segments count from the last one on. */
+#define SWEEPD_LABEL_NONE 0u
+#define SWEEPD_LABEL_GROUND 1u
+#define SWEEPD_LABEL_FIRST_SEGMENT 2u
+
+/* sweepd_header.time_source */
+#define SWEEPD_TIME_HOST 0u
+#define SWEEPD_TIME_GPS 1u
+
+/* sweepd_header.return_mode */
+#define SWEEPD_MODE_STRONGEST 0x37u
+#define SWEEPD_MODE_LAST 0x38u
+#define SWEEPD_MODE_DUAL 0x39u
+
+/* sweepd_header.return_choice: which of two returns is segmented */
+#define SWEEPD_CHOICE_NEAREST 0u
+#define SWEEPD_CHOICE_STRONGEST 1u
+#define SWEEPD_CHOICE_LAST 2u
+
+/* sweepd_header.model */
+#define SWEEPD_MODEL_VLP16 1u
+#define SWEEPD_MODEL_PUCK_LITE 2u
+#define SWEEPD_MODEL_PUCK_HIRES 3u
+#define SWEEPD_MODEL_HDL32E 4u
+#define SWEEPD_MODEL_HDL64E_S2 5u
+#define SWEEPD_MODEL_HDL64E_S3 6u
+
+/* sweepd_column.status */
+#define SWEEPD_COLUMN_MEASURED 1u
+#define SWEEPD_COLUMN_MISSING 2u
+#define SWEEPD_COLUMN_UNFIRED 3u
+
+/* A byte of the plane `kind`: one of the first two, and perhaps the bit. */
+#define SWEEPD_KIND_STRONGEST 1u
+#define SWEEPD_KIND_LAST 2u
+#define SWEEPD_KIND_SECOND_BLOCKS 4u
+
+/* Indices of sweepd_header.offsets. */
+enum sweepd_part {
+    SWEEPD_PART_RANGE,
+    SWEEPD_PART_REFLECTIVITY,
+    SWEEPD_PART_LABEL,
+    SWEEPD_PART_RANGE2,
+    SWEEPD_PART_REFLECTIVITY2,
+    SWEEPD_PART_LABEL2,
+    SWEEPD_PART_KIND,
+    SWEEPD_PART_COLUMNS,
+    SWEEPD_PART_BEAMS,
+    SWEEPD_PART_SEGMENTS,
+    SWEEPD_PARTS
+};
+
+/* iceoryx2's user header; its type name there is "sweepd.Preamble". */
+typedef struct sweepd_preamble {
+    uint32_t layout_version;
+    uint32_t reserved_4;
+    uint64_t sweep_bytes;
+    uint8_t reserved_16[48];
+} sweepd_preamble;
+
+typedef struct sweepd_header {
+    uint8_t magic[8];
+    uint32_t version;
+    uint32_t header_bytes;
+    uint64_t total_bytes;
+    uint64_t offsets[SWEEPD_PARTS];
+    uint32_t rows;
+    uint32_t columns;
+    uint32_t columns_capacity;
+    uint32_t segments;
+    uint32_t segments_capacity;
+    uint32_t model;
+    uint32_t return_mode;
+    uint32_t return_choice;
+    uint32_t flags;
+    uint32_t time_source;
+    uint64_t sequence;
+    int64_t time_ns;
+    uint64_t duration_ns;
+    int64_t sensor_time_ns;
+    int64_t arrival_ns;
+    float rpm;
+    float cut_azimuth_rad;
+    float height_m;
+    float pitch_rad;
+    float roll_rad;
+    uint32_t missing_columns;
+    uint32_t lost_packets;
+    uint32_t packets;
+    uint32_t returns;
+    uint32_t ground;
+    uint32_t decode_ns;
+    uint32_t ground_ns;
+    uint32_t label_ns;
+    uint32_t margin_columns;
+    uint32_t unfired_columns;
+    uint32_t dropped_datagrams;
+    float yaw_rad;
+    uint32_t reserved_252;
+    float position_m[3];
+    uint32_t reserved_268;
+    int64_t completed_ns;
+    int64_t completed_monotonic_ns;
+    int64_t run_ns;
+    char sensor[64];
+    char name[64];
+    uint8_t reserved_424[24];
+} sweepd_header;
+
+typedef struct sweepd_column {
+    uint64_t packet;
+    float azimuth_rad;
+    float azimuth_rate_rad_s;
+    uint32_t time_ns;
+    uint8_t block;
+    uint8_t status;
+    uint8_t reserved_22[2];
+} sweepd_column;
+
+typedef struct sweepd_beam {
+    uint32_t channel;
+    float elevation_rad;
+    float rotation_rad;
+    uint32_t time_offset_ns;
+    float vertical_offset_m;
+    float horizontal_offset_m;
+    int32_t shift;
+    float distance_offset_m;
+    float distance_offset_x_m;
+    float distance_offset_y_m;
+    uint32_t reserved_40[2];
+} sweepd_beam;
+
+typedef struct sweepd_segment {
+    uint32_t label;
+    uint32_t points;
+    float min_m[3];
+    float max_m[3];
+    float centroid_m[3];
+    float nearest_m;
+    uint16_t row_first;
+    uint16_t row_last;
+    uint32_t column_first;
+    uint32_t column_last;
+    uint32_t reserved_60;
+} sweepd_segment;
+
+#define SWEEPD_ASSERT(what, name) typedef char sweepd_assert_##name[(what) ? 1 : -1]
+SWEEPD_ASSERT(sizeof(float) == 4 && sizeof(double) == 8, floats);
+SWEEPD_ASSERT(sizeof(sweepd_preamble) == 64, preamble);
+SWEEPD_ASSERT(sizeof(sweepd_header) == 448, header);
+SWEEPD_ASSERT(offsetof(sweepd_header, sequence) == 144, header_counts);
+SWEEPD_ASSERT(offsetof(sweepd_header, completed_ns) == 272, header_measures);
+SWEEPD_ASSERT(sizeof(sweepd_column) == 24, column);
+SWEEPD_ASSERT(sizeof(sweepd_beam) == 48, beam);
+SWEEPD_ASSERT(sizeof(sweepd_segment) == 64, segment);
+#undef SWEEPD_ASSERT
+
+/* What sweepd_check finds. */
+typedef enum sweepd_status {
+    SWEEPD_OK = 0,
+    SWEEPD_TOO_SHORT_OR_UNALIGNED = 1, /* too few bytes, or they do not begin at a multiple of 8 */
+    SWEEPD_OTHER_VERSION = 2,          /* no sweep, or one of another layout */
+    SWEEPD_INCONSISTENT = 3            /* counts and offsets contradict each other */
+} sweepd_status;
+
+/* A sweep to read: where its planes and tables are, trimmed to the columns and segments that there are. It is as good as
+ * the bytes are: valid while they are held. Index planes by sweepd_pixel. */
+typedef struct sweepd_sweep {
+    const sweepd_header *header;
+    const float *range;           /* metres; see sweepd_is_return */
+    const uint8_t *reflectivity;
+    const uint32_t *label;
+    const float *range2;          /* the other return; NULL in single mode, as the next three */
+    const uint8_t *reflectivity2;
+    const uint32_t *label2;
+    const uint8_t *kind;
+    const sweepd_column *columns;
+    const sweepd_beam *beams;
+    const sweepd_segment *segments;
+    uint32_t rows;
+    uint32_t columns_len;
+    uint32_t segments_len;
+} sweepd_sweep;
+
+/* Where each part of a header's shape begins (0 = absent); gives the bytes of the whole. */
+static inline uint64_t sweepd_offsets(const sweepd_header *header, uint64_t offsets[SWEEPD_PARTS]) {
+    const uint64_t pixels = (uint64_t)header->rows * header->columns_capacity;
+    const uint64_t other = header->offsets[SWEEPD_PART_RANGE2] != 0 ? pixels : 0;
+    uint64_t sizes[SWEEPD_PARTS], end = sizeof(sweepd_header);
+    int part;
+    sizes[SWEEPD_PART_RANGE] = pixels * sizeof(float);
+    sizes[SWEEPD_PART_REFLECTIVITY] = pixels;
+    sizes[SWEEPD_PART_LABEL] = pixels * sizeof(uint32_t);
+    sizes[SWEEPD_PART_RANGE2] = other * sizeof(float);
+    sizes[SWEEPD_PART_REFLECTIVITY2] = other;
+    sizes[SWEEPD_PART_LABEL2] = other * sizeof(uint32_t);
+    sizes[SWEEPD_PART_KIND] = other;
+    sizes[SWEEPD_PART_COLUMNS] = header->columns_capacity * (uint64_t)sizeof(sweepd_column);
+    sizes[SWEEPD_PART_BEAMS] = header->rows * (uint64_t)sizeof(sweepd_beam);
+    sizes[SWEEPD_PART_SEGMENTS] = header->segments_capacity * (uint64_t)sizeof(sweepd_segment);
+    for (part = 0; part < SWEEPD_PARTS; part++) {
+        offsets[part] = sizes[part] > 0 ? end : 0;
+        end += sizes[part];
+        if (sizes[part] > 0) end = (end + SWEEPD_ALIGN - 1) / SWEEPD_ALIGN * SWEEPD_ALIGN;
+    }
+    return end;
+}
+
+/* Whether bytes are a sweep of this layout, so that nothing that its header tells lies outside of them. */
+static inline sweepd_status sweepd_check(const void *bytes, size_t len) {
+    const sweepd_header *header = (const sweepd_header *)bytes;
+    uint64_t offsets[SWEEPD_PARTS], total;
+    if (len < sizeof(sweepd_header) || (uintptr_t)bytes % 8 != 0) return SWEEPD_TOO_SHORT_OR_UNALIGNED;
+    if (memcmp(header->magic, SWEEPD_MAGIC, sizeof header->magic) != 0) return SWEEPD_OTHER_VERSION;
+    if (header->version != SWEEPD_LAYOUT_VERSION) return SWEEPD_OTHER_VERSION;
+    if (header->rows > 256 || header->columns_capacity > 1u << 20 || header->segments_capacity > 1u << 28 ||
+        (uint64_t)header->margin_columns + header->columns > header->columns_capacity ||
+        header->segments > header->segments_capacity)
+        return SWEEPD_INCONSISTENT;
+    total = sweepd_offsets(header, offsets);
+    if (memcmp(offsets, header->offsets, sizeof offsets) != 0 || total != header->total_bytes) return SWEEPD_INCONSISTENT;
+    return total > len ? SWEEPD_TOO_SHORT_OR_UNALIGNED : SWEEPD_OK;
+}
+
+/* Checks the bytes of a sweep and tells where everything is. */
+static inline sweepd_status sweepd_open(const void *bytes, size_t len, sweepd_sweep *sweep) {
+    const sweepd_status status = sweepd_check(bytes, len);
+    const uint8_t *base = (const uint8_t *)bytes;
+    const sweepd_header *header = (const sweepd_header *)bytes;
+    const uint64_t *at;
+    size_t before;
+    memset(sweep, 0, sizeof *sweep);
+    if (status != SWEEPD_OK) return status;
+    at = header->offsets;
+    before = (size_t)header->margin_columns * header->rows;
+    sweep->header = header;
+    sweep->rows = header->rows;
+    sweep->columns_len = header->columns;
+    sweep->segments_len = header->segments;
+    sweep->range = (const float *)(const void *)(base + at[SWEEPD_PART_RANGE]) + before;
+    sweep->reflectivity = base + at[SWEEPD_PART_REFLECTIVITY] + before;
+    sweep->label = (const uint32_t *)(const void *)(base + at[SWEEPD_PART_LABEL]) + before;
+    if (at[SWEEPD_PART_RANGE2] != 0) {
+        sweep->range2 = (const float *)(const void *)(base + at[SWEEPD_PART_RANGE2]) + before;
+        sweep->reflectivity2 = base + at[SWEEPD_PART_REFLECTIVITY2] + before;
+        sweep->label2 = (const uint32_t *)(const void *)(base + at[SWEEPD_PART_LABEL2]) + before;
+        sweep->kind = base + at[SWEEPD_PART_KIND] + before;
+    }
+    sweep->columns = (const sweepd_column *)(const void *)(base + at[SWEEPD_PART_COLUMNS]) + header->margin_columns;
+    sweep->beams = (const sweepd_beam *)(const void *)(base + at[SWEEPD_PART_BEAMS]);
+    sweep->segments = (const sweepd_segment *)(const void *)(base + at[SWEEPD_PART_SEGMENTS]);
+    return SWEEPD_OK;
+}
+
+/* Index of a pixel in each plane. */
+static inline size_t sweepd_pixel(const sweepd_sweep *sweep, uint32_t row, uint32_t column) {
+    return (size_t)column * sweep->rows + row;
+}
+
+/* Whether a range in a plane is a return. */
+static inline int sweepd_is_return(float range_m) {
+    return range_m > 0.0f;
+}
+
+/* SWEEPD_KIND_STRONGEST or SWEEPD_KIND_LAST: what the return of a pixel is, or (`other`) that of the planes "2". */
+static inline uint32_t sweepd_kind(const sweepd_sweep *sweep, uint32_t row, uint32_t column, int other) {
+    int is_last = sweep->header->return_mode == SWEEPD_MODE_LAST;
+    if (sweep->kind != NULL) {
+        const uint8_t byte = sweep->kind[sweepd_pixel(sweep, row, column)];
+        is_last = ((byte & ~SWEEPD_KIND_SECOND_BLOCKS) == SWEEPD_KIND_LAST) != (other != 0);
+    }
+    return is_last ? SWEEPD_KIND_LAST : SWEEPD_KIND_STRONGEST;
+}
+
+/* The column in which a pixel was fired: its own, moved by the shift of its row. Beyond the ends of an image that is not
+ * circular, where no pixel has a return, the one at the end. */
+static inline uint32_t sweepd_fired_in(const sweepd_sweep *sweep, uint32_t row, uint32_t column) {
+    const int64_t columns = sweep->columns_len;
+    int64_t at = (int64_t)column + sweep->beams[row].shift;
+    if (at >= 0 && at < columns) return (uint32_t)at;
+    if (sweep->header->flags & SWEEPD_CIRCULAR) {
+        at %= columns;
+        return (uint32_t)(at < 0 ? at + columns : at);
+    }
+    return at < 0 ? 0 : (uint32_t)(columns - 1);
+}
+
+/* Azimuth of a pixel's beam when it fired, radians, 0..2 pi, clockwise from +y. */
+static inline double sweepd_azimuth_rad(const sweepd_sweep *sweep, uint32_t row, uint32_t column) {
+    const double turn = 6.283185307179586476925287;
+    const sweepd_column *firing = &sweep->columns[sweepd_fired_in(sweep, row, column)];
+    const sweepd_beam *beam = &sweep->beams[row];
+    const double turned = (double)firing->azimuth_rate_rad_s * (double)beam->time_offset_ns * 1e-9;
+    double azimuth = fmod((double)firing->azimuth_rad + turned - (double)beam->rotation_rad, turn);
+    if (azimuth < 0.0) azimuth += turn;
+    return azimuth < turn ? azimuth : 0.0;
+}
+
+/* When a pixel's beam fired, nanoseconds since 1970 in the clock of sweepd_header.time_source. */
+static inline int64_t sweepd_time_ns(const sweepd_sweep *sweep, uint32_t row, uint32_t column) {
+    const sweepd_column *firing = &sweep->columns[sweepd_fired_in(sweep, row, column)];
+    const int64_t after = (int64_t)firing->time_ns + (int64_t)sweep->beams[row].time_offset_ns;
+    return sweep->header->time_ns > INT64_MAX - after ? INT64_MAX : sweep->header->time_ns + after;
+}
+
+/* x right, y forward, z up of a range in a pixel, metres from the sensor's origin. */
+static inline void sweepd_point_m(const sweepd_sweep *sweep, uint32_t row, uint32_t column, float range_m, double xyz[3]) {
+    const sweepd_beam *beam = &sweep->beams[row];
+    const double azimuth = sweepd_azimuth_rad(sweep, row, column);
+    const double sin_azimuth = sin(azimuth), cos_azimuth = cos(azimuth);
+    const double sin_elevation = sin((double)beam->elevation_rad), cos_elevation = cos((double)beam->elevation_rad);
+    const double along[2] = {cos_elevation * sin_azimuth, cos_elevation * cos_azimuth};
+    const double far_m = 25.04, range = (double)range_m;
+    /* The two-point correction of an HDL-64E: what it adds at the axis' zero, and loses each metre. */
+    const double slope[2] = {((double)beam->distance_offset_x_m - (double)beam->distance_offset_m) / (far_m - 2.40),
+                             ((double)beam->distance_offset_y_m - (double)beam->distance_offset_m) / (far_m - 1.93)};
+    uint32_t bits;
+    xyz[0] = along[0] * range;
+    xyz[1] = along[1] * range;
+    xyz[2] = sin_elevation * range;
+    memcpy(&bits, &range_m, sizeof bits);
+    if ((bits & 1) != 0 && (slope[0] != 0.0 || slope[1] != 0.0)) {
+        /* Each axis is a multiple of d and a constant; d is the one at which the length is the range. */
+        const double of_x[2] = {1.0 - slope[0] * fabs(along[0]), slope[0] * far_m};
+        const double of_y[2] = {1.0 - slope[1] * fabs(along[1]), slope[1] * far_m};
+        const double x[2] = {of_x[0] * along[0], of_x[1] * along[0]};
+        const double y[2] = {of_y[0] * along[1], of_y[1] * along[1]};
+        const double z[2] = {(of_x[0] + of_y[0]) / 2.0 * sin_elevation, (of_x[1] + of_y[1]) / 2.0 * sin_elevation};
+        const double square = x[0] * x[0] + y[0] * y[0] + z[0] * z[0];
+        const double linear = x[0] * x[1] + y[0] * y[1] + z[0] * z[1];
+        const double rest = x[1] * x[1] + y[1] * y[1] + z[1] * z[1] - range * range;
+        const double root = linear * linear - square * rest;
+        if (root >= 0.0 && square > 0.0) {
+            const double d = (sqrt(root) - linear) / square;
+            xyz[0] = x[0] * d + x[1];
+            xyz[1] = y[0] * d + y[1];
+            xyz[2] = z[0] * d + z[1];
+        }
+    }
+    /* Where the beam begins. */
+    xyz[0] -= (double)beam->horizontal_offset_m * cos_azimuth;
+    xyz[1] += (double)beam->horizontal_offset_m * sin_azimuth;
+    xyz[2] += (double)beam->vertical_offset_m;
+}
+
+#ifdef __cplusplus
+}
+#endif
+
+#endif

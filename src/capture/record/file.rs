@@ -1,0 +1,158 @@
+//! One capture that is written: plain or compressed, synced so that it can be read up to there.
+
+use std::fs::File;
+use std::io::{self, BufWriter, Stdout, Write};
+use std::path::Path;
+
+use flate2::write::GzEncoder;
+use flate2::{Compression, GzBuilder};
+
+use crate::capture::write::{Addressed, PcapWriter};
+
+/// How a capture is written, as the end of its name says.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub enum Format {
+    /// `.pcap`
+    Plain,
+    /// `.pcap.gz`
+    Gzip,
+}
+
+impl Format {
+    /// The format that a name says, if it says one.
+    pub fn of(path: &Path) -> Option<Self> {
+        let name = path.file_name()?.to_string_lossy();
+        let endings = [(".pcap", Self::Plain), (".pcap.gz", Self::Gzip)];
+        endings.into_iter().find(|(ending, _)| name.ends_with(ending)).map(|(_, format)| format)
+    }
+
+    /// `.pcap` or `.pcap.gz`.
+    pub fn ending(self) -> &'static str {
+        match self {
+            Self::Plain => ".pcap",
+            Self::Gzip => ".pcap.gz",
+        }
+    }
+}
+
+/// A capture under way.
+pub struct CaptureFile {
+    writer: PcapWriter<Sink>,
+}
+
+enum Sink {
+    Plain(BufWriter<File>),
+    // Small writes go through the buffer, not one by one through the compressor.
+    Gzip(BufWriter<GzEncoder<File>>),
+    Stdout(BufWriter<Stdout>),
+}
+
+impl Write for Sink {
+    fn write(&mut self, bytes: &[u8]) -> io::Result<usize> {
+        match self {
+            Self::Plain(file) => file.write(bytes),
+            Self::Gzip(file) => file.write(bytes),
+            Self::Stdout(out) => out.write(bytes),
+        }
+    }
+
+    fn flush(&mut self) -> io::Result<()> {
+        match self {
+            Self::Plain(file) => file.flush(),
+            Self::Gzip(file) => file.flush(),
+            Self::Stdout(out) => out.flush(),
+        }
+    }
+}
+
+impl CaptureFile {
+    /// Writes a capture, over a file that is there already.
+    ///
+    /// # Errors
+    /// What the system says.
+    pub fn create(path: &Path, format: Format) -> io::Result<Self> {
+        Self::over(File::create(path)?, format)
+    }
+
+    /// As [`CaptureFile::create`], but overwrites no file: that is the error `AlreadyExists`. What is no file, such as a
+    /// named pipe, is written to.
+    ///
+    /// # Errors
+    /// What the system says.
+    pub fn create_new(path: &Path, format: Format) -> io::Result<Self> {
+        let special = path.metadata().is_ok_and(|found| !found.is_file() && !found.is_dir());
+        let file = if special { File::options().write(true).open(path) } else { File::create_new(path) };
+        Self::over(file?, format)
+    }
+
+    /// Writes a plain capture to standard output.
+    ///
+    /// # Errors
+    /// What the system says.
+    pub fn stdout() -> io::Result<Self> {
+        Ok(Self { writer: PcapWriter::new(Sink::Stdout(BufWriter::new(io::stdout())))? })
+    }
+
+    fn over(file: File, format: Format) -> io::Result<Self> {
+        let sink = match format {
+            Format::Plain => Sink::Plain(BufWriter::new(file)),
+            // No time of making in the header: the same datagrams give the same file.
+            Format::Gzip => Sink::Gzip(BufWriter::new(GzBuilder::new().mtime(0).write(file, Compression::default()))),
+        };
+        Ok(Self { writer: PcapWriter::new(sink)? })
+    }
+
+    /// Writes a record.
+    ///
+    /// # Errors
+    /// As [`PcapWriter::write`].
+    pub fn write(&mut self, datagram: &Addressed<'_>) -> io::Result<()> {
+        self.writer.write(datagram)
+    }
+
+    /// Has everything so far on the disk, as a capture that can be read up to here.
+    ///
+    /// # Errors
+    /// What the disk says.
+    pub fn sync(&mut self) -> io::Result<()> {
+        let sink = self.writer.sink_mut();
+        sink.flush()?;
+        match sink {
+            Sink::Plain(file) => synced(file.get_ref()),
+            Sink::Gzip(file) => synced(file.get_ref().get_ref()),
+            Sink::Stdout(_) => Ok(()),
+        }
+    }
+
+    /// Writes out what is left, the end of a gzip stream too.
+    ///
+    /// # Errors
+    /// What the disk or the reader says.
+    pub fn finish(self) -> io::Result<()> {
+        self.close().map(drop)
+    }
+
+    /// As [`CaptureFile::finish`], and has all of it on the disk.
+    ///
+    /// # Errors
+    /// What the disk says.
+    pub fn finish_and_sync(self) -> io::Result<()> {
+        self.close()?.map_or(Ok(()), |file| synced(&file))
+    }
+
+    fn close(self) -> io::Result<Option<File>> {
+        match self.writer.finish()? {
+            Sink::Plain(file) => file.into_inner().map_err(io::IntoInnerError::into_error).map(Some),
+            Sink::Gzip(file) => file.into_inner().map_err(io::IntoInnerError::into_error)?.finish().map(Some),
+            Sink::Stdout(_) => Ok(None),
+        }
+    }
+}
+
+/// A pipe or a device has nothing to sync (fsync(2), EINVAL).
+fn synced(file: &File) -> io::Result<()> {
+    match file.sync_data() {
+        Err(error) if error.kind() == io::ErrorKind::InvalidInput => Ok(()),
+        other => other,
+    }
+}

@@ -1,0 +1,200 @@
+//! The files of a recording: one, or one after the other.
+
+use std::fs::File;
+use std::io;
+use std::path::{Path, PathBuf};
+use std::time::{Duration, Instant};
+
+use super::RecordError;
+use super::file::{CaptureFile, Format};
+use crate::capture::write::{Addressed, FILE_HEADER_LEN, record_len};
+
+/// The longest that what was written may be lost by a power failure.
+const SYNC_EVERY: Duration = Duration::from_secs(1);
+
+/// When to begin another file.
+#[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
+pub struct Rotation {
+    /// Before a file would get longer than this, bytes (uncompressed).
+    pub bytes: Option<u64>,
+    /// When a file holds so many nanoseconds.
+    pub ns: Option<u64>,
+}
+
+impl Rotation {
+    fn is_wanted(self) -> bool {
+        self.bytes.is_some() || self.ns.is_some()
+    }
+}
+
+/// What was written.
+#[derive(Clone, Debug, Default, PartialEq, Eq)]
+pub struct Written {
+    /// Datagrams.
+    pub datagrams: u64,
+    /// Bytes, uncompressed.
+    pub bytes: u64,
+    /// The first file.
+    pub first: PathBuf,
+    /// The last file, the same if there is one.
+    pub last: PathBuf,
+    /// How many.
+    pub files: u64,
+}
+
+/// The files of a recording under way.
+pub(super) struct Files {
+    path: PathBuf,
+    format: Format,
+    rotation: Rotation,
+    file: CaptureFile,
+    /// Of the file: its length and the arrival of its first datagram.
+    len: u64,
+    begun_ns: Option<i64>,
+    next_number: u64,
+    synced: Instant,
+    written: Written,
+    /// Datagrams and bytes that are on the disk for sure.
+    safe: (u64, u64),
+}
+
+impl Files {
+    /// Begins the first file.
+    pub(super) fn create(path: &Path, rotation: Rotation) -> Result<Self, RecordError> {
+        let format = Format::of(path).ok_or_else(|| RecordError::Name { path: path.to_owned() })?;
+        let (mut next_number, path) = (0, path.to_owned());
+        let (first, file) = open(&path, format, rotation, &mut next_number)?;
+        let written = Written { last: first.clone(), first, files: 1, bytes: FILE_HEADER_LEN, datagrams: 0 };
+        let (len, begun_ns, synced, safe) = (FILE_HEADER_LEN, None, Instant::now(), (0, 0));
+        Ok(Self { path, format, rotation, file, len, begun_ns, next_number, synced, written, safe })
+    }
+
+    /// Writes a datagram, in another file if it is time for one.
+    pub(super) fn write(&mut self, datagram: &Addressed<'_>) -> Result<(), RecordError> {
+        let more = record_len(datagram.payload.len());
+        if self.is_full(datagram.arrival_ns, more) {
+            self.rotate()?;
+        }
+        self.file.write(datagram).map_err(RecordError::of(&self.written.last))?;
+        self.begun_ns.get_or_insert(datagram.arrival_ns);
+        self.len += more;
+        self.written.datagrams += 1;
+        self.written.bytes += more;
+        Ok(())
+    }
+
+    /// Has what was written on the disk, if it is time again.
+    pub(super) fn sync_now_and_then(&mut self) -> Result<(), RecordError> {
+        if self.synced.elapsed() < SYNC_EVERY || self.safe == self.so_far() {
+            return Ok(());
+        }
+        self.file.sync().map_err(RecordError::of(&self.written.last))?;
+        self.synced = Instant::now();
+        self.safe = self.so_far();
+        Ok(())
+    }
+
+    /// What was written so far, to the disk or to a buffer.
+    pub(super) fn written(&self) -> &Written {
+        &self.written
+    }
+
+    /// Has everything on the disk and closes the last file, unless the disk failed before. Gives what is there: after a
+    /// failure, what is there for sure.
+    pub(super) fn finish(self, ended: Result<(), RecordError>) -> (Written, Result<(), RecordError>) {
+        let ended = ended.and_then(|()| close(self.file, &self.written.last));
+        let mut written = self.written;
+        if ended.is_err() {
+            (written.datagrams, written.bytes) = self.safe;
+        }
+        (written, ended)
+    }
+
+    fn so_far(&self) -> (u64, u64) {
+        (self.written.datagrams, self.written.bytes)
+    }
+
+    fn is_full(&self, arrival_ns: i64, more: u64) -> bool {
+        // A file holds at least one datagram. A clock that was set back makes a new file as well.
+        self.begun_ns.is_some_and(|begun_ns| {
+            self.rotation.bytes.is_some_and(|limit| self.len + more > limit)
+                || self.rotation.ns.is_some_and(|limit| arrival_ns.abs_diff(begun_ns) >= limit)
+        })
+    }
+
+    fn rotate(&mut self) -> Result<(), RecordError> {
+        let (path, next) = open(&self.path, self.format, self.rotation, &mut self.next_number)?;
+        close(std::mem::replace(&mut self.file, next), &self.written.last)?;
+        self.safe = self.so_far();
+        self.written.last = path;
+        self.written.files += 1;
+        self.written.bytes += FILE_HEADER_LEN;
+        (self.len, self.begun_ns) = (FILE_HEADER_LEN, None);
+        Ok(())
+    }
+}
+
+/// Ends a file and has it on the disk.
+fn close(file: CaptureFile, path: &Path) -> Result<(), RecordError> {
+    file.finish_and_sync().map_err(RecordError::of(path))
+}
+
+/// Has the name of a new file on the disk, as far as the system can do that to a folder.
+fn sync_folder_of(path: &Path) {
+    let folder = path.parent().filter(|parent| !parent.as_os_str().is_empty()).unwrap_or(Path::new("."));
+    let _ = File::open(folder).and_then(|folder| folder.sync_all());
+}
+
+/// The next file; of several, the next whose number is free.
+fn open(
+    path: &Path,
+    format: Format,
+    rotation: Rotation,
+    next_number: &mut u64,
+) -> Result<(PathBuf, CaptureFile), RecordError> {
+    loop {
+        let named = if rotation.is_wanted() { numbered(path, format, *next_number) } else { path.to_owned() };
+        *next_number += 1;
+        match CaptureFile::create_new(&named, format) {
+            Err(error) if rotation.is_wanted() && error.kind() == io::ErrorKind::AlreadyExists => {}
+            Err(error) => return Err(RecordError::of(&named)(error)),
+            Ok(file) => {
+                sync_folder_of(&named);
+                return Ok((named, file));
+            }
+        }
+    }
+}
+
+/// `drive-007.pcap.gz` for `drive.pcap.gz`.
+fn numbered(path: &Path, format: Format, number: u64) -> PathBuf {
+    let name = path.file_name().unwrap_or_default().to_string_lossy();
+    let ending = format.ending();
+    let stem = name.strip_suffix(ending).unwrap_or(&name);
+    path.with_file_name(format!("{stem}-{number:03}{ending}"))
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn names_are_numbered_before_their_ending() {
+        let numbered = |path: &str, number| {
+            numbered(path.as_ref(), Format::of(path.as_ref()).unwrap(), number).display().to_string()
+        };
+        assert_eq!(numbered("a/drive.pcap", 0), "a/drive-000.pcap");
+        assert_eq!(numbered("drive.x.pcap.gz", 12), "drive.x-012.pcap.gz");
+        assert_eq!(numbered("/drive.pcap", 1234), "/drive-1234.pcap");
+    }
+
+    #[test]
+    fn names_that_say_no_format_are_refused() {
+        for name in ["-", "", "/", "drive", "drive.pcapng", "drive.gz", "drive.PCAP"] {
+            assert!(
+                matches!(Files::create(name.as_ref(), Rotation::default()), Err(RecordError::Name { .. })),
+                "{name}"
+            );
+        }
+    }
+}

@@ -1,0 +1,281 @@
+//! Datagrams to capture files, so that who receives them never waits for a disk.
+//!
+//! ```text
+//! receiving thread -> Lane --ring--> writing thread -> NAME-000.pcap, NAME-001.pcap, ...
+//! receiving thread -> Lane --ring-/
+//! ```
+//!
+//! Each receiving thread has a [`Lane`] of its own. Putting a datagram in is a copy of its bytes: no lock, no system
+//! call, no allocation. What finds no room, since the disk stalls or has failed, is counted and gone. The writing thread
+//! looks every 20 ms, and merges the lanes by arrival: a datagram is written after any other with an earlier stamp that
+//! its own thread put in at most so much later. Those of one lane keep their order.
+//!
+//! [`file`] is one capture, [`Rotation`] says when another begins.
+
+mod error;
+pub mod file;
+mod files;
+pub(crate) mod ring;
+
+use std::path::{Path, PathBuf};
+use std::sync::atomic::{AtomicBool, AtomicU64, Ordering};
+use std::sync::{Arc, Mutex, MutexGuard, OnceLock, PoisonError};
+use std::thread::{self, JoinHandle};
+use std::time::Duration;
+
+pub use self::error::RecordError;
+use self::files::Files;
+pub use self::files::{Rotation, Written};
+use self::ring::{Inlet, Outlet, ring};
+use super::write::Addressed;
+
+/// What may wait for the disk of one lane, bytes: 4.7 s of the fastest model. The system gives the memory when it is first
+/// used.
+const LANE_BYTES: usize = 32 << 20;
+/// How often the writing thread looks, which is also for how long a datagram waits for earlier ones of other lanes.
+const PERIOD: Duration = Duration::from_millis(20);
+
+/// How far a recording is, readable at any time.
+#[derive(Debug, Default)]
+pub struct RecordCounts {
+    /// Datagrams that were to be recorded.
+    pub offered: AtomicU64,
+    /// Of these, the ones that found no room or came after the disk failed.
+    pub refused: AtomicU64,
+    /// Datagrams that were written, to the disk or to a buffer that is on the disk within about a second.
+    pub written: AtomicU64,
+    /// Bytes of the files, uncompressed.
+    pub bytes: AtomicU64,
+    /// Files.
+    pub files: AtomicU64,
+}
+
+/// A recording under way. A recorder that is dropped ends as by [`Recorder::finish`], only that nobody hears of it.
+///
+/// ```
+/// use sweepd::capture::record::{Recorder, Rotation};
+/// use sweepd::capture::{Capture, write::Addressed};
+///
+/// # let folder = std::env::temp_dir().join(format!("sweepd-doc-{}", std::process::id()));
+/// # std::fs::create_dir_all(&folder)?;
+/// let path = folder.join("drive.pcap.gz");
+/// let recorder = Recorder::start(&path, Rotation::default())?;
+/// let mut lane = recorder.lane();
+/// let (source, destination) = ("192.168.1.201:2368".parse()?, "255.255.255.255:2368".parse()?);
+/// lane.put(&Addressed { arrival_ns: 1_500_000_000_123_456_789, source, destination, payload: b"hello" });
+/// let (written, ended) = recorder.finish();
+/// ended?;
+/// assert_eq!(written.datagrams, 1);
+/// assert_eq!(Capture::open(&path)?.next_datagram()?.unwrap().arrival_ns, 1_500_000_000_123_456_789);
+/// # std::fs::remove_dir_all(&folder)?;
+/// # Ok::<(), Box<dyn std::error::Error>>(())
+/// ```
+#[derive(Debug)]
+pub struct Recorder {
+    shared: Arc<Shared>,
+    path: PathBuf,
+    /// `None` when it was joined.
+    writer: Option<JoinHandle<Written>>,
+}
+
+/// What the threads share.
+#[derive(Debug, Default)]
+struct Shared {
+    counts: RecordCounts,
+    over: AtomicBool,
+    /// Lanes that the writing thread has not seen yet.
+    new_lanes: Mutex<Vec<Outlet>>,
+    error: OnceLock<Arc<RecordError>>,
+}
+
+impl Shared {
+    fn new_lanes(&self) -> MutexGuard<'_, Vec<Outlet>> {
+        self.new_lanes.lock().unwrap_or_else(PoisonError::into_inner)
+    }
+}
+
+impl Recorder {
+    /// Begins a recording with its first file; a file that exists is never overwritten.
+    ///
+    /// # Errors
+    /// [`RecordError`]: a name without format, a file that cannot be written.
+    pub fn start(path: &Path, rotation: Rotation) -> Result<Self, RecordError> {
+        let files = Files::create(path, rotation)?;
+        let shared = Arc::new(Shared::default());
+        shared.publish(files.written());
+        let path = files.written().first.clone();
+        let writing = Arc::clone(&shared);
+        let writer = thread::Builder::new().name("sweepd-record".to_owned());
+        let writer = writer.spawn(move || Writer { shared: writing, files, lanes: Vec::new() }.run());
+        let writer = Some(writer.map_err(|source| RecordError::Thread { source })?);
+        Ok(Self { shared, path, writer })
+    }
+
+    /// A way in for one more receiving thread. Takes memory, and a lock: not for the hot path.
+    pub fn lane(&self) -> Lane {
+        let (inlet, outlet) = ring(LANE_BYTES);
+        self.shared.new_lanes().push(outlet);
+        Lane { inlet, shared: Arc::clone(&self.shared) }
+    }
+
+    /// The first file.
+    pub fn path(&self) -> &Path {
+        &self.path
+    }
+
+    /// How far it is.
+    pub fn counts(&self) -> &RecordCounts {
+        &self.shared.counts
+    }
+
+    /// Why it has ended before its time, once it has; nothing is written any more then.
+    pub fn error(&self) -> Option<&Arc<RecordError>> {
+        self.shared.error.get()
+    }
+
+    /// Writes what was put in before, has it on the disk and closes the last file. Says what is there, whatever ended the
+    /// recording: after a failure, what is there for sure.
+    ///
+    /// # Errors
+    /// [`RecordError::File`]: what the disk says, or said.
+    pub fn finish(mut self) -> (Written, Result<(), Arc<RecordError>>) {
+        let written = self.end().unwrap_or_default();
+        (written, self.shared.error.get().cloned().map_or(Ok(()), Err))
+    }
+
+    fn end(&mut self) -> Option<Written> {
+        self.shared.over.store(true, Ordering::Release);
+        let writer = self.writer.take()?;
+        writer.thread().unpark();
+        Some(writer.join().unwrap_or_else(|panic| std::panic::resume_unwind(panic)))
+    }
+}
+
+impl Drop for Recorder {
+    fn drop(&mut self) {
+        if !thread::panicking() {
+            self.end();
+        }
+    }
+}
+
+/// The way into a recording for one receiving thread.
+#[derive(Debug)]
+pub struct Lane {
+    inlet: Inlet,
+    shared: Arc<Shared>,
+}
+
+impl Lane {
+    /// Has a datagram recorded; `false` if there is no room, or the recording is over. Never waits, never allocates. Put
+    /// the last one in before [`Recorder::finish`] is called: one that comes while it runs may be lost.
+    pub fn put(&mut self, datagram: &Addressed<'_>) -> bool {
+        let counts = &self.shared.counts;
+        counts.offered.fetch_add(1, Ordering::Relaxed);
+        let is_over = self.shared.over.load(Ordering::Relaxed) || self.shared.error.get().is_some();
+        let taken = !is_over && self.inlet.put(datagram);
+        if !taken {
+            counts.refused.fetch_add(1, Ordering::Relaxed);
+        }
+        taken
+    }
+}
+
+/// The writing thread.
+struct Writer {
+    shared: Arc<Shared>,
+    files: Files,
+    lanes: Vec<Merged>,
+}
+
+/// A lane among the others.
+struct Merged {
+    lane: Outlet,
+    /// Where it ended a period ago: up to here it is due.
+    due: u64,
+    /// Where it ended when it was last looked at.
+    end: u64,
+    closed: bool,
+}
+
+impl Merged {
+    fn new(lane: Outlet) -> Self {
+        Self { lane, due: 0, end: 0, closed: false }
+    }
+
+    fn look(&mut self) {
+        self.due = self.end;
+        self.closed = self.lane.is_closed();
+        self.end = self.lane.end();
+    }
+
+    fn is_due(&self) -> bool {
+        !self.lane.is_at(self.due)
+    }
+
+    fn is_done(&self) -> bool {
+        self.closed && self.lane.is_at(self.end)
+    }
+}
+
+impl Writer {
+    fn run(mut self) -> Written {
+        let ended = self.write_all();
+        let (written, ended) = self.files.finish(ended);
+        if let Err(error) = ended {
+            // Nobody else sets it.
+            let _ = self.shared.error.set(Arc::new(error));
+        }
+        self.shared.publish(&written);
+        written
+    }
+
+    fn write_all(&mut self) -> Result<(), RecordError> {
+        loop {
+            // Before the look at the lanes: what was put in before the end is seen.
+            let over = self.shared.over.load(Ordering::Acquire);
+            self.look(over);
+            self.write_due()?;
+            self.shared.publish(self.files.written());
+            if over {
+                return Ok(());
+            }
+            self.files.sync_now_and_then()?;
+            thread::park_timeout(PERIOD);
+        }
+    }
+
+    /// Looks how far the lanes have come; `over`: all of it is due.
+    fn look(&mut self, over: bool) {
+        self.lanes.retain(|merged| !merged.is_done());
+        self.lanes.extend(self.shared.new_lanes().drain(..).map(Merged::new));
+        for merged in &mut self.lanes {
+            merged.look();
+            merged.due = if over { merged.end } else { merged.due };
+        }
+    }
+
+    /// Writes what is due in the order of arrival, and before it what came since and is earlier.
+    fn write_due(&mut self) -> Result<(), RecordError> {
+        while self.lanes.iter().any(Merged::is_due) {
+            let next = self.lanes.iter_mut().filter_map(|merged| Some((merged.lane.next_ns(merged.end)?, merged)));
+            let Some((_, earliest)) = next.min_by_key(|(next_ns, _)| *next_ns) else { break };
+            if let Some(datagram) = earliest.lane.take(earliest.end) {
+                self.files.write(&datagram)?;
+            }
+        }
+        Ok(())
+    }
+}
+
+impl Shared {
+    fn publish(&self, written: &Written) {
+        let counts = &self.counts;
+        counts.written.store(written.datagrams, Ordering::Relaxed);
+        counts.bytes.store(written.bytes, Ordering::Relaxed);
+        counts.files.store(written.files, Ordering::Relaxed);
+    }
+}
+
+#[cfg(test)]
+mod tests;

@@ -1,0 +1,235 @@
+//! Between a socket and the disk: a ring with one thread at each end, so that who receives never waits, not even for a
+//! lock.
+//!
+//! It holds 64-bit words. A datagram is three words of [`Heading`] and its payload, the last word filled up with
+//! zeroes. Only whole datagrams are shown to the other end; what finds no room is refused and leaves no trace.
+
+use std::net::{Ipv4Addr, SocketAddrV4};
+use std::sync::Arc;
+use std::sync::atomic::{AtomicBool, AtomicU64, Ordering};
+
+use zerocopy::FromZeros;
+
+use crate::capture::write::Addressed;
+
+const HEADING_WORDS: u64 = 3;
+const WORD_LEN: usize = size_of::<u64>();
+
+/// What both ends share.
+#[derive(Debug)]
+struct Shared {
+    /// As many as a power of two, untouched until they are needed: the system gives no memory before.
+    words: Box<[AtomicU64]>,
+    /// Words that were ever put in, and taken out.
+    put: Apart,
+    taken: Apart,
+    closed: AtomicBool,
+}
+
+/// A counter with a cache line of its own: its writer does not disturb the reader of the other one.
+#[derive(Debug, Default)]
+#[repr(align(64))]
+struct Apart(AtomicU64);
+
+/// The end that datagrams are put into.
+#[derive(Debug)]
+pub struct Inlet(Arc<Shared>);
+
+/// The end that they are taken from.
+#[derive(Debug)]
+pub struct Outlet {
+    shared: Arc<Shared>,
+    /// The payload taken last.
+    payload: Vec<u8>,
+}
+
+/// A ring for at least so many bytes, headings included.
+pub fn ring(bytes: usize) -> (Inlet, Outlet) {
+    let len = bytes.div_ceil(WORD_LEN).max(64).next_power_of_two();
+    // No memory is what ends any program, here as in `Vec`.
+    let words = <[AtomicU64]>::new_box_zeroed_with_elems(len).unwrap_or_else(|_| {
+        let words = || AtomicU64::new(0);
+        std::iter::repeat_with(words).take(len).collect()
+    });
+    let shared = Arc::new(Shared { words, put: Apart::default(), taken: Apart::default(), closed: false.into() });
+    (Inlet(Arc::clone(&shared)), Outlet { shared, payload: Vec::new() })
+}
+
+/// All of a datagram but its payload.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+struct Heading {
+    arrival_ns: i64,
+    source: SocketAddrV4,
+    destination: SocketAddrV4,
+    len: u32,
+}
+
+impl Heading {
+    fn words(self) -> [u64; HEADING_WORDS as usize] {
+        let (source, destination) = (self.source, self.destination);
+        let ips = u64::from(source.ip().to_bits()) << 32 | u64::from(destination.ip().to_bits());
+        let rest = u64::from(source.port()) << 48 | u64::from(destination.port()) << 32 | u64::from(self.len);
+        [self.arrival_ns as u64, ips, rest]
+    }
+
+    fn of([arrival, ips, rest]: [u64; HEADING_WORDS as usize]) -> Self {
+        Self {
+            arrival_ns: arrival as i64,
+            source: SocketAddrV4::new(Ipv4Addr::from_bits((ips >> 32) as u32), (rest >> 48) as u16),
+            destination: SocketAddrV4::new(Ipv4Addr::from_bits(ips as u32), (rest >> 32) as u16),
+            len: rest as u32,
+        }
+    }
+}
+
+impl Shared {
+    fn word(&self, position: u64) -> &AtomicU64 {
+        &self.words[position as usize & (self.words.len() - 1)]
+    }
+}
+
+impl Inlet {
+    /// Puts a datagram in, and says whether there was room. Neither waits nor allocates.
+    pub fn put(&mut self, datagram: &Addressed<'_>) -> bool {
+        let shared = &*self.0;
+        let Ok(len) = u32::try_from(datagram.payload.len()) else { return false };
+        let begin = shared.put.0.load(Ordering::Relaxed);
+        let end = begin + HEADING_WORDS + u64::from(len).div_ceil(WORD_LEN as u64);
+        // Acquire: what was taken has been read before it is written over.
+        if end - shared.taken.0.load(Ordering::Acquire) > shared.words.len() as u64 {
+            return false;
+        }
+        let &Addressed { arrival_ns, source, destination, payload } = datagram;
+        let heading = Heading { arrival_ns, source, destination, len }.words();
+        let (whole, rest) = payload.as_chunks::<WORD_LEN>();
+        let mut last = [0; WORD_LEN];
+        last[..rest.len()].copy_from_slice(rest);
+        let last = (!rest.is_empty()).then_some(last);
+        let payload = whole.iter().copied().chain(last).map(u64::from_le_bytes);
+        for (position, word) in (begin..end).zip(heading.into_iter().chain(payload)) {
+            shared.word(position).store(word, Ordering::Relaxed);
+        }
+        // Release: who sees this sees the words.
+        shared.put.0.store(end, Ordering::Release);
+        true
+    }
+}
+
+impl Drop for Inlet {
+    fn drop(&mut self) {
+        self.0.closed.store(true, Ordering::Release);
+    }
+}
+
+impl Outlet {
+    /// Words that were ever put in: a place to take up to.
+    pub fn end(&self) -> u64 {
+        self.shared.put.0.load(Ordering::Acquire)
+    }
+
+    /// Whether nothing is before a place that [`Outlet::end`] gave.
+    pub fn is_at(&self, end: u64) -> bool {
+        self.taken() >= end
+    }
+
+    /// Whether nothing will be put in any more; ask before the last look at [`Outlet::end`].
+    pub fn is_closed(&self) -> bool {
+        self.shared.closed.load(Ordering::Acquire)
+    }
+
+    /// Arrival of the next datagram before a place that [`Outlet::end`] gave.
+    pub fn next_ns(&self, end: u64) -> Option<i64> {
+        (!self.is_at(end)).then(|| self.shared.word(self.taken()).load(Ordering::Relaxed) as i64)
+    }
+
+    /// Takes the next datagram before a place that [`Outlet::end`] gave.
+    pub fn take(&mut self, end: u64) -> Option<Addressed<'_>> {
+        if self.is_at(end) {
+            return None;
+        }
+        let begin = self.taken();
+        let word = |position| self.shared.word(position).load(Ordering::Relaxed);
+        let heading = Heading::of([begin, begin + 1, begin + 2].map(word));
+        let len = heading.len as usize;
+        let behind = begin + HEADING_WORDS + len.div_ceil(WORD_LEN) as u64;
+        self.payload.clear();
+        for position in begin + HEADING_WORDS..behind {
+            self.payload.extend_from_slice(&word(position).to_le_bytes());
+        }
+        // Release: the words have been read before they are written over.
+        self.shared.taken.0.store(behind, Ordering::Release);
+        let Heading { arrival_ns, source, destination, .. } = heading;
+        Some(Addressed { arrival_ns, source, destination, payload: &self.payload[..len] })
+    }
+
+    fn taken(&self) -> u64 {
+        self.shared.taken.0.load(Ordering::Relaxed)
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use proptest::prelude::*;
+
+    const ENDS: (&str, &str) = ("192.168.1.201:2368", "255.255.255.255:2369");
+
+    fn addressed(arrival_ns: i64, payload: &[u8]) -> Addressed<'_> {
+        Addressed { arrival_ns, source: ENDS.0.parse().unwrap(), destination: ENDS.1.parse().unwrap(), payload }
+    }
+
+    proptest! {
+        #[test]
+        fn what_was_put_in_comes_out_and_what_was_refused_does_not(
+            steps in prop::collection::vec((0..1300_usize, any::<i64>(), 0..3_u8), 1..200),
+        ) {
+            let (mut inlet, mut outlet) = ring(8192);
+            let mut waiting = std::collections::VecDeque::new();
+            for (len, arrival_ns, takes) in steps {
+                let payload = vec![len as u8; len];
+                let words = |len: usize| 3 + len.div_ceil(8);
+                let used: usize = waiting.iter().map(|(_, payload): &(i64, Vec<u8>)| words(payload.len())).sum();
+                let has_room = used + words(len) <= 1024;
+                prop_assert_eq!(inlet.put(&addressed(arrival_ns, &payload)), has_room);
+                if has_room {
+                    waiting.push_back((arrival_ns, payload));
+                }
+                for _ in 0..takes {
+                    let (end, expected) = (outlet.end(), waiting.pop_front());
+                    prop_assert_eq!(outlet.next_ns(end), expected.as_ref().map(|(arrival_ns, _)| *arrival_ns));
+                    let expected = expected.as_ref().map(|(arrival_ns, payload)| addressed(*arrival_ns, payload));
+                    prop_assert_eq!(outlet.take(end), expected);
+                }
+            }
+        }
+    }
+
+    #[test]
+    fn two_threads_pass_on_a_million_words_in_order() {
+        let (mut inlet, mut outlet) = ring(4096);
+        let producer = std::thread::spawn(move || {
+            for number in 0..50_000_i64 {
+                let payload = [number as u8; 257];
+                let payload = &payload[..number as usize % 257];
+                while !inlet.put(&addressed(number, payload)) {
+                    std::thread::yield_now();
+                }
+            }
+        });
+        let mut number = 0;
+        loop {
+            let (closed, end) = (outlet.is_closed(), outlet.end());
+            while let Some(datagram) = outlet.take(end) {
+                assert_eq!((datagram.arrival_ns, datagram.payload.len()), (number, number as usize % 257));
+                assert!(datagram.payload.iter().all(|&byte| byte == number as u8));
+                number += 1;
+            }
+            if closed {
+                break;
+            }
+            std::thread::yield_now();
+        }
+        producer.join().unwrap();
+        assert_eq!(number, 50_000);
+    }
+}

@@ -1,0 +1,160 @@
+use std::path::PathBuf;
+use std::time::Instant;
+
+use super::*;
+use crate::capture::Capture;
+
+/// A folder of a test's own, removed with it.
+struct Folder(PathBuf);
+
+impl Folder {
+    fn new(test: &str) -> Self {
+        let path = std::env::temp_dir().join(format!("sweepd-recorder-{test}-{}", std::process::id()));
+        let _ = std::fs::remove_dir_all(&path);
+        std::fs::create_dir(&path).unwrap();
+        Self(path)
+    }
+}
+
+impl Drop for Folder {
+    fn drop(&mut self) {
+        let _ = std::fs::remove_dir_all(&self.0);
+    }
+}
+
+const SECOND_NS: i64 = 1_000_000_000;
+
+fn addressed(arrival_ns: i64, port: u16, payload: &[u8]) -> Addressed<'_> {
+    let source = "192.168.1.201:2368".parse().unwrap();
+    Addressed { arrival_ns, source, destination: (std::net::SocketAddrV4::new([239, 1, 2, 3].into(), port)), payload }
+}
+
+fn read(path: &Path) -> Vec<(i64, u16, Vec<u8>)> {
+    let mut capture = Capture::open(path).unwrap();
+    let mut all = Vec::new();
+    while let Some(one) = capture.next_datagram().unwrap() {
+        all.push((one.arrival_ns, one.destination_port, one.payload.to_vec()));
+    }
+    assert_eq!(capture.truncation(), None);
+    all
+}
+
+fn wait_until(mut done: impl FnMut() -> bool) {
+    let begun = Instant::now();
+    while !done() {
+        assert!(begun.elapsed() < Duration::from_secs(10));
+        thread::sleep(Duration::from_millis(2));
+    }
+}
+
+#[test]
+fn lanes_are_merged_by_arrival() {
+    let folder = Folder::new("merged");
+    let path = folder.0.join("merged.pcap");
+    let recorder = Recorder::start(&path, Rotation::default()).unwrap();
+    let (mut data, mut position) = (recorder.lane(), recorder.lane());
+    // The thread of the positions comes to each hundred before that of the data, and after it.
+    for hundred in 0..20_i64 {
+        let times = hundred * 100..(hundred + 1) * 100;
+        let put = |lane: &mut Lane, port, step| {
+            times.clone().filter(|time| (time % 10 == 5) == (step == 10)).for_each(|time| {
+                assert!(lane.put(&addressed(SECOND_NS + time, port, &time.to_le_bytes())));
+            });
+        };
+        if hundred % 2 == 0 {
+            put(&mut position, 8308, 10);
+            put(&mut data, 2368, 1);
+        } else {
+            put(&mut data, 2368, 1);
+            put(&mut position, 8308, 10);
+        }
+        thread::sleep(Duration::from_millis(3));
+    }
+    // A lane that was closed is written to its end, and one more can come.
+    drop((data, position));
+    let mut late = recorder.lane();
+    assert!(late.put(&addressed(SECOND_NS + 2000, 1, &2000_i64.to_le_bytes())));
+    let (written, ended) = recorder.finish();
+    ended.unwrap();
+    let all = read(&path);
+    assert_eq!(written.datagrams, 2001);
+    // Who was late for more than a period on a busy machine is out of place, and still there.
+    let mut times: Vec<i64> = all.iter().map(|one| i64::from_le_bytes(one.2[..].try_into().unwrap())).collect();
+    let misplaced = times.windows(2).filter(|pair| pair[0] > pair[1]).count();
+    assert!(misplaced <= 2, "{misplaced}");
+    times.sort_unstable();
+    assert!(times.into_iter().eq(0..=2000));
+    assert!(all.iter().all(|(arrival_ns, port, payload)| {
+        let time = i64::from_le_bytes(payload[..].try_into().unwrap());
+        let expected = if time == 2000 { 1 } else { [2368, 8308][usize::from(time % 10 == 5)] };
+        *arrival_ns == SECOND_NS + time && *port == expected
+    }));
+}
+
+#[test]
+fn stamps_that_go_back_are_written_all_the_same() {
+    let folder = Folder::new("back");
+    let path = folder.0.join("back.pcap.gz");
+    let recorder = Recorder::start(&path, Rotation::default()).unwrap();
+    let mut lanes = [recorder.lane(), recorder.lane()];
+    let times = [5, 4, 9, 1, 1, 0];
+    for (number, time) in times.into_iter().enumerate() {
+        assert!(lanes[number % 2].put(&addressed(time * SECOND_NS, 2368, b"x")));
+        wait_until(|| recorder.counts().written.load(Ordering::Relaxed) == number as u64 + 1);
+    }
+    recorder.finish().1.unwrap();
+    assert!(read(&path).into_iter().map(|one| one.0).eq(times.map(|time| time * SECOND_NS)));
+}
+
+#[test]
+fn what_has_no_room_or_comes_after_a_failure_is_counted_and_the_failure_told() {
+    let folder = Folder::new("full");
+    let path = folder.0.join("full.pcap");
+    std::os::unix::fs::symlink("/dev/full", &path).unwrap();
+    let recorder = Recorder::start(&path, Rotation::default()).unwrap();
+    let mut lane = recorder.lane();
+    let mut taken = 0;
+    wait_until(|| {
+        taken += u64::from(lane.put(&addressed(SECOND_NS, 2368, &[7; 1206])));
+        recorder.error().is_some()
+    });
+    assert!(!lane.put(&addressed(SECOND_NS, 2368, &[7; 1206])));
+    let [offered, refused] = [&recorder.counts().offered, &recorder.counts().refused];
+    assert_eq!(offered.load(Ordering::Relaxed) - refused.load(Ordering::Relaxed), taken);
+    let (written, ended) = recorder.finish();
+    let error = ended.unwrap_err().to_string();
+    assert!(error.contains("full.pcap") && error.contains("free space there"), "{error}");
+    assert_eq!(written.datagrams, 0);
+}
+
+#[test]
+fn a_lane_without_room_refuses_and_goes_on_later() {
+    let folder = Folder::new("room");
+    let path = folder.0.join("room.pcap");
+    let recorder = Recorder::start(&path, Rotation::default()).unwrap();
+    let mut lane = recorder.lane();
+    let payload = vec![7; 60_000];
+    // As many as would fill it twice, faster than any disk.
+    let taken = (0..2 * LANE_BYTES / payload.len()).filter(|_| lane.put(&addressed(SECOND_NS, 1, &payload))).count();
+    let written = || recorder.counts().written.load(Ordering::Relaxed) as usize;
+    wait_until(|| written() == taken);
+    assert!(lane.put(&addressed(SECOND_NS, 1, &payload)));
+    let offered = recorder.counts().offered.load(Ordering::Relaxed) as usize;
+    let refused = recorder.counts().refused.load(Ordering::Relaxed) as usize;
+    assert_eq!(offered - refused, taken + 1);
+    recorder.finish().1.unwrap();
+    assert_eq!(read(&path).len(), taken + 1);
+}
+
+#[test]
+fn one_that_is_dropped_has_written_all() {
+    let folder = Folder::new("dropped");
+    let path = folder.0.join("dropped.pcap.gz");
+    let recorder = Recorder::start(&path, Rotation { bytes: Some(2000), ns: None }).unwrap();
+    let mut lane = recorder.lane();
+    assert!((0..100).all(|number| lane.put(&addressed(SECOND_NS + number, 1, &[9; 500]))));
+    drop(recorder);
+    assert!(!lane.put(&addressed(SECOND_NS, 1, b"late")));
+    let all: Vec<_> = (0..34).flat_map(|number| read(&folder.0.join(format!("dropped-{number:03}.pcap.gz")))).collect();
+    assert!(all.into_iter().map(|one| one.0).eq((0..100).map(|number| SECOND_NS + number)));
+}

@@ -1,0 +1,194 @@
+//! Who holds a UDP port of this host: from the socket tables of the kernel to the program.
+//!
+//! /proc/net/udp and /proc/net/udp6 list all sockets of the network namespace, with user and inode (proc(5)); the
+//! program is the one that has a file descriptor of that inode. Of another user's programs these are hidden, unless root
+//! asks: then the user is all that is known.
+
+use std::fmt;
+use std::fs;
+use std::net::{IpAddr, Ipv4Addr, Ipv6Addr, SocketAddrV4};
+use std::path::Path;
+
+/// Who holds a port.
+#[derive(Clone, Debug, PartialEq, Eq)]
+pub struct Holder {
+    /// The user that opened it, by number.
+    pub uid: u32,
+    /// The program, if it may be known.
+    pub program: Option<Program>,
+}
+
+/// A program that runs.
+#[derive(Clone, Debug, PartialEq, Eq)]
+pub struct Program {
+    /// Its process.
+    pub pid: u32,
+    /// Its name, the first 15 bytes of it.
+    pub name: String,
+}
+
+impl Holder {
+    /// Who keeps others from listening on an address; `None` if nobody does, or it cannot be found out.
+    pub fn of(address: SocketAddrV4) -> Option<Self> {
+        let tables = ["/proc/net/udp", "/proc/net/udp6"].map(|table| fs::read_to_string(table).unwrap_or_default());
+        let socket = tables.iter().flat_map(|table| table.lines()).filter_map(Socket::parse);
+        let socket = socket.into_iter().find(|socket| socket.is_in_the_way_of(address))?;
+        Some(Self { uid: socket.uid, program: Program::with_socket(socket.inode) })
+    }
+
+    /// Whether it is sweepd itself, as far as can be known.
+    pub fn is_sweepd(&self) -> bool {
+        match &self.program {
+            Some(program) => program.name == "sweepd",
+            None => user_name(self.uid) == "sweepd",
+        }
+    }
+}
+
+impl fmt::Display for Holder {
+    fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
+        let user = user_name(self.uid);
+        match &self.program {
+            Some(Program { pid, name }) => write!(f, "{name} (pid {pid}, user {user})"),
+            None => write!(f, "a program of user {user}"),
+        }
+    }
+}
+
+/// A line of the tables.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+struct Socket {
+    ip: IpAddr,
+    port: u16,
+    uid: u32,
+    inode: u64,
+}
+
+impl Socket {
+    /// Reads a line; the one with the titles is none.
+    fn parse(line: &str) -> Option<Self> {
+        let mut fields = line.split_ascii_whitespace();
+        let (ip, port) = fields.nth(1)?.split_once(':')?;
+        let uid = fields.nth(5)?.parse().ok()?;
+        let inode = fields.nth(1)?.parse().ok()?;
+        Some(Self { ip: parse_ip(ip)?, port: u16::from_str_radix(port, 16).ok()?, uid, inode })
+    }
+
+    /// Whether it hears what is sent to the address, or to one of those that the address stands for.
+    fn is_in_the_way_of(&self, address: SocketAddrV4) -> bool {
+        let ip = match self.ip {
+            IpAddr::V4(ip) => Some(ip),
+            // Hears IPv4 too, unless it was told not to.
+            IpAddr::V6(Ipv6Addr::UNSPECIFIED) => Some(Ipv4Addr::UNSPECIFIED),
+            IpAddr::V6(ip) => ip.to_ipv4_mapped(),
+        };
+        let meets = |ip: Ipv4Addr| ip == *address.ip() || ip.is_unspecified() || address.ip().is_unspecified();
+        self.port == address.port() && ip.is_some_and(meets)
+    }
+}
+
+/// An address as the kernel prints it: each four bytes as a number of this machine.
+fn parse_ip(digits: &str) -> Option<IpAddr> {
+    let word = |at: usize| u32::from_str_radix(digits.get(at..at + 8)?, 16).ok().map(u32::to_ne_bytes);
+    match digits.len() {
+        8 => Some(Ipv4Addr::from(word(0)?).into()),
+        32 => {
+            let words = [word(0)?, word(8)?, word(16)?, word(24)?];
+            let bytes: [u8; 16] = words.as_flattened().try_into().ok()?;
+            Some(Ipv6Addr::from(bytes).into())
+        }
+        _ => None,
+    }
+}
+
+impl Program {
+    fn with_socket(inode: u64) -> Option<Self> {
+        let link = format!("socket:[{inode}]");
+        let processes = fs::read_dir("/proc").ok()?.flatten();
+        let pids = processes.filter_map(|process| process.file_name().to_str()?.parse::<u32>().ok());
+        let holds = |&pid: &u32| {
+            let files = fs::read_dir(format!("/proc/{pid}/fd")).into_iter().flatten().flatten();
+            files.into_iter().any(|file| fs::read_link(file.path()).is_ok_and(|to| to == Path::new(&link)))
+        };
+        let pid = pids.into_iter().find(holds)?;
+        let name = fs::read_to_string(format!("/proc/{pid}/comm")).ok()?;
+        Some(Self { pid, name: name.trim_end().to_owned() })
+    }
+}
+
+/// The name of a user in /etc/passwd, or `number 1000` for one that is not there.
+pub(crate) fn user_name(uid: u32) -> String {
+    let users = fs::read_to_string("/etc/passwd").unwrap_or_default();
+    let named = users.lines().find_map(|line| {
+        let mut fields = line.split(':');
+        let name = fields.next()?;
+        (fields.nth(1)?.parse() == Ok(uid)).then(|| name.to_owned())
+    });
+    named.unwrap_or_else(|| format!("number {uid}"))
+}
+
+#[cfg(test)]
+mod tests {
+    use std::net::UdpSocket;
+
+    use super::*;
+
+    const TITLES: &str = "   sl  local_address rem_address   st tx_queue rx_queue tr tm->when retrnsmt   uid  timeout inode ref pointer drops            ";
+    const V4: &str = " 4467: 0100007F:0940 00000000:0000 07 00000000:00000000 00:00000000 00000000   998        0 276614 2 00000000f05bc9d6 0        ";
+    const V6: &str = " 4468: 00000000000000000000000000000000:0941 00000000000000000000000000000000:0000 07 00000000:00000000 00:00000000 00000000     0        0 276615 2 000000009b199e37 0";
+    const MAPPED: &str = "    9: 0000000000000000FFFF0000C901A8C0:2074 00000000000000000000000000000000:0000 07 00000000:00000000 00:00000000 00000000  1000        0 7 2 000000009b199e37 12";
+
+    #[test]
+    #[cfg(target_endian = "little")]
+    fn real_lines_are_read_and_others_are_not() {
+        let socket = |ip: &str, port, uid, inode| Some(Socket { ip: ip.parse().unwrap(), port, uid, inode });
+        assert_eq!(Socket::parse(V4), socket("127.0.0.1", 2368, 998, 276_614));
+        assert_eq!(Socket::parse(V6), socket("::", 2369, 0, 276_615));
+        assert_eq!(Socket::parse(MAPPED), socket("::ffff:192.168.1.201", 8308, 1000, 7));
+        let cut = (0..V4.trim_end().len() - 30).step_by(7).map(|len| &V4[..len]);
+        for line in [TITLES, "", ":", " 1: é:0940 x 0 0 0 0 0 0 0"].into_iter().chain(cut) {
+            assert_eq!(Socket::parse(line), None, "{line}");
+        }
+    }
+
+    #[test]
+    #[cfg(target_endian = "little")]
+    fn only_sockets_that_hear_the_same_are_in_the_way() {
+        let stands =
+            |line: &str, address: &str| Socket::parse(line).unwrap().is_in_the_way_of(address.parse().unwrap());
+        for (line, address, expected) in [
+            (V4, "127.0.0.1:2368", true),
+            (V4, "0.0.0.0:2368", true),
+            (V4, "127.0.0.2:2368", false),
+            (V4, "127.0.0.1:2369", false),
+            (V6, "192.168.1.5:2369", true),
+            (MAPPED, "192.168.1.201:8308", true),
+            (MAPPED, "192.168.1.202:8308", false),
+        ] {
+            assert_eq!(stands(line, address), expected, "{line} {address}");
+        }
+    }
+
+    #[test]
+    fn a_port_of_this_program_is_held_by_this_program() {
+        let socket = UdpSocket::bind("127.0.0.1:0").unwrap();
+        let std::net::SocketAddr::V4(address) = socket.local_addr().unwrap() else { panic!("IPv4") };
+        let holder = Holder::of(address).unwrap();
+        let name = fs::read_to_string("/proc/self/comm").unwrap();
+        let program = Program { pid: std::process::id(), name: name.trim_end().to_owned() };
+        assert_eq!(holder.program, Some(program));
+        assert!(!holder.is_sweepd());
+        let text = holder.to_string();
+        assert!(text.contains(&format!("(pid {}, user {})", std::process::id(), user_name(holder.uid))), "{text}");
+        drop(socket);
+        assert_eq!(Holder::of(address), None);
+    }
+
+    #[test]
+    fn who_is_hidden_is_told_by_user() {
+        let hidden = Holder { uid: 0, program: None };
+        assert_eq!(hidden.to_string(), "a program of user root");
+        let nobody = Holder { uid: 4_000_000_000, program: None };
+        assert_eq!(nobody.to_string(), "a program of user number 4000000000");
+    }
+}

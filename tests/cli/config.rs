@@ -1,0 +1,119 @@
+//! `sweepd config`: what a configuration comes to, and what is wrong with one.
+
+use super::{Folder, sweepd};
+
+const TWO: &str = r#"
+http = "off"
+[[sensor]]
+name = "roof"
+address = "192.168.1.201"
+model = "hdl64e-s3"
+returns = "dual"
+max_consumers = 2
+segment = { max_range_m = 80 }
+[[sensor]]
+name = "rear"
+address = "192.168.1.202:2368"
+port = 2369
+model = "vlp16"
+returns = "single"
+cut_azimuth_deg = 90
+mount = { z_m = 1.5, pitch_deg = -3, height_m = 1.2 }
+[record]
+path = "drive.pcap"
+rotate_mb = 500
+"#;
+
+#[test]
+fn check_says_what_will_run_and_what_memory_it_takes() {
+    let folder = Folder::new("config-check");
+    let file = folder.write("robot.toml", TWO);
+    let told = sweepd(&["config", "check", file.to_str().unwrap()]).done();
+    let recording = format!("recording      {}, another file each 500 MB", folder.path("drive.pcap").display());
+    for line in [
+        "robot.toml: 2 sensors",
+        "packets        from 192.168.1.201 to port 2368",
+        "positions      from 192.168.1.201 to port 8308",
+        "packets        from 192.168.1.202:2368 to port 2369",
+        "model          HDL-64E S3; calibration told by its packets; two returns, nearest segmented",
+        "model          VLP-16; calibration of the model; one return, nearest segmented",
+        "cut            at 90 degrees",
+        "mount          x 0, y 0, z 1.5 m; roll 0, pitch -3, yaw 0 degrees; 1.2 m above ground",
+        "segments       ground by slope, theta 10 degrees, 10 points at least, 0 to 80 m",
+        "service        sweepd/rear/sweep, 4 consumers at most",
+        "health         off",
+        &recording,
+    ] {
+        assert!(told.contains(line), "{told}\nlacks {line}");
+    }
+    // Two consumers hold and await two sweeps each, one is history, two are being filled: 11. Of four, 19.
+    let pools: Vec<(f64, f64)> = told.lines().filter_map(pool).collect();
+    let [(roof, of_roof), (rear, of_rear)] = pools[..] else { panic!("{told}") };
+    assert!((roof - 11.0 * of_roof).abs() < 1.0 && (rear - 19.0 * of_rear).abs() < 1.0, "{pools:?}");
+    // A pixel of two returns takes 19 bytes, of one 9; beside them a column takes 24, and a tenth of the pixels may be segments
+    // of 64 bytes.
+    let expected = |rows: f64, bytes: f64| 5632.0 * (rows * (bytes + 6.4) + 24.0) / f64::from(1 << 20);
+    assert!((of_roof - expected(64.0, 19.0)).abs() < 0.1 && (of_rear - expected(16.0, 9.0)).abs() < 0.1, "{pools:?}");
+    let both = format!("shared memory  {:.1} MiB; ", roof + rear);
+    assert!(told.contains(&both) && told.contains(" free in /dev/shm"), "{told}\nlacks {both}");
+}
+
+/// Of a line such as `shared memory  97.9 MiB: 11 sweeps of 8.9 MiB`, the first and the last number.
+fn pool(line: &str) -> Option<(f64, f64)> {
+    let (pool, sweep) = line.trim().strip_prefix("shared memory")?.split_once(" sweeps of ")?;
+    Some((pool.split_whitespace().next()?.parse().ok()?, sweep.split_whitespace().next()?.parse().ok()?))
+}
+
+#[test]
+fn check_shows_every_fault_at_its_line_and_fails() {
+    let folder = Folder::new("config-faults");
+    let file = folder.write("robot.toml", TWO.replace("port = 2369", "port = 0").replace("\"vlp16\"", "\"vlp-16\""));
+    let ran = sweepd(&["config", "check", file.to_str().unwrap()]);
+    assert_eq!((ran.code, &ran.stdout[..]), (78, ""), "EX_CONFIG: trying again would not help");
+    let (file, text) = (file.display(), &ran.stderr);
+    for part in [
+        &format!(
+            "error: `port` cannot be 0\n  --> {file}:13:8\n   |\n13 | port = 0\n   |        ^ expected 1 to 65535\n"
+        )[..],
+        &format!("error: no supported model is called \"vlp-16\"\n  --> {file}:14:9\n"),
+        "help: did you mean `vlp16`?",
+    ] {
+        assert!(text.contains(part), "{text}\nlacks {part}");
+    }
+    assert_eq!(text.matches("error: ").count(), 2, "{text}");
+}
+
+#[test]
+fn too_little_shared_memory_is_a_warning_with_a_cure() {
+    let folder = Folder::new("config-memory");
+    // Each of these takes 2 GiB at most: more than there is anywhere.
+    let sensor = |number: usize| {
+        format!(
+            "[[sensor]]\nname = \"s{number}\"\naddress = \"10.0.0.1:{number}\"\nmax_consumers = 16\nsegment = {{ min_points = 1 }}\n"
+        )
+    };
+    let file = folder.write("robot.toml", (1..=2000).map(sensor).collect::<String>());
+    let ran = sweepd(&["config", "check", file.to_str().unwrap()]);
+    assert!(ran.code == 0 && ran.stdout.contains("2,000 sensors"), "{}", ran.stderr);
+    let is_warned = ran.stderr.starts_with("warning: /dev/shm has ") && ran.stderr.contains("lower max_consumers");
+    assert!(is_warned && ran.stderr.lines().count() == 1, "{}", ran.stderr);
+}
+
+#[test]
+fn a_file_that_is_no_configuration_is_named() {
+    let folder = Folder::new("config-none");
+    let check = |path: &std::path::Path| sweepd(&["config", "check", path.to_str().unwrap()]);
+    check(&folder.path("none.toml")).says(&["cannot read the configuration", "none.toml", "No such file"]);
+    check(&folder.0).says(&["cannot read the configuration", "Is a directory"]);
+    check(&folder.write("picture.toml", b"http = \"\xff\xfe\"")).says(&["this is no text"]);
+    check(&folder.write("long.toml", vec![b'#'; (1 << 20) + 1])).says(&["more than 1 MiB"]);
+}
+
+#[test]
+fn the_example_is_printed_as_it_is_and_passes() {
+    let folder = Folder::new("config-example");
+    let example = sweepd(&["config", "example"]).done();
+    let file = folder.write("sweepd.toml", &example);
+    let told = sweepd(&["config", "check", file.to_str().unwrap()]).done();
+    assert!(told.contains("sweepd.toml: 1 sensor\n") && told.contains("health         http://127.0.0.1:9177/health"));
+}

@@ -1,0 +1,38 @@
+//! What other languages make of a sweep: `docs/layout.md`, `examples/sweepd.h` and `examples/consumer.py` against the Rust
+//! types, and the example consumers against a publisher.
+//!
+//! A C and a C++ compiler are wanted, and a Python (`SWEEPD_PYTHON`, else `python3`) with the packages `iceoryx2` 0.10.0 and
+//! `numpy`. Where they are missing the tests say so and are skipped; under `CI=true` they fail.
+
+mod common;
+#[path = "common/domain.rs"]
+mod domain;
+#[path = "consumers/fields.rs"]
+mod fields;
+#[path = "consumers/native.rs"]
+mod native;
+#[path = "consumers/page.rs"]
+mod page;
+#[path = "consumers/programs.rs"]
+mod programs;
+#[path = "consumers/python.rs"]
+mod python;
+#[path = "common/stream.rs"]
+mod stream;
+#[path = "consumers/sweeps.rs"]
+mod sweeps;
+
+use std::path::PathBuf;
+
+/// A file of the project.
+fn of_project(path: &str) -> PathBuf {
+    PathBuf::from(env!("CARGO_MANIFEST_DIR")).join(path)
+}
+
+/// A folder for one test, empty at its beginning.
+fn folder(test: &str) -> PathBuf {
+    let folder = PathBuf::from(env!("CARGO_TARGET_TMPDIR")).join("consumers").join(test);
+    let _ = std::fs::remove_dir_all(&folder);
+    std::fs::create_dir_all(&folder).unwrap();
+    folder
+}

@@ -1,0 +1,111 @@
+/* Says what sweepd.h makes of the layout; tests/consumers/native.rs compares it with the Rust types.
+ *
+ *     layout fields             name, offset, size, and kind of each field; each number
+ *     layout points SWEEP       a record for each return
+ *     layout check SWEEP        reads lines `offset value length shift`: the status of the sweep with that u32 in its header
+ */
+
+#include <inttypes.h>
+#include <stdio.h>
+#include <stdlib.h>
+
+#include "sweepd.h"
+
+/* One return, all in doubles but the time. */
+struct record {
+    double row, column, kind, label, reflectivity, range, azimuth, x, y, z;
+    int64_t time_ns;
+};
+
+/* What kind of number it is shows in what becomes of a half and of minus one. */
+static char kind_of(double half, double minus_one) {
+    return half > 0 ? 'f' : minus_one < 0 ? 'i' : 'u';
+}
+
+static void fields(void) {
+#define FIELD(type, field, element)                                                                       \
+    do {                                                                                                  \
+        static type half, minus_one;                                                                      \
+        half.element++;                                                                                   \
+        half.element /= 2;                                                                                \
+        minus_one.element--;                                                                              \
+        printf(#type " " #field " %lu %lu %c%lu\n", (unsigned long)offsetof(type, field),                 \
+               (unsigned long)sizeof half.field, kind_of((double)half.element, (double)minus_one.element), \
+               (unsigned long)(8 * sizeof half.element));                                                 \
+    } while (0);
+#define NUMBER(name) printf("number " #name " %lu\n", (unsigned long)SWEEPD_##name);
+#define SIZE(type) printf("size " #type " %lu\n", (unsigned long)sizeof(type));
+#include "fields.inc"
+}
+
+/* The whole file, at a multiple of 64. */
+static uint8_t *content(const char *path, size_t *len) {
+    FILE *file = fopen(path, "rb");
+    size_t room = (size_t)1 << 26;
+    uint8_t *bytes = (uint8_t *)malloc(room + 128);
+    if (file == NULL || bytes == NULL) exit(2);
+    bytes += 64 - (uintptr_t)bytes % 64;
+    *len = fread(bytes, 1, room, file);
+    fclose(file);
+    return bytes;
+}
+
+static void put(const sweepd_sweep *sweep, uint32_t row, uint32_t column, int other) {
+    const size_t pixel = sweepd_pixel(sweep, row, column);
+    const float range = other ? sweep->range2[pixel] : sweep->range[pixel];
+    double xyz[3];
+    struct record record;
+    if (!sweepd_is_return(range)) return;
+    sweepd_point_m(sweep, row, column, range, xyz);
+    record.row = row;
+    record.column = column;
+    record.kind = sweepd_kind(sweep, row, column, other);
+    record.label = other ? sweep->label2[pixel] : sweep->label[pixel];
+    record.reflectivity = other ? sweep->reflectivity2[pixel] : sweep->reflectivity[pixel];
+    record.range = (double)range;
+    record.azimuth = sweepd_azimuth_rad(sweep, row, column);
+    record.x = xyz[0];
+    record.y = xyz[1];
+    record.z = xyz[2];
+    record.time_ns = sweepd_time_ns(sweep, row, column);
+    fwrite(&record, sizeof record, 1, stdout);
+}
+
+static int points(const char *path) {
+    size_t len;
+    uint8_t *bytes = content(path, &len);
+    sweepd_sweep sweep;
+    uint32_t row, column;
+    if (sweepd_open(bytes, len, &sweep) != SWEEPD_OK) return 3;
+    for (column = 0; column < sweep.columns_len; column++)
+        for (row = 0; row < sweep.rows; row++) {
+            put(&sweep, row, column, 0);
+            if (sweep.range2 != NULL) put(&sweep, row, column, 1);
+        }
+    return 0;
+}
+
+static int check(const char *path) {
+    size_t len;
+    uint8_t *bytes = content(path, &len);
+    uint32_t at, value, cut, shift, before;
+    while (scanf("%" SCNu32 " %" SCNu32 " %" SCNu32 " %" SCNu32, &at, &value, &cut, &shift) == 4) {
+        memcpy(&before, bytes + at, 4);
+        memcpy(bytes + at, &value, 4);
+        memmove(bytes + shift, bytes, cut);
+        printf("%d\n", (int)sweepd_check(bytes + shift, cut));
+        memmove(bytes, bytes + shift, cut);
+        memcpy(bytes + at, &before, 4);
+    }
+    return 0;
+}
+
+int main(int argc, char **argv) {
+    if (argc == 2 && strcmp(argv[1], "fields") == 0) {
+        fields();
+        return 0;
+    }
+    if (argc == 3 && strcmp(argv[1], "points") == 0) return points(argv[2]);
+    if (argc == 3 && strcmp(argv[1], "check") == 0) return check(argv[2]);
+    return 1;
+}
