@@ -18,3 +18,16 @@ pub fn monotonic_ns() -> i64 {
     let (seconds, ns) = (i64::from(now.tv_sec), i64::from(now.tv_nsec));
     seconds * 1_000_000_000 + ns
 }
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn the_clock_goes_on() {
+        let begun_ns = monotonic_ns();
+        std::thread::sleep(std::time::Duration::from_millis(2));
+        let took_ns = monotonic_ns() - begun_ns;
+        assert!((2_000_000..10_000_000_000).contains(&took_ns), "{took_ns}");
+    }
+}

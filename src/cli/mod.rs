@@ -5,6 +5,7 @@
 
 pub mod calib;
 pub mod config;
+pub mod doctor;
 pub mod inspect;
 pub mod options;
 pub mod output;
@@ -60,6 +61,8 @@ pub enum Command {
     Record(record::Args),
     /// Watch the sweeps that a running daemon shares
     Watch(Box<watch::Args>),
+    /// Listen to the sensors and say what is wrong, and how to mend it
+    Doctor(doctor::Args),
     /// Say what is in a capture without decoding it all
     Inspect(inspect::Args),
     /// Segment point clouds (KITTI .bin) that have no packets

@@ -1,15 +1,19 @@
 //! `sweepd run`: the daemon.
 
+mod journal;
+
 use std::io::IsTerminal;
 use std::path::{Path, PathBuf};
 
 use tracing::info;
 use tracing_subscriber::EnvFilter;
 
+use self::journal::Prioritised;
 use super::CliError;
 use crate::daemon::config::{Change, Config, Effect};
 use crate::daemon::control::{self, Reload, Reread};
-use crate::publish::Domain;
+use crate::daemon::tap::socket_path;
+use crate::publish::{Domain, PublishError};
 
 /// Variable that says what is logged, in the directives of tracing-subscriber.
 const LOG: &str = "SWEEPD_LOG";
@@ -42,7 +46,10 @@ pub fn run(args: &Args) -> Result<(), CliError> {
     let sensors: Vec<String> = config.sensors.iter().map(|one| format!("{} ({})", one.name, one.address)).collect();
     info!("sweepd {} with {}: {}", env!("CARGO_PKG_VERSION"), args.config.display(), sensors.join(", "));
     let domain = Domain::at_or_default(config.daemon.root.as_deref());
-    Ok(control::run(config, &domain, reread(&args.config))?)
+    // Its folder is made here, since the taps' socket is there too.
+    domain.prepare().map_err(PublishError::from)?;
+    let taps = Some(socket_path(domain.root()));
+    Ok(control::run(config, &domain, taps, reread(&args.config))?)
 }
 
 /// Log lines to standard error, for a person or the journal, which knows the time itself.
@@ -53,12 +60,11 @@ fn log(level: Option<tracing::Level>) -> Result<(), CliError> {
         (None, Ok(directives)) => EnvFilter::try_new(directives).map_err(wrong)?,
         (None, Err(_)) => EnvFilter::new("info"),
     };
-    let lines = tracing_subscriber::fmt().compact().with_target(false).with_env_filter(filter);
-    let lines = lines.with_writer(std::io::stderr).with_ansi(std::io::stderr().is_terminal());
-    if std::env::var_os("JOURNAL_STREAM").is_some() {
-        lines.without_time().init()
+    let lines = tracing_subscriber::fmt().with_env_filter(filter).with_writer(std::io::stderr);
+    if journal::hears_stderr() {
+        lines.event_format(Prioritised::default()).init();
     } else {
-        lines.init()
+        lines.compact().with_target(false).with_ansi(std::io::stderr().is_terminal()).init();
     }
     Ok(())
 }

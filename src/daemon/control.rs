@@ -3,6 +3,7 @@
 use std::future::pending;
 use std::io;
 use std::net::SocketAddr;
+use std::path::PathBuf;
 use std::sync::{Arc, Mutex, PoisonError};
 use std::time::{Duration, Instant};
 
@@ -19,6 +20,7 @@ use super::runtime::{DaemonError, Runtime};
 use super::sensor::Event;
 use super::sharing::Sharing;
 use super::state::{Message, Observation, Running, Watcher};
+use super::tee::Tees;
 use crate::pipeline::{Fault, Notice};
 
 /// A configuration that was read anew.
@@ -34,19 +36,21 @@ pub struct Reload {
 /// Reads the configuration anew and compares it with the one that runs, or says why it cannot be taken.
 pub type Reread = Box<dyn FnMut(&Config) -> Result<Reload, String>>;
 
-/// Runs the daemon until SIGTERM or SIGINT; SIGHUP reads the configuration anew.
+/// Runs the daemon until SIGTERM or SIGINT; SIGHUP reads the configuration anew. Its datagrams can be had at `taps`, a path
+/// for a socket.
 ///
 /// # Errors
 /// [`DaemonError`]: it cannot start, or cannot go on; then the process is to end, so that systemd starts it again.
-pub fn run<S: Sharing>(config: Config, sharing: &S, reread: Reread) -> Result<(), DaemonError> {
+pub fn run<S: Sharing>(config: Config, sharing: &S, taps: Option<PathBuf>, reread: Reread) -> Result<(), DaemonError> {
     let failed = |source| DaemonError::System { what: "start the control thread", source };
     let tokio = tokio::runtime::Builder::new_current_thread().enable_all().build().map_err(failed)?;
     tokio.block_on(async {
         // Before anything is opened, so that no signal leaves it half done.
         let signals = Signals::new().map_err(|source| DaemonError::System { what: "handle signals", source })?;
         let http = listen(config.daemon.http).await?;
-        let runtime = Runtime::start(&config, sharing)?;
-        Control::new(config, runtime, reread).serve(signals, http).await
+        let tees = Tees::start(config.record.as_ref(), taps)?;
+        let runtime = Runtime::start(&config, sharing, &tees)?;
+        Control::new(config, (runtime, tees), reread).serve(signals, http).await
     })
 }
 
@@ -82,6 +86,7 @@ async fn listen(address: Option<SocketAddr>) -> Result<Option<TcpListener>, Daem
 struct Control {
     config: Config,
     runtime: Runtime,
+    tees: Tees,
     reread: Reread,
     begun: Instant,
     watchers: Vec<Watcher>,
@@ -93,7 +98,7 @@ struct Control {
 }
 
 impl Control {
-    fn new(config: Config, runtime: Runtime, reread: Reread) -> Self {
+    fn new(config: Config, (runtime, tees): (Runtime, Tees), reread: Reread) -> Self {
         let watcher = |(status, sensor): (&super::runtime::SensorStatus, &super::config::SensorConfig)| {
             let place = (status.address.to_string(), status.port);
             Watcher::new(&status.name, place, sensor.rpm, Duration::ZERO)
@@ -103,7 +108,7 @@ impl Control {
         let view = View::new(Arc::clone(&runtime.sensors), Arc::clone(&runtime.ports));
         let (begun, view) = (Instant::now(), Arc::new(Mutex::new(view)));
         let notifier = Notifier::default();
-        Self { config, runtime, reread, begun, watchers, pulse, hanging: Vec::new(), notifier, view }
+        Self { config, runtime, tees, reread, begun, watchers, pulse, hanging: Vec::new(), notifier, view }
     }
 
     async fn serve(mut self, mut signals: Signals, http: Option<TcpListener>) -> Result<(), DaemonError> {
@@ -134,6 +139,7 @@ impl Control {
         };
         self.notifier.stopping();
         let stopped = self.runtime.stop();
+        self.tees.finish();
         ended.and(stopped)
     }
 
@@ -142,6 +148,7 @@ impl Control {
         self.runtime.check()?;
         let now = self.begun.elapsed();
         self.hear_events();
+        self.tees.look();
         for (watcher, sensor) in self.watchers.iter_mut().zip(self.runtime.sensors.iter()) {
             watcher.observe(&observation(&sensor.counters, now)).iter().for_each(log);
         }
@@ -226,6 +233,15 @@ impl Control {
             }
             if new.rpm != old.rpm {
                 self.watchers[index].expect_rpm(new.rpm);
+            }
+        }
+        if self.config.record != old.record {
+            match self.tees.record(self.config.record.as_ref()) {
+                Ok(()) => self.runtime.record(&self.tees),
+                Err(error) => {
+                    warn!("the recording goes on as before: {error}");
+                    self.config.record = old.record;
+                }
             }
         }
     }

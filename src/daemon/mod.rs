@@ -4,6 +4,7 @@
 //! config                            what is to run, from a TOML file
 //! plan, runtime                     ports and sensors: worked out, opened, started, looked after
 //! port      one thread a port:      receive -> door (who gets in) -> sensor (pipeline, header) -> sharing
+//! tee, tap                          copies of what is received: the recording, and `sweepd record --from`
 //! control   one tokio thread:       signals, reload, notify (systemd), health and metrics over HTTP
 //! counters                          what the first tell the second: plain atomics
 //! state                             what that means, in words
@@ -24,8 +25,9 @@ mod share;
 pub mod sharing;
 pub mod state;
 pub mod sys;
+pub mod tap;
+pub mod tee;
 #[cfg(test)]
 mod testing;
 
 pub use runtime::{DaemonError, Runtime};
-pub mod tap;

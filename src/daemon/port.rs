@@ -14,9 +14,13 @@ use std::time::Duration;
 
 use super::counters::{PortCounters, SensorCounters};
 use super::door::{Admitted, Door};
-use super::sensor::{Sensor, realtime_ns};
+use super::sensor::Sensor;
 use super::sharing::Outgoing;
+use super::tap::Tap;
+use crate::capture::record::Lane;
+use crate::capture::write::Addressed;
 use crate::capture::{UdpError, UdpSource};
+use crate::host::realtime_ns;
 use crate::pipeline;
 use crate::sweep::Buffers;
 use crate::wire::Datagram;
@@ -61,6 +65,8 @@ pub struct Mailbox {
     pub sender: SyncSender<Mail>,
     /// What is counted when it is full.
     pub counters: Arc<SensorCounters>,
+    /// Where copies of them go.
+    pub tap: Option<Tap>,
 }
 
 /// A sensor of this port, and what reaches it from other threads.
@@ -73,6 +79,8 @@ pub struct Served<B: Buffers> {
     pub mail: Receiver<Mail>,
     /// New configurations.
     pub orders: Receiver<pipeline::Config>,
+    /// Where copies of its packets go.
+    pub tap: Option<Tap>,
 }
 
 /// A port and its sensors.
@@ -85,6 +93,10 @@ pub struct Port<B: Buffers> {
     pub sensors: Vec<Served<B>>,
     /// The other sensors.
     pub others: Vec<Mailbox>,
+    /// Where copies of all that is let in go.
+    pub lane: Option<Lane>,
+    /// Other ways there.
+    pub lanes: Receiver<Option<Lane>>,
     /// What is counted.
     pub counters: Arc<PortCounters>,
     /// Set when the daemon ends.
@@ -119,18 +131,29 @@ impl<B: Buffers<Buffer: Outgoing>> Port<B> {
 
     /// One batch, or a wait for one in vain; gives the arrival of its newest packet that was let in.
     fn round(&mut self, timeout: Duration) -> Result<Option<i64>, UdpError> {
-        let Self { source, door, sensors, others, counters, .. } = self;
+        let Self { source, door, sensors, others, lane, lanes, counters, .. } = self;
+        while let Ok(next) = lanes.try_recv() {
+            *lane = next;
+        }
         // Known for sure before the batch; what is dropped while it is fetched is told with the next sweep.
         let dropped = source.dropped_so_far();
         let mut newest_ns = None;
-        for datagram in source.receive(timeout)? {
+        for addressed in source.receive_addressed(timeout)? {
+            let datagram = addressed.datagram();
             match door.admit(&datagram) {
-                Ok(Admitted::Data(index)) => sensors[index].sensor.data(&datagram, dropped),
-                Ok(Admitted::Position(address)) => deliver(address, &datagram, sensors, others),
+                Ok(Admitted::Data(index)) => {
+                    put(&mut sensors[index].tap, &addressed);
+                    sensors[index].sensor.data(&datagram, dropped);
+                }
+                Ok(Admitted::Position(address)) => deliver(address, &addressed, sensors, others),
                 Err(reason) => {
                     counters.reject(reason);
                     continue;
                 }
+            }
+            if let Some(lane) = lane {
+                // What finds no room is counted there.
+                lane.put(&addressed);
             }
             newest_ns = Some(datagram.arrival_ns);
         }
@@ -148,17 +171,26 @@ impl<B: Buffers<Buffer: Outgoing>> Port<B> {
 /// Hands a position packet to all sensors of its address.
 fn deliver<B: Buffers<Buffer: Outgoing>>(
     address: IpAddr,
-    datagram: &Datagram<'_>,
+    addressed: &Addressed<'_>,
     here: &mut [Served<B>],
-    others: &[Mailbox],
+    others: &mut [Mailbox],
 ) {
+    let datagram = addressed.datagram();
     for served in here.iter_mut().filter(|served| served.address == address) {
-        served.sensor.position(datagram);
+        put(&mut served.tap, addressed);
+        served.sensor.position(&datagram);
     }
-    for mailbox in others.iter().filter(|mailbox| mailbox.address == address) {
-        if Mail::of(datagram).is_none_or(|mail| mailbox.sender.try_send(mail).is_err()) {
+    for mailbox in others.iter_mut().filter(|mailbox| mailbox.address == address) {
+        put(&mut mailbox.tap, addressed);
+        if Mail::of(&datagram).is_none_or(|mail| mailbox.sender.try_send(mail).is_err()) {
             mailbox.counters.position_overflows.add(1);
         }
+    }
+}
+
+fn put(tap: &mut Option<Tap>, addressed: &Addressed<'_>) {
+    if let Some(tap) = tap {
+        tap.put(addressed);
     }
 }
 

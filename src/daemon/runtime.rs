@@ -19,6 +19,9 @@ use super::port::{MAILS, Mail, Mailbox, Port, Served};
 use super::sensor::{Event, Identity, Sensor};
 use super::sharing::{Sharing, SharingError, SharingStatus};
 use super::sys;
+use super::tee::Tees;
+use crate::capture::RecordError;
+use crate::capture::record::Lane;
 use crate::capture::udp::ReceiveBuffer;
 use crate::capture::{UdpError, UdpSource};
 use crate::pipeline;
@@ -42,6 +45,9 @@ pub enum DaemonError {
         /// Why not.
         source: SharingError,
     },
+    /// What is received cannot be recorded.
+    #[error(transparent)]
+    Record(#[from] RecordError),
     /// No sweep of a sensor can be segmented like that.
     #[error("{sensor}: {source}")]
     Segmenting {
@@ -122,6 +128,8 @@ pub struct Runtime {
     pub events: Receiver<(usize, Event)>,
     /// Ways to give sensors another configuration.
     orders: Vec<Sender<pipeline::Config>>,
+    /// Ways to give ports another lane of a recording.
+    lanes: Vec<Sender<Option<Lane>>>,
     over: Arc<AtomicBool>,
     threads: Vec<(String, JoinHandle<Result<(), UdpError>>)>,
 }
@@ -132,7 +140,7 @@ impl Runtime {
     ///
     /// # Errors
     /// [`DaemonError`]; then nothing is left running.
-    pub fn start<S: Sharing>(config: &Config, sharing: &S) -> Result<Self, DaemonError> {
+    pub fn start<S: Sharing>(config: &Config, sharing: &S, tees: &Tees) -> Result<Self, DaemonError> {
         // Ports first: who holds them already is told before anything is reserved.
         let mut sockets = Vec::new();
         for plan in plan::ports(config) {
@@ -144,19 +152,22 @@ impl Runtime {
         for (index, sensor) in config.sensors.iter().enumerate() {
             let bound = |plan: &PortPlan| plan.sensors.contains(&index);
             let port = sockets.iter().find(|(_, plan)| bound(plan)).map_or(0, |(source, _)| source.local_addr().port());
-            ready.insert(index, hall.enter(index, sensor, port, sharing, &told)?);
+            ready.insert(index, hall.enter(index, sensor, port, (sharing, tees), &told)?);
         }
         let over = Arc::new(AtomicBool::new(false));
         let sensors = hall.statuses.into();
-        let mut runtime = Self { sensors, ports: Arc::new([]), events, orders: hall.orders, over, threads: Vec::new() };
+        let (ports, lanes, threads) = (Arc::new([]), Vec::new(), Vec::new());
+        let mut runtime = Self { sensors, ports, events, orders: hall.orders, lanes, over, threads };
         let mut statuses = Vec::new();
         for (source, plan) in sockets {
             let status = PortStatus::new(&source, &plan.config);
             let served = plan.sensors.iter().filter_map(|index| ready.remove(index)).collect();
-            let others = others(config, &plan, &hall.mailboxes);
+            let others = others(config, &plan, &hall.mailboxes, tees);
             let door = Door::new(plan.sensors.iter().map(|&index| &config.sensors[index]), heard(config, &plan));
             let (counters, over) = (Arc::clone(&status.counters), Arc::clone(&runtime.over));
-            let port = Port { source, door, sensors: served, others, counters, over };
+            let (order, lanes) = mpsc::channel();
+            runtime.lanes.push(order);
+            let port = Port { source, door, sensors: served, others, lane: tees.lane(), lanes, counters, over };
             // On an early return, dropping the runtime ends those that run already.
             runtime.threads.push((status.name.clone(), spawn(port, &status.name, &plan.config)?));
             statuses.push(status);
@@ -170,6 +181,13 @@ impl Runtime {
     pub fn reconfigure(&self, sensor: usize, config: pipeline::Config) {
         // A thread that has ended is found by `check`.
         let _ = self.orders[sensor].send(config);
+    }
+
+    /// Gives all ports their lanes of another recording.
+    pub fn record(&self, tees: &Tees) {
+        for port in &self.lanes {
+            let _ = port.send(tees.lane());
+        }
     }
 
     /// Looks after the threads.
@@ -235,7 +253,7 @@ impl Hall {
         index: usize,
         sensor: &SensorConfig,
         port: u16,
-        sharing: &S,
+        (sharing, tees): (&S, &Tees),
         events: &Sender<(usize, Event)>,
     ) -> Result<Served<S::Buffers>, DaemonError> {
         let name = || sensor.name.clone();
@@ -258,7 +276,7 @@ impl Hall {
         self.orders.push(order);
         let (position_port, sharing) = (sensor.position_port, way.status);
         self.statuses.push(SensorStatus { name: name(), address, port, position_port, counters, sharing });
-        Ok(Served { address, sensor: at_work, mail, orders })
+        Ok(Served { address, sensor: at_work, mail, orders, tap: tees.tap(&sensor.name) })
     }
 }
 
@@ -280,13 +298,18 @@ fn heard<'a>(config: &'a Config, plan: &'a PortPlan) -> impl Iterator<Item = &'a
 }
 
 /// Mailboxes of the sensors that a port hears and does not serve.
-fn others(config: &Config, plan: &PortPlan, mailboxes: &[(SyncSender<Mail>, Arc<SensorCounters>)]) -> Vec<Mailbox> {
+fn others(
+    config: &Config,
+    plan: &PortPlan,
+    mailboxes: &[(SyncSender<Mail>, Arc<SensorCounters>)],
+    tees: &Tees,
+) -> Vec<Mailbox> {
     let is_other = |(index, sensor): &(usize, &SensorConfig)| {
         sensor.port.interface == plan.config.interface && !plan.sensors.contains(index)
     };
     let mailbox = |(index, sensor): (usize, &SensorConfig)| {
         let (sender, counters) = mailboxes[index].clone();
-        Mailbox { address: sensor.address.to_canonical(), sender, counters }
+        Mailbox { address: sensor.address.to_canonical(), sender, counters, tap: tees.tap(&sensor.name) }
     };
     config.sensors.iter().enumerate().filter(is_other).map(mailbox).collect()
 }

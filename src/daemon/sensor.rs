@@ -1,36 +1,30 @@
 //! One sensor on the thread of its port: its packets through its pipeline, its sweeps on their way, and what is told.
 
+use std::sync::Arc;
 use std::sync::mpsc::Sender;
-use std::sync::{Arc, Mutex, PoisonError};
-use std::time::{SystemTime, UNIX_EPOCH};
 
 use super::counters::{Gps, SensorCounters, Stage};
 use super::sharing::Outgoing;
-use super::sys::monotonic_ns;
+use crate::host::{monotonic_ns, realtime_ns};
 use crate::pipeline::{self, Counts, Fault, Notice, Pipeline, Stopwatch};
 use crate::segment::ConfigError;
-use crate::sweep::layout::flags;
-use crate::sweep::{Buffers, Header, SweepMut};
+use crate::sweep::layout::{Completion, flags};
+use crate::sweep::{Buffers, Header, Kept, SweepMut};
 use crate::wire::nmea::Rmc;
 use crate::wire::position::Pps;
 use crate::wire::{Datagram, Position, hdl64};
 
 /// A sensor that could not be decoded is looked at anew after so long: it may have been exchanged, or its first packets
 /// may have been lost.
-const SECOND_LOOK_NS: u64 = 10_000_000_000;
+const SECOND_LOOK_NS: i64 = 10_000_000_000;
 
 /// CLOCK_MONOTONIC.
 pub struct Monotonic;
 
 impl Stopwatch for Monotonic {
     fn now_ns(&self) -> u64 {
-        monotonic_ns()
+        monotonic_ns() as u64
     }
-}
-
-/// CLOCK_REALTIME, nanoseconds since 1970.
-pub fn realtime_ns() -> i64 {
-    SystemTime::now().duration_since(UNIX_EPOCH).map_or(0, |since| since.as_nanos() as i64)
 }
 
 /// What happened to a sensor that people want to know of; rare.
@@ -46,29 +40,6 @@ pub enum Event {
     NotShared(String),
     /// They can again.
     SharedAgain,
-}
-
-/// Buffers that outlive the pipeline which builds sweeps in them: each pipeline of a sensor has a handle. The lock is
-/// taken once a sweep, by one thread.
-pub struct Kept<B>(Arc<Mutex<B>>);
-
-impl<B> Kept<B> {
-    /// Keeps these.
-    pub fn new(buffers: B) -> Self {
-        Self(Arc::new(Mutex::new(buffers)))
-    }
-
-    fn handle(&self) -> Self {
-        Self(Arc::clone(&self.0))
-    }
-}
-
-impl<B: Buffers> Buffers for Kept<B> {
-    type Buffer = B::Buffer;
-
-    fn take(&mut self, bytes: usize) -> B::Buffer {
-        self.0.lock().unwrap_or_else(PoisonError::into_inner).take(bytes)
-    }
 }
 
 /// A sensor at work.
@@ -87,7 +58,7 @@ pub struct Sensor<B: Buffers> {
     run_ns: i64,
     /// What the kernel had dropped on the port when the sweep before was complete.
     dropped_before: u64,
-    second_look_ns: Option<u64>,
+    second_look_ns: Option<i64>,
     is_shared: bool,
 }
 
@@ -113,7 +84,7 @@ impl<B: Buffers<Buffer: Outgoing>> Sensor<B> {
     pub fn new(identity: Identity, config: pipeline::Config, buffers: B) -> Result<Self, ConfigError> {
         let buffers = Kept::new(buffers);
         let Identity { index, name, address, counters, events } = identity;
-        let pipeline = Pipeline::new(&address, config.clone(), buffers.handle(), Monotonic)?;
+        let pipeline = Pipeline::new(&address, config.clone(), buffers.clone(), Monotonic)?;
         Ok(Self {
             index,
             name,
@@ -180,7 +151,7 @@ impl<B: Buffers<Buffer: Outgoing>> Sensor<B> {
     }
 
     fn begin_anew(&mut self, config: pipeline::Config) -> Result<(), ConfigError> {
-        let fresh = Pipeline::new(&self.address, config.clone(), self.buffers.handle(), Monotonic)?;
+        let fresh = Pipeline::new(&self.address, config.clone(), self.buffers.clone(), Monotonic)?;
         self.counted += std::mem::replace(&mut self.pipeline, fresh).counts();
         self.config = config;
         self.run_ns = realtime_ns();
@@ -206,15 +177,13 @@ impl<B: Buffers<Buffer: Outgoing>> Sensor<B> {
         let (completed_ns, completed_monotonic_ns) = (realtime_ns(), monotonic_ns());
         let Ok(whole) = SweepMut::open(sweep.as_mut()) else { return self.counters.unshared.add(1) };
         let header = whole.header;
-        header.completed_ns = completed_ns;
-        header.completed_monotonic_ns = completed_monotonic_ns as i64;
-        header.dropped_datagrams = u32::try_from(dropped - self.dropped_before).unwrap_or(u32::MAX);
-        header.run_ns = self.run_ns;
-        header.set_name(&self.name);
+        let dropped_datagrams = u32::try_from(dropped - self.dropped_before).unwrap_or(u32::MAX);
+        let (name, run_ns) = (&self.name[..], self.run_ns);
+        header.complete(&Completion { name, run_ns, completed_ns, completed_monotonic_ns, dropped_datagrams });
         self.dropped_before = dropped;
         self.count(header);
         let sent = sweep.publish();
-        self.counters.stage(Stage::Send).note(monotonic_ns() - completed_monotonic_ns);
+        self.counters.stage(Stage::Send).note((monotonic_ns() - completed_monotonic_ns) as u64);
         self.note_sharing(sent.map(drop).map_err(|error| error.to_string()));
     }
 

@@ -1,18 +1,9 @@
-//! The system calls that no safe crate of ours offers: CLOCK_MONOTONIC as a number, a thread's core and its scheduler.
+//! The system calls that no safe crate of ours offers: a thread's core and its scheduler.
 
 #![allow(unsafe_code)]
 
 use std::io;
 use std::mem::{MaybeUninit, size_of};
-
-/// CLOCK_MONOTONIC, nanoseconds: the same number in every process of this host.
-pub fn monotonic_ns() -> u64 {
-    let mut now = libc::timespec { tv_sec: 0, tv_nsec: 0 };
-    // SAFETY: `now` is a timespec that the call may write for as long as it lasts. It cannot fail: every Linux has this
-    // clock, and the pointer is valid.
-    unsafe { libc::clock_gettime(libc::CLOCK_MONOTONIC, &raw mut now) };
-    now.tv_sec as u64 * 1_000_000_000 + now.tv_nsec as u64
-}
 
 /// Keeps the calling thread on one core.
 ///
@@ -45,14 +36,6 @@ pub fn set_realtime_priority(priority: u8) -> io::Result<()> {
 #[cfg(test)]
 mod tests {
     use super::*;
-
-    #[test]
-    fn the_clock_goes_on() {
-        let begun_ns = monotonic_ns();
-        std::thread::sleep(std::time::Duration::from_millis(2));
-        let took_ns = monotonic_ns() - begun_ns;
-        assert!((2_000_000..10_000_000_000).contains(&took_ns), "{took_ns}");
-    }
 
     #[test]
     fn a_thread_is_pinned_to_a_core_that_there_is_and_to_no_other() {

@@ -268,11 +268,11 @@ impl<B: Buffers> Builder<B> {
     }
 
     fn open(&mut self, packet: &Packet, from_cut: bool) {
-        let (rows, mode, spec) = (self.decoder.rows(), packet.mode, self.decoder.spec);
+        let (mode, spec) = (packet.mode, self.decoder.spec);
         let beams = self.decoder.beams(mode);
         let rate_cdeg_ns = self.expected_rate_cdeg_ns(packet);
         self.turns.set(beams, rate_cdeg_ns, spec, mode);
-        let shape = Shape::of(rows, mode == ReturnMode::Dual, self.settings.min_points);
+        let shape = Shape::of(self.decoder.rows(), mode == ReturnMode::Dual, self.settings.min_points);
         let mut buffer = self.buffers.take(shape.total_bytes());
         let Ok(sweep) = SweepMut::create(buffer.as_mut(), &shape) else { return };
         sweep.beams.copy_from_slice(beams);

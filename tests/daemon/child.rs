@@ -50,7 +50,7 @@ fn runs_a_daemon() {
         new.sensors[0].pipeline.cut_azimuth_rad = 1.0;
         Ok(Reload { config: new, needs_restart: vec!["http needs a restart".to_owned()] })
     };
-    if let Err(error) = control::run(config, &*rig, Box::new(reread)) {
+    if let Err(error) = control::run(config, &*rig, None, Box::new(reread)) {
         eprintln!("error: {error}");
         std::process::exit(1);
     }

@@ -1,0 +1,173 @@
+//! `sweepd doctor`: what is wrong, and how to mend it.
+
+use std::io::{self, Write};
+use std::net::{Ipv4Addr, SocketAddr};
+use std::path::PathBuf;
+use std::time::Duration;
+
+use serde::Serialize;
+
+use super::CliError;
+use super::options::within;
+use crate::daemon::config::Config;
+use crate::doctor::observe::Sensor;
+use crate::doctor::plan::HEALTH;
+use crate::doctor::{ExamineError, Finding, Observations, Plan, Severity, diagnose, examine};
+use crate::wire::{DATA_PORT, POSITION_PORT};
+
+/// Options of `sweepd doctor`.
+#[derive(Clone, Debug, clap::Args)]
+#[command(after_help = "\
+Nothing is changed: ports are listened on, and sensors are asked for their settings.
+The exit status is 1 when something is wrong.
+
+Examples:
+  sweepd doctor
+  sweepd doctor --config /etc/sweepd/sweepd.toml
+  sweepd doctor --sensor 192.168.1.201 --seconds 10
+  sweepd doctor --port 2369 --port 8309 --no-web --json")]
+pub struct Args {
+    /// Hold what comes against the daemon's configuration: its ports and sensors
+    #[arg(long, value_name = "FILE", conflicts_with_all = ["ports", "bind", "multicast", "interface", "health"])]
+    config: Option<PathBuf>,
+    /// How long to listen, seconds
+    #[arg(long, value_name = "S", default_value = "5", value_parser = within(0.1..=3600.0, "seconds"))]
+    seconds: f64,
+    /// UDP port to listen on; may be given several times
+    #[arg(long = "port", value_name = "PORT", default_values_t = [DATA_PORT, POSITION_PORT])]
+    ports: Vec<u16>,
+    /// Address of this host to listen on; any but 0.0.0.0 misses broadcasts
+    #[arg(long, value_name = "IP", default_value_t = Ipv4Addr::UNSPECIFIED)]
+    bind: Ipv4Addr,
+    /// Multicast group that the sensor sends to
+    #[arg(long, value_name = "GROUP")]
+    multicast: Option<Ipv4Addr>,
+    /// Network interface to listen on alone
+    #[arg(long, value_name = "NAME")]
+    interface: Option<String>,
+    /// Ask the web page of this sensor even if nothing comes from it; may be given several times
+    #[arg(long = "sensor", value_name = "IP")]
+    sensors: Vec<Ipv4Addr>,
+    /// Ask no sensor for its settings
+    #[arg(long)]
+    no_web: bool,
+    /// Where a running daemon tells how it is, asked when it holds a port
+    #[arg(long, value_name = "IP:PORT", default_value_t = HEALTH)]
+    health: SocketAddr,
+    /// One JSON object on standard output
+    #[arg(long)]
+    json: bool,
+    /// Port of the sensors' web page
+    #[arg(long, value_name = "PORT", default_value_t = 80, hide = true)]
+    web_port: u16,
+}
+
+impl Args {
+    fn plan(&self) -> Result<Plan, CliError> {
+        let mut plan = match &self.config {
+            Some(file) => Plan::of(&Config::read(file)?),
+            None => Plan {
+                health: Some(self.health),
+                ..Plan::of_ports(&self.ports, self.bind, self.multicast, self.interface.as_deref())
+            },
+        };
+        plan.ask.extend(&self.sensors);
+        Ok(plan)
+    }
+}
+
+/// What `--json` prints.
+#[derive(Serialize)]
+struct Report<'a> {
+    well: bool,
+    seconds: f64,
+    sensors: Vec<SensorLine>,
+    findings: &'a [Finding],
+}
+
+/// A sensor that was heard.
+#[derive(Serialize)]
+struct SensorLine {
+    source: String,
+    port: u16,
+    model: Option<String>,
+    return_mode: Option<&'static str>,
+    rpm: Option<f32>,
+    packets: u64,
+    packets_per_s: f64,
+    lost: u64,
+}
+
+/// Examines and reports.
+///
+/// # Errors
+/// [`CliError`]; [`CliError::Reported`] when something is wrong, after it was printed.
+pub fn run(args: &Args) -> Result<(), CliError> {
+    let web_port = (!args.no_web).then_some(args.web_port);
+    let seen = examine(args.plan()?, Duration::from_secs_f64(args.seconds), web_port, |ports| announce(ports, args));
+    let seen = seen.map_err(|error| match error {
+        ExamineError::Udp(error) => CliError::Udp(error),
+        ExamineError::System(source) => CliError::System { what: "ask web pages", source },
+    })?;
+    let findings = diagnose(&seen);
+    let well = !findings.iter().any(Finding::is_trouble);
+    let printed = if args.json { print_json(&seen, &findings, well) } else { print(&seen, &findings, well) };
+    printed.map_err(CliError::Stdout)?;
+    if well { Ok(()) } else { Err(CliError::Reported) }
+}
+
+fn announce(ports: &[u16], args: &Args) {
+    let ports: Vec<String> = ports.iter().map(u16::to_string).collect();
+    let ports = if ports.is_empty() { "no port".to_owned() } else { format!("port {}", ports.join(", ")) };
+    let _ = writeln!(io::stderr(), "listening on {ports} for {} s", args.seconds);
+}
+
+fn print_json(seen: &Observations, findings: &[Finding], well: bool) -> io::Result<()> {
+    let sensors = seen.sensors.iter().map(|sensor| SensorLine::of(sensor, seen.seconds)).collect();
+    let mut stdout = io::stdout().lock();
+    serde_json::to_writer_pretty(&mut stdout, &Report { well, seconds: seen.seconds, sensors, findings })?;
+    stdout.write_all(b"\n")
+}
+
+fn print(seen: &Observations, findings: &[Finding], well: bool) -> io::Result<()> {
+    let mut stdout = io::stdout().lock();
+    for sensor in &seen.sensors {
+        let line = SensorLine::of(sensor, seen.seconds);
+        let model = line.model.as_deref().unwrap_or("unknown model");
+        let returns = line.return_mode.map_or(String::new(), |mode| format!(", {mode}"));
+        let rpm = line.rpm.map_or(String::new(), |rpm| format!(", {rpm:.0} rpm"));
+        let (source, port, rate) = (&line.source, line.port, line.packets_per_s);
+        writeln!(stdout, "{source} to port {port}: {model}{returns}{rpm}, {rate:.0} packets a second")?;
+    }
+    for Finding { severity, what, cure, .. } in findings {
+        let severity = match severity {
+            Severity::Error => "error",
+            Severity::Warning => "warning",
+            Severity::Note => "note",
+        };
+        writeln!(stdout, "{severity}: {what}")?;
+        if !cure.is_empty() {
+            writeln!(stdout, "    {cure}")?;
+        }
+    }
+    match findings.iter().filter(|finding| finding.is_trouble()).count() {
+        _ if well => writeln!(stdout, "all well"),
+        1 => writeln!(stdout, "1 thing is wrong"),
+        count => writeln!(stdout, "{count} things are wrong, the worst first"),
+    }
+}
+
+impl SensorLine {
+    fn of(sensor: &Sensor, seconds: f64) -> Self {
+        Self {
+            source: sensor.source.map_or_else(String::new, |source| source.to_string()),
+            port: sensor.port,
+            model: sensor.model.map(|model| model.to_string()),
+            return_mode: sensor.return_mode.map(|mode| mode.name()),
+            rpm: sensor.rpm.map(|(least, most)| (least + most) / 2.0),
+            packets: sensor.counts.data,
+            packets_per_s: (sensor.counts.data as f64 / seconds).round(),
+            lost: sensor.counts.lost,
+        }
+    }
+}

@@ -1,0 +1,91 @@
+//! What this host lacks.
+
+use super::Findings;
+use crate::doctor::Topic;
+use crate::doctor::observe::{Heard, Observations, RootTrouble, Sensor};
+use crate::doctor::plan::Expected;
+use crate::publish::pool_sweeps;
+use crate::sensor::Model;
+use crate::sweep::layout::Shape;
+use crate::wire::data::ReturnMode;
+
+pub(super) fn find(seen: &Observations, findings: &mut Findings) {
+    buffers(seen, findings);
+    // A daemon that runs has its memory already.
+    if seen.daemon.is_none() {
+        shared_memory(seen, findings);
+    }
+    match &seen.host.root_trouble {
+        Some(RootTrouble::Unusable(why)) => {
+            findings.warning(
+                Topic::SharedMemory,
+                why,
+                "run this as the user that the daemon runs as, to see what it sees",
+            );
+        }
+        Some(RootTrouble::NotWritable { folder }) => {
+            let what =
+                format!("this user may not make files in {}, where shared memory is kept track of", folder.display());
+            let cure = "give the folder to the daemon's user, or name another with `root` in the configuration";
+            findings.error(Topic::SharedMemory, what, cure);
+        }
+        None => {}
+    }
+}
+
+fn buffers(seen: &Observations, findings: &mut Findings) {
+    for port in &seen.ports {
+        let Heard::All { dropped, buffer, .. } = port.heard else { continue };
+        let number = port.plan.port;
+        if buffer.is_too_small() {
+            let now = seen.host.rmem_max.map_or(String::new(), |bytes| format!(" (net.core.rmem_max is {bytes})"));
+            let what = format!(
+                "port {number}: the kernel gave a receive buffer for {} packets, {} ms of the fastest sensor{now}",
+                buffer.packets(),
+                buffer.fastest_ms()
+            );
+            let cure = format!(
+                "`sysctl -w net.core.rmem_max={0}`, for good with the line `net.core.rmem_max = {0}` in /etc/sysctl.d/sweepd.conf",
+                buffer.rmem_max()
+            );
+            findings.warning(Topic::Buffer, what, cure);
+        }
+        if dropped > 0 {
+            let what = format!("the kernel dropped {dropped} datagrams on port {number} while this listened");
+            findings.warning(Topic::Loss, what, "give it a larger receive buffer, and this host less to do");
+        }
+    }
+}
+
+fn shared_memory(seen: &Observations, findings: &mut Findings) {
+    let Some((all, free)) = seen.host.shared else { return };
+    let needed: u64 = seen.plan.sensors.iter().map(|expected| needs_bytes(expected, seen)).sum();
+    if needed > free {
+        let what = format!(
+            "/dev/shm has {} MB free of {} MB, the configured sensors need {} MB",
+            mb(free),
+            mb(all),
+            mb(needed)
+        );
+        let cure = format!(
+            "`mount -o remount,size={}M /dev/shm`, for good in /etc/fstab; in a container --shm-size; or fewer `max_consumers`",
+            (all - free + needed).div_ceil(1 << 20) + 16
+        );
+        findings.error(Topic::SharedMemory, what, cure);
+    }
+}
+
+/// Bytes of shared memory for a sensor: for the largest that it may be, as far as it is not known.
+fn needs_bytes(expected: &Expected, seen: &Observations) -> u64 {
+    let is_it = |sensor: &&Sensor| sensor.source.is_some_and(|source| expected.is_at(source, sensor.port));
+    let heard = seen.sensors.iter().find(is_it);
+    let model = expected.model.or(heard.and_then(|sensor| sensor.model)).unwrap_or(Model::Hdl64eS3);
+    let heard_dual = heard.and_then(|sensor| sensor.return_mode).map(|mode| mode == ReturnMode::Dual);
+    let dual = expected.dual.or(heard_dual).unwrap_or(true);
+    let sweep_bytes = Shape::of(model.spec().channels, dual, expected.min_points).total_bytes();
+    (pool_sweeps(expected.max_consumers) * sweep_bytes) as u64
+}
+
+fn mb(bytes: u64) -> u64 {
+    bytes >> 20
+}

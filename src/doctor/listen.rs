@@ -1,0 +1,219 @@
+//! What comes to the ports, listened to for a few seconds, through the same gate and pipelines as the daemon's.
+
+use std::net::{IpAddr, SocketAddr};
+use std::time::{Duration, Instant};
+
+use super::observe::{Heard, Port, PositionSender, Sensor};
+use super::plan::Plan;
+use crate::capture::{Gate, Route, UdpError, UdpSource};
+use crate::pipeline::{Config, Notice, Pipeline, Untimed};
+use crate::segment::ConfigError;
+use crate::sweep::layout::{TimeSource, flags};
+use crate::sweep::{HeapBuffers, SweepRef};
+use crate::wire::nmea::Rmc;
+use crate::wire::{Datagram, Position};
+
+/// Senders of other datagrams that are remembered by name.
+const MAX_OTHERS: usize = 16;
+/// Senders of position packets that are remembered.
+const MAX_POSITIONS: usize = 64;
+/// Longest wait on one port while others may have something.
+const TURN: Duration = Duration::from_millis(10);
+
+/// What was heard.
+pub struct Listened {
+    /// By port of the plan.
+    pub ports: Vec<Port>,
+    /// Whoever sent data packets.
+    pub sensors: Vec<Sensor>,
+    /// Whoever sent position packets.
+    pub positions: Vec<PositionSender>,
+}
+
+/// An open port.
+struct Ear {
+    source: UdpSource,
+    gate: Gate,
+    others: Vec<(SocketAddr, u64)>,
+    /// By number of the sensor at the gate.
+    patients: Vec<Patient>,
+}
+
+/// A sensor, and the pipeline that decodes it.
+struct Patient {
+    seen: Sensor,
+    pipeline: Pipeline<HeapBuffers, Untimed>,
+    sweeps: u64,
+}
+
+/// Opens all ports of the plan and listens for so long. `opened` is told the ports that could be opened before anything is
+/// received.
+///
+/// # Errors
+/// [`UdpError`], when a port fails that could be opened.
+pub fn listen(plan: &Plan, lasting: Duration, opened: impl FnOnce(&[u16])) -> Result<Listened, UdpError> {
+    let mut ears: Vec<Result<Ear, Heard>> = plan.ports.iter().map(|port| Ear::open(&port.udp())).collect();
+    let numbers: Vec<u16> = ears.iter().flatten().map(|ear| ear.source.local_addr().port()).collect();
+    opened(&numbers);
+    let mut positions = Vec::new();
+    let until = Instant::now() + lasting;
+    while !numbers.is_empty() && Instant::now() < until {
+        for index in 0..ears.len() {
+            let Ok(ear) = &mut ears[index] else { continue };
+            let heard = ear.hear(&mut positions)?;
+            // GPS time goes to the sensor of the same address, on whichever port its data comes.
+            for payload in heard {
+                let patients = ears.iter_mut().flatten().flat_map(|ear| &mut ear.patients);
+                patients.for_each(|patient| patient.takes_position(&payload));
+            }
+        }
+    }
+    let mut listened = Listened { ports: Vec::new(), sensors: Vec::new(), positions };
+    for (plan, ear) in plan.ports.iter().zip(ears) {
+        let mut plan = plan.clone();
+        let heard = match ear {
+            Ok(ear) => {
+                // Port 0 took a free one.
+                plan.port = ear.source.local_addr().port();
+                let (heard, sensors) = ear.conclude();
+                listened.sensors.extend(sensors);
+                heard
+            }
+            Err(refused) => refused,
+        };
+        listened.ports.push(Port { plan, heard });
+    }
+    Ok(listened)
+}
+
+/// A position packet for whom it concerns.
+struct Telemetry {
+    arrival_ns: i64,
+    source: SocketAddr,
+    destination_port: u16,
+    payload: Vec<u8>,
+}
+
+impl Ear {
+    fn open(config: &crate::capture::UdpConfig) -> Result<Self, Heard> {
+        match UdpSource::bind(config) {
+            Ok(source) => Ok(Self { source, gate: Gate::default(), others: Vec::new(), patients: Vec::new() }),
+            Err(error @ UdpError::PortTaken { .. }) => Err(Heard::Taken(error.to_string())),
+            Err(error) => Err(Heard::Refused(error.to_string())),
+        }
+    }
+
+    /// Takes what is there. Gives the position packets back.
+    fn hear(&mut self, positions: &mut Vec<PositionSender>) -> Result<Vec<Telemetry>, UdpError> {
+        let mut telemetry = Vec::new();
+        for datagram in self.source.receive(TURN)? {
+            match self.gate.admit(&datagram) {
+                Route::Data(index) => {
+                    while self.patients.len() <= index.get() {
+                        let sensor = &self.gate.sensors()[self.patients.len()];
+                        // Nobody asks for another segmentation than the usual one, which is possible.
+                        let Ok(patient) = Patient::new(sensor.source, sensor.destination_port) else { break };
+                        self.patients.push(patient);
+                    }
+                    if let Some(patient) = self.patients.get_mut(index.get()) {
+                        patient.takes(&datagram);
+                    }
+                }
+                Route::Position(_) => {
+                    note_position(positions, &datagram);
+                    let Datagram { arrival_ns, source, destination_port, payload } = datagram;
+                    telemetry.push(Telemetry { arrival_ns, source, destination_port, payload: payload.to_vec() });
+                }
+                Route::Other(_) => note_other(&mut self.others, datagram.source),
+            }
+        }
+        Ok(telemetry)
+    }
+
+    fn conclude(mut self) -> (Heard, Vec<Sensor>) {
+        let (received, dropped, buffer) = (self.source.received(), self.source.dropped(), self.source.buffer());
+        let sensors = self.patients.into_iter().map(Patient::conclude).collect();
+        (Heard::All { received, dropped, others: self.others, buffer }, sensors)
+    }
+}
+
+impl Patient {
+    fn new(source: SocketAddr, port: u16) -> Result<Self, ConfigError> {
+        let mut config = Config::default();
+        // Nobody looks at the labels.
+        (config.segment.min_range_m, config.segment.max_range_m) = (0.0, 0.01);
+        let pipeline = Pipeline::new("", config, HeapBuffers::default(), Untimed)?;
+        Ok(Self { seen: Sensor { source: Some(source), port, ..Sensor::default() }, pipeline, sweeps: 0 })
+    }
+
+    fn takes(&mut self, datagram: &Datagram<'_>) {
+        if let Err(fault) = self.pipeline.push(datagram) {
+            self.seen.fault = Some(fault.to_string());
+        }
+        while let Some(bytes) = self.pipeline.poll() {
+            if let Ok(sweep) = SweepRef::open(bytes.as_ref()) {
+                self.sees(&sweep);
+            }
+        }
+        for notice in self.pipeline.take_notices() {
+            match notice {
+                Notice::AwaitsCalibration => self.seen.awaits_calibration = true,
+                Notice::Calibrated { .. } => self.seen.awaits_calibration = false,
+                Notice::OtherCalibration { .. } => {}
+            }
+        }
+    }
+
+    fn takes_position(&mut self, position: &Telemetry) {
+        if self.seen.source.is_some_and(|source| source.ip() == position.source.ip()) {
+            let Telemetry { arrival_ns, source, destination_port, ref payload } = *position;
+            self.takes(&Datagram { arrival_ns, source, destination_port, payload });
+        }
+    }
+
+    fn sees(&mut self, sweep: &SweepRef<'_>) {
+        let (seen, header) = (&mut self.seen, sweep.header);
+        seen.return_mode = Some(header.return_mode());
+        if header.time_source() == TimeSource::Gps {
+            let end_ns = header.time_ns + header.duration_ns as i64;
+            seen.host_ahead_s = Some((header.arrival_ns - end_ns) as f64 * 1e-9);
+        }
+        self.sweeps += 1;
+        // The first one begins anywhere.
+        if self.sweeps > 1 {
+            seen.flags |= header.flags;
+        }
+        if !header.has(flags::PARTIAL) {
+            let (least, most) = seen.rpm.unwrap_or((header.rpm, header.rpm));
+            seen.rpm = Some((least.min(header.rpm), most.max(header.rpm)));
+            seen.whole_sweeps += 1;
+        }
+    }
+
+    fn conclude(mut self) -> Sensor {
+        let detection = self.pipeline.detection();
+        self.seen.counts = self.pipeline.counts();
+        self.seen.model = detection.map(|detection| detection.model);
+        self.seen.return_mode = self.seen.return_mode.or(detection.map(|detection| detection.return_mode));
+        self.seen
+    }
+}
+
+fn note_other(others: &mut Vec<(SocketAddr, u64)>, source: SocketAddr) {
+    if let Some((_, count)) = others.iter_mut().find(|(known, _)| *known == source) {
+        *count += 1;
+    } else if others.len() < MAX_OTHERS {
+        others.push((source, 1));
+    }
+}
+
+fn note_position(positions: &mut Vec<PositionSender>, datagram: &Datagram<'_>) {
+    let Ok(position) = Position::parse(datagram.payload) else { return };
+    let address: IpAddr = datagram.source.ip();
+    let fix = position.nmea.map(|text| Rmc::parse(text).is_ok_and(|rmc| rmc.valid));
+    if let Some(known) = positions.iter_mut().find(|known| known.address == address) {
+        (known.packets, known.pps, known.fix) = (known.packets + 1, position.pps, fix);
+    } else if positions.len() < MAX_POSITIONS {
+        positions.push(PositionSender { address, packets: 1, pps: position.pps, fix });
+    }
+}

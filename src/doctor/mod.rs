@@ -1,0 +1,167 @@
+//! What is wrong with a sensor, its network or this host, and how to mend it.
+//!
+//! ```text
+//! plan      what should be there: ports and sensors, from a configuration or from options
+//! listen    what comes: a few seconds of every port, through the same gate and pipelines as the daemon's
+//! host      this host: interfaces, buffers, shared memory, permissions
+//! web       what a sensor says of its own settings, read only
+//! health    what a daemon says that holds a port
+//!               all of it Observations
+//! diagnose  Observations -> findings, worst first; pure
+//! ```
+
+pub mod diagnose;
+pub mod health;
+pub mod host;
+mod http;
+pub mod listen;
+pub mod observe;
+pub mod plan;
+mod sys;
+pub mod web;
+
+use std::io;
+use std::net::{IpAddr, Ipv4Addr};
+use std::time::Duration;
+
+use serde::Serialize;
+
+use crate::capture::UdpError;
+use observe::{Heard, Sensor};
+
+pub use diagnose::diagnose;
+pub use observe::Observations;
+pub use plan::Plan;
+
+/// How bad it is.
+#[derive(Clone, Copy, Debug, PartialEq, Eq, PartialOrd, Ord, Serialize)]
+#[serde(rename_all = "lowercase")]
+pub enum Severity {
+    /// Nothing can work like this.
+    Error,
+    /// It works, and not as it should.
+    Warning,
+    /// Nothing is wrong; good to know.
+    Note,
+}
+
+/// What a finding is about, in a word for programs.
+#[derive(Clone, Copy, Debug, PartialEq, Eq, PartialOrd, Ord, Serialize)]
+#[serde(rename_all = "kebab-case")]
+pub enum Topic {
+    /// A port that cannot be listened on.
+    Port,
+    /// Nothing comes, or not from a sensor that should be there.
+    Silent,
+    /// Position packets come, and no data packets.
+    PositionOnly,
+    /// The model is unsupported, or another than configured.
+    Model,
+    /// Where the sensor sends to.
+    Destination,
+    /// Senders that nobody asked for, or several.
+    Senders,
+    /// Datagrams that are no sensor's packets.
+    Foreign,
+    /// Packets that were lost, dropped or came twice.
+    Loss,
+    /// The receive buffer.
+    Buffer,
+    /// The speed of the head.
+    Speed,
+    /// The field of view.
+    View,
+    /// Which returns are sent.
+    Returns,
+    /// GPS, the pulse per second, and clocks.
+    Clock,
+    /// The calibration of an HDL-64E.
+    Calibration,
+    /// The lasers.
+    Lasers,
+    /// An interface of this host.
+    Interface,
+    /// Shared memory: its size, and whose it is.
+    SharedMemory,
+    /// What a running daemon complains about.
+    Daemon,
+}
+
+/// Something that people should know, and what to do about it.
+#[derive(Clone, Debug, PartialEq, Eq, Serialize)]
+pub struct Finding {
+    /// How bad it is.
+    pub severity: Severity,
+    /// What it is about.
+    pub topic: Topic,
+    /// What was found.
+    pub what: String,
+    /// How to mend it; empty where nothing is to be done.
+    pub cure: String,
+}
+
+impl Finding {
+    /// Whether something is wrong.
+    pub fn is_trouble(&self) -> bool {
+        self.severity != Severity::Note
+    }
+}
+
+/// Web pages that are asked at most.
+const MAX_ASKED: usize = 16;
+/// Where a sensor is as it leaves the factory.
+const FACTORY: Ipv4Addr = Ipv4Addr::new(192, 168, 1, 201);
+
+/// Why nothing can be found out.
+#[derive(Debug, thiserror::Error)]
+pub enum ExamineError {
+    /// A port that could be opened fails.
+    #[error(transparent)]
+    Udp(#[from] UdpError),
+    /// The system refuses what it never should.
+    #[error("cannot ask web pages: {0}")]
+    System(#[from] io::Error),
+}
+
+/// Listens for so long, looks around, and asks the sensors at this port of theirs, unless it is `None`. `opened` is told the
+/// ports that are listened on, once they are.
+///
+/// # Errors
+/// [`ExamineError`]; whatever is wrong with sensors, network and host is an observation and no error.
+pub fn examine(
+    plan: Plan,
+    lasting: Duration,
+    web_port: Option<u16>,
+    opened: impl FnOnce(&[u16]),
+) -> Result<Observations, ExamineError> {
+    let listen::Listened { ports, sensors, positions } = listen::listen(&plan, lasting, opened)?;
+    let is_taken = ports.iter().any(|port| matches!(port.heard, Heard::Taken(_)));
+    let no_health = || Err("its configuration has no `http`".to_owned());
+    let daemon = is_taken.then(|| plan.health.map_or_else(no_health, health::ask));
+    let host = host::look(plan.root.as_deref());
+    let mut seen =
+        Observations { plan, seconds: lasting.as_secs_f64(), ports, sensors, positions, host, web: Vec::new(), daemon };
+    if let Some(port) = web_port {
+        seen.web = web::ask(&whom_to_ask(&seen), port)?;
+    }
+    Ok(seen)
+}
+
+/// Who may have a web page: whoever was heard or is named, or a sensor as it leaves the factory; no HDL-64E.
+fn whom_to_ask(seen: &Observations) -> Vec<Ipv4Addr> {
+    let may_answer = |sensor: &&Sensor| !sensor.model.is_some_and(|model| model.is_hdl64e());
+    let heard = seen.sensors.iter().filter(may_answer).filter_map(|sensor| Some(sensor.source?.ip()));
+    let positions = seen.positions.iter().map(|sender| sender.address);
+    let heard = heard.chain(positions).filter_map(|address| match address {
+        IpAddr::V4(address) => Some(address),
+        IpAddr::V6(_) => None,
+    });
+    let mut whom: Vec<Ipv4Addr> = seen.plan.ask.iter().copied().chain(heard).collect();
+    whom.sort_unstable();
+    whom.dedup();
+    whom.truncate(MAX_ASKED);
+    if whom.is_empty() && seen.daemon.is_none() && seen.host.interfaces.iter().any(|one| one.reaches(FACTORY)) {
+        whom.push(FACTORY);
+    }
+    whom
+}

@@ -1,0 +1,137 @@
+//! What should be there: the ports to listen on, and the sensors that should be heard.
+
+use std::net::{IpAddr, Ipv4Addr, SocketAddr};
+use std::path::PathBuf;
+
+use crate::capture::UdpConfig;
+use crate::capture::udp::ample_buffer_bytes;
+use crate::daemon::config::{Config, PortConfig, SensorConfig};
+use crate::sensor::Model;
+
+/// Where a daemon tells how it is, unless it is configured otherwise.
+pub const HEALTH: SocketAddr = SocketAddr::new(IpAddr::V4(Ipv4Addr::LOCALHOST), 9177);
+
+/// What should be there.
+#[derive(Clone, Debug)]
+pub struct Plan {
+    /// Where packets should come in.
+    pub ports: Vec<PortPlan>,
+    /// The sensors that should be heard; whichever there are, if none is named.
+    pub sensors: Vec<Expected>,
+    /// Addresses whose web page is asked even if nothing is heard from them.
+    pub ask: Vec<Ipv4Addr>,
+    /// Folder of iceoryx2's files; `None` for the default.
+    pub root: Option<PathBuf>,
+    /// Where a running daemon is asked how it is.
+    pub health: Option<SocketAddr>,
+}
+
+/// A port to listen on.
+#[derive(Clone, Debug, PartialEq, Eq)]
+pub struct PortPlan {
+    /// Address of this host; 0.0.0.0 hears all.
+    pub bind: Ipv4Addr,
+    /// The port.
+    pub port: u16,
+    /// Multicast group to join.
+    pub multicast: Option<Ipv4Addr>,
+    /// Interface to listen on alone.
+    pub interface: Option<String>,
+}
+
+/// A sensor that should be heard.
+#[derive(Clone, Debug, PartialEq)]
+pub struct Expected {
+    /// Its name.
+    pub name: String,
+    /// Where its packets come from.
+    pub address: IpAddr,
+    /// The port it sends from, if that tells it from another one.
+    pub source_port: Option<u16>,
+    /// The port it sends data to.
+    pub port: u16,
+    /// Its model, if that was set.
+    pub model: Option<Model>,
+    /// The speed it is set to, turns a minute, if that was said.
+    pub rpm: Option<f32>,
+    /// Whether it may send two returns, if that was said.
+    pub dual: Option<bool>,
+    /// Consumers at most.
+    pub max_consumers: usize,
+    /// Pixels of the smallest segment.
+    pub min_points: usize,
+}
+
+impl Expected {
+    fn of(sensor: &SensorConfig) -> Self {
+        Self {
+            name: sensor.name.clone(),
+            address: sensor.address,
+            source_port: sensor.source_port,
+            port: sensor.port.port,
+            model: sensor.pipeline.model,
+            rpm: sensor.rpm,
+            dual: sensor.dual,
+            max_consumers: sensor.max_consumers,
+            min_points: sensor.pipeline.segment.min_points as usize,
+        }
+    }
+
+    /// Whether this is the sensor that sends from there to this port.
+    pub fn is_at(&self, source: SocketAddr, port: u16) -> bool {
+        self.address == source.ip()
+            && self.port == port
+            && self.source_port.is_none_or(|expected| expected == source.port())
+    }
+}
+
+impl PortPlan {
+    fn of(port: &PortConfig, number: u16) -> Self {
+        let (multicast, interface) = (port.multicast, port.interface.clone());
+        Self { bind: port.bind, port: number, multicast, interface }
+    }
+
+    /// How its socket is opened.
+    pub fn udp(&self) -> UdpConfig {
+        UdpConfig {
+            address: self.bind,
+            port: self.port,
+            multicast: self.multicast,
+            interface: self.interface.clone(),
+            buffer_bytes: ample_buffer_bytes(),
+        }
+    }
+}
+
+impl Plan {
+    /// What a daemon with this configuration counts on.
+    pub fn of(config: &Config) -> Self {
+        let mut ports: Vec<PortPlan> = Vec::new();
+        for sensor in &config.sensors {
+            for number in [sensor.port.port, sensor.position_port] {
+                let plan = PortPlan::of(&sensor.port, number);
+                if !ports.contains(&plan) {
+                    ports.push(plan);
+                }
+            }
+        }
+        let v4 = |sensor: &SensorConfig| match sensor.address {
+            IpAddr::V4(address) => Some(address),
+            IpAddr::V6(_) => None,
+        };
+        Self {
+            ports,
+            sensors: config.sensors.iter().map(Expected::of).collect(),
+            ask: config.sensors.iter().filter_map(v4).collect(),
+            root: config.daemon.root.clone(),
+            health: config.daemon.http,
+        }
+    }
+
+    /// Whatever comes to these ports.
+    pub fn of_ports(ports: &[u16], bind: Ipv4Addr, multicast: Option<Ipv4Addr>, interface: Option<&str>) -> Self {
+        let port = |&port: &u16| PortPlan { bind, port, multicast, interface: interface.map(str::to_owned) };
+        let ports = ports.iter().map(port).collect();
+        Self { ports, sensors: Vec::new(), ask: Vec::new(), root: None, health: Some(HEALTH) }
+    }
+}

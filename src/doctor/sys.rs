@@ -1,0 +1,78 @@
+//! What of this host no safe crate at hand tells: its addresses, the size of shared memory, and what this user may write.
+
+#![allow(unsafe_code)]
+
+use std::ffi::{CStr, CString};
+use std::io;
+use std::mem::MaybeUninit;
+use std::net::Ipv4Addr;
+use std::os::unix::ffi::OsStrExt;
+use std::path::Path;
+
+/// An IPv4 address of an interface, and how many of its bits are those of the net.
+pub(super) struct Address {
+    pub(super) interface: String,
+    pub(super) address: Ipv4Addr,
+    pub(super) bits: u8,
+}
+
+/// The IPv4 addresses of this host (getifaddrs(3)).
+pub(super) fn addresses() -> io::Result<Vec<Address>> {
+    let mut list: *mut libc::ifaddrs = std::ptr::null_mut();
+    // SAFETY: room for one pointer, which the call fills in when it returns 0.
+    if unsafe { libc::getifaddrs(&mut list) } != 0 {
+        return Err(io::Error::last_os_error());
+    }
+    let mut found = Vec::new();
+    let mut next = list;
+    while !next.is_null() {
+        // SAFETY: the list that the call made; it lives until freeifaddrs below, and nobody else has it.
+        let one = unsafe { &*next };
+        if let (Some(address), Some(mask)) = (ipv4(one.ifa_addr), ipv4(one.ifa_netmask)) {
+            // SAFETY: a name that ends in a zero and lives as long as the list.
+            let name = unsafe { CStr::from_ptr(one.ifa_name) };
+            let interface = name.to_string_lossy().into_owned();
+            found.push(Address { interface, address, bits: u32::from(mask).count_ones() as u8 });
+        }
+        next = one.ifa_next;
+    }
+    // SAFETY: the list of getifaddrs, freed once; nothing refers to it any more.
+    unsafe { libc::freeifaddrs(list) };
+    Ok(found)
+}
+
+/// The address in a socket address that getifaddrs gave, if it is one of IPv4.
+fn ipv4(address: *const libc::sockaddr) -> Option<Ipv4Addr> {
+    if address.is_null() {
+        return None;
+    }
+    // SAFETY: not null, so a socket address of the list, which is alive; every kind begins with its family.
+    let family = unsafe { (*address).sa_family };
+    if i32::from(family) != libc::AF_INET {
+        return None;
+    }
+    // SAFETY: of this family it is a sockaddr_in; it may lie less aligned than that asks for.
+    let address = unsafe { address.cast::<libc::sockaddr_in>().read_unaligned() };
+    Some(Ipv4Addr::from(u32::from_be(address.sin_addr.s_addr)))
+}
+
+/// Bytes of a file system: all, and free (statvfs(3)).
+pub(super) fn file_system(path: &CStr) -> io::Result<(u64, u64)> {
+    let mut numbers = MaybeUninit::<libc::statvfs>::zeroed();
+    // SAFETY: a path that ends in a zero, and room for the numbers; the call keeps neither.
+    if unsafe { libc::statvfs(path.as_ptr(), numbers.as_mut_ptr()) } != 0 {
+        return Err(io::Error::last_os_error());
+    }
+    // SAFETY: zeroes are a value of this struct of numbers, and the call has filled it in.
+    let numbers = unsafe { numbers.assume_init() };
+    #[allow(clippy::unnecessary_cast, reason = "32 bits have other types")]
+    let [blocks, free, size] = [numbers.f_blocks as u64, numbers.f_bavail as u64, numbers.f_frsize as u64];
+    Ok((blocks.saturating_mul(size), free.saturating_mul(size)))
+}
+
+/// Whether this user may make files in a folder (access(2)).
+pub(super) fn may_write(folder: &Path) -> bool {
+    let Ok(path) = CString::new(folder.as_os_str().as_bytes()) else { return false };
+    // SAFETY: a path that ends in a zero, which the call does not keep.
+    unsafe { libc::access(path.as_ptr(), libc::W_OK | libc::X_OK) == 0 }
+}

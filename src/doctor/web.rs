@@ -1,0 +1,121 @@
+//! What a sensor's web page says of its settings. It is asked, and never told anything.
+//!
+//! VLP-16 and HDL-32E answer `/cgi/snapshot.hdl` (how it is set) and `/cgi/status.json` (how it is); VLP-16 User Manual,
+//! chapter 10. Firmware differs in whether numbers are numbers or text, and in what is there at all.
+
+use std::net::{Ipv4Addr, SocketAddr};
+use std::time::Duration;
+
+use serde_json::Value;
+
+use super::http::{get_json, runtime};
+use super::observe::Web;
+
+/// How long an answer may take: it is a small computer.
+const PATIENCE: Duration = Duration::from_millis(1500);
+
+/// Asks sensors for their settings, all at once. Who does not answer is left out.
+///
+/// # Errors
+/// What the system says when it cannot even begin.
+pub fn ask(addresses: &[Ipv4Addr], port: u16) -> std::io::Result<Vec<Web>> {
+    if addresses.is_empty() {
+        return Ok(Vec::new());
+    }
+    let runtime = runtime()?;
+    let pages: Vec<_> = addresses.iter().map(|&address| runtime.spawn(ask_one(address, port))).collect();
+    Ok(runtime.block_on(async {
+        let mut answers = Vec::new();
+        for page in pages {
+            answers.extend(page.await.ok().flatten());
+        }
+        answers
+    }))
+}
+
+async fn ask_one(address: Ipv4Addr, port: u16) -> Option<Web> {
+    let to = SocketAddr::from((address, port));
+    let snapshot = get_json(to, "/cgi/snapshot.hdl", PATIENCE).await;
+    let status = get_json(to, "/cgi/status.json", PATIENCE).await;
+    if snapshot.is_err() && status.is_err() {
+        return None;
+    }
+    let web = read(&snapshot.unwrap_or_default(), &status.unwrap_or_default());
+    // Some other device with a web page of its own.
+    (web != Web::default()).then_some(Web { address: Some(address), ..web })
+}
+
+/// Reads both pages, as far as they are there.
+pub fn read(snapshot: &Value, status: &Value) -> Web {
+    let config = &snapshot["config"];
+    let (host, fov) = (&config["host"], &config["fov"]);
+    let port = |value: &Value| number(value).filter(|port| (1.0..=65535.0).contains(port)).map(|port| port as u16);
+    Web {
+        address: None,
+        rpm: number(&config["rpm"]),
+        measured_rpm: number(&status["motor"]["rpm"]),
+        returns: text(&config["returns"]),
+        view_deg: number(&fov["start"]).zip(number(&fov["end"])),
+        destination: text(&host["addr"]).and_then(|text| text.parse().ok()),
+        data_port: port(&host["dport"]),
+        position_port: port(&host["tport"]),
+        lasers_on: on_or_off(&config["laser"]).or_else(|| on_or_off(&status["laser"]["state"])),
+        pps: text(&status["gps"]["pps_state"]),
+    }
+}
+
+fn number(value: &Value) -> Option<f64> {
+    let number = value.as_f64().or_else(|| value.as_str()?.trim().parse().ok())?;
+    number.is_finite().then_some(number)
+}
+
+fn text(value: &Value) -> Option<String> {
+    // What comes over the network is shown on a terminal.
+    let clean = |text: &str| text.chars().filter(|one| !one.is_control()).take(64).collect();
+    value.as_str().map(clean)
+}
+
+fn on_or_off(value: &Value) -> Option<bool> {
+    match value.as_str()?.to_ascii_lowercase().as_str() {
+        "on" => Some(true),
+        "off" => Some(false),
+        _ => None,
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use serde_json::json;
+
+    #[test]
+    fn numbers_may_be_text_and_much_may_be_missing() {
+        let told = read(
+            &json!({"config": {"rpm": "600", "returns": "Dual", "laser": "On", "fov": {"start": "270", "end": 91},
+                               "host": {"addr": "255.255.255.255", "dport": "2368", "tport": 8308}}}),
+            &json!({"motor": {"rpm": 599, "state": "On"}, "gps": {"pps_state": "Absent"}}),
+        );
+        let expected = Web {
+            address: None,
+            rpm: Some(600.0),
+            measured_rpm: Some(599.0),
+            returns: Some("Dual".to_owned()),
+            view_deg: Some((270.0, 91.0)),
+            destination: Some(Ipv4Addr::BROADCAST),
+            data_port: Some(2368),
+            position_port: Some(8308),
+            lasers_on: Some(true),
+            pps: Some("Absent".to_owned()),
+        };
+        assert_eq!(told, expected);
+        assert_eq!(read(&json!({"camera": true}), &Value::Null), Web::default());
+        let odd = json!({"config": {"rpm": "fast", "host": {"addr": "somewhere", "dport": 99999}, "laser": 1}});
+        assert_eq!(read(&odd, &json!([1, 2])), Web::default());
+    }
+
+    #[test]
+    fn nobody_there_is_no_answer() {
+        let free = std::net::TcpListener::bind("127.0.0.1:0").unwrap().local_addr().unwrap().port();
+        assert_eq!(ask(&[Ipv4Addr::LOCALHOST], free).unwrap(), []);
+    }
+}
