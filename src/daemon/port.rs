@@ -32,6 +32,11 @@ const BUSY: Duration = Duration::from_millis(5);
 const IDLE: Duration = Duration::from_millis(50);
 /// After so long without packets none come.
 const QUIET_NS: i64 = 1_000_000_000;
+/// How long packets may wait in the socket while no sweep is about to end: each time that the thread is woken costs as much as
+/// decoding some packets.
+const NAP_NS: i64 = 10_000_000;
+/// So long before the packet that completes a sweep is expected, each one is fetched as it comes.
+const EARLY_NS: i64 = 2_000_000;
 /// A socket that fails so often in a row will not recover: the daemon ends, and opens it anew when it is restarted.
 const FAILURES: u32 = 20;
 /// Position packets that may wait for the thread of their sensor.
@@ -111,6 +116,7 @@ impl<B: Buffers<Buffer: Outgoing>> Port<B> {
     pub fn serve(mut self) -> Result<(), UdpError> {
         let (mut newest_ns, mut failures) = (i64::MIN, 0);
         while !self.over.load(Ordering::Relaxed) {
+            self.nap();
             let is_quiet = realtime_ns().saturating_sub(newest_ns) > QUIET_NS;
             match self.round(if is_quiet { IDLE } else { BUSY }) {
                 Ok(arrival_ns) => {
@@ -127,6 +133,17 @@ impl<B: Buffers<Buffer: Outgoing>> Port<B> {
             self.counters.heartbeat.add(1);
         }
         Ok(())
+    }
+
+    /// Sleeps while no sweep of any sensor is about to end; the socket keeps what comes.
+    fn nap(&self) {
+        let now_ns = realtime_ns();
+        let until_ns = |served: &Served<B>| Some((served.sensor.due_ns()? - now_ns - EARLY_NS).clamp(0, NAP_NS));
+        // One of whom it is not known is waited on.
+        let shortest_ns = self.sensors.iter().map(|served| until_ns(served).unwrap_or(0)).min();
+        if let Some(ns @ 1..) = shortest_ns {
+            std::thread::sleep(Duration::from_nanos(ns as u64));
+        }
     }
 
     /// One batch, or a wait for one in vain; gives the arrival of its newest packet that was let in.

@@ -108,6 +108,11 @@ impl<B: Buffers<Buffer: Outgoing>> Sensor<B> {
         self.send_sweeps(dropped);
     }
 
+    /// When the packet that completes the open sweep is expected; see [`Pipeline::due_ns`].
+    pub fn due_ns(&self) -> Option<i64> {
+        self.pipeline.due_ns()
+    }
+
     /// Takes a position packet.
     pub fn position(&mut self, datagram: &Datagram<'_>) {
         self.push(datagram);

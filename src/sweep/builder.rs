@@ -120,6 +120,13 @@ impl<B: Buffers> Builder<B> {
         self.open.as_ref().map(|open| open.so_far.newest_arrival_ns)
     }
 
+    /// When the packet that completes the open sweep will arrive, if the head goes on as it did, nanoseconds since 1970.
+    pub fn due_ns(&self) -> Option<i64> {
+        let (newest_ns, rate_cdeg_ns) = (self.newest_arrival_ns()?, self.last_rate_cdeg_ns?.abs());
+        let ns = self.head.until_cut_cdeg()? / rate_cdeg_ns;
+        Some(newest_ns.saturating_add(ns as i64))
+    }
+
     /// Adds to the time spent on the open sweep.
     pub fn spent(&mut self, decode_ns: u64) {
         if let Some(open) = &mut self.open {

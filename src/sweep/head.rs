@@ -86,6 +86,12 @@ impl Head {
         self.cut_cdeg
     }
 
+    /// How far it is to the next cut, hundredths of a degree; `None` before the first.
+    pub fn until_cut_cdeg(&self) -> Option<f64> {
+        let last = self.last_cdeg.filter(|_| self.cut_seen && !self.stopped)?;
+        Some(TURN - ahead(self.cut_cdeg, last, self.sense))
+    }
+
     /// Forgets where it was: nothing relates the next firing to the last.
     pub fn lose(&mut self) {
         *self = Self { sense: self.sense, ..Self::new(self.configured_cdeg) };
