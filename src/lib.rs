@@ -2,7 +2,7 @@
 //!
 //! ```text
 //! socket | pcap | simulator -> Datagram -> Packet -> Column -> Sweep -> Labels + Segments -> shared memory | files
-//!          capture, simulate   wire        sweep ------------   segment                      export
+//!          capture, simulate   wire        sweep ------------   segment                      publish         export
 //! ```
 //!
 //! Everything from [`wire::Datagram`] to the segments is pure: bytes and time come in as arguments. [`pipeline`] holds the
