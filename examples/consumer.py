@@ -168,8 +168,9 @@ def check_owner(root):
 class _Memory:
     """The bytes of a sample. NumPy keeps this object, and so the sample, for as long as any array looks at it."""
 
-    def __init__(self, sample):
-        self.sample = sample
+    def __init__(self, sample, subscriber):
+        # With the subscriber, iceoryx2 would give back what its samples still look at.
+        self.sample, self.subscriber = sample, subscriber
         payload = sample.payload()
         length = min(sample.user_header().contents.sweep_bytes, payload.len())
         read_only = True
@@ -379,7 +380,7 @@ class Sensor:
                 continue
             sample = self._receive()
             if sample is not None:
-                return Sweep(np.asarray(_Memory(sample)))
+                return Sweep(np.asarray(_Memory(sample, self._open.subscriber)))
             if time.monotonic() - self._looked >= LOOK_EVERY_S:
                 self._looked = time.monotonic()
                 if not self._open.is_current():

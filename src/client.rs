@@ -85,7 +85,8 @@ impl Client {
         Ok(Subscriber::names(domain)?)
     }
 
-    /// The next sweep; waits for it, and for the daemon if there is none, but at most so long. `None` when none came.
+    /// The next sweep; waits for it, and for the daemon if there is none, but at most so long. `None` when none came, or the
+    /// program handled a signal meanwhile.
     ///
     /// A consumer that is too slow gets the newest two: [`Header::sequence`](crate::sweep::Header::sequence) tells what it
     /// missed.

@@ -70,7 +70,7 @@ pub mod doctor;
 pub mod export;
 #[cfg(feature = "daemon")]
 mod file;
-#[cfg(feature = "daemon")]
+#[cfg(feature = "client")]
 pub mod host;
 #[cfg(feature = "daemon")]
 pub mod pipeline;

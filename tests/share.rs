@@ -340,10 +340,144 @@ fn a_pool_grows_when_the_sensor_begins_to_send_two_returns() {
     assert_eq!(number(&consumer.next(SOON).unwrap().unwrap()), 4);
 }
 
+/// What a pool was made for is given back when another has taken its place, but not while a sweep of it is out.
+#[test]
+fn a_pool_that_was_outgrown_is_given_back() {
+    let own = Own::new();
+    let mut loans = loans(&own, 1);
+    publish(&mut loans, 1);
+    let pools = || own.shared_memory().iter().filter(|file| file.to_string_lossy().ends_with(".data")).count();
+    numbered(&mut loans, 2, 5000).publish().unwrap();
+    let both = loans.status().reserved_bytes();
+    assert_eq!(pools(), 2);
+    let begun = Instant::now();
+    while pools() > 1 {
+        publish(&mut loans, 3);
+        std::thread::sleep(Duration::from_millis(50));
+        assert!(begun.elapsed() < Duration::from_secs(10));
+    }
+    assert!(begun.elapsed() > Duration::from_secs(1) && loans.status().reserved_bytes() < both);
+    numbered(&mut loans, 4, 5000).publish().unwrap();
+    assert_eq!(loans.status().unshared(), 0);
+}
+
+/// A pool that is too large is not asked for again with each sweep; what was shared before is shared again at once.
+#[test]
+fn a_pool_that_cannot_be_had_is_told_and_tried_again() {
+    let own = Own::new();
+    let mut loans = loans(&own, 1);
+    publish(&mut loans, 1);
+    let status = loans.status();
+    for unshared in 1..=5 {
+        assert!(!loans.take(1 << 33).publish_is_ok());
+        assert_eq!(status.unshared(), unshared);
+        assert!(status.trouble().unwrap().contains("/dev/shm has"), "{:?}", status.trouble());
+    }
+    assert_eq!(status.reserved_bytes(), 0, "nothing is held for sweeps that do not fit");
+    let begun = Instant::now();
+    while !numbered(&mut loans, 2, 1000).publish_is_ok() {
+        std::thread::sleep(Duration::from_millis(20));
+        assert!(begun.elapsed() < SOON);
+    }
+    assert_eq!(status.trouble(), None);
+}
+
+trait IsOk {
+    fn publish_is_ok(self) -> bool;
+}
+
+impl IsOk for Slot {
+    fn publish_is_ok(self) -> bool {
+        self.publish().is_ok()
+    }
+}
+
+#[test]
+fn of_several_that_begin_at_once_one_publishes() {
+    let own = Own::new();
+    let barrier = std::sync::Barrier::new(4);
+    let begin = || {
+        barrier.wait();
+        let loans = Loans::create(&own.domain(), &settings(2));
+        // Held until all have tried.
+        barrier.wait();
+        loans.map(drop)
+    };
+    for _ in 0..5 {
+        let ended: Vec<_> = std::thread::scope(|scope| {
+            let started: Vec<_> = (0..4).map(|_| scope.spawn(begin)).collect();
+            started.into_iter().map(|one| one.join().unwrap()).collect()
+        });
+        let taken = ended.iter().filter(|one| matches!(one, Err(PublishError::Taken { .. }))).count();
+        assert_eq!(taken, 3, "{ended:?}");
+    }
+}
+
+/// The daemon comes back with another `max_consumers` and another sensor, while a consumer of the one before lives.
+#[test]
+fn a_service_that_does_not_fit_any_more_is_made_anew() {
+    let own = Own::new();
+    let mut first = loans(&own, 1);
+    let mut consumer = client(&own);
+    publish(&mut first, 1);
+    assert_eq!(number(&consumer.next(SOON).unwrap().unwrap()), 1);
+    for (round, max_consumers, address) in [(1, 3, "192.168.1.201"), (2, 2, "192.168.1.201"), (3, 2, "192.168.1.202")] {
+        drop(first);
+        let changed = Settings { address: address.to_owned(), ..settings(max_consumers) };
+        first = Loans::create(&own.domain(), &changed).unwrap();
+        let begun = Instant::now();
+        while consumer.reopened() < round {
+            consumer.next(Duration::from_millis(50)).unwrap();
+            assert!(begun.elapsed() < SOON);
+        }
+        // The consumer took a file along on its way, which is put back within a second.
+        let mut others: Vec<Client> =
+            (1..max_consumers).map(|_| Client::within(&own.domain(), "roof").unwrap()).collect();
+        while publish(&mut first, round) < max_consumers {
+            for one in others.iter_mut().chain([&mut consumer]) {
+                one.next(Duration::from_millis(20)).unwrap();
+            }
+            assert!(begun.elapsed() < SOON);
+        }
+        publish(&mut first, 10 + round);
+        let mut numbers = std::iter::from_fn(|| consumer.next(Duration::ZERO).unwrap()).map(|sweep| number(&sweep));
+        assert!(numbers.any(|number| number == 10 + round));
+        assert_eq!(consumer.address().as_deref(), Some(address));
+        drop(others);
+    }
+    // And the same again changes nothing.
+    drop(first);
+    let mut last =
+        Loans::create(&own.domain(), &Settings { address: "192.168.1.202".to_owned(), ..settings(2) }).unwrap();
+    publish(&mut last, 20);
+    assert_eq!((number(&consumer.next(SOON).unwrap().unwrap()), consumer.reopened()), (20, 3));
+}
+
+#[test]
+fn a_sweep_outlives_its_client_and_its_daemon() {
+    let own = Own::new();
+    let mut loans = loans(&own, 1);
+    let mut consumer = client(&own);
+    publish(&mut loans, 1);
+    let sweep = consumer.next(SOON).unwrap().unwrap();
+    let bytes = sweep.bytes().to_vec();
+    drop(consumer);
+    for sequence in 2..40 {
+        publish(&mut loans, sequence);
+    }
+    drop(loans);
+    assert!(sweep.bytes() == bytes && number(&sweep) == 1);
+    drop(sweep);
+    // What it held is free again.
+    let mut again = self::loans(&own, 1);
+    let mut consumer = client(&own);
+    publish(&mut again, 50);
+    assert_eq!(number(&consumer.next(SOON).unwrap().unwrap()), 50);
+}
+
 #[test]
 fn a_folder_of_another_user_names_both() {
-    let own = std::fs::metadata("/proc/self").map(|it| std::os::unix::fs::MetadataExt::uid(&it)).unwrap();
-    if own != 0 {
+    if sweepd::host::own_uid() != 0 {
         eprintln!("skipped: only root can make a folder that is another user's");
         return;
     }

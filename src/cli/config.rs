@@ -198,12 +198,12 @@ fn daemon_lines(config: &Config, free: &io::Result<u64>) -> Lines {
 }
 
 fn recording(record: &RecordConfig) -> String {
-    let mut text = record.path.display().to_string();
+    let mut text = format!("{}, numbered, another file each start", record.path.display());
     if let Some(bytes) = record.rotate_bytes {
-        let _ = write!(text, ", another file each {} MB", bytes as f64 / 1e6);
+        let _ = write!(text, ", each {} MB", bytes as f64 / 1e6);
     }
     if let Some(seconds) = record.rotate_seconds {
-        let _ = write!(text, ", another file each {} minutes", rounded(seconds as f64 / 60.0));
+        let _ = write!(text, ", each {} minutes", rounded(seconds as f64 / 60.0));
     }
     text
 }

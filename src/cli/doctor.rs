@@ -10,9 +10,11 @@ use serde::Serialize;
 use super::CliError;
 use super::options::within;
 use crate::daemon::config::Config;
+use crate::doctor::diagnose::sweep_bytes;
 use crate::doctor::observe::Sensor;
 use crate::doctor::plan::HEALTH;
 use crate::doctor::{ExamineError, Finding, Observations, Plan, Severity, diagnose, examine};
+use crate::publish::pool_sweeps;
 use crate::wire::{DATA_PORT, POSITION_PORT};
 
 /// Options of `sweepd doctor`.
@@ -118,8 +120,10 @@ pub fn run(args: &Args) -> Result<(), CliError> {
 
 fn announce(ports: &[u16], args: &Args) {
     let ports: Vec<String> = ports.iter().map(u16::to_string).collect();
-    let ports = if ports.is_empty() { "no port".to_owned() } else { format!("port {}", ports.join(", ")) };
-    let _ = writeln!(io::stderr(), "listening on {ports} for {} s", args.seconds);
+    // Where none can be listened on, nobody waits, and the findings say why.
+    if !ports.is_empty() {
+        let _ = writeln!(io::stderr(), "listening on port {} for {} s", ports.join(", "), args.seconds);
+    }
 }
 
 fn print_json(seen: &Observations, findings: &[Finding], well: bool) -> io::Result<()> {
@@ -139,6 +143,12 @@ fn print(seen: &Observations, findings: &[Finding], well: bool) -> io::Result<()
         let (source, port, rate) = (&line.source, line.port, line.packets_per_s);
         writeln!(stdout, "{source} to port {port}: {model}{returns}{rpm}, {rate:.0} packets a second")?;
     }
+    for expected in &seen.plan.sensors {
+        let (name, sweeps) = (&expected.name, pool_sweeps(expected.max_consumers));
+        let bytes = sweep_bytes(expected, seen);
+        let mib = (bytes * sweeps as u64) as f64 / f64::from(1 << 20);
+        writeln!(stdout, "{name}: takes {mib:.1} MiB of shared memory, {sweeps} sweeps of {bytes} bytes")?;
+    }
     for Finding { severity, what, cure, .. } in findings {
         let severity = match severity {
             Severity::Error => "error",
@@ -146,8 +156,8 @@ fn print(seen: &Observations, findings: &[Finding], well: bool) -> io::Result<()
             Severity::Note => "note",
         };
         writeln!(stdout, "{severity}: {what}")?;
-        if !cure.is_empty() {
-            writeln!(stdout, "    {cure}")?;
+        for step in cure.lines() {
+            writeln!(stdout, "    {step}")?;
         }
     }
     match findings.iter().filter(|finding| finding.is_trouble()).count() {

@@ -16,7 +16,7 @@ use crate::sweep::layout::{TimeSource, flags};
 #[derive(Clone, Debug, clap::Args)]
 #[command(next_help_heading = "Output")]
 pub struct OutputOptions {
-    /// One JSON object a sweep on standard output, then one with the summary
+    /// One JSON object a sweep on standard output; a replay ends with one that holds the summary
     #[arg(long)]
     pub json: bool,
     /// A line per return: DIR/sweep_000000.csv, ...; each sensor but the first in a folder of its own

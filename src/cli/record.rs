@@ -15,18 +15,18 @@ use std::thread;
 use std::time::{Duration, Instant};
 
 use indicatif::{ProgressBar, ProgressStyle};
-use signal_hook::consts::{SIGHUP, SIGINT, SIGTERM};
-use signal_hook::flag;
 
 use self::input::{Input, InputReport};
 use self::report::Report;
 use super::options::within;
+use super::signals::end_flag;
 use super::{CliError, complain};
 use crate::capture::record::Rotation;
 use crate::capture::udp::ample_buffer_bytes;
 use crate::capture::{Gate, Recorder, SensorFilter, UdpConfig, UdpError, UdpSource};
 use crate::daemon::tap::{TapStream, socket_path};
 use crate::export::text::grouped;
+use crate::publish::Domain;
 use crate::wire::{DATA_PORT, POSITION_PORT};
 
 /// How soon everybody hears of the end.
@@ -89,7 +89,7 @@ pub struct Args {
 /// [`CliError`]: a port that cannot be listened on, a daemon that cannot be had, a file that cannot be written.
 pub fn run(args: &Args) -> Result<(), CliError> {
     // Before anything is opened, so that no signal leaves it half done.
-    let over = on_signals().map_err(|source| CliError::System { what: "handle signals", source })?;
+    let over = end_flag().map_err(|source| CliError::System { what: "handle signals", source })?;
     let inputs = args.inputs()?;
     let recorder = Recorder::start(&args.output, args.rotation())?;
     announce(&inputs, recorder.path());
@@ -102,17 +102,6 @@ pub fn run(args: &Args) -> Result<(), CliError> {
     ended
 }
 
-/// A flag that is set when the recording shall end; a second signal ends the program at once, should the disk hang.
-fn on_signals() -> io::Result<Arc<AtomicBool>> {
-    let (over, again) = (Arc::new(AtomicBool::new(false)), Arc::new(AtomicBool::new(false)));
-    for signal in [SIGINT, SIGTERM, SIGHUP] {
-        flag::register_conditional_default(signal, Arc::clone(&again))?;
-        flag::register(signal, Arc::clone(&again))?;
-        flag::register(signal, Arc::clone(&over))?;
-    }
-    Ok(over)
-}
-
 fn announce(inputs: &[Input], file: &Path) {
     let places: Vec<String> = inputs.iter().map(Input::place).collect();
     let _ = writeln!(io::stderr(), "recording {} to {}; Ctrl-C ends it", places.join(", "), file.display());
@@ -122,8 +111,8 @@ impl Args {
     /// What to record: ports of this host, or a sensor of the daemon.
     fn inputs(&self) -> Result<Vec<Input>, CliError> {
         let Some(sensor) = &self.from else { return self.listen() };
-        let root = self.root.clone().unwrap_or_else(default_root);
-        let stream = TapStream::connect(&socket_path(&root), sensor)?;
+        let domain = Domain::at_or_default(self.root.as_deref());
+        let stream = TapStream::connect(&socket_path(domain.root()), sensor)?;
         Ok(vec![Input::Daemon { stream, sensor: sensor.clone(), gate: self.gate() }])
     }
 
@@ -159,14 +148,6 @@ impl Args {
     fn is_due(&self, begun: Instant) -> bool {
         self.seconds.is_some_and(|seconds| begun.elapsed().as_secs_f64() >= seconds)
     }
-}
-
-/// The daemon's folder where none is named.
-fn default_root() -> PathBuf {
-    let named = std::env::var_os("SWEEPD_ROOT").filter(|value| !value.is_empty()).map(PathBuf::from);
-    let usual =
-        || PathBuf::from(if Path::new("/run/sweepd").is_dir() { "/run/sweepd/iox2" } else { "/tmp/sweepd/iox2" });
-    named.unwrap_or_else(usual)
 }
 
 /// A port that the daemon has is no reason to stop it.

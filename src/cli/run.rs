@@ -12,8 +12,7 @@ use self::journal::Prioritised;
 use super::CliError;
 use crate::daemon::config::{Change, Config, Effect};
 use crate::daemon::control::{self, Reload, Reread};
-use crate::daemon::tap::socket_path;
-use crate::publish::{Domain, PublishError};
+use crate::publish::{Domain, DomainError};
 
 /// Variable that says what is logged, in the directives of tracing-subscriber.
 const LOG: &str = "SWEEPD_LOG";
@@ -21,8 +20,8 @@ const LOG: &str = "SWEEPD_LOG";
 /// Options of `sweepd run`.
 #[derive(Clone, Debug, clap::Args)]
 #[command(after_help = "\
-SIGTERM or Ctrl-C ends it, SIGHUP reads the configuration anew. Its log goes to standard error; systemd,
-if it runs it, hears when it is ready and how it is.
+SIGTERM or Ctrl-C ends it, SIGHUP reads the configuration anew. Its log goes to standard error;
+systemd, if it runs it, hears when it is ready and how it is.
 
 Examples:
   sweepd run --config /etc/sweepd/sweepd.toml
@@ -47,9 +46,13 @@ pub fn run(args: &Args) -> Result<(), CliError> {
     info!("sweepd {} with {}: {}", env!("CARGO_PKG_VERSION"), args.config.display(), sensors.join(", "));
     let domain = Domain::at_or_default(config.daemon.root.as_deref());
     // Its folder is made here, since the taps' socket is there too.
-    domain.prepare().map_err(PublishError::from)?;
-    let taps = Some(socket_path(domain.root()));
-    Ok(control::run(config, &domain, taps, reread(&args.config))?)
+    domain.prepare().map_err(in_words_of_the_file)?;
+    Ok(control::run(config, &domain, domain.root(), reread(&args.config))?)
+}
+
+/// Others name the folder by an option; this command has a configuration with a key of that name.
+fn in_words_of_the_file(error: DomainError) -> CliError {
+    CliError::Usage(error.to_string().replace("--root", "`root` in the configuration"))
 }
 
 /// Log lines to standard error, for a person or the journal, which knows the time itself.

@@ -119,7 +119,7 @@ pub struct PortConfig {
 /// A recording.
 #[derive(Clone, Debug, PartialEq, Eq)]
 pub struct RecordConfig {
-    /// The file; of several, `drive-007.pcap` for `drive.pcap`.
+    /// The name of its files: `drive-000.pcap` and on for `drive.pcap`, the next free number at each start.
     pub path: PathBuf,
     /// Bytes after which another file begins.
     pub rotate_bytes: Option<u64>,

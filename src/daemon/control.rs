@@ -3,7 +3,7 @@
 use std::future::pending;
 use std::io;
 use std::net::SocketAddr;
-use std::path::PathBuf;
+use std::path::Path;
 use std::sync::{Arc, Mutex, PoisonError};
 use std::time::{Duration, Instant};
 
@@ -20,6 +20,7 @@ use super::runtime::{DaemonError, Runtime};
 use super::sensor::Event;
 use super::sharing::Sharing;
 use super::state::{Message, Observation, Running, Watcher};
+use super::tap::socket_path;
 use super::tee::Tees;
 use crate::pipeline::{Fault, Notice};
 
@@ -36,21 +37,24 @@ pub struct Reload {
 /// Reads the configuration anew and compares it with the one that runs, or says why it cannot be taken.
 pub type Reread = Box<dyn FnMut(&Config) -> Result<Reload, String>>;
 
-/// Runs the daemon until SIGTERM or SIGINT; SIGHUP reads the configuration anew. Its datagrams can be had at `taps`, a path
-/// for a socket.
+/// Runs the daemon until SIGTERM or SIGINT; SIGHUP reads the configuration anew. `root` is the folder where consumers find
+/// it, and the socket of the taps.
+///
+/// A signal ends it within 200 ms, all but the recording: what that has is on the disk before this returns, however long
+/// the disk takes. (systemd gives it the TimeoutStopSec of the unit; what the disk did not take in that time is lost.)
 ///
 /// # Errors
 /// [`DaemonError`]: it cannot start, or cannot go on; then the process is to end, so that systemd starts it again.
-pub fn run<S: Sharing>(config: Config, sharing: &S, taps: Option<PathBuf>, reread: Reread) -> Result<(), DaemonError> {
+pub fn run<S: Sharing>(config: Config, sharing: &S, root: &Path, reread: Reread) -> Result<(), DaemonError> {
     let failed = |source| DaemonError::System { what: "start the control thread", source };
     let tokio = tokio::runtime::Builder::new_current_thread().enable_all().build().map_err(failed)?;
     tokio.block_on(async {
         // Before anything is opened, so that no signal leaves it half done.
         let signals = Signals::new().map_err(|source| DaemonError::System { what: "handle signals", source })?;
         let http = listen(config.daemon.http).await?;
-        let tees = Tees::start(config.record.as_ref(), taps)?;
-        let runtime = Runtime::start(&config, sharing, &tees)?;
-        Control::new(config, (runtime, tees), reread).serve(signals, http).await
+        let mut tees = Tees::open(Some(socket_path(root)));
+        let runtime = Runtime::start(&config, sharing, &mut tees)?;
+        Control::new(config, (runtime, tees), reread, root).serve(signals, http).await
     })
 }
 
@@ -98,14 +102,14 @@ struct Control {
 }
 
 impl Control {
-    fn new(config: Config, (runtime, tees): (Runtime, Tees), reread: Reread) -> Self {
+    fn new(config: Config, (runtime, tees): (Runtime, Tees), reread: Reread, root: &Path) -> Self {
         let watcher = |(status, sensor): (&super::runtime::SensorStatus, &super::config::SensorConfig)| {
             let place = (status.address.to_string(), status.port);
             Watcher::new(&status.name, place, sensor.rpm, Duration::ZERO)
         };
         let watchers: Vec<Watcher> = runtime.sensors.iter().zip(&config.sensors).map(watcher).collect();
         let pulse = Pulse::new(sd_notify::watchdog_enabled(), runtime.ports.len(), Duration::ZERO);
-        let view = View::new(Arc::clone(&runtime.sensors), Arc::clone(&runtime.ports));
+        let view = View::new(Arc::clone(&runtime.sensors), Arc::clone(&runtime.ports), root.to_owned());
         let (begun, view) = (Instant::now(), Arc::new(Mutex::new(view)));
         let notifier = Notifier::default();
         Self { config, runtime, tees, reread, begun, watchers, pulse, hanging: Vec::new(), notifier, view }
@@ -204,7 +208,7 @@ impl Control {
         let words: Vec<String> = named.map(|(sensor, (state, _))| format!("{} {state}", sensor.name)).collect();
         self.notifier.status(&words.join(", "));
         let hanging = self.hanging.iter().map(|&index| self.port(index).to_owned()).collect();
-        self.view.lock().unwrap_or_else(PoisonError::into_inner).update(states, hanging);
+        self.view.lock().unwrap_or_else(PoisonError::into_inner).update(states, hanging, self.tees.status());
     }
 
     fn port(&self, index: usize) -> &str {
@@ -235,11 +239,12 @@ impl Control {
                 self.watchers[index].expect_rpm(new.rpm);
             }
         }
-        if self.config.record != old.record {
+        // One that has failed is begun again: whoever reloads has seen to the disk.
+        if self.config.record != old.record || self.tees.has_failed() {
             match self.tees.record(self.config.record.as_ref()) {
                 Ok(()) => self.runtime.record(&self.tees),
                 Err(error) => {
-                    warn!("the recording goes on as before: {error}");
+                    warn!("the recording stays as it was: {error}");
                     self.config.record = old.record;
                 }
             }

@@ -1,16 +1,15 @@
 //! What a port lets in: packets of the right length, with the right markers, of a sensor that is configured.
 //!
-//! [`Gate`](crate::capture::Gate) lets in whom it is shown and remembers every sender; a daemon knows its sensors
-//! beforehand. So this door remembers nobody, and a sensor that comes back from another port, for the hundredth time in
+//! What is a packet says [`Kind`], here as at the [`Gate`](crate::capture::Gate) of who does not know the sensors beforehand.
+//! A daemon does: this door remembers nobody, and a sensor that comes back from another port, for the hundredth time in
 //! months, is the same sensor.
 
 use std::net::{IpAddr, SocketAddr};
 
 use super::config::SensorConfig;
 use super::counters::Reject;
-use crate::wire::data::DATA_PACKET_LEN;
-use crate::wire::position::POSITION_PACKET_LEN;
-use crate::wire::{DataPacket, Datagram, PacketError};
+use crate::capture::gate::{Kind, Misfit};
+use crate::wire::Datagram;
 
 /// What is let in.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
@@ -44,15 +43,13 @@ impl Door {
     /// Why it is not let in.
     pub fn admit(&self, datagram: &Datagram<'_>) -> Result<Admitted, Reject> {
         let source = SocketAddr::new(datagram.source.ip().to_canonical(), datagram.source.port());
-        match datagram.payload.len() {
-            DATA_PACKET_LEN => match DataPacket::parse(datagram.payload) {
-                Ok(_) => self.data(source),
-                Err(PacketError::Azimuth { .. }) => Err(Reject::Azimuth),
-                Err(PacketError::Flag { .. } | PacketError::Length { .. }) => Err(Reject::Marker),
-            },
-            POSITION_PACKET_LEN if self.knows(source.ip()) => Ok(Admitted::Position(source.ip())),
-            POSITION_PACKET_LEN => Err(Reject::Source),
-            _ => Err(Reject::Length),
+        match Kind::of(datagram.payload) {
+            Ok(Kind::Data) => self.data(source),
+            Ok(Kind::Position) if self.knows(source.ip()) => Ok(Admitted::Position(source.ip())),
+            Ok(Kind::Position) => Err(Reject::Source),
+            Err(Misfit::Length) => Err(Reject::Length),
+            Err(Misfit::Marker) => Err(Reject::Marker),
+            Err(Misfit::Azimuth) => Err(Reject::Azimuth),
         }
     }
 
@@ -74,6 +71,9 @@ impl Door {
 mod tests {
     use super::super::testing::sensor;
     use super::*;
+    use crate::wire::DataPacket;
+    use crate::wire::data::DATA_PACKET_LEN;
+    use crate::wire::position::POSITION_PACKET_LEN;
     use proptest::prelude::*;
 
     fn admit(door: &Door, source: &str, payload: &[u8]) -> Result<Admitted, Reject> {

@@ -8,6 +8,7 @@
 //! Few connections at a time, each for one request and not for long: nobody can hold the daemon up here.
 
 use std::convert::Infallible;
+use std::path::PathBuf;
 use std::sync::{Arc, Mutex, PoisonError};
 use std::time::{Duration, Instant};
 
@@ -27,6 +28,7 @@ use super::counters::Reject;
 use super::metrics;
 use super::runtime::{PortStatus, SensorStatus};
 use super::state::State;
+use super::tee::RecordingStatus;
 use crate::wire::data::ReturnMode;
 
 /// Connections that are served at a time; more are closed at once.
@@ -44,20 +46,28 @@ pub struct View {
     pub(super) states: Vec<(State, Option<String>)>,
     /// Ports whose threads hang.
     hanging: Vec<String>,
+    pub(super) recording: Option<RecordingStatus>,
+    /// The folder where consumers find the daemon.
+    root: PathBuf,
     begun: Instant,
 }
 
 impl View {
     /// A daemon that has just started.
-    pub fn new(sensors: Arc<[SensorStatus]>, ports: Arc<[PortStatus]>) -> Self {
+    pub fn new(sensors: Arc<[SensorStatus]>, ports: Arc<[PortStatus]>, root: PathBuf) -> Self {
         let waiting = (State::Waiting, Some("has not been looked at yet".to_owned()));
         let states = vec![waiting; sensors.len()];
-        Self { sensors, ports, states, hanging: Vec::new(), begun: Instant::now() }
+        Self { sensors, ports, states, hanging: Vec::new(), recording: None, root, begun: Instant::now() }
     }
 
-    /// Takes how the sensors are, and the names of the ports whose threads hang.
-    pub fn update(&mut self, states: Vec<(State, Option<String>)>, hanging: Vec<String>) {
-        (self.states, self.hanging) = (states, hanging);
+    /// Takes how the sensors are, the names of the ports whose threads hang, and how the recording is.
+    pub fn update(
+        &mut self,
+        states: Vec<(State, Option<String>)>,
+        hanging: Vec<String>,
+        recording: Option<RecordingStatus>,
+    ) {
+        (self.states, self.hanging, self.recording) = (states, hanging, recording);
     }
 
     /// Why not all is well; empty if it is.
@@ -72,7 +82,9 @@ impl View {
             sensor.sharing.trouble().map(|why| format!("{}: sweeps reach nobody: {why}", sensor.name))
         });
         let hanging = self.hanging.iter().map(|port| format!("the thread of port {port} hangs"));
-        sensors.chain(unshared).chain(hanging).collect()
+        let failed = self.recording.as_ref().and_then(|recording| recording.trouble.as_ref());
+        let unrecorded = failed.map(|why| format!("nothing is recorded: {why}"));
+        sensors.chain(unshared).chain(hanging).chain(unrecorded).collect()
     }
 
     /// All of it, as JSON; and whether all is well.
@@ -88,8 +100,10 @@ impl View {
             "pid": std::process::id(),
             "version": env!("CARGO_PKG_VERSION"),
             "uptime_s": self.begun.elapsed().as_secs(),
+            "root": self.root,
             "sensors": sensors,
             "ports": ports,
+            "recording": self.recording.as_ref().map(recording),
         });
         (is_well, report)
     }
@@ -141,6 +155,11 @@ fn port(port: &PortStatus, hangs: bool) -> Value {
         "buffer_bytes": port.buffer.granted_bytes,
         "buffer_bytes_wanted": port.buffer.wanted_bytes,
     })
+}
+
+fn recording(recording: &RecordingStatus) -> Value {
+    let RecordingStatus { path, files, datagrams, refused, trouble } = recording;
+    json!({ "path": path, "files": files, "datagrams": datagrams, "refused": refused, "trouble": trouble })
 }
 
 /// Answers until the daemon ends.

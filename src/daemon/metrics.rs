@@ -1,6 +1,7 @@
 //! The counters in the words of Prometheus: names, labels, units. Nothing is kept here; each request reads the atomics.
 
 use std::fmt;
+use std::iter::once;
 use std::sync::Arc;
 
 use prometheus_client::collector::Collector;
@@ -12,6 +13,7 @@ use super::counters::{Gps, Reject, SensorCounters, Stage};
 use super::health::View;
 use super::runtime::{PortStatus, SensorStatus};
 use super::state::State;
+use super::tee::RecordingStatus;
 
 /// What [`encode`] writes.
 pub const CONTENT_TYPE: &str = "application/openmetrics-text; version=1.0.0; charset=utf-8";
@@ -22,7 +24,8 @@ pub const CONTENT_TYPE: &str = "application/openmetrics-text; version=1.0.0; cha
 /// None that this format could not hold; what writes to it may fail.
 pub fn encode(view: &View) -> Result<String, fmt::Error> {
     let states = view.states.iter().map(|&(state, _)| state).collect();
-    let snapshot = Snapshot { sensors: Arc::clone(&view.sensors), ports: Arc::clone(&view.ports), states };
+    let (sensors, ports, recording) = (Arc::clone(&view.sensors), Arc::clone(&view.ports), view.recording.clone());
+    let snapshot = Snapshot { sensors, ports, states, recording };
     let mut registry = Registry::with_prefix("sweepd");
     registry.register_collector(Box::new(snapshot));
     let mut out = String::new();
@@ -34,6 +37,7 @@ struct Snapshot {
     sensors: Arc<[SensorStatus]>,
     ports: Arc<[PortStatus]>,
     states: Vec<State>,
+    recording: Option<RecordingStatus>,
 }
 
 impl fmt::Debug for Snapshot {
@@ -76,6 +80,7 @@ impl Collector for Snapshot {
     fn encode(&self, mut encoder: DescriptorEncoder<'_>) -> fmt::Result {
         self.sensor_totals(&mut encoder)?;
         self.port_totals(&mut encoder)?;
+        self.recording(&mut encoder)?;
         self.gauges(&mut encoder)?;
         self.stages(&mut encoder)
     }
@@ -112,6 +117,21 @@ impl Snapshot {
         family(encoder, "dropped", help, all(|port| port.counters.dropped.get()))?;
         let help = "Datagrams not let in, by reason";
         family(encoder, "rejected", help, self.ports.iter().flat_map(rejected))
+    }
+
+    fn recording(&self, encoder: &mut DescriptorEncoder<'_>) -> fmt::Result {
+        let Some(RecordingStatus { datagrams, refused, trouble, .. }) = &self.recording else { return Ok(()) };
+        let none: Labels<'_, 0> = [];
+        family(encoder, "recorded", "Datagrams written by [record]", once((none, Total(*datagrams))))?;
+        let help = "Datagrams that found no room, since the disk is too slow or failed";
+        family(encoder, "unrecorded", help, once((none, Total(*refused))))?;
+        let failed = f64::from(u8::from(trouble.is_some()));
+        family(
+            encoder,
+            "recording_failed",
+            "1 while nothing is recorded, though it should be",
+            once((none, Now(failed))),
+        )
     }
 
     fn gauges(&self, encoder: &mut DescriptorEncoder<'_>) -> fmt::Result {

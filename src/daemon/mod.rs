@@ -21,7 +21,7 @@ pub mod plan;
 pub mod port;
 pub mod runtime;
 pub mod sensor;
-mod share;
+mod shared_memory;
 pub mod sharing;
 pub mod state;
 pub mod sys;

@@ -152,10 +152,8 @@ impl<B: Buffers<Buffer: Outgoing>> Port<B> {
         while let Ok(next) = lanes.try_recv() {
             *lane = next;
         }
-        // Known for sure before the batch; what is dropped while it is fetched is told with the next sweep.
-        let dropped = source.dropped_so_far();
         let mut newest_ns = None;
-        for addressed in source.receive_addressed(timeout)? {
+        for (addressed, dropped) in source.receive_counted(timeout)? {
             let datagram = addressed.datagram();
             match door.admit(&datagram) {
                 Ok(Admitted::Data(index)) => {

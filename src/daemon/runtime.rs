@@ -20,7 +20,6 @@ use super::sensor::{Event, Identity, Sensor};
 use super::sharing::{Sharing, SharingError, SharingStatus};
 use super::sys;
 use super::tee::Tees;
-use crate::capture::RecordError;
 use crate::capture::record::Lane;
 use crate::capture::udp::ReceiveBuffer;
 use crate::capture::{UdpError, UdpSource};
@@ -45,9 +44,6 @@ pub enum DaemonError {
         /// Why not.
         source: SharingError,
     },
-    /// What is received cannot be recorded.
-    #[error(transparent)]
-    Record(#[from] RecordError),
     /// No sweep of a sensor can be segmented like that.
     #[error("{sensor}: {source}")]
     Segmenting {
@@ -57,7 +53,10 @@ pub enum DaemonError {
         source: ConfigError,
     },
     /// The address for health and metrics cannot be had.
-    #[error("cannot serve health and metrics on http://{address}: {source}; choose another address in [daemon] http")]
+    #[error(
+        "cannot serve health and metrics on http://{address}: {source}; if no other daemon runs already, choose another \
+         address with `http` in the configuration, or \"off\""
+    )]
     Http {
         /// The address.
         address: SocketAddr,
@@ -135,12 +134,12 @@ pub struct Runtime {
 }
 
 impl Runtime {
-    /// Opens everything, then starts the threads: when this returns, all sockets are bound, all sensors have their way
-    /// out, and every thread has made its first round.
+    /// Opens everything, begins the recording, then starts the threads: when this returns, all sockets are bound, all sensors
+    /// have their way out, and every thread has made its first round.
     ///
     /// # Errors
     /// [`DaemonError`]; then nothing is left running.
-    pub fn start<S: Sharing>(config: &Config, sharing: &S, tees: &Tees) -> Result<Self, DaemonError> {
+    pub fn start<S: Sharing>(config: &Config, sharing: &S, tees: &mut Tees) -> Result<Self, DaemonError> {
         // Ports first: who holds them already is told before anything is reserved.
         let mut sockets = Vec::new();
         for plan in plan::ports(config) {
@@ -152,8 +151,10 @@ impl Runtime {
         for (index, sensor) in config.sensors.iter().enumerate() {
             let bound = |plan: &PortPlan| plan.sensors.contains(&index);
             let port = sockets.iter().find(|(_, plan)| bound(plan)).map_or(0, |(source, _)| source.local_addr().port());
-            ready.insert(index, hall.enter(index, sensor, port, (sharing, tees), &told)?);
+            ready.insert(index, hall.enter(index, sensor, port, (sharing, &*tees), &told)?);
         }
+        // Now that it may run: a daemon that cannot, again and again, begins no files.
+        tees.begin(config.record.as_ref());
         let over = Arc::new(AtomicBool::new(false));
         let sensors = hall.statuses.into();
         let (ports, lanes, threads) = (Arc::new([]), Vec::new(), Vec::new());

@@ -89,6 +89,8 @@ impl Shared {
 struct Tapped {
     name: String,
     outlet: Outlet,
+    /// Where that ended at the last look.
+    end: u64,
     valve: Arc<Valve>,
     /// Of [`Valve::refused`], how many are known.
     refused: u64,
@@ -123,7 +125,7 @@ impl Taps {
         let (inlet, outlet) = ring(RING_BYTES);
         let valve = Arc::new(Valve::default());
         let (name, of_tap) = (name.to_owned(), Arc::clone(&valve));
-        self.shared.new_sensors().push(Tapped { name, outlet, valve, refused: 0 });
+        self.shared.new_sensors().push(Tapped { name, outlet, end: 0, valve, refused: 0 });
         Tap { inlet, valve: of_tap }
     }
 }

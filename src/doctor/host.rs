@@ -5,7 +5,7 @@ use std::path::Path;
 
 use super::observe::{Host, Interface, RootTrouble};
 use super::sys;
-use crate::publish::Domain;
+use crate::publish::{self, Domain};
 
 /// Looks at this host; `root` is the folder of iceoryx2's files, if it is not the default. What cannot be found out is left
 /// out.
@@ -13,7 +13,7 @@ pub fn look(root: Option<&Path>) -> Host {
     Host {
         interfaces: interfaces(),
         rmem_max: read("/proc/sys/net/core/rmem_max"),
-        shared: sys::file_system(c"/dev/shm").ok(),
+        shared: publish::memory_bytes().ok(),
         root_trouble: root_trouble(&Domain::at_or_default(root)),
     }
 }

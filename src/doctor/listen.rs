@@ -5,7 +5,8 @@ use std::time::{Duration, Instant};
 
 use super::observe::{Heard, Port, PositionSender, Sensor};
 use super::plan::Plan;
-use crate::capture::{Gate, Route, UdpError, UdpSource};
+use crate::capture::gate::Entry;
+use crate::capture::{Gate, UdpError, UdpSource};
 use crate::pipeline::{Config, Notice, Pipeline, Untimed};
 use crate::segment::ConfigError;
 use crate::sweep::layout::{TimeSource, flags};
@@ -35,7 +36,7 @@ struct Ear {
     source: UdpSource,
     gate: Gate,
     others: Vec<(SocketAddr, u64)>,
-    /// By number of the sensor at the gate.
+    /// By place of the sender at the gate.
     patients: Vec<Patient>,
 }
 
@@ -108,23 +109,22 @@ impl Ear {
         let mut telemetry = Vec::new();
         for datagram in self.source.receive(TURN)? {
             match self.gate.admit(&datagram) {
-                Route::Data(index) => {
-                    while self.patients.len() <= index.get() {
-                        let sensor = &self.gate.sensors()[self.patients.len()];
+                Some(Entry::Data(index)) => {
+                    while let Some(sender) = self.gate.senders().get(self.patients.len()) {
                         // Nobody asks for another segmentation than the usual one, which is possible.
-                        let Ok(patient) = Patient::new(sensor.source, sensor.destination_port) else { break };
+                        let Ok(patient) = Patient::new(sender.source, sender.destination_port) else { break };
                         self.patients.push(patient);
                     }
-                    if let Some(patient) = self.patients.get_mut(index.get()) {
+                    if let Some(patient) = index.and_then(|index| self.patients.get_mut(index)) {
                         patient.takes(&datagram);
                     }
                 }
-                Route::Position(_) => {
+                Some(Entry::Position) => {
                     note_position(positions, &datagram);
                     let Datagram { arrival_ns, source, destination_port, payload } = datagram;
                     telemetry.push(Telemetry { arrival_ns, source, destination_port, payload: payload.to_vec() });
                 }
-                Route::Other(_) => note_other(&mut self.others, datagram.source),
+                None => note_other(&mut self.others, datagram.source),
             }
         }
         Ok(telemetry)

@@ -96,7 +96,7 @@ pub struct Finding {
     pub topic: Topic,
     /// What was found.
     pub what: String,
-    /// How to mend it; empty where nothing is to be done.
+    /// How to mend it; a line for each thing to try, and empty where nothing is to be done.
     pub cure: String,
 }
 

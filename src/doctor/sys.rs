@@ -1,10 +1,9 @@
-//! What of this host no safe crate at hand tells: its addresses, the size of shared memory, and what this user may write.
+//! What of this host no safe crate at hand tells: its addresses, and what this user may write.
 
 #![allow(unsafe_code)]
 
 use std::ffi::{CStr, CString};
 use std::io;
-use std::mem::MaybeUninit;
 use std::net::Ipv4Addr;
 use std::os::unix::ffi::OsStrExt;
 use std::path::Path;
@@ -54,20 +53,6 @@ fn ipv4(address: *const libc::sockaddr) -> Option<Ipv4Addr> {
     // SAFETY: of this family it is a sockaddr_in; it may lie less aligned than that asks for.
     let address = unsafe { address.cast::<libc::sockaddr_in>().read_unaligned() };
     Some(Ipv4Addr::from(u32::from_be(address.sin_addr.s_addr)))
-}
-
-/// Bytes of a file system: all, and free (statvfs(3)).
-pub(super) fn file_system(path: &CStr) -> io::Result<(u64, u64)> {
-    let mut numbers = MaybeUninit::<libc::statvfs>::zeroed();
-    // SAFETY: a path that ends in a zero, and room for the numbers; the call keeps neither.
-    if unsafe { libc::statvfs(path.as_ptr(), numbers.as_mut_ptr()) } != 0 {
-        return Err(io::Error::last_os_error());
-    }
-    // SAFETY: zeroes are a value of this struct of numbers, and the call has filled it in.
-    let numbers = unsafe { numbers.assume_init() };
-    #[allow(clippy::unnecessary_cast, reason = "32 bits have other types")]
-    let [blocks, free, size] = [numbers.f_blocks as u64, numbers.f_bavail as u64, numbers.f_frsize as u64];
-    Ok((blocks.saturating_mul(size), free.saturating_mul(size)))
 }
 
 /// Whether this user may make files in a folder (access(2)).

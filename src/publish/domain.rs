@@ -9,6 +9,7 @@ use iceoryx2::config::Config;
 use iceoryx2::prelude::*;
 
 use super::{SHARED_MEMORY, service_hash};
+use crate::host::{own_uid, user_name};
 
 /// Environment variable that names the folder.
 const VARIABLE: &str = "SWEEPD_ROOT";
@@ -120,7 +121,7 @@ impl Domain {
             Err(error) if error.kind() == io::ErrorKind::NotFound => return Ok(false),
             Err(error) => return Err(unusable(error)),
         };
-        let own = fs::metadata("/proc/self").map_err(unusable)?.uid();
+        let own = own_uid();
         if owner != own {
             let root = self.root.clone();
             return Err(DomainError::OtherUser { root, owner: user_name(owner), own: user_name(own) });
@@ -164,22 +165,18 @@ impl Domain {
         self.root.join(service.directory.to_string()).join(file)
     }
 
+    /// The file that the publisher of a service holds locked.
+    #[cfg(feature = "daemon")]
+    pub(super) fn claim_file(&self, name: &ServiceName) -> PathBuf {
+        let hash = service_hash(name, MessagingPattern::PublishSubscribe);
+        self.root.join(format!("{}{}.claim", self.prefix(), hash.as_str()))
+    }
+
     /// The folder of a node, there as long as others can find it.
     #[cfg(feature = "daemon")]
     pub(super) fn node_folder(&self, node: &iceoryx2::identifiers::UniqueNodeId) -> PathBuf {
         self.root.join(Config::default().global.node.directory.to_string()).join(node.value().to_string())
     }
-}
-
-/// The name of a user, or the number where it has none.
-fn user_name(uid: u32) -> String {
-    let users = fs::read_to_string("/etc/passwd").unwrap_or_default();
-    let of_line = |line: &str| {
-        let mut fields = line.split(':');
-        let (name, number) = (fields.next()?, fields.nth(1)?);
-        (number.parse() == Ok(uid)).then(|| name.to_owned())
-    };
-    users.lines().find_map(of_line).unwrap_or_else(|| format!("number {uid}"))
 }
 
 #[cfg(test)]
@@ -198,13 +195,11 @@ mod tests {
     #[test]
     fn a_folder_of_another_user_is_refused_with_both_names() {
         // Whoever runs this is not the owner of both: /proc/1 is root's, nobody's are rare.
-        let own = fs::metadata("/proc/self").unwrap().uid();
+        let own = own_uid();
         let other = if own == 0 { None } else { Some("/proc/1") };
         if let Some(root) = other {
             let error = Domain::at(root).exists().unwrap_err().to_string();
             assert!(error.contains("user root") && error.contains(&user_name(own)), "{error}");
         }
-        assert_eq!(user_name(0), "root");
-        assert_eq!(user_name(4_000_000_000), "number 4000000000");
     }
 }

@@ -1,24 +1,16 @@
 //! The daemon's side: room for sweeps on loan, and the way to the consumers.
 
 use std::fmt::Debug;
-use std::fs;
-use std::path::PathBuf;
-use std::sync::atomic::{AtomicU64, AtomicUsize, Ordering};
+use std::sync::atomic::{AtomicBool, AtomicU64, AtomicUsize, Ordering};
 use std::sync::{Arc, Mutex, PoisonError};
 use std::time::{Duration, Instant};
 
 use iceoryx2::port::notifier::Notifier;
-use iceoryx2::prelude::*;
-use iceoryx2::service::builder::publish_subscribe::{PublishSubscribeCreateError, PublishSubscribeOpenError};
-use iceoryx2::service::port_factory::PortFactory as _;
-use iceoryx2::service::port_factory::publish_subscribe::PortFactory;
 
-use super::files::{Fate, ServiceFile};
-use super::pool::{Loan, Pool};
-use super::{BORROWED, BUFFERED, Domain, DomainError, HISTORY, Ipc, MORE_NODES, PUBLISHERS, Preamble};
-use super::{SHARED_MEMORY, attribute, attributes, node, same_schema, service_name};
+use super::pool::Loan;
+use super::service::Service;
+use super::{Domain, DomainError, Ipc, Preamble, SHARED_MEMORY};
 use crate::sweep::buffers::HeapBuffer;
-use crate::sweep::layout::LAYOUT_VERSION;
 use crate::sweep::{Buffers, HeapBuffers};
 
 /// How often the service is looked after: whether its files are there, and whether what failed can be had by now.
@@ -55,15 +47,6 @@ pub enum PublishError {
          this sensor another name"
     )]
     Taken {
-        /// The name.
-        name: String,
-    },
-    /// Consumers hold on to what a daemon of another version has made.
-    #[error(
-        "consumers of `{name}` still hold what another version of sweepd has published; restart them, so that this one \
-         (layout {LAYOUT_VERSION}) can begin"
-    )]
-    OtherVersion {
         /// The name.
         name: String,
     },
@@ -107,6 +90,8 @@ pub struct Status {
     reserved_bytes: AtomicU64,
     unshared: AtomicU64,
     renewed: AtomicU64,
+    /// Whether there is a text: so that nobody locks where all is well.
+    is_troubled: AtomicBool,
     trouble: Mutex<Option<String>>,
 }
 
@@ -136,8 +121,18 @@ impl Status {
         self.trouble.lock().unwrap_or_else(PoisonError::into_inner).clone()
     }
 
-    fn set_trouble(&self, trouble: Option<&PublishError>) {
-        *self.trouble.lock().unwrap_or_else(PoisonError::into_inner) = trouble.map(ToString::to_string);
+    fn set_trouble(&self, error: &PublishError) {
+        // That nothing is shared is told with its reason, which is another.
+        if !matches!(error, PublishError::NotShared) {
+            *self.trouble.lock().unwrap_or_else(PoisonError::into_inner) = Some(error.to_string());
+            self.is_troubled.store(true, Ordering::Relaxed);
+        }
+    }
+
+    fn set_well(&self) {
+        if self.is_troubled.swap(false, Ordering::Relaxed) {
+            *self.trouble.lock().unwrap_or_else(PoisonError::into_inner) = None;
+        }
     }
 }
 
@@ -152,6 +147,8 @@ pub struct Loans {
     service: Option<Service>,
     status: Arc<Status>,
     looked: Instant,
+    /// No room was to be had: that is tried again at the next look, not for each sweep.
+    has_failed: bool,
     heap: HeapBuffers,
     is_shared: bool,
 }
@@ -159,25 +156,8 @@ pub struct Loans {
 impl Default for Loans {
     /// Memory of this process alone, for who shares nothing.
     fn default() -> Self {
-        let settings = Settings::default();
-        let (status, looked, heap) = (Arc::default(), Instant::now(), HeapBuffers::default());
-        Self { domain: Domain::default(), settings, service: None, status, looked, heap, is_shared: false }
+        Self::with(Domain::default(), Settings::default(), None)
     }
-}
-
-/// A service that is open. Dropped in this order: the pools before what they belong to.
-#[derive(Debug)]
-struct Service {
-    pool: Option<Pool>,
-    /// The pool before, of which a sweep may still be out.
-    retired: Option<Pool>,
-    notifier: Arc<Notifier<Ipc>>,
-    samples: PortFactory<Ipc, [u8], Preamble>,
-    /// By which consumers find it.
-    files: [ServiceFile; 2],
-    /// There as long as others can find the node.
-    node_folder: PathBuf,
-    _node: Node<Ipc>,
 }
 
 impl Loans {
@@ -186,10 +166,13 @@ impl Loans {
     /// # Errors
     /// [`PublishError`].
     pub fn create(domain: &Domain, settings: &Settings) -> Result<Self, PublishError> {
-        let (domain, settings) = (domain.clone(), settings.clone());
-        let service = Some(Service::open(&domain, &settings)?);
-        let (status, looked, heap) = (Arc::default(), Instant::now(), HeapBuffers::default());
-        Ok(Self { domain, settings, service, status, looked, heap, is_shared: true })
+        let service = Service::open(domain, settings)?;
+        Ok(Self::with(domain.clone(), settings.clone(), Some(service)))
+    }
+
+    fn with(domain: Domain, settings: Settings, service: Option<Service>) -> Self {
+        let (is_shared, status, heap) = (service.is_some(), Arc::default(), HeapBuffers::default());
+        Self { domain, settings, service, status, looked: Instant::now(), has_failed: false, heap, is_shared }
     }
 
     /// Takes the memory for sweeps of up to so many bytes now.
@@ -198,10 +181,9 @@ impl Loans {
     /// [`PublishError::Memory`], where there is not enough.
     pub fn reserve(&mut self, bytes: usize) -> Result<(), PublishError> {
         let Some(service) = &mut self.service else { return Err(PublishError::NotShared) };
-        service.reserve(&self.domain, bytes)?;
-        let reserved = service.pool.as_ref().map_or(0, |pool| pool.reserved_bytes);
-        self.status.reserved_bytes.store(reserved, Ordering::Relaxed);
-        Ok(())
+        let done = service.reserve(&self.domain, bytes);
+        self.status.reserved_bytes.store(service.reserved_bytes(), Ordering::Relaxed);
+        done
     }
 
     /// How the sharing goes.
@@ -218,24 +200,25 @@ impl Loans {
             self.looked = Instant::now();
             self.look_after()?;
         }
-        let has_room = |service: &Service| service.pool.as_ref().is_some_and(|pool| pool.sweep_bytes >= bytes);
-        let failed = self.status.reserved_bytes() == 0 && self.status.unshared() > 0;
-        if !self.service.as_ref().is_some_and(has_room) && (is_time || !failed) {
-            self.reserve(bytes)?;
+        let has_room = self.service.as_ref().is_some_and(|service| service.has_room(bytes));
+        if !has_room && (is_time || !self.has_failed) {
+            let done = self.reserve(bytes);
+            let can_free = self.service.as_ref().is_some_and(|service| service.has_more_to_give_up());
+            self.has_failed = done.is_err() && !can_free;
+            done?;
         }
-        let Some(Service { pool: Some(pool), notifier, .. }) = &self.service else {
-            return Err(PublishError::NotShared);
-        };
-        Ok((pool.loan(bytes)?, Arc::clone(notifier)))
+        let Some(service) = &self.service else { return Err(PublishError::NotShared) };
+        self.status.consumers.store(service.consumers(), Ordering::Relaxed);
+        service.loan(bytes)
     }
 
     /// Makes the service anew when its files are gone: nobody would find it any more, and nobody is told.
     fn look_after(&mut self) -> Result<(), PublishError> {
-        let is_well = self.service.as_ref().is_some_and(|service| service.is_findable());
-        if is_well {
-            if let Some(pool) = self.service.as_ref().and_then(|service| service.pool.as_ref()) {
-                pool.greet();
-            }
+        if let Some(service) = &mut self.service
+            && service.is_findable()
+        {
+            service.tidy();
+            self.status.reserved_bytes.store(service.reserved_bytes(), Ordering::Relaxed);
             return Ok(());
         }
         // First the old one goes: on its way out it removes files by name. So do consumers, with those of the new one: those
@@ -254,123 +237,13 @@ impl Buffers for Loans {
     fn take(&mut self, bytes: usize) -> Slot {
         let status = Arc::clone(&self.status);
         let memory = match self.loan(bytes) {
-            Ok((loan, notifier)) => {
-                if let Some(service) = &self.service {
-                    status.consumers.store(service.samples.dynamic_config().number_of_subscribers(), Ordering::Relaxed);
-                }
-                Memory::Shared(loan, notifier)
-            }
+            Ok((loan, notifier)) => Memory::Shared(loan, notifier),
             Err(error) => {
-                if !matches!(error, PublishError::NotShared) {
-                    status.set_trouble(Some(&error));
-                }
+                status.set_trouble(&error);
                 Memory::Own(self.heap.take(bytes), error)
             }
         };
         Slot { memory, status }
-    }
-}
-
-impl Service {
-    fn open(domain: &Domain, settings: &Settings) -> Result<Self, PublishError> {
-        domain.prepare()?;
-        let name = service_name(&settings.name).ok_or_else(|| PublishError::Name { name: settings.name.clone() })?;
-        let node = node(domain).map_err(PublishError::service)?;
-        let samples = open_samples(&node, &name, domain, settings)?;
-        let event = node
-            .service_builder(&name)
-            .event()
-            .max_notifiers(PUBLISHERS)
-            .max_listeners(settings.max_consumers + MORE_NODES)
-            .max_nodes(settings.max_consumers + MORE_NODES)
-            .open_or_create()
-            .map_err(PublishError::service)?;
-        // Its publisher comes with the first sweep, its notifier at once.
-        if samples.dynamic_config().number_of_publishers() > 0 || event.dynamic_config().number_of_notifiers() > 0 {
-            return Err(PublishError::Taken { name: settings.name.clone() });
-        }
-        let notifier = Arc::new(event.notifier_builder().create().map_err(PublishError::service)?);
-        let read = |pattern| ServiceFile::read(&domain.service_file(&name, pattern));
-        let (Some(one), Some(other)) = (read(MessagingPattern::PublishSubscribe), read(MessagingPattern::Event)) else {
-            return Err(PublishError::Service { what: "the files of the service vanished at once".to_owned() });
-        };
-        let node_folder = domain.node_folder(node.id());
-        Ok(Self { pool: None, retired: None, notifier, samples, files: [one, other], node_folder, _node: node })
-    }
-
-    fn reserve(&mut self, domain: &Domain, bytes: usize) -> Result<(), PublishError> {
-        // The one before that goes first: a pool at a time is what the memory was made for.
-        self.retired = None;
-        self.retired = self.pool.take();
-        self.pool = Some(Pool::create(&self.samples, domain, bytes)?);
-        Ok(())
-    }
-
-    /// Whether consumers find it. A file that a consumer of the service before took with it is put back.
-    fn is_findable(&self) -> bool {
-        let is_there = |file: &ServiceFile| match file.fate() {
-            Fate::Same => true,
-            Fate::Gone => file.restore().is_ok(),
-            Fate::Other => false,
-        };
-        self.node_folder.is_dir() && self.files.iter().all(is_there)
-    }
-}
-
-/// Creates the service, or opens the one that consumers of the daemon before still hold.
-fn open_samples(
-    node: &Node<Ipc>,
-    name: &ServiceName,
-    domain: &Domain,
-    settings: &Settings,
-) -> Result<PortFactory<Ipc, [u8], Preamble>, PublishError> {
-    let builder = || node.service_builder(name).publish_subscribe::<[u8]>().user_header::<Preamble>();
-    let mut described = AttributeSpecifier::new();
-    let schema = LAYOUT_VERSION.to_string();
-    let pairs =
-        [(attributes::SCHEMA, &schema), (attributes::MODEL, &settings.model), (attributes::ADDRESS, &settings.address)];
-    for (key, value) in pairs.into_iter().filter(|(_, value)| !value.is_empty()) {
-        if let Some((key, value)) = attribute(key, value) {
-            described = described.define(&key, &value).map_err(PublishError::service)?;
-        }
-    }
-    let mut mended = false;
-    loop {
-        let created = builder()
-            .max_publishers(PUBLISHERS)
-            .max_subscribers(settings.max_consumers)
-            .max_nodes(settings.max_consumers + MORE_NODES)
-            .subscriber_max_buffer_size(BUFFERED)
-            .subscriber_max_borrowed_samples(BORROWED)
-            .history_size(HISTORY)
-            .enable_safe_overflow(true)
-            .create_with_attributes(&described);
-        let opened = match created {
-            Err(PublishSubscribeCreateError::AlreadyExists) => builder().open_with_attributes(&same_schema()),
-            Err(PublishSubscribeCreateError::ServiceInCorruptedState) => {
-                Err(PublishSubscribeOpenError::ServiceInCorruptedState)
-            }
-            other => return other.map_err(PublishError::service),
-        };
-        match opened {
-            // A crash in the middle, or files that are gone in part: nobody can use it, and nobody else will mend it.
-            Err(PublishSubscribeOpenError::ServiceInCorruptedState | PublishSubscribeOpenError::HangsInCreation)
-                if !mended =>
-            {
-                let _ = fs::remove_file(domain.service_file(name, MessagingPattern::PublishSubscribe));
-                mended = true;
-            }
-            // It went away meanwhile.
-            Err(PublishSubscribeOpenError::DoesNotExist | PublishSubscribeOpenError::IsMarkedForDestruction)
-                if !mended =>
-            {
-                mended = true;
-            }
-            Err(PublishSubscribeOpenError::IncompatibleAttributes | PublishSubscribeOpenError::IncompatibleTypes) => {
-                return Err(PublishError::OtherVersion { name: settings.name.clone() });
-            }
-            other => return other.map_err(PublishError::service),
-        }
     }
 }
 
@@ -405,16 +278,10 @@ impl Slot {
             }
         };
         match &sent {
-            Ok(_) => {
-                if self.status.unshared.load(Ordering::Relaxed) > 0 {
-                    self.status.set_trouble(None);
-                }
-            }
+            Ok(_) => self.status.set_well(),
             Err(error) => {
                 self.status.unshared.fetch_add(1, Ordering::Relaxed);
-                if !matches!(error, PublishError::NotShared) {
-                    self.status.set_trouble(Some(error));
-                }
+                self.status.set_trouble(error);
             }
         }
         sent

@@ -24,6 +24,8 @@ mod files;
 mod loans;
 #[cfg(feature = "daemon")]
 mod pool;
+#[cfg(feature = "daemon")]
+mod service;
 mod subscriber;
 #[cfg(feature = "daemon")]
 mod sys;
@@ -40,7 +42,7 @@ pub use domain::{Domain, DomainError};
 pub use loans::{Loans, PublishError, Settings, Slot, Status};
 pub use subscriber::{Received, SubscribeError, Subscriber};
 #[cfg(feature = "daemon")]
-pub use sys::free_bytes;
+pub use sys::{free_bytes, memory_bytes};
 
 /// The kind of service: its samples may be sent from thread to thread. Consumers with the plain `ipc` kind see the same.
 pub(crate) type Ipc = iceoryx2::service::ipc_threadsafe::Service;

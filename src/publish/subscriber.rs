@@ -1,10 +1,11 @@
 //! A consumer's side: finds the service of a sensor, waits for sweeps, and finds it again after the daemon was restarted or its
 //! files were deleted.
 
+use std::sync::Arc;
 use std::time::{Duration, Instant};
 
 use iceoryx2::port::ReceiveError;
-use iceoryx2::port::listener::Listener;
+use iceoryx2::port::listener::{Listener, ListenerWaitError};
 use iceoryx2::port::subscriber::{Subscriber as Port, SubscriberCreateError};
 use iceoryx2::prelude::*;
 use iceoryx2::sample::Sample;
@@ -80,7 +81,7 @@ pub struct Subscriber {
 /// A service that was found. Dropped in this order.
 #[derive(Debug)]
 struct Open {
-    samples: Port<Ipc, [u8], Preamble>,
+    samples: Arc<Port<Ipc, [u8], Preamble>>,
     listener: Listener<Ipc>,
     service: PortFactory<Ipc, [u8], Preamble>,
     file: ServiceFile,
@@ -92,6 +93,8 @@ struct Open {
 #[derive(Debug)]
 pub struct Received {
     sample: Sample<Ipc, [u8], Preamble>,
+    /// What a subscriber holds is given back with it, even what its samples still look at.
+    _holder: Arc<Port<Ipc, [u8], Preamble>>,
 }
 
 impl Received {
@@ -120,8 +123,8 @@ impl Subscriber {
         Ok(Self { domain, name, service, open: None, looked: Instant::now(), reopened: 0 })
     }
 
-    /// The next sweep; waits for it, and for the daemon if there is none, but at most `timeout`. It comes as soon as it is
-    /// published.
+    /// The next sweep; waits for it, and for the daemon if there is none, but at most `timeout`: less when the program handles
+    /// a signal meanwhile. It comes as soon as it is published.
     ///
     /// # Errors
     /// [`SubscribeError`]: what waiting longer does not mend.
@@ -155,7 +158,11 @@ impl Subscriber {
             if rest.is_zero() {
                 return Ok(None);
             }
-            open.listener.timed_wait(|_| {}, rest.min(LOOK_EVERY)).map_err(SubscribeError::service)?;
+            match open.listener.timed_wait(|_| {}, rest.min(LOOK_EVERY)) {
+                // What it means is the program's to say, which handles it.
+                Err(ListenerWaitError::InterruptSignal) => return Ok(None),
+                woken => woken.map_err(SubscribeError::service)?,
+            };
         }
     }
 
@@ -239,7 +246,7 @@ impl Subscriber {
             SubscriberCreateError::ExceedsMaxSupportedSubscribers => SubscribeError::Full { name: self.name.clone() },
             other => SubscribeError::service(other),
         })?;
-        Ok(Some(Open { samples, listener, service, file, node }))
+        Ok(Some(Open { samples: Arc::new(samples), listener, service, file, node }))
     }
 
     /// What waiting does not mend.
@@ -260,7 +267,7 @@ impl Subscriber {
 impl Open {
     fn receive(&self) -> Result<Option<Received>, SubscribeError> {
         match self.samples.receive() {
-            Ok(sample) => Ok(sample.map(|sample| Received { sample })),
+            Ok(sample) => Ok(sample.map(|sample| Received { sample, _holder: Arc::clone(&self.samples) })),
             Err(ReceiveError::ExceedsMaxBorrows) => Err(SubscribeError::TooManyHeld),
             // The pool of a daemon that is going away: the next look tells.
             Err(ReceiveError::ConnectionFailure(_)) => Ok(None),

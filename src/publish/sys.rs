@@ -18,11 +18,11 @@ pub(super) fn take_pages(file: &File, bytes: u64) -> io::Result<()> {
     }
 }
 
-/// Bytes of shared memory that are free on this host (statvfs(3)).
+/// Bytes of shared memory on this host: all there may be, and those that are free (statvfs(3)).
 ///
 /// # Errors
 /// What the system says.
-pub fn free_bytes() -> io::Result<u64> {
+pub fn memory_bytes() -> io::Result<(u64, u64)> {
     let mut numbers = MaybeUninit::<libc::statvfs>::zeroed();
     // SAFETY: a path that ends in a zero, and room for the numbers; the call keeps neither.
     let done = unsafe { libc::statvfs(c"/dev/shm".as_ptr(), numbers.as_mut_ptr()) };
@@ -32,5 +32,14 @@ pub fn free_bytes() -> io::Result<u64> {
     // SAFETY: zeroes are a value of this struct of numbers, and the call has filled it in.
     let numbers = unsafe { numbers.assume_init() };
     #[allow(clippy::unnecessary_cast, reason = "32 bits have other types")]
-    Ok((numbers.f_bavail as u64).saturating_mul(numbers.f_frsize as u64))
+    let [all, free, unit] = [numbers.f_blocks as u64, numbers.f_bavail as u64, numbers.f_frsize as u64];
+    Ok((all.saturating_mul(unit), free.saturating_mul(unit)))
+}
+
+/// Bytes of shared memory that are free on this host.
+///
+/// # Errors
+/// What the system says.
+pub fn free_bytes() -> io::Result<u64> {
+    memory_bytes().map(|(_, free)| free)
 }

@@ -198,11 +198,13 @@ impl<'a> SweepRef<'a> {
     /// [`LayoutError`].
     pub fn open(bytes: &'a [u8]) -> Result<Self, LayoutError> {
         let (header, _) = Header::ref_from_prefix(bytes).map_err(|_| LayoutError::Bytes { bytes: bytes.len() })?;
-        let shape = checked_shape(header, bytes.len())?;
-        let (margin, columns) = (header.margin_columns as usize, header.columns as usize);
+        // What was checked is what counts, whatever a publisher should write into its header meanwhile.
+        let known = *header;
+        let shape = checked_shape(&known, bytes.len())?;
+        let (margin, columns) = (known.margin_columns as usize, known.columns as usize);
         let (before, pixels) = (margin * shape.rows, columns * shape.rows);
         let part = |part: Part, first: usize, count: usize, size: usize| {
-            let start = header.offsets[part as usize] as usize + first * size;
+            let start = known.offsets[part as usize] as usize + first * size;
             &bytes[start..start + count * size]
         };
         let plane = |one: Part, size: usize| part(one, before, pixels, size);
@@ -218,7 +220,7 @@ impl<'a> SweepRef<'a> {
             kind: other(Part::Kind, 1),
             columns: cast_ref(part(Part::Columns, margin, columns, size_of::<Column>()))?,
             beams: cast_ref(part(Part::Beams, 0, shape.rows, size_of::<BeamRow>()))?,
-            segments: cast_ref(part(Part::Segments, 0, header.segments as usize, size_of::<Segment>()))?,
+            segments: cast_ref(part(Part::Segments, 0, known.segments as usize, size_of::<Segment>()))?,
         })
     }
 
@@ -268,6 +270,9 @@ impl<'a> SweepRef<'a> {
     }
 
     /// The returns of a pixel: the segmented one and the other.
+    ///
+    /// # Panics
+    /// Of a row or a column that the image does not have, as all here that take one.
     pub fn pixel(&self, row: usize, column: usize) -> [Option<Return>; 2] {
         let index = column * self.rows() + row;
         let first = (self.range[index], self.reflectivity[index], self.label[index]);
@@ -392,6 +397,9 @@ impl<'a> Shot<'a> {
 
 #[cfg(test)]
 mod tests {
+    use proptest::collection::vec;
+    use proptest::prelude::*;
+
     use super::*;
     use crate::sensor::Beam;
     use crate::sweep::buffers::{Buffers, HeapBuffers};
@@ -426,6 +434,61 @@ mod tests {
         assert_eq!(SweepRef::open(bytes).err(), Some(LayoutError::Inconsistent));
         bytes[0] = 0;
         assert!(matches!(SweepRef::open(bytes), Err(LayoutError::Version { .. })));
+    }
+
+    /// Everything that can be asked of a sweep, whatever stands in it.
+    fn ask_all(sweep: &SweepRef<'_>) {
+        let (rows, columns) = (sweep.rows(), sweep.columns.len());
+        assert_eq!(
+            (sweep.range.len(), sweep.label.len(), sweep.reflectivity.len()),
+            (rows * columns, rows * columns, rows * columns)
+        );
+        assert_eq!(sweep.segments.len(), sweep.header.segments as usize);
+        let header = sweep.header;
+        let _ = (header.time_source(), header.return_mode(), header.sensor(), header.name());
+        for (row, column) in (0..rows).flat_map(|row| (0..columns).map(move |column| (row, column))) {
+            assert!(sweep.fired_in(row, column) < columns);
+            let azimuth_rad = sweep.azimuth_rad(row, column);
+            assert!(azimuth_rad.is_nan() || (0.0..TAU).contains(&azimuth_rad));
+            let _ = (sweep.time_ns(row, column), sweep.point_m(row, column, f32::MAX));
+            let both = usize::from(!sweep.kind.is_empty());
+            assert!(sweep.pixel(row, column).iter().flatten().count() <= 1 + both);
+        }
+        assert!(sweep.returns().count() <= rows * columns * 2);
+    }
+
+    proptest! {
+        #![proptest_config(ProptestConfig::with_cases(2000))]
+
+        /// A header that anybody wrote, before anything: no panic, and nothing out of bounds.
+        #[test]
+        fn a_hostile_header_does_no_harm(
+            dual in any::<bool>(),
+            noise in any::<u64>(),
+            writes in vec((0_usize..112, prop_oneof![0_u32..12, any::<u32>(), Just(u32::MAX), Just(1 << 31)]), 0..6),
+            cut in prop_oneof![4 => Just(0_usize), 1 => 1_usize..2000],
+        ) {
+            let shape = Shape { dual, ..SHAPE };
+            let mut buffer = HeapBuffers::default().take(shape.total_bytes());
+            let bytes: &mut [u8] = buffer.as_mut();
+            // xorshift64: planes and tables are full of anything.
+            let mut state = noise | 1;
+            for byte in &mut *bytes {
+                (state, *byte) = (state ^ state << 13, state as u8);
+                state ^= state >> 7;
+                state ^= state << 17;
+            }
+            let header = SweepMut::create(bytes, &shape).unwrap().header;
+            (header.columns, header.segments) = (4, 1);
+            let (header, _) = bytes.split_at_mut(size_of::<Header>());
+            for (word, value) in writes {
+                header[word * 4..][..4].copy_from_slice(&value.to_le_bytes());
+            }
+            let len = bytes.len().saturating_sub(cut);
+            if let Ok(sweep) = SweepRef::open(&bytes[..len]) {
+                ask_all(&sweep);
+            }
+        }
     }
 
     /// By hand: azimuth 90 degrees is +x; 30 degrees up at 2 m is 1.732 m out and 1 m up.

@@ -29,7 +29,10 @@ fn check_says_what_will_run_and_what_memory_it_takes() {
     let folder = Folder::new("config-check");
     let file = folder.write("robot.toml", TWO);
     let told = sweepd(&["config", "check", file.to_str().unwrap()]).done();
-    let recording = format!("recording      {}, another file each 500 MB", folder.path("drive.pcap").display());
+    let recording = format!(
+        "recording      {}, numbered, another file each start, each 500 MB",
+        folder.path("drive.pcap").display()
+    );
     for line in [
         "robot.toml: 2 sensors",
         "packets        from 192.168.1.201 to port 2368",
@@ -107,6 +110,16 @@ fn a_file_that_is_no_configuration_is_named() {
     check(&folder.0).says(&["cannot read the configuration", "Is a directory"]);
     check(&folder.write("picture.toml", b"http = \"\xff\xfe\"")).says(&["this is no text"]);
     check(&folder.write("long.toml", vec![b'#'; (1 << 20) + 1])).says(&["more than 1 MiB"]);
+}
+
+#[test]
+fn a_folder_that_cannot_be_had_is_named_by_its_key() {
+    let folder = Folder::new("config-root");
+    let file = folder.write("robot.toml", format!("root = \"/proc/none\"\n{TWO}"));
+    let ran = sweepd(&["run", "--config", file.to_str().unwrap()]);
+    let error = ran.stderr.lines().find(|line| line.starts_with("error: ")).expect(&ran.stderr);
+    assert!(error.contains("/proc/none") && error.contains("`root` in the configuration"), "{error}");
+    assert!(ran.code == 1 && !error.contains("--root"), "{error}");
 }
 
 #[test]

@@ -90,7 +90,10 @@ fn is_whole(ran: &Ran, sent: usize) -> bool {
     let of_daemon = ran.stdout.contains(" on the way");
     let dropped = number(ran, if of_daemon { " on the way" } else { " by the kernel" });
     let lost = dropped + number(ran, " because the disk");
-    let refused: u64 = [" wrong length", " wrong marker", " other source"].map(|word| number(ran, word)).iter().sum();
+    let refused: u64 = [" wrong length", " wrong marker", " wrong azimuth", " other source"]
+        .map(|word| number(ran, word))
+        .iter()
+        .sum();
     assert_eq!(number(ran, " datagram") + lost + refused, sent as u64, "{}", ran.stdout);
     assert_eq!(lost > 0, ran.stderr.contains("warning: "), "{}", ran.stderr);
     if lost > 0 {

@@ -1,5 +1,6 @@
 //! `sweepd watch` of what `sweepd replay --publish` shares, each in a process of its own.
 
+use std::io::{BufRead, BufReader};
 use std::os::unix::process::CommandExt;
 use std::process::{Child, Command, Output, Stdio};
 use std::time::{Duration, Instant};
@@ -101,12 +102,36 @@ fn another_user_gets_nothing_and_is_told_whose_it_is() {
         for file in &shared {
             let file = file.to_str().unwrap();
             assert_ne!(nobody("/usr/bin/head", &["-c", "1", file]).code, 0, "{file} can be read");
-            assert_ne!(nobody("/bin/sh", &["-c", &format!("echo >> {file}")]).code, 0, "{file} can be written");
+            // One that is gone by now is not made.
+            let write = ["if=/dev/null", &format!("of={file}"), "conv=nocreat,notrunc"];
+            assert_ne!(nobody("/bin/dd", &write).code, 0, "{file} can be written");
         }
         assert_ne!(nobody("/bin/ls", &[own.root().to_str().unwrap()]).code, 0);
     }
     child.kill().unwrap();
     child.wait().unwrap();
+}
+
+/// Ctrl-C, in the middle of waiting: that is no error, and what was asked for at the end is shown.
+#[test]
+fn ctrl_c_ends_it_well() {
+    let own = Own::new();
+    let capture = fixture("street_vlp16.pcap.gz");
+    let mut shared =
+        within(&own, &["replay", capture.to_str().unwrap(), "--publish", "roof", "--loop=20"]).spawn().unwrap();
+    for signal in ["-INT", "-TERM"] {
+        let mut watch = within(&own, &["watch", "roof", "--json", "--latency"]).spawn().unwrap();
+        let mut lines = BufReader::new(watch.stdout.take().unwrap()).lines();
+        assert!(lines.next().unwrap().unwrap().contains("\"seq\""));
+        assert!(Command::new("kill").args([signal, &watch.id().to_string()]).status().unwrap().success());
+        // All of them: a reader that goes away in the middle is told by the exit code.
+        let rest: Vec<String> = lines.map(Result::unwrap).collect();
+        assert!(rest.iter().any(|line| line.starts_with("chain: ")), "no histograms");
+        let watched = Ran::of(output(watch));
+        assert_eq!((watched.code, watched.stderr.as_str()), (0, ""), "{signal}");
+    }
+    shared.kill().unwrap();
+    shared.wait().unwrap();
 }
 
 #[test]

@@ -30,17 +30,26 @@ impl Own {
 
     /// Its files in /dev/shm.
     pub fn shared_memory(&self) -> Vec<PathBuf> {
-        let prefix = self.domain().prefix();
-        let files = std::fs::read_dir("/dev/shm").unwrap().map(|entry| entry.unwrap().path());
-        files.filter(|path| path.file_name().unwrap().to_string_lossy().starts_with(&prefix)).collect()
+        shared_memory(&self.domain())
     }
 }
 
 impl Drop for Own {
     fn drop(&mut self) {
-        for path in self.shared_memory() {
-            let _ = std::fs::remove_file(path);
-        }
-        let _ = std::fs::remove_dir_all(&self.root);
+        clear(&self.domain());
     }
+}
+
+fn shared_memory(domain: &Domain) -> Vec<PathBuf> {
+    let prefix = domain.prefix();
+    let files = std::fs::read_dir("/dev/shm").unwrap().map(|entry| entry.unwrap().path());
+    files.filter(|path| path.file_name().unwrap().to_string_lossy().starts_with(&prefix)).collect()
+}
+
+/// Removes all that a domain left, whose programs have ended or were killed.
+pub fn clear(domain: &Domain) {
+    for path in shared_memory(domain) {
+        let _ = std::fs::remove_file(path);
+    }
+    let _ = std::fs::remove_dir_all(domain.root());
 }

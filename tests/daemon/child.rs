@@ -50,7 +50,8 @@ fn runs_a_daemon() {
         new.sensors[0].pipeline.cut_azimuth_rad = 1.0;
         Ok(Reload { config: new, needs_restart: vec!["http needs a restart".to_owned()] })
     };
-    if let Err(error) = control::run(config, &*rig, None, Box::new(reread)) {
+    let root = PathBuf::from(std::env::var(RELOADED).unwrap()).with_file_name("root");
+    if let Err(error) = control::run(config, &*rig, &root, Box::new(reread)) {
         eprintln!("error: {error}");
         std::process::exit(1);
     }
@@ -71,7 +72,7 @@ impl Daemon {
     pub fn start(sensors: &[[u16; 3]], http: u16, watchdog: Duration) -> Self {
         let folder = std::env::temp_dir().join(format!("sweepd-daemon-{}-{http}", std::process::id()));
         let _ = std::fs::remove_dir_all(&folder);
-        std::fs::create_dir(&folder).unwrap();
+        std::fs::create_dir_all(folder.join("root")).unwrap();
         let socket = UnixDatagram::bind(folder.join("notify")).unwrap();
         let numbers = |[host, data, position]: &[u16; 3]| format!("{host} {data} {position} {http}");
         let mut child = Command::new(std::env::current_exe().unwrap())

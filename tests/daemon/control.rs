@@ -1,19 +1,15 @@
 //! The control plane, with the daemon as a process of its own: signals, systemd, health and metrics.
 
-use std::net::{TcpListener, UdpSocket};
+use std::net::UdpSocket;
 use std::time::{Duration, Instant};
 
 use sweepd::sensor::Model;
 use sweepd::wire::data::ReturnMode;
 
 use crate::child::{Daemon, is_free, write};
-use crate::rig::{Sending, free_port, stream, until};
+use crate::rig::{Sending, free_port, free_tcp_port, stream, until};
 
 const WATCHDOG: Duration = Duration::from_millis(400);
-
-fn free_tcp_port() -> u16 {
-    TcpListener::bind("127.0.0.1:0").unwrap().local_addr().unwrap().port()
-}
 
 /// A VLP-16 for so many turns.
 fn vlp16(host: u16, ports: (u16, u16), turns: f64) -> Sending {
@@ -45,7 +41,7 @@ fn a_port_that_is_taken_ends_it_before_it_is_ready() {
     let mut daemon = Daemon::start(&[[72, free_port(), port]], free_tcp_port(), WATCHDOG);
     assert!(!daemon.end().success());
     assert_eq!(daemon.notified("READY=1", None), [""; 0]);
-    until("it says why", || daemon.log().contains(&format!("error: port {port} is taken")));
+    until("it says why", || daemon.log().contains(&format!("error: port {port} is held by ")));
 }
 
 #[test]

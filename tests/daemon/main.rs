@@ -3,5 +3,8 @@
 mod child;
 mod control;
 mod counting;
+#[path = "../common/domain.rs"]
+mod domain;
 mod ports;
+mod record;
 mod rig;

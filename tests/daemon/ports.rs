@@ -58,7 +58,7 @@ fn measured(sweep: &HeapBuffer) -> (i64, Vec<u32>, Vec<u32>, Vec<u8>, usize) {
 fn what_a_sensor_sends_comes_out_as_in_a_replay_with_the_times_of_this_host() {
     let (rig, sweeps) = Rig::new();
     let begun_ns = SystemTime::UNIX_EPOCH.elapsed().unwrap().as_nanos() as i64;
-    let runtime = Runtime::start(&config(vec![sensor("roof", 11, (0, 0))]), &rig, &Tees::default()).unwrap();
+    let runtime = Runtime::start(&config(vec![sensor("roof", 11, (0, 0))]), &rig, &mut Tees::default()).unwrap();
     assert_eq!(runtime.ports.len(), 1, "the data port is the position port too");
     let port = runtime.ports[0].local.port();
     let sent = stream(Model::Vlp16, SINGLE, 4.5);
@@ -101,7 +101,7 @@ fn what_a_sensor_sends_comes_out_as_in_a_replay_with_the_times_of_this_host() {
 fn two_sensors_on_one_port_are_told_apart_by_their_address() {
     let (rig, sweeps) = Rig::new();
     let both = config(vec![sensor("left", 21, (0, 0)), sensor("right", 22, (0, 0))]);
-    let runtime = Runtime::start(&both, &rig, &Tees::default()).unwrap();
+    let runtime = Runtime::start(&both, &rig, &mut Tees::default()).unwrap();
     let port = runtime.ports[0].local.port();
     let streams = [(Model::Vlp16, 21), (Model::Hdl32e, 22)].map(|(model, host)| (host, stream(model, SINGLE, 3.2)));
     let sending = streams.clone().map(|(host, stream)| Sending::start(host, (port, port), stream));
@@ -124,7 +124,7 @@ fn a_steady_stream_of_packets_allocates_nothing_on_the_thread_of_its_port() {
     let (rig, sweeps) = Rig::new();
     let data = free_port();
     let two = config(vec![sensor("roof", 25, (data, data)), sensor("rear", 26, (free_port(), data))]);
-    let runtime = Runtime::start(&two, &rig, &Tees::default()).unwrap();
+    let runtime = Runtime::start(&two, &rig, &mut Tees::default()).unwrap();
     // Buffers come back at once.
     let consumer = std::thread::spawn(move || sweeps.iter().for_each(drop));
     let [foreign, rear] = [27, 26].map(|host| UdpSocket::bind((Ipv4Addr::new(127, 0, 0, host), 0)).unwrap());
@@ -152,7 +152,7 @@ fn an_hdl64e_tells_its_calibration_and_then_streams() {
     let (rig, sweeps) = Rig::new();
     let mut one = sensor("roof", 28, (0, 0));
     one.pipeline.model = Some(Model::Hdl64eS3);
-    let runtime = Runtime::start(&config(vec![one]), &rig, &Tees::default()).unwrap();
+    let runtime = Runtime::start(&config(vec![one]), &rig, &mut Tees::default()).unwrap();
     let port = runtime.ports[0].local.port();
     let sending = Sending::start(28, (port, port), stream(Model::Hdl64eS3, SINGLE, 16.0));
     let told = runtime.events.recv_timeout(Duration::from_secs(20)).unwrap();
@@ -176,7 +176,7 @@ fn a_sensor_of_the_wrong_model_may_be_exchanged_for_the_right_one() {
     one.pipeline.model = Some(Model::Vlp16);
     // A core that there is not, and perhaps no right to be urgent, are no reason not to start.
     (one.port.cpu, one.port.realtime_priority) = (Some(1_000), Some(1));
-    let runtime = Runtime::start(&config(vec![one]), &rig, &Tees::default()).unwrap();
+    let runtime = Runtime::start(&config(vec![one]), &rig, &mut Tees::default()).unwrap();
     let port = runtime.ports[0].local.port();
     Sending::start(29, (port, port), stream(Model::Hdl32e, SINGLE, 1.5)).finish();
     let told = runtime.events.recv_timeout(Duration::from_secs(5)).unwrap();
@@ -195,7 +195,7 @@ fn three_sensors_on_three_ports_get_their_position_packets_from_a_fourth() {
     let hosts = [31, 32, 33];
     let ports = hosts.map(|_| free_port());
     let sensors = hosts.iter().zip(ports).map(|(&host, port)| sensor(&format!("s{host}"), host, (port, positions)));
-    let runtime = Runtime::start(&config(sensors.collect()), &rig, &Tees::default()).unwrap();
+    let runtime = Runtime::start(&config(sensors.collect()), &rig, &mut Tees::default()).unwrap();
     assert_eq!(runtime.ports.len(), 4);
     let sent = stream(Model::Vlp16, SINGLE, 3.2);
     let sending = [0, 1, 2].map(|index| Sending::start(hosts[index], (ports[index], positions), sent.clone()));
@@ -220,7 +220,7 @@ fn foreign_datagrams_change_nothing_but_a_counter() {
     let (rig, sweeps) = Rig::new();
     let (data, position) = (free_port(), free_port());
     let two = config(vec![sensor("roof", 41, (data, position)), sensor("rear", 42, (free_port(), position))]);
-    let runtime = Runtime::start(&two, &rig, &Tees::default()).unwrap();
+    let runtime = Runtime::start(&two, &rig, &mut Tees::default()).unwrap();
     let sent = stream(Model::Vlp16, SINGLE, 40.0);
     let sending = Sending::start(41, (data, position), sent.clone());
     let counters = &runtime.ports[0].counters;
@@ -274,7 +274,7 @@ fn foreign_datagrams_change_nothing_but_a_counter() {
 fn another_configuration_is_taken_while_the_sensor_streams() {
     let (rig, sweeps) = Rig::new();
     let one = config(vec![sensor("roof", 51, (0, 0))]);
-    let runtime = Runtime::start(&one, &rig, &Tees::default()).unwrap();
+    let runtime = Runtime::start(&one, &rig, &mut Tees::default()).unwrap();
     let port = runtime.ports[0].local.port();
     let _sending = Sending::start(51, (port, port), stream(Model::Vlp16, SINGLE, 30.0));
     let counters = &runtime.sensors[0].counters;
@@ -309,16 +309,18 @@ fn a_port_that_is_taken_and_a_sensor_that_cannot_be_shared_are_errors_at_start()
     let (rig, _) = Rig::new();
     let taken = UdpSocket::bind("127.0.0.1:0").unwrap();
     let port = taken.local_addr().unwrap().port();
-    let error = Runtime::start(&config(vec![sensor("roof", 61, (port, port))]), &rig, &Tees::default()).err().unwrap();
-    assert!(error.to_string().contains(&format!("port {port} is taken")), "{error}");
-    let error = Runtime::start(&config(vec![sensor("unshareable", 61, (0, 0))]), &rig, &Tees::default()).err().unwrap();
+    let error =
+        Runtime::start(&config(vec![sensor("roof", 61, (port, port))]), &rig, &mut Tees::default()).err().unwrap();
+    assert!(error.to_string().contains(&format!("port {port} is held by ")), "{error}");
+    let error =
+        Runtime::start(&config(vec![sensor("unshareable", 61, (0, 0))]), &rig, &mut Tees::default()).err().unwrap();
     assert_eq!(error.to_string(), "unshareable: no room in /dev/shm");
 }
 
 #[test]
 fn what_cannot_be_shared_is_told_once_and_the_sensor_goes_on() {
     let (rig, sweeps) = Rig::new();
-    let runtime = Runtime::start(&config(vec![sensor("roof", 62, (0, 0))]), &rig, &Tees::default()).unwrap();
+    let runtime = Runtime::start(&config(vec![sensor("roof", 62, (0, 0))]), &rig, &mut Tees::default()).unwrap();
     let port = runtime.ports[0].local.port();
     rig.fate(Fate::Fails);
     let _sending = Sending::start(62, (port, port), stream(Model::Vlp16, SINGLE, 20.0));
@@ -336,7 +338,8 @@ fn what_cannot_be_shared_is_told_once_and_the_sensor_goes_on() {
 fn a_thread_that_panics_is_found_and_one_that_hangs_does_not_delay_the_end() {
     for fate in [Fate::Panics, Fate::Hangs] {
         let (rig, _sweeps) = Rig::new();
-        let mut runtime = Runtime::start(&config(vec![sensor("roof", 63, (0, 0))]), &rig, &Tees::default()).unwrap();
+        let mut runtime =
+            Runtime::start(&config(vec![sensor("roof", 63, (0, 0))]), &rig, &mut Tees::default()).unwrap();
         assert!(runtime.check().is_ok());
         let port = runtime.ports[0].local.port();
         rig.fate(fate);

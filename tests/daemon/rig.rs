@@ -1,6 +1,6 @@
 //! A daemon whose sweeps the test gets, and sensors that are not there.
 
-use std::net::{Ipv4Addr, SocketAddr, UdpSocket};
+use std::net::{Ipv4Addr, SocketAddr, TcpListener, UdpSocket};
 use std::sync::atomic::{AtomicBool, Ordering};
 use std::sync::mpsc::{self, Receiver, Sender};
 use std::sync::{Arc, Mutex};
@@ -137,6 +137,11 @@ pub fn free_port() -> u16 {
     UdpSocket::bind("127.0.0.1:0").unwrap().local_addr().unwrap().port()
 }
 
+/// The same for TCP.
+pub fn free_tcp_port() -> u16 {
+    TcpListener::bind("127.0.0.1:0").unwrap().local_addr().unwrap().port()
+}
+
 /// A sensor at 127.0.0.`host` whose packets come to ports of 127.0.0.1.
 pub fn sensor(name: &str, host: u8, (data, position): (u16, u16)) -> SensorConfig {
     SensorConfig {
@@ -190,10 +195,15 @@ pub fn stream(model: Model, mode: ReturnMode, turns: f64) -> Vec<Sent> {
 pub struct Sending(Arc<AtomicBool>, Option<JoinHandle<()>>);
 
 impl Sending {
-    pub fn start(host: u8, (data, position): (u16, u16), stream: Vec<Sent>) -> Self {
+    pub fn start(host: u8, ports: (u16, u16), stream: Vec<Sent>) -> Self {
+        Self::start_from((Ipv4Addr::new(127, 0, 0, host), 0), ports, stream)
+    }
+
+    /// The same, from a port of its own.
+    pub fn start_from(from: (Ipv4Addr, u16), (data, position): (u16, u16), stream: Vec<Sent>) -> Self {
         let over = Arc::new(AtomicBool::new(false));
         let ended = Arc::clone(&over);
-        let socket = UdpSocket::bind((Ipv4Addr::new(127, 0, 0, host), 0)).unwrap();
+        let socket = UdpSocket::bind(from).unwrap();
         let thread = std::thread::spawn(move || {
             let begun = Instant::now();
             for sent in stream {

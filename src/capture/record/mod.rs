@@ -10,7 +10,7 @@
 //! looks every 20 ms, and merges the lanes by arrival: a datagram is written after any other with an earlier stamp that
 //! its own thread put in at most so much later. Those of one lane keep their order.
 //!
-//! [`file`] is one capture, [`Rotation`] says when another begins.
+//! [`mod@file`] is one capture, [`Rotation`] says when another begins.
 
 mod error;
 pub mod file;

@@ -9,6 +9,8 @@ use std::fs;
 use std::net::{IpAddr, Ipv4Addr, Ipv6Addr, SocketAddrV4};
 use std::path::Path;
 
+use crate::host::user_name;
+
 /// Who holds a port.
 #[derive(Clone, Debug, PartialEq, Eq)]
 pub struct Holder {
@@ -114,17 +116,6 @@ impl Program {
         let name = fs::read_to_string(format!("/proc/{pid}/comm")).ok()?;
         Some(Self { pid, name: name.trim_end().to_owned() })
     }
-}
-
-/// The name of a user in /etc/passwd, or `number 1000` for one that is not there.
-pub(crate) fn user_name(uid: u32) -> String {
-    let users = fs::read_to_string("/etc/passwd").unwrap_or_default();
-    let named = users.lines().find_map(|line| {
-        let mut fields = line.split(':');
-        let name = fields.next()?;
-        (fields.nth(1)?.parse() == Ok(uid)).then(|| name.to_owned())
-    });
-    named.unwrap_or_else(|| format!("number {uid}"))
 }
 
 #[cfg(test)]

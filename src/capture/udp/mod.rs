@@ -16,12 +16,13 @@ use std::io;
 use std::net::{Ipv4Addr, SocketAddrV4};
 use std::num::NonZeroU32;
 use std::os::fd::AsFd;
-use std::time::{Duration, SystemTime, UNIX_EPOCH};
+use std::time::Duration;
 
 use socket2::{Domain, InterfaceIndexOrAddress, Protocol, Socket, Type};
 
 use self::sys::{BATCH, Slot};
 use super::write::Addressed;
+use crate::host::realtime_ns;
 use crate::wire::Datagram;
 pub use buffer::{ReceiveBuffer, ample_buffer_bytes};
 pub use error::UdpError;
@@ -124,6 +125,17 @@ impl UdpSource {
         &mut self,
         timeout: Duration,
     ) -> Result<impl Iterator<Item = Addressed<'_>> + Clone, UdpError> {
+        Ok(self.receive_counted(timeout)?.map(|(addressed, _)| addressed))
+    }
+
+    /// As [`UdpSource::receive_addressed`], each with the number of datagrams that the kernel had dropped before it.
+    ///
+    /// # Errors
+    /// As there.
+    pub fn receive_counted(
+        &mut self,
+        timeout: Duration,
+    ) -> Result<impl Iterator<Item = (Addressed<'_>, u64)> + Clone, UdpError> {
         self.wait_at_most(timeout)?;
         let count = match sys::receive(self.socket.as_fd(), &mut self.slots, !timeout.is_zero()) {
             Ok(count) => count,
@@ -132,13 +144,18 @@ impl UdpSource {
         };
         self.received += count as u64;
         let arrived = &self.slots[..count];
+        let mut drops = self.drops;
         arrived.iter().filter_map(|slot| slot.told.dropped).for_each(|dropped| self.drops.note(dropped));
-        let (now_ns, local) = (now_ns(), self.local);
-        Ok(arrived.iter().map(move |slot| Addressed {
-            arrival_ns: slot.told.stamp_ns.unwrap_or(now_ns),
-            source: slot.source,
-            destination: SocketAddrV4::new(slot.told.destination.unwrap_or(*local.ip()), local.port()),
-            payload: slot.payload(),
+        let (now_ns, local) = (realtime_ns(), self.local);
+        Ok(arrived.iter().map(move |slot| {
+            slot.told.dropped.into_iter().for_each(|dropped| drops.note(dropped));
+            let addressed = Addressed {
+                arrival_ns: slot.told.stamp_ns.unwrap_or(now_ns),
+                source: slot.source,
+                destination: SocketAddrV4::new(slot.told.destination.unwrap_or(*local.ip()), local.port()),
+                payload: slot.payload(),
+            };
+            (addressed, drops.total)
         }))
     }
 
@@ -203,10 +220,6 @@ fn join(socket: &Socket, group: Option<Ipv4Addr>, interface: Option<NonZeroU32>)
     let Some(group) = group else { return Ok(()) };
     let on = InterfaceIndexOrAddress::Index(interface.map_or(0, NonZeroU32::get));
     socket.join_multicast_v4_n(&group, &on).map_err(|source| UdpError::Join { group, source })
-}
-
-fn now_ns() -> i64 {
-    SystemTime::now().duration_since(UNIX_EPOCH).map_or(0, |since| since.as_nanos() as i64)
 }
 
 /// Adds up a counter of the kernel that wraps at 2^32 and that is read in two ways, one of which may lag behind.

@@ -6,7 +6,7 @@ use std::time::{Duration, Instant};
 use super::{CliError, Recording, TICK};
 use crate::capture::record::Lane;
 use crate::capture::write::Addressed;
-use crate::capture::{Gate, Route, UdpSource};
+use crate::capture::{Gate, UdpSource};
 use crate::daemon::tap::TapStream;
 
 /// How long a daemon may take to send what it had when the end was asked for.
@@ -79,7 +79,7 @@ struct Recorded<'a> {
 impl Recorded<'_> {
     fn put(&mut self, datagram: &Addressed<'_>) {
         self.recording.counts.received.fetch_add(1, Ordering::Relaxed);
-        if !matches!(self.gate.admit(&datagram.datagram()), Route::Other(_)) {
+        if self.gate.admit(&datagram.datagram()).is_some() {
             // The recorder counts what it has no room for.
             self.lane.put(datagram);
         }

@@ -4,8 +4,8 @@ use std::io::{self, Write};
 use std::time::Duration;
 
 use super::input::InputReport;
+use crate::capture::gate::Refused;
 use crate::capture::record::Written;
-use crate::capture::sensors::OtherCounts;
 use crate::export::text::{count_of, grouped};
 
 /// All that it came to.
@@ -39,14 +39,10 @@ impl Report {
         (self.received() - self.refused().total()).saturating_sub(self.written.datagrams)
     }
 
-    fn refused(&self) -> OtherCounts {
-        let refused = self.inputs.iter().map(|input| input.gate.refused());
-        refused.fold(OtherCounts::default(), |sum, more| OtherCounts {
-            length: sum.length + more.length,
-            not_velodyne: sum.not_velodyne + more.not_velodyne,
-            not_selected: sum.not_selected + more.not_selected,
-            too_many: sum.too_many + more.too_many,
-        })
+    fn refused(&self) -> Refused {
+        let mut sum = Refused::default();
+        self.inputs.iter().for_each(|input| sum += input.gate.refused());
+        sum
     }
 
     /// Prints it for people; each number has its word beside it.
@@ -62,9 +58,17 @@ impl Report {
         let seconds = self.took.as_secs_f64();
         writeln!(to, "{names}")?;
         writeln!(to, "  recorded     {}, {} bytes, {seconds:.1} s", count_of(*datagrams, "datagram"), grouped(*bytes))?;
-        for (sensor, data) in self.inputs.iter().flat_map(|input| input.gate.by_sensor()) {
-            let (name, data, port) = (&sensor.name, count_of(data, "data packet"), sensor.destination_port);
-            writeln!(to, "  sensor       {name}: {data} on port {port}")?;
+        for sender in self.inputs.iter().flat_map(|input| input.gate.senders()) {
+            let (data, port) = (count_of(sender.packets, "data packet"), sender.destination_port);
+            writeln!(to, "  sensor       {}: {data} on port {port}", sender.source)?;
+        }
+        let others: u64 = self.inputs.iter().map(|input| input.gate.others()).sum();
+        if others > 0 {
+            writeln!(
+                to,
+                "  others       {} of so many senders that they have no line here",
+                count_of(others, "data packet")
+            )?;
         }
         let positions: u64 = self.inputs.iter().map(|input| input.gate.positions()).sum();
         writeln!(to, "  position     {}", count_of(positions, "packet"))?;
@@ -72,11 +76,11 @@ impl Report {
         let dropped_where = self.dropped_where();
         writeln!(to, "  dropped      {dropped} {dropped_where}, {unwritten} because the disk was too slow or failed")?;
         let refused = self.refused();
-        let [length, marker, source, many] =
-            [refused.length, refused.not_velodyne, refused.not_selected, refused.too_many].map(grouped);
+        let [length, marker, azimuth, source] =
+            [refused.length, refused.marker, refused.azimuth, refused.source].map(grouped);
         writeln!(
             to,
-            "  refused      {length} wrong length, {marker} wrong marker, {source} other source, {many} too many sensors"
+            "  refused      {length} wrong length, {marker} wrong marker, {azimuth} wrong azimuth, {source} other source"
         )?;
         to.flush()
     }

@@ -9,8 +9,8 @@ use std::time::Duration;
 
 use super::wire::{self, Answer, Frame, Frames, Status, VERSION};
 use super::{TapError, sys};
-use crate::capture::udp::holder::user_name;
 use crate::capture::write::Addressed;
+use crate::host::{own_uid, user_name};
 
 /// How long a daemon may take to answer: it looks ten times a second.
 const ANSWER_TIME: Duration = Duration::from_secs(5);
@@ -33,7 +33,7 @@ impl TapStream {
     pub fn connect(path: &Path, sensor: &str) -> Result<Self, TapError> {
         let mut stream = UnixStream::connect(path).map_err(|source| unreachable(path, source))?;
         let gone = |source| gone(path, source);
-        let (own, daemon) = (sys::own_uid(), sys::peer_uid(&stream).map_err(gone)?);
+        let (own, daemon) = (own_uid(), sys::peer_uid(&stream).map_err(gone)?);
         if own != daemon {
             return Err(other_user(path, user_name(daemon)));
         }
@@ -124,7 +124,7 @@ fn unreachable(path: &Path, source: io::Error) -> TapError {
     // Of a folder that is closed to this user, its owner.
     let owner = path.ancestors().find_map(|path| path.metadata().ok()).map(|found| found.uid());
     match owner {
-        Some(owner) if source.kind() == io::ErrorKind::PermissionDenied && owner != sys::own_uid() => {
+        Some(owner) if source.kind() == io::ErrorKind::PermissionDenied && owner != own_uid() => {
             other_user(path, user_name(owner))
         }
         _ => TapError::NoDaemon { path: path.to_owned(), source },
@@ -132,5 +132,5 @@ fn unreachable(path: &Path, source: io::Error) -> TapError {
 }
 
 fn other_user(path: &Path, daemon: String) -> TapError {
-    TapError::OtherUser { path: path.to_owned(), daemon, own: user_name(sys::own_uid()) }
+    TapError::OtherUser { path: path.to_owned(), daemon, own: user_name(own_uid()) }
 }

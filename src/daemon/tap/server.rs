@@ -13,8 +13,8 @@ use std::time::{Duration, Instant};
 
 use super::wire::{Answer, END_LEN, Frame, Hello, MAX_NAME_LEN, Status, WireError};
 use super::{MAX_CLIENTS, Shared, TapError, Tapped, sys};
-use crate::capture::udp::holder::user_name;
 use crate::capture::write::Addressed;
+use crate::host::{own_uid, user_name};
 
 /// How often it looks while something waits for a client, while there are clients, and while there are none.
 const BUSY_PERIOD: Duration = Duration::from_millis(1);
@@ -138,7 +138,7 @@ impl Server {
         // No more than a few a round: who connects again and again must not keep it from the others.
         for _ in 0..MAX_CLIENTS {
             let Ok((stream, _)) = self.socket.listener.accept() else { return };
-            let own = sys::own_uid();
+            let own = own_uid();
             let refusal = if !sys::peer_uid(&stream).is_ok_and(|uid| uid == own) {
                 Answer::new(Status::OtherUser, &user_name(own))
             } else if self.clients.len() >= MAX_CLIENTS {
@@ -169,22 +169,40 @@ impl Server {
     }
 
     fn carry(&mut self) {
-        for sensor in &mut self.sensors {
-            sensor.carry(&mut self.clients);
-        }
+        carry(&mut self.sensors, &mut self.clients);
         self.sensors.retain(|sensor| !sensor.is_done());
     }
 }
 
+/// Carries all that is there in the order of arrival: the packets of one sensor may come through several threads.
+fn carry(sensors: &mut [Tapped], clients: &mut [Client]) {
+    sensors.iter_mut().for_each(|sensor| sensor.look(clients));
+    loop {
+        let next = sensors.iter_mut().filter_map(|sensor| Some((sensor.next_ns()?, sensor)));
+        let Some((_, earliest)) = next.min_by_key(|(next_ns, _)| *next_ns) else { return };
+        earliest.carry_next(clients);
+    }
+}
+
 impl Tapped {
-    fn carry(&mut self, clients: &mut [Client]) {
-        let Self { name, outlet, valve, refused } = self;
-        let (before, end) = (*refused, outlet.end());
-        *refused = valve.refused.load(Ordering::Relaxed);
-        for client in clients.iter_mut().filter(|client| client.wants(name)) {
-            client.lost += *refused - before;
+    /// Looks how far it has come, and counts what it had no room for.
+    fn look(&mut self, clients: &mut [Client]) {
+        let before = self.refused;
+        self.end = self.outlet.end();
+        self.refused = self.valve.refused.load(Ordering::Relaxed);
+        for client in clients.iter_mut().filter(|client| client.wants(&self.name)) {
+            client.lost += self.refused - before;
         }
-        while let Some(datagram) = outlet.take(end) {
+    }
+
+    /// Arrival of the next datagram that was there at the last look.
+    fn next_ns(&self) -> Option<i64> {
+        self.outlet.next_ns(self.end)
+    }
+
+    fn carry_next(&mut self, clients: &mut [Client]) {
+        let Self { name, outlet, end, .. } = self;
+        if let Some(datagram) = outlet.take(*end) {
             clients.iter_mut().filter(|client| client.wants(name)).for_each(|client| client.put(&datagram));
         }
     }
@@ -333,4 +351,41 @@ impl Client {
 
 fn is_later(error: &io::Error) -> bool {
     matches!(error.kind(), io::ErrorKind::WouldBlock | io::ErrorKind::Interrupted)
+}
+
+#[cfg(test)]
+mod tests {
+    use super::super::Valve;
+    use super::*;
+    use crate::capture::record::ring::ring;
+
+    #[test]
+    fn what_came_through_two_threads_is_carried_in_the_order_of_arrival() {
+        let (stream, _reader) = UnixStream::pair().unwrap();
+        let client = Client { stage: Stage::Streaming("roof".to_owned()), ..Client::new(stream).unwrap() };
+        let mut clients = vec![client];
+        clients[0].waiting.reserve(WAITING_BYTES);
+        let (mut inlets, mut sensors) = (Vec::new(), Vec::new());
+        for _ in 0..2 {
+            let (inlet, outlet) = ring(8192);
+            let (name, valve) = ("roof".to_owned(), Arc::<Valve>::default());
+            inlets.push(inlet);
+            sensors.push(Tapped { name, outlet, end: 0, valve, refused: 0 });
+        }
+        let end = "127.0.0.1:2368".parse().unwrap();
+        let put = |inlet: &mut crate::capture::record::ring::Inlet, arrival_ns| {
+            assert!(inlet.put(&Addressed { arrival_ns, source: end, destination: end, payload: b"x" }));
+        };
+        [1, 4, 5].into_iter().for_each(|arrival_ns| put(&mut inlets[0], arrival_ns));
+        [2, 3, 6].into_iter().for_each(|arrival_ns| put(&mut inlets[1], arrival_ns));
+        carry(&mut sensors, &mut clients);
+        let expected: Vec<u8> = (1..=6)
+            .flat_map(|arrival_ns| {
+                let one = Addressed { arrival_ns, source: end, destination: end, payload: b"x" };
+                let (head, payload) = Frame::parts(&one).unwrap();
+                [&head[..], payload].concat()
+            })
+            .collect();
+        assert_eq!(clients[0].waiting, expected);
+    }
 }

@@ -6,12 +6,6 @@ use std::io;
 use std::os::fd::AsRawFd;
 use std::os::unix::net::UnixStream;
 
-/// The user that this program acts as.
-pub(super) fn own_uid() -> u32 {
-    // SAFETY: takes nothing, touches nothing and cannot fail (geteuid(2)).
-    unsafe { libc::geteuid() }
-}
-
 /// The user that the program at the other end acted as when it connected or listened (SO_PEERCRED, unix(7)).
 pub(super) fn peer_uid(stream: &UnixStream) -> io::Result<u32> {
     let mut peer = libc::ucred { pid: 0, uid: 0, gid: 0 };

@@ -59,13 +59,14 @@ fn buffers(seen: &Observations, findings: &mut Findings) {
 
 fn shared_memory(seen: &Observations, findings: &mut Findings) {
     let Some((all, free)) = seen.host.shared else { return };
-    let needed: u64 = seen.plan.sensors.iter().map(|expected| needs_bytes(expected, seen)).sum();
+    let pool_bytes = |expected: &Expected| pool_sweeps(expected.max_consumers) as u64 * sweep_bytes(expected, seen);
+    let needed: u64 = seen.plan.sensors.iter().map(pool_bytes).sum();
     if needed > free {
         let what = format!(
-            "/dev/shm has {} MB free of {} MB, the configured sensors need {} MB",
-            mb(free),
-            mb(all),
-            mb(needed)
+            "/dev/shm has {} MiB free of {} MiB, the configured sensors need {} MiB",
+            mib(free),
+            mib(all),
+            mib(needed)
         );
         let cure = format!(
             "`mount -o remount,size={}M /dev/shm`, for good in /etc/fstab; in a container --shm-size; or fewer `max_consumers`",
@@ -75,17 +76,16 @@ fn shared_memory(seen: &Observations, findings: &mut Findings) {
     }
 }
 
-/// Bytes of shared memory for a sensor: for the largest that it may be, as far as it is not known.
-fn needs_bytes(expected: &Expected, seen: &Observations) -> u64 {
+/// Bytes of a sweep of a sensor: of the largest that it may be, as far as it is not known.
+pub fn sweep_bytes(expected: &Expected, seen: &Observations) -> u64 {
     let is_it = |sensor: &&Sensor| sensor.source.is_some_and(|source| expected.is_at(source, sensor.port));
     let heard = seen.sensors.iter().find(is_it);
     let model = expected.model.or(heard.and_then(|sensor| sensor.model)).unwrap_or(Model::Hdl64eS3);
     let heard_dual = heard.and_then(|sensor| sensor.return_mode).map(|mode| mode == ReturnMode::Dual);
     let dual = expected.dual.or(heard_dual).unwrap_or(true);
-    let sweep_bytes = Shape::of(model.spec().channels, dual, expected.min_points).total_bytes();
-    (pool_sweeps(expected.max_consumers) * sweep_bytes) as u64
+    Shape::of(model.spec().channels, dual, expected.min_points).total_bytes() as u64
 }
 
-fn mb(bytes: u64) -> u64 {
+fn mib(bytes: u64) -> u64 {
     bytes >> 20
 }

@@ -7,6 +7,7 @@ mod silence;
 mod tests;
 mod web;
 
+pub use host::sweep_bytes;
 use serde_json::Value;
 
 use super::observe::{Heard, Observations};

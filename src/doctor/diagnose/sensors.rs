@@ -62,6 +62,7 @@ fn senders(seen: &Observations, findings: &mut Findings) {
                 "add it to the configuration, or find who sends this: a replay, a simulator, another robot's sensor";
             findings.warning(Topic::Senders, what, cure);
         }
+        seen.plan.sensors.iter().for_each(|expected| impostors(expected, seen, findings));
         return;
     }
     for port in &seen.ports {
@@ -75,6 +76,18 @@ fn senders(seen: &Observations, findings: &mut Findings) {
                         simulator, another robot's sensor that broadcasts";
             findings.warning(Topic::Senders, what, cure);
         }
+    }
+}
+
+/// Two at the address of one sensor are taken for that one, which then sees neither of the two scenes.
+fn impostors(expected: &Expected, seen: &Observations, findings: &mut Findings) {
+    let taken_for_it = heard(seen).filter(|(sensor, source)| expected.is_at(*source, sensor.port));
+    let sources: Vec<String> = taken_for_it.map(|(_, source)| source.to_string()).collect();
+    if sources.len() > 1 {
+        let what = format!("{}: {} senders are taken for it: {}", expected.name, sources.len(), sources.join(", "));
+        let cure = "if one is a replay or a simulator, stop it; if all are sensors, tell them apart by their source ports, \
+                    `address = \"IP:PORT\"`";
+        findings.error(Topic::Senders, what, cure);
     }
 }
 

@@ -108,7 +108,7 @@ fn nothing(seen: &Observations, expected: Option<(&str, IpAddr, u16)>, findings:
          `tcpdump -ni INTERFACE udp` shows packets that it drops"
             .to_owned(),
     );
-    findings.error(Topic::Silent, what, steps.join("; "));
+    findings.error(Topic::Silent, what, steps.join("\n"));
 }
 
 /// What may be wrong between this host and a sensor that does not answer.

@@ -268,6 +268,9 @@ fn other_models_are_told() {
 fn senders_that_nobody_configured_are_named() {
     let second = |seen: &mut Observations| seen.sensors.push(sensor("192.168.1.202:2368"));
     with(second, Severity::Warning, Topic::Senders, &["192.168.1.202:2368", "no sensor there is configured"]);
+    let twice = |seen: &mut Observations| seen.sensors.push(sensor("192.168.1.201:40000"));
+    let both = ["roof: 2 senders are taken for it: 192.168.1.201:2368, 192.168.1.201:40000", "IP:PORT"];
+    with(twice, Severity::Error, Topic::Senders, &both);
     let mut seen = healthy();
     second(&mut seen);
     seen.plan.sensors.clear();
@@ -364,7 +367,7 @@ fn what_this_host_lacks_is_told_with_the_command() {
     let told = ["for 184 packets", "net.core.rmem_max is 212992", "sysctl -w net.core.rmem_max=4000000"];
     with(small, Severity::Warning, Topic::Buffer, &told);
     let memory = |seen: &mut Observations| seen.host.shared = Some((16 << 20, 6 << 20));
-    with(memory, Severity::Error, Topic::SharedMemory, &["6 MB free of 16 MB", "mount -o remount,size="]);
+    with(memory, Severity::Error, Topic::SharedMemory, &["6 MiB free of 16 MiB", "mount -o remount,size="]);
     // What a running daemon holds is not free any more, and need not be.
     let mut seen = healthy();
     memory(&mut seen);
