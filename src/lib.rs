@@ -49,7 +49,11 @@
 //! | sweep | the columns between two crossings of the cut azimuth |
 //! | label | u32 per pixel: 0 none, 1 ground, 2.. segment |
 //! | segment | connected non-ground pixels with one label |
-//! | loss, gap | packets missing by the sensor's clock; columns missing in a sweep |
+//! | drop, loss, gap | datagrams discarded by the kernel or by us; packets missing by the sensor's clock; columns missing in a sweep |
+//! | consumer | a program that reads sweeps from shared memory |
+//! | domain | the folder by which a daemon and its consumers find each other |
+//! | loan, pool | shared memory for one sweep, filled before anybody sees it; that of all sweeps of a sensor |
+//! | lane, tap | the way of a thread's datagrams into a recording; to who records from a running daemon |
 
 #![deny(unsafe_code)]
 #![warn(missing_docs)]
