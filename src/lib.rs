@@ -49,6 +49,7 @@
 //! | sweep | the columns between two crossings of the cut azimuth |
 //! | label | u32 per pixel: 0 none, 1 ground, 2.. segment |
 //! | segment | connected non-ground pixels with one label |
+//! | scan, truth, object | a cloud that people labelled; the labels they gave; what segments are scored against |
 //! | drop, loss, gap | datagrams discarded by the kernel or by us; packets missing by the sensor's clock; columns missing in a sweep |
 //! | consumer | a program that reads sweeps from shared memory |
 //! | domain | the folder by which a daemon and its consumers find each other |
@@ -80,6 +81,8 @@ pub mod host;
 pub mod pipeline;
 #[cfg(feature = "client")]
 pub mod publish;
+#[cfg(feature = "daemon")]
+pub mod score;
 #[cfg(feature = "daemon")]
 pub mod segment;
 #[cfg(feature = "daemon")]

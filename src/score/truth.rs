@@ -1,0 +1,76 @@
+//! What people know about a scan, and the objects that follow from it.
+
+use super::ScoreError;
+use super::classes::{UNLABELLED, class_of, is_ground};
+use super::linkage::link;
+
+/// Points of one label nearer than this are one object, metres.
+const LINK_M: f64 = 1.0;
+/// Points that an object has.
+const OBJECT_POINTS: std::ops::RangeInclusive<u32> = 10..=300_000;
+/// No object.
+pub(super) const NO_OBJECT: u32 = 0;
+
+/// True labels of a scan, and its objects.
+///
+/// An object is what USE and OSE are about: points of one true label, class and instance alike, linked where they are
+/// nearer than 1 m; 10 to 300,000 of them. Ground and what has no class are no objects. A wall behind a gap is two.
+#[derive(Clone, Debug, PartialEq)]
+pub struct Truth {
+    labels: Vec<u32>,
+    objects: Vec<u32>,
+}
+
+impl Truth {
+    /// Of points (x, y, z in metres, and a remission that does not matter) and their true labels.
+    ///
+    /// # Errors
+    /// [`ScoreError::Truth`].
+    pub fn new(points: &[[f32; 4]], labels: Vec<u32>) -> Result<Self, ScoreError> {
+        if labels.len() != points.len() {
+            return Err(ScoreError::Truth { points: points.len(), labels: labels.len() });
+        }
+        let objects = objects(points, &labels);
+        Ok(Self { labels, objects })
+    }
+
+    /// True label of every point: class in the low 16 bits, instance in the high.
+    pub fn labels(&self) -> &[u32] {
+        &self.labels
+    }
+
+    /// Object of every point, from 1; 0 for none.
+    pub fn objects(&self) -> &[u32] {
+        &self.objects
+    }
+}
+
+fn objects(points: &[[f32; 4]], labels: &[u32]) -> Vec<u32> {
+    let may_be = |label| !is_ground(class_of(label)) && class_of(label) != UNLABELLED;
+    let mut chosen: Vec<u32> = (0..labels.len() as u32).filter(|&point| may_be(labels[point as usize])).collect();
+    chosen.sort_by_key(|&point| labels[point as usize]);
+    let mut objects = vec![NO_OBJECT; labels.len()];
+    let mut last = NO_OBJECT;
+    for same in chosen.chunk_by(|&a, &b| labels[a as usize] == labels[b as usize]) {
+        let places: Vec<[f32; 3]> = same.iter().map(|&point| place(points[point as usize])).collect();
+        let groups = link(&places, LINK_M);
+        let mut sizes = vec![0; groups.iter().max().map_or(0, |&most| most as usize + 1)];
+        groups.iter().for_each(|&group| sizes[group as usize] += 1);
+        let numbers: Vec<u32> = sizes
+            .iter()
+            .map(|size| {
+                last += u32::from(OBJECT_POINTS.contains(size));
+                if OBJECT_POINTS.contains(size) { last } else { NO_OBJECT }
+            })
+            .collect();
+        for (&point, &group) in same.iter().zip(&groups) {
+            objects[point as usize] = numbers[group as usize];
+        }
+    }
+    objects
+}
+
+/// Where a point is.
+pub(super) fn place([x, y, z, _]: [f32; 4]) -> [f32; 3] {
+    [x, y, z]
+}
