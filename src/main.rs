@@ -16,6 +16,7 @@ fn main() -> ExitCode {
         Command::Doctor(args) => sweepd::cli::doctor::run(&args),
         Command::Inspect(args) => sweepd::cli::inspect::run(&args),
         Command::Segment(args) => sweepd::cli::segment::run(&args),
+        Command::Score(args) => sweepd::cli::score::run(&args),
         Command::Calib(args) => sweepd::cli::calib::run(&args),
         Command::Config(args) => sweepd::cli::config::run(&args),
         Command::Simulate(args) => sweepd::cli::simulate::run(&args),

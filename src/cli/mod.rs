@@ -14,6 +14,7 @@ pub mod publish;
 pub mod record;
 pub mod replay;
 pub mod run;
+pub mod score;
 pub mod segment;
 pub mod send;
 pub mod signals;
@@ -67,6 +68,8 @@ pub enum Command {
     Inspect(inspect::Args),
     /// Segment point clouds (KITTI .bin) that have no packets
     Segment(Box<segment::Args>),
+    /// Say how good labels are, against scans that people labelled (SemanticKITTI)
+    Score(score::Args),
     /// Show and compare calibrations, and read that of an HDL-64E from its packets
     Calib(calib::Args),
     /// Check the daemon's configuration, or print one to begin with

@@ -9,6 +9,7 @@ fn every_help_has_an_example_and_fits_a_terminal() {
         &["replay", "--help"],
         &["inspect", "--help"],
         &["segment", "--help"],
+        &["score", "--help"],
         &["replay", "-h"],
         &["simulate", "--help"],
         &["record", "--help"],
