@@ -14,6 +14,8 @@ use std::process::{Command, Stdio};
 
 const VELODYNE_DECODER: &str = "3.1.0";
 const ICEORYX2: &str = "0.10.0";
+/// Its first number.
+const NUMPY: &str = "2";
 
 /// The calibrations of real HDL-64E units among the shared data.
 pub const HDL64E_UNITS: [&str; 9] = [
@@ -66,6 +68,14 @@ pub fn python() -> Option<OsString> {
 pub fn python_with_iceoryx2() -> Option<OsString> {
     let code = "import iceoryx2, numpy, importlib.metadata as m; print(m.version('iceoryx2'))";
     python_that_says(code, ICEORYX2, "NumPy and iceoryx2")
+}
+
+/// The same, if it has NumPy.
+///
+/// # Panics
+/// Under `CI=true`, if it is missing.
+pub fn python_with_numpy() -> Option<OsString> {
+    python_that_says("import numpy; print(numpy.__version__.split('.')[0])", NUMPY, "NumPy")
 }
 
 fn python_that_says(code: &str, version: &str, package: &str) -> Option<OsString> {
