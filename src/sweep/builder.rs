@@ -2,14 +2,14 @@
 
 use super::buffers::Buffers;
 use super::clock::{Clocks, SensorClock};
-use super::columns::{Place, SoFar, decode};
+use super::columns::{Place, SoFar, decode, radians, rate_rad_s};
 use super::cursor::{Cursor, Gap, Way};
 use super::decode::Decoder;
 use super::edge::Pace;
 use super::head::{Head, Turned};
 use super::image::SweepMut;
-use super::layout::{COLUMNS_CAPACITY, ReturnChoice, Shape, flags};
-use super::motion::TURN;
+use super::layout::{COLUMNS_CAPACITY, Column, ReturnChoice, Shape, flags};
+use super::motion::{Beat, TURN};
 use super::order::{Before, Packet};
 use super::turns::Turns;
 use crate::wire::data::ReturnMode;
@@ -139,6 +139,8 @@ impl<B: Buffers> Builder<B> {
         let spec = self.decoder.spec;
         let mut cursor = Cursor {
             slot,
+            beat: Beat::new(spec, packet.mode),
+            rate_rad_s: rate_rad_s(packet, spec),
             anew: before == Before::Start,
             jumped: before == Before::Start,
             leaps: before == Before::Silence,
@@ -218,7 +220,7 @@ impl<B: Buffers> Builder<B> {
         let Ok(mut sweep) = SweepMut::open(buffer.as_mut()) else { return End::Packet };
         let turns = &self.turns;
         open.newest_arrival_ns = open.newest_arrival_ns.max(packet.arrival_ns);
-        while let Some(firing) = cursor.firing(packet, &self.decoder) {
+        while let Some(firing) = cursor.firing(packet) {
             if !std::mem::replace(&mut cursor.turned, true) {
                 let pace = |rate| Pace::new(rate, self.decoder.spec, packet.mode);
                 let turned = match firing.leaps {
@@ -238,7 +240,7 @@ impl<B: Buffers> Builder<B> {
             if firing.index.is_some() && !std::mem::replace(&mut cursor.counted, true) {
                 open.packets += 1;
             }
-            open.place(&mut sweep, &firing, (packet, turns), &self.decoder, &self.head);
+            open.place(&mut sweep, &firing, (packet, cursor), turns, &self.decoder, &self.head);
             self.last_firing_ns = firing.time_ns;
             cursor.placed += 1;
             cursor.turned = false;
@@ -249,21 +251,24 @@ impl<B: Buffers> Builder<B> {
     /// Decodes a packet that was overtaken by more than was held back, if its columns wait for it in the open sweep.
     pub fn late(&mut self, packet: &Packet) -> bool {
         let decoder = &self.decoder;
-        let firings = decoder.spec.firings_per_packet(packet.mode);
+        let beat = Beat::new(decoder.spec, packet.mode);
         let Some(Open { buffer, so_far: open }) = &mut self.open else { return false };
         let Ok(mut sweep) = SweepMut::open(buffer.as_mut()) else { return false };
         if open.mode != packet.mode {
             return false;
         }
-        let Some(first) = open.room_for(&sweep, packet, decoder) else { return false };
-        for index in 0..firings {
-            let column = open.column(packet, index, packet.firing_ns(index, decoder.spec), decoder);
+        let Some(first) = open.room_for(&sweep, packet, &beat) else { return false };
+        let rate_rad_s = rate_rad_s(packet, decoder.spec);
+        for index in 0..beat.firings {
+            let azimuth_rad = radians(packet.motion.azimuth_cdeg(index, &beat));
+            let time_ns = open.since_first(packet.firing_ns(index, &beat));
+            let column = Column::measured(packet.number, beat.block(index) as u8, azimuth_rad, rate_rad_s, time_ns);
             let place = Place { column: first + index, turns: &self.turns };
-            open.returns += decode(&mut sweep, place, column, index, packet, decoder);
+            open.returns += decode(&mut sweep, place, column, (index, &beat), packet, decoder);
         }
         open.lost = open.lost.saturating_sub(1);
         self.lost = self.lost.saturating_sub(1);
-        open.missing -= firings as u32;
+        open.missing -= beat.firings as u32;
         open.packets += 1;
         true
     }
@@ -283,7 +288,7 @@ impl<B: Buffers> Builder<B> {
         let mut buffer = self.buffers.take(shape.total_bytes());
         let Ok(sweep) = SweepMut::create(buffer.as_mut(), &shape) else { return };
         sweep.beams.copy_from_slice(beams);
-        sweep.beams.iter_mut().zip(self.turns.rows()).for_each(|(beam, turn)| beam.shift = turn.shift);
+        sweep.beams.iter_mut().zip(self.turns.shifts()).for_each(|(beam, &shift)| beam.shift = shift);
         let header = sweep.header;
         header.sequence = self.sequence;
         header.model = self.decoder.model.code();

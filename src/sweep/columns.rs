@@ -1,16 +1,18 @@
 //! What stands in the sweep that is being filled, and how a firing is written into its column.
 
 use std::f32::consts::TAU;
+use std::ops::Range;
 
-use super::cursor::Firing;
-use super::decode::{Decoder, Pixels, Records};
+use super::cursor::{Cursor, Firing};
+use super::decode::{Decoder, Pixels};
 use super::head::{Head, STANDSTILL_CDEG, STANDSTILL_NS};
 use super::image::SweepMut;
+use super::lanes::Records;
 use super::layout::{COLUMNS_CAPACITY, Column};
-use super::motion::{TURN, shortest};
+use super::motion::{Beat, TURN, shortest};
 use super::relation::Packet;
 use super::turns::Turns;
-use crate::sensor::calibration::MAX_BEAMS;
+use crate::sensor::model::Spec;
 use crate::wire::data::ReturnMode;
 
 /// How far a packet that comes late may be from where its columns were thought to be.
@@ -82,15 +84,14 @@ impl SoFar {
     }
 
     /// The first of the missing columns that wait for this packet: at its times, and with the head where it was.
-    pub fn room_for(&self, sweep: &SweepMut<'_>, packet: &Packet, decoder: &Decoder) -> Option<usize> {
-        let spec = decoder.spec;
-        let slack_ns = i64::from(spec.firing_period_ns(packet.mode)) / 2;
+    pub fn room_for(&self, sweep: &SweepMut<'_>, packet: &Packet, beat: &Beat) -> Option<usize> {
+        let slack_ns = beat.period_ns / 2;
         let early = u32::try_from((packet.time_ns - self.first_ns - slack_ns).max(0)).ok()?;
         let columns = &sweep.columns[self.first_column..self.columns];
         let first = columns.partition_point(|column| column.time_ns < early);
-        let waiting = columns.get(first..first + spec.firings_per_packet(packet.mode))?;
+        let waiting = columns.get(first..first + beat.firings)?;
         let fits = |(index, column): (usize, &Column)| {
-            let off_ns = self.first_ns + i64::from(column.time_ns) - packet.firing_ns(index, spec);
+            let off_ns = self.first_ns + i64::from(column.time_ns) - packet.firing_ns(index, beat);
             column.is_missing() && off_ns.abs() < slack_ns
         };
         let azimuth_cdeg = f64::from(waiting[0].azimuth_rad).to_degrees() * 100.0;
@@ -102,7 +103,8 @@ impl SoFar {
         &mut self,
         sweep: &mut SweepMut<'_>,
         firing: &Firing,
-        (packet, turns): (&Packet, &Turns),
+        (packet, cursor): (&Packet, &Cursor),
+        turns: &Turns,
         decoder: &Decoder,
         head: &Head,
     ) {
@@ -115,7 +117,7 @@ impl SoFar {
         self.last_ns = firing.time_ns.max(self.last_ns);
         let time_ns = self.last_ns;
         self.last_progress_cdeg = head.progress_cdeg();
-        let (azimuth_rad, rate) = radians(firing.azimuth_cdeg, packet, decoder);
+        let (azimuth_rad, rate) = (radians(firing.azimuth_cdeg), cursor.rate_rad_s);
         if firing.leaps && !self.is_empty() {
             let behind = Column::unfired(azimuth_rad, rate, self.since_first(time_ns));
             self.part(sweep, &behind, turns, decoder.spec.firing_period_ns(packet.mode));
@@ -123,8 +125,10 @@ impl SoFar {
         let place = Place { column: self.columns, turns };
         match firing.index {
             Some(index) => {
-                let column = self.column(packet, index, time_ns, decoder);
-                self.returns += decode(sweep, place, column, index, packet, decoder);
+                let beat = &cursor.beat;
+                let block = beat.block(index) as u8;
+                let column = Column::measured(packet.number, block, azimuth_rad, rate, self.since_first(time_ns));
+                self.returns += decode(sweep, place, column, (index, beat), packet, decoder);
             }
             None => {
                 sweep.columns[place.column] = Column::missing(azimuth_rad, rate, self.since_first(time_ns));
@@ -166,8 +170,8 @@ impl SoFar {
     pub fn fold(&self, sweep: &mut SweepMut<'_>, turns: &Turns) -> [usize; 2] {
         let (first, end) = (self.first_column, self.columns);
         let columns = end - first;
-        for (row, turn) in turns.rows().iter().enumerate() {
-            let [filled, behind] = [first, end].map(|column| (column as i64 - i64::from(turn.shift)) as usize);
+        for (row, &shift) in turns.shifts().iter().enumerate() {
+            let [filled, behind] = [first, end].map(|column| (column as i64 - i64::from(shift)) as usize);
             // Azimuths that no head has can make a turn of fewer columns than the shift: then all of it lies beyond.
             for from in (filled..behind.min(first)).chain(filled.max(end)..behind) {
                 let onto = (from as i64 - first as i64).rem_euclid(columns as i64) as usize;
@@ -187,22 +191,14 @@ impl SoFar {
         for step in 0..turns.trail() {
             sweep.columns[end + step] = extrapolated(&latest, step as i64 + 1, turns, period_ns);
         }
-        let rows = turns.rows().len();
-        for (row, turn) in turns.rows().iter().enumerate() {
-            let [from, to] = [first, end].map(|column| (column as i64 - i64::from(turn.shift)) as usize);
+        let rows = turns.shifts().len();
+        for (row, &shift) in turns.shifts().iter().enumerate() {
+            let [from, to] = [first, end].map(|column| (column as i64 - i64::from(shift)) as usize);
             let empty = (0..from).chain(to..end + turns.trail());
             empty.for_each(|column| clear_pixel(sweep, column * rows + row));
         }
         self.unfired += turns.span();
         [0, end + turns.trail()]
-    }
-
-    /// The column of a firing that arrived.
-    pub fn column(&self, packet: &Packet, index: usize, time_ns: i64, decoder: &Decoder) -> Column {
-        let spec = decoder.spec;
-        let block = index / spec.firings_per_azimuth() * spec.blocks_per_azimuth(packet.mode);
-        let (azimuth_rad, rate) = radians(packet.motion.azimuth_cdeg(index, spec), packet, decoder);
-        Column::measured(packet.number, block as u8, azimuth_rad, rate, self.since_first(time_ns))
     }
 
     pub fn since_first(&self, time_ns: i64) -> u32 {
@@ -225,11 +221,15 @@ impl SoFar {
     }
 }
 
-fn radians(azimuth_cdeg: f64, packet: &Packet, decoder: &Decoder) -> (f32, f32) {
+/// An azimuth as a column has it, radians.
+pub fn radians(azimuth_cdeg: f64) -> f32 {
     // What is a hair below a whole turn may be rounded to one.
-    let azimuth_rad = Some((azimuth_cdeg / 100.0).to_radians() as f32).filter(|&rad| rad < TAU).unwrap_or(0.0);
-    let rate_rad_s = (packet.motion.rate_cdeg_ns(decoder.spec) / 100.0).to_radians() * 1e9;
-    (azimuth_rad, rate_rad_s as f32)
+    Some((azimuth_cdeg / 100.0).to_radians() as f32).filter(|&rad| rad < TAU).unwrap_or(0.0)
+}
+
+/// How fast the head turns by a packet, as its columns have it, radians a second.
+pub fn rate_rad_s(packet: &Packet, spec: &Spec) -> f32 {
+    ((packet.motion.rate_cdeg_ns(spec) / 100.0).to_radians() * 1e9) as f32
 }
 
 /// The column that is so many firings before or behind another, at the speed of the sweep: that of one packet carries the
@@ -247,71 +247,38 @@ pub fn decode(
     sweep: &mut SweepMut<'_>,
     place: Place<'_>,
     column: Column,
-    firing: usize,
+    (firing, beat): (usize, &Beat),
     packet: &Packet,
     decoder: &Decoder,
 ) -> u32 {
-    let spec = decoder.spec;
-    let first = firing % spec.firings_per_azimuth() * spec.channels;
-    let blocks = &packet.bytes.blocks[usize::from(column.block)..][..spec.blocks_per_azimuth(packet.mode)];
-    let records = Records { blocks, first, azimuth_rad: f64::from(column.azimuth_rad) };
+    let blocks = &packet.bytes.blocks[usize::from(column.block)..][..beat.blocks];
+    let first = beat.record(firing);
+    let records = Records { blocks, first };
     sweep.columns[place.column] = column;
-    if spec.shifted {
-        decode_shifted(sweep, place, records, decoder)
-    } else {
-        decode_straight(sweep, place, records, decoder)
-    }
-}
-
-/// Writes a firing that fills one column.
-fn decode_straight(sweep: &mut SweepMut<'_>, place: Place<'_>, records: Records<'_>, decoder: &Decoder) -> u32 {
-    let rows = decoder.rows();
-    let pixels = place.column * rows..(place.column + 1) * rows;
+    let reach = place.reach();
     let chosen =
-        Pixels { range: &mut sweep.range[pixels.clone()], reflectivity: &mut sweep.reflectivity[pixels.clone()] };
+        Pixels { range: &mut sweep.range[reach.clone()], reflectivity: &mut sweep.reflectivity[reach.clone()] };
     if sweep.range2.is_empty() {
-        return decoder.single(records, place.turns, chosen);
+        return decoder.single(records, column.azimuth_rad, place.turns, chosen);
     }
     let other =
-        Pixels { range: &mut sweep.range2[pixels.clone()], reflectivity: &mut sweep.reflectivity2[pixels.clone()] };
-    decoder.dual(records, place.turns, chosen, other, &mut sweep.kind[pixels])
-}
-
-/// Writes a firing whose beams belong into many columns.
-fn decode_shifted(sweep: &mut SweepMut<'_>, place: Place<'_>, records: Records<'_>, decoder: &Decoder) -> u32 {
-    let rows = decoder.rows();
-    let (mut range, mut reflectivity) = ([0.0; MAX_BEAMS], [0; MAX_BEAMS]);
-    let chosen = Pixels { range: &mut range[..rows], reflectivity: &mut reflectivity[..rows] };
-    if sweep.range2.is_empty() {
-        let returns = decoder.single(records, place.turns, chosen);
-        for (row, index) in place.pixels() {
-            (sweep.range[index], sweep.reflectivity[index]) = (range[row], reflectivity[row]);
-        }
-        return returns;
-    }
-    let (mut range2, mut reflectivity2, mut kind) = ([0.0; MAX_BEAMS], [0; MAX_BEAMS], [0; MAX_BEAMS]);
-    let other = Pixels { range: &mut range2[..rows], reflectivity: &mut reflectivity2[..rows] };
-    let returns = decoder.dual(records, place.turns, chosen, other, &mut kind[..rows]);
-    for (row, index) in place.pixels() {
-        (sweep.range[index], sweep.reflectivity[index]) = (range[row], reflectivity[row]);
-        (sweep.range2[index], sweep.reflectivity2[index]) = (range2[row], reflectivity2[row]);
-        sweep.kind[index] = kind[row];
-    }
-    returns
+        Pixels { range: &mut sweep.range2[reach.clone()], reflectivity: &mut sweep.reflectivity2[reach.clone()] };
+    decoder.dual(records, column.azimuth_rad, place.turns, [chosen, other], &mut sweep.kind[reach])
 }
 
 impl Place<'_> {
-    /// The pixels of the firing: row, and index in the planes.
-    fn pixels(self) -> impl Iterator<Item = (usize, usize)> {
-        let rows = self.turns.rows().len();
-        let turns = self.turns.rows().iter().enumerate();
-        turns.map(move |(row, turn)| (row, (self.column as i64 - i64::from(turn.shift)) as usize * rows + row))
+    /// The pixels that a firing can have, and those between them, in each plane.
+    fn reach(self) -> Range<usize> {
+        let rows = self.turns.shifts().len();
+        (self.column - self.turns.lead()) * rows..(self.column + self.turns.trail() + 1) * rows
     }
 }
 
 /// Writes a firing without returns.
 fn clear(sweep: &mut SweepMut<'_>, place: Place<'_>) {
-    place.pixels().for_each(|(_, index)| clear_pixel(sweep, index));
+    let first = place.reach().start;
+    let pixels = place.turns.pixels().as_flattened();
+    pixels.iter().for_each(|&pixel| clear_pixel(sweep, first + pixel as usize));
 }
 
 fn clear_pixel(sweep: &mut SweepMut<'_>, index: usize) {

@@ -36,9 +36,9 @@ pub struct Corrected {
 
 /// An additional offset along an axis: what it is at the axis' zero, and what it loses each metre.
 #[derive(Clone, Copy, Debug)]
-struct Offset {
-    base_m: f64,
-    slope: f64,
+pub(super) struct Offset {
+    pub(super) base_m: f64,
+    pub(super) slope: f64,
 }
 
 /// Each axis of the corrected beam as a multiple of d and a constant.
@@ -68,12 +68,30 @@ impl Corrected {
         self.near.is_none()
     }
 
+    /// The additional offsets for x and y, where there are any.
+    #[cfg(feature = "daemon")]
+    pub(super) fn near(&self) -> Option<&[Offset; 2]> {
+        self.near.as_ref()
+    }
+
+    /// Sine and cosine of the beam's elevation.
+    #[cfg(feature = "daemon")]
+    pub(super) fn elevation(&self) -> [f64; 2] {
+        [self.sin_elevation, self.cos_elevation]
+    }
+
+    /// Whether additional offsets apply at a measured distance, metres.
+    #[inline]
+    pub(super) fn is_near(measured_m: f64) -> bool {
+        measured_m < FAR_M
+    }
+
     /// The range to store for a measured distance, metres, at this sine and cosine of the azimuth; at least `least_m`.
     #[inline]
     pub fn range_m(&self, measured_m: f64, [sin_azimuth, cos_azimuth]: [f64; 2], least_m: f32) -> f32 {
         let d = (measured_m + self.distance_offset_m).max(f64::from(least_m));
         let Some(near) = self.near else { return (d as f32).max(least_m) };
-        let is_near = measured_m < FAR_M;
+        let is_near = Self::is_near(measured_m);
         let range_m = match is_near {
             true => {
                 let [x, y, z] = self.lines(&near, sin_azimuth, cos_azimuth).at(d);

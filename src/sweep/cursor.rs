@@ -1,7 +1,6 @@
 //! The firings of a packet in their order, with those that are missing before it.
 
-use super::decode::Decoder;
-use super::motion::{Sector, TURN, shortest};
+use super::motion::{Beat, Sector, shortest, within_turn};
 use super::relation::Packet;
 use crate::sensor::model::Spec;
 
@@ -9,6 +8,9 @@ use crate::sensor::model::Spec;
 #[derive(Clone, Copy, Debug)]
 pub struct Cursor {
     pub slot: usize,
+    pub beat: Beat,
+    /// How fast the head turns, radians a second.
+    pub rate_rad_s: f32,
     /// The run ends before this packet.
     pub anew: bool,
     /// Nothing relates it to the clock of those before.
@@ -56,21 +58,20 @@ pub struct Firing {
 }
 
 impl Cursor {
-    pub fn first_measured(&self) -> usize {
-        self.gap.map_or(0, |gap| gap.firings)
-    }
-
     /// The firing at hand.
-    pub fn firing(&self, packet: &Packet, decoder: &Decoder) -> Option<Firing> {
-        let spec = decoder.spec;
-        if let Some(gap) = self.gap.filter(|gap| self.placed < gap.firings) {
-            return Some(gap.firing(self.placed, spec.firings_per_packet(packet.mode)));
-        }
-        let index = self.placed - self.first_measured();
-        (index < spec.firings_per_packet(packet.mode)).then(|| Firing {
-            azimuth_cdeg: packet.motion.azimuth_cdeg(index, spec),
-            time_ns: packet.firing_ns(index, spec),
-            leaps: packet.motion.leaps_before(index, spec)
+    #[inline]
+    pub fn firing(&self, packet: &Packet) -> Option<Firing> {
+        let beat = &self.beat;
+        let first_measured = match &self.gap {
+            Some(gap) if self.placed < gap.firings => return Some(gap.firing(self.placed, beat.firings)),
+            Some(gap) => gap.firings,
+            None => 0,
+        };
+        let index = self.placed - first_measured;
+        (index < beat.firings).then(|| Firing {
+            azimuth_cdeg: packet.motion.azimuth_cdeg(index, beat),
+            time_ns: packet.firing_ns(index, beat),
+            leaps: packet.motion.leaps_before(index, beat)
                 || index == 0 && (self.leaps || self.gap.is_some_and(|gap| gap.leaps_at(gap.firings))),
             index: Some(index),
             begins_lost_packet: false,
@@ -105,7 +106,7 @@ impl Gap {
             _ => (0.0, 0.0),
         };
         Firing {
-            azimuth_cdeg: (self.from_cdeg + self.step_cdeg * steps + width).rem_euclid(TURN),
+            azimuth_cdeg: within_turn(self.from_cdeg + self.step_cdeg * steps + width),
             time_ns: self.from_ns + (self.step_ns * steps + silent) as i64,
             leaps: self.leaps_at(index),
             index: None,

@@ -1,21 +1,18 @@
-//! Records to pixels: the inner loop.
+//! Records to pixels: what a sensor needs for it, and which of two returns is segmented.
 
 use std::ops::RangeInclusive;
 
-use super::corrected::Corrected;
-use super::layout::{BeamRow, ReturnChoice, ReturnKind, SECOND_BLOCKS, is_return};
+use fearless_simd::prelude::*;
+use fearless_simd::{Level, dispatch, f32x16, i32x16, mask32x16};
+
+use super::lanes::{self, Decoded, Direction, Lanes, Of, Records};
+use super::layout::{BeamRow, ReturnChoice, ReturnKind, SECOND_BLOCKS};
 use super::turns::Turns;
-use crate::sensor::calibration::Intensity;
 use crate::sensor::model::Spec;
-use crate::sensor::{Beam, Calibration, Model};
-use crate::wire::data::{Block, RECORDS, Record, ReturnMode};
+use crate::sensor::{Calibration, Model};
+use crate::wire::data::ReturnMode;
 
-/// Least range of a record that is not zero, so that no correction can turn a return into none.
-const LEAST_RANGE_M: f32 = 0.001;
-/// The distance that 16 bits of 2 mm reach, metres: what the focal distance of a beam is a share of.
-const FULL_SCALE_M: f64 = 131.0;
-
-/// What turns records into pixels, laid out by row; chosen once for a sensor.
+/// What turns records into pixels; chosen once for a sensor.
 #[derive(Clone, Debug)]
 pub struct Decoder {
     /// What the model is.
@@ -26,63 +23,31 @@ pub struct Decoder {
     pub is_normalised: bool,
     /// The beams as a sweep of one return carries them, and as one of two does.
     beams: [Vec<BeamRow>; 2],
-    rows: Vec<Row>,
-    /// Rows whose range or reflectivity takes more than an offset.
-    corrected: Vec<CorrectedRow>,
-    unit_m: f64,
+    lanes: Lanes,
+    /// Ranges depend on the azimuth.
+    bends: bool,
     choice: ReturnChoice,
     /// Ranges that may be labelled: of two returns, one of these goes before one that is not.
     limits_m: RangeInclusive<f32>,
+    /// The best vector instructions of this machine.
+    level: Level,
 }
 
-#[derive(Clone, Copy, Debug)]
-struct Row {
-    /// Block among those of one return of the firing, and record of the first firing in it.
-    bank: usize,
-    record: usize,
-    distance_offset_m: f32,
-}
-
-#[derive(Clone, Copy, Debug)]
-struct CorrectedRow {
-    row: usize,
-    range: Corrected,
-    focus: Option<Focus>,
-}
-
-/// How much less a beam reports of what is not in its focus (HDL-64E S3 manual, appendix F).
-#[derive(Clone, Copy, Debug)]
-struct Focus {
-    /// Where it is bright: 256 times the square of the share of the full scale that is left beyond.
-    at: f32,
-    slope: f32,
-    min: f32,
-    max: f32,
-}
-
-/// The two returns of a pixel, by blocks.
-struct Pair {
-    kinds: [ReturnKind; 2],
-    second_is_stronger: bool,
-}
-
-/// What one return of a firing brought, or both: the blocks from its first on, and where in each its records begin.
-#[derive(Clone, Copy, Debug)]
-pub struct Records<'a> {
-    /// The blocks.
-    pub blocks: &'a [Block],
-    /// First record of the firing in each.
-    pub first: usize,
-    /// Azimuth of the firing, radians.
-    pub azimuth_rad: f64,
-}
-
-/// The pixels of one firing in a plane pair, by row.
+/// Where a firing is written: the pixels that it can have, from the top of the first column on.
 pub struct Pixels<'a> {
     /// Metres.
     pub range: &'a mut [f32],
     /// Calibrated reflectivity.
     pub reflectivity: &'a mut [u8],
+}
+
+/// Two returns of each of sixteen beams.
+struct Pairs<S: Simd> {
+    /// Those to segment.
+    chosen: Decoded<S>,
+    other: Decoded<S>,
+    /// [`ReturnKind`] of the chosen ones, and [`SECOND_BLOCKS`].
+    kind: i32x16<S>,
 }
 
 impl Decoder {
@@ -94,31 +59,14 @@ impl Decoder {
         choice: ReturnChoice,
         limits_m: RangeInclusive<f32>,
     ) -> Self {
-        let unit_m = calibration.distance_unit_m();
-        let beams = || calibration.rows().iter().map(|&channel| &calibration.beams()[channel]);
-        let beam_rows = |mode| -> Vec<BeamRow> {
-            beams().map(|beam| BeamRow::new(beam, spec.channel_offset_ns(beam.channel, mode))).collect()
+        let beams = |mode| -> Vec<BeamRow> {
+            let beams = calibration.rows().iter().map(|&channel| &calibration.beams()[channel]);
+            beams.map(|beam| BeamRow::new(beam, spec.channel_offset_ns(beam.channel, mode))).collect()
         };
-        let single = beam_rows(ReturnMode::Strongest);
-        let corrected = beams().zip(&single).enumerate().filter_map(|(row, (beam, of_sweep))| {
-            let range = Corrected::new(of_sweep);
-            (!range.is_straight() || beam.intensity.is_some()).then_some(CorrectedRow {
-                row,
-                range,
-                focus: beam.intensity.map(Focus::new),
-            })
-        });
-        Self {
-            spec,
-            model,
-            is_normalised: false,
-            corrected: corrected.collect(),
-            beams: [beam_rows(ReturnMode::Strongest), beam_rows(ReturnMode::Dual)],
-            rows: beams().map(Row::new).collect(),
-            unit_m,
-            choice,
-            limits_m,
-        }
+        let beams = [ReturnMode::Strongest, ReturnMode::Dual].map(beams);
+        let lanes = Lanes::new(calibration, &beams[0]);
+        let bends = lanes.bend();
+        Self { spec, model, is_normalised: false, beams, lanes, bends, choice, limits_m, level: Level::new() }
     }
 
     /// Takes another table of the same model, whose timing with one return differs.
@@ -129,9 +77,15 @@ impl Decoder {
         }
     }
 
+    /// The same decoder at each level of vector instructions that this machine has, the least first, with its name; all of
+    /// them give the same bytes.
+    pub fn at_every_level(&self) -> Vec<(String, Self)> {
+        lanes::levels().into_iter().map(|level| (format!("{level:?}"), Self { level, ..self.clone() })).collect()
+    }
+
     /// Rows of the image.
     pub fn rows(&self) -> usize {
-        self.rows.len()
+        self.beams[0].len()
     }
 
     /// The beams as a sweep carries them, not shifted yet.
@@ -139,148 +93,124 @@ impl Decoder {
         &self.beams[mode.returns() - 1]
     }
 
-    /// Writes a firing into its pixels; returns how many returns it has.
-    #[inline]
-    pub fn single(&self, records: Records<'_>, turns: &Turns, pixels: Pixels<'_>) -> u32 {
-        let mut returns = 0;
-        for ((row, range), reflectivity) in self.rows.iter().zip(&mut *pixels.range).zip(&mut *pixels.reflectivity) {
-            let record = row.of(records);
-            *range = self.plain_range_m(record, row);
-            *reflectivity = record.reflectivity;
-            returns += u32::from(record.distance.get() != 0);
-        }
-        if !self.corrected.is_empty() {
-            self.correct(records, turns, pixels);
-        }
-        returns
+    /// Writes a firing at an azimuth, radians, into its pixels; returns how many returns it has.
+    pub fn single(&self, records: Records<'_>, azimuth_rad: f32, turns: &Turns, mut pixels: Pixels<'_>) -> u32 {
+        let direction = self.direction(azimuth_rad);
+        dispatch!(self.level, simd => {
+            let mut returns = 0;
+            for group in 0..self.lanes.groups() {
+                let decoded = self.lanes.decode(simd, group, records, (direction, &turns.asides()[group]), self.is_normalised);
+                pixels.write(&turns.pixels()[group], &decoded);
+                returns += decoded.returns;
+            }
+            returns
+        })
     }
 
-    /// Writes a firing with two returns: the chosen one, the other, and which the chosen one is.
-    #[inline]
+    /// Writes a firing with two returns: the chosen ones, the others, and which the chosen ones are.
     pub fn dual(
         &self,
         records: Records<'_>,
+        azimuth_rad: f32,
         turns: &Turns,
-        chosen: Pixels<'_>,
-        other: Pixels<'_>,
+        [mut chosen, mut other]: [Pixels<'_>; 2],
         kind: &mut [u8],
     ) -> u32 {
-        let (first_blocks, second_blocks) = records.blocks.split_at(self.spec.banks());
-        let [first, second] = [first_blocks, second_blocks].map(|blocks| Records { blocks, ..records });
-        let mut returns = self.single(first, turns, Pixels { range: chosen.range, reflectivity: chosen.reflectivity });
-        returns += self.single(second, turns, Pixels { range: other.range, reflectivity: other.reflectivity });
-        let chosen = chosen.range.iter_mut().zip(chosen.reflectivity);
-        let other = other.range.iter_mut().zip(other.reflectivity);
-        for ((first, second), kind) in chosen.zip(other).zip(kind) {
-            let pair = self.pair([(*first.0, *first.1), (*second.0, *second.1)]);
-            *kind = pair.kinds[0] as u8;
-            if self.chooses_second([*first.0, *second.0], &pair) {
-                std::mem::swap(first.0, second.0);
-                std::mem::swap(first.1, second.1);
-                *kind = pair.kinds[1] as u8 | SECOND_BLOCKS;
+        let direction = self.direction(azimuth_rad);
+        let (first, second) = records.blocks.split_at(self.spec.banks());
+        let [first, second] = [first, second].map(|blocks| Records { blocks, ..records });
+        dispatch!(self.level, simd => {
+            let mut returns = 0;
+            for group in 0..self.lanes.groups() {
+                let towards = (direction, &turns.asides()[group]);
+                let first = self.lanes.decode(simd, group, first, towards, self.is_normalised);
+                let second = self.lanes.decode(simd, group, second, towards, self.is_normalised);
+                returns += first.returns + second.returns;
+                let pairs = self.choose(simd, first, second);
+                let places = &turns.pixels()[group];
+                chosen.write(places, &pairs.chosen);
+                other.write(places, &pairs.other);
+                write_bytes(kind, places, pairs.kind);
             }
-        }
-        returns
+            returns
+        })
     }
 
-    /// Corrects what takes more than an offset.
-    fn correct(&self, records: Records<'_>, turns: &Turns, pixels: Pixels<'_>) {
-        let (sin, cos) = records.azimuth_rad.sin_cos();
-        for one in &self.corrected {
-            let record = self.rows[one.row].of(records);
-            let distance = record.distance.get();
-            if distance == 0 {
-                continue;
-            }
-            if !one.range.is_straight() {
-                let turn = &turns.rows()[one.row];
-                let direction = [sin * turn.cos + cos * turn.sin, cos * turn.cos - sin * turn.sin];
-                pixels.range[one.row] = one.range.range_m(f64::from(distance) * self.unit_m, direction, LEAST_RANGE_M);
-            }
-            if let Some(focus) = one.focus.filter(|_| !self.is_normalised) {
-                pixels.reflectivity[one.row] = focus.reflectivity(record.reflectivity, distance);
-            }
+    fn direction(&self, azimuth_rad: f32) -> Direction {
+        if !self.bends {
+            return [0.0, 1.0];
         }
+        lanes::direction(f64::from(azimuth_rad))
     }
 
-    /// What the returns of the first and the second blocks are. A sensor with one head puts the last first (VLP-16 manual,
+    /// Puts the returns to segment first: of each beam one that is there and within the limits before one that is not, else
+    /// as the user chose.
+    ///
+    /// What the returns of the first and the second blocks are: a sensor with one head puts the last first (VLP-16 manual,
     /// section 6.2). Of an HDL-64E no manual says it: the farther is the last, the brighter the stronger.
-    #[inline]
-    fn pair(&self, [first, second]: [(f32, u8); 2]) -> Pair {
-        const LAST_FIRST: [ReturnKind; 2] = [ReturnKind::Last, ReturnKind::Strongest];
-        const LAST_SECOND: [ReturnKind; 2] = [ReturnKind::Strongest, ReturnKind::Last];
-        if self.spec.banks() == 1 {
-            return Pair { kinds: LAST_FIRST, second_is_stronger: true };
-        }
-        let kinds = if first.0 > second.0 { LAST_FIRST } else { LAST_SECOND };
-        Pair { kinds, second_is_stronger: second.1 > first.1 }
-    }
-
-    /// Whether the return of the second blocks is segmented; one that is there and within the limits goes before one that
-    /// is not.
-    #[inline]
-    fn chooses_second(&self, ranges_m: [f32; 2], pair: &Pair) -> bool {
-        let worth = |range_m: f32| match is_return(range_m) {
-            true => 1 + u8::from(self.limits_m.contains(&range_m)),
-            false => 0,
+    #[inline(always)]
+    fn choose<S: Simd>(&self, simd: S, first: Decoded<S>, second: Decoded<S>) -> Pairs<S> {
+        let is_said = mask32x16::splat(simd, self.spec.banks() == 1);
+        let first_is_last = is_said | first.range_m.simd_gt(second.range_m);
+        let second_is_stronger = is_said | second.reflectivity.simd_gt(first.reflectivity);
+        let prefers_second = match self.choice {
+            ReturnChoice::Nearest => {
+                let is_even = second.range_m.simd_eq(first.range_m);
+                second.range_m.simd_lt(first.range_m) | is_even & second_is_stronger
+            }
+            ReturnChoice::Strongest => second_is_stronger,
+            ReturnChoice::Last => !first_is_last,
         };
-        let [first, second] = ranges_m.map(worth);
-        if first != second {
-            return second > first;
-        }
-        match self.choice {
-            ReturnChoice::Nearest if ranges_m[0] == ranges_m[1] => pair.second_is_stronger,
-            ReturnChoice::Nearest => ranges_m[1] < ranges_m[0],
-            ReturnChoice::Strongest => pair.second_is_stronger,
-            ReturnChoice::Last => pair.kinds[1] == ReturnKind::Last,
+        let (first_is, first_fits) = self.worth(first.range_m);
+        let (second_is, second_fits) = self.worth(second.range_m);
+        let first_is_better = first_is & !second_is | first_fits & !second_fits;
+        let second_is_better = second_is & !first_is | second_fits & !first_fits;
+        let takes_second = second_is_better | !first_is_better & prefers_second;
+        let last = i32x16::splat(simd, ReturnKind::Last as i32);
+        let kind = (takes_second ^ first_is_last).select(last, i32x16::splat(simd, ReturnKind::Strongest as i32));
+        let in_second = i32x16::splat(simd, i32::from(SECOND_BLOCKS));
+        Pairs {
+            chosen: second.or(first, takes_second),
+            other: first.or(second, takes_second),
+            kind: kind | takes_second.select(in_second, i32x16::splat(simd, 0)),
         }
     }
 
-    #[inline]
-    fn plain_range_m(&self, record: &Record, row: &Row) -> f32 {
-        match record.distance.get() {
-            0 => 0.0,
-            distance => (f32::from(distance) * self.unit_m as f32 + row.distance_offset_m).max(LEAST_RANGE_M),
-        }
+    /// Whether there is a return, and whether it is within the limits.
+    #[inline(always)]
+    fn worth<S: Simd>(&self, range_m: f32x16<S>) -> (mask32x16<S>, mask32x16<S>) {
+        // As `is_return` has it.
+        let is_return = range_m.simd_gt(0.0);
+        let (low_m, high_m) = (*self.limits_m.start(), *self.limits_m.end());
+        (is_return, is_return & range_m.simd_ge(low_m) & range_m.simd_le(high_m))
     }
 }
 
-impl Row {
-    fn new(beam: &Beam) -> Self {
-        let (bank, record) = (beam.channel / RECORDS, beam.channel % RECORDS);
-        Self { bank, record, distance_offset_m: beam.distance_offset_m as f32 }
-    }
-
-    #[inline]
-    fn of<'a>(&self, records: Records<'a>) -> &'a Record {
-        &records.blocks[self.bank].records[records.first + self.record]
+impl Pixels<'_> {
+    #[inline(always)]
+    fn write<S: Simd>(&mut self, places: &Of<u32>, decoded: &Decoded<S>) {
+        for (&place, &range_m) in places.iter().zip(decoded.range_m.as_array()) {
+            self.range[place as usize] = range_m;
+        }
+        write_bytes(self.reflectivity, places, decoded.reflectivity);
     }
 }
 
-impl Focus {
-    fn new(intensity: Intensity) -> Self {
-        let beyond = 1.0 - intensity.focal_distance_m / FULL_SCALE_M;
-        let [slope, min, max] = [intensity.focal_slope, intensity.min, intensity.max].map(|value| value as f32);
-        Self { at: (256.0 * beyond * beyond) as f32, slope, min, max }
-    }
-
-    /// Reflectivity of what a beam measured, from what it reports.
-    #[inline]
-    fn reflectivity(&self, reported: u8, distance: u16) -> u8 {
-        const UNITS: f32 = 1.0 / u16::MAX as f32;
-        let beyond = 1.0 - f32::from(distance) * UNITS;
-        let off = (self.at - 256.0 * beyond * beyond).abs();
-        // To the nearest: what is clamped is never negative.
-        (((f32::from(reported) + self.slope * off).clamp(self.min, self.max)) + 0.5) as u8
+#[inline(always)]
+fn write_bytes<S: Simd>(plane: &mut [u8], places: &Of<u32>, bytes: i32x16<S>) {
+    for (&place, &byte) in places.iter().zip(bytes.as_array()) {
+        plane[place as usize] = byte as u8;
     }
 }
 
 #[cfg(test)]
 mod tests {
+    use crate::sweep::layout::is_return;
     use zerocopy::little_endian::U16;
 
     use super::*;
     use crate::wire::DataPacket;
+    use crate::wire::data::Record;
 
     /// The segmented return, the other, and which the first is: metres for last and strongest in the only channel used.
     fn dual(
@@ -297,12 +227,14 @@ mod tests {
             let distance = U16::new((range_m * 500.0).round() as u16);
             packet.blocks[block].records[15] = Record { distance, reflectivity };
         }
+        let mut turns = Turns::default();
+        turns.set(decoder.beams(ReturnMode::Dual), 2e-6, decoder.spec, ReturnMode::Dual);
         let (mut range, mut range2) = ([9.0; 16], [9.0; 16]);
         let (mut reflectivity, mut reflectivity2, mut kind) = ([9; 16], [9; 16], [9; 16]);
         let first = Pixels { range: &mut range, reflectivity: &mut reflectivity };
         let second = Pixels { range: &mut range2, reflectivity: &mut reflectivity2 };
-        let records = Records { blocks: &packet.blocks[..2], first: 0, azimuth_rad: 0.0 };
-        let returns = decoder.dual(records, &Turns::default(), first, second, &mut kind);
+        let records = Records { blocks: &packet.blocks[..2], first: 0 };
+        let returns = decoder.dual(records, 0.0, &turns, [first, second], &mut kind);
         assert_eq!(returns, u32::from(last_m > 0.0) + u32::from(strongest_m > 0.0));
         let of_kind = |is_strongest: bool| if is_strongest { 2 } else { 1 };
         let is_strongest = ReturnKind::of_byte(kind[0]) == ReturnKind::Strongest;

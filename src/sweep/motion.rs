@@ -43,6 +43,53 @@ impl Sector {
     }
 }
 
+/// How the firings of a packet follow each other: what its model and its return mode say, worked out once a packet.
+#[derive(Clone, Copy, Debug)]
+pub struct Beat {
+    /// Firings of a packet.
+    pub firings: usize,
+    /// Blocks that one firing takes, or the two that share one.
+    pub blocks: usize,
+    /// From one firing to the next, nanoseconds.
+    pub period_ns: i64,
+    channels: usize,
+    /// Firings that share an azimuth, as a power of two.
+    sharing: u32,
+}
+
+impl Beat {
+    /// Of a model's packets with this return mode.
+    pub fn new(spec: &Spec, mode: ReturnMode) -> Self {
+        Self {
+            firings: spec.firings_per_packet(mode),
+            blocks: spec.blocks_per_azimuth(mode),
+            period_ns: i64::from(spec.firing_period_ns(mode)),
+            channels: spec.channels,
+            sharing: spec.firings_per_azimuth().ilog2(),
+        }
+    }
+
+    /// The first block of a firing.
+    pub fn block(&self, firing: usize) -> usize {
+        self.azimuth(firing) * self.blocks
+    }
+
+    /// The first record of a firing in its blocks.
+    pub fn record(&self, firing: usize) -> usize {
+        self.behind(firing) * self.channels
+    }
+
+    /// Index of the azimuth that a firing has.
+    fn azimuth(&self, firing: usize) -> usize {
+        firing >> self.sharing
+    }
+
+    /// How many firings came before it at the same azimuth.
+    fn behind(&self, firing: usize) -> usize {
+        firing & ((1 << self.sharing) - 1)
+    }
+}
+
 /// The motion of the head during one packet.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct Motion {
@@ -137,7 +184,7 @@ impl Motion {
 
     /// Azimuth where the packet after this one should begin, hundredths of a degree.
     pub fn next_cdeg(&self) -> f64 {
-        (f64::from(self.azimuths[self.count - 1]) + self.step_cdeg).rem_euclid(TURN)
+        within_turn(f64::from(self.azimuths[self.count - 1]) + self.step_cdeg)
     }
 
     /// Nanoseconds that the head needs to cross `width_cdeg` at this packet's speed; 0 when it stands still.
@@ -155,24 +202,23 @@ impl Motion {
 
     /// Azimuth at the first shot of a firing, hundredths of a degree, 0..36000. A firing that has no azimuth of its own
     /// (the second of a VLP-16 block) gets it from the turning rate: single steps carry the encoder's noise.
-    pub fn azimuth_cdeg(&self, firing: usize, spec: &Spec) -> f64 {
-        let per_azimuth = spec.firings_per_azimuth();
-        let within = (firing % per_azimuth) as f64 / per_azimuth as f64;
-        (f64::from(self.azimuths[firing / per_azimuth]) + self.best_step_cdeg() * within).rem_euclid(TURN)
+    pub fn azimuth_cdeg(&self, firing: usize, beat: &Beat) -> f64 {
+        let within = beat.behind(firing) as f64 / (1 << beat.sharing) as f64;
+        within_turn(f64::from(self.azimuths[beat.azimuth(firing)]) + self.best_step_cdeg() * within)
     }
 
     /// First shot of a firing after that of the packet, nanoseconds.
-    pub fn offset_ns(&self, firing: usize, spec: &Spec) -> i64 {
-        let fired = i64::from(spec.firing_period_ns(self.mode)) * firing as i64;
+    pub fn offset_ns(&self, firing: usize, beat: &Beat) -> i64 {
+        let fired = beat.period_ns * firing as i64;
         match self.left_out {
-            Some((index, _)) if firing / spec.firings_per_azimuth() >= index => fired + self.silent_ns,
+            Some((index, _)) if beat.azimuth(firing) >= index => fired + self.silent_ns,
             _ => fired,
         }
     }
 
     /// Whether the head leapt over a sector between the firing before and this one.
-    pub fn leaps_before(&self, firing: usize, spec: &Spec) -> bool {
-        self.left_out.is_some_and(|(index, _)| firing == index * spec.firings_per_azimuth())
+    pub fn leaps_before(&self, firing: usize, beat: &Beat) -> bool {
+        self.left_out.is_some_and(|(index, _)| firing == index << beat.sharing)
     }
 }
 
@@ -186,15 +232,26 @@ pub fn rate_between(first: &DataPacket, last: &DataPacket, mode: ReturnMode, spe
     (0..HALF_TURN_NS).contains(&lasted_ns).then(|| shortest(turned) / lasted_ns.max(1) as f64)
 }
 
+/// The same angle within 0..36000 hundredths of a degree: `rem_euclid`, which takes a division, for an angle that is hardly
+/// ever more than a turn away.
+pub(super) fn within_turn(cdeg: f64) -> f64 {
+    match cdeg {
+        _ if (0.0..TURN).contains(&cdeg) => cdeg,
+        _ if (TURN..2.0 * TURN).contains(&cdeg) => cdeg - TURN,
+        _ if cdeg < 0.0 && cdeg > -TURN => cdeg + TURN,
+        _ => cdeg.rem_euclid(TURN),
+    }
+}
+
 /// The same angle within -18000..18000 hundredths of a degree.
 pub(super) fn shortest(cdeg: f64) -> f64 {
-    (cdeg + TURN / 2.0).rem_euclid(TURN) - TURN / 2.0
+    within_turn(cdeg + TURN / 2.0) - TURN / 2.0
 }
 
 /// From one azimuth ahead to another in the sense of rotation, 0..36000 hundredths of a degree.
 pub(super) fn ahead(from_cdeg: f64, to_cdeg: f64, sense: f64) -> f64 {
     let sign = if sense < 0.0 { -1.0 } else { 1.0 };
-    ((to_cdeg - from_cdeg) * sign).rem_euclid(TURN)
+    within_turn((to_cdeg - from_cdeg) * sign)
 }
 
 /// The median of steps by their length; of two the shorter, since the other may be a leap.
@@ -226,16 +283,16 @@ mod tests {
 
     #[test]
     fn the_second_firing_of_a_block_is_interpolated_and_may_wrap_alone() {
-        let spec = SPEC;
+        let beat = &Beat::new(SPEC, ReturnMode::Strongest);
         let motion = Motion::of(&packet(WRAPS), ReturnMode::Strongest, SPEC).unwrap();
         // 436 hundredths in eleven steps.
         assert!((motion.step_cdeg - 436.0 / 11.0).abs() < 1e-9);
-        assert_eq!(motion.azimuth_cdeg(14, spec), 35_971.0);
-        assert!((motion.azimuth_cdeg(15, spec) - (35_971.0 + 218.0 / 11.0)).abs() < 1e-9);
+        assert_eq!(motion.azimuth_cdeg(14, beat), 35_971.0);
+        assert!((motion.azimuth_cdeg(15, beat) - (35_971.0 + 218.0 / 11.0)).abs() < 1e-9);
         let mut late = WRAPS;
         late[7] = 35_985;
         let motion = Motion::of(&packet(late), ReturnMode::Strongest, SPEC).unwrap();
-        assert!(motion.azimuth_cdeg(15, spec) < 10.0);
+        assert!(motion.azimuth_cdeg(15, beat) < 10.0);
     }
 
     #[test]
@@ -244,15 +301,15 @@ mod tests {
         for (index, azimuth) in azimuths.iter_mut().enumerate() {
             *azimuth = if index < 5 { 9_000 } else { 26_800 } + 40 * index as u16;
         }
-        let spec = SPEC;
+        let beat = &Beat::new(SPEC, ReturnMode::Strongest);
         let motion = Motion::of(&packet(azimuths), ReturnMode::Strongest, SPEC).unwrap();
         let (index, sector) = motion.left_out.unwrap();
         assert_eq!((index, sector.from_cdeg, sector.width_cdeg), (5, 9_200.0, 17_800.0));
         // 178 degrees at 40 hundredths a block of 110.592 us: 445 blocks.
         assert_eq!(motion.silent_ns, 445 * 110_592);
-        assert_eq!(motion.offset_ns(9, spec), 9 * 55_296);
-        assert_eq!(motion.offset_ns(10, spec), (10 + 890) * 55_296);
-        assert!(motion.leaps_before(10, spec) && !motion.leaps_before(11, spec));
+        assert_eq!(motion.offset_ns(9, beat), 9 * 55_296);
+        assert_eq!(motion.offset_ns(10, beat), (10 + 890) * 55_296);
+        assert!(motion.leaps_before(10, beat) && !motion.leaps_before(11, beat));
     }
 
     #[test]
@@ -261,6 +318,15 @@ mod tests {
         azimuths[4] = 20_000;
         assert_eq!(Motion::of(&packet(azimuths), ReturnMode::Strongest, SPEC), Err(Implausible::Jumps));
         assert_eq!(Motion::of(&packet(WRAPS), ReturnMode::Dual, SPEC), Err(Implausible::Unpaired));
+    }
+
+    #[test]
+    fn an_angle_comes_within_a_turn_as_by_division() {
+        let turns = [-2.0, -1.0, 0.0, 1.0, 2.0].map(|turns| turns * TURN);
+        let near = |cdeg: f64| [cdeg, cdeg.next_down(), cdeg.next_up(), cdeg - 0.25, cdeg + 12_345.678];
+        for cdeg in turns.into_iter().flat_map(near) {
+            assert_eq!(within_turn(cdeg).to_bits(), cdeg.rem_euclid(TURN).to_bits(), "{cdeg}");
+        }
     }
 
     #[test]

@@ -3,7 +3,7 @@
 //! An interval of more than a packet period is loss, when it is a whole number of periods and the head is where its speed
 //! brought it; a sector that the sensor leaves out, when it is a whole number of blocks; else the clock jumped.
 
-use super::motion::{Motion, Sector, TURN, ahead, shortest};
+use super::motion::{Beat, Motion, Sector, TURN, ahead, shortest};
 use crate::sensor::model::{Spec, Stamp};
 use crate::wire::DataPacket;
 use crate::wire::data::ReturnMode;
@@ -46,8 +46,8 @@ pub struct Packet {
 
 impl Packet {
     /// Sensor time of the first shot of a firing.
-    pub fn firing_ns(&self, firing: usize, spec: &Spec) -> i64 {
-        self.time_ns + self.motion.offset_ns(firing, spec)
+    pub fn firing_ns(&self, firing: usize, beat: &Beat) -> i64 {
+        self.time_ns + self.motion.offset_ns(firing, beat)
     }
 }
 

@@ -1,5 +1,6 @@
 //! How far each row of a sweep points to the side of its firing: in whole columns, and as an angle.
 
+use super::lanes::{self, Aside, LANES, Of};
 use super::layout::BeamRow;
 use super::motion::TURN;
 use crate::sensor::model::Spec;
@@ -11,21 +12,15 @@ const SLOWEST_RPM: f64 = 240.0;
 /// The turn of each row at the speed that the head had when a sweep began.
 #[derive(Clone, Debug, Default)]
 pub struct Turns {
-    rows: Vec<Turn>,
+    /// Columns from a pixel to its firing, by row; see [`BeamRow::shift`].
+    shifts: Vec<i32>,
+    /// By channel, in groups.
+    asides: Vec<Aside>,
+    /// By channel too: where the pixel of each is, counted from the first pixel that a firing can have.
+    pixels: Vec<Of<u32>>,
     lead: usize,
     trail: usize,
     rate_rad_s: f64,
-}
-
-/// The turn of a row.
-#[derive(Clone, Copy, Debug, Default)]
-pub struct Turn {
-    /// Columns from a pixel to its firing; see [`BeamRow::shift`].
-    pub shift: i32,
-    /// Sine of the angle from the firing's azimuth to the beam's.
-    pub sin: f64,
-    /// Its cosine.
-    pub cos: f64,
 }
 
 impl Turns {
@@ -38,20 +33,40 @@ impl Turns {
         let rate_rad_ns = (rate_cdeg_ns.abs().max(slowest).copysign(rate_cdeg_ns) / 100.0).to_radians();
         let pitch_rad = rate_rad_ns * f64::from(spec.firing_period_ns(mode));
         self.rate_rad_s = (rate_cdeg_ns / 100.0).to_radians() * 1e9;
-        self.rows.clear();
-        self.rows.extend(beams.iter().map(|beam| {
-            let turn_rad = rate_rad_ns * f64::from(beam.time_offset_ns) - f64::from(beam.rotation_rad);
-            let shift = if spec.shifted { (-turn_rad / pitch_rad).round() as i32 } else { 0 };
-            Turn { shift, sin: turn_rad.sin(), cos: turn_rad.cos() }
+        let turn_rad = |beam: &BeamRow| rate_rad_ns * f64::from(beam.time_offset_ns) - f64::from(beam.rotation_rad);
+        self.shifts.clear();
+        self.shifts.extend(beams.iter().map(|beam| match spec.shifted {
+            true => (-turn_rad(beam) / pitch_rad).round() as i32,
+            false => 0,
         }));
-        let shifts = || self.rows.iter().map(|row| row.shift);
+        let shifts = || self.shifts.iter().copied();
         self.lead = shifts().max().unwrap_or(0).max(0) as usize;
         self.trail = shifts().min().unwrap_or(0).min(0).unsigned_abs() as usize;
+        self.asides.resize(beams.len().div_ceil(LANES), Aside::default());
+        self.pixels.resize(beams.len().div_ceil(LANES), Of::default());
+        for (row, beam) in beams.iter().enumerate() {
+            let (group, lane) = lanes::place(beam.channel);
+            let aside = &mut self.asides[group];
+            [aside.sin[lane], aside.cos[lane]] = [turn_rad(beam).sin() as f32, turn_rad(beam).cos() as f32];
+            let column = self.lead as i32 - self.shifts[row];
+            self.pixels[group][lane] = column as u32 * beams.len() as u32 + row as u32;
+        }
     }
 
-    /// By row.
-    pub fn rows(&self) -> &[Turn] {
-        &self.rows
+    /// Columns from a pixel to its firing, by row.
+    pub fn shifts(&self) -> &[i32] {
+        &self.shifts
+    }
+
+    /// How far the beams point aside, by channel.
+    pub fn asides(&self) -> &[Aside] {
+        &self.asides
+    }
+
+    /// Where the pixels of a firing are, by channel, counted from the top of the column that is [`Turns::lead`] before its
+    /// own.
+    pub fn pixels(&self) -> &[Of<u32>] {
+        &self.pixels
     }
 
     /// Columns that lie before that of a firing and can hold a pixel of it.

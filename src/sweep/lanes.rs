@@ -1,0 +1,335 @@
+//! Sixteen beams at once: from the records of a firing to ranges and reflectivities.
+//!
+//! All of it is vectors of [`LANES`] numbers, at whatever level the caller runs it: the [decoder](super::decode) takes the best
+//! one of the machine. Beams stay in the order of their channels, as the packet has them: where each goes in the image, the
+//! [turns](super::turns) say.
+//!
+//! Every level gives the same bytes, since nothing here rounds otherwise at one than at another: a product is never fused
+//! with a sum, and a square root is exact to the last bit. A range is within 4e-5 m of the length that [`Corrected`] means,
+//! and says the same of near and far.
+
+use std::f64::consts::{FRAC_2_PI, FRAC_PI_2};
+
+use fearless_simd::prelude::*;
+use fearless_simd::{Level, f32x16, i32x16, mask32x16};
+use zerocopy::IntoBytes;
+
+use super::corrected::Corrected;
+use super::layout::BeamRow;
+use crate::sensor::Calibration;
+use crate::sensor::calibration::Intensity;
+use crate::wire::data::{Block, RECORDS, Record};
+
+/// Beams that are computed at once: no firing of any model has a number that this does not divide.
+pub const LANES: usize = 16;
+/// Least range of a record that is not zero, so that no correction can turn a return into none.
+const LEAST_RANGE_M: f32 = 0.001;
+/// The distance that 16 bits of 2 mm reach, metres: what the focal distance of a beam is a share of.
+const FULL_SCALE_M: f64 = 131.0;
+
+/// Bytes of a record.
+const RECORD: usize = size_of::<Record>();
+
+/// The first eight digits of an f32, which leave the sixteen of a distance room in a product.
+const HEAD: u32 = 0xFFFF_0000;
+
+/// A number for each of the beams.
+pub type Of<T> = [T; LANES];
+
+/// What the beams of a sensor need.
+#[derive(Clone, Debug)]
+pub struct Lanes {
+    /// Metres of one unit of distance, in two parts. The first has so few digits that its product with any distance is exact.
+    unit_m: [f32; 2],
+    groups: Vec<Group>,
+    /// Distances, in units, that are nearer than where the two-point correction ends.
+    near_units: i32,
+}
+
+/// What sixteen of them need.
+#[derive(Clone, Debug)]
+struct Group {
+    distance_offset_m: Of<f32>,
+    bend: Option<Bend>,
+    focus: Option<Focus>,
+}
+
+/// How the beams leave the straight line; see [`Corrected`].
+#[derive(Clone, Debug, Default)]
+struct Bend {
+    sin_elevation: Of<f32>,
+    cos_elevation: Of<f32>,
+    /// Additional offsets along x and y: what they lose each metre, and what they are at the axis' zero.
+    slope: [Of<f32>; 2],
+    base_m: [Of<f32>; 2],
+    /// 1 of a beam that is bent: the bit that says so in its range.
+    mark: Of<i32>,
+}
+
+/// How much less the beams report of what is not in their focus (HDL-64E S3 manual, appendix F).
+#[derive(Clone, Debug, Default)]
+struct Focus {
+    /// Where it is bright: 256 times the square of the share of the full scale that is left beyond.
+    at: Of<f32>,
+    slope: Of<f32>,
+    min: Of<f32>,
+    max: Of<f32>,
+}
+
+/// How far the beams point to the side of their firing.
+#[derive(Clone, Copy, Debug, Default)]
+pub struct Aside {
+    /// Sine of the angle from the firing's azimuth to the beam's.
+    pub sin: Of<f32>,
+    /// Its cosine.
+    pub cos: Of<f32>,
+}
+
+/// One return of each of the beams, and what they report of it.
+#[derive(Clone, Copy)]
+pub struct Decoded<S: Simd> {
+    /// Metres.
+    pub range_m: f32x16<S>,
+    /// Calibrated reflectivity.
+    pub reflectivity: i32x16<S>,
+    /// How many there are.
+    pub returns: u32,
+}
+
+/// Where a firing points: sine and cosine of its azimuth.
+pub type Direction = [f32; 2];
+
+/// What one return of a firing brought, or both: the blocks from its first on, and where in each its records begin.
+#[derive(Clone, Copy, Debug)]
+pub struct Records<'a> {
+    /// The blocks.
+    pub blocks: &'a [Block],
+    /// First record of the firing in each.
+    pub first: usize,
+}
+
+impl Lanes {
+    /// For these beams, given as a sweep carries them too, row by row.
+    pub fn new(calibration: &Calibration, rows: &[BeamRow]) -> Self {
+        let unit_m = calibration.distance_unit_m();
+        let mut groups = vec![Group::straight(); rows.len().div_ceil(LANES)];
+        for row in rows {
+            let (group, lane) = place(row.channel);
+            groups[group].take(lane, row, calibration.beams()[row.channel as usize].intensity);
+        }
+        let is_near = |&units: &u32| Corrected::is_near(f64::from(units) * unit_m);
+        let near_units = (0..=u32::from(u16::MAX)).take_while(is_near).count() as i32;
+        let head_m = f32::from_bits((unit_m as f32).to_bits() & HEAD);
+        Self { unit_m: [head_m, (unit_m - f64::from(head_m)) as f32], groups, near_units }
+    }
+
+    /// Whether ranges depend on the azimuth.
+    pub fn bend(&self) -> bool {
+        self.groups.iter().any(|group| group.bend.is_some())
+    }
+
+    /// Groups of [`LANES`] that the beams make.
+    pub fn groups(&self) -> usize {
+        self.groups.len()
+    }
+
+    /// Decodes a group of records of a firing that points there, with the beams aside of it so far.
+    #[inline(always)]
+    pub fn decode<S: Simd>(
+        &self,
+        simd: S,
+        index: usize,
+        records: Records<'_>,
+        (direction, aside): (Direction, &Aside),
+        is_normalised: bool,
+    ) -> Decoded<S> {
+        let group = &self.groups[index];
+        let records = i32x16::load_array(simd, records.group(index));
+        let (distance, reported) = (records & 0xFFFF, (records >> 16) & 0xFF);
+        let units: f32x16<S> = distance.to_float();
+        let [head_m, tail_m] = self.unit_m;
+        let offset_m = f32x16::load_array_ref(simd, &group.distance_offset_m);
+        let mut range_m = (units * head_m + (units * tail_m + offset_m)).max(LEAST_RANGE_M);
+        if let Some(bend) = &group.bend {
+            let near_m = bend.ranges_m(simd, range_m, direction, aside);
+            range_m = bend.mark(simd, distance.simd_lt(self.near_units), near_m, range_m);
+        }
+        let is_return = distance.simd_gt(0);
+        let reflectivity = match group.focus.as_ref().filter(|_| !is_normalised) {
+            Some(focus) => is_return.select(focus.reflectivities(simd, reported, units), reported),
+            None => reported,
+        };
+        let returns = is_return.to_bitmask().count_ones();
+        Decoded { range_m: is_return.select(range_m, f32x16::splat(simd, 0.0)), reflectivity, returns }
+    }
+}
+
+impl<S: Simd> Decoded<S> {
+    /// This where `is`, and the other elsewhere.
+    #[inline(always)]
+    pub fn or(self, other: Self, is: mask32x16<S>) -> Self {
+        Self {
+            range_m: is.select(self.range_m, other.range_m),
+            reflectivity: is.select(self.reflectivity, other.reflectivity),
+            ..self
+        }
+    }
+}
+
+impl Records<'_> {
+    /// A group of records: distance in the low sixteen bits of each, then the reflectivity, then anything.
+    #[inline(always)]
+    fn group(&self, group: usize) -> Of<i32> {
+        const IN_BLOCK: usize = RECORDS / LANES;
+        const BYTES: usize = LANES * RECORD;
+        let records = &self.blocks[group / IN_BLOCK].records[self.first + group % IN_BLOCK * LANES..];
+        let bytes: &[u8; BYTES] = records.as_bytes().first_chunk().expect("a block is whole groups");
+        let word = |at: usize| i32::from_le_bytes([bytes[at], bytes[at + 1], bytes[at + 2], bytes[at + 3]]);
+        // Four bytes at once, one of them the next record's; there is none behind the last.
+        let mut words = [0; LANES];
+        for (lane, one) in words[..LANES - 1].iter_mut().enumerate() {
+            *one = word(lane * RECORD);
+        }
+        words[LANES - 1] = word(BYTES - 4) >> 8;
+        words
+    }
+}
+
+impl Group {
+    fn straight() -> Self {
+        Self { distance_offset_m: [0.0; LANES], bend: None, focus: None }
+    }
+
+    fn take(&mut self, lane: usize, row: &BeamRow, intensity: Option<Intensity>) {
+        self.distance_offset_m[lane] = row.distance_offset_m;
+        let corrected = Corrected::new(row);
+        if let Some(near) = corrected.near() {
+            let bend = self.bend.get_or_insert_default();
+            [bend.sin_elevation[lane], bend.cos_elevation[lane]] = corrected.elevation().map(|one| one as f32);
+            for (axis, offset) in near.iter().enumerate() {
+                (bend.slope[axis][lane], bend.base_m[axis][lane]) = (offset.slope as f32, offset.base_m as f32);
+            }
+            bend.mark[lane] = 1;
+        }
+        if let Some(intensity) = intensity {
+            self.focus.get_or_insert_with(Focus::none).take(lane, intensity);
+        }
+    }
+}
+
+impl Bend {
+    /// Ranges of beams of these lengths within the reach of the two-point correction.
+    #[inline(always)]
+    fn ranges_m<S: Simd>(&self, simd: S, d: f32x16<S>, [sin, cos]: Direction, aside: &Aside) -> f32x16<S> {
+        let of = |lanes: &Of<f32>| f32x16::load_array_ref(simd, lanes);
+        let (aside_sin, aside_cos) = (of(&aside.sin), of(&aside.cos));
+        let along_x = (aside_cos * sin + aside_sin * cos) * of(&self.cos_elevation);
+        let along_y = (aside_cos * cos - aside_sin * sin) * of(&self.cos_elevation);
+        let stretched =
+            |axis: usize, along: f32x16<S>| d + (of(&self.base_m[axis]) - of(&self.slope[axis]) * (along.abs() * d));
+        let (x, y) = (stretched(0, along_x), stretched(1, along_y));
+        let z = (x + y) * 0.5;
+        let (x, y, z) = (x * along_x, y * along_y, z * of(&self.sin_elevation));
+        (x * x + y * y + z * z).sqrt().max(LEAST_RANGE_M)
+    }
+
+    /// The range to store, with the bit that says near or far where a beam has one.
+    #[inline(always)]
+    fn mark<S: Simd>(&self, simd: S, is_near: mask32x16<S>, near_m: f32x16<S>, far_m: f32x16<S>) -> f32x16<S> {
+        let mark = i32x16::load_array_ref(simd, &self.mark);
+        let near = is_near.select(mark, i32x16::splat(simd, 0));
+        let range_m: i32x16<S> = near.simd_gt(0).select(near_m, far_m).bitcast();
+        (range_m & !mark | near).bitcast()
+    }
+}
+
+impl Focus {
+    /// Beams that report what they measure.
+    fn none() -> Self {
+        Self { max: [255.0; LANES], ..Self::default() }
+    }
+
+    fn take(&mut self, lane: usize, intensity: Intensity) {
+        let beyond = 1.0 - intensity.focal_distance_m / FULL_SCALE_M;
+        let [slope, min, max] = [intensity.focal_slope, intensity.min, intensity.max].map(|value| value as f32);
+        self.at[lane] = (256.0 * beyond * beyond) as f32;
+        (self.slope[lane], self.min[lane], self.max[lane]) = (slope, min.clamp(0.0, 255.0), max.clamp(0.0, 255.0));
+    }
+
+    /// Reflectivities of what the beams measured, from what they report.
+    #[inline(always)]
+    fn reflectivities<S: Simd>(&self, simd: S, reported: i32x16<S>, units: f32x16<S>) -> i32x16<S> {
+        const SHARE: f32 = 1.0 / u16::MAX as f32;
+        let of = |lanes: &Of<f32>| f32x16::load_array_ref(simd, lanes);
+        let beyond = 1.0 - units * SHARE;
+        let off = (of(&self.at) - beyond * 256.0 * beyond).abs();
+        let bright = reported.to_float::<f32x16<S>>() + of(&self.slope) * off;
+        // To the nearest: what is clamped is a byte.
+        (bright.max(of(&self.min)).min(of(&self.max)) + 0.5).to_int()
+    }
+}
+
+/// What each term of the series of a sine, and of a cosine, is of the one before, but for the sign; the last term first.
+const SIN: [f64; 5] = [1.0 / 110.0, 1.0 / 72.0, 1.0 / 42.0, 1.0 / 20.0, 1.0 / 6.0];
+const COS: [f64; 5] = [1.0 / 90.0, 1.0 / 56.0, 1.0 / 30.0, 1.0 / 12.0, 1.0 / 2.0];
+
+/// Sine and cosine of an azimuth, 0..2 pi, to the last bit or two of an f32.
+///
+/// The same on every machine, which the system's library does not promise.
+pub fn direction(azimuth_rad: f64) -> Direction {
+    // To the nearest quarter turn, and the rest of at most 45 degrees by the series, nested.
+    let quarters = (azimuth_rad * FRAC_2_PI + 0.5) as i32;
+    let rest = azimuth_rad - f64::from(quarters) * FRAC_PI_2;
+    let square = rest * rest;
+    let series = |shares: [f64; 5]| shares.into_iter().fold(1.0, |rest, share| 1.0 - square * share * rest);
+    let (sin, cos) = ((rest * series(SIN)) as f32, series(COS) as f32);
+    match quarters & 3 {
+        0 => [sin, cos],
+        1 => [cos, -sin],
+        2 => [-sin, -cos],
+        _ => [-cos, sin],
+    }
+}
+
+/// The levels of vector instructions that this machine has, the least first.
+pub fn levels() -> Vec<Level> {
+    let best = Level::new();
+    #[cfg(target_arch = "x86_64")]
+    let lower = [
+        best.as_sse2().map(Simd::level),
+        best.as_sse4_2().map(Simd::level),
+        best.as_avx2().map(Simd::level),
+        best.as_avx512().map(Simd::level),
+    ];
+    #[cfg(not(target_arch = "x86_64"))]
+    let lower = [Some(best)];
+    lower.into_iter().flatten().collect()
+}
+
+/// The group of a channel, and its place there.
+pub fn place(channel: u32) -> (usize, usize) {
+    (channel as usize / LANES, channel as usize % LANES)
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use crate::sensor::Model;
+
+    #[test]
+    fn a_direction_is_that_of_the_azimuth() {
+        for cdeg in 0..3_600_000_u32 {
+            let azimuth_rad = (f64::from(cdeg) / 10_000.0).to_radians();
+            let (sin, cos) = azimuth_rad.sin_cos();
+            let [found_sin, found_cos] = direction(azimuth_rad).map(f64::from);
+            assert!((found_sin - sin).abs() < 4e-8 && (found_cos - cos).abs() < 4e-8, "{azimuth_rad}");
+        }
+    }
+
+    #[test]
+    fn firings_are_whole_groups() {
+        for model in Model::ALL {
+            assert_eq!(model.spec().channels % LANES, 0, "{model}");
+        }
+    }
+}
