@@ -94,17 +94,9 @@ impl Decoder {
     }
 
     /// Writes a firing at an azimuth, radians, into its pixels; returns how many returns it has.
-    pub fn single(&self, records: Records<'_>, azimuth_rad: f32, turns: &Turns, mut pixels: Pixels<'_>) -> u32 {
+    pub fn single(&self, records: Records<'_>, azimuth_rad: f32, turns: &Turns, pixels: Pixels<'_>) -> u32 {
         let direction = self.direction(azimuth_rad);
-        dispatch!(self.level, simd => {
-            let mut returns = 0;
-            for group in 0..self.lanes.groups() {
-                let decoded = self.lanes.decode(simd, group, records, (direction, &turns.asides()[group]), self.is_normalised);
-                pixels.write(&turns.pixels()[group], &decoded);
-                returns += decoded.returns;
-            }
-            returns
-        })
+        dispatch!(self.level, simd => self.write_single(simd, records, direction, turns, pixels))
     }
 
     /// Writes a firing with two returns: the chosen ones, the others, and which the chosen ones are.
@@ -113,29 +105,59 @@ impl Decoder {
         records: Records<'_>,
         azimuth_rad: f32,
         turns: &Turns,
-        [mut chosen, mut other]: [Pixels<'_>; 2],
+        both: [Pixels<'_>; 2],
         kind: &mut [u8],
     ) -> u32 {
         let direction = self.direction(azimuth_rad);
-        let (first, second) = records.blocks.split_at(self.spec.banks());
-        let [first, second] = [first, second].map(|blocks| Records { blocks, ..records });
-        dispatch!(self.level, simd => {
-            let mut returns = 0;
-            for group in 0..self.lanes.groups() {
-                let towards = (direction, &turns.asides()[group]);
-                let first = self.lanes.decode(simd, group, first, towards, self.is_normalised);
-                let second = self.lanes.decode(simd, group, second, towards, self.is_normalised);
-                returns += first.returns + second.returns;
-                let pairs = self.choose(simd, first, second);
-                let places = &turns.pixels()[group];
-                chosen.write(places, &pairs.chosen);
-                other.write(places, &pairs.other);
-                write_bytes(kind, places, pairs.kind);
-            }
-            returns
-        })
+        dispatch!(self.level, simd => self.write_dual(simd, records, direction, turns, both, kind))
     }
 
+    #[inline(always)]
+    fn write_single<S: Simd>(
+        &self,
+        simd: S,
+        records: Records<'_>,
+        direction: Direction,
+        turns: &Turns,
+        mut pixels: Pixels<'_>,
+    ) -> u32 {
+        let mut returns = 0;
+        for group in 0..self.lanes.groups() {
+            let towards = (direction, &turns.asides()[group]);
+            let decoded = self.lanes.decode(simd, group, records, towards, self.is_normalised);
+            pixels.write(&turns.pixels()[group], &decoded);
+            returns += decoded.returns;
+        }
+        returns
+    }
+
+    #[inline(always)]
+    fn write_dual<S: Simd>(
+        &self,
+        simd: S,
+        records: Records<'_>,
+        direction: Direction,
+        turns: &Turns,
+        [mut chosen, mut other]: [Pixels<'_>; 2],
+        kind: &mut [u8],
+    ) -> u32 {
+        let (first, second) = records.blocks.split_at(self.spec.banks());
+        let [first, second] = [first, second].map(|blocks| Records { blocks, ..records });
+        let mut returns = 0;
+        for group in 0..self.lanes.groups() {
+            let (towards, places) = ((direction, &turns.asides()[group]), &turns.pixels()[group]);
+            let first = self.lanes.decode(simd, group, first, towards, self.is_normalised);
+            let second = self.lanes.decode(simd, group, second, towards, self.is_normalised);
+            let pairs = self.choose(simd, first, second);
+            chosen.write(places, &pairs.chosen);
+            other.write(places, &pairs.other);
+            write_bytes(kind, places, pairs.kind);
+            returns += first.returns + second.returns;
+        }
+        returns
+    }
+
+    /// Where the beams look; of beams whose ranges do not depend on it, anywhere.
     fn direction(&self, azimuth_rad: f32) -> Direction {
         if !self.bends {
             return [0.0, 1.0];

@@ -30,17 +30,14 @@ const FULL_SCALE_M: f64 = 131.0;
 /// Bytes of a record.
 const RECORD: usize = size_of::<Record>();
 
-/// The first eight digits of an f32, which leave the sixteen of a distance room in a product.
-const HEAD: u32 = 0xFFFF_0000;
-
 /// A number for each of the beams.
 pub type Of<T> = [T; LANES];
 
 /// What the beams of a sensor need.
 #[derive(Clone, Debug)]
 pub struct Lanes {
-    /// Metres of one unit of distance, in two parts. The first has so few digits that its product with any distance is exact.
-    unit_m: [f32; 2],
+    /// Metres of one unit of distance.
+    unit_m: f32,
     groups: Vec<Group>,
     /// Distances, in units, that are nearer than where the two-point correction ends.
     near_units: i32,
@@ -119,8 +116,7 @@ impl Lanes {
         }
         let is_near = |&units: &u32| Corrected::is_near(f64::from(units) * unit_m);
         let near_units = (0..=u32::from(u16::MAX)).take_while(is_near).count() as i32;
-        let head_m = f32::from_bits((unit_m as f32).to_bits() & HEAD);
-        Self { unit_m: [head_m, (unit_m - f64::from(head_m)) as f32], groups, near_units }
+        Self { unit_m: unit_m as f32, groups, near_units }
     }
 
     /// Whether ranges depend on the azimuth.
@@ -147,9 +143,8 @@ impl Lanes {
         let records = i32x16::load_array(simd, records.group(index));
         let (distance, reported) = (records & 0xFFFF, (records >> 16) & 0xFF);
         let units: f32x16<S> = distance.to_float();
-        let [head_m, tail_m] = self.unit_m;
-        let offset_m = f32x16::load_array_ref(simd, &group.distance_offset_m);
-        let mut range_m = (units * head_m + (units * tail_m + offset_m)).max(LEAST_RANGE_M);
+        let offset_m = load(simd, &group.distance_offset_m);
+        let mut range_m = (units * self.unit_m + offset_m).max(LEAST_RANGE_M);
         if let Some(bend) = &group.bend {
             let near_m = bend.ranges_m(simd, range_m, direction, aside);
             range_m = bend.mark(simd, distance.simd_lt(self.near_units), near_m, range_m);
@@ -221,16 +216,21 @@ impl Bend {
     /// Ranges of beams of these lengths within the reach of the two-point correction.
     #[inline(always)]
     fn ranges_m<S: Simd>(&self, simd: S, d: f32x16<S>, [sin, cos]: Direction, aside: &Aside) -> f32x16<S> {
-        let of = |lanes: &Of<f32>| f32x16::load_array_ref(simd, lanes);
-        let (aside_sin, aside_cos) = (of(&aside.sin), of(&aside.cos));
-        let along_x = (aside_cos * sin + aside_sin * cos) * of(&self.cos_elevation);
-        let along_y = (aside_cos * cos - aside_sin * sin) * of(&self.cos_elevation);
-        let stretched =
-            |axis: usize, along: f32x16<S>| d + (of(&self.base_m[axis]) - of(&self.slope[axis]) * (along.abs() * d));
-        let (x, y) = (stretched(0, along_x), stretched(1, along_y));
+        let (aside_sin, aside_cos) = (load(simd, &aside.sin), load(simd, &aside.cos));
+        let cos_elevation = load(simd, &self.cos_elevation);
+        let along_x = (aside_cos * sin + aside_sin * cos) * cos_elevation;
+        let along_y = (aside_cos * cos - aside_sin * sin) * cos_elevation;
+        let x = d + self.offset_m(simd, 0, along_x.abs() * d);
+        let y = d + self.offset_m(simd, 1, along_y.abs() * d);
         let z = (x + y) * 0.5;
-        let (x, y, z) = (x * along_x, y * along_y, z * of(&self.sin_elevation));
+        let (x, y, z) = (x * along_x, y * along_y, z * load(simd, &self.sin_elevation));
         (x * x + y * y + z * z).sqrt().max(LEAST_RANGE_M)
+    }
+
+    /// The additional offset along an axis, where the beam is so far along it.
+    #[inline(always)]
+    fn offset_m<S: Simd>(&self, simd: S, axis: usize, along_m: f32x16<S>) -> f32x16<S> {
+        load(simd, &self.base_m[axis]) - load(simd, &self.slope[axis]) * along_m
     }
 
     /// The range to store, with the bit that says near or far where a beam has one.
@@ -260,13 +260,18 @@ impl Focus {
     #[inline(always)]
     fn reflectivities<S: Simd>(&self, simd: S, reported: i32x16<S>, units: f32x16<S>) -> i32x16<S> {
         const SHARE: f32 = 1.0 / u16::MAX as f32;
-        let of = |lanes: &Of<f32>| f32x16::load_array_ref(simd, lanes);
         let beyond = 1.0 - units * SHARE;
-        let off = (of(&self.at) - beyond * 256.0 * beyond).abs();
-        let bright = reported.to_float::<f32x16<S>>() + of(&self.slope) * off;
+        let off = (load(simd, &self.at) - beyond * 256.0 * beyond).abs();
+        let bright = reported.to_float::<f32x16<S>>() + load(simd, &self.slope) * off;
         // To the nearest: what is clamped is a byte.
-        (bright.max(of(&self.min)).min(of(&self.max)) + 0.5).to_int()
+        (bright.max(load(simd, &self.min)).min(load(simd, &self.max)) + 0.5).to_int()
     }
+}
+
+/// A function, as all here that has vectors: a closure may stay a call, without the instructions of its caller's level.
+#[inline(always)]
+fn load<S: Simd>(simd: S, lanes: &Of<f32>) -> f32x16<S> {
+    f32x16::load_array_ref(simd, lanes)
 }
 
 /// What each term of the series of a sine, and of a cosine, is of the one before, but for the sign; the last term first.

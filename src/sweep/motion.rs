@@ -139,7 +139,9 @@ impl Motion {
         for (step, pair) in steps.iter_mut().zip(azimuths.windows(2)) {
             *step = shortest(f64::from(pair[1]) - f64::from(pair[0]));
         }
-        let median = median(steps);
+        // Where all are alike none is a break, whichever one is taken for the median.
+        let (least, most) = steps.iter().fold((f64::MAX, f64::MIN), |(a, b), &step| (a.min(step), b.max(step)));
+        let median = if most - least > BREAK_CDEG { median(steps) } else { steps[0] };
         let is_break = |step: f64| (step - median).abs() > BREAK_CDEG.max(5.0 * median.abs());
         let (mut sum, mut kept, mut left_out) = (0.0, 0, None);
         for (index, &step) in steps.iter().enumerate() {
