@@ -1,8 +1,8 @@
 //! Sixteen beams at once: from the records of a firing to ranges and reflectivities.
 //!
-//! All of it is vectors of [`LANES`] numbers, at whatever level the caller runs it: the [decoder](super::decode) takes the best
-//! one of the machine. Beams stay in the order of their channels, as the packet has them: where each goes in the image, the
-//! [turns](super::turns) say.
+//! All of it is vectors of [`LANES`] numbers, at whatever level the caller runs it: the [decoder](super::decode) takes the
+//! best one of the machine. Beams stay in the order of their channels, as the packet has them: where each goes in the image,
+//! the [turns](super::turns) say.
 //!
 //! Every level gives the same bytes, since nothing here rounds otherwise at one than at another: a product is never fused
 //! with a sum, and a square root is exact to the last bit. A range is within 4e-5 m of the length that [`Corrected`] means,

@@ -7,7 +7,7 @@
 //!                      cursor (firings of a packet, and those missing)   head (turns, cut, standstill)
 //!                                        columns (what stands in the open sweep)   decode (records to pixels)
 //!                                                                           edge (where a limited field of view ends)
-//!                       turns (how far rows point aside)   lanes (sixteen beams at once)   corrected (distance to range, and back)
+//!            turns (how far rows point aside)   lanes (sixteen beams at once)   corrected (distance to range, and back)
 //! ```
 //!
 //! [`layout`] defines a sweep as bytes, [`image`] gives the views over them, [`buffers`] says where the bytes live.
