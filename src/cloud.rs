@@ -1,33 +1,40 @@
-//! Point clouds without a range image, as KITTI has them, to sweeps: the projection of the paper's section III.
+//! Point clouds without a range image, from KITTI, PCD and PLY files, to sweeps: the projection of the paper's section
+//! III.
 //!
-//! A cloud of a spinning sensor that lists ring after ring still tells which beam each point came from: a new ring
+//! Where a file names the ring of each point, or the beams of the sensor are told, the rows come from there. A cloud of a spinning sensor that lists ring after ring still tells which beam each point came from: a new ring
 //! begins where the azimuth starts over. Where each beam starts and points is fitted to its points, which lie on a cone
 //! whose tip is up to a hand's breadth above the sensor's origin. The columns are even in azimuth, and each shows one
 //! point.
 
 pub(crate) mod fit;
 pub(crate) mod places;
+mod polar;
+mod project;
+mod read;
 pub(crate) mod rings;
-
-use std::f64::consts::TAU;
+mod rows;
 
 use zerocopy::FromBytes;
 
-use self::rings::{Polar, Ring};
-use crate::segment::{Config, ConfigError, MAX_ROWS, SAME_OBJECT_M, Segmenter};
-use crate::sensor::Beam;
-use crate::sweep::buffers::HeapBuffer;
-use crate::sweep::layout::{COLUMNS_CAPACITY, LABEL_NONE, LayoutError, flags, is_return};
-use crate::sweep::{BeamRow, Buffers, Column, HeapBuffers, Shape, SweepMut};
+pub use self::project::CloudProjector;
+pub use self::read::{Format, Place, ReadError};
+pub use self::rows::{RowBeam, RowTable, RowTableError};
+use crate::segment::{Config, ConfigError, MAX_ROWS, Segmenter};
+use crate::sweep::layout::{COLUMNS_CAPACITY, LayoutError};
 
 /// Columns of an HDL-64E at 10 turns a second: its firings of a turn.
 pub const COLUMNS: usize = 2083;
 /// Bytes of a point: x forward, y left, z up in metres, and remission; f32, little-endian.
 pub const POINT_BYTES: usize = 16;
-/// Turns a second that the columns' times stand for; a cloud has none.
-const TURNS_A_SECOND: f64 = 10.0;
-/// Columns that a point without a pixel of its own looks to either side for one that it resembles.
-const REACH: usize = 8;
+
+/// Points as they were measured.
+#[derive(Clone, Debug, Default, PartialEq)]
+pub struct Cloud {
+    /// x forward, y left, z up in metres, and intensity.
+    pub points: Vec<[f32; 4]>,
+    /// Number of the ring that each point belongs to, where the file tells; the numbers mean nothing but "the same".
+    pub rings: Option<Vec<u32>>,
+}
 
 /// Why bytes are not a cloud of a spinning sensor.
 #[derive(Debug, thiserror::Error)]
@@ -57,6 +64,22 @@ pub enum CloudError {
         /// Columns of the image.
         columns: usize,
     },
+    /// More ring numbers than any supported image has rows.
+    #[error("point {point} has ring {ring}, the {}th number (counted from 1); expected at most {MAX_ROWS}", MAX_ROWS + 1)]
+    RingNumbers {
+        /// Index of the point.
+        point: usize,
+        /// Its ring.
+        ring: u32,
+    },
+    /// Not one ring number a point.
+    #[error("{rings} ring numbers for {points} points, expected one each")]
+    RingCount {
+        /// Points of the cloud.
+        points: usize,
+        /// Ring numbers.
+        rings: usize,
+    },
     /// A mask with other rows than the cloud has rings.
     #[error("the mask is {found} pixels high, the cloud has {rings} rings; make it one row a ring")]
     Mask {
@@ -71,6 +94,9 @@ pub enum CloudError {
         /// What was asked for.
         found: usize,
     },
+    /// A file that is not what it says it is.
+    #[error(transparent)]
+    Read(#[from] ReadError),
     /// A configuration that cannot be meant.
     #[error(transparent)]
     Config(#[from] ConfigError),
@@ -84,6 +110,7 @@ pub enum CloudError {
 pub struct CloudSegmenter {
     projector: CloudProjector,
     segmenter: Segmenter,
+    table: Option<RowTable>,
 }
 
 impl CloudSegmenter {
@@ -92,7 +119,13 @@ impl CloudSegmenter {
     /// # Errors
     /// [`CloudError::Config`] and [`CloudError::Columns`].
     pub fn new(config: Config, columns: usize) -> Result<Self, CloudError> {
-        Ok(Self { projector: CloudProjector::new(columns)?, segmenter: Segmenter::new(config)? })
+        Ok(Self { projector: CloudProjector::new(columns)?, segmenter: Segmenter::new(config)?, table: None })
+    }
+
+    /// For clouds in any order, whose points tell by their elevation which of these beams they come from.
+    #[must_use]
+    pub fn with_rows(self, table: RowTable) -> Self {
+        Self { table: Some(table), ..self }
     }
 
     /// Labels of the points of a KITTI `.bin` file, in their order: 0 none, 1 ground, 2.. segment.
@@ -100,8 +133,16 @@ impl CloudSegmenter {
     /// # Errors
     /// [`CloudError`].
     pub fn segment(&mut self, bytes: &[u8]) -> Result<Vec<u32>, CloudError> {
-        let points = points(bytes)?;
-        let mut sweep = self.projector.project(&points)?;
+        let cloud = Cloud { points: points(bytes)?, rings: None };
+        Ok(self.segment_cloud(&cloud)?.to_vec())
+    }
+
+    /// Labels of the points of a cloud, in their order.
+    ///
+    /// # Errors
+    /// [`CloudError`].
+    pub fn segment_cloud(&mut self, cloud: &Cloud) -> Result<&[u32], CloudError> {
+        let mut sweep = self.projector.project_cloud(cloud, self.table.as_ref())?;
         let rings = sweep.beams.len();
         if let Some(mask) = self.segmenter.config().mask.as_ref().filter(|mask| rings > 0 && mask.rows() != rings) {
             return Err(CloudError::Mask { found: mask.rows(), rings });
@@ -124,144 +165,13 @@ pub fn points(bytes: &[u8]) -> Result<Vec<[f32; 4]>, CloudError> {
     Ok(chunks.iter().map(point).collect())
 }
 
-/// Projects clouds to sweeps.
-#[derive(Debug)]
-pub struct CloudProjector {
-    columns: usize,
-    buffers: HeapBuffers,
-    buffer: Option<HeapBuffer>,
-    rings: Vec<Ring>,
-    elevations_rad: Vec<f64>,
-    /// Pixel of each point; None where the point is not finite, at the origin, or behind another in its pixel.
-    pixel: Vec<Option<u32>>,
-}
-
-impl CloudProjector {
-    /// Onto images of so many columns.
-    ///
-    /// # Errors
-    /// [`CloudError::Columns`].
-    pub fn new(columns: usize) -> Result<Self, CloudError> {
-        if !(1..=COLUMNS_CAPACITY).contains(&columns) {
-            return Err(CloudError::Columns { found: columns });
-        }
-        Ok(Self {
-            columns,
-            buffers: HeapBuffers::default(),
-            buffer: None,
-            rings: Vec::new(),
-            elevations_rad: Vec::new(),
-            pixel: Vec::new(),
-        })
-    }
-
-    /// A sweep of the points, which lie x forward, y left, z up; ready to be segmented.
-    ///
-    /// # Errors
-    /// [`CloudError::Rings`].
-    pub fn project(&mut self, points: &[[f32; 4]]) -> Result<SweepMut<'_>, CloudError> {
-        rings::find(points, self.columns, &mut self.rings)?;
-        for ring in &mut self.rings {
-            ring.measure(points, &mut self.elevations_rad);
-            ring.fit(points);
-        }
-        // Calibrated beams of the lower block can lie above those of the upper one in the order of the file.
-        self.rings.sort_by(|a, b| b.elevation_rad.total_cmp(&a.elevation_rad));
-
-        let pixels = self.rings.len() * self.columns;
-        let shape =
-            Shape { rows: self.rings.len(), columns_capacity: self.columns, dual: false, segments_capacity: pixels };
-        let buffer = self.buffer.insert(self.buffers.take(shape.total_bytes()));
-        let mut sweep = SweepMut::create(buffer.as_mut(), &shape)?;
-        fill_tables(&mut sweep, &self.rings, self.columns);
-        self.pixel.clear();
-        self.pixel.resize(points.len(), None);
-        for (row, ring) in self.rings.iter().enumerate() {
-            place_ring(&mut sweep, row, ring, points, &mut self.pixel);
-        }
-        sweep.header.returns = sweep.range.iter().filter(|range_m| is_return(**range_m)).count() as u32;
-        Ok(sweep)
-    }
-
-    /// Labels of the points of the last cloud, once its sweep is segmented.
-    ///
-    /// # Errors
-    /// [`CloudError::Layout`], if the sweep's header was spoilt.
-    pub fn labels(&mut self) -> Result<Vec<u32>, CloudError> {
-        let Some(buffer) = &mut self.buffer else { return Ok(Vec::new()) };
-        let sweep = SweepMut::open(buffer.as_mut())?;
-        Ok(self.pixel.iter().map(|pixel| pixel.map_or(LABEL_NONE, |index| sweep.label[index as usize])).collect())
-    }
-
-    /// The bytes of the last cloud's sweep.
-    pub fn into_buffer(self) -> Option<HeapBuffer> {
-        self.buffer
-    }
-}
-
-/// Puts the points of a ring into the pixels of a row, and notes the pixel of each.
-///
-/// Points were fired one after the other, each in a column of its own, which [`places`] finds. Where a column is wanted
-/// by more points than have room around it, points share a pixel: the nearer is segmented, and the other takes the label
-/// of the pixel that it resembles.
-fn place_ring(sweep: &mut SweepMut<'_>, row: usize, ring: &Ring, points: &[[f32; 4]], pixel: &mut [Option<u32>]) {
-    let (rows, columns) = (sweep.beams.len(), sweep.columns.len());
-    let polars: Vec<Option<Polar>> = points[ring.first..ring.end].iter().map(|&point| Polar::of(point)).collect();
-    let placed = places::of_ring(&polars, columns);
-    let range_m = |polar: Polar| polar.range_m(ring.vertical_offset_m);
-    for (column, point) in placed.shown.into_iter().enumerate() {
-        sweep.range[column * rows + row] = point.and_then(|point| polars[point]).map_or(0.0, range_m);
-    }
-    for ((pixel, polar), column) in pixel[ring.first..ring.end].iter_mut().zip(polars).zip(placed.columns) {
-        if let (Some(polar), Some(column)) = (polar, column) {
-            *pixel = Some(resembling(sweep, (column * rows + row) as u32, range_m(polar)));
-        }
-    }
-}
-
-/// The pixel whose label a point takes: its own, unless another point holds that one and is more than
-/// [`SAME_OBJECT_M`] nearer. Then the pixel of the row whose range is most like the point's, no more than
-/// [`REACH`] columns off; its own all the same, where none is like it.
-fn resembling(sweep: &SweepMut<'_>, own: u32, range_m: f32) -> u32 {
-    let apart = |index: u32| (sweep.range[index as usize] - range_m).abs();
-    if apart(own) <= SAME_OBJECT_M {
-        return own;
-    }
-    let (rows, columns) = (sweep.beams.len() as i64, sweep.columns.len() as i64);
-    let (row, column) = (i64::from(own) % rows, i64::from(own) / rows);
-    let reach = REACH as i64;
-    let around = (-reach..=reach).map(|by| ((column + by).rem_euclid(columns) * rows + row) as u32);
-    let most_like = around.min_by(|&a, &b| apart(a).total_cmp(&apart(b)));
-    most_like.filter(|&index| apart(index) <= SAME_OBJECT_M).unwrap_or(own)
-}
-
-/// Writes what the sweep says of itself: a whole turn of even columns.
-fn fill_tables(sweep: &mut SweepMut<'_>, rings: &[Ring], columns: usize) {
-    sweep.header.columns = columns as u32;
-    sweep.header.flags = flags::CIRCULAR;
-    sweep.header.rpm = (60.0 * TURNS_A_SECOND) as f32;
-    sweep.header.duration_ns = (1e9 / TURNS_A_SECOND) as u64;
-    let pixels = columns * rings.len();
-    sweep.range[..pixels].fill(0.0);
-    sweep.reflectivity[..pixels].fill(0);
-    sweep.label[..pixels].fill(LABEL_NONE);
-    let rate_rad_s = (TAU * TURNS_A_SECOND) as f32;
-    for (index, column) in sweep.columns.iter_mut().enumerate() {
-        let turn = (index as f64 + 0.5) / columns as f64;
-        let time_ns = index as f64 / columns as f64 / TURNS_A_SECOND * 1e9;
-        *column = Column::measured(0, 0, (turn * TAU) as f32, rate_rad_s, time_ns as u32);
-    }
-    for (row, (beam, ring)) in sweep.beams.iter_mut().zip(rings).enumerate() {
-        let fitted = Beam { vertical_offset_m: ring.vertical_offset_m, ..Beam::ideal(row, ring.elevation_rad) };
-        *beam = BeamRow::new(&fitted, 0);
-    }
-}
-
 #[cfg(test)]
 mod tests {
+    use std::f64::consts::TAU;
+
     use super::*;
     use crate::segment::Mount;
-    use crate::sweep::layout::{LABEL_FIRST_SEGMENT, LABEL_GROUND};
+    use crate::sweep::layout::{LABEL_FIRST_SEGMENT, LABEL_GROUND, LABEL_NONE};
 
     const BEAMS: usize = 32;
     const FIRINGS: usize = 720;
@@ -352,11 +262,11 @@ mod tests {
         let crowd = |count: usize| -> Vec<[f32; 4]> { (0..count).map(|i| [5.0 + i as f32, -1.0, -0.5, 0.0]).collect() };
         let mut projector = CloudProjector::new(FIRINGS).unwrap();
         assert_eq!(projector.project(&crowd(2)).unwrap().header.returns, 2);
-        assert!(projector.pixel.iter().all(Option::is_some));
         let same_azimuth: Vec<[f32; 4]> = (0..7).map(|i| [1.0 + i as f32, 0.0, 0.0, 0.0]).collect();
         let returns = projector.project(&same_azimuth).unwrap().header.returns;
         assert!((4..=5).contains(&returns), "{returns}");
-        assert_eq!(projector.pixel.iter().flatten().count(), 7);
+        projector.project(&same_azimuth).unwrap().label.fill(7);
+        assert_eq!(projector.labels().unwrap(), [7; 7]);
     }
 
     /// Four points a pixel: all are labelled, and as the twin scene in which each has a pixel of its own.

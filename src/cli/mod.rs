@@ -66,7 +66,7 @@ pub enum Command {
     Doctor(doctor::Args),
     /// Say what is in a capture without decoding it all
     Inspect(inspect::Args),
-    /// Segment point clouds (KITTI .bin) that have no packets
+    /// Segment point clouds that have no packets: KITTI, nuScenes, PCD, PLY
     Segment(Box<segment::Args>),
     /// Say how good labels are, against scans that people labelled (SemanticKITTI)
     Score(score::Args),

@@ -3,18 +3,23 @@
 use std::io::{self, Write};
 use std::path::{Path, PathBuf};
 
-use super::options::SegmentOptions;
+use super::options::{SegmentOptions, model};
 use super::{CliError, read_file};
-use crate::cloud::{self, CloudSegmenter};
+use crate::cloud::{self, Cloud, CloudError, CloudSegmenter, Format, RowTable};
+use crate::sensor::calibration::MAX_FILE_LEN;
+use crate::sensor::{Calibration, Model};
 
 /// Options of `sweepd segment`.
 #[derive(Debug, clap::Args)]
 #[command(after_help = "\
 Example:
-  sweepd segment velodyne/000000.bin velodyne/000001.bin --out labels")]
+  sweepd segment velodyne/000000.bin velodyne/000001.bin --out labels
+  sweepd segment cloud.pcd --model vlp16 --columns 1800 --out labels")]
 pub struct Args {
-    /// KITTI clouds: x forward, y left, z up, remission as f32, ring after ring from the top
-    #[arg(value_name = "CLOUD.bin", required = true)]
+    /// Clouds: KITTI .bin, nuScenes .pcd.bin, PCD or PLY; x forward, y left, z up around the sensor, in
+    /// metres. Rows come from the field ring, else the points must be in order, ring after ring;
+    /// for other clouds say which beams there are
+    #[arg(value_name = "CLOUD", required = true)]
     clouds: Vec<PathBuf>,
     /// Where to write NAME.label: one little-endian u32 a point, 0 none, 1 ground, 2.. segment
     #[arg(long, value_name = "DIR")]
@@ -22,6 +27,20 @@ pub struct Args {
     /// Columns of the range image: firings of a turn
     #[arg(long, value_name = "N", default_value_t = cloud::COLUMNS)]
     columns: usize,
+    /// What the clouds are: kitti, nuscenes, pcd or ply [default: told by the name: .bin, .pcd.bin, .pcd, .ply]
+    #[arg(long, value_name = "FORMAT")]
+    format: Option<Format>,
+    /// For clouds in any order: each point goes to the beam of this model that passes it nearest: vlp16, puck-lite,
+    /// puck-hires or hdl32e
+    #[arg(long, value_name = "MODEL", value_parser = model)]
+    model: Option<Model>,
+    /// The same with the beams of a unit: its calibration, db.xml or ROS YAML; an HDL-64E needs one
+    #[arg(long, value_name = "FILE", conflicts_with = "rows_table")]
+    calibration: Option<PathBuf>,
+    /// The same for any sensor: a text with a line for each row from the top, its elevation in degrees and, if need
+    /// be, its vertical offset in metres; # begins a comment
+    #[arg(long, value_name = "FILE", conflicts_with = "model")]
+    rows_table: Option<PathBuf>,
     #[command(flatten)]
     segment: SegmentOptions,
 }
@@ -36,13 +55,17 @@ pub fn run(args: &Args) -> Result<(), CliError> {
         move |source| CliError::Write { path, source }
     };
     let files = label_files(args)?;
-    std::fs::create_dir_all(&args.out).map_err(at(&args.out))?;
-    let usage = |error: cloud::CloudError| CliError::Usage(error.to_string());
+    let formats = args.clouds.iter().map(|cloud| format_of(args, cloud)).collect::<Result<Vec<_>, _>>()?;
+    let usage = |error: CloudError| CliError::Usage(error.to_string());
     let mut segmenter = CloudSegmenter::new(args.segment.config()?, args.columns).map_err(usage)?;
-    for (cloud, file) in args.clouds.iter().zip(files) {
-        let bytes = read_file(cloud, MAX_CLOUD_LEN)?;
-        let labels =
-            segmenter.segment(&bytes).map_err(|error| CliError::Usage(format!("{}: {error}", cloud.display())))?;
+    if let Some(table) = table(args)? {
+        segmenter = segmenter.with_rows(table);
+    }
+    std::fs::create_dir_all(&args.out).map_err(at(&args.out))?;
+    for ((path, format), file) in args.clouds.iter().zip(formats).zip(files) {
+        let bytes = read_file(path, MAX_CLOUD_LEN)?;
+        let cloud = Cloud::read(&bytes, format).map_err(|error| wrong(path, &error))?;
+        let labels = segmenter.segment_cloud(&cloud).map_err(|error| wrong(path, &error))?;
         let bytes: Vec<u8> = labels.iter().flat_map(|label| label.to_le_bytes()).collect();
         std::fs::write(&file, bytes).map_err(at(&file))?;
         let ground = labels.iter().filter(|&&label| label == 1).count();
@@ -53,6 +76,53 @@ pub fn run(args: &Args) -> Result<(), CliError> {
             .map_err(CliError::Stdout)?;
     }
     Ok(())
+}
+
+/// What is wrong with a cloud; where its order is, the options that do without.
+fn wrong(path: &Path, error: &CloudError) -> CliError {
+    let path = path.display();
+    CliError::Usage(match error {
+        CloudError::Rings { .. } | CloudError::Order { .. } => {
+            format!(
+                "{path}: {error}. For a cloud in another order give its beams: --model MODEL, --calibration FILE or --rows-table FILE"
+            )
+        }
+        _ => format!("{path}: {error}"),
+    })
+}
+
+fn format_of(args: &Args, cloud: &Path) -> Result<Format, CliError> {
+    args.format.or_else(|| Format::of_name(cloud)).ok_or_else(|| {
+        let cloud = cloud.display();
+        CliError::Usage(format!(
+            "{cloud}: its name does not tell what it is (.bin, .pcd.bin, .pcd, .ply); say it with --format"
+        ))
+    })
+}
+
+/// The beams of the rows, if they are told.
+fn table(args: &Args) -> Result<Option<RowTable>, CliError> {
+    if let Some(path) = &args.rows_table {
+        let text = read_file(path, MAX_FILE_LEN as u64)?;
+        let table = RowTable::parse(&String::from_utf8_lossy(&text));
+        return Ok(Some(table.map_err(|error| CliError::Usage(format!("{}: {error}", path.display())))?));
+    }
+    let read = args.calibration.as_deref().map(Calibration::read).transpose()?;
+    match (read, args.model) {
+        (None, None) => Ok(None),
+        (Some(calibration), None) => Ok(Some(RowTable::of_calibration(&calibration))),
+        (Some(calibration), Some(model)) => {
+            let path = args.calibration.as_deref().unwrap_or(Path::new("")).display();
+            let fitted = calibration.for_model(model).map_err(|error| CliError::Usage(format!("{path}: {error}")))?;
+            Ok(Some(RowTable::of_calibration(&fitted)))
+        }
+        (None, Some(model)) => match model.calibration() {
+            Some(calibration) => Ok(Some(RowTable::of_calibration(calibration))),
+            None => Err(CliError::Usage(format!(
+                "of the {model} each unit has beams of its own; give them with --calibration FILE or --rows-table FILE"
+            ))),
+        },
+    }
 }
 
 /// Longest cloud that is read, bytes: 64 million points.

@@ -24,8 +24,11 @@ const OFFSETS_M: [f64; 2] = [0.0, 0.3];
 const CUT: f64 = 4.685;
 /// Standard deviations in a median deviation.
 const MEDIAN_DEVIATION: f64 = 1.482_6;
-/// Rounds of weighting anew.
+/// Most rounds of weighting anew.
 const ROUNDS: usize = 12;
+/// A line that moves less than this in a round, at its foot and [`FAR_M`] away together, is settled.
+const SETTLED_M: f64 = 0.000_5;
+const FAR_M: f64 = 50.0;
 /// Fewest points that a beam is fitted to.
 const FEWEST: usize = 30;
 
@@ -58,51 +61,104 @@ pub(crate) struct Line {
 
 /// Fits a line to the points of a ring; `None` where there are too few.
 pub(crate) fn fit(prior: Prior, samples: &[Sample]) -> Option<Line> {
-    if samples.len() < FEWEST {
-        return None;
-    }
-    let prior = Prior { offset_m: prior.offset_m.clamp(OFFSETS_M[0], OFFSETS_M[1]), ..prior };
-    let slopes = samples.iter().map(|sample| (sample.z_m - prior.offset_m) / sample.away_m);
-    let mut line = Line { slope: median(slopes.collect()), offset_m: prior.offset_m };
-    for _ in 0..ROUNDS {
-        let weights = weigh(samples, line);
-        line = solve(samples, &weights, prior, line);
-    }
-    (line.slope.is_finite() && line.offset_m.is_finite()).then_some(line)
+    Fitter::default().fit(prior, samples)
 }
 
-/// The weight of each point: inverse variance, less for points off the line. Together they count as [`INDEPENDENT`]
-/// points.
-fn weigh(samples: &[Sample], line: Line) -> Vec<f64> {
-    let noise_m = |sample: &Sample| NOISE_M.hypot(NOISE_RAD * sample.away_m);
-    let off = |sample: &Sample| (sample.z_m - line.slope * sample.away_m - line.offset_m) / noise_m(sample);
-    let deviation = MEDIAN_DEVIATION * median(samples.iter().map(|sample| off(sample).abs()).collect());
-    let deviation = deviation.max(LEAST_NOISE);
-    let weight = |sample: &Sample| {
-        let near = (1.0 - (off(sample) / (CUT * deviation)).powi(2)).max(0.0);
-        near.powi(2) / (noise_m(sample) * deviation).powi(2) * INDEPENDENT / samples.len() as f64
-    };
-    samples.iter().map(weight).collect()
+/// Fits lines, one after the other, in the same memory.
+#[derive(Clone, Debug, Default)]
+pub(crate) struct Fitter {
+    /// One over the noise of each point.
+    precision: Vec<f64>,
+    /// How far each is off the line, in its noise.
+    off: Vec<f64>,
+    /// To find medians in.
+    scratch: Vec<f64>,
 }
 
-/// The line of least weighted squares; if its offset is one that no unit has, the best with the nearest offset.
-fn solve(samples: &[Sample], weights: &[f64], prior: Prior, before: Line) -> Line {
-    let sum = |of: fn(&Sample) -> f64| samples.iter().zip(weights).map(|(one, weight)| weight * of(one)).sum::<f64>();
-    let (xx, x) = (sum(|one| one.away_m * one.away_m), sum(|one| one.away_m));
-    let (xz, z) = (sum(|one| one.away_m * one.z_m), sum(|one| one.z_m));
-    let trust = prior.spread_m.powi(-2);
-    let (ones, z) = (sum(|_| 1.0) + trust, z + trust * prior.offset_m);
-    let determinant = xx * ones - x * x;
-    if xx <= 0.0 || determinant <= 0.0 {
-        return before;
+impl Fitter {
+    /// Fits a line to the points of a ring; `None` where there are too few.
+    pub fn fit(&mut self, prior: Prior, samples: &[Sample]) -> Option<Line> {
+        if samples.len() < FEWEST {
+            return None;
+        }
+        let prior = Prior { offset_m: prior.offset_m.clamp(OFFSETS_M[0], OFFSETS_M[1]), ..prior };
+        let noise_m = |sample: &Sample| (NOISE_M.powi(2) + (NOISE_RAD * sample.away_m).powi(2)).sqrt();
+        self.precision.clear();
+        self.precision.extend(samples.iter().map(|sample| noise_m(sample).recip()));
+        let slopes = samples.iter().map(|sample| (sample.z_m - prior.offset_m) / sample.away_m);
+        let mut line = Line { slope: median(&mut self.scratch, slopes), offset_m: prior.offset_m };
+        for _ in 0..ROUNDS {
+            let before = line;
+            line = self.better(samples, prior, line);
+            let moved_m = (line.offset_m - before.offset_m).abs() + FAR_M * (line.slope - before.slope).abs();
+            if moved_m < SETTLED_M {
+                break;
+            }
+        }
+        (line.slope.is_finite() && line.offset_m.is_finite()).then_some(line)
     }
-    let offset_m = ((xx * z - x * xz) / determinant).clamp(OFFSETS_M[0], OFFSETS_M[1]);
-    Line { slope: (xz - offset_m * x) / xx, offset_m }
+
+    /// The line with each point weighed anew: by inverse variance, less for points off the last line. Together they
+    /// count as [`INDEPENDENT`] points.
+    fn better(&mut self, samples: &[Sample], prior: Prior, line: Line) -> Line {
+        self.off.clear();
+        let off = |(sample, precision): (&Sample, &f64)| {
+            (sample.z_m - line.slope * sample.away_m - line.offset_m) * precision
+        };
+        self.off.extend(samples.iter().zip(&self.precision).map(off));
+        let deviation = MEDIAN_DEVIATION * median(&mut self.scratch, self.off.iter().map(|off| off.abs()));
+        let deviation = deviation.max(LEAST_NOISE);
+        let each = INDEPENDENT / samples.len() as f64 / deviation.powi(2);
+        let mut sums = Sums::of(prior);
+        for ((sample, off), precision) in samples.iter().zip(&self.off).zip(&self.precision) {
+            let near = (1.0 - (off / (CUT * deviation)).powi(2)).max(0.0);
+            sums.add(sample, (near * precision).powi(2) * each);
+        }
+        sums.solve().unwrap_or(line)
+    }
 }
 
-fn median(mut values: Vec<f64>) -> f64 {
-    let middle = values.len() / 2;
-    *values.select_nth_unstable_by(middle, f64::total_cmp).1
+/// Weighted sums over the points, and what the prior weighs.
+struct Sums {
+    ones: f64,
+    x: f64,
+    xx: f64,
+    z: f64,
+    xz: f64,
+}
+
+impl Sums {
+    fn of(prior: Prior) -> Self {
+        let trust = prior.spread_m.powi(-2);
+        Self { ones: trust, x: 0.0, xx: 0.0, z: trust * prior.offset_m, xz: 0.0 }
+    }
+
+    fn add(&mut self, sample: &Sample, weight: f64) {
+        let weighted = weight * sample.away_m;
+        self.ones += weight;
+        self.x += weighted;
+        self.xx += weighted * sample.away_m;
+        self.z += weight * sample.z_m;
+        self.xz += weighted * sample.z_m;
+    }
+
+    /// The line of least weighted squares; if its offset is one that no unit has, the best with the nearest offset.
+    fn solve(&self) -> Option<Line> {
+        let determinant = self.xx * self.ones - self.x * self.x;
+        if self.xx <= 0.0 || determinant <= 0.0 {
+            return None;
+        }
+        let offset_m = ((self.xx * self.z - self.x * self.xz) / determinant).clamp(OFFSETS_M[0], OFFSETS_M[1]);
+        Some(Line { slope: (self.xz - offset_m * self.x) / self.xx, offset_m })
+    }
+}
+
+/// The median of some values, at least one.
+fn median(scratch: &mut Vec<f64>, values: impl Iterator<Item = f64>) -> f64 {
+    scratch.clear();
+    scratch.extend(values);
+    let middle = scratch.len() / 2;
+    *scratch.select_nth_unstable_by(middle, f64::total_cmp).1
 }
 
 #[cfg(test)]

@@ -1,15 +1,20 @@
 //! The rings of a cloud: stretches of points of one beam each.
 
-use std::f64::consts::{PI, TAU};
+use std::f64::consts::TAU;
+
+use fearless_simd::Level;
 
 use super::CloudError;
-use super::fit::{self, Prior, Sample};
+use super::fit::{Fitter, Prior, Sample};
+use super::polar::{Polars, Starts};
 use crate::segment::MAX_ROWS;
 
 /// Points so near tell nothing of the order: their azimuth is noise.
 const NOISE_M: f64 = 0.5;
 /// A ring may have so many times the points of a turn: dual returns, and columns chosen too few.
 const MOST_TURNS: usize = 8;
+/// Points of a ring that its beam is fitted to.
+const SAMPLES: usize = 96;
 
 /// The vertical offset of a beam of which nothing is known: most sensors' beams start at the origin.
 const OF_ANY_SENSOR: Prior = Prior { offset_m: 0.0, spread_m: 0.05 };
@@ -37,44 +42,55 @@ pub(crate) struct Polar {
     pub z_m: f64,
 }
 
-/// Where the azimuth starts over, by more than half a turn, a new ring begins. Files go counter-clockwise (KITTI) or
-/// clockwise: the sense in which it starts over more often is that of the file.
+/// Finds the rings of points, each time in the same memory.
+#[derive(Clone, Debug, Default)]
+pub(crate) struct Finder {
+    starts: Starts,
+}
+
+impl Finder {
+    /// Where the azimuth starts over, by more than half a turn, a new ring begins. Files go counter-clockwise (KITTI) or
+    /// clockwise: the sense in which it starts over more often is that of the file. Near points are left out: their
+    /// azimuth is noise.
+    ///
+    /// # Errors
+    /// [`CloudError::Rings`] and [`CloudError::Order`].
+    pub fn find(
+        &mut self,
+        level: Level,
+        points: &Polars,
+        columns: usize,
+        rings: &mut Vec<Ring>,
+    ) -> Result<(), CloudError> {
+        rings.clear();
+        self.starts.find(level, points, NOISE_M as f32);
+        let Starts { falls, rises } = &self.starts;
+        let starts = if falls.len() > rises.len() { falls } else { rises };
+        let mut first = 0;
+        for &end in starts.iter().chain([&points.turn.len()]) {
+            if rings.len() >= MAX_ROWS {
+                return Err(CloudError::Rings { point: first });
+            }
+            if end - first > MOST_TURNS * columns {
+                return Err(CloudError::Order { point: first, points: end - first, columns });
+            }
+            if end > first {
+                rings.push(Ring::new(first, end));
+            }
+            first = end;
+        }
+        Ok(())
+    }
+}
+
+/// The rings of a cloud.
 ///
 /// # Errors
 /// [`CloudError::Rings`] and [`CloudError::Order`].
 pub(crate) fn find(points: &[[f32; 4]], columns: usize, rings: &mut Vec<Ring>) -> Result<(), CloudError> {
-    rings.clear();
-    let starts = |clockwise: bool| ring_starts(points, clockwise);
-    let clockwise = starts(true).count() > starts(false).count();
-    let mut first = 0;
-    for start in starts(clockwise).chain(std::iter::once(points.len())) {
-        if rings.len() >= MAX_ROWS {
-            return Err(CloudError::Rings { point: first });
-        }
-        let ring = Ring::new(first, start);
-        if ring.end - ring.first > MOST_TURNS * columns {
-            return Err(CloudError::Order { point: first, points: start - first, columns });
-        }
-        if ring.end > ring.first {
-            rings.push(ring);
-        }
-        first = start;
-    }
-    Ok(())
-}
-
-/// The points whose azimuth starts over: all rings but the first begin with one. Near points are left out: their azimuth
-/// is noise.
-fn ring_starts(points: &[[f32; 4]], clockwise: bool) -> impl Iterator<Item = usize> {
-    let mut before_rad = None;
-    let far = points.iter().enumerate().filter_map(|(index, &point)| {
-        Polar::of(point).filter(|polar| polar.away_m > NOISE_M).map(|polar| (index, polar.azimuth_rad))
-    });
-    far.filter_map(move |(index, azimuth_rad)| {
-        let along_rad = if clockwise { azimuth_rad } else { TAU - azimuth_rad };
-        let starts_over = before_rad.replace(along_rad).is_some_and(|before_rad| before_rad - along_rad > PI);
-        starts_over.then_some(index)
-    })
+    let (level, mut polars) = (Level::new(), Polars::default());
+    polars.fill(level, points);
+    Finder::default().find(level, &polars, columns, rings)
 }
 
 impl Polar {
@@ -89,11 +105,6 @@ impl Polar {
         self.z_m.atan2(self.away_m)
     }
 
-    /// From so far above the sensor's origin.
-    pub fn range_m(self, vertical_offset_m: f64) -> f32 {
-        self.away_m.hypot(self.z_m - vertical_offset_m) as f32
-    }
-
     /// Where it lies, in columns after the middle of the first.
     pub fn position(self, columns: usize) -> f64 {
         (self.azimuth_rad / TAU * columns as f64 - 0.5).rem_euclid(columns as f64)
@@ -101,7 +112,8 @@ impl Polar {
 }
 
 impl Ring {
-    fn new(first: usize, end: usize) -> Self {
+    /// The points from `first` up to `end`.
+    pub fn new(first: usize, end: usize) -> Self {
         Self { first, end, elevation_rad: 0.0, vertical_offset_m: 0.0 }
     }
 
@@ -115,14 +127,40 @@ impl Ring {
             self.elevation_rad = *elevations_rad.select_nth_unstable_by(middle, f64::total_cmp).1;
         }
     }
+}
 
-    /// Takes elevation and vertical offset of the beam from its points, where there are enough of them. Heights that are
-    /// told by the median elevation alone would be off by the offset, 20 cm, near the sensor.
-    pub fn fit(&mut self, points: &[[f32; 4]]) {
-        let sample = |&point: &[f32; 4]| Polar::of(point).map(|polar| Sample { away_m: polar.away_m, z_m: polar.z_m });
-        let samples: Vec<Sample> = points[self.first..self.end].iter().filter_map(sample).collect();
-        if let Some(line) = fit::fit(OF_ANY_SENSOR, &samples) {
-            (self.elevation_rad, self.vertical_offset_m) = (line.slope.atan(), line.offset_m);
+/// Fits beams to rings, each time in the same memory.
+#[derive(Clone, Debug, Default)]
+pub(crate) struct BeamFitter {
+    samples: Vec<Sample>,
+    fitter: Fitter,
+}
+
+impl BeamFitter {
+    /// Takes elevation and vertical offset of a ring's beam from its points; where there are not enough of them, the
+    /// median elevation. Heights that are told by an elevation alone would be off by the offset, 20 cm, near the
+    /// sensor.
+    ///
+    /// Neighbouring points lie on the same things and tell the same: [`SAMPLES`] of a ring, evenly spread, are as good
+    /// as all of them.
+    pub fn fit(&mut self, ring: &mut Ring, points: &Polars) {
+        let step = (ring.end - ring.first).div_ceil(SAMPLES).max(1);
+        let spread = (ring.first..ring.end).step_by(step);
+        let there = spread.filter(|&point| points.turn[point].is_finite() && points.away_m[point] > 0.0);
+        self.samples.clear();
+        self.samples
+            .extend(there.map(|at| Sample { away_m: f64::from(points.away_m[at]), z_m: f64::from(points.z_m[at]) }));
+        if let Some(line) = self.fitter.fit(OF_ANY_SENSOR, &self.samples) {
+            (ring.elevation_rad, ring.vertical_offset_m) = (line.slope.atan(), line.offset_m);
+        } else if let Some(slope) = self.median_slope() {
+            ring.elevation_rad = slope.atan();
         }
+    }
+
+    fn median_slope(&mut self) -> Option<f64> {
+        let slope = |sample: &Sample| sample.z_m / sample.away_m;
+        let middle = self.samples.len() / 2;
+        self.samples.sort_unstable_by(|a, b| slope(a).total_cmp(&slope(b)));
+        self.samples.get(middle).map(slope)
     }
 }

@@ -250,6 +250,23 @@ fn clouds_that_cannot_be_meant_are_refused_before_they_are_segmented() {
     let twin = folder.write("seq/empty.bin", "");
     segment(&[empty.to_str().unwrap(), twin.to_str().unwrap()]).says(&["empty.label", "both be written", "--out"]);
     segment(&[folder.path("none.bin").to_str().unwrap()]).says(&["cannot read", "none.bin"]);
+    let left_and_right = [1.0_f32, 0.1, 0.0, 0.0, 1.0, -0.1, 0.0, 0.0].map(f32::to_le_bytes).concat().repeat(200);
+    let mixed = folder.write("mixed.bin", left_and_right);
+    let mixed = mixed.to_str().unwrap();
+    segment(&[mixed]).says(&["mixed.bin", "ring after ring", "--model MODEL", "--rows-table FILE"]);
+    segment(&[mixed, "--model", "vlp16"]).done();
+    assert_eq!(std::fs::read(out.join("mixed.label")).unwrap().len(), 4 * 400);
+    segment(&[mixed, "--model", "hdl64e-s2"]).says(&[
+        "each unit has beams of its own",
+        "--calibration",
+        "--rows-table",
+    ]);
+    let rows = folder.write("rows.txt", "2\n3 # wrong\n");
+    segment(&[mixed, "--rows-table", rows.to_str().unwrap()]).says(&["rows.txt", "line 2", "not below"]);
+    let cut = folder.write("cut.ply", "ply\nformat ascii 1.0\n");
+    segment(&[cut.to_str().unwrap()]).says(&["cut.ply", "line 2", "end_header"]);
+    let odd = folder.write("cloud.xyz", "1 2 3\n");
+    segment(&[odd.to_str().unwrap()]).says(&["cloud.xyz", "--format"]);
 }
 
 #[test]

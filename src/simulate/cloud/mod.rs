@@ -218,7 +218,7 @@ impl Turn {
         let behind = beam.rotation_rad / TAU * turn - self.shot_offset(beam.channel);
         let laser = Laser::new(beam, self.calibration.distance_unit_m());
         let polars: Vec<Option<Polar>> = ring.points.iter().map(|&point| Polar::of(point)).collect();
-        let shown = places::of_ring(&polars, self.firings).shown;
+        let shown = places::shown(&polars, self.firings);
         let there = polars.iter().flatten().count();
         self.report.void += polars.len() - there;
         self.report.hidden += there - shown.iter().flatten().count();

@@ -1,0 +1,239 @@
+//! PCD, the files of the Point Cloud Library (version 0.7 of the format; older ones say `COLUMNS` for `FIELDS`).
+//!
+//! ```text
+//! VERSION 0.7
+//! FIELDS x y z ring
+//! SIZE 4 4 4 2            bytes of a value
+//! TYPE F F F U            F float, I signed, U unsigned
+//! COUNT 1 1 1 1           values of a field; may be left out
+//! WIDTH 1000
+//! HEIGHT 1
+//! POINTS 1000
+//! DATA binary             or ascii; binary_compressed: two u32, length packed and unpacked, then field after field
+//! ```
+
+use super::{Cloud, Field, ReadError, Roles, Scalar, ascii, binary, count, head_lines, lzf, shortened};
+
+/// Longest points that are read, all together, bytes.
+const MAX_BODY_LEN: usize = 1 << 30;
+
+/// How the points are written.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+enum Data {
+    Ascii,
+    Binary,
+    Compressed,
+}
+
+/// What the head says.
+#[derive(Debug, Default)]
+struct Head {
+    names: Vec<String>,
+    sizes: Vec<usize>,
+    types: Vec<String>,
+    counts: Vec<usize>,
+    size: [Option<usize>; 2],
+    points: Option<usize>,
+    /// Line of `FIELDS` and of `DATA`.
+    lines: [usize; 2],
+}
+
+/// The points of a file.
+pub(super) fn read(bytes: &[u8]) -> Result<Cloud, ReadError> {
+    let mut head = Head::default();
+    for (line, end, text) in head_lines(bytes) {
+        let at = |message: String| ReadError::line(line, message);
+        let text = std::str::from_utf8(text).map_err(|_| at("no text where the head should be".to_owned()))?;
+        let mut words = text.split_ascii_whitespace();
+        let Some(key) = words.next().filter(|key| !key.starts_with('#')) else { continue };
+        let words: Vec<&str> = words.collect();
+        if key == "DATA" {
+            head.lines[1] = line;
+            let data = match words[..] {
+                ["ascii"] => Data::Ascii,
+                ["binary"] => Data::Binary,
+                ["binary_compressed"] => Data::Compressed,
+                _ => return Err(at("DATA must be ascii, binary or binary_compressed".to_owned())),
+            };
+            return head.body(data, &bytes[end..], end);
+        }
+        head.take(key, &words, line).map_err(at)?;
+    }
+    let last = head_lines(bytes).last().map_or(1, |(line, ..)| line);
+    Err(ReadError::line(last, "no line \"DATA ...\" up to here; a PCD file has one at the end of its head"))
+}
+
+impl Head {
+    fn take(&mut self, key: &str, words: &[&str], line: usize) -> Result<(), String> {
+        let counts = || words.iter().map(|word| count(word)).collect::<Result<Vec<_>, _>>();
+        let one = || match words {
+            [word] => count(word).map(Some),
+            _ => Err(format!("{key} must have one number")),
+        };
+        match key {
+            "VERSION" | "VIEWPOINT" => {}
+            "FIELDS" | "COLUMNS" => {
+                self.names = words.iter().map(|&word| word.to_owned()).collect();
+                self.lines[0] = line;
+            }
+            "SIZE" => self.sizes = counts()?,
+            "TYPE" => self.types = words.iter().map(|&word| word.to_owned()).collect(),
+            "COUNT" => self.counts = counts()?,
+            "WIDTH" => self.size[0] = one()?,
+            "HEIGHT" => self.size[1] = one()?,
+            "POINTS" => self.points = one()?,
+            _ => {
+                let key = shortened(key);
+                return Err(format!(
+                    "\"{key}\" is no word of a PCD head; is this a PCD file, and its head ended by DATA?"
+                ));
+            }
+        }
+        Ok(())
+    }
+
+    /// The points behind the head, which ends at byte `first`.
+    fn body(&mut self, data: Data, body: &[u8], first: usize) -> Result<Cloud, ReadError> {
+        let [fields_line, data_line] = self.lines;
+        let in_head = |message: String| ReadError::line(data_line, message);
+        self.check_counts().map_err(in_head)?;
+        let points = self.point_count().map_err(in_head)?;
+        let in_fields = |message: String| ReadError::line(fields_line, message);
+        let roles = Roles::of_names(self.names.iter().map(String::as_str)).map_err(in_fields)?;
+        let scalars = self.scalars(roles).map_err(in_fields)?;
+        if data == Data::Ascii {
+            let words = self.counts.iter().sum();
+            let places = self.counts.iter().scan(0, |word, count| Some(std::mem::replace(word, *word + count)));
+            let places: Vec<usize> = places.collect();
+            let roles = Roles {
+                xyz: roles.xyz.map(|field| places[field]),
+                intensity: roles.intensity.map(|field| places[field]),
+                ring: roles.ring.map(|field| places[field]),
+            };
+            return match ascii(body, data_line + 1, points, words, roles)? {
+                (cloud, None) => Ok(cloud),
+                (_, Some(line)) => {
+                    Err(ReadError::line(line, format!("more lines than the {points} points of the head")))
+                }
+            };
+        }
+        let lengths: Vec<usize> = self.sizes.iter().zip(&self.counts).map(|(size, count)| size * count).collect();
+        let record: usize = lengths.iter().sum();
+        let expected = points.checked_mul(record).filter(|&bytes| bytes <= MAX_BODY_LEN);
+        let expected = expected.ok_or_else(|| in_head(format!("{points} points of {record} bytes are too many")))?;
+        let starts = lengths.iter().scan(0, |start, length| Some(std::mem::replace(start, *start + length)));
+        let at = |byte: usize, message: String| ReadError::byte(first + byte, message);
+        if data == Data::Binary {
+            if body.len() < expected {
+                let found = body.len();
+                let message = format!(
+                    "{found} bytes follow the head, {points} points of {record} bytes need {expected}; the file was cut \
+                     off, or its head is wrong"
+                );
+                return Err(at(found, message));
+            }
+            nothing_behind(body, expected).map_err(|(byte, message)| at(byte, message))?;
+            let field = |(start, scalar): (usize, &Scalar)| Field { scalar: *scalar, start, step: record };
+            let fields: Vec<Field> = starts.zip(&scalars).map(field).collect();
+            return binary(body, points, &fields, roles, false).map_err(|(byte, message)| at(byte, message));
+        }
+        let unpacked = unpack(body, expected).map_err(|(byte, message)| at(byte, message))?;
+        let field = |((start, scalar), length): ((usize, &Scalar), &usize)| Field {
+            scalar: *scalar,
+            start: start * points,
+            step: *length,
+        };
+        let fields: Vec<Field> = starts.zip(&scalars).zip(&lengths).map(field).collect();
+        // A byte of what was unpacked stands nowhere in the file.
+        binary(&unpacked, points, &fields, roles, false).map_err(|(_, message)| at(8, message))
+    }
+
+    /// There is a size, a type and a count for each field.
+    fn check_counts(&mut self) -> Result<(), String> {
+        let fields = self.names.len();
+        if self.counts.is_empty() {
+            self.counts = vec![1; fields];
+        }
+        for (key, found) in [("SIZE", self.sizes.len()), ("TYPE", self.types.len()), ("COUNT", self.counts.len())] {
+            if found != fields {
+                return Err(format!("{key} has {found} values, expected {fields}: one for each of FIELDS"));
+            }
+        }
+        let bad_size = self.sizes.iter().find(|size| ![1, 2, 4, 8].contains(*size));
+        match (bad_size, self.counts.iter().find(|&&count| count > MAX_BODY_LEN)) {
+            (Some(size), _) => Err(format!("SIZE {size} is none of 1, 2, 4 and 8")),
+            (None, Some(count)) => Err(format!("COUNT {count} is too much")),
+            (None, None) => Ok(()),
+        }
+    }
+
+    fn point_count(&self) -> Result<usize, String> {
+        let area = match self.size {
+            [Some(width), Some(height)] => {
+                Some(width.checked_mul(height).ok_or_else(|| format!("WIDTH {width} x HEIGHT {height} is too much"))?)
+            }
+            _ => None,
+        };
+        match (self.points, area) {
+            (Some(points), Some(area)) if points != area => {
+                Err(format!("POINTS {points}, but WIDTH x HEIGHT is {area}; they must be the same"))
+            }
+            (Some(points), _) | (None, Some(points)) => Ok(points),
+            (None, None) => Err("no POINTS before DATA, nor WIDTH and HEIGHT".to_owned()),
+        }
+    }
+
+    /// How the values of each field are written; those that mean something to us must be single ones.
+    fn scalars(&self, roles: Roles) -> Result<Vec<Scalar>, String> {
+        let used = roles.xyz.into_iter().chain(roles.intensity).chain(roles.ring);
+        if let Some(field) = used.into_iter().find(|&field| self.counts[field] != 1) {
+            return Err(format!("the field {} has COUNT {}, expected 1", self.names[field], self.counts[field]));
+        }
+        let scalar = |(index, size): (usize, &usize)| match (self.types[index].as_str(), size) {
+            ("I", 1) => Ok(Scalar::I8),
+            ("I", 2) => Ok(Scalar::I16),
+            ("I", 4) => Ok(Scalar::I32),
+            ("I", 8) => Ok(Scalar::I64),
+            ("U", 1) => Ok(Scalar::U8),
+            ("U", 2) => Ok(Scalar::U16),
+            ("U", 4) => Ok(Scalar::U32),
+            ("U", 8) => Ok(Scalar::U64),
+            ("F", 4) => Ok(Scalar::F32),
+            ("F", 8) => Ok(Scalar::F64),
+            (kind, size) => {
+                let (name, kind) = (shortened(&self.names[index]), shortened(kind));
+                Err(format!("the field {name} has TYPE {kind} and SIZE {size}; expected I or U of 1 to 8, F of 4 or 8"))
+            }
+        };
+        self.sizes.iter().enumerate().map(scalar).collect()
+    }
+}
+
+/// The fields of a compressed file, one after the other; where it is none, the byte of the body and a sentence.
+fn unpack(body: &[u8], expected: usize) -> Result<Vec<u8>, (usize, String)> {
+    let Some((lengths, rest)) = body.split_first_chunk::<8>() else {
+        return Err((
+            body.len(),
+            "the file ends before the two lengths of its packed points; it was cut off".to_owned(),
+        ));
+    };
+    let length = |at: usize| Scalar::U32.read(&lengths[at..], false) as usize;
+    let [packed, unpacked] = [length(0), length(4)];
+    if unpacked != expected {
+        return Err((4, format!("{unpacked} bytes of points, the head promises {expected}; one of them is wrong")));
+    }
+    let Some(packed_bytes) = rest.get(..packed) else {
+        let message = format!("{packed} packed bytes promised, {} follow; the file was cut off", rest.len());
+        return Err((0, message));
+    };
+    nothing_behind(body, 8 + packed)?;
+    lzf::unpack(packed_bytes, expected).map_err(|(byte, message)| (8 + byte, message))
+}
+
+/// Behind the points there may be zeros, as writers leave that map whole pages.
+fn nothing_behind(body: &[u8], end: usize) -> Result<(), (usize, String)> {
+    match body[end..].iter().position(|&byte| byte != 0) {
+        None => Ok(()),
+        Some(further) => Err((end + further, "more bytes than the points of the head take; one is wrong".to_owned())),
+    }
+}

@@ -1,0 +1,64 @@
+//! After the first clouds, projecting one and labelling its points allocates nothing.
+
+use std::alloc::{GlobalAlloc, Layout, System};
+use std::f64::consts::TAU;
+use std::sync::atomic::{AtomicU64, Ordering};
+
+use sweepd::cloud::{Cloud, CloudProjector, RowTable};
+
+struct Counting;
+
+static ALLOCATIONS: AtomicU64 = AtomicU64::new(0);
+
+// SAFETY: every call goes to the system's allocator as it came.
+unsafe impl GlobalAlloc for Counting {
+    unsafe fn alloc(&self, layout: Layout) -> *mut u8 {
+        ALLOCATIONS.fetch_add(1, Ordering::Relaxed);
+        // SAFETY: the caller's promises are the ones that `System` asks for.
+        unsafe { System.alloc(layout) }
+    }
+
+    unsafe fn dealloc(&self, pointer: *mut u8, layout: Layout) {
+        // SAFETY: as above.
+        unsafe { System.dealloc(pointer, layout) }
+    }
+}
+
+#[global_allocator]
+static COUNTING: Counting = Counting;
+
+const FIRINGS: usize = 720;
+
+/// Rings on a cone each, with points that crowd.
+fn cloud() -> Cloud {
+    let mut cloud = Cloud { points: Vec::new(), rings: Some(Vec::new()) };
+    for ring in 0..16 {
+        let elevation = (8.0 - f64::from(ring)).to_radians();
+        for firing in 0..FIRINGS {
+            let azimuth = (firing as f64 + if firing % 12 == 0 { 0.9 } else { 0.0 }) / FIRINGS as f64 * TAU;
+            let away = 5.0 + (firing % 97) as f64 * 0.3;
+            let point = [away * azimuth.cos(), -away * azimuth.sin(), away * elevation.tan(), 0.0];
+            cloud.points.push(point.map(|value| value as f32));
+            cloud.rings.as_mut().unwrap().push(ring);
+        }
+    }
+    cloud
+}
+
+#[test]
+fn projecting_allocates_nothing() {
+    let by_number = cloud();
+    let in_order = Cloud { rings: None, ..by_number.clone() };
+    let table = RowTable::parse(&(0..16).map(|row| format!("{}\n", 8 - row)).collect::<String>()).unwrap();
+    for (cloud, table) in [(&in_order, None), (&by_number, None), (&in_order, Some(&table))] {
+        let mut projector = CloudProjector::new(FIRINGS).unwrap();
+        let mut run = || {
+            let before = ALLOCATIONS.load(Ordering::Relaxed);
+            assert_eq!(projector.project_cloud(cloud, table).unwrap().beams.len(), 16);
+            assert_eq!(projector.labels().unwrap().len(), cloud.points.len());
+            ALLOCATIONS.load(Ordering::Relaxed) - before
+        };
+        let counts = [run(), run(), run(), run()];
+        assert!(counts[0] > 0 && counts[2..] == [0, 0], "{counts:?}");
+    }
+}
