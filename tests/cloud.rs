@@ -36,8 +36,8 @@ fn segmenter(columns: usize) -> CloudSegmenter {
     CloudSegmenter::new(Config::default(), columns).unwrap()
 }
 
-/// Share of points on which two labellings agree, of those that either calls ground or a segment: as to ground, and as to
-/// which segment is which, each taken for the one that shares most points with it.
+/// Share of points on which two labellings agree: as to ground, and as to which label is which, each taken for the one that
+/// shares most points with it.
 fn agreement(a: &[u32], b: &[u32]) -> [f64; 2] {
     assert_eq!(a.len(), b.len());
     let share = |same: usize| same as f64 / a.len() as f64;

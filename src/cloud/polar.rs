@@ -132,14 +132,9 @@ impl Starts {
 /// Whether all points are there, far enough, and within half a turn of their neighbours.
 #[inline(always)]
 fn is_steady(turn: &[f32], away_m: &[f32], noise_m: f32) -> bool {
-    let mut unsteady = 0;
-    for &away_m in away_m {
-        unsteady |= u32::from(!(away_m > noise_m));
-    }
-    for (&a, &b) in turn.iter().zip(&turn[1..]) {
-        unsteady |= u32::from(!((a - b).abs() <= 0.5));
-    }
-    unsteady == 0
+    let far: usize = away_m.iter().map(|&away_m| usize::from(away_m > noise_m)).sum();
+    let near_each_other: usize = turn.windows(2).map(|pair| usize::from((pair[0] - pair[1]).abs() <= 0.5)).sum();
+    far == turn.len() && near_each_other + 1 == turn.len()
 }
 
 #[cfg(test)]
