@@ -1,10 +1,10 @@
 //! Point clouds without a range image, from KITTI, PCD and PLY files, to sweeps: the projection of the paper's section
 //! III.
 //!
-//! Where a file names the ring of each point, or the beams of the sensor are told, the rows come from there. A cloud of a spinning sensor that lists ring after ring still tells which beam each point came from: a new ring
-//! begins where the azimuth starts over. Where each beam starts and points is fitted to its points, which lie on a cone
-//! whose tip is up to a hand's breadth above the sensor's origin. The columns are even in azimuth, and each shows one
-//! point.
+//! Where a file names the ring of each point, or the beams of the sensor are told, the rows come from there. A cloud of a
+//! spinning sensor that lists ring after ring still tells which beam each point came from: a new ring begins where the
+//! azimuth starts over. Where each beam starts and points is fitted to its points, which lie on a cone whose tip is up to a
+//! hand's breadth above the sensor's origin. The columns are even in azimuth, and each shows one point.
 
 pub(crate) mod fit;
 pub(crate) mod places;
@@ -147,6 +147,8 @@ impl CloudSegmenter {
         if let Some(mask) = self.segmenter.config().mask.as_ref().filter(|mask| rings > 0 && mask.rows() != rings) {
             return Err(CloudError::Mask { found: mask.rows(), rings });
         }
+        // Each cloud by itself: the one before may be of another sensor.
+        self.segmenter.forget_height();
         self.segmenter.segment(&mut sweep);
         self.projector.labels()
     }

@@ -7,6 +7,9 @@
 //! push(datagram)   what arrived                 poll()   the next sweep that is whole, segmented
 //! tick(now)        nothing arrived for a while  end()    nothing will arrive any more
 //! ```
+//!
+//! A sweep is segmented while the head still turns, as far as it goes, each time that [`Pipeline::poll`] has no whole one to
+//! give.
 
 mod config;
 mod report;
@@ -35,11 +38,36 @@ pub struct Pipeline<B: Buffers, W: Stopwatch> {
     watch: W,
     state: State<B>,
     segmenter: Segmenter,
+    /// What was spent on the open sweep so far.
+    spent: Spent,
     counts: Counts,
     /// Ordinal of the next data packet.
     next_number: u64,
     closing: Closing,
     notices: Vec<Notice>,
+}
+
+/// Time spent on the segmentation of a sweep.
+#[derive(Default)]
+struct Spent {
+    sequence: u64,
+    ground_ns: u64,
+    label_ns: u64,
+}
+
+impl Spent {
+    /// Strip by strip: takes the ground away, joins what is left.
+    fn strips(&mut self, segmenter: &mut Segmenter, sweep: &SweepMut<'_>, watch: &impl Stopwatch) {
+        let mut begun_ns = watch.now_ns();
+        while segmenter.find_ground(sweep) {
+            let without_ground_ns = watch.now_ns();
+            segmenter.join();
+            let joined_ns = watch.now_ns();
+            self.ground_ns += without_ground_ns - begun_ns;
+            self.label_ns += joined_ns - without_ground_ns;
+            begun_ns = joined_ns;
+        }
+    }
 }
 
 /// Whether the open sweep is to be closed when all packets are placed, and why.
@@ -66,6 +94,7 @@ impl<B: Buffers, W: Stopwatch> Pipeline<B, W> {
             watch,
             state,
             segmenter,
+            spent: Spent::default(),
             counts,
             next_number: 0,
             closing: Closing::No,
@@ -113,7 +142,7 @@ impl<B: Buffers, W: Stopwatch> Pipeline<B, W> {
         self.next_number += 1;
     }
 
-    /// The next sweep that is whole, labelled; see [`SweepRef::open`](crate::sweep::SweepRef::open).
+    /// The next sweep that is whole, labelled; else the open one is segmented as far as it goes. See [`SweepRef::open`](crate::sweep::SweepRef::open).
     pub fn poll(&mut self) -> Option<B::Buffer> {
         let begun_ns = self.watch.now_ns();
         let State::Decoding(decoding) = &mut self.state else { return self.close() };
@@ -130,7 +159,10 @@ impl<B: Buffers, W: Stopwatch> Pipeline<B, W> {
             builder.begin(slot, order.packet(slot), before);
         };
         builder.spent(self.watch.now_ns() - begun_ns);
-        let whole = whole.or_else(|| self.close())?;
+        let Some(whole) = whole.or_else(|| self.close()) else {
+            self.segment_early();
+            return None;
+        };
         Some(self.segment(whole))
     }
 
@@ -221,18 +253,32 @@ impl<B: Buffers, W: Stopwatch> Pipeline<B, W> {
         counts
     }
 
-    /// The paper's two steps, on a whole sweep and in place: take the ground away, join what is left.
+    /// Ground and joins of what is there of the open sweep: so there is little left to do when the head has turned.
+    fn segment_early(&mut self) {
+        let State::Decoding(decoding) = &mut self.state else { return };
+        let Some((mut sweep, ready)) = decoding.builder.so_far() else { return };
+        if self.spent.sequence != sweep.header.sequence {
+            self.spent = Spent { sequence: sweep.header.sequence, ..Spent::default() };
+        }
+        if self.segmenter.begin_early(&mut sweep, ready) {
+            self.spent.strips(&mut self.segmenter, &sweep, &self.watch);
+        }
+    }
+
+    /// The paper's two steps, on a whole sweep and in place: take the ground away, join what is left. What was done early
+    /// is not done again.
     fn segment(&mut self, mut whole: B::Buffer) -> B::Buffer {
         let Ok(mut sweep) = SweepMut::open(whole.as_mut()) else { return whole };
         let begun_ns = self.watch.now_ns();
-        self.segmenter.prepare(&sweep);
-        self.segmenter.find_ground(&mut sweep);
-        let without_ground_ns = self.watch.now_ns();
-        self.segmenter.connect(&mut sweep);
-        self.segmenter.describe(&mut sweep);
-        let labelled_ns = self.watch.now_ns();
-        sweep.header.ground_ns = (without_ground_ns - begun_ns) as u32;
-        sweep.header.label_ns = (labelled_ns - without_ground_ns) as u32;
+        self.segmenter.begin(&mut sweep);
+        let mut spent = std::mem::take(&mut self.spent);
+        spent.ground_ns += self.watch.now_ns() - begun_ns;
+        spent.strips(&mut self.segmenter, &sweep, &self.watch);
+        let joined_ns = self.watch.now_ns();
+        self.segmenter.label(&mut sweep);
+        spent.label_ns += self.watch.now_ns() - joined_ns;
+        sweep.header.ground_ns = u32::try_from(spent.ground_ns).unwrap_or(u32::MAX);
+        sweep.header.label_ns = u32::try_from(spent.label_ns).unwrap_or(u32::MAX);
         sweep.header.position_m = self.config.position_m;
         sweep.header.yaw_rad = self.config.yaw_rad;
         whole

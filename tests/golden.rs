@@ -7,10 +7,14 @@ mod common;
 use std::path::{Path, PathBuf};
 
 use common::npy;
+use fearless_simd::{Level, dispatch};
 use serde_json::Value;
-use sweepd::segment::connect::Connector;
-use sweepd::segment::paper::{PaperFinder, flood, incline, repair, smooth};
-use sweepd::segment::{Angles, Components, Limits, PaperGround, Parts, Window, naive};
+use sweepd::segment::paper::connect::filled;
+use sweepd::segment::paper::flood::Flood;
+use sweepd::segment::paper::ground::{Directions, Line, MARGIN, incline, level, repair, smooth, start};
+use sweepd::segment::{
+    Angles, Components, Connector, Joins, Limits, MAX_ROWS, PaperFinder, PaperGround, Parts, Window, naive,
+};
 
 const CASES: usize = 16;
 
@@ -66,15 +70,40 @@ impl Case {
         (0..self.rows * self.columns).map(|index| at(index / self.rows, index % self.rows)).collect()
     }
 
+    /// The columns of an image as lines.
+    fn lines(&self, image: &[f32]) -> Vec<Line> {
+        let line = |column: &[f32]| {
+            let mut line = [0.0; MAX_ROWS + 2 * MARGIN];
+            line[MARGIN..MARGIN + self.rows].copy_from_slice(column);
+            line
+        };
+        image.chunks_exact(self.rows).map(line).collect()
+    }
+
+    /// The ground by these inclinations.
+    fn flood(&self, ground: &PaperGround, inclination_rad: &[f32], mut joins: Vec<Joins>) -> Vec<u128> {
+        let lines = self.lines(inclination_rad);
+        for (column, joins) in joins.iter_mut().enumerate() {
+            let pair = [&lines[(column + self.columns - 1) % self.columns], &lines[column]];
+            let neighbours = self.angles.neighbours(column);
+            dispatch!(Level::new(), simd => level(simd, ground, pair, self.rows, neighbours, joins));
+        }
+        let starts: Vec<u128> =
+            lines.iter().zip(&joins).map(|(line, joins)| start(ground, line, joins.filled)).collect();
+        let mut marked = Vec::new();
+        Flood::new(Level::new()).run(&joins, &starts, &mut marked);
+        marked
+    }
+
     /// Labels of all pixels with a range, numbered from 1 by their first pixel in the authors' order: row after row.
     fn labels(&self, range_m: &[f32], theta_deg: f64) -> Vec<f32> {
         let mut joins = Vec::new();
-        Connector::default().connect(range_m, &self.angles, theta_deg.to_radians(), &mut joins);
+        Connector::new(Level::new()).connect(range_m, &self.angles, theta_deg.to_radians(), &mut joins);
         let real: Vec<u128> = joins.iter().map(|joins| joins.filled).collect();
         let parts = Parts { rows: self.rows, joins: &joins, real: &real, ground: &vec![0; self.columns] };
         let limits = Limits { min_points: 1, max_segments: usize::MAX };
         let mut labels = vec![u32::MAX; range_m.len()];
-        let segments = Components::default().label(&parts, limits, &mut labels);
+        let segments = Components::new(Level::new()).label(&parts, limits, &mut labels);
         let naive = naive::connect(range_m, range_m, &self.angles, theta_deg.to_radians(), limits);
         assert_eq!(labels, naive, "{}", self.name);
         let (mut numbers, mut next) = (vec![0.0; segments + 2], 1.0);
@@ -129,23 +158,33 @@ fn repair_and_inclinations_are_the_authors() {
     for case in cases() {
         let ground = case.ground();
         let mut range_m = case.image("range.npy");
-        repair(&ground, &mut range_m, case.rows);
+        let joins: Vec<Joins> = range_m
+            .chunks_exact_mut(case.rows)
+            .map(|column| {
+                let whole = dispatch!(Level::new(), simd => filled(simd, column, case.rows));
+                Joins { filled: repair(&ground, column, whole), ..Joins::default() }
+            })
+            .collect();
         assert_near(&case, "repaired", &range_m, &case.image("repaired.npy"));
+        let is_filled = |index: usize| joins[index / case.rows].filled >> (index % case.rows) & 1 == 1;
+        assert!((0..range_m.len()).all(|index| is_filled(index) == (range_m[index] > 0.0)), "{}", case.name);
 
-        let directions: Vec<[f32; 2]> = case.elevations_rad.iter().map(|angle| [angle.cos(), angle.sin()]).collect();
-        let mut inclination_rad = vec![0.0; range_m.len()];
-        for (column, range_m) in range_m.chunks_exact(case.rows).enumerate() {
-            let inclination_rad = &mut inclination_rad[column * case.rows..][..case.rows];
-            incline(range_m, &directions, inclination_rad);
+        let mut directions = Directions::default();
+        directions.take(case.elevations_rad.iter().copied());
+        let mut smoothed_rad = Vec::new();
+        for column in case.lines(&range_m) {
+            let [mut inclination, mut smoothed] = [[0.0; MAX_ROWS + 2 * MARGIN]; 2];
+            dispatch!(Level::new(), simd => {
+                incline(simd, &column, &directions, case.rows, &mut inclination);
+                smooth(simd, ground.window, &inclination, case.rows, &mut smoothed);
+            });
+            smoothed_rad.extend_from_slice(&smoothed[MARGIN..MARGIN + case.rows]);
         }
-        let mut smoothed_rad = vec![0.0; range_m.len()];
-        smooth(ground.window, &inclination_rad, case.rows, &mut smoothed_rad);
         let golden_rad = case.image("angle_smoothed.npy");
         assert_near(&case, "smoothed", &smoothed_rad, &golden_rad);
 
         // Their inclinations give their mask without exception.
-        let (mut stack, mut marked) = (Vec::new(), Vec::new());
-        flood(&ground, &range_m, &golden_rad, &case.angles, &mut stack, &mut marked);
+        let marked = case.flood(&ground, &golden_rad, joins);
         assert_eq!(count_differences(&case, &range_m, &marked), 0, "{}", case.name);
     }
 }
@@ -165,7 +204,7 @@ fn ground_is_the_authors() {
         let (mut range_m, mut marked) = (case.image("range.npy"), Vec::new());
         let raw_m = range_m.clone();
         let elevations_rad = case.elevations_rad.iter().copied();
-        PaperFinder::default().find(&ground, &mut range_m, elevations_rad, &case.angles, &mut marked);
+        PaperFinder::new(Level::new()).find(&ground, &mut range_m, elevations_rad, &case.angles, &mut marked);
         let allowed = usize::from(case.name == "kitti_000005_64x870");
         let differences = count_differences(&case, &range_m, &marked);
         assert!(differences <= allowed, "{}: {differences} pixels differ", case.name);

@@ -105,6 +105,63 @@ pub struct SegmentOptions {
         allow_negative_numbers = true
     )]
     pub min_points: u32,
+    /// Two returns of a segment are no further apart than this, metres [default: 0.6 from 48 rows on, else 0.8]
+    #[arg(long, value_name = "M", value_parser = within(Settings::GAP_M, "metres"), allow_negative_numbers = true)]
+    pub gap: Option<f64>,
+    /// Columns to either side in which a return looks for others of its segment
+    #[arg(
+        long,
+        value_name = "N",
+        default_value_t = Settings::DEFAULT.window_columns,
+        value_parser = clap::value_parser!(u32).range(Settings::WINDOW_COLUMNS),
+        allow_negative_numbers = true
+    )]
+    pub window_columns: u32,
+    /// Rows up and down in which it looks
+    #[arg(
+        long,
+        value_name = "N",
+        default_value_t = Settings::DEFAULT.window_rows,
+        value_parser = clap::value_parser!(u32).range(Settings::WINDOW_ROWS),
+        allow_negative_numbers = true
+    )]
+    pub window_rows: u32,
+    /// What has fewer returns becomes part of a larger segment near by; 0 leaves all alone
+    #[arg(
+        long,
+        value_name = "N",
+        default_value_t = Settings::DEFAULT.small_points,
+        value_parser = clap::value_parser!(u32),
+        allow_negative_numbers = true
+    )]
+    pub small_points: u32,
+    /// How much further than the gap that may be, metres
+    #[arg(
+        long,
+        value_name = "M",
+        default_value_t = Settings::DEFAULT.small_reach_m,
+        value_parser = within(Settings::SMALL_REACH_M, "metres"),
+        allow_negative_numbers = true
+    )]
+    pub small_reach: f64,
+    /// Steepest ground (of --method slope), metres a metre
+    #[arg(
+        long,
+        value_name = "SLOPE",
+        default_value_t = Settings::DEFAULT.max_slope,
+        value_parser = within(Settings::SLOPE, "metres a metre"),
+        allow_negative_numbers = true
+    )]
+    pub max_slope: f64,
+    /// Highest kerb that is ground where the way goes on level behind it (of --method slope), metres
+    #[arg(
+        long,
+        value_name = "M",
+        default_value_t = Settings::DEFAULT.max_kerb_m,
+        value_parser = within(Settings::KERB_M, "metres"),
+        allow_negative_numbers = true
+    )]
+    pub max_kerb: f64,
     /// Height of the sensor above the ground, metres [default: estimated from the lowest returns]
     #[arg(long, value_name = "M", value_parser = within(Settings::HEIGHT_M, "metres"), allow_negative_numbers = true)]
     pub height: Option<f64>,
@@ -197,6 +254,13 @@ impl SegmentOptions {
             },
             theta_deg: self.theta,
             min_points: self.min_points,
+            gap_m: self.gap,
+            window_columns: self.window_columns,
+            window_rows: self.window_rows,
+            small_points: self.small_points,
+            small_reach_m: self.small_reach,
+            max_slope: self.max_slope,
+            max_kerb_m: self.max_kerb,
             height_m: self.height,
             pitch_deg: self.pitch,
             roll_deg: self.roll,

@@ -16,7 +16,7 @@ use super::rings::Polar;
 /// A point may be so far from its column, pitches.
 const REACH: f32 = 2.0;
 /// The nearest free column may be so far away.
-const FARTHEST: usize = 16;
+const FARTHEST: usize = 48;
 /// One that is so much farther on the other side is as good, if points move less.
 const FARTHER: usize = 2;
 /// Stands for no column, and for no point.

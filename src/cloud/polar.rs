@@ -58,8 +58,9 @@ fn fill(points: &[[f32; 4]], turn: &mut [f32], away_m: &mut [f32], z_m: &mut [f3
 /// Azimuth in turns and distance from the axis; the azimuth is NaN where there is no point.
 #[inline(always)]
 fn polar(x: f32, y: f32, z: f32) -> (f32, f32) {
-    let away_m = (x * x + y * y).sqrt();
-    let there = away_m < f32::INFINITY && z.abs() < f32::INFINITY && away_m + z.abs() > 0.0;
+    let square = x * x + y * y;
+    let away_m = square.sqrt();
+    let there = square + z * z < f32::INFINITY && away_m + z.abs() > 0.0;
     let steep = y.abs() > x.abs();
     let (low, high) = if steep { (x.abs(), y.abs()) } else { (y.abs(), x.abs()) };
     let eighth = arctangent(low / high.max(f32::MIN_POSITIVE));
@@ -206,7 +207,15 @@ mod tests {
     #[test]
     fn what_is_no_point_has_no_azimuth() {
         let inf = f32::INFINITY;
-        let none = [[0.0; 3], [f32::NAN, 1.0, 1.0], [1.0, inf, 0.0], [1.0, 1.0, f32::NAN], [1.0, 1.0, -inf], [1e30; 3]];
+        let none = [
+            [0.0; 3],
+            [f32::NAN, 1.0, 1.0],
+            [1.0, inf, 0.0],
+            [1.0, 1.0, f32::NAN],
+            [1.0, 1.0, -inf],
+            [1e30; 3],
+            [1.0, 1.0, 1e30],
+        ];
         let points: Vec<[f32; 4]> = none.iter().cycle().take(40).map(|&[x, y, z]| [x, y, z, 0.0]).collect();
         assert!(filled(&points).turn.iter().all(|turn| turn.is_nan()));
     }

@@ -14,7 +14,7 @@ const NOISE_M: f64 = 0.5;
 /// A ring may have so many times the points of a turn: dual returns, and columns chosen too few.
 const MOST_TURNS: usize = 8;
 /// Points of a ring that its beam is fitted to.
-const SAMPLES: usize = 96;
+const SAMPLES: usize = 128;
 
 /// The vertical offset of a beam of which nothing is known: most sensors' beams start at the origin.
 const OF_ANY_SENSOR: Prior = Prior { offset_m: 0.0, spread_m: 0.05 };

@@ -223,6 +223,7 @@ impl<B: Buffers, W: Stopwatch> Pipeline<B, W> {
             Err(Refusal::Behind { motion, time_ns }) => {
                 let packet = Packet { bytes: *packet, motion, mode, number, arrival_ns, time_ns };
                 if decoding.builder.late(&packet) {
+                    self.segmenter.spoil();
                     self.counts.reordered += 1;
                 } else {
                     self.counts.late += 1;

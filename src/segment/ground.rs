@@ -1,10 +1,13 @@
-//! Ground by slope: each column is climbed from its lowest row, and what rises too steeply is no ground.
+//! Ground by slope: each column is climbed from its lowest row, and what rises too steeply is no ground. Then each row is
+//! asked whether its neighbours agree.
 //!
 //! The climb starts at the sensor's foot, the point of the ground straight below it, and goes on from each ground point
 //! to the next. So it needs the sensor's height, and holds for sparse sensors, whose first ground point is metres out.
+//! Columns do not look at each other while they climb: a strip of them climbs at once, row by row.
 
-use super::rays::Level;
-use crate::sweep::layout::is_return;
+use fearless_simd::{Simd, f32x16, mask32x16, prelude::*};
+
+use super::points::{LANES, Points, STRIP, load};
 
 /// What counts as ground.
 #[derive(Clone, Copy, Debug, PartialEq)]
@@ -21,92 +24,294 @@ pub struct SlopeGround {
     pub step_reach_m: f32,
     /// A step that is no higher than this is a kerb when the ground goes on level behind it, metres.
     pub max_kerb_m: f32,
+    /// Neighbours in a row whose ranges differ by less vote on each other, metres; 0 asks nobody. Of the three on either
+    /// side, three that are ground make a point ground, and one at most of four or more unmakes it.
+    pub agree_m: f32,
 }
 
 impl Default for SlopeGround {
     fn default() -> Self {
-        Self { max_slope: 0.15, max_rise_m: 0.4, min_rise_m: 0.1, max_step_m: 0.05, step_reach_m: 0.5, max_kerb_m: 0.2 }
+        Self {
+            max_slope: 0.2,
+            max_rise_m: 0.3,
+            min_rise_m: 0.07,
+            max_step_m: 0.05,
+            step_reach_m: 0.5,
+            max_kerb_m: 0.25,
+            agree_m: 0.5,
+        }
     }
 }
 
+/// Neighbours on either side that vote.
+pub(super) const VOTERS: usize = 3;
+
+/// Where the sensor is over the ground.
+#[derive(Clone, Copy, Debug, Default)]
+pub(super) struct Stand {
+    /// Direction away from the ground, of length 1.
+    pub up: [f32; 3],
+    /// Height over the ground; `None` while nobody knows it: then nothing is ground.
+    pub height_m: Option<f32>,
+}
+
+/// Words of a strip in one row: a bit a column.
+#[derive(Clone, Copy, Debug, Default)]
+pub(super) struct Words {
+    /// Returns that may be labelled.
+    pub real: u32,
+    /// Ground by the climb alone.
+    pub climbed: u32,
+    /// Columns whose range is like that of the column so many before, plus one.
+    pub like: [u32; VOTERS],
+}
+
+/// The words of the strip before, the one at hand and the next.
+pub(super) type Window = [Words; 3];
+
 impl SlopeGround {
-    /// The ground pixels of a column as a word; the points of pixels without range are no points.
-    pub fn find(&self, range_m: &[f32], level: &[Level], height_m: f32) -> u128 {
-        let mut ground = 0;
-        let mut foothold = Level { away_m: 0.0, height_m: -f64::from(height_m) };
-        // The foot of what rises steeply: near the sensor, beams are so close that no step from one to the next is high.
-        let mut foot = foothold;
-        // The returns below that may be the face of a kerb, and its upper edge.
-        let (mut face, mut edge) = (0, None::<Level>);
-        for row in (0..range_m.len()).rev().filter(|&row| is_return(range_m[row])) {
-            let point = level[row];
-            if let Some(top) = edge.take().filter(|&edge| self.goes_on_level(edge, point)) {
-                ground |= std::mem::take(&mut face);
-                foothold = top;
+    /// Climbs the columns of the strip behind the one at hand. The words say what is real.
+    #[inline(always)]
+    pub(super) fn climb<S: Simd>(&self, simd: S, points: &Points, stand: &Stand, words: &mut [Window]) {
+        let Some(height_m) = stand.height_m else {
+            words.iter_mut().for_each(|words| words[2].climbed = 0);
+            return;
+        };
+        let [mut left, mut right] = [Climber::new(simd, height_m); 2];
+        // For each row: which columns find it the face of a kerb, and which find that a kerb below goes on level here.
+        let mut kerbs = [[0_u32; 2]; super::MAX_ROWS];
+        for row in (0..words.len()).rev() {
+            let Words { real, climbed, .. } = &mut words[row][2];
+            if *real == 0 {
+                *climbed = 0;
+                continue;
             }
-            if self.is_walkable(foothold, point) && !self.is_step(foot, point) {
-                ground |= 1 << row;
-                (foothold, face) = (point, 0);
-            } else if self.is_kerb(foothold, point) {
-                face |= 1 << row;
-                edge = Some(point);
-            } else {
-                face = 0;
+            let lane = points.at(row) + STRIP;
+            let a = left.step(simd, self, place(simd, points, lane, stand), u64::from(*real));
+            let b = right.step(simd, self, place(simd, points, lane + LANES, stand), u64::from(*real >> LANES));
+            *climbed = a.ground | b.ground << LANES;
+            kerbs[row] = [a.face | b.face << LANES, a.goes_on | b.goes_on << LANES];
+        }
+        // From the top: the faces straight below where a kerb goes on level.
+        let mut kerb = 0;
+        for (words, [face, goes_on]) in words.iter_mut().zip(kerbs) {
+            words[2].climbed |= kerb & face;
+            kerb = kerb & (face | !words[2].real) | goes_on;
+        }
+    }
+
+    /// Says which columns of the strip behind the one at hand are like those before them.
+    #[inline(always)]
+    pub(super) fn compare<S: Simd>(&self, simd: S, points: &Points, words: &mut [Window]) {
+        for (row, words) in words.iter_mut().enumerate() {
+            let next = &mut words[2];
+            next.like = [0; VOTERS];
+            if next.real == 0 || self.agree_m <= 0.0 {
+                continue;
             }
-            if !self.is_steep(foot, point) {
-                foot = point;
+            for half in 0..STRIP / LANES {
+                let lane = points.at(row) + STRIP + half * LANES;
+                let here = load(simd, &points.range, lane);
+                for (back, like) in (1..).zip(&mut next.like) {
+                    let there = load(simd, &points.range, lane - back);
+                    // What has no return is further than that from what has one.
+                    let near = (here - there).abs().simd_lt(self.agree_m) & there.simd_gt(0.0);
+                    *like |= (near.to_bitmask() as u32) << (half * LANES);
+                }
+            }
+            next.like.iter_mut().for_each(|like| *like &= next.real);
+        }
+    }
+
+    /// The ground of the strip at hand in a row, after the vote.
+    #[inline(always)]
+    pub(super) fn vote(words: &Window) -> u32 {
+        let Words { real, climbed, .. } = words[1];
+        let around = across(words, |words| words.climbed);
+        // All ground, or none near: nothing to vote on.
+        if around == 0 || climbed == real && around == across(words, |words| words.real) {
+            return climbed;
+        }
+        let (mut ayes, mut votes) = (Count::default(), Count::default());
+        for back in 1..=VOTERS {
+            let like = across(words, |words| words.like[back - 1]);
+            for (voter, is_ground) in [(like, around << back), (like >> back, around >> back)] {
+                votes.add(voter);
+                ayes.add(voter & is_ground);
             }
         }
-        ground
+        let made = ayes.at_least_3();
+        let unmade = !ayes.at_least_2() & votes.at_least_4();
+        let voted = (around | made) & !(around & unmade);
+        (voted >> super::points::BEFORE) as u32 & real
+    }
+}
+
+/// A word over the columns before the strip at hand, the strip, and the first behind it.
+#[inline(always)]
+fn across(words: &Window, part: impl Fn(&Words) -> u32) -> u64 {
+    let (before, here, next) = (part(&words[0]), part(&words[1]), part(&words[2]));
+    u64::from(before >> super::points::BEFORE) | u64::from(here) << super::points::BEFORE | u64::from(next) << 48
+}
+
+/// Counts up to seven for each bit.
+#[derive(Clone, Copy, Default)]
+struct Count {
+    ones: u64,
+    twos: u64,
+    fours: u64,
+}
+
+impl Count {
+    #[inline(always)]
+    fn add(&mut self, bit: u64) {
+        let carry = self.ones & bit;
+        self.ones ^= bit;
+        self.fours |= self.twos & carry;
+        self.twos ^= carry;
     }
 
-    /// Whether one could walk from a ground point to another.
-    #[inline]
-    fn is_walkable(&self, from: Level, to: Level) -> bool {
-        let (away_m, rise_m) = (to.away_m - from.away_m, to.height_m - from.height_m);
-        let (min_m, max_m) = (f64::from(self.min_rise_m), f64::from(self.max_rise_m));
-        let slope_m = f64::from(self.max_slope) * away_m;
-        let rises_little = rise_m < min_m || (rise_m < slope_m && rise_m < max_m);
-        let falls_little = -rise_m < min_m || -rise_m < slope_m.abs();
-        rises_little && falls_little
+    fn at_least_2(self) -> u64 {
+        self.twos | self.fours
     }
 
-    /// Whether a point is no higher over the last ground point than a kerb. That may be on the kerb's upright face already.
-    #[inline]
-    fn is_kerb(&self, from: Level, to: Level) -> bool {
-        let rise_m = to.height_m - from.height_m;
-        rise_m > 0.0 && rise_m <= f64::from(self.max_kerb_m) && to.away_m > from.away_m - f64::from(self.max_step_m)
+    fn at_least_3(self) -> u64 {
+        self.fours | self.twos & self.ones
     }
 
-    /// Whether the way leads on from the edge of a kerb, neither up nor down a step.
-    #[inline]
-    fn goes_on_level(&self, edge: Level, next: Level) -> bool {
-        let (away_m, rise_m) = (next.away_m - edge.away_m, next.height_m - edge.height_m);
-        rise_m.abs() < f64::from(self.max_slope) * away_m
+    fn at_least_4(self) -> u64 {
+        self.fours
+    }
+}
+
+/// Points as the ground sees them: distance from the plumb line, and height over the sensor, metres.
+#[derive(Clone, Copy)]
+struct Places<S: Simd> {
+    away: f32x16<S>,
+    height: f32x16<S>,
+}
+
+#[inline(always)]
+fn place<S: Simd>(simd: S, points: &Points, lane: usize, stand: &Stand) -> Places<S> {
+    let far = load(simd, &points.far, lane);
+    let [x, y, z] = points.place(simd, lane);
+    let height = x * stand.up[0] + y * stand.up[1] + z * stand.up[2];
+    Places { away: (far * far - height * height).max(0.0).sqrt(), height }
+}
+
+/// The climb of some columns.
+#[derive(Clone, Copy)]
+struct Climber<S: Simd> {
+    foothold: Places<S>,
+    /// The foot of what rises steeply: near the sensor, beams are so close that no step from one to the next is high.
+    foot: Places<S>,
+    /// The upper edge of what may be a kerb, where there is one.
+    edge: Places<S>,
+    has_edge: mask32x16<S>,
+}
+
+/// What columns find in a row.
+struct Step {
+    ground: u32,
+    face: u32,
+    goes_on: u32,
+}
+
+impl<S: Simd> Climber<S> {
+    #[inline(always)]
+    fn new(simd: S, height_m: f32) -> Self {
+        let foothold = Places { away: f32x16::splat(simd, 0.0), height: f32x16::splat(simd, -height_m) };
+        Self { foothold, foot: foothold, edge: foothold, has_edge: mask32x16::splat(simd, false) }
     }
 
-    /// Whether a point is the upper end of a steep step.
-    #[inline]
-    fn is_step(&self, foot: Level, point: Level) -> bool {
-        self.is_steep(foot, point) && point.height_m - foot.height_m > f64::from(self.max_step_m)
+    #[inline(always)]
+    fn step(&mut self, simd: S, limits: &SlopeGround, here: Places<S>, real: u64) -> Step {
+        let real = mask32x16::from_bitmask(simd, real);
+        let (away, rise) = here.from(&self.edge);
+        let goes_on = self.has_edge & real & rise.abs().simd_lt(away * limits.max_slope);
+        self.foothold = self.edge.or(&self.foothold, goes_on);
+        self.has_edge &= !real;
+
+        let (away, rise) = here.from(&self.foothold);
+        let slope = away * limits.max_slope;
+        let rises_little = rise.simd_lt(slope.min(limits.max_rise_m).max(limits.min_rise_m));
+        let falls_little = (-rise).simd_lt(slope.abs().max(limits.min_rise_m));
+        let (foot_away, foot_rise) = here.from(&self.foot);
+        let near = (foot_away * foot_away + foot_rise * foot_rise).simd_lt(limits.step_reach_m * limits.step_reach_m);
+        let steep = near & foot_rise.simd_gt(foot_away.abs());
+        let ground = real & rises_little & falls_little & !(steep & foot_rise.simd_gt(limits.max_step_m));
+        let low = rise.simd_gt(0.0) & rise.simd_le(limits.max_kerb_m) & away.simd_gt(-limits.max_step_m);
+        let face = real & !ground & low;
+
+        self.foothold = here.or(&self.foothold, ground);
+        self.edge = here.or(&self.edge, face);
+        self.has_edge |= face;
+        self.foot = here.or(&self.foot, real & !steep);
+        Step {
+            ground: ground.to_bitmask() as u32,
+            face: face.to_bitmask() as u32,
+            goes_on: goes_on.to_bitmask() as u32,
+        }
+    }
+}
+
+impl<S: Simd> Places<S> {
+    #[inline(always)]
+    fn from(&self, other: &Self) -> (f32x16<S>, f32x16<S>) {
+        (self.away - other.away, self.height - other.height)
     }
 
-    /// Whether the way up from a point near by is steeper than 45 degrees.
-    #[inline]
-    fn is_steep(&self, from: Level, to: Level) -> bool {
-        let (away_m, rise_m) = (to.away_m - from.away_m, to.height_m - from.height_m);
-        let reach_m = f64::from(self.step_reach_m);
-        rise_m > away_m.abs() && away_m * away_m + rise_m * rise_m < reach_m * reach_m
+    /// These where the mask says so, else the others.
+    #[inline(always)]
+    fn or(&self, other: &Self, mask: mask32x16<S>) -> Self {
+        Self { away: mask.select(self.away, other.away), height: mask.select(self.height, other.height) }
     }
 }
 
 #[cfg(test)]
 mod tests {
-    use super::*;
+    use fearless_simd::{Level, dispatch};
 
-    fn find(points: &[(f64, f64)]) -> u128 {
-        let level: Vec<Level> = points.iter().map(|&(away_m, height_m)| Level { away_m, height_m }).collect();
-        SlopeGround::default().find(&vec![1.0; level.len()], &level, 1.7)
+    use super::*;
+    use crate::sweep::lanes::levels;
+
+    /// A word, bit r for row r, of the ground in a column of points: distance and height from a sensor 1.7 m up. It is put
+    /// into several columns of a strip, and seen with the sensor upright and tilted.
+    fn climbed(level: Level, column: &[(f64, f64)]) -> u32 {
+        let tilt: f64 = 0.1;
+        let mut found = Vec::new();
+        for (up, [along, across]) in
+            [([0.0, 0.0, 1.0], [1.0, 0.0]), ([0.0, -tilt.sin(), tilt.cos()], [tilt.cos(), tilt.sin()])]
+        {
+            let (mut points, mut words) = (Points::default(), vec![Window::default(); column.len()]);
+            points.reserve(column.len(), 1);
+            let places = [0, 5, 15, 16, 31];
+            for (row, (&(away_m, height_m), words)) in column.iter().zip(&mut words).enumerate() {
+                for place in places {
+                    let lane = points.at(row) + STRIP + place;
+                    points.y[lane] = (away_m * along - height_m * across) as f32;
+                    points.z[lane] = (away_m * across + height_m * along) as f32;
+                    points.far[lane] = away_m.hypot(height_m) as f32;
+                    words[2].real |= 1 << place;
+                }
+            }
+            let stand = Stand { up: up.map(|axis| axis as f32), height_m: Some(1.7) };
+            dispatch!(level, simd => SlopeGround::default().climb(simd, &points, &stand, &mut words));
+            found.extend(
+                places.map(|place| words.iter().rev().fold(0, |word, words| word << 1 | words[2].climbed >> place & 1)),
+            );
+            assert!(words.iter().all(|words| words[2].climbed & !words[2].real == 0));
+        }
+        found.dedup();
+        assert_eq!(found.len(), 1, "{found:?}");
+        found[0]
+    }
+
+    fn find(column: &[(f64, f64)]) -> u32 {
+        let mut found: Vec<u32> = levels().into_iter().map(|level| climbed(level, column)).collect();
+        found.dedup();
+        assert_eq!(found.len(), 1, "{found:?}");
+        found[0]
     }
 
     /// Top row first: road, a car on it, and road behind the car.
@@ -150,5 +355,37 @@ mod tests {
         assert_eq!(find(&[(9.0, -1.57), (8.3, -1.575), (8.02, -1.58), (7.9, -1.7)]), 0b1111);
         assert_eq!(find(&[(8.05, -1.2), (8.04, -1.4), (8.02, -1.58), (7.9, -1.7)]), 0b1000);
         assert_eq!(find(&[(9.0, -1.2), (8.3, -1.2), (8.02, -1.2), (7.9, -1.7)]), 0b1000);
+    }
+
+    /// A row: bit c of `like` for column c, whose range is like that of the three before as far as these are like it too.
+    fn voted(alike: [u32; 3], climbed: [u32; 3]) -> u32 {
+        let row = u128::from(alike[0]) | u128::from(alike[1]) << 32 | u128::from(alike[2]) << 64;
+        let words = std::array::from_fn(|strip| Words {
+            real: alike[strip],
+            climbed: climbed[strip],
+            like: [1, 2, 3].map(|back| (row & row << back) >> (32 * strip)).map(|word| word as u32),
+        });
+        SlopeGround::vote(&words)
+    }
+
+    #[test]
+    fn three_of_six_neighbours_make_ground_and_one_at_most_unmakes_it() {
+        let alike = [0, 0b111_1111 << 10, 0];
+        let vote = |climbed: u32| voted(alike, [0, climbed << 10, 0]) >> 10;
+        assert_eq!(vote(0b111_0111), 0b111_1111, "all around it are ground");
+        assert_eq!(vote(0b000_1000), 0, "nothing around it is");
+        assert_eq!(vote(0b001_1000), 0, "one around each is");
+        assert_eq!(vote(0b001_1100), 0b011_1110, "two are enough to stay, three to become ground");
+        assert_eq!(vote(0b111_1111), 0b111_1111);
+        // Too few of them to unmake anything.
+        assert_eq!(voted([0, 0b1111, 0], [0, 0b0010, 0]), 0b0010);
+    }
+
+    #[test]
+    fn neighbours_vote_from_strip_to_strip() {
+        assert_eq!(voted([0b111 << 29, 1, 0], [0b111 << 29, 0, 0]), 1);
+        assert_eq!(voted([0, 1 << 31, 0b111], [0, 0, 0b111]), 1 << 31);
+        assert_eq!(voted([0, 1 << 31 | 1, 0b111], [0, 1, 0b111]), 1 << 31 | 1, "a lone point keeps what it is");
+        assert_eq!(voted([0b111 << 28, 1, 0], [0b111 << 28, 0, 0]), 0, "not over a gap in the row");
     }
 }

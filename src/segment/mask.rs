@@ -4,7 +4,7 @@ use std::f64::consts::TAU;
 use std::io;
 use std::path::Path;
 
-use super::connect::MAX_ROWS;
+use super::MAX_ROWS;
 use crate::file;
 
 /// Widest picture: finer than the encoder of any sensor.

@@ -1,45 +1,56 @@
 //! A sweep to labels: ground, and the segments that stand on it.
 //!
-//! The method is Bogoslavskyi and Stachniss, "Fast Range Image-Based Segmentation of Sparse 3D Laser Scans for Online
-//! Operation" (IROS 2016): take the ground away, then join neighbours in the range image by one angle test. A
-//! [`Segmenter`] does it in four steps, each of them a file here:
+//! The idea is Bogoslavskyi and Stachniss, "Fast Range Image-Based Segmentation of Sparse 3D Laser Scans for Online
+//! Operation" (IROS 2016): take the ground away, then join what is near in the range image by one angle test. There are two
+//! methods, and a [`Segmenter`] does either in the same four steps:
 //!
 //! ```text
-//! prepare      mask, rays, angles      what may be labelled, where it points, how far neighbours are apart
-//! find_ground  mount, ground | paper   ground by slope (default) or as the paper's authors do
-//! connect      connect, components     the beta test as bit masks; runs and a union-find over them
-//! describe     table                   count, box, centroid, nearest range, extent of each segment
+//! begin         what the sweep says of its beams, and how high the sensor is      mask, mount
+//! find_ground   the ground of the next strip of columns                           points, ground
+//! join          what is no ground there: stretches of neighbours, then of others  runs, window
+//! label         components, small ones to others, labels and segments table       strips
 //! ```
 //!
-//! [`naive`] says the same without any of the speed, and the tests hold the two against each other.
+//! * [`Method::Slope`], the default, is the files at the right: [`ground`] by slope from the sensor's foot up, then a
+//!   [`window`] over holes and breaks. It takes columns in strips, so it can begin while the head still turns:
+//!   [`Segmenter::begin_early`]. `strips` holds its steps together.
+//! * [`Method::Paper`] is the paper's own, in the folder [`paper`]: all of an image at once, and only pixels that touch.
+//!
+//! [`settings`] has the options as people write them. [`naive`] says the same as both methods without any of the speed, and
+//! the tests hold the two against each other.
 
-pub mod angles;
-pub mod components;
-pub mod connect;
+mod directions;
+mod extent;
 pub mod ground;
 pub mod mask;
 pub mod mount;
 pub mod naive;
 pub mod paper;
-pub mod rays;
+pub mod points;
+mod runs;
 pub mod settings;
-mod table;
+mod strips;
+mod turn;
+pub mod window;
 
 use std::f32::consts::FRAC_PI_2;
 
-pub use angles::Angles;
-pub use components::{Components, Limits, Parts};
-pub use connect::{Connector, Joins, MAX_ROWS};
 pub use ground::SlopeGround;
 pub use mask::{Mask, MaskError};
 pub use mount::{HeightEstimator, Mount};
-pub use paper::{PaperFinder, PaperGround, Window};
+pub use paper::angles::Angles;
+pub use paper::components::{Components, Limits, Parts};
+pub use paper::connect::{Connector, Joins, MAX_ROWS};
+pub use paper::ground::{PaperFinder, PaperGround, Window};
 pub use settings::Settings;
+pub use window::Joining;
 
 use crate::sweep::SweepMut;
 use crate::sweep::layout::{flags, is_return};
-use rays::{Level, Rays};
-use table::Table;
+use fearless_simd::Level;
+use paper::Authors;
+use strips::Strips;
+use window::{MOST_COLUMNS, MOST_ROWS};
 
 /// The two returns of a dual pixel share a label when they are no further apart than this, metres.
 pub const SAME_OBJECT_M: f32 = 0.3;
@@ -64,6 +75,8 @@ pub struct Config {
     pub theta_rad: f32,
     /// Ground by [`Method::Slope`].
     pub slope: SlopeGround,
+    /// What is joined, beside the angle, after [`Method::Slope`].
+    pub joining: Joining,
     /// Ground by [`Method::Paper`].
     pub paper: PaperGround,
     /// Returns that a segment has at least; smaller ones are not labelled.
@@ -84,6 +97,7 @@ impl Default for Config {
             method: Method::Slope,
             theta_rad: Settings::DEFAULT.theta_deg.to_radians() as f32,
             slope: SlopeGround::default(),
+            joining: Joining::default(),
             paper: PaperGround::default(),
             min_points: Settings::DEFAULT.min_points,
             mount: Mount::default(),
@@ -111,6 +125,20 @@ pub enum ConfigError {
         /// Metres.
         max_m: f32,
     },
+    /// The window.
+    #[error("the window is {columns} columns and {rows} rows, expected 1 to {MOST_COLUMNS} and 1 to {MOST_ROWS}")]
+    Window {
+        /// Columns to either side.
+        columns: usize,
+        /// Rows up and down.
+        rows: usize,
+    },
+    /// The gap.
+    #[error("segments have gaps of {found_m} m, expected more than 0")]
+    Gap {
+        /// Metres.
+        found_m: f32,
+    },
     /// The mounting height.
     #[error("the sensor is mounted {found_m} m above the ground, expected more than 0")]
     Height {
@@ -132,6 +160,13 @@ impl Config {
         if !(min_m >= 0.0 && min_m < max_m) {
             return Err(ConfigError::Range { min_m, max_m });
         }
+        let Joining { columns, rows, gap_m, .. } = self.joining;
+        if !((1..=MOST_COLUMNS).contains(&columns) && (1..=MOST_ROWS).contains(&rows)) {
+            return Err(ConfigError::Window { columns, rows });
+        }
+        if let Some(found_m) = gap_m.filter(|gap_m| gap_m.is_nan() || *gap_m <= 0.0) {
+            return Err(ConfigError::Gap { found_m });
+        }
         match self.mount.height_m {
             Some(found_m) if !(found_m > 0.0 && found_m.is_finite()) => Err(ConfigError::Height { found_m }),
             _ => Ok(()),
@@ -149,20 +184,13 @@ impl Config {
 #[derive(Clone, Debug)]
 pub struct Segmenter {
     config: Config,
-    /// Working ranges: only what may be labelled, and after [`Segmenter::find_ground`] only what is no ground.
-    range_m: Vec<f32>,
-    /// Words of the returns that may be labelled, one a column.
-    real: Vec<u128>,
-    /// Words of the ground.
-    ground: Vec<u128>,
-    joins: Vec<Joins>,
-    angles: Angles,
-    rays: Rays,
     height: HeightEstimator,
-    paper: PaperFinder,
-    connector: Connector,
-    components: Components,
-    table: Table,
+    strips: Strips,
+    authors: Authors,
+    /// The sweep that was begun early, by its number.
+    open: Option<u64>,
+    /// The one that was spoilt.
+    spoilt: Option<u64>,
 }
 
 impl Segmenter {
@@ -171,21 +199,17 @@ impl Segmenter {
     /// # Errors
     /// [`ConfigError`].
     pub fn new(config: Config) -> Result<Self, ConfigError> {
+        Self::with_level(config, Level::new())
+    }
+
+    /// A segmenter that uses no more than these instructions of the machine; the labels are the same on all.
+    ///
+    /// # Errors
+    /// [`ConfigError`].
+    pub fn with_level(config: Config, level: Level) -> Result<Self, ConfigError> {
         config.check()?;
-        Ok(Self {
-            config,
-            range_m: Vec::new(),
-            real: Vec::new(),
-            ground: Vec::new(),
-            joins: Vec::new(),
-            angles: Angles::default(),
-            rays: Rays::default(),
-            height: HeightEstimator::default(),
-            paper: PaperFinder::default(),
-            connector: Connector::default(),
-            components: Components::default(),
-            table: Table::default(),
-        })
+        let (height, strips, authors) = (HeightEstimator::default(), Strips::new(level), Authors::new(level));
+        Ok(Self { config, height, strips, authors, open: None, spoilt: None })
     }
 
     /// What it was told.
@@ -203,110 +227,101 @@ impl Segmenter {
     /// # Panics
     /// If the sweep has more than [`MAX_ROWS`] rows.
     pub fn segment(&mut self, sweep: &mut SweepMut<'_>) {
-        self.prepare(sweep);
-        self.find_ground(sweep);
-        self.connect(sweep);
-        self.describe(sweep);
-    }
-
-    /// Takes what may be labelled, where each pixel points, and the angles between neighbours.
-    pub fn prepare(&mut self, sweep: &SweepMut<'_>) {
-        self.reserve(sweep);
-        let sweep = sweep.as_ref();
-        self.angles.measure(&sweep);
-        self.rays.measure(&sweep);
-        let config = &self.config;
-        self.range_m.extend(sweep.range.iter().map(|&range_m| if config.holds(range_m) { range_m } else { 0.0 }));
-        let rows = sweep.rows().max(1);
-        if let Some(mask) = &config.mask {
-            for (column, ranges) in self.range_m.chunks_exact_mut(rows).enumerate() {
-                for (row, range_m) in ranges.iter_mut().enumerate() {
-                    if mask.hides(row, sweep.azimuth_rad(row, column)) {
-                        *range_m = 0.0;
-                    }
-                }
-            }
+        self.begin(sweep);
+        while self.find_ground(sweep) {
+            self.join();
         }
-        self.real.extend(self.range_m.chunks_exact(rows).map(connect::filled));
+        self.label(sweep);
     }
 
-    /// Takes room for any sweep that such a buffer can hold: later ones are wider by a few columns, and must not
-    /// allocate. Room that is never touched costs no memory.
-    fn reserve(&mut self, sweep: &SweepMut<'_>) {
-        let (pixels, columns) = (sweep.range.len(), sweep.columns.len());
-        reserve(&mut self.range_m, pixels);
-        reserve(&mut self.real, columns);
-        reserve(&mut self.ground, columns);
-        reserve(&mut self.joins, columns);
-        self.angles.reserve(columns);
-        self.rays.reserve(columns);
-        self.connector.reserve(columns);
-        self.components.reserve(pixels);
-        self.table.reserve(sweep.segments.len());
-        match self.config.method {
-            Method::Slope => self.height.reserve(columns),
-            Method::Paper => self.paper.reserve(pixels),
-        }
-    }
-
-    /// Finds the ground and takes it out of the working ranges; writes the header's ground count, height and tilt.
-    pub fn find_ground(&mut self, sweep: &mut SweepMut<'_>) {
-        let rows = self.angles.rows().max(1);
+    /// Takes what a sweep says of its beams and columns, and how high the sensor is. The steps that follow are to be given
+    /// the same sweep.
+    ///
+    /// # Panics
+    /// If the sweep has more than [`MAX_ROWS`] rows.
+    pub fn begin(&mut self, sweep: &mut SweepMut<'_>) {
+        assert!(sweep.header.rows as usize <= MAX_ROWS, "more rows than a word has bits");
         sweep.header.pitch_rad = self.config.mount.pitch_rad;
         sweep.header.roll_rad = self.config.mount.roll_rad;
+        let told = self.config.mount.height_m;
         match self.config.method {
-            Method::Slope => self.find_slope_ground(sweep),
             Method::Paper => {
-                write_height(sweep, self.config.mount.height_m, false);
-                let elevations_rad = sweep.beams.iter().map(|beam| beam.elevation_rad);
-                let (config, range_m) = (&self.config.paper, &mut self.range_m);
-                self.paper.find(config, range_m, elevations_rad, &self.angles, &mut self.ground);
+                write_height(sweep, told, false);
+                self.authors.begin(sweep, &self.config);
+            }
+            Method::Slope => {
+                self.spoilt = None;
+                if self.open.take() == Some(sweep.header.sequence) && sweep.header.has(flags::CIRCULAR) {
+                    self.strips.go_on(sweep, None);
+                } else {
+                    if told.is_none() && self.height.height_m().is_none() {
+                        self.height.observe(&sweep.as_ref(), &self.config);
+                    }
+                    self.strips.begin(sweep, &self.config, told.or(self.height.height_m()), None);
+                }
+                write_height(sweep, self.strips.height_m(), told.is_none());
             }
         }
-        let mut count = 0;
-        for ((ranges, &ground), &real) in self.range_m.chunks_exact_mut(rows).zip(&self.ground).zip(&self.real) {
-            count += (ground & real).count_ones();
-            for (half, ground) in ranges.chunks_mut(64).zip(connect::halves(ground)) {
-                for (bit, range_m) in half.iter_mut().enumerate() {
-                    *range_m = if ground >> bit & 1 == 1 { 0.0 } else { *range_m };
+    }
+
+    /// Takes a sweep that is not complete: a whole turn by its header, of which so many columns are as they will be. True
+    /// where something can be done with it: then [`Segmenter::find_ground`] and [`Segmenter::join`] are to be called until
+    /// there is no more. When it is complete, [`Segmenter::begin`] goes on where this stopped.
+    ///
+    /// A sweep is told by its sequence number: another one has another, or [`Segmenter::spoil`] is called in between.
+    pub fn begin_early(&mut self, sweep: &mut SweepMut<'_>, ready: usize) -> bool {
+        let height_m = self.config.mount.height_m.or(self.height.height_m());
+        let sequence = sweep.header.sequence;
+        if self.config.method == Method::Paper || height_m.is_none() || ready == 0 || self.spoilt == Some(sequence) {
+            return false;
+        }
+        match self.open.replace(sequence) == Some(sequence) {
+            true => self.strips.go_on(sweep, Some(ready)),
+            false => self.strips.begin(sweep, &self.config, height_m, Some(ready)),
+        }
+        true
+    }
+
+    /// What was taken early of a sweep has changed: all of it is taken again, when it is complete and not before, so that
+    /// many changes cost no more than one.
+    pub fn spoil(&mut self) {
+        self.spoilt = self.open.take().or(self.spoilt);
+    }
+
+    /// Forgets how high the sensor is, where nobody told: what comes next is from another one.
+    pub fn forget_height(&mut self) {
+        self.height = HeightEstimator::default();
+    }
+
+    /// Finds the ground in the next strip of columns (in all columns, as the paper has it). False when there is none left.
+    pub fn find_ground(&mut self, sweep: &SweepMut<'_>) -> bool {
+        match self.config.method {
+            Method::Paper => self.authors.find_ground(sweep, &self.config),
+            Method::Slope => self.strips.find_ground(sweep, &self.config),
+        }
+    }
+
+    /// Joins what is no ground there with each other, and with what was before; once after each time that
+    /// [`Segmenter::find_ground`] said that there is some.
+    pub fn join(&mut self) {
+        match self.config.method {
+            Method::Paper => self.authors.join(&self.config),
+            Method::Slope => self.strips.join(),
+        }
+    }
+
+    /// When all strips are joined: writes the labels, the segments table, and the header's counts.
+    pub fn label(&mut self, sweep: &mut SweepMut<'_>) {
+        match self.config.method {
+            Method::Paper => self.authors.label(sweep, &self.config),
+            Method::Slope => {
+                self.strips.label(sweep, &self.config);
+                if self.config.mount.height_m.is_none() {
+                    self.height.observe(&sweep.as_ref(), &self.config);
                 }
             }
         }
-        sweep.header.ground = count;
-    }
-
-    fn find_slope_ground(&mut self, sweep: &mut SweepMut<'_>) {
-        let up = self.config.mount.up();
-        let told = self.config.mount.height_m;
-        let height_m = told.or_else(|| self.height.estimate(&self.range_m, &self.real, &self.rays, up));
-        write_height(sweep, height_m, told.is_none());
-        let Some(height_m) = height_m else {
-            self.ground.resize(self.real.len(), 0);
-            return;
-        };
-        let rows = self.angles.rows().max(1);
-        let mut level = [Level::default(); MAX_ROWS];
-        for (column, range_m) in self.range_m.chunks_exact(rows).enumerate() {
-            self.rays.level_column(column, range_m, up, &mut level);
-            self.ground.push(self.config.slope.find(range_m, &level, height_m));
-        }
-    }
-
-    /// Joins what is left, and writes the labels and the header's segment count.
-    pub fn connect(&mut self, sweep: &mut SweepMut<'_>) {
-        let theta_rad = f64::from(self.config.theta_rad);
-        self.connector.connect(&self.range_m, &self.angles, theta_rad, &mut self.joins);
-        let parts = Parts { rows: self.angles.rows(), joins: &self.joins, real: &self.real, ground: &self.ground };
-        let limits = Limits { min_points: self.config.min_points, max_segments: sweep.segments.len() };
-        let pixels = sweep.image_pixels();
-        let labels = &mut sweep.label[pixels];
-        sweep.header.segments = self.components.label(&parts, limits, labels) as u32;
         label_other_returns(sweep, &self.config);
-    }
-
-    /// Writes the segments table.
-    pub fn describe(&mut self, sweep: &mut SweepMut<'_>) {
-        self.table.describe(sweep, self.real.iter().zip(&self.ground).map(|(real, ground)| real & !ground), &self.rays);
     }
 }
 

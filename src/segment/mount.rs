@@ -2,8 +2,8 @@
 
 use nalgebra::{Rotation3, Vector3};
 
-use super::connect::lowest;
-use super::rays::Rays;
+use super::Config;
+use crate::sweep::SweepRef;
 
 /// Pose of the sensor over the ground it stands on.
 #[derive(Clone, Copy, Debug, Default, PartialEq)]
@@ -33,6 +33,11 @@ impl Up {
     /// Whether the sensor stands upright.
     pub fn is_sensor_z(self) -> bool {
         self.0.x == 0.0 && self.0.y == 0.0 && self.0.z > 0.0
+    }
+
+    /// Its coordinates: right, forward, up.
+    pub(super) fn axis(self) -> [f32; 3] {
+        [self.0.x as f32, self.0.y as f32, self.0.z as f32]
     }
 
     /// Height of a point over the sensor's origin, metres.
@@ -67,21 +72,18 @@ pub struct HeightEstimator {
 }
 
 impl HeightEstimator {
-    /// Takes room for so many columns.
-    pub(super) fn reserve(&mut self, columns: usize) {
-        super::reserve(&mut self.lowest_m, columns);
-    }
-
-    /// Takes one more sweep and gives the height of the sensor above the ground, metres; None until a sweep showed it.
-    ///
-    /// `range_m` are the working ranges, `real` their words, one a column.
-    pub fn estimate(&mut self, range_m: &[f32], real: &[u128], rays: &Rays, up: Up) -> Option<f32> {
-        self.collect(range_m, real, rays, up);
+    /// Takes one more sweep.
+    pub fn observe(&mut self, sweep: &SweepRef<'_>, config: &Config) {
+        self.collect(sweep, config);
         let columns = self.lowest_m.len();
         if let Some(height_m) = self.one_sweep() {
             self.recent[self.seen % SWEEPS] = (height_m as f32, columns);
             self.seen += 1;
         }
+    }
+
+    /// The height of the sensor above the ground by the last sweeps, metres; None until one showed it.
+    pub fn height_m(&self) -> Option<f32> {
         let mut recent = self.recent;
         let recent = &mut recent[..self.seen.min(SWEEPS)];
         recent.sort_unstable_by(|a, b| a.0.total_cmp(&b.0));
@@ -95,12 +97,21 @@ impl HeightEstimator {
     }
 
     /// Depths below the sensor of the lowest return of each column.
-    fn collect(&mut self, range_m: &[f32], real: &[u128], rays: &Rays, up: Up) {
-        let rows = range_m.len() / real.len().max(1);
-        self.lowest_m.clear();
-        self.lowest_m.extend(real.iter().enumerate().filter_map(|(column, &word)| {
-            let row = lowest(word)?;
-            Some(-up.height_m(rays.point_m(row, column, range_m[column * rows + row])))
+    fn collect(&mut self, sweep: &SweepRef<'_>, config: &Config) {
+        let (rows, up) = (sweep.rows(), config.mount.up());
+        let shows = |row: usize, column: usize, range_m: f32| {
+            config.holds(range_m)
+                && config.mask.as_ref().is_none_or(|mask| !mask.hides(row, sweep.azimuth_rad(row, column)))
+        };
+        super::reserve(&mut self.lowest_m, sweep.columns.len());
+        self.lowest_m.extend(sweep.range.chunks_exact(rows.max(1)).enumerate().filter_map(|(column, range_m)| {
+            let row = (0..rows).rev().find(|&row| shows(row, column, range_m[row]))?;
+            let beam = &sweep.beams[row];
+            Some(match up.is_sensor_z() {
+                // Without the azimuth, which most sensors need not ask for.
+                true => -f64::from(range_m[row] * beam.elevation_rad.sin() + beam.vertical_offset_m),
+                false => -up.height_m(sweep.point_m(row, column, range_m[row])),
+            })
         }));
     }
 

@@ -134,6 +134,21 @@ impl<B: Buffers> Builder<B> {
         }
     }
 
+    /// The open sweep as far as it goes, as long as it may become a whole turn, and how many of its columns will stay as they
+    /// are (those of the first that can be folded to the other end left aside).
+    pub fn so_far(&mut self) -> Option<(SweepMut<'_>, usize)> {
+        let Open { buffer, so_far: open } = self.open.as_mut()?;
+        let sweep = SweepMut::open(buffer.as_mut()).ok()?;
+        if !open.from_cut || open.blanked {
+            return None;
+        }
+        let placed = open.columns - open.first_column;
+        sweep.header.margin_columns = open.first_column as u32;
+        sweep.header.columns = placed as u32;
+        sweep.header.flags = flags::CIRCULAR;
+        Some((sweep, placed.saturating_sub(self.turns.lead())))
+    }
+
     /// Takes the next packet in order to hand. The one before must have been placed.
     pub fn begin(&mut self, slot: usize, packet: &Packet, before: Before) {
         let spec = self.decoder.spec;

@@ -36,9 +36,9 @@ pub struct Corrected {
 
 /// An additional offset along an axis: what it is at the axis' zero, and what it loses each metre.
 #[derive(Clone, Copy, Debug)]
-pub(super) struct Offset {
-    pub(super) base_m: f64,
-    pub(super) slope: f64,
+pub(crate) struct Offset {
+    pub(crate) base_m: f64,
+    pub(crate) slope: f64,
 }
 
 /// Each axis of the corrected beam as a multiple of d and a constant.
@@ -70,7 +70,7 @@ impl Corrected {
 
     /// The additional offsets for x and y, where there are any.
     #[cfg(feature = "daemon")]
-    pub(super) fn near(&self) -> Option<&[Offset; 2]> {
+    pub(crate) fn near(&self) -> Option<&[Offset; 2]> {
         self.near.as_ref()
     }
 

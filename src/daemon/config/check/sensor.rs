@@ -230,6 +230,7 @@ impl Check<'_> {
                     ConfigError::Theta { .. } => &written.theta_deg,
                     ConfigError::Range { .. } if written.max_range_m.is_none() => &written.min_range_m,
                     ConfigError::Range { .. } => &written.max_range_m,
+                    ConfigError::Gap { .. } | ConfigError::Window { .. } => &written.gap_m,
                     ConfigError::Height { .. } => &mount.height_m,
                 };
                 self.problem(to_blame.as_ref().map_or(at, Spanned::span), error.to_string(), "");
@@ -248,7 +249,15 @@ impl Check<'_> {
         let height_m = metres("height_m", &mount.height_m, Settings::HEIGHT_M);
         let min_range_m = metres("min_range_m", &written.min_range_m, Settings::RANGE_M);
         let max_range_m = metres("max_range_m", &written.max_range_m, Settings::RANGE_M);
-        let min_points = self.whole("min_points", &written.min_points, 1..=u32::MAX.into());
+        let gap_m = metres("gap_m", &written.gap_m, Settings::GAP_M);
+        let small_reach_m = metres("small_reach_m", &written.small_reach_m, Settings::SMALL_REACH_M);
+        let max_kerb_m = metres("max_kerb_m", &written.max_kerb_m, Settings::KERB_M);
+        let max_slope = self.number("max_slope", &written.max_slope, Settings::SLOPE, "metres a metre");
+        let mut whole = |key, given, range| self.whole(key, given, range);
+        let min_points = whole("min_points", &written.min_points, 1..=u32::MAX.into());
+        let window_columns = whole("window_columns", &written.window_columns, Settings::WINDOW_COLUMNS);
+        let window_rows = whole("window_rows", &written.window_rows, Settings::WINDOW_ROWS);
+        let small_points = whole("small_points", &written.small_points, 0..=u32::MAX.into());
         Settings {
             method: written.method.map_or(default.method, |method| match method {
                 file::Method::Slope => segment::Method::Slope,
@@ -256,6 +265,13 @@ impl Check<'_> {
             }),
             theta_deg,
             min_points: min_points.unwrap_or(default.min_points),
+            gap_m: gap_m.or(default.gap_m),
+            window_columns: window_columns.unwrap_or(default.window_columns),
+            window_rows: window_rows.unwrap_or(default.window_rows),
+            small_points: small_points.unwrap_or(default.small_points),
+            small_reach_m: small_reach_m.unwrap_or(default.small_reach_m),
+            max_slope: max_slope.unwrap_or(default.max_slope),
+            max_kerb_m: max_kerb_m.unwrap_or(default.max_kerb_m),
             height_m: height_m.or(default.height_m),
             pitch_deg,
             roll_deg,

@@ -2,6 +2,9 @@
 
 use std::f64::consts::{PI, TAU};
 
+use super::connect::first_rows;
+use crate::segment::reserve;
+use crate::segment::turn::{mean_rate_rad_s, turn_rad};
 use crate::sweep::image::shifted;
 use crate::sweep::layout::flags;
 use crate::sweep::{BeamRow, Column, SweepRef};
@@ -77,6 +80,8 @@ pub struct Angles {
     /// By row; empty where no row is shifted.
     shifts: Vec<i32>,
     circular: bool,
+    /// Whether each column is a neighbour of the one before.
+    is_unbroken: bool,
     /// Median gap between two firings.
     pitch_rad: f64,
 }
@@ -95,8 +100,8 @@ impl Angles {
 
     /// Takes room for so many columns.
     pub(super) fn reserve(&mut self, columns: usize) {
-        super::reserve(&mut self.gap_rad, columns);
-        super::reserve(&mut self.sorted_rad, columns);
+        reserve(&mut self.gap_rad, columns);
+        reserve(&mut self.sorted_rad, columns);
     }
 
     /// Takes the angles of a sweep.
@@ -140,6 +145,7 @@ impl Angles {
         self.gap_rad.clear();
         self.sorted_rad.clear();
         self.circular = circular;
+        self.is_unbroken = false;
         let Some(last) = columns.last() else { return };
         let before = std::iter::once(last).chain(columns);
         self.gap_rad.extend(before.zip(columns).map(|(before, column)| Some(gap_rad(before, column))));
@@ -156,6 +162,7 @@ impl Angles {
         for gap in &mut self.gap_rad {
             *gap = gap.filter(|&gap| gap < MAX_PITCHES * pitch_rad);
         }
+        self.is_unbroken = self.gap_rad.iter().all(Option::is_some);
     }
 
     /// Rows of the image.
@@ -205,6 +212,15 @@ impl Angles {
         self.gap_before_rad(row, column).map(|gap| 2.0 * (self.cos_elevation[row] * (gap / 2.0).sin()).asin())
     }
 
+    /// The rows whose pixel in a column is a neighbour of the one in the column before, a bit each.
+    pub fn neighbours(&self, column: usize) -> u128 {
+        let all = first_rows(self.rows());
+        if self.shifts.is_empty() || self.is_unbroken {
+            return if self.gap_before_rad(0, column).is_some() { all } else { 0 };
+        }
+        (0..self.rows()).filter(|&row| self.gap_before_rad(row, column).is_some()).fold(0, |word, row| word | 1 << row)
+    }
+
     /// Azimuth to a pixel from the one of its row in the column before, radians; None where the two are no neighbours.
     pub fn gap_before_rad(&self, row: usize, column: usize) -> Option<f64> {
         if column == 0 && !self.circular {
@@ -213,17 +229,6 @@ impl Angles {
         let shift = self.shifts.get(row).copied().unwrap_or(0);
         self.gap_rad[shifted(column, shift, self.columns(), self.circular)]
     }
-}
-
-/// How far a beam points from the azimuth of its firing at this turning rate, radians.
-pub(super) fn turn_rad(beam: &BeamRow, rate_rad_s: f64) -> f64 {
-    rate_rad_s * f64::from(beam.time_offset_ns) * 1e-9 - f64::from(beam.rotation_rad)
-}
-
-/// Mean turning rate over a sweep, radians a second.
-pub(super) fn mean_rate_rad_s(columns: &[Column]) -> f64 {
-    let sum: f64 = columns.iter().map(|column| f64::from(column.azimuth_rate_rad_s)).sum();
-    sum / columns.len().max(1) as f64
 }
 
 /// Azimuth between two columns, whichever comes first, 0..pi.

@@ -1,0 +1,130 @@
+//! Where the head looked at each firing: sines and cosines, by position in the order in which columns are taken.
+
+use std::f32::consts::FRAC_2_PI;
+
+use fearless_simd::{Simd, f32x16, i32x16, prelude::*};
+
+use super::points::{LANES, Order, STRIP, load};
+use super::reserve;
+use crate::sweep::image::shifted;
+use crate::sweep::{Column, SweepRef};
+
+/// Where the head looked at each firing, by position; with a margin for beams of other columns.
+#[derive(Clone, Debug, Default)]
+pub(super) struct Directions {
+    sin: Vec<f32>,
+    cos: Vec<f32>,
+    /// Turning rate over that of the first column, radians a second.
+    surplus_rad_s: Vec<f32>,
+    /// Turning rate of the first column.
+    rate_rad_s: f32,
+    margin: usize,
+    /// Entries that will stay as they are.
+    sure: usize,
+}
+
+impl Directions {
+    /// Takes room for any image of so many columns, with rows that are shifted as far as it is wide.
+    pub fn reserve(&mut self, columns: usize) {
+        for table in [&mut self.sin, &mut self.cos, &mut self.surplus_rad_s] {
+            reserve(table, 3 * columns + 4 * STRIP);
+        }
+    }
+
+    /// Forgets all; beams point to firings up to so many columns aside.
+    pub fn clear(&mut self, margin: usize, rate_rad_s: f32) {
+        self.sin.clear();
+        self.cos.clear();
+        self.surplus_rad_s.clear();
+        (self.margin, self.rate_rad_s, self.sure) = (margin, rate_rad_s, 0);
+    }
+
+    /// Looks up the directions up to a position, and those that beams aside of it point to.
+    #[inline(always)]
+    pub fn extend<S: Simd>(&mut self, simd: S, sweep: &SweepRef<'_>, order: Order, end: usize) {
+        let columns = sweep.columns;
+        // While the head still turns, the last vector may hold columns that are not there yet: it is made again.
+        let is_open = order.columns.is_none();
+        for table in [&mut self.sin, &mut self.cos, &mut self.surplus_rad_s] {
+            table.truncate(self.sure);
+        }
+        for first in (self.sure..end + 2 * self.margin).step_by(LANES) {
+            let column = |lane: usize| -> &Column {
+                let ahead = (order.start + first + lane) as i32 - (STRIP + self.margin) as i32;
+                &columns[shifted(0, ahead, columns.len(), order.circular && !is_open)]
+            };
+            let (mut azimuth, mut surplus) = ([0.0; LANES], [0.0; LANES]);
+            for lane in 0..LANES {
+                azimuth[lane] = column(lane).azimuth_rad;
+                surplus[lane] = column(lane).azimuth_rate_rad_s - self.rate_rad_s;
+            }
+            let [sin, cos] = sin_cos(load(simd, &azimuth, 0));
+            self.sin.extend_from_slice(sin.as_slice());
+            self.cos.extend_from_slice(cos.as_slice());
+            self.surplus_rad_s.extend_from_slice(&surplus);
+        }
+        let there =
+            if is_open { columns.len() + STRIP + self.margin - order.start.min(columns.len()) } else { usize::MAX };
+        self.sure = self.sin.len().min(there / LANES * LANES);
+    }
+
+    /// Sine, cosine and the rest of the turning rate of the firings that a row with this shift shows, from a position on.
+    #[inline(always)]
+    pub fn at<S: Simd>(&self, simd: S, position: usize, shift: i32) -> [f32x16<S>; 3] {
+        let at = (position + self.margin).wrapping_add_signed(shift as isize);
+        [load(simd, &self.sin, at), load(simd, &self.cos, at), load(simd, &self.surplus_rad_s, at)]
+    }
+}
+
+/// Sine and cosine of angles of a few turns at most, to 2e-7: reduced to an eighth of a turn either way, then by the series
+/// of Taylor, whose next term is below 3e-8 there.
+#[inline(always)]
+fn sin_cos<S: Simd>(angle_rad: f32x16<S>) -> [f32x16<S>; 2] {
+    // A quarter turn as the sum of two numbers, of which the first has bits to spare for a small factor.
+    const QUARTER: [f32; 2] = [1.570_312_5, 4.838_268e-4];
+    let quarters = (angle_rad * FRAC_2_PI).round_ties_even();
+    let rest = angle_rad - quarters * QUARTER[0] - quarters * QUARTER[1];
+    let square = rest * rest;
+    let sin = rest + rest * square * series(square, [-1.0 / 6.0, 1.0 / 120.0, -1.0 / 5040.0, 1.0 / 362_880.0]);
+    let cos = square * series(square, [-0.5, 1.0 / 24.0, -1.0 / 720.0, 1.0 / 40_320.0]) + 1.0;
+    let quarter = quarters.to_int::<i32x16<S>>();
+    let is_odd = (quarter & 1).simd_eq(1);
+    let (across, along) = (is_odd.select(cos, sin), is_odd.select(sin, cos));
+    let [sin_flips, cos_flips] = [(quarter & 2).simd_eq(2), ((quarter + 1) & 2).simd_eq(2)];
+    [sin_flips.select(-across, across), cos_flips.select(-along, along)]
+}
+
+#[inline(always)]
+fn series<S: Simd>(of: f32x16<S>, terms: [f32; 4]) -> f32x16<S> {
+    ((of * terms[3] + terms[2]) * of + terms[1]) * of + terms[0]
+}
+
+#[cfg(test)]
+mod tests {
+    use fearless_simd::{Level, dispatch};
+
+    use super::*;
+    use crate::sweep::lanes::levels;
+
+    fn sines(level: Level, angle_rad: &[f32; LANES]) -> [[f32; LANES]; 2] {
+        dispatch!(level, simd => sin_cos(load(simd, angle_rad, 0)).map(|lanes| lanes.to_array()))
+    }
+
+    #[test]
+    fn sines_are_true_and_the_same_everywhere() {
+        for step in -30_000..60_000 {
+            let angle_rad: [f32; LANES] = std::array::from_fn(|lane| (step as f32 + lane as f32 / 16.0) * 2.1e-4);
+            let [sin, cos] = sines(Level::new(), &angle_rad);
+            for (angle_rad, (sin, cos)) in angle_rad.iter().zip(sin.iter().zip(cos)) {
+                let (true_sin, true_cos) = f64::from(*angle_rad).sin_cos();
+                let off = (f64::from(*sin) - true_sin).abs().max((f64::from(cos) - true_cos).abs());
+                assert!(off < 2e-7, "{angle_rad}: {off:e}");
+            }
+            if step % 100 == 0 {
+                for level in levels() {
+                    assert_eq!(sines(level, &angle_rad), [sin, cos], "{level:?}");
+                }
+            }
+        }
+    }
+}

@@ -1,0 +1,370 @@
+//! The default method, strip by strip: points, ground, runs, joins; and at the end the components, their labels and table.
+//!
+//! ```text
+//! absorb   fill      points of the next strip            ground  climb its columns, compare neighbours
+//!          take      vote, then runs of the strip        window  join runs within reach
+//! finish   components, small ones to others, labels, segments table
+//! ```
+//!
+//! For a whole turn the first columns are taken once more behind the last: what they hold for the second time is united with
+//! what it was the first time, and not counted again.
+
+use fearless_simd::{Level, Simd, dispatch, mask32x16, prelude::*, u32x16};
+
+use super::extent::Extent;
+use super::ground::{SlopeGround, Stand, Window as Words};
+use super::points::{BEFORE, LANES, Points, STRIP};
+use super::runs::{Reachable, Runs, Whereabouts};
+use super::window::{Miss, Test};
+use super::{Config, reserve};
+use crate::sweep::layout::{LABEL_FIRST_SEGMENT, LABEL_GROUND, LABEL_NONE, Segment};
+use crate::sweep::{SweepMut, SweepRef};
+
+/// Labels sweeps by the default method; after the first in buffers of one size it allocates nothing.
+#[derive(Clone, Debug)]
+pub(super) struct Strips {
+    level: Level,
+    stand: Stand,
+    test: Test,
+    /// Strips that were read, with the one that leads in.
+    at: usize,
+    /// Columns that are as they will be, while the sweep is not complete.
+    ready: Option<usize>,
+    points: Points,
+    words: Vec<Words>,
+    reachable: Vec<Reachable>,
+    runs: Runs,
+    misses: Vec<Miss>,
+    /// Ground of the strips that count, row by row.
+    ground: Vec<u32>,
+    /// Runs of the first columns: what they hold for the second time is the same.
+    first: Vec<[u32; BEFORE]>,
+    finish: Finish,
+}
+
+/// Workspace of the end.
+#[derive(Clone, Debug, Default)]
+struct Finish {
+    /// For each small component the nearest that is not: the square of the distance, its first pixel, and its root.
+    nearest: Vec<(f32, u32, u32)>,
+    /// First pixel and root of the components that become segments.
+    order: Vec<(u32, u32)>,
+    /// Label of each run.
+    label: Vec<u32>,
+    extents: Vec<Extent>,
+    tile: Vec<u32>,
+}
+
+impl Strips {
+    pub fn new(level: Level) -> Self {
+        Self {
+            level,
+            stand: Stand::default(),
+            test: Test::default(),
+            at: 0,
+            ready: None,
+            points: Points::default(),
+            words: Vec::new(),
+            reachable: Vec::new(),
+            runs: Runs::default(),
+            misses: Vec::new(),
+            ground: Vec::new(),
+            first: Vec::new(),
+            finish: Finish::default(),
+        }
+    }
+
+    /// Takes room for any sweep that such a buffer can hold. Room that is never touched costs no memory.
+    fn reserve(&mut self, sweep: &SweepMut<'_>) {
+        let (rows, columns, pixels) = (sweep.header.rows as usize, sweep.columns.len(), sweep.range.len());
+        self.points.reserve(rows, columns);
+        self.words.resize(rows, Words::default());
+        self.reachable.resize(rows, Reachable::default());
+        self.first.resize(rows, [0; BEFORE]);
+        self.runs.reserve(pixels + rows * BEFORE);
+        reserve(&mut self.misses, pixels);
+        reserve(&mut self.ground, rows * columns.div_ceil(STRIP));
+        reserve(&mut self.finish.nearest, pixels);
+        reserve(&mut self.finish.order, pixels);
+        reserve(&mut self.finish.label, pixels);
+        reserve(&mut self.finish.extents, sweep.segments.len());
+        reserve(&mut self.finish.tile, rows * STRIP);
+    }
+
+    /// Takes what a sweep says of its beams. While it is not complete, only so many of its columns are as they will be.
+    pub fn begin(&mut self, sweep: &SweepMut<'_>, config: &Config, height_m: Option<f32>, ready: Option<usize>) {
+        self.reserve(sweep);
+        self.stand = Stand { up: config.mount.up().axis(), height_m };
+        self.test = Test::new(&config.joining, config.theta_rad, self.words.len());
+        self.words.fill(Words::default());
+        self.reachable.iter_mut().for_each(Reachable::clear);
+        self.at = 0;
+        self.ready = ready;
+        let sweep = sweep.as_ref();
+        self.points.begin(&sweep, ready.is_none().then_some(sweep.columns.len()));
+    }
+
+    /// More columns are ready, or all (`None`).
+    pub fn go_on(&mut self, sweep: &SweepMut<'_>, ready: Option<usize>) {
+        self.ready = ready;
+        self.points.order.columns = ready.is_none().then_some(sweep.header.columns as usize);
+    }
+
+    /// Height of the sensor over the ground, as this sweep was begun with, metres.
+    pub fn height_m(&self) -> Option<f32> {
+        self.stand.height_m
+    }
+
+    /// Finds the ground of the next strip. False when there is none, or none yet.
+    pub fn find_ground(&mut self, sweep: &SweepMut<'_>, config: &Config) -> bool {
+        while self.has_next() {
+            let sweep = sweep.as_ref();
+            dispatch!(self.level, simd => self.next(simd, &sweep, config));
+            // The strip at hand is the one before the last that was read, and the first only leads in.
+            if self.at > 2 {
+                return true;
+            }
+        }
+        false
+    }
+
+    fn has_next(&self) -> bool {
+        let order = self.points.order;
+        if self.points.rows() == 0 {
+            return false;
+        }
+        match (self.ready, order.columns) {
+            (Some(ready), _) => order.start + self.at * STRIP <= ready,
+            (None, columns) => columns.is_some_and(|columns| columns > 0) && self.at <= order.strips(),
+        }
+    }
+
+    /// Joins the runs of that strip with each other and with those before.
+    pub fn join(&mut self) {
+        dispatch!(self.level, simd => self.take(simd));
+    }
+
+    /// Writes labels and segments, and how many there are of each into the header.
+    pub fn label(&mut self, sweep: &mut SweepMut<'_>, config: &Config) {
+        dispatch!(self.level, simd => self.finish_with(simd, sweep, config));
+    }
+
+    /// Goes on to the next strip, and reads the points behind it: the vote looks ahead.
+    #[inline(always)]
+    fn next<S: Simd>(&mut self, simd: S, sweep: &SweepRef<'_>, config: &Config) {
+        if self.at > 0 {
+            self.points.advance();
+            for (words, reachable) in self.words.iter_mut().zip(&mut self.reachable) {
+                words.rotate_left(1);
+                reachable.advance();
+            }
+        }
+        self.points.fill(simd, sweep, config, self.at * STRIP, &mut self.words);
+        config.slope.climb(simd, &self.points, &self.stand, &mut self.words);
+        config.slope.compare(simd, &self.points, &mut self.words);
+        self.at += 1;
+    }
+
+    /// The ground and the runs of the strip at hand, and what they are joined to.
+    #[inline(always)]
+    fn take<S: Simd>(&mut self, simd: S) {
+        let order = self.points.order;
+        let (rows, test) = (self.points.rows(), self.test);
+        let position = (self.at - 2) * STRIP;
+        let columns_before = |end: usize| columns_below(end.saturating_sub(position));
+        let counted = columns_before(order.end());
+        let joined_here = columns_before(order.joined_end());
+        for row in 0..rows {
+            let words = &self.words[row];
+            let ground = SlopeGround::vote(words);
+            if counted != 0 {
+                self.ground.push(ground & counted);
+            }
+            let on = words[1].real & !ground & joined_here;
+            let reachable = &mut self.reachable[row];
+            if on == 0 {
+                continue;
+            }
+            let before = u64::from(reachable.reaches_the_strip());
+            let joined = test.along(simd, &self.points, row, u64::from(on) << 1 | before);
+            let at =
+                Whereabouts { strip: (position / STRIP - 1) as u16, order, position, row: row as u16, rows, counted };
+            reachable.take(simd, &self.points, [on, joined], at, &mut self.runs);
+        }
+        test.join(simd, &self.points, &mut self.reachable, &mut self.runs, &mut self.misses);
+        if order.circular {
+            self.meet(position);
+        }
+    }
+
+    /// Notes the runs of the first columns, or unites them with what these hold for the second time.
+    fn meet(&mut self, position: usize) {
+        let order = self.points.order;
+        if position >= STRIP + BEFORE && position + STRIP <= order.end() {
+            return;
+        }
+        for (reachable, first) in self.reachable.iter().zip(&mut self.first) {
+            for (run, columns) in reachable.at_hand() {
+                for position in columns.map(|column| position + column) {
+                    if position < STRIP + BEFORE {
+                        first[position - STRIP] = run;
+                    }
+                    if let Some(again) = position.checked_sub(order.end()) {
+                        self.runs.unite(run, first[again]);
+                    }
+                }
+            }
+        }
+    }
+}
+
+/// So many columns of a strip, from its first on.
+fn columns_below(count: usize) -> u32 {
+    if count >= STRIP { u32::MAX } else { (1 << count) - 1 }
+}
+
+impl Strips {
+    #[inline(always)]
+    fn finish_with<S: Simd>(&mut self, simd: S, sweep: &mut SweepMut<'_>, config: &Config) {
+        sweep.header.ground = self.ground.iter().map(|word| word.count_ones()).sum();
+        self.components();
+        self.small_to_large(config.joining.small_points);
+        sweep.header.segments = self.number(config, sweep.segments) as u32;
+        self.write_labels(simd, sweep);
+        for (segment, extent) in sweep.segments.iter_mut().zip(&self.finish.extents) {
+            [segment.column_first, segment.column_last] = extent.columns(self.points.order);
+        }
+    }
+
+    /// Gathers what belongs together at the roots.
+    fn components(&mut self) {
+        self.runs.flatten();
+        let Runs { parent, sums, .. } = &mut self.runs;
+        for run in 0..parent.len() {
+            let root = parent[run] as usize;
+            if root != run {
+                let sum = sums[run];
+                sums[root].add(&sum);
+            }
+        }
+    }
+
+    /// Gives the small components to the nearest that is not.
+    fn small_to_large(&mut self, small_points: u32) {
+        if small_points <= 1 || self.misses.is_empty() {
+            return;
+        }
+        self.find_nearest(small_points);
+        let nearest = &mut self.finish.nearest;
+        let Runs { parent, sums, .. } = &mut self.runs;
+        for run in 0..parent.len() {
+            let (_, _, large) = nearest[parent[run] as usize];
+            if large != u32::MAX {
+                if parent[run] as usize == run {
+                    let sum = sums[run];
+                    sums[large as usize].add(&sum);
+                }
+                // Every run of the small one, its root among them.
+                nearest[run] = nearest[parent[run] as usize];
+            }
+        }
+        for run in 0..parent.len() {
+            let (_, _, large) = nearest[run];
+            if large != u32::MAX {
+                parent[run] = large;
+            }
+        }
+    }
+
+    /// Finds for the root of each small component the nearest that is not small, if one is near enough.
+    fn find_nearest(&mut self, small_points: u32) {
+        let nearest = &mut self.finish.nearest;
+        let Runs { parent, sums, .. } = &self.runs;
+        nearest.clear();
+        nearest.resize(parent.len(), (f32::INFINITY, u32::MAX, u32::MAX));
+        let is_small = |root: u32| sums[root as usize].points < small_points;
+        for miss in &self.misses {
+            let [a, b] = miss.runs.map(|run| parent[run as usize]);
+            let (small, large) = match [is_small(a), is_small(b)] {
+                [true, false] => (a, b),
+                [false, true] => (b, a),
+                _ => continue,
+            };
+            let place = &mut nearest[small as usize];
+            let found = (miss.apart2, sums[large as usize].first, large);
+            if found < *place {
+                *place = found;
+            }
+        }
+    }
+
+    /// Numbers the components that are large enough by their first pixels, and writes what is known of them.
+    fn number(&mut self, config: &Config, segments: &mut [Segment]) -> usize {
+        let Finish { order, label, extents, .. } = &mut self.finish;
+        let Runs { parent, sums, .. } = &self.runs;
+        order.clear();
+        for (run, &root) in (0..).zip(parent) {
+            let sum = &sums[run as usize];
+            if run == root && sum.points >= config.min_points.max(1) {
+                order.push((sum.first, run));
+            }
+        }
+        order.sort_unstable();
+        order.truncate(segments.len());
+        label.clear();
+        label.resize(parent.len(), LABEL_NONE);
+        for ((&(_, root), number), segment) in order.iter().zip(LABEL_FIRST_SEGMENT..).zip(segments) {
+            label[root as usize] = number;
+            *segment = sums[root as usize].segment(number);
+        }
+        for (run, &root) in parent.iter().enumerate() {
+            label[run] = label[root as usize];
+        }
+        extents.clear();
+        extents.resize(order.len(), Extent::default());
+        order.len()
+    }
+
+    /// Writes the labels: a strip in rows first, where runs lie, then in columns, as the image has them.
+    #[inline(always)]
+    fn write_labels<S: Simd>(&mut self, simd: S, sweep: &mut SweepMut<'_>) {
+        let rows = self.words.len().max(1);
+        let pixels = sweep.image_pixels();
+        let labels = &mut sweep.label[pixels];
+        let Finish { label, extents, tile, .. } = &mut self.finish;
+        tile.resize(rows * STRIP, 0);
+        let mut parts = self.runs.parts.iter().peekable();
+        let order = self.points.order;
+        for (strip, ground) in self.ground.chunks_exact(rows).enumerate() {
+            let position = (strip + 1) * STRIP;
+            for (row, ground) in tile.chunks_exact_mut(STRIP).zip(ground) {
+                fill(simd, row, *ground, LABEL_GROUND, true);
+            }
+            while let Some(part) = parts.next_if(|part| usize::from(part.strip) == strip) {
+                let number = label[part.run as usize];
+                if let Some(place) = number.checked_sub(LABEL_FIRST_SEGMENT) {
+                    fill(simd, &mut tile[usize::from(part.row) * STRIP..][..STRIP], part.columns, number, false);
+                    extents[place as usize].add(position, part.columns, order);
+                }
+            }
+            for ahead in 0..STRIP.min(order.end() - position) {
+                let column = order.column(position + ahead).unwrap_or(0);
+                let from = tile[ahead..].iter().step_by(STRIP);
+                labels[column * rows..][..rows].iter_mut().zip(from).for_each(|(label, from)| *label = *from);
+            }
+        }
+    }
+}
+
+/// Writes a label into some lanes of a row; the others are cleared or keep theirs.
+#[inline(always)]
+fn fill<S: Simd>(simd: S, row: &mut [u32], columns: u32, label: u32, clear: bool) {
+    let label = u32x16::splat(simd, label);
+    for (half, lanes) in row.chunks_exact_mut(LANES).enumerate() {
+        let bits = u64::from(columns >> (half * LANES)) & 0xFFFF;
+        if clear || bits != 0 {
+            let others = if clear { u32x16::splat(simd, LABEL_NONE) } else { u32x16::from_slice(simd, lanes) };
+            mask32x16::from_bitmask(simd, bits).select(label, others).store_slice(lanes);
+        }
+    }
+}
