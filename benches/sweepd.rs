@@ -1,28 +1,24 @@
-//! Decode speed per model, and segmentation beside its naive twin in the same run:
+//! Decode speed per model, and captures through the whole pipeline:
 //!
 //! ```text
-//! cargo bench
+//! cargo bench --bench sweepd
 //! ```
 //!
-//! The sweeps are simulated, so that anyone can run this. Where the real captures and clouds are at hand (see the README),
-//! they are measured as well.
+//! What is decoded is simulated, so that anyone can run this; captures are real, where they are at hand (see the README).
 
 use std::path::{Path, PathBuf};
 
 use divan::counter::ItemsCount;
 use divan::{Bencher, black_box};
 use sweepd::capture::{Capture, Route, Sensors};
-use sweepd::cloud::{self, CloudProjector};
 use sweepd::pipeline::{Config, Pipeline, Untimed};
-use sweepd::segment::{self, Method, Segmenter};
 use sweepd::sensor::{Calibration, Model};
 use sweepd::simulate::{Emitter, EmitterConfig, fixtures};
-use sweepd::sweep::buffers::HeapBuffer;
 use sweepd::sweep::builder::{Builder, Settings};
 use sweepd::sweep::decode::Decoder;
-use sweepd::sweep::layout::{ReturnChoice, flags};
+use sweepd::sweep::layout::ReturnChoice;
 use sweepd::sweep::order::Order;
-use sweepd::sweep::{HeapBuffers, SweepMut, SweepRef};
+use sweepd::sweep::{HeapBuffers, SweepRef};
 use sweepd::wire::DataPacket;
 use sweepd::wire::data::ReturnMode;
 
@@ -94,91 +90,6 @@ fn decode(bencher: Bencher, &Stream(model, mode): &Stream) {
             }
         }
     });
-}
-
-/// The images that segmentation is measured on.
-const IMAGES: [&str; 4] = ["16x1808 street", "32x2170 street", "64x2083 street", "64x2083 KITTI"];
-
-/// A whole sweep to segment; `None` where it needs real data that is not there.
-fn image(name: &str) -> Option<HeapBuffer> {
-    match name {
-        "16x1808 street" => Some(whole_sweep(Model::Vlp16)),
-        "32x2170 street" => Some(whole_sweep(Model::Hdl32e)),
-        "64x2083 street" => Some(whole_sweep(Model::Hdl64eS2)),
-        _ => {
-            let bytes = std::fs::read(data()?.join("labelled/semantickitti/00/000000.bin")).ok()?;
-            Some(projected(&cloud::points(&bytes).ok()?))
-        }
-    }
-}
-
-/// The first whole sweep of a simulated street.
-fn whole_sweep(model: Model) -> HeapBuffer {
-    let scene = fixtures::scene();
-    let emitter = Emitter::new(EmitterConfig::new(model, ReturnMode::Strongest).turns(2.5), &scene);
-    let config = Config { calibration: Some(beams(model)), ..Config::default() };
-    let mut pipeline = Pipeline::new("bench", config, HeapBuffers::default(), Untimed).unwrap();
-    for one in emitter {
-        pipeline.push(&one.datagram()).unwrap();
-        while let Some(buffer) = pipeline.poll() {
-            if !SweepRef::open(buffer.as_ref()).unwrap().header.has(flags::PARTIAL) {
-                return buffer;
-            }
-        }
-    }
-    unreachable!("two and a half turns hold a whole one")
-}
-
-fn projected(points: &[[f32; 4]]) -> HeapBuffer {
-    let mut projector = CloudProjector::new(cloud::COLUMNS).unwrap();
-    projector.project(points).unwrap();
-    projector.into_buffer().unwrap()
-}
-
-fn config(method: Method) -> segment::Config {
-    segment::Config { method, ..segment::Config::default() }
-}
-
-/// Ground, joining, labels and segments table; items are pixels.
-fn fast(bencher: Bencher, name: &str, method: Method) {
-    let Some(mut buffer) = image(name) else { return };
-    let mut sweep = SweepMut::open(buffer.as_mut()).unwrap();
-    let pixels = sweep.image_pixels().len();
-    let mut segmenter = Segmenter::new(config(method)).unwrap();
-    bencher.counter(ItemsCount::new(pixels)).bench_local(|| segmenter.segment(black_box(&mut sweep)));
-}
-
-/// Ground and labels by the specification twin; items are pixels.
-fn naive(bencher: Bencher, name: &str, method: Method) {
-    let Some(mut buffer) = image(name) else { return };
-    let mut sweep = SweepMut::open(buffer.as_mut()).unwrap();
-    Segmenter::new(config(method)).unwrap().segment(&mut sweep);
-    let height_m = Some(sweep.header.height_m).filter(|&height| height > 0.0);
-    let sweep = sweep.as_ref();
-    let pixels = sweep.range.len();
-    let config = config(method);
-    let label = || segment::naive::segment(black_box(&sweep), &config, height_m);
-    bencher.counter(ItemsCount::new(pixels)).bench_local(label);
-}
-
-#[divan::bench(args = IMAGES, sample_count = 100)]
-fn segment_slope(bencher: Bencher, name: &str) {
-    fast(bencher, name, Method::Slope);
-}
-
-#[divan::bench(args = IMAGES, sample_count = 10)]
-fn segment_slope_naive(bencher: Bencher, name: &str) {
-    naive(bencher, name, Method::Slope);
-}
-
-#[divan::bench(args = IMAGES, sample_count = 100)]
-fn segment_paper(bencher: Bencher, name: &str) {
-    fast(bencher, name, Method::Paper);
-}
-
-#[divan::bench(args = IMAGES, sample_count = 10)]
-fn segment_paper_naive(bencher: Bencher, name: &str) {
-    naive(bencher, name, Method::Paper);
 }
 
 /// A real capture through the whole pipeline, segmentation included; items are returns.

@@ -128,7 +128,7 @@ fn table(args: &Args) -> Result<Option<RowTable>, CliError> {
 /// Longest cloud that is read, bytes: 64 million points.
 pub(super) const MAX_CLOUD_LEN: u64 = 1 << 30;
 
-/// Where the labels of each cloud go; two clouds must not go to one place.
+/// Where the labels of each cloud go; two clouds must not go to one place, and none to where labels lie beside it.
 fn label_files(args: &Args) -> Result<Vec<PathBuf>, CliError> {
     let mut files: Vec<PathBuf> = Vec::with_capacity(args.clouds.len());
     for cloud in &args.clouds {
@@ -139,7 +139,20 @@ fn label_files(args: &Args) -> Result<Vec<PathBuf>, CliError> {
                 format!("{first} and {second} would both be written to {file}; give each an --out of its own");
             return Err(CliError::Usage(message));
         }
+        if file.exists() && is_same_folder(&args.out, cloud) {
+            let (cloud, file) = (cloud.display(), file.display());
+            let message = format!(
+                "{file} lies beside {cloud} already, and may be its true labels; give another folder as --out, or remove it"
+            );
+            return Err(CliError::Usage(message));
+        }
         files.push(file);
     }
     Ok(files)
+}
+
+/// Whether a file lies in this folder.
+fn is_same_folder(folder: &Path, file: &Path) -> bool {
+    let parent = file.parent().filter(|parent| !parent.as_os_str().is_empty()).unwrap_or(Path::new("."));
+    matches!((folder.canonicalize(), parent.canonicalize()), (Ok(a), Ok(b)) if a == b)
 }

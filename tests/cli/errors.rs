@@ -265,6 +265,11 @@ fn clouds_that_cannot_be_meant_are_refused_before_they_are_segmented() {
     segment(&[mixed, "--rows-table", rows.to_str().unwrap()]).says(&["rows.txt", "line 2", "not below"]);
     let cut = folder.write("cut.ply", "ply\nformat ascii 1.0\n");
     segment(&[cut.to_str().unwrap()]).says(&["cut.ply", "line 2", "end_header"]);
+    // What may be the truth is not written over.
+    let truth = folder.write("seq/empty.label", "true");
+    let beside = ["segment", twin.to_str().unwrap(), "--out", truth.parent().unwrap().to_str().unwrap()];
+    Ran::of(command(&beside).output().unwrap()).says(&["empty.label", "true labels", "--out"]);
+    assert_eq!(std::fs::read(&truth).unwrap(), b"true");
     let odd = folder.write("cloud.xyz", "1 2 3\n");
     segment(&[odd.to_str().unwrap()]).says(&["cloud.xyz", "--format"]);
 }
