@@ -1,15 +1,17 @@
 //! After the first turns the way from socket to datagram, from there to labelled sweep, and on to the consumers, allocates
 //! nothing (but for what iceoryx2 counts a loan by).
 
+#[path = "common/counting.rs"]
+mod counting;
 #[path = "common/domain.rs"]
 mod domain;
 #[path = "common/stream.rs"]
 mod stream;
 
-use std::alloc::{GlobalAlloc, Layout, System};
-use std::sync::atomic::{AtomicU64, Ordering};
+use std::sync::atomic::Ordering;
 use std::time::{Duration, Instant};
 
+use counting::ALLOCATIONS;
 use domain::Own;
 use stream::Spin;
 use sweepd::capture::record::Rotation;
@@ -24,27 +26,6 @@ use sweepd::simulate::{Emitter, EmitterConfig, street};
 use sweepd::sweep::{Buffers, HeapBuffers, Shape, SweepMut};
 use sweepd::wire::DataPacket;
 use sweepd::wire::data::ReturnMode;
-
-struct Counting;
-
-static ALLOCATIONS: AtomicU64 = AtomicU64::new(0);
-
-// SAFETY: every call goes to the system's allocator as it came.
-unsafe impl GlobalAlloc for Counting {
-    unsafe fn alloc(&self, layout: Layout) -> *mut u8 {
-        ALLOCATIONS.fetch_add(1, Ordering::Relaxed);
-        // SAFETY: the caller's promises are the ones that `System` asks for.
-        unsafe { System.alloc(layout) }
-    }
-
-    unsafe fn dealloc(&self, pointer: *mut u8, layout: Layout) {
-        // SAFETY: as above.
-        unsafe { System.dealloc(pointer, layout) }
-    }
-}
-
-#[global_allocator]
-static COUNTING: Counting = Counting;
 
 /// Allocations during each sweep: from the first of its datagrams to the moment it is labelled and let go.
 fn per_sweep(config: Config, datagrams: &[(Vec<u8>, i64)]) -> Vec<u64> {

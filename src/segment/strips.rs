@@ -1,9 +1,10 @@
 //! The default method, strip by strip: points, ground, runs, joins; and at the end the components, their labels and table.
 //!
 //! ```text
-//! absorb   fill      points of the next strip            ground  climb its columns, compare neighbours
-//!          take      vote, then runs of the strip        window  join runs within reach
-//! finish   components, small ones to others, labels, segments table
+//! begin         beams, height, the test
+//! find_ground   the points of the next strip; its columns are climbed, and compared with those before
+//! join          the vote on the strip at hand, its runs, and what within reach they are joined to
+//! label         components, small ones to others, labels, segments table
 //! ```
 //!
 //! For a whole turn the first columns are taken once more behind the last: what they hold for the second time is united with
@@ -81,12 +82,14 @@ impl Strips {
         self.words.resize(rows, Words::default());
         self.reachable.resize(rows, Reachable::default());
         self.first.resize(rows, [0; BEFORE]);
-        self.runs.reserve(pixels + rows * BEFORE);
+        // The first columns are there twice.
+        let most_runs = pixels + rows * BEFORE;
+        self.runs.reserve(most_runs);
         reserve(&mut self.misses, pixels);
         reserve(&mut self.ground, rows * columns.div_ceil(STRIP));
-        reserve(&mut self.finish.nearest, pixels);
-        reserve(&mut self.finish.order, pixels);
-        reserve(&mut self.finish.label, pixels);
+        reserve(&mut self.finish.nearest, most_runs);
+        reserve(&mut self.finish.order, most_runs);
+        reserve(&mut self.finish.label, most_runs);
         reserve(&mut self.finish.extents, sweep.segments.len());
         reserve(&mut self.finish.tile, rows * STRIP);
     }
