@@ -65,8 +65,8 @@ void print(const std::string& name, const sweepd_sweep& sweep) {
             }
         }
     }
-    const double latency_ms = static_cast<double>(now_ns() - sweep.header->arrival_ns) * 1e-6;
-    std::printf("%s %" PRIu64 ": %.1f ms, %" PRIu32 " segments", name.c_str(), sweep.header->sequence, latency_ms,
+    const double latency_ms = (static_cast<double>(now_ns()) - static_cast<double>(sweep.header.arrival_ns)) * 1e-6;
+    std::printf("%s %" PRIu64 ": %.1f ms, %" PRIu32 " segments", name.c_str(), sweep.header.sequence, latency_ms,
                 sweep.segments_len);
     if (nearest_m < HUGE_VAL) {
         std::printf(", nearest %.2f m at (%.2f %.2f %.2f)", nearest_m, nearest[0], nearest[1], nearest[2]);
@@ -225,7 +225,9 @@ std::unique_ptr<Open> find(const std::string& root, const std::string& sensor) {
         case PublishSubscribeOpenError::IncompatibleAttributes:
         case PublishSubscribeOpenError::IncompatibleTypes:
         case PublishSubscribeOpenError::VersionMismatch:
-            throw std::runtime_error("the sweeps of `" + sensor + "` have another layout than this program reads");
+            throw std::runtime_error("the sweeps of `" + sensor + "` have another layout than version " +
+                                     std::to_string(SWEEPD_LAYOUT_VERSION) +
+                                     ", which this program reads; build it with the sweepd.h of the sweepd on this host");
         case PublishSubscribeOpenError::ExceedsMaxNumberOfNodes:
             throw std::runtime_error("`" + sensor + "` has as many consumers as it has room for");
         default:

@@ -171,8 +171,12 @@ class _Memory:
     def __init__(self, sample, subscriber):
         # With the subscriber, iceoryx2 would give back what its samples still look at.
         self.sample, self.subscriber = sample, subscriber
-        payload = sample.payload()
-        length = min(sample.user_header().contents.sweep_bytes, payload.len())
+        payload, preamble = sample.payload(), sample.user_header().contents
+        version, length, there = preamble.layout_version, preamble.sweep_bytes, payload.len()
+        if version != LAYOUT_VERSION:
+            raise LayoutError(_other_version(f"a sweep of layout version {version}"))
+        if length > there:
+            raise LayoutError(f"torn: {length} bytes are named and {there} are there")
         read_only = True
         self.__array_interface__ = {
             "version": 3, "typestr": "|u1", "shape": (length,), "data": (payload.as_ptr(), read_only)
@@ -221,7 +225,7 @@ class Sweep:
     @property
     def name(self):
         """Name of the sensor."""
-        return self.header["name"].decode()
+        return self.header["name"].decode(errors="replace")
 
     def has(self, flag):
         """Whether a bit of the flags is set: sweep.has(CIRCULAR)."""
@@ -291,12 +295,15 @@ class Sweep:
 
 
 def _checked(data):
-    """The header, when everything in it can be true of these bytes: nothing that it tells lies outside of them."""
+    """A copy of the header, when everything in it can be true of these bytes: nothing that it tells lies outside of them,
+    whatever a publisher should write into its own afterwards."""
     if len(data) < HEADER.itemsize or data.ctypes.data % 8 != 0:
         raise LayoutError(f"{len(data)} bytes cannot hold a sweep, or are not aligned to 8 bytes")
-    header = data[:HEADER.itemsize].view(HEADER)[0]
-    if bytes(header["magic"]) != MAGIC or header["version"] != LAYOUT_VERSION:
-        raise LayoutError(f"no sweep of layout version {LAYOUT_VERSION} (found version {header['version']})")
+    header = data[:HEADER.itemsize].copy().view(HEADER)[0]
+    if bytes(header["magic"]) != MAGIC:
+        raise LayoutError("no sweep of sweepd: it does not begin with its mark")
+    if header["version"] != LAYOUT_VERSION:
+        raise LayoutError(_other_version(f"a sweep of layout version {header['version']}"))
     rows, columns, capacity, segments, room, margin = (
         int(header[key]) for key in
         ("rows", "columns", "columns_capacity", "segments", "segments_capacity", "margin_columns"))
@@ -316,6 +323,11 @@ def _checked(data):
     if end > len(data):
         raise LayoutError(f"{len(data)} bytes cannot hold a sweep of {end}")
     return header
+
+
+def _other_version(what):
+    return (f"{what}, and this program reads version {LAYOUT_VERSION}: take the consumer.py of the sweepd that runs on this "
+            "host, or run the sweepd that this one came with")
 
 
 class Sensor:
@@ -428,7 +440,7 @@ class Sensor:
             subscriber = service.subscriber_builder().create()
             return _Open(node, service, event.listener_builder().create(), subscriber, self._file, content)
         except (iox2.PublishSubscribeOpenError, iox2.SubscriberCreateError, iox2.EventOpenError) as error:
-            self._explain(repr(error), error)
+            self._explain(repr(error), error, config)
             return None
 
     def _samples(self, node):
@@ -437,12 +449,29 @@ class Sensor:
         builder = node.service_builder(self._service_name).publish_subscribe(iox2.Slice[ctypes.c_uint8])
         return builder.user_header(Preamble).open_with_attributes(schema)
 
-    def _explain(self, said, error):
+    def _published_version(self, config):
+        """The version of the layout that the service names; None when it names none."""
+        pattern = iox2.MessagingPattern.PublishSubscribe
+        try:
+            details = iox2.Service.details(self._service_name, config, pattern, iox2.ServiceType.Ipc)
+        except iox2.ServiceDetailsError:
+            details = None
+        values = [] if details is None else details.attributes().key_values(iox2.AttributeKey.new("schema"))
+        return values[0].to_string() if values else None
+
+    def _explain(self, said, error, config):
         """Raises what waiting does not mend."""
-        if any(word in said for word in ("IncompatibleAttributes", "IncompatibleTypes", "VersionMismatch")):
+        if "IncompatibleAttributes" in said or "IncompatibleTypes" in said:
+            found = self._published_version(config)
+            if found is None or found == str(LAYOUT_VERSION):
+                raise SweepdError(
+                    f"`{self.name}` is published by a program that is not sweepd: stop that one, or give sweepd and its "
+                    "consumers a folder of their own (--root, or the variable SWEEPD_ROOT)") from error
+            raise SweepdError(_other_version(f"the sweeps of `{self.name}` have layout version {found}")) from error
+        if "VersionMismatch" in said:
             raise SweepdError(
-                f"the sweeps of `{self.name}` have another layout than version {LAYOUT_VERSION}, which this program reads; "
-                "take the consumer.py of the sweepd that runs on this host") from error
+                f"`{self.name}` is published through another version of iceoryx2 than this program's: install the one that "
+                "docs/layout.md of the sweepd on this host names") from error
         if any(word in said for word in ("ExceedsMaxNumberOfNodes", "ExceedsMaxSupportedSubscribers")):
             raise SweepdError(
                 f"`{self.name}` has as many consumers as it has room for; raise max_consumers of the sensor, or stop one"

@@ -48,7 +48,7 @@ fn follow(domain: &Domain, name: &str) -> Result<(), Box<dyn std::error::Error>>
 
 fn line(name: &str, sweep: &SweepRef<'_>, rate_hz: f64) -> String {
     let now_ns = SystemTime::UNIX_EPOCH.elapsed().map_or(0, |since| since.as_nanos() as i64);
-    let latency_ms = (now_ns - sweep.header.arrival_ns) as f64 * 1e-6;
+    let latency_ms = now_ns.saturating_sub(sweep.header.arrival_ns) as f64 * 1e-6;
     let nearest = sweep.segments.iter().map(|segment| segment.nearest_m).min_by(f32::total_cmp);
     let nearest = nearest.map_or_else(|| "none".to_owned(), |nearest_m| format!("{nearest_m:.2} m"));
     let (sequence, segments) = (sweep.header.sequence, sweep.segments.len());

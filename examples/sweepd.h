@@ -211,9 +211,10 @@ typedef enum sweepd_status {
 } sweepd_status;
 
 /* A sweep to read: where its planes and tables are, trimmed to the columns and segments that there are. It is as good as
- * the bytes are: valid while they are held. Index planes by sweepd_pixel. */
+ * the bytes are: valid while they are held. Index planes by sweepd_pixel. The header is a copy, the one that was checked:
+ * whatever a publisher should write into its own afterwards, nothing here leads outside of the bytes. */
 typedef struct sweepd_sweep {
-    const sweepd_header *header;
+    sweepd_header header;
     const float *range;           /* metres; see sweepd_is_return */
     const uint8_t *reflectivity;
     const uint32_t *label;
@@ -253,11 +254,15 @@ static inline uint64_t sweepd_offsets(const sweepd_header *header, uint64_t offs
     return end;
 }
 
-/* Whether bytes are a sweep of this layout, so that nothing that its header tells lies outside of them. */
-static inline sweepd_status sweepd_check(const void *bytes, size_t len) {
-    const sweepd_header *header = (const sweepd_header *)bytes;
-    uint64_t offsets[SWEEPD_PARTS], total;
+/* Copies the header of some bytes, each word read once, and says whether they are a sweep of this layout, so that nothing
+ * that the copy tells lies outside of them. */
+static inline sweepd_status sweepd_take_header(const void *bytes, size_t len, sweepd_header *header) {
+    uint64_t offsets[SWEEPD_PARTS], total, words[sizeof(sweepd_header) / 8];
+    const volatile uint64_t *from = (const volatile uint64_t *)bytes;
+    size_t word;
     if (len < sizeof(sweepd_header) || (uintptr_t)bytes % 8 != 0) return SWEEPD_TOO_SHORT_OR_UNALIGNED;
+    for (word = 0; word < sizeof words / 8; word++) words[word] = from[word];
+    memcpy(header, words, sizeof words);
     if (memcmp(header->magic, SWEEPD_MAGIC, sizeof header->magic) != 0) return SWEEPD_OTHER_VERSION;
     if (header->version != SWEEPD_LAYOUT_VERSION) return SWEEPD_OTHER_VERSION;
     if (header->rows > 256 || header->columns_capacity > 1u << 20 || header->segments_capacity > 1u << 28 ||
@@ -269,18 +274,24 @@ static inline sweepd_status sweepd_check(const void *bytes, size_t len) {
     return total > len ? SWEEPD_TOO_SHORT_OR_UNALIGNED : SWEEPD_OK;
 }
 
+/* Whether bytes are a sweep of this layout. */
+static inline sweepd_status sweepd_check(const void *bytes, size_t len) {
+    sweepd_header header;
+    return sweepd_take_header(bytes, len, &header);
+}
+
 /* Checks the bytes of a sweep and tells where everything is. */
 static inline sweepd_status sweepd_open(const void *bytes, size_t len, sweepd_sweep *sweep) {
-    const sweepd_status status = sweepd_check(bytes, len);
     const uint8_t *base = (const uint8_t *)bytes;
-    const sweepd_header *header = (const sweepd_header *)bytes;
+    const sweepd_header *header = &sweep->header;
     const uint64_t *at;
+    sweepd_status status;
     size_t before;
     memset(sweep, 0, sizeof *sweep);
+    status = sweepd_take_header(bytes, len, &sweep->header);
     if (status != SWEEPD_OK) return status;
     at = header->offsets;
     before = (size_t)header->margin_columns * header->rows;
-    sweep->header = header;
     sweep->rows = header->rows;
     sweep->columns_len = header->columns;
     sweep->segments_len = header->segments;
@@ -311,7 +322,7 @@ static inline int sweepd_is_return(float range_m) {
 
 /* SWEEPD_KIND_STRONGEST or SWEEPD_KIND_LAST: what the return of a pixel is, or (`other`) that of the planes "2". */
 static inline uint32_t sweepd_kind(const sweepd_sweep *sweep, uint32_t row, uint32_t column, int other) {
-    int is_last = sweep->header->return_mode == SWEEPD_MODE_LAST;
+    int is_last = sweep->header.return_mode == SWEEPD_MODE_LAST;
     if (sweep->kind != NULL) {
         const uint8_t byte = sweep->kind[sweepd_pixel(sweep, row, column)];
         is_last = ((byte & ~SWEEPD_KIND_SECOND_BLOCKS) == SWEEPD_KIND_LAST) != (other != 0);
@@ -325,7 +336,7 @@ static inline uint32_t sweepd_fired_in(const sweepd_sweep *sweep, uint32_t row, 
     const int64_t columns = sweep->columns_len;
     int64_t at = (int64_t)column + sweep->beams[row].shift;
     if (at >= 0 && at < columns) return (uint32_t)at;
-    if (sweep->header->flags & SWEEPD_CIRCULAR) {
+    if (sweep->header.flags & SWEEPD_CIRCULAR) {
         at %= columns;
         return (uint32_t)(at < 0 ? at + columns : at);
     }
@@ -347,7 +358,7 @@ static inline double sweepd_azimuth_rad(const sweepd_sweep *sweep, uint32_t row,
 static inline int64_t sweepd_time_ns(const sweepd_sweep *sweep, uint32_t row, uint32_t column) {
     const sweepd_column *firing = &sweep->columns[sweepd_fired_in(sweep, row, column)];
     const int64_t after = (int64_t)firing->time_ns + (int64_t)sweep->beams[row].time_offset_ns;
-    return sweep->header->time_ns > INT64_MAX - after ? INT64_MAX : sweep->header->time_ns + after;
+    return sweep->header.time_ns > INT64_MAX - after ? INT64_MAX : sweep->header.time_ns + after;
 }
 
 /* x right, y forward, z up of a range in a pixel, metres from the sensor's origin. */

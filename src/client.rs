@@ -24,11 +24,18 @@
 //!
 //! It may be started before the daemon, and goes on when that was restarted. It must run as the daemon's user: shared memory
 //! is open to its owner alone, and another user, root included, is told so.
+//!
+//! A publisher that is none of sweepd's, or of another version, or broken, is an error and never a panic: the header of each
+//! sweep is copied once and checked, and the copy is what counts from then on. What stands in planes and tables is the
+//! publisher's word: a range may be infinite, a label may have no segment.
 
 use std::time::Duration;
 
+use zerocopy::FromBytes;
+
 pub use crate::publish::{Domain, DomainError, SubscribeError};
 use crate::publish::{Received, Subscriber, attributes};
+use crate::sweep::Header;
 pub use crate::sweep::layout::LayoutError;
 pub use crate::sweep::{Return, SweepRef};
 
@@ -41,6 +48,8 @@ pub struct Client {
 /// A sweep in shared memory, which stays as it is until this is dropped.
 #[derive(Debug)]
 pub struct Sweep {
+    /// As it was when the sweep came: what the publisher writes there later is not looked at.
+    header: Header,
     received: Received,
 }
 
@@ -95,11 +104,8 @@ impl Client {
     /// [`ClientError`]: what waiting longer does not mend.
     pub fn next(&mut self, timeout: Duration) -> Result<Option<Sweep>, ClientError> {
         let Some(received) = self.subscriber.wait(timeout)? else { return Ok(None) };
-        let sweep = Sweep { received };
-        match sweep.view() {
-            Ok(_) => Ok(Some(sweep)),
-            Err(source) => Err(ClientError::Layout { name: self.subscriber.name().to_owned(), source }),
-        }
+        let refused = |source| ClientError::Layout { name: self.subscriber.name().to_owned(), source };
+        Sweep::of(received).map(Some).map_err(refused)
     }
 
     /// Whether the sensor's service was found.
@@ -129,12 +135,21 @@ impl Client {
 }
 
 impl Sweep {
+    fn of(received: Received) -> Result<Self, LayoutError> {
+        received.check()?;
+        let bytes: &[u8] = received.as_ref();
+        let (header, _) = Header::read_from_prefix(bytes).map_err(|_| LayoutError::Bytes { bytes: bytes.len() })?;
+        let sweep = Self { header, received };
+        sweep.view()?;
+        Ok(sweep)
+    }
+
     /// What is in it. This is checked each time, and costs next to nothing.
     ///
     /// # Errors
-    /// [`LayoutError`], when the publisher changes what it has published.
+    /// [`LayoutError`], when the publisher takes back some of what it has published.
     pub fn view(&self) -> Result<SweepRef<'_>, LayoutError> {
-        SweepRef::open(self.received.as_ref())
+        SweepRef::with_header(&self.header, self.received.as_ref())
     }
 
     /// Its bytes, as [`crate::sweep::layout`] defines them.

@@ -9,6 +9,8 @@ mod common;
 mod domain;
 #[path = "consumers/fields.rs"]
 mod fields;
+#[path = "consumers/hostile.rs"]
+mod hostile;
 #[path = "consumers/native.rs"]
 mod native;
 #[path = "consumers/page.rs"]
@@ -17,6 +19,8 @@ mod page;
 mod programs;
 #[path = "consumers/python.rs"]
 mod python;
+#[path = "consumers/refusals.rs"]
+mod refusals;
 #[path = "common/stream.rs"]
 mod stream;
 #[path = "consumers/sweeps.rs"]

@@ -109,8 +109,8 @@ impl Watch<'_> {
     fn sweep(&mut self, sweep: SweepRef<'_>, receipt: Receipt) -> Result<(), CliError> {
         let header = sweep.header;
         let latency_us = LatencyUs {
-            arrival: (receipt.realtime_ns - header.arrival_ns) as f64 / 1000.0,
-            completed: (receipt.monotonic_ns - header.completed_monotonic_ns) as f64 / 1000.0,
+            arrival: receipt.realtime_ns.saturating_sub(header.arrival_ns) as f64 / 1000.0,
+            completed: receipt.monotonic_ns.saturating_sub(header.completed_monotonic_ns) as f64 / 1000.0,
         };
         self.latencies.add(header, latency_us);
         if let Some(table) = &mut self.table {

@@ -15,8 +15,8 @@ use iceoryx2::service::port_factory::PortFactory as _;
 use iceoryx2::service::port_factory::publish_subscribe::PortFactory;
 
 use super::files::{Fate, ServiceFile};
-use super::{BORROWED, Domain, DomainError, Ipc, Preamble, node, same_schema, sensor_name, service_name};
-use crate::sweep::layout::LAYOUT_VERSION;
+use super::{BORROWED, Domain, DomainError, Ipc, Preamble, attributes, node, same_schema, sensor_name, service_name};
+use crate::sweep::layout::{LAYOUT_VERSION, LayoutError};
 
 /// The longest that is slept at once: then it is looked whether everything is still there.
 const LOOK_EVERY: Duration = Duration::from_millis(200);
@@ -37,10 +37,32 @@ pub enum SubscribeError {
     },
     /// Another version of sweepd publishes it.
     #[error(
-        "the sweeps of `{name}` have another layout than version {LAYOUT_VERSION}, which this program reads; build it with the \
-         version of sweepd that runs on this host"
+        "the sweeps of `{name}` have layout version {found}, and this program reads version {LAYOUT_VERSION}: build it with the \
+         version of sweepd that runs on this host, or run the version that it was built with"
     )]
     OtherVersion {
+        /// The name.
+        name: String,
+        /// Version of the layout that the service names.
+        found: String,
+    },
+    /// A program that is not sweepd has a service of this name.
+    #[error(
+        "`{name}` is published by a program that is not sweepd ({found}): stop that one, or give sweepd and its consumers a \
+         folder of their own (--root, or the variable SWEEPD_ROOT)"
+    )]
+    Foreign {
+        /// The name.
+        name: String,
+        /// What it sends.
+        found: String,
+    },
+    /// Another version of iceoryx2 is underneath.
+    #[error(
+        "`{name}` is published through another version of iceoryx2 than this program's: build it with the version of sweepd \
+         that runs on this host"
+    )]
+    OtherIceoryx {
         /// The name.
         name: String,
     },
@@ -92,6 +114,8 @@ struct Open {
 /// too long is no longer new, and no more than [`BORROWED`] can be held.
 #[derive(Debug)]
 pub struct Received {
+    /// As it was when the sample came.
+    preamble: Preamble,
     sample: Sample<Ipc, [u8], Preamble>,
     /// What a subscriber holds is given back with it, even what its samples still look at.
     _holder: Arc<Port<Ipc, [u8], Preamble>>,
@@ -100,14 +124,30 @@ pub struct Received {
 impl Received {
     /// Where the bytes stand and what they are.
     pub fn preamble(&self) -> &Preamble {
-        self.sample.user_header()
+        &self.preamble
+    }
+
+    /// Whether the bytes are those of a sweep of this version's layout, as far as the preamble says.
+    ///
+    /// # Errors
+    /// [`LayoutError`].
+    pub fn check(&self) -> Result<(), LayoutError> {
+        let (found, promised) = (self.preamble.layout_version, self.preamble.sweep_bytes);
+        if found != LAYOUT_VERSION {
+            return Err(LayoutError::Version { found });
+        }
+        let bytes = self.sample.payload().len();
+        if promised > bytes as u64 {
+            return Err(LayoutError::Torn { promised, bytes });
+        }
+        Ok(())
     }
 }
 
 impl AsRef<[u8]> for Received {
     fn as_ref(&self) -> &[u8] {
         let bytes = self.sample.payload();
-        let len = usize::try_from(self.preamble().sweep_bytes).unwrap_or(usize::MAX);
+        let len = usize::try_from(self.preamble.sweep_bytes).unwrap_or(usize::MAX);
         &bytes[..len.min(bytes.len())]
     }
 }
@@ -255,19 +295,39 @@ impl Subscriber {
         let name = self.name.clone();
         match error {
             E::DoesNotExist | E::IsMarkedForDestruction | E::HangsInCreation | E::ServiceInCorruptedState => None,
-            E::IncompatibleAttributes | E::IncompatibleTypes | E::VersionMismatch => {
-                Some(SubscribeError::OtherVersion { name })
-            }
+            E::IncompatibleAttributes | E::IncompatibleTypes | E::IncompatibleMessagingPattern => self.describe(),
+            E::VersionMismatch => Some(SubscribeError::OtherIceoryx { name }),
             E::ExceedsMaxNumberOfNodes => Some(SubscribeError::Full { name }),
             other => Some(SubscribeError::service(other)),
         }
+    }
+
+    /// What this program does not read: the service as it describes itself. `None` when it is gone by now.
+    fn describe(&self) -> Option<SubscribeError> {
+        let pattern = MessagingPattern::PublishSubscribe;
+        let details = <Ipc as iceoryx2::service::Service>::details(&self.service, &self.domain.config(), pattern);
+        let found = details.ok()??.static_details;
+        let name = self.name.clone();
+        let schema = AttributeKey::try_from(attributes::SCHEMA).ok()?;
+        let version = found.attributes().key_value(&schema, 0).map(ToString::to_string);
+        // A service that names this version and is still another is nobody's that is known here.
+        if let Some(found) = version.filter(|version| *version != LAYOUT_VERSION.to_string()) {
+            return Some(SubscribeError::OtherVersion { name, found });
+        }
+        let types = found.publish_subscribe().message_type_details();
+        let found = format!("it sends {} with the header {}", types.payload.type_name(), types.user_header.type_name());
+        Some(SubscribeError::Foreign { name, found })
     }
 }
 
 impl Open {
     fn receive(&self) -> Result<Option<Received>, SubscribeError> {
         match self.samples.receive() {
-            Ok(sample) => Ok(sample.map(|sample| Received { sample, _holder: Arc::clone(&self.samples) })),
+            Ok(sample) => Ok(sample.map(|sample| Received {
+                preamble: *sample.user_header(),
+                sample,
+                _holder: Arc::clone(&self.samples),
+            })),
             Err(ReceiveError::ExceedsMaxBorrows) => Err(SubscribeError::TooManyHeld),
             // The pool of a daemon that is going away: the next look tells.
             Err(ReceiveError::ConnectionFailure(_)) => Ok(None),

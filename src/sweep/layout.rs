@@ -505,7 +505,7 @@ impl Header {
         u8::try_from(self.return_mode).ok().and_then(ReturnMode::from_byte).unwrap_or(ReturnMode::Strongest)
     }
 
-    /// Source of the sensor's packets.
+    /// Source of the sensor's packets; empty where what stands there is no text.
     pub fn sensor(&self) -> &str {
         text(&self.sensor)
     }
@@ -515,7 +515,7 @@ impl Header {
         self.sensor = padded(source);
     }
 
-    /// Name of the sensor and of its service.
+    /// Name of the sensor and of its service; empty where what stands there is no text.
     pub fn name(&self) -> &str {
         text(&self.name)
     }
@@ -554,7 +554,9 @@ impl Header {
 
 fn text(padded: &[u8; 64]) -> &str {
     let end = padded.iter().position(|&byte| byte == 0).unwrap_or(padded.len());
-    std::str::from_utf8(&padded[..end]).unwrap_or_default()
+    let text = std::str::from_utf8(&padded[..end]).unwrap_or_default();
+    // Names are shown on terminals, which obey what is no text.
+    if text.contains(char::is_control) { "" } else { text }
 }
 
 fn padded(text: &str) -> [u8; 64] {
@@ -573,11 +575,25 @@ pub enum LayoutError {
         /// Bytes that there are.
         bytes: usize,
     },
-    /// Other first bytes, or another version.
-    #[error("no sweep of layout version {LAYOUT_VERSION} (found version {found})")]
+    /// Other first bytes.
+    #[error("no sweep of sweepd: it does not begin with its mark")]
+    Foreign,
+    /// Another version.
+    #[error(
+        "a sweep of layout version {found}, and this program reads version {LAYOUT_VERSION}; build it with the version of \
+         sweepd that made the sweep, or take one that this program was built with"
+    )]
     Version {
         /// Version that the header names.
         found: u32,
+    },
+    /// Fewer bytes than whoever sent them says.
+    #[error("torn: {promised} bytes are named and {bytes} are there")]
+    Torn {
+        /// Bytes that are named.
+        promised: u64,
+        /// Bytes that there are.
+        bytes: usize,
     },
     /// Counts and offsets that contradict each other.
     #[error("the header's counts and offsets contradict each other")]
@@ -586,7 +602,10 @@ pub enum LayoutError {
 
 /// The shape of a header that was not written here, when everything in it can be true of `bytes` bytes.
 pub(super) fn checked_shape(header: &Header, bytes: usize) -> Result<Shape, LayoutError> {
-    if header.magic != MAGIC || header.version != LAYOUT_VERSION {
+    if header.magic != MAGIC {
+        return Err(LayoutError::Foreign);
+    }
+    if header.version != LAYOUT_VERSION {
         return Err(LayoutError::Version { found: header.version });
     }
     let shape = header.shape();

@@ -2,6 +2,8 @@
 
     check.py layout                     fields, numbers and prefixes, as JSON
     check.py follow NAME ROOT FOLDER    a JSON line a sweep; its points, azimuths and times as files
+    check.py refuse NAME ROOT           for a line `next`: waits for a sweep, or says why not; `look`: the same without
+                                        waiting; `use`: asks all that can be asked of it
     check.py hold NAME ROOT             holds sweeps and arrays, and says what became of them
 """
 
@@ -96,6 +98,23 @@ def follow(name, root, folder):
         sweep = planes = there = None
 
 
+def refuse(name, root):
+    sensor = consumer.Sensor(name, root)
+    for line in sys.stdin:
+        if line.strip() == "use":
+            with np.errstate(all="ignore"):
+                shapes = [sweep.points().shape, sweep.azimuth().shape, sweep.times().shape, sweep.firing().shape]
+                _ = sweep.name, sweep.sequence, sweep.has(consumer.CIRCULAR)
+            say(rows=int(sweep.header["rows"]), segments=len(sweep.segments), points=shapes[0])
+            sweep = None
+            continue
+        try:
+            sweep = sensor.next(0.0 if line.strip() == "look" else 5.0)
+            say(sweep=None if sweep is None else sweep.sequence)
+        except consumer.SweepdError as error:
+            say(refused=str(error), layout=isinstance(error, consumer.LayoutError))
+
+
 def hold(name, root):
     sensor = consumer.Sensor(name, root)
     say(ready=sensor.next(0.0) is None and sensor.is_connected)
@@ -119,6 +138,7 @@ def hold(name, root):
 
 
 try:
-    {"layout": layout, "follow": lambda: follow(*sys.argv[2:]), "hold": lambda: hold(*sys.argv[2:])}[sys.argv[1]]()
+    {"layout": layout, "follow": lambda: follow(*sys.argv[2:]), "refuse": lambda: refuse(*sys.argv[2:]),
+     "hold": lambda: hold(*sys.argv[2:])}[sys.argv[1]]()
 except consumer.SweepdError as error:
     say(error=str(error))

@@ -158,8 +158,8 @@ fn the_header_refuses_what_rust_refuses() {
         shifted[*at..at + 4].copy_from_slice(&value.to_le_bytes());
         let status = match SweepRef::open(&shifted[..*len]) {
             Ok(_) => 0,
-            Err(LayoutError::Bytes { .. }) => 1,
-            Err(LayoutError::Version { .. }) => 2,
+            Err(LayoutError::Bytes { .. } | LayoutError::Torn { .. }) => 1,
+            Err(LayoutError::Foreign | LayoutError::Version { .. }) => 2,
             Err(LayoutError::Inconsistent) => 3,
         };
         writeln!(expected, "{status}").unwrap();

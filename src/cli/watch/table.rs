@@ -67,7 +67,7 @@ impl Table {
         if let Some((run_ns, sequence)) = self.last
             && run_ns == header.run_ns
         {
-            line.missed += header.sequence.saturating_sub(sequence + 1);
+            line.missed = line.missed.saturating_add(header.sequence.saturating_sub(sequence.saturating_add(1)));
         }
         self.last = Some((header.run_ns, header.sequence));
         let model = Model::from_code(header.model).map_or("unknown model", |model| model.spec().name);

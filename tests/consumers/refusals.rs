@@ -1,0 +1,359 @@
+//! Consumers of a publisher that keeps to nothing: a refusal that says why, or a sweep of which all can be asked, and never
+//! a crash.
+
+use std::fs::File;
+use std::os::unix::fs::FileExt;
+use std::path::Path;
+use std::process::{Command, Stdio};
+use std::sync::atomic::{AtomicBool, Ordering};
+use std::time::{Duration, Instant};
+
+use iceoryx2::prelude::*;
+use sweepd::client::{Client, ClientError, SubscribeError, Sweep};
+use sweepd::publish::Preamble;
+use sweepd::sweep::SweepRef;
+use sweepd::sweep::layout::{Header, LAYOUT_VERSION, LayoutError};
+use zerocopy::IntoBytes;
+
+use super::domain::Own;
+use super::hostile::{COLUMNS, Case, Fate, Hostile, SHAPE, cases, honest, node, preamble, schema, service_name};
+use super::native::has_compiler;
+use super::python::{Talk, check, loans, publish};
+use super::{folder, of_project};
+
+const SOON: Duration = Duration::from_secs(5);
+
+fn client(own: &Own) -> Client {
+    let mut client = Client::within(&own.domain(), "roof").unwrap();
+    assert!(client.next(Duration::ZERO).unwrap().is_none() && client.is_connected());
+    client
+}
+
+/// Asks everything of a sweep, whatever stands in it, and gives the number of its returns.
+fn ask_all(sweep: &SweepRef<'_>) -> usize {
+    let header = sweep.header;
+    let _ = (header.time_source(), header.return_mode(), header.has(1));
+    for name in [header.name(), header.sensor()] {
+        assert!(!name.contains(char::is_control), "{name:?} is shown on terminals");
+    }
+    for (row, column) in (0..sweep.rows()).flat_map(|row| (0..sweep.columns.len()).map(move |column| (row, column))) {
+        assert!(sweep.fired_in(row, column) < sweep.columns.len());
+        let _ = (sweep.azimuth_rad(row, column), sweep.time_ns(row, column), sweep.point_m(row, column, f32::MAX));
+    }
+    assert_eq!(sweep.segments.len(), header.segments as usize);
+    sweep.returns().count()
+}
+
+#[test]
+fn rust_takes_or_refuses_whatever_is_sent() {
+    let own = Own::new();
+    let hostile = Hostile::new(&own);
+    let mut client = client(&own);
+    for Case { name, bytes, preamble, fate } in cases() {
+        hostile.send(&bytes, &preamble);
+        match (client.next(SOON), fate) {
+            (Ok(Some(sweep)), Fate::Taken) => {
+                let view = sweep.view().unwrap();
+                assert!(ask_all(&view) <= SHAPE.rows * COLUMNS * 2, "{name}");
+            }
+            (Err(error @ ClientError::Layout { .. }), Fate::Refused(words)) => {
+                let said = error.to_string();
+                assert!(
+                    said.starts_with("what `roof` publishes is no sweep: ") && said.contains(words),
+                    "{name}: {said}"
+                );
+            }
+            (other, _) => panic!("{name}: {:?}", other.map(|_| "a sweep or nothing")),
+        }
+        // And it goes on.
+        hostile.send(&honest(9), &honest_preamble());
+        assert_eq!(client.next(SOON).unwrap().unwrap().view().unwrap().header.sequence, 9, "{name}");
+    }
+}
+
+fn honest_preamble() -> Preamble {
+    preamble(LAYOUT_VERSION, SHAPE.total_bytes() as u64)
+}
+
+#[test]
+fn a_refusal_of_another_version_names_both_and_the_cure() {
+    for version in [LAYOUT_VERSION - 1, LAYOUT_VERSION + 1] {
+        let said = LayoutError::Version { found: version }.to_string();
+        let both = format!("layout version {version}, and this program reads version {LAYOUT_VERSION}");
+        assert!(said.contains(&both) && said.contains("build it with"), "{said}");
+    }
+}
+
+/// Consumers that are older and newer than the daemon, and what they are told before they read a byte.
+#[test]
+fn a_service_of_another_version_is_refused_with_both_and_the_cure_until_this_one_comes() {
+    for version in ["2", "4", "100000"] {
+        let own = Own::new();
+        let (mut client, mut python) = (Client::within(&own.domain(), "roof").unwrap(), refusing(&own));
+        let node = node(&own);
+        let samples = node.service_builder(&service_name()).publish_subscribe::<[u8]>().user_header::<Preamble>();
+        let other = samples.create_with_attributes(&schema(version)).unwrap();
+        let event = node.service_builder(&service_name()).event().create().unwrap();
+        let error = client.next(Duration::ZERO).unwrap_err();
+        assert!(
+            matches!(&error, ClientError::Subscribe(SubscribeError::OtherVersion { found, .. }) if found == version)
+        );
+        let both = |own: &str| format!("layout version {version}, and this program reads version {own}: ");
+        let said = error.to_string();
+        let cure = "build it with the version of sweepd that runs on this host";
+        assert!(said.contains(&both("3")) && said.contains(cure), "{said}");
+        if let Some(python) = &mut python {
+            let said = python.ask("next");
+            let words = said["refused"].as_str().unwrap_or_else(|| panic!("{said}"));
+            assert!(words.contains(&both("3")) && words.contains("take the consumer.py of"), "{words}");
+        }
+        drop((other, event, node));
+        // Once the daemon is of this version, the same client goes on.
+        comes_back(&own, &mut client);
+    }
+}
+
+/// A daemon begins, and the client that was refused gets its sweeps.
+#[track_caller]
+fn comes_back(own: &Own, client: &mut Client) {
+    let mut loans = loans(own);
+    let begun = Instant::now();
+    loop {
+        publish(&mut loans, 5);
+        match client.next(Duration::from_millis(20)) {
+            Ok(Some(sweep)) => return assert_eq!(sweep.view().unwrap().header.sequence, 5),
+            other => assert!(begun.elapsed() < SOON, "{:?}", other.map(|_| "nothing")),
+        }
+    }
+}
+
+/// As the header of a service that has the daemon's type name, and another size.
+#[derive(Clone, Copy, Debug, Default, ZeroCopySend)]
+#[repr(C)]
+#[repr(align(128))]
+#[type_name("sweepd.Preamble")]
+struct Wider {
+    _bytes: [u64; 16],
+}
+
+/// Has the clients meet the service while it lives.
+fn meet_foreign(own: &Own, what: &str) {
+    let mut client = Client::within(&own.domain(), "roof").unwrap();
+    let error = client.next(Duration::ZERO).unwrap_err();
+    assert!(matches!(error, ClientError::Subscribe(SubscribeError::Foreign { .. })), "{what}: {error}");
+    let said = error.to_string();
+    assert!(said.contains("not sweepd") && said.contains(what) && said.contains("SWEEPD_ROOT"), "{what}: {said}");
+    if let Some(mut python) = refusing(own) {
+        let said = python.ask("next");
+        assert!(said["refused"].as_str().is_some_and(|words| words.contains("not sweepd")), "{what}: {said}");
+    }
+}
+
+#[test]
+fn a_foreign_service_of_the_same_name_is_refused() {
+    let version = schema(&LAYOUT_VERSION.to_string());
+    macro_rules! meet {
+        ($what:literal, $attributes:expr, $payload:ty, $($header:tt)*) => {{
+            let own = Own::new();
+            let node = node(&own);
+            let samples = node.service_builder(&service_name()).publish_subscribe::<$payload>()$($header)*;
+            let _service = samples.create_with_attributes($attributes).unwrap();
+            let _event = node.service_builder(&service_name()).event().create().unwrap();
+            meet_foreign(&own, $what);
+        }};
+    }
+    meet!("u64", &version, u64, .user_header::<Preamble>());
+    meet!("u16", &version, [u16], .user_header::<Preamble>());
+    meet!("header ()", &version, [u8],);
+    meet!("sweepd.Preamble", &version, [u8], .user_header::<Wider>());
+    meet!("u8", &AttributeSpecifier::new(), [u8], .user_header::<Preamble>());
+}
+
+/// iceoryx2 opens a service that is aligned to more than what is asked for; its bytes are as far apart as ever.
+#[test]
+fn a_service_that_is_aligned_to_more_is_read() {
+    let own = Own::new();
+    let hostile = Hostile::aligned(&own, 128);
+    let mut client = client(&own);
+    hostile.send(&honest(4), &honest_preamble());
+    let sweep = client.next(SOON).unwrap().unwrap();
+    assert_eq!(sweep.bytes(), honest(4));
+    assert_eq!(ask_all(&sweep.view().unwrap()), COLUMNS * SHAPE.rows * 2);
+}
+
+/// The publisher goes on writing into what it has sent: what was copied and checked once is what counts.
+#[test]
+fn a_header_that_changes_while_it_is_read_changes_nothing() {
+    let own = Own::new();
+    let hostile = Hostile::new(&own);
+    let mut client = client(&own);
+    let over = AtomicBool::new(false);
+    let over = &over;
+    let place = hostile.send(&honest(0), &honest_preamble());
+    let file = File::options().write(true).open(&place.0).unwrap();
+    drop(client.next(SOON).unwrap());
+    let (mut taken, mut refused, mut changed) = (0, 0, 0);
+    std::thread::scope(|scope| {
+        let _ends = Ends(over);
+        scope.spawn(|| scribble(&file, place.1, over));
+        for sequence in 1..400 {
+            hostile.send(&honest(sequence), &honest_preamble());
+            match client.next(SOON) {
+                Ok(sweep) => {
+                    changed += usize::from(hold(&sweep.unwrap()));
+                    taken += 1;
+                }
+                Err(ClientError::Layout { .. }) => refused += 1,
+                Err(other) => panic!("{other}"),
+            }
+        }
+    });
+    assert!(taken > 20 && refused + changed > 20, "{taken} taken, {refused} refused, {changed} changed while held");
+    assert!(changed > 0, "the header was never changed while it was held");
+}
+
+/// Ends the other thread, however this one ends.
+struct Ends<'a>(&'a AtomicBool);
+
+impl Drop for Ends<'_> {
+    fn drop(&mut self) {
+        self.0.store(true, Ordering::Relaxed);
+    }
+}
+
+/// Writes sound and senseless headers over the places of the samples near a known one, as a process of the same user can.
+fn scribble(file: &File, at: u64, over: &AtomicBool) {
+    let mut other = Header::new(&SHAPE);
+    (other.rows, other.columns, other.columns_capacity) = (u32::MAX, u32::MAX, u32::MAX);
+    (other.segments, other.margin_columns, other.flags) = (u32::MAX, u32::MAX, u32::MAX);
+    other.offsets = [u64::MAX; 10];
+    let sound = honest(1);
+    while !over.load(Ordering::Relaxed) {
+        for bytes in [other.as_bytes(), &sound[..size_of::<Header>()]] {
+            file.write_all_at(bytes, at).unwrap();
+            for _ in 0..200 {
+                std::hint::spin_loop();
+            }
+        }
+    }
+}
+
+/// Asks all of a sweep that is being written over; whether its header was changed meanwhile.
+fn hold(sweep: &Sweep) -> bool {
+    let mut was_changed = false;
+    for _ in 0..3 {
+        let view = sweep.view().expect("what was taken stays taken");
+        assert_eq!((view.header.columns as usize, view.columns.len(), view.rows()), (COLUMNS, COLUMNS, SHAPE.rows));
+        assert_eq!((view.range.len(), view.segments.len()), (COLUMNS * SHAPE.rows, 1));
+        assert_eq!(ask_all(&view), COLUMNS * SHAPE.rows * 2);
+        was_changed |= sweep.bytes()[..size_of::<Header>()] != *view.header.as_bytes();
+    }
+    was_changed
+}
+
+/// A client that was refused gets the sweeps of the daemon that comes afterwards.
+#[test]
+fn who_was_refused_goes_on_when_the_daemon_comes() {
+    let own = Own::new();
+    let hostile = Hostile::new(&own);
+    let mut client = client(&own);
+    hostile.send(b"no sweep at all", &preamble(LAYOUT_VERSION, 15));
+    assert!(client.next(SOON).is_err());
+    drop(hostile);
+    comes_back(&own, &mut client);
+}
+
+/// `sweepd watch` with all of its outputs.
+#[test]
+fn watch_shows_or_refuses_whatever_is_sent() {
+    let folder = folder("watch_hostile");
+    for Case { name, bytes, preamble, fate } in cases() {
+        // The others are refused before anything is shown; one of them is enough.
+        if fate != Fate::Taken && name != "noise" && name != "another mark" {
+            continue;
+        }
+        let own = Own::new();
+        let hostile = Hostile::new(&own);
+        let mut watch = Command::new(env!("CARGO_BIN_EXE_sweepd"));
+        watch.args(["watch", "roof", "--sweeps", "2", "--latency", "--root"]).arg(own.root());
+        watch.arg("--csv").arg(&folder).arg("--png").arg(&folder).arg("--pcd").arg(&folder);
+        let mut child = watch.stdout(Stdio::null()).stderr(Stdio::piped()).spawn().unwrap();
+        let begun = Instant::now();
+        while child.try_wait().unwrap().is_none() {
+            hostile.send(&bytes, &preamble);
+            std::thread::sleep(Duration::from_millis(5));
+            assert!(begun.elapsed() < 4 * SOON, "{name}: it does not end");
+        }
+        let output = child.wait_with_output().unwrap();
+        let said = String::from_utf8_lossy(&output.stderr);
+        let is_refused = output.status.code() == Some(1) && said.lines().any(|line| line.starts_with("error: "));
+        assert!(output.status.success() || is_refused, "{name}: {}: {said}", output.status);
+        assert!(!said.chars().any(|one| one.is_control() && one != '\n'), "{name}: {said:?}");
+    }
+}
+
+fn refusing(own: &Own) -> Option<Talk> {
+    check(&["refuse".as_ref(), "roof".as_ref(), own.root().as_ref()])
+}
+
+#[test]
+fn python_takes_or_refuses_whatever_is_sent() {
+    let own = Own::new();
+    let hostile = Hostile::new(&own);
+    let Some(mut python) = refusing(&own) else { return };
+    // To be there from the first on.
+    assert!(python.ask("look")["sweep"].is_null());
+    for Case { name, bytes, preamble, fate } in cases() {
+        let (file, at) = hostile.send(&bytes, &preamble);
+        let said = python.ask("next");
+        match fate {
+            Fate::Taken => {
+                assert!(said["sweep"].is_u64(), "{name}: {said}");
+                // Whoever published it writes on.
+                File::options().write(true).open(file).unwrap().write_all_at(&[0xA5; 448], at).unwrap();
+                let said = python.ask("use");
+                assert_eq!(said["rows"], SHAPE.rows, "{name}: {said}");
+            }
+            Fate::Refused(words) => {
+                let is_told = said["refused"].as_str().is_some_and(|said| said.contains(words));
+                assert!(is_told && said["layout"] == true, "{name}: {said}");
+            }
+        }
+    }
+    assert!(python.end().success());
+}
+
+/// The header for C and C++ and the program that uses it, with every access watched.
+#[test]
+fn cpp_takes_or_refuses_whatever_is_in_a_file() {
+    if !has_compiler("c++") {
+        return;
+    }
+    let folder = folder("hostile");
+    let program = folder.join("consumer");
+    let options = ["-std=c++14", "-O1", "-g", "-fsanitize=address,undefined", "-fno-sanitize-recover=all"];
+    let mut command = Command::new("c++");
+    command.args(options).arg("-DSWEEPD_WITHOUT_ICEORYX2").arg(of_project("examples/consumer.cpp"));
+    let compiled = command.arg("-o").arg(&program).arg("-lm").output().unwrap();
+    assert!(compiled.status.success(), "{}", String::from_utf8_lossy(&compiled.stderr));
+    for Case { name, bytes, preamble, fate } in cases() {
+        // What stands before the bytes is iceoryx2's, and not in a file.
+        if preamble != self::preamble(LAYOUT_VERSION, bytes.len() as u64) {
+            continue;
+        }
+        let file = folder.join("sweep");
+        std::fs::write(&file, &bytes).unwrap();
+        let (status, said) = run(&program, &file);
+        let expected = match fate {
+            Fate::Taken => Some(0),
+            Fate::Refused(_) => Some(1),
+        };
+        assert_eq!(status, expected, "{name}: {said}");
+        assert!(fate == Fate::Taken || said.starts_with("consumer: "), "{name}: {said}");
+    }
+}
+
+fn run(program: &Path, file: &Path) -> (Option<i32>, String) {
+    let output = Command::new(program).arg(file).output().unwrap();
+    (output.status.code(), String::from_utf8_lossy(&output.stderr).chars().take(600).collect())
+}
