@@ -146,6 +146,10 @@ impl Daemon {
         status.unwrap()
     }
 
+    pub fn pid(&self) -> u32 {
+        self.child.id()
+    }
+
     pub fn http_port(&self) -> u16 {
         self.http
     }

@@ -5,6 +5,7 @@ mod control;
 mod counting;
 #[path = "../common/domain.rs"]
 mod domain;
+mod http;
 mod ports;
 mod record;
 mod rig;
