@@ -81,6 +81,9 @@ fn with_headers(count: usize, bytes: usize) -> Vec<u8> {
     format!("GET /health HTTP/1.1\r\nHost: localhost\r\n{headers}\r\n").into_bytes()
 }
 
+/// A name, a request, and the statuses that may come of it; none where the daemon just closes.
+type Case = (&'static str, Vec<u8>, &'static [Option<u16>]);
+
 #[test]
 fn what_is_no_request_or_too_large_is_refused_at_once_and_keeps_no_memory() {
     let (daemon, _) = daemon(80);
@@ -88,7 +91,7 @@ fn what_is_no_request_or_too_large_is_refused_at_once_and_keeps_no_memory() {
     let posted =
         [b"POST /health HTTP/1.1\r\nHost: x\r\nContent-Length: 4000000\r\n\r\n".to_vec(), vec![b'x'; 4_000_000]];
     let endless = [b"GET /health HTTP/1.1\r\nX: ".to_vec(), vec![b'x'; 4_000_000]];
-    let cases: [(&str, Vec<u8>, &[Option<u16>]); 15] = [
+    let cases: [Case; 15] = [
         ("many headers", with_headers(200, 4), &[Some(431)]),
         ("large headers", with_headers(4, 8000), &[Some(431), None]),
         ("a header without end", endless.concat(), &[Some(431), None]),
@@ -157,7 +160,7 @@ fn who_dawdles_and_floods_delays_no_sensor_and_is_not_waited_for() {
 
     // One byte now and then, on all the places that there are.
     let mut dawdlers: Vec<TcpStream> = (0..CONNECTIONS).map(|_| connect(&daemon)).collect();
-    let mut open = vec![true; CONNECTIONS];
+    let mut open = [true; CONNECTIONS];
     let mut most_descriptors = 0;
     while open.contains(&true) {
         for (stream, open) in dawdlers.iter_mut().zip(&mut open).filter(|(_, open)| **open) {
