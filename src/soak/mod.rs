@@ -281,12 +281,13 @@ impl Soak {
 
     /// Ends the daemon between two episodes, or kills it in the middle of its work, and starts it again.
     fn restart(&mut self, is_killed: bool, share: f64) -> Result<(), SoakError> {
-        self.crowd.dismiss_recorders();
         self.outcome.restarts[usize::from(is_killed)] += 1;
         if is_killed {
             let thousandths = self.rng.u64(100..900);
             self.send(share, Some(thousandths))?;
         }
+        // Of those that come while it sends, too.
+        self.crowd.dismiss_recorders();
         let Some(daemon) = self.daemon.take() else { return Ok(()) };
         if is_killed {
             daemon.kill()?
