@@ -90,5 +90,7 @@ pub mod segment;
 pub mod sensor;
 #[cfg(feature = "daemon")]
 pub mod simulate;
+#[cfg(feature = "daemon")]
+pub mod soak;
 pub mod sweep;
 pub mod wire;

@@ -20,6 +20,7 @@ fn main() -> ExitCode {
         Command::Calib(args) => sweepd::cli::calib::run(&args),
         Command::Config(args) => sweepd::cli::config::run(&args),
         Command::Simulate(args) => sweepd::cli::simulate::run(&args),
+        Command::Soak(args) => sweepd::cli::soak::run(&args),
     };
     match done {
         Ok(()) => ExitCode::SUCCESS,

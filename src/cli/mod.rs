@@ -20,6 +20,7 @@ pub mod send;
 pub mod signals;
 pub mod simulate;
 pub mod sink;
+pub mod soak;
 pub mod summary;
 pub mod watch;
 
@@ -38,6 +39,7 @@ use crate::daemon::tap::TapError;
 use crate::export::ExportError;
 use crate::publish::PublishError;
 use crate::sensor::CalibrationError;
+use crate::soak::SoakError;
 
 /// Turns the packets of a spinning Velodyne into labelled range images
 #[derive(Debug, Parser)]
@@ -76,6 +78,8 @@ pub enum Command {
     Config(config::Args),
     /// Be a sensor that is not there: send its packets, or write them to a capture
     Simulate(Box<simulate::Args>),
+    /// Run a daemon through a day of faults, faster than life, and see that nothing grows and all is counted
+    Soak(soak::Args),
 }
 
 /// Why a command did not do all that was asked.
@@ -135,6 +139,9 @@ pub enum CliError {
         /// What the system says.
         source: io::Error,
     },
+    /// The daemon did not bear a soak.
+    #[error(transparent)]
+    Soak(#[from] SoakError),
     /// Options that contradict each other, or a value that cannot be meant.
     #[error("{0}")]
     Usage(String),

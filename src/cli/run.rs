@@ -63,7 +63,9 @@ fn log(level: Option<tracing::Level>) -> Result<(), CliError> {
         (None, Ok(directives)) => EnvFilter::try_new(directives).map_err(wrong)?,
         (None, Err(_)) => EnvFilter::new("info"),
     };
-    let lines = tracing_subscriber::fmt().with_env_filter(filter).with_writer(std::io::stderr);
+    // When nobody reads the log any more, the sensors go on: complaining of that on standard error would panic.
+    let lines =
+        tracing_subscriber::fmt().with_env_filter(filter).with_writer(std::io::stderr).log_internal_errors(false);
     if journal::hears_stderr() {
         lines.event_format(Prioritised::default()).init();
     } else {

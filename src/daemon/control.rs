@@ -24,6 +24,9 @@ use super::tap::socket_path;
 use super::tee::Tees;
 use crate::pipeline::{Fault, Notice};
 
+/// From one attempt to start to the next, at first and at most.
+const RETRY: (Duration, Duration) = (Duration::from_millis(250), Duration::from_secs(2));
+
 /// A configuration that was read anew.
 #[derive(Clone, Debug)]
 pub struct Reload {
@@ -50,12 +53,52 @@ pub fn run<S: Sharing>(config: Config, sharing: &S, root: &Path, reread: Reread)
     let tokio = tokio::runtime::Builder::new_current_thread().enable_all().build().map_err(failed)?;
     tokio.block_on(async {
         // Before anything is opened, so that no signal leaves it half done.
-        let signals = Signals::new().map_err(|source| DaemonError::System { what: "handle signals", source })?;
+        let mut signals = Signals::new().map_err(|source| DaemonError::System { what: "handle signals", source })?;
         let http = listen(config.daemon.http).await?;
         let mut tees = Tees::open(Some(socket_path(root)));
-        let runtime = Runtime::start(&config, sharing, &mut tees)?;
+        let mut start = || Runtime::start(&config, sharing, &mut tees);
+        let Some(runtime) = started(&mut start, (root, http.as_ref()), &mut signals).await? else { return Ok(()) };
         Control::new(config, (runtime, tees), reread, root).serve(signals, http).await
     })
+}
+
+/// Starts, again and again while what is missing may come: at boot, the network may not be there yet. `None` when it was
+/// asked to end meanwhile. A reload ends it too: then systemd starts it with the new configuration.
+async fn started(
+    start: &mut dyn FnMut() -> Result<Runtime, DaemonError>,
+    (root, http): (&Path, Option<&TcpListener>),
+    signals: &mut Signals,
+) -> Result<Option<Runtime>, DaemonError> {
+    let (mut notifier, mut pause, mut told) = (Notifier::default(), RETRY.0, String::new());
+    loop {
+        let error = match start() {
+            Ok(runtime) => return Ok(Some(runtime)),
+            Err(error) if error.may_pass() => error,
+            Err(error) => return Err(error),
+        };
+        let why = format!("{error}; it is waited for");
+        notifier.waits(&why, 2 * RETRY.1);
+        if why != told {
+            warn!("{why}");
+        }
+        let view = Arc::new(Mutex::new(View::waiting(why.clone(), root.to_owned())));
+        told = why;
+        tokio::select! {
+            () = tokio::time::sleep(pause) => {}
+            never = serve_health(http, view) => match never {},
+            _ = signals.terminate.recv() => return Ok(None),
+            _ = signals.interrupt.recv() => return Ok(None),
+            _ = signals.reload.recv() => return Err(error),
+        }
+        pause = (2 * pause).min(RETRY.1);
+    }
+}
+
+async fn serve_health(http: Option<&TcpListener>, view: Arc<Mutex<View>>) -> std::convert::Infallible {
+    match http {
+        Some(listener) => health::serve(listener, view).await,
+        None => pending().await,
+    }
 }
 
 struct Signals {
@@ -97,6 +140,8 @@ struct Control {
     pulse: Pulse,
     /// Threads that hang, as told last.
     hanging: Vec<usize>,
+    /// Ports whose interfaces are gone, as told last.
+    gone: Vec<usize>,
     notifier: Notifier,
     view: Arc<Mutex<View>>,
 }
@@ -112,7 +157,19 @@ impl Control {
         let view = View::new(Arc::clone(&runtime.sensors), Arc::clone(&runtime.ports), root.to_owned());
         let (begun, view) = (Instant::now(), Arc::new(Mutex::new(view)));
         let notifier = Notifier::default();
-        Self { config, runtime, tees, reread, begun, watchers, pulse, hanging: Vec::new(), notifier, view }
+        Self {
+            config,
+            runtime,
+            tees,
+            reread,
+            begun,
+            watchers,
+            pulse,
+            hanging: Vec::new(),
+            gone: Vec::new(),
+            notifier,
+            view,
+        }
     }
 
     async fn serve(mut self, mut signals: Signals, http: Option<TcpListener>) -> Result<(), DaemonError> {
@@ -120,12 +177,7 @@ impl Control {
             info!("{}: waiting for packets from {} on port {}", status.name, status.address, status.port);
         }
         let view = Arc::clone(&self.view);
-        let serving = async move {
-            match http {
-                Some(listener) => health::serve(listener, view).await,
-                None => pending().await,
-            }
-        };
+        let serving = serve_health(http.as_ref(), view);
         let mut ticks = ticks(self.pulse.interval());
         self.notifier.ready();
         tokio::pin!(serving);
@@ -167,8 +219,21 @@ impl Control {
             self.notifier.feed();
         }
         self.hanging = hanging;
+        self.look_at_interfaces();
         self.tell();
         Ok(())
+    }
+
+    fn look_at_interfaces(&mut self) {
+        let ports = self.runtime.ports.iter().enumerate();
+        let gone: Vec<usize> = ports.filter(|(_, port)| port.counters.is_interface_gone()).map(|(at, _)| at).collect();
+        for &index in gone.iter().filter(|index| !self.gone.contains(index)) {
+            warn!("{}", health::interface_gone(&self.runtime.ports[index]));
+        }
+        for &index in self.gone.iter().filter(|index| !gone.contains(index)) {
+            info!("port {}: its interface is back", self.port(index));
+        }
+        self.gone = gone;
     }
 
     fn hear_events(&mut self) {

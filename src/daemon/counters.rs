@@ -2,7 +2,7 @@
 //!
 //! A reader sees each number as it was a moment ago; two of them need not be of the same moment.
 
-use std::sync::atomic::{AtomicI32, AtomicU8, AtomicU32, AtomicU64, Ordering::Relaxed};
+use std::sync::atomic::{AtomicBool, AtomicI32, AtomicU8, AtomicU32, AtomicU64, Ordering::Relaxed};
 
 use crate::pipeline::Counts;
 use crate::sensor::Model;
@@ -256,6 +256,7 @@ pub struct PortCounters {
     /// Datagrams that the kernel dropped because nobody fetched them in time.
     pub dropped: Counter,
     rejected: [Counter; Reject::ALL.len()],
+    is_interface_gone: AtomicBool,
 }
 
 /// Why a datagram is not let in.
@@ -293,6 +294,16 @@ impl PortCounters {
     /// Counts a datagram that was not let in.
     pub fn reject(&self, reason: Reject) {
         self.rejected[reason as usize].add(1);
+    }
+
+    /// Notes whether the interface that it listens on alone is gone.
+    pub fn set_interface_gone(&self, is_gone: bool) {
+        self.is_interface_gone.store(is_gone, Relaxed);
+    }
+
+    /// Whether the interface that it listens on alone is gone; known a second later, while nothing comes.
+    pub fn is_interface_gone(&self) -> bool {
+        self.is_interface_gone.load(Relaxed)
     }
 
     /// How many datagrams were not let in for a reason.

@@ -47,6 +47,8 @@ pub struct View {
     /// Ports whose threads hang.
     hanging: Vec<String>,
     pub(super) recording: Option<RecordingStatus>,
+    /// What is not there yet, without which nothing can be begun.
+    waits_for: Option<String>,
     /// The folder where consumers find the daemon.
     root: PathBuf,
     begun: Instant,
@@ -57,7 +59,21 @@ impl View {
     pub fn new(sensors: Arc<[SensorStatus]>, ports: Arc<[PortStatus]>, root: PathBuf) -> Self {
         let waiting = (State::Waiting, Some("has not been looked at yet".to_owned()));
         let states = vec![waiting; sensors.len()];
-        Self { sensors, ports, states, hanging: Vec::new(), recording: None, root, begun: Instant::now() }
+        Self {
+            sensors,
+            ports,
+            states,
+            hanging: Vec::new(),
+            recording: None,
+            waits_for: None,
+            root,
+            begun: Instant::now(),
+        }
+    }
+
+    /// A daemon that waits for something, as the sentence says, and has opened nothing yet.
+    pub fn waiting(why: String, root: PathBuf) -> Self {
+        Self { waits_for: Some(why), ..Self::new(Arc::new([]), Arc::new([]), root) }
     }
 
     /// Takes how the sensors are, the names of the ports whose threads hang, and how the recording is.
@@ -82,9 +98,19 @@ impl View {
             sensor.sharing.trouble().map(|why| format!("{}: sweeps reach nobody: {why}", sensor.name))
         });
         let hanging = self.hanging.iter().map(|port| format!("the thread of port {port} hangs"));
+        let is_gone = |port: &&PortStatus| port.counters.is_interface_gone();
+        let gone = self.ports.iter().filter(is_gone).map(interface_gone);
         let failed = self.recording.as_ref().and_then(|recording| recording.trouble.as_ref());
         let unrecorded = failed.map(|why| format!("nothing is recorded: {why}"));
-        sensors.chain(unshared).chain(hanging).chain(unrecorded).collect()
+        self.waits_for
+            .clone()
+            .into_iter()
+            .chain(sensors)
+            .chain(unshared)
+            .chain(hanging)
+            .chain(gone)
+            .chain(unrecorded)
+            .collect()
     }
 
     /// All of it, as JSON; and whether all is well.
@@ -107,6 +133,12 @@ impl View {
         });
         (is_well, report)
     }
+}
+
+/// What is told of a port whose interface is gone.
+pub(super) fn interface_gone(port: &PortStatus) -> String {
+    let interface = port.interface.as_deref().unwrap_or_default();
+    format!("port {}: the interface {interface} is gone; it is listened on again when it is back", port.name)
 }
 
 fn sensor(sensor: &SensorStatus, (state, complaint): &(State, Option<String>)) -> Value {
@@ -163,7 +195,7 @@ fn recording(recording: &RecordingStatus) -> Value {
 }
 
 /// Answers until the daemon ends.
-pub async fn serve(listener: TcpListener, view: Arc<Mutex<View>>) -> Infallible {
+pub async fn serve(listener: &TcpListener, view: Arc<Mutex<View>>) -> Infallible {
     let places = Arc::new(Semaphore::new(CONNECTIONS));
     loop {
         let Ok((stream, _)) = listener.accept().await else {

@@ -18,6 +18,12 @@ impl Notifier {
         self.send(&[NotifyState::Ready]);
     }
 
+    /// It goes on waiting for so long for what is not there yet; systemd must not take that for a start that hangs.
+    pub fn waits(&mut self, why: &str, more: Duration) {
+        self.status(why);
+        self.send(&[NotifyState::ExtendTimeoutUsec(u32::try_from(more.as_micros()).unwrap_or(u32::MAX))]);
+    }
+
     /// The configuration is being read anew. systemd before version 253 ignores the time, and later ones want it.
     pub fn reloading(&mut self) {
         match NotifyState::monotonic_usec_now() {

@@ -10,7 +10,7 @@ use std::net::{IpAddr, SocketAddr};
 use std::sync::Arc;
 use std::sync::atomic::{AtomicBool, Ordering};
 use std::sync::mpsc::{Receiver, SyncSender};
-use std::time::Duration;
+use std::time::{Duration, Instant};
 
 use super::counters::{PortCounters, SensorCounters};
 use super::door::{Admitted, Door};
@@ -31,7 +31,9 @@ const BUSY: Duration = Duration::from_millis(5);
 /// How long to wait while none come: how soon the thread hears that the daemon ends.
 const IDLE: Duration = Duration::from_millis(50);
 /// After so long without packets none come.
-const QUIET_NS: i64 = 1_000_000_000;
+const QUIET: Duration = Duration::from_secs(1);
+/// How often it is looked at the interface, while nothing comes.
+const LOOK_EVERY: Duration = Duration::from_secs(1);
 /// How long packets may wait in the socket while no sweep is about to end: each time that the thread is woken costs as much as
 /// decoding some packets.
 const NAP_NS: i64 = 10_000_000;
@@ -106,6 +108,34 @@ pub struct Port<B: Buffers> {
     pub counters: Arc<PortCounters>,
     /// Set when the daemon ends.
     pub over: Arc<AtomicBool>,
+    /// The newest packet that was let in.
+    pub newest: Newest,
+}
+
+/// When the newest packet came, by the clock that stamps packets and by one that nobody sets.
+///
+/// The kernel stamps packets by CLOCK_REALTIME, which may be stepped by hours. How long it has been quiet is therefore told
+/// by CLOCK_MONOTONIC: else a step would close an open sweep, or keep one open for as long as the clock was set back.
+#[derive(Clone, Copy, Debug, Default)]
+pub struct Newest(Option<(i64, Instant)>);
+
+impl Newest {
+    /// Takes the stamp of the newest packet of a batch, if there was one.
+    fn note(&mut self, stamp_ns: Option<i64>, now: Instant) {
+        self.0 = stamp_ns.map(|stamp_ns| (stamp_ns, now)).or(self.0);
+    }
+
+    /// What the kernel would stamp a packet with that came now, had its clock not been set since the newest packet;
+    /// nanoseconds since 1970, `None` before the first one.
+    fn stamp_of(self, now: Instant) -> Option<i64> {
+        let (stamp_ns, at) = self.0?;
+        Some(stamp_ns.saturating_add(now.saturating_duration_since(at).as_nanos() as i64))
+    }
+
+    /// Whether no packets come.
+    fn is_quiet(self, now: Instant) -> bool {
+        self.0.is_none_or(|(_, at)| now.saturating_duration_since(at) > QUIET)
+    }
 }
 
 impl<B: Buffers<Buffer: Outgoing>> Port<B> {
@@ -114,21 +144,27 @@ impl<B: Buffers<Buffer: Outgoing>> Port<B> {
     /// # Errors
     /// [`UdpError::Socket`], when the socket fails and does not recover.
     pub fn serve(mut self) -> Result<(), UdpError> {
-        let (mut newest_ns, mut failures) = (i64::MIN, 0);
+        let (mut failures, mut looked) = (0, Instant::now());
         while !self.over.load(Ordering::Relaxed) {
-            self.nap();
-            let is_quiet = realtime_ns().saturating_sub(newest_ns) > QUIET_NS;
+            // What fills a whole batch has more behind it: a nap would let that pile up.
+            if !self.source.may_hold_more() {
+                self.nap();
+            }
+            let is_quiet = self.newest.is_quiet(Instant::now());
             match self.round(if is_quiet { IDLE } else { BUSY }) {
-                Ok(arrival_ns) => {
-                    failures = 0;
-                    newest_ns = arrival_ns.unwrap_or(newest_ns);
-                }
+                Ok(()) => failures = 0,
                 // An interface that goes down says so once.
                 Err(error) if failures >= FAILURES => return Err(error),
                 Err(_) => {
                     failures += 1;
                     std::thread::sleep(IDLE);
                 }
+            }
+            if is_quiet && looked.elapsed() >= LOOK_EVERY {
+                looked = Instant::now();
+                // One that is back and has no address yet is as good as gone; it is looked at again.
+                let is_there = self.source.follow_interface().unwrap_or(false);
+                self.counters.set_interface_gone(!is_there);
             }
             self.counters.heartbeat.add(1);
         }
@@ -146,9 +182,9 @@ impl<B: Buffers<Buffer: Outgoing>> Port<B> {
         }
     }
 
-    /// One batch, or a wait for one in vain; gives the arrival of its newest packet that was let in.
-    fn round(&mut self, timeout: Duration) -> Result<Option<i64>, UdpError> {
-        let Self { source, door, sensors, others, lane, lanes, counters, .. } = self;
+    /// One batch, or a wait for one in vain.
+    fn round(&mut self, timeout: Duration) -> Result<(), UdpError> {
+        let Self { source, door, sensors, others, lane, lanes, counters, newest, .. } = self;
         while let Ok(next) = lanes.try_recv() {
             *lane = next;
         }
@@ -175,11 +211,13 @@ impl<B: Buffers<Buffer: Outgoing>> Port<B> {
         let dropped = if newest_ns.is_some() { source.dropped_so_far() } else { source.dropped() };
         counters.received.set(source.received());
         counters.dropped.set(dropped);
-        let now_ns = realtime_ns();
+        let now = Instant::now();
+        newest.note(newest_ns, now);
+        let now_ns = newest.stamp_of(now).unwrap_or_else(realtime_ns);
         for served in sensors {
             served.catch_up(now_ns, dropped);
         }
-        Ok(newest_ns)
+        Ok(())
     }
 }
 
@@ -220,5 +258,26 @@ impl<B: Buffers<Buffer: Outgoing>> Served<B> {
         }
         self.sensor.tick(now_ns, dropped);
         self.sensor.tell();
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn a_clock_that_is_set_makes_no_silence_and_hides_none() {
+        let begun = Instant::now();
+        let after = |ms| begun + Duration::from_millis(ms);
+        let mut newest = Newest::default();
+        assert!(newest.is_quiet(begun) && newest.stamp_of(begun).is_none());
+        newest.note(Some(5_000_000_000), begun);
+        // Whatever CLOCK_REALTIME says by now, half a second passed.
+        newest.note(None, after(400));
+        assert_eq!(newest.stamp_of(after(500)), Some(5_500_000_000));
+        assert!(!newest.is_quiet(after(1000)) && newest.is_quiet(after(1001)));
+        // The first packet after the clock was set back by an hour tells what it is now.
+        newest.note(Some(5_600_000_000 - 3_600_000_000_000), after(600));
+        assert_eq!(newest.stamp_of(after(601)), Some(5_601_000_000 - 3_600_000_000_000));
     }
 }

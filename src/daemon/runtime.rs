@@ -15,7 +15,7 @@ use super::config::{Config, PortConfig, SensorConfig, memory};
 use super::counters::{PortCounters, SensorCounters};
 use super::door::Door;
 use super::plan::{self, PortName, PortPlan};
-use super::port::{MAILS, Mail, Mailbox, Port, Served};
+use super::port::{MAILS, Mail, Mailbox, Newest, Port, Served};
 use super::sensor::{Event, Identity, Sensor};
 use super::sharing::{Sharing, SharingError, SharingStatus};
 use super::sys;
@@ -85,6 +85,20 @@ pub enum DaemonError {
         /// The port.
         port: String,
     },
+}
+
+impl DaemonError {
+    /// Whether time may mend it: an address or an interface that the network has not set up yet, as at boot. (A port that
+    /// is taken is not among them: somebody who starts a second daemon is to know.)
+    pub fn may_pass(&self) -> bool {
+        match self {
+            Self::Udp(UdpError::NoSuchAddress { .. }) => true,
+            Self::Udp(UdpError::Interface { source, .. } | UdpError::Join { source, .. }) => source
+                .raw_os_error()
+                .is_some_and(|code| [libc::ENODEV, libc::ENXIO, libc::EADDRNOTAVAIL].contains(&code)),
+            _ => false,
+        }
+    }
 }
 
 /// What is known of a sensor, for whoever asks.
@@ -168,7 +182,8 @@ impl Runtime {
             let (counters, over) = (Arc::clone(&status.counters), Arc::clone(&runtime.over));
             let (order, lanes) = mpsc::channel();
             runtime.lanes.push(order);
-            let port = Port { source, door, sensors: served, others, lane: tees.lane(), lanes, counters, over };
+            let (lane, newest) = (tees.lane(), Newest::default());
+            let port = Port { source, door, sensors: served, others, lane, lanes, counters, over, newest };
             // On an early return, dropping the runtime ends those that run already.
             runtime.threads.push((status.name.clone(), spawn(port, &status.name, &plan.config)?));
             statuses.push(status);

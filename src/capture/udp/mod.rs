@@ -66,6 +66,9 @@ impl UdpConfig {
 /// ```
 #[derive(Debug)]
 pub struct UdpSource {
+    config: UdpConfig,
+    /// The interface's number when the socket was opened.
+    index: Option<NonZeroU32>,
     socket: Socket,
     local: SocketAddrV4,
     buffer: ReceiveBuffer,
@@ -73,6 +76,8 @@ pub struct UdpSource {
     timeout: Option<Duration>,
     drops: DropCounter,
     received: u64,
+    /// Whether the last batch was as large as one can be.
+    was_full: bool,
 }
 
 impl UdpSource {
@@ -100,7 +105,18 @@ impl UdpSource {
         join(&socket, config.multicast, index)?;
         let local = socket.local_addr().map_err(failed)?.as_socket_ipv4().unwrap_or(address);
         let slots = vec![Slot::EMPTY; BATCH].into();
-        Ok(Self { socket, local, buffer, slots, timeout: None, drops: DropCounter::default(), received: 0 })
+        Ok(Self {
+            config: config.clone(),
+            index,
+            socket,
+            local,
+            buffer,
+            slots,
+            timeout: None,
+            drops: DropCounter::default(),
+            received: 0,
+            was_full: false,
+        })
     }
 
     /// Waits for datagrams, at most `timeout` (not at all if it is zero, else at least a millisecond), and gives those that
@@ -143,6 +159,7 @@ impl UdpSource {
             Err(source) => return Err(self.failed(source)),
         };
         self.received += count as u64;
+        self.was_full = count == self.slots.len();
         let arrived = &self.slots[..count];
         let mut drops = self.drops;
         arrived.iter().filter_map(|slot| slot.told.dropped).for_each(|dropped| self.drops.note(dropped));
@@ -162,6 +179,32 @@ impl UdpSource {
     /// Datagrams received so far, of any kind.
     pub fn received(&self) -> u64 {
         self.received
+    }
+
+    /// Looks after the interface, if it listens on one alone: one that went away and came back has another number, and the
+    /// kernel ties a socket to the number. Then the port is opened anew; counters go on. Says whether the interface is there.
+    ///
+    /// This is for quiet times: it asks the system, and may take memory.
+    ///
+    /// # Errors
+    /// [`UdpError`]: the interface is back and cannot be listened on yet, such as without its address.
+    pub fn follow_interface(&mut self) -> Result<bool, UdpError> {
+        let Some(name) = &self.config.interface else { return Ok(true) };
+        match interface_index(name) {
+            Err(_) => Ok(false),
+            Ok(index) if Some(index) == self.index => Ok(true),
+            Ok(_) => {
+                let fresh = Self::bind(&UdpConfig { port: self.local.port(), ..self.config.clone() })?;
+                let (received, dropped) = (self.received, self.dropped());
+                *self = Self { received, drops: DropCounter { last: 0, total: dropped }, ..fresh };
+                Ok(true)
+            }
+        }
+    }
+
+    /// Whether more may wait in the socket: the last call gave as many as one can give. Costs nothing.
+    pub fn may_hold_more(&self) -> bool {
+        self.was_full
     }
 
     /// Datagrams that the kernel had dropped when the last one that was received came; costs nothing.

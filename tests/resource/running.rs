@@ -1,0 +1,179 @@
+//! What goes away while it runs, and comes back.
+
+use std::net::TcpStream;
+use std::process::{Command, Stdio};
+use std::time::{Duration, Instant};
+
+use crate::world::{World, binary, can_unshare};
+
+const DECODED: &str = "sweepd_sweeps_total{sensor=\"roof\"}";
+
+/// Sweeps go on being counted.
+#[track_caller]
+fn goes_on(world: &World) {
+    let (begun, before) = (Instant::now(), world.metric(DECODED));
+    while world.metric(DECODED) < before + 3 {
+        assert!(begun.elapsed() < Duration::from_secs(20), "no sweeps: {}", world.log());
+        std::thread::sleep(Duration::from_millis(50));
+    }
+}
+
+#[test]
+fn a_full_shared_memory_is_told_and_sweeps_are_shared_again_when_there_is_room() {
+    if !can_unshare() {
+        return;
+    }
+    let mut world = World::new();
+    // The model is told by the packets: so the memory is taken when they come.
+    world.configure("", "");
+    world.start(&["-m"], "mount -t tmpfs -o size=64m none /dev/shm");
+    world.until_it_says("waiting for packets");
+    world.inside("head -c 63m /dev/zero > /dev/shm/other 2>/dev/null || true");
+    world.simulate(15.0);
+    world.until_it_says("roof: sweeps reach nobody: /dev/shm has");
+    world.until_health(503, "sweeps reach nobody: /dev/shm has");
+    goes_on(&world);
+    world.inside("rm /dev/shm/other");
+    world.until_it_says("roof: sweeps are shared again");
+    world.until_health(200, "streaming");
+    world.signal("-TERM");
+    assert_eq!(world.end().code(), Some(0));
+}
+
+#[test]
+fn without_descriptors_sweeps_go_on_and_health_answers_again_when_there_are_some() {
+    if !can_unshare() {
+        return;
+    }
+    let mut world = World::new();
+    world.configure("", "");
+    world.start(&["-m"], "");
+    world.until_it_says("waiting for packets");
+    world.simulate(15.0);
+    world.until_health(200, "streaming");
+    let before = world.metric(DECODED);
+    let pid = world.pid();
+    let limit = |files: usize| {
+        let limit = format!("--nofile={files}:4096");
+        assert!(Command::new("prlimit").args(["--pid", &pid.to_string(), &limit]).status().unwrap().success());
+    };
+    // Below all that are open: no more can be had, whichever are free.
+    limit(3);
+    let held: Vec<TcpStream> = (0..5).map(|_| TcpStream::connect(("127.0.0.1", world.http)).unwrap()).collect();
+    assert_eq!(world.ask("/health").0, 0, "nobody can answer");
+    std::thread::sleep(Duration::from_secs(1));
+    limit(1024);
+    drop(held);
+    world.until_health(200, "streaming");
+    assert!(world.metric(DECODED) > before + 8, "sweeps went on");
+    assert!(!world.log().contains("panicked"), "{}", world.log());
+}
+
+#[test]
+fn a_full_disk_ends_the_recording_and_no_sensor_and_it_is_begun_again() {
+    if !can_unshare() {
+        return;
+    }
+    let mut world = World::new();
+    world.configure("", "[record]\npath = \"/mnt/drive.pcap\"\n");
+    world.start(&["-m"], "mount -t tmpfs -o size=256k none /mnt");
+    world.until_it_says("recording to /mnt/drive-000.pcap");
+    world.simulate(20.0);
+    world.until_it_says("the recording has ended: cannot write /mnt/drive-000.pcap: No space left on device");
+    world.until_it_says("free space there, or record to another disk");
+    world.until_health(503, "nothing is recorded: cannot write /mnt/drive-000.pcap");
+    goes_on(&world);
+    world.inside("mount -o remount,size=64m /mnt");
+    world.signal("-HUP");
+    world.until_it_says("recording to /mnt/drive-001.pcap");
+    world.until_health(200, "streaming");
+    world.signal("-TERM");
+    assert_eq!(world.end().code(), Some(0), "{}", world.log());
+}
+
+#[test]
+fn where_nothing_can_be_written_nothing_is_recorded_and_the_sensors_go_on() {
+    if !can_unshare() {
+        return;
+    }
+    for (script, why) in [
+        (
+            "mount -t tmpfs -o ro none /mnt",
+            "Read-only file system (os error 30); choose a folder that this user may write to",
+        ),
+        ("mount -t tmpfs none /mnt\nmkdir /mnt/drive-000.pcap\nmount -o remount,ro /mnt", "Read-only file system"),
+    ] {
+        let mut world = World::new();
+        world.configure("", "[record]\npath = \"/mnt/drive.pcap\"\n");
+        world.start(&["-m"], script);
+        world.until_it_says("nothing is recorded: cannot write /mnt/drive-0");
+        assert!(world.log().contains(why), "{}", world.log());
+        world.simulate(5.0);
+        world.until_health(503, "nothing is recorded: cannot write /mnt/drive-0");
+        goes_on(&world);
+        world.inside("mount -o remount,rw /mnt");
+        world.signal("-HUP");
+        world.until_it_says("recording to /mnt/drive-0");
+    }
+}
+
+#[test]
+fn a_log_that_nobody_reads_any_more_stops_nothing() {
+    if !can_unshare() {
+        return;
+    }
+    let mut world = World::new();
+    world.configure("", "");
+    let (reader, writer) = std::io::pipe().unwrap();
+    world.start_with_log(&["-m"], "", Stdio::from(writer));
+    world.simulate(10.0);
+    world.until_health(200, "streaming");
+    drop(reader);
+    // A line for each of these.
+    for _ in 0..3 {
+        world.signal("-HUP");
+        std::thread::sleep(Duration::from_millis(100));
+    }
+    goes_on(&world);
+    world.signal("-TERM");
+    assert_eq!(world.end().code(), Some(0));
+}
+
+#[test]
+fn an_interface_that_goes_away_and_comes_back_is_listened_on_again() {
+    if !can_unshare() {
+        return;
+    }
+    let mut world = World::new();
+    world.configure("bind = \"0.0.0.0\"\ninterface = \"lidar0\"\naddress = \"10.77.0.2\"\n", "");
+    let mut sensor = Command::new("unshare");
+    let sensor = world.background({
+        sensor.args(["-n", "sleep", "60"]);
+        sensor
+    });
+    world.start(&["-m", "-n"], "ip link set lo up");
+    world.until_it_says("cannot listen on interface lidar0");
+    world.until_health(503, "cannot listen on interface lidar0");
+    for times in 1..=2 {
+        world.inside(&format!(
+            "ip link add lidar0 type veth peer name sensor0 netns {sensor}\nip address add 10.77.0.1/24 dev lidar0\n\
+             ip link set lidar0 up\n\
+             nsenter -t {sensor} -n sh -ec 'ip address add 10.77.0.2/24 dev sensor0; ip link set sensor0 up'"
+        ));
+        if times == 1 {
+            world.until_it_says("listening on port ");
+        } else {
+            world.until_it_says("its interface is back");
+        }
+        let (to, pid) = (format!("10.77.0.1:{}", world.port), sensor.to_string());
+        let mut simulate = Command::new("nsenter");
+        simulate.args(["-t", &pid, "-n", &binary(), "simulate", "--model", "vlp16", "--seconds", "6", "--to", &to]);
+        world.background(simulate);
+        world.until_it_says_again("roof: streaming, VLP-16", times);
+        world.inside("ip link delete lidar0");
+        world.until_it_says_again("the interface lidar0 is gone", times);
+        world.until_health(503, "the interface lidar0 is gone");
+    }
+    world.signal("-TERM");
+    assert_eq!(world.end().code(), Some(0), "{}", world.log());
+}

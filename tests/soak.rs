@@ -1,0 +1,21 @@
+//! The soak in short: half a minute of two sensors, with faults, restarts and consumers that hang and die.
+
+use std::process::{Command, Stdio};
+
+#[test]
+fn half_a_minute_with_faults_restarts_and_dying_consumers_is_counted_exactly_and_leaves_nothing() {
+    let args = ["soak", "--hours", "0.008", "--seed", "3", "--consumer-every", "0.1", "--every", "1"];
+    let mut command = Command::new(env!("CARGO_BIN_EXE_sweepd"));
+    let child = command.args(args).stdin(Stdio::null()).stdout(Stdio::piped()).stderr(Stdio::piped()).spawn().unwrap();
+    let folder = std::env::temp_dir().join(format!("sweepd-soak-{}", child.id()));
+    let done = child.wait_with_output().unwrap();
+    let [out, errors] = [done.stdout, done.stderr].map(|text| String::from_utf8(text).unwrap());
+    assert!(done.status.success(), "{out}{errors}");
+    assert!(out.contains("injected = counted, exactly, after each of 3 episodes"), "{out}");
+    assert!(out.contains("daemon: ended 0 times, killed 1 times"), "{out}");
+    assert!(!folder.exists(), "{} is left", folder.display());
+    let prefix = sweepd::client::Domain::at(folder.join("iox2")).prefix();
+    let left = std::fs::read_dir("/dev/shm").unwrap().flatten();
+    let left = left.filter(|entry| entry.file_name().to_string_lossy().starts_with(&prefix)).count();
+    assert_eq!(left, 0, "files of {prefix} in shared memory");
+}
