@@ -41,6 +41,8 @@ pub struct Pipeline<B: Buffers, W: Stopwatch> {
     /// What was spent on the open sweep so far.
     spent: Spent,
     counts: Counts,
+    /// Sweeps of the sensors that were there before this one.
+    sweeps: u64,
     /// Ordinal of the next data packet.
     next_number: u64,
     closing: Closing,
@@ -96,6 +98,7 @@ impl<B: Buffers, W: Stopwatch> Pipeline<B, W> {
             segmenter,
             spent: Spent::default(),
             counts,
+            sweeps: 0,
             next_number: 0,
             closing: Closing::No,
             notices: Vec::new(),
@@ -297,7 +300,10 @@ impl<B: Buffers, W: Stopwatch> Pipeline<B, W> {
         if std::mem::replace(&mut self.closing, Closing::No) == Closing::Exchanged {
             self.counts = self.counts();
             let (buffers, clocks) = match std::mem::replace(&mut self.state, State::Refusing) {
-                State::Decoding(decoding) => decoding.builder.into_parts(),
+                State::Decoding(decoding) => {
+                    self.sweeps = decoding.builder.sequence;
+                    decoding.builder.into_parts()
+                }
                 State::Calibrating(calibrating) => (calibrating.buffers, calibrating.clocks),
                 other => {
                     self.state = other;
