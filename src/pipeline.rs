@@ -25,7 +25,7 @@ use crate::sweep::clock::Clocks;
 use crate::sweep::order::OrderCounts;
 use crate::sweep::{Buffers, SweepMut};
 use crate::wire::position::POSITION_PACKET_LEN;
-use crate::wire::{DataPacket, Datagram};
+use crate::wire::{DataPacket, Datagram, TIMES_NS};
 use state::{Decoding, State, Waiting};
 
 /// After so much silence the open sweep is closed as it is.
@@ -41,6 +41,8 @@ pub struct Pipeline<B: Buffers, W: Stopwatch> {
     /// What was spent on the open sweep so far.
     spent: Spent,
     counts: Counts,
+    /// Sweeps of the sensors that were there before this one.
+    sweeps: u64,
     /// Ordinal of the next data packet.
     next_number: u64,
     closing: Closing,
@@ -78,6 +80,11 @@ enum Closing {
     Exchanged,
 }
 
+/// A time as a clock can tell it: sums with others do not overflow then, whatever whoever calls made of it.
+fn possible(arrival_ns: i64) -> i64 {
+    arrival_ns.clamp(*TIMES_NS.start(), *TIMES_NS.end())
+}
+
 impl<B: Buffers, W: Stopwatch> Pipeline<B, W> {
     /// A pipeline for the sensor of this name, which has seen nothing yet.
     ///
@@ -96,6 +103,7 @@ impl<B: Buffers, W: Stopwatch> Pipeline<B, W> {
             segmenter,
             spent: Spent::default(),
             counts,
+            sweeps: 0,
             next_number: 0,
             closing: Closing::No,
             notices: Vec::new(),
@@ -107,6 +115,7 @@ impl<B: Buffers, W: Stopwatch> Pipeline<B, W> {
     /// # Errors
     /// [`Fault`], once, when the packets turn out to be of no model that can be decoded; all that follow are counted.
     pub fn push(&mut self, datagram: &Datagram<'_>) -> Result<(), Fault> {
+        let datagram = &Datagram { arrival_ns: possible(datagram.arrival_ns), ..*datagram };
         if datagram.payload.len() == POSITION_PACKET_LEN {
             self.position(datagram);
             return Ok(());
@@ -297,7 +306,10 @@ impl<B: Buffers, W: Stopwatch> Pipeline<B, W> {
         if std::mem::replace(&mut self.closing, Closing::No) == Closing::Exchanged {
             self.counts = self.counts();
             let (buffers, clocks) = match std::mem::replace(&mut self.state, State::Refusing) {
-                State::Decoding(decoding) => decoding.builder.into_parts(),
+                State::Decoding(decoding) => {
+                    self.sweeps = decoding.builder.sequence;
+                    decoding.builder.into_parts()
+                }
                 State::Calibrating(calibrating) => (calibrating.buffers, calibrating.clocks),
                 other => {
                     self.state = other;

@@ -393,6 +393,14 @@ fn entities_do_not_explode() {
     let long = "x".repeat(1_000_000);
     let text = format!("<!DOCTYPE a [<!ENTITY b \"{long}\">]>\n<a>{}</a>", "&b;".repeat(500_000));
     assert!(refused(db_xml::parse(&text, "db.xml")).contains("declares an entity"));
+    // Each attribute of a tag is compared with all others; each element keeps the namespaces around it.
+    let attributes: String = (0..25_000).map(|n| format!(" a{n}='>'")).collect();
+    assert!(refused(db_xml::parse(&format!("<a{attributes}/>"), "db.xml")).contains("more than 2000 attributes"));
+    let spaces: String = (0..15_000).map(|n| format!("<a xmlns:b{n}=''>")).collect();
+    assert!(refused(db_xml::parse(&spaces, "db.xml")).contains("declares a namespace"));
+    // What the parser says of a name as long as the file is not as long as the file.
+    let name = refused(db_xml::parse(&format!("<a></{}>", "b".repeat(200_000)), "db.xml"));
+    assert!(name.ends_with('…'), "{name}");
     let deep = "<a>".repeat(300_000);
     refused(db_xml::parse(&deep, "db.xml"));
     let bomb = format!(

@@ -619,6 +619,8 @@ fn another_model_on_the_same_address_is_detected_anew() {
     assert_counts(&run, Counts { foreign: 8, ..Counts::default() });
     let rows: Vec<usize> = run.views().iter().map(|sweep| sweep.rows()).collect();
     assert_eq!(rows, [16, 16, 16, 32, 32, 32]);
+    // One run, whose sweeps are counted through.
+    assert_eq!(run.views().iter().map(|sweep| sweep.header.sequence).collect::<Vec<_>>(), [0, 1, 2, 3, 4, 5]);
     assert_eq!(run.decoded().len(), arrived.len() - 8);
     assert!(run.decoded().contains(&(own - 1)));
 }

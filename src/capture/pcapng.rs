@@ -13,6 +13,7 @@ use super::error::{Damage, Stop};
 use super::input::{Input, Order};
 use super::link::LinkType;
 use super::pcap::{Head, MAX_RECORD_LEN};
+use crate::wire::TIMES_NS;
 
 const INTERFACE: u32 = 1;
 const OBSOLETE_PACKET: u32 = 2;
@@ -20,9 +21,6 @@ const SIMPLE_PACKET: u32 = 3;
 const ENHANCED_PACKET: u32 = 6;
 const SECTION: u32 = 0x0A0D_0D0A;
 const BYTE_ORDER_MARK: u32 = 0x1A2B_3C4D;
-/// The times that a record can have, nanoseconds since 1970: the years 1897 to 2116, beyond what classic pcap can say.
-/// Differences of such times, and their sums with sensor time, cannot overflow.
-const TIMES_NS: (i64, i64) = (i64::MIN / 4, i64::MAX / 2);
 
 /// Two lengths and a type.
 const FRAME_LEN: u32 = 12;
@@ -227,7 +225,7 @@ impl Clock {
             10_i128.checked_pow(exponent - 9).map_or(0, |ticks_per_ns| ticks / ticks_per_ns)
         };
         let time = since_offset + i128::from(self.offset_s) * SECOND;
-        time.clamp(TIMES_NS.0.into(), TIMES_NS.1.into()) as i64
+        time.clamp((*TIMES_NS.start()).into(), (*TIMES_NS.end()).into()) as i64
     }
 }
 
@@ -256,8 +254,8 @@ mod tests {
     fn offsets_are_seconds_and_signed_and_absurd_times_saturate() {
         assert_eq!(time_ns(6, 1_700_000_000, 7), 1_700_000_000_000_007_000);
         assert_eq!(time_ns(9, -2, 500_000_000), -1_500_000_000);
-        assert_eq!(time_ns(0, 0, u64::MAX), TIMES_NS.1);
-        assert_eq!(time_ns(0, i64::MIN, 0), TIMES_NS.0);
+        assert_eq!(time_ns(0, 0, u64::MAX), *TIMES_NS.end());
+        assert_eq!(time_ns(0, i64::MIN, 0), *TIMES_NS.start());
     }
 
     #[test]

@@ -167,7 +167,7 @@ impl<B: Buffers, W: Stopwatch> Pipeline<B, W> {
         let mut order = Order::new(decoder.spec);
         order.expect_rate(rate_cdeg_ns);
         let mut builder = Builder::new(buffers, decoder, self.settings());
-        builder.clocks = clocks;
+        (builder.clocks, builder.sequence) = (clocks, self.sweeps);
         builder.expect_rate(rate_cdeg_ns);
         let product = waiting.last().map_or(0, |packet| packet.bytes.product);
         let unit = unit.map(|unit| (unit, calibration));

@@ -45,18 +45,17 @@ const SIZES: [usize; 4] = [16, 32, 64, 128];
 /// Nodes of the largest file that is still read; the real ones have about 4000.
 const MAX_NODES: u32 = 100_000;
 
+/// Attributes of the largest file that is still read, told by their `=`; the real ones have about 160. Those of a tag are
+/// compared with each other, and so tens of thousands take far too long.
+const MAX_ATTRIBUTES: usize = 2000;
+
 /// Reads the text of a file named `file` (for messages).
 ///
 /// # Errors
 /// [`CalibrationError::At`] with file, line and key.
 pub fn parse(text: &str, file: &str) -> Result<Calibration, CalibrationError> {
     let text = text.trim_start_matches('\u{feff}');
-    // The form has an empty document type, which must be allowed. Entities of one's own need `<!ENTITY`, and without
-    // them nothing can unfold to more text than there is.
-    if let Some(offset) = text.find("<!ENTITY") {
-        let line = 1 + text[..offset].matches('\n').count();
-        return Err(at(file, line, "declares an entity (<!ENTITY), which no db.xml does"));
-    }
+    refuse_what_no_db_xml_has(text, file)?;
     let options = ParsingOptions { allow_dtd: true, nodes_limit: MAX_NODES, ..ParsingOptions::default() };
     let document = Document::parse_with_options(text, options).map_err(|error| xml_error(&error, file))?;
     let reader = Reader { file, lines: text.match_indices('\n').map(|(offset, _)| offset).collect() };
@@ -83,6 +82,23 @@ pub fn parse(text: &str, file: &str) -> Result<Calibration, CalibrationError> {
     table.lasers.retain(|_| channel.next().is_some_and(|&channel| channel < used));
     table.count = None;
     table.calibration()
+}
+
+/// What takes a parser of XML more time or memory than a file of this size should.
+fn refuse_what_no_db_xml_has(text: &str, file: &str) -> Result<(), CalibrationError> {
+    let line = |offset: usize| 1 + text[..offset].matches('\n').count();
+    // The form has an empty document type, which must be allowed. Entities of one's own need `<!ENTITY`, and without
+    // them nothing can unfold to more text than there is. Every element keeps all namespaces around it.
+    let words = [("<!ENTITY", "declares an entity (<!ENTITY)"), ("xmlns", "declares a namespace (xmlns)")];
+    for (word, what) in words {
+        if let Some(offset) = text.find(word) {
+            return Err(at(file, line(offset), format!("{what}, which no db.xml does")));
+        }
+    }
+    if let Some((offset, _)) = text.match_indices('=').nth(MAX_ATTRIBUTES) {
+        return Err(at(file, line(offset), format!("more than {MAX_ATTRIBUTES} attributes, which no db.xml has")));
+    }
+    Ok(())
 }
 
 /// Finds things in the document and knows on which line they stand.

@@ -79,9 +79,17 @@ pub(super) struct Table<'a> {
     pub line: usize,
 }
 
+/// Longest message, bytes. What the parsers say of themselves quotes names as long as a file can hold.
+const MAX_MESSAGE_LEN: usize = 180;
+
 /// An error on a line of a file.
 pub(super) fn at(file: &str, line: usize, message: impl Into<String>) -> CalibrationError {
-    CalibrationError::At { file: file.to_owned(), line, message: message.into() }
+    let mut message = message.into();
+    if message.len() > MAX_MESSAGE_LEN {
+        message.truncate(message.floor_char_boundary(MAX_MESSAGE_LEN));
+        message.push('…');
+    }
+    CalibrationError::At { file: file.to_owned(), line, message }
 }
 
 /// Text from a file for a message: quoted, on one line, and not too long.

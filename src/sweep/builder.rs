@@ -39,7 +39,8 @@ pub struct Builder<B: Buffers> {
     turns: Turns,
     cursor: Option<Cursor>,
     last_firing_ns: i64,
-    sequence: u64,
+    /// Sweeps before the next one, those of other models included; see [`Header::sequence`](super::Header::sequence).
+    pub sequence: u64,
     last_rpm: Option<f32>,
     /// Turning rate over the last sweep that tells one, hundredths of a degree a nanosecond; negative when reversed.
     last_rate_cdeg_ns: Option<f64>,

@@ -18,6 +18,10 @@ const STEP_NS: i64 = 500_000_000;
 /// Packets in a row that must agree before the host clock counts as stepped.
 const STEP_PACKETS: u32 = 50;
 
+/// Farthest sensor time, either way: 36 years, which only stamps that jump for hours can make. What is added to such a time
+/// cannot overflow.
+const FARTHEST_NS: i64 = i64::MAX / 8;
+
 /// Brings stamps of the sensor, which begin anew each hour, onto one line of time.
 #[derive(Clone, Copy, Debug, Default)]
 pub struct SensorClock {
@@ -26,9 +30,9 @@ pub struct SensorClock {
 
 impl SensorClock {
     /// Nanoseconds since the top of the hour in which this clock was started: the time next to the last one that has this
-    /// stamp. Stamps slightly above an hour occur and do no harm.
+    /// stamp. Stamps slightly above an hour occur and do no harm. Beyond any time that a run can last, it starts anew.
     pub fn read_ns(&self, stamp_us: u32) -> i64 {
-        match self.last {
+        match self.last.filter(|(_, last_ns)| last_ns.unsigned_abs() < FARTHEST_NS as u64) {
             None => i64::from(stamp_us) * 1000,
             Some((last_us, last_ns)) => {
                 let forward = (i64::from(stamp_us) - i64::from(last_us)).rem_euclid(i64::from(HOUR_US));
@@ -144,6 +148,19 @@ mod tests {
         clock.set(327, HOUR_NS + 327_000);
         assert_eq!(clock.read_ns(3_599_999_000), 3_599_999_000_000);
         assert_eq!(clock.read_ns(1_654), HOUR_NS + 1_654_000);
+    }
+
+    /// Half an hour with each stamp, for as many years as fit into the numbers and on.
+    #[test]
+    fn stamps_that_jump_for_ages_do_not_overflow() {
+        let mut clock = SensorClock::default();
+        clock.set(0, FARTHEST_NS - HOUR_NS);
+        for stamp_us in [1_799_999_999, 3_599_999_998, 1_799_999_997, 3_599_999_996, 5] {
+            let time_ns = clock.read_ns(stamp_us);
+            assert!(time_ns.abs() < FARTHEST_NS + HOUR_NS, "{time_ns}");
+            clock.set(stamp_us, time_ns);
+        }
+        assert!(clock.read_ns(7) < 3 * HOUR_NS);
     }
 
     #[test]

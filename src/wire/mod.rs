@@ -9,6 +9,7 @@ pub mod nmea;
 pub mod position;
 
 use std::net::SocketAddr;
+use std::ops::RangeInclusive;
 
 pub use data::DataPacket;
 pub use position::Position;
@@ -20,10 +21,14 @@ pub const POSITION_PORT: u16 = 8308;
 /// Microseconds in an hour: the sensor clock counts from the top of the hour (ToH) and wraps here.
 pub const HOUR_US: u32 = 3_600_000_000;
 
+/// Times that an arrival can have, nanoseconds since 1970: the years 1897 to 2116, beyond what classic pcap can say.
+/// Differences of such times, and their sums with sensor time, cannot overflow.
+pub const TIMES_NS: RangeInclusive<i64> = i64::MIN / 4..=i64::MAX / 2;
+
 /// A UDP payload with its arrival time and its two ends, before anybody has looked inside.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub struct Datagram<'a> {
-    /// Arrival on this host or in the capture, nanoseconds since 1970.
+    /// Arrival on this host or in the capture, nanoseconds since 1970; see [`TIMES_NS`].
     pub arrival_ns: i64,
     /// Who sent it.
     pub source: SocketAddr,

@@ -82,6 +82,9 @@ pub struct Inertial {
     pub accel_y: i16,
 }
 
+/// What counts of zero mean: that there is no such chip.
+const NOTHING: Inertial = Inertial { gyro: 0, temperature: 0, accel_x: 0, accel_y: 0 };
+
 impl Inertial {
     /// Turning rate in degrees a second.
     pub fn gyro_deg_s(&self) -> f64 {
@@ -198,7 +201,7 @@ impl<'a> Position<'a> {
             stamp_us: layout.stamp_us.get(),
             pps: Pps::from_byte(layout.pps),
             nmea: sentence(&layout.nmea),
-            inertial: reported(&layout.chips).map(|chips| chips.map(|chip| chip.meaning())),
+            inertial: Some(layout.chips.map(Chip::meaning)).filter(|chips| chips.iter().any(|&chip| chip != NOTHING)),
             board: reported(&layout.board).map(|board| board.meaning()),
             thermal: reported(&[layout.thermal_status, layout.shutdown_c as u8, layout.power_up_c as u8]).map(|_| {
                 Thermal { status: layout.thermal_status, shutdown_c: layout.shutdown_c, power_up_c: layout.power_up_c }
@@ -314,6 +317,9 @@ mod tests {
         bytes[0x0BC] = 0xFB;
         let board = Position::parse(&bytes).unwrap().board.unwrap();
         assert_eq!((board.top_c, board.bottom_c), (0, -5));
+        // The spare bits of a chip's words report nothing: found by fuzzing.
+        bytes[0x00F] = 0xF0;
+        assert_eq!(Position::parse(&bytes).unwrap().inertial, None);
     }
 
     fn inertial() -> impl Strategy<Value = Inertial> {

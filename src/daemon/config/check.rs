@@ -17,6 +17,8 @@ use super::{Config, DaemonConfig, RecordConfig, SensorConfig, file};
 
 /// Where health and metrics are served unless something else is said.
 const HTTP: SocketAddr = SocketAddr::new(std::net::IpAddr::V4(Ipv4Addr::LOCALHOST), 9177);
+/// Most sensors, more than any robot has: each is compared with all others, and each slip is drawn.
+const MAX_SENSORS: usize = 64;
 /// Sizes and times that a file of a recording may have.
 const ROTATE_MB: std::ops::RangeInclusive<f64> = 1.0..=1e6;
 const ROTATE_MINUTES: std::ops::RangeInclusive<f64> = 0.1..=1e5;
@@ -72,6 +74,11 @@ impl Check<'_> {
         if written.is_empty() {
             self.problem(0..0, "no sensor is configured", "").cure =
                 Some("`sweepd config example` prints a whole configuration".to_owned());
+        }
+        if let Some(beyond) = written.get(MAX_SENSORS) {
+            let title = format!("{} sensors are configured", written.len());
+            self.problem(beyond.span(), title, format!("expected at most {MAX_SENSORS}; this is one more"));
+            return Vec::new();
         }
         self.names_are_unique(written);
         let mut sensors = Vec::new();

@@ -46,6 +46,16 @@ fn two_lines_are_enough_for_a_sensor() {
     assert!(config.record.is_none());
 }
 
+/// Each is compared with all others, and each slip drawn: twenty thousand took more than 10 s.
+#[test]
+fn a_file_of_thousands_of_sensors_is_refused_at_once() {
+    let sensors = |count: usize| (0..count).map(|n| format!("[[sensor]]\nname = \"s{n}\"\naddress = \"10.0.0.{n}\"\n"));
+    assert_eq!(good(&sensors(64).collect::<String>()).sensors.len(), 64);
+    let (lines, message) = bad(&sensors(5000).collect::<String>());
+    assert_eq!(lines, [64 * 3 + 1]);
+    assert!(message.contains("5000 sensors are configured") && message.contains("at most 64"), "{message:.300}");
+}
+
 #[test]
 fn every_key_arrives_where_it_belongs() {
     let folder = concat!(env!("CARGO_MANIFEST_DIR"), "/calib/robot.toml");
