@@ -27,9 +27,11 @@ pub mod mount;
 pub mod naive;
 pub mod paper;
 pub mod points;
+mod reach;
 mod runs;
 pub mod settings;
 mod strips;
+mod tiles;
 mod turn;
 pub mod window;
 

@@ -18,6 +18,7 @@ use fearless_simd::{Level, Simd, dispatch, f32x16, prelude::*, u32x16};
 use super::Config;
 use super::directions::Directions;
 use super::ground::Window;
+use super::tiles::turn_over;
 use super::turn::turn_rad;
 use crate::sweep::corrected::Corrected;
 use crate::sweep::layout::flags;
@@ -73,11 +74,13 @@ impl Order {
     /// The column at a position, if there is one.
     #[inline(always)]
     pub fn column(self, position: usize) -> Option<usize> {
-        let ahead = self.start + position;
-        match (self.circular, self.columns) {
-            (true, Some(columns)) => Some((ahead + STRIP * (columns - 1)) % columns),
-            (_, columns) => ahead.checked_sub(STRIP).filter(|&column| columns.is_none_or(|columns| column < columns)),
+        let mut column = (self.start + position).checked_sub(STRIP)?;
+        let Some(columns) = self.columns else { return Some(column) };
+        // Hardly more than once, and faster than a division.
+        while self.circular && columns > 0 && column >= columns {
+            column -= columns;
         }
+        (column < columns).then_some(column)
     }
 }
 
@@ -215,7 +218,7 @@ impl Points {
         position: usize,
         words: &mut [Window],
     ) {
-        self.transpose(sweep, config, position);
+        self.transpose(simd, sweep, config, position);
         self.directions.extend(simd, sweep, self.order, position + STRIP);
         for (row, words) in words.iter_mut().enumerate() {
             let real = &mut words[2].real;
@@ -241,16 +244,33 @@ impl Points {
 
     /// Copies the ranges of the next strip, column by column into rows.
     #[inline(always)]
-    fn transpose(&mut self, sweep: &SweepRef<'_>, config: &Config, position: usize) {
+    #[expect(clippy::needless_range_loop, reason = "iterators over arrays of vectors go through memory")]
+    fn transpose<S: Simd>(&mut self, simd: S, sweep: &SweepRef<'_>, config: &Config, position: usize) {
         let rows = self.beams.len();
-        for ahead in 0..STRIP {
-            let lanes = self.range[self.at + STRIP + ahead..].iter_mut().step_by(STRIDE);
-            let Some(column) = self.order.column(position + ahead) else {
-                lanes.for_each(|lane| *lane = 0.0);
-                continue;
-            };
-            let ranges = &sweep.range[column * rows..][..rows];
-            lanes.zip(ranges).for_each(|(lane, range)| *lane = *range);
+        let squared = rows / LANES * LANES;
+        for half in (0..STRIP).step_by(LANES) {
+            let mut columns = [None; LANES];
+            for ahead in 0..LANES {
+                columns[ahead] = self.order.column(position + half + ahead);
+            }
+            for row in (0..squared).step_by(LANES) {
+                let mut tile = [u32x16::splat(simd, 0); LANES];
+                for ahead in 0..LANES {
+                    if let Some(column) = columns[ahead] {
+                        tile[ahead] = load(simd, sweep.range, column * rows + row).bitcast();
+                    }
+                }
+                let tile = turn_over(tile);
+                for line in 0..LANES {
+                    store(&mut self.range, (row + line) * STRIDE + self.at + STRIP + half, tile[line].bitcast());
+                }
+            }
+            for row in squared..rows {
+                for (ahead, column) in columns.iter().enumerate() {
+                    let range = column.map_or(0.0, |column| sweep.range[column * rows + row]);
+                    self.range[row * STRIDE + self.at + STRIP + half + ahead] = range;
+                }
+            }
         }
         let Some(mask) = &config.mask else { return };
         for ahead in 0..STRIP {

@@ -1,19 +1,16 @@
 //! What is no ground, as runs: stretches of neighbours in a row, each joined to the next. A wall is one run in each row,
 //! however wide it is.
 //!
-//! Runs live on from strip to strip. Those that still have a column within reach of the window stand in a [`Reachable`],
-//! a row each; what is known of all of them stands in [`Runs`], which is also the union-find of the components.
+//! Runs live on from strip to strip. Those that the window can still reach stand in [`super::reach`]; what is known of all of
+//! them stands in [`Runs`], which is also the union-find of the components.
 
 use std::ops::Range;
 
 use fearless_simd::{Simd, f32x4, f32x8, f32x16, mask32x16, prelude::*};
 use zerocopy::FromZeros;
 
-use super::points::{BEFORE, LANES, Order, Points, STRIP, load, store};
+use super::points::{LANES, Order, Points, STRIP, load};
 use crate::sweep::Segment;
-
-/// Most runs within reach in a row: one in every column.
-pub(super) const MOST: usize = BEFORE + STRIP;
 
 /// All runs of an image, and which of them belong together.
 #[derive(Clone, Debug, Default)]
@@ -51,7 +48,7 @@ pub(super) struct Sum {
 }
 
 impl Sum {
-    const NONE: Self = Self {
+    pub const NONE: Self = Self {
         points: 0,
         first: u32::MAX,
         rows: [u16::MAX, 0],
@@ -95,12 +92,21 @@ impl Runs {
         super::reserve(&mut self.parts, pixels);
     }
 
-    fn new_run(&mut self) -> u32 {
+    /// A run that begins here, and what it measures so far.
+    #[inline(always)]
+    pub fn begin(&mut self, sum: Sum) -> u32 {
         let run = self.parent.len() as u32;
         self.parent.push(run);
-        self.weight.push(0);
-        self.sums.push(Sum::NONE);
+        self.weight.push(sum.points);
+        self.sums.push(sum);
         run
+    }
+
+    /// A run goes on into the strip at hand, and measures this there.
+    #[inline(always)]
+    pub fn go_on(&mut self, run: u32, sum: &Sum) {
+        self.weight[run as usize] += sum.points;
+        self.sums[run as usize].add(sum);
     }
 
     /// The earliest run that is known to belong to the same component.
@@ -142,57 +148,6 @@ impl Runs {
     }
 }
 
-/// The runs of a row that the window can still reach.
-///
-/// Columns are counted from the first that the window reaches back to: the strip at hand begins with [`BEFORE`]. They stand
-/// as numbers that one instruction compares with sixteen others.
-#[derive(Clone, Debug)]
-pub(super) struct Reachable {
-    count: usize,
-    pub run: [u32; MOST],
-    /// The root of each run's component, as far as [`Reachable::refresh`] and [`Reachable::rename`] were told.
-    pub root: [u32; MOST],
-    /// First column within reach.
-    pub first: [f32; MOST],
-    /// Last column.
-    pub last: [f32; MOST],
-    /// Least distance from the sensor, metres.
-    pub low_m: [f32; MOST],
-    /// Greatest distance from the sensor, metres.
-    pub high_m: [f32; MOST],
-    /// Least and greatest distance in the strip at hand alone.
-    here_m: [[f32; 2]; MOST],
-    /// What a run that could be joined to each would be like.
-    pub wanted: Wanted,
-}
-
-/// For each run of a row what another one has to be like that could be joined to it: to end at this column or later, to begin
-/// at that one or before, and to reach as far away from the sensor as this, and as near as that.
-#[derive(Clone, Debug)]
-pub(super) struct Wanted {
-    pub last: [f32; MOST],
-    pub first: [f32; MOST],
-    pub high_m: [f32; MOST],
-    pub low_m: [f32; MOST],
-}
-
-impl Default for Reachable {
-    fn default() -> Self {
-        let [first, last, low_m, high_m] = [[0.0; MOST]; 4];
-        Self {
-            count: 0,
-            run: [0; MOST],
-            root: [0; MOST],
-            first,
-            last,
-            low_m,
-            high_m,
-            here_m: [[0.0; 2]; MOST],
-            wanted: Wanted { last, first, high_m, low_m },
-        }
-    }
-}
-
 /// Where a row of a strip lies.
 #[derive(Clone, Copy, Debug)]
 pub(super) struct Whereabouts {
@@ -210,7 +165,7 @@ pub(super) struct Whereabouts {
 impl Whereabouts {
     /// Index in the planes of the first of some pixels. Where the columns begin anew among them, that is behind there.
     #[inline(always)]
-    fn first_pixel(&self, columns: u32) -> u32 {
+    pub fn first_pixel(&self, columns: u32) -> u32 {
         let column = |ahead: u32| self.order.column(self.position + ahead as usize).unwrap_or(0);
         let first = column(columns.trailing_zeros());
         let last = 31 - columns.leading_zeros();
@@ -223,131 +178,13 @@ impl Whereabouts {
     }
 }
 
-impl Reachable {
-    pub fn clear(&mut self) {
-        self.count = 0;
-    }
-
-    #[inline(always)]
-    pub fn len(&self) -> usize {
-        self.count
-    }
-
-    /// Whether the last column before the strip at hand holds a run.
-    #[inline(always)]
-    pub fn reaches_the_strip(&self) -> bool {
-        self.count > 0 && self.last[self.count - 1] == (BEFORE - 1) as f32
-    }
-
-    /// The runs and their columns in the strip at hand, counted from its first.
-    pub fn at_hand(&self) -> impl Iterator<Item = (u32, std::ops::RangeInclusive<usize>)> {
-        let of = |column: f32| (column as usize).checked_sub(BEFORE);
-        (0..self.count).filter_map(move |entry| {
-            let last = of(self.last[entry])?;
-            Some((self.run[entry], of(self.first[entry]).unwrap_or(0)..=last))
-        })
-    }
-
-    /// Forgets what is out of reach now that the strip at hand has been left behind.
-    #[inline(always)]
-    pub fn advance(&mut self) {
-        let mut kept = 0;
-        for entry in 0..self.count {
-            let last = self.last[entry] - STRIP as f32;
-            if last >= 0.0 {
-                self.last[kept] = last;
-                self.first[kept] = (self.first[entry] - STRIP as f32).max(0.0);
-                self.run[kept] = self.run[entry];
-                // All that is left of it was in that strip.
-                [self.low_m[kept], self.high_m[kept]] = self.here_m[entry];
-                kept += 1;
-            }
-        }
-        self.count = kept;
-    }
-
-    /// Asks for the root of every run, and for what could be joined to it: no more columns aside, and no farther away.
-    #[inline(always)]
-    pub fn refresh<S: Simd>(&mut self, simd: S, runs: &mut Runs, aside: f32, away_m: f32) {
-        for entry in 0..self.count {
-            self.root[entry] = runs.root(self.run[entry]);
-        }
-        for chunk in (0..self.count).step_by(LANES) {
-            let last = load(simd, &self.last, chunk);
-            // One of two has to reach into the strip at hand: else they were compared before.
-            let new = last.simd_lt(BEFORE as f32).select(f32x16::splat(simd, BEFORE as f32), f32x16::splat(simd, 0.0));
-            store(&mut self.wanted.last, chunk, (load(simd, &self.first, chunk) - aside).max(new));
-            store(&mut self.wanted.first, chunk, last + aside);
-            store(&mut self.wanted.high_m, chunk, load(simd, &self.low_m, chunk) - away_m);
-            store(&mut self.wanted.low_m, chunk, load(simd, &self.high_m, chunk) + away_m);
-        }
-    }
-
-    /// One component has become part of another.
-    #[inline(always)]
-    pub fn rename(&mut self, from: u32, to: u32) {
-        for root in &mut self.root[..self.count.next_multiple_of(LANES).min(MOST)] {
-            *root = if *root == from { to } else { *root };
-        }
-    }
-
-    /// Takes the runs of the strip at hand: `on` are its columns, `joined` those that are joined to the one before.
-    #[inline(always)]
-    pub fn take<S: Simd>(
-        &mut self,
-        simd: S,
-        points: &Points,
-        [on, joined]: [u32; 2],
-        at: Whereabouts,
-        runs: &mut Runs,
-    ) {
-        let mut left = on;
-        while left != 0 {
-            let first = left.trailing_zeros();
-            let length = 1 + (u64::from(joined) >> (first + 1)).trailing_ones();
-            let columns = (((1_u64 << length) - 1) << first) as u32;
-            left &= !columns;
-            let entry = match first == 0 && joined & 1 == 1 {
-                true => self.count - 1,
-                false => self.add(runs.new_run()),
-            };
-            self.first[entry] = self.first[entry].min((BEFORE as u32 + first) as f32);
-            self.last[entry] = (BEFORE as u32 + first + length - 1) as f32;
-            let run = self.run[entry];
-            let counted = columns & at.counted;
-            if counted != 0 {
-                runs.weight[run as usize] += counted.count_ones();
-                runs.parts.push(Part { run, row: at.row, strip: at.strip, columns: counted });
-            }
-            let lane = points.at(usize::from(at.row));
-            let (sum, [low_m, high_m]) = measure(simd, points, lane, [columns, counted]);
-            self.here_m[entry] = [low_m, high_m];
-            self.low_m[entry] = self.low_m[entry].min(low_m);
-            self.high_m[entry] = self.high_m[entry].max(high_m);
-            if counted != 0 {
-                let first = at.first_pixel(counted);
-                runs.sums[run as usize].add(&Sum { first, rows: [at.row; 2], ..sum });
-            }
-        }
-    }
-
-    #[inline(always)]
-    fn add(&mut self, run: u32) -> usize {
-        let entry = self.count;
-        self.count += 1;
-        (self.run[entry], self.first[entry]) = (run, f32::INFINITY);
-        (self.low_m[entry], self.high_m[entry]) = (f32::INFINITY, f32::NEG_INFINITY);
-        entry
-    }
-}
-
 /// Up to so many columns are measured one by one: for fewer than these, vectors do not pay.
 const FEW: u32 = 4;
 
 /// What the columns of a run in the strip at hand measure, of which only some are to be counted, and the least and greatest
 /// distance from the sensor of all.
 #[inline(always)]
-fn measure<S: Simd>(simd: S, points: &Points, lane: usize, [columns, counted]: [u32; 2]) -> (Sum, [f32; 2]) {
+pub(super) fn measure<S: Simd>(simd: S, points: &Points, lane: usize, [columns, counted]: [u32; 2]) -> (Sum, [f32; 2]) {
     let first = columns.trailing_zeros() as usize;
     let count = columns.count_ones();
     if count <= FEW && counted == columns {

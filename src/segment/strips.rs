@@ -15,7 +15,9 @@ use fearless_simd::{Level, Simd, dispatch, mask32x16, prelude::*, u32x16};
 use super::extent::Extent;
 use super::ground::{SlopeGround, Stand, Window as Words};
 use super::points::{BEFORE, LANES, Points, STRIP};
-use super::runs::{Reachable, Runs, Whereabouts};
+use super::reach::Reach;
+use super::runs::{Runs, Whereabouts};
+use super::tiles::write_columns;
 use super::window::{Miss, Test};
 use super::{Config, reserve};
 use crate::sweep::layout::{LABEL_FIRST_SEGMENT, LABEL_GROUND, LABEL_NONE, Segment};
@@ -33,7 +35,9 @@ pub(super) struct Strips {
     ready: Option<usize>,
     points: Points,
     words: Vec<Words>,
-    reachable: Vec<Reachable>,
+    reach: Reach,
+    /// What is no ground in the strip at hand, row by row.
+    on: Vec<u32>,
     runs: Runs,
     misses: Vec<Miss>,
     /// Ground of the strips that count, row by row.
@@ -66,7 +70,8 @@ impl Strips {
             ready: None,
             points: Points::default(),
             words: Vec::new(),
-            reachable: Vec::new(),
+            reach: Reach::default(),
+            on: Vec::new(),
             runs: Runs::default(),
             misses: Vec::new(),
             ground: Vec::new(),
@@ -80,7 +85,8 @@ impl Strips {
         let (rows, columns, pixels) = (sweep.header.rows as usize, sweep.columns.len(), sweep.range.len());
         self.points.reserve(rows, columns);
         self.words.resize(rows, Words::default());
-        self.reachable.resize(rows, Reachable::default());
+        self.reach.reserve(rows);
+        self.on.resize(rows, 0);
         self.first.resize(rows, [0; BEFORE]);
         // The first columns are there twice.
         let most_runs = pixels + rows * BEFORE;
@@ -100,7 +106,7 @@ impl Strips {
         self.stand = Stand { up: config.mount.up().axis(), height_m };
         self.test = Test::new(&config.joining, config.theta_rad, self.words.len());
         self.words.fill(Words::default());
-        self.reachable.iter_mut().for_each(Reachable::clear);
+        self.reach.clear();
         self.at = 0;
         self.ready = ready;
         let sweep = sweep.as_ref();
@@ -157,10 +163,7 @@ impl Strips {
     fn next<S: Simd>(&mut self, simd: S, sweep: &SweepRef<'_>, config: &Config) {
         if self.at > 0 {
             self.points.advance();
-            for (words, reachable) in self.words.iter_mut().zip(&mut self.reachable) {
-                words.rotate_left(1);
-                reachable.advance();
-            }
+            self.words.iter_mut().for_each(|words| words.rotate_left(1));
         }
         self.points.fill(simd, sweep, config, self.at * STRIP, &mut self.words);
         config.slope.climb(simd, &self.points, &self.stand, &mut self.words);
@@ -177,6 +180,7 @@ impl Strips {
         let columns_before = |end: usize| columns_below(end.saturating_sub(position));
         let counted = columns_before(order.end());
         let joined_here = columns_before(order.joined_end());
+        self.reach.advance();
         for row in 0..rows {
             let words = &self.words[row];
             let ground = SlopeGround::vote(words);
@@ -184,17 +188,23 @@ impl Strips {
                 self.ground.push(ground & counted);
             }
             let on = words[1].real & !ground & joined_here;
-            let reachable = &mut self.reachable[row];
+            self.on[row] = on;
+            let before = u64::from(self.reach.begin_row(row, test.aside()));
             if on == 0 {
                 continue;
             }
-            let before = u64::from(reachable.reaches_the_strip());
             let joined = test.along(simd, &self.points, row, u64::from(on) << 1 | before);
             let at =
                 Whereabouts { strip: (position / STRIP - 1) as u16, order, position, row: row as u16, rows, counted };
-            reachable.take(simd, &self.points, [on, joined], at, &mut self.runs);
+            self.reach.take(simd, &self.points, [on, joined], at, &mut self.runs);
         }
-        test.join(simd, &self.points, &mut self.reachable, &mut self.runs, &mut self.misses);
+        for below in 1..rows {
+            let both = self.on[below - 1] & self.on[below];
+            if both != 0 {
+                test.touch(simd, &self.points, [below - 1, below], both, &self.reach.now, &mut self.runs);
+            }
+        }
+        test.join(simd, &self.points, &mut self.reach.now, &mut self.runs, &mut self.misses);
         if order.circular {
             self.meet(position);
         }
@@ -206,8 +216,8 @@ impl Strips {
         if position >= STRIP + BEFORE && position + STRIP <= order.end() {
             return;
         }
-        for (reachable, first) in self.reachable.iter().zip(&mut self.first) {
-            for (run, columns) in reachable.at_hand() {
+        for (row, first) in self.first.iter_mut().enumerate() {
+            for (run, columns) in self.reach.now.at_hand(row) {
                 for position in columns.map(|column| position + column) {
                     if position < STRIP + BEFORE {
                         first[position - STRIP] = run;
@@ -350,11 +360,8 @@ impl Strips {
                     extents[place as usize].add(position, part.columns, order);
                 }
             }
-            for ahead in 0..STRIP.min(order.end() - position) {
-                let column = order.column(position + ahead).unwrap_or(0);
-                let from = tile[ahead..].iter().step_by(STRIP);
-                labels[column * rows..][..rows].iter_mut().zip(from).for_each(|(label, from)| *label = *from);
-            }
+            let count = STRIP.min(order.end() - position);
+            write_columns(simd, tile, labels, rows, (position..position + count).filter_map(|at| order.column(at)));
         }
     }
 }

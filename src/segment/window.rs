@@ -15,10 +15,13 @@
 //! Most pairs of runs are settled without looking at a point: they are of one component already, or their distances from
 //! the sensor are too different.
 
-use fearless_simd::{Simd, f32x16, mask32x16, prelude::*, u32x16};
+use std::ops::Range;
+
+use fearless_simd::{Simd, f32x16, mask32x16, prelude::*};
 
 use super::points::{BEFORE, LANES, Points, STRIP, load};
-use super::runs::{Reachable, Runs};
+use super::reach::Entries;
+use super::runs::Runs;
 
 /// What is joined.
 #[derive(Clone, Copy, Debug, PartialEq)]
@@ -100,6 +103,11 @@ impl Test {
         }
     }
 
+    /// Columns that two points may be apart.
+    pub fn aside(&self) -> f32 {
+        self.columns as f32
+    }
+
     /// Which columns of a row of the strip at hand are joined to the one before: of those that are on, a bit each after one
     /// for the column before the strip.
     #[inline(always)]
@@ -119,78 +127,95 @@ impl Test {
         joined
     }
 
+    /// Joins the runs of the strip at hand that touch: of a row with those of the next, where columns are on in both.
+    #[inline(always)]
+    pub fn touch<S: Simd>(
+        &self,
+        simd: S,
+        points: &Points,
+        [row, below]: [usize; 2],
+        both: u32,
+        entries: &Entries,
+        runs: &mut Runs,
+    ) {
+        let mut joined = 0;
+        for half in 0..STRIP / LANES {
+            if both >> (half * LANES) & 0xFFFF != 0 {
+                let a = Point::load(simd, points, points.at(row) + half * LANES);
+                let b = Point::load(simd, points, points.at(below) + half * LANES);
+                let apart2 = a.apart2(&b);
+                let is = apart2.simd_lt(self.gap_m * self.gap_m) & self.passes(&a, &b, apart2);
+                joined |= (is.to_bitmask() as u32) << (half * LANES);
+            }
+        }
+        joined &= both;
+        while joined != 0 {
+            let column = joined.trailing_zeros();
+            let (a, b) = (entries.holding(row, column), entries.holding(below, column));
+            runs.unite(entries.run[a], entries.run[b]);
+            let last = entries.last[a].min(entries.last[b]) as u32 - BEFORE as u32;
+            joined &= (u32::MAX - 1) << last;
+        }
+    }
+
     /// Joins the runs of the strip at hand with each other and with those before.
     #[inline(always)]
     pub fn join<S: Simd>(
         &self,
         simd: S,
         points: &Points,
-        reachable: &mut [Reachable],
+        entries: &mut Entries,
         runs: &mut Runs,
         misses: &mut Vec<Miss>,
     ) {
-        let rows = reachable.len();
+        let rows = points.rows();
         for entering in 0..rows + self.rows {
-            if let Some(entering) = reachable.get_mut(entering) {
-                entering.refresh(simd, runs, self.columns as f32, self.near_m + SLACK_M);
+            if entering < rows {
+                entries.refresh(entering, runs);
             }
             let Some(row) = entering.checked_sub(self.rows) else { continue };
-            for below in row..rows.min(row + self.rows + 1) {
-                if reachable[row].len() > 0 && reachable[below].len() > 0 {
-                    self.join_rows(simd, points, [row, below], reachable, runs, misses);
-                }
+            let end = entries.of(entering.min(rows - 1)).end;
+            for entry in entries.of(row) {
+                self.join_one(simd, points, entry..end, entries, runs, misses);
             }
         }
     }
 
-    /// Joins the runs of a row with those of the same, or of one below.
+    /// Joins the first of some runs with the others.
     #[inline(always)]
-    fn join_rows<S: Simd>(
+    fn join_one<S: Simd>(
         &self,
         simd: S,
         points: &Points,
-        [row, below]: [usize; 2],
-        reachable: &mut [Reachable],
+        among: Range<usize>,
+        entries: &mut Entries,
         runs: &mut Runs,
         misses: &mut Vec<Miss>,
     ) {
-        let count = reachable[below].len();
-        for chunk in (0..count).step_by(LANES) {
-            let others = Others::load(simd, &reachable[below], chunk);
-            let there = !(u64::MAX << (count - chunk).min(63));
-            for a in 0..reachable[row].len() {
-                // In its own row, a run is compared with those behind it.
-                let behind = if row == below { u64::MAX << (a + 1).saturating_sub(chunk).min(63) } else { u64::MAX };
-                let root = u32x16::from_slice(simd, &reachable[below].root[chunk..chunk + LANES]);
-                let mut left = others.wanted(&reachable[row], a, root) & there & behind;
-                while left != 0 {
-                    let b = chunk + left.trailing_zeros() as usize;
-                    left &= left - 1;
-                    let (upper, lower) = (&reachable[row], &reachable[below]);
-                    if upper.root[a] == lower.root[b] {
-                        continue;
+        let (a, end) = (among.start, among.end);
+        for from in (a + 1..end).step_by(LANES) {
+            let there = !(u64::MAX << (end - from).min(LANES));
+            let mut left = entries.like(simd, from, a, self.aside(), self.near_m + SLACK_M) & there;
+            while left != 0 {
+                let b = from + left.trailing_zeros() as usize;
+                left &= left - 1;
+                if entries.root[a] == entries.root[b] {
+                    continue;
+                }
+                let both = [entries.run[a], entries.run[b]];
+                match self.verdict(simd, points, Stretch::new(entries, a, points), Stretch::new(entries, b, points)) {
+                    Verdict::Joined => {
+                        let [root, gone] = runs.unite(both[0], both[1]);
+                        entries.rename(simd, a..end, gone, root);
                     }
-                    // Two that are not small any more are joined or nothing.
-                    let are_large =
-                        [upper.root[a], lower.root[b]].iter().all(|&root| runs.has(root, self.small_points));
-                    let reach_m = if are_large { self.gap_m } else { self.near_m };
-                    let is_away = lower.low_m[b] - upper.high_m[a] > reach_m + SLACK_M
-                        || upper.low_m[a] - lower.high_m[b] > reach_m + SLACK_M;
-                    if are_large && is_away {
-                        continue;
-                    }
-                    let pair = [Stretch::new(upper, a, points.at(row)), Stretch::new(lower, b, points.at(below))];
-                    let both = [upper.run[a], lower.run[b]];
-                    match self.verdict(simd, points, pair, reach_m) {
-                        Verdict::Joined => {
-                            let [root, gone] = runs.unite(both[0], both[1]);
-                            let end = reachable.len().min(row + self.rows + 1);
-                            reachable[row..end].iter_mut().for_each(|reachable| reachable.rename(gone, root));
+                    Verdict::Near(apart2) => {
+                        // Two that are not small any more are joined or nothing.
+                        let is_small = |entry: usize| !runs.has(entries.root[entry], self.small_points);
+                        if is_small(a) || is_small(b) {
+                            misses.push(Miss { runs: both, apart2 });
                         }
-                        Verdict::Near(_) if are_large => {}
-                        Verdict::Near(apart2) => misses.push(Miss { runs: both, apart2 }),
-                        Verdict::Apart => {}
                     }
+                    Verdict::Apart => {}
                 }
             }
         }
@@ -199,35 +224,32 @@ impl Test {
     /// Looks at the points of two runs: each of the shorter one against all of the longer one that the window holds. What is
     /// further apart than the reach is of no interest.
     #[inline(always)]
-    fn verdict<S: Simd>(&self, simd: S, points: &Points, [a, b]: [Stretch; 2], reach_m: f32) -> Verdict {
+    fn verdict<S: Simd>(&self, simd: S, points: &Points, a: Stretch, b: Stretch) -> Verdict {
         let (few, many) = if a.last - a.first <= b.last - b.first { (a, b) } else { (b, a) };
-        let (mut nearest, mut is_near) = (f32x16::splat(simd, f32::INFINITY), false);
+        let mut nearest = f32x16::splat(simd, f32::INFINITY);
+        let mut joined = mask32x16::splat(simd, false);
         for column in few.first..=few.last {
             // Two columns before the strip at hand were compared when it was theirs.
             let new = if column < BEFORE { BEFORE } else { 0 };
-            let first = many.first.max(column.saturating_sub(self.columns)).max(new);
-            let last = many.last.min(column + self.columns);
+            let mut from = many.first.max(column.saturating_sub(self.columns)).max(new);
+            let end = many.last.min(column + self.columns) + 1;
             let one = Point::splat(simd, points, few.lane + column);
-            let mut from = first;
-            while from <= last {
-                let bits = !(u64::MAX << (last + 1 - from).min(LANES));
+            while from < end {
+                let there = mask32x16::from_bitmask(simd, !(u64::MAX << (end - from).min(LANES)));
                 let others = Point::load(simd, points, many.lane + from);
-                from += LANES;
                 let apart2 = one.apart2(&others);
-                let near_bits = apart2.simd_lt(reach_m * reach_m).to_bitmask() & bits;
-                if near_bits == 0 {
-                    continue;
-                }
-                if (apart2.simd_lt(self.gap_m * self.gap_m) & self.passes(&one, &others, apart2)).to_bitmask() & bits
-                    != 0
-                {
-                    return Verdict::Joined;
-                }
-                is_near = true;
-                nearest = nearest.min(mask32x16::from_bitmask(simd, near_bits).select(apart2, nearest));
+                joined |= there & apart2.simd_lt(self.gap_m * self.gap_m) & self.passes(&one, &others, apart2);
+                nearest = nearest.min(there.select(apart2, nearest));
+                from += LANES;
+            }
+            if joined.any_true() {
+                return Verdict::Joined;
             }
         }
-        if is_near { Verdict::Near(nearest.reduce_min()) } else { Verdict::Apart }
+        match nearest.reduce_min() {
+            apart2 if apart2 < self.near_m * self.near_m => Verdict::Near(apart2),
+            _ => Verdict::Apart,
+        }
     }
 
     /// Which of two rows of points, so far apart, pass the test of the angle.
@@ -275,36 +297,6 @@ impl<S: Simd> Point<S> {
     }
 }
 
-/// Sixteen runs of a row.
-#[derive(Clone, Copy)]
-struct Others<S: Simd> {
-    first: f32x16<S>,
-    last: f32x16<S>,
-    low_m: f32x16<S>,
-    high_m: f32x16<S>,
-}
-
-impl<S: Simd> Others<S> {
-    #[inline(always)]
-    fn load(simd: S, reachable: &Reachable, chunk: usize) -> Self {
-        Self {
-            first: load(simd, &reachable.first, chunk),
-            last: load(simd, &reachable.last, chunk),
-            low_m: load(simd, &reachable.low_m, chunk),
-            high_m: load(simd, &reachable.high_m, chunk),
-        }
-    }
-
-    /// Which of them are of another component than a run, near enough in their columns, and at a like distance from the sensor.
-    #[inline(always)]
-    fn wanted(&self, reachable: &Reachable, run: usize, root: u32x16<S>) -> u64 {
-        let wanted = &reachable.wanted;
-        let is_aside = self.first.simd_le(wanted.first[run]) & self.last.simd_ge(wanted.last[run]);
-        let is_away = self.low_m.simd_le(wanted.low_m[run]) & self.high_m.simd_ge(wanted.high_m[run]);
-        (is_aside & is_away & !root.simd_eq(reachable.root[run])).to_bitmask()
-    }
-}
-
 /// Columns of a run, and the lane of the first that counts.
 #[derive(Clone, Copy)]
 struct Stretch {
@@ -315,7 +307,8 @@ struct Stretch {
 
 impl Stretch {
     #[inline(always)]
-    fn new(reachable: &Reachable, entry: usize, lane: usize) -> Self {
-        Self { lane: lane - BEFORE, first: reachable.first[entry] as usize, last: reachable.last[entry] as usize }
+    fn new(entries: &Entries, entry: usize, points: &Points) -> Self {
+        let lane = points.at(usize::from(entries.row[entry])) - BEFORE;
+        Self { lane, first: entries.first[entry] as usize, last: entries.last[entry] as usize }
     }
 }

@@ -1,0 +1,226 @@
+//! The runs that the window can still reach: row after row, and in a row in the order of their columns, so that one
+//! instruction compares a run with sixteen that come after it, in its own row and in those below.
+//!
+//! Columns are counted from the first that the window could reach back to: the strip at hand begins with [`BEFORE`].
+
+use std::ops::{Range, RangeInclusive};
+
+use fearless_simd::{Simd, prelude::*, u32x16};
+
+use super::points::{BEFORE, LANES, Points, STRIP, load};
+use super::runs::{Part, Runs, Sum, Whereabouts, measure};
+
+/// Most runs within reach in a row: one in every column.
+const MOST: usize = BEFORE + STRIP;
+
+/// The runs within reach, and those that were when the strip before was at hand.
+#[derive(Clone, Debug, Default)]
+pub(super) struct Reach {
+    pub now: Entries,
+    before: Entries,
+}
+
+/// Runs of one strip, and of the columns before it.
+#[derive(Clone, Debug, Default)]
+pub(super) struct Entries {
+    count: usize,
+    rows: Vec<Row>,
+    pub row: Vec<u16>,
+    pub run: Vec<u32>,
+    /// The root of each run's component, as far as [`Entries::refresh`] and [`Entries::rename`] were told.
+    pub root: Vec<u32>,
+    /// First column within reach.
+    pub first: Vec<f32>,
+    /// Last column.
+    pub last: Vec<f32>,
+    /// Least distance from the sensor, metres.
+    low_m: Vec<f32>,
+    /// Greatest distance from the sensor, metres.
+    high_m: Vec<f32>,
+    /// Least and greatest distance in the strip at hand alone.
+    here_m: Vec<[f32; 2]>,
+}
+
+/// Where a row's runs stand.
+#[derive(Clone, Copy, Debug, Default)]
+struct Row {
+    from: usize,
+    /// The first that has a column in the strip at hand.
+    here: usize,
+    /// Columns of the strip in which a run begins, or goes on from before.
+    starts: u32,
+    end: usize,
+}
+
+impl Entries {
+    fn reserve(&mut self, rows: usize) {
+        self.rows.resize(rows, Row::default());
+        // A vector may be read beyond the last.
+        let most = rows * MOST + LANES;
+        self.row.resize(most, 0);
+        self.run.resize(most, 0);
+        self.root.resize(most, 0);
+        for table in [&mut self.first, &mut self.last, &mut self.low_m, &mut self.high_m] {
+            table.resize(most, 0.0);
+        }
+        self.here_m.resize(most, [0.0; 2]);
+    }
+
+    fn clear(&mut self) {
+        self.count = 0;
+        self.rows.fill(Row::default());
+    }
+
+    /// The runs of a row.
+    #[inline(always)]
+    pub fn of(&self, row: usize) -> Range<usize> {
+        self.rows[row].from..self.rows[row].end
+    }
+
+    /// The one that holds this column of the strip at hand; there has to be one.
+    #[inline(always)]
+    pub fn holding(&self, row: usize, column: u32) -> usize {
+        let row = &self.rows[row];
+        row.here + (row.starts << (31 - column)).count_ones() as usize - 1
+    }
+
+    /// The runs of a row that have columns in the strip at hand, and which, counted from its first.
+    pub fn at_hand(&self, row: usize) -> impl Iterator<Item = (u32, RangeInclusive<usize>)> {
+        let of = |column: f32| (column as usize).checked_sub(BEFORE);
+        self.of(row).filter_map(move |entry| {
+            let last = of(self.last[entry])?;
+            Some((self.run[entry], of(self.first[entry]).unwrap_or(0)..=last))
+        })
+    }
+
+    /// Asks for the roots of a row's runs.
+    #[inline(always)]
+    pub fn refresh(&mut self, row: usize, runs: &mut Runs) {
+        for entry in self.of(row) {
+            self.root[entry] = runs.root(self.run[entry]);
+        }
+    }
+
+    /// One component has become part of another: some entries, and perhaps a few behind them, are told.
+    #[inline(always)]
+    pub fn rename<S: Simd>(&mut self, simd: S, entries: Range<usize>, from: u32, to: u32) {
+        for at in entries.step_by(LANES) {
+            let lanes = &mut self.root[at..at + LANES];
+            let root = u32x16::from_slice(simd, lanes);
+            root.simd_eq(from).select(u32x16::splat(simd, to), root).store_slice(lanes);
+        }
+    }
+
+    /// Which of the sixteen entries from one on are of another component than a run, no more columns aside, and no farther
+    /// away. One of two has to reach into the strip at hand: else they were compared before.
+    #[inline(always)]
+    pub fn like<S: Simd>(&self, simd: S, from: usize, run: usize, aside: f32, away_m: f32) -> u64 {
+        let (first, last) = (self.first[run], self.last[run]);
+        let new = if last < BEFORE as f32 { BEFORE as f32 } else { 0.0 };
+        let is_aside = load(simd, &self.first, from).simd_le(last + aside)
+            & load(simd, &self.last, from).simd_ge((first - aside).max(new));
+        let is_away = load(simd, &self.low_m, from).simd_le(self.high_m[run] + away_m)
+            & load(simd, &self.high_m, from).simd_ge(self.low_m[run] - away_m);
+        let root = u32x16::from_slice(simd, &self.root[from..from + LANES]);
+        (is_aside & is_away & !root.simd_eq(self.root[run])).to_bitmask()
+    }
+
+    #[inline(always)]
+    fn push(&mut self, row: usize, run: u32, columns: [f32; 2], distance_m: [f32; 2], here_m: [f32; 2]) {
+        let entry = self.count;
+        self.count += 1;
+        self.row[entry] = row as u16;
+        self.run[entry] = run;
+        [self.first[entry], self.last[entry]] = columns;
+        [self.low_m[entry], self.high_m[entry]] = distance_m;
+        self.here_m[entry] = here_m;
+    }
+}
+
+impl Reach {
+    /// Takes room for any image of so many rows.
+    pub fn reserve(&mut self, rows: usize) {
+        self.now.reserve(rows);
+        self.before.reserve(rows);
+    }
+
+    pub fn clear(&mut self) {
+        self.now.clear();
+    }
+
+    /// Goes on to the next strip: its rows are then to be begun one after another.
+    pub fn advance(&mut self) {
+        std::mem::swap(&mut self.now, &mut self.before);
+        self.now.clear();
+    }
+
+    /// Begins a row with what is still within reach, so many columns aside. True if the last column before the strip holds
+    /// a run.
+    #[inline(always)]
+    pub fn begin_row(&mut self, row: usize, aside: f32) -> bool {
+        let Self { now, before } = self;
+        let from = now.count;
+        for entry in before.of(row) {
+            let last = before.last[entry] - STRIP as f32;
+            if last >= BEFORE as f32 - aside {
+                let first = (before.first[entry] - STRIP as f32).max(0.0);
+                // All that is left of it was in that strip.
+                let here_m = before.here_m[entry];
+                now.push(row, before.run[entry], [first, last], here_m, here_m);
+            }
+        }
+        now.rows[row] = Row { from, here: now.count, starts: 0, end: now.count };
+        now.count > from && now.last[now.count - 1] == (BEFORE - 1) as f32
+    }
+
+    /// Takes the runs of the strip at hand: `on` are its columns, `joined` those that are joined to the one before.
+    #[inline(always)]
+    pub fn take<S: Simd>(
+        &mut self,
+        simd: S,
+        points: &Points,
+        [on, joined]: [u32; 2],
+        at: Whereabouts,
+        runs: &mut Runs,
+    ) {
+        let now = &mut self.now;
+        let row = usize::from(at.row);
+        let goes_on = joined & 1 == 1;
+        now.rows[row].starts = on & (!joined | 1);
+        now.rows[row].here -= usize::from(goes_on);
+        let lane = points.at(row);
+        let mut left = on;
+        while left != 0 {
+            let first = left.trailing_zeros();
+            let length = 1 + (u64::from(joined) >> (first + 1)).trailing_ones();
+            let columns = (((1_u64 << length) - 1) << first) as u32;
+            left &= !columns;
+            let counted = columns & at.counted;
+            let (sum, [low_m, high_m]) = measure(simd, points, lane, [columns, counted]);
+            let sum = match counted {
+                0 => Sum::NONE,
+                _ => Sum { first: at.first_pixel(counted), rows: [at.row; 2], ..sum },
+            };
+            let is_going_on = first == 0 && goes_on;
+            let first = (BEFORE as u32 + first) as f32;
+            let last = first + (length - 1) as f32;
+            let run = if is_going_on {
+                let entry = now.count - 1;
+                runs.go_on(now.run[entry], &sum);
+                now.last[entry] = last;
+                now.here_m[entry] = [low_m, high_m];
+                now.low_m[entry] = now.low_m[entry].min(low_m);
+                now.high_m[entry] = now.high_m[entry].max(high_m);
+                now.run[entry]
+            } else {
+                let run = runs.begin(sum);
+                now.push(row, run, [first, last], [low_m, high_m], [low_m, high_m]);
+                run
+            };
+            if counted != 0 {
+                runs.parts.push(Part { run, row: at.row, strip: at.strip, columns: counted });
+            }
+        }
+        now.rows[row].end = now.count;
+    }
+}
