@@ -205,10 +205,9 @@ impl Variant {
 /// A parameter of the ground.
 type Field = fn(&mut SlopeGround) -> &mut f32;
 
-/// All of them.
-const FIELDS: [(&str, Field); 7] = [
+/// All of them, but for the one that is chosen by the rows.
+const FIELDS: [(&str, Field); 6] = [
     ("max_slope", |slope| &mut slope.max_slope),
-    ("max_rise_m", |slope| &mut slope.max_rise_m),
     ("min_rise_m", |slope| &mut slope.min_rise_m),
     ("max_step_m", |slope| &mut slope.max_step_m),
     ("step_reach_m", |slope| &mut slope.step_reach_m),
@@ -225,6 +224,9 @@ fn ingredients() -> Vec<Variant> {
             let value = factor * *field(&mut SlopeGround::default());
             variants.push(Variant::slope(format!("`{name}` {value}"), |slope| *field(slope) = value));
         }
+    }
+    for rise_m in [0.075, 0.15, 0.3, 0.6] {
+        variants.push(Variant::slope(format!("`max_rise_m` {rise_m}"), |slope| slope.max_rise_m = Some(rise_m)));
     }
     for [columns, rows] in [[1, 1], [5, 2], [8, 2], [12, 1], [12, 2], [12, 3]] {
         let name = format!("`columns` {columns}, `rows` {rows}");
@@ -262,7 +264,7 @@ fn ingredients() -> Vec<Variant> {
 fn grid() -> Vec<Variant> {
     let mut variants = vec![Variant::ours("default", Config::default())];
     for gap_m in [0.5, 0.6, 0.7, 0.8, 0.9] {
-        for reach_m in [0.2, 0.3, 0.4] {
+        for reach_m in [0.15, 0.25, 0.35] {
             for slope in [0.15, 0.2, 0.25] {
                 let mut variant = Variant::joining(format!("{gap_m}, {reach_m}, {slope}"), |joining| {
                     joining.gap_m = Some(gap_m);
@@ -283,12 +285,12 @@ fn print_defaults() {
     let Joining { columns, rows, small_points, small_reach_m, .. } = joining;
     let mut slope = SlopeGround::default();
     let ground: Vec<String> = FIELDS.iter().map(|(name, field)| format!("`{name}` {}", field(&mut slope))).collect();
-    let gaps: Vec<String> = STEPS.iter().map(|step| joining.gap_m(64 / step).to_string()).collect();
+    let by_rows = |of: &dyn Fn(usize) -> f32| STEPS.map(|step| of(64 / step).to_string()).join(" / ");
+    let (rises, gaps) = (by_rows(&|rows| slope.max_rise_m(rows)), by_rows(&|rows| joining.gap_m(rows)));
     println!(
-        "Defaults: {};\n`columns` {columns}, `rows` {rows}, `gap_m` {} (64 / 32 / 16 rows), `small_points` {small_points}, \
+        "Defaults: {}, `max_rise_m` {rises} (64 / 32 / 16 rows);\n`columns` {columns}, `rows` {rows}, `gap_m` {gaps}, `small_points` {small_points}, \
          `small_reach_m` {small_reach_m};\ntheta {:.0}°, `min_points` {min_points}.\n",
         ground.join(", "),
-        gaps.join(" / "),
         theta_rad.to_degrees(),
     );
 }

@@ -7,6 +7,7 @@
 
 use fearless_simd::{Simd, f32x16, mask32x16, prelude::*};
 
+use super::DENSE_ROWS;
 use super::points::{LANES, Points, STRIP, load};
 
 /// What counts as ground.
@@ -14,8 +15,9 @@ use super::points::{LANES, Points, STRIP, load};
 pub struct SlopeGround {
     /// Steepest way from one ground point to the next, up or down, metres a metre.
     pub max_slope: f32,
-    /// Highest rise from one ground point to the next, however far apart they are, metres. A fall has no such limit.
-    pub max_rise_m: f32,
+    /// Highest rise from one ground point to the next, however far apart they are, metres; `None` chooses by the rows of the
+    /// image: see [`SlopeGround::max_rise_m`]. A fall has no such limit.
+    pub max_rise_m: Option<f32>,
     /// Rise or fall that is allowed at any distance: the noise of near points, metres.
     pub min_rise_m: f32,
     /// What rises higher than this over its foot, at more than 45 degrees, is an object, metres.
@@ -33,11 +35,11 @@ impl Default for SlopeGround {
     fn default() -> Self {
         Self {
             max_slope: 0.2,
-            max_rise_m: 0.3,
+            max_rise_m: None,
             min_rise_m: 0.07,
             max_step_m: 0.05,
             step_reach_m: 0.5,
-            max_kerb_m: 0.25,
+            max_kerb_m: 0.28,
             agree_m: 0.5,
         }
     }
@@ -70,6 +72,12 @@ pub(super) struct Words {
 pub(super) type Window = [Words; 3];
 
 impl SlopeGround {
+    /// Highest rise from one ground point to the next in an image of so many rows, metres: what was told, else 0.3 where
+    /// beams are dense, and 0.15 where they are sparse, so that the next point may lie on what stands there.
+    pub fn max_rise_m(&self, rows: usize) -> f32 {
+        self.max_rise_m.unwrap_or(if rows >= DENSE_ROWS { 0.3 } else { 0.15 })
+    }
+
     /// Climbs the columns of the strip behind the one at hand. The words say what is real.
     #[inline(always)]
     pub(super) fn climb<S: Simd>(&self, simd: S, points: &Points, stand: &Stand, words: &mut [Window]) {
@@ -77,7 +85,7 @@ impl SlopeGround {
             words.iter_mut().for_each(|words| words[2].climbed = 0);
             return;
         };
-        let [mut left, mut right] = [Climber::new(simd, height_m); 2];
+        let [mut left, mut right] = [Climber::new(simd, height_m, self.max_rise_m(words.len())); 2];
         // For each row: which columns find it the face of a kerb, and which find that a kerb below goes on level here.
         let mut kerbs = [[0_u32; 2]; super::MAX_ROWS];
         for row in (0..words.len()).rev() {
@@ -208,6 +216,7 @@ struct Climber<S: Simd> {
     /// The upper edge of what may be a kerb, where there is one.
     edge: Places<S>,
     has_edge: mask32x16<S>,
+    max_rise_m: f32,
 }
 
 /// What columns find in a row.
@@ -219,9 +228,9 @@ struct Step {
 
 impl<S: Simd> Climber<S> {
     #[inline(always)]
-    fn new(simd: S, height_m: f32) -> Self {
+    fn new(simd: S, height_m: f32, max_rise_m: f32) -> Self {
         let foothold = Places { away: f32x16::splat(simd, 0.0), height: f32x16::splat(simd, -height_m) };
-        Self { foothold, foot: foothold, edge: foothold, has_edge: mask32x16::splat(simd, false) }
+        Self { foothold, foot: foothold, edge: foothold, has_edge: mask32x16::splat(simd, false), max_rise_m }
     }
 
     #[inline(always)]
@@ -234,7 +243,7 @@ impl<S: Simd> Climber<S> {
 
         let (away, rise) = here.from(&self.foothold);
         let slope = away * limits.max_slope;
-        let rises_little = rise.simd_lt(slope.min(limits.max_rise_m).max(limits.min_rise_m));
+        let rises_little = rise.simd_lt(slope.min(self.max_rise_m).max(limits.min_rise_m));
         let falls_little = (-rise).simd_lt(slope.abs().max(limits.min_rise_m));
         let (foot_away, foot_rise) = here.from(&self.foot);
         let near = (foot_away * foot_away + foot_rise * foot_rise).simd_lt(limits.step_reach_m * limits.step_reach_m);

@@ -57,6 +57,9 @@ use window::{MOST_COLUMNS, MOST_ROWS};
 /// The two returns of a dual pixel share a label when they are no further apart than this, metres.
 pub const SAME_OBJECT_M: f32 = 0.3;
 
+/// Images of so many rows or more are dense: some limits that were not told are chosen by that.
+const DENSE_ROWS: usize = 48;
+
 /// How ground is found.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
 pub enum Method {

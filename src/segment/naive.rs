@@ -291,7 +291,7 @@ fn climb(image: &Image<'_>, limits: &SlopeGround, up: [f32; 3], height_m: f32) -
 
             let (run, rise) = (away - foothold.0, high - foothold.1);
             let slope_rise = run * limits.max_slope;
-            let highest = slope_rise.min(limits.max_rise_m).max(limits.min_rise_m);
+            let highest = slope_rise.min(limits.max_rise_m(image.rows)).max(limits.min_rise_m);
             let walkable = rise < highest && -rise < slope_rise.abs().max(limits.min_rise_m);
 
             let (step_run, step_rise) = (away - foot.0, high - foot.1);

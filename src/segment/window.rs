@@ -19,6 +19,7 @@ use std::ops::Range;
 
 use fearless_simd::{Simd, f32x16, mask32x16, prelude::*};
 
+use super::DENSE_ROWS;
 use super::points::{BEFORE, LANES, Points, STRIP, load};
 use super::reach::Entries;
 use super::runs::Runs;
@@ -40,7 +41,7 @@ pub struct Joining {
 
 impl Default for Joining {
     fn default() -> Self {
-        Self { columns: MOST_COLUMNS, rows: 2, gap_m: None, small_points: 22, small_reach_m: 0.3 }
+        Self { columns: MOST_COLUMNS, rows: 2, gap_m: None, small_points: 22, small_reach_m: 0.25 }
     }
 }
 
@@ -50,8 +51,6 @@ pub const MOST_COLUMNS: usize = 12;
 pub const MOST_ROWS: usize = 8;
 /// Runs are compared that are further away than they may be by no more than rounding, metres.
 const SLACK_M: f32 = 1e-3;
-/// Images of so many rows or more are dense.
-const DENSE_ROWS: usize = 48;
 
 impl Joining {
     /// Distance that two points of an image of so many rows may be apart, metres: what was told, else 0.6 where beams are
