@@ -36,7 +36,7 @@ const QUIET: Duration = Duration::from_secs(1);
 const LOOK_EVERY: Duration = Duration::from_secs(1);
 /// How long packets may wait in the socket while no sweep is about to end: each time that the thread is woken costs as much as
 /// decoding some packets.
-const NAP_NS: i64 = 10_000_000;
+const NAP_NS: i64 = 20_000_000;
 /// So long before the packet that completes a sweep is expected, each one is fetched as it comes.
 const EARLY_NS: i64 = 2_000_000;
 /// A socket that fails so often in a row will not recover: the daemon ends, and opens it anew when it is restarted.
