@@ -26,6 +26,7 @@ use crate::sweep::order::OrderCounts;
 use crate::sweep::{Buffers, SweepMut};
 use crate::wire::position::POSITION_PACKET_LEN;
 use crate::wire::{DataPacket, Datagram, TIMES_NS};
+use fearless_simd::Level;
 use state::{Decoding, State, Waiting};
 
 /// After so much silence the open sweep is closed as it is.
@@ -38,6 +39,8 @@ pub struct Pipeline<B: Buffers, W: Stopwatch> {
     watch: W,
     state: State<B>,
     segmenter: Segmenter,
+    /// Instructions that decoders use.
+    level: Level,
     /// What was spent on the open sweep so far.
     spent: Spent,
     counts: Counts,
@@ -91,7 +94,16 @@ impl<B: Buffers, W: Stopwatch> Pipeline<B, W> {
     /// # Errors
     /// [`ConfigError`]: no sweep can be segmented like that.
     pub fn new(sensor: &str, config: Config, buffers: B, watch: W) -> Result<Self, ConfigError> {
-        let segmenter = Segmenter::new(config.segment.clone())?;
+        Self::with_level(sensor, config, buffers, watch, Level::new())
+    }
+
+    /// The same, with no more than these instructions of the machine (see [`levels`](crate::sweep::lanes::levels)): it
+    /// gives the same sweeps, byte for byte.
+    ///
+    /// # Errors
+    /// [`ConfigError`], as [`Pipeline::new`].
+    pub fn with_level(sensor: &str, config: Config, buffers: B, watch: W, level: Level) -> Result<Self, ConfigError> {
+        let segmenter = Segmenter::with_level(config.segment.clone(), level)?;
         let state = Self::detecting(config.model, buffers, Clocks::default());
         let counts = Counts::default();
         let sensor = sensor.to_owned();
@@ -101,6 +113,7 @@ impl<B: Buffers, W: Stopwatch> Pipeline<B, W> {
             watch,
             state,
             segmenter,
+            level,
             spent: Spent::default(),
             counts,
             sweeps: 0,
@@ -317,6 +330,8 @@ impl<B: Buffers, W: Stopwatch> Pipeline<B, W> {
                 }
             };
             self.state = Self::detecting(self.config.model, buffers, clocks);
+            // Whoever comes next may sit elsewhere.
+            self.segmenter.forget_height();
         }
         None
     }

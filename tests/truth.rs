@@ -5,7 +5,7 @@ mod common;
 use std::collections::HashMap;
 use std::path::Path;
 
-use common::run::{Placed, Run};
+use common::run::{AT_FAR_M, Placed, RANGE_M, Run};
 use sweepd::pipeline::Config;
 use sweepd::sensor::Model;
 use sweepd::simulate::fixtures::{self, Fixture};
@@ -55,12 +55,6 @@ fn azimuth_deg(fixture: &Fixture) -> f64 {
     if fixture.config.encoder.jitter_deg == 0.0 { 0.006 } else { fixture.config.encoder.jitter_deg + 0.01 }
 }
 
-/// Ranges at which the two-point correction of an HDL-64E may end: 25.04 m and the distance offset of a beam.
-const AT_FAR_M: std::ops::Range<f64> = 25.9..26.9;
-
-/// Half of 2 mm, what a number of 24 bits loses of 100 m, and what no packet can say at the end of the correction.
-const RANGE_M: f64 = 0.001_1;
-
 /// With the unit's calibration from the first packet on, where it has one.
 fn calibrated(fixture: &Fixture) -> Config {
     let unit = fixture.config.model.is_hdl64e().then(|| fixture.config.beams().into_owned());
@@ -100,8 +94,6 @@ fn check(fixture: &Fixture, sent: &[SimulatedDatagram], run: &Run, range_m: f64)
         }
         worst.range_m = worst.range_m.max((f64::from(found.range_m) - truth.range_m).abs());
         let off_deg = ((off_deg + 180.0).rem_euclid(360.0) - 180.0).abs();
-        // At the end of the two-point correction a range may be said from the other side alone, some hundredths of a degree
-        // beside.
         let at_far = fixture.config.model.is_hdl64e() && AT_FAR_M.contains(&truth.range_m);
         if at_far && off_deg > azimuth_deg(fixture) {
             beside += 1;

@@ -27,8 +27,8 @@ use crate::sensor::{Calibration, Model};
 use crate::simulate::delivery::Delivery;
 use crate::simulate::gps::{Clock, Reception};
 use crate::simulate::{Emitter, EmitterConfig, Faults, Motor, Scene, Setting, SimulatedDatagram, deliver};
-use crate::wire::DATA_PORT;
-use crate::wire::data::ReturnMode;
+use crate::wire::data::{DATA_PACKET_LEN, ReturnMode};
+use crate::wire::{DATA_PORT, POSITION_PORT};
 
 /// Options of `sweepd simulate`.
 #[derive(Debug, clap::Args)]
@@ -213,7 +213,11 @@ pub fn run(args: &Args) -> Result<(), CliError> {
         write_objects(folder, &scene)?;
     }
     let mut output = Output::open(&args.target)?;
-    while let Some((index, datagram)) = next(&mut sensors) {
+    while let Some((mut index, mut datagram)) = next(&mut sensors) {
+        if index < 2 && args.faults.is_exchanged(datagram.arrival_ns - configs[index].start_utc_ns) {
+            index = 1 - index;
+            datagram.source.set_ip(configs[index].address);
+        }
         output.send(index, &datagram)?;
         sensors[index].note(&datagram)?;
     }
@@ -238,7 +242,7 @@ impl Args {
             return Err(CliError::Usage(format!("--model is given {count} times; expected at most {MAX_SENSORS}")));
         }
         self.cloud.check()?;
-        self.faults.check(self.seconds.unwrap_or(SECONDS))
+        self.faults.check(self.models.len(), self.seconds.unwrap_or(SECONDS))
     }
 
     /// The timing of a model.
@@ -298,7 +302,8 @@ impl Args {
             config.spec = self.spec(model)?;
             config.rpm = self.rpm.unwrap_or(RPM);
             config.calibration = self.calibration(model)?;
-            config.motor = Motor { drift: self.rpm_drift / 100.0, ..self.faults.motor() };
+            config.motor = Motor { drift: self.rpm_drift / 100.0, ..self.faults.motor(config.rpm) };
+            (config.fov, config.clock_step) = (self.faults.fov, self.faults.clock_step);
             config.pose = self.scene.pose(number);
             config.clock = self.gps.clock();
             config.start_utc_ns = start_utc_ns;
@@ -327,7 +332,7 @@ struct Simulated<'a> {
 
 impl<'a> Simulated<'a> {
     fn new(args: &Args, config: &EmitterConfig, scene: &'a Scene) -> Result<Self, CliError> {
-        let faults = args.faults.rates().plan(config.seed, config.packets);
+        let faults = args.faults.rates().plan(config.seed, config.sent_packets());
         let folder = args.truth.as_ref().map(|folder| match config.address.octets() {
             [.., 201] => folder.clone(),
             _ => folder.join(format!("{}_{DATA_PORT}", config.address)),
@@ -346,11 +351,13 @@ impl<'a> Simulated<'a> {
 
     fn note(&mut self, sent: &SimulatedDatagram) -> Result<(), CliError> {
         let Some(truth) = &sent.truth else {
-            self.position += 1;
+            self.position += u64::from(sent.destination.port() == POSITION_PORT);
             return Ok(());
         };
         self.data += 1;
-        self.truth.as_mut().map_or(Ok(()), |file| file.packet(truth))
+        // One of another length is not counted by a replay either.
+        let is_packet = sent.payload.len() == DATA_PACKET_LEN;
+        self.truth.as_mut().filter(|_| is_packet).map_or(Ok(()), |file| file.packet(truth))
     }
 
     /// Finishes the truth, and says on standard error what was sent and what was done to it.
@@ -359,7 +366,7 @@ impl<'a> Simulated<'a> {
         let Self { config, faults, data, position, .. } = &*self;
         let EmitterConfig { address, model, .. } = config;
         let (lost, duplicated) = (faults.lost_packets(), faults.duplicated.len());
-        let (reordered, corrupted) = (faults.swapped.len(), faults.corrupted.len());
+        let (reordered, corrupted, strays) = (faults.swapped.len(), faults.corrupted.len(), faults.strays.len());
         let switched = match config.mode_switch {
             Some(at) => format!(", {} from data packet {at}", config.mode_of(at)),
             None => String::new(),
@@ -368,7 +375,7 @@ impl<'a> Simulated<'a> {
         let _ = writeln!(
             io::stderr(),
             "{address} ({model}): data packets {data}, position packets {position}; injected: lost {lost}, duplicated \
-             {duplicated}, reordered {reordered}, corrupted {corrupted}{switched}"
+             {duplicated}, reordered {reordered}, corrupted {corrupted}, strays {strays}{switched}"
         );
         Ok(())
     }
@@ -393,7 +400,7 @@ impl Output {
     }
 
     fn send(&mut self, sensor: usize, sent: &SimulatedDatagram) -> Result<(), CliError> {
-        let SimulatedDatagram { arrival_ns, source, destination, payload, truth } = sent;
+        let SimulatedDatagram { arrival_ns, source, destination, payload, .. } = sent;
         match self {
             Self::File(file) => {
                 let (arrival_ns, source, destination) = (*arrival_ns, *source, *destination);
@@ -405,7 +412,10 @@ impl Output {
                     std::thread::sleep(wait);
                 }
                 let ip = (*source.ip()).into();
-                if truth.is_some() { sender.data(sensor, ip, payload) } else { sender.position(ip, payload) }
+                match destination.port() {
+                    DATA_PORT => sender.data(sensor, ip, payload),
+                    _ => sender.position(ip, payload),
+                }
             }
         }
     }

@@ -163,7 +163,7 @@ impl<B: Buffers, W: Stopwatch> Pipeline<B, W> {
         self.counts.undecoded -= waiting.len() as u64;
         let limits_m = self.config.segment.min_range_m..=self.config.segment.max_range_m;
         let model = (detection.model, detection.spec);
-        let decoder = Decoder::new(model, &calibration, self.config.return_choice, limits_m);
+        let decoder = Decoder::new(model, &calibration, self.config.return_choice, limits_m).with_level(self.level);
         let mut order = Order::new(decoder.spec);
         order.expect_rate(rate_cdeg_ns);
         let mut builder = Builder::new(buffers, decoder, self.settings());

@@ -1,12 +1,14 @@
 //! A sensor as it is configured: model, unit, mode, speed, place, and what it is connected to.
 
 use std::borrow::Cow;
+use std::f64::consts::TAU;
 use std::net::Ipv4Addr;
 
-use super::gps::{self, Clock};
-use super::head::{Encoder, Motor, Pose};
+use super::gps::{self, Clock, ClockStep};
+use super::head::{Encoder, FieldOfView, Motor, Pose};
 use super::optics::Optics;
-use super::shape::Vec3;
+use super::schedule::Schedule;
+use super::shape::{Vec3, floor};
 use super::{status, street, unit};
 use crate::sensor::model::Spec;
 use crate::sensor::{Calibration, Model};
@@ -28,9 +30,11 @@ pub struct EmitterConfig {
     pub rpm: f64,
     /// When the head does not turn at that speed.
     pub motor: Motor,
+    /// The sector that it measures; `None` for the whole turn.
+    pub fov: Option<FieldOfView>,
     /// From this data packet on it reports the strongest return instead of both, or both instead of one.
     pub mode_switch: Option<u64>,
-    /// Data packets to send.
+    /// Data packets to send: fewer where the field of view is limited, which leaves out a part of the time that so many take.
     pub packets: u64,
     /// Where it stands.
     pub pose: Pose,
@@ -40,6 +44,8 @@ pub struct EmitterConfig {
     pub optics: Optics,
     /// What its clock follows.
     pub clock: Clock,
+    /// When its clock is set to another time.
+    pub clock_step: Option<ClockStep>,
     /// UTC of the first shot, nanoseconds since 1970.
     pub start_utc_ns: i64,
     /// How far the receiving host's clock is ahead of UTC, nanoseconds.
@@ -62,12 +68,14 @@ impl EmitterConfig {
             calibration: None,
             rpm: 600.0,
             motor: Motor::default(),
+            fov: None,
             mode_switch: None,
             packets: 0,
             pose: Pose { origin: Vec3::new(street::LANE_M, 0.0, 1.9), heading_rad: 0.0 },
             encoder: Encoder { start_deg: 0.0, jitter_deg: 0.02, sends_36000: true },
             optics: Optics::of(model),
             clock: Clock::Free { hour_ns: 0 },
+            clock_step: None,
             // 2026-05-04 10:00:00 UTC.
             start_utc_ns: 1_777_888_800_000_000_000,
             host_ahead_ns: 0,
@@ -115,9 +123,25 @@ impl EmitterConfig {
         periods_ns(self.return_mode, before) + periods_ns(other_mode(self.return_mode), ordinal - before)
     }
 
-    /// What the stamp of a packet is the time of, nanoseconds after the first shot of all.
-    pub(super) fn stamped_ns(&self, ordinal: u64) -> i64 {
-        self.first_shot_ns(ordinal) - self.spec.first_shot_ns(self.mode_of(ordinal), 0)
+    /// The sensor clock as packets carry it, so long after the first shot of all.
+    pub(super) fn stamp_us(&self, elapsed_ns: i64) -> u32 {
+        let step = self.clock_step.filter(|step| elapsed_ns >= step.at_ns);
+        self.clock.stamp_us(self.start_utc_ns, elapsed_ns, step.map_or(0, |step| step.by_ns))
+    }
+
+    /// Where the head points, radians from 0 to a whole turn.
+    pub(super) fn azimuth_rad(&self, time_ns: i64) -> f64 {
+        let turns = self.encoder.start_deg / 360.0 + self.rpm / 60.0 * self.motor.steady_ns(time_ns) * 1e-9;
+        (turns - floor(turns)) * TAU
+    }
+
+    /// Data packets that it really sends.
+    pub fn sent_packets(&self) -> u64 {
+        if self.fov.is_none() {
+            return self.packets;
+        }
+        let mut schedule = Schedule::default();
+        std::iter::from_fn(|| schedule.next(self)).count() as u64
     }
 
     /// The beams that it has.

@@ -10,23 +10,27 @@ use std::net::SocketAddrV4;
 
 use fastrand::Rng;
 
-use super::beam::Laser;
+use super::beam::{Aim, Laser};
 use super::config::EmitterConfig;
 use super::gps;
 use super::head::Pose;
 use super::layout::Layout;
-use super::optics::{self, Shot};
+use super::optics::{self, Return, Shot};
 use super::scene::{Hit, Scene};
-use super::shape::{Vec3, floor};
+use super::schedule::{Schedule, Times};
+use super::shape::Vec3;
 use super::status::Status;
 use super::truth::{PacketTruth, ReturnTruth, SimulatedDatagram};
 use super::view::View;
 use crate::sensor::Calibration;
 use crate::wire::data::{BLOCKS, DataPacket, RECORDS, ReturnMode};
+use crate::wire::hdl64::CYCLE_LEN;
 use crate::wire::{DATA_PORT, POSITION_PORT};
 
 /// Moving things are looked up for so long at a time.
 const VIEW_NS: i64 = 10_000_000;
+/// So long they are where they are seen beyond that, for a packet that begins shortly before.
+const VIEW_SLACK_NS: i64 = 1_800_000;
 
 /// The datagrams of a sensor, in the order in which they leave it.
 pub struct Emitter<'a> {
@@ -36,7 +40,9 @@ pub struct Emitter<'a> {
     status: Option<Status>,
     /// The scene around a time, and the number of that time.
     view: (i64, View<'a>),
-    ordinal: u64,
+    schedule: Schedule,
+    /// Stamp of the first packet of the status cycle, nanoseconds after the first shot of all.
+    cycle_ns: i64,
     position: Option<SimulatedDatagram>,
     /// Whether the truth of each return is wanted.
     tells: bool,
@@ -48,6 +54,7 @@ struct Draft {
     truth: Box<PacketTruth>,
     layout: Layout,
     mode: ReturnMode,
+    times: Times,
     /// Distance that each channel said last in this packet, metres.
     met_m: [f64; MAX_CHANNELS],
 }
@@ -68,7 +75,7 @@ impl<'a> Emitter<'a> {
         let status = config.model.is_hdl64e().then(|| Status::new(&config).expect("checked"));
         let (time_s, half_s) = stretch_s(0);
         let view = (0, View::new(scene, eye.0, eye.1, time_s, half_s));
-        Self { lasers, status, view, ordinal: 0, position: None, tells: true, config }
+        Self { lasers, status, view, schedule: Schedule::default(), cycle_ns: 0, position: None, tells: true, config }
     }
 
     /// The same, with nothing but its number in the truth of a packet: for whoever does not want more, and has no time.
@@ -77,47 +84,52 @@ impl<'a> Emitter<'a> {
         self
     }
 
-    /// Where the head points, radians from 0 to a whole turn.
-    fn azimuth_rad(&self, time_ns: i64) -> f64 {
-        let steady_ns = self.config.motor.steady_ns(time_ns);
-        let turns = self.config.encoder.start_deg / 360.0 + self.config.rpm / 60.0 * steady_ns * 1e-9;
-        (turns - floor(turns)) * TAU
-    }
-
-    fn data_packet(&mut self, ordinal: u64, rng: &mut Rng) -> (DataPacket, Box<PacketTruth>) {
-        let first_ns = self.config.first_shot_ns(ordinal);
-        let stretch = first_ns / VIEW_NS;
-        if self.view.0 != stretch {
-            self.view.0 = stretch;
-            let (time_s, half_s) = stretch_s(stretch);
-            self.view.1.turn_to(time_s, half_s);
-        }
-        let EmitterConfig { spec, clock, start_utc_ns, .. } = &self.config;
+    fn data_packet(&mut self, times: Times, rng: &mut Rng) -> (DataPacket, Box<PacketTruth>) {
+        let (spec, ordinal) = (self.config.spec, times.ordinal);
         let mode = self.config.mode_of(ordinal);
-        let stamp_us = clock.stamp_us(*start_utc_ns, self.config.stamped_ns(ordinal));
+        let stamped_ns = times.stamped_ns(&self.config);
+        if ordinal.is_multiple_of(CYCLE_LEN as u64) {
+            self.cycle_ns = stamped_ns;
+        }
         let (first, second) = match &self.status {
-            Some(status) => status.pair(&self.config, ordinal),
+            Some(status) => status.pair(&self.config, ordinal, self.cycle_ns),
             None => (mode.byte(), spec.product.unwrap_or_default()),
         };
+        let stamp_us = self.config.stamp_us(stamped_ns);
         let mut draft = Draft {
             packet: DataPacket::new(stamp_us, first, second),
             truth: Box::new(PacketTruth { ordinal, returns: [[None; RECORDS]; BLOCKS] }),
             layout: Layout::new(spec, mode),
             mode,
+            times,
             met_m: [self.config.optics.max_range_m; MAX_CHANNELS],
         };
         draft.layout.mark(&mut draft.packet);
         for firing in 0..spec.firings_per_packet(mode) {
-            self.fire(firing, first_ns + i64::from(spec.firing_period_ns(mode)) * firing as i64, &mut draft, rng);
+            self.look_around(times.firing_ns(firing, &self.config), firing == 0);
+            self.fire(firing, &mut draft, rng);
         }
         (draft.packet, draft.truth)
     }
 
+    /// Sees to it that what moves is where it is at a time: that of a packet's first shot, or of a later one if there was
+    /// a silence meanwhile.
+    fn look_around(&mut self, time_ns: i64, is_first: bool) {
+        let stretch = time_ns / VIEW_NS;
+        let is_due = is_first || time_ns > (self.view.0 + 1) * VIEW_NS + VIEW_SLACK_NS;
+        if is_due && self.view.0 != stretch {
+            self.view.0 = stretch;
+            let (time_s, half_s) = stretch_s(stretch);
+            self.view.1.turn_to(time_s, half_s);
+        }
+    }
+
     /// Fires all beams once and writes what they see into the blocks of this firing.
-    fn fire(&self, firing: usize, time_ns: i64, draft: &mut Draft, rng: &mut Rng) {
+    fn fire(&self, firing: usize, draft: &mut Draft, rng: &mut Rng) {
         let Self { config, .. } = self;
+        let time_ns = draft.times.firing_ns(firing, config);
         if draft.layout.begins_blocks(firing) {
-            let azimuth = config.encoder.azimuth_cdeg(self.azimuth_rad(time_ns), rng);
+            let azimuth = config.encoder.azimuth_cdeg(config.azimuth_rad(time_ns), rng);
             let blocks = draft.layout.blocks(firing);
             draft.packet.blocks[blocks].iter_mut().for_each(|block| block.set_azimuth_cdeg(azimuth));
         }
@@ -126,7 +138,7 @@ impl<'a> Emitter<'a> {
             // The second head fires with the first.
             if channel < RECORDS {
                 let time_ns = time_ns + i64::from(config.spec.channel_offset_ns(channel, draft.mode));
-                shots[channel] = (time_ns, self.azimuth_rad(time_ns));
+                shots[channel] = (time_ns, config.azimuth_rad(time_ns));
             }
             let (time_ns, head_rad) = shots[channel % RECORDS];
             let aim = laser.aimed(head_rad);
@@ -146,7 +158,7 @@ impl<'a> Emitter<'a> {
                 let (block, record) = draft.layout.place(firing, channel, slot);
                 draft.packet.blocks[block].records[record] = bytes;
                 if self.tells {
-                    draft.truth.returns[block][record] = Some(truth(&one.hit, aim.azimuth_of(one.distance_m), time_ns));
+                    draft.truth.returns[block][record] = Some(truth(one, &aim, time_ns));
                 }
             }
         }
@@ -160,14 +172,10 @@ impl<'a> Emitter<'a> {
     }
 }
 
-fn truth(hit: &Hit, azimuth_rad: f64, time_ns: i64) -> ReturnTruth {
-    ReturnTruth {
-        object: hit.object,
-        class: hit.class,
-        range_m: hit.distance_m,
-        azimuth_rad: within_turn(azimuth_rad),
-        time_ns,
-    }
+fn truth(one: &Return, aim: &Aim<'_>, time_ns: i64) -> ReturnTruth {
+    let azimuth_rad = within_turn(aim.azimuth_of(one.distance_m));
+    let Hit { object, class, distance_m, .. } = one.hit;
+    ReturnTruth { object, class, range_m: distance_m, azimuth_rad, time_ns }
 }
 
 /// An azimuth from 0 to a whole turn; most are, and need not be divided.
@@ -197,22 +205,17 @@ impl Iterator for Emitter<'_> {
         if let Some(position) = self.position.take() {
             return Some(position);
         }
-        let ordinal = self.ordinal;
-        if ordinal >= self.config.packets {
-            return None;
-        }
-        self.ordinal += 1;
+        let times = self.schedule.next(&self.config)?;
         // Each packet has dice of its own, so that it is the same whatever was sent before.
-        let mut rng = Rng::with_seed(self.config.seed ^ ordinal.wrapping_mul(0x9E37_79B9_7F4A_7C15));
-        let (packet, truth) = self.data_packet(ordinal, &mut rng);
-        let sent_ns = self.config.first_shot_ns(ordinal + 1);
+        let mut rng = Rng::with_seed(self.config.seed ^ times.ordinal.wrapping_mul(0x9E37_79B9_7F4A_7C15));
+        let (packet, truth) = self.data_packet(times, &mut rng);
+        let sent_ns = times.end_ns;
         // 90 us on the way, and now and then a busy host; less than a packet's period, so nothing overtakes.
         let delay_ns = 90_000 + rng.i64(0..20_000) + if rng.f64() < 0.05 { rng.i64(0..120_000) } else { 0 };
         let arrival_ns = self.config.start_utc_ns + self.config.host_ahead_ns + sent_ns + delay_ns;
         // An HDL-64E has no position packets: its status says what they would.
-        if self.status.is_none() && self.ordinal.is_multiple_of(self.config.data_per_position) {
-            let EmitterConfig { model, clock, start_utc_ns, .. } = self.config;
-            let payload = gps::position_packet(model, &clock, start_utc_ns, sent_ns + 10_000, &mut rng);
+        if self.status.is_none() && (times.ordinal + 1).is_multiple_of(self.config.data_per_position) {
+            let payload = gps::position_packet(&self.config, sent_ns + 10_000, &mut rng);
             self.position = Some(self.send(arrival_ns + 12_000, POSITION_PORT, payload.to_vec(), None));
         }
         Some(self.send(arrival_ns, DATA_PORT, packet.emit().to_vec(), Some(truth)))

@@ -128,7 +128,7 @@ pub fn all() -> Vec<Fixture> {
         lost: vec![31..=31, 64..=66, 97..=97, 120..=129, 181..=181, 205..=206],
         duplicated: vec![45, 150],
         swapped: vec![80, 170],
-        corrupted: vec![],
+        ..Faults::default()
     };
     vec![
         clean("street_vlp16.pcap.gz", puck(ReturnMode::Strongest, 6.0, 118.98)),

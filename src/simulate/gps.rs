@@ -4,6 +4,7 @@ use std::net::Ipv4Addr;
 
 use fastrand::Rng;
 
+use super::config::EmitterConfig;
 use crate::sensor::Model;
 use crate::wire::HOUR_US;
 use crate::wire::nmea::Rmc;
@@ -27,6 +28,15 @@ pub enum Clock {
         /// When it hears satellites.
         reception: Reception,
     },
+}
+
+/// When the sensor clock is set to another time, and by how much.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub struct ClockStep {
+    /// Nanoseconds after the first shot.
+    pub at_ns: i64,
+    /// Ahead of what it was; negative back.
+    pub by_ns: i64,
 }
 
 /// When a GPS receiver hears satellites, nanoseconds after the first shot.
@@ -65,15 +75,16 @@ impl Reception {
 }
 
 impl Clock {
-    /// The sensor clock as packets carry it: whole microseconds since the top of the hour, truncated.
-    pub fn stamp_us(&self, start_utc_ns: i64, elapsed_ns: i64) -> u32 {
+    /// The sensor clock as packets carry it: whole microseconds since the top of the hour, truncated. It was set ahead by
+    /// `ahead_ns`.
+    pub fn stamp_us(&self, start_utc_ns: i64, elapsed_ns: i64, ahead_ns: i64) -> u32 {
         let start_ns = match self {
             Self::Free { hour_ns } => *hour_ns,
             Self::Gps { reception, .. } if reception.follows_utc(elapsed_ns) => start_utc_ns,
             // Switched on with the first shot.
             Self::Gps { .. } => 0,
         };
-        ((start_ns + elapsed_ns).rem_euclid(HOUR_NS) / 1000) as u32
+        ((start_ns + elapsed_ns + ahead_ns).rem_euclid(HOUR_NS) / 1000) as u32
     }
 
     /// What the sensor says of the pulse, and the place that the receiver's sentence tells: a sentence since satellites
@@ -93,14 +104,9 @@ impl Clock {
 /// The sentence for the second before is complete this long after the pulse.
 const SENTENCE_DELAY_NS: i64 = 250_000_000;
 
-/// The 512 bytes of a position packet.
-pub fn position_packet(
-    model: Model,
-    clock: &Clock,
-    start_utc_ns: i64,
-    elapsed_ns: i64,
-    rng: &mut Rng,
-) -> [u8; POSITION_PACKET_LEN] {
+/// The 512 bytes of the position packet that a sensor sends so long after its first shot.
+pub fn position_packet(config: &EmitterConfig, elapsed_ns: i64, rng: &mut Rng) -> [u8; POSITION_PACKET_LEN] {
+    let EmitterConfig { model, clock, start_utc_ns, .. } = *config;
     let (pulse, place) = clock.received(elapsed_ns);
     let sentence = place.map(|position_deg| {
         let second = (start_utc_ns + elapsed_ns - SENTENCE_DELAY_NS).div_euclid(1_000_000_000);
@@ -111,7 +117,7 @@ pub fn position_packet(
     // The HDL-32E has no byte for the pulse.
     let pps = if inertial { Pps::Absent } else { pulse };
     Position {
-        stamp_us: clock.stamp_us(start_utc_ns, elapsed_ns),
+        stamp_us: config.stamp_us(elapsed_ns),
         pps,
         nmea: sentence.as_deref().map(str::trim_end),
         inertial: inertial.then(|| [chip(rng, 0), chip(rng, 819), chip(rng, 819)]),
@@ -155,24 +161,30 @@ pub fn destination(model: Model, address: Ipv4Addr) -> Ipv4Addr {
 #[cfg(test)]
 mod tests {
     use super::*;
+    use crate::wire::data::ReturnMode;
 
     /// 2026-05-04 09:59:59.5 UTC (`date -u -d 2026-05-04T09:59:59 +%s`).
     const UTC_NS: i64 = 1_777_888_799_500_000_000;
     const GPS: Clock = Clock::Gps { position_deg: (50.1, 8.7), reception: Reception::ALWAYS };
 
+    fn sensor(model: Model, clock: Clock) -> EmitterConfig {
+        EmitterConfig { clock, start_utc_ns: UTC_NS, ..EmitterConfig::new(model, ReturnMode::Strongest) }
+    }
+
     #[test]
     fn the_stamp_is_truncated_and_wraps_with_the_hour() {
-        assert_eq!(GPS.stamp_us(UTC_NS, 0), 3_599_500_000);
-        assert_eq!(GPS.stamp_us(UTC_NS, 1_999), 3_599_500_001);
-        assert_eq!(GPS.stamp_us(UTC_NS, 499_999_999), 3_599_999_999);
-        assert_eq!(GPS.stamp_us(UTC_NS, 500_000_000), 0);
-        assert_eq!(Clock::Free { hour_ns: 5_500 }.stamp_us(UTC_NS, 600), 6);
+        assert_eq!(GPS.stamp_us(UTC_NS, 0, 0), 3_599_500_000);
+        assert_eq!(GPS.stamp_us(UTC_NS, 1_999, 0), 3_599_500_001);
+        assert_eq!(GPS.stamp_us(UTC_NS, 499_999_999, 0), 3_599_999_999);
+        assert_eq!(GPS.stamp_us(UTC_NS, 500_000_000, 0), 0);
+        assert_eq!(Clock::Free { hour_ns: 5_500 }.stamp_us(UTC_NS, 600, 0), 6);
+        assert_eq!(Clock::Free { hour_ns: 5_500 }.stamp_us(UTC_NS, 600, -7_000), 3_599_999_999);
     }
 
     #[test]
     fn a_locked_puck_tells_the_second_before_last() {
         let at = |elapsed_ns| {
-            let bytes = position_packet(Model::Vlp16, &GPS, UTC_NS, elapsed_ns, &mut Rng::with_seed(0));
+            let bytes = position_packet(&sensor(Model::Vlp16, GPS), elapsed_ns, &mut Rng::with_seed(0));
             let position = Position::parse(&bytes).unwrap();
             assert_eq!((position.pps, position.inertial), (Pps::Locked, None));
             Rmc::parse(position.nmea.unwrap()).unwrap()
@@ -186,7 +198,7 @@ mod tests {
     #[test]
     fn an_hdl32e_has_chips_and_no_pulse() {
         let free = Clock::Free { hour_ns: 0 };
-        let bytes = position_packet(Model::Hdl32e, &free, UTC_NS, 0, &mut Rng::with_seed(0));
+        let bytes = position_packet(&sensor(Model::Hdl32e, free), 0, &mut Rng::with_seed(0));
         let position = Position::parse(&bytes).unwrap();
         assert_eq!((position.pps, position.nmea, position.board), (Pps::Absent, None, None));
         let gravity = position.inertial.unwrap()[1].accel_g()[1];
@@ -199,7 +211,7 @@ mod tests {
         let reception = Reception { from_ns: 3 * SECOND_NS, to_ns: 9 * SECOND_NS };
         let clock = Clock::Gps { position_deg: (50.1, 8.7), reception };
         let at = |second: i64| {
-            let bytes = position_packet(Model::Vlp16, &clock, UTC_NS, second * SECOND_NS, &mut Rng::with_seed(0));
+            let bytes = position_packet(&sensor(Model::Vlp16, clock), second * SECOND_NS, &mut Rng::with_seed(0));
             let position = Position::parse(&bytes).unwrap();
             (position.pps, position.nmea.map(|text| Rmc::parse(text).unwrap().valid), position.stamp_us)
         };

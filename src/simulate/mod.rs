@@ -11,14 +11,15 @@
 //! * [`beam`]: where a beam starts and goes, by the manual's formulas, and what the packet says of it. [`mod@unit`]: the
 //!   beams of an HDL-64E that was never built.
 //! * [`optics`]: from what a beam meets to the returns that the sensor reports.
-//! * [`config`]: a sensor. [`head`]: how it turns. [`emitter`]: time, turning head and packets. [`truth`]: what each
-//!   return really was. [`gps`]: the position packets; an HDL-64E has its `status` instead.
-//! * [`delivery`]: what a network does to datagrams. [`plan`]: faults at random rates.
+//! * [`config`]: a sensor. [`head`]: how it turns. `schedule`: when it fires. [`emitter`]: time, turning head and packets.
+//!   [`truth`]: what each return really was. [`gps`]: the position packets; an HDL-64E has its `status` instead.
+//! * [`delivery`]: what a network does to datagrams. [`plan`]: faults at random rates. [`damage`]: what is wrong with one
+//!   packet.
 //! * [`fixtures`]: the captures in `pcap_fixtures/`.
 //!
 //! The simulator solves the problem forwards, from time to direction to bytes, and shares nothing with the decoder but
 //! the tables in [`crate::sensor`]: an error in one does not hide in the other. The same configuration gives the same
-//! bytes, and a packet depends on its number alone, not on those before it.
+//! bytes, and a packet depends on when it is fired alone, not on those before it.
 //!
 //! ```
 //! use sweepd::sensor::Model;
@@ -37,11 +38,13 @@
 
 mod builder;
 mod layout;
+mod schedule;
 mod status;
 
 pub mod beam;
 pub mod cloud;
 pub mod config;
+pub mod damage;
 pub mod delivery;
 pub mod emitter;
 pub mod field;
@@ -62,9 +65,11 @@ pub mod unit;
 pub mod view;
 
 pub use config::EmitterConfig;
+pub use damage::{Damage, Part};
 pub use delivery::{Faults, deliver};
 pub use emitter::Emitter;
-pub use head::Motor;
+pub use gps::ClockStep;
+pub use head::{FieldOfView, Motor, SpeedChange};
 pub use plan::Rates;
 pub use scene::{Class, Scene};
 pub use setting::Setting;

@@ -2,10 +2,11 @@
 
 use fastrand::Rng;
 
+use super::damage::{Part, other_length};
 use super::delivery::Faults;
 
 /// How often what goes wrong, each as a share of the data packets, 0 to 1.
-#[derive(Clone, Copy, Debug, Default, PartialEq)]
+#[derive(Clone, Copy, Debug, PartialEq)]
 pub struct Rates {
     /// Packets lost one by one.
     pub loss: f64,
@@ -15,10 +16,23 @@ pub struct Rates {
     pub burst_len: u64,
     /// Packets that arrive twice.
     pub duplicate: f64,
-    /// Packets that arrive after the one behind them.
+    /// Packets that arrive after those behind them.
     pub reorder: f64,
-    /// Packets of which one bit is flipped.
+    /// How many they let pass, at least 1.
+    pub places: u64,
+    /// Packets that are damaged.
     pub corrupt: f64,
+    /// Where they are.
+    pub part: Part,
+    /// Packets before which a datagram arrives that no sensor sent, tiny or jumbo.
+    pub stray: f64,
+}
+
+impl Default for Rates {
+    fn default() -> Self {
+        let [loss, burst_loss, duplicate, reorder, corrupt, stray] = [0.0; 6];
+        Self { loss, burst_loss, burst_len: 0, duplicate, reorder, places: 1, corrupt, part: Part::Any, stray }
+    }
 }
 
 /// Dice for each kind of fault, so that one rate does not change what the others strike.
@@ -28,12 +42,13 @@ struct Dice {
     duplicate: Rng,
     reorder: Rng,
     corrupt: Rng,
+    stray: Rng,
 }
 
 impl Dice {
     fn new(seed: u64) -> Self {
         let dice = |kind: u64| Rng::with_seed(seed ^ kind.wrapping_mul(0xD1B5_4A32_D192_ED03));
-        Self { loss: dice(1), burst: dice(2), duplicate: dice(3), reorder: dice(4), corrupt: dice(5) }
+        Self { loss: dice(1), burst: dice(2), duplicate: dice(3), reorder: dice(4), corrupt: dice(5), stray: dice(6) }
     }
 }
 
@@ -41,16 +56,17 @@ impl Rates {
     /// What strikes a stream of so many data packets.
     ///
     /// The first and the last packet are spared: without them no receiver could tell what is missing. A packet suffers
-    /// one fault at most, and the one that overtakes it none, so that each fault can be counted at the other end.
+    /// one fault at most, and those that overtake it none, so that each fault can be counted at the other end.
     pub fn plan(&self, seed: u64, packets: u64) -> Faults {
-        let mut faults = Faults::default();
-        if *self == (Self { burst_len: self.burst_len, ..Self::default() }) {
+        let places = self.places.max(1);
+        let mut faults = Faults { places, ..Faults::default() };
+        if [self.loss, self.burst_loss, self.duplicate, self.reorder, self.corrupt, self.stray] == [0.0; 6] {
             return faults;
         }
         let mut dice = Dice::new(seed);
         let mut burst_end = 0;
-        // Whether the packet before is to be overtaken by this one, if that may be.
-        let mut waits = false;
+        // The packet that is to be overtaken by this one and others, if that may be.
+        let mut waits: Option<u64> = None;
         for ordinal in 1..packets {
             let last = ordinal + 1 == packets;
             if dice.burst.f64() < self.burst_loss && ordinal >= burst_end {
@@ -59,27 +75,27 @@ impl Rates {
             let lost = (dice.loss.f64() < self.loss || ordinal < burst_end) && !last;
             let twice = dice.duplicate.f64() < self.duplicate && !lost && !last;
             let late = dice.reorder.f64() < self.reorder && !lost && !twice && !last;
-            let bit = (dice.corrupt.f64() < self.corrupt).then(|| dice.corrupt.u16(..BITS));
-            let corrupt = bit.filter(|_| !lost && !twice && !last);
-            let overtakes = waits && !lost && !twice && corrupt.is_none();
-            if overtakes {
-                faults.swapped.push(ordinal - 1);
-            }
+            let damage = (dice.corrupt.f64() < self.corrupt).then(|| self.part.damage(&mut dice.corrupt));
+            let corrupt = damage.filter(|_| !lost && !twice && !last);
+            let stray = (dice.stray.f64() < self.stray).then(|| other_length(&mut dice.stray));
+            faults.strays.extend(stray.filter(|_| !lost).map(|bytes| (ordinal, bytes)));
+            waits = waits.filter(|_| !lost && !twice && corrupt.is_none());
+            let overtakes = waits.is_some();
+            faults.swapped.extend(waits.take_if(|first| ordinal - *first == places));
             if lost {
                 lose(&mut faults, ordinal);
             } else if twice {
                 faults.duplicated.push(ordinal);
-            } else if let Some(bit) = corrupt {
-                faults.corrupted.push((ordinal, bit));
+            } else if let Some(damage) = corrupt {
+                faults.corrupted.push((ordinal, damage));
             }
-            waits = late && corrupt.is_none() && !overtakes;
+            if late && corrupt.is_none() && !overtakes {
+                waits = Some(ordinal);
+            }
         }
         faults
     }
 }
-
-/// Bits of a data packet.
-const BITS: u16 = crate::wire::data::DATA_PACKET_LEN as u16 * 8;
 
 fn lose(faults: &mut Faults, ordinal: u64) {
     match faults.lost.last_mut() {
@@ -92,12 +108,22 @@ fn lose(faults: &mut Faults, ordinal: u64) {
 mod tests {
     use super::*;
 
-    const ALL: Rates =
-        Rates { loss: 0.05, burst_loss: 0.002, burst_len: 7, duplicate: 0.04, reorder: 0.03, corrupt: 0.02 };
+    const ALL: Rates = Rates {
+        loss: 0.05,
+        burst_loss: 0.002,
+        burst_len: 7,
+        duplicate: 0.04,
+        reorder: 0.03,
+        places: 1,
+        corrupt: 0.02,
+        part: Part::Any,
+        stray: 0.01,
+    };
 
     #[test]
     fn no_rate_is_no_fault_and_a_rate_is_met() {
-        assert_eq!(Rates { burst_len: 5, ..Rates::default() }.plan(1, 1000), Faults::default());
+        let none = Rates { burst_len: 5, ..Rates::default() }.plan(1, 1000);
+        assert_eq!(none, Faults { places: 1, ..Faults::default() });
         let near = |count: u64, share: f64| (count as f64 / 1e5 - share).abs() < 0.1 * share;
         assert!(near(Rates { loss: 0.05, ..Rates::default() }.plan(1, 100_000).lost_packets(), 0.05));
         let bursts = Rates { burst_loss: 0.002, burst_len: 10, ..Rates::default() }.plan(1, 100_000);
@@ -106,16 +132,18 @@ mod tests {
         let faults = ALL.plan(1, 100_000);
         assert!(near(faults.duplicated.len() as u64, 0.04 * 0.93), "{}", faults.duplicated.len());
         assert!(near(faults.corrupted.len() as u64, 0.02 * 0.9), "{}", faults.corrupted.len());
+        assert!(near(faults.strays.len() as u64, 0.01 * 0.93), "{}", faults.strays.len());
         assert!(near(faults.swapped.len() as u64, 0.03 * 0.88 * 0.88), "{}", faults.swapped.len());
     }
 
     #[test]
     fn a_packet_suffers_one_fault_and_the_ends_none() {
-        for (seed, rates) in [(1, ALL), (2, Rates { loss: 1.0, ..ALL }), (3, Rates { reorder: 1.0, ..ALL })] {
+        for (seed, rates) in [(1, ALL), (2, Rates { loss: 1.0, ..ALL }), (3, Rates { reorder: 1.0, places: 3, ..ALL })]
+        {
             let faults = rates.plan(seed, 5_000);
             let mut struck: Vec<u64> = faults.lost.iter().cloned().flatten().collect();
             struck.extend(&faults.duplicated);
-            struck.extend(faults.swapped.iter().flat_map(|&one| [one, one + 1]));
+            struck.extend(faults.swapped.iter().flat_map(|&one| one..=one + rates.places));
             struck.extend(faults.corrupted.iter().map(|&(one, _)| one));
             let count = struck.len();
             struck.sort();

@@ -51,10 +51,10 @@ impl Status {
         Ok(Self { series: series(config.model), dump: dump(config)? })
     }
 
-    /// Type and value in a data packet. A cycle of packets tells one moment, that of its first.
-    pub fn pair(&self, config: &EmitterConfig, ordinal: u64) -> (u8, u8) {
+    /// Type and value in a data packet. A cycle of packets tells one moment: that of its first one's stamp, so many
+    /// nanoseconds after the first shot of all.
+    pub fn pair(&self, config: &EmitterConfig, ordinal: u64, elapsed_ns: i64) -> (u8, u8) {
         let begun = ordinal - ordinal % CYCLE_LEN as u64;
-        let elapsed_ns = config.stamped_ns(begun);
         let (pps, sentence) = config.clock.received(elapsed_ns);
         let (gps, warnings) = match (pps, sentence.is_some()) {
             (Pps::Locked, _) => (Gps::Both, PPS_PRESENT | GPS_TIME_PRESENT),

@@ -77,10 +77,15 @@ impl Decoder {
         }
     }
 
+    /// The same, with no more than these instructions of the machine; it gives the same bytes.
+    pub fn with_level(self, level: Level) -> Self {
+        Self { level, ..self }
+    }
+
     /// The same decoder at each level of vector instructions that this machine has, the least first, with its name; all of
     /// them give the same bytes.
     pub fn at_every_level(&self) -> Vec<(String, Self)> {
-        lanes::levels().into_iter().map(|level| (format!("{level:?}"), Self { level, ..self.clone() })).collect()
+        lanes::levels().into_iter().map(|level| (format!("{level:?}"), self.clone().with_level(level))).collect()
     }
 
     /// Rows of the image.

@@ -165,7 +165,9 @@ impl Head {
     fn standstill_changes(&mut self, advance: f64, time_ns: i64) -> bool {
         self.watched_cdeg += advance;
         let since = *self.watched_since_ns.get_or_insert(time_ns);
-        if time_ns - since < STANDSTILL_NS {
+        // That it stands takes a while to see; that it moves again is seen at once, and the sweep in which it stood ends there.
+        let moves = self.stopped && self.watched_cdeg.abs() >= STANDSTILL_CDEG;
+        if time_ns - since < STANDSTILL_NS && !moves {
             return false;
         }
         let stopped = self.watched_cdeg.abs() < STANDSTILL_CDEG;
@@ -248,7 +250,8 @@ mod tests {
         let mut head = Head::new(0.0);
         let events = events(&mut head, &azimuths);
         assert_eq!(events.len(), 2, "{events:?}");
-        assert!((1000..=1600).contains(&events[0].0) && (1700..=2300).contains(&events[1].0));
+        // That it moves on is seen when it has gone 0.3 degrees.
+        assert!((1000..=1600).contains(&events[0].0) && events[1].0 == 1703, "{events:?}");
         assert!(!head.stopped);
     }
 

@@ -91,12 +91,7 @@ pub enum ReturnChoice {
 
 /// Head of a sweep. Counts and offsets first, then what was measured.
 ///
-/// The same packets give the same sweep, byte for byte, but for what depends on the host that took them:
-/// [`sequence`](Self::sequence), [`run_ns`](Self::run_ns), [`name`](Self::name) and [`sensor`](Self::sensor);
-/// [`arrival_ns`](Self::arrival_ns), [`completed_ns`](Self::completed_ns) and
-/// [`completed_monotonic_ns`](Self::completed_monotonic_ns); [`time_ns`](Self::time_ns) where it is in the host's clock;
-/// [`decode_ns`](Self::decode_ns), [`ground_ns`](Self::ground_ns) and [`label_ns`](Self::label_ns);
-/// [`dropped_datagrams`](Self::dropped_datagrams); and the ordinals of packets ([`Column::packet`]).
+/// The same packets give the same sweep, byte for byte, but for what depends on the host that took them: [`HOST_FIELDS`].
 #[derive(Clone, Copy, Debug, FromBytes, IntoBytes, KnownLayout, Immutable)]
 #[repr(C)]
 pub struct Header {
@@ -539,6 +534,46 @@ pub struct Completion<'a> {
     pub completed_monotonic_ns: i64,
     /// See [`Header::dropped_datagrams`].
     pub dropped_datagrams: u32,
+}
+
+/// What of a sweep depends on the host that took the packets, and not on them alone: fields of [`Header`], and of
+/// [`Column`] the last. [`Header::time_ns`] is one where it is in the host's clock.
+pub const HOST_FIELDS: [&str; 13] = [
+    "sequence",
+    "run_ns",
+    "name",
+    "sensor",
+    "arrival_ns",
+    "completed_ns",
+    "completed_monotonic_ns",
+    "time_ns",
+    "decode_ns",
+    "ground_ns",
+    "label_ns",
+    "dropped_datagrams",
+    "packet",
+];
+
+impl Header {
+    /// The same with zeros where it depends on the host: see [`HOST_FIELDS`].
+    pub fn without_host(&self) -> Self {
+        let mut header = *self;
+        (header.sequence, header.run_ns, header.arrival_ns, header.dropped_datagrams) = (0, 0, 0, 0);
+        (header.completed_ns, header.completed_monotonic_ns) = (0, 0);
+        (header.decode_ns, header.ground_ns, header.label_ns) = (0, 0, 0);
+        (header.name, header.sensor) = ([0; 64], [0; 64]);
+        if self.time_source() == TimeSource::Host {
+            header.time_ns = 0;
+        }
+        header
+    }
+}
+
+impl Column {
+    /// The same with zeros where it depends on the host: see [`HOST_FIELDS`].
+    pub fn without_host(&self) -> Self {
+        Self { packet: 0, ..*self }
+    }
 }
 
 impl Header {

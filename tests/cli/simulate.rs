@@ -150,6 +150,45 @@ fn a_corrupt_packet_has_one_bit_flipped() {
 }
 
 #[test]
+fn what_is_late_by_places_damaged_or_stray_is_what_is_counted() {
+    let folder = Folder::new("places");
+    let path = folder.path("faulty.pcap");
+    for (faults, counts) in [
+        ("--reorder=2x3", |said: &Said| [("reordered", said.reordered), ("lost_packets", 0)]),
+        ("--corrupt=2xlength", |said| [("malformed", 0), ("lost_packets", said.corrupted)]),
+        ("--corrupt=2xflag", |said| [("malformed", said.corrupted), ("lost_packets", said.corrupted)]),
+        ("--stray=5", |_| [("malformed", 0), ("lost_packets", 0)] as [(&str, u64); 2]),
+    ] as [(&str, fn(&Said) -> [(&'static str, u64); 2]); 4]
+    {
+        let said =
+            simulate(&["--model=vlp16", "--scene=field", "--seconds=1", faults, "--pcap", path.to_str().unwrap()]);
+        let (_, sensors) = replayed(&path, &[]);
+        for (name, count) in counts(&said[0]) {
+            assert_eq!(sensors[0][name], count, "{faults}: {name} of {said:?}, {}", sensors[0]);
+        }
+        let sum = said[0].reordered + said[0].corrupted;
+        assert!(sum > 5 || faults.starts_with("--stray"), "{faults}: {said:?}");
+    }
+}
+
+#[test]
+fn two_sensors_may_exchange_their_addresses() {
+    let folder = Folder::new("exchange");
+    let path = folder.path("two.pcap");
+    let options = ["--model=vlp16", "--model=hdl32e", "--scene=field", "--seconds=1", "--exchange=0.5"];
+    simulate(&[&options[..], &["--pcap", path.to_str().unwrap()]].concat());
+    let (sweeps, sensors) = replayed(&path, &["--partial"]);
+    assert_eq!(sensors.len(), 2);
+    for sensor in &sensors {
+        let of = sweeps.iter().filter(|sweep| sweep["sensor"] == sensor["sensor"]);
+        let mut models: Vec<&str> = of.map(|sweep| sweep["model"].as_str().unwrap()).collect();
+        models.dedup();
+        models.sort_unstable();
+        assert_eq!(models, ["HDL-32E", "VLP-16"], "{sensor}");
+    }
+}
+
+#[test]
 fn the_same_command_gives_the_same_bytes_and_another_seed_others() {
     let folder = Folder::new("same");
     let options = "--model vlp16 --model puck-hires --scene room --seconds 0.15 --loss 2 --corrupt 2 --reorder 2";
@@ -211,6 +250,15 @@ fn the_motor_and_the_mode_do_what_they_are_told() {
     let rpm = |sweep: &Value| sweep["rpm"].as_f64().unwrap();
     let last_whole = sweeps.iter().rfind(|sweep| sweep["partial"] == false).unwrap();
     assert!(rpm(&sweeps[0]) < 500.0 && (rpm(last_whole) - 600.0).abs() < 0.6, "{sweeps:?}");
+    let (sweeps, _) = made(&["--new-rpm=1200@0.2..0.4"]);
+    let last_whole = sweeps.iter().rfind(|sweep| sweep["partial"] == false).unwrap();
+    assert!((rpm(last_whole) - 1200.0).abs() < 1.2, "{last_whole}");
+    let (sweeps, sensors) = made(&["--fov=270..90@0.35..0.75"]);
+    let is_half = |sweep: &&Value| (850..960).contains(&sweep["columns"].as_u64().unwrap());
+    let blanked = sweeps.iter().filter(is_half).count();
+    assert!((3..=4).contains(&blanked) && sensors[0]["lost_packets"] == 0, "{blanked}: {sensors:?}");
+    let (sweeps, sensors) = made(&["--gps=none", "--clock-step=600@0.5"]);
+    assert_eq!((sweeps.len() - whole(&sweeps), &sensors[0]["lost_packets"]), (4, &0.into()), "{sensors:?}");
     for (options, modes) in [
         (&["--mode-switch=0.45"][..], ["strongest", "dual"]),
         (&["--mode-switch=0.45", "--return=dual"], ["dual", "strongest"]),

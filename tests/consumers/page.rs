@@ -2,7 +2,10 @@
 
 use std::collections::BTreeMap;
 
-use super::fields::{numbers, structs};
+use sweepd::sweep::layout::{Column, HOST_FIELDS, Header, TimeSource};
+use zerocopy::{FromBytes, IntoBytes};
+
+use super::fields::{Field, numbers, structs};
 use super::of_project;
 
 /// The rows of the tables below each heading, cell by cell, without their back quotes.
@@ -59,4 +62,31 @@ fn the_page_has_every_number() {
         let said = row[0].strip_prefix("0x").map_or_else(|| row[0].parse(), |hex| u64::from_str_radix(hex, 16));
         assert_eq!(said, Ok(value), "{name}");
     }
+}
+
+/// One list in the code: the page names what is on it, and what is masked is what is on it.
+#[test]
+fn the_page_names_what_depends_on_the_host() {
+    let page = std::fs::read_to_string(of_project("docs/layout.md")).unwrap();
+    let (_, rest) = page.split_once("The same packets give the same sweep, byte for byte, but for").unwrap();
+    let sentence = rest.split(". ").next().unwrap();
+    let named: Vec<&str> = sentence.split('`').skip(1).step_by(2).collect();
+    assert_eq!(named, HOST_FIELDS);
+
+    let mut header = Header::read_from_bytes(&[0xFF; size_of::<Header>()]).unwrap();
+    header.time_source = TimeSource::Host as u32;
+    let column = Column::read_from_bytes(&[0xFF; size_of::<Column>()]).unwrap();
+    let masked = [header.without_host().as_bytes().to_vec(), column.without_host().as_bytes().to_vec()];
+    let mut found = Vec::new();
+    for (of, bytes) in structs().iter().filter(|of| ["Header", "Column"].contains(&of.name)).zip(&masked) {
+        let is_masked = |field: &&Field| bytes[field.offset..field.offset + field.bytes].iter().all(|&byte| byte == 0);
+        found.extend(of.fields.iter().filter(is_masked).map(|field| field.name).filter(|name| *name != "time_source"));
+    }
+    let sorted = |mut names: Vec<&'static str>| {
+        names.sort_unstable();
+        names
+    };
+    assert_eq!(sorted(found), sorted(HOST_FIELDS.to_vec()));
+    header.time_source = TimeSource::Gps as u32;
+    assert_eq!(header.without_host().time_ns, header.time_ns, "UTC is the sensor's own");
 }

@@ -21,7 +21,9 @@ def same(sweep):
     header["sensor"] = header["name"] = b""
     if header["time_source"] == TIME_HOST:
         header["time_ns"] = 0
-    parts = (header, sweep.columns, sweep.beams, sweep.segments, sweep.range, sweep.label, sweep.range2, sweep.label2,
+    columns = sweep.columns.copy()
+    columns["packet"] = 0
+    parts = (header, columns, sweep.beams, sweep.segments, sweep.range, sweep.label, sweep.range2, sweep.label2,
              sweep.reflectivity, sweep.reflectivity2, sweep.kind)
     return b"".join(part.tobytes() for part in parts if part is not None)
 

@@ -1,6 +1,6 @@
 //! What consumers get live, in Rust and in Python, is what a replay of the daemon's own recording gives, byte for byte.
 
-use std::collections::BTreeMap;
+use std::collections::{BTreeMap, BTreeSet};
 use std::ffi::OsStr;
 use std::io::Read;
 use std::path::Path;
@@ -9,30 +9,18 @@ use std::sync::mpsc::{self, Receiver};
 use std::time::{Duration, Instant};
 
 use sweepd::capture::Capture;
+use sweepd::client::Client;
 use sweepd::pipeline::{Config, Pipeline, Untimed};
-use sweepd::sweep::layout::TimeSource;
 use sweepd::sweep::{HeapBuffers, SweepRef};
-use zerocopy::IntoBytes;
 
+use crate::same::same;
 use crate::{Process, Setup};
 
 /// What must be the same, by sensor time: all of a sweep but what the layout names as the host's.
 type Sweeps = BTreeMap<i64, Vec<u8>>;
 
 fn keep(sweeps: &mut Sweeps, sweep: &SweepRef<'_>) {
-    let mut header = *sweep.header;
-    (header.sequence, header.run_ns, header.arrival_ns) = (0, 0, 0);
-    (header.completed_ns, header.completed_monotonic_ns, header.dropped_datagrams) = (0, 0, 0);
-    (header.decode_ns, header.ground_ns, header.label_ns) = (0, 0, 0);
-    (header.sensor, header.name) = ([0; 64], [0; 64]);
-    if header.time_source() == TimeSource::Host {
-        header.time_ns = 0;
-    }
-    let SweepRef { range, label, range2, label2, columns, beams, segments, .. } = *sweep;
-    let tables = [header.as_bytes(), columns.as_bytes(), beams.as_bytes(), segments.as_bytes()].concat();
-    let words = [range.as_bytes(), label.as_bytes(), range2.as_bytes(), label2.as_bytes()].concat();
-    let bytes = [tables, words, [sweep.reflectivity, sweep.reflectivity2, sweep.kind].concat()].concat();
-    assert!(sweeps.insert(header.sensor_time_ns, bytes).is_none(), "two sweeps of one time");
+    assert!(sweeps.insert(sweep.header.sensor_time_ns, same(sweep)).is_none(), "two sweeps of one time");
 }
 
 fn replayed(capture: &Path) -> Sweeps {
@@ -147,6 +135,57 @@ fn simulated_sensors_live_and_replayed() {
         let name = format!("{model} at {rpm} rpm");
         let received = compare(&name, python.as_deref(), |setup| setup.sensor(model, rpm, seconds));
         assert!(received * 4 >= sweeps * 3, "{name}: {received}");
+    }
+}
+
+/// Losses, copies and packets out of order, on the wire as in the file.
+#[test]
+fn a_faulty_sensor_live_and_replayed() {
+    for (model, faults) in [("vlp16", "--return=dual"), ("hdl32e", "--loss=2")] {
+        let received = compare(model, None, |setup| {
+            let to = format!("127.0.0.1:{}", setup.port);
+            let fixed = ["simulate", "--model", model, "--seconds", "1.2", "--to", &to, "--loss=1", "--duplicate=1"];
+            let args = [&fixed[..], &["--reorder=2x3", "--burst-loss=0.1x20", faults]].concat();
+            Process::start(&args, &setup.path("sensor.log"))
+        });
+        assert!(received > 8, "{model}: {received}");
+    }
+}
+
+/// Through shared memory at the speed of the sensor, three times as fast, and as fast as can be: what a consumer gets
+/// is the same, though it may miss some.
+#[test]
+fn captures_replayed_at_any_speed() {
+    for (capture, sweeps) in [("street_vlp16_losses.pcap", 5), ("street_hdl32e_dual.pcap.gz", 3)] {
+        let path = Path::new(env!("CARGO_MANIFEST_DIR")).join("pcap_fixtures").join(capture);
+        let expected = replayed(&path);
+        for speed in ["realtime", "3", "max"] {
+            let setup = Setup::new("", "");
+            let mut client = Client::within(&setup.domain(), "roof").unwrap();
+            let args = [
+                "replay",
+                path.to_str().unwrap(),
+                "--partial",
+                "--publish=roof",
+                "--speed",
+                speed,
+                "--loop=40",
+                "--root",
+            ];
+            let root = setup.own.root().to_str().unwrap().to_owned();
+            let mut player = Process::start(&[&args[..], &[&root]].concat(), &setup.path("player.log"));
+            let (mut met, begun) = (BTreeSet::new(), Instant::now());
+            while met.len() < sweeps {
+                assert!(begun.elapsed() < Duration::from_secs(20), "{capture} at {speed}: {} sweeps", met.len());
+                let Some(sweep) = client.next(Duration::from_millis(100)).unwrap() else { continue };
+                let sweep = sweep.view().unwrap();
+                let time_ns = sweep.header.sensor_time_ns;
+                assert!(expected.get(&time_ns) == Some(&same(&sweep)), "{capture} at {speed}: the sweep at {time_ns}");
+                met.insert(time_ns);
+            }
+            let _ = player.0.kill();
+            let _ = player.0.wait();
+        }
     }
 }
 

@@ -6,6 +6,8 @@ mod crashes;
 #[path = "../common/domain.rs"]
 mod domain;
 mod equal;
+#[path = "../common/same.rs"]
+mod same;
 
 use std::net::UdpSocket;
 use std::path::{Path, PathBuf};

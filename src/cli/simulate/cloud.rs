@@ -23,7 +23,7 @@ pub struct CloudOptions {
     #[arg(
         long,
         value_name = "FILE.bin",
-        conflicts_with_all = ["models", "scene", "returns", "spin_up", "stall", "mode_switch"]
+        conflicts_with_all = ["models", "scene", "returns", "spin_up", "stall", "mode_switch", "new_rpm", "fov", "clock_step", "exchange"]
     )]
     pub from_cloud: Option<PathBuf>,
     /// Fit each beam's elevation and vertical offset to the scan, and write the calibration to replay with: those of
@@ -129,10 +129,10 @@ fn write_calibration(path: PathBuf, calibration: &Calibration) -> Result<(), Cli
 fn conclude(cloud: &Path, turn: &Turn, packets: u64, faults: &Faults) {
     complain(&cloud.display().to_string(), turn.report());
     let (lost, duplicated) = (faults.lost_packets(), faults.duplicated.len());
-    let (reordered, corrupted) = (faults.swapped.len(), faults.corrupted.len());
+    let (reordered, corrupted, strays) = (faults.swapped.len(), faults.corrupted.len(), faults.strays.len());
     let message = format!(
         "data packets {packets}, {:.1} turns a minute; injected: lost {lost}, duplicated {duplicated}, reordered \
-         {reordered}, corrupted {corrupted}",
+         {reordered}, corrupted {corrupted}, strays {strays}",
         turn.rpm()
     );
     complain(&format!("{} ({MODEL})", gps::address(MODEL)), message);

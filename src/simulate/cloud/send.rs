@@ -11,6 +11,7 @@ use crate::simulate::status::Status;
 use crate::simulate::truth::{PacketTruth, ReturnTruth, SimulatedDatagram};
 use crate::wire::DATA_PORT;
 use crate::wire::data::{BLOCKS, DataPacket, RECORDS, Record};
+use crate::wire::hdl64::CYCLE_LEN;
 
 /// Share of a turn before the first cut: what a receiver needs to tell the model and the pitch.
 const LEAD: f64 = 0.25;
@@ -68,10 +69,16 @@ impl<'a> Sender<'a> {
         self.config.packets
     }
 
+    /// The time that the stamp of a packet says, nanoseconds after the first shot of all.
+    fn stamped_ns(&self, ordinal: u64) -> i64 {
+        self.config.first_shot_ns(ordinal) - self.config.spec.first_shot_ns(MODE, 0)
+    }
+
     fn packet(&self, ordinal: u64) -> (DataPacket, Box<PacketTruth>) {
         let Turn { spec, firings, .. } = self.turn;
-        let (kind, value) = self.status.pair(&self.config, ordinal);
-        let stamp_us = self.config.clock.stamp_us(self.config.start_utc_ns, self.config.stamped_ns(ordinal));
+        let (kind, value) =
+            self.status.pair(&self.config, ordinal, self.stamped_ns(ordinal - ordinal % CYCLE_LEN as u64));
+        let stamp_us = self.config.stamp_us(self.stamped_ns(ordinal));
         let mut packet = DataPacket::new(stamp_us, kind, value);
         self.layout.mark(&mut packet);
         let mut truth = Box::new(PacketTruth { ordinal, returns: [[None; RECORDS]; BLOCKS] });
