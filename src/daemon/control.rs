@@ -204,7 +204,9 @@ impl Control {
         self.runtime.check()?;
         let now = self.begun.elapsed();
         self.hear_events();
-        self.tees.look();
+        if self.tees.look() {
+            self.runtime.record(&self.tees);
+        }
         for (watcher, sensor) in self.watchers.iter_mut().zip(self.runtime.sensors.iter()) {
             watcher.observe(&observation(&sensor.counters, now)).iter().for_each(log);
         }
@@ -304,15 +306,9 @@ impl Control {
                 self.watchers[index].expect_rpm(new.rpm);
             }
         }
-        // One that has failed is begun again: whoever reloads has seen to the disk.
-        if self.config.record != old.record || self.tees.has_failed() {
-            match self.tees.record(self.config.record.as_ref()) {
-                Ok(()) => self.runtime.record(&self.tees),
-                Err(error) => {
-                    warn!("the recording stays as it was: {error}");
-                    self.config.record = old.record;
-                }
-            }
+        // One that has failed is begun again at once: whoever reloads has seen to the disk.
+        if self.config.record.as_ref() != self.tees.config() || self.tees.has_failed() {
+            self.tees.record(self.config.record.as_ref());
         }
     }
 }
