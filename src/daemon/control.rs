@@ -43,8 +43,9 @@ pub type Reread = Box<dyn FnMut(&Config) -> Result<Reload, String>>;
 /// Runs the daemon until SIGTERM or SIGINT; SIGHUP reads the configuration anew. `root` is the folder where consumers find
 /// it, and the socket of the taps.
 ///
-/// A signal ends it within 200 ms, all but the recording: what that has is on the disk before this returns, however long
-/// the disk takes. (systemd gives it the TimeoutStopSec of the unit; what the disk did not take in that time is lost.)
+/// A signal ends it within 200 ms where its threads get a core, all but the recording: what that has is on the disk before
+/// this returns, however long the disk takes. (systemd gives it the TimeoutStopSec of the unit; what the disk did not take in
+/// that time is lost.)
 ///
 /// # Errors
 /// [`DaemonError`]: it cannot start, or cannot go on; then the process is to end, so that systemd starts it again.
@@ -183,8 +184,8 @@ impl Control {
         tokio::pin!(serving);
         let ended = loop {
             tokio::select! {
-                _ = signals.terminate.recv() => break Ok(()),
-                _ = signals.interrupt.recv() => break Ok(()),
+                _ = signals.terminate.recv() => break Ok("SIGTERM"),
+                _ = signals.interrupt.recv() => break Ok("SIGINT"),
                 _ = signals.reload.recv() => self.reload(),
                 never = &mut serving => match never {},
                 _ = ticks.tick() => match self.look_around() {
@@ -194,6 +195,8 @@ impl Control {
             }
         };
         self.notifier.stopping();
+        // Who finds it gone is to see that it was asked to.
+        let ended = ended.map(|signal| info!("ends, by {signal}"));
         let stopped = self.runtime.stop();
         self.tees.finish();
         ended.and(stopped)
@@ -204,7 +207,9 @@ impl Control {
         self.runtime.check()?;
         let now = self.begun.elapsed();
         self.hear_events();
-        self.tees.look();
+        if self.tees.look() {
+            self.runtime.record(&self.tees);
+        }
         for (watcher, sensor) in self.watchers.iter_mut().zip(self.runtime.sensors.iter()) {
             watcher.observe(&observation(&sensor.counters, now)).iter().for_each(log);
         }
@@ -304,15 +309,9 @@ impl Control {
                 self.watchers[index].expect_rpm(new.rpm);
             }
         }
-        // One that has failed is begun again: whoever reloads has seen to the disk.
-        if self.config.record != old.record || self.tees.has_failed() {
-            match self.tees.record(self.config.record.as_ref()) {
-                Ok(()) => self.runtime.record(&self.tees),
-                Err(error) => {
-                    warn!("the recording stays as it was: {error}");
-                    self.config.record = old.record;
-                }
-            }
+        // One that has failed is begun again at once: whoever reloads has seen to the disk.
+        if self.config.record.as_ref() != self.tees.config() || self.tees.has_failed() {
+            self.tees.record(self.config.record.as_ref());
         }
     }
 }

@@ -190,8 +190,15 @@ fn port(port: &PortStatus, hangs: bool) -> Value {
 }
 
 fn recording(recording: &RecordingStatus) -> Value {
-    let RecordingStatus { path, files, datagrams, refused, trouble } = recording;
-    json!({ "path": path, "files": files, "datagrams": datagrams, "refused": refused, "trouble": trouble })
+    let RecordingStatus { path, files, datagrams, refused, retries, trouble } = recording;
+    json!({
+        "path": path,
+        "files": files,
+        "datagrams": datagrams,
+        "refused": refused,
+        "retries": retries,
+        "trouble": trouble,
+    })
 }
 
 /// Answers until the daemon ends.

@@ -120,11 +120,13 @@ impl Snapshot {
     }
 
     fn recording(&self, encoder: &mut DescriptorEncoder<'_>) -> fmt::Result {
-        let Some(RecordingStatus { datagrams, refused, trouble, .. }) = &self.recording else { return Ok(()) };
+        let Some(RecordingStatus { datagrams, refused, retries, trouble, .. }) = &self.recording else { return Ok(()) };
         let none: Labels<'_, 0> = [];
         family(encoder, "recorded", "Datagrams written by [record]", once((none, Total(*datagrams))))?;
         let help = "Datagrams that found no room, since the disk is too slow or failed";
         family(encoder, "unrecorded", help, once((none, Total(*refused))))?;
+        let help = "Attempts to begin a recording again that has failed";
+        family(encoder, "recording_retries", help, once((none, Total(*retries))))?;
         let failed = f64::from(u8::from(trouble.is_some()));
         family(
             encoder,

@@ -27,8 +27,9 @@ use crate::pipeline;
 use crate::segment::ConfigError;
 use crate::sweep::Buffers;
 
-/// How long the threads have to end; those that hang end with the process.
-const PATIENCE: Duration = Duration::from_millis(150);
+/// How long the threads have to end; those that hang end with the process. They take some milliseconds, and on a machine
+/// that is overloaded as long as they wait for a core.
+const PATIENCE: Duration = Duration::from_secs(5);
 
 /// Why the daemon cannot run, or cannot go on.
 #[derive(Debug, thiserror::Error)]
@@ -374,4 +375,21 @@ fn ended(thread: JoinHandle<Result<(), UdpError>>) -> String {
 fn panic_message(panic: &(dyn Any + Send)) -> &str {
     let text = panic.downcast_ref::<&str>().copied();
     text.or_else(|| panic.downcast_ref::<String>().map(String::as_str)).unwrap_or("a panic without a message")
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn a_thread_that_waits_for_a_core_is_waited_for_and_has_ended_well() {
+        let slow = thread::spawn(|| {
+            thread::sleep(Duration::from_millis(400));
+            Ok(())
+        });
+        let (threads, over) = (vec![("127.0.0.1:2368".to_owned(), slow)], Arc::default());
+        let (sensors, ports, events) = (Arc::new([]), Arc::new([]), mpsc::channel().1);
+        let runtime = Runtime { sensors, ports, events, orders: Vec::new(), lanes: Vec::new(), over, threads };
+        runtime.stop().unwrap();
+    }
 }

@@ -180,8 +180,13 @@ impl Daemon {
 
     /// An error about this daemon, with the end of its log.
     pub fn wrong(&mut self, mut what: String) -> SoakError {
-        if let Ok(Some(status)) = self.child.try_wait() {
-            what += &format!(" (the daemon has ended, {status})");
+        // A process that dies closes its sockets some time before it can be waited for.
+        for _ in 0..50 {
+            if let Ok(Some(status)) = self.child.try_wait() {
+                what += &format!(" (the daemon has ended, {status})");
+                break;
+            }
+            thread::sleep(Duration::from_millis(10));
         }
         let log: Vec<String> = self.log().last.iter().cloned().collect();
         SoakError::Wrong { what, log: log.join("\n") }

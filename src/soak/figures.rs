@@ -113,9 +113,10 @@ mod tests {
     #[test]
     fn what_stays_or_wavers_is_flat_and_what_grows_is_named_with_its_quarters() {
         let mut figures = Figures::default();
-        for percent in 0..100 {
-            figures
-                .add(f64::from(percent) / 100.0, &sample(20_000 + percent as u64 % 7 * 20, 5, 30 + percent as u64 % 5));
+        let looks = MANY * QUARTERS as u64;
+        for look in 0..looks {
+            let share = look as f64 / looks as f64;
+            figures.add(share, &sample(20_000 + look % 7 * 20, 5, 30 + look % 5));
         }
         assert_eq!(figures.grown(), [""; 0]);
         // A few descriptors in one look of many, of the first life alone: the restart hides it from the last quarter.

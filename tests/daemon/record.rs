@@ -4,7 +4,7 @@
 use std::fs;
 use std::io::{Read, Write};
 use std::net::{Ipv4Addr, TcpStream};
-use std::os::unix::fs::symlink;
+use std::os::unix::fs::{OpenOptionsExt, symlink};
 use std::path::{Path, PathBuf};
 use std::process::{Child, Command, ExitStatus, Stdio};
 use std::time::{Duration, Instant};
@@ -256,7 +256,31 @@ fn a_disk_that_fails_stops_no_sensor_and_a_reload_begins_again() {
     fs::remove_file(daemon.folder.join("full-000.pcap")).unwrap();
     daemon.reload(record);
     until("it is recorded", || daemon.recording()["datagrams"].as_u64() > Some(100));
-    assert_eq!(reasons(), "[]");
+    until("all is well", || reasons() == "[]");
+}
+
+#[test]
+fn a_disk_that_does_not_answer_keeps_nobody_waiting_but_the_recording() {
+    let mut daemon = Daemon::start("waits", &roof(97), "");
+    // Whoever opens a pipe to write waits for somebody who reads.
+    let pipe = daemon.folder.join("pipe-000.pcap");
+    assert!(Command::new("mkfifo").arg(&pipe).status().unwrap().success());
+    let _sending = Sending::start(97, daemon.ports, vlp16(200.0));
+    daemon.reload("[record]\npath = \"pipe.pcap\"\n");
+    until("it is read", || daemon.log().contains("the configuration was read anew"));
+    let sweeps = || daemon.health().unwrap()["sensors"][0]["sweeps"].as_u64();
+    let before = sweeps();
+    until("the sensor goes on", || sweeps() > before);
+    assert_eq!(daemon.recording(), Value::Null);
+    // What was said meanwhile is done when the disk answers.
+    daemon.reload("[record]\npath = \"other.pcap\"\n");
+    until("it is read again", || daemon.log().matches("the configuration was read anew").count() == 2);
+    let reader = fs::File::options().read(true).custom_flags(libc::O_NONBLOCK).open(&pipe).unwrap();
+    until("it is recorded", || daemon.recording()["datagrams"].as_u64() > Some(100));
+    assert_eq!(daemon.recording()["path"], daemon.folder.join("other-000.pcap").to_str().unwrap());
+    drop(reader);
+    let took = daemon.end();
+    assert!(took < Duration::from_millis(500), "{took:?}");
 }
 
 #[test]

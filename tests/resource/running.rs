@@ -70,7 +70,7 @@ fn without_descriptors_sweeps_go_on_and_health_answers_again_when_there_are_some
 }
 
 #[test]
-fn a_full_disk_ends_the_recording_and_no_sensor_and_it_is_begun_again() {
+fn a_full_disk_ends_the_recording_and_no_sensor_and_it_goes_on_by_itself_when_there_is_room() {
     if !can_unshare() {
         return;
     }
@@ -78,21 +78,28 @@ fn a_full_disk_ends_the_recording_and_no_sensor_and_it_is_begun_again() {
     world.configure("", "[record]\npath = \"/mnt/drive.pcap\"\n");
     world.start(&["-m"], "mount -t tmpfs -o size=256k none /mnt");
     world.until_it_says("recording to /mnt/drive-000.pcap");
-    world.simulate(20.0);
+    world.simulate(40.0);
     world.until_it_says("the recording has ended: cannot write /mnt/drive-000.pcap: No space left on device");
     world.until_it_says("free space there, or record to another disk");
-    world.until_health(503, "nothing is recorded: cannot write /mnt/drive-000.pcap");
+    world.until_health(503, "nothing is recorded: cannot write /mnt/drive-00");
+    assert_eq!(world.metric("sweepd_recording_failed{}"), 1);
     goes_on(&world);
-    world.inside("mount -o remount,size=64m /mnt");
-    world.signal("-HUP");
-    world.until_it_says("recording to /mnt/drive-001.pcap");
+    world.until_metric("sweepd_recording_retries_total{}", 2);
+    let unrecorded = world.metric("sweepd_unrecorded_total{}");
+    assert!(unrecorded > 0, "{}", world.log());
+    world.inside("test $(ls /mnt | wc -l) = 1 && mount -o remount,size=64m /mnt");
+    world.until_it_says("recording to /mnt/drive-001.pcap again");
     world.until_health(200, "streaming");
+    assert_eq!(world.metric("sweepd_recording_failed{}"), 0);
+    assert!(world.metric("sweepd_unrecorded_total{}") >= unrecorded, "what was not recorded stays counted");
+    assert_eq!(world.says("the recording has ended"), 1, "{}", world.log());
+    assert_eq!(world.metric("sweepd_lost_total{sensor=\"roof\"}"), 0);
     world.signal("-TERM");
     assert_eq!(world.end().code(), Some(0), "{}", world.log());
 }
 
 #[test]
-fn where_nothing_can_be_written_nothing_is_recorded_and_the_sensors_go_on() {
+fn where_nothing_can_be_written_nothing_is_recorded_and_it_is_begun_when_something_can() {
     if !can_unshare() {
         return;
     }
@@ -108,12 +115,15 @@ fn where_nothing_can_be_written_nothing_is_recorded_and_the_sensors_go_on() {
         world.start(&["-m"], script);
         world.until_it_says("nothing is recorded: cannot write /mnt/drive-0");
         assert!(world.log().contains(why), "{}", world.log());
-        world.simulate(5.0);
+        world.simulate(30.0);
         world.until_health(503, "nothing is recorded: cannot write /mnt/drive-0");
         goes_on(&world);
         world.inside("mount -o remount,rw /mnt");
-        world.signal("-HUP");
         world.until_it_says("recording to /mnt/drive-0");
+        world.until_health(200, "streaming");
+        let recorded = world.metric("sweepd_recorded_total{}");
+        world.until_metric("sweepd_recorded_total{}", recorded + 100);
+        assert_eq!(world.says("nothing is recorded"), 1, "{}", world.log());
     }
 }
 

@@ -176,6 +176,16 @@ impl World {
         sample.trim().parse::<f64>().unwrap() as u64
     }
 
+    /// Waits until a sample of the metrics is so great.
+    #[track_caller]
+    pub fn until_metric(&self, name: &str, least: u64) {
+        let begun = Instant::now();
+        while self.metric(name) < least {
+            assert!(begun.elapsed() < Duration::from_secs(20), "{name} stays under {least}: {}", self.log());
+            std::thread::sleep(Duration::from_millis(50));
+        }
+    }
+
     /// Waits for its end.
     #[track_caller]
     pub fn end(&mut self) -> ExitStatus {

@@ -1,6 +1,6 @@
 //! The files of a recording: one, or one after the other.
 
-use std::fs::File;
+use std::fs::{self, File};
 use std::io;
 use std::path::{Path, PathBuf};
 use std::time::{Duration, Instant};
@@ -158,12 +158,24 @@ fn open(
         match CaptureFile::create_new(&named, format) {
             Err(error) if rotation.is_wanted() && error.kind() == io::ErrorKind::AlreadyExists => {}
             Err(error) => return Err(RecordError::of(&named)(error)),
-            Ok(file) => {
+            Ok(mut file) => {
+                // A full disk has room for a name, and shows here that it has none for more.
+                if is_file(&named)
+                    && let Err(error) = file.sync()
+                {
+                    let _ = fs::remove_file(&named);
+                    return Err(RecordError::of(&named)(error));
+                }
                 sync_folder_of(&named);
                 return Ok((named, file));
             }
         }
     }
+}
+
+/// Whether it is no pipe or device, and no link to one.
+fn is_file(path: &Path) -> bool {
+    path.symlink_metadata().is_ok_and(|found| found.is_file())
 }
 
 /// `drive-007.pcap.gz` for `drive.pcap.gz`.

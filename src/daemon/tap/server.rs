@@ -340,6 +340,11 @@ impl Client {
                 Err(_) => self.stage = Stage::Gone,
             }
         }
+        if self.waiting.is_empty() {
+            // From the beginning again: else it would go through all of its memory in time, which the system gives when it
+            // is first used, though little waits.
+            self.waiting.clear();
+        }
         match self.stage {
             Stage::Leaving if self.waiting.is_empty() => self.stage = Stage::Gone,
             Stage::Streaming(_) if self.waiting.is_empty() => self.moved = Instant::now(),
@@ -387,5 +392,22 @@ mod tests {
             })
             .collect();
         assert_eq!(clients[0].waiting, expected);
+    }
+    #[test]
+    fn a_client_that_keeps_up_makes_use_of_little_memory_however_long_it_stays() {
+        let (stream, mut reader) = UnixStream::pair().unwrap();
+        let mut client = Client { stage: Stage::Streaming("roof".to_owned()), ..Client::new(stream).unwrap() };
+        client.waiting.reserve_exact(1 << 20);
+        let end = "127.0.0.1:2368".parse().unwrap();
+        let datagram = Addressed { arrival_ns: 1, source: end, destination: end, payload: &[7; 1206] };
+        let mut places = std::collections::HashSet::new();
+        let mut taken = vec![0; 4096];
+        for _ in 0..2000 {
+            client.put(&datagram);
+            places.insert(client.waiting.as_slices().0.as_ptr());
+            client.send();
+            assert!(client.waiting.is_empty() && reader.read(&mut taken).unwrap() > 1206);
+        }
+        assert_eq!(places.len(), 1, "each begins where the one before did");
     }
 }
