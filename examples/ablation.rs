@@ -7,22 +7,24 @@
 //! The folder has a folder a sequence, with clouds (`.bin`) and true labels (`.label`) in the manner of SemanticKITTI. Each
 //! cloud is taken three times: as it is, and thinned to every second and every fourth of its rings, from the highest on.
 
+mod tables;
+
 use std::error::Error;
 use std::fs;
 use std::path::{Path, PathBuf};
 
 use sweepd::cloud::{self, CloudProjector, CloudSegmenter};
-use sweepd::score::{Baseline, Group, ScanScore, Summary, Truth};
+use sweepd::score::{Baseline, ScanScore, Truth};
 use sweepd::segment::{Config, Joining, Method, Segmenter, SlopeGround};
 use sweepd::sweep::SweepMut;
 use sweepd::sweep::buffers::HeapBuffer;
+
+use tables::{DECIMALS, HEADING, INSTANCE_POINTS, Scored, figures, instances};
 
 type Result<T> = std::result::Result<T, Box<dyn Error + Send + Sync>>;
 
 /// Rings of which one is kept.
 const STEPS: [usize; 3] = [1, 2, 4];
-/// Fewest points of an instance that counts.
-const INSTANCE_POINTS: u32 = 20;
 /// What a nat of USE costs where a variant is chosen: merging is worse than splitting.
 const USE_PRICE: f64 = 0.005;
 /// What a variant is chosen by, with a name for the tables.
@@ -144,9 +146,6 @@ fn kept(points: &[[f32; 4]], step: usize) -> Result<Vec<bool>> {
     };
     Ok(pixel.iter().map(row).collect())
 }
-
-/// Scores of all scans, by the names of their sequences.
-type Scored = Vec<(String, ScanScore)>;
 
 struct Variant {
     name: String,
@@ -295,27 +294,6 @@ fn print_defaults() {
     );
 }
 
-/// The figures of the tables.
-const HEADING: &str = "ground F1 | PQ@20 | found@20 | USE | OSE | cover |";
-
-fn figures(scored: &[(String, ScanScore)]) -> [f64; 6] {
-    let summary = Summary::new(scored);
-    let row = |group, name| summary.row(group, name).expect("a figure of every score");
-    let mean = |group, name| row(group, name).mean.unwrap_or(f64::NAN);
-    let pooled = |name| row(Group::Instances(INSTANCE_POINTS), name).pooled.unwrap_or(f64::NAN);
-    [
-        mean(Group::Ground, "f1"),
-        pooled("pq"),
-        pooled("found_50"),
-        mean(Group::Objects, "use"),
-        mean(Group::Objects, "ose"),
-        mean(Group::Objects, "cover"),
-    ]
-}
-
-/// With the decimals of each.
-const DECIMALS: [usize; 6] = [3, 3, 3, 1, 1, 2];
-
 fn print_ingredients(variants: &[Variant], measured: &[&[Scored]]) {
     println!("| 64 / 32 / 16 rows | {HEADING}\n|---|---|---|---|---|---|---|");
     for (index, variant) in variants.iter().enumerate() {
@@ -348,7 +326,7 @@ fn print_left_out(rows: usize, variants: &[Variant], scored: &[Scored], worth: W
     lines.push(("**all, each left out**".to_owned(), String::new(), String::new(), all));
     lines.push(("**all, default**".to_owned(), String::new(), String::new(), scored[0].clone()));
     for (what, chosen, ahead, scored) in lines {
-        let instances: u64 = scored.iter().flat_map(|(_, score)| &score.instances).map(|counts| counts.count).sum();
+        let instances = instances(&scored);
         let cells = figures(&scored).into_iter().zip(DECIMALS).map(|(value, decimals)| format!("{value:.decimals$}"));
         println!("| {what} | {instances} | {chosen} | {ahead} | {} |", cells.collect::<Vec<_>>().join(" | "));
     }

@@ -339,8 +339,10 @@ fn what_cannot_be_scored_is_named_with_its_cure() {
     folder.scan("00/000000", &points, &truth);
     folder.refuses(&["--methods", "--theta", "0"], &["theta is 0 degrees"]);
     folder.refuses(&["--methods", "--columns", "0"], &["0 columns, expected 1 to"]);
+    folder.refuses(&["--methods", "--plot", "nowhere/precision.png"], &["nowhere/precision.png"]);
     for wrong in [
         &[][..],
+        &["--pred", "pred", "--plot", "precision.png"],
         &["--pred", "pred", "--methods"],
         &["--pred", "pred", "--theta", "5"],
         &["--methods", "--per-scan"],
@@ -386,7 +388,8 @@ fn methods_are_compared_over_their_parameters() {
     folder.scan("a/0", &points, &truth);
     folder.scan("b/0", &points, &truth);
     let options = ["--methods", "--columns", "720", "--theta", "10,89", "--distance", "0.5,9", "--cell", "0.5,9"];
-    let report = folder.json(&options);
+    let report = folder.json(&[&options[..], &["--plot", "precision.png"]].concat());
+    assert!(std::fs::read(folder.path("precision.png")).unwrap().starts_with(b"\x89PNG"));
     assert_eq!((&report["scans"], &report["sequences"]), (&Value::from(2), &Value::from(2)));
     let found: Vec<(String, f64)> = (report["methods"].as_array().unwrap().iter())
         .map(|line| {

@@ -1,6 +1,7 @@
 //! `sweepd score`: how good labels are.
 
 mod methods;
+mod plot;
 mod scans;
 mod table;
 
@@ -29,7 +30,8 @@ Examples:
   sweepd segment scans/00/000000.bin --out labels/00
   sweepd score --scans scans --pred labels --only 00/000000
   sweepd score --scans scans --pred labels --per-scan --json
-  sweepd score --scans scans --methods --theta 5,10,20 --distance 0.5 --cell 0.2")]
+  sweepd score --scans scans --methods --theta 5,10,20 --distance 0.5 --cell 0.2
+  sweepd score --scans scans --methods --plot precision.png")]
 pub struct Args {
     /// Folder with scans, searched with the folders in it
     #[arg(long, value_name = "DIR")]
@@ -108,6 +110,9 @@ struct Methods {
     /// Columns of the range image of our methods: firings of a turn
     #[arg(long, value_name = "N", default_value_t = cloud::COLUMNS, conflicts_with = "pred")]
     columns: usize,
+    /// Draw the precision over the parameters too, into this file
+    #[arg(long, value_name = "FILE.png", requires = "methods", conflicts_with = "pred")]
+    plot: Option<PathBuf>,
 }
 
 /// Runs the command.

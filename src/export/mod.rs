@@ -2,7 +2,7 @@
 //!
 //! * [`csv`]: every return with its provenance, to check the driver or to feed a spreadsheet.
 //! * [`pcd`]: the points and labels, for PCL, Open3D and CloudCompare.
-//! * [`png`]: one picture that shows what was measured and what the segmentation made of it.
+//! * [`png`]: one picture that shows what was measured and what the segmentation made of it; and charts of figures.
 //!
 //! The writers take a [`SweepRef`] and any [`Write`]; an [`Exporter`] puts their output into the files of a directory.
 

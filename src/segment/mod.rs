@@ -34,6 +34,7 @@ mod strips;
 mod tiles;
 mod turn;
 pub mod window;
+mod work;
 
 use std::f32::consts::FRAC_PI_2;
 

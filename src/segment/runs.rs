@@ -10,6 +10,7 @@ use fearless_simd::{Simd, f32x4, f32x8, f32x16, mask32x16, prelude::*};
 use zerocopy::FromZeros;
 
 use super::points::{LANES, Order, Points, STRIP, load};
+use super::work;
 use crate::sweep::Segment;
 
 /// All runs of an image, and which of them belong together.
@@ -113,6 +114,7 @@ impl Runs {
     #[inline(always)]
     pub fn root(&mut self, mut run: u32) -> u32 {
         loop {
+            work::count(1);
             let parent = self.parent[run as usize];
             if parent == run {
                 return run;

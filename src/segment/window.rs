@@ -23,6 +23,7 @@ use super::DENSE_ROWS;
 use super::points::{BEFORE, LANES, Points, STRIP, load};
 use super::reach::Entries;
 use super::runs::Runs;
+use super::work;
 
 /// What is joined.
 #[derive(Clone, Copy, Debug, PartialEq)]
@@ -116,6 +117,7 @@ impl Test {
         for half in 0..STRIP / LANES {
             let bits = both >> (1 + half * LANES) & 0xFFFF;
             if bits != 0 {
+                work::count(1);
                 let lane = points.at(row) + half * LANES;
                 let (here, before) = (Point::load(simd, points, lane), Point::load(simd, points, lane - 1));
                 let apart2 = here.apart2(&before);
@@ -140,6 +142,7 @@ impl Test {
         let mut joined = 0;
         for half in 0..STRIP / LANES {
             if both >> (half * LANES) & 0xFFFF != 0 {
+                work::count(1);
                 let a = Point::load(simd, points, points.at(row) + half * LANES);
                 let b = Point::load(simd, points, points.at(below) + half * LANES);
                 let apart2 = a.apart2(&b);
@@ -193,6 +196,7 @@ impl Test {
     ) {
         let (a, end) = (among.start, among.end);
         for from in (a + 1..end).step_by(LANES) {
+            work::count(1);
             let there = !(u64::MAX << (end - from).min(LANES));
             let mut left = entries.like(simd, from, a, self.aside(), self.near_m + SLACK_M) & there;
             while left != 0 {
@@ -205,12 +209,14 @@ impl Test {
                 match self.verdict(simd, points, Stretch::new(entries, a, points), Stretch::new(entries, b, points)) {
                     Verdict::Joined => {
                         let [root, gone] = runs.unite(both[0], both[1]);
+                        work::count((end - a).div_ceil(LANES));
                         entries.rename(simd, a..end, gone, root);
                     }
                     Verdict::Near(apart2) => {
                         // Two that are not small any more are joined or nothing.
                         let is_small = |entry: usize| !runs.has(entries.root[entry], self.small_points);
                         if is_small(a) || is_small(b) {
+                            work::count(1);
                             misses.push(Miss { runs: both, apart2 });
                         }
                     }
@@ -234,6 +240,7 @@ impl Test {
             let end = many.last.min(column + self.columns) + 1;
             let one = Point::splat(simd, points, few.lane + column);
             while from < end {
+                work::count(1);
                 let there = mask32x16::from_bitmask(simd, !(u64::MAX << (end - from).min(LANES)));
                 let others = Point::load(simd, points, many.lane + from);
                 let apart2 = one.apart2(&others);

@@ -8,7 +8,7 @@ use serde::Serialize;
 
 use super::scans::{Scan, points};
 use super::table::{heading, number};
-use super::{Args, json, progress};
+use super::{Args, json, plot, progress};
 use crate::cli::CliError;
 use crate::cloud::{CloudError, CloudSegmenter};
 use crate::score::{Baseline, Group, Grouped, Row, ScanScore, Summary};
@@ -50,13 +50,13 @@ impl Ours {
 }
 
 /// One way with one value of its parameter, and what came of it so far.
-struct Trial {
-    method: &'static str,
-    parameter: &'static str,
-    value: f64,
-    unit: &'static str,
+pub(super) struct Trial {
+    pub method: &'static str,
+    pub parameter: &'static str,
+    pub value: f64,
+    pub unit: &'static str,
     way: Way,
-    scored: Vec<(String, ScanScore)>,
+    pub scored: Vec<(String, ScanScore)>,
     ms: Vec<f64>,
 }
 
@@ -127,6 +127,7 @@ impl Trial {
 
 /// Segments and scores the scans with all methods; gives the table, or the JSON.
 pub(super) fn compare(args: &Args, scans: &[Scan]) -> Result<String, CliError> {
+    let plot = args.methods.plot.as_deref().map(plot::create).transpose()?;
     let mut trials = Trial::all(args)?;
     let mut default = Ours::new(Config::default(), args.methods.columns)?;
     let sizes = args.sizes();
@@ -149,6 +150,9 @@ pub(super) fn compare(args: &Args, scans: &[Scan]) -> Result<String, CliError> {
                 .map_err(|error| CliError::Usage(format!("{}: {error}", scan.cloud.display())))?;
             trial.scored.push((scan.sequence().to_owned(), score));
         }
+    }
+    if let Some(plot) = plot {
+        plot.write(&trials)?;
     }
     if args.json { json(&Report::new(&trials)) } else { Ok(table(&trials)) }
 }

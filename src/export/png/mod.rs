@@ -3,8 +3,11 @@
 //! The page, from top to bottom: the head (`title`); the range image and the label image (`strip`, both over one
 //! `raster`); the floor plan (`plan`) with the `legend` beside it. `palette` gives a colour one meaning on the whole
 //! page, `canvas` holds the pixels.
+//!
+//! `chart` draws figures over a parameter on such a canvas.
 
 mod canvas;
+mod chart;
 mod legend;
 mod palette;
 mod plan;
@@ -22,6 +25,7 @@ use self::raster::Raster;
 use self::strip::{AXIS_HEIGHT, CAPTION_HEIGHT};
 use crate::sweep::SweepRef;
 
+pub use chart::{CHART_SIZE, Chart, Panel, Series, write_chart};
 pub use title::Title;
 
 /// Pixels of a picture.
@@ -48,8 +52,12 @@ const LEGEND_WIDTH: u32 = 460;
 /// # Errors
 /// Those of `out`.
 pub fn write_png(sweep: SweepRef<'_>, title: &Title<'_>, out: impl Write) -> io::Result<()> {
-    let page = draw(sweep, title);
-    let mut encoder = ::png::Encoder::new(out, SIZE.0, SIZE.1);
+    encode(&draw(sweep, title), SIZE, out)
+}
+
+/// Writes what is on a canvas of a size.
+fn encode(page: &Canvas, (width, height): (u32, u32), out: impl Write) -> io::Result<()> {
+    let mut encoder = ::png::Encoder::new(out, width, height);
     encoder.set_color(::png::ColorType::Rgb);
     encoder.set_depth(::png::BitDepth::Eight);
     encoder.set_compression(::png::Compression::Fast);

@@ -1,0 +1,76 @@
+//! Sweeps of a simulated sensor, scored by what the simulator knows of every return.
+
+use sweepd::pipeline::Config;
+use sweepd::score::{ScanScore, Truth};
+use sweepd::segment;
+use sweepd::sensor::Model;
+use sweepd::simulate::{Class, Emitter, EmitterConfig, PacketTruth, ReturnTruth, Setting, SimulatedDatagram};
+use sweepd::sweep::layout::flags;
+use sweepd::wire::data::ReturnMode;
+
+use super::run::{Placed, Run};
+
+/// Where the head points at the first shot: a sixth of a turn before the cut.
+const START_DEG: f64 = 300.0;
+
+/// What a sensor sends from a scene.
+pub struct Simulated {
+    config: EmitterConfig,
+    sent: Vec<SimulatedDatagram>,
+}
+
+impl Simulated {
+    /// Of a scene that stands around the sensor: only what moves in it differs from turn to turn.
+    pub fn new(model: Model, setting: Setting, seed: u64, turns: f64) -> Self {
+        let mut config = EmitterConfig::new(model, ReturnMode::Strongest).turns(turns);
+        (config.pose, config.seed) = (setting.pose(0), seed);
+        // So that no jitter decides whether the first sweep is whole.
+        config.encoder.start_deg = START_DEG;
+        let sent = Emitter::new(config.clone(), &setting.build(seed)).collect();
+        Self { config, sent }
+    }
+
+    /// Scores of the whole sweeps, labelled from the first packet on by one configuration.
+    pub fn score(&self, segment: &segment::Config, min_points: u32) -> Vec<ScanScore> {
+        let calibration = self.config.model.is_hdl64e().then(|| self.config.beams().into_owned());
+        let config = Config { calibration, segment: segment.clone(), ..Config::default() };
+        let run = Run::of_datagrams_with(config, self.sent.iter().map(SimulatedDatagram::datagram));
+        let truth: Vec<&PacketTruth> = self.sent.iter().filter_map(|sent| sent.truth.as_deref()).collect();
+        let (views, returns) = (run.views(), run.returns());
+        let whole = |sweep: &&[Placed]| !views[sweep[0].sweep].header.has(flags::PARTIAL);
+        let score = |sweep: &[Placed]| score_sweep(sweep, &truth, min_points);
+        returns.chunk_by(|a, b| a.sweep == b.sweep).filter(whole).map(score).collect()
+    }
+}
+
+fn score_sweep(sweep: &[Placed], truth: &[&PacketTruth], min_points: u32) -> ScanScore {
+    let point = |placed: &Placed| {
+        let [x, y, z] = placed.found.point_m.map(|length| length as f32);
+        [x, y, z, 0.0]
+    };
+    let points: Vec<[f32; 4]> = sweep.iter().map(point).collect();
+    let labels: Vec<u32> = sweep.iter().map(|placed| placed.found.label).collect();
+    let known = |placed: &Placed| {
+        let records = &truth[placed.found.packet as usize].returns[usize::from(placed.found.block)];
+        true_label(records[placed.record].as_ref().expect("a return that was sent"))
+    };
+    let truth = Truth::new(&points, sweep.iter().map(known).collect()).expect("a true label a point");
+    ScanScore::new(&truth, &labels, &[min_points]).expect("a label a point")
+}
+
+/// The true label in the manner of SemanticKITTI: class, and number of the instance. A post, a sign, a table are things of
+/// their own here, of the class of what is none of the others (20).
+fn true_label(truth: &ReturnTruth) -> u32 {
+    let (class, is_thing) = match truth.class {
+        Class::Unknown => (0, false),
+        Class::Ground => (40, false),
+        Class::Building => (50, false),
+        Class::Tree => (70, false),
+        Class::Car => (10, true),
+        Class::Lorry => (18, true),
+        Class::Person => (30, true),
+        Class::Cyclist => (31, true),
+        Class::Pole | Class::Sign | Class::Furniture => (20, true),
+    };
+    if is_thing { truth.object << 16 | class } else { class }
+}
