@@ -10,6 +10,7 @@ use fastrand::Rng;
 use super::stream::Stream;
 use crate::daemon::counters::Reject;
 use crate::sensor::Model;
+use crate::simulate::EmitterConfig;
 use crate::simulate::gps::{self, Clock, Reception};
 use crate::wire::HOUR_US;
 use crate::wire::data::{DATA_PACKET_LEN, ReturnMode};
@@ -357,7 +358,9 @@ impl Feed {
             false => Clock::Free { hour_ns: 0 },
         };
         let elapsed_ns = self.stream.time_ns() as i64;
-        let payload = gps::position_packet(self.place.model, &clock, 0, elapsed_ns, &mut self.rng);
+        let sensor = EmitterConfig::new(self.place.model, ReturnMode::Strongest);
+        let payload =
+            gps::position_packet(&EmitterConfig { clock, start_utc_ns: 0, ..sensor }, elapsed_ns, &mut self.rng);
         self.socket.send_to(&payload, to)?;
         self.sent += 1;
         self.tally.positions += 1;
