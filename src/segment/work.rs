@@ -105,12 +105,12 @@ mod tests {
 
     /// Images that are made of runs as short as can be, or of as many components.
     const WORST: [(&str, Pattern); 9] = [
-        ("checkerboard, 10 m and holes", |row, column, _| if (row + column) % 2 == 0 { 10.0 } else { 0.0 }),
+        ("checkerboard, 10 m and holes", |row, column, _| if (row + column).is_multiple_of(2) { 10.0 } else { 0.0 }),
         ("checkerboard, 10 and 10.5 m", |row, column, _| 10.0 + 0.5 * ((row + column) % 2) as f32),
-        ("columns, 10 m and holes", |_, column, _| if column % 2 == 0 { 10.0 } else { 0.0 }),
+        ("columns, 10 m and holes", |_, column, _| if column.is_multiple_of(2) { 10.0 } else { 0.0 }),
         ("columns, 10 and 10.7 m", |_, column, _| 10.0 + 0.7 * (column % 2) as f32),
         ("rows, 10 and 10.7 m", |row, _, _| 10.0 + 0.7 * (row % 2) as f32),
-        ("comb, shaft up", |row, column, _| if row == 0 || column % 2 == 0 { 10.0 } else { 10.8 }),
+        ("comb, shaft up", |row, column, _| if row == 0 || column.is_multiple_of(2) { 10.0 } else { 10.8 }),
         ("random, 10 m or hole", |_, _, rng| if rng.bool() { 10.0 } else { 0.0 }),
         ("random, 10 to 12 m", |_, _, rng| 10.0 + 2.0 * rng.f32()),
         ("random, 1 to 80 m", |_, _, rng| 1.0 + 79.0 * rng.f32()),
