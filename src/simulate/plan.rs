@@ -78,9 +78,9 @@ impl Rates {
             let damage = (dice.corrupt.f64() < self.corrupt).then(|| self.part.damage(&mut dice.corrupt));
             let corrupt = damage.filter(|_| !lost && !twice && !last);
             let stray = (dice.stray.f64() < self.stray).then(|| other_length(&mut dice.stray));
-            faults.strays.extend(stray.filter(|_| !lost).map(|bytes| (ordinal, bytes)));
             waits = waits.filter(|_| !lost && !twice && corrupt.is_none());
             let overtakes = waits.is_some();
+            faults.strays.extend(stray.filter(|_| !lost && !overtakes).map(|bytes| (ordinal, bytes)));
             faults.swapped.extend(waits.take_if(|first| ordinal - *first == places));
             if lost {
                 lose(&mut faults, ordinal);
@@ -132,12 +132,15 @@ mod tests {
         let faults = ALL.plan(1, 100_000);
         assert!(near(faults.duplicated.len() as u64, 0.04 * 0.93), "{}", faults.duplicated.len());
         assert!(near(faults.corrupted.len() as u64, 0.02 * 0.9), "{}", faults.corrupted.len());
-        assert!(near(faults.strays.len() as u64, 0.01 * 0.93), "{}", faults.strays.len());
+        assert!(near(faults.strays.len() as u64, 0.01 * 0.9), "{}", faults.strays.len());
         assert!(near(faults.swapped.len() as u64, 0.03 * 0.88 * 0.88), "{}", faults.swapped.len());
     }
 
     #[test]
     fn a_packet_suffers_one_fault_and_the_ends_none() {
+        let overtakes = |faults: &Faults, one: u64| {
+            faults.swapped.iter().any(|&first| (first + 1..=first + faults.places).contains(&one))
+        };
         for (seed, rates) in [(1, ALL), (2, Rates { loss: 1.0, ..ALL }), (3, Rates { reorder: 1.0, places: 3, ..ALL })]
         {
             let faults = rates.plan(seed, 5_000);
@@ -145,6 +148,7 @@ mod tests {
             struck.extend(&faults.duplicated);
             struck.extend(faults.swapped.iter().flat_map(|&one| one..=one + rates.places));
             struck.extend(faults.corrupted.iter().map(|&(one, _)| one));
+            assert!(faults.strays.iter().all(|&(one, _)| !overtakes(&faults, one)));
             let count = struck.len();
             struck.sort();
             struck.dedup();

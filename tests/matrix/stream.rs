@@ -94,6 +94,10 @@ pub struct Promise {
     pub silent: u64,
     /// The calibration comes with the packets.
     pub learns: bool,
+    /// What is known not to hold, and why: the row says so and does not fail.
+    pub known: Option<&'static str>,
+    /// It is known to be whole: without a checksum it may be wrong until the next one contradicts, which a notice tells.
+    pub has_checksum: bool,
 }
 
 /// What the counters must say.
@@ -121,6 +125,8 @@ impl Promise {
         given_up: 0,
         silent: 0,
         learns: false,
+        has_checksum: true,
+        known: None,
     };
 }
 
