@@ -461,7 +461,7 @@ class Sensor:
 
     def _explain(self, said, error, config):
         """Raises what waiting does not mend."""
-        if "IncompatibleAttributes" in said or "IncompatibleTypes" in said:
+        if any(f"Incompatible{what}" in said for what in ("Attributes", "Types", "MessagingPattern")):
             found = self._published_version(config)
             if found is None or found == str(LAYOUT_VERSION):
                 raise SweepdError(

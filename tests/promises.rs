@@ -113,6 +113,42 @@ fn every_test_that_a_page_names_is_there() {
     assert!(missing.is_empty(), "no such tests: {missing:?}");
 }
 
+/// The commands that the page gives: cargo takes a filter that fits no test for success.
+#[test]
+fn every_command_of_a_page_runs_tests() {
+    let page = text("docs/promises.md");
+    let commands: Vec<&str> = quoted(&page).filter(|quote| quote.starts_with("cargo test ")).collect();
+    assert!(commands.len() >= 18, "{} commands", commands.len());
+    for command in commands {
+        let (mut tests, mut filters) = (Vec::new(), Vec::new());
+        let mut words = command.split(' ').skip(2);
+        while let Some(word) = words.next() {
+            match word {
+                "--lib" => tests.extend(sources("src")),
+                "--test" => tests.extend(files_of(words.next().unwrap_or_default())),
+                option if option.starts_with('-') => {}
+                filter => filters.push(filter),
+            }
+        }
+        assert!(!tests.is_empty(), "{command}: no such tests");
+        for filter in filters {
+            let fits = |path: &String| {
+                path.split(['/', '.']).any(|part| part.contains(filter))
+                    || text(path).lines().any(|line| line.trim_start().starts_with("fn ") && line.contains(filter))
+            };
+            assert!(tests.iter().any(fits), "{command}: nothing is called {filter}");
+        }
+    }
+}
+
+/// The files of an integration test.
+fn files_of(name: &str) -> Vec<String> {
+    let file = format!("tests/{name}.rs");
+    let of_folder =
+        if root().join("tests").join(name).is_dir() { sources(&format!("tests/{name}")) } else { Vec::new() };
+    of_folder.into_iter().chain(root().join(&file).exists().then_some(file)).collect()
+}
+
 /// Each of the 25 has a line: the tests that show sweepd does not have it, or that it has.
 #[test]
 fn every_pain_has_its_line() {

@@ -1,6 +1,9 @@
 //! `sweepd soak`: a day of the daemon in about an hour.
 
+use std::fs::{self, DirBuilder};
 use std::io::{self, Write};
+use std::os::unix::fs::DirBuilderExt;
+use std::sync::atomic::Ordering;
 use std::time::Duration;
 
 use super::options::within;
@@ -42,7 +45,9 @@ pub fn run(args: &Args) -> Result<(), CliError> {
     let system = |what| move |source| CliError::System { what, source };
     let over = end_flag().map_err(system("handle signals"))?;
     let folder = std::env::temp_dir().join(format!("sweepd-soak-{}", std::process::id()));
-    std::fs::create_dir_all(&folder).map_err(|source| CliError::Write { path: folder.clone(), source })?;
+    // One of its own: somebody else may have made a folder or a link of this name for it to write to.
+    let made = DirBuilder::new().mode(0o700).create(&folder);
+    made.map_err(|source| CliError::Write { path: folder.clone(), source })?;
     let plan = Plan {
         program: std::env::current_exe().map_err(system("find this program"))?,
         folder: folder.clone(),
@@ -52,8 +57,12 @@ pub fn run(args: &Args) -> Result<(), CliError> {
         tell_every: Duration::from_secs_f64(args.every),
     };
     let mut told = Ok(());
-    let outcome = soak::run(&plan, &over, &mut |line| told = writeln!(io::stdout(), "{line}"));
-    let _ = std::fs::remove_dir(&folder);
+    let outcome = soak::run(&plan, &over, &mut |line| {
+        told = writeln!(io::stdout(), "{line}");
+        // Whom nobody hears need not go on for an hour.
+        over.fetch_or(told.is_err(), Ordering::Relaxed);
+    });
+    let _ = fs::remove_dir(&folder);
     told.map_err(CliError::Stdout)?;
     let outcome = outcome?;
     print(&outcome).map_err(CliError::Stdout)?;

@@ -1,6 +1,7 @@
 //! A consumer's side: finds the service of a sensor, waits for sweeps, and finds it again after the daemon was restarted or its
 //! files were deleted.
 
+use std::fmt::Display;
 use std::sync::Arc;
 use std::time::{Duration, Instant};
 
@@ -13,6 +14,7 @@ use iceoryx2::service::attribute::AttributeKey;
 use iceoryx2::service::builder::publish_subscribe::PublishSubscribeOpenError;
 use iceoryx2::service::port_factory::PortFactory as _;
 use iceoryx2::service::port_factory::publish_subscribe::PortFactory;
+use iceoryx2::service::static_config::messaging_pattern::MessagingPattern as Details;
 
 use super::files::{Fate, ServiceFile};
 use super::{BORROWED, Domain, DomainError, Ipc, Preamble, attributes, node, same_schema, sensor_name, service_name};
@@ -309,15 +311,26 @@ impl Subscriber {
         let found = details.ok()??.static_details;
         let name = self.name.clone();
         let schema = AttributeKey::try_from(attributes::SCHEMA).ok()?;
-        let version = found.attributes().key_value(&schema, 0).map(ToString::to_string);
+        let version = found.attributes().key_value(&schema, 0).map(shown);
         // A service that names this version and is still another is nobody's that is known here.
         if let Some(found) = version.filter(|version| *version != LAYOUT_VERSION.to_string()) {
             return Some(SubscribeError::OtherVersion { name, found });
         }
-        let types = found.publish_subscribe().message_type_details();
-        let found = format!("it sends {} with the header {}", types.payload.type_name(), types.user_header.type_name());
+        let found = match found.messaging_pattern() {
+            Details::PublishSubscribe(details) => {
+                let types = details.message_type_details();
+                let [payload, header] = [&types.payload, &types.user_header].map(|one| shown(one.type_name()));
+                format!("it sends {payload} with the header {header}")
+            }
+            _ => "it sends nothing".to_owned(),
+        };
         Some(SubscribeError::Foreign { name, found })
     }
+}
+
+/// What a program that may not be sweepd says of itself, for a message: terminals obey what is no text.
+fn shown(told: impl Display) -> String {
+    told.to_string().escape_debug().to_string()
 }
 
 impl Open {

@@ -7,8 +7,8 @@
 //! ```text
 //! begin         what the sweep says of its beams, and how high the sensor is      mask, mount
 //! find_ground   the ground of the next strip of columns                           points, ground
-//! join          what is no ground there: stretches of neighbours, then of others  runs, window
-//! label         components, small ones to others, labels and segments table       strips
+//! join          what is no ground there: stretches of neighbours, then of others  runs, reach, window
+//! label         components, small ones to others, labels and segments table       strips, tiles
 //! ```
 //!
 //! * [`Method::Slope`], the default, is the files at the right: [`ground`] by slope from the sensor's foot up, then a

@@ -192,7 +192,8 @@ pub struct Return {
 }
 
 impl<'a> SweepRef<'a> {
-    /// The view over the bytes of a sweep, checked so that nothing in it can be out of bounds.
+    /// The view over the bytes of a sweep, checked so that nothing in it can be out of bounds. The bytes must stay as they are:
+    /// for those in shared memory, where a publisher may write on, see [`SweepRef::with_header`].
     ///
     /// # Errors
     /// [`LayoutError`].

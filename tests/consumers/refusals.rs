@@ -2,8 +2,8 @@
 //! a crash.
 
 use std::fs::File;
-use std::os::unix::fs::FileExt;
-use std::path::Path;
+use std::os::unix::fs::{FileExt, PermissionsExt};
+use std::path::{Path, PathBuf};
 use std::process::{Command, Stdio};
 use std::sync::atomic::{AtomicBool, Ordering};
 use std::time::{Duration, Instant};
@@ -167,6 +167,57 @@ fn a_foreign_service_of_the_same_name_is_refused() {
     meet!("header ()", &version, [u8],);
     meet!("sweepd.Preamble", &version, [u8], .user_header::<Wider>());
     meet!("u8", &AttributeSpecifier::new(), [u8], .user_header::<Preamble>());
+}
+
+/// Has something else stand in the file in which a service says what it is.
+fn rewrite(own: &Own, how: impl Fn(&ServiceFile, &ServiceFile) -> Vec<u8>) {
+    let folder = std::fs::read_dir(own.root().join("services")).unwrap();
+    let read = |path: PathBuf| {
+        let content = std::fs::read(&path).unwrap();
+        let hash = path.file_stem().unwrap().to_str().unwrap().strip_prefix(&own.domain().prefix()).unwrap().to_owned();
+        ServiceFile { path, hash, content }
+    };
+    let mut files: Vec<ServiceFile> = folder.map(|entry| read(entry.unwrap().path())).collect();
+    // The longer one has the attributes and types of the sweeps.
+    files.sort_by_key(|file| file.content.len());
+    let [event, sweeps] = &files[..] else { panic!("{} files", files.len()) };
+    let content = how(sweeps, event);
+    std::fs::remove_file(&sweeps.path).unwrap();
+    std::fs::write(&sweeps.path, content).unwrap();
+    std::fs::set_permissions(&sweeps.path, std::fs::Permissions::from_mode(0o400)).unwrap();
+}
+
+struct ServiceFile {
+    path: PathBuf,
+    hash: String,
+    content: Vec<u8>,
+}
+
+fn replaced(bytes: &[u8], from: &[u8], to: &[u8]) -> Vec<u8> {
+    assert_eq!(from.len(), to.len());
+    let mut bytes = bytes.to_vec();
+    let places: Vec<usize> = (0..=bytes.len() - from.len()).filter(|&at| bytes[at..].starts_with(from)).collect();
+    assert!(!places.is_empty(), "{} is not in the file", String::from_utf8_lossy(from));
+    places.into_iter().for_each(|at| bytes[at..at + to.len()].copy_from_slice(to));
+    bytes
+}
+
+/// What a service says of itself stands in a file, in which a process of the same user can write anything.
+#[test]
+fn a_service_that_lies_about_what_it_is_is_refused_in_plain_text() {
+    let own = Own::new();
+    let _hostile = Hostile::new(&own);
+    // It is an event, under the name of the sweeps: iceoryx2 panics where it is asked for the types of that.
+    rewrite(&own, |sweeps, event| replaced(&event.content, event.hash.as_bytes(), sweeps.hash.as_bytes()));
+    meet_foreign(&own, "nothing");
+
+    let own = Own::new();
+    let _hostile = Hostile::new(&own);
+    // A type whose name clears a terminal.
+    rewrite(&own, |sweeps, _| replaced(&sweeps.content, b"sweepd.Preamble", b"sweepd\\u001B[2J"));
+    let error = Client::within(&own.domain(), "roof").unwrap().next(Duration::ZERO).unwrap_err();
+    assert!(matches!(error, ClientError::Subscribe(SubscribeError::Foreign { .. })), "{error}");
+    assert!(!error.to_string().contains(char::is_control), "{error:?}");
 }
 
 /// iceoryx2 opens a service that is aligned to more than what is asked for; its bytes are as far apart as ever.
