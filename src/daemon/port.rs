@@ -208,6 +208,9 @@ impl<B: Buffers<Buffer: Outgoing>> Port<B> {
             }
             newest_ns = Some(datagram.arrival_ns);
         }
+        if newest_ns.is_some() {
+            counters.set_interface_gone(false);
+        }
         let dropped = if newest_ns.is_some() { source.dropped_so_far() } else { source.dropped() };
         counters.received.set(source.received());
         counters.dropped.set(dropped);

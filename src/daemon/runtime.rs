@@ -29,7 +29,7 @@ use crate::sweep::Buffers;
 
 /// How long the threads have to end; those that hang end with the process. They take some milliseconds, and on a machine
 /// that is overloaded as long as they wait for a core.
-const PATIENCE: Duration = Duration::from_secs(5);
+const PATIENCE: Duration = Duration::from_secs(1);
 
 /// Why the daemon cannot run, or cannot go on.
 #[derive(Debug, thiserror::Error)]

@@ -262,7 +262,7 @@ pub fn waiting(ports: &[u16]) -> io::Result<(u64, u64)> {
     Ok(sockets.fold((0, 0), |(bytes, drops), (more, dropped): (u64, u64)| (bytes.max(more), drops + dropped)))
 }
 
-/// A port of the loopback interface that is free, most likely for a while.
+/// Ports of the loopback interface that are free, most likely for a while.
 ///
 /// # Errors
 /// There is none.

@@ -191,7 +191,11 @@ impl UdpSource {
     pub fn follow_interface(&mut self) -> Result<bool, UdpError> {
         let Some(name) = &self.config.interface else { return Ok(true) };
         match interface_index(name) {
-            Err(_) => Ok(false),
+            // What cannot be told, for want of descriptors say, is taken to be there.
+            Err(UdpError::Interface { source, .. }) => {
+                Ok(!matches!(source.raw_os_error(), Some(libc::ENODEV | libc::ENXIO)))
+            }
+            Err(error) => Err(error),
             Ok(index) if Some(index) == self.index => Ok(true),
             Ok(_) => {
                 let fresh = Self::bind(&UdpConfig { port: self.local.port(), ..self.config.clone() })?;
