@@ -161,7 +161,8 @@ impl Soak {
             self.daemon()?.reload_recording(false)?;
             fs::remove_dir_all(self.recordings()).map_err(failed)?;
         } else if dice < taken {
-            self.settings.0 = self.rng.u32(..360);
+            // Another one than before: what has not changed is not taken anew.
+            self.settings.0 = (self.settings.0 + self.rng.u32(1..360)) % 360;
             self.write_config(true).map_err(failed)?;
             self.outcome.reloads[0] += 1;
             self.daemon()?.reload(SENSORS.len() as u64)?;
