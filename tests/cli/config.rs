@@ -89,15 +89,15 @@ fn check_shows_every_fault_at_its_line_and_fails() {
 #[test]
 fn too_little_shared_memory_is_a_warning_with_a_cure() {
     let folder = Folder::new("config-memory");
-    // Each of these takes 2 GiB at most: more than there is anywhere.
+    // As many as there may be, each of which takes 2 GiB at most: more than this host has, or any but the largest.
     let sensor = |number: usize| {
         format!(
             "[[sensor]]\nname = \"s{number}\"\naddress = \"10.0.0.1:{number}\"\nmax_consumers = 16\nsegment = {{ min_points = 1 }}\n"
         )
     };
-    let file = folder.write("robot.toml", (1..=2000).map(sensor).collect::<String>());
+    let file = folder.write("robot.toml", (1..=64).map(sensor).collect::<String>());
     let ran = sweepd(&["config", "check", file.to_str().unwrap()]);
-    assert!(ran.code == 0 && ran.stdout.contains("2,000 sensors"), "{}", ran.stderr);
+    assert!(ran.code == 0 && ran.stdout.contains("64 sensors"), "{}", ran.stderr);
     let is_warned = ran.stderr.starts_with("warning: /dev/shm has ") && ran.stderr.contains("lower max_consumers");
     assert!(is_warned && ran.stderr.lines().count() == 1, "{}", ran.stderr);
 }
