@@ -125,6 +125,12 @@ impl Entries {
         (is_aside & is_away & !root.simd_eq(self.root[run])).to_bitmask()
     }
 
+    /// Whether no point of one run can be as near to one of another as that, by their distances from the sensor.
+    #[inline(always)]
+    pub fn are_apart(&self, a: usize, b: usize, away_m: f32) -> bool {
+        self.low_m[b] - self.high_m[a] > away_m || self.low_m[a] - self.high_m[b] > away_m
+    }
+
     #[inline(always)]
     fn push(&mut self, row: usize, run: u32, columns: [f32; 2], distance_m: [f32; 2], here_m: [f32; 2]) {
         let entry = self.count;

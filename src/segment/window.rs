@@ -205,6 +205,12 @@ impl Test {
                 if entries.root[a] == entries.root[b] {
                     continue;
                 }
+                // Two that are not small any more are joined or nothing.
+                let is_small = |entry: usize| !runs.has(entries.root[entry], self.small_points);
+                let is_one_small = is_small(a) || is_small(b);
+                if !is_one_small && entries.are_apart(a, b, self.gap_m + SLACK_M) {
+                    continue;
+                }
                 let both = [entries.run[a], entries.run[b]];
                 match self.verdict(simd, points, Stretch::new(entries, a, points), Stretch::new(entries, b, points)) {
                     Verdict::Joined => {
@@ -212,15 +218,11 @@ impl Test {
                         work::count((end - a).div_ceil(LANES));
                         entries.rename(simd, a..end, gone, root);
                     }
-                    Verdict::Near(apart2) => {
-                        // Two that are not small any more are joined or nothing.
-                        let is_small = |entry: usize| !runs.has(entries.root[entry], self.small_points);
-                        if is_small(a) || is_small(b) {
-                            work::count(1);
-                            misses.push(Miss { runs: both, apart2 });
-                        }
+                    Verdict::Near(apart2) if is_one_small => {
+                        work::count(1);
+                        misses.push(Miss { runs: both, apart2 });
                     }
-                    Verdict::Apart => {}
+                    Verdict::Near(_) | Verdict::Apart => {}
                 }
             }
         }
