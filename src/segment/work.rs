@@ -31,7 +31,7 @@ mod tests {
 
     /// Most steps a pixel that any of these images may take: a quarter more than the worst of them took when this was
     /// written.
-    const MOST: f64 = 56.0;
+    const MOST: f64 = 36.0;
     /// The same of a street.
     const MOST_OF_A_STREET: f64 = 1.5;
 
@@ -81,7 +81,7 @@ mod tests {
     fn check_growth(what: &str, taken: [f64; WIDTHS.len()]) {
         println!("{what}, {WIDTHS:?} columns: {taken:.2?} steps a pixel");
         // At the ends there is less to look at, or it is looked at twice: some hundredths of a narrow image.
-        let grows = taken.windows(2).any(|two| two[1] > 1.05 * two[0]);
+        let grows = taken.windows(2).any(|two| two[1] > 1.05 * two[0] + 0.05);
         assert!(!grows, "{what}: {taken:.2?} steps a pixel of {WIDTHS:?} columns");
     }
 
