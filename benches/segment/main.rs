@@ -2,7 +2,7 @@
 //!
 //! ```text
 //! cargo bench --bench segment                      all of it, a minute or two
-//! cargo bench --bench segment -- worst             one table: sensors, levels, columns, segments, worst, cloud
+//! cargo bench --bench segment -- worst             one table: sensors, levels, options, columns, segments, worst, cloud
 //! ```
 //!
 //! Simulated sweeps are the street of `sweepd simulate`; "rays" are ranges cast in it for shapes that no supported sensor
@@ -55,9 +55,10 @@ fn main() {
     if images::data().is_none() {
         println!("no real data at hand (SWEEPD_DATA): simulated images alone");
     }
-    let tables: [(&str, fn()); 6] = [
+    let tables: [(&str, fn()); 7] = [
         ("sensors", sensors),
         ("levels", levels),
+        ("options", options),
         ("columns", columns),
         ("segments", segments),
         ("worst", worst),
@@ -206,6 +207,34 @@ fn levels() {
     let series = compare(&mut image, &mut segmenters);
     for (level, series) in levels.iter().zip(&series) {
         println!("{:<36}{}", name(*level), figures(series, image.pixels));
+    }
+}
+
+/// What each part of the default method costs: the same image with one thing less, or more, in the same turns.
+fn options() {
+    let mut image = images::full();
+    heading(&format!("By options, {}; times: as long as the default by the minimum", image.name), "option");
+    let variants: [(&str, fn(&mut Config)); 7] = [
+        ("default", |_| {}),
+        ("agree_m 0: no vote", |config| config.slope.agree_m = 0.0),
+        ("small_points 0: small parts stay", |config| config.joining.small_points = 0),
+        ("columns 5, rows 2", |config| config.joining.columns = 5),
+        ("columns 1, rows 1", |config| (config.joining.columns, config.joining.rows) = (1, 1)),
+        ("columns 1, rows 1, no small parts", |config| {
+            (config.joining.columns, config.joining.rows, config.joining.small_points) = (1, 1, 0);
+        }),
+        ("paper", |config| config.method = Method::Paper),
+    ];
+    let with = |change: fn(&mut Config)| {
+        let mut config = config(Method::Slope);
+        change(&mut config);
+        Segmenter::new(config).unwrap()
+    };
+    let mut segmenters = variants.map(|(_, change)| with(change));
+    let series = compare(&mut image, &mut segmenters);
+    for ((name, _), one) in variants.iter().zip(&series) {
+        let times = one.least() / series[0].least();
+        println!("{name:<36}{}{times:>7.2} times", figures(one, image.pixels));
     }
 }
 
