@@ -79,7 +79,7 @@ impl Pulse {
 
     /// How often to observe.
     pub fn interval(&self) -> Duration {
-        let often = Duration::from_millis(100);
+        let often = Duration::from_millis(250);
         self.watchdog.map_or(often, |watchdog| (watchdog / 8).clamp(Duration::from_millis(1), often))
     }
 

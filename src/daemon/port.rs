@@ -18,6 +18,7 @@ use super::sensor::Sensor;
 use super::sharing::Outgoing;
 use super::tap::Tap;
 use crate::capture::record::Lane;
+use crate::capture::udp::ReceiveBuffer;
 use crate::capture::write::Addressed;
 use crate::capture::{UdpError, UdpSource};
 use crate::host::realtime_ns;
@@ -29,16 +30,18 @@ use crate::wire::position::POSITION_PACKET_LEN;
 /// How long to wait for packets while some come.
 const BUSY: Duration = Duration::from_millis(5);
 /// How long to wait while none come: how soon the thread hears that the daemon ends.
-const IDLE: Duration = Duration::from_millis(50);
+const IDLE: Duration = Duration::from_millis(100);
 /// After so long without packets none come.
 const QUIET: Duration = Duration::from_secs(1);
 /// How often it is looked at the interface, while nothing comes.
 const LOOK_EVERY: Duration = Duration::from_secs(1);
 /// How long packets may wait in the socket while no sweep is about to end: each time that the thread is woken costs as much as
-/// decoding some packets.
-const NAP_NS: i64 = 20_000_000;
-/// So long before the packet that completes a sweep is expected, each one is fetched as it comes.
+/// decoding some packets. Where the kernel gave less room than was asked for, a quarter of that is the limit.
+const NAP_NS: i64 = 40_000_000;
+/// So long before the packet that completes a sweep is expected, all that waits is fetched, so that little is left to do,
 const EARLY_NS: i64 = 2_000_000;
+/// and from so long before on, each packet is fetched as it comes.
+const ALERT_NS: i64 = 400_000;
 /// A socket that fails so often in a row will not recover: the daemon ends, and opens it anew when it is restarted.
 const FAILURES: u32 = 20;
 /// Position packets that may wait for the thread of their sensor.
@@ -174,11 +177,13 @@ impl<B: Buffers<Buffer: Outgoing>> Port<B> {
     /// Sleeps while no sweep of any sensor is about to end; the socket keeps what comes.
     fn nap(&self) {
         let now_ns = realtime_ns();
-        let until_ns = |served: &Served<B>| Some((served.sensor.due_ns()? - now_ns - EARLY_NS).clamp(0, NAP_NS));
-        // One of whom it is not known is waited on.
-        let shortest_ns = self.sensors.iter().map(|served| until_ns(served).unwrap_or(0)).min();
-        if let Some(ns @ 1..) = shortest_ns {
-            std::thread::sleep(Duration::from_nanos(ns as u64));
+        let longest_ns = longest_nap_ns(self.source.buffer(), self.sensors.len());
+        let until_due_ns = |served: &Served<B>| served.sensor.due_ns().map(|due_ns| due_ns.saturating_sub(now_ns));
+        // One of whom it is not known is waited on; position packets alone are never in a hurry.
+        let naps_ns = self.sensors.iter().map(|served| until_due_ns(served).map_or(0, |ns| nap_ns(ns, longest_ns)));
+        let shortest_ns = naps_ns.min().unwrap_or(if self.newest.is_quiet(Instant::now()) { 0 } else { longest_ns });
+        if shortest_ns > 0 {
+            std::thread::sleep(Duration::from_nanos(shortest_ns as u64));
         }
     }
 
@@ -224,6 +229,18 @@ impl<B: Buffers<Buffer: Outgoing>> Port<B> {
     }
 }
 
+/// Longest nap of a port with such a buffer and so many sensors, nanoseconds: others may take the core when it is over.
+fn longest_nap_ns(buffer: ReceiveBuffer, sensors: usize) -> i64 {
+    let holds_ns = i64::try_from(buffer.fastest_ms() * 1_000_000).unwrap_or(i64::MAX);
+    (holds_ns / (4 * sensors.max(1) as i64)).min(NAP_NS)
+}
+
+/// How long to sleep when a sweep is due in so long, nanoseconds.
+fn nap_ns(until_due_ns: i64, longest_ns: i64) -> i64 {
+    let before_ns = if until_due_ns > EARLY_NS { EARLY_NS } else { ALERT_NS };
+    until_due_ns.saturating_sub(before_ns).clamp(0, longest_ns)
+}
+
 /// Hands a position packet to all sensors of its address.
 fn deliver<B: Buffers<Buffer: Outgoing>>(
     address: IpAddr,
@@ -267,6 +284,25 @@ impl<B: Buffers<Buffer: Outgoing>> Served<B> {
 #[cfg(test)]
 mod tests {
     use super::*;
+
+    #[test]
+    fn naps_end_before_a_sweep_is_due_and_before_the_buffer_is_full() {
+        const MS: i64 = 1_000_000;
+        let ample = ReceiveBuffer { wanted_bytes: 6_670_080, granted_bytes: 6_670_080 };
+        // Half a second of the fastest model, for one sensor and for eight.
+        assert_eq!([1, 8].map(|sensors| longest_nap_ns(ample, sensors) / MS), [40, 15]);
+        // What Linux gives a user where nothing was set: 184 packets, 31 ms of the fastest model.
+        let small = ReceiveBuffer { granted_bytes: 425_984, ..ample };
+        assert_eq!(longest_nap_ns(small, 1) / MS, 7);
+        // A turn of 100 ms: two long naps, the rest of it, one more in sight of the end, and none at the end.
+        let (mut left_ns, mut naps) = (100 * MS, Vec::new());
+        while let ns @ 1.. = nap_ns(left_ns, NAP_NS) {
+            naps.push(ns / 100_000);
+            left_ns -= ns;
+        }
+        assert_eq!((naps, left_ns), (vec![400, 400, 180, 16], ALERT_NS));
+        assert_eq!(nap_ns(i64::MIN + 1, NAP_NS), 0);
+    }
 
     #[test]
     fn a_clock_that_is_set_makes_no_silence_and_hides_none() {

@@ -19,7 +19,7 @@ use crate::host::{own_uid, user_name};
 /// How often it looks while something waits for a client, while there are clients, and while there are none.
 const BUSY_PERIOD: Duration = Duration::from_millis(1);
 const PERIOD: Duration = Duration::from_millis(10);
-const IDLE_PERIOD: Duration = Duration::from_millis(100);
+const IDLE_PERIOD: Duration = Duration::from_millis(250);
 /// How often it is looked whether the socket is still there.
 const SOCKET_PERIOD: Duration = Duration::from_secs(1);
 /// For how long a client may keep silent before it has said what it wants, and may take nothing although there is
