@@ -4,6 +4,7 @@
 //! config                            what is to run, from a TOML file
 //! plan, runtime                     ports and sensors: worked out, opened, started, looked after
 //! port      one thread a port:      receive -> door (who gets in) -> sensor (pipeline, header) -> sharing
+//! nap                               how long that thread may sleep while packets gather
 //! tee, tap                          copies of what is received: the recording, and `sweepd record --from`
 //! control   one tokio thread:       signals, reload, notify (systemd), health and metrics over HTTP
 //! counters                          what the first tell the second: plain atomics
@@ -16,6 +17,7 @@ pub mod counters;
 pub mod door;
 pub mod health;
 pub mod metrics;
+pub mod nap;
 pub mod notify;
 pub mod plan;
 pub mod port;

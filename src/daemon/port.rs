@@ -14,11 +14,11 @@ use std::time::{Duration, Instant};
 
 use super::counters::{PortCounters, SensorCounters};
 use super::door::{Admitted, Door};
+use super::nap::{self, Load};
 use super::sensor::Sensor;
 use super::sharing::Outgoing;
 use super::tap::Tap;
 use crate::capture::record::Lane;
-use crate::capture::udp::ReceiveBuffer;
 use crate::capture::write::Addressed;
 use crate::capture::{UdpError, UdpSource};
 use crate::host::realtime_ns;
@@ -35,13 +35,6 @@ const IDLE: Duration = Duration::from_millis(100);
 const QUIET: Duration = Duration::from_secs(1);
 /// How often it is looked at the interface, while nothing comes.
 const LOOK_EVERY: Duration = Duration::from_secs(1);
-/// How long packets may wait in the socket while no sweep is about to end: each time that the thread is woken costs as much as
-/// decoding some packets. Where the kernel gave less room than was asked for, a quarter of that is the limit.
-const NAP_NS: i64 = 40_000_000;
-/// So long before the packet that completes a sweep is expected, all that waits is fetched, so that little is left to do,
-const EARLY_NS: i64 = 2_000_000;
-/// and from so long before on, each packet is fetched as it comes.
-const ALERT_NS: i64 = 400_000;
 /// A socket that fails so often in a row will not recover: the daemon ends, and opens it anew when it is restarted.
 const FAILURES: u32 = 20;
 /// Position packets that may wait for the thread of their sensor.
@@ -113,6 +106,8 @@ pub struct Port<B: Buffers> {
     pub over: Arc<AtomicBool>,
     /// The newest packet that was let in.
     pub newest: Newest,
+    /// How much of the time it works.
+    pub load: Load,
 }
 
 /// When the newest packet came, by the clock that stamps packets and by one that nobody sets.
@@ -177,10 +172,10 @@ impl<B: Buffers<Buffer: Outgoing>> Port<B> {
     /// Sleeps while no sweep of any sensor is about to end; the socket keeps what comes.
     fn nap(&self) {
         let now_ns = realtime_ns();
-        let longest_ns = longest_nap_ns(self.source.buffer(), self.sensors.len());
+        let longest_ns = nap::longest_ns(self.source.buffer(), self.sensors.len(), &self.load);
         let until_due_ns = |served: &Served<B>| served.sensor.due_ns().map(|due_ns| due_ns.saturating_sub(now_ns));
         // One of whom it is not known is waited on; position packets alone are never in a hurry.
-        let naps_ns = self.sensors.iter().map(|served| until_due_ns(served).map_or(0, |ns| nap_ns(ns, longest_ns)));
+        let naps_ns = self.sensors.iter().map(|served| until_due_ns(served).map_or(0, |ns| nap::ns(ns, longest_ns)));
         let shortest_ns = naps_ns.min().unwrap_or(if self.newest.is_quiet(Instant::now()) { 0 } else { longest_ns });
         if shortest_ns > 0 {
             std::thread::sleep(Duration::from_nanos(shortest_ns as u64));
@@ -189,12 +184,14 @@ impl<B: Buffers<Buffer: Outgoing>> Port<B> {
 
     /// One batch, or a wait for one in vain.
     fn round(&mut self, timeout: Duration) -> Result<(), UdpError> {
-        let Self { source, door, sensors, others, lane, lanes, counters, newest, .. } = self;
+        let Self { source, door, sensors, others, lane, lanes, counters, newest, load, .. } = self;
         while let Ok(next) = lanes.try_recv() {
             *lane = next;
         }
         let mut newest_ns = None;
-        for (addressed, dropped) in source.receive_counted(timeout)? {
+        let batch = source.receive_counted(timeout)?;
+        let begun = Instant::now();
+        for (addressed, dropped) in batch {
             let datagram = addressed.datagram();
             match door.admit(&datagram) {
                 Ok(Admitted::Data(index)) => {
@@ -225,20 +222,9 @@ impl<B: Buffers<Buffer: Outgoing>> Port<B> {
         for served in sensors {
             served.catch_up(now_ns, dropped);
         }
+        load.worked(begun, Instant::now());
         Ok(())
     }
-}
-
-/// Longest nap of a port with such a buffer and so many sensors, nanoseconds: others may take the core when it is over.
-fn longest_nap_ns(buffer: ReceiveBuffer, sensors: usize) -> i64 {
-    let holds_ns = i64::try_from(buffer.fastest_ms() * 1_000_000).unwrap_or(i64::MAX);
-    (holds_ns / (4 * sensors.max(1) as i64)).min(NAP_NS)
-}
-
-/// How long to sleep when a sweep is due in so long, nanoseconds.
-fn nap_ns(until_due_ns: i64, longest_ns: i64) -> i64 {
-    let before_ns = if until_due_ns > EARLY_NS { EARLY_NS } else { ALERT_NS };
-    until_due_ns.saturating_sub(before_ns).clamp(0, longest_ns)
 }
 
 /// Hands a position packet to all sensors of its address.
@@ -284,25 +270,6 @@ impl<B: Buffers<Buffer: Outgoing>> Served<B> {
 #[cfg(test)]
 mod tests {
     use super::*;
-
-    #[test]
-    fn naps_end_before_a_sweep_is_due_and_before_the_buffer_is_full() {
-        const MS: i64 = 1_000_000;
-        let ample = ReceiveBuffer { wanted_bytes: 6_670_080, granted_bytes: 6_670_080 };
-        // Half a second of the fastest model, for one sensor and for eight.
-        assert_eq!([1, 8].map(|sensors| longest_nap_ns(ample, sensors) / MS), [40, 15]);
-        // What Linux gives a user where nothing was set: 184 packets, 31 ms of the fastest model.
-        let small = ReceiveBuffer { granted_bytes: 425_984, ..ample };
-        assert_eq!(longest_nap_ns(small, 1) / MS, 7);
-        // A turn of 100 ms: two long naps, the rest of it, one more in sight of the end, and none at the end.
-        let (mut left_ns, mut naps) = (100 * MS, Vec::new());
-        while let ns @ 1.. = nap_ns(left_ns, NAP_NS) {
-            naps.push(ns / 100_000);
-            left_ns -= ns;
-        }
-        assert_eq!((naps, left_ns), (vec![400, 400, 180, 16], ALERT_NS));
-        assert_eq!(nap_ns(i64::MIN + 1, NAP_NS), 0);
-    }
 
     #[test]
     fn a_clock_that_is_set_makes_no_silence_and_hides_none() {

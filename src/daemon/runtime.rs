@@ -14,6 +14,7 @@ use tracing::{info, warn};
 use super::config::{Config, PortConfig, SensorConfig, memory};
 use super::counters::{PortCounters, SensorCounters};
 use super::door::Door;
+use super::nap::Load;
 use super::plan::{self, PortName, PortPlan};
 use super::port::{MAILS, Mail, Mailbox, Newest, Port, Served};
 use super::sensor::{Event, Identity, Sensor};
@@ -183,8 +184,8 @@ impl Runtime {
             let (counters, over) = (Arc::clone(&status.counters), Arc::clone(&runtime.over));
             let (order, lanes) = mpsc::channel();
             runtime.lanes.push(order);
-            let (lane, newest) = (tees.lane(), Newest::default());
-            let port = Port { source, door, sensors: served, others, lane, lanes, counters, over, newest };
+            let (lane, newest, load) = (tees.lane(), Newest::default(), Load::new(Instant::now()));
+            let port = Port { source, door, sensors: served, others, lane, lanes, counters, over, newest, load };
             // On an early return, dropping the runtime ends those that run already.
             runtime.threads.push((status.name.clone(), spawn(port, &status.name, &plan.config)?));
             statuses.push(status);
