@@ -10,7 +10,7 @@ use std::collections::VecDeque;
 use super::clock::SensorClock;
 use super::motion::{Implausible, Motion, Sector};
 pub use super::relation::{Before, Packet};
-use super::relation::{Relation, Relations};
+use super::relation::{Fit, Relation, Relations};
 use crate::sensor::model::{Spec, Stamp};
 use crate::wire::DataPacket;
 use crate::wire::data::ReturnMode;
@@ -133,11 +133,11 @@ impl Order {
         };
         self.relations.settle_silence(&self.slots[last], &mut packet);
         let relation = self.relations.between(&self.slots[last], &packet);
-        if relation != Relation::Follows(Before::Nothing) && self.confirm(&packet) {
+        if self.confirm(&packet, relation) {
             return Ok(());
         }
         match relation {
-            Relation::Follows(_) if self.relations.is_familiar(&packet.motion) => {
+            Relation::Follows(_, Fit::Good | Fit::Exact) if self.relations.is_familiar(&packet.motion) => {
                 self.set_back = 0;
                 self.drop_suspect();
                 let slot = self.store(packet);
@@ -146,7 +146,7 @@ impl Order {
                 Ok(())
             }
             Relation::Behind => self.look_back(packet),
-            Relation::Follows(_) | Relation::Unrelated => {
+            Relation::Follows(..) | Relation::Unrelated => {
                 self.drop_suspect();
                 self.suspect = Some(self.store(packet));
                 Ok(())
@@ -170,20 +170,31 @@ impl Order {
         self.drop_suspect();
     }
 
-    /// Believes the doubtful packet if this one follows it.
-    fn confirm(&mut self, packet: &Packet) -> bool {
+    /// Believes the doubtful packet if this one follows it, or was overtaken by it.
+    fn confirm(&mut self, packet: &Packet, relation: Relation) -> bool {
         let Some((suspect, last)) = self.suspect.zip(self.last) else { return false };
-        let Relation::Follows(before) = self.relations.between(&self.slots[suspect], packet) else { return false };
-        let doubtful = &mut self.slots[suspect];
+        let follows = |earlier: &Packet, later: &Packet| match self.relations.between(earlier, later) {
+            Relation::Follows(before, Fit::Exact) => Some(before),
+            _ => None,
+        };
+        let doubtful = &self.slots[suspect];
+        let is_next = matches!(relation, Relation::Follows(Before::Nothing, Fit::Good | Fit::Exact));
+        let before = follows(doubtful, packet).filter(|_| !is_next);
+        let is_overtaken = || matches!(relation, Relation::Follows(..)) && follows(packet, doubtful).is_some();
+        if before.is_none() && !is_overtaken() {
+            return false;
+        }
         let is_end_unknown = self.spec.stamp == Stamp::FirstShot;
-        if before == Before::Nothing && is_end_unknown && doubtful.motion.left_out.is_some() {
+        if before == Some(Before::Nothing) && is_end_unknown && doubtful.motion.left_out.is_some() {
             // Now the silence is known exactly.
             let period = i64::from(self.spec.packet_period_ns(packet.mode));
-            doubtful.motion.silent_ns = packet.time_ns - doubtful.time_ns - period;
+            let silent_ns = packet.time_ns - doubtful.time_ns - period;
+            self.slots[suspect].motion.silent_ns = silent_ns;
         }
         self.suspect = None;
         self.set_back = 0;
-        if let Relation::Follows(_) = self.relations.between(&self.slots[last], &self.slots[suspect]) {
+        let is_related = |relation| matches!(relation, Relation::Follows(..));
+        if before.is_none() || is_related(self.relations.between(&self.slots[last], &self.slots[suspect])) {
             self.hold(suspect);
         } else {
             self.settle(0);
@@ -218,7 +229,7 @@ impl Order {
     /// Makes ready what follows directly, and what waits behind a gap when more than `patience` packets do.
     fn settle(&mut self, patience: usize) {
         while let (Some(&slot), Some(last)) = (self.held.first(), self.last) {
-            let Relation::Follows(before) = self.relations.between(&self.slots[last], &self.slots[slot]) else {
+            let Relation::Follows(before, _) = self.relations.between(&self.slots[last], &self.slots[slot]) else {
                 // Two of one stamp, or one that came between disagrees.
                 self.held.remove(0);
                 self.counts.unconfirmed += 1;
@@ -284,115 +295,6 @@ impl Order {
 }
 
 #[cfg(test)]
-mod tests {
-    use super::*;
-    use crate::sensor::Model;
-
-    const PERIOD_US: f64 = 1327.104;
-
-    /// The n-th packet of a VLP-16 at 600 rpm.
-    fn packet(n: u32) -> DataPacket {
-        let mut packet = DataPacket::new(1_000_000 + (f64::from(n) * PERIOD_US) as u32, 0x37, 0x22);
-        for (block, stored) in (0..).zip(&mut packet.blocks) {
-            stored.set_azimuth_cdeg(((f64::from(n * 12 + block) * 39.813_12) % 36_000.0) as u16);
-        }
-        packet
-    }
-
-    struct Line(Order);
-
-    impl Line {
-        /// After ten packets in order.
-        fn new() -> Self {
-            let mut line = Self(Order::new(Model::Vlp16.spec()));
-            (0..10).for_each(|n| assert_eq!(line.push(&packet(n), n).unwrap().len(), 1));
-            line
-        }
-
-        /// What comes out when this arrives in place `n`.
-        fn push(&mut self, packet: &DataPacket, n: u32) -> Result<Vec<(u64, Before)>, Refusal> {
-            let arrival_ns = (f64::from(n) * PERIOD_US * 1e3) as i64;
-            self.0.push(packet, ReturnMode::Strongest, u64::from(n), arrival_ns)?;
-            Ok(self.out())
-        }
-
-        fn out(&mut self) -> Vec<(u64, Before)> {
-            let mut out = Vec::new();
-            while let Some((slot, before)) = self.0.pop() {
-                out.push((self.0.packet(slot).number, before));
-            }
-            out
-        }
-    }
-
-    #[test]
-    fn behind_a_gap_four_packets_are_held() {
-        let mut line = Line::new();
-        (11..15).for_each(|n| assert_eq!(line.push(&packet(n), n), Ok(vec![])));
-        let out = line.push(&packet(15), 15).unwrap();
-        assert!(matches!(out[0], (11, Before::Lost { packets: 1, silence: None, .. })));
-        assert_eq!(out[1..], [12, 13, 14, 15].map(|n| (n, Before::Nothing)));
-        assert!(matches!(line.push(&packet(10), 16), Err(Refusal::Behind { .. })));
-        assert_eq!(line.push(&packet(10), 17), Err(Refusal::Duplicate));
-    }
-
-    /// Minutes ahead every stamp is near some beat; nobody waits for it, and nobody counts what never was.
-    #[test]
-    fn a_stamp_far_ahead_is_forgotten_with_the_next_packet() {
-        let mut line = Line::new();
-        let mut corrupt = packet(10);
-        corrupt.set_stamp_us(corrupt.stamp_us() + 100 * 1_327_104);
-        assert_eq!(line.push(&corrupt, 10), Ok(vec![]));
-        (11..15).for_each(|n| assert_eq!(line.push(&packet(n), n), Ok(vec![])));
-        let out = line.push(&packet(15), 15).unwrap();
-        assert!(matches!(out[0], (11, Before::Lost { packets: 1, .. })));
-        line.0.flush();
-        assert_eq!((line.out(), line.0.counts()), (vec![], OrderCounts { reordered: 0, unconfirmed: 1 }));
-    }
-
-    /// One azimuth at the end of a packet cannot tell a sector that is left out from a corrupt byte; the next stamp can.
-    #[test]
-    fn a_jump_at_the_edge_of_a_packet_waits_for_the_next_stamp() {
-        for block in [0, 11] {
-            let mut line = Line::new();
-            let mut corrupt = packet(10);
-            corrupt.blocks[block].set_azimuth_cdeg(20_000);
-            assert_eq!(line.push(&corrupt, 10), Ok(vec![]));
-            assert_eq!(line.push(&packet(11), 11), Ok(vec![]));
-            line.0.flush();
-            assert!(matches!(line.out()[..], [(11, Before::Lost { packets: 1, .. })]));
-
-            let mut line = Line::new();
-            let mut leaping = packet(10);
-            let beyond = packet(10 + 37);
-            let from = block.max(1);
-            for (stored, later) in leaping.blocks.iter_mut().zip(&beyond.blocks).skip(from) {
-                stored.set_azimuth_cdeg(later.azimuth_cdeg());
-            }
-            assert_eq!(line.push(&leaping, 10), Ok(vec![]));
-            let out = line.push(&packet(48), 48).unwrap();
-            assert_eq!(out, [(10, Before::Nothing), (48, Before::Nothing)]);
-            assert!(line.0.sector().is_some());
-        }
-    }
-
-    #[test]
-    fn a_clock_that_jumps_is_believed_when_the_next_packet_agrees() {
-        let mut line = Line::new();
-        let mut jumped = [packet(10), packet(11)];
-        jumped.iter_mut().for_each(|one| one.set_stamp_us(one.stamp_us() + 77_777_777));
-        assert_eq!(line.push(&jumped[0], 10), Ok(vec![]));
-        assert_eq!(line.push(&jumped[1], 11), Ok(vec![(10, Before::Start), (11, Before::Nothing)]));
-        assert_eq!(line.0.counts(), OrderCounts::default());
-    }
-
-    #[test]
-    fn it_keeps_its_promises_when_nobody_takes_out_what_is_ready() {
-        let mut order = Order::new(Model::Vlp16.spec());
-        for n in 0..200 {
-            order.push(&packet(n), ReturnMode::Strongest, u64::from(n), 0).unwrap();
-        }
-        let mut numbers = std::iter::from_fn(|| order.pop().map(|(slot, _)| order.packet(slot).number));
-        assert!((0..200).all(|n| numbers.next() == Some(n)));
-    }
-}
+mod stamps;
+#[cfg(test)]
+mod tests;

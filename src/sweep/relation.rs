@@ -2,6 +2,9 @@
 //!
 //! An interval of more than a packet period is loss, when it is a whole number of periods and the head is where its speed
 //! brought it; a sector that the sensor leaves out, when it is a whole number of blocks; else the clock jumped.
+//!
+//! Of a stamp that is a little off the beat, nobody can tell at once whether the pulse per second has set the clock right or
+//! whether one bit is wrong: what was set right stays, so that the next packet tells. See [`Fit`].
 
 use super::motion::{Beat, Motion, Sector, TURN, ahead, shortest};
 use crate::sensor::model::{Spec, Stamp};
@@ -14,8 +17,13 @@ const LOOK_BACK_NS: i64 = 1_000_000_000;
 const STAMP_SLACK_NS: i64 = 3_000;
 /// How far the pulse per second may set the sensor's clock, which drifts by up to 60 us a second: no jump.
 const CORRECTION_NS: i64 = 100_000;
+/// The same for a packet that is not believed at once. The packet behind one that was believed with a stamp as far off as
+/// may be is itself no farther off than this.
+const LOOSE_NS: i64 = CORRECTION_NS + STAMP_SLACK_NS;
 /// How far the head may be from where its speed would have brought it, hundredths of a degree and share of the way.
 const AZIMUTH_SLACK: (f64, f64) = (100.0, 0.1);
+/// What the encoder's noise may add to that where packets are so short that half the way of one is less.
+const NOISE_CDEG: f64 = 20.0;
 /// How far a packet that follows directly may be from where the head should be, hundredths of a degree.
 const FOLLOWING_CDEG: f64 = 300.0;
 /// The shortest way that the head may turn in silence, hundredths of a degree.
@@ -72,11 +80,23 @@ pub enum Before {
     },
 }
 
+/// How well a packet follows an earlier one.
+#[derive(Clone, Copy, Debug, PartialEq, Eq, PartialOrd, Ord)]
+pub enum Fit {
+    /// It may: to be believed when the next packet follows it exactly.
+    Loose,
+    /// So well that it is believed at once.
+    Good,
+    /// So well that each of them shows that nothing is wrong with the other. A stamp that is off by more than what is good
+    /// is far from this, whichever of its neighbours it is held against.
+    Exact,
+}
+
 /// How a packet stands to an earlier one.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub enum Relation {
     /// After it, with this in between.
-    Follows(Before),
+    Follows(Before, Fit),
     /// Before it.
     Behind,
     /// No head that turns and no clock that runs leads from one to the other.
@@ -102,6 +122,21 @@ impl Between {
     /// How far the head is from where it should be.
     fn off_cdeg(&self) -> f64 {
         (self.travelled_cdeg - self.expected_cdeg()).abs()
+    }
+
+    /// How well a packet follows whose stamp is so far off the beat.
+    fn fit(&self, off_beat_ns: i64, period_ns: i64) -> Fit {
+        let at_once_ns = CORRECTION_NS.min(period_ns / 4);
+        // Half the way of a packet: the head tells how many were lost.
+        let (most, share) = AZIMUTH_SLACK;
+        let half_cdeg = self.rate_cdeg_ns.abs() * period_ns as f64 / 2.0;
+        let in_place = self.off_cdeg() < half_cdeg.clamp(NOISE_CDEG, most) + share * self.expected_cdeg().abs();
+        let is_gap = self.unfired_ns > CORRECTION_NS;
+        match off_beat_ns.abs() {
+            off if off > at_once_ns || is_gap && !in_place => Fit::Loose,
+            off if off > at_once_ns / 2 || !in_place => Fit::Good,
+            _ => Fit::Exact,
+        }
     }
 }
 
@@ -144,8 +179,8 @@ impl Relations {
         let between = self.way(last, packet, interval - period);
         match between.unfired_ns {
             // Not when all azimuths of one of them are wrong.
-            unfired if unfired.abs() <= CORRECTION_NS && between.off_cdeg() < FOLLOWING_CDEG => {
-                Relation::Follows(Before::Nothing)
+            unfired if unfired.abs() <= LOOSE_NS && between.off_cdeg() < FOLLOWING_CDEG => {
+                Relation::Follows(Before::Nothing, between.fit(unfired, period))
             }
             unfired if unfired < 0 => Relation::Unrelated,
             _ => self.gap(last, packet, &between),
@@ -206,20 +241,21 @@ impl Relations {
         let off_beat = (unfired_ns - silence_ns - lost * period).abs();
         let block_ns = i64::from(self.spec.azimuth_period_ns(last.mode));
         if passed > 0 && off_beat <= SILENCE_SLACK.1 * block_ns * passed {
-            return Relation::Follows(lost_or(Before::Silence, lost, travelled_cdeg, self.sector));
+            return Relation::Follows(lost_or(Before::Silence, lost, travelled_cdeg, self.sector), Fit::Exact);
         }
         let slack = STAMP_SLACK_NS + unfired_ns / 50_000;
+        let fit = between.fit(off_beat, period);
         if off_beat <= slack {
-            return Relation::Follows(lost_or(Before::Nothing, lost, travelled_cdeg, None));
+            return Relation::Follows(lost_or(Before::Nothing, lost, travelled_cdeg, None), fit);
         }
         // Silence that began exactly between two packets: a whole number of blocks, and not of packets.
         let blocks = (unfired_ns + block_ns / 2).div_euclid(block_ns);
         let on_block = (unfired_ns - blocks * block_ns).abs() <= slack;
         if in_place && on_block && (LEAST_SECTOR_CDEG..TURN - LEAST_SECTOR_CDEG).contains(&travelled_cdeg.abs()) {
-            return Relation::Follows(Before::Silence);
+            return Relation::Follows(Before::Silence, Fit::Exact);
         }
-        if off_beat <= CORRECTION_NS && in_place && on_time(last, packet) {
-            return Relation::Follows(lost_or(Before::Nothing, lost, travelled_cdeg, None));
+        if off_beat <= LOOSE_NS && in_place && on_time(last, packet) {
+            return Relation::Follows(lost_or(Before::Nothing, lost, travelled_cdeg, None), fit);
         }
         Relation::Unrelated
     }

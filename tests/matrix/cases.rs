@@ -1,6 +1,6 @@
 //! The rows: which faults there are, at which rates, and what each promises.
 
-use sweepd::sensor::Model::{self, Hdl32e, Hdl64eS2, Hdl64eS3, Vlp16};
+use sweepd::sensor::Model::{self, Hdl32e, Hdl64eS2, Vlp16};
 use sweepd::simulate::gps::{Clock, Reception};
 use sweepd::simulate::{ClockStep, EmitterConfig, Motor, Part, Rates};
 use sweepd::sweep::layout::flags::{BLANKED, RATE_UNSTABLE, REVERSED, STOPPED};
@@ -44,11 +44,6 @@ const SET: Promise = Promise { counts: Told::Interrupted, time_ns: None, given_u
 /// The head is braked or driven: within a block, its azimuth is that of a mean speed.
 /// The two-point correction of an HDL-64E depends on the azimuth.
 const DRIVEN: Promise = Promise { azimuth_deg: 0.06, range_mm: 1.5, ..NONE };
-
-/// Of packets that come every 172.8 us, a stamp that is off by 64 to 400 us may be one that the pulse per second has set
-/// right by up to 100 us, after a loss or without.
-const SHORT_PERIOD: &str =
-    "known: a stamp off by 64 to 400 us passes, within what the pulse per second corrects and whole periods";
 
 /// All rows.
 pub fn cases() -> Vec<Case> {
@@ -126,9 +121,7 @@ fn damaged(all: &mut Cases) {
                 _ => promise,
             };
             all.add(fault, percent(corrupt), move |stock| {
-                let is_short = stock.kind == Kind::from((Hdl64eS3, Dual)) && matches!(part, Part::Stamp | Part::Any);
-                let promise = Promise { known: is_short.then_some(SHORT_PERIOD), ..promise.clone() };
-                stock.network(Rates { corrupt, part, ..Rates::default() }, promise)
+                stock.network(Rates { corrupt, part, ..Rates::default() }, promise.clone())
             });
         }
     }

@@ -58,7 +58,6 @@ pub fn check(made: &Made, row: Row) -> Row {
     check.counters(&run.counts, sensors.others().length, &decoded);
     check.sweeps();
     check.recovery();
-    check.row.known = made.promise.known.filter(|_| !check.row.red.is_empty());
     check.row
 }
 

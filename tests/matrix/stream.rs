@@ -94,8 +94,6 @@ pub struct Promise {
     pub silent: u64,
     /// The calibration comes with the packets.
     pub learns: bool,
-    /// What is known not to hold, and why: the row says so and does not fail.
-    pub known: Option<&'static str>,
     /// It is known to be whole: without a checksum it may be wrong until the next one contradicts, which a notice tells.
     pub has_checksum: bool,
 }
@@ -126,7 +124,6 @@ impl Promise {
         silent: 0,
         learns: false,
         has_checksum: true,
-        known: None,
     };
 }
 

@@ -23,8 +23,6 @@ pub struct Row {
     pub recovery: Option<f64>,
     /// What does not hold.
     pub red: Vec<String>,
-    /// Why that is known.
-    pub known: Option<&'static str>,
 }
 
 impl Default for Row {
@@ -42,7 +40,6 @@ impl Default for Row {
             partial: 0,
             recovery: None,
             red: Vec::new(),
-            known: None,
         }
     }
 }
@@ -76,16 +73,12 @@ pub fn line(row: &Row) -> String {
     let (model, mode) = (kind.model.to_string(), kind.mode.to_string());
     let counted = counted.map_or("-".to_owned(), |count| count.to_string());
     let recovery = row.recovery.map_or("-".to_owned(), |turns| format!("{turns:.2}"));
-    let verdict = match row.known {
-        Some(_) => "known",
-        None if row.red.is_empty() => "green",
-        None => "RED",
-    };
+    let verdict = if row.red.is_empty() { "green" } else { "RED" };
     let mut text = format!(
         "{fault:<25}{rate:<17}{model:<13}{mode:<10}{injected:>9}{counted:>9}{returns:>10}{range_mm:>7.2}{azimuth_deg:>8.3}\
          {sweeps:>7}{partial:>8}{recovery:>9}  {verdict}"
     );
-    for why in row.known.into_iter().chain(row.red.iter().map(String::as_str)) {
+    for why in &row.red {
         let _ = write!(text, "\n    {why}");
     }
     text
