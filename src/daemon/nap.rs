@@ -10,7 +10,7 @@ use std::time::{Duration, Instant};
 use crate::capture::udp::ReceiveBuffer;
 
 /// How long packets may wait in the socket while no sweep is about to end: each time that the thread is woken costs as much as
-/// decoding some packets. It is also how soon the thread hears that the daemon ends.
+/// decoding some packets.
 const NAP_NS: i64 = 100_000_000;
 /// No more may wait than is done in so long, else consumers would wait for it;
 const CATCH_UP_NS: i64 = EARLY_NS - ALERT_NS;

@@ -10,6 +10,7 @@ use std::net::{IpAddr, SocketAddr};
 use std::sync::Arc;
 use std::sync::atomic::{AtomicBool, Ordering};
 use std::sync::mpsc::{Receiver, SyncSender};
+use std::thread;
 use std::time::{Duration, Instant};
 
 use super::counters::{PortCounters, SensorCounters};
@@ -29,7 +30,7 @@ use crate::wire::position::POSITION_PACKET_LEN;
 
 /// How long to wait for packets while some come.
 const BUSY: Duration = Duration::from_millis(5);
-/// How long to wait while none come: how soon the thread hears that the daemon ends.
+/// How long to sleep while none come.
 const IDLE: Duration = Duration::from_millis(100);
 /// After so long without packets none come.
 const QUIET: Duration = Duration::from_secs(1);
@@ -84,12 +85,29 @@ pub struct Served<B: Buffers> {
     pub orders: Receiver<pipeline::Config>,
     /// Where copies of its packets go.
     pub tap: Option<Tap>,
+    /// Its newest data packet.
+    pub newest: Newest,
 }
 
 /// A port and its sensors.
 pub struct Port<B: Buffers> {
     /// The socket.
     pub source: UdpSource,
+    /// Who sits behind it.
+    pub room: Room<B>,
+    /// Other ways to a recording.
+    pub lanes: Receiver<Option<Lane>>,
+    /// Set when the daemon ends.
+    pub over: Arc<AtomicBool>,
+    /// When the newest packet was let in.
+    pub heard: Option<Instant>,
+    /// How much of the time it works.
+    pub load: Load,
+}
+
+/// What lies behind the socket of a port. The two clocks enter here: that which stamps packets with each of them, and that
+/// which nobody sets between them.
+pub struct Room<B: Buffers> {
     /// Who is let in.
     pub door: Door,
     /// The sensors whose data come through this port, in the order of the door.
@@ -98,41 +116,36 @@ pub struct Port<B: Buffers> {
     pub others: Vec<Mailbox>,
     /// Where copies of all that is let in go.
     pub lane: Option<Lane>,
-    /// Other ways there.
-    pub lanes: Receiver<Option<Lane>>,
     /// What is counted.
     pub counters: Arc<PortCounters>,
-    /// Set when the daemon ends.
-    pub over: Arc<AtomicBool>,
-    /// The newest packet that was let in.
-    pub newest: Newest,
-    /// How much of the time it works.
-    pub load: Load,
 }
 
-/// When the newest packet came, by the clock that stamps packets and by one that nobody sets.
+/// When the newest data packet of a sensor came, by the clock that stamps packets and by one that nobody sets.
 ///
-/// The kernel stamps packets by CLOCK_REALTIME, which may be stepped by hours. How long it has been quiet is therefore told
-/// by CLOCK_MONOTONIC: else a step would close an open sweep, or keep one open for as long as the clock was set back.
+/// The kernel stamps packets by CLOCK_REALTIME, which may be stepped by hours. How long a sensor has been quiet is therefore
+/// told by CLOCK_MONOTONIC: else a step would close an open sweep, or keep one open for as long as the clock was set back.
+/// Each sensor has its own: when the clock was set, another's newest packet may have come since, and this one's before.
 #[derive(Clone, Copy, Debug, Default)]
-pub struct Newest(Option<(i64, Instant)>);
+pub struct Newest {
+    /// The stamp of a packet of this batch.
+    stamp_ns: Option<i64>,
+    noted: Option<(i64, Instant)>,
+}
 
 impl Newest {
-    /// Takes the stamp of the newest packet of a batch, if there was one.
-    fn note(&mut self, stamp_ns: Option<i64>, now: Instant) {
-        self.0 = stamp_ns.map(|stamp_ns| (stamp_ns, now)).or(self.0);
+    /// Takes the stamp of a packet.
+    fn stamp(&mut self, stamp_ns: i64) {
+        self.stamp_ns = Some(stamp_ns);
     }
 
-    /// What the kernel would stamp a packet with that came now, had its clock not been set since the newest packet;
-    /// nanoseconds since 1970, `None` before the first one.
-    fn stamp_of(self, now: Instant) -> Option<i64> {
-        let (stamp_ns, at) = self.0?;
+    /// What the kernel would stamp a packet with that came now, after a batch, had its clock not been set since the newest
+    /// one; nanoseconds since 1970, `None` before the first one.
+    fn stamp_of(&mut self, now: Instant) -> Option<i64> {
+        if let Some(stamp_ns) = self.stamp_ns.take() {
+            self.noted = Some((stamp_ns, now));
+        }
+        let (stamp_ns, at) = self.noted?;
         Some(stamp_ns.saturating_add(now.saturating_duration_since(at).as_nanos() as i64))
-    }
-
-    /// Whether no packets come.
-    fn is_quiet(self, now: Instant) -> bool {
-        self.0.is_none_or(|(_, at)| now.saturating_duration_since(at) > QUIET)
     }
 }
 
@@ -144,86 +157,104 @@ impl<B: Buffers<Buffer: Outgoing>> Port<B> {
     pub fn serve(mut self) -> Result<(), UdpError> {
         let (mut failures, mut looked) = (0, Instant::now());
         while !self.over.load(Ordering::Relaxed) {
-            // What fills a whole batch has more behind it: a nap would let that pile up.
-            if !self.source.may_hold_more() {
-                self.nap();
-            }
-            let is_quiet = self.newest.is_quiet(Instant::now());
-            match self.round(if is_quiet { IDLE } else { BUSY }) {
+            let was_quiet = self.is_quiet();
+            match self.round(if was_quiet { Duration::ZERO } else { BUSY }) {
                 Ok(()) => failures = 0,
                 // An interface that goes down says so once.
                 Err(error) if failures >= FAILURES => return Err(error),
                 Err(_) => {
                     failures += 1;
-                    std::thread::sleep(IDLE);
+                    thread::park_timeout(IDLE);
                 }
             }
-            if is_quiet && looked.elapsed() >= LOOK_EVERY {
+            if was_quiet && looked.elapsed() >= LOOK_EVERY {
                 looked = Instant::now();
                 // One that is back and has no address yet is as good as gone; it is looked at again.
                 let is_there = self.source.follow_interface().unwrap_or(false);
-                self.counters.set_interface_gone(!is_there);
+                self.room.counters.set_interface_gone(!is_there);
             }
-            self.counters.heartbeat.add(1);
+            self.room.counters.heartbeat.add(1);
+            // What fills a whole batch has more behind it: a nap would let that pile up.
+            if !self.source.may_hold_more() {
+                self.nap();
+            }
         }
         Ok(())
     }
 
-    /// Sleeps while no sweep of any sensor is about to end; the socket keeps what comes.
+    fn is_quiet(&self) -> bool {
+        self.heard.is_none_or(|heard| heard.elapsed() > QUIET)
+    }
+
+    /// Sleeps while no sweep of any sensor is about to end; the socket keeps what comes. Whoever ends the daemon unparks.
     fn nap(&self) {
+        if self.is_quiet() {
+            return thread::park_timeout(IDLE);
+        }
         let now_ns = realtime_ns();
-        let longest_ns = nap::longest_ns(self.source.buffer(), self.sensors.len(), &self.load);
+        let Room { sensors, .. } = &self.room;
+        let longest_ns = nap::longest_ns(self.source.buffer(), sensors.len(), &self.load);
         let until_due_ns = |served: &Served<B>| served.sensor.due_ns().map(|due_ns| due_ns.saturating_sub(now_ns));
         // One of whom it is not known is waited on; position packets alone are never in a hurry.
-        let naps_ns = self.sensors.iter().map(|served| until_due_ns(served).map_or(0, |ns| nap::ns(ns, longest_ns)));
-        let shortest_ns = naps_ns.min().unwrap_or(if self.newest.is_quiet(Instant::now()) { 0 } else { longest_ns });
-        if shortest_ns > 0 {
-            std::thread::sleep(Duration::from_nanos(shortest_ns as u64));
+        let naps_ns = sensors.iter().map(|served| until_due_ns(served).map_or(0, |ns| nap::ns(ns, longest_ns)));
+        if let ns @ 1.. = naps_ns.min().unwrap_or(longest_ns) {
+            thread::park_timeout(Duration::from_nanos(ns as u64));
         }
     }
 
     /// One batch, or a wait for one in vain.
     fn round(&mut self, timeout: Duration) -> Result<(), UdpError> {
-        let Self { source, door, sensors, others, lane, lanes, counters, newest, load, .. } = self;
+        let Self { source, room, lanes, heard, load, .. } = self;
         while let Ok(next) = lanes.try_recv() {
-            *lane = next;
+            room.lane = next;
         }
-        let mut newest_ns = None;
+        let mut some_came = false;
         let batch = source.receive_counted(timeout)?;
         let begun = Instant::now();
         for (addressed, dropped) in batch {
-            let datagram = addressed.datagram();
-            match door.admit(&datagram) {
-                Ok(Admitted::Data(index)) => {
-                    put(&mut sensors[index].tap, &addressed);
-                    sensors[index].sensor.data(&datagram, dropped);
-                }
-                Ok(Admitted::Position(address)) => deliver(address, &addressed, sensors, others),
-                Err(reason) => {
-                    counters.reject(reason);
-                    continue;
-                }
-            }
-            if let Some(lane) = lane {
-                // What finds no room is counted there.
-                lane.put(&addressed);
-            }
-            newest_ns = Some(datagram.arrival_ns);
+            some_came |= room.take(&addressed, dropped);
         }
-        if newest_ns.is_some() {
-            counters.set_interface_gone(false);
-        }
-        let dropped = if newest_ns.is_some() { source.dropped_so_far() } else { source.dropped() };
-        counters.received.set(source.received());
-        counters.dropped.set(dropped);
         let now = Instant::now();
-        newest.note(newest_ns, now);
-        let now_ns = newest.stamp_of(now).unwrap_or_else(realtime_ns);
-        for served in sensors {
-            served.catch_up(now_ns, dropped);
+        if some_came {
+            room.counters.set_interface_gone(false);
+            *heard = Some(now);
         }
+        let dropped = if some_came { source.dropped_so_far() } else { source.dropped() };
+        room.counters.received.set(source.received());
+        room.counters.dropped.set(dropped);
+        room.catch_up(now, dropped);
         load.worked(begun, Instant::now());
         Ok(())
+    }
+}
+
+impl<B: Buffers<Buffer: Outgoing>> Room<B> {
+    /// Hands a datagram to whom it is for, if it is let in. `dropped` is what the kernel had dropped on the port so far.
+    fn take(&mut self, addressed: &Addressed<'_>, dropped: u64) -> bool {
+        let datagram = addressed.datagram();
+        match self.door.admit(&datagram) {
+            Ok(Admitted::Data(index)) => {
+                let served = &mut self.sensors[index];
+                put(&mut served.tap, addressed);
+                served.sensor.data(&datagram, dropped);
+                served.newest.stamp(datagram.arrival_ns);
+            }
+            Ok(Admitted::Position(address)) => deliver(address, addressed, &mut self.sensors, &mut self.others),
+            Err(reason) => {
+                self.counters.reject(reason);
+                return false;
+            }
+        }
+        if let Some(lane) = &mut self.lane {
+            // What finds no room is counted there.
+            lane.put(addressed);
+        }
+        true
+    }
+
+    /// What is done between batches.
+    fn catch_up(&mut self, now: Instant, dropped: u64) {
+        self.sensors.iter_mut().for_each(|served| served.catch_up(now, dropped));
     }
 }
 
@@ -255,35 +286,17 @@ fn put(tap: &mut Option<Tap>, addressed: &Addressed<'_>) {
 
 impl<B: Buffers<Buffer: Outgoing>> Served<B> {
     /// What is done between batches.
-    fn catch_up(&mut self, now_ns: i64, dropped: u64) {
+    fn catch_up(&mut self, now: Instant, dropped: u64) {
         while let Ok(mail) = self.mail.try_recv() {
             self.sensor.position(&mail.datagram());
         }
         while let Ok(config) = self.orders.try_recv() {
             self.sensor.reconfigure(config);
         }
-        self.sensor.tick(now_ns, dropped);
+        self.sensor.tick(self.newest.stamp_of(now), dropped);
         self.sensor.tell();
     }
 }
 
 #[cfg(test)]
-mod tests {
-    use super::*;
-
-    #[test]
-    fn a_clock_that_is_set_makes_no_silence_and_hides_none() {
-        let begun = Instant::now();
-        let after = |ms| begun + Duration::from_millis(ms);
-        let mut newest = Newest::default();
-        assert!(newest.is_quiet(begun) && newest.stamp_of(begun).is_none());
-        newest.note(Some(5_000_000_000), begun);
-        // Whatever CLOCK_REALTIME says by now, half a second passed.
-        newest.note(None, after(400));
-        assert_eq!(newest.stamp_of(after(500)), Some(5_500_000_000));
-        assert!(!newest.is_quiet(after(1000)) && newest.is_quiet(after(1001)));
-        // The first packet after the clock was set back by an hour tells what it is now.
-        newest.note(Some(5_600_000_000 - 3_600_000_000_000), after(600));
-        assert_eq!(newest.stamp_of(after(601)), Some(5_601_000_000 - 3_600_000_000_000));
-    }
-}
+mod tests;

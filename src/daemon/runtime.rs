@@ -16,7 +16,7 @@ use super::counters::{PortCounters, SensorCounters};
 use super::door::Door;
 use super::nap::Load;
 use super::plan::{self, PortName, PortPlan};
-use super::port::{MAILS, Mail, Mailbox, Newest, Port, Served};
+use super::port::{MAILS, Mail, Mailbox, Newest, Port, Room, Served};
 use super::sensor::{Event, Identity, Sensor};
 use super::sharing::{Sharing, SharingError, SharingStatus};
 use super::sys;
@@ -184,8 +184,8 @@ impl Runtime {
             let (counters, over) = (Arc::clone(&status.counters), Arc::clone(&runtime.over));
             let (order, lanes) = mpsc::channel();
             runtime.lanes.push(order);
-            let (lane, newest, load) = (tees.lane(), Newest::default(), Load::new(Instant::now()));
-            let port = Port { source, door, sensors: served, others, lane, lanes, counters, over, newest, load };
+            let room = Room { door, sensors: served, others, lane: tees.lane(), counters };
+            let port = Port { source, room, lanes, over, heard: None, load: Load::new(Instant::now()) };
             // On an early return, dropping the runtime ends those that run already.
             runtime.threads.push((status.name.clone(), spawn(port, &status.name, &plan.config)?));
             statuses.push(status);
@@ -227,7 +227,7 @@ impl Runtime {
     /// # Errors
     /// [`DaemonError::Hangs`]: one does not end in time. [`DaemonError::Ended`]: one had come to another end before.
     pub fn stop(mut self) -> Result<(), DaemonError> {
-        self.over.store(true, Ordering::Relaxed);
+        self.end();
         let begun = Instant::now();
         for (port, thread) in std::mem::take(&mut self.threads) {
             while !thread.is_finished() {
@@ -243,6 +243,12 @@ impl Runtime {
         Ok(())
     }
 
+    /// Tells all threads to end, and wakes those that sleep.
+    fn end(&self) {
+        self.over.store(true, Ordering::Relaxed);
+        self.threads.iter().for_each(|(_, thread)| thread.thread().unpark());
+    }
+
     fn await_first_round(&mut self) -> Result<(), DaemonError> {
         while self.ports.iter().any(|port| port.counters.heartbeat.get() == 0) {
             self.check()?;
@@ -254,7 +260,7 @@ impl Runtime {
 
 impl Drop for Runtime {
     fn drop(&mut self) {
-        self.over.store(true, Ordering::Relaxed);
+        self.end();
     }
 }
 
@@ -294,7 +300,7 @@ impl Hall {
         self.orders.push(order);
         let (position_port, sharing) = (sensor.position_port, way.status);
         self.statuses.push(SensorStatus { name: name(), address, port, position_port, counters, sharing });
-        Ok(Served { address, sensor: at_work, mail, orders, tap: tees.tap(&sensor.name) })
+        Ok(Served { address, sensor: at_work, mail, orders, tap: tees.tap(&sensor.name), newest: Newest::default() })
     }
 }
 

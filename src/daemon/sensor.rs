@@ -124,9 +124,10 @@ impl<B: Buffers<Buffer: Outgoing>> Sensor<B> {
         }
     }
 
-    /// Tells the time, between batches: a sweep may have stalled, and a sensor deserve a second look.
-    pub fn tick(&mut self, now_ns: i64, dropped: u64) {
-        if self.pipeline.tick(now_ns) {
+    /// Tells the time by the clock that stamps its packets, if there were any, between batches: a sweep may have stalled,
+    /// and a sensor deserve a second look.
+    pub fn tick(&mut self, now_ns: Option<i64>, dropped: u64) {
+        if now_ns.is_some_and(|now_ns| self.pipeline.tick(now_ns)) {
             self.send_sweeps(dropped);
         }
         if self.second_look_ns.is_some_and(|at_ns| monotonic_ns() >= at_ns) {

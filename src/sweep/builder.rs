@@ -25,6 +25,8 @@ const RATE_LIKE: f64 = 0.35;
 const RPM_TELLING_CDEG: f64 = 1_000.0;
 /// No gap is filled that lasted longer: the times in a sweep are to stay small.
 const LONGEST_GAP_NS: i64 = 1_000_000_000;
+/// None waits for another so long: what came so much before the newest one was stamped by a clock that was set back since.
+const SET_BACK_NS: i64 = 100_000_000;
 
 /// Builds sweeps out of packets that come in order.
 pub struct Builder<B: Buffers> {
@@ -235,7 +237,10 @@ impl<B: Buffers> Builder<B> {
         let Some(Open { buffer, so_far: open }) = &mut self.open else { return End::Packet };
         let Ok(mut sweep) = SweepMut::open(buffer.as_mut()) else { return End::Packet };
         let turns = &self.turns;
-        open.newest_arrival_ns = open.newest_arrival_ns.max(packet.arrival_ns);
+        let is_set_back = open.newest_arrival_ns.saturating_sub(packet.arrival_ns) > SET_BACK_NS;
+        if is_set_back || open.newest_arrival_ns < packet.arrival_ns {
+            open.newest_arrival_ns = packet.arrival_ns;
+        }
         while let Some(firing) = cursor.firing(packet) {
             if !std::mem::replace(&mut cursor.turned, true) {
                 let pace = |rate| Pace::new(rate, self.decoder.spec, packet.mode);
