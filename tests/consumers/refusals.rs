@@ -220,6 +220,21 @@ fn a_service_that_lies_about_what_it_is_is_refused_in_plain_text() {
     assert!(!error.to_string().contains(char::is_control), "{error:?}");
 }
 
+/// A daemon that was built with another iceoryx2.
+#[test]
+fn a_service_of_another_iceoryx2_is_refused_with_the_cure_until_this_one_comes() {
+    let own = Own::new();
+    let hostile = Hostile::new(&own);
+    rewrite(&own, |sweeps, _| replaced(&sweeps.content, b"minor = 10\n", b"minor = 99\n"));
+    let mut client = Client::within(&own.domain(), "roof").unwrap();
+    let error = client.next(Duration::ZERO).unwrap_err();
+    assert!(matches!(error, ClientError::Subscribe(SubscribeError::OtherIceoryx { .. })), "{error:?}");
+    let said = error.to_string();
+    assert!(said.contains("`roof`") && said.contains("build it with the version of sweepd"), "{said}");
+    drop(hostile);
+    comes_back(&own, &mut client);
+}
+
 /// iceoryx2 opens a service that is aligned to more than what is asked for; its bytes are as far apart as ever.
 #[test]
 fn a_service_that_is_aligned_to_more_is_read() {
