@@ -200,3 +200,29 @@ fn corrupt_packets_at_the_start_do_not_refuse_a_sensor() {
     let faults = sent.iter().filter_map(|one| runner.push(&one.datagram()).err()).count();
     assert_eq!((faults, runner.sweeps.len()), (1, 0));
 }
+
+/// The height of one sensor is that of many sweeps: the one that takes its place, and may sit elsewhere, has none of them.
+#[test]
+fn a_sensor_that_is_exchanged_is_seen_at_its_own_height() {
+    let scene = fixtures::scene();
+    let stream = |model, height_m, start_ns| {
+        let mut config = EmitterConfig::new(model, ReturnMode::Strongest).turns(4.0);
+        config.pose.origin.z = height_m;
+        config.start_utc_ns += start_ns;
+        Emitter::new(config, &scene).filter(|one| one.truth.is_some()).collect::<Vec<_>>()
+    };
+    let sent = [stream(Model::Vlp16, 1.9, 0), stream(Model::Hdl32e, 1.2, 400_000_000)].concat();
+    let run = Run::of_datagrams(sent.iter().map(SimulatedDatagram::datagram));
+    let mut seen = [0; 2];
+    for sweep in run.views() {
+        let (own, height_m) = if sweep.rows() == 16 { (0, 1.9) } else { (1, 1.2) };
+        // A piece of a turn may be too short to show it.
+        if sweep.header.has(flags::CIRCULAR) {
+            seen[own] += 1;
+            assert!(sweep.header.has(flags::HEIGHT_ESTIMATED));
+            let found_m = sweep.header.height_m;
+            assert!((found_m - height_m).abs() < 0.1, "{} rows at {height_m} m: {found_m} m", sweep.rows());
+        }
+    }
+    assert!(seen[0] >= 3 && seen[1] >= 2, "{seen:?}");
+}
