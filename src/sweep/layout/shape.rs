@@ -1,0 +1,202 @@
+//! Where the parts of a sweep stand, how much room they take, and whether a header that others wrote can be true.
+
+use super::{ALIGN, BeamRow, COLUMNS_CAPACITY, Column, Header, LAYOUT_VERSION, MAGIC, Segment};
+
+/// The parts of a sweep behind its header.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+#[repr(usize)]
+pub enum Part {
+    /// f32 metres a pixel; see [`is_return`], and [`super::corrected`] for the last bit on an HDL-64E.
+    Range = 0,
+    /// u8 a pixel.
+    Reflectivity,
+    /// u32 a pixel: 0 none, 1 ground, 2.. segment.
+    Label,
+    /// Range of the other return, dual only.
+    Range2,
+    /// Reflectivity of the other return, dual only.
+    Reflectivity2,
+    /// Label of the other return, dual only.
+    Label2,
+    /// u8 a pixel, dual only: [`ReturnKind`] of the segmented return, and [`SECOND_BLOCKS`].
+    Kind,
+    /// [`Column`] a column.
+    Columns,
+    /// [`BeamRow`] a row.
+    Beams,
+    /// [`Segment`] a segment.
+    Segments,
+}
+
+/// Number of parts.
+pub const PARTS: usize = 10;
+
+/// Which of a pair of dual returns a plane holds.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+#[repr(u8)]
+pub enum ReturnKind {
+    /// The strongest, or the second strongest where the last is the strongest; the other is the last.
+    Strongest = 1,
+    /// The last; the other is the strongest. An HDL-64E does not say which is which: the farther is the last.
+    Last = 2,
+}
+
+/// Bit of [`Part::Kind`]: the segmented return stands in the second blocks of its firing, the other in the first.
+pub const SECOND_BLOCKS: u8 = 4;
+
+impl ReturnKind {
+    /// The kind in a byte of [`Part::Kind`].
+    pub fn of_byte(byte: u8) -> Self {
+        if byte & !SECOND_BLOCKS == Self::Last as u8 { Self::Last } else { Self::Strongest }
+    }
+
+    /// The other of a pair.
+    pub fn other(self) -> Self {
+        match self {
+            Self::Strongest => Self::Last,
+            Self::Last => Self::Strongest,
+        }
+    }
+
+    /// The word for it in output.
+    pub fn name(self) -> &'static str {
+        match self {
+            Self::Strongest => "strongest",
+            Self::Last => "last",
+        }
+    }
+}
+
+/// What a sweep must have room for.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub struct Shape {
+    /// Rows.
+    pub rows: usize,
+    /// Columns at most.
+    pub columns_capacity: usize,
+    /// Two returns a pixel.
+    pub dual: bool,
+    /// Segments at most.
+    pub segments_capacity: usize,
+}
+
+impl Shape {
+    /// The shape of all sweeps of a sensor with so many rows, whose segments have at least so many pixels: the table has
+    /// room for as many segments as there can be.
+    pub fn of(rows: usize, dual: bool, min_points: usize) -> Self {
+        let segments_capacity = rows * COLUMNS_CAPACITY / min_points.max(1);
+        Self { rows, columns_capacity: COLUMNS_CAPACITY, dual, segments_capacity }
+    }
+
+    /// Where each part begins (0 = absent), and the bytes of the whole.
+    pub fn offsets(&self) -> ([u64; PARTS], usize) {
+        let mut offsets = [0; PARTS];
+        let mut end = size_of::<Header>();
+        for (offset, bytes) in offsets.iter_mut().zip(self.part_bytes()) {
+            if bytes > 0 {
+                *offset = end as u64;
+                end = (end + bytes).next_multiple_of(ALIGN);
+            }
+        }
+        (offsets, end)
+    }
+
+    /// Bytes of the whole sweep.
+    pub fn total_bytes(&self) -> usize {
+        self.offsets().1
+    }
+
+    pub(in crate::sweep) fn part_bytes(&self) -> [usize; PARTS] {
+        let pixels = self.rows * self.columns_capacity;
+        let other = if self.dual { pixels } else { 0 };
+        [
+            pixels * size_of::<f32>(),
+            pixels,
+            pixels * size_of::<u32>(),
+            other * size_of::<f32>(),
+            other,
+            other * size_of::<u32>(),
+            other,
+            self.columns_capacity * size_of::<Column>(),
+            self.rows * size_of::<BeamRow>(),
+            self.segments_capacity * size_of::<Segment>(),
+        ]
+    }
+}
+
+/// Why bytes are not a sweep.
+#[derive(Clone, Copy, Debug, PartialEq, Eq, thiserror::Error)]
+pub enum LayoutError {
+    /// Too short, or not aligned to 8 bytes.
+    #[error("{bytes} bytes cannot hold a sweep, or are not aligned to 8 bytes")]
+    Bytes {
+        /// Bytes that there are.
+        bytes: usize,
+    },
+    /// Other first bytes.
+    #[error("no sweep of sweepd: it does not begin with its mark")]
+    Foreign,
+    /// Another version.
+    #[error(
+        "a sweep of layout version {found}, and this program reads version {LAYOUT_VERSION}; build it with the version of \
+         sweepd that made the sweep, or take one that this program was built with"
+    )]
+    Version {
+        /// Version that the header names.
+        found: u32,
+    },
+    /// Fewer bytes than whoever sent them says.
+    #[error("torn: {promised} bytes are named and {bytes} are there")]
+    Torn {
+        /// Bytes that are named.
+        promised: u64,
+        /// Bytes that there are.
+        bytes: usize,
+    },
+    /// Counts and offsets that contradict each other.
+    #[error("the header's counts and offsets contradict each other")]
+    Inconsistent,
+}
+
+/// The shape of a header that was not written here, when everything in it can be true of `bytes` bytes.
+pub(in crate::sweep) fn checked_shape(header: &Header, bytes: usize) -> Result<Shape, LayoutError> {
+    if header.magic != MAGIC {
+        return Err(LayoutError::Foreign);
+    }
+    if header.version != LAYOUT_VERSION {
+        return Err(LayoutError::Version { found: header.version });
+    }
+    let shape = header.shape();
+    let bounded = shape.rows <= 256 && shape.columns_capacity <= 1 << 20 && shape.segments_capacity <= 1 << 28;
+    let columns = u64::from(header.margin_columns) + u64::from(header.columns);
+    if !bounded || columns > u64::from(header.columns_capacity) || header.segments > header.segments_capacity {
+        return Err(LayoutError::Inconsistent);
+    }
+    let (offsets, total_bytes) = shape.offsets();
+    if offsets != header.offsets || total_bytes as u64 != header.total_bytes {
+        return Err(LayoutError::Inconsistent);
+    }
+    if total_bytes > bytes {
+        return Err(LayoutError::Bytes { bytes });
+    }
+    Ok(shape)
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn parts_are_aligned_and_do_not_overlap() {
+        for dual in [false, true] {
+            let shape = Shape { rows: 3, columns_capacity: 5, dual, segments_capacity: 2 };
+            let (offsets, total) = shape.offsets();
+            let mut end = size_of::<Header>();
+            for (offset, bytes) in offsets.into_iter().zip(shape.part_bytes()).filter(|&(_, bytes)| bytes > 0) {
+                assert!(offset as usize >= end && (offset as usize).is_multiple_of(ALIGN));
+                end = offset as usize + bytes;
+            }
+            assert!(end <= total);
+        }
+    }
+}
