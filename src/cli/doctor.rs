@@ -8,14 +8,13 @@ use std::time::Duration;
 use serde::Serialize;
 
 use super::CliError;
-use super::options::within;
+use super::options::{Listening, within};
 use crate::daemon::config::Config;
 use crate::doctor::diagnose::sweep_bytes;
 use crate::doctor::observe::Sensor;
 use crate::doctor::plan::HEALTH;
 use crate::doctor::{ExamineError, Finding, Observations, Plan, Severity, diagnose, examine};
 use crate::publish::pool_sweeps;
-use crate::wire::{DATA_PORT, POSITION_PORT};
 
 /// Options of `sweepd doctor`.
 #[derive(Clone, Debug, clap::Args)]
@@ -35,18 +34,8 @@ pub struct Args {
     /// How long to listen, seconds
     #[arg(long, value_name = "S", default_value = "5", value_parser = within(0.1..=3600.0, "seconds"))]
     seconds: f64,
-    /// UDP port to listen on; may be given several times
-    #[arg(long = "port", value_name = "PORT", default_values_t = [DATA_PORT, POSITION_PORT])]
-    ports: Vec<u16>,
-    /// Address of this host to listen on; any but 0.0.0.0 misses broadcasts
-    #[arg(long, value_name = "IP", default_value_t = Ipv4Addr::UNSPECIFIED)]
-    bind: Ipv4Addr,
-    /// Multicast group that the sensor sends to
-    #[arg(long, value_name = "GROUP")]
-    multicast: Option<Ipv4Addr>,
-    /// Network interface to listen on alone
-    #[arg(long, value_name = "NAME")]
-    interface: Option<String>,
+    #[command(flatten)]
+    listening: Listening,
     /// Ask the web page of this sensor even if nothing comes from it; may be given several times
     #[arg(long = "sensor", value_name = "IP")]
     sensors: Vec<Ipv4Addr>,
@@ -68,10 +57,11 @@ impl Args {
     fn plan(&self) -> Result<Plan, CliError> {
         let mut plan = match &self.config {
             Some(file) => Plan::of(&Config::read(file)?),
-            None => Plan {
-                health: Some(self.health),
-                ..Plan::of_ports(&self.ports, self.bind, self.multicast, self.interface.as_deref())
-            },
+            None => {
+                let Listening { ports, bind, multicast, interface } = &self.listening;
+                let plan = Plan::of_ports(ports, *bind, *multicast, interface.as_deref());
+                Plan { health: Some(self.health), ..plan }
+            }
         };
         plan.ask.extend(&self.sensors);
         Ok(plan)

@@ -1,5 +1,6 @@
 //! Options that several subcommands share.
 
+use std::net::Ipv4Addr;
 use std::ops::RangeInclusive;
 use std::path::PathBuf;
 
@@ -12,10 +13,28 @@ use crate::segment::{self, Mask, Settings};
 use crate::sensor::model::UnknownModel;
 use crate::sensor::{Calibration, Model};
 use crate::sweep::layout::ReturnChoice;
+use crate::wire::{DATA_PORT, POSITION_PORT};
 
 /// A model, by its flag.
 pub(super) fn model(text: &str) -> Result<Model, String> {
     text.parse().map_err(|error: UnknownModel| error.to_string())
+}
+
+/// Where to listen.
+#[derive(Clone, Debug, clap::Args)]
+pub struct Listening {
+    /// UDP port to listen on; may be given several times
+    #[arg(long = "port", value_name = "PORT", default_values_t = [DATA_PORT, POSITION_PORT])]
+    pub ports: Vec<u16>,
+    /// Address of this host to listen on; any but 0.0.0.0 misses broadcasts
+    #[arg(long, value_name = "IP", default_value_t = Ipv4Addr::UNSPECIFIED)]
+    pub bind: Ipv4Addr,
+    /// Multicast group that the sensor sends to
+    #[arg(long, value_name = "GROUP")]
+    pub multicast: Option<Ipv4Addr>,
+    /// Network interface to listen on alone, such as eth1
+    #[arg(long, value_name = "NAME")]
+    pub interface: Option<String>,
 }
 
 /// Reads a number within `range`; the error names the range and the unit.

@@ -7,7 +7,6 @@ mod input;
 mod report;
 
 use std::io::{self, BufWriter, IsTerminal, Write};
-use std::net::Ipv4Addr;
 use std::path::{Path, PathBuf};
 use std::sync::Arc;
 use std::sync::atomic::{AtomicBool, AtomicU64, Ordering};
@@ -18,7 +17,7 @@ use indicatif::{ProgressBar, ProgressStyle};
 
 use self::input::{Input, InputReport};
 use self::report::Report;
-use super::options::within;
+use super::options::{Listening, within};
 use super::signals::end_flag;
 use super::{CliError, complain};
 use crate::capture::record::Rotation;
@@ -27,7 +26,6 @@ use crate::capture::{Gate, Recorder, SensorFilter, UdpConfig, UdpError, UdpSourc
 use crate::daemon::tap::{TapStream, socket_path};
 use crate::export::text::grouped;
 use crate::publish::Domain;
-use crate::wire::{DATA_PORT, POSITION_PORT};
 
 /// How soon everybody hears of the end.
 const TICK: Duration = Duration::from_millis(50);
@@ -56,18 +54,8 @@ pub struct Args {
     /// /tmp/sweepd/iox2]
     #[arg(long, value_name = "DIR", requires = "from")]
     root: Option<PathBuf>,
-    /// UDP port to listen on; may be given several times
-    #[arg(long = "port", value_name = "PORT", default_values_t = [DATA_PORT, POSITION_PORT])]
-    ports: Vec<u16>,
-    /// Address of this host to listen on; any but 0.0.0.0 misses broadcasts
-    #[arg(long, value_name = "IP", default_value_t = Ipv4Addr::UNSPECIFIED)]
-    bind: Ipv4Addr,
-    /// Multicast group that the sensor sends to
-    #[arg(long, value_name = "GROUP")]
-    multicast: Option<Ipv4Addr>,
-    /// Network interface to listen on alone, such as eth1
-    #[arg(long, value_name = "NAME")]
-    interface: Option<String>,
+    #[command(flatten)]
+    listening: Listening,
     /// Only sensors at this address: IP or IP:PORT; may be given several times
     #[arg(long, value_name = "ADDR")]
     sensor: Vec<SensorFilter>,
@@ -118,14 +106,13 @@ impl Args {
 
     /// Opens all ports, and says which have too small a buffer.
     fn listen(&self) -> Result<Vec<Input>, CliError> {
-        let mut ports = self.ports.clone();
+        let Listening { mut ports, bind, multicast, interface } = self.listening.clone();
         ports.sort_unstable();
         ports.dedup();
         let mut inputs = Vec::new();
         for port in ports {
-            let (multicast, interface) = (self.multicast, self.interface.clone());
-            let buffer_bytes = ample_buffer_bytes();
-            let config = UdpConfig { address: self.bind, port, multicast, interface, buffer_bytes };
+            let (interface, buffer_bytes) = (interface.clone(), ample_buffer_bytes());
+            let config = UdpConfig { address: bind, port, multicast, interface, buffer_bytes };
             let source = UdpSource::bind(&config).map_err(in_place_of_daemon)?;
             if let Some(warning) = source.buffer().warning(source.local_addr().port()) {
                 complain("warning", warning);

@@ -309,18 +309,23 @@ mod tests {
         assert_ne!(cast(&scene, &above, 0.0).map(|hit| hit.class), Some(Class::Pole));
     }
 
+    /// One of the kinds, of up to some metres, within 40 m.
+    fn shape_somewhere(rng: &mut Rng) -> Shape {
+        let place = [rng.f64() * 80.0 - 40.0, rng.f64() * 80.0 - 40.0, rng.f64()];
+        let size = [0.2 + rng.f64() * 2.0, 0.2 + rng.f64() * 4.0, 0.2 + rng.f64() * 4.0];
+        match rng.u8(0..3) {
+            0 => Shape::cuboid(place, size, rng.f64() * 7.0),
+            1 => Shape::cylinder(place, size[0], size[2]),
+            _ => Shape::ellipsoid(place, size),
+        }
+    }
+
     #[test]
     fn the_nearest_of_many_is_found_as_by_trying_all() {
         let mut rng = Rng::with_seed(7);
         let mut scene = Scene::new([0.01, -0.02], 20);
         for _ in 0..300 {
-            let place = [rng.f64() * 80.0 - 40.0, rng.f64() * 80.0 - 40.0, rng.f64()];
-            let size = [0.2 + rng.f64() * 2.0, 0.2 + rng.f64() * 4.0, 0.2 + rng.f64() * 4.0];
-            let shape = match rng.u8(0..3) {
-                0 => Shape::cuboid(place, size, rng.f64() * 7.0),
-                1 => Shape::cylinder(place, size[0], size[2]),
-                _ => Shape::ellipsoid(place, size),
-            };
+            let shape = shape_somewhere(&mut rng);
             // The eye is never inside: a span counts only when the ray comes from outside.
             let velocity = Vec3::new(rng.f64() * 4.0 - 2.0, rng.f64() * 4.0 - 2.0, 0.0);
             scene.add(Class::Furniture, velocity, [(shape, Surface::Plain(50))]);
@@ -365,14 +370,7 @@ mod tests {
         let mut rng = Rng::with_seed(9);
         let mut scene = Scene::new([0.01, -0.02], 20);
         for _ in 0..200 {
-            let place = [rng.f64() * 80.0 - 40.0, rng.f64() * 80.0 - 40.0, rng.f64()];
-            let size = [0.2 + rng.f64() * 2.0, 0.2 + rng.f64() * 4.0, 0.2 + rng.f64() * 4.0];
-            let shape = match rng.u8(0..3) {
-                0 => Shape::cuboid(place, size, rng.f64() * 7.0),
-                1 => Shape::cylinder(place, size[0], size[2]),
-                _ => Shape::ellipsoid(place, size),
-            };
-            scene.add(Class::Furniture, Vec3::zeros(), [(shape, Surface::Plain(50))]);
+            scene.add(Class::Furniture, Vec3::zeros(), [(shape_somewhere(&mut rng), Surface::Plain(50))]);
         }
         let (view, spread_rad) = (View::new(&scene, EYE, 0.03, 0.0, 0.01), 0.001_5);
         let (mut edges, mut missed) = (0, 0);
