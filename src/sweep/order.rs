@@ -21,6 +21,10 @@ pub const HOLD: usize = 4;
 const SLOTS: usize = 32;
 /// So many packets in a row that only look back: the clock was set back, by less than a second.
 const SET_BACK_PACKETS: u32 = 16;
+/// A stamp off the beat weighs as much as so many on it,
+const OFF_BEAT_WEIGHT: u32 = 8;
+/// and where so much has come together, stamps are off all the time: then none is refused for that any more.
+const UNSTEADY: u32 = 64;
 
 /// Why a packet will not come out again.
 #[derive(Clone, Copy, Debug, PartialEq)]
@@ -59,6 +63,8 @@ pub struct Order {
     last: Option<usize>,
     suspect: Option<usize>,
     set_back: u32,
+    /// How much off the beat stamps were of late.
+    off_beat: u32,
     relations: Relations,
     counts: OrderCounts,
 }
@@ -71,11 +77,12 @@ impl Order {
             clock: SensorClock::default(),
             slots: Vec::with_capacity(SLOTS),
             next_slot: 0,
-            held: Vec::with_capacity(HOLD + 1),
+            held: Vec::with_capacity(HOLD + 2),
             ready: VecDeque::with_capacity(HOLD + 4),
             last: None,
             suspect: None,
             set_back: 0,
+            off_beat: 0,
             relations: Relations::new(spec),
             counts: OrderCounts::default(),
         }
@@ -133,11 +140,14 @@ impl Order {
         };
         self.relations.settle_silence(&self.slots[last], &mut packet);
         let relation = self.relations.between(&self.slots[last], &packet);
+        self.weigh(relation);
         if self.confirm(&packet, relation) {
             return Ok(());
         }
         match relation {
-            Relation::Follows(_, Fit::Good | Fit::Exact) if self.relations.is_familiar(&packet.motion) => {
+            Relation::Follows(_, fit)
+                if self.is_as_good(fit, Fit::Good) && self.relations.is_familiar(&packet.motion) =>
+            {
                 self.set_back = 0;
                 self.drop_suspect();
                 let slot = self.store(packet);
@@ -170,17 +180,35 @@ impl Order {
         self.drop_suspect();
     }
 
+    /// Notes whether the sensor keeps the beat.
+    fn weigh(&mut self, relation: Relation) {
+        self.off_beat = match relation {
+            Relation::Follows(_, Fit::Loose) => (self.off_beat + OFF_BEAT_WEIGHT).min(2 * UNSTEADY),
+            Relation::Follows(..) => self.off_beat.saturating_sub(1),
+            _ => self.off_beat,
+        };
+    }
+
+    /// Whether a packet follows so well, or as well as any of a sensor that does not keep the beat.
+    fn is_as_good(&self, fit: Fit, as_that: Fit) -> bool {
+        fit >= as_that || self.off_beat >= UNSTEADY
+    }
+
     /// Believes the doubtful packet if this one follows it, or was overtaken by it.
     fn confirm(&mut self, packet: &Packet, relation: Relation) -> bool {
         let Some((suspect, last)) = self.suspect.zip(self.last) else { return false };
         let follows = |earlier: &Packet, later: &Packet| match self.relations.between(earlier, later) {
-            Relation::Follows(before, Fit::Exact) => Some(before),
+            Relation::Follows(before, fit) if self.is_as_good(fit, Fit::Exact) => Some(before),
             _ => None,
         };
         let doubtful = &self.slots[suspect];
-        let is_next = matches!(relation, Relation::Follows(Before::Nothing, Fit::Good | Fit::Exact));
+        let is_next = matches!(relation, Relation::Follows(Before::Nothing, fit) if self.is_as_good(fit, Fit::Good));
         let before = follows(doubtful, packet).filter(|_| !is_next);
-        let is_overtaken = || matches!(relation, Relation::Follows(..)) && follows(packet, doubtful).is_some();
+        // An earlier packet says nothing of the far end of a doubtful one.
+        let is_overtaken = || {
+            let may_be = self.relations.is_familiar(&doubtful.motion) && matches!(relation, Relation::Follows(..));
+            may_be && follows(packet, doubtful).is_some()
+        };
         if before.is_none() && !is_overtaken() {
             return false;
         }

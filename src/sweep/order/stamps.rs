@@ -35,6 +35,11 @@ impl Stream {
 
     /// Its packets, each with the microseconds that its stamp is off.
     fn packets(&self, off_us: impl Fn(usize) -> i64) -> Vec<DataPacket> {
+        self.many(PACKETS, off_us)
+    }
+
+    /// So many of them.
+    fn many(&self, count: usize, mut off_us: impl FnMut(usize) -> i64) -> Vec<DataPacket> {
         let mut noise = fastrand::Rng::with_seed(3);
         let rate_cdeg_us = self.rpm / 60e6 * 36_000.0;
         let azimuth_us = f64::from(self.spec.azimuth_period_ns(self.mode)) / 1e3;
@@ -49,7 +54,7 @@ impl Stream {
             }
             packet
         };
-        (0..PACKETS).map(each).collect()
+        (0..count).map(each).collect()
     }
 
     /// Whether a missing packet cannot be told for sure when the clock is corrected so far at the same moment: where it is
@@ -184,4 +189,18 @@ fn a_stamp_that_is_set_right_costs_nothing() {
         }
     }
     assert!(wrong.is_empty(), "{} wrong, such as\n{}", wrong.len(), wrong[..wrong.len().min(20)].join("\n"));
+}
+
+/// A sensor that does not keep the beat, by 40 us either way at every packet, loses some at first, and then none.
+#[test]
+fn stamps_that_waver_all_the_time_are_believed() {
+    const LONG: usize = 400;
+    for stream in streams().filter(|stream| stream.rpm.abs() <= 600.0) {
+        let mut noise = fastrand::Rng::with_seed(5);
+        let outcome = stream.run(&stream.many(LONG, |_| noise.i64(-40..=40)), 0..LONG);
+        let late: Vec<_> = outcome.out.iter().filter(|(number, _)| *number >= LONG / 2).collect();
+        assert!(outcome.refused <= 24, "{stream:?}: {} refused", outcome.refused);
+        assert_eq!(late.len(), LONG / 2, "{stream:?}");
+        assert!(late.iter().skip(1).all(|(_, before)| *before == Before::Nothing), "{stream:?}");
+    }
 }
