@@ -11,7 +11,7 @@ use std::thread;
 use std::time::{Duration, Instant};
 
 use super::SoakError;
-use super::sys::{Signal, signal};
+use super::sys::{Signal, inherit_nothing, signal};
 
 /// How long the daemon may take for anything: to be there, to answer, to end.
 pub const PATIENCE: Duration = Duration::from_secs(20);
@@ -62,6 +62,7 @@ impl Daemon {
         let mut command = Command::new(program);
         command.args(["run", "--config"]).arg(config).env_remove("SWEEPD_LOG").env_remove("NOTIFY_SOCKET");
         command.stdin(Stdio::null()).stdout(Stdio::null()).stderr(Stdio::piped());
+        inherit_nothing(&mut command);
         let mut child = command.spawn().map_err(|source| SoakError::System { what: "start the daemon", source })?;
         let log = Arc::<Mutex<Log>>::default();
         if let Some(stderr) = child.stderr.take() {
