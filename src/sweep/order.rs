@@ -21,9 +21,9 @@ pub const HOLD: usize = 4;
 const SLOTS: usize = 32;
 /// So many packets in a row that only look back: the clock was set back, by less than a second.
 const SET_BACK_PACKETS: u32 = 16;
-/// A stamp off the beat weighs as much as so many on it,
-const OFF_BEAT_WEIGHT: u32 = 8;
-/// and where so much has come together, stamps are off all the time: then none is refused for that any more.
+/// A stamp somewhat off the beat, or far, weighs as much as so many on it.
+const OFF_BEAT_WEIGHT: [u32; 2] = [4, 8];
+/// Where so much has come together, stamps are off all the time: then none is refused for that any more.
 const UNSTEADY: u32 = 64;
 
 /// Why a packet will not come out again.
@@ -182,11 +182,14 @@ impl Order {
 
     /// Notes whether the sensor keeps the beat.
     fn weigh(&mut self, relation: Relation) {
+        let [somewhat, far] = OFF_BEAT_WEIGHT;
         self.off_beat = match relation {
-            Relation::Follows(_, Fit::Loose) => (self.off_beat + OFF_BEAT_WEIGHT).min(2 * UNSTEADY),
-            Relation::Follows(..) => self.off_beat.saturating_sub(1),
-            _ => self.off_beat,
+            Relation::Follows(_, Fit::Exact) => self.off_beat.saturating_sub(1),
+            Relation::Follows(_, Fit::Good) => self.off_beat + somewhat,
+            Relation::Follows(_, Fit::Loose) => self.off_beat + far,
+            Relation::Behind | Relation::Unrelated => self.off_beat,
         };
+        self.off_beat = self.off_beat.min(2 * UNSTEADY);
     }
 
     /// Whether a packet follows so well, or as well as any of a sensor that does not keep the beat.

@@ -199,8 +199,10 @@ fn stamps_that_waver_all_the_time_are_believed() {
         let mut noise = fastrand::Rng::with_seed(5);
         let outcome = stream.run(&stream.many(LONG, |_| noise.i64(-40..=40)), 0..LONG);
         let late: Vec<_> = outcome.out.iter().filter(|(number, _)| *number >= LONG / 2).collect();
-        assert!(outcome.refused <= 24, "{stream:?}: {} refused", outcome.refused);
-        assert_eq!(late.len(), LONG / 2, "{stream:?}");
-        assert!(late.iter().skip(1).all(|(_, before)| *before == Before::Nothing), "{stream:?}");
+        let Stream { spec: Spec { name, .. }, mode, rpm } = stream;
+        assert!(outcome.refused <= 24, "{name}, {mode:?}, {rpm} rpm: {} refused", outcome.refused);
+        assert_eq!(late.len(), LONG / 2, "{name}, {mode:?}, {rpm} rpm");
+        let follow = late.iter().skip(1).all(|(_, before)| *before == Before::Nothing);
+        assert!(follow, "{name}, {mode:?}, {rpm} rpm");
     }
 }
