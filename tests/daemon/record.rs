@@ -214,7 +214,7 @@ fn a_reload_switches_the_recording() {
     };
     daemon.reload("[record]\npath = \"a.pcap\"\n");
     records_to("a-000.pcap");
-    daemon.reload("[record]\npath = \"b.pcap.gz\"\nrotate_mb = 1\n");
+    daemon.reload("[record]\npath = \"b.pcap.gz\"\nrotate_mb = 100\n");
     records_to("b-000.pcap.gz");
     until("the first is closed", || daemon.log().contains("in 1 file, the last"));
     // A folder that there is not: the one before goes on.
