@@ -92,7 +92,9 @@ impl Snapshot {
         let totals: [(&str, &str, Read); 8] = [
             ("packets", "Data packets let in", |counters| counters.data.get()),
             ("position_packets", "Position packets let in", |counters| counters.position.get()),
-            ("position_overflows", "Position packets whose thread was busy", |c| c.position_overflows.get()),
+            ("position_overflows", "Position packets that found no room on the way to their sensor's thread", |c| {
+                c.position_overflows.get()
+            }),
             ("lost", "Data packets missing by the sensor's clock", |counters| counters.lost.get()),
             ("reordered", "Data packets put back in order", |counters| counters.reordered.get()),
             ("sweeps", "Sweeps, partial ones included", |counters| counters.sweeps.get()),

@@ -9,17 +9,16 @@ use std::time::{Duration, Instant};
 
 use crate::capture::udp::ReceiveBuffer;
 
-/// How long packets may wait in the socket while no sweep is about to end: each time that the thread is woken costs as much as
-/// decoding some packets.
-const NAP_NS: i64 = 100_000_000;
-/// No more may wait than is done in so long, else consumers would wait for it;
-const CATCH_UP_NS: i64 = EARLY_NS - ALERT_NS;
-/// and no more than this part of the socket's buffer holds: others may have the core when the nap is over.
-const BUFFER_PART: i64 = 4;
-/// So long before the packet that completes a sweep is expected, all that waits is fetched, so that little is left to do,
+/// Longest nap: each time that the thread is woken costs as much as decoding some packets.
+pub const NAP_NS: i64 = 40_000_000;
+/// So long before the packet that completes a sweep is expected, all that waits is fetched, so that little is left to do.
 const EARLY_NS: i64 = 2_000_000;
-/// and from so long before on, each packet is fetched as it comes.
+/// From so long before on, each packet is fetched as it comes.
 const ALERT_NS: i64 = 400_000;
+/// Most work that may wait: it is done in the time between these two, else consumers would wait for it.
+const CATCH_UP_NS: i64 = EARLY_NS - ALERT_NS;
+/// The part of the socket's buffer that may be full when a nap is over: others may have the core then.
+const BUFFER_PART: i64 = 4;
 
 /// How much of the time a thread works, over the last seconds.
 #[derive(Clone, Copy, Debug)]
@@ -31,7 +30,7 @@ pub struct Load {
 }
 
 impl Load {
-    /// A thread that is about to begin, taken to work for a twentieth of the time: more than a sensor takes.
+    /// A thread that is about to begin, taken to work for a twentieth of the time.
     pub fn new(now: Instant) -> Self {
         Self { busy: Duration::from_millis(5), all: Duration::from_millis(100), until: now }
     }
@@ -62,7 +61,7 @@ pub fn longest_ns(buffer: ReceiveBuffer, sensors: usize, load: &Load) -> i64 {
 }
 
 /// How long to sleep when a sweep is due in so long, nanoseconds.
-pub fn ns(until_due_ns: i64, longest_ns: i64) -> i64 {
+pub fn length_ns(until_due_ns: i64, longest_ns: i64) -> i64 {
     let before_ns = if until_due_ns > EARLY_NS { EARLY_NS } else { ALERT_NS };
     until_due_ns.saturating_sub(before_ns).clamp(0, longest_ns)
 }
@@ -70,6 +69,7 @@ pub fn ns(until_due_ns: i64, longest_ns: i64) -> i64 {
 #[cfg(test)]
 mod tests {
     use super::*;
+    use crate::capture::record::PERIOD;
 
     const MS: i64 = 1_000_000;
 
@@ -86,16 +86,19 @@ mod tests {
 
     #[test]
     fn naps_end_before_a_sweep_is_due() {
-        // A turn of 100 ms: long naps, the rest of it, one more in sight of the end, and none at the end.
-        for (longest_ms, expected) in [(40, vec![400, 400, 180, 16]), (100, vec![980, 16])] {
-            let (mut left_ns, mut naps) = (100 * MS, Vec::new());
-            while let nap_ns @ 1.. = ns(left_ns, longest_ms * MS) {
-                naps.push(nap_ns / 100_000);
+        for (turn_ms, longest_ms) in [(50, 40), (100, 40), (200, 40), (100, 7), (100, 1)] {
+            let (mut left_ns, mut naps) = (turn_ms * MS, Vec::new());
+            while let nap_ns @ 1.. = length_ns(left_ns, longest_ms * MS) {
+                assert!(nap_ns <= longest_ms * MS);
+                naps.push(nap_ns);
                 left_ns -= nap_ns;
             }
-            assert_eq!((naps, left_ns), (expected, ALERT_NS));
+            // All that waits is fetched 2 ms before, then once more, and then each packet as it comes.
+            assert_eq!(left_ns, 400_000);
+            let before_ns: i64 = naps.iter().rev().take_while(|nap_ns| **nap_ns < 2 * MS).sum();
+            assert!(longest_ms < 2 || before_ns == 1_600_000, "{naps:?}");
         }
-        assert_eq!(ns(i64::MIN + 1, NAP_NS), 0);
+        assert_eq!(length_ns(i64::MIN, NAP_NS), 0);
     }
 
     #[test]
@@ -105,10 +108,16 @@ mod tests {
         let small = ReceiveBuffer { granted_bytes: 425_984, ..ample };
         let longest_ms = |buffer, sensors, load: &Load| longest_ns(buffer, sensors, load) / MS;
         let idle = load(0);
-        assert_eq!([1, 8].map(|sensors| longest_ms(ample, sensors, &idle)), [100, 15]);
+        assert_eq!([1, 8].map(|sensors| longest_ms(ample, sensors, &idle)), [40, 15]);
         assert_eq!(longest_ms(small, 1, &idle), 7);
-        // A twentieth of the time, as at first: 1.6 ms of work come together in 32.
-        assert_eq!([Load::new(Instant::now()), load(5)].map(|load| longest_ms(ample, 1, &load)), [32, 32]);
+        // A tenth of the time: 1.6 ms of work come together in 16.
+        assert_eq!(longest_ms(ample, 1, &load(10)), 16);
         assert_eq!(longest_ms(ample, 1, &load(100)), 1);
+    }
+
+    /// Else it would not have the datagrams of several ports in order.
+    #[test]
+    fn a_recording_waits_longer_than_a_nap() {
+        assert!(PERIOD.as_nanos() as i64 > NAP_NS + 10 * MS);
     }
 }

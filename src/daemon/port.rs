@@ -3,7 +3,7 @@
 //! ```text
 //! socket -> door -> data packet      -> pipeline of the sensor -> sweep -> consumers
 //!                -> position packet  -> pipelines of the sensors of that address: those of this port at once, those
-//!                                       of others through a short queue that their thread empties with each batch
+//!                                       of others through a short queue that their thread empties with each batch or nap
 //! ```
 
 use std::net::{IpAddr, SocketAddr};
@@ -30,16 +30,19 @@ use crate::wire::position::POSITION_PACKET_LEN;
 
 /// How long to wait for packets while some come.
 const BUSY: Duration = Duration::from_millis(5);
-/// How long to sleep while none come.
-const IDLE: Duration = Duration::from_millis(100);
+/// How long to wait while none come, before it is looked whether the daemon ends.
+const IDLE: Duration = Duration::from_millis(50);
 /// After so long without packets none come.
 const QUIET: Duration = Duration::from_secs(1);
 /// How often it is looked at the interface, while nothing comes.
 const LOOK_EVERY: Duration = Duration::from_secs(1);
 /// A socket that fails so often in a row will not recover: the daemon ends, and opens it anew when it is restarted.
 const FAILURES: u32 = 20;
-/// Position packets that may wait for the thread of their sensor.
-pub const MAILS: usize = 32;
+/// Position packets that may wait for the thread of their sensor. An HDL-32E with two returns sends 720 a second (one for five
+/// data packets), and either thread may nap.
+pub const MAILS: usize = 256;
+/// How long a port naps that only position packets come to.
+const POSITION_NAP_NS: i64 = 20_000_000;
 
 /// A position packet on its way to the thread of its sensor.
 pub struct Mail {
@@ -91,22 +94,21 @@ pub struct Served<B: Buffers> {
 
 /// A port and its sensors.
 pub struct Port<B: Buffers> {
-    /// The socket.
-    pub source: UdpSource,
+    source: UdpSource,
     /// Who sits behind it.
-    pub room: Room<B>,
+    room: Room<B>,
     /// Other ways to a recording.
-    pub lanes: Receiver<Option<Lane>>,
+    lanes: Receiver<Option<Lane>>,
     /// Set when the daemon ends.
-    pub over: Arc<AtomicBool>,
+    over: Arc<AtomicBool>,
     /// When the newest packet was let in.
-    pub heard: Option<Instant>,
+    heard: Option<Instant>,
     /// How much of the time it works.
-    pub load: Load,
+    load: Load,
 }
 
-/// What lies behind the socket of a port. The two clocks enter here: that which stamps packets with each of them, and that
-/// which nobody sets between them.
+/// What lies behind the socket of a port. Both clocks enter here: that which stamps packets, with
+/// each of them, and CLOCK_MONOTONIC, which nobody sets.
 pub struct Room<B: Buffers> {
     /// Who is let in.
     pub door: Door,
@@ -125,10 +127,11 @@ pub struct Room<B: Buffers> {
 /// The kernel stamps packets by CLOCK_REALTIME, which may be stepped by hours. How long a sensor has been quiet is therefore
 /// told by CLOCK_MONOTONIC: else a step would close an open sweep, or keep one open for as long as the clock was set back.
 /// Each sensor has its own: when the clock was set, another's newest packet may have come since, and this one's before.
-#[derive(Clone, Copy, Debug, Default)]
+#[derive(Debug, Default)]
 pub struct Newest {
     /// The stamp of a packet of this batch.
     stamp_ns: Option<i64>,
+    /// That of the newest of a batch before, and when that was looked at.
     noted: Option<(i64, Instant)>,
 }
 
@@ -150,6 +153,16 @@ impl Newest {
 }
 
 impl<B: Buffers<Buffer: Outgoing>> Port<B> {
+    /// A port whose socket is open, with ways to a recording, and a flag that is set when the daemon ends.
+    pub fn new(source: UdpSource, room: Room<B>, lanes: Receiver<Option<Lane>>, over: Arc<AtomicBool>) -> Self {
+        Self { source, room, lanes, over, heard: None, load: Load::new(Instant::now()) }
+    }
+
+    /// Its number.
+    pub fn number(&self) -> u16 {
+        self.source.local_addr().port()
+    }
+
     /// Serves the port until the daemon ends.
     ///
     /// # Errors
@@ -158,13 +171,14 @@ impl<B: Buffers<Buffer: Outgoing>> Port<B> {
         let (mut failures, mut looked) = (0, Instant::now());
         while !self.over.load(Ordering::Relaxed) {
             let was_quiet = self.is_quiet();
-            match self.round(if was_quiet { Duration::ZERO } else { BUSY }) {
+            match self.round(if was_quiet { IDLE } else { BUSY }) {
                 Ok(()) => failures = 0,
                 // An interface that goes down says so once.
                 Err(error) if failures >= FAILURES => return Err(error),
                 Err(_) => {
                     failures += 1;
                     thread::park_timeout(IDLE);
+                    continue;
                 }
             }
             if was_quiet && looked.elapsed() >= LOOK_EVERY {
@@ -186,18 +200,19 @@ impl<B: Buffers<Buffer: Outgoing>> Port<B> {
         self.heard.is_none_or(|heard| heard.elapsed() > QUIET)
     }
 
-    /// Sleeps while no sweep of any sensor is about to end; the socket keeps what comes. Whoever ends the daemon unparks.
+    /// Sleeps while no sweep of any sensor is about to end; the socket keeps what comes. Whoever ends the daemon unparks. While
+    /// none come it is waited on the socket instead: nobody knows how much the first batch holds.
     fn nap(&self) {
         if self.is_quiet() {
-            return thread::park_timeout(IDLE);
+            return;
         }
         let now_ns = realtime_ns();
         let Room { sensors, .. } = &self.room;
         let longest_ns = nap::longest_ns(self.source.buffer(), sensors.len(), &self.load);
         let until_due_ns = |served: &Served<B>| served.sensor.due_ns().map(|due_ns| due_ns.saturating_sub(now_ns));
-        // One of whom it is not known is waited on; position packets alone are never in a hurry.
-        let naps_ns = sensors.iter().map(|served| until_due_ns(served).map_or(0, |ns| nap::ns(ns, longest_ns)));
-        if let ns @ 1.. = naps_ns.min().unwrap_or(longest_ns) {
+        // One of whom it is not known is waited on.
+        let naps_ns = sensors.iter().map(|served| until_due_ns(served).map_or(0, |ns| nap::length_ns(ns, longest_ns)));
+        if let ns @ 1.. = naps_ns.min().unwrap_or(POSITION_NAP_NS.min(longest_ns)) {
             thread::park_timeout(Duration::from_nanos(ns as u64));
         }
     }

@@ -14,7 +14,6 @@ use tracing::{info, warn};
 use super::config::{Config, PortConfig, SensorConfig, memory};
 use super::counters::{PortCounters, SensorCounters};
 use super::door::Door;
-use super::nap::Load;
 use super::plan::{self, PortName, PortPlan};
 use super::port::{MAILS, Mail, Mailbox, Newest, Port, Room, Served};
 use super::sensor::{Event, Identity, Sensor};
@@ -185,7 +184,7 @@ impl Runtime {
             let (order, lanes) = mpsc::channel();
             runtime.lanes.push(order);
             let room = Room { door, sensors: served, others, lane: tees.lane(), counters };
-            let port = Port { source, room, lanes, over, heard: None, load: Load::new(Instant::now()) };
+            let port = Port::new(source, room, lanes, over);
             // On an early return, dropping the runtime ends those that run already.
             runtime.threads.push((status.name.clone(), spawn(port, &status.name, &plan.config)?));
             statuses.push(status);
@@ -343,7 +342,7 @@ where
     B: Buffers<Buffer: super::sharing::Outgoing> + Send + 'static,
 {
     let (cpu, priority, name) = (config.cpu, config.realtime_priority, name.to_owned());
-    let number = port.source.local_addr().port();
+    let number = port.number();
     // What the system shows of a thread is 15 bytes long.
     let thread = thread::Builder::new().name(format!("port {number}")).spawn(move || {
         settle(&name, cpu, priority);

@@ -7,7 +7,7 @@
 //!
 //! Each receiving thread has a [`Lane`] of its own. Putting a datagram in is a copy of its bytes: no lock, no system
 //! call, no allocation. What finds no room, since the disk stalls or has failed, is counted and gone. The writing thread
-//! looks every 20 ms, and merges the lanes by arrival: a datagram is written after any other with an earlier stamp that
+//! looks every 60 ms, and merges the lanes by arrival: a datagram is written after any other with an earlier stamp that
 //! its own thread put in at most so much later. Those of one lane keep their order.
 //!
 //! [`mod@file`] is one capture, [`Rotation`] says when another begins.
@@ -32,8 +32,9 @@ use super::write::Addressed;
 /// What may wait for the disk of one lane, bytes: 4.7 s of the fastest model. The system gives the memory when it is first
 /// used.
 const LANE_BYTES: usize = 32 << 20;
-/// How often the writing thread looks, which is also for how long a datagram waits for earlier ones of other lanes.
-const PERIOD: Duration = Duration::from_millis(20);
+/// How often the writing thread looks, which is also for how long a datagram waits for earlier ones of other lanes: longer
+/// than the threads of a daemon nap.
+pub(crate) const PERIOD: Duration = Duration::from_millis(60);
 
 /// How far a recording is, readable at any time.
 #[derive(Debug, Default)]

@@ -174,7 +174,8 @@ impl Server {
     }
 }
 
-/// Carries all that is there in the order of arrival: the packets of one sensor may come through several threads.
+/// Carries all that is there in the order of arrival: the packets of one sensor may come through several threads. A
+/// thread that naps may put in earlier ones later: by less than a nap, they are then out of order.
 fn carry(sensors: &mut [Tapped], clients: &mut [Client]) {
     sensors.iter_mut().for_each(|sensor| sensor.look(clients));
     loop {
