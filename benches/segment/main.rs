@@ -210,11 +210,14 @@ fn levels() {
     }
 }
 
+/// What is set otherwise than by default.
+type Change = fn(&mut Config);
+
 /// What each part of the default method costs: the same image with one thing less, or more, in the same turns.
 fn options() {
     let mut image = images::full();
     heading(&format!("By options, {}; times: as long as the default by the minimum", image.name), "option");
-    let variants: [(&str, fn(&mut Config)); 7] = [
+    let variants: [(&str, Change); 7] = [
         ("default", |_| {}),
         ("agree_m 0: no vote", |config| config.slope.agree_m = 0.0),
         ("small_points 0: small parts stay", |config| config.joining.small_points = 0),
@@ -225,7 +228,7 @@ fn options() {
         }),
         ("paper", |config| config.method = Method::Paper),
     ];
-    let with = |change: fn(&mut Config)| {
+    let with = |change: Change| {
         let mut config = config(Method::Slope);
         change(&mut config);
         Segmenter::new(config).unwrap()

@@ -326,6 +326,6 @@ impl Order {
 }
 
 #[cfg(test)]
-mod stamps;
+mod stamp_tests;
 #[cfg(test)]
 mod tests;
