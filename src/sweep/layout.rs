@@ -124,7 +124,7 @@ pub struct Header {
     /// Code of the [`Model`](crate::sensor::Model): 1 VLP-16, 2 Puck LITE, 3 Puck Hi-Res, 4 HDL-32E, 5 HDL-64E S2 (or
     /// S2.1), 6 HDL-64E S3.
     pub model: u32,
-    /// [`ReturnMode::byte`].
+    /// [`ReturnMode::byte`](crate::wire::data::ReturnMode::byte).
     pub return_mode: u32,
     /// [`ReturnChoice`].
     pub return_choice: u32,

@@ -33,7 +33,7 @@ impl Header {
         }
     }
 
-    /// Whether a bit of [`flags`] is set.
+    /// Whether a bit of [`flags`](super::flags) is set.
     pub fn has(&self, flag: u32) -> bool {
         self.flags & flag != 0
     }

@@ -6,7 +6,7 @@ use super::{ALIGN, BeamRow, COLUMNS_CAPACITY, Column, Header, LAYOUT_VERSION, MA
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 #[repr(usize)]
 pub enum Part {
-    /// f32 metres a pixel; see [`is_return`], and [`super::corrected`] for the last bit on an HDL-64E.
+    /// f32 metres a pixel; see [`is_return`](super::is_return), and [`crate::sweep::corrected`] for the last bit on an HDL-64E.
     Range = 0,
     /// u8 a pixel.
     Reflectivity,
