@@ -10,7 +10,7 @@ use std::time::{Duration, Instant};
 use crate::capture::udp::ReceiveBuffer;
 
 /// Longest nap: each time that the thread is woken costs as much as decoding some packets.
-pub const NAP_NS: i64 = 40_000_000;
+const NAP_NS: i64 = 40_000_000;
 /// So long before the packet that completes a sweep is expected, all that waits is fetched, so that little is left to do.
 const EARLY_NS: i64 = 2_000_000;
 /// From so long before on, each packet is fetched as it comes.

@@ -107,8 +107,8 @@ pub struct Port<B: Buffers> {
     load: Load,
 }
 
-/// What lies behind the socket of a port. Both clocks enter here: that which stamps packets, with
-/// each of them, and CLOCK_MONOTONIC, which nobody sets.
+/// What lies behind the socket of a port. Both clocks enter here: that which stamps packets, with each of them, and
+/// CLOCK_MONOTONIC, which nobody sets.
 pub struct Room<B: Buffers> {
     /// Who is let in.
     pub door: Door,

@@ -158,7 +158,7 @@ fn an_interface_that_goes_away_and_comes_back_is_listened_on_again() {
     world.configure("bind = \"0.0.0.0\"\ninterface = \"lidar0\"\naddress = \"10.77.0.2\"\n", "");
     let mut sensor = Command::new("unshare");
     let sensor = world.background({
-        sensor.args(["-n", "sleep", "60"]);
+        sensor.args(["-n", "sleep", "300"]);
         sensor
     });
     world.start(&["-m", "-n"], "ip link set lo up");
@@ -177,12 +177,14 @@ fn an_interface_that_goes_away_and_comes_back_is_listened_on_again() {
         }
         let (to, pid) = (format!("10.77.0.1:{}", world.port), sensor.to_string());
         let mut simulate = Command::new("nsenter");
-        simulate.args(["-t", &pid, "-n", &binary(), "simulate", "--model", "vlp16", "--seconds", "6", "--to", &to]);
-        world.background(simulate);
-        world.until_it_says_again("roof: streaming, VLP-16", times);
+        simulate.args(["-t", &pid, "-n", &binary(), "simulate", "--model", "vlp16", "--seconds", "120", "--to", &to]);
+        let simulate = world.background(simulate);
+        world.until_health(200, "streaming");
+        goes_on(&world);
         world.inside("ip link delete lidar0");
         world.until_it_says_again("the interface lidar0 is gone", times);
         world.until_health(503, "the interface lidar0 is gone");
+        world.stop(simulate);
     }
     world.signal("-TERM");
     assert_eq!(world.end().code(), Some(0), "{}", world.log());

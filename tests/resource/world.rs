@@ -109,6 +109,13 @@ impl World {
         self.others.last().unwrap().id()
     }
 
+    /// Ends one of those.
+    pub fn stop(&mut self, id: u32) {
+        let child = self.others.iter_mut().find(|child| child.id() == id).unwrap();
+        child.kill().unwrap();
+        child.wait().unwrap();
+    }
+
     pub fn pid(&self) -> u32 {
         self.daemon.as_ref().unwrap().id()
     }

@@ -89,6 +89,27 @@ fn a_jump_at_the_edge_of_a_packet_waits_for_the_next_stamp() {
     }
 }
 
+/// An overtaken packet vouches for the stamp of the one that overtook it, and not for an azimuth at the far end of that.
+#[test]
+fn an_overtaken_packet_does_not_vouch_for_a_jump_at_the_edge() {
+    for block in [0, 11] {
+        let mut line = Line::new();
+        let mut corrupt = packet(11);
+        corrupt.blocks[block].set_azimuth_cdeg(20_000);
+        let arrivals = [corrupt, packet(10), packet(12), packet(13)];
+        let arrive = |(place, packet): (u32, &DataPacket)| line.push(packet, 10 + place).unwrap();
+        let mut out: Vec<_> = (0..).zip(&arrivals).flat_map(arrive).collect();
+        line.0.flush();
+        out.extend(line.out());
+        // Numbers are those of the arrival: the packet from before, and the two behind the corrupt one.
+        assert!(matches!(
+            out[..],
+            [(11, Before::Nothing), (12, Before::Lost { packets: 1, .. }), (13, Before::Nothing)]
+        ));
+        assert!(line.0.sector().is_none());
+    }
+}
+
 #[test]
 fn a_clock_that_jumps_is_believed_when_the_next_packet_agrees() {
     let mut line = Line::new();
