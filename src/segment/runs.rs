@@ -18,8 +18,7 @@ use crate::sweep::Segment;
 pub(super) struct Runs {
     /// A run of the same component that came earlier, or the run itself.
     pub parent: Vec<u32>,
-    /// Points that a component is known to have, at its root: never more than it has.
-    weight: Vec<u32>,
+    /// What a component measures so far, at its root.
     pub sums: Vec<Sum>,
     /// The runs strip by strip, each strip row by row.
     pub parts: Vec<Part>,
@@ -88,7 +87,6 @@ impl Runs {
     /// Takes room for as many runs as an image can have.
     pub fn reserve(&mut self, pixels: usize) {
         super::reserve(&mut self.parent, pixels);
-        super::reserve(&mut self.weight, pixels);
         super::reserve(&mut self.sums, pixels);
         super::reserve(&mut self.parts, pixels);
     }
@@ -98,7 +96,6 @@ impl Runs {
     pub fn begin(&mut self, sum: Sum) -> u32 {
         let run = self.parent.len() as u32;
         self.parent.push(run);
-        self.weight.push(sum.points);
         self.sums.push(sum);
         run
     }
@@ -106,8 +103,8 @@ impl Runs {
     /// A run goes on into the strip at hand, and measures this there.
     #[inline(always)]
     pub fn go_on(&mut self, run: u32, sum: &Sum) {
-        self.weight[run as usize] += sum.points;
-        self.sums[run as usize].add(sum);
+        let root = self.root(run);
+        self.sums[root as usize].add(sum);
     }
 
     /// The earliest run that is known to belong to the same component.
@@ -130,15 +127,16 @@ impl Runs {
         let (a, b) = (self.root(a), self.root(b));
         if a != b {
             self.parent[a.max(b) as usize] = a.min(b);
-            self.weight[a.min(b) as usize] += self.weight[a.max(b) as usize];
+            let sum = self.sums[a.max(b) as usize];
+            self.sums[a.min(b) as usize].add(&sum);
         }
         [a.min(b), a.max(b)]
     }
 
-    /// Whether a component is sure to have so many points.
+    /// Whether a component has so many points by now; it never loses any.
     #[inline(always)]
     pub fn has(&self, root: u32, points: u32) -> bool {
-        self.weight[root as usize] >= points
+        self.sums[root as usize].points >= points
     }
 
     /// Lets every run know its root.

@@ -50,11 +50,13 @@ pub(super) struct Strips {
 /// Workspace of the end.
 #[derive(Clone, Debug, Default)]
 struct Finish {
+    /// Roots of the components.
+    roots: Vec<u32>,
     /// For each small component the nearest that is not: the square of the distance, its first pixel, and its root.
     nearest: Vec<(f32, u32, u32)>,
     /// First pixel and root of the components that become segments.
     order: Vec<(u32, u32)>,
-    /// Label of each run.
+    /// Label of each component, at its root.
     label: Vec<u32>,
     extents: Vec<Extent>,
     tile: Vec<u32>,
@@ -93,6 +95,7 @@ impl Strips {
         self.runs.reserve(most_runs);
         reserve(&mut self.misses, pixels);
         reserve(&mut self.ground, rows * columns.div_ceil(STRIP));
+        reserve(&mut self.finish.roots, most_runs);
         reserve(&mut self.finish.nearest, most_runs);
         reserve(&mut self.finish.order, most_runs);
         reserve(&mut self.finish.label, most_runs);
@@ -249,42 +252,27 @@ impl Strips {
         }
     }
 
-    /// Gathers what belongs together at the roots.
+    /// Lets each run know its component, and counts these.
     fn components(&mut self) {
         self.runs.flatten();
-        let Runs { parent, sums, .. } = &mut self.runs;
-        for run in 0..parent.len() {
-            let root = parent[run] as usize;
-            if root != run {
-                let sum = sums[run];
-                sums[root].add(&sum);
-            }
-        }
+        let roots = &mut self.finish.roots;
+        roots.clear();
+        roots.extend((0..).zip(&self.runs.parent).filter_map(|(run, &root)| (run == root).then_some(run)));
     }
 
-    /// Gives the small components to the nearest that is not.
+    /// Gives the small components to the nearest that is not: its root is the parent of theirs.
     fn small_to_large(&mut self, small_points: u32) {
         if small_points <= 1 || self.misses.is_empty() {
             return;
         }
         self.find_nearest(small_points);
-        let nearest = &mut self.finish.nearest;
         let Runs { parent, sums, .. } = &mut self.runs;
-        for run in 0..parent.len() {
-            let (_, _, large) = nearest[parent[run] as usize];
+        for &root in &self.finish.roots {
+            let (_, _, large) = self.finish.nearest[root as usize];
             if large != u32::MAX {
-                if parent[run] as usize == run {
-                    let sum = sums[run];
-                    sums[large as usize].add(&sum);
-                }
-                // Every run of the small one, its root among them.
-                nearest[run] = nearest[parent[run] as usize];
-            }
-        }
-        for run in 0..parent.len() {
-            let (_, _, large) = nearest[run];
-            if large != u32::MAX {
-                parent[run] = large;
+                let sum = sums[root as usize];
+                sums[large as usize].add(&sum);
+                parent[root as usize] = large;
             }
         }
     }
@@ -313,13 +301,13 @@ impl Strips {
 
     /// Numbers the components that are large enough by their first pixels, and writes what is known of them.
     fn number(&mut self, config: &Config, segments: &mut [Segment]) -> usize {
-        let Finish { order, label, extents, .. } = &mut self.finish;
+        let Finish { roots, order, label, extents, .. } = &mut self.finish;
         let Runs { parent, sums, .. } = &self.runs;
         order.clear();
-        for (run, &root) in (0..).zip(parent) {
-            let sum = &sums[run as usize];
-            if run == root && sum.points >= config.min_points.max(1) {
-                order.push((sum.first, run));
+        for &root in &*roots {
+            let sum = &sums[root as usize];
+            if parent[root as usize] == root && sum.points >= config.min_points.max(1) {
+                order.push((sum.first, root));
             }
         }
         order.sort_unstable();
@@ -330,8 +318,8 @@ impl Strips {
             label[root as usize] = number;
             *segment = sums[root as usize].segment(number);
         }
-        for (run, &root) in parent.iter().enumerate() {
-            label[run] = label[root as usize];
+        for &root in &*roots {
+            label[root as usize] = label[parent[root as usize] as usize];
         }
         extents.clear();
         extents.resize(order.len(), Extent::default());
@@ -346,7 +334,8 @@ impl Strips {
         let labels = &mut sweep.label[pixels];
         let Finish { label, extents, tile, .. } = &mut self.finish;
         tile.resize(rows * STRIP, 0);
-        let mut parts = self.runs.parts.iter().peekable();
+        let Runs { parent, parts, .. } = &self.runs;
+        let mut parts = parts.iter().peekable();
         let order = self.points.order;
         for (strip, ground) in self.ground.chunks_exact(rows).enumerate() {
             let position = (strip + 1) * STRIP;
@@ -354,7 +343,7 @@ impl Strips {
                 fill(simd, row, *ground, LABEL_GROUND, true);
             }
             while let Some(part) = parts.next_if(|part| usize::from(part.strip) == strip) {
-                let number = label[part.run as usize];
+                let number = label[parent[part.run as usize] as usize];
                 if let Some(place) = number.checked_sub(LABEL_FIRST_SEGMENT) {
                     fill(simd, &mut tile[usize::from(part.row) * STRIP..][..STRIP], part.columns, number, false);
                     extents[place as usize].add(position, part.columns, order);
