@@ -216,10 +216,14 @@ impl Decoder {
 impl Pixels<'_> {
     #[inline(always)]
     fn write<S: Simd>(&mut self, places: &Of<u32>, decoded: &Decoded<S>) {
-        for (&place, &range_m) in places.iter().zip(decoded.range_m.as_array()) {
-            self.range[place as usize] = range_m;
+        // One length, so that one look at a place is enough for both.
+        let count = self.range.len().min(self.reflectivity.len());
+        let (range, reflectivity) = (&mut self.range[..count], &mut self.reflectivity[..count]);
+        let both = decoded.range_m.as_array().iter().zip(decoded.reflectivity.as_array());
+        for (&place, (&range_m, &byte)) in places.iter().zip(both) {
+            range[place as usize] = range_m;
+            reflectivity[place as usize] = byte as u8;
         }
-        write_bytes(self.reflectivity, places, decoded.reflectivity);
     }
 }
 

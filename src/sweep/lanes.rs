@@ -11,7 +11,7 @@
 use std::f64::consts::{FRAC_2_PI, FRAC_PI_2};
 
 use fearless_simd::prelude::*;
-use fearless_simd::{Level, f32x16, i32x16, mask32x16};
+use fearless_simd::{Level, f32x16, i32x16, mask32x16, u8x16, u8x64};
 use zerocopy::IntoBytes;
 
 use super::corrected::Corrected;
@@ -29,6 +29,21 @@ const FULL_SCALE_M: f64 = 131.0;
 
 /// Bytes of a record.
 const RECORD: usize = size_of::<Record>();
+
+/// Where sixteen bytes begin that hold four records; the last ones end with them.
+const FROM: [usize; 4] = [0, 4 * RECORD, 8 * RECORD, LANES * RECORD - 16];
+/// Of those sixteen bytes, which go where: each record to four bytes, of which the last is anything.
+const SPREAD: [u8; 4 * LANES] = {
+    let mut spread = [0; 4 * LANES];
+    let mut at = 0;
+    while at < spread.len() {
+        let (quarter, record, byte) = (at / 16, at / 4, at % 4);
+        let byte = if byte < RECORD { byte } else { RECORD - 1 };
+        spread[at] = (record * RECORD + byte - FROM[quarter]) as u8;
+        at += 1;
+    }
+    spread
+};
 
 /// A number for each of the beams.
 pub type Of<T> = [T; LANES];
@@ -140,7 +155,7 @@ impl Lanes {
         is_normalised: bool,
     ) -> Decoded<S> {
         let group = &self.groups[index];
-        let records = i32x16::load_array(simd, records.group(index));
+        let records = records.group(simd, index);
         let (distance, reported) = (records & 0xFFFF, (records >> 16) & 0xFF);
         let units: f32x16<S> = distance.to_float();
         let offset_m = load(simd, &group.distance_offset_m);
@@ -174,19 +189,15 @@ impl<S: Simd> Decoded<S> {
 impl Records<'_> {
     /// A group of records: distance in the low sixteen bits of each, then the reflectivity, then anything.
     #[inline(always)]
-    fn group(&self, group: usize) -> Of<i32> {
+    fn group<S: Simd>(&self, simd: S, group: usize) -> i32x16<S> {
         const IN_BLOCK: usize = RECORDS / LANES;
         const BYTES: usize = LANES * RECORD;
         let records = &self.blocks[group / IN_BLOCK].records[self.first + group % IN_BLOCK * LANES..];
         let bytes: &[u8; BYTES] = records.as_bytes().first_chunk().expect("a block is whole groups");
-        let word = |at: usize| i32::from_le_bytes([bytes[at], bytes[at + 1], bytes[at + 2], bytes[at + 3]]);
-        // Four bytes at once, one of them the next record's; there is none behind the last.
-        let mut words = [0; LANES];
-        for (lane, one) in words[..LANES - 1].iter_mut().enumerate() {
-            *one = word(lane * RECORD);
-        }
-        words[LANES - 1] = word(BYTES - 4) >> 8;
-        words
+        let quarter = |at: usize| u8x16::from_slice(simd, &bytes[at..at + 16]);
+        let [a, b, c, d] = FROM.map(quarter);
+        let packed: u8x64<S> = a.combine(b).combine(c.combine(d));
+        packed.swizzle_dyn_within_blocks(u8x64::load_array(simd, SPREAD)).bitcast()
     }
 }
 
