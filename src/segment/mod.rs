@@ -21,6 +21,7 @@
 
 mod directions;
 mod extent;
+mod fan;
 pub mod ground;
 pub mod mask;
 pub mod mount;

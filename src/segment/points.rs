@@ -180,6 +180,18 @@ impl Points {
         self.beams.len()
     }
 
+    /// The distance from the sensor beyond which no point of one row is as near as that to one of another, metres; infinite
+    /// where the beams do not tell.
+    pub fn spread_m(&self, rows: [usize; 2], near_m: f32) -> f32 {
+        let [a, b] = rows.map(|row| &self.beams[row]);
+        if a.bent.is_some() || b.bent.is_some() {
+            return f32::INFINITY;
+        }
+        let sin = (a.sin_elevation * b.cos_elevation - a.cos_elevation * b.sin_elevation).abs();
+        let [a_m, b_m] = [a, b].map(|beam| beam.vertical_offset_m.abs() + beam.horizontal_offset_m.abs());
+        (near_m + a_m + b_m) / sin + a_m
+    }
+
     /// Where in a plane the strip at hand begins, in a row.
     #[inline(always)]
     pub fn at(&self, row: usize) -> usize {

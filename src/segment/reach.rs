@@ -77,6 +77,12 @@ impl Entries {
         self.rows[row].from..self.rows[row].end
     }
 
+    /// Least distance from the sensor of one, metres.
+    #[inline(always)]
+    pub fn low_m(&self, entry: usize) -> f32 {
+        self.low_m[entry]
+    }
+
     /// The one that holds this column of the strip at hand; there has to be one.
     #[inline(always)]
     pub fn holding(&self, row: usize, column: u32) -> usize {

@@ -13,6 +13,7 @@
 use fearless_simd::{Level, Simd, dispatch, mask32x16, prelude::*, u32x16};
 
 use super::extent::Extent;
+use super::fan::Fan;
 use super::ground::{SlopeGround, Stand, Window as Words};
 use super::points::{BEFORE, LANES, Points, STRIP};
 use super::reach::Reach;
@@ -34,6 +35,7 @@ pub(super) struct Strips {
     /// Columns that are as they will be, while the sweep is not complete.
     ready: Option<usize>,
     points: Points,
+    fan: Fan,
     words: Vec<Words>,
     reach: Reach,
     /// What is no ground in the strip at hand, row by row.
@@ -71,6 +73,7 @@ impl Strips {
             at: 0,
             ready: None,
             points: Points::default(),
+            fan: Fan::default(),
             words: Vec::new(),
             reach: Reach::default(),
             on: Vec::new(),
@@ -86,6 +89,7 @@ impl Strips {
     fn reserve(&mut self, sweep: &SweepMut<'_>) {
         let (rows, columns, pixels) = (sweep.header.rows as usize, sweep.columns.len(), sweep.range.len());
         self.points.reserve(rows, columns);
+        self.fan.reserve(rows);
         self.words.resize(rows, Words::default());
         self.reach.reserve(rows);
         self.on.resize(rows, 0);
@@ -114,6 +118,7 @@ impl Strips {
         self.ready = ready;
         let sweep = sweep.as_ref();
         self.points.begin(&sweep, ready.is_none().then_some(sweep.columns.len()));
+        self.fan.measure(&self.points, config.joining.rows, self.test.near_m());
     }
 
     /// More columns are ready, or all (`None`).
@@ -207,7 +212,7 @@ impl Strips {
                 test.touch(simd, &self.points, [below - 1, below], both, &self.reach.now, &mut self.runs);
             }
         }
-        test.join(simd, &self.points, &mut self.reach.now, &mut self.runs, &mut self.misses);
+        test.join(simd, &self.points, &self.fan, &mut self.reach.now, &mut self.runs, &mut self.misses);
         if order.circular {
             self.meet(position);
         }

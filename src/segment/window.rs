@@ -20,6 +20,7 @@ use std::ops::Range;
 use fearless_simd::{Simd, f32x16, mask32x16, prelude::*};
 
 use super::DENSE_ROWS;
+use super::fan::Fan;
 use super::points::{BEFORE, LANES, Points, STRIP, load};
 use super::reach::Entries;
 use super::runs::Runs;
@@ -103,6 +104,11 @@ impl Test {
         }
     }
 
+    /// How near two points have to be to be of interest, with room for rounding, metres.
+    pub fn near_m(&self) -> f32 {
+        self.near_m + SLACK_M
+    }
+
     /// Columns that two points may be apart.
     pub fn aside(&self) -> f32 {
         self.columns as f32
@@ -166,6 +172,7 @@ impl Test {
         &self,
         simd: S,
         points: &Points,
+        fan: &Fan,
         entries: &mut Entries,
         runs: &mut Runs,
         misses: &mut Vec<Miss>,
@@ -176,20 +183,26 @@ impl Test {
                 entries.refresh(entering, runs);
             }
             let Some(row) = entering.checked_sub(self.rows) else { continue };
-            let end = entries.of(entering.min(rows - 1)).end;
+            let below = self.rows.min(rows - 1 - row);
+            let (window_end, reach_m) = (entries.of(row + below).end, fan.reach_m(row, below));
             for entry in entries.of(row) {
-                self.join_one(simd, points, entry..end, entries, runs, misses);
+                let low_m = entries.low_m(entry);
+                let end = match low_m <= reach_m {
+                    true => window_end,
+                    false => entries.of(row + fan.rows_below(row, below, low_m)).end,
+                };
+                self.join_one(simd, points, (entry..end, window_end), entries, runs, misses);
             }
         }
     }
 
-    /// Joins the first of some runs with the others.
+    /// Joins the first of some runs with the others; who stands before the end of the window is told.
     #[inline(always)]
     fn join_one<S: Simd>(
         &self,
         simd: S,
         points: &Points,
-        among: Range<usize>,
+        (among, window_end): (Range<usize>, usize),
         entries: &mut Entries,
         runs: &mut Runs,
         misses: &mut Vec<Miss>,
@@ -198,7 +211,7 @@ impl Test {
         for from in (a + 1..end).step_by(LANES) {
             work::count(1);
             let there = !(u64::MAX << (end - from).min(LANES));
-            let mut left = entries.like(simd, from, a, self.aside(), self.near_m + SLACK_M) & there;
+            let mut left = entries.like(simd, from, a, self.aside(), self.near_m()) & there;
             while left != 0 {
                 let b = from + left.trailing_zeros() as usize;
                 left &= left - 1;
@@ -215,8 +228,8 @@ impl Test {
                 match self.verdict(simd, points, Stretch::new(entries, a, points), Stretch::new(entries, b, points)) {
                     Verdict::Joined => {
                         let [root, gone] = runs.unite(both[0], both[1]);
-                        work::count((end - a).div_ceil(LANES));
-                        entries.rename(simd, a..end, gone, root);
+                        work::count((window_end - a).div_ceil(LANES));
+                        entries.rename(simd, a..window_end, gone, root);
                     }
                     Verdict::Near(apart2) if is_one_small => {
                         work::count(1);
