@@ -58,16 +58,18 @@ pub fn sensors() -> Vec<Image> {
     for (what, file) in [("Einride", "vlp16_einride-a"), ("Monterey", "hdl32e_veloview-monterey-a")] {
         images.push(Image::new(what, captured(&data.join("pcap").join(file).with_extension("pcap"))));
     }
-    images.extend([870, cloud::COLUMNS].map(|columns| Image::new("KITTI", projected(&kitti(&data), columns))));
+    images.extend([870, cloud::COLUMNS].into_iter().filter_map(scan));
     images
 }
 
 /// The image of a real HDL-64E at full width, or where it is not at hand, of a simulated one.
 pub fn full() -> Image {
-    match data() {
-        Some(data) => Image::new("KITTI", projected(&kitti(&data), cloud::COLUMNS)),
-        None => Image::new("street", simulated(Model::Hdl64eS2)),
-    }
+    scan(cloud::COLUMNS).unwrap_or_else(|| Image::new("street", simulated(Model::Hdl64eS2)))
+}
+
+/// A real scan in an image of so many columns, where the data is at hand.
+pub fn scan(columns: usize) -> Option<Image> {
+    Some(Image::new("KITTI", projected(&kitti(&data()?), columns)))
 }
 
 /// The folder with real data, if it is there.

@@ -249,8 +249,9 @@ fn line(image: &mut Image, config: Config) -> (String, f64) {
 
 fn columns() {
     heading("By columns, default method", "image");
-    for columns in [256, 512, 1024, 2048, 4096] {
-        let mut image = images::street(64, columns);
+    let streets = [256, 512, 1024, 2048, 4096].map(|columns| images::street(64, columns));
+    let scans = [600, 870, 1042, 1500, cloud::COLUMNS].into_iter().filter_map(images::scan);
+    for mut image in streets.into_iter().chain(scans) {
         let (figures, _) = line(&mut image, config(Method::Slope));
         println!("{:<36}{figures}", image.name);
     }
