@@ -7,7 +7,7 @@
 //! ```text
 //! begin         what the sweep says of its beams, and how high the sensor is      mask, mount
 //! find_ground   the ground of the next strip of columns                           points, ground
-//! join          what is no ground there: stretches of neighbours, then of others  runs, reach, window
+//! join          what is no ground there: stretches of neighbours, then of others  runs, reach, fan, window
 //! label         components, small ones to others, labels and segments table       strips, tiles
 //! ```
 //!

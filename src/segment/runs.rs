@@ -16,9 +16,10 @@ use crate::sweep::Segment;
 /// All runs of an image, and which of them belong together.
 #[derive(Clone, Debug, Default)]
 pub(super) struct Runs {
-    /// A run of the same component that came earlier, or the run itself.
+    /// A run of the same component that came earlier, or the run itself. At the end, of the root of a small component: the root
+    /// of the one that it became part of.
     pub parent: Vec<u32>,
-    /// What a component measures so far, at its root.
+    /// What a component measures so far, at its root; what stands at other runs counts no more.
     pub sums: Vec<Sum>,
     /// The runs strip by strip, each strip row by row.
     pub parts: Vec<Part>,
@@ -34,7 +35,7 @@ pub(super) struct Part {
     pub columns: u32,
 }
 
-/// What a segment's table row says of a run; distances in metres.
+/// What a segment's table row says of some points; distances in metres.
 #[derive(Clone, Copy, Debug)]
 pub(super) struct Sum {
     pub points: u32,

@@ -1,7 +1,7 @@
 //! The default method, strip by strip: points, ground, runs, joins; and at the end the components, their labels and table.
 //!
 //! ```text
-//! begin         beams, height, the test
+//! begin         beams, how far they spread, height, the test
 //! find_ground   the points of the next strip; its columns are climbed, and compared with those before
 //! join          the vote on the strip at hand, its runs, and what within reach they are joined to
 //! label         components, small ones to others, labels, segments table
@@ -58,7 +58,7 @@ struct Finish {
     nearest: Vec<(f32, u32, u32)>,
     /// First pixel and root of the components that become segments.
     order: Vec<(u32, u32)>,
-    /// Label of each component, at its root.
+    /// Label of each component, at its root; of a small one too.
     label: Vec<u32>,
     extents: Vec<Extent>,
     tile: Vec<u32>,
@@ -257,7 +257,7 @@ impl Strips {
         }
     }
 
-    /// Lets each run know its component, and counts these.
+    /// Lets each run know its component, and lists the roots of these.
     fn components(&mut self) {
         self.runs.flatten();
         let roots = &mut self.finish.roots;
@@ -323,6 +323,7 @@ impl Strips {
             label[root as usize] = number;
             *segment = sums[root as usize].segment(number);
         }
+        // A small one has the label of the one that it became part of.
         for &root in &*roots {
             label[root as usize] = label[parent[root as usize] as usize];
         }

@@ -12,8 +12,8 @@
 //! Across holes and over other objects that alone would join what merely lies in one direction; so the points must also be
 //! near each other ([`Joining::gap_m`]).
 //!
-//! Most pairs of runs are settled without looking at a point: they are of one component already, or their distances from
-//! the sensor are too different.
+//! Most pairs of runs are settled without looking at a point: they are of one component already, their distances from the
+//! sensor are too different, or their rows have spread too far there.
 
 use std::ops::Range;
 
@@ -184,19 +184,16 @@ impl Test {
             }
             let Some(row) = entering.checked_sub(self.rows) else { continue };
             let below = self.rows.min(rows - 1 - row);
-            let (window_end, reach_m) = (entries.of(row + below).end, fan.reach_m(row, below));
+            let window_end = entries.of(row + below).end;
             for entry in entries.of(row) {
-                let low_m = entries.low_m(entry);
-                let end = match low_m <= reach_m {
-                    true => window_end,
-                    false => entries.of(row + fan.rows_below(row, below, low_m)).end,
-                };
+                let end = entries.of(row + fan.rows_below(row, below, entries.low_m(entry))).end;
                 self.join_one(simd, points, (entry..end, window_end), entries, runs, misses);
             }
         }
     }
 
-    /// Joins the first of some runs with the others; who stands before the end of the window is told.
+    /// Joins the first of some runs with the others. All up to the window's end hear of a new root, also those that it is not
+    /// compared with: the next one may be.
     #[inline(always)]
     fn join_one<S: Simd>(
         &self,

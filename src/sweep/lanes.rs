@@ -191,12 +191,11 @@ impl Records<'_> {
     #[inline(always)]
     fn group<S: Simd>(&self, simd: S, group: usize) -> i32x16<S> {
         const IN_BLOCK: usize = RECORDS / LANES;
-        const BYTES: usize = LANES * RECORD;
         let records = &self.blocks[group / IN_BLOCK].records[self.first + group % IN_BLOCK * LANES..];
-        let bytes: &[u8; BYTES] = records.as_bytes().first_chunk().expect("a block is whole groups");
-        let quarter = |at: usize| u8x16::from_slice(simd, &bytes[at..at + 16]);
-        let [a, b, c, d] = FROM.map(quarter);
-        let packed: u8x64<S> = a.combine(b).combine(c.combine(d));
+        let bytes = records.as_bytes().first_chunk().expect("a block is whole groups");
+        let [first, second] = [quarter(simd, bytes, 0), quarter(simd, bytes, 2)];
+        let [first, second] = [first.combine(quarter(simd, bytes, 1)), second.combine(quarter(simd, bytes, 3))];
+        let packed: u8x64<S> = first.combine(second);
         packed.swizzle_dyn_within_blocks(u8x64::load_array(simd, SPREAD)).bitcast()
     }
 }
@@ -277,6 +276,12 @@ impl Focus {
         // To the nearest: what is clamped is a byte.
         (bright.max(load(simd, &self.min)).min(load(simd, &self.max)) + 0.5).to_int()
     }
+}
+
+/// Sixteen bytes with four of sixteen records.
+#[inline(always)]
+fn quarter<S: Simd>(simd: S, records: &[u8; LANES * RECORD], quarter: usize) -> u8x16<S> {
+    u8x16::from_slice(simd, &records[FROM[quarter]..][..16])
 }
 
 /// A function, as all here that has vectors: a closure may stay a call, without the instructions of its caller's level.
