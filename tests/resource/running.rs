@@ -179,6 +179,10 @@ fn an_interface_that_goes_away_and_comes_back_is_listened_on_again() {
         let mut simulate = Command::new("nsenter");
         simulate.args(["-t", &pid, "-n", &binary(), "simulate", "--model", "vlp16", "--seconds", "120", "--to", &to]);
         let simulate = world.background(simulate);
+        if times == 1 {
+            // After an outage it is said again only if that was long enough to be told.
+            world.until_it_says("roof: streaming, VLP-16");
+        }
         world.until_health(200, "streaming");
         goes_on(&world);
         world.inside("ip link delete lidar0");
