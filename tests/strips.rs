@@ -34,9 +34,10 @@ fn written(sweep: &SweepRef<'_>) -> (Vec<u32>, Vec<u32>, Vec<u8>, [u32; 2]) {
 #[test]
 fn a_sweep_taken_early_is_labelled_as_a_whole_one_is() {
     let (mut circular, mut others) = (0, 0);
-    for capture in captures() {
+    let captures = captures();
+    for capture in &captures {
         let mut runner = Runner::new(Config::default());
-        runner.play(&capture).unwrap();
+        runner.play(capture).unwrap();
         for buffer in &runner.sweeps {
             let early = SweepRef::open(buffer.as_ref()).unwrap();
             if early.header.has(flags::CIRCULAR) {
@@ -65,5 +66,6 @@ fn a_sweep_taken_early_is_labelled_as_a_whole_one_is() {
         let twin = naive::segment(&last, &config, Some(last.header.height_m).filter(|height_m| *height_m > 0.0));
         assert!(twin == last.label, "{}: the naive twin says otherwise", capture.display());
     }
-    assert!(circular > 10 && others > 2, "{circular} {others}");
+    // The four fixtures have so many; a real capture has one whole turn at least.
+    assert!(circular >= 10 + captures.len() - 4 && others >= 7, "{circular} {others}");
 }
