@@ -7,7 +7,7 @@
 //! ```text
 //! begin         what the sweep says of its beams, and how high the sensor is      mask, mount
 //! find_ground   the ground of the next strip of columns                           points, ground
-//! join          what is no ground there: stretches of neighbours, then of others  runs, reach, fan, window
+//! join          what is no ground there: stretches of neighbours, then of others  runs, reach, fan, window, crowd
 //! label         components, small ones to others, labels and segments table       strips, tiles
 //! ```
 //!
@@ -19,6 +19,7 @@
 //! [`settings`] has the options as people write them. [`naive`] says the same as both methods without any of the speed, and
 //! the tests hold the two against each other.
 
+mod crowd;
 mod directions;
 mod extent;
 mod fan;

@@ -71,6 +71,11 @@ impl Entries {
         self.rows.fill(Row::default());
     }
 
+    /// How many there are.
+    pub fn len(&self) -> usize {
+        self.count
+    }
+
     /// The runs of a row.
     #[inline(always)]
     pub fn of(&self, row: usize) -> Range<usize> {

@@ -12,6 +12,7 @@
 
 use fearless_simd::{Level, Simd, dispatch, mask32x16, prelude::*, u32x16};
 
+use super::crowd::Crowd;
 use super::extent::Extent;
 use super::fan::Fan;
 use super::ground::{SlopeGround, Stand, Window as Words};
@@ -38,6 +39,7 @@ pub(super) struct Strips {
     fan: Fan,
     words: Vec<Words>,
     reach: Reach,
+    crowd: Crowd,
     /// What is no ground in the strip at hand, row by row.
     on: Vec<u32>,
     runs: Runs,
@@ -76,6 +78,7 @@ impl Strips {
             fan: Fan::default(),
             words: Vec::new(),
             reach: Reach::default(),
+            crowd: Crowd::default(),
             on: Vec::new(),
             runs: Runs::default(),
             misses: Vec::new(),
@@ -92,6 +95,7 @@ impl Strips {
         self.fan.reserve(rows);
         self.words.resize(rows, Words::default());
         self.reach.reserve(rows);
+        self.crowd.reserve(rows);
         self.on.resize(rows, 0);
         self.first.resize(rows, [0; BEFORE]);
         // The first columns are there twice.
@@ -197,7 +201,7 @@ impl Strips {
             }
             let on = words[1].real & !ground & joined_here;
             self.on[row] = on;
-            let before = u64::from(self.reach.begin_row(row, test.aside()));
+            let before = u64::from(self.reach.begin_row(row, test.columns() as f32));
             if on == 0 {
                 continue;
             }
@@ -212,7 +216,11 @@ impl Strips {
                 test.touch(simd, &self.points, [below - 1, below], both, &self.reach.now, &mut self.runs);
             }
         }
-        test.join(simd, &self.points, &self.fan, &mut self.reach.now, &mut self.runs, &mut self.misses);
+        let Self { points, fan, reach, crowd, runs, misses, .. } = self;
+        match Crowd::is_in(&reach.now, rows) {
+            true => crowd.join(simd, &test, points, &reach.now, runs, misses),
+            false => test.join(simd, points, fan, &mut reach.now, runs, misses),
+        }
         if order.circular {
             self.meet(position);
         }
@@ -366,10 +374,8 @@ impl Strips {
 fn fill<S: Simd>(simd: S, row: &mut [u32], columns: u32, label: u32, clear: bool) {
     let label = u32x16::splat(simd, label);
     for (half, lanes) in row.chunks_exact_mut(LANES).enumerate() {
-        let bits = u64::from(columns >> (half * LANES)) & 0xFFFF;
-        if clear || bits != 0 {
-            let others = if clear { u32x16::splat(simd, LABEL_NONE) } else { u32x16::from_slice(simd, lanes) };
-            mask32x16::from_bitmask(simd, bits).select(label, others).store_slice(lanes);
-        }
+        let is = mask32x16::from_bitmask(simd, u64::from(columns >> (half * LANES)) & 0xFFFF);
+        let others = if clear { u32x16::splat(simd, LABEL_NONE) } else { u32x16::from_slice(simd, lanes) };
+        is.select(label, others).store_slice(lanes);
     }
 }

@@ -13,7 +13,8 @@
 //! near each other ([`Joining::gap_m`]).
 //!
 //! Most pairs of runs are settled without looking at a point: they are of one component already, their distances from the
-//! sensor are too different, or their rows have spread too far there.
+//! sensor are too different, or their rows have spread too far there. Where runs are as short and many as in dust, that takes
+//! longer than to compare points at once: [`super::crowd`].
 
 use std::ops::Range;
 
@@ -110,8 +111,19 @@ impl Test {
     }
 
     /// Columns that two points may be apart.
-    pub fn aside(&self) -> f32 {
-        self.columns as f32
+    pub fn columns(&self) -> usize {
+        self.columns
+    }
+
+    /// Rows that two points may be apart.
+    pub fn rows(&self) -> usize {
+        self.rows
+    }
+
+    /// Whether a component has so few points that it may become part of another one.
+    #[inline(always)]
+    pub fn is_small(&self, root: u32, runs: &Runs) -> bool {
+        !runs.has(root, self.small_points)
     }
 
     /// Which columns of a row of the strip at hand are joined to the one before: of those that are on, a bit each after one
@@ -126,8 +138,7 @@ impl Test {
                 work::count(1);
                 let lane = points.at(row) + half * LANES;
                 let (here, before) = (Point::load(simd, points, lane), Point::load(simd, points, lane - 1));
-                let apart2 = here.apart2(&before);
-                let is = apart2.simd_lt(self.gap_m * self.gap_m) & self.passes(&here, &before, apart2);
+                let is = self.joins(&here, &before, here.apart2(&before));
                 joined |= ((is.to_bitmask() & bits) as u32) << (half * LANES);
             }
         }
@@ -151,8 +162,7 @@ impl Test {
                 work::count(1);
                 let a = Point::load(simd, points, points.at(row) + half * LANES);
                 let b = Point::load(simd, points, points.at(below) + half * LANES);
-                let apart2 = a.apart2(&b);
-                let is = apart2.simd_lt(self.gap_m * self.gap_m) & self.passes(&a, &b, apart2);
+                let is = self.joins(&a, &b, a.apart2(&b));
                 joined |= (is.to_bitmask() as u32) << (half * LANES);
             }
         }
@@ -208,7 +218,7 @@ impl Test {
         for from in (a + 1..end).step_by(LANES) {
             work::count(1);
             let there = !(u64::MAX << (end - from).min(LANES));
-            let mut left = entries.like(simd, from, a, self.aside(), self.near_m()) & there;
+            let mut left = entries.like(simd, from, a, self.columns as f32, self.near_m()) & there;
             while left != 0 {
                 let b = from + left.trailing_zeros() as usize;
                 left &= left - 1;
@@ -216,8 +226,7 @@ impl Test {
                     continue;
                 }
                 // Two that are not small any more are joined or nothing.
-                let is_small = |entry: usize| !runs.has(entries.root[entry], self.small_points);
-                let is_one_small = is_small(a) || is_small(b);
+                let is_one_small = self.is_small(entries.root[a], runs) || self.is_small(entries.root[b], runs);
                 if !is_one_small && entries.are_apart(a, b, self.gap_m + SLACK_M) {
                     continue;
                 }
@@ -256,7 +265,7 @@ impl Test {
                 let there = mask32x16::from_bitmask(simd, !(u64::MAX << (end - from).min(LANES)));
                 let others = Point::load(simd, points, many.lane + from);
                 let apart2 = one.apart2(&others);
-                joined |= there & apart2.simd_lt(self.gap_m * self.gap_m) & self.passes(&one, &others, apart2);
+                joined |= there & self.joins(&one, &others, apart2);
                 nearest = nearest.min(there.select(apart2, nearest));
                 from += LANES;
             }
@@ -270,19 +279,27 @@ impl Test {
         }
     }
 
-    /// Which of two rows of points, so far apart, pass the test of the angle.
+    /// Which of two rows of points, of which these are the squares of the distances, are near enough to become part of one
+    /// another.
     #[inline(always)]
-    fn passes<S: Simd>(&self, a: &Point<S>, b: &Point<S>, apart2: f32x16<S>) -> mask32x16<S> {
+    pub fn nears<S: Simd>(&self, apart2: f32x16<S>) -> mask32x16<S> {
+        apart2.simd_lt(self.near_m * self.near_m)
+    }
+
+    /// Which of two rows of points, of which these are the squares of the distances, belong together: they are near each other
+    /// and pass the test of the angle.
+    #[inline(always)]
+    pub fn joins<S: Simd>(&self, a: &Point<S>, b: &Point<S>, apart2: f32x16<S>) -> mask32x16<S> {
         let (longer, shorter) = (a.far.max(b.far), a.far.min(b.far));
         let along = (longer - shorter) * (longer + shorter) + apart2;
         let reach2 = longer * longer * apart2 * (4.0 * self.cos2_theta);
-        reach2.simd_gt(along * along)
+        apart2.simd_lt(self.gap_m * self.gap_m) & reach2.simd_gt(along * along)
     }
 }
 
 /// Sixteen points.
 #[derive(Clone, Copy)]
-struct Point<S: Simd> {
+pub(super) struct Point<S: Simd> {
     x: f32x16<S>,
     y: f32x16<S>,
     z: f32x16<S>,
@@ -291,7 +308,7 @@ struct Point<S: Simd> {
 
 impl<S: Simd> Point<S> {
     #[inline(always)]
-    fn load(simd: S, points: &Points, lane: usize) -> Self {
+    pub fn load(simd: S, points: &Points, lane: usize) -> Self {
         let [x, y, z] = points.place(simd, lane);
         Self { x, y, z, far: load(simd, &points.far, lane) }
     }
@@ -309,7 +326,7 @@ impl<S: Simd> Point<S> {
 
     /// Squares of the distances.
     #[inline(always)]
-    fn apart2(&self, other: &Self) -> f32x16<S> {
+    pub fn apart2(&self, other: &Self) -> f32x16<S> {
         let (x, y, z) = (self.x - other.x, self.y - other.y, self.z - other.z);
         x * x + y * y + z * z
     }
