@@ -65,6 +65,8 @@ const MIN_COLUMNS: usize = 64;
 /// a piece of a turn may see little ground.
 #[derive(Clone, Debug, Default)]
 pub struct HeightEstimator {
+    /// Sines of the beams' elevations.
+    rise: Vec<f32>,
     lowest_m: Vec<f64>,
     /// Heights by the last sweeps, and columns that each is from.
     recent: [(f32, usize); SWEEPS],
@@ -103,13 +105,14 @@ impl HeightEstimator {
             config.holds(range_m)
                 && config.mask.as_ref().is_none_or(|mask| !mask.hides(row, sweep.azimuth_rad(row, column)))
         };
+        super::reserve(&mut self.rise, rows);
+        self.rise.extend(sweep.beams.iter().map(|beam| beam.elevation_rad.sin()));
         super::reserve(&mut self.lowest_m, sweep.columns.len());
         self.lowest_m.extend(sweep.range.chunks_exact(rows.max(1)).enumerate().filter_map(|(column, range_m)| {
             let row = (0..rows).rev().find(|&row| shows(row, column, range_m[row]))?;
-            let beam = &sweep.beams[row];
             Some(match up.is_sensor_z() {
                 // Without the azimuth, which most sensors need not ask for.
-                true => -f64::from(range_m[row] * beam.elevation_rad.sin() + beam.vertical_offset_m),
+                true => -f64::from(range_m[row] * self.rise[row] + sweep.beams[row].vertical_offset_m),
                 false => -up.height_m(sweep.point_m(row, column, range_m[row])),
             })
         }));
