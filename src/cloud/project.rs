@@ -5,14 +5,14 @@
 
 use std::f64::consts::TAU;
 
-use fearless_simd::{Level, dispatch};
+use fearless_simd::{Level, Simd, dispatch, f32x16, prelude::*, u32x16};
 
 use super::places::{self, Placer};
 use super::polar::{self, Polars};
 use super::rings::{BeamFitter, Finder, Ring};
 use super::rows::{Groups, RowTable};
 use super::{Cloud, CloudError};
-use crate::segment::SAME_OBJECT_M;
+use crate::segment::{SAME_OBJECT_M, turn_over};
 use crate::sensor::Beam;
 use crate::sweep::buffers::HeapBuffer;
 use crate::sweep::layout::{COLUMNS_CAPACITY, LABEL_NONE, flags, is_return};
@@ -167,7 +167,7 @@ impl CloudProjector {
         let mut sweep = SweepMut::create(buffer.as_mut(), &shape)?;
         fill_tables(&mut sweep, &self.rings, &self.columns);
         let (by_row, by_column) = (&self.image.range_m, &mut sweep.range[..pixels]);
-        dispatch!(self.level, _simd => turn(by_row, columns, by_column));
+        dispatch!(self.level, simd => turn::<_, f32x16<_>>(simd, by_row, columns, by_column));
         sweep.header.returns = sweep.range[..pixels].iter().map(|&range_m| u32::from(is_return(range_m))).sum();
         Ok(sweep)
     }
@@ -183,7 +183,7 @@ impl CloudProjector {
             let pixels = self.image.range_m.len();
             self.image.label.resize(pixels + 1, LABEL_NONE);
             let (by_column, by_row) = (&sweep.label[..pixels], &mut self.image.label[..pixels]);
-            dispatch!(self.level, _simd => turn(by_column, self.rings.len(), by_row));
+            dispatch!(self.level, simd => turn::<_, u32x16<_>>(simd, by_column, self.rings.len(), by_row));
             self.image.label[pixels] = LABEL_NONE;
             let label = |&pixel: &u32| self.image.label[pixel as usize];
             if self.groups.order.is_empty() {
@@ -257,12 +257,12 @@ fn resembling(shown: &[f32], own: usize, range_m: f32) -> usize {
 
 /// Writes pixels that stand line after line, each so wide, column after column.
 #[inline(always)]
-fn turn<T: Copy + Default>(from: &[T], width: usize, to: &mut [T]) {
+fn turn<S: Simd, V: SimdBase<S>>(simd: S, from: &[V::Element], width: usize, to: &mut [V::Element]) {
     let height = from.len().checked_div(width).unwrap_or(0);
     for left in (0..width).step_by(TILE) {
         for top in (0..height).step_by(TILE) {
             if left + TILE <= width && top + TILE <= height {
-                turn_tile(&from[top * width + left..], width, &mut to[left * height + top..], height);
+                turn_tile::<S, V>(simd, &from[top * width + left..], width, &mut to[left * height + top..], height);
                 continue;
             }
             for across in left..width.min(left + TILE) {
@@ -276,15 +276,20 @@ fn turn<T: Copy + Default>(from: &[T], width: usize, to: &mut [T]) {
 
 /// The same for a square of [`TILE`] pixels, by lines and columns of as many.
 #[inline(always)]
-fn turn_tile<T: Copy + Default>(from: &[T], width: usize, to: &mut [T], height: usize) {
-    let mut tile = [[T::default(); TILE]; TILE];
-    for (line, from) in tile.iter_mut().zip(from.chunks(width)) {
-        line.copy_from_slice(&from[..TILE]);
+fn turn_tile<S: Simd, V: SimdBase<S>>(
+    simd: S,
+    from: &[V::Element],
+    width: usize,
+    to: &mut [V::Element],
+    height: usize,
+) {
+    let mut tile = [V::from_slice(simd, &from[..TILE]); TILE];
+    for line in 1..TILE {
+        tile[line] = V::from_slice(simd, &from[line * width..][..TILE]);
     }
-    for (across, to) in to.chunks_mut(height).take(TILE).enumerate() {
-        for (to, line) in to[..TILE].iter_mut().zip(&tile) {
-            *to = line[across];
-        }
+    let tile = turn_over(tile);
+    for across in 0..TILE {
+        tile[across].store_slice(&mut to[across * height..][..TILE]);
     }
 }
 

@@ -48,6 +48,7 @@ pub use paper::components::{Components, Limits, Parts};
 pub use paper::connect::{Connector, Joins, MAX_ROWS};
 pub use paper::ground::{PaperFinder, PaperGround, Window};
 pub use settings::Settings;
+pub(crate) use tiles::turn_over;
 pub use window::Joining;
 
 use crate::sweep::SweepMut;

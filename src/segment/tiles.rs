@@ -4,18 +4,15 @@ use fearless_simd::{Simd, prelude::*, u32x16};
 
 use super::points::{LANES, STRIP};
 
-/// Sixteen lines of sixteen.
-type Tile<S> = [u32x16<S>; LANES];
-
-/// What was the third of each line is the third line.
+/// What was the third of each line is the third line, of sixteen lines of sixteen.
 #[inline(always)]
-pub(super) fn turn_over<S: Simd>(tile: Tile<S>) -> Tile<S> {
+pub(crate) fn turn_over<S: Simd, V: SimdBase<S>>(tile: [V; LANES]) -> [V; LANES] {
     deal(deal(deal(deal(tile))))
 }
 
 /// Deals the lines of both halves alternately: after four times, each number has gone where its place was.
 #[inline(always)]
-fn deal<S: Simd>(lines: Tile<S>) -> Tile<S> {
+fn deal<S: Simd, V: SimdBase<S>>(lines: [V; LANES]) -> [V; LANES] {
     let [a, b, c, d, e, f, g, h, i, j, k, l, m, n, o, p] = lines;
     [
         a.zip_low(i),
