@@ -9,7 +9,7 @@
 
 use std::f64::consts::TAU;
 
-use fearless_simd::{Level, dispatch};
+use fearless_simd::{Level, Simd, dispatch, f32x16, i32x16, prelude::*, u32x16};
 
 use super::rings::Polar;
 
@@ -21,6 +21,10 @@ const FARTHEST: usize = 48;
 const FARTHER: usize = 2;
 /// Stands for no column, and for no point.
 pub(crate) const NONE: u32 = u32::MAX;
+/// Points or columns that one instruction treats.
+const LANES: usize = 16;
+/// Columns that are looked at together for one that is free: more than [`FARTHEST`] and [`FARTHER`].
+const WINDOW: usize = 4 * LANES;
 
 /// Places the points of rings, one ring after the other, in the same memory.
 #[derive(Clone, Debug, Default)]
@@ -39,49 +43,80 @@ pub(crate) struct Placer {
     late: Vec<u32>,
 }
 
-/// On the way from the column that a point could get to the next free one.
-struct Walk {
-    at: usize,
+/// How a point could get a column: those from there to the next free one move by one, up or down.
+#[derive(Clone, Copy)]
+struct Way {
+    column: usize,
+    /// How far the new point would lie behind it, pitches.
+    off: f32,
     up: bool,
-    /// Whether all points up to here may move so far.
-    open: bool,
-    /// What that adds to the squares of all moves, and the new point's own.
-    cost: f32,
+    /// Points that move; [`WINDOW`] where there are too many, or one has come as far as it may.
+    moved: usize,
 }
 
 impl Placer {
     /// Places points with these azimuths, in turns; NaN is no point.
     pub fn place(&mut self, level: Level, turns: &[f32], columns: usize) {
-        self.off.resize(turns.len(), 0.0);
-        self.columns.resize(turns.len(), NONE);
-        let Self { off, columns: column_of, .. } = self;
-        dispatch!(level, _simd => lie(turns, columns, off, column_of));
-        self.held.clear();
-        self.held.resize(columns, f32::NAN);
-        self.points.clear();
-        self.points.resize(columns, NONE);
+        dispatch!(level, simd => self.place_with(simd, turns, columns));
+    }
+
+    #[inline(always)]
+    fn place_with<S: Simd>(&mut self, simd: S, turns: &[f32], columns: usize) {
+        self.lie(simd, turns, columns);
+        self.hold(columns);
         self.crowded.clear();
-        self.late.clear();
-        for (point, &column) in self.columns.iter().enumerate() {
-            // What is no point has none.
-            let Some(holder) = self.points.get_mut(column as usize) else { continue };
-            if *holder == NONE {
-                *holder = point as u32;
-                self.held[column as usize] = self.off[point];
-            } else {
-                self.late.push(point as u32);
-            }
-        }
         for at in 0..self.late.len() {
             let point = self.late[at];
-            if !self.squeeze(point) {
+            if !self.squeeze(simd, point) {
                 self.crowded.push(point);
             }
         }
     }
 
+    /// Finds the column that each point lies in, and how far behind its middle.
+    #[inline(always)]
+    fn lie<S: Simd>(&mut self, simd: S, turns: &[f32], columns: usize) {
+        let lanes = turns.len().next_multiple_of(LANES);
+        self.off.resize(lanes, 0.0);
+        self.columns.resize(lanes, NONE);
+        let (whole, rest) = turns.as_chunks();
+        let mut last = [f32::NAN; LANES];
+        last[..rest.len()].copy_from_slice(rest);
+        let places = self.off.as_chunks_mut().0.iter_mut().zip(self.columns.as_chunks_mut().0);
+        for (turns, (off, column_of)) in whole.iter().chain([&last]).zip(places) {
+            (*off, *column_of) = lie(simd, turns, columns);
+        }
+        self.columns.truncate(turns.len());
+    }
+
+    /// Gives each column to the first point that lies in it; the others are late.
+    #[inline(always)]
+    fn hold(&mut self, columns: usize) {
+        self.held.clear();
+        self.held.resize(columns, f32::NAN);
+        self.points.clear();
+        self.points.resize(columns, NONE);
+        self.late.resize(self.columns.len(), NONE);
+        let (held, points) = (&mut self.held[..columns], &mut self.points[..columns]);
+        // From the last point on, each takes the place of those behind it: nothing is read that has just been written.
+        for (point, (&column, &off)) in self.columns.iter().zip(&self.off).enumerate().rev() {
+            // What is no point has none.
+            let Some(holder) = points.get_mut(column as usize) else { continue };
+            *holder = point as u32;
+            held[column as usize] = off;
+        }
+        let (late, mut count) = (&mut self.late[..], 0);
+        for (point, &column) in self.columns.iter().enumerate() {
+            // Written in any case: which points are late, no processor foretells.
+            late[count] = point as u32;
+            count += usize::from(points.get(column as usize).is_some_and(|&holder| holder != point as u32));
+        }
+        self.late.truncate(count);
+    }
+
     /// Finds a column for a point among those that have the columns around it; whether there was one.
-    fn squeeze(&mut self, point: u32) -> bool {
+    #[inline(always)]
+    fn squeeze<S: Simd>(&mut self, simd: S, point: u32) -> bool {
         let columns = self.points.len();
         let mut column = self.columns[point as usize] as usize;
         let mut off = self.off[point as usize];
@@ -96,66 +131,76 @@ impl Placer {
             before = next(column, false, columns);
         }
         // It gets that column, and the points from there on move up; or the one before it, and the others move down.
-        let mut up = Walk::new(column, off, true);
-        let mut down = Walk::new(before, off + 1.0, false);
-        for _ in 0..FARTHEST.min(columns) {
-            if up.is_at_free(&self.held) {
-                let is_less = down.arrives(&self.held) && down.cost < up.cost;
-                self.insert(point, if is_less { (before, off + 1.0) } else { (column, off) }, !is_less);
-                return true;
-            }
-            if down.is_at_free(&self.held) {
-                let is_less = up.arrives(&self.held) && up.cost < down.cost;
-                self.insert(point, if is_less { (column, off) } else { (before, off + 1.0) }, is_less);
-                return true;
-            }
-            up.go_on(&self.held);
-            down.go_on(&self.held);
-            if !up.open && !down.open {
-                return false;
-            }
+        let (up, down) = (self.way(simd, column, off, true), self.way(simd, before, off + 1.0, false));
+        let (nearer, farther) = if up.moved <= down.moved { (up, down) } else { (down, up) };
+        if nearer.moved >= FARTHEST.min(columns) {
+            return false;
         }
-        false
+        let is_as_good = farther.moved <= nearer.moved + FARTHER && self.cost(farther) < self.cost(nearer);
+        self.insert(point, if is_as_good { farther } else { nearer });
+        true
     }
 
-    /// Gives a point a column, so far behind it, and moves the points from there to the next free one.
-    fn insert(&mut self, mut point: u32, (mut at, mut off): (usize, f32), up: bool) {
+    /// The way to a column, so far before the new point, and from there on.
+    #[inline(always)]
+    fn way<S: Simd>(&self, simd: S, column: usize, off: f32, up: bool) -> Way {
+        let columns = self.held.len();
+        // The window begins at the column, or ends with it.
+        let first = match (column + 1).checked_sub(WINDOW) {
+            _ if up => column,
+            Some(first) => first,
+            None => (column + 1 + WINDOW * (columns - 1)) % columns,
+        };
+        let around;
+        let window = match self.held[first..].first_chunk() {
+            Some(window) => window,
+            None => {
+                around = std::array::from_fn(|by| self.held[(first + by) % columns]);
+                &around
+            }
+        };
+        let ends = ends(simd, window, up);
+        let moved = if up { ends.trailing_zeros() } else { ends.leading_zeros() } as usize;
+        let end = if up { window.get(moved) } else { window.iter().nth_back(moved) };
+        let is_open = off.abs() <= REACH && end.is_some_and(|held| held.is_nan());
+        Way { column, off, up, moved: if is_open { moved } else { WINDOW } }
+    }
+
+    /// What a way adds to the squares of all moves, and the new point's own.
+    #[inline(always)]
+    fn cost(&self, Way { mut column, off, up, moved }: Way) -> f32 {
+        let mut cost = off * off;
+        for _ in 0..moved {
+            let towards = if up { -self.held[column] } else { self.held[column] };
+            cost += 1.0 + 2.0 * towards;
+            column = next(column, up, self.held.len());
+        }
+        cost
+    }
+
+    /// Gives a point a column, and moves the points from there to the next free one.
+    #[inline(always)]
+    fn insert(&mut self, mut point: u32, Way { column: mut at, mut off, up, .. }: Way) {
+        let (held, points, columns) = (&mut self.held[..], &mut self.points[..], &mut self.columns[..]);
         while point != NONE {
-            self.columns[point as usize] = at as u32;
-            point = std::mem::replace(&mut self.points[at], point);
-            off = std::mem::replace(&mut self.held[at], off) + if up { -1.0 } else { 1.0 };
-            at = next(at, up, self.points.len());
+            columns[point as usize] = at as u32;
+            point = std::mem::replace(&mut points[at], point);
+            off = std::mem::replace(&mut held[at], off) + if up { -1.0 } else { 1.0 };
+            at = next(at, up, points.len());
         }
     }
 }
 
-impl Walk {
-    fn new(column: usize, off: f32, up: bool) -> Self {
-        Self { at: column, up, open: off.abs() <= REACH, cost: off * off }
+/// Of columns whose points lie so far behind them: where a way ends, since they are free or their point cannot move.
+#[inline(always)]
+fn ends<S: Simd>(simd: S, held: &[f32; WINDOW], up: bool) -> u64 {
+    let mut movable = 0;
+    for (index, held) in held.as_chunks().0.iter().enumerate() {
+        let held = f32x16::load_array_ref(simd, held);
+        let is_movable = if up { held.simd_ge(1.0 - REACH) } else { held.simd_le(REACH - 1.0) };
+        movable |= is_movable.to_bitmask() << (index * LANES);
     }
-
-    fn is_at_free(&self, held: &[f32]) -> bool {
-        self.open && held[self.at].is_nan()
-    }
-
-    /// Whether a free column is at most [`FARTHER`] on; it is gone to.
-    fn arrives(&mut self, held: &[f32]) -> bool {
-        for _ in 0..FARTHER {
-            if !self.open || held[self.at].is_nan() {
-                break;
-            }
-            self.go_on(held);
-        }
-        self.is_at_free(held)
-    }
-
-    /// Past a point that has to move.
-    fn go_on(&mut self, held: &[f32]) {
-        let towards = if self.up { -held[self.at] } else { held[self.at] };
-        self.open &= towards <= REACH - 1.0;
-        self.cost += 1.0 + 2.0 * towards;
-        self.at = next(self.at, self.up, held.len());
-    }
+    !movable
 }
 
 /// The column next to one.
@@ -168,16 +213,15 @@ fn next(column: usize, up: bool, columns: usize) -> usize {
     }
 }
 
-/// The column that each point lies in, and how far behind its middle.
+/// How far points with these azimuths lie behind the middle of their columns, and the columns.
 #[inline(always)]
-fn lie(turns: &[f32], columns: usize, off: &mut [f32], column_of: &mut [u32]) {
-    let (scale, last) = (columns as f32, columns as i32 - 1);
-    for ((turn, off), column_of) in turns.iter().zip(off).zip(column_of) {
-        let along = turn * scale;
-        let column = (along as i32).min(last);
-        *off = along - column as f32 - 0.5;
-        *column_of = if turn.is_nan() { NONE } else { column as u32 };
-    }
+fn lie<S: Simd>(simd: S, turns: &[f32; LANES], columns: usize) -> ([f32; LANES], [u32; LANES]) {
+    let turns = f32x16::load_array_ref(simd, turns);
+    let along = turns * columns as f32;
+    let column = along.to_int::<i32x16<S>>().min(columns as i32 - 1);
+    let off = along - column.to_float::<f32x16<S>>() - 0.5;
+    let is_point = turns.simd_eq(turns);
+    (off.to_array(), is_point.select(column.bitcast(), u32x16::splat(simd, NONE)).to_array())
 }
 
 /// The point that each column shows, of a ring; `None` in the ring is no point.
@@ -200,6 +244,7 @@ pub(crate) fn shown(points: &[Option<Polar>], columns: usize) -> Vec<Option<usiz
 #[cfg(test)]
 mod tests {
     use super::*;
+    use crate::sweep::lanes::levels;
     use proptest::prelude::*;
 
     /// The column that each point has for itself; positions in columns after the first.
@@ -245,6 +290,66 @@ mod tests {
         assert!(shown.contains(&6), "the nearest of all: {shown:?}");
     }
 
+    /// The columns of points and the points of columns, one step after the other.
+    fn naive(turns: &[f32], columns: usize) -> [Vec<u32>; 2] {
+        let mut placer = Placer { held: vec![f32::NAN; columns], points: vec![NONE; columns], ..Placer::default() };
+        let mut late = Vec::new();
+        for (point, turn) in turns.iter().enumerate() {
+            let along = turn * columns as f32;
+            let column = (along as usize).min(columns - 1);
+            placer.off.push(along - column as f32 - 0.5);
+            placer.columns.push(if turn.is_nan() { NONE } else { column as u32 });
+            if turn.is_nan() {
+                continue;
+            }
+            if placer.points[column] == NONE {
+                (placer.points[column], placer.held[column]) = (point as u32, placer.off[point]);
+            } else {
+                late.push(point);
+            }
+        }
+        for point in late {
+            let (mut at, mut off) = (placer.columns[point] as usize, placer.off[point]);
+            while placer.held[at] <= off {
+                (at, off) = (next(at, true, columns), off - 1.0);
+            }
+            while placer.held[next(at, false, columns)] > off + 1.0 {
+                (at, off) = (next(at, false, columns), off + 1.0);
+            }
+            let starts = [(at, off, true), (next(at, false, columns), off + 1.0, false)];
+            let costs = starts.map(|(at, off, up)| naive_cost(&placer.held, at, off, up));
+            // Both go on side by side; who arrives first waits for the other a little.
+            let Some(first) = costs.iter().flatten().map(|&(steps, _)| steps).min() else { continue };
+            let cost = |way: usize| costs[way].filter(|&(steps, _)| steps <= first + FARTHER).map(|(_, cost)| cost);
+            let up = match (cost(0), cost(1)) {
+                _ if first >= FARTHEST.min(columns) => continue,
+                (Some(up), Some(down)) if costs[0].is_some_and(|(steps, _)| steps == first) => up <= down,
+                (Some(up), Some(down)) => up < down,
+                (up, _) => up.is_some(),
+            };
+            let (column, off, up) = starts[usize::from(!up)];
+            placer.insert(point as u32, Way { column, off, up, moved: 0 });
+        }
+        [placer.columns, placer.points]
+    }
+
+    /// Steps to the next free column and what they cost, if all points on the way may move.
+    fn naive_cost(held: &[f32], mut at: usize, off: f32, up: bool) -> Option<(usize, f32)> {
+        let mut cost = off * off;
+        for steps in 0..held.len() {
+            if held[at].is_nan() {
+                return (off.abs() <= REACH).then_some((steps, cost));
+            }
+            let towards = if up { -held[at] } else { held[at] };
+            cost += 1.0 + 2.0 * towards;
+            if towards > REACH - 1.0 {
+                break;
+            }
+            at = next(at, up, held.len());
+        }
+        None
+    }
+
     /// The most points that can have a column, by trying all ways.
     fn most(positions: &[f64], columns: usize, taken: u32) -> usize {
         let Some((&first, rest)) = positions.split_first() else { return 0 };
@@ -258,6 +363,25 @@ mod tests {
     }
 
     proptest! {
+        #[test]
+        fn every_level_places_points_as_one_step_after_the_other_does(
+            columns in 1_usize..300,
+            steps in proptest::collection::vec(prop_oneof![0.2..1.5_f32, -0.5..3.0_f32, Just(f32::NAN)], 0..300),
+        ) {
+            let mut along = 0.0;
+            let turn = |step: f32| {
+                along += if step.is_nan() { 0.0 } else { step };
+                if step.is_nan() { step } else { (along / columns as f32).rem_euclid(1.0) }
+            };
+            let turns: Vec<f32> = steps.into_iter().map(turn).collect();
+            let expected = naive(&turns, columns);
+            for level in levels() {
+                let mut placer = Placer::default();
+                placer.place(level, &turns, columns);
+                prop_assert_eq!(&[placer.columns, placer.points], &expected, "{:?}", level);
+            }
+        }
+
         #[test]
         fn no_column_is_used_twice_and_nearly_as_many_as_can_have_one(
             positions in proptest::collection::vec(0.0..8.0, 0..7),
