@@ -97,10 +97,10 @@ impl Case {
 
     /// Labels of all pixels with a range, numbered from 1 by their first pixel in the authors' order: row after row.
     fn labels(&self, range_m: &[f32], theta_deg: f64) -> Vec<f32> {
-        let mut joins = Vec::new();
-        Connector::new(Level::new()).connect(range_m, &self.angles, theta_deg.to_radians(), &mut joins);
+        let (mut joins, ground) = (Vec::new(), vec![0; self.columns]);
+        Connector::new(Level::new()).connect(range_m, &ground, &self.angles, theta_deg.to_radians(), &mut joins);
         let real: Vec<u128> = joins.iter().map(|joins| joins.filled).collect();
-        let parts = Parts { rows: self.rows, joins: &joins, real: &real, ground: &vec![0; self.columns] };
+        let parts = Parts { rows: self.rows, joins: &joins, real: &real, ground: &ground };
         let limits = Limits { min_points: 1, max_segments: usize::MAX };
         let mut labels = vec![u32::MAX; range_m.len()];
         let segments = Components::new(Level::new()).label(&parts, limits, &mut labels);

@@ -40,17 +40,18 @@ pub(super) const LANES: usize = 16;
 #[derive(Clone, Debug)]
 pub struct Connector {
     level: Level,
+    cotangent: f64,
     below: [f64; MAX_ROWS],
-    before: [f64; MAX_ROWS],
     parallax: [[f64; MAX_ROWS]; 6],
     cos_elevation: [f64; MAX_ROWS],
+    shifts: [i32; MAX_ROWS],
     /// Sine of half the gap before each firing; no number where there is no neighbour. Firings that are there for the
     /// shifted rows stand on both ends.
     sin_half_gap: Vec<f64>,
     /// So many on each end.
     margin: usize,
-    /// The same for the firings of one column's pixels, by row.
-    sin_half_gap_of: [f64; MAX_ROWS],
+    /// Whether all of these sines are narrow.
+    is_narrow: bool,
 }
 
 impl Connector {
@@ -59,80 +60,139 @@ impl Connector {
         let none = [0.0; MAX_ROWS];
         Self {
             level,
+            cotangent: 0.0,
             below: none,
-            before: none,
             parallax: [none; 6],
             cos_elevation: none,
+            shifts: [0; MAX_ROWS],
             sin_half_gap: Vec::new(),
             margin: 0,
-            sin_half_gap_of: none,
+            is_narrow: true,
         }
     }
 
-    /// Finds the joins of all columns of an image; `range_m` is stored column after column.
+    /// Finds the joins of all columns of an image; `range_m` is stored column after column. What is ground belongs to
+    /// nothing, as what has no range.
     ///
     /// # Panics
-    /// If the image has more rows than [`MAX_ROWS`] or not the shape of the angles.
-    pub fn connect(&mut self, range_m: &[f32], angles: &Angles, theta_rad: f64, joins: &mut Vec<Joins>) {
-        let rows = angles.rows();
-        assert!(rows <= MAX_ROWS && range_m.len() == rows * angles.columns(), "the image has the shape of its angles");
-        let cotangent = theta_rad.tan().recip();
+    /// If the image has more rows than [`MAX_ROWS`] or not the shape of the angles, or the ground has not.
+    pub fn connect(
+        &mut self,
+        range_m: &[f32],
+        ground: &[u128],
+        angles: &Angles,
+        theta_rad: f64,
+        joins: &mut Vec<Joins>,
+    ) {
+        let (rows, columns) = (angles.rows(), angles.columns());
+        assert!(rows <= MAX_ROWS && range_m.len() == rows * columns, "the image has the shape of its angles");
+        assert_eq!(ground.len(), columns, "the ground has a word for each column");
         joins.clear();
-        self.prepare(angles, cotangent);
+        self.prepare(angles, theta_rad.tan().recip());
         if !range_m.is_empty() {
-            dispatch!(self.level, simd => self.test(simd, range_m, angles, cotangent, joins));
+            dispatch!(self.level, simd => self.test(simd, range_m, ground, angles, joins));
         }
     }
 
     #[inline(always)]
-    fn test<S: Simd>(&mut self, simd: S, range_m: &[f32], angles: &Angles, cotangent: f64, joins: &mut Vec<Joins>) {
-        let (rows, columns) = (angles.rows(), angles.columns());
-        let mut before = &range_m[(columns - 1) * rows..];
-        for column in 0..columns {
+    fn test<S: Simd>(&self, simd: S, range_m: &[f32], ground: &[u128], angles: &Angles, joins: &mut Vec<Joins>) {
+        let (rows, last) = (angles.rows(), angles.columns() - 1);
+        let mut before = &range_m[last * rows..];
+        let mut filled_before = if angles.is_circular() { filled(simd, before, rows) & !ground[last] } else { 0 };
+        for (column, ground) in ground.iter().enumerate() {
             // To the end of the image, so that vectors may reach over the end of the column.
             let here = &range_m[column * rows..];
-            let word = first_rows(rows);
-            let filled = filled(simd, here, rows);
-            let neighbours = match self.reach_before(simd, column, angles, cotangent) {
-                true => joined(simd, [before, here], &self.before, rows) & word,
-                false => 0,
-            };
+            let filled = filled(simd, here, rows) & !ground;
+            let (down, across) = (filled & filled >> 1, filled & filled_before);
             let below = match angles.parallax() {
-                Some(_) => joined_apart(simd, here, &self.parallax, rows, cotangent) & filled & filled >> 1,
-                None => joined(simd, [here, &here[1..]], &self.below, rows),
+                Some(_) => self.joined_apart(simd, here, down, rows),
+                None => self.joined_below(simd, here, down, rows),
             };
-            joins.push(Joins { filled, below: below & first_rows(rows - 1), before: neighbours });
-            before = here;
+            let joined_before = self.joined_before(simd, [before, here], column, across, rows);
+            joins.push(Joins { filled, below: below & down, before: joined_before & across });
+            (before, filled_before) = (here, filled);
         }
     }
 
-    /// How far the pixels of a column reach to those of the column before; false where it has no neighbours there.
+    /// Bits of the pixels of a column that pass the test with the one below, in each sixteen rows that hold one of these.
     #[inline(always)]
-    fn reach_before<S: Simd>(&mut self, simd: S, column: usize, angles: &Angles, cotangent: f64) -> bool {
-        let rows = angles.rows();
-        match angles.shifts() {
-            Some(_) if column == 0 && !angles.is_circular() => return false,
-            Some(shifts) => {
-                let firings = &self.sin_half_gap[column..column + 2 * self.margin + 1];
-                for (sine, &shift) in self.sin_half_gap_of.iter_mut().zip(shifts) {
-                    *sine = firings[self.margin.wrapping_add_signed(shift as isize)];
-                }
+    fn joined_below<S: Simd>(&self, simd: S, range_m: &[f32], pixels: u128, rows: usize) -> u128 {
+        let mut word = [0; 2];
+        for row in sixteens(pixels, rows) {
+            let (a, b) = (load(simd, range_m, row), load(simd, range_m, row + 1));
+            let (shorter, longer) = (a.min(b).widen(), a.max(b).widen());
+            for (half, (shorter, longer)) in [(shorter.0, longer.0), (shorter.1, longer.1)].into_iter().enumerate() {
+                let at = row + LANES / 2 * half;
+                set(&mut word, at, (shorter * wide(simd, &self.below, at)).simd_gt(longer).to_bitmask());
             }
-            None if self.sin_half_gap[column].is_nan() => return false,
-            None if column > 0 && self.sin_half_gap[column] == self.sin_half_gap[column - 1] => return true,
-            None => self.sin_half_gap_of[..rows].fill(self.sin_half_gap[column]),
         }
-        let is_narrow = self.sin_half_gap_of[..rows].iter().all(|sine| *sine < NARROW);
-        for row in (0..rows).step_by(8) {
-            let at = |plane: &[f64; MAX_ROWS]| f64x8::from_slice(simd, &plane[row..row + 8]);
-            let sin_half = at(&self.cos_elevation) * at(&self.sin_half_gap_of);
-            reach_at(simd, sin_half, is_narrow, cotangent).store_slice(&mut self.before[row..row + 8]);
+        whole(word)
+    }
+
+    /// The same where beams start at different places: as [`Parallax::apply`] says.
+    #[inline(always)]
+    fn joined_apart<S: Simd>(&self, simd: S, range_m: &[f32], pixels: u128, rows: usize) -> u128 {
+        let mut word = [0; 2];
+        let [sin_up, up_m, sin_aside, aside_m, along_m, cos_alpha] = &self.parallax;
+        for row in sixteens(pixels, rows) {
+            let (high, low) = (load(simd, range_m, row).widen(), load(simd, range_m, row + 1).widen());
+            for (half, (high, low)) in [(high.0, low.0), (high.1, low.1)].into_iter().enumerate() {
+                let at = row + LANES / 2 * half;
+                let high = high + wide(simd, along_m, at);
+                let (shorter, longer) = (high.min(low), high.max(low));
+                let up_m = wide(simd, sin_up, at) * shorter + wide(simd, up_m, at);
+                let aside_m = wide(simd, sin_aside, at) * shorter + wide(simd, aside_m, at);
+                let across2 = up_m * up_m + aside_m * aside_m;
+                // Squared on both sides, which spares a root; what is to be reached may be less than nothing.
+                let ahead = longer - shorter * wide(simd, cos_alpha, at);
+                let is_reached = (across2 * (self.cotangent * self.cotangent)).simd_gt(ahead * ahead);
+                set(&mut word, at, (ahead.simd_lt(0.0) | is_reached).to_bitmask());
+            }
         }
-        true
+        whole(word)
+    }
+
+    /// Bits of the pixels that pass the test with the one in the column before, in each sixteen rows that hold one of these.
+    #[inline(always)]
+    fn joined_before<S: Simd>(
+        &self,
+        simd: S,
+        [before, here]: [&[f32]; 2],
+        column: usize,
+        pixels: u128,
+        rows: usize,
+    ) -> u128 {
+        let mut word = [0; 2];
+        for row in sixteens(pixels, rows) {
+            let (a, b) = (load(simd, before, row), load(simd, here, row));
+            let (shorter, longer) = (a.min(b).widen(), a.max(b).widen());
+            for (half, (shorter, longer)) in [(shorter.0, longer.0), (shorter.1, longer.1)].into_iter().enumerate() {
+                let at = row + LANES / 2 * half;
+                let sin_half = wide(simd, &self.cos_elevation, at) * self.sin_half_gaps(simd, column, at);
+                let reach = reach_at(simd, sin_half, self.is_narrow, self.cotangent);
+                set(&mut word, at, (shorter * reach).simd_gt(longer).to_bitmask());
+            }
+        }
+        whole(word)
+    }
+
+    /// Sines of half the gaps before the firings of eight pixels of a column.
+    #[inline(always)]
+    fn sin_half_gaps<S: Simd>(&self, simd: S, column: usize, row: usize) -> f64x8<S> {
+        if self.margin == 0 {
+            return f64x8::splat(simd, self.sin_half_gap[column]);
+        }
+        let near = &self.sin_half_gap[column..column + 2 * self.margin + 1];
+        let mut sines = [0.0; LANES / 2];
+        for (sine, &shift) in sines.iter_mut().zip(&self.shifts[row..row + LANES / 2]) {
+            *sine = near[self.margin.wrapping_add_signed(shift as isize)];
+        }
+        f64x8::from_slice(simd, &sines)
     }
 
     fn prepare(&mut self, angles: &Angles, cotangent: f64) {
         let rows = angles.rows();
+        self.cotangent = cotangent;
         for row in 0..rows {
             self.cos_elevation[row] = angles.cos_elevation(row);
         }
@@ -150,13 +210,16 @@ impl Connector {
         let columns = angles.columns();
         let shifts = angles.shifts().unwrap_or_default();
         self.margin = shifts.iter().map(|shift| shift.unsigned_abs() as usize).max().unwrap_or(0);
-        let sine = |ahead: usize| {
+        self.shifts = [0; MAX_ROWS];
+        self.shifts[..shifts.len()].copy_from_slice(shifts);
+        let sine_at = |ahead: usize| {
             let column = shifted(0, ahead as i32 - self.margin as i32, columns, angles.is_circular());
-            angles.gap_rad(column).map_or(f64::NAN, |gap| (gap / 2.0).sin())
+            angles.gap_rad(column).map_or(f64::NAN, |gap| sine(gap / 2.0))
         };
         if columns > 0 {
-            self.sin_half_gap.extend((0..columns + 2 * self.margin).map(sine));
+            self.sin_half_gap.extend((0..columns + 2 * self.margin).map(sine_at));
         }
+        self.is_narrow = !self.sin_half_gap.iter().any(|sine| *sine >= NARROW);
     }
 
     /// Takes room for so many columns.
@@ -168,6 +231,15 @@ impl Connector {
 
 /// Sines below this are narrow: the series of the cosine has no further term that double precision could hold.
 const NARROW: f64 = 0.02;
+
+/// Of a narrow one by its series, likewise.
+fn sine(angle_rad: f64) -> f64 {
+    if angle_rad >= NARROW {
+        return angle_rad.sin();
+    }
+    let square = angle_rad * angle_rad;
+    angle_rad * (1.0 - square * (1.0 / 6.0 - square * (1.0 / 120.0 - square / 5040.0)))
+}
 
 /// cos alpha + sin alpha / tan theta, from the sine of half of alpha.
 #[inline(always)]
@@ -186,6 +258,19 @@ fn reach_at<S: Simd>(simd: S, sin_half: f64x8<S>, is_narrow: bool, cotangent: f6
 #[inline(always)]
 pub(super) fn first_rows(rows: usize) -> u128 {
     if rows == 0 { 0 } else { u128::MAX >> (MAX_ROWS - rows) }
+}
+
+/// The first of each sixteen rows, of so many, that a bit of a word is among.
+#[inline(always)]
+pub(super) fn sixteens(word: u128, rows: usize) -> impl Iterator<Item = usize> {
+    let word = halves(word);
+    (0..rows).step_by(LANES).filter(move |&row| sixteen(word, row) != 0)
+}
+
+/// Bits of the sixteen rows from one on.
+#[inline(always)]
+pub(super) fn sixteen([low, high]: [u64; 2], row: usize) -> u64 {
+    (if row < 64 { low } else { high }) >> (row % 64) & 0xFFFF
 }
 
 /// The two halves of a word, for loops that should not shift 128 bits at every row.
@@ -239,6 +324,12 @@ pub(super) fn load<S: Simd>(simd: S, range_m: &[f32], at: usize) -> f32x16<S> {
     f32x16::from_slice(simd, &lanes)
 }
 
+/// Numbers of eight rows from one on.
+#[inline(always)]
+fn wide<S: Simd>(simd: S, plane: &[f64; MAX_ROWS], at: usize) -> f64x8<S> {
+    f64x8::from_slice(simd, &plane[at..at + LANES / 2])
+}
+
 /// Stores sixteen ranges from one on, as far as there is room.
 #[inline(always)]
 pub(super) fn store<S: Simd>(range_m: &mut [f32], at: usize, lanes: f32x16<S>) {
@@ -278,53 +369,6 @@ pub(super) fn count_to([low, high]: [u64; 2], row: usize) -> u32 {
     if row < 64 { (low & mask).count_ones() } else { low.count_ones() + (high & mask).count_ones() }
 }
 
-/// Bits of the pixels that pass the test pairwise, and of what comes behind the last row.
-#[inline(always)]
-fn joined<S: Simd>(simd: S, [a, b]: [&[f32]; 2], reach: &[f64; MAX_ROWS], rows: usize) -> u128 {
-    let mut word = [0; 2];
-    for row in (0..rows).step_by(LANES) {
-        let (a, b) = (load(simd, a, row), load(simd, b, row));
-        let (shorter, longer) = (a.min(b).widen(), a.max(b).widen());
-        for (half, (shorter, longer)) in [(shorter.0, longer.0), (shorter.1, longer.1)].into_iter().enumerate() {
-            let at = row + 8 * half;
-            let passes = (shorter * f64x8::from_slice(simd, &reach[at..at + 8])).simd_gt(longer);
-            set(&mut word, at, passes.to_bitmask());
-        }
-    }
-    whole(word)
-}
-
-/// Bits of the pixels of a column that pass the test with the one below, where beams start at different places: the same
-/// as [`Parallax::apply`] says. Says nothing of pixels without range.
-#[inline(always)]
-fn joined_apart<S: Simd>(
-    simd: S,
-    range_m: &[f32],
-    parallax: &[[f64; MAX_ROWS]; 6],
-    rows: usize,
-    cotangent: f64,
-) -> u128 {
-    let mut word = [0; 2];
-    for row in (0..rows).step_by(LANES) {
-        let (high, low) = (load(simd, range_m, row).widen(), load(simd, range_m, row + 1).widen());
-        for (half, (high, low)) in [(high.0, low.0), (high.1, low.1)].into_iter().enumerate() {
-            let at = row + 8 * half;
-            let plane = |index: usize| f64x8::from_slice(simd, &parallax[index][at..at + 8]);
-            let (sin_up, up_m, sin_aside, aside_m) = (plane(0), plane(1), plane(2), plane(3));
-            let (along_m, cos_alpha) = (plane(4), plane(5));
-            let high = high + along_m;
-            let (shorter, longer) = (high.min(low), high.max(low));
-            let (up_m, aside_m) = (sin_up * shorter + up_m, sin_aside * shorter + aside_m);
-            let across2 = up_m * up_m + aside_m * aside_m;
-            // Squared on both sides, which spares a root; what is to be reached may be less than nothing.
-            let ahead = longer - shorter * cos_alpha;
-            let passes = ahead.simd_lt(0.0) | (across2 * (cotangent * cotangent)).simd_gt(ahead * ahead);
-            set(&mut word, at, passes.to_bitmask());
-        }
-    }
-    whole(word)
-}
-
 #[cfg(test)]
 mod tests {
     use super::*;
@@ -350,7 +394,7 @@ mod tests {
         let mut range = vec![0.0; 3 * 360];
         range[..6].copy_from_slice(&[10.0, 10.1, 12.1, 10.0, 0.0, 12.0]);
         let mut joins = Vec::new();
-        Connector::new(Level::new()).connect(&range, &angles, 10_f64.to_radians(), &mut joins);
+        Connector::new(Level::new()).connect(&range, &[0; 360], &angles, 10_f64.to_radians(), &mut joins);
         assert_eq!(joins[0], Joins { filled: 0b111, below: 0b001, before: 0 });
         assert_eq!(joins[1], Joins { filled: 0b101, below: 0, before: 0b101 });
     }

@@ -134,15 +134,7 @@ impl Authors {
     /// Joins what is no ground.
     pub fn join(&mut self, config: &Config) {
         let theta_rad = f64::from(config.theta_rad);
-        self.connector.connect(&self.range_m, &self.angles, theta_rad, &mut self.joins);
-        let Some(last) = self.joins.last() else { return };
-        let mut before = last.filled & !self.ground[self.joins.len() - 1];
-        for (joins, ground) in self.joins.iter_mut().zip(&self.ground) {
-            joins.filled &= !ground;
-            joins.below &= joins.filled & joins.filled >> 1;
-            joins.before &= joins.filled & before;
-            before = joins.filled;
-        }
+        self.connector.connect(&self.range_m, &self.ground, &self.angles, theta_rad, &mut self.joins);
     }
 
     /// Writes the labels, the segments table and the header's counts.
