@@ -1,12 +1,14 @@
-//! Connected components from the words of [`Joins`]: runs and a union-find over them.
+//! Connected components from the words of [`Joins`]: runs, and a union-find over the pieces that they grow to.
 //!
-//! A run is a stretch of pixels of one column, each joined to the next. Runs are numbered in the order of the memory,
-//! and the root of a component is its first run, so numbering the roots numbers the segments by their first pixel.
-//! Columns only ever look at the one before, so they could be absorbed as they arrive; only the seam is left for the end.
+//! A run is a stretch of pixels of one column, each joined to the next. One that is joined to a run of the column before
+//! belongs to the same piece; any other begins a new one. Where a run is joined to several pieces, they are united. Pieces
+//! are numbered in the order of the memory, and the root of a component is its first piece, so numbering the roots numbers
+//! the segments by their first pixel. Columns only ever look at the one before, so they could be absorbed as they arrive;
+//! only the seam is left for the end.
 
 use fearless_simd::{Level, Simd, dispatch, mask32x16, prelude::*, u32x16};
 
-use super::connect::{Joins, LANES, bits, count_to, halves};
+use super::connect::{Joins, LANES, bits, count_to, halves, sixteen};
 use crate::segment::reserve;
 use crate::sweep::layout::{LABEL_FIRST_SEGMENT, LABEL_GROUND, LABEL_NONE};
 
@@ -36,30 +38,39 @@ pub struct Limits {
 #[derive(Clone, Debug)]
 pub struct Components {
     level: Level,
+    runs: Vec<Run>,
     /// The first run of each column.
     first: Vec<u32>,
-    /// A run of the same component that comes earlier, or the run itself.
+    /// A piece of the same component that begins earlier, or the piece itself.
     parent: Vec<u32>,
-    /// Real pixels, first of the run, then of the component at its root.
+    /// Real pixels, first of the piece, then of the component at its root.
     points: Vec<u32>,
-    /// First and last row of the run.
-    rows: Vec<[u8; 2]>,
-    /// Final label of the run's component.
+    /// Final label of the piece's component.
     label: Vec<u32>,
+}
+
+/// A run as it is kept.
+#[derive(Clone, Copy, Debug)]
+pub(super) struct Run {
+    piece: u32,
+    first: u8,
+    last: u8,
+    /// Real pixels.
+    points: u8,
 }
 
 impl Components {
     /// Components that use no more than these instructions of the machine.
     pub fn new(level: Level) -> Self {
-        Self { level, first: Vec::new(), parent: Vec::new(), points: Vec::new(), rows: Vec::new(), label: Vec::new() }
+        Self { level, runs: Vec::new(), first: Vec::new(), parent: Vec::new(), points: Vec::new(), label: Vec::new() }
     }
 
     /// Takes room for as many runs as there can be.
     pub(super) fn reserve(&mut self, columns: usize, pixels: usize) {
+        reserve(&mut self.runs, pixels);
         reserve(&mut self.first, columns);
         reserve(&mut self.parent, pixels);
         reserve(&mut self.points, pixels);
-        reserve(&mut self.rows, pixels);
         reserve(&mut self.label, pixels);
     }
 
@@ -70,92 +81,105 @@ impl Components {
 
     #[inline(always)]
     fn label_with<S: Simd>(&mut self, simd: S, parts: &Parts<'_>, limits: Limits, labels: &mut [u32]) -> usize {
+        self.runs.clear();
         self.first.clear();
         self.parent.clear();
         self.points.clear();
-        self.rows.clear();
-        for index in 0..parts.joins.len() {
-            self.absorb(parts, index);
+        for column in 0..parts.joins.len() {
+            self.absorb(parts, column);
         }
-        if !parts.joins.is_empty() {
-            self.unite_columns(parts, parts.joins.len() - 1, 0);
-        }
+        self.close(parts.joins);
         let segments = self.number(limits);
         self.relabel(simd, parts, labels);
         segments
     }
 
-    /// Takes the runs of a column, and unites them with those of the column before.
+    /// Takes the runs of a column: each to the piece of those in the column before that it is joined to.
     #[inline(always)]
-    fn absorb(&mut self, parts: &Parts<'_>, index: usize) {
-        let joins = &parts.joins[index];
-        let unreal = joins.filled & !parts.real[index];
-        self.first.push(self.parent.len() as u32);
-        let next = self.parent.len() as u32;
-        self.parent.extend(next..next + joins.starts().count_ones());
+    fn absorb(&mut self, parts: &Parts<'_>, column: usize) {
+        let joins = &parts.joins[column];
+        let unreal = joins.filled & !parts.real[column];
+        self.first.push(self.runs.len() as u32);
+        let (links, starts_before, first_before) = match column.checked_sub(1) {
+            Some(before) => {
+                let joins_before = &parts.joins[before];
+                (bits(joins.links(joins_before)), halves(joins_before.starts()), self.first[before])
+            }
+            None => (bits(0), [0; 2], 0),
+        };
+        let mut links = links.peekable();
         for (first, last) in joins.runs() {
+            let mut piece = None;
+            while let Some(row) = links.next_if(|row| *row <= last) {
+                let before = self.runs[(first_before + count_to(starts_before, row) - 1) as usize].piece;
+                piece = Some(match piece {
+                    Some(piece) => self.unite(piece, before),
+                    None => self.root(before),
+                });
+            }
             let length = (last + 1 - first) as u32;
-            self.rows.push([first as u8, last as u8]);
-            self.points.push(if unreal == 0 { length } else { length - count(unreal, first, last) });
-        }
-        if index > 0 {
-            self.unite_columns(parts, index - 1, index);
-        }
-    }
-
-    #[inline(always)]
-    fn unite_columns(&mut self, parts: &Parts<'_>, before: usize, index: usize) {
-        let [joins_before, joins] = [before, index].map(|index| &parts.joins[index]);
-        // Where the row above is joined as well, and the runs go on in both columns, the union is made already.
-        let made = (joins.before & joins.below & joins_before.below) << 1;
-        let (starts_before, starts) = (halves(joins_before.starts()), halves(joins.starts()));
-        let (first_before, first) = (self.first[before], self.first[index]);
-        for row in bits(joins.before & !made) {
-            self.unite(first_before + count_to(starts_before, row) - 1, first + count_to(starts, row) - 1);
+            let points = if unreal == 0 { length } else { length - count(unreal, first, last) };
+            let piece = piece.unwrap_or_else(|| self.begin());
+            self.points[piece as usize] += points;
+            self.runs.push(Run { piece, first: first as u8, last: last as u8, points: points as u8 });
         }
     }
 
-    /// The runs of a column: the label, and the first and last row.
+    /// A piece that begins here.
     #[inline(always)]
-    pub(super) fn runs_of(&self, column: usize) -> impl Iterator<Item = (u32, usize, usize)> {
-        let end = self.first.get(column + 1).map_or(self.label.len(), |&first| first as usize);
-        let runs = self.first[column] as usize..end;
-        let labels = self.label[runs.clone()].iter().zip(&self.rows[runs]);
-        labels.map(|(&label, &[first, last])| (label, usize::from(first), usize::from(last)))
+    fn begin(&mut self) -> u32 {
+        let piece = self.parent.len() as u32;
+        self.parent.push(piece);
+        self.points.push(0);
+        piece
     }
 
+    /// Unites the pieces of the last column with those of the first.
     #[inline(always)]
-    fn unite(&mut self, a: u32, b: u32) {
+    fn close(&mut self, joins: &[Joins]) {
+        let [Some(first), Some(last)] = [joins.first(), joins.last()] else { return };
+        let (starts, starts_last) = (halves(first.starts()), halves(last.starts()));
+        let first_last = self.first[joins.len() - 1];
+        for row in bits(first.links(last)) {
+            let [run, before] = [count_to(starts, row) - 1, first_last + count_to(starts_last, row) - 1];
+            self.unite(self.runs[run as usize].piece, self.runs[before as usize].piece);
+        }
+    }
+
+    /// Makes two components one, and gives its root.
+    #[inline(always)]
+    fn unite(&mut self, a: u32, b: u32) -> u32 {
         let (a, b) = (self.root(a), self.root(b));
         self.parent[a.max(b) as usize] = a.min(b);
+        a.min(b)
     }
 
     #[inline(always)]
-    fn root(&mut self, mut run: u32) -> u32 {
-        while self.parent[run as usize] != run {
-            let grandparent = self.parent[self.parent[run as usize] as usize];
-            self.parent[run as usize] = grandparent;
-            run = grandparent;
+    fn root(&mut self, mut piece: u32) -> u32 {
+        while self.parent[piece as usize] != piece {
+            let grandparent = self.parent[self.parent[piece as usize] as usize];
+            self.parent[piece as usize] = grandparent;
+            piece = grandparent;
         }
-        run
+        piece
     }
 
     /// Counts the components and numbers those that are large enough.
     #[inline(always)]
     fn number(&mut self, limits: Limits) -> usize {
-        for run in 0..self.parent.len() {
-            let root = self.parent[self.parent[run] as usize] as usize;
-            self.parent[run] = root as u32;
-            if root != run {
-                self.points[root] += self.points[run];
+        for piece in 0..self.parent.len() {
+            let root = self.parent[self.parent[piece] as usize] as usize;
+            self.parent[piece] = root as u32;
+            if root != piece {
+                self.points[root] += self.points[piece];
             }
         }
         let mut segments = 0;
         self.label.clear();
-        for (run, &root) in self.parent.iter().enumerate() {
-            let label = if root as usize != run {
+        for (piece, &root) in self.parent.iter().enumerate() {
+            let label = if root as usize != piece {
                 self.label[root as usize]
-            } else if self.points[run] >= limits.min_points && segments < limits.max_segments {
+            } else if self.points[piece] >= limits.min_points && segments < limits.max_segments {
                 segments += 1;
                 LABEL_FIRST_SEGMENT + segments as u32 - 1
             } else {
@@ -164,6 +188,13 @@ impl Components {
             self.label.push(label);
         }
         segments
+    }
+
+    /// The runs of a column, and the label of each.
+    #[inline(always)]
+    pub(super) fn runs_of(&self, column: usize) -> impl Iterator<Item = (u32, &Run)> {
+        let end = self.first.get(column + 1).map_or(self.runs.len(), |&first| first as usize);
+        self.runs[self.first[column] as usize..end].iter().map(|run| (self.label[run.piece as usize], run))
     }
 
     /// From runs to labels. Only filled pixels are in a run, and what is real is either ground or filled.
@@ -186,7 +217,8 @@ impl Components {
     /// Paints the runs of a column with their labels, from the top down, with a broad brush that spills over their ends.
     #[inline(always)]
     fn paint<S: Simd>(&self, simd: S, column: usize, labels: &mut [u32]) {
-        for (label, first, last) in self.runs_of(column) {
+        for (label, run) in self.runs_of(column) {
+            let [first, last] = run.rows();
             for row in (first..=last).step_by(LANES) {
                 match labels.get_mut(row..row + LANES) {
                     Some(labels) => u32x16::splat(simd, label).store_slice(labels),
@@ -204,8 +236,8 @@ fn clean<S: Simd>(simd: S, parts: &Parts<'_>, column: usize, labels: &mut [u32])
     let real = parts.real[column];
     let (ground, painted) = (halves(real & parts.ground[column]), halves(real & parts.joins[column].filled));
     let (one, none) = (u32x16::splat(simd, LABEL_GROUND), u32x16::splat(simd, LABEL_NONE));
-    for (index, labels) in labels.chunks_mut(LANES).enumerate() {
-        let mask = |word: [u64; 2]| mask32x16::from_bitmask(simd, word[index / 4] >> (16 * (index % 4)) & 0xFFFF);
+    for (row, labels) in (0..).step_by(LANES).zip(labels.chunks_mut(LANES)) {
+        let mask = |word: [u64; 2]| mask32x16::from_bitmask(simd, sixteen(word, row));
         let others = mask(ground).select(one, none);
         if let Ok(labels) = <&mut [u32; LANES]>::try_from(&mut *labels) {
             mask(painted).select(u32x16::from_slice(simd, labels), others).store_slice(labels);
@@ -218,7 +250,28 @@ fn clean<S: Simd>(simd: S, parts: &Parts<'_>, column: usize, labels: &mut [u32])
     }
 }
 
+impl Run {
+    /// First and last row.
+    #[inline(always)]
+    pub fn rows(&self) -> [usize; 2] {
+        [self.first, self.last].map(usize::from)
+    }
+
+    /// Real pixels.
+    #[inline(always)]
+    pub fn points(&self) -> u32 {
+        u32::from(self.points)
+    }
+}
+
 impl Joins {
+    /// Pixels that join a run to one of the column before, but for those where the row above does so already: where that
+    /// is joined as well, and the runs go on in both columns.
+    #[inline(always)]
+    fn links(&self, before: &Self) -> u128 {
+        self.before & !((self.before & self.below & before.below) << 1)
+    }
+
     /// First pixels of the runs.
     #[inline(always)]
     fn starts(&self) -> u128 {

@@ -73,14 +73,14 @@ impl Table {
             let joins = &parts.joins[column];
             let real = joins.filled & parts.real[column];
             rays.points(simd, column, range_m, real, &mut points);
-            for (label, first, last) in components.runs_of(column) {
+            for (label, run) in components.runs_of(column) {
                 let Some(place) = label.checked_sub(LABEL_FIRST_SEGMENT) else { continue };
                 let sum = &mut self.sums[place as usize];
-                let word = real & first_rows(last + 1) & !first_rows(first);
-                let count = word.count_ones();
+                let ([first, last], count) = (run.rows(), run.points());
                 if count as usize == last + 1 - first {
                     sum.add(simd, column as u32, [first, last], count, points[first..=last].iter());
-                } else if word != 0 {
+                } else if count > 0 {
+                    let word = real & first_rows(last + 1) & !first_rows(first);
                     let ends = [word.trailing_zeros() as usize, MAX_ROWS - 1 - word.leading_zeros() as usize];
                     sum.add(simd, column as u32, ends, count, bits(word).map(|row| &points[row]));
                 }
