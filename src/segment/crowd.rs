@@ -6,9 +6,9 @@
 
 use fearless_simd::{Simd, prelude::*, u32x16};
 
+use super::pieces::Pieces;
 use super::points::{BEFORE, LANES, Points, STRIP};
 use super::reach::Entries;
-use super::runs::Runs;
 use super::window::{MOST_COLUMNS, MOST_ROWS, Miss, Point, Test};
 use super::work;
 
@@ -71,34 +71,34 @@ impl Crowd {
         test: &Test,
         points: &Points,
         entries: &Entries,
-        runs: &mut Runs,
+        pieces: &mut Pieces,
         misses: &mut Vec<Miss>,
     ) {
         let rows = points.rows();
         for entering in 0..rows + test.rows() {
             if entering < rows {
-                self.enter(test, entries, entering, runs);
+                self.enter(test, entries, entering, pieces);
             }
             let Some(row) = entering.checked_sub(test.rows()) else { continue };
             for column in (0..STRIP as isize).step_by(LANES) {
                 let here = Lanes { row, column };
-                self.compare(simd, test, points, (here, row, 1), runs);
+                self.compare(simd, test, points, (here, row, 1), pieces);
                 for below in row + 1..rows.min(entering + 1) {
-                    self.compare(simd, test, points, (here, below, 0), runs);
-                    self.compare(simd, test, points, (Lanes { row: below, column }, row, 1), runs);
+                    self.compare(simd, test, points, (here, below, 0), pieces);
+                    self.compare(simd, test, points, (Lanes { row: below, column }, row, 1), pieces);
                 }
             }
-            self.note(simd, test, points, runs, misses);
+            self.note(simd, test, points, pieces, misses);
         }
     }
 
     /// Writes down of which component each point of a row is.
     #[inline(always)]
-    fn enter(&mut self, test: &Test, entries: &Entries, row: usize, runs: &mut Runs) {
+    fn enter(&mut self, test: &Test, entries: &Entries, row: usize, pieces: &mut Pieces) {
         let roots = &mut self.root[row * STRIDE..][..STRIDE];
         roots.fill(NOTHING);
         for entry in entries.of(row) {
-            let root = known(test, runs.root(entries.run[entry]), runs);
+            let root = known(test, pieces.root(entries.piece[entry]), pieces);
             roots[entries.first[entry] as usize..=entries.last[entry] as usize].fill(root);
         }
     }
@@ -112,7 +112,7 @@ impl Crowd {
         test: &Test,
         points: &Points,
         (here, other, from): (Lanes, usize, isize),
-        runs: &mut Runs,
+        pieces: &mut Pieces,
     ) {
         let mut root = self.roots(simd, here);
         let is = !root.simd_eq(NOTHING);
@@ -135,7 +135,7 @@ impl Crowd {
                 self.near.push([here, before]);
             }
             if joined.any_true() {
-                self.unite(test, [here, before], joined.to_bitmask(), runs);
+                self.unite(test, [here, before], joined.to_bitmask(), pieces);
                 root = self.roots(simd, here);
             }
         }
@@ -144,7 +144,7 @@ impl Crowd {
     /// Notes which points of a row are near others, and of a component that is still small, or near such a one: what is joined
     /// to the row is known by now.
     #[inline(always)]
-    fn note<S: Simd>(&mut self, simd: S, test: &Test, points: &Points, runs: &mut Runs, misses: &mut Vec<Miss>) {
+    fn note<S: Simd>(&mut self, simd: S, test: &Test, points: &Points, pieces: &mut Pieces, misses: &mut Vec<Miss>) {
         while let Some([here, before]) = self.near.pop() {
             let (root, there) = (self.roots(simd, here), self.roots(simd, before));
             let is = !root.simd_eq(NOTHING) & !there.simd_eq(NOTHING) & !there.simd_eq(root);
@@ -160,9 +160,9 @@ impl Crowd {
                 let lane = left.trailing_zeros() as usize;
                 left &= left - 1;
                 work::count(1);
-                let roots = self.look_up(test, [here, before].map(|lanes| lanes.place() + lane), runs);
-                if roots[0] != roots[1] && roots.iter().any(|&root| test.is_small(root, runs)) {
-                    misses.push(Miss { runs: roots, apart2: apart2[lane] });
+                let roots = self.look_up(test, [here, before].map(|lanes| lanes.place() + lane), pieces);
+                if roots[0] != roots[1] && roots.iter().any(|&root| test.is_small(root, pieces)) {
+                    misses.push(Miss { pieces: roots, apart2: apart2[lane] });
                 }
             }
         }
@@ -175,31 +175,31 @@ impl Crowd {
 
     /// Makes one of the components of some lanes.
     #[inline(always)]
-    fn unite(&mut self, test: &Test, pair: [Lanes; 2], mut lanes: u64, runs: &mut Runs) {
+    fn unite(&mut self, test: &Test, pair: [Lanes; 2], mut lanes: u64, pieces: &mut Pieces) {
         while lanes != 0 {
             let places = pair.map(|one| one.place() + lanes.trailing_zeros() as usize);
             lanes &= lanes - 1;
             work::count(1);
             let [a, b] = places.map(|place| self.root[place] & !LARGE);
-            let [root, _] = runs.unite(a, b);
+            let [root, _] = pieces.unite(a, b);
             for place in places {
-                self.root[place] = known(test, root, runs);
+                self.root[place] = known(test, root, pieces);
             }
         }
     }
 
     /// The roots of two points, which are then known.
     #[inline(always)]
-    fn look_up(&mut self, test: &Test, places: [usize; 2], runs: &mut Runs) -> [u32; 2] {
+    fn look_up(&mut self, test: &Test, places: [usize; 2], pieces: &mut Pieces) -> [u32; 2] {
         places.map(|place| {
-            let root = runs.root(self.root[place] & !LARGE);
-            self.root[place] = known(test, root, runs);
+            let root = pieces.root(self.root[place] & !LARGE);
+            self.root[place] = known(test, root, pieces);
             root
         })
     }
 }
 
 /// What is known of a component, by its root.
-fn known(test: &Test, root: u32, runs: &Runs) -> u32 {
-    if test.is_small(root, runs) { root } else { root | LARGE }
+fn known(test: &Test, root: u32, pieces: &Pieces) -> u32 {
+    if test.is_small(root, pieces) { root } else { root | LARGE }
 }

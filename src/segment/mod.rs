@@ -7,7 +7,7 @@
 //! ```text
 //! begin         what the sweep says of its beams, and how high the sensor is      mask, mount
 //! find_ground   the ground of the next strip of columns                           points, ground
-//! join          what is no ground there: stretches of neighbours, then of others  runs, reach, fan, window, crowd
+//! join          what is no ground there: stretches of neighbours, then of others  pieces, reach, fan, window, crowd
 //! label         components, small ones to others, labels and segments table       strips, tiles
 //! ```
 //!
@@ -28,9 +28,9 @@ pub mod mask;
 pub mod mount;
 pub mod naive;
 pub mod paper;
+mod pieces;
 pub mod points;
 mod reach;
-mod runs;
 pub mod settings;
 mod strips;
 mod tiles;

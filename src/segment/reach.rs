@@ -7,8 +7,8 @@ use std::ops::{Range, RangeInclusive};
 
 use fearless_simd::{Simd, prelude::*, u32x16};
 
+use super::pieces::{Part, Pieces, Sum, Whereabouts, measure};
 use super::points::{BEFORE, LANES, Points, STRIP, load};
-use super::runs::{Part, Runs, Sum, Whereabouts, measure};
 
 /// Most runs within reach in a row: one in every column.
 const MOST: usize = BEFORE + STRIP;
@@ -26,8 +26,9 @@ pub(super) struct Entries {
     count: usize,
     rows: Vec<Row>,
     pub row: Vec<u16>,
-    pub run: Vec<u32>,
-    /// The root of each run's component, as far as [`Entries::refresh`] and [`Entries::rename`] were told.
+    /// The piece of each.
+    pub piece: Vec<u32>,
+    /// The root of each one's component, as far as [`Entries::refresh`] and [`Entries::rename`] were told.
     pub root: Vec<u32>,
     /// First column within reach.
     pub first: Vec<f32>,
@@ -39,6 +40,15 @@ pub(super) struct Entries {
     high_m: Vec<f32>,
     /// Least and greatest distance in the strip at hand alone.
     here_m: Vec<[f32; 2]>,
+}
+
+/// Which columns of a row of the strip at hand are joined to their neighbours.
+#[derive(Clone, Copy, Debug)]
+pub(super) struct Joined {
+    /// To the column before.
+    pub along: u32,
+    /// To the row above.
+    pub down: u32,
 }
 
 /// Where a row's runs stand.
@@ -58,7 +68,7 @@ impl Entries {
         // A vector may be read beyond the last.
         let most = rows * MOST + LANES;
         self.row.resize(most, 0);
-        self.run.resize(most, 0);
+        self.piece.resize(most, 0);
         self.root.resize(most, 0);
         for table in [&mut self.first, &mut self.last, &mut self.low_m, &mut self.high_m] {
             table.resize(most, 0.0);
@@ -100,15 +110,15 @@ impl Entries {
         let of = |column: f32| (column as usize).checked_sub(BEFORE);
         self.of(row).filter_map(move |entry| {
             let last = of(self.last[entry])?;
-            Some((self.run[entry], of(self.first[entry]).unwrap_or(0)..=last))
+            Some((self.piece[entry], of(self.first[entry]).unwrap_or(0)..=last))
         })
     }
 
     /// Asks for the roots of a row's runs.
     #[inline(always)]
-    pub fn refresh(&mut self, row: usize, runs: &mut Runs) {
+    pub fn refresh(&mut self, row: usize, pieces: &mut Pieces) {
         for entry in self.of(row) {
-            self.root[entry] = runs.root(self.run[entry]);
+            self.root[entry] = pieces.root(self.piece[entry]);
         }
     }
 
@@ -143,11 +153,11 @@ impl Entries {
     }
 
     #[inline(always)]
-    fn push(&mut self, row: usize, run: u32, columns: [f32; 2], distance_m: [f32; 2], here_m: [f32; 2]) {
+    fn push(&mut self, row: usize, piece: u32, columns: [f32; 2], distance_m: [f32; 2], here_m: [f32; 2]) {
         let entry = self.count;
         self.count += 1;
         self.row[entry] = row as u16;
-        self.run[entry] = run;
+        self.piece[entry] = piece;
         [self.first[entry], self.last[entry]] = columns;
         [self.low_m[entry], self.high_m[entry]] = distance_m;
         self.here_m[entry] = here_m;
@@ -183,33 +193,34 @@ impl Reach {
                 let first = (before.first[entry] - STRIP as f32).max(0.0);
                 // All that is left of it was in that strip.
                 let here_m = before.here_m[entry];
-                now.push(row, before.run[entry], [first, last], here_m, here_m);
+                now.push(row, before.piece[entry], [first, last], here_m, here_m);
             }
         }
         now.rows[row] = Row { from, here: now.count, starts: 0, end: now.count };
         now.count > from && now.last[now.count - 1] == (BEFORE - 1) as f32
     }
 
-    /// Takes the runs of the strip at hand: `on` are its columns, `joined` those that are joined to the one before.
+    /// Takes the runs of a row of the strip at hand, of which `on` are the columns: each to the piece of those in the row above
+    /// that it is joined to.
     #[inline(always)]
     pub fn take<S: Simd>(
         &mut self,
         simd: S,
         points: &Points,
-        [on, joined]: [u32; 2],
+        (on, joined): (u32, Joined),
         at: Whereabouts,
-        runs: &mut Runs,
+        pieces: &mut Pieces,
     ) {
         let now = &mut self.now;
         let row = usize::from(at.row);
-        let goes_on = joined & 1 == 1;
-        now.rows[row].starts = on & (!joined | 1);
+        let goes_on = joined.along & 1 == 1;
+        now.rows[row].starts = on & (!joined.along | 1);
         now.rows[row].here -= usize::from(goes_on);
         let lane = points.at(row);
         let mut left = on;
         while left != 0 {
             let first = left.trailing_zeros();
-            let length = 1 + (u64::from(joined) >> (first + 1)).trailing_ones();
+            let length = 1 + (u64::from(joined.along) >> (first + 1)).trailing_ones();
             let columns = (((1_u64 << length) - 1) << first) as u32;
             left &= !columns;
             let counted = columns & at.counted;
@@ -219,23 +230,32 @@ impl Reach {
                 _ => Sum { first: at.first_pixel(counted), rows: [at.row; 2], ..sum },
             };
             let is_going_on = first == 0 && goes_on;
+            let mut root = is_going_on.then(|| pieces.root(now.piece[now.count - 1]));
+            let mut above = joined.down & columns;
+            while above != 0 {
+                let entry = now.holding(row - 1, above.trailing_zeros());
+                let other = pieces.root(now.piece[entry]);
+                root = Some(root.map_or(other, |root| pieces.unite(root, other)[0]));
+                above &= (u32::MAX - 1) << (now.last[entry] as u32 - BEFORE as u32);
+            }
+            let piece = match root {
+                Some(root) => pieces.go_on(root, &sum),
+                None => pieces.begin(sum),
+            };
             let first = (BEFORE as u32 + first) as f32;
             let last = first + (length - 1) as f32;
-            let run = if is_going_on {
+            if is_going_on {
                 let entry = now.count - 1;
-                runs.go_on(now.run[entry], &sum);
+                now.piece[entry] = piece;
                 now.last[entry] = last;
                 now.here_m[entry] = [low_m, high_m];
                 now.low_m[entry] = now.low_m[entry].min(low_m);
                 now.high_m[entry] = now.high_m[entry].max(high_m);
-                now.run[entry]
             } else {
-                let run = runs.begin(sum);
-                now.push(row, run, [first, last], [low_m, high_m], [low_m, high_m]);
-                run
-            };
+                now.push(row, piece, [first, last], [low_m, high_m], [low_m, high_m]);
+            }
             if counted != 0 {
-                runs.parts.push(Part { run, row: at.row, strip: at.strip, columns: counted });
+                pieces.parts.push(Part { piece, row: at.row, strip: at.strip, columns: counted });
             }
         }
         now.rows[row].end = now.count;

@@ -3,7 +3,7 @@
 //! ```text
 //! begin         beams, how far they spread, height, the test
 //! find_ground   the points of the next strip; its columns are climbed, and compared with those before
-//! join          the vote on the strip at hand, its runs, and what within reach they are joined to
+//! join          the vote on the strip at hand, its runs, their pieces, and what within reach these are joined to
 //! label         components, small ones to others, labels, segments table
 //! ```
 //!
@@ -16,9 +16,9 @@ use super::crowd::Crowd;
 use super::extent::Extent;
 use super::fan::Fan;
 use super::ground::{SlopeGround, Stand, Window as Words};
+use super::pieces::{Pieces, Whereabouts};
 use super::points::{BEFORE, LANES, Points, STRIP};
-use super::reach::Reach;
-use super::runs::{Runs, Whereabouts};
+use super::reach::{Joined, Reach};
 use super::tiles::write_columns;
 use super::window::{Miss, Test};
 use super::{Config, reserve};
@@ -42,11 +42,11 @@ pub(super) struct Strips {
     crowd: Crowd,
     /// What is no ground in the strip at hand, row by row.
     on: Vec<u32>,
-    runs: Runs,
+    pieces: Pieces,
     misses: Vec<Miss>,
     /// Ground of the strips that count, row by row.
     ground: Vec<u32>,
-    /// Runs of the first columns: what they hold for the second time is the same.
+    /// Pieces of the first columns: what they hold for the second time is the same.
     first: Vec<[u32; BEFORE]>,
     finish: Finish,
 }
@@ -80,7 +80,7 @@ impl Strips {
             reach: Reach::default(),
             crowd: Crowd::default(),
             on: Vec::new(),
-            runs: Runs::default(),
+            pieces: Pieces::default(),
             misses: Vec::new(),
             ground: Vec::new(),
             first: Vec::new(),
@@ -99,14 +99,14 @@ impl Strips {
         self.on.resize(rows, 0);
         self.first.resize(rows, [0; BEFORE]);
         // The first columns are there twice.
-        let most_runs = pixels + rows * BEFORE;
-        self.runs.reserve(most_runs);
+        let most_pieces = pixels + rows * BEFORE;
+        self.pieces.reserve(most_pieces);
         reserve(&mut self.misses, pixels);
         reserve(&mut self.ground, rows * columns.div_ceil(STRIP));
-        reserve(&mut self.finish.roots, most_runs);
-        reserve(&mut self.finish.nearest, most_runs);
-        reserve(&mut self.finish.order, most_runs);
-        reserve(&mut self.finish.label, most_runs);
+        reserve(&mut self.finish.roots, most_pieces);
+        reserve(&mut self.finish.nearest, most_pieces);
+        reserve(&mut self.finish.order, most_pieces);
+        reserve(&mut self.finish.label, most_pieces);
         reserve(&mut self.finish.extents, sweep.segments.len());
         reserve(&mut self.finish.tile, rows * STRIP);
     }
@@ -205,41 +205,39 @@ impl Strips {
             if on == 0 {
                 continue;
             }
-            let joined = test.along(simd, &self.points, row, u64::from(on) << 1 | before);
+            let above = row.checked_sub(1).map_or(0, |above| self.on[above]);
+            let joined = Joined {
+                along: test.along(simd, &self.points, row, u64::from(on) << 1 | before),
+                down: test.down(simd, &self.points, row, above & on),
+            };
             let at =
                 Whereabouts { strip: (position / STRIP - 1) as u16, order, position, row: row as u16, rows, counted };
-            self.reach.take(simd, &self.points, [on, joined], at, &mut self.runs);
+            self.reach.take(simd, &self.points, (on, joined), at, &mut self.pieces);
         }
-        for below in 1..rows {
-            let both = self.on[below - 1] & self.on[below];
-            if both != 0 {
-                test.touch(simd, &self.points, [below - 1, below], both, &self.reach.now, &mut self.runs);
-            }
-        }
-        let Self { points, fan, reach, crowd, runs, misses, .. } = self;
+        let Self { points, fan, reach, crowd, pieces, misses, .. } = self;
         match Crowd::is_in(&reach.now, rows) {
-            true => crowd.join(simd, &test, points, &reach.now, runs, misses),
-            false => test.join(simd, points, fan, &mut reach.now, runs, misses),
+            true => crowd.join(simd, &test, points, &reach.now, pieces, misses),
+            false => test.join(simd, points, fan, &mut reach.now, pieces, misses),
         }
         if order.circular {
             self.meet(position);
         }
     }
 
-    /// Notes the runs of the first columns, or unites them with what these hold for the second time.
+    /// Notes the pieces of the first columns, or unites them with what these hold for the second time.
     fn meet(&mut self, position: usize) {
         let order = self.points.order;
         if position >= STRIP + BEFORE && position + STRIP <= order.end() {
             return;
         }
         for (row, first) in self.first.iter_mut().enumerate() {
-            for (run, columns) in self.reach.now.at_hand(row) {
+            for (piece, columns) in self.reach.now.at_hand(row) {
                 for position in columns.map(|column| position + column) {
                     if position < STRIP + BEFORE {
-                        first[position - STRIP] = run;
+                        first[position - STRIP] = piece;
                     }
                     if let Some(again) = position.checked_sub(order.end()) {
-                        self.runs.unite(run, first[again]);
+                        self.pieces.unite(piece, first[again]);
                     }
                 }
             }
@@ -265,12 +263,12 @@ impl Strips {
         }
     }
 
-    /// Lets each run know its component, and lists the roots of these.
+    /// Lets each piece know its component, and lists the roots of these.
     fn components(&mut self) {
-        self.runs.flatten();
+        self.pieces.flatten();
         let roots = &mut self.finish.roots;
         roots.clear();
-        roots.extend((0..).zip(&self.runs.parent).filter_map(|(run, &root)| (run == root).then_some(run)));
+        roots.extend((0..).zip(&self.pieces.parent).filter_map(|(piece, &root)| (piece == root).then_some(piece)));
     }
 
     /// Gives the small components to the nearest that is not: its root is the parent of theirs.
@@ -279,7 +277,7 @@ impl Strips {
             return;
         }
         self.find_nearest(small_points);
-        let Runs { parent, sums, .. } = &mut self.runs;
+        let Pieces { parent, sums, .. } = &mut self.pieces;
         for &root in &self.finish.roots {
             let (_, _, large) = self.finish.nearest[root as usize];
             if large != u32::MAX {
@@ -293,12 +291,12 @@ impl Strips {
     /// Finds for the root of each small component the nearest that is not small, if one is near enough.
     fn find_nearest(&mut self, small_points: u32) {
         let nearest = &mut self.finish.nearest;
-        let Runs { parent, sums, .. } = &self.runs;
+        let Pieces { parent, sums, .. } = &self.pieces;
         nearest.clear();
         nearest.resize(parent.len(), (f32::INFINITY, u32::MAX, u32::MAX));
         let is_small = |root: u32| sums[root as usize].points < small_points;
         for miss in &self.misses {
-            let [a, b] = miss.runs.map(|run| parent[run as usize]);
+            let [a, b] = miss.pieces.map(|piece| parent[piece as usize]);
             let (small, large) = match [is_small(a), is_small(b)] {
                 [true, false] => (a, b),
                 [false, true] => (b, a),
@@ -315,7 +313,7 @@ impl Strips {
     /// Numbers the components that are large enough by their first pixels, and writes what is known of them.
     fn number(&mut self, config: &Config, segments: &mut [Segment]) -> usize {
         let Finish { roots, order, label, extents, .. } = &mut self.finish;
-        let Runs { parent, sums, .. } = &self.runs;
+        let Pieces { parent, sums, .. } = &self.pieces;
         order.clear();
         for &root in &*roots {
             let sum = &sums[root as usize];
@@ -348,7 +346,7 @@ impl Strips {
         let labels = &mut sweep.label[pixels];
         let Finish { label, extents, tile, .. } = &mut self.finish;
         tile.resize(rows * STRIP, 0);
-        let Runs { parent, parts, .. } = &self.runs;
+        let Pieces { parent, parts, .. } = &self.pieces;
         let mut parts = parts.iter().peekable();
         let order = self.points.order;
         for (strip, ground) in self.ground.chunks_exact(rows).enumerate() {
@@ -357,7 +355,7 @@ impl Strips {
                 fill(simd, row, *ground, LABEL_GROUND, true);
             }
             while let Some(part) = parts.next_if(|part| usize::from(part.strip) == strip) {
-                let number = label[parent[part.run as usize] as usize];
+                let number = label[parent[part.piece as usize] as usize];
                 if let Some(place) = number.checked_sub(LABEL_FIRST_SEGMENT) {
                     fill(simd, &mut tile[usize::from(part.row) * STRIP..][..STRIP], part.columns, number, false);
                     extents[place as usize].add(position, part.columns, order);

@@ -22,9 +22,9 @@ use fearless_simd::{Simd, f32x16, mask32x16, prelude::*};
 
 use super::DENSE_ROWS;
 use super::fan::Fan;
+use super::pieces::Pieces;
 use super::points::{BEFORE, LANES, Points, STRIP, load};
 use super::reach::Entries;
-use super::runs::Runs;
 use super::work;
 
 /// What is joined.
@@ -75,10 +75,10 @@ pub(super) struct Test {
     small_points: u32,
 }
 
-/// Two runs that are not joined but near each other, and the square of their distance.
+/// Two pieces that are not joined but near each other, and the square of their distance.
 #[derive(Clone, Copy, Debug)]
 pub(super) struct Miss {
-    pub runs: [u32; 2],
+    pub pieces: [u32; 2],
     pub apart2: f32,
 }
 
@@ -122,8 +122,8 @@ impl Test {
 
     /// Whether a component has so few points that it may become part of another one.
     #[inline(always)]
-    pub fn is_small(&self, root: u32, runs: &Runs) -> bool {
-        !runs.has(root, self.small_points)
+    pub fn is_small(&self, root: u32, pieces: &Pieces) -> bool {
+        !pieces.has(root, self.small_points)
     }
 
     /// Which columns of a row of the strip at hand are joined to the one before: of those that are on, a bit each after one
@@ -145,35 +145,20 @@ impl Test {
         joined
     }
 
-    /// Joins the runs of the strip at hand that touch: of a row with those of the next, where columns are on in both.
+    /// Which columns of a row of the strip at hand are joined to those of the row above: of those that are on in both.
     #[inline(always)]
-    pub fn touch<S: Simd>(
-        &self,
-        simd: S,
-        points: &Points,
-        [row, below]: [usize; 2],
-        both: u32,
-        entries: &Entries,
-        runs: &mut Runs,
-    ) {
+    pub fn down<S: Simd>(&self, simd: S, points: &Points, row: usize, both: u32) -> u32 {
         let mut joined = 0;
         for half in 0..STRIP / LANES {
             if both >> (half * LANES) & 0xFFFF != 0 {
                 work::count(1);
-                let a = Point::load(simd, points, points.at(row) + half * LANES);
-                let b = Point::load(simd, points, points.at(below) + half * LANES);
-                let is = self.joins(&a, &b, a.apart2(&b));
+                let [above, here] = [row - 1, row].map(|row| points.at(row) + half * LANES);
+                let (above, here) = (Point::load(simd, points, above), Point::load(simd, points, here));
+                let is = self.joins(&above, &here, above.apart2(&here));
                 joined |= (is.to_bitmask() as u32) << (half * LANES);
             }
         }
-        joined &= both;
-        while joined != 0 {
-            let column = joined.trailing_zeros();
-            let (a, b) = (entries.holding(row, column), entries.holding(below, column));
-            runs.unite(entries.run[a], entries.run[b]);
-            let last = entries.last[a].min(entries.last[b]) as u32 - BEFORE as u32;
-            joined &= (u32::MAX - 1) << last;
-        }
+        joined & both
     }
 
     /// Joins the runs of the strip at hand with each other and with those before.
@@ -184,20 +169,20 @@ impl Test {
         points: &Points,
         fan: &Fan,
         entries: &mut Entries,
-        runs: &mut Runs,
+        pieces: &mut Pieces,
         misses: &mut Vec<Miss>,
     ) {
         let rows = points.rows();
         for entering in 0..rows + self.rows {
             if entering < rows {
-                entries.refresh(entering, runs);
+                entries.refresh(entering, pieces);
             }
             let Some(row) = entering.checked_sub(self.rows) else { continue };
             let below = self.rows.min(rows - 1 - row);
             let window_end = entries.of(row + below).end;
             for entry in entries.of(row) {
                 let end = entries.of(row + fan.rows_below(row, below, entries.low_m(entry))).end;
-                self.join_one(simd, points, (entry..end, window_end), entries, runs, misses);
+                self.join_one(simd, points, (entry..end, window_end), entries, pieces, misses);
             }
         }
     }
@@ -211,7 +196,7 @@ impl Test {
         points: &Points,
         (among, window_end): (Range<usize>, usize),
         entries: &mut Entries,
-        runs: &mut Runs,
+        pieces: &mut Pieces,
         misses: &mut Vec<Miss>,
     ) {
         let (a, end) = (among.start, among.end);
@@ -226,20 +211,20 @@ impl Test {
                     continue;
                 }
                 // Two that are not small any more are joined or nothing.
-                let is_one_small = self.is_small(entries.root[a], runs) || self.is_small(entries.root[b], runs);
+                let is_one_small = self.is_small(entries.root[a], pieces) || self.is_small(entries.root[b], pieces);
                 if !is_one_small && entries.are_apart(a, b, self.gap_m + SLACK_M) {
                     continue;
                 }
-                let both = [entries.run[a], entries.run[b]];
+                let both = [entries.piece[a], entries.piece[b]];
                 match self.verdict(simd, points, Stretch::new(entries, a, points), Stretch::new(entries, b, points)) {
                     Verdict::Joined => {
-                        let [root, gone] = runs.unite(both[0], both[1]);
+                        let [root, gone] = pieces.unite(both[0], both[1]);
                         work::count((window_end - a).div_ceil(LANES));
                         entries.rename(simd, a..window_end, gone, root);
                     }
                     Verdict::Near(apart2) if is_one_small => {
                         work::count(1);
-                        misses.push(Miss { runs: both, apart2 });
+                        misses.push(Miss { pieces: both, apart2 });
                     }
                     Verdict::Near(_) | Verdict::Apart => {}
                 }

@@ -1,8 +1,9 @@
-//! What is no ground, as runs: stretches of neighbours in a row, each joined to the next. A wall is one run in each row,
-//! however wide it is.
+//! What is no ground, as runs and the pieces that they grow to.
 //!
-//! Runs live on from strip to strip. Those that the window can still reach stand in [`super::reach`]; what is known of all of
-//! them stands in [`Runs`], which is also the union-find of the components.
+//! A run is a stretch of neighbours in a row, each joined to the next: a wall is one run in each row, however wide it is. Runs
+//! live on from strip to strip. One that is joined to a run of the row above belongs to the same piece; any other begins a new
+//! one, and where a run is joined to several pieces, they are united. The runs that the window can still reach stand in
+//! [`super::reach`]; what is known of all pieces stands in [`Pieces`], which is also the union-find of the components.
 
 use std::ops::Range;
 
@@ -13,13 +14,13 @@ use super::points::{LANES, Order, Points, STRIP, load};
 use super::work;
 use crate::sweep::Segment;
 
-/// All runs of an image, and which of them belong together.
+/// All pieces of an image, and which of them belong together.
 #[derive(Clone, Debug, Default)]
-pub(super) struct Runs {
-    /// A run of the same component that came earlier, or the run itself. At the end, of the root of a small component: the root
-    /// of the one that it became part of.
+pub(super) struct Pieces {
+    /// A piece of the same component that began earlier, or the piece itself. At the end, of the root of a small component: the
+    /// root of the one that it became part of.
     pub parent: Vec<u32>,
-    /// What a component measures so far, at its root; what stands at other runs counts no more.
+    /// What a component measures so far, at its root; what stands at other pieces counts no more.
     pub sums: Vec<Sum>,
     /// The runs strip by strip, each strip row by row.
     pub parts: Vec<Part>,
@@ -28,7 +29,7 @@ pub(super) struct Runs {
 /// A run within a strip.
 #[derive(Clone, Copy, Debug)]
 pub(super) struct Part {
-    pub run: u32,
+    pub piece: u32,
     pub row: u16,
     pub strip: u16,
     /// Its columns.
@@ -84,42 +85,42 @@ impl Sum {
     }
 }
 
-impl Runs {
-    /// Takes room for as many runs as an image can have.
+impl Pieces {
+    /// Takes room for as many pieces as an image can have.
     pub fn reserve(&mut self, pixels: usize) {
         super::reserve(&mut self.parent, pixels);
         super::reserve(&mut self.sums, pixels);
         super::reserve(&mut self.parts, pixels);
     }
 
-    /// A run that begins here, and what it measures so far.
+    /// A piece that begins here, and what it measures so far.
     #[inline(always)]
     pub fn begin(&mut self, sum: Sum) -> u32 {
-        let run = self.parent.len() as u32;
-        self.parent.push(run);
+        let piece = self.parent.len() as u32;
+        self.parent.push(piece);
         self.sums.push(sum);
-        run
+        piece
     }
 
-    /// A run goes on into the strip at hand, and measures this there.
+    /// The component of a root goes on, and measures this there.
     #[inline(always)]
-    pub fn go_on(&mut self, run: u32, sum: &Sum) {
-        let root = self.root(run);
+    pub fn go_on(&mut self, root: u32, sum: &Sum) -> u32 {
         self.sums[root as usize].add(sum);
+        root
     }
 
-    /// The earliest run that is known to belong to the same component.
+    /// The earliest piece that is known to belong to the same component.
     #[inline(always)]
-    pub fn root(&mut self, mut run: u32) -> u32 {
+    pub fn root(&mut self, mut piece: u32) -> u32 {
         loop {
             work::count(1);
-            let parent = self.parent[run as usize];
-            if parent == run {
-                return run;
+            let parent = self.parent[piece as usize];
+            if parent == piece {
+                return piece;
             }
             let grandparent = self.parent[parent as usize];
-            self.parent[run as usize] = grandparent;
-            run = grandparent;
+            self.parent[piece as usize] = grandparent;
+            piece = grandparent;
         }
     }
 
@@ -140,11 +141,11 @@ impl Runs {
         self.sums[root as usize].points >= points
     }
 
-    /// Lets every run know its root.
+    /// Lets every piece know its root.
     pub fn flatten(&mut self) {
-        for run in 0..self.parent.len() {
+        for piece in 0..self.parent.len() {
             // A parent comes earlier, so it knows its root already.
-            self.parent[run] = self.parent[self.parent[run] as usize];
+            self.parent[piece] = self.parent[self.parent[piece] as usize];
         }
     }
 }
