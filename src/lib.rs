@@ -50,6 +50,7 @@
 //! | label | u32 per pixel: 0 none, 1 ground, 2.. segment |
 //! | segment | connected non-ground pixels with one label |
 //! | strip, run | 32 columns, segmented together; a stretch of pixels in a row, or in a column, each joined to the next |
+//! | piece, component | runs that were joined as they were taken; pieces that belong together, whatever joins them |
 //! | scan, truth, object | a cloud that people labelled; the labels they gave; what segments are scored against |
 //! | drop, loss, gap | datagrams discarded by the kernel or by us; packets missing by the sensor's clock; columns missing in a sweep |
 //! | consumer | a program that reads sweeps from shared memory |

@@ -51,6 +51,16 @@ fn a_sweep_without_columns_has_no_labels() {
 }
 
 #[test]
+fn a_sweep_without_rows_has_no_labels() {
+    let mut buffer = HeapBuffers::default().take(1 << 16);
+    let shape = Shape { rows: 0, columns_capacity: 40, dual: false, segments_capacity: 1 };
+    let mut sweep = SweepMut::create(buffer.as_mut(), &shape).unwrap();
+    sweep.header.columns = 40;
+    segment(&mut sweep, Level::new());
+    assert_eq!((sweep.header.segments, sweep.header.ground), (0, 0));
+}
+
+#[test]
 fn the_table_is_what_the_pixels_say() {
     with_scans(|scan, sweep| {
         segment(sweep, Level::new());

@@ -11,6 +11,7 @@ use sweepd::segment::points::placed;
 use sweepd::segment::{Config, Joining, Mask, Method, Mount, Segmenter, SlopeGround, naive};
 use sweepd::sensor::Beam;
 use sweepd::sensor::calibration::TwoPoint;
+use sweepd::sweep::lanes::levels;
 use sweepd::sweep::layout::{LABEL_FIRST_SEGMENT, LABEL_GROUND, LABEL_NONE, flags, is_return};
 use sweepd::sweep::{BeamRow, Buffers, Column, HeapBuffers, Shape, SweepMut, SweepRef};
 use zerocopy::IntoBytes;
@@ -161,8 +162,7 @@ fn label_of(sweep: &mut SweepMut<'_>, config: &Config) {
     Segmenter::new(config.clone()).unwrap().segment(sweep);
 }
 
-/// The labels with each segment named by its first pixel in an order that a rotation does not change.
-/// The same in pieces: at each stop, a share of the columns, what will stay as it is.
+/// The same in steps: at each stop, a share of the columns, what will stay as it is.
 fn label_early(sweep: &mut SweepMut<'_>, config: &Config, mut stops: Vec<f64>) {
     stops.sort_by(f64::total_cmp);
     let (whole, image, range) = (sweep.header.columns, sweep.image_pixels(), sweep.range.to_vec());
@@ -197,6 +197,7 @@ fn written(sweep: &SweepRef<'_>) -> (Vec<u32>, Vec<u32>, Vec<u8>) {
     (sweep.label.to_vec(), sweep.label2.to_vec(), segments)
 }
 
+/// The labels with each segment named by its first pixel in an order that a rotation does not change.
 fn canonical(labels: &[u32], rows: usize, start: usize) -> Vec<u32> {
     let mut labels = labels.to_vec();
     labels.rotate_right(start * rows);
@@ -251,10 +252,15 @@ proptest! {
     fn fast_is_naive(scene in scenes(), paper in any::<bool>()) {
         let config = scene.config(if paper { Method::Paper } else { Method::Slope });
         scene.with_sweep(0, |sweep| {
-            label_of(sweep, &config);
-            let sweep = sweep.as_ref();
-            let naive = naive::segment(&sweep, &config, config.mount.height_m);
-            prop_assert_eq!(sweep.label, &naive[..]);
+            let naive = naive::segment(&sweep.as_ref(), &config, config.mount.height_m);
+            let mut first = None;
+            for level in levels() {
+                Segmenter::with_level(config.clone(), level).unwrap().segment(sweep);
+                let sweep = sweep.as_ref();
+                prop_assert_eq!(sweep.label, &naive[..], "{:?}", level);
+                let written = written(&sweep);
+                prop_assert!(first.get_or_insert_with(|| written.clone()) == &written, "{:?}", level);
+            }
             Ok(())
         })?;
     }
@@ -292,8 +298,8 @@ proptest! {
     }
 
     #[test]
-    fn tables_and_planes_agree(scene in scenes()) {
-        let config = scene.config(Method::Slope);
+    fn tables_and_planes_agree(scene in scenes(), paper in any::<bool>()) {
+        let config = scene.config(if paper { Method::Paper } else { Method::Slope });
         scene.with_sweep(0, |sweep| {
             label_of(sweep, &config);
             let sweep = sweep.as_ref();

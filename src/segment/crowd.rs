@@ -1,8 +1,9 @@
 //! Where runs are short and many, as in dust, spray or a hedge: points are compared, and not runs. Sixteen columns of a row at
-//! once, with the sixteen that are as far aside, for each place of the window.
+//! once, with the sixteen that lie so many rows and columns from them, for each place of the window.
 //!
 //! It is the same test of the same pairs as [`super::window`]'s, so the labels are the same. Its time hardly depends on how many
-//! runs there are: most places are settled by two loads and two comparisons, since all there is of one component by then.
+//! runs there are: most places are settled by two loads and two comparisons, since what lies there is of the same component by
+//! then.
 
 use fearless_simd::{Simd, prelude::*, u32x16};
 
@@ -18,7 +19,7 @@ const STRIDE: usize = BEFORE + STRIP;
 const NOTHING: u32 = u32::MAX;
 /// Beside the root of a component that is not small any more.
 const LARGE: u32 = 1 << 31;
-/// So many runs within reach of a row, on average, are a crowd: from here on this is the faster way.
+/// More runs than this within reach of a row, on average, are a crowd: there this is the faster way.
 const MANY: usize = 16;
 
 /// The points of the columns within reach, by their components.
@@ -103,8 +104,8 @@ impl Crowd {
         }
     }
 
-    /// Joins sixteen points of a row with those of another that are before them by as many columns as the window has, from so
-    /// many on.
+    /// Compares sixteen points of a row with those of a row that lie columns before them, from so many columns on to as many as
+    /// the window has, and joins them.
     #[inline(always)]
     fn compare<S: Simd>(
         &mut self,

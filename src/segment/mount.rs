@@ -62,7 +62,7 @@ const MIN_COLUMNS: usize = 64;
 /// The lowest return of most columns lies on the ground, the others on what stands near: their heights make a
 /// histogram, in which the lowest strong mode is the ground (the robot's own roof, or a wall, is higher). Its estimate
 /// is the median near that mode, and over the last sweeps, so that it does not jump; a sweep counts by its columns, since
-/// a piece of a turn may see little ground.
+/// a part of a turn may see little ground.
 #[derive(Clone, Debug, Default)]
 pub struct HeightEstimator {
     /// Sines of the beams' elevations.

@@ -1,9 +1,10 @@
 //! What is no ground, as runs and the pieces that they grow to.
 //!
 //! A run is a stretch of neighbours in a row, each joined to the next: a wall is one run in each row, however wide it is. Runs
-//! live on from strip to strip. One that is joined to a run of the row above belongs to the same piece; any other begins a new
-//! one, and where a run is joined to several pieces, they are united. The runs that the window can still reach stand in
-//! [`super::reach`]; what is known of all pieces stands in [`Pieces`], which is also the union-find of the components.
+//! live on from strip to strip, with their piece. One that is joined to a run of the row above goes to the first piece of that
+//! one's component; any other begins a new piece. Where a run is joined to several components, they are united. The runs that
+//! the window can still reach stand in [`super::reach`]; what is known of all pieces stands in [`Pieces`], which is also the
+//! union-find of the components.
 
 use std::ops::Range;
 
@@ -102,7 +103,7 @@ impl Pieces {
         piece
     }
 
-    /// The component of a root goes on, and measures this there.
+    /// The component of a root goes on, and measures this there; gives the root again.
     #[inline(always)]
     pub fn go_on(&mut self, root: u32, sum: &Sum) -> u32 {
         self.sums[root as usize].add(sum);

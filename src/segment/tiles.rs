@@ -4,7 +4,7 @@ use fearless_simd::{Simd, prelude::*, u32x16};
 
 use super::points::{LANES, STRIP};
 
-/// What was the third of each line is the third line, of sixteen lines of sixteen.
+/// Of sixteen lines of sixteen: what was the third of each line becomes the third line.
 #[inline(always)]
 pub(crate) fn turn_over<S: Simd, V: SimdBase<S>>(tile: [V; LANES]) -> [V; LANES] {
     deal(deal(deal(deal(tile))))

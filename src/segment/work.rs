@@ -2,7 +2,7 @@
 //! pixels.
 
 /// So many steps more. A step is sixteen pairs of points or of runs compared, an entry of a list written, or a look at the
-/// parent of a run. What is done once for each pixel or run in any case does not count.
+/// parent of a piece. What is done once for each pixel or run in any case does not count.
 #[cfg(not(test))]
 #[inline(always)]
 pub(super) fn count(_steps: usize) {}

@@ -25,7 +25,7 @@ pub const MAX_ROWS: usize = u128::BITS as usize;
 /// A column of an image as words, bit r for row r.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
 pub struct Joins {
-    /// Pixels with a range.
+    /// Pixels with a range; after [`Connector::connect`], those that are no ground.
     pub filled: u128,
     /// Pixels that belong together with the one below.
     pub below: u128,
@@ -86,7 +86,7 @@ impl Connector {
     ) {
         let (rows, columns) = (angles.rows(), angles.columns());
         assert!(rows <= MAX_ROWS && range_m.len() == rows * columns, "the image has the shape of its angles");
-        assert_eq!(ground.len(), columns, "the ground has a word for each column");
+        assert!(rows == 0 || ground.len() == columns, "the ground has a word for each column");
         joins.clear();
         self.prepare(angles, theta_rad.tan().recip());
         if !range_m.is_empty() {
@@ -232,7 +232,8 @@ impl Connector {
 /// Sines below this are narrow: the series of the cosine has no further term that double precision could hold.
 const NARROW: f64 = 0.02;
 
-/// Of a narrow one by its series, likewise.
+/// Sine of an angle, radians; of a narrow one by its series, which likewise has no further term that double precision could
+/// hold.
 fn sine(angle_rad: f64) -> f64 {
     if angle_rad >= NARROW {
         return angle_rad.sin();

@@ -7,7 +7,7 @@
 
 use fearless_simd::{Simd, SimdFloat, f64x8, prelude::*, u64x8};
 
-use super::connect::{MAX_ROWS, load, sixteens};
+use super::connect::{LANES, MAX_ROWS, load, sixteens};
 use crate::segment::reserve;
 use crate::segment::turn::{mean_rate_rad_s, turn_rad};
 use crate::sweep::corrected::Corrected;
@@ -18,6 +18,7 @@ use crate::sweep::{BeamRow, Column, SweepRef};
 /// The directions of a sweep's pixels.
 #[derive(Clone, Debug, Default)]
 pub struct Rays {
+    /// What the points of each sixteen rows are made from.
     lanes: Vec<Lanes<f32, LANES>>,
     /// The same in double precision, where a beam is bent; else empty.
     bent: Vec<[Lanes<f64, HALF>; 2]>,
@@ -29,9 +30,7 @@ pub struct Rays {
     margin: usize,
 }
 
-/// Rows that one instruction treats.
-const LANES: usize = 16;
-/// Rows that it treats in double precision.
+/// Rows that one instruction treats in double precision.
 const HALF: usize = LANES / 2;
 
 /// Points of a column, by row: right, forward, up, and the range, metres.
