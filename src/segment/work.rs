@@ -31,9 +31,9 @@ mod tests {
 
     /// Most steps a pixel that any of these images may take: a quarter more than the worst of them took when this was
     /// written.
-    const MOST: f64 = 12.0;
+    const MOST: f64 = 10.7;
     /// The same of a street.
-    const MOST_OF_A_STREET: f64 = 1.5;
+    const MOST_OF_A_STREET: f64 = 1.2;
 
     thread_local! {
         static STEPS: Cell<usize> = const { Cell::new(0) };
