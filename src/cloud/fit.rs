@@ -10,6 +10,8 @@
 //! give vertical offsets that no unit has, so that offset leans on the calibration as long as the scan does not speak
 //! clearly.
 
+use fearless_simd::{Level, dispatch};
+
 /// Noise of a point's height near the sensor, metres: the laser's own.
 const NOISE_M: f64 = 0.01;
 /// The same far away, radians: the vehicle's pitching during a turn.
@@ -22,6 +24,8 @@ const INDEPENDENT: f64 = 100.0;
 const OFFSETS_M: [f64; 2] = [0.0, 0.3];
 /// Points off the line by more than so many standard deviations do not count (Tukey's biweight).
 const CUT: f64 = 4.685;
+/// The median deviation of a round is looked for so far around that of the one before, in parts of it.
+const AROUND: f64 = 0.1;
 /// Standard deviations in a median deviation.
 const MEDIAN_DEVIATION: f64 = 1.482_6;
 /// Most rounds of weighting anew.
@@ -61,7 +65,7 @@ pub(crate) struct Line {
 
 /// Fits a line to the points of a ring; `None` where there are too few.
 pub(crate) fn fit(prior: Prior, samples: &[Sample]) -> Option<Line> {
-    Fitter::default().fit(prior, samples)
+    Fitter::default().fit(Level::new(), prior, samples)
 }
 
 /// Fits lines, one after the other, in the same memory.
@@ -71,25 +75,36 @@ pub(crate) struct Fitter {
     precision: Vec<f64>,
     /// How far each is off the line, in its noise.
     off: Vec<f64>,
+    /// What each counts.
+    weight: Vec<f64>,
     /// To find medians in.
-    scratch: Vec<f64>,
+    scratch: Vec<i64>,
 }
 
 impl Fitter {
     /// Fits a line to the points of a ring; `None` where there are too few.
-    pub fn fit(&mut self, prior: Prior, samples: &[Sample]) -> Option<Line> {
+    pub fn fit(&mut self, level: Level, prior: Prior, samples: &[Sample]) -> Option<Line> {
         if samples.len() < FEWEST {
             return None;
         }
+        dispatch!(level, _simd => self.fit_with(prior, samples))
+    }
+
+    #[inline(always)]
+    fn fit_with(&mut self, prior: Prior, samples: &[Sample]) -> Option<Line> {
+        for values in [&mut self.precision, &mut self.off, &mut self.weight] {
+            values.resize(samples.len(), 0.0);
+        }
         let prior = Prior { offset_m: prior.offset_m.clamp(OFFSETS_M[0], OFFSETS_M[1]), ..prior };
-        let noise_m = |sample: &Sample| (NOISE_M.powi(2) + (NOISE_RAD * sample.away_m).powi(2)).sqrt();
-        self.precision.clear();
-        self.precision.extend(samples.iter().map(|sample| noise_m(sample).recip()));
-        let slopes = samples.iter().map(|sample| (sample.z_m - prior.offset_m) / sample.away_m);
-        let mut line = Line { slope: median(&mut self.scratch, slopes), offset_m: prior.offset_m };
+        for ((precision, slope), sample) in self.precision.iter_mut().zip(&mut self.off).zip(samples) {
+            *precision = (NOISE_M.powi(2) + (NOISE_RAD * sample.away_m).powi(2)).sqrt().recip();
+            *slope = (sample.z_m - prior.offset_m) / sample.away_m;
+        }
+        let mut line = Line { slope: median(&mut self.scratch, &self.off), offset_m: prior.offset_m };
+        let mut deviation = f64::NAN;
         for _ in 0..ROUNDS {
             let before = line;
-            line = self.better(samples, prior, line);
+            (line, deviation) = self.better(samples, prior, line, deviation);
             let moved_m = (line.offset_m - before.offset_m).abs() + FAR_M * (line.slope - before.slope).abs();
             if moved_m < SETTLED_M {
                 break;
@@ -99,22 +114,25 @@ impl Fitter {
     }
 
     /// The line with each point weighed anew: by inverse variance, less for points off the last line. Together they
-    /// count as [`INDEPENDENT`] points.
-    fn better(&mut self, samples: &[Sample], prior: Prior, line: Line) -> Line {
-        self.off.clear();
-        let off = |(sample, precision): (&Sample, &f64)| {
-            (sample.z_m - line.slope * sample.away_m - line.offset_m) * precision
-        };
-        self.off.extend(samples.iter().zip(&self.precision).map(off));
-        let deviation = MEDIAN_DEVIATION * median(&mut self.scratch, self.off.iter().map(|off| off.abs()));
-        let deviation = deviation.max(LEAST_NOISE);
-        let each = INDEPENDENT / samples.len() as f64 / deviation.powi(2);
-        let mut sums = Sums::of(prior);
-        for ((sample, off), precision) in samples.iter().zip(&self.off).zip(&self.precision) {
-            let near = (1.0 - (off / (CUT * deviation)).powi(2)).max(0.0);
-            sums.add(sample, (near * precision).powi(2) * each);
+    /// count as [`INDEPENDENT`] points. And the median deviation from the last line, which is found sooner near the one
+    /// before.
+    #[inline(always)]
+    fn better(&mut self, samples: &[Sample], prior: Prior, line: Line, before: f64) -> (Line, f64) {
+        for ((off, sample), precision) in self.off.iter_mut().zip(samples).zip(&self.precision) {
+            *off = ((sample.z_m - line.slope * sample.away_m - line.offset_m) * precision).abs();
         }
-        sums.solve().unwrap_or(line)
+        let median = median_near(&mut self.scratch, &self.off, before);
+        let deviation = (MEDIAN_DEVIATION * median).max(LEAST_NOISE);
+        let each = INDEPENDENT / samples.len() as f64 / deviation.powi(2);
+        for ((weight, off), precision) in self.weight.iter_mut().zip(&self.off).zip(&self.precision) {
+            let near = (1.0 - (off / (CUT * deviation)).powi(2)).max(0.0);
+            *weight = (near * precision).powi(2) * each;
+        }
+        let mut sums = Sums::of(prior);
+        for (sample, &weight) in samples.iter().zip(&self.weight) {
+            sums.add(sample, weight);
+        }
+        (sums.solve().unwrap_or(line), median)
     }
 }
 
@@ -154,11 +172,39 @@ impl Sums {
 }
 
 /// The median of some values, at least one.
-fn median(scratch: &mut Vec<f64>, values: impl Iterator<Item = f64>) -> f64 {
+#[inline(always)]
+fn median(scratch: &mut Vec<i64>, values: &[f64]) -> f64 {
     scratch.clear();
-    scratch.extend(values);
-    let middle = scratch.len() / 2;
-    *scratch.select_nth_unstable_by(middle, f64::total_cmp).1
+    scratch.resize(values.len(), 0);
+    for (key, value) in scratch.iter_mut().zip(values) {
+        *key = ordered(value.to_bits() as i64);
+    }
+    let middle = values.len() / 2;
+    f64::from_bits(ordered(*scratch.select_nth_unstable(middle).1) as u64)
+}
+
+/// The same of values none of which is negative: looked for around `near` first.
+#[inline(always)]
+fn median_near(scratch: &mut Vec<i64>, values: &[f64], near: f64) -> f64 {
+    let (low, high) = (near * (1.0 - AROUND), near * (1.0 + AROUND));
+    scratch.resize(values.len(), 0);
+    let (mut below, mut around) = (0, 0);
+    for &value in values {
+        // Written in any case: which values are near, no processor foretells.
+        scratch[around] = value.to_bits() as i64;
+        around += usize::from(value >= low && value < high);
+        below += usize::from(value < low);
+    }
+    match (values.len() / 2).checked_sub(below) {
+        Some(middle) if middle < around => f64::from_bits(*scratch[..around].select_nth_unstable(middle).1 as u64),
+        _ => median(scratch, values),
+    }
+}
+
+/// The bits of a number as a key that is ordered as [`f64::total_cmp`] orders numbers; and back.
+#[inline(always)]
+fn ordered(bits: i64) -> i64 {
+    bits ^ ((bits >> 63) as u64 >> 1) as i64
 }
 
 #[cfg(test)]

@@ -141,9 +141,9 @@ impl CloudProjector {
     }
 
     fn fit_beams(&mut self) {
-        let Self { rings, polars, fitter, .. } = self;
+        let Self { level, rings, polars, fitter, .. } = self;
         rings.retain(|ring| polars.turn[ring.first..ring.end].iter().any(|turn| !turn.is_nan()));
-        rings.iter_mut().for_each(|ring| fitter.fit(ring, polars));
+        rings.iter_mut().for_each(|ring| fitter.fit(*level, ring, polars));
         // Calibrated beams of the lower block can lie above those of the upper one in the order of the file.
         rings.sort_unstable_by(|a, b| b.elevation_rad.total_cmp(&a.elevation_rad));
     }

@@ -143,14 +143,14 @@ impl BeamFitter {
     ///
     /// Neighbouring points lie on the same things and tell the same: [`SAMPLES`] of a ring, evenly spread, are as good
     /// as all of them.
-    pub fn fit(&mut self, ring: &mut Ring, points: &Polars) {
+    pub fn fit(&mut self, level: Level, ring: &mut Ring, points: &Polars) {
         let step = (ring.end - ring.first).div_ceil(SAMPLES).max(1);
         let spread = (ring.first..ring.end).step_by(step);
         let there = spread.filter(|&point| points.turn[point].is_finite() && points.away_m[point] > 0.0);
         self.samples.clear();
         self.samples
             .extend(there.map(|at| Sample { away_m: f64::from(points.away_m[at]), z_m: f64::from(points.z_m[at]) }));
-        if let Some(line) = self.fitter.fit(OF_ANY_SENSOR, &self.samples) {
+        if let Some(line) = self.fitter.fit(level, OF_ANY_SENSOR, &self.samples) {
             (ring.elevation_rad, ring.vertical_offset_m) = (line.slope.atan(), line.offset_m);
         } else if let Some(slope) = self.median_slope() {
             ring.elevation_rad = slope.atan();
