@@ -61,10 +61,9 @@ fn polar(x: f32, y: f32, z: f32) -> (f32, f32) {
     let square = x * x + y * y;
     let away_m = square.sqrt();
     let there = square + z * z < f32::INFINITY && away_m + z.abs() > 0.0;
-    let steep = y.abs() > x.abs();
-    let (low, high) = if steep { (x.abs(), y.abs()) } else { (y.abs(), x.abs()) };
+    let (low, high) = (x.abs().min(y.abs()), x.abs().max(y.abs()));
     let eighth = arctangent(low / high.max(f32::MIN_POSITIVE));
-    let quarter = if steep { 0.25 - eighth } else { eighth };
+    let quarter = if y.abs() > x.abs() { 0.25 - eighth } else { eighth };
     let half = if x < 0.0 { 0.5 - quarter } else { quarter };
     let turn = if y > 0.0 { 1.0 - half } else { half };
     (if there { turn } else { f32::NAN }, away_m)
