@@ -241,4 +241,20 @@ mod tests {
         assert!((0.0..=0.3).contains(&fitted.offset_m), "{fitted:?}");
         assert!(fit(PRIOR, &samples(-0.2, 0.2, (0..29).map(|i| 3.0 + f64::from(i)))).is_none());
     }
+
+    /// Wherever it is looked for first, it is the same.
+    #[test]
+    fn a_median_is_found_from_anywhere() {
+        let values: Vec<f64> = (0..127).map(|index| f64::from(index * 59 % 127) / 8.0).collect();
+        let with_gaps = [&values[..], &[f64::NAN, f64::INFINITY, 0.0]].concat();
+        for values in [&values[..], &with_gaps, &[3.0; 7], &[0.5]] {
+            let mut sorted = values.to_vec();
+            sorted.sort_unstable_by(f64::total_cmp);
+            let middle = sorted[sorted.len() / 2];
+            for near in [f64::NAN, 0.0, 0.5, 3.0, 7.5, 7.9, 8.6, 100.0, f64::INFINITY] {
+                assert_eq!(median_near(&mut Vec::new(), values, near), middle, "{values:?} {near}");
+            }
+        }
+        assert_eq!(median(&mut Vec::new(), &[2.0, -1.0, f64::NAN, -3.0, -0.0]), -0.0);
+    }
 }
