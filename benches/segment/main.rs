@@ -288,11 +288,11 @@ fn clouds() {
     let points = images::kitti(&data);
     let mut projector = CloudProjector::new(cloud::COLUMNS).unwrap();
     let (mut there, mut back) = (Vec::new(), Vec::new());
-    for _ in 0..TURNS / 3 {
+    for _ in 0..TURNS {
         there.push(timed(|| projector.project(black_box(&points)).unwrap().header.returns));
         back.push(timed(|| projector.labels().unwrap()));
     }
-    println!("\n== A cloud of {} points: ms and ns a point, medians of {}", points.len(), TURNS / 3);
+    println!("\n== A cloud of {} points: ms and ns a point, medians of {}", points.len(), TURNS);
     for (what, ms) in [("to an image", there), ("labels to points", back)] {
         let (middle, least) = (median(ms.iter().copied()), least(ms));
         let ns = middle * 1e6 / points.len() as f64;
