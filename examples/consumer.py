@@ -90,6 +90,8 @@ assert (HEADER.itemsize, COLUMN.itemsize, BEAM.itemsize, SEGMENT.itemsize) == (4
 # Seconds: how long is slept at once before it is looked whether everything is still there, and how often it is looked for
 # a service that is not there.
 LOOK_EVERY_S = 0.2
+# The shortest that is slept: less than a microsecond would be for ever, since the socket is told whole ones.
+LEAST_S = 0.0001
 SEEK_EVERY_S = 0.1
 # Sweeps that a consumer may hold.
 BORROWED = 2
@@ -405,7 +407,7 @@ class Sensor:
             if rest == 0.0:
                 return None
             try:
-                self._open.listener.timed_wait(iox2.Duration.from_secs_f64(min(rest, LOOK_EVERY_S)))
+                self._open.listener.timed_wait(iox2.Duration.from_secs_f64(max(LEAST_S, min(rest, LOOK_EVERY_S))))
             except iox2.ListenerWaitError:
                 # A signal; Ctrl-C comes as KeyboardInterrupt.
                 time.sleep(0.001)

@@ -22,6 +22,8 @@ use crate::sweep::layout::{LAYOUT_VERSION, LayoutError};
 
 /// The longest that is slept at once: then it is looked whether everything is still there.
 const LOOK_EVERY: Duration = Duration::from_millis(200);
+/// The shortest: iceoryx2 tells the socket whole microseconds, and none of them would be to sleep for ever.
+const LEAST: Duration = Duration::from_micros(100);
 /// How often it is looked for a service that is not there.
 const SEEK_EVERY: Duration = Duration::from_millis(50);
 
@@ -200,7 +202,7 @@ impl Subscriber {
             if rest.is_zero() {
                 return Ok(None);
             }
-            match open.listener.timed_wait(|_| {}, rest.min(LOOK_EVERY)) {
+            match open.listener.timed_wait(|_| {}, rest.clamp(LEAST, LOOK_EVERY)) {
                 // What it means is the program's to say, which handles it.
                 Err(ListenerWaitError::InterruptSignal) => return Ok(None),
                 woken => woken.map_err(SubscribeError::service)?,

@@ -6,6 +6,7 @@ use std::os::unix::fs::{FileExt, PermissionsExt};
 use std::path::{Path, PathBuf};
 use std::process::{Command, Stdio};
 use std::sync::atomic::{AtomicBool, Ordering};
+use std::sync::mpsc;
 use std::time::{Duration, Instant};
 
 use iceoryx2::prelude::*;
@@ -327,6 +328,22 @@ fn who_was_refused_goes_on_when_the_daemon_comes() {
     assert!(client.next(SOON).is_err());
     drop(hostile);
     comes_back(&own, &mut client);
+}
+
+/// The last rest of a wait may be less than a microsecond, in which a socket is told its timeout: none at all would be for ever.
+#[test]
+fn a_wait_ends_however_short_it_is() {
+    let own = Own::new();
+    let _loans = loans(&own);
+    let mut client = client(&own);
+    let (ended, is_ended) = mpsc::channel();
+    std::thread::spawn(move || {
+        for ns in (0..40_000).step_by(100) {
+            assert!(client.next(Duration::from_nanos(ns)).unwrap().is_none());
+        }
+        ended.send(()).unwrap();
+    });
+    is_ended.recv_timeout(2 * SOON).expect("every wait ends");
 }
 
 /// `sweepd watch` with all of its outputs.
