@@ -14,7 +14,7 @@
 //!
 //! Most pairs of runs are settled without looking at a point: they are of one component already, their distances from the
 //! sensor are too different, or their rows have spread too far there. Where runs are as short and many as in dust, that takes
-//! longer than to compare points at once: [`super::crowd`].
+//! longer than to compare points at once: `crowd`.
 
 use std::ops::Range;
 
