@@ -90,9 +90,9 @@ assert (HEADER.itemsize, COLUMN.itemsize, BEAM.itemsize, SEGMENT.itemsize) == (4
 # Seconds: how long is slept at once before it is looked whether everything is still there, and how often it is looked for
 # a service that is not there.
 LOOK_EVERY_S = 0.2
+SEEK_EVERY_S = 0.1
 # The shortest that is slept: less than a microsecond would be for ever, since the socket is told whole ones.
 LEAST_S = 0.0001
-SEEK_EVERY_S = 0.1
 # Sweeps that a consumer may hold.
 BORROWED = 2
 
