@@ -142,14 +142,20 @@ impl Scene {
         let levels: Vec<f32> = (0..4).map(|_| 2.0 + 0.002 * rng.u32(..3000) as f32).collect();
         for index in 0..self.rows * self.columns {
             let (row, column) = (index % self.rows, index / self.rows);
+            // Never nearer than any sensor measures: within a hand's breadth of the origin a bent beam need not reach its range.
             let range_m = match self.kind {
-                Kind::Noise => 0.1 + 300.0 * rng.f32().powi(3),
+                Kind::Noise => 0.5 + 300.0 * rng.f32().powi(3),
                 Kind::Steps => levels[rng.usize(..4)] + 0.002 * rng.u32(..20) as f32,
                 Kind::Street => {
                     let elevation = sweep.beams[row].elevation_rad;
                     let road = if elevation < -0.01 { -1.8 / elevation.sin() } else { 0.0 };
                     let wall = levels[column / 7 % 4] * if row % 11 < 8 { 1.0 } else { 0.0 };
-                    if wall > 0.0 && (road == 0.0 || wall < road) { wall } else { road + 0.02 * rng.f32() }
+                    let bump = 0.02 * rng.f32();
+                    match [wall, road] {
+                        [_, 0.0] => wall,
+                        [wall, road] if wall > 0.0 && wall < road => wall,
+                        _ => road + bump,
+                    }
                 }
             };
             let first = sweep.image_pixels().start;
