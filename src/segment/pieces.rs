@@ -44,9 +44,10 @@ pub(super) struct Sum {
     /// Index of its first pixel in the planes.
     pub first: u32,
     pub rows: [u16; 2],
-    pub nearest_m: f32,
-    pub min_m: [f32; 3],
-    pub max_m: [f32; 3],
+    /// Least of x, y, z and the range.
+    pub least_m: [f32; 4],
+    /// Greatest of them.
+    pub most_m: [f32; 4],
     pub sum_m: [f64; 3],
 }
 
@@ -55,9 +56,8 @@ impl Sum {
         points: 0,
         first: u32::MAX,
         rows: [u16::MAX, 0],
-        nearest_m: f32::INFINITY,
-        min_m: [f32::INFINITY; 3],
-        max_m: [f32::NEG_INFINITY; 3],
+        least_m: [f32::INFINITY; 4],
+        most_m: [f32::NEG_INFINITY; 4],
         sum_m: [0.0; 3],
     };
 
@@ -65,10 +65,11 @@ impl Sum {
         self.points += other.points;
         self.first = self.first.min(other.first);
         self.rows = [self.rows[0].min(other.rows[0]), self.rows[1].max(other.rows[1])];
-        self.nearest_m = self.nearest_m.min(other.nearest_m);
+        for axis in 0..4 {
+            self.least_m[axis] = lesser(self.least_m[axis], other.least_m[axis]);
+            self.most_m[axis] = greater(self.most_m[axis], other.most_m[axis]);
+        }
         for axis in 0..3 {
-            self.min_m[axis] = self.min_m[axis].min(other.min_m[axis]);
-            self.max_m[axis] = self.max_m[axis].max(other.max_m[axis]);
             self.sum_m[axis] += other.sum_m[axis];
         }
     }
@@ -76,11 +77,12 @@ impl Sum {
     /// The row of the segments table, but for its columns.
     pub fn segment(&self, label: u32) -> Segment {
         let mut segment = Segment::new_zeroed();
-        (segment.label, segment.points, segment.nearest_m) = (label, self.points, self.nearest_m);
+        (segment.label, segment.points) = (label, self.points);
         [segment.row_first, segment.row_last] = self.rows;
         // Which of the two zeros is the least depends on the machine.
-        segment.min_m = self.min_m.map(|value| value + 0.0);
-        segment.max_m = self.max_m.map(|value| value + 0.0);
+        let [min_x, min_y, min_z, nearest_m] = self.least_m.map(|value| value + 0.0);
+        let [max_x, max_y, max_z, _] = self.most_m.map(|value| value + 0.0);
+        (segment.min_m, segment.max_m, segment.nearest_m) = ([min_x, min_y, min_z], [max_x, max_y, max_z], nearest_m);
         segment.centroid_m = self.sum_m.map(|sum| (sum / f64::from(self.points)) as f32);
         segment
     }
@@ -156,33 +158,50 @@ impl Pieces {
 pub(super) struct Whereabouts {
     /// Index of the strip among those that count.
     pub strip: u16,
-    pub order: Order,
+    order: Order,
     /// Position of its first column.
-    pub position: usize,
+    position: usize,
+    /// The first of its columns, where the others follow it one by one.
+    column: Option<u32>,
     pub row: u16,
-    pub rows: usize,
+    rows: usize,
     /// Columns that count; the others are there for the second time.
     pub counted: u32,
 }
 
 impl Whereabouts {
+    /// The first row, of so many, of the strip that begins at a position.
+    pub fn of_strip(order: Order, position: usize, rows: usize, counted: u32) -> Self {
+        let [first, last] = [0, STRIP - 1].map(|ahead| order.column(position + ahead));
+        let column = first.filter(|first| last == Some(first + STRIP - 1)).map(|column| column as u32);
+        Self { strip: (position / STRIP - 1) as u16, order, position, column, row: 0, rows, counted }
+    }
+
+    /// The same of another row.
+    pub fn of_row(self, row: usize) -> Self {
+        Self { row: row as u16, ..self }
+    }
+
     /// Index in the planes of the first of some pixels. Where the columns begin anew among them, that is behind there.
     #[inline(always)]
     pub fn first_pixel(&self, columns: u32) -> u32 {
-        let column = |ahead: u32| self.order.column(self.position + ahead as usize).unwrap_or(0);
-        let first = column(columns.trailing_zeros());
-        let last = 31 - columns.leading_zeros();
-        let first = if column(last) >= first {
-            first
-        } else {
-            (0..=last).filter(|&one| columns >> one & 1 == 1).map(column).min().unwrap_or(first)
+        let first = match self.column {
+            Some(column) => column + columns.trailing_zeros(),
+            None => self.least_column(columns),
         };
-        (first * self.rows) as u32 + u32::from(self.row)
+        first * self.rows as u32 + u32::from(self.row)
+    }
+
+    /// The first of some columns, looked up one by one.
+    fn least_column(&self, columns: u32) -> u32 {
+        let is_one = |ahead: &usize| columns >> ahead & 1 == 1;
+        let columns = (0..STRIP).filter(is_one).filter_map(|ahead| self.order.column(self.position + ahead));
+        columns.min().unwrap_or(0) as u32
     }
 }
 
 /// Up to so many columns are measured one by one: for fewer than these, vectors do not pay.
-const FEW: u32 = 4;
+const FEW: u32 = 8;
 
 /// What the columns of a run in the strip at hand measure, of which only some are to be counted, and the least and greatest
 /// distance from the sensor of all.
@@ -216,32 +235,45 @@ pub(super) fn measure<S: Simd>(simd: S, points: &Points, lane: usize, [columns, 
             total[axis] += counts.select(value, f32x16::splat(simd, 0.0));
         }
     }
-    sum.nearest_m = nearest.reduce_min();
+    sum.least_m[3] = nearest.reduce_min();
     for axis in 0..3 {
-        sum.min_m[axis] = least[axis].reduce_min();
-        sum.max_m[axis] = most[axis].reduce_max();
+        sum.least_m[axis] = least[axis].reduce_min();
+        sum.most_m[axis] = most[axis].reduce_max();
         sum.sum_m[axis] = f64::from(total_of(total[axis]));
     }
     (sum, [low.reduce_min(), high.reduce_max()])
 }
 
+/// The same of a few lanes, at least one, all of which are counted.
 fn measure_few(points: &Points, lanes: Range<usize>) -> (Sum, [f32; 2]) {
-    let mut sum = Sum { points: lanes.len() as u32, ..Sum::NONE };
-    let [mut low, mut high] = [f32::INFINITY, f32::NEG_INFINITY];
-    let mut total = [0.0_f32; 3];
-    for lane in lanes {
-        let far = points.far[lane];
-        (low, high) = (low.min(far), high.max(far));
-        sum.nearest_m = sum.nearest_m.min(points.range[lane]);
-        for (axis, plane) in [&points.x, &points.y, &points.z].into_iter().enumerate() {
-            let value = plane[lane];
-            sum.min_m[axis] = sum.min_m[axis].min(value);
-            sum.max_m[axis] = sum.max_m[axis].max(value);
-            total[axis] += value;
+    let Points { x, y, z, range, far, .. } = points;
+    let at = |lane: usize| ([x[lane], y[lane], z[lane], range[lane]], far[lane]);
+    let (first, first_far_m) = at(lanes.start);
+    let [mut least_m, mut most_m, mut total_m] = [first; 3];
+    let [mut low_m, mut high_m] = [first_far_m; 2];
+    for (point, far_m) in (lanes.start + 1..lanes.end).map(at) {
+        for axis in 0..4 {
+            least_m[axis] = lesser(least_m[axis], point[axis]);
+            most_m[axis] = greater(most_m[axis], point[axis]);
+            total_m[axis] += point[axis];
         }
+        (low_m, high_m) = (lesser(low_m, far_m), greater(high_m, far_m));
     }
-    sum.sum_m = total.map(f64::from);
-    (sum, [low, high])
+    let [x_m, y_m, z_m, _] = total_m.map(f64::from);
+    let sum = Sum { points: lanes.len() as u32, least_m, most_m, sum_m: [x_m, y_m, z_m], ..Sum::NONE };
+    (sum, [low_m, high_m])
+}
+
+/// The lesser of two that are numbers, by one instruction: [`f32::min`] asks whether they are.
+#[inline(always)]
+fn lesser(a: f32, b: f32) -> f32 {
+    if b < a { b } else { a }
+}
+
+/// The greater of two that are numbers.
+#[inline(always)]
+fn greater(a: f32, b: f32) -> f32 {
+    if b > a { b } else { a }
 }
 
 /// The sum of all lanes, in the same order on every machine.

@@ -5,7 +5,7 @@
 
 use std::ops::{Range, RangeInclusive};
 
-use fearless_simd::{Simd, prelude::*, u32x16};
+use fearless_simd::{Simd, i32x16, prelude::*, u32x16};
 
 use super::pieces::{Part, Pieces, Sum, Whereabouts, measure};
 use super::points::{BEFORE, LANES, Points, STRIP, load};
@@ -26,14 +26,12 @@ pub(super) struct Entries {
     count: usize,
     rows: Vec<Row>,
     pub row: Vec<u16>,
-    /// The piece of each.
+    /// A piece of each one's component: its root, as far as [`Entries::refresh`] and [`Entries::rename`] were told.
     pub piece: Vec<u32>,
-    /// The root of each one's component, as far as [`Entries::refresh`] and [`Entries::rename`] were told.
-    pub root: Vec<u32>,
     /// First column within reach.
-    pub first: Vec<f32>,
+    pub first: Vec<i32>,
     /// Last column.
-    pub last: Vec<f32>,
+    pub last: Vec<i32>,
     /// Least distance from the sensor, metres.
     low_m: Vec<f32>,
     /// Greatest distance from the sensor, metres.
@@ -69,10 +67,10 @@ impl Entries {
         let most = rows * MOST + LANES;
         self.row.resize(most, 0);
         self.piece.resize(most, 0);
-        self.root.resize(most, 0);
-        for table in [&mut self.first, &mut self.last, &mut self.low_m, &mut self.high_m] {
-            table.resize(most, 0.0);
-        }
+        self.first.resize(most, 0);
+        self.last.resize(most, 0);
+        self.low_m.resize(most, 0.0);
+        self.high_m.resize(most, 0.0);
         self.here_m.resize(most, [0.0; 2]);
     }
 
@@ -107,7 +105,7 @@ impl Entries {
 
     /// The runs of a row that have columns in the strip at hand, and which, counted from its first.
     pub fn at_hand(&self, row: usize) -> impl Iterator<Item = (u32, RangeInclusive<usize>)> {
-        let of = |column: f32| (column as usize).checked_sub(BEFORE);
+        let of = |column: i32| (column as usize).checked_sub(BEFORE);
         self.of(row).filter_map(move |entry| {
             let last = of(self.last[entry])?;
             Some((self.piece[entry], of(self.first[entry]).unwrap_or(0)..=last))
@@ -118,7 +116,7 @@ impl Entries {
     #[inline(always)]
     pub fn refresh(&mut self, row: usize, pieces: &mut Pieces) {
         for entry in self.of(row) {
-            self.root[entry] = pieces.root(self.piece[entry]);
+            self.piece[entry] = pieces.root(self.piece[entry]);
         }
     }
 
@@ -126,24 +124,25 @@ impl Entries {
     #[inline(always)]
     pub fn rename<S: Simd>(&mut self, simd: S, entries: Range<usize>, from: u32, to: u32) {
         for at in entries.step_by(LANES) {
-            let lanes = &mut self.root[at..at + LANES];
-            let root = u32x16::from_slice(simd, lanes);
-            root.simd_eq(from).select(u32x16::splat(simd, to), root).store_slice(lanes);
+            let lanes = &mut self.piece[at..at + LANES];
+            let piece = u32x16::from_slice(simd, lanes);
+            piece.simd_eq(from).select(u32x16::splat(simd, to), piece).store_slice(lanes);
         }
     }
 
     /// Which of the sixteen entries from one on are of another component than a run, no more columns aside, and no farther
     /// away. One of two has to reach into the strip at hand: else they were compared before.
     #[inline(always)]
-    pub fn like<S: Simd>(&self, simd: S, from: usize, run: usize, aside: f32, away_m: f32) -> u64 {
+    pub fn like<S: Simd>(&self, simd: S, from: usize, run: usize, aside: i32, away_m: f32) -> u64 {
         let (first, last) = (self.first[run], self.last[run]);
-        let new = if last < BEFORE as f32 { BEFORE as f32 } else { 0.0 };
-        let is_aside = load(simd, &self.first, from).simd_le(last + aside)
-            & load(simd, &self.last, from).simd_ge((first - aside).max(new));
+        let new = if last < BEFORE as i32 { BEFORE as i32 } else { 0 };
+        let [firsts, lasts] = [&self.first, &self.last].map(|table| &table[from..from + LANES]);
+        let is_aside = i32x16::from_slice(simd, firsts).simd_le(last + aside)
+            & i32x16::from_slice(simd, lasts).simd_ge((first - aside).max(new));
         let is_away = load(simd, &self.low_m, from).simd_le(self.high_m[run] + away_m)
             & load(simd, &self.high_m, from).simd_ge(self.low_m[run] - away_m);
-        let root = u32x16::from_slice(simd, &self.root[from..from + LANES]);
-        (is_aside & is_away & !root.simd_eq(self.root[run])).to_bitmask()
+        let piece = u32x16::from_slice(simd, &self.piece[from..from + LANES]);
+        (is_aside & is_away & !piece.simd_eq(self.piece[run])).to_bitmask()
     }
 
     /// Whether no point of one run can be as near to one of another as that, by their distances from the sensor.
@@ -153,7 +152,7 @@ impl Entries {
     }
 
     #[inline(always)]
-    fn push(&mut self, row: usize, piece: u32, columns: [f32; 2], distance_m: [f32; 2], here_m: [f32; 2]) {
+    fn push(&mut self, row: usize, piece: u32, columns: [i32; 2], distance_m: [f32; 2], here_m: [f32; 2]) {
         let entry = self.count;
         self.count += 1;
         self.row[entry] = row as u16;
@@ -184,20 +183,20 @@ impl Reach {
     /// Begins a row with what is still within reach, so many columns aside. True if the last column before the strip holds
     /// a run.
     #[inline(always)]
-    pub fn begin_row(&mut self, row: usize, aside: f32) -> bool {
+    pub fn begin_row(&mut self, row: usize, aside: i32) -> bool {
         let Self { now, before } = self;
         let from = now.count;
         for entry in before.of(row) {
-            let last = before.last[entry] - STRIP as f32;
-            if last >= BEFORE as f32 - aside {
-                let first = (before.first[entry] - STRIP as f32).max(0.0);
+            let last = before.last[entry] - STRIP as i32;
+            if last >= BEFORE as i32 - aside {
+                let first = (before.first[entry] - STRIP as i32).max(0);
                 // All that is left of it was in that strip.
                 let here_m = before.here_m[entry];
                 now.push(row, before.piece[entry], [first, last], here_m, here_m);
             }
         }
         now.rows[row] = Row { from, here: now.count, starts: 0, end: now.count };
-        now.count > from && now.last[now.count - 1] == (BEFORE - 1) as f32
+        now.count > from && now.last[now.count - 1] == BEFORE as i32 - 1
     }
 
     /// Takes the runs of a row of the strip at hand, of which `on` are the columns: each to the piece of those in the row above
@@ -242,8 +241,8 @@ impl Reach {
                 Some(root) => pieces.go_on(root, &sum),
                 None => pieces.begin(sum),
             };
-            let first = (BEFORE as u32 + first) as f32;
-            let last = first + (length - 1) as f32;
+            let first = (BEFORE as u32 + first) as i32;
+            let last = first + length as i32 - 1;
             if is_going_on {
                 let entry = now.count - 1;
                 now.piece[entry] = piece;

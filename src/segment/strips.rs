@@ -192,6 +192,7 @@ impl Strips {
         let columns_before = |end: usize| columns_below(end.saturating_sub(position));
         let counted = columns_before(order.end());
         let joined_here = columns_before(order.joined_end());
+        let strip = Whereabouts::of_strip(order, position, rows, counted);
         self.reach.advance();
         for row in 0..rows {
             let words = &self.words[row];
@@ -201,7 +202,7 @@ impl Strips {
             }
             let on = words[1].real & !ground & joined_here;
             self.on[row] = on;
-            let before = u64::from(self.reach.begin_row(row, test.columns() as f32));
+            let before = u64::from(self.reach.begin_row(row, test.columns() as i32));
             if on == 0 {
                 continue;
             }
@@ -210,9 +211,7 @@ impl Strips {
                 along: test.along(simd, &self.points, row, u64::from(on) << 1 | before),
                 down: test.down(simd, &self.points, row, above & on),
             };
-            let at =
-                Whereabouts { strip: (position / STRIP - 1) as u16, order, position, row: row as u16, rows, counted };
-            self.reach.take(simd, &self.points, (on, joined), at, &mut self.pieces);
+            self.reach.take(simd, &self.points, (on, joined), strip.of_row(row), &mut self.pieces);
         }
         let Self { points, fan, reach, crowd, pieces, misses, .. } = self;
         match Crowd::is_in(&reach.now, rows) {

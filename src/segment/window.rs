@@ -27,6 +27,9 @@ use super::points::{BEFORE, LANES, Points, STRIP, load};
 use super::reach::Entries;
 use super::work;
 
+/// Runs that are listed at once.
+const WORD: usize = u64::BITS as usize;
+
 /// What is joined.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct Joining {
@@ -200,31 +203,35 @@ impl Test {
         misses: &mut Vec<Miss>,
     ) {
         let (a, end) = (among.start, among.end);
-        for from in (a + 1..end).step_by(LANES) {
-            work::count(1);
-            let there = !(u64::MAX << (end - from).min(LANES));
-            let mut left = entries.like(simd, from, a, self.columns as f32, self.near_m()) & there;
+        for from in (a + 1..end).step_by(WORD) {
+            // A word of them before any is looked at: whether sixteen hold one is guessed wrong too often to be asked.
+            let mut left = 0;
+            for ahead in (0..WORD.min(end - from)).step_by(LANES) {
+                work::count(1);
+                left |= entries.like(simd, from + ahead, a, self.columns as i32, self.near_m()) << ahead;
+            }
+            left &= u64::MAX >> WORD.saturating_sub(end - from);
             while left != 0 {
                 let b = from + left.trailing_zeros() as usize;
                 left &= left - 1;
-                if entries.root[a] == entries.root[b] {
+                let roots = [a, b].map(|entry| entries.piece[entry]);
+                if roots[0] == roots[1] {
                     continue;
                 }
                 // Two that are not small any more are joined or nothing.
-                let is_one_small = self.is_small(entries.root[a], pieces) || self.is_small(entries.root[b], pieces);
+                let is_one_small = roots.iter().any(|&root| self.is_small(root, pieces));
                 if !is_one_small && entries.are_apart(a, b, self.gap_m + SLACK_M) {
                     continue;
                 }
-                let both = [entries.piece[a], entries.piece[b]];
                 match self.verdict(simd, points, Stretch::new(entries, a, points), Stretch::new(entries, b, points)) {
                     Verdict::Joined => {
-                        let [root, gone] = pieces.unite(both[0], both[1]);
+                        let [root, gone] = pieces.unite(roots[0], roots[1]);
                         work::count((window_end - a).div_ceil(LANES));
                         entries.rename(simd, a..window_end, gone, root);
                     }
                     Verdict::Near(apart2) if is_one_small => {
                         work::count(1);
-                        misses.push(Miss { pieces: both, apart2 });
+                        misses.push(Miss { pieces: roots, apart2 });
                     }
                     Verdict::Near(_) | Verdict::Apart => {}
                 }
@@ -258,9 +265,9 @@ impl Test {
                 return Verdict::Joined;
             }
         }
-        match nearest.reduce_min() {
-            apart2 if apart2 < self.near_m * self.near_m => Verdict::Near(apart2),
-            _ => Verdict::Apart,
+        match self.nears(nearest).any_true() {
+            true => Verdict::Near(nearest.reduce_min()),
+            false => Verdict::Apart,
         }
     }
 
