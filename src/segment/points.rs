@@ -13,7 +13,10 @@
 //!
 //! All is single precision: at 100 m a point is off by 10 micrometres.
 
+use std::ops::{Deref, DerefMut};
+
 use fearless_simd::{Level, Simd, dispatch, f32x16, prelude::*, u32x16};
+use zerocopy::{FromBytes, Immutable, IntoBytes, KnownLayout, transmute_mut, transmute_ref};
 
 use super::Config;
 use super::directions::Directions;
@@ -84,18 +87,46 @@ impl Order {
     }
 }
 
+/// A number for each lane of each row. Sixteen columns from the first of a strip on lie in one cache line: to read or write them
+/// elsewhere takes twice as long.
+#[derive(Clone, Debug, Default)]
+pub(super) struct Plane {
+    lines: Vec<Line>,
+}
+
+/// A cache line.
+#[derive(Clone, Copy, Debug, FromBytes, IntoBytes, KnownLayout, Immutable)]
+#[repr(C, align(64))]
+struct Line([f32; LANES]);
+
+impl Deref for Plane {
+    type Target = [f32];
+
+    #[inline(always)]
+    fn deref(&self) -> &[f32] {
+        transmute_ref!(&self.lines[..])
+    }
+}
+
+impl DerefMut for Plane {
+    #[inline(always)]
+    fn deref_mut(&mut self) -> &mut [f32] {
+        transmute_mut!(&mut self.lines[..])
+    }
+}
+
 /// The points of the strips at hand.
 #[derive(Clone, Debug, Default)]
 pub(super) struct Points {
     pub order: Order,
     /// Metres: right, forward, up, from the sensor's origin.
-    pub x: Vec<f32>,
-    pub y: Vec<f32>,
-    pub z: Vec<f32>,
+    pub x: Plane,
+    pub y: Plane,
+    pub z: Plane,
     /// Distance from the sensor's origin, metres.
-    pub far: Vec<f32>,
+    pub far: Plane,
     /// Range as the sweep has it, metres; 0 where there is no return that may be labelled.
-    pub range: Vec<f32>,
+    pub range: Plane,
     beams: Vec<Beam>,
     directions: Directions,
     /// Lane of the strip at hand.
@@ -154,11 +185,11 @@ struct Beam {
 }
 
 impl Points {
-    /// Takes room for any image of such a buffer.
+    /// Takes room for any image of such a buffer. What an older sweep left there is not looked at: the words say what is real, and
+    /// what lies before the strip that leads in counts for nothing.
     pub fn reserve(&mut self, rows: usize, columns: usize) {
         for plane in [&mut self.x, &mut self.y, &mut self.z, &mut self.far, &mut self.range] {
-            plane.clear();
-            plane.resize(rows * STRIDE, 0.0);
+            plane.lines.resize(rows * STRIDE / LANES, Line([0.0; LANES]));
         }
         self.directions.reserve(columns);
     }
