@@ -202,8 +202,14 @@ struct Places<S: Simd> {
 #[inline(always)]
 fn place<S: Simd>(simd: S, points: &Points, lane: usize, stand: &Stand) -> Places<S> {
     let far = load(simd, &points.far, lane);
-    let [x, y, z] = points.place(simd, lane);
-    let height = x * stand.up[0] + y * stand.up[1] + z * stand.up[2];
+    let height = match stand.up {
+        // As most sensors stand.
+        [0.0, 0.0, 1.0] => load(simd, &points.z, lane),
+        up => {
+            let [x, y, z] = points.place(simd, lane);
+            x * up[0] + y * up[1] + z * up[2]
+        }
+    };
     Places { away: (far * far - height * height).max(0.0).sqrt(), height }
 }
 

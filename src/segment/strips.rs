@@ -175,7 +175,7 @@ impl Strips {
     fn next<S: Simd>(&mut self, simd: S, sweep: &SweepRef<'_>, config: &Config) {
         if self.at > 0 {
             self.points.advance();
-            self.words.iter_mut().for_each(|words| words.rotate_left(1));
+            self.words.iter_mut().for_each(|words| words.copy_within(1.., 0));
         }
         self.points.fill(simd, sweep, config, self.at * STRIP, &mut self.words);
         config.slope.climb(simd, &self.points, &self.stand, &mut self.words);
