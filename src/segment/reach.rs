@@ -186,14 +186,15 @@ impl Reach {
     pub fn begin_row(&mut self, row: usize, aside: i32) -> bool {
         let Self { now, before } = self;
         let from = now.count;
-        for entry in before.of(row) {
-            let last = before.last[entry] - STRIP as i32;
-            if last >= BEFORE as i32 - aside {
-                let first = (before.first[entry] - STRIP as i32).max(0);
-                // All that is left of it was in that strip.
-                let here_m = before.here_m[entry];
-                now.push(row, before.piece[entry], [first, last], here_m, here_m);
-            }
+        let of = before.of(row);
+        // They end one after the other: those within reach come last.
+        let end_least = (BEFORE + STRIP) as i32 - aside;
+        let gone = of.len() - before.last[of.clone()].iter().rev().take_while(|&&last| last >= end_least).count();
+        for entry in of.skip(gone) {
+            let [first, last] = [before.first[entry], before.last[entry]].map(|column| column - STRIP as i32);
+            // All that is left of it was in that strip.
+            let here_m = before.here_m[entry];
+            now.push(row, before.piece[entry], [first.max(0), last], here_m, here_m);
         }
         now.rows[row] = Row { from, here: now.count, starts: 0, end: now.count };
         now.count > from && now.last[now.count - 1] == BEFORE as i32 - 1
