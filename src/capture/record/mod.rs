@@ -34,7 +34,7 @@ use super::write::Addressed;
 const LANE_BYTES: usize = 32 << 20;
 /// How often the writing thread looks, which is also for how long a datagram waits for earlier ones of other lanes: longer
 /// than the threads of a daemon nap.
-pub(crate) const PERIOD: Duration = Duration::from_millis(60);
+pub(crate) const PERIOD: Duration = Duration::from_millis(120);
 
 /// How far a recording is, readable at any time.
 #[derive(Debug, Default)]
