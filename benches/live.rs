@@ -6,9 +6,9 @@
 //! ```
 //!
 //! Each runs `sweepd run` and `sweepd watch` in processes of their own. The packets are simulated beforehand and sent in a
-//! loop, with the sensor's clock and head going on, so that the sender costs little. Beside what the daemon costs stands what
-//! the machine takes for less, in the same seconds: to wake up three times a turn for nothing, and to take the same packets
-//! from the kernel then, by the daemon's own socket, and do nothing with them.
+//! loop, with the sensor's clock and head going on, so that the sender costs little. After what the daemon costs stands what
+//! the machine takes for less: to wake up three times a turn for nothing, and to take the same packets from the kernel then, as
+//! the daemon does, and do nothing with them.
 
 use std::net::{Ipv4Addr, UdpSocket};
 use std::path::{Path, PathBuf};
@@ -44,12 +44,14 @@ fn main() {
     }
     for (name, model) in [("cost vlp16", Model::Vlp16), ("cost hdl64e", Model::Hdl64eS2)] {
         if is_wanted(name) {
-            load(name, Stream::new(model, ReturnMode::Strongest, 600.0), 1.0, 20);
+            let stream = Stream::new(model, ReturnMode::Strongest, 600.0);
+            load(name, &stream, 1.0, 20);
+            least(&stream, 10);
         }
     }
     let name = "load hdl64e dual, 4 times real time";
     if is_wanted(name) {
-        load(name, Stream::new(Model::Hdl64eS3, ReturnMode::Dual, 600.0), 4.0, 60);
+        load(name, &Stream::new(Model::Hdl64eS3, ReturnMode::Dual, 600.0), 4.0, 60);
     }
 }
 
@@ -104,17 +106,14 @@ impl Stream {
         packet
     }
 
-    /// Sends them to some ports at so many times their own pace, until `over`; gives how many to each.
-    fn send(&self, ports: &[u16], pace: f64, mut over: impl FnMut() -> bool) -> u64 {
+    /// Sends them to a port at so many times their own pace, until `over`; gives how many.
+    fn send(&self, port: u16, pace: f64, mut over: impl FnMut() -> bool) -> u64 {
         let socket = UdpSocket::bind((Ipv4Addr::LOCALHOST, 0)).unwrap();
         let (begun, mut number) = (Instant::now(), 0);
         while !over() {
             let due = (begun.elapsed().as_nanos() as f64 * pace / self.period_ns as f64) as u64;
             while number < due {
-                let packet = self.packet(number);
-                for &port in ports {
-                    socket.send_to(packet.emit(), (Ipv4Addr::LOCALHOST, port)).unwrap();
-                }
+                socket.send_to(self.packet(number).emit(), (Ipv4Addr::LOCALHOST, port)).unwrap();
                 number += 1;
             }
             thread::sleep(Duration::from_nanos((self.period_ns as f64 / pace) as u64 / 2));
@@ -163,7 +162,7 @@ impl Daemon {
         Domain::at(self.folder.join("iox2"))
     }
 
-    /// Processor time of all its threads so far, seconds.
+    /// Processor time of its threads so far, seconds; none of them ends before it does.
     fn cpu_seconds(&self) -> f64 {
         let threads = std::fs::read_dir(format!("/proc/{}/task", self.child.id())).unwrap();
         threads.map(|thread| worked_ns(&thread.unwrap().path())).sum::<f64>() * 1e-9
@@ -212,13 +211,13 @@ fn latency(name: &str, stream: Stream) {
         .stdout(Stdio::piped())
         .spawn()
         .unwrap();
-    stream.send(&[daemon.port], 1.0, || watch.try_wait().unwrap().is_some());
+    stream.send(daemon.port, 1.0, || watch.try_wait().unwrap().is_some());
     let text = String::from_utf8(watch.wait_with_output().unwrap().stdout).unwrap();
     // The table of the seconds is for who watches.
     println!("{}", text.find("\ndecode:").map_or(&text[..], |at| &text[at..]).trim_end());
 }
 
-fn load(name: &str, stream: Stream, pace: f64, seconds: u64) {
+fn load(name: &str, stream: &Stream, pace: f64, seconds: u64) {
     let rate = 1e9 / stream.period_ns as f64 * pace;
     let returns = if stream.mode == ReturnMode::Dual { "two returns" } else { "one return" };
     println!("\n== {name}: {}, {returns}, {rate:.0} packets/s for {seconds} s", stream.model);
@@ -235,11 +234,8 @@ fn load(name: &str, stream: Stream, pace: f64, seconds: u64) {
         (sweeps, lost, dropped)
     });
     thread::sleep(Duration::from_secs(1));
-    let receiver = UdpSource::bind(&UdpConfig { address: Ipv4Addr::LOCALHOST, ..UdpConfig::port(0) }).unwrap();
-    let ports = [daemon.port, receiver.local_addr().port()];
-    let [waker, receiver] = [None, Some(receiver)].map(Idler::start);
     let (begun, mut marks, mut memory) = (Instant::now(), Vec::new(), Vec::new());
-    let sent = stream.send(&ports, pace, || {
+    let sent = stream.send(daemon.port, pace, || {
         let elapsed = begun.elapsed().as_secs();
         // The first seconds are for the pool and the caches.
         if elapsed >= 3 && marks.is_empty() {
@@ -252,7 +248,6 @@ fn load(name: &str, stream: Stream, pace: f64, seconds: u64) {
     });
     let (from, cpu) = marks[0];
     let share = (daemon.cpu_seconds() - cpu) / from.elapsed().as_secs_f64() * 100.0;
-    let [waker, receiver] = [waker, receiver].map(|idler| idler.end() * 100.0);
     thread::sleep(Duration::from_millis(300));
     for line in daemon.metrics(&["packets_total", "dropped", "lost", "rejected"]) {
         println!("  {line}");
@@ -260,9 +255,17 @@ fn load(name: &str, stream: Stream, pace: f64, seconds: u64) {
     let (sweeps, lost, dropped) = consumer.join().unwrap();
     println!("  {sent} packets sent; {sweeps} sweeps received, {lost} packets lost, {dropped} dropped");
     println!("  {share:.2} % of a core; memory every 5 s, KiB: {memory:?}");
-    println!(
-        "  for comparison: to wake up 30 times a second {waker:.2} %, and to take the packets then {receiver:.2} %"
-    );
+}
+
+/// What the machine takes for as many wake-ups and packets, without a daemon.
+fn least(stream: &Stream, seconds: u64) {
+    let receiver = UdpSource::bind(&UdpConfig { address: Ipv4Addr::LOCALHOST, ..UdpConfig::port(0) }).unwrap();
+    let port = receiver.local_addr().port();
+    let idlers = [None, Some(receiver)].map(Idler::start);
+    let begun = Instant::now();
+    stream.send(port, 1.0, || begun.elapsed().as_secs() >= seconds);
+    let [waking, receiving] = idlers.map(|idler| idler.end() * 100.0);
+    println!("  to wake up 30 times a second takes {waking:.2} %, and to take the packets then {receiving:.2} %");
 }
 
 /// A thread that wakes up three times in a turn of 10 Hz, as often as that of a port at its least.

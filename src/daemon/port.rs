@@ -31,7 +31,7 @@ use crate::wire::position::POSITION_PACKET_LEN;
 /// How long to wait for packets while some come.
 const BUSY: Duration = Duration::from_millis(5);
 /// How long to wait while none come, before it is looked whether the daemon ends.
-const IDLE: Duration = Duration::from_millis(100);
+const IDLE: Duration = Duration::from_millis(50);
 /// After so long without packets none come.
 const QUIET: Duration = Duration::from_secs(1);
 /// How often it is looked at the interface, while nothing comes.

@@ -203,7 +203,7 @@ struct Places<S: Simd> {
 fn place<S: Simd>(simd: S, points: &Points, lane: usize, stand: &Stand) -> Places<S> {
     let far = load(simd, &points.far, lane);
     let height = match stand.up {
-        // As most sensors stand.
+        // Upright, as most sensors stand: z bit for bit.
         [0.0, 0.0, 1.0] => load(simd, &points.z, lane),
         up => {
             let [x, y, z] = points.place(simd, lane);

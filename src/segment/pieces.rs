@@ -46,7 +46,7 @@ pub(super) struct Sum {
     pub rows: [u16; 2],
     /// Least of x, y, z and the range.
     pub least_m: [f32; 4],
-    /// Greatest of them.
+    /// Greatest of x, y and z; nobody asks for that of the range.
     pub most_m: [f32; 4],
     pub sum_m: [f64; 3],
 }
@@ -200,7 +200,7 @@ impl Whereabouts {
     }
 }
 
-/// Up to so many columns are measured one by one: for fewer than these, vectors do not pay.
+/// Up to so many columns are measured one by one: for so few, vectors do not pay.
 const FEW: u32 = 8;
 
 /// What the columns of a run in the strip at hand measure, of which only some are to be counted, and the least and greatest

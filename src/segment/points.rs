@@ -87,8 +87,8 @@ impl Order {
     }
 }
 
-/// A number for each lane of each row. Sixteen columns from the first of a strip on lie in one cache line: to read or write them
-/// elsewhere takes twice as long.
+/// A number for each lane of each row. Sixteen columns, counted from the first of a strip, are one cache line: a vector across
+/// two of them takes twice as long.
 #[derive(Clone, Debug, Default)]
 pub(super) struct Plane {
     lines: Vec<Line>,
@@ -185,8 +185,8 @@ struct Beam {
 }
 
 impl Points {
-    /// Takes room for any image of such a buffer. What an older sweep left there is not looked at: the words say what is real, and
-    /// what lies before the strip that leads in counts for nothing.
+    /// Takes room for any image of such a buffer. What an older sweep left there does no harm: the words say what is real, and
+    /// what lies before the strip that leads in reaches none that counts.
     pub fn reserve(&mut self, rows: usize, columns: usize) {
         for plane in [&mut self.x, &mut self.y, &mut self.z, &mut self.far, &mut self.range] {
             plane.lines.resize(rows * STRIDE / LANES, Line([0.0; LANES]));

@@ -27,7 +27,7 @@ use super::points::{BEFORE, LANES, Points, STRIP, load};
 use super::reach::Entries;
 use super::work;
 
-/// Runs that are listed at once.
+/// Runs that are compared with one before any is looked at: a bit each.
 const WORD: usize = u64::BITS as usize;
 
 /// What is joined.
@@ -204,7 +204,7 @@ impl Test {
     ) {
         let (a, end) = (among.start, among.end);
         for from in (a + 1..end).step_by(WORD) {
-            // A word of them before any is looked at: whether sixteen hold one is guessed wrong too often to be asked.
+            // All that fit a word before any is looked at: to ask after each sixteen is to be mispredicted too often.
             let mut left = 0;
             for ahead in (0..WORD.min(end - from)).step_by(LANES) {
                 work::count(1);

@@ -178,8 +178,8 @@ impl Soak {
             self.outcome.recordings += 1;
             self.recorded_before = self.feeds.iter().map(|feed| feed.tally.packets + feed.tally.positions).sum();
             self.daemon()?.reload_recording(true)?;
-            // Each thread has its lane after one more round.
-            thread::sleep(Duration::from_millis(200));
+            // Each thread has its lane after one more round, which takes a nap at most.
+            thread::sleep(Duration::from_millis(400));
         }
         Ok(())
     }

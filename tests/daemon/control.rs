@@ -9,7 +9,7 @@ use sweepd::wire::data::ReturnMode;
 use crate::child::{Daemon, is_free, write};
 use crate::rig::{Sending, free_port, free_tcp_port, stream, until};
 
-const WATCHDOG: Duration = Duration::from_millis(400);
+const WATCHDOG: Duration = Duration::from_millis(800);
 
 /// A VLP-16 for so many turns.
 fn vlp16(host: u16, ports: (u16, u16), turns: f64) -> Sending {

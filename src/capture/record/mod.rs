@@ -7,7 +7,7 @@
 //!
 //! Each receiving thread has a [`Lane`] of its own. Putting a datagram in is a copy of its bytes: no lock, no system
 //! call, no allocation. What finds no room, since the disk stalls or has failed, is counted and gone. The writing thread
-//! looks every 60 ms, and merges the lanes by arrival: a datagram is written after any other with an earlier stamp that
+//! looks every 120 ms, and merges the lanes by arrival: a datagram is written after any other with an earlier stamp that
 //! its own thread put in at most so much later. Those of one lane keep their order.
 //!
 //! [`mod@file`] is one capture, [`Rotation`] says when another begins.
