@@ -79,7 +79,7 @@ impl Pulse {
 
     /// How often to observe.
     pub fn interval(&self) -> Duration {
-        let often = Duration::from_millis(250);
+        let often = Duration::from_millis(500);
         self.watchdog.map_or(often, |watchdog| (watchdog / 8).clamp(Duration::from_millis(1), often))
     }
 

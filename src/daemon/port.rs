@@ -7,6 +7,7 @@
 //! ```
 
 use std::net::{IpAddr, SocketAddr};
+use std::os::unix::net::UnixStream;
 use std::sync::Arc;
 use std::sync::atomic::{AtomicBool, Ordering};
 use std::sync::mpsc::{Receiver, SyncSender};
@@ -18,6 +19,7 @@ use super::door::{Admitted, Door};
 use super::nap::{self, Load};
 use super::sensor::Sensor;
 use super::sharing::Outgoing;
+use super::sys::wait_for_either;
 use super::tap::Tap;
 use crate::capture::record::Lane;
 use crate::capture::write::Addressed;
@@ -30,8 +32,10 @@ use crate::wire::position::POSITION_PACKET_LEN;
 
 /// How long to wait for packets while some come.
 const BUSY: Duration = Duration::from_millis(5);
-/// How long to wait while none come, before it is looked whether the daemon ends.
-const IDLE: Duration = Duration::from_millis(50);
+/// How often it is looked at what other threads ask for, while none come.
+const IDLE: Duration = Duration::from_millis(200);
+/// How long to wait when the socket has failed.
+const PAUSE: Duration = Duration::from_millis(50);
 /// After so long without packets none come.
 const QUIET: Duration = Duration::from_secs(1);
 /// How often it is looked at the interface, while nothing comes.
@@ -41,8 +45,6 @@ const FAILURES: u32 = 20;
 /// Position packets that may wait for the thread of their sensor. An HDL-32E with two returns sends 720 a second (one for five
 /// data packets), and either thread may nap.
 pub const MAILS: usize = 256;
-/// How long a port naps that only position packets come to.
-const POSITION_NAP_NS: i64 = 20_000_000;
 
 /// A position packet on its way to the thread of its sensor.
 pub struct Mail {
@@ -99,12 +101,19 @@ pub struct Port<B: Buffers> {
     room: Room<B>,
     /// Other ways to a recording.
     lanes: Receiver<Option<Lane>>,
-    /// Set when the daemon ends.
-    over: Arc<AtomicBool>,
+    end: End,
     /// When the newest packet was let in.
     heard: Option<Instant>,
     /// How much of the time it works.
     load: Load,
+}
+
+/// By what the thread of a port learns that the daemon ends.
+pub struct End {
+    /// Set then.
+    pub over: Arc<AtomicBool>,
+    /// Can be read then: its other end is shut down.
+    pub bell: UnixStream,
 }
 
 /// What lies behind the socket of a port. Both clocks enter here: that which stamps packets, with each of them, and
@@ -153,9 +162,9 @@ impl Newest {
 }
 
 impl<B: Buffers<Buffer: Outgoing>> Port<B> {
-    /// A port whose socket is open, with ways to a recording, and a flag that is set when the daemon ends.
-    pub fn new(source: UdpSource, room: Room<B>, lanes: Receiver<Option<Lane>>, over: Arc<AtomicBool>) -> Self {
-        Self { source, room, lanes, over, heard: None, load: Load::new(Instant::now()) }
+    /// A port whose socket is open, with ways to a recording.
+    pub fn new(source: UdpSource, room: Room<B>, lanes: Receiver<Option<Lane>>, end: End) -> Self {
+        Self { source, room, lanes, end, heard: None, load: Load::new(Instant::now()) }
     }
 
     /// Its number.
@@ -169,15 +178,17 @@ impl<B: Buffers<Buffer: Outgoing>> Port<B> {
     /// [`UdpError::Socket`], when the socket fails and does not recover.
     pub fn serve(mut self) -> Result<(), UdpError> {
         let (mut failures, mut looked) = (0, Instant::now());
-        while !self.over.load(Ordering::Relaxed) {
+        while !self.end.over.load(Ordering::Relaxed) {
             let was_quiet = self.is_quiet();
-            match self.round(if was_quiet { IDLE } else { BUSY }) {
+            // For position packets nobody hurries: they are napped over, not waited for.
+            let is_waited_for = !was_quiet && self.has_sweeps();
+            match self.round(if is_waited_for { BUSY } else { Duration::ZERO }) {
                 Ok(()) => failures = 0,
                 // An interface that goes down says so once.
                 Err(error) if failures >= FAILURES => return Err(error),
                 Err(_) => {
                     failures += 1;
-                    thread::park_timeout(IDLE);
+                    thread::park_timeout(PAUSE);
                     continue;
                 }
             }
@@ -190,7 +201,7 @@ impl<B: Buffers<Buffer: Outgoing>> Port<B> {
             self.room.counters.heartbeat.add(1);
             // What fills a whole batch has more behind it: a nap would let that pile up.
             if !self.source.may_hold_more() {
-                self.nap();
+                self.rest();
             }
         }
         Ok(())
@@ -200,11 +211,16 @@ impl<B: Buffers<Buffer: Outgoing>> Port<B> {
         self.heard.is_none_or(|heard| heard.elapsed() > QUIET)
     }
 
+    /// Whether data packets come here, and not position packets alone.
+    fn has_sweeps(&self) -> bool {
+        !self.room.sensors.is_empty()
+    }
+
     /// Sleeps while no sweep of any sensor is about to end; the socket keeps what comes. Whoever ends the daemon unparks. While
     /// none come it is waited on the socket instead: nobody knows how much the first batch holds.
-    fn nap(&self) {
+    fn rest(&self) {
         if self.is_quiet() {
-            return;
+            return wait_for_either(self.source.socket(), &self.end.bell, IDLE);
         }
         let now_ns = realtime_ns();
         let Room { sensors, .. } = &self.room;
@@ -212,7 +228,7 @@ impl<B: Buffers<Buffer: Outgoing>> Port<B> {
         let until_due_ns = |served: &Served<B>| served.sensor.due_ns().map(|due_ns| due_ns.saturating_sub(now_ns));
         // One of whom it is not known is waited on.
         let naps_ns = sensors.iter().map(|served| until_due_ns(served).map_or(0, |ns| nap::length_ns(ns, longest_ns)));
-        if let ns @ 1.. = naps_ns.min().unwrap_or(POSITION_NAP_NS.min(longest_ns)) {
+        if let ns @ 1.. = naps_ns.min().unwrap_or(longest_ns) {
             thread::park_timeout(Duration::from_nanos(ns as u64));
         }
     }

@@ -2,7 +2,8 @@
 
 use std::any::Any;
 use std::collections::HashMap;
-use std::net::{IpAddr, SocketAddr, SocketAddrV4};
+use std::net::{IpAddr, Shutdown, SocketAddr, SocketAddrV4};
+use std::os::unix::net::UnixStream;
 use std::sync::Arc;
 use std::sync::atomic::{AtomicBool, Ordering};
 use std::sync::mpsc::{self, Receiver, Sender, SyncSender};
@@ -15,7 +16,7 @@ use super::config::{Config, PortConfig, SensorConfig, memory};
 use super::counters::{PortCounters, SensorCounters};
 use super::door::Door;
 use super::plan::{self, PortName, PortPlan};
-use super::port::{MAILS, Mail, Mailbox, Newest, Port, Room, Served};
+use super::port::{End, MAILS, Mail, Mailbox, Newest, Port, Room, Served};
 use super::sensor::{Event, Identity, Sensor};
 use super::sharing::{Sharing, SharingError, SharingStatus};
 use super::sys;
@@ -145,6 +146,8 @@ pub struct Runtime {
     /// Ways to give ports another lane of a recording.
     lanes: Vec<Sender<Option<Lane>>>,
     over: Arc<AtomicBool>,
+    /// Shut down when they are to end, for those that wait on a socket.
+    bell: UnixStream,
     threads: Vec<(String, JoinHandle<Result<(), UdpError>>)>,
 }
 
@@ -171,20 +174,23 @@ impl Runtime {
         // Now that it may run: a daemon that cannot, again and again, begins no files.
         tees.begin(config.record.as_ref());
         let over = Arc::new(AtomicBool::new(false));
+        let failed = |source| DaemonError::System { what: "make a pair of sockets", source };
+        let (bell, rung) = UnixStream::pair().map_err(failed)?;
         let sensors = hall.statuses.into();
         let (ports, lanes, threads) = (Arc::new([]), Vec::new(), Vec::new());
-        let mut runtime = Self { sensors, ports, events, orders: hall.orders, lanes, over, threads };
+        let mut runtime = Self { sensors, ports, events, orders: hall.orders, lanes, over, bell, threads };
         let mut statuses = Vec::new();
         for (source, plan) in sockets {
             let status = PortStatus::new(&source, &plan.config);
             let served = plan.sensors.iter().filter_map(|index| ready.remove(index)).collect();
             let others = others(config, &plan, &hall.mailboxes, tees);
             let door = Door::new(plan.sensors.iter().map(|&index| &config.sensors[index]), heard(config, &plan));
-            let (counters, over) = (Arc::clone(&status.counters), Arc::clone(&runtime.over));
+            let counters = Arc::clone(&status.counters);
+            let end = End { over: Arc::clone(&runtime.over), bell: rung.try_clone().map_err(failed)? };
             let (order, lanes) = mpsc::channel();
             runtime.lanes.push(order);
             let room = Room { door, sensors: served, others, lane: tees.lane(), counters };
-            let port = Port::new(source, room, lanes, over);
+            let port = Port::new(source, room, lanes, end);
             // On an early return, dropping the runtime ends those that run already.
             runtime.threads.push((status.name.clone(), spawn(port, &status.name, &plan.config)?));
             statuses.push(status);
@@ -245,6 +251,8 @@ impl Runtime {
     /// Tells all threads to end, and wakes those that sleep.
     fn end(&self) {
         self.over.store(true, Ordering::Relaxed);
+        // Fails where that was done before.
+        let _ = self.bell.shutdown(Shutdown::Both);
         self.threads.iter().for_each(|(_, thread)| thread.thread().unpark());
     }
 
@@ -394,8 +402,9 @@ mod tests {
             Ok(())
         });
         let (threads, over) = (vec![("127.0.0.1:2368".to_owned(), slow)], Arc::default());
+        let bell = UnixStream::pair().unwrap().0;
         let (sensors, ports, events) = (Arc::new([]), Arc::new([]), mpsc::channel().1);
-        let runtime = Runtime { sensors, ports, events, orders: Vec::new(), lanes: Vec::new(), over, threads };
+        let runtime = Runtime { sensors, ports, events, orders: Vec::new(), lanes: Vec::new(), over, bell, threads };
         runtime.stop().unwrap();
     }
 }

@@ -1,9 +1,11 @@
-//! The system calls that no safe crate of ours offers: a thread's core and its scheduler.
+//! The system calls that no safe crate of ours offers: a thread's core and its scheduler, and to wait on two sockets.
 
 #![allow(unsafe_code)]
 
 use std::io;
 use std::mem::{MaybeUninit, size_of};
+use std::os::fd::{AsFd, AsRawFd};
+use std::time::Duration;
 
 /// Keeps the calling thread on one core.
 ///
@@ -33,9 +35,43 @@ pub fn set_realtime_priority(priority: u8) -> io::Result<()> {
     if result == 0 { Ok(()) } else { Err(io::Error::last_os_error()) }
 }
 
+/// Waits until there is something to read from one of two, or its other end is gone (poll(2)), at most so long, in whole
+/// milliseconds, rounded up. A signal ends it too.
+pub fn wait_for_either(one: impl AsFd, other: impl AsFd, timeout: Duration) {
+    let watched = |fd| libc::pollfd { fd, events: libc::POLLIN, revents: 0 };
+    let mut both = [one.as_fd().as_raw_fd(), other.as_fd().as_raw_fd()].map(watched);
+    let ms = timeout.as_micros().div_ceil(1000).try_into().unwrap_or(libc::c_int::MAX);
+    // SAFETY: the kernel reads and writes as many entries as the array has while the call lasts; the descriptors are borrowed
+    // for longer.
+    unsafe { libc::poll(both.as_mut_ptr(), both.len() as libc::nfds_t, ms) };
+}
+
 #[cfg(test)]
 mod tests {
+    use std::io::Write;
+    use std::net::Shutdown;
+    use std::os::unix::net::UnixStream;
+    use std::time::Instant;
+
     use super::*;
+
+    #[test]
+    fn either_socket_ends_the_wait_and_so_does_the_end_of_its_other_end() {
+        let pairs = [(); 2].map(|()| UnixStream::pair().unwrap());
+        let waited = |ms| {
+            let begun = Instant::now();
+            wait_for_either(&pairs[0].0, &pairs[1].0, Duration::from_millis(ms));
+            begun.elapsed()
+        };
+        let long_ms = 20_000;
+        assert!(waited(30) >= Duration::from_millis(30));
+        (&pairs[1].1).write_all(b"x").unwrap();
+        assert!(waited(long_ms) < Duration::from_millis(long_ms / 2));
+        std::io::Read::read_exact(&mut &pairs[1].0, &mut [0]).unwrap();
+        assert!(waited(30) >= Duration::from_millis(30));
+        pairs[0].1.shutdown(Shutdown::Both).unwrap();
+        assert!(waited(long_ms) < Duration::from_millis(long_ms / 2));
+    }
 
     #[test]
     fn a_thread_is_pinned_to_a_core_that_there_is_and_to_no_other() {

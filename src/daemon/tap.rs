@@ -18,6 +18,7 @@ mod server;
 mod sys;
 pub mod wire;
 
+use std::os::unix::net::UnixStream;
 use std::path::{Path, PathBuf};
 use std::sync::atomic::{AtomicBool, AtomicU64, Ordering};
 use std::sync::{Arc, Mutex, MutexGuard, PoisonError};
@@ -66,6 +67,8 @@ pub fn socket_path(root: &Path) -> PathBuf {
 #[derive(Debug)]
 pub struct Taps {
     shared: Arc<Shared>,
+    /// Wakes the thread when it is dropped.
+    bell: Option<UnixStream>,
     /// `None` when it was joined.
     server: Option<JoinHandle<()>>,
 }
@@ -113,10 +116,11 @@ impl Taps {
     pub fn listen(path: &Path) -> Result<Self, TapError> {
         let socket = Socket::listen(path)?;
         let shared = Arc::new(Shared::default());
-        let server = Server::new(Arc::clone(&shared), socket);
+        let failed = |source| TapError::Thread { source };
+        let (bell, rung) = UnixStream::pair().map_err(failed)?;
+        let server = Server::new(Arc::clone(&shared), rung, socket);
         let thread = thread::Builder::new().name("sweepd-tap".to_owned()).spawn(|| server.run());
-        let server = Some(thread.map_err(|source| TapError::Thread { source })?);
-        Ok(Self { shared, server })
+        Ok(Self { shared, bell: Some(bell), server: Some(thread.map_err(failed)?) })
     }
 
     /// A tap for the datagrams of a sensor. Each thread that receives such needs one of its own. Takes memory and a lock: not
@@ -133,8 +137,8 @@ impl Taps {
 impl Drop for Taps {
     fn drop(&mut self) {
         self.shared.over.store(true, Ordering::Release);
+        self.bell = None;
         if let Some(server) = self.server.take() {
-            server.thread().unpark();
             // A panic there was told when it happened, and is no reason for another one here.
             let _ = server.join();
         }

@@ -2,6 +2,7 @@
 
 use std::io;
 use std::os::fd::AsFd;
+use std::sync::LazyLock;
 
 use socket2::Socket;
 
@@ -17,16 +18,16 @@ pub const CHARGED_BYTES: usize = 2304;
 const AMPLE_NS: u64 = 500_000_000;
 
 /// From one data packet to the next of the fastest model that is supported (an HDL-64E S3 with two returns),
-/// nanoseconds.
-fn fastest_period_ns() -> u64 {
+/// nanoseconds. It is asked for with each nap of a port.
+static FASTEST_PERIOD_NS: LazyLock<u64> = LazyLock::new(|| {
     let periods = Model::ALL
         .map(|model| [ReturnMode::Strongest, ReturnMode::Dual].map(|mode| model.spec().packet_period_ns(mode)));
     u64::from(periods.into_iter().flatten().min().unwrap_or(u32::MAX))
-}
+});
 
 /// Buffer that holds half a second of the fastest supported model, bytes as the kernel charges them.
 pub fn ample_buffer_bytes() -> usize {
-    AMPLE_NS.div_ceil(fastest_period_ns()) as usize * CHARGED_BYTES
+    AMPLE_NS.div_ceil(*FASTEST_PERIOD_NS) as usize * CHARGED_BYTES
 }
 
 /// A receive buffer, as it was asked for and as it was given.
@@ -51,7 +52,7 @@ impl ReceiveBuffer {
 
     /// For how long it holds what the fastest supported model sends, milliseconds.
     pub fn fastest_ms(&self) -> u64 {
-        self.packets() as u64 * fastest_period_ns() / 1_000_000
+        self.packets() as u64 * *FASTEST_PERIOD_NS / 1_000_000
     }
 
     /// The value of the sysctl net.core.rmem_max that would have been enough: the kernel doubles what a program asks

@@ -15,7 +15,7 @@ mod sys;
 use std::io;
 use std::net::{Ipv4Addr, SocketAddrV4};
 use std::num::NonZeroU32;
-use std::os::fd::AsFd;
+use std::os::fd::{AsFd, BorrowedFd};
 use std::time::Duration;
 
 use socket2::{Domain, InterfaceIndexOrAddress, Protocol, Socket, Type};
@@ -233,6 +233,11 @@ impl UdpSource {
     /// What the kernel gave.
     pub fn buffer(&self) -> ReceiveBuffer {
         self.buffer
+    }
+
+    /// The socket, to be waited on together with something else.
+    pub fn socket(&self) -> BorrowedFd<'_> {
+        self.socket.as_fd()
     }
 
     fn wait_at_most(&mut self, timeout: Duration) -> Result<(), UdpError> {

@@ -14,13 +14,13 @@ use std::time::{Duration, Instant};
 use super::wire::{Answer, END_LEN, Frame, Hello, MAX_NAME_LEN, Status, WireError};
 use super::{MAX_CLIENTS, Shared, TapError, Tapped, sys};
 use crate::capture::write::Addressed;
+use crate::daemon::sys::wait_for_either;
 use crate::host::{own_uid, user_name};
 
-/// How often it looks while something waits for a client, while there are clients, and while there are none.
+/// How often it looks while something waits for a client, and while there are clients.
 const BUSY_PERIOD: Duration = Duration::from_millis(1);
 const PERIOD: Duration = Duration::from_millis(10);
-const IDLE_PERIOD: Duration = Duration::from_millis(250);
-/// How often it is looked whether the socket is still there.
+/// How often it is looked whether the socket is still there. While there are no clients that is all there is to do.
 const SOCKET_PERIOD: Duration = Duration::from_secs(1);
 /// For how long a client may keep silent before it has said what it wants, and may take nothing although there is
 /// something for it.
@@ -100,22 +100,28 @@ fn prepare(listener: &UnixListener, path: &Path) -> io::Result<u64> {
 /// All that the thread has.
 pub(super) struct Server {
     shared: Arc<Shared>,
+    /// Its other end is dropped when the thread is to end.
+    bell: UnixStream,
     socket: Socket,
     sensors: Vec<Tapped>,
     clients: Vec<Client>,
 }
 
 impl Server {
-    pub(super) fn new(shared: Arc<Shared>, socket: Socket) -> Self {
-        Self { shared, socket, sensors: Vec::new(), clients: Vec::new() }
+    pub(super) fn new(shared: Arc<Shared>, bell: UnixStream, socket: Socket) -> Self {
+        Self { shared, bell, socket, sensors: Vec::new(), clients: Vec::new() }
     }
 
     pub(super) fn run(mut self) {
         while !self.shared.over.load(Ordering::Acquire) {
             self.socket.look_after();
-            self.accept();
+            let accepted = self.accept();
             self.round();
-            thread::park_timeout(self.period());
+            match accepted {
+                Ok(()) => wait_for_either(&self.bell, &self.socket.listener, self.period()),
+                // Who could not be accepted (no file is left) still knocks: the bell alone, else this would never rest.
+                Err(_) => wait_for_either(&self.bell, &self.bell, PERIOD.max(self.period())),
+            }
         }
         self.clients.iter_mut().for_each(Client::end);
         let begun = Instant::now();
@@ -127,17 +133,22 @@ impl Server {
 
     fn period(&self) -> Duration {
         match &self.clients[..] {
-            [] => IDLE_PERIOD,
+            [] => SOCKET_PERIOD,
             // A stuck one among them is no reason to hurry.
             clients if clients.iter().any(|client| client.is_taking()) => BUSY_PERIOD,
             _ => PERIOD,
         }
     }
 
-    fn accept(&mut self) {
+    /// Lets in who knocks.
+    fn accept(&mut self) -> io::Result<()> {
         // No more than a few a round: who connects again and again must not keep it from the others.
         for _ in 0..MAX_CLIENTS {
-            let Ok((stream, _)) = self.socket.listener.accept() else { return };
+            let stream = match self.socket.listener.accept() {
+                Ok((stream, _)) => stream,
+                Err(error) if error.kind() == io::ErrorKind::WouldBlock => break,
+                Err(error) => return Err(error),
+            };
             let own = own_uid();
             let refusal = if !sys::peer_uid(&stream).is_ok_and(|uid| uid == own) {
                 Answer::new(Status::OtherUser, &user_name(own))
@@ -150,6 +161,7 @@ impl Server {
             // An answer fits into any socket's buffer; who does not read it is not missed.
             let _ = stream.set_nonblocking(true).and_then(|()| (&stream).write_all(&refusal.bytes()));
         }
+        Ok(())
     }
 
     /// Carries what has come, hears the clients, and parts from who has got all or is gone.
