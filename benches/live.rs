@@ -1,12 +1,13 @@
 //! The daemon at work, over loopback: latency by stage, load, and what it costs.
 //!
 //! ```text
-//! cargo bench --bench live                       all of it, about six minutes
+//! cargo bench --bench live                       all of it, about seven minutes
 //! cargo bench --bench live -- latency hdl64e     what has these words in its name
 //! ```
 //!
-//! Each runs `sweepd run` and `sweepd watch` in processes of their own. The packets are simulated beforehand and sent in a
-//! loop, with the sensor's clock and head going on, so that the sender costs little. After what the daemon costs stands what
+//! Each runs `sweepd run` and `sweepd watch` in processes of their own. The packets are simulated beforehand, or those of a real
+//! capture where it is at hand, and sent in a loop, with the sensor's clock and head going on, so that the sender costs little.
+//! After what the daemon costs stands what
 //! the machine takes for less: to wake up three times a turn for nothing, and to take the same packets from the kernel then, as
 //! the daemon does, and do nothing with them.
 
@@ -18,7 +19,7 @@ use std::sync::atomic::{AtomicBool, Ordering};
 use std::thread::{self, JoinHandle};
 use std::time::{Duration, Instant};
 
-use sweepd::capture::{UdpConfig, UdpSource};
+use sweepd::capture::{Capture, UdpConfig, UdpSource};
 use sweepd::client::{Client, Domain};
 use sweepd::sensor::Model;
 use sweepd::sensor::model::Spec;
@@ -42,11 +43,20 @@ fn main() {
             latency(name, Stream::new(model, mode, 1200.0));
         }
     }
-    for (name, model) in [("cost vlp16", Model::Vlp16), ("cost hdl64e", Model::Hdl64eS2)] {
+    for (name, source) in [
+        ("cost vlp16", Source::Street(Model::Vlp16)),
+        ("cost vlp16 einride", Source::Capture(Model::Vlp16, "vlp16_einride-a.pcap")),
+        ("cost vlp16 mrpt", Source::Capture(Model::Vlp16, "vlp16_mrpt-gps.pcap")),
+        ("cost hdl64e", Source::Street(Model::Hdl64eS2)),
+    ] {
         if is_wanted(name) {
-            let stream = Stream::new(model, ReturnMode::Strongest, 600.0);
-            load(name, &stream, 1.0, 20);
-            least(&stream, 10);
+            match source.stream() {
+                Some(stream) => {
+                    load(name, &stream, 1.0, 20);
+                    least(&stream, 10);
+                }
+                None => println!("\n== {name}: that capture is not at hand (see the README)"),
+            }
         }
     }
     let name = "load hdl64e dual, 4 times real time";
@@ -70,7 +80,24 @@ fn machine() -> String {
     format!("{cpu}, {cores} cores, load {load} before, Linux {}", read("/proc/sys/kernel/osrelease").trim())
 }
 
-/// A turn and a half of packets, to be sent for ever.
+/// Where packets are from whose cost is measured.
+enum Source {
+    /// A turn and a half of the simulated street.
+    Street(Model),
+    /// All data packets of a real capture of a sensor that turns ten times a second.
+    Capture(Model, &'static str),
+}
+
+impl Source {
+    fn stream(&self) -> Option<Stream> {
+        match *self {
+            Self::Street(model) => Some(Stream::new(model, ReturnMode::Strongest, 600.0)),
+            Self::Capture(model, file) => Stream::captured(model, file),
+        }
+    }
+}
+
+/// Packets to be sent for ever: simulated ones, or those of a capture.
 struct Stream {
     model: Model,
     mode: ReturnMode,
@@ -92,6 +119,27 @@ impl Stream {
         let us = (packets.len() as f64 * period_ns as f64 / 1000.0).round();
         let cdeg = us * 1e-6 * rpm / 60.0 * 36_000.0;
         Self { model, mode, packets, period_ns, us: us as u32, cdeg }
+    }
+
+    /// The data packets of a capture, if it is there: those of a steady head, one after the other. Clock and head go on behind
+    /// the last as they went before.
+    fn captured(model: Model, file: &str) -> Option<Self> {
+        let beside = || Path::new(env!("CARGO_MANIFEST_DIR")).join("../shared/data");
+        let data = std::env::var_os("SWEEPD_DATA").map_or_else(beside, PathBuf::from);
+        let mut capture = Capture::open(data.join("pcap").join(file)).ok()?;
+        let mut packets: Vec<DataPacket> = Vec::new();
+        while let Some(datagram) = capture.next_datagram().unwrap() {
+            packets.extend(DataPacket::parse(datagram.payload).ok().copied());
+        }
+        let mode = ReturnMode::Strongest;
+        let period_ns = u64::from(model.spec().packet_period_ns(mode));
+        let azimuths = packets.iter().map(|packet| f64::from(packet.blocks[0].azimuth_cdeg()));
+        let [first, last] = [&packets[0], &packets[packets.len() - 1]];
+        let turned: f64 =
+            azimuths.clone().zip(azimuths.skip(1)).map(|(from, to)| (to - from).rem_euclid(36_000.0)).sum();
+        let steps = (packets.len() - 1) as f64;
+        let us = last.stamp_us() - first.stamp_us() + (period_ns as f64 / 1000.0).round() as u32;
+        Some(Self { model, mode, period_ns, us, cdeg: turned * (1.0 + 1.0 / steps), packets })
     }
 
     /// The packet of this number: stamps and azimuths go on where the rendered ones end.
