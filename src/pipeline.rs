@@ -254,8 +254,8 @@ impl<B: Buffers, W: Stopwatch> Pipeline<B, W> {
         }
     }
 
-    /// When the packet that completes the open sweep will arrive, if the head goes on as it did, nanoseconds since 1970;
-    /// `None` while nobody can tell. Whoever fetches packets need not hurry before.
+    /// When the packet that completes the open sweep will arrive at the earliest, if the head goes on as it did, nanoseconds
+    /// since 1970; `None` while nobody can tell. Whoever fetches packets need not hurry before.
     pub fn due_ns(&self) -> Option<i64> {
         match &self.state {
             State::Decoding(decoding) => decoding.builder.due_ns(),

@@ -4,11 +4,11 @@ mod common;
 
 use common::raw::{self, RawPacket};
 use common::run::{Run, Runner};
-use sweepd::pipeline::{Config, Fault};
+use sweepd::pipeline::{Config, Fault, Pipeline, Untimed};
 use sweepd::sensor::Model;
 use sweepd::simulate::{Emitter, EmitterConfig, SimulatedDatagram, fixtures};
 use sweepd::sweep::layout::{TimeSource, flags};
-use sweepd::sweep::{Column, SweepRef};
+use sweepd::sweep::{Column, HeapBuffers, SweepRef};
 use sweepd::wire::data::ReturnMode;
 
 /// Every capture of a supported model, and the speed of its head, turns a minute.
@@ -225,4 +225,41 @@ fn a_sensor_that_is_exchanged_is_seen_at_its_own_height() {
         }
     }
     assert!(seen[0] >= 3 && seen[1] >= 2, "{seen:?}");
+}
+
+/// Whoever fetches packets sleeps until then: a sweep that is expected too late comes too late.
+#[test]
+fn the_packet_that_completes_a_sweep_is_expected_a_period_before_it_comes_or_less() {
+    let scene = fixtures::scene();
+    for (model, mode, rpm) in [
+        (Model::Vlp16, ReturnMode::Strongest, 600.0),
+        (Model::Vlp16, ReturnMode::Dual, 1200.0),
+        (Model::Hdl32e, ReturnMode::Strongest, 600.0),
+        (Model::Hdl64eS3, ReturnMode::Dual, 300.0),
+    ] {
+        let emitted = EmitterConfig { rpm, ..EmitterConfig::new(model, mode) }.turns(4.0);
+        let period_ns = i64::from(model.spec().packet_period_ns(mode));
+        let config = Config { calibration: Some(emitted.beams().into_owned()), ..Config::default() };
+        let mut pipeline = Pipeline::new("sensor", config, HeapBuffers::default(), Untimed).unwrap();
+        // What was said of the open sweep after each of its packets, and by how much the one that completed it was late.
+        let (mut said, mut late_ns) = (Vec::new(), Vec::new());
+        for one in Emitter::new(emitted, &scene).filter(|one| one.truth.is_some()) {
+            pipeline.push(&one.datagram()).unwrap();
+            let mut is_complete = false;
+            while pipeline.poll().is_some() {
+                is_complete = true;
+            }
+            if is_complete {
+                late_ns.extend(said.drain(..).map(|due_ns: i64| one.arrival_ns - due_ns));
+            }
+            said.extend(pipeline.due_ns());
+        }
+        // The way through a network takes some tenths of a millisecond more at times.
+        let expected_ns = -400_000..period_ns + 400_000;
+        assert!(late_ns.iter().all(|ns| expected_ns.contains(ns)), "{model} {mode}: {late_ns:?} ns late");
+        // The cut may be anywhere in that packet.
+        let mean_ns = late_ns.iter().sum::<i64>() / late_ns.len() as i64;
+        assert!((0..period_ns).contains(&mean_ns), "{model} {mode}: {mean_ns} of {period_ns} ns late");
+        assert!(late_ns.len() > 200, "{model} {mode}: {}", late_ns.len());
+    }
 }

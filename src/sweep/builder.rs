@@ -123,7 +123,9 @@ impl<B: Buffers> Builder<B> {
         self.open.as_ref().map(|open| open.so_far.newest_arrival_ns)
     }
 
-    /// When the packet that completes the open sweep will arrive, if the head goes on as it did, nanoseconds since 1970.
+    /// When the packet that completes the open sweep will arrive at the earliest, if the head goes on as it did, nanoseconds
+    /// since 1970: when it has turned as far as the cut. That packet is up to a period on its way; whoever waits for it has
+    /// that much room for what is late.
     pub fn due_ns(&self) -> Option<i64> {
         let (newest_ns, rate_cdeg_ns) = (self.newest_arrival_ns()?, self.last_rate_cdeg_ns?.abs());
         let ns = self.head.until_cut_cdeg()? / rate_cdeg_ns;
