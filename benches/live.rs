@@ -7,9 +7,8 @@
 //!
 //! Each runs `sweepd run` and `sweepd watch` in processes of their own. The packets are simulated beforehand, or those of a real
 //! capture where it is at hand, and sent in a loop, with the sensor's clock and head going on, so that the sender costs little.
-//! After what the daemon costs stands what
-//! the machine takes for less: to wake up three times a turn for nothing, and to take the same packets from the kernel then, as
-//! the daemon does, and do nothing with them.
+//! After what the daemon costs stands what the machine takes for less: to wake up three times a turn for nothing, and to take the
+//! same packets from the kernel then, as the daemon does, and do nothing with them.
 
 use std::net::{Ipv4Addr, UdpSocket};
 use std::path::{Path, PathBuf};
@@ -126,7 +125,8 @@ impl Stream {
     fn captured(model: Model, file: &str) -> Option<Self> {
         let beside = || Path::new(env!("CARGO_MANIFEST_DIR")).join("../shared/data");
         let data = std::env::var_os("SWEEPD_DATA").map_or_else(beside, PathBuf::from);
-        let mut capture = Capture::open(data.join("pcap").join(file)).ok()?;
+        let path = Some(data.join("pcap").join(file)).filter(|path| path.exists())?;
+        let mut capture = Capture::open(path).unwrap();
         let mut packets: Vec<DataPacket> = Vec::new();
         while let Some(datagram) = capture.next_datagram().unwrap() {
             packets.extend(DataPacket::parse(datagram.payload).ok().copied());
@@ -142,7 +142,7 @@ impl Stream {
         Some(Self { model, mode, period_ns, us, cdeg: turned * (1.0 + 1.0 / steps), packets })
     }
 
-    /// The packet of this number: stamps and azimuths go on where the rendered ones end.
+    /// The packet of this number: stamps and azimuths go on where the first round of them ends.
     fn packet(&self, number: u64) -> DataPacket {
         let (round, index) = (number / self.packets.len() as u64, (number % self.packets.len() as u64) as usize);
         let mut packet = self.packets[index];

@@ -79,8 +79,8 @@ impl Pulse {
 
     /// How often to observe.
     pub fn interval(&self) -> Duration {
-        let often = Duration::from_millis(500);
-        self.watchdog.map_or(often, |watchdog| (watchdog / 8).clamp(Duration::from_millis(1), often))
+        let [often, seldom] = [250, 500].map(Duration::from_millis);
+        self.watchdog.map_or(seldom, |watchdog| (watchdog / 8).clamp(Duration::from_millis(1), often))
     }
 
     /// Takes the heartbeats of all threads, and gives those that hang: that have not moved for half the watchdog's time.

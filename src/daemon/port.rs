@@ -3,7 +3,7 @@
 //! ```text
 //! socket -> door -> data packet      -> pipeline of the sensor -> sweep -> consumers
 //!                -> position packet  -> pipelines of the sensors of that address: those of this port at once, those
-//!                                       of others through a short queue that their thread empties with each batch or nap
+//!                                       of others through a short queue that their thread empties after each batch or rest
 //! ```
 
 use std::net::{IpAddr, SocketAddr};
@@ -33,7 +33,7 @@ use crate::wire::position::POSITION_PACKET_LEN;
 /// How long to wait for packets while some come.
 const BUSY: Duration = Duration::from_millis(5);
 /// How often it is looked at what other threads ask for, while none come.
-const IDLE: Duration = Duration::from_millis(200);
+const IDLE: Duration = Duration::from_millis(100);
 /// How long to wait when the socket has failed.
 const PAUSE: Duration = Duration::from_millis(50);
 /// After so long without packets none come.
@@ -43,7 +43,7 @@ const LOOK_EVERY: Duration = Duration::from_secs(1);
 /// A socket that fails so often in a row will not recover: the daemon ends, and opens it anew when it is restarted.
 const FAILURES: u32 = 20;
 /// Position packets that may wait for the thread of their sensor. An HDL-32E with two returns sends 720 a second (one for five
-/// data packets), and either thread may nap.
+/// data packets), and either thread may rest for a tenth of a second.
 pub const MAILS: usize = 256;
 
 /// A position packet on its way to the thread of its sensor.
@@ -216,8 +216,8 @@ impl<B: Buffers<Buffer: Outgoing>> Port<B> {
         !self.room.sensors.is_empty()
     }
 
-    /// Sleeps while no sweep of any sensor is about to end; the socket keeps what comes. Whoever ends the daemon unparks. While
-    /// none come it is waited on the socket instead: nobody knows how much the first batch holds.
+    /// Sleeps while no sweep of any sensor is about to end; the socket keeps what comes. A quiet port waits on its socket
+    /// instead: nothing gathers there yet. Whoever ends the daemon unparks those that sleep, and rings for those that wait.
     fn rest(&self) {
         if self.is_quiet() {
             return wait_for_either(self.source.socket(), &self.end.bell, IDLE);
@@ -228,7 +228,7 @@ impl<B: Buffers<Buffer: Outgoing>> Port<B> {
         let until_due_ns = |served: &Served<B>| served.sensor.due_ns().map(|due_ns| due_ns.saturating_sub(now_ns));
         // One of whom it is not known is waited on.
         let naps_ns = sensors.iter().map(|served| until_due_ns(served).map_or(0, |ns| nap::length_ns(ns, longest_ns)));
-        if let ns @ 1.. = naps_ns.min().unwrap_or(longest_ns) {
+        if let ns @ 1.. = naps_ns.min().unwrap_or(longest_ns.max(1_000_000)) {
             thread::park_timeout(Duration::from_nanos(ns as u64));
         }
     }

@@ -251,7 +251,7 @@ impl Runtime {
     /// Tells all threads to end, and wakes those that sleep.
     fn end(&self) {
         self.over.store(true, Ordering::Relaxed);
-        // Fails where that was done before.
+        // Once more does no harm.
         let _ = self.bell.shutdown(Shutdown::Both);
         self.threads.iter().for_each(|(_, thread)| thread.thread().unpark());
     }

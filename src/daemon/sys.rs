@@ -40,7 +40,7 @@ pub fn set_realtime_priority(priority: u8) -> io::Result<()> {
 pub fn wait_for_either(one: impl AsFd, other: impl AsFd, timeout: Duration) {
     let watched = |fd| libc::pollfd { fd, events: libc::POLLIN, revents: 0 };
     let mut both = [one.as_fd().as_raw_fd(), other.as_fd().as_raw_fd()].map(watched);
-    let ms = timeout.as_micros().div_ceil(1000).try_into().unwrap_or(libc::c_int::MAX);
+    let ms = timeout.as_nanos().div_ceil(1_000_000).try_into().unwrap_or(libc::c_int::MAX);
     // SAFETY: the kernel reads and writes as many entries as the array has while the call lasts; the descriptors are borrowed
     // for longer.
     unsafe { libc::poll(both.as_mut_ptr(), both.len() as libc::nfds_t, ms) };

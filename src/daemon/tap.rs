@@ -116,11 +116,11 @@ impl Taps {
     pub fn listen(path: &Path) -> Result<Self, TapError> {
         let socket = Socket::listen(path)?;
         let shared = Arc::new(Shared::default());
-        let failed = |source| TapError::Thread { source };
-        let (bell, rung) = UnixStream::pair().map_err(failed)?;
+        let (bell, rung) = UnixStream::pair().map_err(|source| TapError::Listen { path: path.to_owned(), source })?;
         let server = Server::new(Arc::clone(&shared), rung, socket);
         let thread = thread::Builder::new().name("sweepd-tap".to_owned()).spawn(|| server.run());
-        Ok(Self { shared, bell: Some(bell), server: Some(thread.map_err(failed)?) })
+        let server = Some(thread.map_err(|source| TapError::Thread { source })?);
+        Ok(Self { shared, bell: Some(bell), server })
     }
 
     /// A tap for the datagrams of a sensor. Each thread that receives such needs one of its own. Takes memory and a lock: not

@@ -21,8 +21,8 @@ use super::tap::{Tap, Taps};
 use crate::capture::RecordError;
 use crate::capture::record::{Lane, Recorder};
 
-/// Every thread makes a round in this time, and takes its new lane.
-const TURNED: Duration = Duration::from_millis(500);
+/// In this time every thread is given its new lane, at the next look, and takes it, in its next round.
+const TURNED: Duration = Duration::from_secs(1);
 /// From one attempt to begin a recording that has failed to the next, at first and at most. One that goes on for longer
 /// than the latter has failed for the first time when it fails again.
 const RETRY: (Duration, Duration) = (Duration::from_secs(1), Duration::from_secs(60));

@@ -133,6 +133,8 @@ impl Server {
 
     fn period(&self) -> Duration {
         match &self.clients[..] {
+            // The last one has gone: the valves are to be shut.
+            [] if self.sensors.iter().any(|sensor| sensor.valve.is_open.load(Ordering::Relaxed)) => PERIOD,
             [] => SOCKET_PERIOD,
             // A stuck one among them is no reason to hurry.
             clients if clients.iter().any(|client| client.is_taking()) => BUSY_PERIOD,
