@@ -202,14 +202,7 @@ struct Places<S: Simd> {
 #[inline(always)]
 fn place<S: Simd>(simd: S, points: &Points, lane: usize, stand: &Stand) -> Places<S> {
     let far = load(simd, &points.far, lane);
-    let height = match stand.up {
-        // Upright, as most sensors stand: z bit for bit.
-        [0.0, 0.0, 1.0] => load(simd, &points.z, lane),
-        up => {
-            let [x, y, z] = points.place(simd, lane);
-            x * up[0] + y * up[1] + z * up[2]
-        }
-    };
+    let height = points.height(simd, lane, stand.up);
     Places { away: (far * far - height * height).max(0.0).sqrt(), height }
 }
 

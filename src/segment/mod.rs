@@ -264,7 +264,7 @@ impl Segmenter {
                     self.strips.go_on(sweep, None);
                 } else {
                     if told.is_none() && self.height.height_m().is_none() {
-                        self.height.observe(&sweep.as_ref(), &self.config);
+                        self.height.observe(self.strips.sound(sweep, &self.config));
                     }
                     self.strips.begin(sweep, &self.config, told.or(self.height.height_m()), None);
                 }
@@ -326,7 +326,7 @@ impl Segmenter {
             Method::Slope => {
                 self.strips.label(sweep, &self.config);
                 if self.config.mount.height_m.is_none() {
-                    self.height.observe(&sweep.as_ref(), &self.config);
+                    self.height.observe(self.strips.depths_m());
                 }
             }
         }

@@ -2,9 +2,6 @@
 
 use nalgebra::{Rotation3, Vector3};
 
-use super::Config;
-use crate::sweep::SweepRef;
-
 /// Pose of the sensor over the ground it stands on.
 #[derive(Clone, Copy, Debug, Default, PartialEq)]
 pub struct Mount {
@@ -30,11 +27,6 @@ impl Mount {
 pub struct Up(Vector3<f64>);
 
 impl Up {
-    /// Whether the sensor stands upright.
-    pub fn is_sensor_z(self) -> bool {
-        self.0.x == 0.0 && self.0.y == 0.0 && self.0.z > 0.0
-    }
-
     /// Its coordinates: right, forward, up.
     pub(super) fn axis(self) -> [f32; 3] {
         [self.0.x as f32, self.0.y as f32, self.0.z as f32]
@@ -51,7 +43,7 @@ impl Up {
 const SWEEPS: usize = 15;
 /// Heights that are looked at, metres below the sensor: 0.1 to 6.
 const BINS: usize = 60;
-const BIN_M: f64 = 0.1;
+const BIN_M: f32 = 0.1;
 /// Share of the columns whose lowest return must agree before it is taken for the ground.
 const MIN_SHARE: f64 = 0.1;
 /// Columns with a return below which nothing is estimated.
@@ -65,21 +57,20 @@ const MIN_COLUMNS: usize = 64;
 /// a part of a turn may see little ground.
 #[derive(Clone, Debug, Default)]
 pub struct HeightEstimator {
-    /// Sines of the beams' elevations.
-    rise: Vec<f32>,
-    lowest_m: Vec<f64>,
+    /// Depths near that of the ground.
+    near_m: Vec<f32>,
     /// Heights by the last sweeps, and columns that each is from.
     recent: [(f32, usize); SWEEPS],
     seen: usize,
 }
 
 impl HeightEstimator {
-    /// Takes one more sweep.
-    pub fn observe(&mut self, sweep: &SweepRef<'_>, config: &Config) {
-        self.collect(sweep, config);
-        let columns = self.lowest_m.len();
-        if let Some(height_m) = self.one_sweep() {
-            self.recent[self.seen % SWEEPS] = (height_m as f32, columns);
+    /// Takes one more sweep: how deep below the sensor the lowest return of each column lies, metres; infinite where there is
+    /// none.
+    pub fn observe(&mut self, depths_m: &[f32]) {
+        let columns = depths_m.iter().filter(|depth_m| depth_m.is_finite()).count();
+        if let Some(height_m) = self.one_sweep(depths_m, columns) {
+            self.recent[self.seen % SWEEPS] = (height_m, columns);
             self.seen += 1;
         }
     }
@@ -98,33 +89,13 @@ impl HeightEstimator {
         middle.map(|(height_m, _)| *height_m)
     }
 
-    /// Depths below the sensor of the lowest return of each column.
-    fn collect(&mut self, sweep: &SweepRef<'_>, config: &Config) {
-        let (rows, up) = (sweep.rows(), config.mount.up());
-        let shows = |row: usize, column: usize, range_m: f32| {
-            config.holds(range_m)
-                && config.mask.as_ref().is_none_or(|mask| !mask.hides(row, sweep.azimuth_rad(row, column)))
-        };
-        super::reserve(&mut self.rise, rows);
-        self.rise.extend(sweep.beams.iter().map(|beam| beam.elevation_rad.sin()));
-        super::reserve(&mut self.lowest_m, sweep.columns.len());
-        self.lowest_m.extend(sweep.range.chunks_exact(rows.max(1)).enumerate().filter_map(|(column, range_m)| {
-            let row = (0..rows).rev().find(|&row| shows(row, column, range_m[row]))?;
-            Some(match up.is_sensor_z() {
-                // Without the azimuth, which most sensors need not ask for.
-                true => -f64::from(range_m[row] * self.rise[row] + sweep.beams[row].vertical_offset_m),
-                false => -up.height_m(sweep.point_m(row, column, range_m[row])),
-            })
-        }));
-    }
-
-    fn one_sweep(&mut self) -> Option<f64> {
-        let columns = self.lowest_m.len();
+    /// The height by one sweep, of which so many columns have a return.
+    fn one_sweep(&mut self, depths_m: &[f32], columns: usize) -> Option<f32> {
         if columns < MIN_COLUMNS {
             return None;
         }
         let mut counts = [0_usize; BINS];
-        for depth_m in &self.lowest_m {
+        for depth_m in depths_m {
             // Negative numbers become bin 0, which no ground is in.
             if let Some(count) = counts.get_mut((depth_m / BIN_M) as usize) {
                 *count += 1;
@@ -135,10 +106,11 @@ impl HeightEstimator {
         let lowest = (2..BINS).rev().find(strong)?;
         // From the first strong bin on to the top of its hill.
         let mode = (2..=lowest).rev().take_while(strong).max_by_key(|&bin| strength(bin)).unwrap_or(lowest);
-        let middle_m = (mode as f64 + 0.5) * BIN_M;
-        self.lowest_m.retain(|depth_m| (depth_m - middle_m).abs() < 1.5 * BIN_M);
-        let half = self.lowest_m.len() / 2;
-        Some(*self.lowest_m.select_nth_unstable_by(half, f64::total_cmp).1)
+        let middle_m = (mode as f32 + 0.5) * BIN_M;
+        super::reserve(&mut self.near_m, depths_m.len());
+        self.near_m.extend(depths_m.iter().filter(|depth_m| (*depth_m - middle_m).abs() < 1.5 * BIN_M));
+        let half = self.near_m.len() / 2;
+        Some(*self.near_m.select_nth_unstable_by(half, f32::total_cmp).1)
     }
 }
 
@@ -156,18 +128,22 @@ mod tests {
         assert!(pitched.height_m([10.0, 0.0, 0.0]).abs() < 1e-9);
         let rolled = Mount { roll_rad: tilt, ..Mount::default() }.up();
         assert!((rolled.height_m([10.0, 0.0, 0.0]) + 10.0 * f64::from(tilt).sin()).abs() < 1e-9);
-        assert!(Mount::default().up().is_sensor_z() && !rolled.is_sensor_z());
+        assert_eq!(Mount::default().up().axis(), [0.0, 0.0, 1.0]);
     }
 
     #[test]
     fn the_lowest_strong_mode_is_the_ground() {
-        let sweep = |depths: &[(f64, usize)]| {
-            let lowest_m = depths.iter().flat_map(|&(depth, count)| std::iter::repeat_n(depth, count)).collect();
-            HeightEstimator { lowest_m, ..HeightEstimator::default() }.one_sweep()
+        let sweep = |depths: &[(f32, usize)]| {
+            let depths_m: Vec<f32> =
+                depths.iter().flat_map(|&(depth, count)| std::iter::repeat_n(depth, count)).collect();
+            let mut estimator = HeightEstimator::default();
+            estimator.observe(&depths_m);
+            estimator.height_m()
         };
         // A roof seen often, the ground seen less, a few reflections from below it.
         assert_eq!(sweep(&[(0.55, 500), (1.73, 300), (3.1, 20)]), Some(1.73));
         assert_eq!(sweep(&[(0.55, 10), (1.73, 30)]), None, "too few columns");
+        assert_eq!(sweep(&[(1.73, 63), (f32::INFINITY, 1_000)]), None, "a column without a return is none");
         assert_eq!(sweep(&[(-1.0, 500)]), None, "nothing below the sensor");
     }
 }

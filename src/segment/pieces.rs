@@ -245,6 +245,7 @@ pub(super) fn measure<S: Simd>(simd: S, points: &Points, lane: usize, [columns, 
 }
 
 /// The same of a few lanes, at least one, all of which are counted.
+#[inline(always)]
 fn measure_few(points: &Points, lanes: Range<usize>) -> (Sum, [f32; 2]) {
     let [x, y, z, range, far]: [&[f32]; 5] = [&points.x, &points.y, &points.z, &points.range, &points.far];
     let at = |lane: usize| ([x[lane], y[lane], z[lane], range[lane]], far[lane]);

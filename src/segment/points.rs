@@ -235,6 +235,19 @@ impl Points {
         [load(simd, &self.x, lane), load(simd, &self.y, lane), load(simd, &self.z, lane)]
     }
 
+    /// Their heights over the sensor along a direction that is up, of length 1, metres.
+    #[inline(always)]
+    pub fn height<S: Simd>(&self, simd: S, lane: usize, up: [f32; 3]) -> f32x16<S> {
+        match up {
+            // Upright, as most sensors stand: z bit for bit.
+            [0.0, 0.0, 1.0] => load(simd, &self.z, lane),
+            up => {
+                let [x, y, z] = self.place(simd, lane);
+                x * up[0] + y * up[1] + z * up[2]
+            }
+        }
+    }
+
     /// Goes on to the next strip.
     #[inline(always)]
     pub fn advance(&mut self) {

@@ -10,7 +10,7 @@
 //! For a whole turn the first columns are taken once more behind the last: what they hold for the second time is united with
 //! what it was the first time, and not counted again.
 
-use fearless_simd::{Level, Simd, dispatch, mask32x16, prelude::*, u32x16};
+use fearless_simd::{Level, Simd, dispatch, f32x16, mask32x16, prelude::*, u32x16};
 
 use super::crowd::Crowd;
 use super::extent::Extent;
@@ -38,6 +38,9 @@ pub(super) struct Strips {
     points: Points,
     fan: Fan,
     words: Vec<Words>,
+    /// How deep below the sensor the lowest return of each column lies, position by position, metres; infinite where there is
+    /// none.
+    depths_m: Vec<f32>,
     reach: Reach,
     crowd: Crowd,
     /// What is no ground in the strip at hand, row by row.
@@ -77,6 +80,7 @@ impl Strips {
             points: Points::default(),
             fan: Fan::default(),
             words: Vec::new(),
+            depths_m: Vec::new(),
             reach: Reach::default(),
             crowd: Crowd::default(),
             on: Vec::new(),
@@ -94,6 +98,7 @@ impl Strips {
         self.points.reserve(rows, columns);
         self.fan.reserve(rows);
         self.words.resize(rows, Words::default());
+        reserve(&mut self.depths_m, columns.next_multiple_of(STRIP));
         self.reach.reserve(rows);
         self.crowd.reserve(rows);
         self.on.resize(rows, 0);
@@ -134,6 +139,22 @@ impl Strips {
     /// Height of the sensor over the ground, as this sweep was begun with, metres.
     pub fn height_m(&self) -> Option<f32> {
         self.stand.height_m
+    }
+
+    /// How deep below the sensor the lowest return of each column lies, metres; infinite where there is none. Of a sweep that
+    /// was segmented.
+    pub fn depths_m(&self) -> &[f32] {
+        &self.depths_m
+    }
+
+    /// The same of a sweep that is not, of which all columns are there.
+    pub fn sound(&mut self, sweep: &SweepMut<'_>, config: &Config) -> &[f32] {
+        self.begin(sweep, config, None, None);
+        while self.has_next() {
+            let sweep = sweep.as_ref();
+            dispatch!(self.level, simd => self.next(simd, &sweep, config));
+        }
+        self.depths_m()
     }
 
     /// Finds the ground of the next strip. False when there is none, or none yet.
@@ -178,9 +199,31 @@ impl Strips {
             self.words.iter_mut().for_each(|words| words.copy_within(1.., 0));
         }
         self.points.fill(simd, sweep, config, self.at * STRIP, &mut self.words);
+        self.note_depths(simd);
         config.slope.climb(simd, &self.points, &self.stand, &mut self.words);
         config.slope.compare(simd, &self.points, &mut self.words);
         self.at += 1;
+    }
+
+    /// Notes the depths of the strip that was read, of the columns that count.
+    #[inline(always)]
+    fn note_depths<S: Simd>(&mut self, simd: S) {
+        let position = self.at * STRIP;
+        let count = self.points.order.end().saturating_sub(position).min(STRIP);
+        if self.at == 0 || count == 0 {
+            return;
+        }
+        let mut depths_m = [f32x16::splat(simd, f32::INFINITY); STRIP / LANES];
+        // From the top: what lies lowest is noted last.
+        for (row, words) in self.words.iter().enumerate() {
+            for (half, depth_m) in depths_m.iter_mut().enumerate() {
+                let real = mask32x16::from_bitmask(simd, u64::from(words[2].real >> (half * LANES)) & 0xFFFF);
+                let lane = self.points.at(row) + STRIP + half * LANES;
+                *depth_m = real.select(-self.points.height(simd, lane, self.stand.up), *depth_m);
+            }
+        }
+        depths_m.iter().for_each(|depth_m| self.depths_m.extend_from_slice(depth_m.as_slice()));
+        self.depths_m.truncate(self.depths_m.len() - (STRIP - count));
     }
 
     /// The ground and the runs of the strip at hand, and what they are joined to.
