@@ -4,12 +4,12 @@
 //! bytes give the same sweeps.
 //!
 //! ```text
-//! push(datagram)   what arrived                 poll()   the next sweep that is whole, segmented
-//! tick(now)        nothing arrived for a while  end()    nothing will arrive any more
+//! push(datagram)    what arrived                   poll()   the next sweep that is whole, segmented
+//! segment_early()   nothing to do at the moment
+//! tick(now)         nothing arrived for a while    end()    nothing will arrive any more
 //! ```
 //!
-//! A sweep is segmented while the head still turns, as far as it goes, each time that [`Pipeline::poll`] has no whole one to
-//! give.
+//! Whoever is in a hurry has a sweep segmented while the head still turns: [`Pipeline::segment_early`].
 
 mod config;
 mod report;
@@ -164,7 +164,7 @@ impl<B: Buffers, W: Stopwatch> Pipeline<B, W> {
         self.next_number += 1;
     }
 
-    /// The next sweep that is whole, labelled; else the open one is segmented as far as it goes. See [`SweepRef::open`](crate::sweep::SweepRef::open).
+    /// The next sweep that is whole, labelled. See [`SweepRef::open`](crate::sweep::SweepRef::open).
     pub fn poll(&mut self) -> Option<B::Buffer> {
         let begun_ns = self.watch.now_ns();
         let State::Decoding(decoding) = &mut self.state else { return self.close() };
@@ -181,11 +181,21 @@ impl<B: Buffers, W: Stopwatch> Pipeline<B, W> {
             builder.begin(slot, order.packet(slot), before);
         };
         builder.spent(self.watch.now_ns() - begun_ns);
-        let Some(whole) = whole.or_else(|| self.close()) else {
-            self.segment_early();
-            return None;
-        };
+        let whole = whole.or_else(|| self.close())?;
         Some(self.segment(whole))
+    }
+
+    /// Ground and joins of what is there of the open sweep: so there is little left to do when the head has turned. For when
+    /// there is nothing else to do, as after a batch of packets; the sweeps are the same without.
+    pub fn segment_early(&mut self) {
+        let State::Decoding(decoding) = &mut self.state else { return };
+        let Some((mut sweep, ready)) = decoding.builder.so_far() else { return };
+        if self.spent.sequence != sweep.header.sequence {
+            self.spent = Spent { sequence: sweep.header.sequence, ..Spent::default() };
+        }
+        if self.segmenter.begin_early(&mut sweep, ready) {
+            self.spent.strips(&mut self.segmenter, &sweep, &self.watch);
+        }
     }
 
     /// Tells the time while nothing arrives: a sweep that stalled is to be closed as it is. Whether there is one: then it
@@ -273,18 +283,6 @@ impl<B: Buffers, W: Stopwatch> Pipeline<B, W> {
             counts.lost += decoding.builder.lost();
         }
         counts
-    }
-
-    /// Ground and joins of what is there of the open sweep: so there is little left to do when the head has turned.
-    fn segment_early(&mut self) {
-        let State::Decoding(decoding) = &mut self.state else { return };
-        let Some((mut sweep, ready)) = decoding.builder.so_far() else { return };
-        if self.spent.sequence != sweep.header.sequence {
-            self.spent = Spent { sequence: sweep.header.sequence, ..Spent::default() };
-        }
-        if self.segmenter.begin_early(&mut sweep, ready) {
-            self.spent.strips(&mut self.segmenter, &sweep, &self.watch);
-        }
     }
 
     /// The paper's two steps, on a whole sweep and in place: take the ground away, join what is left. What was done early

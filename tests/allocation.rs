@@ -41,6 +41,7 @@ fn per_sweep(config: Config, datagrams: &[(Vec<u8>, i64)]) -> Vec<u64> {
             counts.push(now - before);
             before = now;
         }
+        pipeline.segment_early();
     }
     counts
 }

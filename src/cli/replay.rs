@@ -172,6 +172,7 @@ impl<'a> Replay<'a> {
             if place == Place::Within {
                 let wait = pacer.wait(placed.datagram.arrival_ns, begun.elapsed().as_nanos() as u64);
                 if wait > Duration::ZERO {
+                    self.tracks.iter_mut().for_each(|track| track.pipeline.segment_early());
                     std::thread::sleep(wait);
                 }
             }

@@ -325,6 +325,7 @@ impl<B: Buffers<Buffer: Outgoing>> Served<B> {
             self.sensor.reconfigure(config);
         }
         self.sensor.tick(self.newest.stamp_of(now), dropped);
+        self.sensor.work_ahead();
         self.sensor.tell();
     }
 }

@@ -136,6 +136,11 @@ impl<B: Buffers<Buffer: Outgoing>> Sensor<B> {
         }
     }
 
+    /// Does what can be done before its sweep is complete, after a batch.
+    pub fn work_ahead(&mut self) {
+        self.pipeline.segment_early();
+    }
+
     /// Brings the counters up to date, after a batch.
     pub fn tell(&mut self) {
         let mut counts = self.counted;

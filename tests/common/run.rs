@@ -51,6 +51,7 @@ impl Runner {
     pub fn push(&mut self, datagram: &Datagram<'_>) -> Result<(), Fault> {
         let result = self.pipeline.push(datagram);
         self.sweeps.extend(std::iter::from_fn(|| self.pipeline.poll()));
+        self.pipeline.segment_early();
         result
     }
 

@@ -113,6 +113,7 @@ impl Rig {
             self.sequence = Some(sequence);
             check(&sweep);
         }
+        self.pipeline.segment_early();
         let _ = (self.pipeline.take_notices(), self.pipeline.due_ns(), self.pipeline.counts());
     }
 }
