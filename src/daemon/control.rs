@@ -15,7 +15,7 @@ use tracing::{error, info, warn};
 use super::config::Config;
 use super::counters::SensorCounters;
 use super::health::{self, View};
-use super::notify::{Notifier, Pulse};
+use super::notify::{Notifier, Pulse, beat};
 use super::runtime::{DaemonError, Runtime};
 use super::sensor::Event;
 use super::sharing::Sharing;
@@ -139,6 +139,8 @@ struct Control {
     begun: Instant,
     watchers: Vec<Watcher>,
     pulse: Pulse,
+    /// How often it is looked at all threads and sensors.
+    beat: Duration,
     /// Threads that hang, as told last.
     hanging: Vec<usize>,
     /// Ports whose interfaces are gone, as told last.
@@ -154,7 +156,8 @@ impl Control {
             Watcher::new(&status.name, place, sensor.rpm, Duration::ZERO)
         };
         let watchers: Vec<Watcher> = runtime.sensors.iter().zip(&config.sensors).map(watcher).collect();
-        let pulse = Pulse::new(sd_notify::watchdog_enabled(), runtime.ports.len(), Duration::ZERO);
+        let watchdog = sd_notify::watchdog_enabled();
+        let pulse = Pulse::new(watchdog, runtime.ports.len(), Duration::ZERO);
         let view = View::new(Arc::clone(&runtime.sensors), Arc::clone(&runtime.ports), root.to_owned());
         let (begun, view) = (Instant::now(), Arc::new(Mutex::new(view)));
         let notifier = Notifier::default();
@@ -166,6 +169,7 @@ impl Control {
             begun,
             watchers,
             pulse,
+            beat: beat(watchdog),
             hanging: Vec::new(),
             gone: Vec::new(),
             notifier,
@@ -179,7 +183,7 @@ impl Control {
         }
         let view = Arc::clone(&self.view);
         let serving = serve_health(http.as_ref(), view);
-        let mut ticks = ticks(self.pulse.interval());
+        let mut ticks = ticks(self.beat);
         self.notifier.ready();
         tokio::pin!(serving);
         let ended = loop {

@@ -1,8 +1,8 @@
 //! How long the thread of a port may sleep while packets gather in its socket.
 //!
 //! ```text
-//! a turn   | nap, as long as buffer and work allow ... | fetch all | nap | each packet as it comes |
-//!          the last sweep is complete                  2.5 ms before     0.4 ms before the next one is
+//! a turn   | nap, as long as buffer and work allow ... | all that waits | each packet as it comes |
+//!          the last sweep is complete                                  0.4 ms before the next one is
 //! ```
 
 use std::time::{Duration, Instant};
@@ -11,12 +11,13 @@ use crate::capture::udp::ReceiveBuffer;
 
 /// Longest nap, a turn at 10 Hz: each time that the thread is woken costs as much as decoding some packets.
 const NAP_NS: i64 = 100_000_000;
-/// So long before the packet that completes a sweep is expected, all that waits is fetched, so that little is left to do.
-const EARLY_NS: i64 = 2_500_000;
-/// From so long before on, each packet is fetched as it comes.
+/// From so long before the packet that completes a sweep is expected, each packet is fetched as it comes, so that little is
+/// left to do.
 const ALERT_NS: i64 = 400_000;
-/// Most work that may wait: it is done in the time between these two, else consumers would wait for it.
-const CATCH_UP_NS: i64 = EARLY_NS - ALERT_NS;
+/// Most work that may wait: it is done before then, else consumers would wait for it.
+const CATCH_UP_NS: i64 = 2_100_000;
+/// A nap of the last moments that is shorter costs more than the few packets that would be fetched meanwhile, one by one.
+const WORTH_NS: i64 = 500_000;
 /// The part of the socket's buffer that may be full when a nap is over: others may have the core then.
 const BUFFER_PART: i64 = 4;
 
@@ -46,6 +47,12 @@ impl Load {
         }
     }
 
+    /// How long the work takes that comes together in so long; both in nanoseconds.
+    fn takes_ns(&self, gathered_ns: i64) -> i64 {
+        let part = self.busy.as_secs_f64() / self.all.as_secs_f64().max(1e-9);
+        (gathered_ns as f64 * part) as i64
+    }
+
     /// In how long so much work comes together; both in nanoseconds.
     fn brings_in_ns(&self, work_ns: i64) -> i64 {
         let times = self.all.as_secs_f64() / self.busy.as_secs_f64().max(1e-9);
@@ -60,10 +67,12 @@ pub fn longest_ns(buffer: ReceiveBuffer, sensors: usize, load: &Load) -> i64 {
     part_ns.min(load.brings_in_ns(CATCH_UP_NS)).min(NAP_NS)
 }
 
-/// How long to sleep when a sweep is due in so long, nanoseconds.
-pub fn length_ns(until_due_ns: i64, longest_ns: i64) -> i64 {
-    let before_ns = if until_due_ns > EARLY_NS { EARLY_NS } else { ALERT_NS };
-    until_due_ns.saturating_sub(before_ns).clamp(0, longest_ns)
+/// How long to sleep when a sweep is due in so long, nanoseconds: then there is time left to do what has gathered meanwhile.
+pub fn length_ns(until_due_ns: i64, longest_ns: i64, load: &Load) -> i64 {
+    let until_alert_ns = until_due_ns.saturating_sub(ALERT_NS);
+    let work_ns = load.takes_ns(until_alert_ns.min(longest_ns)).min(CATCH_UP_NS);
+    let length_ns = until_alert_ns.saturating_sub(work_ns).min(longest_ns);
+    if until_alert_ns < WORTH_NS { 0 } else { length_ns.max(0) }
 }
 
 #[cfg(test)]
@@ -85,20 +94,24 @@ mod tests {
     }
 
     #[test]
-    fn naps_end_before_a_sweep_is_due() {
-        for (turn_ms, longest_ms) in [(50, 100), (100, 100), (200, 100), (100, 40), (100, 7), (100, 1)] {
-            let (mut left_ns, mut naps) = (turn_ms * MS, Vec::new());
-            while let nap_ns @ 1.. = length_ns(left_ns, longest_ms * MS) {
-                assert!(nap_ns <= longest_ms * MS);
-                naps.push(nap_ns);
-                left_ns -= nap_ns;
+    fn naps_end_so_long_before_a_sweep_is_due_that_the_work_is_done_by_then() {
+        for busy_ms in [0, 1, 2, 5, 20] {
+            let load = load(busy_ms);
+            for (turn_ms, longest_ms) in [(50, 100), (100, 100), (200, 100), (100, 40), (100, 7), (100, 1)] {
+                let longest_ns = (longest_ms * MS).min(load.brings_in_ns(CATCH_UP_NS));
+                let (mut left_ns, mut naps) = (turn_ms * MS, 0);
+                while let nap_ns @ 1.. = length_ns(left_ns, longest_ns, &load) {
+                    assert!(nap_ns <= longest_ns);
+                    left_ns -= nap_ns + nap_ns * busy_ms as i64 / 100;
+                    naps += 1;
+                }
+                // Then each packet is fetched as it comes.
+                let what = format!("{busy_ms} % busy, {turn_ms} ms, {longest_ms} ms at most, {naps} naps");
+                assert!((ALERT_NS - 10_000..ALERT_NS + WORTH_NS).contains(&left_ns), "{what}: {left_ns}");
+                assert!(busy_ms > 2 || turn_ms > longest_ms || naps == 1, "{what}");
             }
-            // All that waits is fetched 2.5 ms before, then once more, and then each packet as it comes.
-            assert_eq!(left_ns, 400_000);
-            let before_ns: i64 = naps.iter().rev().take_while(|nap_ns| **nap_ns <= 2_100_000).sum();
-            assert!(longest_ms < 3 || before_ns == 2_100_000, "{naps:?}");
         }
-        assert_eq!(length_ns(i64::MIN, NAP_NS), 0);
+        assert_eq!(length_ns(i64::MIN, NAP_NS, &load(1)), 0);
     }
 
     #[test]

@@ -62,6 +62,12 @@ impl Notifier {
 /// After so long without a round of its thread a port counts as hung, where no watchdog says otherwise.
 const HUNG: Duration = Duration::from_secs(2);
 
+/// How often a thread shows that it lives, and it is looked at all of them: eight times in the watchdog's time, if there is one.
+pub fn beat(watchdog: Option<Duration>) -> Duration {
+    let seldom = Duration::from_millis(500);
+    watchdog.map_or(seldom, |watchdog| (watchdog / 8).clamp(Duration::from_millis(1), seldom))
+}
+
 /// Says which threads hang, by their heartbeats, and when the watchdog is to be fed.
 #[derive(Clone, Debug)]
 pub struct Pulse {
@@ -75,12 +81,6 @@ impl Pulse {
     /// one.
     pub fn new(watchdog: Option<Duration>, threads: usize, now: Duration) -> Self {
         Self { watchdog, fed: None, beats: vec![(0, now); threads] }
-    }
-
-    /// How often to observe.
-    pub fn interval(&self) -> Duration {
-        let [often, seldom] = [250, 500].map(Duration::from_millis);
-        self.watchdog.map_or(seldom, |watchdog| (watchdog / 8).clamp(Duration::from_millis(1), often))
     }
 
     /// Takes the heartbeats of all threads, and gives those that hang: that have not moved for half the watchdog's time.
@@ -117,7 +117,7 @@ mod tests {
     #[test]
     fn the_watchdog_is_fed_four_times_in_its_time() {
         let mut pulse = Pulse::new(Some(ms(800)), 1, ms(0));
-        assert_eq!(pulse.interval(), ms(100));
+        assert_eq!(beat(Some(ms(800))), ms(100));
         let fed: Vec<u64> = (0..=800).step_by(100).filter(|&at| pulse.is_due(ms(at))).collect();
         assert_eq!(fed, [0, 200, 400, 600, 800]);
         assert!(!Pulse::new(None, 1, ms(0)).is_due(ms(1_000)));

@@ -102,6 +102,8 @@ pub struct Port<B: Buffers> {
     /// Other ways to a recording.
     lanes: Receiver<Option<Lane>>,
     end: End,
+    /// How often it shows that it lives, at least.
+    beat: Duration,
     /// When the newest packet was let in.
     heard: Option<Instant>,
     /// How much of the time it works.
@@ -162,9 +164,9 @@ impl Newest {
 }
 
 impl<B: Buffers<Buffer: Outgoing>> Port<B> {
-    /// A port whose socket is open, with ways to a recording.
-    pub fn new(source: UdpSource, room: Room<B>, lanes: Receiver<Option<Lane>>, end: End) -> Self {
-        Self { source, room, lanes, end, heard: None, load: Load::new(Instant::now()) }
+    /// A port whose socket is open, with ways to a recording; while nothing comes it goes a round after each `beat`, or sooner.
+    pub fn new(source: UdpSource, room: Room<B>, lanes: Receiver<Option<Lane>>, end: End, beat: Duration) -> Self {
+        Self { source, room, lanes, end, beat, heard: None, load: Load::new(Instant::now()) }
     }
 
     /// Its number.
@@ -220,14 +222,16 @@ impl<B: Buffers<Buffer: Outgoing>> Port<B> {
     /// instead: nothing gathers there yet. Whoever ends the daemon unparks those that sleep, and rings for those that wait.
     fn rest(&self) {
         if self.is_quiet() {
-            return wait_for_either(self.source.socket(), &self.end.bell, IDLE);
+            // One for position packets alone is asked for nothing but a lane, which it looks for before it takes a packet.
+            let idle = if self.has_sweeps() { IDLE.min(self.beat) } else { self.beat };
+            return wait_for_either(self.source.socket(), &self.end.bell, idle);
         }
         let now_ns = realtime_ns();
         let Room { sensors, .. } = &self.room;
         let longest_ns = nap::longest_ns(self.source.buffer(), sensors.len(), &self.load);
-        let until_due_ns = |served: &Served<B>| served.sensor.due_ns().map(|due_ns| due_ns.saturating_sub(now_ns));
+        let nap_ns = |due_ns: i64| nap::length_ns(due_ns.saturating_sub(now_ns), longest_ns, &self.load);
         // One of whom it is not known is waited on.
-        let naps_ns = sensors.iter().map(|served| until_due_ns(served).map_or(0, |ns| nap::length_ns(ns, longest_ns)));
+        let naps_ns = sensors.iter().map(|served| served.sensor.due_ns().map_or(0, nap_ns));
         if let ns @ 1.. = naps_ns.min().unwrap_or(longest_ns.max(1_000_000)) {
             thread::park_timeout(Duration::from_nanos(ns as u64));
         }

@@ -15,6 +15,7 @@ use tracing::{info, warn};
 use super::config::{Config, PortConfig, SensorConfig, memory};
 use super::counters::{PortCounters, SensorCounters};
 use super::door::Door;
+use super::notify::beat;
 use super::plan::{self, PortName, PortPlan};
 use super::port::{End, MAILS, Mail, Mailbox, Newest, Port, Room, Served};
 use super::sensor::{Event, Identity, Sensor};
@@ -179,7 +180,7 @@ impl Runtime {
         let sensors = hall.statuses.into();
         let (ports, lanes, threads) = (Arc::new([]), Vec::new(), Vec::new());
         let mut runtime = Self { sensors, ports, events, orders: hall.orders, lanes, over, bell, threads };
-        let mut statuses = Vec::new();
+        let (mut statuses, beat) = (Vec::new(), beat(sd_notify::watchdog_enabled()));
         for (source, plan) in sockets {
             let status = PortStatus::new(&source, &plan.config);
             let served = plan.sensors.iter().filter_map(|index| ready.remove(index)).collect();
@@ -190,7 +191,7 @@ impl Runtime {
             let (order, lanes) = mpsc::channel();
             runtime.lanes.push(order);
             let room = Room { door, sensors: served, others, lane: tees.lane(), counters };
-            let port = Port::new(source, room, lanes, end);
+            let port = Port::new(source, room, lanes, end, beat);
             // On an early return, dropping the runtime ends those that run already.
             runtime.threads.push((status.name.clone(), spawn(port, &status.name, &plan.config)?));
             statuses.push(status);
