@@ -27,6 +27,9 @@ use crate::pipeline::{Fault, Notice};
 /// From one attempt to start to the next, at first and at most.
 const RETRY: (Duration, Duration) = (Duration::from_millis(250), Duration::from_secs(2));
 
+/// How often it is looked at all threads and sensors, where no watchdog waits.
+const LOOK_EVERY: Duration = Duration::from_secs(1);
+
 /// A configuration that was read anew.
 #[derive(Clone, Debug)]
 pub struct Reload {
@@ -140,7 +143,7 @@ struct Control {
     watchers: Vec<Watcher>,
     pulse: Pulse,
     /// How often it is looked at all threads and sensors.
-    beat: Duration,
+    period: Duration,
     /// Threads that hang, as told last.
     hanging: Vec<usize>,
     /// Ports whose interfaces are gone, as told last.
@@ -169,7 +172,7 @@ impl Control {
             begun,
             watchers,
             pulse,
-            beat: beat(watchdog),
+            period: watchdog.map_or(LOOK_EVERY, |watchdog| beat(Some(watchdog))),
             hanging: Vec::new(),
             gone: Vec::new(),
             notifier,
@@ -183,7 +186,7 @@ impl Control {
         }
         let view = Arc::clone(&self.view);
         let serving = serve_health(http.as_ref(), view);
-        let mut ticks = ticks(self.beat);
+        let mut ticks = ticks(self.period);
         self.notifier.ready();
         tokio::pin!(serving);
         let ended = loop {

@@ -62,7 +62,7 @@ impl Notifier {
 /// After so long without a round of its thread a port counts as hung, where no watchdog says otherwise.
 const HUNG: Duration = Duration::from_secs(2);
 
-/// How often a thread shows that it lives, and it is looked at all of them: eight times in the watchdog's time, if there is one.
+/// How often a thread shows that it lives: eight times in the watchdog's time, if there is one.
 pub fn beat(watchdog: Option<Duration>) -> Duration {
     let seldom = Duration::from_millis(500);
     watchdog.map_or(seldom, |watchdog| (watchdog / 8).clamp(Duration::from_millis(1), seldom))
