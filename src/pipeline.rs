@@ -292,6 +292,9 @@ impl<B: Buffers, W: Stopwatch> Pipeline<B, W> {
         let begun_ns = self.watch.now_ns();
         self.segmenter.begin(&mut sweep);
         let mut spent = std::mem::take(&mut self.spent);
+        if spent.sequence != sweep.header.sequence {
+            spent = Spent::default();
+        }
         spent.ground_ns += self.watch.now_ns() - begun_ns;
         spent.strips(&mut self.segmenter, &sweep, &self.watch);
         let joined_ns = self.watch.now_ns();

@@ -31,6 +31,7 @@ fn valid(config: &Config, sent: &[Sent], full_of: u8) -> Vec<Vec<u8>> {
     for one in sent {
         pipeline.push(&datagram(one.packet.emit(), one.arrival_ns)).unwrap();
         sweeps.extend(std::iter::from_fn(|| pipeline.poll()));
+        pipeline.segment_early();
     }
     pipeline.end().unwrap();
     sweeps.extend(std::iter::from_fn(|| pipeline.poll()));

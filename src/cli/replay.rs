@@ -172,8 +172,9 @@ impl<'a> Replay<'a> {
             if place == Place::Within {
                 let wait = pacer.wait(placed.datagram.arrival_ns, begun.elapsed().as_nanos() as u64);
                 if wait > Duration::ZERO {
+                    let until = Instant::now() + wait;
                     self.tracks.iter_mut().for_each(|track| track.pipeline.segment_early());
-                    std::thread::sleep(wait);
+                    std::thread::sleep(until.saturating_duration_since(Instant::now()));
                 }
             }
             // The earlier of two neighbours: one alone may be a corrupt time.

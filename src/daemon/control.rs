@@ -27,9 +27,6 @@ use crate::pipeline::{Fault, Notice};
 /// From one attempt to start to the next, at first and at most.
 const RETRY: (Duration, Duration) = (Duration::from_millis(250), Duration::from_secs(2));
 
-/// How often it is looked at all threads and sensors, where no watchdog waits.
-const LOOK_EVERY: Duration = Duration::from_secs(1);
-
 /// A configuration that was read anew.
 #[derive(Clone, Debug)]
 pub struct Reload {
@@ -172,7 +169,7 @@ impl Control {
             begun,
             watchers,
             pulse,
-            period: watchdog.map_or(LOOK_EVERY, |watchdog| beat(Some(watchdog))),
+            period: beat(watchdog),
             hanging: Vec::new(),
             gone: Vec::new(),
             notifier,

@@ -2,7 +2,7 @@
 //!
 //! ```text
 //! a turn   | nap, as long as buffer and work allow ... | all that waits | each packet as it comes |
-//!          the last sweep is complete                                  0.4 ms before the next one is
+//!          the last sweep is complete                              0.4 to 0.9 ms before the next one is
 //! ```
 
 use std::time::{Duration, Instant};

@@ -62,7 +62,8 @@ impl Notifier {
 /// After so long without a round of its thread a port counts as hung, where no watchdog says otherwise.
 const HUNG: Duration = Duration::from_secs(2);
 
-/// How often a thread shows that it lives: eight times in the watchdog's time, if there is one.
+/// How often a thread shows that it lives, and it is looked at all of them: eight times in the watchdog's time, if there is one,
+/// and no less than twice a second.
 pub fn beat(watchdog: Option<Duration>) -> Duration {
     let seldom = Duration::from_millis(500);
     watchdog.map_or(seldom, |watchdog| (watchdog / 8).clamp(Duration::from_millis(1), seldom))
@@ -117,7 +118,10 @@ mod tests {
     #[test]
     fn the_watchdog_is_fed_four_times_in_its_time() {
         let mut pulse = Pulse::new(Some(ms(800)), 1, ms(0));
-        assert_eq!(beat(Some(ms(800))), ms(100));
+        assert_eq!(
+            [Some(800), Some(400), Some(5_000), None].map(|watchdog| beat(watchdog.map(ms))),
+            [100, 50, 500, 500].map(ms)
+        );
         let fed: Vec<u64> = (0..=800).step_by(100).filter(|&at| pulse.is_due(ms(at))).collect();
         assert_eq!(fed, [0, 200, 400, 600, 800]);
         assert!(!Pulse::new(None, 1, ms(0)).is_due(ms(1_000)));

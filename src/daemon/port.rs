@@ -32,7 +32,7 @@ use crate::wire::position::POSITION_PACKET_LEN;
 
 /// How long to wait for packets while some come.
 const BUSY: Duration = Duration::from_millis(5);
-/// How often it is looked at what other threads ask for, while none come.
+/// How often it is looked at what other threads ask of sensors, while no packets come.
 const IDLE: Duration = Duration::from_millis(100);
 /// How long to wait when the socket has failed.
 const PAUSE: Duration = Duration::from_millis(50);
@@ -228,7 +228,8 @@ impl<B: Buffers<Buffer: Outgoing>> Port<B> {
         }
         let now_ns = realtime_ns();
         let Room { sensors, .. } = &self.room;
-        let longest_ns = nap::longest_ns(self.source.buffer(), sensors.len(), &self.load);
+        let longest_ns =
+            nap::longest_ns(self.source.buffer(), sensors.len(), &self.load).min(self.beat.as_nanos() as i64);
         let nap_ns = |due_ns: i64| nap::length_ns(due_ns.saturating_sub(now_ns), longest_ns, &self.load);
         // One of whom it is not known is waited on.
         let naps_ns = sensors.iter().map(|served| served.sensor.due_ns().map_or(0, nap_ns));

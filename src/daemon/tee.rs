@@ -21,8 +21,9 @@ use super::tap::{Tap, Taps};
 use crate::capture::RecordError;
 use crate::capture::record::{Lane, Recorder};
 
-/// In this time every thread is given its new lane, at the next look, and takes it, in its next round.
-const TURNED: Duration = Duration::from_secs(1);
+/// In this time every thread is given its new lane, at the next look, and takes it, in its next round: half a second each at
+/// most.
+const TURNED: Duration = Duration::from_secs(2);
 /// From one attempt to begin a recording that has failed to the next, at first and at most. One that goes on for longer
 /// than the latter has failed for the first time when it fails again.
 const RETRY: (Duration, Duration) = (Duration::from_secs(1), Duration::from_secs(60));

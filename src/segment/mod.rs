@@ -263,6 +263,7 @@ impl Segmenter {
                 if self.open.take() == Some(sweep.header.sequence) && sweep.header.has(flags::CIRCULAR) {
                     self.strips.go_on(sweep, None);
                 } else {
+                    self.height.reserve(sweep.columns.len());
                     if told.is_none() && self.height.height_m().is_none() {
                         self.height.observe(self.strips.sound(sweep, &self.config));
                     }

@@ -65,6 +65,11 @@ pub struct HeightEstimator {
 }
 
 impl HeightEstimator {
+    /// Takes room for sweeps of up to so many columns.
+    pub fn reserve(&mut self, columns: usize) {
+        super::reserve(&mut self.near_m, columns);
+    }
+
     /// Takes one more sweep: how deep below the sensor the lowest return of each column lies, metres; infinite where there is
     /// none.
     pub fn observe(&mut self, depths_m: &[f32]) {
@@ -94,10 +99,11 @@ impl HeightEstimator {
         if columns < MIN_COLUMNS {
             return None;
         }
+        // Negative numbers become bin 0, which no ground is in.
+        let bin_of = |depth_m: f32| (depth_m / BIN_M) as usize;
         let mut counts = [0_usize; BINS];
-        for depth_m in depths_m {
-            // Negative numbers become bin 0, which no ground is in.
-            if let Some(count) = counts.get_mut((depth_m / BIN_M) as usize) {
+        for &depth_m in depths_m {
+            if let Some(count) = counts.get_mut(bin_of(depth_m)) {
                 *count += 1;
             }
         }
@@ -106,9 +112,9 @@ impl HeightEstimator {
         let lowest = (2..BINS).rev().find(strong)?;
         // From the first strong bin on to the top of its hill.
         let mode = (2..=lowest).rev().take_while(strong).max_by_key(|&bin| strength(bin)).unwrap_or(lowest);
-        let middle_m = (mode as f32 + 0.5) * BIN_M;
-        super::reserve(&mut self.near_m, depths_m.len());
-        self.near_m.extend(depths_m.iter().filter(|depth_m| (*depth_m - middle_m).abs() < 1.5 * BIN_M));
+        self.near_m.clear();
+        // By bins, as they were counted: so there are some.
+        self.near_m.extend(depths_m.iter().filter(|depth_m| bin_of(**depth_m).abs_diff(mode) <= 1));
         let half = self.near_m.len() / 2;
         Some(*self.near_m.select_nth_unstable_by(half, f32::total_cmp).1)
     }
@@ -145,5 +151,21 @@ mod tests {
         assert_eq!(sweep(&[(0.55, 10), (1.73, 30)]), None, "too few columns");
         assert_eq!(sweep(&[(1.73, 63), (f32::INFINITY, 1_000)]), None, "a column without a return is none");
         assert_eq!(sweep(&[(-1.0, 500)]), None, "nothing below the sensor");
+        assert_eq!(sweep(&[(f32::NAN, 500), (-0.0, 500)]), None);
+    }
+
+    #[test]
+    fn depths_on_the_edges_of_bins_are_told_like_any_others() {
+        for edge in 1..=BINS + 1 {
+            let depth_m = edge as f32 * BIN_M;
+            for depth_m in [depth_m.next_down(), depth_m, depth_m.next_up()] {
+                let mut estimator = HeightEstimator::default();
+                estimator.observe(&[depth_m; 500]);
+                // Beyond the last bin nothing is looked for, nor in the first.
+                let is_seen = (0.11..5.99).contains(&depth_m);
+                assert!(!is_seen || estimator.height_m() == Some(depth_m), "{depth_m}: {:?}", estimator.height_m());
+                assert!(estimator.height_m().is_none_or(|height_m| height_m == depth_m), "{depth_m}");
+            }
+        }
     }
 }

@@ -2,7 +2,7 @@
 //!
 //! ```text
 //! begin         beams, how far they spread, height, the test
-//! find_ground   the points of the next strip; its columns are climbed, and compared with those before
+//! find_ground   the points of the next strip, and how deep they lie; its columns are climbed, and compared with those before
 //! join          the vote on the strip at hand, its runs, their pieces, and what within reach these are joined to
 //! label         components, small ones to others, labels, segments table
 //! ```
@@ -150,9 +150,10 @@ impl Strips {
     /// The same of a sweep that is not, of which all columns are there.
     pub fn sound(&mut self, sweep: &SweepMut<'_>, config: &Config) -> &[f32] {
         self.begin(sweep, config, None, None);
+        let sweep = sweep.as_ref();
         while self.has_next() {
-            let sweep = sweep.as_ref();
-            dispatch!(self.level, simd => self.next(simd, &sweep, config));
+            dispatch!(self.level, simd => self.read(simd, &sweep, config));
+            self.at += 1;
         }
         self.depths_m()
     }
@@ -194,15 +195,22 @@ impl Strips {
     /// Goes on to the next strip, and reads the points behind it: the vote looks ahead.
     #[inline(always)]
     fn next<S: Simd>(&mut self, simd: S, sweep: &SweepRef<'_>, config: &Config) {
+        self.read(simd, sweep, config);
+        config.slope.climb(simd, &self.points, &self.stand, &mut self.words);
+        config.slope.compare(simd, &self.points, &mut self.words);
+        self.at += 1;
+    }
+
+    #[inline(always)]
+    fn read<S: Simd>(&mut self, simd: S, sweep: &SweepRef<'_>, config: &Config) {
         if self.at > 0 {
             self.points.advance();
             self.words.iter_mut().for_each(|words| words.copy_within(1.., 0));
         }
         self.points.fill(simd, sweep, config, self.at * STRIP, &mut self.words);
-        self.note_depths(simd);
-        config.slope.climb(simd, &self.points, &self.stand, &mut self.words);
-        config.slope.compare(simd, &self.points, &mut self.words);
-        self.at += 1;
+        if config.mount.height_m.is_none() {
+            self.note_depths(simd);
+        }
     }
 
     /// Notes the depths of the strip that was read, of the columns that count.
@@ -417,5 +425,94 @@ fn fill<S: Simd>(simd: S, row: &mut [u32], columns: u32, label: u32, clear: bool
         let is = mask32x16::from_bitmask(simd, u64::from(columns >> (half * LANES)) & 0xFFFF);
         let others = if clear { u32x16::splat(simd, LABEL_NONE) } else { u32x16::from_slice(simd, lanes) };
         is.select(label, others).store_slice(lanes);
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use std::f64::consts::TAU;
+
+    use fastrand::Rng;
+
+    use super::*;
+    use crate::segment::{Mount, points};
+    use crate::sensor::Beam;
+    use crate::sweep::buffers::HeapBuffer;
+    use crate::sweep::lanes::levels;
+    use crate::sweep::layout::flags;
+    use crate::sweep::{BeamRow, Buffers, Column, HeapBuffers, Shape};
+
+    const ROWS: usize = 16;
+
+    /// So many columns of a turn of 100 or more, in which some pixels hold a return, and some columns none.
+    fn noise(rng: &mut Rng, columns: usize, circular: bool) -> HeapBuffer {
+        let shape = Shape { rows: ROWS, columns_capacity: columns, dual: false, segments_capacity: 8 };
+        let mut buffer = HeapBuffers::default().take(shape.total_bytes());
+        let sweep = SweepMut::create(buffer.as_mut(), &shape).unwrap();
+        (sweep.header.columns, sweep.header.flags) = (columns as u32, if circular { flags::CIRCULAR } else { 0 });
+        for (index, column) in sweep.columns.iter_mut().enumerate() {
+            let azimuth_rad = index as f64 / columns.max(100) as f64 * TAU;
+            *column = Column::measured(0, 0, azimuth_rad as f32, (10.0 * TAU) as f32, 0);
+        }
+        for (row, beam) in sweep.beams.iter_mut().enumerate() {
+            *beam = BeamRow::new(&Beam::ideal(row, (15.0 - 2.0 * row as f64).to_radians()), 0);
+        }
+        for ranges in sweep.range.chunks_exact_mut(ROWS) {
+            let share = rng.f32() - 0.3;
+            ranges.fill_with(|| if rng.f32() < share { 1.0 + 30.0 * rng.f32() } else { 0.0 });
+        }
+        buffer
+    }
+
+    /// Column by column, from the points one by one.
+    fn depths_m(sweep: &SweepRef<'_>, config: &Config) -> Vec<f32> {
+        let [x, y, z] = config.mount.up().axis();
+        let of_column = |column: &[Option<points::Placed>]| {
+            let lowest = column.iter().rev().flatten().next();
+            lowest.map_or(f32::INFINITY, |placed| {
+                let [right_m, forward_m, up_m] = placed.point_m;
+                -(x * right_m + y * forward_m + z * up_m)
+            })
+        };
+        points::placed(sweep, config).chunks_exact(ROWS).map(of_column).collect()
+    }
+
+    #[test]
+    fn each_column_tells_how_deep_its_lowest_return_lies_once() {
+        let mut rng = Rng::with_seed(1);
+        for round in 0..300 {
+            let (columns, circular) = (rng.usize(1..260), rng.bool());
+            let mut buffer = noise(&mut rng, columns, circular);
+            let sweep = SweepMut::open(buffer.as_mut()).unwrap();
+            let [pitch_rad, roll_rad] = if rng.bool() { [0.0; 2] } else { [0.1, -0.2] };
+            let mount = Mount { height_m: None, pitch_rad, roll_rad };
+            let config = Config { mount, max_range_m: 25.0, ..Config::default() };
+            let mut expected = depths_m(&sweep.as_ref(), &config);
+            expected.sort_by(f32::total_cmp);
+            for level in levels() {
+                let mut strips = Strips::new(level);
+                let check = |depths_m: &[f32], what: &str| {
+                    let mut found = depths_m.to_vec();
+                    found.sort_by(f32::total_cmp);
+                    let same = |(a, b): (&f32, &f32)| a == b || (a - b).abs() < 1e-4;
+                    assert!(
+                        found.len() == expected.len() && found.iter().zip(&expected).all(same),
+                        "round {round}, {what}, {columns} columns, circular {circular}, {level:?}"
+                    );
+                };
+                check(strips.sound(&sweep, &config), "sounded");
+                strips.begin(&sweep, &config, Some(1.0), None);
+                while strips.find_ground(&sweep, &config) {}
+                check(strips.depths_m(), "as a whole");
+                if circular {
+                    strips.begin(&sweep, &config, Some(1.0), Some(columns / 3));
+                    for ready in [Some(columns / 3), Some(columns / 2), None] {
+                        strips.go_on(&sweep, ready);
+                        while strips.find_ground(&sweep, &config) {}
+                    }
+                    check(strips.depths_m(), "early");
+                }
+            }
+        }
     }
 }

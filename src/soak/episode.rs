@@ -178,7 +178,8 @@ impl Soak {
             self.outcome.recordings += 1;
             self.recorded_before = self.feeds.iter().map(|feed| feed.tally.packets + feed.tally.positions).sum();
             self.daemon()?.reload_recording(true)?;
-            // Each thread has its lane after one more round, which takes a nap at most.
+            // Each thread has its lane after one more round, which takes a nap at most; one that waits looks for it before it
+            // takes the next packet.
             thread::sleep(Duration::from_millis(400));
         }
         Ok(())

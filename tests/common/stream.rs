@@ -172,6 +172,9 @@ impl Run {
                 sweeps.push(sweep);
                 out_after.push(index + 1);
             }
+            if index % 3 == 0 {
+                pipeline.segment_early();
+            }
         }
         let _ = pipeline.end();
         while let Some(sweep) = pipeline.poll() {

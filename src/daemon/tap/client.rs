@@ -12,7 +12,7 @@ use super::{TapError, sys};
 use crate::capture::write::Addressed;
 use crate::host::{own_uid, user_name};
 
-/// How long a daemon may take to answer: it looks four times a second.
+/// How long a daemon may take to answer: it does so at once, where its thread gets a core.
 const ANSWER_TIME: Duration = Duration::from_secs(5);
 
 /// The datagrams of a sensor of a running daemon.
