@@ -2,6 +2,7 @@
 
 mod common;
 
+use fearless_simd::dispatch;
 use sweepd::sensor::{Calibration, Model};
 use sweepd::sweep::corrected::Corrected;
 use sweepd::sweep::decode::{Decoder, Pixels};
@@ -105,10 +106,10 @@ fn decode(decoder: &Decoder, packet: &DataPacket, azimuth_rad: f32, mode: Return
     let [range, range2] = &mut planes.range_m;
     let [reflectivity, reflectivity2] = &mut planes.reflectivity;
     let (first, second) = (Pixels { range, reflectivity }, Pixels { range: range2, reflectivity: reflectivity2 });
-    planes.returns = match mode {
-        ReturnMode::Dual => decoder.dual(records, azimuth_rad, &turns, [first, second], &mut planes.kind),
-        _ => decoder.single(records, azimuth_rad, &turns, first),
-    };
+    planes.returns = dispatch!(decoder.level(), simd => match mode {
+        ReturnMode::Dual => decoder.dual(simd, records, azimuth_rad, &turns, [first, second], &mut planes.kind),
+        _ => decoder.single(simd, records, azimuth_rad, &turns, first),
+    });
     planes
 }
 

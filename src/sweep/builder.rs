@@ -1,5 +1,7 @@
 //! Packets in order to columns, columns to sweeps: where each firing goes and where a sweep ends.
 
+use fearless_simd::{Simd, dispatch};
+
 use super::buffers::Buffers;
 use super::clock::{Clocks, SensorClock};
 use super::columns::{Place, SoFar, decode, radians, rate_rad_s};
@@ -233,6 +235,11 @@ impl<B: Buffers> Builder<B> {
 
     /// Fills columns of the open sweep with firings of the packet until one does not belong there.
     fn fill(&mut self, cursor: &mut Cursor, packet: &Packet) -> End {
+        dispatch!(self.decoder.level(), simd => self.fill_with(simd, cursor, packet))
+    }
+
+    #[inline(always)]
+    fn fill_with<S: Simd>(&mut self, simd: S, cursor: &mut Cursor, packet: &Packet) -> End {
         if self.open.is_none() {
             self.open(packet, false);
         }
@@ -263,7 +270,7 @@ impl<B: Buffers> Builder<B> {
             if firing.index.is_some() && !std::mem::replace(&mut cursor.counted, true) {
                 open.packets += 1;
             }
-            open.place(&mut sweep, &firing, (packet, cursor), turns, &self.decoder, &self.head);
+            open.place(simd, &mut sweep, &firing, (packet, cursor), (&self.decoder, turns), &self.head);
             self.last_firing_ns = firing.time_ns;
             cursor.placed += 1;
             cursor.turned = false;
@@ -273,6 +280,11 @@ impl<B: Buffers> Builder<B> {
 
     /// Decodes a packet that was overtaken by more than was held back, if its columns wait for it in the open sweep.
     pub fn late(&mut self, packet: &Packet) -> bool {
+        dispatch!(self.decoder.level(), simd => self.late_with(simd, packet))
+    }
+
+    #[inline(always)]
+    fn late_with<S: Simd>(&mut self, simd: S, packet: &Packet) -> bool {
         let decoder = &self.decoder;
         let beat = Beat::new(decoder.spec, packet.mode);
         let Some(Open { buffer, so_far: open }) = &mut self.open else { return false };
@@ -287,7 +299,7 @@ impl<B: Buffers> Builder<B> {
             let time_ns = open.since_first(packet.firing_ns(index, &beat));
             let column = Column::measured(packet.number, beat.block(index) as u8, azimuth_rad, rate_rad_s, time_ns);
             let place = Place { column: first + index, turns: &self.turns };
-            open.returns += decode(&mut sweep, place, column, (index, &beat), packet, decoder);
+            open.returns += decode(simd, &mut sweep, place, column, (index, &beat), packet, decoder);
         }
         open.lost = open.lost.saturating_sub(1);
         self.lost = self.lost.saturating_sub(1);

@@ -3,6 +3,8 @@
 use std::f32::consts::TAU;
 use std::ops::Range;
 
+use fearless_simd::Simd;
+
 use super::cursor::{Cursor, Firing};
 use super::decode::{Decoder, Pixels};
 use super::head::{Head, STANDSTILL_CDEG, STANDSTILL_NS};
@@ -99,13 +101,14 @@ impl SoFar {
         (in_place && waiting.iter().enumerate().all(fits)).then_some(self.first_column + first)
     }
 
-    pub fn place(
+    #[inline(always)]
+    pub fn place<S: Simd>(
         &mut self,
+        simd: S,
         sweep: &mut SweepMut<'_>,
         firing: &Firing,
         (packet, cursor): (&Packet, &Cursor),
-        turns: &Turns,
-        decoder: &Decoder,
+        (decoder, turns): (&Decoder, &Turns),
         head: &Head,
     ) {
         if self.is_empty() {
@@ -128,7 +131,7 @@ impl SoFar {
                 let beat = &cursor.beat;
                 let block = beat.block(index) as u8;
                 let column = Column::measured(packet.number, block, azimuth_rad, rate, self.since_first(time_ns));
-                self.returns += decode(sweep, place, column, (index, beat), packet, decoder);
+                self.returns += decode(simd, sweep, place, column, (index, beat), packet, decoder);
             }
             None => {
                 sweep.columns[place.column] = Column::missing(azimuth_rad, rate, self.since_first(time_ns));
@@ -243,7 +246,9 @@ fn extrapolated(from: &Column, firings: i64, turns: &Turns, period_ns: u32) -> C
 }
 
 /// Writes a firing and its column; returns how many returns it has.
-pub fn decode(
+#[inline(always)]
+pub fn decode<S: Simd>(
+    simd: S,
     sweep: &mut SweepMut<'_>,
     place: Place<'_>,
     column: Column,
@@ -259,11 +264,11 @@ pub fn decode(
     let chosen =
         Pixels { range: &mut sweep.range[reach.clone()], reflectivity: &mut sweep.reflectivity[reach.clone()] };
     if sweep.range2.is_empty() {
-        return decoder.single(records, column.azimuth_rad, place.turns, chosen);
+        return decoder.single(simd, records, column.azimuth_rad, place.turns, chosen);
     }
     let other =
         Pixels { range: &mut sweep.range2[reach.clone()], reflectivity: &mut sweep.reflectivity2[reach.clone()] };
-    decoder.dual(records, column.azimuth_rad, place.turns, [chosen, other], &mut sweep.kind[reach])
+    decoder.dual(simd, records, column.azimuth_rad, place.turns, [chosen, other], &mut sweep.kind[reach])
 }
 
 impl Place<'_> {

@@ -3,7 +3,7 @@
 use std::ops::RangeInclusive;
 
 use fearless_simd::prelude::*;
-use fearless_simd::{Level, dispatch, f32x16, i32x16, mask32x16};
+use fearless_simd::{Level, f32x16, i32x16, mask32x16};
 
 use super::lanes::{self, Decoded, Direction, Lanes, Of, Records};
 use super::layout::{BeamRow, ReturnChoice, ReturnKind, SECOND_BLOCKS};
@@ -88,6 +88,11 @@ impl Decoder {
         lanes::levels().into_iter().map(|level| (format!("{level:?}"), self.clone().with_level(level))).collect()
     }
 
+    /// The vector instructions that it is to be used with.
+    pub fn level(&self) -> Level {
+        self.level
+    }
+
     /// Rows of the image.
     pub fn rows(&self) -> usize {
         self.beams[0].len()
@@ -98,34 +103,18 @@ impl Decoder {
         &self.beams[mode.returns() - 1]
     }
 
-    /// Writes a firing at an azimuth, radians, into its pixels; returns how many returns it has.
-    pub fn single(&self, records: Records<'_>, azimuth_rad: f32, turns: &Turns, pixels: Pixels<'_>) -> u32 {
-        let direction = self.direction(azimuth_rad);
-        dispatch!(self.level, simd => self.write_single(simd, records, direction, turns, pixels))
-    }
-
-    /// Writes a firing with two returns: the chosen ones, the others, and which the chosen ones are.
-    pub fn dual(
-        &self,
-        records: Records<'_>,
-        azimuth_rad: f32,
-        turns: &Turns,
-        both: [Pixels<'_>; 2],
-        kind: &mut [u8],
-    ) -> u32 {
-        let direction = self.direction(azimuth_rad);
-        dispatch!(self.level, simd => self.write_dual(simd, records, direction, turns, both, kind))
-    }
-
+    /// Writes a firing at an azimuth, radians, into its pixels; returns how many returns it has. To be inlined where many
+    /// firings are written at [its level](Self::level): to go there anew for each takes as long as to write it.
     #[inline(always)]
-    fn write_single<S: Simd>(
+    pub fn single<S: Simd>(
         &self,
         simd: S,
         records: Records<'_>,
-        direction: Direction,
+        azimuth_rad: f32,
         turns: &Turns,
         mut pixels: Pixels<'_>,
     ) -> u32 {
+        let direction = self.direction(azimuth_rad);
         let mut returns = 0;
         for group in 0..self.lanes.groups() {
             let towards = (direction, &turns.asides()[group]);
@@ -136,16 +125,18 @@ impl Decoder {
         returns
     }
 
+    /// Writes a firing with two returns in the same way: the chosen ones, the others, and which the chosen ones are.
     #[inline(always)]
-    fn write_dual<S: Simd>(
+    pub fn dual<S: Simd>(
         &self,
         simd: S,
         records: Records<'_>,
-        direction: Direction,
+        azimuth_rad: f32,
         turns: &Turns,
         [mut chosen, mut other]: [Pixels<'_>; 2],
         kind: &mut [u8],
     ) -> u32 {
+        let direction = self.direction(azimuth_rad);
         let (first, second) = records.blocks.split_at(self.spec.banks());
         let [first, second] = [first, second].map(|blocks| Records { blocks, ..records });
         let mut returns = 0;
@@ -237,6 +228,7 @@ fn write_bytes<S: Simd>(plane: &mut [u8], places: &Of<u32>, bytes: i32x16<S>) {
 #[cfg(test)]
 mod tests {
     use crate::sweep::layout::is_return;
+    use fearless_simd::dispatch;
     use zerocopy::little_endian::U16;
 
     use super::*;
@@ -265,7 +257,8 @@ mod tests {
         let first = Pixels { range: &mut range, reflectivity: &mut reflectivity };
         let second = Pixels { range: &mut range2, reflectivity: &mut reflectivity2 };
         let records = Records { blocks: &packet.blocks[..2], first: 0 };
-        let returns = decoder.dual(records, 0.0, &turns, [first, second], &mut kind);
+        let returns =
+            dispatch!(decoder.level(), simd => decoder.dual(simd, records, 0.0, &turns, [first, second], &mut kind));
         assert_eq!(returns, u32::from(last_m > 0.0) + u32::from(strongest_m > 0.0));
         let of_kind = |is_strongest: bool| if is_strongest { 2 } else { 1 };
         let is_strongest = ReturnKind::of_byte(kind[0]) == ReturnKind::Strongest;
