@@ -43,8 +43,8 @@ const LOOK_EVERY: Duration = Duration::from_secs(1);
 /// A socket that fails so often in a row will not recover: the daemon ends, and opens it anew when it is restarted.
 const FAILURES: u32 = 20;
 /// Position packets that may wait for the thread of their sensor. An HDL-32E with two returns sends 720 a second (one for five
-/// data packets), and either thread may rest for a tenth of a second.
-pub const MAILS: usize = 256;
+/// data packets); the thread that takes them in may rest for half a second, that of their sensor for a tenth.
+pub const MAILS: usize = 512;
 
 /// A position packet on its way to the thread of its sensor.
 pub struct Mail {
@@ -227,9 +227,11 @@ impl<B: Buffers<Buffer: Outgoing>> Port<B> {
             return wait_for_either(self.source.socket(), &self.end.bell, idle);
         }
         let now_ns = realtime_ns();
-        let Room { sensors, .. } = &self.room;
-        let longest_ns =
-            nap::longest_ns(self.source.buffer(), sensors.len(), &self.load).min(self.beat.as_nanos() as i64);
+        let Room { sensors, others, .. } = &self.room;
+        // Position packets are in no hurry, but copies of them are to be in order with those of data.
+        let is_long = !self.has_sweeps() && !self.room.is_copied();
+        let most = if is_long { self.beat } else { nap::LONGEST.min(self.beat) };
+        let longest_ns = nap::longest_ns(most, self.source.buffer(), [sensors.len(), others.len()], &self.load);
         let nap_ns = |due_ns: i64| nap::length_ns(due_ns.saturating_sub(now_ns), longest_ns, &self.load);
         // One of whom it is not known is waited on.
         let naps_ns = sensors.iter().map(|served| served.sensor.due_ns().map_or(0, nap_ns));
@@ -286,6 +288,11 @@ impl<B: Buffers<Buffer: Outgoing>> Room<B> {
             lane.put(addressed);
         }
         true
+    }
+
+    /// Whether copies of what comes here for other sensors go anywhere.
+    fn is_copied(&self) -> bool {
+        self.lane.is_some() || self.others.iter().filter_map(|mailbox| mailbox.tap.as_ref()).any(Tap::is_open)
     }
 
     /// What is done between batches.

@@ -207,11 +207,12 @@ impl Runtime {
         let _ = self.orders[sensor].send(config);
     }
 
-    /// Gives all ports their lanes of another recording.
+    /// Gives all ports their lanes of another recording; who naps takes it at once.
     pub fn record(&self, tees: &Tees) {
         for port in &self.lanes {
             let _ = port.send(tees.lane());
         }
+        self.wake();
     }
 
     /// Looks after the threads.
@@ -254,6 +255,11 @@ impl Runtime {
         self.over.store(true, Ordering::Relaxed);
         // Once more does no harm.
         let _ = self.bell.shutdown(Shutdown::Both);
+        self.wake();
+    }
+
+    /// Ends the naps of all threads.
+    fn wake(&self) {
         self.threads.iter().for_each(|(_, thread)| thread.thread().unpark());
     }
 
