@@ -28,6 +28,8 @@ use sweepd::wire::data::ReturnMode;
 
 /// Sweeps of each latency.
 const SWEEPS: u32 = 1000;
+/// Data packets for each position packet, of real sensors.
+const FOR_EACH_POSITION: u64 = 5;
 
 fn main() {
     let words: Vec<String> = std::env::args().skip(1).filter(|word| !word.starts_with("--")).collect();
@@ -101,6 +103,8 @@ struct Stream {
     model: Model,
     mode: ReturnMode,
     packets: Vec<DataPacket>,
+    /// What is sent after each fifth of them to another port, by a sensor that sends such.
+    position: Option<Vec<u8>>,
     period_ns: u64,
     /// How far clock and head get until the packets begin anew.
     us: u32,
@@ -110,14 +114,20 @@ struct Stream {
 impl Stream {
     fn new(model: Model, mode: ReturnMode, rpm: f64) -> Self {
         let scene = fixtures::scene();
-        let config = EmitterConfig { rpm, ..EmitterConfig::new(model, mode) }.turns(1.5);
+        let config = EmitterConfig { rpm, data_per_position: FOR_EACH_POSITION, ..EmitterConfig::new(model, mode) };
+        let config = config.turns(1.5);
         let spec: &Spec = config.spec;
         let period_ns = u64::from(spec.packet_period_ns(mode));
-        let packets: Vec<DataPacket> =
-            Emitter::new(config, &scene).filter_map(|one| DataPacket::parse(&one.payload).ok().copied()).collect();
+        let (mut packets, mut position): (Vec<DataPacket>, _) = (Vec::new(), None);
+        for one in Emitter::new(config, &scene) {
+            match DataPacket::parse(&one.payload) {
+                Ok(packet) => packets.push(*packet),
+                Err(_) => position = Some(one.payload),
+            }
+        }
         let us = (packets.len() as f64 * period_ns as f64 / 1000.0).round();
         let cdeg = us * 1e-6 * rpm / 60.0 * 36_000.0;
-        Self { model, mode, packets, period_ns, us: us as u32, cdeg }
+        Self { model, mode, packets, position, period_ns, us: us as u32, cdeg }
     }
 
     /// The data packets of a capture, if it is there: those of a steady head, one after the other. Clock and head go on behind
@@ -139,7 +149,8 @@ impl Stream {
             azimuths.clone().zip(azimuths.skip(1)).map(|(from, to)| (to - from).rem_euclid(36_000.0)).sum();
         let steps = (packets.len() - 1) as f64;
         let us = last.stamp_us() - first.stamp_us() + (period_ns as f64 / 1000.0).round() as u32;
-        Some(Self { model, mode, period_ns, us, cdeg: turned * (1.0 + 1.0 / steps), packets })
+        let position = Self::new(model, mode, 600.0).position;
+        Some(Self { model, mode, position, period_ns, us, cdeg: turned * (1.0 + 1.0 / steps), packets })
     }
 
     /// The packet of this number: stamps and azimuths go on where the first round of them ends.
@@ -154,8 +165,9 @@ impl Stream {
         packet
     }
 
-    /// Sends them to a port at so many times their own pace, until `over`; gives how many.
-    fn send(&self, port: u16, pace: f64, mut over: impl FnMut() -> bool) -> u64 {
+    /// Sends them to a port, and position packets to the other, at so many times their own pace, until `over`; gives how many
+    /// of the former.
+    fn send(&self, [port, position_port]: [u16; 2], pace: f64, mut over: impl FnMut() -> bool) -> u64 {
         let socket = UdpSocket::bind((Ipv4Addr::LOCALHOST, 0)).unwrap();
         let (begun, mut number) = (Instant::now(), 0);
         while !over() {
@@ -163,6 +175,9 @@ impl Stream {
             while number < due {
                 socket.send_to(self.packet(number).emit(), (Ipv4Addr::LOCALHOST, port)).unwrap();
                 number += 1;
+                if let Some(position) = self.position.as_ref().filter(|_| number.is_multiple_of(FOR_EACH_POSITION)) {
+                    socket.send_to(position, (Ipv4Addr::LOCALHOST, position_port)).unwrap();
+                }
             }
             thread::sleep(Duration::from_nanos((self.period_ns as f64 / pace) as u64 / 2));
         }
@@ -174,7 +189,8 @@ impl Stream {
 struct Daemon {
     child: Child,
     folder: PathBuf,
-    port: u16,
+    /// For data and for position packets.
+    ports: [u16; 2],
     http: u16,
 }
 
@@ -203,7 +219,7 @@ impl Daemon {
             .stderr(std::fs::File::create(folder.join("log")).unwrap())
             .spawn()
             .unwrap();
-        Self { child, folder, port, http }
+        Self { child, folder, ports: [port, position_port], http }
     }
 
     fn domain(&self) -> Domain {
@@ -259,7 +275,7 @@ fn latency(name: &str, stream: Stream) {
         .stdout(Stdio::piped())
         .spawn()
         .unwrap();
-    stream.send(daemon.port, 1.0, || watch.try_wait().unwrap().is_some());
+    stream.send(daemon.ports, 1.0, || watch.try_wait().unwrap().is_some());
     let text = String::from_utf8(watch.wait_with_output().unwrap().stdout).unwrap();
     // The table of the seconds is for who watches.
     println!("{}", text.find("\ndecode:").map_or(&text[..], |at| &text[at..]).trim_end());
@@ -283,7 +299,7 @@ fn load(name: &str, stream: &Stream, pace: f64, seconds: u64) {
     });
     thread::sleep(Duration::from_secs(1));
     let (begun, mut marks, mut memory) = (Instant::now(), Vec::new(), Vec::new());
-    let sent = stream.send(daemon.port, pace, || {
+    let sent = stream.send(daemon.ports, pace, || {
         let elapsed = begun.elapsed().as_secs();
         // The first seconds are for the pool and the caches.
         if elapsed >= 3 && marks.is_empty() {
@@ -311,7 +327,7 @@ fn least(stream: &Stream, seconds: u64) {
     let port = receiver.local_addr().port();
     let idlers = [None, Some(receiver)].map(Idler::start);
     let begun = Instant::now();
-    stream.send(port, 1.0, || begun.elapsed().as_secs() >= seconds);
+    stream.send([port; 2], 1.0, || begun.elapsed().as_secs() >= seconds);
     let [waking, receiving] = idlers.map(|idler| idler.end() * 100.0);
     println!("  to wake up 30 times a second takes {waking:.2} %, and to take the packets then {receiving:.2} %");
 }
