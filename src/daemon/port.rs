@@ -43,7 +43,7 @@ const LOOK_EVERY: Duration = Duration::from_secs(1);
 /// A socket that fails so often in a row will not recover: the daemon ends, and opens it anew when it is restarted.
 const FAILURES: u32 = 20;
 /// Position packets that may wait for the thread of their sensor. An HDL-32E with two returns sends 720 a second (one for five
-/// data packets); the thread that takes them in may rest for half a second, that of their sensor for a tenth.
+/// data packets); the thread that takes them in may rest for a quarter of a second, that of their sensor for a tenth.
 pub const MAILS: usize = 512;
 
 /// A position packet on its way to the thread of its sensor.
@@ -164,7 +164,7 @@ impl Newest {
 }
 
 impl<B: Buffers<Buffer: Outgoing>> Port<B> {
-    /// A port whose socket is open, with ways to a recording; while nothing comes it goes a round after each `beat`, or sooner.
+    /// A port whose socket is open, with ways to a recording; it goes a round after each `beat`, or sooner.
     pub fn new(source: UdpSource, room: Room<B>, lanes: Receiver<Option<Lane>>, end: End, beat: Duration) -> Self {
         Self { source, room, lanes, end, beat, heard: None, load: Load::new(Instant::now()) }
     }
@@ -228,10 +228,12 @@ impl<B: Buffers<Buffer: Outgoing>> Port<B> {
         }
         let now_ns = realtime_ns();
         let Room { sensors, others, .. } = &self.room;
-        // Position packets are in no hurry, but copies of them are to be in order with those of data.
-        let is_long = !self.has_sweeps() && !self.room.is_copied();
-        let most = if is_long { self.beat } else { nap::LONGEST.min(self.beat) };
-        let longest_ns = nap::longest_ns(most, self.source.buffer(), [sensors.len(), others.len()], &self.load);
+        let (longest, senders) = match self.has_sweeps() {
+            false if !self.room.is_copied() => (nap::LONGEST_OF_POSITIONS, [0, others.len()]),
+            false => (nap::LONGEST, [0, others.len()]),
+            true => (nap::LONGEST, [sensors.len(), 0]),
+        };
+        let longest_ns = nap::longest_ns(longest.min(self.beat), self.source.buffer(), senders, &self.load);
         let nap_ns = |due_ns: i64| nap::length_ns(due_ns.saturating_sub(now_ns), longest_ns, &self.load);
         // One of whom it is not known is waited on.
         let naps_ns = sensors.iter().map(|served| served.sensor.due_ns().map_or(0, nap_ns));

@@ -33,7 +33,7 @@ use super::write::Addressed;
 /// used.
 const LANE_BYTES: usize = 32 << 20;
 /// How often the writing thread looks, which is also for how long a datagram waits for earlier ones of other lanes: longer
-/// than the threads of a daemon nap.
+/// than the threads of a daemon nap while they record.
 pub(crate) const PERIOD: Duration = Duration::from_millis(120);
 
 /// How far a recording is, readable at any time.
