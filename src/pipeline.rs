@@ -164,6 +164,11 @@ impl<B: Buffers, W: Stopwatch> Pipeline<B, W> {
         self.next_number += 1;
     }
 
+    /// Counts position packets that nobody need read: the next one that is pushed says all that they do, and is newer.
+    pub fn pass_over_positions(&mut self, count: u64) {
+        self.counts.position += count;
+    }
+
     /// The next sweep that is whole, labelled. See [`SweepRef::open`](crate::sweep::SweepRef::open).
     pub fn poll(&mut self) -> Option<B::Buffer> {
         let begun_ns = self.watch.now_ns();

@@ -332,8 +332,10 @@ fn put(tap: &mut Option<Tap>, addressed: &Addressed<'_>) {
 impl<B: Buffers<Buffer: Outgoing>> Served<B> {
     /// What is done between batches.
     fn catch_up(&mut self, now: Instant, dropped: u64) {
-        while let Ok(mail) = self.mail.try_recv() {
-            self.sensor.position(&mail.datagram());
+        // Of those that waited, the newest says how things are now.
+        if let Some((older, newest)) = self.mail.try_iter().enumerate().last() {
+            self.sensor.pass_over_positions(older as u64);
+            self.sensor.position(&newest.datagram());
         }
         while let Ok(config) = self.orders.try_recv() {
             self.sensor.reconfigure(config);

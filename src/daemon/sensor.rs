@@ -124,6 +124,11 @@ impl<B: Buffers<Buffer: Outgoing>> Sensor<B> {
         }
     }
 
+    /// Counts position packets that a newer one came after before anyone asked what they say.
+    pub fn pass_over_positions(&mut self, count: u64) {
+        self.pipeline.pass_over_positions(count);
+    }
+
     /// Tells the time by the clock that stamps its packets, if there were any, between batches: a sweep may have stalled,
     /// and a sensor deserve a second look.
     pub fn tick(&mut self, now_ns: Option<i64>, dropped: u64) {

@@ -2,6 +2,8 @@
 
 use std::sync::mpsc::{self, Sender};
 
+use super::super::config::SensorConfig;
+use super::super::counters::Gps;
 use super::super::sensor::Identity;
 use super::super::sharing::SharingError;
 use super::super::testing::sensor;
@@ -11,7 +13,9 @@ use crate::simulate::{Emitter, EmitterConfig, SimulatedDatagram, fixtures};
 use crate::sweep::buffers::HeapBuffer;
 use crate::sweep::layout::flags::PARTIAL;
 use crate::sweep::{HeapBuffers, SweepRef};
+use crate::wire::Position;
 use crate::wire::data::ReturnMode;
+use crate::wire::position::Pps;
 
 const SECOND_NS: i64 = 1_000_000_000;
 const HOUR_NS: i64 = 3_600 * SECOND_NS;
@@ -77,19 +81,26 @@ impl Outgoing for Open {
     }
 }
 
+/// A sensor that was configured so, with its counters and its mail.
+fn served(
+    index: usize,
+    config: &SensorConfig,
+    (counters, mail): (Arc<SensorCounters>, Receiver<Mail>),
+    sweeps: &Sender<Sweep>,
+) -> Served<Shared> {
+    let buffers = Shared { heap: HeapBuffers::default(), sensor: index, sweeps: sweeps.clone() };
+    let (name, address) = (config.name.clone(), config.address.to_string());
+    let identity = Identity { index, name, address, counters, events: mpsc::channel().0 };
+    let sensor = Sensor::new(identity, config.pipeline.clone(), buffers).unwrap();
+    let orders = mpsc::channel().1;
+    Served { address: config.address, sensor, mail, orders, tap: None, newest: Newest::default() }
+}
+
 /// A port with two sensors, at 127.0.0.1 and 127.0.0.2.
 fn room(sweeps: &Sender<Sweep>) -> Room<Shared> {
     let configs = [1, 2].map(|host| sensor(&format!("s{host}"), &format!("127.0.0.{host}"), 2368));
-    let served = |index: usize| {
-        let buffers = Shared { heap: HeapBuffers::default(), sensor: index, sweeps: sweeps.clone() };
-        let (name, address) = (configs[index].name.clone(), configs[index].address.to_string());
-        let (counters, events) = (Arc::new(SensorCounters::default()), mpsc::channel().0);
-        let identity = Identity { index, name, address, counters, events };
-        let sensor = Sensor::new(identity, configs[index].pipeline.clone(), buffers).unwrap();
-        let (mail, orders) = (mpsc::channel().1, mpsc::channel().1);
-        Served { address: configs[index].address, sensor, mail, orders, tap: None, newest: Newest::default() }
-    };
-    let sensors = vec![served(0), served(1)];
+    let sensors = (0..2).map(|index| served(index, &configs[index], (Arc::default(), mpsc::channel().1), sweeps));
+    let sensors = sensors.collect();
     Room { door: Door::new(&configs, &configs), sensors, others: Vec::new(), lane: None, counters: Arc::default() }
 }
 
@@ -181,4 +192,25 @@ fn the_time_of_a_silent_sensor_goes_on_from_its_own_newest_packet() {
     newest.stamp(5_600_000_000 - HOUR_NS);
     assert_eq!(newest.stamp_of(after(600)), Some(5_600_000_000 - HOUR_NS));
     assert_eq!(newest.stamp_of(after(601)), Some(5_601_000_000 - HOUR_NS));
+}
+
+#[test]
+fn of_position_packets_that_waited_all_are_counted_and_the_newest_counts() {
+    let ((sender, mail), counters) = (mpsc::sync_channel(MAILS), Arc::new(SensorCounters::default()));
+    let config = sensor("s", "127.0.0.1", 2368);
+    let mut served = served(0, &config, (counters.clone(), mail), &mpsc::channel().0);
+    let source = "127.0.0.1:8308".parse().unwrap();
+    let put = |pps| {
+        let position = Position { stamp_us: 0, pps, nmea: None, inertial: None, board: None, thermal: None };
+        let datagram = Datagram { arrival_ns: 0, source, destination_port: 8308, payload: &position.emit() };
+        sender.try_send(Mail::of(&datagram).unwrap()).unwrap();
+    };
+    let batches = [(&[Pps::Locked][..], Gps::Incomplete), (&[Pps::Locked, Pps::Locked, Pps::Absent], Gps::Absent)];
+    for (waited, expected) in batches {
+        waited.iter().for_each(|&pps| put(pps));
+        served.catch_up(Instant::now(), 0);
+        assert_eq!(counters.gps(), Some(expected), "{waited:?}");
+    }
+    served.catch_up(Instant::now(), 0);
+    assert_eq!(counters.position.get(), 4);
 }
