@@ -48,6 +48,7 @@ fn main() {
         ("cost vlp16", Source::Street(Model::Vlp16)),
         ("cost vlp16 einride", Source::Capture(Model::Vlp16, "vlp16_einride-a.pcap")),
         ("cost vlp16 mrpt", Source::Capture(Model::Vlp16, "vlp16_mrpt-gps.pcap")),
+        ("cost vlp16 rlu", Source::Capture(Model::Vlp16, "vlp16_rlu-velodyne-example.pcap")),
         ("cost hdl64e", Source::Street(Model::Hdl64eS2)),
     ] {
         if is_wanted(name) {
