@@ -57,8 +57,6 @@ pub struct Order {
     spec: &'static Spec,
     clock: SensorClock,
     slots: Vec<Packet>,
-    /// Stamp of the packet in each slot, one beside the other: all are looked through for each packet.
-    stamps_us: Vec<u32>,
     next_slot: usize,
     held: Vec<usize>,
     ready: VecDeque<(usize, Before)>,
@@ -78,7 +76,6 @@ impl Order {
             spec,
             clock: SensorClock::default(),
             slots: Vec::with_capacity(SLOTS),
-            stamps_us: Vec::with_capacity(SLOTS),
             next_slot: 0,
             held: Vec::with_capacity(HOLD + 2),
             ready: VecDeque::with_capacity(HOLD + 4),
@@ -128,8 +125,7 @@ impl Order {
     /// [`Refusal`]: the packet will not come out.
     pub fn push(&mut self, bytes: &DataPacket, mode: ReturnMode, number: u64, arrival_ns: i64) -> Result<(), Refusal> {
         let mut motion = Motion::of(bytes, mode, self.spec).map_err(Refusal::Implausible)?;
-        let mut known = self.stamps_us.iter().zip(&self.slots);
-        if known.any(|(&stamp_us, known)| stamp_us == bytes.stamp_us() && known.bytes == *bytes) {
+        if self.slots.iter().any(|known| known.bytes.stamp_us() == bytes.stamp_us() && known.bytes == *bytes) {
             return Err(Refusal::Duplicate);
         }
         self.relations.steady(&mut motion);
@@ -311,14 +307,13 @@ impl Order {
                 let slot = self.next_slot;
                 self.next_slot = (slot + 1) % SLOTS;
                 if !self.is_in_use(slot) {
-                    (self.slots[slot], self.stamps_us[slot]) = (packet, packet.bytes.stamp_us());
+                    self.slots[slot] = packet;
                     return slot;
                 }
             }
         }
         // Beyond the usual number only if nobody takes out what is ready.
         self.slots.push(packet);
-        self.stamps_us.push(packet.bytes.stamp_us());
         self.slots.len() - 1
     }
 
