@@ -6,44 +6,52 @@
 //! than their beginnings are aside of it. Two degrees apart, as the rows of a VLP-16 are, neighbours are a metre apart from 29 m
 //! on.
 
+use fearless_simd::{Simd, i16x8, prelude::*};
+
 use super::points::Points;
+use super::reach::steps_around;
 use super::window::MOST_ROWS;
 
 /// For each row, how far out rows below it need looking at.
 #[derive(Clone, Debug, Default)]
 pub(super) struct Fan {
-    /// The greatest distance from the sensor at which a point can have one near it, one row below, two, and so on; metres.
-    spread_m: Vec<[f32; MOST_ROWS]>,
+    /// What is no nearer to the sensor than any point of the row that can have one near it, one row below, two, and so on; in
+    /// steps.
+    spread: Vec<[i16; MOST_ROWS]>,
 }
 
 impl Fan {
     /// Takes room for so many rows.
     pub fn reserve(&mut self, rows: usize) {
-        super::reserve(&mut self.spread_m, rows);
+        super::reserve(&mut self.spread, rows);
     }
 
     /// Of the beams of these points, so many rows apart at most; near is what is no further away than `near_m`.
     pub fn measure(&mut self, points: &Points, window_rows: usize, near_m: f32) {
-        self.spread_m.clear();
+        self.spread.clear();
         for row in 0..points.rows() {
-            let mut spread_m = [f32::INFINITY; MOST_ROWS];
-            for (spread_m, below) in spread_m[..window_rows].iter_mut().zip(row + 1..points.rows()) {
-                *spread_m = points.spread_m([row, below], near_m);
+            // Where there is no row, and beyond the window, nothing is so near to the sensor.
+            let mut spread = [i16::MIN; MOST_ROWS];
+            for (spread, below) in spread[..window_rows].iter_mut().zip(row + 1..points.rows()) {
+                *spread = steps_around(points.spread_m([row, below], near_m));
             }
-            self.spread_m.push(spread_m);
+            self.spread.push(spread);
         }
     }
 
-    /// How many rows below one, of so many, can hold what is near to points of it, of which the nearest is at this distance.
+    /// How many rows below one can hold what is near to points of it, of which the nearest is no nearer than this, in steps.
     #[inline(always)]
-    pub fn rows_below(&self, row: usize, rows: usize, distance_m: f32) -> usize {
-        let spread_m = &self.spread_m[row];
-        (1..=rows).rev().find(|&below| distance_m <= spread_m[below - 1]).unwrap_or(0)
+    pub fn rows_below<S: Simd>(&self, simd: S, row: usize, low: i16) -> usize {
+        let reach = i16x8::from_slice(simd, &self.spread[row]).simd_ge(low).to_bitmask();
+        (u64::BITS - reach.leading_zeros()) as usize
     }
 }
 
 #[cfg(test)]
 mod tests {
+    use fearless_simd::{Level, dispatch};
+
+    use crate::segment::reach::{STEPS, steps_within};
     use crate::segment::{Config, points};
     use crate::sensor::Beam;
     use crate::sensor::calibration::TwoPoint;
@@ -68,16 +76,18 @@ mod tests {
             *row = BeamRow::new(beam, 0);
         }
         let mut placed = Points::default();
-        placed.reserve(2, COLUMNS);
+        placed.reserve(COLUMNS);
         placed.begin(&sweep.as_ref(), Some(COLUMNS));
         let mut fan = Fan::default();
         fan.measure(&placed, 1, NEAR_M);
-        let spread_m = fan.spread_m[0][0];
-        if spread_m == f32::INFINITY {
-            assert_eq!(fan.rows_below(0, 1, 1e6), 1);
-            return [spread_m, 0.0];
+        let rows_below = |low| dispatch!(Level::new(), simd => fan.rows_below(simd, 0, low));
+        let spread = fan.spread[0][0];
+        if spread == steps_around(f32::INFINITY) {
+            assert_eq!(rows_below(steps_within(1e6)), 1);
+            return [f32::INFINITY, 0.0];
         }
-        assert_eq!([0.999, 1.001].map(|times| fan.rows_below(0, 1, times * spread_m)), [1, 0]);
+        assert_eq!([spread - 1, spread, spread + 1].map(rows_below), [1, 1, 0]);
+        let spread_m = f32::from(spread) / STEPS;
         // The ranges from a little less on: beams may begin nearer to where they look.
         for (index, range_m) in sweep.range.iter_mut().enumerate() {
             *range_m = times * spread_m - 0.5 + 0.01 * (index / 2) as f32;
@@ -94,8 +104,8 @@ mod tests {
     fn beams_two_degrees_apart_are_a_metre_apart_from_twenty_nine_metres_on() {
         let beams = [1.0_f64, -1.0].map(|degrees| Beam::ideal(0, degrees.to_radians()));
         let [spread_m, least_m] = spread_and_least(beams, 1.0);
-        // 1 / sin(2 degrees)
-        assert!((spread_m - 28.654).abs() < 0.001, "{spread_m}");
+        // 1 / sin(2 degrees), and at most a step more, and what is rounded.
+        assert!((28.654..28.654 + 1.1 / STEPS).contains(&spread_m), "{spread_m}");
         assert!((least_m - NEAR_M).abs() < 0.001, "{least_m}");
         assert!(spread_and_least(beams, 0.9)[1] < 0.91);
     }

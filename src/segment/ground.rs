@@ -8,7 +8,7 @@
 use fearless_simd::{Simd, f32x16, mask32x16, prelude::*};
 
 use super::DENSE_ROWS;
-use super::points::{LANES, Points, STRIP, load};
+use super::points::{LANES, Points, STRIP};
 
 /// What counts as ground.
 #[derive(Clone, Copy, Debug, PartialEq)]
@@ -81,24 +81,25 @@ impl SlopeGround {
     /// Climbs the columns of the strip behind the one at hand. The words say what is real.
     #[inline(always)]
     pub(super) fn climb<S: Simd>(&self, simd: S, points: &Points, stand: &Stand, words: &mut [Window]) {
-        let Some(height_m) = stand.height_m else {
-            words.iter_mut().for_each(|words| words[2].climbed = 0);
-            return;
-        };
-        let [mut left, mut right] = [Climber::new(simd, height_m, self.max_rise_m(words.len())); 2];
+        words.iter_mut().for_each(|words| words[2].climbed = 0);
+        let Some(height_m) = stand.height_m else { return };
+        let max_rise_m = self.max_rise_m(words.len());
         // For each row: which columns find it the face of a kerb, and which find that a kerb below goes on level here.
         let mut kerbs = [[0_u32; 2]; super::MAX_ROWS];
-        for row in (0..words.len()).rev() {
-            let Words { real, climbed, .. } = &mut words[row][2];
-            if *real == 0 {
-                *climbed = 0;
-                continue;
+        // One half after the other: what both have to remember is more than there are registers.
+        for half in (0..STRIP).step_by(LANES) {
+            let mut climber = Climber::new(simd, height_m, max_rise_m);
+            for row in (0..words.len()).rev() {
+                let Words { real, climbed, .. } = &mut words[row][2];
+                if *real >> half & 0xFFFF == 0 {
+                    continue;
+                }
+                let here = place(simd, points, points.at(row) + STRIP + half, stand);
+                let step = climber.step(simd, self, here, u64::from(*real >> half));
+                *climbed |= step.ground << half;
+                kerbs[row][0] |= step.face << half;
+                kerbs[row][1] |= step.goes_on << half;
             }
-            let lane = points.at(row) + STRIP;
-            let a = left.step(simd, self, place(simd, points, lane, stand), u64::from(*real));
-            let b = right.step(simd, self, place(simd, points, lane + LANES, stand), u64::from(*real >> LANES));
-            *climbed = a.ground | b.ground << LANES;
-            kerbs[row] = [a.face | b.face << LANES, a.goes_on | b.goes_on << LANES];
         }
         // From the top: the faces straight below where a kerb goes on level.
         let mut kerb = 0;
@@ -119,9 +120,9 @@ impl SlopeGround {
             }
             for half in 0..STRIP / LANES {
                 let lane = points.at(row) + STRIP + half * LANES;
-                let here = load(simd, &points.range, lane);
+                let here = points.range.load(simd, lane);
                 for (back, like) in (1..).zip(&mut next.like) {
-                    let there = load(simd, &points.range, lane - back);
+                    let there = points.range.load(simd, lane - back);
                     // What has no return is further than that from what has one.
                     let near = (here - there).abs().simd_lt(self.agree_m) & there.simd_gt(0.0);
                     *like |= (near.to_bitmask() as u32) << (half * LANES);
@@ -201,7 +202,7 @@ struct Places<S: Simd> {
 
 #[inline(always)]
 fn place<S: Simd>(simd: S, points: &Points, lane: usize, stand: &Stand) -> Places<S> {
-    let far = load(simd, &points.far, lane);
+    let far = points.far.load(simd, lane);
     let height = points.height(simd, lane, stand.up);
     Places { away: (far * far - height * height).max(0.0).sqrt(), height }
 }
@@ -292,7 +293,7 @@ mod tests {
             [([0.0, 0.0, 1.0], [1.0, 0.0]), ([0.0, -tilt.sin(), tilt.cos()], [tilt.cos(), tilt.sin()])]
         {
             let (mut points, mut words) = (Points::default(), vec![Window::default(); column.len()]);
-            points.reserve(column.len(), 1);
+            points.reserve(1);
             let places = [0, 5, 15, 16, 31];
             for (row, (&(away_m, height_m), words)) in column.iter().zip(&mut words).enumerate() {
                 for place in places {

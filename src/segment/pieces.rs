@@ -11,7 +11,7 @@ use std::ops::Range;
 use fearless_simd::{Simd, f32x4, f32x8, f32x16, mask32x16, prelude::*};
 use zerocopy::FromZeros;
 
-use super::points::{LANES, Order, Points, STRIP, load};
+use super::points::{LANES, Order, Points, STRIP};
 use super::work;
 use crate::sweep::Segment;
 
@@ -223,10 +223,10 @@ pub(super) fn measure<S: Simd>(simd: S, points: &Points, lane: usize, [columns, 
         let is = mask32x16::from_bitmask(simd, u64::from(columns >> (half * LANES)));
         let counts = mask32x16::from_bitmask(simd, u64::from(counted >> (half * LANES)));
         let lane = lane + half * LANES;
-        let far = load(simd, &points.far, lane);
+        let far = points.far.load(simd, lane);
         low = low.min(is.select(far, low));
         high = high.max(is.select(far, high));
-        nearest = nearest.min(counts.select(load(simd, &points.range, lane), nearest));
+        nearest = nearest.min(counts.select(points.range.load(simd, lane), nearest));
         let place = points.place(simd, lane);
         for axis in 0..3 {
             let value = place[axis];
@@ -247,7 +247,7 @@ pub(super) fn measure<S: Simd>(simd: S, points: &Points, lane: usize, [columns, 
 /// The same of a few lanes, at least one, all of which are counted.
 #[inline(always)]
 fn measure_few(points: &Points, lanes: Range<usize>) -> (Sum, [f32; 2]) {
-    let [x, y, z, range, far]: [&[f32]; 5] = [&points.x, &points.y, &points.z, &points.range, &points.far];
+    let Points { x, y, z, range, far, .. } = points;
     let at = |lane: usize| ([x[lane], y[lane], z[lane], range[lane]], far[lane]);
     let (first, first_far_m) = at(lanes.start);
     let [mut least_m, mut most_m, mut total_m] = [first; 3];

@@ -16,13 +16,12 @@
 use std::ops::{Deref, DerefMut};
 
 use fearless_simd::{Level, Simd, dispatch, f32x16, prelude::*, u32x16};
-use zerocopy::{FromBytes, Immutable, IntoBytes, KnownLayout, transmute_mut, transmute_ref};
 
-use super::Config;
 use super::directions::Directions;
 use super::ground::Window;
 use super::tiles::turn_over;
 use super::turn::turn_rad;
+use super::{Config, MAX_ROWS};
 use crate::sweep::corrected::Corrected;
 use crate::sweep::layout::flags;
 use crate::sweep::{BeamRow, SweepRef};
@@ -87,31 +86,50 @@ impl Order {
     }
 }
 
+/// Lanes of all rows that there can be.
+const ALL: usize = MAX_ROWS * STRIDE;
+
 /// A number for each lane of each row. Sixteen columns, counted from the first of a strip, are one cache line: a vector across
 /// two of them takes twice as long.
-#[derive(Clone, Debug, Default)]
-pub(super) struct Plane {
-    lines: Vec<Line>,
+#[derive(Clone, Debug)]
+pub(super) struct Plane(Box<Lines>);
+
+#[derive(Clone, Debug)]
+#[repr(C, align(64))]
+struct Lines([f32; ALL]);
+
+impl Default for Plane {
+    fn default() -> Self {
+        Self(Box::new(Lines([0.0; ALL])))
+    }
 }
 
-/// A cache line.
-#[derive(Clone, Copy, Debug, FromBytes, IntoBytes, KnownLayout, Immutable)]
-#[repr(C, align(64))]
-struct Line([f32; LANES]);
-
-impl Deref for Plane {
-    type Target = [f32];
+impl Plane {
+    /// The lanes from one on.
+    #[inline(always)]
+    pub fn load<S: Simd>(&self, simd: S, lane: usize) -> f32x16<S> {
+        load(simd, &self[..], lane)
+    }
 
     #[inline(always)]
-    fn deref(&self) -> &[f32] {
-        transmute_ref!(&self.lines[..])
+    fn store<S: Simd>(&mut self, lane: usize, numbers: f32x16<S>) {
+        numbers.store_slice(&mut self[lane..lane + LANES]);
+    }
+}
+
+impl Deref for Plane {
+    type Target = [f32; ALL];
+
+    #[inline(always)]
+    fn deref(&self) -> &[f32; ALL] {
+        &self.0.0
     }
 }
 
 impl DerefMut for Plane {
     #[inline(always)]
-    fn deref_mut(&mut self) -> &mut [f32] {
-        transmute_mut!(&mut self.lines[..])
+    fn deref_mut(&mut self) -> &mut [f32; ALL] {
+        &mut self.0.0
     }
 }
 
@@ -148,7 +166,7 @@ pub struct Placed {
 pub fn placed(sweep: &SweepRef<'_>, config: &Config) -> Vec<Option<Placed>> {
     let mut points = Points::default();
     let (rows, columns) = (sweep.rows(), sweep.columns.len());
-    points.reserve(rows, columns);
+    points.reserve(columns);
     let mut words = vec![Window::default(); rows];
     let mut all = vec![None; rows * columns];
     dispatch!(Level::new(), simd => {
@@ -185,16 +203,14 @@ struct Beam {
 }
 
 impl Points {
-    /// Takes room for any image of such a buffer. What an older sweep left there does no harm: the words say what is real, and
-    /// what lies before the strip that leads in reaches none that counts.
-    pub fn reserve(&mut self, rows: usize, columns: usize) {
-        for plane in [&mut self.x, &mut self.y, &mut self.z, &mut self.far, &mut self.range] {
-            plane.lines.resize(rows * STRIDE / LANES, Line([0.0; LANES]));
-        }
+    /// Takes room for any image of so many columns.
+    pub fn reserve(&mut self, columns: usize) {
         self.directions.reserve(columns);
     }
 
-    /// Takes the beams of a sweep and begins with the strip that leads in; so many columns it has, if that is known.
+    /// Takes the beams of a sweep and begins with the strip that leads in; so many columns it has, if that is known. What an
+    /// older sweep left does no harm: the words say what is real, and what lies before the strip that leads in reaches none that
+    /// counts.
     pub fn begin(&mut self, sweep: &SweepRef<'_>, columns: Option<usize>) {
         // How the head turns when the sweep begins: what it turns faster or slower later is a small rest.
         let rate_rad_s = sweep.columns.first().map_or(0.0, |column| column.azimuth_rate_rad_s);
@@ -232,7 +248,7 @@ impl Points {
     /// Points of some columns, from a lane on.
     #[inline(always)]
     pub fn place<S: Simd>(&self, simd: S, lane: usize) -> [f32x16<S>; 3] {
-        [load(simd, &self.x, lane), load(simd, &self.y, lane), load(simd, &self.z, lane)]
+        [self.x.load(simd, lane), self.y.load(simd, lane), self.z.load(simd, lane)]
     }
 
     /// Their heights over the sensor along a direction that is up, of length 1, metres.
@@ -240,7 +256,7 @@ impl Points {
     pub fn height<S: Simd>(&self, simd: S, lane: usize, up: [f32; 3]) -> f32x16<S> {
         match up {
             // Upright, as most sensors stand: z bit for bit.
-            [0.0, 0.0, 1.0] => load(simd, &self.z, lane),
+            [0.0, 0.0, 1.0] => self.z.load(simd, lane),
             up => {
                 let [x, y, z] = self.place(simd, lane);
                 x * up[0] + y * up[1] + z * up[2]
@@ -255,7 +271,7 @@ impl Points {
         if self.at + 2 * STRIP > STRIDE {
             let kept = self.at - BEFORE..self.at + STRIP;
             for plane in [&mut self.x, &mut self.y, &mut self.z, &mut self.far, &mut self.range] {
-                for row in plane.chunks_exact_mut(STRIDE) {
+                for row in plane.chunks_exact_mut(STRIDE).take(self.beams.len()) {
                     row.copy_within(kept.clone(), MARGIN - BEFORE);
                 }
             }
@@ -281,18 +297,18 @@ impl Points {
             *real = 0;
             for half in 0..STRIP / LANES {
                 let lane = self.at(row) + STRIP + half * LANES;
-                let range = load(simd, &self.range, lane);
+                let range = self.range.load(simd, lane);
                 let is = range.simd_gt(0.0) & range.simd_ge(config.min_range_m) & range.simd_le(config.max_range_m);
                 let bits = is.to_bitmask() as u32;
                 *real |= bits << (half * LANES);
-                store(&mut self.range, lane, is.select(range, f32x16::splat(simd, 0.0)));
+                self.range.store(lane, is.select(range, f32x16::splat(simd, 0.0)));
                 if bits != 0 {
                     let at = position + half * LANES;
                     let [x, y, z] = self.beams[row].points(simd, &self.directions, at, range);
-                    store(&mut self.x, lane, x);
-                    store(&mut self.y, lane, y);
-                    store(&mut self.z, lane, z);
-                    store(&mut self.far, lane, (x * x + y * y + z * z).sqrt());
+                    self.x.store(lane, x);
+                    self.y.store(lane, y);
+                    self.z.store(lane, z);
+                    self.far.store(lane, (x * x + y * y + z * z).sqrt());
                 }
             }
         }
@@ -318,7 +334,7 @@ impl Points {
                 }
                 let tile = turn_over(tile);
                 for line in 0..LANES {
-                    store(&mut self.range, (row + line) * STRIDE + self.at + STRIP + half, tile[line].bitcast());
+                    self.range.store((row + line) * STRIDE + self.at + STRIP + half, tile[line].bitcast());
                 }
             }
             for row in squared..rows {
@@ -413,11 +429,6 @@ fn dot<S: Simd>(a: [f32x16<S>; 3], b: [f32x16<S>; 3]) -> f32x16<S> {
 #[inline(always)]
 pub(super) fn load<S: Simd>(simd: S, plane: &[f32], at: usize) -> f32x16<S> {
     f32x16::from_slice(simd, &plane[at..at + LANES])
-}
-
-#[inline(always)]
-pub(super) fn store<S: Simd>(plane: &mut [f32], at: usize, lanes: f32x16<S>) {
-    lanes.store_slice(&mut plane[at..at + LANES]);
 }
 
 #[cfg(test)]

@@ -5,39 +5,69 @@
 
 use std::ops::{Range, RangeInclusive};
 
-use fearless_simd::{Simd, i32x16, prelude::*, u32x16};
+use fearless_simd::{Simd, i16x16, prelude::*, u32x16};
+use zerocopy::FromZeros;
 
+use super::MAX_ROWS;
 use super::pieces::{Part, Pieces, Sum, Whereabouts, measure};
-use super::points::{BEFORE, LANES, Points, STRIP, load};
+use super::points::{BEFORE, LANES, Points, STRIP};
+use super::work;
 
-/// Most runs within reach in a row: one in every column.
-const MOST: usize = BEFORE + STRIP;
+/// Most runs within reach: one in every column of every row. A vector may be read beyond the last.
+const MOST: usize = MAX_ROWS * (BEFORE + STRIP) + LANES;
+/// Runs that are compared with one at once: a bit each.
+pub(super) const WORD: usize = u64::BITS as usize;
+/// Distances from the sensor are kept in so many steps a metre: sixteen bits hold the sum of any two.
+#[cfg(test)]
+pub(super) const STEPS: f32 = 64.0;
+/// What is further than this is taken to be there, metres.
+const FARTHEST_M: f32 = 255.0;
 
 /// The runs within reach, and those that were when the strip before was at hand.
 #[derive(Clone, Debug, Default)]
 pub(super) struct Reach {
-    pub now: Entries,
-    before: Entries,
+    pub now: Box<Entries>,
+    before: Box<Entries>,
 }
 
 /// Runs of one strip, and of the columns before it.
-#[derive(Clone, Debug, Default)]
+#[derive(Clone, Debug, FromZeros)]
 pub(super) struct Entries {
     count: usize,
-    rows: Vec<Row>,
-    pub row: Vec<u16>,
+    rows: [Row; MAX_ROWS],
+    pub row: [u16; MOST],
     /// A piece of each one's component: its root, as far as [`Entries::refresh`] and [`Entries::rename`] were told.
-    pub piece: Vec<u32>,
+    pub piece: [u32; MOST],
     /// First column within reach.
-    pub first: Vec<i32>,
+    pub first: [i16; MOST],
     /// Last column.
-    pub last: Vec<i32>,
-    /// Least distance from the sensor, metres.
-    low_m: Vec<f32>,
-    /// Greatest distance from the sensor, metres.
-    high_m: Vec<f32>,
-    /// Least and greatest distance in the strip at hand alone.
-    here_m: Vec<[f32; 2]>,
+    pub last: [i16; MOST],
+    /// What is no further from the sensor than any of its points, in steps.
+    pub low: [i16; MOST],
+    /// What is no nearer than any of them.
+    high: [i16; MOST],
+    /// The same two of the strip at hand alone.
+    here: [[i16; 2]; MOST],
+}
+
+impl Default for Entries {
+    fn default() -> Self {
+        Self::new_zeroed()
+    }
+}
+
+/// A distance in steps, or somewhat less.
+#[inline(always)]
+pub(super) fn steps_within(distance_m: f32) -> i16 {
+    let distance_m = if distance_m < FARTHEST_M { distance_m } else { FARTHEST_M };
+    // Of a number from 256 to 512 the bits behind the first count steps: to convert it takes longer.
+    ((256.0 + distance_m).to_bits() >> 9) as i16 & 0x3FFF
+}
+
+/// A distance in steps, or somewhat more.
+#[inline(always)]
+pub(super) fn steps_around(distance_m: f32) -> i16 {
+    steps_within(distance_m) + 1
 }
 
 /// Which columns of a row of the strip at hand are joined to their neighbours.
@@ -50,7 +80,7 @@ pub(super) struct Joined {
 }
 
 /// Where a row's runs stand.
-#[derive(Clone, Copy, Debug, Default)]
+#[derive(Clone, Copy, Debug, FromZeros)]
 struct Row {
     from: usize,
     /// The first that has a column in the strip at hand.
@@ -61,24 +91,6 @@ struct Row {
 }
 
 impl Entries {
-    fn reserve(&mut self, rows: usize) {
-        self.rows.resize(rows, Row::default());
-        // A vector may be read beyond the last.
-        let most = rows * MOST + LANES;
-        self.row.resize(most, 0);
-        self.piece.resize(most, 0);
-        self.first.resize(most, 0);
-        self.last.resize(most, 0);
-        self.low_m.resize(most, 0.0);
-        self.high_m.resize(most, 0.0);
-        self.here_m.resize(most, [0.0; 2]);
-    }
-
-    fn clear(&mut self) {
-        self.count = 0;
-        self.rows.fill(Row::default());
-    }
-
     /// How many there are.
     pub fn len(&self) -> usize {
         self.count
@@ -90,12 +102,6 @@ impl Entries {
         self.rows[row].from..self.rows[row].end
     }
 
-    /// Least distance from the sensor of one, metres.
-    #[inline(always)]
-    pub fn low_m(&self, entry: usize) -> f32 {
-        self.low_m[entry]
-    }
-
     /// The one that holds this column of the strip at hand; there has to be one.
     #[inline(always)]
     pub fn holding(&self, row: usize, column: u32) -> usize {
@@ -105,7 +111,7 @@ impl Entries {
 
     /// The runs of a row that have columns in the strip at hand, and which, counted from its first.
     pub fn at_hand(&self, row: usize) -> impl Iterator<Item = (u32, RangeInclusive<usize>)> {
-        let of = |column: i32| (column as usize).checked_sub(BEFORE);
+        let of = |column: i16| (column as usize).checked_sub(BEFORE);
         self.of(row).filter_map(move |entry| {
             let last = of(self.last[entry])?;
             Some((self.piece[entry], of(self.first[entry]).unwrap_or(0)..=last))
@@ -130,74 +136,79 @@ impl Entries {
         }
     }
 
-    /// Which of the sixteen entries from one on are of another component than a run, no more columns aside, and no farther
-    /// away. One of two has to reach into the strip at hand: else they were compared before.
+    /// Which of the next entries, as many as a word has bits, are of another component than a run, no more columns aside, and
+    /// no farther away in steps. One of two has to reach into the strip at hand: else they were compared before.
     #[inline(always)]
-    pub fn like<S: Simd>(&self, simd: S, from: usize, run: usize, aside: i32, away_m: f32) -> u64 {
-        let (first, last) = (self.first[run], self.last[run]);
-        let new = if last < BEFORE as i32 { BEFORE as i32 } else { 0 };
-        let [firsts, lasts] = [&self.first, &self.last].map(|table| &table[from..from + LANES]);
-        let is_aside = i32x16::from_slice(simd, firsts).simd_le(last + aside)
-            & i32x16::from_slice(simd, lasts).simd_ge((first - aside).max(new));
-        let is_away = load(simd, &self.low_m, from).simd_le(self.high_m[run] + away_m)
-            & load(simd, &self.high_m, from).simd_ge(self.low_m[run] - away_m);
-        let piece = u32x16::from_slice(simd, &self.piece[from..from + LANES]);
-        (is_aside & is_away & !piece.simd_eq(self.piece[run])).to_bitmask()
+    pub fn like<S: Simd>(&self, simd: S, run: usize, entries: Range<usize>, aside: i16, away: i16) -> u64 {
+        let new = if self.last[run] < BEFORE as i16 { BEFORE as i16 } else { 0 };
+        let first_least = i16x16::splat(simd, (self.first[run] - aside).max(new));
+        let last_most = i16x16::splat(simd, self.last[run] + aside);
+        let least = i16x16::splat(simd, self.low[run] - away);
+        let most = i16x16::splat(simd, self.high[run] + away);
+        let piece = u32x16::splat(simd, self.piece[run]);
+        let (mut like, mut ahead) = (0, 0);
+        while ahead < entries.len().min(WORD) {
+            work::count(1);
+            let at = entries.start + ahead..entries.start + ahead + LANES;
+            let of = |table: &[i16; MOST]| i16x16::from_slice(simd, &table[at.clone()]);
+            let other = of(&self.first).simd_gt(last_most)
+                | of(&self.last).simd_lt(first_least)
+                | of(&self.low).simd_gt(most)
+                | of(&self.high).simd_lt(least);
+            let same = u32x16::from_slice(simd, &self.piece[at]).simd_eq(piece);
+            like |= (!(other.to_bitmask() | same.to_bitmask()) & 0xFFFF) << ahead;
+            ahead += LANES;
+        }
+        like & u64::MAX >> WORD.saturating_sub(entries.len())
     }
 
-    /// Whether no point of one run can be as near to one of another as that, by their distances from the sensor.
+    /// Whether no point of one run can be as near to one of another as that, in steps, by their distances from the sensor.
     #[inline(always)]
-    pub fn are_apart(&self, a: usize, b: usize, away_m: f32) -> bool {
-        self.low_m[b] - self.high_m[a] > away_m || self.low_m[a] - self.high_m[b] > away_m
+    pub fn are_apart(&self, a: usize, b: usize, away: i16) -> bool {
+        self.low[b] - self.high[a] > away || self.low[a] - self.high[b] > away
     }
 
     #[inline(always)]
-    fn push(&mut self, row: usize, piece: u32, columns: [i32; 2], distance_m: [f32; 2], here_m: [f32; 2]) {
+    fn push(&mut self, row: usize, piece: u32, columns: [i16; 2], distance: [i16; 2]) {
         let entry = self.count;
         self.count += 1;
         self.row[entry] = row as u16;
         self.piece[entry] = piece;
         [self.first[entry], self.last[entry]] = columns;
-        [self.low_m[entry], self.high_m[entry]] = distance_m;
-        self.here_m[entry] = here_m;
+        [self.low[entry], self.high[entry]] = distance;
+        self.here[entry] = distance;
     }
 }
 
 impl Reach {
-    /// Takes room for any image of so many rows.
-    pub fn reserve(&mut self, rows: usize) {
-        self.now.reserve(rows);
-        self.before.reserve(rows);
-    }
-
+    /// Begins an image: there is no strip before.
     pub fn clear(&mut self) {
-        self.now.clear();
+        (self.now.count, self.now.rows) = (0, FromZeros::new_zeroed());
     }
 
     /// Goes on to the next strip: its rows are then to be begun one after another.
     pub fn advance(&mut self) {
         std::mem::swap(&mut self.now, &mut self.before);
-        self.now.clear();
+        self.now.count = 0;
     }
 
     /// Begins a row with what is still within reach, so many columns aside. True if the last column before the strip holds
     /// a run.
     #[inline(always)]
-    pub fn begin_row(&mut self, row: usize, aside: i32) -> bool {
+    pub fn begin_row(&mut self, row: usize, aside: usize) -> bool {
         let Self { now, before } = self;
         let from = now.count;
         let of = before.of(row);
         // They end one after the other: those within reach come last.
-        let end_least = (BEFORE + STRIP) as i32 - aside;
-        let gone = of.len() - before.last[of.clone()].iter().rev().take_while(|&&last| last >= end_least).count();
-        for entry in of.skip(gone) {
-            let [first, last] = [before.first[entry], before.last[entry]].map(|column| column - STRIP as i32);
+        let end_least = (BEFORE + STRIP - aside) as i16;
+        let left = before.last[of.clone()].iter().rev().take_while(|&&last| last >= end_least).count();
+        for entry in of.end - left..of.end {
+            let [first, last] = [before.first[entry], before.last[entry]].map(|column| column - STRIP as i16);
             // All that is left of it was in that strip.
-            let here_m = before.here_m[entry];
-            now.push(row, before.piece[entry], [first.max(0), last], here_m, here_m);
+            now.push(row, before.piece[entry], [first.max(0), last], before.here[entry]);
         }
         now.rows[row] = Row { from, here: now.count, starts: 0, end: now.count };
-        now.count > from && now.last[now.count - 1] == BEFORE as i32 - 1
+        now.count > from && now.last[now.count - 1] == BEFORE as i16 - 1
     }
 
     /// Takes the runs of a row of the strip at hand, of which `on` are the columns: each to the piece of those in the row above
@@ -242,17 +253,18 @@ impl Reach {
                 Some(root) => pieces.go_on(root, &sum),
                 None => pieces.begin(sum),
             };
-            let first = (BEFORE as u32 + first) as i32;
-            let last = first + length as i32 - 1;
+            let first = (BEFORE as u32 + first) as i16;
+            let last = first + length as i16 - 1;
+            let [low, high] = [steps_within(low_m), steps_around(high_m)];
             if is_going_on {
                 let entry = now.count - 1;
                 now.piece[entry] = piece;
                 now.last[entry] = last;
-                now.here_m[entry] = [low_m, high_m];
-                now.low_m[entry] = now.low_m[entry].min(low_m);
-                now.high_m[entry] = now.high_m[entry].max(high_m);
+                now.here[entry] = [low, high];
+                now.low[entry] = now.low[entry].min(low);
+                now.high[entry] = now.high[entry].max(high);
             } else {
-                now.push(row, piece, [first, last], [low_m, high_m], [low_m, high_m]);
+                now.push(row, piece, [first, last], [low, high]);
             }
             if counted != 0 {
                 pieces.parts.push(Part { piece, row: at.row, strip: at.strip, columns: counted });

@@ -95,11 +95,10 @@ impl Strips {
     /// Takes room for any sweep that such a buffer can hold. Room that is never touched costs no memory.
     fn reserve(&mut self, sweep: &SweepMut<'_>) {
         let (rows, columns, pixels) = (sweep.header.rows as usize, sweep.columns.len(), sweep.range.len());
-        self.points.reserve(rows, columns);
+        self.points.reserve(columns);
         self.fan.reserve(rows);
         self.words.resize(rows, Words::default());
         reserve(&mut self.depths_m, columns.next_multiple_of(STRIP));
-        self.reach.reserve(rows);
         self.crowd.reserve(rows);
         self.on.resize(rows, 0);
         self.first.resize(rows, [0; BEFORE]);
@@ -253,7 +252,7 @@ impl Strips {
             }
             let on = words[1].real & !ground & joined_here;
             self.on[row] = on;
-            let before = u64::from(self.reach.begin_row(row, test.columns() as i32));
+            let before = u64::from(self.reach.begin_row(row, test.columns()));
             if on == 0 {
                 continue;
             }

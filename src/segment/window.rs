@@ -23,12 +23,9 @@ use fearless_simd::{Simd, f32x16, mask32x16, prelude::*};
 use super::DENSE_ROWS;
 use super::fan::Fan;
 use super::pieces::Pieces;
-use super::points::{BEFORE, LANES, Points, STRIP, load};
-use super::reach::Entries;
+use super::points::{BEFORE, LANES, Points, STRIP};
+use super::reach::{Entries, WORD, steps_around};
 use super::work;
-
-/// Runs that are compared with one before any is looked at: a bit each.
-const WORD: usize = u64::BITS as usize;
 
 /// What is joined.
 #[derive(Clone, Copy, Debug, PartialEq)]
@@ -76,6 +73,9 @@ pub(super) struct Test {
     /// As near as a component has to be that a small one becomes part of.
     near_m: f32,
     small_points: u32,
+    /// The gap, and how near that is, in steps.
+    gap: i16,
+    near: i16,
 }
 
 /// Two pieces that are not joined but near each other, and the square of their distance.
@@ -105,6 +105,8 @@ impl Test {
             cos2_theta: cos * cos,
             near_m,
             small_points: joining.small_points,
+            gap: steps_around(gap_m + SLACK_M),
+            near: steps_around(near_m + SLACK_M),
         }
     }
 
@@ -181,10 +183,9 @@ impl Test {
                 entries.refresh(entering, pieces);
             }
             let Some(row) = entering.checked_sub(self.rows) else { continue };
-            let below = self.rows.min(rows - 1 - row);
-            let window_end = entries.of(row + below).end;
+            let window_end = entries.of(entering.min(rows - 1)).end;
             for entry in entries.of(row) {
-                let end = entries.of(row + fan.rows_below(row, below, entries.low_m(entry))).end;
+                let end = entries.of(row + fan.rows_below(simd, row, entries.low[entry])).end;
                 self.join_one(simd, points, (entry..end, window_end), entries, pieces, misses);
             }
         }
@@ -203,14 +204,10 @@ impl Test {
         misses: &mut Vec<Miss>,
     ) {
         let (a, end) = (among.start, among.end);
-        for from in (a + 1..end).step_by(WORD) {
-            // All that fit a word before any is looked at: to ask after each sixteen is to be mispredicted too often.
-            let mut left = 0;
-            for ahead in (0..WORD.min(end - from)).step_by(LANES) {
-                work::count(1);
-                left |= entries.like(simd, from + ahead, a, self.columns as i32, self.near_m()) << ahead;
-            }
-            left &= u64::MAX >> WORD.saturating_sub(end - from);
+        let mut from = a + 1;
+        while from < end {
+            // A whole word before any is looked at: to ask after each sixteen is to be mispredicted too often.
+            let mut left = entries.like(simd, a, from..end, self.columns as i16, self.near);
             while left != 0 {
                 let b = from + left.trailing_zeros() as usize;
                 left &= left - 1;
@@ -220,7 +217,7 @@ impl Test {
                 }
                 // Two that are not small any more are joined or nothing.
                 let is_one_small = roots.iter().any(|&root| self.is_small(root, pieces));
-                if !is_one_small && entries.are_apart(a, b, self.gap_m + SLACK_M) {
+                if !is_one_small && entries.are_apart(a, b, self.gap) {
                     continue;
                 }
                 match self.verdict(simd, points, Stretch::new(entries, a, points), Stretch::new(entries, b, points)) {
@@ -236,6 +233,7 @@ impl Test {
                     Verdict::Near(_) | Verdict::Apart => {}
                 }
             }
+            from += WORD;
         }
     }
 
@@ -302,7 +300,7 @@ impl<S: Simd> Point<S> {
     #[inline(always)]
     pub fn load(simd: S, points: &Points, lane: usize) -> Self {
         let [x, y, z] = points.place(simd, lane);
-        Self { x, y, z, far: load(simd, &points.far, lane) }
+        Self { x, y, z, far: points.far.load(simd, lane) }
     }
 
     /// One point, sixteen times.
