@@ -49,14 +49,19 @@ impl Directions {
             table.truncate(self.sure);
         }
         for first in (self.sure..end + 2 * self.margin).step_by(LANES) {
-            let column = |lane: usize| -> &Column {
-                let ahead = (order.start + first + lane) as i32 - (STRIP + self.margin) as i32;
-                &columns[shifted(0, ahead, columns.len(), order.circular && !is_open)]
-            };
+            let ahead = (order.start + first) as i32 - (STRIP + self.margin) as i32;
             let (mut azimuth, mut surplus) = ([0.0; LANES], [0.0; LANES]);
-            for lane in 0..LANES {
-                azimuth[lane] = column(lane).azimuth_rad;
-                surplus[lane] = column(lane).azimuth_rate_rad_s - self.rate_rad_s;
+            let mut take = |lane: usize, column: &Column| {
+                azimuth[lane] = column.azimuth_rad;
+                surplus[lane] = column.azimuth_rate_rad_s - self.rate_rad_s;
+            };
+            match usize::try_from(ahead).ok().and_then(|at| columns.get(at..at + LANES)) {
+                Some(columns) => columns.iter().enumerate().for_each(|(lane, column)| take(lane, column)),
+                // Over an end of the image.
+                None => {
+                    let at = |lane: usize| shifted(0, ahead + lane as i32, columns.len(), order.circular && !is_open);
+                    (0..LANES).for_each(|lane| take(lane, &columns[at(lane)]));
+                }
             }
             let [sin, cos] = sin_cos(load(simd, &azimuth, 0));
             self.sin.extend_from_slice(sin.as_slice());

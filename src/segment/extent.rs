@@ -16,6 +16,7 @@ pub(super) struct Extent {
 
 impl Extent {
     /// Takes columns of the strip that begins at a position; strips come in order.
+    #[inline]
     pub fn add(&mut self, strip: usize, columns: u32, order: Order) {
         if strip != self.strip {
             self.close(order);

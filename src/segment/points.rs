@@ -13,6 +13,7 @@
 //!
 //! All is single precision: at 100 m a point is off by 10 micrometres.
 
+use std::array;
 use std::ops::{Deref, DerefMut};
 
 use fearless_simd::{Level, Simd, dispatch, f32x16, prelude::*, u32x16};
@@ -83,6 +84,15 @@ impl Order {
             column -= columns;
         }
         (column < columns).then_some(column)
+    }
+
+    /// The columns at so many positions as a vector has lanes.
+    #[inline(always)]
+    fn columns_from(self, position: usize) -> [Option<usize>; LANES] {
+        match [0, LANES - 1].map(|ahead| self.column(position + ahead)) {
+            [Some(first), Some(last)] if last == first + LANES - 1 => array::from_fn(|ahead| Some(first + ahead)),
+            _ => array::from_fn(|ahead| self.column(position + ahead)),
+        }
     }
 }
 
@@ -321,10 +331,7 @@ impl Points {
         let rows = self.beams.len();
         let squared = rows / LANES * LANES;
         for half in (0..STRIP).step_by(LANES) {
-            let mut columns = [None; LANES];
-            for ahead in 0..LANES {
-                columns[ahead] = self.order.column(position + half + ahead);
-            }
+            let columns = self.order.columns_from(position + half);
             for row in (0..squared).step_by(LANES) {
                 let mut tile = [u32x16::splat(simd, 0); LANES];
                 for ahead in 0..LANES {

@@ -146,8 +146,9 @@ impl Entries {
         let least = i16x16::splat(simd, self.low[run] - away);
         let most = i16x16::splat(simd, self.high[run] + away);
         let piece = u32x16::splat(simd, self.piece[run]);
+        let count = (entries.end - entries.start).min(WORD);
         let (mut like, mut ahead) = (0, 0);
-        while ahead < entries.len().min(WORD) {
+        while ahead < count {
             work::count(1);
             let at = entries.start + ahead..entries.start + ahead + LANES;
             let of = |table: &[i16; MOST]| i16x16::from_slice(simd, &table[at.clone()]);
@@ -159,7 +160,7 @@ impl Entries {
             like |= (!(other.to_bitmask() | same.to_bitmask()) & 0xFFFF) << ahead;
             ahead += LANES;
         }
-        like & u64::MAX >> WORD.saturating_sub(entries.len())
+        like & u64::MAX >> (WORD - count)
     }
 
     /// Whether no point of one run can be as near to one of another as that, in steps, by their distances from the sensor.

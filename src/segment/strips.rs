@@ -400,13 +400,14 @@ impl Strips {
         let order = self.points.order;
         for (strip, ground) in self.ground.chunks_exact(rows).enumerate() {
             let position = (strip + 1) * STRIP;
+            tile.fill(LABEL_NONE);
             for (row, ground) in tile.chunks_exact_mut(STRIP).zip(ground) {
-                fill(simd, row, *ground, LABEL_GROUND, true);
+                fill(simd, row, *ground, LABEL_GROUND);
             }
             while let Some(part) = parts.next_if(|part| usize::from(part.strip) == strip) {
                 let number = label[parent[part.piece as usize] as usize];
                 if let Some(place) = number.checked_sub(LABEL_FIRST_SEGMENT) {
-                    fill(simd, &mut tile[usize::from(part.row) * STRIP..][..STRIP], part.columns, number, false);
+                    fill(simd, &mut tile[usize::from(part.row) * STRIP..][..STRIP], part.columns, number);
                     extents[place as usize].add(position, part.columns, order);
                 }
             }
@@ -416,14 +417,16 @@ impl Strips {
     }
 }
 
-/// Writes a label into some lanes of a row; the others are cleared or keep theirs.
+/// Writes a label into some columns of a row.
 #[inline(always)]
-fn fill<S: Simd>(simd: S, row: &mut [u32], columns: u32, label: u32, clear: bool) {
+fn fill<S: Simd>(simd: S, row: &mut [u32], columns: u32, label: u32) {
     let label = u32x16::splat(simd, label);
     for (half, lanes) in row.chunks_exact_mut(LANES).enumerate() {
-        let is = mask32x16::from_bitmask(simd, u64::from(columns >> (half * LANES)) & 0xFFFF);
-        let others = if clear { u32x16::splat(simd, LABEL_NONE) } else { u32x16::from_slice(simd, lanes) };
-        is.select(label, others).store_slice(lanes);
+        let columns = columns >> (half * LANES) & 0xFFFF;
+        if columns != 0 {
+            let is = mask32x16::from_bitmask(simd, u64::from(columns));
+            is.select(label, u32x16::from_slice(simd, lanes)).store_slice(lanes);
+        }
     }
 }
 
