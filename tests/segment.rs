@@ -41,10 +41,13 @@ enum Kind {
     Steps,
     /// Ground, boxes and holes.
     Street,
+    /// Ranges as great as packets can tell.
+    Far,
 }
 
 fn scenes() -> impl Strategy<Value = Scene> {
-    let kind = prop_oneof![Just(Kind::Noise), Just(Kind::Steps), Just(Kind::Street), Just(Kind::Street)];
+    let street = || Just(Kind::Street);
+    let kind = prop_oneof![Just(Kind::Noise), Just(Kind::Steps), street(), street(), Just(Kind::Far)];
     let rows = prop_oneof![1..20_usize, Just(32), Just(64), Just(65), Just(127), Just(128)];
     let bools = any::<[bool; 6]>();
     (rows, 1..70_usize, bools, kind, any::<u64>()).prop_map(|(rows, columns, bools, kind, seed)| {
@@ -72,9 +75,9 @@ impl Scene {
             joining: Joining {
                 columns: rng.usize(1..=12),
                 rows: rng.usize(1..=8),
-                gap_m: [None, Some(0.1), Some(2.0)][rng.usize(..3)],
+                gap_m: [None, Some(0.1), Some(2.0), Some(5.0), Some(f32::INFINITY)][rng.usize(..5)],
                 small_points: [0, 1, 5, 22][rng.usize(..4)],
-                small_reach_m: rng.f32(),
+                small_reach_m: [1.0, 5.0][rng.usize(..2)] * rng.f32(),
             },
             slope: SlopeGround { agree_m: [0.0, 0.5, 5.0][rng.usize(..3)], ..SlopeGround::default() },
             ..Config::default()
@@ -146,6 +149,7 @@ impl Scene {
             let range_m = match self.kind {
                 Kind::Noise => 0.5 + 300.0 * rng.f32().powi(3),
                 Kind::Steps => levels[rng.usize(..4)] + 0.002 * rng.u32(..20) as f32,
+                Kind::Far => 250.0 + [0.0, 4.5, 5.5, 12.0][rng.usize(..4)] + rng.f32(),
                 Kind::Street => {
                     let elevation = sweep.beams[row].elevation_rad;
                     let road = if elevation < -0.01 { -1.8 / elevation.sin() } else { 0.0 };

@@ -12,6 +12,9 @@ use super::points::Points;
 use super::reach::steps_around;
 use super::window::MOST_ROWS;
 
+// One vector asks all rows of the window.
+const _: () = assert!(MOST_ROWS == 8);
+
 /// For each row, how far out rows below it need looking at.
 #[derive(Clone, Debug, Default)]
 pub(super) struct Fan {

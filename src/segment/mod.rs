@@ -148,6 +148,12 @@ pub enum ConfigError {
         /// Metres.
         found_m: f32,
     },
+    /// How near another component has to be that a small one becomes part of.
+    #[error("small parts reach {found_m} m beyond the gap, expected 0 or more")]
+    SmallReach {
+        /// Metres.
+        found_m: f32,
+    },
     /// The mounting height.
     #[error("the sensor is mounted {found_m} m above the ground, expected more than 0")]
     Height {
@@ -169,12 +175,15 @@ impl Config {
         if !(min_m >= 0.0 && min_m < max_m) {
             return Err(ConfigError::Range { min_m, max_m });
         }
-        let Joining { columns, rows, gap_m, .. } = self.joining;
+        let Joining { columns, rows, gap_m, small_reach_m: found_m, .. } = self.joining;
         if !((1..=MOST_COLUMNS).contains(&columns) && (1..=MOST_ROWS).contains(&rows)) {
             return Err(ConfigError::Window { columns, rows });
         }
         if let Some(found_m) = gap_m.filter(|gap_m| gap_m.is_nan() || *gap_m <= 0.0) {
             return Err(ConfigError::Gap { found_m });
+        }
+        if found_m.is_nan() || found_m < 0.0 {
+            return Err(ConfigError::SmallReach { found_m });
         }
         match self.mount.height_m {
             Some(found_m) if !(found_m > 0.0 && found_m.is_finite()) => Err(ConfigError::Height { found_m }),

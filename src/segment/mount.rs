@@ -99,8 +99,8 @@ impl HeightEstimator {
         if columns < MIN_COLUMNS {
             return None;
         }
-        // By way of few bits, which takes less time: what is no number becomes bin 0, which no ground is in, and what is negative
-        // none that there is.
+        // By way of 32 bits, which takes less time: what is no number, or hardly negative, becomes bin 0, which no ground is in;
+        // what is more negative becomes none that there is.
         let bin_of = |depth_m: f32| (depth_m / BIN_M) as i32 as usize;
         let mut counts = [0_usize; BINS];
         for &depth_m in depths_m {

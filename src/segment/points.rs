@@ -86,7 +86,7 @@ impl Order {
         (column < columns).then_some(column)
     }
 
-    /// The columns at so many positions as a vector has lanes.
+    /// The columns at as many positions, from one on, as a vector has lanes.
     #[inline(always)]
     fn columns_from(self, position: usize) -> [Option<usize>; LANES] {
         match [0, LANES - 1].map(|ahead| self.column(position + ahead)) {
@@ -173,6 +173,9 @@ pub struct Placed {
 }
 
 /// What may be labelled in a sweep, pixel by pixel in the order of its planes; `None` where there is nothing.
+///
+/// # Panics
+/// If the sweep has more than [`MAX_ROWS`] rows.
 pub fn placed(sweep: &SweepRef<'_>, config: &Config) -> Vec<Option<Placed>> {
     let mut points = Points::default();
     let (rows, columns) = (sweep.rows(), sweep.columns.len());

@@ -18,10 +18,11 @@ const MOST: usize = MAX_ROWS * (BEFORE + STRIP) + LANES;
 /// Runs that are compared with one at once: a bit each.
 pub(super) const WORD: usize = u64::BITS as usize;
 /// Distances from the sensor are kept in so many steps a metre: sixteen bits hold the sum of any two.
-#[cfg(test)]
 pub(super) const STEPS: f32 = 64.0;
 /// What is further than this is taken to be there, metres.
 const FARTHEST_M: f32 = 255.0;
+/// The first number of which the last bit that counts is a step: fourteen do. The greatest distance stays below its double.
+const FROM_M: f32 = (1 << 14) as f32 / STEPS;
 
 /// The runs within reach, and those that were when the strip before was at hand.
 #[derive(Clone, Debug, Default)]
@@ -42,9 +43,9 @@ pub(super) struct Entries {
     pub first: [i16; MOST],
     /// Last column.
     pub last: [i16; MOST],
-    /// What is no further from the sensor than any of its points, in steps.
+    /// What is no further from the sensor than any of its points, by [`steps_within`].
     pub low: [i16; MOST],
-    /// What is no nearer than any of them.
+    /// What is no nearer than any of them, by [`steps_around`].
     high: [i16; MOST],
     /// The same two of the strip at hand alone.
     here: [[i16; 2]; MOST],
@@ -56,12 +57,13 @@ impl Default for Entries {
     }
 }
 
-/// A distance in steps, or somewhat less.
+/// A distance of 0 or more in steps, or somewhat less; a hair more where it is that near to the next step, for which
+/// comparisons have room.
 #[inline(always)]
 pub(super) fn steps_within(distance_m: f32) -> i16 {
     let distance_m = if distance_m < FARTHEST_M { distance_m } else { FARTHEST_M };
-    // Of a number from 256 to 512 the bits behind the first count steps: to convert it takes longer.
-    ((256.0 + distance_m).to_bits() >> 9) as i16 & 0x3FFF
+    // All from there to its double have the same exponent, and fourteen bits behind it are steps: to convert takes longer.
+    ((FROM_M + distance_m).to_bits() >> (f32::MANTISSA_DIGITS - 1 - 14)) as i16 & 0x3FFF
 }
 
 /// A distance in steps, or somewhat more.
@@ -136,8 +138,9 @@ impl Entries {
         }
     }
 
-    /// Which of the next entries, as many as a word has bits, are of another component than a run, no more columns aside, and
-    /// no farther away in steps. One of two has to reach into the strip at hand: else they were compared before.
+    /// Which of these entries, of which there is one at least and the first [`WORD`] are looked at, are of another component
+    /// than a run, no more columns aside, and no farther away in steps. One of two has to reach into the strip at hand: else
+    /// they were compared before.
     #[inline(always)]
     pub fn like<S: Simd>(&self, simd: S, run: usize, entries: Range<usize>, aside: i16, away: i16) -> u64 {
         let new = if self.last[run] < BEFORE as i16 { BEFORE as i16 } else { 0 };
@@ -272,5 +275,29 @@ impl Reach {
             }
         }
         now.rows[row].end = now.count;
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn steps_lie_on_either_side_of_a_distance() {
+        let mut rng = fastrand::Rng::with_seed(1);
+        let at_steps = (0..255 * 64).map(|step| step as f32 / STEPS);
+        let around_steps = at_steps.flat_map(|at_m| [at_m.next_down().max(0.0), at_m, at_m.next_up()]);
+        for distance_m in around_steps.chain((0..100_000).map(|_| 255.0 * rng.f32())) {
+            let [within_m, around_m] = [steps_within, steps_around].map(|steps| f32::from(steps(distance_m)) / STEPS);
+            assert!(within_m <= distance_m + 2e-5 && distance_m < within_m + 1.0 / STEPS, "{distance_m}: {within_m}");
+            assert!(distance_m < around_m && around_m <= distance_m + 1.0 / STEPS + 2e-5, "{distance_m}: {around_m}");
+        }
+    }
+
+    #[test]
+    fn what_is_very_far_is_as_far_as_can_be_told() {
+        for distance_m in [255.0, 255.999_99, 256.0, 262.14, 1e6, f32::INFINITY, f32::NAN] {
+            assert_eq!([steps_within(distance_m), steps_around(distance_m)], [255 * 64, 255 * 64 + 1], "{distance_m}");
+        }
     }
 }
