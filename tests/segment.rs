@@ -8,7 +8,7 @@ use std::f32::consts::TAU;
 use proptest::prelude::*;
 use sweepd::cloud::{COLUMNS, CloudProjector, CloudSegmenter, points};
 use sweepd::segment::points::placed;
-use sweepd::segment::{Config, Joining, Mask, Method, Mount, Segmenter, SlopeGround, naive};
+use sweepd::segment::{Config, ConfigError, Joining, Mask, Method, Mount, Segmenter, SlopeGround, naive};
 use sweepd::sensor::Beam;
 use sweepd::sensor::calibration::TwoPoint;
 use sweepd::sweep::lanes::levels;
@@ -404,6 +404,17 @@ fn an_empty_sweep_and_a_full_table_are_no_trouble() {
 
 /// A sparse sensor, 1 m over a flat floor and 4 degrees nose up, with a box 3 m behind it across the seam: columns begin
 /// behind the sensor.
+#[test]
+fn a_reach_that_is_no_distance_is_refused() {
+    let of = |small_reach_m| {
+        let config = Config { joining: Joining { small_reach_m, ..Joining::default() }, ..Config::default() };
+        Segmenter::new(config).map(|_| ())
+    };
+    assert_eq!(of(0.0), Ok(()));
+    assert_eq!(of(-0.1), Err(ConfigError::SmallReach { found_m: -0.1 }));
+    assert!(of(f32::NAN).is_err());
+}
+
 #[test]
 fn sixteen_tilted_beams_see_a_floor_and_a_box() {
     const COLUMNS: usize = 900;

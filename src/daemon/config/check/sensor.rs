@@ -230,9 +230,8 @@ impl Check<'_> {
                     ConfigError::Theta { .. } => &written.theta_deg,
                     ConfigError::Range { .. } if written.max_range_m.is_none() => &written.min_range_m,
                     ConfigError::Range { .. } => &written.max_range_m,
-                    ConfigError::Gap { .. } | ConfigError::SmallReach { .. } | ConfigError::Window { .. } => {
-                        &written.gap_m
-                    }
+                    ConfigError::Gap { .. } | ConfigError::Window { .. } => &written.gap_m,
+                    ConfigError::SmallReach { .. } => &written.small_reach_m,
                     ConfigError::Height { .. } => &mount.height_m,
                 };
                 self.problem(to_blame.as_ref().map_or(at, Spanned::span), error.to_string(), "");
