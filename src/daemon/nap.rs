@@ -2,7 +2,7 @@
 //!
 //! ```text
 //! a turn   | nap, as long as buffer and work allow ... | all that waits | each packet as it comes |
-//!          the last sweep is complete                              0.4 to 0.9 ms before the next one is
+//!          the last sweep is complete                              0.2 to 0.7 ms before the next one is
 //! ```
 //!
 //! Where position packets come alone there is no sweep to be in time for, and one nap follows the other.
@@ -18,7 +18,7 @@ pub const LONGEST: Duration = Duration::from_millis(100);
 pub const LONGEST_OF_POSITIONS: Duration = Duration::from_millis(250);
 /// From so long before the packet that completes a sweep is expected, each packet is fetched as it comes, so that little is
 /// left to do.
-const ALERT_NS: i64 = 400_000;
+const ALERT_NS: i64 = 200_000;
 /// Most work that may wait: it is done before then, else consumers would wait for it.
 const CATCH_UP_NS: i64 = 2_100_000;
 /// A nap of the last moments that is shorter costs more than the few packets that would be fetched meanwhile, one by one.

@@ -18,6 +18,7 @@ mod server;
 mod sys;
 pub mod wire;
 
+use std::io::{self, Write};
 use std::os::unix::net::UnixStream;
 use std::path::{Path, PathBuf};
 use std::sync::atomic::{AtomicBool, AtomicU64, Ordering};
@@ -41,7 +42,7 @@ pub fn socket_path(root: &Path) -> PathBuf {
     root.join("tap.sock")
 }
 
-/// The taps of a daemon. When they are dropped, clients get what was put in before, and are told the end.
+/// The taps of a daemon. While nobody listens, their thread sleeps. When they are dropped, clients get what was put in before, and are told the end.
 ///
 /// ```
 /// use std::time::Duration;
@@ -66,8 +67,9 @@ pub fn socket_path(root: &Path) -> PathBuf {
 /// ```
 #[derive(Debug)]
 pub struct Taps {
+    path: PathBuf,
     shared: Arc<Shared>,
-    /// Wakes the thread when it is dropped.
+    /// Wakes the thread: rung, it looks after its socket; dropped, it ends.
     bell: Option<UnixStream>,
     /// `None` when it was joined.
     server: Option<JoinHandle<()>>,
@@ -108,19 +110,33 @@ struct Valve {
 }
 
 impl Taps {
-    /// Listens. A socket that a daemon left behind is replaced; when it is deleted later, another takes its place within
-    /// about a second.
+    /// Listens. A socket that a daemon left behind is replaced.
     ///
     /// # Errors
     /// [`TapError`]: another daemon listens there, or nobody can.
     pub fn listen(path: &Path) -> Result<Self, TapError> {
         let socket = Socket::listen(path)?;
         let shared = Arc::new(Shared::default());
-        let (bell, rung) = UnixStream::pair().map_err(|source| TapError::Listen { path: path.to_owned(), source })?;
+        let bells = UnixStream::pair().and_then(|(bell, rung)| {
+            bell.set_nonblocking(true)?;
+            rung.set_nonblocking(true)?;
+            Ok((bell, rung))
+        });
+        let (bell, rung) = bells.map_err(|source| TapError::Listen { path: path.to_owned(), source })?;
         let server = Server::new(Arc::clone(&shared), rung, socket);
         let thread = thread::Builder::new().name("sweepd-tap".to_owned()).spawn(|| server.run());
         let server = Some(thread.map_err(|source| TapError::Thread { source })?);
-        Ok(Self { shared, bell: Some(bell), server })
+        Ok(Self { path: path.to_owned(), shared, bell: Some(bell), server })
+    }
+
+    /// Looks whether the socket was deleted, and has it made anew; to be called now and then.
+    pub fn look_after(&self) {
+        if is_gone(&self.path)
+            && let Some(mut bell) = self.bell.as_ref()
+        {
+            // What cannot be rung once more was rung often enough.
+            let _ = bell.write(&[0]);
+        }
     }
 
     /// A tap for the datagrams of a sensor. Each thread that receives such needs one of its own. Takes memory and a lock: not
@@ -132,6 +148,11 @@ impl Taps {
         self.shared.new_sensors().push(Tapped { name, outlet, end: 0, valve, refused: 0 });
         Tap { inlet, valve: of_tap }
     }
+}
+
+/// Whether nothing is there, not even the folder.
+fn is_gone(path: &Path) -> bool {
+    path.symlink_metadata().is_err_and(|error| error.kind() == io::ErrorKind::NotFound)
 }
 
 impl Drop for Taps {

@@ -183,7 +183,7 @@ impl Tees {
         self.recording.as_ref().is_some_and(Recording::has_ended)
     }
 
-    /// Tells what happened to the recording, once, and begins it again if it is time. Whether the threads must be given their
+    /// Looks after the taps, tells what happened to the recording, once, and begins it again if it is time. Whether the threads must be given their
     /// lanes of another one; the one before ends a little later.
     pub fn look(&mut self) -> bool {
         let now = Instant::now();
@@ -191,6 +191,9 @@ impl Tees {
             self.retire();
         }
         self.ending.retain(|ending| !ending.is_finished());
+        if let Some(taps) = &self.taps {
+            taps.look_after();
+        }
         self.hear();
         if let Some(recording) = &mut self.recording {
             recording.look();

@@ -12,7 +12,7 @@ use std::thread;
 use std::time::{Duration, Instant};
 
 use super::wire::{Answer, END_LEN, Frame, Hello, MAX_NAME_LEN, Status, WireError};
-use super::{MAX_CLIENTS, Shared, TapError, Tapped, sys};
+use super::{MAX_CLIENTS, Shared, TapError, Tapped, is_gone, sys};
 use crate::capture::write::Addressed;
 use crate::daemon::sys::wait_for_either;
 use crate::host::{own_uid, user_name};
@@ -20,8 +20,8 @@ use crate::host::{own_uid, user_name};
 /// How often it looks while something waits for a client, and while there are clients.
 const BUSY_PERIOD: Duration = Duration::from_millis(1);
 const PERIOD: Duration = Duration::from_millis(10);
-/// How often it is looked whether the socket is still there. While there are no clients that is all there is to do.
-const SOCKET_PERIOD: Duration = Duration::from_secs(1);
+/// After so long it tries again to let in who could not be.
+const NEXT_TRY: Duration = Duration::from_secs(1);
 /// For how long a client may keep silent before it has said what it wants, and may take nothing although there is
 /// something for it.
 const GREETING_TIME: Duration = Duration::from_secs(2);
@@ -37,7 +37,6 @@ pub(super) struct Socket {
     path: PathBuf,
     listener: UnixListener,
     inode: u64,
-    looked: Instant,
 }
 
 impl Socket {
@@ -47,18 +46,15 @@ impl Socket {
         }
         let failed = |source| TapError::Listen { path: path.to_owned(), source };
         let (listener, inode) = bind(path).map_err(failed)?;
-        Ok(Self { path: path.to_owned(), listener, inode, looked: Instant::now() })
+        Ok(Self { path: path.to_owned(), listener, inode })
     }
 
     /// Listens again if the socket was deleted.
     fn look_after(&mut self) {
-        if self.looked.elapsed() < SOCKET_PERIOD {
-            return;
-        }
-        self.looked = Instant::now();
-        let is_gone = self.path.symlink_metadata().is_err_and(|error| error.kind() == io::ErrorKind::NotFound);
-        // Where the folder is gone too it is tried again later.
-        if is_gone && let Ok((listener, inode)) = bind(&self.path) {
+        // Where the folder is gone too it is tried again when the bell is rung again.
+        if is_gone(&self.path)
+            && let Ok((listener, inode)) = bind(&self.path)
+        {
             (self.listener, self.inode) = (listener, inode);
         }
     }
@@ -100,7 +96,7 @@ fn prepare(listener: &UnixListener, path: &Path) -> io::Result<u64> {
 /// All that the thread has.
 pub(super) struct Server {
     shared: Arc<Shared>,
-    /// Its other end is dropped when the thread is to end.
+    /// Its other end rings when the socket is to be looked after, and is dropped when the thread is to end.
     bell: UnixStream,
     socket: Socket,
     sensors: Vec<Tapped>,
@@ -114,13 +110,15 @@ impl Server {
 
     pub(super) fn run(mut self) {
         while !self.shared.over.load(Ordering::Acquire) {
-            self.socket.look_after();
+            if self.was_rung() {
+                self.socket.look_after();
+            }
             let accepted = self.accept();
             self.round();
             match accepted {
                 Ok(()) => wait_for_either(&self.bell, &self.socket.listener, self.period()),
                 // Who could not be accepted (no file is left) still knocks: the bell alone, else this would never rest.
-                Err(_) => wait_for_either(&self.bell, &self.bell, PERIOD.max(self.period())),
+                Err(_) => wait_for_either(&self.bell, &self.bell, self.period().clamp(PERIOD, NEXT_TRY)),
             }
         }
         self.clients.iter_mut().for_each(Client::end);
@@ -131,11 +129,17 @@ impl Server {
         }
     }
 
+    fn was_rung(&self) -> bool {
+        // It may have been rung more than once.
+        matches!((&self.bell).read(&mut [0; 64]), Ok(1..))
+    }
+
     fn period(&self) -> Duration {
         match &self.clients[..] {
             // The last one has gone: the valves are to be shut.
             [] if self.sensors.iter().any(|sensor| sensor.valve.is_open.load(Ordering::Relaxed)) => PERIOD,
-            [] => SOCKET_PERIOD,
+            // Who knocks or rings wakes it.
+            [] => Duration::MAX,
             // A stuck one among them is no reason to hurry.
             clients if clients.iter().any(|client| client.is_taking()) => BUSY_PERIOD,
             _ => PERIOD,
