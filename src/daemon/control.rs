@@ -9,7 +9,7 @@ use std::time::{Duration, Instant};
 
 use tokio::net::TcpListener;
 use tokio::signal::unix::{Signal, SignalKind, signal};
-use tokio::time::{Interval, MissedTickBehavior, interval};
+use tokio::time::{Interval, MissedTickBehavior, interval_at};
 use tracing::{error, info, warn};
 
 use super::config::Config;
@@ -51,6 +51,7 @@ pub type Reread = Box<dyn FnMut(&Config) -> Result<Reload, String>>;
 /// [`DaemonError`]: it cannot start, or cannot go on; then the process is to end, so that systemd starts it again.
 pub fn run<S: Sharing>(config: Config, sharing: &S, root: &Path, reread: Reread) -> Result<(), DaemonError> {
     let failed = |source| DaemonError::System { what: "start the control thread", source };
+    let begun = Instant::now();
     let tokio = tokio::runtime::Builder::new_current_thread().enable_all().build().map_err(failed)?;
     tokio.block_on(async {
         // Before anything is opened, so that no signal leaves it half done.
@@ -59,7 +60,7 @@ pub fn run<S: Sharing>(config: Config, sharing: &S, root: &Path, reread: Reread)
         let mut tees = Tees::open(Some(socket_path(root)));
         let mut start = || Runtime::start(&config, sharing, &mut tees);
         let Some(runtime) = started(&mut start, (root, http.as_ref()), &mut signals).await? else { return Ok(()) };
-        Control::new(config, (runtime, tees), reread, root).serve(signals, http).await
+        Control::new(config, (runtime, tees), reread, root, begun).serve(signals, http).await
     })
 }
 
@@ -136,6 +137,7 @@ struct Control {
     runtime: Runtime,
     tees: Tees,
     reread: Reread,
+    /// When tokio's clock began.
     begun: Instant,
     watchers: Vec<Watcher>,
     pulse: Pulse,
@@ -150,16 +152,17 @@ struct Control {
 }
 
 impl Control {
-    fn new(config: Config, (runtime, tees): (Runtime, Tees), reread: Reread, root: &Path) -> Self {
+    fn new(config: Config, (runtime, tees): (Runtime, Tees), reread: Reread, root: &Path, begun: Instant) -> Self {
+        let now = begun.elapsed();
         let watcher = |(status, sensor): (&super::runtime::SensorStatus, &super::config::SensorConfig)| {
             let place = (status.address.to_string(), status.port);
-            Watcher::new(&status.name, place, sensor.rpm, Duration::ZERO)
+            Watcher::new(&status.name, place, sensor.rpm, now)
         };
         let watchers: Vec<Watcher> = runtime.sensors.iter().zip(&config.sensors).map(watcher).collect();
         let watchdog = sd_notify::watchdog_enabled();
-        let pulse = Pulse::new(watchdog, runtime.ports.len(), Duration::ZERO);
+        let pulse = Pulse::new(watchdog, runtime.ports.len(), now);
         let view = View::new(Arc::clone(&runtime.sensors), Arc::clone(&runtime.ports), root.to_owned());
-        let (begun, view) = (Instant::now(), Arc::new(Mutex::new(view)));
+        let view = Arc::new(Mutex::new(view));
         let notifier = Notifier::default();
         Self {
             config,
@@ -183,7 +186,7 @@ impl Control {
         }
         let view = Arc::clone(&self.view);
         let serving = serve_health(http.as_ref(), view);
-        let mut ticks = ticks(self.period);
+        let mut ticks = ticks(self.begun, self.period);
         self.notifier.ready();
         tokio::pin!(serving);
         let ended = loop {
@@ -325,8 +328,11 @@ fn in_words_of_the_file(fault: &Fault) -> String {
     fault.to_string().replace("--model", "`model`").replace("--calibration", "`calibration`")
 }
 
-fn ticks(period: Duration) -> Interval {
-    let mut ticks = interval(period);
+/// Ticks at multiples of a period since tokio's clock began. Its timers wait in slots of 64 ms: one that is due where a slot
+/// begins, as all are with the period that [`beat`] has at most, wakes the thread once, and any other once more before.
+fn ticks(begun: Instant, period: Duration) -> Interval {
+    let gone = begun.elapsed().as_nanos().div_ceil(period.as_nanos()) as u32;
+    let mut ticks = interval_at((begun + gone * period).into(), period);
     ticks.set_missed_tick_behavior(MissedTickBehavior::Delay);
     ticks
 }

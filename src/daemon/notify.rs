@@ -63,9 +63,10 @@ impl Notifier {
 const HUNG: Duration = Duration::from_secs(2);
 
 /// How often a thread shows that it lives, and it is looked at all of them: eight times in the watchdog's time, if there is one,
-/// and no less than twice a second.
+/// and about twice a second at least.
 pub fn beat(watchdog: Option<Duration>) -> Duration {
-    let seldom = Duration::from_millis(500);
+    // Whole slots of tokio's timers: see where the control thread ticks.
+    let seldom = Duration::from_millis(8 * 64);
     watchdog.map_or(seldom, |watchdog| (watchdog / 8).clamp(Duration::from_millis(1), seldom))
 }
 
@@ -120,7 +121,7 @@ mod tests {
         let mut pulse = Pulse::new(Some(ms(800)), 1, ms(0));
         assert_eq!(
             [Some(800), Some(400), Some(5_000), None].map(|watchdog| beat(watchdog.map(ms))),
-            [100, 50, 500, 500].map(ms)
+            [100, 50, 512, 512].map(ms)
         );
         let fed: Vec<u64> = (0..=800).step_by(100).filter(|&at| pulse.is_due(ms(at))).collect();
         assert_eq!(fed, [0, 200, 400, 600, 800]);
