@@ -229,7 +229,7 @@ fn a_sensor_that_is_exchanged_is_seen_at_its_own_height() {
 
 /// Whoever fetches packets sleeps until then: a sweep that is expected too late comes too late.
 #[test]
-fn the_packet_that_completes_a_sweep_is_expected_a_period_before_it_comes_or_less() {
+fn the_packet_that_completes_a_sweep_is_expected_when_it_comes_or_one_before() {
     let scene = fixtures::scene();
     for (model, mode, rpm) in [
         (Model::Vlp16, ReturnMode::Strongest, 600.0),
@@ -254,12 +254,12 @@ fn the_packet_that_completes_a_sweep_is_expected_a_period_before_it_comes_or_les
             }
             said.extend(pipeline.due_ns());
         }
-        // The way through a network takes some tenths of a millisecond more at times.
-        let expected_ns = -400_000..period_ns + 400_000;
+        // However long the newest one took through the network: some tenths of a millisecond at times.
+        let expected_ns = -20_000..period_ns + 20_000;
         assert!(late_ns.iter().all(|ns| expected_ns.contains(ns)), "{model} {mode}: {late_ns:?} ns late");
-        // The cut may be anywhere in that packet.
-        let mean_ns = late_ns.iter().sum::<i64>() / late_ns.len() as i64;
-        assert!((0..period_ns).contains(&mean_ns), "{model} {mode}: {mean_ns} of {period_ns} ns late");
+        // One before where the cut is no more than 0.15 ms past its end: of three cuts, that is one of a VLP-16's.
+        let on_time = late_ns.iter().filter(|&&ns| ns < 200_000).count();
+        assert!(2 * on_time > late_ns.len(), "{model} {mode}: {on_time} of {}", late_ns.len());
         assert!(late_ns.len() > 200, "{model} {mode}: {}", late_ns.len());
     }
 }

@@ -29,6 +29,8 @@ const RPM_TELLING_CDEG: f64 = 1_000.0;
 const LONGEST_GAP_NS: i64 = 1_000_000_000;
 /// None waits for another so long: what came so much before the newest one was stamped by a clock that was set back since.
 const SET_BACK_NS: i64 = 100_000_000;
+/// By so much it is in doubt when the head comes to the cut: a turn at 10 Hz that takes 0.15 % less or more than the last.
+const DOUBT_NS: f64 = 150_000.0;
 
 /// Builds sweeps out of packets that come in order.
 pub struct Builder<B: Buffers> {
@@ -126,12 +128,15 @@ impl<B: Buffers> Builder<B> {
     }
 
     /// When the packet that completes the open sweep will arrive at the earliest, if the head goes on as it did, nanoseconds
-    /// since 1970: when it has turned as far as the cut. That packet is up to a period on its way; whoever waits for it has
-    /// that much room for what is late.
+    /// since 1970: so many periods after the newest one as it takes to turn past the cut. Where the cut lies so near to the end
+    /// of a packet that it may be in that or in the next one, it is the former. What delayed the newest one does not count.
     pub fn due_ns(&self) -> Option<i64> {
-        let (newest_ns, rate_cdeg_ns) = (self.newest_arrival_ns()?, self.last_rate_cdeg_ns?.abs());
-        let ns = self.head.until_cut_cdeg()? / rate_cdeg_ns;
-        Some(newest_ns.saturating_add(ns as i64))
+        let mode = self.open.as_ref()?.so_far.mode;
+        let until_cut_ns = self.head.until_cut_cdeg()? / self.last_rate_cdeg_ns?.abs();
+        let period_ns = f64::from(self.decoder.spec.packet_period_ns(mode));
+        let packets = ((until_cut_ns - DOUBT_NS) / period_ns).ceil().max(1.0);
+        let newest_ns = self.last_firing_ns.saturating_add(i64::from(self.decoder.spec.firing_period_ns(mode)));
+        self.clocks.earliest_ns(newest_ns.saturating_add((packets * period_ns) as i64))
     }
 
     /// Adds to the time spent on the open sweep.

@@ -95,6 +95,12 @@ impl Clocks {
         }
     }
 
+    /// When a data packet whose last shot is at `sensor_ns` arrives at the earliest, nanoseconds since 1970: as little delayed as
+    /// any of late. `None` before the first.
+    pub fn earliest_ns(&self, sensor_ns: i64) -> Option<i64> {
+        self.least_delay.map(|(delay_ns, _)| sensor_ns.saturating_add(delay_ns))
+    }
+
     /// Notes a position packet: a fix when the pulse is locked and the sentence valid, else the end of one.
     pub fn position(&mut self, position: &Position<'_>, arrival_ns: i64) {
         let rmc = position.nmea.and_then(|text| Rmc::parse(text).ok());
