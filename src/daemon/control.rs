@@ -328,12 +328,12 @@ fn in_words_of_the_file(fault: &Fault) -> String {
     fault.to_string().replace("--model", "`model`").replace("--calibration", "`calibration`")
 }
 
-/// Ticks at multiples of a period since tokio's clock began. Its timers wait in slots of 64 ms: one that is due where a slot
-/// begins, as all are with the period that [`beat`] has at most, wakes the thread once, and any other once more before.
+/// Ticks at once, and then at multiples of a period since tokio's clock began. Its timers wait in slots of 64 ms: one that is
+/// due where a slot begins, as all are with the period that [`beat`] has at most, wakes the thread once, and any other once
+/// more before.
 fn ticks(begun: Instant, period: Duration) -> Interval {
-    let gone = begun.elapsed().as_nanos().div_ceil(period.as_nanos()) as u32;
-    let mut ticks = interval_at((begun + gone * period).into(), period);
-    ticks.set_missed_tick_behavior(MissedTickBehavior::Delay);
+    let mut ticks = interval_at(begun.into(), period);
+    ticks.set_missed_tick_behavior(MissedTickBehavior::Skip);
     ticks
 }
 
