@@ -42,7 +42,8 @@ pub fn socket_path(root: &Path) -> PathBuf {
     root.join("tap.sock")
 }
 
-/// The taps of a daemon. While nobody listens, their thread sleeps. When they are dropped, clients get what was put in before, and are told the end.
+/// The taps of a daemon. While nobody listens, their thread sleeps. When they are dropped, clients get what was put in before,
+/// and are told the end.
 ///
 /// ```
 /// use std::time::Duration;

@@ -183,8 +183,8 @@ impl Tees {
         self.recording.as_ref().is_some_and(Recording::has_ended)
     }
 
-    /// Looks after the taps, tells what happened to the recording, once, and begins it again if it is time. Whether the threads must be given their
-    /// lanes of another one; the one before ends a little later.
+    /// Looks after the taps, tells what happened to the recording, once, and begins it again if it is time. Whether the threads
+    /// must be given their lanes of another one; the one before ends a little later.
     pub fn look(&mut self) -> bool {
         let now = Instant::now();
         if self.retired.as_ref().is_some_and(|retired| now - retired.since > TURNED) {

@@ -13,10 +13,10 @@ const DRIFT_PPM: i64 = 100;
 /// The applied offset stays until the least delay is this far from it: within a capture of seconds, times of different
 /// sweeps then differ by the sensor's clock alone. Queues on the way make p95 84 us on a VLP-16.
 const DEADBAND_NS: i64 = 250_000;
-/// A delay so much above the least one is no delay but a stepped clock.
-const STEP_NS: i64 = 500_000_000;
-/// Packets in a row that must agree before the host clock counts as stepped.
-const STEP_PACKETS: u32 = 50;
+/// Where each packet is later than this, against the least delay, for so long by the host's clock, that clock was set or
+/// slewed. What queued for a pause comes in a burst, and what queues all the while is seldom late by much: the later, the
+/// sooner it is plain.
+const MOVES_NS: [(i64, i64); 2] = [(5_000_000, 1_000_000_000), (500_000_000, 50_000_000)];
 
 /// Farthest sensor time, either way: 36 years, which only stamps that jump for hours can make. What is added to such a time
 /// cannot overflow.
@@ -55,7 +55,8 @@ pub struct Clocks {
     least_delay: Option<(i64, i64)>,
     /// Host minus sensor time as sweeps are given it.
     offset_ns: Option<i64>,
-    late_in_a_row: u32,
+    /// For each of the moves, the arrival of the first of the packets in a row that were as late as that.
+    late_since_ns: [Option<i64>; MOVES_NS.len()],
     fix: Option<Fix>,
 }
 
@@ -84,9 +85,13 @@ impl Clocks {
             return;
         };
         let allowed = least + (sensor_ns - at).max(0) / 1_000_000 * DRIFT_PPM;
-        self.late_in_a_row = if delay > allowed + STEP_NS { self.late_in_a_row + 1 } else { 0 };
-        if self.late_in_a_row >= STEP_PACKETS {
-            self.late_in_a_row = 0;
+        let mut has_moved = false;
+        for (since_ns, (late_ns, lasts_ns)) in self.late_since_ns.iter_mut().zip(MOVES_NS) {
+            *since_ns = (delay > allowed + late_ns).then(|| since_ns.unwrap_or(arrival_ns));
+            has_moved |= since_ns.is_some_and(|since_ns| arrival_ns - since_ns > lasts_ns);
+        }
+        if has_moved {
+            self.late_since_ns = Default::default();
             self.least_delay = Some((delay, sensor_ns));
         } else if delay <= allowed {
             self.least_delay = Some((delay, sensor_ns));
@@ -199,6 +204,49 @@ mod tests {
             clocks.data(packet * 1_000_000, 10 * SECOND + packet * 1_000_000);
         }
         assert_eq!(clocks.resolve(0, &SensorClock::default(), 0).0, 10 * SECOND);
+    }
+
+    /// Time since 1970 of the last of many packets, a millisecond apart by the sensor, that arrive at these times.
+    fn time_after(clocks: &mut Clocks, sensor_ms: std::ops::Range<i64>, arrival_ns: impl Fn(i64) -> i64) -> i64 {
+        for ms in sensor_ms.clone() {
+            clocks.data(ms * 1_000_000, arrival_ns(ms * 1_000_000));
+        }
+        clocks.resolve((sensor_ms.end - 1) * 1_000_000, &SensorClock::default(), 0).0
+    }
+
+    #[test]
+    fn a_host_clock_set_by_little_is_followed_after_a_second_and_a_slewed_one_all_the_while() {
+        for set_ns in [6_000_000, 50_000_000, 499_000_000] {
+            let mut clocks = Clocks::default();
+            assert_eq!(time_after(&mut clocks, 0..3000, |sensor_ns| sensor_ns), 2_999_000_000);
+            // Some come later than others.
+            let arrival_ns = |sensor_ns: i64| sensor_ns + set_ns + sensor_ns / 1_000_000 % 3 * 100_000;
+            assert_eq!(time_after(&mut clocks, 3000..3900, arrival_ns), 3_899_000_000);
+            assert_eq!(time_after(&mut clocks, 3900..4200, arrival_ns), 4_199_000_000 + set_ns);
+        }
+        // The fastest that chrony slews: by a twelfth, here until 0.4 s are made up.
+        let mut clocks = Clocks::default();
+        let arrival_ns = |sensor_ns: i64| sensor_ns + (sensor_ns / 12).min(400_000_000);
+        for second in 0..10 {
+            let time_ns = time_after(&mut clocks, second * 1000..(second + 1) * 1000, arrival_ns);
+            let behind_ns = arrival_ns(second * SECOND + 999_000_000) - time_ns;
+            assert!((0..200_000_000).contains(&behind_ns), "{second} s: {behind_ns} ns");
+            assert!(second < 8 || behind_ns < 5_300_000, "{second} s: {behind_ns} ns");
+        }
+    }
+
+    #[test]
+    fn packets_that_queue_do_not_move_the_time() {
+        let mut clocks = Clocks::default();
+        assert_eq!(time_after(&mut clocks, 0..2000, |sensor_ns| sensor_ns), 1_999_000_000);
+        // Two seconds of them are held, and come 10 us apart.
+        let burst_ns = |sensor_ns: i64| 4_000_000_000 + (sensor_ns - 2_000_000_000) / 100;
+        assert_eq!(time_after(&mut clocks, 2000..3000, burst_ns), 2_999_000_000);
+        assert_eq!(time_after(&mut clocks, 3000..4000, burst_ns), 3_999_000_000);
+        assert_eq!(time_after(&mut clocks, 4000..4100, |sensor_ns| sensor_ns.max(4_020_000_000)), 4_099_000_000);
+        // Of most of a second, all are late.
+        assert_eq!(time_after(&mut clocks, 4100..5000, |sensor_ns| sensor_ns + 400_000_000), 4_999_000_000);
+        assert_eq!(time_after(&mut clocks, 5000..5100, |sensor_ns| sensor_ns), 5_099_000_000);
     }
 
     /// The first position packet of a public VLP-16 capture and the stamp of its first data packet; the host clock of
