@@ -54,8 +54,8 @@ fn main() {
         if is_wanted(name) {
             match source.stream() {
                 Some(stream) => {
-                    load(name, &stream, 1.0, 20);
-                    least(&stream, 10);
+                    let share = load(name, &stream, 1.0, 20);
+                    least(&stream, 10, share);
                 }
                 None => println!("\n== {name}: that capture is not at hand (see the README)"),
             }
@@ -282,7 +282,8 @@ fn latency(name: &str, stream: Stream) {
     println!("{}", text.find("\ndecode:").map_or(&text[..], |at| &text[at..]).trim_end());
 }
 
-fn load(name: &str, stream: &Stream, pace: f64, seconds: u64) {
+/// Sends at a multiple of real time; what the daemon took, percent of a core.
+fn load(name: &str, stream: &Stream, pace: f64, seconds: u64) -> f64 {
     let rate = 1e9 / stream.period_ns as f64 * pace;
     let returns = if stream.mode == ReturnMode::Dual { "two returns" } else { "one return" };
     println!("\n== {name}: {}, {returns}, {rate:.0} packets/s for {seconds} s", stream.model);
@@ -320,10 +321,11 @@ fn load(name: &str, stream: &Stream, pace: f64, seconds: u64) {
     let (sweeps, lost, dropped) = consumer.join().unwrap();
     println!("  {sent} packets sent; {sweeps} sweeps received, {lost} packets lost, {dropped} dropped");
     println!("  {share:.2} % of a core; memory every 5 s, KiB: {memory:?}");
+    share
 }
 
-/// What the machine takes for as many wake-ups and packets, without a daemon.
-fn least(stream: &Stream, seconds: u64) {
+/// What the machine takes for as many wake-ups and packets, without a daemon, and how much more the daemon took.
+fn least(stream: &Stream, seconds: u64, daemon: f64) {
     let receiver = UdpSource::bind(&UdpConfig { address: Ipv4Addr::LOCALHOST, ..UdpConfig::port(0) }).unwrap();
     let port = receiver.local_addr().port();
     let idlers = [None, Some(receiver)].map(Idler::start);
@@ -331,9 +333,10 @@ fn least(stream: &Stream, seconds: u64) {
     stream.send([port; 2], 1.0, || begun.elapsed().as_secs() >= seconds);
     let [waking, receiving] = idlers.map(|idler| idler.end() * 100.0);
     println!("  to wake up 30 times a second takes {waking:.2} %, and to take the packets then {receiving:.2} %");
+    println!("  the daemon takes {:.1} times as much as that", daemon / receiving);
 }
 
-/// A thread that wakes up three times in a turn of 10 Hz, as often as that of a port at its least.
+/// A thread that wakes up three times in a turn of 10 Hz, about as often as those of a daemon with one sensor together.
 struct Idler {
     over: Arc<AtomicBool>,
     thread: JoinHandle<f64>,
