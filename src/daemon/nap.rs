@@ -88,7 +88,7 @@ pub fn length_ns(until_due_ns: i64, longest_ns: i64, load: &Load) -> i64 {
 #[cfg(test)]
 mod tests {
     use super::*;
-    use crate::capture::record::PERIOD;
+    use crate::capture::record::{OPENING, PERIOD};
 
     const MS: i64 = 1_000_000;
 
@@ -145,6 +145,7 @@ mod tests {
     /// Else it would not have the datagrams of several ports in order.
     #[test]
     fn a_recording_waits_longer_than_a_nap() {
-        assert!(PERIOD > LONGEST + Duration::from_millis(10));
+        let look_of_taps = Duration::from_millis(10);
+        assert!(PERIOD > LONGEST + look_of_taps && OPENING > LONGEST_OF_POSITIONS + look_of_taps);
     }
 }

@@ -10,7 +10,7 @@ use std::time::{Duration, Instant, SystemTime};
 
 use sweepd::capture::write::Addressed;
 use sweepd::capture::{Capture, CaptureReader};
-use sweepd::daemon::tap::{Taps, socket_path};
+use sweepd::daemon::tap::{Tap, Taps, socket_path};
 use sweepd::wire::Datagram;
 
 use crate::common::run::Run;
@@ -304,6 +304,33 @@ fn a_sensor_of_the_daemon_is_recorded_whole_while_files_rotate() {
     let expected = expected.map(|(number, payload)| (source.into(), destination.port(), arrival_ns(number), payload));
     assert!(recorded.eq(expected));
     assert!(files.iter().flat_map(|file| destinations(file)).all(|ip| ip == *destination.ip()));
+}
+
+#[test]
+fn what_two_threads_of_the_daemon_received_is_recorded_in_the_order_of_arrival() {
+    let (folder, root) = (Folder::new("record-order"), Folder::new("record-order-root"));
+    let taps = Taps::listen(&socket_path(&root.0)).unwrap();
+    let (mut of_data, mut of_positions) = (taps.sensor("roof"), taps.sensor("roof"));
+    let path = folder.path("roof.pcap");
+    let recorder = Recorder::from(&path, &root.0, "roof", &[]);
+    let source: SocketAddrV4 = "192.168.1.201:2368".parse().unwrap();
+    let packet = payloads(&made::vlp16()).into_iter().find(|payload| payload.len() == 1206).unwrap();
+    let put = |tap: &mut Tap, port, arrival_ns, payload: &[u8]| {
+        let destination = SocketAddrV4::new(Ipv4Addr::BROADCAST, port);
+        tap.put(&Addressed { arrival_ns, source, destination, payload });
+    };
+    // The thread of the positions is behind that of the data, most when it has not heard of the recording yet.
+    for (begin, behind_ms) in [(0, 260), (1_000, 10)] {
+        (begin..begin + 1_000).for_each(|number| put(&mut of_data, 2368, 2 * number, &packet));
+        std::thread::sleep(Duration::from_millis(behind_ms));
+        (begin..begin + 1_000).step_by(50).for_each(|number| put(&mut of_positions, 8308, 2 * number + 1, &[0; 512]));
+        std::thread::sleep(Duration::from_millis(500));
+    }
+    let ran = recorder.stop();
+    assert!(is_whole(&ran, 2_040), "{}", ran.stdout);
+    let recorded = read(&path);
+    assert!(recorded.is_sorted_by_key(|one| one.2));
+    assert_eq!(recorded.iter().filter(|one| one.1 == 8308).count(), 40);
 }
 
 #[test]

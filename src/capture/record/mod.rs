@@ -8,7 +8,7 @@
 //! Each receiving thread has a [`Lane`] of its own. Putting a datagram in is a copy of its bytes: no lock, no system
 //! call, no allocation. What finds no room, since the disk stalls or has failed, is counted and gone. The writing thread
 //! looks every 120 ms, and merges the lanes by arrival: a datagram is written after any other with an earlier stamp that
-//! its own thread put in at most so much later. Those of one lane keep their order.
+//! its own thread put in at most so much later (300 ms, the first ones of a lane). Those of one lane keep their order.
 //!
 //! [`mod@file`] is one capture, [`Rotation`] says when another begins.
 
@@ -21,7 +21,7 @@ use std::path::{Path, PathBuf};
 use std::sync::atomic::{AtomicBool, AtomicU64, Ordering};
 use std::sync::{Arc, Mutex, MutexGuard, OnceLock, PoisonError};
 use std::thread::{self, JoinHandle};
-use std::time::Duration;
+use std::time::{Duration, Instant};
 
 pub use self::error::RecordError;
 use self::files::Files;
@@ -35,6 +35,8 @@ const LANE_BYTES: usize = 32 << 20;
 /// How often the writing thread looks, which is also for how long a datagram waits for earlier ones of other lanes: longer
 /// than the threads of a daemon nap while they record.
 pub(crate) const PERIOD: Duration = Duration::from_millis(120);
+/// For so long the first ones of a lane wait: a thread that has yet to hear of the recording may sleep for longer.
+pub(crate) const OPENING: Duration = Duration::from_millis(300);
 
 /// How far a recording is, readable at any time.
 #[derive(Debug, Default)]
@@ -192,7 +194,8 @@ struct Writer {
 /// A lane among the others.
 struct Merged {
     lane: Outlet,
-    /// Where it ended a period ago: up to here it is due.
+    begun: Instant,
+    /// Where it ended a period ago: up to here it is due. While it opens, nothing is.
     due: u64,
     /// Where it ended when it was last looked at.
     end: u64,
@@ -201,11 +204,11 @@ struct Merged {
 
 impl Merged {
     fn new(lane: Outlet) -> Self {
-        Self { lane, due: 0, end: 0, closed: false }
+        Self { lane, begun: Instant::now(), due: 0, end: 0, closed: false }
     }
 
     fn look(&mut self) {
-        self.due = self.end;
+        self.due = if self.begun.elapsed() < OPENING { self.due } else { self.end };
         self.closed = self.lane.is_closed();
         self.end = self.lane.end();
     }

@@ -57,12 +57,10 @@ impl Input {
 
     /// Receives until the end, and then what came before it. An input that fails ends the recording.
     pub(super) fn receive_all(self, recording: &Recording) -> (InputReport, Result<(), CliError>) {
-        let lane = recording.recorder.lane();
+        let recorded = |gate| Recorded { gate, lanes: Vec::new(), recording };
         let (report, result) = match self {
-            Self::Port { source, gate } => receive_port(source, Recorded { gate, lane, recording }),
-            Self::Daemon { stream, sensor, gate } => {
-                receive_daemon(stream, &sensor, Recorded { gate, lane, recording })
-            }
+            Self::Port { source, gate } => receive_port(source, recorded(gate)),
+            Self::Daemon { stream, sensor, gate } => receive_daemon(stream, &sensor, recorded(gate)),
         };
         recording.end();
         (report, result)
@@ -72,7 +70,9 @@ impl Input {
 /// The way from an input to the recorder.
 struct Recorded<'a> {
     gate: Gate,
-    lane: Lane,
+    /// One for each port that datagrams came on. A daemon has a thread for each, and passes on what they have received as they
+    /// come to it: of one port in order, of two not.
+    lanes: Vec<(u16, Lane)>,
     recording: &'a Recording,
 }
 
@@ -81,8 +81,16 @@ impl Recorded<'_> {
         self.recording.counts.received.fetch_add(1, Ordering::Relaxed);
         if self.gate.admit(&datagram.datagram()).is_some() {
             // The recorder counts what it has no room for.
-            self.lane.put(datagram);
+            self.lane(datagram.destination.port()).put(datagram);
         }
+    }
+
+    fn lane(&mut self, port: u16) -> &mut Lane {
+        let place = self.lanes.iter().position(|(of, _)| *of == port).unwrap_or_else(|| {
+            self.lanes.push((port, self.recording.recorder.lane()));
+            self.lanes.len() - 1
+        });
+        &mut self.lanes[place].1
     }
 }
 

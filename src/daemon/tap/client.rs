@@ -58,8 +58,9 @@ impl TapStream {
         Ok(Self { path: path.to_owned(), stream, frames: Frames::new(), lost: None })
     }
 
-    /// Waits for datagrams, at most `timeout` (at least a millisecond), and hands `each` of those that are there on in
-    /// order. Gives how many there were; none after the timeout, after a signal, and after [the end](Self::lost).
+    /// Waits for datagrams, at most `timeout` (at least a millisecond), and hands `each` of those that are there on,
+    /// those of one port in order. Gives how many there were; none after the timeout, after a signal, and after
+    /// [the end](Self::lost).
     ///
     /// # Errors
     /// [`TapError::Gone`] and [`TapError::Format`]; what came before has been handed on.

@@ -194,7 +194,7 @@ impl Server {
 
 /// Carries all that is there in the order of arrival: the packets of one sensor may come through several threads. A
 /// thread that naps may put in earlier ones later: by less than a nap, they are then out of order (by a quarter of a second at
-/// most, of position packets when a client has just come; else by a tenth).
+/// most, of position packets when a client has just come; else by a tenth). Those of one port keep their order.
 fn carry(sensors: &mut [Tapped], clients: &mut [Client]) {
     sensors.iter_mut().for_each(|sensor| sensor.look(clients));
     loop {
