@@ -13,9 +13,9 @@ const DRIFT_PPM: i64 = 100;
 /// The applied offset stays until the least delay is this far from it: within a capture of seconds, times of different
 /// sweeps then differ by the sensor's clock alone. Queues on the way make p95 84 us on a VLP-16.
 const DEADBAND_NS: i64 = 250_000;
-/// Where each packet is later than this, against the least delay, for so long by the host's clock, that clock was set or
-/// slewed. What queued for a pause comes in a burst, and what queues all the while is seldom late by much: the later, the
-/// sooner it is plain.
+/// Where each packet is later than this, against the least delay, for so long by either clock, the host's was set or slewed.
+/// What queued for a pause is sent in time and comes in a burst, and what queues all the while is seldom late by much: the
+/// later, the sooner it is plain.
 const MOVES_NS: [(i64, i64); 2] = [(5_000_000, 1_000_000_000), (500_000_000, 50_000_000)];
 
 /// Farthest sensor time, either way: 36 years, which only stamps that jump for hours can make. What is added to such a time
@@ -55,8 +55,10 @@ pub struct Clocks {
     least_delay: Option<(i64, i64)>,
     /// Host minus sensor time as sweeps are given it.
     offset_ns: Option<i64>,
-    /// For each of the moves, the arrival of the first of the packets in a row that were as late as that.
-    late_since_ns: [Option<i64>; MOVES_NS.len()],
+    /// Sensor time and arrival of the packet noted last.
+    newest_ns: [i64; 2],
+    /// For each of the moves, for how long packets in a row have been as late as that.
+    late_for_ns: [Option<i64>; MOVES_NS.len()],
     fix: Option<Fix>,
 }
 
@@ -80,18 +82,21 @@ impl Clocks {
     /// Notes a data packet whose last shot was at `sensor_ns` and which arrived at `arrival_ns`.
     pub fn data(&mut self, sensor_ns: i64, arrival_ns: i64) {
         let delay = arrival_ns - sensor_ns;
+        let before_ns = std::mem::replace(&mut self.newest_ns, [sensor_ns, arrival_ns]);
         let Some((least, at)) = self.least_delay else {
             self.least_delay = Some((delay, sensor_ns));
             return;
         };
         let allowed = least + (sensor_ns - at).max(0) / 1_000_000 * DRIFT_PPM;
+        // By the clock that went on less: while the machine stands still the host's does alone, in the burst after it the sensor's.
+        let passed_ns = (sensor_ns - before_ns[0]).min(arrival_ns - before_ns[1]).max(0);
         let mut has_moved = false;
-        for (since_ns, (late_ns, lasts_ns)) in self.late_since_ns.iter_mut().zip(MOVES_NS) {
-            *since_ns = (delay > allowed + late_ns).then(|| since_ns.unwrap_or(arrival_ns));
-            has_moved |= since_ns.is_some_and(|since_ns| arrival_ns - since_ns > lasts_ns);
+        for (late_for_ns, (late_ns, lasts_ns)) in self.late_for_ns.iter_mut().zip(MOVES_NS) {
+            *late_for_ns = (delay > allowed + late_ns).then(|| late_for_ns.map_or(0, |so_far| so_far + passed_ns));
+            has_moved |= late_for_ns.is_some_and(|late_for_ns| late_for_ns > lasts_ns);
         }
         if has_moved {
-            self.late_since_ns = Default::default();
+            self.late_for_ns = Default::default();
             self.least_delay = Some((delay, sensor_ns));
         } else if delay <= allowed {
             self.least_delay = Some((delay, sensor_ns));
@@ -247,6 +252,24 @@ mod tests {
         // Of most of a second, all are late.
         assert_eq!(time_after(&mut clocks, 4100..5000, |sensor_ns| sensor_ns + 400_000_000), 4_999_000_000);
         assert_eq!(time_after(&mut clocks, 5000..5100, |sensor_ns| sensor_ns), 5_099_000_000);
+    }
+
+    #[test]
+    fn a_pause_right_after_a_late_packet_does_not_move_the_time_nor_one_in_the_burst_after_it() {
+        for late_ns in [6_000_000, 600_000_000] {
+            let mut clocks = Clocks::default();
+            assert_eq!(time_after(&mut clocks, 0..2000, |sensor_ns| sensor_ns), 1_999_000_000);
+            assert_eq!(time_after(&mut clocks, 2000..2001, |sensor_ns| sensor_ns + late_ns), 2_000_000_000);
+            // Three seconds of them are held, and come 10 us apart; in the middle, nothing goes on for another 0.1 s.
+            let burst_ns = |sensor_ns: i64| {
+                let queued_ns = sensor_ns - 2_001_000_000;
+                5_001_000_000 + queued_ns / 100 + if queued_ns > SECOND { 100_000_000 } else { 0 }
+            };
+            assert_eq!(time_after(&mut clocks, 2001..3000, burst_ns), 2_999_000_000);
+            assert_eq!(time_after(&mut clocks, 3000..5000, burst_ns), 4_999_000_000);
+            assert_eq!(time_after(&mut clocks, 5000..5200, |sensor_ns| sensor_ns.max(5_131_000_000)), 5_199_000_000);
+            assert_eq!(time_after(&mut clocks, 5200..6000, |sensor_ns| sensor_ns), 5_999_000_000);
+        }
     }
 
     /// The first position packet of a public VLP-16 capture and the stamp of its first data packet; the host clock of
