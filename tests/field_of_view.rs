@@ -1,5 +1,7 @@
 //! A sensor that measures a sector only: its sweeps come out when the sector ends, not when the head is back in it.
 
+#[path = "common/due.rs"]
+mod due;
 #[path = "common/stream.rs"]
 mod stream;
 
@@ -44,6 +46,32 @@ fn a_sweep_comes_out_before_the_silence() {
                     assert!((0..3 * period_ns + 100_000).contains(&waited_ns), "{place}");
                 }
             }
+        }
+    }
+}
+
+/// Behind the silence, packets end at other azimuths than before it.
+#[test]
+fn the_packet_that_completes_a_sweep_is_expected_no_later_than_it_comes() {
+    let views = VIEWS.into_iter().chain([((9_000.0, 27_700.0), 180.0), ((9_000.0, 27_000.0), 180.0)]);
+    for (model, mode) in KINDS {
+        let period_ns = i64::from(model.spec().packet_period_ns(mode));
+        for (rpm, (fov, cut_deg)) in
+            [600.0, 613.0].into_iter().flat_map(|rpm| views.clone().map(move |view| (rpm, view)))
+        {
+            let sent = Spin { fov: Some(fov), ..Spin::new(model, mode, rpm) }.packets(12.3 * 60.0 / rpm);
+            let calibration = (model == Hdl64eS3).then(unit);
+            let packets = sent.iter().map(|one| (one.packet.emit().to_vec(), one.arrival_ns));
+            let late_ns = due::late_ns(Config { calibration, ..cut_at(cut_deg) }, packets);
+            // In the first turns it is learned where the silence is.
+            let late_ns = late_ns[6..].concat();
+            assert!(late_ns.len() > 80);
+            let worst = [late_ns.iter().min(), late_ns.iter().max()].map(Option::unwrap);
+            let expected_ns = -20_000..period_ns + 200_000;
+            assert!(
+                worst.iter().all(|ns| expected_ns.contains(ns)),
+                "{model} {mode} {rpm} {fov:?} {cut_deg}: {worst:?} ns late"
+            );
         }
     }
 }

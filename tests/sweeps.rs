@@ -1,14 +1,16 @@
 //! Sweeps of real captures against facts that were taken from their bytes by other means (shared/data/README.md).
 
 mod common;
+#[path = "common/due.rs"]
+mod due;
 
 use common::raw::{self, RawPacket};
 use common::run::{Run, Runner};
-use sweepd::pipeline::{Config, Fault, Pipeline, Untimed};
+use sweepd::pipeline::{Config, Fault};
 use sweepd::sensor::Model;
 use sweepd::simulate::{Emitter, EmitterConfig, SimulatedDatagram, fixtures};
 use sweepd::sweep::layout::{TimeSource, flags};
-use sweepd::sweep::{Column, HeapBuffers, SweepRef};
+use sweepd::sweep::{Column, SweepRef};
 use sweepd::wire::data::ReturnMode;
 
 /// Every capture of a supported model, and the speed of its head, turns a minute.
@@ -240,20 +242,8 @@ fn the_packet_that_completes_a_sweep_is_expected_when_it_comes_or_one_before() {
         let emitted = EmitterConfig { rpm, ..EmitterConfig::new(model, mode) }.turns(4.0);
         let period_ns = i64::from(model.spec().packet_period_ns(mode));
         let config = Config { calibration: Some(emitted.beams().into_owned()), ..Config::default() };
-        let mut pipeline = Pipeline::new("sensor", config, HeapBuffers::default(), Untimed).unwrap();
-        // What was said of the open sweep after each of its packets, and by how much the one that completed it was late.
-        let (mut said, mut late_ns) = (Vec::new(), Vec::new());
-        for one in Emitter::new(emitted, &scene).filter(|one| one.truth.is_some()) {
-            pipeline.push(&one.datagram()).unwrap();
-            let mut is_complete = false;
-            while pipeline.poll().is_some() {
-                is_complete = true;
-            }
-            if is_complete {
-                late_ns.extend(said.drain(..).map(|due_ns: i64| one.arrival_ns - due_ns));
-            }
-            said.extend(pipeline.due_ns());
-        }
+        let data = Emitter::new(emitted, &scene).filter(|one| one.truth.is_some());
+        let late_ns = due::late_ns(config, data.map(|one| (one.payload, one.arrival_ns))).concat();
         // However long the newest one took through the network: some tenths of a millisecond at times.
         let expected_ns = -20_000..period_ns + 20_000;
         assert!(late_ns.iter().all(|ns| expected_ns.contains(ns)), "{model} {mode}: {late_ns:?} ns late");

@@ -129,14 +129,16 @@ impl<B: Buffers> Builder<B> {
 
     /// When the packet that completes the open sweep will arrive at the earliest, if the head goes on as it did, nanoseconds
     /// since 1970: so many periods after the newest one as it takes to turn past the cut. Where the cut lies so near to the end
-    /// of a packet that it may be in that or in the next one, it is the former. What delayed the newest one does not count.
+    /// of a packet that it may be in that or in the next one, it is the former; where a sector is left out on the way, a packet
+    /// may end anywhere behind it. What delayed the newest one does not count.
     pub fn due_ns(&self) -> Option<i64> {
         let mode = self.open.as_ref()?.so_far.mode;
-        let until_cut_ns = self.head.until_cut_cdeg()? / self.last_rate_cdeg_ns?.abs();
+        let until_cut_ns = self.head.until_cut_cdeg()? / self.last_rate_cdeg_ns?.abs() - DOUBT_NS;
         let period_ns = f64::from(self.decoder.spec.packet_period_ns(mode));
-        let packets = ((until_cut_ns - DOUBT_NS) / period_ns).ceil().max(1.0);
+        let packets = until_cut_ns / period_ns;
+        let packets = if self.head.leaps_until_cut() { packets } else { packets.ceil() };
         let newest_ns = self.last_firing_ns.saturating_add(i64::from(self.decoder.spec.firing_period_ns(mode)));
-        self.clocks.earliest_ns(newest_ns.saturating_add((packets * period_ns) as i64))
+        self.clocks.earliest_ns(newest_ns.saturating_add((packets.max(1.0) * period_ns) as i64))
     }
 
     /// Adds to the time spent on the open sweep.
@@ -203,7 +205,8 @@ impl<B: Buffers> Builder<B> {
     }
 
     fn note_arrival(&mut self, packet: &Packet) {
-        let sent_ns = packet.time_ns + i64::from(self.decoder.spec.packet_period_ns(packet.mode));
+        let sent_ns =
+            packet.time_ns + packet.motion.silent_ns + i64::from(self.decoder.spec.packet_period_ns(packet.mode));
         self.clocks.data(sent_ns, packet.arrival_ns);
     }
 

@@ -113,6 +113,16 @@ impl Edge {
         self.moved_cdeg = (is_late && is_worth_it).then_some((moved, reach));
     }
 
+    /// Whether the sector that is left out begins on the way from one azimuth to another.
+    pub fn is_between(&self, from_cdeg: f64, to_cdeg: f64, sense: f64) -> bool {
+        let is_between = |leap: Leap| {
+            let way_cdeg = ahead(from_cdeg, leap.from_cdeg, sense);
+            // The encoder's noise may have put the last firing past the end.
+            way_cdeg < ahead(from_cdeg, to_cdeg, sense) || way_cdeg > TURN - SLACK_CDEG
+        };
+        self.last.is_some_and(is_between)
+    }
+
     /// Hears of a firing, and forgets the sector when it lies where nothing was measured before.
     pub fn fires(&mut self, azimuth_cdeg: f64) {
         let inside = |leap: &Leap| {

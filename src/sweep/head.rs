@@ -92,6 +92,11 @@ impl Head {
         Some(TURN - ahead(self.cut_cdeg, last, self.sense))
     }
 
+    /// Whether a sector is known to be left out on the way there.
+    pub fn leaps_until_cut(&self) -> bool {
+        self.last_cdeg.is_some_and(|last| self.edge.is_between(last, self.cut_cdeg, self.sense))
+    }
+
     /// Forgets where it was: nothing relates the next firing to the last.
     pub fn lose(&mut self) {
         *self = Self { sense: self.sense, ..Self::new(self.configured_cdeg) };
