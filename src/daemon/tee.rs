@@ -3,7 +3,8 @@
 //! Each port's thread has a lane of the recording, and each sensor a tap; both take a copy and never wait. A recording that
 //! cannot be begun or fails stops no sensor: it is told once in the log, and by `/health` and the metrics until it is mended.
 //! It is begun again by itself, after a second at first and after a minute at most, and goes on in a new file as soon as the
-//! disk takes it. What waits for a disk is a thread of its own, never the control thread, which has a watchdog to feed.
+//! disk takes it. What waits for a disk is a thread of its own, never the control thread, which has a watchdog to feed
+//! (the socket of the taps, which it looks for, is beside the files of iceoryx2).
 
 mod recording;
 
@@ -21,8 +22,8 @@ use super::tap::{Tap, Taps};
 use crate::capture::RecordError;
 use crate::capture::record::{Lane, Recorder};
 
-/// In this time every thread is given its new lane, at the next look, and takes it, in its next round: half a second each at
-/// most.
+/// In this time every thread is given its new lane, at the next look, and takes it, in its next round: about half a second each
+/// at most.
 const TURNED: Duration = Duration::from_secs(2);
 /// From one attempt to begin a recording that has failed to the next, at first and at most. One that goes on for longer
 /// than the latter has failed for the first time when it fails again.

@@ -5,10 +5,11 @@
 //! receiving thread -> Lane --ring-/
 //! ```
 //!
-//! Each receiving thread has a [`Lane`] of its own. Putting a datagram in is a copy of its bytes: no lock, no system
-//! call, no allocation. What finds no room, since the disk stalls or has failed, is counted and gone. The writing thread
-//! looks every 120 ms, and merges the lanes by arrival: a datagram is written after any other with an earlier stamp that
-//! its own thread put in at most so much later (300 ms, the first ones of a lane). Those of one lane keep their order.
+//! Each receiving thread has a [`Lane`] of its own, or one for each stream that is in order by itself. Putting a datagram
+//! in is a copy of its bytes: no lock, no system call, no allocation. What finds no room, since the disk stalls or has
+//! failed, is counted and gone. The writing thread looks every 120 ms, and merges the lanes by arrival: a datagram is
+//! written after any other with an earlier stamp that was put in at most so much later (300 ms, after the first ones of a
+//! lane). Those of one lane keep their order.
 //!
 //! [`mod@file`] is one capture, [`Rotation`] says when another begins.
 
