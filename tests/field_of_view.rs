@@ -57,14 +57,15 @@ fn the_packet_that_completes_a_sweep_is_expected_no_later_than_it_comes() {
     for (model, mode) in KINDS {
         let period_ns = i64::from(model.spec().packet_period_ns(mode));
         for (rpm, (fov, cut_deg)) in
-            [600.0, 613.0].into_iter().flat_map(|rpm| views.clone().map(move |view| (rpm, view)))
+            [600.0, 607.0, 613.0].into_iter().flat_map(|rpm| views.clone().map(move |view| (rpm, view)))
         {
             let sent = Spin { fov: Some(fov), ..Spin::new(model, mode, rpm) }.packets(12.3 * 60.0 / rpm);
             let calibration = (model == Hdl64eS3).then(unit);
             let packets = sent.iter().map(|one| (one.packet.emit().to_vec(), one.arrival_ns));
             let late_ns = due::late_ns(Config { calibration, ..cut_at(cut_deg) }, packets);
-            // In the first turns it is learned where the silence is.
-            let late_ns = late_ns[6..].concat();
+            // In the first turns it is learned where the silence is; later where it begins with the end of a packet, as of an
+            // HDL-64E S3 at 607 rpm, since that looks like packets that were lost.
+            let late_ns = late_ns[7..].concat();
             assert!(late_ns.len() > 80);
             let worst = [late_ns.iter().min(), late_ns.iter().max()].map(Option::unwrap);
             let expected_ns = -20_000..period_ns + 200_000;
