@@ -33,7 +33,7 @@ use std::time::Duration;
 
 use zerocopy::FromBytes;
 
-pub use crate::publish::{Domain, DomainError, SubscribeError};
+pub use crate::publish::{Domain, DomainError, JoinError, SubscribeError};
 use crate::publish::{Received, Subscriber, attributes};
 use crate::sweep::Header;
 pub use crate::sweep::layout::LayoutError;

@@ -11,7 +11,7 @@ use std::time::{Duration, Instant};
 
 use domain::Own;
 use stream::{Sent, Spin, config, datagram, unit};
-use sweepd::client::{Client, ClientError, Sweep};
+use sweepd::client::{Client, ClientError, JoinError, Sweep};
 use sweepd::pipeline::{Config, Pipeline, Untimed};
 use sweepd::publish::{Domain, Loans, PublishError, Settings, Slot};
 use sweepd::sensor::Model;
@@ -28,6 +28,11 @@ fn settings(max_consumers: usize) -> Settings {
 
 fn loans(own: &Own, max_consumers: usize) -> Loans {
     Loans::create(&own.domain(), &settings(max_consumers)).unwrap()
+}
+
+fn joining(error: PublishError) -> JoinError {
+    let PublishError::Join(error) = error else { panic!("{error}") };
+    error
 }
 
 fn client(own: &Own) -> Client {
@@ -296,7 +301,8 @@ fn too_little_shared_memory_is_an_error_that_says_how_much() {
     let own = Own::new();
     let mut loans = loans(&own, 4);
     let error = loans.reserve(1 << 40).unwrap_err();
-    assert!(matches!(error, PublishError::Memory { wanted, free } if wanted > free), "{error}");
+    let JoinError::Memory { wanted, free } = joining(error) else { panic!() };
+    assert!(wanted > free, "{wanted} {free}");
     // And where it shows only later, the sensor goes on by itself.
     let slot = loans.take(1 << 33);
     assert!(!slot.is_shared());

@@ -12,7 +12,7 @@ use self::journal::Prioritised;
 use super::CliError;
 use crate::daemon::config::{Change, Config, Effect};
 use crate::daemon::control::{self, Reload, Reread};
-use crate::publish::{Domain, DomainError};
+use crate::publish::{Domain, DomainError, Keeper};
 
 /// Variable that says what is logged, in the directives of tracing-subscriber.
 const LOG: &str = "SWEEPD_LOG";
@@ -47,7 +47,7 @@ pub fn run(args: &Args) -> Result<(), CliError> {
     let domain = Domain::at_or_default(config.daemon.root.as_deref());
     // Its folder is made here, since the taps' socket is there too.
     domain.prepare().map_err(in_words_of_the_file)?;
-    Ok(control::run(config, &domain, domain.root(), reread(&args.config))?)
+    Ok(control::run(config, &Keeper::new(&domain)?, domain.root(), reread(&args.config))?)
 }
 
 /// Others name the folder by an option; this command has a configuration with a key of that name.

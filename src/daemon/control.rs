@@ -60,7 +60,7 @@ pub fn run<S: Sharing>(config: Config, sharing: &S, root: &Path, reread: Reread)
         let mut tees = Tees::open(Some(socket_path(root)));
         let mut start = || Runtime::start(&config, sharing, &mut tees);
         let Some(runtime) = started(&mut start, (root, http.as_ref()), &mut signals).await? else { return Ok(()) };
-        Control::new(config, (runtime, tees), reread, root, begun).serve(signals, http).await
+        Control::new(config, (runtime, tees), reread, root, begun).serve(sharing, signals, http).await
     })
 }
 
@@ -147,6 +147,8 @@ struct Control {
     hanging: Vec<usize>,
     /// Ports whose interfaces are gone, as told last.
     gone: Vec<usize>,
+    /// How often the shared memory of each sensor was made anew, as told last.
+    renewed: Vec<u64>,
     notifier: Notifier,
     view: Arc<Mutex<View>>,
 }
@@ -164,6 +166,7 @@ impl Control {
         let view = View::new(Arc::clone(&runtime.sensors), Arc::clone(&runtime.ports), root.to_owned());
         let view = Arc::new(Mutex::new(view));
         let notifier = Notifier::default();
+        let renewed = vec![0; runtime.sensors.len()];
         Self {
             config,
             runtime,
@@ -175,12 +178,18 @@ impl Control {
             period: beat(watchdog),
             hanging: Vec::new(),
             gone: Vec::new(),
+            renewed,
             notifier,
             view,
         }
     }
 
-    async fn serve(mut self, mut signals: Signals, http: Option<TcpListener>) -> Result<(), DaemonError> {
+    async fn serve(
+        mut self,
+        sharing: &impl Sharing,
+        mut signals: Signals,
+        http: Option<TcpListener>,
+    ) -> Result<(), DaemonError> {
         for status in self.runtime.sensors.iter() {
             info!("{}: waiting for packets from {} on port {}", status.name, status.address, status.port);
         }
@@ -196,7 +205,7 @@ impl Control {
                 _ = signals.reload.recv() => self.reload(),
                 never = &mut serving => match never {},
                 _ = ticks.tick() => match self.look_around() {
-                    Ok(()) => {}
+                    Ok(()) => sharing.look(),
                     Err(error) => break Err(error),
                 },
             }
@@ -232,6 +241,7 @@ impl Control {
         }
         self.hanging = hanging;
         self.look_at_interfaces();
+        self.look_at_sharing();
         self.tell();
         Ok(())
     }
@@ -246,6 +256,16 @@ impl Control {
             info!("port {}: its interface is back", self.port(index));
         }
         self.gone = gone;
+    }
+
+    fn look_at_sharing(&mut self) {
+        for (sensor, told) in self.runtime.sensors.iter().zip(&mut self.renewed) {
+            let renewed = sensor.sharing.renewed();
+            if std::mem::replace(told, renewed) != renewed {
+                let why = sensor.sharing.renewed_because().unwrap_or_default();
+                warn!("{}: shared memory was made anew: {why}", sensor.name);
+            }
+        }
     }
 
     fn hear_events(&mut self) {

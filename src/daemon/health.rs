@@ -168,6 +168,8 @@ fn sensor(sensor: &SensorStatus, (state, complaint): &(State, Option<String>)) -
         "consumers": sensor.sharing.consumers(),
         "shared_bytes": sensor.sharing.reserved_bytes(),
         "sharing_trouble": sensor.sharing.trouble(),
+        "renewed": sensor.sharing.renewed(),
+        "renewed_because": sensor.sharing.renewed_because(),
     })
 }
 

@@ -105,6 +105,10 @@ impl Snapshot {
             let all = self.sensors.iter().map(|sensor| ([("sensor", &sensor.name[..])], Total(read(&sensor.counters))));
             family(encoder, name, help, all)?;
         }
+        let help = "Times that shared memory was made anew because files of it were deleted";
+        let renewed =
+            self.sensors.iter().map(|sensor| ([("sensor", name_of(sensor))], Total(sensor.sharing.renewed())));
+        family(encoder, "renewed", help, renewed)?;
         let by_reason = |sensor| undecoded(sensor);
         let help = "Data packets let in and not decoded, by reason";
         family(encoder, "undecoded", help, self.sensors.iter().flat_map(by_reason))

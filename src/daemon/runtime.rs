@@ -12,7 +12,7 @@ use std::time::{Duration, Instant};
 
 use tracing::{info, warn};
 
-use super::config::{Config, PortConfig, SensorConfig, memory};
+use super::config::{Config, PortConfig, SensorConfig};
 use super::counters::{PortCounters, SensorCounters};
 use super::door::Door;
 use super::notify::beat;
@@ -295,7 +295,7 @@ impl Hall {
         events: &Sender<(usize, Event)>,
     ) -> Result<Served<S::Buffers>, DaemonError> {
         let name = || sensor.name.clone();
-        let way = sharing.open(sensor, memory::exact_sweep_bytes(sensor));
+        let way = sharing.open(sensor);
         let way = way.map_err(|source| DaemonError::Sharing { sensor: name(), source })?;
         let counters = Arc::new(SensorCounters::default());
         let address = sensor.address.to_canonical();

@@ -200,7 +200,7 @@ impl<B: Buffers<Buffer: Outgoing>> Sensor<B> {
         self.count(header);
         let sent = sweep.publish();
         self.counters.stage(Stage::Send).note((monotonic_ns() - completed_monotonic_ns) as u64);
-        self.note_sharing(sent.map(drop).map_err(|error| error.to_string()));
+        self.note_sharing(sent.map_err(|error| error.to_string()));
     }
 
     fn count(&self, header: &Header) {
@@ -220,11 +220,16 @@ impl<B: Buffers<Buffer: Outgoing>> Sensor<B> {
     }
 
     /// Tells once that sweeps go nowhere, and once that they do again.
-    fn note_sharing(&mut self, sent: Result<(), String>) {
+    fn note_sharing(&mut self, sent: Result<bool, String>) {
         let was_shared = std::mem::replace(&mut self.is_shared, sent.is_ok());
         match sent {
-            Ok(()) if !was_shared => self.report(Event::SharedAgain),
-            Ok(()) => {}
+            Ok(true) if !was_shared => self.report(Event::SharedAgain),
+            Ok(true) => {}
+            // Its memory is on the way, for one of the next.
+            Ok(false) => {
+                self.counters.unshared.add(1);
+                self.is_shared = was_shared;
+            }
             Err(why) => {
                 self.counters.unshared.add(1);
                 if was_shared {

@@ -2,35 +2,42 @@
 
 use super::config::{SensorConfig, memory};
 use super::sharing::{Outgoing, Sharing, SharingError, SharingStatus, Way};
-use crate::publish::{Domain, Loans, PublishError, Settings, Slot, Status, free_bytes};
+use crate::publish::{Keeper, Loans, PublishError, Settings, Slot, Status};
 use crate::sensor::Model;
 
-impl Sharing for Domain {
+impl Sharing for Keeper {
     type Buffers = Loans;
 
-    fn open(&self, sensor: &SensorConfig, bytes: Option<usize>) -> Result<Way<Loans>, SharingError> {
+    fn open(&self, sensor: &SensorConfig) -> Result<Way<Loans>, SharingError> {
         let settings = Settings {
             name: sensor.name.clone(),
             max_consumers: sensor.max_consumers,
             model: sensor.pipeline.model.map_or_else(String::new, |model: Model| model.spec().name.to_owned()),
             address: sensor.address.to_string(),
         };
-        let mut buffers = Loans::create(self, &settings)?;
-        // What is not known yet is at least this; better now than when the first sweep comes.
-        let (wanted, free) = (*memory::pool_bytes(sensor).start(), free_bytes()?);
-        match bytes {
-            Some(bytes) => buffers.reserve(bytes)?,
-            None if free < wanted => return Err(PublishError::Memory { wanted, free }.into()),
-            None => {}
+        let least = *memory::sweep_bytes(sensor).start();
+        let mut buffers = Keeper::open(self, &settings, least)?;
+        // A sensor of another model, or with two returns, gets a larger pool when it shows.
+        if memory::is_model_known(sensor) {
+            buffers.reserve(least)?;
         }
+        let buffers = buffers.without_waiting();
         let status = buffers.status();
         Ok(Way { buffers, status })
+    }
+
+    fn look(&self) {
+        self.remove_unfinished();
     }
 }
 
 impl Outgoing for Slot {
-    fn publish(self) -> Result<usize, SharingError> {
-        Ok(Slot::publish(self)?)
+    fn publish(self) -> Result<bool, SharingError> {
+        match Slot::publish(self) {
+            Ok(_) => Ok(true),
+            Err(PublishError::Preparing) => Ok(false),
+            Err(error) => Err(error.into()),
+        }
     }
 }
 
@@ -45,5 +52,13 @@ impl SharingStatus for Status {
 
     fn trouble(&self) -> Option<String> {
         Status::trouble(self)
+    }
+
+    fn renewed(&self) -> u64 {
+        Status::renewed(self)
+    }
+
+    fn renewed_because(&self) -> Option<String> {
+        Status::renewed_because(self)
     }
 }

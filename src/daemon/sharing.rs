@@ -15,21 +15,25 @@ pub trait Sharing {
     /// Where its sweeps are built.
     type Buffers: Buffers<Buffer: Outgoing> + Send + 'static;
 
-    /// Opens the service of a sensor. `bytes` is what its largest sweep takes, where that is known beforehand: then
-    /// memory that does not suffice is an error now and not when the first sweep comes.
+    /// Opens the service of a sensor. Memory that cannot hold what is known of its sweeps is an error now and not when the
+    /// first one comes.
     ///
     /// # Errors
     /// Why not, and what to do.
-    fn open(&self, sensor: &SensorConfig, bytes: Option<usize>) -> Result<Way<Self::Buffers>, SharingError>;
+    fn open(&self, sensor: &SensorConfig) -> Result<Way<Self::Buffers>, SharingError>;
+
+    /// Does what the sharing needs done about once a second, and never waits.
+    fn look(&self) {}
 }
 
 /// A sweep that can be sent.
 pub trait Outgoing: AsRef<[u8]> + AsMut<[u8]> + Send + 'static {
-    /// Sends it and wakes who waits; gives how many consumers there were.
+    /// Sends it and wakes consumers that wait. Returns whether it was sent: `false` while the memory for sweeps is still being
+    /// taken.
     ///
     /// # Errors
     /// Why no consumer could get it. Never that one is slow.
-    fn publish(self) -> Result<usize, SharingError>;
+    fn publish(self) -> Result<bool, SharingError>;
 }
 
 /// A sensor's way out.
@@ -48,4 +52,12 @@ pub trait SharingStatus: Send + Sync {
     fn reserved_bytes(&self) -> u64;
     /// Why sweeps are not shared at the moment.
     fn trouble(&self) -> Option<String>;
+    /// How often the way out was made anew because files of it were deleted.
+    fn renewed(&self) -> u64 {
+        0
+    }
+    /// Why it was made anew the last time.
+    fn renewed_because(&self) -> Option<String> {
+        None
+    }
 }

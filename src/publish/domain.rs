@@ -3,12 +3,12 @@
 use std::fs;
 use std::io;
 use std::os::unix::fs::{DirBuilderExt, MetadataExt, PermissionsExt};
-use std::path::{Path, PathBuf};
+use std::path::{Component, Path, PathBuf};
 
 use iceoryx2::config::Config;
 use iceoryx2::prelude::*;
 
-use super::{SHARED_MEMORY, service_hash};
+use super::service_hash;
 use crate::host::{own_uid, user_name};
 
 /// Environment variable that names the folder.
@@ -19,6 +19,8 @@ const RUN: (&str, &str) = ("/run/sweepd", "/run/sweepd/iox2");
 const FALLBACK: &str = "/tmp/sweepd/iox2";
 /// What the names of all files begin with, in the folder and in /dev/shm.
 const PREFIX: &str = "sweepd_";
+/// Links on the way to the folder, at most: as many as Linux follows.
+const MAX_LINKS: usize = 40;
 
 /// A folder of iceoryx2's files. Daemons and consumers see each other when it is the same and belongs to the user of both:
 /// shared memory is open to its owner alone.
@@ -39,6 +41,36 @@ pub enum DomainError {
     OtherUser {
         /// The folder.
         root: PathBuf,
+        /// Whose it is.
+        owner: String,
+        /// Whose this program is.
+        own: String,
+    },
+    /// Somebody else could lead it elsewhere, at any time.
+    #[error(
+        "{root} leads through {on_the_way}, which {why}: another user could lead it elsewhere. Name a folder whose parents belong \
+         to this user or to root, with --root or the variable SWEEPD_ROOT, the same for the daemon and its consumers",
+        root = root.display(),
+        on_the_way = on_the_way.display()
+    )]
+    Unsafe {
+        /// The folder.
+        root: PathBuf,
+        /// The link or folder on the way there.
+        on_the_way: PathBuf,
+        /// What is wrong with it.
+        why: String,
+    },
+    /// Another user has made a file that must be this user's, and /dev/shm lets nobody but its owner and root remove it.
+    #[error(
+        "{file} belongs to user {owner} and stands where a file of user {own} must be: have {owner} or root remove it \
+         (`sudo rm {file}`), or name another folder with --root or the variable SWEEPD_ROOT, the same for the daemon and its \
+         consumers",
+        file = file.display()
+    )]
+    Occupied {
+        /// The file.
+        file: PathBuf,
         /// Whose it is.
         owner: String,
         /// Whose this program is.
@@ -104,29 +136,81 @@ impl Domain {
     /// # Errors
     /// [`DomainError`].
     pub fn prepare(&self) -> Result<(), DomainError> {
+        self.exists()?;
         let unusable = |source| DomainError::Unusable { root: self.root.clone(), source };
         fs::DirBuilder::new().recursive(true).mode(0o750).create(&self.root).map_err(unusable)?;
         self.exists().map(|_| ())
     }
 
-    /// Whether it is there; whose it is is checked.
+    /// Whether it is there; whose it is, and whether another user could put another in its place, is checked.
     ///
     /// # Errors
     /// [`DomainError`].
     pub fn exists(&self) -> Result<bool, DomainError> {
         let unusable = |source| DomainError::Unusable { root: self.root.clone(), source };
-        let owner = match fs::metadata(&self.root) {
-            Ok(metadata) if !metadata.is_dir() => return Err(unusable(io::ErrorKind::NotADirectory.into())),
-            Ok(metadata) => metadata.uid(),
-            Err(error) if error.kind() == io::ErrorKind::NotFound => return Ok(false),
-            Err(error) => return Err(unusable(error)),
-        };
         let own = own_uid();
-        if owner != own {
-            let root = self.root.clone();
-            return Err(DomainError::OtherUser { root, owner: user_name(owner), own: user_name(own) });
+        let mut links = 0;
+        let mut way = PathBuf::new();
+        let mut ahead: Vec<PathBuf> = steps(&self.root);
+        while let Some(step) = ahead.pop() {
+            way.push(step);
+            let metadata = match fs::symlink_metadata(&way) {
+                Ok(metadata) => metadata,
+                Err(error) if error.kind() == io::ErrorKind::NotFound => return Ok(false),
+                Err(error) => return Err(unusable(error)),
+            };
+            let is_last = ahead.is_empty();
+            let owner = metadata.uid();
+            let is_trusted = owner == own || owner == 0 && !(is_last && metadata.is_dir());
+            if !is_trusted {
+                return Err(self.not_ours(way, owner));
+            }
+            if metadata.is_symlink() {
+                links += 1;
+                let target = fs::read_link(&way).map_err(unusable)?;
+                if links > MAX_LINKS {
+                    return Err(unusable(io::Error::from_raw_os_error(libc::ELOOP)));
+                }
+                way.pop();
+                ahead.extend(steps(&target));
+            } else if !metadata.is_dir() {
+                return Err(unusable(io::ErrorKind::NotADirectory.into()));
+            } else if !is_last && metadata.mode() & (OTHERS_WRITE | STICKY) == OTHERS_WRITE {
+                let why = "every user may write to, without the sticky bit".to_owned();
+                return Err(DomainError::Unsafe { root: self.root.clone(), on_the_way: way, why });
+            }
         }
         Ok(true)
+    }
+
+    /// Of a link or folder on the way that is neither this user's nor root's. Where the domain itself is that user's as well,
+    /// the program runs as the wrong one.
+    fn not_ours(&self, on_the_way: PathBuf, owner: u32) -> DomainError {
+        let root = self.root.clone();
+        let is_link = fs::symlink_metadata(&on_the_way).is_ok_and(|metadata| metadata.is_symlink());
+        if !is_link && fs::metadata(&root).is_ok_and(|metadata| metadata.uid() == owner) {
+            return DomainError::OtherUser { root, owner: user_name(owner), own: user_name(own_uid()) };
+        }
+        let what = if is_link { "is a link of" } else { "belongs to" };
+        DomainError::Unsafe { root, on_the_way, why: format!("{what} user {}", user_name(owner)) }
+    }
+
+    /// Whether another user has made the one file of shared memory whose name everybody knows.
+    ///
+    /// # Errors
+    /// [`DomainError::Occupied`].
+    pub(super) fn check_occupied(&self) -> Result<(), DomainError> {
+        for entry in self.shared_memory() {
+            if !is_counter(&entry) {
+                continue;
+            }
+            let owner = entry.metadata().map_or(own_uid(), |metadata| metadata.uid());
+            if owner != own_uid() {
+                let (owner, own) = (user_name(owner), user_name(own_uid()));
+                return Err(DomainError::Occupied { file: entry.path(), owner, own });
+            }
+        }
+        Ok(())
     }
 
     /// What iceoryx2 is told; nothing is taken from its configuration files.
@@ -139,30 +223,37 @@ impl Domain {
         if let Ok(prefix) = FileName::new(self.prefix().as_bytes()) {
             config.global.prefix = prefix;
         }
+        // The keeper of a publisher does it: it may wait for long, which neither a sensor nor a consumer must.
+        config.global.node.cleanup_dead_nodes_on_creation = false;
+        config.global.node.cleanup_dead_nodes_on_destruction = false;
+        config.global.service.cleanup_dead_nodes_on_open = false;
         config
     }
 
     /// Closes to others what iceoryx2 leaves open to all: the counter by which it numbers nodes, which every program of the
     /// domain maps and which nobody else has any business with.
     pub(super) fn close_to_others(&self) {
-        let prefix = self.prefix();
-        let ending = Config::default().global.node.global_mgmt_suffix.to_string();
-        for entry in fs::read_dir(SHARED_MEMORY).into_iter().flatten().flatten() {
-            let name = entry.file_name();
-            let name = name.to_string_lossy();
-            if name.starts_with(&prefix) && name.ends_with(&ending) {
-                // Another user's is none of this domain, which belongs to one user.
-                let _ = fs::set_permissions(entry.path(), fs::Permissions::from_mode(0o600));
-            }
+        for entry in self.shared_memory().filter(is_counter) {
+            let _ = fs::set_permissions(entry.path(), fs::Permissions::from_mode(0o600));
         }
+    }
+
+    /// The folder of the files by which services are found.
+    pub(super) fn services(&self) -> PathBuf {
+        self.root.join(Config::default().global.service.directory.to_string())
+    }
+
+    /// The folder of the nodes.
+    #[cfg(feature = "daemon")]
+    pub(super) fn nodes(&self) -> PathBuf {
+        self.root.join(Config::default().global.node.directory.to_string())
     }
 
     /// The file by which a service is found.
     pub(super) fn service_file(&self, name: &ServiceName, pattern: MessagingPattern) -> PathBuf {
         let service = Config::default().global.service;
         let hash = service_hash(name, pattern);
-        let file = format!("{}{}{}", self.prefix(), hash.as_str(), service.static_config_storage_suffix);
-        self.root.join(service.directory.to_string()).join(file)
+        self.services().join(format!("{}{}{}", self.prefix(), hash.as_str(), service.static_config_storage_suffix))
     }
 
     /// The file that the publisher of a service holds locked.
@@ -175,8 +266,30 @@ impl Domain {
     /// The folder of a node, there as long as others can find it.
     #[cfg(feature = "daemon")]
     pub(super) fn node_folder(&self, node: &iceoryx2::identifiers::UniqueNodeId) -> PathBuf {
-        self.root.join(Config::default().global.node.directory.to_string()).join(node.value().to_string())
+        self.nodes().join(node.value().to_string())
     }
+}
+
+/// Every user may write to a folder.
+const OTHERS_WRITE: u32 = 0o002;
+/// Only the owner of a file in a folder, and root, may remove or rename it.
+const STICKY: u32 = 0o1000;
+
+/// The steps of a path, the last one first. An absolute one begins at the root of the file system, wherever it is joined to.
+fn steps(path: &Path) -> Vec<PathBuf> {
+    let mut steps: Vec<PathBuf> = path
+        .components()
+        .filter(|step| *step != Component::CurDir)
+        .map(|step| PathBuf::from(step.as_os_str()))
+        .collect();
+    steps.reverse();
+    steps
+}
+
+/// Whether a file is the counter by which iceoryx2 numbers nodes.
+fn is_counter(entry: &fs::DirEntry) -> bool {
+    let ending = Config::default().global.node.global_mgmt_suffix.to_string();
+    entry.file_name().to_string_lossy().ends_with(&ending)
 }
 
 #[cfg(test)]

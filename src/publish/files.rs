@@ -1,7 +1,12 @@
-//! The files by which a service is found: whether they are still there, and the same.
+//! The files of a service: whether they are still there, and the same.
 
 use std::fs;
+#[cfg(feature = "daemon")]
+use std::os::unix::fs::MetadataExt;
 use std::path::{Path, PathBuf};
+
+#[cfg(feature = "daemon")]
+use super::Domain;
 
 /// A service's file as it was when the service was opened. It names the service's own number, so that one that was made anew
 /// is another, even under the same name.
@@ -26,6 +31,11 @@ impl ServiceFile {
         Some(Self { path: path.to_owned(), content })
     }
 
+    #[cfg(feature = "daemon")]
+    pub(super) fn path(&self) -> &Path {
+        &self.path
+    }
+
     pub(super) fn fate(&self) -> Fate {
         match fs::read(&self.path) {
             Ok(content) if content == self.content => Fate::Same,
@@ -43,5 +53,31 @@ impl ServiceFile {
         fs::write(&beside, &self.content)?;
         fs::set_permissions(&beside, fs::Permissions::from_mode(0o400))?;
         fs::rename(beside, &self.path)
+    }
+}
+
+/// A file of shared memory that is mapped here. Whoever opens it later finds it by its name.
+#[cfg(feature = "daemon")]
+#[derive(Debug)]
+pub(super) struct SharedFile {
+    path: PathBuf,
+    inode: u64,
+}
+
+#[cfg(feature = "daemon")]
+impl SharedFile {
+    /// The file of the domain whose name ends like this; `None` when it is not there.
+    pub(super) fn find(domain: &Domain, ending: &str) -> Option<Self> {
+        let entry = domain.shared_memory().find(|entry| entry.file_name().to_string_lossy().ends_with(ending))?;
+        Some(Self { path: entry.path(), inode: entry.metadata().ok()?.ino() })
+    }
+
+    pub(super) fn path(&self) -> &Path {
+        &self.path
+    }
+
+    /// Whether the name still stands for the file that is mapped.
+    pub(super) fn is_there(&self) -> bool {
+        fs::symlink_metadata(&self.path).is_ok_and(|metadata| metadata.ino() == self.inode)
     }
 }

@@ -3,18 +3,12 @@
 use std::fmt::Debug;
 use std::sync::atomic::{AtomicBool, AtomicU64, AtomicUsize, Ordering};
 use std::sync::{Arc, Mutex, PoisonError};
-use std::time::{Duration, Instant};
 
-use iceoryx2::port::notifier::Notifier;
-
-use super::pool::Loan;
-use super::service::Service;
-use super::{Domain, DomainError, Ipc, Preamble, SHARED_MEMORY};
+use super::keeper::{Desk, Keeper};
+use super::pool::{Loan, Pool};
+use super::{Domain, DomainError, JoinError, Preamble};
 use crate::sweep::buffers::HeapBuffer;
 use crate::sweep::{Buffers, HeapBuffers};
-
-/// How often the service is looked after: whether its files are there, and whether what failed can be had by now.
-const LOOK_EVERY: Duration = Duration::from_secs(1);
 
 /// What is shared under which name.
 #[derive(Clone, Debug, Default, PartialEq, Eq)]
@@ -32,9 +26,9 @@ pub struct Settings {
 /// Why sweeps cannot be shared.
 #[derive(Debug, thiserror::Error)]
 pub enum PublishError {
-    /// The folder.
+    /// The folder, or shared memory itself.
     #[error(transparent)]
-    Domain(#[from] DomainError),
+    Join(#[from] JoinError),
     /// No name of a service.
     #[error("`{name}` cannot be the name of a sensor's service: it is empty or too long")]
     Name {
@@ -50,28 +44,18 @@ pub enum PublishError {
         /// The name.
         name: String,
     },
-    /// There is not enough.
+    /// iceoryx2 does not come back from a call.
     #[error(
-        "{} has {free} bytes free, and this sensor's pool needs {wanted}; make it larger \
-         (`mount -o remount,size=1G {}`, or --shm-size for a container), allow fewer consumers (max_consumers) or free some",
-        SHARED_MEMORY,
-        SHARED_MEMORY
+        "shared memory does not answer: a process that died left a file in /dev/shm that is waited for; remove the files of \
+         this domain there, whose names begin with {prefix}, and start again"
     )]
-    Memory {
-        /// Bytes that are needed.
-        wanted: u64,
-        /// Bytes that are free.
-        free: u64,
+    Hangs {
+        /// What their names begin with.
+        prefix: String,
     },
-    /// The system does not say how much there is, or gives none.
-    #[error("cannot take shared memory in {}: {_0}", SHARED_MEMORY)]
-    MemoryUnknown(std::io::Error),
-    /// iceoryx2 refuses.
-    #[error("shared memory: {what}")]
-    Service {
-        /// Its words.
-        what: String,
-    },
+    /// The pool is being made; it is there for one of the next sweeps.
+    #[error("its shared memory is being taken")]
+    Preparing,
     /// This sweep had no room in the pool; [`Status::trouble`] says why.
     #[error("this sweep is not in shared memory")]
     NotShared,
@@ -79,7 +63,17 @@ pub enum PublishError {
 
 impl PublishError {
     pub(super) fn service(error: impl Debug) -> Self {
-        Self::Service { what: format!("{error:?}") }
+        Self::refused(&format!("{error:?}"))
+    }
+
+    pub(super) fn refused(what: &str) -> Self {
+        JoinError::Service { what: what.to_owned() }.into()
+    }
+}
+
+impl From<DomainError> for PublishError {
+    fn from(error: DomainError) -> Self {
+        JoinError::from(error).into()
     }
 }
 
@@ -90,13 +84,14 @@ pub struct Status {
     reserved_bytes: AtomicU64,
     unshared: AtomicU64,
     renewed: AtomicU64,
-    /// Whether there is a text: so that nobody locks where all is well.
+    /// Whether there is a text: where all is well, no lock is taken.
     is_troubled: AtomicBool,
     trouble: Mutex<Option<String>>,
+    renewed_because: Mutex<Option<String>>,
 }
 
 impl Status {
-    /// Consumers at the last sweep.
+    /// Consumers at the last sweep, or a second ago.
     pub fn consumers(&self) -> usize {
         self.consumers.load(Ordering::Relaxed)
     }
@@ -116,23 +111,38 @@ impl Status {
         self.renewed.load(Ordering::Relaxed)
     }
 
+    /// Why it was made anew the last time.
+    pub fn renewed_because(&self) -> Option<String> {
+        self.renewed_because.lock().unwrap_or_else(PoisonError::into_inner).clone()
+    }
+
     /// Why sweeps are not shared at the moment.
     pub fn trouble(&self) -> Option<String> {
         self.trouble.lock().unwrap_or_else(PoisonError::into_inner).clone()
     }
 
-    fn set_trouble(&self, error: &PublishError) {
-        // That nothing is shared is told with its reason, which is another.
-        if !matches!(error, PublishError::NotShared) {
+    pub(super) fn set_trouble(&self, error: &PublishError) {
+        // That nothing is shared is told with its reason, which is another; that the pool is being made is no trouble.
+        if !matches!(error, PublishError::NotShared | PublishError::Preparing) {
             *self.trouble.lock().unwrap_or_else(PoisonError::into_inner) = Some(error.to_string());
             self.is_troubled.store(true, Ordering::Relaxed);
         }
     }
 
-    fn set_well(&self) {
+    pub(super) fn set_well(&self) {
         if self.is_troubled.swap(false, Ordering::Relaxed) {
             *self.trouble.lock().unwrap_or_else(PoisonError::into_inner) = None;
         }
+    }
+
+    pub(super) fn set_renewed(&self, because: String) {
+        *self.renewed_because.lock().unwrap_or_else(PoisonError::into_inner) = Some(because);
+        self.renewed.fetch_add(1, Ordering::Relaxed);
+    }
+
+    pub(super) fn set_use(&self, consumers: usize, reserved_bytes: u64) {
+        self.consumers.store(consumers, Ordering::Relaxed);
+        self.reserved_bytes.store(reserved_bytes, Ordering::Relaxed);
     }
 }
 
@@ -142,48 +152,66 @@ impl Status {
 /// goes on, and [`Status`] says why.
 #[derive(Debug)]
 pub struct Loans {
-    domain: Domain,
-    settings: Settings,
-    service: Option<Service>,
+    shared: Option<Shared>,
     status: Arc<Status>,
-    looked: Instant,
-    /// No room was to be had: that is tried again at the next look, not for each sweep.
-    has_failed: bool,
     heap: HeapBuffers,
-    is_shared: bool,
+}
+
+/// The way to the pool.
+#[derive(Debug)]
+struct Shared {
+    keeper: Keeper,
+    desk: Arc<Desk>,
+    /// Whether to wait while the pool is made.
+    waits: bool,
 }
 
 impl Default for Loans {
-    /// Memory of this process alone, for who shares nothing.
+    /// Memory of this process alone, where nothing is shared.
     fn default() -> Self {
-        Self::with(Domain::default(), Settings::default(), None)
+        Self { shared: None, status: Arc::default(), heap: HeapBuffers::default() }
+    }
+}
+
+impl Drop for Shared {
+    fn drop(&mut self) {
+        self.keeper.close(&self.desk);
     }
 }
 
 impl Loans {
-    /// Opens the service of a sensor; the memory comes with the first sweep, or with [`Loans::reserve`].
+    /// Opens the service of a sensor with a [`Keeper`] of its own; the memory comes with the first sweep, or with
+    /// [`Loans::reserve`].
     ///
     /// # Errors
     /// [`PublishError`].
     pub fn create(domain: &Domain, settings: &Settings) -> Result<Self, PublishError> {
-        let service = Service::open(domain, settings)?;
-        Ok(Self::with(domain.clone(), settings.clone(), Some(service)))
+        Keeper::new(domain)?.open(settings, 0)
     }
 
-    fn with(domain: Domain, settings: Settings, service: Option<Service>) -> Self {
-        let (is_shared, status, heap) = (service.is_some(), Arc::default(), HeapBuffers::default());
-        Self { domain, settings, service, status, looked: Instant::now(), has_failed: false, heap, is_shared }
+    pub(super) fn of(keeper: Keeper, desk: Arc<Desk>) -> Self {
+        let status = Arc::clone(&desk.status);
+        Self { shared: Some(Shared { keeper, desk, waits: true }), status, heap: HeapBuffers::default() }
+    }
+
+    /// The same for a thread that must never wait: while the pool is made, sweeps are built in memory of this process, and
+    /// copied when they are published, if it is there by then.
+    #[must_use]
+    pub fn without_waiting(mut self) -> Self {
+        if let Some(shared) = &mut self.shared {
+            shared.waits = false;
+        }
+        self
     }
 
     /// Takes the memory for sweeps of up to so many bytes now.
     ///
     /// # Errors
-    /// [`PublishError::Memory`], where there is not enough.
+    /// [`JoinError::Memory`], where there is not enough.
     pub fn reserve(&mut self, bytes: usize) -> Result<(), PublishError> {
-        let Some(service) = &mut self.service else { return Err(PublishError::NotShared) };
-        let done = service.reserve(&self.domain, bytes);
-        self.status.reserved_bytes.store(service.reserved_bytes(), Ordering::Relaxed);
-        done
+        let Some(Shared { keeper, desk, .. }) = &self.shared else { return Err(PublishError::NotShared) };
+        desk.want(bytes);
+        keeper.reserve(desk)
     }
 
     /// How the sharing goes.
@@ -191,43 +219,21 @@ impl Loans {
         Arc::clone(&self.status)
     }
 
-    fn loan(&mut self, bytes: usize) -> Result<(Loan, Arc<Notifier<Ipc>>), PublishError> {
-        if !self.is_shared {
-            return Err(PublishError::NotShared);
+    fn loan(&self, bytes: usize) -> Result<(Loan, Arc<Pool>), PublishError> {
+        let Some(Shared { keeper, desk, waits }) = &self.shared else { return Err(PublishError::NotShared) };
+        if let Some(loan) = desk.loan(bytes) {
+            return loan;
         }
-        let is_time = self.looked.elapsed() >= LOOK_EVERY;
-        if is_time {
-            self.looked = Instant::now();
-            self.look_after()?;
+        let is_new = desk.want(bytes);
+        let is_troubled = self.status.is_troubled.load(Ordering::Relaxed);
+        if *waits && (is_new || !is_troubled) {
+            keeper.reserve(desk)?;
+        } else if is_new {
+            keeper.reserve_soon(desk);
         }
-        let has_room = self.service.as_ref().is_some_and(|service| service.has_room(bytes));
-        if !has_room && (is_time || !self.has_failed) {
-            let done = self.reserve(bytes);
-            let can_free = self.service.as_ref().is_some_and(|service| service.has_more_to_give_up());
-            self.has_failed = done.is_err() && !can_free;
-            done?;
-        }
-        let Some(service) = &self.service else { return Err(PublishError::NotShared) };
-        self.status.consumers.store(service.consumers(), Ordering::Relaxed);
-        service.loan(bytes)
-    }
-
-    /// Makes the service anew when its files are gone: nobody would find it any more, and nobody is told.
-    fn look_after(&mut self) -> Result<(), PublishError> {
-        if let Some(service) = &mut self.service
-            && service.is_findable()
-        {
-            service.tidy();
-            self.status.reserved_bytes.store(service.reserved_bytes(), Ordering::Relaxed);
-            return Ok(());
-        }
-        // First the old one goes: on its way out it removes files by name. So do consumers, with those of the new one: those
-        // are put back at the next look.
-        self.service = None;
-        self.status.reserved_bytes.store(0, Ordering::Relaxed);
-        self.service = Some(Service::open(&self.domain, &self.settings)?);
-        self.status.renewed.fetch_add(1, Ordering::Relaxed);
-        Ok(())
+        // What troubles is known by now, and tried again each second.
+        let without = if is_troubled { PublishError::NotShared } else { PublishError::Preparing };
+        desk.loan(bytes).unwrap_or(Err(without))
     }
 }
 
@@ -235,15 +241,15 @@ impl Buffers for Loans {
     type Buffer = Slot;
 
     fn take(&mut self, bytes: usize) -> Slot {
-        let status = Arc::clone(&self.status);
         let memory = match self.loan(bytes) {
-            Ok((loan, notifier)) => Memory::Shared(loan, notifier),
-            Err(error) => {
-                status.set_trouble(&error);
-                Memory::Own(self.heap.take(bytes), error)
+            Ok((loan, pool)) => Memory::Shared(loan, pool),
+            Err(why) => {
+                self.status.set_trouble(&why);
+                let desk = self.shared.as_ref().map(|shared| Arc::clone(&shared.desk));
+                Memory::Own(OwnMemory { buffer: self.heap.take(bytes), bytes, why, desk })
             }
         };
-        Slot { memory, status }
+        Slot { memory, status: Arc::clone(&self.status) }
     }
 }
 
@@ -256,9 +262,31 @@ pub struct Slot {
 
 #[derive(Debug)]
 enum Memory {
-    Shared(Loan, Arc<Notifier<Ipc>>),
-    /// And why it is not shared.
-    Own(HeapBuffer, PublishError),
+    /// With its pool, which stays as long as the sweep is being filled.
+    Shared(Loan, Arc<Pool>),
+    Own(OwnMemory),
+}
+
+/// Memory of this process.
+#[derive(Debug)]
+struct OwnMemory {
+    buffer: HeapBuffer,
+    /// Bytes that were asked for; there may be more.
+    bytes: usize,
+    /// Why it is not shared.
+    why: PublishError,
+    /// Where shared memory may be had when the sweep is complete.
+    desk: Option<Arc<Desk>>,
+}
+
+impl OwnMemory {
+    /// A copy in shared memory, where that is there by now.
+    fn shared(self) -> Result<(Loan, Arc<Pool>), PublishError> {
+        let Some(loan) = self.desk.and_then(|desk| desk.loan(self.bytes)) else { return Err(self.why) };
+        let (mut loan, pool) = loan?;
+        loan.payload_mut().copy_from_slice(&self.buffer.as_ref()[..self.bytes]);
+        Ok((loan, pool))
+    }
 }
 
 impl Slot {
@@ -267,24 +295,22 @@ impl Slot {
     /// # Errors
     /// [`PublishError`]; the sensor goes on, and the next sweep may find its way.
     pub fn publish(self) -> Result<usize, PublishError> {
-        let sent = match self.memory {
-            Memory::Own(_, why) => Err(why),
-            Memory::Shared(mut loan, notifier) => {
-                *loan.user_header_mut() = Preamble::of(loan.payload().len());
-                let sent = loan.send().map_err(PublishError::service);
-                // A listener whose buffer is full was woken before; one that is gone needs nothing.
-                let _ = notifier.notify();
-                sent
-            }
+        let shared = match self.memory {
+            Memory::Shared(loan, pool) => Ok((loan, pool)),
+            Memory::Own(own) => own.shared(),
         };
-        match &sent {
-            Ok(_) => self.status.set_well(),
+        match shared.and_then(send) {
+            Ok(consumers) => {
+                self.status.consumers.store(consumers, Ordering::Relaxed);
+                self.status.set_well();
+                Ok(consumers)
+            }
             Err(error) => {
                 self.status.unshared.fetch_add(1, Ordering::Relaxed);
-                self.status.set_trouble(error);
+                self.status.set_trouble(&error);
+                Err(error)
             }
         }
-        sent
     }
 
     /// Whether its memory is shared.
@@ -293,11 +319,19 @@ impl Slot {
     }
 }
 
+fn send((mut loan, pool): (Loan, Arc<Pool>)) -> Result<usize, PublishError> {
+    *loan.user_header_mut() = Preamble::of(loan.payload().len());
+    let sent = loan.send().map_err(PublishError::service);
+    // A listener whose buffer is full was woken before; one that is gone needs nothing.
+    let _ = pool.notifier.notify();
+    sent
+}
+
 impl AsRef<[u8]> for Slot {
     fn as_ref(&self) -> &[u8] {
         match &self.memory {
             Memory::Shared(loan, _) => loan.payload(),
-            Memory::Own(own, _) => own.as_ref(),
+            Memory::Own(own) => own.buffer.as_ref(),
         }
     }
 }
@@ -306,7 +340,7 @@ impl AsMut<[u8]> for Slot {
     fn as_mut(&mut self) -> &mut [u8] {
         match &mut self.memory {
             Memory::Shared(loan, _) => loan.payload_mut(),
-            Memory::Own(own, _) => own.as_mut(),
+            Memory::Own(own) => own.buffer.as_mut(),
         }
     }
 }

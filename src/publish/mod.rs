@@ -7,7 +7,9 @@
 //! ```
 //!
 //! * [`Domain`]: the folder of the files by which both sides find each other.
-//! * [`Loans`]: the daemon's side, which gives out room in the pool and takes care that it stays reachable.
+//! * [`Loans`]: the daemon's side, which gives out room in the pool.
+//! * [`Keeper`]: the daemon's thread that makes services and pools, makes them anew when their files are gone, and cleans up
+//!   after processes that died. All that may take long is done there.
 //! * [`Subscriber`]: a consumer's side, which finds the service again whatever happens to the daemon.
 //!
 //! Each sensor has one service, `sweepd/<name>/sweep`, with an event of the same name that fires after each sweep. The payload
@@ -21,16 +23,19 @@
 mod domain;
 mod files;
 #[cfg(feature = "daemon")]
+mod keeper;
+mod leftovers;
+#[cfg(feature = "daemon")]
 mod loans;
 #[cfg(feature = "daemon")]
 mod pool;
 #[cfg(feature = "daemon")]
 mod service;
 mod subscriber;
-#[cfg(feature = "daemon")]
 mod sys;
 
-use iceoryx2::node::NodeCreationFailure;
+use std::io;
+
 use iceoryx2::prelude::*;
 use iceoryx2::service::attribute::{AttributeKey, AttributeValue};
 use iceoryx2::service::service_hash::ServiceHash;
@@ -39,9 +44,10 @@ use crate::sweep::layout::LAYOUT_VERSION;
 
 pub use domain::{Domain, DomainError};
 #[cfg(feature = "daemon")]
+pub use keeper::Keeper;
+#[cfg(feature = "daemon")]
 pub use loans::{Loans, PublishError, Settings, Slot, Status};
 pub use subscriber::{Received, SubscribeError, Subscriber};
-#[cfg(feature = "daemon")]
 pub use sys::{free_bytes, memory_bytes};
 
 /// The kind of service: its samples may be sent from thread to thread. Consumers with the plain `ipc` kind see the same.
@@ -65,6 +71,12 @@ const MORE_NODES: usize = 8;
 /// Sweeps that the pool of one sensor has room for.
 pub const fn pool_sweeps(max_consumers: usize) -> usize {
     max_consumers * (BUFFERED + BORROWED) + HISTORY + LOANED
+}
+
+/// Bytes of the pool of one sensor with sweeps of up to `sweep_bytes`; a number that no machine has where it overflows.
+#[cfg(feature = "daemon")]
+fn pool_bytes(max_consumers: usize, sweep_bytes: usize) -> u64 {
+    (pool_sweeps(max_consumers) as u64).saturating_mul(sweep_bytes as u64).min(u64::MAX / 2)
 }
 
 /// What stands in front of the bytes of a sweep, as iceoryx2's user header.
@@ -119,15 +131,61 @@ fn attribute(key: &str, value: &str) -> Option<(AttributeKey, AttributeValue)> {
     Some((AttributeKey::try_from(key).ok()?, AttributeValue::try_from(value).ok()?))
 }
 
-/// A node without signal handlers: those are the program's.
-fn node(domain: &Domain) -> Result<Node<Ipc>, NodeCreationFailure> {
+/// Shared memory that iceoryx2 needs for a process beside the pools: some files of a page each, with room to spare.
+pub(crate) const OVERHEAD_BYTES: u64 = 256 * 1024;
+
+/// Why a process cannot join a domain.
+#[derive(Debug, thiserror::Error)]
+pub enum JoinError {
+    /// The folder, or a file of another user's.
+    #[error(transparent)]
+    Domain(#[from] DomainError),
+    /// There is too little shared memory left: the first write to a page that is missing would end the process.
+    #[error(
+        "{SHARED_MEMORY} has {free} bytes free and {wanted} are needed, {} more: make it larger (`mount -o remount,size=1G \
+         {SHARED_MEMORY}`, or --shm-size for a container), allow fewer consumers (max_consumers) or free some",
+        wanted.saturating_sub(*free)
+    )]
+    Memory {
+        /// Bytes that are needed.
+        wanted: u64,
+        /// Bytes that are free.
+        free: u64,
+    },
+    /// The system does not say how much there is, or gives none.
+    #[error("cannot take shared memory in {SHARED_MEMORY}: {_0}")]
+    MemoryUnknown(io::Error),
+    /// A file of shared memory is being made by another process, for at most a second.
+    #[error("another process is just making a file in {SHARED_MEMORY}: try again in a second")]
+    Pending,
+    /// iceoryx2 refuses.
+    #[error("shared memory: {what}")]
+    Service {
+        /// Its words.
+        what: String,
+    },
+}
+
+/// Checks that so many bytes of shared memory are free.
+fn require_free(wanted: u64) -> Result<(), JoinError> {
+    let free = free_bytes().map_err(JoinError::MemoryUnknown)?;
+    if free < wanted { Err(JoinError::Memory { wanted, free }) } else { Ok(()) }
+}
+
+/// A node without signal handlers: those are the program's. `wanted` bytes of shared memory must be free.
+fn node(domain: &Domain, wanted: u64) -> Result<Node<Ipc>, JoinError> {
     // What fails is an error here and said once; iceoryx2 would say it on standard error as well.
     set_log_level(LogLevel::Fatal);
+    domain.check_occupied()?;
+    if leftovers::remove_unfinished(domain) {
+        return Err(JoinError::Pending);
+    }
+    require_free(wanted)?;
     let config = domain.config();
     let builder = NodeBuilder::new().config(&config).signal_handling_mode(SignalHandlingMode::Disabled);
     let node = builder.create::<Ipc>();
     domain.close_to_others();
-    node
+    node.map_err(|error| JoinError::Service { what: format!("{error:?}") })
 }
 
 fn service_hash(name: &ServiceName, pattern: MessagingPattern) -> ServiceHash {

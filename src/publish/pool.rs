@@ -2,9 +2,11 @@
 
 #![allow(unsafe_code)]
 
-use std::fs::{self, File};
+use std::fs::File;
 use std::io;
+use std::sync::Arc;
 
+use iceoryx2::port::notifier::Notifier;
 use iceoryx2::port::publisher::Publisher;
 use iceoryx2::port::update_connections::UpdateConnections as _;
 use iceoryx2::prelude::*;
@@ -12,8 +14,9 @@ use iceoryx2::sample_mut::SampleMut;
 use iceoryx2::service::port_factory::PortFactory as _;
 use iceoryx2::service::port_factory::publish_subscribe::PortFactory;
 
+use super::files::SharedFile;
 use super::loans::PublishError;
-use super::{Domain, Ipc, LOANED, Preamble, SHARED_MEMORY, sys};
+use super::{Domain, Ipc, JoinError, LOANED, OVERHEAD_BYTES, Preamble, require_free, sys};
 
 /// A sweep in shared memory that nobody else sees yet.
 pub(super) type Loan = SampleMut<Ipc, [u8], Preamble>;
@@ -22,26 +25,27 @@ pub(super) type Loan = SampleMut<Ipc, [u8], Preamble>;
 #[derive(Debug)]
 pub(super) struct Pool {
     publisher: Publisher<Ipc, [u8], Preamble>,
+    /// Wakes consumers that wait for a sweep.
+    pub(super) notifier: Arc<Notifier<Ipc>>,
     /// Bytes of the largest sweep.
     pub(super) sweep_bytes: usize,
     /// Bytes of all of it.
     pub(super) reserved_bytes: u64,
+    /// By which consumers find it.
+    pub(super) file: SharedFile,
 }
 
 impl Pool {
     /// Makes room for sweeps of up to so many bytes.
     pub(super) fn create(
         service: &PortFactory<Ipc, [u8], Preamble>,
+        notifier: &Arc<Notifier<Ipc>>,
         domain: &Domain,
         sweep_bytes: usize,
     ) -> Result<Self, PublishError> {
-        let wanted = (super::pool_sweeps(service.static_config().max_subscribers()) * sweep_bytes) as u64;
-        let too_small = |free| PublishError::Memory { wanted, free };
+        let wanted = super::pool_bytes(service.static_config().max_subscribers(), sweep_bytes);
         // The first pages are written before all can be taken, so they must be there.
-        let free = sys::free_bytes().map_err(PublishError::MemoryUnknown)?;
-        if free < wanted {
-            return Err(too_small(free));
-        }
+        require_free(wanted + OVERHEAD_BYTES)?;
         let publisher = service
             .publisher_builder()
             .initial_max_slice_len(sweep_bytes)
@@ -51,11 +55,13 @@ impl Pool {
             .create()
             .map_err(PublishError::service)?;
         let ending = format!("_{}.data", publisher.id().value());
-        let reserved_bytes = take_pages(&domain.prefix(), &ending).map_err(|error| match error.kind() {
-            io::ErrorKind::StorageFull => too_small(free),
-            _ => PublishError::MemoryUnknown(error),
+        let gone = || PublishError::from(JoinError::MemoryUnknown(io::ErrorKind::NotFound.into()));
+        let file = SharedFile::find(domain, &ending).ok_or_else(gone)?;
+        let reserved_bytes = take_pages(&file).map_err(|error| match error.kind() {
+            io::ErrorKind::StorageFull => JoinError::Memory { wanted, free: sys::free_bytes().unwrap_or(0) },
+            _ => JoinError::MemoryUnknown(error),
         })?;
-        Ok(Self { publisher, sweep_bytes, reserved_bytes })
+        Ok(Self { publisher, notifier: Arc::clone(notifier), sweep_bytes, reserved_bytes, file })
     }
 
     /// Room for one sweep; what it holds at first is anything.
@@ -73,19 +79,10 @@ impl Pool {
     }
 }
 
-/// Takes the pages of the pool's file, whose name is between these two, and says how many bytes they are.
-fn take_pages(prefix: &str, ending: &str) -> io::Result<u64> {
-    let mut bytes = 0;
-    for entry in fs::read_dir(SHARED_MEMORY)? {
-        let entry = entry?;
-        let name = entry.file_name();
-        let name = name.to_string_lossy();
-        if name.starts_with(prefix) && name.ends_with(ending) {
-            let file = File::options().read(true).write(true).open(entry.path())?;
-            let len = file.metadata()?.len();
-            sys::take_pages(&file, len)?;
-            bytes += len;
-        }
-    }
-    if bytes == 0 { Err(io::ErrorKind::NotFound.into()) } else { Ok(bytes) }
+/// Takes the pages of the pool's file, and says how many bytes they are.
+fn take_pages(file: &SharedFile) -> io::Result<u64> {
+    let file = File::options().read(true).write(true).open(file.path())?;
+    let bytes = file.metadata()?.len();
+    sys::take_pages(&file, bytes)?;
+    Ok(bytes)
 }

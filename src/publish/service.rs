@@ -13,17 +13,20 @@ use iceoryx2::service::attribute::{AttributeKey, AttributeValue};
 use iceoryx2::service::port_factory::event;
 use iceoryx2::service::port_factory::publish_subscribe;
 
-use super::files::{Fate, ServiceFile};
+use super::files::{Fate, ServiceFile, SharedFile};
+use super::leftovers::{self, ABANDONED_AFTER};
 use super::loans::{PublishError, Settings};
-use super::pool::{Loan, Pool};
-use super::{BORROWED, BUFFERED, Domain, DomainError, HISTORY, Ipc, MORE_NODES, PUBLISHERS, Preamble};
+use super::pool::Pool;
+use super::{
+    BORROWED, BUFFERED, Domain, DomainError, HISTORY, Ipc, JoinError, MORE_NODES, OVERHEAD_BYTES, PUBLISHERS, Preamble,
+};
 use super::{attribute, attributes, node, service_name};
 use crate::sweep::layout::LAYOUT_VERSION;
 
 /// Attempts at opening a service: what is in the way is removed after each.
 const ATTEMPTS: usize = 3;
-/// Longer than any sweep takes, so that none of the pool before is still being filled.
-const RETIRED_FOR: Duration = Duration::from_secs(2);
+/// How often it is looked whether another process has completed its file.
+const PENDING_PAUSE: Duration = Duration::from_millis(20);
 type Samples = publish_subscribe::PortFactory<Ipc, [u8], Preamble>;
 type Event = event::PortFactory<Ipc>;
 const PATTERNS: [MessagingPattern; 2] = [MessagingPattern::PublishSubscribe, MessagingPattern::Event];
@@ -31,57 +34,59 @@ const PATTERNS: [MessagingPattern; 2] = [MessagingPattern::PublishSubscribe, Mes
 /// A service that is open. Dropped in this order: the pools before what they belong to, the claim last.
 #[derive(Debug)]
 pub(super) struct Service {
-    pool: Option<Pool>,
-    /// The pool before, of which a sweep may still be out, and since when it is.
-    retired: Option<(Pool, Instant)>,
+    pool: Option<Arc<Pool>>,
+    /// Pools before this one, of which a sweep is still being filled.
+    retired: Vec<Arc<Pool>>,
     notifier: Arc<Notifier<Ipc>>,
     samples: Samples,
     /// By which consumers find it.
     files: [ServiceFile; 2],
+    /// The lists of who takes part, which consumers open when they come.
+    lists: [SharedFile; 2],
     /// There as long as others can find the node.
     node_folder: PathBuf,
-    _node: Node<Ipc>,
+    node: Node<Ipc>,
     _claim: Claim,
 }
 
 impl Service {
-    pub(super) fn open(domain: &Domain, settings: &Settings) -> Result<Self, PublishError> {
+    /// Opens or makes the service. `pool_bytes` is what its pool will need at least.
+    pub(super) fn open(domain: &Domain, settings: &Settings, pool_bytes: u64) -> Result<Self, PublishError> {
         domain.prepare()?;
         let name = service_name(&settings.name).ok_or_else(|| PublishError::Name { name: settings.name.clone() })?;
         let claim = Claim::take(domain, &name, settings)?;
-        let node = node(domain).map_err(PublishError::service)?;
+        leftovers::remove_remains(domain);
+        let node = node_when_possible(domain, pool_bytes.saturating_add(OVERHEAD_BYTES))?;
+        // What died before holds places in the service.
+        node.try_cleanup_dead_nodes();
         let (samples, event) = open_both(&node, &name, domain, settings)?;
         let notifier = Arc::new(event.notifier_builder().create().map_err(PublishError::service)?);
+        let vanished = || PublishError::refused("the files of the service vanished at once");
         let [Some(one), Some(other)] = PATTERNS.map(|pattern| ServiceFile::read(&domain.service_file(&name, pattern)))
         else {
-            return Err(PublishError::Service { what: "the files of the service vanished at once".to_owned() });
+            return Err(vanished());
         };
-        let (files, node_folder) = ([one, other], domain.node_folder(node.id()));
-        Ok(Self { pool: None, retired: None, notifier, samples, files, node_folder, _node: node, _claim: claim })
+        let ids = [samples.unique_service_id(), event.unique_service_id()];
+        let [Some(list), Some(other_list)] =
+            ids.map(|id| SharedFile::find(domain, &format!("_{}.dynamic", id.value())))
+        else {
+            return Err(vanished());
+        };
+        let (files, lists, node_folder) = ([one, other], [list, other_list], domain.node_folder(node.id()));
+        Ok(Self { pool: None, retired: Vec::new(), notifier, samples, files, lists, node_folder, node, _claim: claim })
     }
 
     /// Makes room for sweeps of up to so many bytes.
-    pub(super) fn reserve(&mut self, domain: &Domain, bytes: usize) -> Result<(), PublishError> {
-        // The one before that goes first: a pool at a time is what the memory was made for.
-        self.retired = None;
-        self.retired = self.pool.take().map(|pool| (pool, Instant::now()));
-        self.pool = Some(Pool::create(&self.samples, domain, bytes)?);
-        Ok(())
+    pub(super) fn reserve(&mut self, domain: &Domain, bytes: usize) -> Result<Arc<Pool>, PublishError> {
+        self.retired.extend(self.pool.take());
+        self.tidy();
+        let pool = Arc::new(Pool::create(&self.samples, &self.notifier, domain, bytes)?);
+        Ok(Arc::clone(self.pool.insert(pool)))
     }
 
-    /// Whether another attempt to reserve finds more memory than the last one, which could not give this up.
-    pub(super) fn has_more_to_give_up(&self) -> bool {
-        self.retired.is_some()
-    }
-
-    pub(super) fn has_room(&self, bytes: usize) -> bool {
-        self.pool.as_ref().is_some_and(|pool| pool.sweep_bytes >= bytes)
-    }
-
-    /// Room for one sweep, and what wakes those that wait for it.
-    pub(super) fn loan(&self, bytes: usize) -> Result<(Loan, Arc<Notifier<Ipc>>), PublishError> {
-        let Some(pool) = &self.pool else { return Err(PublishError::NotShared) };
-        Ok((pool.loan(bytes)?, Arc::clone(&self.notifier)))
+    /// Bytes of the largest sweep that it has room for.
+    pub(super) fn sweep_bytes(&self) -> usize {
+        self.pool.as_ref().map_or(0, |pool| pool.sweep_bytes)
     }
 
     /// Consumers at the moment.
@@ -91,27 +96,60 @@ impl Service {
 
     /// Bytes of shared memory that it takes.
     pub(super) fn reserved_bytes(&self) -> u64 {
-        let retired = self.retired.as_ref().map(|(pool, _)| pool);
-        self.pool.iter().chain(retired).map(|pool| pool.reserved_bytes).sum()
+        self.pool.iter().chain(&self.retired).map(|pool| pool.reserved_bytes).sum()
     }
 
-    /// Whether consumers find it. A file that a consumer of the service before took with it is put back.
-    pub(super) fn is_findable(&self) -> bool {
-        let is_there = |file: &ServiceFile| match file.fate() {
-            Fate::Same => true,
-            Fate::Gone => file.restore().is_ok(),
-            Fate::Other => false,
-        };
-        self.node_folder.is_dir() && self.files.iter().all(is_there)
+    /// What consumers that come now would not find, if anything. A file of the service that a consumer of the one before took
+    /// with it is put back.
+    pub(super) fn missing(&self) -> Option<PathBuf> {
+        for file in &self.files {
+            let is_there = match file.fate() {
+                Fate::Same => true,
+                Fate::Gone => file.restore().is_ok(),
+                Fate::Other => false,
+            };
+            if !is_there {
+                return Some(file.path().to_owned());
+            }
+        }
+        if !self.node_folder.is_dir() {
+            return Some(self.node_folder.clone());
+        }
+        let pool = self.pool.as_ref().map(|pool| &pool.file);
+        let gone = self.lists.iter().chain(pool).find(|file| !file.is_there())?;
+        Some(gone.path().to_owned())
     }
 
-    /// What is to be done now and then: consumers that came are greeted, and a pool that nobody fills any more is given back.
+    /// Removes the files by which it is found, so that it is made anew and not opened with what is left of it.
+    pub(super) fn hide(&self) {
+        if self.lists.iter().any(|list| !list.is_there()) {
+            for file in &self.files {
+                let _ = std::fs::remove_file(file.path());
+            }
+        }
+    }
+
+    /// Brings consumers that came since into touch with the pool, and gives back pools that are filled no more.
     pub(super) fn tidy(&mut self) {
         if let Some(pool) = &self.pool {
             pool.greet();
         }
-        if self.retired.as_ref().is_some_and(|(_, since)| since.elapsed() >= RETIRED_FOR) {
-            self.retired = None;
+        self.retired.retain(|pool| Arc::strong_count(pool) > 1);
+    }
+
+    /// Cleans up after processes that died.
+    pub(super) fn clean_up(&self) {
+        self.node.try_cleanup_dead_nodes();
+    }
+}
+
+/// A node, once no other process is in the middle of making a file: that takes microseconds, and a second when it died then.
+fn node_when_possible(domain: &Domain, wanted: u64) -> Result<Node<Ipc>, PublishError> {
+    let begun = Instant::now();
+    loop {
+        match node(domain, wanted) {
+            Err(JoinError::Pending) if begun.elapsed() < 2 * ABANDONED_AFTER => std::thread::sleep(PENDING_PAUSE),
+            node => return Ok(node?),
         }
     }
 }
@@ -126,7 +164,7 @@ struct Claim {
 impl Claim {
     fn take(domain: &Domain, name: &ServiceName, settings: &Settings) -> Result<Self, PublishError> {
         let unusable =
-            |source: io::Error| PublishError::Domain(DomainError::Unusable { root: domain.root().to_owned(), source });
+            |source: io::Error| PublishError::from(DomainError::Unusable { root: domain.root().to_owned(), source });
         let mut options = File::options();
         let path = domain.claim_file(name);
         let file = options.create(true).truncate(false).write(true).mode(0o600).open(path).map_err(unusable)?;
@@ -173,7 +211,7 @@ fn open_samples(node: &Node<Ipc>, name: &ServiceName, settings: &Settings) -> Re
         if service.static_config().max_subscribers() == settings.max_consumers {
             return Ok(service);
         }
-        return Err(PublishError::Service { what: "it was made for another number of consumers".to_owned() });
+        return Err(PublishError::refused("it was made for another number of consumers"));
     }
     builder()
         .max_publishers(PUBLISHERS)
@@ -213,7 +251,7 @@ mod tests {
         let root = std::env::temp_dir().join(format!("sweepd-version-{}", std::process::id()));
         let domain = Domain::at(&root);
         domain.prepare().unwrap();
-        let node = node(&domain).unwrap();
+        let node = node(&domain, 0).unwrap();
         let name = service_name("roof").unwrap();
         let (key, value) = attribute(attributes::SCHEMA, "1000000").unwrap();
         let described = AttributeSpecifier::new().define(&key, &value).unwrap();
@@ -224,11 +262,11 @@ mod tests {
         assert!(matches!(error, ClientError::Subscribe(SubscribeError::OtherVersion { .. })), "{error}");
 
         let settings = Settings { name: "roof".to_owned(), max_consumers: 2, ..Settings::default() };
-        let service = Service::open(&domain, &settings).unwrap();
+        let service = Service::open(&domain, &settings, 0).unwrap();
         assert!(client.next(Duration::ZERO).unwrap().is_none() && client.is_connected());
         // Whoever held the other takes the file along, which is put back.
         drop(older);
-        assert!(service.is_findable() && service.is_findable());
+        assert!(service.missing().is_none() && service.missing().is_none());
         drop((client, service, node));
         for left in std::fs::read_dir(super::super::SHARED_MEMORY).unwrap().flatten() {
             if left.file_name().to_string_lossy().starts_with(&domain.prefix()) {

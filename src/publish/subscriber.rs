@@ -17,7 +17,8 @@ use iceoryx2::service::port_factory::publish_subscribe::PortFactory;
 use iceoryx2::service::static_config::messaging_pattern::MessagingPattern as Details;
 
 use super::files::{Fate, ServiceFile};
-use super::{BORROWED, Domain, DomainError, Ipc, Preamble, attributes, node, same_schema, sensor_name, service_name};
+use super::{BORROWED, Domain, DomainError, Ipc, JoinError, OVERHEAD_BYTES, Preamble, attributes, leftovers, node};
+use super::{same_schema, sensor_name, service_name};
 use crate::sweep::layout::{LAYOUT_VERSION, LayoutError};
 
 /// The longest that is slept at once: then it is looked whether everything is still there.
@@ -26,13 +27,15 @@ const LOOK_EVERY: Duration = Duration::from_millis(200);
 const LEAST: Duration = Duration::from_micros(100);
 /// How often it is looked for a service that is not there.
 const SEEK_EVERY: Duration = Duration::from_millis(50);
+/// How long places that consumers hold which died are waited for: the publisher cleans up after them each second.
+const FULL_FOR: Duration = Duration::from_secs(2);
 
 /// Why no sweeps can be had.
 #[derive(Debug, thiserror::Error)]
 pub enum SubscribeError {
-    /// The folder, or whose it is.
+    /// The folder, whose it is, or shared memory itself.
     #[error(transparent)]
-    Domain(#[from] DomainError),
+    Join(#[from] JoinError),
     /// No name of a service.
     #[error("`{name}` cannot be the name of a sensor: it is empty or too long")]
     Name {
@@ -79,17 +82,17 @@ pub enum SubscribeError {
     /// The program holds too many sweeps.
     #[error("this program holds {BORROWED} sweeps already, and no consumer may hold more; drop one first")]
     TooManyHeld,
-    /// iceoryx2 refuses.
-    #[error("shared memory: {what}")]
-    Service {
-        /// Its words.
-        what: String,
-    },
 }
 
 impl SubscribeError {
     fn service(error: impl std::fmt::Debug) -> Self {
-        Self::Service { what: format!("{error:?}") }
+        JoinError::Service { what: format!("{error:?}") }.into()
+    }
+}
+
+impl From<DomainError> for SubscribeError {
+    fn from(error: DomainError) -> Self {
+        JoinError::from(error).into()
     }
 }
 
@@ -101,6 +104,8 @@ pub struct Subscriber {
     service: ServiceName,
     open: Option<Open>,
     looked: Instant,
+    /// Since when the service has had no place for this consumer.
+    full_since: Option<Instant>,
     reopened: u64,
 }
 
@@ -111,7 +116,7 @@ struct Open {
     listener: Listener<Ipc>,
     service: PortFactory<Ipc, [u8], Preamble>,
     file: ServiceFile,
-    node: Node<Ipc>,
+    _node: Node<Ipc>,
 }
 
 /// The bytes of a sweep, in the memory that the daemon wrote them to. They stay as they are while this is held; what is held
@@ -164,7 +169,7 @@ impl Subscriber {
     pub fn new(domain: &Domain, name: &str) -> Result<Self, SubscribeError> {
         let service = service_name(name).ok_or_else(|| SubscribeError::Name { name: name.to_owned() })?;
         let (domain, name) = (domain.clone(), name.to_owned());
-        Ok(Self { domain, name, service, open: None, looked: Instant::now(), reopened: 0 })
+        Ok(Self { domain, name, service, open: None, looked: Instant::now(), full_since: None, reopened: 0 })
     }
 
     /// The next sweep; waits for it, and for the daemon if there is none, but at most `timeout`: less when the program handles
@@ -176,7 +181,7 @@ impl Subscriber {
         let deadline = Instant::now().checked_add(timeout);
         loop {
             if self.open.is_none() {
-                self.open = self.find()?;
+                self.open = self.find_unless_full()?;
             }
             let rest = deadline.map_or(LOOK_EVERY, |deadline| deadline.saturating_duration_since(Instant::now()));
             let Some(open) = &self.open else {
@@ -196,8 +201,8 @@ impl Subscriber {
                     self.reopened += 1;
                     continue;
                 }
-                // Of a daemon that crashed: nobody else cleans up.
-                open.node.try_cleanup_dead_nodes();
+                // By such a file another process may be held up, and with it the daemon.
+                leftovers::remove_unfinished(&self.domain);
             }
             if rest.is_zero() {
                 return Ok(None);
@@ -253,12 +258,16 @@ impl Subscriber {
     /// Names of the sensors that are published in a domain, or were until a crash.
     ///
     /// # Errors
-    /// [`SubscribeError::Domain`], and what the system says.
+    /// [`SubscribeError::Join`], and what the system says.
     pub fn names(domain: &Domain) -> Result<Vec<String>, SubscribeError> {
         if !domain.exists()? {
             return Ok(Vec::new());
         }
         set_log_level(LogLevel::Fatal);
+        // Services are opened for this, and one that is unfinished would hold it up.
+        if leftovers::remove_unfinished(domain) {
+            return Ok(Vec::new());
+        }
         let mut names = Vec::new();
         let note = |details: ServiceDetails<Ipc>| {
             names.extend(sensor_name(details.static_details.name().as_str()).map(str::to_owned));
@@ -271,6 +280,22 @@ impl Subscriber {
         Ok(names)
     }
 
+    /// Looks for the service. That it is full is an error only when it stays so: consumers that died hold their places for at
+    /// most a second.
+    fn find_unless_full(&mut self) -> Result<Option<Open>, SubscribeError> {
+        match self.find() {
+            Err(SubscribeError::Full { .. })
+                if self.full_since.get_or_insert_with(Instant::now).elapsed() < FULL_FOR =>
+            {
+                Ok(None)
+            }
+            found => {
+                self.full_since = None;
+                found
+            }
+        }
+    }
+
     /// Looks for the service: `None` when it is not there, or not yet whole.
     fn find(&self) -> Result<Option<Open>, SubscribeError> {
         if !self.domain.exists()? {
@@ -278,7 +303,10 @@ impl Subscriber {
         }
         let path = self.domain.service_file(&self.service, MessagingPattern::PublishSubscribe);
         let Some(file) = ServiceFile::read(&path) else { return Ok(None) };
-        let node = node(&self.domain).map_err(SubscribeError::service)?;
+        let node = match node(&self.domain, OVERHEAD_BYTES) {
+            Err(JoinError::Pending) => return Ok(None),
+            node => node?,
+        };
         let samples = node.service_builder(&self.service).publish_subscribe::<[u8]>().user_header::<Preamble>();
         let service = match samples.open_with_attributes(&same_schema()) {
             Ok(service) => service,
@@ -290,7 +318,7 @@ impl Subscriber {
             SubscriberCreateError::ExceedsMaxSupportedSubscribers => SubscribeError::Full { name: self.name.clone() },
             other => SubscribeError::service(other),
         })?;
-        Ok(Some(Open { samples: Arc::new(samples), listener, service, file, node }))
+        Ok(Some(Open { samples: Arc::new(samples), listener, service, file, _node: node }))
     }
 
     /// What waiting does not mend.

@@ -2,13 +2,16 @@
 
 #![allow(unsafe_code)]
 
+#[cfg(feature = "daemon")]
 use std::fs::File;
 use std::io;
 use std::mem::MaybeUninit;
+#[cfg(feature = "daemon")]
 use std::os::fd::AsRawFd;
 
 /// Takes all pages of a file (posix_fallocate(3)): where there are not enough, that is an error here and not a signal at the
 /// first write to one that is missing.
+#[cfg(feature = "daemon")]
 pub(super) fn take_pages(file: &File, bytes: u64) -> io::Result<()> {
     let bytes = libc::off_t::try_from(bytes).map_err(|_| io::ErrorKind::FileTooLarge)?;
     // SAFETY: the descriptor is open while the call lasts, and no memory of this program is passed.

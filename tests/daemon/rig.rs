@@ -84,7 +84,7 @@ impl Rig {
 impl Sharing for Rig {
     type Buffers = RigBuffers;
 
-    fn open(&self, sensor: &SensorConfig, _bytes: Option<usize>) -> Result<Way<RigBuffers>, SharingError> {
+    fn open(&self, sensor: &SensorConfig) -> Result<Way<RigBuffers>, SharingError> {
         if sensor.name == "unshareable" {
             return Err("no room in /dev/shm".into());
         }
@@ -115,13 +115,13 @@ impl AsMut<[u8]> for Sweep {
 }
 
 impl Outgoing for Sweep {
-    fn publish(self) -> Result<usize, SharingError> {
+    fn publish(self) -> Result<bool, SharingError> {
         let (fate, before) = (*self.rig.fate.lock().unwrap(), allocations());
         match fate {
             Fate::Sends => {
                 let _ = self.rig.sender.send((self.name, self.bytes));
                 self.rig.allocated.lock().unwrap().push((before, allocations()));
-                Ok(1)
+                Ok(true)
             }
             Fate::Hangs => loop {
                 std::thread::park();

@@ -24,10 +24,9 @@ pub fn sweep_bytes(sensor: &SensorConfig) -> RangeInclusive<usize> {
     least..=most
 }
 
-/// The same, where nothing is left for its packets to tell.
-pub fn exact_sweep_bytes(sensor: &SensorConfig) -> Option<usize> {
-    let range = sweep_bytes(sensor);
-    (range.start() == range.end()).then_some(*range.end())
+/// Whether its model is known before its packets tell it.
+pub fn is_model_known(sensor: &SensorConfig) -> bool {
+    possible_models(sensor.pipeline.model, sensor.pipeline.calibration.as_ref()).count() == 1
 }
 
 /// Bytes of shared memory that this sensor takes, as [`sweep_bytes`].
@@ -71,18 +70,17 @@ mod tests {
                 pipeline.push(&sent.datagram()).unwrap();
                 assert!(pipeline.poll().is_none());
             }
-            assert_eq!(exact_sweep_bytes(&config), Some(*asked.lock().unwrap()), "{model}");
+            let asked = *asked.lock().unwrap();
+            assert_eq!(sweep_bytes(&config), asked..=asked, "{model}");
         }
     }
 
     #[test]
-    fn nothing_is_reserved_for_what_is_not_known() {
+    fn a_pool_is_taken_beforehand_for_a_model_that_is_known() {
         let mut config = sensor("roof", "127.0.0.1", 2368);
         config.dual = Some(true);
-        assert_eq!(exact_sweep_bytes(&config), None);
+        assert!(!is_model_known(&config));
         (config.dual, config.pipeline.model) = (None, Some(Model::Vlp16));
-        assert_eq!(exact_sweep_bytes(&config), None);
-        config.pipeline.model = Some(Model::Hdl64eS2);
-        assert!(exact_sweep_bytes(&config).is_some());
+        assert!(is_model_known(&config) && sweep_bytes(&config).start() < sweep_bytes(&config).end());
     }
 }

@@ -1,0 +1,256 @@
+//! The thread that looks after the services of a publisher: it makes them and their pools, makes them anew when their files
+//! are gone, and cleans up after processes that died.
+//!
+//! ```text
+//! thread of a sensor   Loans::take -> Desk: the pool of the moment          a lock for the time of a copy
+//! keeper               open, reserve, look each second -> Desk              may take long, and delays no sensor
+//! ```
+//!
+//! iceoryx2 may wait without a limit for a file of a process that died ([`super::leftovers`]). A call of the keeper goes on
+//! as soon as another thread removes that file: those that wait for the keeper do, and [`Keeper::remove_unfinished`] is for a
+//! thread that looks after the process anyway.
+
+use std::sync::atomic::{AtomicUsize, Ordering};
+use std::sync::mpsc::{self, Receiver, RecvTimeoutError, Sender, SyncSender};
+use std::sync::{Arc, Mutex, PoisonError};
+use std::thread;
+use std::time::{Duration, Instant};
+
+use super::loans::{Loans, PublishError, Settings, Status};
+use super::pool::{Loan, Pool};
+use super::service::Service;
+use super::{Domain, JoinError, leftovers, pool_bytes};
+
+/// How often services are looked after.
+const LOOK_EVERY: Duration = Duration::from_secs(1);
+/// How long to wait for the keeper: longer than it takes to clean up after several processes that died.
+const PATIENCE: Duration = Duration::from_secs(5);
+/// The same where its work may be left undone: it goes on without the one who asked.
+const PATIENCE_AT_THE_END: Duration = Duration::from_millis(500);
+/// How often unfinished files are removed while the keeper is waited for.
+const REMOVE_EVERY: Duration = Duration::from_millis(100);
+
+/// Opens services in a domain and looks after them. A copy stands for the same thread, which ends with the last one.
+#[derive(Clone, Debug)]
+pub struct Keeper {
+    domain: Domain,
+    orders: Sender<Order>,
+}
+
+/// Where the thread of a sensor finds its pool.
+#[derive(Debug)]
+pub(super) struct Desk {
+    settings: Settings,
+    pool: Mutex<Option<Arc<Pool>>>,
+    /// Bytes of the newest sweep that no pool had room for.
+    wanted: AtomicUsize,
+    pub(super) status: Arc<Status>,
+}
+
+impl Desk {
+    /// Notes that there is no room for sweeps of so many bytes; whether that is new.
+    pub(super) fn want(&self, bytes: usize) -> bool {
+        self.wanted.swap(bytes, Ordering::Relaxed) != bytes
+    }
+
+    /// Room for one sweep; `None` where no pool has any for so many bytes.
+    pub(super) fn loan(&self, bytes: usize) -> Option<Result<(Loan, Arc<Pool>), PublishError>> {
+        let pool = self.pool.lock().unwrap_or_else(PoisonError::into_inner).clone()?;
+        (pool.sweep_bytes >= bytes).then(|| Ok((pool.loan(bytes)?, pool)))
+    }
+
+    fn set_pool(&self, pool: Option<Arc<Pool>>) {
+        *self.pool.lock().unwrap_or_else(PoisonError::into_inner) = pool;
+    }
+}
+
+/// What the keeper is asked, and where the answer goes.
+enum Order {
+    /// To open a service whose sweeps have at least so many bytes.
+    Open(Settings, usize, SyncSender<Result<Arc<Desk>, PublishError>>),
+    /// To make room for what is wanted.
+    Reserve(Arc<Desk>, Option<SyncSender<Result<(), PublishError>>>),
+    /// To close a service.
+    Close(Arc<Desk>, SyncSender<()>),
+}
+
+impl Keeper {
+    /// Starts the thread.
+    ///
+    /// # Errors
+    /// [`JoinError::Service`]: the system gives no thread.
+    pub fn new(domain: &Domain) -> Result<Self, PublishError> {
+        let (sender, orders) = mpsc::channel();
+        let work = Work { domain: domain.clone(), services: Vec::new() };
+        let started = thread::Builder::new().name("keeper".to_owned()).spawn(move || work.serve(&orders));
+        started.map_err(|error| JoinError::Service { what: format!("cannot start a thread: {error}") })?;
+        Ok(Self { domain: domain.clone(), orders: sender })
+    }
+
+    /// Opens the service of a sensor. `sweep_bytes` is what its sweeps have at least: memory that cannot hold the pool for
+    /// them is an error now. The pool itself comes with the first sweep, or with [`Loans::reserve`].
+    ///
+    /// # Errors
+    /// [`PublishError`].
+    pub fn open(&self, settings: &Settings, sweep_bytes: usize) -> Result<Loans, PublishError> {
+        let desk = self.ask(PATIENCE, |reply| Order::Open(settings.clone(), sweep_bytes, reply))??;
+        Ok(Loans::of(self.clone(), desk))
+    }
+
+    /// Removes files of shared memory that a process left unfinished a second ago or longer, by which another may be held up.
+    /// Takes microseconds; for a thread that looks around about once a second.
+    pub fn remove_unfinished(&self) {
+        leftovers::remove_unfinished(&self.domain);
+    }
+
+    /// Where its services are.
+    pub fn domain(&self) -> &Domain {
+        &self.domain
+    }
+
+    /// Makes room for what is wanted, and waits until it is there.
+    pub(super) fn reserve(&self, desk: &Arc<Desk>) -> Result<(), PublishError> {
+        self.ask(PATIENCE, |reply| Order::Reserve(Arc::clone(desk), Some(reply)))?
+    }
+
+    /// Has room made for what is wanted.
+    pub(super) fn reserve_soon(&self, desk: &Arc<Desk>) {
+        // A keeper that has ended is told by whoever waits for it.
+        let _ = self.orders.send(Order::Reserve(Arc::clone(desk), None));
+    }
+
+    pub(super) fn close(&self, desk: &Arc<Desk>) {
+        let _ = self.ask(PATIENCE_AT_THE_END, |reply| Order::Close(Arc::clone(desk), reply));
+    }
+
+    fn ask<T>(&self, patience: Duration, order: impl FnOnce(SyncSender<T>) -> Order) -> Result<T, PublishError> {
+        let (reply, answer) = mpsc::sync_channel(1);
+        let begun = Instant::now();
+        let mut is_open = self.orders.send(order(reply)).is_ok();
+        while is_open && begun.elapsed() < patience {
+            match answer.recv_timeout(REMOVE_EVERY) {
+                Ok(answer) => return Ok(answer),
+                Err(RecvTimeoutError::Timeout) => self.remove_unfinished(),
+                Err(RecvTimeoutError::Disconnected) => is_open = false,
+            }
+        }
+        Err(PublishError::Hangs { prefix: self.domain.prefix() })
+    }
+}
+
+/// What the keeper's thread holds.
+struct Work {
+    domain: Domain,
+    services: Vec<Kept>,
+}
+
+/// A service that is looked after.
+struct Kept {
+    desk: Arc<Desk>,
+    /// `None` while it cannot be made.
+    service: Option<Service>,
+}
+
+impl Work {
+    fn serve(mut self, orders: &Receiver<Order>) {
+        let mut looked = Instant::now();
+        loop {
+            match orders.recv_timeout(LOOK_EVERY.saturating_sub(looked.elapsed())) {
+                Ok(order) => self.obey(order),
+                Err(RecvTimeoutError::Timeout) => {
+                    looked = Instant::now();
+                    self.look();
+                }
+                Err(RecvTimeoutError::Disconnected) => return,
+            }
+        }
+    }
+
+    fn obey(&mut self, order: Order) {
+        // Who asked and has gone since needs no answer.
+        match order {
+            Order::Open(settings, sweep_bytes, reply) => {
+                let _ = reply.send(self.open(settings, sweep_bytes));
+            }
+            Order::Reserve(desk, reply) => {
+                let domain = &self.domain;
+                let kept = self.services.iter_mut().find(|kept| Arc::ptr_eq(&kept.desk, &desk));
+                let done = kept.map_or(Err(PublishError::NotShared), |kept| kept.make_room(domain));
+                if let Some(reply) = reply {
+                    let _ = reply.send(done);
+                }
+            }
+            Order::Close(desk, reply) => {
+                self.services.retain(|kept| !Arc::ptr_eq(&kept.desk, &desk));
+                let _ = reply.send(());
+            }
+        }
+    }
+
+    fn open(&mut self, settings: Settings, sweep_bytes: usize) -> Result<Arc<Desk>, PublishError> {
+        let service = Service::open(&self.domain, &settings, pool_bytes(settings.max_consumers, sweep_bytes))?;
+        let (pool, wanted, status) = (Mutex::default(), AtomicUsize::new(0), Arc::default());
+        let desk = Arc::new(Desk { settings, pool, wanted, status });
+        self.services.push(Kept { desk: Arc::clone(&desk), service: Some(service) });
+        Ok(desk)
+    }
+
+    fn look(&mut self) {
+        leftovers::remove_unfinished(&self.domain);
+        leftovers::remove_remains(&self.domain);
+        for kept in &mut self.services {
+            kept.look(&self.domain);
+        }
+        // One cleans up for all.
+        if let Some(service) = self.services.iter().find_map(|kept| kept.service.as_ref()) {
+            service.clean_up();
+        }
+    }
+}
+
+impl Kept {
+    fn look(&mut self, domain: &Domain) {
+        if let Some(missing) = self.service.as_ref().and_then(Service::missing) {
+            self.close();
+            self.desk.status.set_renewed(format!("{} was deleted", missing.display()));
+        }
+        // What fails is told by the status, and tried again at the next look.
+        let _ = self.make_room(domain);
+        if let Some(service) = &mut self.service {
+            service.tidy();
+            self.desk.status.set_use(service.consumers(), service.reserved_bytes());
+        }
+    }
+
+    /// Takes the service from the sensor, and removes what is left of it.
+    fn close(&mut self) {
+        self.desk.set_pool(None);
+        if let Some(service) = self.service.take() {
+            service.hide();
+        }
+    }
+
+    /// Makes the service and its pool, as far as they are not there.
+    fn make_room(&mut self, domain: &Domain) -> Result<(), PublishError> {
+        let done = self.try_make_room(domain);
+        match &done {
+            Ok(()) => self.desk.status.set_well(),
+            Err(error) => self.desk.status.set_trouble(error),
+        }
+        done
+    }
+
+    fn try_make_room(&mut self, domain: &Domain) -> Result<(), PublishError> {
+        let wanted = self.desk.wanted.load(Ordering::Relaxed);
+        let service = match &mut self.service {
+            Some(service) => service,
+            none => none.insert(Service::open(domain, &self.desk.settings, 0)?),
+        };
+        if service.sweep_bytes() < wanted {
+            let pool = service.reserve(domain, wanted)?;
+            self.desk.set_pool(Some(pool));
+            self.desk.status.set_use(service.consumers(), service.reserved_bytes());
+        }
+        Ok(())
+    }
+}
