@@ -204,7 +204,8 @@ fn slow_stuck_and_greedy_consumers_delay_nobody() {
     assert!(longest < Duration::from_millis(500), "{longest:?}");
     assert_eq!((loans.status().consumers(), loans.status().unshared()), (4, 0));
     drop(stuck);
-    let error = [client(&own), Client::within(&own.domain(), "roof").unwrap()][1].next(Duration::ZERO).unwrap_err();
+    // Places of consumers that died are given back within a second: it takes longer to tell that all are taken.
+    let error = [client(&own), Client::within(&own.domain(), "roof").unwrap()][1].next(SOON).unwrap_err();
     assert!(error.to_string().contains("max_consumers"), "{error}");
 }
 
@@ -353,16 +354,18 @@ fn a_pool_that_was_outgrown_is_given_back() {
     let mut loans = loans(&own, 1);
     publish(&mut loans, 1);
     let pools = || own.shared_memory().iter().filter(|file| file.to_string_lossy().ends_with(".data")).count();
-    numbered(&mut loans, 2, 5000).publish().unwrap();
+    let out = numbered(&mut loans, 2, 1000);
+    numbered(&mut loans, 3, 5000).publish().unwrap();
     let both = loans.status().reserved_bytes();
-    assert_eq!(pools(), 2);
+    // Longer than the keeper needs to look around.
+    std::thread::sleep(Duration::from_millis(1500));
+    assert_eq!((pools(), loans.status().reserved_bytes()), (2, both));
+    out.publish().unwrap();
     let begun = Instant::now();
-    while pools() > 1 {
-        publish(&mut loans, 3);
+    while pools() > 1 || loans.status().reserved_bytes() == both {
         std::thread::sleep(Duration::from_millis(50));
         assert!(begun.elapsed() < Duration::from_secs(10));
     }
-    assert!(begun.elapsed() > Duration::from_secs(1) && loans.status().reserved_bytes() < both);
     numbered(&mut loans, 4, 5000).publish().unwrap();
     assert_eq!(loans.status().unshared(), 0);
 }

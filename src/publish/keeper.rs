@@ -214,12 +214,11 @@ impl Kept {
             self.close();
             self.desk.status.set_renewed(format!("{} was deleted", missing.display()));
         }
-        // What fails is told by the status, and tried again at the next look.
-        let _ = self.make_room(domain);
         if let Some(service) = &mut self.service {
             service.tidy();
-            self.desk.status.set_use(service.consumers(), service.reserved_bytes());
         }
+        // What fails is told by the status, and tried again at the next look.
+        let _ = self.make_room(domain);
     }
 
     /// Takes the service from the sensor, and removes what is left of it.
@@ -233,6 +232,9 @@ impl Kept {
     /// Makes the service and its pool, as far as they are not there.
     fn make_room(&mut self, domain: &Domain) -> Result<(), PublishError> {
         let done = self.try_make_room(domain);
+        if let Some(service) = &self.service {
+            self.desk.status.set_use(service.consumers(), service.reserved_bytes());
+        }
         match &done {
             Ok(()) => self.desk.status.set_well(),
             Err(error) => self.desk.status.set_trouble(error),
@@ -247,9 +249,9 @@ impl Kept {
             none => none.insert(Service::open(domain, &self.desk.settings, 0)?),
         };
         if service.sweep_bytes() < wanted {
-            let pool = service.reserve(domain, wanted)?;
-            self.desk.set_pool(Some(pool));
-            self.desk.status.set_use(service.consumers(), service.reserved_bytes());
+            // The pool before goes first: there is memory for one.
+            self.desk.set_pool(None);
+            self.desk.set_pool(Some(service.reserve(domain, wanted)?));
         }
         Ok(())
     }
