@@ -22,8 +22,10 @@
 #include <string>
 #include <utility>
 
+#include <dirent.h>
 #include <pwd.h>
 #include <sys/stat.h>
+#include <sys/statvfs.h>
 #include <unistd.h>
 
 namespace {
@@ -103,10 +105,56 @@ std::string user_name(uid_t uid) {
 /// Whether the folder is there. One of another user is an error: it would silently deliver nothing.
 bool check_owner(const std::string& root) {
     struct stat folder {};
-    if (stat(root.c_str(), &folder) != 0) return false;
+    // A link of another user is not followed.
+    if (lstat(root.c_str(), &folder) != 0) return false;
+    if (folder.st_uid == geteuid() && stat(root.c_str(), &folder) != 0) return false;
     if (folder.st_uid == geteuid()) return true;
     throw std::runtime_error(root + " belongs to user " + user_name(folder.st_uid) + ", this program runs as " +
                              user_name(geteuid()) + ": sweeps are shared within one user alone");
+}
+
+/// Whether a file of shared memory belongs to a folder: the prefix, 40 hexadecimal digits, and the rest. (The prefix of the
+/// usual folders is the beginning of all others.)
+bool is_named(const std::string& file, const std::string& prefix) {
+    const size_t end = prefix.size() + 40;
+    return file.size() > end && file.compare(0, prefix.size(), prefix) == 0 && file[end] == '_' &&
+           file.find_first_not_of("0123456789abcdef", prefix.size()) == end;
+}
+
+/// Whether iceoryx2 can be called now. It would wait for ever for a file that a process left empty when it died, and a page
+/// that is missing would end this program without a word. The daemon removes such files within a second or two.
+bool is_shared_memory_ready(const std::string& root) {
+    const std::string shared_memory = "/dev/shm";
+    const unsigned long long wanted = 256 * 1024;
+    struct statvfs room {};
+    if (statvfs(shared_memory.c_str(), &room) != 0) throw std::runtime_error("cannot look at " + shared_memory);
+    const unsigned long long free = static_cast<unsigned long long>(room.f_bavail) * room.f_frsize;
+    if (free < wanted) {
+        throw std::runtime_error(shared_memory + " has " + std::to_string(free) + " bytes free and " +
+                                 std::to_string(wanted) + " are needed, " + std::to_string(wanted - free) +
+                                 " more: make it larger (mount -o remount,size=1G " + shared_memory +
+                                 ", or --shm-size for a container) or free some");
+    }
+    bool is_ready = true;
+    DIR* folder = opendir(shared_memory.c_str());
+    if (folder == nullptr) throw std::runtime_error("cannot look into " + shared_memory);
+    const std::string of_root = prefix(root);
+    while (const dirent* entry = readdir(folder)) {
+        const std::string path = shared_memory + "/" + entry->d_name;
+        struct stat file {};
+        if (!is_named(entry->d_name, of_root) || lstat(path.c_str(), &file) != 0) continue;
+        if (file.st_uid != geteuid() && path.find(".global_mgmt") != std::string::npos) {
+            throw std::runtime_error(path + " belongs to user " + user_name(file.st_uid) +
+                                     " and stands where a file of this user must be: have it removed");
+        }
+        if (file.st_uid == geteuid() && (file.st_size == 0 || (file.st_mode & S_IRUSR) == 0)) {
+            const bool is_abandoned = time(nullptr) - file.st_ctime > 1;
+            if (is_abandoned) unlink(path.c_str());
+            is_ready = is_ready && is_abandoned;
+        }
+    }
+    closedir(folder);
+    return is_ready;
 }
 
 /// The bytes of a file, or nothing where there is none.
@@ -124,9 +172,11 @@ int main(int argc, char** argv) {
         std::printf("%s\n", prefix(argv[2]).c_str());
         return 0;
     }
-    if (argc == 3 && std::string(argv[1]) == "--owner") {
+    if (argc == 3 && (std::string(argv[1]) == "--owner" || std::string(argv[1]) == "--ready")) {
         try {
-            std::printf("%s\n", check_owner(argv[2]) ? "this user's" : "not there");
+            const bool asks_owner = std::string(argv[1]) == "--owner";
+            const char* is_or_not[] = {"not there", "this user's", "not ready", "ready"};
+            std::printf("%s\n", is_or_not[asks_owner ? check_owner(argv[2]) : 2 + is_shared_memory_ready(argv[2])]);
             return 0;
         } catch (const std::runtime_error& error) {
             std::fprintf(stderr, "consumer: %s\n", error.what());
@@ -196,6 +246,10 @@ Config config_of(const std::string& root) {
     if (!path.has_value() || !name.has_value()) throw std::runtime_error(root + " cannot be the root of iceoryx2");
     config.global().set_root_path(path.value());
     config.global().set_prefix(name.value());
+    // The daemon does that, on a thread that may wait.
+    config.global().node().set_cleanup_dead_nodes_on_creation(false);
+    config.global().node().set_cleanup_dead_nodes_on_destruction(false);
+    config.global().service().set_cleanup_dead_nodes_on_open(false);
     return config;
 }
 
@@ -211,7 +265,7 @@ auto open_samples(const Node<ServiceType::Ipc>& node, const ServiceName& name) {
 
 /// The service, or nothing while it is not there. Throws for what waiting does not mend.
 std::unique_ptr<Open> find(const std::string& root, const std::string& sensor) {
-    if (!check_owner(root)) return nullptr;
+    if (!check_owner(root) || !is_shared_memory_ready(root)) return nullptr;
     auto node = NodeBuilder()
                     .config(config_of(root))
                     .signal_handling_mode(SignalHandlingMode::Disabled)
@@ -274,11 +328,7 @@ void follow(const std::string& root, const std::string& sensor) {
         }
         while (found->is_current()) {
             receive_all(*found, sensor);
-            const auto woken = found->listener.timed_wait([](auto) -> void {}, look_every);
-            if (!woken.has_value() || woken.value() == 0) {
-                // In vain: perhaps a daemon crashed, and nobody else cleans up.
-                (void)Node<ServiceType::Ipc>::try_cleanup_dead_nodes(found->node.config());
-            }
+            (void)found->listener.timed_wait([](auto) -> void {}, look_every);
         }
     }
 }

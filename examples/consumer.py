@@ -33,6 +33,8 @@ import ctypes
 import json
 import os
 import pwd
+import re
+import stat
 import sys
 import time
 
@@ -91,6 +93,13 @@ assert (HEADER.itemsize, COLUMN.itemsize, BEAM.itemsize, SEGMENT.itemsize) == (4
 # a service that is not there.
 LOOK_EVERY_S = 0.2
 SEEK_EVERY_S = 0.1
+# A file that is unfinished for so long has no maker any more.
+ABANDONED_AFTER_S = 1.0
+# How long places of consumers that died are waited for.
+FULL_FOR_S = 2.0
+SHARED_MEMORY = "/dev/shm"
+# What iceoryx2 needs there for a consumer, with room to spare.
+OVERHEAD_BYTES = 256 * 1024
 # The shortest that is slept: less than a microsecond would be for ever, since the socket is told whole ones.
 LEAST_S = 0.0001
 # Sweeps that a consumer may hold.
@@ -147,7 +156,10 @@ def prefix(root):
 def check_owner(root):
     """Whether the folder is there; one of another user is an error, since that would silently deliver nothing."""
     try:
-        owner = os.stat(root).st_uid
+        # A link of another user is not followed.
+        owner = os.lstat(root).st_uid
+        if owner == os.geteuid():
+            owner = os.stat(root).st_uid
     except FileNotFoundError:
         return False
     except OSError as error:
@@ -165,6 +177,39 @@ def check_owner(root):
             f"{root} belongs to user {name(owner)}, this program runs as {name(own)}: sweeps are shared within one user "
             f"alone. Run it as {name(owner)} (`sudo -u {name(owner)} ...`, or `User={name(owner)}` in its systemd unit)")
     return True
+
+
+def is_shared_memory_ready(root):
+    """Whether iceoryx2 can be called now. It would wait for ever for a file that a process left empty when it died, and a
+    page that is missing would end this program without a word. The daemon removes such files within a second or two."""
+    free = os.statvfs(SHARED_MEMORY)
+    free = free.f_bavail * free.f_frsize
+    if free < OVERHEAD_BYTES:
+        raise SweepdError(
+            f"{SHARED_MEMORY} has {free} bytes free and {OVERHEAD_BYTES} are needed, {OVERHEAD_BYTES - free} more: make it "
+            f"larger (`mount -o remount,size=1G {SHARED_MEMORY}`, or --shm-size for a container) or free some")
+    is_ready = True
+    # The prefix of the usual folders is the beginning of all others.
+    name_of_root = re.compile(prefix(root) + "[0-9a-f]{40}_")
+    for entry in os.scandir(SHARED_MEMORY):
+        if not name_of_root.match(entry.name):
+            continue
+        try:
+            status = entry.stat(follow_symlinks=False)
+        except FileNotFoundError:
+            continue
+        if status.st_uid != os.geteuid():
+            if entry.name.endswith(".global_mgmt"):
+                raise SweepdError(
+                    f"{entry.path} belongs to user number {status.st_uid} and stands where a file of this user must be: "
+                    f"have it removed (`sudo rm {entry.path}`)")
+            continue
+        is_unfinished = status.st_size == 0 or not status.st_mode & stat.S_IRUSR
+        if is_unfinished and time.time() - status.st_ctime >= ABANDONED_AFTER_S:
+            os.unlink(entry.path)
+        elif is_unfinished:
+            is_ready = False
+    return is_ready
 
 
 class _Memory:
@@ -344,6 +389,7 @@ class Sensor:
         self._open = None
         self._file = None
         self._looked = time.monotonic()
+        self._full_since = None
         # What fails is an exception here; iceoryx2 would write it to standard error as well.
         iox2.set_log_level(iox2.LogLevel.Fatal)
 
@@ -402,8 +448,6 @@ class Sensor:
                     self._open = None
                     self.reopened += 1
                     continue
-                # Of a daemon that crashed: nobody else cleans up.
-                self._open.node.try_cleanup_dead_nodes()
             if rest == 0.0:
                 return None
             try:
@@ -425,11 +469,15 @@ class Sensor:
 
     def _find(self):
         """Looks for the service: None when it is not there, or not yet whole."""
-        if not check_owner(self.root):
+        if not check_owner(self.root) or not is_shared_memory_ready(self.root):
             return None
         config = iox2.config.default()
         config.global_cfg.root_path = iox2.Path.new(self.root)
         config.global_cfg.prefix = iox2.FileName.new(prefix(self.root))
+        # The daemon does that, on a thread that may wait.
+        config.global_cfg.node.cleanup_dead_nodes_on_creation = False
+        config.global_cfg.node.cleanup_dead_nodes_on_destruction = False
+        config.global_cfg.service.cleanup_dead_nodes_on_open = False
         try:
             builder = iox2.NodeBuilder.new().config(config).signal_handling_mode(iox2.SignalHandlingMode.Disabled)
             node = builder.create(iox2.ServiceType.Ipc)
@@ -440,6 +488,7 @@ class Sensor:
             service = self._samples(node)
             event = node.service_builder(self._service_name).event().open()
             subscriber = service.subscriber_builder().create()
+            self._full_since = None
             return _Open(node, service, event.listener_builder().create(), subscriber, self._file, content)
         except (iox2.PublishSubscribeOpenError, iox2.SubscriberCreateError, iox2.EventOpenError) as error:
             self._explain(repr(error), error, config)
@@ -475,6 +524,10 @@ class Sensor:
                 f"`{self.name}` is published through another version of iceoryx2 than this program's: install the one that "
                 "docs/layout.md of the sweepd on this host names") from error
         if any(word in said for word in ("ExceedsMaxNumberOfNodes", "ExceedsMaxSupportedSubscribers")):
+            # Consumers that died hold their places until the daemon has cleaned up, which it does each second.
+            self._full_since = self._full_since or time.monotonic()
+            if time.monotonic() - self._full_since < FULL_FOR_S:
+                return
             raise SweepdError(
                 f"`{self.name}` has as many consumers as it has room for; raise max_consumers of the sensor, or stop one"
             ) from error
