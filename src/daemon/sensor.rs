@@ -60,6 +60,8 @@ pub struct Sensor<B: Buffers> {
     dropped_before: u64,
     second_look_ns: Option<i64>,
     is_shared: bool,
+    /// A sweep that is complete, whose shared memory is still being taken, and when it was completed (CLOCK_MONOTONIC).
+    held: Option<(B::Buffer, i64)>,
 }
 
 /// Who a sensor is and whom it tells what.
@@ -99,6 +101,7 @@ impl<B: Buffers<Buffer: Outgoing>> Sensor<B> {
             dropped_before: 0,
             second_look_ns: None,
             is_shared: true,
+            held: None,
         })
     }
 
@@ -146,8 +149,9 @@ impl<B: Buffers<Buffer: Outgoing>> Sensor<B> {
         self.pipeline.segment_early();
     }
 
-    /// Brings the counters up to date, after a batch.
+    /// Brings the counters up to date, after a batch, and sends what was held.
     pub fn tell(&mut self) {
+        self.publish_held();
         let mut counts = self.counted;
         counts += self.pipeline.counts();
         self.counters.set(&counts);
@@ -198,9 +202,31 @@ impl<B: Buffers<Buffer: Outgoing>> Sensor<B> {
         header.complete(&Completion { name, run_ns, completed_ns, completed_monotonic_ns, dropped_datagrams });
         self.dropped_before = dropped;
         self.count(header);
-        let sent = sweep.publish();
-        self.counters.stage(Stage::Send).note((monotonic_ns() - completed_monotonic_ns) as u64);
-        self.note_sharing(sent.map_err(|error| error.to_string()));
+        self.publish_held();
+        self.publish(sweep, completed_monotonic_ns);
+    }
+
+    /// Sends a sweep, or holds it while there is no memory to send it by.
+    fn publish(&mut self, sweep: B::Buffer, completed_monotonic_ns: i64) {
+        match sweep.publish() {
+            Ok(None) => {
+                self.counters.stage(Stage::Send).note((monotonic_ns() - completed_monotonic_ns) as u64);
+                self.note_sharing(Ok(()));
+            }
+            Ok(Some(sweep)) => {
+                // One is held at most: the newest.
+                if self.held.replace((sweep, completed_monotonic_ns)).is_some() {
+                    self.counters.unshared.add(1);
+                }
+            }
+            Err(error) => self.note_sharing(Err(error.to_string())),
+        }
+    }
+
+    fn publish_held(&mut self) {
+        if let Some((sweep, completed_monotonic_ns)) = self.held.take() {
+            self.publish(sweep, completed_monotonic_ns);
+        }
     }
 
     fn count(&self, header: &Header) {
@@ -220,16 +246,11 @@ impl<B: Buffers<Buffer: Outgoing>> Sensor<B> {
     }
 
     /// Tells once that sweeps go nowhere, and once that they do again.
-    fn note_sharing(&mut self, sent: Result<bool, String>) {
+    fn note_sharing(&mut self, sent: Result<(), String>) {
         let was_shared = std::mem::replace(&mut self.is_shared, sent.is_ok());
         match sent {
-            Ok(true) if !was_shared => self.report(Event::SharedAgain),
-            Ok(true) => {}
-            // Its memory is on the way, for one of the next.
-            Ok(false) => {
-                self.counters.unshared.add(1);
-                self.is_shared = was_shared;
-            }
+            Ok(()) if !was_shared => self.report(Event::SharedAgain),
+            Ok(()) => {}
             Err(why) => {
                 self.counters.unshared.add(1);
                 if was_shared {

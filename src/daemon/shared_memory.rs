@@ -2,7 +2,7 @@
 
 use super::config::{SensorConfig, memory};
 use super::sharing::{Outgoing, Sharing, SharingError, SharingStatus, Way};
-use crate::publish::{Keeper, Loans, PublishError, Settings, Slot, Status};
+use crate::publish::{Keeper, Loans, Settings, Slot, Status};
 use crate::sensor::Model;
 
 impl Sharing for Keeper {
@@ -32,12 +32,11 @@ impl Sharing for Keeper {
 }
 
 impl Outgoing for Slot {
-    fn publish(self) -> Result<bool, SharingError> {
-        match Slot::publish(self) {
-            Ok(_) => Ok(true),
-            Err(PublishError::Preparing) => Ok(false),
-            Err(error) => Err(error.into()),
+    fn publish(self) -> Result<Option<Self>, SharingError> {
+        if self.is_early() {
+            return Ok(Some(self));
         }
+        Ok(Slot::publish(self).map(|_| None)?)
     }
 }
 

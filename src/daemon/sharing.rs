@@ -28,12 +28,14 @@ pub trait Sharing {
 
 /// A sweep that can be sent.
 pub trait Outgoing: AsRef<[u8]> + AsMut<[u8]> + Send + 'static {
-    /// Sends it and wakes consumers that wait. Returns whether it was sent: `false` while the memory for sweeps is still being
-    /// taken.
+    /// Sends it and wakes consumers that wait. Gives it back while the memory for sweeps is still being taken: it can be sent
+    /// later.
     ///
     /// # Errors
     /// Why no consumer could get it. Never that one is slow.
-    fn publish(self) -> Result<bool, SharingError>;
+    fn publish(self) -> Result<Option<Self>, SharingError>
+    where
+        Self: Sized;
 }
 
 /// A sensor's way out.

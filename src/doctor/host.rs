@@ -43,7 +43,7 @@ fn interfaces() -> Vec<Interface> {
 }
 
 fn root_trouble(domain: &Domain) -> Option<RootTrouble> {
-    let exists = match domain.exists() {
+    let exists = match domain.exists().and_then(|exists| domain.check_occupied().map(|()| exists)) {
         Ok(exists) => exists,
         Err(error) => return Some(RootTrouble::Unusable(error.to_string())),
     };

@@ -199,7 +199,7 @@ impl Domain {
     ///
     /// # Errors
     /// [`DomainError::Occupied`].
-    pub(super) fn check_occupied(&self) -> Result<(), DomainError> {
+    pub fn check_occupied(&self) -> Result<(), DomainError> {
         for entry in self.shared_memory() {
             if !is_counter(&entry) {
                 continue;

@@ -59,6 +59,10 @@ impl Desk {
         (pool.sweep_bytes >= bytes).then(|| Ok((pool.loan(bytes)?, pool)))
     }
 
+    pub(super) fn has_pool(&self) -> bool {
+        self.pool.lock().unwrap_or_else(PoisonError::into_inner).is_some()
+    }
+
     fn set_pool(&self, pool: Option<Arc<Pool>>) {
         *self.pool.lock().unwrap_or_else(PoisonError::into_inner) = pool;
     }

@@ -313,6 +313,14 @@ impl Slot {
         }
     }
 
+    /// Whether the pool for it is still being made: it finds its way to the consumers when it is published a little later.
+    pub fn is_early(&self) -> bool {
+        let Memory::Own(OwnMemory { desk: Some(desk), why: PublishError::Preparing, .. }) = &self.memory else {
+            return false;
+        };
+        !desk.has_pool() && !self.status.is_troubled.load(Ordering::Relaxed)
+    }
+
     /// Whether its memory is shared.
     pub fn is_shared(&self) -> bool {
         matches!(self.memory, Memory::Shared(..))

@@ -72,7 +72,11 @@ def make_writeable(array):
 
 def follow(name, root, folder):
     sensor = consumer.Sensor(name, root)
-    say(ready=sensor.next(0.0) is None and sensor.is_connected)
+    ready = sensor.next(0.0) is None
+    # Where there is no place, that is an error after two seconds.
+    while not sensor.is_connected:
+        sensor.next(0.1)
+    say(ready=ready)
     for line in sys.stdin:
         sweep = sensor.next(float(line))
         if sweep is None:
@@ -117,7 +121,11 @@ def refuse(name, root):
 
 def hold(name, root):
     sensor = consumer.Sensor(name, root)
-    say(ready=sensor.next(0.0) is None and sensor.is_connected)
+    ready = sensor.next(0.0) is None
+    # Where there is no place, that is an error after two seconds.
+    while not sensor.is_connected:
+        sensor.next(0.1)
+    say(ready=ready)
     # Of the first sweep only an array of beams is kept.
     kept = sensor.next(5.0).beams[3:]
     gc.collect()

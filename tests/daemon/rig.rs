@@ -115,13 +115,13 @@ impl AsMut<[u8]> for Sweep {
 }
 
 impl Outgoing for Sweep {
-    fn publish(self) -> Result<bool, SharingError> {
+    fn publish(self) -> Result<Option<Self>, SharingError> {
         let (fate, before) = (*self.rig.fate.lock().unwrap(), allocations());
         match fate {
             Fate::Sends => {
                 let _ = self.rig.sender.send((self.name, self.bytes));
                 self.rig.allocated.lock().unwrap().push((before, allocations()));
-                Ok(true)
+                Ok(None)
             }
             Fate::Hangs => loop {
                 std::thread::park();

@@ -67,7 +67,7 @@ impl AsMut<[u8]> for Open {
 }
 
 impl Outgoing for Open {
-    fn publish(self) -> Result<bool, SharingError> {
+    fn publish(self) -> Result<Option<Self>, SharingError> {
         let header = SweepRef::open(self.bytes.as_ref())?.header;
         let sweep = Sweep {
             sensor: self.sensor,
@@ -77,7 +77,7 @@ impl Outgoing for Open {
             is_partial: header.has(PARTIAL),
         };
         self.sweeps.send(sweep)?;
-        Ok(true)
+        Ok(None)
     }
 }
 
