@@ -306,6 +306,25 @@ mod tests {
     }
 
     #[test]
+    fn a_link_of_ones_own_is_followed_and_a_folder_open_to_all_is_not_safe() {
+        let folder = std::env::temp_dir().join(format!("sweepd-way-{}", std::process::id()));
+        fs::create_dir_all(folder.join("open/iox2")).unwrap();
+        let open = |mode| fs::set_permissions(folder.join("open"), fs::Permissions::from_mode(mode)).unwrap();
+        std::os::unix::fs::symlink("open/../open", folder.join("link")).unwrap();
+        std::os::unix::fs::symlink("round", folder.join("round")).unwrap();
+        open(0o777);
+        let error = Domain::at(folder.join("link/iox2")).exists().unwrap_err().to_string();
+        assert!(error.contains("/open, which every user may write to"), "{error}");
+        for mode in [0o1777, 0o755] {
+            open(mode);
+            assert!(Domain::at(folder.join("link/iox2")).exists().unwrap());
+            assert!(!Domain::at(folder.join("link/other")).exists().unwrap());
+        }
+        assert!(matches!(Domain::at(folder.join("round/iox2")).exists(), Err(DomainError::Unusable { .. })));
+        fs::remove_dir_all(folder).unwrap();
+    }
+
+    #[test]
     fn a_folder_of_another_user_is_refused_with_both_names() {
         // Whoever runs this is not the owner of both: /proc/1 is root's, nobody's are rare.
         let own = own_uid();

@@ -50,6 +50,8 @@ impl ServiceFile {
         use std::os::unix::fs::PermissionsExt;
         // Whole at once, for who reads it meanwhile; as readable as iceoryx2 makes it.
         let beside = self.path.with_extension("restored");
+        // One that was killed here may have left it, closed to writing.
+        let _ = fs::remove_file(&beside);
         fs::write(&beside, &self.content)?;
         fs::set_permissions(&beside, fs::Permissions::from_mode(0o400))?;
         fs::rename(beside, &self.path)
