@@ -116,6 +116,11 @@ impl World {
         child.wait().unwrap();
     }
 
+    /// The folder of its shared memory, unless the configuration names another.
+    pub fn root(&self) -> &std::path::Path {
+        self.own.root()
+    }
+
     pub fn pid(&self) -> u32 {
         self.daemon.as_ref().unwrap().id()
     }
