@@ -10,12 +10,17 @@ const LEFT_KIB: [u32; 5] = [0, 4, 8, 16, 64];
 /// What an error about memory holds.
 const PARTS: [&str; 3] = ["/dev/shm has", "free", "needs"];
 
-/// A script that fills /dev/shm but for this room.
+/// A script that fills /dev/shm but for this room; again, if what an ended program held was given back meanwhile.
 fn fill(left_kib: u32) -> String {
     format!(
-        "dd if=/dev/zero of=/dev/shm/other bs=4k 2>/dev/null || true\n\
+        "free() {{ df --output=avail -k /dev/shm | tail -1; }}\n\
+         for attempt in 1 2 3 4 5; do\n\
+         dd if=/dev/zero of=/dev/shm/other bs=4k 2>/dev/null || true\n\
          truncate -s -{left_kib}K /dev/shm/other\n\
-         test $(df --output=avail -k /dev/shm | tail -1) = {left_kib}\n"
+         sleep 0.2\n\
+         if [ $(free) = {left_kib} ]; then break; fi\n\
+         done\n\
+         test $(free) = {left_kib}\n"
     )
 }
 
