@@ -30,7 +30,7 @@ fn fault(name: &str, args: &[&str], parts: &[&str]) -> Option<String> {
     let Some(status) = ended else { return Some(format!("{name}: `sweepd {}` goes on: {said}", args[0])) };
     let errors: Vec<&str> = said.lines().filter(|line| line.starts_with("error: ")).collect();
     let has = |part: &&str| errors.len() == 1 && errors[0].contains(*part);
-    let is_told = parts.iter().all(has) && ["remove", "--root", "sudo ", "rm "].iter().any(has);
+    let is_told = parts.iter().all(has) && ["remove", "--root", "SWEEPD_ROOT", "sudo "].iter().any(has);
     let is_right = status.code() == Some(1) && is_told;
     (!is_right).then(|| {
         format!("{name}: `sweepd {}` ended with {status}, want one error with {parts:?} and a cure: {said}", args[0])

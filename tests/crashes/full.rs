@@ -8,7 +8,7 @@ use crate::world::{World, binary, can_unshare};
 /// Room that is left, KiB.
 const LEFT_KIB: [u32; 5] = [0, 4, 8, 16, 64];
 /// What an error about memory holds.
-const PARTS: [&str; 3] = ["/dev/shm has", "free", "needs"];
+const PARTS: [&str; 4] = ["/dev/shm has", "bytes free", "needed", " more"];
 
 /// A script that fills /dev/shm but for this room; again, if what an ended program held was given back meanwhile.
 fn fill(left_kib: u32) -> String {

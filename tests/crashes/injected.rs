@@ -1,16 +1,16 @@
 //! SIGKILL at every call by which a program makes, fills, names or removes a file, with strace(1).
 
-use std::collections::HashMap;
-use std::fs;
+use std::collections::{BTreeMap, HashMap};
 use std::os::unix::process::ExitStatusExt;
 use std::process::{Command, Stdio};
 use std::sync::atomic::{AtomicUsize, Ordering};
 use std::time::{Duration, Instant};
+use std::{fmt, fs};
 
 use crate::common::skip;
 use crate::domain::clear;
 use crate::setup::{Process, Setup, Watch};
-use crate::{Robot, SETTLE, files};
+use crate::{Robot, SETTLE, files, no_more};
 
 /// The calls; not every machine has those with a question mark.
 const CALLS: &str = "openat,ftruncate,fchmod,?fchmodat,?chmod,write,?rename,?renameat,renameat2,bind,?unlink,unlinkat,\
@@ -44,13 +44,23 @@ impl Victim {
 }
 
 /// A call of a victim.
-#[derive(Clone, Debug)]
+#[derive(Debug)]
 struct Point {
     /// What the name of its thread begins with; `None` for the first thread.
     thread: Option<String>,
     call: String,
     /// How many such calls of this thread it is, from 1 on.
     number: usize,
+    /// Ending of the name of its file, for messages.
+    kind: String,
+}
+
+impl fmt::Display for Point {
+    fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
+        let Self { thread, call, number, kind } = self;
+        let thread = thread.as_deref().unwrap_or("the first thread");
+        write!(f, "{call} number {number} of {thread}, on a file .{kind}")
+    }
 }
 
 fn has_strace() -> bool {
@@ -65,7 +75,7 @@ fn has_strace() -> bool {
 /// `sweepd` as the child of this process, with strace beside it.
 fn traced(setup: &Setup, victim: Victim, strace: &[&str]) -> Process {
     let mut command = Command::new("strace");
-    command.args(["-D", "-f", "-Y", "-o", setup.path("strace").to_str().unwrap()]).args(strace);
+    command.args(["-D", "-f", "-Y", "-y", "-o", setup.path("strace").to_str().unwrap()]).args(strace);
     command.arg(env!("CARGO_BIN_EXE_sweepd")).args(victim.args(setup)).stdout(Stdio::null());
     Process::spawn(command, &setup.path("victim.log"))
 }
@@ -92,11 +102,15 @@ fn points(robot: &Robot, victim: Victim) -> Vec<Point> {
         *number += 1;
         // What is opened without being made, and what is printed, leaves nothing behind.
         let is_harmless = name == "openat" && !arguments.contains("O_CREAT")
-            || name == "write" && (arguments.starts_with("1,") || arguments.starts_with("2,"));
+            || name == "write" && (arguments.starts_with("1<") || arguments.starts_with("2<"));
         if !is_harmless {
             // Behind the space stands the number of a port.
             let thread = (pid != first).then(|| thread.split(' ').next().unwrap().to_owned());
-            points.push(Point { thread, call: name.to_owned(), number: *number });
+            // A descriptor has its path behind it, in brackets; else the path is the first text.
+            let is_descriptor = arguments.starts_with(|first: char| first.is_ascii_digit());
+            let path = if is_descriptor { arguments.split(['<', '>']).nth(1) } else { arguments.split('"').nth(1) };
+            let kind = path.and_then(|path| path.rsplit(['.', '/']).next()).unwrap_or_default().to_owned();
+            points.push(Point { thread, call: name.to_owned(), number: *number, kind });
         }
     }
     points
@@ -120,7 +134,7 @@ const CATCH: &str = "pid=$1 name=$2; shift 2
 
 /// Starts a victim that is killed when it comes to a point; gives whether it was.
 fn strike(setup: &Setup, victim: Victim, point: &Point) -> Result<bool, String> {
-    let Point { thread, call, number } = point;
+    let Point { thread, call, number, .. } = point;
     let trace = ["-e", &format!("trace={call}"), "-e", &format!("inject={call}:signal=SIGKILL:when={number}")];
     let mut _catcher = None;
     let mut process = match thread {
@@ -161,7 +175,7 @@ fn make_room(robot: &mut Robot, victim: Victim) -> Result<(), String> {
 struct Round {
     robot: Robot,
     kills: usize,
-    files_after_few: Option<usize>,
+    files_after_few: Option<BTreeMap<String, usize>>,
 }
 
 impl Round {
@@ -194,10 +208,7 @@ impl Round {
         std::thread::sleep(SETTLE);
         let now = files(&self.robot.setup);
         self.robot.end()?;
-        match self.files_after_few {
-            Some(few) if now > few => Err(format!("{few} files after {FEW} kills, {now} after {}", self.kills)),
-            _ => Ok(()),
-        }
+        self.files_after_few.map_or(Ok(()), |few| no_more(&few, &now))
     }
 }
 
@@ -220,7 +231,7 @@ fn kill_everywhere(victim: Victim, rounds: usize, stride: usize) {
             let mut round = Round::start();
             for point in points.iter().skip(number).step_by(rounds) {
                 if let Err(error) = round.kill(victim, point) {
-                    faults.push(format!("{victim:?} killed at {point:?}: {error}\n{}", round.robot.logs()));
+                    faults.push(format!("{victim:?} killed before {point}: {error}\n{}", round.robot.logs()));
                     killed.fetch_add(round.kills, Ordering::Relaxed);
                     round = Round::start();
                 }

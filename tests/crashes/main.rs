@@ -18,7 +18,8 @@ mod setup;
 #[path = "../resource/world.rs"]
 mod world;
 
-use std::path::Path;
+use std::collections::BTreeMap;
+use std::fs;
 use std::time::{Duration, Instant};
 
 use setup::{Process, Setup, Watch};
@@ -60,7 +61,10 @@ impl Robot {
     /// The same, where this many sweeps tell that the daemon publishes.
     fn check_with(&self, since: Instant, sweeps: usize) -> Result<(), String> {
         if !self.steady.gets(sweeps, since, LIMIT) {
-            return Err("the consumer that was connected gets no sweeps".to_owned());
+            let late = self.steady.gets(sweeps, since, setup::SOON).then(|| since.elapsed());
+            let late =
+                late.map_or_else(|| format!("nor within {:?}", setup::SOON), |late| format!("but after {late:.1?}"));
+            return Err(format!("the consumer gets no sweeps within {LIMIT:?}, {late}"));
         }
         let (begun, mut new) = (Instant::now(), Watch::start(&self.setup));
         if !new.gets(1, begun, LIMIT) {
@@ -77,17 +81,29 @@ impl Robot {
 
     /// What the programs said.
     fn logs(&self) -> String {
-        let watch = std::fs::read_to_string(self.setup.path("watch.log")).unwrap_or_default();
+        let watch = fs::read_to_string(self.setup.path("watch.log")).unwrap_or_default();
         let last = |text: &str| text.lines().rev().take(6).collect::<Vec<_>>().join("\n    ");
         format!("daemon, last line first:\n    {}\nconsumers:\n    {}", last(&self.setup.log()), last(&watch))
     }
 }
 
-/// Files of a domain: in its folder, and in shared memory.
-fn files(setup: &Setup) -> usize {
-    fn within(folder: &Path) -> usize {
-        let entries = std::fs::read_dir(folder).into_iter().flatten().flatten();
-        entries.map(|entry| 1 + within(&entry.path())).sum()
+/// How many files of each kind a domain has, in its folder and in shared memory; a kind is the ending of a name.
+fn files(setup: &Setup) -> BTreeMap<String, usize> {
+    let mut files = BTreeMap::new();
+    let mut left = setup.own.shared_memory();
+    left.push(setup.own.root().to_owned());
+    while let Some(path) = left.pop() {
+        let kind = path.extension().unwrap_or_default().to_string_lossy().into_owned();
+        *files.entry(kind).or_default() += 1;
+        left.extend(fs::read_dir(path).into_iter().flatten().flatten().map(|entry| entry.path()));
     }
-    within(setup.own.root()) + setup.own.shared_memory().len()
+    files
+}
+
+/// Fails if there are more files than there were before.
+fn no_more(before: &BTreeMap<String, usize>, after: &BTreeMap<String, usize>) -> Result<(), String> {
+    if after.values().sum::<usize>() > before.values().sum() {
+        return Err(format!("the files grow:\n{before:?} before,\n{after:?} after"));
+    }
+    Ok(())
 }
