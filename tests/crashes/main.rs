@@ -29,12 +29,12 @@ const LIMIT: Duration = Duration::from_secs(2);
 /// How long the living programs may take to remove what the dead left.
 const SETTLE: Duration = Duration::from_secs(3);
 
-/// A daemon with a sensor that sends all the time, and a consumer that stays.
+/// A daemon with a sensor that sends all the time, and a consumer that stays. Dropped in this order: the files go last.
 struct Robot {
-    setup: Setup,
     daemon: Process,
     steady: Watch,
     _sensor: Process,
+    setup: Setup,
 }
 
 impl Robot {
@@ -48,7 +48,7 @@ impl Robot {
         let sensor = Process::start(&args, &setup.path("sensor.log"));
         let (begun, daemon, steady) = (Instant::now(), setup.daemon(), Watch::start(&setup));
         assert!(steady.gets(1, begun, setup::SOON), "no sweep at the start: {}", setup.log());
-        Self { setup, daemon, steady, _sensor: sensor }
+        Self { daemon, steady, _sensor: sensor, setup }
     }
 
     /// Checks that the consumer that was there gets sweeps after a moment, that a new consumer does, and that this one ends
