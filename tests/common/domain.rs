@@ -40,7 +40,8 @@ impl Drop for Own {
     }
 }
 
-fn shared_memory(domain: &Domain) -> Vec<PathBuf> {
+/// The files of a domain in /dev/shm.
+pub fn shared_memory(domain: &Domain) -> Vec<PathBuf> {
     let prefix = domain.prefix();
     let files = std::fs::read_dir("/dev/shm").unwrap().map(|entry| entry.unwrap().path());
     files.filter(|path| path.file_name().unwrap().to_string_lossy().starts_with(&prefix)).collect()

@@ -14,7 +14,7 @@ use sweepd::pipeline::{Config, Pipeline, Untimed};
 use sweepd::sweep::{HeapBuffers, SweepRef};
 
 use crate::same::same;
-use crate::{Process, Setup};
+use crate::setup::{Process, Setup};
 
 /// What must be the same, by sensor time: all of a sweep but what the layout names as the host's.
 type Sweeps = BTreeMap<i64, Vec<u8>>;

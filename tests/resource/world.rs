@@ -51,7 +51,7 @@ impl World {
     /// Writes the configuration: a VLP-16 at 127.0.0.1, with more lines of the sensor and of the whole.
     pub fn configure(&self, sensor: &str, whole: &str) {
         let Self { port, http, .. } = self;
-        let root = self.own.root().display();
+        let root = self.root().display();
         let bind = if sensor.contains("bind =") { "" } else { "bind = \"127.0.0.1\"\n" };
         let address = if sensor.contains("address =") { "" } else { "address = \"127.0.0.1\"\n" };
         let root = if sensor.contains("root =") || whole.contains("root =") {
@@ -114,6 +114,11 @@ impl World {
         let child = self.others.iter_mut().find(|child| child.id() == id).unwrap();
         child.kill().unwrap();
         child.wait().unwrap();
+    }
+
+    /// The folder of its shared memory, unless the configuration names another.
+    pub fn root(&self) -> &std::path::Path {
+        self.own.root()
     }
 
     pub fn pid(&self) -> u32 {
