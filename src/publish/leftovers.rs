@@ -35,33 +35,40 @@ pub(super) fn remove_unfinished(domain: &Domain) -> bool {
     is_pending
 }
 
-/// Removes the files of services and nodes that were never completed, and sockets whose shared memory is gone. For the one
+/// Removes the files of services and nodes that were never completed, and listeners whose node is gone. For the one
 /// process that looks after the domain.
 #[cfg(feature = "daemon")]
 pub(super) fn remove_remains(domain: &Domain) {
     // A service's file is written, and then closed to writing.
     for entry in entries(&domain.services()) {
         if let Ok(metadata) = entry.metadata()
-            && metadata.mode() & OWNER_WRITE != 0
+            && is_half_written(&metadata)
         {
             remove_if_abandoned(&entry, &metadata);
         }
     }
-    remove_sockets(domain);
+    remove_listeners(domain);
     remove_nodes(domain);
 }
 
-/// A listener has a socket, and a file of shared memory that is made before and removed after it.
+/// Whether the file of a service is not complete: its maker closes it to writing at last.
 #[cfg(feature = "daemon")]
-fn remove_sockets(domain: &Domain) {
-    let managed: Vec<String> = domain.shared_memory().map(|entry| name_of(&entry)).collect();
-    for entry in entries(domain.root()) {
+pub(super) fn is_half_written(metadata: &Metadata) -> bool {
+    metadata.mode() & OWNER_WRITE != 0
+}
+
+/// A listener has a file of shared memory and a socket. Its node has a tag of its number, which is made before both and removed
+/// after them. iceoryx2 leaves both where a process died before its service knew of the listener.
+#[cfg(feature = "daemon")]
+fn remove_listeners(domain: &Domain) {
+    let nodes = entries(&domain.nodes()).map(|entry| entry.path());
+    let tags: Vec<String> = nodes.flat_map(|node| entries(&node)).map(|entry| name_of(&entry)).collect();
+    for entry in domain.shared_memory().chain(entries(domain.root())) {
         let name = name_of(&entry);
-        let Some(id) = name.strip_suffix(".event").and_then(|name| name.strip_prefix(&domain.prefix())) else {
-            continue;
-        };
-        let ending = format!("_{id}.event_mgmt");
-        if !managed.iter().any(|name| name.ends_with(&ending))
+        let number = name.strip_suffix(".event_mgmt").or_else(|| name.strip_suffix(".event"));
+        let Some((_, number)) = number.and_then(|name| name.rsplit_once('_')) else { continue };
+        let tag = format!("_{number}.port_tag");
+        if !tags.iter().any(|name| name.ends_with(&tag))
             && let Ok(metadata) = entry.metadata()
         {
             remove_if_abandoned(&entry, &metadata);

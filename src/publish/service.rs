@@ -59,20 +59,9 @@ impl Service {
         let node = node_when_possible(domain, pool_bytes.saturating_add(OVERHEAD_BYTES))?;
         // What died before holds places in the service.
         node.try_cleanup_dead_nodes();
-        let (samples, event) = open_both(&node, &name, domain, settings)?;
+        let Opened { samples, event, files, lists } = open_whole(&node, &name, domain, settings)?;
         let notifier = Arc::new(event.notifier_builder().create().map_err(PublishError::service)?);
-        let vanished = || PublishError::refused("the files of the service vanished at once");
-        let [Some(one), Some(other)] = PATTERNS.map(|pattern| ServiceFile::read(&domain.service_file(&name, pattern)))
-        else {
-            return Err(vanished());
-        };
-        let ids = [samples.unique_service_id(), event.unique_service_id()];
-        let [Some(list), Some(other_list)] =
-            ids.map(|id| SharedFile::find(domain, &format!("_{}.dynamic", id.value())))
-        else {
-            return Err(vanished());
-        };
-        let (files, lists, node_folder) = ([one, other], [list, other_list], domain.node_folder(node.id()));
+        let node_folder = domain.node_folder(node.id());
         Ok(Self { pool: None, retired: Vec::new(), notifier, samples, files, lists, node_folder, node, _claim: claim })
     }
 
@@ -176,20 +165,36 @@ impl Claim {
     }
 }
 
+/// Both halves of a service, and their files.
+struct Opened {
+    samples: Samples,
+    event: Event,
+    files: [ServiceFile; 2],
+    lists: [SharedFile; 2],
+}
+
 /// Opens the service that consumers of the daemon before still hold, or makes it.
 ///
-/// What is there and does not fit is made anew: files that a crash left in part, the layout of another version, room for
-/// fewer consumers than are allowed now. It is nobody's but this publisher's, who has the claim; consumers see that its
-/// file is another, and come along.
-fn open_both(
+/// Files that do not fit are removed, and the service is made anew: those that a crash left in part, those of another layout
+/// version, those with room for fewer consumers than are allowed now. They belong to this publisher alone, which has the claim.
+/// Consumers see that the file is another, and follow. One that leaves the service before may remove a new file by its
+/// name, so there are several attempts.
+fn open_whole(
     node: &Node<Ipc>,
     name: &ServiceName,
     domain: &Domain,
     settings: &Settings,
-) -> Result<(Samples, Event), PublishError> {
+) -> Result<Opened, PublishError> {
+    for pattern in PATTERNS {
+        let path = domain.service_file(name, pattern);
+        // iceoryx2 would wait a second for its maker, who is dead: this publisher has the claim.
+        if std::fs::symlink_metadata(&path).is_ok_and(|metadata| leftovers::is_half_written(&metadata)) {
+            let _ = std::fs::remove_file(path);
+        }
+    }
     let mut attempt = 1;
     loop {
-        match open_samples(node, name, settings).and_then(|samples| Ok((samples, open_event(node, name, settings)?))) {
+        match open_both(node, name, domain, settings) {
             Err(_) if attempt < ATTEMPTS => attempt += 1,
             done => return done,
         }
@@ -197,6 +202,23 @@ fn open_both(
             let _ = std::fs::remove_file(domain.service_file(name, pattern));
         }
     }
+}
+
+fn open_both(
+    node: &Node<Ipc>,
+    name: &ServiceName,
+    domain: &Domain,
+    settings: &Settings,
+) -> Result<Opened, PublishError> {
+    let samples = open_samples(node, name, settings)?;
+    let event = open_event(node, name, settings)?;
+    let files = PATTERNS.map(|pattern| ServiceFile::read(&domain.service_file(name, pattern)));
+    let ids = [samples.unique_service_id(), event.unique_service_id()];
+    let lists = ids.map(|id| SharedFile::find(domain, &format!("_{}.dynamic", id.value())));
+    let ([Some(one), Some(other)], [Some(list), Some(other_list)]) = (files, lists) else {
+        return Err(PublishError::refused("the files of the service vanished at once"));
+    };
+    Ok(Opened { samples, event, files: [one, other], lists: [list, other_list] })
 }
 
 fn open_samples(node: &Node<Ipc>, name: &ServiceName, settings: &Settings) -> Result<Samples, PublishError> {

@@ -298,11 +298,13 @@ impl Subscriber {
 
     /// Looks for the service: `None` when it is not there, or not yet whole.
     fn find(&self) -> Result<Option<Open>, SubscribeError> {
-        if !self.domain.exists()? {
-            return Ok(None);
-        }
+        let is_there = self.domain.exists()?;
         let path = self.domain.service_file(&self.service, MessagingPattern::PublishSubscribe);
-        let Some(file) = ServiceFile::read(&path) else { return Ok(None) };
+        let Some(file) = ServiceFile::read(&path).filter(|_| is_there) else {
+            // By such a file a daemon could not start: waiting does not mend it.
+            self.domain.check_occupied()?;
+            return Ok(None);
+        };
         let node = match node(&self.domain, OVERHEAD_BYTES) {
             Err(JoinError::Pending) => return Ok(None),
             node => node?,
