@@ -244,7 +244,6 @@ impl Domain {
     }
 
     /// The folder of the nodes.
-    #[cfg(feature = "daemon")]
     pub(super) fn nodes(&self) -> PathBuf {
         self.root.join(Config::default().global.node.directory.to_string())
     }
@@ -263,8 +262,13 @@ impl Domain {
         self.root.join(format!("{}{}.claim", self.prefix(), hash.as_str()))
     }
 
+    /// The socket by which a listener is woken.
+    pub(super) fn event_socket(&self, listener: u128) -> PathBuf {
+        let ending = Config::default().global.service.event_connection_suffix;
+        self.root.join(format!("{}{listener}{ending}", self.prefix()))
+    }
+
     /// The folder of a node, there as long as others can find it.
-    #[cfg(feature = "daemon")]
     pub(super) fn node_folder(&self, node: &iceoryx2::identifiers::UniqueNodeId) -> PathBuf {
         self.nodes().join(node.value().to_string())
     }

@@ -187,8 +187,9 @@ fn open_whole(
 ) -> Result<Opened, PublishError> {
     for pattern in PATTERNS {
         let path = domain.service_file(name, pattern);
+        let is_half_written = std::fs::symlink_metadata(&path).is_ok_and(|it| leftovers::is_half_written(&it));
         // iceoryx2 would wait a second for its maker, who is dead: this publisher has the claim.
-        if std::fs::symlink_metadata(&path).is_ok_and(|metadata| leftovers::is_half_written(&metadata)) {
+        if is_half_written || lacks_list(name, domain, pattern) {
             let _ = std::fs::remove_file(path);
         }
     }
@@ -204,6 +205,17 @@ fn open_whole(
     }
 }
 
+/// Whether the list of who takes part in a service is gone, or was never made.
+fn lacks_list(name: &ServiceName, domain: &Domain, pattern: MessagingPattern) -> bool {
+    let details = <Ipc as iceoryx2::service::Service>::details(name, &domain.config(), pattern);
+    let Ok(Some(details)) = details else { return false };
+    find_list(domain, details.static_details.unique_service_id().value()).is_none()
+}
+
+fn find_list(domain: &Domain, service: u128) -> Option<SharedFile> {
+    SharedFile::find(domain, &format!("_{service}.dynamic"))
+}
+
 fn open_both(
     node: &Node<Ipc>,
     name: &ServiceName,
@@ -214,7 +226,7 @@ fn open_both(
     let event = open_event(node, name, settings)?;
     let files = PATTERNS.map(|pattern| ServiceFile::read(&domain.service_file(name, pattern)));
     let ids = [samples.unique_service_id(), event.unique_service_id()];
-    let lists = ids.map(|id| SharedFile::find(domain, &format!("_{}.dynamic", id.value())));
+    let lists = ids.map(|id| find_list(domain, id.value()));
     let ([Some(one), Some(other)], [Some(list), Some(other_list)]) = (files, lists) else {
         return Err(PublishError::refused("the files of the service vanished at once"));
     };

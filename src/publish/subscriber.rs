@@ -2,6 +2,7 @@
 //! files were deleted.
 
 use std::fmt::Display;
+use std::path::PathBuf;
 use std::sync::Arc;
 use std::time::{Duration, Instant};
 
@@ -116,6 +117,8 @@ struct Open {
     listener: Listener<Ipc>,
     service: PortFactory<Ipc, [u8], Preamble>,
     file: ServiceFile,
+    /// By which the daemon finds this consumer.
+    own_files: [PathBuf; 2],
     _node: Node<Ipc>,
 }
 
@@ -320,7 +323,8 @@ impl Subscriber {
             SubscriberCreateError::ExceedsMaxSupportedSubscribers => SubscribeError::Full { name: self.name.clone() },
             other => SubscribeError::service(other),
         })?;
-        Ok(Some(Open { samples: Arc::new(samples), listener, service, file, _node: node }))
+        let own_files = [self.domain.node_folder(node.id()), self.domain.event_socket(listener.id().value())];
+        Ok(Some(Open { samples: Arc::new(samples), listener, service, file, own_files, _node: node }))
     }
 
     /// What waiting does not mend.
@@ -379,8 +383,8 @@ impl Open {
         }
     }
 
-    /// Whether the service that was opened is the one that others find.
+    /// Whether the service that was opened is the one that others find, and this consumer is found as well.
     fn is_current(&self) -> bool {
-        self.file.fate() == Fate::Same
+        self.file.fate() == Fate::Same && self.own_files.iter().all(|file| file.exists())
     }
 }
