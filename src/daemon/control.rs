@@ -13,7 +13,7 @@ use tokio::time::{Interval, MissedTickBehavior, interval_at};
 use tracing::{error, info, warn};
 
 use super::config::Config;
-use super::counters::SensorCounters;
+use super::counters::{Reject, SensorCounters};
 use super::health::{self, View};
 use super::notify::{Notifier, Pulse, beat};
 use super::runtime::{DaemonError, Runtime};
@@ -147,6 +147,8 @@ struct Control {
     hanging: Vec<usize>,
     /// Ports whose interfaces are gone, as told last.
     gone: Vec<usize>,
+    /// Ports of which it was told that position packets reach no sensor.
+    ambiguous: Vec<usize>,
     notifier: Notifier,
     view: Arc<Mutex<View>>,
 }
@@ -175,6 +177,7 @@ impl Control {
             period: beat(watchdog),
             hanging: Vec::new(),
             gone: Vec::new(),
+            ambiguous: Vec::new(),
             notifier,
             view,
         }
@@ -232,6 +235,7 @@ impl Control {
         }
         self.hanging = hanging;
         self.look_at_interfaces();
+        self.look_at_positions();
         self.tell();
         Ok(())
     }
@@ -246,6 +250,21 @@ impl Control {
             info!("port {}: its interface is back", self.port(index));
         }
         self.gone = gone;
+    }
+
+    /// Tells once of a port that position packets come through it that reach no sensor.
+    fn look_at_positions(&mut self) {
+        for (index, port) in self.runtime.ports.iter().enumerate() {
+            if port.counters.rejected(Reject::Ambiguous) > 0 && !self.ambiguous.contains(&index) {
+                self.ambiguous.push(index);
+                warn!(
+                    "port {}: position packets reach no sensor: {} share an address, and nothing tells whose they are; give \
+                     each its own `position_port`, or the port that it sends from, as in address = \"192.168.1.201:2368\"",
+                    port.name,
+                    port.sharing_an_address.join(" and ")
+                );
+            }
+        }
     }
 
     fn hear_events(&mut self) {

@@ -13,12 +13,12 @@ use sweepd::daemon::{DaemonError, Runtime};
 use sweepd::pipeline::{self, Notice, Pipeline, Untimed};
 use sweepd::sensor::Model;
 use sweepd::sweep::buffers::HeapBuffer;
-use sweepd::sweep::layout::TimeSource;
+use sweepd::sweep::layout::{TimeSource, flags};
 use sweepd::sweep::{HeapBuffers, SweepRef};
 use sweepd::wire::data::ReturnMode;
 use sweepd::wire::{DataPacket, Datagram};
 
-use crate::rig::{Fate, Rig, Sending, Sent, config, free_port, sensor, stream, until};
+use crate::rig::{Fate, Rig, Sending, Sent, config, cool_stream_without_gps, free_port, sensor, stream, until};
 
 const SINGLE: ReturnMode = ReturnMode::Strongest;
 
@@ -214,6 +214,38 @@ fn three_sensors_on_three_ports_get_their_position_packets_from_a_fourth() {
     runtime.stop().unwrap();
 }
 
+/// The sources of time of the whole sweeps of a sensor.
+fn time_sources(sweeps: &[HeapBuffer]) -> Vec<TimeSource> {
+    let headers = sweeps.iter().map(|sweep| SweepRef::open(sweep.as_ref()).unwrap().header);
+    headers.filter(|header| !header.has(flags::PARTIAL)).map(|header| header.time_source()).collect()
+}
+
+/// Behind one address, as of a router: only one of them has a GPS receiver, and the other is cooler.
+#[test]
+fn two_sensors_at_one_address_keep_their_gps_and_their_temperature_apart() {
+    let (rig, sweeps) = Rig::new();
+    let ports = [(); 2].map(|()| (free_port(), free_port()));
+    let both = config(vec![sensor("left", 34, ports[0]), sensor("right", 34, ports[1])]);
+    let runtime = Runtime::start(&both, &rig, &mut Tees::default()).unwrap();
+    let streams = [stream(Model::Vlp16, SINGLE, 12.0), cool_stream_without_gps(12.0)];
+    let [left, right] = [0, 1].map(|index| Sending::start(34, ports[index], streams[index].clone()));
+    left.finish();
+    right.finish();
+    let [left, right] = [0, 1].map(|index| &runtime.sensors[index].counters);
+    for (counters, stream) in [left, right].into_iter().zip(&streams) {
+        let positions = stream.iter().filter(|sent| !sent.is_data).count() as u64;
+        until("all positions are taken", || counters.position.get() == positions);
+        until("the sweeps are there", || counters.sweeps.get() >= 11);
+    }
+    assert_eq!((left.gps(), left.temperature_c()), (Some(Gps::Locked), Some(43)));
+    assert_eq!((right.gps(), right.temperature_c()), (Some(Gps::Absent), Some(20)));
+    let got = by_sensor(&sweeps);
+    let [left, right] = ["left", "right"].map(|name| time_sources(&got[name]));
+    assert!(left.len() >= 10 && left.iter().all(|&source| source == TimeSource::Gps), "{left:?}");
+    assert!(right.len() >= 10 && right.iter().all(|&source| source == TimeSource::Host), "{right:?}");
+    runtime.stop().unwrap();
+}
+
 #[test]
 fn foreign_datagrams_change_nothing_but_a_counter() {
     const RANDOM: u64 = 100_000;
@@ -241,7 +273,7 @@ fn foreign_datagrams_change_nothing_but_a_counter() {
     }
     until("five were refused", || rejected() == 5);
     let by_reason = Reject::ALL.map(|reason| counters.rejected(reason));
-    assert_eq!(by_reason, [1, 1, 0, 2, 1]);
+    assert_eq!(by_reason, [1, 1, 0, 2, 1, 0]);
 
     let mut rng = fastrand::Rng::with_seed(7);
     let mut bytes = [0; 1400];
