@@ -279,6 +279,14 @@ impl Control {
                     watcher.unhindered();
                     info!("{name}: calibrated by its own packets, the first {packets} of them");
                 }
+                Event::Notice(Notice::OtherCalibration { .. })
+                    if self.config.sensors[index].pipeline.calibration.is_none() =>
+                {
+                    warn!(
+                        "{name}: the calibration in its packets is no longer the one in use, as if another unit had taken its \
+                         place; a reload takes it"
+                    );
+                }
                 Event::Notice(Notice::OtherCalibration { differences }) => warn!(
                     "{name}: its calibration file is not that of this unit, it differs in {} values; compare them with \
                      `sweepd calib`",

@@ -168,7 +168,9 @@ impl<B: Buffers<Buffer: Outgoing>> Sensor<B> {
 
     fn begin_anew(&mut self, config: pipeline::Config) -> Result<(), ConfigError> {
         let fresh = Pipeline::new(&self.address, config.clone(), self.buffers.clone(), Monotonic)?;
-        self.counted += std::mem::replace(&mut self.pipeline, fresh).counts();
+        let before = std::mem::replace(&mut self.pipeline, fresh);
+        self.counted += before.counts();
+        self.pipeline.expect_unit(before.into_unit());
         self.config = config;
         self.run_ns = realtime_ns();
         self.second_look_ns = None;

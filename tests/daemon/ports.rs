@@ -170,6 +170,32 @@ fn an_hdl64e_tells_its_calibration_and_then_streams() {
 }
 
 #[test]
+fn an_hdl64e_without_a_file_streams_on_over_a_reload() {
+    let (rig, sweeps) = Rig::new();
+    let one = config(vec![sensor("roof", 30, (0, 0))]);
+    let runtime = Runtime::start(&one, &rig, &mut Tees::default()).unwrap();
+    let port = runtime.ports[0].local.port();
+    let _sending = Sending::start(30, (port, port), stream(Model::Hdl64eS2, SINGLE, 30.0));
+    let counters = &runtime.sensors[0].counters;
+    until("it streams", || counters.steady_sweeps.get() >= 2);
+    let not_ready = || counters.undecoded().find(|(reason, _)| *reason == "not_ready").unwrap().1;
+    let (waited, partial) = (not_ready(), counters.partial_sweeps.get());
+    let mut other = one.sensors[0].pipeline.clone();
+    other.segment.theta_rad = 0.2;
+    runtime.reconfigure(0, other);
+    let sweeps_then = counters.sweeps.get();
+    until("it streams again", || counters.sweeps.get() >= sweeps_then + 4);
+    assert_eq!(not_ready(), waited, "all packets are decoded");
+    assert!(counters.partial_sweeps.get() - partial <= 1, "the first one of the new configuration");
+    let headers: Vec<_> = sweeps.try_iter().map(|(_, sweep)| *SweepRef::open(sweep.as_ref()).unwrap().header).collect();
+    assert!(headers[0].run_ns < headers.last().unwrap().run_ns, "it was taken");
+    // By the sensor's clock: each sweep takes 0.1 s.
+    let gaps_ns = headers.windows(2).map(|pair| pair[1].sensor_time_ns - pair[0].sensor_time_ns);
+    assert!(gaps_ns.clone().all(|ns| ns < 250_000_000), "{:?}", gaps_ns.collect::<Vec<_>>());
+    runtime.stop().unwrap();
+}
+
+#[test]
 fn a_sensor_of_the_wrong_model_may_be_exchanged_for_the_right_one() {
     let (rig, sweeps) = Rig::new();
     let mut one = sensor("roof", 29, (0, 0));
