@@ -124,7 +124,7 @@ pub enum Gps {
     Absent = 1,
     /// One of them, or the clock does not follow yet.
     Incomplete = 2,
-    /// The clock follows the pulse, and the time is valid.
+    /// The clock follows the pulse, or is said to by `gps_without_pps`, and the time is valid.
     Locked = 3,
 }
 

@@ -15,7 +15,7 @@ use crate::sensor::unit::{Said, Unit};
 use crate::sensor::{Calibration, Model};
 use crate::sweep::Buffers;
 use crate::sweep::builder::{Builder, Settings};
-use crate::sweep::clock::{Clocks, SensorClock};
+use crate::sweep::clock::{Clocks, SensorClock, vouched_utc_ns};
 use crate::sweep::decode::Decoder;
 use crate::sweep::motion::{TURN, rate_between};
 use crate::sweep::order::{Order, Packet, Refusal};
@@ -245,12 +245,14 @@ impl<B: Buffers, W: Stopwatch> Pipeline<B, W> {
     pub(super) fn position(&mut self, datagram: &Datagram<'_>) {
         self.counts.position += 1;
         let Ok(position) = Position::parse(datagram.payload) else { return };
-        match &mut self.state {
-            State::Detecting(detecting) => detecting.clocks.position(&position, datagram.arrival_ns),
-            State::Calibrating(calibrating) => calibrating.clocks.position(&position, datagram.arrival_ns),
-            State::Decoding(decoding) => decoding.builder.clocks.position(&position, datagram.arrival_ns),
-            State::Refusing => {}
-        }
+        let clocks = match &mut self.state {
+            State::Detecting(detecting) => &mut detecting.clocks,
+            State::Calibrating(calibrating) => &mut calibrating.clocks,
+            State::Decoding(decoding) => &mut decoding.builder.clocks,
+            State::Refusing => return,
+        };
+        let utc_ns = vouched_utc_ns(&position, self.config.gps_without_pps);
+        clocks.said(utc_ns, position.stamp_us, datagram.arrival_ns);
     }
 }
 
