@@ -269,6 +269,27 @@ impl<B: Buffers, W: Stopwatch> Pipeline<B, W> {
         }
     }
 
+    /// Expects the HDL-64E of which this is known, before the first packet: its calibration and its power need not be awaited
+    /// then. For another sensor it is of no account.
+    pub fn expect_unit(&mut self, known: Option<Unit>) {
+        if let State::Detecting(detecting) = &mut self.state {
+            detecting.unit = known;
+        }
+    }
+
+    /// Ends the pipeline; gives what an HDL-64E has said of itself, for [`Pipeline::expect_unit`] of the next one.
+    pub fn into_unit(self) -> Option<Unit> {
+        let mut unit = match self.state {
+            State::Detecting(detecting) => detecting.unit,
+            State::Calibrating(calibrating) => Some(calibrating.unit),
+            State::Decoding(decoding) => decoding.unit.map(|(unit, _)| unit),
+            State::Refusing => None,
+        }?;
+        unit.forget_comparison();
+        // One that is being exchanged is asked anew: what it said so far may be of two.
+        Some(unit).filter(Unit::is_settled)
+    }
+
     /// When the packet that completes the open sweep will arrive at the earliest, if the head goes on as it did, nanoseconds
     /// since 1970; `None` while nobody can tell. Whoever fetches packets need not hurry before.
     pub fn due_ns(&self) -> Option<i64> {

@@ -180,6 +180,138 @@ fn the_timing_of_one_return_is_measured_after_a_switch_too() {
     }
 }
 
+/// Byte of a data packet that says the type of its status, and the one after it, the value.
+const STATUS_TYPE: usize = 1204;
+/// Type of the packet that says the power of the lasers, and where in a dump it comes.
+const POWER: (u8, usize) = (0xF8, 259 * 16 + 13);
+
+/// A unit whose reflectivities are corrected already, as the power byte 0xA8 says.
+fn normalised(packets: u64) -> (Calibration, Vec<SimulatedDatagram>) {
+    let (config, mut sent) = made_up(Model::Hdl64eS2, packets);
+    for one in sent.iter_mut().filter(|one| one.payload[STATUS_TYPE] == POWER.0) {
+        one.payload[STATUS_TYPE + 1] = 0xA8;
+    }
+    (config.beams().into_owned(), sent)
+}
+
+/// Returns whose reflectivity is not the byte that was sent, by packet.
+fn corrected(run: &Run, sent: &[SimulatedDatagram]) -> Vec<u64> {
+    let views = run.views();
+    let returns = views.iter().flat_map(|view| view.returns());
+    let is_other = |found: &sweepd::sweep::Return| {
+        let record = usize::from(found.block) * 100 + 4 + found.channel % 32 * 3;
+        found.reflectivity != sent[found.packet as usize].payload[record + 2]
+    };
+    returns.filter(is_other).map(|found| found.packet).collect()
+}
+
+#[test]
+fn a_normalised_unit_is_not_corrected_from_the_packet_on_that_says_so() {
+    let (file, sent) = normalised(4_160 + 700);
+    let own = Run::of_datagrams(sent.iter().map(SimulatedDatagram::datagram));
+    assert!(points_by_place(&own).len() > 700 * 6 * 40);
+    assert_eq!(corrected(&own, &sent), [0; 0], "its power was told before its calibration was complete");
+    let given = Config { calibration: Some(file), ..Config::default() };
+    let with_file = corrected(&Run::of_datagrams_with(given, sent.iter().map(SimulatedDatagram::datagram)), &sent);
+    // Until then nothing can tell it; the packets that wait for their order come with it.
+    let (first, last) = (with_file.iter().min().copied(), with_file.iter().max().copied());
+    assert!(first < Some(10) && last < Some(POWER.1 as u64) && last > Some(POWER.1 as u64 - 10), "{first:?} {last:?}");
+}
+
+#[test]
+fn what_a_unit_has_said_stays_known_over_a_reload() {
+    let (file, sent) = normalised(4_160 + 1_400);
+    let (before, after) = sent.split_at(4_160 + 700);
+    for calibration in [None, Some(file)] {
+        let config = Config { calibration, ..Config::default() };
+        let mut runner = Runner::new(config.clone());
+        before.iter().for_each(|one| runner.push(&one.datagram()).unwrap());
+        let mut runner = runner.reloaded(config);
+        after.iter().for_each(|one| runner.push(&one.datagram()).unwrap());
+        assert_eq!(runner.notices(), []);
+        runner.end().unwrap();
+        let run = runner.finish();
+        assert_eq!((run.counts.data, run.counts.undecoded), (700, 0), "none waits for a dump");
+        assert!(points_by_place(&run).len() > 690 * 6 * 40);
+        assert_eq!(corrected(&run, after), [0; 0]);
+        // Points are those of one that never knew of a reload.
+        let whole = Run::of_datagrams_with(Config::default(), sent.iter().map(SimulatedDatagram::datagram));
+        let whole = points_by_place(&whole);
+        for ((packet, block, channel), point) in points_by_place(&run) {
+            let apart = (0..3).map(|axis| (point[axis] - whole[&(packet + 4_860, block, channel)][axis]).abs());
+            assert!(apart.fold(0.0, f64::max) < 0.002, "packet {packet}, block {block}, channel {channel}");
+        }
+    }
+}
+
+/// At a reload one unit is known, and another one sends from then on.
+#[test]
+fn a_unit_that_is_exchanged_at_a_reload_is_noticed() {
+    let (_, sent) = made_up(Model::Hdl64eS2, 4_160 + 300);
+    let known = || {
+        let mut runner = Runner::new(Config::default());
+        sent.iter().for_each(|one| runner.push(&one.datagram()).unwrap());
+        runner.reloaded(Config::default())
+    };
+    let mut config = EmitterConfig::new(Model::Hdl64eS2, ReturnMode::Strongest);
+    (config.packets, config.seed) = (3 * 4_160, config.seed + 1);
+    let scene = Scene::new([0.0; 2], 20);
+    let own = config.beams().into_owned();
+    let exchanged: Vec<_> = Emitter::new(config, &scene).collect();
+    let mut runner = known();
+    exchanged.iter().for_each(|one| runner.push(&one.datagram()).unwrap());
+    let notices = runner.notices();
+    let [Notice::OtherCalibration { differences }] = &notices[..] else { panic!("{} notices", notices.len()) };
+    let channels: BTreeSet<usize> = differences.iter().map(|one| one.channel).collect();
+    assert_eq!(channels.len(), 64, "all beams, each told once");
+    // At the next reload the one that is there by now is known.
+    let mut runner = runner.reloaded(Config::default());
+    exchanged[..400].iter().for_each(|one| runner.push(&one.datagram()).unwrap());
+    runner.end().unwrap();
+    let given = Config { calibration: Some(own), ..Config::default() };
+    let expected = Run::of_datagrams_with(given, exchanged[..400].iter().map(SimulatedDatagram::datagram));
+    let expected = points_by_place(&expected);
+    let run = runner.finish();
+    assert_eq!(run.counts.undecoded, 0);
+    for (place, point) in points_by_place(&run) {
+        let apart = (0..3).map(|axis| (point[axis] - expected[&place][axis]).abs()).fold(0.0, f64::max);
+        assert!(apart < 0.002, "{place:?}");
+    }
+    // While beams change, what was said may be of both: at a reload then, the calibration is awaited.
+    let mut runner = known();
+    exchanged[..3_000].iter().for_each(|one| runner.push(&one.datagram()).unwrap());
+    let mut runner = runner.reloaded(Config::default());
+    exchanged[..100].iter().for_each(|one| runner.push(&one.datagram()).unwrap());
+    assert_eq!(runner.notices(), [Notice::AwaitsCalibration]);
+    // What was told of the one before is of no account for another model.
+    let mut config = EmitterConfig::new(Model::Vlp16, ReturnMode::Strongest).turns(2.5);
+    config.encoder.start_deg = 300.0;
+    let mut runner = known();
+    Emitter::new(config, &scene).for_each(|one| runner.push(&one.datagram()).unwrap());
+    let run = runner.finish();
+    assert!(run.views().len() >= 2 && run.views().iter().all(|view| view.header.model == Model::Vlp16.code()));
+}
+
+/// A file that is given at a reload is used, and held against what the unit had said before.
+#[test]
+fn a_file_that_comes_with_a_reload_takes_the_place_of_what_the_unit_said() {
+    let (config, sent) = made_up(Model::Hdl64eS2, 4_160 + 300);
+    let mut beams = config.beams().beams().to_vec();
+    beams[17].rotation_rad += 0.05_f64.to_radians();
+    let other = Calibration::new(beams, 0.002).unwrap();
+    let (before, after) = sent.split_at(4_160 + 100);
+    let mut runner = Runner::new(Config::default());
+    before.iter().for_each(|one| runner.push(&one.datagram()).unwrap());
+    let mut runner = runner.reloaded(Config { calibration: Some(other.clone()), ..Config::default() });
+    after.iter().for_each(|one| runner.push(&one.datagram()).unwrap());
+    let [Notice::OtherCalibration { differences }] = &runner.notices()[..] else { panic!("the file is compared") };
+    assert_eq!(differences.iter().map(|one| one.channel).collect::<BTreeSet<_>>(), BTreeSet::from([17]));
+    runner.end().unwrap();
+    let given = Config { calibration: Some(other), ..Config::default() };
+    let expected = Run::of_datagrams_with(given, after.iter().map(SimulatedDatagram::datagram));
+    assert_eq!(points_by_place(&runner.finish()), points_by_place(&expected));
+}
+
 #[test]
 fn a_unit_that_never_told_its_beams_is_an_error_that_says_how_far_it_came() {
     let (_, sent) = made_up(Model::Hdl64eS2, 4_000);

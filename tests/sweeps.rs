@@ -134,6 +134,31 @@ fn time_is_utc_where_gps_is_locked() {
     assert!(run.views().iter().all(|sweep| sweep.header.time_source() == TimeSource::Gps));
 }
 
+/// A real HDL-32E whose receiver has a fix, and which has no byte for the pulse.
+#[test]
+fn time_is_utc_without_a_reported_pulse_where_that_is_allowed() {
+    let Some(data) = common::data_dir() else { return };
+    let capture = data.join("pcap/hdl32e_veloview-monterey-a.pcap");
+    let run = |gps_without_pps| Run::of_capture_with(Config { gps_without_pps, ..Config::default() }, &capture);
+    let (host, gps) = (run(false), run(true));
+    assert!(host.views().iter().all(|sweep| sweep.header.time_source() == TimeSource::Host));
+    let (host, gps) = (host.views(), gps.views());
+    assert_eq!(host.len(), gps.len());
+    // The sentence says 2012-12-11 22:06:32, the stamp of the first packet 6 min 33.203883 s.
+    let utc_ns = 1_355_263_593_203_883_000;
+    assert!((gps[0].header.time_ns - utc_ns).abs() < 600_000, "{}", gps[0].header.time_ns);
+    for (host, gps) in host.iter().zip(&gps) {
+        assert_eq!(gps.header.time_source(), TimeSource::Gps);
+        // The clock of this capture's host is 0.9 s ahead of the sensor's.
+        let ahead_ns = host.header.time_ns - gps.header.time_ns;
+        assert!((900_000_000..940_000_000).contains(&ahead_ns), "{ahead_ns}");
+        assert_eq!(
+            host.range.iter().map(|m| m.to_bits()).collect::<Vec<_>>(),
+            gps.range.iter().map(|m| m.to_bits()).collect::<Vec<_>>()
+        );
+    }
+}
+
 /// The firings of the block that says 36000 are the first of a sweep.
 fn whole_turn_begins_a_sweep(packets: &[RawPacket], run: &Run, firings: usize) {
     let blocks = (0..packets.len()).flat_map(|packet| (0..raw::BLOCKS).map(move |block| (packet, block)));

@@ -55,7 +55,7 @@ impl ExactSizeIterator for SensorSet {}
 pub enum Route {
     /// A data packet of this sensor. One that is not known yet has the next number; ask [`Sensors::position`] then.
     Data(SensorIndex),
-    /// A position packet for all sensors at its address; for none if it is the first sign of one, and kept for it.
+    /// A position packet for the sensors that it may be of; for none if it is the first sign of one, and kept for it.
     Position(SensorSet),
     /// For nobody.
     Other(Other),
@@ -172,10 +172,12 @@ impl Sensors {
         &self.sensors[index.get()]
     }
 
-    /// The latest position packet from the sensor's address, which may have come before its first data packet.
+    /// The latest position packet from the sensor's address, which may have come before its first data packet; `None` where
+    /// it is another sensor's.
     pub fn position(&self, index: SensorIndex) -> Option<Datagram<'_>> {
         let ip = self.sensors.get(index.get())?.source.ip();
         let kept = self.positions.iter().find(|kept| kept.source.ip() == ip)?;
+        self.may_have_sent(kept.source, kept.destination_port).find(|&own| own == index)?;
         Some(Datagram {
             arrival_ns: kept.arrival_ns,
             source: kept.source,
@@ -224,8 +226,20 @@ impl Sensors {
         }
         let (arrival_ns, destination_port) = (datagram.arrival_ns, datagram.destination_port);
         self.positions.push(KeptPosition { arrival_ns, source, destination_port, payload });
-        let at_address = self.sensors.iter().enumerate().filter(|(_, sensor)| sensor.source.ip() == ip);
-        Ok(Route::Position(SensorSet(at_address.fold(0, |set, (index, _)| set | 1 << index))))
+        Ok(Route::Position(self.may_have_sent(source, destination_port)))
+    }
+
+    /// The sensors that a position packet may be of. All at its address, unless its ports are those of the data of one of
+    /// them: of several on one computer, or behind a router.
+    fn may_have_sent(&self, source: SocketAddr, destination_port: u16) -> SensorSet {
+        let (mut all, mut by_source, mut by_destination) = (0, 0, 0);
+        for (index, sensor) in self.sensors.iter().enumerate().filter(|(_, one)| one.source.ip() == source.ip()) {
+            all |= 1 << index;
+            by_source |= u64::from(sensor.source == source) << index;
+            by_destination |= u64::from(sensor.destination_port == destination_port) << index;
+        }
+        let told = [by_source, by_destination].into_iter().find(|set| set.count_ones() == 1);
+        SensorSet(told.unwrap_or(all))
     }
 }
 
@@ -370,6 +384,26 @@ mod tests {
         let position = [3; POSITION_PACKET_LEN];
         assert_eq!(indices(sensors.route(&datagram("10.0.0.1:9999", 8308, &position))), [0, 2]);
         assert_eq!(sensors.position(SensorIndex(1)), None);
+    }
+
+    #[test]
+    fn position_packets_with_the_ports_of_one_sensor_are_its_own() {
+        let (packet, position) = (packet(), [0; POSITION_PACKET_LEN]);
+        let mut sensors = Sensors::default();
+        for (source, port) in [("10.0.0.1:4001", 2001), ("10.0.0.1:4002", 2002), ("10.0.0.1:4003", 2002)] {
+            sensors.route(&datagram(source, port, packet.emit()));
+        }
+        for (source, port, expected) in [
+            ("10.0.0.1:4002", 2002, &[1][..]),
+            ("10.0.0.1:4003", 2001, &[2]),
+            ("10.0.0.1:8308", 2001, &[0]),
+            ("10.0.0.1:8308", 2002, &[0, 1, 2]),
+            ("10.0.0.1:8308", 8308, &[0, 1, 2]),
+        ] {
+            assert_eq!(indices(sensors.route(&datagram(source, port, &position))), expected, "{source} to {port}");
+            let kept = (0..3).filter(|&index| sensors.position(SensorIndex(index)).is_some());
+            assert_eq!(kept.map(usize::from).collect::<Vec<_>>(), expected);
+        }
     }
 
     #[test]

@@ -76,6 +76,10 @@ pub struct SensorOptions {
     /// Which return is segmented when the sensor sends two
     #[arg(long = "return", value_name = "WHICH", value_enum, default_value_t = WhichReturn::Nearest)]
     pub which_return: WhichReturn,
+    /// Take UTC from the valid sentence of a GPS receiver though the sensor does not report the pulse (PPS) as locked: an
+    /// HDL-32E cannot. Without a pulse wired to it, times may be off by up to 3 s
+    #[arg(long)]
+    pub gps_without_pps: bool,
 }
 
 /// Values of `--return`.
@@ -254,6 +258,7 @@ pub fn pipeline_config(sensor: &SensorOptions, segment: &SegmentOptions) -> Resu
         cut_azimuth_rad: sensor.cut_azimuth.to_radians(),
         return_choice: sensor.return_choice(),
         segment: segment.config()?,
+        gps_without_pps: sensor.gps_without_pps,
         ..pipeline::Config::default()
     })
 }

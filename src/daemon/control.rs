@@ -13,7 +13,7 @@ use tokio::time::{Interval, MissedTickBehavior, interval_at};
 use tracing::{error, info, warn};
 
 use super::config::Config;
-use super::counters::SensorCounters;
+use super::counters::{Reject, SensorCounters};
 use super::health::{self, View};
 use super::notify::{Notifier, Pulse, beat};
 use super::runtime::{DaemonError, Runtime};
@@ -149,6 +149,8 @@ struct Control {
     gone: Vec<usize>,
     /// How often the shared memory of each sensor was made anew, as told last.
     renewed: Vec<u64>,
+    /// Ports of which it was told that position packets reach no sensor.
+    ambiguous: Vec<usize>,
     notifier: Notifier,
     view: Arc<Mutex<View>>,
 }
@@ -179,6 +181,7 @@ impl Control {
             hanging: Vec::new(),
             gone: Vec::new(),
             renewed,
+            ambiguous: Vec::new(),
             notifier,
             view,
         }
@@ -242,6 +245,7 @@ impl Control {
         self.hanging = hanging;
         self.look_at_interfaces();
         self.look_at_sharing();
+        self.look_at_positions();
         self.tell();
         Ok(())
     }
@@ -268,6 +272,21 @@ impl Control {
         }
     }
 
+    /// Tells once of a port that position packets come through it that reach no sensor.
+    fn look_at_positions(&mut self) {
+        for (index, port) in self.runtime.ports.iter().enumerate() {
+            if port.counters.rejected(Reject::Ambiguous) > 0 && !self.ambiguous.contains(&index) {
+                self.ambiguous.push(index);
+                warn!(
+                    "port {}: position packets reach no sensor: {} share an address, and nothing tells whose they are; give \
+                     each its own `position_port`, or the port that it sends from, as in address = \"192.168.1.201:2368\"",
+                    port.name,
+                    port.sharing_an_address.join(" and ")
+                );
+            }
+        }
+    }
+
     fn hear_events(&mut self) {
         let events: Vec<_> = self.runtime.events.try_iter().collect();
         for (index, event) in events {
@@ -279,6 +298,14 @@ impl Control {
                 Event::Notice(Notice::Calibrated { packets, .. }) => {
                     watcher.unhindered();
                     info!("{name}: calibrated by its own packets, the first {packets} of them");
+                }
+                Event::Notice(Notice::OtherCalibration { .. })
+                    if self.config.sensors[index].pipeline.calibration.is_none() =>
+                {
+                    warn!(
+                        "{name}: the calibration in its packets is no longer the one in use, as if another unit had taken its \
+                         place; a reload takes it"
+                    );
                 }
                 Event::Notice(Notice::OtherCalibration { differences }) => warn!(
                     "{name}: its calibration file is not that of this unit, it differs in {} values; compare them with \

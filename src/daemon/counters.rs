@@ -124,7 +124,7 @@ pub enum Gps {
     Absent = 1,
     /// One of them, or the clock does not follow yet.
     Incomplete = 2,
-    /// The clock follows the pulse, and the time is valid.
+    /// The clock follows the pulse, or is said to by `gps_without_pps`, and the time is valid.
     Locked = 3,
 }
 
@@ -259,7 +259,7 @@ pub struct PortCounters {
     is_interface_gone: AtomicBool,
 }
 
-/// Why a datagram is not let in.
+/// Why a datagram reaches no sensor.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub enum Reject {
     /// Neither as long as a data packet nor as a position packet.
@@ -272,11 +272,13 @@ pub enum Reject {
     Source,
     /// A data packet of a sensor that is configured on another port.
     Port,
+    /// A position packet of one of several sensors at its address, and nothing tells of which. It is recorded all the same.
+    Ambiguous,
 }
 
 impl Reject {
     /// All of them.
-    pub const ALL: [Self; 5] = [Self::Length, Self::Marker, Self::Azimuth, Self::Source, Self::Port];
+    pub const ALL: [Self; 6] = [Self::Length, Self::Marker, Self::Azimuth, Self::Source, Self::Port, Self::Ambiguous];
 
     /// Its name in metrics.
     pub fn name(self) -> &'static str {
@@ -286,12 +288,13 @@ impl Reject {
             Self::Azimuth => "azimuth",
             Self::Source => "source",
             Self::Port => "port",
+            Self::Ambiguous => "ambiguous",
         }
     }
 }
 
 impl PortCounters {
-    /// Counts a datagram that was not let in.
+    /// Counts a datagram that reaches no sensor.
     pub fn reject(&self, reason: Reject) {
         self.rejected[reason as usize].add(1);
     }
@@ -306,7 +309,7 @@ impl PortCounters {
         self.is_interface_gone.load(Relaxed)
     }
 
-    /// How many datagrams were not let in for a reason.
+    /// How many datagrams reached no sensor for a reason.
     pub fn rejected(&self, reason: Reject) -> u64 {
         self.rejected[reason as usize].get()
     }

@@ -6,8 +6,9 @@
 
 use std::net::{IpAddr, SocketAddr};
 
-use super::config::SensorConfig;
+use super::config::{Config, SensorConfig};
 use super::counters::Reject;
+use super::plan::{PortPlan, sends_positions};
 use crate::capture::gate::{Kind, Misfit};
 use crate::wire::Datagram;
 
@@ -16,25 +17,62 @@ use crate::wire::Datagram;
 pub enum Admitted {
     /// A data packet of this sensor of the port, by its place among them.
     Data(usize),
-    /// A position packet of all sensors at its address, on whichever port their data come.
-    Position(IpAddr),
+    /// A position packet of this sensor: its place among those of the port, and after them [`PortPlan::others`].
+    Position(usize),
+    /// A position packet of one of several sensors at its address, and nothing tells of which.
+    Ambiguous,
 }
 
 /// The sensors whose packets are let in.
 #[derive(Clone, Debug)]
 pub struct Door {
-    here: Vec<(IpAddr, Option<u16>)>,
-    elsewhere: Vec<IpAddr>,
+    /// Those of the port, then the others whose position packets may come through it.
+    known: Vec<Known>,
+    /// How many of them are of the port.
+    here: usize,
+}
+
+/// What tells a sensor from others.
+#[derive(Clone, Copy, Debug)]
+struct Known {
+    ip: IpAddr,
+    source_port: Option<u16>,
+    /// An HDL-64E sends no position packets.
+    sends_positions: bool,
+    /// How likely it sends its position packets to this port.
+    positions_here: Likelihood,
+}
+
+#[derive(Clone, Copy, Debug, PartialEq, Eq, PartialOrd, Ord)]
+enum Likelihood {
+    /// Neither this nor its data go here by its configuration.
+    Unexpected,
+    /// Its data come through this port: some senders have one port for everything.
+    BesideData,
+    /// This is its position port.
+    Configured,
 }
 
 impl Door {
-    /// A door of a port for `here`, the sensors whose data come in through it, and the position packets of `all`.
-    pub fn new<'a>(
-        here: impl IntoIterator<Item = &'a SensorConfig>,
-        all: impl IntoIterator<Item = &'a SensorConfig>,
-    ) -> Self {
-        let here = here.into_iter().map(|sensor| (sensor.address.to_canonical(), sensor.source_port)).collect();
-        Self { here, elsewhere: all.into_iter().map(|sensor| sensor.address.to_canonical()).collect() }
+    /// The door of a planned port.
+    pub fn new(config: &Config, plan: &PortPlan) -> Self {
+        let known = |index: usize, is_here: bool| {
+            let sensor: &SensorConfig = &config.sensors[index];
+            let positions_here = match (plan.positions.contains(&index), is_here) {
+                (true, _) => Likelihood::Configured,
+                (false, true) => Likelihood::BesideData,
+                (false, false) => Likelihood::Unexpected,
+            };
+            Known {
+                ip: sensor.address.to_canonical(),
+                source_port: sensor.source_port,
+                sends_positions: sends_positions(sensor),
+                positions_here,
+            }
+        };
+        let here = plan.sensors.iter().map(|&index| known(index, true));
+        let others = plan.others(config).map(|index| known(index, false));
+        Self { known: here.chain(others).collect(), here: plan.sensors.len() }
     }
 
     /// Whose packet a datagram is.
@@ -45,8 +83,7 @@ impl Door {
         let source = SocketAddr::new(datagram.source.ip().to_canonical(), datagram.source.port());
         match Kind::of(datagram.payload) {
             Ok(Kind::Data) => self.data(source),
-            Ok(Kind::Position) if self.knows(source.ip()) => Ok(Admitted::Position(source.ip())),
-            Ok(Kind::Position) => Err(Reject::Source),
+            Ok(Kind::Position) => self.position(source),
             Err(Misfit::Length) => Err(Reject::Length),
             Err(Misfit::Marker) => Err(Reject::Marker),
             Err(Misfit::Azimuth) => Err(Reject::Azimuth),
@@ -54,23 +91,52 @@ impl Door {
     }
 
     fn data(&self, source: SocketAddr) -> Result<Admitted, Reject> {
-        let is_own = |&(ip, port): &(IpAddr, Option<u16>)| ip == source.ip() && port.is_none_or(|p| p == source.port());
-        match self.here.iter().position(is_own) {
+        let here = &self.known[..self.here];
+        let is_own = |known: &Known| known.ip == source.ip() && known.source_port.is_none_or(|p| p == source.port());
+        match here.iter().position(is_own) {
             Some(index) => Ok(Admitted::Data(index)),
-            None if self.here.iter().all(|&(ip, _)| ip != source.ip()) && self.knows(source.ip()) => Err(Reject::Port),
+            None if here.iter().all(|known| known.ip != source.ip()) && self.at(source.ip()).next().is_some() => {
+                Err(Reject::Port)
+            }
             None => Err(Reject::Source),
         }
     }
 
-    fn knows(&self, ip: IpAddr) -> bool {
-        self.elsewhere.contains(&ip)
+    /// One sensor at an address gets all position packets from there: many come from a source port of their own. Of several,
+    /// the one that fits best gets it, if it is the only one that fits so well.
+    fn position(&self, source: SocketAddr) -> Result<Admitted, Reject> {
+        let mut at = self.at(source.ip());
+        let Some((first, _)) = at.next() else { return Err(Reject::Source) };
+        if at.next().is_none() {
+            return Ok(Admitted::Position(first));
+        }
+        let is_source = |known: &Known| known.source_port == Some(source.port());
+        let is_named = self.at(source.ip()).any(|(_, known)| is_source(known));
+        let mut best = None;
+        let mut is_alone = false;
+        for (place, known) in self.at(source.ip()).filter(|(_, known)| known.sends_positions) {
+            let is_another = is_named && known.source_port.is_some() && !is_source(known);
+            let fit = (!is_another, known.positions_here, is_source(known));
+            if best.is_none_or(|(best_fit, _)| fit >= best_fit) {
+                is_alone = best.is_none_or(|(best_fit, _)| fit > best_fit);
+                best = Some((fit, place));
+            }
+        }
+        Ok(best.filter(|_| is_alone).map_or(Admitted::Ambiguous, |(_, place)| Admitted::Position(place)))
+    }
+
+    /// The sensors at an address, with their places.
+    fn at(&self, ip: IpAddr) -> impl Iterator<Item = (usize, &Known)> {
+        self.known.iter().enumerate().filter(move |(_, known)| known.ip == ip)
     }
 }
 
 #[cfg(test)]
 mod tests {
-    use super::super::testing::sensor;
+    use super::super::plan;
+    use super::super::testing::{config_of, sensor};
     use super::*;
+    use crate::sensor::Model;
     use crate::wire::DataPacket;
     use crate::wire::data::DATA_PACKET_LEN;
     use crate::wire::position::POSITION_PACKET_LEN;
@@ -80,11 +146,18 @@ mod tests {
         door.admit(&Datagram { arrival_ns: 5, source: source.parse().unwrap(), destination_port: 2368, payload })
     }
 
+    /// The door of the port whose data these sensors send, or whose position packets alone.
+    fn door_of(sensors: &[SensorConfig], port: u16) -> Door {
+        let config = config_of(sensors.to_vec());
+        let plans = plan::ports(&config);
+        Door::new(&config, plans.iter().find(|plan| plan.config.port == port).unwrap())
+    }
+
     fn door() -> Door {
         let [mut left, mut right] = ["left", "right"].map(|name| sensor(name, "10.0.0.1", 2368));
         (left.source_port, right.source_port) = (Some(4000), Some(4001));
         let (roof, rear) = (sensor("roof", "10.0.0.2", 2368), sensor("rear", "10.0.0.3", 2369));
-        Door::new([&left, &right, &roof], [&left, &right, &roof, &rear])
+        door_of(&[left, right, roof, rear], 2368)
     }
 
     #[test]
@@ -108,12 +181,100 @@ mod tests {
             ("10.0.0.2:9", beyond.emit(), Err(Reject::Azimuth)),
             ("10.0.0.2:9", &data[1..], Err(Reject::Length)),
             ("10.0.0.2:9", b"", Err(Reject::Length)),
-            ("10.0.0.1:8308", position, Ok(Admitted::Position([10, 0, 0, 1].into()))),
-            ("10.0.0.3:8308", position, Ok(Admitted::Position([10, 0, 0, 3].into()))),
+            ("10.0.0.1:4000", position, Ok(Admitted::Position(0))),
+            ("10.0.0.1:4001", position, Ok(Admitted::Position(1))),
+            ("10.0.0.1:8308", position, Ok(Admitted::Ambiguous)),
+            ("[::ffff:10.0.0.2]:8308", position, Ok(Admitted::Position(2))),
+            ("10.0.0.3:8308", position, Ok(Admitted::Position(3))),
             ("10.0.0.4:8308", position, Err(Reject::Source)),
         ];
         for (source, payload, expected) in cases {
             assert_eq!(admit(&door, source, payload), expected, "{source}, {} bytes", payload.len());
+        }
+    }
+
+    /// Sensors at 10.0.0.1, by source port, data port and position port.
+    fn at_one_address<const N: usize>(ports: [(Option<u16>, u16, u16); N]) -> [SensorConfig; N] {
+        ports.map(|(source_port, port, position_port)| {
+            let mut sensor = sensor("x", "10.0.0.1", port);
+            (sensor.source_port, sensor.position_port) = (source_port, position_port);
+            sensor
+        })
+    }
+
+    /// The place in the configuration of who gets a position packet that comes from a port to a port.
+    fn recipient(sensors: &[SensorConfig], from: u16, to: u16) -> Option<usize> {
+        let config = config_of(sensors.to_vec());
+        let plan = plan::ports(&config).into_iter().find(|plan| plan.config.port == to).unwrap();
+        match admit(&Door::new(&config, &plan), &format!("10.0.0.1:{from}"), &[0; POSITION_PACKET_LEN]).unwrap() {
+            Admitted::Position(place) => plan.sensors.iter().copied().chain(plan.others(&config)).nth(place),
+            Admitted::Ambiguous => None,
+            Admitted::Data(_) => panic!("no data packet"),
+        }
+    }
+
+    #[test]
+    fn a_position_packet_is_of_the_sensor_whose_port_it_names() {
+        let own_ports = at_one_address([(None, 2001, 3001), (None, 2002, 3002)]);
+        // From whatever port they come; to its data port too, where that is the only port that tells.
+        for (to, whose) in [(3001, 0), (3002, 1), (2001, 0), (2002, 1)] {
+            assert_eq!(recipient(&own_ports, 8308, to), Some(whose), "to {to}");
+        }
+        let own_sources = at_one_address([(Some(4001), 2001, 8308), (Some(4002), 2002, 8308)]);
+        for (from, to, whose) in [
+            (4001, 8308, Some(0)),
+            (4002, 8308, Some(1)),
+            (4002, 2001, Some(1)),
+            (5000, 8308, None),
+            (5000, 2001, Some(0)),
+        ] {
+            assert_eq!(recipient(&own_sources, from, to), whose, "{from} to {to}");
+        }
+        let one_source = at_one_address([(Some(4001), 2001, 8308), (None, 2002, 8308)]);
+        assert_eq!([4001, 5000].map(|from| recipient(&one_source, from, 8308)), [Some(0), None]);
+        // The first sends to the second's data port, by its configuration.
+        let chained = at_one_address([(None, 2001, 2002), (None, 2002, 2003)]);
+        assert_eq!([2001, 2002, 2003].map(|to| recipient(&chained, 8308, to)), [Some(0), Some(0), Some(1)]);
+    }
+
+    #[test]
+    fn a_position_packet_that_may_be_of_several_sensors_goes_to_none() {
+        let nothing_tells = at_one_address([(None, 2001, 8308), (None, 2002, 8308)]);
+        assert_eq!(recipient(&nothing_tells, 8308, 8308), None);
+        // To a data port that only one has.
+        assert_eq!(recipient(&nothing_tells, 8308, 2002), Some(1));
+        let both_here = at_one_address([(None, 2001, 2001), (None, 2002, 2001)]);
+        assert_eq!([2001, 2002].map(|to| recipient(&both_here, 8308, to)), [None, Some(1)]);
+    }
+
+    #[test]
+    fn a_sensor_that_is_alone_at_its_address_gets_its_position_packets_on_any_port() {
+        let [mut one, other] = at_one_address([(Some(4001), 2001, 8308), (None, 2002, 8309)]);
+        let mut elsewhere = other.clone();
+        elsewhere.address = [10, 0, 0, 2].into();
+        let alone = [one.clone(), elsewhere];
+        for (from, to) in [(4001, 2001), (5000, 2001), (5000, 2002), (5000, 8308), (5000, 8309)] {
+            assert_eq!(recipient(&alone, from, to), Some(0), "{from} to {to}");
+        }
+        // An HDL-64E beside it sends none.
+        one.pipeline.model = Some(Model::Hdl64eS3);
+        assert_eq!(recipient(&[one.clone(), other.clone()], 5000, 2001), Some(1));
+        assert_eq!(recipient(&[one], 5000, 2001), Some(0));
+    }
+
+    #[test]
+    fn the_same_address_on_another_interface_is_another_sensor() {
+        let [mut one, mut other] = at_one_address([(None, 2001, 8308), (None, 2001, 8308)]);
+        (one.port.interface, other.port.interface) = (Some("eth1".to_owned()), Some("eth2".to_owned()));
+        let config = config_of(vec![one, other]);
+        let plans = plan::ports(&config);
+        assert_eq!(plans.len(), 4);
+        for plan in &plans {
+            let admitted = admit(&Door::new(&config, plan), "10.0.0.1:8308", &[0; POSITION_PACKET_LEN]);
+            assert_eq!(admitted, Ok(Admitted::Position(0)));
+            let whose = plan.sensors.iter().copied().chain(plan.others(&config)).next();
+            assert_eq!(whose, Some(usize::from(plan.config.interface.as_deref() == Some("eth2"))));
+            assert_eq!(plan.sharing_an_address(&config).count(), 0);
         }
     }
 

@@ -121,7 +121,7 @@ impl Snapshot {
         family(encoder, "received", "Datagrams of any kind", all(|port| port.counters.received.get()))?;
         let help = "Datagrams that the kernel dropped because nobody fetched them in time";
         family(encoder, "dropped", help, all(|port| port.counters.dropped.get()))?;
-        let help = "Datagrams not let in, by reason";
+        let help = "Datagrams that reach no sensor, by reason";
         family(encoder, "rejected", help, self.ports.iter().flat_map(rejected))
     }
 

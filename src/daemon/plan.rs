@@ -14,9 +14,25 @@ pub struct PortPlan {
     /// The sensors whose data come through it, as places in [`Config::sensors`]; none where it only takes position
     /// packets.
     pub sensors: Vec<usize>,
+    /// The sensors that are configured to send their position packets to it.
+    pub positions: Vec<usize>,
 }
 
 impl PortPlan {
+    /// The sensors whose data come through other ports and whose position packets this one may hear. The same address on
+    /// another interface is another sensor.
+    pub fn others<'a>(&'a self, config: &'a Config) -> impl Iterator<Item = usize> + 'a {
+        (0..config.sensors.len()).filter(move |index| {
+            config.sensors[*index].port.interface == self.config.interface && !self.sensors.contains(index)
+        })
+    }
+
+    /// Those sensors that this port may hear position packets of and that share their address with another of them.
+    pub fn sharing_an_address<'a>(&'a self, config: &'a Config) -> impl Iterator<Item = &'a SensorConfig> {
+        let heard = move || self.sensors.iter().copied().chain(self.others(config)).map(|index| &config.sensors[index]);
+        heard().filter(move |one| heard().filter(|other| other.address == one.address).nth(1).is_some())
+    }
+
     /// What the socket is told.
     pub fn udp(&self) -> UdpConfig {
         let PortConfig { bind: address, port, multicast, .. } = self.config;
@@ -48,13 +64,11 @@ pub fn ports(config: &Config) -> Vec<PortPlan> {
         plan.config.cpu = plan.config.cpu.or(sensor.port.cpu);
         plan.config.realtime_priority = plan.config.realtime_priority.max(sensor.port.realtime_priority);
     }
-    for sensor in config.sensors.iter().filter(|sensor| sends_positions(sensor)) {
+    for (index, sensor) in config.sensors.iter().enumerate().filter(|(_, sensor)| sends_positions(sensor)) {
         // Its few packets are in no hurry.
         let (cpu, realtime_priority) = (None, None);
-        find_or_open(
-            &mut plans,
-            &PortConfig { port: sensor.position_port, cpu, realtime_priority, ..sensor.port.clone() },
-        );
+        let port = PortConfig { port: sensor.position_port, cpu, realtime_priority, ..sensor.port.clone() };
+        find_or_open(&mut plans, &port).positions.push(index);
     }
     plans
 }
@@ -62,25 +76,24 @@ pub fn ports(config: &Config) -> Vec<PortPlan> {
 fn find_or_open<'a>(plans: &'a mut Vec<PortPlan>, port: &PortConfig) -> &'a mut PortPlan {
     let key = |port: &PortConfig| (port.bind, port.port, port.multicast, port.interface.clone());
     let index = plans.iter().position(|plan| key(&plan.config) == key(port)).unwrap_or_else(|| {
-        plans.push(PortPlan { config: port.clone(), sensors: Vec::new() });
+        plans.push(PortPlan { config: port.clone(), sensors: Vec::new(), positions: Vec::new() });
         plans.len() - 1
     });
     &mut plans[index]
 }
 
 /// An HDL-64E tells its GPS state among its data.
-fn sends_positions(sensor: &SensorConfig) -> bool {
+pub fn sends_positions(sensor: &SensorConfig) -> bool {
     !sensor.pipeline.model.is_some_and(Model::is_hdl64e)
 }
 
 #[cfg(test)]
 mod tests {
-    use super::super::config::DaemonConfig;
-    use super::super::testing::sensor;
+    use super::super::testing::{config_of, sensor};
     use super::*;
 
     fn planned(sensors: Vec<SensorConfig>) -> Vec<(String, Vec<usize>)> {
-        let config = Config { daemon: DaemonConfig { root: None, http: None }, sensors, record: None };
+        let config = config_of(sensors);
         let named = |plan: PortPlan| (PortName(&plan.config, plan.config.port).to_string(), plan.sensors);
         ports(&config).into_iter().map(named).collect()
     }
@@ -121,9 +134,7 @@ mod tests {
         let [mut one, mut other] = [at("10.0.0.1", 2368), at("10.0.0.2", 2368)];
         (one.port.realtime_priority, other.port.realtime_priority) = (Some(10), Some(50));
         other.port.cpu = Some(1);
-        let config =
-            Config { daemon: DaemonConfig { root: None, http: None }, sensors: vec![one, other], record: None };
-        let plans = ports(&config);
+        let plans = ports(&config_of(vec![one, other]));
         assert_eq!((plans[0].config.cpu, plans[0].config.realtime_priority), (Some(1), Some(50)));
         assert_eq!((plans[1].config.cpu, plans[1].config.realtime_priority), (None, None));
     }

@@ -2,11 +2,11 @@
 //!
 //! ```text
 //! socket -> door -> data packet      -> pipeline of the sensor -> sweep -> consumers
-//!                -> position packet  -> pipelines of the sensors of that address: those of this port at once, those
-//!                                       of others through a short queue that their thread empties after each batch or rest
+//!                -> position packet  -> pipeline of the sensor: of this port at once, of another through a short queue
+//!                                       that its thread empties after each batch or rest
 //! ```
 
-use std::net::{IpAddr, SocketAddr};
+use std::net::SocketAddr;
 use std::os::unix::net::UnixStream;
 use std::sync::Arc;
 use std::sync::atomic::{AtomicBool, Ordering};
@@ -14,7 +14,7 @@ use std::sync::mpsc::{Receiver, SyncSender};
 use std::thread;
 use std::time::{Duration, Instant};
 
-use super::counters::{PortCounters, SensorCounters};
+use super::counters::{PortCounters, Reject, SensorCounters};
 use super::door::{Admitted, Door};
 use super::nap::{self, Load};
 use super::sensor::Sensor;
@@ -68,8 +68,6 @@ impl Mail {
 
 /// Where to put position packets for a sensor whose thread is another.
 pub struct Mailbox {
-    /// The address that they come from.
-    pub address: IpAddr,
     /// The way there.
     pub sender: SyncSender<Mail>,
     /// What is counted when it is full.
@@ -80,8 +78,6 @@ pub struct Mailbox {
 
 /// A sensor of this port, and what reaches it from other threads.
 pub struct Served<B: Buffers> {
-    /// The address that its packets come from.
-    pub address: IpAddr,
     /// The sensor.
     pub sensor: Sensor<B>,
     /// Its position packets from other ports.
@@ -125,7 +121,7 @@ pub struct Room<B: Buffers> {
     pub door: Door,
     /// The sensors whose data come through this port, in the order of the door.
     pub sensors: Vec<Served<B>>,
-    /// The other sensors.
+    /// The other sensors, in the order of the door.
     pub others: Vec<Mailbox>,
     /// Where copies of all that is let in go.
     pub lane: Option<Lane>,
@@ -279,7 +275,8 @@ impl<B: Buffers<Buffer: Outgoing>> Room<B> {
                 served.sensor.data(&datagram, dropped);
                 served.newest.stamp(datagram.arrival_ns);
             }
-            Ok(Admitted::Position(address)) => deliver(address, addressed, &mut self.sensors, &mut self.others),
+            Ok(Admitted::Position(place)) => deliver(place, addressed, &mut self.sensors, &mut self.others),
+            Ok(Admitted::Ambiguous) => self.counters.reject(Reject::Ambiguous),
             Err(reason) => {
                 self.counters.reject(reason);
                 return false;
@@ -303,23 +300,23 @@ impl<B: Buffers<Buffer: Outgoing>> Room<B> {
     }
 }
 
-/// Hands a position packet to all sensors of its address.
+/// Hands a position packet to a sensor, by its place at the door.
 fn deliver<B: Buffers<Buffer: Outgoing>>(
-    address: IpAddr,
+    place: usize,
     addressed: &Addressed<'_>,
     here: &mut [Served<B>],
     others: &mut [Mailbox],
 ) {
     let datagram = addressed.datagram();
-    for served in here.iter_mut().filter(|served| served.address == address) {
+    if let Some(served) = here.get_mut(place) {
         put(&mut served.tap, addressed);
         served.sensor.position(&datagram);
+        return;
     }
-    for mailbox in others.iter_mut().filter(|mailbox| mailbox.address == address) {
-        put(&mut mailbox.tap, addressed);
-        if Mail::of(&datagram).is_none_or(|mail| mailbox.sender.try_send(mail).is_err()) {
-            mailbox.counters.position_overflows.add(1);
-        }
+    let mailbox = &mut others[place - here.len()];
+    put(&mut mailbox.tap, addressed);
+    if Mail::of(&datagram).is_none_or(|mail| mailbox.sender.try_send(mail).is_err()) {
+        mailbox.counters.position_overflows.add(1);
     }
 }
 

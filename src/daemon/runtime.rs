@@ -128,6 +128,8 @@ pub struct PortStatus {
     pub local: SocketAddrV4,
     /// The interface that it listens on alone.
     pub interface: Option<String>,
+    /// Names of the sensors whose position packets it may hear and that share an address.
+    pub sharing_an_address: Vec<String>,
     /// What the kernel gave to hold waiting packets.
     pub buffer: ReceiveBuffer,
     /// What came.
@@ -182,10 +184,10 @@ impl Runtime {
         let mut runtime = Self { sensors, ports, events, orders: hall.orders, lanes, over, bell, threads };
         let (mut statuses, beat) = (Vec::new(), beat(sd_notify::watchdog_enabled()));
         for (source, plan) in sockets {
-            let status = PortStatus::new(&source, &plan.config);
+            let status = PortStatus::new(&source, config, &plan);
             let served = plan.sensors.iter().filter_map(|index| ready.remove(index)).collect();
             let others = others(config, &plan, &hall.mailboxes, tees);
-            let door = Door::new(plan.sensors.iter().map(|&index| &config.sensors[index]), heard(config, &plan));
+            let door = Door::new(config, &plan);
             let counters = Arc::clone(&status.counters);
             let end = End { over: Arc::clone(&runtime.over), bell: rung.try_clone().map_err(failed)? };
             let (order, lanes) = mpsc::channel();
@@ -314,25 +316,22 @@ impl Hall {
         self.orders.push(order);
         let (position_port, sharing) = (sensor.position_port, way.status);
         self.statuses.push(SensorStatus { name: name(), address, port, position_port, counters, sharing });
-        Ok(Served { address, sensor: at_work, mail, orders, tap: tees.tap(&sensor.name), newest: Newest::default() })
+        Ok(Served { sensor: at_work, mail, orders, tap: tees.tap(&sensor.name), newest: Newest::default() })
     }
 }
 
 impl PortStatus {
-    fn new(source: &UdpSource, config: &PortConfig) -> Self {
+    fn new(source: &UdpSource, config: &Config, plan: &PortPlan) -> Self {
         let (local, buffer) = (source.local_addr(), source.buffer());
-        let name = PortName(config, local.port()).to_string();
+        let name = PortName(&plan.config, local.port()).to_string();
         if let Some(warning) = buffer.warning(local.port()) {
             warn!("{warning}");
         }
         info!("listening on port {name}");
-        Self { name, local, interface: config.interface.clone(), buffer, counters: Arc::default() }
+        let sharing_an_address = plan.sharing_an_address(config).map(|sensor| sensor.name.clone()).collect();
+        let interface = plan.config.interface.clone();
+        Self { name, local, interface, sharing_an_address, buffer, counters: Arc::default() }
     }
-}
-
-/// The sensors whose position packets a port may hear: the same address on another interface is another sensor.
-fn heard<'a>(config: &'a Config, plan: &'a PortPlan) -> impl Iterator<Item = &'a SensorConfig> {
-    config.sensors.iter().filter(|sensor| sensor.port.interface == plan.config.interface)
 }
 
 /// Mailboxes of the sensors that a port hears and does not serve.
@@ -342,14 +341,11 @@ fn others(
     mailboxes: &[(SyncSender<Mail>, Arc<SensorCounters>)],
     tees: &Tees,
 ) -> Vec<Mailbox> {
-    let is_other = |(index, sensor): &(usize, &SensorConfig)| {
-        sensor.port.interface == plan.config.interface && !plan.sensors.contains(index)
-    };
-    let mailbox = |(index, sensor): (usize, &SensorConfig)| {
+    let mailbox = |index: usize| {
         let (sender, counters) = mailboxes[index].clone();
-        Mailbox { address: sensor.address.to_canonical(), sender, counters, tap: tees.tap(&sensor.name) }
+        Mailbox { sender, counters, tap: tees.tap(&config.sensors[index].name) }
     };
-    config.sensors.iter().enumerate().filter(is_other).map(mailbox).collect()
+    plan.others(config).map(mailbox).collect()
 }
 
 fn spawn<B>(port: Port<B>, name: &str, config: &PortConfig) -> Result<JoinHandle<Result<(), UdpError>>, DaemonError>

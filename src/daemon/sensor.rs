@@ -8,6 +8,7 @@ use super::sharing::Outgoing;
 use crate::host::{monotonic_ns, realtime_ns};
 use crate::pipeline::{self, Counts, Fault, Notice, Pipeline, Stopwatch};
 use crate::segment::ConfigError;
+use crate::sweep::clock::vouched_utc_ns;
 use crate::sweep::layout::{Completion, flags};
 use crate::sweep::{Buffers, Header, Kept, SweepMut};
 use crate::wire::nmea::Rmc;
@@ -120,7 +121,7 @@ impl<B: Buffers<Buffer: Outgoing>> Sensor<B> {
     pub fn position(&mut self, datagram: &Datagram<'_>) {
         self.push(datagram);
         if let Ok(position) = Position::parse(datagram.payload) {
-            self.counters.set_gps(gps_of(&position));
+            self.counters.set_gps(gps_of(&position, self.config.gps_without_pps));
             if let Some(temperature_c) = temperature_of(&position) {
                 self.counters.set_temperature_c(temperature_c);
             }
@@ -172,7 +173,9 @@ impl<B: Buffers<Buffer: Outgoing>> Sensor<B> {
 
     fn begin_anew(&mut self, config: pipeline::Config) -> Result<(), ConfigError> {
         let fresh = Pipeline::new(&self.address, config.clone(), self.buffers.clone(), Monotonic)?;
-        self.counted += std::mem::replace(&mut self.pipeline, fresh).counts();
+        let before = std::mem::replace(&mut self.pipeline, fresh);
+        self.counted += before.counts();
+        self.pipeline.expect_unit(before.into_unit());
         self.config = config;
         self.run_ns = realtime_ns();
         self.second_look_ns = None;
@@ -266,10 +269,10 @@ impl<B: Buffers<Buffer: Outgoing>> Sensor<B> {
     }
 }
 
-fn gps_of(position: &Position<'_>) -> Gps {
+fn gps_of(position: &Position<'_>, without_pps: bool) -> Gps {
     let is_valid = position.nmea.and_then(|text| Rmc::parse(text).ok()).is_some_and(|rmc| rmc.valid);
     match position.pps {
-        Pps::Locked if is_valid => Gps::Locked,
+        _ if vouched_utc_ns(position, without_pps).is_some() => Gps::Locked,
         Pps::Absent if !is_valid => Gps::Absent,
         _ => Gps::Incomplete,
     }
@@ -314,7 +317,19 @@ mod tests {
             (Pps::Error, None, Gps::Incomplete),
         ];
         for (pps, nmea, expected) in cases {
-            assert_eq!(gps_of(&position(pps, nmea)), expected, "{pps}, {nmea:?}");
+            assert_eq!(gps_of(&position(pps, nmea), false), expected, "{pps}, {nmea:?}");
+        }
+    }
+
+    #[test]
+    fn gps_is_locked_without_a_pulse_where_that_is_allowed() {
+        let checksum = VALID[1..].bytes().fold(0, |sum, byte| sum ^ byte);
+        let valid = format!("{VALID}*{checksum:02X}");
+        // The sentence says 17 minutes and 23 seconds.
+        for (stamp_us, expected) in [(1_043_900_000, Gps::Locked), (5_000_000, Gps::Incomplete)] {
+            let position = Position { stamp_us, ..position(Pps::Absent, Some(&valid)) };
+            assert_eq!(gps_of(&position, true), expected);
+            assert_eq!(gps_of(&position, false), Gps::Incomplete);
         }
     }
 

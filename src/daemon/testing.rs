@@ -1,6 +1,6 @@
 //! What the daemon's unit tests share.
 
-use super::config::{PortConfig, SensorConfig};
+use super::config::{Config, DaemonConfig, PortConfig, SensorConfig};
 use crate::pipeline;
 
 /// A sensor at an address whose data and position packets come to one port of the loopback interface.
@@ -23,4 +23,9 @@ pub fn sensor(name: &str, address: &str, port: u16) -> SensorConfig {
         rpm: None,
         pipeline: pipeline::Config::default(),
     }
+}
+
+/// A daemon of these sensors and nothing else.
+pub fn config_of(sensors: Vec<SensorConfig>) -> Config {
+    Config { daemon: DaemonConfig { root: None, http: None }, sensors, record: None }
 }

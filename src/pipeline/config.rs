@@ -18,6 +18,9 @@ pub struct Config {
     pub return_choice: ReturnChoice,
     /// How sweeps are segmented.
     pub segment: segment::Config,
+    /// Times are UTC where the sentence of the GPS receiver is valid, though the sensor does not report the pulse as locked;
+    /// see [`sweep::clock`](crate::sweep::clock).
+    pub gps_without_pps: bool,
     /// Position of the sensor in the frame of the robot, metres: x right, y forward, z up; only told on.
     pub position_m: [f32; 3],
     /// Rotation about the vertical in the frame of the robot, counter-clockwise from above, radians; only told on.
@@ -32,6 +35,7 @@ impl Default for Config {
             cut_azimuth_rad: 0.0,
             return_choice: ReturnChoice::Nearest,
             segment: segment::Config::default(),
+            gps_without_pps: false,
             position_m: [0.0; 3],
             yaw_rad: 0.0,
         }

@@ -2,7 +2,7 @@
 //!
 //! ```text
 //! Detecting -> Decoding               most models: the table in `calib/`, or a given file
-//! Detecting -> Calibrating -> Decoding    an HDL-64E without a file: its packets tell
+//! Detecting -> Calibrating -> Decoding    an HDL-64E without a file: its packets tell, unless it is known from before
 //! any -> Refusing                     nothing that can be decoded
 //! Decoding, Calibrating -> Detecting  another sensor took its place
 //! ```
@@ -15,7 +15,7 @@ use crate::sensor::unit::{Said, Unit};
 use crate::sensor::{Calibration, Model};
 use crate::sweep::Buffers;
 use crate::sweep::builder::{Builder, Settings};
-use crate::sweep::clock::{Clocks, SensorClock};
+use crate::sweep::clock::{Clocks, SensorClock, vouched_utc_ns};
 use crate::sweep::decode::Decoder;
 use crate::sweep::motion::{TURN, rate_between};
 use crate::sweep::order::{Order, Packet, Refusal};
@@ -45,6 +45,8 @@ pub(super) struct Detecting<B: Buffers> {
     /// Packets that spoke of no supported sensor, and what the last one said.
     pub(super) doubts: u32,
     pub(super) doubt: Option<DetectError>,
+    /// What is known of the HDL-64E that this is expected to be.
+    pub(super) unit: Option<Unit>,
     pub(super) buffers: B,
     pub(super) clocks: Clocks,
 }
@@ -83,35 +85,50 @@ pub(super) struct Waiting {
 impl<B: Buffers, W: Stopwatch> Pipeline<B, W> {
     pub(super) fn detecting(model: Option<Model>, buffers: B, clocks: Clocks) -> State<B> {
         let (detector, waiting) = (Detector::new(model), Vec::with_capacity(MAX_PACKETS));
-        State::Detecting(Box::new(Detecting { detector, waiting, doubts: 0, doubt: None, buffers, clocks }))
+        State::Detecting(Box::new(Detecting { detector, waiting, doubts: 0, doubt: None, unit: None, buffers, clocks }))
     }
 
     /// The model is told: decoding begins with the packets that waited, or the wait for the calibration does.
     pub(super) fn detected(&mut self, result: Result<Detection, DetectError>) -> Result<(), Fault> {
         let State::Detecting(detecting) = std::mem::replace(&mut self.state, State::Refusing) else { return Ok(()) };
-        let Detecting { waiting, doubts, buffers, clocks, .. } = *detecting;
+        let Detecting { waiting, doubts, unit, buffers, clocks, .. } = *detecting;
         self.counts.undecoded += u64::from(doubts) + waiting.len() as u64;
-        let detection = result?;
-        let calibration = match &self.config.calibration {
-            Some(given) => given.clone().for_model(detection.model).map_err(Fault::Calibration)?,
-            None => match detection.model.calibration() {
-                Some(nominal) => nominal.clone(),
-                None => {
-                    let mut unit = Unit::default();
-                    for packet in &waiting {
-                        let _ = unit.hear(&packet.bytes);
-                    }
-                    self.notices.push(Notice::AwaitsCalibration);
-                    let calibrating = Calibrating { detection, unit, foreign: 0, marks: [None; 2], buffers, clocks };
-                    self.state = State::Calibrating(Box::new(calibrating));
-                    return Ok(());
-                }
-            },
+        let mut detection = result?;
+        let mut unit = detection.model.is_hdl64e().then(|| unit.unwrap_or_default());
+        let calibration = match (&self.config.calibration, detection.model.calibration(), &unit) {
+            (Some(given), ..) => Some(given.clone().for_model(detection.model).map_err(Fault::Calibration)?),
+            (None, Some(nominal), _) => Some(nominal.clone()),
+            (None, None, Some(unit)) => self.calibration_of(unit, &mut detection),
+            (None, None, None) => None,
         };
-        let unit = detection.model.is_hdl64e().then(Unit::default);
+        let Some(calibration) = calibration else {
+            let mut unit = unit.take().unwrap_or_default();
+            for packet in &waiting {
+                let _ = unit.hear(&packet.bytes);
+            }
+            self.notices.push(Notice::AwaitsCalibration);
+            let calibrating = Calibrating { detection, unit, foreign: 0, marks: [None; 2], buffers, clocks };
+            self.state = State::Calibrating(Box::new(calibrating));
+            return Ok(());
+        };
         let ends = waiting.first().zip(waiting.last()).map(|(first, last)| (&first.bytes, &last.bytes));
         let rate = ends.and_then(|(first, last)| rate_between(first, last, detection.return_mode, detection.spec));
         self.decode(detection, (calibration, unit), (buffers, clocks, rate), waiting)
+    }
+
+    /// The calibration that a unit has told, if it is complete and that of the model, and in the detection what else only
+    /// the unit knows.
+    fn calibration_of(&self, unit: &Unit, detection: &mut Detection) -> Option<Calibration> {
+        // One that no unit can have was damaged on the way, where no checksum tells: the next dump brings it anew.
+        let calibration = unit.calibration()?.and_then(|own| own.for_model(detection.model)).ok()?;
+        // With one return, only the unit itself knows which.
+        if let (ReturnMode::Strongest, Some(ReturnMode::Last)) = (detection.return_mode, unit.return_mode()) {
+            detection.return_mode = ReturnMode::Last;
+        }
+        if self.config.model.is_none() && unit.series() == Some(Series::S3) {
+            detection.model = Model::Hdl64eS3;
+        }
+        Some(calibration)
     }
 
     /// Takes the byte of the calibration that a packet brings; with the last one, decoding begins.
@@ -128,21 +145,13 @@ impl<B: Buffers, W: Stopwatch> Pipeline<B, W> {
             calibrating.clocks.said(utc_ns, packet.stamp_us(), arrival_ns);
             calibrating.marks = [calibrating.marks[1], Some(*packet)];
         }
-        // One that no unit can have was damaged on the way, where no checksum tells: the next dump brings it anew.
-        let own =
-            calibrating.unit.calibration().map(|own| own.and_then(|own| own.for_model(calibrating.detection.model)));
-        let Some(Ok(calibration)) = own else { return Ok(()) };
+        let State::Calibrating(calibrating) = &self.state else { return Ok(()) };
+        let mut detection = calibrating.detection;
+        let Some(calibration) = self.calibration_of(&calibrating.unit, &mut detection) else { return Ok(()) };
         let State::Calibrating(calibrating) = std::mem::replace(&mut self.state, State::Refusing) else {
             return Ok(());
         };
-        let Calibrating { mut detection, unit, marks, buffers, clocks, .. } = *calibrating;
-        // With one return, only the unit itself knows which.
-        if let (ReturnMode::Strongest, Some(ReturnMode::Last)) = (detection.return_mode, unit.return_mode()) {
-            detection.return_mode = ReturnMode::Last;
-        }
-        if self.config.model.is_none() && unit.series() == Some(Series::S3) {
-            detection.model = Model::Hdl64eS3;
-        }
+        let Calibrating { unit, marks, buffers, clocks, .. } = *calibrating;
         self.notices.push(Notice::Calibrated { calibrated: unit.calibrated(), packets: self.counts.data });
         let rate = marks[0].and_then(|mark| rate_between(&mark, packet, detection.return_mode, detection.spec));
         self.decode(detection, (calibration, Some(unit)), (buffers, clocks, rate), Vec::new())
@@ -163,7 +172,8 @@ impl<B: Buffers, W: Stopwatch> Pipeline<B, W> {
         self.counts.undecoded -= waiting.len() as u64;
         let limits_m = self.config.segment.min_range_m..=self.config.segment.max_range_m;
         let model = (detection.model, detection.spec);
-        let decoder = Decoder::new(model, &calibration, self.config.return_choice, limits_m).with_level(self.level);
+        let mut decoder = Decoder::new(model, &calibration, self.config.return_choice, limits_m).with_level(self.level);
+        decoder.is_normalised = unit.as_ref().is_some_and(Unit::is_normalised);
         let mut order = Order::new(decoder.spec);
         order.expect_rate(rate_cdeg_ns);
         let mut builder = Builder::new(buffers, decoder, self.settings());
@@ -235,12 +245,14 @@ impl<B: Buffers, W: Stopwatch> Pipeline<B, W> {
     pub(super) fn position(&mut self, datagram: &Datagram<'_>) {
         self.counts.position += 1;
         let Ok(position) = Position::parse(datagram.payload) else { return };
-        match &mut self.state {
-            State::Detecting(detecting) => detecting.clocks.position(&position, datagram.arrival_ns),
-            State::Calibrating(calibrating) => calibrating.clocks.position(&position, datagram.arrival_ns),
-            State::Decoding(decoding) => decoding.builder.clocks.position(&position, datagram.arrival_ns),
-            State::Refusing => {}
-        }
+        let clocks = match &mut self.state {
+            State::Detecting(detecting) => &mut detecting.clocks,
+            State::Calibrating(calibrating) => &mut calibrating.clocks,
+            State::Decoding(decoding) => &mut decoding.builder.clocks,
+            State::Refusing => return,
+        };
+        let utc_ns = vouched_utc_ns(&position, self.config.gps_without_pps);
+        clocks.said(utc_ns, position.stamp_us, datagram.arrival_ns);
     }
 }
 
@@ -272,9 +284,11 @@ impl<B: Buffers> Decoding<B> {
     /// known and if it does.
     fn hear(&mut self, packet: &DataPacket, arrival_ns: i64, may_rename: bool) -> Option<Vec<Difference>> {
         let (unit, calibration) = self.unit.as_mut()?;
-        let Said { series, is_normalised, utc_ns } = unit.hear(packet)?;
+        let said = unit.hear(packet);
+        // The packet that tells it is the first one decoded so.
+        self.builder.decoder_mut().is_normalised = unit.is_normalised();
+        let Said { series, utc_ns } = said?;
         self.builder.clocks.said(utc_ns, packet.stamp_us(), arrival_ns);
-        self.builder.decoder_mut().is_normalised = is_normalised;
         if series == Some(Series::S3) && may_rename {
             // Until then it may have been either: with one return their timing is the same.
             self.detection.model = Model::Hdl64eS3;

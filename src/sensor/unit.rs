@@ -4,15 +4,17 @@ use super::compare::{Difference, differences};
 use super::{Calibration, stream};
 use crate::wire::DataPacket;
 use crate::wire::data::ReturnMode;
-use crate::wire::hdl64::{CYCLE_LEN, CalibrationTime, DUMP_LEN, Dump, Gps, Series, Status};
+use crate::wire::hdl64::{CYCLE_LEN, CalibrationTime, DUMP_LEN, DUMP_PACKETS, Dump, Gps, Series, Status};
 
 /// One unit, as far as it has been heard.
 #[derive(Clone, Debug, Default)]
 pub struct Unit {
     status: Status,
     heard: usize,
-    /// The dump that was compared with the calibration in use.
+    /// The dump that was compared with the calibration in use, or that is to be.
     compared: Option<Dump>,
+    /// Since when its beams are others than they were before, in packets heard; `None` once they have settled.
+    changed: Option<usize>,
 }
 
 /// What a unit says that decoding depends on; see [`Unit::hear`].
@@ -20,8 +22,6 @@ pub struct Unit {
 pub struct Said {
     /// Its series, once that is known.
     pub series: Option<Series>,
-    /// Its reflectivities are corrected already.
-    pub is_normalised: bool,
     /// UTC to the second, nanoseconds since 1970, while a GPS receiver gives both pulse and sentence.
     pub utc_ns: Option<i64>,
 }
@@ -36,8 +36,12 @@ impl Unit {
 
     fn said(&self) -> Said {
         let utc_ns = self.status.clock().filter(|_| self.status.gps() == Some(Gps::Both)).and_then(|c| c.utc_ns());
-        let is_normalised = self.status.power().is_some_and(|power| power.is_normalised());
-        Said { series: self.status.series(), is_normalised, utc_ns }
+        Said { series: self.status.series(), utc_ns }
+    }
+
+    /// Whether it is known to send reflectivities that are corrected already. It says so in one packet of each dump.
+    pub fn is_normalised(&self) -> bool {
+        self.status.power().is_some_and(|power| power.is_normalised())
     }
 
     /// Bytes of the calibration that are known, and how many there are.
@@ -78,13 +82,30 @@ impl Unit {
         self.status.calibrated()
     }
 
-    /// In what the calibration in use differs from the unit's own; once for each that it sends.
+    /// Whether all that it said can be of one unit: no other seems to have taken its place a short while ago.
+    pub fn is_settled(&self) -> bool {
+        self.changed.is_none()
+    }
+
+    /// Forgets that its calibration was compared with one, since another may be in use from now on.
+    pub fn forget_comparison(&mut self) {
+        self.compared = None;
+    }
+
+    /// In what the calibration in use differs from the unit's own; once for each that it sends. When another unit takes its
+    /// place, the beams change one after the other, and nothing may tell (S2.1) that they are of two units: then it is asked
+    /// once they have stayed the same for a whole dump.
     pub fn differences(&mut self, used: &Calibration) -> Option<Vec<Difference>> {
         let dump = self.status.dump()?;
-        if self.compared.as_ref() == Some(dump) {
-            return None;
+        let is_same = |before: &Dump| before.records().eq(dump.records());
+        if !self.compared.as_ref().is_some_and(is_same) {
+            if self.compared.replace(*dump).is_some() {
+                self.changed = Some(self.heard);
+                return None;
+            }
+        } else {
+            self.changed.take_if(|changed| self.heard - *changed >= DUMP_PACKETS)?;
         }
-        self.compared = Some(*dump);
         Some(differences(used, &stream::calibration(dump).ok()?))
     }
 }

@@ -1,4 +1,10 @@
 //! The three clocks: the sensor's microseconds of the hour, the host's, and UTC where GPS vouches for it.
+//!
+//! UTC is the sentence's hour and the stamp's minute, second and microsecond. That is right only while the sensor's clock
+//! follows the pulse per second, which most models report. An HDL-32E has no byte for it; whoever has wired a pulse to it may
+//! say so ([`vouched_utc_ns`]).
+
+use std::ops::RangeInclusive;
 
 use super::layout::TimeSource;
 use crate::wire::nmea::Rmc;
@@ -8,6 +14,9 @@ use crate::wire::{HOUR_US, Position};
 const HOUR_NS: i64 = HOUR_US as i64 * 1000;
 /// A fix older than this no longer vouches for the time.
 const FIX_AGE_NS: i64 = 3_000_000_000;
+/// How long ago a sentence's second began by a clock that follows the pulse: it takes up to a second to be complete, and
+/// stands in the packets until the next one is. (A second more for a receiver that names the one to come, or is late.)
+const SENTENCE_AGE_NS: RangeInclusive<i64> = -1_000_000_000..=3_000_000_000;
 /// How fast the least delay may grow: 100 ppm, since sensor clocks drift by up to 60.
 const DRIFT_PPM: i64 = 100;
 /// The applied offset stays until the least delay is this far from it: within a capture of seconds, times of different
@@ -78,6 +87,18 @@ impl Fix {
     }
 }
 
+/// UTC to some seconds as a position packet tells it, nanoseconds since 1970: where the sentence is valid and the pulse
+/// locked, or with `without_pps` where the sensor's clock is as far behind the sentence as one that follows the pulse. (One
+/// that counts since power-up is, by chance, one time in 900.)
+pub fn vouched_utc_ns(position: &Position<'_>, without_pps: bool) -> Option<i64> {
+    let rmc = position.nmea.and_then(|text| Rmc::parse(text).ok()).filter(|rmc| rmc.valid)?;
+    let follows = || {
+        let behind_ns = (i64::from(position.stamp_us) * 1000 - rmc.utc_ns).rem_euclid(HOUR_NS);
+        SENTENCE_AGE_NS.contains(&behind_ns) || SENTENCE_AGE_NS.contains(&(behind_ns - HOUR_NS))
+    };
+    (position.pps == Pps::Locked || without_pps && follows()).then_some(rmc.utc_ns)
+}
+
 impl Clocks {
     /// Notes a data packet whose last shot was at `sensor_ns` and which arrived at `arrival_ns`.
     pub fn data(&mut self, sensor_ns: i64, arrival_ns: i64) {
@@ -111,16 +132,8 @@ impl Clocks {
         self.least_delay.map(|(delay_ns, _)| sensor_ns.saturating_add(delay_ns))
     }
 
-    /// Notes a position packet: a fix when the pulse is locked and the sentence valid, else the end of one.
-    pub fn position(&mut self, position: &Position<'_>, arrival_ns: i64) {
-        let rmc = position.nmea.and_then(|text| Rmc::parse(text).ok());
-        self.fix = rmc
-            .filter(|rmc| rmc.valid && position.pps == Pps::Locked)
-            .map(|rmc| Fix::new(position.stamp_us, rmc.utc_ns, arrival_ns));
-    }
-
-    /// Notes what a sensor without position packets says of UTC, to the second, along with a data packet of this stamp;
-    /// `None` when no receiver vouches for it.
+    /// Notes what a sensor says of UTC, to some seconds, along with a packet of this stamp; `None` when no receiver vouches
+    /// for it.
     pub fn said(&mut self, utc_ns: Option<i64>, stamp_us: u32, arrival_ns: i64) {
         self.fix = utc_ns.map(|utc_ns| Fix::new(stamp_us, utc_ns, arrival_ns));
     }
@@ -272,6 +285,32 @@ mod tests {
         }
     }
 
+    #[test]
+    fn a_sentence_vouches_alone_where_that_is_allowed_and_the_clock_agrees_with_it() {
+        let utc_ns = 1_355_263_599_000_000_000; // 22:06:39 UTC
+        let of = |pps, valid, utc_ns, stamp_us, without_pps| {
+            let text = Rmc { utc_ns, valid, position_deg: None }.emit();
+            let nmea = Some(text.trim_end());
+            let position = Position { stamp_us, pps, nmea, inertial: None, board: None, thermal: None };
+            vouched_utc_ns(&position, without_pps).is_some()
+        };
+        let stamp_us = 399_850_000;
+        assert!(of(Pps::Absent, true, utc_ns, stamp_us, true));
+        assert!(!of(Pps::Absent, true, utc_ns, stamp_us, false));
+        assert!(!of(Pps::Absent, false, utc_ns, stamp_us, true));
+        assert!(!of(Pps::Locked, false, utc_ns, stamp_us, true));
+        // A clock that counts since power-up: too far behind the sentence, or ahead of it. A locked pulse is believed.
+        for stamp_us in [397_990_000, 402_010_000, 0, 2_199_000_000] {
+            assert!(!of(Pps::Absent, true, utc_ns, stamp_us, true), "{stamp_us}");
+            assert!(of(Pps::Locked, true, utc_ns, stamp_us, false), "{stamp_us}");
+        }
+        // Around the full hour.
+        let full_ns = utc_ns - 399_000_000_000;
+        assert!(of(Pps::Absent, true, full_ns - SECOND, 850_000, true));
+        assert!(of(Pps::Absent, true, full_ns, 3_599_500_000, true));
+        assert!(!of(Pps::Absent, true, full_ns, 3_598_500_000, true));
+    }
+
     /// The first position packet of a public VLP-16 capture and the stamp of its first data packet; the host clock of
     /// that capture is 0.368 s ahead of GPS.
     #[test]
@@ -290,14 +329,15 @@ mod tests {
         let mut clock = SensorClock::default();
         clock.set(1_082_340_595, 1_082_340_595_000);
         let mut clocks = Clocks::default();
-        clocks.position(&position, 5 * SECOND);
+        clocks.said(vouched_utc_ns(&position, false), position.stamp_us, 5 * SECOND);
         // 2016-01-21 08:18:02.340595 UTC.
         let utc = (1_453_364_282_340_595_000, TimeSource::Gps);
         assert_eq!(clocks.resolve(1_082_340_595_000, &clock, 6 * SECOND), utc);
         assert_eq!(clocks.resolve(1_082_340_595_000, &clock, 9 * SECOND).1, TimeSource::Host);
         for (pps, valid) in [(Pps::Synchronizing, true), (Pps::Absent, true), (Pps::Locked, false)] {
             let doubtful = sentence.replace(",A,3649", if valid { ",A,3649" } else { ",V,3649" });
-            clocks.position(&Position { pps, nmea: Some(&doubtful), ..position }, 6 * SECOND);
+            let doubtful = Position { pps, nmea: Some(&doubtful), ..position };
+            clocks.said(vouched_utc_ns(&doubtful, false), position.stamp_us, 6 * SECOND);
             assert_eq!(clocks.resolve(1_082_340_595_000, &clock, 6 * SECOND).1, TimeSource::Host);
         }
     }

@@ -1,6 +1,6 @@
 //! What comes out of a replay: JSON, tables, files.
 
-use crate::{Folder, fixture, made, replay, sweeps};
+use crate::{Folder, fixture, made, replay, sweepd, sweeps};
 
 const KEYS: [&str; 16] = [
     "sensor",
@@ -58,6 +58,25 @@ fn a_sweep_in_json_has_exactly_its_keys() {
     }
     assert_eq!((&sweep["seq"], &sweep["partial"], &sweep["rows"]), (&1.into(), &false.into(), &16.into()));
     assert_eq!(sweep["time_source"], "gps");
+}
+
+/// The simulated one has a receiver with a fix and, as a real one, no byte for the pulse.
+#[test]
+fn an_hdl32e_tells_utc_where_its_sentence_is_enough() {
+    let folder = Folder::new("hdl32e-gps");
+    let capture = folder.path("gps.pcap");
+    let made = ["simulate", "--model=hdl32e", "--gps=locked", "--seconds=0.4", "--pcap", capture.to_str().unwrap()];
+    assert_eq!(sweepd(&made).code, 0);
+    let of = |options: &[&str], source: &str| -> Vec<i64> {
+        let mut sweeps = sweeps(&replay(&capture, &[&["--json", "--no-timing"], options].concat()).done());
+        assert!(sweeps.pop().is_some_and(|last| last["summary"].is_object()));
+        assert!(!sweeps.is_empty() && sweeps.iter().all(|sweep| sweep["time_source"] == source), "{source}");
+        sweeps.iter().map(|sweep| sweep["time_ns"].as_i64().unwrap()).collect()
+    };
+    // The clock of the simulated host is right: the two are apart by what packets take on the way.
+    for (host_ns, gps_ns) in of(&[], "host").into_iter().zip(of(&["--gps-without-pps"], "gps")) {
+        assert!((host_ns - gps_ns).abs() < 5_000_000, "{host_ns} {gps_ns}");
+    }
 }
 
 #[test]

@@ -73,6 +73,13 @@ impl Runner {
         self.end()
     }
 
+    /// Goes on with another configuration, as at a reload: what the sensor has said of itself stays known.
+    pub fn reloaded(self, config: Config) -> Self {
+        let mut next = Self::new(config);
+        next.pipeline.expect_unit(self.pipeline.into_unit());
+        next
+    }
+
     /// What happened since this was asked last.
     pub fn notices(&mut self) -> Vec<Notice> {
         self.pipeline.take_notices()

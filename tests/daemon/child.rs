@@ -27,6 +27,12 @@ fn runs_a_daemon() {
     let numbers: Vec<u16> = sensors.split(' ').map(|number| number.parse().unwrap()).collect();
     let of = |numbers: &[u16]| sensor(&format!("s{}", numbers[0]), numbers[0] as u8, (numbers[1], numbers[2]));
     let mut config = config(numbers.chunks_exact(4).map(of).collect());
+    for index in 1..config.sensors.len() {
+        let (before, [sensor, ..]) = config.sensors.split_at_mut(index) else { unreachable!() };
+        if before.iter().any(|other| other.address == sensor.address) {
+            sensor.name = format!("{}-{}", sensor.name, index + 1);
+        }
+    }
     config.daemon.http = Some(([127, 0, 0, 1], numbers[3]).into());
     let (rig, sweeps) = Rig::new();
     let rig = Arc::new(rig);

@@ -7,7 +7,7 @@ use sweepd::sensor::Model;
 use sweepd::wire::data::ReturnMode;
 
 use crate::child::{Daemon, is_free, write};
-use crate::rig::{Sending, free_port, free_tcp_port, stream, until};
+use crate::rig::{Sending, cool_stream_without_gps, free_port, free_tcp_port, stream, until};
 
 const WATCHDOG: Duration = Duration::from_millis(800);
 
@@ -168,6 +168,55 @@ fn health_and_metrics_tell_how_the_sensors_are() {
     assert_eq!((status, &health["sensors"][0]["state"]), (503, &"stalled".into()));
     let why = "s77: stalled: no packets from 127.0.0.77 on port";
     assert!(health["reasons"][1].as_str().unwrap().starts_with(why), "{health}");
+}
+
+#[test]
+fn two_sensors_at_one_address_tell_their_own_gps_and_temperature() {
+    let ports = [(); 2].map(|()| (free_port(), free_port()));
+    let sensors = ports.map(|(data, position)| [81, data, position]);
+    let daemon = Daemon::start(&sensors, free_tcp_port(), WATCHDOG);
+    daemon.until_ready();
+    let _sending = [
+        vlp16(81, ports[0], 60.0),
+        // The second one is off, but for its position packets.
+        Sending::start(81, ports[1], cool_stream_without_gps(60.0).into_iter().filter(|sent| !sent.is_data).collect()),
+    ];
+    until("both have told", || {
+        let sensors = &daemon.health().1["sensors"];
+        sensors[0]["state"] == "streaming" && sensors[1]["position_packets"].as_u64() > Some(100)
+    });
+    for _ in 0..20 {
+        let sensors = &daemon.health().1["sensors"];
+        let told = [0, 1].map(|index| (&sensors[index]["gps"], &sensors[index]["temperature_c"]));
+        assert_eq!(told, [(&"locked".into(), &43.into()), (&"absent".into(), &20.into())]);
+        std::thread::sleep(Duration::from_millis(20));
+    }
+    let why = daemon.health().1["sensors"][1]["reason"].to_string();
+    assert!(why.contains("only position packets from 127.0.0.81, no data on port"), "{why}");
+}
+
+#[test]
+fn position_packets_of_which_nothing_tells_whose_they_are_reach_no_sensor_and_are_told_of_once() {
+    let (data, position) = ([free_port(), free_port()], free_port());
+    let daemon = Daemon::start(&data.map(|data| [82, data, position]), free_tcp_port(), WATCHDOG);
+    daemon.until_ready();
+    let _sending = vlp16(82, (data[0], position), 60.0);
+    let why = format!(
+        "port 127.0.0.1:{position}: position packets reach no sensor: s82 and s82-2 share an address, and nothing tells whose"
+    );
+    until("it is told", || daemon.log().contains(&why));
+    until("it streams", || daemon.health().1["sensors"][0]["state"] == "streaming");
+    until("many came", || daemon.health().1["ports"][2]["rejected"]["ambiguous"].as_u64() > Some(100));
+    assert_eq!(daemon.log().matches("position packets").count(), 1);
+    let why = daemon.health().1["sensors"][1]["reason"].to_string();
+    assert!(why.contains("no packets from 127.0.0.82 on port"), "not those of the other one: {why}");
+    let (_, health) = daemon.health();
+    for sensor in health["sensors"].as_array().unwrap() {
+        assert!(sensor["gps"].is_null() && sensor["temperature_c"].is_null(), "{sensor}");
+        assert_eq!(sensor["position_packets"], 0);
+    }
+    let name = format!("sweepd_rejected_total{{port=\"127.0.0.1:{position}\",reason=\"ambiguous\"}}");
+    assert!(daemon.metrics()[&name] > 100.0);
 }
 
 #[test]

@@ -13,12 +13,12 @@ use sweepd::daemon::{DaemonError, Runtime};
 use sweepd::pipeline::{self, Notice, Pipeline, Untimed};
 use sweepd::sensor::Model;
 use sweepd::sweep::buffers::HeapBuffer;
-use sweepd::sweep::layout::TimeSource;
+use sweepd::sweep::layout::{TimeSource, flags};
 use sweepd::sweep::{HeapBuffers, SweepRef};
 use sweepd::wire::data::ReturnMode;
 use sweepd::wire::{DataPacket, Datagram};
 
-use crate::rig::{Fate, Rig, Sending, Sent, config, free_port, sensor, stream, until};
+use crate::rig::{Fate, Rig, Sending, Sent, config, cool_stream_without_gps, free_port, sensor, stream, until};
 
 const SINGLE: ReturnMode = ReturnMode::Strongest;
 
@@ -170,6 +170,32 @@ fn an_hdl64e_tells_its_calibration_and_then_streams() {
 }
 
 #[test]
+fn an_hdl64e_without_a_file_streams_on_over_a_reload() {
+    let (rig, sweeps) = Rig::new();
+    let one = config(vec![sensor("roof", 30, (0, 0))]);
+    let runtime = Runtime::start(&one, &rig, &mut Tees::default()).unwrap();
+    let port = runtime.ports[0].local.port();
+    let _sending = Sending::start(30, (port, port), stream(Model::Hdl64eS2, SINGLE, 30.0));
+    let counters = &runtime.sensors[0].counters;
+    until("it streams", || counters.steady_sweeps.get() >= 2);
+    let not_ready = || counters.undecoded().find(|(reason, _)| *reason == "not_ready").unwrap().1;
+    let (waited, partial) = (not_ready(), counters.partial_sweeps.get());
+    let mut other = one.sensors[0].pipeline.clone();
+    other.segment.theta_rad = 0.2;
+    runtime.reconfigure(0, other);
+    let sweeps_then = counters.sweeps.get();
+    until("it streams again", || counters.sweeps.get() >= sweeps_then + 4);
+    assert_eq!(not_ready(), waited, "all packets are decoded");
+    assert!(counters.partial_sweeps.get() - partial <= 1, "the first one of the new configuration");
+    let headers: Vec<_> = sweeps.try_iter().map(|(_, sweep)| *SweepRef::open(sweep.as_ref()).unwrap().header).collect();
+    assert!(headers[0].run_ns < headers.last().unwrap().run_ns, "it was taken");
+    // By the sensor's clock: each sweep takes 0.1 s.
+    let gaps_ns = headers.windows(2).map(|pair| pair[1].sensor_time_ns - pair[0].sensor_time_ns);
+    assert!(gaps_ns.clone().all(|ns| ns < 250_000_000), "{:?}", gaps_ns.collect::<Vec<_>>());
+    runtime.stop().unwrap();
+}
+
+#[test]
 fn a_sensor_of_the_wrong_model_may_be_exchanged_for_the_right_one() {
     let (rig, sweeps) = Rig::new();
     let mut one = sensor("roof", 29, (0, 0));
@@ -214,6 +240,38 @@ fn three_sensors_on_three_ports_get_their_position_packets_from_a_fourth() {
     runtime.stop().unwrap();
 }
 
+/// The sources of time of the whole sweeps of a sensor.
+fn time_sources(sweeps: &[HeapBuffer]) -> Vec<TimeSource> {
+    let headers = sweeps.iter().map(|sweep| SweepRef::open(sweep.as_ref()).unwrap().header);
+    headers.filter(|header| !header.has(flags::PARTIAL)).map(|header| header.time_source()).collect()
+}
+
+/// Behind one address, as of a router: only one of them has a GPS receiver, and the other is cooler.
+#[test]
+fn two_sensors_at_one_address_keep_their_gps_and_their_temperature_apart() {
+    let (rig, sweeps) = Rig::new();
+    let ports = [(); 2].map(|()| (free_port(), free_port()));
+    let both = config(vec![sensor("left", 34, ports[0]), sensor("right", 34, ports[1])]);
+    let runtime = Runtime::start(&both, &rig, &mut Tees::default()).unwrap();
+    let streams = [stream(Model::Vlp16, SINGLE, 12.0), cool_stream_without_gps(12.0)];
+    let [left, right] = [0, 1].map(|index| Sending::start(34, ports[index], streams[index].clone()));
+    left.finish();
+    right.finish();
+    let [left, right] = [0, 1].map(|index| &runtime.sensors[index].counters);
+    for (counters, stream) in [left, right].into_iter().zip(&streams) {
+        let positions = stream.iter().filter(|sent| !sent.is_data).count() as u64;
+        until("all positions are taken", || counters.position.get() == positions);
+        until("the sweeps are there", || counters.sweeps.get() >= 11);
+    }
+    assert_eq!((left.gps(), left.temperature_c()), (Some(Gps::Locked), Some(43)));
+    assert_eq!((right.gps(), right.temperature_c()), (Some(Gps::Absent), Some(20)));
+    let got = by_sensor(&sweeps);
+    let [left, right] = ["left", "right"].map(|name| time_sources(&got[name]));
+    assert!(left.len() >= 10 && left.iter().all(|&source| source == TimeSource::Gps), "{left:?}");
+    assert!(right.len() >= 10 && right.iter().all(|&source| source == TimeSource::Host), "{right:?}");
+    runtime.stop().unwrap();
+}
+
 #[test]
 fn foreign_datagrams_change_nothing_but_a_counter() {
     const RANDOM: u64 = 100_000;
@@ -241,7 +299,7 @@ fn foreign_datagrams_change_nothing_but_a_counter() {
     }
     until("five were refused", || rejected() == 5);
     let by_reason = Reject::ALL.map(|reason| counters.rejected(reason));
-    assert_eq!(by_reason, [1, 1, 0, 2, 1]);
+    assert_eq!(by_reason, [1, 1, 0, 2, 1, 0]);
 
     let mut rng = fastrand::Rng::with_seed(7);
     let mut bytes = [0; 1400];

@@ -178,8 +178,22 @@ pub struct Sent {
 
 /// What a sensor with GPS sends, for so many turns.
 pub fn stream(model: Model, mode: ReturnMode, turns: f64) -> Vec<Sent> {
+    stream_by(model, mode, turns, Clock::Gps { position_deg: (50.1, 8.7), reception: Reception::ALWAYS })
+}
+
+/// What a VLP-16 without a GPS receiver sends, whose boards have 20 degrees Celsius, for so many turns.
+pub fn cool_stream_without_gps(turns: f64) -> Vec<Sent> {
+    let mut stream = stream_by(Model::Vlp16, ReturnMode::Strongest, turns, Clock::Free { hour_ns: 7_000_000_000 });
+    for sent in stream.iter_mut().filter(|sent| !sent.is_data) {
+        // Where the packet tells the temperatures of its boards.
+        sent.payload[0x0BB..0x0BD].fill(20);
+    }
+    stream
+}
+
+fn stream_by(model: Model, mode: ReturnMode, turns: f64, clock: Clock) -> Vec<Sent> {
     let mut config = EmitterConfig::new(model, mode).turns(turns);
-    config.clock = Clock::Gps { position_deg: (50.1, 8.7), reception: Reception::ALWAYS };
+    config.clock = clock;
     let scene = street(1);
     let sent: Vec<_> = Emitter::new(config, &scene).untold().collect();
     let first_ns = sent[0].arrival_ns;

@@ -89,6 +89,7 @@ const SENSOR: &[Setting<SensorConfig>] = &[
     setting!(Reload "rpm", rpm, |rpm: &Option<_>| or("not watched", rpm)),
     setting!(Reload "cut_azimuth_deg", pipeline.cut_azimuth_rad, |angle: &f64| degrees(*angle)),
     setting!(Reload "return", pipeline.return_choice, |choice: &_| format!("{choice:?}").to_lowercase()),
+    setting!(Reload "gps_without_pps", pipeline.gps_without_pps, text),
     setting!(Reload "x_m, y_m, z_m", pipeline.position_m, |[x, y, z]: &[f32; 3]| format!("{x}, {y}, {z}")),
     setting!(Reload "yaw_deg", pipeline.yaw_rad, |angle: &f32| degrees((*angle).into())),
     setting!(Reload "pitch_deg", pipeline.segment.mount.pitch_rad, |angle: &f32| degrees((*angle).into())),

@@ -38,6 +38,8 @@ pub struct Sensor {
     pub which_return: Option<WhichReturn>,
     pub cut_azimuth_deg: Option<Spanned<Number>>,
     pub rpm: Option<Spanned<Number>>,
+    #[serde(default)]
+    pub gps_without_pps: bool,
     pub max_consumers: Option<Spanned<Whole>>,
     #[serde(default)]
     pub mount: Mount,

@@ -332,6 +332,7 @@ fn no_setting_changes_without_a_word() {
         "return = \"strongest\"",
         "cut_azimuth_deg = 1",
         "rpm = 1200",
+        "gps_without_pps = true",
         "max_consumers = 5",
         "mount = { x_m = 1 }",
         "mount = { yaw_deg = 1 }",
@@ -376,6 +377,7 @@ fn no_setting_changes_without_a_word() {
         cut_azimuth_rad: _,
         return_choice: _,
         segment: _,
+        gps_without_pps: _,
         position_m: _,
         yaw_rad: _,
     } = pipeline;

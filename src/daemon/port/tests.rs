@@ -4,9 +4,10 @@ use std::sync::mpsc::{self, Sender};
 
 use super::super::config::SensorConfig;
 use super::super::counters::Gps;
+use super::super::plan;
 use super::super::sensor::Identity;
 use super::super::sharing::SharingError;
-use super::super::testing::sensor;
+use super::super::testing::{config_of, sensor};
 use super::*;
 use crate::sensor::Model;
 use crate::simulate::{Emitter, EmitterConfig, SimulatedDatagram, fixtures};
@@ -93,7 +94,7 @@ fn served(
     let identity = Identity { index, name, address, counters, events: mpsc::channel().0 };
     let sensor = Sensor::new(identity, config.pipeline.clone(), buffers).unwrap();
     let orders = mpsc::channel().1;
-    Served { address: config.address, sensor, mail, orders, tap: None, newest: Newest::default() }
+    Served { sensor, mail, orders, tap: None, newest: Newest::default() }
 }
 
 /// A port with two sensors, at 127.0.0.1 and 127.0.0.2.
@@ -101,7 +102,9 @@ fn room(sweeps: &Sender<Sweep>) -> Room<Shared> {
     let configs = [1, 2].map(|host| sensor(&format!("s{host}"), &format!("127.0.0.{host}"), 2368));
     let sensors = (0..2).map(|index| served(index, &configs[index], (Arc::default(), mpsc::channel().1), sweeps));
     let sensors = sensors.collect();
-    Room { door: Door::new(&configs, &configs), sensors, others: Vec::new(), lane: None, counters: Arc::default() }
+    let config = config_of(configs.to_vec());
+    let door = Door::new(&config, &plan::ports(&config)[0]);
+    Room { door, sensors, others: Vec::new(), lane: None, counters: Arc::default() }
 }
 
 /// What both sensors send, in the order in which it arrives.

@@ -164,6 +164,7 @@ impl Check<'_> {
             }),
             segment: self.segment(sensor, model, calibration.as_ref(), at)?,
             calibration,
+            gps_without_pps: sensor.gps_without_pps,
             position_m,
             yaw_rad: yaw_deg.to_radians() as f32,
         })
