@@ -53,9 +53,14 @@ impl Door {
         }
     }
 
+    /// The sensor of this port that sends from there, by its place among them.
+    pub fn owner(&self, source: SocketAddr) -> Option<usize> {
+        let (from, from_port) = (source.ip().to_canonical(), source.port());
+        self.here.iter().position(|&(ip, port)| ip == from && port.is_none_or(|port| port == from_port))
+    }
+
     fn data(&self, source: SocketAddr) -> Result<Admitted, Reject> {
-        let is_own = |&(ip, port): &(IpAddr, Option<u16>)| ip == source.ip() && port.is_none_or(|p| p == source.port());
-        match self.here.iter().position(is_own) {
+        match self.owner(source) {
             Some(index) => Ok(Admitted::Data(index)),
             None if self.here.iter().all(|&(ip, _)| ip != source.ip()) && self.knows(source.ip()) => Err(Reject::Port),
             None => Err(Reject::Source),

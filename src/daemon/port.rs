@@ -14,7 +14,7 @@ use std::sync::mpsc::{Receiver, SyncSender};
 use std::thread;
 use std::time::{Duration, Instant};
 
-use super::counters::{PortCounters, SensorCounters};
+use super::counters::{PortCounters, Reject, SensorCounters};
 use super::door::{Admitted, Door};
 use super::nap::{self, Load};
 use super::sensor::Sensor;
@@ -282,6 +282,11 @@ impl<B: Buffers<Buffer: Outgoing>> Room<B> {
             Ok(Admitted::Position(address)) => deliver(address, addressed, &mut self.sensors, &mut self.others),
             Err(reason) => {
                 self.counters.reject(reason);
+                if let (Reject::Length | Reject::Marker | Reject::Azimuth, Some(index)) =
+                    (reason, self.door.owner(datagram.source))
+                {
+                    self.sensors[index].sensor.refuse();
+                }
                 return false;
             }
         }

@@ -38,6 +38,8 @@ pub struct Sensor {
     pub which_return: Option<WhichReturn>,
     pub cut_azimuth_deg: Option<Spanned<Number>>,
     pub rpm: Option<Spanned<Number>>,
+    pub loss_warning_percent: Option<Spanned<Number>>,
+    pub loss_fault_percent: Option<Spanned<Number>>,
     pub max_consumers: Option<Spanned<Whole>>,
     #[serde(default)]
     pub mount: Mount,
