@@ -407,7 +407,10 @@ fn beside_a_daemon_the_doctor_and_watch_say_how_it_is_now() {
         drop(ends);
     });
     drop(watch);
-    assert_eq!((lines(" % of its packets are lost"), lines("lost before this host"), lines("losses are over")), (2, 1, 1));
+    assert_eq!(
+        (lines(" % of its packets are lost"), lines("lost before this host"), lines("losses are over")),
+        (2, 1, 1)
+    );
     let sweeps = std::fs::read_to_string(&sweeps).unwrap();
     // The last one may have been cut off.
     let whole: Vec<&str> = sweeps.split_inclusive('\n').filter(|line| line.ends_with('\n')).collect();

@@ -139,14 +139,24 @@ pub struct Recent {
 }
 
 impl Recent {
+    /// Packets that came and are in no sweep.
+    fn useless(&self) -> u64 {
+        self.counted.unfitting() + self.counted.refused
+    }
+
+    /// Packets that did not come: a lower bound. One that came damaged or late is missing by the sensor's clock as well.
+    fn absent(&self) -> u64 {
+        self.counted.lost.saturating_sub(self.useless())
+    }
+
     /// Packets that the sensor sent or that came under its address.
     fn all(&self) -> u64 {
-        self.counted.data + self.counted.refused + self.counted.lost
+        self.counted.data + self.counted.refused + self.absent()
     }
 
     /// Those of them that are in no sweep.
     fn missing(&self) -> u64 {
-        self.counted.lost + self.counted.unfitting() + self.counted.refused
+        self.absent() + self.useless()
     }
 
     /// The share of packets that are in no sweep, 0 to 1; 0 where too few came to tell.
@@ -157,11 +167,11 @@ impl Recent {
     /// What is to blame for most of them. The kernel drops packets of all senders on the port alike: it is to blame for at
     /// most as many as it dropped.
     pub fn cause(&self) -> Cause {
-        let Tally { data, lost, refused, dropped, strangers, .. } = self.counted;
-        let here = lost.min(dropped);
+        let Tally { data, refused, dropped, strangers, .. } = self.counted;
+        let here = self.absent().min(dropped);
         let host = if strangers > data { Cause::Flood } else { Cause::Host };
         let by_cause = [
-            (lost - here, Cause::Network),
+            (self.absent() - here, Cause::Network),
             (refused, Cause::NoPackets),
             (self.counted.unfitting(), Cause::SecondSensor),
             (here, host),

@@ -179,9 +179,13 @@ fn the_cause_follows_from_what_was_counted() {
 
 #[test]
 fn a_share_counts_each_packet_once() {
-    let counted = Tally { data: 800, lost: 200, late: 50, refused: 0, ..Tally::default() };
+    // Of 1000 that were sent, 200 are in no sweep: 150 did not come, 50 came late and were missed before.
+    let counted = Tally { data: 850, lost: 200, late: 50, ..Tally::default() };
     let share = Recent { span: WINDOW, counted }.share();
-    assert!((share - 0.25).abs() < 1e-12, "{share}");
-    let counted = Tally { data: 0, lost: 0, refused: 500, ..Tally::default() };
+    assert!((share - 0.2).abs() < 1e-12, "{share}");
+    // 40 that came damaged are missed by the sensor's clock too: no cable is to blame.
+    let recent = Recent { span: WINDOW, counted: Tally { data: 960, lost: 40, refused: 40, ..Tally::default() } };
+    assert!((recent.share() - 0.04).abs() < 1e-12 && recent.cause() == Cause::NoPackets, "{recent:?}");
+    let counted = Tally { refused: 500, ..Tally::default() };
     assert!((Recent { span: WINDOW, counted }.share() - 1.0).abs() < 1e-12);
 }
