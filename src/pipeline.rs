@@ -303,8 +303,9 @@ impl<B: Buffers, W: Stopwatch> Pipeline<B, W> {
     pub fn counts(&self) -> Counts {
         let mut counts = self.counts;
         if let State::Decoding(decoding) = &self.state {
-            let OrderCounts { reordered, unconfirmed } = decoding.order.counts();
+            let OrderCounts { reordered, unconfirmed, set_back } = decoding.order.counts();
             counts.reordered += reordered;
+            counts.set_back += set_back;
             counts.unconfirmed += unconfirmed;
             counts.lost += decoding.builder.lost();
         }

@@ -1,14 +1,17 @@
 //! `sweepd doctor` over loopback: simulated sensors, healthy and not, and web pages that the tests serve.
 
+#[path = "common/domain.rs"]
+mod domain;
 #[path = "common/stream.rs"]
 mod stream;
 
 use std::io::{BufRead, BufReader, Read, Write};
 use std::net::{IpAddr, Ipv4Addr, SocketAddr, TcpListener, UdpSocket};
-use std::process::{Command, Stdio};
+use std::process::{Child, Command, Stdio};
 use std::sync::atomic::{AtomicBool, Ordering};
 use std::time::{Duration, Instant};
 
+use domain::Own;
 use serde_json::{Value, json};
 use stream::Spin;
 use sweepd::doctor::observe::Heard;
@@ -321,4 +324,105 @@ fn a_configuration_names_ports_and_sensors() {
     assert!(stderr.starts_with(&format!("listening on port {port} ")), "{stderr}");
     assert_eq!(found.status.code(), Some(1));
     assert!(!missing.status.success() && String::from_utf8_lossy(&missing.stderr).contains("none.toml"));
+}
+
+/// A program that ends with the test.
+struct Program(Child);
+
+impl Program {
+    fn start(args: &[&str], own: &Own, stdout: Stdio, stderr: Stdio) -> Self {
+        let mut command = Command::new(env!("CARGO_BIN_EXE_sweepd"));
+        command.args(args).env("SWEEPD_ROOT", own.root()).stdin(Stdio::null()).stdout(stdout).stderr(stderr);
+        Self(command.spawn().unwrap())
+    }
+}
+
+impl Drop for Program {
+    fn drop(&mut self) {
+        let _ = self.0.kill();
+        let _ = self.0.wait();
+    }
+}
+
+/// Beside a daemon with one sensor, which loses three packets of ten for 8 s and then none: the doctor, and a consumer.
+#[test]
+fn beside_a_daemon_the_doctor_and_watch_say_how_it_is_now() {
+    let own = Own::new();
+    std::fs::create_dir_all(own.root()).unwrap();
+    let free = |_| UdpSocket::bind((LOCAL, 0)).unwrap().local_addr().unwrap().port();
+    let [port, other, http] = [0, 1, 2].map(free);
+    let (file, notes) = (own.root().join("sweepd.toml"), own.root().join("watch.log"));
+    let text = format!(
+        "http = \"127.0.0.1:{http}\"\n[[sensor]]\nname = \"roof\"\naddress = \"127.0.0.1\"\nbind = \"127.0.0.1\"\n\
+         port = {port}\nposition_port = {port}\n"
+    );
+    std::fs::write(&file, text).unwrap();
+    let _daemon = Program::start(&["run", "--config", file.to_str().unwrap()], &own, Stdio::null(), Stdio::null());
+    let stderr = std::fs::File::create(&notes).unwrap();
+    let sweeps = own.root().join("sweeps.jsonl");
+    let stdout = std::fs::File::create(&sweeps).unwrap();
+    let watch = Program::start(&["watch", "roof", "--json", "--no-timing"], &own, stdout.into(), stderr.into());
+    let (mut rng, mut stream) = (fastrand::Rng::with_seed(3), vlp16(30.0));
+    let lossy = Duration::from_secs(8);
+    stream.retain(|(after, payload)| payload.len() != 1206 || *after >= lossy || rng.u8(..10) >= 3);
+    let (ports, health) = ([port, other].map(|port| port.to_string()), format!("127.0.0.1:{http}"));
+    let doctor = || {
+        let args = ["doctor", "--bind", "127.0.0.1", "--no-web", "--json", "--seconds", "0.2", "--health", &health];
+        let named = ["--port", &ports[0], "--port", &ports[1]];
+        let done = Command::new(env!("CARGO_BIN_EXE_sweepd")).args(args).args(named).output().unwrap();
+        let report: Value = serde_json::from_slice(&done.stdout).unwrap();
+        let findings: Vec<Value> = report["findings"].as_array().unwrap().clone();
+        let of_host = |topic: &Value| topic == "buffer" || topic == "shared-memory";
+        findings.into_iter().filter(|one| one["severity"] != "note" && !of_host(&one["topic"])).collect::<Vec<_>>()
+    };
+    let lines =
+        |words: &str| std::fs::read_to_string(&notes).unwrap().lines().filter(|line| line.contains(words)).count();
+    let over = AtomicBool::new(false);
+    std::thread::scope(|scope| {
+        // Whatever fails ends it.
+        let ends = Ends(&over);
+        while doctor().iter().any(|one| one["topic"] == "port" || one["topic"] == "silent") {
+            std::thread::sleep(Duration::from_millis(100));
+        }
+        scope.spawn(|| send(&stream, LOCAL, &[port], &over));
+        let begun = Instant::now();
+        let mut told = Vec::new();
+        while !told.iter().any(|one: &Value| one["what"].to_string().contains("losing many packets")) {
+            assert!(begun.elapsed() < lossy, "{told:#?}");
+            told = doctor();
+        }
+        let [only] = &told[..] else { panic!("{told:#?}") };
+        assert_eq!((&only["severity"], &only["topic"]), (&json!("error"), &json!("daemon")));
+        assert!(only["what"].as_str().unwrap().contains("whose kernel dropped none"), "{only}");
+        // Some thousand packets have been lost by now, and none of late.
+        while !told.is_empty() {
+            assert!(begun.elapsed() < Duration::from_secs(25), "{told:#?}");
+            std::thread::sleep(Duration::from_millis(200));
+            told = doctor();
+        }
+        while lines("its losses are over") == 0 {
+            assert!(begun.elapsed() < Duration::from_secs(25), "watch does not say that it is over");
+            std::thread::sleep(Duration::from_millis(100));
+        }
+        drop(ends);
+    });
+    drop(watch);
+    assert_eq!(
+        (lines(" % of its packets are lost"), lines("lost before this host"), lines("losses are over")),
+        (2, 1, 1)
+    );
+    let sweeps = std::fs::read_to_string(&sweeps).unwrap();
+    // The last one may have been cut off.
+    let whole: Vec<&str> = sweeps.split_inclusive('\n').filter(|line| line.ends_with('\n')).collect();
+    assert!(whole.len() > 50);
+    whole.iter().for_each(|line| drop(serde_json::from_str::<Value>(line).unwrap()));
+}
+
+/// Ends what sends when the test is over, well or not.
+struct Ends<'a>(&'a AtomicBool);
+
+impl Drop for Ends<'_> {
+    fn drop(&mut self) {
+        self.0.store(true, Ordering::Relaxed);
+    }
 }

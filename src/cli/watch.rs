@@ -15,8 +15,11 @@ use super::publish::RootOptions;
 use super::signals::end_flag;
 use super::{CliError, complain};
 use crate::client::{Client, Domain, SweepRef};
+use crate::daemon::losses::{Limits, Losses, Place, Tally, Turn};
+use crate::daemon::state::PATIENCE;
 use crate::host::{monotonic_ns, realtime_ns};
 use crate::sensor::Model;
+use crate::sweep::Header;
 
 /// How long is waited at once: then it is looked for a signal.
 const LOOK_EVERY: Duration = Duration::from_millis(100);
@@ -61,7 +64,8 @@ pub fn run(args: &Args) -> Result<(), CliError> {
     let client = Client::within(&domain, &name)?;
     let outputs = Outputs::new(&args.output)?;
     let table = (!args.output.json).then(|| Table::new(&name));
-    Watch { args, client, outputs, table, latencies: Latencies::default(), seen: 0 }.run(&over)
+    let (latencies, losses) = (Latencies::default(), Losses::new(Limits::default()));
+    Watch { args, client, outputs, table, latencies, losses, tally: Tally::default(), newest: None, seen: 0 }.run(&over)
 }
 
 /// When a sweep came.
@@ -77,6 +81,11 @@ struct Watch<'a> {
     outputs: Outputs,
     table: Option<Table>,
     latencies: Latencies,
+    losses: Losses,
+    /// What the sweeps' headers counted so far.
+    tally: Tally,
+    /// The run of the newest sweep, and when it came.
+    newest: Option<(i64, Duration)>,
     seen: u64,
 }
 
@@ -113,6 +122,7 @@ impl Watch<'_> {
             completed: receipt.monotonic_ns.saturating_sub(header.completed_monotonic_ns) as f64 / 1000.0,
         };
         self.latencies.add(header, latency_us);
+        self.note_losses(header, Duration::from_nanos(receipt.monotonic_ns.unsigned_abs()));
         if let Some(table) = &mut self.table {
             table.add(&sweep, latency_us, self.client.reopened());
         }
@@ -122,6 +132,26 @@ impl Watch<'_> {
             return Err(CliError::Usage(text));
         };
         self.outputs.sweep((0, model), header.sequence, sweep, Some(latency_us))
+    }
+
+    /// Tells losses once when they begin and once when they are over, as the daemon does, by what the headers count.
+    fn note_losses(&mut self, header: &Header, now: Duration) {
+        match self.newest.replace((header.run_ns, now)) {
+            Some((_, before)) if now.saturating_sub(before) >= PATIENCE => self.losses.forget(),
+            Some((run_ns, _)) if run_ns != header.run_ns => self.losses.begin_anew(),
+            _ => {}
+        }
+        self.tally.data += u64::from(header.packets);
+        self.tally.lost += u64::from(header.lost_packets);
+        self.tally.dropped += u64::from(header.dropped_datagrams);
+        let turn = self.losses.observe(now, self.tally);
+        let Some((turn, recent)) = turn.zip(self.losses.recent()) else { return };
+        let place = Place { address: header.sensor().to_owned(), port: None, sensors: 1 };
+        let told = match turn {
+            Turn::Begun(_) => recent.sentence(&place),
+            Turn::Over(lasted) => recent.over(lasted),
+        };
+        complain("note", format_args!("{}: {told}", header.name()));
     }
 
     fn nothing(&self, waited: Duration) -> String {

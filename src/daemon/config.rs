@@ -19,6 +19,7 @@ use std::path::{Path, PathBuf};
 pub use changes::{Change, Effect};
 pub use error::{ConfigError, Problems};
 
+use super::losses::Limits;
 use crate::pipeline;
 use crate::sensor::{Calibration, Model};
 use error::Problem;
@@ -95,6 +96,8 @@ pub struct SensorConfig {
     pub dual: Option<bool>,
     /// Speed it is set to, turns a minute, if that is to be watched.
     pub rpm: Option<f32>,
+    /// Shares of its packets above which losses are told.
+    pub losses: Limits,
     /// How its packets are decoded and its sweeps segmented.
     pub pipeline: pipeline::Config,
 }

@@ -15,11 +15,12 @@ use tracing::{error, info, warn};
 use super::config::Config;
 use super::counters::{Reject, SensorCounters};
 use super::health::{self, View};
+use super::losses::Tally;
 use super::notify::{Notifier, Pulse, beat};
-use super::runtime::{DaemonError, Runtime};
+use super::runtime::{DaemonError, PortStatus, Runtime, SensorStatus};
 use super::sensor::Event;
 use super::sharing::Sharing;
-use super::state::{Message, Observation, Running, Watcher};
+use super::state::{Condition, Message, Observation, Running, Watcher};
 use super::tap::socket_path;
 use super::tee::Tees;
 use crate::pipeline::{Fault, Notice};
@@ -158,9 +159,12 @@ struct Control {
 impl Control {
     fn new(config: Config, (runtime, tees): (Runtime, Tees), reread: Reread, root: &Path, begun: Instant) -> Self {
         let now = begun.elapsed();
-        let watcher = |(status, sensor): (&super::runtime::SensorStatus, &super::config::SensorConfig)| {
+        let watcher = |(status, sensor): (&SensorStatus, &super::config::SensorConfig)| {
             let place = (status.address.to_string(), status.port);
-            Watcher::new(&status.name, place, sensor.rpm, now)
+            let mut watcher = Watcher::new(&status.name, place, sensor.rpm, now);
+            let has_its_port = |other: &&SensorStatus| other.port_index == status.port_index;
+            watcher.watch_losses(sensor.losses, runtime.sensors.iter().filter(has_its_port).count());
+            watcher
         };
         let watchers: Vec<Watcher> = runtime.sensors.iter().zip(&config.sensors).map(watcher).collect();
         let watchdog = sd_notify::watchdog_enabled();
@@ -230,7 +234,8 @@ impl Control {
             self.runtime.record(&self.tees);
         }
         for (watcher, sensor) in self.watchers.iter_mut().zip(self.runtime.sensors.iter()) {
-            watcher.observe(&observation(&sensor.counters, now)).iter().for_each(log);
+            let tally = tally(sensor, &self.runtime);
+            watcher.observe(&Observation { tally, ..observation(&sensor.counters, now) }).iter().for_each(log);
         }
         let hanging = self.pulse.observe(now, self.runtime.ports.iter().map(|port| port.counters.heartbeat.get()));
         for &index in hanging.iter().filter(|index| !self.hanging.contains(index)) {
@@ -313,7 +318,7 @@ impl Control {
                     differences.len()
                 ),
                 Event::Reconfigured(Ok(())) => {
-                    watcher.unhindered();
+                    watcher.reconfigured();
                     info!("{name}: decoded with the new configuration");
                 }
                 Event::Reconfigured(Err(error)) => warn!("{name}: goes on as before: {error}"),
@@ -327,12 +332,12 @@ impl Control {
 
     /// Brings what others are told up to date.
     fn tell(&mut self) {
-        let states: Vec<_> = self.watchers.iter().map(|watcher| (watcher.state(), watcher.complaint())).collect();
-        let named = self.runtime.sensors.iter().zip(&states);
-        let words: Vec<String> = named.map(|(sensor, (state, _))| format!("{} {state}", sensor.name)).collect();
+        let conditions: Vec<Condition> = self.watchers.iter().map(Watcher::condition).collect();
+        let named = self.runtime.sensors.iter().zip(&conditions);
+        let words: Vec<String> = named.map(|(sensor, is)| format!("{} {}", sensor.name, is.state)).collect();
         self.notifier.status(&words.join(", "));
         let hanging = self.hanging.iter().map(|&index| self.port(index).to_owned()).collect();
-        self.view.lock().unwrap_or_else(PoisonError::into_inner).update(states, hanging, self.tees.status());
+        self.view.lock().unwrap_or_else(PoisonError::into_inner).update(conditions, hanging, self.tees.status());
     }
 
     fn port(&self, index: usize) -> &str {
@@ -362,6 +367,7 @@ impl Control {
             if new.rpm != old.rpm {
                 self.watchers[index].expect_rpm(new.rpm);
             }
+            self.watchers[index].limit_losses(new.losses);
         }
         // One that has failed is begun again at once: whoever reloads has seen to the disk.
         if self.config.record.as_ref() != self.tees.config() || self.tees.has_failed() {
@@ -392,13 +398,27 @@ fn log(message: &Message) {
     }
 }
 
+/// What became of a sensor's packets, with what happened on its port.
+fn tally(sensor: &SensorStatus, runtime: &Runtime) -> Tally {
+    let Some(PortStatus { counters: port, .. }) = runtime.ports.get(sensor.port_index) else {
+        return sensor.counters.tally();
+    };
+    let own: u64 = (runtime.sensors.iter())
+        .filter(|other| other.port_index == sensor.port_index)
+        .map(|other| other.counters.refused.get())
+        .sum();
+    let rejected: u64 = Reject::ALL.into_iter().map(|reason| port.rejected(reason)).sum();
+    Tally { dropped: port.dropped.get(), strangers: rejected.saturating_sub(own), ..sensor.counters.tally() }
+}
+
 fn observation(counters: &SensorCounters, now: Duration) -> Observation {
     // Sweeps before the packets, as they are counted the other way round.
     let steady_sweeps = counters.steady_sweeps.get();
     let (model, return_mode) = (counters.model(), counters.return_mode());
     let running =
         model.zip(return_mode).map(|(model, return_mode)| Running { model, return_mode, rpm: counters.rpm() });
-    Observation { now, data: counters.data.get(), position: counters.position.get(), steady_sweeps, running }
+    let (data, position) = (counters.data.get(), counters.position.get());
+    Observation { now, data, position, steady_sweeps, running, tally: Tally::default() }
 }
 
 #[cfg(test)]

@@ -4,6 +4,7 @@
 
 use std::sync::atomic::{AtomicBool, AtomicI32, AtomicU8, AtomicU32, AtomicU64, Ordering::Relaxed};
 
+use super::losses::Tally;
 use crate::pipeline::Counts;
 use crate::sensor::Model;
 use crate::sweep::Header;
@@ -148,12 +149,16 @@ pub struct SensorCounters {
     pub position: Counter,
     /// Position packets from another port that found the queue of this sensor's thread full.
     pub position_overflows: Counter,
+    /// Datagrams from its address to its data port that are no packets: of another length, or with wrong markers or azimuths.
+    pub refused: Counter,
     /// Data packets missing by the sensor's clock.
     pub lost: Counter,
     /// Packets that were put back in order.
     pub reordered: Counter,
     /// Packets let in and not decoded: see [`SensorCounters::UNDECODED`] for the reasons.
     undecoded: [Counter; 6],
+    /// Those of the late ones that showed together that the sensor's clock was set back.
+    set_back: Counter,
     /// Sweeps that were complete, partial ones included.
     pub sweeps: Counter,
     /// Those of them that are not from cut to cut.
@@ -186,6 +191,7 @@ impl SensorCounters {
         self.position.set(counts.position);
         self.lost.set(counts.lost);
         self.reordered.set(counts.reordered);
+        self.set_back.set(counts.set_back);
         let by_reason =
             [counts.malformed, counts.duplicates, counts.late, counts.unconfirmed, counts.foreign, counts.undecoded];
         self.undecoded.iter().zip(by_reason).for_each(|(counter, count)| counter.set(count));
@@ -194,6 +200,15 @@ impl SensorCounters {
     /// How many packets were let in and not decoded, by reason.
     pub fn undecoded(&self) -> impl Iterator<Item = (&'static str, u64)> {
         Self::UNDECODED.into_iter().zip(self.undecoded.iter().map(Counter::get))
+    }
+
+    /// What the rule of losses asks of them; what is of the port is left out.
+    pub fn tally(&self) -> Tally {
+        let [malformed, _, late, unconfirmed, other_product, _] = self.undecoded.each_ref().map(Counter::get);
+        // A clock that is set back costs some packets once, and no cable or second sensor is to blame.
+        let late = late.saturating_sub(self.set_back.get());
+        let (data, lost, refused) = (self.data.get(), self.lost.get(), self.refused.get());
+        Tally { data, lost, late, unconfirmed, other_product, malformed, refused, ..Tally::default() }
     }
 
     /// The times of a stage.

@@ -90,10 +90,16 @@ impl Door {
         }
     }
 
+    /// The sensor of this port that sends from there, by its place among them.
+    pub fn owner(&self, source: SocketAddr) -> Option<usize> {
+        let (ip, port) = (source.ip().to_canonical(), source.port());
+        let is_own = |known: &Known| known.ip == ip && known.source_port.is_none_or(|own| own == port);
+        self.known[..self.here].iter().position(is_own)
+    }
+
     fn data(&self, source: SocketAddr) -> Result<Admitted, Reject> {
         let here = &self.known[..self.here];
-        let is_own = |known: &Known| known.ip == source.ip() && known.source_port.is_none_or(|p| p == source.port());
-        match here.iter().position(is_own) {
+        match self.owner(source) {
             Some(index) => Ok(Admitted::Data(index)),
             None if here.iter().all(|known| known.ip != source.ip()) && self.at(source.ip()).next().is_some() => {
                 Err(Reject::Port)

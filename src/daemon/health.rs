@@ -25,9 +25,10 @@ use tokio::sync::Semaphore;
 use tokio::time::timeout;
 
 use super::counters::Reject;
+use super::losses::Recent;
 use super::metrics;
 use super::runtime::{PortStatus, SensorStatus};
-use super::state::State;
+use super::state::{Condition, State};
 use super::tee::RecordingStatus;
 use crate::wire::data::ReturnMode;
 
@@ -42,8 +43,8 @@ const REQUEST_BYTES: usize = 8192;
 pub struct View {
     pub(super) sensors: Arc<[SensorStatus]>,
     pub(super) ports: Arc<[PortStatus]>,
-    /// By sensor: how it is, and why it is not well.
-    pub(super) states: Vec<(State, Option<String>)>,
+    /// How each sensor is.
+    pub(super) conditions: Vec<Condition>,
     /// Ports whose threads hang.
     hanging: Vec<String>,
     pub(super) recording: Option<RecordingStatus>,
@@ -57,12 +58,13 @@ pub struct View {
 impl View {
     /// A daemon that has just started.
     pub fn new(sensors: Arc<[SensorStatus]>, ports: Arc<[PortStatus]>, root: PathBuf) -> Self {
-        let waiting = (State::Waiting, Some("has not been looked at yet".to_owned()));
-        let states = vec![waiting; sensors.len()];
+        let complaint = Some("has not been looked at yet".to_owned());
+        let waiting = Condition { state: State::Waiting, complaint, is_fault: true, recent: None, losses: None };
+        let conditions = vec![waiting; sensors.len()];
         Self {
             sensors,
             ports,
-            states,
+            conditions,
             hanging: Vec::new(),
             recording: None,
             waits_for: None,
@@ -77,23 +79,28 @@ impl View {
     }
 
     /// Takes how the sensors are, the names of the ports whose threads hang, and how the recording is.
-    pub fn update(
-        &mut self,
-        states: Vec<(State, Option<String>)>,
-        hanging: Vec<String>,
-        recording: Option<RecordingStatus>,
-    ) {
-        (self.states, self.hanging, self.recording) = (states, hanging, recording);
+    pub fn update(&mut self, conditions: Vec<Condition>, hanging: Vec<String>, recording: Option<RecordingStatus>) {
+        (self.conditions, self.hanging, self.recording) = (conditions, hanging, recording);
     }
 
-    /// Why not all is well; empty if it is.
-    fn reasons(&self) -> Vec<String> {
-        let named = self.sensors.iter().zip(&self.states);
-        let unwell = named.filter(|(_, (state, why))| *state != State::Streaming || why.is_some());
-        let sensors = unwell.map(|(sensor, (state, why))| match why {
+    /// Of which sensors not all is well although they stream: warnings, no faults.
+    fn warnings(&self) -> Vec<String> {
+        self.sensor_reasons(false)
+    }
+
+    fn sensor_reasons(&self, is_fault: bool) -> Vec<String> {
+        let named = self.sensors.iter().zip(&self.conditions);
+        let unwell = named.filter(|(_, is)| is.is_fault == is_fault && (is_fault || is.complaint.is_some()));
+        let told = unwell.map(|(sensor, Condition { state, complaint, .. })| match complaint {
             Some(why) => format!("{}: {state}: {why}", sensor.name),
             None => format!("{}: {state}", sensor.name),
         });
+        told.collect()
+    }
+
+    /// What is at fault; empty if nothing is.
+    fn faults(&self) -> Vec<String> {
+        let sensors = self.sensor_reasons(true);
         let unshared = self.sensors.iter().filter_map(|sensor| {
             sensor.sharing.trouble().map(|why| format!("{}: sweeps reach nobody: {why}", sensor.name))
         });
@@ -113,15 +120,20 @@ impl View {
             .collect()
     }
 
-    /// All of it, as JSON; and whether all is well.
+    /// All of it, as JSON; and whether nothing is at fault.
     pub fn report(&self) -> (bool, Value) {
-        let reasons = self.reasons();
-        let sensors: Vec<Value> =
-            self.sensors.iter().zip(&self.states).map(|(one, state)| sensor(one, state)).collect();
+        let (faults, warnings) = (self.faults(), self.warnings());
+        let sensors: Vec<Value> = self.sensors.iter().zip(&self.conditions).map(|(one, is)| sensor(one, is)).collect();
         let ports: Vec<Value> = self.ports.iter().map(|one| port(one, self.hanging.contains(&one.name))).collect();
-        let is_well = reasons.is_empty();
+        let is_well = faults.is_empty();
+        let status = match warnings.is_empty() {
+            _ if !is_well => "unwell",
+            false => "warning",
+            true => "ok",
+        };
+        let reasons: Vec<String> = faults.into_iter().chain(warnings).collect();
         let report = json!({
-            "status": if is_well { "ok" } else { "unwell" },
+            "status": status,
             "reasons": reasons,
             "pid": std::process::id(),
             "version": env!("CARGO_PKG_VERSION"),
@@ -141,14 +153,16 @@ pub(super) fn interface_gone(port: &PortStatus) -> String {
     format!("port {}: the interface {interface} is gone; it is listened on again when it is back", port.name)
 }
 
-fn sensor(sensor: &SensorStatus, (state, complaint): &(State, Option<String>)) -> Value {
+fn sensor(sensor: &SensorStatus, is: &Condition) -> Value {
     let counters = &sensor.counters;
     let undecoded: serde_json::Map<String, Value> =
         counters.undecoded().map(|(reason, count)| (reason.to_owned(), count.into())).collect();
     json!({
         "name": sensor.name,
-        "state": state.name(),
-        "reason": complaint,
+        "state": is.state.name(),
+        "reason": is.complaint,
+        "is_fault": is.is_fault,
+        "losses": is.recent.map(|recent| losses(recent, is.losses.as_ref())),
         "address": sensor.address,
         "port": sensor.port,
         "position_port": sensor.position_port,
@@ -159,6 +173,7 @@ fn sensor(sensor: &SensorStatus, (state, complaint): &(State, Option<String>)) -
         "gps": counters.gps().map(|gps| gps.word()),
         "packets": counters.data.get(),
         "position_packets": counters.position.get(),
+        "refused": counters.refused.get(),
         "lost": counters.lost.get(),
         "reordered": counters.reordered.get(),
         "undecoded": undecoded,
@@ -170,6 +185,26 @@ fn sensor(sensor: &SensorStatus, (state, complaint): &(State, Option<String>)) -
         "sharing_trouble": sensor.sharing.trouble(),
         "renewed": sensor.sharing.renewed(),
         "renewed_because": sensor.sharing.renewed_because(),
+    })
+}
+
+/// What became of a sensor's packets over the last seconds.
+fn losses(recent: Recent, words: Option<&[String; 2]>) -> Value {
+    let Recent { span, counted } = recent;
+    json!({
+        "seconds": span.as_secs_f64(),
+        "percent": 100.0 * recent.share(),
+        "packets": counted.data,
+        "lost": counted.lost,
+        "late": counted.late,
+        "unconfirmed": counted.unconfirmed,
+        "other_product": counted.other_product,
+        "malformed": counted.malformed,
+        "refused": counted.refused,
+        "dropped_on_port": counted.dropped,
+        "strangers_on_port": counted.strangers,
+        "what": words.map(|[what, _]| what),
+        "cure": words.map(|[_, cure]| cure),
     })
 }
 

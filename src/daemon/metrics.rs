@@ -12,7 +12,7 @@ use prometheus_client::registry::{Registry, Unit};
 use super::counters::{Gps, Reject, SensorCounters, Stage};
 use super::health::View;
 use super::runtime::{PortStatus, SensorStatus};
-use super::state::State;
+use super::state::{Condition, State};
 use super::tee::RecordingStatus;
 
 /// What [`encode`] writes.
@@ -23,9 +23,9 @@ pub const CONTENT_TYPE: &str = "application/openmetrics-text; version=1.0.0; cha
 /// # Errors
 /// None that this format could not hold; what writes to it may fail.
 pub fn encode(view: &View) -> Result<String, fmt::Error> {
-    let states = view.states.iter().map(|&(state, _)| state).collect();
+    let conditions = view.conditions.clone();
     let (sensors, ports, recording) = (Arc::clone(&view.sensors), Arc::clone(&view.ports), view.recording.clone());
-    let snapshot = Snapshot { sensors, ports, states, recording };
+    let snapshot = Snapshot { sensors, ports, conditions, recording };
     let mut registry = Registry::with_prefix("sweepd");
     registry.register_collector(Box::new(snapshot));
     let mut out = String::new();
@@ -36,7 +36,7 @@ pub fn encode(view: &View) -> Result<String, fmt::Error> {
 struct Snapshot {
     sensors: Arc<[SensorStatus]>,
     ports: Arc<[PortStatus]>,
-    states: Vec<State>,
+    conditions: Vec<Condition>,
     recording: Option<RecordingStatus>,
 }
 
@@ -89,11 +89,14 @@ impl Collector for Snapshot {
 impl Snapshot {
     fn sensor_totals(&self, encoder: &mut DescriptorEncoder<'_>) -> fmt::Result {
         type Read = fn(&SensorCounters) -> u64;
-        let totals: [(&str, &str, Read); 8] = [
+        let totals: [(&str, &str, Read); 9] = [
             ("packets", "Data packets let in", |counters| counters.data.get()),
             ("position_packets", "Position packets let in", |counters| counters.position.get()),
             ("position_overflows", "Position packets that found no room on the way to their sensor's thread", |c| {
                 c.position_overflows.get()
+            }),
+            ("refused", "Datagrams from the sensor's address to its data port that are no packets", |c| {
+                c.refused.get()
             }),
             ("lost", "Data packets missing by the sensor's clock", |counters| counters.lost.get()),
             ("reordered", "Data packets put back in order", |counters| counters.reordered.get()),
@@ -156,9 +159,16 @@ impl Snapshot {
         family_in(encoder, "temperature", "Temperature that the sensor tells", Some(&Unit::Celsius), celsius)?;
         let locked = of(|sensor| sensor.counters.gps().map(|gps| f64::from(u8::from(gps == Gps::Locked))));
         family(encoder, "gps_locked", "1 while pulse and time of a GPS receiver are good, where it is told", locked)?;
-        let states = self.sensors.iter().zip(&self.states).flat_map(|(sensor, &is)| {
+        let shares =
+            self.sensors.iter().zip(&self.conditions).filter_map(|(sensor, is)| {
+                is.recent.map(|recent| ([("sensor", name_of(sensor))], Now(recent.share())))
+            });
+        let help =
+            "Share of the data packets of the last seconds that were lost or of no use, 0 to 1, while packets come";
+        family(encoder, "loss_ratio", help, shares)?;
+        let states = self.sensors.iter().zip(&self.conditions).flat_map(|(sensor, is)| {
             let labels = move |state: State| [("sensor", name_of(sensor)), ("state", state.name())];
-            State::ALL.into_iter().map(move |state| (labels(state), Now(f64::from(u8::from(state == is)))))
+            State::ALL.into_iter().map(move |state| (labels(state), Now(f64::from(u8::from(state == is.state)))))
         });
         family(encoder, "state", "1 for the state that the sensor is in", states)
     }

@@ -16,6 +16,7 @@ pub mod control;
 pub mod counters;
 pub mod door;
 pub mod health;
+pub mod losses;
 pub mod metrics;
 pub mod nap;
 pub mod notify;

@@ -279,6 +279,11 @@ impl<B: Buffers<Buffer: Outgoing>> Room<B> {
             Ok(Admitted::Ambiguous) => self.counters.reject(Reject::Ambiguous),
             Err(reason) => {
                 self.counters.reject(reason);
+                if let (Reject::Length | Reject::Marker | Reject::Azimuth, Some(index)) =
+                    (reason, self.door.owner(datagram.source))
+                {
+                    self.sensors[index].sensor.refuse();
+                }
                 return false;
             }
         }

@@ -112,6 +112,8 @@ pub struct SensorStatus {
     pub address: IpAddr,
     /// The port that its data come to.
     pub port: u16,
+    /// Its place among [`Runtime::ports`].
+    pub port_index: usize,
     /// The port that its position packets come to.
     pub position_port: u16,
     /// What became of its packets and sweeps.
@@ -171,8 +173,9 @@ impl Runtime {
         let mut ready = HashMap::new();
         for (index, sensor) in config.sensors.iter().enumerate() {
             let bound = |plan: &PortPlan| plan.sensors.contains(&index);
-            let port = sockets.iter().find(|(_, plan)| bound(plan)).map_or(0, |(source, _)| source.local_addr().port());
-            ready.insert(index, hall.enter(index, sensor, port, (sharing, &*tees), &told)?);
+            let port_index = sockets.iter().position(|(_, plan)| bound(plan)).unwrap_or(0);
+            let port = sockets.get(port_index).map_or(0, |(source, _)| source.local_addr().port());
+            ready.insert(index, hall.enter(index, sensor, (port_index, port), (sharing, &*tees), &told)?);
         }
         // Now that it may run: a daemon that cannot, again and again, begins no files.
         tees.begin(config.record.as_ref());
@@ -292,7 +295,7 @@ impl Hall {
         &mut self,
         index: usize,
         sensor: &SensorConfig,
-        port: u16,
+        (port_index, port): (usize, u16),
         (sharing, tees): (&S, &Tees),
         events: &Sender<(usize, Event)>,
     ) -> Result<Served<S::Buffers>, DaemonError> {
@@ -315,7 +318,7 @@ impl Hall {
         self.mailboxes.push((sender, Arc::clone(&counters)));
         self.orders.push(order);
         let (position_port, sharing) = (sensor.position_port, way.status);
-        self.statuses.push(SensorStatus { name: name(), address, port, position_port, counters, sharing });
+        self.statuses.push(SensorStatus { name: name(), address, port, port_index, position_port, counters, sharing });
         Ok(Served { sensor: at_work, mail, orders, tap: tees.tap(&sensor.name), newest: Newest::default() })
     }
 }

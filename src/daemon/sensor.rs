@@ -112,6 +112,11 @@ impl<B: Buffers<Buffer: Outgoing>> Sensor<B> {
         self.send_sweeps(dropped);
     }
 
+    /// Counts a datagram from its address to its data port that is no packet.
+    pub fn refuse(&self) {
+        self.counters.refused.add(1);
+    }
+
     /// When the packet that completes the open sweep is expected; see [`Pipeline::due_ns`].
     pub fn due_ns(&self) -> Option<i64> {
         self.pipeline.due_ns()

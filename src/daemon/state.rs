@@ -3,6 +3,7 @@
 use std::fmt;
 use std::time::Duration;
 
+use super::losses::{Level, Limits, Losses, Place, Recent, Tally, Turn};
 use crate::sensor::Model;
 use crate::wire::data::ReturnMode;
 
@@ -20,6 +21,10 @@ pub enum State {
     SpinningUp,
     /// Sweeps come.
     Streaming,
+    /// More packets are lost or of no use than the first limit allows: see [`Limits::warning`].
+    Losing,
+    /// The same above the second limit: see [`Limits::fault`].
+    LosingMany,
     /// Packets came, and come no more.
     Stalled,
     /// What comes is of no model that can be decoded, or of another than is configured.
@@ -30,8 +35,16 @@ pub enum State {
 
 impl State {
     /// All of them.
-    pub const ALL: [Self; 6] =
-        [Self::Waiting, Self::SpinningUp, Self::Streaming, Self::Stalled, Self::WrongModel, Self::NoCalibration];
+    pub const ALL: [Self; 8] = [
+        Self::Waiting,
+        Self::SpinningUp,
+        Self::Streaming,
+        Self::Losing,
+        Self::LosingMany,
+        Self::Stalled,
+        Self::WrongModel,
+        Self::NoCalibration,
+    ];
 
     /// Its name in output.
     pub fn name(self) -> &'static str {
@@ -39,6 +52,8 @@ impl State {
             Self::Waiting => "waiting",
             Self::SpinningUp => "spinning up",
             Self::Streaming => "streaming",
+            Self::Losing => "losing packets",
+            Self::LosingMany => "losing many packets",
             Self::Stalled => "stalled",
             Self::WrongModel => "wrong model",
             Self::NoCalibration => "no calibration",
@@ -65,6 +80,8 @@ pub struct Observation {
     pub steady_sweeps: u64,
     /// What the newest sweep says of its sensor.
     pub running: Option<Running>,
+    /// What became of its packets so far.
+    pub tally: Tally,
 }
 
 /// What a sweep says of its sensor.
@@ -101,14 +118,31 @@ pub struct Message {
     pub text: String,
 }
 
+/// How a sensor is, for whoever asks.
+#[derive(Clone, Debug, PartialEq)]
+pub struct Condition {
+    /// In a word.
+    pub state: State,
+    /// Why it is not well; `None` where it is.
+    pub complaint: Option<String>,
+    /// Whether it counts as failed: not where it streams and loses no more than [`Limits::fault`] allows.
+    pub is_fault: bool,
+    /// What was counted over the last seconds, while packets come.
+    pub recent: Option<Recent>,
+    /// That in words, where packets are missing: how much and why, and what to do about it.
+    pub losses: Option<[String; 2]>,
+}
+
 /// Watches one sensor.
 #[derive(Clone, Debug)]
 pub struct Watcher {
     name: String,
-    /// Where its packets come from.
+    /// Where its packets come from, and the port that they come to.
     address: String,
-    /// The port that they come to.
     port: u16,
+    /// How many sensors have that port.
+    sensors: usize,
+    losses: Losses,
     /// Turns a minute that it is set to, if that is watched.
     rpm: Option<f32>,
     state: State,
@@ -132,6 +166,8 @@ impl Watcher {
             name: name.to_owned(),
             address,
             port,
+            sensors: 1,
+            losses: Losses::new(Limits::default()),
             rpm,
             state: State::Waiting,
             hindrance: None,
@@ -147,7 +183,42 @@ impl Watcher {
 
     /// How the sensor is.
     pub fn state(&self) -> State {
-        self.state
+        match (self.state, self.losses.level()) {
+            (State::Streaming, Some(Level::Warning)) => State::Losing,
+            // So much that no sweep is steady is losses too.
+            (State::Streaming | State::SpinningUp, Some(Level::Fault)) => State::LosingMany,
+            (state, _) => state,
+        }
+    }
+
+    /// How the sensor is, and why.
+    pub fn condition(&self) -> Condition {
+        let (state, complaint, recent) = (self.state(), self.complaint(), self.losses.recent());
+        let is_fault = match state {
+            State::Streaming | State::Losing => self.is_off_speed,
+            _ => true,
+        };
+        let losses = recent
+            .filter(|recent| recent.share() > 0.0)
+            .map(|recent| [recent.what(&self.place()), recent.cure(&self.place())]);
+        Condition { state, complaint, is_fault, recent, losses }
+    }
+
+    /// Holds losses against these limits from now on, and says how many sensors have its port.
+    pub fn watch_losses(&mut self, limits: Limits, sensors: usize) {
+        self.limit_losses(limits);
+        self.sensors = sensors;
+    }
+
+    /// Holds losses against other limits from now on.
+    pub fn limit_losses(&mut self, limits: Limits) {
+        self.losses.limit(limits);
+    }
+
+    /// It is decoded in another way from now on: what was counted before says nothing.
+    pub fn reconfigured(&mut self) {
+        self.hindrance = None;
+        self.losses.begin_anew();
     }
 
     /// Watches another speed from now on.
@@ -157,8 +228,12 @@ impl Watcher {
 
     /// Why the sensor is not well; `None` where it is.
     pub fn complaint(&self) -> Option<String> {
-        match (self.state, &self.hindrance) {
+        match (self.state(), &self.hindrance) {
             (State::Streaming, _) => self.is_off_speed.then(|| self.off_speed()),
+            (State::Losing | State::LosingMany, _) => {
+                let losses = self.losses.recent().map(|recent| recent.sentence(&self.place())).unwrap_or_default();
+                Some(if self.is_off_speed { format!("{losses}; it {}", self.off_speed()) } else { losses })
+            }
             (State::Waiting | State::Stalled, _) => Some(self.silence()),
             (State::WrongModel, Some(Hindrance::WrongModel(why))) => Some(why.clone()),
             (State::NoCalibration, _) => Some(NO_CALIBRATION.to_owned()),
@@ -205,6 +280,7 @@ impl Watcher {
             messages.push(self.message(true, &self.silence()));
         }
         messages.extend(running.and_then(|running| self.watch_speed(running.rpm)));
+        messages.extend(self.observe_losses(now));
         messages
     }
 
@@ -236,7 +312,7 @@ impl Watcher {
                 let text = format!("packets from {} come, its first whole turn is awaited", self.address);
                 self.message(false, &text)
             }
-            State::Streaming => match running {
+            State::Streaming | State::Losing | State::LosingMany => match running {
                 Some(running) => self.message(false, &format!("streaming, {running}")),
                 None => self.message(false, "streaming"),
             },
@@ -255,6 +331,24 @@ impl Watcher {
             (true, false) => Some(self.message(false, &format!("turns at {rpm:.0} rpm again, as it is set to"))),
             _ => None,
         }
+    }
+
+    fn observe_losses(&mut self, now: &Observation) -> Option<Message> {
+        // Of a sensor that is silent or cannot be decoded, something else is told.
+        if !matches!(self.state, State::Streaming | State::SpinningUp) {
+            self.losses.forget();
+            return None;
+        }
+        let turn = self.losses.observe(now.now, now.tally)?;
+        let recent = self.losses.recent()?;
+        Some(match turn {
+            Turn::Begun(_) => self.message(true, &recent.sentence(&self.place())),
+            Turn::Over(lasted) => self.message(false, &recent.over(lasted)),
+        })
+    }
+
+    fn place(&self) -> Place {
+        Place { address: self.address.clone(), port: Some(self.port), sensors: self.sensors }
     }
 
     fn off_speed(&self) -> String {
@@ -412,5 +506,56 @@ mod tests {
         let told = roof.observe(30, 0, 0);
         assert_eq!(told.len(), 1);
         assert!(told[0].contains("only position packets from 192.168.1.201"), "{told:?}");
+    }
+
+    /// Seconds of a sensor that streams and loses so many packets for each 75 that come.
+    fn lose(roof: &mut Watched, seconds: u32, lost: u64) -> Vec<String> {
+        let mut told = Vec::new();
+        for _ in 0..10 * seconds {
+            roof.seen.tally.data += 75;
+            roof.seen.tally.lost += lost;
+            told.extend(roof.observe(1, 75, 1));
+        }
+        told
+    }
+
+    #[test]
+    fn losses_are_a_state_beside_streaming() {
+        let mut roof = Watched::new(Some(600.0));
+        lose(&mut roof, 10, 0);
+        assert_eq!(roof.watcher.state(), State::Streaming);
+        let told = lose(&mut roof, 10, 5);
+        assert!(told.len() == 1 && told[0].starts_with("roof: "), "{told:?}");
+        let Condition { state, complaint, is_fault, recent, .. } = roof.watcher.condition();
+        assert_eq!((state, is_fault), (State::Losing, false));
+        assert!(complaint.unwrap().starts_with("6.2 % of its packets are lost or of no use"));
+        assert!((recent.unwrap().share() - 5.0 / 80.0).abs() < 1e-9);
+        // Another speed than is set is a fault all the same, and both are said.
+        roof.turn(Running { rpm: 500.0, ..RUNNING });
+        assert_eq!(lose(&mut roof, 1, 5).len(), 1);
+        let Condition { state, complaint, is_fault, .. } = roof.watcher.condition();
+        assert_eq!((state, is_fault), (State::Losing, true));
+        assert!(complaint.is_some_and(|why| why.contains("of its packets") && why.contains("turns at 500 rpm")));
+        roof.turn(RUNNING);
+        let told = lose(&mut roof, 10, 75);
+        assert!(told.len() == 2, "{told:?}");
+        let is = roof.watcher.condition();
+        assert_eq!((is.state, is.is_fault), (State::LosingMany, true));
+        let told = lose(&mut roof, 10, 0);
+        assert!(told.len() == 1 && told[0].contains("its losses are over"), "{told:?}");
+        let is = roof.watcher.condition();
+        assert_eq!((is.state, is.complaint, is.is_fault, is.losses), (State::Streaming, None, false, None));
+    }
+
+    #[test]
+    fn a_sensor_that_is_silent_has_no_losses() {
+        let mut roof = Watched::new(None);
+        lose(&mut roof, 10, 75);
+        assert_eq!(roof.watcher.state(), State::LosingMany);
+        assert_eq!(roof.observe(50, 0, 0).len(), 1);
+        assert_eq!((roof.watcher.state(), roof.watcher.condition().recent), (State::Stalled, None));
+        // What the pause cost is counted with the first packet behind it.
+        roof.seen.tally.lost += 3_750;
+        assert_eq!(lose(&mut roof, 10, 0), ["roof: streaming, VLP-16 at 600 rpm, one return"]);
     }
 }

@@ -1,6 +1,7 @@
 //! What the daemon's unit tests share.
 
 use super::config::{Config, DaemonConfig, PortConfig, SensorConfig};
+use super::losses::Limits;
 use crate::pipeline;
 
 /// A sensor at an address whose data and position packets come to one port of the loopback interface.
@@ -21,6 +22,7 @@ pub fn sensor(name: &str, address: &str, port: u16) -> SensorConfig {
         max_consumers: 4,
         dual: None,
         rpm: None,
+        losses: Limits::default(),
         pipeline: pipeline::Config::default(),
     }
 }

@@ -136,8 +136,15 @@ pub fn examine(
 ) -> Result<Observations, ExamineError> {
     let listen::Listened { ports, sensors, positions } = listen::listen(&plan, lasting, opened)?;
     let is_taken = ports.iter().any(|port| matches!(port.heard, Heard::Taken(_)));
-    let no_health = || Err("its configuration has no `http`".to_owned());
-    let daemon = is_taken.then(|| plan.health.map_or_else(no_health, health::ask));
+    let daemon = match plan.health {
+        Some(address) if is_taken => Some(health::ask(address)),
+        None if is_taken => Some(Err("its configuration has no `http`".to_owned())),
+        // A daemon may have other ports than the usual ones. Where there is none, silence is the finding.
+        Some(address) if plan.is_usual() && sensors.is_empty() && positions.is_empty() => {
+            health::ask(address).ok().map(Ok)
+        }
+        _ => None,
+    };
     let host = host::look(plan.root.as_deref());
     let mut seen =
         Observations { plan, seconds: lasting.as_secs_f64(), ports, sensors, positions, host, web: Vec::new(), daemon };

@@ -29,7 +29,7 @@ pub struct Observations {
     pub host: Host,
     /// The web pages that answered.
     pub web: Vec<Web>,
-    /// What a running daemon says of itself, or why it cannot be asked; `None` where no port is taken.
+    /// What a running daemon says of itself, or why it cannot be asked; `None` where no port is taken and none answers.
     pub daemon: Option<Result<Value, String>>,
 }
 

@@ -7,6 +7,7 @@ use crate::capture::UdpConfig;
 use crate::capture::udp::ample_buffer_bytes;
 use crate::daemon::config::{Config, PortConfig, SensorConfig};
 use crate::sensor::Model;
+use crate::wire::{DATA_PORT, POSITION_PORT};
 
 /// Where a daemon tells how it is, unless it is configured otherwise.
 pub const HEALTH: SocketAddr = SocketAddr::new(IpAddr::V4(Ipv4Addr::LOCALHOST), 9177);
@@ -126,6 +127,12 @@ impl Plan {
             root: config.daemon.root.clone(),
             health: config.daemon.http,
         }
+    }
+
+    /// Whether no sensor and no other ports are named than those that sensors send to as they leave the factory.
+    pub fn is_usual(&self) -> bool {
+        let is_usual = |port: &PortPlan| port.port == DATA_PORT || port.port == POSITION_PORT;
+        self.sensors.is_empty() && self.ports.iter().all(is_usual)
     }
 
     /// Whatever comes to these ports.

@@ -22,6 +22,8 @@ pub struct Counts {
     pub lost: u64,
     /// Packets that came too late for their sweep.
     pub late: u64,
+    /// Those of [`Counts::late`] that showed together that the sensor's clock was set back.
+    pub set_back: u64,
     /// Packets whose clock or return mode no neighbour confirmed.
     pub unconfirmed: u64,
     /// Packets with another sensor's product byte.
@@ -40,6 +42,7 @@ impl std::ops::AddAssign for Counts {
         self.reordered += other.reordered;
         self.lost += other.lost;
         self.late += other.late;
+        self.set_back += other.set_back;
         self.unconfirmed += other.unconfirmed;
         self.foreign += other.foreign;
         self.undecoded += other.undecoded;

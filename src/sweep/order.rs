@@ -49,6 +49,8 @@ pub struct OrderCounts {
     pub reordered: u64,
     /// Packets whose clock or mode no neighbour confirmed.
     pub unconfirmed: u64,
+    /// Packets refused as [`Refusal::Behind`] until so many in a row showed that the clock was set back.
+    pub set_back: u64,
 }
 
 /// The queue that puts packets in order.
@@ -241,6 +243,7 @@ impl Order {
     fn look_back(&mut self, packet: Packet) -> Result<(), Refusal> {
         self.set_back += 1;
         if self.set_back >= SET_BACK_PACKETS {
+            self.counts.set_back += u64::from(SET_BACK_PACKETS - 1);
             self.restart(packet);
             return Ok(());
         }

@@ -6,6 +6,7 @@ mod counting;
 #[path = "../common/domain.rs"]
 mod domain;
 mod http;
+mod losses;
 mod ports;
 mod record;
 mod rig;

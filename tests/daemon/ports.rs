@@ -303,11 +303,13 @@ fn foreign_datagrams_change_nothing_but_a_counter() {
 
     let mut rng = fastrand::Rng::with_seed(7);
     let mut bytes = [0; 1400];
+    let mut from_own = 2;
     for sent in 1..=RANDOM {
         rng.fill(&mut bytes);
         let len = if rng.u8(..) < 64 { 1206 } else { rng.usize(..bytes.len()) };
         // 512 bytes of the sensor itself are a position packet, whatever they hold.
         let socket = if len == 512 || rng.bool() { &foreign } else { &own };
+        from_own += u64::from(std::ptr::eq(socket, &own));
         socket.send_to(&bytes[..len], (Ipv4Addr::LOCALHOST, data)).unwrap();
         // No more at once than the smallest buffer holds.
         if sent % 50 == 0 {
@@ -316,6 +318,7 @@ fn foreign_datagrams_change_nothing_but_a_counter() {
     }
     sending.finish();
     let roof = &runtime.sensors[0].counters;
+    assert_eq!((roof.refused.get(), runtime.sensors[1].counters.refused.get()), (from_own, 0));
     let count = sent.iter().filter(|sent| sent.is_data).count() as u64;
     until("all packets are taken", || roof.data.get() == count);
     assert_eq!((rejected(), counters.dropped.get()), (5 + RANDOM, 0));

@@ -9,6 +9,7 @@ use std::time::{Duration, Instant};
 
 use crate::counting::allocations;
 use sweepd::daemon::config::{Config, DaemonConfig, PortConfig, SensorConfig};
+use sweepd::daemon::losses::Limits;
 use sweepd::daemon::sharing::{Outgoing, Sharing, SharingError, SharingStatus, Way};
 use sweepd::pipeline;
 use sweepd::sensor::Model;
@@ -160,6 +161,7 @@ pub fn sensor(name: &str, host: u8, (data, position): (u16, u16)) -> SensorConfi
         max_consumers: 4,
         dual: None,
         rpm: None,
+        losses: Limits::default(),
         pipeline: pipeline::Config::default(),
     }
 }

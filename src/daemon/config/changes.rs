@@ -87,6 +87,8 @@ const SENSOR: &[Setting<SensorConfig>] = &[
     setting!(Restart "min_points", pipeline.segment.min_points, text),
     setting!(Reload "calibration", pipeline.calibration, |given: &Option<_>| presence("the sensor's own", given)),
     setting!(Reload "rpm", rpm, |rpm: &Option<_>| or("not watched", rpm)),
+    setting!(Reload "loss_warning_percent", losses.warning, percent),
+    setting!(Reload "loss_fault_percent", losses.fault, percent),
     setting!(Reload "cut_azimuth_deg", pipeline.cut_azimuth_rad, |angle: &f64| degrees(*angle)),
     setting!(Reload "return", pipeline.return_choice, |choice: &_| format!("{choice:?}").to_lowercase()),
     setting!(Reload "gps_without_pps", pipeline.gps_without_pps, text),
@@ -124,6 +126,11 @@ fn presence<T>(none: &str, value: &Option<T>) -> String {
 /// As it was written: the noise of the conversion is far below.
 fn degrees(angle_rad: f64) -> String {
     ((angle_rad.to_degrees() * 1e4).round() / 1e4).to_string()
+}
+
+/// The same of a share.
+fn percent(share: &f64) -> String {
+    ((share * 1e6).round() / 1e4).to_string()
 }
 
 /// The settings that differ. One that needs a restart makes all wait for it.

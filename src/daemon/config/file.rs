@@ -40,6 +40,8 @@ pub struct Sensor {
     pub rpm: Option<Spanned<Number>>,
     #[serde(default)]
     pub gps_without_pps: bool,
+    pub loss_warning_percent: Option<Spanned<Number>>,
+    pub loss_fault_percent: Option<Spanned<Number>>,
     pub max_consumers: Option<Spanned<Whole>>,
     #[serde(default)]
     pub mount: Mount,

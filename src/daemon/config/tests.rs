@@ -79,6 +79,8 @@ fn every_key_arrives_where_it_belongs() {
         return = "last"
         cut_azimuth_deg = 180
         rpm = 600
+        loss_warning_percent = 1.5
+        loss_fault_percent = 12
         max_consumers = 2
         mount = { x_m = 1, y_m = 2.5, z_m = -3, roll_deg = 90, pitch_deg = -90, yaw_deg = 180, height_m = 1.5 }
         segment = { method = "paper", theta_deg = 45, min_points = 3, min_range_m = 0.5, max_range_m = 80 }
@@ -97,6 +99,7 @@ fn every_key_arrives_where_it_belongs() {
     assert_eq!(sensor.port, PortConfig { bind, port: 2370, multicast, interface, cpu, realtime_priority });
     assert_eq!((sensor.position_port, sensor.max_consumers), (8309, 2));
     assert_eq!((sensor.dual, sensor.rpm), (Some(true), Some(600.0)));
+    assert_eq!(sensor.losses, Limits { warning: 0.015, fault: 0.12 });
     let pipeline = &sensor.pipeline;
     assert_eq!(pipeline.model, Some(Model::Vlp16));
     assert_eq!(pipeline.calibration.as_ref(), Model::Vlp16.calibration());
@@ -140,6 +143,11 @@ fn what_cannot_be_meant_is_shown_with_its_line_and_a_cure() {
         ("model = \"hdl64e-s2\"\nreturns = \"dual\"", &["5:11", "an HDL-64E S2 sends one return", "hdl64e-s3"]),
         ("cut_azimuth_deg = nan", &["`cut_azimuth_deg` cannot be NaN", "-360 to 360 degrees"]),
         ("rpm = 299.9", &["expected 300 to 1200 turns a minute"]),
+        ("loss_warning_percent = 0", &["expected 0.1 to 100 percent"]),
+        (
+            "loss_fault_percent = 5\nloss_warning_percent = 6",
+            &["5:24", "`loss_warning_percent` cannot be 6", "at most `loss_fault_percent`, which is 5"],
+        ),
         ("max_consumers = 17", &["expected 1 to 16"]),
         ("max_consumers = 0", &["expected 1 to 16"]),
         ("mount = { x_m = 1e9 }", &["`x_m` cannot be 1000000000", "metres"]),
@@ -333,6 +341,8 @@ fn no_setting_changes_without_a_word() {
         "cut_azimuth_deg = 1",
         "rpm = 1200",
         "gps_without_pps = true",
+        "loss_warning_percent = 5",
+        "loss_fault_percent = 50",
         "max_consumers = 5",
         "mount = { x_m = 1 }",
         "mount = { yaw_deg = 1 }",
@@ -369,6 +379,7 @@ fn no_setting_changes_without_a_word() {
         max_consumers: _,
         dual: _,
         rpm: _,
+        losses: _,
         pipeline,
     } = old.sensors[0].clone();
     let pipeline::Config {

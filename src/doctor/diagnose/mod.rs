@@ -13,6 +13,9 @@ use serde_json::Value;
 use super::observe::{Heard, Observations};
 use super::{Finding, Severity, Topic};
 
+/// Packets missing over some seconds of which a running daemon is asked, percent: with fewer all is well.
+const LEAST_LOSS_PERCENT: f64 = 0.1;
+
 /// What is wrong and how to mend it, worst first. Nothing, or notes alone, when all is well.
 pub fn diagnose(seen: &Observations) -> Vec<Finding> {
     let mut findings = Findings::default();
@@ -89,40 +92,63 @@ fn serves(health: &Value, port: u16) -> bool {
 
 /// What a running daemon says, as far as it is understood.
 fn daemon(health: &Value, findings: &mut Findings) {
-    let reasons: Vec<String> = health["reasons"].as_array().into_iter().flatten().filter_map(clean).collect();
+    let reasons: Vec<String> = elements(&health["reasons"]).filter_map(clean).collect();
+    let warnings: Vec<String> = elements(&health["sensors"]).filter_map(warning).collect();
     for reason in &reasons {
+        let severity = if warnings.contains(reason) { Severity::Warning } else { Severity::Error };
         let cure = "this is what the running daemon says; its log has more, `journalctl -u sweepd`";
-        findings.error(Topic::Daemon, reason, cure);
+        findings.add(severity, Topic::Daemon, reason, cure);
     }
-    for port in health["ports"].as_array().into_iter().flatten() {
+    for sensor in elements(&health["sensors"]) {
+        losses(sensor, findings);
+    }
+    for port in elements(&health["ports"]) {
         let dropped = port["dropped"].as_u64().unwrap_or(0);
         if dropped > 0 {
             let what =
                 format!("the kernel dropped {dropped} datagrams on port {} since the daemon began", port["port"]);
-            findings.warning(Topic::Loss, what, "give it a larger receive buffer, or a core of its own");
+            findings.note(Topic::Loss, what, "");
         }
     }
-    for sensor in health["sensors"].as_array().into_iter().flatten() {
-        let (lost, packets) = (sensor["lost"].as_u64().unwrap_or(0), sensor["packets"].as_u64().unwrap_or(0));
-        if lost > packets / 1000 {
-            let name = clean(&sensor["name"]).unwrap_or_else(|| "a sensor".to_owned());
-            let what = format!("{name}: {lost} packets were lost since the daemon began, {packets} came");
-            findings.warning(Topic::Loss, what, sensors::LOSS_CURE);
-        }
-    }
-    for sensor in health["sensors"].as_array().into_iter().flatten() {
+    for sensor in elements(&health["sensors"]) {
         let words =
             ["name", "state", "model"].map(|key| clean(&sensor[key]).unwrap_or_else(|| format!("unknown {key}")));
         let rpm = sensor["rpm"].as_f64().map_or(String::new(), |rpm| format!(", {rpm:.0} rpm"));
-        let packets = sensor["packets"].as_u64().unwrap_or(0);
-        findings.note(Topic::Daemon, format!("{}{rpm}, {packets} packets", words.join(", ")), "");
+        let (packets, lost) = (sensor["packets"].as_u64().unwrap_or(0), sensor["lost"].as_u64().unwrap_or(0));
+        let lost = if lost > 0 { format!(", {lost} lost since the daemon began") } else { String::new() };
+        findings.note(Topic::Daemon, format!("{}{rpm}, {packets} packets{lost}", words.join(", ")), "");
     }
     if reasons.is_empty() {
         let what = match health["status"].as_str() {
-            Some("ok") => "a sweepd daemon holds the ports and says that all is well",
-            _ => "a sweepd daemon holds the ports",
+            Some("ok") => "a sweepd daemon runs and says that all is well",
+            _ => "a sweepd daemon runs",
         };
         findings.note(Topic::Daemon, what, "");
+    }
+}
+
+fn elements(array: &Value) -> impl Iterator<Item = &Value> {
+    array.as_array().into_iter().flatten()
+}
+
+/// The reason of a sensor that is not at fault.
+fn warning(sensor: &Value) -> Option<String> {
+    let [name, state, reason] = ["name", "state", "reason"].map(|key| sensor[key].as_str());
+    let is_fault = sensor["is_fault"].as_bool()?;
+    let reason = Value::from(format!("{}: {}: {}", name?, state?, reason?));
+    if is_fault { None } else { clean(&reason) }
+}
+
+/// What is missing now, where it is too little for a reason of the daemon's. Sums since the daemon began say nothing of now.
+fn losses(sensor: &Value, findings: &mut Findings) {
+    let losses = &sensor["losses"];
+    let is_told = sensor["state"].as_str().is_some_and(|state| state.starts_with("losing"));
+    if is_told || losses["percent"].as_f64().is_none_or(|percent| percent < LEAST_LOSS_PERCENT) {
+        return;
+    }
+    let name = clean(&sensor["name"]).unwrap_or_else(|| "a sensor".to_owned());
+    if let Some(what) = clean(&losses["what"]) {
+        findings.warning(Topic::Loss, format!("{name}: {what}"), clean(&losses["cure"]).unwrap_or_default());
     }
 }
 

@@ -22,7 +22,7 @@ const MUCH_LOSS: f64 = 0.01;
 /// How far a clock may be off before times of other sensors no longer fit, seconds.
 const CLOCK_OFF_S: f64 = 0.1;
 
-pub(super) const LOSS_CURE: &str = "they were lost before this host: look at cable and plugs, a switch that is shared with \
+const LOSS_CURE: &str = "they were lost before this host: look at cable and plugs, a switch that is shared with \
      other traffic or at 100 Mbit/s, and Wi-Fi on the way; `ip -s link` counts errors of the interface";
 
 pub(super) fn find(seen: &Observations, findings: &mut Findings) {

@@ -2,7 +2,7 @@
 
 use std::net::{IpAddr, Ipv4Addr};
 
-use super::Findings;
+use super::{Findings, elements, serves};
 use crate::doctor::Topic;
 use crate::doctor::observe::{Heard, Interface, Observations, Web};
 
@@ -11,7 +11,7 @@ pub(super) fn find(seen: &Observations, findings: &mut Findings) {
     if !seen.ports.iter().any(|port| matches!(port.heard, Heard::All { .. })) {
         return;
     }
-    for sender in &seen.positions {
+    for sender in seen.positions.iter().filter(|sender| !is_heard_by_daemon(seen, sender.address)) {
         if !seen.sensors.iter().any(|sensor| sensor.source.is_some_and(|source| source.ip() == sender.address)) {
             position_only(seen, sender.address, sender.packets, findings);
         }
@@ -22,7 +22,7 @@ pub(super) fn find(seen: &Observations, findings: &mut Findings) {
     };
     if seen.plan.sensors.is_empty() {
         if seen.sensors.is_empty() && seen.positions.is_empty() {
-            nothing(seen, None, findings);
+            silence(seen, findings);
         }
         return;
     }
@@ -51,6 +51,27 @@ pub(super) fn find(seen: &Observations, findings: &mut Findings) {
             );
         }
     }
+}
+
+/// Nothing came at all, and no sensor is named. Where a daemon runs that has ports of its own, it is the one that hears them.
+fn silence(seen: &Observations, findings: &mut Findings) {
+    let Some(Ok(health)) = &seen.daemon else { return nothing(seen, None, findings) };
+    let has_one = seen.ports.iter().any(|port| matches!(port.heard, Heard::Taken(_)) && serves(health, port.plan.port));
+    let ports: Vec<String> = elements(&health["ports"]).map(|port| port["port"].to_string()).collect();
+    if !has_one && !ports.is_empty() {
+        let ports = ports.join(", ");
+        let what = format!("nothing came to port {}; the running daemon listens on port {ports}", listened(seen));
+        findings.note(Topic::Silent, what, "");
+    }
+}
+
+/// Whether a running daemon has the data of a sensor of this address.
+fn is_heard_by_daemon(seen: &Observations, address: IpAddr) -> bool {
+    let Some(Ok(health)) = &seen.daemon else { return false };
+    elements(&health["sensors"]).any(|sensor| {
+        let is_there = sensor["address"].as_str().is_some_and(|text| text.parse() == Ok(address));
+        is_there && sensor["packets"].as_u64().is_some_and(|packets| packets > 0)
+    })
 }
 
 fn position_only(seen: &Observations, address: IpAddr, packets: u64, findings: &mut Findings) {

@@ -228,9 +228,15 @@ fn a_port_that_is_taken_is_asked_of_its_daemon() {
     })));
     let findings = diagnose(&seen);
     holds(&findings[0], Severity::Error, Topic::Daemon, &["roof: stalled: no packet for 3 s[2J"]);
-    holds(&findings[1], Severity::Warning, Topic::Loss, &["dropped 12 datagrams on port 2368"]);
-    holds(&findings[2], Severity::Warning, Topic::Loss, &["roof: 50 packets were lost"]);
-    holds(&findings[3], Severity::Note, Topic::Daemon, &["roof, stalled, VLP-16, 1000 packets"]);
+    // Sums since the daemon began say nothing of now, and blame nobody.
+    holds(&findings[1], Severity::Note, Topic::Loss, &["dropped 12 datagrams on port 2368 since the daemon began"]);
+    holds(
+        &findings[2],
+        Severity::Note,
+        Topic::Daemon,
+        &["roof, stalled, VLP-16, 1000 packets, 50 lost since the daemon"],
+    );
+    assert!(findings.iter().all(|one| !one.cure.contains("cable")), "{findings:#?}");
     // Another program's: its daemon serves other ports.
     seen.daemon = Some(Ok(json!({"status": "ok", "ports": [{"port": 2368}]})));
     let findings = diagnose(&seen);
@@ -240,6 +246,53 @@ fn a_port_that_is_taken_is_asked_of_its_daemon() {
         seen.daemon = Some(Ok(odd));
         diagnose(&seen);
     }
+}
+
+/// What a daemon says of a sensor whose losses are these, and what is found then.
+fn beside(state: &str, is_fault: bool, percent: f64) -> Vec<Finding> {
+    let mut seen = silent();
+    seen.ports[0].heard = Heard::Taken("port 2368 is taken: sweepd (pid 7) listens on it".to_owned());
+    let reason = (state != "streaming").then_some("12.0 % of its packets are lost: look at cable");
+    let reasons: Vec<String> = reason.iter().map(|why| format!("roof: {state}: {why}")).collect();
+    let losses = json!({"percent": percent, "what": "this host's kernel dropped 942", "cure": "a larger buffer"});
+    seen.plan.sensors.clear();
+    seen.daemon = Some(Ok(json!({
+        "status": "ok", "reasons": reasons, "ports": [{"port": 2368, "dropped": 942}],
+        "sensors": [{"name": "roof", "address": "192.168.1.201", "state": state, "reason": reason, "is_fault": is_fault,
+                     "packets": 9000, "lost": 879, "losses": losses}],
+    })));
+    diagnose(&seen).into_iter().filter(Finding::is_trouble).collect()
+}
+
+#[test]
+fn beside_a_daemon_losses_are_those_of_now_and_laid_at_the_door_that_it_names() {
+    // 879 lost and 942 dropped since it began, and none of late: port 8308 is silent since nobody uses it.
+    assert_eq!(beside("streaming", false, 0.0), []);
+    let [few] = &beside("streaming", false, 0.5)[..] else { panic!("one finding") };
+    holds(few, Severity::Warning, Topic::Loss, &["roof: this host's kernel dropped 942", "a larger buffer"]);
+    let [some] = &beside("losing packets", false, 12.0)[..] else { panic!("one finding") };
+    holds(some, Severity::Warning, Topic::Daemon, &["roof: losing packets: 12.0 % of its packets are lost"]);
+    let [many] = &beside("losing many packets", true, 40.0)[..] else { panic!("one finding") };
+    holds(many, Severity::Error, Topic::Daemon, &["roof: losing many packets: "]);
+}
+
+#[test]
+fn silence_on_the_usual_ports_is_none_where_a_daemon_has_others() {
+    let mut seen = silent();
+    seen.plan.sensors.clear();
+    assert!(seen.plan.is_usual());
+    seen.daemon = Some(Ok(json!({"status": "ok", "reasons": [], "ports": [{"port": 2400}]})));
+    let findings = diagnose(&seen);
+    assert!(!findings.iter().any(Finding::is_trouble), "{findings:#?}");
+    holds(&findings[1], Severity::Note, Topic::Silent, &["to port 2368, 8308", "daemon listens on port 2400"]);
+    // What its sensor sends beside is no sensor without data.
+    seen.daemon = Some(Ok(json!({"ports": [{"port": 2400}], "sensors": [{"address": "192.168.1.201", "packets": 5}]})));
+    seen.positions = healthy().positions;
+    assert!(!diagnose(&seen).iter().any(Finding::is_trouble));
+    seen.daemon = None;
+    assert!(diagnose(&seen).iter().any(|one| one.topic == Topic::PositionOnly));
+    seen.plan.ports[0].port = 2400;
+    assert!(!seen.plan.is_usual());
 }
 
 #[test]

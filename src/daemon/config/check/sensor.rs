@@ -10,6 +10,7 @@ use crate::daemon::config::error::Problem;
 use crate::daemon::config::file::{self, Returns};
 use crate::daemon::config::suggest::suggestion;
 use crate::daemon::config::{PortConfig, SensorConfig, possible_models};
+use crate::daemon::losses::Limits;
 use crate::pipeline;
 use crate::segment::{self, ConfigError, Mask, Settings};
 use crate::sensor::{Calibration, Model};
@@ -28,6 +29,8 @@ const LONGEST_NAME: usize = 63;
 const REALTIME_PRIORITIES: RangeInclusive<i64> = 1..=99;
 /// Speeds that a Velodyne can be set to, turns a minute.
 const RPM: RangeInclusive<f64> = 300.0..=1200.0;
+/// Shares of packets that may be missing, percent.
+const LOSS_PERCENT: RangeInclusive<f64> = 0.1..=100.0;
 /// Distances from the origin of a robot, metres, and turns, degrees.
 const POSITION_M: RangeInclusive<f64> = -100.0..=100.0;
 const TURN_DEG: RangeInclusive<f64> = -360.0..=360.0;
@@ -41,6 +44,7 @@ impl Check<'_> {
         let position_port = self.whole("position_port", &sensor.position_port, PORTS);
         let max_consumers = self.whole("max_consumers", &sensor.max_consumers, CONSUMERS);
         let rpm = self.number("rpm", &sensor.rpm, RPM, "turns a minute");
+        let losses = self.losses(sensor);
         let model = self.model(&sensor.model);
         self.returns_are_of(model, &sensor.returns);
         let pipeline = self.pipeline(sensor, model, at);
@@ -54,6 +58,7 @@ impl Check<'_> {
             max_consumers: max_consumers.unwrap_or(MAX_CONSUMERS),
             dual: sensor.returns.as_ref().map(|returns| *returns.get_ref() == Returns::Dual),
             rpm: rpm.map(|rpm| rpm as f32),
+            losses,
             pipeline: pipeline?,
         })
     }
@@ -119,6 +124,25 @@ impl Check<'_> {
             self.problem(given.span(), title, format!("the cores of this machine are {}", online.trim()));
         }
         Some(cpu)
+    }
+
+    /// Where one limit of two is given, the default of the other gives way.
+    fn losses(&mut self, sensor: &file::Sensor) -> Limits {
+        let (given_warning, given_fault) = (&sensor.loss_warning_percent, &sensor.loss_fault_percent);
+        let warning = self.number("loss_warning_percent", given_warning, LOSS_PERCENT, "percent");
+        let fault = self.number("loss_fault_percent", given_fault, LOSS_PERCENT, "percent");
+        if let (Some(written), Some(warning), Some(fault)) = (given_warning, warning, fault)
+            && warning > fault
+        {
+            let title = format!("`loss_warning_percent` cannot be {warning}");
+            self.problem(written.span(), title, format!("expected at most `loss_fault_percent`, which is {fault}"));
+        }
+        let [warning, fault] = [warning, fault].map(|percent| percent.map(|percent| percent / 100.0));
+        let default = Limits::default();
+        Limits {
+            warning: warning.unwrap_or(default.warning.min(fault.unwrap_or(1.0))),
+            fault: fault.unwrap_or(default.fault.max(warning.unwrap_or(0.0))),
+        }
     }
 
     fn model(&mut self, given: &Option<Spanned<String>>) -> Option<Model> {
