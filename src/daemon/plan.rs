@@ -80,7 +80,8 @@ mod tests {
     use super::*;
 
     fn planned(sensors: Vec<SensorConfig>) -> Vec<(String, Vec<usize>)> {
-        let config = Config { daemon: DaemonConfig { root: None, http: None }, sensors, record: None };
+        let config =
+            Config { daemon: DaemonConfig { root: None, http: None, http_public: false }, sensors, record: None };
         let named = |plan: PortPlan| (PortName(&plan.config, plan.config.port).to_string(), plan.sensors);
         ports(&config).into_iter().map(named).collect()
     }
@@ -121,8 +122,11 @@ mod tests {
         let [mut one, mut other] = [at("10.0.0.1", 2368), at("10.0.0.2", 2368)];
         (one.port.realtime_priority, other.port.realtime_priority) = (Some(10), Some(50));
         other.port.cpu = Some(1);
-        let config =
-            Config { daemon: DaemonConfig { root: None, http: None }, sensors: vec![one, other], record: None };
+        let config = Config {
+            daemon: DaemonConfig { root: None, http: None, http_public: false },
+            sensors: vec![one, other],
+            record: None,
+        };
         let plans = ports(&config);
         assert_eq!((plans[0].config.cpu, plans[0].config.realtime_priority), (Some(1), Some(50)));
         assert_eq!((plans[1].config.cpu, plans[1].config.realtime_priority), (None, None));
