@@ -6,6 +6,8 @@ mod domain;
 mod stream;
 
 use std::path::PathBuf;
+use std::sync::Arc;
+use std::sync::atomic::{AtomicU64, Ordering};
 use std::sync::mpsc::{self, RecvTimeoutError, Sender};
 use std::time::{Duration, Instant};
 
@@ -19,7 +21,8 @@ use sweepd::sweep::buffers::HeapBuffer;
 use sweepd::sweep::{Buffers, HeapBuffers, Shape, SweepMut, SweepRef};
 use sweepd::wire::data::ReturnMode;
 
-const SOON: Duration = Duration::from_secs(5);
+/// Longest wait for what comes at once where this process has a core.
+const SOON: Duration = Duration::from_secs(20);
 
 fn settings(max_consumers: usize) -> Settings {
     let (model, address) = ("VLP-16".to_owned(), "192.168.1.201".to_owned());
@@ -179,11 +182,11 @@ fn slow_stuck_and_greedy_consumers_delay_nobody() {
     let mut loans = loans(&own, 4);
     let [mut good, mut slow, mut greedy, stuck] = [(); 4].map(|()| client(&own));
     let mut held = Vec::new();
-    let mut longest = Duration::ZERO;
+    let mut took = Vec::new();
     for sequence in 0..500 {
         let begun = Instant::now();
         assert_eq!(publish(&mut loans, sequence), 4);
-        longest = longest.max(begun.elapsed());
+        took.push(begun.elapsed());
         assert_eq!(number(&good.next(SOON).unwrap().unwrap()), sequence);
         match greedy.next(Duration::ZERO) {
             Ok(sweep) => held.extend(sweep),
@@ -201,7 +204,9 @@ fn slow_stuck_and_greedy_consumers_delay_nobody() {
     assert_eq!(held.iter().map(number).collect::<Vec<_>>(), [0, 1]);
     held.clear();
     assert_eq!(number(&greedy.next(SOON).unwrap().unwrap()), 498);
-    assert!(longest < Duration::from_millis(500), "{longest:?}");
+    // The longest of all tells how long this process had no core.
+    took.sort_unstable();
+    assert!(took[took.len() / 2] < Duration::from_millis(20), "{took:?}");
     assert_eq!((loans.status().consumers(), loans.status().unshared()), (4, 0));
     drop(stuck);
     // Places of consumers that died are given back within a second: it takes longer to tell that all are taken.
@@ -248,13 +253,16 @@ fn a_consumer_waits_for_the_daemon() {
     assert!(early.next(Duration::from_millis(120)).unwrap().is_none() && !early.is_connected());
     let mut loans = loans(&own, 2);
     publish(&mut loans, 1);
+    let (stop, stopped) = mpsc::channel::<()>();
     let publisher = std::thread::spawn(move || {
-        for sequence in 2..200 {
+        let mut sequence = 1;
+        while stopped.recv_timeout(Duration::from_millis(10)) == Err(RecvTimeoutError::Timeout) {
+            sequence += 1;
             publish(&mut loans, sequence);
-            std::thread::sleep(Duration::from_millis(10));
         }
     });
     assert!(early.next(SOON).unwrap().is_some());
+    drop(stop);
     publisher.join().unwrap();
 }
 
@@ -267,10 +275,13 @@ fn files_that_vanish_are_made_anew_and_found_again() {
     let mut consumer = client(&own);
     let status = loans.status();
     let (stop, stopped) = mpsc::channel::<()>();
+    let begun_so_far = Arc::new(AtomicU64::new(0));
+    let told = Arc::clone(&begun_so_far);
     let publisher = std::thread::spawn(move || {
         let mut sequence = 0;
         while stopped.recv_timeout(Duration::from_millis(20)) == Err(RecvTimeoutError::Timeout) {
             sequence += 1;
+            told.store(sequence, Ordering::SeqCst);
             publish(&mut loans, sequence);
         }
     });
@@ -279,19 +290,21 @@ fn files_that_vanish_are_made_anew_and_found_again() {
         std::fs::remove_dir_all(own.root()).unwrap();
         let begun = Instant::now();
         while status.renewed() < round || consumer.reopened() < round {
-            assert!(begun.elapsed() < Duration::from_secs(10), "{} {}", status.renewed(), consumer.reopened());
+            assert!(begun.elapsed() < SOON, "{} {}", status.renewed(), consumer.reopened());
             consumer.next(Duration::from_millis(50)).unwrap();
         }
         // And then it is as before, for good.
         let mut last = number(&consumer.next(SOON).unwrap().unwrap());
         for _ in 0..100 {
-            let sequence = number(&consumer.next(Duration::from_secs(1)).unwrap().unwrap());
-            assert_eq!(sequence, last + 1);
+            let sequence = number(&consumer.next(SOON).unwrap().unwrap());
+            // A sweep is passed over where two newer ones came before it was taken, and never else.
+            let is_explained = sequence == last + 1 || sequence < begun_so_far.load(Ordering::SeqCst);
+            assert!(sequence > last && is_explained, "{last}, then {sequence}");
             last = sequence;
         }
         assert_eq!((status.renewed(), consumer.reopened()), (round, round));
         // Another finds it too.
-        assert!(client(&own).next(SOON).unwrap().is_some());
+        assert!(Client::within(&own.domain(), "roof").unwrap().next(SOON).unwrap().is_some());
     }
     drop(stop);
     publisher.join().unwrap();
@@ -364,7 +377,7 @@ fn a_pool_that_was_outgrown_is_given_back() {
     let begun = Instant::now();
     while pools() > 1 || loans.status().reserved_bytes() == both {
         std::thread::sleep(Duration::from_millis(50));
-        assert!(begun.elapsed() < Duration::from_secs(10));
+        assert!(begun.elapsed() < SOON);
     }
     numbered(&mut loans, 4, 5000).publish().unwrap();
     assert_eq!(loans.status().unshared(), 0);

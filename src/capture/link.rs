@@ -19,10 +19,14 @@ use etherparse::{EtherType, IpNumber, IpSlice, LaxIpSlice, NetSlice, SlicedPacke
 use crate::wire::Datagram;
 
 const UDP_HEADER_LEN: usize = 8;
-/// Datagrams whose fragments are waited for, at the most: 64 KiB each.
-const MAX_WAITING: u64 = 128;
+/// Datagrams whose fragments are waited for, at most: 64 KiB each.
+const MAX_WAITING: u64 = 256;
 /// How long fragments are waited for, by capture time. Linux takes 30 s.
 const MAX_WAIT_NS: u64 = 30_000_000_000;
+/// Old fragments are looked for after this many fragments, or this much capture time: to do so for each one would take longer
+/// than everything else. No fragment is forgotten before as many others have come.
+const LOOK_AFTER: u64 = MAX_WAITING / 2;
+const LOOK_AFTER_NS: u64 = 1_000_000_000;
 
 /// What a captured frame begins with: a LINKTYPE number of the registry at tcpdump.org.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, Hash)]
@@ -92,10 +96,12 @@ pub struct Decapsulator {
     /// The datagram put together last. Its buffer goes back to the pool with the next fragment.
     assembled: Option<IpDefragPayloadVec>,
     fragments: u64,
+    /// When old fragments were looked for last.
+    looked: Waiting,
 }
 
 /// When the last fragment of a waiting datagram came.
-#[derive(Clone, Copy, Debug)]
+#[derive(Clone, Copy, Debug, Default)]
 struct Waiting {
     time_ns: i64,
     fragment: u64,
@@ -117,7 +123,7 @@ enum Place {
 
 impl Default for Decapsulator {
     fn default() -> Self {
-        Self { waiting: IpDefragPool::new(), assembled: None, fragments: 0 }
+        Self { waiting: IpDefragPool::new(), assembled: None, fragments: 0, looked: Waiting::default() }
     }
 }
 
@@ -185,10 +191,9 @@ impl Decapsulator {
         if let Some(done) = self.assembled.take() {
             self.waiting.return_buf(done);
         }
-        // The pool itself has no bound. The last MAX_WAITING fragments cannot belong to more datagrams than that.
         self.fragments += 1;
-        let oldest = self.fragments.saturating_sub(MAX_WAITING);
-        self.waiting.retain(|at| at.fragment > oldest && time_ns.abs_diff(at.time_ns) <= MAX_WAIT_NS);
+        let now = Waiting { time_ns, fragment: self.fragments };
+        self.forget_old(now);
         let ip = IpSlice::from_slice(ip_packet).map_err(|error| match error {
             ip::SliceError::Len(_) => NoDatagram::CutShort,
             ip::SliceError::IpHeaders(_) => NoDatagram::Malformed,
@@ -198,10 +203,21 @@ impl Decapsulator {
             IpSlice::Ipv6(ipv6) => NetSlice::Ipv6(ipv6),
         });
         let packet = SlicedPacket { link: None, link_exts: Default::default(), net, transport: None };
-        let now = Waiting { time_ns, fragment: self.fragments };
         let whole = self.waiting.process_sliced_packet(&packet, now, link_type).map_err(|_| NoDatagram::Malformed)?;
         let whole = whole.ok_or(NoDatagram::FragmentWaiting)?;
         Ok(self.assembled.insert(whole))
+    }
+
+    /// Forgets fragments that have waited for too long. The pool itself has no bound: those that are kept and those that come
+    /// until the next look belong to at most [`MAX_WAITING`] datagrams.
+    fn forget_old(&mut self, now: Waiting) {
+        let is_recent = now.time_ns.abs_diff(self.looked.time_ns) < LOOK_AFTER_NS;
+        if is_recent && now.fragment - self.looked.fragment < LOOK_AFTER {
+            return;
+        }
+        self.looked = now;
+        let oldest = now.fragment.saturating_sub(LOOK_AFTER);
+        self.waiting.retain(|at| at.fragment > oldest && now.time_ns.abs_diff(at.time_ns) <= MAX_WAIT_NS);
     }
 }
 
@@ -482,7 +498,29 @@ mod tests {
         };
         assert!(last_is_whole(0, 0) && last_is_whole(30_000_000_000, 126));
         assert!(!last_is_whole(30_000_000_001, 0) && !last_is_whole(-30_000_000_001, 0));
-        assert!(!last_is_whole(0, 128));
+        assert!(!last_is_whole(0, MAX_WAITING));
+    }
+
+    #[test]
+    fn open_fragments_are_bounded_and_old_ones_rarely_looked_for() {
+        const FRAGMENTS: u64 = 20_000;
+        let (mut decapsulator, mut looks, mut looked) = (Decapsulator::new(), 0, 0);
+        for number in 0..FRAGMENTS {
+            let mut packet = ipv4_of(17, 0x2000, 0, &[0; 16]);
+            packet[4..6].copy_from_slice(&(number as u16).to_be_bytes());
+            let time_ns = number as i64 * 20_000;
+            let found = decapsulator.decapsulate(LinkType::RAW, &packet, time_ns);
+            assert_eq!(found, Err(NoDatagram::FragmentWaiting));
+            looks += u64::from(decapsulator.looked.fragment != looked);
+            looked = decapsulator.looked.fragment;
+        }
+        assert!((1..=FRAGMENTS / LOOK_AFTER + 1).contains(&looks), "{looks} looks");
+        let waiting = std::cell::Cell::new(0);
+        decapsulator.waiting.retain(|_| {
+            waiting.set(waiting.get() + 1);
+            true
+        });
+        assert!((LOOK_AFTER..=MAX_WAITING).contains(&waiting.get()), "{} wait", waiting.get());
     }
 
     proptest! {

@@ -1,5 +1,6 @@
 //! When to hand on the datagrams of a replay.
 
+use std::ops::RangeInclusive;
 use std::str::FromStr;
 use std::time::Duration;
 
@@ -8,6 +9,9 @@ use std::time::Duration;
 const DISORDER_NS: i128 = 1_000_000_000;
 /// A time further ahead than this is not waited for: the capture was paused, or the time is corrupt.
 const PAUSE_NS: i128 = 60_000_000_000;
+
+/// Factors that a text may name. Slower, the next datagram would be a minute away and more; faster, no machine can.
+const FACTORS: RangeInclusive<f64> = 0.001..=1000.0;
 
 /// How fast to replay.
 #[derive(Clone, Copy, Debug, PartialEq)]
@@ -35,7 +39,7 @@ impl std::fmt::Display for Speed {
 
 /// A text that names no speed.
 #[derive(Clone, Debug, PartialEq, Eq, thiserror::Error)]
-#[error("`{0}` is no speed; expected `realtime`, `max`, or a number above 0 such as 0.5 or 10")]
+#[error("`{0}` is no speed; expected `realtime`, `max`, or a number from 0.001 to 1000 such as 0.5 or 10")]
 pub struct SpeedError(String);
 
 impl FromStr for Speed {
@@ -46,7 +50,7 @@ impl FromStr for Speed {
             "max" => Ok(Self::Max),
             "realtime" => Ok(Self::REALTIME),
             number => match number.parse::<f64>() {
-                Ok(factor) if factor.is_finite() && factor > 0.0 => Ok(Self::Factor(factor)),
+                Ok(factor) if FACTORS.contains(&factor) => Ok(Self::Factor(factor)),
                 _ => Err(SpeedError(text.to_owned())),
             },
         }
@@ -130,7 +134,10 @@ mod tests {
             assert_eq!(text.parse(), Ok(speed));
             assert_eq!(speed.to_string(), text);
         }
-        for text in ["", "0", "-1", "inf", "nan", "fast", "1x"] {
+        for factor in [0.001, 1000.0] {
+            assert_eq!(factor.to_string().parse(), Ok(Speed::Factor(factor)));
+        }
+        for text in ["", "0", "-1", "inf", "nan", "fast", "1x", "1e-300", "0.000999", "1000.1", "1e308"] {
             assert_eq!(text.parse::<Speed>(), Err(SpeedError(text.to_owned())));
         }
     }

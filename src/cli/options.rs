@@ -44,7 +44,6 @@ pub(super) fn within(
 ) -> impl Fn(&str) -> Result<f64, String> + Clone + Send + Sync + 'static {
     move |text| match text.parse::<f64>() {
         Ok(number) if range.contains(&number) => Ok(number),
-        _ if *range.end() == f64::MAX => Err(format!("expected {} or more {unit}", range.start())),
         _ => Err(format!("expected {} to {} {unit}", range.start(), range.end())),
     }
 }

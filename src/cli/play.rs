@@ -8,15 +8,18 @@ use super::CliError;
 use super::options::within;
 use crate::capture::Speed;
 
+/// Longest capture that can be asked for, seconds: 31 years.
+const LONGEST_S: f64 = 1e9;
+
 /// What is played, and how fast.
 #[derive(Clone, Debug, clap::Args)]
 #[command(next_help_heading = "Replay")]
 pub struct PlayOptions {
     /// Leave out what comes before this, seconds from the start of the capture
-    #[arg(long, value_name = "SECONDS", value_parser = within(0.0..=f64::MAX, "seconds"), allow_negative_numbers = true)]
+    #[arg(long, value_name = "SECONDS", value_parser = seconds, allow_negative_numbers = true)]
     pub from: Option<f64>,
     /// Stop at this, seconds from the start of the capture
-    #[arg(long, value_name = "SECONDS", value_parser = within(0.0..=f64::MAX, "seconds"), allow_negative_numbers = true)]
+    #[arg(long, value_name = "SECONDS", value_parser = seconds, allow_negative_numbers = true)]
     pub to: Option<f64>,
     /// realtime, max, or a factor such as 0.5; gaps of over a minute are not waited for [default: max; realtime with
     /// --to-udp and --publish]
@@ -52,6 +55,11 @@ impl FromStr for Times {
             _ => Err("expected how many times in all, 1 or more; --loop alone goes on for ever".to_owned()),
         }
     }
+}
+
+/// A time of a capture, to the nanosecond, as its records tell it.
+fn seconds(text: &str) -> Result<f64, String> {
+    within(0.0..=LONGEST_S, "seconds")(text).map(|seconds| (seconds * 1e9).round() / 1e9)
 }
 
 /// Where datagrams can be sent to.

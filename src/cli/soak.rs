@@ -84,8 +84,9 @@ fn print(outcome: &Outcome) -> io::Result<()> {
     let [published, received, runs] = outcome.sweeps;
     writeln!(
         out,
-        "{} datagrams; {published} sweeps in {runs} runs of pipelines; {received} got by the consumers that stay",
-        outcome.datagrams
+        "{} datagrams; {published} sweeps in {runs} runs of pipelines; {received} got by the consumers that stay, which had to \
+         catch up {} times after an episode",
+        outcome.datagrams, outcome.caught_up
     )?;
     let [ended, killed] = outcome.restarts;
     let [taken, refused] = outcome.reloads;

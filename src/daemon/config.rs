@@ -75,6 +75,8 @@ pub struct DaemonConfig {
     pub root: Option<PathBuf>,
     /// Where health and metrics are served over HTTP; `None` serves none.
     pub http: Option<SocketAddr>,
+    /// Whether they are for everyone who reaches that address, by whatever name.
+    pub http_public: bool,
 }
 
 /// One sensor.

@@ -2,7 +2,6 @@
 
 use std::future::pending;
 use std::io;
-use std::net::SocketAddr;
 use std::path::Path;
 use std::sync::{Arc, Mutex, PoisonError};
 use std::time::{Duration, Instant};
@@ -12,9 +11,9 @@ use tokio::signal::unix::{Signal, SignalKind, signal};
 use tokio::time::{Interval, MissedTickBehavior, interval_at};
 use tracing::{error, info, warn};
 
-use super::config::Config;
+use super::config::{Config, DaemonConfig};
 use super::counters::{Reject, SensorCounters};
-use super::health::{self, View};
+use super::health::{self, Http, View};
 use super::losses::Tally;
 use super::notify::{Notifier, Pulse, beat};
 use super::runtime::{DaemonError, PortStatus, Runtime, SensorStatus};
@@ -57,7 +56,7 @@ pub fn run<S: Sharing>(config: Config, sharing: &S, root: &Path, reread: Reread)
     tokio.block_on(async {
         // Before anything is opened, so that no signal leaves it half done.
         let mut signals = Signals::new().map_err(|source| DaemonError::System { what: "handle signals", source })?;
-        let http = listen(config.daemon.http).await?;
+        let http = listen(&config.daemon).await?;
         let mut tees = Tees::open(Some(socket_path(root)));
         let mut start = || Runtime::start(&config, sharing, &mut tees);
         let Some(runtime) = started(&mut start, (root, http.as_ref()), &mut signals).await? else { return Ok(()) };
@@ -69,7 +68,7 @@ pub fn run<S: Sharing>(config: Config, sharing: &S, root: &Path, reread: Reread)
 /// asked to end meanwhile. A reload ends it too: then systemd starts it with the new configuration.
 async fn started(
     start: &mut dyn FnMut() -> Result<Runtime, DaemonError>,
-    (root, http): (&Path, Option<&TcpListener>),
+    (root, http): (&Path, Option<&Http>),
     signals: &mut Signals,
 ) -> Result<Option<Runtime>, DaemonError> {
     let (mut notifier, mut pause, mut told) = (Notifier::default(), RETRY.0, String::new());
@@ -97,9 +96,9 @@ async fn started(
     }
 }
 
-async fn serve_health(http: Option<&TcpListener>, view: Arc<Mutex<View>>) -> std::convert::Infallible {
+async fn serve_health(http: Option<&Http>, view: Arc<Mutex<View>>) -> std::convert::Infallible {
     match http {
-        Some(listener) => health::serve(listener, view).await,
+        Some(http) => health::serve(http, view).await,
         None => pending().await,
     }
 }
@@ -120,8 +119,8 @@ impl Signals {
     }
 }
 
-async fn listen(address: Option<SocketAddr>) -> Result<Option<TcpListener>, DaemonError> {
-    let Some(address) = address else { return Ok(None) };
+async fn listen(config: &DaemonConfig) -> Result<Option<Http>, DaemonError> {
+    let Some(address) = config.http else { return Ok(None) };
     let refused = |source| DaemonError::Http { address, source };
     let listener = TcpListener::bind(address).await.map_err(refused)?;
     let address = listener.local_addr().map_err(refused)?;
@@ -129,7 +128,7 @@ async fn listen(address: Option<SocketAddr>) -> Result<Option<TcpListener>, Daem
     if !address.ip().is_loopback() {
         warn!("health and metrics are served to every host that reaches {address}");
     }
-    Ok(Some(listener))
+    Ok(Some(Http { listener, is_public: config.http_public }))
 }
 
 /// All that the control thread holds.
@@ -195,7 +194,7 @@ impl Control {
         mut self,
         sharing: &impl Sharing,
         mut signals: Signals,
-        http: Option<TcpListener>,
+        http: Option<Http>,
     ) -> Result<(), DaemonError> {
         for status in self.runtime.sensors.iter() {
             info!("{}: waiting for packets from {} on port {}", status.name, status.address, status.port);

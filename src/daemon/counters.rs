@@ -71,13 +71,14 @@ impl Histogram {
 
     /// Upper bound in seconds and count of each bucket, the last without a bound; not added up.
     pub fn buckets(&self) -> impl Iterator<Item = (f64, u64)> {
-        let bounds = Self::BOUNDS_NS.iter().map(|&ns| ns as f64 * 1e-9).chain([f64::INFINITY]);
+        // Divided, not multiplied: the nearest number to 0.000001 is written as that.
+        let bounds = Self::BOUNDS_NS.iter().map(|&ns| ns as f64 / 1e9).chain([f64::INFINITY]);
         bounds.zip(self.buckets.iter().map(Counter::get))
     }
 
     /// All times together, seconds.
     pub fn sum_s(&self) -> f64 {
-        self.sum_ns.get() as f64 * 1e-9
+        self.sum_ns.get() as f64 / 1e9
     }
 
     /// How many times were noted.
@@ -345,7 +346,11 @@ mod tests {
         assert_eq!((buckets.len(), histogram.count()), (20, 5));
         assert!((histogram.sum_s() - 2.000_002_002).abs() < 1e-12);
         let bounds: Vec<f64> = histogram.buckets().map(|(bound, _)| bound).collect();
-        assert!(bounds.is_sorted() && (bounds[9] - 1e-3).abs() < 1e-12 && bounds[19] == f64::INFINITY);
+        assert!(bounds.is_sorted() && bounds[19] == f64::INFINITY);
+        let written = bounds[..19].iter().map(|bound| bound.to_string());
+        let exact = ["0.00000", "0.0000", "0.000", "0.00", "0.0", "0."]
+            .map(|zeros| ["1", "2", "5"].map(|one| [zeros, one].concat()));
+        assert!(written.eq(exact.into_iter().flatten().chain(["1".to_owned()])), "{bounds:?}");
     }
 
     #[test]

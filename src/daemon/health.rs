@@ -5,16 +5,20 @@
 //! GET /metrics   Prometheus (OpenMetrics text)
 //! ```
 //!
-//! Few connections at a time, each for one request and not for long: nobody can hold the daemon up here.
+//! Few connections at a time, each for one request and not for long: nobody can hold the daemon up here. Unless `http_public` is
+//! set, requests to a name other than `localhost` are refused: a web page whose own name was made to lead here (DNS rebinding)
+//! could else read the answers in a browser of this host.
 
 use std::convert::Infallible;
+use std::net::IpAddr;
 use std::path::PathBuf;
 use std::sync::{Arc, Mutex, PoisonError};
 use std::time::{Duration, Instant};
 
 use http_body_util::Full;
 use hyper::body::{Bytes, Incoming};
-use hyper::header::{ALLOW, CACHE_CONTROL, CONTENT_TYPE, HeaderValue};
+use hyper::header::{ALLOW, CACHE_CONTROL, CONTENT_TYPE, HOST, HeaderValue};
+use hyper::http::uri::Authority;
 use hyper::server::conn::http1;
 use hyper::service::service_fn;
 use hyper::{Method, Request, Response, StatusCode};
@@ -238,8 +242,17 @@ fn recording(recording: &RecordingStatus) -> Value {
     })
 }
 
+/// Where health and metrics are served.
+pub struct Http {
+    /// The socket.
+    pub listener: TcpListener,
+    /// Whether requests to any name are answered, and not to an IP address and `localhost` alone.
+    pub is_public: bool,
+}
+
 /// Answers until the daemon ends.
-pub async fn serve(listener: &TcpListener, view: Arc<Mutex<View>>) -> Infallible {
+pub async fn serve(http: &Http, view: Arc<Mutex<View>>) -> Infallible {
+    let &Http { ref listener, is_public } = http;
     let places = Arc::new(Semaphore::new(CONNECTIONS));
     loop {
         let Ok((stream, _)) = listener.accept().await else {
@@ -250,15 +263,15 @@ pub async fn serve(listener: &TcpListener, view: Arc<Mutex<View>>) -> Infallible
         let Ok(place) = Arc::clone(&places).try_acquire_owned() else { continue };
         let view = Arc::clone(&view);
         tokio::spawn(async move {
-            let _ = timeout(PATIENCE, converse(stream, view)).await;
+            let _ = timeout(PATIENCE, converse(stream, view, is_public)).await;
             drop(place);
         });
     }
 }
 
-async fn converse(stream: TcpStream, view: Arc<Mutex<View>>) {
+async fn converse(stream: TcpStream, view: Arc<Mutex<View>>, is_public: bool) {
     let service = service_fn(|request| {
-        let response = answer(&request, &view);
+        let response = answer(&request, &view, is_public);
         async move { Ok::<_, Infallible>(response) }
     });
     let mut http = http1::Builder::new();
@@ -267,7 +280,13 @@ async fn converse(stream: TcpStream, view: Arc<Mutex<View>>) {
     let _ = http.serve_connection(TokioIo::new(stream), service).await;
 }
 
-fn answer(request: &Request<Incoming>, view: &Mutex<View>) -> Response<Full<Bytes>> {
+fn answer(request: &Request<Incoming>, view: &Mutex<View>, is_public: bool) -> Response<Full<Bytes>> {
+    if !is_public && !is_for_this_host(request) {
+        return text(
+            StatusCode::FORBIDDEN,
+            "only requests to an IP address or to localhost are answered; `http_public = true` allows other names",
+        );
+    }
     if !matches!(*request.method(), Method::GET | Method::HEAD) {
         let mut refused = text(StatusCode::METHOD_NOT_ALLOWED, "only GET and HEAD");
         refused.headers_mut().insert(ALLOW, HeaderValue::from_static("GET, HEAD"));
@@ -288,6 +307,18 @@ fn answer(request: &Request<Incoming>, view: &Mutex<View>) -> Response<Full<Byte
     }
 }
 
+/// Whether each name in a request is `localhost` or an IP address, which no name server can make lead elsewhere. A browser
+/// always sends one; programs of old do not.
+fn is_for_this_host<B>(request: &Request<B>) -> bool {
+    let is_own = |authority: &Authority| {
+        let host = authority.host();
+        let ip = host.strip_prefix('[').and_then(|host| host.strip_suffix(']')).unwrap_or(host);
+        host.eq_ignore_ascii_case("localhost") || ip.parse::<IpAddr>().is_ok()
+    };
+    let is_own_header = |value: &HeaderValue| Authority::try_from(value.as_bytes()).is_ok_and(|host| is_own(&host));
+    request.uri().authority().is_none_or(is_own) && request.headers().get_all(HOST).iter().all(is_own_header)
+}
+
 fn text(status: StatusCode, text: &str) -> Response<Full<Bytes>> {
     response(status, "text/plain; charset=utf-8", format!("{text}\n"))
 }
@@ -299,4 +330,29 @@ fn response(status: StatusCode, kind: &'static str, body: String) -> Response<Fu
     headers.insert(CONTENT_TYPE, HeaderValue::from_static(kind));
     headers.insert(CACHE_CONTROL, HeaderValue::from_static("no-store"));
     response
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn names_that_may_lead_anywhere_are_not_of_this_host() {
+        let is_for_this_host = |uri: &str, hosts: &[&str]| {
+            let request = hosts.iter().fold(Request::get(uri), |request, &host| request.header(HOST, host));
+            is_for_this_host(&request.body(()).unwrap())
+        };
+        for host in ["localhost", "LocalHost:9177", "127.0.0.1", "127.0.0.1:9177", "10.0.0.7:80", "[::1]", "[::1]:9177"]
+        {
+            assert!(is_for_this_host("/health", &[host]), "{host}");
+            assert!(is_for_this_host(&format!("http://{host}/health"), &["localhost"]), "{host}");
+        }
+        assert!(is_for_this_host("/health", &[]));
+        for host in ["evil.example", "evil.example:9177", "localhost.evil.example", "127.0.0.1.evil.example", "", "a b"]
+        {
+            assert!(!is_for_this_host("/health", &[host]), "{host}");
+            assert!(!is_for_this_host("/health", &["localhost", host]), "{host}");
+        }
+        assert!(!is_for_this_host("http://evil.example/health", &["localhost"]));
+    }
 }

@@ -10,6 +10,7 @@
 use std::time::{Duration, Instant};
 
 use crate::capture::udp::ReceiveBuffer;
+use crate::capture::udp::buffer::PARTS;
 
 /// Longest nap, a turn at 10 Hz: each time that the thread is woken costs as much as decoding some packets.
 pub const LONGEST: Duration = Duration::from_millis(100);
@@ -26,8 +27,6 @@ const WORTH_NS: i64 = 500_000;
 /// Sensors whose position packets are no more than the data packets of the fastest model: an HDL-32E with two returns sends
 /// 720 a second, an HDL-64E S3 5,787.
 const POSITIONS: i64 = 8;
-/// The part of the socket's buffer that may be full when a nap is over: others may have the core then.
-const BUFFER_PART: i64 = 4;
 
 /// How much of the time a thread works, over the last seconds.
 #[derive(Clone, Copy, Debug)]
@@ -70,11 +69,21 @@ impl Load {
 
 /// Longest nap of a port with such a buffer, where the data packets of so many sensors come and the position packets of so
 /// many others, and with so much to do, nanoseconds: `most`, or less.
-pub fn longest_ns(most: Duration, buffer: ReceiveBuffer, [data, positions]: [usize; 2], load: &Load) -> i64 {
+///
+/// `filled_ns` is the shortest time of the last seconds in which a part of the buffer was filled
+/// ([`UdpSource::shortest_filling_ns`](crate::capture::UdpSource::shortest_filling_ns)). The configured sensors take longer than
+/// the rest of the rule allows, so that it tells of others' datagrams: their next burst finds a nap that it cannot outlast.
+pub fn longest_ns(
+    most: Duration,
+    buffer: ReceiveBuffer,
+    [data, positions]: [usize; 2],
+    filled_ns: i64,
+    load: &Load,
+) -> i64 {
     let holds_ns = i64::try_from(buffer.fastest_ms() * 1_000_000).unwrap_or(i64::MAX);
     let senders = (data as i64 * POSITIONS + positions as i64).max(1);
-    let part_ns = holds_ns.saturating_mul(POSITIONS) / (BUFFER_PART * senders);
-    part_ns.min(load.brings_in_ns(CATCH_UP_NS)).min(most.as_nanos() as i64)
+    let part_ns = holds_ns.saturating_mul(POSITIONS) / (PARTS as i64 * senders);
+    part_ns.min(filled_ns).min(load.brings_in_ns(CATCH_UP_NS)).min(most.as_nanos() as i64)
 }
 
 /// How long to sleep when a sweep is due in so long, nanoseconds: then there is time left to do what has gathered meanwhile.
@@ -89,6 +98,7 @@ pub fn length_ns(until_due_ns: i64, longest_ns: i64, load: &Load) -> i64 {
 mod tests {
     use super::*;
     use crate::capture::record::{OPENING, PERIOD};
+    use crate::capture::udp::buffer::CHARGED_BYTES;
 
     const MS: i64 = 1_000_000;
 
@@ -129,7 +139,7 @@ mod tests {
         let ample = ReceiveBuffer { wanted_bytes: 6_670_080, granted_bytes: 6_670_080 };
         // What Linux gives a user where nothing was set: 184 packets, 31 ms of the fastest model.
         let small = ReceiveBuffer { granted_bytes: 425_984, ..ample };
-        let longest_ms = |buffer, sensors, load: &Load| longest_ns(LONGEST, buffer, [sensors, 0], load) / MS;
+        let longest_ms = |buffer, sensors, load: &Load| longest_ns(LONGEST, buffer, [sensors, 0], i64::MAX, load) / MS;
         let idle = load(0);
         assert_eq!([1, 8].map(|sensors| longest_ms(ample, sensors, &idle)), [100, 15]);
         assert_eq!(longest_ms(small, 1, &idle), 7);
@@ -137,9 +147,26 @@ mod tests {
         assert_eq!(longest_ms(ample, 1, &load(10)), 21);
         assert_eq!(longest_ms(ample, 1, &load(100)), 2);
         // Where position packets come alone: 720 a second of each sensor, in a quarter of 2,895 or 184.
-        let positions_ms = |buffer, sensors| longest_ns(LONGEST_OF_POSITIONS, buffer, [0, sensors], &idle) / MS;
+        let positions_ms =
+            |buffer, sensors| longest_ns(LONGEST_OF_POSITIONS, buffer, [0, sensors], i64::MAX, &idle) / MS;
         assert_eq!([1, 8, 10].map(|sensors| positions_ms(ample, sensors)), [250, 125, 100]);
         assert_eq!([1, 3].map(|sensors| positions_ms(small, sensors)), [62, 20]);
+    }
+
+    #[test]
+    fn naps_are_no_longer_than_it_takes_others_to_fill_a_part_of_the_buffer() {
+        let ample = ReceiveBuffer { wanted_bytes: 6_670_080, granted_bytes: 6_670_080 };
+        let idle = load(0);
+        let longest = |sensors, filled_ns| longest_ns(LONGEST, ample, [sensors, 0], filled_ns, &idle);
+        assert_eq!([1, 8].map(|sensors| longest(sensors, 2_900_000)), [2_900_000; 2]);
+        // Nothing that configured sensors may do makes a nap shorter, to a thousandth: they need this long for a part, or longer.
+        for sensors in 1..=20 {
+            let apart_ns = 172_800 / sensors as i64;
+            let own_ns = (ample.part_bytes() / CHARGED_BYTES) as i64 * apart_ns;
+            let [quiet_ns, busy_ns] = [i64::MAX, own_ns].map(|filled_ns| longest(sensors, filled_ns));
+            assert!(busy_ns > quiet_ns - quiet_ns / 1_000, "{sensors} sensors: {busy_ns}, not {quiet_ns}");
+        }
+        assert_eq!(longest(1, 0), 0);
     }
 
     /// Else it would not have the datagrams of several ports in order.

@@ -229,7 +229,8 @@ impl<B: Buffers<Buffer: Outgoing>> Port<B> {
             false => (nap::LONGEST, [0, others.len()]),
             true => (nap::LONGEST, [sensors.len(), 0]),
         };
-        let longest_ns = nap::longest_ns(longest.min(self.beat), self.source.buffer(), senders, &self.load);
+        let (buffer, filled_ns) = (self.source.buffer(), self.source.shortest_filling_ns());
+        let longest_ns = nap::longest_ns(longest.min(self.beat), buffer, senders, filled_ns, &self.load);
         let nap_ns = |due_ns: i64| nap::length_ns(due_ns.saturating_sub(now_ns), longest_ns, &self.load);
         // One of whom it is not known is waited on.
         let naps_ns = sensors.iter().map(|served| served.sensor.due_ns().map_or(0, nap_ns));

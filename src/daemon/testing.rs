@@ -29,5 +29,5 @@ pub fn sensor(name: &str, address: &str, port: u16) -> SensorConfig {
 
 /// A daemon of these sensors and nothing else.
 pub fn config_of(sensors: Vec<SensorConfig>) -> Config {
-    Config { daemon: DaemonConfig { root: None, http: None }, sensors, record: None }
+    Config { daemon: DaemonConfig { root: None, http: None, http_public: false }, sensors, record: None }
 }

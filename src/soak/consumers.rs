@@ -223,6 +223,11 @@ impl Crowd {
         Ok(())
     }
 
+    /// Whether one of them records through the daemon.
+    pub fn has_recorders(&self) -> bool {
+        self.others.iter().any(|other| other.fate == Fate::Records)
+    }
+
     /// Ends those that record, which the end of a daemon would be an error for.
     pub fn dismiss_recorders(&mut self) {
         self.others.retain(|other| other.fate != Fate::Records);

@@ -8,7 +8,7 @@ use std::time::{Duration, Instant};
 
 use fastrand::Rng;
 
-use super::feed::{Event, Feed};
+use super::feed::{Event, Feed, WITHIN_A_TURN};
 use super::{EPISODE, SENSORS, Soak, SoakError, daemon};
 use crate::capture::udp::buffer::CHARGED_BYTES;
 use crate::daemon::counters::Reject;
@@ -23,6 +23,8 @@ const CHUNK: u64 = 64;
 const LOOK_EVERY: Duration = Duration::from_millis(100);
 /// How long the daemon may take to fetch and count what was sent.
 const PATIENCE: Duration = Duration::from_secs(10);
+/// A consumer that is behind for so long gets more sweeps.
+const BEHIND: Duration = Duration::from_millis(700);
 /// Of each hundred episodes, so many begin with a new configuration, with one that is refused, with a recording.
 const RELOADS: [u32; 3] = [20, 5, 3];
 
@@ -47,10 +49,8 @@ impl Soak {
         let mut rng = self.rng.fork();
         let mut feeds = std::mem::take(&mut self.feeds);
         let sent = thread::scope(|scope| {
-            // A thread on one core: on loopback, two cores could change the order of what is sent. No process inherits that.
             let sending = scope.spawn(|| {
-                let last = thread::available_parallelism().map_or(0, |cores| cores.get() - 1);
-                let _ = pin_to_core(last);
+                stay_on_one_core();
                 send(&mut feeds, span_ns, (&ports, window), &mut rng)
             });
             let mut looked = Ok(());
@@ -78,9 +78,15 @@ impl Soak {
         Ok((least.unwrap_or(0) / 3).max(CHARGED_BYTES as u64))
     }
 
-    /// Waits until the daemon has counted what was sent, all of it and no more, and the consumers have what it published.
+    /// Waits until the daemon has counted what was sent, all of it and no more, and the consumers that stay know of all sweeps
+    /// that it published.
+    ///
+    /// They know by the number of the newest. One that had to find the service anew in the last moments (a consumer that leaves
+    /// may take a file of it along, which the daemon puts back with a later sweep) has missed that, and gets the next: in life
+    /// the sensor goes on, and so it does here.
     fn settle(&mut self) -> Result<(), SoakError> {
         let begun = Instant::now();
+        let mut sent = Instant::now();
         loop {
             let daemon = self.daemon()?;
             let metrics = daemon.metrics()?;
@@ -97,8 +103,42 @@ impl Soak {
                     return Err(self.daemon()?.wrong(format!("a consumer got what it must not: {wrong}")));
                 }
             }
+            let behind = self.behind(&metrics);
+            if !behind.is_empty() && sent.elapsed() > BEHIND {
+                self.outcome.caught_up += behind.len() as u64;
+                self.send_more(&behind)?;
+                sent = Instant::now();
+            }
             thread::sleep(Duration::from_millis(3));
         }
+    }
+
+    /// Sensors of which a consumer that stays knows fewer sweeps than the daemon has counted.
+    fn behind(&self, metrics: &BTreeMap<String, f64>) -> Vec<usize> {
+        let is_behind = |&index: &usize| {
+            let metric = format!("sweepd_sweeps_total{{sensor=\"{}\"}}", self.feeds[index].place.name);
+            metrics.get(&metric).is_some_and(|&counted| counted > self.known(index) as f64)
+        };
+        (0..self.feeds.len()).filter(is_behind).collect()
+    }
+
+    /// Sweeps of this daemon that the consumer that stays knows of.
+    fn known(&self, index: usize) -> u64 {
+        let published = self.steadfast.get(index).map_or(0, |one| one.seen().published);
+        published - self.published_before[index]
+    }
+
+    /// Sends a turn or more of some sensors.
+    fn send_more(&mut self, sensors: &[usize]) -> Result<(), SoakError> {
+        let feeds = &mut self.feeds;
+        let sent = thread::scope(|scope| {
+            let sending = scope.spawn(|| {
+                stay_on_one_core();
+                sensors.iter().try_for_each(|&index| feeds[index].send_whole(WITHIN_A_TURN))
+            });
+            sending.join().unwrap_or_else(|_| Err(io::Error::other("the sender panicked")))
+        });
+        sent.map_err(|source| SoakError::System { what: "send packets", source })
     }
 
     /// Counters that are not what they must be.
@@ -139,8 +179,7 @@ impl Soak {
             }
             let overflows = metrics.get(&of("position_overflows")).copied().unwrap_or(0.0) as u64;
             must(of("position_packets"), tally.positions.saturating_sub(overflows));
-            let published = self.steadfast.get(index).map_or(0, |one| one.seen().published);
-            must(of("sweeps"), published - self.published_before[index]);
+            must(of("sweeps"), self.known(index));
         }
         if self.settings.1 {
             let unrecorded = metrics.get("sweepd_unrecorded_total{}").copied().unwrap_or(0.0) as u64;
@@ -184,6 +223,12 @@ impl Soak {
         }
         Ok(())
     }
+}
+
+/// For a thread that sends: on loopback, two cores could change the order of what is sent. No process inherits that.
+fn stay_on_one_core() {
+    let last = thread::available_parallelism().map_or(0, |cores| cores.get() - 1);
+    let _ = pin_to_core(last);
 }
 
 /// Sends all feeds for so long by their clocks, no faster than the sockets are emptied: no more than `window` bytes wait.

@@ -18,7 +18,7 @@ use crate::wire::data::{DATA_PACKET_LEN, ReturnMode};
 /// From one fault to the next at least so many packets are whole, so that each can be counted.
 const BETWEEN: u32 = 10;
 /// More packets than any sensor sends in a turn.
-const WITHIN_A_TURN: u32 = 400;
+pub(super) const WITHIN_A_TURN: u32 = 400;
 /// One packet in so many meets a fault, beyond that.
 const ONE_IN: u32 = 60;
 /// Data packets for each position packet.

@@ -99,6 +99,8 @@ pub struct Outcome {
     pub datagrams: u64,
     /// Sweeps published, by the consumers that stay; those that they got; runs of pipelines.
     pub sweeps: [u64; 3],
+    /// How often a consumer that stays was behind after an episode, and caught up with the sweeps that followed.
+    pub caught_up: u64,
     /// What was injected.
     pub injected: Injected,
     /// Episodes after which all counters were exact.
@@ -301,7 +303,9 @@ impl Soak {
     fn look(&mut self, share: f64) {
         let Some(daemon) = &self.daemon else { return };
         let (files, shared_bytes) = daemon::files(self.domain.root(), &self.domain.prefix());
-        let sample = Sample { daemon: daemon.usage(), files, shared_bytes, own: daemon::usage(std::process::id()) };
+        let is_at_rest = !self.settings.1 && !self.crowd.has_recorders();
+        let own = daemon::usage(std::process::id());
+        let sample = Sample { daemon: daemon.usage(), is_at_rest, files, shared_bytes, own };
         self.outcome.figures.add(share, &sample);
     }
 

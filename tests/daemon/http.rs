@@ -88,21 +88,24 @@ type Case = (&'static str, Vec<u8>, &'static [Option<u16>]);
 fn what_is_no_request_or_too_large_is_refused_at_once_and_keeps_no_memory() {
     let (daemon, _) = daemon(80);
     let long_path = format!("GET /{} HTTP/1.1\r\nHost: localhost\r\n\r\n", "x".repeat(100_000));
-    let posted =
-        [b"POST /health HTTP/1.1\r\nHost: x\r\nContent-Length: 4000000\r\n\r\n".to_vec(), vec![b'x'; 4_000_000]];
+    let posted = [
+        b"POST /health HTTP/1.1\r\nHost: localhost\r\nContent-Length: 4000000\r\n\r\n".to_vec(),
+        vec![b'x'; 4_000_000],
+    ];
     let endless = [b"GET /health HTTP/1.1\r\nX: ".to_vec(), vec![b'x'; 4_000_000]];
-    let cases: [Case; 15] = [
+    let cases: [Case; 16] = [
         ("many headers", with_headers(200, 4), &[Some(431)]),
         ("large headers", with_headers(4, 8000), &[Some(431), None]),
         ("a header without end", endless.concat(), &[Some(431), None]),
         ("a long path", long_path.into_bytes(), &[Some(414), Some(431), None]),
         ("a body", posted.concat(), &[Some(405)]),
-        ("another method", b"DELETE /health HTTP/1.1\r\nHost: x\r\n\r\n".to_vec(), &[Some(405)]),
-        ("no method that there is", b"BREW /health HTTP/1.1\r\nHost: x\r\n\r\n".to_vec(), &[Some(405)]),
-        ("another path", b"GET /../../etc/passwd HTTP/1.1\r\nHost: x\r\n\r\n".to_vec(), &[Some(404)]),
-        ("a path in %", b"GET /%2e%2e/%00 HTTP/1.1\r\nHost: x\r\n\r\n".to_vec(), &[Some(404)]),
-        ("another host's page", b"GET http://example.com/ HTTP/1.1\r\nHost: x\r\n\r\n".to_vec(), &[Some(404)]),
-        ("a tunnel", b"CONNECT example.com:80 HTTP/1.1\r\nHost: x\r\n\r\n".to_vec(), &[Some(405)]),
+        ("another method", b"DELETE /health HTTP/1.1\r\nHost: localhost\r\n\r\n".to_vec(), &[Some(405)]),
+        ("no method that there is", b"BREW /health HTTP/1.1\r\nHost: localhost\r\n\r\n".to_vec(), &[Some(405)]),
+        ("another path", b"GET /../../etc/passwd HTTP/1.1\r\nHost: localhost\r\n\r\n".to_vec(), &[Some(404)]),
+        ("a path in %", b"GET /%2e%2e/%00 HTTP/1.1\r\nHost: localhost\r\n\r\n".to_vec(), &[Some(404)]),
+        ("another host's page", b"GET http://example.com/ HTTP/1.1\r\nHost: localhost\r\n\r\n".to_vec(), &[Some(403)]),
+        ("a name of somebody else", b"GET /health HTTP/1.1\r\nHost: evil.example\r\n\r\n".to_vec(), &[Some(403)]),
+        ("a tunnel", b"CONNECT example.com:80 HTTP/1.1\r\nHost: localhost\r\n\r\n".to_vec(), &[Some(403)]),
         ("another version", b"GET /health HTTP/3.7\r\n\r\n".to_vec(), &[Some(400), None]),
         ("no HTTP", b"\x16\x03\x01\x02\x00\x01\x00\x01\xfc\x03\x03\r\n\r\n".to_vec(), &[Some(400), None]),
         ("HTTP/2", b"PRI * HTTP/2.0\r\n\r\nSM\r\n\r\n".to_vec(), &[Some(400), None]),
@@ -130,7 +133,10 @@ fn what_is_no_request_or_too_large_is_refused_at_once_and_keeps_no_memory() {
 #[test]
 fn a_connection_is_for_one_request() {
     let (daemon, _) = daemon(81);
-    let two = answer(&daemon, b"GET /health HTTP/1.1\r\nHost: x\r\n\r\nGET /metrics HTTP/1.1\r\nHost: x\r\n\r\n");
+    let two = answer(
+        &daemon,
+        b"GET /health HTTP/1.1\r\nHost: localhost\r\n\r\nGET /metrics HTTP/1.1\r\nHost: localhost\r\n\r\n",
+    );
     assert_eq!(
         (two.matches("HTTP/1.1 ").count(), two.contains("sweepd_")),
         (1, false),

@@ -167,7 +167,7 @@ pub fn sensor(name: &str, host: u8, (data, position): (u16, u16)) -> SensorConfi
 }
 
 pub fn config(sensors: Vec<SensorConfig>) -> Config {
-    Config { daemon: DaemonConfig { root: None, http: None }, sensors, record: None }
+    Config { daemon: DaemonConfig { root: None, http: None, http_public: false }, sensors, record: None }
 }
 
 /// A datagram of a sensor: when after the first it leaves, whether it is a data packet, and its bytes.

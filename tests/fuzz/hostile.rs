@@ -127,7 +127,7 @@ fn clouds() -> Vec<Vec<u8>> {
     let lengths = |packed: u32, unpacked: u32| [packed, unpacked].map(u32::to_le_bytes).concat();
     let ones = "1 1 1 1".to_owned();
     let points = 60_000_000;
-    let bomb: Vec<u8> = [&lengths(3000, 3000 * 88)[..], &[0, 7], &[0xFF, 0xFF, 0].repeat(999), &[0]].concat();
+    let bomb: Vec<u8> = [&lengths(3000, 3000 * 88)[..], &[0, 7], &[7 << 5, 0xFF, 0].repeat(999), &[0]].concat();
     vec![
         pcd("4 4 4 1", &ones, most, "binary", &[]),
         pcd("4 4 4 1", &ones, most, "ascii", b"1 2 3 4\n"),

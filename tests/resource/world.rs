@@ -158,7 +158,7 @@ impl World {
     /// Status and body of a GET, from within its namespaces; status 0 where there is no answer.
     pub fn ask(&self, path: &str) -> (u16, String) {
         let script = format!(
-            "exec 3<>/dev/tcp/127.0.0.1/{}; printf 'GET {path} HTTP/1.1\\r\\nHost: x\\r\\n\\r\\n' >&3; timeout 5 cat <&3",
+            "exec 3<>/dev/tcp/127.0.0.1/{}; printf 'GET {path} HTTP/1.1\\r\\nHost: localhost\\r\\n\\r\\n' >&3; timeout 5 cat <&3",
             self.http
         );
         let answer = self.enter(&["bash", "-c", &script]).stderr(Stdio::null()).output().unwrap();

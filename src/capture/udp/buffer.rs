@@ -13,6 +13,8 @@ use crate::wire::data::ReturnMode;
 /// What a data packet costs of the buffer, its 1206 bytes and the kernel's own share; measured on Linux 6.18, where it is
 /// 2304 to 2315.
 pub const CHARGED_BYTES: usize = 2304;
+/// One of this many parts of the buffer may be full when its reader looks again: others may have the core then.
+pub const PARTS: usize = 4;
 /// For how long the buffer shall hold what the fastest model sends, nanoseconds: longer than any scheduler lets a
 /// thread wait.
 const AMPLE_NS: u64 = 500_000_000;
@@ -48,6 +50,11 @@ impl ReceiveBuffer {
     /// Data packets that it holds.
     pub fn packets(&self) -> usize {
         self.granted_bytes / CHARGED_BYTES
+    }
+
+    /// What may wait when its reader looks again, bytes: one of [`PARTS`].
+    pub fn part_bytes(&self) -> usize {
+        self.granted_bytes / PARTS
     }
 
     /// For how long it holds what the fastest supported model sends, milliseconds.

@@ -9,6 +9,7 @@
 
 pub mod buffer;
 pub mod error;
+mod filling;
 pub mod holder;
 mod sys;
 
@@ -16,10 +17,11 @@ use std::io;
 use std::net::{Ipv4Addr, SocketAddrV4};
 use std::num::NonZeroU32;
 use std::os::fd::{AsFd, BorrowedFd};
-use std::time::Duration;
+use std::time::{Duration, Instant};
 
 use socket2::{Domain, InterfaceIndexOrAddress, Protocol, Socket, Type};
 
+use self::filling::Filling;
 use self::sys::{BATCH, Slot};
 use super::write::Addressed;
 use crate::host::realtime_ns;
@@ -72,6 +74,7 @@ pub struct UdpSource {
     socket: Socket,
     local: SocketAddrV4,
     buffer: ReceiveBuffer,
+    filling: Filling,
     slots: Box<[Slot]>,
     timeout: Option<Duration>,
     drops: DropCounter,
@@ -111,6 +114,7 @@ impl UdpSource {
             socket,
             local,
             buffer,
+            filling: Filling::new(buffer.part_bytes()),
             slots,
             timeout: None,
             drops: DropCounter::default(),
@@ -164,6 +168,11 @@ impl UdpSource {
         let mut drops = self.drops;
         arrived.iter().filter_map(|slot| slot.told.dropped).for_each(|dropped| self.drops.note(dropped));
         let (now_ns, local) = (realtime_ns(), self.local);
+        for slot in arrived {
+            if let Some(took_ns) = self.filling.note(slot.told.stamp_ns.unwrap_or(now_ns), slot.len) {
+                self.filling.remember(took_ns, Instant::now());
+            }
+        }
         Ok(arrived.iter().map(move |slot| {
             slot.told.dropped.into_iter().for_each(|dropped| drops.note(dropped));
             let addressed = Addressed {
@@ -223,6 +232,12 @@ impl UdpSource {
             self.drops.note(dropped);
         }
         self.drops.total
+    }
+
+    /// The shortest time of the last seconds in which a part of the buffer was filled ([`ReceiveBuffer::part_bytes`]),
+    /// nanoseconds; `i64::MAX` where none was within a quarter of a second.
+    pub fn shortest_filling_ns(&self) -> i64 {
+        self.filling.shortest_ns(Instant::now())
     }
 
     /// The address and port that it listens on.

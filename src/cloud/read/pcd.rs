@@ -12,10 +12,15 @@
 //! DATA binary             or ascii; binary_compressed: two u32, length packed and unpacked, then field after field
 //! ```
 
+use super::super::POINT_BYTES;
 use super::{Cloud, Field, ReadError, Roles, Scalar, ascii, binary, count, head_lines, lzf, shortened};
 
 /// Longest points that are read, all together, bytes.
 const MAX_BODY_LEN: usize = 1 << 30;
+
+/// Longest packed points that are read, bytes when they are unpacked, each taken for [`POINT_BYTES`] at least: four million
+/// points. A few bytes may promise a gigabyte, and what is labelled here is one turn.
+const MAX_UNPACKED_LEN: usize = 64 << 20;
 
 /// How the points are written.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
@@ -137,6 +142,12 @@ impl Head {
             let fields: Vec<Field> = starts.zip(&scalars).map(field).collect();
             return binary(body, points, &fields, roles, false).map_err(|(byte, message)| at(byte, message));
         }
+        if points.saturating_mul(record.max(POINT_BYTES)) > MAX_UNPACKED_LEN {
+            return Err(in_head(format!(
+                "{points} points of {record} bytes, packed; at most {MAX_UNPACKED_LEN} bytes are unpacked, {POINT_BYTES} a point \
+                 or more: write the file as DATA binary, or one turn a file"
+            )));
+        }
         let unpacked = unpack(body, expected).map_err(|(byte, message)| at(byte, message))?;
         let field = |((start, scalar), length): ((usize, &Scalar), &usize)| Field {
             scalar: *scalar,
@@ -235,5 +246,38 @@ fn nothing_behind(body: &[u8], end: usize) -> Result<(), (usize, String)> {
     match body[end..].iter().position(|&byte| byte != 0) {
         None => Ok(()),
         Some(further) => Err((end + further, "more bytes than the points of the head take; one is wrong".to_owned())),
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    /// A file with this many points of zeros, packed as tightly as can be.
+    fn packed(points: usize, kind: &str, size: usize) -> Vec<u8> {
+        let unpacked = 3 * size * points;
+        // One zero, then stretches of 264; the rest as it stands.
+        let mut body = vec![0, 0];
+        body.extend([7 << 5, 0xFF, 0].repeat((unpacked - 1) / 264));
+        body.extend([0, 0].repeat((unpacked - 1) % 264));
+        let head = format!(
+            "FIELDS x y z\nSIZE {size} {size} {size}\nTYPE {kind} {kind} {kind}\nPOINTS {points}\nDATA binary_compressed\n"
+        );
+        let lengths = [body.len() as u32, unpacked as u32].map(u32::to_le_bytes).concat();
+        [head.as_bytes(), &lengths, &body].concat()
+    }
+
+    #[test]
+    fn few_packed_bytes_cannot_take_all_of_the_memory() {
+        for (points, kind, size) in
+            [(80_000_000, "F", 4), (4_194_305, "F", 4), (4_194_305, "I", 1), (2_796_203, "F", 8)]
+        {
+            let file = packed(points, kind, size);
+            assert!(file.len() < 12_000_000, "{} bytes", file.len());
+            let error = read(&file).unwrap_err().to_string();
+            assert!(error.starts_with("line 5: ") && error.contains("at most 67108864 bytes"), "{error}");
+        }
+        // One point less is read.
+        assert_eq!(read(&packed(4_194_304, "I", 1)).unwrap().points.len(), 4_194_304);
     }
 }

@@ -67,6 +67,7 @@ const DAEMON: &[Setting<DaemonConfig>] = &[
         root.as_ref().map_or("the default".to_owned(), |root| root.display().to_string())
     }),
     setting!(Restart "http", http, |http: &Option<_>| or("off", http)),
+    setting!(Restart "http_public", http_public, text),
 ];
 
 const SENSOR: &[Setting<SensorConfig>] = &[

@@ -33,7 +33,10 @@ fn roof(more: &str) -> String {
 #[test]
 fn two_lines_are_enough_for_a_sensor() {
     let config = good(&roof(""));
-    assert_eq!(config.daemon, DaemonConfig { root: None, http: Some("127.0.0.1:9177".parse().unwrap()) });
+    assert_eq!(
+        config.daemon,
+        DaemonConfig { root: None, http: Some("127.0.0.1:9177".parse().unwrap()), http_public: false }
+    );
     let [sensor] = &config.sensors[..] else { panic!() };
     assert_eq!((&sensor.name[..], sensor.address), ("roof", [192, 168, 1, 201].into()));
     let (bind, multicast, interface) = ([0, 0, 0, 0].into(), None, None);
@@ -91,7 +94,10 @@ fn every_key_arrives_where_it_belongs() {
     "#;
     let config = Config::parse(Path::new(folder), text).unwrap_or_else(|error| panic!("{error}"));
     let root = Path::new(folder).with_file_name("iox2");
-    assert_eq!(config.daemon, DaemonConfig { root: Some(root), http: Some("0.0.0.0:9000".parse().unwrap()) });
+    assert_eq!(
+        config.daemon,
+        DaemonConfig { root: Some(root), http: Some("0.0.0.0:9000".parse().unwrap()), http_public: true }
+    );
     let sensor = &config.sensors[0];
     assert_eq!(sensor.source_port, Some(2368));
     let (bind, multicast) = ([127, 0, 0, 1].into(), Some([239, 1, 1, 1].into()));
