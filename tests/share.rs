@@ -383,6 +383,26 @@ fn a_pool_that_was_outgrown_is_given_back() {
     assert_eq!(loans.status().unshared(), 0);
 }
 
+/// The thread of a sensor gets memory of its own while the pool is made, and its sweep reaches the consumer all the same.
+#[test]
+fn a_sweep_that_was_begun_before_its_pool_is_there_is_shared_when_it_is_complete() {
+    let own = Own::new();
+    let mut loans = loans(&own, 2).without_waiting();
+    let mut consumer = client(&own);
+    // Tens of megabytes, whose pages take a while.
+    let slot = numbered(&mut loans, 7, 50_000);
+    assert!(!slot.is_shared());
+    let begun = Instant::now();
+    while slot.is_early() {
+        std::thread::sleep(Duration::from_millis(5));
+        assert!(begun.elapsed() < SOON);
+    }
+    assert_eq!(slot.publish().unwrap(), 1);
+    assert_eq!(number(&consumer.next(SOON).unwrap().unwrap()), 7);
+    assert!(numbered(&mut loans, 8, 50_000).is_shared());
+    assert_eq!((loans.status().unshared(), loans.status().trouble()), (0, None));
+}
+
 /// A pool that is too large is not asked for again with each sweep; what was shared before is shared again at once.
 #[test]
 fn a_pool_that_cannot_be_had_is_told_and_tried_again() {

@@ -412,6 +412,26 @@ fn a_port_that_is_taken_and_a_sensor_that_cannot_be_shared_are_errors_at_start()
     assert_eq!(error.to_string(), "unshareable: no room in /dev/shm");
 }
 
+/// While its memory is being taken, the newest sweep is held; those before it are counted, and no trouble is told.
+#[test]
+fn a_sweep_that_is_complete_before_its_memory_is_there_is_sent_when_it_is() {
+    let (rig, sweeps) = Rig::new();
+    let runtime = Runtime::start(&config(vec![sensor("roof", 63, (0, 0))]), &rig, &mut Tees::default()).unwrap();
+    let port = runtime.ports[0].local.port();
+    rig.fate(Fate::Waits);
+    let _sending = Sending::start(63, (port, port), stream(Model::Vlp16, SINGLE, 20.0));
+    let counters = &runtime.sensors[0].counters;
+    until("two sweeps were replaced by newer ones", || counters.unshared.get() >= 2);
+    rig.fate(Fate::Sends);
+    let (_, sweep) = sweeps.recv_timeout(Duration::from_secs(5)).unwrap();
+    let lost = counters.unshared.get();
+    assert_eq!(SweepRef::open(sweep.as_ref()).unwrap().header.sequence, lost, "the first one has number 0");
+    until("the next are sent as they come", || counters.sweeps.get() >= lost + 4);
+    assert_eq!(counters.unshared.get(), lost);
+    assert!(runtime.events.try_recv().is_err(), "nothing was wrong");
+    runtime.stop().unwrap();
+}
+
 #[test]
 fn what_cannot_be_shared_is_told_once_and_the_sensor_goes_on() {
     let (rig, sweeps) = Rig::new();

@@ -30,6 +30,8 @@ pub enum Fate {
     Panics,
     /// It is told that no consumer can be had.
     Fails,
+    /// It gets the sweep back: the memory to send it by is still being taken.
+    Waits,
 }
 
 /// Sharing by a channel; everything that is sent arrives there, by the name of its sensor.
@@ -129,6 +131,7 @@ impl Outgoing for Sweep {
             },
             Fate::Panics => panic!("the consumer's file is gone"),
             Fate::Fails => Err("no consumer can be had".into()),
+            Fate::Waits => Ok(Some(self)),
         }
     }
 }
