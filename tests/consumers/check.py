@@ -72,11 +72,7 @@ def make_writeable(array):
 
 def follow(name, root, folder):
     sensor = consumer.Sensor(name, root)
-    ready = sensor.next(0.0) is None
-    # Where there is no place, that is an error after two seconds.
-    while not sensor.is_connected:
-        sensor.next(0.1)
-    say(ready=ready)
+    say(ready=sensor.next(0.0) is None and sensor.is_connected)
     for line in sys.stdin:
         sweep = sensor.next(float(line))
         if sweep is None:
@@ -121,11 +117,7 @@ def refuse(name, root):
 
 def hold(name, root):
     sensor = consumer.Sensor(name, root)
-    ready = sensor.next(0.0) is None
-    # Where there is no place, that is an error after two seconds.
-    while not sensor.is_connected:
-        sensor.next(0.1)
-    say(ready=ready)
+    say(ready=sensor.next(0.0) is None and sensor.is_connected)
     # Of the first sweep only an array of beams is kept.
     kept = sensor.next(5.0).beams[3:]
     gc.collect()
