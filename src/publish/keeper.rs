@@ -185,6 +185,8 @@ impl Work {
                 }
             }
             Order::Close(desk, reply) => {
+                // Nothing of it is left when the one who asked goes on.
+                desk.set_pool(None);
                 self.services.retain(|kept| !Arc::ptr_eq(&kept.desk, &desk));
                 let _ = reply.send(());
             }

