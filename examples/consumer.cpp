@@ -1,11 +1,17 @@
 // Prints a line for each sweep of a sensor that sweepd publishes on this host: examples/consumer.rs in C++14, on iceoryx2's C++
 // binding, version 0.10, which is built from its sources (https://github.com/eclipse-iceoryx/iceoryx2, iceoryx2-cxx).
+// CMakeLists.txt beside this file builds it:
 //
-//     find_package(iceoryx2-cxx 0.10.0 REQUIRED)
-//     add_executable(consumer consumer.cpp)
-//     target_link_libraries(consumer iceoryx2-cxx::static-lib-cxx)
+//     cmake -S examples -B build && cmake --build build && build/consumer roof
 //
-// Without that library, this compiles to a program that checks a file: what it does with a sweep is in the first half.
+// Where the binding's headers are not found, or with -DSWEEPD_WITHOUT_ICEORYX2, this compiles to a program that checks a sweep in
+// a file (`consumer FILE`): what it does with a sweep is in the first half.
+
+#if defined(__has_include)
+#if !__has_include("iox2/iceoryx2.hpp") && !defined(SWEEPD_WITHOUT_ICEORYX2)
+#define SWEEPD_WITHOUT_ICEORYX2
+#endif
+#endif
 
 #include "sweepd.h"
 

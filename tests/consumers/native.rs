@@ -17,11 +17,11 @@ use super::{folder, of_project};
 const LANGUAGES: [(&str, &str, &[&str]); 2] =
     [("C99", "cc", &["-std=c99", "-x", "c", "-Wconversion"]), ("C++11", "c++", &["-std=c++11", "-x", "c++"])];
 
-/// Whether there is such a compiler; if not, this says aloud that the test is skipped.
+/// Whether there is such a compiler, or CMake; if not, this says aloud that the test is skipped.
 pub fn has_compiler(name: &str) -> bool {
     let found = Command::new(name).arg("--version").stdout(Stdio::null()).stderr(Stdio::null()).status().is_ok();
     if !found {
-        skip(&format!("no compiler `{name}`; install gcc and g++, or clang"));
+        skip(&format!("no `{name}`; install gcc, g++ and cmake"));
     }
     found
 }

@@ -140,7 +140,8 @@ fn the_cpp_consumer_compiles_and_reads_a_sweep() {
     let program = folder.join("consumer");
     let strict = ["-std=c++14", "-Wall", "-Wextra", "-Wpedantic", "-Werror"];
     let mut command = Command::new("c++");
-    command.args(strict).arg("-DSWEEPD_WITHOUT_ICEORYX2").arg(&source).arg("-o").arg(&program).arg("-lm");
+    // No define: the source finds out for itself that the binding is not there.
+    command.args(strict).env_remove("CPLUS_INCLUDE_PATH").arg(&source).arg("-o").arg(&program);
     assert!(command.status().unwrap().success());
     let run = |args: &[&OsStr]| {
         let output = Command::new(&program).args(args).output().unwrap();
@@ -189,4 +190,25 @@ fn the_cpp_consumer_compiles_and_reads_a_sweep() {
     let mut whole = Command::new("c++");
     let whole = whole.args(["-std=c++17", "-Wall", "-Wextra", "-fsyntax-only"]).arg(&source).output().unwrap();
     assert!(whole.status.success(), "{}", String::from_utf8_lossy(&whole.stderr));
+}
+
+/// The commands at the top of examples/CMakeLists.txt, on a machine without the binding: they warn, and the program checks a file.
+#[test]
+fn cmake_builds_the_cpp_consumer() {
+    if !has_compiler("c++") || !has_compiler("cmake") {
+        return;
+    }
+    let folder = folder("cmake");
+    let build = folder.join("build");
+    let mut configure = Command::new("cmake");
+    configure.arg("-S").arg(of_project("examples")).arg("-B").arg(&build);
+    let configured = configure.arg("-DCMAKE_DISABLE_FIND_PACKAGE_iceoryx2-cxx=ON").output().unwrap();
+    let warning = String::from_utf8_lossy(&configured.stderr);
+    assert!(configured.status.success() && warning.contains("iceoryx2-cxx 0.10 was not found"), "{warning}");
+    let built = Command::new("cmake").arg("--build").arg(&build).output().unwrap();
+    assert!(built.status.success(), "{}", String::from_utf8_lossy(&built.stderr));
+    let file = folder.join("sweep");
+    std::fs::write(&file, Source::StreetVlp16Dual.sweeps().swap_remove(1).as_ref()).unwrap();
+    let said = Command::new(build.join("consumer")).arg(&file).output().unwrap();
+    assert!(said.status.success() && said.stdout.starts_with(b"file "), "{said:?}");
 }
