@@ -172,3 +172,33 @@ fn what_the_instructions_name_is_there() {
         assert!(root.join(name).exists(), "{name}");
     }
 }
+
+/// The lines of docs/install.md that put files into /usr and give /run/sweepd to the robot's user, in a folder instead of `/`.
+#[test]
+fn an_upgrade_keeps_what_the_administrator_changed() {
+    let Some(mut tmpfiles) = tool("systemd-tmpfiles") else { return };
+    let folder = Folder::new("upgrade");
+    let project = Path::new(env!("CARGO_MANIFEST_DIR"));
+    let instructions = std::fs::read_to_string(project.join("docs/install.md")).unwrap();
+    let in_folder = |line: &str| {
+        let root = folder.0.display();
+        let line = line.replace(" /usr/", &format!(" {root}/usr/")).replace(" /etc/", &format!(" {root}/etc/"));
+        let script = format!("set -e; sudo() {{ \"$@\"; }}; {line}");
+        let done = Command::new("sh").args(["-c", &script]).current_dir(project).stdout(Stdio::null()).status();
+        assert!(done.unwrap().success(), "{line}");
+    };
+    let commands = || instructions.lines().filter_map(|line| line.strip_prefix("    "));
+    let install = || {
+        let copies: Vec<&str> =
+            commands().filter(|line| line.starts_with("sudo install -D -m 644 -t /usr/lib")).collect();
+        assert_eq!(copies.len(), 2, "{copies:?}");
+        copies.into_iter().for_each(in_folder);
+    };
+    install();
+    std::fs::create_dir_all(folder.0.join("etc/tmpfiles.d")).unwrap();
+    in_folder(commands().find(|line| line.starts_with("sed ") && line.contains("tmpfiles.d")).unwrap());
+    install();
+    let root = format!("--root={}", folder.0.display());
+    let (done, taken) = said(&mut tmpfiles, &["--cat-config".as_ref(), root.as_ref(), "sweepd.conf".as_ref()]);
+    assert!(done && taken.contains("d /run/sweepd 0750 robot robot -") && !taken.contains("sweepd sweepd"), "{taken}");
+}
