@@ -1,4 +1,4 @@
-//! sweepd owns a spinning Velodyne: packets in, labelled range images out.
+//! sweepd owns a spinning Velodyne: packets in, range images out, cut into ground and numbered objects.
 //!
 //! ```text
 //! socket | pcap | simulator -> Datagram -> Packet -> Column -> Sweep -> Labels + Segments -> shared memory | files

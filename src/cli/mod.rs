@@ -41,7 +41,7 @@ use crate::publish::PublishError;
 use crate::sensor::CalibrationError;
 use crate::soak::SoakError;
 
-/// Turns the packets of a spinning Velodyne into labelled range images
+/// Turns the packets of a spinning Velodyne into range images, cut into ground and numbered objects
 #[derive(Debug, Parser)]
 #[command(name = "sweepd", version, about, long_about = None, max_term_width = 100)]
 #[command(after_help = "\
@@ -56,7 +56,7 @@ pub struct Cli {
 /// The subcommands.
 #[derive(Debug, Subcommand)]
 pub enum Command {
-    /// Run the daemon: live sensors in, labelled sweeps to all programs of this host
+    /// Run the daemon: live sensors in, sweeps with labels to all programs of this host
     Run(run::Args),
     /// Replay a capture: decode it, segment every sweep, and show or write what comes out
     Replay(Box<replay::Args>),
