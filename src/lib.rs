@@ -76,7 +76,7 @@ pub mod doctor;
 #[cfg(feature = "daemon")]
 pub mod export;
 #[cfg(feature = "daemon")]
-mod file;
+pub mod files;
 #[cfg(feature = "client")]
 pub mod host;
 #[cfg(feature = "daemon")]

@@ -5,6 +5,7 @@ mod common;
 use std::path::{Path, PathBuf};
 
 use proptest::prelude::*;
+use sweepd::files::{self, CalibrationFileError};
 use sweepd::sensor::calibration::MAX_FILE_LEN;
 use sweepd::sensor::calibration::{Intensity, TwoPoint};
 use sweepd::sensor::compare::Quantity;
@@ -17,7 +18,7 @@ fn data_dir() -> Option<PathBuf> {
 }
 
 fn read(dir: &Path, name: &str) -> Calibration {
-    Calibration::read(&dir.join(name)).unwrap_or_else(|error| panic!("{error}"))
+    files::calibration(&dir.join(name)).unwrap_or_else(|error| panic!("{error}"))
 }
 
 /// Files of one model: whatever it is called, it fits that model and no other.
@@ -422,16 +423,17 @@ fn reading_needs_a_file_of_text_of_sensible_length() {
     let file = |bytes: &[u8]| {
         let path = dir.join("table");
         std::fs::write(&path, bytes).unwrap();
-        Calibration::read(&path)
+        files::calibration(&path)
     };
     assert_eq!(file(YAML.as_bytes()).unwrap().beams().len(), 3);
     assert_eq!(file(format!("\u{feff}{}", xml(16).trim_start()).as_bytes()).unwrap().beams().len(), 16);
-    assert!(refused(file(b"num_lasers: 3\n\xff\xfe\n")).contains("table:2: not text in UTF-8"));
+    let error = file(b"num_lasers: 3\n\xff\xfe\n").unwrap_err();
+    assert!(error.to_string().contains("table:2: not text in UTF-8"), "{error}");
     let error = file(&vec![b' '; MAX_FILE_LEN + 1]).unwrap_err();
     assert!(error.to_string().ends_with("more than 256 KiB, too long for a calibration"), "{error}");
     std::fs::remove_dir_all(&dir).unwrap();
-    let error = Calibration::read(&dir.join("none.yaml")).unwrap_err();
-    assert!(matches!(error, CalibrationError::Io { .. }) && error.to_string().contains("none.yaml"), "{error}");
+    let error = files::calibration(&dir.join("none.yaml")).unwrap_err();
+    assert!(matches!(error, CalibrationFileError::Io { .. }) && error.to_string().contains("none.yaml"), "{error}");
 }
 
 proptest! {

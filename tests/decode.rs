@@ -3,6 +3,7 @@
 mod common;
 
 use fearless_simd::dispatch;
+use sweepd::files;
 use sweepd::sensor::{Calibration, Model};
 use sweepd::sweep::corrected::Corrected;
 use sweepd::sweep::decode::{Decoder, Pixels};
@@ -77,7 +78,7 @@ fn calibrations() -> Vec<(String, Calibration, Model)> {
     if let Some(dir) = common::data_dir() {
         for entry in std::fs::read_dir(dir.join("calib")).unwrap() {
             let path = entry.unwrap().path();
-            let read = Calibration::read(&path).unwrap();
+            let read = files::calibration(&path).unwrap();
             let fits = Model::ALL.into_iter().find_map(|model| Some((read.clone().for_model(model).ok()?, model)));
             all.extend(fits.map(|(calibration, model)| (path.display().to_string(), calibration, model)));
         }

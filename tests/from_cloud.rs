@@ -8,6 +8,7 @@ use std::path::PathBuf;
 
 use common::run::Runner;
 use sweepd::cloud::{self, COLUMNS, CloudSegmenter};
+use sweepd::files;
 use sweepd::pipeline::Config;
 use sweepd::segment;
 use sweepd::sensor::{Beam, Calibration, Model};
@@ -46,7 +47,7 @@ fn points(scan: &std::path::Path) -> Vec<[f32; 4]> {
 }
 
 fn calibration(file: &str) -> Calibration {
-    Calibration::read(&common::data_dir().unwrap().join("calib").join(file)).unwrap()
+    files::calibration(&common::data_dir().unwrap().join("calib").join(file)).unwrap()
 }
 
 const UNIT: &str = "hdl64e_s3-unit1090_db.yaml";

@@ -6,6 +6,7 @@ mod common;
 use std::collections::{BTreeMap, BTreeSet};
 
 use common::run::{Run, Runner};
+use sweepd::files;
 use sweepd::pipeline::{Config, Fault, Notice};
 use sweepd::sensor::{Calibration, Model};
 use sweepd::simulate::optics::Optics;
@@ -19,7 +20,7 @@ use sweepd::wire::data::ReturnMode;
 /// The real units, if they are there, with the name of each.
 fn units() -> Option<Vec<(&'static str, Calibration)>> {
     let folder = common::data_dir()?.join("calib");
-    Some(common::HDL64E_UNITS.map(|name| (name, Calibration::read(&folder.join(name)).unwrap())).into())
+    Some(common::HDL64E_UNITS.map(|name| (name, files::calibration(&folder.join(name)).unwrap())).into())
 }
 
 /// A flawless sensor of this unit, so high above the ground, from a third of a turn before azimuth 0 on.

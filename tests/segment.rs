@@ -91,7 +91,7 @@ impl Scene {
         encoder.set_color(png::ColorType::Grayscale);
         let pixels: Vec<u8> = (0..width * self.rows).map(|_| if rng.u8(..) < 30 { 0 } else { 255 }).collect();
         encoder.write_header().unwrap().write_image_data(&pixels).unwrap();
-        Mask::decode(&bytes, "random").unwrap()
+        sweepd::files::decode_mask(&bytes, "random").unwrap()
     }
 
     /// Calls with the sweep, whose columns begin at the given one; label planes hold the rests of an older sweep.

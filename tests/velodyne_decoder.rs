@@ -10,6 +10,7 @@ use std::ffi::OsStr;
 use std::path::{Path, PathBuf};
 use std::process::Command;
 
+use sweepd::files;
 use sweepd::sensor::calibration::{Intensity, TwoPoint};
 use sweepd::sensor::compare::{Quantity, differences};
 use sweepd::sensor::{Beam, Calibration, ros_yaml, stream};
@@ -204,11 +205,11 @@ fn velodyne_decoder_recovers_the_calibration_of_a_simulated_unit() {
                 assert!(status.contains(part), "{model}: {part} is not in {status}");
             }
             sweepd(&["calib".as_ref(), "from-capture".as_ref(), whole.as_ref(), "-o".as_ref(), ours.as_ref()]);
-            let [read_by_them, read_by_us] = [&theirs, &ours].map(|file| Calibration::read(file).unwrap());
+            let [read_by_them, read_by_us] = [&theirs, &ours].map(|file| files::calibration(file).unwrap());
             // velodyne-decoder rounds radians to seven decimals.
             assert_within(0.000_5, &read_by_them, &read_by_us);
             if let Some(given) = unit {
-                assert_within(0.5 + 0.000_5, &read_by_them, &Calibration::read(given).unwrap());
+                assert_within(0.5 + 0.000_5, &read_by_them, &files::calibration(given).unwrap());
             } else {
                 let capture = folder.join(format!("recovered_{model}.pcap"));
                 simulate(&[options, &SHORT].concat(), None, &capture);

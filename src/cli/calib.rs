@@ -7,6 +7,7 @@ use std::path::{Path, PathBuf};
 use super::{CliError, complain};
 use crate::capture::{Capture, Route, SensorFilter, Sensors};
 use crate::export::text::{count_of, grouped};
+use crate::files;
 use crate::sensor::compare::{ANGLE_TOLERANCE_DEG, LENGTH_TOLERANCE_M, differences};
 use crate::sensor::{Beam, Calibration, Model, ros_yaml, stream};
 use crate::wire::data::{Banks, DataPacket};
@@ -71,7 +72,7 @@ struct FromCapture {
 /// [`CliError::Reported`] for calibrations that differ.
 pub fn run(args: &Args) -> Result<(), CliError> {
     match &args.command {
-        Command::Show { file } => print(&show(file, &Calibration::read(file)?)),
+        Command::Show { file } => print(&show(file, &files::calibration(file)?)),
         Command::Diff { a, b } => diff(a, b),
         Command::FromCapture(args) => from_capture(args),
     }
@@ -128,7 +129,7 @@ fn fits(calibration: &Calibration) -> String {
 }
 
 fn diff(path_a: &Path, path_b: &Path) -> Result<(), CliError> {
-    let (a, b) = (Calibration::read(path_a)?, Calibration::read(path_b)?);
+    let (a, b) = (files::calibration(path_a)?, files::calibration(path_b)?);
     let (name_a, name_b) = (path_a.display(), path_b.display());
     let mut text = String::new();
     if a.beams().len() != b.beams().len() {

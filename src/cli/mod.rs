@@ -37,8 +37,8 @@ use crate::daemon::DaemonError;
 use crate::daemon::config::ConfigError;
 use crate::daemon::tap::TapError;
 use crate::export::ExportError;
+use crate::files::CalibrationFileError;
 use crate::publish::PublishError;
-use crate::sensor::CalibrationError;
 use crate::soak::SoakError;
 
 /// Turns the packets of a spinning Velodyne into range images, cut into ground and numbered objects
@@ -90,7 +90,7 @@ pub enum CliError {
     Capture(#[from] CaptureError),
     /// The calibration cannot be read.
     #[error(transparent)]
-    Calibration(#[from] CalibrationError),
+    Calibration(#[from] CalibrationFileError),
     /// The configuration cannot be read or meant.
     #[error(transparent)]
     Config(#[from] ConfigError),
@@ -169,7 +169,7 @@ impl From<RecordError> for CliError {
 
 /// The bytes of a file of at most `limit` bytes.
 fn read_file(path: &Path, limit: u64) -> Result<Vec<u8>, CliError> {
-    crate::file::read(path, limit).map_err(|source| CliError::Read { path: path.to_owned(), source })
+    crate::files::read(path, limit).map_err(|source| CliError::Read { path: path.to_owned(), source })
 }
 
 impl CliError {

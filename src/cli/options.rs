@@ -8,8 +8,9 @@ use clap::ValueEnum;
 
 use crate::capture::SensorFilter;
 use crate::cli::CliError;
+use crate::files;
 use crate::pipeline;
-use crate::segment::{self, Mask, Settings};
+use crate::segment::{self, Settings};
 use crate::sensor::model::UnknownModel;
 use crate::sensor::{Calibration, Model};
 use crate::sweep::layout::ReturnChoice;
@@ -234,7 +235,7 @@ impl SensorOptions {
     /// # Errors
     /// [`CliError::Calibration`].
     pub fn read_calibration(&self) -> Result<Option<Calibration>, CliError> {
-        Ok(self.calibration.as_deref().map(Calibration::read).transpose()?)
+        Ok(self.calibration.as_deref().map(files::calibration).transpose()?)
     }
 
     fn return_choice(&self) -> ReturnChoice {
@@ -269,7 +270,7 @@ impl SegmentOptions {
     /// [`CliError`]: a mask that cannot be read, a value that cannot be meant.
     pub fn config(&self) -> Result<segment::Config, CliError> {
         let usage = |error: &dyn std::error::Error| CliError::Usage(error.to_string());
-        let mask = self.mask.as_deref().map(Mask::read).transpose().map_err(|error| usage(&error))?;
+        let mask = self.mask.as_deref().map(files::mask).transpose().map_err(|error| usage(&error))?;
         let settings = Settings {
             method: match self.method {
                 GroundMethod::Slope => segment::Method::Slope,

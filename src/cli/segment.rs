@@ -6,8 +6,9 @@ use std::path::{Path, PathBuf};
 use super::options::{SegmentOptions, model};
 use super::{CliError, read_file};
 use crate::cloud::{self, Cloud, CloudError, CloudSegmenter, Format, RowTable};
+use crate::files;
+use crate::sensor::Model;
 use crate::sensor::calibration::MAX_FILE_LEN;
-use crate::sensor::{Calibration, Model};
 
 /// Options of `sweepd segment`.
 #[derive(Debug, clap::Args)]
@@ -107,7 +108,7 @@ fn table(args: &Args) -> Result<Option<RowTable>, CliError> {
         let table = RowTable::parse(&String::from_utf8_lossy(&text));
         return Ok(Some(table.map_err(|error| CliError::Usage(format!("{}: {error}", path.display())))?));
     }
-    let read = args.calibration.as_deref().map(Calibration::read).transpose()?;
+    let read = args.calibration.as_deref().map(files::calibration).transpose()?;
     match (read, args.model) {
         (None, None) => Ok(None),
         (Some(calibration), None) => Ok(Some(RowTable::of_calibration(&calibration))),

@@ -22,6 +22,7 @@ use super::send::Sender;
 use super::sink::CaptureFile;
 use crate::capture::write::Addressed;
 use crate::capture::{Pacer, Speed};
+use crate::files;
 use crate::sensor::model::Spec;
 use crate::sensor::{Calibration, Model};
 use crate::simulate::delivery::Delivery;
@@ -279,7 +280,7 @@ impl Args {
     /// The calibration, fitted to a model.
     fn calibration(&self, model: Model) -> Result<Option<Calibration>, CliError> {
         let Some(path) = &self.calibration else { return Ok(None) };
-        let fitted = Calibration::read(path)?.for_model(model);
+        let fitted = files::calibration(path)?.for_model(model);
         let wrong = |error| format!("--calibration {} does not fit the {model}: {error}", path.display());
         fitted.map(Some).map_err(|error| CliError::Usage(wrong(error)))
     }

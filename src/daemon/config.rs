@@ -44,7 +44,7 @@ impl Config {
     /// # Errors
     /// [`ConfigError`], with every line that is to blame.
     pub fn read(path: &Path) -> Result<Self, ConfigError> {
-        let bytes = crate::file::read(path, MAX_FILE_LEN)
+        let bytes = crate::files::read(path, MAX_FILE_LEN)
             .map_err(|source| ConfigError::Read { path: path.to_owned(), source })?;
         let text = String::from_utf8(bytes).map_err(|error| {
             let at = error.utf8_error().valid_up_to();

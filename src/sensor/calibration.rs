@@ -1,10 +1,7 @@
 //! Where each beam of a unit points and starts: the table that turns a packet's channel into a row and a direction.
 
 use std::f64::consts::{FRAC_PI_2, PI};
-use std::fs::File;
-use std::io::Read;
 use std::ops::RangeInclusive;
-use std::path::{Path, PathBuf};
 
 use super::{Model, db_xml, ros_yaml};
 
@@ -111,14 +108,6 @@ pub struct Calibration {
 /// Why a calibration cannot be used. Every variant names the file and, where one is to blame, the line and the key.
 #[derive(Debug, thiserror::Error)]
 pub enum CalibrationError {
-    /// The file cannot be read at all.
-    #[error("cannot read the calibration {}: {source}", path.display())]
-    Io {
-        /// The file.
-        path: PathBuf,
-        /// What the system says.
-        source: std::io::Error,
-    },
     /// The text is no calibration, or one of its values is missing or impossible.
     #[error("{file}:{line}: {message}")]
     At {
@@ -167,20 +156,18 @@ impl Calibration {
         Ok(Self { beams, rows, distance_unit_m })
     }
 
-    /// Reads a file, db.xml or ROS YAML, whichever its text is; at most [`MAX_FILE_LEN`] bytes of UTF-8.
+    /// Decodes a db.xml or a ROS YAML, whichever the text is: at most [`MAX_FILE_LEN`] bytes of UTF-8. `file` is what errors
+    /// call it.
     ///
     /// # Errors
     /// [`CalibrationError`] with file, line and key.
-    pub fn read(path: &Path) -> Result<Self, CalibrationError> {
-        let file = path.display().to_string();
-        let io = |source| CalibrationError::Io { path: path.to_owned(), source };
-        let mut bytes = Vec::new();
-        File::open(path).map_err(io)?.take(MAX_FILE_LEN as u64 + 1).read_to_end(&mut bytes).map_err(io)?;
+    pub fn decode(bytes: &[u8], file: &str) -> Result<Self, CalibrationError> {
+        let file = file.to_owned();
         if bytes.len() > MAX_FILE_LEN {
             let message = format!("more than {} KiB, too long for a calibration", MAX_FILE_LEN >> 10);
             return Err(CalibrationError::Whole { file, message });
         }
-        let text = match str::from_utf8(&bytes) {
+        let text = match str::from_utf8(bytes) {
             Ok(text) => text.trim_start_matches('\u{feff}'),
             Err(error) => {
                 let line = 1 + bytes[..error.valid_up_to()].iter().filter(|&&byte| byte == b'\n').count();

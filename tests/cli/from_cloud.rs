@@ -80,7 +80,7 @@ fn a_scan_becomes_packets_a_calibration_and_a_truth() {
     let said = inspect(&capture).done();
     assert!(said.contains("HDL-64E S2") && said.contains("losses       0 packets"), "{said}");
     let fitted = scan.folder.path("real.yaml");
-    let fitted = sweepd::sensor::Calibration::read(&fitted).unwrap();
+    let fitted = sweepd::files::calibration(&fitted).unwrap();
     for (row, beam) in fitted.beams().iter().enumerate() {
         let off_deg = (beam.elevation_rad.to_degrees() - elevation_deg(row, true)).abs();
         assert!(off_deg < 0.01 && (beam.vertical_offset_m - 0.2).abs() < 0.005, "{beam:?}");

@@ -5,7 +5,7 @@ use std::path::Path;
 use sweepd::cloud::RowTable;
 use sweepd::daemon::config::{Config, ConfigError, memory};
 use sweepd::doctor::web;
-use sweepd::segment::{MAX_ROWS, Mask};
+use sweepd::segment::MAX_ROWS;
 use sweepd::sensor::calibration::MAX_FILE_LEN;
 use sweepd::sensor::{Calibration, CalibrationError, Model, db_xml, ros_yaml, stream};
 
@@ -76,10 +76,10 @@ pub fn web_page(input: &[u8]) {
 
 /// A PNG that hides a part of what the sensor sees.
 pub fn mask(input: &[u8]) {
-    match Mask::decode(input, "fuzz") {
+    match sweepd::files::decode_mask(input, "fuzz") {
         Ok(mask) => {
             assert!((1..=MAX_ROWS).contains(&mask.rows()));
-            let _ = (mask.hides_all(), mask.hides(0, -1e300), mask.hides(mask.rows() - 1, f64::NAN));
+            let _ = (mask.hides(0, -1e300), mask.hides(mask.rows() - 1, f64::NAN));
         }
         Err(error) => assert!(!error.to_string().is_empty()),
     }

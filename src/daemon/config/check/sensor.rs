@@ -11,6 +11,7 @@ use crate::daemon::config::file::{self, Returns};
 use crate::daemon::config::suggest::suggestion;
 use crate::daemon::config::{PortConfig, SensorConfig, possible_models};
 use crate::daemon::losses::Limits;
+use crate::files;
 use crate::pipeline;
 use crate::segment::{self, ConfigError, Mask, Settings};
 use crate::sensor::{Calibration, Model};
@@ -196,7 +197,7 @@ impl Check<'_> {
 
     fn calibration(&mut self, given: &Option<Spanned<String>>, model: Option<Model>) -> Option<Calibration> {
         let path = self.path("calibration", given)?;
-        let read = Calibration::read(&path).map_err(|error| error.to_string()).and_then(|calibration| {
+        let read = files::calibration(&path).map_err(|error| error.to_string()).and_then(|calibration| {
             let fits = match model {
                 Some(model) => calibration.clone().for_model(model).map(drop),
                 None if possible_models(None, Some(&calibration)).next().is_some() => Ok(()),
@@ -214,7 +215,7 @@ impl Check<'_> {
         calibration: Option<&Calibration>,
     ) -> Option<Mask> {
         let path = self.path("mask", given)?;
-        let read = Mask::read(&path).map_err(|error| error.to_string()).and_then(|mask| {
+        let read = files::mask(&path).map_err(|error| error.to_string()).and_then(|mask| {
             let rows = mask.rows();
             if possible_models(model, calibration).any(|model| model.spec().channels == rows) {
                 return Ok(mask);

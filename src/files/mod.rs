@@ -1,0 +1,54 @@
+//! Files that others wrote, read with a limit: what is too long is not what was meant. The core takes their bytes.
+
+mod mask;
+
+use std::fs::File;
+use std::io::{self, Read};
+use std::path::{Path, PathBuf};
+
+pub use mask::{MaskFileError, decode_mask, mask};
+
+use crate::sensor::calibration::MAX_FILE_LEN;
+use crate::sensor::{Calibration, CalibrationError};
+
+/// Why a calibration could not be read from a file.
+#[derive(Debug, thiserror::Error)]
+pub enum CalibrationFileError {
+    /// The file cannot be read at all.
+    #[error("cannot read the calibration {}: {source}", path.display())]
+    Io {
+        /// The file.
+        path: PathBuf,
+        /// What the system says.
+        source: io::Error,
+    },
+    /// What it holds is no calibration; the error names the file.
+    #[error(transparent)]
+    Content(#[from] CalibrationError),
+}
+
+/// The calibration in a file, db.xml or ROS YAML.
+///
+/// # Errors
+/// [`CalibrationFileError`].
+pub fn calibration(path: &Path) -> Result<Calibration, CalibrationFileError> {
+    let refused = |source| CalibrationFileError::Io { path: path.to_owned(), source };
+    let mut bytes = Vec::new();
+    // One byte more than is allowed: the core refuses it, with the limit.
+    File::open(path).map_err(refused)?.take(MAX_FILE_LEN as u64 + 1).read_to_end(&mut bytes).map_err(refused)?;
+    Ok(Calibration::decode(&bytes, &path.display().to_string())?)
+}
+
+/// The bytes of a file of at most `limit` bytes.
+///
+/// # Errors
+/// What the system says; [`io::ErrorKind::FileTooLarge`] for a longer file, of which no more is read.
+pub fn read(path: &Path, limit: u64) -> io::Result<Vec<u8>> {
+    let mut bytes = Vec::new();
+    File::open(path)?.take(limit + 1).read_to_end(&mut bytes)?;
+    if bytes.len() as u64 > limit {
+        let message = format!("more than {} MiB, not what is expected here", limit >> 20);
+        return Err(io::Error::new(io::ErrorKind::FileTooLarge, message));
+    }
+    Ok(bytes)
+}
