@@ -1,4 +1,4 @@
-// Prints a line for each sweep of a sensor that sweepd publishes on this host: examples/consumer.rs in C++14, on iceoryx2's C++
+// Prints a line for each sweep of a sensor that sweepd publishes on this host: crates/sweepd-client/examples/consumer.rs in C++14, on iceoryx2's C++
 // binding, version 0.10, which is built from its sources (https://github.com/eclipse-iceoryx/iceoryx2, iceoryx2-cxx).
 // CMakeLists.txt beside this file builds it:
 //

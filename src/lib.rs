@@ -61,37 +61,16 @@
 #![deny(unsafe_code)]
 #![warn(missing_docs)]
 
-#[cfg(feature = "daemon")]
 pub mod capture;
-#[cfg(feature = "daemon")]
 pub mod cli;
-#[cfg(feature = "client")]
-pub mod client;
-#[cfg(feature = "daemon")]
-pub mod cloud;
-#[cfg(feature = "daemon")]
 pub mod daemon;
-#[cfg(feature = "daemon")]
 pub mod doctor;
-#[cfg(feature = "daemon")]
 pub mod export;
-#[cfg(feature = "daemon")]
 pub mod files;
-#[cfg(feature = "client")]
-pub mod host;
-#[cfg(feature = "daemon")]
-pub mod pipeline;
-#[cfg(feature = "client")]
-pub mod publish;
-#[cfg(feature = "daemon")]
-pub mod score;
-#[cfg(feature = "daemon")]
-pub mod segment;
-#[cfg(feature = "daemon")]
-pub mod sensor;
-#[cfg(feature = "daemon")]
-pub mod simulate;
-#[cfg(feature = "daemon")]
+#[cfg(feature = "lab")]
 pub mod soak;
-pub mod sweep;
-pub mod wire;
+
+pub use sweepd_client::{client, host, publish};
+pub use sweepd_core::{pipeline, segment, sensor, sweep, wire};
+#[cfg(feature = "lab")]
+pub use sweepd_lab::{cloud, score, simulate};

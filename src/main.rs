@@ -15,12 +15,10 @@ fn main() -> ExitCode {
         Command::Watch(args) => sweepd::cli::watch::run(&args),
         Command::Doctor(args) => sweepd::cli::doctor::run(&args),
         Command::Inspect(args) => sweepd::cli::inspect::run(&args),
-        Command::Segment(args) => sweepd::cli::segment::run(&args),
-        Command::Score(args) => sweepd::cli::score::run(&args),
         Command::Calib(args) => sweepd::cli::calib::run(&args),
         Command::Config(args) => sweepd::cli::config::run(&args),
-        Command::Simulate(args) => sweepd::cli::simulate::run(&args),
-        Command::Soak(args) => sweepd::cli::soak::run(&args),
+        #[cfg(feature = "lab")]
+        Command::Lab(command) => sweepd::cli::lab::run(&command),
     };
     match done {
         Ok(()) => ExitCode::SUCCESS,

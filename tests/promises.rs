@@ -1,7 +1,6 @@
-//! What the pages promise, as far as they can be held against the repository: the tests that they name are there, the list of
-//! `unsafe` in SECURITY.md is whole.
+//! The tests and files that the pages name are there.
 
-use std::collections::{BTreeMap, BTreeSet};
+use std::collections::BTreeSet;
 use std::path::{Path, PathBuf};
 
 fn root() -> &'static Path {
@@ -32,60 +31,6 @@ fn sources(folder: &str) -> Vec<String> {
 /// What stands between back quotes in a page.
 fn quoted(page: &str) -> impl Iterator<Item = &str> {
     page.split('`').skip(1).step_by(2)
-}
-
-/// Lines of code, without those that are comments.
-fn code(text: &str) -> impl Iterator<Item = &str> {
-    text.lines().map(str::trim_start).filter(|line| !line.starts_with("//"))
-}
-
-fn unsafe_blocks(text: &str) -> usize {
-    let of =
-        |line: &str| ["unsafe {", "unsafe fn", "unsafe impl", "unsafe extern"].map(|what| line.matches(what).count());
-    code(text).map(|line| of(line).iter().sum::<usize>()).sum()
-}
-
-#[test]
-fn the_list_of_unsafe_is_whole() {
-    let page = text("SECURITY.md");
-    let row = |line: &str| {
-        let cells: Vec<&str> = line.split('|').map(str::trim).collect();
-        let file = cells.get(1)?.strip_prefix("`src/")?.strip_suffix('`')?;
-        Some((format!("src/{file}"), cells[2].parse::<usize>().ok()?))
-    };
-    let listed: BTreeMap<String, usize> = page.lines().filter_map(row).collect();
-    let count = |path: String| {
-        let blocks = unsafe_blocks(&text(&path));
-        (path, blocks)
-    };
-    let found: BTreeMap<String, usize> =
-        sources("src").into_iter().map(count).filter(|(_, blocks)| *blocks > 0).collect();
-    assert_eq!(listed, found, "left: the table in SECURITY.md, right: the code");
-    assert!(
-        text("src/lib.rs").contains("#![deny(unsafe_code)]") && text("src/main.rs").contains("#![forbid(unsafe_code)]")
-    );
-}
-
-/// What reads bytes from outside has none: the rooms of `unsafe` are the system's alone.
-#[test]
-fn no_parser_is_unsafe() {
-    let parsers = ["src/wire", "src/sensor", "src/sweep", "src/segment", "src/cloud", "src/capture", "src/export"];
-    for path in parsers.iter().flat_map(|folder| sources(folder)).filter(|path| path != "src/capture/udp/sys.rs") {
-        let text = text(&path);
-        assert!(unsafe_blocks(&text) == 0 && !text.contains("allow(unsafe_code)"), "{path}");
-    }
-}
-
-#[test]
-fn each_unsafe_block_says_why_it_is_sound() {
-    for path in sources("src") {
-        let text = text(&path);
-        let lines: Vec<&str> = text.lines().collect();
-        for (number, _) in lines.iter().enumerate().filter(|(_, line)| unsafe_blocks(line) > 0) {
-            let before = &lines[number.saturating_sub(4)..number];
-            assert!(before.iter().any(|line| line.contains("SAFETY:")), "{path}:{}", number + 1);
-        }
-    }
 }
 
 /// Names of tests as the pages write them: `tests/faults.rs::name`.
@@ -124,7 +69,7 @@ fn every_command_of_a_page_runs_tests() {
         let mut words = command.split(' ').skip(2);
         while let Some(word) = words.next() {
             match word {
-                "--lib" => tests.extend(sources("src")),
+                "--lib" => tests.extend(["src", "crates"].into_iter().flat_map(sources)),
                 "--test" => tests.extend(files_of(words.next().unwrap_or_default())),
                 option if option.starts_with('-') => {}
                 filter => filters.push(filter),

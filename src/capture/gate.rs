@@ -3,9 +3,9 @@
 use std::net::SocketAddr;
 
 use super::sensors::SensorFilter;
-use crate::wire::data::DATA_PACKET_LEN;
-use crate::wire::position::POSITION_PACKET_LEN;
-use crate::wire::{DataPacket, Datagram, PacketError};
+use sweepd_core::wire::data::DATA_PACKET_LEN;
+use sweepd_core::wire::position::POSITION_PACKET_LEN;
+use sweepd_core::wire::{DataPacket, Datagram, PacketError};
 
 /// Most senders that a [`Gate`] knows by name.
 pub const MAX_SENDERS: usize = 64;

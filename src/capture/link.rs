@@ -16,7 +16,7 @@ use etherparse::defrag::{IpDefragPayloadVec, IpDefragPool};
 use etherparse::err::{ip, ipv6_exts};
 use etherparse::{EtherType, IpNumber, IpSlice, LaxIpSlice, NetSlice, SlicedPacket, ether_type, ip_number};
 
-use crate::wire::Datagram;
+use sweepd_core::wire::Datagram;
 
 const UDP_HEADER_LEN: usize = 8;
 /// Datagrams whose fragments are waited for, at most: 64 KiB each.

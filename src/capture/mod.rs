@@ -25,7 +25,6 @@ pub mod write;
 use std::io::Read;
 use std::path::Path;
 
-use crate::wire::Datagram;
 pub use error::{CaptureError, Damage, Truncation};
 pub use gate::Gate;
 pub use link::{Decapsulator, LinkType, NoDatagram};
@@ -33,6 +32,7 @@ pub use pace::{Pacer, Speed};
 pub use pcap::{CaptureReader, Record};
 pub use record::{RecordError, Recorder};
 pub use sensors::{Route, SensorFilter, SensorIndex, Sensors};
+use sweepd_core::wire::Datagram;
 pub use udp::{UdpConfig, UdpError, UdpSource};
 pub use write::PcapWriter;
 

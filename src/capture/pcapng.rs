@@ -13,7 +13,7 @@ use super::error::{Damage, Stop};
 use super::input::{Input, Order};
 use super::link::LinkType;
 use super::pcap::{Head, MAX_RECORD_LEN};
-use crate::wire::TIMES_NS;
+use sweepd_core::wire::TIMES_NS;
 
 const INTERFACE: u32 = 1;
 const OBSOLETE_PACKET: u32 = 2;

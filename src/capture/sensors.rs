@@ -6,9 +6,9 @@
 use std::net::{IpAddr, SocketAddr};
 use std::str::FromStr;
 
-use crate::wire::data::{DATA_PACKET_LEN, FLAG_BANK_0, FLAG_BANK_1};
-use crate::wire::position::POSITION_PACKET_LEN;
-use crate::wire::{DataPacket, Datagram};
+use sweepd_core::wire::data::{DATA_PACKET_LEN, FLAG_BANK_0, FLAG_BANK_1};
+use sweepd_core::wire::position::POSITION_PACKET_LEN;
+use sweepd_core::wire::{DataPacket, Datagram};
 
 /// Most sensors that are told apart: more are a mistake or an attack.
 pub const MAX_SENSORS: usize = 64;

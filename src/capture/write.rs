@@ -5,7 +5,7 @@ use std::net::SocketAddrV4;
 
 use super::link::LinkType;
 use super::pcap::MAX_RECORD_LEN;
-use crate::wire::Datagram;
+use sweepd_core::wire::Datagram;
 
 const ETHERNET_LEN: usize = 14;
 const IPV4_LEN: usize = 20;

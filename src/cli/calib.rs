@@ -8,10 +8,10 @@ use super::{CliError, complain};
 use crate::capture::{Capture, Route, SensorFilter, Sensors};
 use crate::export::text::{count_of, grouped};
 use crate::files;
-use crate::sensor::compare::{ANGLE_TOLERANCE_DEG, LENGTH_TOLERANCE_M, differences};
-use crate::sensor::{Beam, Calibration, Model, ros_yaml, stream};
-use crate::wire::data::{Banks, DataPacket};
-use crate::wire::hdl64::{DUMP_LEN, DUMP_PACKETS, Series, Status, Verdict};
+use sweepd_core::sensor::compare::{ANGLE_TOLERANCE_DEG, LENGTH_TOLERANCE_M, differences};
+use sweepd_core::sensor::{Beam, Calibration, Model, ros_yaml, stream};
+use sweepd_core::wire::data::{Banks, DataPacket};
+use sweepd_core::wire::hdl64::{DUMP_LEN, DUMP_PACKETS, Series, Status, Verdict};
 
 /// Options of `sweepd calib`.
 #[derive(Debug, clap::Args)]

@@ -8,8 +8,8 @@ use std::path::{Path, PathBuf};
 use super::{CliError, complain};
 use crate::daemon::config::{Config, RecordConfig, SensorConfig, memory};
 use crate::export::text::count_of;
-use crate::publish::{SHARED_MEMORY, free_bytes, pool_sweeps};
-use crate::segment::Method;
+use sweepd_client::publish::{SHARED_MEMORY, free_bytes, pool_sweeps};
+use sweepd_core::segment::Method;
 
 /// The configuration that systemd/ ships.
 const EXAMPLE: &str = include_str!("../../systemd/sweepd.toml");

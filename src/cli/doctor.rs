@@ -14,7 +14,7 @@ use crate::doctor::diagnose::sweep_bytes;
 use crate::doctor::observe::Sensor;
 use crate::doctor::plan::HEALTH;
 use crate::doctor::{ExamineError, Finding, Observations, Plan, Severity, diagnose, examine};
-use crate::publish::pool_sweeps;
+use sweepd_client::publish::pool_sweeps;
 
 /// Options of `sweepd doctor`.
 #[derive(Clone, Debug, clap::Args)]

@@ -15,13 +15,13 @@ use super::CliError;
 use super::summary::Traffic;
 use crate::capture::{Capture, Route, Sensors};
 use crate::export::text::{count_of, grouped, utc_text};
-use crate::sensor::Model;
-use crate::sensor::detect::{DetectError, Detection, Detector};
-use crate::sweep::motion::TURN;
-use crate::sweep::order::{Before, Order, Refusal};
-use crate::wire::data::{Banks, ReturnMode};
-use crate::wire::hdl64::{Series, Status};
-use crate::wire::{DataPacket, Datagram};
+use sweepd_core::sensor::Model;
+use sweepd_core::sensor::detect::{DetectError, Detection, Detector};
+use sweepd_core::sweep::motion::TURN;
+use sweepd_core::sweep::order::{Before, Order, Refusal};
+use sweepd_core::wire::data::{Banks, ReturnMode};
+use sweepd_core::wire::hdl64::{Series, Status};
+use sweepd_core::wire::{DataPacket, Datagram};
 
 /// Options of `sweepd inspect`.
 #[derive(Debug, clap::Args)]

@@ -7,6 +7,8 @@ pub mod calib;
 pub mod config;
 pub mod doctor;
 pub mod inspect;
+#[cfg(feature = "lab")]
+pub mod lab;
 pub mod options;
 pub mod output;
 pub mod play;
@@ -14,32 +16,28 @@ pub mod publish;
 pub mod record;
 pub mod replay;
 pub mod run;
-pub mod score;
-pub mod segment;
 pub mod send;
 pub mod signals;
-pub mod simulate;
-pub mod sink;
-pub mod soak;
 pub mod summary;
 pub mod watch;
 
 use std::fmt::Display;
 use std::io::{self, Write};
-use std::path::{Path, PathBuf};
+use std::path::PathBuf;
 use std::sync::Arc;
 
 use clap::{Parser, Subcommand};
 
 use crate::capture::{CaptureError, RecordError, UdpError};
-use crate::client::ClientError;
 use crate::daemon::DaemonError;
 use crate::daemon::config::ConfigError;
 use crate::daemon::tap::TapError;
 use crate::export::ExportError;
 use crate::files::CalibrationFileError;
-use crate::publish::PublishError;
+#[cfg(feature = "lab")]
 use crate::soak::SoakError;
+use sweepd_client::client::ClientError;
+use sweepd_client::publish::PublishError;
 
 /// Turns the packets of a spinning Velodyne into range images, cut into ground and numbered objects
 #[derive(Debug, Parser)]
@@ -68,18 +66,14 @@ pub enum Command {
     Doctor(doctor::Args),
     /// Say what is in a capture without decoding it all
     Inspect(inspect::Args),
-    /// Segment point clouds that have no packets: KITTI, nuScenes, PCD, PLY
-    Segment(Box<segment::Args>),
-    /// Say how good labels are, against scans that people labelled (SemanticKITTI)
-    Score(score::Args),
     /// Show and compare calibrations, and read that of an HDL-64E from its packets
     Calib(calib::Args),
     /// Check the daemon's configuration, or print one to begin with
     Config(config::Args),
-    /// Be a sensor that is not there: send its packets, or write them to a capture
-    Simulate(Box<simulate::Args>),
-    /// Run a daemon through a day of faults, faster than life, and see that nothing grows and all is counted
-    Soak(soak::Args),
+    /// What needs no sensor.
+    #[cfg(feature = "lab")]
+    #[command(flatten)]
+    Lab(lab::Command),
 }
 
 /// Why a command did not do all that was asked.
@@ -139,6 +133,7 @@ pub enum CliError {
         /// What the system says.
         source: io::Error,
     },
+    #[cfg(feature = "lab")]
     /// The daemon did not bear a soak.
     #[error(transparent)]
     Soak(#[from] SoakError),
@@ -165,11 +160,6 @@ impl From<RecordError> for CliError {
     fn from(error: RecordError) -> Self {
         Self::Record(Arc::new(error))
     }
-}
-
-/// The bytes of a file of at most `limit` bytes.
-fn read_file(path: &Path, limit: u64) -> Result<Vec<u8>, CliError> {
-    crate::files::read(path, limit).map_err(|source| CliError::Read { path: path.to_owned(), source })
 }
 
 impl CliError {

@@ -9,12 +9,12 @@ use clap::ValueEnum;
 use crate::capture::SensorFilter;
 use crate::cli::CliError;
 use crate::files;
-use crate::pipeline;
-use crate::segment::{self, Settings};
-use crate::sensor::model::UnknownModel;
-use crate::sensor::{Calibration, Model};
-use crate::sweep::layout::ReturnChoice;
-use crate::wire::{DATA_PORT, POSITION_PORT};
+use sweepd_core::pipeline;
+use sweepd_core::segment::{self, Settings};
+use sweepd_core::sensor::model::UnknownModel;
+use sweepd_core::sensor::{Calibration, Model};
+use sweepd_core::sweep::layout::ReturnChoice;
+use sweepd_core::wire::{DATA_PORT, POSITION_PORT};
 
 /// A model, by its flag.
 pub(super) fn model(text: &str) -> Result<Model, String> {

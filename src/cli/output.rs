@@ -8,9 +8,9 @@ use serde::Serialize;
 
 use super::CliError;
 use crate::export::{self, Exporter, Format, Title};
-use crate::sensor::Model;
-use crate::sweep::SweepRef;
-use crate::sweep::layout::{TimeSource, flags};
+use sweepd_core::sensor::Model;
+use sweepd_core::sweep::SweepRef;
+use sweepd_core::sweep::layout::{TimeSource, flags};
 
 /// What to write of each sweep.
 #[derive(Clone, Debug, clap::Args)]

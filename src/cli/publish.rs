@@ -2,10 +2,10 @@
 
 use std::path::PathBuf;
 
-use crate::host::{monotonic_ns, realtime_ns};
-use crate::publish::{Domain, Loans, PublishError, Settings, Slot};
-use crate::sweep::SweepMut;
-use crate::sweep::layout::Completion;
+use sweepd_client::host::{monotonic_ns, realtime_ns};
+use sweepd_client::publish::{Domain, Loans, PublishError, Settings, Slot};
+use sweepd_core::sweep::SweepMut;
+use sweepd_core::sweep::layout::Completion;
 
 /// Where sweeps are shared.
 #[derive(Clone, Debug, clap::Args)]

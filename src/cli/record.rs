@@ -25,7 +25,7 @@ use crate::capture::udp::ample_buffer_bytes;
 use crate::capture::{Gate, Recorder, SensorFilter, UdpConfig, UdpError, UdpSource};
 use crate::daemon::tap::{TapStream, socket_path};
 use crate::export::text::grouped;
-use crate::publish::Domain;
+use sweepd_client::publish::Domain;
 
 /// How soon everybody hears of the end.
 const TICK: Duration = Duration::from_millis(50);

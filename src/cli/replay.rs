@@ -16,14 +16,14 @@ use super::summary::{SensorReport, SummaryLine, Sums, Traffic};
 use super::{CliError, complain};
 use crate::capture::{Capture, CaptureError, Pacer, Route, SensorIndex, Sensors};
 use crate::export::text::count_of;
-use crate::host::realtime_ns;
-use crate::pipeline::{Config, Counts, Fault, Notice, Pipeline, Stopwatch};
-use crate::publish::Loans;
-use crate::sensor::compare::Difference;
-use crate::sensor::detect::Detection;
-use crate::sweep::layout::flags;
-use crate::sweep::{Kept, SweepRef};
-use crate::wire::Datagram;
+use sweepd_client::host::realtime_ns;
+use sweepd_client::publish::Loans;
+use sweepd_core::pipeline::{Config, Counts, Fault, Notice, Pipeline, Stopwatch};
+use sweepd_core::sensor::compare::Difference;
+use sweepd_core::sensor::detect::Detection;
+use sweepd_core::sweep::layout::flags;
+use sweepd_core::sweep::{Kept, SweepRef};
+use sweepd_core::wire::Datagram;
 
 /// Options of `sweepd replay`.
 #[derive(Debug, clap::Args)]

@@ -12,7 +12,7 @@ use self::journal::Prioritised;
 use super::CliError;
 use crate::daemon::config::{Change, Config, Effect};
 use crate::daemon::control::{self, Reload, Reread};
-use crate::publish::{Domain, DomainError, Keeper};
+use sweepd_client::publish::{Domain, DomainError, Keeper};
 
 /// Variable that says what is logged, in the directives of tracing-subscriber.
 const LOG: &str = "SWEEPD_LOG";

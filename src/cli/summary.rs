@@ -7,10 +7,10 @@ use serde::Serialize;
 use super::output::{StageUs, rounded, time_source_name};
 use crate::capture::Capture;
 use crate::export::text::{count_of, grouped};
-use crate::pipeline::Counts;
-use crate::sensor::detect::Detection;
-use crate::sweep::SweepRef;
-use crate::sweep::layout::{TimeSource, flags, is_return};
+use sweepd_core::pipeline::Counts;
+use sweepd_core::sensor::detect::Detection;
+use sweepd_core::sweep::SweepRef;
+use sweepd_core::sweep::layout::{TimeSource, flags, is_return};
 
 /// Sums over the sweeps of one sensor.
 #[derive(Clone, Debug, Default)]

@@ -14,12 +14,12 @@ use super::output::{LatencyUs, OutputOptions, Outputs};
 use super::publish::RootOptions;
 use super::signals::end_flag;
 use super::{CliError, complain};
-use crate::client::{Client, Domain, SweepRef};
 use crate::daemon::losses::{Limits, Losses, Place, Tally, Turn};
 use crate::daemon::state::PATIENCE;
-use crate::host::{monotonic_ns, realtime_ns};
-use crate::sensor::Model;
-use crate::sweep::Header;
+use sweepd_client::client::{Client, Domain, SweepRef};
+use sweepd_client::host::{monotonic_ns, realtime_ns};
+use sweepd_core::sensor::Model;
+use sweepd_core::sweep::Header;
 
 /// How long is waited at once: then it is looked for a signal.
 const LOOK_EVERY: Duration = Duration::from_millis(100);

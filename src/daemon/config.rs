@@ -20,9 +20,9 @@ pub use changes::{Change, Effect};
 pub use error::{ConfigError, Problems};
 
 use super::losses::Limits;
-use crate::pipeline;
-use crate::sensor::{Calibration, Model};
 use error::Problem;
+use sweepd_core::pipeline;
+use sweepd_core::sensor::{Calibration, Model};
 
 /// Longest file that is read as a configuration, bytes.
 const MAX_FILE_LEN: u64 = 1 << 20;
@@ -71,7 +71,7 @@ impl Config {
 /// What is not of one sensor.
 #[derive(Clone, Debug, PartialEq, Eq)]
 pub struct DaemonConfig {
-    /// Folder of iceoryx2's files; `None` takes the default of [`crate::publish`].
+    /// Folder of iceoryx2's files; `None` takes the default of [`sweepd_client::publish`].
     pub root: Option<PathBuf>,
     /// Where health and metrics are served over HTTP; `None` serves none.
     pub http: Option<SocketAddr>,

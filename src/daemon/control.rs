@@ -22,7 +22,7 @@ use super::sharing::Sharing;
 use super::state::{Condition, Message, Observation, Running, Watcher};
 use super::tap::socket_path;
 use super::tee::Tees;
-use crate::pipeline::{Fault, Notice};
+use sweepd_core::pipeline::{Fault, Notice};
 
 /// From one attempt to start to the next, at first and at most.
 const RETRY: (Duration, Duration) = (Duration::from_millis(250), Duration::from_secs(2));
@@ -423,8 +423,8 @@ fn observation(counters: &SensorCounters, now: Duration) -> Observation {
 #[cfg(test)]
 mod tests {
     use super::*;
-    use crate::sensor::Model;
-    use crate::sensor::detect::DetectError;
+    use sweepd_core::sensor::Model;
+    use sweepd_core::sensor::detect::DetectError;
 
     #[test]
     fn faults_name_keys_of_the_configuration() {

@@ -5,10 +5,10 @@
 use std::sync::atomic::{AtomicBool, AtomicI32, AtomicU8, AtomicU32, AtomicU64, Ordering::Relaxed};
 
 use super::losses::Tally;
-use crate::pipeline::Counts;
-use crate::sensor::Model;
-use crate::sweep::Header;
-use crate::wire::data::ReturnMode;
+use sweepd_core::pipeline::Counts;
+use sweepd_core::sensor::Model;
+use sweepd_core::sweep::Header;
+use sweepd_core::wire::data::ReturnMode;
 
 /// A number that only grows.
 #[derive(Debug, Default)]

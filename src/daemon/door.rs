@@ -10,7 +10,7 @@ use super::config::{Config, SensorConfig};
 use super::counters::Reject;
 use super::plan::{PortPlan, sends_positions};
 use crate::capture::gate::{Kind, Misfit};
-use crate::wire::Datagram;
+use sweepd_core::wire::Datagram;
 
 /// What is let in.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
@@ -142,11 +142,11 @@ mod tests {
     use super::super::plan;
     use super::super::testing::{config_of, sensor};
     use super::*;
-    use crate::sensor::Model;
-    use crate::wire::DataPacket;
-    use crate::wire::data::DATA_PACKET_LEN;
-    use crate::wire::position::POSITION_PACKET_LEN;
     use proptest::prelude::*;
+    use sweepd_core::sensor::Model;
+    use sweepd_core::wire::DataPacket;
+    use sweepd_core::wire::data::DATA_PACKET_LEN;
+    use sweepd_core::wire::position::POSITION_PACKET_LEN;
 
     fn admit(door: &Door, source: &str, payload: &[u8]) -> Result<Admitted, Reject> {
         door.admit(&Datagram { arrival_ns: 5, source: source.parse().unwrap(), destination_port: 2368, payload })

@@ -34,7 +34,7 @@ use super::metrics;
 use super::runtime::{PortStatus, SensorStatus};
 use super::state::{Condition, State};
 use super::tee::RecordingStatus;
-use crate::wire::data::ReturnMode;
+use sweepd_core::wire::data::ReturnMode;
 
 /// Connections that are served at a time; more are closed at once.
 const CONNECTIONS: usize = 16;

@@ -4,7 +4,7 @@ use std::fmt;
 
 use super::config::{Config, PortConfig, SensorConfig};
 use crate::capture::udp::{UdpConfig, ample_buffer_bytes};
-use crate::sensor::Model;
+use sweepd_core::sensor::Model;
 
 /// A port to open, and the thread that serves it.
 #[derive(Clone, Debug, PartialEq, Eq)]

@@ -24,11 +24,11 @@ use super::tap::Tap;
 use crate::capture::record::Lane;
 use crate::capture::write::Addressed;
 use crate::capture::{UdpError, UdpSource};
-use crate::host::realtime_ns;
-use crate::pipeline;
-use crate::sweep::Buffers;
-use crate::wire::Datagram;
-use crate::wire::position::POSITION_PACKET_LEN;
+use sweepd_client::host::realtime_ns;
+use sweepd_core::pipeline;
+use sweepd_core::sweep::Buffers;
+use sweepd_core::wire::Datagram;
+use sweepd_core::wire::position::POSITION_PACKET_LEN;
 
 /// How long to wait for packets while some come.
 const BUSY: Duration = Duration::from_millis(5);

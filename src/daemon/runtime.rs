@@ -25,9 +25,9 @@ use super::tee::Tees;
 use crate::capture::record::Lane;
 use crate::capture::udp::ReceiveBuffer;
 use crate::capture::{UdpError, UdpSource};
-use crate::pipeline;
-use crate::segment::ConfigError;
-use crate::sweep::Buffers;
+use sweepd_core::pipeline;
+use sweepd_core::segment::ConfigError;
+use sweepd_core::sweep::Buffers;
 
 /// How long the threads have to end; those that hang end with the process. They take some milliseconds, and on a machine
 /// that is overloaded as long as they wait for a core.

@@ -5,15 +5,15 @@ use std::sync::mpsc::Sender;
 
 use super::counters::{Gps, SensorCounters, Stage};
 use super::sharing::Outgoing;
-use crate::host::{monotonic_ns, realtime_ns};
-use crate::pipeline::{self, Counts, Fault, Notice, Pipeline, Stopwatch};
-use crate::segment::ConfigError;
-use crate::sweep::clock::vouched_utc_ns;
-use crate::sweep::layout::{Completion, flags};
-use crate::sweep::{Buffers, Header, Kept, SweepMut};
-use crate::wire::nmea::Rmc;
-use crate::wire::position::Pps;
-use crate::wire::{Datagram, Position, hdl64};
+use sweepd_client::host::{monotonic_ns, realtime_ns};
+use sweepd_core::pipeline::{self, Counts, Fault, Notice, Pipeline, Stopwatch};
+use sweepd_core::segment::ConfigError;
+use sweepd_core::sweep::clock::vouched_utc_ns;
+use sweepd_core::sweep::layout::{Completion, flags};
+use sweepd_core::sweep::{Buffers, Header, Kept, SweepMut};
+use sweepd_core::wire::nmea::Rmc;
+use sweepd_core::wire::position::Pps;
+use sweepd_core::wire::{Datagram, Position, hdl64};
 
 /// A sensor that could not be decoded is looked at anew after so long: it may have been exchanged, or its first packets
 /// may have been lost.
@@ -301,7 +301,7 @@ fn temperature_of(position: &Position<'_>) -> Option<i32> {
 #[cfg(test)]
 mod tests {
     use super::*;
-    use crate::wire::position::{Board, Inertial};
+    use sweepd_core::wire::position::{Board, Inertial};
 
     const VALID: &str = "$GPRMC,101723,A,5006.636,N,00840.926,E,000.0,000.0,040526,000.0,W";
 

@@ -1,9 +1,9 @@
-//! The daemon's sweeps through shared memory: what [`super::sharing`] asks for, done by [`crate::publish`].
+//! The daemon's sweeps through shared memory: what [`super::sharing`] asks for, done by [`sweepd_client::publish`].
 
 use super::config::{SensorConfig, memory};
 use super::sharing::{Outgoing, Sharing, SharingError, SharingStatus, Way};
-use crate::publish::{Keeper, Loans, Settings, Slot, Status};
-use crate::sensor::Model;
+use sweepd_client::publish::{Keeper, Loans, Settings, Slot, Status};
+use sweepd_core::sensor::Model;
 
 impl Sharing for Keeper {
     type Buffers = Loans;

@@ -1,11 +1,11 @@
 //! What the daemon asks of whoever shares its sweeps: buffers to build them in, and a way out.
 //!
-//! [`crate::publish`] does it through shared memory; tests have implementations of their own.
+//! [`sweepd_client::publish`] does it through shared memory; tests have implementations of their own.
 
 use std::sync::Arc;
 
 use super::config::SensorConfig;
-use crate::sweep::Buffers;
+use sweepd_core::sweep::Buffers;
 
 /// Why a sensor cannot be shared, or a sweep not sent: a sentence with the cure.
 pub type SharingError = Box<dyn std::error::Error + Send + Sync>;

@@ -4,8 +4,8 @@ use std::fmt;
 use std::time::Duration;
 
 use super::losses::{Level, Limits, Losses, Place, Recent, Tally, Turn};
-use crate::sensor::Model;
-use crate::wire::data::ReturnMode;
+use sweepd_core::sensor::Model;
+use sweepd_core::wire::data::ReturnMode;
 
 /// So long without packets, or without a steady sweep while packets come, and a sensor does not stream any more.
 pub const PATIENCE: Duration = Duration::from_secs(2);

@@ -2,7 +2,7 @@
 
 use super::config::{Config, DaemonConfig, PortConfig, SensorConfig};
 use super::losses::Limits;
-use crate::pipeline;
+use sweepd_core::pipeline;
 
 /// A sensor at an address whose data and position packets come to one port of the loopback interface.
 pub fn sensor(name: &str, address: &str, port: u16) -> SensorConfig {

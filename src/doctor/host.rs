@@ -5,7 +5,7 @@ use std::path::Path;
 
 use super::observe::{Host, Interface, RootTrouble};
 use super::sys;
-use crate::publish::{self, Domain};
+use sweepd_client::publish::{self, Domain};
 
 /// Looks at this host; `root` is the folder of iceoryx2's files, if it is not the default. What cannot be found out is left
 /// out.

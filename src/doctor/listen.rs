@@ -7,12 +7,12 @@ use super::observe::{Heard, Port, PositionSender, Sensor};
 use super::plan::Plan;
 use crate::capture::gate::Entry;
 use crate::capture::{Gate, UdpError, UdpSource};
-use crate::pipeline::{Config, Notice, Pipeline, Untimed};
-use crate::segment::ConfigError;
-use crate::sweep::layout::{TimeSource, flags};
-use crate::sweep::{HeapBuffers, SweepRef};
-use crate::wire::nmea::Rmc;
-use crate::wire::{Datagram, Position};
+use sweepd_core::pipeline::{Config, Notice, Pipeline, Untimed};
+use sweepd_core::segment::ConfigError;
+use sweepd_core::sweep::layout::{TimeSource, flags};
+use sweepd_core::sweep::{HeapBuffers, SweepRef};
+use sweepd_core::wire::nmea::Rmc;
+use sweepd_core::wire::{Datagram, Position};
 
 /// Senders of other datagrams that are remembered by name.
 const MAX_OTHERS: usize = 16;

@@ -7,10 +7,10 @@ use serde_json::Value;
 
 use super::plan::{Plan, PortPlan};
 use crate::capture::udp::ReceiveBuffer;
-use crate::pipeline::Counts;
-use crate::sensor::Model;
-use crate::wire::data::ReturnMode;
-use crate::wire::position::Pps;
+use sweepd_core::pipeline::Counts;
+use sweepd_core::sensor::Model;
+use sweepd_core::wire::data::ReturnMode;
+use sweepd_core::wire::position::Pps;
 
 /// All that was seen.
 #[derive(Clone, Debug)]
@@ -83,7 +83,7 @@ pub struct Sensor {
     pub whole_sweeps: u64,
     /// Least and greatest speed of these, turns a minute.
     pub rpm: Option<(f32, f32)>,
-    /// Bits of [`flags`](crate::sweep::layout::flags) that any sweep but the first had.
+    /// Bits of [`flags`](sweepd_core::sweep::layout::flags) that any sweep but the first had.
     pub flags: u32,
     /// How far the host's clock is ahead of UTC by GPS, seconds, where GPS vouches for it.
     pub host_ahead_s: Option<f64>,

@@ -6,8 +6,8 @@ use std::path::PathBuf;
 use crate::capture::UdpConfig;
 use crate::capture::udp::ample_buffer_bytes;
 use crate::daemon::config::{Config, PortConfig, SensorConfig};
-use crate::sensor::Model;
-use crate::wire::{DATA_PORT, POSITION_PORT};
+use sweepd_core::sensor::Model;
+use sweepd_core::wire::{DATA_PORT, POSITION_PORT};
 
 /// Where a daemon tells how it is, unless it is configured otherwise.
 pub const HEALTH: SocketAddr = SocketAddr::new(IpAddr::V4(Ipv4Addr::LOCALHOST), 9177);

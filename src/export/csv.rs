@@ -3,7 +3,7 @@
 use std::io::{self, Write};
 
 use super::Axes;
-use crate::sweep::{Return, SweepRef};
+use sweepd_core::sweep::{Return, SweepRef};
 
 /// First line of every file.
 pub const HEADER: &str = "packet,block,row,column,channel,return,azimuth_deg,elevation_deg,range_m,\

@@ -18,7 +18,7 @@ use std::io::{self, BufWriter, Write};
 use std::path::{Path, PathBuf};
 use std::str::FromStr;
 
-use crate::sweep::SweepRef;
+use sweepd_core::sweep::SweepRef;
 
 pub use csv::write_csv;
 pub use pcd::write_pcd;

@@ -3,7 +3,7 @@
 use std::io::{self, Write};
 
 use super::Axes;
-use crate::sweep::{Return, SweepRef};
+use sweepd_core::sweep::{Return, SweepRef};
 
 /// Bytes of a point: x, y, z, intensity as f32, ring as u16, label as u32, without padding.
 pub const POINT_BYTES: usize = 22;

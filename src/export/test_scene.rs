@@ -5,11 +5,11 @@ use std::ops::Range;
 
 use zerocopy::FromZeros;
 
-use crate::sensor::Beam;
-use crate::sweep::buffers::{Buffers, HeapBuffer, HeapBuffers};
-use crate::sweep::layout::{LABEL_FIRST_SEGMENT, LABEL_GROUND, ReturnKind};
-use crate::sweep::{BeamRow, Column, Segment, Shape, SweepMut, SweepRef};
-use crate::wire::data::ReturnMode;
+use sweepd_core::sensor::Beam;
+use sweepd_core::sweep::buffers::{Buffers, HeapBuffer, HeapBuffers};
+use sweepd_core::sweep::layout::{LABEL_FIRST_SEGMENT, LABEL_GROUND, ReturnKind};
+use sweepd_core::sweep::{BeamRow, Column, Segment, Shape, SweepMut, SweepRef};
+use sweepd_core::wire::data::ReturnMode;
 
 /// A box: least and greatest x, y, z in the sensor's axes.
 type Box3 = [[f64; 3]; 2];

@@ -1,6 +1,6 @@
 //! Numbers and times as people read them.
 
-use crate::wire::nmea::civil_from_days;
+use sweepd_core::wire::nmea::civil_from_days;
 
 /// A number with its thousands apart: `402,866`.
 pub fn grouped(number: u64) -> String {

@@ -4,7 +4,7 @@ use std::io::{self, Cursor};
 use std::path::Path;
 
 use super::read;
-use crate::segment::{Mask, MaskError};
+use sweepd_core::segment::{Mask, MaskError};
 
 /// Longest file that is read as a picture, bytes: as many as its pixels could have uncompressed.
 const MAX_FILE_LEN: u64 = 64 << 20;

@@ -8,8 +8,8 @@ use std::path::{Path, PathBuf};
 
 pub use mask::{MaskFileError, decode_mask, mask};
 
-use crate::sensor::calibration::MAX_FILE_LEN;
-use crate::sensor::{Calibration, CalibrationError};
+use sweepd_core::sensor::calibration::MAX_FILE_LEN;
+use sweepd_core::sensor::{Calibration, CalibrationError};
 
 /// Why a calibration could not be read from a file.
 #[derive(Debug, thiserror::Error)]

@@ -12,8 +12,8 @@ use fastrand::Rng;
 
 use super::SoakError;
 use super::sys::{Signal, signal};
-use crate::client::{Client, ClientError, Domain, Sweep};
 use crate::daemon::tap::MAX_CLIENTS;
+use sweepd_client::client::{Client, ClientError, Domain, Sweep};
 
 /// Others at a time, of each sensor.
 pub const OTHERS: usize = 3;

@@ -292,6 +292,6 @@ pub fn files(root: &Path, prefix: &str) -> (u64, u64) {
 
 /// The files of a domain in shared memory.
 pub fn shared_memory(prefix: &str) -> Vec<PathBuf> {
-    let entries = fs::read_dir(crate::publish::SHARED_MEMORY).into_iter().flatten().flatten();
+    let entries = fs::read_dir(sweepd_client::publish::SHARED_MEMORY).into_iter().flatten().flatten();
     entries.filter(|entry| entry.file_name().to_string_lossy().starts_with(prefix)).map(|entry| entry.path()).collect()
 }

@@ -9,11 +9,11 @@ use fastrand::Rng;
 
 use super::stream::Stream;
 use crate::daemon::counters::Reject;
-use crate::sensor::Model;
-use crate::simulate::EmitterConfig;
-use crate::simulate::gps::{self, Clock, Reception};
-use crate::wire::HOUR_US;
-use crate::wire::data::{DATA_PACKET_LEN, ReturnMode};
+use sweepd_core::sensor::Model;
+use sweepd_core::wire::HOUR_US;
+use sweepd_core::wire::data::{DATA_PACKET_LEN, ReturnMode};
+use sweepd_lab::simulate::EmitterConfig;
+use sweepd_lab::simulate::gps::{self, Clock, Reception};
 
 /// From one fault to the next at least so many packets are whole, so that each can be counted.
 const BETWEEN: u32 = 10;

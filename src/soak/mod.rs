@@ -41,11 +41,11 @@ use self::consumers::{Census, Crowd, Steadfast};
 use self::daemon::Daemon;
 use self::feed::{Feed, Injected, Place};
 use self::figures::{Figures, Sample};
-use crate::client::{ClientError, Domain};
-use crate::sensor::Model;
-use crate::sensor::ros_yaml;
-use crate::simulate::EmitterConfig;
-use crate::wire::data::ReturnMode;
+use sweepd_client::client::{ClientError, Domain};
+use sweepd_core::sensor::Model;
+use sweepd_core::sensor::ros_yaml;
+use sweepd_core::wire::data::ReturnMode;
+use sweepd_lab::simulate::EmitterConfig;
 
 /// What is to be run.
 #[derive(Clone, Debug)]

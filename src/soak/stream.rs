@@ -1,10 +1,10 @@
 //! A sensor's packets for ever: a turn and a half is simulated, and sent again and again while clock and head go on.
 
-use crate::sensor::Model;
-use crate::simulate::{Emitter, EmitterConfig, Scene, fixtures};
-use crate::wire::data::ReturnMode;
-use crate::wire::hdl64::DUMP_PACKETS;
-use crate::wire::{DataPacket, HOUR_US};
+use sweepd_core::sensor::Model;
+use sweepd_core::wire::data::ReturnMode;
+use sweepd_core::wire::hdl64::DUMP_PACKETS;
+use sweepd_core::wire::{DataPacket, HOUR_US};
+use sweepd_lab::simulate::{Emitter, EmitterConfig, Scene, fixtures};
 
 /// Turns a minute: ten sweeps a second.
 pub const RPM: f64 = 600.0;

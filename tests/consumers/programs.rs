@@ -17,10 +17,10 @@ use super::python::{Talk, loans, publish};
 use super::sweeps::Source;
 use super::{folder, of_project};
 
-/// `examples/consumer.rs`, built as these tests are.
+/// The Rust consumer, built as these tests are.
 fn rust_consumer() -> PathBuf {
     let mut cargo = Command::new(env!("CARGO"));
-    cargo.args(["build", "--quiet", "--locked", "--offline", "--example", "consumer"]).current_dir(of_project(""));
+    cargo.args(["build", "--quiet", "--locked", "--offline", "-p", "sweepd-client", "--example", "consumer"]).current_dir(of_project(""));
     if !cfg!(debug_assertions) {
         cargo.arg("--release");
     }

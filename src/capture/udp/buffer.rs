@@ -7,8 +7,8 @@ use std::sync::LazyLock;
 use socket2::Socket;
 
 use super::sys;
-use crate::sensor::Model;
-use crate::wire::data::ReturnMode;
+use sweepd_core::sensor::Model;
+use sweepd_core::wire::data::ReturnMode;
 
 /// What a data packet costs of the buffer, its 1206 bytes and the kernel's own share; measured on Linux 6.18, where it is
 /// 2304 to 2315.

@@ -9,7 +9,7 @@ use std::fs;
 use std::net::{IpAddr, Ipv4Addr, Ipv6Addr, SocketAddrV4};
 use std::path::Path;
 
-use crate::host::user_name;
+use sweepd_client::host::user_name;
 
 /// Who holds a port.
 #[derive(Clone, Debug, PartialEq, Eq)]

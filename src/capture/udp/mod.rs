@@ -24,11 +24,11 @@ use socket2::{Domain, InterfaceIndexOrAddress, Protocol, Socket, Type};
 use self::filling::Filling;
 use self::sys::{BATCH, Slot};
 use super::write::Addressed;
-use crate::host::realtime_ns;
-use crate::wire::Datagram;
 pub use buffer::{ReceiveBuffer, ample_buffer_bytes};
 pub use error::UdpError;
 pub use holder::Holder;
+use sweepd_client::host::realtime_ns;
+use sweepd_core::wire::Datagram;
 
 /// Where to listen.
 #[derive(Clone, Debug, PartialEq, Eq)]

@@ -3,7 +3,7 @@ use std::net::UdpSocket;
 use super::*;
 use crate::capture::Gate;
 use crate::capture::gate::Refused;
-use crate::wire::DataPacket;
+use sweepd_core::wire::DataPacket;
 
 const WAIT: Duration = Duration::from_secs(5);
 const SOON: Duration = Duration::from_millis(50);

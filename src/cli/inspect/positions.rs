@@ -2,9 +2,9 @@
 
 use super::{rate, row};
 use crate::export::text::{count_of, utc_text};
-use crate::wire::nmea::Rmc;
-use crate::wire::position::Pps;
-use crate::wire::{Datagram, Position};
+use sweepd_core::wire::nmea::Rmc;
+use sweepd_core::wire::position::Pps;
+use sweepd_core::wire::{Datagram, Position};
 
 /// What was seen of the position packets from one address.
 #[derive(Default)]

@@ -2,7 +2,7 @@
 
 use super::row;
 use crate::export::text::grouped;
-use crate::wire::hdl64::{DUMP_LEN, Status, Verdict};
+use sweepd_core::wire::hdl64::{DUMP_LEN, Status, Verdict};
 
 /// Adds the rows; none for a unit that sends no status (S1, early S2).
 pub fn describe(status: &Status, text: &mut String) {

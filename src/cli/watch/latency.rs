@@ -4,7 +4,7 @@ use std::io::{self, Write};
 
 use super::LIVE_US;
 use crate::cli::output::LatencyUs;
-use crate::sweep::Header;
+use sweepd_core::sweep::Header;
 
 /// Bars are so many characters long at most.
 const BAR: u64 = 40;

@@ -5,9 +5,9 @@ use std::time::{Duration, Instant};
 
 use super::LIVE_US;
 use crate::cli::output::LatencyUs;
-use crate::sensor::Model;
-use crate::sweep::SweepRef;
-use crate::sweep::layout::flags;
+use sweepd_core::sensor::Model;
+use sweepd_core::sweep::SweepRef;
+use sweepd_core::sweep::layout::flags;
 
 /// Lines after which the head is shown again.
 const LINES: u32 = 20;

@@ -3,9 +3,9 @@
 use std::ops::RangeInclusive;
 
 use super::{SensorConfig, possible_models};
-use crate::publish::pool_sweeps;
-use crate::sensor::Model;
-use crate::sweep::layout::Shape;
+use sweepd_client::publish::pool_sweeps;
+use sweepd_core::sensor::Model;
+use sweepd_core::sweep::layout::Shape;
 
 /// Bytes of a sweep of this sensor. Where its packets are to tell the model or the return mode, from the least of what it
 /// may be to the most.
@@ -39,11 +39,11 @@ pub fn pool_bytes(sensor: &SensorConfig) -> RangeInclusive<u64> {
 mod tests {
     use super::super::super::testing::sensor;
     use super::*;
-    use crate::pipeline::{Pipeline, Untimed};
-    use crate::simulate::{Emitter, EmitterConfig, street};
-    use crate::sweep::{Buffers, HeapBuffers};
-    use crate::wire::data::ReturnMode;
     use std::sync::{Arc, Mutex};
+    use sweepd_core::pipeline::{Pipeline, Untimed};
+    use sweepd_core::sweep::{Buffers, HeapBuffers};
+    use sweepd_core::wire::data::ReturnMode;
+    use sweepd_lab::simulate::{Emitter, EmitterConfig, street};
 
     /// Notes how much is asked for.
     struct Measuring(HeapBuffers, Arc<Mutex<usize>>);

@@ -3,9 +3,9 @@ use std::path::Path;
 use proptest::prelude::*;
 
 use super::*;
-use crate::segment::Method;
-use crate::sensor::Model;
-use crate::sweep::layout::ReturnChoice;
+use sweepd_core::segment::Method;
+use sweepd_core::sensor::Model;
+use sweepd_core::sweep::layout::ReturnChoice;
 
 const EXAMPLE: &str = include_str!("../../../systemd/sweepd.toml");
 
@@ -44,7 +44,7 @@ fn two_lines_are_enough_for_a_sensor() {
     assert_eq!((&sensor.port, sensor.position_port, sensor.source_port), (&port, 8308, None));
     assert_eq!((sensor.max_consumers, sensor.dual, sensor.rpm), (4, None, None));
     // Whatever the command line takes by default, the file does.
-    assert_eq!(sensor.pipeline.segment, crate::segment::Config::default());
+    assert_eq!(sensor.pipeline.segment, sweepd_core::segment::Config::default());
     assert_eq!((sensor.pipeline.model, sensor.pipeline.cut_azimuth_rad), (None, 0.0));
     assert!(config.record.is_none());
 }
@@ -404,8 +404,8 @@ fn no_setting_changes_without_a_word() {
 fn memory_follows_from_the_model() {
     let of = |more: &str| good(&roof(more)).sensors.remove(0);
     let exact = of("model = \"vlp16\"\nreturns = \"single\"\nmax_consumers = 1");
-    let sweep = crate::sweep::layout::Shape::of(16, false, 10).total_bytes();
-    assert_eq!((crate::publish::pool_sweeps(1), memory::sweep_bytes(&exact)), (7, sweep..=sweep));
+    let sweep = sweepd_core::sweep::layout::Shape::of(16, false, 10).total_bytes();
+    assert_eq!((sweepd_client::publish::pool_sweeps(1), memory::sweep_bytes(&exact)), (7, sweep..=sweep));
     assert_eq!(memory::pool_bytes(&exact), 7 * sweep as u64..=7 * sweep as u64);
     let unknown = memory::sweep_bytes(&of(""));
     assert_eq!(unknown, sweep..=*memory::sweep_bytes(&of("model = \"hdl64e-s3\"\nreturns = \"dual\"")).end());

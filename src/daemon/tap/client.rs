@@ -10,7 +10,7 @@ use std::time::Duration;
 use super::wire::{self, Answer, Frame, Frames, Status, VERSION};
 use super::{TapError, sys};
 use crate::capture::write::Addressed;
-use crate::host::{own_uid, user_name};
+use sweepd_client::host::{own_uid, user_name};
 
 /// How long a daemon may take to answer: it does so at once, where its thread gets a core.
 const ANSWER_TIME: Duration = Duration::from_secs(5);

@@ -15,7 +15,7 @@ use super::wire::{Answer, END_LEN, Frame, Hello, MAX_NAME_LEN, Status, WireError
 use super::{MAX_CLIENTS, Shared, TapError, Tapped, is_gone, sys};
 use crate::capture::write::Addressed;
 use crate::daemon::sys::wait_for_either;
-use crate::host::{own_uid, user_name};
+use sweepd_client::host::{own_uid, user_name};
 
 /// How often it looks while something waits for a client, and while there are clients.
 const BUSY_PERIOD: Duration = Duration::from_millis(1);

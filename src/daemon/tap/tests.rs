@@ -277,7 +277,7 @@ fn iceoryx2_does_not_mind_the_socket_in_its_folder() {
     assert!(TapStream::connect(&root.socket(), "roof").is_ok());
     // The counter by which iceoryx2 numbers the nodes of this prefix.
     let prefix = config.global.prefix.to_string();
-    for entry in std::fs::read_dir(crate::publish::SHARED_MEMORY).unwrap().flatten() {
+    for entry in std::fs::read_dir(sweepd_client::publish::SHARED_MEMORY).unwrap().flatten() {
         if entry.file_name().to_string_lossy().starts_with(&prefix) {
             std::fs::remove_file(entry.path()).unwrap();
         }

@@ -4,10 +4,10 @@ use super::Findings;
 use crate::doctor::Topic;
 use crate::doctor::observe::{Heard, Observations, RootTrouble, Sensor};
 use crate::doctor::plan::Expected;
-use crate::publish::pool_sweeps;
-use crate::sensor::Model;
-use crate::sweep::layout::Shape;
-use crate::wire::data::ReturnMode;
+use sweepd_client::publish::pool_sweeps;
+use sweepd_core::sensor::Model;
+use sweepd_core::sweep::layout::Shape;
+use sweepd_core::wire::data::ReturnMode;
 
 pub(super) fn find(seen: &Observations, findings: &mut Findings) {
     buffers(seen, findings);

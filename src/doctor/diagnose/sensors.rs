@@ -6,10 +6,10 @@ use super::Findings;
 use crate::doctor::observe::{Heard, Observations, PositionSender, Sensor};
 use crate::doctor::plan::Expected;
 use crate::doctor::{Severity, Topic};
-use crate::sensor::Model;
-use crate::sweep::layout::flags;
-use crate::wire::data::ReturnMode;
-use crate::wire::position::Pps;
+use sweepd_core::sensor::Model;
+use sweepd_core::sweep::layout::flags;
+use sweepd_core::wire::data::ReturnMode;
+use sweepd_core::wire::position::Pps;
 
 /// Speeds that a Velodyne can be set to, turns a minute, with a margin.
 const SPEEDS: std::ops::RangeInclusive<f32> = 290.0..=1210.0;

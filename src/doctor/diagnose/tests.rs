@@ -8,11 +8,11 @@ use super::*;
 use crate::capture::udp::ReceiveBuffer;
 use crate::doctor::observe::{Host, Interface, Port, PositionSender, RootTrouble, Sensor, Web};
 use crate::doctor::plan::{Expected, HEALTH, Plan, PortPlan};
-use crate::pipeline::Counts;
-use crate::sensor::Model;
-use crate::sweep::layout::flags;
-use crate::wire::data::ReturnMode;
-use crate::wire::position::Pps;
+use sweepd_core::pipeline::Counts;
+use sweepd_core::sensor::Model;
+use sweepd_core::sweep::layout::flags;
+use sweepd_core::wire::data::ReturnMode;
+use sweepd_core::wire::position::Pps;
 
 const ADDRESS: Ipv4Addr = Ipv4Addr::new(192, 168, 1, 201);
 const OWN: Ipv4Addr = Ipv4Addr::new(192, 168, 1, 100);

@@ -6,7 +6,7 @@ use super::Findings;
 use super::silence::own_addresses;
 use crate::doctor::Topic;
 use crate::doctor::observe::{Observations, Web};
-use crate::sweep::layout::flags;
+use sweepd_core::sweep::layout::flags;
 
 /// How far a speed may be from what it is set to.
 const SPEED_SHARE: f64 = 0.03;

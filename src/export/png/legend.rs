@@ -6,8 +6,8 @@ use embedded_graphics::text::Alignment;
 
 use super::canvas::{BODY, CAPTION, Canvas};
 use super::palette::{self, DIM, GROUND, NO_RETURN, TEXT, UNLABELLED};
-use crate::sweep::layout::LABEL_FIRST_SEGMENT;
-use crate::sweep::{Segment, SweepRef};
+use sweepd_core::sweep::layout::LABEL_FIRST_SEGMENT;
+use sweepd_core::sweep::{Segment, SweepRef};
 
 /// From one line to the next, pixels.
 const LINE: i32 = 19;

@@ -23,7 +23,7 @@ use embedded_graphics::primitives::Rectangle;
 use self::canvas::Canvas;
 use self::raster::Raster;
 use self::strip::{AXIS_HEIGHT, CAPTION_HEIGHT};
-use crate::sweep::SweepRef;
+use sweepd_core::sweep::SweepRef;
 
 pub use chart::{CHART_SIZE, Chart, Panel, Series, write_chart};
 pub use title::Title;

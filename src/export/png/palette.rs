@@ -4,7 +4,7 @@ use std::sync::LazyLock;
 
 use embedded_graphics::pixelcolor::Rgb888;
 
-use crate::sweep::layout::{LABEL_FIRST_SEGMENT, LABEL_GROUND, LABEL_NONE};
+use sweepd_core::sweep::layout::{LABEL_FIRST_SEGMENT, LABEL_GROUND, LABEL_NONE};
 
 /// The page.
 pub const BACKGROUND: Rgb888 = Rgb888::new(20, 22, 28);

@@ -8,8 +8,8 @@ use embedded_graphics::primitives::Rectangle;
 use super::canvas::{Canvas, TICK, text_width};
 use super::palette::{self, DIM, GRID, GROUND_FAINT, MISSING, MISSING_STRIPE, NO_RETURN, TEXT, percentile, round_up};
 use super::strip::draw_caption;
-use crate::sweep::layout::{LABEL_GROUND, LABEL_NONE};
-use crate::sweep::{Column, SweepRef};
+use sweepd_core::sweep::layout::{LABEL_GROUND, LABEL_NONE};
+use sweepd_core::sweep::{Column, SweepRef};
 
 /// Half of the height in metres when there is no point that could tell.
 const DEFAULT_EXTENT_M: f64 = 20.0;

@@ -1,7 +1,7 @@
 //! The range image at the width of the page.
 
-use crate::sweep::SweepRef;
-use crate::sweep::layout::is_return;
+use sweepd_core::sweep::SweepRef;
+use sweepd_core::sweep::layout::is_return;
 
 /// What a cell of the raster shows.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]

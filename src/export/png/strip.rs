@@ -8,8 +8,8 @@ use embedded_graphics::text::Alignment;
 use super::canvas::{BODY, CAPTION, Canvas, TICK, text_width};
 use super::palette::{self, DIM, GRID, NO_RETURN, RangeScale, TEXT};
 use super::raster::{Cell, Raster};
-use crate::sweep::SweepRef;
-use crate::sweep::layout::is_return;
+use sweepd_core::sweep::SweepRef;
+use sweepd_core::sweep::layout::is_return;
 
 /// Height of a caption with the gap below it, pixels.
 pub const CAPTION_HEIGHT: i32 = 32;
@@ -165,7 +165,7 @@ fn unwrapped_degrees(sweep: SweepRef<'_>) -> Vec<f64> {
 mod tests {
     use super::*;
     use crate::export::test_scene::Scene;
-    use crate::sweep::Column;
+    use sweepd_core::sweep::Column;
 
     fn ticks(azimuths_deg: &[f32]) -> Vec<(usize, i64)> {
         let mut scene = Scene::new(&[0.0], azimuths_deg.len(), false);

@@ -6,8 +6,8 @@ use embedded_graphics::text::Alignment;
 use super::canvas::{BODY, Canvas, TITLE};
 use super::palette::{DIM, TEXT, WARNING};
 use crate::export::text::{grouped, utc_text};
-use crate::sweep::SweepRef;
-use crate::sweep::layout::{LABEL_GROUND, TimeSource, flags, is_return};
+use sweepd_core::sweep::SweepRef;
+use sweepd_core::sweep::layout::{LABEL_GROUND, TimeSource, flags, is_return};
 
 /// Height of the head, pixels.
 pub const HEIGHT: i32 = 60;

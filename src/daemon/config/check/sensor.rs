@@ -12,10 +12,10 @@ use crate::daemon::config::suggest::suggestion;
 use crate::daemon::config::{PortConfig, SensorConfig, possible_models};
 use crate::daemon::losses::Limits;
 use crate::files;
-use crate::pipeline;
-use crate::segment::{self, ConfigError, Mask, Settings};
-use crate::sensor::{Calibration, Model};
-use crate::sweep::layout::ReturnChoice;
+use sweepd_core::pipeline;
+use sweepd_core::segment::{self, ConfigError, Mask, Settings};
+use sweepd_core::sensor::{Calibration, Model};
+use sweepd_core::sweep::layout::ReturnChoice;
 
 /// Ports that a Velodyne sends to unless it is told others.
 const PORT: u16 = 2368;

@@ -1,0 +1,159 @@
+//! The sweeps of a running daemon, without a copy: for programs on the same host.
+//!
+//! This needs the crate's feature `client` alone, which builds nothing of the daemon:
+//!
+//! ```toml
+//! sweepd = { git = "...", default-features = false, features = ["client"] }
+//! ```
+//!
+//! ```no_run
+//! use std::time::Duration;
+//! use sweepd::client::Client;
+//!
+//! let mut roof = Client::new("roof")?;
+//! while let Some(sweep) = roof.next(Duration::from_secs(5))? {
+//!     let view = sweep.view()?;
+//!     let nearest = view.segments.iter().map(|segment| segment.nearest_m).fold(f32::INFINITY, f32::min);
+//!     println!("sweep {}: {} segments, the nearest at {nearest:.2} m", view.header.sequence, view.segments.len());
+//!     for point in view.returns().filter(|point| point.label >= 2) {
+//!         let [_x, _y, _z] = point.point_m;
+//!     }
+//! }
+//! # Ok::<(), Box<dyn std::error::Error>>(())
+//! ```
+//!
+//! It may be started before the daemon, and goes on when that was restarted. It must run as the daemon's user: shared memory
+//! is open to its owner alone, and another user, root included, is told so.
+//!
+//! A publisher that is none of sweepd's, or of another version, or broken, is an error and never a panic: the header of each
+//! sweep is copied once and checked, and the copy is what counts from then on. What stands in planes and tables is the
+//! publisher's word: a range may be infinite, a label may have no segment.
+
+use std::time::Duration;
+
+use zerocopy::FromBytes;
+
+pub use crate::publish::{Domain, DomainError, JoinError, SubscribeError};
+use crate::publish::{Received, Subscriber, attributes};
+use sweepd_core::sweep::Header;
+pub use sweepd_core::sweep::layout::LayoutError;
+pub use sweepd_core::sweep::{Return, SweepRef};
+
+/// The sweeps of one sensor.
+#[derive(Debug)]
+pub struct Client {
+    subscriber: Subscriber,
+}
+
+/// A sweep in shared memory, which stays as it is until this is dropped.
+#[derive(Debug)]
+pub struct Sweep {
+    /// As it was when the sweep came: what the publisher writes there later is not looked at.
+    header: Header,
+    received: Received,
+}
+
+/// Why no sweep can be had.
+#[derive(Debug, thiserror::Error)]
+pub enum ClientError {
+    /// The service.
+    #[error(transparent)]
+    Subscribe(#[from] SubscribeError),
+    /// What came is no sweep.
+    #[error("what `{name}` publishes is no sweep: {source}")]
+    Layout {
+        /// Name of the sensor.
+        name: String,
+        /// What is wrong.
+        source: LayoutError,
+    },
+}
+
+impl Client {
+    /// The sensor of this name in the [default domain](Domain::default). It need not run yet.
+    ///
+    /// # Errors
+    /// [`SubscribeError::Name`].
+    pub fn new(sensor: &str) -> Result<Self, ClientError> {
+        Self::within(&Domain::default(), sensor)
+    }
+
+    /// The sensor of this name in a domain.
+    ///
+    /// # Errors
+    /// As [`Client::new`].
+    pub fn within(domain: &Domain, sensor: &str) -> Result<Self, ClientError> {
+        Ok(Self { subscriber: Subscriber::new(domain, sensor)? })
+    }
+
+    /// Names of the sensors of a domain.
+    ///
+    /// # Errors
+    /// [`SubscribeError`]: the domain is another user's.
+    pub fn sensors(domain: &Domain) -> Result<Vec<String>, ClientError> {
+        Ok(Subscriber::names(domain)?)
+    }
+
+    /// The next sweep; waits for it, and for the daemon if there is none, but at most so long. `None` when none came, or the
+    /// program handled a signal meanwhile.
+    ///
+    /// A consumer that is too slow gets the newest two: [`Header::sequence`](sweepd_core::sweep::Header::sequence) tells what it
+    /// missed.
+    ///
+    /// # Errors
+    /// [`ClientError`]: what waiting longer does not mend.
+    pub fn next(&mut self, timeout: Duration) -> Result<Option<Sweep>, ClientError> {
+        let Some(received) = self.subscriber.wait(timeout)? else { return Ok(None) };
+        let refused = |source| ClientError::Layout { name: self.subscriber.name().to_owned(), source };
+        Sweep::of(received).map(Some).map_err(refused)
+    }
+
+    /// Whether the sensor's service was found.
+    pub fn is_connected(&self) -> bool {
+        self.subscriber.is_connected()
+    }
+
+    /// Whether a daemon publishes at the moment.
+    pub fn is_published(&self) -> bool {
+        self.subscriber.is_published()
+    }
+
+    /// How often the service went away and was looked for anew.
+    pub fn reopened(&self) -> u64 {
+        self.subscriber.reopened()
+    }
+
+    /// Model of the sensor, when it is known.
+    pub fn model(&self) -> Option<String> {
+        self.subscriber.attribute(attributes::MODEL)
+    }
+
+    /// Where its packets come from.
+    pub fn address(&self) -> Option<String> {
+        self.subscriber.attribute(attributes::ADDRESS)
+    }
+}
+
+impl Sweep {
+    fn of(received: Received) -> Result<Self, LayoutError> {
+        received.check()?;
+        let bytes: &[u8] = received.as_ref();
+        let (header, _) = Header::read_from_prefix(bytes).map_err(|_| LayoutError::Bytes { bytes: bytes.len() })?;
+        let sweep = Self { header, received };
+        sweep.view()?;
+        Ok(sweep)
+    }
+
+    /// What is in it. This is checked each time, and costs next to nothing.
+    ///
+    /// # Errors
+    /// [`LayoutError`], when the publisher takes back some of what it has published.
+    pub fn view(&self) -> Result<SweepRef<'_>, LayoutError> {
+        SweepRef::with_header(&self.header, self.received.as_ref())
+    }
+
+    /// Its bytes, as [`sweepd_core::sweep::layout`] defines them.
+    pub fn bytes(&self) -> &[u8] {
+        self.received.as_ref()
+    }
+}

@@ -1,0 +1,340 @@
+//! Where the files are by which a daemon and its consumers find each other, and who may use them.
+
+use std::fs;
+use std::io;
+use std::os::unix::fs::{DirBuilderExt, MetadataExt, PermissionsExt};
+use std::path::{Component, Path, PathBuf};
+
+use iceoryx2::config::Config;
+use iceoryx2::prelude::*;
+
+use super::service_hash;
+use crate::host::{own_uid, user_name};
+
+/// Environment variable that names the folder.
+const VARIABLE: &str = "SWEEPD_ROOT";
+/// The daemon's folder under systemd, and iceoryx2's in it.
+const RUN: (&str, &str) = ("/run/sweepd", "/run/sweepd/iox2");
+/// Where there is no such folder.
+const FALLBACK: &str = "/tmp/sweepd/iox2";
+/// What the names of all files begin with, in the folder and in /dev/shm.
+const PREFIX: &str = "sweepd_";
+/// Links on the way to the folder, at most: as many as Linux follows.
+const MAX_LINKS: usize = 40;
+
+/// A folder of iceoryx2's files. Daemons and consumers see each other when it is the same and belongs to the user of both:
+/// shared memory is open to its owner alone.
+#[derive(Clone, Debug, PartialEq, Eq)]
+pub struct Domain {
+    root: PathBuf,
+}
+
+/// Why a domain cannot be used.
+#[derive(Debug, thiserror::Error)]
+pub enum DomainError {
+    /// It belongs to someone else. Root could open it, and would silently get nothing.
+    #[error(
+        "{root} belongs to user {owner}, this program runs as {own}: sweeps are shared within one user alone. Run it as {owner} \
+         (`sudo -u {owner} ...`, or `User={owner}` in its systemd unit)",
+        root = root.display()
+    )]
+    OtherUser {
+        /// The folder.
+        root: PathBuf,
+        /// Whose it is.
+        owner: String,
+        /// Whose this program is.
+        own: String,
+    },
+    /// Somebody else could lead it elsewhere, at any time.
+    #[error(
+        "{root} leads through {on_the_way}, which {why}: another user could lead it elsewhere. Name a folder whose parents belong \
+         to this user or to root, with --root or the variable SWEEPD_ROOT, the same for the daemon and its consumers",
+        root = root.display(),
+        on_the_way = on_the_way.display()
+    )]
+    Unsafe {
+        /// The folder.
+        root: PathBuf,
+        /// The link or folder on the way there.
+        on_the_way: PathBuf,
+        /// What is wrong with it.
+        why: String,
+    },
+    /// Another user has made a file that must be this user's, and /dev/shm lets nobody but its owner and root remove it.
+    #[error(
+        "{file} belongs to user {owner} and stands where a file of user {own} must be: have {owner} or root remove it \
+         (`sudo rm {file}`), or name another folder with --root or the variable SWEEPD_ROOT, the same for the daemon and its \
+         consumers",
+        file = file.display()
+    )]
+    Occupied {
+        /// The file.
+        file: PathBuf,
+        /// Whose it is.
+        owner: String,
+        /// Whose this program is.
+        own: String,
+    },
+    /// It cannot be made, or looked at.
+    #[error(
+        "cannot use {root} for shared memory: {source}; name a folder of this user with --root or the variable SWEEPD_ROOT, \
+         the same for the daemon and its consumers",
+        root = root.display()
+    )]
+    Unusable {
+        /// The folder.
+        root: PathBuf,
+        /// What the system says.
+        source: io::Error,
+    },
+}
+
+impl Default for Domain {
+    /// `$SWEEPD_ROOT`; else /run/sweepd/iox2 where there is a /run/sweepd; else /tmp/sweepd/iox2. The same for all users of a
+    /// host, so that who runs as the wrong one is told so and does not wait for ever.
+    fn default() -> Self {
+        let named = std::env::var_os(VARIABLE).filter(|value| !value.is_empty()).map(PathBuf::from);
+        let usual = || PathBuf::from(if Path::new(RUN.0).is_dir() { RUN.1 } else { FALLBACK });
+        Self::at(named.unwrap_or_else(usual))
+    }
+}
+
+impl Domain {
+    /// The domain in a folder; a relative path is one of the current folder.
+    pub fn at(root: impl Into<PathBuf>) -> Self {
+        let root = root.into();
+        // Its name makes names, so that one folder must have one name: `/x/` is `/x`.
+        Self { root: std::path::absolute(&root).unwrap_or(root).components().collect() }
+    }
+
+    /// The domain in a folder, or the default one.
+    pub fn at_or_default(root: Option<&Path>) -> Self {
+        root.map_or_else(Self::default, Self::at)
+    }
+
+    /// The folder.
+    pub fn root(&self) -> &Path {
+        &self.root
+    }
+
+    /// What the names of its files in /dev/shm begin with: another root has another prefix, so that two daemons never meet
+    /// there.
+    pub fn prefix(&self) -> String {
+        let is_usual = [RUN.1, FALLBACK].iter().any(|usual| self.root == Path::new(usual));
+        if is_usual {
+            return PREFIX.to_owned();
+        }
+        // FNV-1a: the same in every language and version.
+        let fnv = |hash: u64, byte: &u8| (hash ^ u64::from(*byte)).wrapping_mul(0x0100_0000_01b3);
+        let hash = self.root.as_os_str().as_encoded_bytes().iter().fold(0xcbf2_9ce4_8422_2325, fnv);
+        format!("{PREFIX}{hash:016x}_")
+    }
+
+    /// Makes the folder and checks whose it is: for who is to write there.
+    ///
+    /// # Errors
+    /// [`DomainError`].
+    pub fn prepare(&self) -> Result<(), DomainError> {
+        self.exists()?;
+        let unusable = |source| DomainError::Unusable { root: self.root.clone(), source };
+        fs::DirBuilder::new().recursive(true).mode(0o750).create(&self.root).map_err(unusable)?;
+        self.exists().map(|_| ())
+    }
+
+    /// Whether it is there; whose it is, and whether another user could put another in its place, is checked.
+    ///
+    /// # Errors
+    /// [`DomainError`].
+    pub fn exists(&self) -> Result<bool, DomainError> {
+        let unusable = |source| DomainError::Unusable { root: self.root.clone(), source };
+        let own = own_uid();
+        let mut links = 0;
+        let mut way = PathBuf::new();
+        let mut ahead: Vec<PathBuf> = steps(&self.root);
+        while let Some(step) = ahead.pop() {
+            way.push(step);
+            let metadata = match fs::symlink_metadata(&way) {
+                Ok(metadata) => metadata,
+                Err(error) if error.kind() == io::ErrorKind::NotFound => return Ok(false),
+                Err(error) => return Err(unusable(error)),
+            };
+            let is_last = ahead.is_empty();
+            let owner = metadata.uid();
+            let is_trusted = owner == own || owner == 0 && !(is_last && metadata.is_dir());
+            if !is_trusted {
+                return Err(self.not_ours(way, owner));
+            }
+            if metadata.is_symlink() {
+                links += 1;
+                let target = fs::read_link(&way).map_err(unusable)?;
+                if links > MAX_LINKS {
+                    return Err(unusable(io::Error::from_raw_os_error(libc::ELOOP)));
+                }
+                way.pop();
+                ahead.extend(steps(&target));
+            } else if !metadata.is_dir() {
+                return Err(unusable(io::ErrorKind::NotADirectory.into()));
+            } else if !is_last && metadata.mode() & (OTHERS_WRITE | STICKY) == OTHERS_WRITE {
+                let why = "every user may write to, without the sticky bit".to_owned();
+                return Err(DomainError::Unsafe { root: self.root.clone(), on_the_way: way, why });
+            }
+        }
+        Ok(true)
+    }
+
+    /// Of a link or folder on the way that is neither this user's nor root's. Where the domain itself is that user's as well,
+    /// the program runs as the wrong one.
+    fn not_ours(&self, on_the_way: PathBuf, owner: u32) -> DomainError {
+        let root = self.root.clone();
+        let is_link = fs::symlink_metadata(&on_the_way).is_ok_and(|metadata| metadata.is_symlink());
+        if !is_link && fs::metadata(&root).is_ok_and(|metadata| metadata.uid() == owner) {
+            return DomainError::OtherUser { root, owner: user_name(owner), own: user_name(own_uid()) };
+        }
+        let what = if is_link { "is a link of" } else { "belongs to" };
+        DomainError::Unsafe { root, on_the_way, why: format!("{what} user {}", user_name(owner)) }
+    }
+
+    /// Whether another user has made the one file of shared memory whose name everybody knows.
+    ///
+    /// # Errors
+    /// [`DomainError::Occupied`].
+    pub fn check_occupied(&self) -> Result<(), DomainError> {
+        for entry in self.shared_memory() {
+            if !is_counter(&entry) {
+                continue;
+            }
+            let owner = entry.metadata().map_or(own_uid(), |metadata| metadata.uid());
+            if owner != own_uid() {
+                let (owner, own) = (user_name(owner), user_name(own_uid()));
+                return Err(DomainError::Occupied { file: entry.path(), owner, own });
+            }
+        }
+        Ok(())
+    }
+
+    /// What iceoryx2 is told; nothing is taken from its configuration files.
+    pub(super) fn config(&self) -> Config {
+        let mut config = Config::default();
+        // A path too long or with a zero in it makes the node fail, which is an error there.
+        if let Ok(root) = iceoryx2::prelude::Path::new(self.root.as_os_str().as_encoded_bytes()) {
+            config.global.set_root_path(&root);
+        }
+        if let Ok(prefix) = FileName::new(self.prefix().as_bytes()) {
+            config.global.prefix = prefix;
+        }
+        // The keeper of a publisher does it: it may wait for long, which neither a sensor nor a consumer must.
+        config.global.node.cleanup_dead_nodes_on_creation = false;
+        config.global.node.cleanup_dead_nodes_on_destruction = false;
+        config.global.service.cleanup_dead_nodes_on_open = false;
+        config
+    }
+
+    /// Closes to others what iceoryx2 leaves open to all: the counter by which it numbers nodes, which every program of the
+    /// domain maps and which nobody else has any business with.
+    pub(super) fn close_to_others(&self) {
+        for entry in self.shared_memory().filter(is_counter) {
+            let _ = fs::set_permissions(entry.path(), fs::Permissions::from_mode(0o600));
+        }
+    }
+
+    /// The folder of the files by which services are found.
+    pub(super) fn services(&self) -> PathBuf {
+        self.root.join(Config::default().global.service.directory.to_string())
+    }
+
+    /// The folder of the nodes.
+    pub(super) fn nodes(&self) -> PathBuf {
+        self.root.join(Config::default().global.node.directory.to_string())
+    }
+
+    /// The file by which a service is found.
+    pub(super) fn service_file(&self, name: &ServiceName, pattern: MessagingPattern) -> PathBuf {
+        let service = Config::default().global.service;
+        let hash = service_hash(name, pattern);
+        self.services().join(format!("{}{}{}", self.prefix(), hash.as_str(), service.static_config_storage_suffix))
+    }
+
+    /// The file that the publisher of a service holds locked.
+    pub(super) fn claim_file(&self, name: &ServiceName) -> PathBuf {
+        let hash = service_hash(name, MessagingPattern::PublishSubscribe);
+        self.root.join(format!("{}{}.claim", self.prefix(), hash.as_str()))
+    }
+
+    /// The socket by which a listener is woken.
+    pub(super) fn event_socket(&self, listener: u128) -> PathBuf {
+        let ending = Config::default().global.service.event_connection_suffix;
+        self.root.join(format!("{}{listener}{ending}", self.prefix()))
+    }
+
+    /// The folder of a node, there as long as others can find it.
+    pub(super) fn node_folder(&self, node: &iceoryx2::identifiers::UniqueNodeId) -> PathBuf {
+        self.nodes().join(node.value().to_string())
+    }
+}
+
+/// Every user may write to a folder.
+const OTHERS_WRITE: u32 = 0o002;
+/// Only the owner of a file in a folder, and root, may remove or rename it.
+const STICKY: u32 = 0o1000;
+
+/// The steps of a path, the last one first. An absolute one begins at the root of the file system, wherever it is joined to.
+fn steps(path: &Path) -> Vec<PathBuf> {
+    let mut steps: Vec<PathBuf> = path
+        .components()
+        .filter(|step| *step != Component::CurDir)
+        .map(|step| PathBuf::from(step.as_os_str()))
+        .collect();
+    steps.reverse();
+    steps
+}
+
+/// Whether a file is the counter by which iceoryx2 numbers nodes.
+fn is_counter(entry: &fs::DirEntry) -> bool {
+    let ending = Config::default().global.node.global_mgmt_suffix.to_string();
+    entry.file_name().to_string_lossy().ends_with(&ending)
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn domains_in_different_folders_share_no_name() {
+        assert_eq!(Domain::at("/run/sweepd/iox2").prefix(), "sweepd_");
+        // FNV-1a of "/a" by hand: (((basis ^ 0x2f) * prime) ^ 0x61) * prime.
+        assert_eq!(Domain::at("/a").prefix(), "sweepd_07d66707b49cd92d_");
+        assert_ne!(Domain::at("/a").prefix(), Domain::at("/b").prefix());
+        assert_eq!(Domain::at("/a//./").prefix(), Domain::at("/a").prefix());
+    }
+
+    #[test]
+    fn a_link_of_ones_own_is_followed_and_a_folder_open_to_all_is_not_safe() {
+        let folder = std::env::temp_dir().join(format!("sweepd-way-{}", std::process::id()));
+        fs::create_dir_all(folder.join("open/iox2")).unwrap();
+        let open = |mode| fs::set_permissions(folder.join("open"), fs::Permissions::from_mode(mode)).unwrap();
+        std::os::unix::fs::symlink("open/../open", folder.join("link")).unwrap();
+        std::os::unix::fs::symlink("round", folder.join("round")).unwrap();
+        open(0o777);
+        let error = Domain::at(folder.join("link/iox2")).exists().unwrap_err().to_string();
+        assert!(error.contains("/open, which every user may write to"), "{error}");
+        for mode in [0o1777, 0o755] {
+            open(mode);
+            assert!(Domain::at(folder.join("link/iox2")).exists().unwrap());
+            assert!(!Domain::at(folder.join("link/other")).exists().unwrap());
+        }
+        assert!(matches!(Domain::at(folder.join("round/iox2")).exists(), Err(DomainError::Unusable { .. })));
+        fs::remove_dir_all(folder).unwrap();
+    }
+
+    #[test]
+    fn a_folder_of_another_user_is_refused_with_both_names() {
+        // Whoever runs this is not the owner of both: /proc/1 is root's, nobody's are rare.
+        let own = own_uid();
+        let other = if own == 0 { None } else { Some("/proc/1") };
+        if let Some(root) = other {
+            let error = Domain::at(root).exists().unwrap_err().to_string();
+            assert!(error.contains("user root") && error.contains(&user_name(own)), "{error}");
+        }
+    }
+}

@@ -1,0 +1,354 @@
+//! The daemon's side: room for sweeps on loan, and the way to the consumers.
+
+use std::fmt::Debug;
+use std::sync::atomic::{AtomicBool, AtomicU64, AtomicUsize, Ordering};
+use std::sync::{Arc, Mutex, PoisonError};
+
+use super::keeper::{Desk, Keeper};
+use super::pool::{Loan, Pool};
+use super::{Domain, DomainError, JoinError, Preamble};
+use sweepd_core::sweep::buffers::HeapBuffer;
+use sweepd_core::sweep::{Buffers, HeapBuffers};
+
+/// What is shared under which name.
+#[derive(Clone, Debug, Default, PartialEq, Eq)]
+pub struct Settings {
+    /// Name of the sensor.
+    pub name: String,
+    /// Consumers at most.
+    pub max_consumers: usize,
+    /// Model of the sensor, as far as known: an attribute for people and tools.
+    pub model: String,
+    /// Where its packets come from: another.
+    pub address: String,
+}
+
+/// Why sweeps cannot be shared.
+#[derive(Debug, thiserror::Error)]
+pub enum PublishError {
+    /// The folder, or shared memory itself.
+    #[error(transparent)]
+    Join(#[from] JoinError),
+    /// No name of a service.
+    #[error("`{name}` cannot be the name of a sensor's service: it is empty or too long")]
+    Name {
+        /// The name.
+        name: String,
+    },
+    /// Another program publishes it.
+    #[error(
+        "`{name}` is published by another program already (a daemon, or `sweepd replay --publish`); stop that one, or give \
+         this sensor another name"
+    )]
+    Taken {
+        /// The name.
+        name: String,
+    },
+    /// iceoryx2 does not come back from a call.
+    #[error(
+        "shared memory does not answer: a process that died left a file in /dev/shm that is waited for; remove the files of \
+         this domain there, whose names begin with {prefix}, and start again"
+    )]
+    Hangs {
+        /// What their names begin with.
+        prefix: String,
+    },
+    /// The pool is being made; it is there for one of the next sweeps.
+    #[error("its shared memory is being taken")]
+    Preparing,
+    /// This sweep had no room in the pool; [`Status::trouble`] says why.
+    #[error("this sweep is not in shared memory")]
+    NotShared,
+}
+
+impl PublishError {
+    pub(super) fn service(error: impl Debug) -> Self {
+        Self::refused(&format!("{error:?}"))
+    }
+
+    pub(super) fn refused(what: &str) -> Self {
+        JoinError::Service { what: what.to_owned() }.into()
+    }
+}
+
+impl From<DomainError> for PublishError {
+    fn from(error: DomainError) -> Self {
+        JoinError::from(error).into()
+    }
+}
+
+/// How the sharing goes, for other threads to look at.
+#[derive(Debug, Default)]
+pub struct Status {
+    consumers: AtomicUsize,
+    reserved_bytes: AtomicU64,
+    unshared: AtomicU64,
+    renewed: AtomicU64,
+    /// Whether there is a text: where all is well, no lock is taken.
+    is_troubled: AtomicBool,
+    trouble: Mutex<Option<String>>,
+    renewed_because: Mutex<Option<String>>,
+}
+
+impl Status {
+    /// Consumers at the last sweep, or a second ago.
+    pub fn consumers(&self) -> usize {
+        self.consumers.load(Ordering::Relaxed)
+    }
+
+    /// Bytes of shared memory that the pool takes.
+    pub fn reserved_bytes(&self) -> u64 {
+        self.reserved_bytes.load(Ordering::Relaxed)
+    }
+
+    /// Sweeps that found no way to the consumers.
+    pub fn unshared(&self) -> u64 {
+        self.unshared.load(Ordering::Relaxed)
+    }
+
+    /// How often the service was made anew because its files were gone.
+    pub fn renewed(&self) -> u64 {
+        self.renewed.load(Ordering::Relaxed)
+    }
+
+    /// Why it was made anew the last time.
+    pub fn renewed_because(&self) -> Option<String> {
+        self.renewed_because.lock().unwrap_or_else(PoisonError::into_inner).clone()
+    }
+
+    /// Why sweeps are not shared at the moment.
+    pub fn trouble(&self) -> Option<String> {
+        self.trouble.lock().unwrap_or_else(PoisonError::into_inner).clone()
+    }
+
+    pub(super) fn set_trouble(&self, error: &PublishError) {
+        // That nothing is shared is told with its reason, which is another; that the pool is being made is no trouble.
+        if !matches!(error, PublishError::NotShared | PublishError::Preparing) {
+            *self.trouble.lock().unwrap_or_else(PoisonError::into_inner) = Some(error.to_string());
+            self.is_troubled.store(true, Ordering::Relaxed);
+        }
+    }
+
+    pub(super) fn set_well(&self) {
+        if self.is_troubled.swap(false, Ordering::Relaxed) {
+            *self.trouble.lock().unwrap_or_else(PoisonError::into_inner) = None;
+        }
+    }
+
+    pub(super) fn set_renewed(&self, because: String) {
+        *self.renewed_because.lock().unwrap_or_else(PoisonError::into_inner) = Some(because);
+        self.renewed.fetch_add(1, Ordering::Relaxed);
+    }
+
+    pub(super) fn set_use(&self, consumers: usize, reserved_bytes: u64) {
+        self.consumers.store(consumers, Ordering::Relaxed);
+        self.reserved_bytes.store(reserved_bytes, Ordering::Relaxed);
+    }
+}
+
+/// Room for the sweeps of one sensor, in shared memory.
+///
+/// What it gives out always works: where there is no shared memory to be had, it is memory of this process alone, the sensor
+/// goes on, and [`Status`] says why.
+#[derive(Debug)]
+pub struct Loans {
+    shared: Option<Shared>,
+    status: Arc<Status>,
+    heap: HeapBuffers,
+}
+
+/// The way to the pool.
+#[derive(Debug)]
+struct Shared {
+    keeper: Keeper,
+    desk: Arc<Desk>,
+    /// Whether to wait while the pool is made.
+    waits: bool,
+}
+
+impl Default for Loans {
+    /// Memory of this process alone, where nothing is shared.
+    fn default() -> Self {
+        Self { shared: None, status: Arc::default(), heap: HeapBuffers::default() }
+    }
+}
+
+impl Drop for Shared {
+    fn drop(&mut self) {
+        self.keeper.close(&self.desk);
+    }
+}
+
+impl Loans {
+    /// Opens the service of a sensor with a [`Keeper`] of its own; the memory comes with the first sweep, or with
+    /// [`Loans::reserve`].
+    ///
+    /// # Errors
+    /// [`PublishError`].
+    pub fn create(domain: &Domain, settings: &Settings) -> Result<Self, PublishError> {
+        Keeper::new(domain)?.open(settings, 0)
+    }
+
+    pub(super) fn of(keeper: Keeper, desk: Arc<Desk>) -> Self {
+        let status = Arc::clone(&desk.status);
+        Self { shared: Some(Shared { keeper, desk, waits: true }), status, heap: HeapBuffers::default() }
+    }
+
+    /// The same for a thread that must never wait: while the pool is made, sweeps are built in memory of this process, and
+    /// copied when they are published, if it is there by then.
+    #[must_use]
+    pub fn without_waiting(mut self) -> Self {
+        if let Some(shared) = &mut self.shared {
+            shared.waits = false;
+        }
+        self
+    }
+
+    /// Takes the memory for sweeps of up to so many bytes now.
+    ///
+    /// # Errors
+    /// [`JoinError::Memory`], where there is not enough.
+    pub fn reserve(&mut self, bytes: usize) -> Result<(), PublishError> {
+        let Some(Shared { keeper, desk, .. }) = &self.shared else { return Err(PublishError::NotShared) };
+        desk.want(bytes);
+        keeper.reserve(desk)
+    }
+
+    /// How the sharing goes.
+    pub fn status(&self) -> Arc<Status> {
+        Arc::clone(&self.status)
+    }
+
+    fn loan(&self, bytes: usize) -> Result<(Loan, Arc<Pool>), PublishError> {
+        let Some(Shared { keeper, desk, waits }) = &self.shared else { return Err(PublishError::NotShared) };
+        if let Some(loan) = desk.loan(bytes) {
+            return loan;
+        }
+        let is_new = desk.want(bytes);
+        let is_troubled = self.status.is_troubled.load(Ordering::Relaxed);
+        if *waits && (is_new || !is_troubled) {
+            keeper.reserve(desk)?;
+        } else if is_new {
+            keeper.reserve_soon(desk);
+        }
+        // What troubles is known by now, and tried again each second.
+        let without = if is_troubled { PublishError::NotShared } else { PublishError::Preparing };
+        desk.loan(bytes).unwrap_or(Err(without))
+    }
+}
+
+impl Buffers for Loans {
+    type Buffer = Slot;
+
+    fn take(&mut self, bytes: usize) -> Slot {
+        let memory = match self.loan(bytes) {
+            Ok((loan, pool)) => Memory::Shared(loan, pool),
+            Err(why) => {
+                self.status.set_trouble(&why);
+                let desk = self.shared.as_ref().map(|shared| Arc::clone(&shared.desk));
+                Memory::Own(OwnMemory { buffer: self.heap.take(bytes), bytes, why, desk })
+            }
+        };
+        Slot { memory, status: Arc::clone(&self.status) }
+    }
+}
+
+/// Memory for one sweep: on loan, or of this process alone where there is none to be had.
+#[derive(Debug)]
+pub struct Slot {
+    memory: Memory,
+    status: Arc<Status>,
+}
+
+#[derive(Debug)]
+enum Memory {
+    /// With its pool, which stays as long as the sweep is being filled.
+    Shared(Loan, Arc<Pool>),
+    Own(OwnMemory),
+}
+
+/// Memory of this process.
+#[derive(Debug)]
+struct OwnMemory {
+    buffer: HeapBuffer,
+    /// Bytes that were asked for; there may be more.
+    bytes: usize,
+    /// Why it is not shared.
+    why: PublishError,
+    /// Where shared memory may be had when the sweep is complete.
+    desk: Option<Arc<Desk>>,
+}
+
+impl OwnMemory {
+    /// A copy in shared memory, where that is there by now.
+    fn shared(self) -> Result<(Loan, Arc<Pool>), PublishError> {
+        let Some(loan) = self.desk.and_then(|desk| desk.loan(self.bytes)) else { return Err(self.why) };
+        let (mut loan, pool) = loan?;
+        loan.payload_mut().copy_from_slice(&self.buffer.as_ref()[..self.bytes]);
+        Ok((loan, pool))
+    }
+}
+
+impl Slot {
+    /// Hands the sweep to all consumers and wakes those that wait. Gives how many there are.
+    ///
+    /// # Errors
+    /// [`PublishError`]; the sensor goes on, and the next sweep may find its way.
+    pub fn publish(self) -> Result<usize, PublishError> {
+        let shared = match self.memory {
+            Memory::Shared(loan, pool) => Ok((loan, pool)),
+            Memory::Own(own) => own.shared(),
+        };
+        match shared.and_then(send) {
+            Ok(consumers) => {
+                self.status.consumers.store(consumers, Ordering::Relaxed);
+                self.status.set_well();
+                Ok(consumers)
+            }
+            Err(error) => {
+                self.status.unshared.fetch_add(1, Ordering::Relaxed);
+                self.status.set_trouble(&error);
+                Err(error)
+            }
+        }
+    }
+
+    /// Whether the pool for it is still being made: it finds its way to the consumers when it is published a little later.
+    pub fn is_early(&self) -> bool {
+        let Memory::Own(OwnMemory { desk: Some(desk), why: PublishError::Preparing, .. }) = &self.memory else {
+            return false;
+        };
+        !desk.has_pool() && !self.status.is_troubled.load(Ordering::Relaxed)
+    }
+
+    /// Whether its memory is shared.
+    pub fn is_shared(&self) -> bool {
+        matches!(self.memory, Memory::Shared(..))
+    }
+}
+
+fn send((mut loan, pool): (Loan, Arc<Pool>)) -> Result<usize, PublishError> {
+    *loan.user_header_mut() = Preamble::of(loan.payload().len());
+    let sent = loan.send().map_err(PublishError::service);
+    // A listener whose buffer is full was woken before; one that is gone needs nothing.
+    let _ = pool.notifier.notify();
+    sent
+}
+
+impl AsRef<[u8]> for Slot {
+    fn as_ref(&self) -> &[u8] {
+        match &self.memory {
+            Memory::Shared(loan, _) => loan.payload(),
+            Memory::Own(own) => own.buffer.as_ref(),
+        }
+    }
+}
+
+impl AsMut<[u8]> for Slot {
+    fn as_mut(&mut self) -> &mut [u8] {
+        match &mut self.memory {
+            Memory::Shared(loan, _) => loan.payload_mut(),
+            Memory::Own(own) => own.buffer.as_mut(),
+        }
+    }
+}

@@ -1,0 +1,312 @@
+//! The service of a sensor, as its one publisher has it open.
+
+use std::fs::{File, TryLockError};
+use std::io;
+use std::os::unix::fs::OpenOptionsExt;
+use std::path::PathBuf;
+use std::sync::Arc;
+use std::time::{Duration, Instant};
+
+use iceoryx2::port::notifier::Notifier;
+use iceoryx2::prelude::*;
+use iceoryx2::service::attribute::{AttributeKey, AttributeValue};
+use iceoryx2::service::port_factory::event;
+use iceoryx2::service::port_factory::publish_subscribe;
+
+use super::files::{Fate, ServiceFile, SharedFile};
+use super::leftovers::{self, ABANDONED_AFTER};
+use super::loans::{PublishError, Settings};
+use super::pool::Pool;
+use super::{
+    BORROWED, BUFFERED, Domain, DomainError, HISTORY, Ipc, JoinError, MORE_NODES, OVERHEAD_BYTES, PUBLISHERS, Preamble,
+};
+use super::{attribute, attributes, node, service_name};
+use sweepd_core::sweep::layout::LAYOUT_VERSION;
+
+/// Attempts at opening a service: what is in the way is removed after each.
+const ATTEMPTS: usize = 3;
+/// How often it is looked whether another process has completed its file.
+const PENDING_PAUSE: Duration = Duration::from_millis(20);
+type Samples = publish_subscribe::PortFactory<Ipc, [u8], Preamble>;
+type Event = event::PortFactory<Ipc>;
+const PATTERNS: [MessagingPattern; 2] = [MessagingPattern::PublishSubscribe, MessagingPattern::Event];
+
+/// A service that is open. Dropped in this order: the pools before what they belong to, the claim last.
+#[derive(Debug)]
+pub(super) struct Service {
+    pool: Option<Arc<Pool>>,
+    /// Pools before this one, of which a sweep is still being filled.
+    retired: Vec<Arc<Pool>>,
+    notifier: Arc<Notifier<Ipc>>,
+    samples: Samples,
+    /// By which consumers find it.
+    files: [ServiceFile; 2],
+    /// The lists of who takes part, which consumers open when they come.
+    lists: [SharedFile; 2],
+    /// There as long as others can find the node.
+    node_folder: PathBuf,
+    node: Node<Ipc>,
+    _claim: Claim,
+}
+
+impl Service {
+    /// Opens or makes the service. `pool_bytes` is what its pool will need at least.
+    pub(super) fn open(domain: &Domain, settings: &Settings, pool_bytes: u64) -> Result<Self, PublishError> {
+        domain.prepare()?;
+        let name = service_name(&settings.name).ok_or_else(|| PublishError::Name { name: settings.name.clone() })?;
+        let claim = Claim::take(domain, &name, settings)?;
+        leftovers::remove_remains(domain);
+        let node = node_when_possible(domain, pool_bytes.saturating_add(OVERHEAD_BYTES))?;
+        // What died before holds places in the service.
+        node.try_cleanup_dead_nodes();
+        let Opened { samples, event, files, lists } = open_whole(&node, &name, domain, settings)?;
+        let notifier = Arc::new(event.notifier_builder().create().map_err(PublishError::service)?);
+        let node_folder = domain.node_folder(node.id());
+        Ok(Self { pool: None, retired: Vec::new(), notifier, samples, files, lists, node_folder, node, _claim: claim })
+    }
+
+    /// Makes room for sweeps of up to so many bytes.
+    pub(super) fn reserve(&mut self, domain: &Domain, bytes: usize) -> Result<Arc<Pool>, PublishError> {
+        self.retired.extend(self.pool.take());
+        self.tidy();
+        let pool = Arc::new(Pool::create(&self.samples, &self.notifier, domain, bytes)?);
+        Ok(Arc::clone(self.pool.insert(pool)))
+    }
+
+    /// Bytes of the largest sweep that it has room for.
+    pub(super) fn sweep_bytes(&self) -> usize {
+        self.pool.as_ref().map_or(0, |pool| pool.sweep_bytes)
+    }
+
+    /// Consumers at the moment.
+    pub(super) fn consumers(&self) -> usize {
+        self.samples.dynamic_config().number_of_subscribers()
+    }
+
+    /// Bytes of shared memory that it takes.
+    pub(super) fn reserved_bytes(&self) -> u64 {
+        self.pool.iter().chain(&self.retired).map(|pool| pool.reserved_bytes).sum()
+    }
+
+    /// What consumers that come now would not find, if anything. A file of the service that a consumer of the one before took
+    /// with it is put back.
+    pub(super) fn missing(&self) -> Option<PathBuf> {
+        for file in &self.files {
+            let is_there = match file.fate() {
+                Fate::Same => true,
+                Fate::Gone => file.restore().is_ok(),
+                Fate::Other => false,
+            };
+            if !is_there {
+                return Some(file.path().to_owned());
+            }
+        }
+        if !self.node_folder.is_dir() {
+            return Some(self.node_folder.clone());
+        }
+        let pool = self.pool.as_ref().map(|pool| &pool.file);
+        let gone = self.lists.iter().chain(pool).find(|file| !file.is_there())?;
+        Some(gone.path().to_owned())
+    }
+
+    /// Removes the files by which it is found, so that it is made anew and not opened with what is left of it.
+    pub(super) fn hide(&self) {
+        if self.lists.iter().any(|list| !list.is_there()) {
+            for file in &self.files {
+                let _ = std::fs::remove_file(file.path());
+            }
+        }
+    }
+
+    /// Brings consumers that came since into touch with the pool, and gives back pools that are filled no more.
+    pub(super) fn tidy(&mut self) {
+        if let Some(pool) = &self.pool {
+            pool.greet();
+        }
+        self.retired.retain(|pool| Arc::strong_count(pool) > 1);
+    }
+
+    /// Cleans up after processes that died.
+    pub(super) fn clean_up(&self) {
+        self.node.try_cleanup_dead_nodes();
+    }
+}
+
+/// A node, once no other process is in the middle of making a file: that takes microseconds, and a second when it died then.
+fn node_when_possible(domain: &Domain, wanted: u64) -> Result<Node<Ipc>, PublishError> {
+    let begun = Instant::now();
+    loop {
+        match node(domain, wanted) {
+            Err(JoinError::Pending) if begun.elapsed() < 2 * ABANDONED_AFTER => std::thread::sleep(PENDING_PAUSE),
+            node => return Ok(node?),
+        }
+    }
+}
+
+/// The right to publish under a name: a file that is locked (flock(2)) as long as the program lives. What iceoryx2 knows of
+/// publishers does not tell: a tunnel to another host is one too, and stays when the daemon is restarted.
+#[derive(Debug)]
+struct Claim {
+    _file: File,
+}
+
+impl Claim {
+    fn take(domain: &Domain, name: &ServiceName, settings: &Settings) -> Result<Self, PublishError> {
+        let unusable =
+            |source: io::Error| PublishError::from(DomainError::Unusable { root: domain.root().to_owned(), source });
+        let mut options = File::options();
+        let path = domain.claim_file(name);
+        let file = options.create(true).truncate(false).write(true).mode(0o600).open(path).map_err(unusable)?;
+        match file.try_lock() {
+            Ok(()) => Ok(Self { _file: file }),
+            Err(TryLockError::WouldBlock) => Err(PublishError::Taken { name: settings.name.clone() }),
+            Err(TryLockError::Error(error)) => Err(unusable(error)),
+        }
+    }
+}
+
+/// Both halves of a service, and their files.
+struct Opened {
+    samples: Samples,
+    event: Event,
+    files: [ServiceFile; 2],
+    lists: [SharedFile; 2],
+}
+
+/// Opens the service that consumers of the daemon before still hold, or makes it.
+///
+/// Files that do not fit are removed, and the service is made anew: those that a crash left in part, those of another layout
+/// version, those with room for fewer consumers than are allowed now. They belong to this publisher alone, which has the claim.
+/// Consumers see that the file is another, and follow. One that leaves the service before may remove a new file by its
+/// name, so there are several attempts.
+fn open_whole(
+    node: &Node<Ipc>,
+    name: &ServiceName,
+    domain: &Domain,
+    settings: &Settings,
+) -> Result<Opened, PublishError> {
+    for pattern in PATTERNS {
+        let path = domain.service_file(name, pattern);
+        let is_half_written = std::fs::symlink_metadata(&path).is_ok_and(|it| leftovers::is_half_written(&it));
+        // iceoryx2 would wait a second for its maker, who is dead: this publisher has the claim.
+        if is_half_written || lacks_list(name, domain, pattern) {
+            let _ = std::fs::remove_file(path);
+        }
+    }
+    let mut attempt = 1;
+    loop {
+        match open_both(node, name, domain, settings) {
+            Err(_) if attempt < ATTEMPTS => attempt += 1,
+            done => return done,
+        }
+        for pattern in PATTERNS {
+            let _ = std::fs::remove_file(domain.service_file(name, pattern));
+        }
+    }
+}
+
+/// Whether the list of who takes part in a service is gone, or was never made.
+fn lacks_list(name: &ServiceName, domain: &Domain, pattern: MessagingPattern) -> bool {
+    let details = <Ipc as iceoryx2::service::Service>::details(name, &domain.config(), pattern);
+    let Ok(Some(details)) = details else { return false };
+    find_list(domain, details.static_details.unique_service_id().value()).is_none()
+}
+
+fn find_list(domain: &Domain, service: u128) -> Option<SharedFile> {
+    SharedFile::find(domain, &format!("_{service}.dynamic"))
+}
+
+fn open_both(
+    node: &Node<Ipc>,
+    name: &ServiceName,
+    domain: &Domain,
+    settings: &Settings,
+) -> Result<Opened, PublishError> {
+    let samples = open_samples(node, name, settings)?;
+    let event = open_event(node, name, settings)?;
+    let files = PATTERNS.map(|pattern| ServiceFile::read(&domain.service_file(name, pattern)));
+    let ids = [samples.unique_service_id(), event.unique_service_id()];
+    let lists = ids.map(|id| find_list(domain, id.value()));
+    let ([Some(one), Some(other)], [Some(list), Some(other_list)]) = (files, lists) else {
+        return Err(PublishError::refused("the files of the service vanished at once"));
+    };
+    Ok(Opened { samples, event, files: [one, other], lists: [list, other_list] })
+}
+
+fn open_samples(node: &Node<Ipc>, name: &ServiceName, settings: &Settings) -> Result<Samples, PublishError> {
+    let builder = || node.service_builder(name).publish_subscribe::<[u8]>().user_header::<Preamble>();
+    let (mut described, mut verified) = (AttributeSpecifier::new(), AttributeVerifier::new());
+    for (key, value) in described_by(settings) {
+        described = described.define(&key, &value).map_err(PublishError::service)?;
+        verified = verified.require(&key, &value).map_err(PublishError::service)?;
+    }
+    let opened = builder().open_with_attributes(&verified);
+    if let Ok(service) = opened {
+        if service.static_config().max_subscribers() == settings.max_consumers {
+            return Ok(service);
+        }
+        return Err(PublishError::refused("it was made for another number of consumers"));
+    }
+    builder()
+        .max_publishers(PUBLISHERS)
+        .max_subscribers(settings.max_consumers)
+        .max_nodes(settings.max_consumers + MORE_NODES)
+        .subscriber_max_buffer_size(BUFFERED)
+        .subscriber_max_borrowed_samples(BORROWED)
+        .history_size(HISTORY)
+        .enable_safe_overflow(true)
+        .create_with_attributes(&described)
+        .map_err(PublishError::service)
+}
+
+/// The attributes; what is not known is left out.
+fn described_by(settings: &Settings) -> impl Iterator<Item = (AttributeKey, AttributeValue)> {
+    let schema = LAYOUT_VERSION.to_string();
+    let pairs =
+        [(attributes::SCHEMA, &schema), (attributes::MODEL, &settings.model), (attributes::ADDRESS, &settings.address)];
+    let described = pairs.map(|(key, value)| if value.is_empty() { None } else { attribute(key, value) });
+    described.into_iter().flatten()
+}
+
+fn open_event(node: &Node<Ipc>, name: &ServiceName, settings: &Settings) -> Result<Event, PublishError> {
+    let builder = node.service_builder(name).event();
+    let builder = builder.max_notifiers(PUBLISHERS).max_listeners(settings.max_consumers + MORE_NODES);
+    builder.max_nodes(settings.max_consumers + MORE_NODES).open_or_create().map_err(PublishError::service)
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use crate::client::{Client, ClientError, SubscribeError};
+
+    /// A daemon of a version to come, and one of this, while a consumer of the first lives.
+    #[test]
+    fn what_another_version_left_is_made_anew_and_its_consumers_are_told() {
+        let root = std::env::temp_dir().join(format!("sweepd-version-{}", std::process::id()));
+        let domain = Domain::at(&root);
+        domain.prepare().unwrap();
+        let node = node(&domain, 0).unwrap();
+        let name = service_name("roof").unwrap();
+        let (key, value) = attribute(attributes::SCHEMA, "1000000").unwrap();
+        let described = AttributeSpecifier::new().define(&key, &value).unwrap();
+        let samples = node.service_builder(&name).publish_subscribe::<[u8]>().user_header::<Preamble>();
+        let older = samples.create_with_attributes(&described).unwrap();
+        let mut client = Client::within(&domain, "roof").unwrap();
+        let error = client.next(Duration::ZERO).unwrap_err();
+        assert!(matches!(error, ClientError::Subscribe(SubscribeError::OtherVersion { .. })), "{error}");
+
+        let settings = Settings { name: "roof".to_owned(), max_consumers: 2, ..Settings::default() };
+        let service = Service::open(&domain, &settings, 0).unwrap();
+        assert!(client.next(Duration::ZERO).unwrap().is_none() && client.is_connected());
+        // Whoever held the other takes the file along, which is put back.
+        drop(older);
+        assert!(service.missing().is_none() && service.missing().is_none());
+        drop((client, service, node));
+        for left in std::fs::read_dir(super::super::SHARED_MEMORY).unwrap().flatten() {
+            if left.file_name().to_string_lossy().starts_with(&domain.prefix()) {
+                let _ = std::fs::remove_file(left.path());
+            }
+        }
+        std::fs::remove_dir_all(root).unwrap();
+    }
+}

@@ -1,0 +1,390 @@
+//! A consumer's side: finds the service of a sensor, waits for sweeps, and finds it again after the daemon was restarted or its
+//! files were deleted.
+
+use std::fmt::Display;
+use std::path::PathBuf;
+use std::sync::Arc;
+use std::time::{Duration, Instant};
+
+use iceoryx2::port::ReceiveError;
+use iceoryx2::port::listener::{Listener, ListenerWaitError};
+use iceoryx2::port::subscriber::{Subscriber as Port, SubscriberCreateError};
+use iceoryx2::prelude::*;
+use iceoryx2::sample::Sample;
+use iceoryx2::service::attribute::AttributeKey;
+use iceoryx2::service::builder::publish_subscribe::PublishSubscribeOpenError;
+use iceoryx2::service::port_factory::PortFactory as _;
+use iceoryx2::service::port_factory::publish_subscribe::PortFactory;
+use iceoryx2::service::static_config::messaging_pattern::MessagingPattern as Details;
+
+use super::files::{Fate, ServiceFile};
+use super::{BORROWED, Domain, DomainError, Ipc, JoinError, OVERHEAD_BYTES, Preamble, attributes, leftovers, node};
+use super::{same_schema, sensor_name, service_name};
+use sweepd_core::sweep::layout::{LAYOUT_VERSION, LayoutError};
+
+/// The longest that is slept at once: then it is looked whether everything is still there.
+const LOOK_EVERY: Duration = Duration::from_millis(200);
+/// The shortest: iceoryx2 tells the socket whole microseconds, and none of them would be to sleep for ever.
+const LEAST: Duration = Duration::from_micros(100);
+/// How often it is looked for a service that is not there.
+const SEEK_EVERY: Duration = Duration::from_millis(50);
+/// How long places that consumers hold which died are waited for: the publisher cleans up after them each second.
+const FULL_FOR: Duration = Duration::from_secs(2);
+
+/// Why no sweeps can be had.
+#[derive(Debug, thiserror::Error)]
+pub enum SubscribeError {
+    /// The folder, whose it is, or shared memory itself.
+    #[error(transparent)]
+    Join(#[from] JoinError),
+    /// No name of a service.
+    #[error("`{name}` cannot be the name of a sensor: it is empty or too long")]
+    Name {
+        /// The name.
+        name: String,
+    },
+    /// Another version of sweepd publishes it.
+    #[error(
+        "the sweeps of `{name}` have layout version {found}, and this program reads version {LAYOUT_VERSION}: build it with the \
+         version of sweepd that runs on this host, or run the version that it was built with"
+    )]
+    OtherVersion {
+        /// The name.
+        name: String,
+        /// Version of the layout that the service names.
+        found: String,
+    },
+    /// A program that is not sweepd has a service of this name.
+    #[error(
+        "`{name}` is published by a program that is not sweepd ({found}): stop that one, or give sweepd and its consumers a \
+         folder of their own (--root, or the variable SWEEPD_ROOT)"
+    )]
+    Foreign {
+        /// The name.
+        name: String,
+        /// What it sends.
+        found: String,
+    },
+    /// Another version of iceoryx2 is underneath.
+    #[error(
+        "`{name}` is published through another version of iceoryx2 than this program's: build it with the version of sweepd \
+         that runs on this host"
+    )]
+    OtherIceoryx {
+        /// The name.
+        name: String,
+    },
+    /// There are as many consumers as the pool was made for.
+    #[error("`{name}` has as many consumers as it has room for; raise max_consumers of the sensor, or stop one")]
+    Full {
+        /// The name.
+        name: String,
+    },
+    /// The program holds too many sweeps.
+    #[error("this program holds {BORROWED} sweeps already, and no consumer may hold more; drop one first")]
+    TooManyHeld,
+}
+
+impl SubscribeError {
+    fn service(error: impl std::fmt::Debug) -> Self {
+        JoinError::Service { what: format!("{error:?}") }.into()
+    }
+}
+
+impl From<DomainError> for SubscribeError {
+    fn from(error: DomainError) -> Self {
+        JoinError::from(error).into()
+    }
+}
+
+/// The sweeps of one sensor as bytes, one after the other.
+#[derive(Debug)]
+pub struct Subscriber {
+    domain: Domain,
+    name: String,
+    service: ServiceName,
+    open: Option<Open>,
+    looked: Instant,
+    /// Since when the service has had no place for this consumer.
+    full_since: Option<Instant>,
+    reopened: u64,
+}
+
+/// A service that was found. Dropped in this order.
+#[derive(Debug)]
+struct Open {
+    samples: Arc<Port<Ipc, [u8], Preamble>>,
+    listener: Listener<Ipc>,
+    service: PortFactory<Ipc, [u8], Preamble>,
+    file: ServiceFile,
+    /// By which the daemon finds this consumer.
+    own_files: [PathBuf; 2],
+    _node: Node<Ipc>,
+}
+
+/// The bytes of a sweep, in the memory that the daemon wrote them to. They stay as they are while this is held; what is held
+/// too long is no longer new, and no more than [`BORROWED`] can be held.
+#[derive(Debug)]
+pub struct Received {
+    /// As it was when the sample came.
+    preamble: Preamble,
+    sample: Sample<Ipc, [u8], Preamble>,
+    /// What a subscriber holds is given back with it, even what its samples still look at.
+    _holder: Arc<Port<Ipc, [u8], Preamble>>,
+}
+
+impl Received {
+    /// Where the bytes stand and what they are.
+    pub fn preamble(&self) -> &Preamble {
+        &self.preamble
+    }
+
+    /// Whether the bytes are those of a sweep of this version's layout, as far as the preamble says.
+    ///
+    /// # Errors
+    /// [`LayoutError`].
+    pub fn check(&self) -> Result<(), LayoutError> {
+        let (found, promised) = (self.preamble.layout_version, self.preamble.sweep_bytes);
+        if found != LAYOUT_VERSION {
+            return Err(LayoutError::Version { found });
+        }
+        let bytes = self.sample.payload().len();
+        if promised > bytes as u64 {
+            return Err(LayoutError::Torn { promised, bytes });
+        }
+        Ok(())
+    }
+}
+
+impl AsRef<[u8]> for Received {
+    fn as_ref(&self) -> &[u8] {
+        let bytes = self.sample.payload();
+        let len = usize::try_from(self.preamble.sweep_bytes).unwrap_or(usize::MAX);
+        &bytes[..len.min(bytes.len())]
+    }
+}
+
+impl Subscriber {
+    /// A subscriber of the sensor of this name; whether there is one shows at the first wait.
+    ///
+    /// # Errors
+    /// [`SubscribeError::Name`].
+    pub fn new(domain: &Domain, name: &str) -> Result<Self, SubscribeError> {
+        let service = service_name(name).ok_or_else(|| SubscribeError::Name { name: name.to_owned() })?;
+        let (domain, name) = (domain.clone(), name.to_owned());
+        Ok(Self { domain, name, service, open: None, looked: Instant::now(), full_since: None, reopened: 0 })
+    }
+
+    /// The next sweep; waits for it, and for the daemon if there is none, but at most `timeout`: less when the program handles
+    /// a signal meanwhile. It comes as soon as it is published.
+    ///
+    /// # Errors
+    /// [`SubscribeError`]: what waiting longer does not mend.
+    pub fn wait(&mut self, timeout: Duration) -> Result<Option<Received>, SubscribeError> {
+        let deadline = Instant::now().checked_add(timeout);
+        loop {
+            if self.open.is_none() {
+                self.open = self.find_unless_full()?;
+            }
+            let rest = deadline.map_or(LOOK_EVERY, |deadline| deadline.saturating_duration_since(Instant::now()));
+            let Some(open) = &self.open else {
+                if rest.is_zero() {
+                    return Ok(None);
+                }
+                std::thread::sleep(rest.min(SEEK_EVERY));
+                continue;
+            };
+            if let Some(received) = open.receive()? {
+                return Ok(Some(received));
+            }
+            if self.looked.elapsed() >= LOOK_EVERY {
+                self.looked = Instant::now();
+                if !open.is_current() {
+                    self.open = None;
+                    self.reopened += 1;
+                    continue;
+                }
+                // By such a file another process may be held up, and with it the daemon.
+                leftovers::remove_unfinished(&self.domain);
+            }
+            if rest.is_zero() {
+                return Ok(None);
+            }
+            match open.listener.timed_wait(|_| {}, rest.clamp(LEAST, LOOK_EVERY)) {
+                // What it means is the program's to say, which handles it.
+                Err(ListenerWaitError::InterruptSignal) => return Ok(None),
+                woken => woken.map_err(SubscribeError::service)?,
+            };
+        }
+    }
+
+    /// A sweep that is there already.
+    ///
+    /// # Errors
+    /// As [`Subscriber::wait`].
+    pub fn take(&mut self) -> Result<Option<Received>, SubscribeError> {
+        self.wait(Duration::ZERO)
+    }
+
+    /// Whether the service was found; the daemon may be gone for all that.
+    pub fn is_connected(&self) -> bool {
+        self.open.is_some()
+    }
+
+    /// Whether someone publishes at the moment.
+    pub fn is_published(&self) -> bool {
+        self.open.as_ref().is_some_and(|open| open.service.dynamic_config().number_of_publishers() > 0)
+    }
+
+    /// How often the service was lost and looked for anew.
+    pub fn reopened(&self) -> u64 {
+        self.reopened
+    }
+
+    /// Name of the sensor.
+    pub fn name(&self) -> &str {
+        &self.name
+    }
+
+    /// The folder it looks in.
+    pub fn domain(&self) -> &Domain {
+        &self.domain
+    }
+
+    /// The attribute of this name of the service, once it was found; see [`super::attributes`].
+    pub fn attribute(&self, key: &str) -> Option<String> {
+        let service = &self.open.as_ref()?.service;
+        let key = AttributeKey::try_from(key).ok()?;
+        service.attributes().key_value(&key, 0).map(ToString::to_string)
+    }
+
+    /// Names of the sensors that are published in a domain, or were until a crash.
+    ///
+    /// # Errors
+    /// [`SubscribeError::Join`], and what the system says.
+    pub fn names(domain: &Domain) -> Result<Vec<String>, SubscribeError> {
+        if !domain.exists()? {
+            return Ok(Vec::new());
+        }
+        set_log_level(LogLevel::Fatal);
+        // Services are opened for this, and one that is unfinished would hold it up.
+        if leftovers::remove_unfinished(domain) {
+            return Ok(Vec::new());
+        }
+        let mut names = Vec::new();
+        let note = |details: ServiceDetails<Ipc>| {
+            names.extend(sensor_name(details.static_details.name().as_str()).map(str::to_owned));
+            CallbackProgression::Continue
+        };
+        <Ipc as iceoryx2::service::Service>::list(&domain.config(), note).map_err(SubscribeError::service)?;
+        // The event has the same name.
+        names.sort();
+        names.dedup();
+        Ok(names)
+    }
+
+    /// Looks for the service. That it is full is an error only when it stays so: consumers that died hold their places for at
+    /// most a second.
+    fn find_unless_full(&mut self) -> Result<Option<Open>, SubscribeError> {
+        match self.find() {
+            Err(SubscribeError::Full { .. })
+                if self.full_since.get_or_insert_with(Instant::now).elapsed() < FULL_FOR =>
+            {
+                Ok(None)
+            }
+            found => {
+                self.full_since = None;
+                found
+            }
+        }
+    }
+
+    /// Looks for the service: `None` when it is not there, or not yet whole.
+    fn find(&self) -> Result<Option<Open>, SubscribeError> {
+        let is_there = self.domain.exists()?;
+        let path = self.domain.service_file(&self.service, MessagingPattern::PublishSubscribe);
+        let Some(file) = ServiceFile::read(&path).filter(|_| is_there) else {
+            // By such a file a daemon could not start: waiting does not mend it.
+            self.domain.check_occupied()?;
+            return Ok(None);
+        };
+        let node = match node(&self.domain, OVERHEAD_BYTES) {
+            Err(JoinError::Pending) => return Ok(None),
+            node => node?,
+        };
+        let samples = node.service_builder(&self.service).publish_subscribe::<[u8]>().user_header::<Preamble>();
+        let service = match samples.open_with_attributes(&same_schema()) {
+            Ok(service) => service,
+            Err(error) => return self.explain(error).map_or(Ok(None), Err),
+        };
+        let Ok(event) = node.service_builder(&self.service).event().open() else { return Ok(None) };
+        let listener = event.listener_builder().create().map_err(SubscribeError::service)?;
+        let samples = service.subscriber_builder().create().map_err(|error| match error {
+            SubscriberCreateError::ExceedsMaxSupportedSubscribers => SubscribeError::Full { name: self.name.clone() },
+            other => SubscribeError::service(other),
+        })?;
+        let own_files = [self.domain.node_folder(node.id()), self.domain.event_socket(listener.id().value())];
+        Ok(Some(Open { samples: Arc::new(samples), listener, service, file, own_files, _node: node }))
+    }
+
+    /// What waiting does not mend.
+    fn explain(&self, error: PublishSubscribeOpenError) -> Option<SubscribeError> {
+        use PublishSubscribeOpenError as E;
+        let name = self.name.clone();
+        match error {
+            E::DoesNotExist | E::IsMarkedForDestruction | E::HangsInCreation | E::ServiceInCorruptedState => None,
+            E::IncompatibleAttributes | E::IncompatibleTypes | E::IncompatibleMessagingPattern => self.describe(),
+            E::VersionMismatch => Some(SubscribeError::OtherIceoryx { name }),
+            E::ExceedsMaxNumberOfNodes => Some(SubscribeError::Full { name }),
+            other => Some(SubscribeError::service(other)),
+        }
+    }
+
+    /// What this program does not read: the service as it describes itself. `None` when it is gone by now.
+    fn describe(&self) -> Option<SubscribeError> {
+        let pattern = MessagingPattern::PublishSubscribe;
+        let details = <Ipc as iceoryx2::service::Service>::details(&self.service, &self.domain.config(), pattern);
+        let found = details.ok()??.static_details;
+        let name = self.name.clone();
+        let schema = AttributeKey::try_from(attributes::SCHEMA).ok()?;
+        let version = found.attributes().key_value(&schema, 0).map(shown);
+        // A service that names this version and is still another is nobody's that is known here.
+        if let Some(found) = version.filter(|version| *version != LAYOUT_VERSION.to_string()) {
+            return Some(SubscribeError::OtherVersion { name, found });
+        }
+        let found = match found.messaging_pattern() {
+            Details::PublishSubscribe(details) => {
+                let types = details.message_type_details();
+                let [payload, header] = [&types.payload, &types.user_header].map(|one| shown(one.type_name()));
+                format!("it sends {payload} with the header {header}")
+            }
+            _ => "it sends nothing".to_owned(),
+        };
+        Some(SubscribeError::Foreign { name, found })
+    }
+}
+
+/// What a program that may not be sweepd says of itself, for a message: terminals obey what is no text.
+fn shown(told: impl Display) -> String {
+    told.to_string().escape_debug().to_string()
+}
+
+impl Open {
+    fn receive(&self) -> Result<Option<Received>, SubscribeError> {
+        match self.samples.receive() {
+            Ok(sample) => Ok(sample.map(|sample| Received {
+                preamble: *sample.user_header(),
+                sample,
+                _holder: Arc::clone(&self.samples),
+            })),
+            Err(ReceiveError::ExceedsMaxBorrows) => Err(SubscribeError::TooManyHeld),
+            // The pool of a daemon that is going away: the next look tells.
+            Err(ReceiveError::ConnectionFailure(_)) => Ok(None),
+        }
+    }
+
+    /// Whether the service that was opened is the one that others find, and this consumer is found as well.
+    fn is_current(&self) -> bool {
+        self.file.fate() == Fate::Same && self.own_files.iter().all(|file| file.exists())
+    }
+}

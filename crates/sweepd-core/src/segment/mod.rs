@@ -1,0 +1,374 @@
+//! A sweep to labels: ground, and the segments that stand on it.
+//!
+//! The idea is Bogoslavskyi and Stachniss, "Fast Range Image-Based Segmentation of Sparse 3D Laser Scans for Online
+//! Operation" (IROS 2016): take the ground away, then join what is near in the range image by one angle test. There are two
+//! methods, and a [`Segmenter`] does either in the same four steps:
+//!
+//! ```text
+//! begin         what the sweep says of its beams, and how high the sensor is      mask, mount
+//! find_ground   the ground of the next strip of columns                           points, ground
+//! join          what is no ground there: stretches of neighbours, then of others  pieces, reach, fan, window, crowd
+//! label         components, small ones to others, labels and segments table       strips, tiles
+//! ```
+//!
+//! * [`Method::Slope`], the default, is the files at the right: [`ground`] by slope from the sensor's foot up, then a
+//!   [`window`] over holes and breaks. It takes columns in strips, so it can begin while the head still turns:
+//!   [`Segmenter::begin_early`]. `strips` holds its steps together.
+//! * [`Method::Paper`] is the paper's own, in the folder [`paper`]: all of an image at once, and only pixels that touch.
+//!
+//! [`settings`] has the options as people write them. [`naive`] says the same as both methods without any of the speed, and
+//! the tests hold the two against each other.
+
+mod crowd;
+mod directions;
+mod extent;
+mod fan;
+pub mod ground;
+pub mod mask;
+pub mod mount;
+pub mod naive;
+pub mod paper;
+mod pieces;
+pub mod points;
+mod reach;
+pub mod settings;
+mod strips;
+mod tiles;
+mod turn;
+pub mod window;
+mod work;
+
+use std::f32::consts::FRAC_PI_2;
+
+pub use ground::SlopeGround;
+pub use mask::{Mask, MaskError};
+pub use mount::{HeightEstimator, Mount};
+pub use paper::angles::Angles;
+pub use paper::components::{Components, Limits, Parts};
+pub use paper::connect::{Connector, Joins, MAX_ROWS};
+pub use paper::ground::{PaperFinder, PaperGround, Window};
+pub use settings::Settings;
+pub use tiles::turn_over;
+pub use window::Joining;
+
+use crate::sweep::SweepMut;
+use crate::sweep::layout::{flags, is_return};
+use fearless_simd::Level;
+use paper::Authors;
+use strips::Strips;
+use window::{MOST_COLUMNS, MOST_ROWS};
+
+/// The two returns of a dual pixel share a label when they are no further apart than this, metres.
+pub const SAME_OBJECT_M: f32 = 0.3;
+
+/// Images of so many rows or more are dense: some limits that were not told are chosen by that.
+const DENSE_ROWS: usize = 48;
+
+/// How ground is found.
+#[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
+pub enum Method {
+    /// By slope, from the sensor's foot on: needs the sensor's height, configured or estimated. Until a sweep has shown
+    /// the height, no ground is labelled.
+    #[default]
+    Slope,
+    /// As the paper's authors do, by changes of inclination.
+    Paper,
+}
+
+/// What a [`Segmenter`] is told once.
+#[derive(Clone, Debug, PartialEq)]
+pub struct Config {
+    /// How ground is found.
+    pub method: Method,
+    /// Two neighbours belong together when the line through them meets the longer beam at more than this angle, radians.
+    pub theta_rad: f32,
+    /// Ground by [`Method::Slope`].
+    pub slope: SlopeGround,
+    /// What is joined, beside the angle, after [`Method::Slope`].
+    pub joining: Joining,
+    /// Ground by [`Method::Paper`].
+    pub paper: PaperGround,
+    /// Returns that a segment has at least; smaller ones are not labelled.
+    pub min_points: u32,
+    /// How the sensor sits on the robot.
+    pub mount: Mount,
+    /// Returns nearer than this are not labelled, metres.
+    pub min_range_m: f32,
+    /// Returns further than this are not labelled, metres.
+    pub max_range_m: f32,
+    /// Pixels that show the robot itself and are not labelled; for the sensor's number of rows.
+    pub mask: Option<Mask>,
+}
+
+impl Default for Config {
+    fn default() -> Self {
+        Self {
+            method: Method::Slope,
+            theta_rad: Settings::DEFAULT.theta_deg.to_radians() as f32,
+            slope: SlopeGround::default(),
+            joining: Joining::default(),
+            paper: PaperGround::default(),
+            min_points: Settings::DEFAULT.min_points,
+            mount: Mount::default(),
+            min_range_m: 0.0,
+            max_range_m: f32::INFINITY,
+            mask: None,
+        }
+    }
+}
+
+/// A [`Config`] that no sweep can be segmented with.
+#[derive(Clone, Copy, Debug, PartialEq, thiserror::Error)]
+pub enum ConfigError {
+    /// The angle of the beta test.
+    #[error("theta is {found_deg} degrees, expected more than 0 and less than 90")]
+    Theta {
+        /// Degrees.
+        found_deg: f32,
+    },
+    /// The range limits.
+    #[error("the range is limited to {min_m}..{max_m} m, expected 0 or more, and the second greater than the first")]
+    Range {
+        /// Metres.
+        min_m: f32,
+        /// Metres.
+        max_m: f32,
+    },
+    /// The window.
+    #[error("the window is {columns} columns and {rows} rows, expected 1 to {MOST_COLUMNS} and 1 to {MOST_ROWS}")]
+    Window {
+        /// Columns to either side.
+        columns: usize,
+        /// Rows up and down.
+        rows: usize,
+    },
+    /// The gap.
+    #[error("segments have gaps of {found_m} m, expected more than 0")]
+    Gap {
+        /// Metres.
+        found_m: f32,
+    },
+    /// How near another component has to be that a small one becomes part of.
+    #[error("small parts reach {found_m} m beyond the gap, expected 0 or more")]
+    SmallReach {
+        /// Metres.
+        found_m: f32,
+    },
+    /// The mounting height.
+    #[error("the sensor is mounted {found_m} m above the ground, expected more than 0")]
+    Height {
+        /// Metres.
+        found_m: f32,
+    },
+}
+
+impl Config {
+    /// Whether the numbers can be meant.
+    ///
+    /// # Errors
+    /// [`ConfigError`] of the first that cannot.
+    pub fn check(&self) -> Result<(), ConfigError> {
+        let (min_m, max_m) = (self.min_range_m, self.max_range_m);
+        if !(self.theta_rad > 0.0 && self.theta_rad < FRAC_PI_2) {
+            return Err(ConfigError::Theta { found_deg: self.theta_rad.to_degrees() });
+        }
+        if !(min_m >= 0.0 && min_m < max_m) {
+            return Err(ConfigError::Range { min_m, max_m });
+        }
+        let Joining { columns, rows, gap_m, small_reach_m: found_m, .. } = self.joining;
+        if !((1..=MOST_COLUMNS).contains(&columns) && (1..=MOST_ROWS).contains(&rows)) {
+            return Err(ConfigError::Window { columns, rows });
+        }
+        if let Some(found_m) = gap_m.filter(|gap_m| gap_m.is_nan() || *gap_m <= 0.0) {
+            return Err(ConfigError::Gap { found_m });
+        }
+        if found_m.is_nan() || found_m < 0.0 {
+            return Err(ConfigError::SmallReach { found_m });
+        }
+        match self.mount.height_m {
+            Some(found_m) if !(found_m > 0.0 && found_m.is_finite()) => Err(ConfigError::Height { found_m }),
+            _ => Ok(()),
+        }
+    }
+
+    /// Whether a range may be labelled.
+    #[inline(always)]
+    fn holds(&self, range_m: f32) -> bool {
+        is_return(range_m) && range_m >= self.min_range_m && range_m <= self.max_range_m
+    }
+}
+
+/// Labels sweeps, one after another; after the first in buffers of one size it allocates nothing.
+#[derive(Clone, Debug)]
+pub struct Segmenter {
+    config: Config,
+    height: HeightEstimator,
+    strips: Strips,
+    authors: Authors,
+    /// The sweep that was begun early, by its number.
+    open: Option<u64>,
+    /// The one that was spoilt.
+    spoilt: Option<u64>,
+}
+
+impl Segmenter {
+    /// A segmenter that has seen nothing yet.
+    ///
+    /// # Errors
+    /// [`ConfigError`].
+    pub fn new(config: Config) -> Result<Self, ConfigError> {
+        Self::with_level(config, Level::new())
+    }
+
+    /// A segmenter that uses no more than these instructions of the machine; the labels are the same on all.
+    ///
+    /// # Errors
+    /// [`ConfigError`].
+    pub fn with_level(config: Config, level: Level) -> Result<Self, ConfigError> {
+        config.check()?;
+        let (height, strips, authors) = (HeightEstimator::default(), Strips::new(level), Authors::new(level));
+        Ok(Self { config, height, strips, authors, open: None, spoilt: None })
+    }
+
+    /// What it was told.
+    pub fn config(&self) -> &Config {
+        &self.config
+    }
+
+    /// Labels a sweep: all steps in their order.
+    ///
+    /// Every pixel of the header's columns gets a label: ground, the segment it belongs to, or none where there is no
+    /// return, where it is masked or out of range, or where its component is too small. The segments table and the
+    /// header's counts, height and tilt are written. Segments that the table has no room for are not labelled; a table
+    /// of `pixels / min_points` rows has room for all.
+    ///
+    /// # Panics
+    /// If the sweep has more than [`MAX_ROWS`] rows.
+    pub fn segment(&mut self, sweep: &mut SweepMut<'_>) {
+        self.begin(sweep);
+        while self.find_ground(sweep) {
+            self.join();
+        }
+        self.label(sweep);
+    }
+
+    /// Takes what a sweep says of its beams and columns, and how high the sensor is. The steps that follow are to be given
+    /// the same sweep.
+    ///
+    /// # Panics
+    /// If the sweep has more than [`MAX_ROWS`] rows.
+    pub fn begin(&mut self, sweep: &mut SweepMut<'_>) {
+        assert!(sweep.header.rows as usize <= MAX_ROWS, "more rows than a word has bits");
+        sweep.header.pitch_rad = self.config.mount.pitch_rad;
+        sweep.header.roll_rad = self.config.mount.roll_rad;
+        let told = self.config.mount.height_m;
+        match self.config.method {
+            Method::Paper => {
+                write_height(sweep, told, false);
+                self.authors.begin(sweep, &self.config);
+            }
+            Method::Slope => {
+                self.spoilt = None;
+                if self.open.take() == Some(sweep.header.sequence) && sweep.header.has(flags::CIRCULAR) {
+                    self.strips.go_on(sweep, None);
+                } else {
+                    self.height.reserve(sweep.columns.len());
+                    if told.is_none() && self.height.height_m().is_none() {
+                        self.height.observe(self.strips.sound(sweep, &self.config));
+                    }
+                    self.strips.begin(sweep, &self.config, told.or(self.height.height_m()), None);
+                }
+                write_height(sweep, self.strips.height_m(), told.is_none());
+            }
+        }
+    }
+
+    /// Takes a sweep that is not complete: a whole turn by its header, of which so many columns are as they will be. True
+    /// where something can be done with it: then [`Segmenter::find_ground`] and [`Segmenter::join`] are to be called until
+    /// there is no more. When it is complete, [`Segmenter::begin`] goes on where this stopped.
+    ///
+    /// A sweep is told by its sequence number: another one has another, or [`Segmenter::spoil`] is called in between.
+    pub fn begin_early(&mut self, sweep: &mut SweepMut<'_>, ready: usize) -> bool {
+        let height_m = self.config.mount.height_m.or(self.height.height_m());
+        let sequence = sweep.header.sequence;
+        if self.config.method == Method::Paper || height_m.is_none() || ready == 0 || self.spoilt == Some(sequence) {
+            return false;
+        }
+        match self.open.replace(sequence) == Some(sequence) {
+            true => self.strips.go_on(sweep, Some(ready)),
+            false => self.strips.begin(sweep, &self.config, height_m, Some(ready)),
+        }
+        true
+    }
+
+    /// What was taken early of a sweep has changed: all of it is taken again, when it is complete and not before, so that
+    /// many changes cost no more than one.
+    pub fn spoil(&mut self) {
+        self.spoilt = self.open.take().or(self.spoilt);
+    }
+
+    /// Forgets how high the sensor is, where nobody told: what comes next is from another one.
+    pub fn forget_height(&mut self) {
+        self.height = HeightEstimator::default();
+    }
+
+    /// Finds the ground in the next strip of columns (in all columns, as the paper has it). False when there is none left.
+    pub fn find_ground(&mut self, sweep: &SweepMut<'_>) -> bool {
+        match self.config.method {
+            Method::Paper => self.authors.find_ground(sweep, &self.config),
+            Method::Slope => self.strips.find_ground(sweep, &self.config),
+        }
+    }
+
+    /// Joins what is no ground there with each other, and with what was before; once after each time that
+    /// [`Segmenter::find_ground`] said that there is some.
+    pub fn join(&mut self) {
+        match self.config.method {
+            Method::Paper => self.authors.join(&self.config),
+            Method::Slope => self.strips.join(),
+        }
+    }
+
+    /// When all strips are joined: writes the labels, the segments table, and the header's counts.
+    pub fn label(&mut self, sweep: &mut SweepMut<'_>) {
+        match self.config.method {
+            Method::Paper => self.authors.label(sweep, &self.config),
+            Method::Slope => {
+                self.strips.label(sweep, &self.config);
+                if self.config.mount.height_m.is_none() {
+                    self.height.observe(self.strips.depths_m());
+                }
+            }
+        }
+        label_other_returns(sweep, &self.config);
+    }
+}
+
+/// Empties a vector and takes room for so many elements.
+fn reserve<T>(vec: &mut Vec<T>, count: usize) {
+    vec.clear();
+    vec.reserve(count);
+}
+
+fn write_height(sweep: &mut SweepMut<'_>, height_m: Option<f32>, estimated: bool) {
+    sweep.header.height_m = height_m.unwrap_or(0.0);
+    sweep.header.flags &= !flags::HEIGHT_ESTIMATED;
+    if estimated && height_m.is_some() {
+        sweep.header.flags |= flags::HEIGHT_ESTIMATED;
+    }
+}
+
+/// The other return of a pixel gets the label of the segmented one where it lies near it on the beam and within the range
+/// limits, else none. Where the pixel is masked, the segmented return has none to give.
+fn label_other_returns(sweep: &mut SweepMut<'_>, config: &Config) {
+    if sweep.range2.is_empty() {
+        return;
+    }
+    let pixels = sweep.image_pixels();
+    let segmented = sweep.range[pixels.clone()].iter().zip(&sweep.label[pixels.clone()]);
+    let other = sweep.range2[pixels.clone()].iter().zip(&mut sweep.label2[pixels]);
+    for ((&range_m, &label), (&range2_m, label2)) in segmented.zip(other) {
+        let same = config.holds(range2_m) && (range2_m - range_m).abs() <= SAME_OBJECT_M;
+        *label2 = if same { label } else { crate::sweep::layout::LABEL_NONE };
+    }
+}

@@ -1,0 +1,368 @@
+//! The models as const tables: what differs between them stands here and nowhere else.
+
+use std::sync::OnceLock;
+
+use super::Calibration;
+use crate::wire::data::{BLOCKS, RECORDS, ReturnMode};
+
+/// A supported sensor model.
+#[derive(Clone, Copy, Debug, PartialEq, Eq, Hash)]
+pub enum Model {
+    /// VLP-16 "Puck": 16 beams, 2 degrees apart.
+    Vlp16,
+    /// Puck LITE: a lighter VLP-16 with the same beams, timing and product byte.
+    PuckLite,
+    /// Puck Hi-Res: 16 beams, 1.33 degrees apart.
+    PuckHiRes,
+    /// HDL-32E: 32 beams, 1.33 degrees apart.
+    Hdl32e,
+    /// HDL-64E S2 and S2.1: two heads of 32 beams, each unit with a calibration of its own.
+    Hdl64eS2,
+    /// HDL-64E S3: the same with two returns if need be, and a status that is checked.
+    Hdl64eS3,
+}
+
+/// What a model is: names, factory byte, firing order and timing.
+#[derive(Debug, PartialEq)]
+pub struct Spec {
+    /// Name in output, as the maker writes it.
+    pub name: &'static str,
+    /// Name as the value of `--model`.
+    pub flag: &'static str,
+    /// Factory byte 1205; `None` where that byte is something else.
+    pub product: Option<u8>,
+    /// Beams, and so records of a firing and rows of the image.
+    pub channels: usize,
+    /// When the lasers fire while one return is reported, and while two are.
+    timing: [Timing; 2],
+    /// What the time stamp of a packet is the time of.
+    pub stamp: Stamp,
+    /// Whether the beams point so far apart in azimuth that the rows of the image are shifted by whole columns.
+    pub shifted: bool,
+    /// Metres of one unit of distance.
+    pub distance_unit_m: f64,
+    /// The beams, where all units have the same.
+    nominal: Option<Nominal>,
+}
+
+/// When the lasers of one firing shoot, and when the next firing begins.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+struct Timing {
+    firing_period_ns: u32,
+    /// Shots come in bursts; the period of these, and when each shot of a burst comes after its first.
+    burst_period_ns: u32,
+    burst_ns: &'static [u32],
+}
+
+/// What the time stamp of a packet is the time of.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub enum Stamp {
+    /// Its first shot.
+    FirstShot,
+    /// Its output: the end of its last firing, so that all shots are before it.
+    Output,
+}
+
+/// The beams that all units of a model have.
+#[derive(Debug, PartialEq)]
+struct Nominal {
+    /// Distance of the beams' common focal point from the axis, metres; where the vertical origin offsets come from.
+    focal_radius_m: f64,
+    /// This project's beam table, ROS YAML.
+    text: &'static str,
+    /// The same, for messages.
+    file: &'static str,
+}
+
+/// VLP-16 User Manual 63-9243, sections 6 and 9.4 (timing), p. 54 (vertical offsets).
+const VLP16: Spec = Spec {
+    name: "VLP-16",
+    flag: "vlp16",
+    product: Some(0x22),
+    channels: 16,
+    timing: [Timing { firing_period_ns: 55_296, burst_period_ns: 2_304, burst_ns: &[0] }; 2],
+    stamp: Stamp::FirstShot,
+    shifted: false,
+    distance_unit_m: 0.002,
+    nominal: Some(Nominal {
+        focal_radius_m: 0.041_91,
+        text: include_str!("../../../../calib/vlp16.yaml"),
+        file: "calib/vlp16.yaml",
+    }),
+};
+
+const PUCK_LITE: Spec = Spec { name: "Puck LITE", flag: "puck-lite", ..VLP16 };
+
+const PUCK_HIRES: Spec = Spec {
+    name: "Puck Hi-Res",
+    flag: "puck-hires",
+    product: Some(0x24),
+    nominal: Some(Nominal {
+        focal_radius_m: 0.041_91,
+        text: include_str!("../../../../calib/puck-hires.yaml"),
+        file: "calib/puck-hires.yaml",
+    }),
+    ..VLP16
+};
+
+/// HDL-32E User's Manual, pp. 12-13 and Appendix E; application note 63-9277 (the stamp is that of the first shot).
+const HDL32E: Spec = Spec {
+    name: "HDL-32E",
+    flag: "hdl32e",
+    product: Some(0x21),
+    channels: 32,
+    timing: [Timing { firing_period_ns: 46_080, burst_period_ns: 1_152, burst_ns: &[0] }; 2],
+    nominal: Some(Nominal {
+        focal_radius_m: 0.028_83,
+        text: include_str!("../../../../calib/hdl32e.yaml"),
+        file: "calib/hdl32e.yaml",
+    }),
+    ..VLP16
+};
+
+/// Laser firing time table of the HDL-64E S2 manual, Rev D, p. 38: bursts of four lasers of each head. The first laser
+/// of a packet fires a packet's period before the stamp, the last one 2.34 us before it.
+const EVERY_48_US: Timing =
+    Timing { firing_period_ns: 48_000, burst_period_ns: 6_000, burst_ns: &[0, 1_260, 2_460, 3_660] };
+
+/// Laser firing time table of the HDL-64E S3 manual, 63-HDL64ES3, p. 48.
+const EVERY_57_6_US: Timing =
+    Timing { firing_period_ns: 57_600, burst_period_ns: 7_200, burst_ns: &[0, 1_300, 2_500, 3_700] };
+
+/// HDL-64E S2 manual, Appendix D; S3 manual pp. 20 and 47. An S2 reports one return only: what reports two is an S3.
+const HDL64E_S2: Spec = Spec {
+    name: "HDL-64E S2",
+    flag: "hdl64e-s2",
+    product: None,
+    channels: 64,
+    timing: [EVERY_48_US, EVERY_57_6_US],
+    stamp: Stamp::Output,
+    shifted: true,
+    nominal: None,
+    ..VLP16
+};
+
+/// With one return, packets of an S3 come 288 us apart in most sources.
+const HDL64E_S3: Spec = Spec { name: "HDL-64E S3", flag: "hdl64e-s3", ..HDL64E_S2 };
+
+/// With one return, packets of an S3 come 345.6 us apart in some sources.
+const HDL64E_S3_SLOW: Spec = Spec { timing: [EVERY_57_6_US; 2], ..HDL64E_S3 };
+
+impl Model {
+    /// All supported models.
+    pub const ALL: [Self; 6] =
+        [Self::Vlp16, Self::PuckLite, Self::PuckHiRes, Self::Hdl32e, Self::Hdl64eS2, Self::Hdl64eS3];
+
+    /// The table of this model.
+    pub const fn spec(self) -> &'static Spec {
+        match self {
+            Self::Vlp16 => &VLP16,
+            Self::PuckLite => &PUCK_LITE,
+            Self::PuckHiRes => &PUCK_HIRES,
+            Self::Hdl32e => &HDL32E,
+            Self::Hdl64eS2 => &HDL64E_S2,
+            Self::Hdl64eS3 => &HDL64E_S3,
+        }
+    }
+
+    /// All tables of this model, [`Model::spec`] first: an HDL-64E S3 has one more, in which a firing takes 57.6 us with
+    /// one return as well. Sources contradict each other; the packet period tells.
+    pub fn specs(self) -> &'static [&'static Spec] {
+        match self {
+            Self::Vlp16 => &[&VLP16],
+            Self::PuckLite => &[&PUCK_LITE],
+            Self::PuckHiRes => &[&PUCK_HIRES],
+            Self::Hdl32e => &[&HDL32E],
+            Self::Hdl64eS2 => &[&HDL64E_S2],
+            Self::Hdl64eS3 => &[&HDL64E_S3, &HDL64E_S3_SLOW],
+        }
+    }
+
+    /// The number that stands for this model in the header of a sweep, from 1; it never changes its meaning.
+    pub const fn code(self) -> u32 {
+        self as u32 + 1
+    }
+
+    /// The model of a code.
+    pub fn from_code(code: u32) -> Option<Self> {
+        Self::ALL.into_iter().find(|model| model.code() == code)
+    }
+
+    /// Whether it is an HDL-64E of any series.
+    pub fn is_hdl64e(self) -> bool {
+        self.spec().channels == 64
+    }
+
+    /// The nominal beams of this model, the table in `calib/` that the binary embeds; none where each unit has its own.
+    pub fn calibration(self) -> Option<&'static Calibration> {
+        static TABLES: [OnceLock<Calibration>; Model::ALL.len()] = [const { OnceLock::new() }; Model::ALL.len()];
+        let nominal = self.spec().nominal.as_ref()?;
+        Some(TABLES[self as usize].get_or_init(|| {
+            super::ros_yaml::parse(nominal.text, nominal.file)
+                .expect("the tables in calib/ are part of the program and tested")
+        }))
+    }
+}
+
+impl Spec {
+    /// Lasers of a block; a firing of more beams takes several blocks.
+    pub const fn channels_per_block(&self) -> usize {
+        if self.channels < RECORDS { self.channels } else { RECORDS }
+    }
+
+    /// Blocks that one return of a firing takes: two on an HDL-64E, upper head first.
+    pub const fn banks(&self) -> usize {
+        self.channels.div_ceil(RECORDS)
+    }
+
+    /// Blocks that share one azimuth.
+    pub fn blocks_per_azimuth(&self, mode: ReturnMode) -> usize {
+        self.banks() * mode.returns()
+    }
+
+    /// Azimuths of a data packet.
+    pub fn azimuths_per_packet(&self, mode: ReturnMode) -> usize {
+        BLOCKS / self.blocks_per_azimuth(mode)
+    }
+
+    /// Firings that share one azimuth: two on a 16-beam model, else one.
+    pub const fn firings_per_azimuth(&self) -> usize {
+        RECORDS / self.channels_per_block()
+    }
+
+    /// Firings of a data packet.
+    pub fn firings_per_packet(&self, mode: ReturnMode) -> usize {
+        self.azimuths_per_packet(mode) * self.firings_per_azimuth()
+    }
+
+    fn timing(&self, mode: ReturnMode) -> &Timing {
+        &self.timing[mode.returns() - 1]
+    }
+
+    /// From one firing to the next, nanoseconds.
+    pub fn firing_period_ns(&self, mode: ReturnMode) -> u32 {
+        self.timing(mode).firing_period_ns
+    }
+
+    /// From one azimuth to the next, nanoseconds.
+    pub fn azimuth_period_ns(&self, mode: ReturnMode) -> u32 {
+        self.firing_period_ns(mode) * self.firings_per_azimuth() as u32
+    }
+
+    /// From one data packet to the next by the sensor clock, nanoseconds.
+    pub fn packet_period_ns(&self, mode: ReturnMode) -> u32 {
+        self.firing_period_ns(mode) * self.firings_per_packet(mode) as u32
+    }
+
+    /// Shot of a channel after the first shot of its firing, nanoseconds. The two heads of an HDL-64E fire together.
+    pub fn channel_offset_ns(&self, channel: usize, mode: ReturnMode) -> u32 {
+        let Timing { burst_period_ns, burst_ns, .. } = self.timing(mode);
+        let shot = channel % RECORDS;
+        burst_period_ns * (shot / burst_ns.len()) as u32 + burst_ns[shot % burst_ns.len()]
+    }
+
+    /// First shot of a packet after its stamp, nanoseconds: 0 or less. The sensor may have been silent meanwhile, where it
+    /// is set to leave a sector out.
+    pub fn first_shot_ns(&self, mode: ReturnMode, silent_ns: i64) -> i64 {
+        match self.stamp {
+            Stamp::FirstShot => 0,
+            Stamp::Output => -i64::from(self.packet_period_ns(mode)) - silent_ns,
+        }
+    }
+}
+
+/// A text that is the flag of no model.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub struct UnknownModel;
+
+impl std::fmt::Display for UnknownModel {
+    fn fmt(&self, f: &mut std::fmt::Formatter<'_>) -> std::fmt::Result {
+        let flags = Model::ALL.map(|model| model.spec().flag).join(", ");
+        write!(f, "no supported model; expected one of {flags}")
+    }
+}
+
+impl std::error::Error for UnknownModel {}
+
+/// By [`Spec::flag`].
+impl std::str::FromStr for Model {
+    type Err = UnknownModel;
+
+    fn from_str(text: &str) -> Result<Self, UnknownModel> {
+        Self::ALL.into_iter().find(|model| model.spec().flag == text).ok_or(UnknownModel)
+    }
+}
+
+impl std::fmt::Display for Model {
+    fn fmt(&self, f: &mut std::fmt::Formatter<'_>) -> std::fmt::Result {
+        f.write_str(self.spec().name)
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn packet_periods_are_the_published_ones() {
+        let period = |model: Model, mode| model.spec().packet_period_ns(mode);
+        assert_eq!(period(Model::Vlp16, ReturnMode::Strongest), 1_327_104);
+        assert_eq!(period(Model::Vlp16, ReturnMode::Dual), 663_552);
+        assert_eq!(period(Model::Hdl32e, ReturnMode::Last), 552_960);
+        assert_eq!(period(Model::Hdl32e, ReturnMode::Dual), 276_480);
+        assert_eq!(period(Model::Hdl64eS2, ReturnMode::Strongest), 288_000);
+        assert_eq!(period(Model::Hdl64eS3, ReturnMode::Dual), 172_800);
+        assert_eq!(Model::Hdl64eS3.specs()[1].packet_period_ns(ReturnMode::Strongest), 345_600);
+    }
+
+    /// HDL-64E manuals: the last four lasers fire 6.0, 4.74, 3.54 and 2.34 us before the output of the packet (S2), and
+    /// 7.2, 5.9, 4.7 and 3.5 us (S3, two returns).
+    #[test]
+    fn the_lasers_of_an_hdl64e_fire_in_bursts_before_the_stamp() {
+        for (mode, expected) in
+            [(ReturnMode::Strongest, [6_000, 4_740, 3_540, 2_340]), (ReturnMode::Dual, [7_200, 5_900, 4_700, 3_500])]
+        {
+            let spec = Model::Hdl64eS3.spec();
+            let last = spec.firing_period_ns(mode) as usize * (spec.firings_per_packet(mode) - 1);
+            let before = |channel| {
+                -(spec.first_shot_ns(mode, 0) + last as i64 + i64::from(spec.channel_offset_ns(channel, mode)))
+            };
+            assert_eq!([28, 29, 30, 31].map(before), expected);
+            assert_eq!([60, 61, 62, 63].map(before), expected);
+        }
+    }
+
+    #[test]
+    fn elevations_are_the_published_ones() {
+        let degrees = |model: Model| -> Vec<f64> {
+            model.calibration().unwrap().beams().iter().map(|b| b.elevation_rad.to_degrees()).collect()
+        };
+        let near = |a: &[f64], b: &[f64]| a.len() == b.len() && a.iter().zip(b).all(|(a, b)| (a - b).abs() < 1e-9);
+        let vlp16 = [-15., 1., -13., 3., -11., 5., -9., 7., -7., 9., -5., 11., -3., 13., -1., 15.];
+        assert!(near(&degrees(Model::Vlp16), &vlp16));
+        assert!(near(&degrees(Model::PuckLite), &vlp16));
+        let hires =
+            [-10.0, 0.67, -8.67, 2.0, -7.33, 3.33, -6.0, 4.67, -4.67, 6.0, -3.33, 7.33, -2.0, 8.67, -0.67, 10.0];
+        assert!(near(&degrees(Model::PuckHiRes), &hires));
+        // HDL-32E manual, Appendix B: even channels from -30.67, odd ones from -9.33, 4/3 degree apart, two decimals.
+        let hdl32e: Vec<f64> = (0..32)
+            .map(|k| {
+                let exact = if k % 2 == 0 { -92.0 / 3.0 } else { -28.0 / 3.0 } + f64::from(k / 2) * 4.0 / 3.0;
+                (exact * 100.0).round() / 100.0
+            })
+            .collect();
+        assert!(near(&degrees(Model::Hdl32e), &hdl32e));
+    }
+
+    #[test]
+    fn vertical_offsets_follow_from_the_focal_point() {
+        for model in Model::ALL {
+            let Some(nominal) = &model.spec().nominal else { continue };
+            for beam in model.calibration().unwrap().beams() {
+                let expected = -nominal.focal_radius_m * beam.elevation_rad.tan();
+                let found = beam.vertical_offset_m;
+                assert!((found - expected).abs() < 0.000_5, "{model} channel {}: {found} {expected}", beam.channel);
+            }
+        }
+    }
+}

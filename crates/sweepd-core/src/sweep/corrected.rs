@@ -1,0 +1,200 @@
+//! The corrected beam of an HDL-64E: from a measured distance to the range that a sweep stores, and from there back to the
+//! point (HDL-64E S3 manual, 63-HDL64ES3, appendix on calibration; packets' distances are corrected twice).
+//!
+//! A beam adds an offset D to what it measures, and within 25.04 m another one along x and along y, which goes from Dx
+//! and Dy near the sensor to D. So the point leaves the straight line a little, and the range, the length of the corrected
+//! beam, is
+//!
+//! ```text
+//! d = measured + D           length of the beam beyond 25.04 m
+//! x = cos w sin a (d + ex)   ex = (Dx - D) (25.04 - |d cos w sin a|) / (25.04 - 2.40)
+//! y = cos w cos a (d + ey)   ey = (Dy - D) (25.04 - |d cos w cos a|) / (25.04 - 1.93)
+//! z = sin w (d + ez)         ez = (ex + ey) / 2
+//! range = sqrt(x² + y² + z²)
+//! ```
+//!
+//! with the elevation w and the azimuth a of the beam. All of it is linear in d, so the range is the root of a quadratic,
+//! and the way back solves that. Near 25.04 m a range can come from either side of the limit; so in the range of a beam that
+//! has such offsets, the last bit of the f32 says which: 1 within the limit, 0 beyond.
+
+use super::layout::BeamRow;
+
+/// Measured distance from which on there is but one offset, metres.
+const FAR_M: f64 = 25.04;
+/// Where the offsets for x and for y were measured near the sensor, metres.
+const NEAR_M: [f64; 2] = [2.40, 1.93];
+
+/// What the range of a beam depends on.
+#[derive(Clone, Copy, Debug)]
+pub struct Corrected {
+    sin_elevation: f64,
+    cos_elevation: f64,
+    distance_offset_m: f64,
+    /// Additional offsets for x and y; `None` where the beam is straight.
+    near: Option<[Offset; 2]>,
+}
+
+/// An additional offset along an axis: what it is at the axis' zero, and what it loses each metre.
+#[derive(Clone, Copy, Debug)]
+pub(crate) struct Offset {
+    pub(crate) base_m: f64,
+    pub(crate) slope: f64,
+}
+
+/// Each axis of the corrected beam as a multiple of d and a constant.
+struct Lines {
+    x: [f64; 2],
+    y: [f64; 2],
+    z: [f64; 2],
+}
+
+impl Corrected {
+    /// The corrections of a row.
+    pub fn new(beam: &BeamRow) -> Self {
+        let (sin_elevation, cos_elevation) = f64::from(beam.elevation_rad).sin_cos();
+        let distance_offset_m = f64::from(beam.distance_offset_m);
+        let offset = |near_m: f32, at_m: f64| {
+            let slope = (f64::from(near_m) - distance_offset_m) / (FAR_M - at_m);
+            Offset { base_m: slope * FAR_M, slope }
+        };
+        let near = [offset(beam.distance_offset_x_m, NEAR_M[0]), offset(beam.distance_offset_y_m, NEAR_M[1])];
+        let near = Some(near).filter(|near| near.iter().any(|offset| offset.slope != 0.0));
+        Self { sin_elevation, cos_elevation, distance_offset_m, near }
+    }
+
+    /// Whether the beam is a straight line, so that its direction does not depend on the range.
+    #[inline]
+    pub fn is_straight(&self) -> bool {
+        self.near.is_none()
+    }
+
+    /// The additional offsets for x and y, where there are any.
+    pub(crate) fn near(&self) -> Option<&[Offset; 2]> {
+        self.near.as_ref()
+    }
+
+    /// Sine and cosine of the beam's elevation.
+    pub(super) fn elevation(&self) -> [f64; 2] {
+        [self.sin_elevation, self.cos_elevation]
+    }
+
+    /// Whether additional offsets apply at a measured distance, metres.
+    #[inline]
+    pub(super) fn is_near(measured_m: f64) -> bool {
+        measured_m < FAR_M
+    }
+
+    /// The range to store for a measured distance, metres, at this sine and cosine of the azimuth; at least `least_m`.
+    #[inline]
+    pub fn range_m(&self, measured_m: f64, [sin_azimuth, cos_azimuth]: [f64; 2], least_m: f32) -> f32 {
+        let d = (measured_m + self.distance_offset_m).max(f64::from(least_m));
+        let Some(near) = self.near else { return (d as f32).max(least_m) };
+        let is_near = Self::is_near(measured_m);
+        let range_m = match is_near {
+            true => {
+                let [x, y, z] = self.lines(&near, sin_azimuth, cos_azimuth).at(d);
+                (x * x + y * y + z * z).sqrt()
+            }
+            false => d,
+        };
+        f32::from_bits((range_m as f32).max(least_m).to_bits() & !1 | u32::from(is_near))
+    }
+
+    /// From the beam's origin to the point at a stored range: right, forward, up, metres.
+    #[inline]
+    pub fn point_m(&self, range_m: f32, sin_azimuth: f64, cos_azimuth: f64) -> [f64; 3] {
+        let is_near = range_m.to_bits() & 1 == 1;
+        let range_m = f64::from(range_m);
+        let bent = self.near.filter(|_| is_near).and_then(|near| {
+            let lines = self.lines(&near, sin_azimuth, cos_azimuth);
+            Some(lines.at(lines.solve(range_m)?))
+        });
+        let straight = [self.cos_elevation * sin_azimuth, self.cos_elevation * cos_azimuth, self.sin_elevation];
+        bent.unwrap_or_else(|| straight.map(|axis| axis * range_m))
+    }
+
+    #[inline]
+    fn lines(&self, [near_x, near_y]: &[Offset; 2], sin_azimuth: f64, cos_azimuth: f64) -> Lines {
+        let [along_x, along_y] = [self.cos_elevation * sin_azimuth, self.cos_elevation * cos_azimuth];
+        let axis = |near: &Offset, along: f64| [1.0 - near.slope * along.abs(), near.base_m];
+        let [x, y] = [axis(near_x, along_x), axis(near_y, along_y)];
+        let z = [(x[0] + y[0]) / 2.0, (x[1] + y[1]) / 2.0];
+        let scaled = |line: [f64; 2], by: f64| line.map(|one| one * by);
+        Lines { x: scaled(x, along_x), y: scaled(y, along_y), z: scaled(z, self.sin_elevation) }
+    }
+}
+
+impl Lines {
+    #[inline]
+    fn at(&self, d: f64) -> [f64; 3] {
+        [self.x, self.y, self.z].map(|[slope, base]| slope * d + base)
+    }
+
+    /// The d at which the length is `range_m`: the greater root.
+    fn solve(&self, range_m: f64) -> Option<f64> {
+        let sum = |a: usize, b: usize| self.x[a] * self.x[b] + self.y[a] * self.y[b] + self.z[a] * self.z[b];
+        let (square, linear, rest) = (sum(0, 0), sum(0, 1), sum(1, 1) - range_m * range_m);
+        let root = linear * linear - square * rest;
+        (root >= 0.0 && square > 0.0).then(|| (root.sqrt() - linear) / square)
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use crate::sensor::Beam;
+    use crate::sensor::calibration::TwoPoint;
+    use proptest::prelude::*;
+
+    fn beam(elevation_deg: f64, far_m: f64, x_m: f64, y_m: f64) -> Corrected {
+        let beam = Beam {
+            distance_offset_m: far_m,
+            two_point: Some(TwoPoint { distance_offset_x_m: x_m, distance_offset_y_m: y_m }),
+            ..Beam::ideal(0, elevation_deg.to_radians())
+        };
+        Corrected::new(&BeamRow::new(&beam, 0))
+    }
+
+    /// By hand, level, D = 1.2, Dx = 1.3, Dy = 1.25. Measured 8.8 m, straight to the right: d = 10, and
+    /// ex = 0.1 x 15.04 / 22.64 = 0.066431. Straight ahead: ey = 0.05 x 15.04 / 23.11 = 0.032540. From 25.04 m on: D alone.
+    #[test]
+    fn ranges_are_those_of_the_manual() {
+        let beam = beam(0.0, 1.2, 1.3, 1.25);
+        for (measured_m, direction, expected_m) in [
+            (8.8, [1.0, 0.0], 10.066_431),
+            (8.8, [0.0, 1.0], 10.032_540),
+            (25.04, [1.0, 0.0], 26.24),
+            (40.0, [0.0, -1.0], 41.2),
+        ] {
+            let range_m = beam.range_m(measured_m, direction, 0.001);
+            assert!((f64::from(range_m) - expected_m).abs() < 6e-6, "{measured_m}: {range_m}");
+        }
+    }
+
+    proptest! {
+        #[test]
+        fn a_stored_range_leads_back_to_the_point(
+            elevation_deg in -30.0_f64..10.0, azimuth in 0.0_f64..6.3, far_m in 0.9_f64..1.6,
+            x_m in -0.2_f64..0.2, y_m in -0.2_f64..0.2, units in prop_oneof![1_u16..65_535, 12_480_u16..12_560],
+        ) {
+            let beam = beam(elevation_deg, far_m, far_m + x_m, far_m + y_m);
+            let (sin, cos) = azimuth.sin_cos();
+            let measured_m = f64::from(units) * 0.002;
+            let range_m = beam.range_m(measured_m, [sin, cos], 0.001);
+            let [x, y, z] = beam.point_m(range_m, sin, cos);
+            // The manual's formulas, one after the other.
+            let (d, w) = (measured_m + far_m, elevation_deg.to_radians());
+            let (xx, yy) = ((d * w.cos() * sin).abs(), (d * w.cos() * cos).abs());
+            let (mut cx, mut cy) = (far_m, far_m);
+            if measured_m < 25.04 {
+                cx = far_m + x_m + (-x_m) * (xx - 2.40) / (25.04 - 2.40);
+                cy = far_m + y_m + (-y_m) * (yy - 1.93) / (25.04 - 1.93);
+            }
+            let (ex, ey) = ((measured_m + cx) * w.cos() * sin, (measured_m + cy) * w.cos() * cos);
+            let ez = (measured_m + (cx + cy) / 2.0) * w.sin();
+            prop_assert!((x - ex).abs().max((y - ey).abs()).max((z - ez).abs()) < 4e-5, "{x} {y} {z}, {ex} {ey} {ez}");
+            let length_m = (ex * ex + ey * ey + ez * ez).sqrt();
+            prop_assert!((f64::from(range_m) - length_m).abs() < 4e-5);
+        }
+    }
+}

@@ -1,0 +1,340 @@
+//! A sweep as bytes: header, planes and tables in one aligned slice. Files, tests and shared memory hold the same bytes.
+//!
+//! ```text
+//! | Header | range | reflectivity | label | (dual: range 2 | reflectivity 2 | label 2 | kind) | columns | beams | segments |
+//! ```
+//!
+//! Every part starts at a multiple of 64 bytes; the header tells where. Planes are stored column after column:
+//! `index = (margin_columns + column) * rows + row`, row 0 being the highest beam; so are the columns themselves. In a
+//! sweep of a dual-return sensor, the planes without a number hold the return that is segmented, the planes "2" the other
+//! one, and `kind` tells which is which.
+//!
+//! The beams of an HDL-64E point up to ten degrees to the side. Its rows are shifted by whole columns, so that neighbours
+//! in the image are neighbours in space: the return in a row of column `c` was fired in column `c + shift`, whose azimuth
+//! and time are its own ([`BeamRow::shift`]). In a circular sweep columns are counted around the turn (what is beyond the
+//! last is at the first again); another one is wider by the shifts, with columns that hold no firing at its ends and where
+//! a sector was left out ([`ColumnStatus::Unfired`]).
+//!
+//! Whoever fills a sweep writes every pixel of every column that the header counts, so nothing that a header declares
+//! valid is left over from an earlier sweep in the same buffer. All numbers are little-endian, as the host's must be.
+
+mod header;
+mod shape;
+
+use zerocopy::{FromBytes, Immutable, IntoBytes, KnownLayout};
+
+use crate::sensor::Beam;
+
+pub use self::header::{Completion, HOST_FIELDS};
+pub(in crate::sweep) use self::shape::checked_shape;
+pub use self::shape::{LayoutError, PARTS, Part, ReturnKind, SECOND_BLOCKS, Shape};
+
+#[cfg(not(target_endian = "little"))]
+compile_error!("the layout of a sweep is little-endian, and so must be the host");
+
+/// First bytes of a sweep.
+pub const MAGIC: [u8; 8] = *b"sweepd\r\n";
+/// Version of this layout.
+pub const LAYOUT_VERSION: u32 = 3;
+/// Alignment of a sweep and of its parts, bytes.
+pub const ALIGN: usize = 64;
+/// Columns that a sweep has room for: an HDL-32E at 240 rpm has 5425, an HDL-64E 5209 and up to 145 on each side.
+pub const COLUMNS_CAPACITY: usize = 5632;
+
+/// Whether a range in a plane is a return. The one place that knows how "no return" is written.
+#[inline(always)]
+pub fn is_return(range_m: f32) -> bool {
+    range_m > 0.0
+}
+
+/// Label of a pixel without segment: no return, masked, or part of a speck.
+pub const LABEL_NONE: u32 = 0;
+/// Label of a ground pixel.
+pub const LABEL_GROUND: u32 = 1;
+/// Label of the first segment.
+pub const LABEL_FIRST_SEGMENT: u32 = 2;
+
+/// What is true of a sweep, as bits of [`Header::flags`].
+pub mod flags {
+    /// Not from cut to cut: the first or last of a run, or interrupted.
+    pub const PARTIAL: u32 = 1 << 0;
+    /// A whole turn without a blanked sector: the last column and the first are neighbours.
+    pub const CIRCULAR: u32 = 1 << 1;
+    /// The head turns counter-clockwise seen from above.
+    pub const REVERSED: u32 = 1 << 2;
+    /// The sensor is set to leave out a sector.
+    pub const BLANKED: u32 = 1 << 3;
+    /// Turning slower than 240 rpm, faster than 1320, or more than a tenth faster or slower than the sweep before.
+    pub const RATE_UNSTABLE: u32 = 1 << 4;
+    /// The head stands still.
+    pub const STOPPED: u32 = 1 << 5;
+    /// The mounting height was estimated from the sweeps and not configured.
+    pub const HEIGHT_ESTIMATED: u32 = 1 << 6;
+}
+
+/// Which clock [`Header::time_ns`] is in.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+#[repr(u32)]
+pub enum TimeSource {
+    /// The host's or the capture's: sensor time brought to it by the least delay seen.
+    Host = 0,
+    /// UTC from GPS: the pulse per second was locked and the sentence valid.
+    Gps = 1,
+}
+
+/// Which of two returns is segmented.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+#[repr(u32)]
+pub enum ReturnChoice {
+    /// The nearer: safe for obstacles.
+    Nearest = 0,
+    /// The strongest.
+    Strongest = 1,
+    /// The last.
+    Last = 2,
+}
+
+/// Head of a sweep. Counts and offsets first, then what was measured.
+///
+/// The same packets give the same sweep, byte for byte, but for what depends on the host that took them: [`HOST_FIELDS`].
+#[derive(Clone, Copy, Debug, FromBytes, IntoBytes, KnownLayout, Immutable)]
+#[repr(C)]
+pub struct Header {
+    /// [`MAGIC`].
+    pub magic: [u8; 8],
+    /// [`LAYOUT_VERSION`].
+    pub version: u32,
+    /// Bytes of this header.
+    pub header_bytes: u32,
+    /// Bytes of the whole sweep, capacity included.
+    pub total_bytes: u64,
+    /// Where each part begins, bytes from the start, 0 = absent; indexed by [`Part`].
+    pub offsets: [u64; PARTS],
+    /// Rows of the image.
+    pub rows: u32,
+    /// Columns of the image.
+    pub columns: u32,
+    /// Columns that the planes have room for.
+    pub columns_capacity: u32,
+    /// Segments in the table.
+    pub segments: u32,
+    /// Segments that the table has room for.
+    pub segments_capacity: u32,
+    /// Code of the [`Model`](crate::sensor::Model): 1 VLP-16, 2 Puck LITE, 3 Puck Hi-Res, 4 HDL-32E, 5 HDL-64E S2 (or
+    /// S2.1), 6 HDL-64E S3.
+    pub model: u32,
+    /// [`ReturnMode::byte`](crate::wire::data::ReturnMode::byte).
+    pub return_mode: u32,
+    /// [`ReturnChoice`].
+    pub return_choice: u32,
+    /// Bits of [`flags`].
+    pub flags: u32,
+    /// [`TimeSource`].
+    pub time_source: u32,
+    /// Sweeps of this pipeline before this one, partial ones included.
+    pub sequence: u64,
+    /// Time of the first column's first shot, nanoseconds since 1970 in the clock of `time_source`.
+    pub time_ns: i64,
+    /// From the first column's first shot to the last column's, nanoseconds.
+    pub duration_ns: u64,
+    /// Sensor clock at the first column's first shot, nanoseconds since the top of the hour at which this run began.
+    pub sensor_time_ns: i64,
+    /// Arrival of the newest packet up to the one that completed the sweep, with the first firing past the cut; nanoseconds
+    /// since 1970.
+    pub arrival_ns: i64,
+    /// Speed over this sweep, turns a minute; not negative.
+    pub rpm: f32,
+    /// Azimuth at which sweeps are cut, radians: the configured one or, where the field of view is limited and what is
+    /// measured there would be sent late, one ahead of it.
+    pub cut_azimuth_rad: f32,
+    /// Height of the sensor above the ground used for the ground labels, metres; 0 = unknown.
+    pub height_m: f32,
+    /// Rotation of the sensor about its x axis (nose up), radians.
+    pub pitch_rad: f32,
+    /// Rotation of the sensor about its y axis (right side down), radians.
+    pub roll_rad: f32,
+    /// Columns marked missing.
+    pub missing_columns: u32,
+    /// Packets missing by the sensor clock.
+    pub lost_packets: u32,
+    /// Packets decoded into this sweep, in whole or in part.
+    pub packets: u32,
+    /// Non-zero returns, of both planes.
+    pub returns: u32,
+    /// Pixels labelled ground.
+    pub ground: u32,
+    /// Time spent on decoding, nanoseconds; 0 where no clock was given.
+    pub decode_ns: u32,
+    /// Time spent on ground removal, nanoseconds.
+    pub ground_ns: u32,
+    /// Time spent on labelling and the segments table, nanoseconds.
+    pub label_ns: u32,
+    /// Columns before the image's first in every plane and in the table of columns.
+    pub margin_columns: u32,
+    /// Columns of the image that hold no firing, because the rows are shifted.
+    pub unfired_columns: u32,
+    /// Datagrams that the kernel dropped on the sensor's port since the sweep before, because nobody fetched them in time.
+    pub dropped_datagrams: u32,
+    /// Rotation of the sensor about the vertical in the frame of the robot, counter-clockwise from above, radians. Its
+    /// position is [`Header::position_m`], the other two angles are [`Header::pitch_rad`] and [`Header::roll_rad`].
+    pub yaw_rad: f32,
+    _reserved: u32,
+    /// Position of the sensor in the frame of the robot as configured, metres: x right, y forward, z up.
+    pub position_m: [f32; 3],
+    _reserved_too: u32,
+    /// CLOCK_REALTIME when labels and segments were complete, nanoseconds since 1970; 0 where no clock was given.
+    pub completed_ns: i64,
+    /// CLOCK_MONOTONIC at the same moment, nanoseconds.
+    pub completed_monotonic_ns: i64,
+    /// CLOCK_REALTIME when the publisher of this sweep began, nanoseconds since 1970: with [`Header::sequence`] it names the
+    /// sweep for good. 0 where nothing is published.
+    pub run_ns: i64,
+    /// Source of the sensor's packets as text, zero padded.
+    pub sensor: [u8; 64],
+    /// Name that the sensor was given, which is also that of its service; zero padded, empty where it was given none.
+    pub name: [u8; 64],
+    _reserved_bytes: [u8; 24],
+}
+
+/// One column: a firing.
+#[derive(Clone, Copy, Debug, PartialEq, FromBytes, IntoBytes, KnownLayout, Immutable)]
+#[repr(C)]
+pub struct Column {
+    /// Ordinal of the data packet among this sensor's, from 0; `u64::MAX` where it is missing.
+    pub packet: u64,
+    /// Azimuth at the firing's first shot, radians, 0..2 pi.
+    pub azimuth_rad: f32,
+    /// Turning rate during the firing, radians a second; negative when reversed.
+    pub azimuth_rate_rad_s: f32,
+    /// First shot after the sweep's first shot, nanoseconds.
+    pub time_ns: u32,
+    /// First block of the firing in its packet.
+    pub block: u8,
+    /// [`ColumnStatus`].
+    pub status: u8,
+    _reserved: [u8; 2],
+}
+
+/// What a column holds.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+#[repr(u8)]
+pub enum ColumnStatus {
+    /// A firing that arrived.
+    Measured = 1,
+    /// A firing whose packet was lost; azimuth and time are interpolated, all its pixels are "no return".
+    Missing = 2,
+    /// No firing: here are only beams that point aside, of firings in other columns. The azimuth goes on from these.
+    Unfired = 3,
+}
+
+impl Column {
+    /// A column of a packet.
+    pub fn measured(packet: u64, block: u8, azimuth_rad: f32, azimuth_rate_rad_s: f32, time_ns: u32) -> Self {
+        let status = ColumnStatus::Measured as u8;
+        Self { packet, azimuth_rad, azimuth_rate_rad_s, time_ns, block, status, _reserved: [0; 2] }
+    }
+
+    /// A column whose packet was lost.
+    pub fn missing(azimuth_rad: f32, azimuth_rate_rad_s: f32, time_ns: u32) -> Self {
+        let status = ColumnStatus::Missing as u8;
+        Self { packet: u64::MAX, azimuth_rad, azimuth_rate_rad_s, time_ns, block: 0, status, _reserved: [0; 2] }
+    }
+
+    /// A column in which nothing was fired.
+    pub fn unfired(azimuth_rad: f32, azimuth_rate_rad_s: f32, time_ns: u32) -> Self {
+        Self { status: ColumnStatus::Unfired as u8, ..Self::missing(azimuth_rad, azimuth_rate_rad_s, time_ns) }
+    }
+
+    /// Whether there is a firing, that arrived or was lost.
+    pub fn is_fired(&self) -> bool {
+        self.status != ColumnStatus::Unfired as u8
+    }
+
+    /// Whether it is a firing that arrived.
+    pub fn is_measured(&self) -> bool {
+        self.status == ColumnStatus::Measured as u8
+    }
+
+    /// Whether the packet of this firing was lost.
+    pub fn is_missing(&self) -> bool {
+        self.status == ColumnStatus::Missing as u8
+    }
+}
+
+/// One row: a beam, as far as a consumer needs it for x, y, z and time.
+#[derive(Clone, Copy, Debug, PartialEq, FromBytes, IntoBytes, KnownLayout, Immutable)]
+#[repr(C)]
+pub struct BeamRow {
+    /// Index of the beam's record within a firing.
+    pub channel: u32,
+    /// Angle above the horizon, radians.
+    pub elevation_rad: f32,
+    /// Subtracted from the azimuth, radians.
+    pub rotation_rad: f32,
+    /// Shot after the firing's first, nanoseconds.
+    pub time_offset_ns: u32,
+    /// Height of the beam's origin, metres.
+    pub vertical_offset_m: f32,
+    /// Sideways shift of the beam's origin, metres.
+    pub horizontal_offset_m: f32,
+    /// Columns from a pixel of this row to the firing that it belongs to.
+    pub shift: i32,
+    /// Added to the measured distance, metres.
+    pub distance_offset_m: f32,
+    /// The same for x at the near end of the two-point correction; equal where there is none.
+    pub distance_offset_x_m: f32,
+    /// The same for y.
+    pub distance_offset_y_m: f32,
+    _reserved: [u32; 2],
+}
+
+impl BeamRow {
+    /// The row of a beam that shoots so long after the first shot of its firing.
+    pub fn new(beam: &Beam, time_offset_ns: u32) -> Self {
+        let far_m = beam.distance_offset_m;
+        let [x_m, y_m] = beam.two_point.map_or([far_m; 2], |two| [two.distance_offset_x_m, two.distance_offset_y_m]);
+        Self {
+            channel: beam.channel as u32,
+            elevation_rad: beam.elevation_rad as f32,
+            rotation_rad: beam.rotation_rad as f32,
+            time_offset_ns,
+            vertical_offset_m: beam.vertical_offset_m as f32,
+            horizontal_offset_m: beam.horizontal_offset_m as f32,
+            shift: 0,
+            distance_offset_m: far_m as f32,
+            distance_offset_x_m: x_m as f32,
+            distance_offset_y_m: y_m as f32,
+            _reserved: [0; 2],
+        }
+    }
+}
+
+/// One segment: a connected set of non-ground pixels. Lengths in metres, axes of the sensor (x right, y forward, z up).
+#[derive(Clone, Copy, Debug, PartialEq, FromBytes, IntoBytes, KnownLayout, Immutable)]
+#[repr(C)]
+pub struct Segment {
+    /// Label of its pixels, from 2.
+    pub label: u32,
+    /// Pixels with a return in the segmented plane.
+    pub points: u32,
+    /// Least x, y, z.
+    pub min_m: [f32; 3],
+    /// Greatest x, y, z.
+    pub max_m: [f32; 3],
+    /// Mean x, y, z.
+    pub centroid_m: [f32; 3],
+    /// Range of its nearest pixel.
+    pub nearest_m: f32,
+    /// Highest row.
+    pub row_first: u16,
+    /// Lowest row.
+    pub row_last: u16,
+    /// First column in the sense of rotation; greater than the last where the segment lies across the seam.
+    pub column_first: u32,
+    /// Last column.
+    pub column_last: u32,
+    _reserved: u32,
+}
+
+const _: () = assert!(size_of::<Header>() == 448 && size_of::<Column>() == 24);
+const _: () = assert!(size_of::<BeamRow>() == 48 && size_of::<Segment>() == 64);

@@ -1,0 +1,213 @@
+//! What can be wrong with one data packet: a bit of a part of it, or its length.
+//!
+//! ```text
+//! block 0 .. 11                                     1200     1204
+//! | flag 2 | azimuth 2 | 32 x distance 2, reflectivity 1 |   | stamp 4 | factory 2 |
+//! ```
+
+use fastrand::Rng;
+
+use sweepd_core::wire::data::{BLOCKS, DATA_PACKET_LEN, RECORDS};
+
+/// Bytes of a block.
+const BLOCK_LEN: usize = 100;
+/// Bytes of a block before its records, and of a record.
+const HEAD_LEN: usize = 4;
+const RECORD_LEN: usize = 3;
+/// Where the stamp begins, and the factory bytes.
+const STAMP: usize = BLOCKS * BLOCK_LEN;
+const FACTORY: usize = STAMP + 4;
+/// The longest datagram that a network of jumbo frames brings.
+const JUMBO_LEN: u16 = 8_972;
+
+/// A part of a data packet.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub enum Part {
+    /// Any bit of the packet.
+    Any,
+    /// Of a block: which lasers fired.
+    Flag,
+    /// Of a block: where the head pointed.
+    Azimuth,
+    /// Of a record.
+    Distance,
+    /// Of a record.
+    Reflectivity,
+    /// The sensor's clock.
+    Stamp,
+    /// Return mode and product; on an HDL-64E a byte of its status.
+    Factory,
+    /// How many bytes there are.
+    Length,
+}
+
+impl Part {
+    /// All of them.
+    pub const ALL: [Self; 8] = [
+        Self::Any,
+        Self::Flag,
+        Self::Azimuth,
+        Self::Distance,
+        Self::Reflectivity,
+        Self::Stamp,
+        Self::Factory,
+        Self::Length,
+    ];
+
+    /// The word for it on the command line.
+    pub fn name(self) -> &'static str {
+        match self {
+            Self::Any => "any",
+            Self::Flag => "flag",
+            Self::Azimuth => "azimuth",
+            Self::Distance => "distance",
+            Self::Reflectivity => "reflectivity",
+            Self::Stamp => "stamp",
+            Self::Factory => "factory",
+            Self::Length => "length",
+        }
+    }
+
+    /// The part of a bit, counted from the lowest of the first byte.
+    pub fn of_bit(bit: u16) -> Self {
+        let byte = usize::from(bit / 8);
+        match (byte % BLOCK_LEN, byte) {
+            (_, FACTORY..) => Self::Factory,
+            (_, STAMP..) => Self::Stamp,
+            (0..2, _) => Self::Flag,
+            (2..HEAD_LEN, _) => Self::Azimuth,
+            (within, _) if (within - HEAD_LEN) % RECORD_LEN == 2 => Self::Reflectivity,
+            _ => Self::Distance,
+        }
+    }
+
+    /// Something that is wrong with this part, by chance.
+    pub fn damage(self, rng: &mut Rng) -> Damage {
+        let of_block = |rng: &mut Rng, within: usize| rng.usize(..BLOCKS) * BLOCK_LEN + within;
+        let of_record = |rng: &mut Rng, within: usize| {
+            let record = rng.usize(..RECORDS);
+            of_block(rng, HEAD_LEN + record * RECORD_LEN + within)
+        };
+        let byte = match self {
+            Self::Any => rng.usize(..DATA_PACKET_LEN),
+            Self::Flag => {
+                let within = rng.usize(..2);
+                of_block(rng, within)
+            }
+            Self::Azimuth => {
+                let within = rng.usize(2..HEAD_LEN);
+                of_block(rng, within)
+            }
+            Self::Distance => {
+                let within = rng.usize(..2);
+                of_record(rng, within)
+            }
+            Self::Reflectivity => of_record(rng, 2),
+            Self::Stamp => rng.usize(STAMP..FACTORY),
+            Self::Factory => rng.usize(FACTORY..DATA_PACKET_LEN),
+            Self::Length => return Damage::Length(other_length(rng)),
+        };
+        Damage::Bit((byte * 8) as u16 + rng.u16(..8))
+    }
+}
+
+/// A length that no datagram of these sensors has: tiny, jumbo, or a byte off.
+pub(super) fn other_length(rng: &mut Rng) -> u16 {
+    let right = DATA_PACKET_LEN as u16;
+    match rng.u8(..4) {
+        0 => rng.u16(..64),
+        1 => right - 1,
+        2 => right + 1,
+        _ => rng.u16(right + 2..=JUMBO_LEN),
+    }
+}
+
+/// What is wrong with a packet. A Velodyne's datagrams have no checksum of their own: nobody on the way would notice.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub enum Damage {
+    /// One bit is flipped, counted from the lowest of the first byte.
+    Bit(u16),
+    /// It has so many bytes: the end is missing, or zeros follow.
+    Length(u16),
+}
+
+impl Damage {
+    /// Does it to a payload.
+    pub fn apply(self, payload: &mut Vec<u8>) {
+        match self {
+            Self::Bit(bit) => {
+                if let Some(byte) = payload.get_mut(usize::from(bit / 8)) {
+                    *byte ^= 1 << (bit % 8);
+                }
+            }
+            Self::Length(bytes) => payload.resize(bytes.into(), 0),
+        }
+    }
+
+    /// The part that is struck.
+    pub fn part(self) -> Part {
+        match self {
+            Self::Bit(bit) => Part::of_bit(bit),
+            Self::Length(_) => Part::Length,
+        }
+    }
+
+    /// Block and record of a record that is struck.
+    pub fn record(self) -> Option<(usize, usize)> {
+        let Self::Bit(bit) = self else { return None };
+        let byte = usize::from(bit / 8);
+        let is_record = matches!(self.part(), Part::Distance | Part::Reflectivity);
+        is_record.then(|| (byte / BLOCK_LEN, (byte % BLOCK_LEN - HEAD_LEN) / RECORD_LEN))
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use sweepd_core::wire::DataPacket;
+    use sweepd_core::wire::data::{FLAG_BANK_0, Record};
+
+    #[test]
+    fn each_part_is_struck_where_the_packet_has_it() {
+        let mut clean = DataPacket::new(77_777, 0x37, 0x22);
+        clean
+            .blocks
+            .iter_mut()
+            .for_each(|block| block.records = [Record { distance: 999.into(), reflectivity: 9 }; 32]);
+        let mut rng = Rng::with_seed(1);
+        for part in Part::ALL {
+            for _ in 0..300 {
+                let damage = part.damage(&mut rng);
+                let mut bytes = clean.emit().to_vec();
+                damage.apply(&mut bytes);
+                assert!(part == Part::Any || damage.part() == part, "{damage:?}");
+                let Damage::Bit(bit) = damage else {
+                    assert!(bytes.len() != DATA_PACKET_LEN && bytes.len() <= 8_972);
+                    continue;
+                };
+                let other: usize = bytes.iter().zip(clean.emit()).map(|(a, b)| (a ^ b).count_ones() as usize).sum();
+                assert_eq!((bytes.len(), other), (DATA_PACKET_LEN, 1));
+                let struck: &DataPacket =
+                    zerocopy::transmute_ref!(<&[u8; DATA_PACKET_LEN]>::try_from(&bytes[..]).unwrap());
+                let blocks = struck.blocks.iter().zip(&clean.blocks);
+                let seen = match part {
+                    Part::Flag => struck.blocks.iter().any(|block| block.flag.get() != FLAG_BANK_0),
+                    Part::Azimuth => struck.blocks.iter().any(|block| block.azimuth_cdeg() != 0),
+                    Part::Distance => blocks
+                        .flat_map(|(a, b)| a.records.iter().zip(&b.records))
+                        .any(|(a, b)| a.distance != b.distance),
+                    Part::Reflectivity => {
+                        struck.blocks.iter().flat_map(|block| block.records).any(|one| one.reflectivity != 9)
+                    }
+                    Part::Stamp => struck.stamp_us() != 77_777,
+                    Part::Factory => (struck.return_mode, struck.product) != (0x37, 0x22),
+                    Part::Any | Part::Length => true,
+                };
+                assert!(seen, "{part:?} {bit}");
+                if let Some((block, record)) = damage.record() {
+                    assert_ne!(struck.blocks[block].records[record], clean.blocks[block].records[record]);
+                }
+            }
+        }
+    }
+}

@@ -1,0 +1,57 @@
+//! Where a data packet has room for what: firings, channels and returns, by block and record.
+//!
+//! ```text
+//! blocks of one azimuth     one return     two returns
+//! VLP-16, HDL-32E           any            last, strong
+//! HDL-64E                   upper, lower   upper and lower of strong, upper and lower of last
+//! ```
+//!
+//! (VLP-16 User Manual, section 9.3; HDL-64E S3 manual, 63-HDL64ES3, pp. 20 and 47. Which pair of an HDL-64E is which
+//! its manual does not say: as VeloView and velodyne_decoder read it.)
+
+use std::ops::Range;
+
+use sweepd_core::sensor::model::Spec;
+use sweepd_core::wire::data::{DataPacket, FLAG_BANK_0, FLAG_BANK_1, RECORDS, ReturnMode};
+
+/// The places of a packet.
+#[derive(Clone, Copy, Debug)]
+pub struct Layout {
+    spec: &'static Spec,
+    mode: ReturnMode,
+}
+
+impl Layout {
+    /// That of a model in a mode.
+    pub fn new(spec: &'static Spec, mode: ReturnMode) -> Self {
+        Self { spec, mode }
+    }
+
+    /// Marks each block with the lasers that it is of.
+    pub fn mark(&self, packet: &mut DataPacket) {
+        for (index, block) in packet.blocks.iter_mut().enumerate() {
+            block.flag.set([FLAG_BANK_0, FLAG_BANK_1][index % self.spec.banks()]);
+        }
+    }
+
+    /// Whether a firing is the first of its blocks, and so the one whose azimuth they say.
+    pub fn begins_blocks(&self, firing: usize) -> bool {
+        firing.is_multiple_of(self.spec.firings_per_azimuth())
+    }
+
+    /// The blocks that a firing is in.
+    pub fn blocks(&self, firing: usize) -> Range<usize> {
+        let blocks = self.spec.blocks_per_azimuth(self.mode);
+        let first = firing / self.spec.firings_per_azimuth() * blocks;
+        first..first + blocks
+    }
+
+    /// Block and record of a return: slot 0 is the only or the last one, slot 1 the strongest or second strongest.
+    pub fn place(&self, firing: usize, channel: usize, slot: usize) -> (usize, usize) {
+        let banks = self.spec.banks();
+        let swaps = banks > 1 && self.mode == ReturnMode::Dual;
+        let pair = if swaps { 1 - slot } else { slot };
+        let block = self.blocks(firing).start + pair * banks + channel / RECORDS;
+        (block, firing % self.spec.firings_per_azimuth() * self.spec.channels + channel % RECORDS)
+    }
+}

@@ -1,0 +1,92 @@
+//! The status of a simulated HDL-64E: what its bytes 1204 and 1205 say, packet after packet.
+
+use zerocopy::little_endian::{I16, U16};
+
+use super::config::EmitterConfig;
+use super::gps::{self, Clock};
+use sweepd_core::sensor::{Model, stream};
+use sweepd_core::wire::hdl64::{self, CYCLE_LEN, CalibrationTime, DUMP_PACKETS, Dump, Gps, Live, Series, Warnings};
+use sweepd_core::wire::nmea::civil_from_days;
+use sweepd_core::wire::position::Pps;
+
+/// 2000-01-01 00:00 UTC, when the clock of a unit without GPS starts, nanoseconds since 1970.
+const START_OF_UNIT_NS: i64 = 946_684_800_000_000_000;
+/// Bits of the warnings: a pulse per second arrives; times arrive.
+const PPS_PRESENT: u8 = 1 << 5;
+const GPS_TIME_PRESENT: u8 = 1 << 6;
+
+/// What a unit tells of itself.
+#[derive(Clone, Debug)]
+pub struct Status {
+    series: Series,
+    dump: Dump,
+}
+
+/// The dump of a sensor as it is configured, without warnings.
+///
+/// # Errors
+/// A sentence: its calibration does not fit into the stream.
+pub fn dump(config: &EmitterConfig) -> Result<Dump, String> {
+    let mut dump = Dump::new(series(config.model), &stream::records(&config.beams())?);
+    dump.noise = [16, 14];
+    dump.calibration_time = CalibrationTime { year: 25, month: 11, day: 4, hour: 9, minute: 41, second: 12 };
+    dump.humidity = 38;
+    dump.rpm = I16::new(config.rpm.round() as i16);
+    dump.life_hours = U16::new(1_234);
+    (dump.source, dump.destination) =
+        (config.address.octets(), gps::destination(config.model, config.address).octets());
+    Ok(dump)
+}
+
+fn series(model: Model) -> Series {
+    if model == Model::Hdl64eS2 { Series::S21 } else { Series::S3 }
+}
+
+impl Status {
+    /// The status of a sensor.
+    ///
+    /// # Errors
+    /// A sentence: its calibration does not fit into the stream.
+    pub fn new(config: &EmitterConfig) -> Result<Self, String> {
+        Ok(Self { series: series(config.model), dump: dump(config)? })
+    }
+
+    /// Type and value in a data packet. A cycle of packets tells one moment: that of its first one's stamp, so many
+    /// nanoseconds after the first shot of all.
+    pub fn pair(&self, config: &EmitterConfig, ordinal: u64, elapsed_ns: i64) -> (u8, u8) {
+        let begun = ordinal - ordinal % CYCLE_LEN as u64;
+        let (pps, sentence) = config.clock.received(elapsed_ns);
+        let (gps, warnings) = match (pps, sentence.is_some()) {
+            (Pps::Locked, _) => (Gps::Both, PPS_PRESENT | GPS_TIME_PRESENT),
+            (_, true) => (Gps::Sentence, GPS_TIME_PRESENT),
+            (_, false) => (Gps::None, 0),
+        };
+        let mut dump = self.dump;
+        dump.set_return_mode(config.mode_of(begun));
+        dump.set_warnings(self.series, Warnings(warnings));
+        // 4.07 (S2.1), and what an S3 was seen with.
+        let firmware = if self.series == Series::S21 { 0x47 } else { 227 };
+        let live = Live { clock: clock(config, elapsed_ns), gps, temperature_c: 41, firmware };
+        hdl64::pair(&dump, self.series, &live, (ordinal % DUMP_PACKETS as u64) as usize)
+    }
+}
+
+/// The unit's own UTC.
+fn clock(config: &EmitterConfig, elapsed_ns: i64) -> hdl64::Clock {
+    let utc_ns = match config.clock {
+        Clock::Gps { reception, .. } if reception.follows_utc(elapsed_ns) => config.start_utc_ns + elapsed_ns,
+        Clock::Gps { .. } => START_OF_UNIT_NS + elapsed_ns,
+        Clock::Free { hour_ns } => START_OF_UNIT_NS + hour_ns + elapsed_ns,
+    };
+    let seconds = utc_ns.div_euclid(1_000_000_000);
+    let (days, second) = (seconds.div_euclid(86_400), seconds.rem_euclid(86_400));
+    let (year, month, day) = civil_from_days(days);
+    hdl64::Clock {
+        hour: (second / 3_600) as u8,
+        minute: (second / 60 % 60) as u8,
+        second: (second % 60) as u8,
+        day: day as u8,
+        month: month as u8,
+        year: year.rem_euclid(100) as u8,
+    }
+}

@@ -1,0 +1,44 @@
+//! Subcommands of the laboratory: simulated sensors, clouds, scores.
+
+pub mod score;
+pub mod segment;
+pub mod simulate;
+mod sink;
+pub mod soak;
+
+use std::path::Path;
+
+use clap::Subcommand;
+
+use super::CliError;
+
+/// The subcommands.
+#[derive(Debug, Subcommand)]
+pub enum Command {
+    /// Segment point clouds that have no packets: KITTI, nuScenes, PCD, PLY
+    Segment(Box<segment::Args>),
+    /// Say how good labels are, against scans that people labelled (SemanticKITTI)
+    Score(Box<score::Args>),
+    /// Be a sensor that is not there: send its packets, or write them to a capture
+    Simulate(Box<simulate::Args>),
+    /// Run a daemon through a day of faults, faster than life, and see that nothing grows and all is counted
+    Soak(Box<soak::Args>),
+}
+
+/// Runs a subcommand.
+///
+/// # Errors
+/// [`CliError`].
+pub fn run(command: &Command) -> Result<(), CliError> {
+    match command {
+        Command::Segment(args) => segment::run(args),
+        Command::Score(args) => score::run(args),
+        Command::Simulate(args) => simulate::run(args),
+        Command::Soak(args) => soak::run(args),
+    }
+}
+
+/// The bytes of a file of at most `limit` bytes.
+fn read_file(path: &Path, limit: u64) -> Result<Vec<u8>, CliError> {
+    crate::files::read(path, limit).map_err(|source| CliError::Read { path: path.to_owned(), source })
+}

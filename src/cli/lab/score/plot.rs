@@ -1,0 +1,71 @@
+//! `--plot`: the paper's Fig. 6, the share of things that are found over what a method is told.
+
+use std::fs::File;
+use std::io::{BufWriter, Write};
+use std::path::{Path, PathBuf};
+
+use super::methods::Trial;
+use crate::cli::CliError;
+use crate::export::png::{Chart, Panel, Series, write_chart};
+use sweepd_lab::score::{Group, Summary};
+
+/// A file that is there, and waits for its picture.
+pub(super) struct Plot {
+    path: PathBuf,
+    file: File,
+}
+
+/// Creates the file before minutes are spent on what is to be in it.
+pub(super) fn create(path: &Path) -> Result<Plot, CliError> {
+    let path = path.to_owned();
+    match File::create(&path) {
+        Ok(file) => Ok(Plot { path, file }),
+        Err(source) => Err(CliError::Write { path, source }),
+    }
+}
+
+impl Plot {
+    /// Draws what was measured.
+    pub(super) fn write(self, trials: &[Trial]) -> Result<(), CliError> {
+        let mut out = BufWriter::new(self.file);
+        let written = write_chart(&chart(trials), &mut out).and_then(|()| out.flush());
+        written.map_err(|source| CliError::Write { path: self.path, source })
+    }
+}
+
+/// A panel for each unit, since methods of one unit share an axis.
+fn chart(trials: &[Trial]) -> Chart {
+    let summary = Summary::new(trials.first().map_or(&[], |trial| &trial.scored));
+    let (min_points, count) = summary.pooled.first().map_or((0, 0), |counts| (counts.min_points, counts.count));
+    let panel = |trials: &[Trial]| {
+        let mut parameters: Vec<&str> = trials.iter().map(|trial| trial.parameter).collect();
+        parameters.dedup();
+        let lines = trials.chunk_by(|a, b| a.method == b.method).map(|trials| line(trials, min_points)).collect();
+        Panel { parameter: format!("{}, {}", parameters.join(" or "), trials[0].unit), lines }
+    };
+    Chart {
+        title: "How many things are found".to_owned(),
+        note: format!(
+            "precision: share of the {count} instances of {min_points} points or more, in {} scans of {} sequences, \
+             that a segment meets with an IoU above 0.5",
+            summary.scans, summary.sequences
+        ),
+        panels: trials.chunk_by(|a, b| a.unit == b.unit).map(panel).collect(),
+    }
+}
+
+/// One method over its parameter, from the least value to the greatest.
+fn line(trials: &[Trial], min_points: u32) -> Series {
+    let point = |trial: &Trial| {
+        let summary = Summary::new(&trial.scored);
+        let found = summary.row(Group::Instances(min_points), "found_50").and_then(|row| row.pooled)?;
+        Some([trial.value, found])
+    };
+    let mut points: Vec<[f64; 2]> = trials.iter().filter_map(point).collect();
+    points.sort_unstable_by(|a, b| a[0].total_cmp(&b[0]));
+    let name = match trials[0].method {
+        "slope" => "default (slope)",
+        other => other,
+    };
+    Series { name: name.to_owned(), points }
+}

@@ -1,0 +1,100 @@
+//! `--truth`: what every return of a simulation really was.
+
+use std::fs::File;
+use std::io::{self, BufWriter, Write};
+use std::path::{Path, PathBuf};
+
+use crate::cli::CliError;
+use sweepd_lab::simulate::{PacketTruth, Scene};
+
+/// First line of every `truth.csv`.
+const HEADER: &str = "packet,block,record,object,class,range_m,azimuth_deg,time_ns";
+
+/// The `truth.csv` of one sensor.
+pub struct TruthFile {
+    path: PathBuf,
+    out: BufWriter<File>,
+    start_utc_ns: i64,
+    packets: u64,
+    latest: Option<u64>,
+}
+
+impl TruthFile {
+    /// Creates the file and the folder that it is to be in.
+    ///
+    /// # Errors
+    /// [`CliError::Write`].
+    pub fn create(folder: &Path, start_utc_ns: i64) -> Result<Self, CliError> {
+        let (path, out) = create(folder, "truth.csv")?;
+        let mut file = Self { path, out, start_utc_ns, packets: 0, latest: None };
+        writeln!(file.out, "{HEADER}").map_err(|source| file.failed(source))?;
+        Ok(file)
+    }
+
+    /// Writes a line per return of a data packet. Packets are counted as they arrive, as a replay counts them; the
+    /// second copy of one counts and has no returns of its own.
+    ///
+    /// # Errors
+    /// [`CliError::Write`].
+    pub fn packet(&mut self, truth: &PacketTruth) -> Result<(), CliError> {
+        let packet = self.packets;
+        self.packets += 1;
+        if self.latest.replace(truth.ordinal) == Some(truth.ordinal) {
+            return Ok(());
+        }
+        self.lines(packet, truth).map_err(|source| self.failed(source))
+    }
+
+    fn lines(&mut self, packet: u64, truth: &PacketTruth) -> io::Result<()> {
+        for (block, records) in truth.returns.iter().enumerate() {
+            for (record, one) in records.iter().enumerate().filter_map(|(record, one)| Some((record, one.as_ref()?))) {
+                let (object, class, range_m) = (one.object, one.class.name(), one.range_m);
+                // What rounds to a whole turn is 0.
+                let azimuth_deg = (one.azimuth_rad.to_degrees() * 1e4).round().rem_euclid(360e4) / 1e4;
+                let time_ns = self.start_utc_ns + one.time_ns;
+                writeln!(
+                    self.out,
+                    "{packet},{block},{record},{object},{class},{range_m:.4},{azimuth_deg:.4},{time_ns}"
+                )?;
+            }
+        }
+        Ok(())
+    }
+
+    /// Writes out what is left.
+    ///
+    /// # Errors
+    /// [`CliError::Write`].
+    pub fn finish(&mut self) -> Result<(), CliError> {
+        self.out.flush().map_err(|source| self.failed(source))
+    }
+
+    fn failed(&self, source: io::Error) -> CliError {
+        CliError::Write { path: self.path.clone(), source }
+    }
+}
+
+/// Writes `objects.csv`: the number and the class of every object.
+///
+/// # Errors
+/// [`CliError::Write`].
+pub fn write_objects(folder: &Path, scene: &Scene) -> Result<(), CliError> {
+    let (path, mut out) = create(folder, "objects.csv")?;
+    let mut write = || -> io::Result<()> {
+        writeln!(out, "object,class")?;
+        for (number, object) in (1..).zip(scene.objects()) {
+            writeln!(out, "{number},{}", object.class.name())?;
+        }
+        out.flush()
+    };
+    write().map_err(|source| CliError::Write { path, source })
+}
+
+fn create(folder: &Path, name: &str) -> Result<(PathBuf, BufWriter<File>), CliError> {
+    std::fs::create_dir_all(folder).map_err(|source| CliError::Write { path: folder.to_owned(), source })?;
+    let path = folder.join(name);
+    match File::create(&path) {
+        Ok(file) => Ok((path, BufWriter::new(file))),
+        Err(source) => Err(CliError::Write { path, source }),
+    }
+}
