@@ -5,8 +5,6 @@
 //! `numpy`. Where they are missing the tests say so and are skipped; under `CI=true` they fail.
 
 mod common;
-#[path = "common/domain.rs"]
-mod domain;
 #[path = "consumers/fields.rs"]
 mod fields;
 #[path = "consumers/hostile.rs"]
@@ -21,10 +19,10 @@ mod programs;
 mod python;
 #[path = "consumers/refusals.rs"]
 mod refusals;
-#[path = "common/stream.rs"]
-mod stream;
 #[path = "consumers/sweeps.rs"]
 mod sweeps;
+
+use common::{domain, stream};
 
 use std::path::PathBuf;
 

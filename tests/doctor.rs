@@ -1,10 +1,8 @@
 //! `sweepd doctor` over loopback: simulated sensors, healthy and not, and web pages that the tests serve.
 
-#[path = "common/domain.rs"]
-mod domain;
-#[path = "common/stream.rs"]
-mod stream;
+mod common;
 
+use common::{domain, stream};
 use std::io::{BufRead, BufReader, Read, Write};
 use std::net::{IpAddr, Ipv4Addr, SocketAddr, TcpListener, UdpSocket};
 use std::process::{Child, Command, Stdio};

@@ -4,8 +4,6 @@ mod calib;
 #[path = "../common/mod.rs"]
 mod common;
 mod config;
-#[path = "../common/domain.rs"]
-mod domain;
 mod errors;
 mod from_cloud;
 mod inputs;
@@ -18,6 +16,8 @@ mod simulate;
 mod to_udp;
 mod truth;
 mod watch;
+
+use common::domain;
 
 use std::io::Write;
 use std::path::{Path, PathBuf};

@@ -3,10 +3,16 @@
 // Each test uses its part of this.
 #![allow(dead_code)]
 
+pub mod domain;
+pub mod due;
 pub mod hdl64;
 pub mod npy;
 pub mod raw;
 pub mod run;
+pub mod same;
+pub mod setup;
+pub mod simulated;
+pub mod stream;
 
 use std::ffi::OsString;
 use std::path::{Path, PathBuf};

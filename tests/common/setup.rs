@@ -13,7 +13,7 @@ use std::time::{Duration, Instant};
 
 use sweepd::client::{Client, Domain};
 
-use crate::domain::Own;
+use super::domain::Own;
 
 /// Longer than anything takes on a busy machine.
 pub const SOON: Duration = Duration::from_secs(10);

@@ -5,18 +5,16 @@
 #[path = "../common/mod.rs"]
 mod common;
 mod deleted;
-#[path = "../common/domain.rs"]
-mod domain;
 mod foreign;
 mod full;
 mod injected;
 mod killed;
 mod random;
-#[path = "../common/setup.rs"]
-mod setup;
 #[allow(dead_code)]
 #[path = "../resource/world.rs"]
 mod world;
+
+use common::{domain, setup};
 
 use std::collections::BTreeMap;
 use std::fs;

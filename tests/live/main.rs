@@ -2,10 +2,6 @@
 
 #[path = "../common/mod.rs"]
 mod common;
-#[path = "../common/domain.rs"]
-mod domain;
 mod equal;
-#[path = "../common/same.rs"]
-mod same;
-#[path = "../common/setup.rs"]
-mod setup;
+
+use common::{same, setup};

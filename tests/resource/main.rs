@@ -5,8 +5,8 @@
 
 #[path = "../common/mod.rs"]
 mod common;
-#[path = "../common/domain.rs"]
-mod domain;
 mod running;
 mod start;
 mod world;
+
+use common::domain;

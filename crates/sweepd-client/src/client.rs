@@ -8,7 +8,7 @@
 //!
 //! ```no_run
 //! use std::time::Duration;
-//! use sweepd::client::Client;
+//! use sweepd_client::client::Client;
 //!
 //! let mut roof = Client::new("roof")?;
 //! while let Some(sweep) = roof.next(Duration::from_secs(5))? {

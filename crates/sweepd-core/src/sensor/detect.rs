@@ -7,9 +7,9 @@
 //! blocks alternate between two heads, which is asked first.
 //!
 //! ```
-//! use sweepd::sensor::Model;
-//! use sweepd::sensor::detect::{Basis, Detector};
-//! use sweepd::wire::data::DataPacket;
+//! use sweepd_core::sensor::Model;
+//! use sweepd_core::sensor::detect::{Basis, Detector};
+//! use sweepd_core::wire::data::DataPacket;
 //! let mut detector = Detector::new(None);
 //! // A VLP-16 that calls itself an HDL-32E.
 //! assert!(detector.observe(&DataPacket::new(1_000_000, 0x37, 0x21)).is_none());

@@ -144,7 +144,7 @@ pub enum Banks {
 /// A data packet as a view over its 1206 bytes, or as a value of its own.
 ///
 /// ```
-/// use sweepd::wire::data::{DataPacket, ReturnMode};
+/// use sweepd_core::wire::data::{DataPacket, ReturnMode};
 /// let packet = DataPacket::new(1_000_000, ReturnMode::Strongest.byte(), 0x22);
 /// assert_eq!(DataPacket::parse(packet.emit()).unwrap(), &packet);
 /// ```

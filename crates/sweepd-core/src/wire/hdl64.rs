@@ -255,7 +255,7 @@ fn crc16(crc: u16, bytes: &[u8]) -> u16 {
 /// Type and value of packet `index` of a dump; the packet after 4159 is that of 0.
 ///
 /// ```
-/// use sweepd::wire::hdl64::{BEAMS, BeamRecord, Clock, DUMP_PACKETS, Dump, Gps, Live, Series, Status, Verdict, pair};
+/// use sweepd_core::wire::hdl64::{BEAMS, BeamRecord, Clock, DUMP_PACKETS, Dump, Gps, Live, Series, Status, Verdict, pair};
 /// use zerocopy::FromZeros;
 ///
 /// let records = std::array::from_fn::<_, BEAMS, _>(|id| BeamRecord { id: id as u8, ..BeamRecord::new_zeroed() });

@@ -22,9 +22,9 @@
 //! bytes, and a packet depends on when it is fired alone, not on those before it.
 //!
 //! ```
-//! use sweepd::sensor::Model;
-//! use sweepd::simulate::{Class, Emitter, EmitterConfig, street};
-//! use sweepd::wire::data::ReturnMode;
+//! use sweepd_core::sensor::Model;
+//! use sweepd_lab::simulate::{Class, Emitter, EmitterConfig, street};
+//! use sweepd_core::wire::data::ReturnMode;
 //!
 //! let scene = street(1);
 //! let config = EmitterConfig::new(Model::Vlp16, ReturnMode::Strongest).turns(0.25);

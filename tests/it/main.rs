@@ -1,0 +1,30 @@
+//! Tests of what is pure, and of shared memory within one process.
+
+mod calibration;
+mod capture;
+mod cloud;
+#[path = "../common/mod.rs"]
+mod common;
+mod decode;
+mod detect;
+mod determinism;
+mod faults;
+mod field_of_view;
+mod fixtures;
+mod from_cloud;
+mod golden;
+mod hdl64e;
+mod leftover;
+mod matrix;
+mod pains;
+mod paper;
+mod promises;
+mod score;
+mod segment;
+mod share;
+mod simulated_scores;
+mod strips;
+mod sweeps;
+mod truth;
+mod velodyne_decoder;
+mod veloview;

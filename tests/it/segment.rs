@@ -1,0 +1,530 @@
+//! The fast segmentation against its naive twin, and what must be true of any labelled sweep.
+
+use crate::common;
+use std::collections::HashMap;
+use std::f32::consts::TAU;
+
+use proptest::prelude::*;
+use sweepd::cloud::{COLUMNS, CloudProjector, CloudSegmenter, points};
+use sweepd::segment::points::placed;
+use sweepd::segment::{Config, ConfigError, Joining, Mask, Method, Mount, Segmenter, SlopeGround, naive};
+use sweepd::sensor::Beam;
+use sweepd::sensor::calibration::TwoPoint;
+use sweepd::sweep::lanes::levels;
+use sweepd::sweep::layout::{LABEL_FIRST_SEGMENT, LABEL_GROUND, LABEL_NONE, flags, is_return};
+use sweepd::sweep::{BeamRow, Buffers, Column, HeapBuffers, Shape, SweepMut, SweepRef};
+use zerocopy::IntoBytes;
+
+/// A random scene and the sensor that sees it, drawn from a seed.
+#[derive(Clone, Debug)]
+struct Scene {
+    rows: usize,
+    columns: usize,
+    circular: bool,
+    dual: bool,
+    tilted: bool,
+    masked: bool,
+    /// Rows are shifted and beams bent, as those of an HDL-64E are.
+    shifted: bool,
+    /// All beams start at one place.
+    one_origin: bool,
+    kind: Kind,
+    seed: u64,
+}
+
+#[derive(Clone, Copy, Debug)]
+enum Kind {
+    /// Any range in any pixel.
+    Noise,
+    /// A few ranges that differ by a sensor's step or a multiple of it.
+    Steps,
+    /// Ground, boxes and holes.
+    Street,
+    /// Ranges as great as packets can tell.
+    Far,
+}
+
+fn scenes() -> impl Strategy<Value = Scene> {
+    let street = || Just(Kind::Street);
+    let kind = prop_oneof![Just(Kind::Noise), Just(Kind::Steps), street(), street(), Just(Kind::Far)];
+    let rows = prop_oneof![1..20_usize, Just(32), Just(64), Just(65), Just(127), Just(128)];
+    let bools = any::<[bool; 6]>();
+    (rows, 1..70_usize, bools, kind, any::<u64>()).prop_map(|(rows, columns, bools, kind, seed)| {
+        let [circular, dual, tilted, masked, shifted, one_origin] = bools;
+        Scene { rows, columns, circular, dual, tilted, masked, shifted, one_origin, kind, seed }
+    })
+}
+
+impl Scene {
+    fn config(&self, method: Method) -> Config {
+        let mut rng = fastrand::Rng::with_seed(self.seed ^ 1);
+        let tilt = if self.tilted { [0.1, -0.06] } else { [0.0; 2] };
+        let mount = Mount { height_m: Some(1.5 + rng.f32()), pitch_rad: tilt[0], roll_rad: tilt[1] };
+        let mask = self.masked.then(|| self.mask(&mut rng));
+        let min_range_m = if self.masked { 3.0 * rng.f32() } else { 0.0 };
+        let max_range_m = if self.masked { min_range_m + 5.0 + 40.0 * rng.f32() } else { f32::INFINITY };
+        Config {
+            method,
+            min_points: rng.u32(1..6),
+            theta_rad: 0.02 + 0.5 * rng.f32(),
+            mount,
+            min_range_m,
+            max_range_m,
+            mask,
+            joining: Joining {
+                columns: rng.usize(1..=12),
+                rows: rng.usize(1..=8),
+                gap_m: [None, Some(0.1), Some(2.0), Some(5.0), Some(f32::INFINITY)][rng.usize(..5)],
+                small_points: [0, 1, 5, 22][rng.usize(..4)],
+                small_reach_m: [1.0, 5.0][rng.usize(..2)] * rng.f32(),
+            },
+            slope: SlopeGround { agree_m: [0.0, 0.5, 5.0][rng.usize(..3)], ..SlopeGround::default() },
+            ..Config::default()
+        }
+    }
+
+    fn mask(&self, rng: &mut fastrand::Rng) -> Mask {
+        let width = rng.usize(1..20);
+        let mut hidden: Vec<bool> = (0..width * self.rows).map(|_| rng.u8(..) < 30).collect();
+        // One that hides all is refused.
+        hidden[0] = false;
+        Mask::new(width, self.rows, &hidden).unwrap()
+    }
+
+    /// Calls with the sweep, whose columns begin at the given one; label planes hold the rests of an older sweep.
+    fn with_sweep<T>(&self, start: usize, look: impl FnOnce(&mut SweepMut<'_>) -> T) -> T {
+        let pixels = self.rows * self.columns;
+        let shape =
+            Shape { rows: self.rows, columns_capacity: self.columns + 5, dual: self.dual, segments_capacity: pixels };
+        let mut buffer = HeapBuffers::default().take(shape.total_bytes());
+        let mut sweep = SweepMut::create(buffer.as_mut(), &shape).unwrap();
+        sweep.header.columns = self.columns as u32;
+        sweep.header.margin_columns = if self.shifted { 4 } else { 0 };
+        sweep.header.flags = if self.circular { flags::CIRCULAR } else { 0 };
+        sweep.label.fill(0xDEAD);
+        sweep.label2.fill(0xDEAD);
+        let mut rng = fastrand::Rng::with_seed(self.seed);
+        self.draw(&mut sweep, &mut rng);
+        let image = (sweep.image_columns(), sweep.image_pixels());
+        sweep.columns[image.0].rotate_left(start);
+        sweep.range[image.1].rotate_left(start * self.rows);
+        for (range2, range) in sweep.range2.iter_mut().zip(&*sweep.range) {
+            let apart = [0.0, 0.1, 0.29, 0.31, 2.0][rng.usize(..5)];
+            *range2 = if rng.bool() { *range + apart } else { 0.0 };
+        }
+        look(&mut sweep)
+    }
+
+    fn draw(&self, sweep: &mut SweepMut<'_>, rng: &mut fastrand::Rng) {
+        let (top, bottom) = (0.2 * rng.f64(), -0.1 - 0.5 * rng.f64());
+        for (row, beam) in sweep.beams.iter_mut().enumerate() {
+            let part = row as f64 / self.rows as f64;
+            let ideal = Beam::ideal(row, top + (bottom - top) * part);
+            let rotation_rad = if self.tilted { 0.1 * (rng.f64() - 0.5) } else { 0.0 };
+            let [vertical_offset_m, horizontal_offset_m] = match self.one_origin {
+                true => [0.2, 0.03],
+                false => [0.1 * rng.f64(), 0.06 * (rng.f64() - 0.5)],
+            };
+            let two_point = Some(TwoPoint { distance_offset_x_m: 0.1 * rng.f64(), distance_offset_y_m: 0.1 });
+            let two_point = two_point.filter(|_| self.shifted);
+            let beam_of = Beam { rotation_rad, vertical_offset_m, horizontal_offset_m, two_point, ..ideal };
+            *beam = BeamRow::new(&beam_of, rng.u32(..46_000));
+            beam.shift = if self.shifted { rng.i32(-9..9) } else { 0 };
+        }
+        // Gaps of up to four pitches, of which the widest part neighbours.
+        let pitch = TAU / (self.columns as f32 * 1.2);
+        let mut azimuth_rad = rng.f32();
+        let columns = sweep.image_columns();
+        for column in &mut sweep.columns[columns] {
+            *column = Column::measured(0, 0, azimuth_rad % TAU, 62.0 + rng.f32(), 0);
+            azimuth_rad += pitch * if rng.u8(..) < 20 { 1.0 + 3.0 * rng.f32() } else { 0.9 + 0.2 * rng.f32() };
+        }
+        let levels: Vec<f32> = (0..4).map(|_| 2.0 + 0.002 * rng.u32(..3000) as f32).collect();
+        for index in 0..self.rows * self.columns {
+            let (row, column) = (index % self.rows, index / self.rows);
+            // Never nearer than any sensor measures: within a hand's breadth of the origin a bent beam need not reach its range.
+            let range_m = match self.kind {
+                Kind::Noise => 0.5 + 300.0 * rng.f32().powi(3),
+                Kind::Steps => levels[rng.usize(..4)] + 0.002 * rng.u32(..20) as f32,
+                Kind::Far => 250.0 + [0.0, 4.5, 5.5, 12.0][rng.usize(..4)] + rng.f32(),
+                Kind::Street => {
+                    let elevation = sweep.beams[row].elevation_rad;
+                    let road = if elevation < -0.01 { -1.8 / elevation.sin() } else { 0.0 };
+                    let wall = levels[column / 7 % 4] * if row % 11 < 8 { 1.0 } else { 0.0 };
+                    let bump = 0.02 * rng.f32();
+                    match [wall, road] {
+                        [_, 0.0] => wall,
+                        [wall, road] if wall > 0.0 && wall < road => wall,
+                        _ => road + bump,
+                    }
+                }
+            };
+            let first = sweep.image_pixels().start;
+            sweep.range[first + index] = if rng.u8(..) < 25 { 0.0 } else { range_m };
+        }
+    }
+}
+
+fn label_of(sweep: &mut SweepMut<'_>, config: &Config) {
+    Segmenter::new(config.clone()).unwrap().segment(sweep);
+}
+
+/// The same in steps: at each stop, a share of the columns, what will stay as it is.
+fn label_early(sweep: &mut SweepMut<'_>, config: &Config, mut stops: Vec<f64>) {
+    stops.sort_by(f64::total_cmp);
+    let (whole, image, range) = (sweep.header.columns, sweep.image_pixels(), sweep.range.to_vec());
+    let rows = sweep.header.rows as usize;
+    let shifts = || sweep.beams.iter().map(|beam| beam.shift);
+    let [lead, trail] = [shifts().max(), shifts().map(|shift| -shift).max()].map(|most| most.unwrap().max(0) as usize);
+    let mut segmenter = Segmenter::new(config.clone()).unwrap();
+    for stop in stops {
+        if stop < 0.2 {
+            segmenter.spoil();
+        }
+        sweep.header.columns = (stop * f64::from(whole)) as u32;
+        let ready = (sweep.header.columns as usize).saturating_sub(lead);
+        sweep.range.fill(3.0);
+        let sure = image.start + (trail * rows).min(ready * rows)..image.start + ready * rows;
+        sweep.range[sure.clone()].copy_from_slice(&range[sure]);
+        if segmenter.begin_early(sweep, ready) {
+            while segmenter.find_ground(sweep) {
+                segmenter.join();
+            }
+        }
+    }
+    sweep.header.columns = whole;
+    sweep.range.copy_from_slice(&range);
+    sweep.label.fill(0xDEAD);
+    segmenter.segment(sweep);
+}
+
+/// What a segmenter writes into a sweep, but for its header.
+fn written(sweep: &SweepRef<'_>) -> (Vec<u32>, Vec<u32>, Vec<u8>) {
+    let segments = sweep.segments.iter().flat_map(|segment| segment.as_bytes().to_vec()).collect();
+    (sweep.label.to_vec(), sweep.label2.to_vec(), segments)
+}
+
+/// The labels with each segment named by its first pixel in an order that a rotation does not change.
+fn canonical(labels: &[u32], rows: usize, start: usize) -> Vec<u32> {
+    let mut labels = labels.to_vec();
+    labels.rotate_right(start * rows);
+    let mut names = HashMap::new();
+    for label in labels.iter_mut().filter(|label| **label >= LABEL_FIRST_SEGMENT) {
+        let next = names.len() as u32 + LABEL_FIRST_SEGMENT;
+        *label = *names.entry(*label).or_insert(next);
+    }
+    labels
+}
+
+/// Counts, boxes and extents of the table, gone over pixel by pixel.
+fn check_table(sweep: &SweepRef<'_>) {
+    let columns = sweep.columns.len();
+    let mut count = vec![0; sweep.segments.len()];
+    let mut sum_m = vec![[0.0; 3]; sweep.segments.len()];
+    let mut ground = 0;
+    for row in 0..sweep.rows() {
+        for column in 0..columns {
+            let Some(pixel) = sweep.pixel(row, column)[0] else { continue };
+            ground += u32::from(pixel.label == LABEL_GROUND);
+            let Some(place) = pixel.label.checked_sub(LABEL_FIRST_SEGMENT) else { continue };
+            let segment = &sweep.segments[place as usize];
+            count[place as usize] += 1;
+            for (axis, value) in pixel.point_m.into_iter().enumerate() {
+                sum_m[place as usize][axis] += value;
+                let (min, max) = (f64::from(segment.min_m[axis]), f64::from(segment.max_m[axis]));
+                assert!((min - 1e-3..=max + 1e-3).contains(&value), "{min} {value} {max}");
+            }
+            assert!(segment.nearest_m <= pixel.range_m);
+            assert!((segment.row_first..=segment.row_last).contains(&(row as u16)));
+            let from_first = (column + columns - segment.column_first as usize) % columns;
+            let width = (segment.column_last as usize + columns - segment.column_first as usize) % columns;
+            assert!(from_first <= width, "column {column} in {segment:?}");
+        }
+    }
+    for ((segment, label), (count, sum_m)) in
+        sweep.segments.iter().zip(LABEL_FIRST_SEGMENT..).zip(count.iter().zip(sum_m))
+    {
+        assert_eq!((segment.label, segment.points), (label, *count));
+        for (axis, sum_m) in sum_m.into_iter().enumerate() {
+            assert!((f64::from(segment.centroid_m[axis]) - sum_m / f64::from(*count)).abs() < 1e-3);
+        }
+    }
+    assert_eq!(sweep.header.ground, ground);
+}
+
+proptest! {
+    #![proptest_config(ProptestConfig { failure_persistence: None, ..ProptestConfig::with_cases(400) })]
+
+    #[test]
+    fn fast_is_naive(scene in scenes(), paper in any::<bool>()) {
+        let config = scene.config(if paper { Method::Paper } else { Method::Slope });
+        scene.with_sweep(0, |sweep| {
+            let naive = naive::segment(&sweep.as_ref(), &config, config.mount.height_m);
+            let mut first = None;
+            for level in levels() {
+                Segmenter::with_level(config.clone(), level).unwrap().segment(sweep);
+                let sweep = sweep.as_ref();
+                prop_assert_eq!(sweep.label, &naive[..], "{:?}", level);
+                let written = written(&sweep);
+                prop_assert!(first.get_or_insert_with(|| written.clone()) == &written, "{:?}", level);
+            }
+            Ok(())
+        })?;
+    }
+
+    #[test]
+    fn points_lie_where_the_sweep_says(scene in scenes()) {
+        let config = scene.config(Method::Slope);
+        scene.with_sweep(0, |sweep| {
+            let sweep = sweep.as_ref();
+            for (index, placed) in placed(&sweep, &config).iter().enumerate() {
+                let Some(placed) = placed else { continue };
+                let found = placed.point_m.map(f64::from);
+                let expected = sweep.point_m(index % scene.rows, index / scene.rows, placed.range_m);
+                let off_m = found.iter().zip(expected).map(|(found, expected)| (found - expected).abs());
+                prop_assert!(off_m.fold(0.0, f64::max) < 1e-3, "{:?} {:?}", found, expected);
+                let far_m = expected.iter().map(|axis| axis * axis).sum::<f64>().sqrt();
+                prop_assert!((f64::from(placed.far_m) - far_m).abs() < 1e-3);
+            }
+            Ok(())
+        })?;
+    }
+
+    /// Strips are taken while the head turns: what may still change, the first columns and the last, is not looked at.
+    #[test]
+    fn early_is_whole(scene in scenes(), columns in 1..300_usize, stops in proptest::collection::vec(0.0..1.0, 0..6)) {
+        let scene = Scene { circular: true, columns, ..scene };
+        let config = scene.config(Method::Slope);
+        scene.with_sweep(0, |sweep| {
+            label_of(sweep, &config);
+            let whole = written(&sweep.as_ref());
+            label_early(sweep, &config, stops);
+            prop_assert!(written(&sweep.as_ref()) == whole);
+            Ok(())
+        })?;
+    }
+
+    #[test]
+    fn tables_and_planes_agree(scene in scenes(), paper in any::<bool>()) {
+        let config = scene.config(if paper { Method::Paper } else { Method::Slope });
+        scene.with_sweep(0, |sweep| {
+            label_of(sweep, &config);
+            let sweep = sweep.as_ref();
+            check_table(&sweep);
+            for (index, &label) in sweep.label.iter().enumerate() {
+                prop_assert!(is_return(sweep.range[index]) || label == LABEL_NONE);
+                prop_assert!(label < sweep.header.segments + LABEL_FIRST_SEGMENT);
+            }
+            for (index, &label2) in sweep.label2.iter().enumerate() {
+                // Near on the beam it is the same object; nothing is labelled beyond the limits, in either plane.
+                let (range_m, range2_m) = (sweep.range[index], sweep.range2[index]);
+                let within = |range_m: f32| range_m >= config.min_range_m && range_m <= config.max_range_m;
+                let same = (range2_m - range_m).abs() <= 0.3 && is_return(range2_m) && within(range2_m);
+                prop_assert_eq!(label2, if same { sweep.label[index] } else { LABEL_NONE });
+                prop_assert!(within(range_m) || sweep.label[index] == LABEL_NONE);
+            }
+            Ok(())
+        })?;
+    }
+
+    #[test]
+    fn a_turn_has_no_beginning(scene in scenes(), start in 0..70_usize) {
+        let scene = Scene { circular: true, dual: false, ..scene };
+        let start = start % scene.columns;
+        for method in [Method::Slope, Method::Paper] {
+            let config = scene.config(method);
+            let labels = |start| scene.with_sweep(start, |sweep| {
+                // Points are measured from the speed of the first column, and some pair lies so near a limit that the
+                // last bit decides.
+                sweep.columns.iter_mut().for_each(|column| column.azimuth_rate_rad_s = 62.5);
+                label_of(sweep, &config);
+                canonical(sweep.as_ref().label, scene.rows, start)
+            });
+            prop_assert_eq!(labels(0), labels(start));
+        }
+    }
+}
+
+/// A segmenter that has seen other shapes labels like a new one.
+#[test]
+fn a_workspace_keeps_nothing() {
+    let scene = |rows, columns, seed| Scene {
+        rows,
+        columns,
+        circular: true,
+        dual: false,
+        tilted: false,
+        masked: false,
+        shifted: seed % 2 == 0,
+        one_origin: seed % 3 == 0,
+        kind: Kind::Street,
+        seed,
+    };
+    for method in [Method::Slope, Method::Paper] {
+        let config = scene(64, 60, 1).config(method);
+        let mut used = Segmenter::new(config.clone()).unwrap();
+        for scene in [scene(64, 60, 1), scene(16, 30, 2), scene(128, 5, 3), scene(1, 1, 4), scene(16, 69, 5)] {
+            scene.with_sweep(0, |sweep| {
+                used.segment(sweep);
+                let labels = sweep.as_ref().label.to_vec();
+                label_of(sweep, &config);
+                assert_eq!(labels, sweep.as_ref().label);
+            });
+        }
+    }
+}
+
+#[test]
+fn an_empty_sweep_and_a_full_table_are_no_trouble() {
+    let mut buffer = HeapBuffers::default().take(1 << 16);
+    let shape = Shape { rows: 16, columns_capacity: 40, dual: true, segments_capacity: 1 };
+    let mut sweep = SweepMut::create(buffer.as_mut(), &shape).unwrap();
+    label_of(&mut sweep, &Config::default());
+    assert_eq!((sweep.header.segments, sweep.header.ground), (0, 0));
+
+    // Two walls, and a table with room for one.
+    sweep.header.columns = 40;
+    for (column, place) in sweep.columns.iter_mut().enumerate() {
+        *place = Column::measured(0, 0, 0.004 * column as f32, 60.0, 0);
+    }
+    for (row, beam) in sweep.beams.iter_mut().enumerate() {
+        *beam = BeamRow::new(&Beam::ideal(row, (15.0 - 2.0 * row as f64).to_radians()), 0);
+    }
+    for (index, range_m) in sweep.range.iter_mut().enumerate() {
+        *range_m = if index / 16 < 20 { 3.0 } else { 30.0 };
+    }
+    label_of(&mut sweep, &Config { mount: Mount { height_m: Some(50.0), ..Mount::default() }, ..Config::default() });
+    let sweep = sweep.as_ref();
+    assert_eq!(sweep.header.segments, 1);
+    assert!((0..640).all(|index| sweep.label[index] == if index / 16 < 20 { LABEL_FIRST_SEGMENT } else { LABEL_NONE }));
+}
+
+/// A sparse sensor, 1 m over a flat floor and 4 degrees nose up, with a box 3 m behind it across the seam: columns begin
+/// behind the sensor.
+#[test]
+fn a_reach_that_is_no_distance_is_refused() {
+    let of = |small_reach_m| {
+        let config = Config { joining: Joining { small_reach_m, ..Joining::default() }, ..Config::default() };
+        Segmenter::new(config).map(|_| ())
+    };
+    assert_eq!(of(0.0), Ok(()));
+    assert_eq!(of(-0.1), Err(ConfigError::SmallReach { found_m: -0.1 }));
+    assert!(of(f32::NAN).is_err());
+}
+
+#[test]
+fn sixteen_tilted_beams_see_a_floor_and_a_box() {
+    const COLUMNS: usize = 900;
+    let mount = Mount { height_m: Some(1.0), pitch_rad: 4_f32.to_radians(), roll_rad: 0.0 };
+    let shape = Shape { rows: 16, columns_capacity: COLUMNS, dual: false, segments_capacity: 50 };
+    let mut buffer = HeapBuffers::default().take(shape.total_bytes());
+    let mut sweep = SweepMut::create(buffer.as_mut(), &shape).unwrap();
+    sweep.header.columns = COLUMNS as u32;
+    sweep.header.flags = flags::CIRCULAR;
+    for (row, beam) in sweep.beams.iter_mut().enumerate() {
+        *beam = BeamRow::new(&Beam::ideal(row, (15.0 - 2.0 * row as f64).to_radians()), 2304 * row as u32);
+    }
+    for (index, column) in sweep.columns.iter_mut().enumerate() {
+        *column = Column::measured(0, 0, TAU * ((index as f32 / COLUMNS as f32) + 0.5).fract(), 62.8, 0);
+    }
+    let up = mount.up();
+    for index in 0..16 * COLUMNS {
+        let (row, column) = (index % 16, index / 16);
+        let [x, y, z] = sweep.as_ref().point_m(row, column, 1.0);
+        let to_floor = if up.height_m([x, y, z]) < -0.03 { -1.0 / up.height_m([x, y, z]) } else { f64::INFINITY };
+        let to_box = if y < 0.0 && (3.0 * x / y).abs() < 0.5 { -3.0 / y } else { f64::INFINITY };
+        let range_m = to_floor.min(to_box);
+        sweep.range[index] = if range_m.is_finite() { range_m as f32 } else { 0.0 };
+    }
+
+    label_of(&mut sweep, &Config { mount, ..Config::default() });
+    let read = sweep.as_ref();
+    for found in read.returns() {
+        let height_m = up.height_m(found.point_m) + 1.0;
+        let floor = height_m.abs() < 1e-3;
+        // Half a metre behind the last return from the floor, the foot of the box may be a slope.
+        let foot = (0.0..0.1).contains(&height_m) && !floor;
+        assert!(found.label == if floor { LABEL_GROUND } else { LABEL_FIRST_SEGMENT } || foot, "{height_m} {found:?}");
+    }
+    assert_eq!(read.header.segments, 1);
+    assert!(read.segments[0].column_first > 850 && read.segments[0].column_last < 50, "{:?}", read.segments[0]);
+    assert_eq!((read.header.height_m, read.header.pitch_rad), (1.0, mount.pitch_rad));
+    assert!(!read.header.has(flags::HEIGHT_ESTIMATED));
+
+    // Untold, the height is seen.
+    label_of(&mut sweep, &Config { mount: Mount { height_m: None, ..mount }, ..Config::default() });
+    assert!((sweep.header.height_m - 1.0).abs() < 0.01 && sweep.header.has(flags::HEIGHT_ESTIMATED));
+    // A room without floor shows none, and so no ground.
+    sweep.range.fill(4.0);
+    sweep.range.chunks_exact_mut(16).for_each(|column| column[8..].fill(0.0));
+    label_of(&mut sweep, &Config::default());
+    assert_eq!((sweep.header.height_m, sweep.header.ground), (0.0, 0));
+    assert!(!sweep.header.has(flags::HEIGHT_ESTIMATED));
+}
+
+/// The roof of KITTI's car is 1.73 m high.
+#[test]
+fn the_height_of_a_car_is_seen() {
+    let Some(data) = common::data_dir() else { return };
+    let mut projector = CloudProjector::new(COLUMNS).unwrap();
+    let mut segmenter = Segmenter::new(Config::default()).unwrap();
+    for frame in ["000000", "000004", "000009"] {
+        let bytes = std::fs::read(data.join(format!("labelled/semantickitti/04/{frame}.bin"))).unwrap();
+        let mut sweep = projector.project(&points(&bytes).unwrap()).unwrap();
+        segmenter.segment(&mut sweep);
+        assert!((sweep.header.height_m - 1.73).abs() < 0.05, "{frame}: {}", sweep.header.height_m);
+        assert!(sweep.header.has(flags::HEIGHT_ESTIMATED));
+    }
+}
+
+/// Real scans, every step of the way: what is fast is what is naive.
+#[test]
+fn fast_is_naive_on_real_scans() {
+    let Some(data) = common::data_dir() else { return };
+    for scan in ["00/000000", "08/000009"] {
+        let bytes = std::fs::read(data.join(format!("labelled/semantickitti/{scan}.bin"))).unwrap();
+        let mut projector = CloudProjector::new(COLUMNS).unwrap();
+        let mut sweep = projector.project(&points(&bytes).unwrap()).unwrap();
+        for method in [Method::Slope, Method::Paper] {
+            let mount = Mount { height_m: Some(1.73), ..Mount::default() };
+            let config = Config { method, mount, ..Config::default() };
+            label_of(&mut sweep, &config);
+            let sweep = sweep.as_ref();
+            check_table(&sweep);
+            assert!(sweep.label == naive::segment(&sweep, &config, config.mount.height_m), "{scan} {method:?}");
+        }
+    }
+}
+
+/// The labelled street scans: the share of ground points that are found, and of found ones that are ground.
+#[test]
+fn ground_is_what_people_call_ground() {
+    const GROUND: [u16; 6] = [40, 44, 48, 49, 60, 72];
+    const UNLABELLED: u16 = 0;
+    let Some(data) = common::data_dir() else { return };
+    for (method, least) in [(Method::Slope, 0.95), (Method::Paper, 0.92)] {
+        let [mut right, mut found, mut there] = [0_u32; 3];
+        for sequence in ["00", "02", "04", "06", "08", "10"] {
+            for frame in ["000000", "000004", "000009"] {
+                let file = data.join(format!("labelled/semantickitti/{sequence}/{frame}.bin"));
+                let classes = std::fs::read(file.with_extension("label")).unwrap();
+                let config = Config { method, ..Config::default() };
+                let mut segmenter = CloudSegmenter::new(config, COLUMNS).unwrap();
+                let labels = segmenter.segment(&std::fs::read(file).unwrap()).unwrap();
+                for (label, class) in labels.into_iter().zip(classes.as_chunks::<4>().0) {
+                    let class = u16::from_le_bytes([class[0], class[1]]);
+                    let (ours, theirs) = (label == LABEL_GROUND, GROUND.contains(&class));
+                    if class != UNLABELLED {
+                        right += u32::from(ours && theirs);
+                        found += u32::from(ours);
+                        there += u32::from(theirs);
+                    }
+                }
+            }
+        }
+        let [right, found, there] = [right, found, there].map(f64::from);
+        let f1 = 2.0 * right / (found + there);
+        println!("{method:?}: precision {:.3}, recall {:.3}, F1 {f1:.3}", right / found, right / there);
+        assert!(f1 > least, "{method:?}: {f1}");
+    }
+}
