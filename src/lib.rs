@@ -69,6 +69,7 @@ pub mod export;
 pub mod files;
 #[cfg(feature = "lab")]
 pub mod soak;
+mod suggest;
 
 pub use sweepd_client::{client, host, publish};
 pub use sweepd_core::{pipeline, segment, sensor, sweep, wire};

@@ -16,6 +16,7 @@ use super::signals::end_flag;
 use super::{CliError, complain};
 use crate::daemon::losses::{Limits, Losses, Place, Tally, Turn};
 use crate::daemon::state::PATIENCE;
+use crate::suggest::nearest;
 use sweepd_client::client::{Client, Domain, SweepRef};
 use sweepd_client::host::{monotonic_ns, realtime_ns};
 use sweepd_core::sensor::Model;
@@ -29,6 +30,19 @@ const LIVE_US: f64 = 10e6;
 /// Options of `sweepd watch`.
 #[derive(Debug, clap::Args)]
 #[command(after_help = "\
+A line a second, or less for the last one:
+  sweeps/s  sweeps received a second
+  rpm       turns a minute of the newest sweep
+  returns   returns of a sweep, mean
+  segments  segments of a sweep, mean
+  age ms    from the arrival of a sweep's last packet to its receipt here, median;
+            `replay` where a capture is played
+  max ms    the same, longest
+  ipc us    from complete labels to receipt here, longest
+  lost      packets missing by the sensor's clock
+  drops     datagrams that the daemon's host dropped
+  missed    sweeps that this program was too slow for
+
 Examples:
   sweepd watch                          the only sensor there is
   sweepd watch roof --json > sweeps.jsonl
@@ -38,10 +52,10 @@ pub struct Args {
     /// Name of the sensor [default: the only one; of several, all are listed]
     #[arg(value_name = "NAME")]
     name: Option<String>,
-    /// End after so many sweeps
+    /// End after this number of sweeps
     #[arg(long, value_name = "N", value_parser = clap::value_parser!(u64).range(1..))]
     sweeps: Option<u64>,
-    /// End with an error when no sweep comes for so long [default: wait for ever]
+    /// End with an error when no sweep comes for this long [default: wait for ever]
     #[arg(long, value_name = "SECONDS", value_parser = super::options::within(0.001..=1e6, "seconds"))]
     timeout: Option<f64>,
     /// At the end, show how long each stage took, as histograms
@@ -65,7 +79,8 @@ pub fn run(args: &Args) -> Result<(), CliError> {
     let outputs = Outputs::new(&args.output)?;
     let table = (!args.output.json).then(|| Table::new(&name));
     let (latencies, losses) = (Latencies::default(), Losses::new(Limits::default()));
-    Watch { args, client, outputs, table, latencies, losses, tally: Tally::default(), newest: None, seen: 0 }.run(&over)
+    let tally = Tally::default();
+    Watch { args, name, client, outputs, table, latencies, losses, tally, newest: None, seen: 0 }.run(&over)
 }
 
 /// When a sweep came.
@@ -77,6 +92,7 @@ struct Receipt {
 
 struct Watch<'a> {
     args: &'a Args,
+    name: String,
     client: Client,
     outputs: Outputs,
     table: Option<Table>,
@@ -90,7 +106,19 @@ struct Watch<'a> {
 }
 
 impl Watch<'_> {
+    /// Follows the sensor to the end. What was received is shown whatever ended it.
     fn run(mut self, over: &AtomicBool) -> Result<(), CliError> {
+        let ended = self.follow(over);
+        if let Some(table) = &mut self.table {
+            table.finish().map_err(CliError::Stdout)?;
+        }
+        if self.args.latency {
+            self.latencies.print(&mut io::stdout().lock()).map_err(CliError::Stdout)?;
+        }
+        ended
+    }
+
+    fn follow(&mut self, over: &AtomicBool) -> Result<(), CliError> {
         let mut last = Instant::now();
         let mut told = false;
         while !over.load(Ordering::Relaxed) && self.args.sweeps.is_none_or(|sweeps| self.seen < sweeps) {
@@ -103,14 +131,11 @@ impl Watch<'_> {
             } else if self.args.timeout.is_some_and(|timeout| last.elapsed().as_secs_f64() >= timeout) {
                 return Err(CliError::Usage(self.nothing(last.elapsed())));
             } else if last.elapsed() > Duration::from_secs(2) && !std::mem::replace(&mut told, true) {
-                complain("note", self.nothing(last.elapsed()));
+                complain("note", format_args!("{}; waiting for it", self.nothing(last.elapsed())));
             }
             if let Some(table) = &mut self.table {
                 table.print_when_due().map_err(CliError::Stdout)?;
             }
-        }
-        if self.args.latency {
-            self.latencies.print(&mut io::stdout().lock()).map_err(CliError::Stdout)?;
         }
         Ok(())
     }
@@ -154,15 +179,31 @@ impl Watch<'_> {
         complain("note", format_args!("{}: {told}", header.name()));
     }
 
+    /// Why no sweep came.
     fn nothing(&self, waited: Duration) -> String {
-        let (name, root) = (self.args.name.as_deref().unwrap_or("the sensor"), self.args.root.domain());
+        let name = &self.name;
         let seconds = waited.as_secs_f64();
         match (self.client.is_connected(), self.client.is_published()) {
             (true, true) => {
                 format!("{name}: no sweep for {seconds:.1} s, though it is published: does the sensor send?")
             }
-            (true, false) => format!("{name}: nobody publishes it for {seconds:.1} s: was the daemon stopped?"),
-            _ => format!("{name}: not published in {} for {seconds:.1} s; waiting for it", root.root().display()),
+            (true, false) => format!("{name}: not published any more for {seconds:.1} s: was the daemon stopped?"),
+            _ => format!("{name}: not published for {seconds:.1} s{}", self.published()),
+        }
+    }
+
+    /// What is published instead.
+    fn published(&self) -> String {
+        let domain = self.args.root.domain();
+        let root = domain.root().display();
+        let names = Client::sensors(&domain).unwrap_or_default();
+        if names.is_empty() {
+            return format!("; nothing is published in {root}: is the daemon running?");
+        }
+        let names_list = names.join(", ");
+        match nearest(&self.name, names.iter().map(String::as_str)) {
+            Some(meant) => format!("; did you mean `{meant}`? Published in {root}: {names_list}"),
+            None => format!("; published in {root}: {names_list}"),
         }
     }
 }

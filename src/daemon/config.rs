@@ -2,7 +2,7 @@
 //!
 //! ```text
 //! text -> file (keys and types) -> check (values, files, sensors among each other) -> Config -> changes (a reload)
-//! error, suggest                   what is wrong, where, and what was meant
+//! error                            what is wrong, where, and what was meant
 //! memory                           bytes that it takes
 //! ```
 
@@ -11,7 +11,6 @@ mod check;
 mod error;
 mod file;
 pub mod memory;
-mod suggest;
 
 use std::net::{IpAddr, Ipv4Addr, SocketAddr};
 use std::path::{Path, PathBuf};

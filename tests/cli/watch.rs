@@ -67,8 +67,17 @@ fn several_sensors_are_listed_and_none_are_waited_for() {
     for name in ["roof", "rear"] {
         let watched = within(&own, &["watch", name, "--sweeps", "1", "--timeout", "20"]).output().map(Ran::of).unwrap();
         assert_eq!(watched.code, 0, "{}", watched.stderr);
+        // The part of a second that one sweep is has its line, below the head.
+        let [model, head, line] = watched.stdout.lines().collect::<Vec<_>>()[..] else { panic!("{}", watched.stdout) };
+        assert!(model.starts_with(&format!("{name}: VLP-16")), "{model}");
+        assert_eq!(head.split_whitespace().next(), Some("sweeps/s"));
+        assert_eq!(line.split_whitespace().nth(1), Some("600"), "{line}");
     }
     within(&own, &["watch"]).output().map(Ran::of).unwrap().says(&["several sensors", "rear, roof"]);
+    let mistyped = within(&own, &["watch", "rof", "--timeout", "0.3"]).output().map(Ran::of).unwrap();
+    mistyped.says(&["rof: not published", "did you mean `roof`?", "rear, roof"]);
+    let strange = within(&own, &["watch", "camera", "--timeout", "0.3"]).output().map(Ran::of).unwrap();
+    strange.says(&["camera: not published", "; published in", "rear, roof"]);
     let taken =
         within(&own, &["replay", capture.to_str().unwrap(), "--publish", "roof"]).output().map(Ran::of).unwrap();
     taken.says(&["`roof` is published by another program"]);

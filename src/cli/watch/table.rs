@@ -26,6 +26,9 @@ pub struct Table {
 
 #[derive(Default)]
 struct Line {
+    /// When the first and the newest sweep came.
+    first: Option<Instant>,
+    newest: Option<Instant>,
     sweeps: u32,
     partial: u32,
     returns: u64,
@@ -53,6 +56,9 @@ impl Table {
             self.begun = self.begun.max(Instant::now() - Duration::from_secs(1));
         }
         line.sweeps += 1;
+        let now = Instant::now();
+        line.first.get_or_insert(now);
+        line.newest = Some(now);
         line.partial += u32::from(header.has(flags::PARTIAL));
         line.returns += u64::from(header.returns);
         line.segments += u64::from(header.segments);
@@ -85,6 +91,24 @@ impl Table {
             return Ok(());
         }
         self.begun = Instant::now();
+        let rate = f64::from(self.line.sweeps) / seconds;
+        self.print(Some(rate))
+    }
+
+    /// Prints what came since the last line.
+    ///
+    /// # Errors
+    /// What writing gives.
+    pub fn finish(&mut self) -> io::Result<()> {
+        // A part of a second has no rate but that between its sweeps.
+        let seconds =
+            self.line.newest.zip(self.line.first).map_or(0.0, |(newest, first)| (newest - first).as_secs_f64());
+        let rate = (seconds > 0.0).then(|| f64::from(self.line.sweeps - 1) / seconds);
+        self.print(rate)
+    }
+
+    /// Prints a line, if there is anything to tell, below the head where that is due.
+    fn print(&mut self, sweeps_per_second: Option<f64>) -> io::Result<()> {
         let line = std::mem::take(&mut self.line);
         if line.sweeps == 0 {
             return Ok(());
@@ -96,25 +120,25 @@ impl Table {
             writeln!(
                 out,
                 "{:>7} {:>5} {:>8} {:>8} {:>8} {:>8} {:>8} {:>6} {:>6} {:>6}",
-                "sweeps/s", "rpm", "returns", "segments", "age ms", "most ms", "share us", "lost", "drops", "missed"
+                "sweeps/s", "rpm", "returns", "segments", "age ms", "max ms", "ipc us", "lost", "drops", "missed"
             )?;
             self.lines = 0;
         }
         self.lines += 1;
-        line.write(&mut out, seconds)
+        line.write(&mut out, sweeps_per_second)
     }
 }
 
 impl Line {
-    fn write(mut self, out: &mut impl Write, seconds: f64) -> io::Result<()> {
+    fn write(mut self, out: &mut impl Write, sweeps_per_second: Option<f64>) -> io::Result<()> {
         let sweeps = f64::from(self.sweeps);
         self.chain_us.sort_by(f64::total_cmp);
         let ms = |us: Option<&f64>| us.map_or("replay".to_owned(), |us| format!("{:.2}", us / 1000.0));
         let (median, most) = (ms(self.chain_us.get(self.chain_us.len() / 2)), ms(self.chain_us.last()));
+        let rate = sweeps_per_second.map_or("-".to_owned(), |rate| format!("{rate:.1}"));
         write!(
             out,
-            "{:>8.1} {:>5.0} {:>8.0} {:>8.0} {median:>8} {most:>8} {:>8.0} {:>6} {:>6} {:>6}",
-            sweeps / seconds,
+            "{rate:>8} {:>5.0} {:>8.0} {:>8.0} {median:>8} {most:>8} {:>8.0} {:>6} {:>6} {:>6}",
             self.rpm,
             self.returns as f64 / sweeps,
             self.segments as f64 / sweeps,

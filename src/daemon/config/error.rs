@@ -7,7 +7,7 @@ use std::path::PathBuf;
 
 use annotate_snippets::{AnnotationKind, Group, Level, Renderer, Snippet};
 
-use super::suggest::suggestion;
+use crate::suggest::suggestion;
 
 /// Why there is no [`Config`](super::Config).
 #[derive(Debug, thiserror::Error)]

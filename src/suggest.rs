@@ -3,10 +3,14 @@
 /// Longest word that is compared: the names of keys are shorter.
 const LONGEST: usize = 40;
 
-/// The word among the quoted ones of `expected` ("one of `a`, `b`") that was meant by `found`, if one is near: it begins with
-/// it (a unit is missing), or a third of its letters at most are wrong.
+/// The word among the quoted ones of `expected` ("one of `a`, `b`") that was meant by `found`, if one is near.
 pub fn suggestion<'a>(found: &str, expected: &'a str) -> Option<&'a str> {
-    let found = found.trim_matches(['"', '\'']);
+    nearest(found.trim_matches(['"', '\'']), expected.split('`').skip(1).step_by(2))
+}
+
+/// The word that was meant by `found`, if one is near: it begins with `found` (a unit is missing), or at most a third of its
+/// letters are wrong.
+pub fn nearest<'a>(found: &str, words: impl Iterator<Item = &'a str>) -> Option<&'a str> {
     if found.is_empty() || found.len() > LONGEST {
         return None;
     }
@@ -16,7 +20,6 @@ pub fn suggestion<'a>(found: &str, expected: &'a str) -> Option<&'a str> {
         let distance = if lacks_unit { 0 } else { distance };
         (distance <= word.len().div_ceil(3)).then_some(distance)
     };
-    let words = expected.split('`').skip(1).step_by(2);
     words.filter_map(|word| Some((near(&word)?, word))).min_by_key(|&(distance, _)| distance).map(|(_, word)| word)
 }
 
