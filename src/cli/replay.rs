@@ -56,6 +56,7 @@ pub struct Args {
 /// [`CliError`]: what stopped it, or what it could not decode.
 pub fn run(args: &Args) -> Result<(), CliError> {
     args.play.check(&args.capture)?;
+    args.publish.check()?;
     let config = pipeline_config(&args.sensor, &args.segment)?;
     let mut replay = Replay::new(args, config)?;
     for played in 1.. {
@@ -236,6 +237,9 @@ impl<'a> Replay<'a> {
             // A position packet is never a fault.
             let _ = pipeline.push(&position);
         }
+        if let Some(note) = self.args.publish.note(index.get(), &name) {
+            self.progress.suspend(|| complain("note", note));
+        }
         let (sums, past) = (Sums::default(), Counts::default());
         let run_ns = realtime_ns();
         let detection = None;
@@ -292,9 +296,10 @@ impl<'a> Replay<'a> {
         Ok(())
     }
 
-    /// Whether another round could bring more than this one.
+    /// Whether another round could bring more than this one, and nothing that was asked for is missing.
     fn is_worth_playing_again(&self) -> bool {
-        self.sender.is_some() || self.tracks.iter().any(|track| track.sums.any())
+        let is_all_shared = self.args.publish.left_over(self.tracks.len()).is_empty();
+        is_all_shared && (self.sender.is_some() || self.tracks.iter().any(|track| track.sums.any()))
     }
 
     /// The summary, and an error when something could not be read or decoded.
@@ -320,6 +325,13 @@ impl<'a> Replay<'a> {
         if all { Ok(()) } else { Err(CliError::Reported) }
     }
 
+    /// The names for which no sensor came, where there were sensors at all.
+    fn unshared(&self) -> Option<String> {
+        let names = self.args.publish.left_over(self.tracks.len());
+        let options: Vec<String> = names.iter().map(|name| format!("--publish {name}")).collect();
+        (!self.tracks.is_empty() && !options.is_empty()).then(|| options.join(", "))
+    }
+
     /// What was asked for and is not there.
     fn missing(&self, capture: &Capture) -> Vec<String> {
         let name = capture.name();
@@ -335,6 +347,9 @@ impl<'a> Replay<'a> {
             let ns = capture.last_ns().unwrap_or(0).saturating_sub(capture.first_ns().unwrap_or(0));
             let (part, seconds) = (self.args.play.part(), ns as f64 * 1e-9);
             missing.push(format!("{name}: no data packets{part}; what was read of it spans {seconds:.3} s"));
+        }
+        if let Some(names) = self.unshared() {
+            missing.push(format!("{name}: no sensor in it for {names}; `sweepd inspect` lists those that are there"));
         }
         missing
     }

@@ -13,6 +13,7 @@ mod inspect;
 mod made;
 mod options;
 mod outputs;
+mod publish;
 mod record;
 mod simulate;
 mod to_udp;

@@ -47,7 +47,9 @@ fn what_is_watched_is_what_is_replayed() {
         // Slowly, since a process takes a while to begin.
         let shared = within(&own, &["replay", path, "--publish", "roof", "--speed", "0.1"]).spawn().unwrap();
         let watched = Ran::of(output(watch));
-        Ran::of(output(shared)).done();
+        let shared = Ran::of(output(shared));
+        let address = expected[0]["sensor"].as_str().unwrap();
+        assert_eq!((shared.code, shared.stderr), (0, format!("note: {address} is shared as roof\n")));
         assert_eq!(watched.code, 0, "{}", watched.stderr);
         assert!(watched.stderr.lines().all(|line| line.starts_with("note: ")), "{}", watched.stderr);
         let watched = sweeps(&watched.stdout);
