@@ -1,4 +1,7 @@
-//! Files that others wrote, read with a limit: what is too long is not what was meant.
+//! Files: those that others wrote, read with a limit, since what is too long is not what was meant; and those that are
+//! written, in [`output`].
+
+pub mod output;
 
 use std::fs::File;
 use std::io::{self, Read};

@@ -36,7 +36,7 @@ use crate::client::ClientError;
 use crate::daemon::DaemonError;
 use crate::daemon::config::ConfigError;
 use crate::daemon::tap::TapError;
-use crate::export::ExportError;
+use crate::export::WriteError;
 use crate::publish::PublishError;
 use crate::sensor::CalibrationError;
 use crate::soak::SoakError;
@@ -96,18 +96,10 @@ pub enum CliError {
     Config(#[from] ConfigError),
     /// An output cannot be written.
     #[error(transparent)]
-    Export(#[from] ExportError),
+    Write(#[from] WriteError),
     /// A file cannot be read.
     #[error("cannot read {}: {source}", path.display())]
     Read {
-        /// The file.
-        path: PathBuf,
-        /// What the system says.
-        source: io::Error,
-    },
-    /// A file or directory cannot be written.
-    #[error("cannot write {}: {source}", path.display())]
-    Write {
         /// The file.
         path: PathBuf,
         /// What the system says.

@@ -61,6 +61,7 @@ pub fn run(args: &Args) -> Result<(), CliError> {
     let mut replay = Replay::new(args, config)?;
     for played in 1.. {
         let mut capture = replay.open()?;
+        replay.outputs.remove_former()?;
         let read = replay.play(&mut capture)?;
         if read.is_err() || !args.play.again(played) || !replay.is_worth_playing_again() {
             return replay.conclude(&capture, read);

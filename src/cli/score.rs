@@ -13,6 +13,7 @@ use serde::Serialize;
 
 use self::scans::{Scan, find};
 use super::options::within;
+use super::output::ForceOptions;
 use super::{CliError, complain};
 use crate::cloud;
 use crate::export::text::count_of;
@@ -68,6 +69,8 @@ pub struct Args {
     json: bool,
     #[command(flatten)]
     methods: Methods,
+    #[command(flatten)]
+    force: ForceOptions,
 }
 
 /// What methods are tried with.

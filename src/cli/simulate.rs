@@ -14,14 +14,17 @@ use clap::ValueEnum;
 
 use self::cloud::CloudOptions;
 use self::faults::FaultOptions;
-use self::truth::{TruthFile, write_objects};
+use self::truth::{TruthFile, former, write_objects};
 use super::CliError;
 use super::options::{model, within};
+use super::output::ForceOptions;
 use super::play::destination;
 use super::send::Sender;
 use super::sink::CaptureFile;
 use crate::capture::write::Addressed;
 use crate::capture::{Pacer, Speed};
+use crate::export::Existing;
+use crate::file::output::{Former, sensor_folder};
 use crate::sensor::model::Spec;
 use crate::sensor::{Calibration, Model};
 use crate::simulate::delivery::Delivery;
@@ -103,6 +106,8 @@ pub struct Args {
     /// sensor but the first is in a folder of its own
     #[arg(long, value_name = "DIR")]
     truth: Option<PathBuf>,
+    #[command(flatten)]
+    force: ForceOptions,
     #[command(flatten)]
     cloud: CloudOptions,
     #[command(flatten)]
@@ -206,13 +211,11 @@ pub fn run(args: &Args) -> Result<(), CliError> {
         return cloud::run(args, file);
     }
     let configs = args.configs()?;
+    let (existing, former) = (args.force.existing(), args.former_truth()?);
     let scene = args.scene.build(args.seed);
     let mut sensors =
         configs.iter().map(|config| Simulated::new(args, config, &scene)).collect::<Result<Vec<_>, _>>()?;
-    if let Some(folder) = &args.truth {
-        write_objects(folder, &scene)?;
-    }
-    let mut output = Output::open(&args.target)?;
+    let mut output = Output::open(&args.target, existing)?;
     while let Some((mut index, mut datagram)) = next(&mut sensors) {
         if index < 2 && args.faults.is_exchanged(datagram.arrival_ns - configs[index].start_utc_ns) {
             index = 1 - index;
@@ -222,10 +225,11 @@ pub fn run(args: &Args) -> Result<(), CliError> {
         sensors[index].note(&datagram)?;
     }
     output.finish()?;
-    for sensor in &mut sensors {
-        sensor.conclude()?;
+    former.remove()?;
+    if let Some(folder) = &args.truth {
+        write_objects(folder, existing, &scene)?;
     }
-    Ok(())
+    sensors.into_iter().try_for_each(Simulated::conclude)
 }
 
 /// The next datagram of all sensors by time of arrival, and the number of its sensor.
@@ -243,6 +247,11 @@ impl Args {
         }
         self.cloud.check()?;
         self.faults.check(self.models.len(), self.seconds.unwrap_or(SECONDS))
+    }
+
+    /// What a former run left in the folder of the truth.
+    fn former_truth(&self) -> Result<Former, CliError> {
+        self.truth.as_ref().map_or(Ok(Former::default()), |folder| former(folder, self.force.existing()))
     }
 
     /// The timing of a model.
@@ -335,12 +344,14 @@ impl<'a> Simulated<'a> {
         let faults = args.faults.rates().plan(config.seed, config.sent_packets());
         let folder = args.truth.as_ref().map(|folder| match config.address.octets() {
             [.., 201] => folder.clone(),
-            _ => folder.join(format!("{}_{DATA_PORT}", config.address)),
+            _ => folder.join(sensor_folder(&format!("{}:{DATA_PORT}", config.address))),
         });
         let emitter = Emitter::new(config.clone(), scene);
         let emitter = if folder.is_some() { emitter } else { emitter.untold() };
         Ok(Self {
-            truth: folder.map(|folder| TruthFile::create(&folder, config.start_utc_ns)).transpose()?,
+            truth: folder
+                .map(|folder| TruthFile::create(&folder, args.force.existing(), config.start_utc_ns))
+                .transpose()?,
             datagrams: deliver(emitter, faults.clone()).peekable(),
             config: config.clone(),
             faults,
@@ -361,9 +372,9 @@ impl<'a> Simulated<'a> {
     }
 
     /// Finishes the truth, and says on standard error what was sent and what was done to it.
-    fn conclude(&mut self) -> Result<(), CliError> {
-        self.truth.as_mut().map_or(Ok(()), TruthFile::finish)?;
-        let Self { config, faults, data, position, .. } = &*self;
+    fn conclude(self) -> Result<(), CliError> {
+        let Self { config, faults, truth, data, position, .. } = self;
+        truth.map_or(Ok(()), TruthFile::finish)?;
         let EmitterConfig { address, model, .. } = config;
         let (lost, duplicated) = (faults.lost_packets(), faults.duplicated.len());
         let (reordered, corrupted, strays) = (faults.swapped.len(), faults.corrupted.len(), faults.strays.len());
@@ -388,9 +399,9 @@ enum Output {
 }
 
 impl Output {
-    fn open(target: &Target) -> Result<Self, CliError> {
+    fn open(target: &Target, existing: Existing) -> Result<Self, CliError> {
         match (&target.pcap, target.to) {
-            (Some(path), _) => Ok(Self::File(CaptureFile::create(path)?)),
+            (Some(path), _) => Ok(Self::File(CaptureFile::create(path, existing)?)),
             (None, Some(to)) => {
                 let (sender, pacer) = (Sender::new(to), Pacer::new(Speed::REALTIME));
                 Ok(Self::Network { sender, pacer, start: Instant::now() })

@@ -62,7 +62,8 @@ pub fn run(args: &Args) -> Result<(), CliError> {
     let domain = args.root.domain();
     let Some(name) = args.find(&domain, &over)? else { return Ok(()) };
     let client = Client::within(&domain, &name)?;
-    let outputs = Outputs::new(&args.output)?;
+    let mut outputs = Outputs::new(&args.output)?;
+    outputs.remove_former()?;
     let table = (!args.output.json).then(|| Table::new(&name));
     let (latencies, losses) = (Latencies::default(), Losses::new(Limits::default()));
     Watch { args, client, outputs, table, latencies, losses, tally: Tally::default(), newest: None, seen: 0 }.run(&over)

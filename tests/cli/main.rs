@@ -7,6 +7,7 @@ mod config;
 #[path = "../common/domain.rs"]
 mod domain;
 mod errors;
+mod existing;
 mod from_cloud;
 mod inputs;
 mod inspect;

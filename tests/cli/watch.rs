@@ -34,15 +34,16 @@ fn what_is_watched_is_what_is_replayed() {
     for name in ["street_vlp16_dual.pcap.gz", "street_hdl32e.pcap.gz"] {
         let capture = fixture(name);
         let path = capture.to_str().unwrap();
-        let options = ["--json", "--no-timing", "--partial", "--csv", folder.path("replayed").to_str().unwrap()]
-            .map(str::to_owned);
+        let options =
+            ["--json", "--no-timing", "--partial", "--force", "--csv", folder.path("replayed").to_str().unwrap()]
+                .map(str::to_owned);
         let mut expected = sweeps(&replay(&capture, &options.each_ref().map(String::as_str)).done());
         expected.pop();
         let count = expected.len().to_string();
         let csv = folder.path("watched");
         let csv = csv.to_str().unwrap();
         // Started first, it waits.
-        let args = ["watch", "--sweeps", &count, "--timeout", "40", "--json", "--no-timing", "--csv", csv];
+        let args = ["watch", "--sweeps", &count, "--timeout", "40", "--json", "--no-timing", "--force", "--csv", csv];
         let watch = within(&own, &args).spawn().unwrap();
         // Slowly, since a process takes a while to begin.
         let shared = within(&own, &["replay", path, "--publish", "roof", "--speed", "0.1"]).spawn().unwrap();
