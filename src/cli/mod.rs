@@ -22,6 +22,7 @@ pub mod simulate;
 pub mod sink;
 pub mod soak;
 pub mod summary;
+pub mod tables;
 pub mod watch;
 
 use std::fmt::Display;

@@ -7,6 +7,7 @@ use clap::ValueEnum;
 use serde::Serialize;
 
 use super::CliError;
+use super::tables::SegmentTables;
 use crate::export::{self, Existing, Exporter, Format, Title, is_sweep_file};
 use crate::file::output::{Former, sensor_folder};
 use crate::sensor::Model;
@@ -29,7 +30,10 @@ pub struct OutputOptions {
     /// A picture a sweep, of ranges, labels and the view from above: DIR/sweep_000000.png, ...
     #[arg(long, value_name = "DIR")]
     pub png: Option<PathBuf>,
-    /// Axes of the points in --csv and --pcd
+    /// A line a segment of all sweeps: FILE.jsonl or FILE.csv; - is standard output, as JSON
+    #[arg(long, value_name = "FILE")]
+    pub segments: Option<PathBuf>,
+    /// Axes of the points in --csv and --pcd, and of --segments
     #[arg(long, value_enum, default_value_t = Axes::Sensor)]
     pub axes: Axes,
     /// Leave out the times that each stage took, so that two runs print the same
@@ -37,6 +41,13 @@ pub struct OutputOptions {
     pub no_timing: bool,
     #[command(flatten)]
     force: ForceOptions,
+}
+
+impl OutputOptions {
+    /// Whether standard output is for lines of JSON, and tables for people have no place there.
+    pub fn is_json(&self) -> bool {
+        self.json || self.segments.as_ref().is_some_and(|path| path.as_os_str() == "-")
+    }
 }
 
 /// What becomes of files that exist.
@@ -140,6 +151,7 @@ pub struct Outputs {
     exporters: Vec<Option<Vec<Exporter>>>,
     existing: Existing,
     former: Vec<Former>,
+    segments: Option<SegmentTables>,
     axes: export::Axes,
     stdout: Option<BufWriter<StdoutLock<'static>>>,
     timing: bool,
@@ -155,8 +167,10 @@ impl Outputs {
         let files = asked.into_iter().filter_map(|(dir, format)| Some((dir.clone()?, format))).collect();
         let stdout = options.json.then(|| BufWriter::new(io::stdout().lock()));
         let (axes, existing) = (options.axes.into(), options.force.existing());
+        let segments = options.segments.as_deref();
+        let segments = segments.map(|path| SegmentTables::create(path, options.json, axes, existing)).transpose()?;
         let (exporters, former, timing) = (Vec::new(), Vec::new(), !options.no_timing);
-        let mut outputs = Self { files, exporters, existing, former, axes, stdout, timing };
+        let mut outputs = Self { files, exporters, existing, former, segments, axes, stdout, timing };
         outputs.exporters(0, "")?;
         for (dir, format) in &outputs.files {
             outputs.former.push(Former::find(dir, existing, "sweep", |name| is_sweep_file(name, *format))?);
@@ -188,6 +202,9 @@ impl Outputs {
         for exporter in self.exporters(sensor, sweep.header.sensor())? {
             exporter.write(sweep, &title)?;
         }
+        if let Some(segments) = &mut self.segments {
+            segments.sweep(sweep, seq)?;
+        }
         let timing = self.timing;
         self.line(|| SweepLine {
             sensor: sweep.header.sensor(),
@@ -218,6 +235,14 @@ impl Outputs {
         let Some(stdout) = &mut self.stdout else { return Ok(()) };
         serde_json::to_writer(&mut *stdout, &line()).map_err(|error| CliError::Stdout(error.into()))?;
         stdout.write_all(b"\n").and_then(|()| stdout.flush()).map_err(CliError::Stdout)
+    }
+
+    /// Gives the table of segments its name. What was not finished is removed.
+    ///
+    /// # Errors
+    /// [`CliError`].
+    pub fn finish(&mut self) -> Result<(), CliError> {
+        self.segments.take().map_or(Ok(()), SegmentTables::finish)
     }
 
     /// The exporters of a sensor: the first one writes into the directories themselves, each other one into a folder of

@@ -311,7 +311,8 @@ impl<'a> Replay<'a> {
         let reports: Vec<SensorReport<'_>> = self.tracks.iter().map(|track| track.report(partial_emitted)).collect();
         let traffic = Traffic::new(capture, self.sensors.others().total() - self.others_before);
         self.outputs.line(|| SummaryLine::new(capture, &traffic, &reports, timing))?;
-        if !self.args.output.json {
+        self.outputs.finish()?;
+        if !self.args.output.is_json() {
             print_tables(&traffic, &reports, timing).map_err(CliError::Stdout)?;
         }
         warn(capture);
@@ -467,7 +468,7 @@ fn nothing(capture: &Capture, part: &str) -> String {
 
 /// How far the capture was read, on standard error; silent where that is no terminal, and where JSON comes out beside it.
 fn progress_bar(args: &Args) -> ProgressBar {
-    if args.output.json && io::stdout().is_terminal() {
+    if args.output.is_json() && io::stdout().is_terminal() {
         return ProgressBar::hidden();
     }
     let template = "{wide_bar} {percent:>3} %  {binary_bytes} of {binary_total_bytes}, {eta} to go";

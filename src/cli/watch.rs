@@ -64,7 +64,7 @@ pub fn run(args: &Args) -> Result<(), CliError> {
     let client = Client::within(&domain, &name)?;
     let mut outputs = Outputs::new(&args.output)?;
     outputs.remove_former()?;
-    let table = (!args.output.json).then(|| Table::new(&name));
+    let table = (!args.output.is_json()).then(|| Table::new(&name));
     let (latencies, losses) = (Latencies::default(), Losses::new(Limits::default()));
     Watch { args, client, outputs, table, latencies, losses, tally: Tally::default(), newest: None, seen: 0 }.run(&over)
 }
@@ -91,7 +91,18 @@ struct Watch<'a> {
 }
 
 impl Watch<'_> {
+    /// Watches until the end. The segments so far have their file, whatever it was that ended it.
     fn run(mut self, over: &AtomicBool) -> Result<(), CliError> {
+        let ended = self.watch(over);
+        self.outputs.finish()?;
+        ended?;
+        if self.args.latency {
+            self.latencies.print(&mut io::stdout().lock()).map_err(CliError::Stdout)?;
+        }
+        Ok(())
+    }
+
+    fn watch(&mut self, over: &AtomicBool) -> Result<(), CliError> {
         let mut last = Instant::now();
         let mut told = false;
         while !over.load(Ordering::Relaxed) && self.args.sweeps.is_none_or(|sweeps| self.seen < sweeps) {
@@ -109,9 +120,6 @@ impl Watch<'_> {
             if let Some(table) = &mut self.table {
                 table.print_when_due().map_err(CliError::Stdout)?;
             }
-        }
-        if self.args.latency {
-            self.latencies.print(&mut io::stdout().lock()).map_err(CliError::Stdout)?;
         }
         Ok(())
     }

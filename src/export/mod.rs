@@ -2,6 +2,7 @@
 //!
 //! * [`csv`]: every return with its provenance, to check the driver or to feed a spreadsheet.
 //! * [`pcd`]: the points and labels, for PCL, Open3D and CloudCompare.
+//! * [`segments`]: the table of segments, a line each.
 //! * [`png`]: one picture that shows what was measured and what the segmentation made of it; and charts of figures.
 //!
 //! The writers take a [`SweepRef`] and any [`Write`]; an [`Exporter`] puts their output into the files of a directory.
@@ -9,6 +10,7 @@
 pub mod csv;
 pub mod pcd;
 pub mod png;
+pub mod segments;
 #[cfg(test)]
 mod test_scene;
 pub mod text;
@@ -25,6 +27,7 @@ pub use crate::file::output::{Existing, WriteError};
 pub use csv::write_csv;
 pub use pcd::write_pcd;
 pub use png::{Title, write_png};
+pub use segments::write_segments;
 
 /// The frame in which points are written.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]

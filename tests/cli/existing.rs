@@ -26,12 +26,16 @@ fn replaces_only_when_forced(args: &[&str], path: &Path) {
 #[test]
 fn a_file_that_exists_is_replaced_only_with_force() {
     let folder = Folder::new("existing-files");
-    let [pcap, unit, label] = ["made.pcap", "unit.yaml", "labels/cloud.label"].map(|name| folder.path(name));
-    let [pcap_to, unit_to] = [&pcap, &unit].map(|path| path.to_str().unwrap());
+    let [pcap, unit, jsonl, label] =
+        ["made.pcap", "unit.yaml", "all.jsonl", "labels/cloud.label"].map(|name| folder.path(name));
+    let [pcap_to, unit_to, jsonl_to] = [&pcap, &unit, &jsonl].map(|path| path.to_str().unwrap());
     let simulate = ["simulate", "--model=vlp16", "--scene=field", "--seconds=0.1", "--pcap"];
     replaces_only_when_forced(&[&simulate[..], &[pcap_to]].concat(), &pcap);
     let hdl64e = fixture("street_hdl64e_s3.pcap.gz");
     replaces_only_when_forced(&["calib", "from-capture", hdl64e.to_str().unwrap(), "-o", unit_to], &unit);
+    let losses = fixture("street_vlp16_losses.pcap");
+    let losses = losses.to_str().unwrap();
+    replaces_only_when_forced(&["replay", losses, "--no-timing", "--segments", jsonl_to], &jsonl);
     let cloud = folder.write("cloud.bin", [1.0_f32, 0.5, -0.2, 0.0].map(f32::to_le_bytes).concat().repeat(40));
     std::fs::create_dir(folder.path("labels")).unwrap();
     let out = label.parent().unwrap().to_str().unwrap();
@@ -97,6 +101,7 @@ fn the_truth_of_a_former_run_is_refused_or_all_replaced() {
 #[test]
 fn pipes_and_devices_are_written_to_and_a_failed_run_leaves_the_old_file() {
     let folder = Folder::new("existing-special");
+    let losses = fixture("street_vlp16_losses.pcap");
     let hdl64e = fixture("street_hdl64e_s3.pcap.gz");
     for device in ["/dev/null", "/dev/stdout"] {
         let ran = sweepd(&["calib", "from-capture", hdl64e.to_str().unwrap(), "-o", device]);
@@ -108,6 +113,15 @@ fn pipes_and_devices_are_written_to_and_a_failed_run_leaves_the_old_file() {
     let mut command = command(&["calib", "from-capture", hdl64e.to_str().unwrap(), "-o", "/dev/stdout"]);
     let status = command.stdout(std::fs::File::create(&path).unwrap()).status().unwrap();
     assert!(status.success() && std::fs::read(&path).unwrap().len() > 1000);
+    let fifo = folder.path("fifo.jsonl");
+    assert!(std::process::Command::new("mkfifo").arg(&fifo).status().unwrap().success());
+    let reader = {
+        let fifo = fifo.clone();
+        std::thread::spawn(move || std::fs::read_to_string(fifo).unwrap())
+    };
+    replay(&losses, &["--segments", fifo.to_str().unwrap()]).done();
+    assert!(reader.join().unwrap().lines().count() > 10);
+
     let old = folder.write("old.pcap", "mine");
     let wrong = ["simulate", "--model=vlp16", "--seconds=0.1", "--force", "--pcap", old.to_str().unwrap()];
     sweepd(&[&wrong[..], &["--truth", "/proc/none"]].concat()).says(&["/proc/none"]);

@@ -16,6 +16,7 @@ mod options;
 mod outputs;
 mod publish;
 mod record;
+mod segments;
 mod simulate;
 mod to_udp;
 mod truth;

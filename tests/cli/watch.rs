@@ -122,8 +122,11 @@ fn ctrl_c_ends_it_well() {
     let capture = fixture("street_vlp16.pcap.gz");
     let mut shared =
         within(&own, &["replay", capture.to_str().unwrap(), "--publish", "roof", "--loop=20"]).spawn().unwrap();
+    let folder = Folder::new("watch-signals");
     for signal in ["-INT", "-TERM"] {
-        let mut watch = within(&own, &["watch", "roof", "--json", "--latency"]).spawn().unwrap();
+        let segments = folder.path(&format!("all{signal}.csv"));
+        let args = ["watch", "roof", "--json", "--latency", "--segments", segments.to_str().unwrap()];
+        let mut watch = within(&own, &args).spawn().unwrap();
         let mut lines = BufReader::new(watch.stdout.take().unwrap()).lines();
         assert!(lines.next().unwrap().unwrap().contains("\"seq\""));
         assert!(Command::new("kill").args([signal, &watch.id().to_string()]).status().unwrap().success());
@@ -132,6 +135,8 @@ fn ctrl_c_ends_it_well() {
         assert!(rest.iter().any(|line| line.starts_with("chain: ")), "no histograms");
         let watched = Ran::of(output(watch));
         assert_eq!((watched.code, watched.stderr.as_str()), (0, ""), "{signal}");
+        let segments = std::fs::read_to_string(segments).unwrap();
+        assert!(segments.lines().count() > 10 && segments.ends_with('\n'), "{signal}: {segments}");
     }
     shared.kill().unwrap();
     shared.wait().unwrap();
