@@ -1,5 +1,4 @@
-//! Files: those that others wrote, read with a limit, since what is too long is not what was meant; and those that are
-//! written, in [`output`].
+//! Files: read with a limit, since a longer one is not the one that was meant; written by [`output`].
 
 pub mod output;
 

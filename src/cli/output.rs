@@ -59,7 +59,7 @@ pub struct ForceOptions {
 }
 
 impl ForceOptions {
-    /// The same for those who write.
+    /// The same, as the writers of files take it.
     pub fn existing(self) -> Existing {
         if self.force { Existing::Replace } else { Existing::Keep }
     }
@@ -158,7 +158,7 @@ pub struct Outputs {
 }
 
 impl Outputs {
-    /// Creates the directories and looks for files of a former run, so that what is wrong is known before the work.
+    /// Creates the directories and looks for files of a former run, so that an error comes before the work.
     ///
     /// # Errors
     /// [`CliError`]: what cannot be written, or is there and must not be replaced.

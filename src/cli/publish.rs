@@ -62,8 +62,8 @@ impl PublishOptions {
         })
     }
 
-    /// What there is to say of a sensor that is heard for the first time: under which name it is shared, or that it is not,
-    /// which is said of the first such sensor alone.
+    /// What there is to say of a sensor that is heard for the first time: under which name it is shared, or that it is not
+    /// shared, for the first such sensor alone.
     pub fn note(&self, sensor: usize, address: &str) -> Option<String> {
         match self.name(sensor) {
             Some(name) => Some(format!("{address} is shared as {name}")),

@@ -1,4 +1,4 @@
-//! The table of segments, a line each: for those who want objects and not points.
+//! The table of segments, a line each: objects instead of points.
 
 use std::io::{self, Write};
 use std::str::FromStr;

@@ -71,8 +71,7 @@ impl WriteError {
 }
 
 /// The name of a file that is being written. The file grows as `NAME.part` and takes its name by [`NewFile::commit`]; without
-/// that, the part is removed and a file that was there before stays as it was. What is no file, such as a pipe or a device, is
-/// written directly.
+/// that, the part is removed and a file that was there before stays as it was. A pipe or a device is written directly.
 #[derive(Debug)]
 #[must_use = "without a commit the file is removed"]
 pub struct NewFile {
@@ -347,7 +346,7 @@ mod tests {
         std::os::unix::fs::symlink("/dev/full", folder.0.join("full")).unwrap();
         let full = write(&folder.0.join("full"), b"x", Existing::Keep).unwrap_err().to_string();
         assert!(full.contains("/full: No space left on device"), "{full}");
-        // A link that leads nowhere is there all the same; what is behind it is not made.
+        // A link that leads nowhere exists all the same, and no file is made behind it.
         std::os::unix::fs::symlink(folder.0.join("none"), folder.0.join("link")).unwrap();
         assert!(matches!(write(&folder.0.join("link"), b"x", Existing::Keep), Err(WriteError::Exists { .. })));
         assert_eq!(folder.names(), ["full", "link"]);

@@ -133,7 +133,7 @@ fn what_cannot_be_meant_is_one_error() {
     with(&["--fit-elevations", "--model=vlp16"]).says(&["--fit-elevations needs --from-cloud"]);
     scan.simulate(&["--fitted=x.yaml", to[0], to[1]]).says(&["--fitted needs --fit-elevations"]);
     scan.simulate(&["--fit-elevations", "--pcap=-"]).says(&["--fitted FILE.yaml"]);
-    // What it reads is not replaced, whatever is said.
+    // A file that it reads is not replaced, with --force neither.
     for force in [&[][..], &["--force"]] {
         let args = [&["--fit-elevations", "--fitted", unit, to[0], to[1]], force].concat();
         scan.simulate(&args).says(&["unit.yaml would be overwritten"]);

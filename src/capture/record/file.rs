@@ -67,8 +67,8 @@ impl Write for Sink {
 }
 
 impl CaptureFile {
-    /// Writes a capture, and overwrites no file: that is the error `AlreadyExists`. What is no file, such as a named pipe, is
-    /// written to.
+    /// Writes a capture, and overwrites no file: that is the error `AlreadyExists`. A pipe or a device is written
+    /// directly.
     ///
     /// # Errors
     /// What the system says.
