@@ -4,10 +4,12 @@ use std::fmt::Write as _;
 use std::io::{self, Write as _};
 use std::path::{Path, PathBuf};
 
+use super::output::ForceOptions;
 use super::{CliError, complain};
 use crate::capture::{Capture, Route, SensorFilter, Sensors};
 use crate::export::text::{count_of, grouped};
 use crate::files;
+use crate::files::output;
 use sweepd_core::sensor::compare::{ANGLE_TOLERANCE_DEG, LENGTH_TOLERANCE_M, differences};
 use sweepd_core::sensor::{Beam, Calibration, Model, ros_yaml, stream};
 use sweepd_core::wire::data::{Banks, DataPacket};
@@ -57,9 +59,11 @@ struct FromCapture {
     /// pcap or pcapng, plain or compressed with gzip or zstd; - is standard input
     #[arg(value_name = "CAPTURE")]
     capture: PathBuf,
-    /// The file to write, replaced as a whole if it is there
+    /// The file to write
     #[arg(short, long, value_name = "FILE.yaml")]
     out: PathBuf,
+    #[command(flatten)]
+    force: ForceOptions,
     /// Only the sensor at this address: IP or IP:PORT
     #[arg(long, value_name = "ADDR")]
     sensor: Option<SensorFilter>,
@@ -168,6 +172,8 @@ struct Unit {
 }
 
 fn from_capture(args: &FromCapture) -> Result<(), CliError> {
+    let existing = args.force.existing();
+    output::check(&args.out, existing)?;
     let mut capture = Capture::open(&args.capture)?;
     let units = read_units(&mut capture, args.sensor)?;
     if let Some(truncation) = capture.truncation() {
@@ -198,7 +204,8 @@ fn from_capture(args: &FromCapture) -> Result<(), CliError> {
         }
     };
     let source = format!("HDL-64E {series} at {}, {calibrated}, from its own packets", unit.name);
-    write_whole(&args.out, &format!("# {source}\n{}", ros_yaml::emit(&calibration)))?;
+    let text = format!("# {source}\n{}", ros_yaml::emit(&calibration));
+    output::write(&args.out, text.as_bytes(), existing)?;
     print(&describe(&args.out, &source, series))
 }
 
@@ -246,18 +253,6 @@ fn incomplete(unit: &Unit) -> String {
             grouped(DUMP_LEN as u64)
         ),
     }
-}
-
-/// Writes a file that is there whole or not at all.
-fn write_whole(path: &Path, text: &str) -> Result<(), CliError> {
-    let mut part = path.as_os_str().to_owned();
-    part.push(".part");
-    let part = PathBuf::from(part);
-    std::fs::write(&part, text).and_then(|()| std::fs::rename(&part, path)).map_err(|source| {
-        // What is left of it is of no use to anybody.
-        let _ = std::fs::remove_file(&part);
-        CliError::Write { path: path.to_owned(), source }
-    })
 }
 
 fn describe(out: &Path, source: &str, series: Series) -> String {

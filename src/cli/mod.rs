@@ -19,6 +19,7 @@ pub mod run;
 pub mod send;
 pub mod signals;
 pub mod summary;
+pub mod tables;
 pub mod watch;
 
 use std::fmt::Display;
@@ -32,7 +33,7 @@ use crate::capture::{CaptureError, RecordError, UdpError};
 use crate::daemon::DaemonError;
 use crate::daemon::config::ConfigError;
 use crate::daemon::tap::TapError;
-use crate::export::ExportError;
+use crate::export::WriteError;
 use crate::files::CalibrationFileError;
 #[cfg(feature = "lab")]
 use crate::soak::SoakError;
@@ -90,18 +91,10 @@ pub enum CliError {
     Config(#[from] ConfigError),
     /// An output cannot be written.
     #[error(transparent)]
-    Export(#[from] ExportError),
+    Write(#[from] WriteError),
     /// A file cannot be read.
     #[error("cannot read {}: {source}", path.display())]
     Read {
-        /// The file.
-        path: PathBuf,
-        /// What the system says.
-        source: io::Error,
-    },
-    /// A file or directory cannot be written.
-    #[error("cannot write {}: {source}", path.display())]
-    Write {
         /// The file.
         path: PathBuf,
         /// What the system says.

@@ -1,13 +1,15 @@
-//! Where the sweeps of a replay go: a line of JSON, a table, a cloud, a picture.
+//! Where the sweeps of a replay go: a line of JSON, a table, a cloud, a picture; and what becomes of files that exist.
 
 use std::io::{self, BufWriter, StdoutLock, Write};
-use std::path::{Path, PathBuf};
+use std::path::PathBuf;
 
 use clap::ValueEnum;
 use serde::Serialize;
 
 use super::CliError;
-use crate::export::{self, Exporter, Format, Title};
+use super::tables::SegmentTables;
+use crate::export::{self, Existing, Exporter, Format, Title, is_sweep_file};
+use crate::files::output::{Former, sensor_folder};
 use sweepd_core::sensor::Model;
 use sweepd_core::sweep::SweepRef;
 use sweepd_core::sweep::layout::{TimeSource, flags};
@@ -28,12 +30,39 @@ pub struct OutputOptions {
     /// A picture a sweep, of ranges, labels and the view from above: DIR/sweep_000000.png, ...
     #[arg(long, value_name = "DIR")]
     pub png: Option<PathBuf>,
-    /// Axes of the points in --csv and --pcd
+    /// A line a segment of all sweeps: FILE.jsonl or FILE.csv; - is standard output, as JSON
+    #[arg(long, value_name = "FILE")]
+    pub segments: Option<PathBuf>,
+    /// Axes of the points in --csv and --pcd, and of --segments
     #[arg(long, value_enum, default_value_t = Axes::Sensor)]
     pub axes: Axes,
     /// Leave out the times that each stage took, so that two runs print the same
     #[arg(long)]
     pub no_timing: bool,
+    #[command(flatten)]
+    force: ForceOptions,
+}
+
+impl OutputOptions {
+    /// Whether standard output is for lines of JSON, and tables for people have no place there.
+    pub fn is_json(&self) -> bool {
+        self.json || self.segments.as_ref().is_some_and(|path| path.as_os_str() == "-")
+    }
+}
+
+/// What becomes of files that exist.
+#[derive(Clone, Copy, Debug, clap::Args)]
+pub struct ForceOptions {
+    /// Replace files that exist; of a folder of outputs, all of a former run
+    #[arg(long)]
+    force: bool,
+}
+
+impl ForceOptions {
+    /// The same, as the writers of files take it.
+    pub fn existing(self) -> Existing {
+        if self.force { Existing::Replace } else { Existing::Keep }
+    }
 }
 
 /// Values of `--axes`.
@@ -120,24 +149,41 @@ pub struct Outputs {
     files: Vec<(PathBuf, Format)>,
     /// By number of the sensor; `None` until its first sweep.
     exporters: Vec<Option<Vec<Exporter>>>,
+    existing: Existing,
+    former: Vec<Former>,
+    segments: Option<SegmentTables>,
     axes: export::Axes,
     stdout: Option<BufWriter<StdoutLock<'static>>>,
     timing: bool,
 }
 
 impl Outputs {
-    /// Creates the directories, so that a wrong one is known before the work.
+    /// Creates the directories and looks for files of a former run, so that an error comes before the work.
     ///
     /// # Errors
-    /// [`CliError::Export`].
+    /// [`CliError`]: what cannot be written, or is there and must not be replaced.
     pub fn new(options: &OutputOptions) -> Result<Self, CliError> {
         let asked = [(&options.csv, Format::Csv), (&options.pcd, Format::Pcd), (&options.png, Format::Png)];
         let files = asked.into_iter().filter_map(|(dir, format)| Some((dir.clone()?, format))).collect();
         let stdout = options.json.then(|| BufWriter::new(io::stdout().lock()));
-        let axes = options.axes.into();
-        let mut outputs = Self { files, exporters: Vec::new(), axes, stdout, timing: !options.no_timing };
+        let (axes, existing) = (options.axes.into(), options.force.existing());
+        let segments = options.segments.as_deref();
+        let segments = segments.map(|path| SegmentTables::create(path, options.json, axes, existing)).transpose()?;
+        let (exporters, former, timing) = (Vec::new(), Vec::new(), !options.no_timing);
+        let mut outputs = Self { files, exporters, existing, former, segments, axes, stdout, timing };
         outputs.exporters(0, "")?;
+        for (dir, format) in &outputs.files {
+            outputs.former.push(Former::find(dir, existing, "sweep", |name| is_sweep_file(name, *format))?);
+        }
         Ok(outputs)
+    }
+
+    /// Removes the files of a former run, where --force is given; before the first sweep, when all else is well.
+    ///
+    /// # Errors
+    /// [`CliError::Write`].
+    pub fn remove_former(&mut self) -> Result<(), CliError> {
+        std::mem::take(&mut self.former).into_iter().try_for_each(Former::remove).map_err(CliError::from)
     }
 
     /// Writes a sweep of a sensor; `seq` counts the sweeps that were written of it. One that was received says how old it
@@ -154,7 +200,10 @@ impl Outputs {
     ) -> Result<(), CliError> {
         let title = Title { model: model.spec().name, sweep_number: seq };
         for exporter in self.exporters(sensor, sweep.header.sensor())? {
-            exporter.write(&export::file_stem(seq), sweep, &title)?;
+            exporter.write(sweep, &title)?;
+        }
+        if let Some(segments) = &mut self.segments {
+            segments.sweep(sweep, seq)?;
         }
         let timing = self.timing;
         self.line(|| SweepLine {
@@ -188,9 +237,17 @@ impl Outputs {
         stdout.write_all(b"\n").and_then(|()| stdout.flush()).map_err(CliError::Stdout)
     }
 
+    /// Gives the table of segments its name. What was not finished is removed.
+    ///
+    /// # Errors
+    /// [`CliError`].
+    pub fn finish(&mut self) -> Result<(), CliError> {
+        self.segments.take().map_or(Ok(()), SegmentTables::finish)
+    }
+
     /// The exporters of a sensor: the first one writes into the directories themselves, each other one into a folder of
     /// its name in them.
-    fn exporters(&mut self, sensor: usize, name: &str) -> Result<&[Exporter], CliError> {
+    fn exporters(&mut self, sensor: usize, name: &str) -> Result<&mut [Exporter], CliError> {
         if self.exporters.len() <= sensor {
             self.exporters.resize(sensor + 1, None);
         }
@@ -198,9 +255,10 @@ impl Outputs {
         let created = match slot.take() {
             Some(exporters) => exporters,
             None => {
-                let folder =
-                    |dir: &Path| if sensor == 0 { dir.to_owned() } else { dir.join(name.replace([':', '>'], "_")) };
-                let create = |(dir, format): &(PathBuf, Format)| Exporter::new(folder(dir), *format, self.axes);
+                let create = |(dir, format): &(PathBuf, Format)| {
+                    let dir = if sensor == 0 { dir.clone() } else { dir.join(sensor_folder(name)) };
+                    Exporter::new(dir, *format, self.axes, self.existing)
+                };
                 self.files.iter().map(create).collect::<Result<_, _>>()?
             }
         };

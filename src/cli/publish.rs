@@ -2,8 +2,9 @@
 
 use std::path::PathBuf;
 
+use super::CliError;
 use sweepd_client::host::{monotonic_ns, realtime_ns};
-use sweepd_client::publish::{Domain, Loans, PublishError, Settings, Slot};
+use sweepd_client::publish::{Domain, Loans, NAME_RULE, PublishError, Settings, Slot, is_sensor_name};
 use sweepd_core::sweep::SweepMut;
 use sweepd_core::sweep::layout::Completion;
 
@@ -30,7 +31,7 @@ impl RootOptions {
 pub struct PublishOptions {
     /// Share the sweeps as the daemon would, as the sensor of this name; again for the second sensor in the capture,
     /// and so on
-    #[arg(long, value_name = "NAME")]
+    #[arg(long, value_name = "NAME", value_parser = sensor_name)]
     pub publish: Vec<String>,
     /// Consumers that each may have at most
     #[arg(long, value_name = "N", default_value = "4", value_parser = clap::value_parser!(u8).range(1..=16))]
@@ -50,6 +51,34 @@ impl PublishOptions {
         self.publish.get(sensor).map(String::as_str)
     }
 
+    /// Looks for a name that is given twice.
+    ///
+    /// # Errors
+    /// [`CliError::Usage`].
+    pub fn check(&self) -> Result<(), CliError> {
+        let twice = self.publish.iter().enumerate().find(|(index, name)| self.publish[..*index].contains(name));
+        twice.map_or(Ok(()), |(_, name)| {
+            Err(CliError::Usage(format!("--publish {name} is given twice; give each sensor a name of its own")))
+        })
+    }
+
+    /// What there is to say of a sensor that is heard for the first time: under which name it is shared, or that it is not
+    /// shared, for the first such sensor alone.
+    pub fn note(&self, sensor: usize, address: &str) -> Option<String> {
+        match self.name(sensor) {
+            Some(name) => Some(format!("{address} is shared as {name}")),
+            None if self.is_wanted() && sensor == self.publish.len() => {
+                Some(format!("{address} is not shared: no --publish NAME is left for it"))
+            }
+            None => None,
+        }
+    }
+
+    /// The names that are left over when this many sensors were heard.
+    pub fn left_over(&self, sensors: usize) -> &[String] {
+        self.publish.get(sensors..).unwrap_or_default()
+    }
+
     /// Room for the sweeps of a sensor.
     ///
     /// # Errors
@@ -60,6 +89,10 @@ impl PublishOptions {
         let settings = Settings { name, max_consumers: self.max_consumers.into(), model: String::new(), address };
         Loans::create(&self.root.domain(), &settings)
     }
+}
+
+fn sensor_name(text: &str) -> Result<String, String> {
+    if is_sensor_name(text) { Ok(text.to_owned()) } else { Err(format!("expected {NAME_RULE}")) }
 }
 
 /// Says in a sweep where and when it was completed, and hands it to all consumers.

@@ -18,13 +18,15 @@ use indicatif::{ProgressBar, ProgressStyle};
 use self::input::{Input, InputReport};
 use self::report::Report;
 use super::options::{Listening, within};
+use super::output::ForceOptions;
 use super::signals::end_flag;
 use super::{CliError, complain};
 use crate::capture::record::Rotation;
 use crate::capture::udp::ample_buffer_bytes;
-use crate::capture::{Gate, Recorder, SensorFilter, UdpConfig, UdpError, UdpSource};
+use crate::capture::{Gate, RecordError, Recorder, SensorFilter, UdpConfig, UdpError, UdpSource};
 use crate::daemon::tap::{TapStream, socket_path};
 use crate::export::text::grouped;
+use crate::export::{Existing, WriteError};
 use sweepd_client::publish::Domain;
 
 /// How soon everybody hears of the end.
@@ -39,14 +41,16 @@ records what it receives.
 
 Examples:
   sweepd record -o drive.pcap
-  sweepd record -o drive.pcap.gz --seconds 60 --sensor 192.168.1.201
+  sweepd record -o minute.pcap.gz --seconds 60 --sensor 192.168.1.201
   sweepd record -o drive.pcap --port 2368 --port 2369 --rotate-mb 1000 --rotate-seconds 600
-  sweepd record -o drive.pcap --multicast 239.1.2.3 --interface eth1
-  sweepd record -o drive.pcap --from roof")]
+  sweepd record -o group.pcap --multicast 239.1.2.3 --interface eth1
+  sweepd record -o roof.pcap --from roof")]
 pub struct Args {
-    /// Write there: NAME.pcap or NAME.pcap.gz; a file that exists is never overwritten
+    /// Write there: NAME.pcap or NAME.pcap.gz; with --force as NAME.pcap.part until it ends
     #[arg(short, long, value_name = "FILE")]
     output: PathBuf,
+    #[command(flatten)]
+    force: ForceOptions,
     /// Record what the running daemon receives of this sensor, by its name in the daemon's configuration
     #[arg(long, value_name = "NAME", conflicts_with_all = ["ports", "bind", "multicast", "interface"])]
     from: Option<String>,
@@ -64,10 +68,22 @@ pub struct Args {
     seconds: Option<f64>,
     /// Begin another file before one gets longer than this, uncompressed: NAME-000.pcap, NAME-001.pcap, ..., numbers that
     /// exist left out
-    #[arg(long, value_name = "MB", value_parser = within(0.01..=1e9, "MB"), allow_negative_numbers = true)]
+    #[arg(
+        long,
+        value_name = "MB",
+        value_parser = within(0.01..=1e9, "MB"),
+        allow_negative_numbers = true,
+        conflicts_with = "force"
+    )]
     rotate_mb: Option<f64>,
     /// Begin another file when one holds so much, likewise
-    #[arg(long, value_name = "SECONDS", value_parser = within(0.1..=1e9, "seconds"), allow_negative_numbers = true)]
+    #[arg(
+        long,
+        value_name = "SECONDS",
+        value_parser = within(0.1..=1e9, "seconds"),
+        allow_negative_numbers = true,
+        conflicts_with = "force"
+    )]
     rotate_seconds: Option<f64>,
 }
 
@@ -79,7 +95,7 @@ pub fn run(args: &Args) -> Result<(), CliError> {
     // Before anything is opened, so that no signal leaves it half done.
     let over = end_flag().map_err(|source| CliError::System { what: "handle signals", source })?;
     let inputs = args.inputs()?;
-    let recorder = Recorder::start(&args.output, args.rotation())?;
+    let recorder = args.recorder()?;
     announce(&inputs, recorder.path());
     let (report, ended) = Recording { recorder, over, counts: Counts::default() }.run(args, inputs);
     report.print(&mut BufWriter::new(io::stdout().lock())).map_err(CliError::Stdout)?;
@@ -120,6 +136,19 @@ impl Args {
             inputs.push(Input::Port { source, gate: self.gate() });
         }
         Ok(inputs)
+    }
+
+    /// Begins to write.
+    fn recorder(&self) -> Result<Recorder, CliError> {
+        if self.force.existing() == Existing::Replace {
+            return Ok(Recorder::replacing(&self.output)?);
+        }
+        match Recorder::start(&self.output, self.rotation()) {
+            Err(RecordError::File { path, source }) if source.kind() == io::ErrorKind::AlreadyExists => {
+                Err(WriteError::Exists { path }.into())
+            }
+            begun => Ok(begun?),
+        }
     }
 
     fn gate(&self) -> Gate {

@@ -56,10 +56,12 @@ pub struct Args {
 /// [`CliError`]: what stopped it, or what it could not decode.
 pub fn run(args: &Args) -> Result<(), CliError> {
     args.play.check(&args.capture)?;
+    args.publish.check()?;
     let config = pipeline_config(&args.sensor, &args.segment)?;
     let mut replay = Replay::new(args, config)?;
     for played in 1.. {
         let mut capture = replay.open()?;
+        replay.outputs.remove_former()?;
         let read = replay.play(&mut capture)?;
         if read.is_err() || !args.play.again(played) || !replay.is_worth_playing_again() {
             return replay.conclude(&capture, read);
@@ -236,6 +238,9 @@ impl<'a> Replay<'a> {
             // A position packet is never a fault.
             let _ = pipeline.push(&position);
         }
+        if let Some(note) = self.args.publish.note(index.get(), &name) {
+            self.progress.suspend(|| complain("note", note));
+        }
         let (sums, past) = (Sums::default(), Counts::default());
         let run_ns = realtime_ns();
         let detection = None;
@@ -292,9 +297,10 @@ impl<'a> Replay<'a> {
         Ok(())
     }
 
-    /// Whether another round could bring more than this one.
+    /// Whether another round could bring more than this one, and nothing that was asked for is missing.
     fn is_worth_playing_again(&self) -> bool {
-        self.sender.is_some() || self.tracks.iter().any(|track| track.sums.any())
+        let is_all_shared = self.args.publish.left_over(self.tracks.len()).is_empty();
+        is_all_shared && (self.sender.is_some() || self.tracks.iter().any(|track| track.sums.any()))
     }
 
     /// The summary, and an error when something could not be read or decoded.
@@ -305,7 +311,8 @@ impl<'a> Replay<'a> {
         let reports: Vec<SensorReport<'_>> = self.tracks.iter().map(|track| track.report(partial_emitted)).collect();
         let traffic = Traffic::new(capture, self.sensors.others().total() - self.others_before);
         self.outputs.line(|| SummaryLine::new(capture, &traffic, &reports, timing))?;
-        if !self.args.output.json {
+        self.outputs.finish()?;
+        if !self.args.output.is_json() {
             print_tables(&traffic, &reports, timing).map_err(CliError::Stdout)?;
         }
         warn(capture);
@@ -318,6 +325,13 @@ impl<'a> Replay<'a> {
         }
         let all = read.is_ok() && missing.is_empty() && self.tracks.iter().all(|track| track.fault.is_none());
         if all { Ok(()) } else { Err(CliError::Reported) }
+    }
+
+    /// The names for which no sensor came, where there were sensors at all.
+    fn unshared(&self) -> Option<String> {
+        let names = self.args.publish.left_over(self.tracks.len());
+        let options: Vec<String> = names.iter().map(|name| format!("--publish {name}")).collect();
+        (!self.tracks.is_empty() && !options.is_empty()).then(|| options.join(", "))
     }
 
     /// What was asked for and is not there.
@@ -335,6 +349,9 @@ impl<'a> Replay<'a> {
             let ns = capture.last_ns().unwrap_or(0).saturating_sub(capture.first_ns().unwrap_or(0));
             let (part, seconds) = (self.args.play.part(), ns as f64 * 1e-9);
             missing.push(format!("{name}: no data packets{part}; what was read of it spans {seconds:.3} s"));
+        }
+        if let Some(names) = self.unshared() {
+            missing.push(format!("{name}: no sensor in it for {names}; `sweepd inspect` lists those that are there"));
         }
         missing
     }
@@ -451,7 +468,7 @@ fn nothing(capture: &Capture, part: &str) -> String {
 
 /// How far the capture was read, on standard error; silent where that is no terminal, and where JSON comes out beside it.
 fn progress_bar(args: &Args) -> ProgressBar {
-    if args.output.json && io::stdout().is_terminal() {
+    if args.output.is_json() && io::stdout().is_terminal() {
         return ProgressBar::hidden();
     }
     let template = "{wide_bar} {percent:>3} %  {binary_bytes} of {binary_total_bytes}, {eta} to go";

@@ -76,8 +76,9 @@ pub fn run(args: &Args) -> Result<(), CliError> {
     let domain = args.root.domain();
     let Some(name) = args.find(&domain, &over)? else { return Ok(()) };
     let client = Client::within(&domain, &name)?;
-    let outputs = Outputs::new(&args.output)?;
-    let table = (!args.output.json).then(|| Table::new(&name));
+    let mut outputs = Outputs::new(&args.output)?;
+    outputs.remove_former()?;
+    let table = (!args.output.is_json()).then(|| Table::new(&name));
     let (latencies, losses) = (Latencies::default(), Losses::new(Limits::default()));
     let tally = Tally::default();
     Watch { args, name, client, outputs, table, latencies, losses, tally, newest: None, seen: 0 }.run(&over)
@@ -106,16 +107,18 @@ struct Watch<'a> {
 }
 
 impl Watch<'_> {
-    /// Follows the sensor to the end. What was received is shown whatever ended it.
+    /// Follows the sensor to the end. What was received is shown, and the segments have their file, whatever ended it.
     fn run(mut self, over: &AtomicBool) -> Result<(), CliError> {
         let ended = self.follow(over);
         if let Some(table) = &mut self.table {
             table.finish().map_err(CliError::Stdout)?;
         }
+        self.outputs.finish()?;
+        ended?;
         if self.args.latency {
             self.latencies.print(&mut io::stdout().lock()).map_err(CliError::Stdout)?;
         }
-        ended
+        Ok(())
     }
 
     fn follow(&mut self, over: &AtomicBool) -> Result<(), CliError> {

@@ -2,6 +2,7 @@
 //!
 //! * [`csv`]: every return with its provenance, to check the driver or to feed a spreadsheet.
 //! * [`pcd`]: the points and labels, for PCL, Open3D and CloudCompare.
+//! * [`segments`]: the table of segments, a line each.
 //! * [`png`]: one picture that shows what was measured and what the segmentation made of it; and charts of figures.
 //!
 //! The writers take a [`SweepRef`] and any [`Write`]; an [`Exporter`] puts their output into the files of a directory.
@@ -9,20 +10,24 @@
 pub mod csv;
 pub mod pcd;
 pub mod png;
+pub mod segments;
 #[cfg(test)]
 mod test_scene;
 pub mod text;
 
-use std::fs::{self, File};
-use std::io::{self, BufWriter, Write};
-use std::path::{Path, PathBuf};
+use std::fs;
+use std::io::{BufWriter, Write};
+use std::path::PathBuf;
 use std::str::FromStr;
 
+use crate::files::output::NewFile;
 use sweepd_core::sweep::SweepRef;
 
+pub use crate::files::output::{Existing, WriteError};
 pub use csv::write_csv;
 pub use pcd::write_pcd;
 pub use png::{Title, write_png};
+pub use segments::write_segments;
 
 /// The frame in which points are written.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
@@ -98,84 +103,66 @@ pub struct UnknownWord {
     expected: &'static str,
 }
 
-/// Why a sweep could not be exported.
-#[derive(Debug, thiserror::Error)]
-pub enum ExportError {
-    /// The directory is not there and cannot be made.
-    #[error("cannot create the directory {}: {cause}", path.display())]
-    Directory {
-        /// The directory.
-        path: PathBuf,
-        /// What the system says. Part of the message, so not a `source` that a report would print again.
-        cause: io::Error,
-    },
-    /// The file cannot be written.
-    #[error("cannot write {}: {cause}", path.display())]
-    File {
-        /// The file, under its final name.
-        path: PathBuf,
-        /// What the system says.
-        cause: io::Error,
-    },
-}
-
 /// Writes sweeps into a directory, a file each.
 #[derive(Clone, Debug)]
 pub struct Exporter {
     dir: PathBuf,
     format: Format,
     axes: Axes,
+    existing: Existing,
+    /// One more than the greatest number so far.
+    next_number: u64,
 }
 
 impl Exporter {
     /// An exporter into a directory, which is created with its parents where it is missing.
     ///
     /// # Errors
-    /// [`ExportError::Directory`].
-    pub fn new(dir: impl Into<PathBuf>, format: Format, axes: Axes) -> Result<Self, ExportError> {
+    /// [`WriteError::Directory`].
+    pub fn new(dir: impl Into<PathBuf>, format: Format, axes: Axes, existing: Existing) -> Result<Self, WriteError> {
         let dir = dir.into();
         match fs::create_dir_all(&dir) {
-            Ok(()) => Ok(Self { dir, format, axes }),
-            Err(cause) => Err(ExportError::Directory { path: dir, cause }),
+            Ok(()) => Ok(Self { dir, format, axes, existing, next_number: 0 }),
+            Err(cause) => Err(WriteError::Directory { path: dir, cause }),
         }
     }
 
-    /// Writes a sweep as `STEM.EXTENSION` and gives the path. The stem is [`file_stem`] of the sweep's number, behind
-    /// the sensor's name where there are several.
+    /// Writes a sweep as [`file_stem`] of its number with the format's ending, and gives the path.
     ///
-    /// The file grows as `STEM.EXTENSION.part` and takes its name when it is whole: nobody reads half a sweep.
+    /// The file grows as `NAME.part` and takes its name when it is whole: no reader gets half a sweep.
     ///
     /// # Errors
-    /// [`ExportError::File`]; nothing of the file is left then.
-    pub fn write(&self, stem: &str, sweep: SweepRef<'_>, title: &Title<'_>) -> Result<PathBuf, ExportError> {
-        let name = format!("{stem}.{}", self.format.extension());
-        let path = self.dir.join(&name);
-        let part = self.dir.join(name + ".part");
-        let written = self.write_part(&part, sweep, title).and_then(|()| fs::rename(&part, &path));
-        match written {
-            Ok(()) => Ok(path),
-            Err(cause) => {
-                // The first error is the one to report; where there is no .part, there is nothing to remove.
-                let _ = fs::remove_file(&part);
-                Err(ExportError::File { path, cause })
-            }
-        }
-    }
-
-    fn write_part(&self, part: &Path, sweep: SweepRef<'_>, title: &Title<'_>) -> io::Result<()> {
-        let mut out = BufWriter::with_capacity(1 << 16, File::create(part)?);
-        match self.format {
-            Format::Csv => write_csv(sweep, self.axes, &mut out)?,
-            Format::Pcd => write_pcd(sweep, self.axes, &mut out)?,
-            Format::Png => write_png(sweep, title, &mut out)?,
-        }
-        out.flush()
+    /// [`WriteError`]: a file of this name exists and is not to be replaced, or cannot be written; nothing of it is left
+    /// then.
+    pub fn write(&mut self, sweep: SweepRef<'_>, title: &Title<'_>) -> Result<PathBuf, WriteError> {
+        let number = title.sweep_number;
+        let path = self.dir.join(format!("{}.{}", file_stem(number), self.format.extension()));
+        // A publisher that begins again counts from 0 again: those files are of this run.
+        let existing = if number < self.next_number { Existing::Replace } else { self.existing };
+        let (file, new) = NewFile::create(&path, existing)?;
+        let mut out = BufWriter::with_capacity(1 << 16, file);
+        let written = match self.format {
+            Format::Csv => write_csv(sweep, self.axes, &mut out),
+            Format::Pcd => write_pcd(sweep, self.axes, &mut out),
+            Format::Png => write_png(sweep, title, &mut out),
+        };
+        written.and_then(|()| out.flush()).map_err(|cause| new.failed(cause))?;
+        new.commit()?;
+        self.next_number = self.next_number.max(number.saturating_add(1));
+        Ok(path)
     }
 }
 
 /// Name of a sweep's file without its ending: `sweep_000042`.
 pub fn file_stem(sweep_number: u64) -> String {
     format!("sweep_{sweep_number:06}")
+}
+
+/// Whether a file has the name of a sweep in this format: `sweep_000042.csv`.
+pub fn is_sweep_file(name: &str, format: Format) -> bool {
+    let stem = name.strip_suffix(format.extension()).and_then(|stem| stem.strip_suffix('.'));
+    let number = stem.and_then(|stem| stem.strip_prefix("sweep_")).and_then(|number| number.parse().ok());
+    stem.zip(number).is_some_and(|(stem, number)| file_stem(number) == stem)
 }
 
 #[cfg(test)]
@@ -196,10 +183,16 @@ mod tests {
         let dir = empty_dir("names");
         let scene = Scene::small();
         for (word, first) in [("csv", &b"packet,"[..]), ("pcd", b"# .PCD"), ("png", b"\x89PNG")] {
-            let exporter = Exporter::new(dir.join("a/b"), word.parse().unwrap(), Axes::Sensor).unwrap();
-            let path = exporter.write(&file_stem(3), scene.sweep(), &TITLE).unwrap();
+            let new = || Exporter::new(dir.join("a/b"), word.parse().unwrap(), Axes::Sensor, Existing::Keep).unwrap();
+            let mut exporter = new();
+            let path = exporter.write(scene.sweep(), &TITLE).unwrap();
             assert_eq!(path, dir.join(format!("a/b/sweep_000003.{word}")));
             assert!(fs::read(&path).unwrap().starts_with(first));
+            // Its own, when a publisher counts from the start again; but not another's.
+            exporter.write(scene.sweep(), &TITLE).unwrap();
+            assert!(
+                matches!(new().write(scene.sweep(), &TITLE), Err(WriteError::Exists { path: found }) if found == path)
+            );
         }
         assert_eq!(fs::read_dir(dir.join("a/b")).unwrap().count(), 3);
         fs::remove_dir_all(dir).unwrap();
@@ -209,25 +202,44 @@ mod tests {
     fn a_file_in_the_place_of_the_directory_is_named() {
         let dir = empty_dir("directory");
         fs::write(&dir, "").unwrap();
-        let error = Exporter::new(dir.join("deep"), Format::Csv, Axes::Sensor).unwrap_err();
+        let error = Exporter::new(dir.join("deep"), Format::Csv, Axes::Sensor, Existing::Keep).unwrap_err();
         assert!(error.to_string().starts_with(&format!("cannot create the directory {}/deep: ", dir.display())));
         fs::remove_file(dir).unwrap();
     }
 
     #[cfg(target_os = "linux")]
     #[test]
-    fn a_full_disk_is_reported_with_the_file_and_leaves_nothing() {
+    fn a_full_disk_is_reported_with_the_file() {
         let dir = empty_dir("full");
         for format in [Format::Csv, Format::Pcd, Format::Png] {
-            let exporter = Exporter::new(&dir, format, Axes::Ros).unwrap();
-            let path = dir.join(format!("s.{}", format.extension()));
-            std::os::unix::fs::symlink("/dev/full", dir.join(format!("s.{}.part", format.extension()))).unwrap();
-            let error = exporter.write("s", Scene::small().sweep(), &TITLE).unwrap_err();
+            let mut exporter = Exporter::new(&dir, format, Axes::Ros, Existing::Keep).unwrap();
+            let path = dir.join(format!("sweep_000003.{}", format.extension()));
+            std::os::unix::fs::symlink("/dev/full", &path).unwrap();
+            let error = exporter.write(Scene::small().sweep(), &TITLE).unwrap_err();
             let expected = format!("cannot write {}: No space left on device", path.display());
             assert!(error.to_string().starts_with(&expected), "{error}");
-            assert_eq!(fs::read_dir(&dir).unwrap().count(), 0);
+            assert!(fs::read_dir(&dir).unwrap().all(|entry| entry.unwrap().path().is_symlink()));
         }
         fs::remove_dir_all(dir).unwrap();
+    }
+
+    #[test]
+    fn files_of_sweeps_are_told_by_their_names() {
+        for name in ["sweep_000000.png", "sweep_123456.png", "sweep_1234567.png"] {
+            assert!(is_sweep_file(name, Format::Png) && !is_sweep_file(name, Format::Csv), "{name}");
+        }
+        for name in [
+            "sweep_0.png",
+            "sweep_0000001.png",
+            "sweep_+00001.png",
+            "sweep_000001.png.part",
+            "sweep_000001png",
+            "my_sweep_000001.png",
+            "sweep_000001.PNG",
+            "sweep_.png",
+        ] {
+            assert!(!is_sweep_file(name, Format::Png), "{name}");
+        }
     }
 
     #[test]

@@ -5,30 +5,33 @@ use std::io::{self, Write};
 use super::Axes;
 use sweepd_core::sweep::{Return, SweepRef};
 
-/// Bytes of a point: x, y, z, intensity as f32, ring as u16, label as u32, without padding.
-pub const POINT_BYTES: usize = 22;
+/// Bytes of a point: x, y, z, intensity as f32, ring as u16, label as u32, time as f32, without padding.
+pub const POINT_BYTES: usize = 26;
 
 /// Writes a point per return, in the order of [`SweepRef::returns`].
 ///
 /// `intensity` is the calibrated reflectivity. `ring` counts from the lowest beam up, as ROS drivers do: it is
-/// `rows - 1 - row`. `label` is 0 none, 1 ground, 2.. segment.
+/// `rows - 1 - row`. `label` is 0 none, 1 ground, 2.. segment. `time` is when the beam fired, seconds since the first shot of
+/// the sweep, which a comment in the head tells in nanoseconds since 1970; within 0.2 s it is exact to 8 ns.
 ///
 /// # Errors
 /// Those of `out`.
 pub fn write_pcd(sweep: SweepRef<'_>, axes: Axes, out: &mut impl Write) -> io::Result<()> {
     let mut points = Vec::with_capacity(sweep.range.len() * POINT_BYTES);
     for found in sweep.returns() {
-        points.extend_from_slice(&point(&found, sweep.rows(), axes));
+        points.extend_from_slice(&point(&found, &sweep, axes));
     }
     let count = points.len() / POINT_BYTES;
+    let time_ns = sweep.header.time_ns;
     write!(
         out,
         "# .PCD v0.7 - Point Cloud Data file format\n\
+         # time 0 is {time_ns} ns since 1970\n\
          VERSION 0.7\n\
-         FIELDS x y z intensity ring label\n\
-         SIZE 4 4 4 4 2 4\n\
-         TYPE F F F F U U\n\
-         COUNT 1 1 1 1 1 1\n\
+         FIELDS x y z intensity ring label time\n\
+         SIZE 4 4 4 4 2 4 4\n\
+         TYPE F F F F U U F\n\
+         COUNT 1 1 1 1 1 1 1\n\
          WIDTH {count}\n\
          HEIGHT 1\n\
          VIEWPOINT 0 0 0 1 0 0 0\n\
@@ -38,15 +41,17 @@ pub fn write_pcd(sweep: SweepRef<'_>, axes: Axes, out: &mut impl Write) -> io::R
     out.write_all(&points)
 }
 
-fn point(found: &Return, rows: usize, axes: Axes) -> [u8; POINT_BYTES] {
+fn point(found: &Return, sweep: &SweepRef<'_>, axes: Axes) -> [u8; POINT_BYTES] {
     let [x, y, z] = axes.of_sensor(found.point_m);
-    let ring = (rows - 1 - found.row) as u16;
+    let ring = (sweep.rows() - 1 - found.row) as u16;
+    let time_s = found.time_ns.saturating_sub(sweep.header.time_ns) as f64 * 1e-9;
     let mut bytes = [0; POINT_BYTES];
     for (place, value) in bytes.chunks_exact_mut(4).zip([x as f32, y as f32, z as f32, f32::from(found.reflectivity)]) {
         place.copy_from_slice(&value.to_le_bytes());
     }
     bytes[16..18].copy_from_slice(&ring.to_le_bytes());
     bytes[18..22].copy_from_slice(&found.label.to_le_bytes());
+    bytes[22..26].copy_from_slice(&(time_s as f32).to_le_bytes());
     bytes
 }
 
@@ -76,7 +81,7 @@ mod tests {
         assert_eq!(body.len(), returns * sizes.iter().sum::<usize>());
         assert_eq!((value("WIDTH"), value("POINTS")), (returns.to_string().as_str(), returns.to_string().as_str()));
         for key in ["FIELDS", "SIZE", "TYPE", "COUNT"] {
-            assert_eq!(value(key).split(' ').count(), 6, "{key}");
+            assert_eq!(value(key).split(' ').count(), 7, "{key}");
         }
     }
 
@@ -85,12 +90,15 @@ mod tests {
     fn points_by_hand() {
         let mut file = Vec::new();
         write_pcd(two_beams().sweep(), Axes::Ros, &mut file).unwrap();
+        assert!(file.starts_with(
+            b"# .PCD v0.7 - Point Cloud Data file format\n# time 0 is 1700000000000000000 ns since 1970\n"
+        ));
         let (_, body) = split(&file);
-        assert_eq!(body.len(), 66);
+        assert_eq!(body.len(), 78);
         let float = |at: usize| f32::from_le_bytes(body[at..at + 4].try_into().unwrap());
         assert!(float(0).abs() < 1e-6 && (float(4) + 1.732_050_8).abs() < 1e-6 && (float(8) - 1.0).abs() < 1e-6);
-        assert_eq!((float(12), &body[16..22]), (200.0, &[1, 0, 2, 0, 0, 0][..]));
-        assert!((float(44) - 10.0).abs() < 1e-6);
-        assert_eq!((float(56), &body[60..66]), (3.0, &[0, 0, 1, 0, 0, 0][..]));
+        assert_eq!((float(12), &body[16..22], float(22)), (200.0, &[1, 0, 2, 0, 0, 0][..], 500e-9));
+        assert!((float(52) - 10.0).abs() < 1e-6);
+        assert_eq!((float(64), &body[68..74], float(74)), (3.0, &[0, 0, 1, 0, 0, 0][..], 55_296e-9));
     }
 }

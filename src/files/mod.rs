@@ -1,6 +1,7 @@
-//! Files that others wrote, read with a limit: what is too long is not what was meant. The core takes their bytes.
+//! Files: read with a limit, since a longer one is not the one that was meant; written by [`output`]. The core takes bytes.
 
 mod mask;
+pub mod output;
 
 use std::fs::File;
 use std::io::{self, Read};

@@ -22,7 +22,7 @@ fn unit() -> Calibration {
 }
 
 fn from_capture(capture: &Path, out: &Path) -> Ran {
-    sweepd(&["calib", "from-capture", capture.to_str().unwrap(), "-o", out.to_str().unwrap()])
+    sweepd(&["calib", "from-capture", "--force", capture.to_str().unwrap(), "-o", out.to_str().unwrap()])
 }
 
 fn diff(a: &Path, b: &Path) -> Ran {

@@ -236,7 +236,7 @@ fn clouds_that_cannot_be_meant_are_refused_before_they_are_segmented() {
     let folder = Folder::new("clouds");
     let out = folder.path("labels");
     let segment = |args: &[&str]| {
-        let args = [&["segment", "--out", out.to_str().unwrap()], args].concat();
+        let args = [&["segment", "--force", "--out", out.to_str().unwrap()], args].concat();
         Ran::of(command(&args).output().unwrap())
     };
     let empty = folder.write("empty.bin", "");

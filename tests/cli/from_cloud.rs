@@ -133,7 +133,13 @@ fn what_cannot_be_meant_is_one_error() {
     with(&["--fit-elevations", "--model=vlp16"]).says(&["--fit-elevations needs --from-cloud"]);
     scan.simulate(&["--fitted=x.yaml", to[0], to[1]]).says(&["--fitted needs --fit-elevations"]);
     scan.simulate(&["--fit-elevations", "--pcap=-"]).says(&["--fitted FILE.yaml"]);
-    scan.simulate(&["--fit-elevations", "--fitted", unit, to[0], to[1]]).says(&["unit.yaml would be overwritten"]);
+    // A file that it reads is not replaced, with --force neither.
+    for force in [&[][..], &["--force"]] {
+        let args = [&["--fit-elevations", "--fitted", unit, to[0], to[1]], force].concat();
+        scan.simulate(&args).says(&["unit.yaml would be overwritten"]);
+    }
+    scan.folder.write("never.yaml", "mine");
+    scan.simulate(&["--fit-elevations", to[0], to[1]]).says(&["never.yaml exists; --force replaces it"]);
     for other in ["--model=vlp16", "--scene=room", "--return=dual", "--spin-up=1", "--stall=1..2", "--mode-switch=1"] {
         let name = other.split('=').next().unwrap();
         scan.simulate(&[other, to[0], to[1]]).says(&["--from-cloud", name, "cannot be used with"]);

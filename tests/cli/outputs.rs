@@ -100,7 +100,7 @@ fn two_runs_without_timing_are_the_same_byte_by_byte() {
     let path = folder.write("two.pcap", made::pcap(&two));
     let run = |dir: &str, json: &[&str]| {
         let dirs = ["csv", "pcd", "png"].map(|kind| folder.path(&format!("{dir}/{kind}")).display().to_string());
-        let options = ["--no-timing", "--partial", "--csv", &dirs[0], "--pcd", &dirs[1], "--png", &dirs[2]];
+        let options = ["--no-timing", "--partial", "--force", "--csv", &dirs[0], "--pcd", &dirs[1], "--png", &dirs[2]];
         replay(&path, &[&options[..], json].concat()).done()
     };
     assert_eq!(run("a", &["--json"]), run("b", &["--json"]));

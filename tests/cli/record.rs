@@ -469,7 +469,7 @@ fn files_that_cannot_be_written_are_one_error_with_the_cure() {
     let mine = folder.write("mine.pcap", b"mine");
     let none = folder.path("none/x.pcap");
     for (path, parts) in [
-        (&mine, ["mine.pcap", "overwrites nothing"]),
+        (&mine, ["mine.pcap exists", "--force replaces it"]),
         (&none, ["none/x.pcap", "make its folder first"]),
         (&PathBuf::from("/proc/x.pcap"), ["/proc/x.pcap", "; "]),
         (&folder.path("x.txt"), ["x.txt", "ends in .pcap or .pcap.gz"]),
@@ -478,6 +478,36 @@ fn files_that_cannot_be_written_are_one_error_with_the_cure() {
         sweepd(&["record", "-o", path.to_str().unwrap(), "--port", "0", "--bind", "127.0.0.1"]).says(&parts);
     }
     assert_eq!(std::fs::read(mine).unwrap(), b"mine");
+}
+
+/// The old one stays until the new one is whole, and for good where the recorder is killed.
+#[test]
+fn a_recording_is_replaced_only_with_force_and_when_the_new_one_is_whole() {
+    let folder = Folder::new("record-force");
+    let path = folder.write("drive.pcap", b"mine");
+    let part = folder.path("drive.pcap.part");
+    let payloads = payloads(&made::vlp16());
+    for is_killed in [true, false] {
+        let mut recorder = Recorder::start(&path, &["--force"]);
+        send(&sender(), recorder.to, &payloads[..20]);
+        if is_killed {
+            let (begun, sent): (_, usize) = (Instant::now(), payloads[..20].iter().map(Vec::len).sum());
+            while std::fs::metadata(&part).map_or(0, |part| part.len()) < sent as u64 {
+                assert!(begun.elapsed() < Duration::from_secs(10), "nothing is on the disk");
+                std::thread::sleep(Duration::from_millis(10));
+            }
+            recorder.child.kill().unwrap();
+            recorder.child.wait().unwrap();
+            assert_eq!((std::fs::read(&path).unwrap(), read(&part).len()), (b"mine".to_vec(), 20));
+        } else {
+            let ran = recorder.stop();
+            assert!(ran.code == 0 && ran.stdout.starts_with(path.to_str().unwrap()), "{}", ran.stdout);
+            assert_eq!(read(&path).len(), 20);
+            assert!(!part.exists() && !ran.stdout.contains(".part"), "{}", ran.stdout);
+        }
+    }
+    let rotated = sweepd(&["record", "-o", path.to_str().unwrap(), "--force", "--rotate-mb", "1"]);
+    assert!(rotated.code == 2 && rotated.stderr.contains("--force"), "{}", rotated.stderr);
 }
 
 #[test]

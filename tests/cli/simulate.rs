@@ -23,7 +23,7 @@ pub struct Said {
 /// Runs a simulation that must work.
 #[track_caller]
 pub fn simulate(options: &[&str]) -> Vec<Said> {
-    let ran = sweepd(&[&["simulate"], options].concat());
+    let ran = sweepd(&[&["simulate", "--force"], options].concat());
     assert_eq!((ran.code, &ran.stdout[..]), (0, ""), "{}", ran.stderr);
     said(&ran.stderr)
 }
@@ -306,11 +306,11 @@ fn an_hdl64e_sends_its_calibration_and_fires_as_often_as_it_is_told() {
         assert!((step_us(&payloads) - period_us).abs() < 0.01, "{options:?}: {}", step_us(&payloads));
         assert!(payloads.iter().all(|payload| payload[..2] == [0xFF, 0xEE] && payload[100..102] == [0xFF, 0xDD]));
         // What it says of itself is what it is: another one with that calibration is the same.
-        let ran = sweepd(&["calib", "from-capture", to, "-o", unit_to]);
+        let ran = sweepd(&["calib", "from-capture", to, "--force", "-o", unit_to]);
         assert_eq!(ran.code, 0, "{options:?}: {}", ran.stderr);
         simulate(&[options, &fixed, &["--seconds=1.6", "--calibration", unit_to]].concat());
         assert!(self::payloads(&path) == payloads, "{options:?}");
-        let ran = sweepd(&["calib", "from-capture", to, "-o", again_to]);
+        let ran = sweepd(&["calib", "from-capture", to, "--force", "-o", again_to]);
         assert_eq!(ran.code, 0, "{options:?}: {}", ran.stderr);
         assert_eq!(std::fs::read(&unit).unwrap(), std::fs::read(&again).unwrap());
     }

@@ -60,7 +60,7 @@ fn every_return_of_a_replay_has_its_truth() {
         (32, "--model=hdl32e --scene=street --return=dual"),
     ] {
         let options: Vec<&str> = options.split(' ').chain(faults.split(' ')).chain(["--seconds=0.25"]).collect();
-        let both = with_truth(&folder, channels, &options, &[]);
+        let both = with_truth(&folder, channels, &options, &["--gps-without-pps"]);
         let objects: BTreeMap<String, String> =
             csv(&folder.path("truth/objects.csv")).into_iter().map(|row| (row[0].clone(), row[1].clone())).collect();
         assert!(both.len() > 20_000, "{}", both.len());
@@ -68,6 +68,9 @@ fn every_return_of_a_replay_has_its_truth() {
             assert!((number(&found[8]) - number(&truth[5])).abs() < 0.07, "{found:?} {truth:?}");
             let off_deg = (number(&found[6]) - number(&truth[6])).rem_euclid(360.0);
             assert!(off_deg.min(360.0 - off_deg) < 0.05, "{found:?} {truth:?}");
+            // Each shot has its own time; the stamp of its packet is cut to the microsecond.
+            let [found_ns, true_ns] = [&found[13], &truth[7]].map(|time_ns| time_ns.parse::<i64>().unwrap());
+            assert!((-1000..=0).contains(&(found_ns - true_ns)), "{found:?} {truth:?}");
             assert_eq!(objects[&truth[3]], truth[4]);
         }
     }

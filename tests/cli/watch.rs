@@ -34,20 +34,23 @@ fn what_is_watched_is_what_is_replayed() {
     for name in ["street_vlp16_dual.pcap.gz", "street_hdl32e.pcap.gz"] {
         let capture = fixture(name);
         let path = capture.to_str().unwrap();
-        let options = ["--json", "--no-timing", "--partial", "--csv", folder.path("replayed").to_str().unwrap()]
-            .map(str::to_owned);
+        let options =
+            ["--json", "--no-timing", "--partial", "--force", "--csv", folder.path("replayed").to_str().unwrap()]
+                .map(str::to_owned);
         let mut expected = sweeps(&replay(&capture, &options.each_ref().map(String::as_str)).done());
         expected.pop();
         let count = expected.len().to_string();
         let csv = folder.path("watched");
         let csv = csv.to_str().unwrap();
         // Started first, it waits.
-        let args = ["watch", "--sweeps", &count, "--timeout", "40", "--json", "--no-timing", "--csv", csv];
+        let args = ["watch", "--sweeps", &count, "--timeout", "40", "--json", "--no-timing", "--force", "--csv", csv];
         let watch = within(&own, &args).spawn().unwrap();
         // Slowly, since a process takes a while to begin.
         let shared = within(&own, &["replay", path, "--publish", "roof", "--speed", "0.1"]).spawn().unwrap();
         let watched = Ran::of(output(watch));
-        Ran::of(output(shared)).done();
+        let shared = Ran::of(output(shared));
+        let address = expected[0]["sensor"].as_str().unwrap();
+        assert_eq!((shared.code, shared.stderr), (0, format!("note: {address} is shared as roof\n")));
         assert_eq!(watched.code, 0, "{}", watched.stderr);
         assert!(watched.stderr.lines().all(|line| line.starts_with("note: ")), "{}", watched.stderr);
         let watched = sweeps(&watched.stdout);
@@ -128,8 +131,11 @@ fn ctrl_c_ends_it_well() {
     let capture = fixture("street_vlp16.pcap.gz");
     let mut shared =
         within(&own, &["replay", capture.to_str().unwrap(), "--publish", "roof", "--loop=20"]).spawn().unwrap();
+    let folder = Folder::new("watch-signals");
     for signal in ["-INT", "-TERM"] {
-        let mut watch = within(&own, &["watch", "roof", "--json", "--latency"]).spawn().unwrap();
+        let segments = folder.path(&format!("all{signal}.csv"));
+        let args = ["watch", "roof", "--json", "--latency", "--segments", segments.to_str().unwrap()];
+        let mut watch = within(&own, &args).spawn().unwrap();
         let mut lines = BufReader::new(watch.stdout.take().unwrap()).lines();
         assert!(lines.next().unwrap().unwrap().contains("\"seq\""));
         assert!(Command::new("kill").args([signal, &watch.id().to_string()]).status().unwrap().success());
@@ -138,6 +144,8 @@ fn ctrl_c_ends_it_well() {
         assert!(rest.iter().any(|line| line.starts_with("chain: ")), "no histograms");
         let watched = Ran::of(output(watch));
         assert_eq!((watched.code, watched.stderr.as_str()), (0, ""), "{signal}");
+        let segments = std::fs::read_to_string(segments).unwrap();
+        assert!(segments.lines().count() > 10 && segments.ends_with('\n'), "{signal}: {segments}");
     }
     shared.kill().unwrap();
     shared.wait().unwrap();

@@ -359,7 +359,7 @@ fn watch_shows_or_refuses_whatever_is_sent() {
         let hostile = Hostile::new(&own);
         let mut watch = Command::new(env!("CARGO_BIN_EXE_sweepd"));
         watch.args(["watch", "roof", "--sweeps", "2", "--latency", "--root"]).arg(own.root());
-        watch.arg("--csv").arg(&folder).arg("--png").arg(&folder).arg("--pcd").arg(&folder);
+        watch.arg("--force").arg("--csv").arg(&folder).arg("--png").arg(&folder).arg("--pcd").arg(&folder);
         let mut child = watch.stdout(Stdio::null()).stderr(Stdio::piped()).spawn().unwrap();
         let begun = Instant::now();
         while child.try_wait().unwrap().is_none() {

@@ -54,7 +54,7 @@ fn consumers_killed_while_they_hold_sweeps_cost_the_others_none() {
     };
     for _ in 0..10 {
         // There is room for one beside this one: what the dead had must be given back each time.
-        let args = [&setup.watch_args()[..], &["--png", setup.folder.to_str().unwrap()]].concat();
+        let args = [&setup.watch_args()[..], &["--force", "--png", setup.folder.to_str().unwrap()]].concat();
         let mut other = Process::start(&args, &setup.path("watch.log"));
         // Long enough for it to draw, holding a sweep.
         let begun = Instant::now();

@@ -388,7 +388,11 @@ fn methods_are_compared_over_their_parameters() {
     folder.scan("b/0", &points, &truth);
     let options = ["--methods", "--columns", "720", "--theta", "10,89", "--distance", "0.5,9", "--cell", "0.5,9"];
     let report = folder.json(&[&options[..], &["--plot", "precision.png"]].concat());
-    assert!(std::fs::read(folder.path("precision.png")).unwrap().starts_with(b"\x89PNG"));
+    let plot = std::fs::read(folder.path("precision.png")).unwrap();
+    assert!(plot.starts_with(b"\x89PNG"));
+    let again = [&options[..], &["--plot", "precision.png"]].concat();
+    folder.refuses(&again, &["precision.png exists; --force replaces it"]);
+    assert!(std::fs::read(folder.path("precision.png")).unwrap() == plot);
     assert_eq!((&report["scans"], &report["sequences"]), (&Value::from(2), &Value::from(2)));
     let found: Vec<(String, f64)> = (report["methods"].as_array().unwrap().iter())
         .map(|line| {

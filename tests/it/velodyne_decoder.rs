@@ -74,7 +74,7 @@ fn sweepd(args: &[&OsStr]) {
 }
 
 fn simulate(options: &[&str], calibration: Option<&Path>, capture: &Path) {
-    let mut args: Vec<&OsStr> = vec!["simulate".as_ref(), "--pcap".as_ref(), capture.as_ref()];
+    let mut args: Vec<&OsStr> = vec!["simulate".as_ref(), "--force".as_ref(), "--pcap".as_ref(), capture.as_ref()];
     args.extend(options.iter().map(|&option| OsStr::new(option)));
     args.extend(calibration.iter().flat_map(|file| ["--calibration".as_ref(), file.as_os_str()]));
     sweepd(&args);
@@ -203,7 +203,14 @@ fn velodyne_decoder_recovers_the_calibration_of_a_simulated_unit() {
             ] {
                 assert!(status.contains(part), "{model}: {part} is not in {status}");
             }
-            sweepd(&["calib".as_ref(), "from-capture".as_ref(), whole.as_ref(), "-o".as_ref(), ours.as_ref()]);
+            sweepd(&[
+                "calib".as_ref(),
+                "from-capture".as_ref(),
+                whole.as_ref(),
+                "--force".as_ref(),
+                "-o".as_ref(),
+                ours.as_ref(),
+            ]);
             let [read_by_them, read_by_us] = [&theirs, &ours].map(|file| files::calibration(file).unwrap());
             // velodyne-decoder rounds radians to seven decimals.
             assert_within(0.000_5, &read_by_them, &read_by_us);

@@ -8,6 +8,7 @@ use flate2::write::GzEncoder;
 use flate2::{Compression, GzBuilder};
 
 use crate::capture::write::{Addressed, PcapWriter};
+use crate::files::output::is_special;
 
 /// How a capture is written, as the end of its name says.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
@@ -66,22 +67,13 @@ impl Write for Sink {
 }
 
 impl CaptureFile {
-    /// Writes a capture, over a file that is there already.
-    ///
-    /// # Errors
-    /// What the system says.
-    pub fn create(path: &Path, format: Format) -> io::Result<Self> {
-        Self::over(File::create(path)?, format)
-    }
-
-    /// As [`CaptureFile::create`], but overwrites no file: that is the error `AlreadyExists`. What is no file, such as a
-    /// named pipe, is written to.
+    /// Writes a capture, and overwrites no file: that is the error `AlreadyExists`. A pipe or a device is written
+    /// directly.
     ///
     /// # Errors
     /// What the system says.
     pub fn create_new(path: &Path, format: Format) -> io::Result<Self> {
-        let special = path.metadata().is_ok_and(|found| !found.is_file() && !found.is_dir());
-        let file = if special { File::options().write(true).open(path) } else { File::create_new(path) };
+        let file = if is_special(path) { File::options().write(true).open(path) } else { File::create_new(path) };
         Self::over(file?, format)
     }
 
@@ -93,7 +85,11 @@ impl CaptureFile {
         Ok(Self { writer: PcapWriter::new(Sink::Stdout(BufWriter::new(io::stdout())))? })
     }
 
-    fn over(file: File, format: Format) -> io::Result<Self> {
+    /// Writes a capture into an empty file.
+    ///
+    /// # Errors
+    /// What the system says.
+    pub fn over(file: File, format: Format) -> io::Result<Self> {
         let sink = match format {
             Format::Plain => Sink::Plain(BufWriter::new(file)),
             // No time of making in the header: the same datagrams give the same file.

@@ -8,6 +8,7 @@ use std::time::{Duration, Instant};
 use super::RecordError;
 use super::file::{CaptureFile, Format};
 use crate::capture::write::{Addressed, FILE_HEADER_LEN, record_len};
+use crate::files::output::{is_special, part_of, remove};
 
 /// The longest that what was written may be lost by a power failure.
 const SYNC_EVERY: Duration = Duration::from_secs(1);
@@ -48,6 +49,8 @@ pub(super) struct Files {
     format: Format,
     rotation: Rotation,
     file: CaptureFile,
+    /// What the one file is to replace when it is whole.
+    replaces: Option<PathBuf>,
     /// Of the file: its length and the arrival of its first datagram.
     len: u64,
     begun_ns: Option<i64>,
@@ -62,11 +65,26 @@ impl Files {
     /// Begins the first file.
     pub(super) fn create(path: &Path, rotation: Rotation) -> Result<Self, RecordError> {
         let format = Format::of(path).ok_or_else(|| RecordError::Name { path: path.to_owned() })?;
+        Self::begin(path, format, rotation)
+    }
+
+    fn begin(path: &Path, format: Format, rotation: Rotation) -> Result<Self, RecordError> {
         let (mut next_number, path) = (0, path.to_owned());
         let (first, file) = open(&path, format, rotation, &mut next_number)?;
         let written = Written { last: first.clone(), first, files: 1, bytes: FILE_HEADER_LEN, datagrams: 0 };
         let (len, begun_ns, synced, safe) = (FILE_HEADER_LEN, None, Instant::now(), (0, 0));
-        Ok(Self { path, format, rotation, file, len, begun_ns, next_number, synced, written, safe })
+        Ok(Self { path, format, rotation, file, replaces: None, len, begun_ns, next_number, synced, written, safe })
+    }
+
+    /// Begins the only file as `NAME.part`; it takes its name, and the place of a file of this name, when it is finished.
+    pub(super) fn replacing(path: &Path) -> Result<Self, RecordError> {
+        let format = Format::of(path).ok_or_else(|| RecordError::Name { path: path.to_owned() })?;
+        if is_special(path) {
+            return Self::create(path, Rotation::default());
+        }
+        let part = part_of(path);
+        remove(&part).map_err(RecordError::of(&part))?;
+        Ok(Self { replaces: Some(path.to_owned()), ..Self::begin(&part, format, Rotation::default())? })
     }
 
     /// Writes a datagram, in another file if it is time for one.
@@ -102,8 +120,17 @@ impl Files {
     /// Has everything on the disk and closes the last file, unless the disk failed before. Gives what is there: after a
     /// failure, what is there for sure.
     pub(super) fn finish(self, ended: Result<(), RecordError>) -> (Written, Result<(), RecordError>) {
-        let ended = ended.and_then(|()| close(self.file, &self.written.last));
         let mut written = self.written;
+        let ended = ended.and_then(|()| close(self.file, &written.last));
+        let ended = ended.and_then(|()| match self.replaces {
+            Some(path) => {
+                fs::rename(&written.last, &path).map_err(RecordError::of(&path))?;
+                sync_folder_of(&path);
+                (written.first, written.last) = (path.clone(), path);
+                Ok(())
+            }
+            None => Ok(()),
+        });
         if ended.is_err() {
             (written.datagrams, written.bytes) = self.safe;
         }

@@ -104,7 +104,19 @@ impl Recorder {
     /// # Errors
     /// [`RecordError`]: a name without format, a file that cannot be written.
     pub fn start(path: &Path, rotation: Rotation) -> Result<Self, RecordError> {
-        let files = Files::create(path, rotation)?;
+        Self::write_to(Files::create(path, rotation)?)
+    }
+
+    /// Begins a recording of one file that takes the place of a file of this name when it is finished; until then, and where
+    /// the disk fails, it is `NAME.part`.
+    ///
+    /// # Errors
+    /// As [`Recorder::start`].
+    pub fn replacing(path: &Path) -> Result<Self, RecordError> {
+        Self::write_to(Files::replacing(path)?)
+    }
+
+    fn write_to(files: Files) -> Result<Self, RecordError> {
         let shared = Arc::new(Shared::default());
         shared.publish(files.written());
         let path = files.written().first.clone();

@@ -13,6 +13,7 @@ use serde::Serialize;
 
 use self::scans::{Scan, find};
 use crate::cli::options::within;
+use crate::cli::output::ForceOptions;
 use crate::cli::{CliError, complain};
 use crate::export::text::count_of;
 use sweepd_core::segment::Settings;
@@ -68,6 +69,8 @@ pub struct Args {
     json: bool,
     #[command(flatten)]
     methods: Methods,
+    #[command(flatten)]
+    force: ForceOptions,
 }
 
 /// What methods are tried with.

@@ -6,7 +6,10 @@ use std::path::{Path, PathBuf};
 use super::read_file;
 use crate::cli::CliError;
 use crate::cli::options::{SegmentOptions, model};
+use crate::cli::output::ForceOptions;
+use crate::export::WriteError;
 use crate::files;
+use crate::files::output;
 use sweepd_core::sensor::Model;
 use sweepd_core::sensor::calibration::MAX_FILE_LEN;
 use sweepd_lab::cloud::{self, Cloud, CloudError, CloudSegmenter, Format, RowTable};
@@ -26,6 +29,8 @@ pub struct Args {
     /// Where to write NAME.label: one little-endian u32 a point, 0 none, 1 ground, 2.. segment
     #[arg(long, value_name = "DIR")]
     out: PathBuf,
+    #[command(flatten)]
+    force: ForceOptions,
     /// Columns of the range image: firings of a turn
     #[arg(long, value_name = "N", default_value_t = cloud::COLUMNS)]
     columns: usize,
@@ -52,24 +57,22 @@ pub struct Args {
 /// # Errors
 /// [`CliError`]: a cloud that cannot be read, labels that cannot be written.
 pub fn run(args: &Args) -> Result<(), CliError> {
-    let at = |path: &Path| {
-        let path = path.to_owned();
-        move |source| CliError::Write { path, source }
-    };
     let files = label_files(args)?;
+    let existing = args.force.existing();
+    files.iter().try_for_each(|file| output::check(file, existing))?;
     let formats = args.clouds.iter().map(|cloud| format_of(args, cloud)).collect::<Result<Vec<_>, _>>()?;
     let usage = |error: CloudError| CliError::Usage(error.to_string());
     let mut segmenter = CloudSegmenter::new(args.segment.config()?, args.columns).map_err(usage)?;
     if let Some(table) = table(args)? {
         segmenter = segmenter.with_rows(table);
     }
-    std::fs::create_dir_all(&args.out).map_err(at(&args.out))?;
+    std::fs::create_dir_all(&args.out).map_err(|cause| WriteError::Directory { path: args.out.clone(), cause })?;
     for ((path, format), file) in args.clouds.iter().zip(formats).zip(files) {
         let bytes = read_file(path, MAX_CLOUD_LEN)?;
         let cloud = Cloud::read(&bytes, format).map_err(|error| wrong(path, &error))?;
         let labels = segmenter.segment_cloud(&cloud).map_err(|error| wrong(path, &error))?;
         let bytes: Vec<u8> = labels.iter().flat_map(|label| label.to_le_bytes()).collect();
-        std::fs::write(&file, bytes).map_err(at(&file))?;
+        output::write(&file, &bytes, existing)?;
         let ground = labels.iter().filter(|&&label| label == 1).count();
         let segments = labels.iter().max().map_or(0, |&most| most.saturating_sub(1));
         let share = 100.0 * ground as f64 / labels.len().max(1) as f64;

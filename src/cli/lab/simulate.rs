@@ -14,15 +14,18 @@ use clap::ValueEnum;
 
 use self::cloud::CloudOptions;
 use self::faults::FaultOptions;
-use self::truth::{TruthFile, write_objects};
+use self::truth::{TruthFile, former, write_objects};
 use super::sink::CaptureFile;
 use crate::capture::write::Addressed;
 use crate::capture::{Pacer, Speed};
 use crate::cli::CliError;
 use crate::cli::options::{model, within};
+use crate::cli::output::ForceOptions;
 use crate::cli::play::destination;
 use crate::cli::send::Sender;
+use crate::export::Existing;
 use crate::files;
+use crate::files::output::{Former, sensor_folder};
 use sweepd_core::sensor::model::Spec;
 use sweepd_core::sensor::{Calibration, Model};
 use sweepd_core::wire::data::{DATA_PACKET_LEN, ReturnMode};
@@ -104,6 +107,8 @@ pub struct Args {
     /// sensor but the first is in a folder of its own
     #[arg(long, value_name = "DIR")]
     truth: Option<PathBuf>,
+    #[command(flatten)]
+    force: ForceOptions,
     #[command(flatten)]
     cloud: CloudOptions,
     #[command(flatten)]
@@ -207,13 +212,11 @@ pub fn run(args: &Args) -> Result<(), CliError> {
         return cloud::run(args, file);
     }
     let configs = args.configs()?;
+    let (existing, former) = (args.force.existing(), args.former_truth()?);
     let scene = args.scene.build(args.seed);
     let mut sensors =
         configs.iter().map(|config| Simulated::new(args, config, &scene)).collect::<Result<Vec<_>, _>>()?;
-    if let Some(folder) = &args.truth {
-        write_objects(folder, &scene)?;
-    }
-    let mut output = Output::open(&args.target)?;
+    let mut output = Output::open(&args.target, existing)?;
     while let Some((mut index, mut datagram)) = next(&mut sensors) {
         if index < 2 && args.faults.is_exchanged(datagram.arrival_ns - configs[index].start_utc_ns) {
             index = 1 - index;
@@ -223,10 +226,11 @@ pub fn run(args: &Args) -> Result<(), CliError> {
         sensors[index].note(&datagram)?;
     }
     output.finish()?;
-    for sensor in &mut sensors {
-        sensor.conclude()?;
+    former.remove()?;
+    if let Some(folder) = &args.truth {
+        write_objects(folder, existing, &scene)?;
     }
-    Ok(())
+    sensors.into_iter().try_for_each(Simulated::conclude)
 }
 
 /// The next datagram of all sensors by time of arrival, and the number of its sensor.
@@ -244,6 +248,11 @@ impl Args {
         }
         self.cloud.check()?;
         self.faults.check(self.models.len(), self.seconds.unwrap_or(SECONDS))
+    }
+
+    /// What a former run left in the folder of the truth.
+    fn former_truth(&self) -> Result<Former, CliError> {
+        self.truth.as_ref().map_or(Ok(Former::default()), |folder| former(folder, self.force.existing()))
     }
 
     /// The timing of a model.
@@ -336,12 +345,14 @@ impl<'a> Simulated<'a> {
         let faults = args.faults.rates().plan(config.seed, config.sent_packets());
         let folder = args.truth.as_ref().map(|folder| match config.address.octets() {
             [.., 201] => folder.clone(),
-            _ => folder.join(format!("{}_{DATA_PORT}", config.address)),
+            _ => folder.join(sensor_folder(&format!("{}:{DATA_PORT}", config.address))),
         });
         let emitter = Emitter::new(config.clone(), scene);
         let emitter = if folder.is_some() { emitter } else { emitter.untold() };
         Ok(Self {
-            truth: folder.map(|folder| TruthFile::create(&folder, config.start_utc_ns)).transpose()?,
+            truth: folder
+                .map(|folder| TruthFile::create(&folder, args.force.existing(), config.start_utc_ns))
+                .transpose()?,
             datagrams: deliver(emitter, faults.clone()).peekable(),
             config: config.clone(),
             faults,
@@ -362,9 +373,9 @@ impl<'a> Simulated<'a> {
     }
 
     /// Finishes the truth, and says on standard error what was sent and what was done to it.
-    fn conclude(&mut self) -> Result<(), CliError> {
-        self.truth.as_mut().map_or(Ok(()), TruthFile::finish)?;
-        let Self { config, faults, data, position, .. } = &*self;
+    fn conclude(self) -> Result<(), CliError> {
+        let Self { config, faults, truth, data, position, .. } = self;
+        truth.map_or(Ok(()), TruthFile::finish)?;
         let EmitterConfig { address, model, .. } = config;
         let (lost, duplicated) = (faults.lost_packets(), faults.duplicated.len());
         let (reordered, corrupted, strays) = (faults.swapped.len(), faults.corrupted.len(), faults.strays.len());
@@ -389,9 +400,9 @@ enum Output {
 }
 
 impl Output {
-    fn open(target: &Target) -> Result<Self, CliError> {
+    fn open(target: &Target, existing: Existing) -> Result<Self, CliError> {
         match (&target.pcap, target.to) {
-            (Some(path), _) => Ok(Self::File(CaptureFile::create(path)?)),
+            (Some(path), _) => Ok(Self::File(CaptureFile::create(path, existing)?)),
             (None, Some(to)) => {
                 let (sender, pacer) = (Sender::new(to), Pacer::new(Speed::REALTIME));
                 Ok(Self::Network { sender, pacer, start: Instant::now() })

@@ -1,34 +1,37 @@
 //! The capture that a simulation writes: plain, compressed, or standard output.
 
 use std::io;
-use std::path::{Path, PathBuf};
+use std::path::Path;
 
 use crate::capture::record::file::{self, Format};
 use crate::capture::write::Addressed;
 use crate::cli::CliError;
+use crate::export::Existing;
+use crate::files::output::NewFile;
 
 /// A capture under way, with errors that name it.
 pub struct CaptureFile {
-    path: PathBuf,
     file: file::CaptureFile,
+    /// `None` for standard output.
+    new: Option<NewFile>,
 }
 
 impl CaptureFile {
     /// Opens what `--pcap` names and writes the header.
     ///
     /// # Errors
-    /// [`CliError`]: a name that says no format, a file that cannot be written.
-    pub fn create(path: &Path) -> Result<Self, CliError> {
-        let file = if path.as_os_str() == "-" {
-            file::CaptureFile::stdout()
-        } else {
-            let format = Format::of(path).ok_or_else(|| {
-                let path = path.display();
-                CliError::Usage(format!("--pcap {path}: expected a name that ends in .pcap or .pcap.gz, or -"))
-            })?;
-            file::CaptureFile::create(path, format)
-        };
-        Ok(Self { path: path.to_owned(), file: file.map_err(|source| failed(path, source))? })
+    /// [`CliError`]: a name that says no format, a file that exists or cannot be written.
+    pub fn create(path: &Path, existing: Existing) -> Result<Self, CliError> {
+        if path.as_os_str() == "-" {
+            return Ok(Self { file: file::CaptureFile::stdout().map_err(CliError::Stdout)?, new: None });
+        }
+        let format = Format::of(path).ok_or_else(|| {
+            let path = path.display();
+            CliError::Usage(format!("--pcap {path}: expected a name that ends in .pcap or .pcap.gz, or -"))
+        })?;
+        let (file, new) = NewFile::create(path, existing)?;
+        let file = file::CaptureFile::over(file, format).map_err(|cause| new.failed(cause))?;
+        Ok(Self { file, new: Some(new) })
     }
 
     /// Writes a record.
@@ -36,19 +39,23 @@ impl CaptureFile {
     /// # Errors
     /// [`CliError`]: what the disk or the reader says.
     pub fn write(&mut self, datagram: &Addressed<'_>) -> Result<(), CliError> {
-        self.file.write(datagram).map_err(|source| failed(&self.path, source))
+        self.file.write(datagram).map_err(|cause| failed(self.new.as_ref(), cause))
     }
 
-    /// Writes out what is left.
+    /// Writes out what is left, and gives the file its name.
     ///
     /// # Errors
     /// [`CliError`]: what the disk or the reader says.
     pub fn finish(self) -> Result<(), CliError> {
-        let path = self.path;
-        self.file.finish().map_err(|source| failed(&path, source))
+        let new = self.new;
+        self.file.finish().map_err(|cause| failed(new.as_ref(), cause))?;
+        Ok(new.map_or(Ok(()), NewFile::commit)?)
     }
 }
 
-fn failed(path: &Path, source: io::Error) -> CliError {
-    if path.as_os_str() == "-" { CliError::Stdout(source) } else { CliError::Write { path: path.to_owned(), source } }
+fn failed(new: Option<&NewFile>, cause: io::Error) -> CliError {
+    match new {
+        Some(new) => new.failed(cause).into(),
+        None => CliError::Stdout(cause),
+    }
 }

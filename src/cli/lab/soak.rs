@@ -9,6 +9,7 @@ use std::time::Duration;
 use crate::cli::options::within;
 use crate::cli::signals::end_flag;
 use crate::cli::{CliError, complain};
+use crate::export::WriteError;
 use crate::soak::{self, Outcome, Plan};
 
 /// Options of `sweepd soak`.
@@ -47,7 +48,7 @@ pub fn run(args: &Args) -> Result<(), CliError> {
     let folder = std::env::temp_dir().join(format!("sweepd-soak-{}", std::process::id()));
     // One of its own: somebody else may have made a folder or a link of this name for it to write to.
     let made = DirBuilder::new().mode(0o700).create(&folder);
-    made.map_err(|source| CliError::Write { path: folder.clone(), source })?;
+    made.map_err(|cause| WriteError::file(&folder, cause))?;
     let plan = Plan {
         program: std::env::current_exe().map_err(system("find this program"))?,
         folder: folder.clone(),

@@ -107,6 +107,16 @@ pub mod attributes {
     pub const ADDRESS: &str = "address";
 }
 
+/// What a sensor may be called, in words.
+pub const NAME_RULE: &str = "letters, digits, `-`, `_` and `.`, a letter or digit first, 63 characters at most";
+
+/// Whether a sensor may be called this: the name stands in that of a service, in the header of a sweep and in names of files.
+pub fn is_sensor_name(text: &str) -> bool {
+    let is_allowed = |c: char| c.is_ascii_alphanumeric() || matches!(c, '-' | '_' | '.');
+    let begins_well = text.starts_with(|c: char| c.is_ascii_alphanumeric());
+    begins_well && text.chars().all(is_allowed) && text.len() <= 63
+}
+
 /// The service of a sensor.
 fn service_name(sensor: &str) -> Option<ServiceName> {
     (!sensor.is_empty()).then(|| format!("sweepd/{sensor}/sweep").as_str().try_into().ok()).flatten()

@@ -127,7 +127,7 @@ impl Trial {
 
 /// Segments and scores the scans with all methods; gives the table, or the JSON.
 pub(super) fn compare(args: &Args, scans: &[Scan]) -> Result<String, CliError> {
-    let plot = args.methods.plot.as_deref().map(plot::create).transpose()?;
+    let plot = args.methods.plot.as_deref().map(|path| plot::create(path, args.force.existing())).transpose()?;
     let mut trials = Trial::all(args)?;
     let mut default = Ours::new(Config::default(), args.methods.columns)?;
     let sizes = args.sizes();

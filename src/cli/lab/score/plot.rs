@@ -2,26 +2,25 @@
 
 use std::fs::File;
 use std::io::{BufWriter, Write};
-use std::path::{Path, PathBuf};
+use std::path::Path;
 
 use super::methods::Trial;
 use crate::cli::CliError;
+use crate::export::Existing;
 use crate::export::png::{Chart, Panel, Series, write_chart};
+use crate::files::output::NewFile;
 use sweepd_lab::score::{Group, Summary};
 
-/// A file that is there, and waits for its picture.
+/// A file that waits for its picture.
 pub(super) struct Plot {
-    path: PathBuf,
     file: File,
+    new: NewFile,
 }
 
 /// Creates the file before minutes are spent on what is to be in it.
-pub(super) fn create(path: &Path) -> Result<Plot, CliError> {
-    let path = path.to_owned();
-    match File::create(&path) {
-        Ok(file) => Ok(Plot { path, file }),
-        Err(source) => Err(CliError::Write { path, source }),
-    }
+pub(super) fn create(path: &Path, existing: Existing) -> Result<Plot, CliError> {
+    let (file, new) = NewFile::create(path, existing)?;
+    Ok(Plot { file, new })
 }
 
 impl Plot {
@@ -29,7 +28,8 @@ impl Plot {
     pub(super) fn write(self, trials: &[Trial]) -> Result<(), CliError> {
         let mut out = BufWriter::new(self.file);
         let written = write_chart(&chart(trials), &mut out).and_then(|()| out.flush());
-        written.map_err(|source| CliError::Write { path: self.path, source })
+        written.map_err(|cause| self.new.failed(cause))?;
+        Ok(self.new.commit()?)
     }
 }
 

@@ -7,7 +7,8 @@ use super::{Args, Output};
 use crate::cli::lab::read_file;
 use crate::cli::lab::segment::MAX_CLOUD_LEN;
 use crate::cli::{CliError, complain};
-use sweepd_core::sensor::{Calibration, ros_yaml};
+use crate::files::output;
+use sweepd_core::sensor::ros_yaml;
 use sweepd_lab::cloud::points;
 use sweepd_lab::simulate::cloud::{FromCloudError, MODEL, Options, Sender, Sending, Turn};
 use sweepd_lab::simulate::{Faults, deliver, gps};
@@ -67,10 +68,12 @@ pub fn run(args: &Args, cloud: &Path) -> Result<(), CliError> {
         Sending { seconds: args.seconds, clock: args.gps.clock(), start_utc_ns, address: gps::address(MODEL) };
     let sender = Sender::new(&turn, sending).map_err(wrong)?;
     let faults = args.faults.rates().plan(args.seed, sender.packets());
-    let mut truth = args.truth.as_ref().map(|folder| TruthFile::create(folder, start_utc_ns)).transpose()?;
-    let mut output = Output::open(&args.target)?;
+    let (existing, former) = (args.force.existing(), args.former_truth()?);
+    let create = |folder: &PathBuf| TruthFile::create(folder, existing, start_utc_ns);
+    let mut truth = args.truth.as_ref().map(create).transpose()?;
+    let mut output = Output::open(&args.target, existing)?;
     if let Some(path) = fitted {
-        write_calibration(path, turn.calibration())?;
+        output::write(&path, ros_yaml::emit(turn.calibration()).as_bytes(), existing)?;
     }
     let mut packets = 0;
     for datagram in deliver(sender, faults.clone()) {
@@ -81,7 +84,8 @@ pub fn run(args: &Args, cloud: &Path) -> Result<(), CliError> {
         }
     }
     output.finish()?;
-    truth.as_mut().map_or(Ok(()), TruthFile::finish)?;
+    former.remove()?;
+    truth.map_or(Ok(()), TruthFile::finish)?;
     conclude(cloud, &turn, packets, &faults);
     Ok(())
 }
@@ -119,11 +123,8 @@ fn fitted_file(args: &Args) -> Result<PathBuf, CliError> {
         let message = format!("{} would be overwritten; give another --fitted FILE.yaml", path.display());
         return Err(CliError::Usage(message));
     }
+    output::check(&path, args.force.existing())?;
     Ok(path)
-}
-
-fn write_calibration(path: PathBuf, calibration: &Calibration) -> Result<(), CliError> {
-    std::fs::write(&path, ros_yaml::emit(calibration)).map_err(|source| CliError::Write { path, source })
 }
 
 /// Says on standard error what became of the points, and what was sent.

@@ -2,17 +2,27 @@
 
 use std::fs::File;
 use std::io::{self, BufWriter, Write};
-use std::path::{Path, PathBuf};
+use std::path::Path;
 
 use crate::cli::CliError;
+use crate::export::{Existing, WriteError};
+use crate::files::output::{Former, NewFile};
 use sweepd_lab::simulate::{PacketTruth, Scene};
 
 /// First line of every `truth.csv`.
 const HEADER: &str = "packet,block,record,object,class,range_m,azimuth_deg,time_ns";
 
+/// Looks for what a former run left in the folder and in those of further sensors.
+///
+/// # Errors
+/// [`CliError::Write`]: there is something, and it is not to be replaced.
+pub fn former(folder: &Path, existing: Existing) -> Result<Former, CliError> {
+    Ok(Former::find(folder, existing, "file", |name| matches!(name, "truth.csv" | "objects.csv"))?)
+}
+
 /// The `truth.csv` of one sensor.
 pub struct TruthFile {
-    path: PathBuf,
+    new: NewFile,
     out: BufWriter<File>,
     start_utc_ns: i64,
     packets: u64,
@@ -24,9 +34,9 @@ impl TruthFile {
     ///
     /// # Errors
     /// [`CliError::Write`].
-    pub fn create(folder: &Path, start_utc_ns: i64) -> Result<Self, CliError> {
-        let (path, out) = create(folder, "truth.csv")?;
-        let mut file = Self { path, out, start_utc_ns, packets: 0, latest: None };
+    pub fn create(folder: &Path, existing: Existing, start_utc_ns: i64) -> Result<Self, CliError> {
+        let (out, new) = create(folder, "truth.csv", existing)?;
+        let mut file = Self { new, out, start_utc_ns, packets: 0, latest: None };
         writeln!(file.out, "{HEADER}").map_err(|source| file.failed(source))?;
         Ok(file)
     }
@@ -61,16 +71,17 @@ impl TruthFile {
         Ok(())
     }
 
-    /// Writes out what is left.
+    /// Writes out what is left, and gives the file its name.
     ///
     /// # Errors
     /// [`CliError::Write`].
-    pub fn finish(&mut self) -> Result<(), CliError> {
-        self.out.flush().map_err(|source| self.failed(source))
+    pub fn finish(mut self) -> Result<(), CliError> {
+        self.out.flush().map_err(|source| self.failed(source))?;
+        Ok(self.new.commit()?)
     }
 
     fn failed(&self, source: io::Error) -> CliError {
-        CliError::Write { path: self.path.clone(), source }
+        self.new.failed(source).into()
     }
 }
 
@@ -78,8 +89,8 @@ impl TruthFile {
 ///
 /// # Errors
 /// [`CliError::Write`].
-pub fn write_objects(folder: &Path, scene: &Scene) -> Result<(), CliError> {
-    let (path, mut out) = create(folder, "objects.csv")?;
+pub fn write_objects(folder: &Path, existing: Existing, scene: &Scene) -> Result<(), CliError> {
+    let (mut out, new) = create(folder, "objects.csv", existing)?;
     let mut write = || -> io::Result<()> {
         writeln!(out, "object,class")?;
         for (number, object) in (1..).zip(scene.objects()) {
@@ -87,14 +98,13 @@ pub fn write_objects(folder: &Path, scene: &Scene) -> Result<(), CliError> {
         }
         out.flush()
     };
-    write().map_err(|source| CliError::Write { path, source })
+    write().map_err(|source| new.failed(source))?;
+    Ok(new.commit()?)
 }
 
-fn create(folder: &Path, name: &str) -> Result<(PathBuf, BufWriter<File>), CliError> {
-    std::fs::create_dir_all(folder).map_err(|source| CliError::Write { path: folder.to_owned(), source })?;
-    let path = folder.join(name);
-    match File::create(&path) {
-        Ok(file) => Ok((path, BufWriter::new(file))),
-        Err(source) => Err(CliError::Write { path, source }),
-    }
+fn create(folder: &Path, name: &str, existing: Existing) -> Result<(BufWriter<File>, NewFile), CliError> {
+    let made = std::fs::create_dir_all(folder);
+    made.map_err(|cause| WriteError::Directory { path: folder.to_owned(), cause })?;
+    let (file, new) = NewFile::create(&folder.join(name), existing)?;
+    Ok((BufWriter::new(file), new))
 }

@@ -12,6 +12,7 @@ use crate::daemon::config::{PortConfig, SensorConfig, possible_models};
 use crate::daemon::losses::Limits;
 use crate::files;
 use crate::suggest::suggestion;
+use sweepd_client::publish::{NAME_RULE, is_sensor_name};
 use sweepd_core::pipeline;
 use sweepd_core::segment::{self, ConfigError, Mask, Settings};
 use sweepd_core::sensor::{Calibration, Model};
@@ -24,8 +25,6 @@ const PORTS: RangeInclusive<i64> = 1..=u16::MAX as i64;
 /// Consumers that a service has room for.
 const MAX_CONSUMERS: usize = 4;
 const CONSUMERS: RangeInclusive<i64> = 1..=16;
-/// Longest name: that of the sweeps' header and of a file with an ending.
-const LONGEST_NAME: usize = 63;
 /// Priorities of SCHED_FIFO (sched(7)).
 const REALTIME_PRIORITIES: RangeInclusive<i64> = 1..=99;
 /// Speeds that a Velodyne can be set to, turns a minute.
@@ -67,12 +66,8 @@ impl Check<'_> {
     /// A name stands in that of a service and in those of files.
     fn name(&mut self, name: &Spanned<String>) {
         let text = name.get_ref();
-        let is_allowed = |c: char| c.is_ascii_alphanumeric() || matches!(c, '-' | '_' | '.');
-        let begins_well = text.starts_with(|c: char| c.is_ascii_alphanumeric());
-        if !begins_well || !text.chars().all(is_allowed) || text.len() > LONGEST_NAME {
-            let expected = format!(
-                "expected letters, digits, `-`, `_` and `.`, a letter or digit first, {LONGEST_NAME} characters at most"
-            );
+        if !is_sensor_name(text) {
+            let expected = format!("expected {NAME_RULE}");
             self.problem(name.span(), format!("a sensor cannot be called {text:?}"), expected);
         }
     }

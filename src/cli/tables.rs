@@ -1,0 +1,75 @@
+//! `--segments`: the tables of segments of all sweeps, in one file.
+
+use std::fs::File;
+use std::io::{self, BufWriter, StdoutLock, Write};
+use std::path::Path;
+
+use super::CliError;
+use crate::export::segments::TableFormat;
+use crate::export::{Axes, Existing, write_segments};
+use crate::files::output::NewFile;
+use sweepd_core::sweep::SweepRef;
+
+/// A file under way.
+pub struct SegmentTables {
+    out: Out,
+    format: TableFormat,
+    axes: Axes,
+}
+
+enum Out {
+    File(BufWriter<File>, NewFile),
+    Stdout(BufWriter<StdoutLock<'static>>),
+}
+
+impl SegmentTables {
+    /// Begins the file that `--segments` names. `is_json`: standard output is taken by `--json`.
+    ///
+    /// # Errors
+    /// [`CliError`]: a name that says no format, a file that exists or cannot be written.
+    pub fn create(path: &Path, is_json: bool, axes: Axes, existing: Existing) -> Result<Self, CliError> {
+        let shown = path.display();
+        if path.as_os_str() == "-" {
+            if is_json {
+                let message = "--segments - and --json both write to standard output; give --segments a file";
+                return Err(CliError::Usage(message.to_owned()));
+            }
+            let out = Out::Stdout(BufWriter::new(io::stdout().lock()));
+            return Ok(Self { out, format: TableFormat::Jsonl, axes });
+        }
+        let format = path.extension().and_then(|ending| ending.to_str()?.parse().ok()).ok_or_else(|| {
+            CliError::Usage(format!("--segments {shown}: expected a name that ends in .jsonl or .csv, or -"))
+        })?;
+        let (file, new) = NewFile::create(path, existing)?;
+        let mut tables = Self { out: Out::File(BufWriter::new(file), new), format, axes };
+        tables.write(|out| out.write_all(format.header().as_bytes()))?;
+        Ok(tables)
+    }
+
+    /// Writes the segments of a sweep; a reader of a pipe has them at once.
+    ///
+    /// # Errors
+    /// [`CliError`]: what the disk or the reader says.
+    pub fn sweep(&mut self, sweep: SweepRef<'_>, seq: u64) -> Result<(), CliError> {
+        let (axes, format) = (self.axes, self.format);
+        self.write(|mut out| write_segments(sweep, seq, axes, format, &mut out))
+    }
+
+    /// Gives the file its name.
+    ///
+    /// # Errors
+    /// [`CliError`].
+    pub fn finish(self) -> Result<(), CliError> {
+        match self.out {
+            Out::File(_, new) => Ok(new.commit()?),
+            Out::Stdout(_) => Ok(()),
+        }
+    }
+
+    fn write(&mut self, write: impl FnOnce(&mut dyn Write) -> io::Result<()>) -> Result<(), CliError> {
+        match &mut self.out {
+            Out::File(out, new) => write(out).and_then(|()| out.flush()).map_err(|cause| new.failed(cause).into()),
+            Out::Stdout(out) => write(out).and_then(|()| out.flush()).map_err(CliError::Stdout),
+        }
+    }
+}

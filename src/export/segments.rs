@@ -1,0 +1,201 @@
+//! The table of segments, a line each: objects instead of points.
+
+use std::io::{self, Write};
+use std::str::FromStr;
+
+use super::csv::{push_decimal, push_integer, push_signed};
+use super::{Axes, UnknownWord};
+use sweepd_core::sweep::{Segment, SweepRef};
+
+/// First line of a table as CSV; also the keys of a line of JSON, in their order.
+pub const HEADER: &str = "sensor,seq,time_ns,label,points,centroid_x_m,centroid_y_m,centroid_z_m,min_x_m,min_y_m,min_z_m,\
+                          max_x_m,max_y_m,max_z_m,nearest_m,azimuth_first_deg,azimuth_last_deg,row_first,row_last,\
+                          column_first,column_last\n";
+
+/// How a table is written.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub enum TableFormat {
+    /// [`HEADER`], then a line of numbers a segment.
+    Csv,
+    /// A JSON object a segment, without a header.
+    Jsonl,
+}
+
+impl TableFormat {
+    /// What stands before the first line.
+    pub fn header(self) -> &'static str {
+        match self {
+            Self::Csv => HEADER,
+            Self::Jsonl => "",
+        }
+    }
+}
+
+impl FromStr for TableFormat {
+    type Err = UnknownWord;
+
+    fn from_str(word: &str) -> Result<Self, UnknownWord> {
+        match word {
+            "csv" => Ok(Self::Csv),
+            "jsonl" => Ok(Self::Jsonl),
+            _ => Err(UnknownWord { found: word.to_owned(), expected: "csv or jsonl" }),
+        }
+    }
+}
+
+/// A value of a line.
+enum Value<'a> {
+    Text(&'a str),
+    Count(u64),
+    Time(i64),
+    Decimal(f64),
+}
+
+/// Writes a line for each segment of a sweep, in the order of their labels. `seq` is the number of the sweep.
+///
+/// Lengths are metres in `axes`, angles degrees, both with four decimals; `time_ns` is that of the sweep's first shot. `points`
+/// counts the pixels with a return in the segmented plane, `nearest_m` is the range of the nearest of them. The azimuths are
+/// those of the first and the last column in the sense of rotation, at their first shots; where the segment lies across the
+/// seam, the first is the greater.
+///
+/// # Errors
+/// Those of `out`.
+pub fn write_segments(
+    sweep: SweepRef<'_>,
+    seq: u64,
+    axes: Axes,
+    format: TableFormat,
+    out: &mut impl Write,
+) -> io::Result<()> {
+    let mut text = Vec::new();
+    for segment in sweep.segments {
+        push_line(&mut text, &values(&sweep, seq, segment, axes), format);
+    }
+    out.write_all(&text)
+}
+
+/// In the order of [`HEADER`].
+fn values<'a>(sweep: &SweepRef<'a>, seq: u64, segment: &Segment, axes: Axes) -> [Value<'a>; 21] {
+    let [centroid, one, other] =
+        [segment.centroid_m, segment.min_m, segment.max_m].map(|point_m| axes.of_sensor(point_m.map(f64::from)));
+    // An axis may be reversed, and its least is the greatest then.
+    let least = |axis: usize| Value::Decimal(one[axis].min(other[axis]));
+    let greatest = |axis: usize| Value::Decimal(one[axis].max(other[axis]));
+    let azimuth = |column: u32| {
+        let column = sweep.columns.get(column as usize);
+        Value::Decimal(column.map_or(f64::NAN, |column| azimuth_deg(column.azimuth_rad)))
+    };
+    [
+        Value::Text(sweep.header.sensor()),
+        Value::Count(seq),
+        Value::Time(sweep.header.time_ns),
+        Value::Count(segment.label.into()),
+        Value::Count(segment.points.into()),
+        Value::Decimal(centroid[0]),
+        Value::Decimal(centroid[1]),
+        Value::Decimal(centroid[2]),
+        least(0),
+        least(1),
+        least(2),
+        greatest(0),
+        greatest(1),
+        greatest(2),
+        Value::Decimal(segment.nearest_m.into()),
+        azimuth(segment.column_first),
+        azimuth(segment.column_last),
+        Value::Count(segment.row_first.into()),
+        Value::Count(segment.row_last.into()),
+        Value::Count(segment.column_first.into()),
+        Value::Count(segment.column_last.into()),
+    ]
+}
+
+/// To four decimals; what rounds to 360 is 0.
+fn azimuth_deg(azimuth_rad: f32) -> f64 {
+    (f64::from(azimuth_rad).to_degrees() * 1e4).round().rem_euclid(360e4) / 1e4
+}
+
+fn push_line(text: &mut Vec<u8>, values: &[Value<'_>], format: TableFormat) {
+    let is_json = format == TableFormat::Jsonl;
+    if is_json {
+        text.push(b'{');
+    }
+    for (key, value) in HEADER.trim_end().split(',').zip(values) {
+        if is_json {
+            text.extend_from_slice(format!("\"{key}\":").as_bytes());
+        }
+        match *value {
+            Value::Text(word) if is_json => {
+                text.extend_from_slice(serde_json::Value::from(word).to_string().as_bytes());
+                text.push(b',');
+            }
+            Value::Text(word) => {
+                text.extend_from_slice(word.as_bytes());
+                text.push(b',');
+            }
+            Value::Count(count) => push_integer(text, count),
+            Value::Time(time_ns) => push_signed(text, time_ns),
+            // JSON has no word for these.
+            Value::Decimal(number) if is_json && !number.is_finite() => text.extend_from_slice(b"null,"),
+            Value::Decimal(number) => push_decimal(text, number),
+        }
+    }
+    // Every value left a comma behind it.
+    text.pop();
+    text.extend_from_slice(if is_json { b"}\n" } else { b"\n" });
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use crate::export::test_scene::{Scene, two_beams};
+
+    fn written(sweep: SweepRef<'_>, axes: Axes, format: TableFormat) -> String {
+        let mut out = Vec::new();
+        write_segments(sweep, 7, axes, format, &mut out).unwrap();
+        String::from_utf8(out).unwrap()
+    }
+
+    /// By hand: a box before the sensor and to its left, across the seam. Turned to the axes of ROS, forward is x and left y.
+    #[test]
+    fn lines_by_hand() {
+        let mut scene = two_beams();
+        scene.fill(|sweep| {
+            sweep.header.segments = 1;
+            let segment = &mut sweep.segments[0];
+            (segment.label, segment.points, segment.nearest_m) = (2, 31, 5.25);
+            (segment.min_m, segment.max_m) = ([-1.0, 5.0, -0.5], [-0.25, 6.0, 1.5]);
+            segment.centroid_m = [-0.5, 5.5, 0.000_04];
+            (segment.row_first, segment.row_last, segment.column_first, segment.column_last) = (0, 1, 1, 0);
+        });
+        let csv = written(scene.sweep(), Axes::Sensor, TableFormat::Csv);
+        assert_eq!(
+            csv,
+            "192.168.1.201:2368,7,1700000000000000000,2,31,-0.5000,5.5000,0.0000,-1.0000,5.0000,-0.5000,-0.2500,6.0000,\
+             1.5000,5.2500,0.0000,90.0000,0,1,1,0\n"
+        );
+        let json = written(scene.sweep(), Axes::Ros, TableFormat::Jsonl);
+        assert_eq!(
+            json,
+            "{\"sensor\":\"192.168.1.201:2368\",\"seq\":7,\"time_ns\":1700000000000000000,\"label\":2,\"points\":31,\
+             \"centroid_x_m\":5.5000,\"centroid_y_m\":0.5000,\"centroid_z_m\":0.0000,\"min_x_m\":5.0000,\
+             \"min_y_m\":0.2500,\"min_z_m\":-0.5000,\"max_x_m\":6.0000,\"max_y_m\":1.0000,\"max_z_m\":1.5000,\
+             \"nearest_m\":5.2500,\"azimuth_first_deg\":0.0000,\"azimuth_last_deg\":90.0000,\"row_first\":0,\
+             \"row_last\":1,\"column_first\":1,\"column_last\":0}\n"
+        );
+    }
+
+    /// A sweep from shared memory may hold anything.
+    #[test]
+    fn lines_of_any_table_can_be_read() {
+        for seed in 0..20 {
+            let scene = Scene::random(3, 5, true, seed);
+            let segments = scene.sweep().segments.len();
+            let json = written(scene.sweep(), Axes::Ros, TableFormat::Jsonl);
+            assert!(json.lines().all(|line| serde_json::from_str::<serde_json::Value>(line).is_ok()), "{json}");
+            let csv = written(scene.sweep(), Axes::Sensor, TableFormat::Csv);
+            assert!(csv.lines().all(|line| line.split(',').count() == HEADER.split(',').count()), "{csv}");
+            assert_eq!((json.lines().count(), csv.lines().count()), (segments, segments));
+        }
+    }
+}

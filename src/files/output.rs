@@ -1,0 +1,364 @@
+//! Files that take their name when they are whole, and replace no other file unless that was asked for.
+
+use std::fs::{self, File};
+use std::io::{self, Write};
+use std::net::IpAddr;
+use std::path::{Path, PathBuf};
+
+use crate::export::text::count_of;
+
+/// What becomes of files that exist under the names of an output.
+#[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
+pub enum Existing {
+    /// They stay, and the output is refused.
+    #[default]
+    Keep,
+    /// They are replaced.
+    Replace,
+}
+
+/// Why an output cannot be written.
+#[derive(Debug, thiserror::Error)]
+pub enum WriteError {
+    /// The directory is not there and cannot be made.
+    #[error("cannot create the directory {}: {cause}", path.display())]
+    Directory {
+        /// The directory.
+        path: PathBuf,
+        /// What the system says. Part of the message, so not a `source` that a report would print again.
+        cause: io::Error,
+    },
+    /// The file cannot be written.
+    #[error("cannot write {}: {cause}", path.display())]
+    File {
+        /// The file, under its final name.
+        path: PathBuf,
+        /// What the system says.
+        cause: io::Error,
+    },
+    /// The file exists.
+    #[error("{} exists; --force replaces it", path.display())]
+    Exists {
+        /// The file.
+        path: PathBuf,
+    },
+    /// The part of a file exists.
+    #[error("{} exists: another run writes it, or one was killed; --force replaces it", path.display())]
+    Part {
+        /// The part.
+        path: PathBuf,
+    },
+    /// The directory holds files that a former run wrote.
+    #[error("{} holds {held} of a former run ({}{}); --force replaces {}, or name another folder",
+        dir.display(), first.display(), if *several { ", ..." } else { "" }, if *several { "them" } else { "it" })]
+    Former {
+        /// The directory.
+        dir: PathBuf,
+        /// How many of what: `6 sweeps`.
+        held: String,
+        /// The first of them, from the directory.
+        first: PathBuf,
+        /// Whether there are more.
+        several: bool,
+    },
+}
+
+impl WriteError {
+    /// What the system says of a file.
+    pub fn file(path: &Path, cause: io::Error) -> Self {
+        Self::File { path: path.to_owned(), cause }
+    }
+}
+
+/// The name of a file that is being written. The file grows as `NAME.part` and takes its name by [`NewFile::commit`]; without
+/// that, the part is removed and a file that was there before stays as it was. A pipe or a device is written directly.
+#[derive(Debug)]
+#[must_use = "without a commit the file is removed"]
+pub struct NewFile {
+    path: PathBuf,
+    /// `None` where it is written directly, or has its name.
+    part: Option<PathBuf>,
+    existing: Existing,
+}
+
+impl NewFile {
+    /// Opens the file.
+    ///
+    /// # Errors
+    /// [`WriteError`]: it exists and is not to be replaced, or cannot be made.
+    pub fn create(path: &Path, existing: Existing) -> Result<(File, Self), WriteError> {
+        check(path, existing)?;
+        let failed = |cause| WriteError::file(path, cause);
+        if is_special(path) {
+            let file = File::options().append(true).open(path).map_err(failed)?;
+            return Ok((file, Self { path: path.to_owned(), part: None, existing }));
+        }
+        if path.is_dir() {
+            return Err(failed(io::ErrorKind::IsADirectory.into()));
+        }
+        let part = part_of(path);
+        if existing == Existing::Replace {
+            remove(&part).map_err(failed)?;
+        }
+        // Never through a link that somebody laid there.
+        let file = File::create_new(&part).map_err(|cause| match cause.kind() {
+            io::ErrorKind::AlreadyExists => WriteError::Part { path: part.clone() },
+            _ => failed(cause),
+        })?;
+        Ok((file, Self { path: path.to_owned(), part: Some(part), existing }))
+    }
+
+    /// Gives the file its name; all must have been written to it.
+    ///
+    /// # Errors
+    /// [`WriteError`]: another process has made a file of this name meanwhile, or what the system says.
+    pub fn commit(mut self) -> Result<(), WriteError> {
+        let Some(part) = &self.part else { return Ok(()) };
+        if self.existing == Existing::Replace {
+            fs::rename(part, &self.path).map_err(|cause| self.failed(cause))?;
+            self.part = None;
+            return Ok(());
+        }
+        // Unlike a rename, a link never replaces a file.
+        match fs::hard_link(part, &self.path) {
+            // Dropped, the part goes; the file has another name now.
+            Ok(()) => Ok(()),
+            Err(cause) if cause.kind() == io::ErrorKind::AlreadyExists => {
+                Err(WriteError::Exists { path: self.path.clone() })
+            }
+            // A file system without links, such as FAT.
+            Err(_) => {
+                check(&self.path, self.existing)?;
+                fs::rename(part, &self.path).map_err(|cause| self.failed(cause))?;
+                self.part = None;
+                Ok(())
+            }
+        }
+    }
+
+    /// The error of a write to it.
+    pub fn failed(&self, cause: io::Error) -> WriteError {
+        WriteError::file(&self.path, cause)
+    }
+}
+
+impl Drop for NewFile {
+    fn drop(&mut self) {
+        if let Some(part) = &self.part {
+            // The first error is the one to report.
+            let _ = fs::remove_file(part);
+        }
+    }
+}
+
+/// Writes a whole file.
+///
+/// # Errors
+/// [`WriteError`]: it exists and is not to be replaced, or what the system says; nothing of it is left then.
+pub fn write(path: &Path, bytes: &[u8], existing: Existing) -> Result<(), WriteError> {
+    let (mut file, new) = NewFile::create(path, existing)?;
+    file.write_all(bytes).map_err(|cause| new.failed(cause))?;
+    new.commit()
+}
+
+/// Looks whether a file may be written under this name, so that it is known before the work.
+///
+/// # Errors
+/// [`WriteError::Exists`].
+pub fn check(path: &Path, existing: Existing) -> Result<(), WriteError> {
+    let is_taken = existing == Existing::Keep && !path.is_dir() && !is_special(path) && path.symlink_metadata().is_ok();
+    if is_taken { Err(WriteError::Exists { path: path.to_owned() }) } else { Ok(()) }
+}
+
+/// Whether there is a pipe or a device under this name, or one of the streams of this process: nothing that can be replaced.
+pub fn is_special(path: &Path) -> bool {
+    let is_stream = |path: &Path| {
+        let folder = path.parent().and_then(|folder| folder.canonicalize().ok());
+        folder.is_some_and(|folder| folder.starts_with("/proc"))
+    };
+    // /dev/stdout leads there, and may be a file that a shell has opened for it.
+    is_stream(path)
+        || path.read_link().is_ok_and(|target| is_stream(&target))
+        || path.metadata().is_ok_and(|found| !found.is_file() && !found.is_dir())
+}
+
+/// `NAME.part` for `NAME`.
+pub fn part_of(path: &Path) -> PathBuf {
+    let mut part = path.as_os_str().to_owned();
+    part.push(".part");
+    part.into()
+}
+
+/// Removes a file, if it is there.
+///
+/// # Errors
+/// What the system says.
+pub fn remove(path: &Path) -> io::Result<()> {
+    match fs::remove_file(path) {
+        Err(error) if error.kind() != io::ErrorKind::NotFound => Err(error),
+        _ => Ok(()),
+    }
+}
+
+/// Files of a former run in the folder of an output.
+#[derive(Debug, Default)]
+#[must_use = "they are still there"]
+pub struct Former(Vec<PathBuf>);
+
+impl Former {
+    /// Looks for files that `is_output` knows by their names, in a folder and in those of further sensors in it. `what` is what
+    /// one is called.
+    ///
+    /// # Errors
+    /// [`WriteError`]: there are any, and they are not to be replaced; or the folder cannot be read.
+    pub fn find(
+        dir: &Path,
+        existing: Existing,
+        what: &str,
+        is_output: impl Fn(&str) -> bool,
+    ) -> Result<Self, WriteError> {
+        let mut files = Vec::new();
+        let mut folders = vec![dir.to_owned()];
+        while let Some(folder) = folders.pop() {
+            let failed = |cause| WriteError::file(&folder, cause);
+            let entries = match fs::read_dir(&folder) {
+                Err(error) if error.kind() == io::ErrorKind::NotFound => continue,
+                entries => entries.map_err(failed)?,
+            };
+            for entry in entries {
+                let entry = entry.map_err(failed)?;
+                let (name, is_folder) = (entry.file_name(), entry.file_type().map_err(failed)?.is_dir());
+                let Some(name) = name.to_str() else { continue };
+                match is_folder {
+                    true if folder == dir && is_sensor_folder(name) => folders.push(entry.path()),
+                    false if is_output(name) => files.push(entry.path()),
+                    _ => {}
+                }
+            }
+        }
+        // Those of the folder itself first.
+        files.sort_by_key(|file| (file.components().count(), file.clone()));
+        match files.first() {
+            Some(first) if existing == Existing::Keep => Err(WriteError::Former {
+                dir: dir.to_owned(),
+                held: count_of(files.len() as u64, what),
+                first: first.strip_prefix(dir).unwrap_or(first).to_owned(),
+                several: files.len() > 1,
+            }),
+            _ => Ok(Self(files)),
+        }
+    }
+
+    /// Removes them.
+    ///
+    /// # Errors
+    /// [`WriteError::File`].
+    pub fn remove(self) -> Result<(), WriteError> {
+        self.0.iter().try_for_each(|file| remove(file).map_err(|cause| WriteError::file(file, cause)))
+    }
+}
+
+/// The folder of a sensor in that of the first one: `192.168.1.202_2368` for `192.168.1.202:2368`.
+pub fn sensor_folder(sensor: &str) -> String {
+    sensor.replace([':', '>'], "_")
+}
+
+/// Whether a folder may be that of a sensor: an address and one port or two.
+fn is_sensor_folder(name: &str) -> bool {
+    // The colons of an IPv6 address are underscores there, too.
+    let is_address = |text: &str| text.trim_matches(['[', ']']).replace('_', ":").parse::<IpAddr>().is_ok();
+    let Some(one) = without_port(name) else { return false };
+    is_address(one) || without_port(one).is_some_and(is_address)
+}
+
+fn without_port(text: &str) -> Option<&str> {
+    let (head, port) = text.rsplit_once('_')?;
+    port.parse::<u16>().ok().map(|_| head)
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    /// A folder of a test's own, removed with it.
+    struct Folder(PathBuf);
+
+    impl Folder {
+        fn new(test: &str) -> Self {
+            let path = std::env::temp_dir().join(format!("sweepd-output-{test}-{}", std::process::id()));
+            let _ = fs::remove_dir_all(&path);
+            fs::create_dir(&path).unwrap();
+            Self(path)
+        }
+
+        fn names(&self) -> Vec<String> {
+            let name = |entry: io::Result<fs::DirEntry>| entry.unwrap().file_name().into_string().unwrap();
+            let mut names: Vec<String> = fs::read_dir(&self.0).unwrap().map(name).collect();
+            names.sort();
+            names
+        }
+    }
+
+    impl Drop for Folder {
+        fn drop(&mut self) {
+            let _ = fs::remove_dir_all(&self.0);
+        }
+    }
+
+    #[test]
+    fn a_file_has_its_name_when_it_is_whole_and_replaces_one_only_when_asked() {
+        let folder = Folder::new("whole");
+        let path = folder.0.join("a.yaml");
+        let (mut file, new) = NewFile::create(&path, Existing::Keep).unwrap();
+        file.write_all(b"one").unwrap();
+        assert_eq!(folder.names(), ["a.yaml.part"]);
+        let second = NewFile::create(&path, Existing::Keep).unwrap_err().to_string();
+        assert!(second.contains("a.yaml.part exists") && second.contains("--force"), "{second}");
+        new.commit().unwrap();
+        assert_eq!((folder.names(), fs::read(&path).unwrap()), (vec!["a.yaml".to_owned()], b"one".to_vec()));
+        let refused = write(&path, b"two", Existing::Keep).unwrap_err().to_string();
+        assert_eq!(refused, format!("{} exists; --force replaces it", path.display()));
+        // One that is given up leaves the old one.
+        drop(NewFile::create(&path, Existing::Replace).unwrap());
+        assert_eq!((folder.names(), fs::read(&path).unwrap()), (vec!["a.yaml".to_owned()], b"one".to_vec()));
+        fs::write(folder.0.join("a.yaml.part"), "of a run that was killed").unwrap();
+        write(&path, b"two", Existing::Replace).unwrap();
+        assert_eq!((folder.names(), fs::read(&path).unwrap()), (vec!["a.yaml".to_owned()], b"two".to_vec()));
+    }
+
+    #[test]
+    fn a_file_that_another_process_makes_meanwhile_stays() {
+        let folder = Folder::new("meanwhile");
+        let path = folder.0.join("a.pcap");
+        let (_file, new) = NewFile::create(&path, Existing::Keep).unwrap();
+        fs::write(&path, "theirs").unwrap();
+        assert!(matches!(new.commit(), Err(WriteError::Exists { .. })));
+        assert_eq!((folder.names(), fs::read(&path).unwrap()), (vec!["a.pcap".to_owned()], b"theirs".to_vec()));
+    }
+
+    #[test]
+    fn streams_and_devices_are_no_files_that_exist() {
+        for path in ["/dev/null", "/dev/stdout", "/dev/fd/2", "/proc/self/fd/1"] {
+            assert!(is_special(path.as_ref()) && check(path.as_ref(), Existing::Keep).is_ok(), "{path}");
+        }
+        write("/dev/null".as_ref(), b"gone", Existing::Keep).unwrap();
+        let folder = Folder::new("special");
+        std::os::unix::fs::symlink("/dev/full", folder.0.join("full")).unwrap();
+        let full = write(&folder.0.join("full"), b"x", Existing::Keep).unwrap_err().to_string();
+        assert!(full.contains("/full: No space left on device"), "{full}");
+        // A link that leads nowhere exists all the same, and no file is made behind it.
+        std::os::unix::fs::symlink(folder.0.join("none"), folder.0.join("link")).unwrap();
+        assert!(matches!(write(&folder.0.join("link"), b"x", Existing::Keep), Err(WriteError::Exists { .. })));
+        assert_eq!(folder.names(), ["full", "link"]);
+    }
+
+    #[test]
+    fn folders_of_sensors_are_told_by_their_names() {
+        let sensors = ["192.168.1.201:2368", "192.168.1.201:2368>2369", "[fe80::1]:2368", "[2001:db8::5:7]:2368>2369"];
+        assert!(sensors.iter().all(|sensor| is_sensor_folder(&sensor_folder(sensor))));
+        for other in ["keep", "192.168.1.201", "192.168.1.201_", "192.168.1.201_70000", "a_1", "1.2.3_4", "2024_11_24"]
+        {
+            assert!(!is_sensor_folder(other), "{other}");
+        }
+    }
+}
