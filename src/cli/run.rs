@@ -10,26 +10,36 @@ use tracing_subscriber::EnvFilter;
 
 use self::journal::Prioritised;
 use super::CliError;
-use crate::daemon::config::{Change, Config, Effect};
+use crate::daemon::config::{Change, Config, ConfigError, Effect};
 use crate::daemon::control::{self, Reload, Reread};
-use sweepd_client::publish::{Domain, DomainError, Keeper};
+use sweepd_client::publish::{Domain, Keeper};
 
 /// Variable that says what is logged, in the directives of tracing-subscriber.
 const LOG: &str = "SWEEPD_LOG";
 
 /// Options of `sweepd run`.
 #[derive(Clone, Debug, clap::Args)]
+#[command(group(clap::ArgGroup::new("sensors of the daemon").required(true).args(["config", "sensors"])))]
 #[command(after_help = "\
 SIGTERM or Ctrl-C ends it, SIGHUP reads the configuration anew. Its log goes to standard error;
 systemd, if it runs it, hears when it is ready and how it is.
 
 Examples:
+  sweepd run --sensor 192.168.1.201
   sweepd run --config /etc/sweepd/sweepd.toml
   SWEEPD_LOG=sweepd=debug sweepd run --config sweepd.toml")]
 pub struct Args {
     /// What is to run, TOML
     #[arg(short, long, value_name = "FILE")]
-    config: PathBuf,
+    config: Option<PathBuf>,
+    /// Run this sensor without a file, all else at its default: its address, as `address` in a file, and its model if it is not
+    /// to be told by the packets. It is called `sensor`; several are `sensor-1`, `sensor-2` and so on
+    #[arg(long = "sensor", value_name = "ADDRESS[,MODEL]")]
+    sensors: Vec<String>,
+    /// Folder by which the daemon and its consumers find each other [default: `root` of the configuration; else $SWEEPD_ROOT;
+    /// else /run/sweepd/iox2 where there is a /run/sweepd, else /tmp/sweepd/iox2]
+    #[arg(long, value_name = "DIR")]
+    root: Option<PathBuf>,
     /// What is logged: error, warn, info, debug or trace [default: the variable SWEEPD_LOG, else info]
     #[arg(long, value_name = "LEVEL")]
     log: Option<tracing::Level>,
@@ -40,19 +50,49 @@ pub struct Args {
 /// # Errors
 /// [`CliError`]: a configuration that cannot be meant, and whatever keeps the daemon from starting or going on.
 pub fn run(args: &Args) -> Result<(), CliError> {
-    let config = Config::read(&args.config)?;
+    let config = args.read()?;
     log(args.log)?;
     let sensors: Vec<String> = config.sensors.iter().map(|one| format!("{} ({})", one.name, one.address)).collect();
-    info!("sweepd {} with {}: {}", env!("CARGO_PKG_VERSION"), args.config.display(), sensors.join(", "));
+    let from = args.config.as_ref().map_or_else(|| "--sensor".to_owned(), |file| file.display().to_string());
+    info!("sweepd {} with {from}: {}", env!("CARGO_PKG_VERSION"), sensors.join(", "));
+    if args.config.is_none() {
+        info!("`sweepd watch {}` shows what comes of it", config.sensors[0].name);
+    }
     let domain = Domain::at_or_default(config.daemon.root.as_deref());
     // Its folder is made here, since the taps' socket is there too.
-    domain.prepare().map_err(in_words_of_the_file)?;
-    Ok(control::run(config, &Keeper::new(&domain)?, domain.root(), reread(&args.config))?)
+    domain.prepare().map_err(|error| CliError::Usage(error.to_string()))?;
+    Ok(control::run(config, &Keeper::new(&domain)?, domain.root(), reread(args.clone()))?)
 }
 
-/// Others name the folder by an option; this command has a configuration with a key of that name.
-fn in_words_of_the_file(error: DomainError) -> CliError {
-    CliError::Usage(error.to_string().replace("--root", "`root` in the configuration"))
+impl Args {
+    /// The configuration that the file or the options name.
+    fn read(&self) -> Result<Config, ConfigError> {
+        let mut config = match &self.config {
+            Some(file) => Config::read(file)?,
+            None => Config::parse(Path::new("--sensor"), &self.sensors_as_text())?,
+        };
+        if self.root.is_some() {
+            config.daemon.root.clone_from(&self.root);
+        }
+        Ok(config)
+    }
+
+    /// The file that would say the same as `--sensor`: so the same checks hold.
+    fn sensors_as_text(&self) -> String {
+        let mut text = String::new();
+        for (index, sensor) in self.sensors.iter().enumerate() {
+            let name = if self.sensors.len() == 1 { "sensor".to_owned() } else { format!("sensor-{}", index + 1) };
+            let (address, model) = match sensor.split_once(',') {
+                Some((address, model)) => (address, Some(model)),
+                None => (&sensor[..], None),
+            };
+            text += &format!("[[sensor]]\nname = \"{name}\"\naddress = {}\n", toml::Value::from(address));
+            if let Some(model) = model {
+                text += &format!("model = {}\n", toml::Value::from(model));
+            }
+        }
+        text
+    }
 }
 
 /// Log lines to standard error, for a person or the journal, which knows the time itself.
@@ -74,13 +114,56 @@ fn log(level: Option<tracing::Level>) -> Result<(), CliError> {
     Ok(())
 }
 
-/// The configuration anew, for SIGHUP.
-fn reread(path: &Path) -> Reread {
-    let path = path.to_owned();
+/// Reads the configuration again, for SIGHUP.
+fn reread(args: Args) -> Reread {
     Box::new(move |old: &Config| {
-        let new = Config::read(&path).map_err(|error| error.to_string())?;
+        if args.config.is_none() {
+            return Err("it was started with --sensor, so there is no file to read".to_owned());
+        }
+        let new = args.read().map_err(|error| error.to_string())?;
         let needs_restart = |change: &Change| change.effect == Effect::Restart;
         let needs_restart = old.changes(&new).iter().filter(|it| needs_restart(it)).map(ToString::to_string).collect();
         Ok(Reload { config: old.reloaded(&new), needs_restart })
     })
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use clap::Parser;
+
+    #[derive(Parser)]
+    struct Line {
+        #[command(flatten)]
+        args: Args,
+    }
+
+    fn read(words: &[&str]) -> Result<Config, ConfigError> {
+        Line::try_parse_from([&["run"], words].concat()).unwrap().args.read()
+    }
+
+    #[test]
+    fn sensors_without_a_file_are_those_of_a_file_that_names_them() {
+        let config = read(&["--sensor", "10.0.0.7:2000,hdl32e", "--sensor", "10.0.0.8", "--root", "/r"]).unwrap();
+        let file = Config::parse(
+            Path::new(""),
+            "root = '/r'\n[[sensor]]\nname = 'sensor-1'\naddress = '10.0.0.7:2000'\nmodel = 'hdl32e'\n\
+             [[sensor]]\nname = 'sensor-2'\naddress = '10.0.0.8'",
+        );
+        let file = file.unwrap();
+        assert_eq!((file.changes(&config), config.sensors.len()), (Vec::new(), 2));
+        assert_eq!((&config.daemon, config.sensors[1].address), (&file.daemon, file.sensors[1].address));
+        assert_eq!(read(&["--sensor", "10.0.0.7"]).unwrap().sensors[0].name, "sensor");
+    }
+
+    #[test]
+    fn what_is_wrong_is_shown_in_what_was_given() {
+        for (given, part) in [("10.0.0", "10.0.0"), ("10.0.0.1,vlp17", "vlp17"), ("10.0.0.1,\"\n", "model")] {
+            let error = read(&["--sensor", given]).unwrap_err().to_string();
+            assert!(error.contains("--sensor:") && error.contains(part), "{error}");
+        }
+        for words in [&["run"][..], &["run", "--sensor", "10.0.0.1", "--config", "a"]] {
+            assert!(Line::try_parse_from(words).is_err(), "{words:?}");
+        }
+    }
 }
