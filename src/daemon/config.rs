@@ -58,11 +58,10 @@ impl Config {
     /// The configuration in a text; `path` is what errors call it, and what it names is relative to that one's folder.
     ///
     /// # Errors
-    /// [`ConfigError::Invalid`]: the first slip in the form or the types, or all values that cannot be meant.
+    /// [`ConfigError::Invalid`]: the first slip in the syntax, or all keys, types and values that cannot be meant.
     pub fn parse(path: &Path, text: &str) -> Result<Self, ConfigError> {
         let folder = path.parent().unwrap_or(Path::new(""));
-        let file = toml::from_str(text).map_err(|error| vec![Problem::of_toml(&error, text)]);
-        let config = file.and_then(|file| check::check(&file, folder));
+        let config = file::read(text).and_then(|reading| check::check(reading, folder));
         config.map_err(|problems| Problems::new(path.display().to_string(), text, problems).into())
     }
 }

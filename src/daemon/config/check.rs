@@ -37,12 +37,15 @@ struct Checked<'a> {
 }
 
 /// The configuration that is written in a file of this folder, or all that is wrong with it.
-pub(super) fn check(file: &file::File, folder: &Path) -> Result<Config, Vec<Problem>> {
+pub(super) fn check(reading: file::Reading, folder: &Path) -> Result<Config, Vec<Problem>> {
+    let file::Reading { file, problems, replaced } = reading;
     let mut check = Check { folder, problems: Vec::new() };
     let daemon =
-        DaemonConfig { root: check.path("root", &file.root), http: check.http(file), http_public: file.http_public };
+        DaemonConfig { root: check.path("root", &file.root), http: check.http(&file), http_public: file.http_public };
     let sensors = check.sensors(&file.sensor.0);
     let record = file.record.as_ref().and_then(|record| check.record(record));
+    check.problems.retain(|problem| !replaced.contains(&problem.at));
+    check.problems.extend(problems);
     if check.problems.is_empty() { Ok(Config { daemon, sensors, record }) } else { Err(check.problems) }
 }
 

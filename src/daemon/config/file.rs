@@ -1,9 +1,87 @@
 //! A configuration file as it is written: keys and types, nothing checked yet.
 
 use std::fmt;
+use std::ops::Range;
 
 use serde::de::{Deserialize, Deserializer, Error, SeqAccess, Visitor};
 use toml::Spanned;
+use toml::de::{DeTable, DeValue};
+
+use super::error::Problem;
+
+/// Most problems of a file that are looked for: each costs another reading.
+const MAX_PROBLEMS: usize = 64;
+/// Keys without which a table cannot be read.
+const REQUIRED: [&str; 3] = ["name", "address", "path"];
+
+/// A file as far as it could be read.
+pub struct Reading {
+    /// The file, without what is wrong in form or type.
+    pub file: File,
+    /// Unknown keys, missing keys and wrong types.
+    pub problems: Vec<Problem>,
+    /// Where something was left out or stands for a required key: further problems of these places are no news.
+    pub replaced: Vec<Range<usize>>,
+}
+
+/// Reads a file past each unknown key, missing key and wrong type, so that all of them are found at once.
+///
+/// # Errors
+/// The problems, if what is left cannot be read: the first slip in the syntax, or too many problems.
+pub fn read(text: &str) -> Result<Reading, Vec<Problem>> {
+    let mut table = DeTable::parse(text).map_err(|error| vec![Problem::of_toml(&error, text)])?;
+    let (mut problems, mut replaced) = (Vec::new(), Vec::new());
+    loop {
+        match File::deserialize(toml::Deserializer::from(table.clone())) {
+            Ok(file) => return Ok(Reading { file, problems, replaced }),
+            Err(error) => {
+                problems.push(Problem::of_toml(&error, text));
+                let place = error.span().filter(|_| problems.len() < MAX_PROBLEMS);
+                let Some(place) = place.filter(|place| pass_over(&mut table, place, error.message())) else {
+                    return Err(problems);
+                };
+                let is_sensors = table.get_ref().get("sensor").is_none();
+                replaced.push(if is_sensors { 0..0 } else { place });
+            }
+        }
+    }
+}
+
+/// Changes the table where an error is, so that it can be read past that. Whether the place was found.
+fn pass_over(table: &mut Spanned<DeTable<'_>>, place: &Range<usize>, message: &str) -> bool {
+    let span = table.span();
+    let missing = message.strip_prefix("missing field `").and_then(|rest| rest.strip_suffix('`'));
+    if let Some(key) = missing.filter(|_| span == *place) {
+        let placeholder = Spanned::new(span.clone(), DeValue::String(String::new().into()));
+        table.get_mut().insert(Spanned::new(span, key.to_owned().into()), placeholder);
+        return true;
+    }
+    let is_here = |key: &Range<usize>, value: &Range<usize>| key == place || (missing.is_none() && value == place);
+    let entry = table.get_ref().iter().find(|(key, value)| is_here(&key.span(), &value.span()));
+    if let Some(key) = entry.map(|(key, _)| key.clone()) {
+        let is_required = REQUIRED.contains(&&key.get_ref()[..]) && key.span() != *place;
+        match table.get_mut().get_mut(&key).filter(|_| is_required) {
+            Some(value) => *value.get_mut() = DeValue::String(String::new().into()),
+            None => drop(table.get_mut().remove(&key)),
+        }
+        return true;
+    }
+    table.get_mut().iter_mut().any(|(_, value)| pass_over_within(value, place, message))
+}
+
+fn pass_over_within(value: &mut Spanned<DeValue<'_>>, place: &Range<usize>, message: &str) -> bool {
+    let span = value.span();
+    match value.get_mut() {
+        DeValue::Table(inner) => {
+            let mut table = Spanned::new(span, std::mem::take(inner));
+            let found = pass_over(&mut table, place, message);
+            *inner = table.into_inner();
+            found
+        }
+        DeValue::Array(values) => values.iter_mut().any(|value| pass_over_within(value, place, message)),
+        _ => false,
+    }
+}
 
 /// The whole file.
 #[derive(serde::Deserialize)]

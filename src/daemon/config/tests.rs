@@ -231,6 +231,35 @@ fn all_that_is_wrong_is_said_at_once_in_the_order_of_the_lines() {
     assert!(bad("[[sensor]]\nname = \"roof\"").1.contains("missing key `address`"));
 }
 
+/// Ten slips of four kinds (unknown keys, wrong types, missing keys, values) and two that follow from others, which are none.
+#[test]
+fn keys_types_and_values_are_all_shown_at_once() {
+    let text = "colour = 1\nhttp = 9177\n[[sensor]]\nname = 7\naddress = \"10.0.0.1\"\nprot = 1\nport = \"a\"\nrpm = 1\n\
+                [sensor.segment]\ntheta = 1\nmin_points = 0\n[[sensor]]\nname = \"b\"\n[[sensor]]\naddress = \"x\"\n\
+                returns = \"triple\"\n";
+    let (lines, message) = bad(text);
+    assert_eq!(lines, [1, 2, 4, 6, 7, 8, 10, 11, 12, 14, 15, 16], "{message}");
+    for part in [
+        "unknown key `colour`",
+        "wrong type: integer `9177`",
+        "wrong type: integer `7`",
+        "did you mean `port`?",
+        "expected a whole number",
+        "expected 300 to 1200 turns a minute",
+        "did you mean `theta_deg`?",
+        "`min_points` cannot be 0",
+        "missing key `address`",
+        "missing key `name`",
+        "`address` cannot be \"x\"",
+        "unknown value `triple`",
+    ] {
+        assert!(message.contains(part), "no {part:?} in\n{message}");
+    }
+    // Hundreds end soon, and say so of as many as are read.
+    let many: String = (0..500).map(|number| format!("k{number} = 1\n")).collect();
+    assert_eq!(bad(&(many + &roof(""))).0.len(), 64);
+}
+
 /// Three sensors: two on a port, another beside them.
 fn three(roof: &str, left: &str, right: &str) -> String {
     format!(
