@@ -63,6 +63,9 @@ fn check(file: &Path) -> Result<(), CliError> {
     let free = free_bytes();
     text += &told("daemon", &daemon_lines(&config, &free));
     print(&text)?;
+    for missing in config.missing_on_this_host() {
+        complain("warning", missing);
+    }
     let most: u64 = config.sensors.iter().map(|sensor| *memory::pool_bytes(sensor).end()).sum();
     if let Ok(free) = free
         && free < most

@@ -4,12 +4,14 @@
 //! text -> file (keys and types) -> check (values, files, sensors among each other) -> Config -> changes (a reload)
 //! error                            what is wrong, where, and what was meant
 //! memory                           bytes that it takes
+//! host                             what this host does not have of it
 //! ```
 
 mod changes;
 mod check;
 mod error;
 mod file;
+mod host;
 pub mod memory;
 
 use std::net::{IpAddr, Ipv4Addr, SocketAddr};

