@@ -10,7 +10,7 @@ use tracing_subscriber::EnvFilter;
 
 use self::journal::Prioritised;
 use super::CliError;
-use crate::daemon::config::{Change, Config, ConfigError, Effect};
+use crate::daemon::config::{Config, ConfigError, Effect};
 use crate::daemon::control::{self, Reload, Reread};
 use sweepd_client::publish::{Domain, Keeper};
 
@@ -121,9 +121,14 @@ fn reread(args: Args) -> Reread {
             return Err("it was started with --sensor, so there is no file to read".to_owned());
         }
         let new = args.read().map_err(|error| error.to_string())?;
-        let needs_restart = |change: &Change| change.effect == Effect::Restart;
-        let needs_restart = old.changes(&new).iter().filter(|it| needs_restart(it)).map(ToString::to_string).collect();
-        Ok(Reload { config: old.reloaded(&new), needs_restart })
+        let (mut taken, mut needs_restart) = (Vec::new(), Vec::new());
+        for change in old.changes(&new) {
+            match change.effect {
+                Effect::Reload => taken.push(change.to_string()),
+                Effect::Restart => needs_restart.push(change.to_string()),
+            }
+        }
+        Ok(Reload { config: old.reloaded(&new), taken, needs_restart })
     })
 }
 

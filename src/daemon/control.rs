@@ -33,7 +33,9 @@ pub struct Reload {
     /// What runs from now on: the sensors and ports of the one before, with what of the new one can be had without a
     /// restart.
     pub config: Config,
-    /// What of the new one cannot, a sentence each.
+    /// What is taken of the new one, a sentence each.
+    pub taken: Vec<String>,
+    /// What cannot be, likewise.
     pub needs_restart: Vec<String>,
 }
 
@@ -347,8 +349,9 @@ impl Control {
     fn reload(&mut self) {
         self.notifier.reloading();
         match (self.reread)(&self.config) {
-            Ok(Reload { config, needs_restart }) => {
-                info!("the configuration was read anew");
+            Ok(Reload { config, taken, needs_restart }) => {
+                info!("the configuration was read");
+                taken.iter().for_each(|what| info!("{what}"));
                 self.apply(config);
                 needs_restart.iter().for_each(|what| warn!("{what}"));
             }

@@ -124,7 +124,8 @@ fn a_folder_that_cannot_be_had_is_named_by_its_key() {
 #[test]
 fn what_this_host_does_not_have_is_a_warning() {
     let folder = Folder::new("config-host");
-    let sensor = "[[sensor]]\nname = \"roof\"\naddress = \"192.168.1.201\"\nbind = \"192.0.2.7\"\ninterface = \"eth99\"\n";
+    let sensor =
+        "[[sensor]]\nname = \"roof\"\naddress = \"192.168.1.201\"\nbind = \"192.0.2.7\"\ninterface = \"eth99\"\n";
     let file = folder.write("robot.toml", format!("{sensor}[record]\npath = \"none/drive.pcap\"\n"));
     let ran = sweepd(&["config", "check", file.to_str().unwrap()]);
     assert_eq!(ran.code, 0, "{}", ran.stderr);

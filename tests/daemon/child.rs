@@ -54,7 +54,7 @@ fn runs_a_daemon() {
         let mut new = old.clone();
         new.sensors[0].rpm = Some(rpm);
         new.sensors[0].pipeline.cut_azimuth_rad = 1.0;
-        Ok(Reload { config: new, needs_restart: vec!["http needs a restart".to_owned()] })
+        Ok(Reload { config: new, taken: Vec::new(), needs_restart: vec!["http needs a restart".to_owned()] })
     };
     let root = PathBuf::from(std::env::var(RELOADED).unwrap()).with_file_name("root");
     if let Err(error) = control::run(config, &*rig, &root, Box::new(reread)) {

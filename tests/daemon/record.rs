@@ -267,14 +267,14 @@ fn a_disk_that_does_not_answer_keeps_nobody_waiting_but_the_recording() {
     assert!(Command::new("mkfifo").arg(&pipe).status().unwrap().success());
     let _sending = Sending::start(97, daemon.ports, vlp16(200.0));
     daemon.reload("[record]\npath = \"pipe.pcap\"\n");
-    until("it is read", || daemon.log().contains("the configuration was read anew"));
+    until("it is read", || daemon.log().contains("the configuration was read"));
     let sweeps = || daemon.health().unwrap()["sensors"][0]["sweeps"].as_u64();
     let before = sweeps();
     until("the sensor goes on", || sweeps() > before);
     assert_eq!(daemon.recording(), Value::Null);
     // What was said meanwhile is done when the disk answers.
     daemon.reload("[record]\npath = \"other.pcap\"\n");
-    until("it is read again", || daemon.log().matches("the configuration was read anew").count() == 2);
+    until("it is read again", || daemon.log().matches("the configuration was read").count() == 2);
     let reader = fs::File::options().read(true).custom_flags(libc::O_NONBLOCK).open(&pipe).unwrap();
     until("it is recorded", || daemon.recording()["datagrams"].as_u64() > Some(100));
     assert_eq!(daemon.recording()["path"], daemon.folder.join("other-000.pcap").to_str().unwrap());

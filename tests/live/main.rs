@@ -3,5 +3,6 @@
 #[path = "../common/mod.rs"]
 mod common;
 mod equal;
+mod reload;
 
 use common::{same, setup};

@@ -1,9 +1,8 @@
 //! Two configurations compared: what a running daemon can take over, and what only another start can.
 //!
-//! One line a setting says which. What shared memory, sockets and threads were made by stays; what only the pipeline reads,
-//! and the recording, can change between two sweeps. (`min_points` belongs to the first: it tells how many segments a
-//! sweep has room for.) A sensor is taken over as a whole or not at all: its settings were checked together, and a mask for
-//! the new model is none for the old one.
+//! One line a setting says which. What sockets, threads and services were made by stays; what only the pipeline reads, and
+//! the recording, can change between two sweeps. Each setting is taken or waits by itself, except that a calibration and a mask
+//! wait with the model or the number of returns: they were checked for the new one.
 
 use std::fmt;
 
@@ -49,6 +48,8 @@ struct Setting<T> {
     effect: Effect,
     show: fn(&T) -> String,
     is_same: fn(&T, &T) -> bool,
+    /// Sets the first to what the second has.
+    take: fn(&mut T, &T),
 }
 
 macro_rules! setting {
@@ -58,6 +59,7 @@ macro_rules! setting {
             effect: Effect::$effect,
             show: |of| $show(&of.$($field).+),
             is_same: |a, b| a.$($field).+ == b.$($field).+,
+            take: |to, from| to.$($field).+.clone_from(&from.$($field).+),
         }
     };
 }
@@ -85,7 +87,6 @@ const SENSOR: &[Setting<SensorConfig>] = &[
         or("told by the packets", &dual.map(|dual| if dual { "dual" } else { "single" }))
     }),
     setting!(Restart "model", pipeline.model, |model: &Option<_>| or("told by the packets", model)),
-    setting!(Restart "min_points", pipeline.segment.min_points, text),
     setting!(Reload "calibration", pipeline.calibration, |given: &Option<_>| presence("the sensor's own", given)),
     setting!(Reload "rpm", rpm, |rpm: &Option<_>| or("not watched", rpm)),
     setting!(Reload "loss_warning_percent", losses.warning, percent),
@@ -100,6 +101,7 @@ const SENSOR: &[Setting<SensorConfig>] = &[
     setting!(Reload "height_m", pipeline.segment.mount.height_m, |height: &Option<_>| or("estimated", height)),
     setting!(Reload "method", pipeline.segment.method, |method: &_| format!("{method:?}").to_lowercase()),
     setting!(Reload "theta_deg", pipeline.segment.theta_rad, |angle: &f32| degrees((*angle).into())),
+    setting!(Reload "min_points", pipeline.segment.min_points, text),
     setting!(Reload "gap_m", pipeline.segment.joining.gap_m, |gap: &Option<_>| or("by the rows", gap)),
     setting!(Reload "window_columns", pipeline.segment.joining.columns, text),
     setting!(Reload "window_rows", pipeline.segment.joining.rows, text),
@@ -134,29 +136,41 @@ fn percent(share: &f64) -> String {
     ((share * 1e6).round() / 1e4).to_string()
 }
 
-/// The settings that differ. One that needs a restart makes all wait for it.
-fn compare<T>(settings: &[Setting<T>], old: &T, new: &T) -> Vec<(String, Effect)> {
-    let differing: Vec<_> = settings.iter().filter(|setting| !(setting.is_same)(old, new)).collect();
-    let waits = differing.iter().any(|setting| setting.effect == Effect::Restart);
-    let effect = if waits { Effect::Restart } else { Effect::Reload };
-    let show = |setting: &&Setting<T>| {
-        let (old, new) = ((setting.show)(old), (setting.show)(new));
-        // Of a file, only that there is one is shown.
-        if old == new { format!("{} has changed", setting.key) } else { format!("{} {old} -> {new}", setting.key) }
+/// The settings that differ, and what each takes.
+fn compare<'a, T>(settings: &'a [Setting<T>], old: &T, new: &T) -> Vec<(&'a Setting<T>, Effect)> {
+    let differing: Vec<&Setting<T>> = settings.iter().filter(|setting| !(setting.is_same)(old, new)).collect();
+    let is_other_sensor = differing.iter().any(|setting| ["model", "returns"].contains(&setting.key));
+    let effect = |setting: &Setting<T>| match setting.key {
+        "calibration" | "mask" if is_other_sensor => Effect::Restart,
+        _ => setting.effect,
     };
-    differing.iter().map(|setting| (show(setting), effect)).collect()
+    differing.into_iter().map(|setting| (setting, effect(setting))).collect()
+}
+
+impl<T> Setting<T> {
+    /// What changes: `port 2368 -> 2369`.
+    fn change(&self, old: &T, new: &T) -> String {
+        let (old, new) = ((self.show)(old), (self.show)(new));
+        // Of a file, only that there is one is shown.
+        if old == new { format!("{} has changed", self.key) } else { format!("{} {old} -> {new}", self.key) }
+    }
 }
 
 impl Config {
     /// In what another configuration differs from this one.
     pub fn changes(&self, new: &Self) -> Vec<Change> {
-        let of_daemon = compare(DAEMON, &self.daemon, &new.daemon).into_iter();
-        let mut changes: Vec<_> = of_daemon.map(|(what, effect)| Change { sensor: None, what, effect }).collect();
+        let mut changes = Vec::new();
+        for (setting, effect) in compare(DAEMON, &self.daemon, &new.daemon) {
+            changes.push(Change { sensor: None, what: setting.change(&self.daemon, &new.daemon), effect });
+        }
         for old in &self.sensors {
-            let change = |(what, effect)| Change { sensor: Some(old.name.clone()), what, effect };
-            match new.sensor(&old.name) {
-                Some(new) => changes.extend(compare(SENSOR, old, new).into_iter().map(change)),
-                None => changes.push(change(("is no longer there, which".to_owned(), Effect::Restart))),
+            let Some(new) = new.sensor(&old.name) else {
+                let what = "is no longer there, which".to_owned();
+                changes.push(Change { sensor: Some(old.name.clone()), what, effect: Effect::Restart });
+                continue;
+            };
+            for (setting, effect) in compare(SENSOR, old, new) {
+                changes.push(Change { sensor: Some(old.name.clone()), what: setting.change(old, new), effect });
             }
         }
         for added in new.sensors.iter().filter(|sensor| self.sensor(&sensor.name).is_none()) {
@@ -181,10 +195,11 @@ impl Config {
     pub fn reloaded(&self, new: &Self) -> Self {
         let mut running = self.clone();
         for sensor in &mut running.sensors {
-            if let Some(new) = new.sensor(&sensor.name)
-                && compare(SENSOR, sensor, new).iter().all(|(_, effect)| *effect == Effect::Reload)
-            {
-                *sensor = new.clone();
+            let Some(new) = new.sensor(&sensor.name) else { continue };
+            for (setting, effect) in compare(SENSOR, sensor, new) {
+                if effect == Effect::Reload {
+                    (setting.take)(sensor, new);
+                }
             }
         }
         running.record.clone_from(&new.record);

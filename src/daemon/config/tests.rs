@@ -344,10 +344,14 @@ fn a_reload_says_what_it_takes_over_and_what_waits() {
     assert_eq!(said(&three("segment = { theta_deg = 12.5 }", "", "")), ["sensor roof: theta_deg 10 -> 12.5"]);
     assert_eq!(
         said(&three("segment = { theta_deg = 12.5, min_points = 5 }", "rpm = 600", "")),
+        ["sensor roof: theta_deg 10 -> 12.5", "sensor roof: min_points 10 -> 5", "sensor left: rpm not watched -> 600"]
+    );
+    assert_eq!(
+        said(&three("port = 2370\nmax_consumers = 3\nrpm = 600", "", "")),
         [
-            "sensor roof: min_points 10 -> 5 needs a restart",
-            "sensor roof: theta_deg 10 -> 12.5 needs a restart",
-            "sensor left: rpm not watched -> 600"
+            "sensor roof: port 2368 -> 2370 needs a restart",
+            "sensor roof: max_consumers 4 -> 3 needs a restart",
+            "sensor roof: rpm not watched -> 600",
         ]
     );
     assert_eq!(said(&format!("http = \"off\"\n{}", three("", "", ""))), ["http 127.0.0.1:9177 -> off needs a restart"]);
@@ -404,6 +408,12 @@ fn no_setting_changes_without_a_word() {
         assert_eq!(left, usize::from(change.effect == Effect::Restart), "{line}");
         assert_eq!(old.changes(&running).len(), 1 - left, "{line}");
     }
+    // A calibration is that of the new model, so it waits with it; the rest does not.
+    let other = parse("model = \"hdl32e\"\ncalibration = \"hdl32e.yaml\"\nrpm = 600");
+    let waits: Vec<bool> = old.changes(&other).iter().map(|change| change.effect == Effect::Restart).collect();
+    let running = old.reloaded(&other);
+    assert_eq!((waits, running.changes(&other).len()), (vec![true, true, false], 2));
+    assert_eq!((running.sensors[0].rpm, &running.sensors[0].pipeline.calibration), (Some(600.0), &None));
     // A setting that is added to the configuration must be added to those that are compared: this stops compiling.
     let SensorConfig {
         name: _,
