@@ -4,11 +4,10 @@
 
 use std::process::ExitCode;
 
-use clap::Parser;
-use sweepd::cli::{Cli, Command};
+use sweepd::cli::Command;
 
 fn main() -> ExitCode {
-    let done = match Cli::parse().command {
+    let done = match sweepd::cli::parse().command {
         Command::Run(args) => sweepd::cli::run::run(&args),
         Command::Replay(args) => sweepd::cli::replay::run(&args),
         Command::Record(args) => sweepd::cli::record::run(&args),

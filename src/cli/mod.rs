@@ -22,11 +22,13 @@ pub mod summary;
 pub mod tables;
 pub mod watch;
 
+use std::ffi::OsString;
 use std::fmt::Display;
 use std::io::{self, Write};
 use std::path::PathBuf;
 use std::sync::Arc;
 
+use clap::error::{ContextKind, ContextValue, ErrorKind};
 use clap::{Parser, Subcommand};
 
 use crate::capture::{CaptureError, RecordError, UdpError};
@@ -75,6 +77,27 @@ pub enum Command {
     #[cfg(feature = "lab")]
     #[command(flatten)]
     Lab(lab::Command),
+}
+
+/// The command line of this process. One that is wrong ends the process with an error and exit code 2.
+pub fn parse() -> Cli {
+    let words: Vec<OsString> = std::env::args_os().collect();
+    Cli::try_parse_from(&words).unwrap_or_else(|mut error| {
+        if let Some(tip) = tip(&error, &words) {
+            error.insert(ContextKind::Suggested, ContextValue::StyledStrs(vec![tip.into()]));
+        }
+        error.exit()
+    })
+}
+
+/// What was meant by a word that clap does not expect.
+fn tip(error: &clap::Error, words: &[OsString]) -> Option<String> {
+    let word = match (error.kind(), error.get(ContextKind::InvalidArg)?) {
+        (ErrorKind::UnknownArgument, ContextValue::String(word)) => word,
+        _ => return None,
+    };
+    let is_times = words.windows(2).any(|two| two[0] == "--loop" && two[1] == word[..]);
+    is_times.then(|| format!("a number of times needs an equals sign: --loop={word}"))
 }
 
 /// Why a command did not do all that was asked.

@@ -9,6 +9,7 @@ use clap::ValueEnum;
 use crate::capture::SensorFilter;
 use crate::cli::CliError;
 use crate::files;
+use crate::suggest::nearest;
 use sweepd_core::pipeline;
 use sweepd_core::segment::{self, Settings};
 use sweepd_core::sensor::model::UnknownModel;
@@ -16,9 +17,21 @@ use sweepd_core::sensor::{Calibration, Model};
 use sweepd_core::sweep::layout::ReturnChoice;
 use sweepd_core::wire::{DATA_PORT, POSITION_PORT};
 
-/// A model, by its flag.
+/// Velodynes whose packets are recognised and refused.
+const NOT_YET: [&str; 4] = ["vlp32", "vls128", "ultrapuck", "alphaprime"];
+
+/// A model, by its flag or its name.
 pub(super) fn model(text: &str) -> Result<Model, String> {
-    text.parse().map_err(|error: UnknownModel| error.to_string())
+    text.parse().map_err(|error: UnknownModel| {
+        let word: String = text.chars().filter(char::is_ascii_alphanumeric).collect();
+        if NOT_YET.iter().any(|name| word.to_ascii_lowercase().starts_with(name)) {
+            return format!("sweepd does not read the {text} yet: {error}");
+        }
+        match nearest(&text.to_ascii_lowercase(), Model::ALL.iter().map(|model| model.spec().flag)) {
+            Some(meant) => format!("{error}; did you mean {meant}?"),
+            None => error.to_string(),
+        }
+    })
 }
 
 /// Where to listen.

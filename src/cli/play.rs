@@ -16,24 +16,41 @@ const LONGEST_S: f64 = 1e9;
 #[command(next_help_heading = "Replay")]
 pub struct PlayOptions {
     /// Leave out what comes before this, seconds from the start of the capture
-    #[arg(long, value_name = "SECONDS", value_parser = seconds, allow_negative_numbers = true)]
-    pub from: Option<f64>,
+    #[arg(long, alias = "from", value_name = "SECONDS", value_parser = seconds, allow_negative_numbers = true)]
+    pub start: Option<f64>,
     /// Stop at this, seconds from the start of the capture
     #[arg(long, value_name = "SECONDS", value_parser = seconds, allow_negative_numbers = true)]
-    pub to: Option<f64>,
+    end: Option<f64>,
     /// realtime, max, or a factor such as 0.5; gaps of over a minute are not waited for [default: max; realtime with
-    /// --to-udp and --publish]
+    /// --to and --publish]
     #[arg(long, allow_negative_numbers = true)]
     pub speed: Option<Speed>,
-    /// Begin again at the end, for ever or so many times in all
+    /// Begin again at the end, for ever or this number of times in all
     #[arg(long = "loop", value_name = "TIMES", num_args = 0..=1, require_equals = true, default_missing_value = "forever")]
     pub times: Option<Times>,
     /// Also emit partial sweeps: the first, the last, and those that were interrupted
     #[arg(long)]
     pub partial: bool,
     /// Send the capture's own datagrams there with their own timing, each sensor from a port of its own
-    #[arg(long, value_name = "ADDR:PORT", value_parser = destination)]
-    pub to_udp: Option<SocketAddr>,
+    #[arg(long, alias = "to-udp", value_name = "ADDR:PORT", value_parser = to, allow_negative_numbers = true)]
+    to: Vec<To>,
+}
+
+/// Values of `--to`.
+#[derive(Clone, Copy, Debug)]
+enum To {
+    /// Where datagrams are sent.
+    Address(SocketAddr),
+    /// The older spelling of `--end`, seconds.
+    End(f64),
+}
+
+/// A value of `--to`: a number is the older spelling of `--end`.
+fn to(text: &str) -> Result<To, String> {
+    match text.parse::<f64>() {
+        Ok(_) => seconds(text).map(To::End),
+        Err(_) => destination(text).map(To::Address),
+    }
 }
 
 /// How often a capture is played.
@@ -91,16 +108,33 @@ impl PlayOptions {
         if self.times.is_some() && capture.as_os_str() == "-" {
             return usage("standard input cannot be played again: --loop needs a file");
         }
-        match (self.from, self.to) {
-            (Some(from), Some(to)) if to <= from => usage("--to is not after --from: nothing would be left"),
-            (None, Some(0.0)) => usage("--to 0 leaves nothing of the capture: expected more than 0 seconds"),
+        match (self.start, self.end()) {
+            (Some(start), Some(end)) if end <= start => usage("--end is not after --start: nothing would be left"),
+            (None, Some(0.0)) => usage("--end 0 leaves nothing of the capture: expected more than 0 seconds"),
             _ => Ok(()),
         }
     }
 
+    /// Where datagrams are sent, if they are.
+    pub fn destination(&self) -> Option<SocketAddr> {
+        self.to.iter().rev().find_map(|to| match to {
+            To::Address(address) => Some(*address),
+            To::End(_) => None,
+        })
+    }
+
+    /// When it stops, seconds from the start of the capture.
+    fn end(&self) -> Option<f64> {
+        let older = self.to.iter().rev().find_map(|to| match to {
+            To::End(end) => Some(*end),
+            To::Address(_) => None,
+        });
+        self.end.or(older)
+    }
+
     /// How fast: by default as it was recorded, if anybody listens.
     pub fn speed(&self, is_published: bool) -> Speed {
-        self.speed.unwrap_or(if self.to_udp.is_some() || is_published { Speed::REALTIME } else { Speed::Max })
+        self.speed.unwrap_or(if self.destination().is_some() || is_published { Speed::REALTIME } else { Speed::Max })
     }
 
     /// Whether the capture is to be played again after so many times.
@@ -115,9 +149,9 @@ impl PlayOptions {
     /// Where a moment of the capture is.
     pub fn place(&self, since_start_ns: i64) -> Place {
         let seconds = since_start_ns as f64 * 1e-9;
-        if self.from.is_some_and(|from| seconds < from) {
+        if self.start.is_some_and(|start| seconds < start) {
             Place::Before
-        } else if self.to.is_some_and(|to| seconds >= to) {
+        } else if self.end().is_some_and(|end| seconds >= end) {
             Place::Behind
         } else {
             Place::Within
@@ -126,8 +160,8 @@ impl PlayOptions {
 
     /// The part that is played, for a sentence: ` from 10 s to 20 s`, or nothing if it is all.
     pub fn part(&self) -> String {
-        let from = self.from.map_or(String::new(), |from| format!(" from {from} s"));
-        let to = self.to.map_or(String::new(), |to| format!(" to {to} s"));
-        from + &to
+        let start = self.start.map_or(String::new(), |start| format!(" from {start} s"));
+        let end = self.end().map_or(String::new(), |end| format!(" to {end} s"));
+        start + &end
     }
 }

@@ -31,8 +31,8 @@ use sweepd_core::wire::Datagram;
 Examples:
   sweepd replay pcap_fixtures/street_vlp16.pcap.gz --png out
   sweepd replay drive.pcapng --sensor 192.168.1.201 --json --no-timing > sweeps.jsonl
-  sweepd replay drive.pcap --from 10 --to 20 --csv returns --partial
-  sweepd replay drive.pcap --to-udp 127.0.0.1:2368 --loop
+  sweepd replay drive.pcap --start 10 --end 20 --csv returns --partial
+  sweepd replay drive.pcap --to 127.0.0.1:2368 --loop
   sweepd replay drive.pcap --publish roof --loop")]
 pub struct Args {
     /// pcap or pcapng, plain or compressed with gzip or zstd; - is standard input
@@ -119,7 +119,7 @@ impl<'a> Replay<'a> {
             sensors: Sensors::new(args.sensor.sensor.clone()),
             others_before: 0,
             tracks: Vec::new(),
-            sender: args.play.to_udp.map(Sender::new),
+            sender: args.play.destination().map(Sender::new),
             progress: progress_bar(args),
             args,
             config,
@@ -220,7 +220,7 @@ impl<'a> Replay<'a> {
                 }
                 self.push(index.get(), datagram, record)
             }
-            // Also before --from: they tell the time.
+            // Also before --start: they tell the time.
             Route::Position(set) => set.into_iter().try_for_each(|index| self.push(index.get(), datagram, record)),
             Route::Other(_) => Ok(()),
         }

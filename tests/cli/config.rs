@@ -70,7 +70,7 @@ fn pool(line: &str) -> Option<(f64, f64)> {
 #[test]
 fn check_shows_every_fault_at_its_line_and_fails() {
     let folder = Folder::new("config-faults");
-    let file = folder.write("robot.toml", TWO.replace("port = 2369", "port = 0").replace("\"vlp16\"", "\"vlp-16\""));
+    let file = folder.write("robot.toml", TWO.replace("port = 2369", "port = 0").replace("\"vlp16\"", "\"vlp61\""));
     let ran = sweepd(&["config", "check", file.to_str().unwrap()]);
     assert_eq!((ran.code, &ran.stdout[..]), (78, ""), "EX_CONFIG: trying again would not help");
     let (file, text) = (file.display(), &ran.stderr);
@@ -78,7 +78,7 @@ fn check_shows_every_fault_at_its_line_and_fails() {
         &format!(
             "error: `port` cannot be 0\n  --> {file}:13:8\n   |\n13 | port = 0\n   |        ^ expected 1 to 65535\n"
         )[..],
-        &format!("error: no supported model is called \"vlp-16\"\n  --> {file}:14:9\n"),
+        &format!("error: no supported model is called \"vlp61\"\n  --> {file}:14:9\n"),
         "help: did you mean `vlp16`?",
     ] {
         assert!(text.contains(part), "{text}\nlacks {part}");

@@ -294,6 +294,6 @@ fn one_corrupt_time_in_a_capture_interrupts_nothing() {
     assert!(sweeps(&sound).len() >= 3);
     assert_eq!(sweeps(&replay(&broken, &["--json", "--no-timing"]).done()), sweeps(&sound));
     // Where the time decides, the packet is left out; what follows is not.
-    let cut = sweeps(&replay(&broken, &["--json", "--no-timing", "--to", "10"]).done());
+    let cut = sweeps(&replay(&broken, &["--json", "--no-timing", "--end", "10"]).done());
     assert_eq!((cut.len(), cut.last()), (sweeps(&sound).len(), sweeps(&sound).last()));
 }

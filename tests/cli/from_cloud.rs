@@ -140,7 +140,7 @@ fn what_cannot_be_meant_is_one_error() {
     }
     scan.folder.write("never.yaml", "mine");
     scan.simulate(&["--fit-elevations", to[0], to[1]]).says(&["never.yaml exists; --force replaces it"]);
-    for other in ["--model=vlp16", "--scene=room", "--return=dual", "--spin-up=1", "--stall=1..2", "--mode-switch=1"] {
+    for other in ["--model=vlp16", "--scene=room", "--returns=dual", "--spin-up=1", "--stall=1..2", "--mode-switch=1"] {
         let name = other.split('=').next().unwrap();
         scan.simulate(&[other, to[0], to[1]]).says(&["--from-cloud", name, "cannot be used with"]);
     }

@@ -82,12 +82,12 @@ fn absurd_numbers_are_refused_with_what_was_expected() {
         ("--min-range=-1", "0 to 1000 metres"),
         ("--max-range=inf", "0 to 1000 metres"),
         ("--max-range=0", "greater"),
-        ("--from=-1", "0 to 1000000000 seconds"),
-        ("--to=-1", "0 to 1000000000 seconds"),
-        ("--to=soon", "0 to 1000000000 seconds"),
-        ("--from=1e308", "0 to 1000000000 seconds"),
-        ("--to=1e-300", "more than 0 seconds"),
-        ("--to=0", "more than 0 seconds"),
+        ("--start=-1", "0 to 1000000000 seconds"),
+        ("--end=-1", "0 to 1000000000 seconds"),
+        ("--end=soon", "0 to 1000000000 seconds"),
+        ("--start=1e308", "0 to 1000000000 seconds"),
+        ("--end=1e-300", "more than 0 seconds"),
+        ("--end=0", "more than 0 seconds"),
         ("--speed=0", "a number from 0.001 to 1000"),
         ("--speed=-2", "a number from 0.001 to 1000"),
         ("--speed=1e-300", "a number from 0.001 to 1000"),
@@ -95,8 +95,8 @@ fn absurd_numbers_are_refused_with_what_was_expected() {
         ("--speed=inf", "a number from 0.001 to 1000"),
         ("--loop=0", "1 or more"),
         ("--loop=-1", "1 or more"),
-        ("--to-udp=127.0.0.1:0", "IP:PORT such as 127.0.0.1:2368"),
-        ("--to-udp=localhost", "IP:PORT such as 127.0.0.1:2368"),
+        ("--to=127.0.0.1:0", "IP:PORT such as 127.0.0.1:2368"),
+        ("--to=localhost", "IP:PORT such as 127.0.0.1:2368"),
         ("--sensor=lidar", "expected IP, IP:PORT"),
     ];
     for (option, expected) in cases {
@@ -111,8 +111,8 @@ fn absurd_numbers_are_refused_with_what_was_expected() {
             assert_eq!(spaced.stderr, ran.stderr, "{option}");
         }
     }
-    for pair in [["--from=2", "--to=1"], ["--from=1", "--to=1"]] {
-        replay(&fixture("street_vlp16_losses.pcap"), &pair).says(&["--to is not after --from"]);
+    for pair in [["--start=2", "--end=1"], ["--start=1", "--end=1"]] {
+        replay(&fixture("street_vlp16_losses.pcap"), &pair).says(&["--end is not after --start"]);
     }
     replay(&fixture("street_vlp16_losses.pcap"), &["--min-range=5", "--max-range=3"]).says(&["greater"]);
     let turned =
@@ -127,15 +127,15 @@ fn what_was_asked_for_and_is_not_there_is_an_error() {
     let one = replay(&capture, &["--sensor", "192.168.1.201", "--sensor", "192.168.1.201:99"]);
     one.says(&["no sensor 192.168.1.201:99"]);
     assert!(one.stdout.contains("3 whole"), "{}", one.stdout);
-    replay(&capture, &["--from", "5"]).says(&["no data packets from 5 s", "0.399 s"]);
-    replay(&capture, &["--from", "5", "--to", "1e9", "--json"]).says(&["no data packets from 5 s"]);
+    replay(&capture, &["--start", "5"]).says(&["no data packets from 5 s", "0.399 s"]);
+    replay(&capture, &["--start", "5", "--end", "1e9", "--json"]).says(&["no data packets from 5 s"]);
 }
 
 #[test]
 fn a_loop_goes_round_and_goes_on_counting() {
     let capture = fixture("street_vlp16_losses.pcap");
-    let once = sweeps(&replay(&capture, &["--json", "--no-timing", "--from", "0.1"]).done());
-    let twice = sweeps(&replay(&capture, &["--json", "--no-timing", "--from", "0.1", "--loop=2"]).done());
+    let once = sweeps(&replay(&capture, &["--json", "--no-timing", "--start", "0.1"]).done());
+    let twice = sweeps(&replay(&capture, &["--json", "--no-timing", "--start", "0.1", "--loop=2"]).done());
     let count = once.len() - 1;
     assert_eq!(twice.len() - 1, 2 * count);
     for (index, line) in twice[..2 * count].iter().enumerate() {
@@ -153,4 +153,40 @@ fn a_loop_goes_round_and_goes_on_counting() {
 fn standard_error_stays_empty_without_a_terminal() {
     assert_eq!(replay(&fixture("street_hdl32e.pcap.gz"), &["--speed", "realtime"]).stderr, "");
     assert_eq!(inspect(&fixture("street_hdl32e.pcap.gz")).stderr, "");
+}
+
+/// What is spelled otherwise now goes on working, and is not advertised.
+#[test]
+fn older_spellings_are_understood() {
+    let capture = fixture("street_vlp16_losses.pcap");
+    let of = |part: &[&str]| replay(&capture, &[&["--json", "--no-timing", "--partial"], part].concat()).done();
+    let nowhere = "127.0.0.1:9";
+    let new = of(&["--start", "0.1", "--end", "0.3"]);
+    assert_eq!(of(&["--from", "0.1", "--to", "0.3"]), new);
+    assert_eq!(of(&["--from", "0.1", "--to", "0.3", "--to-udp", nowhere, "--speed", "max"]), new);
+    assert_ne!(of(&["--to", nowhere, "--speed", "max"]), new);
+    let dual = |option: &str| {
+        let args = ["simulate", "--model=vlp16", "--scene=room", "--seconds=0.1", "--pcap", "-", option];
+        command(&args).output().unwrap().stdout
+    };
+    assert_eq!(dual("--return=dual"), dual("--returns=dual"));
+    for (command, older) in [("replay", "--from"), ("replay", "--to-udp"), ("simulate", "--return ")] {
+        assert!(!sweepd(&[command, "--help"]).done().contains(older), "{older}");
+    }
+}
+
+#[test]
+fn a_slip_is_answered_with_what_was_meant() {
+    for (args, answer) in [
+        (&["replay", "a.pcap", "--loop", "3"][..], "--loop=3"),
+        (&["replay", "a.pcap", "--model", "vlp-32c"], "does not read the vlp-32c yet"),
+        (&["replay", "a.pcap", "--model", "vlp61"], "did you mean vlp16?"),
+        (&["replay", "a.pcap", "--to", "soon"], "IP:PORT such as"),
+        (&["repaly", "a.pcap"], "'replay'"),
+    ] {
+        let ran = sweepd(args);
+        assert!(ran.code == 2 && ran.stderr.contains(answer), "{args:?}: {}", ran.stderr);
+    }
+    assert_eq!(inspect(&fixture("street_vlp16_losses.pcap")).code, 0);
+    replay(&fixture("street_vlp16_losses.pcap"), &["--model", "VLP-16"]).done();
 }

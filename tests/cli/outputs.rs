@@ -135,7 +135,7 @@ fn csv_has_its_header_and_counts_packets_of_the_whole_capture() {
     };
     let all: std::collections::BTreeSet<_> = all.lines().filter_map(key).collect();
     assert_eq!(all.iter().next().unwrap()[0], 0);
-    for options in [&["--from", "0.2", "--partial"][..], &["--from", "0.15", "--to", "0.4", "--partial"]] {
+    for options in [&["--start", "0.2", "--partial"][..], &["--start", "0.15", "--end", "0.4", "--partial"]] {
         let part: Vec<_> = csv(options[1], options).lines().filter_map(key).collect();
         assert!(part.len() > 30_000 && part[0][0] >= 110, "{:?}", part[0]);
         assert!(part.iter().all(|one| all.contains(one)), "{options:?}");
@@ -147,7 +147,7 @@ fn ros_axes_are_the_sensor_s_turned() {
     let folder = Folder::new("axes");
     let points = |axes: &str| -> Vec<[f64; 3]> {
         let dir = folder.path(axes);
-        let options = ["--to", "0.25", "--axes", axes, "--csv", dir.to_str().unwrap()];
+        let options = ["--end", "0.25", "--axes", axes, "--csv", dir.to_str().unwrap()];
         replay(&fixture("street_vlp16_losses.pcap"), &options).done();
         let text = std::fs::read_to_string(dir.join("sweep_000000.csv")).unwrap();
         let point = |line: &str| {

@@ -65,7 +65,7 @@ fn comes_back(flag: &str, name: &str) {
         for (returns, mode) in [("single", "strongest"), ("dual", "dual")] {
             for (rpm, seconds) in [("300", "0.41"), ("1200", "0.11")] {
                 let options =
-                    ["--model", flag, "--scene", scene, "--return", returns, "--rpm", rpm, "--seconds", seconds];
+                    ["--model", flag, "--scene", scene, "--returns", returns, "--rpm", rpm, "--seconds", seconds];
                 let said = simulate(&[&options[..], &["--pcap", path.to_str().unwrap()]].concat());
                 let (sweeps, sensors) = replayed(&path, &[]);
                 let what = format!("{options:?}: {sensors:?}");
@@ -123,7 +123,7 @@ fn the_network_faults_that_were_injected_are_those_that_are_counted() {
     for (seed, model, returns) in
         [("1", "vlp16", "single"), ("2", "vlp16", "dual"), ("3", "hdl32e", "single"), ("4", "puck-hires", "single")]
     {
-        let options = ["--model", model, "--return", returns, "--seed", seed, "--seconds=1", "--scene=field"];
+        let options = ["--model", model, "--returns", returns, "--seed", seed, "--seconds=1", "--scene=field"];
         let said = simulate(&[&options[..], &faults, &["--pcap", path.to_str().unwrap()]].concat());
         let (_, sensors) = replayed(&path, &[]);
         let Said { data, lost, duplicated, reordered, corrupted, .. } = said[0];
@@ -261,7 +261,7 @@ fn the_motor_and_the_mode_do_what_they_are_told() {
     assert_eq!((sweeps.len() - whole(&sweeps), &sensors[0]["lost_packets"]), (4, &0.into()), "{sensors:?}");
     for (options, modes) in [
         (&["--mode-switch=0.45"][..], ["strongest", "dual"]),
-        (&["--mode-switch=0.45", "--return=dual"], ["dual", "strongest"]),
+        (&["--mode-switch=0.45", "--returns=dual"], ["dual", "strongest"]),
     ] {
         let (_, sensors) = made(options);
         assert_eq!(sensors[0]["return_modes"], serde_json::json!(modes));
@@ -298,7 +298,7 @@ fn an_hdl64e_sends_its_calibration_and_fires_as_often_as_it_is_told() {
         (&["--model=hdl64e-s2"][..], 288.0),
         (&["--model=hdl64e-s3"], 288.0),
         (&["--model=hdl64e-s3", "--firing-period=57.6"], 345.6),
-        (&["--model=hdl64e-s3", "--return=dual"], 172.8),
+        (&["--model=hdl64e-s3", "--returns=dual"], 172.8),
     ] {
         let said = simulate(&[options, &fixed, &["--seconds=1.6"]].concat());
         let payloads = payloads(&path);
@@ -393,7 +393,7 @@ fn what_cannot_be_simulated_is_one_error_with_its_flag_and_the_cure() {
         ("--scene=moon", "street, parking-lot, field, room"),
         ("--rpm=299", "300 to 1200 turns a minute"),
         ("--rpm=nan", "300 to 1200 turns a minute"),
-        ("--return=last", "single, dual"),
+        ("--returns=last", "single, dual"),
         ("--seed=-1", "a whole number from 0"),
         ("--seconds=0", "0.01 to 86400 seconds"),
         ("--seconds=1e9", "0.01 to 86400 seconds"),
@@ -425,7 +425,7 @@ fn what_cannot_be_simulated_is_one_error_with_its_flag_and_the_cure() {
         assert!(ran.error().contains(cure) || ran.stderr.contains(cure), "{option}: {}", ran.stderr);
         assert!(!Path::new(file).exists(), "{option}");
     }
-    for option in ["--return=dual", "--mode-switch=1"] {
+    for option in ["--returns=dual", "--mode-switch=1"] {
         let flag = option.replace('=', " ");
         let flag = if flag.contains("switch") { "--mode-switch" } else { &flag };
         let args = ["simulate", "--model=hdl64e-s2", "--pcap", file, option];

@@ -1,4 +1,4 @@
-//! `--to-udp`: the capture on the network again, to a socket of the test's own.
+//! `--to`: the capture on the network again, to a socket of the test's own.
 
 use std::collections::BTreeMap;
 use std::net::UdpSocket;
@@ -21,7 +21,7 @@ fn received(capture: &std::path::Path, count: usize, options: &[&str]) -> (BTree
         ports
     });
     let begun = Instant::now();
-    let args = [&["replay", capture.to_str().unwrap(), "--to-udp", &to], options].concat();
+    let args = [&["replay", capture.to_str().unwrap(), "--to", &to], options].concat();
     Ran::of(command(&args).output().unwrap()).done();
     let took = begun.elapsed();
     (reader.join().unwrap(), took)
@@ -65,7 +65,7 @@ fn only_what_is_played_is_sent() {
     let start_ns = sent[0].arrival_ns;
     let played = sent.iter().filter(|sent| (100_000_000..200_000_000).contains(&(sent.arrival_ns - start_ns)));
     let played: Vec<Vec<u8>> = played.map(|sent| sent.payload.clone()).collect();
-    let options = ["--from", "0.1", "--to", "0.2", "--loop=2", "--speed", "2"];
+    let options = ["--start", "0.1", "--end", "0.2", "--loop=2", "--speed", "2"];
     let (ports, _) = received(&fixture("street_vlp16_losses.pcap"), 2 * played.len(), &options);
     let arrived = ports.into_values().next().unwrap();
     assert!(arrived == [&played[..], &played].concat());
@@ -74,7 +74,7 @@ fn only_what_is_played_is_sent() {
 #[test]
 fn a_port_where_nobody_listens_is_no_error() {
     let free = UdpSocket::bind("127.0.0.1:0").unwrap().local_addr().unwrap().to_string();
-    let options = ["--to-udp", &free, "--speed", "max", "--no-timing"];
+    let options = ["--to", &free, "--speed", "max", "--no-timing"];
     let alone = replay(&fixture("street_vlp16_losses.pcap"), &["--no-timing"]).done();
     assert_eq!(replay(&fixture("street_vlp16_losses.pcap"), &options).done(), alone);
 }

@@ -55,9 +55,9 @@ fn every_return_of_a_replay_has_its_truth() {
     let faults = "--loss=2 --duplicate=3 --reorder=3";
     for (channels, options) in [
         (16, "--model=vlp16 --scene=street"),
-        (16, "--model=puck-hires --scene=room --return=dual"),
+        (16, "--model=puck-hires --scene=room --returns=dual"),
         (32, "--model=hdl32e --scene=parking-lot"),
-        (32, "--model=hdl32e --scene=street --return=dual"),
+        (32, "--model=hdl32e --scene=street --returns=dual"),
     ] {
         let options: Vec<&str> = options.split(' ').chain(faults.split(' ')).chain(["--seconds=0.25"]).collect();
         let both = with_truth(&folder, channels, &options, &["--gps-without-pps"]);

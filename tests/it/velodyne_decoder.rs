@@ -31,17 +31,17 @@ const CAPTURES: [(&str, &str); 8] = [
 /// `sweepd simulate`.
 const OF_A_TABLE: [(&str, &[&str]); 5] = [
     ("vlp16", &[]),
-    ("vlp16", &["--return", "dual"]),
+    ("vlp16", &["--returns", "dual"]),
     ("puck-hires", &[]),
     ("hdl32e", &[]),
-    ("hdl32e", &["--return", "dual"]),
+    ("hdl32e", &["--returns", "dual"]),
 ];
 
 /// Simulated captures of HDL-64E whose calibration is a real one: the model as `compare_velodyne_decoder.py` calls it,
 /// the file among the data, and the options of `sweepd simulate`.
 const OF_A_UNIT: [(&str, &str, &[&str]); 4] = [
     ("hdl64e-s2", VALGUR, &["--model", "hdl64e-s2"]),
-    ("hdl64e-s3", XIESC, &["--model", "hdl64e-s3", "--return", "dual"]),
+    ("hdl64e-s3", XIESC, &["--model", "hdl64e-s3", "--returns", "dual"]),
     ("hdl64e-s3", XIESC, &["--model", "hdl64e-s3", "--firing-period", "57.6"]),
     ("hdl64e-s3-288us", VALGUR, &["--model", "hdl64e-s3"]),
 ];
@@ -186,7 +186,7 @@ fn velodyne_decoder_recovers_the_calibration_of_a_simulated_unit() {
     // A whole status takes 4160 packets, 1.2 s and 0.72 s. All units of one seed are the same.
     for (model, options, seconds, said) in [
         ("hdl64e-s2", &["--model", "hdl64e-s2", "--seed", "5"][..], "1.21", ["'S2'", "'Strongest'"]),
-        ("hdl64e-s3", &["--model", "hdl64e-s3", "--seed", "6", "--return", "dual"], "0.73", ["'S3'", "'Both'"]),
+        ("hdl64e-s3", &["--model", "hdl64e-s3", "--seed", "6", "--returns", "dual"], "0.73", ["'S3'", "'Both'"]),
     ] {
         for unit in [None, Some(&given)] {
             simulate(&[options, &["--seconds", seconds]].concat(), unit.map(PathBuf::as_path), &whole);

@@ -141,7 +141,7 @@ fn simulated_sensors_live_and_replayed() {
 /// Losses, copies and packets out of order, on the wire as in the file.
 #[test]
 fn a_faulty_sensor_live_and_replayed() {
-    for (model, faults) in [("vlp16", "--return=dual"), ("hdl32e", "--seed=2")] {
+    for (model, faults) in [("vlp16", "--returns=dual"), ("hdl32e", "--seed=2")] {
         let received = compare(model, None, |setup| {
             let to = format!("127.0.0.1:{}", setup.port);
             let fixed = ["simulate", "--model", model, "--seconds", "1.2", "--to", &to, "--loss=1", "--duplicate=1"];
@@ -204,7 +204,7 @@ fn real_captures_live_and_replayed() {
         let path = data.join("pcap").join(capture);
         let received = compare(capture, python.as_deref(), |setup| {
             let to = format!("127.0.0.1:{}", setup.port);
-            Process::start(&["replay", path.to_str().unwrap(), "--to-udp", &to], &setup.path("sensor.log"))
+            Process::start(&["replay", path.to_str().unwrap(), "--to", &to], &setup.path("sensor.log"))
         });
         assert!(received > 3, "{capture}: {received}");
     }

@@ -50,7 +50,7 @@ The truth (--truth DIR), for scoring a segmentation:
 Examples:
   sweepd simulate --model vlp16 --pcap street.pcap.gz
   sweepd simulate --model hdl32e --scene room --seconds 2 --pcap - | sweepd replay - --png out
-  sweepd simulate --model hdl64e-s3 --return dual --gps 2.. --pcap hdl64e.pcap.gz
+  sweepd simulate --model hdl64e-s3 --returns dual --gps 2.. --pcap hdl64e.pcap.gz
   sweepd simulate --model vlp16 --model hdl32e --seconds 3600 --to 127.0.0.1:2368
   sweepd simulate --model vlp16 --loss 1 --burst-loss 0.1x20 --pcap lossy.pcap --truth truth
   sweepd simulate --from-cloud 000000.bin --calibration unit.xml --fit-elevations --pcap real.pcap")]
@@ -73,7 +73,7 @@ pub struct Args {
     )]
     rpm: Option<f64>,
     /// One return a shot, the strongest, or two; an hdl64e-s2 has one
-    #[arg(long = "return", value_name = "WHICH", value_enum, default_value_t = Returns::Single)]
+    #[arg(long, alias = "return", value_name = "WHICH", value_enum, default_value_t = Returns::Single)]
     returns: Returns,
     /// Simulate this unit: db.xml or ROS YAML [default: the model's own table; of an HDL-64E, a unit that
     /// is made up, another one for each seed]
@@ -128,7 +128,7 @@ struct Target {
     to: Option<SocketAddr>,
 }
 
-/// Values of `--return`.
+/// Values of `--returns`.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, ValueEnum)]
 enum Returns {
     /// The strongest
@@ -275,7 +275,7 @@ impl Args {
     /// An HDL-64E S2 has one return.
     fn check_returns(&self, model: Model) -> Result<(), CliError> {
         let flag = match (self.returns, self.faults.mode_switch) {
-            (Returns::Dual, _) => "--return dual",
+            (Returns::Dual, _) => "--returns dual",
             (Returns::Single, Some(_)) => "--mode-switch",
             (Returns::Single, None) => return Ok(()),
         };

@@ -142,7 +142,7 @@ fn what_cannot_be_meant_is_shown_with_its_line_and_a_cure() {
         ("cpu = -1", &["`cpu` cannot be -1"]),
         ("cpu = 99999", &["the cores of this machine are "]),
         ("realtime_priority = 100", &["expected 1 to 99"]),
-        ("model = \"vlp-16\"", &["no supported model is called \"vlp-16\"", "did you mean `vlp16`?"]),
+        ("model = \"vlp61\"", &["no supported model is called \"vlp61\"", "did you mean `vlp16`?"]),
         ("model = \"os1\"", &["expected one of `vlp16`"]),
         ("returns = \"duel\"", &["unknown value `duel`", "did you mean `dual`?"]),
         ("return = \"first\"", &["unknown value `first`", "expected one of `nearest`"]),

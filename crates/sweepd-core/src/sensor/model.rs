@@ -284,13 +284,24 @@ impl std::fmt::Display for UnknownModel {
 
 impl std::error::Error for UnknownModel {}
 
-/// By [`Spec::flag`].
+/// By [`Spec::flag`] or [`Spec::name`], in any case and with any hyphens, points and blanks: `VLP-16`, `hdl64e s2.1`.
 impl std::str::FromStr for Model {
     type Err = UnknownModel;
 
     fn from_str(text: &str) -> Result<Self, UnknownModel> {
-        Self::ALL.into_iter().find(|model| model.spec().flag == text).ok_or(UnknownModel)
+        let word = letters_and_digits(text);
+        let is_called =
+            |model: &Self| [model.spec().flag, model.spec().name].iter().any(|own| letters_and_digits(own) == word);
+        match &word[..] {
+            "puck" => Ok(Self::Vlp16),
+            "hdl64es21" => Ok(Self::Hdl64eS2),
+            _ => Self::ALL.into_iter().find(is_called).ok_or(UnknownModel),
+        }
     }
+}
+
+fn letters_and_digits(text: &str) -> String {
+    text.chars().filter(char::is_ascii_alphanumeric).map(|one| one.to_ascii_lowercase()).collect()
 }
 
 impl std::fmt::Display for Model {
@@ -302,6 +313,26 @@ impl std::fmt::Display for Model {
 #[cfg(test)]
 mod tests {
     use super::*;
+
+    #[test]
+    fn models_are_known_by_their_usual_spellings() {
+        for (text, model) in [
+            ("vlp16", Model::Vlp16),
+            ("VLP-16", Model::Vlp16),
+            ("Puck", Model::Vlp16),
+            ("Puck LITE", Model::PuckLite),
+            ("puck_hi-res", Model::PuckHiRes),
+            ("HDL-32E", Model::Hdl32e),
+            ("HDL-64E S2", Model::Hdl64eS2),
+            ("hdl64e-s2.1", Model::Hdl64eS2),
+            ("HDL64E_S3", Model::Hdl64eS3),
+        ] {
+            assert_eq!(text.parse::<Model>().ok(), Some(model), "{text}");
+        }
+        for text in ["", "-", "vlp", "vlp-32c", "hdl64e", "hdl64", "os1", "vlp16x"] {
+            assert!(text.parse::<Model>().is_err(), "{text}");
+        }
+    }
 
     #[test]
     fn packet_periods_are_the_published_ones() {
