@@ -19,8 +19,7 @@ use sweepd_client::publish::pool_sweeps;
 /// Options of `sweepd doctor`.
 #[derive(Clone, Debug, clap::Args)]
 #[command(after_help = "\
-Nothing is changed: ports are listened on, and sensors are asked for their settings.
-The exit status is 1 when something is wrong.
+Nothing is changed: ports are listened on, and sensors are asked for their settings. The exit status is 1 when something is wrong.
 
 Examples:
   sweepd doctor

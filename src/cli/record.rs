@@ -35,14 +35,14 @@ const TICK: Duration = Duration::from_millis(50);
 /// Options of `sweepd record`.
 #[derive(Clone, Debug, clap::Args)]
 #[command(after_help = "\
-Only data and position packets are recorded; whatever else comes is counted by reason. Ctrl-C ends a
-recording cleanly. What came is on the disk about a second later. Where a daemon has the sensor, --from
-records what it receives.
+Only data and position packets are recorded; all else is counted by reason. Ctrl-C ends a recording \
+cleanly. A packet is on the disk about a second after it came. Where a daemon has the sensor, --from \
+records what the daemon receives.
 
 Examples:
   sweepd record -o drive.pcap
   sweepd record -o minute.pcap.gz --seconds 60 --sensor 192.168.1.201
-  sweepd record -o drive.pcap --port 2368 --port 2369 --rotate-mb 1000 --rotate-seconds 600
+  sweepd record -o drive.pcap --port 2369 --rotate-mb 1000
   sweepd record -o group.pcap --multicast 239.1.2.3 --interface eth1
   sweepd record -o roof.pcap --from roof")]
 pub struct Args {

@@ -30,7 +30,7 @@ use sweepd_core::wire::Datagram;
 #[command(after_help = "\
 Examples:
   sweepd replay pcap_fixtures/street_vlp16.pcap.gz --png out
-  sweepd replay drive.pcapng --sensor 192.168.1.201 --json --no-timing > sweeps.jsonl
+  sweepd replay drive.pcapng --sensor 192.168.1.201 --json > sweeps.jsonl
   sweepd replay drive.pcap --start 10 --end 20 --csv returns --partial
   sweepd replay drive.pcap --to 127.0.0.1:2368 --loop
   sweepd replay drive.pcap --publish roof --loop")]

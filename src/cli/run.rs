@@ -21,8 +21,8 @@ const LOG: &str = "SWEEPD_LOG";
 #[derive(Clone, Debug, clap::Args)]
 #[command(group(clap::ArgGroup::new("sensors of the daemon").required(true).args(["config", "sensors"])))]
 #[command(after_help = "\
-SIGTERM or Ctrl-C ends it, SIGHUP reads the configuration anew. Its log goes to standard error;
-systemd, if it runs it, hears when it is ready and how it is.
+SIGTERM or Ctrl-C ends the daemon, SIGHUP has it read its configuration again. Its log goes to \
+standard error; systemd, where it runs the daemon, hears when it is ready and how it is.
 
 Examples:
   sweepd run --sensor 192.168.1.201

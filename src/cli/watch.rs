@@ -35,8 +35,8 @@ A line a second, or less for the last one:
   rpm       turns a minute of the newest sweep
   returns   returns of a sweep, mean
   segments  segments of a sweep, mean
-  age ms    from the arrival of a sweep's last packet to its receipt here, median;
-            `replay` where a capture is played
+  age ms    from the arrival of a sweep's last packet to its receipt here,
+            median; `replay` where a capture is played
   max ms    the same, longest
   ipc us    from complete labels to receipt here, longest
   lost      packets missing by the sensor's clock

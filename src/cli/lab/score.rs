@@ -24,14 +24,14 @@ use sweepd_lab::score::{Grouped, Row, ScanScore, Summary};
 #[derive(Debug, clap::Args)]
 #[command(group = clap::ArgGroup::new("what").required(true))]
 #[command(after_help = "\
-A scan is NAME.bin with its true labels in NAME.label beside it, or in ../labels as SemanticKITTI has them.
-Frames of one sequence are much alike: look at the mean of the sequences too.
+A scan is NAME.bin with its true labels in NAME.label beside it, or in ../labels as SemanticKITTI \
+has them. Frames of one sequence are much alike: look at the mean of the sequences too.
 
 Examples:
   sweepd segment scans/00/000000.bin --out labels/00
   sweepd score --scans scans --pred labels --only 00/000000
   sweepd score --scans scans --pred labels --per-scan --json
-  sweepd score --scans scans --methods --theta 5,10,20 --distance 0.5 --cell 0.2
+  sweepd score --scans scans --methods --theta 5,10,20 --cell 0.2
   sweepd score --scans scans --methods --plot precision.png")]
 pub struct Args {
     /// Folder with scans, searched with the folders in it

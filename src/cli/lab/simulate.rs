@@ -38,22 +38,25 @@ use sweepd_lab::simulate::{Emitter, EmitterConfig, Faults, Motor, Scene, Setting
 #[derive(Debug, clap::Args)]
 #[command(after_help = "\
 The truth (--truth DIR), for scoring a segmentation:
-  objects.csv  object,class; classes are ground, building, car, lorry, person, cyclist, pole, sign,
-               tree and furniture
-  truth.csv    packet,block,record,object,class,range_m,azimuth_deg,time_ns: a line per return that
-               was delivered, before noise and rounding. Packets and blocks are counted as in the
-               files of replay --csv; record modulo the number of beams is the channel (odd blocks of an
-               HDL-64E: 32 more); azimuth is where the beam pointed; time is UTC since 1970
-  With --from-cloud, object is the index of the point in the cloud, from 0, by which its labels are
-  found; class is unknown, range_m is from the origin of the beam, and there is no objects.csv
+  objects.csv  object,class; classes are ground, building, car, lorry,
+               person, cyclist, pole, sign, tree and furniture
+  truth.csv    packet,block,record,object,class,range_m,azimuth_deg,time_ns:
+               a line per return that was delivered, before noise and
+               rounding. Packets and blocks are counted as in the files of
+               replay --csv; record modulo the number of beams is the
+               channel (odd blocks of an HDL-64E: 32 more); azimuth is where
+               the beam pointed; time is UTC since 1970
+
+With --from-cloud, object is the index of the point in the cloud, from 0, by which its labels are \
+found; class is unknown, range_m is from the origin of the beam, and there is no objects.csv.
 
 Examples:
   sweepd simulate --model vlp16 --pcap street.pcap.gz
-  sweepd simulate --model hdl32e --scene room --seconds 2 --pcap - | sweepd replay - --png out
-  sweepd simulate --model hdl64e-s3 --returns dual --gps 2.. --pcap hdl64e.pcap.gz
-  sweepd simulate --model vlp16 --model hdl32e --seconds 3600 --to 127.0.0.1:2368
-  sweepd simulate --model vlp16 --loss 1 --burst-loss 0.1x20 --pcap lossy.pcap --truth truth
-  sweepd simulate --from-cloud 000000.bin --calibration unit.xml --fit-elevations --pcap real.pcap")]
+  sweepd simulate --model hdl32e --scene room --pcap - | sweepd replay -
+  sweepd simulate --model hdl64e-s3 --returns dual --pcap hdl64e.pcap.gz
+  sweepd simulate --model vlp16 --model hdl32e --to 127.0.0.1:2368
+  sweepd simulate --model vlp16 --loss 1 --pcap lossy.pcap --truth truth
+  sweepd simulate --from-cloud 0.bin --calibration unit.xml --pcap real.pcap")]
 pub struct Args {
     /// Model: vlp16, puck-lite, puck-hires, hdl32e, hdl64e-s2 (S2.1 too) or hdl64e-s3; several times for
     /// several sensors in one scene, with the addresses 192.168.1.201, 192.168.1.202, ...

@@ -15,9 +15,9 @@ use crate::soak::{self, Outcome, Plan};
 /// Options of `sweepd soak`.
 #[derive(Clone, Debug, clap::Args)]
 #[command(after_help = "\
-It runs a daemon of its own, apart from any other, with a simulated VLP-16 and HDL-64E at 10 Hz, as
-fast as they are decoded; faults on the way; and consumers that come, go, hang and are killed. The
-counters must be exact all the time, and memory, threads, descriptors and files must not grow: else
+It runs a daemon of its own, apart from any other, with a simulated VLP-16 and HDL-64E at 10 Hz, as \
+fast as they are decoded; faults on the way; and consumers that come, go, hang and are killed. The \
+counters must be exact all the time, and memory, threads, descriptors and files must not grow: else \
 it ends with an error. About 100 MB of shared memory are needed.
 
 Examples:
