@@ -71,6 +71,9 @@ pub mod files;
 pub mod soak;
 mod suggest;
 
+/// Version of this build, with the commit in a release build of a repository: `0.1.0 (6707b6746 2026-11-24)`.
+pub const VERSION: &str = env!("SWEEPD_VERSION");
+
 pub use sweepd_client::{client, host, publish};
 pub use sweepd_core::{pipeline, segment, sensor, sweep, wire};
 #[cfg(feature = "lab")]

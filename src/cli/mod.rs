@@ -44,7 +44,7 @@ use sweepd_client::publish::PublishError;
 
 /// Turns the packets of a spinning Velodyne into range images, cut into ground and numbered objects
 #[derive(Debug, Parser)]
-#[command(name = "sweepd", version, about, long_about = None, max_term_width = 100)]
+#[command(name = "sweepd", version = crate::VERSION, about, long_about = None, max_term_width = 100)]
 #[command(after_help = "\
 Example:
   sweepd replay pcap_fixtures/street_vlp16.pcap.gz --png out")]

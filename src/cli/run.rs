@@ -54,7 +54,7 @@ pub fn run(args: &Args) -> Result<(), CliError> {
     log(args.log)?;
     let sensors: Vec<String> = config.sensors.iter().map(|one| format!("{} ({})", one.name, one.address)).collect();
     let from = args.config.as_ref().map_or_else(|| "--sensor".to_owned(), |file| file.display().to_string());
-    info!("sweepd {} with {from}: {}", env!("CARGO_PKG_VERSION"), sensors.join(", "));
+    info!("sweepd {} with {from}: {}", crate::VERSION, sensors.join(", "));
     if args.config.is_none() {
         info!("`sweepd watch {}` shows what comes of it", config.sensors[0].name);
     }

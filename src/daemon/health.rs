@@ -140,7 +140,7 @@ impl View {
             "status": status,
             "reasons": reasons,
             "pid": std::process::id(),
-            "version": env!("CARGO_PKG_VERSION"),
+            "version": crate::VERSION,
             "uptime_s": self.begun.elapsed().as_secs(),
             "root": self.root,
             "sensors": sensors,

@@ -37,7 +37,9 @@ fn every_help_has_an_example_and_fits_a_terminal() {
             assert!(!line.starts_with(' ') || line.chars().count() <= 78, "{name}: {line}");
         }
     }
-    assert!(sweepd(&["--version"]).done().starts_with("sweepd "));
+    let version = sweepd(&["--version"]).done();
+    let commit = if cfg!(debug_assertions) { " (debug build)" } else { " (" };
+    assert!(version.starts_with(&format!("sweepd {}{commit}", env!("CARGO_PKG_VERSION"))), "{version}");
     for args in [&[][..], &["play"], &["replay"], &["replay", "a", "--fast"]] {
         assert_eq!(sweepd(args).code, 2, "{args:?}");
     }
