@@ -1,5 +1,6 @@
 //! `sweepd inspect`: what is in a capture, told from headers, stamps and azimuths, without decoding a single return.
 
+mod flows;
 mod positions;
 mod status;
 
@@ -9,6 +10,7 @@ use std::io::{self, Write as _};
 use std::net::IpAddr;
 use std::path::PathBuf;
 
+use flows::Flows;
 use positions::Positions;
 
 use super::CliError;
@@ -43,6 +45,7 @@ pub fn run(args: &Args) -> Result<(), CliError> {
     let mut sensors = Sensors::new(Vec::new());
     let mut seen: Vec<Seen> = Vec::new();
     let mut positions: BTreeMap<IpAddr, Positions> = BTreeMap::new();
+    let mut flows = Flows::default();
     let read = loop {
         let datagram = match capture.next_datagram() {
             Ok(Some(datagram)) => datagram,
@@ -59,10 +62,10 @@ pub fn run(args: &Args) -> Result<(), CliError> {
             Route::Position(_) => {
                 positions.entry(datagram.source.ip().to_canonical()).or_default().add(&datagram);
             }
-            Route::Other(_) => {}
+            Route::Other(_) => flows.add(&datagram),
         }
     };
-    let text = describe(&capture, &sensors, &mut seen, &positions);
+    let text = describe(&capture, &sensors, &mut seen, &positions) + &others(&capture, &sensors, &flows);
     io::stdout().write_all(text.as_bytes()).map_err(CliError::Stdout)?;
     read.map_err(CliError::Capture)
 }
@@ -89,6 +92,23 @@ fn describe(
             let _ = writeln!(text, "\n{ip}, position packets only");
             positions.describe(&mut text, "");
         }
+    }
+    text
+}
+
+/// What else there is: all of it where no sensor is, since that was hoped for; else the largest part.
+fn others(capture: &Capture, sensors: &Sensors, flows: &Flows) -> String {
+    let lines = flows.lines();
+    if lines.is_empty() && capture.tally().records > 0 && capture.tally().datagrams == 0 {
+        return "\nother traffic\n  no record holds a UDP datagram\n".to_owned();
+    }
+    if lines.is_empty() {
+        return String::new();
+    }
+    let mut text = "\nother traffic\n".to_owned();
+    let shown = if sensors.sensors().is_empty() { lines.len() } else { 1 };
+    for line in &lines[..shown] {
+        let _ = writeln!(text, "  {line}");
     }
     text
 }

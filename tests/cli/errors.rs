@@ -37,6 +37,8 @@ fn a_capture_without_sensors_says_what_it_holds_instead() {
         text.contains("10, with 10 UDP datagrams; 10 of other traffic") && text.contains("none sends data"),
         "{text}"
     );
+    let flow = text.lines().skip_while(|line| *line != "other traffic").nth(1).unwrap_or_default();
+    assert!(flow.contains("to port 2368: 9 datagrams of 100 bytes ("), "{text}");
     replay(&folder.write("none.pcap", made::pcap(&[])), &[]).says(&["none.pcap: no Velodyne data packets (0 records"]);
 }
 

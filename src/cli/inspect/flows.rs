@@ -1,0 +1,148 @@
+//! Datagrams of no Velodyne: who sends how much where, and which LiDAR that looks like.
+
+use std::collections::HashMap;
+use std::net::SocketAddr;
+use std::ops::RangeInclusive;
+
+use super::rate;
+use crate::export::text::count_of;
+use sweepd_core::wire::Datagram;
+
+/// Most flows that are told apart: a capture may be made to have millions.
+const MAX_FLOWS: usize = 1024;
+/// Most that are shown, the largest first.
+const SHOWN: usize = 8;
+/// Bytes of a payload in which formats have their marks.
+const HEAD_BYTES: usize = 4;
+
+/// The traffic that belongs to no sensor.
+#[derive(Default)]
+pub struct Flows {
+    flows: HashMap<(SocketAddr, u16), Flow>,
+    /// Datagrams of flows beyond [`MAX_FLOWS`].
+    beyond: u64,
+}
+
+/// From one sender to one port.
+struct Flow {
+    datagrams: u64,
+    bytes: RangeInclusive<usize>,
+    first_ns: i64,
+    last_ns: i64,
+    /// What all payloads begin with, as far as they agree.
+    head: Vec<u8>,
+}
+
+impl Flows {
+    /// Counts a datagram.
+    pub fn add(&mut self, datagram: &Datagram<'_>) {
+        let key = (datagram.source, datagram.destination_port);
+        if self.flows.len() >= MAX_FLOWS && !self.flows.contains_key(&key) {
+            self.beyond += 1;
+            return;
+        }
+        let (len, arrival_ns) = (datagram.payload.len(), datagram.arrival_ns);
+        let flow = self.flows.entry(key).or_insert_with(|| Flow {
+            datagrams: 0,
+            bytes: len..=len,
+            first_ns: arrival_ns,
+            last_ns: arrival_ns,
+            head: datagram.payload[..len.min(HEAD_BYTES)].to_vec(),
+        });
+        flow.datagrams += 1;
+        flow.last_ns = arrival_ns;
+        flow.bytes = len.min(*flow.bytes.start())..=len.max(*flow.bytes.end());
+        let same = flow.head.iter().zip(datagram.payload).take_while(|(a, b)| a == b).count();
+        flow.head.truncate(same);
+    }
+
+    /// A line for each of the largest flows, and one for the rest.
+    pub fn lines(&self) -> Vec<String> {
+        let mut flows: Vec<(&(SocketAddr, u16), &Flow)> = self.flows.iter().collect();
+        // The address last, so that the order is always the same.
+        flows.sort_by_key(|&(key, flow)| (std::cmp::Reverse(flow.datagrams), *key));
+        let rest: u64 = flows.iter().skip(SHOWN).map(|(_, flow)| flow.datagrams).sum::<u64>() + self.beyond;
+        let shown = flows.iter().take(SHOWN);
+        let mut lines: Vec<String> = shown.map(|((source, port), flow)| flow.line(*source, *port)).collect();
+        if rest > 0 {
+            lines.push(format!("and {} of others", count_of(rest, "datagram")));
+        }
+        lines
+    }
+}
+
+impl Flow {
+    fn line(&self, source: SocketAddr, port: u16) -> String {
+        let (least, most) = (self.bytes.start(), self.bytes.end());
+        let bytes = if least == most { format!("{most} bytes") } else { format!("{least} to {most} bytes") };
+        let count = count_of(self.datagrams, "datagram");
+        let like = self.like(source.port(), port).map_or(String::new(), |like| format!("; looks like {like}"));
+        format!(
+            "{source} to port {port}: {count} of {bytes}{}{like}",
+            rate(self.datagrams, self.first_ns, self.last_ns)
+        )
+    }
+
+    /// The LiDAR that sends such datagrams by default, by the drivers that its maker publishes.
+    fn like(&self, source_port: u16, port: u16) -> Option<&'static str> {
+        let least = *self.bytes.start();
+        match (source_port, port) {
+            (_, 7502) if least >= 1000 => Some("an Ouster (its port for measurements)"),
+            (_, 7503) if least == 48 => Some("an Ouster (its port for inertial data)"),
+            (56300, _) if least >= 1000 => Some("a Livox Mid-360 (its port for points)"),
+            (57000, _) if least >= 1000 => Some("a Livox HAP (its port for points)"),
+            _ if self.head.starts_with(&[0xEE, 0xFF]) => Some("a Hesai (by its first bytes)"),
+            _ if self.head.starts_with(&[0x55, 0xAA]) && least == 1248 => {
+                Some("a RoboSense (by length and first bytes)")
+            }
+            _ => None,
+        }
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    fn flows(sent: &[(&str, u16, &[u8])]) -> Vec<String> {
+        let mut flows = Flows::default();
+        for (number, &(source, destination_port, payload)) in sent.iter().enumerate() {
+            let (arrival_ns, source) = (number as i64 * 500_000_000, source.parse().unwrap());
+            flows.add(&Datagram { arrival_ns, source, destination_port, payload });
+        }
+        flows.lines()
+    }
+
+    #[test]
+    fn well_known_lidars_are_told_by_ports_lengths_and_marks() {
+        let robosense = [&[0x55, 0xAA, 0x05, 0x0A][..], &[0; 1244]].concat();
+        for (source, port, payload, like) in [
+            ("10.0.0.1:50000", 7502, &[1; 8448][..], "an Ouster (its port for measurements)"),
+            ("10.0.0.1:50001", 7503, &[1; 48], "an Ouster (its port for inertial data)"),
+            ("10.0.0.2:56300", 56301, &[0; 1380], "a Livox Mid-360"),
+            ("10.0.0.3:10000", 2368, &[0xEE, 0xFF, 6, 1, 0, 0], "a Hesai"),
+            ("10.0.0.4:6699", 6699, &robosense, "a RoboSense"),
+        ] {
+            let lines = flows(&[(source, port, payload); 3]);
+            let told = format!(
+                "{source} to port {port}: 3 datagrams of {} bytes (2.0 a second); looks like {like}",
+                payload.len()
+            );
+            assert!(lines.len() == 1 && lines[0].starts_with(&told), "{lines:?}");
+        }
+        for (port, payload) in [(7502, &[1; 100][..]), (5353, &[0x55, 0xAA]), (123, &[])] {
+            let lines = flows(&[("10.0.0.9:999", port, payload)]);
+            assert!(lines.len() == 1 && !lines[0].contains("looks like"), "{lines:?}");
+        }
+    }
+
+    #[test]
+    fn what_differs_within_a_flow_is_no_mark_and_many_flows_are_summed_up() {
+        let lines = flows(&[("10.0.0.1:9", 9, &[0xEE, 0xFF]), ("10.0.0.1:9", 9, &[0xEE])]);
+        assert_eq!(lines, ["10.0.0.1:9 to port 9: 2 datagrams of 1 to 2 bytes (2.0 a second)"]);
+        let sources: Vec<String> = (1..=1500).map(|port| format!("10.0.0.1:{port}")).collect();
+        let sent: Vec<(&str, u16, &[u8])> = sources.iter().map(|source| (&source[..], 9, &b"x"[..])).collect();
+        let lines = flows(&sent);
+        assert_eq!((lines.len(), &lines[8][..]), (9, "and 1,492 datagrams of others"));
+    }
+}
