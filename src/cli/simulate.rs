@@ -2,6 +2,7 @@
 
 mod cloud;
 mod faults;
+mod progress;
 mod truth;
 
 use std::io::{self, Write};
@@ -14,6 +15,7 @@ use clap::ValueEnum;
 
 use self::cloud::CloudOptions;
 use self::faults::FaultOptions;
+use self::progress::Progress;
 use self::truth::{TruthFile, write_objects};
 use super::CliError;
 use super::options::{model, within};
@@ -213,14 +215,17 @@ pub fn run(args: &Args) -> Result<(), CliError> {
         write_objects(folder, &scene)?;
     }
     let mut output = Output::open(&args.target)?;
+    let mut progress = Progress::new(Some(args.seconds.unwrap_or(SECONDS)));
     while let Some((mut index, mut datagram)) = next(&mut sensors) {
         if index < 2 && args.faults.is_exchanged(datagram.arrival_ns - configs[index].start_utc_ns) {
             index = 1 - index;
             datagram.source.set_ip(configs[index].address);
         }
         output.send(index, &datagram)?;
+        progress.note(datagram.arrival_ns);
         sensors[index].note(&datagram)?;
     }
+    progress.finish();
     output.finish()?;
     for sensor in &mut sensors {
         sensor.conclude()?;

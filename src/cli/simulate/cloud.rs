@@ -2,6 +2,7 @@
 
 use std::path::{Path, PathBuf};
 
+use super::progress::Progress;
 use super::truth::TruthFile;
 use super::{Args, Output};
 use crate::cli::segment::MAX_CLOUD_LEN;
@@ -71,14 +72,17 @@ pub fn run(args: &Args, cloud: &Path) -> Result<(), CliError> {
     if let Some(path) = fitted {
         write_calibration(path, turn.calibration())?;
     }
+    let mut progress = Progress::new(args.seconds);
     let mut packets = 0;
     for datagram in deliver(sender, faults.clone()) {
         output.send(0, &datagram)?;
+        progress.note(datagram.arrival_ns);
         packets += 1;
         if let (Some(file), Some(told)) = (&mut truth, &datagram.truth) {
             file.packet(told)?;
         }
     }
+    progress.finish();
     output.finish()?;
     truth.as_mut().map_or(Ok(()), TruthFile::finish)?;
     conclude(cloud, &turn, packets, &faults);
