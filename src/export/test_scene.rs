@@ -139,12 +139,15 @@ impl Scene {
             let at = segments.iter().position(|segment| segment.label == found.label).unwrap_or_else(|| {
                 let mut segment = Segment::new_zeroed();
                 (segment.label, segment.nearest_m) = (found.label, f32::MAX);
+                segment.row_first = u16::MAX;
                 (segment.min_m, segment.max_m) = ([f32::MAX; 3], [f32::MIN; 3]);
                 segments.push(segment);
                 segments.len() - 1
             });
             let segment = &mut segments[at];
             segment.points += 1;
+            (segment.row_first, segment.row_last) =
+                (segment.row_first.min(found.row as u16), segment.row_last.max(found.row as u16));
             segment.nearest_m = segment.nearest_m.min(found.range_m);
             for (axis, length) in found.point_m.map(|length| length as f32).into_iter().enumerate() {
                 segment.min_m[axis] = segment.min_m[axis].min(length);
@@ -152,7 +155,13 @@ impl Scene {
                 segment.centroid_m[axis] = (segment.min_m[axis] + segment.max_m[axis]) / 2.0;
             }
         }
+        // A label is its segment's place in the table; a box that no ray hits has none.
         self.fill(|sweep| {
+            for label in sweep.label.iter_mut().filter(|label| **label >= LABEL_FIRST_SEGMENT) {
+                let at = segments.iter().position(|segment| segment.label == *label);
+                *label = at.map_or(*label, |at| LABEL_FIRST_SEGMENT + at as u32);
+            }
+            segments.iter_mut().zip(LABEL_FIRST_SEGMENT..).for_each(|(segment, label)| segment.label = label);
             sweep.header.segments = segments.len() as u32;
             sweep.segments[..segments.len()].copy_from_slice(&segments);
         });

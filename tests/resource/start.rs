@@ -48,7 +48,10 @@ const CASES: [Case; 7] = [
         unshare: &["-m"],
         script: "mount -t tmpfs -o ro none /mnt",
         code: 1,
-        says: &["error: cannot use /mnt/iox2 for shared memory: Read-only file system", "`root` in the configuration"],
+        says: &[
+            "error: cannot use /mnt/iox2 for shared memory: Read-only file system",
+            "name a folder of this user with --root",
+        ],
     },
     Case {
         name: "the folder is another user's",

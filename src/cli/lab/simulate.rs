@@ -2,6 +2,7 @@
 
 mod cloud;
 mod faults;
+mod progress;
 mod truth;
 
 use std::io::{self, Write};
@@ -14,6 +15,7 @@ use clap::ValueEnum;
 
 use self::cloud::CloudOptions;
 use self::faults::FaultOptions;
+use self::progress::Progress;
 use self::truth::{TruthFile, former, write_objects};
 use super::sink::CaptureFile;
 use crate::capture::write::Addressed;
@@ -220,14 +222,17 @@ pub fn run(args: &Args) -> Result<(), CliError> {
     let mut sensors =
         configs.iter().map(|config| Simulated::new(args, config, &scene)).collect::<Result<Vec<_>, _>>()?;
     let mut output = Output::open(&args.target, existing)?;
+    let mut progress = Progress::new(Some(args.seconds.unwrap_or(SECONDS)));
     while let Some((mut index, mut datagram)) = next(&mut sensors) {
         if index < 2 && args.faults.is_exchanged(datagram.arrival_ns - configs[index].start_utc_ns) {
             index = 1 - index;
             datagram.source.set_ip(configs[index].address);
         }
         output.send(index, &datagram)?;
+        progress.note(datagram.arrival_ns);
         sensors[index].note(&datagram)?;
     }
+    progress.finish();
     output.finish()?;
     former.remove()?;
     if let Some(folder) = &args.truth {

@@ -9,14 +9,10 @@ use embedded_graphics::prelude::*;
 use embedded_graphics::primitives::{Circle, Line, PrimitiveStyle, Rectangle, Triangle};
 use embedded_graphics::text::{Alignment, Baseline, Text, TextStyleBuilder};
 
-/// Sizes of text, each for one use, so that the page has one hierarchy.
-pub const TITLE: &MonoFont<'static> = &fonts::FONT_10X20;
-/// Names of panels.
-pub const CAPTION: &MonoFont<'static> = &fonts::FONT_9X15_BOLD;
-/// Sentences.
-pub const BODY: &MonoFont<'static> = &fonts::FONT_7X13;
-/// Numbers at axes.
-pub const TICK: &MonoFont<'static> = &fonts::FONT_6X12;
+/// Numbers at segments.
+pub const NUMBER: &MonoFont<'static> = &fonts::FONT_9X18_BOLD;
+/// Sentences, and numbers at axes: a page is shown at two thirds of its size on most screens.
+pub const BODY: &MonoFont<'static> = &fonts::FONT_10X20;
 
 /// An image in memory; what is drawn outside of it is left out.
 pub struct Canvas {
@@ -78,12 +74,20 @@ impl Canvas {
         bounds.top_left.x + bounds.size.width as i32
     }
 
-    /// Text around a point on a patch of its own, readable whatever is below it.
-    pub fn label(&mut self, center: Point, text: &str, color: Rgb888, patch: Rgb888) {
-        let size = Size::new(text_width(text, TICK) + 4, TICK.character_size.height);
-        let area = Rectangle::with_center(center, size);
-        self.rect(area, patch);
-        self.text(area.top_left + Point::new(2, 0), text, TICK, color, Alignment::Left);
+    /// A name, bold: there is no bold font of this size. Gives the x behind it.
+    pub fn heading(&mut self, at: Point, text: &str, color: Rgb888) -> i32 {
+        self.text(at, text, BODY, color, Alignment::Left);
+        self.text(at + Point::new(1, 0), text, BODY, color, Alignment::Left)
+    }
+
+    /// Text with a rim of a pixel, readable whatever is below it.
+    pub fn rimmed_text(&mut self, at: Point, text: &str, font: &MonoFont<'_>, color: Rgb888, rim: Rgb888) {
+        for y in -1..=1 {
+            for x in -1..=1 {
+                self.text(at + Point::new(x, y), text, font, rim, Alignment::Left);
+            }
+        }
+        self.text(at, text, font, color, Alignment::Left);
     }
 }
 

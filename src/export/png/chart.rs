@@ -5,16 +5,26 @@
 
 use std::io::{self, Write};
 
+use embedded_graphics::mono_font::{MonoFont, iso_8859_1 as fonts};
 use embedded_graphics::pixelcolor::Rgb888;
 use embedded_graphics::prelude::*;
 use embedded_graphics::primitives::Rectangle;
 use embedded_graphics::text::Alignment;
 
-use super::canvas::{BODY, CAPTION, Canvas, TICK, TITLE};
+use super::canvas::Canvas;
 use super::palette::{self, BACKGROUND, DIM, GRID, NO_RETURN, TEXT};
 
 /// Pixels of a chart.
 pub const CHART_SIZE: (u32, u32) = (1200, 620);
+
+// A chart is shown as large as it is, other than a picture of a sweep.
+const TITLE: &MonoFont<'static> = &fonts::FONT_10X20;
+/// Names of axes and lines.
+const CAPTION: &MonoFont<'static> = &fonts::FONT_9X15_BOLD;
+/// Sentences.
+const BODY: &MonoFont<'static> = &fonts::FONT_7X13;
+/// Numbers at axes.
+const TICK: &MonoFont<'static> = &fonts::FONT_6X12;
 
 /// From the top to the panels, pixels.
 const TOP: i32 = 108;

@@ -4,30 +4,31 @@ use embedded_graphics::prelude::*;
 use embedded_graphics::primitives::Rectangle;
 use embedded_graphics::text::Alignment;
 
-use super::canvas::{BODY, CAPTION, Canvas};
+use super::canvas::{BODY, Canvas};
 use super::palette::{self, DIM, GROUND, NO_RETURN, TEXT, UNLABELLED};
+use super::plan::draw_sensor;
 use sweepd_core::sweep::layout::LABEL_FIRST_SEGMENT;
 use sweepd_core::sweep::{Segment, SweepRef};
 
 /// From one line to the next, pixels.
-const LINE: i32 = 19;
+const LINE: i32 = 25;
 /// Right edges of the table's columns, pixels from the left edge of the legend.
 const COLUMNS: [(i32, &str); 5] =
-    [(70, "label"), (150, "nearest"), (220, "azimuth"), (360, "x × y × z"), (428, "points")];
+    [(90, "label"), (190, "nearest"), (280, "azimuth"), (480, "x × y × z"), (570, "points")];
 /// Segments that are no higher are not listed, metres.
 const LOW_M: f32 = 0.2;
 /// A swatch.
-const SWATCH: Size = Size::new(24, 12);
+const SWATCH: Size = Size::new(32, 16);
 
 /// Draws the legend into an area; segments as many as fit.
 pub fn draw(page: &mut Canvas, area: &Rectangle, sweep: SweepRef<'_>) {
     let left = area.top_left.x;
     let bottom = area.top_left.y + area.size.height as i32;
-    page.text(area.top_left - Point::new(0, 20), "colours", CAPTION, TEXT, Alignment::Left);
+    page.heading(area.top_left - Point::new(0, 24), "colours", TEXT);
     let mut y = draw_meanings(page, area.top_left) + 20;
-    let end = page.text(Point::new(left, y), "nearest segments", CAPTION, TEXT, Alignment::Left);
-    page.text(Point::new(end + 14, y + 2), "over 0.2 m high; boxes in metres", BODY, DIM, Alignment::Left);
-    y += 26;
+    let end = page.heading(Point::new(left, y), "nearest segments", TEXT);
+    page.text(Point::new(end + 14, y), "over 0.2 m high; boxes in metres", BODY, DIM, Alignment::Left);
+    y += 28;
     for (right, name) in COLUMNS {
         page.text(Point::new(left + right, y), name, BODY, DIM, Alignment::Right);
     }
@@ -66,15 +67,17 @@ fn draw_meanings(page: &mut Canvas, at: Point) -> i32 {
         let stripe = Rectangle::new(Point::new(x, y), Size::new(eighth, SWATCH.height));
         page.rect(stripe, palette::label(LABEL_FIRST_SEGMENT + index as u32));
     }
-    draw_meaning(page, Point::new(at.x, y), "segments, a colour each: what hangs together")
+    y = draw_meaning(page, Point::new(at.x, y), "segments, a colour each; numbers are labels");
+    draw_sensor(page, swatch(at.x, y).center(), &swatch(at.x, y));
+    draw_meaning(page, Point::new(at.x, y), "the sensor; it points forward, along y")
 }
 
 fn swatch(x: i32, y: i32) -> Rectangle {
-    Rectangle::new(Point::new(x, y), SWATCH)
+    Rectangle::new(Point::new(x, y + 2), SWATCH)
 }
 
 fn draw_meaning(page: &mut Canvas, at: Point, meaning: &str) -> i32 {
-    page.text(at + Point::new(34, 0), meaning, BODY, DIM, Alignment::Left);
+    page.text(at + Point::new(44, 0), meaning, BODY, DIM, Alignment::Left);
     at.y + LINE
 }
 

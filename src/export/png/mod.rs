@@ -1,14 +1,15 @@
 //! One picture of a sweep that explains itself: ranges, labels, and the labelled points seen from above.
 //!
-//! The page, from top to bottom: the head (`title`); the range image and the label image (`strip`, both over one
-//! `raster`); the floor plan (`plan`) with the `legend` beside it. `palette` gives a colour one meaning on the whole
-//! page, `canvas` holds the pixels.
+//! The page, from top to bottom: the head (`title`); the images of ranges, reflectivities and labels (`strip`, all over
+//! one `raster`); the floor plan (`plan`) with the `legend` beside it. `numbers` names segments, `palette` gives a colour
+//! one meaning on the whole page, `canvas` holds the pixels.
 //!
 //! `chart` draws figures over a parameter on such a canvas.
 
 mod canvas;
 mod chart;
 mod legend;
+mod numbers;
 mod palette;
 mod plan;
 mod raster;
@@ -29,20 +30,20 @@ pub use chart::{CHART_SIZE, Chart, Panel, Series, write_chart};
 pub use title::Title;
 
 /// Pixels of a picture.
-pub const SIZE: (u32, u32) = (1900, 1300);
+pub const SIZE: (u32, u32) = (1920, 1560);
 
 /// Left of the images: room for elevations.
-const LEFT: i32 = 64;
+const LEFT: i32 = 96;
 /// Right of everything.
 const RIGHT: i32 = 16;
 /// Width of the images, pixels: about a column each at 10 Hz.
 const IMAGE_WIDTH: u32 = SIZE.0 - (LEFT + RIGHT) as u32;
-/// Height that an image may have, pixels; its rows are as high as fits.
-const IMAGE_HEIGHT: u32 = 256;
+/// Height that an image may have, pixels; its rows are as high as fits, at least a pixel.
+const IMAGE_HEIGHT: u32 = 192;
 /// Greatest height of a row, pixels.
 const ROW_HEIGHT: u32 = 14;
 /// Width of the legend with the gap before it, pixels.
-const LEGEND_WIDTH: u32 = 460;
+const LEGEND_WIDTH: u32 = 612;
 
 /// Draws a sweep and writes it as PNG.
 ///
@@ -60,7 +61,8 @@ fn encode(page: &Canvas, (width, height): (u32, u32), out: impl Write) -> io::Re
     let mut encoder = ::png::Encoder::new(out, width, height);
     encoder.set_color(::png::ColorType::Rgb);
     encoder.set_depth(::png::BitDepth::Eight);
-    encoder.set_compression(::png::Compression::Fast);
+    // Two thirds of the size that the fastest gives, in a tenth more time.
+    encoder.set_deflate_compression(::png::DeflateCompression::Level(1));
     let mut writer = encoder.write_header()?;
     writer.write_image_data(page.bytes())?;
     writer.finish()?;
@@ -70,6 +72,7 @@ fn encode(page: &Canvas, (width, height): (u32, u32), out: impl Write) -> io::Re
 /// The areas of a page.
 struct Layout {
     ranges: Rectangle,
+    reflectivities: Rectangle,
     labels: Rectangle,
     plan: Rectangle,
     legend: Rectangle,
@@ -77,30 +80,32 @@ struct Layout {
 
 impl Layout {
     fn of(rows: usize) -> Self {
-        let rows = (rows as u32).clamp(1, IMAGE_HEIGHT);
-        let image = Size::new(IMAGE_WIDTH, rows * (IMAGE_HEIGHT / rows).min(ROW_HEIGHT));
+        let rows = (rows as u32).max(1);
+        let image = Size::new(IMAGE_WIDTH, rows * (IMAGE_HEIGHT / rows).clamp(1, ROW_HEIGHT));
         let ranges = Rectangle::new(Point::new(LEFT, title::HEIGHT + CAPTION_HEIGHT), image);
-        let step = image.height as i32 + CAPTION_HEIGHT + AXIS_HEIGHT;
-        let labels = ranges.translate(Point::new(0, step));
-        let top = labels.top_left.y + step;
+        let step = image.height as i32 + CAPTION_HEIGHT;
+        let reflectivities = ranges.translate(Point::new(0, step));
+        let labels = reflectivities.translate(Point::new(0, step));
+        let top = labels.top_left.y + step + AXIS_HEIGHT;
         let height = SIZE.1 - top as u32 - RIGHT as u32;
         let plan = Rectangle::new(Point::new(LEFT, top), Size::new(IMAGE_WIDTH - LEGEND_WIDTH, height));
         let legend_left = LEFT + plan.size.width as i32 + 28;
         let legend = Rectangle::new(Point::new(legend_left, top), Size::new(LEGEND_WIDTH - 28, height));
-        Self { ranges, labels, plan, legend }
+        Self { ranges, reflectivities, labels, plan, legend }
     }
 }
 
 fn draw(sweep: SweepRef<'_>, title: &Title<'_>) -> Canvas {
     let layout = Layout::of(sweep.rows());
+    let row_height = layout.labels.size.height / (sweep.rows() as u32).max(1);
     let raster = Raster::new(sweep, layout.ranges.size.width as usize);
     let mut page = Canvas::new(Size::new(SIZE.0, SIZE.1), palette::BACKGROUND);
     title::draw(&mut page, Point::new(LEFT, 14), sweep, title);
     strip::draw_ranges(&mut page, &layout.ranges, sweep, &raster);
-    strip::draw_azimuths(&mut page, &layout.ranges, sweep, &raster);
+    strip::draw_reflectivities(&mut page, &layout.reflectivities, sweep, &raster);
     strip::draw_labels(&mut page, &layout.labels, sweep, &raster);
     strip::draw_azimuths(&mut page, &layout.labels, sweep, &raster);
-    plan::draw(&mut page, &layout.plan, sweep);
+    plan::draw(&mut page, &layout.plan, sweep, row_height);
     legend::draw(&mut page, &layout.legend, sweep);
     page
 }
@@ -109,6 +114,7 @@ fn draw(sweep: SweepRef<'_>, title: &Title<'_>) -> Canvas {
 mod tests {
     use super::*;
     use crate::export::test_scene::Scene;
+    use embedded_graphics::pixelcolor::Rgb888;
     use proptest::prelude::*;
 
     const TITLE: Title<'_> = Title { model: "VLP-16", sweep_number: 12 };
@@ -132,49 +138,131 @@ mod tests {
         }
     }
 
-    /// The box stands at azimuth 90, the wall at 180; at 0 there is only ground. Images of 16 rows are 14 px a row.
+    /// Height of a row where there are 16, pixels.
+    const ROW: usize = 12;
+
+    fn rgb(color: Rgb888) -> [u8; 3] {
+        [color.r(), color.g(), color.b()]
+    }
+
+    /// The box stands at azimuth 90, the wall at 180; at 0 there is only ground.
     #[test]
     fn known_places_have_known_colours() {
         let picture = Picture::of(&Scene::small());
         let layout = Layout::of(16);
         let label_at = |azimuth: usize, row: usize| {
             let Point { x, y } = layout.labels.top_left;
-            picture.at(x as usize + IMAGE_WIDTH as usize * azimuth / 360 + 2, y as usize + row * 14 + 7)
+            picture.at(x as usize + IMAGE_WIDTH as usize * azimuth / 360 + 2, y as usize + row * ROW + ROW / 2)
         };
         let (sky, ground) = (label_at(20, 0), label_at(20, 15));
-        let (block, wall) = (label_at(90, 9), label_at(180, 8));
+        let (block, wall) = (label_at(85, 9), label_at(170, 8));
         assert_eq!(sky, [6, 7, 10]);
         assert_eq!(ground, [112, 112, 112]);
         let colours = [sky, ground, block, wall];
         assert!((1..4).all(|index| !colours[..index].contains(&colours[index])), "{colours:?}");
         let Point { x, y } = layout.ranges.top_left;
-        assert_ne!(picture.at(x as usize + 100, y as usize + 15 * 14), sky);
+        assert_ne!(picture.at(x as usize + 100, y as usize + 15 * ROW), sky);
     }
 
     #[test]
-    fn the_plan_has_forward_up_and_right_right() {
-        let picture = Picture::of(&Scene::small());
+    fn known_reflectivities_have_known_colours() {
+        let mut scene = Scene::small();
+        // From dark and diffuse to the brightest retro-reflector; by hand: the shade of grey is that of the root.
+        let known = [(0, [34, 36, 42]), (25, [142, 143, 146]), (100, [250, 250, 250]), (255, [255, 236, 96])];
+        scene.fill(|sweep| {
+            let bytes = known.map(|(byte, _)| byte);
+            sweep.reflectivity.chunks_exact_mut(100 * 16).zip(bytes).for_each(|(part, byte)| part.fill(byte));
+        });
+        let picture = Picture::of(&scene);
+        let Point { x, y } = Layout::of(16).reflectivities.top_left;
+        for (quarter, (byte, colour)) in known.into_iter().enumerate() {
+            let x = x as usize + IMAGE_WIDTH as usize * (2 * quarter + 1) / 8;
+            assert_eq!(picture.at(x, y as usize + 15 * ROW), colour, "reflectivity {byte}");
+            assert_eq!(picture.at(x, y as usize + 2), [6, 7, 10], "no return above {byte}");
+        }
+    }
+
+    /// Pixels of a colour in an area: the least and the greatest x and y.
+    fn extent(picture: &Picture, area: &Rectangle, is: impl Fn(Point, [u8; 3]) -> bool) -> Option<[i32; 4]> {
+        let found = area.points().filter(|&at| is(at, picture.at(at.x as usize, at.y as usize)));
+        found.fold(None, |extent, Point { x, y }| {
+            let [left, right, top, bottom] = extent.unwrap_or([x, x, y, y]);
+            Some([left.min(x), right.max(x), top.min(y), bottom.max(y)])
+        })
+    }
+
+    /// A circle of returns at 10 m, some of another kind at 100 m; then a quarter of it.
+    #[test]
+    fn the_plan_is_cut_to_what_is_there() {
+        for (columns, diameter_m) in [(0..1000, 20.0), (0..250, 10.0)] {
+            let mut scene = Scene::new(&[0.0], 1000, false);
+            scene.fill(|sweep| {
+                sweep.range[columns.clone()].fill(10.0);
+                sweep.range[columns.start + 50..columns.start + 53].fill(100.0);
+            });
+            let picture = Picture::of(&scene);
+            let plan = Layout::of(1).plan;
+            let is_return = |_, colour| colour == rgb(palette::UNLABELLED);
+            let [left, right, top, bottom] = extent(&picture, &plan, is_return).unwrap();
+            let (width, height) = (f64::from(right - left), f64::from(bottom - top));
+            assert!(height >= 0.7 * f64::from(plan.size.height), "{height} pixels for {diameter_m} m");
+            // The degrees at the ends of the axes cover some.
+            assert!((width - height).abs() <= 12.0, "{width} x {height} pixels are no square");
+        }
+    }
+
+    /// What the numbers change is what differs from the picture of the same sweep without its table of segments.
+    #[test]
+    fn a_number_is_at_its_segment_in_both_views() {
+        let with = Picture::of(&Scene::small());
+        let mut scene = Scene::small();
+        scene.fill(|sweep| sweep.header.segments = 0);
+        let without = Picture::of(&scene);
         let layout = Layout::of(16);
-        let colours: Vec<[u8; 3]> = [2, 3]
-            .map(|label| {
-                let color = palette::label(label);
-                [color.r(), color.g(), color.b()]
-            })
-            .into();
-        let center = layout.plan.center();
-        let (mut right, mut below) = (0, 0);
-        for Point { x, y } in layout.plan.points() {
-            let colour = picture.at(x as usize, y as usize);
-            // The box (label 2) is to the right, the wall (label 3) behind.
-            if colour == colours[0] {
-                assert!(x > center.x + 10 && (y - center.y).abs() < x - center.x);
-                right += 1;
-            } else if colour == colours[1] {
-                assert!(y > center.y + 10);
-                below += 1;
+        for (view, around) in [(layout.labels, 2), (layout.plan, 24)] {
+            let differs = |at: Point, colour| colour != without.at(at.x as usize, at.y as usize);
+            for label in [2, 3] {
+                let is_segment = |_, colour| colour == rgb(palette::label(label));
+                let [left, right, top, bottom] = extent(&without, &view, is_segment).unwrap();
+                let corner = Point::new(left - around, top - around);
+                let size = Size::new((right - left + 2 * around) as u32, (bottom - top + 2 * around) as u32);
+                let segment = Rectangle::new(corner, size).intersection(&view);
+                let Some([left, right, top, bottom]) = extent(&with, &segment, differs) else {
+                    panic!("no number at segment {label}");
+                };
+                // A digit of 9 x 18 pixels and its rim, in part without ink.
+                assert!((6..=11).contains(&(right - left + 1)), "{label}: {left} to {right}");
+                assert!((12..=20).contains(&(bottom - top + 1)), "{label}: {top} to {bottom}");
             }
         }
-        assert!(right > 10 && below > 100, "{right} pixels of the box, {below} of the wall");
+    }
+
+    /// The sensor's mark is the only thing of its colour without a rim of text: its longest line of pixels.
+    fn sensor(picture: &Picture, plan: &Rectangle) -> Point {
+        let is_mark = |at: &Point| picture.at(at.x as usize, at.y as usize) == rgb(palette::TEXT);
+        let is_whole = |at: &Point| (-5..=5).all(|dx| is_mark(&(*at + Point::new(dx, 0))));
+        plan.points().find(is_whole).unwrap()
+    }
+
+    #[test]
+    fn the_plan_has_forward_right_and_right_down() {
+        let picture = Picture::of(&Scene::small());
+        let layout = Layout::of(16);
+        let colours = [2, 3].map(|label| rgb(palette::label(label)));
+        let sensor = sensor(&picture, &layout.plan);
+        let (mut left, mut below) = (0, 0);
+        for Point { x, y } in layout.plan.points() {
+            let colour = picture.at(x as usize, y as usize);
+            // The box (label 2) is to the right of the sensor, the wall (label 3) behind it.
+            if colour == colours[0] {
+                assert!(y > sensor.y + 10 && (x - sensor.x).abs() < y - sensor.y);
+                below += 1;
+            } else if colour == colours[1] {
+                assert!(x < sensor.x - 10);
+                left += 1;
+            }
+        }
+        assert!(below > 10 && left > 100, "{below} pixels of the box, {left} of the wall");
     }
 
     #[test]
@@ -193,7 +281,7 @@ mod tests {
         for rows in 0..=256 {
             let layout = Layout::of(rows);
             let page = Rectangle::new(Point::zero(), Size::new(SIZE.0, SIZE.1));
-            for area in [layout.ranges, layout.labels, layout.plan, layout.legend] {
+            for area in [layout.ranges, layout.reflectivities, layout.labels, layout.plan, layout.legend] {
                 assert_eq!(area.intersection(&page), area, "{rows} rows");
             }
             assert!(layout.plan.size.height > 400, "{rows} rows");

@@ -2,7 +2,7 @@
 
 use std::sync::LazyLock;
 
-use embedded_graphics::pixelcolor::Rgb888;
+use embedded_graphics::pixelcolor::{Rgb888, RgbColor};
 
 use sweepd_core::sweep::layout::{LABEL_FIRST_SEGMENT, LABEL_GROUND, LABEL_NONE};
 
@@ -24,6 +24,8 @@ pub const UNLABELLED: Rgb888 = Rgb888::new(62, 78, 118);
 pub const GROUND: Rgb888 = Rgb888::new(112, 112, 112);
 /// Ground seen from above, where it is only the background of what stands on it.
 pub const GROUND_FAINT: Rgb888 = Rgb888::new(66, 66, 68);
+/// The rim of a text that is drawn over a panel.
+pub const RIM: Rgb888 = Rgb888::new(0, 0, 0);
 /// A lost column, in stripes with [`MISSING_STRIPE`].
 pub const MISSING: Rgb888 = Rgb888::new(84, 12, 20);
 /// The other stripe of a lost column.
@@ -120,6 +122,47 @@ impl RangeScale {
     }
 }
 
+/// Reflectivities as colours: diffuse surfaces as shades of grey, the darker ones spread; retro-reflectors warm.
+pub struct ReflectivityScale;
+
+impl ReflectivityScale {
+    /// The most reflective diffuse surface.
+    const DIFFUSE: u8 = 100;
+    /// Part of the scale that diffuse surfaces take.
+    const DIFFUSE_PART: f64 = 0.7;
+    /// Where the scale has numbers.
+    pub const TICKS: [u8; 7] = [0, 10, 25, 50, 100, 175, 255];
+
+    /// Place of a reflectivity on the scale, 0 to 1.
+    pub fn position(reflectivity: u8) -> f64 {
+        match reflectivity.checked_sub(Self::DIFFUSE) {
+            Some(above) => Self::DIFFUSE_PART + (1.0 - Self::DIFFUSE_PART) * f64::from(above) / 155.0,
+            None => Self::DIFFUSE_PART * (f64::from(reflectivity) / f64::from(Self::DIFFUSE)).sqrt(),
+        }
+    }
+
+    /// Colour of a place on the scale.
+    pub fn color_at(position: f64) -> Rgb888 {
+        if position <= Self::DIFFUSE_PART {
+            mixed(Rgb888::new(34, 36, 42), Rgb888::new(250, 250, 250), position / Self::DIFFUSE_PART)
+        } else {
+            let part = (position - Self::DIFFUSE_PART) / (1.0 - Self::DIFFUSE_PART);
+            mixed(Rgb888::new(190, 48, 24), Rgb888::new(255, 236, 96), part)
+        }
+    }
+
+    /// Colour of a reflectivity.
+    pub fn color(reflectivity: u8) -> Rgb888 {
+        Self::color_at(Self::position(reflectivity))
+    }
+}
+
+/// A colour between two, 0 the first to 1 the second.
+fn mixed(from: Rgb888, to: Rgb888, part: f64) -> Rgb888 {
+    let channel = |from: u8, to: u8| (f64::from(from) + (f64::from(to) - f64::from(from)) * part).round() as u8;
+    Rgb888::new(channel(from.r(), to.r()), channel(from.g(), to.g()), channel(from.b(), to.b()))
+}
+
 /// The value below which so many percent of the values are. Reorders them; there must be one.
 pub fn percentile(values: &mut [f64], percent: usize) -> f64 {
     let index = (values.len() - 1) * percent / 100;
@@ -142,7 +185,6 @@ fn round_down(value: f64) -> f64 {
 #[cfg(test)]
 mod tests {
     use super::*;
-    use embedded_graphics::pixelcolor::RgbColor;
 
     fn apart(a: Rgb888, b: Rgb888) -> i32 {
         let squared = |a: u8, b: u8| (i32::from(a) - i32::from(b)).pow(2);

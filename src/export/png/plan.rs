@@ -1,21 +1,31 @@
-//! The points of a sweep seen from above, with the sensor in the middle.
+//! The points of a sweep seen from above, cut to where they are.
 
 use std::f64::consts::{PI, TAU};
 
 use embedded_graphics::prelude::*;
 use embedded_graphics::primitives::Rectangle;
 
-use super::canvas::{Canvas, TICK, text_width};
-use super::palette::{self, DIM, GRID, GROUND_FAINT, MISSING, MISSING_STRIPE, NO_RETURN, TEXT, percentile, round_up};
+use super::canvas::{BODY, Canvas};
+use super::numbers::{Texts, entry, number_size, numbered};
+use super::palette::{self, DIM, GRID, GROUND_FAINT, MISSING, MISSING_STRIPE, NO_RETURN, RIM, TEXT, round_up};
 use super::strip::draw_caption;
 use sweepd_core::sweep::layout::{LABEL_GROUND, LABEL_NONE};
-use sweepd_core::sweep::{Column, SweepRef};
+use sweepd_core::sweep::{Column, Segment, SweepRef};
 
-/// Half of the height in metres when there is no point that could tell.
-const DEFAULT_EXTENT_M: f64 = 20.0;
+/// How many of the returns may be outside at each side: a few far ones would make all others small.
+const PERCENT_OUTSIDE: usize = 2;
+/// What the plan holds when there is no return that could tell, and the least that it holds, metres from the sensor.
+const DEFAULT_REACH_M: f64 = 20.0;
+const LEAST_REACH_M: f64 = 1.0;
+/// Farther returns are taken for nearer ones, metres: there are none.
+const MOST_REACH_M: f64 = 1e4;
+/// Between the returns and the edge, pixels.
+const EDGE: u32 = 12;
+/// Least distance of two rings, pixels.
+const RING: f64 = 110.0;
 
-/// How many of the returns that are not ground are within the plan: a few far ones would make all others small.
-const PERCENT_SHOWN: usize = 95;
+/// Greatest size of a segment of which the number is beside its box, pixels.
+const BESIDE: f64 = 36.0;
 
 /// Directions of equal width, for the lost sectors.
 const BINS: usize = 3600;
@@ -27,54 +37,71 @@ struct Spot {
     label: u32,
 }
 
-/// Where metres are on the page.
+/// Where metres are on the page: y to the right, x down, as an axis of azimuth that turns clockwise needs it.
 struct View {
     area: Rectangle,
-    center: Point,
+    sensor: Point,
     pixels_per_m: f64,
     /// Distance of two rings.
     ring_m: f64,
 }
 
-/// Draws the plan of a sweep, both returns of a dual one.
-pub fn draw(page: &mut Canvas, area: &Rectangle, sweep: SweepRef<'_>) {
+/// Draws the plan of a sweep, both returns of a dual one; the rows of the label image tell which segments are large.
+pub fn draw(page: &mut Canvas, area: &Rectangle, sweep: SweepRef<'_>, row_height: u32) {
     let spots: Vec<Spot> = sweep
         .returns()
         .filter(|found| found.point_m.iter().all(|length| length.is_finite()))
         .map(|found| Spot { x_m: found.point_m[0], y_m: found.point_m[1], label: found.label })
         .collect();
     let view = View::of(&spots, *area);
-    let remark = format!("x right, y forward (up the page), a ring each {} m", view.ring_m);
+    let remark = format!("forward (y) to the right, x down, a ring every {} m around the sensor", view.ring_m);
     draw_caption(page, area, "seen from above", &remark);
     page.rect(*area, NO_RETURN);
     view.draw_lost_sectors(page, sweep.columns);
     view.draw_grid(page);
     view.draw_spots(page, &spots);
-    view.draw_sensor(page);
-    view.draw_numbers(page);
+    draw_sensor(page, view.sensor, area);
+    let mut texts = Texts::new(*area);
+    texts.keep_clear(Rectangle::with_center(view.sensor, Size::new_equal(24)));
+    view.draw_axes(page, &mut texts);
+    view.draw_numbers(page, &mut texts, &spots, sweep, row_height);
+}
+
+/// An arrow head, forward.
+pub fn draw_sensor(page: &mut Canvas, at: Point, clip: &Rectangle) {
+    for (size, color) in [(10, RIM), (8, TEXT)] {
+        let corners = [Point::new(size + 2, 0), Point::new(-size, -size), Point::new(-size, size)];
+        page.triangle(corners.map(|corner| at + corner), color, clip);
+    }
+}
+
+/// The least and the greatest of these lengths, all but a few percent at each end, and the sensor's; rounded outwards,
+/// so that sweeps of one place share a view.
+fn reach(mut lengths_m: Vec<f64>) -> [f64; 2] {
+    let Some(last) = lengths_m.len().checked_sub(1) else { return [-DEFAULT_REACH_M, DEFAULT_REACH_M] };
+    let outside = last * PERCENT_OUTSIDE / 100;
+    let [least, most] = [outside, last - outside].map(|index| {
+        let (_, length, _) = lengths_m.select_nth_unstable_by(index, f64::total_cmp);
+        *length
+    });
+    let (least, most) = (least.clamp(-MOST_REACH_M, -LEAST_REACH_M), most.clamp(LEAST_REACH_M, MOST_REACH_M));
+    let step = round_up(most - least) / 20.0;
+    [(least / step).floor() * step, (most / step).ceil() * step]
 }
 
 impl View {
-    /// A view that holds nearly all of what stands on the ground.
+    /// A view that holds nearly all returns.
     fn of(spots: &[Spot], area: Rectangle) -> Self {
-        let aspect = f64::from(area.size.width) / f64::from(area.size.height);
-        let extent = |spot: &Spot| spot.y_m.abs().max(spot.x_m.abs() / aspect);
-        let mut extents: Vec<f64> = spots.iter().filter(|spot| spot.label != LABEL_GROUND).map(extent).collect();
-        if extents.is_empty() {
-            extents = spots.iter().map(extent).collect();
-        }
-        if extents.is_empty() {
-            extents.push(DEFAULT_EXTENT_M);
-        }
-        // Rounded up to tenths of a round number, so that sweeps of one place share a scale.
-        let most_m = percentile(&mut extents, PERCENT_SHOWN).clamp(1.0, 1e4) * 1.03;
-        let tenth_m = round_up(most_m) / 10.0;
-        let extent_m = (most_m / tenth_m).ceil() * tenth_m;
+        let down_m = reach(spots.iter().map(|spot| spot.x_m).collect());
+        let right_m = reach(spots.iter().map(|spot| spot.y_m).collect());
+        let scale = |pixels: u32, [least, most]: [f64; 2]| f64::from(pixels - 2 * EDGE) / (most - least);
+        let pixels_per_m = scale(area.size.width, right_m).min(scale(area.size.height, down_m));
+        let middle = |[least, most]: [f64; 2]| ((least + most) / 2.0 * pixels_per_m).round() as i32;
         Self {
             area,
-            center: area.center(),
-            pixels_per_m: f64::from(area.size.height) / 2.0 / extent_m,
-            ring_m: round_up(extent_m / 4.5),
+            sensor: area.center() - Point::new(middle(right_m), middle(down_m)),
+            pixels_per_m,
+            ring_m: round_up(RING / pixels_per_m),
         }
     }
 
@@ -82,34 +109,41 @@ impl View {
     fn pixel(&self, x_m: f64, y_m: f64) -> Point {
         let far = f64::from(i16::MAX);
         let place = |metres: f64| (metres * self.pixels_per_m).clamp(-far, far).round() as i32;
-        self.center + Point::new(place(x_m), -place(y_m))
+        self.sensor + Point::new(place(y_m), place(x_m))
     }
 
     /// Stripes in the directions in which packets were lost, where an empty plan does not mean free space.
     fn draw_lost_sectors(&self, page: &mut Canvas, columns: &[Column]) {
         let Some(lost) = lost_bins(columns) else { return };
         for pixel in self.area.points() {
-            let Point { x, y } = pixel - self.center;
-            if lost[bin(f64::from(x).atan2(f64::from(-y)))] && palette::missing(pixel.x, pixel.y) == MISSING {
+            let Point { x, y } = pixel - self.sensor;
+            if palette::missing(pixel.x, pixel.y) == MISSING && lost[bin(f64::from(y).atan2(f64::from(x)))] {
                 page.set(pixel, MISSING_STRIPE);
             }
         }
     }
 
+    /// The ends of the axes: forward, right, back, left.
+    fn axis_ends(&self) -> [Point; 4] {
+        let (first, last) = (self.area.top_left, self.area.top_left + self.area.size - Point::new(1, 1));
+        let Point { x, y } = self.sensor;
+        [Point::new(last.x, y), Point::new(x, last.y), Point::new(first.x, y), Point::new(x, first.y)]
+    }
+
     fn draw_grid(&self, page: &mut Canvas) {
-        let (width, height) = (self.area.size.width as i32, self.area.size.height as i32);
-        let Point { x: left, y: top } = self.area.top_left;
-        page.line(Point::new(left, self.center.y), Point::new(left + width, self.center.y), GRID, &self.area);
-        page.line(Point::new(self.center.x, top), Point::new(self.center.x, top + height), GRID, &self.area);
+        for end in self.axis_ends() {
+            page.line(self.sensor, end, GRID, &self.area);
+        }
         for radius_m in self.rings_m() {
-            page.circle(self.center, (radius_m * self.pixels_per_m).round() as u32, GRID, &self.area);
+            page.circle(self.sensor, (radius_m * self.pixels_per_m).round() as u32, GRID, &self.area);
         }
     }
 
     /// The rings of which something is in the area.
     fn rings_m(&self) -> impl Iterator<Item = f64> + use<> {
         let ring_m = self.ring_m;
-        let reach = f64::from(self.area.size.width).hypot(f64::from(self.area.size.height)) / 2.0;
+        let [forward, right, back, left] = self.axis_ends().map(|end| end - self.sensor);
+        let reach = f64::from(forward.x.max(-back.x)).hypot(f64::from(right.y.max(-left.y)));
         let count = (reach / self.pixels_per_m / ring_m) as u32;
         (1..=count).map(move |ring| f64::from(ring) * ring_m)
     }
@@ -130,32 +164,57 @@ impl View {
         }
     }
 
-    /// An arrow head, forward.
-    fn draw_sensor(&self, page: &mut Canvas) {
-        let corners = [Point::new(0, -8), Point::new(-6, 7), Point::new(6, 7)].map(|corner| self.center + corner);
-        page.triangle(corners, TEXT, &self.area);
+    /// Degrees at the ends of the axes, metres at the rings along the longer one of those that lie flat.
+    fn draw_axes(&self, page: &mut Canvas, texts: &mut Texts) {
+        let ends = self.axis_ends();
+        for (end, text) in ends.into_iter().zip(["0° forward", "90°", "180°", "270°"]) {
+            texts.draw(page, end, text, BODY, TEXT);
+        }
+        let right = (ends[0].x - self.sensor.x) >= (self.sensor.x - ends[2].x);
+        for radius_m in self.rings_m() {
+            let at = self.pixel(0.0, if right { radius_m } else { -radius_m });
+            texts.draw(page, at, &format!("{radius_m} m"), BODY, DIM);
+        }
     }
 
-    /// Metres at the rings, to the right of the sensor; degrees at the edges.
-    fn draw_numbers(&self, page: &mut Canvas) {
-        let (width, height) = (self.area.size.width as i32, self.area.size.height as i32);
-        for radius_m in self.rings_m() {
-            let x = (radius_m * self.pixels_per_m).round() as i32;
-            let text = format!("{radius_m} m");
-            if x + text_width(&text, TICK) as i32 / 2 + 40 < width / 2 {
-                page.label(self.center + Point::new(x, 0), &text, DIM, NO_RETURN);
-            }
-        }
-        let edges = [
-            (0, -height / 2 + 10, "0° forward"),
-            (width / 2 - 18, 0, "90°"),
-            (0, height / 2 - 10, "180°"),
-            (-width / 2 + 18, 0, "270°"),
-        ];
-        for (x, y, text) in edges {
-            page.label(self.center + Point::new(x, y), text, TEXT, NO_RETURN);
+    /// Numbers at the larger segments: on those that are larger than their number, beside the others.
+    fn draw_numbers(&self, page: &mut Canvas, texts: &mut Texts, spots: &[Spot], sweep: SweepRef<'_>, row_height: u32) {
+        let anchors = anchors(spots, sweep.segments);
+        for segment in numbered(sweep, row_height) {
+            let Some([x_m, y_m]) = entry(segment.label).and_then(|entry| *anchors.get(entry)?) else { continue };
+            let size = number_size(segment.label);
+            let [x, y] = [1, 0].map(|axis| f64::from(segment.max_m[axis] - segment.min_m[axis]) * self.pixels_per_m);
+            let (width, height) = (size.width as i32, size.height as i32);
+            // Beside a large one is still at the return, not at the edge of its box, where nothing may be.
+            let (half_x, half_y) = (x.min(BESIDE) as i32 / 2, y.min(BESIDE) as i32 / 2);
+            let at = self.pixel(x_m, y_m);
+            let beside = [
+                Point::new(0, -half_y - height / 2 - 3),
+                Point::new(half_x + width / 2 + 5, 0),
+                Point::new(0, half_y + height / 2 + 5),
+                Point::new(-half_x - width / 2 - 3, 0),
+            ];
+            let is_large = x > f64::from(2 * width) && y > f64::from(height) || y > f64::from(2 * height);
+            let on = is_large.then_some(at);
+            let centers: Vec<Point> = on.into_iter().chain(beside.map(|offset| at + offset)).collect();
+            texts.draw_number(page, segment.label, &centers);
         }
     }
+}
+
+/// Of each segment of the table the return nearest to its mean, x and y: the mean itself may be where nothing is.
+fn anchors(spots: &[Spot], segments: &[Segment]) -> Vec<Option<[f64; 2]>> {
+    let mut nearest = vec![(f64::INFINITY, None); segments.len()];
+    for spot in spots {
+        let Some(entry) = entry(spot.label).filter(|&entry| entry < segments.len()) else { continue };
+        let best = &mut nearest[entry];
+        let [x_m, y_m, _] = segments[entry].centroid_m;
+        let squared = (spot.x_m - f64::from(x_m)).powi(2) + (spot.y_m - f64::from(y_m)).powi(2);
+        if squared < best.0 {
+            *best = (squared, Some([spot.x_m, spot.y_m]));
+        }
+    }
+    nearest.into_iter().map(|(_, place)| place).collect()
 }
 
 /// The direction of an azimuth.

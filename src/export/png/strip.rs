@@ -1,30 +1,31 @@
-//! The two images of a sweep as it is stored: ranges above, labels below, azimuth along x.
+//! The images of a sweep as it is stored, azimuth along x: ranges, reflectivities, labels.
 
 use embedded_graphics::pixelcolor::Rgb888;
 use embedded_graphics::prelude::*;
 use embedded_graphics::primitives::Rectangle;
 use embedded_graphics::text::Alignment;
 
-use super::canvas::{BODY, CAPTION, Canvas, TICK, text_width};
-use super::palette::{self, DIM, GRID, NO_RETURN, RangeScale, TEXT};
+use super::canvas::{BODY, Canvas, text_width};
+use super::numbers::{Texts, entry, numbered};
+use super::palette::{self, DIM, NO_RETURN, RangeScale, ReflectivityScale, TEXT};
 use super::raster::{Cell, Raster};
 use sweepd_core::sweep::SweepRef;
 use sweepd_core::sweep::layout::is_return;
 
 /// Height of a caption with the gap below it, pixels.
-pub const CAPTION_HEIGHT: i32 = 32;
+pub const CAPTION_HEIGHT: i32 = 44;
 /// Height of the azimuth axis below an image, pixels.
-pub const AXIS_HEIGHT: i32 = 20;
+pub const AXIS_HEIGHT: i32 = 30;
 /// Least distance of two numbers along the azimuth axis, pixels.
-const TICK_SPACING: usize = 60;
+const TICK_SPACING: usize = 70;
 /// Length of the colour bar, pixels.
-const BAR_WIDTH: i32 = 480;
+const BAR_WIDTH: i32 = 520;
 
 /// The name of a panel and a remark, above its area.
 pub fn draw_caption(page: &mut Canvas, area: &Rectangle, name: &str, remark: &str) {
-    let at = area.top_left - Point::new(0, 20);
-    let end = page.text(at, name, CAPTION, TEXT, Alignment::Left);
-    page.text(Point::new(end + 14, at.y + 2), remark, BODY, DIM, Alignment::Left);
+    let at = area.top_left - Point::new(0, 24);
+    let end = page.heading(at, name, TEXT);
+    page.text(Point::new(end + 14, at.y), remark, BODY, DIM, Alignment::Left);
 }
 
 /// The ranges, with the scale of their colours.
@@ -32,21 +33,89 @@ pub fn draw_ranges(page: &mut Canvas, area: &Rectangle, sweep: SweepRef<'_>, ras
     let returns = sweep.range.iter().filter(|&&range| is_return(range) && range.is_finite());
     let scale = RangeScale::of(&mut returns.map(|&range| f64::from(range)).collect::<Vec<_>>());
     draw_caption(page, area, "range", "a row per laser by elevation, a column per firing in the order measured");
-    draw_scale(page, area, scale);
+    draw_scale(
+        page,
+        area,
+        RangeScale::color_at,
+        scale.ticks_m().map(|tick| (scale.position(tick), format!("{tick} m"))),
+    );
     draw_cells(page, area, raster, |index| scale.color(f64::from(sweep.range[index])));
     draw_elevations(page, area, sweep);
 }
 
-/// The labels.
+/// The reflectivities, with the scale of their colours.
+pub fn draw_reflectivities(page: &mut Canvas, area: &Rectangle, sweep: SweepRef<'_>, raster: &Raster) {
+    draw_caption(
+        page,
+        area,
+        "reflectivity",
+        "grey: diffuse, up to 100; coloured: retro-reflectors such as signs, over 100",
+    );
+    let ticks = ReflectivityScale::TICKS.map(|tick| (ReflectivityScale::position(tick), tick.to_string()));
+    draw_scale(page, area, ReflectivityScale::color_at, ticks);
+    draw_cells(page, area, raster, |index| ReflectivityScale::color(sweep.reflectivity[index]));
+    draw_elevations(page, area, sweep);
+}
+
+/// The labels, with numbers at the larger segments.
 pub fn draw_labels(page: &mut Canvas, area: &Rectangle, sweep: SweepRef<'_>, raster: &Raster) {
     let remark = "the same image after segmentation; azimuth 0 = sensor +y, clockwise";
     draw_caption(page, area, "labels", remark);
     draw_cells(page, area, raster, |index| palette::label(sweep.label[index]));
     draw_elevations(page, area, sweep);
+    let row_height = row_height(area, raster.rows) as i32;
+    let anchors = anchors(sweep, raster);
+    let mut texts = Texts::new(*area);
+    for segment in numbered(sweep, row_height as u32) {
+        let Some(run) = entry(segment.label).and_then(|entry| *anchors.get(entry)?) else { continue };
+        let center = Point::new(run.middle as i32, run.row as i32 * row_height + row_height / 2);
+        texts.draw_number(page, segment.label, &[area.top_left + center]);
+    }
+}
+
+/// Cells of one segment side by side.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+struct Run {
+    cells: usize,
+    middle: usize,
+    row: usize,
+    /// Twice the rows from the middle of the segment.
+    off_middle: usize,
+}
+
+/// The longest run of each segment of the table, of equals the one nearest the middle of the segment's height: there
+/// a number is on its segment, also if that is hollow or lies across the seam.
+fn anchors(sweep: SweepRef<'_>, raster: &Raster) -> Vec<Option<Run>> {
+    let mut longest: Vec<Option<Run>> = vec![None; sweep.segments.len()];
+    let segment_at = |x: usize, row: usize| match raster.cell(x, row) {
+        Cell::Pixel(index) => entry(sweep.label[index]),
+        Cell::Missing | Cell::Empty => None,
+    };
+    for row in 0..raster.rows {
+        let mut x = 0;
+        while x < raster.width {
+            let (first, segment) = (x, segment_at(x, row));
+            while x < raster.width && segment_at(x, row) == segment {
+                x += 1;
+            }
+            let Some(segment) = segment.filter(|&segment| segment < longest.len()) else { continue };
+            let rows = usize::from(sweep.segments[segment].row_first) + usize::from(sweep.segments[segment].row_last);
+            let run = Run { cells: x - first, middle: (first + x) / 2, row, off_middle: rows.abs_diff(2 * row) };
+            let is_better = |other: &Run| (run.cells, other.off_middle) > (other.cells, run.off_middle);
+            if longest[segment].as_ref().is_none_or(is_better) {
+                longest[segment] = Some(run);
+            }
+        }
+    }
+    longest
+}
+
+fn row_height(area: &Rectangle, rows: usize) -> usize {
+    area.size.height as usize / rows.max(1)
 }
 
 fn draw_cells(page: &mut Canvas, area: &Rectangle, raster: &Raster, color: impl Fn(usize) -> Rgb888) {
-    let row_height = area.size.height as usize / raster.rows.max(1);
+    let row_height = row_height(area, raster.rows);
     for row in 0..raster.rows {
         for x in 0..raster.width {
             let cell = raster.cell(x, row);
@@ -59,23 +128,27 @@ fn draw_cells(page: &mut Canvas, area: &Rectangle, raster: &Raster, color: impl 
     }
 }
 
-/// The colour bar at the right end of the caption, metres below it.
-fn draw_scale(page: &mut Canvas, area: &Rectangle, scale: RangeScale) {
+/// The colour bar at the right end of the caption, numbers below it: each has a place from 0 to 1.
+fn draw_scale(
+    page: &mut Canvas,
+    area: &Rectangle,
+    color_at: impl Fn(f64) -> Rgb888,
+    ticks: impl IntoIterator<Item = (f64, String)>,
+) {
     let right = area.top_left.x + area.size.width as i32 - 24;
-    let (left, top) = (right - BAR_WIDTH, area.top_left.y - 30);
+    let (left, top) = (right - BAR_WIDTH, area.top_left.y - 38);
     for x in 0..BAR_WIDTH {
-        let color = RangeScale::color_at(f64::from(x) / f64::from(BAR_WIDTH - 1));
-        page.rect(Rectangle::new(Point::new(left + x, top), Size::new(1, 12)), color);
+        let color = color_at(f64::from(x) / f64::from(BAR_WIDTH - 1));
+        page.rect(Rectangle::new(Point::new(left + x, top), Size::new(1, 13)), color);
     }
     let mut free = i32::MIN;
-    for tick in scale.ticks_m() {
-        let x = left + (scale.position(tick) * f64::from(BAR_WIDTH - 1)) as i32;
-        let text = format!("{tick} m");
-        let half = text_width(&text, TICK) as i32 / 2;
+    for (position, text) in ticks {
+        let x = left + (position * f64::from(BAR_WIDTH - 1)) as i32;
+        let half = text_width(&text, BODY) as i32 / 2;
         if x - half > free {
-            page.rect(Rectangle::new(Point::new(x, top + 12), Size::new(1, 3)), DIM);
-            page.text(Point::new(x, top + 16), &text, TICK, DIM, Alignment::Center);
-            free = x + half + 6;
+            page.rect(Rectangle::new(Point::new(x, top + 13), Size::new(1, 4)), DIM);
+            page.text(Point::new(x, top + 17), &text, BODY, DIM, Alignment::Center);
+            free = x + half + 8;
         }
     }
 }
@@ -83,41 +156,36 @@ fn draw_scale(page: &mut Canvas, area: &Rectangle, scale: RangeScale) {
 /// Elevations of the top row, the bottom row and the one nearest the horizon, left of the image.
 fn draw_elevations(page: &mut Canvas, area: &Rectangle, sweep: SweepRef<'_>) {
     let rows = sweep.rows();
-    let row_height = area.size.height as i32 / rows.max(1) as i32;
+    let row_height = row_height(area, rows) as i32;
     let level =
         |&a: &usize, &b: &usize| sweep.beams[a].elevation_rad.abs().total_cmp(&sweep.beams[b].elevation_rad.abs());
     let horizon = (0..rows).min_by(level);
     let mut taken: Vec<i32> = Vec::new();
     for row in [Some(0), rows.checked_sub(1), horizon].into_iter().flatten().filter(|&row| row < rows) {
         let y = area.top_left.y + row as i32 * row_height + row_height / 2;
-        if taken.iter().all(|other| (other - y).abs() >= 12) {
+        if taken.iter().all(|other| (other - y).abs() >= 20) {
             let text = format!("{:+.1}°", sweep.beams[row].elevation_rad.to_degrees());
-            page.text(Point::new(area.top_left.x - 8, y - 6), &text, TICK, DIM, Alignment::Right);
+            page.text(Point::new(area.top_left.x - 8, y - 10), &text, BODY, DIM, Alignment::Right);
             page.rect(Rectangle::new(Point::new(area.top_left.x - 5, y), Size::new(4, 1)), DIM);
             taken.push(y);
         }
     }
 }
 
-/// Degrees below an image.
+/// Degrees below the lowest image.
 pub fn draw_azimuths(page: &mut Canvas, area: &Rectangle, sweep: SweepRef<'_>, raster: &Raster) {
     let below = area.top_left.y + area.size.height as i32;
-    page.text(Point::new(area.top_left.x - 16, below + 6), "azimuth", TICK, DIM, Alignment::Right);
+    page.text(Point::new(area.top_left.x - 24, below + 7), "azimuth", BODY, DIM, Alignment::Right);
     let mut free = 0;
     for (column, degrees) in azimuth_ticks(sweep) {
         let x = raster.x_of(column, sweep.columns.len());
         if x >= free && x < raster.width {
             let at = Point::new(area.top_left.x + x as i32, below);
-            page.rect(Rectangle::new(at, Size::new(1, 5)), DIM);
-            page.text(at + Point::new(1, 6), &format!("{degrees}°"), TICK, DIM, Alignment::Center);
+            page.rect(Rectangle::new(at, Size::new(1, 6)), DIM);
+            page.text(at + Point::new(1, 7), &format!("{degrees}°"), BODY, DIM, Alignment::Center);
             free = x + TICK_SPACING;
         }
     }
-    page.line(Point::new(area.top_left.x, below), bottom_right(area), GRID, &page.bounding_box());
-}
-
-fn bottom_right(area: &Rectangle) -> Point {
-    area.top_left + Point::new(area.size.width as i32, area.size.height as i32)
 }
 
 /// Columns at which the azimuth passes a round number of degrees, and that number.

@@ -3,14 +3,14 @@
 use embedded_graphics::prelude::*;
 use embedded_graphics::text::Alignment;
 
-use super::canvas::{BODY, Canvas, TITLE};
+use super::canvas::{BODY, Canvas};
 use super::palette::{DIM, TEXT, WARNING};
 use crate::export::text::{grouped, utc_text};
 use sweepd_core::sweep::SweepRef;
 use sweepd_core::sweep::layout::{LABEL_GROUND, TimeSource, flags, is_return};
 
 /// Height of the head, pixels.
-pub const HEIGHT: i32 = 60;
+pub const HEIGHT: i32 = 68;
 
 /// What a picture says of a sweep that the sweep does not know itself.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
@@ -26,9 +26,9 @@ pub fn draw(page: &mut Canvas, at: Point, sweep: SweepRef<'_>, title: &Title<'_>
     let sensor = sweep.header.sensor();
     let names = [title.model.to_owned(), sensor.to_owned(), format!("sweep {}", title.sweep_number)];
     let names: Vec<String> = names.into_iter().filter(|name| !name.is_empty()).collect();
-    let end = page.text(at, &names.join("  ·  "), TITLE, TEXT, Alignment::Left);
-    page.text(Point::new(end + 30, at.y + 5), &warnings(sweep).join(", "), BODY, WARNING, Alignment::Left);
-    page.text(at + Point::new(0, 26), &facts(sweep).join("   "), BODY, DIM, Alignment::Left);
+    let end = page.heading(at, &names.join("  ·  "), TEXT);
+    page.text(Point::new(end + 30, at.y), &warnings(sweep).join(", "), BODY, WARNING, Alignment::Left);
+    page.text(at + Point::new(0, 28), &facts(sweep).join("   "), BODY, DIM, Alignment::Left);
 }
 
 fn facts(sweep: SweepRef<'_>) -> Vec<String> {

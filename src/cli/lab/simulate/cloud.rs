@@ -2,6 +2,7 @@
 
 use std::path::{Path, PathBuf};
 
+use super::progress::Progress;
 use super::truth::TruthFile;
 use super::{Args, Output};
 use crate::cli::lab::read_file;
@@ -75,14 +76,17 @@ pub fn run(args: &Args, cloud: &Path) -> Result<(), CliError> {
     if let Some(path) = fitted {
         output::write(&path, ros_yaml::emit(turn.calibration()).as_bytes(), existing)?;
     }
+    let mut progress = Progress::new(args.seconds);
     let mut packets = 0;
     for datagram in deliver(sender, faults.clone()) {
         output.send(0, &datagram)?;
+        progress.note(datagram.arrival_ns);
         packets += 1;
         if let (Some(file), Some(told)) = (&mut truth, &datagram.truth) {
             file.packet(told)?;
         }
     }
+    progress.finish();
     output.finish()?;
     former.remove()?;
     truth.map_or(Ok(()), TruthFile::finish)?;
