@@ -43,10 +43,7 @@ use std::f32::consts::FRAC_PI_2;
 pub use ground::SlopeGround;
 pub use mask::{Mask, MaskError};
 pub use mount::{HeightEstimator, Mount};
-pub use paper::angles::Angles;
-pub use paper::components::{Components, Limits, Parts};
-pub use paper::connect::{Connector, Joins, MAX_ROWS};
-pub use paper::ground::{PaperFinder, PaperGround, Window};
+pub use paper::ground::{PaperGround, Window};
 pub use settings::Settings;
 pub use tiles::turn_over;
 pub use window::Joining;
@@ -60,6 +57,9 @@ use window::{MOST_COLUMNS, MOST_ROWS};
 
 /// The two returns of a dual pixel share a label when they are no further apart than this, metres.
 pub const SAME_OBJECT_M: f32 = 0.3;
+
+/// Most rows of an image.
+pub const MAX_ROWS: usize = 128;
 
 /// Images of so many rows or more are dense: some limits that were not told are chosen by that.
 const DENSE_ROWS: usize = 48;
@@ -258,7 +258,7 @@ impl Segmenter {
     /// # Panics
     /// If the sweep has more than [`MAX_ROWS`] rows.
     pub fn begin(&mut self, sweep: &mut SweepMut<'_>) {
-        assert!(sweep.header.rows as usize <= MAX_ROWS, "more rows than a word has bits");
+        assert!(sweep.header.rows as usize <= MAX_ROWS, "more rows than an image has");
         sweep.header.pitch_rad = self.config.mount.pitch_rad;
         sweep.header.roll_rad = self.config.mount.roll_rad;
         let told = self.config.mount.height_m;
@@ -315,7 +315,7 @@ impl Segmenter {
     /// Finds the ground in the next strip of columns (in all columns, as the paper has it). False when there is none left.
     pub fn find_ground(&mut self, sweep: &SweepMut<'_>) -> bool {
         match self.config.method {
-            Method::Paper => self.authors.find_ground(sweep, &self.config),
+            Method::Paper => self.authors.find_ground(&self.config),
             Method::Slope => self.strips.find_ground(sweep, &self.config),
         }
     }

@@ -1,40 +1,40 @@
-//! The paper's own method, on a whole image at a time: ground by changes of inclination, then the four neighbours of each
-//! pixel by the test of the angle.
+//! The paper's own method (Bogoslavskyi and Stachniss, IROS 2016, section III), on a whole image at a time, one plain step
+//! after another:
+//!
+//! 1. [`ground`]: holes of the columns are filled; the inclination from each pixel to the one above is smoothed along the
+//!    column; the ground floods the image from the lowest pixel of each column.
+//! 2. [`components`]: what is left is joined with its four neighbours by the test of beta, on the true [`angles`].
+//! 3. `table`: what each segment measures.
+//!
+//! The golden images of the authors' own program hold these steps to what they published. A plane has a number for each
+//! pixel, column after column from the top row down, as those of a sweep do.
 
 pub mod angles;
 pub mod components;
-pub mod connect;
-pub mod flood;
 pub mod ground;
-mod rays;
 mod table;
 
-use fearless_simd::{Level, Simd, dispatch, f32x16, prelude::*};
+use fearless_simd::Level;
 
-use super::{Config, Mask, reserve};
+use super::{Config, reserve};
+use crate::sweep::layout::{LABEL_GROUND, LABEL_NONE, is_return};
 use crate::sweep::{SweepMut, SweepRef};
 use angles::Angles;
-use components::{Components, Limits, Parts};
-use connect::{Connector, Joins, LANES, load, store};
-use ground::PaperFinder;
-use rays::Rays;
+use components::Components;
 use table::Table;
 
 /// Labels sweeps as the paper does; after the first in buffers of one size it allocates nothing.
 #[derive(Clone, Debug)]
 pub(super) struct Authors {
-    level: Level,
-    /// Working ranges: only what may be labelled, and what repairs its holes.
+    /// Ranges that may be labelled, and what fills their holes; 0 elsewhere, and where the ground was found.
     range_m: Vec<f32>,
-    /// Words of the returns that may be labelled, one a column.
-    real: Vec<u128>,
-    /// Words of the ground.
-    ground: Vec<u128>,
-    joins: Vec<Joins>,
+    /// Returns that may be labelled.
+    real: Vec<bool>,
+    elevations_rad: Vec<f32>,
+    inclination_rad: Vec<f32>,
+    ground: Vec<bool>,
+    flood: Vec<[usize; 2]>,
     angles: Angles,
-    rays: Rays,
-    finder: PaperFinder,
-    connector: Connector,
     components: Components,
     table: Table,
     is_found: bool,
@@ -44,107 +44,99 @@ impl Authors {
     /// Uses no more than these instructions of the machine.
     pub fn new(level: Level) -> Self {
         Self {
-            level,
             range_m: Vec::new(),
             real: Vec::new(),
+            elevations_rad: Vec::new(),
+            inclination_rad: Vec::new(),
             ground: Vec::new(),
-            joins: Vec::new(),
+            flood: Vec::new(),
             angles: Angles::default(),
-            rays: Rays::default(),
-            finder: PaperFinder::new(level),
-            connector: Connector::new(level),
-            components: Components::new(level),
+            components: Components::default(),
             table: Table::new(level),
             is_found: false,
         }
     }
 
-    /// Takes what may be labelled, where each pixel points, and the angles between neighbours.
+    /// Takes what may be labelled, and the angles between neighbours.
     pub fn begin(&mut self, sweep: &SweepMut<'_>, config: &Config) {
         self.reserve(sweep);
         self.is_found = false;
         let sweep = sweep.as_ref();
         self.angles.measure(&sweep);
-        self.rays.measure(&sweep);
-        dispatch!(self.level, simd => self.take(simd, &sweep, config));
-    }
-
-    /// Takes the ranges that may be labelled.
-    #[inline(always)]
-    fn take<S: Simd>(&mut self, simd: S, sweep: &SweepRef<'_>, config: &Config) {
-        self.range_m.resize(sweep.range.len(), 0.0);
-        let rows = sweep.rows().max(1);
-        let limits = [config.min_range_m, config.max_range_m];
-        for first in (0..sweep.range.len()).step_by(rows) {
-            let mut word = [0; 2];
-            for row in (0..rows).step_by(LANES) {
-                let range_m = load(simd, sweep.range, first + row);
-                let is = range_m.simd_gt(0.0) & range_m.simd_ge(limits[0]) & range_m.simd_le(limits[1]);
-                // What comes behind the last row is overwritten by the next column.
-                let held = is.select(range_m, f32x16::splat(simd, 0.0));
-                store(&mut self.range_m, first + row, held);
-                connect::set(&mut word, row, is.to_bitmask());
-            }
-            self.real.push(connect::whole(word) & connect::first_rows(rows));
-        }
-        if let Some(mask) = &config.mask {
-            self.hide(sweep, mask);
-        }
-    }
-
-    /// Takes out what the mask hides.
-    fn hide(&mut self, sweep: &SweepRef<'_>, mask: &Mask) {
-        let rows = sweep.rows().max(1);
-        for ((column, ranges), real) in self.range_m.chunks_exact_mut(rows).enumerate().zip(&mut self.real) {
-            for (row, range_m) in ranges.iter_mut().enumerate() {
-                if mask.hides(row, sweep.azimuth_rad(row, column)) {
-                    *range_m = 0.0;
-                    *real &= !(1 << row);
-                }
-            }
-        }
+        self.elevations_rad.extend(sweep.beams.iter().map(|beam| beam.elevation_rad));
+        self.take(&sweep, config);
     }
 
     /// Takes room for any sweep that such a buffer can hold: later ones are wider by a few columns, and must not
     /// allocate. Room that is never touched costs no memory.
     fn reserve(&mut self, sweep: &SweepMut<'_>) {
-        let (pixels, columns) = (sweep.range.len(), sweep.columns.len());
-        self.range_m.reserve(pixels.saturating_sub(self.range_m.len()));
-        reserve(&mut self.real, columns);
-        reserve(&mut self.ground, columns);
-        reserve(&mut self.joins, columns);
-        self.angles.reserve(columns);
-        self.rays.reserve(columns);
-        self.connector.reserve(columns);
-        self.components.reserve(columns, pixels);
-        self.table.reserve(sweep.segments.len());
-        self.finder.reserve(columns, pixels);
+        let pixels = sweep.range.len();
+        reserve(&mut self.range_m, pixels);
+        reserve(&mut self.real, pixels);
+        reserve(&mut self.elevations_rad, sweep.beams.len());
+        reserve(&mut self.inclination_rad, pixels);
+        reserve(&mut self.ground, pixels);
+        reserve(&mut self.flood, pixels);
+        self.angles.reserve(sweep.columns.len());
+        self.components.reserve(pixels);
+        self.table.reserve(sweep.columns.len(), sweep.segments.len());
     }
 
-    /// Finds the ground. False when it was found already.
-    pub fn find_ground(&mut self, sweep: &SweepMut<'_>, config: &Config) -> bool {
+    fn take(&mut self, sweep: &SweepRef<'_>, config: &Config) {
+        self.range_m.extend(sweep.range.iter().map(|&range_m| if config.holds(range_m) { range_m } else { 0.0 }));
+        if let Some(mask) = &config.mask {
+            for (pixel, range_m) in self.range_m.iter_mut().enumerate() {
+                let row = pixel % sweep.rows();
+                if mask.hides(row, sweep.azimuth_rad(row, pixel / sweep.rows())) {
+                    *range_m = 0.0;
+                }
+            }
+        }
+        self.real.extend(self.range_m.iter().map(|&range_m| is_return(range_m)));
+    }
+
+    /// Finds the ground and takes it away. False when that is done already.
+    pub fn find_ground(&mut self, config: &Config) -> bool {
         if std::mem::replace(&mut self.is_found, true) {
             return false;
         }
-        let elevations_rad = sweep.beams.iter().map(|beam| beam.elevation_rad);
-        self.finder.find(&config.paper, &mut self.range_m, elevations_rad, &self.angles, &mut self.ground);
+        let limits = &config.paper;
+        ground::repair(&mut self.range_m, &self.angles, limits);
+        ground::incline(&self.range_m, &self.elevations_rad, limits.window, &mut self.inclination_rad);
+        ground::flood(
+            &self.range_m,
+            &self.inclination_rad,
+            &self.angles,
+            limits,
+            &mut self.flood,
+            &mut self.ground,
+        );
+        for (range_m, _) in self.range_m.iter_mut().zip(&self.ground).filter(|(_, is_ground)| **is_ground) {
+            *range_m = 0.0;
+        }
         true
     }
 
     /// Joins what is no ground.
     pub fn join(&mut self, config: &Config) {
-        let theta_rad = f64::from(config.theta_rad);
-        self.connector.connect(&self.range_m, &self.ground, &self.angles, theta_rad, &mut self.joins);
+        self.components.connect(&self.range_m, &self.angles, f64::from(config.theta_rad));
     }
 
     /// Writes the labels, the segments table and the header's counts.
     pub fn label(&mut self, sweep: &mut SweepMut<'_>, config: &Config) {
-        let words = || self.real.iter().zip(&self.ground);
-        sweep.header.ground = words().map(|(real, ground)| (real & ground).count_ones()).sum();
-        let parts = Parts { rows: self.angles.rows(), joins: &self.joins, real: &self.real, ground: &self.ground };
-        let limits = Limits { min_points: config.min_points, max_segments: sweep.segments.len() };
         let pixels = sweep.image_pixels();
-        sweep.header.segments = self.components.label(&parts, limits, &mut sweep.label[pixels]) as u32;
-        self.table.describe(sweep, &parts, &self.components, &self.rays);
+        let labels = &mut sweep.label[pixels];
+        let segments = self.components.label(&self.real, config.min_points, sweep.segments.len(), labels);
+        sweep.header.segments = segments as u32;
+        sweep.header.ground = 0;
+        for ((label, is_real), is_ground) in labels.iter_mut().zip(&self.real).zip(&self.ground) {
+            if !is_real {
+                *label = LABEL_NONE;
+            } else if *is_ground {
+                *label = LABEL_GROUND;
+                sweep.header.ground += 1;
+            }
+        }
+        self.table.describe(sweep, config);
     }
 }
