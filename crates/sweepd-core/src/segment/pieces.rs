@@ -61,14 +61,6 @@ impl Sum {
         sum_m: [0.0; 3],
     };
 
-    /// Of one point: x, y, z and the range.
-    pub fn of_point(row: usize, point_m: [f32; 4]) -> Self {
-        let [x_m, y_m, z_m, _] = point_m.map(f64::from);
-        let rows = [row as u16; 2];
-        Self { points: 1, rows, least_m: point_m, most_m: point_m, sum_m: [x_m, y_m, z_m], ..Self::NONE }
-    }
-
-    #[inline]
     pub fn add(&mut self, other: &Self) {
         self.points += other.points;
         self.first = self.first.min(other.first);

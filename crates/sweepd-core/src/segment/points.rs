@@ -258,12 +258,6 @@ impl Points {
         row * STRIDE + self.at
     }
 
-    /// Right, forward, up, and the range of a lane, metres.
-    #[inline(always)]
-    pub fn point_m(&self, lane: usize) -> [f32; 4] {
-        [self.x[lane], self.y[lane], self.z[lane], self.range[lane]]
-    }
-
     /// Points of some columns, from a lane on.
     #[inline(always)]
     pub fn place<S: Simd>(&self, simd: S, lane: usize) -> [f32x16<S>; 3] {

@@ -164,32 +164,32 @@ impl Angles {
     }
 
     /// Rows of the image.
+    #[inline]
     pub fn rows(&self) -> usize {
         self.cos2_elevation.len()
     }
 
     /// Columns of the image.
+    #[inline]
     pub fn columns(&self) -> usize {
         self.sin2_half_gap.len()
     }
 
     /// The column before one, or the last one for the first, if the two are neighbours in a row.
+    #[inline]
     pub fn before(&self, column: usize, row: usize) -> Option<usize> {
         self.sin2_half_gap_before(column, row)?;
         Some(if column == 0 { self.columns() - 1 } else { column - 1 })
     }
 
-    /// Column and row of the up to four neighbours of a pixel.
-    pub fn neighbours(&self, column: usize, row: usize) -> [Option<[usize; 2]>; 4] {
+    /// The column behind one, or the first one for the last, if the two are neighbours in a row.
+    #[inline]
+    pub fn after(&self, column: usize, row: usize) -> Option<usize> {
         let after = if column + 1 == self.columns() { 0 } else { column + 1 };
-        [
-            (row > 0).then(|| [column, row - 1]),
-            (row + 1 < self.rows()).then_some([column, row + 1]),
-            self.before(column, row).map(|before| [before, row]),
-            self.before(after, row).map(|_| [after, row]),
-        ]
+        self.sin2_half_gap_before(after, row).map(|_| after)
     }
 
+    #[inline]
     fn sin2_half_gap_before(&self, column: usize, row: usize) -> Option<f64> {
         if column == 0 && !self.circular {
             return None;
@@ -198,6 +198,7 @@ impl Angles {
     }
 
     /// Whether the pixels of a row and of the row below it, at these ranges in metres, belong together.
+    #[inline]
     pub fn joins_below(&self, row: usize, high_m: f32, low_m: f32, theta: &Theta) -> bool {
         if !(is_return(high_m) && is_return(low_m)) {
             return false;
@@ -212,6 +213,7 @@ impl Angles {
     }
 
     /// Whether the pixels of a row in a column and in the one before it, at these ranges in metres, belong together.
+    #[inline]
     pub fn joins_before(&self, column: usize, row: usize, here_m: f32, before_m: f32, theta: &Theta) -> bool {
         if !(is_return(here_m) && is_return(before_m)) {
             return false;
@@ -238,6 +240,7 @@ impl Theta {
     }
 
     /// Whether beta is greater: the angle of a line that goes so far across a beam, squared, and so far along it.
+    #[inline]
     fn is_less(self, across2: f64, along: f64) -> bool {
         along < 0.0 || across2 > along * along * self.tan2
     }

@@ -1,85 +1,125 @@
 //! The components of an image without its ground: neighbours that pass the test of beta (paper, section III, algorithm 1).
 //!
-//! The paper floods each component from its first pixel. Here every pair is tested once and united, in the order of the
-//! memory, which finds the same components. The root of each is its first pixel, and these number the segments.
+//! The paper floods each component from its first pixel. Here the image is read once, in the order of its memory, which
+//! finds the same components: a pixel goes on with the piece that it is joined to, above or in the column before, and two
+//! pieces that meet are united. A component is known by its first piece, and these number the segments.
 
 use super::angles::{Angles, Theta};
 use crate::segment::reserve;
-use crate::sweep::layout::{LABEL_FIRST_SEGMENT, LABEL_NONE};
+use crate::sweep::layout::{LABEL_FIRST_SEGMENT, LABEL_NONE, is_return};
 
 /// Workspace of the components.
 #[derive(Clone, Debug, Default)]
 pub struct Components {
-    /// By pixel: one of the same component that comes earlier in memory, or the pixel itself.
+    /// By pixel with a range: its piece.
+    piece: Vec<u32>,
+    /// By piece: one of the same component that began earlier, or the piece itself.
     parent: Vec<u32>,
-    /// By root: pixels of its component that count.
+    /// By piece: its pixels that count, and at its root those of the component.
     points: Vec<u32>,
+    /// By piece: the label of its component.
+    label: Vec<u32>,
 }
 
 impl Components {
     /// Takes room for so many pixels.
     pub(super) fn reserve(&mut self, pixels: usize) {
+        reserve(&mut self.piece, pixels);
         reserve(&mut self.parent, pixels);
         reserve(&mut self.points, pixels);
+        reserve(&mut self.label, pixels);
     }
 
-    /// Unites all neighbours that belong together; ranges in metres, column after column, are 0 where nothing is.
-    pub fn connect(&mut self, range_m: &[f32], angles: &Angles, theta_rad: f64) {
+    /// Finds the pieces of an image, and which of them belong together. Ranges, in metres, are 0 where nothing is. Pixels
+    /// that do not count only connect.
+    pub fn connect(&mut self, range_m: &[f32], counts: &[bool], angles: &Angles, theta_rad: f64) {
         let rows = angles.rows();
         let theta = Theta::new(theta_rad);
+        self.piece.resize(range_m.len(), 0);
         self.parent.clear();
-        self.parent.extend(0..range_m.len() as u32);
+        self.points.clear();
         for column in 0..angles.columns() {
             for row in 0..rows {
                 let here = column * rows + row;
-                if row > 0 && angles.joins_below(row - 1, range_m[here - 1], range_m[here], &theta) {
-                    self.unite(here - 1, here);
+                if !is_return(range_m[here]) {
+                    continue;
                 }
-                if let Some(before) = angles.before(column, row).map(|before| before * rows + row)
-                    && angles.joins_before(column, row, range_m[here], range_m[before], &theta)
-                {
-                    self.unite(before, here);
+                let is_below = row > 0 && angles.joins_below(row - 1, range_m[here - 1], range_m[here], &theta);
+                let is_behind =
+                    column > 0 && angles.joins_before(column, row, range_m[here], range_m[here - rows], &theta);
+                let piece = if is_below {
+                    self.piece[here - 1]
+                } else if is_behind {
+                    self.piece[here - rows]
+                } else {
+                    self.begin()
+                };
+                if is_below && is_behind {
+                    self.unite(piece, self.piece[here - rows]);
                 }
+                self.piece[here] = piece;
+                self.points[piece as usize] += u32::from(counts[here]);
+            }
+        }
+        let seam = range_m.len().saturating_sub(rows);
+        for row in 0..range_m.len().min(rows) {
+            if angles.joins_before(0, row, range_m[row], range_m[seam + row], &theta) {
+                self.unite(self.piece[row], self.piece[seam + row]);
             }
         }
     }
 
-    fn unite(&mut self, a: usize, b: usize) {
-        let a = self.root(a as u32);
-        let b = self.root(b as u32);
-        self.parent[a.max(b) as usize] = a.min(b);
+    fn begin(&mut self) -> u32 {
+        let piece = self.parent.len() as u32;
+        self.parent.push(piece);
+        self.points.push(0);
+        piece
     }
 
-    fn root(&mut self, mut pixel: u32) -> u32 {
-        while self.parent[pixel as usize] != pixel {
-            let grandparent = self.parent[self.parent[pixel as usize] as usize];
-            self.parent[pixel as usize] = grandparent;
-            pixel = grandparent;
+    fn unite(&mut self, a: u32, b: u32) {
+        // Where a wall goes on, they mostly know it.
+        if self.parent[a as usize] != self.parent[b as usize] {
+            let a = self.root(a);
+            let b = self.root(b);
+            self.parent[a.max(b) as usize] = a.min(b);
         }
-        pixel
     }
 
-    /// Labels the components that hold at least `min_points` real pixels, and gives how many there are: at most
-    /// `max_segments`, numbered by their first pixels. Of other pixels than real ones, the labels mean nothing.
-    pub fn label(&mut self, real: &[bool], min_points: u32, max_segments: usize, labels: &mut [u32]) -> usize {
-        self.points.clear();
-        self.points.resize(self.parent.len(), 0);
-        for (pixel, &is_real) in real.iter().enumerate() {
-            // A parent comes earlier, so it knows its root already.
-            let root = self.parent[self.parent[pixel] as usize];
-            self.parent[pixel] = root;
-            self.points[root as usize] += u32::from(is_real);
+    fn root(&mut self, mut piece: u32) -> u32 {
+        while self.parent[piece as usize] != piece {
+            let grandparent = self.parent[self.parent[piece as usize] as usize];
+            self.parent[piece as usize] = grandparent;
+            piece = grandparent;
+        }
+        piece
+    }
+
+    /// Labels the components that hold at least `min_points` of the pixels that count, and gives how many there are: at most
+    /// `max_segments`, numbered by their first pixels. Other pixels get [`LABEL_NONE`].
+    pub fn label(&mut self, counts: &[bool], min_points: u32, max_segments: usize, labels: &mut [u32]) -> usize {
+        for piece in 0..self.parent.len() {
+            // A parent began earlier, so it knows its root already.
+            let root = self.parent[self.parent[piece] as usize] as usize;
+            self.parent[piece] = root as u32;
+            if root != piece {
+                self.points[root] += self.points[piece];
+            }
         }
         let mut segments = 0;
-        for (pixel, &root) in self.parent.iter().enumerate() {
-            labels[pixel] = if root as usize != pixel {
-                labels[root as usize]
-            } else if self.points[pixel] >= min_points.max(1) && segments < max_segments {
+        self.label.clear();
+        for (piece, &root) in self.parent.iter().enumerate() {
+            let label = if root as usize != piece {
+                self.label[root as usize]
+            } else if self.points[piece] >= min_points.max(1) && segments < max_segments {
                 segments += 1;
                 LABEL_FIRST_SEGMENT + segments as u32 - 1
             } else {
                 LABEL_NONE
             };
+            self.label.push(label);
+        }
+        for ((label, piece), is_counted) in labels.iter_mut().zip(&self.piece).zip(counts) {
+            *label = if *is_counted { self.label[*piece as usize] } else { LABEL_NONE };
         }
         segments
     }

@@ -6,7 +6,7 @@
 use std::f32::consts::{FRAC_PI_2, FRAC_PI_4};
 
 use super::angles::Angles;
-use crate::segment::MAX_ROWS;
+use crate::segment::{MAX_ROWS, reserve};
 use crate::sweep::layout::is_return;
 
 /// What counts as ground.
@@ -62,16 +62,20 @@ impl Window {
     }
 }
 
-/// Fills holes in the columns: each gets the mean over all pairs of a pixel above and one below that are near it and alike.
+/// Fills holes in a column: each gets the mean over all pairs of a pixel above and one below that are near it and alike.
 /// What is filled helps to fill the next.
-pub fn repair(range_m: &mut [f32], angles: &Angles, limits: &PaperGround) {
-    for column in range_m.chunks_exact_mut(angles.rows().max(1)) {
-        for row in 0..column.len() {
-            if !is_return(column[row])
-                && let Some(mean_m) = mean_of_pairs(column, row, limits)
-            {
-                column[row] = mean_m;
-            }
+pub fn repair(column: &mut [f32], limits: &PaperGround) {
+    // Row behind the last return: most holes are sky, with nothing above them.
+    let mut behind = None;
+    for row in 0..column.len() {
+        if !is_return(column[row])
+            && behind.is_some_and(|behind| row - behind < limits.repair_reach)
+            && let Some(mean_m) = mean_of_pairs(column, row, limits)
+        {
+            column[row] = mean_m;
+        }
+        if is_return(column[row]) {
+            behind = Some(row + 1);
         }
     }
 }
@@ -91,37 +95,52 @@ fn mean_of_pairs(column: &[f32], row: usize, limits: &PaperGround) -> Option<f32
 }
 
 /// The inclination from each pixel to the one above it, radians, 0..pi/2, smoothed along its column. That of the top row
-/// is 0, and a pixel without range stands at the sensor, as it does with the authors. Beyond its ends, a column is mirrored
-/// at its last pixels.
-///
-/// # Panics
-/// If the image has more rows than [`MAX_ROWS`].
-pub fn incline(range_m: &[f32], elevations_rad: &[f32], window: Window, smoothed_rad: &mut Vec<f32>) {
-    let rows = elevations_rad.len();
-    let mut sin = [0.0; MAX_ROWS];
-    let mut cos = [0.0; MAX_ROWS];
-    for (row, elevation_rad) in elevations_rad.iter().enumerate() {
-        sin[row] = elevation_rad.sin();
-        cos[row] = elevation_rad.cos();
+/// is 0, and a pixel without range stands at the sensor, as it does with the authors.
+#[derive(Clone, Debug, Default)]
+pub struct Slopes {
+    /// Column after column.
+    pub inclination_rad: Vec<f32>,
+    /// By row: cosine and sine of the elevation.
+    directions: Vec<[f32; 2]>,
+}
+
+impl Slopes {
+    /// Takes room for so many rows and pixels.
+    pub(super) fn reserve(&mut self, rows: usize, pixels: usize) {
+        reserve(&mut self.inclination_rad, pixels);
+        reserve(&mut self.directions, rows);
     }
-    let mut x_m = [0.0; MAX_ROWS];
-    let mut z_m = [0.0; MAX_ROWS];
-    let mut line_rad = [0.0; MAX_ROWS + 2 * MARGIN];
-    smoothed_rad.clear();
-    for column in range_m.chunks_exact(rows.max(1)) {
-        for (row, range_m) in column.iter().enumerate() {
-            x_m[row] = range_m * cos[row];
-            z_m[row] = range_m * sin[row];
+
+    /// Begins an image whose rows have these elevations, radians.
+    pub fn begin(&mut self, elevations_rad: impl Iterator<Item = f32>) {
+        self.inclination_rad.clear();
+        self.directions.clear();
+        self.directions.extend(elevations_rad.map(|elevation_rad| [elevation_rad.cos(), elevation_rad.sin()]));
+    }
+
+    /// Adds a column with these ranges, metres.
+    ///
+    /// # Panics
+    /// If it has more rows than [`MAX_ROWS`].
+    pub fn add(&mut self, range_m: &[f32], window: Window) {
+        let rows = range_m.len();
+        let mut x_m = [0.0; MAX_ROWS];
+        let mut z_m = [0.0; MAX_ROWS];
+        for (row, (range_m, [cos, sin])) in range_m.iter().zip(&self.directions).enumerate() {
+            x_m[row] = range_m * cos;
+            z_m[row] = range_m * sin;
         }
+        let mut line_rad = [0.0; MAX_ROWS + 2 * MARGIN];
         for row in 1..rows {
             let rise_m = (z_m[row] - z_m[row - 1]).abs();
             line_rad[MARGIN + row] = steepness_rad(rise_m, (x_m[row] - x_m[row - 1]).abs());
         }
+        // Beyond its ends, the column is mirrored at its last pixels.
         for beyond in 1..=MARGIN {
             line_rad[MARGIN - beyond] = line_rad[MARGIN + mirrored(beyond, rows)];
             line_rad[MARGIN + rows - 1 + beyond] = line_rad[MARGIN + mirrored(rows - 1 + beyond, rows)];
         }
-        smooth(&line_rad[..rows + 2 * MARGIN], window, smoothed_rad);
+        smooth(&line_rad[..rows + 2 * MARGIN], window, &mut self.inclination_rad);
     }
 }
 
@@ -149,40 +168,66 @@ fn smooth(line: &[f32], window: Window, smoothed: &mut Vec<f32>) {
     }
 }
 
-/// Floods the ground from the lowest pixel of each column with a range, where it is flat enough: over all neighbours whose
-/// inclination differs by less than the angle. A hole that is reached is marked, and goes no further.
-pub fn flood(
-    range_m: &[f32],
-    inclination_rad: &[f32],
-    angles: &Angles,
-    limits: &PaperGround,
-    queue: &mut Vec<[usize; 2]>,
-    ground: &mut Vec<bool>,
-) {
-    let rows = angles.rows();
-    ground.clear();
-    ground.resize(range_m.len(), false);
-    for (column, range_m_of) in range_m.chunks_exact(rows.max(1)).enumerate() {
-        let lowest = range_m_of.iter().rposition(|&range_m| is_return(range_m)).unwrap_or(0);
-        let start = column * rows + lowest;
-        if ground[start] || inclination_rad[start] > limits.start_angle_rad {
-            continue;
-        }
-        ground[start] = true;
-        queue.push([column, lowest]);
-        while let Some([column, row]) = queue.pop() {
-            let here = column * rows + row;
-            if !is_return(range_m[here]) {
-                continue;
+/// Floods an image with ground.
+#[derive(Clone, Debug, Default)]
+pub struct Flood {
+    /// What is ground, by pixel; of holes too, where it reaches them.
+    pub ground: Vec<bool>,
+    /// Column and row of the pixels whose neighbours are still to be looked at.
+    queue: Vec<[usize; 2]>,
+}
+
+impl Flood {
+    /// Takes room for so many pixels.
+    pub(super) fn reserve(&mut self, pixels: usize) {
+        reserve(&mut self.ground, pixels);
+        reserve(&mut self.queue, pixels);
+    }
+
+    /// Starts at the lowest pixel of each column with a range, where it is flat enough, and goes on to all neighbours whose
+    /// inclination differs by less than the angle. A hole is reached, but nothing from there.
+    pub fn run(&mut self, range_m: &[f32], inclination_rad: &[f32], angles: &Angles, limits: &PaperGround) {
+        let rows = angles.rows();
+        self.ground.clear();
+        self.ground.resize(range_m.len(), false);
+        for (column, ranges_m) in range_m.chunks_exact(rows.max(1)).enumerate() {
+            let lowest = ranges_m.iter().rposition(|&range_m| is_return(range_m)).unwrap_or(0);
+            if inclination_rad[column * rows + lowest] <= limits.start_angle_rad {
+                self.reach(column * rows, column, lowest);
             }
-            for [column, row] in angles.neighbours(column, row).into_iter().flatten() {
-                let there = column * rows + row;
-                let apart_rad = (inclination_rad[here] - inclination_rad[there]).abs();
-                if !ground[there] && apart_rad < limits.angle_rad {
-                    ground[there] = true;
-                    queue.push([column, row]);
+            while let Some([column, row]) = self.queue.pop() {
+                let here = column * rows + row;
+                if !is_return(range_m[here]) {
+                    continue;
+                }
+                let mut look = |column: usize, row: usize| {
+                    let there = column * rows + row;
+                    if (inclination_rad[here] - inclination_rad[there]).abs() < limits.angle_rad {
+                        self.reach(column * rows, column, row);
+                    }
+                };
+                if row > 0 {
+                    look(column, row - 1);
+                }
+                if row + 1 < rows {
+                    look(column, row + 1);
+                }
+                if let Some(before) = angles.before(column, row) {
+                    look(before, row);
+                }
+                if let Some(after) = angles.after(column, row) {
+                    look(after, row);
                 }
             }
+        }
+    }
+
+    #[inline]
+    fn reach(&mut self, first: usize, column: usize, row: usize) {
+        let is_ground = &mut self.ground[first + row];
+        if !*is_ground {
+            *is_ground = true;
+            self.queue.push([column, row]);
         }
     }
 }

@@ -17,10 +17,11 @@ mod table;
 use fearless_simd::Level;
 
 use super::{Config, reserve};
-use crate::sweep::layout::{LABEL_GROUND, LABEL_NONE, is_return};
+use crate::sweep::layout::{LABEL_GROUND, is_return};
 use crate::sweep::{SweepMut, SweepRef};
 use angles::Angles;
 use components::Components;
+use ground::{Flood, Slopes};
 use table::Table;
 
 /// Labels sweeps as the paper does; after the first in buffers of one size it allocates nothing.
@@ -28,12 +29,10 @@ use table::Table;
 pub(super) struct Authors {
     /// Ranges that may be labelled, and what fills their holes; 0 elsewhere, and where the ground was found.
     range_m: Vec<f32>,
-    /// Returns that may be labelled.
+    /// Returns that may be labelled and are no ground.
     real: Vec<bool>,
-    elevations_rad: Vec<f32>,
-    inclination_rad: Vec<f32>,
-    ground: Vec<bool>,
-    flood: Vec<[usize; 2]>,
+    slopes: Slopes,
+    flood: Flood,
     angles: Angles,
     components: Components,
     table: Table,
@@ -46,10 +45,8 @@ impl Authors {
         Self {
             range_m: Vec::new(),
             real: Vec::new(),
-            elevations_rad: Vec::new(),
-            inclination_rad: Vec::new(),
-            ground: Vec::new(),
-            flood: Vec::new(),
+            slopes: Slopes::default(),
+            flood: Flood::default(),
             angles: Angles::default(),
             components: Components::default(),
             table: Table::new(level),
@@ -63,7 +60,7 @@ impl Authors {
         self.is_found = false;
         let sweep = sweep.as_ref();
         self.angles.measure(&sweep);
-        self.elevations_rad.extend(sweep.beams.iter().map(|beam| beam.elevation_rad));
+        self.slopes.begin(sweep.beams.iter().map(|beam| beam.elevation_rad));
         self.take(&sweep, config);
     }
 
@@ -73,10 +70,8 @@ impl Authors {
         let pixels = sweep.range.len();
         reserve(&mut self.range_m, pixels);
         reserve(&mut self.real, pixels);
-        reserve(&mut self.elevations_rad, sweep.beams.len());
-        reserve(&mut self.inclination_rad, pixels);
-        reserve(&mut self.ground, pixels);
-        reserve(&mut self.flood, pixels);
+        self.slopes.reserve(sweep.beams.len(), pixels);
+        self.flood.reserve(pixels);
         self.angles.reserve(sweep.columns.len());
         self.components.reserve(pixels);
         self.table.reserve(sweep.columns.len(), sweep.segments.len());
@@ -101,25 +96,23 @@ impl Authors {
             return false;
         }
         let limits = &config.paper;
-        ground::repair(&mut self.range_m, &self.angles, limits);
-        ground::incline(&self.range_m, &self.elevations_rad, limits.window, &mut self.inclination_rad);
-        ground::flood(
-            &self.range_m,
-            &self.inclination_rad,
-            &self.angles,
-            limits,
-            &mut self.flood,
-            &mut self.ground,
-        );
-        for (range_m, _) in self.range_m.iter_mut().zip(&self.ground).filter(|(_, is_ground)| **is_ground) {
-            *range_m = 0.0;
+        for column in self.range_m.chunks_exact_mut(self.angles.rows().max(1)) {
+            ground::repair(column, limits);
+            self.slopes.add(column, limits.window);
+        }
+        self.flood.run(&self.range_m, &self.slopes.inclination_rad, &self.angles, limits);
+        for (pixel, is_ground) in self.flood.ground.iter_mut().enumerate() {
+            if *is_ground {
+                self.range_m[pixel] = 0.0;
+                *is_ground = std::mem::replace(&mut self.real[pixel], false);
+            }
         }
         true
     }
 
     /// Joins what is no ground.
     pub fn join(&mut self, config: &Config) {
-        self.components.connect(&self.range_m, &self.angles, f64::from(config.theta_rad));
+        self.components.connect(&self.range_m, &self.real, &self.angles, f64::from(config.theta_rad));
     }
 
     /// Writes the labels, the segments table and the header's counts.
@@ -129,13 +122,9 @@ impl Authors {
         let segments = self.components.label(&self.real, config.min_points, sweep.segments.len(), labels);
         sweep.header.segments = segments as u32;
         sweep.header.ground = 0;
-        for ((label, is_real), is_ground) in labels.iter_mut().zip(&self.real).zip(&self.ground) {
-            if !is_real {
-                *label = LABEL_NONE;
-            } else if *is_ground {
-                *label = LABEL_GROUND;
-                sweep.header.ground += 1;
-            }
+        for (label, _) in labels.iter_mut().zip(&self.flood.ground).filter(|(_, is_ground)| **is_ground) {
+            *label = LABEL_GROUND;
+            sweep.header.ground += 1;
         }
         self.table.describe(sweep, config);
     }

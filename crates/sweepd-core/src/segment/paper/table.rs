@@ -4,7 +4,7 @@ use fearless_simd::{Level, Simd, dispatch};
 
 use crate::segment::extent::Extent;
 use crate::segment::ground::Window;
-use crate::segment::pieces::Sum;
+use crate::segment::pieces::{Sum, measure};
 use crate::segment::points::{Points, STRIP};
 use crate::segment::{Config, reserve};
 use crate::sweep::layout::LABEL_FIRST_SEGMENT;
@@ -57,13 +57,24 @@ impl Table {
         for position in (STRIP..self.points.order.end()).step_by(STRIP) {
             self.points.fill(simd, sweep, config, position, &mut self.words);
             let count = STRIP.min(self.points.order.end() - position);
-            for ahead in 0..count {
-                let Some(column) = self.points.order.column(position + ahead) else { continue };
-                for (row, label) in sweep.label[column * rows..][..rows].iter().enumerate() {
-                    let Some(place) = label.checked_sub(LABEL_FIRST_SEGMENT) else { continue };
-                    let point_m = self.points.point_m(self.points.at(row) + STRIP + ahead);
-                    self.sums[place as usize].add(&Sum::of_point(row, point_m));
-                    self.extents[place as usize].add(position, 1 << ahead, self.points.order);
+            let order = self.points.order;
+            for row in 0..rows {
+                let lane = self.points.at(row) + STRIP;
+                let label = |ahead: usize| order.column(position + ahead).map_or(0, |column| sweep.label[column * rows + row]);
+                let mut first = 0;
+                while first < count {
+                    let label_here = label(first);
+                    let mut end = first + 1;
+                    while end < count && label(end) == label_here {
+                        end += 1;
+                    }
+                    if let Some(place) = label_here.checked_sub(LABEL_FIRST_SEGMENT) {
+                        let columns = (((1_u64 << (end - first)) - 1) << first) as u32;
+                        let (sum, _) = measure(simd, &self.points, lane, [columns; 2]);
+                        self.sums[place as usize].add(&Sum { rows: [row as u16; 2], ..sum });
+                        self.extents[place as usize].add(position, columns, order);
+                    }
+                    first = end;
                 }
             }
         }
