@@ -175,18 +175,10 @@ impl Angles {
         self.sin2_half_gap.len()
     }
 
-    /// The column before one, or the last one for the first, if the two are neighbours in a row.
+    /// Whether the pixels of a row in a column and in the one before it, for the first the last one, are neighbours.
     #[inline]
-    pub fn before(&self, column: usize, row: usize) -> Option<usize> {
-        self.sin2_half_gap_before(column, row)?;
-        Some(if column == 0 { self.columns() - 1 } else { column - 1 })
-    }
-
-    /// The column behind one, or the first one for the last, if the two are neighbours in a row.
-    #[inline]
-    pub fn after(&self, column: usize, row: usize) -> Option<usize> {
-        let after = if column + 1 == self.columns() { 0 } else { column + 1 };
-        self.sin2_half_gap_before(after, row).map(|_| after)
+    pub fn are_neighbours(&self, column: usize, row: usize) -> bool {
+        self.sin2_half_gap_before(column, row).is_some()
     }
 
     #[inline]

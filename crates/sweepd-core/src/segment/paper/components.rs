@@ -44,19 +44,22 @@ impl Components {
                 if !is_return(range_m[here]) {
                     continue;
                 }
-                let is_below = row > 0 && angles.joins_below(row - 1, range_m[here - 1], range_m[here], &theta);
-                let is_behind =
-                    column > 0 && angles.joins_before(column, row, range_m[here], range_m[here - rows], &theta);
-                let piece = if is_below {
-                    self.piece[here - 1]
-                } else if is_behind {
-                    self.piece[here - rows]
-                } else {
-                    self.begin()
-                };
-                if is_below && is_behind {
-                    self.unite(piece, self.piece[here - rows]);
+                let mut piece = None;
+                if row > 0 && angles.joins_below(row - 1, range_m[here - 1], range_m[here], &theta) {
+                    piece = Some(self.piece[here - 1]);
                 }
+                if column > 0 && is_return(range_m[here - rows]) {
+                    let before = self.piece[here - rows];
+                    // Within a wall both are the same, and nothing is left to test.
+                    let is_known = piece.is_some_and(|piece| self.has_met(piece, before));
+                    if !is_known && angles.joins_before(column, row, range_m[here], range_m[here - rows], &theta) {
+                        match piece {
+                            Some(piece) => self.unite(piece, before),
+                            None => piece = Some(before),
+                        }
+                    }
+                }
+                let piece = piece.unwrap_or_else(|| self.begin());
                 self.piece[here] = piece;
                 self.points[piece as usize] += u32::from(counts[here]);
             }
@@ -76,13 +79,15 @@ impl Components {
         piece
     }
 
+    /// Whether two pieces are known to belong together without a search.
+    fn has_met(&self, a: u32, b: u32) -> bool {
+        self.parent[a as usize] == self.parent[b as usize]
+    }
+
     fn unite(&mut self, a: u32, b: u32) {
-        // Where a wall goes on, they mostly know it.
-        if self.parent[a as usize] != self.parent[b as usize] {
-            let a = self.root(a);
-            let b = self.root(b);
-            self.parent[a.max(b) as usize] = a.min(b);
-        }
+        let a = self.root(a);
+        let b = self.root(b);
+        self.parent[a.max(b) as usize] = a.min(b);
     }
 
     fn root(&mut self, mut piece: u32) -> u32 {

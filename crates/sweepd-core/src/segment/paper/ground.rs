@@ -6,7 +6,7 @@
 use std::f32::consts::{FRAC_PI_2, FRAC_PI_4};
 
 use super::angles::Angles;
-use crate::segment::{MAX_ROWS, reserve};
+use crate::segment::reserve;
 use crate::sweep::layout::is_return;
 
 /// What counts as ground.
@@ -65,17 +65,11 @@ impl Window {
 /// Fills holes in a column: each gets the mean over all pairs of a pixel above and one below that are near it and alike.
 /// What is filled helps to fill the next.
 pub fn repair(column: &mut [f32], limits: &PaperGround) {
-    // Row behind the last return: most holes are sky, with nothing above them.
-    let mut behind = None;
     for row in 0..column.len() {
         if !is_return(column[row])
-            && behind.is_some_and(|behind| row - behind < limits.repair_reach)
             && let Some(mean_m) = mean_of_pairs(column, row, limits)
         {
             column[row] = mean_m;
-        }
-        if is_return(column[row]) {
-            behind = Some(row + 1);
         }
     }
 }
@@ -101,47 +95,60 @@ pub struct Slopes {
     /// Column after column.
     pub inclination_rad: Vec<f32>,
     /// By row: cosine and sine of the elevation.
-    directions: Vec<[f32; 2]>,
+    cos: Vec<f32>,
+    sin: Vec<f32>,
+    /// The points of a column: forward and up, by row, behind the first one once more.
+    x_m: Vec<f32>,
+    z_m: Vec<f32>,
+    /// The inclinations of a column, with a margin on both ends.
+    line_rad: Vec<f32>,
 }
 
 impl Slopes {
-    /// Takes room for so many rows and pixels.
-    pub(super) fn reserve(&mut self, rows: usize, pixels: usize) {
+    /// Takes room for so many pixels.
+    pub(super) fn reserve(&mut self, pixels: usize) {
         reserve(&mut self.inclination_rad, pixels);
-        reserve(&mut self.directions, rows);
     }
 
     /// Begins an image whose rows have these elevations, radians.
     pub fn begin(&mut self, elevations_rad: impl Iterator<Item = f32>) {
         self.inclination_rad.clear();
-        self.directions.clear();
-        self.directions.extend(elevations_rad.map(|elevation_rad| [elevation_rad.cos(), elevation_rad.sin()]));
+        self.cos.clear();
+        self.sin.clear();
+        for elevation_rad in elevations_rad {
+            self.cos.push(elevation_rad.cos());
+            self.sin.push(elevation_rad.sin());
+        }
+        let rows = self.cos.len();
+        self.x_m.resize(rows + 1, 0.0);
+        self.z_m.resize(rows + 1, 0.0);
+        self.line_rad.resize(rows + 2 * MARGIN, 0.0);
     }
 
     /// Adds a column with these ranges, metres.
-    ///
-    /// # Panics
-    /// If it has more rows than [`MAX_ROWS`].
     pub fn add(&mut self, range_m: &[f32], window: Window) {
         let rows = range_m.len();
-        let mut x_m = [0.0; MAX_ROWS];
-        let mut z_m = [0.0; MAX_ROWS];
-        for (row, (range_m, [cos, sin])) in range_m.iter().zip(&self.directions).enumerate() {
-            x_m[row] = range_m * cos;
-            z_m[row] = range_m * sin;
-        }
-        let mut line_rad = [0.0; MAX_ROWS + 2 * MARGIN];
-        for row in 1..rows {
-            let rise_m = (z_m[row] - z_m[row - 1]).abs();
-            line_rad[MARGIN + row] = steepness_rad(rise_m, (x_m[row] - x_m[row - 1]).abs());
+        place(range_m, &self.cos, &mut self.x_m);
+        place(range_m, &self.sin, &mut self.z_m);
+        let steps = self.x_m.windows(2).zip(self.z_m.windows(2));
+        for (inclination_rad, (x_m, z_m)) in self.line_rad[MARGIN..].iter_mut().zip(steps) {
+            *inclination_rad = steepness_rad((z_m[1] - z_m[0]).abs(), (x_m[1] - x_m[0]).abs());
         }
         // Beyond its ends, the column is mirrored at its last pixels.
         for beyond in 1..=MARGIN {
-            line_rad[MARGIN - beyond] = line_rad[MARGIN + mirrored(beyond, rows)];
-            line_rad[MARGIN + rows - 1 + beyond] = line_rad[MARGIN + mirrored(rows - 1 + beyond, rows)];
+            self.line_rad[MARGIN - beyond] = self.line_rad[MARGIN + mirrored(beyond, rows)];
+            self.line_rad[MARGIN + rows - 1 + beyond] = self.line_rad[MARGIN + mirrored(rows - 1 + beyond, rows)];
         }
-        smooth(&line_rad[..rows + 2 * MARGIN], window, &mut self.inclination_rad);
+        smooth(&self.line_rad, window, &mut self.inclination_rad);
     }
+}
+
+/// One coordinate of a column's points; the top row has itself above it.
+fn place(range_m: &[f32], direction: &[f32], axis_m: &mut [f32]) {
+    for (axis_m, (range_m, direction)) in axis_m[1..].iter_mut().zip(range_m.iter().zip(direction)) {
+        *axis_m = range_m * direction;
+    }
+    axis_m[0] = axis_m[1];
 }
 
 /// Pixels that the longest window reaches to each side.
@@ -188,46 +195,47 @@ impl Flood {
     /// inclination differs by less than the angle. A hole is reached, but nothing from there.
     pub fn run(&mut self, range_m: &[f32], inclination_rad: &[f32], angles: &Angles, limits: &PaperGround) {
         let rows = angles.rows();
+        let columns = angles.columns();
         self.ground.clear();
         self.ground.resize(range_m.len(), false);
         for (column, ranges_m) in range_m.chunks_exact(rows.max(1)).enumerate() {
             let lowest = ranges_m.iter().rposition(|&range_m| is_return(range_m)).unwrap_or(0);
             if inclination_rad[column * rows + lowest] <= limits.start_angle_rad {
-                self.reach(column * rows, column, lowest);
+                self.reach(column * rows + lowest, [column, lowest]);
             }
             while let Some([column, row]) = self.queue.pop() {
                 let here = column * rows + row;
                 if !is_return(range_m[here]) {
                     continue;
                 }
-                let mut look = |column: usize, row: usize| {
-                    let there = column * rows + row;
-                    if (inclination_rad[here] - inclination_rad[there]).abs() < limits.angle_rad {
-                        self.reach(column * rows, column, row);
-                    }
+                let before = if column == 0 { columns - 1 } else { column - 1 };
+                let after = if column + 1 == columns { 0 } else { column + 1 };
+                let is_level = |column: usize, row: usize| {
+                    (inclination_rad[here] - inclination_rad[column * rows + row]).abs() < limits.angle_rad
                 };
-                if row > 0 {
-                    look(column, row - 1);
+                if is_level(before, row) && angles.are_neighbours(column, row) {
+                    self.reach(before * rows + row, [before, row]);
                 }
-                if row + 1 < rows {
-                    look(column, row + 1);
+                if is_level(after, row) && angles.are_neighbours(after, row) {
+                    self.reach(after * rows + row, [after, row]);
                 }
-                if let Some(before) = angles.before(column, row) {
-                    look(before, row);
+                // Those of the column are the next to be looked at, since memory goes on there.
+                if row > 0 && is_level(column, row - 1) {
+                    self.reach(here - 1, [column, row - 1]);
                 }
-                if let Some(after) = angles.after(column, row) {
-                    look(after, row);
+                if row + 1 < rows && is_level(column, row + 1) {
+                    self.reach(here + 1, [column, row + 1]);
                 }
             }
         }
     }
 
     #[inline]
-    fn reach(&mut self, first: usize, column: usize, row: usize) {
-        let is_ground = &mut self.ground[first + row];
+    fn reach(&mut self, pixel: usize, place: [usize; 2]) {
+        let is_ground = &mut self.ground[pixel];
         if !*is_ground {
             *is_ground = true;
-            self.queue.push([column, row]);
+            self.queue.push(place);
         }
     }
 }

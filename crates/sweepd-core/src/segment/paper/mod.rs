@@ -70,7 +70,7 @@ impl Authors {
         let pixels = sweep.range.len();
         reserve(&mut self.range_m, pixels);
         reserve(&mut self.real, pixels);
-        self.slopes.reserve(sweep.beams.len(), pixels);
+        self.slopes.reserve(pixels);
         self.flood.reserve(pixels);
         self.angles.reserve(sweep.columns.len());
         self.components.reserve(pixels);
@@ -101,11 +101,11 @@ impl Authors {
             self.slopes.add(column, limits.window);
         }
         self.flood.run(&self.range_m, &self.slopes.inclination_rad, &self.angles, limits);
-        for (pixel, is_ground) in self.flood.ground.iter_mut().enumerate() {
-            if *is_ground {
-                self.range_m[pixel] = 0.0;
-                *is_ground = std::mem::replace(&mut self.real[pixel], false);
-            }
+        let marked = self.range_m.iter_mut().zip(&mut self.real).zip(&mut self.flood.ground);
+        for ((range_m, real), is_ground) in marked {
+            *range_m = if *is_ground { 0.0 } else { *range_m };
+            *is_ground &= *real;
+            *real &= !*is_ground;
         }
         true
     }

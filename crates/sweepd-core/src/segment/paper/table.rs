@@ -56,25 +56,27 @@ impl Table {
         self.points.begin(sweep, Some(sweep.columns.len()));
         for position in (STRIP..self.points.order.end()).step_by(STRIP) {
             self.points.fill(simd, sweep, config, position, &mut self.words);
-            let count = STRIP.min(self.points.order.end() - position);
             let order = self.points.order;
+            // First pixels of the columns.
+            let mut first = [0; STRIP];
+            let count = STRIP.min(order.end() - position);
+            for (ahead, first) in first[..count].iter_mut().enumerate() {
+                *first = order.column(position + ahead).unwrap_or(0) * rows;
+            }
             for row in 0..rows {
                 let lane = self.points.at(row) + STRIP;
-                let label = |ahead: usize| order.column(position + ahead).map_or(0, |column| sweep.label[column * rows + row]);
-                let mut first = 0;
-                while first < count {
-                    let label_here = label(first);
-                    let mut end = first + 1;
-                    while end < count && label(end) == label_here {
-                        end += 1;
-                    }
-                    if let Some(place) = label_here.checked_sub(LABEL_FIRST_SEGMENT) {
-                        let columns = (((1_u64 << (end - first)) - 1) << first) as u32;
+                let mut at = 0;
+                // Run by run.
+                while at < count {
+                    let label = sweep.label[first[at] + row];
+                    let length = first[at..count].iter().take_while(|first| sweep.label[**first + row] == label).count();
+                    if let Some(place) = label.checked_sub(LABEL_FIRST_SEGMENT) {
+                        let columns = (((1_u64 << length) - 1) << at) as u32;
                         let (sum, _) = measure(simd, &self.points, lane, [columns; 2]);
                         self.sums[place as usize].add(&Sum { rows: [row as u16; 2], ..sum });
                         self.extents[place as usize].add(position, columns, order);
                     }
-                    first = end;
+                    at += length;
                 }
             }
         }
