@@ -252,3 +252,83 @@ fn gap_rad(a: &Column, b: &Column) -> f64 {
     let gap = (f64::from(a.azimuth_rad) - f64::from(b.azimuth_rad)).rem_euclid(TAU);
     if gap > PI { TAU - gap } else { gap }
 }
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use crate::sensor::Beam;
+
+    fn columns(degrees: &[f32]) -> Vec<Column> {
+        degrees.iter().map(|d| Column::measured(0, 0, d.to_radians(), 60.0, 0)).collect()
+    }
+
+    fn theta(degrees: f64) -> Theta {
+        Theta::new(degrees.to_radians())
+    }
+
+    #[test]
+    fn a_jump_of_three_pitches_parts_two_columns() {
+        let mut angles = Angles { shifts: vec![0], ..Angles::default() };
+        let pitch_rad = angles.measure_columns(&columns(&[356.0, 357.0, 358.0, 359.0, 0.0, 2.9, 6.0]), true);
+        assert!((pitch_rad.to_degrees() - 1.0).abs() < 1e-4);
+        let neighbours: Vec<bool> = (0..7).map(|column| angles.are_neighbours(column, 0)).collect();
+        assert_eq!(neighbours, [false, true, true, true, true, true, false]);
+
+        angles.measure_columns(&columns(&[0.0, 90.0, 180.0, 270.0]), true);
+        assert!(angles.are_neighbours(0, 0));
+        angles.measure_columns(&columns(&[0.0, 90.0, 180.0, 270.0]), false);
+        assert!(!angles.are_neighbours(0, 0));
+    }
+
+    /// The gap before the third column is too wide: a row that is fired two columns later has it before its first.
+    #[test]
+    fn a_shifted_row_has_the_gaps_of_its_firings() {
+        let mut angles = Angles { shifts: vec![0, 2], ..Angles::default() };
+        angles.measure_columns(&columns(&[0.0, 1.0, 9.0, 10.0, 11.0, 12.0]), false);
+        let breaks = |row| (1..6).filter(|&column| !angles.are_neighbours(column, row)).collect::<Vec<usize>>();
+        assert_eq!([breaks(0), breaks(1)], [vec![2], vec![]]);
+        angles.shifts[1] = -2;
+        let breaks: Vec<usize> = (1..6).filter(|&column| !angles.are_neighbours(column, 1)).collect();
+        assert_eq!(breaks, [1, 2, 4], "before column 0 there is nothing");
+    }
+
+    /// On the horizon and by hand: 2 degrees of elevation and 0.5 of turn are hypot(2, 0.5) apart, nearly. Seen from there,
+    /// 10 m and 10.5 m are atan(10 x 0.036 / 0.5), 35.7 degrees.
+    #[test]
+    fn rows_are_apart_by_elevation_and_turn() {
+        let row = |degrees: f64, time_ns| BeamRow::new(&Beam::ideal(0, degrees.to_radians()), time_ns);
+        let rows = [row(1.0, 0), row(-1.0, 1_000_000)];
+        assert!((alpha_rad(&rows[0], &rows[1], 0.5_f64.to_radians()).to_degrees() - 2_f64.hypot(0.5)).abs() < 1e-3);
+        let mut angles = Angles::default();
+        angles.measure_rows(&rows, 0.01, 500_f64.to_radians());
+        assert!(angles.joins_below(0, 10.5, 10.0, &theta(35.5)));
+        assert!(!angles.joins_below(0, 10.5, 10.0, &theta(35.9)));
+    }
+
+    /// By hand: a degree at 60 degrees of elevation is half a degree. 10 m and 10.5 m are atan(0.0873 / 0.5), 9.9 degrees.
+    #[test]
+    fn a_steep_row_is_narrower() {
+        let mut angles = Angles::default();
+        let pitch_rad = angles.measure_columns(&columns(&[0.0, 1.0]), false);
+        angles.measure_rows(&[BeamRow::new(&Beam::ideal(0, 60_f64.to_radians()), 0)], pitch_rad, 0.0);
+        assert!(angles.joins_before(1, 0, 10.0, 10.5, &theta(9.8)));
+        assert!(!angles.joins_before(1, 0, 10.0, 10.5, &theta(10.0)));
+        assert!(!angles.joins_before(0, 0, 10.0, 10.5, &theta(1.0)), "nothing is before the first column");
+    }
+
+    /// By hand: two level beams of which one starts 0.1 m above the other, and 0.05 m to the left. At 10 m and 11 m they are
+    /// hypot(0.1, 0.05) apart across the beams and 1 m along them: atan(0.1118), 6.38 degrees.
+    #[test]
+    fn beams_that_start_apart_stay_apart() {
+        let beam = |vertical_offset_m, horizontal_offset_m| {
+            BeamRow::new(&Beam { vertical_offset_m, horizontal_offset_m, ..Beam::ideal(0, 0.0) }, 0)
+        };
+        let mut angles = Angles::default();
+        angles.measure_rows(&[beam(0.1, 0.05), beam(0.0, 0.0)], 0.01, 0.0);
+        for [high_m, low_m] in [[10.0, 11.0], [11.0, 10.0], [50.0, 51.0]] {
+            assert!(angles.joins_below(0, high_m, low_m, &theta(6.3)));
+            assert!(!angles.joins_below(0, high_m, low_m, &theta(6.5)));
+        }
+        assert!(!angles.joins_below(0, 0.0, 11.0, &theta(1.0)) && !angles.joins_below(0, 11.0, 0.0, &theta(1.0)));
+    }
+}

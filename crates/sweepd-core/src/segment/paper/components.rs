@@ -129,3 +129,62 @@ impl Components {
         segments
     }
 }
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    /// Labels of the first columns of an image whose neighbours are a degree apart, the rest of it being empty, at theta 10
+    /// degrees: 10 m and 10.1 m belong together, 10 m and 12 m do not. A negative range only connects.
+    fn label(rows: usize, first_m: &[f32], min_points: u32, max_segments: usize) -> Vec<u32> {
+        let angles = Angles::even(&vec![1_f64.to_radians(); rows - 1], 360);
+        let counts: Vec<bool> = (0..360 * rows).map(|pixel| first_m.get(pixel).is_some_and(|&range| range > 0.0)).collect();
+        let mut range_m: Vec<f32> = first_m.iter().map(|range_m| range_m.abs()).collect();
+        range_m.resize(360 * rows, 0.0);
+        let mut labels = vec![9; range_m.len()];
+        let mut components = Components::default();
+        // Twice, so that nothing of the first time is left.
+        for _ in 0..2 {
+            components.connect(&range_m, &counts, &angles, 10_f64.to_radians());
+            let segments = components.label(&counts, min_points, max_segments, &mut labels);
+            assert_eq!(segments, labels.iter().max().map_or(0, |most| most.saturating_sub(1)) as usize);
+        }
+        labels.truncate(first_m.len());
+        labels
+    }
+
+    #[test]
+    fn beta_parts_a_step() {
+        assert_eq!(label(3, &[10.0, 10.1, 12.1, 10.0, 0.0, 12.0, 0.0, 0.0, 0.0], 1, 9), [2, 2, 3, 2, 0, 3, 0, 0, 0]);
+    }
+
+    /// A "U" lying on its side: two arms that only the third column joins.
+    #[test]
+    fn arms_that_meet_late_are_one_segment() {
+        let arms = [[10.0, 0.0, 10.0], [10.0, 0.0, 10.0], [10.0; 3]].concat();
+        assert_eq!(label(3, &arms, 7, 9), [2, 0, 2, 2, 0, 2, 2, 2, 2]);
+        assert_eq!(label(3, &arms, 8, 9), [0; 9]);
+    }
+
+    #[test]
+    fn the_seam_joins_the_ends() {
+        let mut turn_m = [0.0; 360];
+        for column in [0, 2, 359] {
+            turn_m[column] = 10.0;
+        }
+        let labels = label(1, &turn_m, 1, 9);
+        assert_eq!([labels[0], labels[2], labels[359]], [2, 3, 2]);
+    }
+
+    #[test]
+    fn what_does_not_count_connects() {
+        assert_eq!(label(3, &[10.0, -10.0, 10.0], 2, 9), [2, 0, 2]);
+        assert_eq!(label(3, &[10.0, -10.0, 10.0], 3, 9), [0; 3]);
+        assert_eq!(label(3, &[-10.0, 0.0, 20.0], 0, 9), [0, 0, 2], "a segment has a point that counts");
+    }
+
+    #[test]
+    fn the_last_have_no_label_where_the_table_is_full() {
+        assert_eq!(label(5, &[10.0, 0.0, 10.0, 0.0, 10.0], 1, 2), [2, 0, 3, 0, 0]);
+    }
+}

@@ -200,43 +200,39 @@ impl Flood {
         self.ground.resize(range_m.len(), false);
         for (column, ranges_m) in range_m.chunks_exact(rows.max(1)).enumerate() {
             let lowest = ranges_m.iter().rposition(|&range_m| is_return(range_m)).unwrap_or(0);
-            if inclination_rad[column * rows + lowest] <= limits.start_angle_rad {
-                self.reach(column * rows + lowest, [column, lowest]);
+            let start = column * rows + lowest;
+            if !self.ground[start] && inclination_rad[start] <= limits.start_angle_rad {
+                self.mark(start, [column, lowest]);
             }
             while let Some([column, row]) = self.queue.pop() {
                 let here = column * rows + row;
                 if !is_return(range_m[here]) {
                     continue;
                 }
+                let is_level = |there: usize| (inclination_rad[here] - inclination_rad[there]).abs() < limits.angle_rad;
+                if row > 0 && !self.ground[here - 1] && is_level(here - 1) {
+                    self.mark(here - 1, [column, row - 1]);
+                }
+                if row + 1 < rows && !self.ground[here + 1] && is_level(here + 1) {
+                    self.mark(here + 1, [column, row + 1]);
+                }
                 let before = if column == 0 { columns - 1 } else { column - 1 };
+                let there = before * rows + row;
+                if !self.ground[there] && is_level(there) && angles.are_neighbours(column, row) {
+                    self.mark(there, [before, row]);
+                }
                 let after = if column + 1 == columns { 0 } else { column + 1 };
-                let is_level = |column: usize, row: usize| {
-                    (inclination_rad[here] - inclination_rad[column * rows + row]).abs() < limits.angle_rad
-                };
-                if is_level(before, row) && angles.are_neighbours(column, row) {
-                    self.reach(before * rows + row, [before, row]);
-                }
-                if is_level(after, row) && angles.are_neighbours(after, row) {
-                    self.reach(after * rows + row, [after, row]);
-                }
-                // Those of the column are the next to be looked at, since memory goes on there.
-                if row > 0 && is_level(column, row - 1) {
-                    self.reach(here - 1, [column, row - 1]);
-                }
-                if row + 1 < rows && is_level(column, row + 1) {
-                    self.reach(here + 1, [column, row + 1]);
+                let there = after * rows + row;
+                if !self.ground[there] && is_level(there) && angles.are_neighbours(after, row) {
+                    self.mark(there, [after, row]);
                 }
             }
         }
     }
 
-    #[inline]
-    fn reach(&mut self, pixel: usize, place: [usize; 2]) {
-        let is_ground = &mut self.ground[pixel];
-        if !*is_ground {
-            *is_ground = true;
-            self.queue.push(place);
-        }
+    fn mark(&mut self, pixel: usize, place: [usize; 2]) {
+        self.ground[pixel] = true;
+        self.queue.push(place);
     }
 }
 
@@ -258,4 +254,71 @@ pub fn steepness_rad(rise: f32, run: f32) -> f32 {
     let rest = (((a * square + b) * square + c) * square + d) * square * tangent + tangent;
     let angle_rad = rest + if is_steep { FRAC_PI_4 } else { 0.0 };
     if rise > run { FRAC_PI_2 - angle_rad } else { angle_rad }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn smoothing_keeps_a_parabola() {
+        for window in [Window::Five, Window::Seven, Window::Nine, Window::Eleven] {
+            let (weights, divisor) = window.weights();
+            assert_eq!(weights[0] + 2.0 * weights[1..].iter().sum::<f32>(), divisor);
+            let parabola: Vec<f32> = (0..31).map(|i| 0.01 * (i as f32 - 9.0).powi(2) + 0.3).collect();
+            let mut smoothed = Vec::new();
+            smooth(&parabola, window, &mut smoothed);
+            assert_eq!(smoothed.len(), 31 - 2 * MARGIN);
+            let kept = &parabola[MARGIN..31 - MARGIN];
+            assert!(smoothed.iter().zip(kept).all(|(ours, theirs)| (ours - theirs).abs() < 1e-5), "{window:?}");
+        }
+    }
+
+    #[test]
+    fn a_column_shorter_than_the_window_is_mirrored_again_and_again() {
+        assert_eq!((0..8).map(|row| mirrored(row, 3)).collect::<Vec<_>>(), [0, 1, 2, 1, 0, 1, 2, 1]);
+        assert_eq!(mirrored(4, 1), 0);
+    }
+
+    /// By hand: the pairs (10, 10.5) and (10, 10.25) fill the hole with the mean of four ranges; 12 is too far off.
+    #[test]
+    fn a_hole_gets_the_mean_of_like_pairs() {
+        let mut column = [10.0, 0.0, 10.5, 12.0, 10.25];
+        repair(&mut column, &PaperGround::default());
+        assert_eq!(column[1], (10.0 + 10.5 + 10.0 + 10.25) / 4.0);
+    }
+
+    /// By hand: 1 m up over 1 m forward is 45 degrees, and so is down; a hole stands at the sensor.
+    #[test]
+    fn inclinations_are_those_of_the_steps() {
+        let elevations_rad = [1_f32.atan2(4.0), 0.0, 1_f32.atan2(-2.0)];
+        let mut slopes = Slopes::default();
+        slopes.begin(elevations_rad.into_iter());
+        slopes.add(&[17_f32.sqrt(), 3.0, 0.0], Window::Five);
+        let line = &slopes.line_rad[MARGIN..MARGIN + 3];
+        assert!(line.iter().zip([0.0, FRAC_PI_4, 0.0]).all(|(ours, theirs)| (ours - theirs).abs() < 1e-6), "{line:?}");
+    }
+
+    #[test]
+    fn the_arctangent_is_near() {
+        let mut rng = fastrand::Rng::with_seed(5);
+        let mut number = || if rng.u8(..) < 20 { 0.0 } else { 100.0 * rng.f32().powi(6) };
+        for _ in 0..200_000 {
+            let [rise, run] = [number(), number()];
+            assert!((steepness_rad(rise, run) - rise.atan2(run)).abs() < 3e-7, "{rise} {run}");
+        }
+    }
+
+    /// Three columns of four rows: the ground starts at the foot of the first, goes up, over the seam to the last column and
+    /// down there to a hole, which it marks and does not leave. What is steeper by 0.2 stays, as does a steep foot.
+    #[test]
+    fn the_ground_floods_level_neighbours() {
+        let angles = Angles::even(&[0.02; 3], 3);
+        let range_m = [[0.0, 9.0, 9.0, 9.0], [9.0, 9.0, 9.0, 9.0], [9.0, 9.0, 0.0, 9.0]].concat();
+        let inclination_rad = [[0.3, 0.1, 0.1, 0.1], [0.9, 0.9, 0.9, 0.9], [0.3, 0.1, 0.1, 0.8]].concat();
+        let mut flood = Flood::default();
+        flood.run(&range_m, &inclination_rad, &angles, &PaperGround::default());
+        let ground: Vec<u8> = flood.ground.iter().map(|ground| u8::from(*ground)).collect();
+        assert_eq!(ground, [[0, 1, 1, 1], [0; 4], [0, 1, 1, 0]].concat());
+    }
 }
