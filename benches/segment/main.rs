@@ -136,7 +136,8 @@ fn sensor(image: &mut Image) -> [String; 2] {
     let height_m = Some(image.sweep().header.height_m).filter(|&height_m| height_m > 0.0);
     let mut plain = Plain::new(&image.sweep().as_ref(), segmenters[0].config());
     let mut series = [Series::default(), Series::default()];
-    let (mut naive_ms, mut plain_ms) = (Vec::new(), Vec::new());
+    let mut naive_ms = Vec::new();
+    let mut plain_ms = Vec::new();
     for turn in 0..TURNS {
         for (segmenter, series) in segmenters.iter_mut().zip(&mut series) {
             series.push(staged(segmenter, &mut image.sweep()));
@@ -147,9 +148,11 @@ fn sensor(image: &mut Image) -> [String; 2] {
             naive_ms.push(timed(|| naive::segment(black_box(&sweep.as_ref()), segmenters[0].config(), height_m)));
         }
     }
-    let (naive_ms, plain_ms) = (least(naive_ms), least(plain_ms));
     let [default, paper] = &series;
-    let (naive_times, plain_times) = (naive_ms / default.least(), plain_ms / default.least());
+    let naive_ms = least(naive_ms);
+    let plain_ms = least(plain_ms);
+    let naive_times = naive_ms / default.least();
+    let plain_times = plain_ms / default.least();
     let compared = format!("{naive_ms:>9.1}{naive_times:>7.1}{plain_ms:>8.3}{plain_times:>7.2}");
     [
         format!("{:<28}default {}{compared}", image.name, figures(default, pixels)),

@@ -138,7 +138,8 @@ mod tests {
     /// degrees: 10 m and 10.1 m belong together, 10 m and 12 m do not. A negative range only connects.
     fn label(rows: usize, first_m: &[f32], min_points: u32, max_segments: usize) -> Vec<u32> {
         let angles = Angles::even(&vec![1_f64.to_radians(); rows - 1], 360);
-        let counts: Vec<bool> = (0..360 * rows).map(|pixel| first_m.get(pixel).is_some_and(|&range| range > 0.0)).collect();
+        let counts: Vec<bool> =
+            (0..360 * rows).map(|pixel| first_m.get(pixel).is_some_and(|&range| range > 0.0)).collect();
         let mut range_m: Vec<f32> = first_m.iter().map(|range_m| range_m.abs()).collect();
         range_m.resize(360 * rows, 0.0);
         let mut labels = vec![9; range_m.len()];

@@ -69,7 +69,8 @@ impl Table {
                 // Run by run.
                 while at < count {
                     let label = sweep.label[first[at] + row];
-                    let length = first[at..count].iter().take_while(|first| sweep.label[**first + row] == label).count();
+                    let length =
+                        first[at..count].iter().take_while(|first| sweep.label[**first + row] == label).count();
                     if let Some(place) = label.checked_sub(LABEL_FIRST_SEGMENT) {
                         let columns = (((1_u64 << length) - 1) << at) as u32;
                         let (sum, _) = measure(simd, &self.points, lane, [columns; 2]);
