@@ -20,9 +20,7 @@ use super::{folder, of_project};
 /// The Rust consumer, built as these tests are.
 fn rust_consumer() -> PathBuf {
     let mut cargo = Command::new(env!("CARGO"));
-    cargo
-        .args(["build", "--quiet", "--locked", "--offline", "-p", "sweepd-client", "--example", "consumer"])
-        .current_dir(of_project(""));
+    cargo.args(["build", "--quiet", "--locked", "--offline", "-p", "sweepd-client", "--example", "consumer"]).current_dir(of_project(""));
     if !cfg!(debug_assertions) {
         cargo.arg("--release");
     }
