@@ -23,7 +23,7 @@ struct Case {
     rows: usize,
     columns: usize,
     elevations_rad: Vec<f32>,
-    angles: Angles,
+    down_rad: Vec<f64>,
 }
 
 impl Case {
@@ -32,10 +32,9 @@ impl Case {
         let [rows, columns] = ["rows", "cols"].map(|key| params[key].as_u64().unwrap() as usize);
         let row_angles = npy::read(&dir.join("row_angles.npy")).values;
         let down_rad: Vec<f64> = row_angles.windows(2).map(|pair| (pair[0] - pair[1]).abs()).collect();
-        let angles = Angles::even(&down_rad, columns);
         let elevations_rad = row_angles.iter().map(|&angle| angle as f32).collect();
         let name = dir.file_name().unwrap().to_string_lossy().into_owned();
-        Self { dir, name, params, rows, columns, elevations_rad, angles }
+        Self { dir, name, params, rows, columns, elevations_rad, down_rad }
     }
 
     fn image(&self, file: &str) -> Vec<f32> {
@@ -67,6 +66,10 @@ impl Case {
         (0..self.rows * self.columns).map(|index| at(index / self.rows, index % self.rows)).collect()
     }
 
+    fn angles(&self, theta_deg: f64) -> Angles {
+        Angles::even(&self.down_rad, self.columns, theta_deg.to_radians())
+    }
+
     /// Fills the holes of an image, and gives the inclinations.
     fn inclinations_rad(&self, ground: &PaperGround, range_m: &mut [f32]) -> Vec<f32> {
         let mut slopes = Slopes::default();
@@ -81,7 +84,7 @@ impl Case {
     /// The ground by these inclinations.
     fn flood(&self, ground: &PaperGround, range_m: &[f32], inclination_rad: &[f32]) -> Vec<bool> {
         let mut flood = Flood::default();
-        flood.run(range_m, inclination_rad, &self.angles, ground);
+        flood.run(range_m, inclination_rad, &self.angles(10.0), ground);
         flood.ground
     }
 
@@ -89,7 +92,7 @@ impl Case {
     fn labels(&self, range_m: &[f32], theta_deg: f64) -> Vec<f32> {
         let counts: Vec<bool> = range_m.iter().map(|&range_m| is_return(range_m)).collect();
         let mut components = Components::default();
-        components.connect(range_m, &counts, &self.angles, theta_deg.to_radians());
+        components.connect(range_m, &counts, &self.angles(theta_deg));
         let mut labels = vec![u32::MAX; range_m.len()];
         let segments = components.label(&counts, 1, usize::MAX, &mut labels);
         let (mut numbers, mut next) = (vec![0.0; segments + 2], 1.0);

@@ -202,6 +202,7 @@ impl Config {
 #[derive(Clone, Debug)]
 pub struct Segmenter {
     config: Config,
+    level: Level,
     height: HeightEstimator,
     strips: Strips,
     authors: Authors,
@@ -226,8 +227,8 @@ impl Segmenter {
     /// [`ConfigError`].
     pub fn with_level(config: Config, level: Level) -> Result<Self, ConfigError> {
         config.check()?;
-        let (height, strips, authors) = (HeightEstimator::default(), Strips::new(level), Authors::new(level));
-        Ok(Self { config, height, strips, authors, open: None, spoilt: None })
+        let (height, strips, authors) = (HeightEstimator::default(), Strips::new(level), Authors::default());
+        Ok(Self { config, level, height, strips, authors, open: None, spoilt: None })
     }
 
     /// What it was told.
@@ -324,7 +325,7 @@ impl Segmenter {
     /// [`Segmenter::find_ground`] said that there is some.
     pub fn join(&mut self) {
         match self.config.method {
-            Method::Paper => self.authors.join(&self.config),
+            Method::Paper => self.authors.join(),
             Method::Slope => self.strips.join(),
         }
     }
@@ -332,7 +333,7 @@ impl Segmenter {
     /// When all strips are joined: writes the labels, the segments table, and the header's counts.
     pub fn label(&mut self, sweep: &mut SweepMut<'_>) {
         match self.config.method {
-            Method::Paper => self.authors.label(sweep, &self.config),
+            Method::Paper => self.authors.label(sweep, &self.config, self.level),
             Method::Slope => {
                 self.strips.label(sweep, &self.config);
                 if self.config.mount.height_m.is_none() {

@@ -12,7 +12,6 @@
 
 use std::f64::consts::{PI, TAU};
 
-use crate::segment::reserve;
 use crate::segment::turn::{mean_rate_rad_s, turn_rad};
 use crate::sweep::image::shifted;
 use crate::sweep::layout::{flags, is_return};
@@ -78,38 +77,34 @@ pub struct Angles {
     cos2_elevation: Vec<f64>,
     /// By row: in how many columns further its pixel was fired.
     shifts: Vec<i32>,
-    /// By column: azimuth from the firing before, radians; of column 0, from the last one.
-    gap_rad: Vec<f64>,
-    sorted_rad: Vec<f64>,
-    /// By column: the square of the sine of half that gap; `None` where the two are no neighbours.
-    sin2_half_gap: Vec<Option<f64>>,
+    /// Gaps between neighbouring columns, in disorder.
+    pub(super) gaps_rad: Vec<f64>,
+    /// By column: the square of the sine of half the gap to the firing before, of column 0 to the last one; `None` where the
+    /// two are no neighbours.
+    pub(super) sin2_half_gap: Vec<Option<f64>>,
     circular: bool,
+    /// The square of the tangent of theta.
+    tan2_theta: f64,
 }
 
 impl Angles {
     /// Angles of a whole turn of columns that are as far apart in every row: the approximation of the paper. `down_rad[r]`
-    /// is the angle between row `r` and the one below it, radians.
-    pub fn even(down_rad: &[f64], columns: usize) -> Self {
-        let half_gap_rad = PI / columns as f64;
+    /// is the angle between row `r` and the one below it. Angles are in radians.
+    pub fn even(down_rad: &[f64], columns: usize, theta_rad: f64) -> Self {
         Self {
-            below: down_rad.iter().map(|&alpha_rad| Pair::of_one_origin(alpha_rad)).collect(),
+            below: down_rad.iter().copied().map(Pair::of_one_origin).collect(),
             cos2_elevation: vec![1.0; down_rad.len() + 1],
             shifts: vec![0; down_rad.len() + 1],
-            sin2_half_gap: vec![Some(half_gap_rad.sin().powi(2)); columns],
+            sin2_half_gap: vec![Some((PI / columns as f64).sin().powi(2)); columns],
             circular: true,
+            tan2_theta: theta_rad.tan().powi(2),
             ..Self::default()
         }
     }
 
-    /// Takes room for so many columns.
-    pub(super) fn reserve(&mut self, columns: usize) {
-        reserve(&mut self.gap_rad, columns);
-        reserve(&mut self.sorted_rad, columns);
-        reserve(&mut self.sin2_half_gap, columns);
-    }
-
-    /// Takes the angles of a sweep.
-    pub fn measure(&mut self, sweep: &SweepRef<'_>) {
+    /// Takes the angles of a sweep, and theta, radians.
+    pub fn measure(&mut self, sweep: &SweepRef<'_>, theta_rad: f64) {
+        self.tan2_theta = theta_rad.tan().powi(2);
         let pitch_rad = self.measure_columns(sweep.columns, sweep.header.has(flags::CIRCULAR));
         self.measure_rows(sweep.beams, pitch_rad, mean_rate_rad_s(sweep.columns));
     }
@@ -118,20 +113,17 @@ impl Angles {
     /// needs no model and holds at any speed.
     fn measure_columns(&mut self, columns: &[Column], circular: bool) -> f64 {
         self.circular = circular;
-        self.gap_rad.clear();
-        self.sorted_rad.clear();
+        self.gaps_rad.clear();
         self.sin2_half_gap.clear();
-        let before = columns.last().into_iter().chain(columns);
-        self.gap_rad.extend(before.zip(columns).map(|(before, column)| gap_rad(before, column)));
-        self.sorted_rad.extend(&self.gap_rad[usize::from(!circular).min(columns.len())..]);
-        if self.sorted_rad.is_empty() {
-            self.sin2_half_gap.resize(columns.len(), None);
-            return 0.0;
+        self.gaps_rad.extend((usize::from(!circular)..columns.len()).map(|column| gap_rad(columns, column)));
+        let mut pitch_rad = 0.0;
+        if !self.gaps_rad.is_empty() {
+            let middle = (self.gaps_rad.len() - 1) / 2;
+            pitch_rad = *self.gaps_rad.select_nth_unstable_by(middle, f64::total_cmp).1;
         }
-        let middle = (self.sorted_rad.len() - 1) / 2;
-        let pitch_rad = *self.sorted_rad.select_nth_unstable_by(middle, f64::total_cmp).1;
-        for (column, gap_rad) in self.gap_rad.iter().enumerate() {
-            let is_near = *gap_rad < MAX_PITCHES * pitch_rad && (column > 0 || circular);
+        for column in 0..columns.len() {
+            let gap_rad = gap_rad(columns, column);
+            let is_near = gap_rad < MAX_PITCHES * pitch_rad && (column > 0 || circular);
             self.sin2_half_gap.push(is_near.then(|| (gap_rad / 2.0).sin().powi(2)));
         }
         pitch_rad
@@ -191,7 +183,7 @@ impl Angles {
 
     /// Whether the pixels of a row and of the row below it, at these ranges in metres, belong together.
     #[inline]
-    pub fn joins_below(&self, row: usize, high_m: f32, low_m: f32, theta: &Theta) -> bool {
+    pub fn joins_below(&self, row: usize, high_m: f32, low_m: f32) -> bool {
         if !(is_return(high_m) && is_return(low_m)) {
             return false;
         }
@@ -201,12 +193,12 @@ impl Angles {
         let near_m = high_m.min(low_m);
         let up_m = pair.sin_up * near_m + pair.up_m;
         let aside_m = pair.sin_aside * near_m + pair.aside_m;
-        theta.is_less(up_m * up_m + aside_m * aside_m, high_m.max(low_m) - near_m * pair.cos_alpha)
+        self.passes(up_m * up_m + aside_m * aside_m, high_m.max(low_m) - near_m * pair.cos_alpha)
     }
 
     /// Whether the pixels of a row in a column and in the one before it, at these ranges in metres, belong together.
     #[inline]
-    pub fn joins_before(&self, column: usize, row: usize, here_m: f32, before_m: f32, theta: &Theta) -> bool {
+    pub fn joins_before(&self, column: usize, row: usize, here_m: f32, before_m: f32) -> bool {
         if !(is_return(here_m) && is_return(before_m)) {
             return false;
         }
@@ -215,26 +207,13 @@ impl Angles {
         let sin2_half = self.cos2_elevation[row] * sin2_half_gap;
         let near_m = f64::from(here_m.min(before_m));
         let across2 = near_m * near_m * 4.0 * sin2_half * (1.0 - sin2_half);
-        theta.is_less(across2, f64::from(here_m.max(before_m)) - near_m * (1.0 - 2.0 * sin2_half))
-    }
-}
-
-/// The angle that beta has to exceed.
-#[derive(Clone, Copy, Debug)]
-pub struct Theta {
-    tan2: f64,
-}
-
-impl Theta {
-    /// An angle between 0 and a right one, radians.
-    pub fn new(theta_rad: f64) -> Self {
-        Self { tan2: theta_rad.tan().powi(2) }
+        self.passes(across2, f64::from(here_m.max(before_m)) - near_m * (1.0 - 2.0 * sin2_half))
     }
 
-    /// Whether beta is greater: the angle of a line that goes so far across a beam, squared, and so far along it.
+    /// Whether the beta of a line that goes so far across a beam, squared, and so far along it is greater than theta.
     #[inline]
-    fn is_less(self, across2: f64, along: f64) -> bool {
-        along < 0.0 || across2 > along * along * self.tan2
+    fn passes(&self, across2: f64, along: f64) -> bool {
+        along < 0.0 || across2 > along * along * self.tan2_theta
     }
 }
 
@@ -247,9 +226,10 @@ fn alpha_rad(high: &BeamRow, low: &BeamRow, turned_rad: f64) -> f64 {
     2.0 * (upright * upright + high_rad.cos() * low_rad.cos() * sideways * sideways).sqrt().min(1.0).asin()
 }
 
-/// Azimuth between two columns, whichever comes first, 0..pi.
-fn gap_rad(a: &Column, b: &Column) -> f64 {
-    let gap = (f64::from(a.azimuth_rad) - f64::from(b.azimuth_rad)).rem_euclid(TAU);
+/// Azimuth between a column and the one before it, or the last one for the first, whichever is ahead, 0..pi.
+fn gap_rad(columns: &[Column], column: usize) -> f64 {
+    let before = if column == 0 { columns.len() - 1 } else { column - 1 };
+    let gap = (f64::from(columns[before].azimuth_rad) - f64::from(columns[column].azimuth_rad)).rem_euclid(TAU);
     if gap > PI { TAU - gap } else { gap }
 }
 
@@ -262,8 +242,8 @@ mod tests {
         degrees.iter().map(|d| Column::measured(0, 0, d.to_radians(), 60.0, 0)).collect()
     }
 
-    fn theta(degrees: f64) -> Theta {
-        Theta::new(degrees.to_radians())
+    fn at_theta(angles: &Angles, degrees: f64) -> Angles {
+        Angles { tan2_theta: degrees.to_radians().tan().powi(2), ..angles.clone() }
     }
 
     #[test]
@@ -301,8 +281,8 @@ mod tests {
         assert!((alpha_rad(&rows[0], &rows[1], 0.5_f64.to_radians()).to_degrees() - 2_f64.hypot(0.5)).abs() < 1e-3);
         let mut angles = Angles::default();
         angles.measure_rows(&rows, 0.01, 500_f64.to_radians());
-        assert!(angles.joins_below(0, 10.5, 10.0, &theta(35.2)));
-        assert!(!angles.joins_below(0, 10.5, 10.0, &theta(35.6)));
+        assert!(at_theta(&angles, 35.2).joins_below(0, 10.5, 10.0));
+        assert!(!at_theta(&angles, 35.6).joins_below(0, 10.5, 10.0));
     }
 
     /// By hand: a degree at 60 degrees of elevation is half a degree. 10 m and 10.5 m are atan(0.0873 / 0.5), 9.9 degrees.
@@ -311,9 +291,9 @@ mod tests {
         let mut angles = Angles::default();
         let pitch_rad = angles.measure_columns(&columns(&[0.0, 1.0]), false);
         angles.measure_rows(&[BeamRow::new(&Beam::ideal(0, 60_f64.to_radians()), 0)], pitch_rad, 0.0);
-        assert!(angles.joins_before(1, 0, 10.0, 10.5, &theta(9.8)));
-        assert!(!angles.joins_before(1, 0, 10.0, 10.5, &theta(10.0)));
-        assert!(!angles.joins_before(0, 0, 10.0, 10.5, &theta(1.0)), "nothing is before the first column");
+        assert!(at_theta(&angles, 9.8).joins_before(1, 0, 10.0, 10.5));
+        assert!(!at_theta(&angles, 10.0).joins_before(1, 0, 10.0, 10.5));
+        assert!(!at_theta(&angles, 1.0).joins_before(0, 0, 10.0, 10.5), "nothing is before the first column");
     }
 
     /// By hand: two level beams of which one starts 0.1 m above the other, and 0.05 m to the left. At 10 m and 11 m they are
@@ -326,9 +306,9 @@ mod tests {
         let mut angles = Angles::default();
         angles.measure_rows(&[beam(0.1, 0.05), beam(0.0, 0.0)], 0.01, 0.0);
         for [high_m, low_m] in [[10.0, 11.0], [11.0, 10.0], [50.0, 51.0]] {
-            assert!(angles.joins_below(0, high_m, low_m, &theta(6.3)));
-            assert!(!angles.joins_below(0, high_m, low_m, &theta(6.5)));
+            assert!(at_theta(&angles, 6.3).joins_below(0, high_m, low_m));
+            assert!(!at_theta(&angles, 6.5).joins_below(0, high_m, low_m));
         }
-        assert!(!angles.joins_below(0, 0.0, 11.0, &theta(1.0)) && !angles.joins_below(0, 11.0, 0.0, &theta(1.0)));
+        assert!(!at_theta(&angles, 1.0).joins_below(0, 0.0, 11.0) && !at_theta(&angles, 1.0).joins_below(0, 11.0, 0.0));
     }
 }

@@ -4,37 +4,27 @@
 //! finds the same components: a pixel goes on with the piece that it is joined to, above or in the column before, and two
 //! pieces that meet are united. A component is known by its first piece, and these number the segments.
 
-use super::angles::{Angles, Theta};
-use crate::segment::reserve;
+use super::angles::Angles;
 use crate::sweep::layout::{LABEL_FIRST_SEGMENT, LABEL_NONE, is_return};
 
 /// Workspace of the components.
 #[derive(Clone, Debug, Default)]
 pub struct Components {
     /// By pixel with a range: its piece.
-    piece: Vec<u32>,
+    pub(super) piece: Vec<u32>,
     /// By piece: one of the same component that began earlier, or the piece itself.
-    parent: Vec<u32>,
+    pub(super) parent: Vec<u32>,
     /// By piece: its pixels that count, and at its root those of the component.
-    points: Vec<u32>,
+    pub(super) points: Vec<u32>,
     /// By piece: the label of its component.
-    label: Vec<u32>,
+    pub(super) label: Vec<u32>,
 }
 
 impl Components {
-    /// Takes room for so many pixels.
-    pub(super) fn reserve(&mut self, pixels: usize) {
-        reserve(&mut self.piece, pixels);
-        reserve(&mut self.parent, pixels);
-        reserve(&mut self.points, pixels);
-        reserve(&mut self.label, pixels);
-    }
-
     /// Finds the pieces of an image, and which of them belong together. Ranges, in metres, are 0 where nothing is. Pixels
     /// that do not count only connect.
-    pub fn connect(&mut self, range_m: &[f32], counts: &[bool], angles: &Angles, theta_rad: f64) {
+    pub fn connect(&mut self, range_m: &[f32], counts: &[bool], angles: &Angles) {
         let rows = angles.rows();
-        let theta = Theta::new(theta_rad);
         self.piece.resize(range_m.len(), 0);
         self.parent.clear();
         self.points.clear();
@@ -45,38 +35,35 @@ impl Components {
                     continue;
                 }
                 let mut piece = None;
-                if row > 0 && angles.joins_below(row - 1, range_m[here - 1], range_m[here], &theta) {
+                if row > 0 && angles.joins_below(row - 1, range_m[here - 1], range_m[here]) {
                     piece = Some(self.piece[here - 1]);
                 }
                 if column > 0 && is_return(range_m[here - rows]) {
                     let before = self.piece[here - rows];
                     // Within a wall both are the same, and nothing is left to test.
                     let is_known = piece.is_some_and(|piece| self.has_met(piece, before));
-                    if !is_known && angles.joins_before(column, row, range_m[here], range_m[here - rows], &theta) {
+                    if !is_known && angles.joins_before(column, row, range_m[here], range_m[here - rows]) {
                         match piece {
                             Some(piece) => self.unite(piece, before),
                             None => piece = Some(before),
                         }
                     }
                 }
-                let piece = piece.unwrap_or_else(|| self.begin());
+                let piece = piece.unwrap_or(self.parent.len() as u32);
+                if piece as usize == self.parent.len() {
+                    self.parent.push(piece);
+                    self.points.push(0);
+                }
                 self.piece[here] = piece;
                 self.points[piece as usize] += u32::from(counts[here]);
             }
         }
         let seam = range_m.len().saturating_sub(rows);
         for row in 0..range_m.len().min(rows) {
-            if angles.joins_before(0, row, range_m[row], range_m[seam + row], &theta) {
+            if angles.joins_before(0, row, range_m[row], range_m[seam + row]) {
                 self.unite(self.piece[row], self.piece[seam + row]);
             }
         }
-    }
-
-    fn begin(&mut self) -> u32 {
-        let piece = self.parent.len() as u32;
-        self.parent.push(piece);
-        self.points.push(0);
-        piece
     }
 
     /// Whether two pieces are known to belong together without a search.
@@ -137,7 +124,7 @@ mod tests {
     /// Labels of the first columns of an image whose neighbours are a degree apart, the rest of it being empty, at theta 10
     /// degrees: 10 m and 10.1 m belong together, 10 m and 12 m do not. A negative range only connects.
     fn label(rows: usize, first_m: &[f32], min_points: u32, max_segments: usize) -> Vec<u32> {
-        let angles = Angles::even(&vec![1_f64.to_radians(); rows - 1], 360);
+        let angles = Angles::even(&vec![1_f64.to_radians(); rows - 1], 360, 10_f64.to_radians());
         let counts: Vec<bool> =
             (0..360 * rows).map(|pixel| first_m.get(pixel).is_some_and(|&range| range > 0.0)).collect();
         let mut range_m: Vec<f32> = first_m.iter().map(|range_m| range_m.abs()).collect();
@@ -146,7 +133,7 @@ mod tests {
         let mut components = Components::default();
         // Twice, so that nothing of the first time is left.
         for _ in 0..2 {
-            components.connect(&range_m, &counts, &angles, 10_f64.to_radians());
+            components.connect(&range_m, &counts, &angles);
             let segments = components.label(&counts, min_points, max_segments, &mut labels);
             assert_eq!(segments, labels.iter().max().map_or(0, |most| most.saturating_sub(1)) as usize);
         }

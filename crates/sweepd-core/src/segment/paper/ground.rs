@@ -6,7 +6,6 @@
 use std::f32::consts::{FRAC_PI_2, FRAC_PI_4};
 
 use super::angles::Angles;
-use crate::segment::reserve;
 use crate::sweep::layout::is_return;
 
 /// What counts as ground.
@@ -97,19 +96,11 @@ pub struct Slopes {
     /// By row: cosine and sine of the elevation.
     cos: Vec<f32>,
     sin: Vec<f32>,
-    /// The points of a column: forward and up, by row, behind the first one once more.
-    x_m: Vec<f32>,
-    z_m: Vec<f32>,
     /// The inclinations of a column, with a margin on both ends.
     line_rad: Vec<f32>,
 }
 
 impl Slopes {
-    /// Takes room for so many pixels.
-    pub(super) fn reserve(&mut self, pixels: usize) {
-        reserve(&mut self.inclination_rad, pixels);
-    }
-
     /// Begins an image whose rows have these elevations, radians.
     pub fn begin(&mut self, elevations_rad: impl Iterator<Item = f32>) {
         self.inclination_rad.clear();
@@ -119,20 +110,21 @@ impl Slopes {
             self.cos.push(elevation_rad.cos());
             self.sin.push(elevation_rad.sin());
         }
-        let rows = self.cos.len();
-        self.x_m.resize(rows + 1, 0.0);
-        self.z_m.resize(rows + 1, 0.0);
-        self.line_rad.resize(rows + 2 * MARGIN, 0.0);
+        self.line_rad.clear();
+        self.line_rad.resize(self.cos.len() + 2 * MARGIN, 0.0);
     }
 
     /// Adds a column with these ranges, metres.
     pub fn add(&mut self, range_m: &[f32], window: Window) {
         let rows = range_m.len();
-        place(range_m, &self.cos, &mut self.x_m);
-        place(range_m, &self.sin, &mut self.z_m);
-        let steps = self.x_m.windows(2).zip(self.z_m.windows(2));
-        for (inclination_rad, (x_m, z_m)) in self.line_rad[MARGIN..].iter_mut().zip(steps) {
-            *inclination_rad = steepness_rad((z_m[1] - z_m[0]).abs(), (x_m[1] - x_m[0]).abs());
+        // Slices of one length: the loop needs no check of its bounds.
+        let cos = &self.cos[..rows];
+        let sin = &self.sin[..rows];
+        let line_rad = &mut self.line_rad[MARGIN..][..rows];
+        for row in 1..rows {
+            let rise_m = range_m[row] * sin[row] - range_m[row - 1] * sin[row - 1];
+            let run_m = range_m[row] * cos[row] - range_m[row - 1] * cos[row - 1];
+            line_rad[row] = steepness_rad(rise_m.abs(), run_m.abs());
         }
         // Beyond its ends, the column is mirrored at its last pixels.
         for beyond in 1..=MARGIN {
@@ -141,14 +133,6 @@ impl Slopes {
         }
         smooth(&self.line_rad, window, &mut self.inclination_rad);
     }
-}
-
-/// One coordinate of a column's points; the top row has itself above it.
-fn place(range_m: &[f32], direction: &[f32], axis_m: &mut [f32]) {
-    for (axis_m, (range_m, direction)) in axis_m[1..].iter_mut().zip(range_m.iter().zip(direction)) {
-        *axis_m = range_m * direction;
-    }
-    axis_m[0] = axis_m[1];
 }
 
 /// Pixels that the longest window reaches to each side.
@@ -181,16 +165,10 @@ pub struct Flood {
     /// What is ground, by pixel; of holes too, where it reaches them.
     pub ground: Vec<bool>,
     /// Column and row of the pixels whose neighbours are still to be looked at.
-    queue: Vec<[usize; 2]>,
+    pub(super) queue: Vec<[usize; 2]>,
 }
 
 impl Flood {
-    /// Takes room for so many pixels.
-    pub(super) fn reserve(&mut self, pixels: usize) {
-        reserve(&mut self.ground, pixels);
-        reserve(&mut self.queue, pixels);
-    }
-
     /// Starts at the lowest pixel of each column with a range, where it is flat enough, and goes on to all neighbours whose
     /// inclination differs by less than the angle. A hole is reached, but nothing from there.
     pub fn run(&mut self, range_m: &[f32], inclination_rad: &[f32], angles: &Angles, limits: &PaperGround) {
@@ -313,7 +291,7 @@ mod tests {
     /// down there to a hole, which it marks and does not leave. What is steeper by 0.2 stays, as does a steep foot.
     #[test]
     fn the_ground_floods_level_neighbours() {
-        let angles = Angles::even(&[0.02; 3], 3);
+        let angles = Angles::even(&[0.02; 3], 3, 0.2);
         let range_m = [[0.0, 9.0, 9.0, 9.0], [9.0, 9.0, 9.0, 9.0], [9.0, 9.0, 0.0, 9.0]].concat();
         let inclination_rad = [[0.3, 0.1, 0.1, 0.1], [0.9, 0.9, 0.9, 0.9], [0.3, 0.1, 0.1, 0.8]].concat();
         let mut flood = Flood::default();

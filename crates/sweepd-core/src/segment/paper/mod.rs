@@ -25,7 +25,7 @@ use ground::{Flood, Slopes};
 use table::Table;
 
 /// Labels sweeps as the paper does; after the first in buffers of one size it allocates nothing.
-#[derive(Clone, Debug)]
+#[derive(Clone, Debug, Default)]
 pub(super) struct Authors {
     /// Ranges that may be labelled, and what fills their holes; 0 elsewhere, and where the ground was found.
     range_m: Vec<f32>,
@@ -40,26 +40,12 @@ pub(super) struct Authors {
 }
 
 impl Authors {
-    /// Uses no more than these instructions of the machine.
-    pub fn new(level: Level) -> Self {
-        Self {
-            range_m: Vec::new(),
-            real: Vec::new(),
-            slopes: Slopes::default(),
-            flood: Flood::default(),
-            angles: Angles::default(),
-            components: Components::default(),
-            table: Table::new(level),
-            is_found: false,
-        }
-    }
-
     /// Takes what may be labelled, and the angles between neighbours.
     pub fn begin(&mut self, sweep: &SweepMut<'_>, config: &Config) {
         self.reserve(sweep);
         self.is_found = false;
         let sweep = sweep.as_ref();
-        self.angles.measure(&sweep);
+        self.angles.measure(&sweep, f64::from(config.theta_rad));
         self.slopes.begin(sweep.beams.iter().map(|beam| beam.elevation_rad));
         self.take(&sweep, config);
     }
@@ -70,11 +56,18 @@ impl Authors {
         let pixels = sweep.range.len();
         reserve(&mut self.range_m, pixels);
         reserve(&mut self.real, pixels);
-        self.slopes.reserve(pixels);
-        self.flood.reserve(pixels);
-        self.angles.reserve(sweep.columns.len());
-        self.components.reserve(pixels);
-        self.table.reserve(sweep.columns.len(), sweep.segments.len());
+        reserve(&mut self.slopes.inclination_rad, pixels);
+        reserve(&mut self.flood.ground, pixels);
+        reserve(&mut self.flood.queue, pixels);
+        reserve(&mut self.angles.gaps_rad, sweep.columns.len());
+        reserve(&mut self.angles.sin2_half_gap, sweep.columns.len());
+        reserve(&mut self.components.piece, pixels);
+        reserve(&mut self.components.parent, pixels);
+        reserve(&mut self.components.points, pixels);
+        reserve(&mut self.components.label, pixels);
+        self.table.points.reserve(sweep.columns.len());
+        reserve(&mut self.table.sums, sweep.segments.len());
+        reserve(&mut self.table.extents, sweep.segments.len());
     }
 
     fn take(&mut self, sweep: &SweepRef<'_>, config: &Config) {
@@ -111,12 +104,12 @@ impl Authors {
     }
 
     /// Joins what is no ground.
-    pub fn join(&mut self, config: &Config) {
-        self.components.connect(&self.range_m, &self.real, &self.angles, f64::from(config.theta_rad));
+    pub fn join(&mut self) {
+        self.components.connect(&self.range_m, &self.real, &self.angles);
     }
 
     /// Writes the labels, the segments table and the header's counts.
-    pub fn label(&mut self, sweep: &mut SweepMut<'_>, config: &Config) {
+    pub fn label(&mut self, sweep: &mut SweepMut<'_>, config: &Config, level: Level) {
         let pixels = sweep.image_pixels();
         let labels = &mut sweep.label[pixels];
         let segments = self.components.label(&self.real, config.min_points, sweep.segments.len(), labels);
@@ -126,6 +119,6 @@ impl Authors {
             *label = LABEL_GROUND;
             sweep.header.ground += 1;
         }
-        self.table.describe(sweep, config);
+        self.table.describe(sweep, config, level);
     }
 }

@@ -2,47 +2,34 @@
 
 use fearless_simd::{Level, Simd, dispatch};
 
+use crate::segment::Config;
 use crate::segment::extent::Extent;
 use crate::segment::ground::Window;
 use crate::segment::pieces::{Sum, measure};
 use crate::segment::points::{Points, STRIP};
-use crate::segment::{Config, reserve};
 use crate::sweep::layout::LABEL_FIRST_SEGMENT;
 use crate::sweep::{SweepMut, SweepRef};
 
 /// Workspace of the table.
-#[derive(Clone, Debug)]
+#[derive(Clone, Debug, Default)]
 pub(super) struct Table {
-    level: Level,
-    points: Points,
+    pub points: Points,
     words: Vec<Window>,
-    sums: Vec<Sum>,
-    extents: Vec<Extent>,
+    pub sums: Vec<Sum>,
+    pub extents: Vec<Extent>,
 }
 
 impl Table {
-    /// A table whose points are placed with no more than these instructions of the machine.
-    pub fn new(level: Level) -> Self {
-        let points = Points::default();
-        Self { level, points, words: Vec::new(), sums: Vec::new(), extents: Vec::new() }
-    }
-
-    /// Takes room for so many columns and segments.
-    pub fn reserve(&mut self, columns: usize, segments: usize) {
-        self.points.reserve(columns);
-        reserve(&mut self.sums, segments);
-        reserve(&mut self.extents, segments);
-    }
-
-    /// Writes the table of the segments that the pixels are labelled with.
-    pub fn describe(&mut self, sweep: &mut SweepMut<'_>, config: &Config) {
+    /// Writes the table of the segments that the pixels are labelled with; their points are placed with no more than these
+    /// instructions of the machine.
+    pub fn describe(&mut self, sweep: &mut SweepMut<'_>, config: &Config, level: Level) {
         let segments = sweep.header.segments as usize;
         self.words.resize(sweep.beams.len(), Window::default());
         self.sums.clear();
         self.sums.resize(segments, Sum::NONE);
         self.extents.clear();
         self.extents.resize(segments, Extent::default());
-        dispatch!(self.level, simd => self.add(simd, &sweep.as_ref(), config));
+        dispatch!(level, simd => self.add(simd, &sweep.as_ref(), config));
         let measured = self.sums.iter().zip(&self.extents);
         for ((segment, (sum, extent)), label) in sweep.segments.iter_mut().zip(measured).zip(LABEL_FIRST_SEGMENT..) {
             *segment = sum.segment(label);
