@@ -16,8 +16,8 @@
 //!   [`Segmenter::begin_early`]. `strips` holds its steps together.
 //! * [`Method::Paper`] is the paper's own, in the folder [`paper`]: all of an image at once, and only pixels that touch.
 //!
-//! [`settings`] has the options as people write them. [`naive`] says the same as both methods without any of the speed, and
-//! the tests hold the two against each other.
+//! [`settings`] has the options as people write them. [`naive`] says the same as the default method without any of the
+//! speed, and the tests hold the two against each other.
 
 mod crowd;
 mod directions;
