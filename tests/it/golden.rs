@@ -6,14 +6,11 @@ use crate::common;
 use std::path::{Path, PathBuf};
 
 use crate::common::npy;
-use fearless_simd::{Level, dispatch};
 use serde_json::Value;
-use sweepd::segment::paper::connect::filled;
-use sweepd::segment::paper::flood::Flood;
-use sweepd::segment::paper::ground::{Directions, Line, MARGIN, incline, level, repair, smooth, start};
-use sweepd::segment::{
-    Angles, Components, Connector, Joins, Limits, MAX_ROWS, PaperFinder, PaperGround, Parts, Window, naive,
-};
+use sweepd::segment::paper::angles::Angles;
+use sweepd::segment::paper::components::Components;
+use sweepd::segment::paper::ground::{Flood, PaperGround, Slopes, Window, repair};
+use sweepd::sweep::layout::is_return;
 
 const CASES: usize = 16;
 
@@ -25,7 +22,7 @@ struct Case {
     rows: usize,
     columns: usize,
     elevations_rad: Vec<f32>,
-    angles: Angles,
+    down_rad: Vec<f64>,
 }
 
 impl Case {
@@ -34,10 +31,9 @@ impl Case {
         let [rows, columns] = ["rows", "cols"].map(|key| params[key].as_u64().unwrap() as usize);
         let row_angles = npy::read(&dir.join("row_angles.npy")).values;
         let down_rad: Vec<f64> = row_angles.windows(2).map(|pair| (pair[0] - pair[1]).abs()).collect();
-        let angles = Angles::even(&down_rad, columns, true);
         let elevations_rad = row_angles.iter().map(|&angle| angle as f32).collect();
         let name = dir.file_name().unwrap().to_string_lossy().into_owned();
-        Self { dir, name, params, rows, columns, elevations_rad, angles }
+        Self { dir, name, params, rows, columns, elevations_rad, down_rad }
     }
 
     fn image(&self, file: &str) -> Vec<f32> {
@@ -58,53 +54,46 @@ impl Case {
     }
 
     /// The authors' last step widens the mask, by rows that come from a slip in their program.
-    fn widened(&self, marked: &[u128]) -> Vec<bool> {
+    fn widened(&self, marked: &[bool]) -> Vec<bool> {
         let offsets = self.params["dilation_row_offsets_effective"].as_array().unwrap();
         let at = |column: usize, row: usize| {
             offsets.iter().any(|offset| {
                 let row = row as i64 + offset.as_i64().unwrap();
-                (0..self.rows as i64).contains(&row) && marked[column] >> row & 1 == 1
+                (0..self.rows as i64).contains(&row) && marked[column * self.rows + row as usize]
             })
         };
         (0..self.rows * self.columns).map(|index| at(index / self.rows, index % self.rows)).collect()
     }
 
-    /// The columns of an image as lines.
-    fn lines(&self, image: &[f32]) -> Vec<Line> {
-        let line = |column: &[f32]| {
-            let mut line = [0.0; MAX_ROWS + 2 * MARGIN];
-            line[MARGIN..MARGIN + self.rows].copy_from_slice(column);
-            line
-        };
-        image.chunks_exact(self.rows).map(line).collect()
+    fn angles(&self, theta_deg: f64) -> Angles {
+        Angles::even(&self.down_rad, self.columns, theta_deg.to_radians())
+    }
+
+    /// Fills the holes of an image, and gives the inclinations.
+    fn inclinations_rad(&self, ground: &PaperGround, range_m: &mut [f32]) -> Vec<f32> {
+        let mut slopes = Slopes::default();
+        slopes.begin(self.elevations_rad.iter().copied());
+        for column in range_m.chunks_exact_mut(self.rows) {
+            repair(column, ground);
+            slopes.add(column, ground.window);
+        }
+        slopes.inclination_rad
     }
 
     /// The ground by these inclinations.
-    fn flood(&self, ground: &PaperGround, inclination_rad: &[f32], mut joins: Vec<Joins>) -> Vec<u128> {
-        let lines = self.lines(inclination_rad);
-        for (column, joins) in joins.iter_mut().enumerate() {
-            let pair = [&lines[(column + self.columns - 1) % self.columns], &lines[column]];
-            let neighbours = self.angles.neighbours(column);
-            dispatch!(Level::new(), simd => level(simd, ground, pair, self.rows, neighbours, joins));
-        }
-        let starts: Vec<u128> =
-            lines.iter().zip(&joins).map(|(line, joins)| start(ground, line, joins.filled)).collect();
-        let mut marked = Vec::new();
-        Flood::new(Level::new()).run(&joins, &starts, &mut marked);
-        marked
+    fn flood(&self, ground: &PaperGround, range_m: &[f32], inclination_rad: &[f32]) -> Vec<bool> {
+        let mut flood = Flood::default();
+        flood.run(range_m, inclination_rad, &self.angles(10.0), ground);
+        flood.ground
     }
 
     /// Labels of all pixels with a range, numbered from 1 by their first pixel in the authors' order: row after row.
     fn labels(&self, range_m: &[f32], theta_deg: f64) -> Vec<f32> {
-        let (mut joins, ground) = (Vec::new(), vec![0; self.columns]);
-        Connector::new(Level::new()).connect(range_m, &ground, &self.angles, theta_deg.to_radians(), &mut joins);
-        let real: Vec<u128> = joins.iter().map(|joins| joins.filled).collect();
-        let parts = Parts { rows: self.rows, joins: &joins, real: &real, ground: &ground };
-        let limits = Limits { min_points: 1, max_segments: usize::MAX };
+        let counts: Vec<bool> = range_m.iter().map(|&range_m| is_return(range_m)).collect();
+        let mut components = Components::default();
+        components.connect(range_m, &counts, &self.angles(theta_deg));
         let mut labels = vec![u32::MAX; range_m.len()];
-        let segments = Components::new(Level::new()).label(&parts, limits, &mut labels);
-        let naive = naive::connect(range_m, range_m, &self.angles, theta_deg.to_radians(), limits);
-        assert_eq!(labels, naive, "{}", self.name);
+        let segments = components.label(&counts, 1, usize::MAX, &mut labels);
         let (mut numbers, mut next) = (vec![0.0; segments + 2], 1.0);
         for place in 0..labels.len() {
             let label = labels[place % self.columns * self.rows + place / self.columns] as usize;
@@ -157,39 +146,19 @@ fn repair_and_inclinations_are_the_authors() {
     for case in cases() {
         let ground = case.ground();
         let mut range_m = case.image("range.npy");
-        let joins: Vec<Joins> = range_m
-            .chunks_exact_mut(case.rows)
-            .map(|column| {
-                let whole = dispatch!(Level::new(), simd => filled(simd, column, case.rows));
-                Joins { filled: repair(&ground, column, whole), ..Joins::default() }
-            })
-            .collect();
+        let inclination_rad = case.inclinations_rad(&ground, &mut range_m);
         assert_near(&case, "repaired", &range_m, &case.image("repaired.npy"));
-        let is_filled = |index: usize| joins[index / case.rows].filled >> (index % case.rows) & 1 == 1;
-        assert!((0..range_m.len()).all(|index| is_filled(index) == (range_m[index] > 0.0)), "{}", case.name);
-
-        let mut directions = Directions::default();
-        directions.take(case.elevations_rad.iter().copied());
-        let mut smoothed_rad = Vec::new();
-        for column in case.lines(&range_m) {
-            let [mut inclination, mut smoothed] = [[0.0; MAX_ROWS + 2 * MARGIN]; 2];
-            dispatch!(Level::new(), simd => {
-                incline(simd, &column, &directions, case.rows, &mut inclination);
-                smooth(simd, ground.window, &inclination, case.rows, &mut smoothed);
-            });
-            smoothed_rad.extend_from_slice(&smoothed[MARGIN..MARGIN + case.rows]);
-        }
         let golden_rad = case.image("angle_smoothed.npy");
-        assert_near(&case, "smoothed", &smoothed_rad, &golden_rad);
+        assert_near(&case, "smoothed", &inclination_rad, &golden_rad);
 
         // Their inclinations give their mask without exception.
-        let marked = case.flood(&ground, &golden_rad, joins);
+        let marked = case.flood(&ground, &range_m, &golden_rad);
         assert_eq!(count_differences(&case, &range_m, &marked), 0, "{}", case.name);
     }
 }
 
 /// Pixels that are ground for us alone, or for the authors alone.
-fn count_differences(case: &Case, repaired_m: &[f32], marked: &[u128]) -> usize {
+fn count_differences(case: &Case, repaired_m: &[f32], marked: &[bool]) -> usize {
     let noground = case.image("noground.npy");
     let ours = case.widened(marked);
     (0..ours.len()).filter(|&i| repaired_m[i] > 0.0 && ours[i] == (noground[i] > 0.0)).count()
@@ -200,18 +169,12 @@ fn count_differences(case: &Case, repaired_m: &[f32], marked: &[u128]) -> usize 
 fn ground_is_the_authors() {
     for case in cases() {
         let ground = case.ground();
-        let (mut range_m, mut marked) = (case.image("range.npy"), Vec::new());
-        let raw_m = range_m.clone();
-        let elevations_rad = case.elevations_rad.iter().copied();
-        PaperFinder::new(Level::new()).find(&ground, &mut range_m, elevations_rad, &case.angles, &mut marked);
+        let mut range_m = case.image("range.npy");
+        let inclination_rad = case.inclinations_rad(&ground, &mut range_m);
+        let marked = case.flood(&ground, &range_m, &inclination_rad);
         let allowed = usize::from(case.name == "kitti_000005_64x870");
         let differences = count_differences(&case, &range_m, &marked);
         assert!(differences <= allowed, "{}: {differences} pixels differ", case.name);
-
-        let mut naive_m = raw_m;
-        let naive = naive::paper_ground(&mut naive_m, &case.elevations_rad, &case.angles, &ground);
-        assert_eq!(naive_m, range_m, "{}", case.name);
-        assert!((0..naive.len()).all(|i| naive[i] == (marked[i / case.rows] >> (i % case.rows) & 1 == 1)));
 
         if differences == 0 {
             let widened = case.widened(&marked);

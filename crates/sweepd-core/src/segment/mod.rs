@@ -16,8 +16,8 @@
 //!   [`Segmenter::begin_early`]. `strips` holds its steps together.
 //! * [`Method::Paper`] is the paper's own, in the folder [`paper`]: all of an image at once, and only pixels that touch.
 //!
-//! [`settings`] has the options as people write them. [`naive`] says the same as both methods without any of the speed, and
-//! the tests hold the two against each other.
+//! [`settings`] has the options as people write them. [`naive`] says the same as the default method without any of the
+//! speed, and the tests hold the two against each other.
 
 mod crowd;
 mod directions;
@@ -43,10 +43,7 @@ use std::f32::consts::FRAC_PI_2;
 pub use ground::SlopeGround;
 pub use mask::{Mask, MaskError};
 pub use mount::{HeightEstimator, Mount};
-pub use paper::angles::Angles;
-pub use paper::components::{Components, Limits, Parts};
-pub use paper::connect::{Connector, Joins, MAX_ROWS};
-pub use paper::ground::{PaperFinder, PaperGround, Window};
+pub use paper::ground::{PaperGround, Window};
 pub use settings::Settings;
 pub use tiles::turn_over;
 pub use window::Joining;
@@ -60,6 +57,9 @@ use window::{MOST_COLUMNS, MOST_ROWS};
 
 /// The two returns of a dual pixel share a label when they are no further apart than this, metres.
 pub const SAME_OBJECT_M: f32 = 0.3;
+
+/// Most rows of an image.
+pub const MAX_ROWS: usize = 128;
 
 /// Images of so many rows or more are dense: some limits that were not told are chosen by that.
 const DENSE_ROWS: usize = 48;
@@ -202,6 +202,7 @@ impl Config {
 #[derive(Clone, Debug)]
 pub struct Segmenter {
     config: Config,
+    level: Level,
     height: HeightEstimator,
     strips: Strips,
     authors: Authors,
@@ -226,8 +227,8 @@ impl Segmenter {
     /// [`ConfigError`].
     pub fn with_level(config: Config, level: Level) -> Result<Self, ConfigError> {
         config.check()?;
-        let (height, strips, authors) = (HeightEstimator::default(), Strips::new(level), Authors::new(level));
-        Ok(Self { config, height, strips, authors, open: None, spoilt: None })
+        let (height, strips, authors) = (HeightEstimator::default(), Strips::new(level), Authors::default());
+        Ok(Self { config, level, height, strips, authors, open: None, spoilt: None })
     }
 
     /// What it was told.
@@ -258,7 +259,7 @@ impl Segmenter {
     /// # Panics
     /// If the sweep has more than [`MAX_ROWS`] rows.
     pub fn begin(&mut self, sweep: &mut SweepMut<'_>) {
-        assert!(sweep.header.rows as usize <= MAX_ROWS, "more rows than a word has bits");
+        assert!(sweep.header.rows as usize <= MAX_ROWS, "more rows than an image has");
         sweep.header.pitch_rad = self.config.mount.pitch_rad;
         sweep.header.roll_rad = self.config.mount.roll_rad;
         let told = self.config.mount.height_m;
@@ -315,7 +316,7 @@ impl Segmenter {
     /// Finds the ground in the next strip of columns (in all columns, as the paper has it). False when there is none left.
     pub fn find_ground(&mut self, sweep: &SweepMut<'_>) -> bool {
         match self.config.method {
-            Method::Paper => self.authors.find_ground(sweep, &self.config),
+            Method::Paper => self.authors.find_ground(&self.config),
             Method::Slope => self.strips.find_ground(sweep, &self.config),
         }
     }
@@ -324,7 +325,7 @@ impl Segmenter {
     /// [`Segmenter::find_ground`] said that there is some.
     pub fn join(&mut self) {
         match self.config.method {
-            Method::Paper => self.authors.join(&self.config),
+            Method::Paper => self.authors.join(),
             Method::Slope => self.strips.join(),
         }
     }
@@ -332,7 +333,7 @@ impl Segmenter {
     /// When all strips are joined: writes the labels, the segments table, and the header's counts.
     pub fn label(&mut self, sweep: &mut SweepMut<'_>) {
         match self.config.method {
-            Method::Paper => self.authors.label(sweep, &self.config),
+            Method::Paper => self.authors.label(sweep, &self.config, self.level),
             Method::Slope => {
                 self.strips.label(sweep, &self.config);
                 if self.config.mount.height_m.is_none() {

@@ -1,12 +1,20 @@
-//! The angles between neighbouring measurements: the alpha of the beta test.
+//! How the neighbours of an image lie to each other: the alpha of the paper, and its test of beta against theta.
+//!
+//! Two measurements d1 >= d2 that are the angle alpha apart lie on a line that meets the longer beam at the angle beta;
+//! they belong together when beta is greater than theta (paper, section III, equation 1):
+//!
+//! ```text
+//! beta = atan2(d2 sin alpha, d1 - d2 cos alpha) > theta
+//! ```
+//!
+//! The code compares the squared tangents instead, which needs neither an arctangent nor a root. A pixel without return has
+//! the range 0 and belongs to nothing.
 
 use std::f64::consts::{PI, TAU};
 
-use super::connect::first_rows;
-use crate::segment::reserve;
 use crate::segment::turn::{mean_rate_rad_s, turn_rad};
 use crate::sweep::image::shifted;
-use crate::sweep::layout::flags;
+use crate::sweep::layout::{flags, is_return};
 use crate::sweep::{BeamRow, Column, SweepRef};
 
 /// Columns further apart than this many nominal pitches are no neighbours.
@@ -15,50 +23,43 @@ const MAX_PITCHES: f64 = 3.0;
 /// neighbours are 1.4 mm apart, on an HDL-64E up to 90 mm.
 const ONE_ORIGIN_M: f64 = 0.005;
 
-/// How two neighbours of a column lie to each other when their beams start at different places, as those of the two heads
-/// of an HDL-64E do: what they are apart grows with the range from there on.
+/// How two neighbours of a column lie to each other.
 ///
 /// At the range d, the upper one is `sin_up d + up_m` above the lower one and `sin_aside d + aside_m` to the right of it,
-/// and its range, counted from the origin of the lower one, is `along_m` more.
-#[derive(Clone, Copy, Debug, Default, PartialEq)]
-pub struct Parallax {
-    /// Sine of the angle between the elevations.
-    pub sin_up: f64,
+/// and its range, counted from the origin of the lower one, is `along_m` more. The lengths are 0 where both beams start at
+/// one place; those of the two heads of an HDL-64E do not.
+#[derive(Clone, Copy, Debug, Default)]
+struct Pair {
+    /// Sine of the angle between the elevations; of alpha where both beams start at one place.
+    sin_up: f64,
     /// Height of the upper beam's origin over the lower one's, across the beams, metres.
-    pub up_m: f64,
+    up_m: f64,
     /// Sine of the angle between the azimuths, seen at this elevation.
-    pub sin_aside: f64,
+    sin_aside: f64,
     /// How far the upper beam's origin is to the right of the lower one's, metres.
-    pub aside_m: f64,
+    aside_m: f64,
     /// Along the beams, metres.
-    pub along_m: f64,
-    /// Cosine of the angle between the beams.
-    pub cos_alpha: f64,
+    along_m: f64,
+    /// Cosine of alpha.
+    cos_alpha: f64,
 }
 
-impl Parallax {
-    fn new(high: &BeamRow, low: &BeamRow, turned_rad: f64, alpha_rad: f64) -> Self {
-        let [w_high, w_low] = [high, low].map(|beam| f64::from(beam.elevation_rad));
-        let (sin_w, cos_w) = ((w_high + w_low) / 2.0).sin_cos();
-        let up_m = f64::from(high.vertical_offset_m) - f64::from(low.vertical_offset_m);
-        let aside_m = f64::from(low.horizontal_offset_m) - f64::from(high.horizontal_offset_m);
-        Self {
-            sin_up: (w_high - w_low).sin(),
-            up_m: up_m * cos_w,
-            sin_aside: turned_rad.sin() * cos_w,
-            aside_m,
-            along_m: up_m * sin_w,
-            cos_alpha: alpha_rad.cos(),
-        }
+impl Pair {
+    fn of_one_origin(alpha_rad: f64) -> Self {
+        Self { sin_up: alpha_rad.sin(), cos_alpha: alpha_rad.cos(), ..Self::default() }
     }
 
-    /// Ranges from one origin, the upper and the lower one, and how far apart the two are across the beams.
-    #[inline(always)]
-    pub fn apply(&self, high_m: f64, low_m: f64) -> ([f64; 2], f64) {
-        let high_m = high_m + self.along_m;
-        let near_m = if high_m < low_m { high_m } else { low_m };
-        let (up_m, aside_m) = (self.sin_up * near_m + self.up_m, self.sin_aside * near_m + self.aside_m);
-        ([high_m, low_m], (up_m * up_m + aside_m * aside_m).sqrt())
+    fn apart(high: &BeamRow, low: &BeamRow, turned_rad: f64, alpha_rad: f64) -> Self {
+        let elevation_rad = (f64::from(high.elevation_rad) + f64::from(low.elevation_rad)) / 2.0;
+        let up_m = f64::from(high.vertical_offset_m) - f64::from(low.vertical_offset_m);
+        Self {
+            sin_up: (f64::from(high.elevation_rad) - f64::from(low.elevation_rad)).sin(),
+            up_m: up_m * elevation_rad.cos(),
+            sin_aside: turned_rad.sin() * elevation_rad.cos(),
+            aside_m: f64::from(low.horizontal_offset_m) - f64::from(high.horizontal_offset_m),
+            along_m: up_m * elevation_rad.sin(),
+            cos_alpha: alpha_rad.cos(),
+        }
     }
 }
 
@@ -70,170 +71,165 @@ impl Parallax {
 /// their gap is that of their firings.
 #[derive(Clone, Debug, Default)]
 pub struct Angles {
-    down_rad: Vec<f64>,
-    /// By row, for the row and the one below; empty where all beams start at one place.
-    parallax: Vec<Parallax>,
-    cos_elevation: Vec<f64>,
-    /// By column of the firing.
-    gap_rad: Vec<Option<f64>>,
-    sorted_rad: Vec<f64>,
-    /// By row; empty where no row is shifted.
+    /// By row, but for the last: it and the one below.
+    below: Vec<Pair>,
+    /// By row: the square of the cosine of the elevation.
+    cos2_elevation: Vec<f64>,
+    /// By row: in how many columns further its pixel was fired.
     shifts: Vec<i32>,
+    /// Gaps between neighbouring columns, in disorder.
+    pub(super) gaps_rad: Vec<f64>,
+    /// By column: the square of the sine of half the gap to the firing before, of column 0 to the last one; `None` where the
+    /// two are no neighbours.
+    pub(super) sin2_half_gap: Vec<Option<f64>>,
     circular: bool,
-    /// Whether each column is a neighbour of the one before.
-    is_unbroken: bool,
-    /// Median gap between two firings.
-    pitch_rad: f64,
+    /// The square of the tangent of theta.
+    tan2_theta: f64,
 }
 
 impl Angles {
-    /// Angles of an image whose columns are spread evenly over a whole turn, and as far apart in every row: the
-    /// approximation of the paper. `down_rad[r]` is the angle between row `r` and the one below it.
-    pub fn even(down_rad: &[f64], columns: usize, circular: bool) -> Self {
-        let mut gap_rad = vec![Some(TAU / columns as f64); columns];
-        if let (false, Some(seam)) = (circular, gap_rad.first_mut()) {
-            *seam = None;
+    /// Angles of a whole turn of columns that are as far apart in every row: the approximation of the paper. `down_rad[r]`
+    /// is the angle between row `r` and the one below it. Angles are in radians.
+    pub fn even(down_rad: &[f64], columns: usize, theta_rad: f64) -> Self {
+        Self {
+            below: down_rad.iter().copied().map(Pair::of_one_origin).collect(),
+            cos2_elevation: vec![1.0; down_rad.len() + 1],
+            shifts: vec![0; down_rad.len() + 1],
+            sin2_half_gap: vec![Some((PI / columns as f64).sin().powi(2)); columns],
+            circular: true,
+            tan2_theta: theta_rad.tan().powi(2),
+            ..Self::default()
         }
-        let cos_elevation = vec![1.0; down_rad.len() + 1];
-        Self { down_rad: down_rad.to_vec(), cos_elevation, gap_rad, circular, ..Self::default() }
     }
 
-    /// Takes room for so many columns.
-    pub(super) fn reserve(&mut self, columns: usize) {
-        reserve(&mut self.gap_rad, columns);
-        reserve(&mut self.sorted_rad, columns);
+    /// Takes the angles of a sweep, and theta, radians.
+    pub fn measure(&mut self, sweep: &SweepRef<'_>, theta_rad: f64) {
+        self.tan2_theta = theta_rad.tan().powi(2);
+        let pitch_rad = self.measure_columns(sweep.columns, sweep.header.has(flags::CIRCULAR));
+        self.measure_rows(sweep.beams, pitch_rad, mean_rate_rad_s(sweep.columns));
     }
 
-    /// Takes the angles of a sweep.
-    pub fn measure(&mut self, sweep: &SweepRef<'_>) {
-        self.measure_columns(sweep.columns, sweep.header.has(flags::CIRCULAR));
-        self.measure_rows(sweep.beams, mean_rate_rad_s(sweep.columns));
-    }
-
-    /// The nominal pitch comes from the columns, which were measured before.
-    fn measure_rows(&mut self, beams: &[BeamRow], rate_rad_s: f64) {
-        self.shifts.clear();
-        if beams.iter().any(|beam| beam.shift != 0) {
-            self.shifts.extend(beams.iter().map(|beam| beam.shift));
-        }
-        let pitch_rad = self.pitch_rad.copysign(rate_rad_s);
-        // From the azimuth of the column to that of the pixel.
-        let turn = |beam: &BeamRow| turn_rad(beam, rate_rad_s) + f64::from(beam.shift) * pitch_rad;
-        self.down_rad.clear();
-        self.down_rad.extend(beams.windows(2).map(|pair| {
-            let [high, low] = [f64::from(pair[0].elevation_rad), f64::from(pair[1].elevation_rad)];
-            let upright = ((high - low) / 2.0).sin();
-            let sideways = ((turn(&pair[0]) - turn(&pair[1])) / 2.0).sin();
-            2.0 * (upright * upright + high.cos() * low.cos() * sideways * sideways).sqrt().min(1.0).asin()
-        }));
-        self.parallax.clear();
-        let apart = |a: f32, b: f32| f64::from(a - b).abs() > ONE_ORIGIN_M;
-        if beams.windows(2).any(|pair| {
-            apart(pair[0].vertical_offset_m, pair[1].vertical_offset_m)
-                || apart(pair[0].horizontal_offset_m, pair[1].horizontal_offset_m)
-        }) {
-            self.parallax.extend(beams.windows(2).zip(&self.down_rad).map(|(pair, &alpha_rad)| {
-                Parallax::new(&pair[0], &pair[1], turn(&pair[0]) - turn(&pair[1]), alpha_rad)
-            }));
-        }
-        self.cos_elevation.clear();
-        self.cos_elevation.extend(beams.iter().map(|beam| f64::from(beam.elevation_rad).cos()));
-    }
-
-    /// The nominal pitch is the median of the gaps themselves, so that it needs no model and holds at any speed.
-    fn measure_columns(&mut self, columns: &[Column], circular: bool) {
-        self.gap_rad.clear();
-        self.sorted_rad.clear();
+    /// Takes the gaps between the columns, and gives the nominal one. That is the median of the gaps themselves, so that it
+    /// needs no model and holds at any speed.
+    fn measure_columns(&mut self, columns: &[Column], circular: bool) -> f64 {
         self.circular = circular;
-        self.is_unbroken = false;
-        let Some(last) = columns.last() else { return };
-        let before = std::iter::once(last).chain(columns);
-        self.gap_rad.extend(before.zip(columns).map(|(before, column)| Some(gap_rad(before, column))));
-        if !circular {
-            self.gap_rad[0] = None;
+        self.gaps_rad.clear();
+        self.sin2_half_gap.clear();
+        self.gaps_rad.extend((usize::from(!circular)..columns.len()).map(|column| gap_rad(columns, column)));
+        let mut pitch_rad = 0.0;
+        if !self.gaps_rad.is_empty() {
+            let middle = (self.gaps_rad.len() - 1) / 2;
+            pitch_rad = *self.gaps_rad.select_nth_unstable_by(middle, f64::total_cmp).1;
         }
-        self.sorted_rad.extend(self.gap_rad.iter().flatten());
-        if self.sorted_rad.is_empty() {
-            return;
+        for column in 0..columns.len() {
+            let gap_rad = gap_rad(columns, column);
+            let is_near = gap_rad < MAX_PITCHES * pitch_rad && (column > 0 || circular);
+            self.sin2_half_gap.push(is_near.then(|| (gap_rad / 2.0).sin().powi(2)));
         }
-        let middle = (self.sorted_rad.len() - 1) / 2;
-        let pitch_rad = *self.sorted_rad.select_nth_unstable_by(middle, f64::total_cmp).1;
-        self.pitch_rad = pitch_rad;
-        for gap in &mut self.gap_rad {
-            *gap = gap.filter(|&gap| gap < MAX_PITCHES * pitch_rad);
+        pitch_rad
+    }
+
+    fn measure_rows(&mut self, beams: &[BeamRow], pitch_rad: f64, rate_rad_s: f64) {
+        self.cos2_elevation.clear();
+        self.shifts.clear();
+        for beam in beams {
+            self.cos2_elevation.push(f64::from(beam.elevation_rad).cos().powi(2));
+            self.shifts.push(beam.shift);
         }
-        self.is_unbroken = self.gap_rad.iter().all(Option::is_some);
+        // From the azimuth of the column to that of the pixel.
+        let pitch_rad = pitch_rad.copysign(rate_rad_s);
+        let turn = |beam: &BeamRow| turn_rad(beam, rate_rad_s) + f64::from(beam.shift) * pitch_rad;
+        let of_one_origin = beams.windows(2).all(|pair| {
+            let up_m = f64::from(pair[0].vertical_offset_m - pair[1].vertical_offset_m);
+            let aside_m = f64::from(pair[0].horizontal_offset_m - pair[1].horizontal_offset_m);
+            up_m.abs() <= ONE_ORIGIN_M && aside_m.abs() <= ONE_ORIGIN_M
+        });
+        self.below.clear();
+        for pair in beams.windows(2) {
+            let turned_rad = turn(&pair[0]) - turn(&pair[1]);
+            let alpha_rad = alpha_rad(&pair[0], &pair[1], turned_rad);
+            self.below.push(match of_one_origin {
+                true => Pair::of_one_origin(alpha_rad),
+                false => Pair::apart(&pair[0], &pair[1], turned_rad, alpha_rad),
+            });
+        }
     }
 
     /// Rows of the image.
+    #[inline]
     pub fn rows(&self) -> usize {
-        self.cos_elevation.len()
+        self.cos2_elevation.len()
     }
 
     /// Columns of the image.
+    #[inline]
     pub fn columns(&self) -> usize {
-        self.gap_rad.len()
+        self.sin2_half_gap.len()
     }
 
-    /// Angle between the measurements of a row and the row below it, radians.
-    pub fn down_rad(&self, row: usize) -> f64 {
-        self.down_rad[row]
+    /// Whether the pixels of a row in a column and in the one before it, for the first the last one, are neighbours.
+    #[inline]
+    pub fn are_neighbours(&self, column: usize, row: usize) -> bool {
+        self.sin2_half_gap_before(column, row).is_some()
     }
 
-    /// How the pixels of each row lie to those of the row below, where beams start at different places.
-    pub fn parallax(&self) -> Option<&[Parallax]> {
-        (!self.parallax.is_empty()).then_some(&self.parallax)
-    }
-
-    /// Azimuth from the firing of the column before to that of this one, radians; of column 0, from the last one. None where
-    /// the two are no neighbours.
-    pub fn gap_rad(&self, column: usize) -> Option<f64> {
-        self.gap_rad[column]
-    }
-
-    /// Shift of each row, if there is any: the firing of a pixel in another column.
-    pub fn shifts(&self) -> Option<&[i32]> {
-        (!self.shifts.is_empty()).then_some(&self.shifts)
-    }
-
-    /// Whether the last column and the first are neighbours.
-    pub fn is_circular(&self) -> bool {
-        self.circular
-    }
-
-    /// What the angle between two columns shrinks with in a row: the cosine of its elevation.
-    pub fn cos_elevation(&self, row: usize) -> f64 {
-        self.cos_elevation[row]
-    }
-
-    /// Angle between the measurements of a row in a column and the one before it, radians. None where the two are no
-    /// neighbours.
-    pub fn across_rad(&self, row: usize, column: usize) -> Option<f64> {
-        self.gap_before_rad(row, column).map(|gap| 2.0 * (self.cos_elevation[row] * (gap / 2.0).sin()).asin())
-    }
-
-    /// The rows whose pixel in a column is a neighbour of the one in the column before, a bit each.
-    pub fn neighbours(&self, column: usize) -> u128 {
-        let all = first_rows(self.rows());
-        if self.shifts.is_empty() || self.is_unbroken {
-            return if self.gap_before_rad(0, column).is_some() { all } else { 0 };
-        }
-        (0..self.rows()).filter(|&row| self.gap_before_rad(row, column).is_some()).fold(0, |word, row| word | 1 << row)
-    }
-
-    /// Azimuth to a pixel from the one of its row in the column before, radians; None where the two are no neighbours.
-    pub fn gap_before_rad(&self, row: usize, column: usize) -> Option<f64> {
+    #[inline]
+    fn sin2_half_gap_before(&self, column: usize, row: usize) -> Option<f64> {
         if column == 0 && !self.circular {
             return None;
         }
-        let shift = self.shifts.get(row).copied().unwrap_or(0);
-        self.gap_rad[shifted(column, shift, self.columns(), self.circular)]
+        self.sin2_half_gap[shifted(column, self.shifts[row], self.columns(), self.circular)]
+    }
+
+    /// Whether the pixels of a row and of the row below it, at these ranges in metres, belong together.
+    #[inline]
+    pub fn joins_below(&self, row: usize, high_m: f32, low_m: f32) -> bool {
+        if !(is_return(high_m) && is_return(low_m)) {
+            return false;
+        }
+        let pair = &self.below[row];
+        let high_m = f64::from(high_m) + pair.along_m;
+        let low_m = f64::from(low_m);
+        let near_m = high_m.min(low_m);
+        let up_m = pair.sin_up * near_m + pair.up_m;
+        let aside_m = pair.sin_aside * near_m + pair.aside_m;
+        self.passes(up_m * up_m + aside_m * aside_m, high_m.max(low_m) - near_m * pair.cos_alpha)
+    }
+
+    /// Whether the pixels of a row in a column and in the one before it, at these ranges in metres, belong together.
+    #[inline]
+    pub fn joins_before(&self, column: usize, row: usize, here_m: f32, before_m: f32) -> bool {
+        if !(is_return(here_m) && is_return(before_m)) {
+            return false;
+        }
+        let Some(sin2_half_gap) = self.sin2_half_gap_before(column, row) else { return false };
+        // The square of the sine of half of alpha.
+        let sin2_half = self.cos2_elevation[row] * sin2_half_gap;
+        let near_m = f64::from(here_m.min(before_m));
+        let across2 = near_m * near_m * 4.0 * sin2_half * (1.0 - sin2_half);
+        self.passes(across2, f64::from(here_m.max(before_m)) - near_m * (1.0 - 2.0 * sin2_half))
+    }
+
+    /// Whether the beta of a line that goes so far across a beam, squared, and so far along it is greater than theta.
+    #[inline]
+    fn passes(&self, across2: f64, along: f64) -> bool {
+        along < 0.0 || across2 > along * along * self.tan2_theta
     }
 }
 
-/// Azimuth between two columns, whichever comes first, 0..pi.
-fn gap_rad(a: &Column, b: &Column) -> f64 {
-    let gap = (f64::from(a.azimuth_rad) - f64::from(b.azimuth_rad)).rem_euclid(TAU);
+/// The angle between two neighbours of a column, radians.
+fn alpha_rad(high: &BeamRow, low: &BeamRow, turned_rad: f64) -> f64 {
+    let high_rad = f64::from(high.elevation_rad);
+    let low_rad = f64::from(low.elevation_rad);
+    let upright = ((high_rad - low_rad) / 2.0).sin();
+    let sideways = (turned_rad / 2.0).sin();
+    2.0 * (upright * upright + high_rad.cos() * low_rad.cos() * sideways * sideways).sqrt().min(1.0).asin()
+}
+
+/// Azimuth between a column and the one before it, or the last one for the first, whichever is ahead, 0..pi.
+fn gap_rad(columns: &[Column], column: usize) -> f64 {
+    let before = if column == 0 { columns.len() - 1 } else { column - 1 };
+    let gap = (f64::from(columns[before].azimuth_rad) - f64::from(columns[column].azimuth_rad)).rem_euclid(TAU);
     if gap > PI { TAU - gap } else { gap }
 }
 
@@ -246,34 +242,73 @@ mod tests {
         degrees.iter().map(|d| Column::measured(0, 0, d.to_radians(), 60.0, 0)).collect()
     }
 
-    #[test]
-    fn a_jump_of_three_pitches_parts_two_columns() {
-        let mut angles = Angles::default();
-        angles.measure_columns(&columns(&[356.0, 357.0, 358.0, 359.0, 0.0, 2.9, 6.0]), true);
-        let neighbours: Vec<bool> = (0..7).map(|column| angles.gap_rad(column).is_some()).collect();
-        assert_eq!(neighbours, [false, true, true, true, true, true, false]);
-        assert!((angles.gap_rad(4).unwrap().to_degrees() - 1.0).abs() < 1e-4);
-
-        angles.measure_columns(&columns(&[0.0, 90.0, 180.0, 270.0]), true);
-        assert!(angles.gap_rad(0).is_some());
-        angles.measure_columns(&columns(&[0.0, 90.0, 180.0, 270.0]), false);
-        assert!(angles.gap_rad(0).is_none());
+    fn at_theta(angles: &Angles, degrees: f64) -> Angles {
+        Angles { tan2_theta: degrees.to_radians().tan().powi(2), ..angles.clone() }
     }
 
-    /// On the horizon and by hand: 2 degrees of elevation and 0.5 of turn are hypot(2, 0.5) apart, nearly.
+    #[test]
+    fn a_jump_of_three_pitches_parts_two_columns() {
+        let mut angles = Angles { shifts: vec![0], ..Angles::default() };
+        let pitch_rad = angles.measure_columns(&columns(&[356.0, 357.0, 358.0, 359.0, 0.0, 2.9, 6.0]), true);
+        assert!((pitch_rad.to_degrees() - 1.0).abs() < 1e-4);
+        let neighbours: Vec<bool> = (0..7).map(|column| angles.are_neighbours(column, 0)).collect();
+        assert_eq!(neighbours, [false, true, true, true, true, true, false]);
+
+        angles.measure_columns(&columns(&[0.0, 90.0, 180.0, 270.0]), true);
+        assert!(angles.are_neighbours(0, 0));
+        angles.measure_columns(&columns(&[0.0, 90.0, 180.0, 270.0]), false);
+        assert!(!angles.are_neighbours(0, 0));
+    }
+
+    /// The gap before the third column is too wide: a row that is fired two columns later has it before its first.
+    #[test]
+    fn a_shifted_row_has_the_gaps_of_its_firings() {
+        let mut angles = Angles { shifts: vec![0, 2], ..Angles::default() };
+        angles.measure_columns(&columns(&[0.0, 1.0, 9.0, 10.0, 11.0, 12.0]), false);
+        let breaks = |row| (1..6).filter(|&column| !angles.are_neighbours(column, row)).collect::<Vec<usize>>();
+        assert_eq!([breaks(0), breaks(1)], [vec![2], vec![]]);
+        angles.shifts[1] = -2;
+        let breaks: Vec<usize> = (1..6).filter(|&column| !angles.are_neighbours(column, 1)).collect();
+        assert_eq!(breaks, [1, 2, 4], "before column 0 there is nothing");
+    }
+
+    /// On the horizon and by hand: 2 degrees of elevation and 0.5 of turn are hypot(2, 0.5) apart, nearly. Seen from there,
+    /// 10 m and 10.5 m are atan(10 x 0.03598 / (10.5 - 10 x 0.99935)), 35.4 degrees.
     #[test]
     fn rows_are_apart_by_elevation_and_turn() {
         let row = |degrees: f64, time_ns| BeamRow::new(&Beam::ideal(0, degrees.to_radians()), time_ns);
+        let rows = [row(1.0, 0), row(-1.0, 1_000_000)];
+        assert!((alpha_rad(&rows[0], &rows[1], 0.5_f64.to_radians()).to_degrees() - 2_f64.hypot(0.5)).abs() < 1e-3);
         let mut angles = Angles::default();
-        angles.measure_rows(&[row(1.0, 0), row(-1.0, 1_000_000)], 500_f64.to_radians());
-        assert!((angles.down_rad(0).to_degrees() - 2_f64.hypot(0.5)).abs() < 1e-3);
+        angles.measure_rows(&rows, 0.01, 500_f64.to_radians());
+        assert!(at_theta(&angles, 35.2).joins_below(0, 10.5, 10.0));
+        assert!(!at_theta(&angles, 35.6).joins_below(0, 10.5, 10.0));
     }
 
+    /// By hand: a degree at 60 degrees of elevation is half a degree. 10 m and 10.5 m are atan(0.0873 / 0.5), 9.9 degrees.
     #[test]
     fn a_steep_row_is_narrower() {
         let mut angles = Angles::default();
-        angles.measure_rows(&[BeamRow::new(&Beam::ideal(0, 60_f64.to_radians()), 0)], 0.0);
-        angles.measure_columns(&columns(&[0.0, 1.0]), false);
-        assert!((angles.across_rad(0, 1).unwrap().to_degrees() - 0.5).abs() < 1e-4);
+        let pitch_rad = angles.measure_columns(&columns(&[0.0, 1.0]), false);
+        angles.measure_rows(&[BeamRow::new(&Beam::ideal(0, 60_f64.to_radians()), 0)], pitch_rad, 0.0);
+        assert!(at_theta(&angles, 9.8).joins_before(1, 0, 10.0, 10.5));
+        assert!(!at_theta(&angles, 10.0).joins_before(1, 0, 10.0, 10.5));
+        assert!(!at_theta(&angles, 1.0).joins_before(0, 0, 10.0, 10.5), "nothing is before the first column");
+    }
+
+    /// By hand: two level beams of which one starts 0.1 m above the other, and 0.05 m to the left. At 10 m and 11 m they are
+    /// hypot(0.1, 0.05) apart across the beams and 1 m along them: atan(0.1118), 6.38 degrees.
+    #[test]
+    fn beams_that_start_apart_stay_apart() {
+        let beam = |vertical_offset_m, horizontal_offset_m| {
+            BeamRow::new(&Beam { vertical_offset_m, horizontal_offset_m, ..Beam::ideal(0, 0.0) }, 0)
+        };
+        let mut angles = Angles::default();
+        angles.measure_rows(&[beam(0.1, 0.05), beam(0.0, 0.0)], 0.01, 0.0);
+        for [high_m, low_m] in [[10.0, 11.0], [11.0, 10.0], [50.0, 51.0]] {
+            assert!(at_theta(&angles, 6.3).joins_below(0, high_m, low_m));
+            assert!(!at_theta(&angles, 6.5).joins_below(0, high_m, low_m));
+        }
+        assert!(!at_theta(&angles, 1.0).joins_below(0, 0.0, 11.0) && !at_theta(&angles, 1.0).joins_below(0, 11.0, 0.0));
     }
 }

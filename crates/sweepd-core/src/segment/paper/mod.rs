@@ -1,150 +1,124 @@
-//! The paper's own method, on a whole image at a time: ground by changes of inclination, then the four neighbours of each
-//! pixel by the test of the angle.
+//! The paper's own method (Bogoslavskyi and Stachniss, IROS 2016, section III), on a whole image at a time, one plain step
+//! after another:
+//!
+//! 1. [`ground`]: holes of the columns are filled; the inclination from each pixel to the one above is smoothed along the
+//!    column; the ground floods the image from the lowest pixel of each column.
+//! 2. [`components`]: what is left is joined with its four neighbours by the test of beta, on the true [`angles`].
+//! 3. `table`: what each segment measures.
+//!
+//! The golden images of the authors' own program hold these steps to what they published. A plane has a number for each
+//! pixel, column after column from the top row down, as those of a sweep do.
 
 pub mod angles;
 pub mod components;
-pub mod connect;
-pub mod flood;
 pub mod ground;
-mod rays;
 mod table;
 
-use fearless_simd::{Level, Simd, dispatch, f32x16, prelude::*};
+use fearless_simd::Level;
 
-use super::{Config, Mask, reserve};
+use super::{Config, reserve};
+use crate::sweep::layout::{LABEL_GROUND, is_return};
 use crate::sweep::{SweepMut, SweepRef};
 use angles::Angles;
-use components::{Components, Limits, Parts};
-use connect::{Connector, Joins, LANES, load, store};
-use ground::PaperFinder;
-use rays::Rays;
+use components::Components;
+use ground::{Flood, Slopes};
 use table::Table;
 
 /// Labels sweeps as the paper does; after the first in buffers of one size it allocates nothing.
-#[derive(Clone, Debug)]
+#[derive(Clone, Debug, Default)]
 pub(super) struct Authors {
-    level: Level,
-    /// Working ranges: only what may be labelled, and what repairs its holes.
+    /// Ranges that may be labelled, and what fills their holes; 0 elsewhere, and where the ground was found.
     range_m: Vec<f32>,
-    /// Words of the returns that may be labelled, one a column.
-    real: Vec<u128>,
-    /// Words of the ground.
-    ground: Vec<u128>,
-    joins: Vec<Joins>,
+    /// Returns that may be labelled and are no ground.
+    real: Vec<bool>,
+    slopes: Slopes,
+    flood: Flood,
     angles: Angles,
-    rays: Rays,
-    finder: PaperFinder,
-    connector: Connector,
     components: Components,
     table: Table,
     is_found: bool,
 }
 
 impl Authors {
-    /// Uses no more than these instructions of the machine.
-    pub fn new(level: Level) -> Self {
-        Self {
-            level,
-            range_m: Vec::new(),
-            real: Vec::new(),
-            ground: Vec::new(),
-            joins: Vec::new(),
-            angles: Angles::default(),
-            rays: Rays::default(),
-            finder: PaperFinder::new(level),
-            connector: Connector::new(level),
-            components: Components::new(level),
-            table: Table::new(level),
-            is_found: false,
-        }
-    }
-
-    /// Takes what may be labelled, where each pixel points, and the angles between neighbours.
+    /// Takes what may be labelled, and the angles between neighbours.
     pub fn begin(&mut self, sweep: &SweepMut<'_>, config: &Config) {
         self.reserve(sweep);
         self.is_found = false;
         let sweep = sweep.as_ref();
-        self.angles.measure(&sweep);
-        self.rays.measure(&sweep);
-        dispatch!(self.level, simd => self.take(simd, &sweep, config));
-    }
-
-    /// Takes the ranges that may be labelled.
-    #[inline(always)]
-    fn take<S: Simd>(&mut self, simd: S, sweep: &SweepRef<'_>, config: &Config) {
-        self.range_m.resize(sweep.range.len(), 0.0);
-        let rows = sweep.rows().max(1);
-        let limits = [config.min_range_m, config.max_range_m];
-        for first in (0..sweep.range.len()).step_by(rows) {
-            let mut word = [0; 2];
-            for row in (0..rows).step_by(LANES) {
-                let range_m = load(simd, sweep.range, first + row);
-                let is = range_m.simd_gt(0.0) & range_m.simd_ge(limits[0]) & range_m.simd_le(limits[1]);
-                // What comes behind the last row is overwritten by the next column.
-                let held = is.select(range_m, f32x16::splat(simd, 0.0));
-                store(&mut self.range_m, first + row, held);
-                connect::set(&mut word, row, is.to_bitmask());
-            }
-            self.real.push(connect::whole(word) & connect::first_rows(rows));
-        }
-        if let Some(mask) = &config.mask {
-            self.hide(sweep, mask);
-        }
-    }
-
-    /// Takes out what the mask hides.
-    fn hide(&mut self, sweep: &SweepRef<'_>, mask: &Mask) {
-        let rows = sweep.rows().max(1);
-        for ((column, ranges), real) in self.range_m.chunks_exact_mut(rows).enumerate().zip(&mut self.real) {
-            for (row, range_m) in ranges.iter_mut().enumerate() {
-                if mask.hides(row, sweep.azimuth_rad(row, column)) {
-                    *range_m = 0.0;
-                    *real &= !(1 << row);
-                }
-            }
-        }
+        self.angles.measure(&sweep, f64::from(config.theta_rad));
+        self.slopes.begin(sweep.beams.iter().map(|beam| beam.elevation_rad));
+        self.take(&sweep, config);
     }
 
     /// Takes room for any sweep that such a buffer can hold: later ones are wider by a few columns, and must not
     /// allocate. Room that is never touched costs no memory.
     fn reserve(&mut self, sweep: &SweepMut<'_>) {
-        let (pixels, columns) = (sweep.range.len(), sweep.columns.len());
-        self.range_m.reserve(pixels.saturating_sub(self.range_m.len()));
-        reserve(&mut self.real, columns);
-        reserve(&mut self.ground, columns);
-        reserve(&mut self.joins, columns);
-        self.angles.reserve(columns);
-        self.rays.reserve(columns);
-        self.connector.reserve(columns);
-        self.components.reserve(columns, pixels);
-        self.table.reserve(sweep.segments.len());
-        self.finder.reserve(columns, pixels);
+        let pixels = sweep.range.len();
+        reserve(&mut self.range_m, pixels);
+        reserve(&mut self.real, pixels);
+        reserve(&mut self.slopes.inclination_rad, pixels);
+        reserve(&mut self.flood.ground, pixels);
+        reserve(&mut self.flood.queue, pixels);
+        reserve(&mut self.angles.gaps_rad, sweep.columns.len());
+        reserve(&mut self.angles.sin2_half_gap, sweep.columns.len());
+        reserve(&mut self.components.piece, pixels);
+        reserve(&mut self.components.parent, pixels);
+        reserve(&mut self.components.points, pixels);
+        reserve(&mut self.components.label, pixels);
+        self.table.points.reserve(sweep.columns.len());
+        reserve(&mut self.table.sums, sweep.segments.len());
+        reserve(&mut self.table.extents, sweep.segments.len());
     }
 
-    /// Finds the ground. False when it was found already.
-    pub fn find_ground(&mut self, sweep: &SweepMut<'_>, config: &Config) -> bool {
+    fn take(&mut self, sweep: &SweepRef<'_>, config: &Config) {
+        self.range_m.extend(sweep.range.iter().map(|&range_m| if config.holds(range_m) { range_m } else { 0.0 }));
+        if let Some(mask) = &config.mask {
+            for (pixel, range_m) in self.range_m.iter_mut().enumerate() {
+                let row = pixel % sweep.rows();
+                if mask.hides(row, sweep.azimuth_rad(row, pixel / sweep.rows())) {
+                    *range_m = 0.0;
+                }
+            }
+        }
+        self.real.extend(self.range_m.iter().map(|&range_m| is_return(range_m)));
+    }
+
+    /// Finds the ground and takes it away. False when that is done already.
+    pub fn find_ground(&mut self, config: &Config) -> bool {
         if std::mem::replace(&mut self.is_found, true) {
             return false;
         }
-        let elevations_rad = sweep.beams.iter().map(|beam| beam.elevation_rad);
-        self.finder.find(&config.paper, &mut self.range_m, elevations_rad, &self.angles, &mut self.ground);
+        let limits = &config.paper;
+        for column in self.range_m.chunks_exact_mut(self.angles.rows().max(1)) {
+            ground::repair(column, limits);
+            self.slopes.add(column, limits.window);
+        }
+        self.flood.run(&self.range_m, &self.slopes.inclination_rad, &self.angles, limits);
+        let marked = self.range_m.iter_mut().zip(&mut self.real).zip(&mut self.flood.ground);
+        for ((range_m, real), is_ground) in marked {
+            *range_m = if *is_ground { 0.0 } else { *range_m };
+            *is_ground &= *real;
+            *real &= !*is_ground;
+        }
         true
     }
 
     /// Joins what is no ground.
-    pub fn join(&mut self, config: &Config) {
-        let theta_rad = f64::from(config.theta_rad);
-        self.connector.connect(&self.range_m, &self.ground, &self.angles, theta_rad, &mut self.joins);
+    pub fn join(&mut self) {
+        self.components.connect(&self.range_m, &self.real, &self.angles);
     }
 
     /// Writes the labels, the segments table and the header's counts.
-    pub fn label(&mut self, sweep: &mut SweepMut<'_>, config: &Config) {
-        let words = || self.real.iter().zip(&self.ground);
-        sweep.header.ground = words().map(|(real, ground)| (real & ground).count_ones()).sum();
-        let parts = Parts { rows: self.angles.rows(), joins: &self.joins, real: &self.real, ground: &self.ground };
-        let limits = Limits { min_points: config.min_points, max_segments: sweep.segments.len() };
+    pub fn label(&mut self, sweep: &mut SweepMut<'_>, config: &Config, level: Level) {
         let pixels = sweep.image_pixels();
-        sweep.header.segments = self.components.label(&parts, limits, &mut sweep.label[pixels]) as u32;
-        self.table.describe(sweep, &parts, &self.components, &self.rays);
+        let labels = &mut sweep.label[pixels];
+        let segments = self.components.label(&self.real, config.min_points, sweep.segments.len(), labels);
+        sweep.header.segments = segments as u32;
+        sweep.header.ground = 0;
+        for (label, _) in labels.iter_mut().zip(&self.flood.ground).filter(|(_, is_ground)| **is_ground) {
+            *label = LABEL_GROUND;
+            sweep.header.ground += 1;
+        }
+        self.table.describe(sweep, config, level);
     }
 }
