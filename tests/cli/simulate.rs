@@ -358,6 +358,8 @@ fn received(options: &[&str]) -> (BTreeMap<u16, Vec<Vec<u8>>>, Vec<Said>, Durati
     }
     let ran = Ran::of(child.wait_with_output().unwrap());
     assert_eq!((ran.code, &ran.stdout[..]), (0, ""), "{}", ran.stderr);
+    // A progress line is for terminals: no colours, no carriage returns, no line but the summary of each sensor.
+    assert!(!ran.stderr.contains(['\r', '\x1b']) && !ran.stderr.contains("Ctrl-C"), "{:?}", ran.stderr);
     (ports, said(&ran.stderr), took.unwrap())
 }
 

@@ -35,7 +35,7 @@ impl Progress {
     pub fn note(&mut self, arrival_ns: i64) {
         self.packets += 1;
         let gone_ns = arrival_ns - *self.begun_ns.get_or_insert(arrival_ns);
-        let steps = (gone_ns / STEP_NS) as u64;
+        let steps = (gone_ns / STEP_NS).max(0) as u64;
         if steps > self.steps {
             self.steps = steps;
             let (gone, packets) = (steps as f64 * STEP_NS as f64 * 1e-9, grouped(self.packets));
