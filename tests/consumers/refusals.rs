@@ -263,7 +263,11 @@ fn a_header_that_changes_while_it_is_read_changes_nothing() {
     std::thread::scope(|scope| {
         let _ends = Ends(over);
         scope.spawn(|| scribble(&file, place.1, over));
-        for sequence in 1..400 {
+        // How often the two threads meet depends on the machine: on until they did often enough.
+        for sequence in 1..100_000 {
+            if sequence > 400 && refused + changed > 20 && changed > 0 {
+                break;
+            }
             hostile.send(&honest(sequence), &honest_preamble());
             match client.next(SOON) {
                 Ok(sweep) => {
@@ -275,8 +279,8 @@ fn a_header_that_changes_while_it_is_read_changes_nothing() {
             }
         }
     });
-    assert!(taken > 20 && refused + changed > 20, "{taken} taken, {refused} refused, {changed} changed while held");
-    assert!(changed > 0, "the header was never changed while it was held");
+    let is_enough = taken > 20 && refused + changed > 20 && changed > 0;
+    assert!(is_enough, "{taken} taken, {refused} refused, {changed} changed while held");
 }
 
 /// Ends the other thread, however this one ends.
