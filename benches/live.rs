@@ -5,10 +5,11 @@
 //! cargo bench --bench live -- latency hdl64e     what has these words in its name
 //! ```
 //!
-//! Each runs `sweepd run` and `sweepd watch` in processes of their own. The packets are simulated beforehand, or those of a real
-//! capture where it is at hand, and sent in a loop, with the sensor's clock and head going on, so that the sender costs little.
-//! After what the daemon costs stands what the machine takes for less: to wake up three times a turn for nothing, and to take the
-//! same packets from the kernel then, as the daemon does, and do nothing with them.
+//! Each runs `sweepd run` and `sweepd watch` in processes of their own. The packets are simulated
+//! beforehand, or those of a real capture where it is at hand, and sent in a loop, with the
+//! sensor's clock and head going on, so that the sender costs little. After what the daemon costs
+//! stands what the machine takes for less: to wake up three times a turn for nothing, and to take
+//! the same packets from the kernel then, as the daemon does, and do nothing with them.
 
 use std::net::{Ipv4Addr, UdpSocket};
 use std::path::{Path, PathBuf};
@@ -32,7 +33,10 @@ const SWEEPS: u32 = 1000;
 const FOR_EACH_POSITION: u64 = 5;
 
 fn main() {
-    let words: Vec<String> = std::env::args().skip(1).filter(|word| !word.starts_with("--")).collect();
+    let words: Vec<String> = std::env::args()
+        .skip(1)
+        .filter(|word| !word.starts_with("--"))
+        .collect();
     let is_wanted = |name: &str| words.iter().all(|word| name.contains(word.as_str()));
     println!("{}", machine());
     for (name, model, mode) in [
@@ -46,9 +50,18 @@ fn main() {
     }
     for (name, source) in [
         ("cost vlp16", Source::Street(Model::Vlp16)),
-        ("cost vlp16 einride", Source::Capture(Model::Vlp16, "vlp16_einride-a.pcap")),
-        ("cost vlp16 mrpt", Source::Capture(Model::Vlp16, "vlp16_mrpt-gps.pcap")),
-        ("cost vlp16 rlu", Source::Capture(Model::Vlp16, "vlp16_rlu-velodyne-example.pcap")),
+        (
+            "cost vlp16 einride",
+            Source::Capture(Model::Vlp16, "vlp16_einride-a.pcap"),
+        ),
+        (
+            "cost vlp16 mrpt",
+            Source::Capture(Model::Vlp16, "vlp16_mrpt-gps.pcap"),
+        ),
+        (
+            "cost vlp16 rlu",
+            Source::Capture(Model::Vlp16, "vlp16_rlu-velodyne-example.pcap"),
+        ),
         ("cost hdl64e", Source::Street(Model::Hdl64eS2)),
     ] {
         if is_wanted(name) {
@@ -63,7 +76,12 @@ fn main() {
     }
     let name = "load hdl64e dual, 4 times real time";
     if is_wanted(name) {
-        load(name, &Stream::new(Model::Hdl64eS3, ReturnMode::Dual, 600.0), 4.0, 60);
+        load(
+            name,
+            &Stream::new(Model::Hdl64eS3, ReturnMode::Dual, 600.0),
+            4.0,
+            60,
+        );
     }
 }
 
@@ -79,7 +97,10 @@ fn machine() -> String {
     let cores = std::thread::available_parallelism().map_or(0, usize::from);
     let load = read("/proc/loadavg");
     let load = load.split(' ').next().unwrap_or_default();
-    format!("{cpu}, {cores} cores, load {load} before, Linux {}", read("/proc/sys/kernel/osrelease").trim())
+    format!(
+        "{cpu}, {cores} cores, load {load} before, Linux {}",
+        read("/proc/sys/kernel/osrelease").trim()
+    )
 }
 
 /// Where packets are from whose cost is measured.
@@ -115,7 +136,11 @@ struct Stream {
 impl Stream {
     fn new(model: Model, mode: ReturnMode, rpm: f64) -> Self {
         let scene = fixtures::scene();
-        let config = EmitterConfig { rpm, data_per_position: FOR_EACH_POSITION, ..EmitterConfig::new(model, mode) };
+        let config = EmitterConfig {
+            rpm,
+            data_per_position: FOR_EACH_POSITION,
+            ..EmitterConfig::new(model, mode)
+        };
         let config = config.turns(1.5);
         let spec: &Spec = config.spec;
         let period_ns = u64::from(spec.packet_period_ns(mode));
@@ -128,11 +153,19 @@ impl Stream {
         }
         let us = (packets.len() as f64 * period_ns as f64 / 1000.0).round();
         let cdeg = us * 1e-6 * rpm / 60.0 * 36_000.0;
-        Self { model, mode, packets, position, period_ns, us: us as u32, cdeg }
+        Self {
+            model,
+            mode,
+            packets,
+            position,
+            period_ns,
+            us: us as u32,
+            cdeg,
+        }
     }
 
-    /// The data packets of a capture, if it is there: those of a steady head, one after the other. Clock and head go on behind
-    /// the last as they went before.
+    /// The data packets of a capture, if it is there: those of a steady head, one after the other.
+    /// Clock and head go on behind the last as they went before.
     fn captured(model: Model, file: &str) -> Option<Self> {
         let beside = || Path::new(env!("CARGO_MANIFEST_DIR")).join("../shared/data");
         let data = std::env::var_os("SWEEPD_DATA").map_or_else(beside, PathBuf::from);
@@ -144,21 +177,39 @@ impl Stream {
         }
         let mode = ReturnMode::Strongest;
         let period_ns = u64::from(model.spec().packet_period_ns(mode));
-        let azimuths = packets.iter().map(|packet| f64::from(packet.blocks[0].azimuth_cdeg()));
+        let azimuths = packets
+            .iter()
+            .map(|packet| f64::from(packet.blocks[0].azimuth_cdeg()));
         let [first, last] = [&packets[0], &packets[packets.len() - 1]];
-        let turned: f64 =
-            azimuths.clone().zip(azimuths.skip(1)).map(|(from, to)| (to - from).rem_euclid(36_000.0)).sum();
+        let turned: f64 = azimuths
+            .clone()
+            .zip(azimuths.skip(1))
+            .map(|(from, to)| (to - from).rem_euclid(36_000.0))
+            .sum();
         let steps = (packets.len() - 1) as f64;
         let us = last.stamp_us() - first.stamp_us() + (period_ns as f64 / 1000.0).round() as u32;
         let position = Self::new(model, mode, 600.0).position;
-        Some(Self { model, mode, position, period_ns, us, cdeg: turned * (1.0 + 1.0 / steps), packets })
+        Some(Self {
+            model,
+            mode,
+            position,
+            period_ns,
+            us,
+            cdeg: turned * (1.0 + 1.0 / steps),
+            packets,
+        })
     }
 
     /// The packet of this number: stamps and azimuths go on where the first round of them ends.
     fn packet(&self, number: u64) -> DataPacket {
-        let (round, index) = (number / self.packets.len() as u64, (number % self.packets.len() as u64) as usize);
+        let (round, index) = (
+            number / self.packets.len() as u64,
+            (number % self.packets.len() as u64) as usize,
+        );
         let mut packet = self.packets[index];
-        packet.set_stamp_us(((u64::from(packet.stamp_us()) + round * u64::from(self.us)) % 3_600_000_000) as u32);
+        packet.set_stamp_us(
+            ((u64::from(packet.stamp_us()) + round * u64::from(self.us)) % 3_600_000_000) as u32,
+        );
         let turned = (round as f64 * self.cdeg).round() as u64;
         for block in &mut packet.blocks {
             block.set_azimuth_cdeg(((u64::from(block.azimuth_cdeg()) + turned) % 36_000) as u16);
@@ -166,21 +217,36 @@ impl Stream {
         packet
     }
 
-    /// Sends them to a port, and position packets to the other, at so many times their own pace, until `over`; gives how many
-    /// of the former.
-    fn send(&self, [port, position_port]: [u16; 2], pace: f64, mut over: impl FnMut() -> bool) -> u64 {
+    /// Sends them to a port, and position packets to the other, at so many times their own pace,
+    /// until `over`; gives how many of the former.
+    fn send(
+        &self,
+        [port, position_port]: [u16; 2],
+        pace: f64,
+        mut over: impl FnMut() -> bool,
+    ) -> u64 {
         let socket = UdpSocket::bind((Ipv4Addr::LOCALHOST, 0)).unwrap();
         let (begun, mut number) = (Instant::now(), 0);
         while !over() {
             let due = (begun.elapsed().as_nanos() as f64 * pace / self.period_ns as f64) as u64;
             while number < due {
-                socket.send_to(self.packet(number).emit(), (Ipv4Addr::LOCALHOST, port)).unwrap();
+                socket
+                    .send_to(self.packet(number).emit(), (Ipv4Addr::LOCALHOST, port))
+                    .unwrap();
                 number += 1;
-                if let Some(position) = self.position.as_ref().filter(|_| number.is_multiple_of(FOR_EACH_POSITION)) {
-                    socket.send_to(position, (Ipv4Addr::LOCALHOST, position_port)).unwrap();
+                if let Some(position) = self
+                    .position
+                    .as_ref()
+                    .filter(|_| number.is_multiple_of(FOR_EACH_POSITION))
+                {
+                    socket
+                        .send_to(position, (Ipv4Addr::LOCALHOST, position_port))
+                        .unwrap();
                 }
             }
-            thread::sleep(Duration::from_nanos((self.period_ns as f64 / pace) as u64 / 2));
+            thread::sleep(Duration::from_nanos(
+                (self.period_ns as f64 / pace) as u64 / 2,
+            ));
         }
         number
     }
@@ -199,11 +265,21 @@ impl Daemon {
     fn start(model: Model) -> Self {
         let folder = std::env::temp_dir().join(format!("sweepd-live-{}", std::process::id()));
         std::fs::create_dir_all(&folder).unwrap();
-        let free = || UdpSocket::bind("127.0.0.1:0").unwrap().local_addr().unwrap().port();
+        let free = || {
+            UdpSocket::bind("127.0.0.1:0")
+                .unwrap()
+                .local_addr()
+                .unwrap()
+                .port()
+        };
         let (port, position_port, http) = (free(), free(), free());
         let calibration = match EmitterConfig::new(model, ReturnMode::Strongest).beams() {
             beams if model.is_hdl64e() => {
-                std::fs::write(folder.join("unit.yaml"), sweepd::sensor::ros_yaml::emit(&beams)).unwrap();
+                std::fs::write(
+                    folder.join("unit.yaml"),
+                    sweepd::sensor::ros_yaml::emit(&beams),
+                )
+                .unwrap();
                 "calibration = \"unit.yaml\"\n"
             }
             _ => "",
@@ -220,7 +296,12 @@ impl Daemon {
             .stderr(std::fs::File::create(folder.join("log")).unwrap())
             .spawn()
             .unwrap();
-        Self { child, folder, ports: [port, position_port], http }
+        Self {
+            child,
+            folder,
+            ports: [port, position_port],
+            http,
+        }
     }
 
     fn domain(&self) -> Domain {
@@ -230,13 +311,19 @@ impl Daemon {
     /// Processor time of its threads so far, seconds; none of them ends before it does.
     fn cpu_seconds(&self) -> f64 {
         let threads = std::fs::read_dir(format!("/proc/{}/task", self.child.id())).unwrap();
-        threads.map(|thread| worked_ns(&thread.unwrap().path())).sum::<f64>() * 1e-9
+        threads
+            .map(|thread| worked_ns(&thread.unwrap().path()))
+            .sum::<f64>()
+            * 1e-9
     }
 
     /// Resident memory, KiB.
     fn memory_kib(&self) -> u64 {
         let status = std::fs::read_to_string(format!("/proc/{}/status", self.child.id())).unwrap();
-        let line = status.lines().find_map(|line| line.strip_prefix("VmRSS:")).unwrap();
+        let line = status
+            .lines()
+            .find_map(|line| line.strip_prefix("VmRSS:"))
+            .unwrap();
         line.trim().trim_end_matches(" kB").parse().unwrap()
     }
 
@@ -244,10 +331,13 @@ impl Daemon {
     fn metrics(&self, words: &[&str]) -> Vec<String> {
         use std::io::{Read, Write};
         let mut socket = std::net::TcpStream::connect((Ipv4Addr::LOCALHOST, self.http)).unwrap();
-        socket.write_all(b"GET /metrics HTTP/1.1\r\nHost: localhost\r\nConnection: close\r\n\r\n").unwrap();
+        socket
+            .write_all(b"GET /metrics HTTP/1.1\r\nHost: localhost\r\nConnection: close\r\n\r\n")
+            .unwrap();
         let mut text = String::new();
         socket.read_to_string(&mut text).unwrap();
-        let is_wanted = |line: &&str| !line.starts_with('#') && words.iter().any(|word| line.contains(word));
+        let is_wanted =
+            |line: &&str| !line.starts_with('#') && words.iter().any(|word| line.contains(word));
         text.lines().filter(is_wanted).map(str::to_owned).collect()
     }
 }
@@ -271,7 +361,16 @@ fn latency(name: &str, stream: Stream) {
     let daemon = Daemon::start(stream.model);
     let root = daemon.folder.join("iox2");
     let mut watch = Command::new(env!("CARGO_BIN_EXE_sweepd"))
-        .args(["watch", "bench", "--latency", "--timeout", "20", "--sweeps", &SWEEPS.to_string(), "--root"])
+        .args([
+            "watch",
+            "bench",
+            "--latency",
+            "--timeout",
+            "20",
+            "--sweeps",
+            &SWEEPS.to_string(),
+            "--root",
+        ])
         .arg(root)
         .stdout(Stdio::piped())
         .spawn()
@@ -279,14 +378,26 @@ fn latency(name: &str, stream: Stream) {
     stream.send(daemon.ports, 1.0, || watch.try_wait().unwrap().is_some());
     let text = String::from_utf8(watch.wait_with_output().unwrap().stdout).unwrap();
     // The table of the seconds is for who watches.
-    println!("{}", text.find("\ndecode:").map_or(&text[..], |at| &text[at..]).trim_end());
+    println!(
+        "{}",
+        text.find("\ndecode:")
+            .map_or(&text[..], |at| &text[at..])
+            .trim_end()
+    );
 }
 
 /// Sends at a multiple of real time; what the daemon took, percent of a core.
 fn load(name: &str, stream: &Stream, pace: f64, seconds: u64) -> f64 {
     let rate = 1e9 / stream.period_ns as f64 * pace;
-    let returns = if stream.mode == ReturnMode::Dual { "two returns" } else { "one return" };
-    println!("\n== {name}: {}, {returns}, {rate:.0} packets/s for {seconds} s", stream.model);
+    let returns = if stream.mode == ReturnMode::Dual {
+        "two returns"
+    } else {
+        "one return"
+    };
+    println!(
+        "\n== {name}: {}, {returns}, {rate:.0} packets/s for {seconds} s",
+        stream.model
+    );
     let daemon = Daemon::start(stream.model);
     let mut client = Client::within(&daemon.domain(), "bench").unwrap();
     let consumer = thread::spawn(move || {
@@ -319,24 +430,37 @@ fn load(name: &str, stream: &Stream, pace: f64, seconds: u64) -> f64 {
         println!("  {line}");
     }
     let (sweeps, lost, dropped) = consumer.join().unwrap();
-    println!("  {sent} packets sent; {sweeps} sweeps received, {lost} packets lost, {dropped} dropped");
+    println!(
+        "  {sent} packets sent; {sweeps} sweeps received, {lost} packets lost, {dropped} dropped"
+    );
     println!("  {share:.2} % of a core; memory every 5 s, KiB: {memory:?}");
     share
 }
 
-/// What the machine takes for as many wake-ups and packets, without a daemon, and how much more the daemon took.
+/// What the machine takes for as many wake-ups and packets, without a daemon, and how much more the
+/// daemon took.
 fn least(stream: &Stream, seconds: u64, daemon: f64) {
-    let receiver = UdpSource::bind(&UdpConfig { address: Ipv4Addr::LOCALHOST, ..UdpConfig::port(0) }).unwrap();
+    let receiver = UdpSource::bind(&UdpConfig {
+        address: Ipv4Addr::LOCALHOST,
+        ..UdpConfig::port(0)
+    })
+    .unwrap();
     let port = receiver.local_addr().port();
     let idlers = [None, Some(receiver)].map(Idler::start);
     let begun = Instant::now();
     stream.send([port; 2], 1.0, || begun.elapsed().as_secs() >= seconds);
     let [waking, receiving] = idlers.map(|idler| idler.end() * 100.0);
-    println!("  to wake up 30 times a second takes {waking:.2} %, and to take the packets then {receiving:.2} %");
-    println!("  the daemon takes {:.1} times as much as that", daemon / receiving);
+    println!(
+        "  to wake up 30 times a second takes {waking:.2} %, and to take the packets then {receiving:.2} %"
+    );
+    println!(
+        "  the daemon takes {:.1} times as much as that",
+        daemon / receiving
+    );
 }
 
-/// A thread that wakes up three times in a turn of 10 Hz, about as often as those of a daemon with one sensor together.
+/// A thread that wakes up three times in a turn of 10 Hz, about as often as those of a daemon with
+/// one sensor together.
 struct Idler {
     over: Arc<AtomicBool>,
     thread: JoinHandle<f64>,
@@ -352,7 +476,9 @@ impl Idler {
             while !is_over.load(Ordering::Relaxed) {
                 thread::sleep(Duration::from_micros(33_333));
                 let Some(source) = &mut source else { continue };
-                while source.receive_counted(Duration::ZERO).unwrap().count() > 0 && source.may_hold_more() {}
+                while source.receive_counted(Duration::ZERO).unwrap().count() > 0
+                    && source.may_hold_more()
+                {}
             }
             (worked_ns(this) - before_ns) / begun.elapsed().as_nanos() as f64
         });

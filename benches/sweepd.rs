@@ -4,7 +4,8 @@
 //! cargo bench --bench sweepd
 //! ```
 //!
-//! What is decoded is simulated, so that anyone can run this; captures are real, where they are at hand (see the README).
+//! What is decoded is simulated, so that anyone can run this; captures are real, where they are at
+//! hand (see the README).
 
 use std::path::{Path, PathBuf};
 
@@ -29,19 +30,24 @@ fn main() {
 /// The folder with real data, if it is there.
 fn data() -> Option<PathBuf> {
     let beside = || Path::new(env!("CARGO_MANIFEST_DIR")).join("../shared/data");
-    Some(std::env::var_os("SWEEPD_DATA").map_or_else(beside, PathBuf::from)).filter(|dir| dir.join("pcap").is_dir())
+    Some(std::env::var_os("SWEEPD_DATA").map_or_else(beside, PathBuf::from))
+        .filter(|dir| dir.join("pcap").is_dir())
 }
 
 /// Data packets of a model, some turns of the street.
 fn packets(model: Model, mode: ReturnMode, turns: f64) -> Vec<DataPacket> {
     let scene = fixtures::scene();
     let emitter = Emitter::new(EmitterConfig::new(model, mode).turns(turns), &scene);
-    emitter.filter_map(|one| DataPacket::parse(&one.payload).ok().copied()).collect()
+    emitter
+        .filter_map(|one| DataPacket::parse(&one.payload).ok().copied())
+        .collect()
 }
 
 /// The beams that the simulated sensor of a model has.
 fn beams(model: Model) -> Calibration {
-    EmitterConfig::new(model, ReturnMode::Strongest).beams().into_owned()
+    EmitterConfig::new(model, ReturnMode::Strongest)
+        .beams()
+        .into_owned()
 }
 
 /// A stream to decode, named for the table.
@@ -49,7 +55,11 @@ struct Stream(Model, ReturnMode);
 
 impl std::fmt::Display for Stream {
     fn fmt(&self, f: &mut std::fmt::Formatter<'_>) -> std::fmt::Result {
-        let returns = if self.1 == ReturnMode::Dual { "dual" } else { "single" };
+        let returns = if self.1 == ReturnMode::Dual {
+            "dual"
+        } else {
+            "single"
+        };
         write!(f, "{} {returns}", self.0)
     }
 }
@@ -77,11 +87,21 @@ fn decode(bencher: Bencher, &Stream(model, mode): &Stream) {
     };
     bencher.counter(ItemsCount::new(returns)).bench_local(|| {
         let limits_m = 0.0..=f32::INFINITY;
-        let decoder = Decoder::new((model, model.spec()), &beams(model), ReturnChoice::Nearest, limits_m);
+        let decoder = Decoder::new(
+            (model, model.spec()),
+            &beams(model),
+            ReturnChoice::Nearest,
+            limits_m,
+        );
         let mut order = Order::new(decoder.spec);
         let mut builder = Builder::new(buffers.clone(), decoder, settings.clone());
         for (number, packet) in packets.iter().enumerate() {
-            let _ = order.push(black_box(packet), mode, number as u64, number as i64 * 1_000_000);
+            let _ = order.push(
+                black_box(packet),
+                mode,
+                number as u64,
+                number as i64 * 1_000_000,
+            );
             while let Some((slot, before)) = order.pop() {
                 builder.begin(slot, order.packet(slot), before);
                 while let Some(sweep) = builder.advance(order.packet(slot), order.clock()) {
@@ -100,7 +120,8 @@ fn replay(bencher: Bencher, name: &str) {
     let returns = |visit: &mut dyn FnMut(u32)| {
         let mut capture = Capture::open(&path).unwrap();
         let mut sensors = Sensors::new(Vec::new());
-        let mut pipeline = Pipeline::new("bench", Config::default(), HeapBuffers::default(), Untimed).unwrap();
+        let mut pipeline =
+            Pipeline::new("bench", Config::default(), HeapBuffers::default(), Untimed).unwrap();
         while let Some(datagram) = capture.next_datagram().unwrap() {
             if matches!(sensors.route(&datagram), Route::Data(_)) {
                 pipeline.push(&datagram).unwrap();

@@ -1,11 +1,13 @@
-//! What each ingredient of the default method is worth by itself: prints the tables of `docs/segmentation.md`.
+//! What each ingredient of the default method is worth by itself: prints the tables of
+//! `docs/segmentation.md`.
 //!
 //! ```text
 //! cargo run --release --example ablation -- ../shared/data/labelled/semantickitti
 //! ```
 //!
-//! The folder has a folder a sequence, with clouds (`.bin`) and true labels (`.label`) in the manner of SemanticKITTI. Each
-//! cloud is taken three times: as it is, and thinned to every second and every fourth of its rings, from the highest on.
+//! The folder has a folder a sequence, with clouds (`.bin`) and true labels (`.label`) in the
+//! manner of SemanticKITTI. Each cloud is taken three times: as it is, and thinned to every second
+//! and every fourth of its rings, from the highest on.
 
 mod tables;
 
@@ -29,33 +31,58 @@ const STEPS: [usize; 3] = [1, 2, 4];
 const USE_PRICE: f64 = 0.005;
 /// What a variant is chosen by, with a name for the tables.
 const RULES: [(&str, Worth); 2] = [
-    ("PQ@20 - 0.005 USE", |[_, quality, _, mixed, ..]| quality - USE_PRICE * mixed),
-    ("(PQ@20 + found@20) / 2 - 0.005 USE", |[_, quality, found, mixed, ..]| {
-        (quality + found) / 2.0 - USE_PRICE * mixed
+    ("PQ@20 - 0.005 USE", |[_, quality, _, mixed, ..]| {
+        quality - USE_PRICE * mixed
     }),
+    (
+        "(PQ@20 + found@20) / 2 - 0.005 USE",
+        |[_, quality, found, mixed, ..]| (quality + found) / 2.0 - USE_PRICE * mixed,
+    ),
 ];
 
 /// What figures are worth.
 type Worth = fn([f64; 6]) -> f64;
 
 fn main() -> Result<()> {
-    let folder = std::env::args().nth(1).ok_or("expected the folder with the sequences")?;
+    let folder = std::env::args()
+        .nth(1)
+        .ok_or("expected the folder with the sequences")?;
     let clouds = clouds(Path::new(&folder))?;
     let (ingredients, grid) = (ingredients(), grid());
     let measure = |step| -> Result<[Vec<Scored>; 2]> {
-        let mut scans = clouds.iter().map(|cloud| Scan::read(cloud, step)).collect::<Result<Vec<_>>>()?;
+        let mut scans = clouds
+            .iter()
+            .map(|cloud| Scan::read(cloud, step))
+            .collect::<Result<Vec<_>>>()?;
         scans.first_mut().map_or(Ok(()), Scan::check)?;
-        Ok([&ingredients, &grid].map(|variants| variants.iter().map(|variant| variant.score(&mut scans)).collect()))
+        Ok([&ingredients, &grid].map(|variants| {
+            variants
+                .iter()
+                .map(|variant| variant.score(&mut scans))
+                .collect()
+        }))
     };
     let measured = std::thread::scope(|scope| {
         let threads = STEPS.map(|step| scope.spawn(move || measure(step)));
-        threads.map(|thread| thread.join().expect("a thread that measures does not panic"))
+        threads.map(|thread| {
+            thread
+                .join()
+                .expect("a thread that measures does not panic")
+        })
     });
     let measured = measured.into_iter().collect::<Result<Vec<_>>>()?;
     print_defaults();
-    print_ingredients(&ingredients, &measured.iter().map(|[scored, _]| &scored[..]).collect::<Vec<_>>());
+    print_ingredients(
+        &ingredients,
+        &measured
+            .iter()
+            .map(|[scored, _]| &scored[..])
+            .collect::<Vec<_>>(),
+    );
     for (rule, worth) in RULES {
-        println!("\n### Chosen by the greatest {rule} of the others (`gap_m`, `small_reach_m`, `max_slope`)");
+        println!(
+            "\n### Chosen by the greatest {rule} of the others (`gap_m`, `small_reach_m`, `max_slope`)"
+        );
         for (step, [_, scored]) in STEPS.iter().zip(&measured) {
             print_left_out(64 / step, &grid, scored, worth);
         }
@@ -66,18 +93,33 @@ fn main() -> Result<()> {
 /// The clouds with a truth, by sequence.
 fn clouds(folder: &Path) -> Result<Vec<PathBuf>> {
     let mut found = Vec::new();
-    for sequence in fs::read_dir(folder).map_err(|error| format!("{}: {error}", folder.display()))? {
+    for sequence in
+        fs::read_dir(folder).map_err(|error| format!("{}: {error}", folder.display()))?
+    {
         let sequence = sequence?.path();
-        for file in if sequence.is_dir() { Some(fs::read_dir(&sequence)?) } else { None }.into_iter().flatten() {
+        for file in if sequence.is_dir() {
+            Some(fs::read_dir(&sequence)?)
+        } else {
+            None
+        }
+        .into_iter()
+        .flatten()
+        {
             let file = file?.path();
-            if file.extension().is_some_and(|extension| extension == "bin") && file.with_extension("label").is_file() {
+            if file.extension().is_some_and(|extension| extension == "bin")
+                && file.with_extension("label").is_file()
+            {
                 found.push(file);
             }
         }
     }
     found.sort();
     if found.is_empty() {
-        Err(format!("{}: no NAME.bin with NAME.label beside it", folder.display()).into())
+        Err(format!(
+            "{}: no NAME.bin with NAME.label beside it",
+            folder.display()
+        )
+        .into())
     } else {
         Ok(found)
     }
@@ -97,31 +139,60 @@ impl Scan {
     fn read(path: &Path, step: usize) -> Result<Self> {
         let mut points = cloud::points(&fs::read(path)?)?;
         let bytes = fs::read(path.with_extension("label"))?;
-        let mut labels: Vec<u32> = bytes.as_chunks().0.iter().map(|bytes| u32::from_le_bytes(*bytes)).collect();
+        let mut labels: Vec<u32> = bytes
+            .as_chunks()
+            .0
+            .iter()
+            .map(|bytes| u32::from_le_bytes(*bytes))
+            .collect();
         if step > 1 {
             let is_kept = kept(&points, step)?;
             let chosen = |index: &usize| is_kept[*index];
-            labels = (0..labels.len().min(points.len())).filter(chosen).map(|index| labels[index]).collect();
-            points = (0..points.len()).filter(chosen).map(|index| points[index]).collect();
+            labels = (0..labels.len().min(points.len()))
+                .filter(chosen)
+                .map(|index| labels[index])
+                .collect();
+            points = (0..points.len())
+                .filter(chosen)
+                .map(|index| points[index])
+                .collect();
         }
         let truth = Truth::new(&points, labels)?;
         let (pixel, _, buffer) = project(&points)?;
         let name = path.parent().and_then(Path::file_name).unwrap_or_default();
-        Ok(Self { sequence: name.to_string_lossy().into_owned(), points, truth, buffer, pixel })
+        Ok(Self {
+            sequence: name.to_string_lossy().into_owned(),
+            points,
+            truth,
+            buffer,
+            pixel,
+        })
     }
 
     fn segment(&mut self, segmenter: &mut Segmenter) -> Vec<u32> {
         let mut sweep = SweepMut::open(self.buffer.as_mut()).expect("as it was projected");
         segmenter.segment(&mut sweep);
-        self.pixel.iter().map(|pixel| pixel.map_or(0, |index| sweep.label[index])).collect()
+        self.pixel
+            .iter()
+            .map(|pixel| pixel.map_or(0, |index| sweep.label[index]))
+            .collect()
     }
 
     /// An image that is segmented again and again gives what the program gives of the cloud.
     fn check(&mut self) -> Result<()> {
-        let bytes: Vec<u8> = self.points.iter().flatten().flat_map(|value| value.to_le_bytes()).collect();
+        let bytes: Vec<u8> = self
+            .points
+            .iter()
+            .flatten()
+            .flat_map(|value| value.to_le_bytes())
+            .collect();
         let labels = CloudSegmenter::new(Config::default(), cloud::COLUMNS)?.segment(&bytes)?;
         let same = labels == self.segment(&mut Segmenter::new(Config::default())?);
-        if same { Ok(()) } else { Err("the labels are not those of sweepd::cloud::CloudSegmenter".into()) }
+        if same {
+            Ok(())
+        } else {
+            Err("the labels are not those of sweepd::cloud::CloudSegmenter".into())
+        }
     }
 }
 
@@ -131,12 +202,21 @@ fn project(points: &[[f32; 4]]) -> Result<(Vec<Option<usize>>, usize, HeapBuffer
     let sweep = projector.project(points)?;
     let rows = sweep.beams.len();
     // A pixel whose label is its own number tells each point where it is.
-    sweep.label.iter_mut().zip(1..).for_each(|(label, number)| *label = number);
-    let pixel = projector.labels()?.iter().map(|number| (*number as usize).checked_sub(1)).collect();
+    sweep
+        .label
+        .iter_mut()
+        .zip(1..)
+        .for_each(|(label, number)| *label = number);
+    let pixel = projector
+        .labels()?
+        .iter()
+        .map(|number| (*number as usize).checked_sub(1))
+        .collect();
     Ok((pixel, rows, projector.into_buffer().ok_or("no image")?))
 }
 
-/// The points whose row counts among every so many. One without a pixel has the row of the point before it.
+/// The points whose row counts among every so many. One without a pixel has the row of the point
+/// before it.
 fn kept(points: &[[f32; 4]], step: usize) -> Result<Vec<bool>> {
     let (pixel, rows, _) = project(points)?;
     let mut last = 0;
@@ -167,13 +247,15 @@ impl Variant {
         };
         let mut scored = Scored::new();
         for sequence in scans.chunk_by_mut(|a, b| a.sequence == b.sequence) {
-            let mut segmenter = Segmenter::new(config.clone()).expect("variants are within their limits");
+            let mut segmenter =
+                Segmenter::new(config.clone()).expect("variants are within their limits");
             for scan in sequence {
                 let mut labels = scan.segment(&mut segmenter);
                 if let Way::Plain(baseline) = &self.way {
                     labels = baseline.segment(&scan.points, &labels, config.min_points);
                 }
-                let score = ScanScore::new(&scan.truth, &labels, &[INSTANCE_POINTS]).expect("a label a point");
+                let score = ScanScore::new(&scan.truth, &labels, &[INSTANCE_POINTS])
+                    .expect("a label a point");
                 scored.push((scan.sequence.clone(), score));
             }
         }
@@ -181,11 +263,17 @@ impl Variant {
     }
 
     fn ours(name: impl Into<String>, config: Config) -> Self {
-        Self { name: name.into(), way: Way::Ours(config) }
+        Self {
+            name: name.into(),
+            way: Way::Ours(config),
+        }
     }
 
     fn plain(name: String, baseline: Baseline) -> Self {
-        Self { name, way: Way::Plain(baseline) }
+        Self {
+            name,
+            way: Way::Plain(baseline),
+        }
     }
 
     fn slope(name: impl Into<String>, change: impl FnOnce(&mut SlopeGround)) -> Self {
@@ -217,44 +305,78 @@ const FIELDS: [(&str, Field); 6] = [
 /// One change each.
 fn ingredients() -> Vec<Variant> {
     let mut variants = vec![Variant::ours("**default**", Config::default())];
-    variants.push(Variant::slope("`agree_m` 0: no vote", |slope| slope.agree_m = 0.0));
+    variants.push(Variant::slope("`agree_m` 0: no vote", |slope| {
+        slope.agree_m = 0.0
+    }));
     for (name, field) in FIELDS {
         for factor in [0.5, 2.0] {
             let value = factor * *field(&mut SlopeGround::default());
-            variants.push(Variant::slope(format!("`{name}` {value}"), |slope| *field(slope) = value));
+            variants.push(Variant::slope(format!("`{name}` {value}"), |slope| {
+                *field(slope) = value
+            }));
         }
     }
     for rise_m in [0.075, 0.15, 0.3, 0.6] {
-        variants.push(Variant::slope(format!("`max_rise_m` {rise_m}"), |slope| slope.max_rise_m = Some(rise_m)));
+        variants.push(Variant::slope(format!("`max_rise_m` {rise_m}"), |slope| {
+            slope.max_rise_m = Some(rise_m)
+        }));
     }
     for [columns, rows] in [[1, 1], [5, 2], [8, 2], [12, 1], [12, 2], [12, 3]] {
         let name = format!("`columns` {columns}, `rows` {rows}");
-        variants.push(Variant::joining(name, |joining| (joining.columns, joining.rows) = (columns, rows)));
+        variants.push(Variant::joining(name, |joining| {
+            (joining.columns, joining.rows) = (columns, rows)
+        }));
     }
     for gap_m in [0.4, 0.5, 0.6, 0.7, 0.8, 0.9, 1.0] {
-        variants.push(Variant::joining(format!("`gap_m` {gap_m}"), |joining| joining.gap_m = Some(gap_m)));
+        variants.push(Variant::joining(format!("`gap_m` {gap_m}"), |joining| {
+            joining.gap_m = Some(gap_m)
+        }));
     }
     for points in [0, 10, 20, 30] {
-        variants.push(Variant::joining(format!("`small_points` {points}"), |joining| joining.small_points = points));
+        variants.push(Variant::joining(
+            format!("`small_points` {points}"),
+            |joining| joining.small_points = points,
+        ));
     }
     for reach_m in [0.1, 0.2, 0.3, 0.4, 0.5] {
-        variants
-            .push(Variant::joining(format!("`small_reach_m` {reach_m}"), |joining| joining.small_reach_m = reach_m));
+        variants.push(Variant::joining(
+            format!("`small_reach_m` {reach_m}"),
+            |joining| joining.small_reach_m = reach_m,
+        ));
     }
     for theta_deg in [0.001_f32, 5.0, 10.0, 15.0, 20.0] {
-        let note = if theta_deg < 1.0 { ": the angle never refuses" } else { "" };
-        let config = Config { theta_rad: theta_deg.to_radians(), ..Config::default() };
+        let note = if theta_deg < 1.0 {
+            ": the angle never refuses"
+        } else {
+            ""
+        };
+        let config = Config {
+            theta_rad: theta_deg.to_radians(),
+            ..Config::default()
+        };
         variants.push(Variant::ours(format!("theta {theta_deg}°{note}"), config));
     }
-    let paper = Config { method: Method::Paper, ..Config::default() };
+    let paper = Config {
+        method: Method::Paper,
+        ..Config::default()
+    };
     variants.push(Variant::ours("paper", paper.clone()));
-    variants.push(Variant::ours("paper, `min_points` 20", Config { min_points: 20, ..paper }));
+    variants.push(Variant::ours(
+        "paper, `min_points` 20",
+        Config {
+            min_points: 20,
+            ..paper
+        },
+    ));
     for distance_m in [0.3, 0.5, 0.7] {
         let name = format!("Euclidean {distance_m} m on our ground");
         variants.push(Variant::plain(name, Baseline::Euclidean { distance_m }));
     }
     for cell_m in [0.2, 0.3, 0.5] {
-        variants.push(Variant::plain(format!("grid {cell_m} m on our ground"), Baseline::Grid { cell_m }));
+        variants.push(Variant::plain(
+            format!("grid {cell_m} m on our ground"),
+            Baseline::Grid { cell_m },
+        ));
     }
     variants
 }
@@ -265,10 +387,11 @@ fn grid() -> Vec<Variant> {
     for gap_m in [0.5, 0.6, 0.7, 0.8, 0.9] {
         for reach_m in [0.15, 0.25, 0.35] {
             for slope in [0.15, 0.2, 0.25] {
-                let mut variant = Variant::joining(format!("{gap_m}, {reach_m}, {slope}"), |joining| {
-                    joining.gap_m = Some(gap_m);
-                    joining.small_reach_m = reach_m;
-                });
+                let mut variant =
+                    Variant::joining(format!("{gap_m}, {reach_m}, {slope}"), |joining| {
+                        joining.gap_m = Some(gap_m);
+                        joining.small_reach_m = reach_m;
+                    });
                 if let Way::Ours(config) = &mut variant.way {
                     config.slope.max_slope = slope;
                 }
@@ -280,12 +403,30 @@ fn grid() -> Vec<Variant> {
 }
 
 fn print_defaults() {
-    let Config { theta_rad, joining, min_points, .. } = Config::default();
-    let Joining { columns, rows, small_points, small_reach_m, .. } = joining;
+    let Config {
+        theta_rad,
+        joining,
+        min_points,
+        ..
+    } = Config::default();
+    let Joining {
+        columns,
+        rows,
+        small_points,
+        small_reach_m,
+        ..
+    } = joining;
     let mut slope = SlopeGround::default();
-    let ground: Vec<String> = FIELDS.iter().map(|(name, field)| format!("`{name}` {}", field(&mut slope))).collect();
-    let by_rows = |of: &dyn Fn(usize) -> f32| STEPS.map(|step| of(64 / step).to_string()).join(" / ");
-    let (rises, gaps) = (by_rows(&|rows| slope.max_rise_m(rows)), by_rows(&|rows| joining.gap_m(rows)));
+    let ground: Vec<String> = FIELDS
+        .iter()
+        .map(|(name, field)| format!("`{name}` {}", field(&mut slope)))
+        .collect();
+    let by_rows =
+        |of: &dyn Fn(usize) -> f32| STEPS.map(|step| of(64 / step).to_string()).join(" / ");
+    let (rises, gaps) = (
+        by_rows(&|rows| slope.max_rise_m(rows)),
+        by_rows(&|rows| joining.gap_m(rows)),
+    );
     println!(
         "Defaults: {}, `max_rise_m` {rises} (64 / 32 / 16 rows);\n`columns` {columns}, `rows` {rows}, `gap_m` {gaps}, `small_points` {small_points}, \
          `small_reach_m` {small_reach_m};\ntheta {:.0}°, `min_points` {min_points}.\n",
@@ -297,41 +438,83 @@ fn print_defaults() {
 fn print_ingredients(variants: &[Variant], measured: &[&[Scored]]) {
     println!("| 64 / 32 / 16 rows | {HEADING}\n|---|---|---|---|---|---|---|");
     for (index, variant) in variants.iter().enumerate() {
-        let of_rows: Vec<[f64; 6]> = measured.iter().map(|scored| figures(&scored[index])).collect();
+        let of_rows: Vec<[f64; 6]> = measured
+            .iter()
+            .map(|scored| figures(&scored[index]))
+            .collect();
         let cells = DECIMALS.iter().enumerate().map(|(at, &decimals)| {
-            let values: Vec<String> = of_rows.iter().map(|figures| format!("{:.decimals$}", figures[at])).collect();
+            let values: Vec<String> = of_rows
+                .iter()
+                .map(|figures| format!("{:.decimals$}", figures[at]))
+                .collect();
             values.join(" / ")
         });
-        println!("| {} | {} |", variant.name, cells.collect::<Vec<_>>().join(" | "));
+        println!(
+            "| {} | {} |",
+            variant.name,
+            cells.collect::<Vec<_>>().join(" | ")
+        );
     }
 }
 
-/// For each sequence the best variant by the others, and what it comes to on the one that was left out.
+/// For each sequence the best variant by the others, and what it comes to on the one that was left
+/// out.
 fn print_left_out(rows: usize, variants: &[Variant], scored: &[Scored], worth: Worth) {
     println!("\n| left out, {rows} rows | instances | chosen | ahead of default | {HEADING}");
     println!("|---|---|---|---|---|---|---|---|---|---|");
-    let mut sequences: Vec<&str> = scored[0].iter().map(|(sequence, _)| &sequence[..]).collect();
+    let mut sequences: Vec<&str> = scored[0]
+        .iter()
+        .map(|(sequence, _)| &sequence[..])
+        .collect();
     sequences.dedup();
     let (mut all, mut lines) = (Scored::new(), Vec::new());
     for sequence in sequences {
         let of_others = |scored: &Scored| worth(figures(&part(scored, |other| other != sequence)));
         let worths: Vec<f64> = scored.iter().map(of_others).collect();
         // The default is the first, and of equals the first is chosen.
-        let best = (0..worths.len()).rev().max_by(|&a, &b| worths[a].total_cmp(&worths[b])).unwrap_or(0);
+        let best = (0..worths.len())
+            .rev()
+            .max_by(|&a, &b| worths[a].total_cmp(&worths[b]))
+            .unwrap_or(0);
         let left_out = part(&scored[best], |other| other == sequence);
         let ahead = format!("{:.3}", worths[best] - worths[0]);
-        lines.push((sequence.to_owned(), variants[best].name.clone(), ahead, left_out.clone()));
+        lines.push((
+            sequence.to_owned(),
+            variants[best].name.clone(),
+            ahead,
+            left_out.clone(),
+        ));
         all.extend(left_out);
     }
-    lines.push(("**all, each left out**".to_owned(), String::new(), String::new(), all));
-    lines.push(("**all, default**".to_owned(), String::new(), String::new(), scored[0].clone()));
+    lines.push((
+        "**all, each left out**".to_owned(),
+        String::new(),
+        String::new(),
+        all,
+    ));
+    lines.push((
+        "**all, default**".to_owned(),
+        String::new(),
+        String::new(),
+        scored[0].clone(),
+    ));
     for (what, chosen, ahead, scored) in lines {
         let instances = instances(&scored);
-        let cells = figures(&scored).into_iter().zip(DECIMALS).map(|(value, decimals)| format!("{value:.decimals$}"));
-        println!("| {what} | {instances} | {chosen} | {ahead} | {} |", cells.collect::<Vec<_>>().join(" | "));
+        let cells = figures(&scored)
+            .into_iter()
+            .zip(DECIMALS)
+            .map(|(value, decimals)| format!("{value:.decimals$}"));
+        println!(
+            "| {what} | {instances} | {chosen} | {ahead} | {} |",
+            cells.collect::<Vec<_>>().join(" | ")
+        );
     }
 }
 
 fn part(scored: &[(String, ScanScore)], is_of: impl Fn(&str) -> bool) -> Scored {
-    scored.iter().filter(|(sequence, _)| is_of(sequence)).cloned().collect()
+    scored
+        .iter()
+        .filter(|(sequence, _)| is_of(sequence))
+        .cloned()
+        .collect()
 }

@@ -14,7 +14,9 @@ use sweepd::simulate::Scene;
 use sweepd::simulate::fixtures::{self, Counts, Fixture};
 
 fn main() -> Result<()> {
-    let folder = std::env::args().nth(1).unwrap_or_else(|| "pcap_fixtures".to_owned());
+    let folder = std::env::args()
+        .nth(1)
+        .unwrap_or_else(|| "pcap_fixtures".to_owned());
     let scene = fixtures::scene();
     for fixture in fixtures::all() {
         let counts = make(&fixture, &scene, Path::new(&folder))?;

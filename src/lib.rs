@@ -1,12 +1,14 @@
-//! sweepd owns a spinning Velodyne: packets in, range images out, cut into ground and numbered objects.
+//! sweepd owns a spinning Velodyne: packets in, range images out, cut into ground and numbered
+//! objects.
 //!
 //! ```text
 //! socket | pcap | simulator -> Datagram -> Packet -> Column -> Sweep -> Labels + Segments -> shared memory | files
 //!          capture, simulate   wire        sweep ------------   segment                      publish         export
 //! ```
 //!
-//! Everything from [`wire::Datagram`] to the segments is pure: bytes and time come in as arguments. [`pipeline`] holds the
-//! whole algorithm on one page; whoever has datagrams pushes them through it:
+//! Everything from [`wire::Datagram`] to the segments is pure: bytes and time come in as arguments.
+//! [`pipeline`] holds the whole algorithm on one page; whoever has datagrams pushes them through
+//! it:
 //!
 //! ```
 //! use sweepd::capture::Capture;
@@ -71,7 +73,8 @@ pub mod files;
 pub mod soak;
 mod suggest;
 
-/// Version of this build, with the commit in a release build of a repository: `0.1.0 (6707b6746 2026-11-24)`.
+/// Version of this build, with the commit in a release build of a repository: `0.1.0 (6707b6746
+/// 2026-11-24)`.
 pub const VERSION: &str = env!("SWEEPD_VERSION");
 
 pub use sweepd_client::{client, host, publish};

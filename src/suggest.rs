@@ -3,28 +3,37 @@
 /// Longest word that is compared: the names of keys are shorter.
 const LONGEST: usize = 40;
 
-/// The word among the quoted ones of `expected` ("one of `a`, `b`") that was meant by `found`, if one is near.
+/// The word among the quoted ones of `expected` ("one of `a`, `b`") that was meant by `found`, if
+/// one is near.
 pub fn suggestion<'a>(found: &str, expected: &'a str) -> Option<&'a str> {
-    nearest(found.trim_matches(['"', '\'']), expected.split('`').skip(1).step_by(2))
+    nearest(
+        found.trim_matches(['"', '\'']),
+        expected.split('`').skip(1).step_by(2),
+    )
 }
 
-/// The word that was meant by `found`, if one is near: it begins with `found` (a unit is missing), or at most a third of its
-/// letters are wrong.
+/// The word that was meant by `found`, if one is near: it begins with `found` (a unit is missing),
+/// or at most a third of its letters are wrong.
 pub fn nearest<'a>(found: &str, words: impl Iterator<Item = &'a str>) -> Option<&'a str> {
     if found.is_empty() || found.len() > LONGEST {
         return None;
     }
     let near = |word: &&str| {
         let distance = distance(found, word);
-        let lacks_unit = word.strip_prefix(found).is_some_and(|rest| rest.starts_with('_'));
+        let lacks_unit = word
+            .strip_prefix(found)
+            .is_some_and(|rest| rest.starts_with('_'));
         let distance = if lacks_unit { 0 } else { distance };
         (distance <= word.len().div_ceil(3)).then_some(distance)
     };
-    words.filter_map(|word| Some((near(&word)?, word))).min_by_key(|&(distance, _)| distance).map(|(_, word)| word)
+    words
+        .filter_map(|word| Some((near(&word)?, word)))
+        .min_by_key(|&(distance, _)| distance)
+        .map(|(_, word)| word)
 }
 
-/// Letters to be inserted, removed, replaced or exchanged with their neighbour to make one word the other (optimal string
-/// alignment).
+/// Letters to be inserted, removed, replaced or exchanged with their neighbour to make one word the
+/// other (optimal string alignment).
 fn distance(a: &str, b: &str) -> usize {
     let (a, b): (Vec<char>, Vec<char>) = (a.chars().collect(), b.chars().collect());
     let mut before: Vec<usize> = Vec::new();
@@ -50,10 +59,18 @@ mod tests {
 
     #[test]
     fn distances_are_those_counted_by_hand() {
-        for (a, b, expected) in
-            [("port", "port", 0), ("prot", "port", 1), ("pot", "port", 1), ("", "rpm", 3), ("é", "e", 1)]
-        {
-            assert_eq!((distance(a, b), distance(b, a)), (expected, expected), "{a} {b}");
+        for (a, b, expected) in [
+            ("port", "port", 0),
+            ("prot", "port", 1),
+            ("pot", "port", 1),
+            ("", "rpm", 3),
+            ("é", "e", 1),
+        ] {
+            assert_eq!(
+                (distance(a, b), distance(b, a)),
+                (expected, expected),
+                "{a} {b}"
+            );
         }
     }
 

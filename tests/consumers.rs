@@ -1,8 +1,9 @@
-//! What other languages make of a sweep: `docs/layout.md`, `examples/sweepd.h` and `examples/consumer.py` against the Rust
-//! types, and the example consumers against a publisher.
+//! What other languages make of a sweep: `docs/layout.md`, `examples/sweepd.h` and
+//! `examples/consumer.py` against the Rust types, and the example consumers against a publisher.
 //!
-//! A C and a C++ compiler are wanted, and a Python (`SWEEPD_PYTHON`, else `python3`) with the packages `iceoryx2` 0.10.0 and
-//! `numpy`. Where they are missing the tests say so and are skipped; under `CI=true` they fail.
+//! A C and a C++ compiler are wanted, and a Python (`SWEEPD_PYTHON`, else `python3`) with the
+//! packages `iceoryx2` 0.10.0 and `numpy`. Where they are missing the tests say so and are skipped;
+//! under `CI=true` they fail.
 
 mod common;
 #[path = "consumers/fields.rs"]
@@ -33,7 +34,9 @@ fn of_project(path: &str) -> PathBuf {
 
 /// A folder for one test, empty at its beginning.
 fn folder(test: &str) -> PathBuf {
-    let folder = PathBuf::from(env!("CARGO_TARGET_TMPDIR")).join("consumers").join(test);
+    let folder = PathBuf::from(env!("CARGO_TARGET_TMPDIR"))
+        .join("consumers")
+        .join(test);
     let _ = std::fs::remove_dir_all(&folder);
     std::fs::create_dir_all(&folder).unwrap();
     folder

@@ -1,4 +1,5 @@
-//! `sweepd doctor` over loopback: simulated sensors, healthy and not, and web pages that the tests serve.
+//! `sweepd doctor` over loopback: simulated sensors, healthy and not, and web pages that the tests
+//! serve.
 
 mod common;
 
@@ -31,14 +32,18 @@ fn vlp16(seconds: f64) -> Stream {
     let sent: Vec<_> = Emitter::new(config, &scene).collect();
     let begun = sent[0].datagram().arrival_ns;
     let after = |at: i64| Duration::from_nanos((at - begun).max(0) as u64);
-    sent.iter().map(|one| (after(one.datagram().arrival_ns), one.payload.clone())).collect()
+    sent.iter()
+        .map(|one| (after(one.datagram().arrival_ns), one.payload.clone()))
+        .collect()
 }
 
 /// A VLP-16 of which nothing is known but its head.
 fn spin(spin: Spin, seconds: f64) -> Stream {
     let sent = spin.packets(seconds);
     let after = |at: i64| Duration::from_nanos((at - sent[0].arrival_ns).max(0) as u64);
-    sent.iter().map(|one| (after(one.arrival_ns), one.packet.emit().to_vec())).collect()
+    sent.iter()
+        .map(|one| (after(one.arrival_ns), one.packet.emit().to_vec()))
+        .collect()
 }
 
 /// Sends in real time until it ends or is over: data to the first port, the rest to the last.
@@ -50,7 +55,11 @@ fn send(stream: &Stream, from: Ipv4Addr, ports: &[u16], over: &AtomicBool) {
             return;
         }
         std::thread::sleep(at.saturating_sub(begun.elapsed()));
-        let port = if payload.len() == 1206 { ports[0] } else { ports[ports.len() - 1] };
+        let port = if payload.len() == 1206 {
+            ports[0]
+        } else {
+            ports[ports.len() - 1]
+        };
         let _ = socket.send_to(payload, (LOCAL, port));
     }
 }
@@ -84,15 +93,22 @@ fn anything() -> Plan {
 /// What is found, but for what this host lacks.
 fn found(seen: &Observations) -> Vec<Finding> {
     let of_host = [Topic::Buffer, Topic::SharedMemory];
-    diagnose(seen).into_iter().filter(|finding| !of_host.contains(&finding.topic)).collect()
+    diagnose(seen)
+        .into_iter()
+        .filter(|finding| !of_host.contains(&finding.topic))
+        .collect()
 }
 
 #[track_caller]
 fn has(findings: &[Finding], severity: Severity, topic: Topic, part: &str) {
     let is_it = |one: &&Finding| {
-        (one.severity, one.topic) == (severity, topic) && (one.what.clone() + &one.cure).contains(part)
+        (one.severity, one.topic) == (severity, topic)
+            && (one.what.clone() + &one.cure).contains(part)
     };
-    assert!(findings.iter().any(|one| is_it(&one)), "{topic:?} {part}: {findings:#?}");
+    assert!(
+        findings.iter().any(|one| is_it(&one)),
+        "{topic:?} {part}: {findings:#?}"
+    );
 }
 
 #[test]
@@ -102,10 +118,16 @@ fn a_healthy_sensor_is_well() {
     assert!(!findings.iter().any(Finding::is_trouble), "{findings:#?}");
     assert_eq!(seen.sensors.len(), 1);
     let sensor = &seen.sensors[0];
-    assert_eq!((sensor.model, sensor.return_mode), (Some(Model::Vlp16), Some(Strongest)));
+    assert_eq!(
+        (sensor.model, sensor.return_mode),
+        (Some(Model::Vlp16), Some(Strongest))
+    );
     let (least, most) = sensor.rpm.unwrap();
     assert!(least > 595.0 && most < 605.0, "{least} {most}");
-    assert!(sensor.whole_sweeps >= 5 && sensor.counts.position > 10, "{sensor:?}");
+    assert!(
+        sensor.whole_sweeps >= 5 && sensor.counts.position > 10,
+        "{sensor:?}"
+    );
     assert_eq!(seen.positions[0].address, IpAddr::V4(LOCAL));
 }
 
@@ -113,28 +135,62 @@ fn a_healthy_sensor_is_well() {
 fn silence_and_positions_alone_are_found() {
     let nothing = seen(anything(), None, &[]);
     let findings = found(&nothing);
-    has(&findings, Severity::Error, Topic::Silent, "nothing came to port");
+    has(
+        &findings,
+        Severity::Error,
+        Topic::Silent,
+        "nothing came to port",
+    );
 
-    let positions: Stream = vlp16(2.0).into_iter().filter(|(_, payload)| payload.len() != 1206).collect();
+    let positions: Stream = vlp16(2.0)
+        .into_iter()
+        .filter(|(_, payload)| payload.len() != 1206)
+        .collect();
     let findings = found(&seen(anything(), None, &[(LOCAL, positions)]));
-    has(&findings, Severity::Error, Topic::PositionOnly, "127.0.0.1 sends position packets");
+    has(
+        &findings,
+        Severity::Error,
+        Topic::PositionOnly,
+        "127.0.0.1 sends position packets",
+    );
 }
 
 #[test]
 fn two_senders_and_noise_are_found() {
     let second = Ipv4Addr::new(127, 0, 0, 2);
-    let noise = (0..50).map(|n| (Duration::from_millis(n * 10), vec![n as u8; 100])).collect();
-    let senders = [(LOCAL, vlp16(2.0)), (second, vlp16(2.0)), (Ipv4Addr::new(127, 0, 0, 3), noise)];
+    let noise = (0..50)
+        .map(|n| (Duration::from_millis(n * 10), vec![n as u8; 100]))
+        .collect();
+    let senders = [
+        (LOCAL, vlp16(2.0)),
+        (second, vlp16(2.0)),
+        (Ipv4Addr::new(127, 0, 0, 3), noise),
+    ];
     let findings = found(&seen(anything(), None, &senders));
     has(&findings, Severity::Warning, Topic::Senders, "127.0.0.2:");
-    has(&findings, Severity::Warning, Topic::Foreign, "the first from 127.0.0.3:");
-    assert_eq!(findings.iter().filter(|one| one.is_trouble()).count(), 2, "{findings:#?}");
+    has(
+        &findings,
+        Severity::Warning,
+        Topic::Foreign,
+        "the first from 127.0.0.3:",
+    );
+    assert_eq!(
+        findings.iter().filter(|one| one.is_trouble()).count(),
+        2,
+        "{findings:#?}"
+    );
 }
 
 /// A VLP-16 where an HDL-32E is configured, at another speed, beside one that is missing.
 #[test]
 fn what_is_configured_is_held_against_what_comes() {
-    let free = |_| UdpSocket::bind((LOCAL, 0)).unwrap().local_addr().unwrap().port();
+    let free = |_| {
+        UdpSocket::bind((LOCAL, 0))
+            .unwrap()
+            .local_addr()
+            .unwrap()
+            .port()
+    };
     let ports: Vec<u16> = [0, 1].iter().map(free).collect();
     let expected = |name: &str, address| Expected {
         name: name.to_owned(),
@@ -147,29 +203,69 @@ fn what_is_configured_is_held_against_what_comes() {
         max_consumers: 4,
         min_points: 10,
     };
-    let sensors = vec![expected("roof", LOCAL), expected("rear", Ipv4Addr::new(127, 0, 0, 9))];
-    let plan = Plan { sensors, ..Plan::of_ports(&ports, LOCAL, None, None) };
+    let sensors = vec![
+        expected("roof", LOCAL),
+        expected("rear", Ipv4Addr::new(127, 0, 0, 9)),
+    ];
+    let plan = Plan {
+        sensors,
+        ..Plan::of_ports(&ports, LOCAL, None, None)
+    };
     let findings = found(&seen(plan, None, &[(LOCAL, vlp16(2.0))]));
-    has(&findings, Severity::Error, Topic::Model, "is configured as HDL-32E, and its packets are those of a VLP-16");
-    has(&findings, Severity::Warning, Topic::Speed, "configured are 1200");
-    has(&findings, Severity::Error, Topic::Silent, "rear: nothing came from 127.0.0.9");
+    has(
+        &findings,
+        Severity::Error,
+        Topic::Model,
+        "is configured as HDL-32E, and its packets are those of a VLP-16",
+    );
+    has(
+        &findings,
+        Severity::Warning,
+        Topic::Speed,
+        "configured are 1200",
+    );
+    has(
+        &findings,
+        Severity::Error,
+        Topic::Silent,
+        "rear: nothing came from 127.0.0.9",
+    );
 }
 
 #[test]
 fn losses_and_a_limited_view_are_found() {
     let fov = Some((27_000.0, 9_100.0));
-    let mut stream = spin(Spin { fov, ..Spin::new(Model::Vlp16, Strongest, 600.0) }, 2.0);
+    let mut stream = spin(
+        Spin {
+            fov,
+            ..Spin::new(Model::Vlp16, Strongest, 600.0)
+        },
+        2.0,
+    );
     stream.remove(200);
     stream.remove(220);
     let seen = seen(anything(), None, &[(LOCAL, stream)]);
     let findings = found(&seen);
-    has(&findings, Severity::Note, Topic::View, "field of view is limited");
-    has(&findings, Severity::Warning, Topic::Loss, "packets were lost");
+    has(
+        &findings,
+        Severity::Note,
+        Topic::View,
+        "field of view is limited",
+    );
+    has(
+        &findings,
+        Severity::Warning,
+        Topic::Loss,
+        "packets were lost",
+    );
     assert_eq!(seen.sensors[0].counts.lost, 2);
 }
 
 /// Answers a number of requests for web pages with these.
-fn serve(pages: Vec<(&'static str, Value)>, requests: usize) -> (u16, std::thread::JoinHandle<Vec<String>>) {
+fn serve(
+    pages: Vec<(&'static str, Value)>,
+    requests: usize,
+) -> (u16, std::thread::JoinHandle<Vec<String>>) {
     let listener = TcpListener::bind((LOCAL, 0)).unwrap();
     let port = listener.local_addr().unwrap().port();
     let server = std::thread::spawn(move || {
@@ -178,10 +274,17 @@ fn serve(pages: Vec<(&'static str, Value)>, requests: usize) -> (u16, std::threa
             let (mut stream, _) = listener.accept().unwrap();
             let mut lines = BufReader::new(stream.try_clone().unwrap()).lines();
             let request = lines.next().unwrap().unwrap();
-            while lines.next().is_some_and(|line| line.is_ok_and(|line| !line.is_empty())) {}
+            while lines
+                .next()
+                .is_some_and(|line| line.is_ok_and(|line| !line.is_empty()))
+            {}
             let path = request.split(' ').nth(1).unwrap().to_owned();
-            let page = pages.iter().find(|(name, _)| *name == path).map(|(_, page)| page.to_string());
-            let (status, body) = page.map_or(("404 Not Found", String::new()), |page| ("200 OK", page));
+            let page = pages
+                .iter()
+                .find(|(name, _)| *name == path)
+                .map(|(_, page)| page.to_string());
+            let (status, body) =
+                page.map_or(("404 Not Found", String::new()), |page| ("200 OK", page));
             let head = format!(
                 "HTTP/1.1 {status}\r\nContent-Type: application/json\r\nContent-Length: {}\r\n\r\n",
                 body.len()
@@ -201,22 +304,57 @@ fn a_web_page_is_read_and_held_against_host_and_packets() {
         "host": {"addr": "10.99.98.97", "dport": "2368", "tport": "8308"},
     }});
     let status = json!({"motor": {"rpm": 600, "state": "On"}, "gps": {"pps_state": "Absent", "position": ""}});
-    let (port, server) = serve(vec![("/cgi/snapshot.hdl", snapshot), ("/cgi/status.json", status)], 2);
+    let (port, server) = serve(
+        vec![
+            ("/cgi/snapshot.hdl", snapshot),
+            ("/cgi/status.json", status),
+        ],
+        2,
+    );
     let seen = seen(anything(), Some(port), &[(LOCAL, vlp16(2.0))]);
     let mut asked = server.join().unwrap();
     asked.sort();
-    assert_eq!(asked, ["GET /cgi/snapshot.hdl HTTP/1.1", "GET /cgi/status.json HTTP/1.1"]);
+    assert_eq!(
+        asked,
+        [
+            "GET /cgi/snapshot.hdl HTTP/1.1",
+            "GET /cgi/status.json HTTP/1.1"
+        ]
+    );
     let findings = found(&seen);
-    has(&findings, Severity::Error, Topic::Destination, "sends to 10.99.98.97, which is not this host");
-    has(&findings, Severity::Error, Topic::Destination, "sends its data to port 2368");
-    has(&findings, Severity::Warning, Topic::Speed, "is set to 1200 rpm and turns at 600");
-    has(&findings, Severity::Note, Topic::View, "from 270 to 91 degrees");
+    has(
+        &findings,
+        Severity::Error,
+        Topic::Destination,
+        "sends to 10.99.98.97, which is not this host",
+    );
+    has(
+        &findings,
+        Severity::Error,
+        Topic::Destination,
+        "sends its data to port 2368",
+    );
+    has(
+        &findings,
+        Severity::Warning,
+        Topic::Speed,
+        "is set to 1200 rpm and turns at 600",
+    );
+    has(
+        &findings,
+        Severity::Note,
+        Topic::View,
+        "from 270 to 91 degrees",
+    );
 }
 
 #[test]
 fn a_web_page_of_something_else_is_no_sensor() {
     let (port, server) = serve(vec![("/cgi/status.json", json!({"printer": "ready"}))], 2);
-    let plan = Plan { ask: vec![LOCAL], ..anything() };
+    let plan = Plan {
+        ask: vec![LOCAL],
+        ..anything()
+    };
     let seen = seen(plan, Some(port), &[]);
     server.join().unwrap();
     assert_eq!(seen.web, []);
@@ -231,23 +369,69 @@ fn a_daemon_that_holds_the_ports_is_asked() {
         "ports": [{"port": number, "dropped": 0}], "sensors": [{"name": "roof", "state": "waiting"}],
     });
     let (port, server) = serve(vec![("/health", health)], 1);
-    let ports = vec![PortPlan { bind: LOCAL, port: number, multicast: None, interface: None }];
-    let plan = Plan { ports, health: Some(SocketAddr::from((LOCAL, port))), ..anything() };
+    let ports = vec![PortPlan {
+        bind: LOCAL,
+        port: number,
+        multicast: None,
+        interface: None,
+    }];
+    let plan = Plan {
+        ports,
+        health: Some(SocketAddr::from((LOCAL, port))),
+        ..anything()
+    };
     let observed = seen(plan, None, &[]);
     server.join().unwrap();
     assert!(matches!(observed.ports[0].heard, Heard::Taken(_)));
     let findings = found(&observed);
-    has(&findings, Severity::Error, Topic::Daemon, "roof: waiting: nothing came yet");
-    assert!(findings.iter().all(|one| one.topic != Topic::Port), "{findings:#?}");
+    has(
+        &findings,
+        Severity::Error,
+        Topic::Daemon,
+        "roof: waiting: nothing came yet",
+    );
+    assert!(
+        findings.iter().all(|one| one.topic != Topic::Port),
+        "{findings:#?}"
+    );
     // Nobody answers: then the port is the finding.
-    let ports = vec![PortPlan { bind: LOCAL, port: number, multicast: None, interface: None }];
-    let observed = seen(Plan { ports, health: Some(SocketAddr::from((LOCAL, port))), ..anything() }, None, &[]);
-    has(&found(&observed), Severity::Error, Topic::Port, &format!("port {number} is held by "));
+    let ports = vec![PortPlan {
+        bind: LOCAL,
+        port: number,
+        multicast: None,
+        interface: None,
+    }];
+    let observed = seen(
+        Plan {
+            ports,
+            health: Some(SocketAddr::from((LOCAL, port))),
+            ..anything()
+        },
+        None,
+        &[],
+    );
+    has(
+        &found(&observed),
+        Severity::Error,
+        Topic::Port,
+        &format!("port {number} is held by "),
+    );
 }
 
 /// The binary: exit status, announcement, what it says on standard output.
 fn run(stream: &Stream, options: &[&str]) -> (i32, String) {
-    let args = ["doctor", "--port", "0", "--port", "0", "--bind", "127.0.0.1", "--no-web", "--seconds", "1.2"];
+    let args = [
+        "doctor",
+        "--port",
+        "0",
+        "--port",
+        "0",
+        "--bind",
+        "127.0.0.1",
+        "--no-web",
+        "--seconds",
+        "1.2",
+    ];
     let mut child = Command::new(env!("CARGO_BIN_EXE_sweepd"))
         .args([&args[..], options].concat())
         .stdin(Stdio::null())
@@ -258,8 +442,14 @@ fn run(stream: &Stream, options: &[&str]) -> (i32, String) {
     let mut stderr = BufReader::new(child.stderr.take().unwrap());
     let mut line = String::new();
     stderr.read_line(&mut line).unwrap();
-    let numbers = line.strip_prefix("listening on port ").and_then(|rest| rest.split(" for ").next()).expect(&line);
-    let ports: Vec<u16> = numbers.split(", ").map(|number| number.parse().unwrap()).collect();
+    let numbers = line
+        .strip_prefix("listening on port ")
+        .and_then(|rest| rest.split(" for ").next())
+        .expect(&line);
+    let ports: Vec<u16> = numbers
+        .split(", ")
+        .map(|number| number.parse().unwrap())
+        .collect();
     let over = AtomicBool::new(false);
     let output = std::thread::scope(|scope| {
         scope.spawn(|| send(stream, LOCAL, &ports, &over));
@@ -270,7 +460,10 @@ fn run(stream: &Stream, options: &[&str]) -> (i32, String) {
     let mut rest = String::new();
     stderr.read_to_string(&mut rest).unwrap();
     assert_eq!(rest, "");
-    (output.status.code().unwrap(), String::from_utf8(output.stdout).unwrap())
+    (
+        output.status.code().unwrap(),
+        String::from_utf8(output.stdout).unwrap(),
+    )
 }
 
 #[test]
@@ -280,27 +473,53 @@ fn the_exit_status_says_whether_something_is_wrong() {
     let findings = report["findings"].as_array().unwrap();
     // A machine with small buffers, or another user's folder, is told so and is not well.
     let of_host = |topic: &Value| topic == "buffer" || topic == "shared-memory";
-    let trouble: Vec<&Value> = findings.iter().filter(|one| one["severity"] != "note").collect();
+    let trouble: Vec<&Value> = findings
+        .iter()
+        .filter(|one| one["severity"] != "note")
+        .collect();
     assert!(trouble.iter().all(|one| of_host(&one["topic"])), "{stdout}");
-    assert_eq!((code, &report["well"]), (i32::from(!trouble.is_empty()), &Value::Bool(trouble.is_empty())));
     assert_eq!(
-        (&report["sensors"][0]["model"], &report["sensors"][0]["return_mode"]),
+        (code, &report["well"]),
+        (
+            i32::from(!trouble.is_empty()),
+            &Value::Bool(trouble.is_empty())
+        )
+    );
+    assert_eq!(
+        (
+            &report["sensors"][0]["model"],
+            &report["sensors"][0]["return_mode"]
+        ),
         (&json!("VLP-16"), &json!("strongest"))
     );
 
     let (code, stdout) = run(&vlp16(2.0), &[]);
-    assert!(stdout.contains(": VLP-16, strongest, 600 rpm, "), "{stdout}");
-    assert_eq!(stdout.ends_with("all well\n"), trouble.is_empty(), "{stdout}");
+    assert!(
+        stdout.contains(": VLP-16, strongest, 600 rpm, "),
+        "{stdout}"
+    );
+    assert_eq!(
+        stdout.ends_with("all well\n"),
+        trouble.is_empty(),
+        "{stdout}"
+    );
     assert_eq!(code, i32::from(!trouble.is_empty()));
 
     let (code, stdout) = run(&Vec::new(), &[]);
     assert_eq!(code, 1);
-    assert!(stdout.starts_with("error: nothing came to port ") && stdout.contains("wrong"), "{stdout}");
+    assert!(
+        stdout.starts_with("error: nothing came to port ") && stdout.contains("wrong"),
+        "{stdout}"
+    );
 }
 
 #[test]
 fn a_configuration_names_ports_and_sensors() {
-    let port = UdpSocket::bind((LOCAL, 0)).unwrap().local_addr().unwrap().port();
+    let port = UdpSocket::bind((LOCAL, 0))
+        .unwrap()
+        .local_addr()
+        .unwrap()
+        .port();
     let folder = std::env::temp_dir().join(format!("sweepd-doctor-config-{}", std::process::id()));
     std::fs::create_dir_all(&folder).unwrap();
     let file = folder.join("sweepd.toml");
@@ -309,19 +528,41 @@ fn a_configuration_names_ports_and_sensors() {
     );
     std::fs::write(&file, text).unwrap();
     let run = |file: &std::path::Path| {
-        let args = ["doctor", "--no-web", "--json", "--seconds", "0.2", "--config", file.to_str().unwrap()];
-        Command::new(env!("CARGO_BIN_EXE_sweepd")).args(args).output().unwrap()
+        let args = [
+            "doctor",
+            "--no-web",
+            "--json",
+            "--seconds",
+            "0.2",
+            "--config",
+            file.to_str().unwrap(),
+        ];
+        Command::new(env!("CARGO_BIN_EXE_sweepd"))
+            .args(args)
+            .output()
+            .unwrap()
     };
     let (found, missing) = (run(&file), run(&folder.join("none.toml")));
     std::fs::remove_dir_all(&folder).unwrap();
     let stderr = String::from_utf8_lossy(&found.stderr);
-    let report: Value = serde_json::from_slice(&found.stdout).unwrap_or_else(|error| panic!("{error}: {stderr}"));
+    let report: Value =
+        serde_json::from_slice(&found.stdout).unwrap_or_else(|error| panic!("{error}: {stderr}"));
     let what = format!("roof: nothing came from 127.0.0.7 to port {port}");
     let findings = report["findings"].as_array().unwrap();
-    assert!(findings.iter().any(|one| one["what"].as_str().unwrap().starts_with(&what)), "{report:#}");
-    assert!(stderr.starts_with(&format!("listening on port {port} ")), "{stderr}");
+    assert!(
+        findings
+            .iter()
+            .any(|one| one["what"].as_str().unwrap().starts_with(&what)),
+        "{report:#}"
+    );
+    assert!(
+        stderr.starts_with(&format!("listening on port {port} ")),
+        "{stderr}"
+    );
     assert_eq!(found.status.code(), Some(1));
-    assert!(!missing.status.success() && String::from_utf8_lossy(&missing.stderr).contains("none.toml"));
+    assert!(
+        !missing.status.success() && String::from_utf8_lossy(&missing.stderr).contains("none.toml")
+    );
 }
 
 /// A program that ends with the test.
@@ -330,7 +571,12 @@ struct Program(Child);
 impl Program {
     fn start(args: &[&str], own: &Own, stdout: Stdio, stderr: Stdio) -> Self {
         let mut command = Command::new(env!("CARGO_BIN_EXE_sweepd"));
-        command.args(args).env("SWEEPD_ROOT", own.root()).stdin(Stdio::null()).stdout(stdout).stderr(stderr);
+        command
+            .args(args)
+            .env("SWEEPD_ROOT", own.root())
+            .stdin(Stdio::null())
+            .stdout(stdout)
+            .stderr(stderr);
         Self(command.spawn().unwrap())
     }
 }
@@ -342,12 +588,19 @@ impl Drop for Program {
     }
 }
 
-/// Beside a daemon with one sensor, which loses three packets of ten for 8 s and then none: the doctor, and a consumer.
+/// Beside a daemon with one sensor, which loses three packets of ten for 8 s and then none: the
+/// doctor, and a consumer.
 #[test]
 fn beside_a_daemon_the_doctor_and_watch_say_how_it_is_now() {
     let own = Own::new();
     std::fs::create_dir_all(own.root()).unwrap();
-    let free = |_| UdpSocket::bind((LOCAL, 0)).unwrap().local_addr().unwrap().port();
+    let free = |_| {
+        UdpSocket::bind((LOCAL, 0))
+            .unwrap()
+            .local_addr()
+            .unwrap()
+            .port()
+    };
     let [port, other, http] = [0, 1, 2].map(free);
     let (file, notes) = (own.root().join("sweepd.toml"), own.root().join("watch.log"));
     let text = format!(
@@ -355,43 +608,95 @@ fn beside_a_daemon_the_doctor_and_watch_say_how_it_is_now() {
          port = {port}\nposition_port = {port}\n"
     );
     std::fs::write(&file, text).unwrap();
-    let _daemon = Program::start(&["run", "--config", file.to_str().unwrap()], &own, Stdio::null(), Stdio::null());
+    let _daemon = Program::start(
+        &["run", "--config", file.to_str().unwrap()],
+        &own,
+        Stdio::null(),
+        Stdio::null(),
+    );
     let stderr = std::fs::File::create(&notes).unwrap();
     let sweeps = own.root().join("sweeps.jsonl");
     let stdout = std::fs::File::create(&sweeps).unwrap();
-    let watch = Program::start(&["watch", "roof", "--json", "--no-timing"], &own, stdout.into(), stderr.into());
+    let watch = Program::start(
+        &["watch", "roof", "--json", "--no-timing"],
+        &own,
+        stdout.into(),
+        stderr.into(),
+    );
     let (mut rng, mut stream) = (fastrand::Rng::with_seed(3), vlp16(30.0));
     let lossy = Duration::from_secs(8);
     stream.retain(|(after, payload)| payload.len() != 1206 || *after >= lossy || rng.u8(..10) >= 3);
-    let (ports, health) = ([port, other].map(|port| port.to_string()), format!("127.0.0.1:{http}"));
+    let (ports, health) = (
+        [port, other].map(|port| port.to_string()),
+        format!("127.0.0.1:{http}"),
+    );
     let doctor = || {
-        let args = ["doctor", "--bind", "127.0.0.1", "--no-web", "--json", "--seconds", "0.2", "--health", &health];
+        let args = [
+            "doctor",
+            "--bind",
+            "127.0.0.1",
+            "--no-web",
+            "--json",
+            "--seconds",
+            "0.2",
+            "--health",
+            &health,
+        ];
         let named = ["--port", &ports[0], "--port", &ports[1]];
-        let done = Command::new(env!("CARGO_BIN_EXE_sweepd")).args(args).args(named).output().unwrap();
+        let done = Command::new(env!("CARGO_BIN_EXE_sweepd"))
+            .args(args)
+            .args(named)
+            .output()
+            .unwrap();
         let report: Value = serde_json::from_slice(&done.stdout).unwrap();
         let findings: Vec<Value> = report["findings"].as_array().unwrap().clone();
         let of_host = |topic: &Value| topic == "buffer" || topic == "shared-memory";
-        findings.into_iter().filter(|one| one["severity"] != "note" && !of_host(&one["topic"])).collect::<Vec<_>>()
+        findings
+            .into_iter()
+            .filter(|one| one["severity"] != "note" && !of_host(&one["topic"]))
+            .collect::<Vec<_>>()
     };
-    let lines =
-        |words: &str| std::fs::read_to_string(&notes).unwrap().lines().filter(|line| line.contains(words)).count();
+    let lines = |words: &str| {
+        std::fs::read_to_string(&notes)
+            .unwrap()
+            .lines()
+            .filter(|line| line.contains(words))
+            .count()
+    };
     let over = AtomicBool::new(false);
     std::thread::scope(|scope| {
         // Whatever fails ends it.
         let ends = Ends(&over);
-        while doctor().iter().any(|one| one["topic"] == "port" || one["topic"] == "silent") {
+        while doctor()
+            .iter()
+            .any(|one| one["topic"] == "port" || one["topic"] == "silent")
+        {
             std::thread::sleep(Duration::from_millis(100));
         }
         scope.spawn(|| send(&stream, LOCAL, &[port], &over));
         let begun = Instant::now();
         let mut told = Vec::new();
-        while !told.iter().any(|one: &Value| one["what"].to_string().contains("losing many packets")) {
+        while !told
+            .iter()
+            .any(|one: &Value| one["what"].to_string().contains("losing many packets"))
+        {
             assert!(begun.elapsed() < lossy, "{told:#?}");
             told = doctor();
         }
-        let [only] = &told[..] else { panic!("{told:#?}") };
-        assert_eq!((&only["severity"], &only["topic"]), (&json!("error"), &json!("daemon")));
-        assert!(only["what"].as_str().unwrap().contains("whose kernel dropped none"), "{only}");
+        let [only] = &told[..] else {
+            panic!("{told:#?}")
+        };
+        assert_eq!(
+            (&only["severity"], &only["topic"]),
+            (&json!("error"), &json!("daemon"))
+        );
+        assert!(
+            only["what"]
+                .as_str()
+                .unwrap()
+                .contains("whose kernel dropped none"),
+            "{only}"
+        );
         // Some thousand packets have been lost by now, and none of late.
         while !told.is_empty() {
             assert!(begun.elapsed() < Duration::from_secs(25), "{told:#?}");
@@ -399,21 +704,33 @@ fn beside_a_daemon_the_doctor_and_watch_say_how_it_is_now() {
             told = doctor();
         }
         while lines("its losses are over") == 0 {
-            assert!(begun.elapsed() < Duration::from_secs(25), "watch does not say that it is over");
+            assert!(
+                begun.elapsed() < Duration::from_secs(25),
+                "watch does not say that it is over"
+            );
             std::thread::sleep(Duration::from_millis(100));
         }
         drop(ends);
     });
     drop(watch);
     assert_eq!(
-        (lines(" % of its packets are lost"), lines("lost before this host"), lines("losses are over")),
+        (
+            lines(" % of its packets are lost"),
+            lines("lost before this host"),
+            lines("losses are over")
+        ),
         (2, 1, 1)
     );
     let sweeps = std::fs::read_to_string(&sweeps).unwrap();
     // The last one may have been cut off.
-    let whole: Vec<&str> = sweeps.split_inclusive('\n').filter(|line| line.ends_with('\n')).collect();
+    let whole: Vec<&str> = sweeps
+        .split_inclusive('\n')
+        .filter(|line| line.ends_with('\n'))
+        .collect();
     assert!(whole.len() > 50);
-    whole.iter().for_each(|line| drop(serde_json::from_str::<Value>(line).unwrap()));
+    whole
+        .iter()
+        .for_each(|line| drop(serde_json::from_str::<Value>(line).unwrap()));
 }
 
 /// Ends what sends when the test is over, well or not.

@@ -1,8 +1,9 @@
-//! Every way into the program, given inputs that are nearly right: the same functions that the coverage-guided run calls
-//! (`tests/fuzz/README.md`), on stable Rust, with a seed that is told and so many rounds.
+//! Every way into the program, given inputs that are nearly right: the same functions that the
+//! coverage-guided run calls (`tests/fuzz/README.md`), on stable Rust, with a seed that is told and
+//! so many rounds.
 //!
-//! `SWEEPD_FUZZ_SEED` and `SWEEPD_FUZZ_ROUNDS` change seed and rounds; `SWEEPD_FUZZ_INPUT` runs the file of this name and
-//! nothing else. An input that fails is written to `target/tmp/fuzz`.
+//! `SWEEPD_FUZZ_SEED` and `SWEEPD_FUZZ_ROUNDS` change seed and rounds; `SWEEPD_FUZZ_INPUT` runs the
+//! file of this name and nothing else. An input that fails is written to `target/tmp/fuzz`.
 
 mod common;
 #[path = "fuzz/hostile.rs"]
@@ -25,7 +26,8 @@ use fastrand::Rng;
 
 /// Longest time for one input: in a debug build, on a machine that does other things too.
 const PATIENCE: Duration = Duration::from_secs(10);
-/// Memory that each byte of an input may take: LZF unpacks to 88 times as many bytes, and points are more than that.
+/// Memory that each byte of an input may take: LZF unpacks to 88 times as many bytes, and points
+/// are more than that.
 const MEMORY_PER_BYTE: usize = 400;
 
 /// An input under way.
@@ -35,17 +37,25 @@ struct Current {
     begun: Instant,
 }
 
-/// Runs a target over what was found before, what is hostile, its seeds, and so many mutations of them; each may take so much memory.
+/// Runs a target over what was found before, what is hostile, its seeds, and so many mutations of
+/// them; each may take so much memory.
 fn fuzz(name: &'static str, rounds: u64, memory_mib: usize) {
     let run = targets::named(name);
     if let Some(path) = std::env::var_os("SWEEPD_FUZZ_INPUT") {
         return run(&fs::read(&path).unwrap_or_else(|error| panic!("{}: {error}", path.display())));
     }
-    let (seed, rounds) = (number("SWEEPD_FUZZ_SEED", 1), number("SWEEPD_FUZZ_ROUNDS", rounds));
+    let (seed, rounds) = (
+        number("SWEEPD_FUZZ_SEED", 1),
+        number("SWEEPD_FUZZ_ROUNDS", rounds),
+    );
     println!("{name}: seed {seed}, {rounds} rounds");
     let seeds = seeds::of(name, common::data_dir().as_deref());
     let first = [found(name), hostile::of(name), seeds.clone()].concat();
-    let current = Arc::new(Mutex::new(Current { round: 0, input: Vec::new(), begun: Instant::now() }));
+    let current = Arc::new(Mutex::new(Current {
+        round: 0,
+        input: Vec::new(),
+        begun: Instant::now(),
+    }));
     let shared = Arc::clone(&current);
     let worker = thread::spawn(move || {
         let mut rng = Rng::with_seed(seed);
@@ -57,7 +67,11 @@ fn fuzz(name: &'static str, rounds: u64, memory_mib: usize) {
                     mutate::mutated(&mut rng, &seeds[one], &seeds[other])
                 }
             };
-            *lock(&shared) = Current { round, input: input.clone(), begun: Instant::now() };
+            *lock(&shared) = Current {
+                round,
+                input: input.clone(),
+                begun: Instant::now(),
+            };
             one(run, &input, memory_mib << 20)
         })
     });
@@ -65,7 +79,12 @@ fn fuzz(name: &'static str, rounds: u64, memory_mib: usize) {
         thread::sleep(Duration::from_millis(5));
         let now = lock(&current);
         if now.begun.elapsed() > PATIENCE {
-            fail(name, seed, &now, &format!("it takes longer than {} s", PATIENCE.as_secs()));
+            fail(
+                name,
+                seed,
+                &now,
+                &format!("it takes longer than {} s", PATIENCE.as_secs()),
+            );
         }
     }
     if let Err(message) = worker.join().expect("a failure is a result") {
@@ -79,18 +98,30 @@ fn one(run: targets::Run, input: &[u8], memory: usize) -> Result<(), String> {
     let result = panic::catch_unwind(|| run(input));
     let taken = memory::peak().saturating_sub(before);
     if let Err(cause) = result {
-        let text = cause.downcast_ref::<String>().map(String::as_str).or(cause.downcast_ref::<&str>().copied());
+        let text = cause
+            .downcast_ref::<String>()
+            .map(String::as_str)
+            .or(cause.downcast_ref::<&str>().copied());
         return Err(text.unwrap_or("a panic").chars().take(500).collect());
     }
     let most = memory + MEMORY_PER_BYTE * input.len();
-    if taken > most { Err(format!("it takes {taken} bytes of memory, expected at most {most}")) } else { Ok(()) }
+    if taken > most {
+        Err(format!(
+            "it takes {taken} bytes of memory, expected at most {most}"
+        ))
+    } else {
+        Ok(())
+    }
 }
 
 fn fail(name: &str, seed: u64, current: &Current, message: &str) -> ! {
     let folder = Path::new(env!("CARGO_TARGET_TMPDIR")).join("fuzz");
     let path = folder.join(format!("{name}-{seed}-{}.bin", current.round));
     let written = fs::create_dir_all(&folder).and_then(|()| fs::write(&path, &current.input));
-    let path = written.map_or_else(|error| format!("nowhere ({error})"), |()| path.display().to_string());
+    let path = written.map_or_else(
+        |error| format!("nowhere ({error})"),
+        |()| path.display().to_string(),
+    );
     panic!(
         "{name}, seed {seed}, round {}: {message}\nthe input of {} bytes is in {path}\nonce more: SWEEPD_FUZZ_INPUT={path} \
          cargo test --test fuzz {name}",
@@ -102,16 +133,28 @@ fn fail(name: &str, seed: u64, current: &Current, message: &str) -> ! {
 /// Inputs that once failed.
 fn found(name: &str) -> Vec<Vec<u8>> {
     let folder = Path::new(env!("CARGO_MANIFEST_DIR")).join("tests/fuzz/found");
-    let mut paths: Vec<PathBuf> =
-        fs::read_dir(folder).expect("the inputs that once failed").flatten().map(|e| e.path()).collect();
-    paths.retain(|path| path.file_name().is_some_and(|file| file.to_string_lossy().starts_with(&format!("{name}-"))));
+    let mut paths: Vec<PathBuf> = fs::read_dir(folder)
+        .expect("the inputs that once failed")
+        .flatten()
+        .map(|e| e.path())
+        .collect();
+    paths.retain(|path| {
+        path.file_name()
+            .is_some_and(|file| file.to_string_lossy().starts_with(&format!("{name}-")))
+    });
     paths.sort();
-    paths.iter().map(|path| fs::read(path).expect("a file of the project")).collect()
+    paths
+        .iter()
+        .map(|path| fs::read(path).expect("a file of the project"))
+        .collect()
 }
 
 fn number(variable: &str, usual: u64) -> u64 {
     let told = std::env::var(variable).ok();
-    told.map_or(usual, |told| told.parse().unwrap_or_else(|_| panic!("{variable}={told} is no whole number")))
+    told.map_or(usual, |told| {
+        told.parse()
+            .unwrap_or_else(|_| panic!("{variable}={told} is no whole number"))
+    })
 }
 
 fn lock(current: &Mutex<Current>) -> MutexGuard<'_, Current> {
@@ -151,15 +194,22 @@ fuzz! {
     sweep: 2000 rounds, 8 MiB;
 }
 
-/// Not a test: writes the seeds of each target to the folder `SWEEPD_FUZZ_CORPUS`, for the coverage-guided run to begin with.
+/// Not a test: writes the seeds of each target to the folder `SWEEPD_FUZZ_CORPUS`, for the
+/// coverage-guided run to begin with.
 #[test]
 #[ignore = "writes files; tests/fuzz/run calls it"]
 fn write_seeds() {
-    let folder = PathBuf::from(std::env::var_os("SWEEPD_FUZZ_CORPUS").expect("SWEEPD_FUZZ_CORPUS, a folder"));
+    let folder = PathBuf::from(
+        std::env::var_os("SWEEPD_FUZZ_CORPUS").expect("SWEEPD_FUZZ_CORPUS, a folder"),
+    );
     for (name, _) in targets::ALL {
         let own = folder.join(name);
         fs::create_dir_all(&own).unwrap_or_else(|error| panic!("{}: {error}", own.display()));
-        for (index, seed) in found(name).into_iter().chain(seeds::of(name, common::data_dir().as_deref())).enumerate() {
+        for (index, seed) in found(name)
+            .into_iter()
+            .chain(seeds::of(name, common::data_dir().as_deref()))
+            .enumerate()
+        {
             fs::write(own.join(format!("seed-{index:03}")), seed)
                 .unwrap_or_else(|error| panic!("{}: {error}", own.display()));
         }

@@ -1,4 +1,5 @@
-//! What systemd/ ships: units and drop-ins that systemd itself takes without a word, and values that fit the program.
+//! What systemd/ ships: units and drop-ins that systemd itself takes without a word, and values
+//! that fit the program.
 
 mod common;
 
@@ -9,12 +10,14 @@ use std::process::{Command, Stdio};
 use sweepd::capture::udp::ample_buffer_bytes;
 use sweepd::daemon::config::Config;
 
-/// The exposure that `systemd-analyze security` may give the unit, of 10. What is left is what the daemon needs: the
-/// network, the host's /dev/shm, real-time priorities.
+/// The exposure that `systemd-analyze security` may give the unit, of 10. What is left is what the
+/// daemon needs: the network, the host's /dev/shm, real-time priorities.
 const EXPOSURE: f64 = 2.0;
 
 fn shipped(name: &str) -> PathBuf {
-    Path::new(env!("CARGO_MANIFEST_DIR")).join("systemd").join(name)
+    Path::new(env!("CARGO_MANIFEST_DIR"))
+        .join("systemd")
+        .join(name)
 }
 
 fn text(name: &str) -> String {
@@ -23,13 +26,20 @@ fn text(name: &str) -> String {
 
 /// A program of systemd's, or `None`, said aloud.
 fn tool(name: &str) -> Option<Command> {
-    let is_there = Command::new(name).arg("--version").stdout(Stdio::null()).stderr(Stdio::null()).status();
+    let is_there = Command::new(name)
+        .arg("--version")
+        .stdout(Stdio::null())
+        .stderr(Stdio::null())
+        .status();
     if !is_there.is_ok_and(|status| status.success()) {
         common::skip(&format!("no {name}; Debian's package systemd has it"));
         return None;
     }
     let mut command = Command::new(name);
-    command.env("SYSTEMD_COLORS", "0").env("SYSTEMD_PAGER", "").stdin(Stdio::null());
+    command
+        .env("SYSTEMD_COLORS", "0")
+        .env("SYSTEMD_PAGER", "")
+        .stdin(Stdio::null());
     Some(command)
 }
 
@@ -38,7 +48,8 @@ struct Folder(PathBuf);
 
 impl Folder {
     fn new(test: &str) -> Self {
-        let path = std::env::temp_dir().join(format!("sweepd-systemd-{test}-{}", std::process::id()));
+        let path =
+            std::env::temp_dir().join(format!("sweepd-systemd-{test}-{}", std::process::id()));
         std::fs::create_dir_all(&path).unwrap();
         Self(path)
     }
@@ -50,20 +61,30 @@ impl Drop for Folder {
     }
 }
 
-/// The unit with these lines more, its program being the one that was built: the other is not installed here.
+/// The unit with these lines more, its program being the one that was built: the other is not
+/// installed here.
 fn unit(folder: &Folder, more: &str) -> PathBuf {
-    let (installed, built) = ("ExecStart=/usr/bin/sweepd ", format!("ExecStart={} ", env!("CARGO_BIN_EXE_sweepd")));
+    let (installed, built) = (
+        "ExecStart=/usr/bin/sweepd ",
+        format!("ExecStart={} ", env!("CARGO_BIN_EXE_sweepd")),
+    );
     let unit = text("sweepd.service");
     assert_eq!(unit.matches(installed).count(), 1);
     let path = folder.0.join("sweepd.service");
-    std::fs::write(&path, unit.replace(installed, &built).replace("[Install]", &format!("{more}\n[Install]"))).unwrap();
+    std::fs::write(
+        &path,
+        unit.replace(installed, &built)
+            .replace("[Install]", &format!("{more}\n[Install]")),
+    )
+    .unwrap();
     path
 }
 
 /// All that the program says; its exit status is 0 even when it ignores a line.
 fn said(command: &mut Command, arguments: &[&OsStr]) -> (bool, String) {
     let output = command.args(arguments).output().unwrap();
-    let text = [output.stdout, output.stderr].map(|bytes| String::from_utf8_lossy(&bytes).into_owned());
+    let text =
+        [output.stdout, output.stderr].map(|bytes| String::from_utf8_lossy(&bytes).into_owned());
     (output.status.success(), text.concat())
 }
 
@@ -72,7 +93,10 @@ fn the_unit_is_taken_without_a_word() {
     let folder = Folder::new("verify");
     let verify = |more: &str| {
         let path = unit(&folder, more);
-        Some(said(&mut tool("systemd-analyze")?, &["verify".as_ref(), "--man=no".as_ref(), path.as_os_str()]))
+        Some(said(
+            &mut tool("systemd-analyze")?,
+            &["verify".as_ref(), "--man=no".as_ref(), path.as_os_str()],
+        ))
     };
     let Some(found) = verify("") else { return };
     assert_eq!(found, (true, String::new()));
@@ -83,12 +107,27 @@ fn the_unit_is_taken_without_a_word() {
 
 #[test]
 fn the_unit_exposes_no_more_than_it_must() {
-    let Some(mut analyze) = tool("systemd-analyze") else { return };
+    let Some(mut analyze) = tool("systemd-analyze") else {
+        return;
+    };
     let folder = Folder::new("security");
     let path = unit(&folder, "");
-    let (_, table) = said(&mut analyze, &["security".as_ref(), "--offline=true".as_ref(), path.as_os_str()]);
-    let overall = table.lines().find(|line| line.contains("Overall exposure level")).expect(&table);
-    let exposure = overall.split_whitespace().find_map(|word| word.parse::<f64>().ok()).expect(overall);
+    let (_, table) = said(
+        &mut analyze,
+        &[
+            "security".as_ref(),
+            "--offline=true".as_ref(),
+            path.as_os_str(),
+        ],
+    );
+    let overall = table
+        .lines()
+        .find(|line| line.contains("Overall exposure level"))
+        .expect(&table);
+    let exposure = overall
+        .split_whitespace()
+        .find_map(|word| word.parse::<f64>().ok())
+        .expect(overall);
     assert!(exposure <= EXPOSURE, "{table}");
 }
 
@@ -110,10 +149,17 @@ fn the_unit_leaves_shared_memory_alone() {
     ] {
         assert!(has(line), "{line}");
     }
-    for setting in
-        ["DynamicUser=yes", "PrivateIPC=yes", "PrivateUsers=yes", "RestrictRealtime=yes", "TemporaryFileSystem="]
-    {
-        assert!(!unit.lines().any(|line| line.starts_with(setting)), "{setting}");
+    for setting in [
+        "DynamicUser=yes",
+        "PrivateIPC=yes",
+        "PrivateUsers=yes",
+        "RestrictRealtime=yes",
+        "TemporaryFileSystem=",
+    ] {
+        assert!(
+            !unit.lines().any(|line| line.starts_with(setting)),
+            "{setting}"
+        );
     }
 }
 
@@ -121,26 +167,45 @@ fn the_unit_leaves_shared_memory_alone() {
 fn the_sysctl_allows_the_buffer_that_is_asked_for() {
     let text = text("sysctl.d/60-sweepd.conf");
     let settings: Vec<&str> = text.lines().filter(|line| !line.starts_with('#')).collect();
-    let [setting] = settings[..] else { panic!("{settings:?}") };
-    let bytes: usize = setting.strip_prefix("net.core.rmem_max = ").unwrap().parse().unwrap();
+    let [setting] = settings[..] else {
+        panic!("{settings:?}")
+    };
+    let bytes: usize = setting
+        .strip_prefix("net.core.rmem_max = ")
+        .unwrap()
+        .parse()
+        .unwrap();
     // The kernel gives twice what a program asks for, up to twice this.
-    assert!(2 * bytes >= ample_buffer_bytes(), "{bytes} {}", ample_buffer_bytes());
+    assert!(
+        2 * bytes >= ample_buffer_bytes(),
+        "{bytes} {}",
+        ample_buffer_bytes()
+    );
 }
 
 #[test]
 fn the_user_of_the_unit_is_made() {
-    let Some(mut sysusers) = tool("systemd-sysusers") else { return };
+    let Some(mut sysusers) = tool("systemd-sysusers") else {
+        return;
+    };
     let folder = Folder::new("sysusers");
     std::fs::create_dir_all(folder.0.join("etc")).unwrap();
     let root = format!("--root={}", folder.0.display());
     let file = shipped("sysusers.d/sweepd.conf");
-    let (done, plan) = said(&mut sysusers, &["--dry-run".as_ref(), root.as_ref(), file.as_os_str()]);
-    assert!(done && plan.contains("Creating user 'sweepd'") && plan.contains("Creating group 'sweepd'"), "{plan}");
+    let (done, plan) = said(
+        &mut sysusers,
+        &["--dry-run".as_ref(), root.as_ref(), file.as_os_str()],
+    );
+    assert!(
+        done && plan.contains("Creating user 'sweepd'") && plan.contains("Creating group 'sweepd'"),
+        "{plan}"
+    );
 }
 
 #[test]
 fn the_example_is_the_one_that_the_program_prints_and_passes_its_check() {
-    let sweepd = |arguments: &[&OsStr]| said(&mut Command::new(env!("CARGO_BIN_EXE_sweepd")), arguments);
+    let sweepd =
+        |arguments: &[&OsStr]| said(&mut Command::new(env!("CARGO_BIN_EXE_sweepd")), arguments);
     let (done, printed) = sweepd(&["config".as_ref(), "example".as_ref()]);
     assert!(done);
     assert_eq!(printed, text("sweepd.toml"));
@@ -166,39 +231,71 @@ fn foreign_tools_find_the_daemon() {
 fn what_the_instructions_name_is_there() {
     let root = Path::new(env!("CARGO_MANIFEST_DIR"));
     let install = std::fs::read_to_string(root.join("docs/install.md")).unwrap();
-    let named: Vec<&str> = install.split_whitespace().filter(|word| word.starts_with("systemd/")).collect();
+    let named: Vec<&str> = install
+        .split_whitespace()
+        .filter(|word| word.starts_with("systemd/"))
+        .collect();
     assert!(named.len() > 5, "{named:?}");
     for name in named {
         assert!(root.join(name).exists(), "{name}");
     }
 }
 
-/// The lines of docs/install.md that put files into /usr and give /run/sweepd to the robot's user, in a folder instead of `/`.
+/// The lines of docs/install.md that put files into /usr and give /run/sweepd to the robot's user,
+/// in a folder instead of `/`.
 #[test]
 fn an_upgrade_keeps_what_the_administrator_changed() {
-    let Some(mut tmpfiles) = tool("systemd-tmpfiles") else { return };
+    let Some(mut tmpfiles) = tool("systemd-tmpfiles") else {
+        return;
+    };
     let folder = Folder::new("upgrade");
     let project = Path::new(env!("CARGO_MANIFEST_DIR"));
     let instructions = std::fs::read_to_string(project.join("docs/install.md")).unwrap();
     let in_folder = |line: &str| {
         let root = folder.0.display();
-        let line = line.replace(" /usr/", &format!(" {root}/usr/")).replace(" /etc/", &format!(" {root}/etc/"));
+        let line = line
+            .replace(" /usr/", &format!(" {root}/usr/"))
+            .replace(" /etc/", &format!(" {root}/etc/"));
         let script = format!("set -e; sudo() {{ \"$@\"; }}; {line}");
-        let done = Command::new("sh").args(["-c", &script]).current_dir(project).stdout(Stdio::null()).status();
+        let done = Command::new("sh")
+            .args(["-c", &script])
+            .current_dir(project)
+            .stdout(Stdio::null())
+            .status();
         assert!(done.unwrap().success(), "{line}");
     };
-    let commands = || instructions.lines().filter_map(|line| line.strip_prefix("    "));
+    let commands = || {
+        instructions
+            .lines()
+            .filter_map(|line| line.strip_prefix("    "))
+    };
     let install = || {
-        let copies: Vec<&str> =
-            commands().filter(|line| line.starts_with("sudo install -D -m 644 -t /usr/lib")).collect();
+        let copies: Vec<&str> = commands()
+            .filter(|line| line.starts_with("sudo install -D -m 644 -t /usr/lib"))
+            .collect();
         assert_eq!(copies.len(), 2, "{copies:?}");
         copies.into_iter().for_each(in_folder);
     };
     install();
     std::fs::create_dir_all(folder.0.join("etc/tmpfiles.d")).unwrap();
-    in_folder(commands().find(|line| line.starts_with("sed ") && line.contains("tmpfiles.d")).unwrap());
+    in_folder(
+        commands()
+            .find(|line| line.starts_with("sed ") && line.contains("tmpfiles.d"))
+            .unwrap(),
+    );
     install();
     let root = format!("--root={}", folder.0.display());
-    let (done, taken) = said(&mut tmpfiles, &["--cat-config".as_ref(), root.as_ref(), "sweepd.conf".as_ref()]);
-    assert!(done && taken.contains("d /run/sweepd 0750 robot robot -") && !taken.contains("sweepd sweepd"), "{taken}");
+    let (done, taken) = said(
+        &mut tmpfiles,
+        &[
+            "--cat-config".as_ref(),
+            root.as_ref(),
+            "sweepd.conf".as_ref(),
+        ],
+    );
+    assert!(
+        done && taken.contains("d /run/sweepd 0750 robot robot -")
+            && !taken.contains("sweepd sweepd"),
+        "{taken}"
+    );
 }

@@ -87,7 +87,10 @@ pub fn staged(segmenter: &mut Segmenter, sweep: &mut SweepMut<'_>) -> Stages {
 /// How long this thread has waited for a core so far; 0 where the system does not say.
 fn waited_ms() -> f64 {
     let stat = std::fs::read_to_string("/proc/thread-self/schedstat").unwrap_or_default();
-    stat.split(' ').nth(1).and_then(|ns| ns.parse().ok()).map_or(0.0, |ns: f64| ns * 1e-6)
+    stat.split(' ')
+        .nth(1)
+        .and_then(|ns| ns.parse().ok())
+        .map_or(0.0, |ns: f64| ns * 1e-6)
 }
 
 /// Milliseconds of a call.

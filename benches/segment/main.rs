@@ -1,16 +1,19 @@
-//! What it costs to segment a sweep: by stage, beside the naive twin and a plain search, over columns, segments and noise.
+//! What it costs to segment a sweep: by stage, beside the naive twin and a plain search, over
+//! columns, segments and noise.
 //!
 //! ```text
 //! cargo bench --bench segment                      all of it, a minute or two
 //! cargo bench --bench segment -- worst             one table: sensors, levels, options, columns, segments, worst, cloud
 //! ```
 //!
-//! Simulated sweeps are the street of `sweepd simulate`; "rays" are ranges cast in it for shapes that no supported sensor
-//! has. Real ones are measured where the data is at hand (see the README). Times are medians in ms, and a minimum, of up to 60
-//! turns, in which all that is compared takes part; turns in which others had the core are left out ("calm" counts the rest).
-//! "tail" is the last strip and the labels: what remains when the last column comes, if all strips before are taken as they
-//! come. The naive twin of the default method is measured less often; its minimum, and that of the plain search, are held
-//! against ours. The plain search is given the image without ground.
+//! Simulated sweeps are the street of `sweepd simulate`; "rays" are ranges cast in it for shapes
+//! that no supported sensor has. Real ones are measured where the data is at hand (see the README).
+//! Times are medians in ms, and a minimum, of up to 60 turns, in which all that is compared takes
+//! part; turns in which others had the core are left out ("calm" counts the rest). "tail" is the
+//! last strip and the labels: what remains when the last column comes, if all strips before are
+//! taken as they come. The naive twin of the default method is measured less often; its minimum,
+//! and that of the plain search, are held against ours. The plain search is given the image without
+//! ground.
 //!
 //! Instructions of one sweep, which do not move with the machine's load:
 //!
@@ -19,8 +22,9 @@
 //!     --toggle-collect=*segment_sweep*" cargo bench --bench segment -- count [paper] [sse4_2|sse2]
 //! ```
 //!
-//! What it prints as "Collected" is one sweep of the image that the first line names. `clock::begin`, `find_ground`, `join`
-//! and `label` in place of `segment_sweep` count one stage. Valgrind knows no AVX-512: AVX2 at most is counted.
+//! What it prints as "Collected" is one sweep of the image that the first line names.
+//! `clock::begin`, `find_ground`, `join` and `label` in place of `segment_sweep` count one stage.
+//! Valgrind knows no AVX-512: AVX2 at most is counted.
 
 mod clock;
 mod images;
@@ -46,7 +50,10 @@ const LONG: Duration = Duration::from_secs(2);
 const NAIVE_EVERY: usize = 20;
 
 fn main() {
-    let words: Vec<String> = std::env::args().skip(1).filter(|word| !word.starts_with("--")).collect();
+    let words: Vec<String> = std::env::args()
+        .skip(1)
+        .filter(|word| !word.starts_with("--"))
+        .collect();
     let is_word = |name: &str| words.iter().any(|word| word == name);
     if is_word("count") {
         return count(is_word);
@@ -75,12 +82,18 @@ fn main() {
 fn machine() -> String {
     let read = |path| std::fs::read_to_string(path).unwrap_or_default();
     let cpu = read("/proc/cpuinfo");
-    let cpu = cpu.lines().find_map(|line| line.strip_prefix("model name")).unwrap_or("unknown");
+    let cpu = cpu
+        .lines()
+        .find_map(|line| line.strip_prefix("model name"))
+        .unwrap_or("unknown");
     let cores = std::thread::available_parallelism().map_or(0, usize::from);
     let load = read("/proc/loadavg");
     let load = load.split(' ').next().unwrap_or_default();
     let cpu = cpu.trim_start_matches([' ', '\t', ':']);
-    format!("{cpu}, {cores} cores, load {load} before, {}", name(Level::new()))
+    format!(
+        "{cpu}, {cores} cores, load {load} before, {}",
+        name(Level::new())
+    )
 }
 
 fn name(level: Level) -> String {
@@ -89,13 +102,22 @@ fn name(level: Level) -> String {
 }
 
 fn config(method: Method) -> Config {
-    Config { method, ..Config::default() }
+    Config {
+        method,
+        ..Config::default()
+    }
 }
 
 /// For images whose ranges say nothing of the ground.
 fn config_told(method: Method) -> Config {
-    let mount = Mount { height_m: Some(images::HEIGHT_M), ..Mount::default() };
-    Config { mount, ..config(method) }
+    let mount = Mount {
+        height_m: Some(images::HEIGHT_M),
+        ..Mount::default()
+    };
+    Config {
+        mount,
+        ..config(method)
+    }
 }
 
 /// Several segmenters on one image, in turns, after one turn for the memory.
@@ -119,7 +141,10 @@ fn compare(image: &mut Image, segmenters: &mut [Segmenter]) -> Vec<Series> {
 /// Both methods, the naive twin of the default one, and the plain search, on the shapes of sensors.
 fn sensors() {
     println!("\n== By sensor; times: as long as min, by the least of each");
-    println!("{:<28}{:<8}{FIGURES} naive ms  times  BFS ms  times", "image", "method");
+    println!(
+        "{:<28}{:<8}{FIGURES} naive ms  times  BFS ms  times",
+        "image", "method"
+    );
     for mut image in images::sensors() {
         for line in sensor(&mut image) {
             println!("{line}");
@@ -145,7 +170,9 @@ fn sensor(image: &mut Image) -> [String; 2] {
         plain_ms.push(timed(|| plain.label()));
         if turn % NAIVE_EVERY == 0 {
             let sweep = image.sweep();
-            naive_ms.push(timed(|| naive::segment(black_box(&sweep.as_ref()), segmenters[0].config(), height_m)));
+            naive_ms.push(timed(|| {
+                naive::segment(black_box(&sweep.as_ref()), segmenters[0].config(), height_m)
+            }));
         }
     }
     let [default, paper] = &series;
@@ -155,7 +182,11 @@ fn sensor(image: &mut Image) -> [String; 2] {
     let plain_times = plain_ms / default.least();
     let compared = format!("{naive_ms:>9.1}{naive_times:>7.1}{plain_ms:>8.3}{plain_times:>7.2}");
     [
-        format!("{:<28}default {}{compared}", image.name, figures(default, pixels)),
+        format!(
+            "{:<28}default {}{compared}",
+            image.name,
+            figures(default, pixels)
+        ),
         format!("{:<28}paper   {}", image.name, figures(paper, pixels)),
     ]
 }
@@ -199,7 +230,10 @@ fn machine_levels() -> Vec<Level> {
 
 fn levels() {
     let mut image = images::full();
-    heading(&format!("By instructions, default method, {}", image.name), "level");
+    heading(
+        &format!("By instructions, default method, {}", image.name),
+        "level",
+    );
     let levels = machine_levels();
     let new = |level: &Level| Segmenter::with_level(config(Method::Slope), *level).unwrap();
     let mut segmenters: Vec<Segmenter> = levels.iter().map(new).collect();
@@ -212,18 +246,33 @@ fn levels() {
 /// What is set otherwise than by default.
 type Change = fn(&mut Config);
 
-/// What each part of the default method costs: the same image with one thing less, or more, in the same turns.
+/// What each part of the default method costs: the same image with one thing less, or more, in the
+/// same turns.
 fn options() {
     let mut image = images::full();
-    heading(&format!("By options, {}; times: as long as the default by the minimum", image.name), "option");
+    heading(
+        &format!(
+            "By options, {}; times: as long as the default by the minimum",
+            image.name
+        ),
+        "option",
+    );
     let variants: [(&str, Change); 7] = [
         ("default", |_| {}),
         ("agree_m 0: no vote", |config| config.slope.agree_m = 0.0),
-        ("small_points 0: small parts stay", |config| config.joining.small_points = 0),
+        ("small_points 0: small parts stay", |config| {
+            config.joining.small_points = 0
+        }),
         ("columns 5, rows 2", |config| config.joining.columns = 5),
-        ("columns 1, rows 1", |config| (config.joining.columns, config.joining.rows) = (1, 1)),
+        ("columns 1, rows 1", |config| {
+            (config.joining.columns, config.joining.rows) = (1, 1)
+        }),
         ("columns 1, rows 1, no small parts", |config| {
-            (config.joining.columns, config.joining.rows, config.joining.small_points) = (1, 1, 0);
+            (
+                config.joining.columns,
+                config.joining.rows,
+                config.joining.small_points,
+            ) = (1, 1, 0);
         }),
         ("paper", |config| config.method = Method::Paper),
     ];
@@ -249,7 +298,9 @@ fn line(image: &mut Image, config: Config) -> (String, f64) {
 fn columns() {
     heading("By columns, default method", "image");
     let streets = [256, 512, 1024, 2048, 4096].map(|columns| images::street(64, columns));
-    let scans = [600, 870, 1042, 1500, cloud::COLUMNS].into_iter().filter_map(images::scan);
+    let scans = [600, 870, 1042, 1500, cloud::COLUMNS]
+        .into_iter()
+        .filter_map(images::scan);
     for mut image in streets.into_iter().chain(scans) {
         let (figures, _) = line(&mut image, config(Method::Slope));
         println!("{:<36}{figures}", image.name);
@@ -270,7 +321,13 @@ fn segments() {
 /// Images that nothing real comes near to, beside one that is.
 fn worst() {
     let mut real = images::full();
-    heading(&format!("Worst cases; times: as long as {} by the minimum", real.name), "image");
+    heading(
+        &format!(
+            "Worst cases; times: as long as {} by the minimum",
+            real.name
+        ),
+        "image",
+    );
     for (name, method) in [("default", Method::Slope), ("paper", Method::Paper)] {
         let (figures, real_ms) = line(&mut real, config(method));
         println!("{name}\n  {:<34}{figures}", real.name);
@@ -288,10 +345,20 @@ fn clouds() {
     let mut projector = CloudProjector::new(cloud::COLUMNS).unwrap();
     let (mut there, mut back) = (Vec::new(), Vec::new());
     for _ in 0..TURNS {
-        there.push(timed(|| projector.project(black_box(&points)).unwrap().header.returns));
+        there.push(timed(|| {
+            projector
+                .project(black_box(&points))
+                .unwrap()
+                .header
+                .returns
+        }));
         back.push(timed(|| projector.labels().unwrap()));
     }
-    println!("\n== A cloud of {} points: ms and ns a point, medians of {}", points.len(), TURNS);
+    println!(
+        "\n== A cloud of {} points: ms and ns a point, medians of {}",
+        points.len(),
+        TURNS
+    );
     for (what, ms) in [("to an image", there), ("labels to points", back)] {
         let (middle, least) = (median(ms.iter().copied()), least(ms));
         let ns = middle * 1e6 / points.len() as f64;
@@ -302,16 +369,27 @@ fn clouds() {
 /// One sweep for a tool that counts instructions.
 fn count(is_word: impl Fn(&str) -> bool) {
     let levels = machine_levels();
-    let asked = levels.iter().rev().find(|level| is_word(&name(**level).to_lowercase()));
+    let asked = levels
+        .iter()
+        .rev()
+        .find(|level| is_word(&name(**level).to_lowercase()));
     // Valgrind, of which this is for, knows nothing above.
     let avx2 = levels.iter().find(|level| name(**level) != "Avx512");
     let level = *asked.or(avx2).unwrap_or(&levels[0]);
-    let method = if is_word("paper") { Method::Paper } else { Method::Slope };
+    let method = if is_word("paper") {
+        Method::Paper
+    } else {
+        Method::Slope
+    };
     let mut image = images::full();
     let mut segmenter = Segmenter::with_level(config(method), level).unwrap();
     // Not counted: takes memory, and learns how high the sensor is.
     segmenter.segment(&mut image.sweep());
     segment_sweep(&mut segmenter, &mut image.sweep());
     let segments = image.segments();
-    println!("{method:?}, {}, {}: {segments} segments", image.name, name(level));
+    println!(
+        "{method:?}, {}, {}: {segments} segments",
+        image.name,
+        name(level)
+    );
 }

@@ -19,7 +19,11 @@ pub fn figures(scored: &[(String, ScanScore)]) -> [f64; 6] {
     let summary = Summary::new(scored);
     let row = |group, name| summary.row(group, name).expect("a figure of every score");
     let mean = |group, name| row(group, name).mean.unwrap_or(f64::NAN);
-    let pooled = |name| row(Group::Instances(INSTANCE_POINTS), name).pooled.unwrap_or(f64::NAN);
+    let pooled = |name| {
+        row(Group::Instances(INSTANCE_POINTS), name)
+            .pooled
+            .unwrap_or(f64::NAN)
+    };
     [
         mean(Group::Ground, "f1"),
         pooled("pq"),
@@ -32,5 +36,9 @@ pub fn figures(scored: &[(String, ScanScore)]) -> [f64; 6] {
 
 /// Instances that count.
 pub fn instances(scored: &[(String, ScanScore)]) -> u64 {
-    scored.iter().flat_map(|(_, score)| &score.instances).map(|counts| counts.count).sum()
+    scored
+        .iter()
+        .flat_map(|(_, score)| &score.instances)
+        .map(|counts| counts.count)
+        .sum()
 }

@@ -4,7 +4,8 @@ use std::io;
 
 /// Why a capture cannot be read at all, or not any further because of the machine it lies on.
 ///
-/// One that is damaged or cut is no error: what it holds up to there is read, and [`Truncation`] says the rest.
+/// One that is damaged or cut is no error: what it holds up to there is read, and [`Truncation`]
+/// says the rest.
 #[derive(Debug, thiserror::Error)]
 pub enum CaptureError {
     /// No such file, or no right to read it.
@@ -46,7 +47,8 @@ pub enum CaptureError {
 pub struct Truncation {
     /// Number of the record that is damaged, which is also how many were read.
     pub record: u64,
-    /// Where the damage was met: the start of the record or block, in bytes of the decompressed capture.
+    /// Where the damage was met: the start of the record or block, in bytes of the decompressed
+    /// capture.
     pub offset: u64,
     /// What is wrong there.
     pub reason: Damage,

@@ -48,9 +48,10 @@ impl Kind {
     }
 }
 
-/// Stands between a socket and who does not know its sensors beforehand, such as `sweepd record`: packets get in, of all
-/// senders or of those that were selected, and the others change nothing but a counter. (The daemon knows its sensors, and
-/// has a [door](crate::daemon::door) that asks no less of a packet.)
+/// Stands between a socket and who does not know its sensors beforehand, such as `sweepd record`:
+/// packets get in, of all senders or of those that were selected, and the others change nothing but
+/// a counter. (The daemon knows its sensors, and has a [door](crate::daemon::door) that asks no
+/// less of a packet.)
 ///
 /// However many senders there are, all get in; the first [`MAX_SENDERS`] are known by name.
 #[derive(Debug, Default)]
@@ -76,7 +77,8 @@ pub struct Sender {
 /// What was let in.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub enum Entry {
-    /// A data packet of this sender, by its place in [`Gate::senders`]; of one of the many others, if there is none.
+    /// A data packet of this sender, by its place in [`Gate::senders`]; of one of the many others,
+    /// if there is none.
     Data(Option<usize>),
     /// A position packet.
     Position,
@@ -114,7 +116,10 @@ impl std::ops::AddAssign for Refused {
 impl Gate {
     /// A gate for the sensors that match one of `filters`; for all, if there are none.
     pub fn new(filters: Vec<SensorFilter>) -> Self {
-        Self { filters, ..Self::default() }
+        Self {
+            filters,
+            ..Self::default()
+        }
     }
 
     /// What of whom a datagram is; `None` if it is not let in.
@@ -130,8 +135,12 @@ impl Gate {
             Err(Misfit::Length) => self.refused.length += 1,
             Err(Misfit::Marker) => self.refused.marker += 1,
             Err(Misfit::Azimuth) => self.refused.azimuth += 1,
-            Ok(_) if !self.filters.is_empty() && !self.filters.iter().any(is_selected) => self.refused.source += 1,
-            Ok(Kind::Data) => return Some(Entry::Data(self.note(source, datagram.destination_port))),
+            Ok(_) if !self.filters.is_empty() && !self.filters.iter().any(is_selected) => {
+                self.refused.source += 1
+            }
+            Ok(Kind::Data) => {
+                return Some(Entry::Data(self.note(source, datagram.destination_port)));
+            }
             Ok(Kind::Position) => {
                 self.positions += 1;
                 return Some(Entry::Position);
@@ -140,7 +149,8 @@ impl Gate {
         None
     }
 
-    /// The senders of data packets in the order in which they were first heard, at most [`MAX_SENDERS`].
+    /// The senders of data packets in the order in which they were first heard, at most
+    /// [`MAX_SENDERS`].
     pub fn senders(&self) -> &[Sender] {
         &self.senders
     }
@@ -161,12 +171,18 @@ impl Gate {
     }
 
     fn note(&mut self, source: SocketAddr, destination_port: u16) -> Option<usize> {
-        let is_it = |sender: &Sender| sender.source == source && sender.destination_port == destination_port;
+        let is_it = |sender: &Sender| {
+            sender.source == source && sender.destination_port == destination_port
+        };
         let known = self.senders.iter().position(is_it);
         let index = known.or_else(|| {
             let is_new = self.senders.len() < MAX_SENDERS;
             is_new.then(|| {
-                self.senders.push(Sender { source, destination_port, packets: 0 });
+                self.senders.push(Sender {
+                    source,
+                    destination_port,
+                    packets: 0,
+                });
                 self.senders.len() - 1
             })
         });
@@ -186,7 +202,12 @@ mod tests {
     const OWN: &str = "192.168.1.201:2368";
 
     fn admit(gate: &mut Gate, source: &str, payload: &[u8]) -> Option<Entry> {
-        gate.admit(&Datagram { arrival_ns: 5, source: source.parse().unwrap(), destination_port: 2368, payload })
+        gate.admit(&Datagram {
+            arrival_ns: 5,
+            source: source.parse().unwrap(),
+            destination_port: 2368,
+            payload,
+        })
     }
 
     #[test]
@@ -196,9 +217,18 @@ mod tests {
         let [mut broken, mut beyond] = [packet; 2];
         broken.blocks[7].flag.set(0x1234);
         beyond.blocks[2].set_azimuth_cdeg(36_001);
-        assert_eq!(admit(&mut gate, OWN, packet.emit()), Some(Entry::Data(Some(0))));
-        assert_eq!(admit(&mut gate, "[::ffff:192.168.1.201]:2368", packet.emit()), Some(Entry::Data(Some(0))));
-        assert_eq!(admit(&mut gate, "192.168.1.201:8308", &[0; POSITION_PACKET_LEN]), Some(Entry::Position));
+        assert_eq!(
+            admit(&mut gate, OWN, packet.emit()),
+            Some(Entry::Data(Some(0)))
+        );
+        assert_eq!(
+            admit(&mut gate, "[::ffff:192.168.1.201]:2368", packet.emit()),
+            Some(Entry::Data(Some(0)))
+        );
+        assert_eq!(
+            admit(&mut gate, "192.168.1.201:8308", &[0; POSITION_PACKET_LEN]),
+            Some(Entry::Position)
+        );
         let position = [0; POSITION_PACKET_LEN];
         let refused: [(&str, &[u8]); 8] = [
             (OWN, broken.emit()),
@@ -211,11 +241,29 @@ mod tests {
             ("192.168.1.202:2368", beyond.emit()),
         ];
         for (source, payload) in refused {
-            assert_eq!(admit(&mut gate, source, payload), None, "{source}, {} bytes", payload.len());
+            assert_eq!(
+                admit(&mut gate, source, payload),
+                None,
+                "{source}, {} bytes",
+                payload.len()
+            );
         }
-        assert_eq!(gate.refused(), Refused { length: 2, marker: 2, azimuth: 2, source: 2 });
-        assert_eq!((gate.positions(), gate.others(), gate.refused().total()), (1, 0, 8));
-        let [sender] = gate.senders() else { panic!("{:?}", gate.senders()) };
+        assert_eq!(
+            gate.refused(),
+            Refused {
+                length: 2,
+                marker: 2,
+                azimuth: 2,
+                source: 2
+            }
+        );
+        assert_eq!(
+            (gate.positions(), gate.others(), gate.refused().total()),
+            (1, 0, 8)
+        );
+        let [sender] = gate.senders() else {
+            panic!("{:?}", gate.senders())
+        };
         assert_eq!((sender.source, sender.packets), (OWN.parse().unwrap(), 2));
     }
 
@@ -225,9 +273,18 @@ mod tests {
         for port in 0..1000 {
             assert!(admit(&mut gate, &format!("10.0.0.1:{port}"), packet.emit()).is_some());
         }
-        assert_eq!(admit(&mut gate, OWN, packet.emit()), Some(Entry::Data(None)));
-        assert_eq!((gate.senders().len(), gate.others()), (MAX_SENDERS, 1001 - MAX_SENDERS as u64));
-        assert_eq!(admit(&mut gate, "10.0.0.1:63", packet.emit()), Some(Entry::Data(Some(63))));
+        assert_eq!(
+            admit(&mut gate, OWN, packet.emit()),
+            Some(Entry::Data(None))
+        );
+        assert_eq!(
+            (gate.senders().len(), gate.others()),
+            (MAX_SENDERS, 1001 - MAX_SENDERS as u64)
+        );
+        assert_eq!(
+            admit(&mut gate, "10.0.0.1:63", packet.emit()),
+            Some(Entry::Data(Some(63)))
+        );
     }
 
     proptest! {

@@ -48,7 +48,11 @@ impl Order {
 /// Opens a file to read; a directory, which can be opened and not read, is refused here.
 fn open_file(path: &Path) -> io::Result<File> {
     let file = File::open(path)?;
-    if file.metadata()?.is_dir() { Err(io::ErrorKind::IsADirectory.into()) } else { Ok(file) }
+    if file.metadata()?.is_dir() {
+        Err(io::ErrorKind::IsADirectory.into())
+    } else {
+        Ok(file)
+    }
 }
 
 /// A decompressed stream of bytes that knows how far it was read.
@@ -81,14 +85,18 @@ impl Input {
         let mut magic = [0; 4];
         let len = read_full(&mut raw, &mut magic)?;
         let whole = Cursor::new(magic).take(len as u64).chain(raw);
-        let (source, compression): (Box<dyn Read + Send>, _) = if magic[..len].starts_with(&GZIP_MAGIC) {
-            let compressed = BufReader::with_capacity(BUFFER_LEN, whole);
-            (Box::new(MultiGzDecoder::new(compressed)), Some("gzip"))
-        } else if magic[..len] == ZSTD_MAGIC {
-            (Box::new(ZstdFrames::new(BufReader::with_capacity(BUFFER_LEN, whole))), Some("zstd"))
-        } else {
-            (Box::new(whole), None)
-        };
+        let (source, compression): (Box<dyn Read + Send>, _) =
+            if magic[..len].starts_with(&GZIP_MAGIC) {
+                let compressed = BufReader::with_capacity(BUFFER_LEN, whole);
+                (Box::new(MultiGzDecoder::new(compressed)), Some("gzip"))
+            } else if magic[..len] == ZSTD_MAGIC {
+                (
+                    Box::new(ZstdFrames::new(BufReader::with_capacity(BUFFER_LEN, whole))),
+                    Some("zstd"),
+                )
+            } else {
+                (Box::new(whole), None)
+            };
         Ok(Self {
             source: BufReader::with_capacity(BUFFER_LEN, source),
             compression,
@@ -113,7 +121,8 @@ impl Input {
         &self.bytes
     }
 
-    /// Begins a record or block: its first `N` words as they stand, or `None` where the stream ends exactly here.
+    /// Begins a record or block: its first `N` words as they stand, or `None` where the stream ends
+    /// exactly here.
     pub(super) fn start<const N: usize>(&mut self) -> Result<Option<[[u8; 4]; N]>, Stop> {
         self.mark = self.offset;
         let mut words = [[0; 4]; N];
@@ -128,7 +137,11 @@ impl Input {
     pub(super) fn raw_words<const N: usize>(&mut self) -> Result<[[u8; 4]; N], Stop> {
         let mut words = [[0; 4]; N];
         let len = self.fill(words.as_flattened_mut())?;
-        if len < 4 * N { Err(Damage::Cut.into()) } else { Ok(words) }
+        if len < 4 * N {
+            Err(Damage::Cut.into())
+        } else {
+            Ok(words)
+        }
     }
 
     /// The next `N` words as numbers, which must be there.
@@ -136,13 +149,18 @@ impl Input {
         Ok(self.raw_words()?.map(|word| order.u32(word)))
     }
 
-    /// Reads `len` bytes, to be had from [`Input::bytes`]. The caller bounds `len`: so much memory is taken.
+    /// Reads `len` bytes, to be had from [`Input::bytes`]. The caller bounds `len`: so much memory
+    /// is taken.
     pub(super) fn load(&mut self, len: usize) -> Result<(), Stop> {
         let mut bytes = std::mem::take(&mut self.bytes);
         bytes.resize(len, 0);
         let read = self.fill(&mut bytes);
         self.bytes = bytes;
-        if read? < len { Err(Damage::Cut.into()) } else { Ok(()) }
+        if read? < len {
+            Err(Damage::Cut.into())
+        } else {
+            Ok(())
+        }
     }
 
     /// Passes over `len` bytes without keeping them.
@@ -150,7 +168,11 @@ impl Input {
         let skipped = io::copy(&mut (&mut self.source).take(len), &mut io::sink());
         let skipped = skipped.map_err(|error| self.stop(error))?;
         self.offset += skipped;
-        if skipped < len { Err(Damage::Cut.into()) } else { Ok(()) }
+        if skipped < len {
+            Err(Damage::Cut.into())
+        } else {
+            Ok(())
+        }
     }
 
     /// Fills as much of `target` as the stream still has.
@@ -160,12 +182,15 @@ impl Input {
         Ok(len)
     }
 
-    /// A compressed stream that cannot be decoded is damage; whatever the system says itself is not.
+    /// A compressed stream that cannot be decoded is damage; whatever the system says itself is
+    /// not.
     fn stop(&self, error: io::Error) -> Stop {
         match self.compression {
-            Some(format) if !comes_from_system(&error) => {
-                Damage::Compression { format, message: error.to_string() }.into()
+            Some(format) if !comes_from_system(&error) => Damage::Compression {
+                format,
+                message: error.to_string(),
             }
+            .into(),
             _ => Stop::Read(error),
         }
     }
@@ -185,7 +210,8 @@ fn read_full(source: &mut impl Read, target: &mut [u8]) -> io::Result<usize> {
     Ok(len)
 }
 
-/// Whether an error of the operating system is at the bottom of `error`, however often it was wrapped.
+/// Whether an error of the operating system is at the bottom of `error`, however often it was
+/// wrapped.
 fn comes_from_system(error: &io::Error) -> bool {
     let mut cause: Option<&(dyn Error + 'static)> = Some(error);
     while let Some(error) = cause {
@@ -194,7 +220,9 @@ fn comes_from_system(error: &io::Error) -> bool {
                 return true;
             }
             // The `source` of a wrapping `io::Error` is already the source of what it wraps.
-            cause = io_error.get_ref().map(|inner| inner as &(dyn Error + 'static));
+            cause = io_error
+                .get_ref()
+                .map(|inner| inner as &(dyn Error + 'static));
         } else {
             cause = error.source();
         }
@@ -211,7 +239,11 @@ struct ZstdFrames<R> {
 
 impl<R: BufRead> ZstdFrames<R> {
     fn new(source: R) -> Self {
-        Self { source, decoder: FrameDecoder::new(), failure: None }
+        Self {
+            source,
+            decoder: FrameDecoder::new(),
+            failure: None,
+        }
     }
 
     /// Decodes a block, or begins the next frame. `false` at the end of the stream.
@@ -222,7 +254,10 @@ impl<R: BufRead> ZstdFrames<R> {
                 .map_err(io::Error::other)?;
             return Ok(true);
         }
-        if self.decoder.get_checksum_from_data().is_some_and(|sum| Some(sum) != self.decoder.get_calculated_checksum())
+        if self
+            .decoder
+            .get_checksum_from_data()
+            .is_some_and(|sum| Some(sum) != self.decoder.get_calculated_checksum())
         {
             return Err(io::Error::other("the checksum of a frame is wrong"));
         }
@@ -231,20 +266,30 @@ impl<R: BufRead> ZstdFrames<R> {
         }
         match self.decoder.reset(&mut self.source) {
             Ok(()) => Ok(true),
-            Err(FrameDecoderError::ReadFrameHeaderError(ReadFrameHeaderError::SkipFrame { length, .. })) => {
+            Err(FrameDecoderError::ReadFrameHeaderError(ReadFrameHeaderError::SkipFrame {
+                length,
+                ..
+            })) => {
                 let length = u64::from(length);
                 let skipped = io::copy(&mut (&mut self.source).take(length), &mut io::sink())?;
-                if skipped < length { Err(io::ErrorKind::UnexpectedEof.into()) } else { Ok(true) }
+                if skipped < length {
+                    Err(io::ErrorKind::UnexpectedEof.into())
+                } else {
+                    Ok(true)
+                }
             }
             Err(error) => Err(io::Error::other(error)),
         }
     }
 
-    /// Makes the decoder give out what it holds back as the window of blocks that will not come. It does so at the end
-    /// of a frame only, so it is given one: an empty last block and a checksum that nobody will look at.
+    /// Makes the decoder give out what it holds back as the window of blocks that will not come. It
+    /// does so at the end of a frame only, so it is given one: an empty last block and a checksum
+    /// that nobody will look at.
     fn release_window(&mut self) {
         let end: [u8; 7] = [1, 0, 0, 0, 0, 0, 0];
-        let _ = self.decoder.decode_blocks(&end[..], BlockDecodingStrategy::UptoBlocks(1));
+        let _ = self
+            .decoder
+            .decode_blocks(&end[..], BlockDecodingStrategy::UptoBlocks(1));
     }
 }
 
@@ -301,7 +346,11 @@ pub(super) fn describe(head: &[u8]) -> String {
             format!("text that begins with {text:?}")
         }
         _ => {
-            let bytes: Vec<String> = head.iter().take(8).map(|byte| format!("{byte:02x}")).collect();
+            let bytes: Vec<String> = head
+                .iter()
+                .take(8)
+                .map(|byte| format!("{byte:02x}"))
+                .collect();
             format!("bytes that begin with {}", bytes.join(" "))
         }
     }

@@ -6,15 +6,18 @@
 //! NULL, LOOP, raw IP     /
 //! ```
 //!
-//! Every length comes from the IP and UDP headers: behind the IP packet lie Ethernet padding and check sequences, and
-//! options and tags before it move the payload away from the usual offset of 42 bytes.
+//! Every length comes from the IP and UDP headers: behind the IP packet lie Ethernet padding and
+//! check sequences, and options and tags before it move the payload away from the usual offset of
+//! 42 bytes.
 
 use std::net::SocketAddr;
 use std::ops::Range;
 
 use etherparse::defrag::{IpDefragPayloadVec, IpDefragPool};
 use etherparse::err::{ip, ipv6_exts};
-use etherparse::{EtherType, IpNumber, IpSlice, LaxIpSlice, NetSlice, SlicedPacket, ether_type, ip_number};
+use etherparse::{
+    EtherType, IpNumber, IpSlice, LaxIpSlice, NetSlice, SlicedPacket, ether_type, ip_number,
+};
 
 use sweepd_core::wire::Datagram;
 
@@ -23,8 +26,9 @@ const UDP_HEADER_LEN: usize = 8;
 const MAX_WAITING: u64 = 256;
 /// How long fragments are waited for, by capture time. Linux takes 30 s.
 const MAX_WAIT_NS: u64 = 30_000_000_000;
-/// Old fragments are looked for after this many fragments, or this much capture time: to do so for each one would take longer
-/// than everything else. No fragment is forgotten before as many others have come.
+/// Old fragments are looked for after this many fragments, or this much capture time: to do so for
+/// each one would take longer than everything else. No fragment is forgotten before as many others
+/// have come.
 const LOOK_AFTER: u64 = MAX_WAITING / 2;
 const LOOK_AFTER_NS: u64 = 1_000_000_000;
 
@@ -123,7 +127,12 @@ enum Place {
 
 impl Default for Decapsulator {
     fn default() -> Self {
-        Self { waiting: IpDefragPool::new(), assembled: None, fragments: 0, looked: Waiting::default() }
+        Self {
+            waiting: IpDefragPool::new(),
+            assembled: None,
+            fragments: 0,
+            looked: Waiting::default(),
+        }
     }
 }
 
@@ -153,7 +162,12 @@ impl Decapsulator {
     }
 
     /// As [`Decapsulator::decapsulate`], borrowing nothing.
-    pub(super) fn find(&mut self, link_type: LinkType, frame: &[u8], time_ns: i64) -> Result<Found, NoDatagram> {
+    pub(super) fn find(
+        &mut self,
+        link_type: LinkType,
+        frame: &[u8],
+        time_ns: i64,
+    ) -> Result<Found, NoDatagram> {
         let ip_packet = ip_packet(link_type, frame)?;
         let ip = lax_ip(ip_packet)?;
         let (protocol, packet, in_frame) = if ip.is_fragmenting_payload() {
@@ -163,12 +177,20 @@ impl Decapsulator {
             (ip.payload_ip_number(), ip.payload().payload, true)
         };
         let udp = Udp::parse(protocol, packet)?;
-        let start = if in_frame { packet.as_ptr().addr() - frame.as_ptr().addr() } else { 0 } + UDP_HEADER_LEN;
+        let start = if in_frame {
+            packet.as_ptr().addr() - frame.as_ptr().addr()
+        } else {
+            0
+        } + UDP_HEADER_LEN;
         let range = start..start + udp.payload_len;
         Ok(Found {
             source: SocketAddr::new(ip.source_addr(), udp.source_port),
             destination_port: udp.destination_port,
-            place: if in_frame { Place::Frame(range) } else { Place::Assembled(range) },
+            place: if in_frame {
+                Place::Frame(range)
+            } else {
+                Place::Assembled(range)
+            },
         })
     }
 
@@ -176,7 +198,12 @@ impl Decapsulator {
     pub(super) fn payload<'a>(&'a self, found: &Found, frame: &'a [u8]) -> &'a [u8] {
         let (bytes, range) = match &found.place {
             Place::Frame(range) => (frame, range),
-            Place::Assembled(range) => (self.assembled.as_ref().map_or(&[][..], |whole| &whole.payload), range),
+            Place::Assembled(range) => (
+                self.assembled
+                    .as_ref()
+                    .map_or(&[][..], |whole| &whole.payload),
+                range,
+            ),
         };
         bytes.get(range.clone()).unwrap_or_default()
     }
@@ -192,7 +219,10 @@ impl Decapsulator {
             self.waiting.return_buf(done);
         }
         self.fragments += 1;
-        let now = Waiting { time_ns, fragment: self.fragments };
+        let now = Waiting {
+            time_ns,
+            fragment: self.fragments,
+        };
         self.forget_old(now);
         let ip = IpSlice::from_slice(ip_packet).map_err(|error| match error {
             ip::SliceError::Len(_) => NoDatagram::CutShort,
@@ -202,14 +232,23 @@ impl Decapsulator {
             IpSlice::Ipv4(ipv4) => NetSlice::Ipv4(ipv4),
             IpSlice::Ipv6(ipv6) => NetSlice::Ipv6(ipv6),
         });
-        let packet = SlicedPacket { link: None, link_exts: Default::default(), net, transport: None };
-        let whole = self.waiting.process_sliced_packet(&packet, now, link_type).map_err(|_| NoDatagram::Malformed)?;
+        let packet = SlicedPacket {
+            link: None,
+            link_exts: Default::default(),
+            net,
+            transport: None,
+        };
+        let whole = self
+            .waiting
+            .process_sliced_packet(&packet, now, link_type)
+            .map_err(|_| NoDatagram::Malformed)?;
         let whole = whole.ok_or(NoDatagram::FragmentWaiting)?;
         Ok(self.assembled.insert(whole))
     }
 
-    /// Forgets fragments that have waited for too long. The pool itself has no bound: those that are kept and those that come
-    /// until the next look belong to at most [`MAX_WAITING`] datagrams.
+    /// Forgets fragments that have waited for too long. The pool itself has no bound: those that
+    /// are kept and those that come until the next look belong to at most [`MAX_WAITING`]
+    /// datagrams.
     fn forget_old(&mut self, now: Waiting) {
         let is_recent = now.time_ns.abs_diff(self.looked.time_ns) < LOOK_AFTER_NS;
         if is_recent && now.fragment - self.looked.fragment < LOOK_AFTER {
@@ -217,7 +256,8 @@ impl Decapsulator {
         }
         self.looked = now;
         let oldest = now.fragment.saturating_sub(LOOK_AFTER);
-        self.waiting.retain(|at| at.fragment > oldest && now.time_ns.abs_diff(at.time_ns) <= MAX_WAIT_NS);
+        self.waiting
+            .retain(|at| at.fragment > oldest && now.time_ns.abs_diff(at.time_ns) <= MAX_WAIT_NS);
     }
 }
 
@@ -225,20 +265,28 @@ impl Decapsulator {
 fn ip_packet(link_type: LinkType, frame: &[u8]) -> Result<&[u8], NoDatagram> {
     match link_type {
         LinkType::ETHERNET => {
-            let ([.., high, low], rest) = frame.split_first_chunk::<14>().ok_or(NoDatagram::CutShort)?;
+            let ([.., high, low], rest) = frame
+                .split_first_chunk::<14>()
+                .ok_or(NoDatagram::CutShort)?;
             after_ether_type(EtherType(u16::from_be_bytes([*high, *low])), rest)
         }
         LinkType::LINUX_SLL => {
-            let ([.., high, low], rest) = frame.split_first_chunk::<16>().ok_or(NoDatagram::CutShort)?;
+            let ([.., high, low], rest) = frame
+                .split_first_chunk::<16>()
+                .ok_or(NoDatagram::CutShort)?;
             after_ether_type(EtherType(u16::from_be_bytes([*high, *low])), rest)
         }
         LinkType::LINUX_SLL2 => {
-            let ([high, low, ..], rest) = frame.split_first_chunk::<20>().ok_or(NoDatagram::CutShort)?;
+            let ([high, low, ..], rest) = frame
+                .split_first_chunk::<20>()
+                .ok_or(NoDatagram::CutShort)?;
             after_ether_type(EtherType(u16::from_be_bytes([*high, *low])), rest)
         }
         LinkType::NULL | LinkType::LOOP => {
             let (family, rest) = frame.split_first_chunk::<4>().ok_or(NoDatagram::CutShort)?;
-            if is_ip_family(u32::from_le_bytes(*family)) || is_ip_family(u32::from_be_bytes(*family)) {
+            if is_ip_family(u32::from_le_bytes(*family))
+                || is_ip_family(u32::from_be_bytes(*family))
+            {
                 Ok(rest)
             } else {
                 Err(NoDatagram::NotIp)
@@ -252,17 +300,16 @@ fn ip_packet(link_type: LinkType, frame: &[u8]) -> Result<&[u8], NoDatagram> {
 
 /// The IP headers, with all that was captured behind them if their length field promises more.
 ///
-/// Whether that is enough the UDP length says: early VLP-16 firmware sends its position packets with the IP length of a
-/// data packet, 1234 in place of 540. Fragments have only the IP length to go by, and are not forgiven.
+/// Whether that is enough the UDP length says: early VLP-16 firmware sends its position packets
+/// with the IP length of a data packet, 1234 in place of 540. Fragments have only the IP length to
+/// go by, and are not forgiven.
 fn lax_ip(packet: &[u8]) -> Result<LaxIpSlice<'_>, NoDatagram> {
     match LaxIpSlice::from_slice(packet) {
         Ok((ip, None)) => Ok(ip),
-        Ok((_, Some((ipv6_exts::HeaderSliceError::Len(_), _)))) | Err(ip::LaxHeaderSliceError::Len(_)) => {
-            Err(NoDatagram::CutShort)
-        }
-        Ok((_, Some((ipv6_exts::HeaderSliceError::Content(_), _)))) | Err(ip::LaxHeaderSliceError::Content(_)) => {
-            Err(NoDatagram::Malformed)
-        }
+        Ok((_, Some((ipv6_exts::HeaderSliceError::Len(_), _))))
+        | Err(ip::LaxHeaderSliceError::Len(_)) => Err(NoDatagram::CutShort),
+        Ok((_, Some((ipv6_exts::HeaderSliceError::Content(_), _))))
+        | Err(ip::LaxHeaderSliceError::Content(_)) => Err(NoDatagram::Malformed),
     }
 }
 
@@ -275,7 +322,8 @@ fn after_ether_type(mut kind: EtherType, mut rest: &[u8]) -> Result<&[u8], NoDat
             | ether_type::PROVIDER_BRIDGING
             | ether_type::VLAN_DOUBLE_TAGGED_FRAME
             | EtherType(0x9200) => {
-                let ([_, _, high, low], inner) = rest.split_first_chunk::<4>().ok_or(NoDatagram::CutShort)?;
+                let ([_, _, high, low], inner) =
+                    rest.split_first_chunk::<4>().ok_or(NoDatagram::CutShort)?;
                 kind = EtherType(u16::from_be_bytes([*high, *low]));
                 rest = inner;
             }
@@ -284,7 +332,8 @@ fn after_ether_type(mut kind: EtherType, mut rest: &[u8]) -> Result<&[u8], NoDat
     }
 }
 
-/// The numbers of IPv4 (everywhere 2) and IPv6 on Linux, Windows, NetBSD and OpenBSD, FreeBSD, macOS.
+/// The numbers of IPv4 (everywhere 2) and IPv6 on Linux, Windows, NetBSD and OpenBSD, FreeBSD,
+/// macOS.
 fn is_ip_family(family: u32) -> bool {
     matches!(family, 2 | 10 | 23 | 24 | 28 | 30)
 }
@@ -300,16 +349,21 @@ impl Udp {
         if protocol != ip_number::UDP {
             return Err(NoDatagram::NotUdp);
         }
-        let &[s0, s1, d0, d1, l0, l1, _, _] = packet.first_chunk::<UDP_HEADER_LEN>().ok_or(NoDatagram::CutShort)?;
+        let &[s0, s1, d0, d1, l0, l1, _, _] = packet
+            .first_chunk::<UDP_HEADER_LEN>()
+            .ok_or(NoDatagram::CutShort)?;
         let len = usize::from(u16::from_be_bytes([l0, l1]));
-        // A length of 0 means a jumbogram, which no sensor sends, or a frame captured before the card filled it in.
+        // A length of 0 means a jumbogram, which no sensor sends, or a frame captured before the
+        // card filled it in.
         if len == 0 || len > packet.len() {
             return Err(NoDatagram::CutShort);
         }
         Ok(Self {
             source_port: u16::from_be_bytes([s0, s1]),
             destination_port: u16::from_be_bytes([d0, d1]),
-            payload_len: len.checked_sub(UDP_HEADER_LEN).ok_or(NoDatagram::Malformed)?,
+            payload_len: len
+                .checked_sub(UDP_HEADER_LEN)
+                .ok_or(NoDatagram::Malformed)?,
         })
     }
 }
@@ -323,10 +377,19 @@ mod tests {
 
     fn payload(link_type: u16, frame: &[u8]) -> Result<Vec<u8>, NoDatagram> {
         let mut decapsulator = Decapsulator::new();
-        decapsulator.decapsulate(LinkType(link_type), frame, 9).map(|datagram| {
-            assert_eq!((datagram.arrival_ns, datagram.source.port(), datagram.destination_port), (9, 2368, 8308));
-            datagram.payload.to_vec()
-        })
+        decapsulator
+            .decapsulate(LinkType(link_type), frame, 9)
+            .map(|datagram| {
+                assert_eq!(
+                    (
+                        datagram.arrival_ns,
+                        datagram.source.port(),
+                        datagram.destination_port
+                    ),
+                    (9, 2368, 8308)
+                );
+                datagram.payload.to_vec()
+            })
     }
 
     fn ipv6(payload: &[u8]) -> Vec<u8> {
@@ -336,11 +399,21 @@ mod tests {
     #[test]
     fn ethernet_with_any_number_of_tags() {
         let (v4, v6) = (ipv4(b"abc"), ipv6(b"abc"));
-        for tags in
-            [&[][..], &[0x8100], &[0x88A8, 0x8100], &[0x8100, 0x8100, 0x8100], &[0x9100, 0x9200, 0x8100, 0x8100]]
-        {
-            assert_eq!(payload(1, &ethernet(&[tags, &[0x0800]].concat(), &v4)), Ok(b"abc".to_vec()));
-            assert_eq!(payload(1, &ethernet(&[tags, &[0x86DD]].concat(), &v6)), Ok(b"abc".to_vec()));
+        for tags in [
+            &[][..],
+            &[0x8100],
+            &[0x88A8, 0x8100],
+            &[0x8100, 0x8100, 0x8100],
+            &[0x9100, 0x9200, 0x8100, 0x8100],
+        ] {
+            assert_eq!(
+                payload(1, &ethernet(&[tags, &[0x0800]].concat(), &v4)),
+                Ok(b"abc".to_vec())
+            );
+            assert_eq!(
+                payload(1, &ethernet(&[tags, &[0x86DD]].concat(), &v6)),
+                Ok(b"abc".to_vec())
+            );
         }
     }
 
@@ -348,9 +421,10 @@ mod tests {
     fn cooked_loopback_and_raw_frames() {
         let sll = |kind: u16| [&[0; 14][..], &kind.to_be_bytes()].concat();
         let sll2 = |kind: u16| [&kind.to_be_bytes()[..], &[0; 18]].concat();
-        for (kind, packet, families) in
-            [(0x0800, ipv4(b"abc"), &[2_u32][..]), (0x86DD, ipv6(b"abc"), &[10, 23, 24, 28, 30])]
-        {
+        for (kind, packet, families) in [
+            (0x0800, ipv4(b"abc"), &[2_u32][..]),
+            (0x86DD, ipv6(b"abc"), &[10, 23, 24, 28, 30]),
+        ] {
             let after = |header: &[u8]| [header, &packet].concat();
             assert_eq!(payload(113, &after(&sll(kind))), Ok(b"abc".to_vec()));
             assert_eq!(payload(276, &after(&sll2(kind))), Ok(b"abc".to_vec()));
@@ -358,8 +432,14 @@ mod tests {
             assert_eq!(payload(113, &after(&tagged)), Ok(b"abc".to_vec()));
             for family in families {
                 for link_type in [0, 108] {
-                    assert_eq!(payload(link_type, &after(&family.to_le_bytes())), Ok(b"abc".to_vec()));
-                    assert_eq!(payload(link_type, &after(&family.to_be_bytes())), Ok(b"abc".to_vec()));
+                    assert_eq!(
+                        payload(link_type, &after(&family.to_le_bytes())),
+                        Ok(b"abc".to_vec())
+                    );
+                    assert_eq!(
+                        payload(link_type, &after(&family.to_be_bytes())),
+                        Ok(b"abc".to_vec())
+                    );
                 }
             }
             for link_type in [12, 14, 101, 228, 229] {
@@ -372,17 +452,29 @@ mod tests {
     #[test]
     fn sources_of_both_families() {
         let mut decapsulator = Decapsulator::new();
-        let mut source = |packet: &[u8]| decapsulator.decapsulate(LinkType::RAW, packet, 0).unwrap().source.to_string();
+        let mut source = |packet: &[u8]| {
+            decapsulator
+                .decapsulate(LinkType::RAW, packet, 0)
+                .unwrap()
+                .source
+                .to_string()
+        };
         assert_eq!(source(&ipv4(b"")), "192.168.1.201:2368");
         assert_eq!(source(&ipv6(b"")), "[fe80::1]:2368");
     }
 
     #[test]
     fn ip_options_and_extension_headers_move_the_payload() {
-        assert_eq!(payload(101, &ipv4_of(17, 0, 12, &udp(b"abc"))), Ok(b"abc".to_vec()));
+        assert_eq!(
+            payload(101, &ipv4_of(17, 0, 12, &udp(b"abc"))),
+            Ok(b"abc".to_vec())
+        );
         // Hop-by-hop, then destination options of 16 bytes.
         let extensions = [&[60, 0, 1, 4, 0, 0, 0, 0][..], &[17, 1, 1, 12], &[0; 12]].concat();
-        assert_eq!(payload(101, &ipv6_of(0, &[extensions, udp(b"abc")].concat())), Ok(b"abc".to_vec()));
+        assert_eq!(
+            payload(101, &ipv6_of(0, &[extensions, udp(b"abc")].concat())),
+            Ok(b"abc".to_vec())
+        );
     }
 
     #[test]
@@ -391,15 +483,25 @@ mod tests {
         padded.resize(64, 0xEE);
         assert_eq!(payload(1, &padded), Ok(b"abc".to_vec()));
         // Inside the IP packet, but behind the UDP length.
-        assert_eq!(payload(101, &ipv4_of(17, 0, 0, &[udp(b"abc"), vec![0; 9]].concat())), Ok(b"abc".to_vec()));
+        assert_eq!(
+            payload(101, &ipv4_of(17, 0, 0, &[udp(b"abc"), vec![0; 9]].concat())),
+            Ok(b"abc".to_vec())
+        );
         assert_eq!(payload(1, &ethernet(&[0x0800], &ipv4(b""))), Ok(vec![]));
     }
 
     #[test]
     fn cut_anywhere_is_cut_short() {
-        for (link_type, whole) in [(1, ethernet(&[0x8100, 0x0800], &ipv4(b"abcdef"))), (101, ipv6(b"abcdef"))] {
+        for (link_type, whole) in [
+            (1, ethernet(&[0x8100, 0x0800], &ipv4(b"abcdef"))),
+            (101, ipv6(b"abcdef")),
+        ] {
             for len in 0..whole.len() {
-                assert_eq!(payload(link_type, &whole[..len]), Err(NoDatagram::CutShort), "{len}");
+                assert_eq!(
+                    payload(link_type, &whole[..len]),
+                    Err(NoDatagram::CutShort),
+                    "{len}"
+                );
             }
         }
     }
@@ -430,11 +532,26 @@ mod tests {
 
     #[test]
     fn other_traffic_is_named() {
-        assert_eq!(payload(1, &ethernet(&[0x0806], &[0; 28])), Err(NoDatagram::NotIp));
-        assert_eq!(payload(1, &ethernet(&[0x0026], &[0; 38])), Err(NoDatagram::NotIp));
-        assert_eq!(payload(1, &ethernet(&[0x0800], &ipv4_of(6, 0, 0, &[0; 20]))), Err(NoDatagram::NotUdp));
-        assert_eq!(payload(1, &ethernet(&[0x0800], &[0x95; 40])), Err(NoDatagram::Malformed));
-        assert_eq!(payload(105, &[0; 40]), Err(NoDatagram::UnsupportedLink(LinkType(105))));
+        assert_eq!(
+            payload(1, &ethernet(&[0x0806], &[0; 28])),
+            Err(NoDatagram::NotIp)
+        );
+        assert_eq!(
+            payload(1, &ethernet(&[0x0026], &[0; 38])),
+            Err(NoDatagram::NotIp)
+        );
+        assert_eq!(
+            payload(1, &ethernet(&[0x0800], &ipv4_of(6, 0, 0, &[0; 20]))),
+            Err(NoDatagram::NotUdp)
+        );
+        assert_eq!(
+            payload(1, &ethernet(&[0x0800], &[0x95; 40])),
+            Err(NoDatagram::Malformed)
+        );
+        assert_eq!(
+            payload(105, &[0; 40]),
+            Err(NoDatagram::UnsupportedLink(LinkType(105)))
+        );
     }
 
     /// A datagram of 40 bytes and its three fragments, as IPv4 or IPv6 packets.
@@ -448,7 +565,12 @@ mod tests {
                 let header = [17, 0, field[0], field[1], 0, 0, 0, fill];
                 ipv6_of(44, &[&header[..], &whole[from..to]].concat())
             } else {
-                let mut ip = ipv4_of(17, (from / 8) as u16 | u16::from(more) << 13, 0, &whole[from..to]);
+                let mut ip = ipv4_of(
+                    17,
+                    (from / 8) as u16 | u16::from(more) << 13,
+                    0,
+                    &whole[from..to],
+                );
                 ip[5] = fill; // identification
                 ip
             }
@@ -461,14 +583,29 @@ mod tests {
     fn fragments_in_any_order() {
         for v6 in [false, true] {
             let mut decapsulator = Decapsulator::new();
-            for (fill, order) in [[0, 1, 2], [0, 2, 1], [1, 0, 2], [1, 2, 0], [2, 0, 1], [2, 1, 0]].iter().enumerate() {
+            for (fill, order) in [
+                [0, 1, 2],
+                [0, 2, 1],
+                [1, 0, 2],
+                [1, 2, 0],
+                [2, 0, 1],
+                [2, 1, 0],
+            ]
+            .iter()
+            .enumerate()
+            {
                 let (payload, pieces) = fragments(v6, fill as u8);
                 for &index in &order[..2] {
                     let waiting = decapsulator.decapsulate(LinkType::RAW, &pieces[index], 0);
                     assert_eq!(waiting, Err(NoDatagram::FragmentWaiting));
                 }
-                let whole = decapsulator.decapsulate(LinkType::RAW, &pieces[order[2]], 7).unwrap();
-                assert_eq!((whole.arrival_ns, whole.destination_port, whole.payload), (7, 8308, &payload[..]));
+                let whole = decapsulator
+                    .decapsulate(LinkType::RAW, &pieces[order[2]], 7)
+                    .unwrap();
+                assert_eq!(
+                    (whole.arrival_ns, whole.destination_port, whole.payload),
+                    (7, 8308, &payload[..])
+                );
             }
         }
     }
@@ -479,7 +616,11 @@ mod tests {
         let ((one, ones), (two, twos)) = (fragments(false, 1), fragments(false, 2));
         let mut done = Vec::new();
         for packet in ones.iter().zip(&twos).flat_map(|(a, b)| [a, b]) {
-            done.extend(decapsulator.decapsulate(LinkType::RAW, packet, 0).map(|whole| whole.payload.to_vec()));
+            done.extend(
+                decapsulator
+                    .decapsulate(LinkType::RAW, packet, 0)
+                    .map(|whole| whole.payload.to_vec()),
+            );
         }
         assert_eq!(done, [one, two]);
     }
@@ -489,7 +630,11 @@ mod tests {
         let (_, pieces) = fragments(false, 1);
         let last_is_whole = |pause_ns: i64, between: u64| {
             let mut decapsulator = Decapsulator::new();
-            let mut push = |packet: &[u8], time_ns| decapsulator.decapsulate(LinkType::RAW, packet, time_ns).is_ok();
+            let mut push = |packet: &[u8], time_ns| {
+                decapsulator
+                    .decapsulate(LinkType::RAW, packet, time_ns)
+                    .is_ok()
+            };
             assert!(!push(&pieces[0], 0) && !push(&pieces[1], 0));
             for number in 0..between {
                 assert!(!push(&fragments(true, number as u8).1[0], 0));
@@ -514,13 +659,20 @@ mod tests {
             looks += u64::from(decapsulator.looked.fragment != looked);
             looked = decapsulator.looked.fragment;
         }
-        assert!((1..=FRAGMENTS / LOOK_AFTER + 1).contains(&looks), "{looks} looks");
+        assert!(
+            (1..=FRAGMENTS / LOOK_AFTER + 1).contains(&looks),
+            "{looks} looks"
+        );
         let waiting = std::cell::Cell::new(0);
         decapsulator.waiting.retain(|_| {
             waiting.set(waiting.get() + 1);
             true
         });
-        assert!((LOOK_AFTER..=MAX_WAITING).contains(&waiting.get()), "{} wait", waiting.get());
+        assert!(
+            (LOOK_AFTER..=MAX_WAITING).contains(&waiting.get()),
+            "{} wait",
+            waiting.get()
+        );
     }
 
     proptest! {

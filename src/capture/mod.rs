@@ -50,7 +50,8 @@ pub struct Tally {
     pub not_ip: u64,
     /// Records with another protocol than UDP.
     pub not_udp: u64,
-    /// Records with less of a datagram than its headers promise: captured with too small a snap length.
+    /// Records with less of a datagram than its headers promise: captured with too small a snap
+    /// length.
     pub truncated_records: u64,
     /// Fragments, but for those that made a datagram whole.
     pub fragments: u64,
@@ -58,8 +59,8 @@ pub struct Tally {
     pub unsupported_link: u64,
     /// Records with headers that contradict themselves.
     pub malformed: u64,
-    /// Records without a time (pcapng simple packet blocks), which took that of the record before. They are counted
-    /// above as well.
+    /// Records without a time (pcapng simple packet blocks), which took that of the record before.
+    /// They are counted above as well.
     pub untimed: u64,
 }
 
@@ -149,10 +150,15 @@ impl Capture {
     }
 
     fn over(reader: CaptureReader) -> Self {
-        Self { reader, decapsulator: Decapsulator::new(), seen: Seen::default() }
+        Self {
+            reader,
+            decapsulator: Decapsulator::new(),
+            seen: Seen::default(),
+        }
     }
 
-    /// The next datagram; `None` at the end, and where the capture breaks off: then [`Capture::truncation`] says why.
+    /// The next datagram; `None` at the end, and where the capture breaks off: then
+    /// [`Capture::truncation`] says why.
     ///
     /// # Errors
     /// [`CaptureError::Read`] when the disk or pipe fails. After that, `None`.
@@ -166,9 +172,14 @@ impl Capture {
     /// As there.
     pub fn next_placed(&mut self) -> Result<Option<Placed<'_>>, CaptureError> {
         let (found, arrival_ns) = loop {
-            let Some(record) = self.reader.next()? else { return Ok(None) };
+            let Some(record) = self.reader.next()? else {
+                return Ok(None);
+            };
             let time_ns = self.seen.note(&record);
-            match self.decapsulator.find(record.link_type, record.bytes, time_ns) {
+            match self
+                .decapsulator
+                .find(record.link_type, record.bytes, time_ns)
+            {
                 Ok(found) => break (found, time_ns),
                 Err(reason) => self.seen.tally.count(reason),
             }
@@ -177,10 +188,19 @@ impl Capture {
         // Asked for again, since a record that the loop gave out could not be followed by another.
         let frame = self.reader.record().map_or(&[][..], |record| record.bytes);
         let payload = self.decapsulator.payload(&found, frame);
-        let datagram = Datagram { arrival_ns, source: found.source, destination_port: found.destination_port, payload };
+        let datagram = Datagram {
+            arrival_ns,
+            source: found.source,
+            destination_port: found.destination_port,
+            payload,
+        };
         let record = self.seen.tally.records - 1;
         let since_start_ns = arrival_ns.saturating_sub(self.seen.first_ns.unwrap_or(arrival_ns));
-        Ok(Some(Placed { record, since_start_ns, datagram }))
+        Ok(Some(Placed {
+            record,
+            since_start_ns,
+            datagram,
+        }))
     }
 
     /// The record that the last datagram came from, to say where something is wrong.

@@ -4,13 +4,15 @@ use std::ops::RangeInclusive;
 use std::str::FromStr;
 use std::time::Duration;
 
-/// Capture time that goes back by more than this is a jump (another recording, a clock that was set), by less the
-/// disorder of a network.
+/// Capture time that goes back by more than this is a jump (another recording, a clock that was
+/// set), by less the disorder of a network.
 const DISORDER_NS: i128 = 1_000_000_000;
-/// A time further ahead than this is not waited for: the capture was paused, or the time is corrupt.
+/// A time further ahead than this is not waited for: the capture was paused, or the time is
+/// corrupt.
 const PAUSE_NS: i128 = 60_000_000_000;
 
-/// Factors that a text may name. Slower, the next datagram would be a minute away and more; faster, no machine can.
+/// Factors that a text may name. Slower, the next datagram would be a minute away and more; faster,
+/// no machine can.
 const FACTORS: RangeInclusive<f64> = 0.001..=1000.0;
 
 /// How fast to replay.
@@ -39,7 +41,9 @@ impl std::fmt::Display for Speed {
 
 /// A text that names no speed.
 #[derive(Clone, Debug, PartialEq, Eq, thiserror::Error)]
-#[error("`{0}` is no speed; expected `realtime`, `max`, or a number from 0.001 to 1000 such as 0.5 or 10")]
+#[error(
+    "`{0}` is no speed; expected `realtime`, `max`, or a number from 0.001 to 1000 such as 0.5 or 10"
+)]
 pub struct SpeedError(String);
 
 impl FromStr for Speed {
@@ -59,8 +63,8 @@ impl FromStr for Speed {
 
 /// Says how long to wait before each datagram of a replay.
 ///
-/// A silence of the capture is as long in the replay. A replay that fell behind catches up without waiting. After a
-/// jump back in capture time it goes on at once, in the new time.
+/// A silence of the capture is as long in the replay. A replay that fell behind catches up without
+/// waiting. After a jump back in capture time it goes on at once, in the new time.
 ///
 /// ```
 /// use std::time::Duration;
@@ -86,14 +90,22 @@ struct Start {
 impl Pacer {
     /// A pacer that starts with the first datagram.
     pub fn new(speed: Speed) -> Self {
-        Self { speed, start: None, latest_ns: i64::MIN }
+        Self {
+            speed,
+            start: None,
+            latest_ns: i64::MIN,
+        }
     }
 
-    /// How long to wait, at the monotonic time `now_ns`, before a datagram captured at `capture_ns` is due.
+    /// How long to wait, at the monotonic time `now_ns`, before a datagram captured at `capture_ns`
+    /// is due.
     pub fn wait(&mut self, capture_ns: i64, now_ns: u64) -> Duration {
-        let Speed::Factor(factor) = self.speed else { return Duration::ZERO };
+        let Speed::Factor(factor) = self.speed else {
+            return Duration::ZERO;
+        };
         let (capture, latest) = (i128::from(capture_ns), i128::from(self.latest_ns));
-        let jumped = capture + DISORDER_NS < latest || self.start.is_some() && capture > latest + PAUSE_NS;
+        let jumped =
+            capture + DISORDER_NS < latest || self.start.is_some() && capture > latest + PAUSE_NS;
         let start = match self.start {
             Some(start) if !jumped => start,
             _ => {
@@ -102,9 +114,12 @@ impl Pacer {
             }
         };
         self.latest_ns = self.latest_ns.max(capture_ns);
-        // Differences of i64 fit i128; the casts from f64 saturate, and take a factor that is no number as 0.
+        // Differences of i64 fit i128; the casts from f64 saturate, and take a factor that is no
+        // number as 0.
         let elapsed_ns = (i128::from(capture_ns) - i128::from(start.capture_ns)).max(0);
-        let due_ns = start.now_ns.saturating_add((elapsed_ns as f64 / factor) as u64);
+        let due_ns = start
+            .now_ns
+            .saturating_add((elapsed_ns as f64 / factor) as u64);
         Duration::from_nanos(due_ns.saturating_sub(now_ns))
     }
 }
@@ -116,7 +131,8 @@ mod tests {
 
     const MS: i64 = 1_000_000;
 
-    /// Waits in milliseconds for datagrams at these capture times, on a machine that waits as it is told.
+    /// Waits in milliseconds for datagrams at these capture times, on a machine that waits as it is
+    /// told.
     fn waits(speed: &str, capture_ms: &[i64]) -> Vec<u128> {
         let mut pacer = Pacer::new(speed.parse().unwrap());
         let mut now_ns = 77;
@@ -130,14 +146,20 @@ mod tests {
 
     #[test]
     fn speeds_are_read_and_written() {
-        for (text, speed) in [("max", Speed::Max), ("realtime", Speed::REALTIME), ("2.5", Speed::Factor(2.5))] {
+        for (text, speed) in [
+            ("max", Speed::Max),
+            ("realtime", Speed::REALTIME),
+            ("2.5", Speed::Factor(2.5)),
+        ] {
             assert_eq!(text.parse(), Ok(speed));
             assert_eq!(speed.to_string(), text);
         }
         for factor in [0.001, 1000.0] {
             assert_eq!(factor.to_string().parse(), Ok(Speed::Factor(factor)));
         }
-        for text in ["", "0", "-1", "inf", "nan", "fast", "1x", "1e-300", "0.000999", "1000.1", "1e308"] {
+        for text in [
+            "", "0", "-1", "inf", "nan", "fast", "1x", "1e-300", "0.000999", "1000.1", "1e308",
+        ] {
             assert_eq!(text.parse::<Speed>(), Err(SpeedError(text.to_owned())));
         }
     }
@@ -154,8 +176,14 @@ mod tests {
     fn a_gap_is_waited_for_and_a_jump_is_not() {
         assert_eq!(waits("realtime", &[0, 59_000, 59_010]), [0, 59_000, 10]);
         assert_eq!(waits("realtime", &[0, 7_200_000, 7_200_010]), [0, 0, 10]);
-        assert_eq!(waits("realtime", &[0, 10, 7_200_000, 20, 30]), [0, 10, 0, 0, 10]);
-        assert_eq!(waits("realtime", &[90_000, 90_010, 5_000, 5_010, 5_030]), [0, 10, 0, 10, 20]);
+        assert_eq!(
+            waits("realtime", &[0, 10, 7_200_000, 20, 30]),
+            [0, 10, 0, 0, 10]
+        );
+        assert_eq!(
+            waits("realtime", &[90_000, 90_010, 5_000, 5_010, 5_030]),
+            [0, 10, 0, 10, 20]
+        );
     }
 
     #[test]
@@ -168,7 +196,10 @@ mod tests {
         let mut pacer = Pacer::new(Speed::REALTIME);
         assert_eq!(pacer.wait(0, 0), Duration::ZERO);
         assert_eq!(pacer.wait(10 * MS, 50 * MS as u64), Duration::ZERO);
-        assert_eq!(pacer.wait(60 * MS, 50 * MS as u64), Duration::from_millis(10));
+        assert_eq!(
+            pacer.wait(60 * MS, 50 * MS as u64),
+            Duration::from_millis(10)
+        );
     }
 
     proptest! {

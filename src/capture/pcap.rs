@@ -5,11 +5,12 @@
 //! record | seconds u32, fraction u32, captured u32, original u32, bytes |
 //! ```
 //!
-//! Layout: draft-ietf-opsawg-pcap and draft-ietf-opsawg-pcapng. The reader is our own: of a capture that is cut or
-//! corrupt it must give every whole record and then say where and why it breaks off. pcap-parser keeps a block in one
-//! buffer that its caller grows by what a length field claims, drops the cause when a read fails, knows no resolution
-//! in powers of two and reads the time offset as little-endian. What is left of it is a header of four to six words;
-//! the tests hold this reader against it.
+//! Layout: draft-ietf-opsawg-pcap and draft-ietf-opsawg-pcapng. The reader is our own: of a capture
+//! that is cut or corrupt it must give every whole record and then say where and why it breaks off.
+//! pcap-parser keeps a block in one buffer that its caller grows by what a length field claims,
+//! drops the cause when a read fails, knows no resolution in powers of two and reads the time
+//! offset as little-endian. What is left of it is a header of four to six words; the tests hold
+//! this reader against it.
 
 use std::io::Read;
 use std::path::Path;
@@ -21,7 +22,8 @@ use super::pcapng::Sections;
 
 /// Most captured bytes of a record: the limit of libpcap, four times the largest IP packet.
 pub const MAX_RECORD_LEN: u32 = 256 * 1024;
-/// Bytes of a pcap file header, and of a pcapng section header without its options: enough to tell what a file is.
+/// Bytes of a pcap file header, and of a pcapng section header without its options: enough to tell
+/// what a file is.
 const HEAD_LEN: usize = 24;
 
 /// A frame as it was captured.
@@ -35,7 +37,8 @@ pub struct Record<'a> {
     pub time_ns: Option<i64>,
     /// What the bytes begin with.
     pub link_type: LinkType,
-    /// Bytes of the frame on the network; more than `bytes` where the capture was told to cut frames.
+    /// Bytes of the frame on the network; more than `bytes` where the capture was told to cut
+    /// frames.
     pub original_len: u32,
     /// The captured bytes.
     pub bytes: &'a [u8],
@@ -85,13 +88,26 @@ impl CaptureReader {
         let name = name.to_owned();
         let mut input = match Input::new(source) {
             Ok(input) => input,
-            Err(source) => return Err(CaptureError::Read { name, record: 0, offset: 0, source }),
+            Err(source) => {
+                return Err(CaptureError::Read {
+                    name,
+                    record: 0,
+                    offset: 0,
+                    source,
+                });
+            }
         };
         let mut head = Vec::with_capacity(HEAD_LEN);
         match Format::recognise(&mut input, &mut head) {
-            Ok(Some(format)) => {
-                Ok(Self { name, input, format, current: None, records: 0, ended: false, truncation: None })
-            }
+            Ok(Some(format)) => Ok(Self {
+                name,
+                input,
+                format,
+                current: None,
+                records: 0,
+                ended: false,
+                truncation: None,
+            }),
             Ok(None) => {
                 let mut found = describe(&head);
                 if let Some(compression) = input.compression() {
@@ -99,10 +115,16 @@ impl CaptureReader {
                 }
                 Err(CaptureError::NotACapture { name, found })
             }
-            Err(Stop::Damaged(damage)) => {
-                Err(CaptureError::NotACapture { name, found: format!("a file header that is damaged ({damage})") })
-            }
-            Err(Stop::Read(source)) => Err(CaptureError::Read { name, record: 0, offset: 0, source }),
+            Err(Stop::Damaged(damage)) => Err(CaptureError::NotACapture {
+                name,
+                found: format!("a file header that is damaged ({damage})"),
+            }),
+            Err(Stop::Read(source)) => Err(CaptureError::Read {
+                name,
+                record: 0,
+                offset: 0,
+                source,
+            }),
         }
     }
 
@@ -111,7 +133,10 @@ impl CaptureReader {
     ///
     /// # Errors
     /// [`CaptureError::Read`] when the disk or pipe fails. After that, `None`.
-    #[expect(clippy::should_implement_trait, reason = "the record borrows from the reader, which Iterator cannot say")]
+    #[expect(
+        clippy::should_implement_trait,
+        reason = "the record borrows from the reader, which Iterator cannot say"
+    )]
     pub fn next(&mut self) -> Result<Option<Record<'_>>, CaptureError> {
         Ok(if self.advance()? { self.record() } else { None })
     }
@@ -138,12 +163,21 @@ impl CaptureReader {
             Ok(None) => {}
             Err(Stop::Damaged(reason)) => {
                 let offset = self.input.mark();
-                self.truncation = Some(Truncation { record: self.records, offset, reason });
+                self.truncation = Some(Truncation {
+                    record: self.records,
+                    offset,
+                    reason,
+                });
             }
             Err(Stop::Read(source)) => {
                 self.ended = true;
                 let (name, record, offset) = (self.name.clone(), self.records, self.input.mark());
-                return Err(CaptureError::Read { name, record, offset, source });
+                return Err(CaptureError::Read {
+                    name,
+                    record,
+                    offset,
+                    source,
+                });
             }
         }
         self.ended = true;
@@ -152,14 +186,20 @@ impl CaptureReader {
 
     /// The record that was read last.
     pub fn record(&self) -> Option<Record<'_>> {
-        self.current.map(|Head { time_ns, link_type, original_len }| Record {
-            number: self.records - 1,
-            offset: self.input.mark(),
-            time_ns,
-            link_type,
-            original_len,
-            bytes: self.input.bytes(),
-        })
+        self.current.map(
+            |Head {
+                 time_ns,
+                 link_type,
+                 original_len,
+             }| Record {
+                number: self.records - 1,
+                offset: self.input.mark(),
+                time_ns,
+                link_type,
+                original_len,
+                bytes: self.input.bytes(),
+            },
+        )
     }
 
     /// The path or name that the reader was opened with.
@@ -179,13 +219,22 @@ impl Format {
         head.resize(HEAD_LEN, 0);
         let len = input.fill(head)?;
         head.truncate(len);
-        let Some(words) = head.first_chunk::<HEAD_LEN>() else { return Ok(None) };
+        let Some(words) = head.first_chunk::<HEAD_LEN>() else {
+            return Ok(None);
+        };
         let (words, _) = words.as_chunks::<4>();
-        let &[magic, length, mark, version, _, link_type] = words else { return Ok(None) };
+        let &[magic, length, mark, version, _, link_type] = words else {
+            return Ok(None);
+        };
         if let Some((order, tick_ns)) = Pcap::magic(magic) {
-            // The upper half holds the length of the frame check sequence, which the IP length makes needless.
+            // The upper half holds the length of the frame check sequence, which the IP length
+            // makes needless.
             let link_type = LinkType(order.u32(link_type) as u16);
-            return Ok(Some(Self::Pcap(Pcap { order, tick_ns, link_type })));
+            return Ok(Some(Self::Pcap(Pcap {
+                order,
+                tick_ns,
+                link_type,
+            })));
         }
         if magic != Sections::MAGIC {
             return Ok(None);
@@ -206,21 +255,33 @@ struct Pcap {
 impl Pcap {
     /// Byte order and length of a tick, from the first word of the file.
     fn magic(word: [u8; 4]) -> Option<(Order, i64)> {
-        [Order::Little, Order::Big].into_iter().find_map(|order| match order.u32(word) {
-            0xA1B2_C3D4 => Some((order, 1_000)),
-            0xA1B2_3C4D => Some((order, 1)),
-            _ => None,
-        })
+        [Order::Little, Order::Big]
+            .into_iter()
+            .find_map(|order| match order.u32(word) {
+                0xA1B2_C3D4 => Some((order, 1_000)),
+                0xA1B2_3C4D => Some((order, 1)),
+                _ => None,
+            })
     }
 
     fn next(&self, input: &mut Input) -> Result<Option<Head>, Stop> {
-        let Some(header) = input.start::<4>()? else { return Ok(None) };
+        let Some(header) = input.start::<4>()? else {
+            return Ok(None);
+        };
         let [seconds, fraction, captured, original_len] = header.map(|word| self.order.u32(word));
         if captured > MAX_RECORD_LEN {
-            return Err(Damage::RecordLength { found: captured, limit: MAX_RECORD_LEN }.into());
+            return Err(Damage::RecordLength {
+                found: captured,
+                limit: MAX_RECORD_LEN,
+            }
+            .into());
         }
         input.load(captured as usize)?;
         let time_ns = i64::from(seconds) * 1_000_000_000 + i64::from(fraction) * self.tick_ns;
-        Ok(Some(Head { time_ns: Some(time_ns), link_type: self.link_type, original_len }))
+        Ok(Some(Head {
+            time_ns: Some(time_ns),
+            link_type: self.link_type,
+            original_len,
+        }))
     }
 }

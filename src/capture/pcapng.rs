@@ -54,7 +54,10 @@ struct Clock {
 
 impl Default for Sections {
     fn default() -> Self {
-        Self { order: Order::Little, interfaces: Vec::new() }
+        Self {
+            order: Order::Little,
+            interfaces: Vec::new(),
+        }
     }
 }
 
@@ -62,7 +65,8 @@ impl Sections {
     /// The first word of a section, the same in both byte orders.
     pub(super) const MAGIC: [u8; 4] = SECTION.to_be_bytes();
 
-    /// Begins a section, of which 24 bytes have been read, and forgets the interfaces of the last one.
+    /// Begins a section, of which 24 bytes have been read, and forgets the interfaces of the last
+    /// one.
     pub(super) fn begin(
         &mut self,
         length: [u8; 4],
@@ -70,10 +74,16 @@ impl Sections {
         version: [u8; 4],
         input: &mut Input,
     ) -> Result<(), Stop> {
-        let order = [Order::Little, Order::Big].into_iter().find(|order| order.u32(mark) == BYTE_ORDER_MARK);
+        let order = [Order::Little, Order::Big]
+            .into_iter()
+            .find(|order| order.u32(mark) == BYTE_ORDER_MARK);
         let major = order.unwrap_or(Order::Big).u16([version[0], version[1]]);
         let Some(order) = order.filter(|_| major == 1) else {
-            return Err(Damage::Section { mark: u32::from_be_bytes(mark), major }.into());
+            return Err(Damage::Section {
+                mark: u32::from_be_bytes(mark),
+                major,
+            }
+            .into());
         };
         self.order = order;
         self.interfaces.clear();
@@ -86,7 +96,9 @@ impl Sections {
     /// The next packet block, its bytes loaded; `None` at the end of the file.
     pub(super) fn next(&mut self, input: &mut Input) -> Result<Option<Head>, Stop> {
         loop {
-            let Some([kind, length]) = input.start::<2>()? else { return Ok(None) };
+            let Some([kind, length]) = input.start::<2>()? else {
+                return Ok(None);
+            };
             if kind == Self::MAGIC {
                 let [mark, version, ..] = input.raw_words::<4>()?;
                 self.begin(length, mark, version, input)?;
@@ -108,31 +120,48 @@ impl Sections {
         }
     }
 
-    /// The length once more: where it differs, at least one of the two is wrong, and what was between them doubtful.
+    /// The length once more: where it differs, at least one of the two is wrong, and what was
+    /// between them doubtful.
     fn end_block(&self, head: u32, input: &mut Input) -> Result<(), Stop> {
         let [tail] = input.words(self.order)?;
-        if tail == head { Ok(()) } else { Err(Damage::BlockEnds { head, tail }.into()) }
+        if tail == head {
+            Ok(())
+        } else {
+            Err(Damage::BlockEnds { head, tail }.into())
+        }
     }
 
     fn interface(&mut self, block: Block, input: &mut Input) -> Result<(), Stop> {
         if self.interfaces.len() == MAX_INTERFACES {
-            return Err(Damage::TooManyInterfaces { limit: MAX_INTERFACES }.into());
+            return Err(Damage::TooManyInterfaces {
+                limit: MAX_INTERFACES,
+            }
+            .into());
         }
         if block.body_len() > MAX_RECORD_LEN {
             return Err(block.bad_length());
         }
         input.load(block.body_len() as usize)?;
-        let Some((&[link0, link1, _, _, snap @ ..], options)) = input.bytes().split_first_chunk::<8>() else {
+        let Some((&[link0, link1, _, _, snap @ ..], options)) =
+            input.bytes().split_first_chunk::<8>()
+        else {
             return Err(block.bad_length());
         };
         let link_type = LinkType(self.order.u16([link0, link1]));
         let clock = Clock::from_options(options, self.order);
-        self.interfaces.push(Interface { link_type, snaplen: self.order.u32(snap), clock });
+        self.interfaces.push(Interface {
+            link_type,
+            snaplen: self.order.u32(snap),
+            clock,
+        });
         Ok(())
     }
 
     fn packet(&self, block: Block, input: &mut Input) -> Result<Head, Stop> {
-        let room = block.body_len().checked_sub(20).ok_or_else(|| block.bad_length())?;
+        let room = block
+            .body_len()
+            .checked_sub(20)
+            .ok_or_else(|| block.bad_length())?;
         let [from, high, low, captured, original_len] = input.words(self.order)?;
         // The obsolete block has a drop count in the second half of the word.
         let from = match (block.kind, self.order) {
@@ -141,24 +170,44 @@ impl Sections {
             _ => from,
         };
         let interface = self.described(from)?;
-        let time_ns = interface.clock.time_ns(u64::from(high) << 32 | u64::from(low));
-        let head = Head { time_ns: Some(time_ns), link_type: interface.link_type, original_len };
+        let time_ns = interface
+            .clock
+            .time_ns(u64::from(high) << 32 | u64::from(low));
+        let head = Head {
+            time_ns: Some(time_ns),
+            link_type: interface.link_type,
+            original_len,
+        };
         load_packet(captured, room, input)?;
         Ok(head)
     }
 
     fn simple_packet(&self, block: Block, input: &mut Input) -> Result<Head, Stop> {
-        let room = block.body_len().checked_sub(4).ok_or_else(|| block.bad_length())?;
+        let room = block
+            .body_len()
+            .checked_sub(4)
+            .ok_or_else(|| block.bad_length())?;
         let [original_len] = input.words(self.order)?;
         let interface = self.described(0)?;
-        let snaplen = if interface.snaplen == 0 { u32::MAX } else { interface.snaplen };
+        let snaplen = if interface.snaplen == 0 {
+            u32::MAX
+        } else {
+            interface.snaplen
+        };
         load_packet(original_len.min(snaplen).min(room), room, input)?;
-        Ok(Head { time_ns: None, link_type: interface.link_type, original_len })
+        Ok(Head {
+            time_ns: None,
+            link_type: interface.link_type,
+            original_len,
+        })
     }
 
     fn described(&self, number: u32) -> Result<&Interface, Damage> {
         let interface = self.interfaces.get(number as usize);
-        interface.ok_or(Damage::Interface { found: number, described: self.interfaces.len() })
+        interface.ok_or(Damage::Interface {
+            found: number,
+            described: self.interfaces.len(),
+        })
     }
 }
 
@@ -174,20 +223,35 @@ impl Block {
     }
 
     fn bad_length(self) -> Stop {
-        Damage::BlockLength { kind: self.kind, found: self.length }.into()
+        Damage::BlockLength {
+            kind: self.kind,
+            found: self.length,
+        }
+        .into()
     }
 }
 
 fn check_length(kind: u32, length: u32, least: u32) -> Result<(), Damage> {
     let possible = length >= least && length.is_multiple_of(4);
-    if possible { Ok(()) } else { Err(Damage::BlockLength { kind, found: length }) }
+    if possible {
+        Ok(())
+    } else {
+        Err(Damage::BlockLength {
+            kind,
+            found: length,
+        })
+    }
 }
 
 /// Loads the packet and passes over padding and options, which fill the rest of the `room`.
 fn load_packet(captured: u32, room: u32, input: &mut Input) -> Result<(), Stop> {
     let limit = room.min(MAX_RECORD_LEN);
     if captured > limit {
-        return Err(Damage::RecordLength { found: captured, limit }.into());
+        return Err(Damage::RecordLength {
+            found: captured,
+            limit,
+        }
+        .into());
     }
     input.load(captured as usize)?;
     input.skip(u64::from(room - captured))
@@ -195,7 +259,10 @@ fn load_packet(captured: u32, room: u32, input: &mut Input) -> Result<(), Stop> 
 
 impl Clock {
     fn from_options(mut options: &[u8], order: Order) -> Self {
-        let mut clock = Self { resolution: 6, offset_s: 0 };
+        let mut clock = Self {
+            resolution: 6,
+            offset_s: 0,
+        };
         while let Some((&[code0, code1, len0, len1], rest)) = options.split_first_chunk::<4>() {
             let len = usize::from(order.u16([len0, len1]));
             let Some(value) = rest.get(..len) else { break };
@@ -222,7 +289,9 @@ impl Clock {
             ticks * 10_i128.pow(9 - exponent)
         } else {
             // A tick can be too short for any number of them to make a nanosecond.
-            10_i128.checked_pow(exponent - 9).map_or(0, |ticks_per_ns| ticks / ticks_per_ns)
+            10_i128
+                .checked_pow(exponent - 9)
+                .map_or(0, |ticks_per_ns| ticks / ticks_per_ns)
         };
         let time = since_offset + i128::from(self.offset_s) * SECOND;
         time.clamp((*TIMES_NS.start()).into(), (*TIMES_NS.end()).into()) as i64
@@ -234,19 +303,32 @@ mod tests {
     use super::*;
 
     fn time_ns(resolution: u8, offset_s: i64, ticks: u64) -> i64 {
-        Clock { resolution, offset_s }.time_ns(ticks)
+        Clock {
+            resolution,
+            offset_s,
+        }
+        .time_ns(ticks)
     }
 
     #[test]
     fn every_resolution_gives_nanoseconds() {
         assert_eq!(time_ns(0, 0, 5), 5_000_000_000);
         assert_eq!(time_ns(3, 0, 1_700_000_000_123), 1_700_000_000_123_000_000);
-        assert_eq!(time_ns(6, 0, 1_700_000_000_000_005), 1_700_000_000_000_005_000);
-        assert_eq!(time_ns(9, 0, 1_700_000_000_000_000_005), 1_700_000_000_000_000_005);
+        assert_eq!(
+            time_ns(6, 0, 1_700_000_000_000_005),
+            1_700_000_000_000_005_000
+        );
+        assert_eq!(
+            time_ns(9, 0, 1_700_000_000_000_000_005),
+            1_700_000_000_000_000_005
+        );
         assert_eq!(time_ns(12, 0, 1_999), 1);
         assert_eq!(time_ns(127, 0, u64::MAX), 0);
         assert_eq!(time_ns(0x80 | 20, 0, 3 << 19), 1_500_000_000);
-        assert_eq!(time_ns(0x80 | 32, 0, 1_700_000_000 << 32 | 1 << 31), 1_700_000_000_500_000_000);
+        assert_eq!(
+            time_ns(0x80 | 32, 0, 1_700_000_000 << 32 | 1 << 31),
+            1_700_000_000_500_000_000
+        );
         assert_eq!(time_ns(0x80 | 127, 0, u64::MAX), 0);
     }
 
@@ -260,9 +342,30 @@ mod tests {
 
     #[test]
     fn options_are_found_among_others_and_cut_ones_forgiven() {
-        let options = [2, 0, 3, 0, b'e', b't', b'h', 0, 9, 0, 1, 0, 9, 0, 0, 0, 14, 0, 8, 0, 1, 0, 0, 0, 0, 0, 0, 0];
-        assert_eq!(Clock::from_options(&options, Order::Little), Clock { resolution: 9, offset_s: 1 });
-        assert_eq!(Clock::from_options(&options[..20], Order::Little), Clock { resolution: 9, offset_s: 0 });
-        assert_eq!(Clock::from_options(&[], Order::Big), Clock { resolution: 6, offset_s: 0 });
+        let options = [
+            2, 0, 3, 0, b'e', b't', b'h', 0, 9, 0, 1, 0, 9, 0, 0, 0, 14, 0, 8, 0, 1, 0, 0, 0, 0, 0,
+            0, 0,
+        ];
+        assert_eq!(
+            Clock::from_options(&options, Order::Little),
+            Clock {
+                resolution: 9,
+                offset_s: 1
+            }
+        );
+        assert_eq!(
+            Clock::from_options(&options[..20], Order::Little),
+            Clock {
+                resolution: 9,
+                offset_s: 0
+            }
+        );
+        assert_eq!(
+            Clock::from_options(&[], Order::Big),
+            Clock {
+                resolution: 6,
+                offset_s: 0
+            }
+        );
     }
 }

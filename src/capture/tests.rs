@@ -31,17 +31,33 @@ fn zstd(bytes: &[u8]) -> Vec<u8> {
 fn sample(count: u64) -> Vec<u8> {
     let mut writer = PcapWriter::new(Vec::new()).unwrap();
     for number in 0..count {
-        let payload: Vec<u8> = (0..100 + 13 * number).map(|byte| (byte * (number + 7)) as u8).collect();
+        let payload: Vec<u8> = (0..100 + 13 * number)
+            .map(|byte| (byte * (number + 7)) as u8)
+            .collect();
         let arrival_ns = 1_700_000_000_000_000_001 + number as i64 * 1_327_104;
-        let (source, destination) = (SocketAddrV4::new(SOURCE.into(), 2368), SocketAddrV4::new([255; 4].into(), 2369));
-        writer.write(&Addressed { arrival_ns, source, destination, payload: &payload }).unwrap();
+        let (source, destination) = (
+            SocketAddrV4::new(SOURCE.into(), 2368),
+            SocketAddrV4::new([255; 4].into(), 2369),
+        );
+        writer
+            .write(&Addressed {
+                arrival_ns,
+                source,
+                destination,
+                payload: &payload,
+            })
+            .unwrap();
     }
     writer.finish().unwrap()
 }
 
 /// A pcapng file with two sections, three interfaces, and each kind of packet block.
 fn sample_ng(order: Order) -> Vec<u8> {
-    let other = if order == Order::Little { Order::Big } else { Order::Little };
+    let other = if order == Order::Little {
+        Order::Big
+    } else {
+        Order::Little
+    };
     [
         section(order),
         interface(order, 1, 0, &[(9, vec![9])]),
@@ -50,7 +66,12 @@ fn sample_ng(order: Order) -> Vec<u8> {
         block(order, 0xBAD, vec![1; 40]),
         enhanced(order, 1, 6, &ipv4(b"two")),
         section(other),
-        interface(other, 1, 0, &[(9, vec![0x80 | 20]), (14, other.put64(100).to_vec())]),
+        interface(
+            other,
+            1,
+            0,
+            &[(9, vec![0x80 | 20]), (14, other.put64(100).to_vec())],
+        ),
         enhanced(other, 0, 3 << 19, &frame(b"three")),
     ]
     .concat()
@@ -59,7 +80,10 @@ fn sample_ng(order: Order) -> Vec<u8> {
 #[test]
 fn pcap_in_either_order_and_resolution() {
     for order in ORDERS {
-        for (magic, time_ns) in [(MICROSECONDS, 3_000_000_007_000_004_000), (NANOSECONDS, 3_000_000_007_000_000_004)] {
+        for (magic, time_ns) in [
+            (MICROSECONDS, 3_000_000_007_000_004_000),
+            (NANOSECONDS, 3_000_000_007_000_000_004),
+        ] {
             let seconds = 3_000_000_007;
             let file = pcap(order, magic, 1, &[(seconds, 4, b"abc"), (seconds, 4, b"")]);
             let expected = vec![(Some(time_ns), b"abc".to_vec()), (Some(time_ns), vec![])];
@@ -71,16 +95,32 @@ fn pcap_in_either_order_and_resolution() {
 #[test]
 fn pcap_header_flags_beside_the_link_type_are_passed_over() {
     let file = pcap(Order::Little, MICROSECONDS, 0x5400_0001, &[(1, 0, b"abc")]);
-    assert_eq!(reader(&file).next().unwrap().unwrap().link_type, LinkType::ETHERNET);
+    assert_eq!(
+        reader(&file).next().unwrap().unwrap().link_type,
+        LinkType::ETHERNET
+    );
 }
 
 #[test]
 fn records_know_their_place() {
-    let file = pcap(Order::Big, MICROSECONDS, 1, &[(1, 0, b"abc"), (2, 0, b"de")]);
+    let file = pcap(
+        Order::Big,
+        MICROSECONDS,
+        1,
+        &[(1, 0, b"abc"), (2, 0, b"de")],
+    );
     let mut reader = reader(&file);
     reader.next().unwrap();
     let record = reader.next().unwrap().unwrap();
-    assert_eq!((record.number, record.offset, record.original_len, record.bytes), (1, 43, 2, &b"de"[..]));
+    assert_eq!(
+        (
+            record.number,
+            record.offset,
+            record.original_len,
+            record.bytes
+        ),
+        (1, 43, 2, &b"de"[..])
+    );
     assert_eq!(reader.next().unwrap(), None);
     assert_eq!(reader.record(), None);
 }
@@ -92,15 +132,28 @@ fn pcapng_resolutions_and_offsets() {
             (None, 1_700_000_000_000_005, 1_700_000_000_000_005_000),
             (Some(3), 1_700_000_000_005, 1_700_000_000_005_000_000),
             (Some(6), 7, 7_000),
-            (Some(9), 1_700_000_000_000_000_005, 1_700_000_000_000_000_005),
+            (
+                Some(9),
+                1_700_000_000_000_000_005,
+                1_700_000_000_000_000_005,
+            ),
             (Some(0x80 | 20), 5 << 18, 1_250_000_000),
         ] {
             for offset_s in [0, 1_000, -1_000] {
                 let mut options = vec![(14, order.put64(offset_s).to_vec())];
                 options.extend(resolution.map(|byte| (9, vec![byte])));
-                let file = [section(order), interface(order, 1, 0, &options), enhanced(order, 0, ticks, b"x")].concat();
+                let file = [
+                    section(order),
+                    interface(order, 1, 0, &options),
+                    enhanced(order, 0, ticks, b"x"),
+                ]
+                .concat();
                 let expected = vec![(Some(time_ns + offset_s * 1_000_000_000), b"x".to_vec())];
-                assert_eq!(records(&file), (expected, None), "{order:?} {resolution:?} {offset_s}");
+                assert_eq!(
+                    records(&file),
+                    (expected, None),
+                    "{order:?} {resolution:?} {offset_s}"
+                );
             }
         }
     }
@@ -110,18 +163,38 @@ fn pcapng_resolutions_and_offsets() {
 fn pcapng_with_several_interfaces_and_sections() {
     for order in ORDERS {
         let (all, capture) = datagrams(&sample_ng(order)).unwrap();
-        let expected = [(5, b"one".to_vec()), (6_000, b"two".to_vec()), (101_500_000_000, b"three".to_vec())];
+        let expected = [
+            (5, b"one".to_vec()),
+            (6_000, b"two".to_vec()),
+            (101_500_000_000, b"three".to_vec()),
+        ];
         assert_eq!((&all[..], capture.truncation()), (&expected[..], None));
         assert_eq!(capture.link_types(), [LinkType::ETHERNET, LinkType::RAW]);
-        assert_eq!((capture.first_ns(), capture.last_ns()), (Some(5), Some(101_500_000_000)));
-        assert_eq!(capture.tally(), Tally { records: 3, datagrams: 3, ..Tally::default() });
+        assert_eq!(
+            (capture.first_ns(), capture.last_ns()),
+            (Some(5), Some(101_500_000_000))
+        );
+        assert_eq!(
+            capture.tally(),
+            Tally {
+                records: 3,
+                datagrams: 3,
+                ..Tally::default()
+            }
+        );
     }
 }
 
 #[test]
 fn a_new_section_forgets_the_interfaces_of_the_last() {
     let order = Order::Little;
-    let file = [section(order), interface(order, 1, 0, &[]), section(order), enhanced(order, 0, 0, b"x")].concat();
+    let file = [
+        section(order),
+        interface(order, 1, 0, &[]),
+        section(order),
+        enhanced(order, 0, 0, b"x"),
+    ]
+    .concat();
     let (all, end) = records(&file);
     assert!(all.is_empty());
     assert_eq!(
@@ -133,7 +206,8 @@ fn a_new_section_forgets_the_interfaces_of_the_last() {
 #[test]
 fn simple_and_obsolete_packet_blocks() {
     for order in ORDERS {
-        let simple = |len: u32, bytes: &[u8]| block(order, 3, [&order.put32(len)[..], bytes].concat());
+        let simple =
+            |len: u32, bytes: &[u8]| block(order, 3, [&order.put32(len)[..], bytes].concat());
         let mut obsolete = [order.put16(1), order.put16(0xFFFF)].concat();
         obsolete.extend([0, 9, 2, 2].map(|word| order.put32(word)).as_flattened());
         obsolete.extend(b"old!");
@@ -146,7 +220,11 @@ fn simple_and_obsolete_packet_blocks() {
             simple(9, b"abcdef"),
         ]
         .concat();
-        let expected = vec![(None, b"abcde".to_vec()), (Some(9_000), b"ol".to_vec()), (None, b"abcdef".to_vec())];
+        let expected = vec![
+            (None, b"abcde".to_vec()),
+            (Some(9_000), b"ol".to_vec()),
+            (None, b"abcdef".to_vec()),
+        ];
         assert_eq!(records(&file), (expected, None), "{order:?}");
     }
 }
@@ -155,27 +233,59 @@ fn simple_and_obsolete_packet_blocks() {
 fn a_record_without_time_takes_that_of_the_one_before() {
     let order = Order::Little;
     let bytes = frame(b"x");
-    let simple = block(order, 3, [&order.put32(bytes.len() as u32)[..], &bytes].concat());
-    let file =
-        [section(order), interface(order, 1, 0, &[]), simple.clone(), enhanced(order, 0, 9, &bytes), simple].concat();
+    let simple = block(
+        order,
+        3,
+        [&order.put32(bytes.len() as u32)[..], &bytes].concat(),
+    );
+    let file = [
+        section(order),
+        interface(order, 1, 0, &[]),
+        simple.clone(),
+        enhanced(order, 0, 9, &bytes),
+        simple,
+    ]
+    .concat();
     let (all, capture) = datagrams(&file).unwrap();
-    assert_eq!(all.iter().map(|(time_ns, _)| *time_ns).collect::<Vec<_>>(), [0, 9_000, 9_000]);
-    assert_eq!((capture.tally().untimed, capture.first_ns()), (2, Some(9_000)));
+    assert_eq!(
+        all.iter().map(|(time_ns, _)| *time_ns).collect::<Vec<_>>(),
+        [0, 9_000, 9_000]
+    );
+    assert_eq!(
+        (capture.tally().untimed, capture.first_ns()),
+        (2, Some(9_000))
+    );
 }
 
 #[test]
 fn what_the_writer_wrote_comes_back() {
     let (all, capture) = datagrams(&sample(5)).unwrap();
-    assert_eq!((all.len(), all[4].1.len(), all[4].0), (5, 152, 1_700_000_000_005_308_417));
-    assert_eq!(capture.tally(), Tally { records: 5, datagrams: 5, ..Tally::default() });
+    assert_eq!(
+        (all.len(), all[4].1.len(), all[4].0),
+        (5, 152, 1_700_000_000_005_308_417)
+    );
+    assert_eq!(
+        capture.tally(),
+        Tally {
+            records: 5,
+            datagrams: 5,
+            ..Tally::default()
+        }
+    );
     let file = sample(1);
     let mut capture = Capture::new("test", Box::new(Cursor::new(file.clone()))).unwrap();
     let datagram = capture.next_datagram().unwrap().unwrap();
-    assert_eq!(datagram.source, "192.168.1.201:2368".parse::<SocketAddr>().unwrap());
+    assert_eq!(
+        datagram.source,
+        "192.168.1.201:2368".parse::<SocketAddr>().unwrap()
+    );
     assert_eq!(datagram.destination_port, 2369);
     // The checksum holds if the sum over the whole header is all ones (RFC 1071).
     let header = &file[24 + 16 + 14..][..20];
-    let sum: u32 = header.chunks(2).map(|pair| u32::from(u16::from_be_bytes([pair[0], pair[1]]))).sum();
+    let sum: u32 = header
+        .chunks(2)
+        .map(|pair| u32::from(u16::from_be_bytes([pair[0], pair[1]])))
+        .sum();
     assert_eq!((sum & 0xFFFF) + (sum >> 16), 0xFFFF);
 }
 
@@ -183,16 +293,36 @@ fn what_the_writer_wrote_comes_back() {
 fn the_writer_refuses_what_does_not_fit() {
     let mut writer = PcapWriter::new(Vec::new()).unwrap();
     let address = SocketAddrV4::new(SOURCE.into(), 2368);
-    let fits = Addressed { arrival_ns: 0, source: address, destination: address, payload: &[0; 65_507] };
+    let fits = Addressed {
+        arrival_ns: 0,
+        source: address,
+        destination: address,
+        payload: &[0; 65_507],
+    };
     writer.write(&fits).unwrap();
     for bad in [
-        Addressed { arrival_ns: -1, ..fits },
-        Addressed { arrival_ns: i64::MAX, ..fits },
-        Addressed { payload: &[0; 65_508], ..fits },
+        Addressed {
+            arrival_ns: -1,
+            ..fits
+        },
+        Addressed {
+            arrival_ns: i64::MAX,
+            ..fits
+        },
+        Addressed {
+            payload: &[0; 65_508],
+            ..fits
+        },
     ] {
-        assert_eq!(writer.write(&bad).unwrap_err().kind(), io::ErrorKind::InvalidInput);
+        assert_eq!(
+            writer.write(&bad).unwrap_err().kind(),
+            io::ErrorKind::InvalidInput
+        );
     }
-    assert_eq!(datagrams(&writer.finish().unwrap()).unwrap().0[0].1.len(), 65_507);
+    assert_eq!(
+        datagrams(&writer.finish().unwrap()).unwrap().0[0].1.len(),
+        65_507
+    );
 }
 
 #[test]
@@ -201,9 +331,12 @@ fn compressed_captures_of_one_or_several_members() {
     let plain = datagrams(&file).unwrap().0;
     let (front, back) = file.split_at(1_000);
     let skippable = [&[0x50, 0x2A, 0x4D, 0x18, 3, 0, 0, 0][..], b"abc"].concat();
-    for compressed in
-        [gzip(&file), [gzip(front), gzip(back)].concat(), zstd(&file), [zstd(front), skippable, zstd(back)].concat()]
-    {
+    for compressed in [
+        gzip(&file),
+        [gzip(front), gzip(back)].concat(),
+        zstd(&file),
+        [zstd(front), skippable, zstd(back)].concat(),
+    ] {
         let (all, capture) = datagrams(&compressed).unwrap();
         assert!(all == plain && capture.truncation().is_none());
     }
@@ -214,7 +347,10 @@ fn a_cut_capture_gives_what_it_holds_and_says_where_it_ends() {
     let file = sample(3);
     let (all, end) = records(&file[..file.len() - 1]);
     assert_eq!(all.len(), 2);
-    assert_eq!(end.unwrap(), "the capture breaks off at record 2 (byte 353): the file ends inside it");
+    assert_eq!(
+        end.unwrap(),
+        "the capture breaks off at record 2 (byte 353): the file ends inside it"
+    );
     let (all, end) = records(&file[..353]);
     assert_eq!((all.len(), end), (2, None));
 }
@@ -226,7 +362,12 @@ fn a_cut_compressed_stream_gives_nearly_all_before_the_cut() {
         let (all, end) = records(&compressed[..compressed.len() - 6]);
         // zstd codes blocks of 128 KiB as a whole, and of this file the last is small.
         assert!(all.len() > 300, "{format}: {}", all.len());
-        assert!(end.as_ref().unwrap().contains(&format!("the {format} stream is cut or corrupt")), "{end:?}");
+        assert!(
+            end.as_ref()
+                .unwrap()
+                .contains(&format!("the {format} stream is cut or corrupt")),
+            "{end:?}"
+        );
     }
 }
 
@@ -245,7 +386,11 @@ fn absurd_lengths_end_the_reading() {
     file.extend([1, 0, u32::MAX, 5].map(u32::to_le_bytes).as_flattened());
     let (all, end) = records(&file);
     assert_eq!(all.len(), 1);
-    assert!(end.unwrap().contains("record 1 (byte 43): it claims 4294967295 captured bytes, more than the 262144"));
+    assert!(
+        end.unwrap().contains(
+            "record 1 (byte 43): it claims 4294967295 captured bytes, more than the 262144"
+        )
+    );
 
     let order = Order::Little;
     let start = [section(order), interface(order, 1, 0, &[])].concat();
@@ -257,18 +402,31 @@ fn absurd_lengths_end_the_reading() {
     ] {
         let file = [&start[..], &order.put32(6), &order.put32(length), &[0; 24]].concat();
         let (all, end) = records(&file);
-        assert!(all.is_empty() && end.as_ref().unwrap().ends_with(says), "{length}: {end:?}");
+        assert!(
+            all.is_empty() && end.as_ref().unwrap().ends_with(says),
+            "{length}: {end:?}"
+        );
     }
     let mut bad_end = [&start[..], &enhanced(order, 0, 0, b"x")].concat();
     *bad_end.last_mut().unwrap() = 1;
-    assert!(records(&bad_end).1.unwrap().contains("begins with length 40 and ends with length 16777256"));
+    assert!(
+        records(&bad_end)
+            .1
+            .unwrap()
+            .contains("begins with length 40 and ends with length 16777256")
+    );
 }
 
 #[test]
 fn endless_interfaces_are_bounded() {
     let order = Order::Little;
     let file = [section(order), interface(order, 1, 0, &[]).repeat(1025)].concat();
-    assert!(records(&file).1.unwrap().ends_with("describes more than 1024 interfaces"));
+    assert!(
+        records(&file)
+            .1
+            .unwrap()
+            .ends_with("describes more than 1024 interfaces")
+    );
 }
 
 #[test]
@@ -279,19 +437,40 @@ fn what_is_no_capture_is_named() {
     for (bytes, found) in [
         (&b""[..], "nothing, it is empty"),
         (b"\x89PNG\r\n\x1A\n", "a PNG image"),
-        (b"hello, world\n", "text that begins with \"hello, world\\n\""),
+        (
+            b"hello, world\n",
+            "text that begins with \"hello, world\\n\"",
+        ),
         (&zero_head, "bytes that begin with 00 00 00 00 00 00 00 00"),
-        (&sample(1)[..23], "the start of a capture, cut inside the file header"),
+        (
+            &sample(1)[..23],
+            "the start of a capture, cut inside the file header",
+        ),
         (&gzip(b"\x89PNG"), "gzip of something else: a PNG image"),
-        (&gzip(&sample(1))[..12], "a file header that is damaged (the gzip stream is cut or corrupt"),
-        (&wrong_version, "a file header that is damaged (a pcapng section begins with byte-order mark 0x4d3c2b1a and"),
+        (
+            &gzip(&sample(1))[..12],
+            "a file header that is damaged (the gzip stream is cut or corrupt",
+        ),
+        (
+            &wrong_version,
+            "a file header that is damaged (a pcapng section begins with byte-order mark 0x4d3c2b1a and",
+        ),
     ] {
-        let error = Capture::new("drive.pcap", Box::new(Cursor::new(bytes.to_vec()))).err().unwrap().to_string();
-        assert!(error.starts_with(&format!("drive.pcap is no capture: it holds {found}")), "{error}");
+        let error = Capture::new("drive.pcap", Box::new(Cursor::new(bytes.to_vec())))
+            .err()
+            .unwrap()
+            .to_string();
+        assert!(
+            error.starts_with(&format!("drive.pcap is no capture: it holds {found}")),
+            "{error}"
+        );
         assert!(error.contains("expected pcap or pcapng"), "{error}");
     }
     let error = Capture::open("no/such/file.pcap").err().unwrap();
-    assert!(matches!(error, CaptureError::Open { .. }) && error.to_string().contains("no/such/file.pcap"));
+    assert!(
+        matches!(error, CaptureError::Open { .. })
+            && error.to_string().contains("no/such/file.pcap")
+    );
 }
 
 /// Gives one byte at a time, with interruptions, and fails at the end.
@@ -331,7 +510,11 @@ fn a_failing_disk_is_an_error_and_not_the_end_of_the_capture() {
 }
 
 fn any_sample() -> impl Strategy<Value = Vec<u8>> {
-    let plain = prop_oneof![Just(sample(6)), Just(sample_ng(Order::Little)), Just(sample_ng(Order::Big))];
+    let plain = prop_oneof![
+        Just(sample(6)),
+        Just(sample_ng(Order::Little)),
+        Just(sample_ng(Order::Big))
+    ];
     (plain, 0..3).prop_map(|(plain, packing)| match packing {
         0 => plain,
         1 => gzip(&plain),

@@ -10,15 +10,27 @@ pub(super) const SOURCE_V6: [u8; 16] = [0xFE, 0x80, 0, 0, 0, 0, 0, 0, 0, 0, 0, 0
 
 impl Order {
     pub(super) fn put16(self, value: u16) -> [u8; 2] {
-        if self == Self::Little { value.to_le_bytes() } else { value.to_be_bytes() }
+        if self == Self::Little {
+            value.to_le_bytes()
+        } else {
+            value.to_be_bytes()
+        }
     }
 
     pub(super) fn put32(self, value: u32) -> [u8; 4] {
-        if self == Self::Little { value.to_le_bytes() } else { value.to_be_bytes() }
+        if self == Self::Little {
+            value.to_le_bytes()
+        } else {
+            value.to_be_bytes()
+        }
     }
 
     pub(super) fn put64(self, value: i64) -> [u8; 8] {
-        if self == Self::Little { value.to_le_bytes() } else { value.to_be_bytes() }
+        if self == Self::Little {
+            value.to_le_bytes()
+        } else {
+            value.to_be_bytes()
+        }
     }
 
     fn put_all(self, values: &[u32]) -> Vec<u8> {
@@ -32,7 +44,12 @@ pub(super) fn padded(mut bytes: Vec<u8>) -> Vec<u8> {
 }
 
 /// A pcap file: magic, link type, and records of (seconds, fraction, bytes).
-pub(super) fn pcap(order: Order, magic: u32, link_type: u32, records: &[(u32, u32, &[u8])]) -> Vec<u8> {
+pub(super) fn pcap(
+    order: Order,
+    magic: u32,
+    link_type: u32,
+    records: &[(u32, u32, &[u8])],
+) -> Vec<u8> {
     let mut file = order.put32(magic).to_vec();
     file.extend([order.put16(2), order.put16(4)].as_flattened());
     file.extend(order.put_all(&[0, 0, 65535, link_type]));
@@ -57,8 +74,18 @@ pub(super) fn section(order: Order) -> Vec<u8> {
 }
 
 /// An interface with options (code, value).
-pub(super) fn interface(order: Order, link_type: u16, snaplen: u32, options: &[(u16, Vec<u8>)]) -> Vec<u8> {
-    let mut body = [order.put16(link_type).to_vec(), vec![0, 0], order.put32(snaplen).to_vec()].concat();
+pub(super) fn interface(
+    order: Order,
+    link_type: u16,
+    snaplen: u32,
+    options: &[(u16, Vec<u8>)],
+) -> Vec<u8> {
+    let mut body = [
+        order.put16(link_type).to_vec(),
+        vec![0, 0],
+        order.put32(snaplen).to_vec(),
+    ]
+    .concat();
     for (code, value) in options {
         body.extend([order.put16(*code), order.put16(value.len() as u16)].as_flattened());
         body.extend(padded(value.clone()));
@@ -82,7 +109,20 @@ pub(super) fn udp(payload: &[u8]) -> Vec<u8> {
 
 pub(super) fn ipv4_of(protocol: u8, flags_offset: u16, options: usize, body: &[u8]) -> Vec<u8> {
     let len = (20 + options + body.len()) as u16;
-    let mut ip = vec![0x45 + (options / 4) as u8, 0, 0, 0, 0x12, 0x34, 0, 0, 64, protocol, 0, 0];
+    let mut ip = vec![
+        0x45 + (options / 4) as u8,
+        0,
+        0,
+        0,
+        0x12,
+        0x34,
+        0,
+        0,
+        64,
+        protocol,
+        0,
+        0,
+    ];
     ip[2..4].copy_from_slice(&len.to_be_bytes());
     ip[6..8].copy_from_slice(&flags_offset.to_be_bytes());
     ip.extend(SOURCE);
@@ -98,7 +138,13 @@ pub(super) fn ipv4(payload: &[u8]) -> Vec<u8> {
 
 pub(super) fn ipv6_of(next_header: u8, body: &[u8]) -> Vec<u8> {
     let len = (body.len() as u16).to_be_bytes();
-    [&[0x60, 0, 0, 0, len[0], len[1], next_header, 64], &SOURCE_V6[..], &[0xFF; 16], body].concat()
+    [
+        &[0x60, 0, 0, 0, len[0], len[1], next_header, 64],
+        &SOURCE_V6[..],
+        &[0xFF; 16],
+        body,
+    ]
+    .concat()
 }
 
 /// An Ethernet frame with these tags or type fields before the packet.

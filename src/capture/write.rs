@@ -12,7 +12,9 @@ const IPV4_LEN: usize = 20;
 const UDP_LEN: usize = 8;
 const HEADERS_LEN: usize = ETHERNET_LEN + IPV4_LEN + UDP_LEN;
 /// Broadcast from a card of Velodyne's own address block.
-const ETHERNET: [u8; ETHERNET_LEN] = [0xFF, 0xFF, 0xFF, 0xFF, 0xFF, 0xFF, 0x60, 0x76, 0x88, 0, 0, 0, 8, 0];
+const ETHERNET: [u8; ETHERNET_LEN] = [
+    0xFF, 0xFF, 0xFF, 0xFF, 0xFF, 0xFF, 0x60, 0x76, 0x88, 0, 0, 0, 8, 0,
+];
 
 /// Bytes of a file's header.
 pub const FILE_HEADER_LEN: u64 = 24;
@@ -39,8 +41,18 @@ pub struct Addressed<'a> {
 impl<'a> Addressed<'a> {
     /// What all but a recording need of it.
     pub fn datagram(&self) -> Datagram<'a> {
-        let &Self { arrival_ns, source, destination, payload } = self;
-        Datagram { arrival_ns, source: source.into(), destination_port: destination.port(), payload }
+        let &Self {
+            arrival_ns,
+            source,
+            destination,
+            payload,
+        } = self;
+        Datagram {
+            arrival_ns,
+            source: source.into(),
+            destination_port: destination.port(),
+            payload,
+        }
     }
 }
 
@@ -55,7 +67,14 @@ impl<W: Write> PcapWriter<W> {
     /// # Errors
     /// What the sink says.
     pub fn new(mut sink: W) -> io::Result<Self> {
-        let words = [0xA1B2_3C4D, 4 << 16 | 2, 0, 0, MAX_RECORD_LEN, u32::from(LinkType::ETHERNET.0)];
+        let words = [
+            0xA1B2_3C4D,
+            4 << 16 | 2,
+            0,
+            0,
+            MAX_RECORD_LEN,
+            u32::from(LinkType::ETHERNET.0),
+        ];
         sink.write_all(words.map(u32::to_le_bytes).as_flattened())?;
         Ok(Self { sink })
     }
@@ -63,17 +82,23 @@ impl<W: Write> PcapWriter<W> {
     /// Writes a record.
     ///
     /// # Errors
-    /// `InvalidInput` where the time or the payload does not fit the formats, with nothing written; else what the sink
-    /// says.
+    /// `InvalidInput` where the time or the payload does not fit the formats, with nothing written;
+    /// else what the sink says.
     pub fn write(&mut self, datagram: &Addressed<'_>) -> io::Result<()> {
         let invalid = |what| io::Error::new(io::ErrorKind::InvalidInput, what);
-        let seconds = u32::try_from(datagram.arrival_ns.div_euclid(1_000_000_000))
-            .map_err(|_| invalid("the arrival time is before 1970 or after 2106, which pcap cannot say"))?;
+        let seconds =
+            u32::try_from(datagram.arrival_ns.div_euclid(1_000_000_000)).map_err(|_| {
+                invalid("the arrival time is before 1970 or after 2106, which pcap cannot say")
+            })?;
         let nanoseconds = datagram.arrival_ns.rem_euclid(1_000_000_000) as u32;
         let ip_len = u16::try_from(IPV4_LEN + UDP_LEN + datagram.payload.len())
             .map_err(|_| invalid("the payload is longer than the 65507 bytes of a datagram"))?;
         let len = (ETHERNET_LEN + usize::from(ip_len)) as u32;
-        self.sink.write_all([seconds, nanoseconds, len, len].map(u32::to_le_bytes).as_flattened())?;
+        self.sink.write_all(
+            [seconds, nanoseconds, len, len]
+                .map(u32::to_le_bytes)
+                .as_flattened(),
+        )?;
         self.sink.write_all(&headers(datagram, ip_len))?;
         self.sink.write_all(datagram.payload)
     }
@@ -120,7 +145,10 @@ fn headers(datagram: &Addressed<'_>, ip_len: u16) -> [u8; HEADERS_LEN] {
 /// The ones' complement of the ones' complement sum (RFC 1071), with the checksum field 0.
 fn checksum(header: &[u8; IPV4_LEN]) -> u16 {
     let (pairs, _) = header.as_chunks::<2>();
-    let sum: u32 = pairs.iter().map(|&pair| u32::from(u16::from_be_bytes(pair))).sum();
+    let sum: u32 = pairs
+        .iter()
+        .map(|&pair| u32::from(u16::from_be_bytes(pair)))
+        .sum();
     let folded = (sum & 0xFFFF) + (sum >> 16);
     !(((folded & 0xFFFF) + (folded >> 16)) as u16)
 }

@@ -83,14 +83,22 @@ pub fn run(args: &Args) -> Result<(), CliError> {
 }
 
 fn print(text: &str) -> Result<(), CliError> {
-    io::stdout().write_all(text.as_bytes()).map_err(CliError::Stdout)
+    io::stdout()
+        .write_all(text.as_bytes())
+        .map_err(CliError::Stdout)
 }
 
 fn show(file: &Path, calibration: &Calibration) -> String {
     let beams = calibration.beams();
-    let (count, unit_mm) = (count_of(beams.len() as u64, "beam"), calibration.distance_unit_m() * 1e3);
-    let mut text =
-        format!("{}: {count}, distances in units of {unit_mm:.0} mm; {}\n\n", file.display(), fits(calibration));
+    let (count, unit_mm) = (
+        count_of(beams.len() as u64, "beam"),
+        calibration.distance_unit_m() * 1e3,
+    );
+    let mut text = format!(
+        "{}: {count}, distances in units of {unit_mm:.0} mm; {}\n\n",
+        file.display(),
+        fits(calibration)
+    );
     text += "row  channel  elevation  rotation  distance    near x    near y  vertical  horizontal  focal  slope  \
              intensity\n";
     text += "                degrees   degrees         m         m         m         m           m      m\n";
@@ -102,14 +110,25 @@ fn show(file: &Path, calibration: &Calibration) -> String {
 
 /// A beam in the table; a dash where it has no such correction.
 fn line(beam: &Beam) -> String {
-    let (elevation, rotation) = (beam.elevation_rad.to_degrees(), beam.rotation_rad.to_degrees());
+    let (elevation, rotation) = (
+        beam.elevation_rad.to_degrees(),
+        beam.rotation_rad.to_degrees(),
+    );
     let near = match beam.two_point {
-        Some(two) => format!("{:8.4}  {:8.4}", two.distance_offset_x_m, two.distance_offset_y_m),
+        Some(two) => format!(
+            "{:8.4}  {:8.4}",
+            two.distance_offset_x_m, two.distance_offset_y_m
+        ),
         None => format!("{:>8}  {:>8}", "-", "-"),
     };
     let intensity = match beam.intensity {
         Some(one) => {
-            format!("{:5.2}  {:5.2}  {:>9}", one.focal_distance_m, one.focal_slope, format!("{}-{}", one.min, one.max))
+            format!(
+                "{:5.2}  {:5.2}  {:>9}",
+                one.focal_distance_m,
+                one.focal_slope,
+                format!("{}-{}", one.min, one.max)
+            )
         }
         None => format!("{:>5}  {:>5}  {:>9}", "-", "-", "-"),
     };
@@ -137,7 +156,12 @@ fn diff(path_a: &Path, path_b: &Path) -> Result<(), CliError> {
     let (name_a, name_b) = (path_a.display(), path_b.display());
     let mut text = String::new();
     if a.beams().len() != b.beams().len() {
-        let _ = writeln!(text, "{name_a} has {} beams, {name_b} {}", a.beams().len(), b.beams().len());
+        let _ = writeln!(
+            text,
+            "{name_a} has {} beams, {name_b} {}",
+            a.beams().len(),
+            b.beams().len()
+        );
     }
     if a.distance_unit_m() != b.distance_unit_m() {
         let _ = writeln!(
@@ -149,16 +173,33 @@ fn diff(path_a: &Path, path_b: &Path) -> Result<(), CliError> {
     }
     let found = differences(&a, &b);
     if !found.is_empty() {
-        let _ = writeln!(text, "channel  {:<18}  {:>9}  {:>9}  {:>9}", "", "A", "B", "B - A");
+        let _ = writeln!(
+            text,
+            "channel  {:<18}  {:>9}  {:>9}  {:>9}",
+            "", "A", "B", "B - A"
+        );
     }
     for one in &found {
-        let ([a, b], unit) = (one.values, if one.quantity.is_angle() { "degrees" } else { "m" });
+        let ([a, b], unit) = (
+            one.values,
+            if one.quantity.is_angle() {
+                "degrees"
+            } else {
+                "m"
+            },
+        );
         let (channel, name) = (one.channel, one.quantity.name());
-        let _ = writeln!(text, "{channel:7}  {name:<18}  {a:9.4}  {b:9.4}  {:9.4} {unit}", b - a);
+        let _ = writeln!(
+            text,
+            "{channel:7}  {name:<18}  {a:9.4}  {b:9.4}  {:9.4} {unit}",
+            b - a
+        );
     }
     if text.is_empty() {
         let length_mm = LENGTH_TOLERANCE_M * 1e3;
-        return print(&format!("no beam differs by more than {ANGLE_TOLERANCE_DEG} degrees or {length_mm:.0} mm\n"));
+        return print(&format!(
+            "no beam differs by more than {ANGLE_TOLERANCE_DEG} degrees or {length_mm:.0} mm\n"
+        ));
     }
     print(&text)?;
     Err(CliError::Reported)
@@ -179,31 +220,43 @@ fn from_capture(args: &FromCapture) -> Result<(), CliError> {
     if let Some(truncation) = capture.truncation() {
         complain("warning", truncation);
     }
-    let refuse = |message: String| CliError::Usage(format!("{}: {message}", args.capture.display()));
+    let refuse =
+        |message: String| CliError::Usage(format!("{}: {message}", args.capture.display()));
     let unit = match &units[..] {
         [] => {
             return Err(refuse(
-                "no packets of an HDL-64E, the only model that sends its calibration with them".to_owned(),
+                "no packets of an HDL-64E, the only model that sends its calibration with them"
+                    .to_owned(),
             ));
         }
         [unit] => unit,
         several => {
             let names: Vec<&str> = several.iter().map(|unit| &unit.name[..]).collect();
-            return Err(refuse(format!("several HDL-64E: choose one with --sensor: {}", names.join(", "))));
+            return Err(refuse(format!(
+                "several HDL-64E: choose one with --sensor: {}",
+                names.join(", ")
+            )));
         }
     };
     let (Some(dump), Some(series)) = (unit.status.dump(), unit.status.series()) else {
         return Err(refuse(incomplete(unit)));
     };
-    let calibration = stream::calibration(dump).map_err(|message| refuse(format!("{}: {message}", unit.name)))?;
+    let calibration =
+        stream::calibration(dump).map_err(|message| refuse(format!("{}: {message}", unit.name)))?;
     let calibrated = match dump.calibrated() {
         Some(time) => format!("calibrated {time}"),
         None => {
-            complain("warning", format!("{} says that it was never calibrated", unit.name));
+            complain(
+                "warning",
+                format!("{} says that it was never calibrated", unit.name),
+            );
             "never calibrated".to_owned()
         }
     };
-    let source = format!("HDL-64E {series} at {}, {calibrated}, from its own packets", unit.name);
+    let source = format!(
+        "HDL-64E {series} at {}, {calibrated}, from its own packets",
+        unit.name
+    );
     let text = format!("# {source}\n{}", ros_yaml::emit(&calibration));
     output::write(&args.out, text.as_bytes(), existing)?;
     print(&describe(&args.out, &source, series))
@@ -214,12 +267,16 @@ fn read_units(capture: &mut Capture, filter: Option<SensorFilter>) -> Result<Vec
     let mut sensors = Sensors::new(filter.into_iter().collect());
     let mut units: Vec<Option<Unit>> = Vec::new();
     while let Some(datagram) = capture.next_datagram()? {
-        let Route::Data(index) = sensors.route(&datagram) else { continue };
+        let Route::Data(index) = sensors.route(&datagram) else {
+            continue;
+        };
         if units.len() <= index.get() {
             units.resize_with(index.get() + 1, || None);
         }
         // Asked of the blocks: the last two bytes may look like those of any model.
-        let Ok(packet) = DataPacket::parse(datagram.payload) else { continue };
+        let Ok(packet) = DataPacket::parse(datagram.payload) else {
+            continue;
+        };
         if packet.banks() != Banks::Alternating {
             continue;
         }
@@ -229,7 +286,8 @@ fn read_units(capture: &mut Capture, filter: Option<SensorFilter>) -> Result<Vec
             status: Status::new(),
         });
         unit.packets += 1;
-        unit.status.push(packet.return_mode, packet.product, packet.stamp_us());
+        unit.status
+            .push(packet.return_mode, packet.product, packet.stamp_us());
     }
     Ok(units.into_iter().flatten().collect())
 }
@@ -237,11 +295,16 @@ fn read_units(capture: &mut Capture, filter: Option<SensorFilter>) -> Result<Vec
 /// How far it came, and what to do.
 fn incomplete(unit: &Unit) -> String {
     let (known, packets) = (unit.status.known(), count_of(unit.packets, "packet"));
-    let longer = format!("the sensor sends it every {} packets, about once a second", grouped(DUMP_PACKETS as u64));
+    let longer = format!(
+        "the sensor sends it every {} packets, about once a second",
+        grouped(DUMP_PACKETS as u64)
+    );
     let name = &unit.name;
     match unit.status.verdict() {
         Verdict::Contradictory(error) => {
-            format!("the calibration of {name} is damaged: {error}; {longer}: give a longer capture")
+            format!(
+                "the calibration of {name} is damaged: {error}; {longer}: give a longer capture"
+            )
         }
         _ if known == 0 && unit.packets >= DUMP_PACKETS as u64 => format!(
             "no calibration in {packets} of {name}: units before the S2.1 send none; use the db.xml that came with it"

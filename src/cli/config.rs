@@ -51,12 +51,18 @@ pub fn run(args: &Args) -> Result<(), CliError> {
 }
 
 fn print(text: &str) -> Result<(), CliError> {
-    io::stdout().write_all(text.as_bytes()).map_err(CliError::Stdout)
+    io::stdout()
+        .write_all(text.as_bytes())
+        .map_err(CliError::Stdout)
 }
 
 fn check(file: &Path) -> Result<(), CliError> {
     let config = Config::read(file)?;
-    let mut text = format!("{}: {}\n", file.display(), count_of(config.sensors.len() as u64, "sensor"));
+    let mut text = format!(
+        "{}: {}\n",
+        file.display(),
+        count_of(config.sensors.len() as u64, "sensor")
+    );
     for sensor in &config.sensors {
         text += &told(&sensor.name, &sensor_lines(sensor));
     }
@@ -66,7 +72,11 @@ fn check(file: &Path) -> Result<(), CliError> {
     for missing in config.missing_on_this_host() {
         complain("warning", missing);
     }
-    let most: u64 = config.sensors.iter().map(|sensor| *memory::pool_bytes(sensor).end()).sum();
+    let most: u64 = config
+        .sensors
+        .iter()
+        .map(|sensor| *memory::pool_bytes(sensor).end())
+        .sum();
     if let Ok(free) = free
         && free < most
     {
@@ -95,29 +105,65 @@ fn told(heading: &str, lines: &Lines) -> String {
 }
 
 fn sensor_lines(sensor: &SensorConfig) -> Lines {
-    let source = sensor.source_port.map_or_else(String::new, |port| format!(":{port}"));
+    let source = sensor
+        .source_port
+        .map_or_else(String::new, |port| format!(":{port}"));
     let sweeps = memory::sweep_bytes(sensor);
     let sweep = mib(*sweeps.start() as u64)..=mib(*sweeps.end() as u64);
     let samples = pool_sweeps(sensor.max_consumers);
     let consumers = count_of(sensor.max_consumers as u64, "consumer");
     vec![
-        ("packets", format!("from {}{source} to port {}", sensor.address, sensor.port.port)),
-        ("positions", format!("from {} to port {}", sensor.address, sensor.position_port)),
+        (
+            "packets",
+            format!(
+                "from {}{source} to port {}",
+                sensor.address, sensor.port.port
+            ),
+        ),
+        (
+            "positions",
+            format!("from {} to port {}", sensor.address, sensor.position_port),
+        ),
         ("listens", listening(sensor)),
         ("thread", thread(sensor)),
         ("model", model(sensor)),
-        ("speed", sensor.rpm.map_or_else(|| "any".to_owned(), |rpm| format!("{rpm} rpm"))),
-        ("cut", format!("at {} degrees", rounded(sensor.pipeline.cut_azimuth_rad.to_degrees()))),
+        (
+            "speed",
+            sensor
+                .rpm
+                .map_or_else(|| "any".to_owned(), |rpm| format!("{rpm} rpm")),
+        ),
+        (
+            "cut",
+            format!(
+                "at {} degrees",
+                rounded(sensor.pipeline.cut_azimuth_rad.to_degrees())
+            ),
+        ),
         ("mount", mount(sensor)),
         ("segments", segments(sensor)),
-        ("service", format!("sweepd/{}/sweep, {consumers} at most", sensor.name)),
-        ("shared memory", format!("{}: {samples} sweeps of {}", pool(sensor), one_or_range(&sweep))),
+        (
+            "service",
+            format!("sweepd/{}/sweep, {consumers} at most", sensor.name),
+        ),
+        (
+            "shared memory",
+            format!(
+                "{}: {samples} sweeps of {}",
+                pool(sensor),
+                one_or_range(&sweep)
+            ),
+        ),
     ]
 }
 
 fn listening(sensor: &SensorConfig) -> String {
     let port = &sensor.port;
-    let mut text = if port.bind.is_unspecified() { "on all addresses".to_owned() } else { format!("on {}", port.bind) };
+    let mut text = if port.bind.is_unspecified() {
+        "on all addresses".to_owned()
+    } else {
+        format!("on {}", port.bind)
+    };
     if let Some(interface) = &port.interface {
         let _ = write!(text, " of {interface}");
     }
@@ -128,7 +174,10 @@ fn listening(sensor: &SensorConfig) -> String {
 }
 
 fn thread(sensor: &SensorConfig) -> String {
-    let core = sensor.port.cpu.map_or_else(|| "any core".to_owned(), |cpu| format!("core {cpu}"));
+    let core = sensor
+        .port
+        .cpu
+        .map_or_else(|| "any core".to_owned(), |cpu| format!("core {cpu}"));
     match sensor.port.realtime_priority {
         Some(priority) => format!("{core}, SCHED_FIFO priority {priority}"),
         None => format!("{core}, the usual scheduler"),
@@ -137,7 +186,10 @@ fn thread(sensor: &SensorConfig) -> String {
 
 fn model(sensor: &SensorConfig) -> String {
     let config = &sensor.pipeline;
-    let model = config.model.map_or_else(|| "told by the packets".to_owned(), |model| model.to_string());
+    let model = config.model.map_or_else(
+        || "told by the packets".to_owned(),
+        |model| model.to_string(),
+    );
     let calibration = match (&config.calibration, config.model) {
         (Some(_), _) => "calibration from its file",
         (None, Some(model)) if model.calibration().is_none() => "calibration told by its packets",
@@ -149,16 +201,21 @@ fn model(sensor: &SensorConfig) -> String {
         Some(false) => "one return",
         None => "one return or two",
     };
-    format!("{model}; {calibration}; {returns}, {} segmented", format!("{:?}", config.return_choice).to_lowercase())
+    format!(
+        "{model}; {calibration}; {returns}, {} segmented",
+        format!("{:?}", config.return_choice).to_lowercase()
+    )
 }
 
 fn mount(sensor: &SensorConfig) -> String {
     let (config, mount) = (&sensor.pipeline, &sensor.pipeline.segment.mount);
     let [x, y, z] = config.position_m;
-    let [roll, pitch, yaw] =
-        [mount.roll_rad, mount.pitch_rad, config.yaw_rad].map(|rad| rounded(f64::from(rad).to_degrees()));
-    let height =
-        mount.height_m.map_or_else(|| "height estimated".to_owned(), |height| format!("{height} m above ground"));
+    let [roll, pitch, yaw] = [mount.roll_rad, mount.pitch_rad, config.yaw_rad]
+        .map(|rad| rounded(f64::from(rad).to_degrees()));
+    let height = mount.height_m.map_or_else(
+        || "height estimated".to_owned(),
+        |height| format!("{height} m above ground"),
+    );
     format!("x {x}, y {y}, z {z} m; roll {roll}, pitch {pitch}, yaw {yaw} degrees; {height}")
 }
 
@@ -169,7 +226,10 @@ fn segments(sensor: &SensorConfig) -> String {
         Method::Paper => "paper",
     };
     let theta = rounded(f64::from(config.theta_rad).to_degrees());
-    let mut text = format!("ground by {method}, theta {theta} degrees, {} points at least", config.min_points);
+    let mut text = format!(
+        "ground by {method}, theta {theta} degrees, {} points at least",
+        config.min_points
+    );
     let (min_m, max_m) = (config.min_range_m, config.max_range_m);
     let _ = match (min_m > 0.0, max_m.is_finite()) {
         (_, true) => write!(text, ", {min_m} to {max_m} m"),
@@ -183,11 +243,20 @@ fn segments(sensor: &SensorConfig) -> String {
 }
 
 fn daemon_lines(config: &Config, free: &io::Result<u64>) -> Lines {
-    let http = config.daemon.http.map_or_else(|| "off".to_owned(), |at| format!("http://{at}/health and /metrics"));
+    let http = config.daemon.http.map_or_else(
+        || "off".to_owned(),
+        |at| format!("http://{at}/health and /metrics"),
+    );
     let by_default = "the default: $SWEEPD_ROOT, /run/sweepd/iox2 or /tmp/sweepd/iox2";
-    let root = config.daemon.root.as_ref().map_or_else(|| by_default.to_owned(), |root| root.display().to_string());
+    let root = config
+        .daemon
+        .root
+        .as_ref()
+        .map_or_else(|| by_default.to_owned(), |root| root.display().to_string());
     let pools = config.sensors.iter().map(memory::pool_bytes);
-    let (least, most) = pools.fold((0, 0), |sum, pool| (sum.0 + pool.start(), sum.1 + pool.end()));
+    let (least, most) = pools.fold((0, 0), |sum, pool| {
+        (sum.0 + pool.start(), sum.1 + pool.end())
+    });
     let free = match free {
         Ok(free) => format!("{} free in {}", mib(*free), SHARED_MEMORY),
         Err(error) => format!("{}: {error}", SHARED_MEMORY),
@@ -195,13 +264,25 @@ fn daemon_lines(config: &Config, free: &io::Result<u64>) -> Lines {
     vec![
         ("health", http),
         ("root", root),
-        ("recording", config.record.as_ref().map_or_else(|| "off".to_owned(), recording)),
-        ("shared memory", format!("{}; {free}", one_or_range(&(mib(least)..=mib(most))))),
+        (
+            "recording",
+            config
+                .record
+                .as_ref()
+                .map_or_else(|| "off".to_owned(), recording),
+        ),
+        (
+            "shared memory",
+            format!("{}; {free}", one_or_range(&(mib(least)..=mib(most)))),
+        ),
     ]
 }
 
 fn recording(record: &RecordConfig) -> String {
-    let mut text = format!("{}, numbered, another file each start", record.path.display());
+    let mut text = format!(
+        "{}, numbered, another file each start",
+        record.path.display()
+    );
     if let Some(bytes) = record.rotate_bytes {
         let _ = write!(text, ", each {} MB", bytes as f64 / 1e6);
     }
@@ -221,7 +302,11 @@ fn mib(bytes: u64) -> String {
 }
 
 fn one_or_range(texts: &RangeInclusive<String>) -> String {
-    if texts.start() == texts.end() { texts.start().clone() } else { format!("{} to {}", texts.start(), texts.end()) }
+    if texts.start() == texts.end() {
+        texts.start().clone()
+    } else {
+        format!("{} to {}", texts.start(), texts.end())
+    }
 }
 
 /// Without the noise of a conversion.

@@ -57,9 +57,17 @@ impl Args {
         let mut plan = match &self.config {
             Some(file) => Plan::of(&Config::read(file)?),
             None => {
-                let Listening { ports, bind, multicast, interface } = &self.listening;
+                let Listening {
+                    ports,
+                    bind,
+                    multicast,
+                    interface,
+                } = &self.listening;
                 let plan = Plan::of_ports(ports, *bind, *multicast, interface.as_deref());
-                Plan { health: Some(self.health), ..plan }
+                Plan {
+                    health: Some(self.health),
+                    ..plan
+                }
             }
         };
         plan.ask.extend(&self.sensors);
@@ -95,30 +103,63 @@ struct SensorLine {
 /// [`CliError`]; [`CliError::Reported`] when something is wrong, after it was printed.
 pub fn run(args: &Args) -> Result<(), CliError> {
     let web_port = (!args.no_web).then_some(args.web_port);
-    let seen = examine(args.plan()?, Duration::from_secs_f64(args.seconds), web_port, |ports| announce(ports, args));
+    let seen = examine(
+        args.plan()?,
+        Duration::from_secs_f64(args.seconds),
+        web_port,
+        |ports| announce(ports, args),
+    );
     let seen = seen.map_err(|error| match error {
         ExamineError::Udp(error) => CliError::Udp(error),
-        ExamineError::System(source) => CliError::System { what: "ask web pages", source },
+        ExamineError::System(source) => CliError::System {
+            what: "ask web pages",
+            source,
+        },
     })?;
     let findings = diagnose(&seen);
     let well = !findings.iter().any(Finding::is_trouble);
-    let printed = if args.json { print_json(&seen, &findings, well) } else { print(&seen, &findings, well) };
+    let printed = if args.json {
+        print_json(&seen, &findings, well)
+    } else {
+        print(&seen, &findings, well)
+    };
     printed.map_err(CliError::Stdout)?;
-    if well { Ok(()) } else { Err(CliError::Reported) }
+    if well {
+        Ok(())
+    } else {
+        Err(CliError::Reported)
+    }
 }
 
 fn announce(ports: &[u16], args: &Args) {
     let ports: Vec<String> = ports.iter().map(u16::to_string).collect();
     // Where none can be listened on, nobody waits, and the findings say why.
     if !ports.is_empty() {
-        let _ = writeln!(io::stderr(), "listening on port {} for {} s", ports.join(", "), args.seconds);
+        let _ = writeln!(
+            io::stderr(),
+            "listening on port {} for {} s",
+            ports.join(", "),
+            args.seconds
+        );
     }
 }
 
 fn print_json(seen: &Observations, findings: &[Finding], well: bool) -> io::Result<()> {
-    let sensors = seen.sensors.iter().map(|sensor| SensorLine::of(sensor, seen.seconds)).collect();
+    let sensors = seen
+        .sensors
+        .iter()
+        .map(|sensor| SensorLine::of(sensor, seen.seconds))
+        .collect();
     let mut stdout = io::stdout().lock();
-    serde_json::to_writer_pretty(&mut stdout, &Report { well, seconds: seen.seconds, sensors, findings })?;
+    serde_json::to_writer_pretty(
+        &mut stdout,
+        &Report {
+            well,
+            seconds: seen.seconds,
+            sensors,
+            findings,
+        },
+    )?;
     stdout.write_all(b"\n")
 }
 
@@ -127,18 +168,34 @@ fn print(seen: &Observations, findings: &[Finding], well: bool) -> io::Result<()
     for sensor in &seen.sensors {
         let line = SensorLine::of(sensor, seen.seconds);
         let model = line.model.as_deref().unwrap_or("unknown model");
-        let returns = line.return_mode.map_or(String::new(), |mode| format!(", {mode}"));
-        let rpm = line.rpm.map_or(String::new(), |rpm| format!(", {rpm:.0} rpm"));
+        let returns = line
+            .return_mode
+            .map_or(String::new(), |mode| format!(", {mode}"));
+        let rpm = line
+            .rpm
+            .map_or(String::new(), |rpm| format!(", {rpm:.0} rpm"));
         let (source, port, rate) = (&line.source, line.port, line.packets_per_s);
-        writeln!(stdout, "{source} to port {port}: {model}{returns}{rpm}, {rate:.0} packets a second")?;
+        writeln!(
+            stdout,
+            "{source} to port {port}: {model}{returns}{rpm}, {rate:.0} packets a second"
+        )?;
     }
     for expected in &seen.plan.sensors {
         let (name, sweeps) = (&expected.name, pool_sweeps(expected.max_consumers));
         let bytes = sweep_bytes(expected, seen);
         let mib = (bytes * sweeps as u64) as f64 / f64::from(1 << 20);
-        writeln!(stdout, "{name}: takes {mib:.1} MiB of shared memory, {sweeps} sweeps of {bytes} bytes")?;
+        writeln!(
+            stdout,
+            "{name}: takes {mib:.1} MiB of shared memory, {sweeps} sweeps of {bytes} bytes"
+        )?;
     }
-    for Finding { severity, what, cure, .. } in findings {
+    for Finding {
+        severity,
+        what,
+        cure,
+        ..
+    } in findings
+    {
         let severity = match severity {
             Severity::Error => "error",
             Severity::Warning => "warning",
@@ -149,7 +206,11 @@ fn print(seen: &Observations, findings: &[Finding], well: bool) -> io::Result<()
             writeln!(stdout, "    {step}")?;
         }
     }
-    match findings.iter().filter(|finding| finding.is_trouble()).count() {
+    match findings
+        .iter()
+        .filter(|finding| finding.is_trouble())
+        .count()
+    {
         _ if well => writeln!(stdout, "all well"),
         1 => writeln!(stdout, "1 thing is wrong"),
         count => writeln!(stdout, "{count} things are wrong, the worst first"),
@@ -159,7 +220,9 @@ fn print(seen: &Observations, findings: &[Finding], well: bool) -> io::Result<()
 impl SensorLine {
     fn of(sensor: &Sensor, seconds: f64) -> Self {
         Self {
-            source: sensor.source.map_or_else(String::new, |source| source.to_string()),
+            source: sensor
+                .source
+                .map_or_else(String::new, |source| source.to_string()),
             port: sensor.port,
             model: sensor.model.map(|model| model.to_string()),
             return_mode: sensor.return_mode.map(|mode| mode.name()),

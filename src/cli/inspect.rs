@@ -1,4 +1,5 @@
-//! `sweepd inspect`: what is in a capture, told from headers, stamps and azimuths, without decoding a single return.
+//! `sweepd inspect`: what is in a capture, told from headers, stamps and azimuths, without decoding
+//! a single return.
 
 mod flows;
 mod positions;
@@ -60,13 +61,19 @@ pub fn run(args: &Args) -> Result<(), CliError> {
                 seen[index.get()].data(&datagram);
             }
             Route::Position(_) => {
-                positions.entry(datagram.source.ip().to_canonical()).or_default().add(&datagram);
+                positions
+                    .entry(datagram.source.ip().to_canonical())
+                    .or_default()
+                    .add(&datagram);
             }
             Route::Other(_) => flows.add(&datagram),
         }
     };
-    let text = describe(&capture, &sensors, &mut seen, &positions) + &others(&capture, &sensors, &flows);
-    io::stdout().write_all(text.as_bytes()).map_err(CliError::Stdout)?;
+    let text =
+        describe(&capture, &sensors, &mut seen, &positions) + &others(&capture, &sensors, &flows);
+    io::stdout()
+        .write_all(text.as_bytes())
+        .map_err(CliError::Stdout)?;
     read.map_err(CliError::Capture)
 }
 
@@ -79,16 +86,35 @@ fn describe(
 ) -> String {
     let mut text = head(capture, sensors);
     for (sensor, seen) in sensors.sensors().iter().zip(seen) {
-        let _ = writeln!(text, "\n{} to port {}", sensor.source, sensor.destination_port);
+        let _ = writeln!(
+            text,
+            "\n{} to port {}",
+            sensor.source, sensor.destination_port
+        );
         seen.finish();
         seen.describe(&mut text);
         if let Some(positions) = positions.get(&sensor.source.ip()) {
-            let same = sensors.sensors().iter().filter(|other| other.source.ip() == sensor.source.ip()).count();
-            positions.describe(&mut text, if same > 1 { ", of all sensors at this address" } else { "" });
+            let same = sensors
+                .sensors()
+                .iter()
+                .filter(|other| other.source.ip() == sensor.source.ip())
+                .count();
+            positions.describe(
+                &mut text,
+                if same > 1 {
+                    ", of all sensors at this address"
+                } else {
+                    ""
+                },
+            );
         }
     }
     for (ip, positions) in positions {
-        if !sensors.sensors().iter().any(|sensor| sensor.source.ip() == *ip) {
+        if !sensors
+            .sensors()
+            .iter()
+            .any(|sensor| sensor.source.ip() == *ip)
+        {
             let _ = writeln!(text, "\n{ip}, position packets only");
             positions.describe(&mut text, "");
         }
@@ -96,7 +122,8 @@ fn describe(
     text
 }
 
-/// What else there is: all of it where no sensor is, since that was hoped for; else the largest part.
+/// What else there is: all of it where no sensor is, since that was hoped for; else the largest
+/// part.
 fn others(capture: &Capture, sensors: &Sensors, flows: &Flows) -> String {
     let lines = flows.lines();
     if lines.is_empty() && capture.tally().records > 0 && capture.tally().datagrams == 0 {
@@ -106,7 +133,11 @@ fn others(capture: &Capture, sensors: &Sensors, flows: &Flows) -> String {
         return String::new();
     }
     let mut text = "\nother traffic\n".to_owned();
-    let shown = if sensors.sensors().is_empty() { lines.len() } else { 1 };
+    let shown = if sensors.sensors().is_empty() {
+        lines.len()
+    } else {
+        1
+    };
     for line in &lines[..shown] {
         let _ = writeln!(text, "  {line}");
     }
@@ -119,18 +150,39 @@ fn head(capture: &Capture, sensors: &Sensors) -> String {
     let mut text = format!("{}\n", capture.name());
     if let (Some(first), Some(last)) = (capture.first_ns(), capture.last_ns()) {
         let seconds = last.saturating_sub(first) as f64 * 1e-9;
-        row(&mut text, "time", &format!("{} to {}, {seconds:.3} s", utc_text(first), utc_text(last)));
+        row(
+            &mut text,
+            "time",
+            &format!("{} to {}, {seconds:.3} s", utc_text(first), utc_text(last)),
+        );
     }
-    let links: Vec<String> = capture.link_types().iter().map(ToString::to_string).collect();
+    let links: Vec<String> = capture
+        .link_types()
+        .iter()
+        .map(ToString::to_string)
+        .collect();
     row(&mut text, "link type", &links.join(", "));
     let others = Traffic::new(capture, sensors.others().total()).other;
-    let (records, datagrams) = (grouped(tally.records), count_of(tally.datagrams, "UDP datagram"));
-    row(&mut text, "records", &format!("{records}, with {datagrams}; {} of other traffic", grouped(others)));
+    let (records, datagrams) = (
+        grouped(tally.records),
+        count_of(tally.datagrams, "UDP datagram"),
+    );
+    row(
+        &mut text,
+        "records",
+        &format!(
+            "{records}, with {datagrams}; {} of other traffic",
+            grouped(others)
+        ),
+    );
     if tally.truncated_records > 0 {
         row(
             &mut text,
             "cut short",
-            &format!("{}: hold less than was sent", count_of(tally.truncated_records, "record")),
+            &format!(
+                "{}: hold less than was sent",
+                count_of(tally.truncated_records, "record")
+            ),
         );
     }
     if let Some(truncation) = capture.truncation() {
@@ -229,9 +281,11 @@ impl Seen {
             return;
         };
         match ReturnMode::from_byte(packet.return_mode) {
-            _ if packet.banks() == Banks::Alternating => {
-                self.status.get_or_insert_default().push(packet.return_mode, packet.product, packet.stamp_us())
-            }
+            _ if packet.banks() == Banks::Alternating => self.status.get_or_insert_default().push(
+                packet.return_mode,
+                packet.product,
+                packet.stamp_us(),
+            ),
             Some(mode) if !self.modes.contains(&mode) => self.modes.push(mode),
             Some(_) => {}
             None => self.blank_mode = true,
@@ -258,7 +312,9 @@ impl Seen {
     }
 
     fn place(&mut self, packet: &DataPacket, arrival_ns: i64) {
-        let (Some(order), Some(Ok(detection))) = (&mut self.order, &self.model) else { return };
+        let (Some(order), Some(Ok(detection))) = (&mut self.order, &self.model) else {
+            return;
+        };
         if !detection.has_layout(packet) {
             self.malformed += 1;
             return;
@@ -297,9 +353,10 @@ impl Seen {
                 let series = self.status.as_ref().and_then(Status::series);
                 let (model, basis) = match (detection.model, series) {
                     // With one return the packets of both series are alike; the status is not.
-                    (Model::Hdl64eS2, Some(Series::S3)) => {
-                        (Model::Hdl64eS3, "by its two heads, packet period and status")
-                    }
+                    (Model::Hdl64eS2, Some(Series::S3)) => (
+                        Model::Hdl64eS3,
+                        "by its two heads, packet period and status",
+                    ),
                     (model, _) => (model, detection.basis.words()),
                 };
                 row(text, "model", &format!("{model}, {basis}"));
@@ -317,7 +374,11 @@ impl Seen {
             Some(said) if seen.is_empty() || said == seen => {
                 row(text, "return mode", &format!("{said}, by its status"))
             }
-            Some(said) => row(text, "return mode", &format!("{seen}; its status says {said}")),
+            Some(said) => row(
+                text,
+                "return mode",
+                &format!("{seen}; its status says {said}"),
+            ),
             None if seen.is_empty() => {}
             None => row(text, "return mode", &seen),
         }
@@ -327,7 +388,11 @@ impl Seen {
         row(
             text,
             "data",
-            &format!("{}{}", count_of(self.packets, "packet"), rate(self.packets, self.first_ns, self.last_ns)),
+            &format!(
+                "{}{}",
+                count_of(self.packets, "packet"),
+                rate(self.packets, self.first_ns, self.last_ns)
+            ),
         );
         self.motion.describe(text, self.order.as_ref());
         if self.malformed > 0 {
@@ -350,13 +415,17 @@ impl Moved {
             let rpm = order.packet(slot).motion.rate_cdeg_ns(spec) * 60e9 / TURN;
             self.rpm_sum += rpm;
             self.rpm_count += 1;
-            if let Some(rpm) = self.turn.add(rpm, f64::from(spec.packet_period_ns(order.packet(slot).mode))) {
+            if let Some(rpm) = self.turn.add(
+                rpm,
+                f64::from(spec.packet_period_ns(order.packet(slot).mode)),
+            ) {
                 self.whole_turns.add(rpm);
             }
         }
         let sector = order.sector();
-        self.sector_deg =
-            sector.map(|sector| (sector.from_cdeg / 100.0, sector.width_cdeg / 100.0)).or(self.sector_deg);
+        self.sector_deg = sector
+            .map(|sector| (sector.from_cdeg / 100.0, sector.width_cdeg / 100.0))
+            .or(self.sector_deg);
     }
 
     /// Its mean, its bounds over whole turns, and the sense if it is the unusual one.
@@ -364,11 +433,19 @@ impl Moved {
         let (mean, turns) = match self.whole_turns.bounds_rpm {
             Some((a, b)) => (
                 self.whole_turns.sum_rpm / f64::from(self.whole_turns.count),
-                format!(" ({:.1} to {:.1})", a.abs().min(b.abs()), a.abs().max(b.abs())),
+                format!(
+                    " ({:.1} to {:.1})",
+                    a.abs().min(b.abs()),
+                    a.abs().max(b.abs())
+                ),
             ),
             None => (self.rpm_sum / self.rpm_count as f64, String::new()),
         };
-        let sense = if mean < 0.0 { ", counter-clockwise" } else { "" };
+        let sense = if mean < 0.0 {
+            ", counter-clockwise"
+        } else {
+            ""
+        };
         format!("{:.1} rpm{turns}{sense}", mean.abs())
     }
 
@@ -382,7 +459,9 @@ impl Moved {
             row(
                 text,
                 "left out",
-                &format!("azimuth {from:.1} to {to:.1} degrees: the sensor's field of view is limited"),
+                &format!(
+                    "azimuth {from:.1} to {to:.1} degrees: the sensor's field of view is limited"
+                ),
             );
         }
         let counts = order.counts();
@@ -392,7 +471,10 @@ impl Moved {
             (self.duplicates, "received twice"),
             (self.late, "too late"),
             (counts.unconfirmed, "implausible"),
-            (self.restarts, "jumps of the clock or changes of the return mode"),
+            (
+                self.restarts,
+                "jumps of the clock or changes of the return mode",
+            ),
         ] {
             if count > 0 {
                 let _ = write!(losses, ", {count} {word}");

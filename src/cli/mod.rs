@@ -1,6 +1,7 @@
 //! The command line: one file a subcommand, and what they share.
 
-// The macros panic when the reader has gone away: write what can fail with `write!`, and errors with `complain`.
+// The macros panic when the reader has gone away: write what can fail with `write!`, and errors
+// with `complain`.
 #![deny(clippy::print_stdout, clippy::print_stderr)]
 
 pub mod calib;
@@ -79,12 +80,16 @@ pub enum Command {
     Lab(lab::Command),
 }
 
-/// The command line of this process. One that is wrong ends the process with an error and exit code 2.
+/// The command line of this process. One that is wrong ends the process with an error and exit code
+/// 2.
 pub fn parse() -> Cli {
     let words: Vec<OsString> = std::env::args_os().collect();
     Cli::try_parse_from(&words).unwrap_or_else(|mut error| {
         if let Some(tip) = tip(&error, &words) {
-            error.insert(ContextKind::Suggested, ContextValue::StyledStrs(vec![tip.into()]));
+            error.insert(
+                ContextKind::Suggested,
+                ContextValue::StyledStrs(vec![tip.into()]),
+            );
         }
         error.exit()
     })
@@ -96,7 +101,9 @@ fn tip(error: &clap::Error, words: &[OsString]) -> Option<String> {
         (ErrorKind::UnknownArgument, ContextValue::String(word)) => word,
         _ => return None,
     };
-    let is_times = words.windows(2).any(|two| two[0] == "--loop" && two[1] == word[..]);
+    let is_times = words
+        .windows(2)
+        .any(|two| two[0] == "--loop" && two[1] == word[..]);
     is_times.then(|| format!("a number of times needs an equals sign: --loop={word}"))
 }
 
@@ -179,8 +186,8 @@ impl From<RecordError> for CliError {
 }
 
 impl CliError {
-    /// What the program ends with: 78 (EX_CONFIG of sysexits.h) where only another configuration would help, so that a
-    /// supervisor need not try again; else 1.
+    /// What the program ends with: 78 (EX_CONFIG of sysexits.h) where only another configuration
+    /// would help, so that a supervisor need not try again; else 1.
     pub fn exit_code(&self) -> u8 {
         match self {
             Self::Config(ConfigError::Invalid(_)) => 78,
@@ -189,8 +196,8 @@ impl CliError {
     }
 }
 
-/// Shows an error on standard error, with its cause where the message does not hold it. A reader that went away
-/// (`| head`) is none.
+/// Shows an error on standard error, with its cause where the message does not hold it. A reader
+/// that went away (`| head`) is none.
 pub fn report(error: &CliError) {
     match error {
         CliError::Reported => {}

@@ -24,10 +24,16 @@ const NOT_YET: [&str; 4] = ["vlp32", "vls128", "ultrapuck", "alphaprime"];
 pub(super) fn model(text: &str) -> Result<Model, String> {
     text.parse().map_err(|error: UnknownModel| {
         let word: String = text.chars().filter(char::is_ascii_alphanumeric).collect();
-        if NOT_YET.iter().any(|name| word.to_ascii_lowercase().starts_with(name)) {
+        if NOT_YET
+            .iter()
+            .any(|name| word.to_ascii_lowercase().starts_with(name))
+        {
             return format!("sweepd does not read the {text} yet: {error}");
         }
-        match nearest(&text.to_ascii_lowercase(), Model::ALL.iter().map(|model| model.spec().flag)) {
+        match nearest(
+            &text.to_ascii_lowercase(),
+            Model::ALL.iter().map(|model| model.spec().flag),
+        ) {
             Some(meant) => format!("{error}; did you mean {meant}?"),
             None => error.to_string(),
         }
@@ -58,7 +64,11 @@ pub(super) fn within(
 ) -> impl Fn(&str) -> Result<f64, String> + Clone + Send + Sync + 'static {
     move |text| match text.parse::<f64>() {
         Ok(number) if range.contains(&number) => Ok(number),
-        _ => Err(format!("expected {} to {} {unit}", range.start(), range.end())),
+        _ => Err(format!(
+            "expected {} to {} {unit}",
+            range.start(),
+            range.end()
+        )),
     }
 }
 
@@ -66,8 +76,8 @@ pub(super) fn within(
 #[derive(Clone, Debug, clap::Args)]
 #[command(next_help_heading = "Sensor")]
 pub struct SensorOptions {
-    /// Model: vlp16, puck-lite, puck-hires, hdl32e, hdl64e-s2 (S2.1 too) or hdl64e-s3 [default: told by the
-    /// packets: factory bytes, heads and period]
+    /// Model: vlp16, puck-lite, puck-hires, hdl32e, hdl64e-s2 (S2.1 too) or hdl64e-s3 [default:
+    /// told by the packets: factory bytes, heads and period]
     #[arg(long, value_name = "MODEL", value_parser = model)]
     pub model: Option<Model>,
     /// Calibration of the unit, db.xml or ROS YAML [default: the model's own table; of an HDL-64E,
@@ -89,8 +99,9 @@ pub struct SensorOptions {
     /// Which return is segmented when the sensor sends two
     #[arg(long = "return", value_name = "WHICH", value_enum, default_value_t = WhichReturn::Nearest)]
     pub which_return: WhichReturn,
-    /// Take UTC from the valid sentence of a GPS receiver though the sensor does not report the pulse (PPS) as locked: an
-    /// HDL-32E cannot. Without a pulse wired to it, times may be off by up to 3 s
+    /// Take UTC from the valid sentence of a GPS receiver though the sensor does not report the
+    /// pulse (PPS) as locked: an HDL-32E cannot. Without a pulse wired to it, times may be off by
+    /// up to 3 s
     #[arg(long)]
     pub gps_without_pps: bool,
 }
@@ -141,7 +152,8 @@ pub struct SegmentOptions {
         allow_negative_numbers = true
     )]
     pub min_points: u32,
-    /// Two returns of a segment are no further apart than this, metres [default: 0.6 from 48 rows on, else 0.8]
+    /// Two returns of a segment are no further apart than this, metres [default: 0.6 from 48 rows
+    /// on, else 0.8]
     #[arg(long, value_name = "M", value_parser = within(Settings::GAP_M, "metres"), allow_negative_numbers = true)]
     pub gap: Option<f64>,
     /// Columns to either side in which a return looks for others of its segment
@@ -189,7 +201,8 @@ pub struct SegmentOptions {
         allow_negative_numbers = true
     )]
     pub max_slope: f64,
-    /// Highest kerb that is ground where the way goes on level behind it (of --method slope), metres
+    /// Highest kerb that is ground where the way goes on level behind it (of --method slope),
+    /// metres
     #[arg(
         long,
         value_name = "M",
@@ -236,8 +249,8 @@ pub struct SegmentOptions {
         allow_negative_numbers = true
     )]
     pub max_range: Option<f64>,
-    /// The robot's own body: a picture as high as the sensor has rows, azimuth 0 to 360 from left to right, whose black
-    /// pixels keep their range and get label 0
+    /// The robot's own body: a picture as high as the sensor has rows, azimuth 0 to 360 from left
+    /// to right, whose black pixels keep their range and get label 0
     #[arg(long, value_name = "FILE.png")]
     pub mask: Option<PathBuf>,
 }
@@ -248,7 +261,11 @@ impl SensorOptions {
     /// # Errors
     /// [`CliError::Calibration`].
     pub fn read_calibration(&self) -> Result<Option<Calibration>, CliError> {
-        Ok(self.calibration.as_deref().map(files::calibration).transpose()?)
+        Ok(self
+            .calibration
+            .as_deref()
+            .map(files::calibration)
+            .transpose()?)
     }
 
     fn return_choice(&self) -> ReturnChoice {
@@ -264,7 +281,10 @@ impl SensorOptions {
 ///
 /// # Errors
 /// [`CliError`]: a file that cannot be read, a value that cannot be meant.
-pub fn pipeline_config(sensor: &SensorOptions, segment: &SegmentOptions) -> Result<pipeline::Config, CliError> {
+pub fn pipeline_config(
+    sensor: &SensorOptions,
+    segment: &SegmentOptions,
+) -> Result<pipeline::Config, CliError> {
     Ok(pipeline::Config {
         model: sensor.model,
         calibration: sensor.read_calibration()?,
@@ -283,7 +303,12 @@ impl SegmentOptions {
     /// [`CliError`]: a mask that cannot be read, a value that cannot be meant.
     pub fn config(&self) -> Result<segment::Config, CliError> {
         let usage = |error: &dyn std::error::Error| CliError::Usage(error.to_string());
-        let mask = self.mask.as_deref().map(files::mask).transpose().map_err(|error| usage(&error))?;
+        let mask = self
+            .mask
+            .as_deref()
+            .map(files::mask)
+            .transpose()
+            .map_err(|error| usage(&error))?;
         let settings = Settings {
             method: match self.method {
                 GroundMethod::Slope => segment::Method::Slope,

@@ -1,4 +1,5 @@
-//! Where the sweeps of a replay go: a line of JSON, a table, a cloud, a picture; and what becomes of files that exist.
+//! Where the sweeps of a replay go: a line of JSON, a table, a cloud, a picture; and what becomes
+//! of files that exist.
 
 use std::io::{self, BufWriter, StdoutLock, Write};
 use std::path::PathBuf;
@@ -21,7 +22,8 @@ pub struct OutputOptions {
     /// One JSON object a sweep on standard output; a replay ends with one that holds the summary
     #[arg(long)]
     pub json: bool,
-    /// A line per return: DIR/sweep_000000.csv, ...; each sensor but the first in a folder of its own
+    /// A line per return: DIR/sweep_000000.csv, ...; each sensor but the first in a folder of its
+    /// own
     #[arg(long, value_name = "DIR")]
     pub csv: Option<PathBuf>,
     /// Point clouds for PCL, Open3D and CloudCompare: DIR/sweep_000000.pcd, ...
@@ -46,7 +48,11 @@ pub struct OutputOptions {
 impl OutputOptions {
     /// Whether standard output is for lines of JSON, and tables for people have no place there.
     pub fn is_json(&self) -> bool {
-        self.json || self.segments.as_ref().is_some_and(|path| path.as_os_str() == "-")
+        self.json
+            || self
+                .segments
+                .as_ref()
+                .is_some_and(|path| path.as_os_str() == "-")
     }
 }
 
@@ -61,7 +67,11 @@ pub struct ForceOptions {
 impl ForceOptions {
     /// The same, as the writers of files take it.
     pub fn existing(self) -> Existing {
-        if self.force { Existing::Replace } else { Existing::Keep }
+        if self.force {
+            Existing::Replace
+        } else {
+            Existing::Keep
+        }
     }
 }
 
@@ -132,7 +142,11 @@ impl StageUs {
     pub fn of(sweep: &SweepRef<'_>) -> Self {
         let us = |ns: u32| f64::from(ns) / 1000.0;
         let header = sweep.header;
-        Self { decode: us(header.decode_ns), ground: us(header.ground_ns), label: us(header.label_ns) }
+        Self {
+            decode: us(header.decode_ns),
+            ground: us(header.ground_ns),
+            label: us(header.label_ns),
+        }
     }
 }
 
@@ -158,36 +172,63 @@ pub struct Outputs {
 }
 
 impl Outputs {
-    /// Creates the directories and looks for files of a former run, so that an error comes before the work.
+    /// Creates the directories and looks for files of a former run, so that an error comes before
+    /// the work.
     ///
     /// # Errors
     /// [`CliError`]: what cannot be written, or is there and must not be replaced.
     pub fn new(options: &OutputOptions) -> Result<Self, CliError> {
-        let asked = [(&options.csv, Format::Csv), (&options.pcd, Format::Pcd), (&options.png, Format::Png)];
-        let files = asked.into_iter().filter_map(|(dir, format)| Some((dir.clone()?, format))).collect();
+        let asked = [
+            (&options.csv, Format::Csv),
+            (&options.pcd, Format::Pcd),
+            (&options.png, Format::Png),
+        ];
+        let files = asked
+            .into_iter()
+            .filter_map(|(dir, format)| Some((dir.clone()?, format)))
+            .collect();
         let stdout = options.json.then(|| BufWriter::new(io::stdout().lock()));
         let (axes, existing) = (options.axes.into(), options.force.existing());
         let segments = options.segments.as_deref();
-        let segments = segments.map(|path| SegmentTables::create(path, options.json, axes, existing)).transpose()?;
+        let segments = segments
+            .map(|path| SegmentTables::create(path, options.json, axes, existing))
+            .transpose()?;
         let (exporters, former, timing) = (Vec::new(), Vec::new(), !options.no_timing);
-        let mut outputs = Self { files, exporters, existing, former, segments, axes, stdout, timing };
+        let mut outputs = Self {
+            files,
+            exporters,
+            existing,
+            former,
+            segments,
+            axes,
+            stdout,
+            timing,
+        };
         outputs.exporters(0, "")?;
         for (dir, format) in &outputs.files {
-            outputs.former.push(Former::find(dir, existing, "sweep", |name| is_sweep_file(name, *format))?);
+            outputs
+                .former
+                .push(Former::find(dir, existing, "sweep", |name| {
+                    is_sweep_file(name, *format)
+                })?);
         }
         Ok(outputs)
     }
 
-    /// Removes the files of a former run, where --force is given; before the first sweep, when all else is well.
+    /// Removes the files of a former run, where --force is given; before the first sweep, when all
+    /// else is well.
     ///
     /// # Errors
     /// [`CliError::Write`].
     pub fn remove_former(&mut self) -> Result<(), CliError> {
-        std::mem::take(&mut self.former).into_iter().try_for_each(Former::remove).map_err(CliError::from)
+        std::mem::take(&mut self.former)
+            .into_iter()
+            .try_for_each(Former::remove)
+            .map_err(CliError::from)
     }
 
-    /// Writes a sweep of a sensor; `seq` counts the sweeps that were written of it. One that was received says how old it
-    /// was.
+    /// Writes a sweep of a sensor; `seq` counts the sweeps that were written of it. One that was
+    /// received says how old it was.
     ///
     /// # Errors
     /// [`CliError`].
@@ -198,7 +239,10 @@ impl Outputs {
         sweep: SweepRef<'_>,
         latency_us: Option<LatencyUs>,
     ) -> Result<(), CliError> {
-        let title = Title { model: model.spec().name, sweep_number: seq };
+        let title = Title {
+            model: model.spec().name,
+            sweep_number: seq,
+        };
         for exporter in self.exporters(sensor, sweep.header.sensor())? {
             exporter.write(sweep, &title)?;
         }
@@ -232,9 +276,15 @@ impl Outputs {
     /// # Errors
     /// [`CliError::Stdout`].
     pub fn line<T: Serialize>(&mut self, line: impl FnOnce() -> T) -> Result<(), CliError> {
-        let Some(stdout) = &mut self.stdout else { return Ok(()) };
-        serde_json::to_writer(&mut *stdout, &line()).map_err(|error| CliError::Stdout(error.into()))?;
-        stdout.write_all(b"\n").and_then(|()| stdout.flush()).map_err(CliError::Stdout)
+        let Some(stdout) = &mut self.stdout else {
+            return Ok(());
+        };
+        serde_json::to_writer(&mut *stdout, &line())
+            .map_err(|error| CliError::Stdout(error.into()))?;
+        stdout
+            .write_all(b"\n")
+            .and_then(|()| stdout.flush())
+            .map_err(CliError::Stdout)
     }
 
     /// Gives the table of segments its name. What was not finished is removed.
@@ -245,8 +295,8 @@ impl Outputs {
         self.segments.take().map_or(Ok(()), SegmentTables::finish)
     }
 
-    /// The exporters of a sensor: the first one writes into the directories themselves, each other one into a folder of
-    /// its name in them.
+    /// The exporters of a sensor: the first one writes into the directories themselves, each other
+    /// one into a folder of its name in them.
     fn exporters(&mut self, sensor: usize, name: &str) -> Result<&mut [Exporter], CliError> {
         if self.exporters.len() <= sensor {
             self.exporters.resize(sensor + 1, None);
@@ -256,7 +306,11 @@ impl Outputs {
             Some(exporters) => exporters,
             None => {
                 let create = |(dir, format): &(PathBuf, Format)| {
-                    let dir = if sensor == 0 { dir.clone() } else { dir.join(sensor_folder(name)) };
+                    let dir = if sensor == 0 {
+                        dir.clone()
+                    } else {
+                        dir.join(sensor_folder(name))
+                    };
                     Exporter::new(dir, *format, self.axes, self.existing)
                 };
                 self.files.iter().map(create).collect::<Result<_, _>>()?

@@ -21,8 +21,8 @@ pub struct PlayOptions {
     /// Stop at this, seconds from the start of the capture
     #[arg(long, value_name = "SECONDS", value_parser = seconds, allow_negative_numbers = true)]
     end: Option<f64>,
-    /// realtime, max, or a factor such as 0.5; gaps of over a minute are not waited for [default: max; realtime with
-    /// --to and --publish]
+    /// realtime, max, or a factor such as 0.5; gaps of over a minute are not waited for [default:
+    /// max; realtime with --to and --publish]
     #[arg(long, allow_negative_numbers = true)]
     pub speed: Option<Speed>,
     /// Begin again at the end, for ever or this number of times in all
@@ -31,7 +31,8 @@ pub struct PlayOptions {
     /// Also emit partial sweeps: the first, the last, and those that were interrupted
     #[arg(long)]
     pub partial: bool,
-    /// Send the capture's own datagrams there with their own timing, each sensor from a port of its own
+    /// Send the capture's own datagrams there with their own timing, each sensor from a port of its
+    /// own
     #[arg(long, alias = "to-udp", value_name = "ADDR:PORT", value_parser = to, allow_negative_numbers = true)]
     to: Vec<To>,
 }
@@ -69,7 +70,10 @@ impl FromStr for Times {
         match text.parse() {
             _ if text == "forever" => Ok(Self::Forever),
             Ok(count) if count > 0 => Ok(Self::Count(count)),
-            _ => Err("expected how many times in all, 1 or more; --loop alone goes on for ever".to_owned()),
+            _ => Err(
+                "expected how many times in all, 1 or more; --loop alone goes on for ever"
+                    .to_owned(),
+            ),
         }
     }
 }
@@ -83,7 +87,9 @@ fn seconds(text: &str) -> Result<f64, String> {
 pub(super) fn destination(text: &str) -> Result<SocketAddr, String> {
     match text.parse::<SocketAddr>() {
         Ok(to) if to.port() != 0 => Ok(to),
-        _ => Err("expected IP:PORT such as 127.0.0.1:2368, with an IPv6 address in brackets".to_owned()),
+        _ => Err(
+            "expected IP:PORT such as 127.0.0.1:2368, with an IPv6 address in brackets".to_owned(),
+        ),
     }
 }
 
@@ -109,8 +115,12 @@ impl PlayOptions {
             return usage("standard input cannot be played again: --loop needs a file");
         }
         match (self.start, self.end()) {
-            (Some(start), Some(end)) if end <= start => usage("--end is not after --start: nothing would be left"),
-            (None, Some(0.0)) => usage("--end 0 leaves nothing of the capture: expected more than 0 seconds"),
+            (Some(start), Some(end)) if end <= start => {
+                usage("--end is not after --start: nothing would be left")
+            }
+            (None, Some(0.0)) => {
+                usage("--end 0 leaves nothing of the capture: expected more than 0 seconds")
+            }
             _ => Ok(()),
         }
     }
@@ -134,7 +144,12 @@ impl PlayOptions {
 
     /// How fast: by default as it was recorded, if anybody listens.
     pub fn speed(&self, is_published: bool) -> Speed {
-        self.speed.unwrap_or(if self.destination().is_some() || is_published { Speed::REALTIME } else { Speed::Max })
+        self.speed
+            .unwrap_or(if self.destination().is_some() || is_published {
+                Speed::REALTIME
+            } else {
+                Speed::Max
+            })
     }
 
     /// Whether the capture is to be played again after so many times.
@@ -160,8 +175,12 @@ impl PlayOptions {
 
     /// The part that is played, for a sentence: ` from 10 s to 20 s`, or nothing if it is all.
     pub fn part(&self) -> String {
-        let start = self.start.map_or(String::new(), |start| format!(" from {start} s"));
-        let end = self.end().map_or(String::new(), |end| format!(" to {end} s"));
+        let start = self
+            .start
+            .map_or(String::new(), |start| format!(" from {start} s"));
+        let end = self
+            .end()
+            .map_or(String::new(), |end| format!(" to {end} s"));
         start + &end
     }
 }

@@ -4,7 +4,9 @@ use std::path::PathBuf;
 
 use super::CliError;
 use sweepd_client::host::{monotonic_ns, realtime_ns};
-use sweepd_client::publish::{Domain, Loans, NAME_RULE, PublishError, Settings, Slot, is_sensor_name};
+use sweepd_client::publish::{
+    Domain, Loans, NAME_RULE, PublishError, Settings, Slot, is_sensor_name,
+};
 use sweepd_core::sweep::SweepMut;
 use sweepd_core::sweep::layout::Completion;
 
@@ -12,8 +14,8 @@ use sweepd_core::sweep::layout::Completion;
 #[derive(Clone, Debug, clap::Args)]
 #[command(next_help_heading = "Sharing")]
 pub struct RootOptions {
-    /// Folder by which the daemon and its consumers find each other [default: $SWEEPD_ROOT, else /run/sweepd/iox2
-    /// where there is a /run/sweepd, else /tmp/sweepd/iox2]
+    /// Folder by which the daemon and its consumers find each other [default: $SWEEPD_ROOT, else
+    /// /run/sweepd/iox2 where there is a /run/sweepd, else /tmp/sweepd/iox2]
     #[arg(long, value_name = "DIR")]
     pub root: Option<PathBuf>,
 }
@@ -29,8 +31,8 @@ impl RootOptions {
 #[derive(Clone, Debug, clap::Args)]
 #[command(next_help_heading = "Sharing")]
 pub struct PublishOptions {
-    /// Share the sweeps as the daemon would, as the sensor of this name; again for the second sensor in the capture,
-    /// and so on
+    /// Share the sweeps as the daemon would, as the sensor of this name; again for the second
+    /// sensor in the capture, and so on
     #[arg(long, value_name = "NAME", value_parser = sensor_name)]
     pub publish: Vec<String>,
     /// Consumers that each may have at most
@@ -56,20 +58,26 @@ impl PublishOptions {
     /// # Errors
     /// [`CliError::Usage`].
     pub fn check(&self) -> Result<(), CliError> {
-        let twice = self.publish.iter().enumerate().find(|(index, name)| self.publish[..*index].contains(name));
+        let twice = self
+            .publish
+            .iter()
+            .enumerate()
+            .find(|(index, name)| self.publish[..*index].contains(name));
         twice.map_or(Ok(()), |(_, name)| {
-            Err(CliError::Usage(format!("--publish {name} is given twice; give each sensor a name of its own")))
+            Err(CliError::Usage(format!(
+                "--publish {name} is given twice; give each sensor a name of its own"
+            )))
         })
     }
 
-    /// What there is to say of a sensor that is heard for the first time: under which name it is shared, or that it is not
-    /// shared, for the first such sensor alone.
+    /// What there is to say of a sensor that is heard for the first time: under which name it is
+    /// shared, or that it is not shared, for the first such sensor alone.
     pub fn note(&self, sensor: usize, address: &str) -> Option<String> {
         match self.name(sensor) {
             Some(name) => Some(format!("{address} is shared as {name}")),
-            None if self.is_wanted() && sensor == self.publish.len() => {
-                Some(format!("{address} is not shared: no --publish NAME is left for it"))
-            }
+            None if self.is_wanted() && sensor == self.publish.len() => Some(format!(
+                "{address} is not shared: no --publish NAME is left for it"
+            )),
             None => None,
         }
     }
@@ -84,15 +92,26 @@ impl PublishOptions {
     /// # Errors
     /// [`PublishError`].
     pub fn loans(&self, sensor: usize, address: &str) -> Result<Loans, PublishError> {
-        let Some(name) = self.name(sensor) else { return Ok(Loans::default()) };
+        let Some(name) = self.name(sensor) else {
+            return Ok(Loans::default());
+        };
         let (name, address) = (name.to_owned(), address.to_owned());
-        let settings = Settings { name, max_consumers: self.max_consumers.into(), model: String::new(), address };
+        let settings = Settings {
+            name,
+            max_consumers: self.max_consumers.into(),
+            model: String::new(),
+            address,
+        };
         Loans::create(&self.root.domain(), &settings)
     }
 }
 
 fn sensor_name(text: &str) -> Result<String, String> {
-    if is_sensor_name(text) { Ok(text.to_owned()) } else { Err(format!("expected {NAME_RULE}")) }
+    if is_sensor_name(text) {
+        Ok(text.to_owned())
+    } else {
+        Err(format!("expected {NAME_RULE}"))
+    }
 }
 
 /// Says in a sweep where and when it was completed, and hands it to all consumers.
@@ -102,7 +121,13 @@ fn sensor_name(text: &str) -> Result<String, String> {
 pub fn publish(mut slot: Slot, name: &str, run_ns: i64) -> Result<usize, PublishError> {
     if let Ok(sweep) = SweepMut::open(slot.as_mut()) {
         let (completed_ns, completed_monotonic_ns) = (realtime_ns(), monotonic_ns());
-        let completion = Completion { name, run_ns, completed_ns, completed_monotonic_ns, dropped_datagrams: 0 };
+        let completion = Completion {
+            name,
+            run_ns,
+            completed_ns,
+            completed_monotonic_ns,
+            dropped_datagrams: 0,
+        };
         sweep.header.complete(&completion);
     }
     slot.publish()

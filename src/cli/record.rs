@@ -1,7 +1,8 @@
 //! `sweepd record`: live sensors to a capture, from UDP or from the daemon that has them.
 //!
-//! A thread an input receives and does nothing that could wait; a [`Recorder`] writes. Signals come by signal-hook, which
-//! sets a flag without a runtime, a thread or `unsafe` of ours; there is nothing here that would want to be asynchronous.
+//! A thread an input receives and does nothing that could wait; a [`Recorder`] writes. Signals come
+//! by signal-hook, which sets a flag without a runtime, a thread or `unsafe` of ours; there is
+//! nothing here that would want to be asynchronous.
 
 mod input;
 mod report;
@@ -51,11 +52,12 @@ pub struct Args {
     output: PathBuf,
     #[command(flatten)]
     force: ForceOptions,
-    /// Record what the running daemon receives of this sensor, by its name in the daemon's configuration
+    /// Record what the running daemon receives of this sensor, by its name in the daemon's
+    /// configuration
     #[arg(long, value_name = "NAME", conflicts_with_all = ["ports", "bind", "multicast", "interface"])]
     from: Option<String>,
-    /// Folder of the daemon's files [default: $SWEEPD_ROOT; else /run/sweepd/iox2 where there is a /run/sweepd, else
-    /// /tmp/sweepd/iox2]
+    /// Folder of the daemon's files [default: $SWEEPD_ROOT; else /run/sweepd/iox2 where there is a
+    /// /run/sweepd, else /tmp/sweepd/iox2]
     #[arg(long, value_name = "DIR", requires = "from")]
     root: Option<PathBuf>,
     #[command(flatten)]
@@ -66,8 +68,8 @@ pub struct Args {
     /// Stop after this [default: at Ctrl-C or SIGTERM]
     #[arg(long, value_name = "SECONDS", value_parser = within(0.1..=1e9, "seconds"), allow_negative_numbers = true)]
     seconds: Option<f64>,
-    /// Begin another file before one gets longer than this, uncompressed: NAME-000.pcap, NAME-001.pcap, ..., numbers that
-    /// exist left out
+    /// Begin another file before one gets longer than this, uncompressed: NAME-000.pcap,
+    /// NAME-001.pcap, ..., numbers that exist left out
     #[arg(
         long,
         value_name = "MB",
@@ -90,50 +92,89 @@ pub struct Args {
 /// Runs the command.
 ///
 /// # Errors
-/// [`CliError`]: a port that cannot be listened on, a daemon that cannot be had, a file that cannot be written.
+/// [`CliError`]: a port that cannot be listened on, a daemon that cannot be had, a file that cannot
+/// be written.
 pub fn run(args: &Args) -> Result<(), CliError> {
     // Before anything is opened, so that no signal leaves it half done.
-    let over = end_flag().map_err(|source| CliError::System { what: "handle signals", source })?;
+    let over = end_flag().map_err(|source| CliError::System {
+        what: "handle signals",
+        source,
+    })?;
     let inputs = args.inputs()?;
     let recorder = args.recorder()?;
     announce(&inputs, recorder.path());
-    let (report, ended) = Recording { recorder, over, counts: Counts::default() }.run(args, inputs);
-    report.print(&mut BufWriter::new(io::stdout().lock())).map_err(CliError::Stdout)?;
+    let (report, ended) = Recording {
+        recorder,
+        over,
+        counts: Counts::default(),
+    }
+    .run(args, inputs);
+    report
+        .print(&mut BufWriter::new(io::stdout().lock()))
+        .map_err(CliError::Stdout)?;
     // What an error explains needs no warning.
     if ended.is_ok() {
-        report.warnings().iter().for_each(|warning| complain("warning", warning));
+        report
+            .warnings()
+            .iter()
+            .for_each(|warning| complain("warning", warning));
     }
     ended
 }
 
 fn announce(inputs: &[Input], file: &Path) {
     let places: Vec<String> = inputs.iter().map(Input::place).collect();
-    let _ = writeln!(io::stderr(), "recording {} to {}; Ctrl-C ends it", places.join(", "), file.display());
+    let _ = writeln!(
+        io::stderr(),
+        "recording {} to {}; Ctrl-C ends it",
+        places.join(", "),
+        file.display()
+    );
 }
 
 impl Args {
     /// What to record: ports of this host, or a sensor of the daemon.
     fn inputs(&self) -> Result<Vec<Input>, CliError> {
-        let Some(sensor) = &self.from else { return self.listen() };
+        let Some(sensor) = &self.from else {
+            return self.listen();
+        };
         let domain = Domain::at_or_default(self.root.as_deref());
         let stream = TapStream::connect(&socket_path(domain.root()), sensor)?;
-        Ok(vec![Input::Daemon { stream, sensor: sensor.clone(), gate: self.gate() }])
+        Ok(vec![Input::Daemon {
+            stream,
+            sensor: sensor.clone(),
+            gate: self.gate(),
+        }])
     }
 
     /// Opens all ports, and says which have too small a buffer.
     fn listen(&self) -> Result<Vec<Input>, CliError> {
-        let Listening { mut ports, bind, multicast, interface } = self.listening.clone();
+        let Listening {
+            mut ports,
+            bind,
+            multicast,
+            interface,
+        } = self.listening.clone();
         ports.sort_unstable();
         ports.dedup();
         let mut inputs = Vec::new();
         for port in ports {
             let (interface, buffer_bytes) = (interface.clone(), ample_buffer_bytes());
-            let config = UdpConfig { address: bind, port, multicast, interface, buffer_bytes };
+            let config = UdpConfig {
+                address: bind,
+                port,
+                multicast,
+                interface,
+                buffer_bytes,
+            };
             let source = UdpSource::bind(&config).map_err(in_place_of_daemon)?;
             if let Some(warning) = source.buffer().warning(source.local_addr().port()) {
                 complain("warning", warning);
             }
-            inputs.push(Input::Port { source, gate: self.gate() });
+            inputs.push(Input::Port {
+                source,
+                gate: self.gate(),
+            });
         }
         Ok(inputs)
     }
@@ -144,7 +185,9 @@ impl Args {
             return Ok(Recorder::replacing(&self.output)?);
         }
         match Recorder::start(&self.output, self.rotation()) {
-            Err(RecordError::File { path, source }) if source.kind() == io::ErrorKind::AlreadyExists => {
+            Err(RecordError::File { path, source })
+                if source.kind() == io::ErrorKind::AlreadyExists =>
+            {
                 Err(WriteError::Exists { path }.into())
             }
             begun => Ok(begun?),
@@ -158,18 +201,25 @@ impl Args {
     fn rotation(&self) -> Rotation {
         // The casts saturate.
         let scaled = |number: Option<f64>, unit: f64| number.map(|number| (number * unit) as u64);
-        Rotation { bytes: scaled(self.rotate_mb, 1e6), ns: scaled(self.rotate_seconds, 1e9) }
+        Rotation {
+            bytes: scaled(self.rotate_mb, 1e6),
+            ns: scaled(self.rotate_seconds, 1e9),
+        }
     }
 
     fn is_due(&self, begun: Instant) -> bool {
-        self.seconds.is_some_and(|seconds| begun.elapsed().as_secs_f64() >= seconds)
+        self.seconds
+            .is_some_and(|seconds| begun.elapsed().as_secs_f64() >= seconds)
     }
 }
 
 /// A port that the daemon has is no reason to stop it.
 fn in_place_of_daemon(error: UdpError) -> CliError {
     match &error {
-        UdpError::PortTaken { port, holder: Some(holder) } if holder.is_sweepd() => CliError::Usage(format!(
+        UdpError::PortTaken {
+            port,
+            holder: Some(holder),
+        } if holder.is_sweepd() => CliError::Usage(format!(
             "port {port} is held by {holder}; if that is the daemon, `sweepd record --from NAME` records what it receives"
         )),
         _ => error.into(),
@@ -198,16 +248,27 @@ impl Recording {
             let receive = |input: Input| scope.spawn(|| input.receive_all(&self));
             let receivers: Vec<_> = inputs.into_iter().map(receive).collect();
             self.watch(args, begun);
-            receivers.into_iter().map(|receiver| resume(receiver.join())).collect()
+            receivers
+                .into_iter()
+                .map(|receiver| resume(receiver.join()))
+                .collect()
         });
         let (written, finished) = self.recorder.finish();
         let took = begun.elapsed();
         let (inputs, failed): (Vec<_>, Vec<_>) = received.into_iter().unzip();
         let failed = failed.into_iter().collect::<Result<(), CliError>>();
-        (Report { inputs, written, took }, finished.map_err(CliError::from).and(failed))
+        (
+            Report {
+                inputs,
+                written,
+                took,
+            },
+            finished.map_err(CliError::from).and(failed),
+        )
     }
 
-    /// Waits for the end, with a live line where somebody sits. A disk that fails is an end as well.
+    /// Waits for the end, with a live line where somebody sits. A disk that fails is an end as
+    /// well.
     fn watch(&self, args: &Args, begun: Instant) {
         let line = live_line();
         while !self.is_over() && !args.is_due(begun) && self.recorder.error().is_none() {
@@ -220,9 +281,14 @@ impl Recording {
 
     fn live(&self, begun: Instant) -> String {
         let (counts, recorded) = (&self.counts, self.recorder.counts());
-        let [received, dropped, refused, written, bytes] =
-            [&counts.received, &counts.dropped, &recorded.refused, &recorded.written, &recorded.bytes]
-                .map(|count| count.load(Ordering::Relaxed));
+        let [received, dropped, refused, written, bytes] = [
+            &counts.received,
+            &counts.dropped,
+            &recorded.refused,
+            &recorded.written,
+            &recorded.bytes,
+        ]
+        .map(|count| count.load(Ordering::Relaxed));
         let megabytes = bytes as f64 * 1e-6;
         format!(
             "{:.0} s: {} datagrams came, {} recorded ({megabytes:.1} MB), {} dropped before, {} for want of a faster disk",
@@ -247,7 +313,8 @@ fn live_line() -> ProgressBar {
     if !io::stderr().is_terminal() {
         return ProgressBar::hidden();
     }
-    let style = ProgressStyle::with_template("{msg}").unwrap_or_else(|_| ProgressStyle::default_spinner());
+    let style =
+        ProgressStyle::with_template("{msg}").unwrap_or_else(|_| ProgressStyle::default_spinner());
     ProgressBar::new_spinner().with_style(style)
 }
 

@@ -131,21 +131,35 @@ impl<'a> Replay<'a> {
         let path = &self.args.capture;
         if path.as_os_str() == "-" {
             let style = ProgressStyle::with_template("{binary_bytes} read, {elapsed} gone");
-            self.progress.set_style(style.unwrap_or_else(|_| ProgressStyle::default_spinner()));
-            return Ok(Capture::new("standard input", Box::new(self.progress.wrap_read(io::stdin())))?);
+            self.progress
+                .set_style(style.unwrap_or_else(|_| ProgressStyle::default_spinner()));
+            return Ok(Capture::new(
+                "standard input",
+                Box::new(self.progress.wrap_read(io::stdin())),
+            )?);
         }
-        let Some(len) = std::fs::metadata(path).ok().filter(std::fs::Metadata::is_file).map(|file| file.len()) else {
+        let Some(len) = std::fs::metadata(path)
+            .ok()
+            .filter(std::fs::Metadata::is_file)
+            .map(|file| file.len())
+        else {
             return Ok(Capture::open(path)?);
         };
         let name = path.display().to_string();
-        let file = File::open(path).map_err(|source| CaptureError::Open { name: name.clone(), source })?;
+        let file = File::open(path).map_err(|source| CaptureError::Open {
+            name: name.clone(),
+            source,
+        })?;
         self.progress.set_length(len);
         self.progress.reset();
-        Ok(Capture::new(&name, Box::new(self.progress.wrap_read(file)))?)
+        Ok(Capture::new(
+            &name,
+            Box::new(self.progress.wrap_read(file)),
+        )?)
     }
 
-    /// Plays the capture once; played again, each sensor begins anew. What cannot be read any further is given back:
-    /// everything before it is played to its end.
+    /// Plays the capture once; played again, each sensor begins anew. What cannot be read any
+    /// further is given back: everything before it is played to its end.
     fn play(&mut self, capture: &mut Capture) -> Result<Result<(), CaptureError>, CliError> {
         self.others_before = self.sensors.others().total();
         for track in &mut self.tracks {
@@ -172,16 +186,25 @@ impl<'a> Replay<'a> {
             }
             was_behind = false;
             if place == Place::Within {
-                let wait = pacer.wait(placed.datagram.arrival_ns, begun.elapsed().as_nanos() as u64);
+                let wait = pacer.wait(
+                    placed.datagram.arrival_ns,
+                    begun.elapsed().as_nanos() as u64,
+                );
                 if wait > Duration::ZERO {
                     let until = Instant::now() + wait;
-                    self.tracks.iter_mut().for_each(|track| track.pipeline.segment_early());
+                    self.tracks
+                        .iter_mut()
+                        .for_each(|track| track.pipeline.segment_early());
                     std::thread::sleep(until.saturating_duration_since(Instant::now()));
                 }
             }
             // The earlier of two neighbours: one alone may be a corrupt time.
             let arrival_ns = placed.datagram.arrival_ns;
-            self.tick(before_ns.replace(arrival_ns).map_or(arrival_ns, |before_ns| before_ns.min(arrival_ns)))?;
+            self.tick(
+                before_ns
+                    .replace(arrival_ns)
+                    .map_or(arrival_ns, |before_ns| before_ns.min(arrival_ns)),
+            )?;
             self.datagram(&placed.datagram, place, placed.record)?;
         };
         for index in 0..self.tracks.len() {
@@ -193,15 +216,23 @@ impl<'a> Replay<'a> {
         Ok(read)
     }
 
-    /// Tells all sensors the time of the capture: one that fell silent has its sweep closed, as it would be live.
+    /// Tells all sensors the time of the capture: one that fell silent has its sweep closed, as it
+    /// would be live.
     fn tick(&mut self, now_ns: i64) -> Result<(), CliError> {
-        (0..self.tracks.len()).try_for_each(|index| match self.tracks[index].pipeline.tick(now_ns) {
-            true => self.emit(index),
-            false => Ok(()),
+        (0..self.tracks.len()).try_for_each(|index| {
+            match self.tracks[index].pipeline.tick(now_ns) {
+                true => self.emit(index),
+                false => Ok(()),
+            }
         })
     }
 
-    fn datagram(&mut self, datagram: &Datagram<'_>, place: Place, record: u64) -> Result<(), CliError> {
+    fn datagram(
+        &mut self,
+        datagram: &Datagram<'_>,
+        place: Place,
+        record: u64,
+    ) -> Result<(), CliError> {
         let ip = datagram.source.ip().to_canonical();
         let route = self.sensors.route(datagram);
         if let (Some(sender), Place::Within) = (&mut self.sender, place) {
@@ -221,7 +252,9 @@ impl<'a> Replay<'a> {
                 self.push(index.get(), datagram, record)
             }
             // Also before --start: they tell the time.
-            Route::Position(set) => set.into_iter().try_for_each(|index| self.push(index.get(), datagram, record)),
+            Route::Position(set) => set
+                .into_iter()
+                .try_for_each(|index| self.push(index.get(), datagram, record)),
             Route::Other(_) => Ok(()),
         }
     }
@@ -244,7 +277,17 @@ impl<'a> Replay<'a> {
         let (sums, past) = (Sums::default(), Counts::default());
         let run_ns = realtime_ns();
         let detection = None;
-        self.tracks.push(Track { name, pipeline, buffers, run_ns, detection, sums, emitted: 0, past, fault: None });
+        self.tracks.push(Track {
+            name,
+            pipeline,
+            buffers,
+            run_ns,
+            detection,
+            sums,
+            emitted: 0,
+            past,
+            fault: None,
+        });
         Ok(())
     }
 
@@ -263,18 +306,25 @@ impl<'a> Replay<'a> {
         let track = &mut self.tracks[index];
         for notice in track.pipeline.take_notices() {
             let (level, text) = explain_notice(&notice);
-            self.progress.suspend(|| complain(level, format_args!("{}: {text}", track.name)));
+            self.progress
+                .suspend(|| complain(level, format_args!("{}: {text}", track.name)));
         }
     }
 
-    /// Says a fault at once, since a replay may take long; the same one only once, since it may go round.
+    /// Says a fault at once, since a replay may take long; the same one only once, since it may go
+    /// round.
     fn note_fault(&mut self, index: usize, fault: &Fault, record: Option<u64>) {
         let fault = self.args.explain(fault);
         let track = &mut self.tracks[index];
         if track.fault.as_ref() != Some(&fault) {
             let capture = self.args.capture.display();
             let record = record.map_or(String::new(), |record| format!(", record {record}"));
-            self.progress.suspend(|| complain("error", format_args!("{capture}{record}: {}: {fault}", track.name)));
+            self.progress.suspend(|| {
+                complain(
+                    "error",
+                    format_args!("{capture}{record}: {}: {fault}", track.name),
+                )
+            });
             track.fault = Some(fault);
         }
     }
@@ -283,11 +333,16 @@ impl<'a> Replay<'a> {
     fn emit(&mut self, index: usize) -> Result<(), CliError> {
         let track = &mut self.tracks[index];
         while let Some(buffer) = track.pipeline.poll() {
-            let Ok(sweep) = SweepRef::open(buffer.as_ref()) else { continue };
-            let Some(detection) = track.pipeline.detection() else { continue };
+            let Ok(sweep) = SweepRef::open(buffer.as_ref()) else {
+                continue;
+            };
+            let Some(detection) = track.pipeline.detection() else {
+                continue;
+            };
             track.sums.add(&sweep);
             if self.args.play.partial || !sweep.header.has(flags::PARTIAL) {
-                self.outputs.sweep((index, detection.model), track.emitted, sweep, None)?;
+                self.outputs
+                    .sweep((index, detection.model), track.emitted, sweep, None)?;
                 track.emitted += 1;
             }
             if let Some(name) = self.args.publish.name(index) {
@@ -297,40 +352,58 @@ impl<'a> Replay<'a> {
         Ok(())
     }
 
-    /// Whether another round could bring more than this one, and nothing that was asked for is missing.
+    /// Whether another round could bring more than this one, and nothing that was asked for is
+    /// missing.
     fn is_worth_playing_again(&self) -> bool {
         let is_all_shared = self.args.publish.left_over(self.tracks.len()).is_empty();
         is_all_shared && (self.sender.is_some() || self.tracks.iter().any(|track| track.sums.any()))
     }
 
     /// The summary, and an error when something could not be read or decoded.
-    fn conclude(mut self, capture: &Capture, read: Result<(), CaptureError>) -> Result<(), CliError> {
+    fn conclude(
+        mut self,
+        capture: &Capture,
+        read: Result<(), CaptureError>,
+    ) -> Result<(), CliError> {
         self.progress.finish_and_clear();
         let timing = !self.args.output.no_timing;
         let partial_emitted = self.args.play.partial;
-        let reports: Vec<SensorReport<'_>> = self.tracks.iter().map(|track| track.report(partial_emitted)).collect();
+        let reports: Vec<SensorReport<'_>> = self
+            .tracks
+            .iter()
+            .map(|track| track.report(partial_emitted))
+            .collect();
         let traffic = Traffic::new(capture, self.sensors.others().total() - self.others_before);
-        self.outputs.line(|| SummaryLine::new(capture, &traffic, &reports, timing))?;
+        self.outputs
+            .line(|| SummaryLine::new(capture, &traffic, &reports, timing))?;
         self.outputs.finish()?;
         if !self.args.output.is_json() {
             print_tables(&traffic, &reports, timing).map_err(CliError::Stdout)?;
         }
         warn(capture);
         if let Err(error) = &read {
-            complain("error", format_args!("{error}; everything before was replayed"));
+            complain(
+                "error",
+                format_args!("{error}; everything before was replayed"),
+            );
         }
         let missing = self.missing(capture);
         for message in &missing {
             complain("error", message);
         }
-        let all = read.is_ok() && missing.is_empty() && self.tracks.iter().all(|track| track.fault.is_none());
+        let all = read.is_ok()
+            && missing.is_empty()
+            && self.tracks.iter().all(|track| track.fault.is_none());
         if all { Ok(()) } else { Err(CliError::Reported) }
     }
 
     /// The names for which no sensor came, where there were sensors at all.
     fn unshared(&self) -> Option<String> {
         let names = self.args.publish.left_over(self.tracks.len());
-        let options: Vec<String> = names.iter().map(|name| format!("--publish {name}")).collect();
+        let options: Vec<String> = names
+            .iter()
+            .map(|name| format!("--publish {name}"))
+            .collect();
         (!self.tracks.is_empty() && !options.is_empty()).then(|| options.join(", "))
     }
 
@@ -338,20 +411,39 @@ impl<'a> Replay<'a> {
     fn missing(&self, capture: &Capture) -> Vec<String> {
         let name = capture.name();
         let filters = self.args.sensor.sensor.iter();
-        let unheard = |filter: &&_| !self.sensors.sensors().iter().any(|sensor| sensor.is_selected_by(filter));
+        let unheard = |filter: &&_| {
+            !self
+                .sensors
+                .sensors()
+                .iter()
+                .any(|sensor| sensor.is_selected_by(filter))
+        };
         let mut missing: Vec<String> = filters
             .filter(unheard)
-            .map(|filter| format!("{name}: no sensor {filter} in it; `sweepd inspect` lists those that are there"))
+            .map(|filter| {
+                format!(
+                    "{name}: no sensor {filter} in it; `sweepd inspect` lists those that are there"
+                )
+            })
             .collect();
         if missing.is_empty() && self.tracks.is_empty() {
             missing.push(nothing(capture, &self.args.play.part()));
-        } else if !self.tracks.is_empty() && self.tracks.iter().all(|track| track.counts().data == 0) {
-            let ns = capture.last_ns().unwrap_or(0).saturating_sub(capture.first_ns().unwrap_or(0));
+        } else if !self.tracks.is_empty()
+            && self.tracks.iter().all(|track| track.counts().data == 0)
+        {
+            let ns = capture
+                .last_ns()
+                .unwrap_or(0)
+                .saturating_sub(capture.first_ns().unwrap_or(0));
             let (part, seconds) = (self.args.play.part(), ns as f64 * 1e-9);
-            missing.push(format!("{name}: no data packets{part}; what was read of it spans {seconds:.3} s"));
+            missing.push(format!(
+                "{name}: no data packets{part}; what was read of it spans {seconds:.3} s"
+            ));
         }
         if let Some(names) = self.unshared() {
-            missing.push(format!("{name}: no sensor in it for {names}; `sweepd inspect` lists those that are there"));
+            missing.push(format!(
+                "{name}: no sensor in it for {names}; `sweepd inspect` lists those that are there"
+            ));
         }
         missing
     }
@@ -375,18 +467,29 @@ impl Args {
 fn explain_notice(notice: &Notice) -> (&'static str, String) {
     match notice {
         Notice::AwaitsCalibration => {
-            let text =
-                "an HDL-64E, and no --calibration: waiting for the one that it sends with its packets, a byte each";
+            let text = "an HDL-64E, and no --calibration: waiting for the one that it sends with its packets, a byte each";
             ("note", text.to_owned())
         }
-        Notice::Calibrated { calibrated, packets } => {
+        Notice::Calibrated {
+            calibrated,
+            packets,
+        } => {
             let packets = count_of(*packets, "data packet");
             let of = calibrated.map_or(String::new(), |time| format!(", of {time}"));
-            ("note", format!("its own calibration{of}, is complete after {packets}: decoding begins"))
+            (
+                "note",
+                format!("its own calibration{of}, is complete after {packets}: decoding begins"),
+            )
         }
         Notice::OtherCalibration { differences } => {
             let text = "--calibration is not the one that the unit sends";
-            ("warning", format!("{text}: {}; is it the file of another unit?", summarize(differences)))
+            (
+                "warning",
+                format!(
+                    "{text}: {}; is it the file of another unit?",
+                    summarize(differences)
+                ),
+            )
         }
     }
 }
@@ -396,13 +499,36 @@ fn summarize(differences: &[Difference]) -> String {
     let mut beams: Vec<usize> = differences.iter().map(|one| one.channel).collect();
     beams.dedup();
     let first = |one: &Difference| {
-        let (unit, [used, own]) = (if one.quantity.is_angle() { "degrees" } else { "m" }, one.values);
-        format!("beam {} {} {used:.3} and not {own:.3} {unit}", one.channel, one.quantity.name())
+        let (unit, [used, own]) = (
+            if one.quantity.is_angle() {
+                "degrees"
+            } else {
+                "m"
+            },
+            one.values,
+        );
+        format!(
+            "beam {} {} {used:.3} and not {own:.3} {unit}",
+            one.channel,
+            one.quantity.name()
+        )
     };
     let examples: Vec<String> = differences.iter().take(3).map(first).collect();
-    let list = beams.iter().map(ToString::to_string).collect::<Vec<_>>().join(", ");
-    let rest = if differences.len() > examples.len() { ", ..." } else { "" };
-    format!("{} differ ({list}): {}{rest}", count_of(beams.len() as u64, "beam"), examples.join(", "))
+    let list = beams
+        .iter()
+        .map(ToString::to_string)
+        .collect::<Vec<_>>()
+        .join(", ");
+    let rest = if differences.len() > examples.len() {
+        ", ..."
+    } else {
+        ""
+    };
+    format!(
+        "{} differ ({list}): {}{rest}",
+        count_of(beams.len() as u64, "beam"),
+        examples.join(", ")
+    )
 }
 
 fn pipeline(
@@ -411,7 +537,8 @@ fn pipeline(
     buffers: &Kept<Loans>,
     watch: Watch,
 ) -> Result<Pipeline<Kept<Loans>, Watch>, CliError> {
-    Pipeline::new(name, config.clone(), buffers.clone(), watch).map_err(|error| CliError::Usage(error.to_string()))
+    Pipeline::new(name, config.clone(), buffers.clone(), watch)
+        .map_err(|error| CliError::Usage(error.to_string()))
 }
 
 impl Track {
@@ -439,7 +566,11 @@ fn print_tables(traffic: &Traffic, reports: &[SensorReport<'_>], timing: bool) -
     let mut stdout = io::stdout().lock();
     write!(stdout, "{}", tables.join("\n"))?;
     if traffic.other > 0 && !tables.is_empty() {
-        writeln!(stdout, "\npassed over: {} of other traffic", count_of(traffic.other, "record"))?;
+        writeln!(
+            stdout,
+            "\npassed over: {} of other traffic",
+            count_of(traffic.other, "record")
+        )?;
     }
     stdout.flush()
 }
@@ -448,13 +579,19 @@ fn print_tables(traffic: &Traffic, reports: &[SensorReport<'_>], timing: bool) -
 fn warn(capture: &Capture) {
     let name = capture.name();
     if let Some(truncation) = capture.truncation() {
-        complain("warning", format_args!("{name}: {truncation}; everything before was replayed"));
+        complain(
+            "warning",
+            format_args!("{name}: {truncation}; everything before was replayed"),
+        );
     }
     match capture.tally().truncated_records {
         0 => {}
         cut => {
             let cut = count_of(cut, "record");
-            complain("warning", format_args!("{name}: {cut} cut short; capture with a larger snap length"));
+            complain(
+                "warning",
+                format_args!("{name}: {cut} cut short; capture with a larger snap length"),
+            );
         }
     }
 }
@@ -462,16 +599,23 @@ fn warn(capture: &Capture) {
 /// What was there instead of a sensor.
 fn nothing(capture: &Capture, part: &str) -> String {
     let (name, tally) = (capture.name(), capture.tally());
-    let (records, datagrams) = (count_of(tally.records, "record"), count_of(tally.datagrams, "UDP datagram"));
-    format!("{name}: no Velodyne data packets{part} ({records}, {datagrams}); `sweepd inspect` says what is in it")
+    let (records, datagrams) = (
+        count_of(tally.records, "record"),
+        count_of(tally.datagrams, "UDP datagram"),
+    );
+    format!(
+        "{name}: no Velodyne data packets{part} ({records}, {datagrams}); `sweepd inspect` says what is in it"
+    )
 }
 
-/// How far the capture was read, on standard error; silent where that is no terminal, and where JSON comes out beside it.
+/// How far the capture was read, on standard error; silent where that is no terminal, and where
+/// JSON comes out beside it.
 fn progress_bar(args: &Args) -> ProgressBar {
     if args.output.is_json() && io::stdout().is_terminal() {
         return ProgressBar::hidden();
     }
     let template = "{wide_bar} {percent:>3} %  {binary_bytes} of {binary_total_bytes}, {eta} to go";
-    let style = ProgressStyle::with_template(template).unwrap_or_else(|_| ProgressStyle::default_bar());
+    let style =
+        ProgressStyle::with_template(template).unwrap_or_else(|_| ProgressStyle::default_bar());
     ProgressBar::with_draw_target(None, ProgressDrawTarget::stderr()).with_style(style)
 }

@@ -32,15 +32,18 @@ pub struct Args {
     /// What is to run, TOML
     #[arg(short, long, value_name = "FILE")]
     config: Option<PathBuf>,
-    /// Run this sensor without a file, all else at its default: its address, as `address` in a file, and its model if it is not
-    /// to be told by the packets. It is called `sensor`; several are `sensor-1`, `sensor-2` and so on
+    /// Run this sensor without a file, all else at its default: its address, as `address` in a
+    /// file, and its model if it is not to be told by the packets. It is called `sensor`; several
+    /// are `sensor-1`, `sensor-2` and so on
     #[arg(long = "sensor", value_name = "ADDRESS[,MODEL]")]
     sensors: Vec<String>,
-    /// Folder by which the daemon and its consumers find each other [default: `root` of the configuration; else $SWEEPD_ROOT;
-    /// else /run/sweepd/iox2 where there is a /run/sweepd, else /tmp/sweepd/iox2]
+    /// Folder by which the daemon and its consumers find each other [default: `root` of the
+    /// configuration; else $SWEEPD_ROOT; else /run/sweepd/iox2 where there is a /run/sweepd, else
+    /// /tmp/sweepd/iox2]
     #[arg(long, value_name = "DIR")]
     root: Option<PathBuf>,
-    /// What is logged: error, warn, info, debug or trace [default: the variable SWEEPD_LOG, else info]
+    /// What is logged: error, warn, info, debug or trace [default: the variable SWEEPD_LOG, else
+    /// info]
     #[arg(long, value_name = "LEVEL")]
     log: Option<tracing::Level>,
 }
@@ -48,20 +51,42 @@ pub struct Args {
 /// Runs the command.
 ///
 /// # Errors
-/// [`CliError`]: a configuration that cannot be meant, and whatever keeps the daemon from starting or going on.
+/// [`CliError`]: a configuration that cannot be meant, and whatever keeps the daemon from starting
+/// or going on.
 pub fn run(args: &Args) -> Result<(), CliError> {
     let config = args.read()?;
     log(args.log)?;
-    let sensors: Vec<String> = config.sensors.iter().map(|one| format!("{} ({})", one.name, one.address)).collect();
-    let from = args.config.as_ref().map_or_else(|| "--sensor".to_owned(), |file| file.display().to_string());
-    info!("sweepd {} with {from}: {}", crate::VERSION, sensors.join(", "));
+    let sensors: Vec<String> = config
+        .sensors
+        .iter()
+        .map(|one| format!("{} ({})", one.name, one.address))
+        .collect();
+    let from = args
+        .config
+        .as_ref()
+        .map_or_else(|| "--sensor".to_owned(), |file| file.display().to_string());
+    info!(
+        "sweepd {} with {from}: {}",
+        crate::VERSION,
+        sensors.join(", ")
+    );
     if args.config.is_none() {
-        info!("`sweepd watch {}` shows what comes of it", config.sensors[0].name);
+        info!(
+            "`sweepd watch {}` shows what comes of it",
+            config.sensors[0].name
+        );
     }
     let domain = Domain::at_or_default(config.daemon.root.as_deref());
     // Its folder is made here, since the taps' socket is there too.
-    domain.prepare().map_err(|error| CliError::Usage(error.to_string()))?;
-    Ok(control::run(config, &Keeper::new(&domain)?, domain.root(), reread(args.clone()))?)
+    domain
+        .prepare()
+        .map_err(|error| CliError::Usage(error.to_string()))?;
+    Ok(control::run(
+        config,
+        &Keeper::new(&domain)?,
+        domain.root(),
+        reread(args.clone()),
+    )?)
 }
 
 impl Args {
@@ -81,12 +106,19 @@ impl Args {
     fn sensors_as_text(&self) -> String {
         let mut text = String::new();
         for (index, sensor) in self.sensors.iter().enumerate() {
-            let name = if self.sensors.len() == 1 { "sensor".to_owned() } else { format!("sensor-{}", index + 1) };
+            let name = if self.sensors.len() == 1 {
+                "sensor".to_owned()
+            } else {
+                format!("sensor-{}", index + 1)
+            };
             let (address, model) = match sensor.split_once(',') {
                 Some((address, model)) => (address, Some(model)),
                 None => (&sensor[..], None),
             };
-            text += &format!("[[sensor]]\nname = \"{name}\"\naddress = {}\n", toml::Value::from(address));
+            text += &format!(
+                "[[sensor]]\nname = \"{name}\"\naddress = {}\n",
+                toml::Value::from(address)
+            );
             if let Some(model) = model {
                 text += &format!("model = {}\n", toml::Value::from(model));
             }
@@ -103,13 +135,20 @@ fn log(level: Option<tracing::Level>) -> Result<(), CliError> {
         (None, Ok(directives)) => EnvFilter::try_new(directives).map_err(wrong)?,
         (None, Err(_)) => EnvFilter::new("info"),
     };
-    // When nobody reads the log any more, the sensors go on: complaining of that on standard error would panic.
-    let lines =
-        tracing_subscriber::fmt().with_env_filter(filter).with_writer(std::io::stderr).log_internal_errors(false);
+    // When nobody reads the log any more, the sensors go on: complaining of that on standard error
+    // would panic.
+    let lines = tracing_subscriber::fmt()
+        .with_env_filter(filter)
+        .with_writer(std::io::stderr)
+        .log_internal_errors(false);
     if journal::hears_stderr() {
         lines.event_format(Prioritised::default()).init();
     } else {
-        lines.compact().with_target(false).with_ansi(std::io::stderr().is_terminal()).init();
+        lines
+            .compact()
+            .with_target(false)
+            .with_ansi(std::io::stderr().is_terminal())
+            .init();
     }
     Ok(())
 }
@@ -128,7 +167,11 @@ fn reread(args: Args) -> Reread {
                 Effect::Restart => needs_restart.push(change.to_string()),
             }
         }
-        Ok(Reload { config: old.reloaded(&new), taken, needs_restart })
+        Ok(Reload {
+            config: old.reloaded(&new),
+            taken,
+            needs_restart,
+        })
     })
 }
 
@@ -144,30 +187,60 @@ mod tests {
     }
 
     fn read(words: &[&str]) -> Result<Config, ConfigError> {
-        Line::try_parse_from([&["run"], words].concat()).unwrap().args.read()
+        Line::try_parse_from([&["run"], words].concat())
+            .unwrap()
+            .args
+            .read()
     }
 
     #[test]
     fn sensors_without_a_file_are_those_of_a_file_that_names_them() {
-        let config = read(&["--sensor", "10.0.0.7:2000,hdl32e", "--sensor", "10.0.0.8", "--root", "/r"]).unwrap();
+        let config = read(&[
+            "--sensor",
+            "10.0.0.7:2000,hdl32e",
+            "--sensor",
+            "10.0.0.8",
+            "--root",
+            "/r",
+        ])
+        .unwrap();
         let file = Config::parse(
             Path::new(""),
             "root = '/r'\n[[sensor]]\nname = 'sensor-1'\naddress = '10.0.0.7:2000'\nmodel = 'hdl32e'\n\
              [[sensor]]\nname = 'sensor-2'\naddress = '10.0.0.8'",
         );
         let file = file.unwrap();
-        assert_eq!((file.changes(&config), config.sensors.len()), (Vec::new(), 2));
-        assert_eq!((&config.daemon, config.sensors[1].address), (&file.daemon, file.sensors[1].address));
-        assert_eq!(read(&["--sensor", "10.0.0.7"]).unwrap().sensors[0].name, "sensor");
+        assert_eq!(
+            (file.changes(&config), config.sensors.len()),
+            (Vec::new(), 2)
+        );
+        assert_eq!(
+            (&config.daemon, config.sensors[1].address),
+            (&file.daemon, file.sensors[1].address)
+        );
+        assert_eq!(
+            read(&["--sensor", "10.0.0.7"]).unwrap().sensors[0].name,
+            "sensor"
+        );
     }
 
     #[test]
     fn what_is_wrong_is_shown_in_what_was_given() {
-        for (given, part) in [("10.0.0", "10.0.0"), ("10.0.0.1,vlp17", "vlp17"), ("10.0.0.1,\"\n", "model")] {
+        for (given, part) in [
+            ("10.0.0", "10.0.0"),
+            ("10.0.0.1,vlp17", "vlp17"),
+            ("10.0.0.1,\"\n", "model"),
+        ] {
             let error = read(&["--sensor", given]).unwrap_err().to_string();
-            assert!(error.contains("--sensor:") && error.contains(part), "{error}");
+            assert!(
+                error.contains("--sensor:") && error.contains(part),
+                "{error}"
+            );
         }
-        for words in [&["run"][..], &["run", "--sensor", "10.0.0.1", "--config", "a"]] {
+        for words in [
+            &["run"][..],
+            &["run", "--sensor", "10.0.0.1", "--config", "a"],
+        ] {
             assert!(Line::try_parse_from(words).is_err(), "{words:?}");
         }
     }

@@ -6,9 +6,11 @@ use std::net::{IpAddr, Ipv4Addr, Ipv6Addr, SocketAddr, UdpSocket};
 use super::CliError;
 use crate::capture::sensors::MAX_SENSORS;
 
-/// Sends to one address, each sensor from a port of its own, so that a receiver can tell them apart.
+/// Sends to one address, each sensor from a port of its own, so that a receiver can tell them
+/// apart.
 ///
-/// A position packet belongs to an address, not to a sensor: it is sent once, by the first sensor at its address.
+/// A position packet belongs to an address, not to a sensor: it is sent once, by the first sensor
+/// at its address.
 pub struct Sender {
     to: SocketAddr,
     /// At most two for each of [`MAX_SENSORS`].
@@ -25,7 +27,10 @@ struct Port {
 impl Sender {
     /// A sender that has sent nothing yet.
     pub fn new(to: SocketAddr) -> Self {
-        Self { to, ports: Vec::new() }
+        Self {
+            to,
+            ports: Vec::new(),
+        }
     }
 
     /// Sends a data packet of a sensor.
@@ -33,8 +38,15 @@ impl Sender {
     /// # Errors
     /// [`CliError::Send`].
     pub fn data(&mut self, sensor: usize, ip: IpAddr, payload: &[u8]) -> Result<(), CliError> {
-        let own = self.ports.iter().position(|port| port.sensor == Some(sensor));
-        let own = own.or_else(|| self.ports.iter().position(|port| port.sensor.is_none() && port.ip == ip));
+        let own = self
+            .ports
+            .iter()
+            .position(|port| port.sensor == Some(sensor));
+        let own = own.or_else(|| {
+            self.ports
+                .iter()
+                .position(|port| port.sensor.is_none() && port.ip == ip)
+        });
         let index = own.map_or_else(|| self.open(ip), Ok)?;
         self.ports[index].sensor = Some(sensor);
         self.send(index, payload)
@@ -65,17 +77,25 @@ impl Sender {
             Ok(socket)
         });
         let socket = socket.map_err(|source| self.failed(source))?;
-        self.ports.push(Port { ip, sensor: None, socket });
+        self.ports.push(Port {
+            ip,
+            sensor: None,
+            socket,
+        });
         Ok(self.ports.len() - 1)
     }
 
-    /// Not connected: a connected socket fails, and sends nothing, after a datagram that nobody was there to take.
+    /// Not connected: a connected socket fails, and sends nothing, after a datagram that nobody was
+    /// there to take.
     fn send(&self, index: usize, payload: &[u8]) -> Result<(), CliError> {
         let sent = self.ports[index].socket.send_to(payload, self.to);
         sent.map(drop).map_err(|source| self.failed(source))
     }
 
     fn failed(&self, source: io::Error) -> CliError {
-        CliError::Send { to: self.to, source }
+        CliError::Send {
+            to: self.to,
+            source,
+        }
     }
 }

@@ -7,12 +7,16 @@ use std::sync::atomic::AtomicBool;
 use signal_hook::consts::{SIGHUP, SIGINT, SIGTERM};
 use signal_hook::flag;
 
-/// A flag that is set when the command shall end; a second signal ends the program at once, should something hang.
+/// A flag that is set when the command shall end; a second signal ends the program at once, should
+/// something hang.
 ///
 /// # Errors
 /// What the system says.
 pub fn end_flag() -> io::Result<Arc<AtomicBool>> {
-    let (over, again) = (Arc::new(AtomicBool::new(false)), Arc::new(AtomicBool::new(false)));
+    let (over, again) = (
+        Arc::new(AtomicBool::new(false)),
+        Arc::new(AtomicBool::new(false)),
+    );
     for signal in [SIGINT, SIGTERM, SIGHUP] {
         flag::register_conditional_default(signal, Arc::clone(&again))?;
         flag::register(signal, Arc::clone(&again))?;

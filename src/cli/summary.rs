@@ -36,7 +36,8 @@ pub struct Sums {
 }
 
 impl Sums {
-    /// Adds a sweep. What depends on a whole turn (speed, shares, times) is taken from whole ones as long as there are any.
+    /// Adds a sweep. What depends on a whole turn (speed, shares, times) is taken from whole ones
+    /// as long as there are any.
     pub fn add(&mut self, sweep: &SweepRef<'_>) {
         let header = sweep.header;
         self.returns += u64::from(header.returns);
@@ -54,7 +55,11 @@ impl Sums {
                 self.forget_partial();
             }
         }
-        self.segmented += sweep.range.iter().filter(|&&range| is_return(range)).count() as u64;
+        self.segmented += sweep
+            .range
+            .iter()
+            .filter(|&&range| is_return(range))
+            .count() as u64;
         self.ground += u64::from(header.ground);
         self.segments += u64::from(header.segments);
         self.columns += sweep.columns.len() as u64;
@@ -93,7 +98,11 @@ impl Sums {
 
     /// Sweeps that shares and means are over.
     fn counted(&self) -> f64 {
-        if self.whole > 0 { self.whole as f64 } else { self.partial.max(1) as f64 }
+        if self.whole > 0 {
+            self.whole as f64
+        } else {
+            self.partial.max(1) as f64
+        }
     }
 
     fn ground_share(&self) -> f64 {
@@ -174,7 +183,12 @@ struct SensorSummary<'a> {
 
 impl<'a> SummaryLine<'a> {
     /// Of a capture and the sensors in it.
-    pub fn new(capture: &'a Capture, traffic: &Traffic, reports: &[SensorReport<'a>], timing: bool) -> Self {
+    pub fn new(
+        capture: &'a Capture,
+        traffic: &Traffic,
+        reports: &[SensorReport<'a>],
+        timing: bool,
+    ) -> Self {
         let tally = capture.tally();
         Self {
             summary: Summary {
@@ -203,7 +217,13 @@ impl Traffic {
     /// Of a capture, with so many datagrams of other senders.
     pub fn new(capture: &Capture, datagrams: u64) -> Self {
         let tally = capture.tally();
-        Self { other: tally.not_ip + tally.not_udp + tally.unsupported_link + tally.malformed + datagrams }
+        Self {
+            other: tally.not_ip
+                + tally.not_udp
+                + tally.unsupported_link
+                + tally.malformed
+                + datagrams,
+        }
     }
 }
 
@@ -227,7 +247,9 @@ impl<'a> SensorReport<'a> {
             missing_columns: sums.missing_columns,
             ground_share: rounded(sums.ground_share(), 1e4),
             segments_per_sweep: rounded(sums.segments as f64 / counted, 10.0),
-            height_m: sums.height.map(|(height, _)| rounded(f64::from(height), 1000.0)),
+            height_m: sums
+                .height
+                .map(|(height, _)| rounded(f64::from(height), 1000.0)),
             height_estimated: sums.height.map(|(_, estimated)| estimated),
             packets: counts.data,
             position_packets: counts.position,
@@ -278,33 +300,78 @@ impl<'a> SensorReport<'a> {
         let counted = sums.counted();
         row("return mode", sums.modes.join(", "));
         if let Some((least, most)) = sums.rpm {
-            let sense = if sums.reversed { ", counter-clockwise" } else { "" };
-            row("speed", format!("{:.1} rpm ({least:.1} to {most:.1}){sense}", sums.rpm_sum / counted));
+            let sense = if sums.reversed {
+                ", counter-clockwise"
+            } else {
+                ""
+            };
+            row(
+                "speed",
+                format!(
+                    "{:.1} rpm ({least:.1} to {most:.1}){sense}",
+                    sums.rpm_sum / counted
+                ),
+            );
         }
-        let kept = if self.partial_emitted { "" } else { " (left out; --partial keeps them)" };
-        let partial = if sums.partial > 0 { format!(", {} partial{kept}", sums.partial) } else { String::new() };
-        let size = format!("{} rows x {:.0} columns", sums.rows, sums.columns as f64 / counted);
+        let kept = if self.partial_emitted {
+            ""
+        } else {
+            " (left out; --partial keeps them)"
+        };
+        let partial = if sums.partial > 0 {
+            format!(", {} partial{kept}", sums.partial)
+        } else {
+            String::new()
+        };
+        let size = format!(
+            "{} rows x {:.0} columns",
+            sums.rows,
+            sums.columns as f64 / counted
+        );
         row("sweeps", format!("{} whole{partial}; {size}", sums.whole));
         row("returns", grouped(sums.returns));
         let height = match sums.height {
-            Some((height, true)) => format!("; sensor {height:.2} m above it (estimated; --height if you know it)"),
+            Some((height, true)) => {
+                format!("; sensor {height:.2} m above it (estimated; --height if you know it)")
+            }
             Some((height, false)) => format!("; sensor {height:.2} m above it"),
             None if sums.ground == 0 && sums.segmented > 0 => {
-                "; the height of the sensor was not found, so none is labelled: give --height".to_owned()
+                "; the height of the sensor was not found, so none is labelled: give --height"
+                    .to_owned()
             }
             None => String::new(),
         };
-        row("ground", format!("{:.1} % of the returns{height}", 100.0 * sums.ground_share()));
-        row("segments", format!("{:.1} a sweep", sums.segments as f64 / counted));
+        row(
+            "ground",
+            format!(
+                "{:.1} % of the returns{height}",
+                100.0 * sums.ground_share()
+            ),
+        );
+        row(
+            "segments",
+            format!("{:.1} a sweep", sums.segments as f64 / counted),
+        );
         let clock = |name: &&str| match *name == time_source_name(TimeSource::Gps) {
             true => "UTC from GPS",
             false => "time of the capture (no GPS lock reported)",
         };
-        row("clock", sums.sources.iter().map(clock).collect::<Vec<_>>().join(", "));
+        row(
+            "clock",
+            sums.sources
+                .iter()
+                .map(clock)
+                .collect::<Vec<_>>()
+                .join(", "),
+        );
     }
 
     fn packets(&self) -> String {
-        format!("{} data, {} position", grouped(self.counts.data), grouped(self.counts.position))
+        format!(
+            "{} data, {} position",
+            grouped(self.counts.data),
+            grouped(self.counts.position)
+        )
     }
 
     fn losses(&self) -> String {
@@ -333,7 +400,9 @@ impl<'a> SensorReport<'a> {
     fn times(&self) -> String {
         let counted = self.sums.counted();
         let [sum, most] = self.sums.stages;
-        let stage = |name: &str, sum: f64, most: f64| format!("{name} {:.0} us (at most {most:.0})", sum / counted);
+        let stage = |name: &str, sum: f64, most: f64| {
+            format!("{name} {:.0} us (at most {most:.0})", sum / counted)
+        };
         format!(
             "{}, {}, {} a sweep",
             stage("decode", sum.decode, most.decode),

@@ -27,21 +27,40 @@ impl SegmentTables {
     ///
     /// # Errors
     /// [`CliError`]: a name that says no format, a file that exists or cannot be written.
-    pub fn create(path: &Path, is_json: bool, axes: Axes, existing: Existing) -> Result<Self, CliError> {
+    pub fn create(
+        path: &Path,
+        is_json: bool,
+        axes: Axes,
+        existing: Existing,
+    ) -> Result<Self, CliError> {
         let shown = path.display();
         if path.as_os_str() == "-" {
             if is_json {
-                let message = "--segments - and --json both write to standard output; give --segments a file";
+                let message =
+                    "--segments - and --json both write to standard output; give --segments a file";
                 return Err(CliError::Usage(message.to_owned()));
             }
             let out = Out::Stdout(BufWriter::new(io::stdout().lock()));
-            return Ok(Self { out, format: TableFormat::Jsonl, axes });
+            return Ok(Self {
+                out,
+                format: TableFormat::Jsonl,
+                axes,
+            });
         }
-        let format = path.extension().and_then(|ending| ending.to_str()?.parse().ok()).ok_or_else(|| {
-            CliError::Usage(format!("--segments {shown}: expected a name that ends in .jsonl or .csv, or -"))
-        })?;
+        let format = path
+            .extension()
+            .and_then(|ending| ending.to_str()?.parse().ok())
+            .ok_or_else(|| {
+                CliError::Usage(format!(
+                    "--segments {shown}: expected a name that ends in .jsonl or .csv, or -"
+                ))
+            })?;
         let (file, new) = NewFile::create(path, existing)?;
-        let mut tables = Self { out: Out::File(BufWriter::new(file), new), format, axes };
+        let mut tables = Self {
+            out: Out::File(BufWriter::new(file), new),
+            format,
+            axes,
+        };
         tables.write(|out| out.write_all(format.header().as_bytes()))?;
         Ok(tables)
     }
@@ -66,10 +85,17 @@ impl SegmentTables {
         }
     }
 
-    fn write(&mut self, write: impl FnOnce(&mut dyn Write) -> io::Result<()>) -> Result<(), CliError> {
+    fn write(
+        &mut self,
+        write: impl FnOnce(&mut dyn Write) -> io::Result<()>,
+    ) -> Result<(), CliError> {
         match &mut self.out {
-            Out::File(out, new) => write(out).and_then(|()| out.flush()).map_err(|cause| new.failed(cause).into()),
-            Out::Stdout(out) => write(out).and_then(|()| out.flush()).map_err(CliError::Stdout),
+            Out::File(out, new) => write(out)
+                .and_then(|()| out.flush())
+                .map_err(|cause| new.failed(cause).into()),
+            Out::Stdout(out) => write(out)
+                .and_then(|()| out.flush())
+                .map_err(CliError::Stdout),
         }
     }
 }

@@ -72,16 +72,33 @@ pub struct Args {
 /// # Errors
 /// [`CliError`]: no such sensor, another user's, or what cannot be written.
 pub fn run(args: &Args) -> Result<(), CliError> {
-    let over = end_flag().map_err(|source| CliError::System { what: "handle signals", source })?;
+    let over = end_flag().map_err(|source| CliError::System {
+        what: "handle signals",
+        source,
+    })?;
     let domain = args.root.domain();
-    let Some(name) = args.find(&domain, &over)? else { return Ok(()) };
+    let Some(name) = args.find(&domain, &over)? else {
+        return Ok(());
+    };
     let client = Client::within(&domain, &name)?;
     let mut outputs = Outputs::new(&args.output)?;
     outputs.remove_former()?;
     let table = (!args.output.is_json()).then(|| Table::new(&name));
     let (latencies, losses) = (Latencies::default(), Losses::new(Limits::default()));
     let tally = Tally::default();
-    Watch { args, name, client, outputs, table, latencies, losses, tally, newest: None, seen: 0 }.run(&over)
+    Watch {
+        args,
+        name,
+        client,
+        outputs,
+        table,
+        latencies,
+        losses,
+        tally,
+        newest: None,
+        seen: 0,
+    }
+    .run(&over)
 }
 
 /// When a sweep came.
@@ -107,7 +124,8 @@ struct Watch<'a> {
 }
 
 impl Watch<'_> {
-    /// Follows the sensor to the end. What was received is shown, and the segments have their file, whatever ended it.
+    /// Follows the sensor to the end. What was received is shown, and the segments have their file,
+    /// whatever ended it.
     fn run(mut self, over: &AtomicBool) -> Result<(), CliError> {
         let ended = self.follow(over);
         if let Some(table) = &mut self.table {
@@ -116,7 +134,9 @@ impl Watch<'_> {
         self.outputs.finish()?;
         ended?;
         if self.args.latency {
-            self.latencies.print(&mut io::stdout().lock()).map_err(CliError::Stdout)?;
+            self.latencies
+                .print(&mut io::stdout().lock())
+                .map_err(CliError::Stdout)?;
         }
         Ok(())
     }
@@ -124,17 +144,35 @@ impl Watch<'_> {
     fn follow(&mut self, over: &AtomicBool) -> Result<(), CliError> {
         let mut last = Instant::now();
         let mut told = false;
-        while !over.load(Ordering::Relaxed) && self.args.sweeps.is_none_or(|sweeps| self.seen < sweeps) {
+        while !over.load(Ordering::Relaxed)
+            && self.args.sweeps.is_none_or(|sweeps| self.seen < sweeps)
+        {
             let next = self.client.next(LOOK_EVERY)?;
-            let receipt = Receipt { realtime_ns: realtime_ns(), monotonic_ns: monotonic_ns() };
+            let receipt = Receipt {
+                realtime_ns: realtime_ns(),
+                monotonic_ns: monotonic_ns(),
+            };
             if let Some(sweep) = next {
                 (last, told) = (Instant::now(), false);
                 self.seen += 1;
-                self.sweep(sweep.view().map_err(|error| CliError::Usage(error.to_string()))?, receipt)?;
-            } else if self.args.timeout.is_some_and(|timeout| last.elapsed().as_secs_f64() >= timeout) {
+                self.sweep(
+                    sweep
+                        .view()
+                        .map_err(|error| CliError::Usage(error.to_string()))?,
+                    receipt,
+                )?;
+            } else if self
+                .args
+                .timeout
+                .is_some_and(|timeout| last.elapsed().as_secs_f64() >= timeout)
+            {
                 return Err(CliError::Usage(self.nothing(last.elapsed())));
-            } else if last.elapsed() > Duration::from_secs(2) && !std::mem::replace(&mut told, true) {
-                complain("note", format_args!("{}; waiting for it", self.nothing(last.elapsed())));
+            } else if last.elapsed() > Duration::from_secs(2) && !std::mem::replace(&mut told, true)
+            {
+                complain(
+                    "note",
+                    format_args!("{}; waiting for it", self.nothing(last.elapsed())),
+                );
             }
             if let Some(table) = &mut self.table {
                 table.print_when_due().map_err(CliError::Stdout)?;
@@ -147,22 +185,32 @@ impl Watch<'_> {
         let header = sweep.header;
         let latency_us = LatencyUs {
             arrival: receipt.realtime_ns.saturating_sub(header.arrival_ns) as f64 / 1000.0,
-            completed: receipt.monotonic_ns.saturating_sub(header.completed_monotonic_ns) as f64 / 1000.0,
+            completed: receipt
+                .monotonic_ns
+                .saturating_sub(header.completed_monotonic_ns) as f64
+                / 1000.0,
         };
         self.latencies.add(header, latency_us);
-        self.note_losses(header, Duration::from_nanos(receipt.monotonic_ns.unsigned_abs()));
+        self.note_losses(
+            header,
+            Duration::from_nanos(receipt.monotonic_ns.unsigned_abs()),
+        );
         if let Some(table) = &mut self.table {
             table.add(&sweep, latency_us, self.client.reopened());
         }
         let Some(model) = Model::from_code(header.model) else {
-            let text =
-                format!("sweep {} is of model {}, which this version does not know", header.sequence, header.model);
+            let text = format!(
+                "sweep {} is of model {}, which this version does not know",
+                header.sequence, header.model
+            );
             return Err(CliError::Usage(text));
         };
-        self.outputs.sweep((0, model), header.sequence, sweep, Some(latency_us))
+        self.outputs
+            .sweep((0, model), header.sequence, sweep, Some(latency_us))
     }
 
-    /// Tells losses once when they begin and once when they are over, as the daemon does, by what the headers count.
+    /// Tells losses once when they begin and once when they are over, as the daemon does, by what
+    /// the headers count.
     fn note_losses(&mut self, header: &Header, now: Duration) {
         match self.newest.replace((header.run_ns, now)) {
             Some((_, before)) if now.saturating_sub(before) >= PATIENCE => self.losses.forget(),
@@ -173,8 +221,14 @@ impl Watch<'_> {
         self.tally.lost += u64::from(header.lost_packets);
         self.tally.dropped += u64::from(header.dropped_datagrams);
         let turn = self.losses.observe(now, self.tally);
-        let Some((turn, recent)) = turn.zip(self.losses.recent()) else { return };
-        let place = Place { address: header.sensor().to_owned(), port: None, sensors: 1 };
+        let Some((turn, recent)) = turn.zip(self.losses.recent()) else {
+            return;
+        };
+        let place = Place {
+            address: header.sensor().to_owned(),
+            port: None,
+            sensors: 1,
+        };
         let told = match turn {
             Turn::Begun(_) => recent.sentence(&place),
             Turn::Over(lasted) => recent.over(lasted),
@@ -188,10 +242,17 @@ impl Watch<'_> {
         let seconds = waited.as_secs_f64();
         match (self.client.is_connected(), self.client.is_published()) {
             (true, true) => {
-                format!("{name}: no sweep for {seconds:.1} s, though it is published: does the sensor send?")
+                format!(
+                    "{name}: no sweep for {seconds:.1} s, though it is published: does the sensor send?"
+                )
             }
-            (true, false) => format!("{name}: not published any more for {seconds:.1} s: was the daemon stopped?"),
-            _ => format!("{name}: not published for {seconds:.1} s{}", self.published()),
+            (true, false) => format!(
+                "{name}: not published any more for {seconds:.1} s: was the daemon stopped?"
+            ),
+            _ => format!(
+                "{name}: not published for {seconds:.1} s{}",
+                self.published()
+            ),
         }
     }
 
@@ -212,7 +273,8 @@ impl Watch<'_> {
 }
 
 impl Args {
-    /// The sensor to watch: the one that was named, or the only one. Of several, the names are shown, and it is an error.
+    /// The sensor to watch: the one that was named, or the only one. Of several, the names are
+    /// shown, and it is an error.
     fn find(&self, domain: &Domain, over: &Arc<AtomicBool>) -> Result<Option<String>, CliError> {
         if let Some(name) = &self.name {
             return Ok(Some(name.clone()));
@@ -224,14 +286,27 @@ impl Args {
             match names.len() {
                 0 => {}
                 1 => return Ok(names.pop()),
-                _ => return Err(CliError::Usage(format!("there are several sensors, name one: {}", names.join(", ")))),
+                _ => {
+                    return Err(CliError::Usage(format!(
+                        "there are several sensors, name one: {}",
+                        names.join(", ")
+                    )));
+                }
             }
             let root = domain.root().display();
-            if self.timeout.is_some_and(|timeout| begun.elapsed().as_secs_f64() >= timeout) {
-                return Err(CliError::Usage(format!("no sensor is published in {root}; is the daemon running?")));
+            if self
+                .timeout
+                .is_some_and(|timeout| begun.elapsed().as_secs_f64() >= timeout)
+            {
+                return Err(CliError::Usage(format!(
+                    "no sensor is published in {root}; is the daemon running?"
+                )));
             }
             if !std::mem::replace(&mut told, true) {
-                complain("note", format_args!("no sensor is published in {root} yet; waiting for one"));
+                complain(
+                    "note",
+                    format_args!("no sensor is published in {root} yet; waiting for one"),
+                );
             }
             std::thread::sleep(LOOK_EVERY);
         }

@@ -45,22 +45,29 @@ impl Config {
     /// # Errors
     /// [`ConfigError`], with every line that is to blame.
     pub fn read(path: &Path) -> Result<Self, ConfigError> {
-        let bytes = crate::files::read(path, MAX_FILE_LEN)
-            .map_err(|source| ConfigError::Read { path: path.to_owned(), source })?;
+        let bytes = crate::files::read(path, MAX_FILE_LEN).map_err(|source| ConfigError::Read {
+            path: path.to_owned(),
+            source,
+        })?;
         let text = String::from_utf8(bytes).map_err(|error| {
             let at = error.utf8_error().valid_up_to();
             let text = String::from_utf8_lossy(error.as_bytes());
-            let problem =
-                Problem::new(at..at + char::REPLACEMENT_CHARACTER.len_utf8(), "this is no text", "expected UTF-8");
+            let problem = Problem::new(
+                at..at + char::REPLACEMENT_CHARACTER.len_utf8(),
+                "this is no text",
+                "expected UTF-8",
+            );
             Problems::new(path.display().to_string(), &text, vec![problem])
         })?;
         Self::parse(path, &text)
     }
 
-    /// The configuration in a text; `path` is what errors call it, and what it names is relative to that one's folder.
+    /// The configuration in a text; `path` is what errors call it, and what it names is relative to
+    /// that one's folder.
     ///
     /// # Errors
-    /// [`ConfigError::Invalid`]: the first slip in the syntax, or all keys, types and values that cannot be meant.
+    /// [`ConfigError::Invalid`]: the first slip in the syntax, or all keys, types and values that
+    /// cannot be meant.
     pub fn parse(path: &Path, text: &str) -> Result<Self, ConfigError> {
         let folder = path.parent().unwrap_or(Path::new(""));
         let config = file::read(text).and_then(|reading| check::check(reading, folder));
@@ -90,11 +97,13 @@ pub struct SensorConfig {
     pub source_port: Option<u16>,
     /// Where its data packets are received.
     pub port: PortConfig,
-    /// Port on which its position packets are received, with the other settings of [`SensorConfig::port`].
+    /// Port on which its position packets are received, with the other settings of
+    /// [`SensorConfig::port`].
     pub position_port: u16,
     /// Consumers at most.
     pub max_consumers: usize,
-    /// Whether it may send two returns, which double the planes; `None` when that is told by its packets.
+    /// Whether it may send two returns, which double the planes; `None` when that is told by its
+    /// packets.
     pub dual: Option<bool>,
     /// Speed it is set to, turns a minute, if that is to be watched.
     pub rpm: Option<f32>,
@@ -124,7 +133,8 @@ pub struct PortConfig {
 /// A recording.
 #[derive(Clone, Debug, PartialEq, Eq)]
 pub struct RecordConfig {
-    /// The name of its files: `drive-000.pcap` and on for `drive.pcap`, the next free number at each start.
+    /// The name of its files: `drive-000.pcap` and on for `drive.pcap`, the next free number at
+    /// each start.
     pub path: PathBuf,
     /// Bytes after which another file begins.
     pub rotate_bytes: Option<u64>,
@@ -133,12 +143,17 @@ pub struct RecordConfig {
 }
 
 /// The models that a sensor may be of which so much is told.
-fn possible_models(model: Option<Model>, calibration: Option<&Calibration>) -> impl Iterator<Item = Model> {
-    Model::ALL.into_iter().filter(move |&candidate| match (model, calibration) {
-        (Some(own), _) => own == candidate,
-        (None, Some(calibration)) => calibration.clone().for_model(candidate).is_ok(),
-        (None, None) => true,
-    })
+fn possible_models(
+    model: Option<Model>,
+    calibration: Option<&Calibration>,
+) -> impl Iterator<Item = Model> {
+    Model::ALL
+        .into_iter()
+        .filter(move |&candidate| match (model, calibration) {
+            (Some(own), _) => own == candidate,
+            (None, Some(calibration)) => calibration.clone().for_model(candidate).is_ok(),
+            (None, None) => true,
+        })
 }
 
 #[cfg(test)]

@@ -1,4 +1,5 @@
-//! The control plane, on one thread: signals, what is told of the sensors, systemd, and health over HTTP.
+//! The control plane, on one thread: signals, what is told of the sensors, systemd, and health over
+//! HTTP.
 
 use std::future::pending;
 use std::io;
@@ -30,8 +31,8 @@ const RETRY: (Duration, Duration) = (Duration::from_millis(250), Duration::from_
 /// A configuration that was read anew.
 #[derive(Clone, Debug)]
 pub struct Reload {
-    /// What runs from now on: the sensors and ports of the one before, with what of the new one can be had without a
-    /// restart.
+    /// What runs from now on: the sensors and ports of the one before, with what of the new one can
+    /// be had without a restart.
     pub config: Config,
     /// What is taken of the new one, a sentence each.
     pub taken: Vec<String>,
@@ -39,35 +40,56 @@ pub struct Reload {
     pub needs_restart: Vec<String>,
 }
 
-/// Reads the configuration anew and compares it with the one that runs, or says why it cannot be taken.
+/// Reads the configuration anew and compares it with the one that runs, or says why it cannot be
+/// taken.
 pub type Reread = Box<dyn FnMut(&Config) -> Result<Reload, String>>;
 
-/// Runs the daemon until SIGTERM or SIGINT; SIGHUP reads the configuration anew. `root` is the folder where consumers find
-/// it, and the socket of the taps.
+/// Runs the daemon until SIGTERM or SIGINT; SIGHUP reads the configuration anew. `root` is the
+/// folder where consumers find it, and the socket of the taps.
 ///
-/// A signal ends it within 200 ms where its threads get a core, all but the recording: what that has is on the disk before
-/// this returns, however long the disk takes. (systemd gives it the TimeoutStopSec of the unit; what the disk did not take in
-/// that time is lost.)
+/// A signal ends it within 200 ms where its threads get a core, all but the recording: what that
+/// has is on the disk before this returns, however long the disk takes. (systemd gives it the
+/// TimeoutStopSec of the unit; what the disk did not take in that time is lost.)
 ///
 /// # Errors
-/// [`DaemonError`]: it cannot start, or cannot go on; then the process is to end, so that systemd starts it again.
-pub fn run<S: Sharing>(config: Config, sharing: &S, root: &Path, reread: Reread) -> Result<(), DaemonError> {
-    let failed = |source| DaemonError::System { what: "start the control thread", source };
+/// [`DaemonError`]: it cannot start, or cannot go on; then the process is to end, so that systemd
+/// starts it again.
+pub fn run<S: Sharing>(
+    config: Config,
+    sharing: &S,
+    root: &Path,
+    reread: Reread,
+) -> Result<(), DaemonError> {
+    let failed = |source| DaemonError::System {
+        what: "start the control thread",
+        source,
+    };
     let begun = Instant::now();
-    let tokio = tokio::runtime::Builder::new_current_thread().enable_all().build().map_err(failed)?;
+    let tokio = tokio::runtime::Builder::new_current_thread()
+        .enable_all()
+        .build()
+        .map_err(failed)?;
     tokio.block_on(async {
         // Before anything is opened, so that no signal leaves it half done.
-        let mut signals = Signals::new().map_err(|source| DaemonError::System { what: "handle signals", source })?;
+        let mut signals = Signals::new().map_err(|source| DaemonError::System {
+            what: "handle signals",
+            source,
+        })?;
         let http = listen(&config.daemon).await?;
         let mut tees = Tees::open(Some(socket_path(root)));
         let mut start = || Runtime::start(&config, sharing, &mut tees);
-        let Some(runtime) = started(&mut start, (root, http.as_ref()), &mut signals).await? else { return Ok(()) };
-        Control::new(config, (runtime, tees), reread, root, begun).serve(sharing, signals, http).await
+        let Some(runtime) = started(&mut start, (root, http.as_ref()), &mut signals).await? else {
+            return Ok(());
+        };
+        Control::new(config, (runtime, tees), reread, root, begun)
+            .serve(sharing, signals, http)
+            .await
     })
 }
 
-/// Starts, again and again while what is missing may come: at boot, the network may not be there yet. `None` when it was
-/// asked to end meanwhile. A reload ends it too: then systemd starts it with the new configuration.
+/// Starts, again and again while what is missing may come: at boot, the network may not be there
+/// yet. `None` when it was asked to end meanwhile. A reload ends it too: then systemd starts it
+/// with the new configuration.
 async fn started(
     start: &mut dyn FnMut() -> Result<Runtime, DaemonError>,
     (root, http): (&Path, Option<&Http>),
@@ -122,7 +144,9 @@ impl Signals {
 }
 
 async fn listen(config: &DaemonConfig) -> Result<Option<Http>, DaemonError> {
-    let Some(address) = config.http else { return Ok(None) };
+    let Some(address) = config.http else {
+        return Ok(None);
+    };
     let refused = |source| DaemonError::Http { address, source };
     let listener = TcpListener::bind(address).await.map_err(refused)?;
     let address = listener.local_addr().map_err(refused)?;
@@ -130,7 +154,10 @@ async fn listen(config: &DaemonConfig) -> Result<Option<Http>, DaemonError> {
     if !address.ip().is_loopback() {
         warn!("health and metrics are served to every host that reaches {address}");
     }
-    Ok(Some(Http { listener, is_public: config.http_public }))
+    Ok(Some(Http {
+        listener,
+        is_public: config.http_public,
+    }))
 }
 
 /// All that the control thread holds.
@@ -158,19 +185,37 @@ struct Control {
 }
 
 impl Control {
-    fn new(config: Config, (runtime, tees): (Runtime, Tees), reread: Reread, root: &Path, begun: Instant) -> Self {
+    fn new(
+        config: Config,
+        (runtime, tees): (Runtime, Tees),
+        reread: Reread,
+        root: &Path,
+        begun: Instant,
+    ) -> Self {
         let now = begun.elapsed();
         let watcher = |(status, sensor): (&SensorStatus, &super::config::SensorConfig)| {
             let place = (status.address.to_string(), status.port);
             let mut watcher = Watcher::new(&status.name, place, sensor.rpm, now);
             let has_its_port = |other: &&SensorStatus| other.port_index == status.port_index;
-            watcher.watch_losses(sensor.losses, runtime.sensors.iter().filter(has_its_port).count());
+            watcher.watch_losses(
+                sensor.losses,
+                runtime.sensors.iter().filter(has_its_port).count(),
+            );
             watcher
         };
-        let watchers: Vec<Watcher> = runtime.sensors.iter().zip(&config.sensors).map(watcher).collect();
+        let watchers: Vec<Watcher> = runtime
+            .sensors
+            .iter()
+            .zip(&config.sensors)
+            .map(watcher)
+            .collect();
         let watchdog = sd_notify::watchdog_enabled();
         let pulse = Pulse::new(watchdog, runtime.ports.len(), now);
-        let view = View::new(Arc::clone(&runtime.sensors), Arc::clone(&runtime.ports), root.to_owned());
+        let view = View::new(
+            Arc::clone(&runtime.sensors),
+            Arc::clone(&runtime.ports),
+            root.to_owned(),
+        );
         let view = Arc::new(Mutex::new(view));
         let notifier = Notifier::default();
         let renewed = vec![0; runtime.sensors.len()];
@@ -199,7 +244,10 @@ impl Control {
         http: Option<Http>,
     ) -> Result<(), DaemonError> {
         for status in self.runtime.sensors.iter() {
-            info!("{}: waiting for packets from {} on port {}", status.name, status.address, status.port);
+            info!(
+                "{}: waiting for packets from {} on port {}",
+                status.name, status.address, status.port
+            );
         }
         let view = Arc::clone(&self.view);
         let serving = serve_health(http.as_ref(), view);
@@ -236,11 +284,26 @@ impl Control {
         }
         for (watcher, sensor) in self.watchers.iter_mut().zip(self.runtime.sensors.iter()) {
             let tally = tally(sensor, &self.runtime);
-            watcher.observe(&Observation { tally, ..observation(&sensor.counters, now) }).iter().for_each(log);
+            watcher
+                .observe(&Observation {
+                    tally,
+                    ..observation(&sensor.counters, now)
+                })
+                .iter()
+                .for_each(log);
         }
-        let hanging = self.pulse.observe(now, self.runtime.ports.iter().map(|port| port.counters.heartbeat.get()));
+        let hanging = self.pulse.observe(
+            now,
+            self.runtime
+                .ports
+                .iter()
+                .map(|port| port.counters.heartbeat.get()),
+        );
         for &index in hanging.iter().filter(|index| !self.hanging.contains(index)) {
-            error!("the thread of port {} hangs; systemd restarts the daemon, if it watches it", self.port(index));
+            error!(
+                "the thread of port {} hangs; systemd restarts the daemon, if it watches it",
+                self.port(index)
+            );
         }
         for &index in self.hanging.iter().filter(|index| !hanging.contains(index)) {
             warn!("the thread of port {} goes on", self.port(index));
@@ -258,7 +321,10 @@ impl Control {
 
     fn look_at_interfaces(&mut self) {
         let ports = self.runtime.ports.iter().enumerate();
-        let gone: Vec<usize> = ports.filter(|(_, port)| port.counters.is_interface_gone()).map(|(at, _)| at).collect();
+        let gone: Vec<usize> = ports
+            .filter(|(_, port)| port.counters.is_interface_gone())
+            .map(|(at, _)| at)
+            .collect();
         for &index in gone.iter().filter(|index| !self.gone.contains(index)) {
             warn!("{}", health::interface_gone(&self.runtime.ports[index]));
         }
@@ -324,7 +390,10 @@ impl Control {
                 }
                 Event::Reconfigured(Err(error)) => warn!("{name}: goes on as before: {error}"),
                 Event::NotShared(why) => {
-                    warn!("{name}: sweeps reach nobody: {}", sensor.sharing.trouble().unwrap_or(why));
+                    warn!(
+                        "{name}: sweeps reach nobody: {}",
+                        sensor.sharing.trouble().unwrap_or(why)
+                    );
                 }
                 Event::SharedAgain => info!("{name}: sweeps are shared again"),
             }
@@ -335,10 +404,19 @@ impl Control {
     fn tell(&mut self) {
         let conditions: Vec<Condition> = self.watchers.iter().map(Watcher::condition).collect();
         let named = self.runtime.sensors.iter().zip(&conditions);
-        let words: Vec<String> = named.map(|(sensor, is)| format!("{} {}", sensor.name, is.state)).collect();
+        let words: Vec<String> = named
+            .map(|(sensor, is)| format!("{} {}", sensor.name, is.state))
+            .collect();
         self.notifier.status(&words.join(", "));
-        let hanging = self.hanging.iter().map(|&index| self.port(index).to_owned()).collect();
-        self.view.lock().unwrap_or_else(PoisonError::into_inner).update(conditions, hanging, self.tees.status());
+        let hanging = self
+            .hanging
+            .iter()
+            .map(|&index| self.port(index).to_owned())
+            .collect();
+        self.view
+            .lock()
+            .unwrap_or_else(PoisonError::into_inner)
+            .update(conditions, hanging, self.tees.status());
     }
 
     fn port(&self, index: usize) -> &str {
@@ -349,13 +427,19 @@ impl Control {
     fn reload(&mut self) {
         self.notifier.reloading();
         match (self.reread)(&self.config) {
-            Ok(Reload { config, taken, needs_restart }) => {
+            Ok(Reload {
+                config,
+                taken,
+                needs_restart,
+            }) => {
                 info!("the configuration was read");
                 taken.iter().for_each(|what| info!("{what}"));
                 self.apply(config);
                 needs_restart.iter().for_each(|what| warn!("{what}"));
             }
-            Err(why) => warn!("the configuration is not taken, everything goes on as before: {why}"),
+            Err(why) => {
+                warn!("the configuration is not taken, everything goes on as before: {why}")
+            }
         }
         self.notifier.ready();
     }
@@ -380,12 +464,15 @@ impl Control {
 
 /// Faults name the options of the command line; the configuration has keys of the same names.
 fn in_words_of_the_file(fault: &Fault) -> String {
-    fault.to_string().replace("--model", "`model`").replace("--calibration", "`calibration`")
+    fault
+        .to_string()
+        .replace("--model", "`model`")
+        .replace("--calibration", "`calibration`")
 }
 
-/// Ticks at once, and then at multiples of a period since tokio's clock began. Its timers wait in slots of 64 ms: one that is
-/// due where a slot begins, as all are with the period that [`beat`] has at most, wakes the thread once, and any other once
-/// more before.
+/// Ticks at once, and then at multiples of a period since tokio's clock began. Its timers wait in
+/// slots of 64 ms: one that is due where a slot begins, as all are with the period that [`beat`]
+/// has at most, wakes the thread once, and any other once more before.
 fn ticks(begun: Instant, period: Duration) -> Interval {
     let mut ticks = interval_at(begun.into(), period);
     ticks.set_missed_tick_behavior(MissedTickBehavior::Skip);
@@ -409,18 +496,35 @@ fn tally(sensor: &SensorStatus, runtime: &Runtime) -> Tally {
         .filter(|other| other.port_index == sensor.port_index)
         .map(|other| other.counters.refused.get())
         .sum();
-    let rejected: u64 = Reject::ALL.into_iter().map(|reason| port.rejected(reason)).sum();
-    Tally { dropped: port.dropped.get(), strangers: rejected.saturating_sub(own), ..sensor.counters.tally() }
+    let rejected: u64 = Reject::ALL
+        .into_iter()
+        .map(|reason| port.rejected(reason))
+        .sum();
+    Tally {
+        dropped: port.dropped.get(),
+        strangers: rejected.saturating_sub(own),
+        ..sensor.counters.tally()
+    }
 }
 
 fn observation(counters: &SensorCounters, now: Duration) -> Observation {
     // Sweeps before the packets, as they are counted the other way round.
     let steady_sweeps = counters.steady_sweeps.get();
     let (model, return_mode) = (counters.model(), counters.return_mode());
-    let running =
-        model.zip(return_mode).map(|(model, return_mode)| Running { model, return_mode, rpm: counters.rpm() });
+    let running = model.zip(return_mode).map(|(model, return_mode)| Running {
+        model,
+        return_mode,
+        rpm: counters.rpm(),
+    });
     let (data, position) = (counters.data.get(), counters.position.get());
-    Observation { now, data, position, steady_sweeps, running, tally: Tally::default() }
+    Observation {
+        now,
+        data,
+        position,
+        steady_sweeps,
+        running,
+        tally: Tally::default(),
+    }
 }
 
 #[cfg(test)]
@@ -432,8 +536,16 @@ mod tests {
     #[test]
     fn faults_name_keys_of_the_configuration() {
         let (said, timing) = (Model::Vlp16, Model::Hdl32e);
-        let fault = DetectError::Contradiction { said, given: true, timing, interval_us: 553 };
+        let fault = DetectError::Contradiction {
+            said,
+            given: true,
+            timing,
+            interval_us: 553,
+        };
         let text = in_words_of_the_file(&Fault::Model(fault));
-        assert!(text.starts_with("`model` says VLP-16") && !text.contains("--"), "{text}");
+        assert!(
+            text.starts_with("`model` says VLP-16") && !text.contains("--"),
+            "{text}"
+        );
     }
 }

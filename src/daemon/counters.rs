@@ -72,7 +72,10 @@ impl Histogram {
     /// Upper bound in seconds and count of each bucket, the last without a bound; not added up.
     pub fn buckets(&self) -> impl Iterator<Item = (f64, u64)> {
         // Divided, not multiplied: the nearest number to 0.000001 is written as that.
-        let bounds = Self::BOUNDS_NS.iter().map(|&ns| ns as f64 / 1e9).chain([f64::INFINITY]);
+        let bounds = Self::BOUNDS_NS
+            .iter()
+            .map(|&ns| ns as f64 / 1e9)
+            .chain([f64::INFINITY]);
         bounds.zip(self.buckets.iter().map(Counter::get))
     }
 
@@ -104,7 +107,13 @@ pub enum Stage {
 
 impl Stage {
     /// All of them.
-    pub const ALL: [Self; 5] = [Self::Decode, Self::Ground, Self::Label, Self::Complete, Self::Send];
+    pub const ALL: [Self; 5] = [
+        Self::Decode,
+        Self::Ground,
+        Self::Label,
+        Self::Complete,
+        Self::Send,
+    ];
 
     /// Its name in metrics.
     pub fn name(self) -> &'static str {
@@ -150,7 +159,8 @@ pub struct SensorCounters {
     pub position: Counter,
     /// Position packets from another port that found the queue of this sensor's thread full.
     pub position_overflows: Counter,
-    /// Datagrams from its address to its data port that are no packets: of another length, or with wrong markers or azimuths.
+    /// Datagrams from its address to its data port that are no packets: of another length, or with
+    /// wrong markers or azimuths.
     pub refused: Counter,
     /// Data packets missing by the sensor's clock.
     pub lost: Counter,
@@ -183,8 +193,14 @@ const TEMPERATURE_BIAS: i32 = 1_000;
 
 impl SensorCounters {
     /// Why packets that were let in are not decoded, in the order of [`SensorCounters::undecoded`].
-    pub const UNDECODED: [&'static str; 6] =
-        ["malformed", "duplicate", "late", "unconfirmed", "other_product", "not_ready"];
+    pub const UNDECODED: [&'static str; 6] = [
+        "malformed",
+        "duplicate",
+        "late",
+        "unconfirmed",
+        "other_product",
+        "not_ready",
+    ];
 
     /// Takes what the pipeline counted.
     pub fn set(&self, counts: &Counts) {
@@ -193,23 +209,45 @@ impl SensorCounters {
         self.lost.set(counts.lost);
         self.reordered.set(counts.reordered);
         self.set_back.set(counts.set_back);
-        let by_reason =
-            [counts.malformed, counts.duplicates, counts.late, counts.unconfirmed, counts.foreign, counts.undecoded];
-        self.undecoded.iter().zip(by_reason).for_each(|(counter, count)| counter.set(count));
+        let by_reason = [
+            counts.malformed,
+            counts.duplicates,
+            counts.late,
+            counts.unconfirmed,
+            counts.foreign,
+            counts.undecoded,
+        ];
+        self.undecoded
+            .iter()
+            .zip(by_reason)
+            .for_each(|(counter, count)| counter.set(count));
     }
 
     /// How many packets were let in and not decoded, by reason.
     pub fn undecoded(&self) -> impl Iterator<Item = (&'static str, u64)> {
-        Self::UNDECODED.into_iter().zip(self.undecoded.iter().map(Counter::get))
+        Self::UNDECODED
+            .into_iter()
+            .zip(self.undecoded.iter().map(Counter::get))
     }
 
     /// What the rule of losses asks of them; what is of the port is left out.
     pub fn tally(&self) -> Tally {
-        let [malformed, _, late, unconfirmed, other_product, _] = self.undecoded.each_ref().map(Counter::get);
-        // A clock that is set back costs some packets once, and no cable or second sensor is to blame.
+        let [malformed, _, late, unconfirmed, other_product, _] =
+            self.undecoded.each_ref().map(Counter::get);
+        // A clock that is set back costs some packets once, and no cable or second sensor is to
+        // blame.
         let late = late.saturating_sub(self.set_back.get());
         let (data, lost, refused) = (self.data.get(), self.lost.get(), self.refused.get());
-        Tally { data, lost, late, unconfirmed, other_product, malformed, refused, ..Tally::default() }
+        Tally {
+            data,
+            lost,
+            late,
+            unconfirmed,
+            other_product,
+            malformed,
+            refused,
+            ..Tally::default()
+        }
     }
 
     /// The times of a stage.
@@ -241,7 +279,8 @@ impl SensorCounters {
 
     /// Notes a temperature, degrees Celsius.
     pub fn set_temperature_c(&self, temperature_c: i32) {
-        self.temperature.store(temperature_c + TEMPERATURE_BIAS, Relaxed);
+        self.temperature
+            .store(temperature_c + TEMPERATURE_BIAS, Relaxed);
     }
 
     /// The sensor's temperature, degrees Celsius, where it sends one.
@@ -258,7 +297,9 @@ impl SensorCounters {
     /// What the sensor says of its GPS receiver, where it says anything.
     pub fn gps(&self) -> Option<Gps> {
         let byte = self.gps.load(Relaxed);
-        [Gps::Absent, Gps::Incomplete, Gps::Locked].into_iter().find(|&gps| gps as u8 == byte)
+        [Gps::Absent, Gps::Incomplete, Gps::Locked]
+            .into_iter()
+            .find(|&gps| gps as u8 == byte)
     }
 }
 
@@ -288,13 +329,21 @@ pub enum Reject {
     Source,
     /// A data packet of a sensor that is configured on another port.
     Port,
-    /// A position packet of one of several sensors at its address, and nothing tells of which. It is recorded all the same.
+    /// A position packet of one of several sensors at its address, and nothing tells of which. It
+    /// is recorded all the same.
     Ambiguous,
 }
 
 impl Reject {
     /// All of them.
-    pub const ALL: [Self; 6] = [Self::Length, Self::Marker, Self::Azimuth, Self::Source, Self::Port, Self::Ambiguous];
+    pub const ALL: [Self; 6] = [
+        Self::Length,
+        Self::Marker,
+        Self::Azimuth,
+        Self::Source,
+        Self::Port,
+        Self::Ambiguous,
+    ];
 
     /// Its name in metrics.
     pub fn name(self) -> &'static str {
@@ -320,7 +369,8 @@ impl PortCounters {
         self.is_interface_gone.store(is_gone, Relaxed);
     }
 
-    /// Whether the interface that it listens on alone is gone; known a second later, while nothing comes.
+    /// Whether the interface that it listens on alone is gone; known a second later, while nothing
+    /// comes.
     pub fn is_interface_gone(&self) -> bool {
         self.is_interface_gone.load(Relaxed)
     }
@@ -342,7 +392,10 @@ mod tests {
             histogram.note(ns);
         }
         let buckets: Vec<u64> = histogram.buckets().map(|(_, count)| count).collect();
-        assert_eq!((buckets[0], buckets[1], buckets[18], buckets[19]), (2, 1, 1, 1));
+        assert_eq!(
+            (buckets[0], buckets[1], buckets[18], buckets[19]),
+            (2, 1, 1, 1)
+        );
         assert_eq!((buckets.len(), histogram.count()), (20, 5));
         assert!((histogram.sum_s() - 2.000_002_002).abs() < 1e-12);
         let bounds: Vec<f64> = histogram.buckets().map(|(bound, _)| bound).collect();
@@ -350,13 +403,19 @@ mod tests {
         let written = bounds[..19].iter().map(|bound| bound.to_string());
         let exact = ["0.00000", "0.0000", "0.000", "0.00", "0.0", "0."]
             .map(|zeros| ["1", "2", "5"].map(|one| [zeros, one].concat()));
-        assert!(written.eq(exact.into_iter().flatten().chain(["1".to_owned()])), "{bounds:?}");
+        assert!(
+            written.eq(exact.into_iter().flatten().chain(["1".to_owned()])),
+            "{bounds:?}"
+        );
     }
 
     #[test]
     fn what_a_sensor_has_not_said_is_not_known() {
         let counters = SensorCounters::default();
-        assert_eq!((counters.model(), counters.temperature_c(), counters.gps()), (None, None, None));
+        assert_eq!(
+            (counters.model(), counters.temperature_c(), counters.gps()),
+            (None, None, None)
+        );
         for degrees in [-40, 0, 41] {
             counters.set_temperature_c(degrees);
             assert_eq!(counters.temperature_c(), Some(degrees));

@@ -1,8 +1,9 @@
-//! What a port lets in: packets of the right length, with the right markers, of a sensor that is configured.
+//! What a port lets in: packets of the right length, with the right markers, of a sensor that is
+//! configured.
 //!
-//! What is a packet says [`Kind`], here as at the [`Gate`](crate::capture::Gate) of who does not know the sensors beforehand.
-//! A daemon does: this door remembers nobody, and a sensor that comes back from another port, for the hundredth time in
-//! months, is the same sensor.
+//! What is a packet says [`Kind`], here as at the [`Gate`](crate::capture::Gate) of who does not
+//! know the sensors beforehand. A daemon does: this door remembers nobody, and a sensor that comes
+//! back from another port, for the hundredth time in months, is the same sensor.
 
 use std::net::{IpAddr, SocketAddr};
 
@@ -17,7 +18,8 @@ use sweepd_core::wire::Datagram;
 pub enum Admitted {
     /// A data packet of this sensor of the port, by its place among them.
     Data(usize),
-    /// A position packet of this sensor: its place among those of the port, and after them [`PortPlan::others`].
+    /// A position packet of this sensor: its place among those of the port, and after them
+    /// [`PortPlan::others`].
     Position(usize),
     /// A position packet of one of several sensors at its address, and nothing tells of which.
     Ambiguous,
@@ -72,7 +74,10 @@ impl Door {
         };
         let here = plan.sensors.iter().map(|&index| known(index, true));
         let others = plan.others(config).map(|index| known(index, false));
-        Self { known: here.chain(others).collect(), here: plan.sensors.len() }
+        Self {
+            known: here.chain(others).collect(),
+            here: plan.sensors.len(),
+        }
     }
 
     /// Whose packet a datagram is.
@@ -93,7 +98,8 @@ impl Door {
     /// The sensor of this port that sends from there, by its place among them.
     pub fn owner(&self, source: SocketAddr) -> Option<usize> {
         let (ip, port) = (source.ip().to_canonical(), source.port());
-        let is_own = |known: &Known| known.ip == ip && known.source_port.is_none_or(|own| own == port);
+        let is_own =
+            |known: &Known| known.ip == ip && known.source_port.is_none_or(|own| own == port);
         self.known[..self.here].iter().position(is_own)
     }
 
@@ -101,18 +107,23 @@ impl Door {
         let here = &self.known[..self.here];
         match self.owner(source) {
             Some(index) => Ok(Admitted::Data(index)),
-            None if here.iter().all(|known| known.ip != source.ip()) && self.at(source.ip()).next().is_some() => {
+            None if here.iter().all(|known| known.ip != source.ip())
+                && self.at(source.ip()).next().is_some() =>
+            {
                 Err(Reject::Port)
             }
             None => Err(Reject::Source),
         }
     }
 
-    /// One sensor at an address gets all position packets from there: many come from a source port of their own. Of several,
-    /// the one that fits best gets it, if it is the only one that fits so well.
+    /// One sensor at an address gets all position packets from there: many come from a source port
+    /// of their own. Of several, the one that fits best gets it, if it is the only one that fits so
+    /// well.
     fn position(&self, source: SocketAddr) -> Result<Admitted, Reject> {
         let mut at = self.at(source.ip());
-        let Some((first, _)) = at.next() else { return Err(Reject::Source) };
+        let Some((first, _)) = at.next() else {
+            return Err(Reject::Source);
+        };
         if at.next().is_none() {
             return Ok(Admitted::Position(first));
         }
@@ -120,7 +131,10 @@ impl Door {
         let is_named = self.at(source.ip()).any(|(_, known)| is_source(known));
         let mut best = None;
         let mut is_alone = false;
-        for (place, known) in self.at(source.ip()).filter(|(_, known)| known.sends_positions) {
+        for (place, known) in self
+            .at(source.ip())
+            .filter(|(_, known)| known.sends_positions)
+        {
             let is_another = is_named && known.source_port.is_some() && !is_source(known);
             let fit = (!is_another, known.positions_here, is_source(known));
             if best.is_none_or(|(best_fit, _)| fit >= best_fit) {
@@ -128,12 +142,17 @@ impl Door {
                 best = Some((fit, place));
             }
         }
-        Ok(best.filter(|_| is_alone).map_or(Admitted::Ambiguous, |(_, place)| Admitted::Position(place)))
+        Ok(best
+            .filter(|_| is_alone)
+            .map_or(Admitted::Ambiguous, |(_, place)| Admitted::Position(place)))
     }
 
     /// The sensors at an address, with their places.
     fn at(&self, ip: IpAddr) -> impl Iterator<Item = (usize, &Known)> {
-        self.known.iter().enumerate().filter(move |(_, known)| known.ip == ip)
+        self.known
+            .iter()
+            .enumerate()
+            .filter(move |(_, known)| known.ip == ip)
     }
 }
 
@@ -149,20 +168,31 @@ mod tests {
     use sweepd_core::wire::position::POSITION_PACKET_LEN;
 
     fn admit(door: &Door, source: &str, payload: &[u8]) -> Result<Admitted, Reject> {
-        door.admit(&Datagram { arrival_ns: 5, source: source.parse().unwrap(), destination_port: 2368, payload })
+        door.admit(&Datagram {
+            arrival_ns: 5,
+            source: source.parse().unwrap(),
+            destination_port: 2368,
+            payload,
+        })
     }
 
     /// The door of the port whose data these sensors send, or whose position packets alone.
     fn door_of(sensors: &[SensorConfig], port: u16) -> Door {
         let config = config_of(sensors.to_vec());
         let plans = plan::ports(&config);
-        Door::new(&config, plans.iter().find(|plan| plan.config.port == port).unwrap())
+        Door::new(
+            &config,
+            plans.iter().find(|plan| plan.config.port == port).unwrap(),
+        )
     }
 
     fn door() -> Door {
         let [mut left, mut right] = ["left", "right"].map(|name| sensor(name, "10.0.0.1", 2368));
         (left.source_port, right.source_port) = (Some(4000), Some(4001));
-        let (roof, rear) = (sensor("roof", "10.0.0.2", 2368), sensor("rear", "10.0.0.3", 2369));
+        let (roof, rear) = (
+            sensor("roof", "10.0.0.2", 2368),
+            sensor("rear", "10.0.0.3", 2369),
+        );
         door_of(&[left, right, roof, rear], 2368)
     }
 
@@ -190,12 +220,21 @@ mod tests {
             ("10.0.0.1:4000", position, Ok(Admitted::Position(0))),
             ("10.0.0.1:4001", position, Ok(Admitted::Position(1))),
             ("10.0.0.1:8308", position, Ok(Admitted::Ambiguous)),
-            ("[::ffff:10.0.0.2]:8308", position, Ok(Admitted::Position(2))),
+            (
+                "[::ffff:10.0.0.2]:8308",
+                position,
+                Ok(Admitted::Position(2)),
+            ),
             ("10.0.0.3:8308", position, Ok(Admitted::Position(3))),
             ("10.0.0.4:8308", position, Err(Reject::Source)),
         ];
         for (source, payload, expected) in cases {
-            assert_eq!(admit(&door, source, payload), expected, "{source}, {} bytes", payload.len());
+            assert_eq!(
+                admit(&door, source, payload),
+                expected,
+                "{source}, {} bytes",
+                payload.len()
+            );
         }
     }
 
@@ -208,12 +247,27 @@ mod tests {
         })
     }
 
-    /// The place in the configuration of who gets a position packet that comes from a port to a port.
+    /// The place in the configuration of who gets a position packet that comes from a port to a
+    /// port.
     fn recipient(sensors: &[SensorConfig], from: u16, to: u16) -> Option<usize> {
         let config = config_of(sensors.to_vec());
-        let plan = plan::ports(&config).into_iter().find(|plan| plan.config.port == to).unwrap();
-        match admit(&Door::new(&config, &plan), &format!("10.0.0.1:{from}"), &[0; POSITION_PACKET_LEN]).unwrap() {
-            Admitted::Position(place) => plan.sensors.iter().copied().chain(plan.others(&config)).nth(place),
+        let plan = plan::ports(&config)
+            .into_iter()
+            .find(|plan| plan.config.port == to)
+            .unwrap();
+        match admit(
+            &Door::new(&config, &plan),
+            &format!("10.0.0.1:{from}"),
+            &[0; POSITION_PACKET_LEN],
+        )
+        .unwrap()
+        {
+            Admitted::Position(place) => plan
+                .sensors
+                .iter()
+                .copied()
+                .chain(plan.others(&config))
+                .nth(place),
             Admitted::Ambiguous => None,
             Admitted::Data(_) => panic!("no data packet"),
         }
@@ -222,7 +276,8 @@ mod tests {
     #[test]
     fn a_position_packet_is_of_the_sensor_whose_port_it_names() {
         let own_ports = at_one_address([(None, 2001, 3001), (None, 2002, 3002)]);
-        // From whatever port they come; to its data port too, where that is the only port that tells.
+        // From whatever port they come; to its data port too, where that is the only port that
+        // tells.
         for (to, whose) in [(3001, 0), (3002, 1), (2001, 0), (2002, 1)] {
             assert_eq!(recipient(&own_ports, 8308, to), Some(whose), "to {to}");
         }
@@ -237,10 +292,16 @@ mod tests {
             assert_eq!(recipient(&own_sources, from, to), whose, "{from} to {to}");
         }
         let one_source = at_one_address([(Some(4001), 2001, 8308), (None, 2002, 8308)]);
-        assert_eq!([4001, 5000].map(|from| recipient(&one_source, from, 8308)), [Some(0), None]);
+        assert_eq!(
+            [4001, 5000].map(|from| recipient(&one_source, from, 8308)),
+            [Some(0), None]
+        );
         // The first sends to the second's data port, by its configuration.
         let chained = at_one_address([(None, 2001, 2002), (None, 2002, 2003)]);
-        assert_eq!([2001, 2002, 2003].map(|to| recipient(&chained, 8308, to)), [Some(0), Some(0), Some(1)]);
+        assert_eq!(
+            [2001, 2002, 2003].map(|to| recipient(&chained, 8308, to)),
+            [Some(0), Some(0), Some(1)]
+        );
     }
 
     #[test]
@@ -250,7 +311,10 @@ mod tests {
         // To a data port that only one has.
         assert_eq!(recipient(&nothing_tells, 8308, 2002), Some(1));
         let both_here = at_one_address([(None, 2001, 2001), (None, 2002, 2001)]);
-        assert_eq!([2001, 2002].map(|to| recipient(&both_here, 8308, to)), [None, Some(1)]);
+        assert_eq!(
+            [2001, 2002].map(|to| recipient(&both_here, 8308, to)),
+            [None, Some(1)]
+        );
     }
 
     #[test]
@@ -259,27 +323,51 @@ mod tests {
         let mut elsewhere = other.clone();
         elsewhere.address = [10, 0, 0, 2].into();
         let alone = [one.clone(), elsewhere];
-        for (from, to) in [(4001, 2001), (5000, 2001), (5000, 2002), (5000, 8308), (5000, 8309)] {
+        for (from, to) in [
+            (4001, 2001),
+            (5000, 2001),
+            (5000, 2002),
+            (5000, 8308),
+            (5000, 8309),
+        ] {
             assert_eq!(recipient(&alone, from, to), Some(0), "{from} to {to}");
         }
         // An HDL-64E beside it sends none.
         one.pipeline.model = Some(Model::Hdl64eS3);
-        assert_eq!(recipient(&[one.clone(), other.clone()], 5000, 2001), Some(1));
+        assert_eq!(
+            recipient(&[one.clone(), other.clone()], 5000, 2001),
+            Some(1)
+        );
         assert_eq!(recipient(&[one], 5000, 2001), Some(0));
     }
 
     #[test]
     fn the_same_address_on_another_interface_is_another_sensor() {
         let [mut one, mut other] = at_one_address([(None, 2001, 8308), (None, 2001, 8308)]);
-        (one.port.interface, other.port.interface) = (Some("eth1".to_owned()), Some("eth2".to_owned()));
+        (one.port.interface, other.port.interface) =
+            (Some("eth1".to_owned()), Some("eth2".to_owned()));
         let config = config_of(vec![one, other]);
         let plans = plan::ports(&config);
         assert_eq!(plans.len(), 4);
         for plan in &plans {
-            let admitted = admit(&Door::new(&config, plan), "10.0.0.1:8308", &[0; POSITION_PACKET_LEN]);
+            let admitted = admit(
+                &Door::new(&config, plan),
+                "10.0.0.1:8308",
+                &[0; POSITION_PACKET_LEN],
+            );
             assert_eq!(admitted, Ok(Admitted::Position(0)));
-            let whose = plan.sensors.iter().copied().chain(plan.others(&config)).next();
-            assert_eq!(whose, Some(usize::from(plan.config.interface.as_deref() == Some("eth2"))));
+            let whose = plan
+                .sensors
+                .iter()
+                .copied()
+                .chain(plan.others(&config))
+                .next();
+            assert_eq!(
+                whose,
+                Some(usize::from(
+                    plan.config.interface.as_deref() == Some("eth2")
+                ))
+            );
             assert_eq!(plan.sharing_an_address(&config).count(), 0);
         }
     }

@@ -5,9 +5,10 @@
 //! GET /metrics   Prometheus (OpenMetrics text)
 //! ```
 //!
-//! Few connections at a time, each for one request and not for long: nobody can hold the daemon up here. Unless `http_public` is
-//! set, requests to a name other than `localhost` are refused: a web page whose own name was made to lead here (DNS rebinding)
-//! could else read the answers in a browser of this host.
+//! Few connections at a time, each for one request and not for long: nobody can hold the daemon up
+//! here. Unless `http_public` is set, requests to a name other than `localhost` are refused: a web
+//! page whose own name was made to lead here (DNS rebinding) could else read the answers in a
+//! browser of this host.
 
 use std::convert::Infallible;
 use std::net::IpAddr;
@@ -63,7 +64,13 @@ impl View {
     /// A daemon that has just started.
     pub fn new(sensors: Arc<[SensorStatus]>, ports: Arc<[PortStatus]>, root: PathBuf) -> Self {
         let complaint = Some("has not been looked at yet".to_owned());
-        let waiting = Condition { state: State::Waiting, complaint, is_fault: true, recent: None, losses: None };
+        let waiting = Condition {
+            state: State::Waiting,
+            complaint,
+            is_fault: true,
+            recent: None,
+            losses: None,
+        };
         let conditions = vec![waiting; sensors.len()];
         Self {
             sensors,
@@ -79,11 +86,20 @@ impl View {
 
     /// A daemon that waits for something, as the sentence says, and has opened nothing yet.
     pub fn waiting(why: String, root: PathBuf) -> Self {
-        Self { waits_for: Some(why), ..Self::new(Arc::new([]), Arc::new([]), root) }
+        Self {
+            waits_for: Some(why),
+            ..Self::new(Arc::new([]), Arc::new([]), root)
+        }
     }
 
-    /// Takes how the sensors are, the names of the ports whose threads hang, and how the recording is.
-    pub fn update(&mut self, conditions: Vec<Condition>, hanging: Vec<String>, recording: Option<RecordingStatus>) {
+    /// Takes how the sensors are, the names of the ports whose threads hang, and how the recording
+    /// is.
+    pub fn update(
+        &mut self,
+        conditions: Vec<Condition>,
+        hanging: Vec<String>,
+        recording: Option<RecordingStatus>,
+    ) {
         (self.conditions, self.hanging, self.recording) = (conditions, hanging, recording);
     }
 
@@ -94,11 +110,19 @@ impl View {
 
     fn sensor_reasons(&self, is_fault: bool) -> Vec<String> {
         let named = self.sensors.iter().zip(&self.conditions);
-        let unwell = named.filter(|(_, is)| is.is_fault == is_fault && (is_fault || is.complaint.is_some()));
-        let told = unwell.map(|(sensor, Condition { state, complaint, .. })| match complaint {
-            Some(why) => format!("{}: {state}: {why}", sensor.name),
-            None => format!("{}: {state}", sensor.name),
-        });
+        let unwell =
+            named.filter(|(_, is)| is.is_fault == is_fault && (is_fault || is.complaint.is_some()));
+        let told = unwell.map(
+            |(
+                sensor,
+                Condition {
+                    state, complaint, ..
+                },
+            )| match complaint {
+                Some(why) => format!("{}: {state}: {why}", sensor.name),
+                None => format!("{}: {state}", sensor.name),
+            },
+        );
         told.collect()
     }
 
@@ -106,12 +130,21 @@ impl View {
     fn faults(&self) -> Vec<String> {
         let sensors = self.sensor_reasons(true);
         let unshared = self.sensors.iter().filter_map(|sensor| {
-            sensor.sharing.trouble().map(|why| format!("{}: sweeps reach nobody: {why}", sensor.name))
+            sensor
+                .sharing
+                .trouble()
+                .map(|why| format!("{}: sweeps reach nobody: {why}", sensor.name))
         });
-        let hanging = self.hanging.iter().map(|port| format!("the thread of port {port} hangs"));
+        let hanging = self
+            .hanging
+            .iter()
+            .map(|port| format!("the thread of port {port} hangs"));
         let is_gone = |port: &&PortStatus| port.counters.is_interface_gone();
         let gone = self.ports.iter().filter(is_gone).map(interface_gone);
-        let failed = self.recording.as_ref().and_then(|recording| recording.trouble.as_ref());
+        let failed = self
+            .recording
+            .as_ref()
+            .and_then(|recording| recording.trouble.as_ref());
         let unrecorded = failed.map(|why| format!("nothing is recorded: {why}"));
         self.waits_for
             .clone()
@@ -127,8 +160,17 @@ impl View {
     /// All of it, as JSON; and whether nothing is at fault.
     pub fn report(&self) -> (bool, Value) {
         let (faults, warnings) = (self.faults(), self.warnings());
-        let sensors: Vec<Value> = self.sensors.iter().zip(&self.conditions).map(|(one, is)| sensor(one, is)).collect();
-        let ports: Vec<Value> = self.ports.iter().map(|one| port(one, self.hanging.contains(&one.name))).collect();
+        let sensors: Vec<Value> = self
+            .sensors
+            .iter()
+            .zip(&self.conditions)
+            .map(|(one, is)| sensor(one, is))
+            .collect();
+        let ports: Vec<Value> = self
+            .ports
+            .iter()
+            .map(|one| port(one, self.hanging.contains(&one.name)))
+            .collect();
         let is_well = faults.is_empty();
         let status = match warnings.is_empty() {
             _ if !is_well => "unwell",
@@ -154,13 +196,18 @@ impl View {
 /// What is told of a port whose interface is gone.
 pub(super) fn interface_gone(port: &PortStatus) -> String {
     let interface = port.interface.as_deref().unwrap_or_default();
-    format!("port {}: the interface {interface} is gone; it is listened on again when it is back", port.name)
+    format!(
+        "port {}: the interface {interface} is gone; it is listened on again when it is back",
+        port.name
+    )
 }
 
 fn sensor(sensor: &SensorStatus, is: &Condition) -> Value {
     let counters = &sensor.counters;
-    let undecoded: serde_json::Map<String, Value> =
-        counters.undecoded().map(|(reason, count)| (reason.to_owned(), count.into())).collect();
+    let undecoded: serde_json::Map<String, Value> = counters
+        .undecoded()
+        .map(|(reason, count)| (reason.to_owned(), count.into()))
+        .collect();
     json!({
         "name": sensor.name,
         "state": is.state.name(),
@@ -214,8 +261,10 @@ fn losses(recent: Recent, words: Option<&[String; 2]>) -> Value {
 
 fn port(port: &PortStatus, hangs: bool) -> Value {
     let counters = &port.counters;
-    let rejected: serde_json::Map<String, Value> =
-        Reject::ALL.into_iter().map(|reason| (reason.name().to_owned(), counters.rejected(reason).into())).collect();
+    let rejected: serde_json::Map<String, Value> = Reject::ALL
+        .into_iter()
+        .map(|reason| (reason.name().to_owned(), counters.rejected(reason).into()))
+        .collect();
     json!({
         "name": port.name,
         "address": port.local.ip(),
@@ -231,7 +280,14 @@ fn port(port: &PortStatus, hangs: bool) -> Value {
 }
 
 fn recording(recording: &RecordingStatus) -> Value {
-    let RecordingStatus { path, files, datagrams, refused, retries, trouble } = recording;
+    let RecordingStatus {
+        path,
+        files,
+        datagrams,
+        refused,
+        retries,
+        trouble,
+    } = recording;
     json!({
         "path": path,
         "files": files,
@@ -252,7 +308,10 @@ pub struct Http {
 
 /// Answers until the daemon ends.
 pub async fn serve(http: &Http, view: Arc<Mutex<View>>) -> Infallible {
-    let &Http { ref listener, is_public } = http;
+    let &Http {
+        ref listener,
+        is_public,
+    } = http;
     let places = Arc::new(Semaphore::new(CONNECTIONS));
     loop {
         let Ok((stream, _)) = listener.accept().await else {
@@ -260,7 +319,9 @@ pub async fn serve(http: &Http, view: Arc<Mutex<View>>) -> Infallible {
             tokio::time::sleep(Duration::from_millis(100)).await;
             continue;
         };
-        let Ok(place) = Arc::clone(&places).try_acquire_owned() else { continue };
+        let Ok(place) = Arc::clone(&places).try_acquire_owned() else {
+            continue;
+        };
         let view = Arc::clone(&view);
         tokio::spawn(async move {
             let _ = timeout(PATIENCE, converse(stream, view, is_public)).await;
@@ -275,12 +336,19 @@ async fn converse(stream: TcpStream, view: Arc<Mutex<View>>, is_public: bool) {
         async move { Ok::<_, Infallible>(response) }
     });
     let mut http = http1::Builder::new();
-    http.timer(TokioTimer::new()).header_read_timeout(PATIENCE).max_buf_size(REQUEST_BYTES).keep_alive(false);
+    http.timer(TokioTimer::new())
+        .header_read_timeout(PATIENCE)
+        .max_buf_size(REQUEST_BYTES)
+        .keep_alive(false);
     // Whoever broke off knows it.
     let _ = http.serve_connection(TokioIo::new(stream), service).await;
 }
 
-fn answer(request: &Request<Incoming>, view: &Mutex<View>, is_public: bool) -> Response<Full<Bytes>> {
+fn answer(
+    request: &Request<Incoming>,
+    view: &Mutex<View>,
+    is_public: bool,
+) -> Response<Full<Bytes>> {
     if !is_public && !is_for_this_host(request) {
         return text(
             StatusCode::FORBIDDEN,
@@ -289,34 +357,48 @@ fn answer(request: &Request<Incoming>, view: &Mutex<View>, is_public: bool) -> R
     }
     if !matches!(*request.method(), Method::GET | Method::HEAD) {
         let mut refused = text(StatusCode::METHOD_NOT_ALLOWED, "only GET and HEAD");
-        refused.headers_mut().insert(ALLOW, HeaderValue::from_static("GET, HEAD"));
+        refused
+            .headers_mut()
+            .insert(ALLOW, HeaderValue::from_static("GET, HEAD"));
         return refused;
     }
     let view = view.lock().unwrap_or_else(PoisonError::into_inner);
     match request.uri().path() {
         "/health" => {
             let (is_well, report) = view.report();
-            let status = if is_well { StatusCode::OK } else { StatusCode::SERVICE_UNAVAILABLE };
+            let status = if is_well {
+                StatusCode::OK
+            } else {
+                StatusCode::SERVICE_UNAVAILABLE
+            };
             response(status, "application/json", format!("{report:#}\n"))
         }
         "/metrics" => match metrics::encode(&view) {
             Ok(text) => response(StatusCode::OK, metrics::CONTENT_TYPE, text),
-            Err(_) => text(StatusCode::INTERNAL_SERVER_ERROR, "the metrics cannot be written"),
+            Err(_) => text(
+                StatusCode::INTERNAL_SERVER_ERROR,
+                "the metrics cannot be written",
+            ),
         },
         _ => text(StatusCode::NOT_FOUND, "there are /health and /metrics"),
     }
 }
 
-/// Whether each name in a request is `localhost` or an IP address, which no name server can make lead elsewhere. A browser
-/// always sends one; programs of old do not.
+/// Whether each name in a request is `localhost` or an IP address, which no name server can make
+/// lead elsewhere. A browser always sends one; programs of old do not.
 fn is_for_this_host<B>(request: &Request<B>) -> bool {
     let is_own = |authority: &Authority| {
         let host = authority.host();
-        let ip = host.strip_prefix('[').and_then(|host| host.strip_suffix(']')).unwrap_or(host);
+        let ip = host
+            .strip_prefix('[')
+            .and_then(|host| host.strip_suffix(']'))
+            .unwrap_or(host);
         host.eq_ignore_ascii_case("localhost") || ip.parse::<IpAddr>().is_ok()
     };
-    let is_own_header = |value: &HeaderValue| Authority::try_from(value.as_bytes()).is_ok_and(|host| is_own(&host));
-    request.uri().authority().is_none_or(is_own) && request.headers().get_all(HOST).iter().all(is_own_header)
+    let is_own_header =
+        |value: &HeaderValue| Authority::try_from(value.as_bytes()).is_ok_and(|host| is_own(&host));
+    request.uri().authority().is_none_or(is_own)
+        && request.headers().get_all(HOST).iter().all(is_own_header)
 }
 
 fn text(status: StatusCode, text: &str) -> Response<Full<Bytes>> {
@@ -339,20 +421,41 @@ mod tests {
     #[test]
     fn names_that_may_lead_anywhere_are_not_of_this_host() {
         let is_for_this_host = |uri: &str, hosts: &[&str]| {
-            let request = hosts.iter().fold(Request::get(uri), |request, &host| request.header(HOST, host));
+            let request = hosts.iter().fold(Request::get(uri), |request, &host| {
+                request.header(HOST, host)
+            });
             is_for_this_host(&request.body(()).unwrap())
         };
-        for host in ["localhost", "LocalHost:9177", "127.0.0.1", "127.0.0.1:9177", "10.0.0.7:80", "[::1]", "[::1]:9177"]
-        {
+        for host in [
+            "localhost",
+            "LocalHost:9177",
+            "127.0.0.1",
+            "127.0.0.1:9177",
+            "10.0.0.7:80",
+            "[::1]",
+            "[::1]:9177",
+        ] {
             assert!(is_for_this_host("/health", &[host]), "{host}");
-            assert!(is_for_this_host(&format!("http://{host}/health"), &["localhost"]), "{host}");
+            assert!(
+                is_for_this_host(&format!("http://{host}/health"), &["localhost"]),
+                "{host}"
+            );
         }
         assert!(is_for_this_host("/health", &[]));
-        for host in ["evil.example", "evil.example:9177", "localhost.evil.example", "127.0.0.1.evil.example", "", "a b"]
-        {
+        for host in [
+            "evil.example",
+            "evil.example:9177",
+            "localhost.evil.example",
+            "127.0.0.1.evil.example",
+            "",
+            "a b",
+        ] {
             assert!(!is_for_this_host("/health", &[host]), "{host}");
             assert!(!is_for_this_host("/health", &["localhost", host]), "{host}");
         }
-        assert!(!is_for_this_host("http://evil.example/health", &["localhost"]));
+        assert!(!is_for_this_host(
+            "http://evil.example/health",
+            &["localhost"]
+        ));
     }
 }

@@ -1,5 +1,5 @@
-//! Whether a sensor loses packets: from what was counted over the last seconds to a share, its likely cause, and a sentence
-//! with the cure. Pure: time and counts come in.
+//! Whether a sensor loses packets: from what was counted over the last seconds to a share, its
+//! likely cause, and a sentence with the cure. Pure: time and counts come in.
 //!
 //! ```text
 //! Tally, Tally, ... -> Recent (what was counted over the last seconds) -> share -> Level, with hysteresis
@@ -23,7 +23,8 @@ const LEAST_PACKETS: u64 = 100;
 /// A share must come down to this part of a limit before that limit counts as kept again.
 const OVER_AT: f64 = 0.5;
 
-/// Shares of a sensor's packets above which its losses are told, 0 to 1. The warning is not above the fault.
+/// Shares of a sensor's packets above which its losses are told, 0 to 1. The warning is not above
+/// the fault.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct Limits {
     /// From here on it is told.
@@ -35,7 +36,10 @@ pub struct Limits {
 impl Default for Limits {
     /// 3 % and 20 %. The capture with the greatest loss of those that the tests replay has 2.3 %.
     fn default() -> Self {
-        Self { warning: 0.03, fault: 0.2 }
+        Self {
+            warning: 0.03,
+            fault: 0.2,
+        }
     }
 }
 
@@ -144,7 +148,8 @@ impl Recent {
         self.counted.unfitting() + self.counted.refused
     }
 
-    /// Packets that did not come: a lower bound. One that came damaged or late is missing by the sensor's clock as well.
+    /// Packets that did not come: a lower bound. One that came damaged or late is missing by the
+    /// sensor's clock as well.
     fn absent(&self) -> u64 {
         self.counted.lost.saturating_sub(self.useless())
     }
@@ -161,15 +166,29 @@ impl Recent {
 
     /// The share of packets that are in no sweep, 0 to 1; 0 where too few came to tell.
     pub fn share(&self) -> f64 {
-        if self.all() < LEAST_PACKETS { 0.0 } else { self.missing() as f64 / self.all() as f64 }
+        if self.all() < LEAST_PACKETS {
+            0.0
+        } else {
+            self.missing() as f64 / self.all() as f64
+        }
     }
 
-    /// What is to blame for most of them. The kernel drops packets of all senders on the port alike: it is to blame for at
-    /// most as many as it dropped.
+    /// What is to blame for most of them. The kernel drops packets of all senders on the port
+    /// alike: it is to blame for at most as many as it dropped.
     pub fn cause(&self) -> Cause {
-        let Tally { data, refused, dropped, strangers, .. } = self.counted;
+        let Tally {
+            data,
+            refused,
+            dropped,
+            strangers,
+            ..
+        } = self.counted;
         let here = self.absent().min(dropped);
-        let host = if strangers > data { Cause::Flood } else { Cause::Host };
+        let host = if strangers > data {
+            Cause::Flood
+        } else {
+            Cause::Host
+        };
         let by_cause = [
             (self.absent() - here, Cause::Network),
             (refused, Cause::NoPackets),
@@ -177,7 +196,10 @@ impl Recent {
             (here, host),
         ];
         // Of equals the last: what this host itself can say for certain.
-        by_cause.into_iter().max_by_key(|&(packets, _)| packets).map_or(Cause::Network, |(_, cause)| cause)
+        by_cause
+            .into_iter()
+            .max_by_key(|&(packets, _)| packets)
+            .map_or(Cause::Network, |(_, cause)| cause)
     }
 
     /// How much is missing, why most likely, and what to do about it.
@@ -187,26 +209,43 @@ impl Recent {
 
     /// How much is missing, and why most likely.
     pub fn what(&self, place: &Place) -> String {
-        let Tally { refused, dropped, strangers, .. } = self.counted;
+        let Tally {
+            refused,
+            dropped,
+            strangers,
+            ..
+        } = self.counted;
         let (percent, seconds) = (100.0 * self.share(), self.span.as_secs_f64());
         let (missing, all, address) = (self.missing(), self.all(), &place.address);
-        let share =
-            format!("{percent:.1} % of its packets are lost or of no use ({missing} of {all} in {seconds:.0} s)");
+        let share = format!(
+            "{percent:.1} % of its packets are lost or of no use ({missing} of {all} in {seconds:.0} s)"
+        );
         let why = match self.cause() {
-            Cause::Network if dropped == 0 => format!("lost before this host, whose kernel dropped none on {place}"),
+            Cause::Network if dropped == 0 => {
+                format!("lost before this host, whose kernel dropped none on {place}")
+            }
             Cause::Network => {
-                format!("lost before this host, most of them: its kernel dropped only {dropped} datagrams on {place}")
+                format!(
+                    "lost before this host, most of them: its kernel dropped only {dropped} datagrams on {place}"
+                )
             }
             Cause::Host => {
-                format!("this host's kernel dropped {dropped} datagrams on {place}, since nobody fetched them in time")
+                format!(
+                    "this host's kernel dropped {dropped} datagrams on {place}, since nobody fetched them in time"
+                )
             }
             Cause::Flood => format!(
                 "this host's kernel dropped {dropped} datagrams on {place}, where {strangers} of no configured sensor came too"
             ),
             Cause::SecondSensor => {
-                format!("{}, as if two heads sent from {address} to {place}", self.unfitting_by_reason())
+                format!(
+                    "{}, as if two heads sent from {address} to {place}",
+                    self.unfitting_by_reason()
+                )
             }
-            Cause::NoPackets => format!("{refused} datagrams from {address} to {place} are no packets of a sensor"),
+            Cause::NoPackets => {
+                format!("{refused} datagrams from {address} to {place} are no packets of a sensor")
+            }
         };
         format!("{share}; {why}")
     }
@@ -222,7 +261,9 @@ impl Recent {
                 "give the port a larger receive buffer (net.core.rmem_max), or its thread a core of its own (`cpu`)"
             }
             Cause::Flood => {
-                let port = place.port.map_or_else(|| "PORT".to_owned(), |port| port.to_string());
+                let port = place
+                    .port
+                    .map_or_else(|| "PORT".to_owned(), |port| port.to_string());
                 return format!(
                     "find their sender with `tcpdump -ni any udp port {port}` and stop it, or keep it out with `bind`, \
                      `interface` or a firewall"
@@ -231,7 +272,9 @@ impl Recent {
             Cause::SecondSensor => {
                 "stop the second sensor or replay there, or tell them apart by their source ports, `address = \"IP:PORT\"`"
             }
-            Cause::NoPackets => "stop the other program that sends from there, or find what damages packets on the way",
+            Cause::NoPackets => {
+                "stop the other program that sends from there, or find what damages packets on the way"
+            }
         };
         cure.to_owned()
     }
@@ -239,11 +282,19 @@ impl Recent {
     /// What is told when losses are over that lasted so long.
     pub fn over(&self, lasted: Duration) -> String {
         let (seconds, percent) = (lasted.as_secs_f64(), 100.0 * self.share());
-        format!("its losses are over after {seconds:.0} s: {percent:.1} % of its packets are lost or of no use now")
+        format!(
+            "its losses are over after {seconds:.0} s: {percent:.1} % of its packets are lost or of no use now"
+        )
     }
 
     fn unfitting_by_reason(&self) -> String {
-        let Tally { late, unconfirmed, other_product, malformed, .. } = self.counted;
+        let Tally {
+            late,
+            unconfirmed,
+            other_product,
+            malformed,
+            ..
+        } = self.counted;
         let by_reason = [
             (late, "behind stamps that came before"),
             (unconfirmed, "with a stamp that no neighbour confirms"),
@@ -251,7 +302,9 @@ impl Recent {
             (malformed, "with azimuths of no turning head"),
         ];
         let told = by_reason.into_iter().filter(|&(packets, _)| packets > 0);
-        told.map(|(packets, how)| format!("{packets} {how}")).collect::<Vec<_>>().join(", ")
+        told.map(|(packets, how)| format!("{packets} {how}"))
+            .collect::<Vec<_>>()
+            .join(", ")
     }
 }
 
@@ -280,7 +333,13 @@ pub struct Losses {
 impl Losses {
     /// Those of a sensor that has sent nothing yet.
     pub fn new(limits: Limits) -> Self {
-        Self { limits, noted: VecDeque::new(), begun: None, level: None, losing_since: Duration::ZERO }
+        Self {
+            limits,
+            noted: VecDeque::new(),
+            begun: None,
+            level: None,
+            losing_since: Duration::ZERO,
+        }
     }
 
     /// Holds them against other limits from now on.
@@ -297,7 +356,10 @@ impl Losses {
     pub fn recent(&self) -> Option<Recent> {
         let (&(from, before), &(to, now)) = (self.noted.front()?, self.noted.back()?);
         let span = to - from;
-        (span >= LEAST).then(|| Recent { span, counted: now.since(&before) })
+        (span >= LEAST).then(|| Recent {
+            span,
+            counted: now.since(&before),
+        })
     }
 
     /// Counts anew from here on: packets were decoded in another way before.
@@ -312,17 +374,25 @@ impl Losses {
         self.level = None;
     }
 
-    /// Takes what was counted by now of a stream that goes on, and gives what is to be told. `now`: time since any fixed
-    /// moment.
+    /// Takes what was counted by now of a stream that goes on, and gives what is to be told. `now`:
+    /// time since any fixed moment.
     pub fn observe(&mut self, now: Duration, tally: Tally) -> Option<Turn> {
         if now - *self.begun.get_or_insert(now) < SETTLING {
             return None;
         }
-        if self.noted.back().is_some_and(|&(newest, _)| now - newest < NOTE_EVERY) {
+        if self
+            .noted
+            .back()
+            .is_some_and(|&(newest, _)| now - newest < NOTE_EVERY)
+        {
             return None;
         }
         self.noted.push_back((now, tally));
-        while self.noted.get(1).is_some_and(|&(second, _)| now - second >= WINDOW) {
+        while self
+            .noted
+            .get(1)
+            .is_some_and(|&(second, _)| now - second >= WINDOW)
+        {
             self.noted.pop_front();
         }
         let share = self.recent()?.share();
@@ -354,7 +424,11 @@ impl Losses {
             Level::Warning => self.limits.warning,
             Level::Fault => self.limits.fault,
         };
-        if self.level >= Some(level) { limit * OVER_AT } else { limit }
+        if self.level >= Some(level) {
+            limit * OVER_AT
+        } else {
+            limit
+        }
     }
 }
 

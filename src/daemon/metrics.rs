@@ -1,11 +1,14 @@
-//! The counters in the words of Prometheus: names, labels, units. Nothing is kept here; each request reads the atomics.
+//! The counters in the words of Prometheus: names, labels, units. Nothing is kept here; each
+//! request reads the atomics.
 
 use std::fmt;
 use std::iter::once;
 use std::sync::Arc;
 
 use prometheus_client::collector::Collector;
-use prometheus_client::encoding::{DescriptorEncoder, EncodeMetric, MetricEncoder, NoLabelSet, text};
+use prometheus_client::encoding::{
+    DescriptorEncoder, EncodeMetric, MetricEncoder, NoLabelSet, text,
+};
 use prometheus_client::metrics::MetricType;
 use prometheus_client::registry::{Registry, Unit};
 
@@ -24,8 +27,17 @@ pub const CONTENT_TYPE: &str = "application/openmetrics-text; version=1.0.0; cha
 /// None that this format could not hold; what writes to it may fail.
 pub fn encode(view: &View) -> Result<String, fmt::Error> {
     let conditions = view.conditions.clone();
-    let (sensors, ports, recording) = (Arc::clone(&view.sensors), Arc::clone(&view.ports), view.recording.clone());
-    let snapshot = Snapshot { sensors, ports, conditions, recording };
+    let (sensors, ports, recording) = (
+        Arc::clone(&view.sensors),
+        Arc::clone(&view.ports),
+        view.recording.clone(),
+    );
+    let snapshot = Snapshot {
+        sensors,
+        ports,
+        conditions,
+        recording,
+    };
     let mut registry = Registry::with_prefix("sweepd");
     registry.register_collector(Box::new(snapshot));
     let mut out = String::new();
@@ -42,7 +54,12 @@ struct Snapshot {
 
 impl fmt::Debug for Snapshot {
     fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
-        write!(f, "{} sensors on {} ports", self.sensors.len(), self.ports.len())
+        write!(
+            f,
+            "{} sensors on {} ports",
+            self.sensors.len(),
+            self.ports.len()
+        )
     }
 }
 
@@ -90,52 +107,126 @@ impl Snapshot {
     fn sensor_totals(&self, encoder: &mut DescriptorEncoder<'_>) -> fmt::Result {
         type Read = fn(&SensorCounters) -> u64;
         let totals: [(&str, &str, Read); 9] = [
-            ("packets", "Data packets let in", |counters| counters.data.get()),
-            ("position_packets", "Position packets let in", |counters| counters.position.get()),
-            ("position_overflows", "Position packets that found no room on the way to their sensor's thread", |c| {
-                c.position_overflows.get()
+            ("packets", "Data packets let in", |counters| {
+                counters.data.get()
             }),
-            ("refused", "Datagrams from the sensor's address to its data port that are no packets", |c| {
-                c.refused.get()
+            ("position_packets", "Position packets let in", |counters| {
+                counters.position.get()
             }),
-            ("lost", "Data packets missing by the sensor's clock", |counters| counters.lost.get()),
-            ("reordered", "Data packets put back in order", |counters| counters.reordered.get()),
-            ("sweeps", "Sweeps, partial ones included", |counters| counters.sweeps.get()),
-            ("partial_sweeps", "Sweeps that are not from cut to cut", |counters| counters.partial_sweeps.get()),
-            ("unshared_sweeps", "Sweeps that no consumer could have got", |counters| counters.unshared.get()),
+            (
+                "position_overflows",
+                "Position packets that found no room on the way to their sensor's thread",
+                |c| c.position_overflows.get(),
+            ),
+            (
+                "refused",
+                "Datagrams from the sensor's address to its data port that are no packets",
+                |c| c.refused.get(),
+            ),
+            (
+                "lost",
+                "Data packets missing by the sensor's clock",
+                |counters| counters.lost.get(),
+            ),
+            ("reordered", "Data packets put back in order", |counters| {
+                counters.reordered.get()
+            }),
+            ("sweeps", "Sweeps, partial ones included", |counters| {
+                counters.sweeps.get()
+            }),
+            (
+                "partial_sweeps",
+                "Sweeps that are not from cut to cut",
+                |counters| counters.partial_sweeps.get(),
+            ),
+            (
+                "unshared_sweeps",
+                "Sweeps that no consumer could have got",
+                |counters| counters.unshared.get(),
+            ),
         ];
         for (name, help, read) in totals {
-            let all = self.sensors.iter().map(|sensor| ([("sensor", &sensor.name[..])], Total(read(&sensor.counters))));
+            let all = self.sensors.iter().map(|sensor| {
+                (
+                    [("sensor", &sensor.name[..])],
+                    Total(read(&sensor.counters)),
+                )
+            });
             family(encoder, name, help, all)?;
         }
         let help = "Times that shared memory was made anew because files of it were deleted";
-        let renewed =
-            self.sensors.iter().map(|sensor| ([("sensor", name_of(sensor))], Total(sensor.sharing.renewed())));
+        let renewed = self.sensors.iter().map(|sensor| {
+            (
+                [("sensor", name_of(sensor))],
+                Total(sensor.sharing.renewed()),
+            )
+        });
         family(encoder, "renewed", help, renewed)?;
         let by_reason = |sensor| undecoded(sensor);
         let help = "Data packets let in and not decoded, by reason";
-        family(encoder, "undecoded", help, self.sensors.iter().flat_map(by_reason))
+        family(
+            encoder,
+            "undecoded",
+            help,
+            self.sensors.iter().flat_map(by_reason),
+        )
     }
 
     fn port_totals(&self, encoder: &mut DescriptorEncoder<'_>) -> fmt::Result {
         let all = |read: fn(&PortStatus) -> u64| {
-            self.ports.iter().map(move |port| ([("port", &port.name[..])], Total(read(port))))
+            self.ports
+                .iter()
+                .map(move |port| ([("port", &port.name[..])], Total(read(port))))
         };
-        family(encoder, "received", "Datagrams of any kind", all(|port| port.counters.received.get()))?;
+        family(
+            encoder,
+            "received",
+            "Datagrams of any kind",
+            all(|port| port.counters.received.get()),
+        )?;
         let help = "Datagrams that the kernel dropped because nobody fetched them in time";
-        family(encoder, "dropped", help, all(|port| port.counters.dropped.get()))?;
+        family(
+            encoder,
+            "dropped",
+            help,
+            all(|port| port.counters.dropped.get()),
+        )?;
         let help = "Datagrams that reach no sensor, by reason";
-        family(encoder, "rejected", help, self.ports.iter().flat_map(rejected))
+        family(
+            encoder,
+            "rejected",
+            help,
+            self.ports.iter().flat_map(rejected),
+        )
     }
 
     fn recording(&self, encoder: &mut DescriptorEncoder<'_>) -> fmt::Result {
-        let Some(RecordingStatus { datagrams, refused, retries, trouble, .. }) = &self.recording else { return Ok(()) };
+        let Some(RecordingStatus {
+            datagrams,
+            refused,
+            retries,
+            trouble,
+            ..
+        }) = &self.recording
+        else {
+            return Ok(());
+        };
         let none: Labels<'_, 0> = [];
-        family(encoder, "recorded", "Datagrams written by [record]", once((none, Total(*datagrams))))?;
+        family(
+            encoder,
+            "recorded",
+            "Datagrams written by [record]",
+            once((none, Total(*datagrams))),
+        )?;
         let help = "Datagrams that found no room, since the disk is too slow or failed";
         family(encoder, "unrecorded", help, once((none, Total(*refused))))?;
         let help = "Attempts to begin a recording again that has failed";
-        family(encoder, "recording_retries", help, once((none, Total(*retries))))?;
+        family(
+            encoder,
+            "recording_retries",
+            help,
+            once((none, Total(*retries))),
+        )?;
         let failed = f64::from(u8::from(trouble.is_some()));
         family(
             encoder,
@@ -150,27 +241,74 @@ impl Snapshot {
             let of_sensor = move |sensor| Some(([("sensor", name_of(sensor))], Now(read(sensor)?)));
             self.sensors.iter().filter_map(of_sensor)
         };
-        family(encoder, "consumers", "Consumers connected", of(|sensor| Some(sensor.sharing.consumers() as f64)))?;
+        family(
+            encoder,
+            "consumers",
+            "Consumers connected",
+            of(|sensor| Some(sensor.sharing.consumers() as f64)),
+        )?;
         let reserved = of(|sensor| Some(sensor.sharing.reserved_bytes() as f64));
-        family_in(encoder, "shared_memory", "Shared memory reserved", Some(&Unit::Bytes), reserved)?;
-        let rpm = of(|sensor| sensor.counters.model().map(|_| sensor.counters.rpm().into()));
+        family_in(
+            encoder,
+            "shared_memory",
+            "Shared memory reserved",
+            Some(&Unit::Bytes),
+            reserved,
+        )?;
+        let rpm = of(|sensor| {
+            sensor
+                .counters
+                .model()
+                .map(|_| sensor.counters.rpm().into())
+        });
         family(encoder, "rpm", "Turns a minute of the newest sweep", rpm)?;
         let celsius = of(|sensor| sensor.counters.temperature_c().map(f64::from));
-        family_in(encoder, "temperature", "Temperature that the sensor tells", Some(&Unit::Celsius), celsius)?;
-        let locked = of(|sensor| sensor.counters.gps().map(|gps| f64::from(u8::from(gps == Gps::Locked))));
-        family(encoder, "gps_locked", "1 while pulse and time of a GPS receiver are good, where it is told", locked)?;
-        let shares =
-            self.sensors.iter().zip(&self.conditions).filter_map(|(sensor, is)| {
-                is.recent.map(|recent| ([("sensor", name_of(sensor))], Now(recent.share())))
-            });
-        let help =
-            "Share of the data packets of the last seconds that were lost or of no use, 0 to 1, while packets come";
-        family(encoder, "loss_ratio", help, shares)?;
-        let states = self.sensors.iter().zip(&self.conditions).flat_map(|(sensor, is)| {
-            let labels = move |state: State| [("sensor", name_of(sensor)), ("state", state.name())];
-            State::ALL.into_iter().map(move |state| (labels(state), Now(f64::from(u8::from(state == is.state)))))
+        family_in(
+            encoder,
+            "temperature",
+            "Temperature that the sensor tells",
+            Some(&Unit::Celsius),
+            celsius,
+        )?;
+        let locked = of(|sensor| {
+            sensor
+                .counters
+                .gps()
+                .map(|gps| f64::from(u8::from(gps == Gps::Locked)))
         });
-        family(encoder, "state", "1 for the state that the sensor is in", states)
+        family(
+            encoder,
+            "gps_locked",
+            "1 while pulse and time of a GPS receiver are good, where it is told",
+            locked,
+        )?;
+        let shares = self
+            .sensors
+            .iter()
+            .zip(&self.conditions)
+            .filter_map(|(sensor, is)| {
+                is.recent
+                    .map(|recent| ([("sensor", name_of(sensor))], Now(recent.share())))
+            });
+        let help = "Share of the data packets of the last seconds that were lost or of no use, 0 to 1, while packets come";
+        family(encoder, "loss_ratio", help, shares)?;
+        let states = self
+            .sensors
+            .iter()
+            .zip(&self.conditions)
+            .flat_map(|(sensor, is)| {
+                let labels =
+                    move |state: State| [("sensor", name_of(sensor)), ("state", state.name())];
+                State::ALL
+                    .into_iter()
+                    .map(move |state| (labels(state), Now(f64::from(u8::from(state == is.state)))))
+            });
+        family(
+            encoder,
+            "state",
+            "1 for the state that the sensor is in",
+            states,
+        )
     }
 
     fn stages(&self, encoder: &mut DescriptorEncoder<'_>) -> fmt::Result {
@@ -196,13 +334,22 @@ fn name_of(sensor: &SensorStatus) -> &str {
 }
 
 fn undecoded(sensor: &SensorStatus) -> impl Iterator<Item = (Labels<'_, 2>, Total)> {
-    let labelled = |(reason, count)| ([("sensor", name_of(sensor)), ("reason", reason)], Total(count));
+    let labelled = |(reason, count)| {
+        (
+            [("sensor", name_of(sensor)), ("reason", reason)],
+            Total(count),
+        )
+    };
     sensor.counters.undecoded().map(labelled)
 }
 
 fn rejected(port: &PortStatus) -> impl Iterator<Item = (Labels<'_, 2>, Total)> {
-    let labelled =
-        |reason: Reject| ([("port", &port.name[..]), ("reason", reason.name())], Total(port.counters.rejected(reason)));
+    let labelled = |reason: Reject| {
+        (
+            [("port", &port.name[..]), ("reason", reason.name())],
+            Total(port.counters.rejected(reason)),
+        )
+    };
     Reject::ALL.into_iter().map(labelled)
 }
 
@@ -224,7 +371,9 @@ fn family_in<'a, const N: usize, M: EncodeMetric>(
     metrics: impl Iterator<Item = (Labels<'a, N>, M)>,
 ) -> fmt::Result {
     let mut metrics = metrics.peekable();
-    let Some((_, first)) = metrics.peek() else { return Ok(()) };
+    let Some((_, first)) = metrics.peek() else {
+        return Ok(());
+    };
     let mut described = encoder.encode_descriptor(name, help, unit, first.metric_type())?;
     for (labels, metric) in metrics {
         metric.encode(described.encode_family(&labels)?)?;

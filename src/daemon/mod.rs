@@ -1,4 +1,5 @@
-//! The live daemon: sensors on their ports in, labelled sweeps in shared memory out, and what keeps that going.
+//! The live daemon: sensors on their ports in, labelled sweeps in shared memory out, and what keeps
+//! that going.
 //!
 //! ```text
 //! config                            what is to run, from a TOML file

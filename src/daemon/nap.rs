@@ -5,27 +5,30 @@
 //!          the last sweep is complete                              0.2 to 0.7 ms before the next one is
 //! ```
 //!
-//! Where position packets come alone there is no sweep to be in time for, and one nap follows the other.
+//! Where position packets come alone there is no sweep to be in time for, and one nap follows the
+//! other.
 
 use std::time::{Duration, Instant};
 
 use crate::capture::udp::ReceiveBuffer;
 use crate::capture::udp::buffer::PARTS;
 
-/// Longest nap, a turn at 10 Hz: each time that the thread is woken costs as much as decoding some packets.
+/// Longest nap, a turn at 10 Hz: each time that the thread is woken costs as much as decoding some
+/// packets.
 pub const LONGEST: Duration = Duration::from_millis(100);
-/// The same where position packets come alone, and no copies of them are kept in order with those of data: nobody is in a hurry
-/// for them.
+/// The same where position packets come alone, and no copies of them are kept in order with those
+/// of data: nobody is in a hurry for them.
 pub const LONGEST_OF_POSITIONS: Duration = Duration::from_millis(250);
-/// From so long before the packet that completes a sweep is expected, each packet is fetched as it comes, so that little is
-/// left to do.
+/// From so long before the packet that completes a sweep is expected, each packet is fetched as it
+/// comes, so that little is left to do.
 const ALERT_NS: i64 = 200_000;
 /// Most work that may wait: it is done before then, else consumers would wait for it.
 const CATCH_UP_NS: i64 = 2_100_000;
-/// A nap of the last moments that is shorter costs more than the few packets that would be fetched meanwhile, one by one.
+/// A nap of the last moments that is shorter costs more than the few packets that would be fetched
+/// meanwhile, one by one.
 const WORTH_NS: i64 = 500_000;
-/// Sensors whose position packets are no more than the data packets of the fastest model: an HDL-32E with two returns sends
-/// 720 a second, an HDL-64E S3 5,787.
+/// Sensors whose position packets are no more than the data packets of the fastest model: an
+/// HDL-32E with two returns sends 720 a second, an HDL-64E S3 5,787.
 const POSITIONS: i64 = 8;
 
 /// How much of the time a thread works, over the last seconds.
@@ -40,7 +43,11 @@ pub struct Load {
 impl Load {
     /// A thread that is about to begin, taken to work for a twentieth of the time.
     pub fn new(now: Instant) -> Self {
-        Self { busy: Duration::from_millis(5), all: Duration::from_millis(100), until: now }
+        Self {
+            busy: Duration::from_millis(5),
+            all: Duration::from_millis(100),
+            until: now,
+        }
     }
 
     /// It has worked from then until now.
@@ -67,12 +74,13 @@ impl Load {
     }
 }
 
-/// Longest nap of a port with such a buffer, where the data packets of so many sensors come and the position packets of so
-/// many others, and with so much to do, nanoseconds: `most`, or less.
+/// Longest nap of a port with such a buffer, where the data packets of so many sensors come and the
+/// position packets of so many others, and with so much to do, nanoseconds: `most`, or less.
 ///
 /// `filled_ns` is the shortest time of the last seconds in which a part of the buffer was filled
-/// ([`UdpSource::shortest_filling_ns`](crate::capture::UdpSource::shortest_filling_ns)). The configured sensors take longer than
-/// the rest of the rule allows, so that it tells of others' datagrams: their next burst finds a nap that it cannot outlast.
+/// ([`UdpSource::shortest_filling_ns`](crate::capture::UdpSource::shortest_filling_ns)). The
+/// configured sensors take longer than the rest of the rule allows, so that it tells of others'
+/// datagrams: their next burst finds a nap that it cannot outlast.
 pub fn longest_ns(
     most: Duration,
     buffer: ReceiveBuffer,
@@ -83,15 +91,25 @@ pub fn longest_ns(
     let holds_ns = i64::try_from(buffer.fastest_ms() * 1_000_000).unwrap_or(i64::MAX);
     let senders = (data as i64 * POSITIONS + positions as i64).max(1);
     let part_ns = holds_ns.saturating_mul(POSITIONS) / (PARTS as i64 * senders);
-    part_ns.min(filled_ns).min(load.brings_in_ns(CATCH_UP_NS)).min(most.as_nanos() as i64)
+    part_ns
+        .min(filled_ns)
+        .min(load.brings_in_ns(CATCH_UP_NS))
+        .min(most.as_nanos() as i64)
 }
 
-/// How long to sleep when a sweep is due in so long, nanoseconds: then there is time left to do what has gathered meanwhile.
+/// How long to sleep when a sweep is due in so long, nanoseconds: then there is time left to do
+/// what has gathered meanwhile.
 pub fn length_ns(until_due_ns: i64, longest_ns: i64, load: &Load) -> i64 {
     let until_alert_ns = until_due_ns.saturating_sub(ALERT_NS);
-    let work_ns = load.takes_ns(until_alert_ns.min(longest_ns)).min(CATCH_UP_NS);
+    let work_ns = load
+        .takes_ns(until_alert_ns.min(longest_ns))
+        .min(CATCH_UP_NS);
     let length_ns = until_alert_ns.saturating_sub(work_ns).min(longest_ns);
-    if until_alert_ns < WORTH_NS { 0 } else { length_ns.max(0) }
+    if until_alert_ns < WORTH_NS {
+        0
+    } else {
+        length_ns.max(0)
+    }
 }
 
 #[cfg(test)]
@@ -117,7 +135,14 @@ mod tests {
     fn naps_end_so_long_before_a_sweep_is_due_that_the_work_is_done_by_then() {
         for busy_ms in [0, 1, 2, 5, 20] {
             let load = load(busy_ms);
-            for (turn_ms, longest_ms) in [(50, 100), (100, 100), (200, 100), (100, 40), (100, 7), (100, 1)] {
+            for (turn_ms, longest_ms) in [
+                (50, 100),
+                (100, 100),
+                (200, 100),
+                (100, 40),
+                (100, 7),
+                (100, 1),
+            ] {
                 let longest_ns = (longest_ms * MS).min(load.brings_in_ns(CATCH_UP_NS));
                 let (mut left_ns, mut naps) = (turn_ms * MS, 0);
                 while let nap_ns @ 1.. = length_ns(left_ns, longest_ns, &load) {
@@ -126,8 +151,12 @@ mod tests {
                     naps += 1;
                 }
                 // Then each packet is fetched as it comes.
-                let what = format!("{busy_ms} % busy, {turn_ms} ms, {longest_ms} ms at most, {naps} naps");
-                assert!((ALERT_NS - 10_000..ALERT_NS + WORTH_NS).contains(&left_ns), "{what}: {left_ns}");
+                let what =
+                    format!("{busy_ms} % busy, {turn_ms} ms, {longest_ms} ms at most, {naps} naps");
+                assert!(
+                    (ALERT_NS - 10_000..ALERT_NS + WORTH_NS).contains(&left_ns),
+                    "{what}: {left_ns}"
+                );
                 assert!(busy_ms > 2 || turn_ms > longest_ms || naps == 1, "{what}");
             }
         }
@@ -136,35 +165,63 @@ mod tests {
 
     #[test]
     fn naps_end_before_the_buffer_is_full_and_before_there_is_much_to_do() {
-        let ample = ReceiveBuffer { wanted_bytes: 6_670_080, granted_bytes: 6_670_080 };
+        let ample = ReceiveBuffer {
+            wanted_bytes: 6_670_080,
+            granted_bytes: 6_670_080,
+        };
         // What Linux gives a user where nothing was set: 184 packets, 31 ms of the fastest model.
-        let small = ReceiveBuffer { granted_bytes: 425_984, ..ample };
-        let longest_ms = |buffer, sensors, load: &Load| longest_ns(LONGEST, buffer, [sensors, 0], i64::MAX, load) / MS;
+        let small = ReceiveBuffer {
+            granted_bytes: 425_984,
+            ..ample
+        };
+        let longest_ms = |buffer, sensors, load: &Load| {
+            longest_ns(LONGEST, buffer, [sensors, 0], i64::MAX, load) / MS
+        };
         let idle = load(0);
-        assert_eq!([1, 8].map(|sensors| longest_ms(ample, sensors, &idle)), [100, 15]);
+        assert_eq!(
+            [1, 8].map(|sensors| longest_ms(ample, sensors, &idle)),
+            [100, 15]
+        );
         assert_eq!(longest_ms(small, 1, &idle), 7);
         // A tenth of the time: 2.1 ms of work come together in 21.
         assert_eq!(longest_ms(ample, 1, &load(10)), 21);
         assert_eq!(longest_ms(ample, 1, &load(100)), 2);
-        // Where position packets come alone: 720 a second of each sensor, in a quarter of 2,895 or 184.
-        let positions_ms =
-            |buffer, sensors| longest_ns(LONGEST_OF_POSITIONS, buffer, [0, sensors], i64::MAX, &idle) / MS;
-        assert_eq!([1, 8, 10].map(|sensors| positions_ms(ample, sensors)), [250, 125, 100]);
+        // Where position packets come alone: 720 a second of each sensor, in a quarter of 2,895 or
+        // 184.
+        let positions_ms = |buffer, sensors| {
+            longest_ns(LONGEST_OF_POSITIONS, buffer, [0, sensors], i64::MAX, &idle) / MS
+        };
+        assert_eq!(
+            [1, 8, 10].map(|sensors| positions_ms(ample, sensors)),
+            [250, 125, 100]
+        );
         assert_eq!([1, 3].map(|sensors| positions_ms(small, sensors)), [62, 20]);
     }
 
     #[test]
     fn naps_are_no_longer_than_it_takes_others_to_fill_a_part_of_the_buffer() {
-        let ample = ReceiveBuffer { wanted_bytes: 6_670_080, granted_bytes: 6_670_080 };
+        let ample = ReceiveBuffer {
+            wanted_bytes: 6_670_080,
+            granted_bytes: 6_670_080,
+        };
         let idle = load(0);
-        let longest = |sensors, filled_ns| longest_ns(LONGEST, ample, [sensors, 0], filled_ns, &idle);
-        assert_eq!([1, 8].map(|sensors| longest(sensors, 2_900_000)), [2_900_000; 2]);
-        // Nothing that configured sensors may do makes a nap shorter, to a thousandth: they need this long for a part, or longer.
+        let longest =
+            |sensors, filled_ns| longest_ns(LONGEST, ample, [sensors, 0], filled_ns, &idle);
+        assert_eq!(
+            [1, 8].map(|sensors| longest(sensors, 2_900_000)),
+            [2_900_000; 2]
+        );
+        // Nothing that configured sensors may do makes a nap shorter, to a thousandth: they need
+        // this long for a part, or longer.
         for sensors in 1..=20 {
             let apart_ns = 172_800 / sensors as i64;
             let own_ns = (ample.part_bytes() / CHARGED_BYTES) as i64 * apart_ns;
-            let [quiet_ns, busy_ns] = [i64::MAX, own_ns].map(|filled_ns| longest(sensors, filled_ns));
-            assert!(busy_ns > quiet_ns - quiet_ns / 1_000, "{sensors} sensors: {busy_ns}, not {quiet_ns}");
+            let [quiet_ns, busy_ns] =
+                [i64::MAX, own_ns].map(|filled_ns| longest(sensors, filled_ns));
+            assert!(
+                busy_ns > quiet_ns - quiet_ns / 1_000,
+                "{sensors} sensors: {busy_ns}, not {quiet_ns}"
+            );
         }
         assert_eq!(longest(1, 0), 0);
     }

@@ -1,4 +1,5 @@
-//! What systemd is told (sd_notify(3)), and when its watchdog is fed. Without systemd all of it does nothing.
+//! What systemd is told (sd_notify(3)), and when its watchdog is fed. Without systemd all of it
+//! does nothing.
 
 use std::time::Duration;
 
@@ -18,13 +19,17 @@ impl Notifier {
         self.send(&[NotifyState::Ready]);
     }
 
-    /// It goes on waiting for so long for what is not there yet; systemd must not take that for a start that hangs.
+    /// It goes on waiting for so long for what is not there yet; systemd must not take that for a
+    /// start that hangs.
     pub fn waits(&mut self, why: &str, more: Duration) {
         self.status(why);
-        self.send(&[NotifyState::ExtendTimeoutUsec(u32::try_from(more.as_micros()).unwrap_or(u32::MAX))]);
+        self.send(&[NotifyState::ExtendTimeoutUsec(
+            u32::try_from(more.as_micros()).unwrap_or(u32::MAX),
+        )]);
     }
 
-    /// The configuration is being read anew. systemd before version 253 ignores the time, and later ones want it.
+    /// The configuration is being read anew. systemd before version 253 ignores the time, and later
+    /// ones want it.
     pub fn reloading(&mut self) {
         match NotifyState::monotonic_usec_now() {
             Ok(now) => self.send(&[NotifyState::Reloading, now]),
@@ -54,20 +59,25 @@ impl Notifier {
         if let Err(error) = sd_notify::notify(states)
             && !std::mem::replace(&mut self.has_failed, true)
         {
-            warn!("systemd does not hear this daemon: {error}; it may stop it when a start or a watchdog times out");
+            warn!(
+                "systemd does not hear this daemon: {error}; it may stop it when a start or a watchdog times out"
+            );
         }
     }
 }
 
-/// After so long without a round of its thread a port counts as hung, where no watchdog says otherwise.
+/// After so long without a round of its thread a port counts as hung, where no watchdog says
+/// otherwise.
 const HUNG: Duration = Duration::from_secs(2);
 
-/// How often a thread shows that it lives, and it is looked at all of them: eight times in the watchdog's time, if there is one,
-/// and about twice a second at least.
+/// How often a thread shows that it lives, and it is looked at all of them: eight times in the
+/// watchdog's time, if there is one, and about twice a second at least.
 pub fn beat(watchdog: Option<Duration>) -> Duration {
     // Whole slots of tokio's timers: see where the control thread ticks.
     let seldom = Duration::from_millis(8 * 64);
-    watchdog.map_or(seldom, |watchdog| (watchdog / 8).clamp(Duration::from_millis(1), seldom))
+    watchdog.map_or(seldom, |watchdog| {
+        (watchdog / 8).clamp(Duration::from_millis(1), seldom)
+    })
 }
 
 /// Says which threads hang, by their heartbeats, and when the watchdog is to be fed.
@@ -79,13 +89,18 @@ pub struct Pulse {
 }
 
 impl Pulse {
-    /// A pulse of as many threads, all alive at `now` (time since any fixed moment), and the watchdog's time if there is
-    /// one.
+    /// A pulse of as many threads, all alive at `now` (time since any fixed moment), and the
+    /// watchdog's time if there is one.
     pub fn new(watchdog: Option<Duration>, threads: usize, now: Duration) -> Self {
-        Self { watchdog, fed: None, beats: vec![(0, now); threads] }
+        Self {
+            watchdog,
+            fed: None,
+            beats: vec![(0, now); threads],
+        }
     }
 
-    /// Takes the heartbeats of all threads, and gives those that hang: that have not moved for half the watchdog's time.
+    /// Takes the heartbeats of all threads, and gives those that hang: that have not moved for half
+    /// the watchdog's time.
     pub fn observe(&mut self, now: Duration, beats: impl IntoIterator<Item = u64>) -> Vec<usize> {
         for (beat, (last, since)) in beats.into_iter().zip(&mut self.beats) {
             if beat != *last {
@@ -93,13 +108,17 @@ impl Pulse {
             }
         }
         let patience = self.watchdog.map_or(HUNG, |watchdog| watchdog / 2);
-        let hangs = |(index, &(_, since)): (usize, &(u64, Duration))| (now - since > patience).then_some(index);
+        let hangs = |(index, &(_, since)): (usize, &(u64, Duration))| {
+            (now - since > patience).then_some(index)
+        };
         self.beats.iter().enumerate().filter_map(hangs).collect()
     }
 
     /// Whether the watchdog is to be fed, four times in its time; ask only while no thread hangs.
     pub fn is_due(&mut self, now: Duration) -> bool {
-        let Some(watchdog) = self.watchdog else { return false };
+        let Some(watchdog) = self.watchdog else {
+            return false;
+        };
         let is_due = self.fed.is_none_or(|fed| now - fed >= watchdog / 4);
         if is_due {
             self.fed = Some(now);
@@ -123,7 +142,10 @@ mod tests {
             [Some(800), Some(400), Some(5_000), None].map(|watchdog| beat(watchdog.map(ms))),
             [100, 50, 512, 512].map(ms)
         );
-        let fed: Vec<u64> = (0..=800).step_by(100).filter(|&at| pulse.is_due(ms(at))).collect();
+        let fed: Vec<u64> = (0..=800)
+            .step_by(100)
+            .filter(|&at| pulse.is_due(ms(at)))
+            .collect();
         assert_eq!(fed, [0, 200, 400, 600, 800]);
         assert!(!Pulse::new(None, 1, ms(0)).is_due(ms(1_000)));
     }

@@ -1,4 +1,5 @@
-//! Which ports there are, and whose packets come through each: worked out before anything is opened.
+//! Which ports there are, and whose packets come through each: worked out before anything is
+//! opened.
 
 use std::fmt;
 
@@ -11,37 +12,65 @@ use sweepd_core::sensor::Model;
 pub struct PortPlan {
     /// Where it listens, and on which core and how urgently it is served.
     pub config: PortConfig,
-    /// The sensors whose data come through it, as places in [`Config::sensors`]; none where it only takes position
-    /// packets.
+    /// The sensors whose data come through it, as places in [`Config::sensors`]; none where it only
+    /// takes position packets.
     pub sensors: Vec<usize>,
     /// The sensors that are configured to send their position packets to it.
     pub positions: Vec<usize>,
 }
 
 impl PortPlan {
-    /// The sensors whose data come through other ports and whose position packets this one may hear. The same address on
-    /// another interface is another sensor.
+    /// The sensors whose data come through other ports and whose position packets this one may
+    /// hear. The same address on another interface is another sensor.
     pub fn others<'a>(&'a self, config: &'a Config) -> impl Iterator<Item = usize> + 'a {
         (0..config.sensors.len()).filter(move |index| {
-            config.sensors[*index].port.interface == self.config.interface && !self.sensors.contains(index)
+            config.sensors[*index].port.interface == self.config.interface
+                && !self.sensors.contains(index)
         })
     }
 
-    /// Those sensors that this port may hear position packets of and that share their address with another of them.
-    pub fn sharing_an_address<'a>(&'a self, config: &'a Config) -> impl Iterator<Item = &'a SensorConfig> {
-        let heard = move || self.sensors.iter().copied().chain(self.others(config)).map(|index| &config.sensors[index]);
-        heard().filter(move |one| heard().filter(|other| other.address == one.address).nth(1).is_some())
+    /// Those sensors that this port may hear position packets of and that share their address with
+    /// another of them.
+    pub fn sharing_an_address<'a>(
+        &'a self,
+        config: &'a Config,
+    ) -> impl Iterator<Item = &'a SensorConfig> {
+        let heard = move || {
+            self.sensors
+                .iter()
+                .copied()
+                .chain(self.others(config))
+                .map(|index| &config.sensors[index])
+        };
+        heard().filter(move |one| {
+            heard()
+                .filter(|other| other.address == one.address)
+                .nth(1)
+                .is_some()
+        })
     }
 
     /// What the socket is told.
     pub fn udp(&self) -> UdpConfig {
-        let PortConfig { bind: address, port, multicast, .. } = self.config;
+        let PortConfig {
+            bind: address,
+            port,
+            multicast,
+            ..
+        } = self.config;
         let interface = self.config.interface.clone();
-        UdpConfig { address, port, multicast, interface, buffer_bytes: ample_buffer_bytes() }
+        UdpConfig {
+            address,
+            port,
+            multicast,
+            interface,
+            buffer_bytes: ample_buffer_bytes(),
+        }
     }
 }
 
-/// The name of a port in output: `2368`, or `10.0.0.5:2368%eth1` where it does not hear all of this host.
+/// The name of a port in output: `2368`, or `10.0.0.5:2368%eth1` where it does not hear all of this
+/// host.
 pub struct PortName<'a>(pub &'a PortConfig, pub u16);
 
 impl fmt::Display for PortName<'_> {
@@ -50,24 +79,41 @@ impl fmt::Display for PortName<'_> {
             write!(f, "{}:", self.0.bind)?;
         }
         write!(f, "{}", self.1)?;
-        self.0.interface.as_ref().map_or(Ok(()), |interface| write!(f, "%{interface}"))
+        self.0
+            .interface
+            .as_ref()
+            .map_or(Ok(()), |interface| write!(f, "%{interface}"))
     }
 }
 
-/// The ports of all sensors: first those that data come through, then those that only take position packets. Sensors
-/// with the same address, port, group and interface share one; so does a position port that is somebody's data port.
+/// The ports of all sensors: first those that data come through, then those that only take position
+/// packets. Sensors with the same address, port, group and interface share one; so does a position
+/// port that is somebody's data port.
 pub fn ports(config: &Config) -> Vec<PortPlan> {
     let mut plans: Vec<PortPlan> = Vec::new();
     for (index, sensor) in config.sensors.iter().enumerate() {
         let plan = find_or_open(&mut plans, &sensor.port);
         plan.sensors.push(index);
         plan.config.cpu = plan.config.cpu.or(sensor.port.cpu);
-        plan.config.realtime_priority = plan.config.realtime_priority.max(sensor.port.realtime_priority);
+        plan.config.realtime_priority = plan
+            .config
+            .realtime_priority
+            .max(sensor.port.realtime_priority);
     }
-    for (index, sensor) in config.sensors.iter().enumerate().filter(|(_, sensor)| sends_positions(sensor)) {
+    for (index, sensor) in config
+        .sensors
+        .iter()
+        .enumerate()
+        .filter(|(_, sensor)| sends_positions(sensor))
+    {
         // Its few packets are in no hurry.
         let (cpu, realtime_priority) = (None, None);
-        let port = PortConfig { port: sensor.position_port, cpu, realtime_priority, ..sensor.port.clone() };
+        let port = PortConfig {
+            port: sensor.position_port,
+            cpu,
+            realtime_priority,
+            ..sensor.port.clone()
+        };
         find_or_open(&mut plans, &port).positions.push(index);
     }
     plans
@@ -75,10 +121,17 @@ pub fn ports(config: &Config) -> Vec<PortPlan> {
 
 fn find_or_open<'a>(plans: &'a mut Vec<PortPlan>, port: &PortConfig) -> &'a mut PortPlan {
     let key = |port: &PortConfig| (port.bind, port.port, port.multicast, port.interface.clone());
-    let index = plans.iter().position(|plan| key(&plan.config) == key(port)).unwrap_or_else(|| {
-        plans.push(PortPlan { config: port.clone(), sensors: Vec::new(), positions: Vec::new() });
-        plans.len() - 1
-    });
+    let index = plans
+        .iter()
+        .position(|plan| key(&plan.config) == key(port))
+        .unwrap_or_else(|| {
+            plans.push(PortPlan {
+                config: port.clone(),
+                sensors: Vec::new(),
+                positions: Vec::new(),
+            });
+            plans.len() - 1
+        });
     &mut plans[index]
 }
 
@@ -94,7 +147,12 @@ mod tests {
 
     fn planned(sensors: Vec<SensorConfig>) -> Vec<(String, Vec<usize>)> {
         let config = config_of(sensors);
-        let named = |plan: PortPlan| (PortName(&plan.config, plan.config.port).to_string(), plan.sensors);
+        let named = |plan: PortPlan| {
+            (
+                PortName(&plan.config, plan.config.port).to_string(),
+                plan.sensors,
+            )
+        };
         ports(&config).into_iter().map(named).collect()
     }
 
@@ -106,9 +164,16 @@ mod tests {
 
     #[test]
     fn sensors_share_ports_and_all_share_the_position_port() {
-        let sensors = vec![at("10.0.0.1", 2368), at("10.0.0.2", 2369), at("10.0.0.3", 2368)];
+        let sensors = vec![
+            at("10.0.0.1", 2368),
+            at("10.0.0.2", 2369),
+            at("10.0.0.3", 2368),
+        ];
         let expected = [("2368", vec![0, 2]), ("2369", vec![1]), ("8308", vec![])];
-        assert_eq!(planned(sensors), expected.map(|(name, sensors)| (name.to_owned(), sensors)));
+        assert_eq!(
+            planned(sensors),
+            expected.map(|(name, sensors)| (name.to_owned(), sensors))
+        );
     }
 
     #[test]
@@ -116,7 +181,10 @@ mod tests {
         let (mut one, mut other) = (at("10.0.0.1", 2368), at("10.0.0.2", 8308));
         one.position_port = 2368;
         other.pipeline.model = Some(Model::Vlp16);
-        assert_eq!(planned(vec![one, other]), [("2368".to_owned(), vec![0]), ("8308".to_owned(), vec![1])]);
+        assert_eq!(
+            planned(vec![one, other]),
+            [("2368".to_owned(), vec![0]), ("8308".to_owned(), vec![1])]
+        );
     }
 
     #[test]
@@ -126,7 +194,10 @@ mod tests {
         other.port.bind = [10, 0, 0, 9].into();
         (one.pipeline.model, other.pipeline.model) = (Some(Model::Hdl64eS3), Some(Model::Hdl64eS2));
         let expected = [("2368%eth1", vec![0]), ("10.0.0.9:2368", vec![1])];
-        assert_eq!(planned(vec![one, other]), expected.map(|(name, sensors)| (name.to_owned(), sensors)));
+        assert_eq!(
+            planned(vec![one, other]),
+            expected.map(|(name, sensors)| (name.to_owned(), sensors))
+        );
     }
 
     #[test]
@@ -135,7 +206,13 @@ mod tests {
         (one.port.realtime_priority, other.port.realtime_priority) = (Some(10), Some(50));
         other.port.cpu = Some(1);
         let plans = ports(&config_of(vec![one, other]));
-        assert_eq!((plans[0].config.cpu, plans[0].config.realtime_priority), (Some(1), Some(50)));
-        assert_eq!((plans[1].config.cpu, plans[1].config.realtime_priority), (None, None));
+        assert_eq!(
+            (plans[0].config.cpu, plans[0].config.realtime_priority),
+            (Some(1), Some(50))
+        );
+        assert_eq!(
+            (plans[1].config.cpu, plans[1].config.realtime_priority),
+            (None, None)
+        );
     }
 }

@@ -1,4 +1,5 @@
-//! One plain thread a port: receive, let in, decode, segment, share. No lock, no allocation, no log line a packet.
+//! One plain thread a port: receive, let in, decode, segment, share. No lock, no allocation, no log
+//! line a packet.
 //!
 //! ```text
 //! socket -> door -> data packet      -> pipeline of the sensor -> sweep -> consumers
@@ -40,10 +41,12 @@ const PAUSE: Duration = Duration::from_millis(50);
 const QUIET: Duration = Duration::from_secs(1);
 /// How often it is looked at the interface, while nothing comes.
 const LOOK_EVERY: Duration = Duration::from_secs(1);
-/// A socket that fails so often in a row will not recover: the daemon ends, and opens it anew when it is restarted.
+/// A socket that fails so often in a row will not recover: the daemon ends, and opens it anew when
+/// it is restarted.
 const FAILURES: u32 = 20;
-/// Position packets that may wait for the thread of their sensor. An HDL-32E with two returns sends 720 a second (one for five
-/// data packets); the thread that takes them in may rest for a quarter of a second, that of their sensor for a tenth.
+/// Position packets that may wait for the thread of their sensor. An HDL-32E with two returns sends
+/// 720 a second (one for five data packets); the thread that takes them in may rest for a quarter
+/// of a second, that of their sensor for a tenth.
 pub const MAILS: usize = 512;
 
 /// A position packet on its way to the thread of its sensor.
@@ -56,13 +59,33 @@ pub struct Mail {
 
 impl Mail {
     fn of(datagram: &Datagram<'_>) -> Option<Self> {
-        let Datagram { arrival_ns, source, destination_port, payload } = *datagram;
-        Some(Self { arrival_ns, source, destination_port, payload: payload.try_into().ok()? })
+        let Datagram {
+            arrival_ns,
+            source,
+            destination_port,
+            payload,
+        } = *datagram;
+        Some(Self {
+            arrival_ns,
+            source,
+            destination_port,
+            payload: payload.try_into().ok()?,
+        })
     }
 
     fn datagram(&self) -> Datagram<'_> {
-        let Self { arrival_ns, source, destination_port, .. } = *self;
-        Datagram { arrival_ns, source, destination_port, payload: &self.payload }
+        let Self {
+            arrival_ns,
+            source,
+            destination_port,
+            ..
+        } = *self;
+        Datagram {
+            arrival_ns,
+            source,
+            destination_port,
+            payload: &self.payload,
+        }
     }
 }
 
@@ -114,8 +137,8 @@ pub struct End {
     pub bell: UnixStream,
 }
 
-/// What lies behind the socket of a port. Both clocks enter here: that which stamps packets, with each of them, and
-/// CLOCK_MONOTONIC, which nobody sets.
+/// What lies behind the socket of a port. Both clocks enter here: that which stamps packets, with
+/// each of them, and CLOCK_MONOTONIC, which nobody sets.
 pub struct Room<B: Buffers> {
     /// Who is let in.
     pub door: Door,
@@ -129,11 +152,13 @@ pub struct Room<B: Buffers> {
     pub counters: Arc<PortCounters>,
 }
 
-/// When the newest data packet of a sensor came, by the clock that stamps packets and by one that nobody sets.
+/// When the newest data packet of a sensor came, by the clock that stamps packets and by one that
+/// nobody sets.
 ///
-/// The kernel stamps packets by CLOCK_REALTIME, which may be stepped by hours. How long a sensor has been quiet is therefore
-/// told by CLOCK_MONOTONIC: else a step would close an open sweep, or keep one open for as long as the clock was set back.
-/// Each sensor has its own: when the clock was set, another's newest packet may have come since, and this one's before.
+/// The kernel stamps packets by CLOCK_REALTIME, which may be stepped by hours. How long a sensor
+/// has been quiet is therefore told by CLOCK_MONOTONIC: else a step would close an open sweep, or
+/// keep one open for as long as the clock was set back. Each sensor has its own: when the clock was
+/// set, another's newest packet may have come since, and this one's before.
 #[derive(Debug, Default)]
 pub struct Newest {
     /// The stamp of a packet of this batch.
@@ -148,8 +173,8 @@ impl Newest {
         self.stamp_ns = Some(stamp_ns);
     }
 
-    /// What the kernel would stamp a packet with that came now, after a batch, had its clock not been set since the newest
-    /// one; nanoseconds since 1970, `None` before the first one.
+    /// What the kernel would stamp a packet with that came now, after a batch, had its clock not
+    /// been set since the newest one; nanoseconds since 1970, `None` before the first one.
     fn stamp_of(&mut self, now: Instant) -> Option<i64> {
         if let Some(stamp_ns) = self.stamp_ns.take() {
             self.noted = Some((stamp_ns, now));
@@ -160,9 +185,24 @@ impl Newest {
 }
 
 impl<B: Buffers<Buffer: Outgoing>> Port<B> {
-    /// A port whose socket is open, with ways to a recording; it goes a round after each `beat`, or sooner.
-    pub fn new(source: UdpSource, room: Room<B>, lanes: Receiver<Option<Lane>>, end: End, beat: Duration) -> Self {
-        Self { source, room, lanes, end, beat, heard: None, load: Load::new(Instant::now()) }
+    /// A port whose socket is open, with ways to a recording; it goes a round after each `beat`, or
+    /// sooner.
+    pub fn new(
+        source: UdpSource,
+        room: Room<B>,
+        lanes: Receiver<Option<Lane>>,
+        end: End,
+        beat: Duration,
+    ) -> Self {
+        Self {
+            source,
+            room,
+            lanes,
+            end,
+            beat,
+            heard: None,
+            load: Load::new(Instant::now()),
+        }
     }
 
     /// Its number.
@@ -192,7 +232,8 @@ impl<B: Buffers<Buffer: Outgoing>> Port<B> {
             }
             if was_quiet && looked.elapsed() >= LOOK_EVERY {
                 looked = Instant::now();
-                // One that is back and has no address yet is as good as gone; it is looked at again.
+                // One that is back and has no address yet is as good as gone; it is looked at
+                // again.
                 let is_there = self.source.follow_interface().unwrap_or(false);
                 self.room.counters.set_interface_gone(!is_there);
             }
@@ -214,26 +255,43 @@ impl<B: Buffers<Buffer: Outgoing>> Port<B> {
         !self.room.sensors.is_empty()
     }
 
-    /// Sleeps while no sweep of any sensor is about to end; the socket keeps what comes. A quiet port waits on its socket
-    /// instead: nothing gathers there yet. Whoever ends the daemon unparks those that sleep, and rings for those that wait.
+    /// Sleeps while no sweep of any sensor is about to end; the socket keeps what comes. A quiet
+    /// port waits on its socket instead: nothing gathers there yet. Whoever ends the daemon unparks
+    /// those that sleep, and rings for those that wait.
     fn rest(&self) {
         if self.is_quiet() {
-            // One for position packets alone is asked for nothing but a lane, which it looks for before it takes a packet.
-            let idle = if self.has_sweeps() { IDLE.min(self.beat) } else { self.beat };
+            // One for position packets alone is asked for nothing but a lane, which it looks for
+            // before it takes a packet.
+            let idle = if self.has_sweeps() {
+                IDLE.min(self.beat)
+            } else {
+                self.beat
+            };
             return wait_for_either(self.source.socket(), &self.end.bell, idle);
         }
         let now_ns = realtime_ns();
-        let Room { sensors, others, .. } = &self.room;
+        let Room {
+            sensors, others, ..
+        } = &self.room;
         let (longest, senders) = match self.has_sweeps() {
             false if !self.room.is_copied() => (nap::LONGEST_OF_POSITIONS, [0, others.len()]),
             false => (nap::LONGEST, [0, others.len()]),
             true => (nap::LONGEST, [sensors.len(), 0]),
         };
         let (buffer, filled_ns) = (self.source.buffer(), self.source.shortest_filling_ns());
-        let longest_ns = nap::longest_ns(longest.min(self.beat), buffer, senders, filled_ns, &self.load);
-        let nap_ns = |due_ns: i64| nap::length_ns(due_ns.saturating_sub(now_ns), longest_ns, &self.load);
+        let longest_ns = nap::longest_ns(
+            longest.min(self.beat),
+            buffer,
+            senders,
+            filled_ns,
+            &self.load,
+        );
+        let nap_ns =
+            |due_ns: i64| nap::length_ns(due_ns.saturating_sub(now_ns), longest_ns, &self.load);
         // One of whom it is not known is waited on.
-        let naps_ns = sensors.iter().map(|served| served.sensor.due_ns().map_or(0, nap_ns));
+        let naps_ns = sensors
+            .iter()
+            .map(|served| served.sensor.due_ns().map_or(0, nap_ns));
         if let ns @ 1.. = naps_ns.min().unwrap_or(longest_ns.max(1_000_000)) {
             thread::park_timeout(Duration::from_nanos(ns as u64));
         }
@@ -241,7 +299,14 @@ impl<B: Buffers<Buffer: Outgoing>> Port<B> {
 
     /// One batch, or a wait for one in vain.
     fn round(&mut self, timeout: Duration) -> Result<(), UdpError> {
-        let Self { source, room, lanes, heard, load, .. } = self;
+        let Self {
+            source,
+            room,
+            lanes,
+            heard,
+            load,
+            ..
+        } = self;
         while let Ok(next) = lanes.try_recv() {
             room.lane = next;
         }
@@ -256,7 +321,11 @@ impl<B: Buffers<Buffer: Outgoing>> Port<B> {
             room.counters.set_interface_gone(false);
             *heard = Some(now);
         }
-        let dropped = if some_came { source.dropped_so_far() } else { source.dropped() };
+        let dropped = if some_came {
+            source.dropped_so_far()
+        } else {
+            source.dropped()
+        };
         room.counters.received.set(source.received());
         room.counters.dropped.set(dropped);
         room.catch_up(now, dropped);
@@ -266,7 +335,8 @@ impl<B: Buffers<Buffer: Outgoing>> Port<B> {
 }
 
 impl<B: Buffers<Buffer: Outgoing>> Room<B> {
-    /// Hands a datagram to whom it is for, if it is let in. `dropped` is what the kernel had dropped on the port so far.
+    /// Hands a datagram to whom it is for, if it is let in. `dropped` is what the kernel had
+    /// dropped on the port so far.
     fn take(&mut self, addressed: &Addressed<'_>, dropped: u64) -> bool {
         let datagram = addressed.datagram();
         match self.door.admit(&datagram) {
@@ -276,7 +346,9 @@ impl<B: Buffers<Buffer: Outgoing>> Room<B> {
                 served.sensor.data(&datagram, dropped);
                 served.newest.stamp(datagram.arrival_ns);
             }
-            Ok(Admitted::Position(place)) => deliver(place, addressed, &mut self.sensors, &mut self.others),
+            Ok(Admitted::Position(place)) => {
+                deliver(place, addressed, &mut self.sensors, &mut self.others)
+            }
             Ok(Admitted::Ambiguous) => self.counters.reject(Reject::Ambiguous),
             Err(reason) => {
                 self.counters.reject(reason);
@@ -297,12 +369,19 @@ impl<B: Buffers<Buffer: Outgoing>> Room<B> {
 
     /// Whether copies of what comes here for other sensors go anywhere.
     fn is_copied(&self) -> bool {
-        self.lane.is_some() || self.others.iter().filter_map(|mailbox| mailbox.tap.as_ref()).any(Tap::is_open)
+        self.lane.is_some()
+            || self
+                .others
+                .iter()
+                .filter_map(|mailbox| mailbox.tap.as_ref())
+                .any(Tap::is_open)
     }
 
     /// What is done between batches.
     fn catch_up(&mut self, now: Instant, dropped: u64) {
-        self.sensors.iter_mut().for_each(|served| served.catch_up(now, dropped));
+        self.sensors
+            .iter_mut()
+            .for_each(|served| served.catch_up(now, dropped));
     }
 }
 

@@ -29,8 +29,8 @@ use sweepd_core::pipeline;
 use sweepd_core::segment::ConfigError;
 use sweepd_core::sweep::Buffers;
 
-/// How long the threads have to end; those that hang end with the process. They take some milliseconds, and on a machine
-/// that is overloaded as long as they wait for a core.
+/// How long the threads have to end; those that hang end with the process. They take some
+/// milliseconds, and on a machine that is overloaded as long as they wait for a core.
 const PATIENCE: Duration = Duration::from_secs(1);
 
 /// Why the daemon cannot run, or cannot go on.
@@ -91,14 +91,17 @@ pub enum DaemonError {
 }
 
 impl DaemonError {
-    /// Whether time may mend it: an address or an interface that the network has not set up yet, as at boot. (A port that
-    /// is taken is not among them: somebody who starts a second daemon is to know.)
+    /// Whether time may mend it: an address or an interface that the network has not set up yet, as
+    /// at boot. (A port that is taken is not among them: somebody who starts a second daemon is to
+    /// know.)
     pub fn may_pass(&self) -> bool {
         match self {
             Self::Udp(UdpError::NoSuchAddress { .. }) => true,
-            Self::Udp(UdpError::Interface { source, .. } | UdpError::Join { source, .. }) => source
-                .raw_os_error()
-                .is_some_and(|code| [libc::ENODEV, libc::ENXIO, libc::EADDRNOTAVAIL].contains(&code)),
+            Self::Udp(UdpError::Interface { source, .. } | UdpError::Join { source, .. }) => {
+                source.raw_os_error().is_some_and(|code| {
+                    [libc::ENODEV, libc::ENXIO, libc::EADDRNOTAVAIL].contains(&code)
+                })
+            }
             _ => false,
         }
     }
@@ -157,48 +160,93 @@ pub struct Runtime {
 }
 
 impl Runtime {
-    /// Opens everything, begins the recording, then starts the threads: when this returns, all sockets are bound, all sensors
-    /// have their way out, and every thread has made its first round.
+    /// Opens everything, begins the recording, then starts the threads: when this returns, all
+    /// sockets are bound, all sensors have their way out, and every thread has made its first
+    /// round.
     ///
     /// # Errors
     /// [`DaemonError`]; then nothing is left running.
-    pub fn start<S: Sharing>(config: &Config, sharing: &S, tees: &mut Tees) -> Result<Self, DaemonError> {
+    pub fn start<S: Sharing>(
+        config: &Config,
+        sharing: &S,
+        tees: &mut Tees,
+    ) -> Result<Self, DaemonError> {
         // Ports first: who holds them already is told before anything is reserved.
         let mut sockets = Vec::new();
         for plan in plan::ports(config) {
             sockets.push((UdpSource::bind(&plan.udp())?, plan));
         }
         let (told, events) = mpsc::channel();
-        let mut hall = Hall { statuses: Vec::new(), mailboxes: Vec::new(), orders: Vec::new() };
+        let mut hall = Hall {
+            statuses: Vec::new(),
+            mailboxes: Vec::new(),
+            orders: Vec::new(),
+        };
         let mut ready = HashMap::new();
         for (index, sensor) in config.sensors.iter().enumerate() {
             let bound = |plan: &PortPlan| plan.sensors.contains(&index);
-            let port_index = sockets.iter().position(|(_, plan)| bound(plan)).unwrap_or(0);
-            let port = sockets.get(port_index).map_or(0, |(source, _)| source.local_addr().port());
-            ready.insert(index, hall.enter(index, sensor, (port_index, port), (sharing, &*tees), &told)?);
+            let port_index = sockets
+                .iter()
+                .position(|(_, plan)| bound(plan))
+                .unwrap_or(0);
+            let port = sockets
+                .get(port_index)
+                .map_or(0, |(source, _)| source.local_addr().port());
+            ready.insert(
+                index,
+                hall.enter(index, sensor, (port_index, port), (sharing, &*tees), &told)?,
+            );
         }
         // Now that it may run: a daemon that cannot, again and again, begins no files.
         tees.begin(config.record.as_ref());
         let over = Arc::new(AtomicBool::new(false));
-        let failed = |source| DaemonError::System { what: "make a pair of sockets", source };
+        let failed = |source| DaemonError::System {
+            what: "make a pair of sockets",
+            source,
+        };
         let (bell, rung) = UnixStream::pair().map_err(failed)?;
         let sensors = hall.statuses.into();
         let (ports, lanes, threads) = (Arc::new([]), Vec::new(), Vec::new());
-        let mut runtime = Self { sensors, ports, events, orders: hall.orders, lanes, over, bell, threads };
+        let mut runtime = Self {
+            sensors,
+            ports,
+            events,
+            orders: hall.orders,
+            lanes,
+            over,
+            bell,
+            threads,
+        };
         let (mut statuses, beat) = (Vec::new(), beat(sd_notify::watchdog_enabled()));
         for (source, plan) in sockets {
             let status = PortStatus::new(&source, config, &plan);
-            let served = plan.sensors.iter().filter_map(|index| ready.remove(index)).collect();
+            let served = plan
+                .sensors
+                .iter()
+                .filter_map(|index| ready.remove(index))
+                .collect();
             let others = others(config, &plan, &hall.mailboxes, tees);
             let door = Door::new(config, &plan);
             let counters = Arc::clone(&status.counters);
-            let end = End { over: Arc::clone(&runtime.over), bell: rung.try_clone().map_err(failed)? };
+            let end = End {
+                over: Arc::clone(&runtime.over),
+                bell: rung.try_clone().map_err(failed)?,
+            };
             let (order, lanes) = mpsc::channel();
             runtime.lanes.push(order);
-            let room = Room { door, sensors: served, others, lane: tees.lane(), counters };
+            let room = Room {
+                door,
+                sensors: served,
+                others,
+                lane: tees.lane(),
+                counters,
+            };
             let port = Port::new(source, room, lanes, end, beat);
             // On an early return, dropping the runtime ends those that run already.
-            runtime.threads.push((status.name.clone(), spawn(port, &status.name, &plan.config)?));
+            runtime.threads.push((
+                status.name.clone(),
+                spawn(port, &status.name, &plan.config)?,
+            ));
             statuses.push(status);
         }
         runtime.ports = statuses.into();
@@ -225,10 +273,17 @@ impl Runtime {
     /// # Errors
     /// [`DaemonError::Ended`]: one has ended, and the daemon must not go on without it.
     pub fn check(&mut self) -> Result<(), DaemonError> {
-        match self.threads.iter().position(|(_, thread)| thread.is_finished()) {
+        match self
+            .threads
+            .iter()
+            .position(|(_, thread)| thread.is_finished())
+        {
             Some(index) => {
                 let (port, thread) = self.threads.swap_remove(index);
-                Err(DaemonError::Ended { port, why: ended(thread) })
+                Err(DaemonError::Ended {
+                    port,
+                    why: ended(thread),
+                })
             }
             None => Ok(()),
         }
@@ -237,7 +292,8 @@ impl Runtime {
     /// Ends the threads.
     ///
     /// # Errors
-    /// [`DaemonError::Hangs`]: one does not end in time. [`DaemonError::Ended`]: one had come to another end before.
+    /// [`DaemonError::Hangs`]: one does not end in time. [`DaemonError::Ended`]: one had come to
+    /// another end before.
     pub fn stop(mut self) -> Result<(), DaemonError> {
         self.end();
         let begun = Instant::now();
@@ -249,7 +305,10 @@ impl Runtime {
                 thread::sleep(Duration::from_millis(1));
             }
             if !matches!(thread.join(), Ok(Ok(()))) {
-                return Err(DaemonError::Ended { port, why: "it had failed before".to_owned() });
+                return Err(DaemonError::Ended {
+                    port,
+                    why: "it had failed before".to_owned(),
+                });
             }
         }
         Ok(())
@@ -265,11 +324,17 @@ impl Runtime {
 
     /// Ends the naps of all threads.
     fn wake(&self) {
-        self.threads.iter().for_each(|(_, thread)| thread.thread().unpark());
+        self.threads
+            .iter()
+            .for_each(|(_, thread)| thread.thread().unpark());
     }
 
     fn await_first_round(&mut self) -> Result<(), DaemonError> {
-        while self.ports.iter().any(|port| port.counters.heartbeat.get() == 0) {
+        while self
+            .ports
+            .iter()
+            .any(|port| port.counters.heartbeat.get() == 0)
+        {
             self.check()?;
             thread::sleep(Duration::from_millis(1));
         }
@@ -301,7 +366,10 @@ impl Hall {
     ) -> Result<Served<S::Buffers>, DaemonError> {
         let name = || sensor.name.clone();
         let way = sharing.open(sensor);
-        let way = way.map_err(|source| DaemonError::Sharing { sensor: name(), source })?;
+        let way = way.map_err(|source| DaemonError::Sharing {
+            sensor: name(),
+            source,
+        })?;
         let counters = Arc::new(SensorCounters::default());
         let address = sensor.address.to_canonical();
         let identity = Identity {
@@ -312,14 +380,31 @@ impl Hall {
             events: events.clone(),
         };
         let at_work = Sensor::new(identity, sensor.pipeline.clone(), way.buffers);
-        let at_work = at_work.map_err(|source| DaemonError::Segmenting { sensor: name(), source })?;
+        let at_work = at_work.map_err(|source| DaemonError::Segmenting {
+            sensor: name(),
+            source,
+        })?;
         let (sender, mail) = mpsc::sync_channel(MAILS);
         let (order, orders) = mpsc::channel();
         self.mailboxes.push((sender, Arc::clone(&counters)));
         self.orders.push(order);
         let (position_port, sharing) = (sensor.position_port, way.status);
-        self.statuses.push(SensorStatus { name: name(), address, port, port_index, position_port, counters, sharing });
-        Ok(Served { sensor: at_work, mail, orders, tap: tees.tap(&sensor.name), newest: Newest::default() })
+        self.statuses.push(SensorStatus {
+            name: name(),
+            address,
+            port,
+            port_index,
+            position_port,
+            counters,
+            sharing,
+        });
+        Ok(Served {
+            sensor: at_work,
+            mail,
+            orders,
+            tap: tees.tap(&sensor.name),
+            newest: Newest::default(),
+        })
     }
 }
 
@@ -331,9 +416,19 @@ impl PortStatus {
             warn!("{warning}");
         }
         info!("listening on port {name}");
-        let sharing_an_address = plan.sharing_an_address(config).map(|sensor| sensor.name.clone()).collect();
+        let sharing_an_address = plan
+            .sharing_an_address(config)
+            .map(|sensor| sensor.name.clone())
+            .collect();
         let interface = plan.config.interface.clone();
-        Self { name, local, interface, sharing_an_address, buffer, counters: Arc::default() }
+        Self {
+            name,
+            local,
+            interface,
+            sharing_an_address,
+            buffer,
+            counters: Arc::default(),
+        }
     }
 }
 
@@ -346,23 +441,36 @@ fn others(
 ) -> Vec<Mailbox> {
     let mailbox = |index: usize| {
         let (sender, counters) = mailboxes[index].clone();
-        Mailbox { sender, counters, tap: tees.tap(&config.sensors[index].name) }
+        Mailbox {
+            sender,
+            counters,
+            tap: tees.tap(&config.sensors[index].name),
+        }
     };
     plan.others(config).map(mailbox).collect()
 }
 
-fn spawn<B>(port: Port<B>, name: &str, config: &PortConfig) -> Result<JoinHandle<Result<(), UdpError>>, DaemonError>
+fn spawn<B>(
+    port: Port<B>,
+    name: &str,
+    config: &PortConfig,
+) -> Result<JoinHandle<Result<(), UdpError>>, DaemonError>
 where
     B: Buffers<Buffer: super::sharing::Outgoing> + Send + 'static,
 {
     let (cpu, priority, name) = (config.cpu, config.realtime_priority, name.to_owned());
     let number = port.number();
     // What the system shows of a thread is 15 bytes long.
-    let thread = thread::Builder::new().name(format!("port {number}")).spawn(move || {
-        settle(&name, cpu, priority);
-        port.serve()
-    });
-    thread.map_err(|source| DaemonError::System { what: "start a thread", source })
+    let thread = thread::Builder::new()
+        .name(format!("port {number}"))
+        .spawn(move || {
+            settle(&name, cpu, priority);
+            port.serve()
+        });
+    thread.map_err(|source| DaemonError::System {
+        what: "start a thread",
+        source,
+    })
 }
 
 /// Gives the thread its core and its priority, as far as the system lets it.
@@ -371,7 +479,9 @@ fn settle(port: &str, cpu: Option<usize>, priority: Option<u8>) {
         && let Err(error) = sys::pin_to_core(core)
     {
         let cores = thread::available_parallelism().map_or(1, usize::from);
-        warn!("port {port}: not pinned to core {core}: {error}; this process may use {cores} cores, counted from 0");
+        warn!(
+            "port {port}: not pinned to core {core}: {error}; this process may use {cores} cores, counted from 0"
+        );
     }
     if let Some(priority) = priority
         && let Err(error) = sys::set_realtime_priority(priority)
@@ -394,7 +504,8 @@ fn ended(thread: JoinHandle<Result<(), UdpError>>) -> String {
 
 fn panic_message(panic: &(dyn Any + Send)) -> &str {
     let text = panic.downcast_ref::<&str>().copied();
-    text.or_else(|| panic.downcast_ref::<String>().map(String::as_str)).unwrap_or("a panic without a message")
+    text.or_else(|| panic.downcast_ref::<String>().map(String::as_str))
+        .unwrap_or("a panic without a message")
 }
 
 #[cfg(test)]
@@ -410,7 +521,16 @@ mod tests {
         let (threads, over) = (vec![("127.0.0.1:2368".to_owned(), slow)], Arc::default());
         let bell = UnixStream::pair().unwrap().0;
         let (sensors, ports, events) = (Arc::new([]), Arc::new([]), mpsc::channel().1);
-        let runtime = Runtime { sensors, ports, events, orders: Vec::new(), lanes: Vec::new(), over, bell, threads };
+        let runtime = Runtime {
+            sensors,
+            ports,
+            events,
+            orders: Vec::new(),
+            lanes: Vec::new(),
+            over,
+            bell,
+            threads,
+        };
         runtime.stop().unwrap();
     }
 }

@@ -1,4 +1,5 @@
-//! One sensor on the thread of its port: its packets through its pipeline, its sweeps on their way, and what is told.
+//! One sensor on the thread of its port: its packets through its pipeline, its sweeps on their way,
+//! and what is told.
 
 use std::sync::Arc;
 use std::sync::mpsc::Sender;
@@ -15,8 +16,8 @@ use sweepd_core::wire::nmea::Rmc;
 use sweepd_core::wire::position::Pps;
 use sweepd_core::wire::{Datagram, Position, hdl64};
 
-/// A sensor that could not be decoded is looked at anew after so long: it may have been exchanged, or its first packets
-/// may have been lost.
+/// A sensor that could not be decoded is looked at anew after so long: it may have been exchanged,
+/// or its first packets may have been lost.
 const SECOND_LOOK_NS: i64 = 10_000_000_000;
 
 /// CLOCK_MONOTONIC.
@@ -61,7 +62,8 @@ pub struct Sensor<B: Buffers> {
     dropped_before: u64,
     second_look_ns: Option<i64>,
     is_shared: bool,
-    /// A sweep that is complete, whose shared memory is still being taken, and when it was completed (CLOCK_MONOTONIC).
+    /// A sweep that is complete, whose shared memory is still being taken, and when it was
+    /// completed (CLOCK_MONOTONIC).
     held: Option<(B::Buffer, i64)>,
 }
 
@@ -84,9 +86,19 @@ impl<B: Buffers<Buffer: Outgoing>> Sensor<B> {
     ///
     /// # Errors
     /// [`ConfigError`]: no sweep can be segmented like that.
-    pub fn new(identity: Identity, config: pipeline::Config, buffers: B) -> Result<Self, ConfigError> {
+    pub fn new(
+        identity: Identity,
+        config: pipeline::Config,
+        buffers: B,
+    ) -> Result<Self, ConfigError> {
         let buffers = Kept::new(buffers);
-        let Identity { index, name, address, counters, events } = identity;
+        let Identity {
+            index,
+            name,
+            address,
+            counters,
+            events,
+        } = identity;
         let pipeline = Pipeline::new(&address, config.clone(), buffers.clone(), Monotonic)?;
         Ok(Self {
             index,
@@ -126,7 +138,8 @@ impl<B: Buffers<Buffer: Outgoing>> Sensor<B> {
     pub fn position(&mut self, datagram: &Datagram<'_>) {
         self.push(datagram);
         if let Ok(position) = Position::parse(datagram.payload) {
-            self.counters.set_gps(gps_of(&position, self.config.gps_without_pps));
+            self.counters
+                .set_gps(gps_of(&position, self.config.gps_without_pps));
             if let Some(temperature_c) = temperature_of(&position) {
                 self.counters.set_temperature_c(temperature_c);
             }
@@ -138,13 +151,16 @@ impl<B: Buffers<Buffer: Outgoing>> Sensor<B> {
         self.pipeline.pass_over_positions(count);
     }
 
-    /// Tells the time by the clock that stamps its packets, if there were any, between batches: a sweep may have stalled,
-    /// and a sensor deserve a second look.
+    /// Tells the time by the clock that stamps its packets, if there were any, between batches: a
+    /// sweep may have stalled, and a sensor deserve a second look.
     pub fn tick(&mut self, now_ns: Option<i64>, dropped: u64) {
         if now_ns.is_some_and(|now_ns| self.pipeline.tick(now_ns)) {
             self.send_sweeps(dropped);
         }
-        if self.second_look_ns.is_some_and(|at_ns| monotonic_ns() >= at_ns) {
+        if self
+            .second_look_ns
+            .is_some_and(|at_ns| monotonic_ns() >= at_ns)
+        {
             // It was valid before.
             let _ = self.begin_anew(self.config.clone());
         }
@@ -165,8 +181,12 @@ impl<B: Buffers<Buffer: Outgoing>> Sensor<B> {
             self.report(Event::Notice(notice));
         }
         if let Some(unit) = self.pipeline.unit() {
-            unit.temperature_c().into_iter().for_each(|celsius| self.counters.set_temperature_c(celsius.into()));
-            unit.gps().into_iter().for_each(|gps| self.counters.set_gps(gps_of_unit(gps)));
+            unit.temperature_c()
+                .into_iter()
+                .for_each(|celsius| self.counters.set_temperature_c(celsius.into()));
+            unit.gps()
+                .into_iter()
+                .for_each(|gps| self.counters.set_gps(gps_of_unit(gps)));
         }
     }
 
@@ -177,7 +197,12 @@ impl<B: Buffers<Buffer: Outgoing>> Sensor<B> {
     }
 
     fn begin_anew(&mut self, config: pipeline::Config) -> Result<(), ConfigError> {
-        let fresh = Pipeline::new(&self.address, config.clone(), self.buffers.clone(), Monotonic)?;
+        let fresh = Pipeline::new(
+            &self.address,
+            config.clone(),
+            self.buffers.clone(),
+            Monotonic,
+        )?;
         let before = std::mem::replace(&mut self.pipeline, fresh);
         self.counted += before.counts();
         self.pipeline.expect_unit(before.into_unit());
@@ -203,11 +228,19 @@ impl<B: Buffers<Buffer: Outgoing>> Sensor<B> {
     /// Completes the header of a sweep, sends it, and counts it.
     fn send(&mut self, mut sweep: B::Buffer, dropped: u64) {
         let (completed_ns, completed_monotonic_ns) = (realtime_ns(), monotonic_ns());
-        let Ok(whole) = SweepMut::open(sweep.as_mut()) else { return self.counters.unshared.add(1) };
+        let Ok(whole) = SweepMut::open(sweep.as_mut()) else {
+            return self.counters.unshared.add(1);
+        };
         let header = whole.header;
         let dropped_datagrams = u32::try_from(dropped - self.dropped_before).unwrap_or(u32::MAX);
         let (name, run_ns) = (&self.name[..], self.run_ns);
-        header.complete(&Completion { name, run_ns, completed_ns, completed_monotonic_ns, dropped_datagrams });
+        header.complete(&Completion {
+            name,
+            run_ns,
+            completed_ns,
+            completed_monotonic_ns,
+            dropped_datagrams,
+        });
         self.dropped_before = dropped;
         self.count(header);
         self.publish_held();
@@ -218,7 +251,9 @@ impl<B: Buffers<Buffer: Outgoing>> Sensor<B> {
     fn publish(&mut self, sweep: B::Buffer, completed_monotonic_ns: i64) {
         match sweep.publish() {
             Ok(None) => {
-                self.counters.stage(Stage::Send).note((monotonic_ns() - completed_monotonic_ns) as u64);
+                self.counters
+                    .stage(Stage::Send)
+                    .note((monotonic_ns() - completed_monotonic_ns) as u64);
                 self.note_sharing(Ok(()));
             }
             Ok(Some(sweep)) => {
@@ -242,7 +277,9 @@ impl<B: Buffers<Buffer: Outgoing>> Sensor<B> {
         counters.sweeps.add(1);
         let is_partial = header.has(flags::PARTIAL);
         counters.partial_sweeps.add(is_partial.into());
-        counters.steady_sweeps.add((!is_partial && !header.has(flags::RATE_UNSTABLE | flags::STOPPED)).into());
+        counters
+            .steady_sweeps
+            .add((!is_partial && !header.has(flags::RATE_UNSTABLE | flags::STOPPED)).into());
         counters.set_sensor(header);
         counters.stage(Stage::Decode).note(header.decode_ns.into());
         counters.stage(Stage::Ground).note(header.ground_ns.into());
@@ -275,7 +312,10 @@ impl<B: Buffers<Buffer: Outgoing>> Sensor<B> {
 }
 
 fn gps_of(position: &Position<'_>, without_pps: bool) -> Gps {
-    let is_valid = position.nmea.and_then(|text| Rmc::parse(text).ok()).is_some_and(|rmc| rmc.valid);
+    let is_valid = position
+        .nmea
+        .and_then(|text| Rmc::parse(text).ok())
+        .is_some_and(|rmc| rmc.valid);
     match position.pps {
         _ if vouched_utc_ns(position, without_pps).is_some() => Gps::Locked,
         Pps::Absent if !is_valid => Gps::Absent,
@@ -293,8 +333,12 @@ fn gps_of_unit(gps: hdl64::Gps) -> Gps {
 
 /// Degrees Celsius of the warmest place that a sensor reports.
 fn temperature_of(position: &Position<'_>) -> Option<i32> {
-    let boards = position.board.map(|board| i32::from(board.top_c.max(board.bottom_c)));
-    let chips = position.inertial.map(|chips| chips.map(|chip| chip.temperature_c().round() as i32));
+    let boards = position
+        .board
+        .map(|board| i32::from(board.top_c.max(board.bottom_c)));
+    let chips = position
+        .inertial
+        .map(|chips| chips.map(|chip| chip.temperature_c().round() as i32));
     boards.or(chips.and_then(|chips| chips.into_iter().max()))
 }
 
@@ -306,7 +350,14 @@ mod tests {
     const VALID: &str = "$GPRMC,101723,A,5006.636,N,00840.926,E,000.0,000.0,040526,000.0,W";
 
     fn position<'a>(pps: Pps, nmea: Option<&'a str>) -> Position<'a> {
-        Position { stamp_us: 0, pps, nmea, inertial: None, board: None, thermal: None }
+        Position {
+            stamp_us: 0,
+            pps,
+            nmea,
+            inertial: None,
+            board: None,
+            thermal: None,
+        }
     }
 
     #[test]
@@ -322,7 +373,11 @@ mod tests {
             (Pps::Error, None, Gps::Incomplete),
         ];
         for (pps, nmea, expected) in cases {
-            assert_eq!(gps_of(&position(pps, nmea), false), expected, "{pps}, {nmea:?}");
+            assert_eq!(
+                gps_of(&position(pps, nmea), false),
+                expected,
+                "{pps}, {nmea:?}"
+            );
         }
     }
 
@@ -332,7 +387,10 @@ mod tests {
         let valid = format!("{VALID}*{checksum:02X}");
         // The sentence says 17 minutes and 23 seconds.
         for (stamp_us, expected) in [(1_043_900_000, Gps::Locked), (5_000_000, Gps::Incomplete)] {
-            let position = Position { stamp_us, ..position(Pps::Absent, Some(&valid)) };
+            let position = Position {
+                stamp_us,
+                ..position(Pps::Absent, Some(&valid))
+            };
             assert_eq!(gps_of(&position, true), expected);
             assert_eq!(gps_of(&position, false), Gps::Incomplete);
         }
@@ -342,7 +400,12 @@ mod tests {
     fn the_warmest_place_tells_the_temperature() {
         let mut sent = position(Pps::Absent, None);
         assert_eq!(temperature_of(&sent), None);
-        let chip = |temperature| Inertial { gyro: 0, temperature, accel_x: 0, accel_y: 0 };
+        let chip = |temperature| Inertial {
+            gyro: 0,
+            temperature,
+            accel_x: 0,
+            accel_y: 0,
+        };
         sent.inertial = Some([chip(0), chip(100), chip(-10)]);
         assert_eq!(temperature_of(&sent), Some(40));
         let board = Board {

@@ -1,4 +1,5 @@
-//! The daemon's sweeps through shared memory: what [`super::sharing`] asks for, done by [`sweepd_client::publish`].
+//! The daemon's sweeps through shared memory: what [`super::sharing`] asks for, done by
+//! [`sweepd_client::publish`].
 
 use super::config::{SensorConfig, memory};
 use super::sharing::{Outgoing, Sharing, SharingError, SharingStatus, Way};
@@ -12,7 +13,10 @@ impl Sharing for Keeper {
         let settings = Settings {
             name: sensor.name.clone(),
             max_consumers: sensor.max_consumers,
-            model: sensor.pipeline.model.map_or_else(String::new, |model: Model| model.spec().name.to_owned()),
+            model: sensor
+                .pipeline
+                .model
+                .map_or_else(String::new, |model: Model| model.spec().name.to_owned()),
             address: sensor.address.to_string(),
         };
         let least = *memory::sweep_bytes(sensor).start();

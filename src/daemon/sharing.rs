@@ -1,6 +1,7 @@
 //! What the daemon asks of whoever shares its sweeps: buffers to build them in, and a way out.
 //!
-//! [`sweepd_client::publish`] does it through shared memory; tests have implementations of their own.
+//! [`sweepd_client::publish`] does it through shared memory; tests have implementations of their
+//! own.
 
 use std::sync::Arc;
 
@@ -15,8 +16,8 @@ pub trait Sharing {
     /// Where its sweeps are built.
     type Buffers: Buffers<Buffer: Outgoing> + Send + 'static;
 
-    /// Opens the service of a sensor. Memory that cannot hold what is known of its sweeps is an error now and not when the
-    /// first one comes.
+    /// Opens the service of a sensor. Memory that cannot hold what is known of its sweeps is an
+    /// error now and not when the first one comes.
     ///
     /// # Errors
     /// Why not, and what to do.
@@ -28,8 +29,8 @@ pub trait Sharing {
 
 /// A sweep that can be sent.
 pub trait Outgoing: AsRef<[u8]> + AsMut<[u8]> + Send + 'static {
-    /// Sends it and wakes consumers that wait. Gives it back while the memory for sweeps is still being taken: it can be sent
-    /// later.
+    /// Sends it and wakes consumers that wait. Gives it back while the memory for sweeps is still
+    /// being taken: it can be sent later.
     ///
     /// # Errors
     /// Why no consumer could get it. Never that one is slow.

@@ -1,4 +1,5 @@
-//! How a sensor is: from what was counted to a state, and from a change of state to a sentence. Pure: time comes in.
+//! How a sensor is: from what was counted to a state, and from a change of state to a sentence.
+//! Pure: time comes in.
 
 use std::fmt;
 use std::time::Duration;
@@ -7,9 +8,11 @@ use super::losses::{Level, Limits, Losses, Place, Recent, Tally, Turn};
 use sweepd_core::sensor::Model;
 use sweepd_core::wire::data::ReturnMode;
 
-/// So long without packets, or without a steady sweep while packets come, and a sensor does not stream any more.
+/// So long without packets, or without a steady sweep while packets come, and a sensor does not
+/// stream any more.
 pub const PATIENCE: Duration = Duration::from_secs(2);
-/// A speed further from the one that is set is told, as a share of it; it must come back to within half of that.
+/// A speed further from the one that is set is told, as a share of it; it must come back to within
+/// half of that.
 const RPM_TOLERANCE: f32 = 0.05;
 
 /// How a sensor is.
@@ -97,7 +100,11 @@ pub struct Running {
 
 impl fmt::Display for Running {
     fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
-        let returns = if self.return_mode == ReturnMode::Dual { "two returns" } else { "one return" };
+        let returns = if self.return_mode == ReturnMode::Dual {
+            "two returns"
+        } else {
+            "one return"
+        };
         write!(f, "{} at {:.0} rpm, {returns}", self.model, self.rpm)
     }
 }
@@ -125,7 +132,8 @@ pub struct Condition {
     pub state: State,
     /// Why it is not well; `None` where it is.
     pub complaint: Option<String>,
-    /// Whether it counts as failed: not where it streams and loses no more than [`Limits::fault`] allows.
+    /// Whether it counts as failed: not where it streams and loses no more than [`Limits::fault`]
+    /// allows.
     pub is_fault: bool,
     /// What was counted over the last seconds, while packets come.
     pub recent: Option<Recent>,
@@ -161,7 +169,12 @@ pub struct Watcher {
 
 impl Watcher {
     /// A watcher of a sensor that has sent nothing yet; `now` as in [`Observation::now`].
-    pub fn new(name: &str, (address, port): (String, u16), rpm: Option<f32>, now: Duration) -> Self {
+    pub fn new(
+        name: &str,
+        (address, port): (String, u16),
+        rpm: Option<f32>,
+        now: Duration,
+    ) -> Self {
         Self {
             name: name.to_owned(),
             address,
@@ -201,7 +214,13 @@ impl Watcher {
         let losses = recent
             .filter(|recent| recent.share() > 0.0)
             .map(|recent| [recent.what(&self.place()), recent.cure(&self.place())]);
-        Condition { state, complaint, is_fault, recent, losses }
+        Condition {
+            state,
+            complaint,
+            is_fault,
+            recent,
+            losses,
+        }
     }
 
     /// Holds losses against these limits from now on, and says how many sensors have its port.
@@ -231,8 +250,16 @@ impl Watcher {
         match (self.state(), &self.hindrance) {
             (State::Streaming, _) => self.is_off_speed.then(|| self.off_speed()),
             (State::Losing | State::LosingMany, _) => {
-                let losses = self.losses.recent().map(|recent| recent.sentence(&self.place())).unwrap_or_default();
-                Some(if self.is_off_speed { format!("{losses}; it {}", self.off_speed()) } else { losses })
+                let losses = self
+                    .losses
+                    .recent()
+                    .map(|recent| recent.sentence(&self.place()))
+                    .unwrap_or_default();
+                Some(if self.is_off_speed {
+                    format!("{losses}; it {}", self.off_speed())
+                } else {
+                    losses
+                })
             }
             (State::Waiting | State::Stalled, _) => Some(self.silence()),
             (State::WrongModel, Some(Hindrance::WrongModel(why))) => Some(why.clone()),
@@ -241,7 +268,8 @@ impl Watcher {
         }
     }
 
-    /// The pipeline says that it decodes nothing: why. The sentence for the log comes with the next observation.
+    /// The pipeline says that it decodes nothing: why. The sentence for the log comes with the next
+    /// observation.
     pub fn refused(&mut self, why: String) {
         self.hindrance = Some(Hindrance::WrongModel(why));
     }
@@ -269,13 +297,18 @@ impl Watcher {
         let was = std::mem::replace(&mut self.state, state);
         let running = now.running.filter(|_| state == State::Streaming);
         let mut messages = Vec::new();
-        let is_other = running.is_some_and(|running| self.told != Some((running.model, running.return_mode)));
-        let is_other_hindrance = state == State::WrongModel && self.hindrance != self.told_hindrance;
+        let is_other =
+            running.is_some_and(|running| self.told != Some((running.model, running.return_mode)));
+        let is_other_hindrance =
+            state == State::WrongModel && self.hindrance != self.told_hindrance;
         if was != state || is_other || is_other_hindrance {
             self.told = running.map(|running| (running.model, running.return_mode));
             self.told_hindrance = self.hindrance.clone();
             messages.push(self.transition(was, running));
-        } else if state == State::Waiting && !self.has_hinted && now.now - self.newest_data >= PATIENCE {
+        } else if state == State::Waiting
+            && !self.has_hinted
+            && now.now - self.newest_data >= PATIENCE
+        {
             self.has_hinted = true;
             messages.push(self.message(true, &self.silence()));
         }
@@ -295,8 +328,11 @@ impl Watcher {
             (Some(Hindrance::WrongModel(_)), _) => State::WrongModel,
             (Some(Hindrance::NoCalibration), _) => State::NoCalibration,
             _ if has_swept => State::Streaming,
-            // Counted up to the newest packet: when they end in the middle of a turn, that is silence and no slow head.
-            (None, State::Streaming) if self.newest_data.saturating_sub(self.newest_sweep) < PATIENCE => {
+            // Counted up to the newest packet: when they end in the middle of a turn, that is
+            // silence and no slow head.
+            (None, State::Streaming)
+                if self.newest_data.saturating_sub(self.newest_sweep) < PATIENCE =>
+            {
                 State::Streaming
             }
             _ => State::SpinningUp,
@@ -309,7 +345,10 @@ impl Watcher {
             State::Stalled => self.message(true, &self.silence()),
             State::SpinningUp if was == State::Streaming => self.message(true, NO_SWEEP),
             State::SpinningUp => {
-                let text = format!("packets from {} come, its first whole turn is awaited", self.address);
+                let text = format!(
+                    "packets from {} come, its first whole turn is awaited",
+                    self.address
+                );
                 self.message(false, &text)
             }
             State::Streaming | State::Losing | State::LosingMany => match running {
@@ -324,11 +363,19 @@ impl Watcher {
     fn watch_speed(&mut self, rpm: f32) -> Option<Message> {
         let set = self.rpm?;
         let share = (rpm - set).abs() / set;
-        let is_off = share > if self.is_off_speed { RPM_TOLERANCE / 2.0 } else { RPM_TOLERANCE };
+        let is_off = share
+            > if self.is_off_speed {
+                RPM_TOLERANCE / 2.0
+            } else {
+                RPM_TOLERANCE
+            };
         let was_off = std::mem::replace(&mut self.is_off_speed, is_off);
         match (was_off, is_off) {
             (false, true) => Some(self.message(true, &self.off_speed())),
-            (true, false) => Some(self.message(false, &format!("turns at {rpm:.0} rpm again, as it is set to"))),
+            (true, false) => Some(self.message(
+                false,
+                &format!("turns at {rpm:.0} rpm again, as it is set to"),
+            )),
             _ => None,
         }
     }
@@ -348,13 +395,19 @@ impl Watcher {
     }
 
     fn place(&self) -> Place {
-        Place { address: self.address.clone(), port: Some(self.port), sensors: self.sensors }
+        Place {
+            address: self.address.clone(),
+            port: Some(self.port),
+            sensors: self.sensors,
+        }
     }
 
     fn off_speed(&self) -> String {
         let rpm = self.before.running.map_or(0.0, |running| running.rpm);
         let set = self.rpm.unwrap_or_default();
-        format!("turns at {rpm:.0} rpm and is configured for {set:.0}: set one of them to the other")
+        format!(
+            "turns at {rpm:.0} rpm and is configured for {set:.0}: set one of them to the other"
+        )
     }
 
     fn silence(&self) -> String {
@@ -370,19 +423,26 @@ impl Watcher {
     }
 
     fn message(&self, is_warning: bool, text: &str) -> Message {
-        Message { is_warning, text: format!("{}: {text}", self.name) }
+        Message {
+            is_warning,
+            text: format!("{}: {text}", self.name),
+        }
     }
 }
 
-const NO_CALIBRATION: &str =
-    "an HDL-64E without a calibration file: the one in its packets is awaited, which takes some 2 s of them";
-const NO_SWEEP: &str = "packets come and no whole turn at a steady speed: does its head turn, and is its motor set?";
+const NO_CALIBRATION: &str = "an HDL-64E without a calibration file: the one in its packets is awaited, which takes some 2 s of them";
+const NO_SWEEP: &str =
+    "packets come and no whole turn at a steady speed: does its head turn, and is its motor set?";
 
 #[cfg(test)]
 mod tests {
     use super::*;
 
-    const RUNNING: Running = Running { model: Model::Vlp16, rpm: 599.6, return_mode: ReturnMode::Strongest };
+    const RUNNING: Running = Running {
+        model: Model::Vlp16,
+        rpm: 599.6,
+        return_mode: ReturnMode::Strongest,
+    };
 
     /// A sensor that is observed ten times a second.
     struct Watched {
@@ -393,18 +453,28 @@ mod tests {
     impl Watched {
         fn new(rpm: Option<f32>) -> Self {
             let (seen, place) = (Observation::default(), ("192.168.1.201".to_owned(), 2368));
-            Self { watcher: Watcher::new("roof", place, rpm, Duration::ZERO), seen }
+            Self {
+                watcher: Watcher::new("roof", place, rpm, Duration::ZERO),
+                seen,
+            }
         }
 
-        /// Observes for so many tenths of a second in which so many packets and sweeps come in each.
+        /// Observes for so many tenths of a second in which so many packets and sweeps come in
+        /// each.
         fn observe(&mut self, tenths: u32, data: u64, sweeps: u64) -> Vec<String> {
             let mut texts = Vec::new();
             for _ in 0..tenths {
                 self.seen.now += Duration::from_millis(100);
                 self.seen.data += data;
                 self.seen.steady_sweeps += sweeps;
-                self.seen.running = (self.seen.steady_sweeps > 0).then(|| self.seen.running.unwrap_or(RUNNING));
-                texts.extend(self.watcher.observe(&self.seen).into_iter().map(|message| message.text));
+                self.seen.running =
+                    (self.seen.steady_sweeps > 0).then(|| self.seen.running.unwrap_or(RUNNING));
+                texts.extend(
+                    self.watcher
+                        .observe(&self.seen)
+                        .into_iter()
+                        .map(|message| message.text),
+                );
             }
             texts
         }
@@ -427,7 +497,10 @@ mod tests {
         assert!(roof.watcher.complaint().is_some());
         let streaming = "roof: streaming, VLP-16 at 600 rpm, one return";
         assert_eq!(roof.observe(100, 75, 1), [streaming]);
-        assert_eq!((roof.watcher.state(), roof.watcher.complaint()), (State::Streaming, None));
+        assert_eq!(
+            (roof.watcher.state(), roof.watcher.complaint()),
+            (State::Streaming, None)
+        );
         // The last turn is not complete.
         assert_eq!(roof.observe(1, 37, 0), [""; 0]);
         assert_eq!(roof.observe(50, 0, 0), [silence]);
@@ -453,12 +526,18 @@ mod tests {
         for expected in [&["roof: this is a VLS-128"][..], &[], &[]] {
             roof.watcher.refused("this is a VLS-128".to_owned());
             assert_eq!(roof.observe(20, 75, 0), expected);
-            assert_eq!(roof.watcher.complaint().as_deref(), Some("this is a VLS-128"));
+            assert_eq!(
+                roof.watcher.complaint().as_deref(),
+                Some("this is a VLS-128")
+            );
             assert_eq!(roof.watcher.state(), State::WrongModel);
         }
         roof.watcher.refused("this is something else".to_owned());
         assert_eq!(roof.observe(20, 75, 0), ["roof: this is something else"]);
-        assert_eq!(roof.observe(1, 75, 1), ["roof: streaming, VLP-16 at 600 rpm, one return"]);
+        assert_eq!(
+            roof.observe(1, 75, 1),
+            ["roof: streaming, VLP-16 at 600 rpm, one return"]
+        );
     }
 
     #[test]
@@ -476,26 +555,54 @@ mod tests {
     fn another_mode_or_model_is_told_and_a_speed_that_wanders_is_not() {
         let mut roof = Watched::new(None);
         roof.observe(1, 75, 1);
-        roof.turn(Running { rpm: 580.0, ..RUNNING });
+        roof.turn(Running {
+            rpm: 580.0,
+            ..RUNNING
+        });
         assert_eq!(roof.observe(5, 75, 1), [""; 0]);
-        roof.turn(Running { return_mode: ReturnMode::Dual, ..RUNNING });
-        assert_eq!(roof.observe(5, 75, 1), ["roof: streaming, VLP-16 at 600 rpm, two returns"]);
-        roof.turn(Running { model: Model::Hdl32e, ..RUNNING });
-        assert_eq!(roof.observe(5, 75, 1), ["roof: streaming, HDL-32E at 600 rpm, one return"]);
+        roof.turn(Running {
+            return_mode: ReturnMode::Dual,
+            ..RUNNING
+        });
+        assert_eq!(
+            roof.observe(5, 75, 1),
+            ["roof: streaming, VLP-16 at 600 rpm, two returns"]
+        );
+        roof.turn(Running {
+            model: Model::Hdl32e,
+            ..RUNNING
+        });
+        assert_eq!(
+            roof.observe(5, 75, 1),
+            ["roof: streaming, HDL-32E at 600 rpm, one return"]
+        );
     }
 
     #[test]
     fn a_speed_that_is_off_is_told_once_and_makes_the_sensor_unwell() {
         let mut roof = Watched::new(Some(600.0));
         assert_eq!(roof.observe(5, 75, 1).len(), 1);
-        roof.turn(Running { rpm: 540.0, ..RUNNING });
+        roof.turn(Running {
+            rpm: 540.0,
+            ..RUNNING
+        });
         let off = "turns at 540 rpm and is configured for 600: set one of them to the other";
         assert_eq!(roof.observe(5, 75, 1), [format!("roof: {off}")]);
         assert_eq!(roof.watcher.complaint().as_deref(), Some(off));
-        roof.turn(Running { rpm: 575.0, ..RUNNING });
-        assert_eq!(roof.observe(5, 75, 1), [""; 0], "within what is told, but not back yet");
+        roof.turn(Running {
+            rpm: 575.0,
+            ..RUNNING
+        });
+        assert_eq!(
+            roof.observe(5, 75, 1),
+            [""; 0],
+            "within what is told, but not back yet"
+        );
         roof.turn(RUNNING);
-        assert_eq!(roof.observe(5, 75, 1), ["roof: turns at 600 rpm again, as it is set to"]);
+        assert_eq!(
+            roof.observe(5, 75, 1),
+            ["roof: turns at 600 rpm again, as it is set to"]
+        );
         assert_eq!(roof.watcher.complaint(), None);
     }
 
@@ -505,7 +612,10 @@ mod tests {
         roof.seen.position = 5;
         let told = roof.observe(30, 0, 0);
         assert_eq!(told.len(), 1);
-        assert!(told[0].contains("only position packets from 192.168.1.201"), "{told:?}");
+        assert!(
+            told[0].contains("only position packets from 192.168.1.201"),
+            "{told:?}"
+        );
     }
 
     /// Seconds of a sensor that streams and loses so many packets for each 75 that come.
@@ -526,25 +636,53 @@ mod tests {
         assert_eq!(roof.watcher.state(), State::Streaming);
         let told = lose(&mut roof, 10, 5);
         assert!(told.len() == 1 && told[0].starts_with("roof: "), "{told:?}");
-        let Condition { state, complaint, is_fault, recent, .. } = roof.watcher.condition();
+        let Condition {
+            state,
+            complaint,
+            is_fault,
+            recent,
+            ..
+        } = roof.watcher.condition();
         assert_eq!((state, is_fault), (State::Losing, false));
-        assert!(complaint.unwrap().starts_with("6.2 % of its packets are lost or of no use"));
+        assert!(
+            complaint
+                .unwrap()
+                .starts_with("6.2 % of its packets are lost or of no use")
+        );
         assert!((recent.unwrap().share() - 5.0 / 80.0).abs() < 1e-9);
         // Another speed than is set is a fault all the same, and both are said.
-        roof.turn(Running { rpm: 500.0, ..RUNNING });
+        roof.turn(Running {
+            rpm: 500.0,
+            ..RUNNING
+        });
         assert_eq!(lose(&mut roof, 1, 5).len(), 1);
-        let Condition { state, complaint, is_fault, .. } = roof.watcher.condition();
+        let Condition {
+            state,
+            complaint,
+            is_fault,
+            ..
+        } = roof.watcher.condition();
         assert_eq!((state, is_fault), (State::Losing, true));
-        assert!(complaint.is_some_and(|why| why.contains("of its packets") && why.contains("turns at 500 rpm")));
+        assert!(
+            complaint.is_some_and(
+                |why| why.contains("of its packets") && why.contains("turns at 500 rpm")
+            )
+        );
         roof.turn(RUNNING);
         let told = lose(&mut roof, 10, 75);
         assert!(told.len() == 2, "{told:?}");
         let is = roof.watcher.condition();
         assert_eq!((is.state, is.is_fault), (State::LosingMany, true));
         let told = lose(&mut roof, 10, 0);
-        assert!(told.len() == 1 && told[0].contains("its losses are over"), "{told:?}");
+        assert!(
+            told.len() == 1 && told[0].contains("its losses are over"),
+            "{told:?}"
+        );
         let is = roof.watcher.condition();
-        assert_eq!((is.state, is.complaint, is.is_fault, is.losses), (State::Streaming, None, false, None));
+        assert_eq!(
+            (is.state, is.complaint, is.is_fault, is.losses),
+            (State::Streaming, None, false, None)
+        );
     }
 
     #[test]
@@ -553,9 +691,15 @@ mod tests {
         lose(&mut roof, 10, 75);
         assert_eq!(roof.watcher.state(), State::LosingMany);
         assert_eq!(roof.observe(50, 0, 0).len(), 1);
-        assert_eq!((roof.watcher.state(), roof.watcher.condition().recent), (State::Stalled, None));
+        assert_eq!(
+            (roof.watcher.state(), roof.watcher.condition().recent),
+            (State::Stalled, None)
+        );
         // What the pause cost is counted with the first packet behind it.
         roof.seen.tally.lost += 3_750;
-        assert_eq!(lose(&mut roof, 10, 0), ["roof: streaming, VLP-16 at 600 rpm, one return"]);
+        assert_eq!(
+            lose(&mut roof, 10, 0),
+            ["roof: streaming, VLP-16 at 600 rpm, one return"]
+        );
     }
 }

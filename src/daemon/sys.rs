@@ -1,4 +1,5 @@
-//! The system calls that no safe crate of ours offers: a thread's core and its scheduler, and to wait on two sockets.
+//! The system calls that no safe crate of ours offers: a thread's core and its scheduler, and to
+//! wait on two sockets.
 
 #![allow(unsafe_code)]
 
@@ -20,29 +21,49 @@ pub fn pin_to_core(core: usize) -> io::Result<()> {
     // SAFETY: `core` was checked to lie within the set.
     unsafe { libc::CPU_SET(core, &mut cores) };
     // SAFETY: `cores` has the size that is stated and is only read; 0 is the calling thread.
-    let result = unsafe { libc::sched_setaffinity(0, size_of::<libc::cpu_set_t>(), &raw const cores) };
-    if result == 0 { Ok(()) } else { Err(io::Error::last_os_error()) }
+    let result =
+        unsafe { libc::sched_setaffinity(0, size_of::<libc::cpu_set_t>(), &raw const cores) };
+    if result == 0 {
+        Ok(())
+    } else {
+        Err(io::Error::last_os_error())
+    }
 }
 
-/// Gives the calling thread a priority under SCHED_FIFO, 1 to 99: it runs whenever it can, before all that have less.
+/// Gives the calling thread a priority under SCHED_FIFO, 1 to 99: it runs whenever it can, before
+/// all that have less.
 ///
 /// # Errors
 /// What the system says; without CAP_SYS_NICE or a limit that allows it, `PermissionDenied`.
 pub fn set_realtime_priority(priority: u8) -> io::Result<()> {
-    let parameter = libc::sched_param { sched_priority: priority.into() };
+    let parameter = libc::sched_param {
+        sched_priority: priority.into(),
+    };
     // SAFETY: `parameter` is only read; 0 is the calling thread.
     let result = unsafe { libc::sched_setscheduler(0, libc::SCHED_FIFO, &raw const parameter) };
-    if result == 0 { Ok(()) } else { Err(io::Error::last_os_error()) }
+    if result == 0 {
+        Ok(())
+    } else {
+        Err(io::Error::last_os_error())
+    }
 }
 
-/// Waits until there is something to read from one of two, or its other end is gone (poll(2)), at most so long, in whole
-/// milliseconds, rounded up. A signal ends it too.
+/// Waits until there is something to read from one of two, or its other end is gone (poll(2)), at
+/// most so long, in whole milliseconds, rounded up. A signal ends it too.
 pub fn wait_for_either(one: impl AsFd, other: impl AsFd, timeout: Duration) {
-    let watched = |fd| libc::pollfd { fd, events: libc::POLLIN, revents: 0 };
+    let watched = |fd| libc::pollfd {
+        fd,
+        events: libc::POLLIN,
+        revents: 0,
+    };
     let mut both = [one.as_fd().as_raw_fd(), other.as_fd().as_raw_fd()].map(watched);
-    let ms = timeout.as_nanos().div_ceil(1_000_000).try_into().unwrap_or(libc::c_int::MAX);
-    // SAFETY: the kernel reads and writes as many entries as the array has while the call lasts; the descriptors are borrowed
-    // for longer.
+    let ms = timeout
+        .as_nanos()
+        .div_ceil(1_000_000)
+        .try_into()
+        .unwrap_or(libc::c_int::MAX);
+    // SAFETY: the kernel reads and writes as many entries as the array has while the call lasts;
+    // the descriptors are borrowed for longer.
     unsafe { libc::poll(both.as_mut_ptr(), both.len() as libc::nfds_t, ms) };
 }
 
@@ -78,9 +99,20 @@ mod tests {
         let pinned = std::thread::spawn(|| {
             pin_to_core(0).unwrap();
             let status = std::fs::read_to_string("/proc/thread-self/status").unwrap();
-            let allowed = status.lines().find(|line| line.starts_with("Cpus_allowed_list:")).unwrap().to_owned();
-            (allowed, pin_to_core(1_000).is_err(), pin_to_core(usize::MAX).is_err())
+            let allowed = status
+                .lines()
+                .find(|line| line.starts_with("Cpus_allowed_list:"))
+                .unwrap()
+                .to_owned();
+            (
+                allowed,
+                pin_to_core(1_000).is_err(),
+                pin_to_core(usize::MAX).is_err(),
+            )
         });
-        assert_eq!(pinned.join().unwrap(), ("Cpus_allowed_list:\t0".to_owned(), true, true));
+        assert_eq!(
+            pinned.join().unwrap(),
+            ("Cpus_allowed_list:\t0".to_owned(), true, true)
+        );
     }
 }

@@ -4,11 +4,12 @@
 //! port thread -> Tap --ring--> thread of the taps --socket--> TapStream of sweepd record
 //! ```
 //!
-//! A daemon listens on a socket in its folder, [`socket_path`], that its own user alone may open; both ends check that
-//! the other is of the same user. While nobody listens, [`Tap::put`] costs one relaxed load. While somebody does, it copies
-//! the datagram into a ring: it never waits, never allocates, and takes no lock. One more thread carries the datagrams from
-//! there to at most [`MAX_CLIENTS`] clients. What finds no room, in the ring or with a client that is slow or stuck, is
-//! counted and told to the client at the end; the sensor never notices.
+//! A daemon listens on a socket in its folder, [`socket_path`], that its own user alone may open;
+//! both ends check that the other is of the same user. While nobody listens, [`Tap::put`] costs one
+//! relaxed load. While somebody does, it copies the datagram into a ring: it never waits, never
+//! allocates, and takes no lock. One more thread carries the datagrams from there to at most
+//! [`MAX_CLIENTS`] clients. What finds no room, in the ring or with a client that is slow or stuck,
+//! is counted and told to the client at the end; the sensor never notices.
 //!
 //! The file is written by the client, with its own rights. The format is in [`wire`].
 
@@ -33,8 +34,8 @@ use crate::capture::write::Addressed;
 
 /// Most clients at a time.
 pub const MAX_CLIENTS: usize = 4;
-/// What may wait for the thread of the taps, bytes a sensor: more than a second of the fastest model. The system gives the
-/// memory when it is first used.
+/// What may wait for the thread of the taps, bytes a sensor: more than a second of the fastest
+/// model. The system gives the memory when it is first used.
 const RING_BYTES: usize = 8 << 20;
 
 /// Where the daemon of a root folder listens: in that folder, beside those of iceoryx2.
@@ -42,8 +43,8 @@ pub fn socket_path(root: &Path) -> PathBuf {
     root.join("tap.sock")
 }
 
-/// The taps of a daemon. While nobody listens, their thread sleeps. When they are dropped, clients get what was put in before,
-/// and are told the end.
+/// The taps of a daemon. While nobody listens, their thread sleeps. When they are dropped, clients
+/// get what was put in before, and are told the end.
 ///
 /// ```
 /// use std::time::Duration;
@@ -86,7 +87,9 @@ struct Shared {
 
 impl Shared {
     fn new_sensors(&self) -> MutexGuard<'_, Vec<Tapped>> {
-        self.new_sensors.lock().unwrap_or_else(PoisonError::into_inner)
+        self.new_sensors
+            .lock()
+            .unwrap_or_else(PoisonError::into_inner)
     }
 }
 
@@ -123,11 +126,21 @@ impl Taps {
             rung.set_nonblocking(true)?;
             Ok((bell, rung))
         });
-        let (bell, rung) = bells.map_err(|source| TapError::Listen { path: path.to_owned(), source })?;
+        let (bell, rung) = bells.map_err(|source| TapError::Listen {
+            path: path.to_owned(),
+            source,
+        })?;
         let server = Server::new(Arc::clone(&shared), rung, socket);
-        let thread = thread::Builder::new().name("sweepd-tap".to_owned()).spawn(|| server.run());
+        let thread = thread::Builder::new()
+            .name("sweepd-tap".to_owned())
+            .spawn(|| server.run());
         let server = Some(thread.map_err(|source| TapError::Thread { source })?);
-        Ok(Self { path: path.to_owned(), shared, bell: Some(bell), server })
+        Ok(Self {
+            path: path.to_owned(),
+            shared,
+            bell: Some(bell),
+            server,
+        })
     }
 
     /// Looks whether the socket was deleted, and has it made anew; to be called now and then.
@@ -140,20 +153,30 @@ impl Taps {
         }
     }
 
-    /// A tap for the datagrams of a sensor. Each thread that receives such needs one of its own. Takes memory and a lock: not
-    /// for the hot path.
+    /// A tap for the datagrams of a sensor. Each thread that receives such needs one of its own.
+    /// Takes memory and a lock: not for the hot path.
     pub fn sensor(&self, name: &str) -> Tap {
         let (inlet, outlet) = ring(RING_BYTES);
         let valve = Arc::new(Valve::default());
         let (name, of_tap) = (name.to_owned(), Arc::clone(&valve));
-        self.shared.new_sensors().push(Tapped { name, outlet, end: 0, valve, refused: 0 });
-        Tap { inlet, valve: of_tap }
+        self.shared.new_sensors().push(Tapped {
+            name,
+            outlet,
+            end: 0,
+            valve,
+            refused: 0,
+        });
+        Tap {
+            inlet,
+            valve: of_tap,
+        }
     }
 }
 
 /// Whether nothing is there, not even the folder.
 fn is_gone(path: &Path) -> bool {
-    path.symlink_metadata().is_err_and(|error| error.kind() == io::ErrorKind::NotFound)
+    path.symlink_metadata()
+        .is_err_and(|error| error.kind() == io::ErrorKind::NotFound)
 }
 
 impl Drop for Taps {

@@ -1,10 +1,12 @@
-//! Where the daemon's datagrams go beside its pipelines: into its own recording, and to `sweepd record --from`.
+//! Where the daemon's datagrams go beside its pipelines: into its own recording, and to `sweepd
+//! record --from`.
 //!
-//! Each port's thread has a lane of the recording, and each sensor a tap; both take a copy and never wait. A recording that
-//! cannot be begun or fails stops no sensor: it is told once in the log, and by `/health` and the metrics until it is mended.
-//! It is begun again by itself, after a second at first and after a minute at most, and goes on in a new file as soon as the
-//! disk takes it. What waits for a disk is a thread of its own, never the control thread, which has a watchdog to feed
-//! (the socket of the taps, which it looks for, is beside the files of iceoryx2).
+//! Each port's thread has a lane of the recording, and each sensor a tap; both take a copy and
+//! never wait. A recording that cannot be begun or fails stops no sensor: it is told once in the
+//! log, and by `/health` and the metrics until it is mended. It is begun again by itself, after a
+//! second at first and after a minute at most, and goes on in a new file as soon as the disk takes
+//! it. What waits for a disk is a thread of its own, never the control thread, which has a watchdog
+//! to feed (the socket of the taps, which it looks for, is beside the files of iceoryx2).
 
 mod recording;
 
@@ -22,11 +24,11 @@ use super::tap::{Tap, Taps};
 use crate::capture::RecordError;
 use crate::capture::record::{Lane, Recorder};
 
-/// In this time every thread is given its new lane, at the next look, and takes it, in its next round: about half a second each
-/// at most.
+/// In this time every thread is given its new lane, at the next look, and takes it, in its next
+/// round: about half a second each at most.
 const TURNED: Duration = Duration::from_secs(2);
-/// From one attempt to begin a recording that has failed to the next, at first and at most. One that goes on for longer
-/// than the latter has failed for the first time when it fails again.
+/// From one attempt to begin a recording that has failed to the next, at first and at most. One
+/// that goes on for longer than the latter has failed for the first time when it fails again.
 const RETRY: (Duration, Duration) = (Duration::from_secs(1), Duration::from_secs(60));
 
 /// The recording, if there is to be one, and the taps.
@@ -75,12 +77,17 @@ struct Retries {
 
 impl Default for Retries {
     fn default() -> Self {
-        Self { pause: RETRY.0, due: None, count: 0 }
+        Self {
+            pause: RETRY.0,
+            due: None,
+            count: 0,
+        }
     }
 }
 
 impl Retries {
-    /// Whether it is time to try again. Asked for the first time since the last attempt, it says when that will be.
+    /// Whether it is time to try again. Asked for the first time since the last attempt, it says
+    /// when that will be.
     fn is_due(&mut self, now: Instant) -> bool {
         let due = *self.due.get_or_insert(now + self.pause);
         if now < due {
@@ -118,19 +125,22 @@ pub struct RecordingStatus {
 }
 
 impl Tees {
-    /// Opens the taps, on a socket there. Where they cannot be had that is told, and no reason not to run.
+    /// Opens the taps, on a socket there. Where they cannot be had that is told, and no reason not
+    /// to run.
     pub fn open(taps: Option<PathBuf>) -> Self {
         let taps = taps.and_then(|path| {
             let listening = Taps::listen(&path);
-            listening.inspect_err(|error| warn!("`sweepd record --from` will find nobody: {error}")).ok()
+            listening
+                .inspect_err(|error| warn!("`sweepd record --from` will find nobody: {error}"))
+                .ok()
         });
         let mut tees = Self::default();
         tees.taps = taps;
         tees
     }
 
-    /// Begins the recording, if there is to be one, before anything is received. If it cannot be begun that is told, and no
-    /// reason not to run.
+    /// Begins the recording, if there is to be one, before anything is received. If it cannot be
+    /// begun that is told, and no reason not to run.
     pub fn begin(&mut self, record: Option<&RecordConfig>) {
         let Some(config) = record else { return };
         match recording::start(config) {
@@ -140,7 +150,8 @@ impl Tees {
         self.is_another = false;
     }
 
-    /// Has another recording begun, or none. The one before goes on until that is done, and where it cannot be done.
+    /// Has another recording begun, or none. The one before goes on until that is done, and where
+    /// it cannot be done.
     pub fn record(&mut self, record: Option<&RecordConfig>) {
         match record {
             _ if self.beginning.is_some() => self.wanted = Some(record.cloned()),
@@ -151,8 +162,12 @@ impl Tees {
 
     /// What is recorded, or is to be.
     pub fn config(&self) -> Option<&RecordConfig> {
-        let begun =
-            || self.beginning.as_ref().filter(|beginning| !beginning.is_retry).map(|beginning| &beginning.config);
+        let begun = || {
+            self.beginning
+                .as_ref()
+                .filter(|beginning| !beginning.is_retry)
+                .map(|beginning| &beginning.config)
+        };
         match &self.wanted {
             Some(wanted) => wanted.as_ref(),
             None => begun().or(self.recording.as_ref().map(|recording| &recording.config)),
@@ -174,9 +189,20 @@ impl Tees {
         let recording = self.recording.as_ref()?;
         let retired = self.retired.as_ref().filter(|retired| retired.is_continued);
         let retired = retired.map_or(Sums::default(), |retired| retired.recording.sums());
-        let Sums { files, datagrams, refused } = recording.sums() + self.earlier + retired;
+        let Sums {
+            files,
+            datagrams,
+            refused,
+        } = recording.sums() + self.earlier + retired;
         let (path, retries, trouble) = (recording.path(), self.retries.count, recording.trouble());
-        Some(RecordingStatus { path, files, datagrams, refused, retries, trouble })
+        Some(RecordingStatus {
+            path,
+            files,
+            datagrams,
+            refused,
+            retries,
+            trouble,
+        })
     }
 
     /// Whether nothing is recorded, though it should be.
@@ -184,11 +210,16 @@ impl Tees {
         self.recording.as_ref().is_some_and(Recording::has_ended)
     }
 
-    /// Looks after the taps, tells what happened to the recording, once, and begins it again if it is time. Whether the threads
-    /// must be given their lanes of another one; the one before ends a little later.
+    /// Looks after the taps, tells what happened to the recording, once, and begins it again if it
+    /// is time. Whether the threads must be given their lanes of another one; the one before ends a
+    /// little later.
     pub fn look(&mut self) -> bool {
         let now = Instant::now();
-        if self.retired.as_ref().is_some_and(|retired| now - retired.since > TURNED) {
+        if self
+            .retired
+            .as_ref()
+            .is_some_and(|retired| now - retired.since > TURNED)
+        {
             self.retire();
         }
         self.ending.retain(|ending| !ending.is_finished());
@@ -208,8 +239,8 @@ impl Tees {
         std::mem::take(&mut self.is_another)
     }
 
-    /// Ends everything: first the taps, which takes at most 50 ms, then the recordings. When this returns, what was put in is
-    /// on the disk; how long that takes is up to the disk.
+    /// Ends everything: first the taps, which takes at most 50 ms, then the recordings. When this
+    /// returns, what was put in is on the disk; how long that takes is up to the disk.
     pub fn finish(&mut self) {
         // One that is being begun has nothing yet.
         (self.taps, self.beginning) = (None, None);
@@ -226,24 +257,43 @@ impl Tees {
     fn begin_aside(&mut self, config: RecordConfig, is_retry: bool) {
         let (tell, came) = mpsc::sync_channel(1);
         let to_begin = config.clone();
-        let beginning = thread::Builder::new().name("sweepd-record".to_owned()).spawn(move || {
-            // Where nobody hears of it any more it ends, here.
-            let _ = tell.send(recording::start(&to_begin));
-        });
+        let beginning = thread::Builder::new()
+            .name("sweepd-record".to_owned())
+            .spawn(move || {
+                // Where nobody hears of it any more it ends, here.
+                let _ = tell.send(recording::start(&to_begin));
+            });
         match beginning {
-            Ok(_) => self.beginning = Some(Beginning { config, is_retry, came }),
+            Ok(_) => {
+                self.beginning = Some(Beginning {
+                    config,
+                    is_retry,
+                    came,
+                })
+            }
             Err(source) => self.refused(config, &RecordError::Thread { source }, is_retry),
         }
     }
 
     /// Hears what came of a recording that was being begun.
     fn hear(&mut self) {
-        let came = match self.beginning.as_ref().map(|beginning| beginning.came.try_recv()) {
+        let came = match self
+            .beginning
+            .as_ref()
+            .map(|beginning| beginning.came.try_recv())
+        {
             None | Some(Err(TryRecvError::Empty)) => return,
             Some(Ok(came)) => came,
-            Some(Err(TryRecvError::Disconnected)) => Err(RecordError::Thread { source: io::Error::other("a panic") }),
+            Some(Err(TryRecvError::Disconnected)) => Err(RecordError::Thread {
+                source: io::Error::other("a panic"),
+            }),
         };
-        let Some(Beginning { config, is_retry, .. }) = self.beginning.take() else { return };
+        let Some(Beginning {
+            config, is_retry, ..
+        }) = self.beginning.take()
+        else {
+            return;
+        };
         match (self.wanted.take(), came) {
             (Some(wanted), came) => {
                 if let Ok(recorder) = came {
@@ -266,9 +316,13 @@ impl Tees {
         match &mut self.recording {
             // It was told when it failed.
             Some(recording) if is_retry => recording.refused(error),
-            Some(recording) if recording.trouble().is_none() => warn!("the recording stays as it was: {error}"),
+            Some(recording) if recording.trouble().is_none() => {
+                warn!("the recording stays as it was: {error}")
+            }
             _ => {
-                error!("nothing is recorded: {error}. It is tried again and again; the sensors go on");
+                error!(
+                    "nothing is recorded: {error}. It is tried again and again; the sensors go on"
+                );
                 self.replace(Some(Recording::never_begun(config, error)), false);
             }
         }
@@ -281,13 +335,24 @@ impl Tees {
             (self.earlier, self.retries) = (Sums::default(), Retries::default());
         }
         let before = std::mem::replace(&mut self.recording, recording);
-        self.retired = before.map(|recording| Retired { recording, since: Instant::now(), is_continued });
+        self.retired = before.map(|recording| Retired {
+            recording,
+            since: Instant::now(),
+            is_continued,
+        });
         self.is_another = true;
     }
 
     /// The threads have turned: what they put into the one before is all it gets.
     fn retire(&mut self) {
-        let Some(Retired { recording, is_continued, .. }) = self.retired.take() else { return };
+        let Some(Retired {
+            recording,
+            is_continued,
+            ..
+        }) = self.retired.take()
+        else {
+            return;
+        };
         if is_continued {
             self.earlier = self.earlier + recording.sums();
         }
@@ -295,11 +360,15 @@ impl Tees {
     }
 
     fn end_aside(&mut self, recording: Recording) {
-        let ending = thread::Builder::new().name("sweepd-record".to_owned()).spawn(|| recording.end());
+        let ending = thread::Builder::new()
+            .name("sweepd-record".to_owned())
+            .spawn(|| recording.end());
         match ending {
             Ok(ending) => self.ending.push(ending),
             // It has ended without a word: it was dropped.
-            Err(error) => warn!("the recording before has ended, and nobody could wait for it: {error}"),
+            Err(error) => {
+                warn!("the recording before has ended, and nobody could wait for it: {error}")
+            }
         }
     }
 }
@@ -326,7 +395,10 @@ mod tests {
         // A look later each, since the pause begins when it is seen that the attempt was in vain.
         assert_eq!(tries, [1, 4, 9, 18, 35, 68, 129, 190]);
         retries.went_on(Duration::from_secs(5));
-        assert_eq!(retries.pause, RETRY.1, "one that fails again after five seconds is no better");
+        assert_eq!(
+            retries.pause, RETRY.1,
+            "one that fails again after five seconds is no better"
+        );
         retries.went_on(Duration::from_secs(61));
         assert_eq!((retries.pause, retries.count), (RETRY.0, 8));
     }

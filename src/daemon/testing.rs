@@ -4,7 +4,8 @@ use super::config::{Config, DaemonConfig, PortConfig, SensorConfig};
 use super::losses::Limits;
 use sweepd_core::pipeline;
 
-/// A sensor at an address whose data and position packets come to one port of the loopback interface.
+/// A sensor at an address whose data and position packets come to one port of the loopback
+/// interface.
 pub fn sensor(name: &str, address: &str, port: u16) -> SensorConfig {
     SensorConfig {
         name: name.to_owned(),
@@ -29,5 +30,13 @@ pub fn sensor(name: &str, address: &str, port: u16) -> SensorConfig {
 
 /// A daemon of these sensors and nothing else.
 pub fn config_of(sensors: Vec<SensorConfig>) -> Config {
-    Config { daemon: DaemonConfig { root: None, http: None, http_public: false }, sensors, record: None }
+    Config {
+        daemon: DaemonConfig {
+            root: None,
+            http: None,
+            http_public: false,
+        },
+        sensors,
+        record: None,
+    }
 }

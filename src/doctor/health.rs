@@ -14,5 +14,7 @@ const PATIENCE: Duration = Duration::from_secs(2);
 /// # Errors
 /// In a few words: why there is no answer.
 pub fn ask(at: SocketAddr) -> Result<Value, String> {
-    runtime().map_err(|error| error.to_string())?.block_on(get_json(at, "/health", PATIENCE))
+    runtime()
+        .map_err(|error| error.to_string())?
+        .block_on(get_json(at, "/health", PATIENCE))
 }

@@ -7,8 +7,8 @@ use super::observe::{Host, Interface, RootTrouble};
 use super::sys;
 use sweepd_client::publish::{self, Domain};
 
-/// Looks at this host; `root` is the folder of iceoryx2's files, if it is not the default. What cannot be found out is left
-/// out.
+/// Looks at this host; `root` is the folder of iceoryx2's files, if it is not the default. What
+/// cannot be found out is left out.
 pub fn look(root: Option<&Path>) -> Host {
     Host {
         interfaces: interfaces(),
@@ -21,12 +21,19 @@ pub fn look(root: Option<&Path>) -> Host {
 /// Those that are up, and those that are down and have a plug.
 fn interfaces() -> Vec<Interface> {
     let addresses = sys::addresses().unwrap_or_default();
-    let entries = fs::read_dir("/sys/class/net").into_iter().flatten().flatten();
-    let names = entries.filter_map(|entry| entry.file_name().into_string().ok()).filter(|name| name != "lo");
+    let entries = fs::read_dir("/sys/class/net")
+        .into_iter()
+        .flatten()
+        .flatten();
+    let names = entries
+        .filter_map(|entry| entry.file_name().into_string().ok())
+        .filter(|name| name != "lo");
     let mut interfaces: Vec<Interface> = names
         .map(|name| {
-            let file = |what: &str| fs::read_to_string(format!("/sys/class/net/{name}/{what}")).ok();
-            let flags = file("flags").and_then(|text| u32::from_str_radix(text.trim().strip_prefix("0x")?, 16).ok());
+            let file =
+                |what: &str| fs::read_to_string(format!("/sys/class/net/{name}/{what}")).ok();
+            let flags = file("flags")
+                .and_then(|text| u32::from_str_radix(text.trim().strip_prefix("0x")?, 16).ok());
             let own = addresses.iter().filter(|one| one.interface == name);
             Interface {
                 up: flags.is_some_and(|flags| flags & 1 != 0),
@@ -36,20 +43,31 @@ fn interfaces() -> Vec<Interface> {
                 name,
             }
         })
-        .filter(|one: &Interface| one.up || Path::new(&format!("/sys/class/net/{}/device", one.name)).exists())
+        .filter(|one: &Interface| {
+            one.up || Path::new(&format!("/sys/class/net/{}/device", one.name)).exists()
+        })
         .collect();
     interfaces.sort_by(|a, b| a.name.cmp(&b.name));
     interfaces
 }
 
 fn root_trouble(domain: &Domain) -> Option<RootTrouble> {
-    let exists = match domain.exists().and_then(|exists| domain.check_occupied().map(|()| exists)) {
+    let exists = match domain
+        .exists()
+        .and_then(|exists| domain.check_occupied().map(|()| exists))
+    {
         Ok(exists) => exists,
         Err(error) => return Some(RootTrouble::Unusable(error.to_string())),
     };
     // Where it is not there yet, it is made in the nearest folder that is.
-    let folder = domain.root().ancestors().skip(usize::from(!exists)).find(|folder| folder.exists())?;
-    (!sys::may_write(folder)).then(|| RootTrouble::NotWritable { folder: folder.to_owned() })
+    let folder = domain
+        .root()
+        .ancestors()
+        .skip(usize::from(!exists))
+        .find(|folder| folder.exists())?;
+    (!sys::may_write(folder)).then(|| RootTrouble::NotWritable {
+        folder: folder.to_owned(),
+    })
 }
 
 fn read(path: &str) -> Option<u64> {
@@ -62,7 +80,8 @@ mod tests {
 
     #[test]
     fn this_host_can_be_looked_at() {
-        let folder = std::env::temp_dir().join(format!("sweepd-doctor-host-{}", std::process::id()));
+        let folder =
+            std::env::temp_dir().join(format!("sweepd-doctor-host-{}", std::process::id()));
         let host = look(Some(&folder.join("deep/root")));
         assert!(host.rmem_max.is_some_and(|bytes| bytes > 1000));
         assert!(host.shared.is_some_and(|(all, free)| all >= free));
@@ -71,12 +90,19 @@ mod tests {
         std::fs::write(&folder, "a file").unwrap();
         let trouble = look(Some(&folder)).root_trouble;
         std::fs::remove_file(&folder).unwrap();
-        assert!(matches!(trouble, Some(RootTrouble::Unusable(_))), "{trouble:?}");
+        assert!(
+            matches!(trouble, Some(RootTrouble::Unusable(_))),
+            "{trouble:?}"
+        );
     }
 
     #[test]
     fn loopback_is_an_address_of_every_host() {
         let found = sys::addresses().unwrap();
-        assert!(found.iter().any(|one| one.interface == "lo" && one.address.is_loopback() && one.bits == 8));
+        assert!(
+            found
+                .iter()
+                .any(|one| one.interface == "lo" && one.address.is_loopback() && one.bits == 8)
+        );
     }
 }

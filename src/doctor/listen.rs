@@ -1,4 +1,5 @@
-//! What comes to the ports, listened to for a few seconds, through the same gate and pipelines as the daemon's.
+//! What comes to the ports, listened to for a few seconds, through the same gate and pipelines as
+//! the daemon's.
 
 use std::net::{IpAddr, SocketAddr};
 use std::time::{Duration, Instant};
@@ -47,14 +48,26 @@ struct Patient {
     sweeps: u64,
 }
 
-/// Opens all ports of the plan and listens for so long. `opened` is told the ports that could be opened before anything is
-/// received.
+/// Opens all ports of the plan and listens for so long. `opened` is told the ports that could be
+/// opened before anything is received.
 ///
 /// # Errors
 /// [`UdpError`], when a port fails that could be opened.
-pub fn listen(plan: &Plan, lasting: Duration, opened: impl FnOnce(&[u16])) -> Result<Listened, UdpError> {
-    let mut ears: Vec<Result<Ear, Heard>> = plan.ports.iter().map(|port| Ear::open(&port.udp())).collect();
-    let numbers: Vec<u16> = ears.iter().flatten().map(|ear| ear.source.local_addr().port()).collect();
+pub fn listen(
+    plan: &Plan,
+    lasting: Duration,
+    opened: impl FnOnce(&[u16]),
+) -> Result<Listened, UdpError> {
+    let mut ears: Vec<Result<Ear, Heard>> = plan
+        .ports
+        .iter()
+        .map(|port| Ear::open(&port.udp()))
+        .collect();
+    let numbers: Vec<u16> = ears
+        .iter()
+        .flatten()
+        .map(|ear| ear.source.local_addr().port())
+        .collect();
     opened(&numbers);
     let mut positions = Vec::new();
     let until = Instant::now() + lasting;
@@ -69,7 +82,11 @@ pub fn listen(plan: &Plan, lasting: Duration, opened: impl FnOnce(&[u16])) -> Re
             }
         }
     }
-    let mut listened = Listened { ports: Vec::new(), sensors: Vec::new(), positions };
+    let mut listened = Listened {
+        ports: Vec::new(),
+        sensors: Vec::new(),
+        positions,
+    };
     for (plan, ear) in plan.ports.iter().zip(ears) {
         let mut plan = plan.clone();
         let heard = match ear {
@@ -98,7 +115,12 @@ struct Telemetry {
 impl Ear {
     fn open(config: &crate::capture::UdpConfig) -> Result<Self, Heard> {
         match UdpSource::bind(config) {
-            Ok(source) => Ok(Self { source, gate: Gate::default(), others: Vec::new(), patients: Vec::new() }),
+            Ok(source) => Ok(Self {
+                source,
+                gate: Gate::default(),
+                others: Vec::new(),
+                patients: Vec::new(),
+            }),
             Err(error @ UdpError::PortTaken { .. }) => Err(Heard::Taken(error.to_string())),
             Err(error) => Err(Heard::Refused(error.to_string())),
         }
@@ -111,8 +133,12 @@ impl Ear {
             match self.gate.admit(&datagram) {
                 Some(Entry::Data(index)) => {
                     while let Some(sender) = self.gate.senders().get(self.patients.len()) {
-                        // Nobody asks for another segmentation than the usual one, which is possible.
-                        let Ok(patient) = Patient::new(sender.source, sender.destination_port) else { break };
+                        // Nobody asks for another segmentation than the usual one, which is
+                        // possible.
+                        let Ok(patient) = Patient::new(sender.source, sender.destination_port)
+                        else {
+                            break;
+                        };
                         self.patients.push(patient);
                     }
                     if let Some(patient) = index.and_then(|index| self.patients.get_mut(index)) {
@@ -121,8 +147,18 @@ impl Ear {
                 }
                 Some(Entry::Position) => {
                     note_position(positions, &datagram);
-                    let Datagram { arrival_ns, source, destination_port, payload } = datagram;
-                    telemetry.push(Telemetry { arrival_ns, source, destination_port, payload: payload.to_vec() });
+                    let Datagram {
+                        arrival_ns,
+                        source,
+                        destination_port,
+                        payload,
+                    } = datagram;
+                    telemetry.push(Telemetry {
+                        arrival_ns,
+                        source,
+                        destination_port,
+                        payload: payload.to_vec(),
+                    });
                 }
                 None => note_other(&mut self.others, datagram.source),
             }
@@ -131,9 +167,21 @@ impl Ear {
     }
 
     fn conclude(mut self) -> (Heard, Vec<Sensor>) {
-        let (received, dropped, buffer) = (self.source.received(), self.source.dropped(), self.source.buffer());
+        let (received, dropped, buffer) = (
+            self.source.received(),
+            self.source.dropped(),
+            self.source.buffer(),
+        );
         let sensors = self.patients.into_iter().map(Patient::conclude).collect();
-        (Heard::All { received, dropped, others: self.others, buffer }, sensors)
+        (
+            Heard::All {
+                received,
+                dropped,
+                others: self.others,
+                buffer,
+            },
+            sensors,
+        )
     }
 }
 
@@ -143,7 +191,15 @@ impl Patient {
         // Nobody looks at the labels.
         (config.segment.min_range_m, config.segment.max_range_m) = (0.0, 0.01);
         let pipeline = Pipeline::new("", config, HeapBuffers::default(), Untimed)?;
-        Ok(Self { seen: Sensor { source: Some(source), port, ..Sensor::default() }, pipeline, sweeps: 0 })
+        Ok(Self {
+            seen: Sensor {
+                source: Some(source),
+                port,
+                ..Sensor::default()
+            },
+            pipeline,
+            sweeps: 0,
+        })
     }
 
     fn takes(&mut self, datagram: &Datagram<'_>) {
@@ -165,9 +221,23 @@ impl Patient {
     }
 
     fn takes_position(&mut self, position: &Telemetry) {
-        if self.seen.source.is_some_and(|source| source.ip() == position.source.ip()) {
-            let Telemetry { arrival_ns, source, destination_port, ref payload } = *position;
-            self.takes(&Datagram { arrival_ns, source, destination_port, payload });
+        if self
+            .seen
+            .source
+            .is_some_and(|source| source.ip() == position.source.ip())
+        {
+            let Telemetry {
+                arrival_ns,
+                source,
+                destination_port,
+                ref payload,
+            } = *position;
+            self.takes(&Datagram {
+                arrival_ns,
+                source,
+                destination_port,
+                payload,
+            });
         }
     }
 
@@ -194,7 +264,10 @@ impl Patient {
         let detection = self.pipeline.detection();
         self.seen.counts = self.pipeline.counts();
         self.seen.model = detection.map(|detection| detection.model);
-        self.seen.return_mode = self.seen.return_mode.or(detection.map(|detection| detection.return_mode));
+        self.seen.return_mode = self
+            .seen
+            .return_mode
+            .or(detection.map(|detection| detection.return_mode));
         self.seen
     }
 }
@@ -208,12 +281,21 @@ fn note_other(others: &mut Vec<(SocketAddr, u64)>, source: SocketAddr) {
 }
 
 fn note_position(positions: &mut Vec<PositionSender>, datagram: &Datagram<'_>) {
-    let Ok(position) = Position::parse(datagram.payload) else { return };
+    let Ok(position) = Position::parse(datagram.payload) else {
+        return;
+    };
     let address: IpAddr = datagram.source.ip();
-    let fix = position.nmea.map(|text| Rmc::parse(text).is_ok_and(|rmc| rmc.valid));
+    let fix = position
+        .nmea
+        .map(|text| Rmc::parse(text).is_ok_and(|rmc| rmc.valid));
     if let Some(known) = positions.iter_mut().find(|known| known.address == address) {
         (known.packets, known.pps, known.fix) = (known.packets + 1, position.pps, fix);
     } else if positions.len() < MAX_POSITIONS {
-        positions.push(PositionSender { address, packets: 1, pps: position.pps, fix });
+        positions.push(PositionSender {
+            address,
+            packets: 1,
+            pps: position.pps,
+            fix,
+        });
     }
 }

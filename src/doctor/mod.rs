@@ -123,41 +123,62 @@ pub enum ExamineError {
     System(#[from] io::Error),
 }
 
-/// Listens for so long, looks around, and asks the sensors at this port of theirs, unless it is `None`. `opened` is told the
-/// ports that are listened on, once they are.
+/// Listens for so long, looks around, and asks the sensors at this port of theirs, unless it is
+/// `None`. `opened` is told the ports that are listened on, once they are.
 ///
 /// # Errors
-/// [`ExamineError`]; whatever is wrong with sensors, network and host is an observation and no error.
+/// [`ExamineError`]; whatever is wrong with sensors, network and host is an observation and no
+/// error.
 pub fn examine(
     plan: Plan,
     lasting: Duration,
     web_port: Option<u16>,
     opened: impl FnOnce(&[u16]),
 ) -> Result<Observations, ExamineError> {
-    let listen::Listened { ports, sensors, positions } = listen::listen(&plan, lasting, opened)?;
-    let is_taken = ports.iter().any(|port| matches!(port.heard, Heard::Taken(_)));
+    let listen::Listened {
+        ports,
+        sensors,
+        positions,
+    } = listen::listen(&plan, lasting, opened)?;
+    let is_taken = ports
+        .iter()
+        .any(|port| matches!(port.heard, Heard::Taken(_)));
     let daemon = match plan.health {
         Some(address) if is_taken => Some(health::ask(address)),
         None if is_taken => Some(Err("its configuration has no `http`".to_owned())),
-        // A daemon may have other ports than the usual ones. Where there is none, silence is the finding.
+        // A daemon may have other ports than the usual ones. Where there is none, silence is the
+        // finding.
         Some(address) if plan.is_usual() && sensors.is_empty() && positions.is_empty() => {
             health::ask(address).ok().map(Ok)
         }
         _ => None,
     };
     let host = host::look(plan.root.as_deref());
-    let mut seen =
-        Observations { plan, seconds: lasting.as_secs_f64(), ports, sensors, positions, host, web: Vec::new(), daemon };
+    let mut seen = Observations {
+        plan,
+        seconds: lasting.as_secs_f64(),
+        ports,
+        sensors,
+        positions,
+        host,
+        web: Vec::new(),
+        daemon,
+    };
     if let Some(port) = web_port {
         seen.web = web::ask(&whom_to_ask(&seen), port)?;
     }
     Ok(seen)
 }
 
-/// Who may have a web page: whoever was heard or is named, or a sensor as it leaves the factory; no HDL-64E.
+/// Who may have a web page: whoever was heard or is named, or a sensor as it leaves the factory; no
+/// HDL-64E.
 fn whom_to_ask(seen: &Observations) -> Vec<Ipv4Addr> {
     let may_answer = |sensor: &&Sensor| !sensor.model.is_some_and(|model| model.is_hdl64e());
-    let heard = seen.sensors.iter().filter(may_answer).filter_map(|sensor| Some(sensor.source?.ip()));
+    let heard = seen
+        .sensors
+        .iter()
+        .filter(may_answer)
+        .filter_map(|sensor| Some(sensor.source?.ip()));
     let positions = seen.positions.iter().map(|sender| sender.address);
     let heard = heard.chain(positions).filter_map(|address| match address {
         IpAddr::V4(address) => Some(address),
@@ -167,7 +188,10 @@ fn whom_to_ask(seen: &Observations) -> Vec<Ipv4Addr> {
     whom.sort_unstable();
     whom.dedup();
     whom.truncate(MAX_ASKED);
-    if whom.is_empty() && seen.daemon.is_none() && seen.host.interfaces.iter().any(|one| one.reaches(FACTORY)) {
+    if whom.is_empty()
+        && seen.daemon.is_none()
+        && seen.host.interfaces.iter().any(|one| one.reaches(FACTORY))
+    {
         whom.push(FACTORY);
     }
     whom

@@ -29,7 +29,8 @@ pub struct Observations {
     pub host: Host,
     /// The web pages that answered.
     pub web: Vec<Web>,
-    /// What a running daemon says of itself, or why it cannot be asked; `None` where no port is taken and none answers.
+    /// What a running daemon says of itself, or why it cannot be asked; `None` where no port is
+    /// taken and none answers.
     pub daemon: Option<Result<Value, String>>,
 }
 
@@ -144,7 +145,9 @@ impl Interface {
     /// Whether an address is in one of its nets.
     pub fn reaches(&self, address: Ipv4Addr) -> bool {
         self.addresses.iter().any(|&(own, bits)| {
-            let mask = u32::MAX.checked_shl(32 - u32::from(bits.min(32))).unwrap_or(0);
+            let mask = u32::MAX
+                .checked_shl(32 - u32::from(bits.min(32)))
+                .unwrap_or(0);
             (u32::from(own) ^ u32::from(address)) & mask == 0
         })
     }

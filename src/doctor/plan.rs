@@ -82,14 +82,21 @@ impl Expected {
     pub fn is_at(&self, source: SocketAddr, port: u16) -> bool {
         self.address == source.ip()
             && self.port == port
-            && self.source_port.is_none_or(|expected| expected == source.port())
+            && self
+                .source_port
+                .is_none_or(|expected| expected == source.port())
     }
 }
 
 impl PortPlan {
     fn of(port: &PortConfig, number: u16) -> Self {
         let (multicast, interface) = (port.multicast, port.interface.clone());
-        Self { bind: port.bind, port: number, multicast, interface }
+        Self {
+            bind: port.bind,
+            port: number,
+            multicast,
+            interface,
+        }
     }
 
     /// How its socket is opened.
@@ -129,16 +136,33 @@ impl Plan {
         }
     }
 
-    /// Whether no sensor and no other ports are named than those that sensors send to as they leave the factory.
+    /// Whether no sensor and no other ports are named than those that sensors send to as they leave
+    /// the factory.
     pub fn is_usual(&self) -> bool {
         let is_usual = |port: &PortPlan| port.port == DATA_PORT || port.port == POSITION_PORT;
         self.sensors.is_empty() && self.ports.iter().all(is_usual)
     }
 
     /// Whatever comes to these ports.
-    pub fn of_ports(ports: &[u16], bind: Ipv4Addr, multicast: Option<Ipv4Addr>, interface: Option<&str>) -> Self {
-        let port = |&port: &u16| PortPlan { bind, port, multicast, interface: interface.map(str::to_owned) };
+    pub fn of_ports(
+        ports: &[u16],
+        bind: Ipv4Addr,
+        multicast: Option<Ipv4Addr>,
+        interface: Option<&str>,
+    ) -> Self {
+        let port = |&port: &u16| PortPlan {
+            bind,
+            port,
+            multicast,
+            interface: interface.map(str::to_owned),
+        };
         let ports = ports.iter().map(port).collect();
-        Self { ports, sensors: Vec::new(), ask: Vec::new(), root: None, health: Some(HEALTH) }
+        Self {
+            ports,
+            sensors: Vec::new(),
+            ask: Vec::new(),
+            root: None,
+            health: Some(HEALTH),
+        }
     }
 }

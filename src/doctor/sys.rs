@@ -25,13 +25,18 @@ pub(super) fn addresses() -> io::Result<Vec<Address>> {
     let mut found = Vec::new();
     let mut next = list;
     while !next.is_null() {
-        // SAFETY: the list that the call made; it lives until freeifaddrs below, and nobody else has it.
+        // SAFETY: the list that the call made; it lives until freeifaddrs below, and nobody else
+        // has it.
         let one = unsafe { &*next };
         if let (Some(address), Some(mask)) = (ipv4(one.ifa_addr), ipv4(one.ifa_netmask)) {
             // SAFETY: a name that ends in a zero and lives as long as the list.
             let name = unsafe { CStr::from_ptr(one.ifa_name) };
             let interface = name.to_string_lossy().into_owned();
-            found.push(Address { interface, address, bits: u32::from(mask).count_ones() as u8 });
+            found.push(Address {
+                interface,
+                address,
+                bits: u32::from(mask).count_ones() as u8,
+            });
         }
         next = one.ifa_next;
     }
@@ -45,7 +50,8 @@ fn ipv4(address: *const libc::sockaddr) -> Option<Ipv4Addr> {
     if address.is_null() {
         return None;
     }
-    // SAFETY: not null, so a socket address of the list, which is alive; every kind begins with its family.
+    // SAFETY: not null, so a socket address of the list, which is alive; every kind begins with its
+    // family.
     let family = unsafe { (*address).sa_family };
     if i32::from(family) != libc::AF_INET {
         return None;
@@ -57,7 +63,9 @@ fn ipv4(address: *const libc::sockaddr) -> Option<Ipv4Addr> {
 
 /// Whether this user may make files in a folder (access(2)).
 pub(super) fn may_write(folder: &Path) -> bool {
-    let Ok(path) = CString::new(folder.as_os_str().as_bytes()) else { return false };
+    let Ok(path) = CString::new(folder.as_os_str().as_bytes()) else {
+        return false;
+    };
     // SAFETY: a path that ends in a zero, which the call does not keep.
     unsafe { libc::access(path.as_ptr(), libc::W_OK | libc::X_OK) == 0 }
 }

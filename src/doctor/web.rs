@@ -1,7 +1,8 @@
 //! What a sensor's web page says of its settings. It is asked, and never told anything.
 //!
-//! VLP-16 and HDL-32E answer `/cgi/snapshot.hdl` (how it is set) and `/cgi/status.json` (how it is); VLP-16 User Manual,
-//! chapter 10. Firmware differs in whether numbers are numbers or text, and in what is there at all.
+//! VLP-16 and HDL-32E answer `/cgi/snapshot.hdl` (how it is set) and `/cgi/status.json` (how it
+//! is); VLP-16 User Manual, chapter 10. Firmware differs in whether numbers are numbers or text,
+//! and in what is there at all.
 
 use std::net::{Ipv4Addr, SocketAddr};
 use std::time::Duration;
@@ -23,7 +24,10 @@ pub fn ask(addresses: &[Ipv4Addr], port: u16) -> std::io::Result<Vec<Web>> {
         return Ok(Vec::new());
     }
     let runtime = runtime()?;
-    let pages: Vec<_> = addresses.iter().map(|&address| runtime.spawn(ask_one(address, port))).collect();
+    let pages: Vec<_> = addresses
+        .iter()
+        .map(|&address| runtime.spawn(ask_one(address, port)))
+        .collect();
     Ok(runtime.block_on(async {
         let mut answers = Vec::new();
         for page in pages {
@@ -42,14 +46,21 @@ async fn ask_one(address: Ipv4Addr, port: u16) -> Option<Web> {
     }
     let web = read(&snapshot.unwrap_or_default(), &status.unwrap_or_default());
     // Some other device with a web page of its own.
-    (web != Web::default()).then_some(Web { address: Some(address), ..web })
+    (web != Web::default()).then_some(Web {
+        address: Some(address),
+        ..web
+    })
 }
 
 /// Reads both pages, as far as they are there.
 pub fn read(snapshot: &Value, status: &Value) -> Web {
     let config = &snapshot["config"];
     let (host, fov) = (&config["host"], &config["fov"]);
-    let port = |value: &Value| number(value).filter(|port| (1.0..=65535.0).contains(port)).map(|port| port as u16);
+    let port = |value: &Value| {
+        number(value)
+            .filter(|port| (1.0..=65535.0).contains(port))
+            .map(|port| port as u16)
+    };
     Web {
         address: None,
         rpm: number(&config["rpm"]),
@@ -65,13 +76,20 @@ pub fn read(snapshot: &Value, status: &Value) -> Web {
 }
 
 fn number(value: &Value) -> Option<f64> {
-    let number = value.as_f64().or_else(|| value.as_str()?.trim().parse().ok())?;
+    let number = value
+        .as_f64()
+        .or_else(|| value.as_str()?.trim().parse().ok())?;
     number.is_finite().then_some(number)
 }
 
 fn text(value: &Value) -> Option<String> {
     // What comes over the network is shown on a terminal.
-    let clean = |text: &str| text.chars().filter(|one| !one.is_control()).take(64).collect();
+    let clean = |text: &str| {
+        text.chars()
+            .filter(|one| !one.is_control())
+            .take(64)
+            .collect()
+    };
     value.as_str().map(clean)
 }
 
@@ -115,7 +133,11 @@ mod tests {
 
     #[test]
     fn nobody_there_is_no_answer() {
-        let free = std::net::TcpListener::bind("127.0.0.1:0").unwrap().local_addr().unwrap().port();
+        let free = std::net::TcpListener::bind("127.0.0.1:0")
+            .unwrap()
+            .local_addr()
+            .unwrap()
+            .port();
         assert_eq!(ask(&[Ipv4Addr::LOCALHOST], free).unwrap(), []);
     }
 }

@@ -1,4 +1,5 @@
-//! A line per return: everything that is known of it, for checks against other drivers and for spreadsheets.
+//! A line per return: everything that is known of it, for checks against other drivers and for
+//! spreadsheets.
 
 use std::io::{self, Write};
 
@@ -14,7 +15,8 @@ const CHUNK: usize = 1 << 16;
 
 /// Writes [`HEADER`] and a line per return, in the order of [`SweepRef::returns`].
 ///
-/// Angles and lengths have four decimals; the azimuth is in `0.0000..=359.9999` and no number is `-0.0000`.
+/// Angles and lengths have four decimals; the azimuth is in `0.0000..=359.9999` and no number is
+/// `-0.0000`.
 ///
 /// # Errors
 /// Those of `out`.
@@ -58,7 +60,8 @@ fn push_azimuth(text: &mut Vec<u8>, degrees: f64) {
     push_ten_thousandths(text, (degrees * 1e4).round().rem_euclid(360e4) as i64);
 }
 
-/// Four decimals and a comma. `write!` does the same in ten times the time, which is most of the time of an export.
+/// Four decimals and a comma. `write!` does the same in ten times the time, which is most of the
+/// time of an export.
 pub(super) fn push_decimal(text: &mut Vec<u8>, value: f64) {
     if value.abs() < 1e12 {
         push_ten_thousandths(text, (value * 1e4).round() as i64);
@@ -115,8 +118,9 @@ mod tests {
         String::from_utf8(out).unwrap()
     }
 
-    /// By hand. Azimuth 90, elevation 30, range 2: 2 cos 30 = 1.7321 right, 2 sin 30 = 1 up. Azimuth 359.99999 rounds
-    /// to the whole turn and x to nothing. In dual mode the odd block holds the strongest return.
+    /// By hand. Azimuth 90, elevation 30, range 2: 2 cos 30 = 1.7321 right, 2 sin 30 = 1 up.
+    /// Azimuth 359.99999 rounds to the whole turn and x to nothing. In dual mode the odd block
+    /// holds the strongest return.
     #[test]
     fn lines_by_hand() {
         let scene = two_beams();
@@ -147,7 +151,10 @@ mod tests {
                 }
                 let fields: Vec<&str> = lines.next().unwrap().split(',').collect();
                 let number = |field: usize| fields[field].parse::<f64>().unwrap();
-                assert_eq!((fields[2], fields[3]), (row.to_string().as_str(), column.to_string().as_str()));
+                assert_eq!(
+                    (fields[2], fields[3]),
+                    (row.to_string().as_str(), column.to_string().as_str())
+                );
                 assert_eq!(fields[14], scene.sweep().label[index].to_string());
                 // The columns are a turn apart by their number; beams shoot without delay here.
                 let azimuth = column as f64 * 0.9;

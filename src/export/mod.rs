@@ -3,9 +3,11 @@
 //! * [`csv`]: every return with its provenance, to check the driver or to feed a spreadsheet.
 //! * [`pcd`]: the points and labels, for PCL, Open3D and CloudCompare.
 //! * [`segments`]: the table of segments, a line each.
-//! * [`png`]: one picture that shows what was measured and what the segmentation made of it; and charts of figures.
+//! * [`png`]: one picture that shows what was measured and what the segmentation made of it; and
+//!   charts of figures.
 //!
-//! The writers take a [`SweepRef`] and any [`Write`]; an [`Exporter`] puts their output into the files of a directory.
+//! The writers take a [`SweepRef`] and any [`Write`]; an [`Exporter`] puts their output into the
+//! files of a directory.
 
 pub mod csv;
 pub mod pcd;
@@ -57,7 +59,10 @@ impl FromStr for Axes {
         match word {
             "sensor" => Ok(Self::Sensor),
             "ros" => Ok(Self::Ros),
-            _ => Err(UnknownWord { found: word.to_owned(), expected: "sensor or ros" }),
+            _ => Err(UnknownWord {
+                found: word.to_owned(),
+                expected: "sensor or ros",
+            }),
         }
     }
 }
@@ -91,7 +96,10 @@ impl FromStr for Format {
         [Self::Csv, Self::Pcd, Self::Png]
             .into_iter()
             .find(|format| format.extension() == word)
-            .ok_or_else(|| UnknownWord { found: word.to_owned(), expected: "csv, pcd or png" })
+            .ok_or_else(|| UnknownWord {
+                found: word.to_owned(),
+                expected: "csv, pcd or png",
+            })
     }
 }
 
@@ -119,26 +127,44 @@ impl Exporter {
     ///
     /// # Errors
     /// [`WriteError::Directory`].
-    pub fn new(dir: impl Into<PathBuf>, format: Format, axes: Axes, existing: Existing) -> Result<Self, WriteError> {
+    pub fn new(
+        dir: impl Into<PathBuf>,
+        format: Format,
+        axes: Axes,
+        existing: Existing,
+    ) -> Result<Self, WriteError> {
         let dir = dir.into();
         match fs::create_dir_all(&dir) {
-            Ok(()) => Ok(Self { dir, format, axes, existing, next_number: 0 }),
+            Ok(()) => Ok(Self {
+                dir,
+                format,
+                axes,
+                existing,
+                next_number: 0,
+            }),
             Err(cause) => Err(WriteError::Directory { path: dir, cause }),
         }
     }
 
     /// Writes a sweep as [`file_stem`] of its number with the format's ending, and gives the path.
     ///
-    /// The file grows as `NAME.part` and takes its name when it is whole: no reader gets half a sweep.
+    /// The file grows as `NAME.part` and takes its name when it is whole: no reader gets half a
+    /// sweep.
     ///
     /// # Errors
-    /// [`WriteError`]: a file of this name exists and is not to be replaced, or cannot be written; nothing of it is left
-    /// then.
+    /// [`WriteError`]: a file of this name exists and is not to be replaced, or cannot be written;
+    /// nothing of it is left then.
     pub fn write(&mut self, sweep: SweepRef<'_>, title: &Title<'_>) -> Result<PathBuf, WriteError> {
         let number = title.sweep_number;
-        let path = self.dir.join(format!("{}.{}", file_stem(number), self.format.extension()));
+        let path = self
+            .dir
+            .join(format!("{}.{}", file_stem(number), self.format.extension()));
         // A publisher that begins again counts from 0 again: those files are of this run.
-        let existing = if number < self.next_number { Existing::Replace } else { self.existing };
+        let existing = if number < self.next_number {
+            Existing::Replace
+        } else {
+            self.existing
+        };
         let (file, new) = NewFile::create(&path, existing)?;
         let mut out = BufWriter::with_capacity(1 << 16, file);
         let written = match self.format {
@@ -146,7 +172,9 @@ impl Exporter {
             Format::Pcd => write_pcd(sweep, self.axes, &mut out),
             Format::Png => write_png(sweep, title, &mut out),
         };
-        written.and_then(|()| out.flush()).map_err(|cause| new.failed(cause))?;
+        written
+            .and_then(|()| out.flush())
+            .map_err(|cause| new.failed(cause))?;
         new.commit()?;
         self.next_number = self.next_number.max(number.saturating_add(1));
         Ok(path)
@@ -160,9 +188,14 @@ pub fn file_stem(sweep_number: u64) -> String {
 
 /// Whether a file has the name of a sweep in this format: `sweep_000042.csv`.
 pub fn is_sweep_file(name: &str, format: Format) -> bool {
-    let stem = name.strip_suffix(format.extension()).and_then(|stem| stem.strip_suffix('.'));
-    let number = stem.and_then(|stem| stem.strip_prefix("sweep_")).and_then(|number| number.parse().ok());
-    stem.zip(number).is_some_and(|(stem, number)| file_stem(number) == stem)
+    let stem = name
+        .strip_suffix(format.extension())
+        .and_then(|stem| stem.strip_suffix('.'));
+    let number = stem
+        .and_then(|stem| stem.strip_prefix("sweep_"))
+        .and_then(|number| number.parse().ok());
+    stem.zip(number)
+        .is_some_and(|(stem, number)| file_stem(number) == stem)
 }
 
 #[cfg(test)]
@@ -170,7 +203,10 @@ mod tests {
     use super::*;
     use crate::export::test_scene::Scene;
 
-    const TITLE: Title<'_> = Title { model: "VLP-16", sweep_number: 3 };
+    const TITLE: Title<'_> = Title {
+        model: "VLP-16",
+        sweep_number: 3,
+    };
 
     fn empty_dir(name: &str) -> PathBuf {
         let dir = std::env::temp_dir().join(format!("sweepd-export-{name}-{}", std::process::id()));
@@ -182,8 +218,20 @@ mod tests {
     fn files_are_named_by_stem_and_format_and_no_part_is_left() {
         let dir = empty_dir("names");
         let scene = Scene::small();
-        for (word, first) in [("csv", &b"packet,"[..]), ("pcd", b"# .PCD"), ("png", b"\x89PNG")] {
-            let new = || Exporter::new(dir.join("a/b"), word.parse().unwrap(), Axes::Sensor, Existing::Keep).unwrap();
+        for (word, first) in [
+            ("csv", &b"packet,"[..]),
+            ("pcd", b"# .PCD"),
+            ("png", b"\x89PNG"),
+        ] {
+            let new = || {
+                Exporter::new(
+                    dir.join("a/b"),
+                    word.parse().unwrap(),
+                    Axes::Sensor,
+                    Existing::Keep,
+                )
+                .unwrap()
+            };
             let mut exporter = new();
             let path = exporter.write(scene.sweep(), &TITLE).unwrap();
             assert_eq!(path, dir.join(format!("a/b/sweep_000003.{word}")));
@@ -202,8 +250,12 @@ mod tests {
     fn a_file_in_the_place_of_the_directory_is_named() {
         let dir = empty_dir("directory");
         fs::write(&dir, "").unwrap();
-        let error = Exporter::new(dir.join("deep"), Format::Csv, Axes::Sensor, Existing::Keep).unwrap_err();
-        assert!(error.to_string().starts_with(&format!("cannot create the directory {}/deep: ", dir.display())));
+        let error =
+            Exporter::new(dir.join("deep"), Format::Csv, Axes::Sensor, Existing::Keep).unwrap_err();
+        assert!(error.to_string().starts_with(&format!(
+            "cannot create the directory {}/deep: ",
+            dir.display()
+        )));
         fs::remove_file(dir).unwrap();
     }
 
@@ -218,7 +270,11 @@ mod tests {
             let error = exporter.write(Scene::small().sweep(), &TITLE).unwrap_err();
             let expected = format!("cannot write {}: No space left on device", path.display());
             assert!(error.to_string().starts_with(&expected), "{error}");
-            assert!(fs::read_dir(&dir).unwrap().all(|entry| entry.unwrap().path().is_symlink()));
+            assert!(
+                fs::read_dir(&dir)
+                    .unwrap()
+                    .all(|entry| entry.unwrap().path().is_symlink())
+            );
         }
         fs::remove_dir_all(dir).unwrap();
     }
@@ -226,7 +282,10 @@ mod tests {
     #[test]
     fn files_of_sweeps_are_told_by_their_names() {
         for name in ["sweep_000000.png", "sweep_123456.png", "sweep_1234567.png"] {
-            assert!(is_sweep_file(name, Format::Png) && !is_sweep_file(name, Format::Csv), "{name}");
+            assert!(
+                is_sweep_file(name, Format::Png) && !is_sweep_file(name, Format::Csv),
+                "{name}"
+            );
         }
         for name in [
             "sweep_0.png",

@@ -38,7 +38,10 @@ impl FromStr for TableFormat {
         match word {
             "csv" => Ok(Self::Csv),
             "jsonl" => Ok(Self::Jsonl),
-            _ => Err(UnknownWord { found: word.to_owned(), expected: "csv or jsonl" }),
+            _ => Err(UnknownWord {
+                found: word.to_owned(),
+                expected: "csv or jsonl",
+            }),
         }
     }
 }
@@ -51,12 +54,14 @@ enum Value<'a> {
     Decimal(f64),
 }
 
-/// Writes a line for each segment of a sweep, in the order of their labels. `seq` is the number of the sweep.
+/// Writes a line for each segment of a sweep, in the order of their labels. `seq` is the number of
+/// the sweep.
 ///
-/// Lengths are metres in `axes`, angles degrees, both with four decimals; `time_ns` is that of the sweep's first shot. `points`
-/// counts the pixels with a return in the segmented plane, `nearest_m` is the range of the nearest of them. The azimuths are
-/// those of the first and the last column in the sense of rotation, at their first shots; where the segment lies across the
-/// seam, the first is the greater.
+/// Lengths are metres in `axes`, angles degrees, both with four decimals; `time_ns` is that of the
+/// sweep's first shot. `points` counts the pixels with a return in the segmented plane, `nearest_m`
+/// is the range of the nearest of them. The azimuths are those of the first and the last column in
+/// the sense of rotation, at their first shots; where the segment lies across the seam, the first
+/// is the greater.
 ///
 /// # Errors
 /// Those of `out`.
@@ -76,8 +81,8 @@ pub fn write_segments(
 
 /// In the order of [`HEADER`].
 fn values<'a>(sweep: &SweepRef<'a>, seq: u64, segment: &Segment, axes: Axes) -> [Value<'a>; 21] {
-    let [centroid, one, other] =
-        [segment.centroid_m, segment.min_m, segment.max_m].map(|point_m| axes.of_sensor(point_m.map(f64::from)));
+    let [centroid, one, other] = [segment.centroid_m, segment.min_m, segment.max_m]
+        .map(|point_m| axes.of_sensor(point_m.map(f64::from)));
     // An axis may be reversed, and its least is the greatest then.
     let least = |axis: usize| Value::Decimal(one[axis].min(other[axis]));
     let greatest = |axis: usize| Value::Decimal(one[axis].max(other[axis]));
@@ -112,7 +117,10 @@ fn values<'a>(sweep: &SweepRef<'a>, seq: u64, segment: &Segment, axes: Axes) -> 
 
 /// To four decimals; what rounds to 360 is 0.
 fn azimuth_deg(azimuth_rad: f32) -> f64 {
-    (f64::from(azimuth_rad).to_degrees() * 1e4).round().rem_euclid(360e4) / 1e4
+    (f64::from(azimuth_rad).to_degrees() * 1e4)
+        .round()
+        .rem_euclid(360e4)
+        / 1e4
 }
 
 fn push_line(text: &mut Vec<u8>, values: &[Value<'_>], format: TableFormat) {
@@ -136,7 +144,9 @@ fn push_line(text: &mut Vec<u8>, values: &[Value<'_>], format: TableFormat) {
             Value::Count(count) => push_integer(text, count),
             Value::Time(time_ns) => push_signed(text, time_ns),
             // JSON has no word for these.
-            Value::Decimal(number) if is_json && !number.is_finite() => text.extend_from_slice(b"null,"),
+            Value::Decimal(number) if is_json && !number.is_finite() => {
+                text.extend_from_slice(b"null,")
+            }
             Value::Decimal(number) => push_decimal(text, number),
         }
     }
@@ -156,7 +166,8 @@ mod tests {
         String::from_utf8(out).unwrap()
     }
 
-    /// By hand: a box before the sensor and to its left, across the seam. Turned to the axes of ROS, forward is x and left y.
+    /// By hand: a box before the sensor and to its left, across the seam. Turned to the axes of
+    /// ROS, forward is x and left y.
     #[test]
     fn lines_by_hand() {
         let mut scene = two_beams();
@@ -166,7 +177,12 @@ mod tests {
             (segment.label, segment.points, segment.nearest_m) = (2, 31, 5.25);
             (segment.min_m, segment.max_m) = ([-1.0, 5.0, -0.5], [-0.25, 6.0, 1.5]);
             segment.centroid_m = [-0.5, 5.5, 0.000_04];
-            (segment.row_first, segment.row_last, segment.column_first, segment.column_last) = (0, 1, 1, 0);
+            (
+                segment.row_first,
+                segment.row_last,
+                segment.column_first,
+                segment.column_last,
+            ) = (0, 1, 1, 0);
         });
         let csv = written(scene.sweep(), Axes::Sensor, TableFormat::Csv);
         assert_eq!(
@@ -192,10 +208,21 @@ mod tests {
             let scene = Scene::random(3, 5, true, seed);
             let segments = scene.sweep().segments.len();
             let json = written(scene.sweep(), Axes::Ros, TableFormat::Jsonl);
-            assert!(json.lines().all(|line| serde_json::from_str::<serde_json::Value>(line).is_ok()), "{json}");
+            assert!(
+                json.lines()
+                    .all(|line| serde_json::from_str::<serde_json::Value>(line).is_ok()),
+                "{json}"
+            );
             let csv = written(scene.sweep(), Axes::Sensor, TableFormat::Csv);
-            assert!(csv.lines().all(|line| line.split(',').count() == HEADER.split(',').count()), "{csv}");
-            assert_eq!((json.lines().count(), csv.lines().count()), (segments, segments));
+            assert!(
+                csv.lines()
+                    .all(|line| line.split(',').count() == HEADER.split(',').count()),
+                "{csv}"
+            );
+            assert_eq!(
+                (json.lines().count(), csv.lines().count()),
+                (segments, segments)
+            );
         }
     }
 }

@@ -17,7 +17,11 @@ pub fn grouped(number: u64) -> String {
 
 /// So many things: `1 packet`, `1,192 packets`.
 pub fn count_of(number: u64, thing: &str) -> String {
-    format!("{} {thing}{}", grouped(number), if number == 1 { "" } else { "s" })
+    format!(
+        "{} {thing}{}",
+        grouped(number),
+        if number == 1 { "" } else { "s" }
+    )
 }
 
 /// Nanoseconds since 1970 as date and time, to the millisecond: `2016-01-21 08:18:02.340 UTC`.
@@ -27,7 +31,10 @@ pub fn utc_text(time_ns: i64) -> String {
     let (year, month, day) = civil_from_days(ms.div_euclid(DAY_MS));
     let ms = ms.rem_euclid(DAY_MS);
     let (hour, minute, second) = (ms / 3_600_000, ms / 60_000 % 60, ms / 1000 % 60);
-    format!("{year:04}-{month:02}-{day:02} {hour:02}:{minute:02}:{second:02}.{:03} UTC", ms % 1000)
+    format!(
+        "{year:04}-{month:02}-{day:02} {hour:02}:{minute:02}:{second:02}.{:03} UTC",
+        ms % 1000
+    )
 }
 
 #[cfg(test)]
@@ -36,9 +43,18 @@ mod tests {
 
     #[test]
     fn by_hand() {
-        assert_eq!(["0", "999", "1,000", "1,234,567"], [0, 999, 1000, 1_234_567].map(grouped)[..]);
-        assert_eq!(utc_text(1_453_364_282_340_595_000), "2016-01-21 08:18:02.340 UTC");
-        assert_eq!([1, 1192].map(|number| count_of(number, "packet")), ["1 packet", "1,192 packets"]);
+        assert_eq!(
+            ["0", "999", "1,000", "1,234,567"],
+            [0, 999, 1000, 1_234_567].map(grouped)[..]
+        );
+        assert_eq!(
+            utc_text(1_453_364_282_340_595_000),
+            "2016-01-21 08:18:02.340 UTC"
+        );
+        assert_eq!(
+            [1, 1192].map(|number| count_of(number, "packet")),
+            ["1 packet", "1,192 packets"]
+        );
         assert_eq!(utc_text(-1), "1969-12-31 23:59:59.999 UTC");
     }
 }

@@ -55,14 +55,21 @@ pub fn mask(path: &Path) -> Result<Mask, MaskFileError> {
     }
 }
 
-/// A mask from the bytes of a PNG picture of any colour type, as high as its sensor has rows. Dark pixels (luma under 128) are
-/// hidden, unless they are transparent (alpha under 128). `name` is what errors call it.
+/// A mask from the bytes of a PNG picture of any colour type, as high as its sensor has rows. Dark
+/// pixels (luma under 128) are hidden, unless they are transparent (alpha under 128). `name` is
+/// what errors call it.
 ///
 /// # Errors
 /// [`MaskFileError`].
 pub fn decode_mask(bytes: &[u8], name: &str) -> Result<Mask, MaskFileError> {
-    let broken = |error| MaskFileError::Png { name: name.to_owned(), source: Sentence(error) };
-    let no_mask = |source| MaskFileError::Mask { name: name.to_owned(), source };
+    let broken = |error| MaskFileError::Png {
+        name: name.to_owned(),
+        source: Sentence(error),
+    };
+    let no_mask = |source| MaskFileError::Mask {
+        name: name.to_owned(),
+        source,
+    };
     let mut decoder = png::Decoder::new(Cursor::new(bytes));
     decoder.set_transformations(png::Transformations::EXPAND | png::Transformations::STRIP_16);
     let mut reader = decoder.read_info().map_err(broken)?;
@@ -72,12 +79,15 @@ pub fn decode_mask(bytes: &[u8], name: &str) -> Result<Mask, MaskFileError> {
     let frame = reader.next_frame(&mut pixels).map_err(broken)?;
     let samples = frame.color_type.samples();
     let lines = pixels.chunks_exact(frame.line_size).take(height);
-    let hidden: Vec<bool> = lines.flat_map(|line| line.chunks_exact(samples).take(width)).map(is_dark).collect();
+    let hidden: Vec<bool> = lines
+        .flat_map(|line| line.chunks_exact(samples).take(width))
+        .map(is_dark)
+        .collect();
     Mask::new(width, height, &hidden).map_err(no_mask)
 }
 
-/// Whether the luma (ITU-R BT.601) of a grey or RGB pixel is under 128, and the pixel is there to be seen: drawing
-/// programs leave black where nothing was drawn on a transparent ground.
+/// Whether the luma (ITU-R BT.601) of a grey or RGB pixel is under 128, and the pixel is there to
+/// be seen: drawing programs leave black where nothing was drawn on a transparent ground.
 fn is_dark(pixel: &[u8]) -> bool {
     let (luma, alpha) = match *pixel {
         [red, green, blue] => (luma(red, green, blue), 255),
@@ -106,7 +116,11 @@ mod tests {
         if color == ColorType::Indexed {
             encoder.set_palette(vec![0, 0, 0, 255, 255, 255]);
         }
-        encoder.write_header().unwrap().write_image_data(data).unwrap();
+        encoder
+            .write_header()
+            .unwrap()
+            .write_image_data(data)
+            .unwrap();
         bytes
     }
 
@@ -115,7 +129,9 @@ mod tests {
     fn every_kind_of_picture_is_the_same_mask() {
         let dark = [false, true, false, false, false, false, false, true];
         let spread = |light: &[u8], black: &[u8]| -> Vec<u8> {
-            dark.iter().flat_map(|&dark| if dark { black.to_vec() } else { light.to_vec() }).collect()
+            dark.iter()
+                .flat_map(|&dark| if dark { black.to_vec() } else { light.to_vec() })
+                .collect()
         };
         use {BitDepth::*, ColorType::*};
         for (color, depth, data) in [
@@ -124,13 +140,27 @@ mod tests {
             (Grayscale, One, vec![0b1011_0000, 0b1110_0000]),
             (GrayscaleAlpha, Eight, spread(&[255, 0], &[0, 255])),
             (Rgb, Eight, spread(&[0, 255, 0], &[255, 0, 255])),
-            (Rgba, Sixteen, spread(&[255; 8], &[0, 0, 0, 0, 0, 0, 255, 255])),
+            (
+                Rgba,
+                Sixteen,
+                spread(&[255; 8], &[0, 0, 0, 0, 0, 0, 255, 255]),
+            ),
             (Indexed, Eight, spread(&[1], &[0])),
         ] {
             let mask = decode_mask(&picture(color, depth, 4, 2, &data), "test").unwrap();
-            let hidden = |row| [45_f64, 135.0, 225.0, 315.0].map(|azimuth| mask.hides(row, azimuth.to_radians()));
-            assert_eq!(hidden(0), [false, true, false, false], "{color:?} {depth:?}");
-            assert_eq!(hidden(1), [false, false, false, true], "{color:?} {depth:?}");
+            let hidden = |row| {
+                [45_f64, 135.0, 225.0, 315.0].map(|azimuth| mask.hides(row, azimuth.to_radians()))
+            };
+            assert_eq!(
+                hidden(0),
+                [false, true, false, false],
+                "{color:?} {depth:?}"
+            );
+            assert_eq!(
+                hidden(1),
+                [false, false, false, true],
+                "{color:?} {depth:?}"
+            );
         }
     }
 
@@ -138,9 +168,20 @@ mod tests {
     fn errors_name_the_file() {
         let tall = picture(ColorType::Grayscale, BitDepth::Eight, 1, 129, &[0; 129]);
         let error = decode_mask(&tall, "body.png").unwrap_err().to_string();
-        assert!(error.starts_with("mask body.png is 1 x 129 pixels, expected 1 to 36000 in width"), "{error}");
-        assert!(decode_mask(b"GIF89a", "body.png").unwrap_err().to_string().starts_with("mask body.png: "));
+        assert!(
+            error.starts_with("mask body.png is 1 x 129 pixels, expected 1 to 36000 in width"),
+            "{error}"
+        );
+        assert!(
+            decode_mask(b"GIF89a", "body.png")
+                .unwrap_err()
+                .to_string()
+                .starts_with("mask body.png: ")
+        );
         let cut = &tall[..tall.len() / 2];
-        assert!(matches!(decode_mask(cut, "cut.png"), Err(MaskFileError::Png { .. })));
+        assert!(matches!(
+            decode_mask(cut, "cut.png"),
+            Err(MaskFileError::Png { .. })
+        ));
     }
 }

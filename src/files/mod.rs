@@ -1,4 +1,5 @@
-//! Files: read with a limit, since a longer one is not the one that was meant; written by [`output`]. The core takes bytes.
+//! Files: read with a limit, since a longer one is not the one that was meant; written by
+//! [`output`]. The core takes bytes.
 
 mod mask;
 pub mod output;
@@ -33,17 +34,25 @@ pub enum CalibrationFileError {
 /// # Errors
 /// [`CalibrationFileError`].
 pub fn calibration(path: &Path) -> Result<Calibration, CalibrationFileError> {
-    let refused = |source| CalibrationFileError::Io { path: path.to_owned(), source };
+    let refused = |source| CalibrationFileError::Io {
+        path: path.to_owned(),
+        source,
+    };
     let mut bytes = Vec::new();
     // One byte more than is allowed: the core refuses it, with the limit.
-    File::open(path).map_err(refused)?.take(MAX_FILE_LEN as u64 + 1).read_to_end(&mut bytes).map_err(refused)?;
+    File::open(path)
+        .map_err(refused)?
+        .take(MAX_FILE_LEN as u64 + 1)
+        .read_to_end(&mut bytes)
+        .map_err(refused)?;
     Ok(Calibration::decode(&bytes, &path.display().to_string())?)
 }
 
 /// The bytes of a file of at most `limit` bytes.
 ///
 /// # Errors
-/// What the system says; [`io::ErrorKind::FileTooLarge`] for a longer file, of which no more is read.
+/// What the system says; [`io::ErrorKind::FileTooLarge`] for a longer file, of which no more is
+/// read.
 pub fn read(path: &Path, limit: u64) -> io::Result<Vec<u8>> {
     let mut bytes = Vec::new();
     File::open(path)?.take(limit + 1).read_to_end(&mut bytes)?;

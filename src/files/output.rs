@@ -1,4 +1,5 @@
-//! Files that take their name when they are whole, and replace no other file unless that was asked for.
+//! Files that take their name when they are whole, and replace no other file unless that was asked
+//! for.
 
 use std::fs::{self, File};
 use std::io::{self, Write};
@@ -25,7 +26,8 @@ pub enum WriteError {
     Directory {
         /// The directory.
         path: PathBuf,
-        /// What the system says. Part of the message, so not a `source` that a report would print again.
+        /// What the system says. Part of the message, so not a `source` that a report would print
+        /// again.
         cause: io::Error,
     },
     /// The file cannot be written.
@@ -66,12 +68,16 @@ pub enum WriteError {
 impl WriteError {
     /// What the system says of a file.
     pub fn file(path: &Path, cause: io::Error) -> Self {
-        Self::File { path: path.to_owned(), cause }
+        Self::File {
+            path: path.to_owned(),
+            cause,
+        }
     }
 }
 
-/// The name of a file that is being written. The file grows as `NAME.part` and takes its name by [`NewFile::commit`]; without
-/// that, the part is removed and a file that was there before stays as it was. A pipe or a device is written directly.
+/// The name of a file that is being written. The file grows as `NAME.part` and takes its name by
+/// [`NewFile::commit`]; without that, the part is removed and a file that was there before stays as
+/// it was. A pipe or a device is written directly.
 #[derive(Debug)]
 #[must_use = "without a commit the file is removed"]
 pub struct NewFile {
@@ -91,7 +97,14 @@ impl NewFile {
         let failed = |cause| WriteError::file(path, cause);
         if is_special(path) {
             let file = File::options().append(true).open(path).map_err(failed)?;
-            return Ok((file, Self { path: path.to_owned(), part: None, existing }));
+            return Ok((
+                file,
+                Self {
+                    path: path.to_owned(),
+                    part: None,
+                    existing,
+                },
+            ));
         }
         if path.is_dir() {
             return Err(failed(io::ErrorKind::IsADirectory.into()));
@@ -105,15 +118,25 @@ impl NewFile {
             io::ErrorKind::AlreadyExists => WriteError::Part { path: part.clone() },
             _ => failed(cause),
         })?;
-        Ok((file, Self { path: path.to_owned(), part: Some(part), existing }))
+        Ok((
+            file,
+            Self {
+                path: path.to_owned(),
+                part: Some(part),
+                existing,
+            },
+        ))
     }
 
     /// Gives the file its name; all must have been written to it.
     ///
     /// # Errors
-    /// [`WriteError`]: another process has made a file of this name meanwhile, or what the system says.
+    /// [`WriteError`]: another process has made a file of this name meanwhile, or what the system
+    /// says.
     pub fn commit(mut self) -> Result<(), WriteError> {
-        let Some(part) = &self.part else { return Ok(()) };
+        let Some(part) = &self.part else {
+            return Ok(());
+        };
         if self.existing == Existing::Replace {
             fs::rename(part, &self.path).map_err(|cause| self.failed(cause))?;
             self.part = None;
@@ -123,9 +146,9 @@ impl NewFile {
         match fs::hard_link(part, &self.path) {
             // Dropped, the part goes; the file has another name now.
             Ok(()) => Ok(()),
-            Err(cause) if cause.kind() == io::ErrorKind::AlreadyExists => {
-                Err(WriteError::Exists { path: self.path.clone() })
-            }
+            Err(cause) if cause.kind() == io::ErrorKind::AlreadyExists => Err(WriteError::Exists {
+                path: self.path.clone(),
+            }),
             // A file system without links, such as FAT.
             Err(_) => {
                 check(&self.path, self.existing)?;
@@ -154,7 +177,8 @@ impl Drop for NewFile {
 /// Writes a whole file.
 ///
 /// # Errors
-/// [`WriteError`]: it exists and is not to be replaced, or what the system says; nothing of it is left then.
+/// [`WriteError`]: it exists and is not to be replaced, or what the system says; nothing of it is
+/// left then.
 pub fn write(path: &Path, bytes: &[u8], existing: Existing) -> Result<(), WriteError> {
     let (mut file, new) = NewFile::create(path, existing)?;
     file.write_all(bytes).map_err(|cause| new.failed(cause))?;
@@ -166,11 +190,21 @@ pub fn write(path: &Path, bytes: &[u8], existing: Existing) -> Result<(), WriteE
 /// # Errors
 /// [`WriteError::Exists`].
 pub fn check(path: &Path, existing: Existing) -> Result<(), WriteError> {
-    let is_taken = existing == Existing::Keep && !path.is_dir() && !is_special(path) && path.symlink_metadata().is_ok();
-    if is_taken { Err(WriteError::Exists { path: path.to_owned() }) } else { Ok(()) }
+    let is_taken = existing == Existing::Keep
+        && !path.is_dir()
+        && !is_special(path)
+        && path.symlink_metadata().is_ok();
+    if is_taken {
+        Err(WriteError::Exists {
+            path: path.to_owned(),
+        })
+    } else {
+        Ok(())
+    }
 }
 
-/// Whether there is a pipe or a device under this name, or one of the streams of this process: nothing that can be replaced.
+/// Whether there is a pipe or a device under this name, or one of the streams of this process:
+/// nothing that can be replaced.
 pub fn is_special(path: &Path) -> bool {
     let is_stream = |path: &Path| {
         let folder = path.parent().and_then(|folder| folder.canonicalize().ok());
@@ -179,7 +213,9 @@ pub fn is_special(path: &Path) -> bool {
     // /dev/stdout leads there, and may be a file that a shell has opened for it.
     is_stream(path)
         || path.read_link().is_ok_and(|target| is_stream(&target))
-        || path.metadata().is_ok_and(|found| !found.is_file() && !found.is_dir())
+        || path
+            .metadata()
+            .is_ok_and(|found| !found.is_file() && !found.is_dir())
 }
 
 /// `NAME.part` for `NAME`.
@@ -206,11 +242,12 @@ pub fn remove(path: &Path) -> io::Result<()> {
 pub struct Former(Vec<PathBuf>);
 
 impl Former {
-    /// Looks for files that `is_output` knows by their names, in a folder and in those of further sensors in it. `what` is what
-    /// one is called.
+    /// Looks for files that `is_output` knows by their names, in a folder and in those of further
+    /// sensors in it. `what` is what one is called.
     ///
     /// # Errors
-    /// [`WriteError`]: there are any, and they are not to be replaced; or the folder cannot be read.
+    /// [`WriteError`]: there are any, and they are not to be replaced; or the folder cannot be
+    /// read.
     pub fn find(
         dir: &Path,
         existing: Existing,
@@ -227,7 +264,10 @@ impl Former {
             };
             for entry in entries {
                 let entry = entry.map_err(failed)?;
-                let (name, is_folder) = (entry.file_name(), entry.file_type().map_err(failed)?.is_dir());
+                let (name, is_folder) = (
+                    entry.file_name(),
+                    entry.file_type().map_err(failed)?.is_dir(),
+                );
                 let Some(name) = name.to_str() else { continue };
                 match is_folder {
                     true if folder == dir && is_sensor_folder(name) => folders.push(entry.path()),
@@ -254,7 +294,9 @@ impl Former {
     /// # Errors
     /// [`WriteError::File`].
     pub fn remove(self) -> Result<(), WriteError> {
-        self.0.iter().try_for_each(|file| remove(file).map_err(|cause| WriteError::file(file, cause)))
+        self.0
+            .iter()
+            .try_for_each(|file| remove(file).map_err(|cause| WriteError::file(file, cause)))
     }
 }
 
@@ -266,8 +308,15 @@ pub fn sensor_folder(sensor: &str) -> String {
 /// Whether a folder may be that of a sensor: an address and one port or two.
 fn is_sensor_folder(name: &str) -> bool {
     // The colons of an IPv6 address are underscores there, too.
-    let is_address = |text: &str| text.trim_matches(['[', ']']).replace('_', ":").parse::<IpAddr>().is_ok();
-    let Some(one) = without_port(name) else { return false };
+    let is_address = |text: &str| {
+        text.trim_matches(['[', ']'])
+            .replace('_', ":")
+            .parse::<IpAddr>()
+            .is_ok()
+    };
+    let Some(one) = without_port(name) else {
+        return false;
+    };
     is_address(one) || without_port(one).is_some_and(is_address)
 }
 
@@ -285,14 +334,16 @@ mod tests {
 
     impl Folder {
         fn new(test: &str) -> Self {
-            let path = std::env::temp_dir().join(format!("sweepd-output-{test}-{}", std::process::id()));
+            let path =
+                std::env::temp_dir().join(format!("sweepd-output-{test}-{}", std::process::id()));
             let _ = fs::remove_dir_all(&path);
             fs::create_dir(&path).unwrap();
             Self(path)
         }
 
         fn names(&self) -> Vec<String> {
-            let name = |entry: io::Result<fs::DirEntry>| entry.unwrap().file_name().into_string().unwrap();
+            let name =
+                |entry: io::Result<fs::DirEntry>| entry.unwrap().file_name().into_string().unwrap();
             let mut names: Vec<String> = fs::read_dir(&self.0).unwrap().map(name).collect();
             names.sort();
             names
@@ -312,18 +363,37 @@ mod tests {
         let (mut file, new) = NewFile::create(&path, Existing::Keep).unwrap();
         file.write_all(b"one").unwrap();
         assert_eq!(folder.names(), ["a.yaml.part"]);
-        let second = NewFile::create(&path, Existing::Keep).unwrap_err().to_string();
-        assert!(second.contains("a.yaml.part exists") && second.contains("--force"), "{second}");
+        let second = NewFile::create(&path, Existing::Keep)
+            .unwrap_err()
+            .to_string();
+        assert!(
+            second.contains("a.yaml.part exists") && second.contains("--force"),
+            "{second}"
+        );
         new.commit().unwrap();
-        assert_eq!((folder.names(), fs::read(&path).unwrap()), (vec!["a.yaml".to_owned()], b"one".to_vec()));
-        let refused = write(&path, b"two", Existing::Keep).unwrap_err().to_string();
-        assert_eq!(refused, format!("{} exists; --force replaces it", path.display()));
+        assert_eq!(
+            (folder.names(), fs::read(&path).unwrap()),
+            (vec!["a.yaml".to_owned()], b"one".to_vec())
+        );
+        let refused = write(&path, b"two", Existing::Keep)
+            .unwrap_err()
+            .to_string();
+        assert_eq!(
+            refused,
+            format!("{} exists; --force replaces it", path.display())
+        );
         // One that is given up leaves the old one.
         drop(NewFile::create(&path, Existing::Replace).unwrap());
-        assert_eq!((folder.names(), fs::read(&path).unwrap()), (vec!["a.yaml".to_owned()], b"one".to_vec()));
+        assert_eq!(
+            (folder.names(), fs::read(&path).unwrap()),
+            (vec!["a.yaml".to_owned()], b"one".to_vec())
+        );
         fs::write(folder.0.join("a.yaml.part"), "of a run that was killed").unwrap();
         write(&path, b"two", Existing::Replace).unwrap();
-        assert_eq!((folder.names(), fs::read(&path).unwrap()), (vec!["a.yaml".to_owned()], b"two".to_vec()));
+        assert_eq!(
+            (folder.names(), fs::read(&path).unwrap()),
+            (vec!["a.yaml".to_owned()], b"two".to_vec())
+        );
     }
 
     #[test]
@@ -333,31 +403,58 @@ mod tests {
         let (_file, new) = NewFile::create(&path, Existing::Keep).unwrap();
         fs::write(&path, "theirs").unwrap();
         assert!(matches!(new.commit(), Err(WriteError::Exists { .. })));
-        assert_eq!((folder.names(), fs::read(&path).unwrap()), (vec!["a.pcap".to_owned()], b"theirs".to_vec()));
+        assert_eq!(
+            (folder.names(), fs::read(&path).unwrap()),
+            (vec!["a.pcap".to_owned()], b"theirs".to_vec())
+        );
     }
 
     #[test]
     fn streams_and_devices_are_no_files_that_exist() {
         for path in ["/dev/null", "/dev/stdout", "/dev/fd/2", "/proc/self/fd/1"] {
-            assert!(is_special(path.as_ref()) && check(path.as_ref(), Existing::Keep).is_ok(), "{path}");
+            assert!(
+                is_special(path.as_ref()) && check(path.as_ref(), Existing::Keep).is_ok(),
+                "{path}"
+            );
         }
         write("/dev/null".as_ref(), b"gone", Existing::Keep).unwrap();
         let folder = Folder::new("special");
         std::os::unix::fs::symlink("/dev/full", folder.0.join("full")).unwrap();
-        let full = write(&folder.0.join("full"), b"x", Existing::Keep).unwrap_err().to_string();
+        let full = write(&folder.0.join("full"), b"x", Existing::Keep)
+            .unwrap_err()
+            .to_string();
         assert!(full.contains("/full: No space left on device"), "{full}");
         // A link that leads nowhere exists all the same, and no file is made behind it.
         std::os::unix::fs::symlink(folder.0.join("none"), folder.0.join("link")).unwrap();
-        assert!(matches!(write(&folder.0.join("link"), b"x", Existing::Keep), Err(WriteError::Exists { .. })));
+        assert!(matches!(
+            write(&folder.0.join("link"), b"x", Existing::Keep),
+            Err(WriteError::Exists { .. })
+        ));
         assert_eq!(folder.names(), ["full", "link"]);
     }
 
     #[test]
     fn folders_of_sensors_are_told_by_their_names() {
-        let sensors = ["192.168.1.201:2368", "192.168.1.201:2368>2369", "[fe80::1]:2368", "[2001:db8::5:7]:2368>2369"];
-        assert!(sensors.iter().all(|sensor| is_sensor_folder(&sensor_folder(sensor))));
-        for other in ["keep", "192.168.1.201", "192.168.1.201_", "192.168.1.201_70000", "a_1", "1.2.3_4", "2024_11_24"]
-        {
+        let sensors = [
+            "192.168.1.201:2368",
+            "192.168.1.201:2368>2369",
+            "[fe80::1]:2368",
+            "[2001:db8::5:7]:2368>2369",
+        ];
+        assert!(
+            sensors
+                .iter()
+                .all(|sensor| is_sensor_folder(&sensor_folder(sensor)))
+        );
+        for other in [
+            "keep",
+            "192.168.1.201",
+            "192.168.1.201_",
+            "192.168.1.201_70000",
+            "a_1",
+            "1.2.3_4",
+            "2024_11_24",
+        ] {
             assert!(!is_sensor_folder(other), "{other}");
         }
     }

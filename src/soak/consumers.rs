@@ -1,4 +1,5 @@
-//! Programs that read the sweeps: one that stays and checks them all, and others that come, go, hang and die.
+//! Programs that read the sweeps: one that stays and checks them all, and others that come, go,
+//! hang and die.
 
 use std::io::Read;
 use std::path::{Path, PathBuf};
@@ -43,7 +44,9 @@ impl Seen {
         let (run_ns, sequence) = (view.header.run_ns, view.header.sequence);
         if run_ns != self.run_ns {
             if run_ns < self.run_ns {
-                return Err(format!("sweep {sequence} is of a run before the one that was seen last"));
+                return Err(format!(
+                    "sweep {sequence} is of a run before the one that was seen last"
+                ));
             }
             (self.run_ns, self.next, self.runs) = (run_ns, 0, self.runs + 1);
         }
@@ -55,7 +58,9 @@ impl Seen {
         self.next = sequence + 1;
         let is_told = |returns: usize| returns == view.header.returns as usize;
         if self.received.is_multiple_of(LOOK_AT) && !is_told(view.returns().count()) {
-            return Err(format!("sweep {sequence} holds not as many returns as it says"));
+            return Err(format!(
+                "sweep {sequence} holds not as many returns as it says"
+            ));
         }
         Ok(())
     }
@@ -76,7 +81,10 @@ impl Steadfast {
     /// [`ClientError`].
     pub fn start(domain: &Domain, sensor: &str) -> Result<Self, ClientError> {
         let mut client = Client::within(domain, sensor)?;
-        let (seen, over) = (Arc::<Mutex<Seen>>::default(), Arc::new(AtomicBool::new(false)));
+        let (seen, over) = (
+            Arc::<Mutex<Seen>>::default(),
+            Arc::new(AtomicBool::new(false)),
+        );
         let (told, ended) = (Arc::clone(&seen), Arc::clone(&over));
         let thread = thread::spawn(move || {
             while !ended.load(Ordering::Relaxed) {
@@ -92,12 +100,19 @@ impl Steadfast {
                 }
             }
         });
-        Ok(Self { seen, over, thread: Some(thread) })
+        Ok(Self {
+            seen,
+            over,
+            thread: Some(thread),
+        })
     }
 
     /// What it has seen so far.
     pub fn seen(&self) -> Seen {
-        self.seen.lock().unwrap_or_else(PoisonError::into_inner).clone()
+        self.seen
+            .lock()
+            .unwrap_or_else(PoisonError::into_inner)
+            .clone()
     }
 }
 
@@ -189,7 +204,17 @@ impl Crowd {
     ) -> Self {
         let (program, root, folder) = (program.to_owned(), root.to_owned(), folder.to_owned());
         let (rng, next, census) = (Rng::with_seed(seed), Instant::now(), Census::default());
-        Self { program, root, folder, sensors, others: Vec::new(), rng, next, every, census }
+        Self {
+            program,
+            root,
+            folder,
+            sensors,
+            others: Vec::new(),
+            rng,
+            next,
+            every,
+            census,
+        }
     }
 
     /// How many there are.
@@ -240,13 +265,33 @@ impl Crowd {
 
     fn admit(&mut self) -> Result<(), SoakError> {
         let sensor = self.rng.usize(..self.sensors.len());
-        if self.others.iter().filter(|other| other.sensor == sensor).count() >= OTHERS {
+        if self
+            .others
+            .iter()
+            .filter(|other| other.sensor == sensor)
+            .count()
+            >= OTHERS
+        {
             return Ok(());
         }
-        let fates = [Fate::Leaves, Fate::Leaves, Fate::Records, Fate::Dies, Fate::Hangs, Fate::HangsAndDies];
+        let fates = [
+            Fate::Leaves,
+            Fate::Leaves,
+            Fate::Records,
+            Fate::Dies,
+            Fate::Hangs,
+            Fate::HangsAndDies,
+        ];
         let mut fate = fates[self.rng.usize(..fates.len())];
         // A daemon has room for some.
-        if self.others.iter().filter(|other| other.fate == Fate::Records).count() + 1 >= MAX_CLIENTS {
+        if self
+            .others
+            .iter()
+            .filter(|other| other.fate == Fate::Records)
+            .count()
+            + 1
+            >= MAX_CLIENTS
+        {
             fate = Fate::Dies;
         }
         self.census.started += 1;
@@ -254,8 +299,12 @@ impl Crowd {
         let name = self.sensors[sensor];
         let mut file = None;
         if fate == Fate::Records {
-            let path = self.folder.join(format!("tap-{}.pcap", self.census.started));
-            command.args(["record", "--from", name, "--seconds", "0.5", "-o"]).arg(&path);
+            let path = self
+                .folder
+                .join(format!("tap-{}.pcap", self.census.started));
+            command
+                .args(["record", "--from", name, "--seconds", "0.5", "-o"])
+                .arg(&path);
             file = Some(path);
         } else {
             command.args(["watch", name]);
@@ -264,12 +313,29 @@ impl Crowd {
             command.args(["--sweeps", &self.rng.u32(2..200).to_string()]);
         }
         command.arg("--root").arg(&self.root);
-        command.stdin(Stdio::null()).stdout(Stdio::null()).stderr(Stdio::piped());
-        let child = command.spawn().map_err(|source| SoakError::System { what: "start a consumer", source })?;
-        let patience =
-            if matches!(fate, Fate::Leaves | Fate::Records) { PATIENCE } else { self.every * self.rng.u32(1..5) };
+        command
+            .stdin(Stdio::null())
+            .stdout(Stdio::null())
+            .stderr(Stdio::piped());
+        let child = command.spawn().map_err(|source| SoakError::System {
+            what: "start a consumer",
+            source,
+        })?;
+        let patience = if matches!(fate, Fate::Leaves | Fate::Records) {
+            PATIENCE
+        } else {
+            self.every * self.rng.u32(1..5)
+        };
         let next = Instant::now() + patience;
-        self.others.push(Other { sensor, child, fate, next, is_frozen: false, is_ending: false, file });
+        self.others.push(Other {
+            sensor,
+            child,
+            fate,
+            next,
+            is_frozen: false,
+            is_ending: false,
+            file,
+        });
         Ok(())
     }
 }
@@ -279,22 +345,36 @@ impl Other {
     fn look(&mut self, census: &mut Census, rng: &mut Rng) -> Result<bool, SoakError> {
         if let Ok(Some(status)) = self.child.try_wait() {
             census.left += 1;
-            return if status.success() { Ok(true) } else { Err(self.wrong(&format!("ended with {status}"))) };
+            return if status.success() {
+                Ok(true)
+            } else {
+                Err(self.wrong(&format!("ended with {status}")))
+            };
         }
         if Instant::now() < self.next {
             return Ok(false);
         }
-        let failed = |source| SoakError::System { what: "send a consumer a signal", source };
+        let failed = |source| SoakError::System {
+            what: "send a consumer a signal",
+            source,
+        };
         match (self.fate, self.is_frozen) {
-            (Fate::Leaves | Fate::Records, _) => return Err(self.wrong("does not get what it came for")),
+            (Fate::Leaves | Fate::Records, _) => {
+                return Err(self.wrong("does not get what it came for"));
+            }
             _ if self.is_ending => return Err(self.wrong("was asked to end, and does not")),
             (Fate::Hangs | Fate::HangsAndDies, false) => {
                 signal(&self.child, Signal::Freeze).map_err(failed)?;
                 census.hung += 1;
-                (self.is_frozen, self.next) = (true, Instant::now() + Duration::from_millis(rng.u64(50..2000)));
+                (self.is_frozen, self.next) = (
+                    true,
+                    Instant::now() + Duration::from_millis(rng.u64(50..2000)),
+                );
             }
             (Fate::Hangs, true) => {
-                signal(&self.child, Signal::Thaw).and_then(|()| signal(&self.child, Signal::End)).map_err(failed)?;
+                signal(&self.child, Signal::Thaw)
+                    .and_then(|()| signal(&self.child, Signal::End))
+                    .map_err(failed)?;
                 (self.is_ending, self.next) = (true, Instant::now() + PATIENCE);
             }
             (Fate::Dies, _) | (Fate::HangsAndDies, true) => {

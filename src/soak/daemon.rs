@@ -1,4 +1,5 @@
-//! The daemon as a process of its own, as systemd runs it: started, asked, told to reload, ended, killed.
+//! The daemon as a process of its own, as systemd runs it: started, asked, told to reload, ended,
+//! killed.
 
 use std::collections::{BTreeMap, VecDeque};
 use std::fs;
@@ -60,17 +61,29 @@ impl Daemon {
     /// [`SoakError`]: it does not run, or does not answer.
     pub fn start(program: &Path, config: &Path, http: SocketAddrV4) -> Result<Self, SoakError> {
         let mut command = Command::new(program);
-        command.args(["run", "--config"]).arg(config).env_remove("SWEEPD_LOG").env_remove("NOTIFY_SOCKET");
-        command.stdin(Stdio::null()).stdout(Stdio::null()).stderr(Stdio::piped());
+        command
+            .args(["run", "--config"])
+            .arg(config)
+            .env_remove("SWEEPD_LOG")
+            .env_remove("NOTIFY_SOCKET");
+        command
+            .stdin(Stdio::null())
+            .stdout(Stdio::null())
+            .stderr(Stdio::piped());
         inherit_nothing(&mut command);
-        let mut child = command.spawn().map_err(|source| SoakError::System { what: "start the daemon", source })?;
+        let mut child = command.spawn().map_err(|source| SoakError::System {
+            what: "start the daemon",
+            source,
+        })?;
         let log = Arc::<Mutex<Log>>::default();
         if let Some(stderr) = child.stderr.take() {
             let log = Arc::clone(&log);
             thread::spawn(move || listen(stderr, &log));
         }
         let mut daemon = Self { child, log, http };
-        daemon.until("it answers on its HTTP port", |daemon| Ok(daemon.ask("/health").is_ok()))?;
+        daemon.until("it answers on its HTTP port", |daemon| {
+            Ok(daemon.ask("/health").is_ok())
+        })?;
         Ok(daemon)
     }
 
@@ -81,10 +94,16 @@ impl Daemon {
     pub fn ask(&self, path: &str) -> io::Result<String> {
         let mut stream = TcpStream::connect_timeout(&self.http.into(), PATIENCE)?;
         stream.set_read_timeout(Some(PATIENCE))?;
-        write!(stream, "GET {path} HTTP/1.1\r\nHost: localhost\r\nConnection: close\r\n\r\n")?;
+        write!(
+            stream,
+            "GET {path} HTTP/1.1\r\nHost: localhost\r\nConnection: close\r\n\r\n"
+        )?;
         let mut answer = String::new();
         stream.read_to_string(&mut answer)?;
-        answer.split_once("\r\n\r\n").map(|(_, body)| body.to_owned()).ok_or(io::ErrorKind::InvalidData.into())
+        answer
+            .split_once("\r\n\r\n")
+            .map(|(_, body)| body.to_owned())
+            .ok_or(io::ErrorKind::InvalidData.into())
     }
 
     /// Its metrics, by name and labels.
@@ -92,12 +111,18 @@ impl Daemon {
     /// # Errors
     /// [`SoakError`]: it does not answer.
     pub fn metrics(&mut self) -> Result<BTreeMap<String, f64>, SoakError> {
-        let text = self.ask("/metrics").map_err(|source| self.wrong(format!("/metrics: {source}")))?;
+        let text = self
+            .ask("/metrics")
+            .map_err(|source| self.wrong(format!("/metrics: {source}")))?;
         let sample = |line: &str| {
             let (name, value) = line.rsplit_once(' ')?;
             Some((name.to_owned(), value.parse().ok()?))
         };
-        Ok(text.lines().filter(|line| !line.starts_with('#')).filter_map(sample).collect())
+        Ok(text
+            .lines()
+            .filter(|line| !line.starts_with('#'))
+            .filter_map(sample)
+            .collect())
     }
 
     /// Waits until something is so.
@@ -122,14 +147,17 @@ impl Daemon {
         Ok(())
     }
 
-    /// Has it read its configuration anew, and waits until so many sensors are decoded by the new one.
+    /// Has it read its configuration anew, and waits until so many sensors are decoded by the new
+    /// one.
     ///
     /// # Errors
     /// [`SoakError`].
     pub fn reload(&mut self, sensors: u64) -> Result<(), SoakError> {
         let before = self.log().reconfigured;
         self.tell(Signal::Reload)?;
-        self.until("it has taken the new configuration", |daemon| Ok(daemon.log().reconfigured >= before + sensors))
+        self.until("it has taken the new configuration", |daemon| {
+            Ok(daemon.log().reconfigured >= before + sensors)
+        })
     }
 
     /// Has it read a configuration that it cannot take, and waits until it says so.
@@ -139,10 +167,13 @@ impl Daemon {
     pub fn reload_in_vain(&mut self) -> Result<(), SoakError> {
         let before = self.log().refused;
         self.tell(Signal::Reload)?;
-        self.until("it has refused the configuration", |daemon| Ok(daemon.log().refused > before))
+        self.until("it has refused the configuration", |daemon| {
+            Ok(daemon.log().refused > before)
+        })
     }
 
-    /// Has it read a configuration in which the recording alone is another, and waits until that has begun or ended.
+    /// Has it read a configuration in which the recording alone is another, and waits until that
+    /// has begun or ended.
     ///
     /// # Errors
     /// [`SoakError`].
@@ -150,7 +181,9 @@ impl Daemon {
         let index = usize::from(!begins);
         let before = self.log().recordings[index];
         self.tell(Signal::Reload)?;
-        self.until("the recording has begun or ended", |daemon| Ok(daemon.log().recordings[index] > before))
+        self.until("the recording has begun or ended", |daemon| {
+            Ok(daemon.log().recordings[index] > before)
+        })
     }
 
     /// Asks it to end, and waits for that.
@@ -161,7 +194,9 @@ impl Daemon {
         self.tell(Signal::End)?;
         match self.wait()? {
             status if status.success() => Ok(()),
-            status => Err(self.wrong(format!("the daemon was asked to end, and did so with {status}"))),
+            status => Err(self.wrong(format!(
+                "the daemon was asked to end, and did so with {status}"
+            ))),
         }
     }
 
@@ -170,7 +205,10 @@ impl Daemon {
     /// # Errors
     /// [`SoakError`].
     pub fn kill(mut self) -> Result<(), SoakError> {
-        self.child.kill().map_err(|source| SoakError::System { what: "kill the daemon", source })?;
+        self.child.kill().map_err(|source| SoakError::System {
+            what: "kill the daemon",
+            source,
+        })?;
         self.wait().map(drop)
     }
 
@@ -190,11 +228,17 @@ impl Daemon {
             thread::sleep(Duration::from_millis(10));
         }
         let log: Vec<String> = self.log().last.iter().cloned().collect();
-        SoakError::Wrong { what, log: log.join("\n") }
+        SoakError::Wrong {
+            what,
+            log: log.join("\n"),
+        }
     }
 
     fn tell(&self, what: Signal) -> Result<(), SoakError> {
-        signal(&self.child, what).map_err(|source| SoakError::System { what: "send the daemon a signal", source })
+        signal(&self.child, what).map_err(|source| SoakError::System {
+            what: "send the daemon a signal",
+            source,
+        })
     }
 
     fn wait(&mut self) -> Result<ExitStatus, SoakError> {
@@ -203,8 +247,17 @@ impl Daemon {
             match self.child.try_wait() {
                 Ok(Some(status)) => return Ok(status),
                 Ok(None) if begun.elapsed() < PATIENCE => thread::sleep(Duration::from_millis(2)),
-                Ok(None) => return Err(self.wrong(format!("it does not end within {} s", PATIENCE.as_secs()))),
-                Err(source) => return Err(SoakError::System { what: "wait for the daemon", source }),
+                Ok(None) => {
+                    return Err(
+                        self.wrong(format!("it does not end within {} s", PATIENCE.as_secs()))
+                    );
+                }
+                Err(source) => {
+                    return Err(SoakError::System {
+                        what: "wait for the daemon",
+                        source,
+                    });
+                }
             }
         }
     }
@@ -240,14 +293,26 @@ fn listen(stderr: ChildStderr, log: &Mutex<Log>) {
 pub fn usage(pid: u32) -> Usage {
     let status = fs::read_to_string(format!("/proc/{pid}/status")).unwrap_or_default();
     let number = |key: &str| {
-        let line = status.lines().find_map(|line| line.strip_prefix(key)).unwrap_or_default();
-        line.split_whitespace().next().and_then(|number| number.parse().ok()).unwrap_or(0)
+        let line = status
+            .lines()
+            .find_map(|line| line.strip_prefix(key))
+            .unwrap_or_default();
+        line.split_whitespace()
+            .next()
+            .and_then(|number| number.parse().ok())
+            .unwrap_or(0)
     };
     let descriptors = fs::read_dir(format!("/proc/{pid}/fd")).map_or(0, |all| all.count() as u64);
-    Usage { own_kib: number("RssAnon:"), resident_kib: number("VmRSS:"), threads: number("Threads:"), descriptors }
+    Usage {
+        own_kib: number("RssAnon:"),
+        resident_kib: number("VmRSS:"),
+        threads: number("Threads:"),
+        descriptors,
+    }
 }
 
-/// What waits in the sockets of some UDP ports, bytes as the kernel charges them, and what these have dropped.
+/// What waits in the sockets of some UDP ports, bytes as the kernel charges them, and what these
+/// have dropped.
 ///
 /// # Errors
 /// /proc cannot be read.
@@ -257,10 +322,16 @@ pub fn waiting(ports: &[u16]) -> io::Result<(u64, u64)> {
         let fields: Vec<&str> = line.split_ascii_whitespace().collect();
         let port = u16::from_str_radix(fields.get(1)?.rsplit_once(':')?.1, 16).ok()?;
         let bytes = u64::from_str_radix(fields.get(4)?.split_once(':')?.1, 16).ok()?;
-        ports.contains(&port).then_some((bytes, fields.last()?.parse().ok()?))
+        ports
+            .contains(&port)
+            .then_some((bytes, fields.last()?.parse().ok()?))
     };
     let sockets = table.lines().skip(1).filter_map(socket);
-    Ok(sockets.fold((0, 0), |(bytes, drops), (more, dropped): (u64, u64)| (bytes.max(more), drops + dropped)))
+    Ok(
+        sockets.fold((0, 0), |(bytes, drops), (more, dropped): (u64, u64)| {
+            (bytes.max(more), drops + dropped)
+        }),
+    )
 }
 
 /// Ports of the loopback interface that are free, most likely for a while.
@@ -278,20 +349,37 @@ pub fn free_ports() -> io::Result<([u16; 3], u16)> {
     Ok((ports, tcp.local_addr()?.port()))
 }
 
-/// Bytes of shared memory that a domain's files really take, and how many these are; with those of its folder.
+/// Bytes of shared memory that a domain's files really take, and how many these are; with those of
+/// its folder.
 pub fn files(root: &Path, prefix: &str) -> (u64, u64) {
     fn within(folder: &Path) -> u64 {
         let entries = fs::read_dir(folder).into_iter().flatten().flatten();
-        entries.map(|entry| if entry.path().is_dir() { within(&entry.path()) } else { 1 }).sum()
+        entries
+            .map(|entry| {
+                if entry.path().is_dir() {
+                    within(&entry.path())
+                } else {
+                    1
+                }
+            })
+            .sum()
     }
     let shared = shared_memory(prefix);
     let bytes = shared.iter().filter_map(|path| path.metadata().ok());
-    let bytes = bytes.map(|file| std::os::unix::fs::MetadataExt::blocks(&file) * 512).sum();
+    let bytes = bytes
+        .map(|file| std::os::unix::fs::MetadataExt::blocks(&file) * 512)
+        .sum();
     (shared.len() as u64 + within(root), bytes)
 }
 
 /// The files of a domain in shared memory.
 pub fn shared_memory(prefix: &str) -> Vec<PathBuf> {
-    let entries = fs::read_dir(sweepd_client::publish::SHARED_MEMORY).into_iter().flatten().flatten();
-    entries.filter(|entry| entry.file_name().to_string_lossy().starts_with(prefix)).map(|entry| entry.path()).collect()
+    let entries = fs::read_dir(sweepd_client::publish::SHARED_MEMORY)
+        .into_iter()
+        .flatten()
+        .flatten();
+    entries
+        .filter(|entry| entry.file_name().to_string_lossy().starts_with(prefix))
+        .map(|entry| entry.path())
+        .collect()
 }

@@ -1,4 +1,5 @@
-//! One sensor's datagrams with everything that goes wrong on their way, and what the daemon must count of it.
+//! One sensor's datagrams with everything that goes wrong on their way, and what the daemon must
+//! count of it.
 
 use std::collections::BTreeMap;
 use std::io;
@@ -140,17 +141,36 @@ pub enum Event {
 }
 
 impl Feed {
-    /// A sensor that has sent nothing yet. Foreign datagrams come from `foreign`, an address that nobody configured.
+    /// A sensor that has sent nothing yet. Foreign datagrams come from `foreign`, an address that
+    /// nobody configured.
     ///
     /// # Errors
     /// No socket can be had.
     pub fn new(place: Place, foreign: Ipv4Addr, seed: u64) -> io::Result<Self> {
         let modes = [ReturnMode::Strongest, ReturnMode::Dual];
-        let modes = if place.model.is_hdl64e() { &modes[..1] } else { &modes };
+        let modes = if place.model.is_hdl64e() {
+            &modes[..1]
+        } else {
+            &modes
+        };
         let (stream, rng) = (Stream::new(place.model, modes), Rng::with_seed(seed));
-        let (socket, foreign) = (UdpSocket::bind((place.from, 0))?, UdpSocket::bind((foreign, 0))?);
+        let (socket, foreign) = (
+            UdpSocket::bind((place.from, 0))?,
+            UdpSocket::bind((foreign, 0))?,
+        );
         let (tally, injected) = (Tally::default(), Injected::new());
-        Ok(Self { place, stream, socket, foreign, rng, whole: 0, has_gps: false, tally, injected, sent: 0 })
+        Ok(Self {
+            place,
+            stream,
+            socket,
+            foreign,
+            rng,
+            whole: 0,
+            has_gps: false,
+            tally,
+            injected,
+            sent: 0,
+        })
     }
 
     /// Another daemon counts from zero.
@@ -191,8 +211,10 @@ impl Feed {
         self.send_whole(BETWEEN)?;
         match event {
             Event::ClockJump => {
-                // From a minute to the hour less a minute: backwards as well as forwards, since the clock has no date.
-                self.stream.jump(self.rng.u64(HOUR_NS / 60..HOUR_NS / 60 * 59));
+                // From a minute to the hour less a minute: backwards as well as forwards, since the
+                // clock has no date.
+                self.stream
+                    .jump(self.rng.u64(HOUR_NS / 60..HOUR_NS / 60 * 59));
                 self.inject("clock jump", 1);
             }
             Event::HeadStall => {
@@ -201,7 +223,8 @@ impl Feed {
                 self.send_whole(packets)?;
                 self.stream.freeze(false);
                 self.inject("head stall", 1);
-                // No motor is at its speed at once: the daemon believes in that again within a turn or so.
+                // No motor is at its speed at once: the daemon believes in that again within a turn
+                // or so.
                 self.send_whole(WITHIN_A_TURN)?;
             }
             Event::ModeSwitch if self.stream.has_modes() => {
@@ -229,7 +252,11 @@ impl Feed {
     fn fault(&mut self, fault: Fault) -> io::Result<()> {
         match fault {
             Fault::Lost => {
-                let packets = if self.rng.bool() { 1 } else { self.rng.u64(2..=20) };
+                let packets = if self.rng.bool() {
+                    1
+                } else {
+                    self.rng.u64(2..=20)
+                };
                 self.stream.skip(packets);
                 self.tally.lost += packets;
                 self.inject("lost", packets);
@@ -280,7 +307,8 @@ impl Feed {
                 self.socket.send_to(packet.emit(), self.place.to)?;
             }
             Fault::Stamp => {
-                let other_us = (u64::from(packet.stamp_us()) + u64::from(HOUR_US / 2)) % u64::from(HOUR_US);
+                let other_us =
+                    (u64::from(packet.stamp_us()) + u64::from(HOUR_US / 2)) % u64::from(HOUR_US);
                 packet.set_stamp_us(other_us as u32);
                 self.tally.unconfirmed += 1;
                 self.send(packet.emit())?;
@@ -294,7 +322,9 @@ impl Feed {
             // Nobody can see that.
             _ => {
                 let record = &mut packet.blocks[block].records[self.rng.usize(..32)];
-                record.distance.set(record.distance.get() ^ 1 << self.rng.u16(..16));
+                record
+                    .distance
+                    .set(record.distance.get() ^ 1 << self.rng.u16(..16));
                 self.inject("distance flipped", 1);
                 return self.send(packet.emit());
             }
@@ -323,9 +353,17 @@ impl Feed {
                 self.inject("to the wrong port", 1);
             }
             _ => {
-                let len = if self.rng.bool() { self.rng.usize(..42) } else { self.rng.usize(1300..9000) };
+                let len = if self.rng.bool() {
+                    self.rng.usize(..42)
+                } else {
+                    self.rng.usize(1300..9000)
+                };
                 self.reject(Reject::Length);
-                let from = if self.rng.bool() { &self.socket } else { &self.foreign };
+                let from = if self.rng.bool() {
+                    &self.socket
+                } else {
+                    &self.foreign
+                };
                 from.send_to(&vec![0xEE; len], self.place.to)?;
                 self.inject("junk", 1);
             }
@@ -347,20 +385,32 @@ impl Feed {
         self.tally.received += 1;
         self.tally.packets += 1;
         match self.place.position {
-            Some(to) if self.tally.packets.is_multiple_of(DATA_PER_POSITION) => self.send_position(to),
+            Some(to) if self.tally.packets.is_multiple_of(DATA_PER_POSITION) => {
+                self.send_position(to)
+            }
             _ => Ok(()),
         }
     }
 
     fn send_position(&mut self, to: SocketAddrV4) -> io::Result<()> {
         let clock = match self.has_gps {
-            true => Clock::Gps { position_deg: (50.1, 8.7), reception: Reception::ALWAYS },
+            true => Clock::Gps {
+                position_deg: (50.1, 8.7),
+                reception: Reception::ALWAYS,
+            },
             false => Clock::Free { hour_ns: 0 },
         };
         let elapsed_ns = self.stream.time_ns() as i64;
         let sensor = EmitterConfig::new(self.place.model, ReturnMode::Strongest);
-        let payload =
-            gps::position_packet(&EmitterConfig { clock, start_utc_ns: 0, ..sensor }, elapsed_ns, &mut self.rng);
+        let payload = gps::position_packet(
+            &EmitterConfig {
+                clock,
+                start_utc_ns: 0,
+                ..sensor
+            },
+            elapsed_ns,
+            &mut self.rng,
+        );
         self.socket.send_to(&payload, to)?;
         self.sent += 1;
         self.tally.positions += 1;

@@ -1,5 +1,5 @@
-//! A day of the daemon in about an hour: everything that happens to it in the field, while its memory, threads, descriptors
-//! and files must stay as they are, and its counters must be exact.
+//! A day of the daemon in about an hour: everything that happens to it in the field, while its
+//! memory, threads, descriptors and files must stay as they are, and its counters must be exact.
 //!
 //! ```text
 //! Feed (VLP-16) --\                          /-- Steadfast: checks every sweep
@@ -7,18 +7,22 @@
 //! Feed (HDL-64E) -/                          \-- Crowd: `sweepd watch` and `record --from`, which come, go, hang and die
 //! ```
 //!
-//! The daemon is the real one, a process of its own, reached through its sockets and nothing else; so are the consumers. What
-//! is accelerated is the sender alone: the packets' own clock and the head go on as in life, and the next packet is sent when
-//! the last ones were fetched, so that the kernel drops none. Within a turn the daemon judges a gap by the sensor's clock and
-//! the head, and these are true to life. What it judges by the host's clock is not accelerated: silences last in real time.
+//! The daemon is the real one, a process of its own, reached through its sockets and nothing else;
+//! so are the consumers. What is accelerated is the sender alone: the packets' own clock and the
+//! head go on as in life, and the next packet is sent when the last ones were fetched, so that the
+//! kernel drops none. Within a turn the daemon judges a gap by the sensor's clock and the head, and
+//! these are true to life. What it judges by the host's clock is not accelerated: silences last in
+//! real time.
 //!
-//! * [`stream`]: a sensor for ever. [`feed`]: what goes wrong on the way, and what must be counted of it.
+//! * [`stream`]: a sensor for ever. [`feed`]: what goes wrong on the way, and what must be counted
+//!   of it.
 //! * [`daemon`]: the daemon's process. [`consumers`]: those who read.
 //! * [`figures`]: what must not grow.
 //!
-//! A run is a row of episodes. After each one the sender waits until everything has been fetched; then every counter must be
-//! what was injected. Between episodes the configuration is read anew, and recordings begin and end. In the middle of the run
-//! the daemon is ended or killed, and started again, several times, so that it has two long lives.
+//! A run is a row of episodes. After each one the sender waits until everything has been fetched;
+//! then every counter must be what was injected. Between episodes the configuration is read anew,
+//! and recordings begin and end. In the middle of the run the daemon is ended or killed, and
+//! started again, several times, so that it has two long lives.
 
 pub mod consumers;
 pub mod daemon;
@@ -99,7 +103,8 @@ pub struct Outcome {
     pub datagrams: u64,
     /// Sweeps published, by the consumers that stay; those that they got; runs of pipelines.
     pub sweeps: [u64; 3],
-    /// How often a consumer that stays was behind after an episode, and caught up with the sweeps that followed.
+    /// How often a consumer that stays was behind after an episode, and caught up with the sweeps
+    /// that followed.
     pub caught_up: u64,
     /// What was injected.
     pub injected: Injected,
@@ -120,8 +125,10 @@ pub struct Outcome {
 /// A sensor's time in an episode: so long and so many episodes there are.
 const EPISODE: Duration = Duration::from_secs(10);
 /// The sensors' addresses, and that of somebody else.
-const SENSORS: [(&str, Model, Ipv4Addr); 2] =
-    [("vlp", Model::Vlp16, Ipv4Addr::new(127, 0, 0, 2)), ("hdl", Model::Hdl64eS2, Ipv4Addr::new(127, 0, 0, 3))];
+const SENSORS: [(&str, Model, Ipv4Addr); 2] = [
+    ("vlp", Model::Vlp16, Ipv4Addr::new(127, 0, 0, 2)),
+    ("hdl", Model::Hdl64eS2, Ipv4Addr::new(127, 0, 0, 3)),
+];
 const FOREIGN: Ipv4Addr = Ipv4Addr::new(127, 0, 0, 9);
 /// Restarts of the daemon at most.
 const RESTARTS: u64 = 16;
@@ -129,9 +136,13 @@ const RESTARTS: u64 = 16;
 /// Runs a plan. `tell` gets a line now and then; `over` ends the run early, which is no error.
 ///
 /// # Errors
-/// [`SoakError`]: the first thing that was wrong; with a counter that is off, its name and both numbers. What grew is no
-/// error here: [`Figures::grown`].
-pub fn run(plan: &Plan, over: &AtomicBool, tell: &mut dyn FnMut(&str)) -> Result<Outcome, SoakError> {
+/// [`SoakError`]: the first thing that was wrong; with a counter that is off, its name and both
+/// numbers. What grew is no error here: [`Figures::grown`].
+pub fn run(
+    plan: &Plan,
+    over: &AtomicBool,
+    tell: &mut dyn FnMut(&str),
+) -> Result<Outcome, SoakError> {
     let mut soak = Soak::begin(plan)?;
     let episodes = plan.duration.as_nanos().div_ceil(EPISODE.as_nanos()).max(1) as u64;
     let mut told = Instant::now();
@@ -153,12 +164,14 @@ pub fn run(plan: &Plan, over: &AtomicBool, tell: &mut dyn FnMut(&str)) -> Result
     soak.end()
 }
 
-/// Whether the daemon is restarted before an episode, and whether it is killed: some times in the middle of the run.
+/// Whether the daemon is restarted before an episode, and whether it is killed: some times in the
+/// middle of the run.
 fn restart_after(number: u64, episodes: u64) -> Option<bool> {
     let count = (episodes / 3).clamp(1, RESTARTS);
     let apart = (episodes / 400).max(1);
     let since = number.checked_sub(episodes / 2)?;
-    (since.is_multiple_of(apart) && since / apart < count).then_some((since / apart).is_multiple_of(2))
+    (since.is_multiple_of(apart) && since / apart < count)
+        .then_some((since / apart).is_multiple_of(2))
 }
 
 /// A run.
@@ -193,21 +206,40 @@ struct Ports {
 impl Soak {
     fn begin(plan: &Plan) -> Result<Self, SoakError> {
         let failed = |what| move |source| SoakError::System { what, source };
-        let ([one, other, position], http) = daemon::free_ports().map_err(failed("find free ports"))?;
-        let ports = Ports { data: [one, other], position, http };
+        let ([one, other, position], http) =
+            daemon::free_ports().map_err(failed("find free ports"))?;
+        let ports = Ports {
+            data: [one, other],
+            position,
+            http,
+        };
         let domain = Domain::at(plan.folder.join("iox2"));
         let mut feeds = Vec::new();
         for (index, (name, model, from)) in SENSORS.into_iter().enumerate() {
             let here = |port| SocketAddrV4::new(Ipv4Addr::LOCALHOST, port);
             let position = (!model.is_hdl64e()).then_some(here(ports.position));
             let (to, other) = (here(ports.data[index]), here(ports.data[1 - index]));
-            let place = Place { name, model, from, to, position, other };
+            let place = Place {
+                name,
+                model,
+                from,
+                to,
+                position,
+                other,
+            };
             let feed = Feed::new(place, FOREIGN, plan.seed.wrapping_add(index as u64));
             feeds.push(feed.map_err(failed("open the sensors' sockets"))?);
         }
         let names: Vec<&str> = SENSORS.iter().map(|(name, ..)| *name).collect();
         let root = domain.root();
-        let crowd = Crowd::new(&plan.program, root, &plan.folder, names, plan.seed ^ 0xC0, plan.consumer_every);
+        let crowd = Crowd::new(
+            &plan.program,
+            root,
+            &plan.folder,
+            names,
+            plan.seed ^ 0xC0,
+            plan.consumer_every,
+        );
         let mut soak = Self {
             plan: plan.clone(),
             config: plan.folder.join("sweepd.toml"),
@@ -224,7 +256,8 @@ impl Soak {
             begun: Instant::now(),
             outcome: Outcome::default(),
         };
-        soak.write_config(true).map_err(failed("write the configuration"))?;
+        soak.write_config(true)
+            .map_err(failed("write the configuration"))?;
         soak.start()?;
         for (name, ..) in SENSORS {
             soak.steadfast.push(Steadfast::start(&soak.domain, name)?);
@@ -235,9 +268,16 @@ impl Soak {
 
     /// Writes the configuration, or one that cannot be meant.
     fn write_config(&self, is_valid: bool) -> io::Result<()> {
-        let Ports { data, position, http } = self.ports;
+        let Ports {
+            data,
+            position,
+            http,
+        } = self.ports;
         let (cut_deg, records) = self.settings;
-        let mut text = format!("http = \"127.0.0.1:{http}\"\nroot = \"{}\"\n", self.domain.root().display());
+        let mut text = format!(
+            "http = \"127.0.0.1:{http}\"\nroot = \"{}\"\n",
+            self.domain.root().display()
+        );
         for ((name, model, address), port) in SENSORS.into_iter().zip(data) {
             text += &format!(
                 "\n[[sensor]]\nname = \"{name}\"\naddress = \"{address}\"\nbind = \"127.0.0.1\"\nport = {port}\n\
@@ -245,14 +285,21 @@ impl Soak {
                 1 + consumers::OTHERS
             );
             if model.is_hdl64e() {
-                let beams = EmitterConfig::new(model, ReturnMode::Strongest).beams().into_owned();
+                let beams = EmitterConfig::new(model, ReturnMode::Strongest)
+                    .beams()
+                    .into_owned();
                 fs::write(self.plan.folder.join("unit.yaml"), ros_yaml::emit(&beams))?;
-                text += &format!("model = \"{}\"\ncalibration = \"unit.yaml\"\n", model.spec().flag);
+                text += &format!(
+                    "model = \"{}\"\ncalibration = \"unit.yaml\"\n",
+                    model.spec().flag
+                );
             }
         }
         if records {
-            text +=
-                &format!("\n[record]\npath = \"{}\"\nrotate_mb = 8\n", self.recordings().join("all.pcap").display());
+            text += &format!(
+                "\n[record]\npath = \"{}\"\nrotate_mb = 8\n",
+                self.recordings().join("all.pcap").display()
+            );
         }
         if !is_valid {
             text += "\n[[sensor]]\nname = 5\n";
@@ -266,7 +313,10 @@ impl Soak {
     }
 
     fn daemon(&mut self) -> Result<&mut Daemon, SoakError> {
-        self.daemon.as_mut().ok_or_else(|| SoakError::Wrong { what: "no daemon".to_owned(), log: String::new() })
+        self.daemon.as_mut().ok_or_else(|| SoakError::Wrong {
+            what: "no daemon".to_owned(),
+            log: String::new(),
+        })
     }
 
     fn start(&mut self) -> Result<(), SoakError> {
@@ -276,12 +326,17 @@ impl Soak {
             feed.begin_anew();
         }
         self.recorded_before = 0;
-        let published = |index| self.steadfast.get(index).map_or(0, |one: &Steadfast| one.seen().published);
+        let published = |index| {
+            self.steadfast
+                .get(index)
+                .map_or(0, |one: &Steadfast| one.seen().published)
+        };
         self.published_before = (0..SENSORS.len()).map(published).collect();
         Ok(())
     }
 
-    /// Ends the daemon between two episodes, or kills it in the middle of its work, and starts it again.
+    /// Ends the daemon between two episodes, or kills it in the middle of its work, and starts it
+    /// again.
     fn restart(&mut self, is_killed: bool, share: f64) -> Result<(), SoakError> {
         self.outcome.restarts[usize::from(is_killed)] += 1;
         if is_killed {
@@ -290,7 +345,9 @@ impl Soak {
         }
         // Of those that come while it sends, too.
         self.crowd.dismiss_recorders();
-        let Some(daemon) = self.daemon.take() else { return Ok(()) };
+        let Some(daemon) = self.daemon.take() else {
+            return Ok(());
+        };
         if is_killed {
             daemon.kill()?
         } else {
@@ -305,21 +362,37 @@ impl Soak {
         let (files, shared_bytes) = daemon::files(self.domain.root(), &self.domain.prefix());
         let is_at_rest = !self.settings.1 && !self.crowd.has_recorders();
         let own = daemon::usage(std::process::id());
-        let sample = Sample { daemon: daemon.usage(), is_at_rest, files, shared_bytes, own };
+        let sample = Sample {
+            daemon: daemon.usage(),
+            is_at_rest,
+            files,
+            shared_bytes,
+            own,
+        };
         self.outcome.figures.add(share, &sample);
     }
 
     fn simulated(&self) -> Duration {
-        self.feeds.first().map_or(Duration::ZERO, |feed| Duration::from_nanos(feed.stream.elapsed_ns()))
+        self.feeds.first().map_or(Duration::ZERO, |feed| {
+            Duration::from_nanos(feed.stream.elapsed_ns())
+        })
     }
 
     fn line(&self, share: f64) -> String {
-        let (simulated, took) = (self.simulated().as_secs_f64(), self.begun.elapsed().as_secs_f64());
+        let (simulated, took) = (
+            self.simulated().as_secs_f64(),
+            self.begun.elapsed().as_secs_f64(),
+        );
         let datagrams: u64 = self.feeds.iter().map(|feed| feed.sent).sum();
         let published: u64 = self.steadfast.iter().map(|one| one.seen().published).sum();
         let usage = self.daemon.as_ref().map(Daemon::usage).unwrap_or_default();
         let (files, shared) = daemon::files(self.domain.root(), &self.domain.prefix());
-        let Census { started, hung, killed, .. } = self.crowd.census;
+        let Census {
+            started,
+            hung,
+            killed,
+            ..
+        } = self.crowd.census;
         format!(
             "{:5.1} %  {:6.2} h at {:.1} times life  {:.1} million datagrams  {published} sweeps  daemon {} KiB, {} threads, \
              {} descriptors, {files} files, {} KiB shared  consumers {started} started, {hung} hung, {killed} killed  \
@@ -351,7 +424,12 @@ impl Soak {
             }
         }
         for seen in self.steadfast.iter().map(Steadfast::seen) {
-            for (sum, more) in outcome.sweeps.iter_mut().zip([seen.published, seen.received, seen.runs]) {
+            for (sum, more) in
+                outcome
+                    .sweeps
+                    .iter_mut()
+                    .zip([seen.published, seen.received, seen.runs])
+            {
                 *sum += more;
             }
         }
@@ -374,7 +452,11 @@ impl Drop for Soak {
 fn empty(folder: &Path) {
     for entry in fs::read_dir(folder).into_iter().flatten().flatten() {
         let path = entry.path();
-        let _ = if path.is_dir() { fs::remove_dir_all(path) } else { fs::remove_file(path) };
+        let _ = if path.is_dir() {
+            fs::remove_dir_all(path)
+        } else {
+            fs::remove_file(path)
+        };
     }
 }
 
@@ -385,10 +467,18 @@ mod tests {
     #[test]
     fn the_daemon_has_two_long_lives_and_some_short_ones_between() {
         for (episodes, first, count) in [(1, 0, 1), (6, 3, 2), (8_640, 4_320, 16)] {
-            let restarts: Vec<u64> =
-                (0..episodes).filter(|&number| restart_after(number, episodes).is_some()).collect();
-            assert_eq!((restarts[0], restarts.len() as u64), (first, count), "{episodes}");
-            assert!(restarts[restarts.len() - 1] <= episodes * 5 / 8 + 1, "{episodes}");
+            let restarts: Vec<u64> = (0..episodes)
+                .filter(|&number| restart_after(number, episodes).is_some())
+                .collect();
+            assert_eq!(
+                (restarts[0], restarts.len() as u64),
+                (first, count),
+                "{episodes}"
+            );
+            assert!(
+                restarts[restarts.len() - 1] <= episodes * 5 / 8 + 1,
+                "{episodes}"
+            );
         }
     }
 }

@@ -1,4 +1,5 @@
-//! A sensor's packets for ever: a turn and a half is simulated, and sent again and again while clock and head go on.
+//! A sensor's packets for ever: a turn and a half is simulated, and sent again and again while
+//! clock and head go on.
 
 use sweepd_core::sensor::Model;
 use sweepd_core::wire::data::ReturnMode;
@@ -21,10 +22,20 @@ struct Clip {
 
 impl Clip {
     fn new(model: Model, mode: ReturnMode, scene: &Scene) -> Self {
-        let config = EmitterConfig { rpm: RPM, ..EmitterConfig::new(model, mode) }.turns(1.5);
+        let config = EmitterConfig {
+            rpm: RPM,
+            ..EmitterConfig::new(model, mode)
+        }
+        .turns(1.5);
         let period_ns = config.spec.packet_period_ns(mode).into();
         let data = |payload: &[u8]| DataPacket::parse(payload).ok().copied();
-        Self { packets: Emitter::new(config, scene).untold().filter_map(|one| data(&one.payload)).collect(), period_ns }
+        Self {
+            packets: Emitter::new(config, scene)
+                .untold()
+                .filter_map(|one| data(&one.payload))
+                .collect(),
+            period_ns,
+        }
     }
 }
 
@@ -33,10 +44,20 @@ fn status(model: Model) -> Vec<(u8, u8)> {
     if !model.is_hdl64e() {
         return Vec::new();
     }
-    let config = EmitterConfig { packets: DUMP_PACKETS as u64, ..EmitterConfig::new(model, ReturnMode::Strongest) };
-    let pair = |payload: &[u8]| DataPacket::parse(payload).ok().map(|packet| (packet.return_mode, packet.product));
+    let config = EmitterConfig {
+        packets: DUMP_PACKETS as u64,
+        ..EmitterConfig::new(model, ReturnMode::Strongest)
+    };
+    let pair = |payload: &[u8]| {
+        DataPacket::parse(payload)
+            .ok()
+            .map(|packet| (packet.return_mode, packet.product))
+    };
     let nowhere = Scene::new([0.0; 2], 0);
-    Emitter::new(config, &nowhere).untold().filter_map(|one| pair(&one.payload)).collect()
+    Emitter::new(config, &nowhere)
+        .untold()
+        .filter_map(|one| pair(&one.payload))
+        .collect()
 }
 
 /// A sensor that never ends.
@@ -48,7 +69,8 @@ pub struct Stream {
     mode: usize,
     /// Place in the clip.
     index: usize,
-    /// How far the head is ahead of where the clip has it at its first packet, hundredths of a degree.
+    /// How far the head is ahead of where the clip has it at its first packet, hundredths of a
+    /// degree.
     ahead_cdeg: f64,
     /// Data packets so far, those that were skipped included.
     ordinal: u64,
@@ -64,7 +86,10 @@ impl Stream {
     /// A sensor that knows these return modes and begins with the first.
     pub fn new(model: Model, modes: &[ReturnMode]) -> Self {
         let scene = fixtures::scene();
-        let clips = modes.iter().map(|&mode| Clip::new(model, mode, &scene)).collect();
+        let clips = modes
+            .iter()
+            .map(|&mode| Clip::new(model, mode, &scene))
+            .collect();
         let status = status(model);
         Self {
             clips,
@@ -104,11 +129,13 @@ impl Stream {
         let mut packet = self.clip().packets[self.index];
         packet.set_stamp_us(self.stamp_us());
         for block in &mut packet.blocks {
-            let cdeg = (f64::from(block.azimuth_cdeg()) + self.ahead_cdeg.round()).rem_euclid(TURN_CDEG) as u16;
+            let cdeg = (f64::from(block.azimuth_cdeg()) + self.ahead_cdeg.round())
+                .rem_euclid(TURN_CDEG) as u16;
             block.set_azimuth_cdeg(self.frozen_cdeg.unwrap_or(cdeg));
         }
         if !self.status.is_empty() {
-            (packet.return_mode, packet.product) = self.status[(self.ordinal % self.status.len() as u64) as usize];
+            (packet.return_mode, packet.product) =
+                self.status[(self.ordinal % self.status.len() as u64) as usize];
         }
         self.skip(1);
         packet
@@ -124,8 +151,9 @@ impl Stream {
             self.index += 1;
             if self.index == len {
                 self.index = 0;
-                self.ahead_cdeg =
-                    (self.ahead_cdeg + (len as u64 * self.period_ns()) as f64 * CDEG_PER_NS).rem_euclid(TURN_CDEG);
+                self.ahead_cdeg = (self.ahead_cdeg
+                    + (len as u64 * self.period_ns()) as f64 * CDEG_PER_NS)
+                    .rem_euclid(TURN_CDEG);
             }
         }
     }
@@ -184,13 +212,17 @@ mod tests {
         }
         // So do they through another mode and back, and a head that stood still goes on from there.
         let mut before_cdeg = stream.now_cdeg();
-        for what in [Stream::switch_mode, Stream::switch_mode, |stream: &mut Stream| {
-            stream.freeze(true);
-            let stood = stream.next_packet().blocks[11].azimuth_cdeg();
-            stream.skip(30);
-            stream.freeze(false);
-            assert!((stream.now_cdeg() - f64::from(stood)).abs() < 1.5);
-        }] {
+        for what in [
+            Stream::switch_mode,
+            Stream::switch_mode,
+            |stream: &mut Stream| {
+                stream.freeze(true);
+                let stood = stream.next_packet().blocks[11].azimuth_cdeg();
+                stream.skip(30);
+                stream.freeze(false);
+                assert!((stream.now_cdeg() - f64::from(stood)).abs() < 1.5);
+            },
+        ] {
             what(&mut stream);
             let turned = (stream.now_cdeg() - before_cdeg + 100.0).rem_euclid(TURN_CDEG) - 100.0;
             assert!(turned.abs() < 6.0, "{turned}");

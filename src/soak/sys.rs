@@ -1,4 +1,5 @@
-//! The system calls that no safe crate of ours offers: a signal to a process, and a process that inherits no files.
+//! The system calls that no safe crate of ours offers: a signal to a process, and a process that
+//! inherits no files.
 
 #![allow(unsafe_code)]
 
@@ -27,15 +28,28 @@ pub fn signal(child: &Child, signal: Signal) -> io::Result<()> {
     let pid = libc::pid_t::try_from(child.id()).map_err(|_| io::ErrorKind::InvalidInput)?;
     // SAFETY: takes two numbers and touches no memory.
     let done = unsafe { libc::kill(pid, signal as libc::c_int) };
-    if done == 0 { Ok(()) } else { Err(io::Error::last_os_error()) }
+    if done == 0 {
+        Ok(())
+    } else {
+        Err(io::Error::last_os_error())
+    }
 }
 
-/// Has a child inherit no file but the first three. What iceoryx2 opens is not closed on exec: a daemon that is started again
-/// would hold the files of the consumers of this process, and they would be counted as its own.
+/// Has a child inherit no file but the first three. What iceoryx2 opens is not closed on exec: a
+/// daemon that is started again would hold the files of the consumers of this process, and they
+/// would be counted as its own.
 pub fn inherit_nothing(command: &mut Command) {
     let close = || {
-        // SAFETY: takes numbers and touches no memory. Where Linux is older than 5.11, more is inherited.
-        unsafe { libc::syscall(libc::SYS_close_range, 3, libc::c_uint::MAX, libc::CLOSE_RANGE_CLOEXEC) };
+        // SAFETY: takes numbers and touches no memory. Where Linux is older than 5.11, more is
+        // inherited.
+        unsafe {
+            libc::syscall(
+                libc::SYS_close_range,
+                3,
+                libc::c_uint::MAX,
+                libc::CLOSE_RANGE_CLOEXEC,
+            )
+        };
         Ok(())
     };
     // SAFETY: between fork and exec, that is one system call; it neither allocates nor locks.

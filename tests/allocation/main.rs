@@ -1,5 +1,5 @@
-//! After the first turns the way from socket to datagram, from there to labelled sweep, and on to the consumers, allocates
-//! nothing (but for what iceoryx2 counts a loan by).
+//! After the first turns the way from socket to datagram, from there to labelled sweep, and on to
+//! the consumers, allocates nothing (but for what iceoryx2 counts a loan by).
 
 mod cloud;
 #[path = "../common/mod.rs"]
@@ -28,13 +28,16 @@ use sweepd::sweep::{Buffers, HeapBuffers, Shape, SweepMut};
 use sweepd::wire::DataPacket;
 use sweepd::wire::data::ReturnMode;
 
-/// Allocations during each sweep: from the first of its datagrams to the moment it is labelled and let go.
+/// Allocations during each sweep: from the first of its datagrams to the moment it is labelled and
+/// let go.
 fn per_sweep(config: Config, datagrams: &[(Vec<u8>, i64)]) -> Vec<u64> {
     let mut pipeline = Pipeline::new("test", config, HeapBuffers::default(), Untimed).unwrap();
     let mut counts = Vec::with_capacity(100);
     let mut before = ALLOCATIONS.load(Ordering::Relaxed);
     for (payload, arrival_ns) in datagrams {
-        pipeline.push(&stream::datagram(payload, *arrival_ns)).unwrap();
+        pipeline
+            .push(&stream::datagram(payload, *arrival_ns))
+            .unwrap();
         pipeline.tick(*arrival_ns);
         while let Some(sweep) = pipeline.poll() {
             drop(sweep);
@@ -47,25 +50,42 @@ fn per_sweep(config: Config, datagrams: &[(Vec<u8>, i64)]) -> Vec<u64> {
     counts
 }
 
-/// Allocations while packets are received, pass the gate, and go to a recording and to somebody who listens at the tap,
-/// after the first batch. The packets wait in the socket: their sender is not counted. The threads that write and send
-/// are.
+/// Allocations while packets are received, pass the gate, and go to a recording and to somebody who
+/// listens at the tap, after the first batch. The packets wait in the socket: their sender is not
+/// counted. The threads that write and send are.
 fn receiving() -> u64 {
-    let mut source = UdpSource::bind(&UdpConfig { address: [127, 0, 0, 1].into(), ..UdpConfig::port(0) }).unwrap();
+    let mut source = UdpSource::bind(&UdpConfig {
+        address: [127, 0, 0, 1].into(),
+        ..UdpConfig::port(0)
+    })
+    .unwrap();
     let folder = std::env::temp_dir().join(format!("sweepd-allocation-{}", std::process::id()));
     std::fs::create_dir_all(&folder).unwrap();
     let recorder = Recorder::start(&folder.join("all.pcap"), Rotation::default()).unwrap();
     let taps = Taps::listen(&socket_path(&folder)).unwrap();
     let (mut lane, mut tap) = (recorder.lane(), taps.sensor("roof"));
     let mut client = TapStream::connect(&socket_path(&folder), "roof").unwrap();
-    let (sender, mut gate) = (std::net::UdpSocket::bind("127.0.0.1:0").unwrap(), Gate::default());
-    let packets = [DataPacket::new(0, 0x37, 0x22).emit().to_vec(), vec![0; 512], vec![9; 1206], vec![9; 100]];
+    let (sender, mut gate) = (
+        std::net::UdpSocket::bind("127.0.0.1:0").unwrap(),
+        Gate::default(),
+    );
+    let packets = [
+        DataPacket::new(0, 0x37, 0x22).emit().to_vec(),
+        vec![0; 512],
+        vec![9; 1206],
+        vec![9; 100],
+    ];
     let (mut admitted, mut tapped) = (0, 0);
     let mut receive = |count: u64| {
         for number in 0..count as usize {
-            sender.send_to(&packets[number % 4], source.local_addr()).unwrap();
+            sender
+                .send_to(&packets[number % 4], source.local_addr())
+                .unwrap();
         }
-        let (before, end) = (ALLOCATIONS.load(Ordering::Relaxed), source.received() + count);
+        let (before, end) = (
+            ALLOCATIONS.load(Ordering::Relaxed),
+            source.received() + count,
+        );
         while source.received() < end {
             for one in source.receive_addressed(Duration::from_secs(5)).unwrap() {
                 if gate.admit(&one.datagram()).is_some() {
@@ -91,30 +111,56 @@ fn receiving() -> u64 {
     counts
 }
 
-/// Allocations by the publisher's thread for each of many sweeps, which one consumer reads and another does not. In 2.5
-/// seconds the keeper looks after the service two or three times.
+/// Allocations by the publisher's thread for each of many sweeps, which one consumer reads and
+/// another does not. In 2.5 seconds the keeper looks after the service two or three times.
 fn sharing() -> Vec<u64> {
     let own = Own::new();
-    let settings = Settings { name: "roof".to_owned(), max_consumers: 2, ..Settings::default() };
+    let settings = Settings {
+        name: "roof".to_owned(),
+        max_consumers: 2,
+        ..Settings::default()
+    };
     let mut loans = Loans::create(&own.domain(), &settings).unwrap();
-    let shape = Shape { rows: 16, columns_capacity: 1000, dual: false, segments_capacity: 10 };
-    let [mut client, mut stuck] = ["roof"; 2].map(|name| Client::within(&own.domain(), name).unwrap());
+    let shape = Shape {
+        rows: 16,
+        columns_capacity: 1000,
+        dual: false,
+        segments_capacity: 10,
+    };
+    let [mut client, mut stuck] =
+        ["roof"; 2].map(|name| Client::within(&own.domain(), name).unwrap());
     for one in [&mut client, &mut stuck] {
         assert!(one.next(Duration::ZERO).unwrap().is_none() && one.is_connected());
     }
     let mut publish = |sequence| {
         let before = counting::of_this_thread();
         let mut slot = loans.take(shape.total_bytes());
-        SweepMut::create(slot.as_mut(), &shape).unwrap().header.sequence = sequence;
+        SweepMut::create(slot.as_mut(), &shape)
+            .unwrap()
+            .header
+            .sequence = sequence;
         assert_eq!(slot.publish().unwrap(), 2);
         let count = counting::of_this_thread() - before;
-        assert_eq!(client.next(Duration::from_secs(5)).unwrap().unwrap().view().unwrap().header.sequence, sequence);
+        assert_eq!(
+            client
+                .next(Duration::from_secs(5))
+                .unwrap()
+                .unwrap()
+                .view()
+                .unwrap()
+                .header
+                .sequence,
+            sequence
+        );
         count
     };
     // The first one makes the pool and its ways to the consumers.
     publish(0);
     let begun = Instant::now();
-    (1..).take_while(|_| begun.elapsed() < Duration::from_millis(2500)).map(publish).collect()
+    (1..)
+        .take_while(|_| begun.elapsed() < Duration::from_millis(2500))
+        .map(publish)
+        .collect()
 }
 
 /// One test, since the count is of the whole process.
@@ -125,15 +171,25 @@ fn the_steady_state_allocates_nothing() {
     let shared = sharing();
     // iceoryx2 counts who holds a loan: an allocation a sweep that is not ours.
     let allocating = shared.iter().filter(|&&count| count > 1).count();
-    assert!(shared.len() > 100 && allocating == 0, "{allocating} of {} sweeps allocated", shared.len());
+    assert!(
+        shared.len() > 100 && allocating == 0,
+        "{allocating} of {} sweeps allocated",
+        shared.len()
+    );
     let scene = street(1);
     for model in [Model::Vlp16, Model::Hdl32e, Model::Hdl64eS3] {
         for mode in [ReturnMode::Strongest, ReturnMode::Dual] {
             let config = EmitterConfig::new(model, mode).turns(1.1);
             let turn: Vec<_> = Emitter::new(config, &scene).collect();
             let mut street = Vec::new();
-            // The same turn again and again, with stamps that go on: what it shows is as large each time.
-            let sent = Spin { jitter_cdeg: 2.0, start_cdeg: 0.0, ..Spin::new(model, mode, 600.0) }.packets(1.2);
+            // The same turn again and again, with stamps that go on: what it shows is as large each
+            // time.
+            let sent = Spin {
+                jitter_cdeg: 2.0,
+                start_cdeg: 0.0,
+                ..Spin::new(model, mode, 600.0)
+            }
+            .packets(1.2);
             let per_turn = (1e8 / f64::from(model.spec().packet_period_ns(mode))) as usize;
             let shown: Vec<_> = turn.iter().filter(|one| one.truth.is_some()).collect();
             for one in sent.iter().filter(|one| one.ordinal % 50 != 40) {
@@ -152,14 +208,25 @@ fn the_steady_state_allocates_nothing() {
             }
             for method in [Method::Slope, Method::Paper] {
                 let unit = model.is_hdl64e().then(stream::unit);
-                let mut config = Config { calibration: unit, ..Config::default() };
+                let mut config = Config {
+                    calibration: unit,
+                    ..Config::default()
+                };
                 config.segment.method = method;
                 // The second time all that it needs room for was there before.
-                let again = street.iter().map(|(bytes, arrival_ns)| (bytes.clone(), arrival_ns + 1_300_000_000));
-                let counts = per_sweep(config, &street.iter().cloned().chain(again).collect::<Vec<_>>());
+                let again = street
+                    .iter()
+                    .map(|(bytes, arrival_ns)| (bytes.clone(), arrival_ns + 1_300_000_000));
+                let counts = per_sweep(
+                    config,
+                    &street.iter().cloned().chain(again).collect::<Vec<_>>(),
+                );
                 assert!(counts.len() >= 20, "{counts:?}");
                 let steady = &counts[counts.len() / 2 + 1..];
-                assert!(steady.iter().all(|&count| count == 0), "{model} {mode} {method:?}: {counts:?}");
+                assert!(
+                    steady.iter().all(|&count| count == 0),
+                    "{model} {mode} {method:?}: {counts:?}"
+                );
             }
         }
     }

@@ -22,7 +22,14 @@ fn unit() -> Calibration {
 }
 
 fn from_capture(capture: &Path, out: &Path) -> Ran {
-    sweepd(&["calib", "from-capture", "--force", capture.to_str().unwrap(), "-o", out.to_str().unwrap()])
+    sweepd(&[
+        "calib",
+        "from-capture",
+        "--force",
+        capture.to_str().unwrap(),
+        "-o",
+        out.to_str().unwrap(),
+    ])
 }
 
 fn diff(a: &Path, b: &Path) -> Ran {
@@ -36,10 +43,14 @@ fn an_hdl64e_gives_its_calibration() {
     for series in [Series::S21, Series::S3] {
         let dump = dump(&unit(), series);
         // One packet in 97 is lost, others each time.
-        write_capture(&capture, (&dump, series), 1000..1000 + 3 * 4160, |index| index % 97 != 0);
+        write_capture(&capture, (&dump, series), 1000..1000 + 3 * 4160, |index| {
+            index % 97 != 0
+        });
         let said = from_capture(&capture, &out).done();
         assert!(
-            said.contains(&format!("HDL-64E {series} at 192.168.3.43:2368, calibrated 2016-11-15 12:47:47")),
+            said.contains(&format!(
+                "HDL-64E {series} at 192.168.3.43:2368, calibrated 2016-11-15 12:47:47"
+            )),
             "{said}"
         );
         let text = std::fs::read_to_string(&out).unwrap();
@@ -48,24 +59,48 @@ fn an_hdl64e_gives_its_calibration() {
     let mut files: Vec<_> = folder.files("").into_iter().map(|(name, _)| name).collect();
     files.sort();
     assert_eq!(files, ["hdl64e.pcap", "unit.yaml"]);
-    assert_eq!(diff(&out, &out).done(), "no beam differs by more than 0.02 degrees or 2 mm\n");
+    assert_eq!(
+        diff(&out, &out).done(),
+        "no beam differs by more than 0.02 degrees or 2 mm\n"
+    );
     let shown = sweepd(&["calib", "show", out.to_str().unwrap()]).done();
-    assert!(shown.contains("64 beams, distances in units of 2 mm; fits HDL-64E S2, HDL-64E S3"), "{shown}");
-    let words = |line: &str| line.split_whitespace().map(str::to_owned).collect::<Vec<_>>();
-    assert_eq!(words(shown.lines().nth(4).unwrap())[..5], ["0", "0", "2.0000", "-3.7500", "1.2000"]);
+    assert!(
+        shown.contains("64 beams, distances in units of 2 mm; fits HDL-64E S2, HDL-64E S3"),
+        "{shown}"
+    );
+    let words = |line: &str| {
+        line.split_whitespace()
+            .map(str::to_owned)
+            .collect::<Vec<_>>()
+    };
+    assert_eq!(
+        words(shown.lines().nth(4).unwrap())[..5],
+        ["0", "0", "2.0000", "-3.7500", "1.2000"]
+    );
     assert_eq!(shown.lines().count(), 4 + 64);
 }
 
 #[test]
 fn a_calibration_that_is_not_whole_is_refused_and_nothing_overwritten() {
     let folder = Folder::new("calib-incomplete");
-    let (capture, out) = (folder.path("hdl64e.pcap"), folder.write("unit.yaml", "mine"));
+    let (capture, out) = (
+        folder.path("hdl64e.pcap"),
+        folder.write("unit.yaml", "mine"),
+    );
     let whole = dump(&unit(), Series::S3);
     write_capture(&capture, (&whole, Series::S3), 0..3000, |_| true);
-    from_capture(&capture, &out).says(&["incomplete", "of 1,820 bytes in 3,000 packets", "4,160 packets", "longer"]);
+    from_capture(&capture, &out).says(&[
+        "incomplete",
+        "of 1,820 bytes in 3,000 packets",
+        "4,160 packets",
+        "longer",
+    ]);
     let mut other = unit().beams().to_vec();
     other[7].distance_offset_m += 0.004;
-    let other = dump(&Calibration::new(other, stream::DISTANCE_UNIT_M).unwrap(), Series::S3);
+    let other = dump(
+        &Calibration::new(other, stream::DISTANCE_UNIT_M).unwrap(),
+        Series::S3,
+    );
     let mut damaged = whole;
     // The beams of one dump and the checksum of another.
     zerocopy::IntoBytes::as_mut_bytes(&mut damaged)[1818..]
@@ -86,29 +121,55 @@ fn calibrations_that_differ_are_told_beam_by_beam() {
     beams[3].rotation_rad += 0.5_f64.to_radians();
     beams[40].vertical_offset_m += 0.002;
     beams[41].vertical_offset_m += 0.003;
-    let b = folder.write("b.yaml", ros_yaml::emit(&Calibration::new(beams, 0.002).unwrap()));
+    let b = folder.write(
+        "b.yaml",
+        ros_yaml::emit(&Calibration::new(beams, 0.002).unwrap()),
+    );
     let ran = diff(&a, &b);
     assert_eq!((ran.code, &ran.stderr[..]), (1, ""));
-    let lines: Vec<Vec<&str>> = ran.stdout.lines().skip(1).map(|line| line.split_whitespace().collect()).collect();
+    let lines: Vec<Vec<&str>> = ran
+        .stdout
+        .lines()
+        .skip(1)
+        .map(|line| line.split_whitespace().collect())
+        .collect();
     assert_eq!(
         lines,
         [
             ["3", "rotation", "-3.3800", "-2.8800", "0.5000", "degrees"].to_vec(),
-            ["41", "vertical", "offset", "0.2100", "0.2130", "0.0030", "m"].to_vec()
+            [
+                "41", "vertical", "offset", "0.2100", "0.2130", "0.0030", "m"
+            ]
+            .to_vec()
         ]
     );
-    let fewer = folder.write("c.yaml", ros_yaml::emit(Model::Hdl32e.calibration().unwrap()));
+    let fewer = folder.write(
+        "c.yaml",
+        ros_yaml::emit(Model::Hdl32e.calibration().unwrap()),
+    );
     let ran = diff(&a, &fewer);
-    assert!(ran.code == 1 && ran.stdout.contains("has 64 beams"), "{}", ran.stdout);
+    assert!(
+        ran.code == 1 && ran.stdout.contains("has 64 beams"),
+        "{}",
+        ran.stdout
+    );
     let shown = sweepd(&["calib", "show", "calib/vlp16.yaml"]).done();
-    assert!(shown.contains("16 beams, distances in units of 2 mm; fits VLP-16, Puck LITE"), "{shown}");
+    assert!(
+        shown.contains("16 beams, distances in units of 2 mm; fits VLP-16, Puck LITE"),
+        "{shown}"
+    );
 }
 
 #[test]
 fn inspect_tells_what_an_hdl64e_says_about_itself() {
     let folder = Folder::new("calib-inspect");
     let capture = folder.path("hdl64e.pcap");
-    write_capture(&capture, (&dump(&unit(), Series::S3), Series::S3), 0..4160, |_| true);
+    write_capture(
+        &capture,
+        (&dump(&unit(), Series::S3), Series::S3),
+        0..4160,
+        |_| true,
+    );
     let text = inspect(&capture).done();
     for line in [
         "  return mode  strongest, by its status\n",
@@ -121,7 +182,15 @@ fn inspect_tells_what_an_hdl64e_says_about_itself() {
     ] {
         assert!(text.contains(line), "no {line} in\n{text}");
     }
-    write_capture(&capture, (&dump(&unit(), Series::S3), Series::S3), 0..1600, |_| true);
+    write_capture(
+        &capture,
+        (&dump(&unit(), Series::S3), Series::S3),
+        0..1600,
+        |_| true,
+    );
     let text = inspect(&capture).done();
-    assert!(text.contains("  calibration  incomplete: 700 of 1,820 bytes\n"), "{text}");
+    assert!(
+        text.contains("  calibration  incomplete: 700 of 1,820 bytes\n"),
+        "{text}"
+    );
 }

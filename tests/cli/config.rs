@@ -49,30 +49,57 @@ fn check_says_what_will_run_and_what_memory_it_takes() {
     ] {
         assert!(told.contains(line), "{told}\nlacks {line}");
     }
-    // Two consumers hold and await two sweeps each, one is history, two are being filled: 11. Of four, 19.
+    // Two consumers hold and await two sweeps each, one is history, two are being filled: 11. Of
+    // four, 19.
     let pools: Vec<(f64, f64)> = told.lines().filter_map(pool).collect();
-    let [(roof, of_roof), (rear, of_rear)] = pools[..] else { panic!("{told}") };
-    assert!((roof - 11.0 * of_roof).abs() < 1.0 && (rear - 19.0 * of_rear).abs() < 1.0, "{pools:?}");
-    // A pixel of two returns takes 19 bytes, of one 9; beside them a column takes 24, and a tenth of the pixels may be segments
-    // of 64 bytes.
-    let expected = |rows: f64, bytes: f64| 5632.0 * (rows * (bytes + 6.4) + 24.0) / f64::from(1 << 20);
-    assert!((of_roof - expected(64.0, 19.0)).abs() < 0.1 && (of_rear - expected(16.0, 9.0)).abs() < 0.1, "{pools:?}");
+    let [(roof, of_roof), (rear, of_rear)] = pools[..] else {
+        panic!("{told}")
+    };
+    assert!(
+        (roof - 11.0 * of_roof).abs() < 1.0 && (rear - 19.0 * of_rear).abs() < 1.0,
+        "{pools:?}"
+    );
+    // A pixel of two returns takes 19 bytes, of one 9; beside them a column takes 24, and a tenth
+    // of the pixels may be segments of 64 bytes.
+    let expected =
+        |rows: f64, bytes: f64| 5632.0 * (rows * (bytes + 6.4) + 24.0) / f64::from(1 << 20);
+    assert!(
+        (of_roof - expected(64.0, 19.0)).abs() < 0.1 && (of_rear - expected(16.0, 9.0)).abs() < 0.1,
+        "{pools:?}"
+    );
     let both = format!("shared memory  {:.1} MiB; ", roof + rear);
-    assert!(told.contains(&both) && told.contains(" free in /dev/shm"), "{told}\nlacks {both}");
+    assert!(
+        told.contains(&both) && told.contains(" free in /dev/shm"),
+        "{told}\nlacks {both}"
+    );
 }
 
-/// Of a line such as `shared memory  97.9 MiB: 11 sweeps of 8.9 MiB`, the first and the last number.
+/// Of a line such as `shared memory 97.9 MiB: 11 sweeps of 8.9 MiB`, the first and the last number.
 fn pool(line: &str) -> Option<(f64, f64)> {
-    let (pool, sweep) = line.trim().strip_prefix("shared memory")?.split_once(" sweeps of ")?;
-    Some((pool.split_whitespace().next()?.parse().ok()?, sweep.split_whitespace().next()?.parse().ok()?))
+    let (pool, sweep) = line
+        .trim()
+        .strip_prefix("shared memory")?
+        .split_once(" sweeps of ")?;
+    Some((
+        pool.split_whitespace().next()?.parse().ok()?,
+        sweep.split_whitespace().next()?.parse().ok()?,
+    ))
 }
 
 #[test]
 fn check_shows_every_fault_at_its_line_and_fails() {
     let folder = Folder::new("config-faults");
-    let file = folder.write("robot.toml", TWO.replace("port = 2369", "port = 0").replace("\"vlp16\"", "\"vlp61\""));
+    let file = folder.write(
+        "robot.toml",
+        TWO.replace("port = 2369", "port = 0")
+            .replace("\"vlp16\"", "\"vlp61\""),
+    );
     let ran = sweepd(&["config", "check", file.to_str().unwrap()]);
-    assert_eq!((ran.code, &ran.stdout[..]), (78, ""), "EX_CONFIG: trying again would not help");
+    assert_eq!(
+        (ran.code, &ran.stdout[..]),
+        (78, ""),
+        "EX_CONFIG: trying again would not help"
+    );
     let (file, text) = (file.display(), &ran.stderr);
     for part in [
         &format!(
@@ -89,7 +116,8 @@ fn check_shows_every_fault_at_its_line_and_fails() {
 #[test]
 fn too_little_shared_memory_is_a_warning_with_a_cure() {
     let folder = Folder::new("config-memory");
-    // As many as there may be, each of which takes 2 GiB at most: more than this host has, or any but the largest.
+    // As many as there may be, each of which takes 2 GiB at most: more than this host has, or any
+    // but the largest.
     let sensor = |number: usize| {
         format!(
             "[[sensor]]\nname = \"s{number}\"\naddress = \"10.0.0.1:{number}\"\nmax_consumers = 16\nsegment = {{ min_points = 1 }}\n"
@@ -97,16 +125,29 @@ fn too_little_shared_memory_is_a_warning_with_a_cure() {
     };
     let file = folder.write("robot.toml", (1..=64).map(sensor).collect::<String>());
     let ran = sweepd(&["config", "check", file.to_str().unwrap()]);
-    assert!(ran.code == 0 && ran.stdout.contains("64 sensors"), "{}", ran.stderr);
-    let is_warned = ran.stderr.starts_with("warning: /dev/shm has ") && ran.stderr.contains("lower max_consumers");
-    assert!(is_warned && ran.stderr.lines().count() == 1, "{}", ran.stderr);
+    assert!(
+        ran.code == 0 && ran.stdout.contains("64 sensors"),
+        "{}",
+        ran.stderr
+    );
+    let is_warned = ran.stderr.starts_with("warning: /dev/shm has ")
+        && ran.stderr.contains("lower max_consumers");
+    assert!(
+        is_warned && ran.stderr.lines().count() == 1,
+        "{}",
+        ran.stderr
+    );
 }
 
 #[test]
 fn a_file_that_is_no_configuration_is_named() {
     let folder = Folder::new("config-none");
     let check = |path: &std::path::Path| sweepd(&["config", "check", path.to_str().unwrap()]);
-    check(&folder.path("none.toml")).says(&["cannot read the configuration", "none.toml", "No such file"]);
+    check(&folder.path("none.toml")).says(&[
+        "cannot read the configuration",
+        "none.toml",
+        "No such file",
+    ]);
     check(&folder.0).says(&["cannot read the configuration", "Is a directory"]);
     check(&folder.write("picture.toml", b"http = \"\xff\xfe\"")).says(&["this is no text"]);
     check(&folder.write("long.toml", vec![b'#'; (1 << 20) + 1])).says(&["more than 1 MiB"]);
@@ -117,22 +158,31 @@ fn a_folder_that_cannot_be_had_is_named_by_its_key() {
     let folder = Folder::new("config-root");
     let file = folder.write("robot.toml", format!("root = \"/proc/none\"\n{TWO}"));
     let ran = sweepd(&["run", "--config", file.to_str().unwrap()]);
-    let error = ran.stderr.lines().find(|line| line.starts_with("error: ")).expect(&ran.stderr);
+    let error = ran
+        .stderr
+        .lines()
+        .find(|line| line.starts_with("error: "))
+        .expect(&ran.stderr);
     assert!(ran.code == 1 && error.contains("/proc/none"), "{error}");
 }
 
 #[test]
 fn what_this_host_does_not_have_is_a_warning() {
     let folder = Folder::new("config-host");
-    let sensor =
-        "[[sensor]]\nname = \"roof\"\naddress = \"192.168.1.201\"\nbind = \"192.0.2.7\"\ninterface = \"eth99\"\n";
-    let file = folder.write("robot.toml", format!("{sensor}[record]\npath = \"none/drive.pcap\"\n"));
+    let sensor = "[[sensor]]\nname = \"roof\"\naddress = \"192.168.1.201\"\nbind = \"192.0.2.7\"\ninterface = \"eth99\"\n";
+    let file = folder.write(
+        "robot.toml",
+        format!("{sensor}[record]\npath = \"none/drive.pcap\"\n"),
+    );
     let ran = sweepd(&["config", "check", file.to_str().unwrap()]);
     assert_eq!(ran.code, 0, "{}", ran.stderr);
     for part in [
         "warning: sensor roof: `bind` 192.0.2.7 is no address of this host; `ip -4 address` lists them",
         "warning: sensor roof: `interface` eth99 is not on this host, which has",
-        &format!("warning: record: `path` is in {}/none, which is no folder", folder.0.display()),
+        &format!(
+            "warning: record: `path` is in {}/none, which is no folder",
+            folder.0.display()
+        ),
     ] {
         assert!(ran.stderr.contains(part), "{part}:\n{}", ran.stderr);
     }
@@ -145,5 +195,8 @@ fn the_example_is_printed_as_it_is_and_passes() {
     let example = sweepd(&["config", "example"]).done();
     let file = folder.write("sweepd.toml", &example);
     let told = sweepd(&["config", "check", file.to_str().unwrap()]).done();
-    assert!(told.contains("sweepd.toml: 1 sensor\n") && told.contains("health         http://127.0.0.1:9177/health"));
+    assert!(
+        told.contains("sweepd.toml: 1 sensor\n")
+            && told.contains("health         http://127.0.0.1:9177/health")
+    );
 }

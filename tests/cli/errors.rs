@@ -2,22 +2,34 @@
 
 use std::process::Stdio;
 
-use crate::{Folder, Ran, command, common, fixture, inspect, made, replay, sweepd, sweepd_with_stdin};
+use crate::{
+    Folder, Ran, command, common, fixture, inspect, made, replay, sweepd, sweepd_with_stdin,
+};
 
 #[test]
 fn what_is_no_capture_is_named_by_both_commands() {
     let folder = Folder::new("no-capture");
     let cases = [
-        (folder.write("picture.pcap", made::png(4, 4)), "is no capture: it holds a PNG image"),
+        (
+            folder.write("picture.pcap", made::png(4, 4)),
+            "is no capture: it holds a PNG image",
+        ),
         (folder.write("empty.pcap", ""), "empty"),
         (folder.write("text.pcap", "[package]"), "it holds text"),
         (folder.write("garbage.pcap", [0x91; 5000]), "is no capture"),
-        (folder.write("zipped.pcap.gz", made::gzip(b"hello")), "gzip of something else"),
+        (
+            folder.write("zipped.pcap.gz", made::gzip(b"hello")),
+            "gzip of something else",
+        ),
         (folder.path(""), "irectory"),
         (folder.path("missing.pcap"), "No such file"),
     ];
     for (path, why) in cases {
-        for ran in [replay(&path, &[]), inspect(&path), replay(&path, &["--json"])] {
+        for ran in [
+            replay(&path, &[]),
+            inspect(&path),
+            replay(&path, &["--json"]),
+        ] {
             assert_eq!((ran.code, &ran.stdout[..]), (1, ""));
             ran.says(&[path.to_str().unwrap().trim_end_matches('/'), why]);
         }
@@ -29,34 +41,56 @@ fn a_capture_without_sensors_says_what_it_holds_instead() {
     let folder = Folder::new("no-sensor");
     let mut others = made::vlp16();
     others.truncate(10);
-    others.iter_mut().for_each(|sent| sent.payload.truncate(100));
+    others
+        .iter_mut()
+        .for_each(|sent| sent.payload.truncate(100));
     let path = folder.write("others.pcap", made::pcap(&others));
-    replay(&path, &[]).says(&["others.pcap: no Velodyne data packets (10 records, 10 UDP datagrams)", "inspect"]);
+    replay(&path, &[]).says(&[
+        "others.pcap: no Velodyne data packets (10 records, 10 UDP datagrams)",
+        "inspect",
+    ]);
     let text = inspect(&path).done();
     assert!(
-        text.contains("10, with 10 UDP datagrams; 10 of other traffic") && text.contains("none sends data"),
+        text.contains("10, with 10 UDP datagrams; 10 of other traffic")
+            && text.contains("none sends data"),
         "{text}"
     );
-    let flow = text.lines().skip_while(|line| *line != "other traffic").nth(1).unwrap_or_default();
-    assert!(flow.contains("to port 2368: 9 datagrams of 100 bytes ("), "{text}");
-    replay(&folder.write("none.pcap", made::pcap(&[])), &[]).says(&["none.pcap: no Velodyne data packets (0 records"]);
+    let flow = text
+        .lines()
+        .skip_while(|line| *line != "other traffic")
+        .nth(1)
+        .unwrap_or_default();
+    assert!(
+        flow.contains("to port 2368: 9 datagrams of 100 bytes ("),
+        "{text}"
+    );
+    replay(&folder.write("none.pcap", made::pcap(&[])), &[])
+        .says(&["none.pcap: no Velodyne data packets (0 records"]);
 }
 
 #[test]
 fn a_capture_that_was_cut_is_replayed_up_to_there() {
     let folder = Folder::new("cut");
     let whole = made::pcap(&made::vlp16());
-    for (name, bytes) in
-        [("cut.pcap", whole[..whole.len() - 100].to_vec()), ("cut.pcap.gz", made::gzip(&whole)[..120_000].to_vec())]
-    {
+    for (name, bytes) in [
+        ("cut.pcap", whole[..whole.len() - 100].to_vec()),
+        ("cut.pcap.gz", made::gzip(&whole)[..120_000].to_vec()),
+    ] {
         let path = folder.write(name, bytes);
         let ran = replay(&path, &["--json"]);
         assert_eq!(ran.code, 0, "{}", ran.stderr);
         let lines: Vec<&str> = ran.stderr.lines().collect();
         assert_eq!(lines.len(), 1, "{lines:?}");
-        assert!(lines[0].starts_with("warning: ") && lines[0].contains("breaks off at record"), "{}", lines[0]);
+        assert!(
+            lines[0].starts_with("warning: ") && lines[0].contains("breaks off at record"),
+            "{}",
+            lines[0]
+        );
         let lines = crate::sweeps(&ran.stdout);
-        assert!(lines.len() > 1 && lines.last().unwrap()["summary"]["capture"]["breaks_off"].is_string());
+        assert!(
+            lines.len() > 1
+                && lines.last().unwrap()["summary"]["capture"]["breaks_off"].is_string()
+        );
         assert!(inspect(&path).done().contains("damaged"));
     }
 }
@@ -73,14 +107,29 @@ fn a_sensor_that_is_not_supported_is_one_error_and_never_decoded() {
     for (name, datagrams, model) in cases {
         let path = folder.write(&format!("{name}.pcap"), made::pcap(&datagrams));
         let ran = replay(&path, &["--no-timing"]);
-        assert_eq!((ran.code, ran.stderr.lines().count()), (1, 1), "{}", ran.stderr);
-        ran.says(&[&format!("{name}.pcap"), "192.168.1.201:2368: ", model, "vlp16"]);
+        assert_eq!(
+            (ran.code, ran.stderr.lines().count()),
+            (1, 1),
+            "{}",
+            ran.stderr
+        );
+        ran.says(&[
+            &format!("{name}.pcap"),
+            "192.168.1.201:2368: ",
+            model,
+            "vlp16",
+        ]);
         assert!(ran.stdout.contains("286 not decoded"), "{}", ran.stdout);
         let ran = replay(&path, &["--json", "--loop=3"]);
         ran.says(&[model]);
         let lines = crate::sweeps(&ran.stdout);
         assert_eq!(lines.len(), 1);
-        assert!(lines[0]["summary"]["sensors"][0]["fault"].as_str().unwrap().contains(model));
+        assert!(
+            lines[0]["summary"]["sensors"][0]["fault"]
+                .as_str()
+                .unwrap()
+                .contains(model)
+        );
         assert!(inspect(&path).done().contains("cannot be decoded: "));
     }
 }
@@ -88,8 +137,15 @@ fn a_sensor_that_is_not_supported_is_one_error_and_never_decoded() {
 #[test]
 fn one_of_two_sensors_that_is_not_supported_does_not_stop_the_other() {
     let folder = Folder::new("one-of-two");
-    let other = made::with_ports(&made::with_product(made::vlp16(), 0x28), "192.168.1.9:2368", 2368);
-    let path = folder.write("two.pcap", made::pcap(&made::together(&[&other, &made::vlp16()])));
+    let other = made::with_ports(
+        &made::with_product(made::vlp16(), 0x28),
+        "192.168.1.9:2368",
+        2368,
+    );
+    let path = folder.write(
+        "two.pcap",
+        made::pcap(&made::together(&[&other, &made::vlp16()])),
+    );
     let ran = replay(&path, &["--no-timing"]);
     ran.says(&["192.168.1.9:2368: ", "VLP-32C"]);
     assert!(ran.stdout.contains("3 whole"), "{}", ran.stdout);
@@ -104,7 +160,12 @@ fn what_was_decoded_before_another_sensor_took_the_place_is_kept() {
     let path = folder.write("exchanged.pcap", made::pcap(&datagrams));
     let ran = replay(&path, &["--no-timing"]);
     ran.says(&["exchanged.pcap, record 2", "VLP-32C"]);
-    for part in ["model        VLP-16", "not decoded  the error says why", "1 whole", " rpm"] {
+    for part in [
+        "model        VLP-16",
+        "not decoded  the error says why",
+        "1 whole",
+        " rpm",
+    ] {
         assert!(ran.stdout.contains(part), "{}", ran.stdout);
     }
 }
@@ -124,26 +185,44 @@ fn a_wrong_model_is_a_contradiction() {
 fn a_calibration_that_does_not_fit_is_refused() {
     let folder = Folder::new("calibration");
     let capture = fixture("street_vlp16_losses.pcap");
-    let with = |path: std::path::PathBuf| replay(&capture, &["--calibration", path.to_str().unwrap()]);
+    let with =
+        |path: std::path::PathBuf| replay(&capture, &["--calibration", path.to_str().unwrap()]);
     with(folder.write("db.xml", made::db_xml_without_a_beam())).says(&["db.xml", "7"]);
-    with(folder.path("none.xml")).says(&["cannot read the calibration", "none.xml", "No such file"]);
-    with(folder.write("notes.txt", "hello")).says(&["notes.txt", "expected a db.xml, or a ROS YAML"]);
+    with(folder.path("none.xml")).says(&[
+        "cannot read the calibration",
+        "none.xml",
+        "No such file",
+    ]);
+    with(folder.write("notes.txt", "hello"))
+        .says(&["notes.txt", "expected a db.xml, or a ROS YAML"]);
     with(folder.path("")).says(&["irectory"]);
 }
 
 #[test]
 fn real_captures_of_other_sensors_and_real_calibrations_of_others_are_refused() {
-    let Some(data) = common::data_dir() else { return };
-    for (name, sensor) in [("vlp32c_nebula-fov180-a", "VLP-32C"), ("vls128_nebula-a", "VLS-128")] {
+    let Some(data) = common::data_dir() else {
+        return;
+    };
+    for (name, sensor) in [
+        ("vlp32c_nebula-fov180-a", "VLP-32C"),
+        ("vls128_nebula-a", "VLS-128"),
+    ] {
         let path = data.join(format!("pcap/{name}.pcap"));
         replay(&path, &[]).says(&[name, sensor]);
         assert!(inspect(&path).done().contains(sensor));
     }
     let path = data.join("pcap/vlp16_einride-a.pcap");
     replay(&path, &["--model", "hdl32e"]).says(&["--model says HDL-32E", "VLP-16"]);
-    for (file, beams) in [("hdl32e_32db.xml", "32 beams"), ("veloview_HDL-64.xml", "64 beams")] {
+    for (file, beams) in [
+        ("hdl32e_32db.xml", "32 beams"),
+        ("veloview_HDL-64.xml", "64 beams"),
+    ] {
         let file = data.join("calib").join(file);
-        replay(&path, &["--calibration", file.to_str().unwrap()]).says(&["does not fit", beams, "the VLP-16 has 16"]);
+        replay(&path, &["--calibration", file.to_str().unwrap()]).says(&[
+            "does not fit",
+            beams,
+            "the VLP-16 has 16",
+        ]);
     }
 }
 
@@ -151,14 +230,23 @@ fn real_captures_of_other_sensors_and_real_calibrations_of_others_are_refused() 
 fn a_mask_must_be_a_picture_with_a_row_a_beam() {
     let folder = Folder::new("mask");
     let capture = fixture("street_vlp16_losses.pcap");
-    let with = |path: std::path::PathBuf| replay(&capture, &["--mask", path.to_str().unwrap(), "--no-timing"]);
+    let with = |path: std::path::PathBuf| {
+        replay(&capture, &["--mask", path.to_str().unwrap(), "--no-timing"])
+    };
     with(folder.write("low.png", made::png(8, 3))).says(&["low.png", "3 pixels high", "16 rows"]);
     with(folder.write("high.png", made::png(8, 300))).says(&["high.png", "8 x 300 pixels"]);
     with(folder.write("text.png", "hello")).says(&["text.png", "expected a PNG picture"]);
     with(folder.path("none.png")).says(&["cannot read", "none.png"]);
-    with(folder.write("black.png", made::grey_png(8, 16, 0))).says(&["black.png", "all black", "white keeps"]);
+    with(folder.write("black.png", made::grey_png(8, 16, 0))).says(&[
+        "black.png",
+        "all black",
+        "white keeps",
+    ]);
     let unmasked = replay(&capture, &["--no-timing"]).done();
-    assert_eq!(with(folder.write("white.png", made::png(8, 16))).done(), unmasked);
+    assert_eq!(
+        with(folder.write("white.png", made::png(8, 16))).done(),
+        unmasked
+    );
 }
 
 #[test]
@@ -167,32 +255,65 @@ fn an_output_that_cannot_be_written_is_known_before_the_work() {
     let file = folder.write("file", "");
     for option in ["--csv", "--pcd", "--png"] {
         for dir in [file.clone(), file.join("below")] {
-            let ran = replay(&fixture("street_vlp16_losses.pcap"), &[option, dir.to_str().unwrap(), "--json"]);
+            let ran = replay(
+                &fixture("street_vlp16_losses.pcap"),
+                &[option, dir.to_str().unwrap(), "--json"],
+            );
             assert_eq!(ran.stdout, "");
             ran.says(&["cannot create the directory", dir.to_str().unwrap()]);
         }
     }
     // The directory is there, and a folder is where the second file goes.
     std::fs::create_dir_all(folder.path("csv/sweep_000001.csv/in_the_way")).unwrap();
-    let ran = replay(&fixture("street_vlp16_losses.pcap"), &["--csv", folder.path("csv").to_str().unwrap()]);
+    let ran = replay(
+        &fixture("street_vlp16_losses.pcap"),
+        &["--csv", folder.path("csv").to_str().unwrap()],
+    );
     ran.says(&["cannot write", "sweep_000001.csv"]);
 }
 
 #[test]
 fn a_reader_that_goes_away_is_no_error() {
-    for args in [&["replay", "--json"][..], &["replay"], &["inspect"], &["replay", "--partial", "--loop=9", "--json"]] {
+    for args in [
+        &["replay", "--json"][..],
+        &["replay"],
+        &["inspect"],
+        &["replay", "--partial", "--loop=9", "--json"],
+    ] {
         let mut args = args.to_vec();
         args.push("pcap_fixtures/street_vlp16_losses.pcap");
         let (reader, writer) = std::io::pipe().unwrap();
         drop(reader);
-        let ran = Ran::of(command(&args).stdout(writer).stderr(Stdio::piped()).output().unwrap());
+        let ran = Ran::of(
+            command(&args)
+                .stdout(writer)
+                .stderr(Stdio::piped())
+                .output()
+                .unwrap(),
+        );
         assert_eq!((ran.code, &ran.stderr[..]), (1, ""), "{args:?}");
     }
     // Even when nobody reads the errors.
-    for args in [&["replay", "none.pcap"][..], &["replay", "pcap_fixtures/street_vlp16.pcap.gz", "--model", "hdl32e"]] {
+    for args in [
+        &["replay", "none.pcap"][..],
+        &[
+            "replay",
+            "pcap_fixtures/street_vlp16.pcap.gz",
+            "--model",
+            "hdl32e",
+        ],
+    ] {
         let (reader, writer) = std::io::pipe().unwrap();
         drop(reader);
-        assert_eq!(command(args).stdout(Stdio::null()).stderr(writer).status().unwrap().code(), Some(1));
+        assert_eq!(
+            command(args)
+                .stdout(Stdio::null())
+                .stderr(writer)
+                .status()
+                .unwrap()
+                .code(),
+            Some(1)
+        );
     }
 }
 
@@ -202,8 +323,17 @@ fn a_full_disk_behind_standard_output_is_an_error() {
     for args in [&["replay", "--json"][..], &["replay"], &["inspect"]] {
         let mut args = args.to_vec();
         args.push("pcap_fixtures/street_vlp16_losses.pcap");
-        let full = std::fs::OpenOptions::new().write(true).open("/dev/full").unwrap();
-        let ran = Ran::of(command(&args).stdout(full).stderr(Stdio::piped()).output().unwrap());
+        let full = std::fs::OpenOptions::new()
+            .write(true)
+            .open("/dev/full")
+            .unwrap();
+        let ran = Ran::of(
+            command(&args)
+                .stdout(full)
+                .stderr(Stdio::piped())
+                .output()
+                .unwrap(),
+        );
         ran.says(&["cannot write to standard output", "No space left"]);
     }
 }
@@ -222,13 +352,19 @@ fn garbage_anywhere_in_a_capture_is_survived() {
     for round in 0..12 {
         let mut bytes = good.clone();
         for _ in 0..1 << round {
-            random = random.wrapping_mul(6_364_136_223_846_793_005).wrapping_add(1_442_695_040_888_963_407);
+            random = random
+                .wrapping_mul(6_364_136_223_846_793_005)
+                .wrapping_add(1_442_695_040_888_963_407);
             let at = 24 + (random >> 33) as usize % (bytes.len() - 24);
             bytes[at] ^= (random >> 20) as u8;
         }
         let path = folder.write("garbage.pcap", bytes);
         for ran in [replay(&path, &["--json", "--partial"]), inspect(&path)] {
-            assert!(ran.code == 0 || ran.code == 1, "round {round}: {}", ran.stderr);
+            assert!(
+                ran.code == 0 || ran.code == 1,
+                "round {round}: {}",
+                ran.stderr
+            );
         }
     }
 }
@@ -238,7 +374,11 @@ fn clouds_that_cannot_be_meant_are_refused_before_they_are_segmented() {
     let folder = Folder::new("clouds");
     let out = folder.path("labels");
     let segment = |args: &[&str]| {
-        let args = [&["segment", "--force", "--out", out.to_str().unwrap()], args].concat();
+        let args = [
+            &["segment", "--force", "--out", out.to_str().unwrap()],
+            args,
+        ]
+        .concat();
         Ran::of(command(&args).output().unwrap())
     };
     let empty = folder.write("empty.bin", "");
@@ -250,26 +390,50 @@ fn clouds_that_cannot_be_meant_are_refused_before_they_are_segmented() {
     segment(&[odd.to_str().unwrap()]).says(&["odd.bin", "17 bytes", "multiple of 16"]);
     std::fs::create_dir_all(folder.path("seq")).unwrap();
     let twin = folder.write("seq/empty.bin", "");
-    segment(&[empty.to_str().unwrap(), twin.to_str().unwrap()]).says(&["empty.label", "both be written", "--out"]);
+    segment(&[empty.to_str().unwrap(), twin.to_str().unwrap()]).says(&[
+        "empty.label",
+        "both be written",
+        "--out",
+    ]);
     segment(&[folder.path("none.bin").to_str().unwrap()]).says(&["cannot read", "none.bin"]);
-    let left_and_right = [1.0_f32, 0.1, 0.0, 0.0, 1.0, -0.1, 0.0, 0.0].map(f32::to_le_bytes).concat().repeat(200);
+    let left_and_right = [1.0_f32, 0.1, 0.0, 0.0, 1.0, -0.1, 0.0, 0.0]
+        .map(f32::to_le_bytes)
+        .concat()
+        .repeat(200);
     let mixed = folder.write("mixed.bin", left_and_right);
     let mixed = mixed.to_str().unwrap();
-    segment(&[mixed]).says(&["mixed.bin", "ring after ring", "--model MODEL", "--rows-table FILE"]);
+    segment(&[mixed]).says(&[
+        "mixed.bin",
+        "ring after ring",
+        "--model MODEL",
+        "--rows-table FILE",
+    ]);
     segment(&[mixed, "--model", "vlp16"]).done();
-    assert_eq!(std::fs::read(out.join("mixed.label")).unwrap().len(), 4 * 400);
+    assert_eq!(
+        std::fs::read(out.join("mixed.label")).unwrap().len(),
+        4 * 400
+    );
     segment(&[mixed, "--model", "hdl64e-s2"]).says(&[
         "each unit has beams of its own",
         "--calibration",
         "--rows-table",
     ]);
     let rows = folder.write("rows.txt", "2\n3 # wrong\n");
-    segment(&[mixed, "--rows-table", rows.to_str().unwrap()]).says(&["rows.txt", "line 2", "not below"]);
+    segment(&[mixed, "--rows-table", rows.to_str().unwrap()]).says(&[
+        "rows.txt",
+        "line 2",
+        "not below",
+    ]);
     let cut = folder.write("cut.ply", "ply\nformat ascii 1.0\n");
     segment(&[cut.to_str().unwrap()]).says(&["cut.ply", "line 2", "end_header"]);
     // What may be the truth is not written over.
     let truth = folder.write("seq/empty.label", "true");
-    let beside = ["segment", twin.to_str().unwrap(), "--out", truth.parent().unwrap().to_str().unwrap()];
+    let beside = [
+        "segment",
+        twin.to_str().unwrap(),
+        "--out",
+        truth.parent().unwrap().to_str().unwrap(),
+    ];
     Ran::of(command(&beside).output().unwrap()).says(&["empty.label", "true labels", "--out"]);
     assert_eq!(std::fs::read(&truth).unwrap(), b"true");
     let odd = folder.write("cloud.xyz", "1 2 3\n");
@@ -280,8 +444,13 @@ fn clouds_that_cannot_be_meant_are_refused_before_they_are_segmented() {
 fn one_corrupt_time_in_a_capture_interrupts_nothing() {
     let folder = Folder::new("time");
     let mut capture = std::fs::read("pcap_fixtures/street_vlp16_losses.pcap").unwrap();
-    let sound = replay(&folder.write("sound.pcap", &capture), &["--json", "--no-timing"]).done();
-    // The seconds of the record in the middle: each has 16 bytes of header, and its length at byte 8.
+    let sound = replay(
+        &folder.write("sound.pcap", &capture),
+        &["--json", "--no-timing"],
+    )
+    .done();
+    // The seconds of the record in the middle: each has 16 bytes of header, and its length at byte
+    // 8.
     let (mut at, mut records) = (24, 0);
     while records < 150 {
         at += 16 + u32::from_le_bytes(capture[at + 8..at + 12].try_into().unwrap()) as usize;
@@ -291,11 +460,19 @@ fn one_corrupt_time_in_a_capture_interrupts_nothing() {
     let broken = folder.write("broken.pcap", &capture);
     let sweeps = |text: &str| -> Vec<String> {
         let lines = text.lines().filter(|line| line.contains("\"seq\""));
-        lines.map(|line| line.split("\"rpm\"").next().unwrap().to_owned()).collect()
+        lines
+            .map(|line| line.split("\"rpm\"").next().unwrap().to_owned())
+            .collect()
     };
     assert!(sweeps(&sound).len() >= 3);
-    assert_eq!(sweeps(&replay(&broken, &["--json", "--no-timing"]).done()), sweeps(&sound));
+    assert_eq!(
+        sweeps(&replay(&broken, &["--json", "--no-timing"]).done()),
+        sweeps(&sound)
+    );
     // Where the time decides, the packet is left out; what follows is not.
     let cut = sweeps(&replay(&broken, &["--json", "--no-timing", "--end", "10"]).done());
-    assert_eq!((cut.len(), cut.last()), (sweeps(&sound).len(), sweeps(&sound).last()));
+    assert_eq!(
+        (cut.len(), cut.last()),
+        (sweeps(&sound).len(), sweeps(&sound).last())
+    );
 }

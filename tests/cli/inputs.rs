@@ -12,9 +12,18 @@ fn every_container_gives_the_same_sweeps_also_from_standard_input() {
     let options = ["--json", "--no-timing", "--partial"];
     let expected = sweeps_of(replay(&fixture("street_vlp16_losses.pcap"), &options).done());
     assert_eq!(expected.lines().count(), 5);
-    for (name, bytes) in [("a.pcap", pcap.clone()), ("a.pcapng", pcapng.clone()), ("a", made::gzip(&pcapng))] {
-        assert_eq!(sweeps_of(replay(&folder.write(name, &bytes), &options).done()), expected, "{name}");
-        let from_stdin = sweepd_with_stdin(&[&["replay", "-"], &options[..]].concat(), &bytes).done();
+    for (name, bytes) in [
+        ("a.pcap", pcap.clone()),
+        ("a.pcapng", pcapng.clone()),
+        ("a", made::gzip(&pcapng)),
+    ] {
+        assert_eq!(
+            sweeps_of(replay(&folder.write(name, &bytes), &options).done()),
+            expected,
+            "{name}"
+        );
+        let from_stdin =
+            sweepd_with_stdin(&[&["replay", "-"], &options[..]].concat(), &bytes).done();
         assert_eq!(sweeps_of(from_stdin), expected, "{name}");
     }
 }
@@ -30,22 +39,44 @@ fn two_sensors_in_one_file_are_replayed_each_as_alone() {
         ("address", same_address, "192.168.1.201:2369"),
         ("source", same_source, "192.168.1.201:2368>2369"),
     ] {
-        let path = folder.write(&format!("{name}.pcap"), made::pcap(&made::together(&[&vlp16, &other])));
+        let path = folder.write(
+            &format!("{name}.pcap"),
+            made::pcap(&made::together(&[&vlp16, &other])),
+        );
         let options = ["--json", "--no-timing"];
         let both = sweeps(&replay(&path, &options).done());
         let summary = &both.last().unwrap()["summary"]["sensors"];
         assert_eq!(summary.as_array().unwrap().len(), 2, "{name}");
-        assert_eq!((&summary[0]["sensor"], &summary[1]["sensor"]), (&"192.168.1.201:2368".into(), &other_name.into()));
-        // Selected by --sensor, each gives the same lines; alone, it needs no port to tell it from the other.
+        assert_eq!(
+            (&summary[0]["sensor"], &summary[1]["sensor"]),
+            (&"192.168.1.201:2368".into(), &other_name.into())
+        );
+        // Selected by --sensor, each gives the same lines; alone, it needs no port to tell it from
+        // the other.
         let of = |sensor: &str, lines: &[serde_json::Value]| -> Vec<String> {
-            lines.iter().filter(|line| line["sensor"] == sensor).map(ToString::to_string).collect()
+            lines
+                .iter()
+                .filter(|line| line["sensor"] == sensor)
+                .map(ToString::to_string)
+                .collect()
         };
-        let selected = sweeps(&replay(&path, &[&options[..], &["--sensor", other_name]].concat()).done());
+        let selected =
+            sweeps(&replay(&path, &[&options[..], &["--sensor", other_name]].concat()).done());
         let heard = selected[0]["sensor"].as_str().unwrap();
-        let renamed: Vec<String> = of(other_name, &both).iter().map(|line| line.replace(other_name, heard)).collect();
-        assert!(!renamed.is_empty() && of(heard, &selected) == renamed, "{name}");
+        let renamed: Vec<String> = of(other_name, &both)
+            .iter()
+            .map(|line| line.replace(other_name, heard))
+            .collect();
+        assert!(
+            !renamed.is_empty() && of(heard, &selected) == renamed,
+            "{name}"
+        );
         let alone = sweeps(&replay(&fixture("street_vlp16_losses.pcap"), &options).done());
-        assert_eq!(of("192.168.1.201:2368", &both), of("192.168.1.201:2368", &alone), "{name}");
+        assert_eq!(
+            of("192.168.1.201:2368", &both),
+            of("192.168.1.201:2368", &alone),
+            "{name}"
+        );
     }
 }
 
@@ -57,28 +88,62 @@ fn each_of_several_sensors_has_files_of_its_own_whoever_comes_first() {
     let mut late = made::with_ports(&one, "192.168.1.9:2368", 2368);
     late.retain(|sent| sent.is_data());
     let pause_ns = 300_000_000;
-    late.iter_mut().skip(1).for_each(|sent| sent.arrival_ns += pause_ns);
+    late.iter_mut()
+        .skip(1)
+        .for_each(|sent| sent.arrival_ns += pause_ns);
     let third = made::with_ports(&one, "192.168.1.10:2368", 2368);
-    let path = folder.write("three.pcap", made::pcap(&made::together(&[&one, &late, &third])));
+    let path = folder.write(
+        "three.pcap",
+        made::pcap(&made::together(&[&one, &late, &third])),
+    );
     let dir = folder.path("csv");
     replay(&path, &["--csv", dir.to_str().unwrap()]).done();
-    let names: Vec<String> = folder.files("csv").into_iter().map(|(name, _)| name).collect();
+    let names: Vec<String> = folder
+        .files("csv")
+        .into_iter()
+        .map(|(name, _)| name)
+        .collect();
     for sensor in ["", "192.168.1.9_2368/", "192.168.1.10_2368/"] {
-        assert!(names.contains(&format!("{sensor}sweep_000001.csv")), "{names:?}");
+        assert!(
+            names.contains(&format!("{sensor}sweep_000001.csv")),
+            "{names:?}"
+        );
     }
-    assert_eq!(names.iter().filter(|name| name.starts_with("192.168.1.10_")).count(), 3, "{names:?}");
+    assert_eq!(
+        names
+            .iter()
+            .filter(|name| name.starts_with("192.168.1.10_"))
+            .count(),
+        3,
+        "{names:?}"
+    );
 }
 
 #[test]
 fn other_traffic_is_counted_and_passed_over() {
     let folder = Folder::new("others");
     let mut datagrams = made::vlp16();
-    let alone = replay(&folder.write("alone.pcap", made::pcap(&datagrams)), &["--no-timing"]).done();
+    let alone = replay(
+        &folder.write("alone.pcap", made::pcap(&datagrams)),
+        &["--no-timing"],
+    )
+    .done();
     for (index, len) in [(3, 0), (50, 4), (200, 1206), (201, 1400)] {
-        let stranger = made::Sent { payload: vec![7; len], port: 53, ..datagrams[index].clone() };
+        let stranger = made::Sent {
+            payload: vec![7; len],
+            port: 53,
+            ..datagrams[index].clone()
+        };
         let source = "10.1.2.3:53".parse().unwrap();
         datagrams.insert(index, made::Sent { source, ..stranger });
     }
-    let mixed = replay(&folder.write("mixed.pcap", made::pcap(&datagrams)), &["--no-timing"]).done();
-    assert_eq!(mixed, format!("{alone}\npassed over: 4 records of other traffic\n"));
+    let mixed = replay(
+        &folder.write("mixed.pcap", made::pcap(&datagrams)),
+        &["--no-timing"],
+    )
+    .done();
+    assert_eq!(
+        mixed,
+        format!("{alone}\npassed over: 4 records of other traffic\n")
+    );
 }

@@ -29,9 +29,20 @@ pub fn datagrams(name: &str) -> Vec<Sent> {
     let mut capture = Capture::open(super::fixture(name)).unwrap();
     let mut all = Vec::new();
     while let Some(datagram) = capture.next_datagram().unwrap() {
-        let std::net::SocketAddr::V4(source) = datagram.source else { panic!("IPv4") };
-        let (arrival_ns, port, payload) = (datagram.arrival_ns, datagram.destination_port, datagram.payload.to_vec());
-        all.push(Sent { arrival_ns, source, port, payload });
+        let std::net::SocketAddr::V4(source) = datagram.source else {
+            panic!("IPv4")
+        };
+        let (arrival_ns, port, payload) = (
+            datagram.arrival_ns,
+            datagram.destination_port,
+            datagram.payload.to_vec(),
+        );
+        all.push(Sent {
+            arrival_ns,
+            source,
+            port,
+            payload,
+        });
     }
     all
 }
@@ -44,17 +55,31 @@ pub fn vlp16() -> Vec<Sent> {
 /// The same with all data packets from and to other ports.
 pub fn with_ports(datagrams: &[Sent], source: &str, port: u16) -> Vec<Sent> {
     let source = source.parse().unwrap();
-    let moved = |sent: &Sent| if sent.is_data() { Sent { source, port, ..sent.clone() } } else { sent.clone() };
+    let moved = |sent: &Sent| {
+        if sent.is_data() {
+            Sent {
+                source,
+                port,
+                ..sent.clone()
+            }
+        } else {
+            sent.clone()
+        }
+    };
     datagrams.iter().map(moved).collect()
 }
 
-/// Several captures as one host would have recorded them at once; each starts when the first one does.
+/// Several captures as one host would have recorded them at once; each starts when the first one
+/// does.
 pub fn together(captures: &[&[Sent]]) -> Vec<Sent> {
     let start_ns = captures[0][0].arrival_ns;
     let mut all = Vec::new();
     for capture in captures {
         let ahead_ns = capture[0].arrival_ns - start_ns;
-        all.extend(capture.iter().map(|sent| Sent { arrival_ns: sent.arrival_ns - ahead_ns, ..sent.clone() }));
+        all.extend(capture.iter().map(|sent| Sent {
+            arrival_ns: sent.arrival_ns - ahead_ns,
+            ..sent.clone()
+        }));
     }
     all.sort_by_key(|sent| sent.arrival_ns);
     all
@@ -80,7 +105,8 @@ pub fn with_product(mut datagrams: Vec<Sent>, product: u8) -> Vec<Sent> {
     datagrams
 }
 
-/// Packets with three blocks of the upper head for one of the lower, as the first HDL-64E sends them.
+/// Packets with three blocks of the upper head for one of the lower, as the first HDL-64E sends
+/// them.
 pub fn hdl64e_s1() -> Vec<Sent> {
     let mut datagrams = vlp16();
     for sent in datagrams.iter_mut().filter(|sent| sent.is_data()) {
@@ -99,7 +125,14 @@ pub fn pcap(datagrams: &[Sent]) -> Vec<u8> {
     for sent in datagrams {
         let destination = SocketAddrV4::new([255; 4].into(), sent.port);
         let (arrival_ns, source, payload) = (sent.arrival_ns, sent.source, &sent.payload[..]);
-        writer.write(&Addressed { arrival_ns, source, destination, payload }).unwrap();
+        writer
+            .write(&Addressed {
+                arrival_ns,
+                source,
+                destination,
+                payload,
+            })
+            .unwrap();
     }
     writer.finish().unwrap()
 }
@@ -109,13 +142,26 @@ pub fn pcapng(datagrams: &[Sent]) -> Vec<u8> {
     let mut file = Vec::new();
     let mut block = |kind: u32, body: &[u8]| {
         let len = (12 + body.len()) as u32;
-        let parts: [&[u8]; 4] = [&kind.to_le_bytes(), &len.to_le_bytes(), body, &len.to_le_bytes()];
+        let parts: [&[u8]; 4] = [
+            &kind.to_le_bytes(),
+            &len.to_le_bytes(),
+            body,
+            &len.to_le_bytes(),
+        ];
         file.extend(parts.concat());
     };
-    let section = [&0x1A2B_3C4D_u32.to_le_bytes()[..], &[1, 0, 0, 0], &[0xFF; 8]].concat();
+    let section = [
+        &0x1A2B_3C4D_u32.to_le_bytes()[..],
+        &[1, 0, 0, 0],
+        &[0xFF; 8],
+    ]
+    .concat();
     block(0x0A0D_0D0A, &section);
     // Ethernet, no limit; option 9: resolution 10^-9.
-    block(1, &[1, 0, 0, 0, 0, 0, 0, 0, 9, 0, 1, 0, 9, 0, 0, 0, 0, 0, 0, 0]);
+    block(
+        1,
+        &[1, 0, 0, 0, 0, 0, 0, 0, 9, 0, 1, 0, 9, 0, 0, 0, 0, 0, 0, 0],
+    );
     for sent in datagrams {
         let frame = pcap(std::slice::from_ref(sent)).split_off(24 + 16);
         let (time, len) = (sent.arrival_ns as u64, frame.len() as u32);
@@ -143,7 +189,9 @@ pub fn grey_png(width: u32, height: u32, grey: u8) -> Vec<u8> {
     let mut encoder = png::Encoder::new(&mut bytes, width, height);
     encoder.set_color(png::ColorType::Grayscale);
     let mut writer = encoder.write_header().unwrap();
-    writer.write_image_data(&vec![grey; (width * height) as usize]).unwrap();
+    writer
+        .write_image_data(&vec![grey; (width * height) as usize])
+        .unwrap();
     writer.finish().unwrap();
     bytes
 }
@@ -158,7 +206,12 @@ pub fn db_xml_without_a_beam() -> String {
              <horizOffsetCorrection_>0</horizOffsetCorrection_></px></item>\n"
         )
     };
-    let items: String = elevations.into_iter().enumerate().filter(|&(id, _)| id != 7).map(item).collect();
+    let items: String = elevations
+        .into_iter()
+        .enumerate()
+        .filter(|&(id, _)| id != 7)
+        .map(item)
+        .collect();
     format!(
         "<boost_serialization>\n<DB>\n<distLSB_>0.2</distLSB_>\n<points_>\n{items}</points_>\n</DB>\n</boost_serialization>\n"
     )

@@ -1,4 +1,5 @@
-//! The command line as a user meets it: the real binary, over shipped captures and over bad ones made here.
+//! The command line as a user meets it: the real binary, over shipped captures and over bad ones
+//! made here.
 
 mod calib;
 #[path = "../common/mod.rs"]
@@ -37,7 +38,11 @@ impl Ran {
     fn of(output: Output) -> Self {
         let text = |bytes| String::from_utf8(bytes).expect("output in UTF-8");
         let code = output.status.code().expect("an exit code, not a signal");
-        let ran = Self { code, stdout: text(output.stdout), stderr: text(output.stderr) };
+        let ran = Self {
+            code,
+            stdout: text(output.stdout),
+            stderr: text(output.stderr),
+        };
         assert!(!ran.stderr.contains("panicked"), "{}", ran.stderr);
         ran
     }
@@ -53,7 +58,11 @@ impl Ran {
     #[track_caller]
     fn error(&self) -> &str {
         assert_ne!(self.code, 0, "{}", self.stdout);
-        let errors: Vec<&str> = self.stderr.lines().filter(|line| line.starts_with("error: ")).collect();
+        let errors: Vec<&str> = self
+            .stderr
+            .lines()
+            .filter(|line| line.starts_with("error: "))
+            .collect();
         assert_eq!(errors.len(), 1, "{}", self.stderr);
         errors[0]
     }
@@ -62,13 +71,19 @@ impl Ran {
     #[track_caller]
     fn says(&self, parts: &[&str]) {
         let error = self.error();
-        assert!(parts.iter().all(|part| error.contains(part)), "{error}\nlacks one of {parts:?}");
+        assert!(
+            parts.iter().all(|part| error.contains(part)),
+            "{error}\nlacks one of {parts:?}"
+        );
     }
 }
 
 fn command(args: &[&str]) -> Command {
     let mut command = Command::new(env!("CARGO_BIN_EXE_sweepd"));
-    command.args(args).current_dir(env!("CARGO_MANIFEST_DIR")).stdin(Stdio::null());
+    command
+        .args(args)
+        .current_dir(env!("CARGO_MANIFEST_DIR"))
+        .stdin(Stdio::null());
     command
 }
 
@@ -111,7 +126,10 @@ fn fixture(name: &str) -> PathBuf {
 
 /// The lines of `--json --no-timing`, parsed.
 fn sweeps(stdout: &str) -> Vec<serde_json::Value> {
-    stdout.lines().map(|line| serde_json::from_str(line).expect(line)).collect()
+    stdout
+        .lines()
+        .map(|line| serde_json::from_str(line).expect(line))
+        .collect()
 }
 
 /// A folder of a test's own, removed with it.
@@ -144,7 +162,12 @@ impl Folder {
                 if path.is_dir() {
                     folders.push(path);
                 } else {
-                    let name = path.strip_prefix(self.path(below)).unwrap().to_str().unwrap().to_owned();
+                    let name = path
+                        .strip_prefix(self.path(below))
+                        .unwrap()
+                        .to_str()
+                        .unwrap()
+                        .to_owned();
                     files.push((name, std::fs::read(&path).unwrap()));
                 }
             }

@@ -2,8 +2,9 @@
 
 use crate::{Folder, Ran, command, fixture, inspect, replay, sweepd, sweeps};
 
-/// A line that is broken by hand at one width and by clap at another leaves a stump: a line that a word of the next would
-/// have fitted in. At 80 columns and at 100, no help has one but where a line was meant to end.
+/// A line that is broken by hand at one width and by clap at another leaves a stump: a line that a
+/// word of the next would have fitted in. At 80 columns and at 100, no help has one but where a
+/// line was meant to end.
 #[test]
 fn every_help_has_an_example_and_fits_a_terminal() {
     use clap::CommandFactory;
@@ -11,8 +12,13 @@ fn every_help_has_an_example_and_fits_a_terminal() {
     let mut program = sweepd::cli::Cli::command();
     program.build();
     let mut commands: Vec<clap::Command> = vec![program.clone()];
-    for command in program.get_subcommands().filter(|command| command.get_name() != "help") {
-        let inner = command.get_subcommands().filter(|command| command.get_name() != "help");
+    for command in program
+        .get_subcommands()
+        .filter(|command| command.get_name() != "help")
+    {
+        let inner = command
+            .get_subcommands()
+            .filter(|command| command.get_name() != "help");
         commands.extend(inner.cloned());
         commands.push(command.clone());
     }
@@ -20,26 +26,50 @@ fn every_help_has_an_example_and_fits_a_terminal() {
     for command in &commands {
         let name = command.get_name();
         for width in [80, 100] {
-            let text = command.clone().term_width(width).render_long_help().to_string();
+            let text = command
+                .clone()
+                .term_width(width)
+                .render_long_help()
+                .to_string();
             let longest = text.lines().map(|line| line.chars().count()).max();
-            assert!(longest <= Some(width), "{name}: {longest:?} of {width} columns");
+            assert!(
+                longest <= Some(width),
+                "{name}: {longest:?} of {width} columns"
+            );
         }
         let Some(after) = command.get_after_help() else {
             assert!(command.has_subcommands(), "{name} has no example");
             continue;
         };
         let after = after.to_string();
-        assert!(after.contains("Example") && after.contains("\n  sweepd "), "{name}");
-        // Prose is one line, which clap breaks; what is broken by hand is narrower than any terminal.
+        assert!(
+            after.contains("Example") && after.contains("\n  sweepd "),
+            "{name}"
+        );
+        // Prose is one line, which clap breaks; what is broken by hand is narrower than any
+        // terminal.
         for (line, next) in after.lines().zip(after.lines().skip(1)) {
             let is_table = line.starts_with(' ') || line.ends_with(':') || line.is_empty();
-            assert!(is_table || next.is_empty(), "{name}: prose is broken by hand: {line}");
-            assert!(!line.starts_with(' ') || line.chars().count() <= 78, "{name}: {line}");
+            assert!(
+                is_table || next.is_empty(),
+                "{name}: prose is broken by hand: {line}"
+            );
+            assert!(
+                !line.starts_with(' ') || line.chars().count() <= 78,
+                "{name}: {line}"
+            );
         }
     }
     let version = sweepd(&["--version"]).done();
-    let commit = if cfg!(debug_assertions) { " (debug build)" } else { " (" };
-    assert!(version.starts_with(&format!("sweepd {}{commit}", env!("CARGO_PKG_VERSION"))), "{version}");
+    let commit = if cfg!(debug_assertions) {
+        " (debug build)"
+    } else {
+        " ("
+    };
+    assert!(
+        version.starts_with(&format!("sweepd {}{commit}", env!("CARGO_PKG_VERSION"))),
+        "{version}"
+    );
     for args in [&[][..], &["play"], &["replay"], &["replay", "a", "--fast"]] {
         assert_eq!(sweepd(args).code, 2, "{args:?}");
     }
@@ -48,7 +78,10 @@ fn every_help_has_an_example_and_fits_a_terminal() {
 #[test]
 fn the_examples_of_the_help_are_accepted() {
     let text = sweepd(&["replay", "--help"]).done();
-    let examples: Vec<&str> = text.lines().filter_map(|line| line.strip_prefix("  sweepd replay ")).collect();
+    let examples: Vec<&str> = text
+        .lines()
+        .filter_map(|line| line.strip_prefix("  sweepd replay "))
+        .collect();
     assert!(examples.len() >= 3);
     // The folders for the output are made before the capture is opened.
     let folder = Folder::new("examples");
@@ -56,7 +89,12 @@ fn the_examples_of_the_help_are_accepted() {
         let words = example.split(" > ").next().unwrap().split(' ').skip(1);
         // A capture that is not there: all options were understood when that is what is wrong.
         let args = [&["replay", "none.pcap"], &words.collect::<Vec<_>>()[..]].concat();
-        let ran = Ran::of(command(&args).current_dir(folder.path("")).output().unwrap());
+        let ran = Ran::of(
+            command(&args)
+                .current_dir(folder.path(""))
+                .output()
+                .unwrap(),
+        );
         ran.says(&["cannot open none.pcap"]);
     }
 }
@@ -64,21 +102,43 @@ fn the_examples_of_the_help_are_accepted() {
 #[test]
 fn the_examples_of_record_are_understood() {
     let text = sweepd(&["record", "--help"]).done();
-    let examples: Vec<&str> = text.lines().filter_map(|line| line.strip_prefix("  sweepd record ")).collect();
+    let examples: Vec<&str> = text
+        .lines()
+        .filter_map(|line| line.strip_prefix("  sweepd record "))
+        .collect();
     assert!(examples.len() >= 3);
     for example in examples {
         // An address that is no host's, from the blocks for documentation.
         let (nowhere, expected) = match example.contains("--from") {
-            true => (["--root", "/nonexistent/root"], "no daemon listens at /nonexistent/root/tap.sock"),
+            true => (
+                ["--root", "/nonexistent/root"],
+                "no daemon listens at /nonexistent/root/tap.sock",
+            ),
             false => (["--bind", "192.0.2.1"], "has the address 192.0.2.1"),
         };
-        let args = [&["record"], &nowhere[..], &example.split(' ').collect::<Vec<_>>()[..]].concat();
-        let args: Vec<&str> = args.into_iter().map(|word| if word == "eth1" { "lo" } else { word }).collect();
+        let args = [
+            &["record"],
+            &nowhere[..],
+            &example.split(' ').collect::<Vec<_>>()[..],
+        ]
+        .concat();
+        let args: Vec<&str> = args
+            .into_iter()
+            .map(|word| if word == "eth1" { "lo" } else { word })
+            .collect();
         sweepd(&args).says(&[expected]);
     }
-    for args in [["--seconds=0", "0.1 to"], ["--rotate-mb=-1", "0.01 to"], ["--rotate-seconds=nan", "0.1 to"]] {
+    for args in [
+        ["--seconds=0", "0.1 to"],
+        ["--rotate-mb=-1", "0.01 to"],
+        ["--rotate-seconds=nan", "0.1 to"],
+    ] {
         let ran = sweepd(&["record", "-o", "x.pcap", args[0]]);
-        assert!(ran.code == 2 && ran.stderr.contains(args[1]), "{}", ran.stderr);
+        assert!(
+            ran.code == 2 && ran.stderr.contains(args[1]),
+            "{}",
+            ran.stderr
+        );
     }
 }
 
@@ -133,9 +193,15 @@ fn absurd_numbers_are_refused_with_what_was_expected() {
     for pair in [["--start=2", "--end=1"], ["--start=1", "--end=1"]] {
         replay(&fixture("street_vlp16_losses.pcap"), &pair).says(&["--end is not after --start"]);
     }
-    replay(&fixture("street_vlp16_losses.pcap"), &["--min-range=5", "--max-range=3"]).says(&["greater"]);
-    let turned =
-        replay(&fixture("street_vlp16_losses.pcap"), &["--cut-azimuth", "-90", "--pitch", "-3", "--roll", "2"]);
+    replay(
+        &fixture("street_vlp16_losses.pcap"),
+        &["--min-range=5", "--max-range=3"],
+    )
+    .says(&["greater"]);
+    let turned = replay(
+        &fixture("street_vlp16_losses.pcap"),
+        &["--cut-azimuth", "-90", "--pitch", "-3", "--roll", "2"],
+    );
     assert!(turned.done().contains(" whole"));
 }
 
@@ -143,18 +209,28 @@ fn absurd_numbers_are_refused_with_what_was_expected() {
 fn what_was_asked_for_and_is_not_there_is_an_error() {
     let capture = fixture("street_vlp16_losses.pcap");
     replay(&capture, &["--sensor", "1.2.3.4"]).says(&["no sensor 1.2.3.4", "inspect"]);
-    let one = replay(&capture, &["--sensor", "192.168.1.201", "--sensor", "192.168.1.201:99"]);
+    let one = replay(
+        &capture,
+        &["--sensor", "192.168.1.201", "--sensor", "192.168.1.201:99"],
+    );
     one.says(&["no sensor 192.168.1.201:99"]);
     assert!(one.stdout.contains("3 whole"), "{}", one.stdout);
     replay(&capture, &["--start", "5"]).says(&["no data packets from 5 s", "0.399 s"]);
-    replay(&capture, &["--start", "5", "--end", "1e9", "--json"]).says(&["no data packets from 5 s"]);
+    replay(&capture, &["--start", "5", "--end", "1e9", "--json"])
+        .says(&["no data packets from 5 s"]);
 }
 
 #[test]
 fn a_loop_goes_round_and_goes_on_counting() {
     let capture = fixture("street_vlp16_losses.pcap");
     let once = sweeps(&replay(&capture, &["--json", "--no-timing", "--start", "0.1"]).done());
-    let twice = sweeps(&replay(&capture, &["--json", "--no-timing", "--start", "0.1", "--loop=2"]).done());
+    let twice = sweeps(
+        &replay(
+            &capture,
+            &["--json", "--no-timing", "--start", "0.1", "--loop=2"],
+        )
+        .done(),
+    );
     let count = once.len() - 1;
     assert_eq!(twice.len() - 1, 2 * count);
     for (index, line) in twice[..2 * count].iter().enumerate() {
@@ -164,13 +240,19 @@ fn a_loop_goes_round_and_goes_on_counting() {
     let (once, twice) = (&once[count]["summary"], &twice[2 * count]["summary"]);
     assert_eq!(twice["capture"], once["capture"]);
     for key in ["packets", "returns", "lost_packets"] {
-        assert_eq!(twice["sensors"][0][key].as_u64(), once["sensors"][0][key].as_u64().map(|number| 2 * number));
+        assert_eq!(
+            twice["sensors"][0][key].as_u64(),
+            once["sensors"][0][key].as_u64().map(|number| 2 * number)
+        );
     }
 }
 
 #[test]
 fn standard_error_stays_empty_without_a_terminal() {
-    assert_eq!(replay(&fixture("street_hdl32e.pcap.gz"), &["--speed", "realtime"]).stderr, "");
+    assert_eq!(
+        replay(&fixture("street_hdl32e.pcap.gz"), &["--speed", "realtime"]).stderr,
+        ""
+    );
     assert_eq!(inspect(&fixture("street_hdl32e.pcap.gz")).stderr, "");
 }
 
@@ -178,19 +260,45 @@ fn standard_error_stays_empty_without_a_terminal() {
 #[test]
 fn older_spellings_are_understood() {
     let capture = fixture("street_vlp16_losses.pcap");
-    let of = |part: &[&str]| replay(&capture, &[&["--json", "--no-timing", "--partial"], part].concat()).done();
+    let of = |part: &[&str]| {
+        replay(
+            &capture,
+            &[&["--json", "--no-timing", "--partial"], part].concat(),
+        )
+        .done()
+    };
     let nowhere = "127.0.0.1:9";
     let new = of(&["--start", "0.1", "--end", "0.3"]);
     assert_eq!(of(&["--from", "0.1", "--to", "0.3"]), new);
-    assert_eq!(of(&["--from", "0.1", "--to", "0.3", "--to-udp", nowhere, "--speed", "max"]), new);
+    assert_eq!(
+        of(&[
+            "--from", "0.1", "--to", "0.3", "--to-udp", nowhere, "--speed", "max"
+        ]),
+        new
+    );
     assert_ne!(of(&["--to", nowhere, "--speed", "max"]), new);
     let dual = |option: &str| {
-        let args = ["simulate", "--model=vlp16", "--scene=room", "--seconds=0.1", "--pcap", "-", option];
+        let args = [
+            "simulate",
+            "--model=vlp16",
+            "--scene=room",
+            "--seconds=0.1",
+            "--pcap",
+            "-",
+            option,
+        ];
         command(&args).output().unwrap().stdout
     };
     assert_eq!(dual("--return=dual"), dual("--returns=dual"));
-    for (command, older) in [("replay", "--from"), ("replay", "--to-udp"), ("simulate", "--return ")] {
-        assert!(!sweepd(&[command, "--help"]).done().contains(older), "{older}");
+    for (command, older) in [
+        ("replay", "--from"),
+        ("replay", "--to-udp"),
+        ("simulate", "--return "),
+    ] {
+        assert!(
+            !sweepd(&[command, "--help"]).done().contains(older),
+            "{older}"
+        );
     }
 }
 
@@ -198,13 +306,23 @@ fn older_spellings_are_understood() {
 fn a_slip_is_answered_with_what_was_meant() {
     for (args, answer) in [
         (&["replay", "a.pcap", "--loop", "3"][..], "--loop=3"),
-        (&["replay", "a.pcap", "--model", "vlp-32c"], "does not read the vlp-32c yet"),
-        (&["replay", "a.pcap", "--model", "vlp61"], "did you mean vlp16?"),
+        (
+            &["replay", "a.pcap", "--model", "vlp-32c"],
+            "does not read the vlp-32c yet",
+        ),
+        (
+            &["replay", "a.pcap", "--model", "vlp61"],
+            "did you mean vlp16?",
+        ),
         (&["replay", "a.pcap", "--to", "soon"], "IP:PORT such as"),
         (&["repaly", "a.pcap"], "'replay'"),
     ] {
         let ran = sweepd(args);
-        assert!(ran.code == 2 && ran.stderr.contains(answer), "{args:?}: {}", ran.stderr);
+        assert!(
+            ran.code == 2 && ran.stderr.contains(answer),
+            "{args:?}: {}",
+            ran.stderr
+        );
     }
     assert_eq!(inspect(&fixture("street_vlp16_losses.pcap")).code, 0);
     replay(&fixture("street_vlp16_losses.pcap"), &["--model", "VLP-16"]).done();

@@ -23,7 +23,9 @@ const KEYS: [&str; 16] = [
 
 /// The keys of a flat JSON object, in their order.
 fn keys(line: &str) -> Vec<&str> {
-    let (flat, nested) = line.split_once(":{").map_or((line, None), |(flat, nested)| (flat, Some(nested)));
+    let (flat, nested) = line
+        .split_once(":{")
+        .map_or((line, None), |(flat, nested)| (flat, Some(nested)));
     let mut keys: Vec<&str> = flat
         .split(",\"")
         .filter_map(|pair| pair.trim_start_matches("{\"").split_once("\":"))
@@ -53,10 +55,17 @@ fn a_sweep_in_json_has_exactly_its_keys() {
     assert_eq!((lines.len(), keys(lines[0])), (4, KEYS[..15].to_vec()));
     assert!(!stdout.contains("stage_us"));
     let sweep = &sweeps(&stdout)[1];
-    for (key, value) in [("sensor", "192.168.1.201:2368"), ("model", "VLP-16"), ("return_mode", "strongest")] {
+    for (key, value) in [
+        ("sensor", "192.168.1.201:2368"),
+        ("model", "VLP-16"),
+        ("return_mode", "strongest"),
+    ] {
         assert_eq!(sweep[key], value);
     }
-    assert_eq!((&sweep["seq"], &sweep["partial"], &sweep["rows"]), (&1.into(), &false.into(), &16.into()));
+    assert_eq!(
+        (&sweep["seq"], &sweep["partial"], &sweep["rows"]),
+        (&1.into(), &false.into(), &16.into())
+    );
     assert_eq!(sweep["time_source"], "gps");
 }
 
@@ -65,16 +74,33 @@ fn a_sweep_in_json_has_exactly_its_keys() {
 fn an_hdl32e_tells_utc_where_its_sentence_is_enough() {
     let folder = Folder::new("hdl32e-gps");
     let capture = folder.path("gps.pcap");
-    let made = ["simulate", "--model=hdl32e", "--gps=locked", "--seconds=0.4", "--pcap", capture.to_str().unwrap()];
+    let made = [
+        "simulate",
+        "--model=hdl32e",
+        "--gps=locked",
+        "--seconds=0.4",
+        "--pcap",
+        capture.to_str().unwrap(),
+    ];
     assert_eq!(sweepd(&made).code, 0);
     let of = |options: &[&str], source: &str| -> Vec<i64> {
-        let mut sweeps = sweeps(&replay(&capture, &[&["--json", "--no-timing"], options].concat()).done());
+        let mut sweeps =
+            sweeps(&replay(&capture, &[&["--json", "--no-timing"], options].concat()).done());
         assert!(sweeps.pop().is_some_and(|last| last["summary"].is_object()));
-        assert!(!sweeps.is_empty() && sweeps.iter().all(|sweep| sweep["time_source"] == source), "{source}");
-        sweeps.iter().map(|sweep| sweep["time_ns"].as_i64().unwrap()).collect()
+        assert!(
+            !sweeps.is_empty() && sweeps.iter().all(|sweep| sweep["time_source"] == source),
+            "{source}"
+        );
+        sweeps
+            .iter()
+            .map(|sweep| sweep["time_ns"].as_i64().unwrap())
+            .collect()
     };
     // The clock of the simulated host is right: the two are apart by what packets take on the way.
-    for (host_ns, gps_ns) in of(&[], "host").into_iter().zip(of(&["--gps-without-pps"], "gps")) {
+    for (host_ns, gps_ns) in of(&[], "host")
+        .into_iter()
+        .zip(of(&["--gps-without-pps"], "gps"))
+    {
         assert!((host_ns - gps_ns).abs() < 5_000_000, "{host_ns} {gps_ns}");
     }
 }
@@ -82,13 +108,22 @@ fn an_hdl32e_tells_utc_where_its_sentence_is_enough() {
 #[test]
 fn no_return_is_lost_between_the_capture_and_the_files() {
     let folder = Folder::new("returns");
-    for (name, in_capture) in [("street_vlp16.pcap.gz", 152_821), ("street_hdl32e_dual.pcap.gz", 323_988)] {
+    for (name, in_capture) in [
+        ("street_vlp16.pcap.gz", 152_821),
+        ("street_hdl32e_dual.pcap.gz", 323_988),
+    ] {
         let dir = folder.path(name);
         let options = ["--json", "--partial", "--csv", dir.to_str().unwrap()];
         let lines = sweeps(&replay(&fixture(name), &options).done());
-        let sum: u64 = lines.iter().filter_map(|line| line["returns"].as_u64()).sum();
-        let rows: usize =
-            folder.files(name).iter().map(|(_, bytes)| bytes.iter().filter(|&&b| b == b'\n').count() - 1).sum();
+        let sum: u64 = lines
+            .iter()
+            .filter_map(|line| line["returns"].as_u64())
+            .sum();
+        let rows: usize = folder
+            .files(name)
+            .iter()
+            .map(|(_, bytes)| bytes.iter().filter(|&&b| b == b'\n').count() - 1)
+            .sum();
         assert_eq!((sum, rows), (in_capture, in_capture as usize), "{name}");
     }
 }
@@ -99,8 +134,19 @@ fn two_runs_without_timing_are_the_same_byte_by_byte() {
     let two = made::together(&[&made::vlp16(), &made::datagrams("street_hdl32e.pcap.gz")]);
     let path = folder.write("two.pcap", made::pcap(&two));
     let run = |dir: &str, json: &[&str]| {
-        let dirs = ["csv", "pcd", "png"].map(|kind| folder.path(&format!("{dir}/{kind}")).display().to_string());
-        let options = ["--no-timing", "--partial", "--force", "--csv", &dirs[0], "--pcd", &dirs[1], "--png", &dirs[2]];
+        let dirs = ["csv", "pcd", "png"]
+            .map(|kind| folder.path(&format!("{dir}/{kind}")).display().to_string());
+        let options = [
+            "--no-timing",
+            "--partial",
+            "--force",
+            "--csv",
+            &dirs[0],
+            "--pcd",
+            &dirs[1],
+            "--png",
+            &dirs[2],
+        ];
         replay(&path, &[&options[..], json].concat()).done()
     };
     assert_eq!(run("a", &["--json"]), run("b", &["--json"]));
@@ -117,8 +163,16 @@ fn csv_has_its_header_and_counts_packets_of_the_whole_capture() {
     let folder = Folder::new("csv");
     let csv = |name: &str, options: &[&str]| -> String {
         let dir = folder.path(name);
-        replay(&fixture("street_vlp16.pcap.gz"), &[&["--csv", dir.to_str().unwrap()], options].concat()).done();
-        folder.files(name).into_iter().map(|(_, bytes)| String::from_utf8(bytes).unwrap()).collect()
+        replay(
+            &fixture("street_vlp16.pcap.gz"),
+            &[&["--csv", dir.to_str().unwrap()], options].concat(),
+        )
+        .done();
+        folder
+            .files(name)
+            .into_iter()
+            .map(|(_, bytes)| String::from_utf8(bytes).unwrap())
+            .collect()
     };
     let all = csv("all", &["--partial"]);
     let header = "packet,block,row,column,channel,return,azimuth_deg,elevation_deg,range_m,x_m,y_m,z_m,reflectivity,time_ns,label";
@@ -135,7 +189,10 @@ fn csv_has_its_header_and_counts_packets_of_the_whole_capture() {
     };
     let all: std::collections::BTreeSet<_> = all.lines().filter_map(key).collect();
     assert_eq!(all.iter().next().unwrap()[0], 0);
-    for options in [&["--start", "0.2", "--partial"][..], &["--start", "0.15", "--end", "0.4", "--partial"]] {
+    for options in [
+        &["--start", "0.2", "--partial"][..],
+        &["--start", "0.15", "--end", "0.4", "--partial"],
+    ] {
         let part: Vec<_> = csv(options[1], options).lines().filter_map(key).collect();
         assert!(part.len() > 30_000 && part[0][0] >= 110, "{:?}", part[0]);
         assert!(part.iter().all(|one| all.contains(one)), "{options:?}");
@@ -147,7 +204,14 @@ fn ros_axes_are_the_sensor_s_turned() {
     let folder = Folder::new("axes");
     let points = |axes: &str| -> Vec<[f64; 3]> {
         let dir = folder.path(axes);
-        let options = ["--end", "0.25", "--axes", axes, "--csv", dir.to_str().unwrap()];
+        let options = [
+            "--end",
+            "0.25",
+            "--axes",
+            axes,
+            "--csv",
+            dir.to_str().unwrap(),
+        ];
         replay(&fixture("street_vlp16_losses.pcap"), &options).done();
         let text = std::fs::read_to_string(dir.join("sweep_000000.csv")).unwrap();
         let point = |line: &str| {
@@ -158,15 +222,42 @@ fn ros_axes_are_the_sensor_s_turned() {
     };
     let (sensor, ros) = (points("sensor"), points("ros"));
     assert!(sensor.len() > 10_000);
-    assert!(sensor.iter().zip(&ros).all(|(&[x, y, z], &[forward, left, up])| forward == y && left == -x && up == z));
+    assert!(
+        sensor
+            .iter()
+            .zip(&ros)
+            .all(|(&[x, y, z], &[forward, left, up])| forward == y && left == -x && up == z)
+    );
 }
 
 #[test]
 fn the_table_says_all_that_was_promised() {
     let table = replay(&fixture("street_vlp16_losses.pcap"), &[]).done();
-    for row in ["model", "return mode", "speed", "sweeps", "returns", "ground", "segments", "losses", "time"] {
-        assert!(table.lines().any(|line| line.starts_with(&format!("  {row:<13}"))), "{row} in\n{table}");
+    for row in [
+        "model",
+        "return mode",
+        "speed",
+        "sweeps",
+        "returns",
+        "ground",
+        "segments",
+        "losses",
+        "time",
+    ] {
+        assert!(
+            table
+                .lines()
+                .any(|line| line.starts_with(&format!("  {row:<13}"))),
+            "{row} in\n{table}"
+        );
     }
-    assert!(table.contains("18 packets lost") && table.contains(" 96,1") && table.contains(" rpm"), "{table}");
-    assert!(!replay(&fixture("street_vlp16_losses.pcap"), &["--no-timing"]).done().contains("\n  time "));
+    assert!(
+        table.contains("18 packets lost") && table.contains(" 96,1") && table.contains(" rpm"),
+        "{table}"
+    );
+    assert!(
+        !replay(&fixture("street_vlp16_losses.pcap"), &["--no-timing"])
+            .done()
+            .contains("\n  time ")
+    );
 }

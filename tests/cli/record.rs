@@ -1,5 +1,5 @@
-//! `sweepd record`, over loopback: what is sent is in the files, or is counted. A loaded machine may drop datagrams;
-//! the accounts must be right all the same.
+//! `sweepd record`, over loopback: what is sent is in the files, or is counted. A loaded machine
+//! may drop datagrams; the accounts must be right all the same.
 
 use std::io::{BufRead, BufReader, Read};
 use std::net::{Ipv4Addr, SocketAddr, SocketAddrV4, UdpSocket};
@@ -27,17 +27,31 @@ struct Recorder {
 
 impl Recorder {
     fn start(output: &Path, options: &[&str]) -> Self {
-        Self::of(output, &[&["--port", "0", "--bind", "127.0.0.1"], options].concat())
+        Self::of(
+            output,
+            &[&["--port", "0", "--bind", "127.0.0.1"], options].concat(),
+        )
     }
 
     /// Of a sensor of a daemon.
     fn from(output: &Path, root: &Path, sensor: &str, options: &[&str]) -> Self {
-        Self::of(output, &[&["--from", sensor, "--root", root.to_str().unwrap()], options].concat())
+        Self::of(
+            output,
+            &[
+                &["--from", sensor, "--root", root.to_str().unwrap()],
+                options,
+            ]
+            .concat(),
+        )
     }
 
     fn of(output: &Path, options: &[&str]) -> Self {
         let mut command = command(&[&["record", "-o", output.to_str().unwrap()], options].concat());
-        let mut child = command.stdout(Stdio::piped()).stderr(Stdio::piped()).spawn().unwrap();
+        let mut child = command
+            .stdout(Stdio::piped())
+            .stderr(Stdio::piped())
+            .spawn()
+            .unwrap();
         let mut stderr = BufReader::new(child.stderr.take().unwrap());
         let mut announced = String::new();
         // A machine with a small net.core.rmem_max is warned first.
@@ -50,13 +64,26 @@ impl Recorder {
             }
         };
         // A daemon's sensor has no address.
-        let to = place.parse().unwrap_or(SocketAddr::from((Ipv4Addr::UNSPECIFIED, 0)));
-        Self { child, stderr, announced, to }
+        let to = place
+            .parse()
+            .unwrap_or(SocketAddr::from((Ipv4Addr::UNSPECIFIED, 0)));
+        Self {
+            child,
+            stderr,
+            announced,
+            to,
+        }
     }
 
     fn signal(&self, name: &str) {
         let pid = self.child.id().to_string();
-        assert!(Command::new("kill").args(["-s", name, &pid]).status().unwrap().success());
+        assert!(
+            Command::new("kill")
+                .args(["-s", name, &pid])
+                .status()
+                .unwrap()
+                .success()
+        );
     }
 
     /// Waits for the end.
@@ -78,23 +105,51 @@ impl Recorder {
 /// The number before a word of the summary.
 #[track_caller]
 fn number(ran: &Ran, word: &str) -> u64 {
-    let before = ran.stdout.split(word).next().filter(|before| before.len() < ran.stdout.len());
+    let before = ran
+        .stdout
+        .split(word)
+        .next()
+        .filter(|before| before.len() < ran.stdout.len());
     let before = before.unwrap_or_else(|| panic!("no {word} in {}", ran.stdout));
-    before.split_whitespace().next_back().unwrap().replace(',', "").parse().unwrap()
+    before
+        .split_whitespace()
+        .next_back()
+        .unwrap()
+        .replace(',', "")
+        .parse()
+        .unwrap()
 }
 
-/// Fails unless every datagram is in the files or counted as dropped, and says whether all are in the files.
+/// Fails unless every datagram is in the files or counted as dropped, and says whether all are in
+/// the files.
 #[track_caller]
 fn is_whole(ran: &Ran, sent: usize) -> bool {
     assert_eq!(ran.code, 0, "{}", ran.stderr);
     let of_daemon = ran.stdout.contains(" on the way");
-    let dropped = number(ran, if of_daemon { " on the way" } else { " by the kernel" });
+    let dropped = number(
+        ran,
+        if of_daemon {
+            " on the way"
+        } else {
+            " by the kernel"
+        },
+    );
     let lost = dropped + number(ran, " because the disk");
-    let refused: u64 = [" wrong length", " wrong marker", " wrong azimuth", " other source"]
-        .map(|word| number(ran, word))
-        .iter()
-        .sum();
-    assert_eq!(number(ran, " datagram") + lost + refused, sent as u64, "{}", ran.stdout);
+    let refused: u64 = [
+        " wrong length",
+        " wrong marker",
+        " wrong azimuth",
+        " other source",
+    ]
+    .map(|word| number(ran, word))
+    .iter()
+    .sum();
+    assert_eq!(
+        number(ran, " datagram") + lost + refused,
+        sent as u64,
+        "{}",
+        ran.stdout
+    );
     assert_eq!(lost > 0, ran.stderr.contains("warning: "), "{}", ran.stderr);
     if lost > 0 {
         eprintln!("this machine was too busy: {}", ran.stdout);
@@ -125,7 +180,12 @@ fn read(path: &Path) -> Vec<(SocketAddr, u16, i64, Vec<u8>)> {
     let mut capture = Capture::open(path).unwrap();
     let mut all = Vec::new();
     while let Some(one) = capture.next_datagram().unwrap() {
-        all.push((one.source, one.destination_port, one.arrival_ns, one.payload.to_vec()));
+        all.push((
+            one.source,
+            one.destination_port,
+            one.arrival_ns,
+            one.payload.to_vec(),
+        ));
     }
     assert_eq!(capture.truncation(), None);
     all
@@ -143,13 +203,19 @@ fn destinations(path: &Path) -> Vec<Ipv4Addr> {
 }
 
 fn read_payloads(path: &Path) -> Vec<Vec<u8>> {
-    read(path).into_iter().map(|(.., payload)| payload).collect()
+    read(path)
+        .into_iter()
+        .map(|(.., payload)| payload)
+        .collect()
 }
 
 #[test]
 fn what_was_recorded_replays_to_the_sweeps_of_what_was_sent() {
     let folder = Folder::new("record");
-    for (name, output) in [("street_vlp16.pcap.gz", "plain.pcap"), ("street_hdl32e_dual.pcap.gz", "small.pcap.gz")] {
+    for (name, output) in [
+        ("street_vlp16.pcap.gz", "plain.pcap"),
+        ("street_hdl32e_dual.pcap.gz", "small.pcap.gz"),
+    ] {
         let (sent, sensor, path) = (made::datagrams(name), sender(), folder.path(output));
         let recorder = Recorder::start(&path, &[]);
         let to = recorder.to;
@@ -158,8 +224,15 @@ fn what_was_recorded_replays_to_the_sweeps_of_what_was_sent() {
             continue;
         }
         let recorded = read(&path);
-        assert!(recorded.iter().all(|one| (one.0, one.1) == (sensor.local_addr().unwrap(), to.port())));
-        assert!(recorded.is_sorted_by_key(|one| one.2), "stamps of the kernel, in order");
+        assert!(
+            recorded
+                .iter()
+                .all(|one| (one.0, one.1) == (sensor.local_addr().unwrap(), to.port()))
+        );
+        assert!(
+            recorded.is_sorted_by_key(|one| one.2),
+            "stamps of the kernel, in order"
+        );
         let source = SocketAddr::from((Ipv4Addr::LOCALHOST, 2368));
         let datagram = |sent: &Sent| (sent.arrival_ns, sent.port, sent.payload.clone());
         let sent: Vec<_> = sent.iter().map(datagram).collect();
@@ -186,16 +259,25 @@ fn others_on_the_port_change_nothing_but_a_counter() {
     let path = folder.path("own.pcap");
     let own = sensor.local_addr().unwrap().to_string();
     let recorder = Recorder::start(&path, &["--sensor", &own]);
-    let sent: Vec<_> = payloads(&made::vlp16()).into_iter().filter(|payload| payload.len() == 1206).take(100).collect();
+    let sent: Vec<_> = payloads(&made::vlp16())
+        .into_iter()
+        .filter(|payload| payload.len() == 1206)
+        .take(100)
+        .collect();
     for payload in &sent {
         let to = recorder.to;
         send(&sensor, to, [payload]);
-        send(&foreign, to, [&payload[..], &payload[..600], &[0x55; 1206], &[]]);
+        send(
+            &foreign,
+            to,
+            [&payload[..], &payload[..600], &[0x55; 1206], &[]],
+        );
         std::thread::sleep(Duration::from_millis(1));
     }
     let ran = recorder.stop();
     if is_whole(&ran, 5 * sent.len()) {
-        let refused = [" wrong length", " wrong marker", " other source"].map(|word| number(&ran, word));
+        let refused =
+            [" wrong length", " wrong marker", " other source"].map(|word| number(&ran, word));
         assert_eq!(refused, [200, 100, 100]);
         assert_eq!(number(&ran, " data packets"), 100);
         assert!(ran.stdout.contains(&own), "{}", ran.stdout);
@@ -205,7 +287,11 @@ fn others_on_the_port_change_nothing_but_a_counter() {
 
 /// The files of a rotation, in order.
 fn rotated(folder: &Folder) -> Vec<PathBuf> {
-    folder.files("").into_iter().map(|(name, _)| folder.path(&name)).collect()
+    folder
+        .files("")
+        .into_iter()
+        .map(|(name, _)| folder.path(&name))
+        .collect()
 }
 
 #[test]
@@ -218,8 +304,15 @@ fn rotation_by_size_loses_nothing_and_overwrites_nothing() {
     let files = rotated(&folder);
     assert_eq!(std::fs::read(files[1].as_path()).unwrap(), b"mine");
     let files: Vec<_> = [&files[..1], &files[2..]].concat();
-    let expected = (0..files.len() + 1).filter(|&number| number != 1).map(|number| format!("drive-{number:03}.pcap"));
-    assert!(files.iter().map(|file| file.file_name().unwrap().to_str().unwrap()).eq(expected));
+    let expected = (0..files.len() + 1)
+        .filter(|&number| number != 1)
+        .map(|number| format!("drive-{number:03}.pcap"));
+    assert!(
+        files
+            .iter()
+            .map(|file| file.file_name().unwrap().to_str().unwrap())
+            .eq(expected)
+    );
     let bytes = |file: &PathBuf| file.metadata().unwrap().len();
     assert!(files.iter().all(|file| bytes(file) <= 100_000));
     assert_eq!(number(&ran, " bytes"), files.iter().map(bytes).sum::<u64>());
@@ -249,7 +342,10 @@ fn rotation_by_time_loses_nothing() {
 /// Two seconds of an HDL-64E S3 with two returns, 5787 packets a second.
 fn hdl64e_dual() -> Vec<Vec<u8>> {
     let packets = payloads(&made::datagrams("street_hdl64e_s3_dual.pcap.gz"));
-    let packets: Vec<_> = packets.into_iter().filter(|payload| payload.len() == 1206).collect();
+    let packets: Vec<_> = packets
+        .into_iter()
+        .filter(|payload| payload.len() == 1206)
+        .collect();
     packets.iter().cycle().take(2 * 5787).cloned().collect()
 }
 
@@ -271,7 +367,9 @@ fn an_hdl64e_with_two_returns_is_recorded_whole_while_files_rotate() {
     let (folder, sensor, sent) = (Folder::new("record-rate"), sender(), hdl64e_dual());
     let recorder = Recorder::start(&folder.path("hdl64e.pcap"), &FAST_ROTATION);
     let has_small_buffer = recorder.announced.contains("net.core.rmem_max");
-    paced(&sent, |_, payload| assert_eq!(sensor.send_to(payload, recorder.to).unwrap(), 1206));
+    paced(&sent, |_, payload| {
+        assert_eq!(sensor.send_to(payload, recorder.to).unwrap(), 1206)
+    });
     let ran = recorder.stop();
     let files = rotated(&folder);
     assert!(files.len() >= 14, "{}", files.len());
@@ -283,7 +381,11 @@ fn an_hdl64e_with_two_returns_is_recorded_whole_while_files_rotate() {
 
 #[test]
 fn a_sensor_of_the_daemon_is_recorded_whole_while_files_rotate() {
-    let (folder, root, sent) = (Folder::new("record-from"), Folder::new("record-from-root"), hdl64e_dual());
+    let (folder, root, sent) = (
+        Folder::new("record-from"),
+        Folder::new("record-from-root"),
+        hdl64e_dual(),
+    );
     let taps = Taps::listen(&socket_path(&root.0)).unwrap();
     let (mut roof, mut rear) = (taps.sensor("roof"), taps.sensor("rear"));
     let recorder = Recorder::from(&folder.path("roof.pcap"), &root.0, "roof", &FAST_ROTATION);
@@ -291,8 +393,18 @@ fn a_sensor_of_the_daemon_is_recorded_whole_while_files_rotate() {
     let destination: SocketAddrV4 = "239.1.2.3:2369".parse().unwrap();
     let arrival_ns = |number| 1_500_000_000_123_456_789 + number as i64 * 172_801;
     paced(&sent, |number, payload| {
-        roof.put(&Addressed { arrival_ns: arrival_ns(number), source, destination, payload });
-        rear.put(&Addressed { arrival_ns: 0, source, destination, payload });
+        roof.put(&Addressed {
+            arrival_ns: arrival_ns(number),
+            source,
+            destination,
+            payload,
+        });
+        rear.put(&Addressed {
+            arrival_ns: 0,
+            source,
+            destination,
+            payload,
+        });
     });
     let ran = recorder.stop();
     assert!(is_whole(&ran, sent.len()), "{}", ran.stdout);
@@ -301,29 +413,55 @@ fn a_sensor_of_the_daemon_is_recorded_whole_while_files_rotate() {
     assert!(files.len() >= 14, "{}", files.len());
     let recorded = files.iter().flat_map(|file| read(file));
     let expected = sent.into_iter().enumerate();
-    let expected = expected.map(|(number, payload)| (source.into(), destination.port(), arrival_ns(number), payload));
+    let expected = expected.map(|(number, payload)| {
+        (
+            source.into(),
+            destination.port(),
+            arrival_ns(number),
+            payload,
+        )
+    });
     assert!(recorded.eq(expected));
-    assert!(files.iter().flat_map(|file| destinations(file)).all(|ip| ip == *destination.ip()));
+    assert!(
+        files
+            .iter()
+            .flat_map(|file| destinations(file))
+            .all(|ip| ip == *destination.ip())
+    );
 }
 
 #[test]
 fn what_two_threads_of_the_daemon_received_is_recorded_in_the_order_of_arrival() {
-    let (folder, root) = (Folder::new("record-order"), Folder::new("record-order-root"));
+    let (folder, root) = (
+        Folder::new("record-order"),
+        Folder::new("record-order-root"),
+    );
     let taps = Taps::listen(&socket_path(&root.0)).unwrap();
     let (mut of_data, mut of_positions) = (taps.sensor("roof"), taps.sensor("roof"));
     let path = folder.path("roof.pcap");
     let recorder = Recorder::from(&path, &root.0, "roof", &[]);
     let source: SocketAddrV4 = "192.168.1.201:2368".parse().unwrap();
-    let packet = payloads(&made::vlp16()).into_iter().find(|payload| payload.len() == 1206).unwrap();
+    let packet = payloads(&made::vlp16())
+        .into_iter()
+        .find(|payload| payload.len() == 1206)
+        .unwrap();
     let put = |tap: &mut Tap, port, arrival_ns, payload: &[u8]| {
         let destination = SocketAddrV4::new(Ipv4Addr::BROADCAST, port);
-        tap.put(&Addressed { arrival_ns, source, destination, payload });
+        tap.put(&Addressed {
+            arrival_ns,
+            source,
+            destination,
+            payload,
+        });
     };
-    // The thread of the positions is behind that of the data, most when it has not heard of the recording yet.
+    // The thread of the positions is behind that of the data, most when it has not heard of the
+    // recording yet.
     for (begin, behind_ms) in [(0, 260), (1_000, 10)] {
         (begin..begin + 1_000).for_each(|number| put(&mut of_data, 2368, 2 * number, &packet));
         std::thread::sleep(Duration::from_millis(behind_ms));
-        (begin..begin + 1_000).step_by(50).for_each(|number| put(&mut of_positions, 8308, 2 * number + 1, &[0; 512]));
+        (begin..begin + 1_000)
+            .step_by(50)
+            .for_each(|number| put(&mut of_positions, 8308, 2 * number + 1, &[0; 512]));
         std::thread::sleep(Duration::from_millis(500));
     }
     let ran = recorder.stop();
@@ -337,7 +475,17 @@ fn what_two_threads_of_the_daemon_received_is_recorded_in_the_order_of_arrival()
 fn what_no_daemon_gives_is_one_error_that_says_why() {
     let root = Folder::new("record-no-daemon");
     let path = root.path("x.pcap");
-    let args = |sensor| ["record", "-o", path.to_str().unwrap(), "--from", sensor, "--root", root.0.to_str().unwrap()];
+    let args = |sensor| {
+        [
+            "record",
+            "-o",
+            path.to_str().unwrap(),
+            "--from",
+            sensor,
+            "--root",
+            root.0.to_str().unwrap(),
+        ]
+    };
     sweepd(&args("roof")).says(&["no daemon listens at", "sweepd run", "--root"]);
     let taps = Taps::listen(&socket_path(&root.0)).unwrap();
     let (mut rear, mut roof) = (taps.sensor("rear"), taps.sensor("roof"));
@@ -348,13 +496,27 @@ fn what_no_daemon_gives_is_one_error_that_says_why() {
     let sent = payloads(&made::vlp16());
     for payload in &sent {
         let ends = "127.0.0.1:2368".parse().unwrap();
-        roof.put(&Addressed { arrival_ns: 5, source: ends, destination: ends, payload });
-        rear.put(&Addressed { arrival_ns: 5, source: ends, destination: ends, payload });
+        roof.put(&Addressed {
+            arrival_ns: 5,
+            source: ends,
+            destination: ends,
+            payload,
+        });
+        rear.put(&Addressed {
+            arrival_ns: 5,
+            source: ends,
+            destination: ends,
+            payload,
+        });
     }
     drop(taps);
     let ran = recorder.wait();
     assert_eq!(ran.code, 0);
-    assert!(ran.stderr.contains("warning: the daemon has ended"), "{}", ran.stderr);
+    assert!(
+        ran.stderr.contains("warning: the daemon has ended"),
+        "{}",
+        ran.stderr
+    );
     assert!(read_payloads(&path) == sent);
 }
 
@@ -364,7 +526,15 @@ fn the_daemon_of_another_user_is_one_error_that_names_both() {
     let root = Folder::new("record-user");
     let taps = Taps::listen(&socket_path(&root.0)).unwrap();
     let _roof = taps.sensor("roof");
-    let mut command = command(&["record", "-o", "x.pcap", "--from", "roof", "--root", root.0.to_str().unwrap()]);
+    let mut command = command(&[
+        "record",
+        "-o",
+        "x.pcap",
+        "--from",
+        "roof",
+        "--root",
+        root.0.to_str().unwrap(),
+    ]);
     match command.uid(NOBODY).output() {
         Ok(output) => Ran::of(output).says(&["user root", "user nobody", "sudo -u root"]),
         Err(error) => {
@@ -393,9 +563,24 @@ fn stamps_are_of_the_kernel_in_nanoseconds_and_destinations_the_true_ones() {
     recorder.signal("CONT");
     if is_whole(&recorder.wait(), 100) {
         let stamps: Vec<i64> = read(&path).into_iter().map(|one| one.2).collect();
-        assert!(stamps.iter().all(|stamp_ns| (begun_ns..=ended_ns).contains(stamp_ns)));
-        assert!(stamps.iter().filter(|&stamp_ns| stamp_ns % 1000 != 0).count() > 50, "no microseconds");
-        assert!(destinations(&path).into_iter().all(|ip| ip == Ipv4Addr::new(127, 0, 0, 77)));
+        assert!(
+            stamps
+                .iter()
+                .all(|stamp_ns| (begun_ns..=ended_ns).contains(stamp_ns))
+        );
+        assert!(
+            stamps
+                .iter()
+                .filter(|&stamp_ns| stamp_ns % 1000 != 0)
+                .count()
+                > 50,
+            "no microseconds"
+        );
+        assert!(
+            destinations(&path)
+                .into_iter()
+                .all(|ip| ip == Ipv4Addr::new(127, 0, 0, 77))
+        );
     }
 }
 
@@ -416,7 +601,11 @@ fn each_signal_ends_it_cleanly_and_so_does_the_time() {
     let ran = Recorder::start(&folder.path("time.pcap"), &["--seconds", "0.3"]).wait();
     assert!(begun.elapsed() >= Duration::from_millis(300));
     assert_eq!(ran.code, 0);
-    assert!(ran.stderr.contains("warning: nothing came from port"), "{}", ran.stderr);
+    assert!(
+        ran.stderr.contains("warning: nothing came from port"),
+        "{}",
+        ran.stderr
+    );
     assert_eq!(read(&folder.path("time.pcap")), []);
 }
 
@@ -451,15 +640,30 @@ fn a_port_that_is_taken_is_one_error_that_names_it() {
     let taken = sender();
     let port = taken.local_addr().unwrap().port().to_string();
     let path = folder.path("x.pcap");
-    let ran = sweepd(&["record", "-o", path.to_str().unwrap(), "--bind", "127.0.0.1", "--port", &port]);
+    let ran = sweepd(&[
+        "record",
+        "-o",
+        path.to_str().unwrap(),
+        "--bind",
+        "127.0.0.1",
+        "--port",
+        &port,
+    ]);
     let holder = format!("pid {}, user ", std::process::id());
-    ran.says(&[&format!("port {port} is held by "), &holder, "choose another port"]);
+    ran.says(&[
+        &format!("port {port} is held by "),
+        &holder,
+        "choose another port",
+    ]);
     assert!(!path.exists());
     // Of the daemon, or of another recording.
     let recorder = Recorder::start(&folder.path("first.pcap"), &[]);
     let port = recorder.to.port().to_string();
     let ran = sweepd(&["record", "-o", path.to_str().unwrap(), "--port", &port]);
-    ran.says(&[&format!("port {port} is held by sweepd (pid {}", recorder.child.id()), "--from NAME"]);
+    ran.says(&[
+        &format!("port {port} is held by sweepd (pid {}", recorder.child.id()),
+        "--from NAME",
+    ]);
     recorder.stop();
 }
 
@@ -472,10 +676,22 @@ fn files_that_cannot_be_written_are_one_error_with_the_cure() {
         (&mine, ["mine.pcap exists", "--force replaces it"]),
         (&none, ["none/x.pcap", "make its folder first"]),
         (&PathBuf::from("/proc/x.pcap"), ["/proc/x.pcap", "; "]),
-        (&folder.path("x.txt"), ["x.txt", "ends in .pcap or .pcap.gz"]),
+        (
+            &folder.path("x.txt"),
+            ["x.txt", "ends in .pcap or .pcap.gz"],
+        ),
         (&PathBuf::from("-"), ["-", "ends in .pcap or .pcap.gz"]),
     ] {
-        sweepd(&["record", "-o", path.to_str().unwrap(), "--port", "0", "--bind", "127.0.0.1"]).says(&parts);
+        sweepd(&[
+            "record",
+            "-o",
+            path.to_str().unwrap(),
+            "--port",
+            "0",
+            "--bind",
+            "127.0.0.1",
+        ])
+        .says(&parts);
     }
     assert_eq!(std::fs::read(mine).unwrap(), b"mine");
 }
@@ -491,23 +707,49 @@ fn a_recording_is_replaced_only_with_force_and_when_the_new_one_is_whole() {
         let mut recorder = Recorder::start(&path, &["--force"]);
         send(&sender(), recorder.to, &payloads[..20]);
         if is_killed {
-            let (begun, sent): (_, usize) = (Instant::now(), payloads[..20].iter().map(Vec::len).sum());
+            let (begun, sent): (_, usize) =
+                (Instant::now(), payloads[..20].iter().map(Vec::len).sum());
             while std::fs::metadata(&part).map_or(0, |part| part.len()) < sent as u64 {
-                assert!(begun.elapsed() < Duration::from_secs(10), "nothing is on the disk");
+                assert!(
+                    begun.elapsed() < Duration::from_secs(10),
+                    "nothing is on the disk"
+                );
                 std::thread::sleep(Duration::from_millis(10));
             }
             recorder.child.kill().unwrap();
             recorder.child.wait().unwrap();
-            assert_eq!((std::fs::read(&path).unwrap(), read(&part).len()), (b"mine".to_vec(), 20));
+            assert_eq!(
+                (std::fs::read(&path).unwrap(), read(&part).len()),
+                (b"mine".to_vec(), 20)
+            );
         } else {
             let ran = recorder.stop();
-            assert!(ran.code == 0 && ran.stdout.starts_with(path.to_str().unwrap()), "{}", ran.stdout);
+            assert!(
+                ran.code == 0 && ran.stdout.starts_with(path.to_str().unwrap()),
+                "{}",
+                ran.stdout
+            );
             assert_eq!(read(&path).len(), 20);
-            assert!(!part.exists() && !ran.stdout.contains(".part"), "{}", ran.stdout);
+            assert!(
+                !part.exists() && !ran.stdout.contains(".part"),
+                "{}",
+                ran.stdout
+            );
         }
     }
-    let rotated = sweepd(&["record", "-o", path.to_str().unwrap(), "--force", "--rotate-mb", "1"]);
-    assert!(rotated.code == 2 && rotated.stderr.contains("--force"), "{}", rotated.stderr);
+    let rotated = sweepd(&[
+        "record",
+        "-o",
+        path.to_str().unwrap(),
+        "--force",
+        "--rotate-mb",
+        "1",
+    ]);
+    assert!(
+        rotated.code == 2 && rotated.stderr.contains("--force"),
+        "{}",
+        rotated.stderr
+    );
 }
 
 #[test]

@@ -11,7 +11,13 @@ type Row = BTreeMap<String, String>;
 fn csv(path: &Path) -> Vec<Row> {
     let text = std::fs::read_to_string(path).unwrap();
     let names: Vec<&str> = text.lines().next().unwrap().split(',').collect();
-    let row = |line: &str| names.iter().map(|name| name.to_string()).zip(line.split(',').map(str::to_owned)).collect();
+    let row = |line: &str| {
+        names
+            .iter()
+            .map(|name| name.to_string())
+            .zip(line.split(',').map(str::to_owned))
+            .collect()
+    };
     text.lines().skip(1).map(row).collect()
 }
 
@@ -19,7 +25,8 @@ fn number(row: &Row, name: &str) -> f64 {
     row[name].parse().unwrap()
 }
 
-/// What a binary PCD says: the names of its fields with type and size, and the values of each point.
+/// What a binary PCD says: the names of its fields with type and size, and the values of each
+/// point.
 struct Pcd {
     time_ns: i64,
     names: Vec<String>,
@@ -30,10 +37,17 @@ impl Pcd {
     fn read(path: &Path) -> Self {
         let bytes = std::fs::read(path).unwrap();
         let mark = b"DATA binary\n";
-        let end = bytes.windows(mark.len()).position(|window| window == mark).unwrap() + mark.len();
+        let end = bytes
+            .windows(mark.len())
+            .position(|window| window == mark)
+            .unwrap()
+            + mark.len();
         let head = std::str::from_utf8(&bytes[..end]).unwrap();
         let line = |key: &str| -> Vec<String> {
-            let line = head.lines().find_map(|line| line.strip_prefix(key)).unwrap();
+            let line = head
+                .lines()
+                .find_map(|line| line.strip_prefix(key))
+                .unwrap();
             line.split_whitespace().map(str::to_owned).collect()
         };
         let (names, types, sizes) = (line("FIELDS"), line("TYPE"), line("SIZE"));
@@ -54,8 +68,14 @@ impl Pcd {
             points.push(point);
         }
         assert_eq!(line("POINTS"), [points.len().to_string()]);
-        let [of_time, ..] = &line("# time 0 is")[..] else { panic!("no time in {head}") };
-        Self { time_ns: of_time.parse().unwrap(), names, points }
+        let [of_time, ..] = &line("# time 0 is")[..] else {
+            panic!("no time in {head}")
+        };
+        Self {
+            time_ns: of_time.parse().unwrap(),
+            names,
+            points,
+        }
     }
 
     fn value(&self, point: &[f64], name: &str) -> f64 {
@@ -67,33 +87,52 @@ impl Pcd {
 #[test]
 fn a_pcd_has_the_time_of_each_point() {
     let folder = Folder::new("pcd-times");
-    for (name, sweep, beams_at_once) in
-        [("street_vlp16.pcap.gz", 1, 1), ("street_hdl32e_dual.pcap.gz", 1, 1), ("street_hdl64e_s2.pcap.gz", 0, 4)]
-    {
+    for (name, sweep, beams_at_once) in [
+        ("street_vlp16.pcap.gz", 1, 1),
+        ("street_hdl32e_dual.pcap.gz", 1, 1),
+        ("street_hdl64e_s2.pcap.gz", 0, 4),
+    ] {
         let dir = folder.path(name);
         let to = dir.to_str().unwrap();
-        let ran = replay(&fixture(name), &["--partial", "--csv", to, "--pcd", to, "--axes", "ros"]);
+        let ran = replay(
+            &fixture(name),
+            &["--partial", "--csv", to, "--pcd", to, "--axes", "ros"],
+        );
         assert_eq!(ran.code, 0, "{}", ran.stderr);
-        let [rows, pcd] = ["csv", "pcd"].map(|ending| dir.join(format!("sweep_{sweep:06}.{ending}")));
+        let [rows, pcd] =
+            ["csv", "pcd"].map(|ending| dir.join(format!("sweep_{sweep:06}.{ending}")));
         let (rows, pcd) = (csv(&rows), Pcd::read(&pcd));
-        assert!(rows.len() > 5_000 && rows.len() == pcd.points.len(), "{name}");
+        assert!(
+            rows.len() > 5_000 && rows.len() == pcd.points.len(),
+            "{name}"
+        );
         let mut of_firing: BTreeMap<i64, Vec<i64>> = BTreeMap::new();
         for (row, point) in rows.iter().zip(&pcd.points) {
             let time_ns: i64 = row["time_ns"].parse().unwrap();
             let off_ns = pcd.value(point, "time") * 1e9 - (time_ns - pcd.time_ns) as f64;
             assert!(off_ns.abs() < 15.0, "{name}: {off_ns} ns off, {row:?}");
             for axis in ["x", "y", "z"] {
-                assert!((pcd.value(point, axis) - number(row, &format!("{axis}_m"))).abs() < 1e-4, "{name}");
+                assert!(
+                    (pcd.value(point, axis) - number(row, &format!("{axis}_m"))).abs() < 1e-4,
+                    "{name}"
+                );
             }
             assert_eq!(pcd.value(point, "label"), number(row, "label"));
             let block: i64 = row["block"].parse().unwrap();
-            of_firing.entry(row["packet"].parse::<i64>().unwrap() * 12 + block).or_default().push(time_ns);
+            of_firing
+                .entry(row["packet"].parse::<i64>().unwrap() * 12 + block)
+                .or_default()
+                .push(time_ns);
         }
         for times in of_firing.values_mut() {
             let shots = times.len();
             times.sort_unstable();
             times.dedup();
-            assert!(times.len() * beams_at_once >= shots, "{name}: {} times of {shots} shots", times.len());
+            assert!(
+                times.len() * beams_at_once >= shots,
+                "{name}: {} times of {shots} shots",
+                times.len()
+            );
         }
     }
 }
@@ -126,7 +165,11 @@ fn of_points(rows: &[Row]) -> BTreeMap<u64, OfPoints> {
             max[axis] = max[axis].max(point[axis]);
         }
         (of.min, of.max) = (Some(min), Some(max));
-        of.nearest = Some(of.nearest.unwrap_or(f64::INFINITY).min(number(row, "range_m")));
+        of.nearest = Some(
+            of.nearest
+                .unwrap_or(f64::INFINITY)
+                .min(number(row, "range_m")),
+        );
     }
     found
 }
@@ -138,45 +181,81 @@ fn segments_are_what_their_points_are() {
     let two = folder.write("two.pcap", made::pcap(&two));
     for axes in ["sensor", "ros"] {
         let [dir, table] = [folder.path(axes), folder.path(&format!("{axes}.csv"))];
-        let options = ["--axes", axes, "--csv", dir.to_str().unwrap(), "--segments", table.to_str().unwrap(), "--json"];
+        let options = [
+            "--axes",
+            axes,
+            "--csv",
+            dir.to_str().unwrap(),
+            "--segments",
+            table.to_str().unwrap(),
+            "--json",
+        ];
         let json = crate::sweeps(&replay(&two, &options).done());
         let mut segments = csv(&table);
         let mut compared = 0;
         for sweep in json.iter().filter(|line| line["seq"].is_u64()) {
-            let (sensor, seq) = (sweep["sensor"].as_str().unwrap(), sweep["seq"].as_u64().unwrap());
+            let (sensor, seq) = (
+                sweep["sensor"].as_str().unwrap(),
+                sweep["seq"].as_u64().unwrap(),
+            );
             // The VLP-16 is heard first.
-            let below = if sensor.contains(".201") { dir.clone() } else { dir.join(sensor.replace(':', "_")) };
+            let below = if sensor.contains(".201") {
+                dir.clone()
+            } else {
+                dir.join(sensor.replace(':', "_"))
+            };
             let returns = csv(&below.join(format!("sweep_{seq:06}.csv")));
             let labels = of_points(&returns);
             let is_of = |row: &Row| row["sensor"] == sensor && row["seq"] == seq.to_string();
             let (of_sweep, rest) = segments.into_iter().partition::<Vec<Row>, _>(is_of);
             segments = rest;
-            assert_eq!((of_sweep.len() as u64, of_sweep.len()), (sweep["segments"].as_u64().unwrap(), labels.len()));
+            assert_eq!(
+                (of_sweep.len() as u64, of_sweep.len()),
+                (sweep["segments"].as_u64().unwrap(), labels.len())
+            );
             for row in &of_sweep {
                 let of = &labels[&row["label"].parse().unwrap()];
                 assert_eq!(row["points"], of.points.to_string(), "{row:?}");
                 assert_eq!(row["time_ns"], sweep["time_ns"].to_string());
                 let close = |name: &str, value: f64| {
-                    assert!((number(row, name) - value).abs() < 2e-4, "{name} is not {value}: {row:?}");
+                    assert!(
+                        (number(row, name) - value).abs() < 2e-4,
+                        "{name} is not {value}: {row:?}"
+                    );
                     assert_eq!(row[name].split_once('.').unwrap().1.len(), 4, "{row:?}");
                 };
                 for (axis, name) in ["x", "y", "z"].into_iter().enumerate() {
                     close(&format!("min_{name}_m"), of.min.unwrap()[axis]);
                     close(&format!("max_{name}_m"), of.max.unwrap()[axis]);
-                    close(&format!("centroid_{name}_m"), of.sum[axis] / of.points as f64);
+                    close(
+                        &format!("centroid_{name}_m"),
+                        of.sum[axis] / of.points as f64,
+                    );
                 }
                 close("nearest_m", of.nearest.unwrap());
-                // All points lie between the two azimuths, but for the turn of the head within a column.
-                let [first, last] = ["azimuth_first_deg", "azimuth_last_deg"].map(|name| number(row, name));
+                // All points lie between the two azimuths, but for the turn of the head within a
+                // column.
+                let [first, last] =
+                    ["azimuth_first_deg", "azimuth_last_deg"].map(|name| number(row, name));
                 let extent = (last - first).rem_euclid(360.0);
-                for point in returns.iter().filter(|point| point["label"] == row["label"]) {
-                    let behind = (number(point, "azimuth_deg") - first + 0.5).rem_euclid(360.0) - 0.5;
-                    assert!((-0.4..=extent + 0.4).contains(&behind), "{behind} of {extent}: {row:?}");
+                for point in returns
+                    .iter()
+                    .filter(|point| point["label"] == row["label"])
+                {
+                    let behind =
+                        (number(point, "azimuth_deg") - first + 0.5).rem_euclid(360.0) - 0.5;
+                    assert!(
+                        (-0.4..=extent + 0.4).contains(&behind),
+                        "{behind} of {extent}: {row:?}"
+                    );
                 }
                 compared += 1;
             }
         }
-        assert!(compared > 300 && segments.is_empty(), "{compared} segments, {segments:?} of no sweep");
+        assert!(
+            compared > 300 && segments.is_empty(),
+            "{compared} segments, {segments:?} of no sweep"
+        );
     }
 }
 
@@ -186,21 +265,42 @@ fn segments_in_json_are_those_in_csv_and_only_of_sweeps_that_are_written() {
     let capture = fixture("street_vlp16_losses.pcap");
     for partial in [&[][..], &["--partial"]] {
         let [table, lines] = ["all.csv", "all.jsonl"].map(|name| folder.path(name));
-        replay(&capture, &[&["--force", "--segments", table.to_str().unwrap()], partial].concat()).done();
-        replay(&capture, &[&["--force", "--segments", lines.to_str().unwrap()], partial].concat()).done();
+        replay(
+            &capture,
+            &[&["--force", "--segments", table.to_str().unwrap()], partial].concat(),
+        )
+        .done();
+        replay(
+            &capture,
+            &[&["--force", "--segments", lines.to_str().unwrap()], partial].concat(),
+        )
+        .done();
         let lines = std::fs::read_to_string(&lines).unwrap();
         let rows = csv(&table);
         assert!(rows.len() > 20 && rows.len() == lines.lines().count());
         for (row, line) in rows.iter().zip(lines.lines()) {
-            let line: Row = (serde_json::from_str::<serde_json::Map<_, _>>(line).unwrap().iter())
-                .map(|(name, value)| (name.clone(), value.as_str().map_or_else(|| value.to_string(), str::to_owned)))
-                .collect();
+            let line: Row = (serde_json::from_str::<serde_json::Map<_, _>>(line)
+                .unwrap()
+                .iter())
+            .map(|(name, value)| {
+                (
+                    name.clone(),
+                    value
+                        .as_str()
+                        .map_or_else(|| value.to_string(), str::to_owned),
+                )
+            })
+            .collect();
             assert!(row.keys().eq(line.keys()));
             for (name, value) in row {
-                assert!(*value == line[name] || number(row, name) == number(&line, name), "{name}: {row:?} {line:?}");
+                assert!(
+                    *value == line[name] || number(row, name) == number(&line, name),
+                    "{name}: {row:?} {line:?}"
+                );
             }
         }
-        let sweeps: std::collections::BTreeSet<&String> = rows.iter().map(|row| &row["seq"]).collect();
+        let sweeps: std::collections::BTreeSet<&String> =
+            rows.iter().map(|row| &row["seq"]).collect();
         assert_eq!(sweeps.len(), if partial.is_empty() { 3 } else { 5 });
         // The same on standard output, where nothing else is then.
         let stdout = replay(&capture, &[&["--segments", "-"], partial].concat()).done();
@@ -218,7 +318,8 @@ fn a_name_that_says_no_format_is_refused() {
         ran.says(&["--segments", name, "ends in .jsonl or .csv"]);
         assert!(ran.stdout.is_empty() && !path.exists());
     }
-    replay(&capture, &["--segments", "-", "--json"]).says(&["--segments - and --json", "give --segments a file"]);
+    replay(&capture, &["--segments", "-", "--json"])
+        .says(&["--segments - and --json", "give --segments a file"]);
     let none = folder.path("none/a.csv");
     replay(&capture, &["--segments", none.to_str().unwrap()]).says(&["cannot write", "none/a.csv"]);
 }

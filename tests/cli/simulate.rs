@@ -1,4 +1,5 @@
-//! `simulate`: what it sends comes back from `replay` as it was, and what it says it broke is what is counted.
+//! `simulate`: what it sends comes back from `replay` as it was, and what it says it broke is what
+//! is counted.
 
 use std::collections::BTreeMap;
 use std::net::UdpSocket;
@@ -32,7 +33,11 @@ fn said(stderr: &str) -> Vec<Said> {
     let line = |line: &str| {
         let after = |word: &str| {
             let (_, rest) = line.split_once(&format!("{word} ")).expect(line);
-            rest.split(|c: char| !c.is_ascii_digit()).next().unwrap().parse().expect(line)
+            rest.split(|c: char| !c.is_ascii_digit())
+                .next()
+                .unwrap()
+                .parse()
+                .expect(line)
         };
         Said {
             data: after("data packets"),
@@ -49,9 +54,13 @@ fn said(stderr: &str) -> Vec<Said> {
 /// The sweeps of a replay, and the summary of its sensors.
 #[track_caller]
 fn replayed(capture: &Path, options: &[&str]) -> (Vec<Value>, Vec<Value>) {
-    let mut lines = sweeps(&replay(capture, &[&["--json", "--no-timing"], options].concat()).done());
+    let mut lines =
+        sweeps(&replay(capture, &[&["--json", "--no-timing"], options].concat()).done());
     let summary = lines.pop().unwrap();
-    (lines, summary["summary"]["sensors"].as_array().unwrap().clone())
+    (
+        lines,
+        summary["summary"]["sensors"].as_array().unwrap().clone(),
+    )
 }
 
 const SCENES: [&str; 4] = ["street", "parking-lot", "field", "room"];
@@ -64,16 +73,36 @@ fn comes_back(flag: &str, name: &str) {
     for scene in SCENES {
         for (returns, mode) in [("single", "strongest"), ("dual", "dual")] {
             for (rpm, seconds) in [("300", "0.41"), ("1200", "0.11")] {
-                let options =
-                    ["--model", flag, "--scene", scene, "--returns", returns, "--rpm", rpm, "--seconds", seconds];
+                let options = [
+                    "--model",
+                    flag,
+                    "--scene",
+                    scene,
+                    "--returns",
+                    returns,
+                    "--rpm",
+                    rpm,
+                    "--seconds",
+                    seconds,
+                ];
                 let said = simulate(&[&options[..], &["--pcap", path.to_str().unwrap()]].concat());
                 let (sweeps, sensors) = replayed(&path, &[]);
                 let what = format!("{options:?}: {sensors:?}");
-                assert!(!sweeps.is_empty() && said.len() == 1 && sensors.len() == 1, "{what}");
+                assert!(
+                    !sweeps.is_empty() && said.len() == 1 && sensors.len() == 1,
+                    "{what}"
+                );
                 for sweep in sweeps {
-                    assert_eq!((&sweep["model"], &sweep["return_mode"]), (&name.into(), &mode.into()), "{what}");
+                    assert_eq!(
+                        (&sweep["model"], &sweep["return_mode"]),
+                        (&name.into(), &mode.into()),
+                        "{what}"
+                    );
                     let off = sweep["rpm"].as_f64().unwrap() / rpm.parse::<f64>().unwrap() - 1.0;
-                    assert!(off.abs() < 0.001 && sweep["returns"].as_u64() > Some(5_000), "{sweep}");
+                    assert!(
+                        off.abs() < 0.001 && sweep["returns"].as_u64() > Some(5_000),
+                        "{sweep}"
+                    );
                 }
                 assert_eq!(sensors[0]["packets"], said[0].data);
                 assert_eq!(sensors[0]["position_packets"], said[0].position);
@@ -119,17 +148,44 @@ fn an_hdl32e_comes_back() {
 fn the_network_faults_that_were_injected_are_those_that_are_counted() {
     let folder = Folder::new("injected");
     let path = folder.path("faulty.pcap");
-    let faults = ["--loss=1", "--burst-loss=0.2x12", "--duplicate=1.5", "--reorder=2"];
-    for (seed, model, returns) in
-        [("1", "vlp16", "single"), ("2", "vlp16", "dual"), ("3", "hdl32e", "single"), ("4", "puck-hires", "single")]
-    {
-        let options = ["--model", model, "--returns", returns, "--seed", seed, "--seconds=1", "--scene=field"];
+    let faults = [
+        "--loss=1",
+        "--burst-loss=0.2x12",
+        "--duplicate=1.5",
+        "--reorder=2",
+    ];
+    for (seed, model, returns) in [
+        ("1", "vlp16", "single"),
+        ("2", "vlp16", "dual"),
+        ("3", "hdl32e", "single"),
+        ("4", "puck-hires", "single"),
+    ] {
+        let options = [
+            "--model",
+            model,
+            "--returns",
+            returns,
+            "--seed",
+            seed,
+            "--seconds=1",
+            "--scene=field",
+        ];
         let said = simulate(&[&options[..], &faults, &["--pcap", path.to_str().unwrap()]].concat());
         let (_, sensors) = replayed(&path, &[]);
-        let Said { data, lost, duplicated, reordered, corrupted, .. } = said[0];
-        assert!(lost > 10 && duplicated > 3 && reordered > 3 && corrupted == 0, "{said:?}");
-        let counted =
-            ["packets", "lost_packets", "duplicates", "reordered"].map(|key| sensors[0][key].as_u64().unwrap());
+        let Said {
+            data,
+            lost,
+            duplicated,
+            reordered,
+            corrupted,
+            ..
+        } = said[0];
+        assert!(
+            lost > 10 && duplicated > 3 && reordered > 3 && corrupted == 0,
+            "{said:?}"
+        );
+        let counted = ["packets", "lost_packets", "duplicates", "reordered"]
+            .map(|key| sensors[0][key].as_u64().unwrap());
         assert_eq!(counted, [data, lost, duplicated, reordered], "{options:?}");
         assert_eq!(sensors[0]["late"], 0);
     }
@@ -143,7 +199,11 @@ fn a_corrupt_packet_has_one_bit_flipped() {
     simulate(&[&options[..], &[clean.to_str().unwrap()]].concat());
     let said = simulate(&[&options[..], &[corrupt.to_str().unwrap(), "--corrupt=5"]].concat());
     let [clean, broken] = [&clean, &corrupt].map(|path| std::fs::read(path).unwrap());
-    let bits: u32 = clean.iter().zip(&broken).map(|(a, b)| (a ^ b).count_ones()).sum();
+    let bits: u32 = clean
+        .iter()
+        .zip(&broken)
+        .map(|(a, b)| (a ^ b).count_ones())
+        .sum();
     assert!(bits > 5 && clean.len() == broken.len());
     assert_eq!(u64::from(bits), said[0].corrupted);
     replayed(&corrupt, &[]);
@@ -154,20 +214,44 @@ fn what_is_late_by_places_damaged_or_stray_is_what_is_counted() {
     let folder = Folder::new("places");
     let path = folder.path("faulty.pcap");
     for (faults, counts) in [
-        ("--reorder=2x3", |said: &Said| [("reordered", said.reordered), ("lost_packets", 0)]),
-        ("--corrupt=2xlength", |said| [("malformed", 0), ("lost_packets", said.corrupted)]),
-        ("--corrupt=2xflag", |said| [("malformed", said.corrupted), ("lost_packets", said.corrupted)]),
-        ("--stray=5", |_| [("malformed", 0), ("lost_packets", 0)] as [(&str, u64); 2]),
+        ("--reorder=2x3", |said: &Said| {
+            [("reordered", said.reordered), ("lost_packets", 0)]
+        }),
+        ("--corrupt=2xlength", |said| {
+            [("malformed", 0), ("lost_packets", said.corrupted)]
+        }),
+        ("--corrupt=2xflag", |said| {
+            [
+                ("malformed", said.corrupted),
+                ("lost_packets", said.corrupted),
+            ]
+        }),
+        ("--stray=5", |_| {
+            [("malformed", 0), ("lost_packets", 0)] as [(&str, u64); 2]
+        }),
     ] as [(&str, fn(&Said) -> [(&'static str, u64); 2]); 4]
     {
-        let said =
-            simulate(&["--model=vlp16", "--scene=field", "--seconds=1", faults, "--pcap", path.to_str().unwrap()]);
+        let said = simulate(&[
+            "--model=vlp16",
+            "--scene=field",
+            "--seconds=1",
+            faults,
+            "--pcap",
+            path.to_str().unwrap(),
+        ]);
         let (_, sensors) = replayed(&path, &[]);
         for (name, count) in counts(&said[0]) {
-            assert_eq!(sensors[0][name], count, "{faults}: {name} of {said:?}, {}", sensors[0]);
+            assert_eq!(
+                sensors[0][name], count,
+                "{faults}: {name} of {said:?}, {}",
+                sensors[0]
+            );
         }
         let sum = said[0].reordered + said[0].corrupted;
-        assert!(sum > 5 || faults.starts_with("--stray"), "{faults}: {said:?}");
+        assert!(
+            sum > 5 || faults.starts_with("--stray"),
+            "{faults}: {said:?}"
+        );
     }
 }
 
@@ -175,12 +259,20 @@ fn what_is_late_by_places_damaged_or_stray_is_what_is_counted() {
 fn two_sensors_may_exchange_their_addresses() {
     let folder = Folder::new("exchange");
     let path = folder.path("two.pcap");
-    let options = ["--model=vlp16", "--model=hdl32e", "--scene=field", "--seconds=1", "--exchange=0.5"];
+    let options = [
+        "--model=vlp16",
+        "--model=hdl32e",
+        "--scene=field",
+        "--seconds=1",
+        "--exchange=0.5",
+    ];
     simulate(&[&options[..], &["--pcap", path.to_str().unwrap()]].concat());
     let (sweeps, sensors) = replayed(&path, &["--partial"]);
     assert_eq!(sensors.len(), 2);
     for sensor in &sensors {
-        let of = sweeps.iter().filter(|sweep| sweep["sensor"] == sensor["sensor"]);
+        let of = sweeps
+            .iter()
+            .filter(|sweep| sweep["sensor"] == sensor["sensor"]);
         let mut models: Vec<&str> = of.map(|sweep| sweep["model"].as_str().unwrap()).collect();
         models.dedup();
         models.sort_unstable();
@@ -195,23 +287,43 @@ fn the_same_command_gives_the_same_bytes_and_another_seed_others() {
     let make = |seed: &str, name: &str| {
         let (file, truth) = (folder.path(name), folder.path(&format!("truth-{name}")));
         let mut args: Vec<&str> = options.split(' ').collect();
-        args.extend(["--seed", seed, "--pcap", file.to_str().unwrap(), "--truth", truth.to_str().unwrap()]);
+        args.extend([
+            "--seed",
+            seed,
+            "--pcap",
+            file.to_str().unwrap(),
+            "--truth",
+            truth.to_str().unwrap(),
+        ]);
         simulate(&args);
-        (std::fs::read(&file).unwrap(), folder.files(&format!("truth-{name}")))
+        (
+            std::fs::read(&file).unwrap(),
+            folder.files(&format!("truth-{name}")),
+        )
     };
     let [first, again, other] =
         [("7", "a.pcap"), ("7", "b.pcap"), ("8", "c.pcap")].map(|(seed, name)| make(seed, name));
     assert!(first == again && first.0 != other.0 && first.1 != other.1);
     let names: Vec<&str> = first.1.iter().map(|(name, _)| &name[..]).collect();
-    assert_eq!(names, ["192.168.1.202_2368/truth.csv", "objects.csv", "truth.csv"]);
+    assert_eq!(
+        names,
+        ["192.168.1.202_2368/truth.csv", "objects.csv", "truth.csv"]
+    );
 
     // Compressed, and to standard output, it is the same capture.
     let (zipped, zipped_again) = (make("7", "d.pcap.gz"), make("7", "e.pcap.gz"));
     assert!(zipped == zipped_again && zipped.0.len() < first.0.len());
     let mut unzipped = Vec::new();
-    std::io::Read::read_to_end(&mut flate2::read::GzDecoder::new(&zipped.0[..]), &mut unzipped).unwrap();
+    std::io::Read::read_to_end(
+        &mut flate2::read::GzDecoder::new(&zipped.0[..]),
+        &mut unzipped,
+    )
+    .unwrap();
     assert!(unzipped == first.0);
-    let args: Vec<&str> = ["simulate", "--seed", "7", "--pcap", "-"].into_iter().chain(options.split(' ')).collect();
+    let args: Vec<&str> = ["simulate", "--seed", "7", "--pcap", "-"]
+        .into_iter()
+        .chain(options.split(' '))
+        .collect();
     assert!(command(&args).output().unwrap().stdout == first.0);
 }
 
@@ -220,16 +332,35 @@ fn several_sensors_stand_in_one_scene() {
     let folder = Folder::new("several");
     let path = folder.path("three.pcap");
     let models = ["--model=vlp16", "--model=hdl32e", "--model=puck-hires"];
-    let said = simulate(&[&models[..], &["--seconds=0.25", "--pcap", path.to_str().unwrap()]].concat());
+    let said = simulate(
+        &[
+            &models[..],
+            &["--seconds=0.25", "--pcap", path.to_str().unwrap()],
+        ]
+        .concat(),
+    );
     let (_, mut sensors) = replayed(&path, &[]);
     sensors.sort_by_key(|sensor| sensor["sensor"].to_string());
-    let found: Vec<_> =
-        sensors.iter().map(|one| (one["sensor"].as_str().unwrap(), one["model"].as_str().unwrap())).collect();
-    let expected =
-        [("192.168.1.201:2368", "VLP-16"), ("192.168.1.202:2368", "HDL-32E"), ("192.168.1.203:2368", "Puck Hi-Res")];
+    let found: Vec<_> = sensors
+        .iter()
+        .map(|one| {
+            (
+                one["sensor"].as_str().unwrap(),
+                one["model"].as_str().unwrap(),
+            )
+        })
+        .collect();
+    let expected = [
+        ("192.168.1.201:2368", "VLP-16"),
+        ("192.168.1.202:2368", "HDL-32E"),
+        ("192.168.1.203:2368", "Puck Hi-Res"),
+    ];
     assert_eq!(found, expected);
     for (sensor, said) in sensors.iter().zip(&said) {
-        assert_eq!((&sensor["packets"], &sensor["lost_packets"]), (&said.data.into(), &0.into()));
+        assert_eq!(
+            (&sensor["packets"], &sensor["lost_packets"]),
+            (&said.data.into(), &0.into())
+        );
     }
 }
 
@@ -238,34 +369,71 @@ fn the_motor_and_the_mode_do_what_they_are_told() {
     let folder = Folder::new("motor");
     let path = folder.path("made.pcap");
     let made = |options: &[&str]| {
-        let fixed = ["--model=vlp16", "--scene=field", "--seconds=1", "--pcap", path.to_str().unwrap()];
+        let fixed = [
+            "--model=vlp16",
+            "--scene=field",
+            "--seconds=1",
+            "--pcap",
+            path.to_str().unwrap(),
+        ];
         simulate(&[&fixed[..], options].concat());
         replayed(&path, &["--partial"])
     };
-    let whole = |sweeps: &[Value]| sweeps.iter().filter(|sweep| sweep["partial"] == false).count();
+    let whole = |sweeps: &[Value]| {
+        sweeps
+            .iter()
+            .filter(|sweep| sweep["partial"] == false)
+            .count()
+    };
     let (steady, _) = made(&[]);
     let (sweeps, sensors) = made(&["--stall=0.35..0.75"]);
-    assert_eq!((whole(&steady), whole(&sweeps)), (9, whole(&steady) - 5), "{sensors:?}");
+    assert_eq!(
+        (whole(&steady), whole(&sweeps)),
+        (9, whole(&steady) - 5),
+        "{sensors:?}"
+    );
     let (sweeps, _) = made(&["--spin-up=0.6"]);
     let rpm = |sweep: &Value| sweep["rpm"].as_f64().unwrap();
-    let last_whole = sweeps.iter().rfind(|sweep| sweep["partial"] == false).unwrap();
-    assert!(rpm(&sweeps[0]) < 500.0 && (rpm(last_whole) - 600.0).abs() < 0.6, "{sweeps:?}");
+    let last_whole = sweeps
+        .iter()
+        .rfind(|sweep| sweep["partial"] == false)
+        .unwrap();
+    assert!(
+        rpm(&sweeps[0]) < 500.0 && (rpm(last_whole) - 600.0).abs() < 0.6,
+        "{sweeps:?}"
+    );
     let (sweeps, _) = made(&["--new-rpm=1200@0.2..0.4"]);
-    let last_whole = sweeps.iter().rfind(|sweep| sweep["partial"] == false).unwrap();
+    let last_whole = sweeps
+        .iter()
+        .rfind(|sweep| sweep["partial"] == false)
+        .unwrap();
     assert!((rpm(last_whole) - 1200.0).abs() < 1.2, "{last_whole}");
     let (sweeps, sensors) = made(&["--fov=270..90@0.35..0.75"]);
     let is_half = |sweep: &&Value| (850..960).contains(&sweep["columns"].as_u64().unwrap());
     let blanked = sweeps.iter().filter(is_half).count();
-    assert!((3..=4).contains(&blanked) && sensors[0]["lost_packets"] == 0, "{blanked}: {sensors:?}");
+    assert!(
+        (3..=4).contains(&blanked) && sensors[0]["lost_packets"] == 0,
+        "{blanked}: {sensors:?}"
+    );
     let (sweeps, sensors) = made(&["--gps=none", "--clock-step=600@0.5"]);
-    assert_eq!((sweeps.len() - whole(&sweeps), &sensors[0]["lost_packets"]), (4, &0.into()), "{sensors:?}");
+    assert_eq!(
+        (sweeps.len() - whole(&sweeps), &sensors[0]["lost_packets"]),
+        (4, &0.into()),
+        "{sensors:?}"
+    );
     for (options, modes) in [
         (&["--mode-switch=0.45"][..], ["strongest", "dual"]),
-        (&["--mode-switch=0.45", "--returns=dual"], ["dual", "strongest"]),
+        (
+            &["--mode-switch=0.45", "--returns=dual"],
+            ["dual", "strongest"],
+        ),
     ] {
         let (_, sensors) = made(options);
         assert_eq!(sensors[0]["return_modes"], serde_json::json!(modes));
-        assert_eq!((&sensors[0]["lost_packets"], &sensors[0]["sweeps"]), (&0.into(), &8.into()));
+        assert_eq!(
+            (&sensors[0]["lost_packets"], &sensors[0]["sweeps"]),
+            (&0.into(), &8.into())
+        );
     }
 }
 
@@ -280,7 +448,10 @@ fn payloads(capture: &Path) -> Vec<Vec<u8>> {
         payloads.push(bytes[at + 16 + 42..at + 16 + len].to_vec());
         at += 16 + len;
     }
-    payloads.into_iter().filter(|payload| payload.len() == 1206).collect()
+    payloads
+        .into_iter()
+        .filter(|payload| payload.len() == 1206)
+        .collect()
 }
 
 #[test]
@@ -303,16 +474,34 @@ fn an_hdl64e_sends_its_calibration_and_fires_as_often_as_it_is_told() {
         let said = simulate(&[options, &fixed, &["--seconds=1.6"]].concat());
         let payloads = payloads(&path);
         assert_eq!((said[0].data, said[0].position), (payloads.len() as u64, 0));
-        assert!((step_us(&payloads) - period_us).abs() < 0.01, "{options:?}: {}", step_us(&payloads));
-        assert!(payloads.iter().all(|payload| payload[..2] == [0xFF, 0xEE] && payload[100..102] == [0xFF, 0xDD]));
+        assert!(
+            (step_us(&payloads) - period_us).abs() < 0.01,
+            "{options:?}: {}",
+            step_us(&payloads)
+        );
+        assert!(
+            payloads
+                .iter()
+                .all(|payload| payload[..2] == [0xFF, 0xEE] && payload[100..102] == [0xFF, 0xDD])
+        );
         // What it says of itself is what it is: another one with that calibration is the same.
         let ran = sweepd(&["calib", "from-capture", to, "--force", "-o", unit_to]);
         assert_eq!(ran.code, 0, "{options:?}: {}", ran.stderr);
-        simulate(&[options, &fixed, &["--seconds=1.6", "--calibration", unit_to]].concat());
+        simulate(
+            &[
+                options,
+                &fixed,
+                &["--seconds=1.6", "--calibration", unit_to],
+            ]
+            .concat(),
+        );
         assert!(self::payloads(&path) == payloads, "{options:?}");
         let ran = sweepd(&["calib", "from-capture", to, "--force", "-o", again_to]);
         assert_eq!(ran.code, 0, "{options:?}: {}", ran.stderr);
-        assert_eq!(std::fs::read(&unit).unwrap(), std::fs::read(&again).unwrap());
+        assert_eq!(
+            std::fs::read(&unit).unwrap(),
+            std::fs::read(&again).unwrap()
+        );
     }
 }
 
@@ -321,7 +510,13 @@ fn a_receiver_is_heard_when_it_is_told_to_be() {
     let folder = Folder::new("gps");
     let path = folder.path("made.pcap");
     let hour_us = |options: &[&str]| {
-        let fixed = ["--model=hdl64e-s3", "--scene=field", "--seconds=0.01", "--pcap", path.to_str().unwrap()];
+        let fixed = [
+            "--model=hdl64e-s3",
+            "--scene=field",
+            "--seconds=0.01",
+            "--pcap",
+            path.to_str().unwrap(),
+        ];
         simulate(&[&fixed[..], options].concat());
         u32::from_le_bytes(payloads(&path)[0][1200..1204].try_into().unwrap())
     };
@@ -335,7 +530,9 @@ fn a_receiver_is_heard_when_it_is_told_to_be() {
 /// The datagrams that a simulation sends to a socket, by the port that each sensor sends from.
 fn received(options: &[&str]) -> (BTreeMap<u16, Vec<Vec<u8>>>, Vec<Said>, Duration) {
     let socket = UdpSocket::bind("127.0.0.1:0").unwrap();
-    socket.set_read_timeout(Some(Duration::from_millis(100))).unwrap();
+    socket
+        .set_read_timeout(Some(Duration::from_millis(100)))
+        .unwrap();
     let to = socket.local_addr().unwrap().to_string();
     let begun = Instant::now();
     let mut child = command(&[&["simulate", "--to", &to], options].concat())
@@ -347,7 +544,10 @@ fn received(options: &[&str]) -> (BTreeMap<u16, Vec<Vec<u8>>>, Vec<Said>, Durati
     let mut took = None;
     loop {
         match socket.recv_from(&mut buffer) {
-            Ok((len, from)) => ports.entry(from.port()).or_default().push(buffer[..len].to_vec()),
+            Ok((len, from)) => ports
+                .entry(from.port())
+                .or_default()
+                .push(buffer[..len].to_vec()),
             // Silent, and it was over before: all is here.
             Err(_) if took.is_some() => break,
             Err(_) => {}
@@ -358,28 +558,47 @@ fn received(options: &[&str]) -> (BTreeMap<u16, Vec<Vec<u8>>>, Vec<Said>, Durati
     }
     let ran = Ran::of(child.wait_with_output().unwrap());
     assert_eq!((ran.code, &ran.stdout[..]), (0, ""), "{}", ran.stderr);
-    // A progress line is for terminals: no colours, no carriage returns, no line but the summary of each sensor.
-    assert!(!ran.stderr.contains(['\r', '\x1b']) && !ran.stderr.contains("Ctrl-C"), "{:?}", ran.stderr);
+    // A progress line is for terminals: no colours, no carriage returns, no line but the summary of
+    // each sensor.
+    assert!(
+        !ran.stderr.contains(['\r', '\x1b']) && !ran.stderr.contains("Ctrl-C"),
+        "{:?}",
+        ran.stderr
+    );
     (ports, said(&ran.stderr), took.unwrap())
 }
 
 #[test]
 fn a_socket_gets_every_datagram_in_order_and_not_too_soon() {
-    let stamp_us = |payload: &Vec<u8>| u64::from(u32::from_le_bytes(payload[1200..1204].try_into().unwrap()));
-    let options = ["--model=vlp16", "--model=hdl32e", "--scene=field", "--seconds=0.3"];
+    let stamp_us =
+        |payload: &Vec<u8>| u64::from(u32::from_le_bytes(payload[1200..1204].try_into().unwrap()));
+    let options = [
+        "--model=vlp16",
+        "--model=hdl32e",
+        "--scene=field",
+        "--seconds=0.3",
+    ];
     let (ports, said, took) = received(&options);
     assert!(took >= Duration::from_millis(295), "{took:?}");
     assert_eq!((ports.len(), said.len()), (2, 2));
     let mut counts = Vec::new();
     for payloads in ports.into_values() {
-        let data: Vec<u64> = payloads.iter().filter(|payload| payload.len() == 1206).map(stamp_us).collect();
+        let data: Vec<u64> = payloads
+            .iter()
+            .filter(|payload| payload.len() == 1206)
+            .map(stamp_us)
+            .collect();
         let step_us = |two: &[u64]| (two[1] + 3_600_000_000 - two[0]) % 3_600_000_000;
         let steps: Vec<u64> = data.windows(2).map(step_us).collect();
         let period_us = steps[0] + 1;
-        assert!(steps.iter().all(|step| step.abs_diff(period_us) <= 2), "{steps:?}");
+        assert!(
+            steps.iter().all(|step| step.abs_diff(period_us) <= 2),
+            "{steps:?}"
+        );
         counts.push((data.len() as u64, (payloads.len() - data.len()) as u64));
     }
-    let mut expected: Vec<(u64, u64)> = said.iter().map(|said| (said.data, said.position)).collect();
+    let mut expected: Vec<(u64, u64)> =
+        said.iter().map(|said| (said.data, said.position)).collect();
     counts.sort();
     expected.sort();
     assert_eq!(counts, expected);
@@ -391,7 +610,10 @@ fn what_cannot_be_simulated_is_one_error_with_its_flag_and_the_cure() {
     let file = folder.path("made.pcap");
     let file = file.to_str().unwrap();
     let cases = [
-        ("--model=vls128", "vlp16, puck-lite, puck-hires, hdl32e, hdl64e-s2, hdl64e-s3"),
+        (
+            "--model=vls128",
+            "vlp16, puck-lite, puck-hires, hdl32e, hdl64e-s2, hdl64e-s3",
+        ),
         ("--scene=moon", "street, parking-lot, field, room"),
         ("--rpm=299", "300 to 1200 turns a minute"),
         ("--rpm=nan", "300 to 1200 turns a minute"),
@@ -404,7 +626,10 @@ fn what_cannot_be_simulated_is_one_error_with_its_flag_and_the_cure() {
         ("--gps=never", "locked, none, or FROM..TO"),
         ("--rpm-drift=21", "0 to 20 percent"),
         ("--firing-period=50", "48 or 57.6 microseconds"),
-        ("--firing-period=48", "the VLP-16 always fires every 55.296 us; only the HDL-64E S3 may differ"),
+        (
+            "--firing-period=48",
+            "the VLP-16 always fires every 55.296 us; only the HDL-64E S3 may differ",
+        ),
         ("--loss=101", "0 to 100 percent"),
         ("--loss=-1", "0 to 100 percent"),
         ("--burst-loss=1x0", "such as 0.1x20"),
@@ -422,30 +647,74 @@ fn what_cannot_be_simulated_is_one_error_with_its_flag_and_the_cure() {
     for (option, cure) in cases {
         let flag = option.split('=').next().unwrap();
         let ran = sweepd(&["simulate", "--model=vlp16", "--pcap", file, option]);
-        let flag = if flag == "--calibration" { "calibration" } else { flag };
+        let flag = if flag == "--calibration" {
+            "calibration"
+        } else {
+            flag
+        };
         ran.says(&[flag]);
-        assert!(ran.error().contains(cure) || ran.stderr.contains(cure), "{option}: {}", ran.stderr);
+        assert!(
+            ran.error().contains(cure) || ran.stderr.contains(cure),
+            "{option}: {}",
+            ran.stderr
+        );
         assert!(!Path::new(file).exists(), "{option}");
     }
     for option in ["--returns=dual", "--mode-switch=1"] {
         let flag = option.replace('=', " ");
-        let flag = if flag.contains("switch") { "--mode-switch" } else { &flag };
+        let flag = if flag.contains("switch") {
+            "--mode-switch"
+        } else {
+            &flag
+        };
         let args = ["simulate", "--model=hdl64e-s2", "--pcap", file, option];
         sweepd(&args).says(&[flag, "an HDL-64E S2 has one return", "--model hdl64e-s3"]);
     }
-    let args = ["simulate", "--model=hdl64e-s2", "--pcap", file, "--firing-period=57.6"];
+    let args = [
+        "simulate",
+        "--model=hdl64e-s2",
+        "--pcap",
+        file,
+        "--firing-period=57.6",
+    ];
     sweepd(&args).says(&["--firing-period", "the HDL-64E S2 always fires every 48 us"]);
-    let args = ["simulate", "--model=hdl64e-s3", "--pcap", file, "--calibration=calib/vlp16.yaml"];
-    sweepd(&args).says(&["--calibration calib/vlp16.yaml", "16 beams", "calibration of the VLP-16"]);
-    sweepd(&["simulate", "--model=vlp16", "--to", "localhost"]).says(&["--to", "IP:PORT such as 127.0.0.1:2368"]);
-    sweepd(&["simulate", "--model=vlp16", "--pcap", "a.txt"]).says(&["--pcap a.txt", ".pcap or .pcap.gz"]);
-    sweepd(&["simulate", "--model=vlp16", "--pcap", "none/a.pcap"]).says(&["none/a.pcap", "No such file"]);
+    let args = [
+        "simulate",
+        "--model=hdl64e-s3",
+        "--pcap",
+        file,
+        "--calibration=calib/vlp16.yaml",
+    ];
+    sweepd(&args).says(&[
+        "--calibration calib/vlp16.yaml",
+        "16 beams",
+        "calibration of the VLP-16",
+    ]);
+    sweepd(&["simulate", "--model=vlp16", "--to", "localhost"])
+        .says(&["--to", "IP:PORT such as 127.0.0.1:2368"]);
+    sweepd(&["simulate", "--model=vlp16", "--pcap", "a.txt"])
+        .says(&["--pcap a.txt", ".pcap or .pcap.gz"]);
+    sweepd(&["simulate", "--model=vlp16", "--pcap", "none/a.pcap"])
+        .says(&["none/a.pcap", "No such file"]);
     let truth = folder.write("file", "");
-    sweepd(&["simulate", "--model=vlp16", "--pcap", "-", "--truth", truth.to_str().unwrap()]).says(&["file: "]);
-    for args in [&["--pcap", "-"][..], &["--model=vlp16"], &["--model=vlp16", "--pcap", "-", "--to", "127.0.0.1:9"]] {
+    sweepd(&[
+        "simulate",
+        "--model=vlp16",
+        "--pcap",
+        "-",
+        "--truth",
+        truth.to_str().unwrap(),
+    ])
+    .says(&["file: "]);
+    for args in [
+        &["--pcap", "-"][..],
+        &["--model=vlp16"],
+        &["--model=vlp16", "--pcap", "-", "--to", "127.0.0.1:9"],
+    ] {
         let ran = sweepd(&[&["simulate"], args].concat());
         assert_eq!(ran.code, 2, "{}", ran.stderr);
     }
     let many = ["--model=vlp16"; 55];
-    sweepd(&[&["simulate", "--pcap", "-"], &many[..]].concat()).says(&["--model is given 55 times", "at most 54"]);
+    sweepd(&[&["simulate", "--pcap", "-"], &many[..]].concat())
+        .says(&["--model is given 55 times", "at most 54"]);
 }

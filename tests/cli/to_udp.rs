@@ -7,16 +7,27 @@ use std::time::{Duration, Instant};
 use crate::{Folder, Ran, command, fixture, made, replay};
 
 /// Replays to a socket, and gives what arrived by the port that it came from, and how long it took.
-fn received(capture: &std::path::Path, count: usize, options: &[&str]) -> (BTreeMap<u16, Vec<Vec<u8>>>, Duration) {
+fn received(
+    capture: &std::path::Path,
+    count: usize,
+    options: &[&str],
+) -> (BTreeMap<u16, Vec<Vec<u8>>>, Duration) {
     let socket = UdpSocket::bind("127.0.0.1:0").unwrap();
-    socket.set_read_timeout(Some(Duration::from_secs(20))).unwrap();
+    socket
+        .set_read_timeout(Some(Duration::from_secs(20)))
+        .unwrap();
     let to = socket.local_addr().unwrap().to_string();
     let reader = std::thread::spawn(move || {
         let mut ports = BTreeMap::<u16, Vec<Vec<u8>>>::new();
         let mut buffer = [0; 2000];
         for _ in 0..count {
-            let Ok((len, from)) = socket.recv_from(&mut buffer) else { break };
-            ports.entry(from.port()).or_default().push(buffer[..len].to_vec());
+            let Ok((len, from)) = socket.recv_from(&mut buffer) else {
+                break;
+            };
+            ports
+                .entry(from.port())
+                .or_default()
+                .push(buffer[..len].to_vec());
         }
         ports
     });
@@ -63,18 +74,31 @@ fn each_sensor_sends_from_a_port_of_its_own() {
 fn only_what_is_played_is_sent() {
     let sent = made::vlp16();
     let start_ns = sent[0].arrival_ns;
-    let played = sent.iter().filter(|sent| (100_000_000..200_000_000).contains(&(sent.arrival_ns - start_ns)));
+    let played = sent
+        .iter()
+        .filter(|sent| (100_000_000..200_000_000).contains(&(sent.arrival_ns - start_ns)));
     let played: Vec<Vec<u8>> = played.map(|sent| sent.payload.clone()).collect();
     let options = ["--start", "0.1", "--end", "0.2", "--loop=2", "--speed", "2"];
-    let (ports, _) = received(&fixture("street_vlp16_losses.pcap"), 2 * played.len(), &options);
+    let (ports, _) = received(
+        &fixture("street_vlp16_losses.pcap"),
+        2 * played.len(),
+        &options,
+    );
     let arrived = ports.into_values().next().unwrap();
     assert!(arrived == [&played[..], &played].concat());
 }
 
 #[test]
 fn a_port_where_nobody_listens_is_no_error() {
-    let free = UdpSocket::bind("127.0.0.1:0").unwrap().local_addr().unwrap().to_string();
+    let free = UdpSocket::bind("127.0.0.1:0")
+        .unwrap()
+        .local_addr()
+        .unwrap()
+        .to_string();
     let options = ["--to", &free, "--speed", "max", "--no-timing"];
     let alone = replay(&fixture("street_vlp16_losses.pcap"), &["--no-timing"]).done();
-    assert_eq!(replay(&fixture("street_vlp16_losses.pcap"), &options).done(), alone);
+    assert_eq!(
+        replay(&fixture("street_vlp16_losses.pcap"), &options).done(),
+        alone
+    );
 }

@@ -8,7 +8,8 @@ use std::sync::atomic::{AtomicU32, Ordering};
 
 use sweepd::publish::Domain;
 
-/// A domain that nobody else uses; with it goes everything that it left, in its folder and in /dev/shm.
+/// A domain that nobody else uses; with it goes everything that it left, in its folder and in
+/// /dev/shm.
 pub struct Own {
     root: PathBuf,
 }
@@ -17,7 +18,10 @@ impl Own {
     pub fn new() -> Self {
         static NEXT: AtomicU32 = AtomicU32::new(0);
         let number = NEXT.fetch_add(1, Ordering::Relaxed);
-        Self { root: std::env::temp_dir().join(format!("sweepd-domain-{}-{number}", std::process::id())) }
+        Self {
+            root: std::env::temp_dir()
+                .join(format!("sweepd-domain-{}-{number}", std::process::id())),
+        }
     }
 
     pub fn domain(&self) -> Domain {
@@ -43,8 +47,17 @@ impl Drop for Own {
 /// The files of a domain in /dev/shm.
 pub fn shared_memory(domain: &Domain) -> Vec<PathBuf> {
     let prefix = domain.prefix();
-    let files = std::fs::read_dir("/dev/shm").unwrap().map(|entry| entry.unwrap().path());
-    files.filter(|path| path.file_name().unwrap().to_string_lossy().starts_with(&prefix)).collect()
+    let files = std::fs::read_dir("/dev/shm")
+        .unwrap()
+        .map(|entry| entry.unwrap().path());
+    files
+        .filter(|path| {
+            path.file_name()
+                .unwrap()
+                .to_string_lossy()
+                .starts_with(&prefix)
+        })
+        .collect()
 }
 
 /// Removes all that a domain left, whose programs have ended or were killed.

@@ -4,16 +4,28 @@ use sweepd::pipeline::{Config, Pipeline, Untimed};
 use sweepd::sweep::HeapBuffers;
 use sweepd::wire::Datagram;
 
-/// Of each sweep: by how much the packet that completed it came after it was expected, as was said after each packet before,
-/// nanoseconds.
+/// Of each sweep: by how much the packet that completed it came after it was expected, as was said
+/// after each packet before, nanoseconds.
 pub fn late_ns(config: Config, packets: impl IntoIterator<Item = (Vec<u8>, i64)>) -> Vec<Vec<i64>> {
     let mut pipeline = Pipeline::new("sensor", config, HeapBuffers::default(), Untimed).unwrap();
     let (mut said_ns, mut late_ns) = (Vec::new(), Vec::new());
     for (payload, arrival_ns) in packets {
         let source = ([192, 168, 1, 201], 2368).into();
-        pipeline.push(&Datagram { arrival_ns, source, destination_port: 2368, payload: &payload }).unwrap();
+        pipeline
+            .push(&Datagram {
+                arrival_ns,
+                source,
+                destination_port: 2368,
+                payload: &payload,
+            })
+            .unwrap();
         if std::iter::from_fn(|| pipeline.poll()).count() > 0 {
-            late_ns.push(said_ns.drain(..).map(|due_ns: i64| arrival_ns - due_ns).collect());
+            late_ns.push(
+                said_ns
+                    .drain(..)
+                    .map(|due_ns: i64| arrival_ns - due_ns)
+                    .collect(),
+            );
         }
         said_ns.extend(pipeline.due_ns());
     }

@@ -13,7 +13,14 @@ use sweepd::wire::hdl64::{CalibrationTime, Clock, Dump, Gps, Live, Series, Warni
 use zerocopy::little_endian::I16;
 
 pub const LIVE: Live = Live {
-    clock: Clock { hour: 12, minute: 30, second: 7, day: 4, month: 5, year: 26 },
+    clock: Clock {
+        hour: 12,
+        minute: 30,
+        second: 7,
+        day: 4,
+        month: 5,
+        year: 26,
+    },
     gps: Gps::Both,
     temperature_c: 41,
     firmware: 0x47,
@@ -22,7 +29,14 @@ pub const LIVE: Live = Live {
 /// The dump of a unit with this calibration.
 pub fn dump(calibration: &Calibration, series: Series) -> Dump {
     let mut dump = Dump::new(series, &stream::records(calibration).unwrap());
-    dump.calibration_time = CalibrationTime { year: 16, month: 11, day: 15, hour: 12, minute: 47, second: 47 };
+    dump.calibration_time = CalibrationTime {
+        year: 16,
+        month: 11,
+        day: 15,
+        hour: 12,
+        minute: 47,
+        second: 47,
+    };
     dump.rpm = I16::new(600);
     (dump.source, dump.destination) = ([192, 168, 3, 43], [192, 168, 3, 255]);
     dump.set_warnings(series, Warnings(0b0110_0001));
@@ -37,7 +51,10 @@ pub fn write_capture(
     keep: impl Fn(usize) -> bool,
 ) {
     let mut writer = PcapWriter::new(BufWriter::new(File::create(path).unwrap())).unwrap();
-    let (source, destination) = ("192.168.3.43:2368".parse().unwrap(), "192.168.3.255:2368".parse().unwrap());
+    let (source, destination) = (
+        "192.168.3.43:2368".parse().unwrap(),
+        "192.168.3.255:2368".parse().unwrap(),
+    );
     for index in packets.filter(|&index| keep(index)) {
         let (kind, value) = pair(dump, series, &LIVE, index);
         let mut packet = DataPacket::new(index as u32 * 288, kind, value);
@@ -48,7 +65,14 @@ pub fn write_capture(
             block.set_azimuth_cdeg(((index * 6 + number / 2) * 17 % 36_000) as u16);
         }
         let arrival_ns = 1_770_000_000_000_000_000 + index as i64 * 288_000;
-        writer.write(&Addressed { arrival_ns, source, destination, payload: packet.emit() }).unwrap();
+        writer
+            .write(&Addressed {
+                arrival_ns,
+                source,
+                destination,
+                payload: packet.emit(),
+            })
+            .unwrap();
     }
     writer.finish().unwrap();
 }

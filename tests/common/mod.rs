@@ -36,25 +36,31 @@ pub const HDL64E_UNITS: [&str; 9] = [
     "veloview_HDL-64.xml",
 ];
 
-/// The folder with real captures and calibrations: `SWEEPD_DATA`, or `../shared/data` beside the project.
+/// The folder with real captures and calibrations: `SWEEPD_DATA`, or `../shared/data` beside the
+/// project.
 ///
-/// They belong to others and stay outside the repository. Where they are missing, this says aloud that the test is
-/// skipped, and gives `None`.
+/// They belong to others and stay outside the repository. Where they are missing, this says aloud
+/// that the test is skipped, and gives `None`.
 ///
 /// # Panics
 /// Under `CI=true`, if the folder is missing: there no test may be skipped.
 pub fn data_dir() -> Option<PathBuf> {
-    let dir = std::env::var_os("SWEEPD_DATA")
-        .map_or_else(|| Path::new(env!("CARGO_MANIFEST_DIR")).join("../shared/data"), PathBuf::from);
+    let dir = std::env::var_os("SWEEPD_DATA").map_or_else(
+        || Path::new(env!("CARGO_MANIFEST_DIR")).join("../shared/data"),
+        PathBuf::from,
+    );
     if dir.join("pcap").is_dir() {
         return Some(dir);
     }
-    skip(&format!("no real sensor data in {}; set SWEEPD_DATA to the folder that holds pcap/", dir.display()));
+    skip(&format!(
+        "no real sensor data in {}; set SWEEPD_DATA to the folder that holds pcap/",
+        dir.display()
+    ));
     None
 }
 
-/// The Python interpreter, if it has the right velodyne-decoder: `SWEEPD_PYTHON`, else `python3`. Where it has not, this
-/// says aloud that the test is skipped.
+/// The Python interpreter, if it has the right velodyne-decoder: `SWEEPD_PYTHON`, else `python3`.
+/// Where it has not, this says aloud that the test is skipped.
 ///
 /// # Panics
 /// Under `CI=true`, if it is missing.
@@ -81,17 +87,26 @@ pub fn python_with_iceoryx2() -> Option<OsString> {
 /// # Panics
 /// Under `CI=true`, if it is missing.
 pub fn python_with_numpy() -> Option<OsString> {
-    python_that_says("import numpy; print(numpy.__version__.split('.')[0])", NUMPY, "NumPy")
+    python_that_says(
+        "import numpy; print(numpy.__version__.split('.')[0])",
+        NUMPY,
+        "NumPy",
+    )
 }
 
 fn python_that_says(code: &str, version: &str, package: &str) -> Option<OsString> {
     let python = std::env::var_os("SWEEPD_PYTHON").unwrap_or_else(|| "python3".into());
-    let output = Command::new(&python).args(["-c", code]).stderr(Stdio::null()).output();
+    let output = Command::new(&python)
+        .args(["-c", code])
+        .stderr(Stdio::null())
+        .output();
     if output.is_ok_and(|output| String::from_utf8_lossy(&output.stdout).trim() == version) {
         return Some(python);
     }
     let python = python.to_string_lossy();
-    skip(&format!("{python} has no {package} {version}; set SWEEPD_PYTHON to one that has"));
+    skip(&format!(
+        "{python} has no {package} {version}; set SWEEPD_PYTHON to one that has"
+    ));
     None
 }
 
@@ -104,12 +119,14 @@ pub fn skip(missing: &str) {
     eprintln!("SKIPPED: {missing}");
 }
 
-/// Whether this is root, who alone can act as another user. Where it is not, this says aloud that the test is skipped.
+/// Whether this is root, who alone can act as another user. Where it is not, this says aloud that
+/// the test is skipped.
 ///
 /// # Panics
 /// Under `CI=true`, if it is not.
 pub fn is_root() -> bool {
-    let is_root = std::fs::metadata("/proc/self").is_ok_and(|own| std::os::unix::fs::MetadataExt::uid(&own) == 0);
+    let is_root = std::fs::metadata("/proc/self")
+        .is_ok_and(|own| std::os::unix::fs::MetadataExt::uid(&own) == 0);
     if !is_root {
         skip("only root can act as a second user");
     }

@@ -19,12 +19,31 @@ pub fn read(path: &Path) -> Array {
         head[at..].split(end).next().unwrap()
     };
     assert_eq!(field("fortran_order", ','), "False");
-    let shape = field("shape", ')').trim_start_matches('(').split(',').filter_map(|n| n.trim().parse().ok()).collect();
+    let shape = field("shape", ')')
+        .trim_start_matches('(')
+        .split(',')
+        .filter_map(|n| n.trim().parse().ok())
+        .collect();
     let data = &bytes[start..];
     let values = match field("descr", ',').trim_matches('\'') {
-        "<f4" => data.as_chunks().0.iter().map(|b| f64::from(f32::from_le_bytes(*b))).collect(),
-        "<f8" => data.as_chunks().0.iter().map(|b| f64::from_le_bytes(*b)).collect(),
-        "<u2" => data.as_chunks().0.iter().map(|b| f64::from(u16::from_le_bytes(*b))).collect(),
+        "<f4" => data
+            .as_chunks()
+            .0
+            .iter()
+            .map(|b| f64::from(f32::from_le_bytes(*b)))
+            .collect(),
+        "<f8" => data
+            .as_chunks()
+            .0
+            .iter()
+            .map(|b| f64::from_le_bytes(*b))
+            .collect(),
+        "<u2" => data
+            .as_chunks()
+            .0
+            .iter()
+            .map(|b| f64::from(u16::from_le_bytes(*b)))
+            .collect(),
         other => panic!("{}: {other} is not read here", path.display()),
     };
     Array { shape, values }
@@ -33,7 +52,11 @@ pub fn read(path: &Path) -> Array {
 impl Array {
     /// The same as an image of ours: column after column.
     pub fn by_column(&self) -> Vec<f32> {
-        let [rows, columns] = self.shape[..] else { panic!("no image") };
-        (0..rows * columns).map(|i| self.values[i % rows * columns + i / rows] as f32).collect()
+        let [rows, columns] = self.shape[..] else {
+            panic!("no image")
+        };
+        (0..rows * columns)
+            .map(|i| self.values[i % rows * columns + i / rows] as f32)
+            .collect()
     }
 }

@@ -1,4 +1,5 @@
-//! Captures read with no code of the project: what the tests compare the project with must not share its mistakes.
+//! Captures read with no code of the project: what the tests compare the project with must not
+//! share its mistakes.
 
 use std::path::Path;
 
@@ -36,7 +37,9 @@ impl RawPacket {
 
     /// Records of a block whose distance is not 0.
     pub fn returns_of(&self, block: usize) -> u32 {
-        (0..RECORDS).filter(|&record| self.record(block, record).0 != 0).count() as u32
+        (0..RECORDS)
+            .filter(|&record| self.record(block, record).0 != 0)
+            .count() as u32
     }
 
     /// Records whose distance is not 0.
@@ -45,10 +48,17 @@ impl RawPacket {
     }
 }
 
-/// The data packets of a classic little-endian capture of Ethernet frames, in the order of the file.
+/// The data packets of a classic little-endian capture of Ethernet frames, in the order of the
+/// file.
 pub fn packets(capture: &Path) -> Vec<RawPacket> {
-    let bytes = std::fs::read(capture).unwrap_or_else(|error| panic!("{}: {error}", capture.display()));
-    assert_eq!(bytes[..4], [0xD4, 0xC3, 0xB2, 0xA1], "{}: microseconds, little-endian", capture.display());
+    let bytes =
+        std::fs::read(capture).unwrap_or_else(|error| panic!("{}: {error}", capture.display()));
+    assert_eq!(
+        bytes[..4],
+        [0xD4, 0xC3, 0xB2, 0xA1],
+        "{}: microseconds, little-endian",
+        capture.display()
+    );
     let mut packets = Vec::new();
     let mut rest = &bytes[24..];
     while !rest.is_empty() {

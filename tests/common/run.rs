@@ -12,12 +12,13 @@ use sweepd::sweep::{HeapBuffers, Return, SweepRef};
 use sweepd::wire::Datagram;
 use sweepd::wire::data::RECORDS;
 
-/// Ranges at which the two-point correction of an HDL-64E may end: 25.04 m and the distance offset of a beam. There a range
-/// may be said from the other side alone, some hundredths of a degree beside.
+/// Ranges at which the two-point correction of an HDL-64E may end: 25.04 m and the distance offset
+/// of a beam. There a range may be said from the other side alone, some hundredths of a degree
+/// beside.
 pub const AT_FAR_M: std::ops::Range<f64> = 25.9..26.9;
 
-/// How far a range without noise may be off, metres: half of 2 mm, what a number of 24 bits loses of 100 m, and what no
-/// packet can say at the end of the correction.
+/// How far a range without noise may be off, metres: half of 2 mm, what a number of 24 bits loses
+/// of 100 m, and what no packet can say at the end of the correction.
 pub const RANGE_M: f64 = 0.001_1;
 
 /// What came of the datagrams of one sensor.
@@ -31,8 +32,8 @@ pub struct Run {
 pub struct Placed {
     /// Index of the sweep.
     pub sweep: usize,
-    /// Index of the record within its block. A [`Return`] names the channel alone, and a block of a VLP-16
-    /// holds each channel twice.
+    /// Index of the record within its block. A [`Return`] names the channel alone, and a block of a
+    /// VLP-16 holds each channel twice.
     pub record: usize,
     pub found: Return,
 }
@@ -45,19 +46,24 @@ pub struct Runner {
 
 impl Runner {
     pub fn new(config: Config) -> Self {
-        Self { pipeline: Pipeline::new("test", config, HeapBuffers::default(), Untimed).unwrap(), sweeps: Vec::new() }
+        Self {
+            pipeline: Pipeline::new("test", config, HeapBuffers::default(), Untimed).unwrap(),
+            sweeps: Vec::new(),
+        }
     }
 
     pub fn push(&mut self, datagram: &Datagram<'_>) -> Result<(), Fault> {
         let result = self.pipeline.push(datagram);
-        self.sweeps.extend(std::iter::from_fn(|| self.pipeline.poll()));
+        self.sweeps
+            .extend(std::iter::from_fn(|| self.pipeline.poll()));
         self.pipeline.segment_early();
         result
     }
 
     pub fn end(&mut self) -> Result<(), Fault> {
         let result = self.pipeline.end();
-        self.sweeps.extend(std::iter::from_fn(|| self.pipeline.poll()));
+        self.sweeps
+            .extend(std::iter::from_fn(|| self.pipeline.poll()));
         result
     }
 
@@ -73,7 +79,8 @@ impl Runner {
         self.end()
     }
 
-    /// Goes on with another configuration, as at a reload: what the sensor has said of itself stays known.
+    /// Goes on with another configuration, as at a reload: what the sensor has said of itself stays
+    /// known.
     pub fn reloaded(self, config: Config) -> Self {
         let mut next = Self::new(config);
         next.pipeline.expect_unit(self.pipeline.into_unit());
@@ -87,7 +94,11 @@ impl Runner {
 
     pub fn finish(self) -> Run {
         let (counts, detection) = (self.pipeline.counts(), self.pipeline.detection().unwrap());
-        Run { sweeps: self.sweeps, counts, detection }
+        Run {
+            sweeps: self.sweeps,
+            counts,
+            detection,
+        }
     }
 }
 
@@ -100,7 +111,9 @@ impl Run {
     /// A capture of one sensor, decoded as it is said.
     pub fn of_capture_with(config: Config, capture: &Path) -> Self {
         let mut runner = Runner::new(config);
-        runner.play(capture).unwrap_or_else(|fault| panic!("{}: {fault}", capture.display()));
+        runner
+            .play(capture)
+            .unwrap_or_else(|fault| panic!("{}: {fault}", capture.display()));
         runner.finish()
     }
 
@@ -110,20 +123,28 @@ impl Run {
     }
 
     /// Datagrams of one sensor, decoded as it is said.
-    pub fn of_datagrams_with<'a>(config: Config, datagrams: impl IntoIterator<Item = Datagram<'a>>) -> Self {
+    pub fn of_datagrams_with<'a>(
+        config: Config,
+        datagrams: impl IntoIterator<Item = Datagram<'a>>,
+    ) -> Self {
         let mut runner = Runner::new(config);
-        datagrams.into_iter().for_each(|datagram| runner.push(&datagram).unwrap());
+        datagrams
+            .into_iter()
+            .for_each(|datagram| runner.push(&datagram).unwrap());
         runner.end().unwrap();
         runner.finish()
     }
 
     /// The sweeps.
     pub fn views(&self) -> Vec<SweepRef<'_>> {
-        self.sweeps.iter().map(|sweep| SweepRef::open(sweep.as_ref()).unwrap()).collect()
+        self.sweeps
+            .iter()
+            .map(|sweep| SweepRef::open(sweep.as_ref()).unwrap())
+            .collect()
     }
 
-    /// All returns of all sweeps, each with its place on the wire. The firings of a block come one after the other, be
-    /// it in one sweep or in two.
+    /// All returns of all sweeps, each with its place on the wire. The firings of a block come one
+    /// after the other, be it in one sweep or in two.
     pub fn returns(&self) -> Vec<Placed> {
         let mut placed = Vec::new();
         self.each_return(|one| placed.push(one));
@@ -144,7 +165,11 @@ impl Run {
             for found in view.returns() {
                 let firing = firing_of[view.fired_in(found.row, found.column)];
                 let record = (firing * view.rows() + found.channel) % RECORDS;
-                take(Placed { sweep, record, found });
+                take(Placed {
+                    sweep,
+                    record,
+                    found,
+                });
             }
         }
     }

@@ -31,17 +31,35 @@ impl Process {
 
     /// Starts a program; its standard error goes to the end of the log.
     pub fn spawn(mut command: Command, log: &Path) -> Self {
-        let log = std::fs::File::options().create(true).append(true).open(log).unwrap();
-        Self(command.stdin(Stdio::null()).stderr(log).spawn().expect("the program runs"))
+        let log = std::fs::File::options()
+            .create(true)
+            .append(true)
+            .open(log)
+            .unwrap();
+        Self(
+            command
+                .stdin(Stdio::null())
+                .stderr(log)
+                .spawn()
+                .expect("the program runs"),
+        )
     }
 
     pub fn signal(&self, name: &str) {
-        assert!(Command::new("kill").args([name, &self.0.id().to_string()]).status().unwrap().success());
+        assert!(
+            Command::new("kill")
+                .args([name, &self.0.id().to_string()])
+                .status()
+                .unwrap()
+                .success()
+        );
     }
 
     /// Waits for its end; gives whether it did what it should.
     pub fn wait(&mut self) -> bool {
-        self.ends_within(Duration::from_secs(60)).expect("it does not end").success()
+        self.ends_within(Duration::from_secs(60))
+            .expect("it does not end")
+            .success()
     }
 
     /// Its end, if it comes within this time.
@@ -98,11 +116,22 @@ impl Setup {
     pub fn new(sensor: &str, more: &str) -> Self {
         static NEXT: AtomicU32 = AtomicU32::new(0);
         let number = NEXT.fetch_add(1, Ordering::Relaxed);
-        let folder = std::env::temp_dir().join(format!("sweepd-setup-{}-{number}", std::process::id()));
+        let folder =
+            std::env::temp_dir().join(format!("sweepd-setup-{}-{number}", std::process::id()));
         std::fs::create_dir_all(&folder).unwrap();
-        let free = || UdpSocket::bind("127.0.0.1:0").unwrap().local_addr().unwrap().port();
+        let free = || {
+            UdpSocket::bind("127.0.0.1:0")
+                .unwrap()
+                .local_addr()
+                .unwrap()
+                .port()
+        };
         let (own, port, position_port) = (Own::new(), free(), free());
-        let http = TcpListener::bind("127.0.0.1:0").unwrap().local_addr().unwrap().port();
+        let http = TcpListener::bind("127.0.0.1:0")
+            .unwrap()
+            .local_addr()
+            .unwrap()
+            .port();
         let text = format!(
             "http = \"127.0.0.1:{http}\"\nroot = \"{}\"\n\n[[sensor]]\nname = \"roof\"\naddress = \"127.0.0.1\"\nport = {port}\n\
              position_port = {position_port}\nbind = \"127.0.0.1\"\n{sensor}\n{more}\n",
@@ -110,7 +139,13 @@ impl Setup {
         );
         let config = folder.join("sweepd.toml");
         std::fs::write(&config, text).unwrap();
-        Self { own, folder, port, http, config }
+        Self {
+            own,
+            folder,
+            port,
+            http,
+            config,
+        }
     }
 
     pub fn domain(&self) -> Domain {
@@ -143,7 +178,17 @@ impl Setup {
     pub fn sensor(&self, model: &str, rpm: u32, seconds: f64) -> Process {
         let to = format!("127.0.0.1:{}", self.port);
         let (rpm, seconds) = (rpm.to_string(), seconds.to_string());
-        let args = ["simulate", "--model", model, "--rpm", &rpm, "--seconds", &seconds, "--to", &to];
+        let args = [
+            "simulate",
+            "--model",
+            model,
+            "--rpm",
+            &rpm,
+            "--seconds",
+            &seconds,
+            "--to",
+            &to,
+        ];
         Process::start(&args, &self.path("sensor.log"))
     }
 
@@ -161,8 +206,14 @@ impl Setup {
     /// What the health page says of the sensor; `None` where there is no answer.
     pub fn health(&self) -> Option<serde_json::Value> {
         let mut stream = TcpStream::connect(("127.0.0.1", self.http)).ok()?;
-        stream.set_read_timeout(Some(Duration::from_secs(1))).unwrap();
-        write!(stream, "GET /health HTTP/1.1\r\nHost: localhost\r\nConnection: close\r\n\r\n").ok()?;
+        stream
+            .set_read_timeout(Some(Duration::from_secs(1)))
+            .unwrap();
+        write!(
+            stream,
+            "GET /health HTTP/1.1\r\nHost: localhost\r\nConnection: close\r\n\r\n"
+        )
+        .ok()?;
         let mut answer = String::new();
         stream.read_to_string(&mut answer).ok()?;
         let (_, body) = answer.split_once("\r\n\r\n")?;
@@ -192,7 +243,10 @@ impl Watch {
         command.arg("--json").stdout(Stdio::piped());
         let mut process = Process::spawn(command, &setup.path("watch.log"));
         let printed = Arc::<Mutex<Vec<Instant>>>::default();
-        let (lines, times) = (BufReader::new(process.0.stdout.take().unwrap()).lines(), Arc::clone(&printed));
+        let (lines, times) = (
+            BufReader::new(process.0.stdout.take().unwrap()).lines(),
+            Arc::clone(&printed),
+        );
         std::thread::spawn(move || {
             for _ in lines.map_while(Result::ok) {
                 times.lock().unwrap().push(Instant::now());
@@ -213,11 +267,13 @@ impl Watch {
         times.get(first + number - 1).copied()
     }
 
-    /// Waits until this number of sweeps came after a moment; whether that is so at most `limit` after it.
+    /// Waits until this number of sweeps came after a moment; whether that is so at most `limit`
+    /// after it.
     pub fn gets(&self, sweeps: usize, moment: Instant, limit: Duration) -> bool {
         while self.sweep(moment, sweeps).is_none() && moment.elapsed() < limit {
             std::thread::sleep(Duration::from_millis(2));
         }
-        self.sweep(moment, sweeps).is_some_and(|time| time <= moment + limit)
+        self.sweep(moment, sweeps)
+            .is_some_and(|time| time <= moment + limit)
     }
 }

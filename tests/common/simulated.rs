@@ -4,7 +4,9 @@ use sweepd::pipeline::Config;
 use sweepd::score::{ScanScore, Truth};
 use sweepd::segment;
 use sweepd::sensor::Model;
-use sweepd::simulate::{Class, Emitter, EmitterConfig, PacketTruth, ReturnTruth, Setting, SimulatedDatagram};
+use sweepd::simulate::{
+    Class, Emitter, EmitterConfig, PacketTruth, ReturnTruth, Setting, SimulatedDatagram,
+};
 use sweepd::sweep::layout::flags;
 use sweepd::wire::data::ReturnMode;
 
@@ -32,14 +34,30 @@ impl Simulated {
 
     /// Scores of the whole sweeps, labelled from the first packet on by one configuration.
     pub fn score(&self, segment: &segment::Config, min_points: u32) -> Vec<ScanScore> {
-        let calibration = self.config.model.is_hdl64e().then(|| self.config.beams().into_owned());
-        let config = Config { calibration, segment: segment.clone(), ..Config::default() };
+        let calibration = self
+            .config
+            .model
+            .is_hdl64e()
+            .then(|| self.config.beams().into_owned());
+        let config = Config {
+            calibration,
+            segment: segment.clone(),
+            ..Config::default()
+        };
         let run = Run::of_datagrams_with(config, self.sent.iter().map(SimulatedDatagram::datagram));
-        let truth: Vec<&PacketTruth> = self.sent.iter().filter_map(|sent| sent.truth.as_deref()).collect();
+        let truth: Vec<&PacketTruth> = self
+            .sent
+            .iter()
+            .filter_map(|sent| sent.truth.as_deref())
+            .collect();
         let (views, returns) = (run.views(), run.returns());
         let whole = |sweep: &&[Placed]| !views[sweep[0].sweep].header.has(flags::PARTIAL);
         let score = |sweep: &[Placed]| score_sweep(sweep, &truth, min_points);
-        returns.chunk_by(|a, b| a.sweep == b.sweep).filter(whole).map(score).collect()
+        returns
+            .chunk_by(|a, b| a.sweep == b.sweep)
+            .filter(whole)
+            .map(score)
+            .collect()
     }
 }
 
@@ -52,14 +70,19 @@ fn score_sweep(sweep: &[Placed], truth: &[&PacketTruth], min_points: u32) -> Sca
     let labels: Vec<u32> = sweep.iter().map(|placed| placed.found.label).collect();
     let known = |placed: &Placed| {
         let records = &truth[placed.found.packet as usize].returns[usize::from(placed.found.block)];
-        true_label(records[placed.record].as_ref().expect("a return that was sent"))
+        true_label(
+            records[placed.record]
+                .as_ref()
+                .expect("a return that was sent"),
+        )
     };
-    let truth = Truth::new(&points, sweep.iter().map(known).collect()).expect("a true label a point");
+    let truth =
+        Truth::new(&points, sweep.iter().map(known).collect()).expect("a true label a point");
     ScanScore::new(&truth, &labels, &[min_points]).expect("a label a point")
 }
 
-/// The true label in the manner of SemanticKITTI: class, and number of the instance. A post, a sign, a table are things of
-/// their own here, of the class of what is none of the others (20).
+/// The true label in the manner of SemanticKITTI: class, and number of the instance. A post, a
+/// sign, a table are things of their own here, of the class of what is none of the others (20).
 fn true_label(truth: &ReturnTruth) -> u32 {
     let (class, is_thing) = match truth.class {
         Class::Unknown => (0, false),
@@ -72,5 +95,9 @@ fn true_label(truth: &ReturnTruth) -> u32 {
         Class::Cyclist => (31, true),
         Class::Pole | Class::Sign | Class::Furniture => (20, true),
     };
-    if is_thing { truth.object << 16 | class } else { class }
+    if is_thing {
+        truth.object << 16 | class
+    } else {
+        class
+    }
 }

@@ -1,4 +1,5 @@
-//! Packet streams made by hand, block by block, and what a pipeline makes of them: no scene, only time and azimuth.
+//! Packet streams made by hand, block by block, and what a pipeline makes of them: no scene, only
+//! time and azimuth.
 #![allow(dead_code)]
 
 use std::collections::BTreeMap;
@@ -39,7 +40,8 @@ pub struct Spin {
 pub struct Sent {
     pub packet: DataPacket,
     pub arrival_ns: i64,
-    /// Sensor time and true azimuth of the firings, nanoseconds since the start and hundredths of a degree.
+    /// Sensor time and true azimuth of the firings, nanoseconds since the start and hundredths of a
+    /// degree.
     pub firings: Vec<(i64, f64)>,
     /// Its place in the stream as it was sent.
     pub ordinal: usize,
@@ -65,7 +67,10 @@ impl Spin {
     }
 
     fn is_seen(&self, cdeg: f64, time_ns: i64) -> bool {
-        let set = self.fov_later.iter().rfind(|(from_s, _)| time_ns as f64 * 1e-9 >= *from_s);
+        let set = self
+            .fov_later
+            .iter()
+            .rfind(|(from_s, _)| time_ns as f64 * 1e-9 >= *from_s);
         set.map_or(self.fov, |&(_, fov)| fov)
             .is_none_or(|(from, to)| (cdeg - from).rem_euclid(TURN) <= (to - from).rem_euclid(TURN))
     }
@@ -79,7 +84,12 @@ impl Spin {
         let mut sent: Vec<Sent> = Vec::new();
         let mut packet = DataPacket::new(0, self.mode.byte(), spec.product.unwrap_or_default());
         if spec.banks() == 2 {
-            packet.blocks.iter_mut().skip(1).step_by(2).for_each(|block| block.flag.set(FLAG_BANK_1));
+            packet
+                .blocks
+                .iter_mut()
+                .skip(1)
+                .step_by(2)
+                .for_each(|block| block.flag.set(FLAG_BANK_1));
         }
         let mut firings = Vec::new();
         let mut blocks = 0;
@@ -92,7 +102,9 @@ impl Spin {
             if blocks == 0 {
                 packet.set_stamp_us(stamp_us(time_ns));
             }
-            let told = (cdeg + self.jitter_cdeg * (2.0 * rng.f64() - 1.0)).rem_euclid(TURN).round() as u16;
+            let told = (cdeg + self.jitter_cdeg * (2.0 * rng.f64() - 1.0))
+                .rem_euclid(TURN)
+                .round() as u16;
             for block in &mut packet.blocks[blocks..blocks + copies] {
                 block.set_azimuth_cdeg(told);
                 block.records = std::array::from_fn(|_| record(&mut rng));
@@ -108,7 +120,12 @@ impl Spin {
                 }
                 let arrival_ns = START_NS + time_ns + block_ns + 90_000 + rng.i64(0..20_000);
                 let firings = std::mem::take(&mut firings);
-                sent.push(Sent { packet, arrival_ns, firings, ordinal: sent.len() });
+                sent.push(Sent {
+                    packet,
+                    arrival_ns,
+                    firings,
+                    ordinal: sent.len(),
+                });
                 blocks = 0;
             }
         }
@@ -118,8 +135,15 @@ impl Spin {
 
 /// One in four shots sees nothing.
 fn record(rng: &mut fastrand::Rng) -> Record {
-    let distance = if rng.u8(..) < 64 { 0 } else { rng.u16(250..50_000) };
-    Record { distance: distance.into(), reflectivity: rng.u8(..) }
+    let distance = if rng.u8(..) < 64 {
+        0
+    } else {
+        rng.u16(250..50_000)
+    };
+    Record {
+        distance: distance.into(),
+        reflectivity: rng.u8(..),
+    }
 }
 
 /// What became of a stream.
@@ -130,7 +154,8 @@ pub struct Run {
     pub out_after: Vec<usize>,
 }
 
-/// An HDL-64E whose beams point aside and need no other correction, so that its ranges are those of the packets.
+/// An HDL-64E whose beams point aside and need no other correction, so that its ranges are those of
+/// the packets.
 pub fn unit() -> Calibration {
     let beam = |channel: usize| Beam {
         rotation_rad: [-8.3_f64, 5.1, -1.7, 9.6][channel % 4].to_radians(),
@@ -147,23 +172,43 @@ pub fn config() -> Config {
 }
 
 pub fn cut_at(deg: f64) -> Config {
-    Config { cut_azimuth_rad: deg.to_radians(), ..config() }
+    Config {
+        cut_azimuth_rad: deg.to_radians(),
+        ..config()
+    }
 }
 
 pub fn datagram(payload: &[u8], arrival_ns: i64) -> Datagram<'_> {
-    Datagram { arrival_ns, source: ([192, 168, 1, 201], 2368).into(), destination_port: 2368, payload }
+    Datagram {
+        arrival_ns,
+        source: ([192, 168, 1, 201], 2368).into(),
+        destination_port: 2368,
+        payload,
+    }
 }
 
 impl Run {
     pub fn of(config: Config, arrived: &[Sent]) -> Self {
-        let payloads: Vec<_> = arrived.iter().map(|sent| (sent.packet.emit().to_vec(), sent.arrival_ns)).collect();
+        let payloads: Vec<_> = arrived
+            .iter()
+            .map(|sent| (sent.packet.emit().to_vec(), sent.arrival_ns))
+            .collect();
         Self::of_payloads(config, &payloads)
     }
 
     pub fn of_payloads(config: Config, arrived: &[(Vec<u8>, i64)]) -> Self {
-        let two_heads = |payload: &[u8]| DataPacket::parse(payload).is_ok_and(|p| p.banks() == Banks::Alternating);
-        let calibration = arrived.iter().take(5).find(|(payload, _)| two_heads(payload)).map(|_| unit());
-        let config = Config { calibration: calibration.or(config.calibration.clone()), ..config };
+        let two_heads = |payload: &[u8]| {
+            DataPacket::parse(payload).is_ok_and(|p| p.banks() == Banks::Alternating)
+        };
+        let calibration = arrived
+            .iter()
+            .take(5)
+            .find(|(payload, _)| two_heads(payload))
+            .map(|_| unit());
+        let config = Config {
+            calibration: calibration.or(config.calibration.clone()),
+            ..config
+        };
         let mut pipeline = Pipeline::new("test", config, HeapBuffers::default(), Untimed).unwrap();
         let (mut sweeps, mut out_after) = (Vec::new(), Vec::new());
         for (index, (payload, arrival_ns)) in arrived.iter().enumerate() {
@@ -181,25 +226,39 @@ impl Run {
             sweeps.push(sweep);
             out_after.push(arrived.len());
         }
-        Self { sweeps, counts: pipeline.counts(), out_after }
+        Self {
+            sweeps,
+            counts: pipeline.counts(),
+            out_after,
+        }
     }
 
     pub fn views(&self) -> Vec<SweepRef<'_>> {
-        self.sweeps.iter().map(|sweep| SweepRef::open(sweep.as_ref()).unwrap()).collect()
+        self.sweeps
+            .iter()
+            .map(|sweep| SweepRef::open(sweep.as_ref()).unwrap())
+            .collect()
     }
 
     pub fn flags(&self) -> Vec<u32> {
-        self.views().iter().map(|sweep| sweep.header.flags).collect()
+        self.views()
+            .iter()
+            .map(|sweep| sweep.header.flags)
+            .collect()
     }
 
     /// The numbers of the packets that were decoded.
     pub fn decoded(&self) -> std::collections::BTreeSet<usize> {
         let views = self.views();
-        let columns = views.iter().flat_map(|sweep| sweep.columns).filter(|column| column.is_measured());
+        let columns = views
+            .iter()
+            .flat_map(|sweep| sweep.columns)
+            .filter(|column| column.is_measured());
         columns.map(|column| column.packet as usize).collect()
     }
 
-    /// Every return of every decoded packet is in one pixel, every other packet is counted, and each sweep is sane.
+    /// Every return of every decoded packet is in one pixel, every other packet is counted, and
+    /// each sweep is sane.
     #[track_caller]
     pub fn check(&self, arrived: &[DataPacket]) -> &Self {
         let mut found = Wire::new(arrived.len());
@@ -207,7 +266,12 @@ impl Run {
             check_sweep(&sweep);
             for one in sweep.returns() {
                 let distance = (f64::from(one.range_m) / 0.002).round() as u16;
-                found.add(one.packet as usize, usize::from(one.block), one.channel, (distance, one.reflectivity));
+                found.add(
+                    one.packet as usize,
+                    usize::from(one.block),
+                    one.channel,
+                    (distance, one.reflectivity),
+                );
             }
         }
         let decoded = self.decoded();
@@ -215,24 +279,50 @@ impl Run {
         let rows: BTreeMap<usize, usize> = self
             .views()
             .iter()
-            .flat_map(|sweep| sweep.columns.iter().map(|column| (column.packet as usize, sweep.rows())))
+            .flat_map(|sweep| {
+                sweep
+                    .columns
+                    .iter()
+                    .map(|column| (column.packet as usize, sweep.rows()))
+            })
             .collect();
         for &number in &decoded {
             for (block, stored) in arrived[number].blocks.iter().enumerate() {
-                for (index, record) in stored.records.iter().enumerate().filter(|(_, r)| r.distance.get() != 0) {
+                for (index, record) in stored
+                    .records
+                    .iter()
+                    .enumerate()
+                    .filter(|(_, r)| r.distance.get() != 0)
+                {
                     let channel = index % rows[&number];
-                    expected.add(number, block, channel, (record.distance.get(), record.reflectivity));
+                    expected.add(
+                        number,
+                        block,
+                        channel,
+                        (record.distance.get(), record.reflectivity),
+                    );
                 }
             }
         }
         assert!(found == expected, "returns are lost, doubled or elsewhere");
         let counts = self.counts;
-        let Counts { duplicates, malformed, late, unconfirmed, foreign, undecoded, .. } = counts;
+        let Counts {
+            duplicates,
+            malformed,
+            late,
+            unconfirmed,
+            foreign,
+            undecoded,
+            ..
+        } = counts;
         let refused = duplicates + malformed + late + unconfirmed + foreign + undecoded;
         assert_eq!(counts.data, decoded.len() as u64 + refused, "{counts:?}");
         let packets = |sweep: &SweepRef<'_>| {
             let measured = sweep.columns.iter().filter(|column| column.is_measured());
-            measured.map(|column| column.packet).collect::<std::collections::BTreeSet<_>>().len()
+            measured
+                .map(|column| column.packet)
+                .collect::<std::collections::BTreeSet<_>>()
+                .len()
         };
         for sweep in self.views() {
             assert_eq!(packets(&sweep), sweep.header.packets as usize);
@@ -247,18 +337,36 @@ impl Run {
 
     /// Packets that sweeps count as lost.
     pub fn lost_in_sweeps(&self) -> u64 {
-        self.views().iter().map(|sweep| u64::from(sweep.header.lost_packets)).sum()
+        self.views()
+            .iter()
+            .map(|sweep| u64::from(sweep.header.lost_packets))
+            .sum()
     }
 
-    /// All that is in the sweeps but counters and arrival, with packets named by the order in which they were sent.
+    /// All that is in the sweeps but counters and arrival, with packets named by the order in which
+    /// they were sent.
     pub fn content(&self, arrived: &[Sent]) -> Vec<Content> {
         let name = |number: u64| arrived.get(number as usize).map(|sent| sent.ordinal);
         let content = |sweep: SweepRef<'_>| Content {
-            header: (sweep.header.flags, sweep.header.sensor_time_ns, sweep.header.duration_ns, sweep.header.rpm),
+            header: (
+                sweep.header.flags,
+                sweep.header.sensor_time_ns,
+                sweep.header.duration_ns,
+                sweep.header.rpm,
+            ),
             columns: sweep
                 .columns
                 .iter()
-                .map(|c| (name(c.packet), c.azimuth_rad, c.azimuth_rate_rad_s, c.time_ns, c.block, c.status))
+                .map(|c| {
+                    (
+                        name(c.packet),
+                        c.azimuth_rad,
+                        c.azimuth_rate_rad_s,
+                        c.time_ns,
+                        c.block,
+                        c.status,
+                    )
+                })
                 .collect(),
             pixels: [sweep.range, sweep.range2].concat(),
             bytes: [sweep.reflectivity, sweep.reflectivity2, sweep.kind].concat(),
@@ -278,7 +386,8 @@ pub struct Content {
     labels: Vec<u32>,
 }
 
-/// Returns by packet, block and channel within the block; a block of a 16-beam sensor has two of each.
+/// Returns by packet, block and channel within the block; a block of a 16-beam sensor has two of
+/// each.
 #[derive(PartialEq)]
 struct Wire(Vec<[u32; 2]>);
 
@@ -288,7 +397,13 @@ impl Wire {
     }
 
     #[track_caller]
-    fn add(&mut self, packet: usize, block: usize, channel: usize, (distance, reflectivity): (u16, u8)) {
+    fn add(
+        &mut self,
+        packet: usize,
+        block: usize,
+        channel: usize,
+        (distance, reflectivity): (u16, u8),
+    ) {
         let pair = &mut self.0[(packet * BLOCKS + block) * RECORDS + channel % RECORDS];
         assert_eq!(pair[0], 0, "three returns where there is room for two");
         pair[0] = 1 << 24 | u32::from(distance) << 8 | u32::from(reflectivity);
@@ -313,37 +428,75 @@ fn check_sweep(sweep: &SweepRef<'_>) {
     let header = sweep.header;
     assert!(header.columns > 0 && header.columns <= header.columns_capacity);
     assert_eq!(sweep.returns().count(), header.returns as usize);
-    assert!(sweep.columns.windows(2).all(|two| two[0].time_ns <= two[1].time_ns), "columns out of order");
-    assert!(sweep.columns.iter().all(|c| (0.0..std::f32::consts::TAU).contains(&c.azimuth_rad)));
+    assert!(
+        sweep
+            .columns
+            .windows(2)
+            .all(|two| two[0].time_ns <= two[1].time_ns),
+        "columns out of order"
+    );
+    assert!(
+        sweep
+            .columns
+            .iter()
+            .all(|c| (0.0..std::f32::consts::TAU).contains(&c.azimuth_rad))
+    );
     let mut fired = sweep.columns.iter().filter(|column| column.is_fired());
-    assert_eq!(u64::from(fired.next_back().unwrap().time_ns), header.duration_ns);
+    assert_eq!(
+        u64::from(fired.next_back().unwrap().time_ns),
+        header.duration_ns
+    );
     let unfired = sweep.columns.iter().filter(|column| !column.is_fired());
     assert_eq!(unfired.count(), header.unfired_columns as usize);
-    let missing = sweep.columns.iter().filter(|column| column.is_missing()).count();
+    let missing = sweep
+        .columns
+        .iter()
+        .filter(|column| column.is_missing())
+        .count();
     assert_eq!(missing, header.missing_columns as usize);
     let rows = sweep.rows();
     let moved = sweep.beams.iter().any(|beam| beam.shift != 0);
     // One in eleven: all rows and columns in a few sweeps.
-    for (index, &range) in sweep.range.iter().enumerate().step_by(if moved { 11 } else { 1 }) {
+    for (index, &range) in sweep
+        .range
+        .iter()
+        .enumerate()
+        .step_by(if moved { 11 } else { 1 })
+    {
         let (row, column) = (index % rows, index / rows);
         let fired_in = column as i64 + i64::from(sweep.beams[row].shift);
-        let beyond = header.flags & CIRCULAR == 0 && !(0..sweep.columns.len() as i64).contains(&fired_in);
+        let beyond =
+            header.flags & CIRCULAR == 0 && !(0..sweep.columns.len() as i64).contains(&fired_in);
         let firing = sweep.firing(row, column);
-        assert!(range == 0.0 || firing.is_measured() && !beyond, "a return without a firing");
+        assert!(
+            range == 0.0 || firing.is_measured() && !beyond,
+            "a return without a firing"
+        );
         // Within half a column of where its column is, and one more where the turn was folded.
         if range > 0.0 && header.flags & (PARTIAL | RATE_UNSTABLE) == 0 && moved {
             let pitch = f64::from(header.rpm) / 60.0 * std::f64::consts::TAU * 57.6e-6;
             let off = sweep.azimuth_rad(row, column) - f64::from(sweep.columns[column].azimuth_rad);
-            let off = (off + std::f64::consts::PI).rem_euclid(std::f64::consts::TAU) - std::f64::consts::PI;
-            assert!(off.abs() < 2.5 * pitch, "row {row}, column {column} is {off} off");
+            let off = (off + std::f64::consts::PI).rem_euclid(std::f64::consts::TAU)
+                - std::f64::consts::PI;
+            assert!(
+                off.abs() < 2.5 * pitch,
+                "row {row}, column {column} is {off} off"
+            );
         }
     }
     assert!(header.flags & PARTIAL == 0 || header.flags & CIRCULAR == 0);
     if header.flags & (CIRCULAR | RATE_UNSTABLE) == CIRCULAR {
         let turns = f64::from(header.rpm) / 60e9 * header.duration_ns as f64;
-        assert!((0.99..1.01).contains(&turns), "a sweep of {turns} turns is circular");
+        assert!(
+            (0.99..1.01).contains(&turns),
+            "a sweep of {turns} turns is circular"
+        );
     }
     assert!(header.rpm >= 0.0 && header.rpm.is_finite());
-    assert!(sweep.returns().all(|one| (0.0..std::f64::consts::TAU).contains(&one.azimuth_rad)));
+    assert!(
+        sweep
+            .returns()
+            .all(|one| (0.0..std::f64::consts::TAU).contains(&one.azimuth_rad))
+    );
     assert!(RECORDS.is_multiple_of(rows) || rows == 64);
 }

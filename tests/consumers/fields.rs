@@ -1,11 +1,12 @@
-//! The fields and numbers of the layout as the Rust types have them. What is private there is padding.
+//! The fields and numbers of the layout as the Rust types have them. What is private there is
+//! padding.
 
 use std::mem::{offset_of, size_of};
 
 use sweepd::publish::Preamble;
 use sweepd::sweep::layout::{
-    self, BeamRow, Column, ColumnStatus, Header, Part, ReturnChoice, ReturnKind, SECOND_BLOCKS, Segment, TimeSource,
-    flags,
+    self, BeamRow, Column, ColumnStatus, Header, Part, ReturnChoice, ReturnKind, SECOND_BLOCKS,
+    Segment, TimeSource, flags,
 };
 use sweepd::wire::data::ReturnMode;
 
@@ -30,9 +31,19 @@ pub struct Field {
 }
 
 fn field<S, T>(name: &'static str, offset: usize, _of: fn(&S) -> &T) -> Field {
-    let kind = std::any::type_name::<T>().trim_start_matches('[').trim_end_matches(']');
-    let kind = kind.split_once("; ").map_or_else(|| kind.to_owned(), |(element, count)| format!("{element}[{count}]"));
-    Field { name, offset, bytes: size_of::<T>(), kind }
+    let kind = std::any::type_name::<T>()
+        .trim_start_matches('[')
+        .trim_end_matches(']');
+    let kind = kind.split_once("; ").map_or_else(
+        || kind.to_owned(),
+        |(element, count)| format!("{element}[{count}]"),
+    );
+    Field {
+        name,
+        offset,
+        bytes: size_of::<T>(),
+        kind,
+    }
 }
 
 macro_rules! of {

@@ -14,12 +14,19 @@ use super::sweeps::{SOURCES, Source};
 use super::{folder, of_project};
 
 /// A language, its compiler, and how strict that is told to be.
-const LANGUAGES: [(&str, &str, &[&str]); 2] =
-    [("C99", "cc", &["-std=c99", "-x", "c", "-Wconversion"]), ("C++11", "c++", &["-std=c++11", "-x", "c++"])];
+const LANGUAGES: [(&str, &str, &[&str]); 2] = [
+    ("C99", "cc", &["-std=c99", "-x", "c", "-Wconversion"]),
+    ("C++11", "c++", &["-std=c++11", "-x", "c++"]),
+];
 
 /// Whether there is such a compiler, or CMake; if not, this says aloud that the test is skipped.
 pub fn has_compiler(name: &str) -> bool {
-    let found = Command::new(name).arg("--version").stdout(Stdio::null()).stderr(Stdio::null()).status().is_ok();
+    let found = Command::new(name)
+        .arg("--version")
+        .stdout(Stdio::null())
+        .stderr(Stdio::null())
+        .status()
+        .is_ok();
     if !found {
         skip(&format!("no `{name}`; install gcc, g++ and cmake"));
     }
@@ -34,10 +41,17 @@ fn programs(test: &str) -> Vec<(&'static str, PathBuf)> {
         writeln!(fields, "SIZE({})", of.c_name).unwrap();
         for field in of.fields {
             let element = if field.kind.contains('[') { "[0]" } else { "" };
-            writeln!(fields, "FIELD({0}, {1}, {1}{element})", of.c_name, field.name).unwrap();
+            writeln!(
+                fields,
+                "FIELD({0}, {1}, {1}{element})",
+                of.c_name, field.name
+            )
+            .unwrap();
         }
     }
-    numbers().iter().for_each(|(name, _)| writeln!(fields, "NUMBER({name})").unwrap());
+    numbers()
+        .iter()
+        .for_each(|(name, _)| writeln!(fields, "NUMBER({name})").unwrap());
     std::fs::write(folder.join("fields.inc"), fields).unwrap();
     let compiled = |(language, compiler, options): (&'static str, &str, &[&str])| {
         if !has_compiler(compiler) {
@@ -45,10 +59,25 @@ fn programs(test: &str) -> Vec<(&'static str, PathBuf)> {
         }
         let program = folder.join(language);
         let mut command = Command::new(compiler);
-        command.args(options).args(["-O2", "-Wall", "-Wextra", "-Wpedantic", "-Werror", "-I"]).arg(&folder);
-        command.arg("-I").arg(of_project("examples")).arg(of_project("tests/consumers/layout.c"));
-        let output = command.args(["-x", "none", "-o"]).arg(&program).arg("-lm").output().unwrap();
-        assert!(output.status.success(), "{language}: {}", String::from_utf8_lossy(&output.stderr));
+        command
+            .args(options)
+            .args(["-O2", "-Wall", "-Wextra", "-Wpedantic", "-Werror", "-I"])
+            .arg(&folder);
+        command
+            .arg("-I")
+            .arg(of_project("examples"))
+            .arg(of_project("tests/consumers/layout.c"));
+        let output = command
+            .args(["-x", "none", "-o"])
+            .arg(&program)
+            .arg("-lm")
+            .output()
+            .unwrap();
+        assert!(
+            output.status.success(),
+            "{language}: {}",
+            String::from_utf8_lossy(&output.stderr)
+        );
         Some((language, program))
     };
     LANGUAGES.into_iter().filter_map(compiled).collect()
@@ -68,15 +97,32 @@ fn the_header_has_the_fields_and_numbers_of_the_layout() {
         for field in of.fields {
             let element = field.kind.split('[').next().unwrap();
             // Text is char, whose sign is the compiler's business.
-            let element = if ["sensor", "name"].contains(&field.name) { "i8" } else { element };
-            writeln!(expected, "{} {} {} {} {element}", of.c_name, field.name, field.offset, field.bytes).unwrap();
+            let element = if ["sensor", "name"].contains(&field.name) {
+                "i8"
+            } else {
+                element
+            };
+            writeln!(
+                expected,
+                "{} {} {} {} {element}",
+                of.c_name, field.name, field.offset, field.bytes
+            )
+            .unwrap();
         }
     }
-    numbers().iter().for_each(|(name, value)| writeln!(expected, "number {name} {value}").unwrap());
+    numbers()
+        .iter()
+        .for_each(|(name, value)| writeln!(expected, "number {name} {value}").unwrap());
     for (language, program) in programs("fields") {
         let said = String::from_utf8(run(&program, &["fields".as_ref()])).unwrap();
         let is_text = |line: &str| line.contains(" sensor ") || line.contains(" name ");
-        let said = said.lines().map(|line| if is_text(line) { line.replace(" u8", " i8") } else { line.to_owned() });
+        let said = said.lines().map(|line| {
+            if is_text(line) {
+                line.replace(" u8", " i8")
+            } else {
+                line.to_owned()
+            }
+        });
         let (said, expected): (Vec<_>, Vec<_>) = (said.collect(), expected.lines().collect());
         assert_eq!(said, expected, "{language}");
     }
@@ -88,7 +134,10 @@ fn records(bytes: &[u8]) -> impl Iterator<Item = ([f64; 10], i64)> {
     assert!(rest.is_empty());
     records.iter().map(|record| {
         let number = |at: usize| f64::from_le_bytes(record[at * 8..][..8].try_into().unwrap());
-        (std::array::from_fn(number), i64::from_le_bytes(record[80..].try_into().unwrap()))
+        (
+            std::array::from_fn(number),
+            i64::from_le_bytes(record[80..].try_into().unwrap()),
+        )
     })
 }
 
@@ -104,18 +153,53 @@ fn the_header_has_the_points_of_every_return() {
                 let said = run(program, &["points".as_ref(), &file]);
                 let mut said = records(&said);
                 for one in view.returns() {
-                    let place = format!("{language}, {source:?}, row {}, column {}", one.row, one.column);
-                    let ([row, column, kind, label, reflectivity, range, azimuth, x, y, z], time_ns) =
-                        said.next().unwrap_or_else(|| panic!("{place} is missing"));
-                    assert_eq!((row, column, time_ns), (one.row as f64, one.column as f64, one.time_ns), "{place}");
-                    let is_last = f64::from(one.kind as u8) == kind && (kind == 2.0) == (one.kind == ReturnKind::Last);
+                    let place = format!(
+                        "{language}, {source:?}, row {}, column {}",
+                        one.row, one.column
+                    );
+                    let (
+                        [
+                            row,
+                            column,
+                            kind,
+                            label,
+                            reflectivity,
+                            range,
+                            azimuth,
+                            x,
+                            y,
+                            z,
+                        ],
+                        time_ns,
+                    ) = said.next().unwrap_or_else(|| panic!("{place} is missing"));
+                    assert_eq!(
+                        (row, column, time_ns),
+                        (one.row as f64, one.column as f64, one.time_ns),
+                        "{place}"
+                    );
+                    let is_last = f64::from(one.kind as u8) == kind
+                        && (kind == 2.0) == (one.kind == ReturnKind::Last);
                     assert!(is_last && label == f64::from(one.label), "{place}");
-                    assert_eq!((reflectivity, range), (one.reflectivity.into(), one.range_m.into()), "{place}");
+                    assert_eq!(
+                        (reflectivity, range),
+                        (one.reflectivity.into(), one.range_m.into()),
+                        "{place}"
+                    );
                     assert_eq!(azimuth, view.azimuth_rad(one.row, one.column), "{place}");
-                    let off = [x, y, z].into_iter().zip(one.point_m).map(|(one, other)| (one - other).abs());
-                    assert!(off.fold(0.0, f64::max) < 1e-9, "{place}: {x} {y} {z}, {:?}", one.point_m);
+                    let off = [x, y, z]
+                        .into_iter()
+                        .zip(one.point_m)
+                        .map(|(one, other)| (one - other).abs());
+                    assert!(
+                        off.fold(0.0, f64::max) < 1e-9,
+                        "{place}: {x} {y} {z}, {:?}",
+                        one.point_m
+                    );
                 }
-                assert!(said.next().is_none(), "{language}, {source:?}: more returns than there are");
+                assert!(
+                    said.next().is_none(),
+                    "{language}, {source:?}: more returns than there are"
+                );
             }
         }
     }
@@ -136,22 +220,68 @@ fn the_header_refuses_what_rust_refuses() {
     let old = |at: usize| u32::from_le_bytes(bytes[at..at + 4].try_into().unwrap());
     let mut faults = Vec::new();
     for at in (0..152).chain(236..240).step_by(4) {
-        let others = [0, 1, 2, 3, 16, 63, 64, 256, 257, 1 << 20, (1 << 20) + 1, 1 << 28, u32::MAX];
-        let near = [old(at), old(at).wrapping_add(1), old(at).wrapping_sub(1), old(at).wrapping_mul(2)];
-        faults.extend(others.into_iter().chain(near).map(|value| Fault { at, value, len: bytes.len(), shift: 0 }));
+        let others = [
+            0,
+            1,
+            2,
+            3,
+            16,
+            63,
+            64,
+            256,
+            257,
+            1 << 20,
+            (1 << 20) + 1,
+            1 << 28,
+            u32::MAX,
+        ];
+        let near = [
+            old(at),
+            old(at).wrapping_add(1),
+            old(at).wrapping_sub(1),
+            old(at).wrapping_mul(2),
+        ];
+        faults.extend(others.into_iter().chain(near).map(|value| Fault {
+            at,
+            value,
+            len: bytes.len(),
+            shift: 0,
+        }));
     }
     // Columns and margin that are just too many together.
     let spare = old(112) - old(108) - old(236);
-    faults.extend([0, 1].map(|more| Fault { at: 236, value: old(236) + spare + more, len: bytes.len(), shift: 0 }));
+    faults.extend([0, 1].map(|more| Fault {
+        at: 236,
+        value: old(236) + spare + more,
+        len: bytes.len(),
+        shift: 0,
+    }));
     let lengths = [0, 7, 447, 448, 1000, bytes.len() - 1];
-    faults.extend(lengths.map(|len| Fault { at: 8, value: old(8), len, shift: 0 }));
-    faults.extend([4, 8, 64].map(|shift| Fault { at: 8, value: old(8), len: bytes.len(), shift }));
+    faults.extend(lengths.map(|len| Fault {
+        at: 8,
+        value: old(8),
+        len,
+        shift: 0,
+    }));
+    faults.extend([4, 8, 64].map(|shift| Fault {
+        at: 8,
+        value: old(8),
+        len: bytes.len(),
+        shift,
+    }));
 
     // Aligned to 64 as a sweep is, with room for the shift.
-    let mut buffer = sweepd::sweep::Buffers::take(&mut sweepd::sweep::HeapBuffers::default(), bytes.len() + 64);
+    let mut buffer =
+        sweepd::sweep::Buffers::take(&mut sweepd::sweep::HeapBuffers::default(), bytes.len() + 64);
     let buffer: &mut [u8] = buffer.as_mut();
     let (mut lines, mut expected) = (String::new(), String::new());
-    for Fault { at, value, len, shift } in &faults {
+    for Fault {
+        at,
+        value,
+        len,
+        shift,
+    } in &faults
+    {
         writeln!(lines, "{at} {value} {len} {shift}").unwrap();
         let shifted = &mut buffer[*shift..][..bytes.len()];
         shifted.copy_from_slice(bytes);
@@ -164,7 +294,10 @@ fn the_header_refuses_what_rust_refuses() {
         };
         writeln!(expected, "{status}").unwrap();
     }
-    assert!((0..4).all(|status| expected.contains(&status.to_string())), "all four are there");
+    assert!(
+        (0..4).all(|status| expected.contains(&status.to_string())),
+        "all four are there"
+    );
     let file = folder("refused").join("sweep");
     std::fs::write(&file, bytes).unwrap();
     for (language, program) in programs("check") {
@@ -181,8 +314,16 @@ fn the_header_refuses_what_rust_refuses() {
         writer.join().unwrap();
         let said = String::from_utf8(output.stdout).unwrap();
         for ((said, expected), fault) in said.lines().zip(expected.lines()).zip(&faults) {
-            let Fault { at, value, len, shift } = fault;
-            assert_eq!(said, expected, "{language}: {value} at {at}, {len} bytes from {shift}");
+            let Fault {
+                at,
+                value,
+                len,
+                shift,
+            } = fault;
+            assert_eq!(
+                said, expected,
+                "{language}: {value} at {at}, {len} bytes from {shift}"
+            );
         }
         assert_eq!(said.lines().count(), faults.len(), "{language}");
     }

@@ -21,18 +21,39 @@ use super::{folder, of_project};
 fn rust_consumer() -> PathBuf {
     let mut cargo = Command::new(env!("CARGO"));
     cargo
-        .args(["build", "--quiet", "--locked", "--offline", "-p", "sweepd-client", "--example", "consumer"])
+        .args([
+            "build",
+            "--quiet",
+            "--locked",
+            "--offline",
+            "-p",
+            "sweepd-client",
+            "--example",
+            "consumer",
+        ])
         .current_dir(of_project(""));
     if !cfg!(debug_assertions) {
         cargo.arg("--release");
     }
-    assert!(cargo.status().unwrap().success(), "the example is not built");
+    assert!(
+        cargo.status().unwrap().success(),
+        "the example is not built"
+    );
     // target/debug/deps/consumers-*
-    std::env::current_exe().unwrap().ancestors().nth(2).unwrap().join("examples/consumer")
+    std::env::current_exe()
+        .unwrap()
+        .ancestors()
+        .nth(2)
+        .unwrap()
+        .join("examples/consumer")
 }
 
 fn nearest(sweep: &SweepRef<'_>) -> Option<f32> {
-    sweep.segments.iter().map(|segment| segment.nearest_m).min_by(f32::total_cmp)
+    sweep
+        .segments
+        .iter()
+        .map(|segment| segment.nearest_m)
+        .min_by(f32::total_cmp)
 }
 
 /// Plays a street to a consumer, whose every line must be about the sweep that was sent.
@@ -51,7 +72,8 @@ fn play_to(consumer: &Talk, own: &Own, mut check: impl FnMut(&SweepRef<'_>, &str
     Source::StreetVlp16Dual.play(loans, |slot| {
         let bytes = slot.as_ref().to_vec();
         slot.publish().unwrap();
-        let mut copy = sweepd::sweep::Buffers::take(&mut sweepd::sweep::HeapBuffers::default(), bytes.len());
+        let mut copy =
+            sweepd::sweep::Buffers::take(&mut sweepd::sweep::HeapBuffers::default(), bytes.len());
         copy.as_mut().copy_from_slice(&bytes);
         check(&SweepRef::open(copy.as_ref()).unwrap(), &consumer.line());
         sweeps += 1;
@@ -62,18 +84,35 @@ fn play_to(consumer: &Talk, own: &Own, mut check: impl FnMut(&SweepRef<'_>, &str
 /// `roof 3: 10.0 Hz, 1.9 ms, 87 segments, nearest 1.23 m`
 fn check_line(sweep: &SweepRef<'_>, line: &str) {
     let parts: Vec<&str> = line.split([':', ',']).map(str::trim).collect();
-    let [name, rate, latency, segments, nearest_m] = parts[..] else { panic!("{line}") };
+    let [name, rate, latency, segments, nearest_m] = parts[..] else {
+        panic!("{line}")
+    };
     assert_eq!(name, format!("roof {}", sweep.header.sequence));
     assert_eq!(segments, format!("{} segments", sweep.segments.len()));
-    let expected = nearest(sweep).map_or_else(|| "none".to_owned(), |nearest_m| format!("{nearest_m:.2} m"));
+    let expected = nearest(sweep).map_or_else(
+        || "none".to_owned(),
+        |nearest_m| format!("{nearest_m:.2} m"),
+    );
     assert_eq!(nearest_m, format!("nearest {expected}"));
-    assert!(rate.strip_suffix(" Hz").unwrap().parse::<f64>().unwrap() > 0.0, "{line}");
+    assert!(
+        rate.strip_suffix(" Hz").unwrap().parse::<f64>().unwrap() > 0.0,
+        "{line}"
+    );
     // The capture is older than this run, and its clock is not this host's.
-    assert!(latency.strip_suffix(" ms").unwrap().parse::<f64>().is_ok(), "{line}");
+    assert!(
+        latency.strip_suffix(" ms").unwrap().parse::<f64>().is_ok(),
+        "{line}"
+    );
 }
 
 fn interrupt(consumer: &Talk) {
-    assert!(Command::new("kill").args(["-INT", &consumer.id().to_string()]).status().unwrap().success());
+    assert!(
+        Command::new("kill")
+            .args(["-INT", &consumer.id().to_string()])
+            .status()
+            .unwrap()
+            .success()
+    );
 }
 
 #[test]
@@ -111,24 +150,57 @@ fn publish_until_line(loans: &mut sweepd::publish::Loans, consumer: &Talk) {
 
 #[test]
 fn the_python_consumer_prints_a_line_a_sweep_and_ends_at_once() {
-    let Some(python) = python_with_iceoryx2() else { return };
+    let Some(python) = python_with_iceoryx2() else {
+        return;
+    };
     let script = of_project("examples/consumer.py");
     let own = Own::new();
-    let args = [script.as_os_str(), "roof".as_ref(), "--root".as_ref(), own.root().as_os_str()];
+    let args = [
+        script.as_os_str(),
+        "roof".as_ref(),
+        "--root".as_ref(),
+        own.root().as_os_str(),
+    ];
     let mut consumer = Talk::start(&python, &args);
     play_to(&consumer, &own, check_line);
     interrupt(&consumer);
     assert!(consumer.end().success());
 
     let own = Own::new();
-    let args = [script.as_os_str(), "roof".as_ref(), "--json".as_ref(), "--root".as_ref(), own.root().as_os_str()];
+    let args = [
+        script.as_os_str(),
+        "roof".as_ref(),
+        "--json".as_ref(),
+        "--root".as_ref(),
+        own.root().as_os_str(),
+    ];
     play_to(&Talk::start(&python, &args), &own, |sweep, line| {
         let said: Value = serde_json::from_str(line).unwrap();
-        let numbers = ["seq", "columns", "rows", "returns", "segments"].map(|key| said[key].as_u64().unwrap());
-        let (columns, rows, segments) = (sweep.columns.len() as u64, sweep.rows() as u64, sweep.segments.len() as u64);
-        assert_eq!(numbers, [sweep.header.sequence, columns, rows, sweep.header.returns.into(), segments]);
-        assert_eq!(said["nearest_m"].as_f64().map(|nearest_m| nearest_m as f32), nearest(sweep));
-        assert_eq!((&said["sensor"], &said["missed"]), (&"roof".into(), &0.into()));
+        let numbers = ["seq", "columns", "rows", "returns", "segments"]
+            .map(|key| said[key].as_u64().unwrap());
+        let (columns, rows, segments) = (
+            sweep.columns.len() as u64,
+            sweep.rows() as u64,
+            sweep.segments.len() as u64,
+        );
+        assert_eq!(
+            numbers,
+            [
+                sweep.header.sequence,
+                columns,
+                rows,
+                sweep.header.returns.into(),
+                segments
+            ]
+        );
+        assert_eq!(
+            said["nearest_m"].as_f64().map(|nearest_m| nearest_m as f32),
+            nearest(sweep)
+        );
+        assert_eq!(
+            (&said["sensor"], &said["missed"]),
+            (&"roof".into(), &0.into())
+        );
     });
 }
 
@@ -143,12 +215,21 @@ fn the_cpp_consumer_compiles_and_reads_a_sweep() {
     let strict = ["-std=c++14", "-Wall", "-Wextra", "-Wpedantic", "-Werror"];
     let mut command = Command::new("c++");
     // No define: the source finds out for itself that the binding is not there.
-    command.args(strict).env_remove("CPLUS_INCLUDE_PATH").arg(&source).arg("-o").arg(&program);
+    command
+        .args(strict)
+        .env_remove("CPLUS_INCLUDE_PATH")
+        .arg(&source)
+        .arg("-o")
+        .arg(&program);
     assert!(command.status().unwrap().success());
     let run = |args: &[&OsStr]| {
         let output = Command::new(&program).args(args).output().unwrap();
         let text = |bytes: Vec<u8>| String::from_utf8(bytes).unwrap().trim().to_owned();
-        (output.status.success(), text(output.stdout), text(output.stderr))
+        (
+            output.status.success(),
+            text(output.stdout),
+            text(output.stderr),
+        )
     };
 
     let file = folder.join("sweep");
@@ -156,11 +237,19 @@ fn the_cpp_consumer_compiles_and_reads_a_sweep() {
     std::fs::write(&file, sweep.as_ref()).unwrap();
     let view = SweepRef::open(sweep.as_ref()).unwrap();
     let (done, said, _) = run(&[file.as_os_str()]);
-    let obstacles = view.returns().filter(|one| one.label >= 2 && one.range_m == nearest(&view).unwrap());
+    let obstacles = view
+        .returns()
+        .filter(|one| one.label >= 2 && one.range_m == nearest(&view).unwrap());
     let [x, y, z] = obstacles.map(|one| one.point_m).next().unwrap();
-    let expected = format!("nearest {:.2} m at ({x:.2} {y:.2} {z:.2})", nearest(&view).unwrap());
+    let expected = format!(
+        "nearest {:.2} m at ({x:.2} {y:.2} {z:.2})",
+        nearest(&view).unwrap()
+    );
     assert!(done && said.ends_with(&expected), "{said}, not {expected}");
-    assert!(said.starts_with(&format!("file {}:", view.header.sequence)), "{said}");
+    assert!(
+        said.starts_with(&format!("file {}:", view.header.sequence)),
+        "{said}"
+    );
     std::fs::write(&file, &sweep.as_ref()[..1000]).unwrap();
     let (done, _, error) = run(&[file.as_os_str()]);
     assert!(!done && error.contains("too few bytes"), "{error}");
@@ -170,9 +259,15 @@ fn the_cpp_consumer_compiles_and_reads_a_sweep() {
         let prefix = sweepd::publish::Domain::at(root).prefix();
         assert_eq!(run(&["--prefix".as_ref(), root.as_os_str()]).1, prefix);
     }
-    assert_eq!(run(&["--owner".as_ref(), own.root().as_os_str()]).1, "not there");
+    assert_eq!(
+        run(&["--owner".as_ref(), own.root().as_os_str()]).1,
+        "not there"
+    );
     std::fs::create_dir(own.root()).unwrap();
-    assert_eq!(run(&["--owner".as_ref(), own.root().as_os_str()]).1, "this user's");
+    assert_eq!(
+        run(&["--owner".as_ref(), own.root().as_os_str()]).1,
+        "this user's"
+    );
     if std::os::unix::fs::chown(own.root(), Some(65_534), None).is_ok() {
         let (done, _, error) = run(&["--owner".as_ref(), own.root().as_os_str()]);
         assert!(!done && error.contains("belongs to user nobody"), "{error}");
@@ -181,7 +276,12 @@ fn the_cpp_consumer_compiles_and_reads_a_sweep() {
     let library = folder.join("library.cpp");
     std::fs::write(&library, "#include \"iox2/iceoryx2.hpp\"\n").unwrap();
     let mut probe = Command::new("c++");
-    let probe = probe.args(["-std=c++17", "-fsyntax-only"]).arg(&library).stderr(Stdio::null()).status().unwrap();
+    let probe = probe
+        .args(["-std=c++17", "-fsyntax-only"])
+        .arg(&library)
+        .stderr(Stdio::null())
+        .status()
+        .unwrap();
     if !probe.success() {
         // No distribution has it and no registry: it is not asked for, not even under CI=true.
         eprintln!(
@@ -190,11 +290,20 @@ fn the_cpp_consumer_compiles_and_reads_a_sweep() {
         return;
     }
     let mut whole = Command::new("c++");
-    let whole = whole.args(["-std=c++17", "-Wall", "-Wextra", "-fsyntax-only"]).arg(&source).output().unwrap();
-    assert!(whole.status.success(), "{}", String::from_utf8_lossy(&whole.stderr));
+    let whole = whole
+        .args(["-std=c++17", "-Wall", "-Wextra", "-fsyntax-only"])
+        .arg(&source)
+        .output()
+        .unwrap();
+    assert!(
+        whole.status.success(),
+        "{}",
+        String::from_utf8_lossy(&whole.stderr)
+    );
 }
 
-/// The commands at the top of examples/CMakeLists.txt, on a machine without the binding: they warn, and the program checks a file.
+/// The commands at the top of examples/CMakeLists.txt, on a machine without the binding: they warn,
+/// and the program checks a file.
 #[test]
 fn cmake_builds_the_cpp_consumer() {
     if !has_compiler("c++") || !has_compiler("cmake") {
@@ -203,14 +312,42 @@ fn cmake_builds_the_cpp_consumer() {
     let folder = folder("cmake");
     let build = folder.join("build");
     let mut configure = Command::new("cmake");
-    configure.arg("-S").arg(of_project("examples")).arg("-B").arg(&build);
-    let configured = configure.arg("-DCMAKE_DISABLE_FIND_PACKAGE_iceoryx2-cxx=ON").output().unwrap();
+    configure
+        .arg("-S")
+        .arg(of_project("examples"))
+        .arg("-B")
+        .arg(&build);
+    let configured = configure
+        .arg("-DCMAKE_DISABLE_FIND_PACKAGE_iceoryx2-cxx=ON")
+        .output()
+        .unwrap();
     let warning = String::from_utf8_lossy(&configured.stderr);
-    assert!(configured.status.success() && warning.contains("iceoryx2-cxx 0.10 was not found"), "{warning}");
-    let built = Command::new("cmake").arg("--build").arg(&build).output().unwrap();
-    assert!(built.status.success(), "{}", String::from_utf8_lossy(&built.stderr));
+    assert!(
+        configured.status.success() && warning.contains("iceoryx2-cxx 0.10 was not found"),
+        "{warning}"
+    );
+    let built = Command::new("cmake")
+        .arg("--build")
+        .arg(&build)
+        .output()
+        .unwrap();
+    assert!(
+        built.status.success(),
+        "{}",
+        String::from_utf8_lossy(&built.stderr)
+    );
     let file = folder.join("sweep");
-    std::fs::write(&file, Source::StreetVlp16Dual.sweeps().swap_remove(1).as_ref()).unwrap();
-    let said = Command::new(build.join("consumer")).arg(&file).output().unwrap();
-    assert!(said.status.success() && said.stdout.starts_with(b"file "), "{said:?}");
+    std::fs::write(
+        &file,
+        Source::StreetVlp16Dual.sweeps().swap_remove(1).as_ref(),
+    )
+    .unwrap();
+    let said = Command::new(build.join("consumer"))
+        .arg(&file)
+        .output()
+        .unwrap();
+    assert!(
+        said.status.success() && said.stdout.starts_with(b"file "),
+        "{said:?}"
+    );
 }

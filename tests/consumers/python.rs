@@ -32,12 +32,24 @@ pub struct Talk {
 impl Talk {
     pub fn start(program: &OsStr, args: &[&OsStr]) -> Self {
         let mut command = Command::new(program);
-        command.args(args).stdin(Stdio::piped()).stdout(Stdio::piped());
+        command
+            .args(args)
+            .stdin(Stdio::piped())
+            .stdout(Stdio::piped());
         let mut child = command.spawn().unwrap();
         let (sender, lines) = mpsc::channel();
         let output = BufReader::new(child.stdout.take().unwrap());
-        std::thread::spawn(move || output.lines().map_while(Result::ok).try_for_each(|line| sender.send(line)));
-        Self { input: child.stdin.take(), child, lines }
+        std::thread::spawn(move || {
+            output
+                .lines()
+                .map_while(Result::ok)
+                .try_for_each(|line| sender.send(line))
+        });
+        Self {
+            input: child.stdin.take(),
+            child,
+            lines,
+        }
     }
 
     #[track_caller]
@@ -91,21 +103,43 @@ impl Drop for Talk {
 pub fn check(args: &[&OsStr]) -> Option<Talk> {
     let python = python_with_iceoryx2()?;
     let script = of_project("tests/consumers/check.py");
-    Some(Talk::start(&python, &[&[script.as_os_str()], args].concat()))
+    Some(Talk::start(
+        &python,
+        &[&[script.as_os_str()], args].concat(),
+    ))
 }
 
 fn follow(own: &Own, points_to: &Path) -> Option<Talk> {
-    check(&["follow".as_ref(), "roof".as_ref(), own.root().as_ref(), points_to.as_ref()])
+    check(&[
+        "follow".as_ref(),
+        "roof".as_ref(),
+        own.root().as_ref(),
+        points_to.as_ref(),
+    ])
 }
 
 pub fn loans(own: &Own) -> Loans {
     let (model, address) = ("VLP-16".to_owned(), "192.168.1.201".to_owned());
-    Loans::create(&own.domain(), &Settings { name: "roof".to_owned(), max_consumers: 2, model, address }).unwrap()
+    Loans::create(
+        &own.domain(),
+        &Settings {
+            name: "roof".to_owned(),
+            max_consumers: 2,
+            model,
+            address,
+        },
+    )
+    .unwrap()
 }
 
 /// A sweep with this number, nothing else in it.
 pub fn numbered(loans: &mut Loans, sequence: u64) -> Slot {
-    let shape = Shape { rows: 16, columns_capacity: 100, dual: false, segments_capacity: 10 };
+    let shape = Shape {
+        rows: 16,
+        columns_capacity: 100,
+        dual: false,
+        segments_capacity: 10,
+    };
     let mut slot = loans.take(shape.total_bytes());
     let sweep = SweepMut::create(slot.as_mut(), &shape).unwrap();
     sweep.beams.as_mut_bytes().fill(sequence as u8);
@@ -116,17 +150,26 @@ pub fn numbered(loans: &mut Loans, sequence: u64) -> Slot {
 pub fn publish(loans: &mut Loans, sequence: u64) {
     let slot = numbered(loans, sequence);
     let trouble = loans.status().trouble();
-    slot.publish().unwrap_or_else(|error| panic!("{error}: {trouble:?}"));
+    slot.publish()
+        .unwrap_or_else(|error| panic!("{error}: {trouble:?}"));
 }
 
 #[test]
 fn the_python_consumer_has_the_fields_and_numbers_of_the_layout() {
     let own = Own::new();
-    let roots =
-        ["/run/sweepd/iox2", "/tmp/sweepd/iox2", "/a", "/a//b/./c/../d", "rel/ative", &own.root().to_string_lossy()]
-            .map(PathBuf::from);
-    let args: Vec<&OsStr> =
-        [OsStr::new("layout")].into_iter().chain(roots.iter().map(|root| root.as_os_str())).collect();
+    let roots = [
+        "/run/sweepd/iox2",
+        "/tmp/sweepd/iox2",
+        "/a",
+        "/a//b/./c/../d",
+        "rel/ative",
+        &own.root().to_string_lossy(),
+    ]
+    .map(PathBuf::from);
+    let args: Vec<&OsStr> = [OsStr::new("layout")]
+        .into_iter()
+        .chain(roots.iter().map(|root| root.as_os_str()))
+        .collect();
     let Some(talk) = check(&args) else { return };
     let said = talk.json();
     for of in structs().iter().filter(|of| of.name != "Preamble") {
@@ -135,7 +178,11 @@ fn the_python_consumer_has_the_fields_and_numbers_of_the_layout() {
             let element = field.kind.split('[').next().unwrap();
             // Text and the magic are bytes.
             let is_bytes = ["sensor", "name", "magic"].contains(&field.name);
-            let bits: usize = if is_bytes { field.bytes * 8 } else { element[1..].parse().unwrap() };
+            let bits: usize = if is_bytes {
+                field.bytes * 8
+            } else {
+                element[1..].parse().unwrap()
+            };
             let class = match field.name {
                 "magic" => "V",
                 "sensor" | "name" => "S",
@@ -144,13 +191,22 @@ fn the_python_consumer_has_the_fields_and_numbers_of_the_layout() {
             let expected = serde_json::json!([field.offset, field.bytes, format!("{class}{bits}")]);
             assert_eq!(found[field.name], expected, "{} {}", of.name, field.name);
         }
-        let named = found.keys().filter(|name| !name.starts_with("reserved_")).count();
+        let named = found
+            .keys()
+            .filter(|name| !name.starts_with("reserved_"))
+            .count();
         assert_eq!(named, of.fields.len(), "{}", of.name);
     }
     for field in &structs()[0].fields {
-        assert_eq!(said["preamble"][field.name], serde_json::json!([field.offset, field.bytes]));
+        assert_eq!(
+            said["preamble"][field.name],
+            serde_json::json!([field.offset, field.bytes])
+        );
     }
-    for (name, value) in numbers().into_iter().filter(|(name, _)| !name.starts_with("CHOICE_")) {
+    for (name, value) in numbers()
+        .into_iter()
+        .filter(|(name, _)| !name.starts_with("CHOICE_"))
+    {
         assert_eq!(said["numbers"][name], value, "{name}");
     }
     let expected = roots.map(|root| sweepd::publish::Domain::at(root).prefix());
@@ -164,16 +220,31 @@ pub fn mapped(bytes: &[u8]) -> (String, u64) {
     let line = |line: &str| {
         let fields: Vec<&str> = line.split_whitespace().collect();
         let (first, last) = fields[0].split_once('-').unwrap();
-        let [first, last, offset] = [first, last, fields[2]].map(|hex| u64::from_str_radix(hex, 16).unwrap());
+        let [first, last, offset] =
+            [first, last, fields[2]].map(|hex| u64::from_str_radix(hex, 16).unwrap());
         let is_here = (first..last).contains(&at) && at + bytes.len() as u64 <= last;
-        is_here.then(|| (fields.get(5).copied().unwrap_or_default().to_owned(), offset + at - first))
+        is_here.then(|| {
+            (
+                fields.get(5).copied().unwrap_or_default().to_owned(),
+                offset + at - first,
+            )
+        })
     };
     maps.lines().find_map(line).expect("mapped in one piece")
 }
 
 /// SHA-256 of some bytes, by the same library in the other process.
 fn parts<'a>(sweep: &SweepRef<'a>) -> Vec<(&'static str, &'a [u8])> {
-    let SweepRef { range, label, range2, label2, columns, beams, segments, .. } = *sweep;
+    let SweepRef {
+        range,
+        label,
+        range2,
+        label2,
+        columns,
+        beams,
+        segments,
+        ..
+    } = *sweep;
     let single = [
         ("range", range.as_bytes()),
         ("reflectivity", sweep.reflectivity),
@@ -188,12 +259,20 @@ fn parts<'a>(sweep: &SweepRef<'a>) -> Vec<(&'static str, &'a [u8])> {
         ("label2", label2.as_bytes()),
         ("kind", sweep.kind),
     ];
-    single.into_iter().chain(other.into_iter().filter(|(_, bytes)| !bytes.is_empty())).collect()
+    single
+        .into_iter()
+        .chain(other.into_iter().filter(|(_, bytes)| !bytes.is_empty()))
+        .collect()
 }
 
 fn values<const N: usize>(file: PathBuf) -> Vec<[f64; N]> {
     let bytes = std::fs::read(file).unwrap();
-    let numbers: Vec<f64> = bytes.as_chunks().0.iter().map(|bytes| f64::from_le_bytes(*bytes)).collect();
+    let numbers: Vec<f64> = bytes
+        .as_chunks()
+        .0
+        .iter()
+        .map(|bytes| f64::from_le_bytes(*bytes))
+        .collect();
     numbers.as_chunks().0.to_vec()
 }
 
@@ -202,25 +281,55 @@ fn values<const N: usize>(file: PathBuf) -> Vec<[f64; N]> {
 fn compare_points(sweep: &SweepRef<'_>, folder: &Path) {
     let points = [
         values::<3>(folder.join("points")),
-        if sweep.range2.is_empty() { Vec::new() } else { values(folder.join("points2")) },
+        if sweep.range2.is_empty() {
+            Vec::new()
+        } else {
+            values(folder.join("points2"))
+        },
     ];
     let azimuths = values::<1>(folder.join("azimuth"));
     let times = std::fs::read(folder.join("times")).unwrap();
-    let times: Vec<i64> = times.as_chunks().0.iter().map(|bytes| i64::from_le_bytes(*bytes)).collect();
+    let times: Vec<i64> = times
+        .as_chunks()
+        .0
+        .iter()
+        .map(|bytes| i64::from_le_bytes(*bytes))
+        .collect();
     let pixels = sweep.range.len();
-    assert_eq!((points[0].len(), azimuths.len(), times.len()), (pixels, pixels, pixels));
+    assert_eq!(
+        (points[0].len(), azimuths.len(), times.len()),
+        (pixels, pixels, pixels)
+    );
     for index in 0..pixels {
         let (row, column) = (index % sweep.rows(), index / sweep.rows());
-        assert_eq!(times[index], sweep.time_ns(row, column), "row {row}, column {column}");
-        assert!((azimuths[index][0] - sweep.azimuth_rad(row, column)).abs() < 1e-12, "row {row}, column {column}");
+        assert_eq!(
+            times[index],
+            sweep.time_ns(row, column),
+            "row {row}, column {column}"
+        );
+        assert!(
+            (azimuths[index][0] - sweep.azimuth_rad(row, column)).abs() < 1e-12,
+            "row {row}, column {column}"
+        );
         for (plane, range) in [(&points[0], sweep.range), (&points[1], sweep.range2)] {
-            let Some(&range_m) = range.get(index) else { continue };
+            let Some(&range_m) = range.get(index) else {
+                continue;
+            };
             let point = plane[index];
             if is_return(range_m) {
-                let off = point.iter().zip(sweep.point_m(row, column, range_m)).map(|(one, other)| (one - other).abs());
-                assert!(off.fold(0.0, f64::max) < 1e-9, "row {row}, column {column}: {point:?}");
+                let off = point
+                    .iter()
+                    .zip(sweep.point_m(row, column, range_m))
+                    .map(|(one, other)| (one - other).abs());
+                assert!(
+                    off.fold(0.0, f64::max) < 1e-9,
+                    "row {row}, column {column}: {point:?}"
+                );
             } else {
-                assert!(point.iter().all(|axis| axis.is_nan()), "row {row}, column {column}: {point:?}");
+                assert!(
+                    point.iter().all(|axis| axis.is_nan()),
+                    "row {row}, column {column}: {point:?}"
+                );
             }
         }
     }
@@ -232,7 +341,9 @@ fn python_reads_the_bytes_that_the_decoder_wrote_and_the_same_points() {
         let (own, points_to) = (Own::new(), folder("python"));
         let mut hashes = Vec::new();
         let loans = loans(&own);
-        let Some(mut python) = follow(&own, &points_to) else { return };
+        let Some(mut python) = follow(&own, &points_to) else {
+            return;
+        };
         assert_eq!(python.json()["ready"], true);
         source.play(loans, |slot| {
             let bytes = slot.as_ref().to_vec();
@@ -244,15 +355,31 @@ fn python_reads_the_bytes_that_the_decoder_wrote_and_the_same_points() {
             copy.as_mut().copy_from_slice(&bytes);
             let sweep = SweepRef::open(copy.as_ref()).unwrap();
             assert_eq!(said["sweep"], sweep.header.sequence, "{said}");
-            assert_eq!(said["shape"], serde_json::json!([sweep.columns.len(), sweep.rows()]));
+            assert_eq!(
+                said["shape"],
+                serde_json::json!([sweep.columns.len(), sweep.rows()])
+            );
             let mapping = &said["mapping"];
             assert!(file.starts_with("/dev/shm/"), "{file}");
-            assert_eq!((&mapping["file"], &mapping["offset"]), (&file.into(), &offset.into()), "the same place of it");
-            assert_eq!((&mapping["access"], &said["read_only"]), (&"r--s".into(), &true.into()));
-            assert_eq!((&said["schema"], &said["model"]), (&"3".into(), &"VLP-16".into()));
+            assert_eq!(
+                (&mapping["file"], &mapping["offset"]),
+                (&file.into(), &offset.into()),
+                "the same place of it"
+            );
+            assert_eq!(
+                (&mapping["access"], &said["read_only"]),
+                (&"r--s".into(), &true.into())
+            );
+            assert_eq!(
+                (&said["schema"], &said["model"]),
+                (&"3".into(), &"VLP-16".into())
+            );
             compare_points(&sweep, &points_to);
             for (name, bytes) in parts(&sweep) {
-                hashes.push((bytes.to_vec(), said["sha256"][name].as_str().unwrap().to_owned()));
+                hashes.push((
+                    bytes.to_vec(),
+                    said["sha256"][name].as_str().unwrap().to_owned(),
+                ));
             }
         });
         assert!(hashes.len() >= 18, "three sweeps of six parts");
@@ -270,15 +397,25 @@ fn compare_hashes(hashes: &[(Vec<u8>, String)]) {
         expected += &format!("{hash}  {number}\n");
     }
     std::fs::write(folder.join("sums"), expected).unwrap();
-    let output = Command::new("sha256sum").args(["--check", "--quiet", "sums"]).current_dir(&folder).output().unwrap();
-    assert!(output.status.success(), "{}", String::from_utf8_lossy(&output.stdout));
+    let output = Command::new("sha256sum")
+        .args(["--check", "--quiet", "sums"])
+        .current_dir(&folder)
+        .output()
+        .unwrap();
+    assert!(
+        output.status.success(),
+        "{}",
+        String::from_utf8_lossy(&output.stdout)
+    );
 }
 
 #[test]
 fn python_goes_on_when_the_daemon_was_restarted_and_when_files_were_deleted() {
     let own = Own::new();
     // It is there first.
-    let Some(mut python) = follow(&own, Path::new("")) else { return };
+    let Some(mut python) = follow(&own, Path::new("")) else {
+        return;
+    };
     assert_eq!(python.json()["ready"], false);
     assert_eq!(python.ask("0.2")["sweep"], Value::Null);
     let mut first = loans(&own);
@@ -301,9 +438,16 @@ fn python_goes_on_when_the_daemon_was_restarted_and_when_files_were_deleted() {
     drop(first);
     // What was on its way still comes, and then no more.
     let rest: Vec<Value> = (0..4).map(|_| python.ask("0.1")).collect();
-    assert_eq!((&rest[3]["sweep"], &rest[3]["published"]), (&Value::Null, &false.into()));
+    assert_eq!(
+        (&rest[3]["sweep"], &rest[3]["published"]),
+        (&Value::Null, &false.into())
+    );
     let mut second = loans(&own);
-    assert_eq!(send_until_seen(&mut second, &mut python, 0), 0, "a restart is not even noticed");
+    assert_eq!(
+        send_until_seen(&mut second, &mut python, 0),
+        0,
+        "a restart is not even noticed"
+    );
     for round in 1..=2 {
         std::fs::remove_dir_all(own.root()).unwrap();
         // Between the two it may open the new one, whose file the old one took along when it went.
@@ -317,7 +461,9 @@ fn python_goes_on_when_the_daemon_was_restarted_and_when_files_were_deleted() {
 fn what_python_holds_stays_and_more_than_two_are_refused() {
     let own = Own::new();
     let mut loans = loans(&own);
-    let Some(mut python) = check(&["hold".as_ref(), "roof".as_ref(), own.root().as_ref()]) else { return };
+    let Some(mut python) = check(&["hold".as_ref(), "roof".as_ref(), own.root().as_ref()]) else {
+        return;
+    };
     assert_eq!(python.json()["ready"], true);
     publish(&mut loans, 1);
     publish(&mut loans, 2);
@@ -326,8 +472,17 @@ fn what_python_holds_stays_and_more_than_two_are_refused() {
         publish(&mut loans, sequence);
     }
     let said = python.ask("");
-    assert!(said["greedy"].as_str().is_some_and(|error| error.contains("holds 2 sweeps of `roof`")), "{said}");
-    assert_eq!((&said["same"], &said["newest"], &said["then"]), (&true.into(), &99.into(), &true.into()), "{said}");
+    assert!(
+        said["greedy"]
+            .as_str()
+            .is_some_and(|error| error.contains("holds 2 sweeps of `roof`")),
+        "{said}"
+    );
+    assert_eq!(
+        (&said["same"], &said["newest"], &said["then"]),
+        (&true.into(), &99.into(), &true.into()),
+        "{said}"
+    );
     assert!(python.end().success());
 }
 
@@ -342,12 +497,24 @@ fn python_refuses_another_users_folder_and_a_full_service() {
     assert!(others.iter().all(|talk| talk.json()["ready"] == true));
     let mut third = follow(&own, Path::new("")).unwrap();
     assert_eq!(third.json()["ready"], false);
-    // Places of consumers that died are given back within a second: it takes two to tell that there is none.
+    // Places of consumers that died are given back within a second: it takes two to tell that there
+    // is none.
     let full = third.ask("5");
-    assert!(full["error"].as_str().is_some_and(|error| error.contains("max_consumers")), "{full}");
-    others.iter_mut().for_each(|talk| assert!(talk.end().success()));
+    assert!(
+        full["error"]
+            .as_str()
+            .is_some_and(|error| error.contains("max_consumers")),
+        "{full}"
+    );
+    others
+        .iter_mut()
+        .for_each(|talk| assert!(talk.end().success()));
 
-    if std::fs::metadata("/proc/self").map(|it| std::os::unix::fs::MetadataExt::uid(&it)).unwrap() != 0 {
+    if std::fs::metadata("/proc/self")
+        .map(|it| std::os::unix::fs::MetadataExt::uid(&it))
+        .unwrap()
+        != 0
+    {
         eprintln!("SKIPPED: only root can make a folder that is another user's");
         return;
     }
@@ -356,5 +523,8 @@ fn python_refuses_another_users_folder_and_a_full_service() {
     std::os::unix::fs::chown(folder.root(), Some(65_534), None).unwrap();
     let said = follow(&folder, Path::new("")).unwrap().json();
     let error = said["error"].as_str().unwrap();
-    assert!(error.contains("user nobody") && error.contains("runs as root"), "{error}");
+    assert!(
+        error.contains("user nobody") && error.contains("runs as root"),
+        "{error}"
+    );
 }

@@ -1,5 +1,5 @@
-//! Consumers of a publisher that keeps to nothing: a refusal that says why, or a sweep of which all can be asked, and never
-//! a crash.
+//! Consumers of a publisher that keeps to nothing: a refusal that says why, or a sweep of which all
+//! can be asked, and never a crash.
 
 use std::fs::File;
 use std::os::unix::fs::{FileExt, PermissionsExt};
@@ -17,7 +17,9 @@ use sweepd::sweep::layout::{Header, LAYOUT_VERSION, LayoutError};
 use zerocopy::IntoBytes;
 
 use super::domain::Own;
-use super::hostile::{COLUMNS, Case, Fate, Hostile, SHAPE, cases, honest, node, preamble, schema, service_name};
+use super::hostile::{
+    COLUMNS, Case, Fate, Hostile, SHAPE, cases, honest, node, preamble, schema, service_name,
+};
 use super::native::has_compiler;
 use super::python::{Talk, check, loans, publish};
 use super::{folder, of_project};
@@ -35,11 +37,20 @@ fn ask_all(sweep: &SweepRef<'_>) -> usize {
     let header = sweep.header;
     let _ = (header.time_source(), header.return_mode(), header.has(1));
     for name in [header.name(), header.sensor()] {
-        assert!(!name.contains(char::is_control), "{name:?} is shown on terminals");
+        assert!(
+            !name.contains(char::is_control),
+            "{name:?} is shown on terminals"
+        );
     }
-    for (row, column) in (0..sweep.rows()).flat_map(|row| (0..sweep.columns.len()).map(move |column| (row, column))) {
+    for (row, column) in
+        (0..sweep.rows()).flat_map(|row| (0..sweep.columns.len()).map(move |column| (row, column)))
+    {
         assert!(sweep.fired_in(row, column) < sweep.columns.len());
-        let _ = (sweep.azimuth_rad(row, column), sweep.time_ns(row, column), sweep.point_m(row, column, f32::MAX));
+        let _ = (
+            sweep.azimuth_rad(row, column),
+            sweep.time_ns(row, column),
+            sweep.point_m(row, column, f32::MAX),
+        );
     }
     assert_eq!(sweep.segments.len(), header.segments as usize);
     sweep.returns().count()
@@ -50,7 +61,13 @@ fn rust_takes_or_refuses_whatever_is_sent() {
     let own = Own::new();
     let hostile = Hostile::new(&own);
     let mut client = client(&own);
-    for Case { name, bytes, preamble, fate } in cases() {
+    for Case {
+        name,
+        bytes,
+        preamble,
+        fate,
+    } in cases()
+    {
         hostile.send(&bytes, &preamble);
         match (client.next(SOON), fate) {
             (Ok(Some(sweep)), Fate::Taken) => {
@@ -68,7 +85,18 @@ fn rust_takes_or_refuses_whatever_is_sent() {
         }
         // And it goes on.
         hostile.send(&honest(9), &honest_preamble());
-        assert_eq!(client.next(SOON).unwrap().unwrap().view().unwrap().header.sequence, 9, "{name}");
+        assert_eq!(
+            client
+                .next(SOON)
+                .unwrap()
+                .unwrap()
+                .view()
+                .unwrap()
+                .header
+                .sequence,
+            9,
+            "{name}"
+        );
     }
 }
 
@@ -80,33 +108,52 @@ fn honest_preamble() -> Preamble {
 fn a_refusal_of_another_version_names_both_and_the_cure() {
     for version in [LAYOUT_VERSION - 1, LAYOUT_VERSION + 1] {
         let said = LayoutError::Version { found: version }.to_string();
-        let both = format!("layout version {version}, and this program reads version {LAYOUT_VERSION}");
-        assert!(said.contains(&both) && said.contains("build it with"), "{said}");
+        let both =
+            format!("layout version {version}, and this program reads version {LAYOUT_VERSION}");
+        assert!(
+            said.contains(&both) && said.contains("build it with"),
+            "{said}"
+        );
     }
 }
 
-/// Consumers that are older and newer than the daemon, and what they are told before they read a byte.
+/// Consumers that are older and newer than the daemon, and what they are told before they read a
+/// byte.
 #[test]
 fn a_service_of_another_version_is_refused_with_both_and_the_cure_until_this_one_comes() {
     for version in ["2", "4", "100000"] {
         let own = Own::new();
-        let (mut client, mut python) = (Client::within(&own.domain(), "roof").unwrap(), refusing(&own));
+        let (mut client, mut python) = (
+            Client::within(&own.domain(), "roof").unwrap(),
+            refusing(&own),
+        );
         let node = node(&own);
-        let samples = node.service_builder(&service_name()).publish_subscribe::<[u8]>().user_header::<Preamble>();
+        let samples = node
+            .service_builder(&service_name())
+            .publish_subscribe::<[u8]>()
+            .user_header::<Preamble>();
         let other = samples.create_with_attributes(&schema(version)).unwrap();
-        let event = node.service_builder(&service_name()).event().create().unwrap();
+        let event = node
+            .service_builder(&service_name())
+            .event()
+            .create()
+            .unwrap();
         let error = client.next(Duration::ZERO).unwrap_err();
         assert!(
             matches!(&error, ClientError::Subscribe(SubscribeError::OtherVersion { found, .. }) if found == version)
         );
-        let both = |own: &str| format!("layout version {version}, and this program reads version {own}: ");
+        let both =
+            |own: &str| format!("layout version {version}, and this program reads version {own}: ");
         let said = error.to_string();
         let cure = "build it with the version of sweepd that runs on this host";
         assert!(said.contains(&both("3")) && said.contains(cure), "{said}");
         if let Some(python) = &mut python {
             let said = python.ask("next");
             let words = said["refused"].as_str().unwrap_or_else(|| panic!("{said}"));
-            assert!(words.contains(&both("3")) && words.contains("take the consumer.py of"), "{words}");
+            assert!(
+                words.contains(&both("3")) && words.contains("take the consumer.py of"),
+                "{words}"
+            );
         }
         drop((other, event, node));
         // Once the daemon is of this version, the same client goes on.
@@ -141,12 +188,26 @@ struct Wider {
 fn meet_foreign(own: &Own, what: &str) {
     let mut client = Client::within(&own.domain(), "roof").unwrap();
     let error = client.next(Duration::ZERO).unwrap_err();
-    assert!(matches!(error, ClientError::Subscribe(SubscribeError::Foreign { .. })), "{what}: {error}");
+    assert!(
+        matches!(
+            error,
+            ClientError::Subscribe(SubscribeError::Foreign { .. })
+        ),
+        "{what}: {error}"
+    );
     let said = error.to_string();
-    assert!(said.contains("not sweepd") && said.contains(what) && said.contains("SWEEPD_ROOT"), "{what}: {said}");
+    assert!(
+        said.contains("not sweepd") && said.contains(what) && said.contains("SWEEPD_ROOT"),
+        "{what}: {said}"
+    );
     if let Some(mut python) = refusing(own) {
         let said = python.ask("next");
-        assert!(said["refused"].as_str().is_some_and(|words| words.contains("not sweepd")), "{what}: {said}");
+        assert!(
+            said["refused"]
+                .as_str()
+                .is_some_and(|words| words.contains("not sweepd")),
+            "{what}: {said}"
+        );
     }
 }
 
@@ -175,13 +236,26 @@ fn rewrite(own: &Own, how: impl Fn(&ServiceFile, &ServiceFile) -> Vec<u8>) {
     let folder = std::fs::read_dir(own.root().join("services")).unwrap();
     let read = |path: PathBuf| {
         let content = std::fs::read(&path).unwrap();
-        let hash = path.file_stem().unwrap().to_str().unwrap().strip_prefix(&own.domain().prefix()).unwrap().to_owned();
-        ServiceFile { path, hash, content }
+        let hash = path
+            .file_stem()
+            .unwrap()
+            .to_str()
+            .unwrap()
+            .strip_prefix(&own.domain().prefix())
+            .unwrap()
+            .to_owned();
+        ServiceFile {
+            path,
+            hash,
+            content,
+        }
     };
     let mut files: Vec<ServiceFile> = folder.map(|entry| read(entry.unwrap().path())).collect();
     // The longer one has the attributes and types of the sweeps.
     files.sort_by_key(|file| file.content.len());
-    let [event, sweeps] = &files[..] else { panic!("{} files", files.len()) };
+    let [event, sweeps] = &files[..] else {
+        panic!("{} files", files.len())
+    };
     let content = how(sweeps, event);
     std::fs::remove_file(&sweeps.path).unwrap();
     std::fs::write(&sweeps.path, content).unwrap();
@@ -197,27 +271,54 @@ struct ServiceFile {
 fn replaced(bytes: &[u8], from: &[u8], to: &[u8]) -> Vec<u8> {
     assert_eq!(from.len(), to.len());
     let mut bytes = bytes.to_vec();
-    let places: Vec<usize> = (0..=bytes.len() - from.len()).filter(|&at| bytes[at..].starts_with(from)).collect();
-    assert!(!places.is_empty(), "{} is not in the file", String::from_utf8_lossy(from));
-    places.into_iter().for_each(|at| bytes[at..at + to.len()].copy_from_slice(to));
+    let places: Vec<usize> = (0..=bytes.len() - from.len())
+        .filter(|&at| bytes[at..].starts_with(from))
+        .collect();
+    assert!(
+        !places.is_empty(),
+        "{} is not in the file",
+        String::from_utf8_lossy(from)
+    );
+    places
+        .into_iter()
+        .for_each(|at| bytes[at..at + to.len()].copy_from_slice(to));
     bytes
 }
 
-/// What a service says of itself stands in a file, in which a process of the same user can write anything.
+/// What a service says of itself stands in a file, in which a process of the same user can write
+/// anything.
 #[test]
 fn a_service_that_lies_about_what_it_is_is_refused_in_plain_text() {
     let own = Own::new();
     let _hostile = Hostile::new(&own);
-    // It is an event, under the name of the sweeps: iceoryx2 panics where it is asked for the types of that.
-    rewrite(&own, |sweeps, event| replaced(&event.content, event.hash.as_bytes(), sweeps.hash.as_bytes()));
+    // It is an event, under the name of the sweeps: iceoryx2 panics where it is asked for the types
+    // of that.
+    rewrite(&own, |sweeps, event| {
+        replaced(
+            &event.content,
+            event.hash.as_bytes(),
+            sweeps.hash.as_bytes(),
+        )
+    });
     meet_foreign(&own, "nothing");
 
     let own = Own::new();
     let _hostile = Hostile::new(&own);
     // A type whose name clears a terminal.
-    rewrite(&own, |sweeps, _| replaced(&sweeps.content, b"sweepd.Preamble", b"sweepd\\u001B[2J"));
-    let error = Client::within(&own.domain(), "roof").unwrap().next(Duration::ZERO).unwrap_err();
-    assert!(matches!(error, ClientError::Subscribe(SubscribeError::Foreign { .. })), "{error}");
+    rewrite(&own, |sweeps, _| {
+        replaced(&sweeps.content, b"sweepd.Preamble", b"sweepd\\u001B[2J")
+    });
+    let error = Client::within(&own.domain(), "roof")
+        .unwrap()
+        .next(Duration::ZERO)
+        .unwrap_err();
+    assert!(
+        matches!(
+            error,
+            ClientError::Subscribe(SubscribeError::Foreign { .. })
+        ),
+        "{error}"
+    );
     assert!(!error.to_string().contains(char::is_control), "{error:?}");
 }
 
@@ -226,17 +327,29 @@ fn a_service_that_lies_about_what_it_is_is_refused_in_plain_text() {
 fn a_service_of_another_iceoryx2_is_refused_with_the_cure_until_this_one_comes() {
     let own = Own::new();
     let hostile = Hostile::new(&own);
-    rewrite(&own, |sweeps, _| replaced(&sweeps.content, b"minor = 10\n", b"minor = 99\n"));
+    rewrite(&own, |sweeps, _| {
+        replaced(&sweeps.content, b"minor = 10\n", b"minor = 99\n")
+    });
     let mut client = Client::within(&own.domain(), "roof").unwrap();
     let error = client.next(Duration::ZERO).unwrap_err();
-    assert!(matches!(error, ClientError::Subscribe(SubscribeError::OtherIceoryx { .. })), "{error:?}");
+    assert!(
+        matches!(
+            error,
+            ClientError::Subscribe(SubscribeError::OtherIceoryx { .. })
+        ),
+        "{error:?}"
+    );
     let said = error.to_string();
-    assert!(said.contains("`roof`") && said.contains("build it with the version of sweepd"), "{said}");
+    assert!(
+        said.contains("`roof`") && said.contains("build it with the version of sweepd"),
+        "{said}"
+    );
     drop(hostile);
     comes_back(&own, &mut client);
 }
 
-/// iceoryx2 opens a service that is aligned to more than what is asked for; its bytes are as far apart as ever.
+/// iceoryx2 opens a service that is aligned to more than what is asked for; its bytes are as far
+/// apart as ever.
 #[test]
 fn a_service_that_is_aligned_to_more_is_read() {
     let own = Own::new();
@@ -248,7 +361,8 @@ fn a_service_that_is_aligned_to_more_is_read() {
     assert_eq!(ask_all(&sweep.view().unwrap()), COLUMNS * SHAPE.rows * 2);
 }
 
-/// The publisher goes on writing into what it has sent: what was copied and checked once is what counts.
+/// The publisher goes on writing into what it has sent: what was copied and checked once is what
+/// counts.
 #[test]
 fn a_header_that_changes_while_it_is_read_changes_nothing() {
     let own = Own::new();
@@ -280,7 +394,10 @@ fn a_header_that_changes_while_it_is_read_changes_nothing() {
         }
     });
     let is_enough = taken > 20 && refused + changed > 20 && changed > 0;
-    assert!(is_enough, "{taken} taken, {refused} refused, {changed} changed while held");
+    assert!(
+        is_enough,
+        "{taken} taken, {refused} refused, {changed} changed while held"
+    );
 }
 
 /// Ends the other thread, however this one ends.
@@ -292,7 +409,8 @@ impl Drop for Ends<'_> {
     }
 }
 
-/// Writes sound and senseless headers over the places of the samples near a known one, as a process of the same user can.
+/// Writes sound and senseless headers over the places of the samples near a known one, as a process
+/// of the same user can.
 fn scribble(file: &File, at: u64, over: &AtomicBool) {
     let mut other = Header::new(&SHAPE);
     (other.rows, other.columns, other.columns_capacity) = (u32::MAX, u32::MAX, u32::MAX);
@@ -314,8 +432,18 @@ fn hold(sweep: &Sweep) -> bool {
     let mut was_changed = false;
     for _ in 0..3 {
         let view = sweep.view().expect("what was taken stays taken");
-        assert_eq!((view.header.columns as usize, view.columns.len(), view.rows()), (COLUMNS, COLUMNS, SHAPE.rows));
-        assert_eq!((view.range.len(), view.segments.len()), (COLUMNS * SHAPE.rows, 1));
+        assert_eq!(
+            (
+                view.header.columns as usize,
+                view.columns.len(),
+                view.rows()
+            ),
+            (COLUMNS, COLUMNS, SHAPE.rows)
+        );
+        assert_eq!(
+            (view.range.len(), view.segments.len()),
+            (COLUMNS * SHAPE.rows, 1)
+        );
         assert_eq!(ask_all(&view), COLUMNS * SHAPE.rows * 2);
         was_changed |= sweep.bytes()[..size_of::<Header>()] != *view.header.as_bytes();
     }
@@ -334,7 +462,8 @@ fn who_was_refused_goes_on_when_the_daemon_comes() {
     comes_back(&own, &mut client);
 }
 
-/// The last rest of a wait may be less than a microsecond, in which a socket is told its timeout: none at all would be for ever.
+/// The last rest of a wait may be less than a microsecond, in which a socket is told its timeout:
+/// none at all would be for ever.
 #[test]
 fn a_wait_ends_however_short_it_is() {
     let own = Own::new();
@@ -354,7 +483,13 @@ fn a_wait_ends_however_short_it_is() {
 #[test]
 fn watch_shows_or_refuses_whatever_is_sent() {
     let folder = folder("watch_hostile");
-    for Case { name, bytes, preamble, fate } in cases() {
+    for Case {
+        name,
+        bytes,
+        preamble,
+        fate,
+    } in cases()
+    {
         // The others are refused before anything is shown; one of them is enough.
         if fate != Fate::Taken && name != "noise" && name != "another mark" {
             continue;
@@ -362,9 +497,22 @@ fn watch_shows_or_refuses_whatever_is_sent() {
         let own = Own::new();
         let hostile = Hostile::new(&own);
         let mut watch = Command::new(env!("CARGO_BIN_EXE_sweepd"));
-        watch.args(["watch", "roof", "--sweeps", "2", "--latency", "--root"]).arg(own.root());
-        watch.arg("--force").arg("--csv").arg(&folder).arg("--png").arg(&folder).arg("--pcd").arg(&folder);
-        let mut child = watch.stdout(Stdio::null()).stderr(Stdio::piped()).spawn().unwrap();
+        watch
+            .args(["watch", "roof", "--sweeps", "2", "--latency", "--root"])
+            .arg(own.root());
+        watch
+            .arg("--force")
+            .arg("--csv")
+            .arg(&folder)
+            .arg("--png")
+            .arg(&folder)
+            .arg("--pcd")
+            .arg(&folder);
+        let mut child = watch
+            .stdout(Stdio::null())
+            .stderr(Stdio::piped())
+            .spawn()
+            .unwrap();
         let begun = Instant::now();
         while child.try_wait().unwrap().is_none() {
             hostile.send(&bytes, &preamble);
@@ -373,9 +521,17 @@ fn watch_shows_or_refuses_whatever_is_sent() {
         }
         let output = child.wait_with_output().unwrap();
         let said = String::from_utf8_lossy(&output.stderr);
-        let is_refused = output.status.code() == Some(1) && said.lines().any(|line| line.starts_with("error: "));
-        assert!(output.status.success() || is_refused, "{name}: {}: {said}", output.status);
-        assert!(!said.chars().any(|one| one.is_control() && one != '\n'), "{name}: {said:?}");
+        let is_refused =
+            output.status.code() == Some(1) && said.lines().any(|line| line.starts_with("error: "));
+        assert!(
+            output.status.success() || is_refused,
+            "{name}: {}: {said}",
+            output.status
+        );
+        assert!(
+            !said.chars().any(|one| one.is_control() && one != '\n'),
+            "{name}: {said:?}"
+        );
     }
 }
 
@@ -387,22 +543,37 @@ fn refusing(own: &Own) -> Option<Talk> {
 fn python_takes_or_refuses_whatever_is_sent() {
     let own = Own::new();
     let hostile = Hostile::new(&own);
-    let Some(mut python) = refusing(&own) else { return };
+    let Some(mut python) = refusing(&own) else {
+        return;
+    };
     // To be there from the first on.
     assert!(python.ask("look")["sweep"].is_null());
-    for Case { name, bytes, preamble, fate } in cases() {
+    for Case {
+        name,
+        bytes,
+        preamble,
+        fate,
+    } in cases()
+    {
         let (file, at) = hostile.send(&bytes, &preamble);
         let said = python.ask("next");
         match fate {
             Fate::Taken => {
                 assert!(said["sweep"].is_u64(), "{name}: {said}");
                 // Whoever published it writes on.
-                File::options().write(true).open(file).unwrap().write_all_at(&[0xA5; 448], at).unwrap();
+                File::options()
+                    .write(true)
+                    .open(file)
+                    .unwrap()
+                    .write_all_at(&[0xA5; 448], at)
+                    .unwrap();
                 let said = python.ask("use");
                 assert_eq!(said["rows"], SHAPE.rows, "{name}: {said}");
             }
             Fate::Refused(words) => {
-                let is_told = said["refused"].as_str().is_some_and(|said| said.contains(words));
+                let is_told = said["refused"]
+                    .as_str()
+                    .is_some_and(|said| said.contains(words));
                 assert!(is_told && said["layout"] == true, "{name}: {said}");
             }
         }
@@ -418,12 +589,31 @@ fn cpp_takes_or_refuses_whatever_is_in_a_file() {
     }
     let folder = folder("hostile");
     let program = folder.join("consumer");
-    let options = ["-std=c++14", "-O1", "-g", "-fsanitize=address,undefined", "-fno-sanitize-recover=all"];
+    let options = [
+        "-std=c++14",
+        "-O1",
+        "-g",
+        "-fsanitize=address,undefined",
+        "-fno-sanitize-recover=all",
+    ];
     let mut command = Command::new("c++");
-    command.args(options).arg("-DSWEEPD_WITHOUT_ICEORYX2").arg(of_project("examples/consumer.cpp"));
+    command
+        .args(options)
+        .arg("-DSWEEPD_WITHOUT_ICEORYX2")
+        .arg(of_project("examples/consumer.cpp"));
     let compiled = command.arg("-o").arg(&program).arg("-lm").output().unwrap();
-    assert!(compiled.status.success(), "{}", String::from_utf8_lossy(&compiled.stderr));
-    for Case { name, bytes, preamble, fate } in cases() {
+    assert!(
+        compiled.status.success(),
+        "{}",
+        String::from_utf8_lossy(&compiled.stderr)
+    );
+    for Case {
+        name,
+        bytes,
+        preamble,
+        fate,
+    } in cases()
+    {
         // What stands before the bytes is iceoryx2's, and not in a file.
         if preamble != self::preamble(LAYOUT_VERSION, bytes.len() as u64) {
             continue;
@@ -436,11 +626,20 @@ fn cpp_takes_or_refuses_whatever_is_in_a_file() {
             Fate::Refused(_) => Some(1),
         };
         assert_eq!(status, expected, "{name}: {said}");
-        assert!(fate == Fate::Taken || said.starts_with("consumer: "), "{name}: {said}");
+        assert!(
+            fate == Fate::Taken || said.starts_with("consumer: "),
+            "{name}: {said}"
+        );
     }
 }
 
 fn run(program: &Path, file: &Path) -> (Option<i32>, String) {
     let output = Command::new(program).arg(file).output().unwrap();
-    (output.status.code(), String::from_utf8_lossy(&output.stderr).chars().take(600).collect())
+    (
+        output.status.code(),
+        String::from_utf8_lossy(&output.stderr)
+            .chars()
+            .take(600)
+            .collect(),
+    )
 }

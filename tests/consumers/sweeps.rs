@@ -34,14 +34,25 @@ pub const SOURCES: [Source; 4] = [
 impl Source {
     /// Decodes it all into these buffers; each sweep is done by `done`.
     pub fn play<B: Buffers>(self, buffers: B, done: impl FnMut(B::Buffer)) {
-        let noise = |model, mode| Spin { seed: 5, ..Spin::new(model, mode, 620.0) };
+        let noise = |model, mode| Spin {
+            seed: 5,
+            ..Spin::new(model, mode, 620.0)
+        };
         match self {
             Self::StreetVlp16Dual => play_capture("street_vlp16_dual.pcap.gz", buffers, done),
             Self::Hdl64e(mode) => {
-                let config = Config { calibration: Some(unit(1)), ..config() };
+                let config = Config {
+                    calibration: Some(unit(1)),
+                    ..config()
+                };
                 play_spin(&noise(Model::Hdl64eS3, mode), config, buffers, done);
             }
-            Self::Vlp16Last => play_spin(&noise(Model::Vlp16, ReturnMode::Last), config(), buffers, done),
+            Self::Vlp16Last => play_spin(
+                &noise(Model::Vlp16, ReturnMode::Last),
+                config(),
+                buffers,
+                done,
+            ),
         }
     }
 
@@ -56,7 +67,9 @@ impl Source {
 fn play_spin<B: Buffers>(spin: &Spin, config: Config, buffers: B, mut done: impl FnMut(B::Buffer)) {
     let mut pipeline = Pipeline::new("192.168.1.201:2368", config, buffers, Untimed).unwrap();
     for one in spin.packets(0.25) {
-        pipeline.push(&datagram(one.packet.emit(), one.arrival_ns)).unwrap();
+        pipeline
+            .push(&datagram(one.packet.emit(), one.arrival_ns))
+            .unwrap();
         std::iter::from_fn(|| pipeline.poll()).for_each(&mut done);
     }
     pipeline.end().unwrap();
@@ -64,7 +77,8 @@ fn play_spin<B: Buffers>(spin: &Spin, config: Config, buffers: B, mut done: impl
 }
 
 fn play_capture<B: Buffers>(file: &str, buffers: B, mut done: impl FnMut(B::Buffer)) {
-    let mut pipeline = Pipeline::new("192.168.1.201:2368", Config::default(), buffers, Untimed).unwrap();
+    let mut pipeline =
+        Pipeline::new("192.168.1.201:2368", Config::default(), buffers, Untimed).unwrap();
     let mut capture = Capture::open(of_project("pcap_fixtures").join(file)).unwrap();
     let mut sensors = Sensors::new(Vec::new());
     while let Some(datagram) = capture.next_datagram().unwrap() {
@@ -77,30 +91,44 @@ fn play_capture<B: Buffers>(file: &str, buffers: B, mut done: impl FnMut(B::Buff
     std::iter::from_fn(|| pipeline.poll()).for_each(&mut done);
 }
 
-/// The tests that use these sweeps would be worth little if they had nothing of what they are to be tested for.
+/// The tests that use these sweeps would be worth little if they had nothing of what they are to be
+/// tested for.
 #[test]
 fn the_sweeps_have_all_that_a_consumer_meets() {
     let mut seen = [0; 9];
     for source in SOURCES {
         let sweeps = source.sweeps();
-        for sweep in sweeps.iter().map(|sweep| SweepRef::open(sweep.as_ref()).unwrap()) {
-            let is_bent = |row: usize| sweep.beams[row].distance_offset_x_m != sweep.beams[row].distance_offset_m;
+        for sweep in sweeps
+            .iter()
+            .map(|sweep| SweepRef::open(sweep.as_ref()).unwrap())
+        {
+            let is_bent = |row: usize| {
+                sweep.beams[row].distance_offset_x_m != sweep.beams[row].distance_offset_m
+            };
             let shifted = sweep.beams.iter().any(|beam| beam.shift != 0);
             let circular = sweep.header.has(flags::CIRCULAR);
-            let near = sweep.returns().filter(|one| is_bent(one.row)).map(|one| one.range_m.to_bits() & 1 == 1);
+            let near = sweep
+                .returns()
+                .filter(|one| is_bent(one.row))
+                .map(|one| one.range_m.to_bits() & 1 == 1);
             let [near, far]: [Vec<bool>; 2] = near.partition(|&near| near).into();
             let is = [
                 shifted && circular,
                 shifted && !circular,
                 sweep.header.margin_columns > 0,
                 !near.is_empty() && !far.is_empty(),
-                sweep.beams.iter().any(|beam| beam.vertical_offset_m != 0.0 && beam.horizontal_offset_m != 0.0),
+                sweep
+                    .beams
+                    .iter()
+                    .any(|beam| beam.vertical_offset_m != 0.0 && beam.horizontal_offset_m != 0.0),
                 !sweep.range2.is_empty(),
                 !sweep.segments.is_empty(),
                 sweep.label.contains(&1) && sweep.label2.contains(&1),
                 sweep.columns.iter().any(|column| !column.is_fired()),
             ];
-            seen.iter_mut().zip(is).for_each(|(count, is)| *count += usize::from(is));
+            seen.iter_mut()
+                .zip(is)
+                .for_each(|(count, is)| *count += usize::from(is));
         }
     }
     assert!(!seen.contains(&0), "{seen:?}");

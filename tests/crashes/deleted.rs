@@ -21,8 +21,18 @@ struct Kind {
     is_vital: bool,
 }
 
-const fn kind(name: &'static str, holds: &'static str, number: Option<usize>, is_vital: bool) -> Kind {
-    Kind { name, holds, number, is_vital }
+const fn kind(
+    name: &'static str,
+    holds: &'static str,
+    number: Option<usize>,
+    is_vital: bool,
+) -> Kind {
+    Kind {
+        name,
+        holds,
+        number,
+        is_vital,
+    }
 }
 
 const KINDS: [Kind; 14] = [
@@ -44,9 +54,21 @@ const KINDS: [Kind; 14] = [
 
 /// All files of a domain and the folders in its folder.
 fn entries(setup: &Setup) -> Vec<PathBuf> {
-    let of = |folder: &Path| fs::read_dir(folder).into_iter().flatten().flatten().map(|entry| entry.path()).collect();
+    let of = |folder: &Path| {
+        fs::read_dir(folder)
+            .into_iter()
+            .flatten()
+            .flatten()
+            .map(|entry| entry.path())
+            .collect()
+    };
     let root = setup.own.root();
-    let mut entries: Vec<PathBuf> = [of(root), of(&root.join("services")), setup.own.shared_memory()].concat();
+    let mut entries: Vec<PathBuf> = [
+        of(root),
+        of(&root.join("services")),
+        setup.own.shared_memory(),
+    ]
+    .concat();
     entries.sort();
     entries
 }
@@ -54,13 +76,30 @@ fn entries(setup: &Setup) -> Vec<PathBuf> {
 fn delete(setup: &Setup, kind: &Kind) {
     let is_meant = |path: &PathBuf| {
         let path = path.to_str().unwrap();
-        if kind.holds.starts_with('.') { path.ends_with(kind.holds) } else { path.contains(kind.holds) }
+        if kind.holds.starts_with('.') {
+            path.ends_with(kind.holds)
+        } else {
+            path.contains(kind.holds)
+        }
     };
     let meant: Vec<PathBuf> = entries(setup).into_iter().filter(is_meant).collect();
-    assert!(!meant.is_empty(), "{}: there are none among {:?}", kind.name, entries(setup));
-    for path in meant.iter().enumerate().filter(|(index, _)| kind.number.is_none_or(|number| number == *index)) {
+    assert!(
+        !meant.is_empty(),
+        "{}: there are none among {:?}",
+        kind.name,
+        entries(setup)
+    );
+    for path in meant
+        .iter()
+        .enumerate()
+        .filter(|(index, _)| kind.number.is_none_or(|number| number == *index))
+    {
         // What is in a folder that is gone is gone.
-        let _ = if path.1.is_dir() { fs::remove_dir_all(path.1) } else { fs::remove_file(path.1) };
+        let _ = if path.1.is_dir() {
+            fs::remove_dir_all(path.1)
+        } else {
+            fs::remove_file(path.1)
+        };
     }
     if kind.holds == "/" {
         let _ = fs::remove_dir_all(setup.own.root());
@@ -70,7 +109,13 @@ fn delete(setup: &Setup, kind: &Kind) {
 /// How often the service was made anew, and why for the last time.
 fn renewed(setup: &Setup) -> Option<(u64, String)> {
     let sensor = setup.health()?;
-    Some((sensor["renewed"].as_u64()?, sensor["renewed_because"].as_str().unwrap_or_default().to_owned()))
+    Some((
+        sensor["renewed"].as_u64()?,
+        sensor["renewed_because"]
+            .as_str()
+            .unwrap_or_default()
+            .to_owned(),
+    ))
 }
 
 fn try_kind(robot: &Robot, kind: &Kind) -> Result<(), String> {
@@ -84,15 +129,22 @@ fn try_kind(robot: &Robot, kind: &Kind) -> Result<(), String> {
         told = renewed(setup).filter(|(count, _)| *count > before);
     }
     match told {
-        None if kind.is_vital => return Err(format!("/health does not tell of it within {TOLD:?}")),
-        Some((_, because)) if because.is_empty() => return Err("/health does not say why".to_owned()),
+        None if kind.is_vital => {
+            return Err(format!("/health does not tell of it within {TOLD:?}"));
+        }
+        Some((_, because)) if because.is_empty() => {
+            return Err("/health does not say why".to_owned());
+        }
         _ => {}
     }
-    // The consumer that is there may go on for a moment with what it has mapped: what counts is what comes later.
+    // The consumer that is there may go on for a moment with what it has mapped: what counts is
+    // what comes later.
     let later = begun + TOLD;
     std::thread::sleep(later.saturating_duration_since(Instant::now()));
     if !robot.steady.gets(5, later, AGAIN - TOLD) {
-        return Err(format!("the consumer that was connected gets no sweeps {AGAIN:?} later"));
+        return Err(format!(
+            "the consumer that was connected gets no sweeps {AGAIN:?} later"
+        ));
     }
     robot.check(Instant::now())
 }

@@ -1,4 +1,5 @@
-//! /dev/shm without room, in a namespace of the test's own: an error that says what is missing, and no signal.
+//! /dev/shm without room, in a namespace of the test's own: an error that says what is missing, and
+//! no signal.
 
 use std::fs;
 
@@ -10,7 +11,8 @@ const LEFT_KIB: [u32; 5] = [0, 4, 8, 16, 64];
 /// What an error about memory holds.
 const PARTS: [&str; 4] = ["/dev/shm has", "bytes free", "needed", " more"];
 
-/// A script that fills /dev/shm but for this room; again, if what an ended program held was given back meanwhile.
+/// A script that fills /dev/shm but for this room; again, if what an ended program held was given
+/// back meanwhile.
 fn fill(left_kib: u32) -> String {
     format!(
         "free() {{ df --output=avail -k /dev/shm | tail -1; }}\n\
@@ -24,7 +26,8 @@ fn fill(left_kib: u32) -> String {
     )
 }
 
-/// A script that runs a program with this room and writes its exit code and words to the test's folder.
+/// A script that runs a program with this room and writes its exit code and words to the test's
+/// folder.
 fn run_full(world: &World, program: &str, left_kib: u32) -> String {
     let folder = world.folder.display();
     format!(
@@ -40,7 +43,9 @@ fn outcome(world: &World) -> (i32, String) {
 }
 
 fn says_what_is_missing(said: &str) -> bool {
-    said.lines().last().is_some_and(|line| PARTS.iter().all(|part| line.contains(part)))
+    said.lines()
+        .last()
+        .is_some_and(|line| PARTS.iter().all(|part| line.contains(part)))
 }
 
 #[test]
@@ -52,8 +57,15 @@ fn a_daemon_without_shared_memory_says_so_and_starts_when_there_is_some() {
     for left_kib in LEFT_KIB {
         let mut world = World::new();
         world.configure("model = \"vlp16\"", "");
-        let run = format!("{} run --config {}/sweepd.toml", binary(), world.folder.display());
-        let script = format!("mount -t tmpfs -o size=64m none /dev/shm\n{}", run_full(&world, &run, left_kib));
+        let run = format!(
+            "{} run --config {}/sweepd.toml",
+            binary(),
+            world.folder.display()
+        );
+        let script = format!(
+            "mount -t tmpfs -o size=64m none /dev/shm\n{}",
+            run_full(&world, &run, left_kib)
+        );
         // The daemon of the world starts after it, with room again.
         world.start(&["-m"], &script);
         let mut until = 0;
@@ -66,7 +78,10 @@ fn a_daemon_without_shared_memory_says_so_and_starts_when_there_is_some() {
             faults.push(format!("{left_kib} KiB free: exit code {code}: {said}"));
         }
         if world.says("waiting for packets") == 0 {
-            faults.push(format!("{left_kib} KiB free before: no start with 64 MiB: {}", world.log()));
+            faults.push(format!(
+                "{left_kib} KiB free before: no start with 64 MiB: {}",
+                world.log()
+            ));
         }
     }
     assert!(faults.is_empty(), "{}", faults.join("\n"));
@@ -87,7 +102,9 @@ fn consume(name: &str, program: impl Fn(&World) -> String) {
         let (code, said) = outcome(&world);
         let is_told = code == 1 && says_what_is_missing(&said);
         if !is_told && (code != 0 || left_kib == 0) {
-            faults.push(format!("{name}, {left_kib} KiB free: exit code {code}: {said}"));
+            faults.push(format!(
+                "{name}, {left_kib} KiB free: exit code {code}: {said}"
+            ));
         }
         world.inside(&format!("timeout 10 {program} >/dev/null"));
     }
@@ -101,17 +118,28 @@ fn consume(name: &str, program: impl Fn(&World) -> String) {
 fn a_rust_consumer_without_shared_memory_says_so() {
     if can_unshare() {
         consume("sweepd watch", |world| {
-            format!("{} watch roof --root {} --sweeps 1 --timeout 5", binary(), world.root().display())
+            format!(
+                "{} watch roof --root {} --sweeps 1 --timeout 5",
+                binary(),
+                world.root().display()
+            )
         });
     }
 }
 
 #[test]
 fn a_python_consumer_without_shared_memory_says_so() {
-    let Some(python) = python_with_iceoryx2() else { return };
+    let Some(python) = python_with_iceoryx2() else {
+        return;
+    };
     if can_unshare() {
         let script = concat!(env!("CARGO_MANIFEST_DIR"), "/examples/consumer.py");
         let python = python.to_str().unwrap();
-        consume("consumer.py", |world| format!("{python} {script} roof --root {} --count 1", world.root().display()));
+        consume("consumer.py", |world| {
+            format!(
+                "{python} {script} roof --root {} --count 1",
+                world.root().display()
+            )
+        });
     }
 }

@@ -57,14 +57,21 @@ struct Point {
 
 impl fmt::Display for Point {
     fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
-        let Self { thread, call, number, kind } = self;
+        let Self {
+            thread,
+            call,
+            number,
+            kind,
+        } = self;
         let thread = thread.as_deref().unwrap_or("the first thread");
         write!(f, "{call} number {number} of {thread}, on a file .{kind}")
     }
 }
 
 fn has_strace() -> bool {
-    let tried = Command::new("strace").args(["-D", "-f", "-Y", "-o", "/dev/null", "true"]).status();
+    let tried = Command::new("strace")
+        .args(["-D", "-f", "-Y", "-o", "/dev/null", "true"])
+        .status();
     let can = tried.is_ok_and(|status| status.success());
     if !can {
         skip("strace is missing, older than 5.17 or not allowed here");
@@ -75,8 +82,20 @@ fn has_strace() -> bool {
 /// `sweepd` as the child of this process, with strace beside it.
 fn traced(setup: &Setup, victim: Victim, strace: &[&str]) -> Process {
     let mut command = Command::new("strace");
-    command.args(["-D", "-f", "-Y", "-y", "-o", setup.path("strace").to_str().unwrap()]).args(strace);
-    command.arg(env!("CARGO_BIN_EXE_sweepd")).args(victim.args(setup)).stdout(Stdio::null());
+    command
+        .args([
+            "-D",
+            "-f",
+            "-Y",
+            "-y",
+            "-o",
+            setup.path("strace").to_str().unwrap(),
+        ])
+        .args(strace);
+    command
+        .arg(env!("CARGO_BIN_EXE_sweepd"))
+        .args(victim.args(setup))
+        .stdout(Stdio::null());
     Process::spawn(command, &setup.path("victim.log"))
 }
 
@@ -92,9 +111,15 @@ fn points(robot: &Robot, victim: Victim) -> Vec<Point> {
     let (mut numbers, mut points) = (HashMap::<(&str, &str), usize>::new(), Vec::new());
     for line in text.lines() {
         // PID<NAME OF THE THREAD> CALL(...
-        let Some((of, call)) = line.split_once("> ") else { continue };
-        let Some((pid, thread)) = of.split_once('<') else { continue };
-        let Some((name, arguments)) = call.split_once('(') else { continue };
+        let Some((of, call)) = line.split_once("> ") else {
+            continue;
+        };
+        let Some((pid, thread)) = of.split_once('<') else {
+            continue;
+        };
+        let Some((name, arguments)) = call.split_once('(') else {
+            continue;
+        };
         if !name.bytes().all(|byte| byte.is_ascii_alphanumeric()) {
             continue;
         }
@@ -108,16 +133,29 @@ fn points(robot: &Robot, victim: Victim) -> Vec<Point> {
             let thread = (pid != first).then(|| thread.split(' ').next().unwrap().to_owned());
             // A descriptor has its path behind it, in brackets; else the path is the first text.
             let is_descriptor = arguments.starts_with(|first: char| first.is_ascii_digit());
-            let path = if is_descriptor { arguments.split(['<', '>']).nth(1) } else { arguments.split('"').nth(1) };
-            let kind = path.and_then(|path| path.rsplit(['.', '/']).next()).unwrap_or_default().to_owned();
-            points.push(Point { thread, call: name.to_owned(), number: *number, kind });
+            let path = if is_descriptor {
+                arguments.split(['<', '>']).nth(1)
+            } else {
+                arguments.split('"').nth(1)
+            };
+            let kind = path
+                .and_then(|path| path.rsplit(['.', '/']).next())
+                .unwrap_or_default()
+                .to_owned();
+            points.push(Point {
+                thread,
+                call: name.to_owned(),
+                number: *number,
+                kind,
+            });
         }
     }
     points
 }
 
-/// Stops the process $1 as soon as a thread whose name begins with $2 is there, and lets strace, with the rest of the arguments,
-/// see all that this thread does. strace counts the calls of each thread alone.
+/// Stops the process $1 as soon as a thread whose name begins with $2 is there, and lets strace,
+/// with the rest of the arguments, see all that this thread does. strace counts the calls of each
+/// thread alone.
 const CATCH: &str = "pid=$1 name=$2; shift 2
     while [ -d /proc/$pid/task ]; do
         for task in /proc/$pid/task/*; do
@@ -134,15 +172,35 @@ const CATCH: &str = "pid=$1 name=$2; shift 2
 
 /// Starts a victim that is killed when it comes to a point; gives whether it was.
 fn strike(setup: &Setup, victim: Victim, point: &Point) -> Result<bool, String> {
-    let Point { thread, call, number, .. } = point;
-    let trace = ["-e", &format!("trace={call}"), "-e", &format!("inject={call}:signal=SIGKILL:when={number}")];
+    let Point {
+        thread,
+        call,
+        number,
+        ..
+    } = point;
+    let trace = [
+        "-e",
+        &format!("trace={call}"),
+        "-e",
+        &format!("inject={call}:signal=SIGKILL:when={number}"),
+    ];
     let mut _catcher = None;
     let mut process = match thread {
         None => traced(setup, victim, &trace),
         Some(name) => {
             let process = Process::start(&victim.args(setup), &setup.path("victim.log"));
             let mut command = Command::new("sh");
-            command.args(["-c", CATCH, "catch", &process.0.id().to_string(), name, "-o", "/dev/null"]).args(trace);
+            command
+                .args([
+                    "-c",
+                    CATCH,
+                    "catch",
+                    &process.0.id().to_string(),
+                    name,
+                    "-o",
+                    "/dev/null",
+                ])
+                .args(trace);
             _catcher = Some(Process::spawn(command, &setup.path("catch.log")));
             process
         }
@@ -151,7 +209,9 @@ fn strike(setup: &Setup, victim: Victim, point: &Point) -> Result<bool, String> 
         process.signal("-TERM");
         process.ends_within(Duration::from_secs(2))
     });
-    let Some(status) = ended else { return Err("it still runs 2 s after SIGTERM".to_owned()) };
+    let Some(status) = ended else {
+        return Err("it still runs 2 s after SIGTERM".to_owned());
+    };
     match status.signal() {
         Some(9) => Ok(true),
         None if status.success() => Ok(false),
@@ -162,10 +222,17 @@ fn strike(setup: &Setup, victim: Victim, point: &Point) -> Result<bool, String> 
 /// Ends those of whom the victim takes the place.
 fn make_room(robot: &mut Robot, victim: Victim) -> Result<(), String> {
     if victim != Victim::Consumer {
-        robot.daemon.ends_when_told().map_err(|error| format!("the daemon before it {error}"))?;
+        robot
+            .daemon
+            .ends_when_told()
+            .map_err(|error| format!("the daemon before it {error}"))?;
     }
     if victim == Victim::FirstDaemon {
-        robot.steady.process.ends_when_told().map_err(|error| format!("the consumer before it {error}"))?;
+        robot
+            .steady
+            .process
+            .ends_when_told()
+            .map_err(|error| format!("the consumer before it {error}"))?;
         clear(&robot.setup.domain());
     }
     Ok(())
@@ -180,7 +247,11 @@ struct Round {
 
 impl Round {
     fn start() -> Self {
-        Self { robot: Robot::start(), kills: 0, files_after_few: None }
+        Self {
+            robot: Robot::start(),
+            kills: 0,
+            files_after_few: None,
+        }
     }
 
     fn kill(&mut self, victim: Victim, point: &Point) -> Result<(), String> {
@@ -208,7 +279,8 @@ impl Round {
         std::thread::sleep(SETTLE);
         let now = files(&self.robot.setup);
         self.robot.end()?;
-        self.files_after_few.map_or(Ok(()), |few| no_more(&few, &now))
+        self.files_after_few
+            .map_or(Ok(()), |few| no_more(&few, &now))
     }
 }
 
@@ -231,7 +303,10 @@ fn kill_everywhere(victim: Victim, rounds: usize, stride: usize) {
             let mut round = Round::start();
             for point in points.iter().skip(number).step_by(rounds) {
                 if let Err(error) = round.kill(victim, point) {
-                    faults.push(format!("{victim:?} killed before {point}: {error}\n{}", round.robot.logs()));
+                    faults.push(format!(
+                        "{victim:?} killed before {point}: {error}\n{}",
+                        round.robot.logs()
+                    ));
                     killed.fetch_add(round.kills, Ordering::Relaxed);
                     round = Round::start();
                 }
@@ -243,14 +318,23 @@ fn kill_everywhere(victim: Victim, rounds: usize, stride: usize) {
             faults.extend(round.end().err());
             faults
         };
-        let threads: Vec<_> = (0..rounds).map(|number| scope.spawn(move || of_round(number))).collect();
-        threads.into_iter().flat_map(|thread| thread.join().unwrap()).collect::<Vec<_>>()
+        let threads: Vec<_> = (0..rounds)
+            .map(|number| scope.spawn(move || of_round(number)))
+            .collect();
+        threads
+            .into_iter()
+            .flat_map(|thread| thread.join().unwrap())
+            .collect::<Vec<_>>()
     });
     let killed = killed.into_inner();
     eprintln!("{victim:?}: {killed} kills, at {} calls", points.len());
     assert!(faults.is_empty(), "{}", faults.join("\n\n"));
     // The number of some calls depends on time: a few of the last are not reached again.
-    assert!(killed * 10 >= points.len() * 8, "only {killed} of {} kills took place", points.len());
+    assert!(
+        killed * 10 >= points.len() * 8,
+        "only {killed} of {} kills took place",
+        points.len()
+    );
 }
 
 #[test]

@@ -24,7 +24,10 @@ fn consumers_go_on_when_the_daemon_is_killed_in_the_middle_of_a_sweep() {
         // What was sent before may still wait.
         let mut next_run_ns = run_ns;
         while next_run_ns == run_ns {
-            let sweep = client.next(SOON).unwrap().unwrap_or_else(|| panic!("no sweep: {}", setup.log()));
+            let sweep = client
+                .next(SOON)
+                .unwrap()
+                .unwrap_or_else(|| panic!("no sweep: {}", setup.log()));
             next_run_ns = sweep.view().unwrap().header.run_ns;
             assert!(killed.elapsed() < SOON);
         }
@@ -45,16 +48,26 @@ fn consumers_killed_while_they_hold_sweeps_cost_the_others_none() {
     let mut receive = |client: &mut sweepd::client::Client| {
         let sweep = client.next(SOON).unwrap().expect("a sweep");
         let sequence = sweep.view().unwrap().header.sequence;
-        assert!(last.is_none_or(|last| sequence > last), "{last:?}, then {sequence}");
+        assert!(
+            last.is_none_or(|last| sequence > last),
+            "{last:?}, then {sequence}"
+        );
         // A busy machine may keep this one from fetching its sweep in time, now and then.
         missed += last.map_or(0, |last| sequence - last - 1);
         received += 1;
-        assert!(missed <= 3 + received / 4, "{missed} missed, {received} received");
+        assert!(
+            missed <= 3 + received / 4,
+            "{missed} missed, {received} received"
+        );
         last = Some(sequence);
     };
     for _ in 0..10 {
         // There is room for one beside this one: what the dead had must be given back each time.
-        let args = [&setup.watch_args()[..], &["--force", "--png", setup.folder.to_str().unwrap()]].concat();
+        let args = [
+            &setup.watch_args()[..],
+            &["--force", "--png", setup.folder.to_str().unwrap()],
+        ]
+        .concat();
         let mut other = Process::start(&args, &setup.path("watch.log"));
         // Long enough for it to draw, holding a sweep.
         let begun = Instant::now();
@@ -69,8 +82,19 @@ fn consumers_killed_while_they_hold_sweeps_cost_the_others_none() {
     }
     let watched = std::fs::read_to_string(setup.path("watch.log")).unwrap();
     assert!(!watched.contains("error"), "{watched}");
-    assert!(setup.folder.read_dir().unwrap().flatten().any(|it| it.path().extension().is_some_and(|it| it == "png")));
+    assert!(
+        setup
+            .folder
+            .read_dir()
+            .unwrap()
+            .flatten()
+            .any(|it| it.path().extension().is_some_and(|it| it == "png"))
+    );
     daemon.signal("-TERM");
     let begun = Instant::now();
-    assert!(daemon.wait() && begun.elapsed() < Duration::from_secs(1), "{:?}", begun.elapsed());
+    assert!(
+        daemon.wait() && begun.elapsed() < Duration::from_secs(1),
+        "{:?}",
+        begun.elapsed()
+    );
 }

@@ -51,26 +51,48 @@ fn kill(consumers: usize, daemons: usize) {
                 restarts.push(sweep - started);
                 (is_up, dies) = (true, Some(soon(&mut random)));
             }
-            assert!(started.elapsed() < SOON, "no sweeps after {daemons_left} kills to go: {}", robot.logs());
+            assert!(
+                started.elapsed() < SOON,
+                "no sweeps after {daemons_left} kills to go: {}",
+                robot.logs()
+            );
         }
-        for index in (0..victims.len()).rev().filter(|index| victims[*index].is_due()).collect::<Vec<_>>() {
+        for index in (0..victims.len())
+            .rev()
+            .filter(|index| victims[*index].is_due())
+            .collect::<Vec<_>>()
+        {
             let Doomed(mut victim, _) = victims.swap_remove(index);
-            assert!(victim.0.try_wait().unwrap().is_none(), "a consumer ended by itself: {}", robot.logs());
+            assert!(
+                victim.0.try_wait().unwrap().is_none(),
+                "a consumer ended by itself: {}",
+                robot.logs()
+            );
             victim.0.kill().unwrap();
             victim.wait();
         }
         if victims.len() < VICTIMS - usize::from(dies.is_some()) && consumers_left > 0 {
             let mut command = sweepd(&robot.setup.watch_args());
             command.stdout(std::process::Stdio::null());
-            victims.push(Doomed(Process::spawn(command, &robot.setup.path("watch.log")), soon(&mut random)));
+            victims.push(Doomed(
+                Process::spawn(command, &robot.setup.path("watch.log")),
+                soon(&mut random),
+            ));
             consumers_left -= 1;
         }
         std::thread::sleep(Duration::from_millis(2));
     }
-    robot.check(Instant::now()).unwrap_or_else(|error| panic!("{error}; {}", robot.logs()));
+    robot
+        .check(Instant::now())
+        .unwrap_or_else(|error| panic!("{error}; {}", robot.logs()));
     std::thread::sleep(SETTLE);
     let after = files(&robot.setup);
-    let times: Vec<Instant> = robot.steady.times().into_iter().filter(|time| *time >= begun).collect();
+    let times: Vec<Instant> = robot
+        .steady
+        .times()
+        .into_iter()
+        .filter(|time| *time >= begun)
+        .collect();
     let gap = times.windows(2).map(|two| two[1] - two[0]).max().unwrap();
     restarts.sort();
     let (median, slowest) = (restarts[restarts.len() / 2], restarts[restarts.len() - 1]);
@@ -83,7 +105,11 @@ fn kill(consumers: usize, daemons: usize) {
         before.values().sum::<usize>(),
         after.values().sum::<usize>(),
     );
-    assert!(slowest <= LIMIT, "a restart took {slowest:?}: {}", robot.logs());
+    assert!(
+        slowest <= LIMIT,
+        "a restart took {slowest:?}: {}",
+        robot.logs()
+    );
     no_more(&before, &after).unwrap();
     robot.end().unwrap();
 }
@@ -96,6 +122,8 @@ fn fifty_random_kills_leave_the_others_going_and_nothing_behind() {
 #[test]
 #[ignore = "takes minutes: 1000 consumers and 200 daemons, or as many as SWEEPD_KILLS says"]
 fn random_kills() {
-    let consumers = std::env::var(VARIABLE).map_or(1000, |kills| kills.parse().expect("SWEEPD_KILLS is a number"));
+    let consumers = std::env::var(VARIABLE).map_or(1000, |kills| {
+        kills.parse().expect("SWEEPD_KILLS is a number")
+    });
     kill(consumers, consumers / 5);
 }

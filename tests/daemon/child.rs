@@ -1,4 +1,5 @@
-//! A daemon as a process of its own: this test binary once more, which runs the one test that is ignored otherwise.
+//! A daemon as a process of its own: this test binary once more, which runs the one test that is
+//! ignored otherwise.
 
 use std::collections::BTreeMap;
 use std::io::{BufRead, BufReader, Read, Write};
@@ -22,13 +23,29 @@ const RELOADED: &str = "SWEEPD_TEST_RELOADED";
 #[test]
 #[ignore = "run by other tests, as a process of its own"]
 fn runs_a_daemon() {
-    let Ok(sensors) = std::env::var(SENSORS) else { return };
-    tracing_subscriber::fmt().with_writer(std::io::stderr).with_ansi(false).init();
-    let numbers: Vec<u16> = sensors.split(' ').map(|number| number.parse().unwrap()).collect();
-    let of = |numbers: &[u16]| sensor(&format!("s{}", numbers[0]), numbers[0] as u8, (numbers[1], numbers[2]));
+    let Ok(sensors) = std::env::var(SENSORS) else {
+        return;
+    };
+    tracing_subscriber::fmt()
+        .with_writer(std::io::stderr)
+        .with_ansi(false)
+        .init();
+    let numbers: Vec<u16> = sensors
+        .split(' ')
+        .map(|number| number.parse().unwrap())
+        .collect();
+    let of = |numbers: &[u16]| {
+        sensor(
+            &format!("s{}", numbers[0]),
+            numbers[0] as u8,
+            (numbers[1], numbers[2]),
+        )
+    };
     let mut config = config(numbers.chunks_exact(4).map(of).collect());
     for index in 1..config.sensors.len() {
-        let (before, [sensor, ..]) = config.sensors.split_at_mut(index) else { unreachable!() };
+        let (before, [sensor, ..]) = config.sensors.split_at_mut(index) else {
+            unreachable!()
+        };
         if before.iter().any(|other| other.address == sensor.address) {
             sensor.name = format!("{}-{}", sensor.name, index + 1);
         }
@@ -49,12 +66,20 @@ fn runs_a_daemon() {
         }
     });
     let reread = |old: &Config| {
-        let text = std::fs::read_to_string(std::env::var(RELOADED).unwrap()).map_err(|error| error.to_string())?;
-        let rpm: f32 = text.trim().parse().map_err(|error| format!("{text}: {error}"))?;
+        let text = std::fs::read_to_string(std::env::var(RELOADED).unwrap())
+            .map_err(|error| error.to_string())?;
+        let rpm: f32 = text
+            .trim()
+            .parse()
+            .map_err(|error| format!("{text}: {error}"))?;
         let mut new = old.clone();
         new.sensors[0].rpm = Some(rpm);
         new.sensors[0].pipeline.cut_azimuth_rad = 1.0;
-        Ok(Reload { config: new, taken: Vec::new(), needs_restart: vec!["http needs a restart".to_owned()] })
+        Ok(Reload {
+            config: new,
+            taken: Vec::new(),
+            needs_restart: vec!["http needs a restart".to_owned()],
+        })
     };
     let root = PathBuf::from(std::env::var(RELOADED).unwrap()).with_file_name("root");
     if let Err(error) = control::run(config, &*rig, &root, Box::new(reread)) {
@@ -76,14 +101,24 @@ pub struct Daemon {
 impl Daemon {
     /// Starts one with a watchdog of so long.
     pub fn start(sensors: &[[u16; 3]], http: u16, watchdog: Duration) -> Self {
-        let folder = std::env::temp_dir().join(format!("sweepd-daemon-{}-{http}", std::process::id()));
+        let folder =
+            std::env::temp_dir().join(format!("sweepd-daemon-{}-{http}", std::process::id()));
         let _ = std::fs::remove_dir_all(&folder);
         std::fs::create_dir_all(folder.join("root")).unwrap();
         let socket = UnixDatagram::bind(folder.join("notify")).unwrap();
-        let numbers = |[host, data, position]: &[u16; 3]| format!("{host} {data} {position} {http}");
+        let numbers =
+            |[host, data, position]: &[u16; 3]| format!("{host} {data} {position} {http}");
         let mut child = Command::new(std::env::current_exe().unwrap())
-            .args(["--exact", "child::runs_a_daemon", "--ignored", "--nocapture"])
-            .env(SENSORS, sensors.iter().map(numbers).collect::<Vec<_>>().join(" "))
+            .args([
+                "--exact",
+                "child::runs_a_daemon",
+                "--ignored",
+                "--nocapture",
+            ])
+            .env(
+                SENSORS,
+                sensors.iter().map(numbers).collect::<Vec<_>>().join(" "),
+            )
             .env(RELOADED, folder.join("reloaded"))
             .env("NOTIFY_SOCKET", folder.join("notify"))
             .env("WATCHDOG_USEC", watchdog.as_micros().to_string())
@@ -94,7 +129,10 @@ impl Daemon {
             .spawn()
             .unwrap();
         let stdin = child.stdin.take().unwrap();
-        let (log, notifications) = (Arc::<Mutex<String>>::default(), Arc::<Mutex<Vec<_>>>::default());
+        let (log, notifications) = (
+            Arc::<Mutex<String>>::default(),
+            Arc::<Mutex<Vec<_>>>::default(),
+        );
         let (stderr, lines) = (child.stderr.take().unwrap(), Arc::clone(&log));
         std::thread::spawn(move || {
             for line in BufReader::new(stderr).lines().map_while(Result::ok) {
@@ -109,7 +147,14 @@ impl Daemon {
                 heard.lock().unwrap().push((Instant::now(), text));
             }
         });
-        Self { child, stdin, log, notifications, folder, http }
+        Self {
+            child,
+            stdin,
+            log,
+            notifications,
+            folder,
+            http,
+        }
     }
 
     pub fn log(&self) -> String {
@@ -119,13 +164,20 @@ impl Daemon {
     /// The notifications that hold a text, since a time.
     pub fn notified(&self, text: &str, since: Option<Instant>) -> Vec<String> {
         let all = self.notifications.lock().unwrap();
-        let of = |(at, said): &(Instant, String)| since.is_none_or(|since| *at >= since) && said.contains(text);
-        all.iter().filter(|one| of(one)).map(|(_, said)| said.clone()).collect()
+        let of = |(at, said): &(Instant, String)| {
+            since.is_none_or(|since| *at >= since) && said.contains(text)
+        };
+        all.iter()
+            .filter(|one| of(one))
+            .map(|(_, said)| said.clone())
+            .collect()
     }
 
     #[track_caller]
     pub fn until_ready(&self) {
-        until("the daemon is ready", || !self.notified("READY=1", None).is_empty());
+        until("the daemon is ready", || {
+            !self.notified("READY=1", None).is_empty()
+        });
     }
 
     pub fn tell(&mut self, what: &str) {
@@ -133,7 +185,10 @@ impl Daemon {
     }
 
     pub fn signal(&self, name: &str) {
-        let done = Command::new("kill").args([name, &self.child.id().to_string()]).status().unwrap();
+        let done = Command::new("kill")
+            .args([name, &self.child.id().to_string()])
+            .status()
+            .unwrap();
         assert!(done.success());
     }
 
@@ -169,7 +224,9 @@ impl Daemon {
     /// The same, where it may be refused.
     pub fn try_ask(&self, request: &str) -> Option<(u16, String)> {
         let mut stream = TcpStream::connect(("127.0.0.1", self.http)).ok()?;
-        stream.set_read_timeout(Some(Duration::from_secs(10))).unwrap();
+        stream
+            .set_read_timeout(Some(Duration::from_secs(10)))
+            .unwrap();
         write!(stream, "{request} HTTP/1.1\r\nHost: localhost\r\n\r\n").ok()?;
         let mut answer = String::new();
         stream.read_to_string(&mut answer).ok()?;
@@ -190,7 +247,12 @@ impl Daemon {
         let samples = body.lines().filter(|line| !line.starts_with('#'));
         let sample = |line: &str| {
             let (name, value) = line.rsplit_once(' ').unwrap();
-            (name.to_owned(), value.parse().unwrap_or_else(|error| panic!("{line}: {error}")))
+            (
+                name.to_owned(),
+                value
+                    .parse()
+                    .unwrap_or_else(|error| panic!("{line}: {error}")),
+            )
         };
         let parsed: Vec<(String, f64)> = samples.map(sample).collect();
         let count = parsed.len();

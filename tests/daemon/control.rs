@@ -1,4 +1,5 @@
-//! The control plane, with the daemon as a process of its own: signals, systemd, health and metrics.
+//! The control plane, with the daemon as a process of its own: signals, systemd, health and
+//! metrics.
 
 use std::net::UdpSocket;
 use std::time::{Duration, Instant};
@@ -13,7 +14,11 @@ const WATCHDOG: Duration = Duration::from_millis(800);
 
 /// A VLP-16 for so many turns.
 fn vlp16(host: u16, ports: (u16, u16), turns: f64) -> Sending {
-    Sending::start(host as u8, ports, stream(Model::Vlp16, ReturnMode::Strongest, turns))
+    Sending::start(
+        host as u8,
+        ports,
+        stream(Model::Vlp16, ReturnMode::Strongest, turns),
+    )
 }
 
 #[test]
@@ -23,15 +28,29 @@ fn ready_is_said_when_all_ports_are_bound_and_sigterm_ends_it_at_once() {
     daemon.until_ready();
     assert!(!is_free(ports[0]) && !is_free(ports[1]));
     let _sending = vlp16(71, (ports[0], ports[1]), 20.0);
-    until("it streams", || daemon.log().contains("s71: streaming, VLP-16 at 600 rpm, one return"));
-    until("it says so", || !daemon.notified("STATUS=s71 streaming", None).is_empty());
+    until("it streams", || {
+        daemon
+            .log()
+            .contains("s71: streaming, VLP-16 at 600 rpm, one return")
+    });
+    until("it says so", || {
+        !daemon.notified("STATUS=s71 streaming", None).is_empty()
+    });
     let begun = Instant::now();
     daemon.signal("-TERM");
     let status = daemon.end();
-    assert!(begun.elapsed() < Duration::from_millis(200), "{:?}", begun.elapsed());
+    assert!(
+        begun.elapsed() < Duration::from_millis(200),
+        "{:?}",
+        begun.elapsed()
+    );
     assert!(status.success());
     assert_eq!(daemon.notified("STOPPING=1", None).len(), 1);
-    assert_eq!(daemon.log().matches("s71: streaming").count(), 1, "told once");
+    assert_eq!(
+        daemon.log().matches("s71: streaming").count(),
+        1,
+        "told once"
+    );
 }
 
 #[test]
@@ -41,7 +60,11 @@ fn a_port_that_is_taken_ends_it_before_it_is_ready() {
     let mut daemon = Daemon::start(&[[72, free_port(), port]], free_tcp_port(), WATCHDOG);
     assert!(!daemon.end().success());
     assert_eq!(daemon.notified("READY=1", None), [""; 0]);
-    until("it says why", || daemon.log().contains(&format!("error: port {port} is held by ")));
+    until("it says why", || {
+        daemon
+            .log()
+            .contains(&format!("error: port {port} is held by "))
+    });
 }
 
 #[test]
@@ -51,8 +74,13 @@ fn the_watchdog_is_fed_until_a_sensor_thread_hangs() {
     daemon.until_ready();
     let _sending = vlp16(73, (port, port), 60.0);
     let begun = Instant::now();
-    until("it is fed for a while", || daemon.notified("WATCHDOG=1", Some(begun)).len() >= 10);
-    assert!(begun.elapsed() > WATCHDOG * 2, "not more often than need be");
+    until("it is fed for a while", || {
+        daemon.notified("WATCHDOG=1", Some(begun)).len() >= 10
+    });
+    assert!(
+        begun.elapsed() > WATCHDOG * 2,
+        "not more often than need be"
+    );
     daemon.tell("hang");
     let hangs = format!("the thread of port 127.0.0.1:{port} hangs");
     until("it notices", || daemon.log().contains(&hangs));
@@ -72,7 +100,9 @@ fn a_thread_that_panics_ends_the_daemon_with_an_error() {
     daemon.tell("panic");
     let _sending = vlp16(74, (port, port), 20.0);
     assert_eq!(daemon.end().code(), Some(1));
-    let why = format!("error: the thread of port 127.0.0.1:{port} has ended: the consumer's file is gone");
+    let why = format!(
+        "error: the thread of port 127.0.0.1:{port} has ended: the consumer's file is gone"
+    );
     until("it says why", || daemon.log().contains(&why));
 }
 
@@ -85,11 +115,20 @@ fn sweeps_that_reach_nobody_are_told_with_the_reason() {
     until("it streams", || daemon.health().0 == 200);
     daemon.tell("fail");
     until("it is unwell", || daemon.health().0 == 503);
-    assert_eq!(daemon.health().1["reasons"][0], "s80: sweeps reach nobody: the memory is full");
-    until("it says so", || daemon.log().contains("s80: sweeps reach nobody: the memory is full"));
+    assert_eq!(
+        daemon.health().1["reasons"][0],
+        "s80: sweeps reach nobody: the memory is full"
+    );
+    until("it says so", || {
+        daemon
+            .log()
+            .contains("s80: sweeps reach nobody: the memory is full")
+    });
     daemon.tell("send");
     until("it is well again", || daemon.health().0 == 200);
-    until("it says so", || daemon.log().contains("s80: sweeps are shared again"));
+    until("it says so", || {
+        daemon.log().contains("s80: sweeps are shared again")
+    });
     assert_eq!(daemon.log().matches("sweeps reach nobody").count(), 1);
 }
 
@@ -102,16 +141,31 @@ fn sighup_takes_what_it_can_and_a_bad_file_changes_nothing() {
     until("it streams", || daemon.health().0 == 200);
     write(&daemon.reloaded_file(), "six hundred");
     daemon.signal("-HUP");
-    until("it refuses", || daemon.log().contains("the configuration is not taken, everything goes on as before: six"));
-    until("it is ready again", || daemon.notified("READY=1", None).len() == 2);
+    until("it refuses", || {
+        daemon
+            .log()
+            .contains("the configuration is not taken, everything goes on as before: six")
+    });
+    until("it is ready again", || {
+        daemon.notified("READY=1", None).len() == 2
+    });
     let reloading = daemon.notified("RELOADING=1", None);
-    assert!(reloading.len() == 1 && reloading[0].contains("\nMONOTONIC_USEC="), "{reloading:?}");
+    assert!(
+        reloading.len() == 1 && reloading[0].contains("\nMONOTONIC_USEC="),
+        "{reloading:?}"
+    );
     assert_eq!(daemon.health().0, 200);
 
     write(&daemon.reloaded_file(), "900");
     daemon.signal("-HUP");
-    until("it is taken", || daemon.log().contains("s75: decoded with the new configuration"));
-    until("it is ready again", || daemon.notified("READY=1", None).len() == 3);
+    until("it is taken", || {
+        daemon
+            .log()
+            .contains("s75: decoded with the new configuration")
+    });
+    until("it is ready again", || {
+        daemon.notified("READY=1", None).len() == 3
+    });
     assert!(daemon.log().contains("WARN") && daemon.log().contains("http needs a restart"));
     until("the speed is watched", || daemon.health().0 == 503);
     let off = "turns at 600 rpm and is configured for 900: set one of them to the other";
@@ -125,27 +179,72 @@ fn health_and_metrics_tell_how_the_sensors_are() {
     let daemon = Daemon::start(&sensors, free_tcp_port(), WATCHDOG);
     daemon.until_ready();
     let (status, health) = daemon.health();
-    assert_eq!((status, &health["status"], health["pid"].is_u64()), (503, &"unwell".into(), true));
+    assert_eq!(
+        (status, &health["status"], health["pid"].is_u64()),
+        (503, &"unwell".into(), true)
+    );
     assert_eq!(health["sensors"][1]["state"], "waiting");
-    let sending = [76, 77].map(|host| vlp16(host, (ports[host as usize - 76], ports[host as usize - 76]), 100.0));
+    let sending = [76, 77].map(|host| {
+        vlp16(
+            host,
+            (ports[host as usize - 76], ports[host as usize - 76]),
+            100.0,
+        )
+    });
     until("both stream", || daemon.health().0 == 200);
-    UdpSocket::bind("127.0.0.78:0").unwrap().send_to(b"hello", ("127.0.0.1", ports[1])).unwrap();
-    let rejected = format!("sweepd_rejected_total{{port=\"127.0.0.1:{}\",reason=\"length\"}}", ports[1]);
+    UdpSocket::bind("127.0.0.78:0")
+        .unwrap()
+        .send_to(b"hello", ("127.0.0.1", ports[1]))
+        .unwrap();
+    let rejected = format!(
+        "sweepd_rejected_total{{port=\"127.0.0.1:{}\",reason=\"length\"}}",
+        ports[1]
+    );
     until("it is counted", || daemon.metrics()[&rejected] == 1.0);
 
     let (_, health) = daemon.health();
-    assert_eq!((&health["reasons"], &health["ports"][1]["rejected"]["length"]), (&serde_json::json!([]), &1.into()));
+    assert_eq!(
+        (
+            &health["reasons"],
+            &health["ports"][1]["rejected"]["length"]
+        ),
+        (&serde_json::json!([]), &1.into())
+    );
     let roof = &health["sensors"][0];
-    let expected = [("name", "s76"), ("state", "streaming"), ("model", "VLP-16"), ("gps", "locked")];
-    expected.iter().for_each(|(key, value)| assert_eq!(&roof[key], value));
-    assert_eq!((&roof["port"], &roof["consumers"], &roof["lost"]), (&ports[0].into(), &1.into(), &0.into()));
+    let expected = [
+        ("name", "s76"),
+        ("state", "streaming"),
+        ("model", "VLP-16"),
+        ("gps", "locked"),
+    ];
+    expected
+        .iter()
+        .for_each(|(key, value)| assert_eq!(&roof[key], value));
+    assert_eq!(
+        (&roof["port"], &roof["consumers"], &roof["lost"]),
+        (&ports[0].into(), &1.into(), &0.into())
+    );
 
     let metrics = daemon.metrics();
-    let of = |name: &str| metrics.get(name).copied().unwrap_or_else(|| panic!("no {name} in {metrics:#?}"));
+    let of = |name: &str| {
+        metrics
+            .get(name)
+            .copied()
+            .unwrap_or_else(|| panic!("no {name} in {metrics:#?}"))
+    };
     assert!(of("sweepd_packets_total{sensor=\"s76\"}") > 75.0);
     assert_eq!(of("sweepd_lost_total{sensor=\"s77\"}"), 0.0);
-    assert_eq!(of(&format!("sweepd_dropped_total{{port=\"127.0.0.1:{}\"}}", ports[0])), 0.0);
-    assert_eq!(of("sweepd_undecoded_total{sensor=\"s76\",reason=\"late\"}"), 0.0);
+    assert_eq!(
+        of(&format!(
+            "sweepd_dropped_total{{port=\"127.0.0.1:{}\"}}",
+            ports[0]
+        )),
+        0.0
+    );
+    assert_eq!(
+        of("sweepd_undecoded_total{sensor=\"s76\",reason=\"late\"}"),
+        0.0
+    );
     assert_eq!(of("sweepd_partial_sweeps_total{sensor=\"s76\"}"), 1.0);
     assert_eq!(of("sweepd_consumers{sensor=\"s76\"}"), 1.0);
     assert_eq!(of("sweepd_shared_memory_bytes{sensor=\"s76\"}"), 4096.0);
@@ -155,20 +254,38 @@ fn health_and_metrics_tell_how_the_sensors_are() {
     assert_eq!(of("sweepd_state{sensor=\"s76\",state=\"stalled\"}"), 0.0);
     let sweeps = of("sweepd_sweeps_total{sensor=\"s76\"}");
     let labels = "{sensor=\"s76\",stage=\"complete\"";
-    let first = of(&format!("sweepd_stage_seconds_bucket{{le=\"0.000001\",{}}}", &labels[1..]));
-    let all = of(&format!("sweepd_stage_seconds_bucket{{le=\"+Inf\",{}}}", &labels[1..]));
+    let first = of(&format!(
+        "sweepd_stage_seconds_bucket{{le=\"0.000001\",{}}}",
+        &labels[1..]
+    ));
+    let all = of(&format!(
+        "sweepd_stage_seconds_bucket{{le=\"+Inf\",{}}}",
+        &labels[1..]
+    ));
     assert_eq!(all, of(&format!("sweepd_stage_seconds_count{labels}}}")));
-    assert!(first <= all && (all - sweeps).abs() <= 1.0 && of(&format!("sweepd_stage_seconds_sum{labels}}}")) > 0.0);
+    assert!(
+        first <= all
+            && (all - sweeps).abs() <= 1.0
+            && of(&format!("sweepd_stage_seconds_sum{labels}}}")) > 0.0
+    );
 
     assert_eq!(daemon.ask("GET /").0, 404);
     assert_eq!(daemon.ask("POST /health").0, 405);
     assert_eq!(daemon.ask("HEAD /health"), (200, String::new()));
     drop(sending);
-    until("both are missed", || daemon.health().1["reasons"].as_array().unwrap().len() == 2);
+    until("both are missed", || {
+        daemon.health().1["reasons"].as_array().unwrap().len() == 2
+    });
     let (status, health) = daemon.health();
-    assert_eq!((status, &health["sensors"][0]["state"]), (503, &"stalled".into()));
+    assert_eq!(
+        (status, &health["sensors"][0]["state"]),
+        (503, &"stalled".into())
+    );
     let why = "s77: stalled: no packets from 127.0.0.77 on port";
-    assert!(health["reasons"][1].as_str().unwrap().starts_with(why), "{health}");
+    assert!(
+        health["reasons"][1].as_str().unwrap().starts_with(why),
+        "{health}"
+    );
 }
 
 #[test]
@@ -180,7 +297,14 @@ fn two_sensors_at_one_address_tell_their_own_gps_and_temperature() {
     let _sending = [
         vlp16(81, ports[0], 60.0),
         // The second one is off, but for its position packets.
-        Sending::start(81, ports[1], cool_stream_without_gps(60.0).into_iter().filter(|sent| !sent.is_data).collect()),
+        Sending::start(
+            81,
+            ports[1],
+            cool_stream_without_gps(60.0)
+                .into_iter()
+                .filter(|sent| !sent.is_data)
+                .collect(),
+        ),
     ];
     until("both have told", || {
         let sensors = &daemon.health().1["sensors"];
@@ -189,34 +313,58 @@ fn two_sensors_at_one_address_tell_their_own_gps_and_temperature() {
     for _ in 0..20 {
         let sensors = &daemon.health().1["sensors"];
         let told = [0, 1].map(|index| (&sensors[index]["gps"], &sensors[index]["temperature_c"]));
-        assert_eq!(told, [(&"locked".into(), &43.into()), (&"absent".into(), &20.into())]);
+        assert_eq!(
+            told,
+            [
+                (&"locked".into(), &43.into()),
+                (&"absent".into(), &20.into())
+            ]
+        );
         std::thread::sleep(Duration::from_millis(20));
     }
     let why = daemon.health().1["sensors"][1]["reason"].to_string();
-    assert!(why.contains("only position packets from 127.0.0.81, no data on port"), "{why}");
+    assert!(
+        why.contains("only position packets from 127.0.0.81, no data on port"),
+        "{why}"
+    );
 }
 
 #[test]
 fn position_packets_of_which_nothing_tells_whose_they_are_reach_no_sensor_and_are_told_of_once() {
     let (data, position) = ([free_port(), free_port()], free_port());
-    let daemon = Daemon::start(&data.map(|data| [82, data, position]), free_tcp_port(), WATCHDOG);
+    let daemon = Daemon::start(
+        &data.map(|data| [82, data, position]),
+        free_tcp_port(),
+        WATCHDOG,
+    );
     daemon.until_ready();
     let _sending = vlp16(82, (data[0], position), 60.0);
     let why = format!(
         "port 127.0.0.1:{position}: position packets reach no sensor: s82 and s82-2 share an address, and nothing tells whose"
     );
     until("it is told", || daemon.log().contains(&why));
-    until("it streams", || daemon.health().1["sensors"][0]["state"] == "streaming");
-    until("many came", || daemon.health().1["ports"][2]["rejected"]["ambiguous"].as_u64() > Some(100));
+    until("it streams", || {
+        daemon.health().1["sensors"][0]["state"] == "streaming"
+    });
+    until("many came", || {
+        daemon.health().1["ports"][2]["rejected"]["ambiguous"].as_u64() > Some(100)
+    });
     assert_eq!(daemon.log().matches("position packets").count(), 1);
     let why = daemon.health().1["sensors"][1]["reason"].to_string();
-    assert!(why.contains("no packets from 127.0.0.82 on port"), "not those of the other one: {why}");
+    assert!(
+        why.contains("no packets from 127.0.0.82 on port"),
+        "not those of the other one: {why}"
+    );
     let (_, health) = daemon.health();
     for sensor in health["sensors"].as_array().unwrap() {
-        assert!(sensor["gps"].is_null() && sensor["temperature_c"].is_null(), "{sensor}");
+        assert!(
+            sensor["gps"].is_null() && sensor["temperature_c"].is_null(),
+            "{sensor}"
+        );
         assert_eq!(sensor["position_packets"], 0);
     }
-    let name = format!("sweepd_rejected_total{{port=\"127.0.0.1:{position}\",reason=\"ambiguous\"}}");
+    let name =
+        format!("sweepd_rejected_total{{port=\"127.0.0.1:{position}\",reason=\"ambiguous\"}}");
     assert!(daemon.metrics()[&name] > 100.0);
 }
 
@@ -226,10 +374,16 @@ fn whoever_says_nothing_keeps_nobody_from_asking() {
     let daemon = Daemon::start(&[[79, port, port]], free_tcp_port(), WATCHDOG);
     daemon.until_ready();
     let http = daemon.http_port();
-    let _silent: Vec<_> = (0..64).map(|_| std::net::TcpStream::connect(("127.0.0.1", http)).unwrap()).collect();
+    let _silent: Vec<_> = (0..64)
+        .map(|_| std::net::TcpStream::connect(("127.0.0.1", http)).unwrap())
+        .collect();
     let begun = Instant::now();
-    until("there is an answer", || daemon.try_ask("GET /health").is_some());
+    until("there is an answer", || {
+        daemon.try_ask("GET /health").is_some()
+    });
     assert!(begun.elapsed() < Duration::from_secs(10));
     let fed = Instant::now();
-    until("the watchdog is fed", || daemon.notified("WATCHDOG=1", Some(fed)).len() > 2);
+    until("the watchdog is fed", || {
+        daemon.notified("WATCHDOG=1", Some(fed)).len() > 2
+    });
 }

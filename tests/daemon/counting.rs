@@ -9,8 +9,8 @@ thread_local! {
     static ALLOCATIONS: Cell<u64> = const { Cell::new(0) };
 }
 
-// SAFETY: every call goes to the system's allocator as it came. The counter is a number without a destructor, so it needs no
-// allocation itself.
+// SAFETY: every call goes to the system's allocator as it came. The counter is a number without a
+// destructor, so it needs no allocation itself.
 unsafe impl GlobalAlloc for Counting {
     unsafe fn alloc(&self, layout: Layout) -> *mut u8 {
         ALLOCATIONS.with(|count| count.set(count.get() + 1));

@@ -1,4 +1,5 @@
-//! Health and metrics over HTTP against those who mean no good: what each costs the daemon, and that no sensor notices.
+//! Health and metrics over HTTP against those who mean no good: what each costs the daemon, and
+//! that no sensor notices.
 
 use std::io::{Read, Write};
 use std::net::{Shutdown, TcpStream};
@@ -11,13 +12,14 @@ use crate::child::Daemon;
 use crate::rig::{Sending, free_port, free_tcp_port, stream, until};
 
 const WATCHDOG: Duration = Duration::from_millis(800);
-/// How long a connection may take, src/daemon/health.rs, and how much later that may be seen on a busy machine.
+/// How long a connection may take, src/daemon/health.rs, and how much later that may be seen on a
+/// busy machine.
 const PATIENCE: Duration = Duration::from_secs(5);
 const SLACK: Duration = Duration::from_secs(4);
 /// Connections that are served at a time.
 const CONNECTIONS: usize = 16;
-/// What all that a daemon keeps for HTTP may add to its memory: 16 connections of 8 KiB, the answers, and the allocator's
-/// own.
+/// What all that a daemon keeps for HTTP may add to its memory: 16 connections of 8 KiB, the
+/// answers, and the allocator's own.
 const MEMORY_KIB: u64 = 4096;
 
 fn daemon(host: u16) -> (Daemon, u16) {
@@ -61,23 +63,40 @@ fn answer(daemon: &Daemon, request: &[u8]) -> String {
 }
 
 fn status(answer: &str) -> Option<u16> {
-    answer.strip_prefix("HTTP/1.")?.split(' ').nth(1)?.parse().ok()
+    answer
+        .strip_prefix("HTTP/1.")?
+        .split(' ')
+        .nth(1)?
+        .parse()
+        .ok()
 }
 
 /// `name: value kB` of /proc/PID/status.
 fn memory_kib(daemon: &Daemon, name: &str) -> u64 {
     let status = std::fs::read_to_string(format!("/proc/{}/status", daemon.pid())).unwrap();
-    let line = status.lines().find_map(|line| line.strip_prefix(name)).unwrap();
-    line.trim_start_matches(':').split_whitespace().next().unwrap().parse().unwrap()
+    let line = status
+        .lines()
+        .find_map(|line| line.strip_prefix(name))
+        .unwrap();
+    line.trim_start_matches(':')
+        .split_whitespace()
+        .next()
+        .unwrap()
+        .parse()
+        .unwrap()
 }
 
 fn descriptors(daemon: &Daemon) -> usize {
-    std::fs::read_dir(format!("/proc/{}/fd", daemon.pid())).unwrap().count()
+    std::fs::read_dir(format!("/proc/{}/fd", daemon.pid()))
+        .unwrap()
+        .count()
 }
 
 /// A request with so many headers of so many bytes.
 fn with_headers(count: usize, bytes: usize) -> Vec<u8> {
-    let headers: String = (0..count).map(|number| format!("X-{number}: {}\r\n", "x".repeat(bytes))).collect();
+    let headers: String = (0..count)
+        .map(|number| format!("X-{number}: {}\r\n", "x".repeat(bytes)))
+        .collect();
     format!("GET /health HTTP/1.1\r\nHost: localhost\r\n{headers}\r\n").into_bytes()
 }
 
@@ -87,28 +106,78 @@ type Case = (&'static str, Vec<u8>, &'static [Option<u16>]);
 #[test]
 fn what_is_no_request_or_too_large_is_refused_at_once_and_keeps_no_memory() {
     let (daemon, _) = daemon(80);
-    let long_path = format!("GET /{} HTTP/1.1\r\nHost: localhost\r\n\r\n", "x".repeat(100_000));
+    let long_path = format!(
+        "GET /{} HTTP/1.1\r\nHost: localhost\r\n\r\n",
+        "x".repeat(100_000)
+    );
     let posted = [
         b"POST /health HTTP/1.1\r\nHost: localhost\r\nContent-Length: 4000000\r\n\r\n".to_vec(),
         vec![b'x'; 4_000_000],
     ];
-    let endless = [b"GET /health HTTP/1.1\r\nX: ".to_vec(), vec![b'x'; 4_000_000]];
+    let endless = [
+        b"GET /health HTTP/1.1\r\nX: ".to_vec(),
+        vec![b'x'; 4_000_000],
+    ];
     let cases: [Case; 16] = [
         ("many headers", with_headers(200, 4), &[Some(431)]),
         ("large headers", with_headers(4, 8000), &[Some(431), None]),
         ("a header without end", endless.concat(), &[Some(431), None]),
-        ("a long path", long_path.into_bytes(), &[Some(414), Some(431), None]),
+        (
+            "a long path",
+            long_path.into_bytes(),
+            &[Some(414), Some(431), None],
+        ),
         ("a body", posted.concat(), &[Some(405)]),
-        ("another method", b"DELETE /health HTTP/1.1\r\nHost: localhost\r\n\r\n".to_vec(), &[Some(405)]),
-        ("no method that there is", b"BREW /health HTTP/1.1\r\nHost: localhost\r\n\r\n".to_vec(), &[Some(405)]),
-        ("another path", b"GET /../../etc/passwd HTTP/1.1\r\nHost: localhost\r\n\r\n".to_vec(), &[Some(404)]),
-        ("a path in %", b"GET /%2e%2e/%00 HTTP/1.1\r\nHost: localhost\r\n\r\n".to_vec(), &[Some(404)]),
-        ("another host's page", b"GET http://example.com/ HTTP/1.1\r\nHost: localhost\r\n\r\n".to_vec(), &[Some(403)]),
-        ("a name of somebody else", b"GET /health HTTP/1.1\r\nHost: evil.example\r\n\r\n".to_vec(), &[Some(403)]),
-        ("a tunnel", b"CONNECT example.com:80 HTTP/1.1\r\nHost: localhost\r\n\r\n".to_vec(), &[Some(403)]),
-        ("another version", b"GET /health HTTP/3.7\r\n\r\n".to_vec(), &[Some(400), None]),
-        ("no HTTP", b"\x16\x03\x01\x02\x00\x01\x00\x01\xfc\x03\x03\r\n\r\n".to_vec(), &[Some(400), None]),
-        ("HTTP/2", b"PRI * HTTP/2.0\r\n\r\nSM\r\n\r\n".to_vec(), &[Some(400), None]),
+        (
+            "another method",
+            b"DELETE /health HTTP/1.1\r\nHost: localhost\r\n\r\n".to_vec(),
+            &[Some(405)],
+        ),
+        (
+            "no method that there is",
+            b"BREW /health HTTP/1.1\r\nHost: localhost\r\n\r\n".to_vec(),
+            &[Some(405)],
+        ),
+        (
+            "another path",
+            b"GET /../../etc/passwd HTTP/1.1\r\nHost: localhost\r\n\r\n".to_vec(),
+            &[Some(404)],
+        ),
+        (
+            "a path in %",
+            b"GET /%2e%2e/%00 HTTP/1.1\r\nHost: localhost\r\n\r\n".to_vec(),
+            &[Some(404)],
+        ),
+        (
+            "another host's page",
+            b"GET http://example.com/ HTTP/1.1\r\nHost: localhost\r\n\r\n".to_vec(),
+            &[Some(403)],
+        ),
+        (
+            "a name of somebody else",
+            b"GET /health HTTP/1.1\r\nHost: evil.example\r\n\r\n".to_vec(),
+            &[Some(403)],
+        ),
+        (
+            "a tunnel",
+            b"CONNECT example.com:80 HTTP/1.1\r\nHost: localhost\r\n\r\n".to_vec(),
+            &[Some(403)],
+        ),
+        (
+            "another version",
+            b"GET /health HTTP/3.7\r\n\r\n".to_vec(),
+            &[Some(400), None],
+        ),
+        (
+            "no HTTP",
+            b"\x16\x03\x01\x02\x00\x01\x00\x01\xfc\x03\x03\r\n\r\n".to_vec(),
+            &[Some(400), None],
+        ),
+        (
+            "HTTP/2",
+            b"PRI * HTTP/2.0\r\n\r\nSM\r\n\r\n".to_vec(),
+            &[Some(400), None],
+        ),
         (
             "two lengths",
             b"GET /health HTTP/1.1\r\nContent-Length: 1\r\nContent-Length: 2\r\n\r\n".to_vec(),
@@ -120,8 +189,12 @@ fn what_is_no_request_or_too_large_is_refused_at_once_and_keeps_no_memory() {
         for (name, request, expected) in &cases {
             let begun = Instant::now();
             let said = status(&answer(&daemon, request));
-            // A daemon that has closed while it was still being told may have its answer lost on the way.
-            assert!(expected.contains(&said) || request.len() > 8192 && said.is_none(), "{name}: {said:?}");
+            // A daemon that has closed while it was still being told may have its answer lost on
+            // the way.
+            assert!(
+                expected.contains(&said) || request.len() > 8192 && said.is_none(),
+                "{name}: {said:?}"
+            );
             assert!(begun.elapsed() < PATIENCE, "{name}: {:?}", begun.elapsed());
         }
     }
@@ -149,19 +222,30 @@ fn a_connection_is_for_one_request() {
     half.write_all(b"GET /health HT").unwrap();
     half.shutdown(Shutdown::Write).unwrap();
     assert!(status(&rest(&mut half)).is_none_or(|status| status == 400));
-    assert!(begun.elapsed() < PATIENCE - Duration::from_secs(1), "{:?}", begun.elapsed());
+    assert!(
+        begun.elapsed() < PATIENCE - Duration::from_secs(1),
+        "{:?}",
+        begun.elapsed()
+    );
 }
 
-/// Everybody at once, for longer than a connection may last, while a sensor streams: it loses nothing, its sweeps come as
-/// fast as ever, and the watchdog is fed.
+/// Everybody at once, for longer than a connection may last, while a sensor streams: it loses
+/// nothing, its sweeps come as fast as ever, and the watchdog is fed.
 #[test]
 fn who_dawdles_and_floods_delays_no_sensor_and_is_not_waited_for() {
     let (daemon, port) = daemon(82);
-    let _sending = Sending::start(82, (port, port), stream(Model::Vlp16, ReturnMode::Strongest, 120.0));
+    let _sending = Sending::start(
+        82,
+        (port, port),
+        stream(Model::Vlp16, ReturnMode::Strongest, 120.0),
+    );
     until("it streams", || daemon.health().0 == 200);
     let of = |name: &str| daemon.metrics()[&format!("sweepd_{name}{{sensor=\"s82\"}}")];
-    let (sweeps, descriptors_before, memory_before) =
-        (of("sweeps_total"), descriptors(&daemon), memory_kib(&daemon, "VmRSS"));
+    let (sweeps, descriptors_before, memory_before) = (
+        of("sweeps_total"),
+        descriptors(&daemon),
+        memory_kib(&daemon, "VmRSS"),
+    );
     let begun = Instant::now();
 
     // One byte now and then, on all the places that there are.
@@ -169,7 +253,11 @@ fn who_dawdles_and_floods_delays_no_sensor_and_is_not_waited_for() {
     let mut open = [true; CONNECTIONS];
     let mut most_descriptors = 0;
     while open.contains(&true) {
-        for (stream, open) in dawdlers.iter_mut().zip(&mut open).filter(|(_, open)| **open) {
+        for (stream, open) in dawdlers
+            .iter_mut()
+            .zip(&mut open)
+            .filter(|(_, open)| **open)
+        {
             *open = stream.write_all(b"G").is_ok();
         }
         // And many more that come and say nothing.
@@ -177,11 +265,21 @@ fn who_dawdles_and_floods_delays_no_sensor_and_is_not_waited_for() {
         most_descriptors = most_descriptors.max(descriptors(&daemon));
         drop(crowd);
         std::thread::sleep(Duration::from_millis(50));
-        assert!(begun.elapsed() < PATIENCE + SLACK, "a dawdler is still served");
+        assert!(
+            begun.elapsed() < PATIENCE + SLACK,
+            "a dawdler is still served"
+        );
     }
-    until("it answers again", || daemon.try_ask("GET /health").is_some_and(|(status, _)| status == 200));
+    until("it answers again", || {
+        daemon
+            .try_ask("GET /health")
+            .is_some_and(|(status, _)| status == 200)
+    });
     // Of a crowd, a connection is accepted before it is closed.
-    assert!(most_descriptors <= descriptors_before + CONNECTIONS + 8, "{descriptors_before}, then {most_descriptors}");
+    assert!(
+        most_descriptors <= descriptors_before + CONNECTIONS + 8,
+        "{descriptors_before}, then {most_descriptors}"
+    );
     let grown_kib = memory_kib(&daemon, "VmHWM").saturating_sub(memory_before);
     assert!(grown_kib < MEMORY_KIB, "{grown_kib} KiB");
     let fed = daemon.notified("WATCHDOG=1", Some(begun)).len() as f64;
@@ -191,5 +289,8 @@ fn who_dawdles_and_floods_delays_no_sensor_and_is_not_waited_for() {
     let came = of("sweeps_total") - sweeps;
     assert!(came > expected - 4.0, "{came} sweeps of {expected}");
     assert_eq!((of("lost_total"), of("partial_sweeps_total")), (0.0, 1.0));
-    assert_eq!(daemon.metrics()[&format!("sweepd_dropped_total{{port=\"127.0.0.1:{port}\"}}")], 0.0);
+    assert_eq!(
+        daemon.metrics()[&format!("sweepd_dropped_total{{port=\"127.0.0.1:{port}\"}}")],
+        0.0
+    );
 }

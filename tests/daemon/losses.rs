@@ -1,4 +1,5 @@
-//! Packets that are lost or of no use: told in words, with the right cause, by the log, /health and /metrics.
+//! Packets that are lost or of no use: told in words, with the right cause, by the log, /health and
+//! /metrics.
 
 use std::time::{Duration, Instant};
 
@@ -16,13 +17,18 @@ const WATCHDOG: Duration = Duration::from_millis(800);
 /// A daemon that waits for these sensors, by host, on ports of their own.
 fn daemon<const N: usize>(hosts: [u16; N]) -> (Daemon, [u16; N]) {
     let ports = [(); N].map(|()| free_port());
-    let sensors: Vec<[u16; 3]> = hosts.into_iter().zip(ports).map(|(host, port)| [host, port, port]).collect();
+    let sensors: Vec<[u16; 3]> = hosts
+        .into_iter()
+        .zip(ports)
+        .map(|(host, port)| [host, port, port])
+        .collect();
     let daemon = Daemon::start(&sensors, free_tcp_port(), WATCHDOG);
     daemon.until_ready();
     (daemon, ports)
 }
 
-/// What a VLP-16 sends in these seconds, of whose data packets so many percent are lost before a time.
+/// What a VLP-16 sends in these seconds, of whose data packets so many percent are lost before a
+/// time.
 fn lossy(seconds: f64, percent: u8, before: Duration) -> Vec<Sent> {
     let mut rng = fastrand::Rng::with_seed(percent.into());
     let mut sent = stream(Model::Vlp16, SINGLE, seconds * 10.0);
@@ -40,7 +46,13 @@ fn until_told(daemon: &Daemon, words: &str) -> String {
     let mut told = String::new();
     until(words, || {
         let reasons = daemon.health().1["reasons"].clone();
-        told = reasons.as_array().unwrap().iter().map(|reason| reason.as_str().unwrap()).collect::<Vec<_>>().join("\n");
+        told = reasons
+            .as_array()
+            .unwrap()
+            .iter()
+            .map(|reason| reason.as_str().unwrap())
+            .collect::<Vec<_>>()
+            .join("\n");
         told.contains(words)
     });
     told
@@ -53,9 +65,14 @@ fn a_loss_of_a_tenth_is_a_warning_with_its_cause_and_is_told_twice_in_all() {
     let sent = lossy(20.0, 10, lossless);
     let begun = Instant::now();
     let _sending = sending(101, port, sent);
-    let words = format!("lost before this host, whose kernel dropped none on port {port}: look at cable and plugs");
+    let words = format!(
+        "lost before this host, whose kernel dropped none on port {port}: look at cable and plugs"
+    );
     let told = until_told(&daemon, &words);
-    assert!(told.starts_with("s101: losing packets: ") && told.contains(" % of its packets are lost"), "{told}");
+    assert!(
+        told.starts_with("s101: losing packets: ") && told.contains(" % of its packets are lost"),
+        "{told}"
+    );
     assert!(begun.elapsed() < lossless, "{:?}", begun.elapsed());
     let (status, health) = daemon.health();
     assert_eq!(
@@ -65,17 +82,37 @@ fn a_loss_of_a_tenth_is_a_warning_with_its_cause_and_is_told_twice_in_all() {
     let percent = health["sensors"][0]["losses"]["percent"].as_f64().unwrap();
     assert!((8.0..12.0).contains(&percent), "{health:#}");
     let metrics = daemon.metrics();
-    assert_eq!(metrics["sweepd_state{sensor=\"s101\",state=\"losing packets\"}"], 1.0);
-    assert_eq!(metrics["sweepd_state{sensor=\"s101\",state=\"streaming\"}"], 0.0);
+    assert_eq!(
+        metrics["sweepd_state{sensor=\"s101\",state=\"losing packets\"}"],
+        1.0
+    );
+    assert_eq!(
+        metrics["sweepd_state{sensor=\"s101\",state=\"streaming\"}"],
+        0.0
+    );
     assert!((0.08..0.12).contains(&metrics["sweepd_loss_ratio{sensor=\"s101\"}"]));
-    until("systemd is told", || !daemon.notified("STATUS=s101 losing packets", None).is_empty());
+    until("systemd is told", || {
+        !daemon
+            .notified("STATUS=s101 losing packets", None)
+            .is_empty()
+    });
 
     until("it is over", || daemon.health().1["status"] == "ok");
-    until("it says so", || daemon.log().contains("s101: its losses are over after"));
+    until("it says so", || {
+        daemon.log().contains("s101: its losses are over after")
+    });
     std::thread::sleep(Duration::from_secs(2));
     let log = daemon.log();
     let lines = |words: &str| log.lines().filter(|line| line.contains(words)).count();
-    assert_eq!((lines("lost before this host"), lines("losses are over"), lines(": streaming,")), (1, 1, 1), "{log}");
+    assert_eq!(
+        (
+            lines("lost before this host"),
+            lines("losses are over"),
+            lines(": streaming,")
+        ),
+        (1, 1, 1),
+        "{log}"
+    );
 }
 
 #[test]
@@ -89,27 +126,53 @@ fn a_loss_of_half_and_more_is_a_fault() {
     }
     let (status, health) = daemon.health();
     assert_eq!((status, &health["status"]), (503, &"unwell".into()));
-    let percent = |index: usize| health["sensors"][index]["losses"]["percent"].as_f64().unwrap();
-    assert!((45.0..55.0).contains(&percent(0)) && (85.0..95.0).contains(&percent(1)), "{health:#}");
-    assert_eq!(daemon.log().matches("lost before this host").count(), 2, "{}", daemon.log());
+    let percent = |index: usize| {
+        health["sensors"][index]["losses"]["percent"]
+            .as_f64()
+            .unwrap()
+    };
+    assert!(
+        (45.0..55.0).contains(&percent(0)) && (85.0..95.0).contains(&percent(1)),
+        "{health:#}"
+    );
+    assert_eq!(
+        daemon.log().matches("lost before this host").count(),
+        2,
+        "{}",
+        daemon.log()
+    );
 }
 
 #[test]
 fn a_second_sensor_at_one_address_is_told_whether_it_is_of_the_same_model_or_not() {
     let (daemon, ports) = daemon([104, 105]);
-    let (vlp16, hdl32e) = (stream(Model::Vlp16, SINGLE, 100.0), stream(Model::Hdl32e, SINGLE, 100.0));
+    let (vlp16, hdl32e) = (
+        stream(Model::Vlp16, SINGLE, 100.0),
+        stream(Model::Hdl32e, SINGLE, 100.0),
+    );
     // Its clock is 0.37 s ahead.
-    let mut ahead: Vec<Sent> = vlp16.iter().skip_while(|sent| sent.after < AHEAD).cloned().collect();
+    let mut ahead: Vec<Sent> = vlp16
+        .iter()
+        .skip_while(|sent| sent.after < AHEAD)
+        .cloned()
+        .collect();
     ahead.iter_mut().for_each(|sent| sent.after -= AHEAD);
     let alike = [vlp16.clone(), ahead].map(|sent| sending(104, ports[0], sent));
     let unlike = [vlp16, hdl32e].map(|sent| sending(105, ports[1], sent));
-    let words =
-        |host: u16, port: u16| format!("as if two heads sent from 127.0.0.{host} to port {port}: stop the second");
+    let words = |host: u16, port: u16| {
+        format!("as if two heads sent from 127.0.0.{host} to port {port}: stop the second")
+    };
     until_told(&daemon, &words(104, ports[0]));
     let told = until_told(&daemon, &words(105, ports[1]));
     let reasons: Vec<&str> = told.lines().collect();
-    assert!(reasons[0].contains("behind stamps that came before"), "{told}");
-    assert!(reasons[1].contains("with the byte of another product"), "{told}");
+    assert!(
+        reasons[0].contains("behind stamps that came before"),
+        "{told}"
+    );
+    assert!(
+        reasons[1].contains("with the byte of another product"),
+        "{told}"
+    );
     assert_eq!(daemon.health().0, 503);
     drop((alike, unlike));
 }
@@ -119,29 +182,42 @@ fn a_second_sensor_at_one_address_is_told_whether_it_is_of_the_same_model_or_not
 fn what_this_hosts_kernel_drops_is_laid_at_this_hosts_door() {
     let (daemon, [port]) = daemon([106]);
     let _sending = sending(106, port, stream(Model::Hdl32e, ReturnMode::Dual, 120.0));
-    until("it is judged", || daemon.health().1["sensors"][0]["losses"]["percent"] == 0.0);
+    until("it is judged", || {
+        daemon.health().1["sensors"][0]["losses"]["percent"] == 0.0
+    });
     daemon.signal("-STOP");
     std::thread::sleep(Duration::from_millis(1_500));
     daemon.signal("-CONT");
     let told = until_told(&daemon, "this host's kernel dropped ");
-    let cure =
-        format!(" datagrams on port {port}, since nobody fetched them in time: give the port a larger receive buffer");
+    let cure = format!(
+        " datagrams on port {port}, since nobody fetched them in time: give the port a larger receive buffer"
+    );
     assert!(told.contains(&cure), "{told}");
-    until("it is over", || daemon.health().1["reasons"] == serde_json::json!([]));
+    until("it is over", || {
+        daemon.health().1["reasons"] == serde_json::json!([])
+    });
 }
 
 #[test]
 fn datagrams_of_another_program_at_the_address_are_told_when_they_are_many() {
     let (daemon, [port]) = daemon([107]);
     let _sending = sending(107, port, stream(Model::Vlp16, SINGLE, 120.0));
-    until("it is judged", || daemon.health().1["sensors"][0]["losses"]["percent"] == 0.0);
+    until("it is judged", || {
+        daemon.health().1["sensors"][0]["losses"]["percent"] == 0.0
+    });
     let socket = std::net::UdpSocket::bind("127.0.0.107:0").unwrap();
     let over = Instant::now() + Duration::from_secs(4);
     while Instant::now() < over {
         socket.send_to(&[0; 100], ("127.0.0.1", port)).unwrap();
         std::thread::sleep(Duration::from_millis(2));
     }
-    let told = until_told(&daemon, "are no packets of a sensor: stop the other program");
-    assert!(told.contains(&format!(" datagrams from 127.0.0.107 to port {port} ")), "{told}");
+    let told = until_told(
+        &daemon,
+        "are no packets of a sensor: stop the other program",
+    );
+    assert!(
+        told.contains(&format!(" datagrams from 127.0.0.107 to port {port} ")),
+        "{told}"
+    );
     assert!(daemon.metrics()["sweepd_refused_total{sensor=\"s107\"}"] > 100.0);
 }

@@ -1,4 +1,5 @@
-//! The daemon over loopback: simulated sensors, each at an address of its own (127.0.0.11 and on), in real time.
+//! The daemon over loopback: simulated sensors, each at an address of its own (127.0.0.11 and on),
+//! in real time.
 
 mod child;
 #[path = "../common/mod.rs"]

@@ -1,4 +1,5 @@
-//! Packets in, sweeps out: who gets in, to whom a packet belongs, what is counted, and what a broken thread does.
+//! Packets in, sweeps out: who gets in, to whom a packet belongs, what is counted, and what a
+//! broken thread does.
 
 use std::collections::BTreeMap;
 use std::net::{Ipv4Addr, UdpSocket};
@@ -18,7 +19,9 @@ use sweepd::sweep::{HeapBuffers, SweepRef};
 use sweepd::wire::data::ReturnMode;
 use sweepd::wire::{DataPacket, Datagram};
 
-use crate::rig::{Fate, Rig, Sending, Sent, config, cool_stream_without_gps, free_port, sensor, stream, until};
+use crate::rig::{
+    Fate, Rig, Sending, Sent, config, cool_stream_without_gps, free_port, sensor, stream, until,
+};
 
 const SINGLE: ReturnMode = ReturnMode::Strongest;
 
@@ -34,12 +37,18 @@ fn by_sensor(sweeps: &Receiver<(Arc<str>, HeapBuffer)>) -> BTreeMap<String, Vec<
 /// The sweeps of a stream in a replay.
 fn replayed(sent: &[Sent]) -> Vec<HeapBuffer> {
     let buffers = HeapBuffers::default();
-    let mut pipeline = Pipeline::new("replay", pipeline::Config::default(), buffers, Untimed).unwrap();
+    let mut pipeline =
+        Pipeline::new("replay", pipeline::Config::default(), buffers, Untimed).unwrap();
     let mut sweeps = Vec::new();
     for sent in sent {
         let arrival_ns = 1_700_000_000_000_000_000 + sent.after.as_nanos() as i64;
         let source = "127.0.0.1:2368".parse().unwrap();
-        let datagram = Datagram { arrival_ns, source, destination_port: 2368, payload: &sent.payload };
+        let datagram = Datagram {
+            arrival_ns,
+            source,
+            destination_port: 2368,
+            payload: &sent.payload,
+        };
         pipeline.push(&datagram).unwrap();
         sweeps.extend(std::iter::from_fn(|| pipeline.poll()));
     }
@@ -51,15 +60,30 @@ fn measured(sweep: &HeapBuffer) -> (i64, Vec<u32>, Vec<u32>, Vec<u8>, usize) {
     let sweep = SweepRef::open(sweep.as_ref()).unwrap();
     let ranges = sweep.range.iter().map(|range| range.to_bits()).collect();
     let (labels, reflectivities) = (sweep.label.to_vec(), sweep.reflectivity.to_vec());
-    (sweep.header.sensor_time_ns, ranges, labels, reflectivities, sweep.segments.len())
+    (
+        sweep.header.sensor_time_ns,
+        ranges,
+        labels,
+        reflectivities,
+        sweep.segments.len(),
+    )
 }
 
 #[test]
 fn what_a_sensor_sends_comes_out_as_in_a_replay_with_the_times_of_this_host() {
     let (rig, sweeps) = Rig::new();
     let begun_ns = SystemTime::UNIX_EPOCH.elapsed().unwrap().as_nanos() as i64;
-    let runtime = Runtime::start(&config(vec![sensor("roof", 11, (0, 0))]), &rig, &mut Tees::default()).unwrap();
-    assert_eq!(runtime.ports.len(), 1, "the data port is the position port too");
+    let runtime = Runtime::start(
+        &config(vec![sensor("roof", 11, (0, 0))]),
+        &rig,
+        &mut Tees::default(),
+    )
+    .unwrap();
+    assert_eq!(
+        runtime.ports.len(),
+        1,
+        "the data port is the position port too"
+    );
     let port = runtime.ports[0].local.port();
     let sent = stream(Model::Vlp16, SINGLE, 4.5);
     Sending::start(11, (port, port), sent.clone()).finish();
@@ -68,7 +92,9 @@ fn what_a_sensor_sends_comes_out_as_in_a_replay_with_the_times_of_this_host() {
     until("all packets are taken", || counters.data.get() == data);
     // What is open when the packets end is closed by the clock.
     let expected = replayed(&sent);
-    until("the open sweep is closed", || counters.sweeps.get() == expected.len() as u64 + 1);
+    until("the open sweep is closed", || {
+        counters.sweeps.get() == expected.len() as u64 + 1
+    });
     let got = by_sensor(&sweeps).remove("roof").unwrap();
     for (live, replay) in got.iter().zip(&expected) {
         assert!(measured(live) == measured(replay));
@@ -84,11 +110,20 @@ fn what_a_sensor_sends_comes_out_as_in_a_replay_with_the_times_of_this_host() {
         assert!(header.completed_monotonic_ns > 0 && header.decode_ns > 0 && header.label_ns > 0);
         runs.push(header.run_ns);
     }
-    assert!(runs.iter().all(|&run_ns| run_ns == runs[0] && run_ns >= begun_ns));
+    assert!(
+        runs.iter()
+            .all(|&run_ns| run_ns == runs[0] && run_ns >= begun_ns)
+    );
     assert_eq!(counters.partial_sweeps.get(), 2, "the first and the last");
     assert!(counters.steady_sweeps.get() >= 2);
-    assert_eq!((counters.model(), counters.return_mode()), (Some(Model::Vlp16), Some(SINGLE)));
-    assert_eq!((counters.gps(), counters.lost.get(), counters.unshared.get()), (Some(Gps::Locked), 0, 0));
+    assert_eq!(
+        (counters.model(), counters.return_mode()),
+        (Some(Model::Vlp16), Some(SINGLE))
+    );
+    assert_eq!(
+        (counters.gps(), counters.lost.get(), counters.unshared.get()),
+        (Some(Gps::Locked), 0, 0)
+    );
     assert!(counters.temperature_c().is_some());
     for stage in Stage::ALL {
         let noted = counters.stage(stage).count();
@@ -100,21 +135,35 @@ fn what_a_sensor_sends_comes_out_as_in_a_replay_with_the_times_of_this_host() {
 #[test]
 fn two_sensors_on_one_port_are_told_apart_by_their_address() {
     let (rig, sweeps) = Rig::new();
-    let both = config(vec![sensor("left", 21, (0, 0)), sensor("right", 22, (0, 0))]);
+    let both = config(vec![
+        sensor("left", 21, (0, 0)),
+        sensor("right", 22, (0, 0)),
+    ]);
     let runtime = Runtime::start(&both, &rig, &mut Tees::default()).unwrap();
     let port = runtime.ports[0].local.port();
-    let streams = [(Model::Vlp16, 21), (Model::Hdl32e, 22)].map(|(model, host)| (host, stream(model, SINGLE, 3.2)));
-    let sending = streams.clone().map(|(host, stream)| Sending::start(host, (port, port), stream));
+    let streams = [(Model::Vlp16, 21), (Model::Hdl32e, 22)]
+        .map(|(model, host)| (host, stream(model, SINGLE, 3.2)));
+    let sending = streams
+        .clone()
+        .map(|(host, stream)| Sending::start(host, (port, port), stream));
     sending.into_iter().for_each(Sending::finish);
     for (sensor, (_, stream)) in runtime.sensors.iter().zip(&streams) {
         let data = stream.iter().filter(|sent| sent.is_data).count() as u64;
-        until("all packets are taken", || sensor.counters.data.get() == data);
+        until("all packets are taken", || {
+            sensor.counters.data.get() == data
+        });
     }
     let got = by_sensor(&sweeps);
     for (name, (_, stream)) in ["left", "right"].iter().zip(&streams) {
         let expected = replayed(stream);
         assert!(expected.len() >= 3);
-        assert!(got[*name].iter().zip(&expected).all(|(live, replay)| measured(live) == measured(replay)), "{name}");
+        assert!(
+            got[*name]
+                .iter()
+                .zip(&expected)
+                .all(|(live, replay)| measured(live) == measured(replay)),
+            "{name}"
+        );
     }
     runtime.stop().unwrap();
 }
@@ -123,28 +172,44 @@ fn two_sensors_on_one_port_are_told_apart_by_their_address() {
 fn a_steady_stream_of_packets_allocates_nothing_on_the_thread_of_its_port() {
     let (rig, sweeps) = Rig::new();
     let data = free_port();
-    let two = config(vec![sensor("roof", 25, (data, data)), sensor("rear", 26, (free_port(), data))]);
+    let two = config(vec![
+        sensor("roof", 25, (data, data)),
+        sensor("rear", 26, (free_port(), data)),
+    ]);
     let runtime = Runtime::start(&two, &rig, &mut Tees::default()).unwrap();
     // Buffers come back at once.
     let consumer = std::thread::spawn(move || sweeps.iter().for_each(drop));
-    let [foreign, rear] = [27, 26].map(|host| UdpSocket::bind((Ipv4Addr::new(127, 0, 0, host), 0)).unwrap());
+    let [foreign, rear] =
+        [27, 26].map(|host| UdpSocket::bind((Ipv4Addr::new(127, 0, 0, host), 0)).unwrap());
     let sending = Sending::start(25, (data, data), stream(Model::Vlp16, SINGLE, 25.5));
     let counters = &runtime.sensors[0].counters;
     until("all sweeps are sent", || {
         // Somebody else sends too, and a sensor of another port its position packets.
-        foreign.send_to(&[1; 100], (Ipv4Addr::LOCALHOST, data)).unwrap();
-        rear.send_to(&[0; 512], (Ipv4Addr::LOCALHOST, data)).unwrap();
+        foreign
+            .send_to(&[1; 100], (Ipv4Addr::LOCALHOST, data))
+            .unwrap();
+        rear.send_to(&[0; 512], (Ipv4Addr::LOCALHOST, data))
+            .unwrap();
         counters.sweeps.get() >= 25
     });
     sending.finish();
-    until("position packets went over", || runtime.sensors[1].counters.position.get() >= 25);
+    until("position packets went over", || {
+        runtime.sensors[1].counters.position.get() >= 25
+    });
     runtime.stop().unwrap();
     let allocated = rig.allocated.lock().unwrap().clone();
     drop(rig);
     consumer.join().unwrap();
     // The height of the sensor is estimated over the first sweeps.
-    let between: Vec<u64> = allocated.windows(2).map(|pair| pair[1].0 - pair[0].1).skip(10).collect();
-    assert!(between.len() >= 14 && between.iter().all(|&count| count == 0), "{between:?}");
+    let between: Vec<u64> = allocated
+        .windows(2)
+        .map(|pair| pair[1].0 - pair[0].1)
+        .skip(10)
+        .collect();
+    assert!(
+        between.len() >= 14 && between.iter().all(|&count| count == 0),
+        "{between:?}"
+    );
 }
 
 #[test]
@@ -155,17 +220,39 @@ fn an_hdl64e_tells_its_calibration_and_then_streams() {
     let runtime = Runtime::start(&config(vec![one]), &rig, &mut Tees::default()).unwrap();
     let port = runtime.ports[0].local.port();
     let sending = Sending::start(28, (port, port), stream(Model::Hdl64eS3, SINGLE, 16.0));
-    let told = runtime.events.recv_timeout(Duration::from_secs(20)).unwrap();
-    assert!(matches!(told, (0, Event::Notice(Notice::AwaitsCalibration))), "{told:?}");
-    let told = runtime.events.recv_timeout(Duration::from_secs(20)).unwrap();
-    assert!(matches!(told, (0, Event::Notice(Notice::Calibrated { .. }))), "{told:?}");
+    let told = runtime
+        .events
+        .recv_timeout(Duration::from_secs(20))
+        .unwrap();
+    assert!(
+        matches!(told, (0, Event::Notice(Notice::AwaitsCalibration))),
+        "{told:?}"
+    );
+    let told = runtime
+        .events
+        .recv_timeout(Duration::from_secs(20))
+        .unwrap();
+    assert!(
+        matches!(told, (0, Event::Notice(Notice::Calibrated { .. }))),
+        "{told:?}"
+    );
     let (_, sweep) = sweeps.recv_timeout(Duration::from_secs(20)).unwrap();
     assert_eq!(SweepRef::open(sweep.as_ref()).unwrap().header.rows, 64);
     sending.finish();
     let counters = &runtime.sensors[0].counters;
-    assert_eq!((counters.model(), counters.lost.get()), (Some(Model::Hdl64eS3), 0));
-    assert!(counters.temperature_c().is_some() && counters.gps().is_some(), "told among its data");
-    assert!(counters.undecoded().any(|(reason, count)| reason == "not_ready" && count >= 4_000));
+    assert_eq!(
+        (counters.model(), counters.lost.get()),
+        (Some(Model::Hdl64eS3), 0)
+    );
+    assert!(
+        counters.temperature_c().is_some() && counters.gps().is_some(),
+        "told among its data"
+    );
+    assert!(
+        counters
+            .undecoded()
+            .any(|(reason, count)| reason == "not_ready" && count >= 4_000)
+    );
     runtime.stop().unwrap();
 }
 
@@ -178,20 +265,43 @@ fn an_hdl64e_without_a_file_streams_on_over_a_reload() {
     let _sending = Sending::start(30, (port, port), stream(Model::Hdl64eS2, SINGLE, 30.0));
     let counters = &runtime.sensors[0].counters;
     until("it streams", || counters.steady_sweeps.get() >= 2);
-    let not_ready = || counters.undecoded().find(|(reason, _)| *reason == "not_ready").unwrap().1;
+    let not_ready = || {
+        counters
+            .undecoded()
+            .find(|(reason, _)| *reason == "not_ready")
+            .unwrap()
+            .1
+    };
     let (waited, partial) = (not_ready(), counters.partial_sweeps.get());
     let mut other = one.sensors[0].pipeline.clone();
     other.segment.theta_rad = 0.2;
     runtime.reconfigure(0, other);
     let sweeps_then = counters.sweeps.get();
-    until("it streams again", || counters.sweeps.get() >= sweeps_then + 4);
+    until("it streams again", || {
+        counters.sweeps.get() >= sweeps_then + 4
+    });
     assert_eq!(not_ready(), waited, "all packets are decoded");
-    assert!(counters.partial_sweeps.get() - partial <= 1, "the first one of the new configuration");
-    let headers: Vec<_> = sweeps.try_iter().map(|(_, sweep)| *SweepRef::open(sweep.as_ref()).unwrap().header).collect();
-    assert!(headers[0].run_ns < headers.last().unwrap().run_ns, "it was taken");
+    assert!(
+        counters.partial_sweeps.get() - partial <= 1,
+        "the first one of the new configuration"
+    );
+    let headers: Vec<_> = sweeps
+        .try_iter()
+        .map(|(_, sweep)| *SweepRef::open(sweep.as_ref()).unwrap().header)
+        .collect();
+    assert!(
+        headers[0].run_ns < headers.last().unwrap().run_ns,
+        "it was taken"
+    );
     // By the sensor's clock: each sweep takes 0.1 s.
-    let gaps_ns = headers.windows(2).map(|pair| pair[1].sensor_time_ns - pair[0].sensor_time_ns);
-    assert!(gaps_ns.clone().all(|ns| ns < 250_000_000), "{:?}", gaps_ns.collect::<Vec<_>>());
+    let gaps_ns = headers
+        .windows(2)
+        .map(|pair| pair[1].sensor_time_ns - pair[0].sensor_time_ns);
+    assert!(
+        gaps_ns.clone().all(|ns| ns < 250_000_000),
+        "{:?}",
+        gaps_ns.collect::<Vec<_>>()
+    );
     runtime.stop().unwrap();
 }
 
@@ -220,21 +330,32 @@ fn three_sensors_on_three_ports_get_their_position_packets_from_a_fourth() {
     let positions = free_port();
     let hosts = [31, 32, 33];
     let ports = hosts.map(|_| free_port());
-    let sensors = hosts.iter().zip(ports).map(|(&host, port)| sensor(&format!("s{host}"), host, (port, positions)));
+    let sensors = hosts
+        .iter()
+        .zip(ports)
+        .map(|(&host, port)| sensor(&format!("s{host}"), host, (port, positions)));
     let runtime = Runtime::start(&config(sensors.collect()), &rig, &mut Tees::default()).unwrap();
     assert_eq!(runtime.ports.len(), 4);
     let sent = stream(Model::Vlp16, SINGLE, 3.2);
-    let sending = [0, 1, 2].map(|index| Sending::start(hosts[index], (ports[index], positions), sent.clone()));
+    let sending = [0, 1, 2]
+        .map(|index| Sending::start(hosts[index], (ports[index], positions), sent.clone()));
     sending.into_iter().for_each(Sending::finish);
     let count = |is_data| sent.iter().filter(|sent| sent.is_data == is_data).count() as u64;
     for sensor in runtime.sensors.iter() {
-        until("all data are taken", || sensor.counters.data.get() == count(true));
-        until("all positions are taken", || sensor.counters.position.get() == count(false));
+        until("all data are taken", || {
+            sensor.counters.data.get() == count(true)
+        });
+        until("all positions are taken", || {
+            sensor.counters.position.get() == count(false)
+        });
         assert_eq!(sensor.counters.position_overflows.get(), 0);
         assert_eq!(sensor.counters.gps(), Some(Gps::Locked));
     }
     for (name, sweeps) in by_sensor(&sweeps) {
-        let source = SweepRef::open(sweeps.last().unwrap().as_ref()).unwrap().header.time_source();
+        let source = SweepRef::open(sweeps.last().unwrap().as_ref())
+            .unwrap()
+            .header
+            .time_source();
         assert_eq!(source, TimeSource::Gps, "{name}");
     }
     runtime.stop().unwrap();
@@ -242,33 +363,60 @@ fn three_sensors_on_three_ports_get_their_position_packets_from_a_fourth() {
 
 /// The sources of time of the whole sweeps of a sensor.
 fn time_sources(sweeps: &[HeapBuffer]) -> Vec<TimeSource> {
-    let headers = sweeps.iter().map(|sweep| SweepRef::open(sweep.as_ref()).unwrap().header);
-    headers.filter(|header| !header.has(flags::PARTIAL)).map(|header| header.time_source()).collect()
+    let headers = sweeps
+        .iter()
+        .map(|sweep| SweepRef::open(sweep.as_ref()).unwrap().header);
+    headers
+        .filter(|header| !header.has(flags::PARTIAL))
+        .map(|header| header.time_source())
+        .collect()
 }
 
-/// Behind one address, as of a router: only one of them has a GPS receiver, and the other is cooler.
+/// Behind one address, as of a router: only one of them has a GPS receiver, and the other is
+/// cooler.
 #[test]
 fn two_sensors_at_one_address_keep_their_gps_and_their_temperature_apart() {
     let (rig, sweeps) = Rig::new();
     let ports = [(); 2].map(|()| (free_port(), free_port()));
-    let both = config(vec![sensor("left", 34, ports[0]), sensor("right", 34, ports[1])]);
+    let both = config(vec![
+        sensor("left", 34, ports[0]),
+        sensor("right", 34, ports[1]),
+    ]);
     let runtime = Runtime::start(&both, &rig, &mut Tees::default()).unwrap();
-    let streams = [stream(Model::Vlp16, SINGLE, 12.0), cool_stream_without_gps(12.0)];
-    let [left, right] = [0, 1].map(|index| Sending::start(34, ports[index], streams[index].clone()));
+    let streams = [
+        stream(Model::Vlp16, SINGLE, 12.0),
+        cool_stream_without_gps(12.0),
+    ];
+    let [left, right] =
+        [0, 1].map(|index| Sending::start(34, ports[index], streams[index].clone()));
     left.finish();
     right.finish();
     let [left, right] = [0, 1].map(|index| &runtime.sensors[index].counters);
     for (counters, stream) in [left, right].into_iter().zip(&streams) {
         let positions = stream.iter().filter(|sent| !sent.is_data).count() as u64;
-        until("all positions are taken", || counters.position.get() == positions);
+        until("all positions are taken", || {
+            counters.position.get() == positions
+        });
         until("the sweeps are there", || counters.sweeps.get() >= 11);
     }
-    assert_eq!((left.gps(), left.temperature_c()), (Some(Gps::Locked), Some(43)));
-    assert_eq!((right.gps(), right.temperature_c()), (Some(Gps::Absent), Some(20)));
+    assert_eq!(
+        (left.gps(), left.temperature_c()),
+        (Some(Gps::Locked), Some(43))
+    );
+    assert_eq!(
+        (right.gps(), right.temperature_c()),
+        (Some(Gps::Absent), Some(20))
+    );
     let got = by_sensor(&sweeps);
     let [left, right] = ["left", "right"].map(|name| time_sources(&got[name]));
-    assert!(left.len() >= 10 && left.iter().all(|&source| source == TimeSource::Gps), "{left:?}");
-    assert!(right.len() >= 10 && right.iter().all(|&source| source == TimeSource::Host), "{right:?}");
+    assert!(
+        left.len() >= 10 && left.iter().all(|&source| source == TimeSource::Gps),
+        "{left:?}"
+    );
+    assert!(
+        right.len() >= 10 && right.iter().all(|&source| source == TimeSource::Host),
+        "{right:?}"
+    );
     runtime.stop().unwrap();
 }
 
@@ -277,14 +425,23 @@ fn foreign_datagrams_change_nothing_but_a_counter() {
     const RANDOM: u64 = 100_000;
     let (rig, sweeps) = Rig::new();
     let (data, position) = (free_port(), free_port());
-    let two = config(vec![sensor("roof", 41, (data, position)), sensor("rear", 42, (free_port(), position))]);
+    let two = config(vec![
+        sensor("roof", 41, (data, position)),
+        sensor("rear", 42, (free_port(), position)),
+    ]);
     let runtime = Runtime::start(&two, &rig, &mut Tees::default()).unwrap();
     let sent = stream(Model::Vlp16, SINGLE, 40.0);
     let sending = Sending::start(41, (data, position), sent.clone());
     let counters = &runtime.ports[0].counters;
-    let rejected = || Reject::ALL.iter().map(|&reason| counters.rejected(reason)).sum::<u64>();
+    let rejected = || {
+        Reject::ALL
+            .iter()
+            .map(|&reason| counters.rejected(reason))
+            .sum::<u64>()
+    };
 
-    let [own, other, foreign] = [41, 42, 43].map(|host| UdpSocket::bind((Ipv4Addr::new(127, 0, 0, host), 0)).unwrap());
+    let [own, other, foreign] =
+        [41, 42, 43].map(|host| UdpSocket::bind((Ipv4Addr::new(127, 0, 0, host), 0)).unwrap());
     let packet = DataPacket::new(0, 0x37, 0x22);
     let mut broken = packet;
     broken.blocks[3].flag.set(0);
@@ -295,7 +452,9 @@ fn foreign_datagrams_change_nothing_but_a_counter() {
         (&foreign, &[0; 512]),
         (&other, packet.emit()),
     ] {
-        socket.send_to(payload, (Ipv4Addr::LOCALHOST, data)).unwrap();
+        socket
+            .send_to(payload, (Ipv4Addr::LOCALHOST, data))
+            .unwrap();
     }
     until("five were refused", || rejected() == 5);
     let by_reason = Reject::ALL.map(|reason| counters.rejected(reason));
@@ -306,11 +465,21 @@ fn foreign_datagrams_change_nothing_but_a_counter() {
     let mut from_own = 2;
     for sent in 1..=RANDOM {
         rng.fill(&mut bytes);
-        let len = if rng.u8(..) < 64 { 1206 } else { rng.usize(..bytes.len()) };
+        let len = if rng.u8(..) < 64 {
+            1206
+        } else {
+            rng.usize(..bytes.len())
+        };
         // 512 bytes of the sensor itself are a position packet, whatever they hold.
-        let socket = if len == 512 || rng.bool() { &foreign } else { &own };
+        let socket = if len == 512 || rng.bool() {
+            &foreign
+        } else {
+            &own
+        };
         from_own += u64::from(std::ptr::eq(socket, &own));
-        socket.send_to(&bytes[..len], (Ipv4Addr::LOCALHOST, data)).unwrap();
+        socket
+            .send_to(&bytes[..len], (Ipv4Addr::LOCALHOST, data))
+            .unwrap();
         // No more at once than the smallest buffer holds.
         if sent % 50 == 0 {
             until("they were refused", || rejected() == 5 + sent);
@@ -318,26 +487,49 @@ fn foreign_datagrams_change_nothing_but_a_counter() {
     }
     sending.finish();
     let roof = &runtime.sensors[0].counters;
-    assert_eq!((roof.refused.get(), runtime.sensors[1].counters.refused.get()), (from_own, 0));
+    assert_eq!(
+        (
+            roof.refused.get(),
+            runtime.sensors[1].counters.refused.get()
+        ),
+        (from_own, 0)
+    );
     let count = sent.iter().filter(|sent| sent.is_data).count() as u64;
     until("all packets are taken", || roof.data.get() == count);
     assert_eq!((rejected(), counters.dropped.get()), (5 + RANDOM, 0));
-    assert_eq!((roof.lost.get(), roof.undecoded().map(|(_, count)| count).sum::<u64>()), (0, 0));
+    assert_eq!(
+        (
+            roof.lost.get(),
+            roof.undecoded().map(|(_, count)| count).sum::<u64>()
+        ),
+        (0, 0)
+    );
     let got = by_sensor(&sweeps);
     assert_eq!(got.keys().collect::<Vec<_>>(), ["roof"]);
     let expected = replayed(&sent);
-    assert!(got["roof"].iter().zip(&expected).all(|(live, replay)| measured(live) == measured(replay)));
+    assert!(
+        got["roof"]
+            .iter()
+            .zip(&expected)
+            .all(|(live, replay)| measured(live) == measured(replay))
+    );
     assert!(got["roof"].len() >= expected.len());
     runtime.stop().unwrap();
 }
 
-/// A thread that naps learns from the first burst of others how short its naps must be for the next ones.
+/// A thread that naps learns from the first burst of others how short its naps must be for the next
+/// ones.
 #[test]
 fn bursts_of_others_cost_a_sensor_nothing_from_the_second_on() {
     const BURSTS: u64 = 8;
     let (rig, sweeps) = Rig::new();
     let data = free_port();
-    let runtime = Runtime::start(&config(vec![sensor("roof", 46, (data, data))]), &rig, &mut Tees::default()).unwrap();
+    let runtime = Runtime::start(
+        &config(vec![sensor("roof", 46, (data, data))]),
+        &rig,
+        &mut Tees::default(),
+    )
+    .unwrap();
     let consumer = std::thread::spawn(move || sweeps.iter().for_each(drop));
     let _sending = Sending::start(46, (data, data), stream(Model::Vlp16, SINGLE, 60.0));
     let (port, roof) = (&runtime.ports[0], &runtime.sensors[0].counters);
@@ -349,8 +541,12 @@ fn bursts_of_others_cost_a_sensor_nothing_from_the_second_on() {
     for burst in 0..BURSTS {
         let (before, begun) = (port.counters.dropped.get(), Instant::now());
         for number in 0..count {
-            std::thread::sleep((begun + span * number / count).saturating_duration_since(Instant::now()));
-            foreign.send_to(&[1; 1206], (Ipv4Addr::LOCALHOST, data)).unwrap();
+            std::thread::sleep(
+                (begun + span * number / count).saturating_duration_since(Instant::now()),
+            );
+            foreign
+                .send_to(&[1; 1206], (Ipv4Addr::LOCALHOST, data))
+                .unwrap();
         }
         // Not in step with the turns.
         std::thread::sleep(Duration::from_millis(237));
@@ -361,8 +557,12 @@ fn bursts_of_others_cost_a_sensor_nothing_from_the_second_on() {
     runtime.stop().unwrap();
     drop(rig);
     consumer.join().unwrap();
-    // Where other programs have the cores for longer than the buffer holds, a burst may cost some still.
-    assert!(lossy.iter().filter(|&&burst| burst > 0).count() <= 2, "bursts that cost packets: {lossy:?} of {BURSTS}");
+    // Where other programs have the cores for longer than the buffer holds, a burst may cost some
+    // still.
+    assert!(
+        lossy.iter().filter(|&&burst| burst > 0).count() <= 2,
+        "bursts that cost packets: {lossy:?} of {BURSTS}"
+    );
 }
 
 #[test]
@@ -374,19 +574,30 @@ fn another_configuration_is_taken_while_the_sensor_streams() {
     let _sending = Sending::start(51, (port, port), stream(Model::Vlp16, SINGLE, 30.0));
     let counters = &runtime.sensors[0].counters;
     until("it streams", || counters.steady_sweeps.get() >= 2);
-    let before = (by_sensor(&sweeps).remove("roof").unwrap(), counters.data.get());
+    let before = (
+        by_sensor(&sweeps).remove("roof").unwrap(),
+        counters.data.get(),
+    );
     let mut other = one.sensors[0].pipeline.clone();
     (other.cut_azimuth_rad, other.position_m) = (1.0, [0.0, 1.5, 2.0]);
     runtime.reconfigure(0, other);
     let told = runtime.events.recv_timeout(Duration::from_secs(5)).unwrap();
     assert!(matches!(told, (0, Event::Reconfigured(Ok(())))), "{told:?}");
     let sweeps_then = counters.sweeps.get();
-    until("it streams again", || counters.sweeps.get() >= sweeps_then + 4);
+    until("it streams again", || {
+        counters.sweeps.get() >= sweeps_then + 4
+    });
     let header = |sweep: &HeapBuffer| *SweepRef::open(sweep.as_ref()).unwrap().header;
-    let (old, new) = (header(before.0.last().unwrap()), header(by_sensor(&sweeps)["roof"].last().unwrap()));
+    let (old, new) = (
+        header(before.0.last().unwrap()),
+        header(by_sensor(&sweeps)["roof"].last().unwrap()),
+    );
     assert_eq!((old.cut_azimuth_rad, new.cut_azimuth_rad), (0.0, 1.0));
     assert_eq!(new.position_m, [0.0, 1.5, 2.0]);
-    assert!(new.run_ns > old.run_ns, "numbers begin anew, so must the run");
+    assert!(
+        new.run_ns > old.run_ns,
+        "numbers begin anew, so must the run"
+    );
     assert!(counters.data.get() > before.1, "counters go on");
 
     let mut impossible = one.sensors[0].pipeline.clone();
@@ -395,7 +606,9 @@ fn another_configuration_is_taken_while_the_sensor_streams() {
     let told = runtime.events.recv_timeout(Duration::from_secs(5)).unwrap();
     assert!(matches!(told, (0, Event::Reconfigured(Err(_)))), "{told:?}");
     let sweeps_then = counters.sweeps.get();
-    until("it streams as before", || counters.sweeps.get() >= sweeps_then + 2);
+    until("it streams as before", || {
+        counters.sweeps.get() >= sweeps_then + 2
+    });
     runtime.stop().unwrap();
 }
 
@@ -404,29 +617,58 @@ fn a_port_that_is_taken_and_a_sensor_that_cannot_be_shared_are_errors_at_start()
     let (rig, _) = Rig::new();
     let taken = UdpSocket::bind("127.0.0.1:0").unwrap();
     let port = taken.local_addr().unwrap().port();
-    let error =
-        Runtime::start(&config(vec![sensor("roof", 61, (port, port))]), &rig, &mut Tees::default()).err().unwrap();
-    assert!(error.to_string().contains(&format!("port {port} is held by ")), "{error}");
-    let error =
-        Runtime::start(&config(vec![sensor("unshareable", 61, (0, 0))]), &rig, &mut Tees::default()).err().unwrap();
+    let error = Runtime::start(
+        &config(vec![sensor("roof", 61, (port, port))]),
+        &rig,
+        &mut Tees::default(),
+    )
+    .err()
+    .unwrap();
+    assert!(
+        error
+            .to_string()
+            .contains(&format!("port {port} is held by ")),
+        "{error}"
+    );
+    let error = Runtime::start(
+        &config(vec![sensor("unshareable", 61, (0, 0))]),
+        &rig,
+        &mut Tees::default(),
+    )
+    .err()
+    .unwrap();
     assert_eq!(error.to_string(), "unshareable: no room in /dev/shm");
 }
 
-/// While its memory is being taken, the newest sweep is held; those before it are counted, and no trouble is told.
+/// While its memory is being taken, the newest sweep is held; those before it are counted, and no
+/// trouble is told.
 #[test]
 fn a_sweep_that_is_complete_before_its_memory_is_there_is_sent_when_it_is() {
     let (rig, sweeps) = Rig::new();
-    let runtime = Runtime::start(&config(vec![sensor("roof", 63, (0, 0))]), &rig, &mut Tees::default()).unwrap();
+    let runtime = Runtime::start(
+        &config(vec![sensor("roof", 63, (0, 0))]),
+        &rig,
+        &mut Tees::default(),
+    )
+    .unwrap();
     let port = runtime.ports[0].local.port();
     rig.fate(Fate::Waits);
     let _sending = Sending::start(63, (port, port), stream(Model::Vlp16, SINGLE, 20.0));
     let counters = &runtime.sensors[0].counters;
-    until("two sweeps were replaced by newer ones", || counters.unshared.get() >= 2);
+    until("two sweeps were replaced by newer ones", || {
+        counters.unshared.get() >= 2
+    });
     rig.fate(Fate::Sends);
     let (_, sweep) = sweeps.recv_timeout(Duration::from_secs(5)).unwrap();
     let lost = counters.unshared.get();
-    assert_eq!(SweepRef::open(sweep.as_ref()).unwrap().header.sequence, lost, "the first one has number 0");
-    until("the next are sent as they come", || counters.sweeps.get() >= lost + 4);
+    assert_eq!(
+        SweepRef::open(sweep.as_ref()).unwrap().header.sequence,
+        lost,
+        "the first one has number 0"
+    );
+    until("the next are sent as they come", || {
+        counters.sweeps.get() >= lost + 4
+    });
     assert_eq!(counters.unshared.get(), lost);
     assert!(runtime.events.try_recv().is_err(), "nothing was wrong");
     runtime.stop().unwrap();
@@ -435,16 +677,39 @@ fn a_sweep_that_is_complete_before_its_memory_is_there_is_sent_when_it_is() {
 #[test]
 fn what_cannot_be_shared_is_told_once_and_the_sensor_goes_on() {
     let (rig, sweeps) = Rig::new();
-    let runtime = Runtime::start(&config(vec![sensor("roof", 62, (0, 0))]), &rig, &mut Tees::default()).unwrap();
+    let runtime = Runtime::start(
+        &config(vec![sensor("roof", 62, (0, 0))]),
+        &rig,
+        &mut Tees::default(),
+    )
+    .unwrap();
     let port = runtime.ports[0].local.port();
     rig.fate(Fate::Fails);
     let _sending = Sending::start(62, (port, port), stream(Model::Vlp16, SINGLE, 20.0));
     let counters = &runtime.sensors[0].counters;
     until("three sweeps found no way", || counters.unshared.get() >= 3);
     rig.fate(Fate::Sends);
-    assert_eq!(sweeps.recv_timeout(Duration::from_secs(5)).unwrap().0.as_ref(), "roof");
-    let told: Vec<_> = (0..2).map(|_| runtime.events.recv_timeout(Duration::from_secs(5)).unwrap().1).collect();
-    assert!(matches!(&told[..], [Event::NotShared(_), Event::SharedAgain]), "{told:?}");
+    assert_eq!(
+        sweeps
+            .recv_timeout(Duration::from_secs(5))
+            .unwrap()
+            .0
+            .as_ref(),
+        "roof"
+    );
+    let told: Vec<_> = (0..2)
+        .map(|_| {
+            runtime
+                .events
+                .recv_timeout(Duration::from_secs(5))
+                .unwrap()
+                .1
+        })
+        .collect();
+    assert!(
+        matches!(&told[..], [Event::NotShared(_), Event::SharedAgain]),
+        "{told:?}"
+    );
     assert!(runtime.events.try_recv().is_err());
     runtime.stop().unwrap();
 }
@@ -453,8 +718,12 @@ fn what_cannot_be_shared_is_told_once_and_the_sensor_goes_on() {
 fn a_thread_that_panics_is_found_and_one_that_hangs_is_left_to_its_end() {
     for fate in [Fate::Panics, Fate::Hangs] {
         let (rig, _sweeps) = Rig::new();
-        let mut runtime =
-            Runtime::start(&config(vec![sensor("roof", 63, (0, 0))]), &rig, &mut Tees::default()).unwrap();
+        let mut runtime = Runtime::start(
+            &config(vec![sensor("roof", 63, (0, 0))]),
+            &rig,
+            &mut Tees::default(),
+        )
+        .unwrap();
         assert!(runtime.check().is_ok());
         let port = runtime.ports[0].local.port();
         rig.fate(fate);
@@ -467,12 +736,21 @@ fn a_thread_that_panics_is_found_and_one_that_hangs_is_left_to_its_end() {
                 error = runtime.check().err();
                 error.is_some()
             });
-            assert!(error.unwrap().to_string().ends_with("has ended: the consumer's file is gone"));
+            assert!(
+                error
+                    .unwrap()
+                    .to_string()
+                    .ends_with("has ended: the consumer's file is gone")
+            );
             continue;
         }
         assert!(runtime.check().is_ok());
         let begun = Instant::now();
         assert!(matches!(runtime.stop(), Err(DaemonError::Hangs { .. })));
-        assert!(begun.elapsed() < Duration::from_secs(3), "{:?}", begun.elapsed());
+        assert!(
+            begun.elapsed() < Duration::from_secs(3),
+            "{:?}",
+            begun.elapsed()
+        );
     }
 }

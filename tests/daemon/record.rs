@@ -1,5 +1,5 @@
-//! What the daemon records, by itself and for `sweepd record --from`: the program itself, with a configuration, as people
-//! run it.
+//! What the daemon records, by itself and for `sweepd record --from`: the program itself, with a
+//! configuration, as people run it.
 
 use std::fs;
 use std::io::{Read, Write};
@@ -27,9 +27,13 @@ struct Daemon {
 }
 
 impl Daemon {
-    /// Starts one with this `[record]` for these sensors, 127.0.0.`host` or 127.0.0.`host`:`port` each.
+    /// Starts one with this `[record]` for these sensors, 127.0.0.`host` or 127.0.0.`host`:`port`
+    /// each.
     fn start(test: &str, sensors: &[(&str, String)], record: &str) -> Self {
-        let folder = std::env::temp_dir().join(format!("sweepd-daemon-record-{test}-{}", std::process::id()));
+        let folder = std::env::temp_dir().join(format!(
+            "sweepd-daemon-record-{test}-{}",
+            std::process::id()
+        ));
         let _ = fs::remove_dir_all(&folder);
         fs::create_dir_all(&folder).unwrap();
         let (ports, http) = ((free_port(), free_port()), free_tcp_port());
@@ -43,7 +47,13 @@ impl Daemon {
         let sensors: String = sensors.iter().map(of).collect();
         configure(&folder, http, &sensors, record);
         let child = run(&folder);
-        let daemon = Self { folder, ports, http, sensors, child };
+        let daemon = Self {
+            folder,
+            ports,
+            http,
+            sensors,
+            child,
+        };
         until("it runs", || daemon.health().is_some());
         daemon
     }
@@ -60,7 +70,13 @@ impl Daemon {
     }
 
     fn signal(&self, name: &str) {
-        assert!(Command::new("kill").args([name, &self.child.id().to_string()]).status().unwrap().success());
+        assert!(
+            Command::new("kill")
+                .args([name, &self.child.id().to_string()])
+                .status()
+                .unwrap()
+                .success()
+        );
     }
 
     /// Ends it by SIGTERM; gives how long that took.
@@ -79,7 +95,10 @@ impl Daemon {
 
     /// The line of /metrics that begins so.
     fn metric(&self, name: &str) -> Option<String> {
-        self.ask("/metrics")?.lines().find(|line| line.starts_with(name)).map(str::to_owned)
+        self.ask("/metrics")?
+            .lines()
+            .find(|line| line.starts_with(name))
+            .map(str::to_owned)
     }
 
     /// The body of an answer.
@@ -94,7 +113,8 @@ impl Daemon {
 
     /// What `/health` says of the recording.
     fn recording(&self) -> Value {
-        self.health().map_or(Value::Null, |mut health| health["recording"].take())
+        self.health()
+            .map_or(Value::Null, |mut health| health["recording"].take())
     }
 
     fn log(&self) -> String {
@@ -137,11 +157,22 @@ fn configure(folder: &Path, http: u16, sensors: &str, record: &str) {
 }
 
 fn run(folder: &Path) -> Child {
-    let log = fs::File::options().create(true).append(true).open(folder.join("log")).unwrap();
+    let log = fs::File::options()
+        .create(true)
+        .append(true)
+        .open(folder.join("log"))
+        .unwrap();
     let config = folder.join("sweepd.toml");
     let mut command = Command::new(env!("CARGO_BIN_EXE_sweepd"));
-    command.args(["run".as_ref(), "--config".as_ref(), config.as_os_str()]).stderr(log).stdout(Stdio::null());
-    command.env_remove("NOTIFY_SOCKET").env_remove("SWEEPD_LOG").spawn().unwrap()
+    command
+        .args(["run".as_ref(), "--config".as_ref(), config.as_os_str()])
+        .stderr(log)
+        .stdout(Stdio::null());
+    command
+        .env_remove("NOTIFY_SOCKET")
+        .env_remove("SWEEPD_LOG")
+        .spawn()
+        .unwrap()
 }
 
 fn vlp16(turns: f64) -> Vec<Sent> {
@@ -180,10 +211,18 @@ fn all_that_comes_is_recorded_and_each_start_begins_a_file() {
     let files = [0, 1].map(|number| daemon.folder.join(format!("drive-00{number}.pcap")));
     for file in &files {
         let sent = daemon.send(91, 3.0);
-        until("all is written", || daemon.recording()["datagrams"] == sent.len());
+        until("all is written", || {
+            daemon.recording()["datagrams"] == sent.len()
+        });
         assert_eq!(daemon.recording()["path"], file.to_str().unwrap());
-        assert_eq!(daemon.metric("sweepd_recorded_total"), Some(format!("sweepd_recorded_total{{}} {}", sent.len())));
-        assert_eq!(daemon.health().unwrap()["root"], daemon.folder.join("root").to_str().unwrap());
+        assert_eq!(
+            daemon.metric("sweepd_recorded_total"),
+            Some(format!("sweepd_recorded_total{{}} {}", sent.len()))
+        );
+        assert_eq!(
+            daemon.health().unwrap()["root"],
+            daemon.folder.join("root").to_str().unwrap()
+        );
         daemon.end();
         assert!(payloads(file) == sent_payloads(&sent));
         daemon.restart();
@@ -193,46 +232,81 @@ fn all_that_comes_is_recorded_and_each_start_begins_a_file() {
     let before = begun(&daemon);
     let other = daemon.folder.join("other");
     fs::create_dir(&other).unwrap();
-    let text = fs::read_to_string(daemon.folder.join("sweepd.toml")).unwrap().replace("drive.pcap", "../drive.pcap");
+    let text = fs::read_to_string(daemon.folder.join("sweepd.toml"))
+        .unwrap()
+        .replace("drive.pcap", "../drive.pcap");
     fs::write(other.join("sweepd.toml"), text.replace("http = ", "#")).unwrap();
     assert!(!run(&other).wait().unwrap().success());
-    assert!(fs::read_to_string(other.join("log")).unwrap().contains(" is held by "));
+    assert!(
+        fs::read_to_string(other.join("log"))
+            .unwrap()
+            .contains(" is held by ")
+    );
     assert_eq!(begun(&daemon), before + 1);
 }
 
 #[test]
 fn a_reload_switches_the_recording() {
     let daemon = Daemon::start("reload", &roof(92), "");
-    assert_eq!((daemon.recording(), daemon.metric("sweepd_recorded")), (Value::Null, None));
+    assert_eq!(
+        (daemon.recording(), daemon.metric("sweepd_recorded")),
+        (Value::Null, None)
+    );
     let _sending = Sending::start(92, daemon.ports, vlp16(200.0));
     let records_to = |file: &str| {
         let path = daemon.folder.join(file);
         until("it is recorded", || {
             let recording = daemon.recording();
-            recording["path"] == path.to_str().unwrap() && recording["datagrams"].as_u64() > Some(100)
+            recording["path"] == path.to_str().unwrap()
+                && recording["datagrams"].as_u64() > Some(100)
         });
     };
     daemon.reload("[record]\npath = \"a.pcap\"\n");
     records_to("a-000.pcap");
     daemon.reload("[record]\npath = \"b.pcap.gz\"\nrotate_mb = 100\n");
     records_to("b-000.pcap.gz");
-    until("the first is closed", || daemon.log().contains("in 1 file, the last"));
+    until("the first is closed", || {
+        daemon.log().contains("in 1 file, the last")
+    });
     // A folder that there is not: the one before goes on.
     daemon.reload("[record]\npath = \"nowhere/c.pcap\"\n");
-    until("that is told", || daemon.log().contains("the recording stays as it was: cannot write"));
+    until("that is told", || {
+        daemon
+            .log()
+            .contains("the recording stays as it was: cannot write")
+    });
     let before = daemon.recording()["datagrams"].as_u64();
-    until("it goes on", || daemon.recording()["datagrams"].as_u64() > before);
+    until("it goes on", || {
+        daemon.recording()["datagrams"].as_u64() > before
+    });
     daemon.reload("");
     until("it is off", || daemon.recording() == Value::Null);
-    until("the second is closed", || daemon.log().matches("in 1 file, the last").count() == 2);
-    // Each data packet that came between is in the one or the other. (Positions have a thread of their own.)
+    until("the second is closed", || {
+        daemon.log().matches("in 1 file, the last").count() == 2
+    });
+    // Each data packet that came between is in the one or the other. (Positions have a thread of
+    // their own.)
     let is_data = |payload: &Vec<u8>| payload.len() == 1206;
-    let all: Vec<_> = sent_payloads(&vlp16(200.0)).into_iter().filter(is_data).collect();
+    let all: Vec<_> = sent_payloads(&vlp16(200.0))
+        .into_iter()
+        .filter(is_data)
+        .collect();
     let number = |payload: &Vec<u8>| all.iter().position(|one| one == payload).unwrap();
-    let of = |file: &str| payloads(&daemon.folder.join(file)).iter().filter(|one| is_data(one)).map(number).collect();
+    let of = |file: &str| {
+        payloads(&daemon.folder.join(file))
+            .iter()
+            .filter(|one| is_data(one))
+            .map(number)
+            .collect()
+    };
     let both: [Vec<usize>; 2] = ["a-000.pcap", "b-000.pcap.gz"].map(of);
     let both = both.concat();
-    assert!(both.iter().enumerate().all(|(place, &number)| number == both[0] + place), "{both:?}");
+    assert!(
+        both.iter()
+            .enumerate()
+            .all(|(place, &number)| number == both[0] + place),
+        "{both:?}"
+    );
     assert_eq!(daemon.health().unwrap()["sensors"][0]["lost"], 0);
 }
 
@@ -243,19 +317,30 @@ fn a_disk_that_fails_stops_no_sensor_and_a_reload_begins_again() {
     symlink("/dev/full", daemon.folder.join("full-000.pcap")).unwrap();
     let _sending = Sending::start(93, daemon.ports, vlp16(200.0));
     daemon.reload(record);
-    until("it has failed", || daemon.recording()["trouble"].is_string());
+    until("it has failed", || {
+        daemon.recording()["trouble"].is_string()
+    });
     let why = "No space left on device (os error 28); free space there, or record to another disk";
     let reasons = || daemon.health().unwrap()["reasons"].to_string();
-    until("it is the one reason", || reasons().starts_with("[\"nothing is recorded: ") && reasons().contains(why));
-    until("it is told", || daemon.log().contains("the recording has ended: "));
-    assert_eq!(daemon.metric("sweepd_recording_failed").as_deref(), Some("sweepd_recording_failed{} 1.0"));
+    until("it is the one reason", || {
+        reasons().starts_with("[\"nothing is recorded: ") && reasons().contains(why)
+    });
+    until("it is told", || {
+        daemon.log().contains("the recording has ended: ")
+    });
+    assert_eq!(
+        daemon.metric("sweepd_recording_failed").as_deref(),
+        Some("sweepd_recording_failed{} 1.0")
+    );
     let sweeps = || daemon.health().unwrap()["sensors"][0]["sweeps"].as_u64();
     let before = sweeps();
     until("the sensor goes on", || sweeps() > before);
     assert_eq!(daemon.log().matches("the recording has ended: ").count(), 1);
     fs::remove_file(daemon.folder.join("full-000.pcap")).unwrap();
     daemon.reload(record);
-    until("it is recorded", || daemon.recording()["datagrams"].as_u64() > Some(100));
+    until("it is recorded", || {
+        daemon.recording()["datagrams"].as_u64() > Some(100)
+    });
     until("all is well", || reasons() == "[]");
 }
 
@@ -264,20 +349,39 @@ fn a_disk_that_does_not_answer_keeps_nobody_waiting_but_the_recording() {
     let mut daemon = Daemon::start("waits", &roof(97), "");
     // Whoever opens a pipe to write waits for somebody who reads.
     let pipe = daemon.folder.join("pipe-000.pcap");
-    assert!(Command::new("mkfifo").arg(&pipe).status().unwrap().success());
+    assert!(
+        Command::new("mkfifo")
+            .arg(&pipe)
+            .status()
+            .unwrap()
+            .success()
+    );
     let _sending = Sending::start(97, daemon.ports, vlp16(200.0));
     daemon.reload("[record]\npath = \"pipe.pcap\"\n");
-    until("it is read", || daemon.log().contains("the configuration was read"));
+    until("it is read", || {
+        daemon.log().contains("the configuration was read")
+    });
     let sweeps = || daemon.health().unwrap()["sensors"][0]["sweeps"].as_u64();
     let before = sweeps();
     until("the sensor goes on", || sweeps() > before);
     assert_eq!(daemon.recording(), Value::Null);
     // What was said meanwhile is done when the disk answers.
     daemon.reload("[record]\npath = \"other.pcap\"\n");
-    until("it is read again", || daemon.log().matches("the configuration was read").count() == 2);
-    let reader = fs::File::options().read(true).custom_flags(libc::O_NONBLOCK).open(&pipe).unwrap();
-    until("it is recorded", || daemon.recording()["datagrams"].as_u64() > Some(100));
-    assert_eq!(daemon.recording()["path"], daemon.folder.join("other-000.pcap").to_str().unwrap());
+    until("it is read again", || {
+        daemon.log().matches("the configuration was read").count() == 2
+    });
+    let reader = fs::File::options()
+        .read(true)
+        .custom_flags(libc::O_NONBLOCK)
+        .open(&pipe)
+        .unwrap();
+    until("it is recorded", || {
+        daemon.recording()["datagrams"].as_u64() > Some(100)
+    });
+    assert_eq!(
+        daemon.recording()["path"],
+        daemon.folder.join("other-000.pcap").to_str().unwrap()
+    );
     drop(reader);
     let took = daemon.end();
     assert!(took < Duration::from_millis(500), "{took:?}");
@@ -285,42 +389,77 @@ fn a_disk_that_does_not_answer_keeps_nobody_waiting_but_the_recording() {
 
 #[test]
 fn a_recording_that_cannot_be_begun_keeps_no_sensor_from_being_served() {
-    let daemon = Daemon::start("nowhere", &roof(94), "[record]\npath = \"nowhere/a.pcap\"\n");
+    let daemon = Daemon::start(
+        "nowhere",
+        &roof(94),
+        "[record]\npath = \"nowhere/a.pcap\"\n",
+    );
     let _sending = Sending::start(94, daemon.ports, vlp16(200.0));
-    until("it streams", || daemon.health().unwrap()["sensors"][0]["state"] == "streaming");
+    until("it streams", || {
+        daemon.health().unwrap()["sensors"][0]["state"] == "streaming"
+    });
     let reasons = daemon.health().unwrap()["reasons"].to_string();
-    assert!(reasons.contains("nothing is recorded: cannot write") && reasons.contains("make its folder first"));
+    assert!(
+        reasons.contains("nothing is recorded: cannot write")
+            && reasons.contains("make its folder first")
+    );
     assert_eq!(daemon.log().matches("nothing is recorded").count(), 1);
     fs::create_dir(daemon.folder.join("nowhere")).unwrap();
     daemon.signal("-HUP");
-    until("it is recorded", || daemon.recording()["datagrams"].as_u64() > Some(100));
+    until("it is recorded", || {
+        daemon.recording()["datagrams"].as_u64() > Some(100)
+    });
 }
 
 #[test]
 fn clients_get_all_packets_of_their_sensor_and_are_told_the_end() {
     // One address and two source ports: data and positions are told apart.
     let sources = [free_port(), free_port()];
-    let sensors = [("left", format!("127.0.0.95:{}", sources[0])), ("right", format!("127.0.0.95:{}", sources[1]))];
+    let sensors = [
+        ("left", format!("127.0.0.95:{}", sources[0])),
+        ("right", format!("127.0.0.95:{}", sources[1])),
+    ];
     let mut daemon = Daemon::start("clients", &sensors, "[record]\npath = \"all.pcap\"\n");
     let clients = ["left", "right"].map(|name| daemon.record(name, &format!("{name}.pcap")));
     let sent = vlp16(5.0);
-    let [left, right] =
-        sources.map(|port| Sending::start_from((Ipv4Addr::new(127, 0, 0, 95), port), daemon.ports, sent.clone()));
+    let [left, right] = sources.map(|port| {
+        Sending::start_from(
+            (Ipv4Addr::new(127, 0, 0, 95), port),
+            daemon.ports,
+            sent.clone(),
+        )
+    });
     left.finish();
     right.finish();
-    until("all is recorded", || daemon.recording()["datagrams"] == 2 * sent.len());
+    until("all is recorded", || {
+        daemon.recording()["datagrams"] == 2 * sent.len()
+    });
     let took = daemon.end();
     assert!(took < Duration::from_millis(200), "{took:?}");
     let positions = sent.iter().filter(|one| !one.is_data).count();
     for (name, client) in ["left", "right"].into_iter().zip(clients) {
         let (status, _, said) = ended(client);
-        assert!(status.success() && said.contains("the daemon has ended, and the recording with it"), "{said}");
+        assert!(
+            status.success() && said.contains("the daemon has ended, and the recording with it"),
+            "{said}"
+        );
         let got = payloads(&daemon.folder.join(format!("{name}.pcap")));
         let is_data = |payload: &&Vec<u8>| payload.len() == 1206;
         let data: Vec<_> = got.iter().filter(is_data).cloned().collect();
-        let expected: Vec<_> = sent_payloads(&sent).into_iter().filter(|payload| payload.len() == 1206).collect();
-        assert!(data == expected, "{name}: {} of {} data packets", data.len(), expected.len());
+        let expected: Vec<_> = sent_payloads(&sent)
+            .into_iter()
+            .filter(|payload| payload.len() == 1206)
+            .collect();
+        assert!(
+            data == expected,
+            "{name}: {} of {} data packets",
+            data.len(),
+            expected.len()
+        );
         assert_eq!(got.len() - data.len(), positions, "{name}");
     }
-    assert_eq!(payloads(&daemon.folder.join("all-000.pcap")).len(), 2 * sent.len());
+    assert_eq!(
+        payloads(&daemon.folder.join("all-000.pcap")).len(),
+        2 * sent.len()
+    );
 }

@@ -39,7 +39,8 @@ pub enum Fate {
 pub struct Rig {
     sender: Sender<(Arc<str>, HeapBuffer)>,
     fate: Arc<Mutex<Fate>>,
-    /// What the thread of the sensor had allocated, in calls, after each sweep was sent and before the next was.
+    /// What the thread of the sensor had allocated, in calls, after each sweep was sent and before
+    /// the next was.
     pub allocated: Arc<Mutex<Vec<(u64, u64)>>>,
 }
 
@@ -75,7 +76,14 @@ impl Rig {
     pub fn new() -> (Self, Receiver<(Arc<str>, HeapBuffer)>) {
         let (sender, sweeps) = mpsc::channel();
         let allocated = Arc::new(Mutex::new(Vec::with_capacity(1_000)));
-        (Self { sender, fate: Arc::new(Mutex::new(Fate::Sends)), allocated }, sweeps)
+        (
+            Self {
+                sender,
+                fate: Arc::new(Mutex::new(Fate::Sends)),
+                allocated,
+            },
+            sweeps,
+        )
     }
 
     /// From now on.
@@ -92,8 +100,15 @@ impl Sharing for Rig {
             return Err("no room in /dev/shm".into());
         }
         let (name, rig) = (sensor.name.as_str().into(), self.clone());
-        let buffers = RigBuffers { heap: HeapBuffers::default(), name, rig };
-        Ok(Way { buffers, status: Arc::new(OneConsumer(Arc::clone(&self.fate))) })
+        let buffers = RigBuffers {
+            heap: HeapBuffers::default(),
+            name,
+            rig,
+        };
+        Ok(Way {
+            buffers,
+            status: Arc::new(OneConsumer(Arc::clone(&self.fate))),
+        })
     }
 }
 
@@ -101,7 +116,11 @@ impl Buffers for RigBuffers {
     type Buffer = Sweep;
 
     fn take(&mut self, bytes: usize) -> Sweep {
-        Sweep { bytes: self.heap.take(bytes), name: Arc::clone(&self.name), rig: self.rig.clone() }
+        Sweep {
+            bytes: self.heap.take(bytes),
+            name: Arc::clone(&self.name),
+            rig: self.rig.clone(),
+        }
     }
 }
 
@@ -123,7 +142,11 @@ impl Outgoing for Sweep {
         match fate {
             Fate::Sends => {
                 let _ = self.rig.sender.send((self.name, self.bytes));
-                self.rig.allocated.lock().unwrap().push((before, allocations()));
+                self.rig
+                    .allocated
+                    .lock()
+                    .unwrap()
+                    .push((before, allocations()));
                 Ok(None)
             }
             Fate::Hangs => loop {
@@ -138,12 +161,20 @@ impl Outgoing for Sweep {
 
 /// A UDP port of the loopback interface that is free, most likely for a while.
 pub fn free_port() -> u16 {
-    UdpSocket::bind("127.0.0.1:0").unwrap().local_addr().unwrap().port()
+    UdpSocket::bind("127.0.0.1:0")
+        .unwrap()
+        .local_addr()
+        .unwrap()
+        .port()
 }
 
 /// The same for TCP.
 pub fn free_tcp_port() -> u16 {
-    TcpListener::bind("127.0.0.1:0").unwrap().local_addr().unwrap().port()
+    TcpListener::bind("127.0.0.1:0")
+        .unwrap()
+        .local_addr()
+        .unwrap()
+        .port()
 }
 
 /// A sensor at 127.0.0.`host` whose packets come to ports of 127.0.0.1.
@@ -170,10 +201,19 @@ pub fn sensor(name: &str, host: u8, (data, position): (u16, u16)) -> SensorConfi
 }
 
 pub fn config(sensors: Vec<SensorConfig>) -> Config {
-    Config { daemon: DaemonConfig { root: None, http: None, http_public: false }, sensors, record: None }
+    Config {
+        daemon: DaemonConfig {
+            root: None,
+            http: None,
+            http_public: false,
+        },
+        sensors,
+        record: None,
+    }
 }
 
-/// A datagram of a sensor: when after the first it leaves, whether it is a data packet, and its bytes.
+/// A datagram of a sensor: when after the first it leaves, whether it is a data packet, and its
+/// bytes.
 #[derive(Clone)]
 pub struct Sent {
     pub after: Duration,
@@ -183,12 +223,28 @@ pub struct Sent {
 
 /// What a sensor with GPS sends, for so many turns.
 pub fn stream(model: Model, mode: ReturnMode, turns: f64) -> Vec<Sent> {
-    stream_by(model, mode, turns, Clock::Gps { position_deg: (50.1, 8.7), reception: Reception::ALWAYS })
+    stream_by(
+        model,
+        mode,
+        turns,
+        Clock::Gps {
+            position_deg: (50.1, 8.7),
+            reception: Reception::ALWAYS,
+        },
+    )
 }
 
-/// What a VLP-16 without a GPS receiver sends, whose boards have 20 degrees Celsius, for so many turns.
+/// What a VLP-16 without a GPS receiver sends, whose boards have 20 degrees Celsius, for so many
+/// turns.
 pub fn cool_stream_without_gps(turns: f64) -> Vec<Sent> {
-    let mut stream = stream_by(Model::Vlp16, ReturnMode::Strongest, turns, Clock::Free { hour_ns: 7_000_000_000 });
+    let mut stream = stream_by(
+        Model::Vlp16,
+        ReturnMode::Strongest,
+        turns,
+        Clock::Free {
+            hour_ns: 7_000_000_000,
+        },
+    );
     for sent in stream.iter_mut().filter(|sent| !sent.is_data) {
         // Where the packet tells the temperatures of its boards.
         sent.payload[0x0BB..0x0BD].fill(20);
@@ -210,7 +266,8 @@ fn stream_by(model: Model, mode: ReturnMode, turns: f64, clock: Clock) -> Vec<Se
     sent.into_iter().map(of).collect()
 }
 
-/// A sensor that sends in real time from 127.0.0.`host`, its data and position packets to a port each.
+/// A sensor that sends in real time from 127.0.0.`host`, its data and position packets to a port
+/// each.
 pub struct Sending(Arc<AtomicBool>, Option<JoinHandle<()>>);
 
 impl Sending {
@@ -219,7 +276,11 @@ impl Sending {
     }
 
     /// The same, from a port of its own.
-    pub fn start_from(from: (Ipv4Addr, u16), (data, position): (u16, u16), stream: Vec<Sent>) -> Self {
+    pub fn start_from(
+        from: (Ipv4Addr, u16),
+        (data, position): (u16, u16),
+        stream: Vec<Sent>,
+    ) -> Self {
         let over = Arc::new(AtomicBool::new(false));
         let ended = Arc::clone(&over);
         let socket = UdpSocket::bind(from).unwrap();
@@ -231,7 +292,9 @@ impl Sending {
                     return;
                 }
                 let port = if sent.is_data { data } else { position };
-                socket.send_to(&sent.payload, SocketAddr::from((Ipv4Addr::LOCALHOST, port))).unwrap();
+                socket
+                    .send_to(&sent.payload, SocketAddr::from((Ipv4Addr::LOCALHOST, port)))
+                    .unwrap();
             }
         });
         Self(over, Some(thread))
@@ -257,7 +320,10 @@ impl Drop for Sending {
 pub fn until(what: &str, mut is_so: impl FnMut() -> bool) {
     let begun = Instant::now();
     while !is_so() {
-        assert!(begun.elapsed() < Duration::from_secs(20), "waited in vain until {what}");
+        assert!(
+            begun.elapsed() < Duration::from_secs(20),
+            "waited in vain until {what}"
+        );
         std::thread::sleep(Duration::from_millis(2));
     }
 }

@@ -1,5 +1,5 @@
-//! The target that `SWEEPD_FUZZ_TARGET` names, for libFuzzer. One program for all of them, since linking fifteen takes longer
-//! than many a run.
+//! The target that `SWEEPD_FUZZ_TARGET` names, for libFuzzer. One program for all of them, since
+//! linking fifteen takes longer than many a run.
 #![no_main]
 
 mod targets;

@@ -1,4 +1,5 @@
-//! How much memory a thread has in use, and had at most: whoever includes this file allocates through it.
+//! How much memory a thread has in use, and had at most: whoever includes this file allocates
+//! through it.
 
 use std::alloc::{GlobalAlloc, Layout, System};
 use std::cell::Cell;

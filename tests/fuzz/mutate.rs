@@ -1,4 +1,5 @@
-//! Inputs that are nearly right: good ones with a few changes, as a fault or an attacker would make them.
+//! Inputs that are nearly right: good ones with a few changes, as a fault or an attacker would make
+//! them.
 
 use fastrand::Rng;
 
@@ -80,19 +81,29 @@ fn change(rng: &mut Rng, bytes: &mut Vec<u8>, other: &[u8]) {
         // A piece once more, often many times: nesting, tables without end.
         9 => {
             let piece = bytes[at..(at + stretch(rng)).min(bytes.len())].to_vec();
-            let times = if rng.u8(..8) == 0 { MOST_LEN / (4 * piece.len().max(1)) } else { rng.usize(1..4) };
+            let times = if rng.u8(..8) == 0 {
+                MOST_LEN / (4 * piece.len().max(1))
+            } else {
+                rng.usize(1..4)
+            };
             insert(bytes, at, &piece.repeat(times.min(4096)));
         }
         // A piece of another one.
         10 | 11 => {
             let from = place(rng, other.len());
             let piece = &other[from..(from + stretch(rng)).min(other.len())];
-            if rng.bool() { insert(bytes, at, piece) } else { write(bytes, at, piece) }
+            if rng.bool() {
+                insert(bytes, at, piece)
+            } else {
+                write(bytes, at, piece)
+            }
         }
         12 => insert(bytes, at, WORDS[rng.usize(..WORDS.len())].as_bytes()),
         // A word, or a number in digits, in place of another.
         13 | 14 => {
-            let end = bytes[at..].iter().position(|byte| !byte.is_ascii_alphanumeric() && !b".-+_".contains(byte));
+            let end = bytes[at..]
+                .iter()
+                .position(|byte| !byte.is_ascii_alphanumeric() && !b".-+_".contains(byte));
             bytes.drain(at..end.map_or(bytes.len(), |len| at + len));
             insert(bytes, at, WORDS[rng.usize(..WORDS.len())].as_bytes());
         }
@@ -101,11 +112,15 @@ fn change(rng: &mut Rng, bytes: &mut Vec<u8>, other: &[u8]) {
     }
 }
 
-/// A number at which things go wrong, or one near that which stands there, in any width and order of bytes.
+/// A number at which things go wrong, or one near that which stands there, in any width and order
+/// of bytes.
 fn number(rng: &mut Rng, bytes: &mut [u8], at: usize) {
     let width = 1 << rng.usize(..4);
-    let found =
-        bytes.get(at..at + width).map_or(0, |old| old.iter().rev().fold(0, |n, &byte| n << 8 | u64::from(byte)));
+    let found = bytes.get(at..at + width).map_or(0, |old| {
+        old.iter()
+            .rev()
+            .fold(0, |n, &byte| n << 8 | u64::from(byte))
+    });
     let value = match rng.u8(..4) {
         0 => found.wrapping_add(rng.u64(1..9)),
         1 => found.wrapping_sub(rng.u64(1..9)),
@@ -135,5 +150,8 @@ fn insert(bytes: &mut Vec<u8>, at: usize, piece: &[u8]) {
 }
 
 fn write(bytes: &mut [u8], at: usize, piece: &[u8]) {
-    bytes[at..].iter_mut().zip(piece).for_each(|(byte, &new)| *byte = new);
+    bytes[at..]
+        .iter_mut()
+        .zip(piece)
+        .for_each(|(byte, &new)| *byte = new);
 }

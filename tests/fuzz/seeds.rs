@@ -14,10 +14,14 @@ use sweepd::wire::position::POSITION_PACKET_LEN;
 
 type Inputs = Vec<Vec<u8>>;
 
-/// The seeds of the target of this name. `data` is the folder of real captures and calibrations, where there is one.
+/// The seeds of the target of this name. `data` is the folder of real captures and calibrations,
+/// where there is one.
 pub fn of(name: &str, data: Option<&Path>) -> Inputs {
     match name {
-        "data_packet" => captures(data).iter().map(|payloads| concat(payloads, DATA_PACKET_LEN, 8)).collect(),
+        "data_packet" => captures(data)
+            .iter()
+            .map(|payloads| concat(payloads, DATA_PACKET_LEN, 8))
+            .collect(),
         "position_packet" => positions(data),
         "status_stream" => status_streams(),
         "capture" => capture_files(data),
@@ -25,9 +29,13 @@ pub fn of(name: &str, data: Option<&Path>) -> Inputs {
         "db_xml" => [vec![db_xml()], files(data, "calib", &["xml"], 128 << 10)].concat(),
         "ros_yaml" => yamls(data),
         "config" => configs(),
-        "web_page" => [WEB_PAGE, r#"["", 1e300, null, {"config": []}]"#].map(|page| page.as_bytes().to_vec()).to_vec(),
+        "web_page" => [WEB_PAGE, r#"["", 1e300, null, {"config": []}]"#]
+            .map(|page| page.as_bytes().to_vec())
+            .to_vec(),
         "mask" => masks(),
-        "rows" => ["# a head\n15\n-1 0.02\n-15 -4.5 # low\n", "2\n"].map(|text| text.as_bytes().to_vec()).to_vec(),
+        "rows" => ["# a head\n15\n-1 0.02\n-15 -4.5 # low\n", "2\n"]
+            .map(|text| text.as_bytes().to_vec())
+            .to_vec(),
         "cloud" => clouds(data),
         "labels" => labels(),
         "pipeline" => pipelines(),
@@ -39,12 +47,23 @@ pub fn of(name: &str, data: Option<&Path>) -> Inputs {
 /// Files of a folder with one of these extensions, by name.
 fn files(root: Option<&Path>, folder: &str, extensions: &[&str], most_bytes: u64) -> Inputs {
     let Some(root) = root else { return Vec::new() };
-    let entries = std::fs::read_dir(root.join(folder)).unwrap_or_else(|error| panic!("{folder}: {error}"));
-    let mut paths: Vec<_> = entries.map(|entry| entry.expect("a folder that can be listed").path()).collect();
-    paths.retain(|path| path.extension().is_some_and(|own| extensions.iter().any(|one| own == *one)));
+    let entries =
+        std::fs::read_dir(root.join(folder)).unwrap_or_else(|error| panic!("{folder}: {error}"));
+    let mut paths: Vec<_> = entries
+        .map(|entry| entry.expect("a folder that can be listed").path())
+        .collect();
+    paths.retain(|path| {
+        path.extension()
+            .is_some_and(|own| extensions.iter().any(|one| own == *one))
+    });
     paths.retain(|path| path.metadata().is_ok_and(|file| file.len() <= most_bytes));
     paths.sort();
-    paths.iter().map(|path| std::fs::read(path).unwrap_or_else(|error| panic!("{}: {error}", path.display()))).collect()
+    paths
+        .iter()
+        .map(|path| {
+            std::fs::read(path).unwrap_or_else(|error| panic!("{}: {error}", path.display()))
+        })
+        .collect()
 }
 
 fn project() -> &'static Path {
@@ -53,12 +72,22 @@ fn project() -> &'static Path {
 
 /// The first payloads of each capture.
 fn captures(data: Option<&Path>) -> Vec<Inputs> {
-    let folders = [Some(project().join("pcap_fixtures")), data.map(|data| data.join("pcap"))];
+    let folders = [
+        Some(project().join("pcap_fixtures")),
+        data.map(|data| data.join("pcap")),
+    ];
     let mut captures = Vec::new();
     for folder in folders.into_iter().flatten() {
-        let mut paths: Vec<_> = std::fs::read_dir(folder).expect("a folder of captures").flatten().collect();
+        let mut paths: Vec<_> = std::fs::read_dir(folder)
+            .expect("a folder of captures")
+            .flatten()
+            .collect();
         paths.sort_by_key(std::fs::DirEntry::path);
-        for path in paths.iter().map(std::fs::DirEntry::path).filter(|path| !path.ends_with("README.md")) {
+        for path in paths
+            .iter()
+            .map(std::fs::DirEntry::path)
+            .filter(|path| !path.ends_with("README.md"))
+        {
             let mut capture = Capture::open(&path).unwrap_or_else(|error| panic!("{error}"));
             let mut payloads = Vec::new();
             while let Ok(Some(datagram)) = capture.next_datagram()
@@ -74,11 +103,20 @@ fn captures(data: Option<&Path>) -> Vec<Inputs> {
 
 /// The first payloads of this length, one behind the other.
 fn concat(payloads: &Inputs, len: usize, most: usize) -> Vec<u8> {
-    payloads.iter().filter(|payload| payload.len() == len).take(most).flatten().copied().collect()
+    payloads
+        .iter()
+        .filter(|payload| payload.len() == len)
+        .take(most)
+        .flatten()
+        .copied()
+        .collect()
 }
 
 fn positions(data: Option<&Path>) -> Inputs {
-    let mut seeds: Inputs = captures(data).iter().map(|payloads| concat(payloads, POSITION_PACKET_LEN, 1)).collect();
+    let mut seeds: Inputs = captures(data)
+        .iter()
+        .map(|payloads| concat(payloads, POSITION_PACKET_LEN, 1))
+        .collect();
     seeds.retain(|seed| !seed.is_empty());
     let texts = [
         "$GPRMC,123519,A,4807.038,N,01131.000,E,022.4,084.4,230394,003.1,W*6A",
@@ -89,8 +127,11 @@ fn positions(data: Option<&Path>) -> Inputs {
 }
 
 fn status_streams() -> Inputs {
-    let raw = (0..40_u32)
-        .flat_map(|n| [b"HMSDNYGTV1234567"[n as usize % 16], n as u8].into_iter().chain((n * 288).to_le_bytes()));
+    let raw = (0..40_u32).flat_map(|n| {
+        [b"HMSDNYGTV1234567"[n as usize % 16], n as u8]
+            .into_iter()
+            .chain((n * 288).to_le_bytes())
+    });
     let edits: [&[u8]; 5] = [
         &[],
         &[0, 3, 0, 0, 5, 200, 0, 0, 0, 90, 0, 0],
@@ -99,17 +140,32 @@ fn status_streams() -> Inputs {
         &[4, 0, 0, 16, 5, 50, 0, 0, 4, 0, 1, 2, 5, 50, 0, 0],
     ];
     let mut seeds = vec![[0].into_iter().chain(raw).collect()];
-    seeds.extend(edits.iter().zip([1, 2, 2, 1, 2]).map(|(edits, series)| [&[series, 9, 0], *edits].concat()));
+    seeds.extend(
+        edits
+            .iter()
+            .zip([1, 2, 2, 1, 2])
+            .map(|(edits, series)| [&[series, 9, 0], *edits].concat()),
+    );
     seeds
 }
 
 /// A capture of these payloads, sent by one sensor.
 fn pcap(payloads: &[Vec<u8>]) -> Vec<u8> {
     let mut writer = PcapWriter::new(Vec::new()).expect("memory");
-    let (source, destination) = ("192.168.1.201:2368".parse().unwrap(), "255.255.255.255:2368".parse().unwrap());
+    let (source, destination) = (
+        "192.168.1.201:2368".parse().unwrap(),
+        "255.255.255.255:2368".parse().unwrap(),
+    );
     for (payload, index) in payloads.iter().zip(0..) {
         let arrival_ns = 1_700_000_000_000_000_000 + index * 1_327_000;
-        writer.write(&Addressed { arrival_ns, source, destination, payload }).expect("memory");
+        writer
+            .write(&Addressed {
+                arrival_ns,
+                source,
+                destination,
+                payload,
+            })
+            .expect("memory");
     }
     writer.finish().expect("memory")
 }
@@ -125,15 +181,32 @@ fn zstd(bytes: &[u8]) -> Vec<u8> {
 }
 
 fn capture_files(data: Option<&Path>) -> Inputs {
-    let payloads = [vec![1; 40], vec![0xFF; DATA_PACKET_LEN], vec![2; POSITION_PACKET_LEN], Vec::new()];
+    let payloads = [
+        vec![1; 40],
+        vec![0xFF; DATA_PACKET_LEN],
+        vec![2; POSITION_PACKET_LEN],
+        Vec::new(),
+    ];
     let small = pcap(&payloads);
     let ng = pcapng(&small[40..40 + 42 + 40]);
-    let mut seeds = vec![gzip(&small), zstd(&small), gzip(&ng), zstd(&ng), gzip(&vec![0; 300 << 10]), small, ng];
+    let mut seeds = vec![
+        gzip(&small),
+        zstd(&small),
+        gzip(&ng),
+        zstd(&ng),
+        gzip(&vec![0; 300 << 10]),
+        small,
+        ng,
+    ];
     // Whole records, and a cut one at the end.
-    seeds.extend(files(data, "pcap", &["pcap"], u64::MAX).into_iter().map(|mut file| {
-        file.truncate(6 << 10);
-        file
-    }));
+    seeds.extend(
+        files(data, "pcap", &["pcap"], u64::MAX)
+            .into_iter()
+            .map(|mut file| {
+                file.truncate(6 << 10);
+                file
+            }),
+    );
     seeds
 }
 
@@ -144,16 +217,34 @@ fn pcapng(frame: &[u8]) -> Vec<u8> {
         let len = (padded.len() as u32 + 12).to_le_bytes();
         [&kind.to_le_bytes()[..], &len, &padded, &len].concat()
     };
-    let words = |words: &[u32]| words.iter().flat_map(|word| word.to_le_bytes()).collect::<Vec<u8>>();
+    let words = |words: &[u32]| {
+        words
+            .iter()
+            .flat_map(|word| word.to_le_bytes())
+            .collect::<Vec<u8>>()
+    };
     let section = block(0x0A0D_0D0A, &words(&[0x1A2B_3C4D, 1, u32::MAX, u32::MAX]));
     let interface = |options: &[u8]| block(1, &[&words(&[1, 0])[..], options].concat());
     let len = frame.len() as u32;
-    let packet = |interface: u32| block(6, &[&words(&[interface, 0x0006_0A3B, 7, len, len])[..], frame].concat());
+    let packet = |interface: u32| {
+        block(
+            6,
+            &[&words(&[interface, 0x0006_0A3B, 7, len, len])[..], frame].concat(),
+        )
+    };
     let simple = block(3, &[&words(&[len])[..], frame].concat());
     let obsolete = block(2, &[&words(&[0, 1, 2, len, len])[..], frame].concat());
     let binary = interface(&[9, 0, 1, 0, 0x94, 0, 0, 0, 0, 0, 0, 0]);
     let offset = interface(&[9, 0, 1, 0, 9, 0, 0, 0, 14, 0, 8, 0, 1, 0, 0, 0, 0, 0, 0, 0]);
-    let first = [section.clone(), interface(&[]), binary, packet(0), packet(1), block(5, &[1; 13])].concat();
+    let first = [
+        section.clone(),
+        interface(&[]),
+        binary,
+        packet(0),
+        packet(1),
+        block(5, &[1; 13]),
+    ]
+    .concat();
     [first, section, offset, packet(0), simple, obsolete].concat()
 }
 
@@ -174,10 +265,23 @@ fn frames() -> Inputs {
     let mut ip6 = vec![0x60, 0, 0, 0, 0, 56, 17, 64];
     ip6.extend([1; 32].iter().chain(&ip[20..]));
     let loopback = [&[2, 0, 0, 0], ip].concat();
-    let one = |link: u8, frame: &[u8]| [&(frame.len() as u16).to_le_bytes()[..], &[link, 1], frame].concat();
+    let one = |link: u8, frame: &[u8]| {
+        [&(frame.len() as u16).to_le_bytes()[..], &[link, 1], frame].concat()
+    };
     let [first, second] = fragments.map(|fragment| one(4, &fragment));
-    let all = [one(1, ethernet), one(1, &tagged), one(7, &cooked), one(9, &cooked2), one(8, &ip6), one(0, &loopback)];
-    vec![all.concat(), [&second[..], &first].concat(), [&first[..], &second, &first].concat()]
+    let all = [
+        one(1, ethernet),
+        one(1, &tagged),
+        one(7, &cooked),
+        one(9, &cooked2),
+        one(8, &ip6),
+        one(0, &loopback),
+    ];
+    vec![
+        all.concat(),
+        [&second[..], &first].concat(),
+        [&first[..], &second, &first].concat(),
+    ]
 }
 
 /// A db.xml of sixteen lasers, as its form is.
@@ -205,7 +309,12 @@ fn yamls(data: Option<&Path>) -> Inputs {
         b"lasers:\n- &a {laser_id: 0, vert_correction: !!float '0.1'}\nnum_lasers: 1\ndistance_resolution: 2e-3\n"
             .to_vec();
     let ours = files(Some(project()), "calib", &["yaml"], 64 << 10);
-    [vec![own, odd], ours, files(data, "calib", &["yaml", "yml"], 64 << 10)].concat()
+    [
+        vec![own, odd],
+        ours,
+        files(data, "calib", &["yaml", "yml"], 64 << 10),
+    ]
+    .concat()
 }
 
 fn configs() -> Inputs {
@@ -216,8 +325,8 @@ fn configs() -> Inputs {
         [sensor.segment]\nmethod = \"paper\"\ntheta_deg = 10.0\nmin_points = 5\nmin_range_m = 0.5\nmax_range_m = 80\n\
         [[sensor]]\nname = \"rear\"\naddress = \"fe80::1\"\nmodel = \"hdl64e-s3\"\nposition_port = 8308\n\
         [record]\npath = \"drive.pcap\"\nrotate_mb = 100\nrotate_minutes = 1.5\n";
-    let own =
-        ["systemd/sweepd.toml", "examples/loopback.toml"].map(|file| std::fs::read(project().join(file)).unwrap());
+    let own = ["systemd/sweepd.toml", "examples/loopback.toml"]
+        .map(|file| std::fs::read(project().join(file)).unwrap());
     let folder = data_example();
     [own.to_vec(), vec![all.as_bytes().to_vec(), folder]].concat()
 }
@@ -249,8 +358,13 @@ fn masks() -> Inputs {
                 encoder.set_palette([7; 48].to_vec());
             }
             let step = if color == ColorType::Rgba { 8 } else { 1 };
-            let data: Vec<u8> = (0..16 * 16 / pixels_per_step * step).map(|n| n as u8).collect();
-            encoder.write_header().and_then(|mut writer| writer.write_image_data(&data)).expect("a picture");
+            let data: Vec<u8> = (0..16 * 16 / pixels_per_step * step)
+                .map(|n| n as u8)
+                .collect();
+            encoder
+                .write_header()
+                .and_then(|mut writer| writer.write_image_data(&data))
+                .expect("a picture");
             bytes
         })
         .to_vec()
@@ -261,7 +375,13 @@ fn points() -> Vec<[f32; 5]> {
     let point = |index: usize| {
         let (ring, azimuth) = (index / 60, (index % 60) as f32 * 0.1047);
         let range_m = 4.0 + ring as f32 + (index % 7) as f32 * 0.01;
-        [range_m * azimuth.cos(), range_m * azimuth.sin(), 0.4 - 0.4 * ring as f32, index as f32, ring as f32]
+        [
+            range_m * azimuth.cos(),
+            range_m * azimuth.sin(),
+            0.4 - 0.4 * ring as f32,
+            index as f32,
+            ring as f32,
+        ]
     };
     (0..300).map(point).collect()
 }
@@ -269,7 +389,11 @@ fn points() -> Vec<[f32; 5]> {
 fn clouds(data: Option<&Path>) -> Inputs {
     let points = points();
     let bytes = |fields: usize, from: fn(f32) -> [u8; 4]| -> Vec<u8> {
-        points.iter().flat_map(|point| point[..fields].to_vec()).flat_map(from).collect()
+        points
+            .iter()
+            .flat_map(|point| point[..fields].to_vec())
+            .flat_map(from)
+            .collect()
     };
     let (kitti, nuscenes) = (bytes(4, f32::to_le_bytes), bytes(5, f32::to_le_bytes));
     let line = |[x, y, z, i, ring]: &[f32; 5]| format!("{x} {y} {z} {i} {ring}\n");
@@ -281,37 +405,70 @@ fn clouds(data: Option<&Path>) -> Inputs {
         )
     };
     let ply = |format: &str| {
-        let properties = ["x", "y", "z", "intensity", "ring"].map(|name| format!("property float {name}\n")).concat();
-        format!("ply\nformat {format} 1.0\ncomment a\nelement vertex 300\n{properties}element face 0\nend_header\n")
+        let properties = ["x", "y", "z", "intensity", "ring"]
+            .map(|name| format!("property float {name}\n"))
+            .concat();
+        format!(
+            "ply\nformat {format} 1.0\ncomment a\nelement vertex 300\n{properties}element face 0\nend_header\n"
+        )
     };
     let all = [
         (0, kitti),
         (1 | 4, nuscenes.clone()),
         (2, [pcd("ascii").as_bytes(), lines.as_bytes()].concat()),
         (2, [pcd("binary").as_bytes(), &nuscenes].concat()),
-        (2, [pcd("binary_compressed").as_bytes(), &packed(&points)].concat()),
+        (
+            2,
+            [pcd("binary_compressed").as_bytes(), &packed(&points)].concat(),
+        ),
         (3, [ply("ascii").as_bytes(), lines.as_bytes()].concat()),
-        (3 | 4, [ply("binary_little_endian").as_bytes(), &nuscenes].concat()),
-        (3, [ply("binary_big_endian").as_bytes(), &bytes(5, f32::to_be_bytes)].concat()),
+        (
+            3 | 4,
+            [ply("binary_little_endian").as_bytes(), &nuscenes].concat(),
+        ),
+        (
+            3,
+            [
+                ply("binary_big_endian").as_bytes(),
+                &bytes(5, f32::to_be_bytes),
+            ]
+            .concat(),
+        ),
     ];
-    let mut seeds: Inputs = all.into_iter().map(|(how, bytes)| [&[how | 4 << 3][..], &bytes].concat()).collect();
-    seeds.extend(files(data, "reference", &["pcd"], 1 << 20).into_iter().map(|mut file| {
-        file.truncate(4 << 10);
-        [&[2 | 16 << 3][..], &file].concat()
-    }));
+    let mut seeds: Inputs = all
+        .into_iter()
+        .map(|(how, bytes)| [&[how | 4 << 3][..], &bytes].concat())
+        .collect();
+    seeds.extend(
+        files(data, "reference", &["pcd"], 1 << 20)
+            .into_iter()
+            .map(|mut file| {
+                file.truncate(4 << 10);
+                [&[2 | 16 << 3][..], &file].concat()
+            }),
+    );
     seeds
 }
 
 /// The points field by field, packed as PCL packs them: bytes as they are, and one long stretch.
 fn packed(points: &[[f32; 5]]) -> Vec<u8> {
-    let fields = (0..4).flat_map(|field| points.iter().flat_map(move |point| point[field].to_le_bytes()));
+    let fields = (0..4).flat_map(|field| {
+        points
+            .iter()
+            .flat_map(move |point| point[field].to_le_bytes())
+    });
     let literal: Vec<u8> = fields.collect();
-    let mut packed: Vec<u8> = literal.chunks(32).flat_map(|piece| [&[piece.len() as u8 - 1], piece].concat()).collect();
+    let mut packed: Vec<u8> = literal
+        .chunks(32)
+        .flat_map(|piece| [&[piece.len() as u8 - 1], piece].concat())
+        .collect();
     // All rings are those of the first: 1200 zeros.
     packed.extend([0, 0]);
     packed.extend([7 << 5, 255, 0].repeat(4));
     packed.extend([7 << 5, (1200 - 1 - 4 * 264 - 9) as u8, 0]);
-    let lengths = [packed.len() as u32, 300 * 20].map(u32::to_le_bytes).concat();
+    let lengths = [packed.len() as u32, 300 * 20]
+        .map(u32::to_le_bytes)
+        .concat();
     [lengths, packed].concat()
 }
 
@@ -322,45 +479,86 @@ fn labels() -> Inputs {
         bytes.extend([truth, index as u32 / 45].map(u32::to_le_bytes).concat());
         bytes
     };
-    let far = [[f32::MAX, f32::MIN, 0.0, 0.0, 0.0], [f32::NAN, 1.0, 1e-38, 0.0, 0.0], [1e9, -1e9, 1e9, 0.0, 0.0]];
-    [points(), far.to_vec()].map(|points| points.into_iter().enumerate().flat_map(one).collect()).to_vec()
+    let far = [
+        [f32::MAX, f32::MIN, 0.0, 0.0, 0.0],
+        [f32::NAN, 1.0, 1e-38, 0.0, 0.0],
+        [1e9, -1e9, 1e9, 0.0, 0.0],
+    ];
+    [points(), far.to_vec()]
+        .map(|points| points.into_iter().enumerate().flat_map(one).collect())
+        .to_vec()
 }
 
 /// Every model in every return mode, two turns of it, and a thing or two that go wrong.
 fn pipelines() -> Inputs {
     let wrong: [&[u8]; 8] = [
-        &[4, 20, 0, 100, 5, 6, 3, 7, 3, 2, 0, 9, 200, 4, 1, 100, 0, 8, 0, 50],
-        &[8, 0, 128, 20, 0, 60, 9, 0, 64, 40, 0, 60, 11, 1, 0, 40, 0, 30],
+        &[
+            4, 20, 0, 100, 5, 6, 3, 7, 3, 2, 0, 9, 200, 4, 1, 100, 0, 8, 0, 50,
+        ],
+        &[
+            8, 0, 128, 20, 0, 60, 9, 0, 64, 40, 0, 60, 11, 1, 0, 40, 0, 30,
+        ],
         &[14, 0, 128, 0, 90, 14, 0, 0, 0, 40, 14, 112, 1, 0, 90],
         &[16, 2, 0, 90, 16, 0, 0, 90, 17, 3, 0, 120, 17, 0, 0, 99],
-        &[10, 255, 255, 255, 255, 255, 255, 255, 127, 0, 9, 10, 0, 0, 0, 0, 0, 0, 0, 128, 0, 9, 11, 1, 0, 0],
-        &[12, 4, 0xFF, 0xEE, 0xFF, 12, 6, 1, 13, 1, 2, 3, 4, 5, 0, 40, 19, 0, 0, 40, 19, 1, 0, 4],
-        &[18, 1, 1, 1, 2, 1, 3, 1, 4, 1, 5, 1, 6, 1, 7, 1, 8, 1, 9, 1, 10, 1, 11, 1, 0, 40, 15, 9, 9, 0, 40],
+        &[
+            10, 255, 255, 255, 255, 255, 255, 255, 127, 0, 9, 10, 0, 0, 0, 0, 0, 0, 0, 128, 0, 9,
+            11, 1, 0, 0,
+        ],
+        &[
+            12, 4, 0xFF, 0xEE, 0xFF, 12, 6, 1, 13, 1, 2, 3, 4, 5, 0, 40, 19, 0, 0, 40, 19, 1, 0, 4,
+        ],
+        &[
+            18, 1, 1, 1, 2, 1, 3, 1, 4, 1, 5, 1, 6, 1, 7, 1, 8, 1, 9, 1, 10, 1, 11, 1, 0, 40, 15,
+            9, 9, 0, 40,
+        ],
         &[],
     ];
     let seeds = (0..18_u8).map(|kind| {
         let head = [(4 * (kind % 3)) | (kind & 1), kind, 10, kind, 104, 1];
-        [&head[..], &[0, 200, 0, 60], wrong[usize::from(kind) % 8], &[0, 250]].concat()
+        [
+            &head[..],
+            &[0, 200, 0, 60],
+            wrong[usize::from(kind) % 8],
+            &[0, 250],
+        ]
+        .concat()
     });
-    seeds.chain([vec![0x80, 0, 0, 0, 104, 1, 0, 255, 0, 90]]).collect()
+    seeds
+        .chain([vec![0x80, 0, 0, 0, 104, 1, 0, 255, 0, 90]])
+        .collect()
 }
 
 fn sweeps() -> Inputs {
     let mut buffers = HeapBuffers::default();
     let mut seeds: Inputs = vec![
         vec![1, 3, 4, 5, 2, 0, 0x3F, 0x80, 0x3F],
-        vec![2, 64, 20, 40, 9, 2, 21, 1, 0, 0, 0, 30, 0xFF, 0xFF, 0xFF, 0x7F, 0x40, 0x40, 0x40, 0x41],
+        vec![
+            2, 64, 20, 40, 9, 2, 21, 1, 0, 0, 0, 30, 0xFF, 0xFF, 0xFF, 0x7F, 0x40, 0x40, 0x40, 0x41,
+        ],
     ];
     for dual in [false, true] {
-        let shape = Shape { rows: 2, columns_capacity: 6, dual, segments_capacity: 2 };
+        let shape = Shape {
+            rows: 2,
+            columns_capacity: 6,
+            dual,
+            segments_capacity: 2,
+        };
         let mut buffer = buffers.take(shape.total_bytes());
         let bytes = &mut buffer.as_mut()[..shape.total_bytes()];
         let sweep = SweepMut::create(bytes, &shape).expect("room for a sweep");
-        (sweep.header.columns, sweep.header.margin_columns, sweep.header.segments) = (4, 1, 1);
+        (
+            sweep.header.columns,
+            sweep.header.margin_columns,
+            sweep.header.segments,
+        ) = (4, 1, 1);
         sweep.range.fill(2.5);
         sweep.columns.fill(Column::measured(9, 4, 1.5, 60.0, 11));
         let beams = Model::Vlp16.calibration().expect("its table").beams();
-        sweep.beams.iter_mut().zip(beams).for_each(|(row, beam)| *row = BeamRow::new(beam, 2304));
+        sweep
+            .beams
+            .iter_mut()
+            .zip(beams)
+            .for_each(|(row, beam)| *row = BeamRow::new(beam, 2304));
         seeds.push([&[0], &*bytes].concat());
     }
     seeds

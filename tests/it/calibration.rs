@@ -1,4 +1,5 @@
-//! Calibration files that people have: all real ones are read, and broken ones are refused with file, line and key.
+//! Calibration files that people have: all real ones are read, and broken ones are refused with
+//! file, line and key.
 
 use crate::common;
 use std::path::{Path, PathBuf};
@@ -32,22 +33,36 @@ const OF_A_MODEL: [(&str, Model); 7] = [
 ];
 
 /// Files of sensors that are read but belong to no supported model, with their numbers of beams.
-const OF_OTHERS: [(&str, usize); 3] =
-    [("rosdrivers_VLS128.yaml", 128), ("rosdrivers_VeloView-VLP-32C.yaml", 32), ("veloview_VLP-32c.xml", 32)];
+const OF_OTHERS: [(&str, usize); 3] = [
+    ("rosdrivers_VLS128.yaml", 128),
+    ("rosdrivers_VeloView-VLP-32C.yaml", 32),
+    ("veloview_VLP-32c.xml", 32),
+];
 
 /// Puck LITE is a VLP-16 to a calibration.
 fn same_beams(a: Model, b: Model) -> bool {
-    let plain = |model| if model == Model::PuckLite { Model::Vlp16 } else { model };
+    let plain = |model| {
+        if model == Model::PuckLite {
+            Model::Vlp16
+        } else {
+            model
+        }
+    };
     plain(a) == plain(b)
 }
 
 #[test]
 fn every_real_file_is_in_the_tables_above() {
     let Some(dir) = data_dir() else { return };
-    let mut files: Vec<String> =
-        std::fs::read_dir(dir).unwrap().map(|entry| entry.unwrap().file_name().into_string().unwrap()).collect();
+    let mut files: Vec<String> = std::fs::read_dir(dir)
+        .unwrap()
+        .map(|entry| entry.unwrap().file_name().into_string().unwrap())
+        .collect();
     files.sort();
-    let models = OF_A_MODEL.iter().map(|row| row.0).chain(common::HDL64E_UNITS);
+    let models = OF_A_MODEL
+        .iter()
+        .map(|row| row.0)
+        .chain(common::HDL64E_UNITS);
     let mut listed: Vec<&str> = models.chain(OF_OTHERS.iter().map(|row| row.0)).collect();
     listed.sort_unstable();
     assert_eq!(files, listed);
@@ -63,15 +78,29 @@ fn files_of_a_model_fit_it_and_no_other() {
                 let fitted = fitted.unwrap_or_else(|error| panic!("{name}: {error}"));
                 assert_eq!(fitted.beams().len(), model.spec().channels, "{name}");
                 assert_eq!(fitted.rows(), model.calibration().unwrap().rows(), "{name}");
-                for (beam, nominal) in fitted.beams().iter().zip(model.calibration().unwrap().beams()) {
+                for (beam, nominal) in fitted
+                    .beams()
+                    .iter()
+                    .zip(model.calibration().unwrap().beams())
+                {
                     let apart = (beam.elevation_rad - nominal.elevation_rad).to_degrees();
-                    assert!(apart.abs() < 0.005, "{name}: beam {} is {apart} degrees off", beam.channel);
+                    assert!(
+                        apart.abs() < 0.005,
+                        "{name}: beam {} is {apart} degrees off",
+                        beam.channel
+                    );
                     assert_eq!((beam.two_point, beam.intensity), (None, None), "{name}");
                 }
             } else {
                 let error = fitted.unwrap_err();
-                assert!(error.contains(&format!("the {other} ")), "{name} as {other}: {error}");
-                assert!(error.ends_with(&format!("; this is the calibration of the {model}")), "{name}: {error}");
+                assert!(
+                    error.contains(&format!("the {other} ")),
+                    "{name} as {other}: {error}"
+                );
+                assert!(
+                    error.ends_with(&format!("; this is the calibration of the {model}")),
+                    "{name}: {error}"
+                );
             }
         }
     }
@@ -85,7 +114,10 @@ fn files_of_other_sensors_are_read_and_fit_no_model() {
         assert_eq!(calibration.beams().len(), beams, "{name}");
         for model in Model::ALL {
             let error = calibration.clone().for_model(model).unwrap_err();
-            assert!(error.contains(&format!("the {model} ")) && !error.contains(';'), "{name}: {error}");
+            assert!(
+                error.contains(&format!("the {model} ")) && !error.contains(';'),
+                "{name}: {error}"
+            );
         }
     }
 }
@@ -98,7 +130,12 @@ fn all_files_of_an_hdl64e_fit_it_and_no_other() {
         for model in Model::ALL {
             let fitted = calibration.clone().for_model(model);
             assert_eq!(fitted.is_ok(), model.is_hdl64e(), "{name} {model}");
-            assert!(fitted.is_ok() || fitted.unwrap_err().ends_with("; this is the calibration of the HDL-64E S2"));
+            assert!(
+                fitted.is_ok()
+                    || fitted
+                        .unwrap_err()
+                        .ends_with("; this is the calibration of the HDL-64E S2")
+            );
         }
     }
 }
@@ -109,7 +146,12 @@ fn a_file_that_ignores_enabled_slots_still_fits() {
     let text = std::fs::read_to_string(dir.join("veloview_VLP-16.xml")).unwrap();
     let begin = text.find("<enabled_").unwrap();
     let end = text.find("</enabled_>").unwrap();
-    let all_on = format!("{}{}{}", &text[..begin], text[begin..end].replace(">0<", ">1<"), &text[end..]);
+    let all_on = format!(
+        "{}{}{}",
+        &text[..begin],
+        text[begin..end].replace(">0<", ">1<"),
+        &text[end..]
+    );
     let calibration = db_xml::parse(&all_on, "db.xml").unwrap();
     assert_eq!(calibration.beams().len(), 64);
     assert!(calibration.clone().for_model(Model::Vlp16).is_ok());
@@ -125,8 +167,9 @@ fn xml_and_yaml_of_one_unit_agree() {
     assert!((xml.distance_unit_m() - 0.002).abs() < 1e-12);
     for (x, y) in xml.beams().iter().zip(yaml.beams()) {
         let (xt, yt) = (x.two_point.unwrap(), y.two_point.unwrap());
-        // Not compared: the smallest and largest intensities. The converter that made this YAML from the XML counted
-        // only the values other than 0 and 255, so it gave most of them to the wrong laser.
+        // Not compared: the smallest and largest intensities. The converter that made this YAML
+        // from the XML counted only the values other than 0 and 255, so it gave most of them to the
+        // wrong laser.
         let (xi, yi) = (x.intensity.unwrap(), y.intensity.unwrap());
         let pairs = [
             (x.elevation_rad, y.elevation_rad),
@@ -148,18 +191,29 @@ fn xml_and_yaml_of_one_unit_agree() {
     assert!((first.elevation_rad - (-8.7686234_f64).to_radians()).abs() < 1e-12);
     assert!((first.distance_offset_m - 1.5195264).abs() < 1e-12);
     let intensities = |beam: usize| xml.beams()[beam].intensity.map(|i| (i.min, i.max));
-    assert_eq!((intensities(0), intensities(1)), (Some((0.0, 235.0)), Some((30.0, 255.0))));
+    assert_eq!(
+        (intensities(0), intensities(1)),
+        (Some((0.0, 235.0)), Some((30.0, 255.0)))
+    );
     assert_eq!(intensities(56), Some((0.0, 220.0)));
 }
 
 #[test]
 fn two_point_correction_does_not_need_the_switch() {
     let Some(dir) = data_dir() else { return };
-    let (without, with) = (read(&dir, "hdl64e_s3-unit1090_db.yaml"), read(&dir, "rosdrivers_64e_s3-xiesc.yaml"));
+    let (without, with) = (
+        read(&dir, "hdl64e_s3-unit1090_db.yaml"),
+        read(&dir, "rosdrivers_64e_s3-xiesc.yaml"),
+    );
     assert_eq!(without, with);
     assert!(without.beams().iter().all(|beam| beam.two_point.is_some()));
     // Zeros on both axes are no correction, whatever the switch says.
-    assert!(read(&dir, "rosdrivers_64e_utexas.yaml").beams().iter().all(|beam| beam.two_point.is_none()));
+    assert!(
+        read(&dir, "rosdrivers_64e_utexas.yaml")
+            .beams()
+            .iter()
+            .all(|beam| beam.two_point.is_none())
+    );
 }
 
 #[test]
@@ -170,16 +224,25 @@ fn a_missing_beam_is_named() {
         let id = text.find(&format!("<id_>{beam}</id_>")).unwrap();
         let begin = text[..id].rfind("<item").unwrap();
         let end = id + text[id..].find("</item>").unwrap() + "</item>".len();
-        let error = refused(db_xml::parse(&format!("{}{}", &text[..begin], &text[end..]), "db.xml"));
+        let error = refused(db_xml::parse(
+            &format!("{}{}", &text[..begin], &text[end..]),
+            "db.xml",
+        ));
         let line = 1 + text[..text.find("<points_").unwrap()].matches('\n').count();
-        assert_eq!(error, format!("db.xml:{line}: beam {beam} is missing: expected id_ 0 to 63, each once"));
+        assert_eq!(
+            error,
+            format!("db.xml:{line}: beam {beam} is missing: expected id_ 0 to 63, each once")
+        );
     }
 }
 
 /// The message of a refusal, which must be one line with a place in the file.
 fn refused(result: Result<Calibration, CalibrationError>) -> String {
     let error = result.expect_err("must be refused");
-    assert!(matches!(error, CalibrationError::At { line: 1.., .. }), "{error:?}");
+    assert!(
+        matches!(error, CalibrationError::At { line: 1.., .. }),
+        "{error:?}"
+    );
     let message = error.to_string();
     assert!(!message.contains('\n') && message.len() < 200, "{message}");
     message
@@ -210,8 +273,16 @@ fn yaml_leaves_out_what_is_neutral() {
 #[test]
 fn broken_yaml_is_refused_with_line_and_key() {
     let cases = [
-        ("vert_correction: -0.2", "rot_correction_: 1", "4: unknown key \"rot_correction_\""),
-        (", vert_correction: -0.2", "", "4: beam 0: vert_correction is missing"),
+        (
+            "vert_correction: -0.2",
+            "rot_correction_: 1",
+            "4: unknown key \"rot_correction_\"",
+        ),
+        (
+            ", vert_correction: -0.2",
+            "",
+            "4: beam 0: vert_correction is missing",
+        ),
         (
             "vert_correction: -0.2",
             "vert_correction: -15",
@@ -232,7 +303,11 @@ fn broken_yaml_is_refused_with_line_and_key() {
             "vert_correction: .inf",
             "4: beam 0: vert_correction: expected a number, found \".inf\"",
         ),
-        ("vert_correction: -0.2", "vert_correction: up", "4: beam 0: vert_correction: expected a number, found \"up\""),
+        (
+            "vert_correction: -0.2",
+            "vert_correction: up",
+            "4: beam 0: vert_correction: expected a number, found \"up\"",
+        ),
         (
             "1, rot_correction: 0.0",
             "1, rot_correction: 3.2",
@@ -243,25 +318,57 @@ fn broken_yaml_is_refused_with_line_and_key() {
             "dist_correction: 123.8",
             "5: beam 1: dist_correction is 123.8 metres, expected -5 to 5; are these centimetres?",
         ),
-        ("dist_correction: 0.1", "dist_correction_x: 0.1", "5: beam 1: dist_correction_x without dist_correction_y"),
+        (
+            "dist_correction: 0.1",
+            "dist_correction_x: 0.1",
+            "5: beam 1: dist_correction_x without dist_correction_y",
+        ),
         (
             "dist_correction: 0.1",
             "two_pt_correction_available: maybe",
             "5: beam 1: two_pt_correction_available: expected true or false, found \"maybe\"",
         ),
-        ("max_intensity: 200", "max_intensity: 300", "6: beam 2: max_intensity is 300, expected 0 to 255"),
+        (
+            "max_intensity: 200",
+            "max_intensity: 300",
+            "6: beam 2: max_intensity is 300, expected 0 to 255",
+        ),
         (
             "max_intensity: 200",
             "max_intensity: 5",
             "6: beam 2: the smallest intensity is 10.5, expected less than the largest, 5",
         ),
-        ("laser_id: 2", "laser_id: 1", "6: laser_id 1 is there twice, first on line 5"),
-        ("laser_id: 1", "laser_id: 3", "4: beam 1 is missing: expected laser_id 0 to 3, each once"),
-        ("laser_id: 1", "laser_id: -1", "5: laser_id: expected 0 to 127, found \"-1\""),
+        (
+            "laser_id: 2",
+            "laser_id: 1",
+            "6: laser_id 1 is there twice, first on line 5",
+        ),
+        (
+            "laser_id: 1",
+            "laser_id: 3",
+            "4: beam 1 is missing: expected laser_id 0 to 3, each once",
+        ),
+        (
+            "laser_id: 1",
+            "laser_id: -1",
+            "5: laser_id: expected 0 to 127, found \"-1\"",
+        ),
         ("laser_id: 1, ", "", "5: a laser without laser_id"),
-        ("num_lasers: 3", "num_lasers: 2", "1: num_lasers is 2, expected 3, the number of lasers here"),
-        ("num_lasers: 3", "num_lasers: 4", "4: beam 3 is missing: expected laser_id 0 to 3, each once"),
-        ("num_lasers: 3", "num_lasers: 1e99", "1: num_lasers: expected 0 to 128, found \"1e99\""),
+        (
+            "num_lasers: 3",
+            "num_lasers: 2",
+            "1: num_lasers is 2, expected 3, the number of lasers here",
+        ),
+        (
+            "num_lasers: 3",
+            "num_lasers: 4",
+            "4: beam 3 is missing: expected laser_id 0 to 3, each once",
+        ),
+        (
+            "num_lasers: 3",
+            "num_lasers: 1e99",
+            "1: num_lasers: expected 0 to 128, found \"1e99\"",
+        ),
         (
             "distance_resolution: 0.002",
             "distance_resolution: 0.2",
@@ -299,19 +406,42 @@ fn text_that_is_no_calibration_is_refused_in_one_line() {
     for text in texts {
         refused(ros_yaml::parse(text, "a.yaml"));
     }
-    for text in ["", "<", "<a>", "<a/>", "<boost_serialization><DB></DB></boost_serialization>", "<a>\n</b>", "&x;"] {
+    for text in [
+        "",
+        "<",
+        "<a>",
+        "<a/>",
+        "<boost_serialization><DB></DB></boost_serialization>",
+        "<a>\n</b>",
+        "&x;",
+    ] {
         refused(db_xml::parse(text, "db.xml"));
     }
-    let list = refused(ros_yaml::parse("lasers:\n- {laser_id: 0, vert_correction: [1, 2]}\n", "a.yaml"));
-    assert_eq!(list, "a.yaml:2: expected string scalar: \"vert_correction: [1, 2]}\"");
-    let twice = refused(ros_yaml::parse(&YAML.replacen("laser_id: 1", "laser_id: 1, laser_id: 1", 1), "a.yaml"));
-    assert!(twice.starts_with("a.yaml:5: duplicate mapping key: laser_id"), "{twice}");
+    let list = refused(ros_yaml::parse(
+        "lasers:\n- {laser_id: 0, vert_correction: [1, 2]}\n",
+        "a.yaml",
+    ));
+    assert_eq!(
+        list,
+        "a.yaml:2: expected string scalar: \"vert_correction: [1, 2]}\""
+    );
+    let twice = refused(ros_yaml::parse(
+        &YAML.replacen("laser_id: 1", "laser_id: 1, laser_id: 1", 1),
+        "a.yaml",
+    ));
+    assert!(
+        twice.starts_with("a.yaml:5: duplicate mapping key: laser_id"),
+        "{twice}"
+    );
 }
 
 /// A db.xml of so many lasers, five lines each after the first nine.
 fn xml(lasers: usize) -> String {
     let list = |name: &str, value: &str| {
-        format!("<{name}><count>{lasers}</count>{}</{name}>\n", format!("<item>{value}</item>").repeat(lasers))
+        format!(
+            "<{name}><count>{lasers}</count>{}</{name}>\n",
+            format!("<item>{value}</item>").repeat(lasers)
+        )
     };
     let px = |id: usize| {
         format!(
@@ -337,7 +467,14 @@ fn xml_units_are_degrees_and_centimetres() {
     let beam = calibration.beams()[15];
     assert!((beam.elevation_rad.to_degrees() - 15.0).abs() < 1e-12);
     assert!((beam.rotation_rad.to_degrees() - 1.0).abs() < 1e-12);
-    assert_eq!((beam.distance_offset_m, beam.vertical_offset_m, beam.horizontal_offset_m), (1.0, 0.2, -0.02));
+    assert_eq!(
+        (
+            beam.distance_offset_m,
+            beam.vertical_offset_m,
+            beam.horizontal_offset_m
+        ),
+        (1.0, 0.2, -0.02)
+    );
     assert!((calibration.distance_unit_m() - 0.002).abs() < 1e-12);
 }
 
@@ -345,14 +482,26 @@ fn xml_units_are_degrees_and_centimetres() {
 fn broken_xml_is_refused_with_line_and_key() {
     let good = xml(16);
     let cases = [
-        ("<id_>1<", "<id_>0<", "16: id_ 0 is there twice, first on line 11"),
+        (
+            "<id_>1<",
+            "<id_>0<",
+            "16: id_ 0 is there twice, first on line 11",
+        ),
         (
             "<vertCorrection_>1<",
             "<vertCorrection_>91<",
             "17: beam 1: vertCorrection_ is 91 degrees, expected -90 to 90",
         ),
-        ("<vertCorrection_>1<", "<vertCorrection_><", "17: beam 1: vertCorrection_: expected a number, found \"\""),
-        ("<vertCorrection_>1</vertCorrection_>", "", "15: beam 1: vertCorrection_ is missing"),
+        (
+            "<vertCorrection_>1<",
+            "<vertCorrection_><",
+            "17: beam 1: vertCorrection_: expected a number, found \"\"",
+        ),
+        (
+            "<vertCorrection_>1</vertCorrection_>",
+            "",
+            "15: beam 1: vertCorrection_ is missing",
+        ),
         (
             "<distCorrection_>100<",
             "<distCorrection_>501<",
@@ -373,9 +522,17 @@ fn broken_xml_is_refused_with_line_and_key() {
             "<maxIntensity_>",
             "8: maxIntensity_ has 15 values, expected 16, one a laser",
         ),
-        ("<points_><count>16<", "<points_><count>15<", "9: count is 15, expected 16, the number of lasers here"),
+        (
+            "<points_><count>16<",
+            "<points_><count>15<",
+            "9: count is 15, expected 16, the number of lasers here",
+        ),
         ("<px>", "<py></py><px>", ""),
-        ("<DB>", "<!-- <!ENTITY --><DB>", "4: declares an entity (<!ENTITY), which no db.xml does"),
+        (
+            "<DB>",
+            "<!-- <!ENTITY --><DB>",
+            "4: declares an entity (<!ENTITY), which no db.xml does",
+        ),
     ];
     for (from, to, expected) in cases {
         assert!(good.contains(from), "{from}");
@@ -391,15 +548,25 @@ fn broken_xml_is_refused_with_line_and_key() {
 fn entities_do_not_explode() {
     // Quadratic blow-up, which a limit on nesting does not see: one long entity, named very often.
     let long = "x".repeat(1_000_000);
-    let text = format!("<!DOCTYPE a [<!ENTITY b \"{long}\">]>\n<a>{}</a>", "&b;".repeat(500_000));
+    let text = format!(
+        "<!DOCTYPE a [<!ENTITY b \"{long}\">]>\n<a>{}</a>",
+        "&b;".repeat(500_000)
+    );
     assert!(refused(db_xml::parse(&text, "db.xml")).contains("declares an entity"));
-    // Each attribute of a tag is compared with all others; each element keeps the namespaces around it.
+    // Each attribute of a tag is compared with all others; each element keeps the namespaces around
+    // it.
     let attributes: String = (0..25_000).map(|n| format!(" a{n}='>'")).collect();
-    assert!(refused(db_xml::parse(&format!("<a{attributes}/>"), "db.xml")).contains("more than 2000 attributes"));
+    assert!(
+        refused(db_xml::parse(&format!("<a{attributes}/>"), "db.xml"))
+            .contains("more than 2000 attributes")
+    );
     let spaces: String = (0..15_000).map(|n| format!("<a xmlns:b{n}=''>")).collect();
     assert!(refused(db_xml::parse(&spaces, "db.xml")).contains("declares a namespace"));
     // What the parser says of a name as long as the file is not as long as the file.
-    let name = refused(db_xml::parse(&format!("<a></{}>", "b".repeat(200_000)), "db.xml"));
+    let name = refused(db_xml::parse(
+        &format!("<a></{}>", "b".repeat(200_000)),
+        "db.xml",
+    ));
     assert!(name.ends_with('…'), "{name}");
     let deep = "<a>".repeat(300_000);
     refused(db_xml::parse(&deep, "db.xml"));
@@ -408,7 +575,12 @@ fn entities_do_not_explode() {
         (0..8)
             .map(|i| {
                 let name = |i: u8| char::from(b'a' + i);
-                format!("{}: &{} [{}]\n", name(i + 1), name(i + 1), format!("*{},", name(i)).repeat(9))
+                format!(
+                    "{}: &{} [{}]\n",
+                    name(i + 1),
+                    name(i + 1),
+                    format!("*{},", name(i)).repeat(9)
+                )
             })
             .collect::<String>()
     );
@@ -425,14 +597,31 @@ fn reading_needs_a_file_of_text_of_sensible_length() {
         files::calibration(&path)
     };
     assert_eq!(file(YAML.as_bytes()).unwrap().beams().len(), 3);
-    assert_eq!(file(format!("\u{feff}{}", xml(16).trim_start()).as_bytes()).unwrap().beams().len(), 16);
+    assert_eq!(
+        file(format!("\u{feff}{}", xml(16).trim_start()).as_bytes())
+            .unwrap()
+            .beams()
+            .len(),
+        16
+    );
     let error = file(b"num_lasers: 3\n\xff\xfe\n").unwrap_err();
-    assert!(error.to_string().contains("table:2: not text in UTF-8"), "{error}");
+    assert!(
+        error.to_string().contains("table:2: not text in UTF-8"),
+        "{error}"
+    );
     let error = file(&vec![b' '; MAX_FILE_LEN + 1]).unwrap_err();
-    assert!(error.to_string().ends_with("more than 256 KiB, too long for a calibration"), "{error}");
+    assert!(
+        error
+            .to_string()
+            .ends_with("more than 256 KiB, too long for a calibration"),
+        "{error}"
+    );
     std::fs::remove_dir_all(&dir).unwrap();
     let error = files::calibration(&dir.join("none.yaml")).unwrap_err();
-    assert!(matches!(error, CalibrationFileError::Io { .. }) && error.to_string().contains("none.yaml"), "{error}");
+    assert!(
+        matches!(error, CalibrationFileError::Io { .. }) && error.to_string().contains("none.yaml"),
+        "{error}"
+    );
 }
 
 proptest! {
@@ -461,8 +650,20 @@ proptest! {
 /// What a sensor with this calibration sends, read.
 fn through_the_stream(calibration: &Calibration, series: Series) -> Calibration {
     let dump = Dump::new(series, &stream::records(calibration).unwrap());
-    let clock = Clock { hour: 0, minute: 0, second: 0, day: 1, month: 1, year: 0 };
-    let live = Live { clock, gps: Gps::None, temperature_c: 20, firmware: 227 };
+    let clock = Clock {
+        hour: 0,
+        minute: 0,
+        second: 0,
+        day: 1,
+        month: 1,
+        year: 0,
+    };
+    let live = Live {
+        clock,
+        gps: Gps::None,
+        temperature_c: 20,
+        firmware: 227,
+    };
     let mut status = Status::new();
     for (index, (kind, value)) in emit(&dump, series, &live).enumerate() {
         status.push(kind, value, (index * 288) as u32);
@@ -485,7 +686,10 @@ fn real_hdl64e_files_go_through_the_stream_but_for_rounding() {
                     let per_unit = if quantity.is_angle() { 100.0 } else { 1000.0 };
                     let expected = (quantity.of(original) * per_unit).round() / per_unit;
                     let apart = (quantity.of(beam) - expected).abs();
-                    assert!(apart < 1e-9, "{name}: beam {channel}: {quantity:?} is {apart} off {expected}");
+                    assert!(
+                        apart < 1e-9,
+                        "{name}: beam {channel}: {quantity:?} is {apart} off {expected}"
+                    );
                 }
                 match (beam.intensity, original.intensity) {
                     (Some(found), Some(source)) => {
@@ -493,8 +697,15 @@ fn real_hdl64e_files_go_through_the_stream_but_for_rounding() {
                             (found.focal_distance_m - source.focal_distance_m).abs() <= 0.000_501,
                             "{name} {channel}"
                         );
-                        assert!((found.focal_slope - source.focal_slope).abs() <= 0.050_001, "{name} {channel}");
-                        assert_eq!((found.min, found.max), (source.min.round(), source.max.round()), "{name}");
+                        assert!(
+                            (found.focal_slope - source.focal_slope).abs() <= 0.050_001,
+                            "{name} {channel}"
+                        );
+                        assert_eq!(
+                            (found.min, found.max),
+                            (source.min.round(), source.max.round()),
+                            "{name}"
+                        );
                     }
                     // A slope that is rounded away, with no other correction.
                     (None, Some(source)) => assert!(source.focal_slope < 0.05, "{name} {channel}"),
@@ -502,34 +713,64 @@ fn real_hdl64e_files_go_through_the_stream_but_for_rounding() {
                 }
             }
         }
-        assert_eq!(ros_yaml::parse(&ros_yaml::emit(&source), "emitted").unwrap(), source, "{name}");
+        assert_eq!(
+            ros_yaml::parse(&ros_yaml::emit(&source), "emitted").unwrap(),
+            source,
+            "{name}"
+        );
         count += 1;
     }
     assert_eq!((count, DUMP_PACKETS), (9, 4160));
 }
 
-/// Any beam that is not one of those that have two forms (a correction that corrects nothing, or none).
+/// Any beam that is not one of those that have two forms (a correction that corrects nothing, or
+/// none).
 fn any_beam(channel: usize) -> impl Strategy<Value = Beam> {
     let offset = || -5.0..5.0_f64;
     let two_point = proptest::option::of((offset(), offset()));
-    let intensity = proptest::option::of((0.0..131.0_f64, 0.01..10.0_f64, 0.0..100.0_f64, 101.0..255.0_f64));
-    (-1.5..1.5_f64, -3.1..3.1_f64, offset(), offset(), offset(), two_point, intensity).prop_map(
-        move |(elevation_rad, rotation_rad, distance, vertical, horizontal, two_point, intensity)| Beam {
-            channel,
-            elevation_rad,
-            rotation_rad,
-            distance_offset_m: distance,
-            vertical_offset_m: vertical,
-            horizontal_offset_m: horizontal,
-            two_point: two_point.map(|(x, y)| TwoPoint { distance_offset_x_m: x, distance_offset_y_m: y }),
-            intensity: intensity.map(|(focal_distance_m, focal_slope, min, max)| Intensity {
-                focal_distance_m,
-                focal_slope,
-                min,
-                max,
-            }),
-        },
+    let intensity = proptest::option::of((
+        0.0..131.0_f64,
+        0.01..10.0_f64,
+        0.0..100.0_f64,
+        101.0..255.0_f64,
+    ));
+    (
+        -1.5..1.5_f64,
+        -3.1..3.1_f64,
+        offset(),
+        offset(),
+        offset(),
+        two_point,
+        intensity,
     )
+        .prop_map(
+            move |(
+                elevation_rad,
+                rotation_rad,
+                distance,
+                vertical,
+                horizontal,
+                two_point,
+                intensity,
+            )| Beam {
+                channel,
+                elevation_rad,
+                rotation_rad,
+                distance_offset_m: distance,
+                vertical_offset_m: vertical,
+                horizontal_offset_m: horizontal,
+                two_point: two_point.map(|(x, y)| TwoPoint {
+                    distance_offset_x_m: x,
+                    distance_offset_y_m: y,
+                }),
+                intensity: intensity.map(|(focal_distance_m, focal_slope, min, max)| Intensity {
+                    focal_distance_m,
+                    focal_slope,
+                    min,
+                    max,
+                }),
+            },
+        )
 }
 
 proptest! {
@@ -547,12 +788,24 @@ proptest! {
 #[test]
 fn what_the_stream_cannot_say_is_refused() {
     let focused = |focal_distance_m| {
-        let intensity = Some(Intensity { focal_distance_m, focal_slope: 1.0, min: 0.0, max: 255.0 });
-        let beams = (0..64).map(|channel| Beam { intensity, ..Beam::ideal(channel, 0.0) });
+        let intensity = Some(Intensity {
+            focal_distance_m,
+            focal_slope: 1.0,
+            min: 0.0,
+            max: 255.0,
+        });
+        let beams = (0..64).map(|channel| Beam {
+            intensity,
+            ..Beam::ideal(channel, 0.0)
+        });
         stream::records(&Calibration::new(beams.collect(), 0.002).unwrap())
     };
     assert!(focused(32.0).is_ok());
-    assert!(focused(33.0).unwrap_err().starts_with("beam 0: focal distance is too large for the stream"));
+    assert!(
+        focused(33.0)
+            .unwrap_err()
+            .starts_with("beam 0: focal distance is too large for the stream")
+    );
     let error = stream::records(Model::Vlp16.calibration().unwrap()).unwrap_err();
     assert_eq!(error, "16 beams, the HDL-64E has 64");
 }

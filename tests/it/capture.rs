@@ -31,7 +31,9 @@ const CAPTURES: [(&str, u64, u64, &str); 11] = [
 
 #[test]
 fn packets_are_counted_as_others_count_them() {
-    let Some(dir) = common::data_dir() else { return };
+    let Some(dir) = common::data_dir() else {
+        return;
+    };
     for (name, data, position, sender) in CAPTURES {
         let path = dir.join(format!("pcap/{name}.pcap"));
         let mut capture = Capture::open(&path).unwrap();
@@ -49,24 +51,43 @@ fn packets_are_counted_as_others_count_them() {
         }
         assert_eq!(counted, (data, position), "{name}");
         let tally = capture.tally();
-        assert_eq!((tally.records, tally.datagrams), (data + position, data + position), "{name}");
-        assert_eq!((capture.link_types(), capture.truncation()), (&[LinkType::ETHERNET][..], None), "{name}");
+        assert_eq!(
+            (tally.records, tally.datagrams),
+            (data + position, data + position),
+            "{name}"
+        );
+        assert_eq!(
+            (capture.link_types(), capture.truncation()),
+            (&[LinkType::ETHERNET][..], None),
+            "{name}"
+        );
         assert!(capture.first_ns() <= capture.last_ns(), "{name}");
-        let names: Vec<&str> = sensors.sensors().iter().map(|sensor| &sensor.name[..]).collect();
+        let names: Vec<&str> = sensors
+            .sensors()
+            .iter()
+            .map(|sensor| &sensor.name[..])
+            .collect();
         assert_eq!(names.len(), usize::from(data > 0), "{name}");
-        assert!(names.iter().all(|heard| heard.ends_with(sender)), "{name}: {names:?}");
+        assert!(
+            names.iter().all(|heard| heard.ends_with(sender)),
+            "{name}: {names:?}"
+        );
     }
 }
 
-/// The highest share of packets that a daemon would tell of a capture which is sent to it again and again, as `replay --loop`
-/// does, for four windows.
+/// The highest share of packets that a daemon would tell of a capture which is sent to it again and
+/// again, as `replay --loop` does, for four windows.
 fn highest_share(path: &Path) -> f64 {
     let pipeline = Pipeline::new("roof", Config::default(), HeapBuffers::default(), Untimed);
-    let (mut pipeline, counters, mut losses) =
-        (pipeline.unwrap(), SensorCounters::default(), Losses::new(Limits::default()));
+    let (mut pipeline, counters, mut losses) = (
+        pipeline.unwrap(),
+        SensorCounters::default(),
+        Losses::new(Limits::default()),
+    );
     let (mut begun_ns, mut highest, mut passed) = (None, 0.0_f64, Duration::ZERO);
     while passed < 4 * WINDOW {
-        let (mut capture, mut sensors, before) = (Capture::open(path).unwrap(), Sensors::default(), passed);
+        let (mut capture, mut sensors, before) =
+            (Capture::open(path).unwrap(), Sensors::default(), passed);
         while let Some(datagram) = capture.next_datagram().unwrap() {
             if matches!(sensors.route(&datagram), Route::Other(_)) {
                 continue;
@@ -76,31 +97,49 @@ fn highest_share(path: &Path) -> f64 {
             passed = before + since;
             let arrival_ns = first_ns + passed.as_nanos() as i64;
             // What is of no model that can be decoded is told, and by another state.
-            let _ = pipeline.push(&Datagram { arrival_ns, ..datagram });
+            let _ = pipeline.push(&Datagram {
+                arrival_ns,
+                ..datagram
+            });
             while pipeline.poll().is_some() {}
             counters.set(&pipeline.counts());
-            assert_eq!(losses.observe(passed, counters.tally()), None, "{}", path.display());
-            highest = losses.recent().map_or(highest, |recent| highest.max(recent.share()));
+            assert_eq!(
+                losses.observe(passed, counters.tally()),
+                None,
+                "{}",
+                path.display()
+            );
+            highest = losses
+                .recent()
+                .map_or(highest, |recent| highest.max(recent.share()));
         }
         passed += Duration::from_millis(2);
     }
     highest
 }
 
-/// The README of the captures knows of one in which packets were lost: 21, beside 900 that came. Where a capture begins again,
-/// at most fifteen packets look late until it shows that the clock was set back.
+/// The README of the captures knows of one in which packets were lost: 21, beside 900 that came.
+/// Where a capture begins again, at most fifteen packets look late until it shows that the clock
+/// was set back.
 #[test]
 fn no_capture_loses_so_much_that_it_is_told() {
-    let Some(dir) = common::data_dir() else { return };
+    let Some(dir) = common::data_dir() else {
+        return;
+    };
     for (name, ..) in CAPTURES {
         let percent = 100.0 * highest_share(&dir.join(format!("pcap/{name}.pcap")));
         eprintln!("{name}: at most {percent:.2} % in {} s", WINDOW.as_secs());
-        let expected = if name == "vlp16_timm-dual-a" { 2.0..2.6 } else { 0.0..1.0 };
+        let expected = if name == "vlp16_timm-dual-a" {
+            2.0..2.6
+        } else {
+            0.0..1.0
+        };
         assert!(expected.contains(&percent), "{name}: {percent} %");
     }
 }
 
-/// Number of records of a pcap file of microseconds, and a sum over their times and bytes, as pcap-parser reads them.
+/// Number of records of a pcap file of microseconds, and a sum over their times and bytes, as
+/// pcap-parser reads them.
 fn read_by_pcap_parser(path: &Path) -> (u64, i64) {
     let mut reader = LegacyPcapReader::new(1 << 18, File::open(path).unwrap()).unwrap();
     let (mut count, mut sum) = (0, 0_i64);
@@ -110,7 +149,9 @@ fn read_by_pcap_parser(path: &Path) -> (u64, i64) {
                 if let PcapBlockOwned::Legacy(record) = block {
                     let time_us = i64::from(record.ts_sec) * 1_000_000 + i64::from(record.ts_usec);
                     count += 1;
-                    sum = sum.wrapping_mul(31).wrapping_add(digest(time_us * 1_000, record.data));
+                    sum = sum
+                        .wrapping_mul(31)
+                        .wrapping_add(digest(time_us * 1_000, record.data));
                 }
                 reader.consume(len);
             }
@@ -122,19 +163,25 @@ fn read_by_pcap_parser(path: &Path) -> (u64, i64) {
 }
 
 fn digest(time_ns: i64, bytes: &[u8]) -> i64 {
-    bytes.iter().fold(time_ns, |sum, &byte| sum.wrapping_mul(31).wrapping_add(i64::from(byte)))
+    bytes.iter().fold(time_ns, |sum, &byte| {
+        sum.wrapping_mul(31).wrapping_add(i64::from(byte))
+    })
 }
 
 #[test]
 fn records_are_those_that_pcap_parser_reads() {
-    let Some(dir) = common::data_dir() else { return };
+    let Some(dir) = common::data_dir() else {
+        return;
+    };
     for (name, ..) in CAPTURES {
         let path = dir.join(format!("pcap/{name}.pcap"));
         let mut reader = CaptureReader::open(&path).unwrap();
         let (mut count, mut sum) = (0, 0_i64);
         while let Some(record) = reader.next().unwrap() {
             count += 1;
-            sum = sum.wrapping_mul(31).wrapping_add(digest(record.time_ns.unwrap(), record.bytes));
+            sum = sum
+                .wrapping_mul(31)
+                .wrapping_add(digest(record.time_ns.unwrap(), record.bytes));
         }
         assert_eq!((count, sum), read_by_pcap_parser(&path), "{name}");
     }

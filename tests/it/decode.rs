@@ -1,4 +1,5 @@
-//! The decoder against the formulas, record by record, and against itself at every level of vector instructions.
+//! The decoder against the formulas, record by record, and against itself at every level of vector
+//! instructions.
 
 use crate::common;
 use fearless_simd::dispatch;
@@ -36,8 +37,8 @@ impl Noise {
         self.0
     }
 
-    /// A packet of anything, with many records that have no return, lie near the limit of the two-point correction, or are
-    /// alike in both returns.
+    /// A packet of anything, with many records that have no return, lie near the limit of the
+    /// two-point correction, or are alike in both returns.
     fn packet(&mut self) -> DataPacket {
         let mut bytes = [0; DATA_PACKET_LEN];
         bytes.fill_with(|| (self.next() >> 32) as u8);
@@ -78,8 +79,12 @@ fn calibrations() -> Vec<(String, Calibration, Model)> {
         for entry in std::fs::read_dir(dir.join("calib")).unwrap() {
             let path = entry.unwrap().path();
             let read = files::calibration(&path).unwrap();
-            let fits = Model::ALL.into_iter().find_map(|model| Some((read.clone().for_model(model).ok()?, model)));
-            all.extend(fits.map(|(calibration, model)| (path.display().to_string(), calibration, model)));
+            let fits = Model::ALL
+                .into_iter()
+                .find_map(|model| Some((read.clone().for_model(model).ok()?, model)));
+            all.extend(
+                fits.map(|(calibration, model)| (path.display().to_string(), calibration, model)),
+            );
         }
     }
     all
@@ -102,10 +107,22 @@ fn decode(decoder: &Decoder, packet: &DataPacket, azimuth_rad: f32, mode: Return
     };
     let blocks = &packet.blocks[..decoder.spec.blocks_per_azimuth(mode)];
     // The second firing of a block, where there is one.
-    let records = Records { blocks, first: (decoder.spec.firings_per_azimuth() - 1) * decoder.spec.channels };
+    let records = Records {
+        blocks,
+        first: (decoder.spec.firings_per_azimuth() - 1) * decoder.spec.channels,
+    };
     let [range, range2] = &mut planes.range_m;
     let [reflectivity, reflectivity2] = &mut planes.reflectivity;
-    let (first, second) = (Pixels { range, reflectivity }, Pixels { range: range2, reflectivity: reflectivity2 });
+    let (first, second) = (
+        Pixels {
+            range,
+            reflectivity,
+        },
+        Pixels {
+            range: range2,
+            reflectivity: reflectivity2,
+        },
+    );
     planes.returns = dispatch!(decoder.level(), simd => match mode {
         ReturnMode::Dual => decoder.dual(simd, records, azimuth_rad, &turns, [first, second], &mut planes.kind),
         _ => decoder.single(simd, records, azimuth_rad, &turns, first),
@@ -117,7 +134,8 @@ fn decode(decoder: &Decoder, packet: &DataPacket, azimuth_rad: f32, mode: Return
 fn reported(decoder: &Decoder, packet: &DataPacket, channel: usize, second: bool) -> (u16, u8) {
     let spec = decoder.spec;
     let block = channel / 32 + if second { spec.banks() } else { 0 };
-    let record = packet.blocks[block].records[channel % 32 + (spec.firings_per_azimuth() - 1) * spec.channels];
+    let record = packet.blocks[block].records
+        [channel % 32 + (spec.firings_per_azimuth() - 1) * spec.channels];
     (record.distance.get(), record.reflectivity)
 }
 
@@ -125,7 +143,11 @@ fn reported(decoder: &Decoder, packet: &DataPacket, channel: usize, second: bool
 fn every_level_gives_the_same_bytes() {
     let mut noise = Noise(0x9E37_79B9_7F4A_7C15);
     for (name, calibration, model) in calibrations() {
-        for choice in [ReturnChoice::Nearest, ReturnChoice::Strongest, ReturnChoice::Last] {
+        for choice in [
+            ReturnChoice::Nearest,
+            ReturnChoice::Strongest,
+            ReturnChoice::Last,
+        ] {
             let decoder = Decoder::new((model, model.spec()), &calibration, choice, LIMITS_M);
             let levels = decoder.at_every_level();
             for _ in 0..40 {
@@ -135,9 +157,17 @@ fn every_level_gives_the_same_bytes() {
                     for (level, decoder) in &levels[1..] {
                         let found = decode(decoder, &packet, azimuth_rad, mode);
                         let bits = |planes: &Planes| -> Vec<u32> {
-                            planes.range_m.iter().flatten().map(|range_m| range_m.to_bits()).collect()
+                            planes
+                                .range_m
+                                .iter()
+                                .flatten()
+                                .map(|range_m| range_m.to_bits())
+                                .collect()
                         };
-                        assert!(bits(&found) == bits(&expected) && found == expected, "{name} {mode} at {level}");
+                        assert!(
+                            bits(&found) == bits(&expected) && found == expected,
+                            "{name} {mode} at {level}"
+                        );
                     }
                 }
             }
@@ -149,22 +179,40 @@ fn every_level_gives_the_same_bytes() {
 fn a_firing_is_what_the_formulas_make_of_its_records() {
     let mut noise = Noise(0x2545_F491_4F6C_DD1D);
     for (name, calibration, model) in calibrations() {
-        let decoder = Decoder::new((model, model.spec()), &calibration, ReturnChoice::Nearest, LIMITS_M);
+        let decoder = Decoder::new(
+            (model, model.spec()),
+            &calibration,
+            ReturnChoice::Nearest,
+            LIMITS_M,
+        );
         for mode in [ReturnMode::Strongest, ReturnMode::Dual] {
             let turns = turns(&decoder, mode);
             for _ in 0..100 {
                 let (packet, azimuth_rad) = (noise.packet(), (noise.next() % 6_283) as f32 * 0.001);
                 let planes = decode(&decoder, &packet, azimuth_rad, mode);
                 let mut returns = 0;
-                for (row, (beam, shift)) in decoder.beams(mode).iter().zip(turns.shifts()).enumerate() {
+                for (row, (beam, shift)) in
+                    decoder.beams(mode).iter().zip(turns.shifts()).enumerate()
+                {
                     let pixel = (turns.lead() as i32 - shift) as usize * decoder.rows() + row;
                     for second in [false, true].into_iter().take(mode.returns()) {
-                        let swapped = mode == ReturnMode::Dual && planes.kind[pixel] & SECOND_BLOCKS != 0;
+                        let swapped =
+                            mode == ReturnMode::Dual && planes.kind[pixel] & SECOND_BLOCKS != 0;
                         let plane = usize::from(second != swapped);
-                        let found = (planes.range_m[plane][pixel], planes.reflectivity[plane][pixel]);
+                        let found = (
+                            planes.range_m[plane][pixel],
+                            planes.reflectivity[plane][pixel],
+                        );
                         let reported = reported(&decoder, &packet, beam.channel as usize, second);
                         returns += u32::from(reported.0 != 0);
-                        check(&format!("{name} {mode} row {row}"), &calibration, beam, azimuth_rad, reported, found);
+                        check(
+                            &format!("{name} {mode} row {row}"),
+                            &calibration,
+                            beam,
+                            azimuth_rad,
+                            reported,
+                            found,
+                        );
                     }
                 }
                 assert_eq!(planes.returns, returns, "{name}");
@@ -187,31 +235,55 @@ fn check(
         return;
     }
     let turned = RATE * f64::from(beam.time_offset_ns) / 100.0;
-    let (sin, cos) = (f64::from(azimuth_rad) + turned.to_radians() - f64::from(beam.rotation_rad)).sin_cos();
+    let (sin, cos) =
+        (f64::from(azimuth_rad) + turned.to_radians() - f64::from(beam.rotation_rad)).sin_cos();
     let corrected = Corrected::new(beam);
-    let expected_m = corrected.range_m(f64::from(distance) * calibration.distance_unit_m(), [sin, cos], 0.001);
+    let expected_m = corrected.range_m(
+        f64::from(distance) * calibration.distance_unit_m(),
+        [sin, cos],
+        0.001,
+    );
     let off_m = (f64::from(range_m) - f64::from(expected_m)).abs();
-    assert!(off_m < 4e-5, "{place}: {range_m} m, by the formula {expected_m} m");
+    assert!(
+        off_m < 4e-5,
+        "{place}: {range_m} m, by the formula {expected_m} m"
+    );
     if !corrected.is_straight() {
-        assert_eq!(range_m.to_bits() & 1, expected_m.to_bits() & 1, "{place}: near or far");
+        assert_eq!(
+            range_m.to_bits() & 1,
+            expected_m.to_bits() & 1,
+            "{place}: near or far"
+        );
     }
     let expected = match calibration.beams()[beam.channel as usize].intensity {
         Some(focus) => {
             let square = |share: f64| 256.0 * (1.0 - share) * (1.0 - share);
-            let off = (square(focus.focal_distance_m / 131.0) - square(f64::from(distance) / 65_535.0)).abs();
+            let off = (square(focus.focal_distance_m / 131.0)
+                - square(f64::from(distance) / 65_535.0))
+            .abs();
             (f64::from(reported) + focus.focal_slope * off).clamp(focus.min, focus.max)
         }
         None => f64::from(reported),
     };
-    assert!((f64::from(reflectivity) - expected).abs() < 0.501, "{place}: {reflectivity}, by the formula {expected}");
+    assert!(
+        (f64::from(reflectivity) - expected).abs() < 0.501,
+        "{place}: {reflectivity}, by the formula {expected}"
+    );
 }
 
-/// Which of two returns the rules choose, and what it is; in words in the docs of [`ReturnChoice`] and `Decoder::dual`.
-fn chosen(one_head: bool, choice: ReturnChoice, range_m: [f32; 2], reflectivity: [u8; 2]) -> (bool, ReturnKind) {
+/// Which of two returns the rules choose, and what it is; in words in the docs of [`ReturnChoice`]
+/// and `Decoder::dual`.
+fn chosen(
+    one_head: bool,
+    choice: ReturnChoice,
+    range_m: [f32; 2],
+    reflectivity: [u8; 2],
+) -> (bool, ReturnKind) {
     let first_is_last = one_head || range_m[0] > range_m[1];
     let second_is_stronger = one_head || reflectivity[1] > reflectivity[0];
-    let worth =
-        range_m.map(|range_m| is_return(range_m) as u8 + (is_return(range_m) && LIMITS_M.contains(&range_m)) as u8);
+    let worth = range_m.map(|range_m| {
+        is_return(range_m) as u8 + (is_return(range_m) && LIMITS_M.contains(&range_m)) as u8
+    });
     let takes_second = match choice {
         _ if worth[0] != worth[1] => worth[1] > worth[0],
         ReturnChoice::Nearest if range_m[0] == range_m[1] => second_is_stronger,
@@ -219,14 +291,25 @@ fn chosen(one_head: bool, choice: ReturnChoice, range_m: [f32; 2], reflectivity:
         ReturnChoice::Strongest => second_is_stronger,
         ReturnChoice::Last => !first_is_last,
     };
-    (takes_second, if takes_second == first_is_last { ReturnKind::Strongest } else { ReturnKind::Last })
+    (
+        takes_second,
+        if takes_second == first_is_last {
+            ReturnKind::Strongest
+        } else {
+            ReturnKind::Last
+        },
+    )
 }
 
 #[test]
 fn of_two_returns_the_rules_choose() {
     let mut noise = Noise(0xD1B5_4A32_D192_ED03);
     for (name, calibration, model) in calibrations() {
-        for choice in [ReturnChoice::Nearest, ReturnChoice::Strongest, ReturnChoice::Last] {
+        for choice in [
+            ReturnChoice::Nearest,
+            ReturnChoice::Strongest,
+            ReturnChoice::Last,
+        ] {
             let decoder = Decoder::new((model, model.spec()), &calibration, choice, LIMITS_M);
             let turns = turns(&decoder, ReturnMode::Dual);
             for _ in 0..40 {
@@ -240,7 +323,10 @@ fn of_two_returns_the_rules_choose() {
                     let reflectivity = order.map(|one| both.reflectivity[one][at]);
                     let expected = chosen(model.spec().banks() == 1, choice, range_m, reflectivity);
                     let found = (takes_second, ReturnKind::of_byte(both.kind[at]));
-                    assert_eq!(found, expected, "{name} {choice:?}: {range_m:?} {reflectivity:?}");
+                    assert_eq!(
+                        found, expected,
+                        "{name} {choice:?}: {range_m:?} {reflectivity:?}"
+                    );
                 }
             }
         }

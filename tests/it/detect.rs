@@ -12,11 +12,17 @@ fn data_dir() -> Option<PathBuf> {
     Some(common::data_dir()?.join("pcap"))
 }
 
-/// The data packets of a classic little-endian capture of Ethernet, IPv4 and UDP without anything special.
+/// The data packets of a classic little-endian capture of Ethernet, IPv4 and UDP without anything
+/// special.
 fn data_packets(path: &Path) -> Vec<Vec<u8>> {
     const HEADERS: usize = 14 + 20 + 8;
     let file = std::fs::read(path).unwrap();
-    assert_eq!(file[..4], 0xA1B2_C3D4_u32.to_le_bytes(), "{}", path.display());
+    assert_eq!(
+        file[..4],
+        0xA1B2_C3D4_u32.to_le_bytes(),
+        "{}",
+        path.display()
+    );
     assert_eq!(file[20..24], 1_u32.to_le_bytes(), "{}", path.display());
     let mut packets = Vec::new();
     let mut rest = &file[24..];
@@ -43,29 +49,62 @@ fn verdict(packets: &[Vec<u8>], forced: Option<Model>) -> Result<Detection, Dete
 #[test]
 fn every_capture_is_detected_as_its_sensor() {
     let Some(dir) = data_dir() else { return };
-    let is = |model, return_mode, basis| Ok(Detection { model, return_mode, basis, spec: model.spec() });
+    let is = |model, return_mode, basis| {
+        Ok(Detection {
+            model,
+            return_mode,
+            basis,
+            spec: model.spec(),
+        })
+    };
     let unsupported = |sensor| Err(DetectError::Unsupported { sensor });
     let (strongest, sure) = (ReturnMode::Strongest, Basis::BytesAndPeriod);
     let expected = [
         ("hdl32e_mrpt-sample", is(Model::Hdl32e, strongest, sure)),
-        ("hdl32e_veloview-monterey-a", is(Model::Hdl32e, strongest, sure)),
+        (
+            "hdl32e_veloview-monterey-a",
+            is(Model::Hdl32e, strongest, sure),
+        ),
         ("vlp16_einride-a", is(Model::Vlp16, strongest, sure)),
-        ("vlp16_gadomski-position", Err(DetectError::TooFewPackets { packets: 0 })),
-        ("vlp16_gadomski-single", is(Model::Vlp16, strongest, Basis::BytesAlone)),
+        (
+            "vlp16_gadomski-position",
+            Err(DetectError::TooFewPackets { packets: 0 }),
+        ),
+        (
+            "vlp16_gadomski-single",
+            is(Model::Vlp16, strongest, Basis::BytesAlone),
+        ),
         ("vlp16_mrpt-gps", is(Model::Vlp16, strongest, sure)),
-        ("vlp16_rlu-velodyne-example", is(Model::Vlp16, strongest, sure)),
-        ("vlp16_timm-dual-a", is(Model::Vlp16, ReturnMode::Dual, sure)),
-        ("vlp16_veloview-90deg-a", is(Model::Vlp16, strongest, Basis::Period)),
+        (
+            "vlp16_rlu-velodyne-example",
+            is(Model::Vlp16, strongest, sure),
+        ),
+        (
+            "vlp16_timm-dual-a",
+            is(Model::Vlp16, ReturnMode::Dual, sure),
+        ),
+        (
+            "vlp16_veloview-90deg-a",
+            is(Model::Vlp16, strongest, Basis::Period),
+        ),
         ("vlp32c_nebula-fov180-a", unsupported("VLP-32C")),
         ("vls128_nebula-a", unsupported("VLS-128")),
     ];
-    assert_eq!(std::fs::read_dir(&dir).unwrap().count(), expected.len(), "a capture without a row here");
+    assert_eq!(
+        std::fs::read_dir(&dir).unwrap().count(),
+        expected.len(),
+        "a capture without a row here"
+    );
     for (name, expected) in expected {
         let packets = data_packets(&dir.join(name).with_extension("pcap"));
         assert_eq!(verdict(&packets, None), expected, "{name}");
         // Wherever a stream is joined, the verdict is the same.
         for start in 0..packets.len().saturating_sub(MAX_PACKETS) {
-            assert_eq!(verdict(&packets[start..], None), expected, "{name} from packet {start}");
+            assert_eq!(
+                verdict(&packets[start..], None),
+                expected,
+                "{name} from packet {start}"
+            );
         }
     }
 }
@@ -81,7 +120,12 @@ fn captures_with_their_factory_bytes_blanked_are_told_by_the_period() {
     for (name, model, return_mode) in rows {
         let mut packets = data_packets(&dir.join(name).with_extension("pcap"));
         packets.iter_mut().for_each(|bytes| bytes[1204..].fill(0));
-        let found = Detection { model, return_mode, basis: Basis::Period, spec: model.spec() };
+        let found = Detection {
+            model,
+            return_mode,
+            basis: Basis::Period,
+            spec: model.spec(),
+        };
         assert_eq!(verdict(&packets, None), Ok(found), "{name}");
     }
 }
@@ -89,9 +133,15 @@ fn captures_with_their_factory_bytes_blanked_are_told_by_the_period() {
 #[test]
 fn the_wrong_model_given_is_refused() {
     let Some(dir) = data_dir() else { return };
-    for (name, model) in [("hdl32e_mrpt-sample", Model::Vlp16), ("vlp16_veloview-90deg-a", Model::Hdl32e)] {
+    for (name, model) in [
+        ("hdl32e_mrpt-sample", Model::Vlp16),
+        ("vlp16_veloview-90deg-a", Model::Hdl32e),
+    ] {
         let packets = data_packets(&dir.join(name).with_extension("pcap"));
         let error = verdict(&packets, Some(model)).unwrap_err();
-        assert!(matches!(error, DetectError::Contradiction { said, given: true, .. } if said == model), "{error}");
+        assert!(
+            matches!(error, DetectError::Contradiction { said, given: true, .. } if said == model),
+            "{error}"
+        );
     }
 }

@@ -1,6 +1,7 @@
-//! The same packets give the same sweeps, byte for byte: on every machine, whenever they arrive, however often the pipeline
-//! is asked, and whoever else is there. What may differ is on one list, [`HOST_FIELDS`], by which the bytes are masked. Live
-//! through the daemon, and replayed at any speed: `tests/live/equal.rs`.
+//! The same packets give the same sweeps, byte for byte: on every machine, whenever they arrive,
+//! however often the pipeline is asked, and whoever else is there. What may differ is on one list,
+//! [`HOST_FIELDS`], by which the bytes are masked. Live through the daemon, and replayed at any
+//! speed: `tests/live/equal.rs`.
 
 use std::sync::LazyLock;
 
@@ -26,11 +27,19 @@ struct Stream {
 /// Four sensors on a street, one of them with GPS.
 static STREAMS: LazyLock<Vec<Stream>> = LazyLock::new(|| {
     let scene = fixtures::scene();
-    let kinds = [(Vlp16, Dual), (Hdl32e, Strongest), (Hdl64eS2, Strongest), (Hdl64eS3, Dual)];
+    let kinds = [
+        (Vlp16, Dual),
+        (Hdl32e, Strongest),
+        (Hdl64eS2, Strongest),
+        (Hdl64eS3, Dual),
+    ];
     let streams = kinds.into_iter().map(|(model, mode)| {
         let mut sensor = EmitterConfig::new(model, mode).turns(5.0);
         if model == Vlp16 {
-            sensor.clock = Clock::Gps { position_deg: (50.1, 8.7), reception: Reception::ALWAYS };
+            sensor.clock = Clock::Gps {
+                position_deg: (50.1, 8.7),
+                reception: Reception::ALWAYS,
+            };
         }
         let rates = Rates {
             loss: 0.01,
@@ -42,19 +51,48 @@ static STREAMS: LazyLock<Vec<Stream>> = LazyLock::new(|| {
             ..Rates::default()
         };
         // More than is held back: some come late, and columns that were already segmented change.
-        let later = Rates { reorder: 0.003, places: 9, ..Rates::default() };
-        let sent = deliver(Emitter::new(sensor.clone(), &scene).untold(), rates.plan(5, sensor.packets));
-        let (mut sent, late) = (sent.collect::<Vec<_>>(), later.plan(6, sensor.packets).swapped);
+        let later = Rates {
+            reorder: 0.003,
+            places: 9,
+            ..Rates::default()
+        };
+        let sent = deliver(
+            Emitter::new(sensor.clone(), &scene).untold(),
+            rates.plan(5, sensor.packets),
+        );
+        let (mut sent, late) = (
+            sent.collect::<Vec<_>>(),
+            later.plan(6, sensor.packets).swapped,
+        );
         let latest = sent.len() - 9;
-        for at in late.into_iter().map(|at| at as usize).filter(|&at| at < latest) {
+        for at in late
+            .into_iter()
+            .map(|at| at as usize)
+            .filter(|&at| at < latest)
+        {
             let times: Vec<i64> = sent[at..=at + 9].iter().map(|one| one.arrival_ns).collect();
             sent[at..=at + 9].rotate_left(1);
-            sent[at..=at + 9].iter_mut().zip(times).for_each(|(one, time)| one.arrival_ns = time);
+            sent[at..=at + 9]
+                .iter_mut()
+                .zip(times)
+                .for_each(|(one, time)| one.arrival_ns = time);
         }
         let calibration = model.is_hdl64e().then(|| sensor.beams().into_owned());
-        let config = Config { calibration, ..Config::default() };
-        let mut stream = Stream { name: format!("{model} {mode}"), config, sent, sweeps: Vec::new() };
-        stream.sweeps = stream.run(stream.pipeline(HeapBuffers::default()), &stream.sent, |_, _| {});
+        let config = Config {
+            calibration,
+            ..Config::default()
+        };
+        let mut stream = Stream {
+            name: format!("{model} {mode}"),
+            config,
+            sent,
+            sweeps: Vec::new(),
+        };
+        stream.sweeps = stream.run(
+            stream.pipeline(HeapBuffers::default()),
+            &stream.sent,
+            |_, _| {},
+        );
         stream
     });
     streams.collect()
@@ -97,19 +135,32 @@ impl Stream {
 
     #[track_caller]
     fn compare(&self, what: &str, sweeps: &[Vec<u8>]) {
-        assert_eq!(sweeps.len(), self.sweeps.len(), "{}, {what}: sweeps", self.name);
+        assert_eq!(
+            sweeps.len(),
+            self.sweeps.len(),
+            "{}, {what}: sweeps",
+            self.name
+        );
         for (number, (found, expected)) in sweeps.iter().zip(&self.sweeps).enumerate() {
             let differs = found.iter().zip(expected).position(|(a, b)| a != b);
             let place = format!("{}, {what}: sweep {number}", self.name);
-            assert_eq!((found.len(), differs), (expected.len(), None), "{place}: the first byte that differs");
+            assert_eq!(
+                (found.len(), differs),
+                (expected.len(), None),
+                "{place}: the first byte that differs"
+            );
         }
     }
 }
 
 #[test]
 fn the_streams_show_what_they_are_for() {
-    for Stream { name, config, sent, .. } in &*STREAMS {
-        let mut pipeline = Pipeline::new(name, config.clone(), HeapBuffers::default(), Untimed).unwrap();
+    for Stream {
+        name, config, sent, ..
+    } in &*STREAMS
+    {
+        let mut pipeline =
+            Pipeline::new(name, config.clone(), HeapBuffers::default(), Untimed).unwrap();
         let (mut segments, mut estimated) = (0, false);
         for one in sent {
             pipeline.push(&one.datagram()).unwrap();
@@ -120,7 +171,10 @@ fn the_streams_show_what_they_are_for() {
             }
         }
         let counts = pipeline.counts();
-        assert!(counts.lost > 3 && counts.duplicates > 1 && counts.reordered > 5, "{name}: {counts:?}");
+        assert!(
+            counts.lost > 3 && counts.duplicates > 1 && counts.reordered > 5,
+            "{name}: {counts:?}"
+        );
         assert!(segments > 40 && estimated, "{name}: {segments} segments");
     }
 }
@@ -130,8 +184,12 @@ fn on_every_level_of_instructions() {
     for stream in &*STREAMS {
         for level in levels() {
             let (name, config) = (&stream.name, stream.config.clone());
-            let pipeline = Pipeline::with_level(name, config, HeapBuffers::default(), Untimed, level).unwrap();
-            stream.compare(&format!("{level:?}"), &stream.run(pipeline, &stream.sent, |_, _| {}));
+            let pipeline =
+                Pipeline::with_level(name, config, HeapBuffers::default(), Untimed, level).unwrap();
+            stream.compare(
+                &format!("{level:?}"),
+                &stream.run(pipeline, &stream.sent, |_, _| {}),
+            );
         }
     }
 }
@@ -141,15 +199,23 @@ fn however_often_the_pipeline_is_asked_and_told_the_time() {
     for stream in &*STREAMS {
         let mut rng = fastrand::Rng::with_seed(1);
         let mut extra = 0;
-        let asked = stream.run(stream.pipeline(HeapBuffers::default()), &stream.sent, |pipeline, now_ns| {
-            for _ in 0..rng.u8(..4) {
-                // Less than the silence after which a sweep is closed.
-                pipeline.tick(now_ns + rng.i64(0..450_000_000));
-                extra += usize::from(pipeline.poll().is_some());
-                pipeline.segment_early();
-            }
-        });
-        assert_eq!(extra, 0, "{}: a sweep was complete before its last packet", stream.name);
+        let asked = stream.run(
+            stream.pipeline(HeapBuffers::default()),
+            &stream.sent,
+            |pipeline, now_ns| {
+                for _ in 0..rng.u8(..4) {
+                    // Less than the silence after which a sweep is closed.
+                    pipeline.tick(now_ns + rng.i64(0..450_000_000));
+                    extra += usize::from(pipeline.poll().is_some());
+                    pipeline.segment_early();
+                }
+            },
+        );
+        assert_eq!(
+            extra, 0,
+            "{}: a sweep was complete before its last packet",
+            stream.name
+        );
         stream.compare("asked often", &asked);
     }
 }
@@ -157,7 +223,11 @@ fn however_often_the_pipeline_is_asked_and_told_the_time() {
 #[test]
 fn whenever_the_packets_arrive_and_whatever_the_host_takes_for_the_time() {
     for stream in &*STREAMS {
-        for (seed, ahead_ns) in [(2, 0), (3, 86_400_000_000_000), (4, -1_700_000_000_000_000_000)] {
+        for (seed, ahead_ns) in [
+            (2, 0),
+            (3, 86_400_000_000_000),
+            (4, -1_700_000_000_000_000_000),
+        ] {
             let mut rng = fastrand::Rng::with_seed(seed);
             let mut sent = stream.sent.clone();
             let mut newest_ns = i64::MIN;
@@ -177,10 +247,19 @@ fn alone_or_among_others_in_any_order_and_in_the_buffers_of_others() {
     for seed in 0..3 {
         let mut rng = fastrand::Rng::with_seed(seed);
         let buffers = Kept::new(HeapBuffers::default());
-        let pipeline =
-            |stream: &Stream| Pipeline::new(&stream.name, stream.config.clone(), buffers.clone(), Untimed).unwrap();
-        let mut under_way: Vec<_> =
-            STREAMS.iter().map(|stream| (stream, pipeline(stream), stream.sent.iter(), Vec::new())).collect();
+        let pipeline = |stream: &Stream| {
+            Pipeline::new(
+                &stream.name,
+                stream.config.clone(),
+                buffers.clone(),
+                Untimed,
+            )
+            .unwrap()
+        };
+        let mut under_way: Vec<_> = STREAMS
+            .iter()
+            .map(|stream| (stream, pipeline(stream), stream.sent.iter(), Vec::new()))
+            .collect();
         while !under_way.is_empty() {
             let index = rng.usize(..under_way.len());
             let (_, pipeline, sent, sweeps) = &mut under_way[index];

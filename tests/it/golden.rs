@@ -1,4 +1,5 @@
-//! The label images and ground masks of the paper's authors' own program on real scans of four sensors.
+//! The label images and ground masks of the paper's authors' own program on real scans of four
+//! sensors.
 //!
 //! Theirs is an image of even columns with one table of row angles; see the README beside the data.
 
@@ -27,13 +28,25 @@ struct Case {
 
 impl Case {
     fn open(dir: PathBuf) -> Self {
-        let params: Value = serde_json::from_slice(&std::fs::read(dir.join("params.json")).unwrap()).unwrap();
+        let params: Value =
+            serde_json::from_slice(&std::fs::read(dir.join("params.json")).unwrap()).unwrap();
         let [rows, columns] = ["rows", "cols"].map(|key| params[key].as_u64().unwrap() as usize);
         let row_angles = npy::read(&dir.join("row_angles.npy")).values;
-        let down_rad: Vec<f64> = row_angles.windows(2).map(|pair| (pair[0] - pair[1]).abs()).collect();
+        let down_rad: Vec<f64> = row_angles
+            .windows(2)
+            .map(|pair| (pair[0] - pair[1]).abs())
+            .collect();
         let elevations_rad = row_angles.iter().map(|&angle| angle as f32).collect();
         let name = dir.file_name().unwrap().to_string_lossy().into_owned();
-        Self { dir, name, params, rows, columns, elevations_rad, down_rad }
+        Self {
+            dir,
+            name,
+            params,
+            rows,
+            columns,
+            elevations_rad,
+            down_rad,
+        }
     }
 
     fn image(&self, file: &str) -> Vec<f32> {
@@ -49,20 +62,30 @@ impl Case {
             Some(11) => Window::Eleven,
             other => panic!("window {other:?}"),
         };
-        let (angle_rad, start_angle_rad) = (degrees("ground_angle_deg"), degrees("start_angle_deg"));
-        PaperGround { angle_rad, start_angle_rad, window, ..PaperGround::default() }
+        let (angle_rad, start_angle_rad) =
+            (degrees("ground_angle_deg"), degrees("start_angle_deg"));
+        PaperGround {
+            angle_rad,
+            start_angle_rad,
+            window,
+            ..PaperGround::default()
+        }
     }
 
     /// The authors' last step widens the mask, by rows that come from a slip in their program.
     fn widened(&self, marked: &[bool]) -> Vec<bool> {
-        let offsets = self.params["dilation_row_offsets_effective"].as_array().unwrap();
+        let offsets = self.params["dilation_row_offsets_effective"]
+            .as_array()
+            .unwrap();
         let at = |column: usize, row: usize| {
             offsets.iter().any(|offset| {
                 let row = row as i64 + offset.as_i64().unwrap();
                 (0..self.rows as i64).contains(&row) && marked[column * self.rows + row as usize]
             })
         };
-        (0..self.rows * self.columns).map(|index| at(index / self.rows, index % self.rows)).collect()
+        (0..self.rows * self.columns)
+            .map(|index| at(index / self.rows, index % self.rows))
+            .collect()
     }
 
     fn angles(&self, theta_deg: f64) -> Angles {
@@ -87,7 +110,8 @@ impl Case {
         flood.ground
     }
 
-    /// Labels of all pixels with a range, numbered from 1 by their first pixel in the authors' order: row after row.
+    /// Labels of all pixels with a range, numbered from 1 by their first pixel in the authors'
+    /// order: row after row.
     fn labels(&self, range_m: &[f32], theta_deg: f64) -> Vec<f32> {
         let counts: Vec<bool> = range_m.iter().map(|&range_m| is_return(range_m)).collect();
         let mut components = Components::default();
@@ -102,15 +126,23 @@ impl Case {
                 next += 1.0;
             }
         }
-        labels.iter().map(|&label| numbers[label as usize]).collect()
+        labels
+            .iter()
+            .map(|&label| numbers[label as usize])
+            .collect()
     }
 }
 
 fn cases() -> Vec<Case> {
-    let Some(data) = common::data_dir() else { return Vec::new() };
+    let Some(data) = common::data_dir() else {
+        return Vec::new();
+    };
     let root = data.join("golden_depth_clustering");
-    let entries = std::fs::read_dir(&root).unwrap_or_else(|error| panic!("{}: {error}", root.display()));
-    let folders = entries.map(|entry| entry.unwrap().path()).filter(|path: &PathBuf| path.is_dir());
+    let entries =
+        std::fs::read_dir(&root).unwrap_or_else(|error| panic!("{}: {error}", root.display()));
+    let folders = entries
+        .map(|entry| entry.unwrap().path())
+        .filter(|path: &PathBuf| path.is_dir());
     let mut cases: Vec<Case> = folders.map(Case::open).collect();
     cases.sort_by(|a, b| a.name.cmp(&b.name));
     assert_eq!(cases.len(), CASES);
@@ -120,7 +152,11 @@ fn cases() -> Vec<Case> {
 fn assert_near(case: &Case, what: &str, ours: &[f32], golden: &[f32]) {
     for (index, (ours, golden)) in ours.iter().zip(golden).enumerate() {
         let (row, column) = (index % case.rows, index / case.rows);
-        assert!((ours - golden).abs() <= 4e-5, "{} {what} row {row} column {column}: {ours}, {golden}", case.name);
+        assert!(
+            (ours - golden).abs() <= 4e-5,
+            "{} {what} row {row} column {column}: {ours}, {golden}",
+            case.name
+        );
     }
 }
 
@@ -129,16 +165,31 @@ fn segments_are_the_authors() {
     let mut raw = 0;
     for case in cases() {
         let noground = case.image("noground.npy");
-        for (theta_deg, file) in [(5.0, "labels_sep05.npy"), (10.0, "labels_sep10.npy"), (20.0, "labels_sep20.npy")] {
-            assert!(case.labels(&noground, theta_deg) == case.image(file), "{} {file}", case.name);
+        for (theta_deg, file) in [
+            (5.0, "labels_sep05.npy"),
+            (10.0, "labels_sep10.npy"),
+            (20.0, "labels_sep20.npy"),
+        ] {
+            assert!(
+                case.labels(&noground, theta_deg) == case.image(file),
+                "{} {file}",
+                case.name
+            );
         }
         if Path::exists(&case.dir.join("labels_raw_sep10.npy")) {
             raw += 1;
             let labels = case.labels(&case.image("range.npy"), 10.0);
-            assert!(labels == case.image("labels_raw_sep10.npy"), "{} raw", case.name);
+            assert!(
+                labels == case.image("labels_raw_sep10.npy"),
+                "{} raw",
+                case.name
+            );
         }
     }
-    assert!(raw == 14 || raw == 0, "{raw} cases with labels of the raw image");
+    assert!(
+        raw == 14 || raw == 0,
+        "{raw} cases with labels of the raw image"
+    );
 }
 
 #[test]
@@ -153,7 +204,12 @@ fn repair_and_inclinations_are_the_authors() {
 
         // Their inclinations give their mask without exception.
         let marked = case.flood(&ground, &range_m, &golden_rad);
-        assert_eq!(count_differences(&case, &range_m, &marked), 0, "{}", case.name);
+        assert_eq!(
+            count_differences(&case, &range_m, &marked),
+            0,
+            "{}",
+            case.name
+        );
     }
 }
 
@@ -161,10 +217,13 @@ fn repair_and_inclinations_are_the_authors() {
 fn count_differences(case: &Case, repaired_m: &[f32], marked: &[bool]) -> usize {
     let noground = case.image("noground.npy");
     let ours = case.widened(marked);
-    (0..ours.len()).filter(|&i| repaired_m[i] > 0.0 && ours[i] == (noground[i] > 0.0)).count()
+    (0..ours.len())
+        .filter(|&i| repaired_m[i] > 0.0 && ours[i] == (noground[i] > 0.0))
+        .count()
 }
 
-/// In kitti_000005 one decision is 5e-8 radians from the threshold, which another arctangent may take the other way.
+/// In kitti_000005 one decision is 5e-8 radians from the threshold, which another arctangent may
+/// take the other way.
 #[test]
 fn ground_is_the_authors() {
     for case in cases() {
@@ -174,12 +233,24 @@ fn ground_is_the_authors() {
         let marked = case.flood(&ground, &range_m, &inclination_rad);
         let allowed = usize::from(case.name == "kitti_000005_64x870");
         let differences = count_differences(&case, &range_m, &marked);
-        assert!(differences <= allowed, "{}: {differences} pixels differ", case.name);
+        assert!(
+            differences <= allowed,
+            "{}: {differences} pixels differ",
+            case.name
+        );
 
         if differences == 0 {
             let widened = case.widened(&marked);
-            range_m.iter_mut().zip(widened).filter(|(_, ground)| *ground).for_each(|(range_m, _)| *range_m = 0.0);
-            assert!(case.labels(&range_m, 10.0) == case.image("labels_sep10.npy"), "{} whole chain", case.name);
+            range_m
+                .iter_mut()
+                .zip(widened)
+                .filter(|(_, ground)| *ground)
+                .for_each(|(range_m, _)| *range_m = 0.0);
+            assert!(
+                case.labels(&range_m, 10.0) == case.image("labels_sep10.npy"),
+                "{} whole chain",
+                case.name
+            );
         }
     }
 }

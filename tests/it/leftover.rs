@@ -1,4 +1,5 @@
-//! A buffer comes back with an old sweep in it: nothing that a header declares valid is left over from it.
+//! A buffer comes back with an old sweep in it: nothing that a header declares valid is left over
+//! from it.
 
 use crate::common::stream::{Run, Sent, Spin, config, datagram, unit};
 use sweepd::pipeline::{Config, Pipeline, Untimed};
@@ -26,20 +27,50 @@ fn valid(config: &Config, sent: &[Sent], full_of: u8) -> Vec<Vec<u8>> {
     let mut pipeline = Pipeline::new("test", config.clone(), Full(full_of), Untimed).unwrap();
     let mut sweeps = Vec::new();
     for one in sent {
-        pipeline.push(&datagram(one.packet.emit(), one.arrival_ns)).unwrap();
+        pipeline
+            .push(&datagram(one.packet.emit(), one.arrival_ns))
+            .unwrap();
         sweeps.extend(std::iter::from_fn(|| pipeline.poll()));
         pipeline.segment_early();
     }
     pipeline.end().unwrap();
     sweeps.extend(std::iter::from_fn(|| pipeline.poll()));
-    sweeps.iter().map(|sweep| bytes(&SweepRef::open(sweep.as_ref()).unwrap())).collect()
+    sweeps
+        .iter()
+        .map(|sweep| bytes(&SweepRef::open(sweep.as_ref()).unwrap()))
+        .collect()
 }
 
 fn bytes(sweep: &SweepRef<'_>) -> Vec<u8> {
-    let SweepRef { header, range, label, range2, label2, columns, beams, segments, .. } = *sweep;
-    let tables = [header.as_bytes(), columns.as_bytes(), beams.as_bytes(), segments.as_bytes()];
-    let words = [range.as_bytes(), label.as_bytes(), range2.as_bytes(), label2.as_bytes()];
-    [tables.concat(), words.concat(), [sweep.reflectivity, sweep.reflectivity2, sweep.kind].concat()].concat()
+    let SweepRef {
+        header,
+        range,
+        label,
+        range2,
+        label2,
+        columns,
+        beams,
+        segments,
+        ..
+    } = *sweep;
+    let tables = [
+        header.as_bytes(),
+        columns.as_bytes(),
+        beams.as_bytes(),
+        segments.as_bytes(),
+    ];
+    let words = [
+        range.as_bytes(),
+        label.as_bytes(),
+        range2.as_bytes(),
+        label2.as_bytes(),
+    ];
+    [
+        tables.concat(),
+        words.concat(),
+        [sweep.reflectivity, sweep.reflectivity2, sweep.kind].concat(),
+    ]
+    .concat()
 }
 
 #[track_caller]
@@ -47,7 +78,10 @@ fn assert_nothing_is_left(sent: &[Sent], model: Model) {
     let calibration = model.is_hdl64e().then(unit);
     // Once with noise that has no segments, once with all of it segmented.
     for config in [config(), Config::default()] {
-        let config = Config { calibration: calibration.clone(), ..config };
+        let config = Config {
+            calibration: calibration.clone(),
+            ..config
+        };
         let [a, b] = [0xA5, 0x3C].map(|full_of| valid(&config, sent, full_of));
         assert!(a.len() > 1 && a == b, "{model}: {} sweeps", a.len());
     }
@@ -56,14 +90,24 @@ fn assert_nothing_is_left(sent: &[Sent], model: Model) {
 #[test]
 fn no_byte_of_a_sweep_is_left_over() {
     use {Model::*, ReturnMode::*};
-    for (seed, (model, mode)) in
-        (0..).zip([(Hdl64eS2, Strongest), (Hdl64eS3, Dual), (Hdl32e, Dual), (Vlp16, Strongest)])
-    {
+    for (seed, (model, mode)) in (0..).zip([
+        (Hdl64eS2, Strongest),
+        (Hdl64eS3, Dual),
+        (Hdl32e, Dual),
+        (Vlp16, Strongest),
+    ]) {
         for rpm in [-620.0, 1180.0] {
             for fov in [None, Some((27_000.0, 9_100.0))] {
-                let mut sent = Spin { seed, fov, ..Spin::new(model, mode, rpm) }.packets(0.25);
+                let mut sent = Spin {
+                    seed,
+                    fov,
+                    ..Spin::new(model, mode, rpm)
+                }
+                .packets(0.25);
                 let lost = sent.len() / 2;
-                sent.retain(|one| one.ordinal % 40 != 7 && !(lost..lost + 30).contains(&one.ordinal));
+                sent.retain(|one| {
+                    one.ordinal % 40 != 7 && !(lost..lost + 30).contains(&one.ordinal)
+                });
                 sent.swap(20, 23);
                 assert_nothing_is_left(&sent, model);
             }
@@ -71,17 +115,22 @@ fn no_byte_of_a_sweep_is_left_over() {
     }
 }
 
-/// Each firing points a sixth of a turn and a little beyond the one before: packets follow each other as they should, and a
-/// turn has six columns, where rows are shifted by fifty.
+/// Each firing points a sixth of a turn and a little beyond the one before: packets follow each
+/// other as they should, and a turn has six columns, where rows are shifted by fifty.
 #[test]
 fn nor_of_a_turn_that_is_shorter_than_the_shifts() {
-    let still =
-        Spin { jitter_cdeg: 0.0, start_cdeg: 100.0, ..Spin::new(Model::Hdl64eS2, ReturnMode::Strongest, 600.0) };
+    let still = Spin {
+        jitter_cdeg: 0.0,
+        start_cdeg: 100.0,
+        ..Spin::new(Model::Hdl64eS2, ReturnMode::Strongest, 600.0)
+    };
     let mut sent = still.packets(0.2);
     for one in &mut sent[400..] {
         let first = u32::from(one.packet.blocks[0].azimuth_cdeg());
         for (firing, pair) in (0..).zip(one.packet.blocks.chunks_mut(2)) {
-            pair.iter_mut().for_each(|block| block.set_azimuth_cdeg(((first + firing * 6_017) % 36_000) as u16));
+            pair.iter_mut().for_each(|block| {
+                block.set_azimuth_cdeg(((first + firing * 6_017) % 36_000) as u16)
+            });
         }
     }
     assert_nothing_is_left(&sent, Model::Hdl64eS2);

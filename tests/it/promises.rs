@@ -35,7 +35,12 @@ fn quoted(page: &str) -> impl Iterator<Item = &str> {
 
 /// Names of tests as the pages write them: `tests/it/faults.rs::name`.
 fn named_tests(page: &str) -> BTreeSet<(String, String)> {
-    let is_word = |name: &str| !name.is_empty() && name.chars().all(|one| one.is_ascii_alphanumeric() || one == '_');
+    let is_word = |name: &str| {
+        !name.is_empty()
+            && name
+                .chars()
+                .all(|one| one.is_ascii_alphanumeric() || one == '_')
+    };
     let split = |quote: &str| {
         let (file, name) = quote.split_once(".rs::")?;
         is_word(name).then(|| (format!("{file}.rs"), name.to_owned()))
@@ -52,7 +57,13 @@ fn every_test_that_a_page_names_is_there() {
         let text = std::fs::read_to_string(root().join(file)).unwrap_or_default();
         // A test has its attribute in the lines before it.
         let at = text.find(&format!("fn {name}("));
-        at.is_some_and(|at| text[..at].lines().rev().take(6).any(|line| line.trim() == "#[test]"))
+        at.is_some_and(|at| {
+            text[..at]
+                .lines()
+                .rev()
+                .take(6)
+                .any(|line| line.trim() == "#[test]")
+        })
     };
     let missing: Vec<_> = named.iter().filter(|one| !is_there(one)).collect();
     assert!(missing.is_empty(), "no such tests: {missing:?}");
@@ -62,7 +73,9 @@ fn every_test_that_a_page_names_is_there() {
 #[test]
 fn every_command_of_a_page_runs_tests() {
     let page = text("docs/promises.md");
-    let commands: Vec<&str> = quoted(&page).filter(|quote| quote.starts_with("cargo test ")).collect();
+    let commands: Vec<&str> = quoted(&page)
+        .filter(|quote| quote.starts_with("cargo test "))
+        .collect();
     assert!(commands.len() >= 18, "{} commands", commands.len());
     for command in commands {
         let (mut tests, mut filters) = (Vec::new(), Vec::new());
@@ -80,9 +93,14 @@ fn every_command_of_a_page_runs_tests() {
         for filter in filters {
             let fits = |path: &String| {
                 path.split(['/', '.']).any(|part| part.contains(filter))
-                    || text(path).lines().any(|line| line.trim_start().starts_with("fn ") && line.contains(filter))
+                    || text(path)
+                        .lines()
+                        .any(|line| line.trim_start().starts_with("fn ") && line.contains(filter))
             };
-            assert!(tests.iter().any(fits), "{command}: nothing is called {filter}");
+            assert!(
+                tests.iter().any(fits),
+                "{command}: nothing is called {filter}"
+            );
         }
     }
 }
@@ -90,9 +108,15 @@ fn every_command_of_a_page_runs_tests() {
 /// The files of an integration test.
 fn files_of(name: &str) -> Vec<String> {
     let file = format!("tests/{name}.rs");
-    let of_folder =
-        if root().join("tests").join(name).is_dir() { sources(&format!("tests/{name}")) } else { Vec::new() };
-    of_folder.into_iter().chain(root().join(&file).exists().then_some(file)).collect()
+    let of_folder = if root().join("tests").join(name).is_dir() {
+        sources(&format!("tests/{name}"))
+    } else {
+        Vec::new()
+    };
+    of_folder
+        .into_iter()
+        .chain(root().join(&file).exists().then_some(file))
+        .collect()
 }
 
 /// Each of the 25 has a line: the tests that show sweepd does not have it, or that it has.
@@ -102,9 +126,17 @@ fn every_pain_has_its_line() {
     let table = page.split_once("## The 25 pains").expect("a heading").1;
     for pain in 1..=25 {
         let begins = format!("| {pain} | ");
-        let lines: Vec<&str> = table.lines().filter(|line| line.starts_with(&begins)).collect();
-        let [line] = lines[..] else { panic!("{} lines of pain {pain}", lines.len()) };
-        assert!(!named_tests(line).is_empty() || line.contains("**has it**"), "{line}");
+        let lines: Vec<&str> = table
+            .lines()
+            .filter(|line| line.starts_with(&begins))
+            .collect();
+        let [line] = lines[..] else {
+            panic!("{} lines of pain {pain}", lines.len())
+        };
+        assert!(
+            !named_tests(line).is_empty() || line.contains("**has it**"),
+            "{line}"
+        );
     }
 }
 
@@ -113,9 +145,17 @@ fn every_pain_has_its_line() {
 fn what_the_pages_link_is_there() {
     for (page, folder) in [("docs/promises.md", "docs"), ("SECURITY.md", "")] {
         let text = text(page);
-        for link in text.split("](").skip(1).filter_map(|rest| rest.split_once(')')).map(|(link, _)| link) {
+        for link in text
+            .split("](")
+            .skip(1)
+            .filter_map(|rest| rest.split_once(')'))
+            .map(|(link, _)| link)
+        {
             let file = link.split('#').next().unwrap();
-            assert!(file.starts_with("http") || root().join(folder).join(file).exists(), "{page}: {link}");
+            assert!(
+                file.starts_with("http") || root().join(folder).join(file).exists(),
+                "{page}: {link}"
+            );
         }
     }
 }

@@ -1,4 +1,5 @@
-//! `sweepd score`: by hand on a small made scene, against an evaluator by others on real scans, and over methods.
+//! `sweepd score`: by hand on a small made scene, against an evaluator by others on real scans, and
+//! over methods.
 
 use crate::common;
 use std::path::{Path, PathBuf};
@@ -40,7 +41,12 @@ impl Folder {
     /// Runs `sweepd score --scans SCANS` with more options.
     fn run(&self, options: &[&str]) -> Output {
         let mut command = Command::new(env!("CARGO_BIN_EXE_sweepd"));
-        command.current_dir(&self.0).args(["score", "--scans", "scans"]).args(options).output().unwrap()
+        command
+            .current_dir(&self.0)
+            .args(["score", "--scans", "scans"])
+            .args(options)
+            .output()
+            .unwrap()
     }
 
     /// The JSON of a run that did all that it should.
@@ -56,9 +62,16 @@ impl Folder {
     fn refuses(&self, options: &[&str], parts: &[&str]) {
         let output = self.run(options);
         let said = String::from_utf8(output.stderr).unwrap();
-        assert_eq!((output.status.code(), said.lines().count()), (Some(1), 1), "{said}");
+        assert_eq!(
+            (output.status.code(), said.lines().count()),
+            (Some(1), 1),
+            "{said}"
+        );
         let lacking: Vec<_> = parts.iter().filter(|part| !said.contains(**part)).collect();
-        assert!(said.starts_with("error: ") && lacking.is_empty(), "{said}lacks {lacking:?}");
+        assert!(
+            said.starts_with("error: ") && lacking.is_empty(),
+            "{said}lacks {lacking:?}"
+        );
     }
 }
 
@@ -69,18 +82,26 @@ impl Drop for Folder {
 }
 
 fn cloud_bytes(points: &[[f32; 4]]) -> Vec<u8> {
-    points.iter().flatten().flat_map(|value| value.to_le_bytes()).collect()
+    points
+        .iter()
+        .flatten()
+        .flat_map(|value| value.to_le_bytes())
+        .collect()
 }
 
 fn label_bytes(labels: &[u32]) -> Vec<u8> {
-    labels.iter().flat_map(|label| label.to_le_bytes()).collect()
+    labels
+        .iter()
+        .flat_map(|label| label.to_le_bytes())
+        .collect()
 }
 
 fn thing(class: u32, instance: u32) -> u32 {
     instance << 16 | class
 }
 
-/// Heaps of points far apart from each other: of each its true label, and how many points have which label.
+/// Heaps of points far apart from each other: of each its true label, and how many points have
+/// which label.
 fn heaps(heaps: &[(u32, &[(usize, u32)])]) -> (Vec<[f32; 4]>, Vec<u32>, Vec<u32>) {
     let (mut points, mut truth, mut labels) = (Vec::new(), Vec::new(), Vec::new());
     for (at, (class, parts)) in heaps.iter().enumerate() {
@@ -120,8 +141,16 @@ fn bad() -> (Vec<[f32; 4]>, Vec<u32>, Vec<u32>) {
     ])
 }
 
-fn score((points, truth, labels): &(Vec<[f32; 4]>, Vec<u32>, Vec<u32>), min_points: &[u32]) -> ScanScore {
-    ScanScore::new(&Truth::new(points, truth.clone()).unwrap(), labels, min_points).unwrap()
+fn score(
+    (points, truth, labels): &(Vec<[f32; 4]>, Vec<u32>, Vec<u32>),
+    min_points: &[u32],
+) -> ScanScore {
+    ScanScore::new(
+        &Truth::new(points, truth.clone()).unwrap(),
+        labels,
+        min_points,
+    )
+    .unwrap()
 }
 
 #[track_caller]
@@ -142,15 +171,18 @@ fn entropy(share: f64) -> f64 {
 #[test]
 fn ground_by_hand() {
     let score = score(&good(), &[]);
-    // 80 points are ground, of which 65 were taken for it, and so were 6 of the 127 others that have a class.
+    // 80 points are ground, of which 65 were taken for it, and so were 6 of the 127 others that
+    // have a class.
     let of = [65.0 / 71.0, 65.0 / 80.0, 130.0 / 151.0, 186.0 / 207.0];
     // Without 12 of vegetation and 5 outliers, among them all 6.
     let no_vegetation = [1.0, 65.0 / 80.0, 130.0 / 145.0, 175.0 / 190.0];
     // Without 20 of terrain, 15 found.
     let paved = [1.0, 50.0 / 60.0, 100.0 / 110.0, 160.0 / 170.0];
-    for (found, expected) in
-        [(score.ground, of), (score.ground_no_vegetation, no_vegetation), (score.ground_paved, paved)]
-    {
+    for (found, expected) in [
+        (score.ground, of),
+        (score.ground_no_vegetation, no_vegetation),
+        (score.ground_paved, paved),
+    ] {
         near("precision", found.precision, expected[0]);
         near("recall", found.recall, expected[1]);
         near("f1", found.f1, expected[2]);
@@ -161,15 +193,26 @@ fn ground_by_hand() {
 #[test]
 fn entropies_by_hand() {
     let found = score(&good(), &[]).entropy;
-    // Five objects: the road and the terrain are ground, eight points have no class, five outliers are too few.
-    let scattered =
-        [(40.0, entropy(0.25)), (25.0, 0.0), (30.0, entropy(1.0 / 3.0)), (12.0, entropy(1.0 / 3.0)), (15.0, 0.0)];
+    // Five objects: the road and the terrain are ground, eight points have no class, five outliers
+    // are too few.
+    let scattered = [
+        (40.0, entropy(0.25)),
+        (25.0, 0.0),
+        (30.0, entropy(1.0 / 3.0)),
+        (12.0, entropy(1.0 / 3.0)),
+        (15.0, 0.0),
+    ];
     let sum: f64 = scattered.iter().map(|(_, entropy)| entropy).sum();
     near("ose", found.ose, sum);
     near("ose per object", found.ose_per_object, sum / 5.0);
-    near("ose per point", found.ose_per_point, scattered.iter().map(|(n, e)| n * e).sum::<f64>() / 122.0);
+    near(
+        "ose per point",
+        found.ose_per_point,
+        scattered.iter().map(|(n, e)| n * e).sum::<f64>() / 122.0,
+    );
     near("cover", found.cover, 108.0 / 122.0);
-    // Segments 2 to 6: with 6 of 36 on the road, 5 of 15 on terrain, 20 of 45 of a building, 3 of 11 outliers.
+    // Segments 2 to 6: with 6 of 36 on the road, 5 of 15 on terrain, 20 of 45 of a building, 3 of
+    // 11 outliers.
     let mixed = [
         (36.0, entropy(1.0 / 6.0)),
         (15.0, entropy(1.0 / 3.0)),
@@ -179,15 +222,22 @@ fn entropies_by_hand() {
     let sum: f64 = mixed.iter().map(|(_, entropy)| entropy).sum();
     near("use", found.use_, sum);
     near("use per segment", found.use_per_segment, sum / 5.0);
-    near("use per point", found.use_per_point, mixed.iter().map(|(n, e)| n * e).sum::<f64>() / 122.0);
+    near(
+        "use per point",
+        found.use_per_point,
+        mixed.iter().map(|(n, e)| n * e).sum::<f64>() / 122.0,
+    );
     assert_eq!((found.objects, found.segments), (5, 5));
 }
 
 #[test]
 fn instances_by_hand() {
     let score = score(&good(), &[10, 20, 30]);
-    let [ten, twenty, thirty] = &score.instances[..] else { panic!("three sizes") };
-    // The best segment of the car has 30 points of 40 and 6 others; that of the person all 25 and 20 others.
+    let [ten, twenty, thirty] = &score.instances[..] else {
+        panic!("three sizes")
+    };
+    // The best segment of the car has 30 points of 40 and 6 others; that of the person all 25 and
+    // 20 others.
     let (car, person) = (30.0 / 46.0, 25.0 / 45.0);
     let found = InstanceCounts {
         min_points: 20,
@@ -200,25 +250,48 @@ fn instances_by_hand() {
         ..InstanceCounts::default()
     };
     assert_eq!(*twenty, found);
-    near("association", twenty.association_sum, 0.75 * car + 0.25 * 10.0 / 45.0 + person);
+    near(
+        "association",
+        twenty.association_sum,
+        0.75 * car + 0.25 * 10.0 / 45.0 + person,
+    );
     near("rq", twenty.recognition_quality(), 1.0);
     near("pq", twenty.panoptic_quality(), (car + person) / 2.0);
     // Segment 3 has 15 points, 10 of the car. Segment 6 is of things that nobody told apart.
-    assert_eq!(*ten, InstanceCounts { min_points: 10, false_positives: 1, ..found });
+    assert_eq!(
+        *ten,
+        InstanceCounts {
+            min_points: 10,
+            false_positives: 1,
+            ..found
+        }
+    );
     near("rq", ten.recognition_quality(), 2.0 / 2.5);
     // The person is too small to count; the segment on it is no false positive for that.
-    assert_eq!((thirty.count, thirty.found_50, thirty.false_positives), (1, 1, 0));
+    assert_eq!(
+        (thirty.count, thirty.found_50, thirty.false_positives),
+        (1, 1, 0)
+    );
 }
 
 #[test]
 fn merged_and_missed_by_hand() {
     let bad = score(&bad(), &[20, 21, 200]);
-    let [all, two, none] = &bad.instances[..] else { panic!("three sizes") };
+    let [all, two, none] = &bad.instances[..] else {
+        panic!("three sizes")
+    };
     assert_eq!((all.count, all.found_50, all.under, all.over), (3, 0, 2, 0));
     // Half of the points in no segment is missed; an IoU of a half is not found.
-    assert_eq!((all.missed, all.merged_background, all.false_positives), (1, 2, 0));
+    assert_eq!(
+        (all.missed, all.merged_background, all.false_positives),
+        (1, 2, 0)
+    );
     near("mean iou", all.iou_sum, 24.0 / 104.0 + 20.0 / 104.0 + 0.5);
-    near("association", all.association_sum, 24.0 / 104.0 + 20.0 / 104.0 + 0.25);
+    near(
+        "association",
+        all.association_sum,
+        24.0 / 104.0 + 20.0 / 104.0 + 0.25,
+    );
     near("pq", all.panoptic_quality(), 0.0);
     near("sq", all.segmentation_quality(), None);
     // Without the smaller car nothing is merged with another one that counts.
@@ -228,7 +301,8 @@ fn merged_and_missed_by_hand() {
     near("ground accuracy", bad.ground.accuracy, 1.0);
 }
 
-/// What is nearer than a metre is one object, if the label is the same; at a metre it is two; nine points are none.
+/// What is nearer than a metre is one object, if the label is the same; at a metre it is two; nine
+/// points are none.
 #[test]
 fn objects_by_hand() {
     let heap = |x: f32, count: usize| (0..count).map(move |at| [x, 0.0625 * at as f32, 0.0, 0.0]);
@@ -237,15 +311,23 @@ fn objects_by_hand() {
         .flat_map(|&(x, count)| heap(x, count))
         .collect();
     let labels = |each: [u32; 5]| -> Vec<u32> {
-        each.iter().zip([12, 12, 12, 12, 9]).flat_map(|(&label, count)| std::iter::repeat_n(label, count)).collect()
+        each.iter()
+            .zip([12, 12, 12, 12, 9])
+            .flat_map(|(&label, count)| std::iter::repeat_n(label, count))
+            .collect()
     };
     let objects = |each| -> Vec<u32> {
         let truth = Truth::new(&points, labels(each)).unwrap();
-        [0, 12, 24, 36, 48].map(|first| truth.objects()[first]).to_vec()
+        [0, 12, 24, 36, 48]
+            .map(|first| truth.objects()[first])
+            .to_vec()
     };
     assert_eq!(objects([50; 5]), [1, 1, 2, 2, 0]);
     assert_eq!(objects([50, 51, 51, 51, 51]), [1, 2, 3, 3, 0]);
-    assert_eq!(objects([thing(10, 2), thing(10, 1), 40, 0, 50]), [2, 1, 0, 0, 0]);
+    assert_eq!(
+        objects([thing(10, 2), thing(10, 1), 40, 0, 50]),
+        [2, 1, 0, 0, 0]
+    );
 }
 
 /// Frame 1 of sequence a again, and a bad one of sequence b.
@@ -257,7 +339,10 @@ fn means_by_hand() {
         folder.write(&format!("pred/{name}.label"), label_bytes(&labels));
     }
     let report = folder.json(&["--pred", "pred", "--min-points", "20", "--per-scan"]);
-    assert_eq!((&report["scans"], &report["sequences"]), (&Value::from(3), &Value::from(2)));
+    assert_eq!(
+        (&report["scans"], &report["sequences"]),
+        (&Value::from(3), &Value::from(2))
+    );
     let row = |name: &str| &report["figures"]["instances_20"][name];
     near("mean", row("found_50")["mean"].as_f64(), 2.0 / 3.0);
     near("std", row("found_50")["std"].as_f64(), (2f64 / 9.0).sqrt());
@@ -267,12 +352,24 @@ fn means_by_hand() {
     // Four found, three not.
     let (car, person) = (30.0 / 46.0, 25.0 / 45.0);
     near("rq", row("rq")["pooled"].as_f64(), 4.0 / 5.5);
-    near("pq", row("pq")["pooled"].as_f64(), 4.0 / 5.5 * (car + person) / 2.0);
+    near(
+        "pq",
+        row("pq")["pooled"].as_f64(),
+        4.0 / 5.5 * (car + person) / 2.0,
+    );
     // There is none of what was not found.
-    near("sq", row("sq")["sequence_mean"].as_f64(), (car + person) / 2.0);
+    near(
+        "sq",
+        row("sq")["sequence_mean"].as_f64(),
+        (car + person) / 2.0,
+    );
     near("std", row("sq")["std"].as_f64(), 0.0);
-    let scans: Vec<&str> =
-        report["per_scan"].as_array().unwrap().iter().map(|scan| scan["scan"].as_str().unwrap()).collect();
+    let scans: Vec<&str> = report["per_scan"]
+        .as_array()
+        .unwrap()
+        .iter()
+        .map(|scan| scan["scan"].as_str().unwrap())
+        .collect();
     assert_eq!(scans, ["a/0", "a/1", "b/0"]);
     assert!(report["per_scan"][2]["figures"]["instances_20"]["sq"].is_null());
 
@@ -284,8 +381,17 @@ fn means_by_hand() {
     ] {
         assert!(table.contains(line), "{line}{table}");
     }
-    let scan = table.lines().last().unwrap().split_whitespace().collect::<Vec<_>>().join(" ");
-    assert!(scan.starts_with("b/0 - ") && scan.ends_with(" 3 0.000 0.000 0 - -"), "{scan}");
+    let scan = table
+        .lines()
+        .last()
+        .unwrap()
+        .split_whitespace()
+        .collect::<Vec<_>>()
+        .join(" ");
+    assert!(
+        scan.starts_with("b/0 - ") && scan.ends_with(" 3 0.000 0.000 0 - -"),
+        "{scan}"
+    );
 }
 
 /// Clouds in velodyne, true labels in labels, another suffix, some sequences alone.
@@ -294,17 +400,39 @@ fn the_folders_of_semantickitti_are_known() {
     let folder = Folder::new("layout");
     let (points, truth, labels) = good();
     for sequence in ["00", "01"] {
-        folder.write(&format!("scans/sequences/{sequence}/velodyne/000003.bin"), cloud_bytes(&points));
-        folder.write(&format!("scans/sequences/{sequence}/labels/000003.label"), label_bytes(&truth));
-        folder.write(&format!("scans/sequences/{sequence}/velodyne/000004.bin"), cloud_bytes(&points));
+        folder.write(
+            &format!("scans/sequences/{sequence}/velodyne/000003.bin"),
+            cloud_bytes(&points),
+        );
+        folder.write(
+            &format!("scans/sequences/{sequence}/labels/000003.label"),
+            label_bytes(&truth),
+        );
+        folder.write(
+            &format!("scans/sequences/{sequence}/velodyne/000004.bin"),
+            cloud_bytes(&points),
+        );
     }
     folder.write("pred/sequences/01/000003.seg", label_bytes(&labels));
-    let output = folder.run(&["--pred", "pred", "--ext", ".seg", "--only", "01", "--json", "--per-scan"]);
+    let output = folder.run(&[
+        "--pred",
+        "pred",
+        "--ext",
+        ".seg",
+        "--only",
+        "01",
+        "--json",
+        "--per-scan",
+    ]);
     let warning = "warning: 1 cloud without true labels (NAME.label beside NAME.bin) left out\n";
     assert_eq!(String::from_utf8_lossy(&output.stderr), warning);
     let report: Value = serde_json::from_slice(&output.stdout).unwrap();
     assert_eq!(report["per_scan"][0]["scan"], "sequences/01/000003");
-    near("f1", report["figures"]["ground"]["f1"]["mean"].as_f64(), 130.0 / 151.0);
+    near(
+        "f1",
+        report["figures"]["ground"]["f1"]["mean"].as_f64(),
+        130.0 / 151.0,
+    );
 }
 
 #[test]
@@ -315,20 +443,44 @@ fn what_cannot_be_scored_is_named_with_its_cure() {
     let pred = &["--pred", "pred"][..];
     folder.refuses(
         pred,
-        &["pred/00/000000.label: no labels", "sweepd segment scans/00/000000.bin --out pred/00", "--only"],
+        &[
+            "pred/00/000000.label: no labels",
+            "sweepd segment scans/00/000000.bin --out pred/00",
+            "--only",
+        ],
     );
     folder.write("pred/00/000000.label", label_bytes(&labels[1..]));
-    folder
-        .refuses(pred, &["pred/00/000000.label: 214 labels for 215 points of scans/00/000000.bin", "make them again"]);
+    folder.refuses(
+        pred,
+        &[
+            "pred/00/000000.label: 214 labels for 215 points of scans/00/000000.bin",
+            "make them again",
+        ],
+    );
     folder.write("pred/00/000000.label", [0; 7]);
     folder.refuses(pred, &["pred/00/000000.label: 7 bytes", "multiple of 4"]);
-    folder.refuses(&["--pred", "scans"], &["scans/00/000000.label: these are the true labels", "--pred"]);
-    folder.refuses(&["--pred", "pred", "--only", "00,07"], &["no scan is named by --only 07"]);
-    folder.refuses(&["--pred", "pred", "--only", "0"], &["no scan is named by --only 0;"]);
+    folder.refuses(
+        &["--pred", "scans"],
+        &["scans/00/000000.label: these are the true labels", "--pred"],
+    );
+    folder.refuses(
+        &["--pred", "pred", "--only", "00,07"],
+        &["no scan is named by --only 07"],
+    );
+    folder.refuses(
+        &["--pred", "pred", "--only", "0"],
+        &["no scan is named by --only 0;"],
+    );
     folder.write("pred/00/000000.label", label_bytes(&labels));
     folder.json(pred);
     folder.scan("00/000000", &points, &truth[1..]);
-    folder.refuses(pred, &["scans/00/000000.label: 214 true labels for 215 points of scans/00/000000.bin", "release"]);
+    folder.refuses(
+        pred,
+        &[
+            "scans/00/000000.label: 214 true labels for 215 points of scans/00/000000.bin",
+            "release",
+        ],
+    );
     folder.write("scans/00/000000.bin", [0; 17]);
     folder.refuses(pred, &["scans/00/000000.bin: 17 bytes", "multiple of 16"]);
     std::fs::remove_dir_all(folder.path("scans/00")).unwrap();
@@ -337,8 +489,14 @@ fn what_cannot_be_scored_is_named_with_its_cure() {
     folder.refuses(pred, &["cannot read scans"]);
     folder.scan("00/000000", &points, &truth);
     folder.refuses(&["--methods", "--theta", "0"], &["theta is 0 degrees"]);
-    folder.refuses(&["--methods", "--columns", "0"], &["0 columns, expected 1 to"]);
-    folder.refuses(&["--methods", "--plot", "nowhere/precision.png"], &["nowhere/precision.png"]);
+    folder.refuses(
+        &["--methods", "--columns", "0"],
+        &["0 columns, expected 1 to"],
+    );
+    folder.refuses(
+        &["--methods", "--plot", "nowhere/precision.png"],
+        &["nowhere/precision.png"],
+    );
     for wrong in [
         &[][..],
         &["--pred", "pred", "--plot", "precision.png"],
@@ -351,7 +509,8 @@ fn what_cannot_be_scored_is_named_with_its_cure() {
     }
 }
 
-/// Seven cylinders on a plane, 10 m from the sensor and 7.6 m or more apart, with a true label for every point.
+/// Seven cylinders on a plane, 10 m from the sensor and 7.6 m or more apart, with a true label for
+/// every point.
 fn cylinders() -> (Vec<[f32; 4]>, Vec<u32>) {
     let (mut points, mut truth) = (Vec::new(), Vec::new());
     for ring in 0..32 {
@@ -362,16 +521,25 @@ fn cylinders() -> (Vec<[f32; 4]>, Vec<u32>) {
             let near = (0..7).find_map(|number| {
                 let aside = azimuth - (f64::from(number) - 3.0) * std::f64::consts::TAU / 8.0;
                 let reach = 0.64 - (10.0 * aside.sin()).powi(2);
-                (aside.cos() > 0.0 && reach > 0.0).then(|| (10.0 * aside.cos() - reach.sqrt(), number))
+                (aside.cos() > 0.0 && reach > 0.0)
+                    .then(|| (10.0 * aside.cos() - reach.sqrt(), number))
             });
             let ground_m = -1.73 / elevation.tan();
             let (level_m, label) = match near {
-                Some((level_m, number)) if elevation >= 0.0 || level_m < ground_m => (level_m, thing(10, number + 1)),
+                Some((level_m, number)) if elevation >= 0.0 || level_m < ground_m => {
+                    (level_m, thing(10, number + 1))
+                }
                 _ if elevation < 0.0 && ground_m < 60.0 => (ground_m, 40),
                 _ => continue,
             };
             points.push(
-                [level_m * azimuth.cos(), level_m * azimuth.sin(), level_m * elevation.tan(), 0.0].map(|v| v as f32),
+                [
+                    level_m * azimuth.cos(),
+                    level_m * azimuth.sin(),
+                    level_m * elevation.tan(),
+                    0.0,
+                ]
+                .map(|v| v as f32),
             );
             truth.push(label);
         }
@@ -379,21 +547,35 @@ fn cylinders() -> (Vec<[f32; 4]>, Vec<u32>) {
     (points, truth)
 }
 
-/// Every method finds what stands apart with a parameter that suits it, and nothing with one that does not.
+/// Every method finds what stands apart with a parameter that suits it, and nothing with one that
+/// does not.
 #[test]
 fn methods_are_compared_over_their_parameters() {
     let folder = Folder::new("methods");
     let (points, truth) = cylinders();
     folder.scan("a/0", &points, &truth);
     folder.scan("b/0", &points, &truth);
-    let options = ["--methods", "--columns", "720", "--theta", "10,89", "--distance", "0.5,9", "--cell", "0.5,9"];
+    let options = [
+        "--methods",
+        "--columns",
+        "720",
+        "--theta",
+        "10,89",
+        "--distance",
+        "0.5,9",
+        "--cell",
+        "0.5,9",
+    ];
     let report = folder.json(&[&options[..], &["--plot", "precision.png"]].concat());
     let plot = std::fs::read(folder.path("precision.png")).unwrap();
     assert!(plot.starts_with(b"\x89PNG"));
     let again = [&options[..], &["--plot", "precision.png"]].concat();
     folder.refuses(&again, &["precision.png exists; --force replaces it"]);
     assert!(std::fs::read(folder.path("precision.png")).unwrap() == plot);
-    assert_eq!((&report["scans"], &report["sequences"]), (&Value::from(2), &Value::from(2)));
+    assert_eq!(
+        (&report["scans"], &report["sequences"]),
+        (&Value::from(2), &Value::from(2))
+    );
     let found: Vec<(String, f64)> = (report["methods"].as_array().unwrap().iter())
         .map(|line| {
             assert!(line["ms"].as_f64().unwrap() > 0.0);
@@ -403,7 +585,12 @@ fn methods_are_compared_over_their_parameters() {
                 line["parameter"].as_str().unwrap(),
                 line["value"]
             );
-            (name, line["figures"]["instances_20"]["found_50"]["pooled"].as_f64().unwrap())
+            (
+                name,
+                line["figures"]["instances_20"]["found_50"]["pooled"]
+                    .as_f64()
+                    .unwrap(),
+            )
         })
         .collect();
     let expected = [
@@ -416,27 +603,56 @@ fn methods_are_compared_over_their_parameters() {
         ("grid cell 0.5", 1.0),
         ("grid cell 9.0", 0.0),
     ];
-    assert_eq!(found, expected.map(|(name, share)| (name.to_owned(), share)));
+    assert_eq!(
+        found,
+        expected.map(|(name, share)| (name.to_owned(), share))
+    );
 
     let table = String::from_utf8(folder.run(&options).stdout).unwrap();
-    let lines: Vec<Vec<&str>> = table.lines().map(|line| line.split_whitespace().collect()).collect();
-    assert!(lines.iter().any(|line| line.starts_with(&["euclidean", "0.5", "1.000"])), "{table}");
-    assert!(lines.iter().any(|line| line.starts_with(&["grid", "9", "0.000"])), "{table}");
+    let lines: Vec<Vec<&str>> = table
+        .lines()
+        .map(|line| line.split_whitespace().collect())
+        .collect();
+    assert!(
+        lines
+            .iter()
+            .any(|line| line.starts_with(&["euclidean", "0.5", "1.000"])),
+        "{table}"
+    );
+    assert!(
+        lines
+            .iter()
+            .any(|line| line.starts_with(&["grid", "9", "0.000"])),
+        "{table}"
+    );
 }
 
 #[test]
 fn baselines_by_hand() {
     let at = |x: f32, y: f32| [x, y, 0.0, 0.0];
-    let points = [at(0.1, 0.1), at(0.6, 0.1), at(5.0, 5.0), at(0.9, 0.5), at(2.6, 0.1), at(1.3, 1.4)];
+    let points = [
+        at(0.1, 0.1),
+        at(0.6, 0.1),
+        at(5.0, 5.0),
+        at(0.9, 0.5),
+        at(2.6, 0.1),
+        at(1.3, 1.4),
+    ];
     let ground = [0, 7, 1, 0, 0, 0];
     let segment = |baseline: Baseline, min_points| baseline.segment(&points, &ground, min_points);
     let euclidean = Baseline::Euclidean { distance_m: 0.6 };
     assert_eq!(segment(euclidean, 1), [2, 2, 1, 2, 3, 4]);
     assert_eq!(segment(euclidean, 2), [2, 2, 1, 2, 0, 0]);
-    // Cells (0, 0), (0, 0), (0, 0), (2, 0), (1, 1): the last one touches all others. Then (0, 0), (1, 0), (2, 1), (6, 0)
-    // and (3, 3).
-    assert_eq!(segment(Baseline::Grid { cell_m: 1.0 }, 1), [2, 2, 1, 2, 2, 2]);
-    assert_eq!(segment(Baseline::Grid { cell_m: 0.4 }, 1), [2, 2, 1, 2, 3, 4]);
+    // Cells (0, 0), (0, 0), (0, 0), (2, 0), (1, 1): the last one touches all others. Then (0, 0),
+    // (1, 0), (2, 1), (6, 0) and (3, 3).
+    assert_eq!(
+        segment(Baseline::Grid { cell_m: 1.0 }, 1),
+        [2, 2, 1, 2, 2, 2]
+    );
+    assert_eq!(
+        segment(Baseline::Grid { cell_m: 0.4 }, 1),
+        [2, 2, 1, 2, 3, 4]
+    );
 }
 
 /// The shared scans of SemanticKITTI, linked into a folder, and the evaluator.
@@ -448,8 +664,11 @@ fn real(folder: &Folder) -> Option<(std::ffi::OsString, PathBuf)> {
         common::skip(&format!("no {}", evaluator.display()));
         return None;
     }
-    std::os::unix::fs::symlink(data.join("labelled/semantickitti").canonicalize().unwrap(), folder.path("scans"))
-        .unwrap();
+    std::os::unix::fs::symlink(
+        data.join("labelled/semantickitti").canonicalize().unwrap(),
+        folder.path("scans"),
+    )
+    .unwrap();
     Some((python, evaluator))
 }
 
@@ -457,16 +676,21 @@ fn real(folder: &Folder) -> Option<(std::ffi::OsString, PathBuf)> {
 fn frames(folder: &Folder) -> Vec<String> {
     let names = |path: &Path| -> Vec<String> {
         let entries = std::fs::read_dir(path).unwrap();
-        let mut names: Vec<_> = entries.map(|entry| entry.unwrap().file_name().into_string().unwrap()).collect();
+        let mut names: Vec<_> = entries
+            .map(|entry| entry.unwrap().file_name().into_string().unwrap())
+            .collect();
         names.sort();
         names
     };
     let scans = folder.path("scans");
-    let sequences = names(&scans).into_iter().filter(|name| scans.join(name).is_dir());
+    let sequences = names(&scans)
+        .into_iter()
+        .filter(|name| scans.join(name).is_dir());
     sequences
         .flat_map(|sequence| {
             let frames = names(&scans.join(&sequence)).into_iter();
-            frames.filter_map(move |name| Some(format!("{sequence}/{}", name.strip_suffix(".bin")?)))
+            frames
+                .filter_map(move |name| Some(format!("{sequence}/{}", name.strip_suffix(".bin")?)))
         })
         .collect()
 }
@@ -497,7 +721,11 @@ fn perturb(random: &mut fastrand::Rng, labels: &mut [u32]) {
         })
         .collect();
     for label in labels {
-        *label = if random.u32(..50) == 0 { random.u32(..2) } else { new[*label as usize][random.usize(..2)] };
+        *label = if random.u32(..50) == 0 {
+            random.u32(..2)
+        } else {
+            new[*label as usize][random.usize(..2)]
+        };
     }
 }
 
@@ -537,18 +765,27 @@ fn compare(ours: &Value, theirs: impl Fn(&str) -> Value, what: &str) -> usize {
             let their_name = their_name(group, name);
             let theirs = theirs(&their_name);
             let parts: Vec<(&str, &Value, &Value)> = match value {
-                Value::Object(row) => row.iter().map(|(part, value)| (&part[..], value, &theirs[part])).collect(),
+                Value::Object(row) => row
+                    .iter()
+                    .map(|(part, value)| (&part[..], value, &theirs[part]))
+                    .collect(),
                 value => vec![("value", value, &theirs)],
             };
             // They count false positives over all scans only.
-            for (part, ours, theirs) in
-                parts.into_iter().filter(|(part, ..)| name != "false_positives" || *part == "pooled")
+            for (part, ours, theirs) in parts
+                .into_iter()
+                .filter(|(part, ..)| name != "false_positives" || *part == "pooled")
             {
                 let same = match (ours.as_f64(), theirs.as_f64()) {
-                    (Some(ours), Some(theirs)) => (ours - theirs).abs() < 1e-9 * theirs.abs().max(1.0),
+                    (Some(ours), Some(theirs)) => {
+                        (ours - theirs).abs() < 1e-9 * theirs.abs().max(1.0)
+                    }
                     _ => ours.is_null() && theirs.is_null() && ours == theirs,
                 };
-                assert!(same, "{what}: {part} of {group} {name} is {ours}, {their_name} is {theirs}");
+                assert!(
+                    same,
+                    "{what}: {part} of {group} {name} is {ours}, {their_name} is {theirs}"
+                );
                 compared += 1;
             }
         }
@@ -557,7 +794,13 @@ fn compare(ours: &Value, theirs: impl Fn(&str) -> Value, what: &str) -> usize {
 }
 
 /// Scores with both; all figures of all scans, and all sums of them, are the same.
-fn equal(folder: &Folder, python: &std::ffi::OsStr, evaluator: &Path, pred: &str, only: &[&str]) -> usize {
+fn equal(
+    folder: &Folder,
+    python: &std::ffi::OsStr,
+    evaluator: &Path,
+    pred: &str,
+    only: &[&str],
+) -> usize {
     let theirs = folder.path("theirs.json");
     let output = Command::new(python)
         .arg(evaluator)
@@ -569,14 +812,30 @@ fn equal(folder: &Folder, python: &std::ffi::OsStr, evaluator: &Path, pred: &str
         .arg(&theirs)
         .output()
         .unwrap();
-    assert!(output.status.success(), "{}", String::from_utf8_lossy(&output.stderr));
-    let theirs = std::fs::read_to_string(theirs).unwrap().replace("NaN", "null");
+    assert!(
+        output.status.success(),
+        "{}",
+        String::from_utf8_lossy(&output.stderr)
+    );
+    let theirs = std::fs::read_to_string(theirs)
+        .unwrap()
+        .replace("NaN", "null");
     let theirs: Value = serde_json::from_str(&theirs).unwrap();
     let ours = folder.json(&[&["--pred", pred, "--per-scan"], only].concat());
     let row = |name: &str| {
         let column = |column: &str| theirs[column].get(name).cloned().unwrap_or(Value::Null);
-        let columns = [("mean", "mean"), ("std", "std"), ("sequence_mean", "seq_mean"), ("pooled", "pooled")];
-        Value::Object(columns.iter().map(|(ours, theirs)| ((*ours).to_owned(), column(theirs))).collect())
+        let columns = [
+            ("mean", "mean"),
+            ("std", "std"),
+            ("sequence_mean", "seq_mean"),
+            ("pooled", "pooled"),
+        ];
+        Value::Object(
+            columns
+                .iter()
+                .map(|(ours, theirs)| ((*ours).to_owned(), column(theirs)))
+                .collect(),
+        )
     };
     let mut compared = compare(&ours["figures"], row, pred);
     let scans = ours["per_scan"].as_array().unwrap();
@@ -592,7 +851,9 @@ fn equal(folder: &Folder, python: &std::ffi::OsStr, evaluator: &Path, pred: &str
 #[test]
 fn equal_to_segquality_on_real_scans() {
     let folder = Folder::new("segquality");
-    let Some((python, evaluator)) = real(&folder) else { return };
+    let Some((python, evaluator)) = real(&folder) else {
+        return;
+    };
     let frames = frames(&folder);
     assert!(frames.len() >= 18, "{} scans", frames.len());
     predict(&folder, "pred", &frames, |_| {});
@@ -603,11 +864,21 @@ fn equal_to_segquality_on_real_scans() {
     for (seed, only) in [(1, &[][..]), (2, &["--only", "02,08/000004,10"])] {
         let mut random = fastrand::Rng::with_seed(seed);
         let pred = format!("perturbed-{seed}");
-        predict(&folder, &pred, &frames, |labels| perturb(&mut random, labels));
+        predict(&folder, &pred, &frames, |labels| {
+            perturb(&mut random, labels)
+        });
         assert!(equal(&folder, &python, &evaluator, &pred, only) > figures * 5);
     }
     predict(&folder, "empty", &frames, |labels| labels.fill(0));
-    assert!(equal(&folder, &python, &evaluator, "empty", &["--min-points", "1,50,100000"]) > figures * 18);
+    assert!(
+        equal(
+            &folder,
+            &python,
+            &evaluator,
+            "empty",
+            &["--min-points", "1,50,100000"]
+        ) > figures * 18
+    );
 }
 
 /// What methods are said to reach is what their labels get when they are scored from files.
@@ -617,25 +888,50 @@ fn methods_are_scored_as_their_files_are() {
     if real(&folder).is_none() {
         return;
     }
-    let frames: Vec<String> = frames(&folder).into_iter().filter(|name| name < &"04".to_owned()).collect();
+    let frames: Vec<String> = frames(&folder)
+        .into_iter()
+        .filter(|name| name < &"04".to_owned())
+        .collect();
     predict(&folder, "pred", &frames, |_| {});
     let only = ["--only", "00,02"];
     let files = folder.json(&[&["--pred", "pred"][..], &only].concat());
-    let options = ["--methods", "--theta", "10", "--distance", "0.5", "--cell", "0.3"];
+    let options = [
+        "--methods",
+        "--theta",
+        "10",
+        "--distance",
+        "0.5",
+        "--cell",
+        "0.3",
+    ];
     let methods = folder.json(&[&options[..], &only].concat());
     assert_eq!(methods["methods"].as_array().unwrap().len(), 4);
-    assert!(methods["methods"][0]["figures"] == files["figures"], "slope differs");
+    assert!(
+        methods["methods"][0]["figures"] == files["figures"],
+        "slope differs"
+    );
     for plain in 2..4 {
         let line = &methods["methods"][plain];
-        assert_eq!(line["figures"]["ground"], files["figures"]["ground"], "{}", line["method"]);
-        assert!(line["figures"]["instances_20"]["pq"]["pooled"].as_f64() > Some(0.3), "{}", line["method"]);
+        assert_eq!(
+            line["figures"]["ground"], files["figures"]["ground"],
+            "{}",
+            line["method"]
+        );
+        assert!(
+            line["figures"]["instances_20"]["pq"]["pooled"].as_f64() > Some(0.3),
+            "{}",
+            line["method"]
+        );
     }
 }
 
 #[test]
 fn a_summary_of_nothing_is_empty() {
     let summary = Summary::new(&[]);
-    assert_eq!((summary.scans, summary.sequences, summary.rows.len()), (0, 0, 0));
+    assert_eq!(
+        (summary.scans, summary.sequences, summary.rows.len()),
+        (0, 0, 0)
+    );
     assert!(summary.row(Group::Objects, "use").is_none());
     let error = Truth::new(&[[0.0; 4]], Vec::new()).unwrap_err();
     assert_eq!(error.to_string(), "0 true labels for 1 points");

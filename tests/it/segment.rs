@@ -7,7 +7,9 @@ use std::f32::consts::TAU;
 use proptest::prelude::*;
 use sweepd::cloud::{COLUMNS, CloudProjector, CloudSegmenter, points};
 use sweepd::segment::points::placed;
-use sweepd::segment::{Config, ConfigError, Joining, Mask, Method, Mount, Segmenter, SlopeGround, naive};
+use sweepd::segment::{
+    Config, ConfigError, Joining, Mask, Method, Mount, Segmenter, SlopeGround, naive,
+};
 use sweepd::sensor::Beam;
 use sweepd::sensor::calibration::TwoPoint;
 use sweepd::sweep::lanes::levels;
@@ -46,12 +48,36 @@ enum Kind {
 
 fn scenes() -> impl Strategy<Value = Scene> {
     let street = || Just(Kind::Street);
-    let kind = prop_oneof![Just(Kind::Noise), Just(Kind::Steps), street(), street(), Just(Kind::Far)];
-    let rows = prop_oneof![1..20_usize, Just(32), Just(64), Just(65), Just(127), Just(128)];
+    let kind = prop_oneof![
+        Just(Kind::Noise),
+        Just(Kind::Steps),
+        street(),
+        street(),
+        Just(Kind::Far)
+    ];
+    let rows = prop_oneof![
+        1..20_usize,
+        Just(32),
+        Just(64),
+        Just(65),
+        Just(127),
+        Just(128)
+    ];
     let bools = any::<[bool; 6]>();
     (rows, 1..70_usize, bools, kind, any::<u64>()).prop_map(|(rows, columns, bools, kind, seed)| {
         let [circular, dual, tilted, masked, shifted, one_origin] = bools;
-        Scene { rows, columns, circular, dual, tilted, masked, shifted, one_origin, kind, seed }
+        Scene {
+            rows,
+            columns,
+            circular,
+            dual,
+            tilted,
+            masked,
+            shifted,
+            one_origin,
+            kind,
+            seed,
+        }
     })
 }
 
@@ -59,10 +85,18 @@ impl Scene {
     fn config(&self, method: Method) -> Config {
         let mut rng = fastrand::Rng::with_seed(self.seed ^ 1);
         let tilt = if self.tilted { [0.1, -0.06] } else { [0.0; 2] };
-        let mount = Mount { height_m: Some(1.5 + rng.f32()), pitch_rad: tilt[0], roll_rad: tilt[1] };
+        let mount = Mount {
+            height_m: Some(1.5 + rng.f32()),
+            pitch_rad: tilt[0],
+            roll_rad: tilt[1],
+        };
         let mask = self.masked.then(|| self.mask(&mut rng));
         let min_range_m = if self.masked { 3.0 * rng.f32() } else { 0.0 };
-        let max_range_m = if self.masked { min_range_m + 5.0 + 40.0 * rng.f32() } else { f32::INFINITY };
+        let max_range_m = if self.masked {
+            min_range_m + 5.0 + 40.0 * rng.f32()
+        } else {
+            f32::INFINITY
+        };
         Config {
             method,
             min_points: rng.u32(1..6),
@@ -78,7 +112,10 @@ impl Scene {
                 small_points: [0, 1, 5, 22][rng.usize(..4)],
                 small_reach_m: [1.0, 5.0][rng.usize(..2)] * rng.f32(),
             },
-            slope: SlopeGround { agree_m: [0.0, 0.5, 5.0][rng.usize(..3)], ..SlopeGround::default() },
+            slope: SlopeGround {
+                agree_m: [0.0, 0.5, 5.0][rng.usize(..3)],
+                ..SlopeGround::default()
+            },
             ..Config::default()
         }
     }
@@ -91,11 +128,16 @@ impl Scene {
         Mask::new(width, self.rows, &hidden).unwrap()
     }
 
-    /// Calls with the sweep, whose columns begin at the given one; label planes hold the rests of an older sweep.
+    /// Calls with the sweep, whose columns begin at the given one; label planes hold the rests of
+    /// an older sweep.
     fn with_sweep<T>(&self, start: usize, look: impl FnOnce(&mut SweepMut<'_>) -> T) -> T {
         let pixels = self.rows * self.columns;
-        let shape =
-            Shape { rows: self.rows, columns_capacity: self.columns + 5, dual: self.dual, segments_capacity: pixels };
+        let shape = Shape {
+            rows: self.rows,
+            columns_capacity: self.columns + 5,
+            dual: self.dual,
+            segments_capacity: pixels,
+        };
         let mut buffer = HeapBuffers::default().take(shape.total_bytes());
         let mut sweep = SweepMut::create(buffer.as_mut(), &shape).unwrap();
         sweep.header.columns = self.columns as u32;
@@ -120,14 +162,27 @@ impl Scene {
         for (row, beam) in sweep.beams.iter_mut().enumerate() {
             let part = row as f64 / self.rows as f64;
             let ideal = Beam::ideal(row, top + (bottom - top) * part);
-            let rotation_rad = if self.tilted { 0.1 * (rng.f64() - 0.5) } else { 0.0 };
+            let rotation_rad = if self.tilted {
+                0.1 * (rng.f64() - 0.5)
+            } else {
+                0.0
+            };
             let [vertical_offset_m, horizontal_offset_m] = match self.one_origin {
                 true => [0.2, 0.03],
                 false => [0.1 * rng.f64(), 0.06 * (rng.f64() - 0.5)],
             };
-            let two_point = Some(TwoPoint { distance_offset_x_m: 0.1 * rng.f64(), distance_offset_y_m: 0.1 });
+            let two_point = Some(TwoPoint {
+                distance_offset_x_m: 0.1 * rng.f64(),
+                distance_offset_y_m: 0.1,
+            });
             let two_point = two_point.filter(|_| self.shifted);
-            let beam_of = Beam { rotation_rad, vertical_offset_m, horizontal_offset_m, two_point, ..ideal };
+            let beam_of = Beam {
+                rotation_rad,
+                vertical_offset_m,
+                horizontal_offset_m,
+                two_point,
+                ..ideal
+            };
             *beam = BeamRow::new(&beam_of, rng.u32(..46_000));
             beam.shift = if self.shifted { rng.i32(-9..9) } else { 0 };
         }
@@ -137,19 +192,31 @@ impl Scene {
         let columns = sweep.image_columns();
         for column in &mut sweep.columns[columns] {
             *column = Column::measured(0, 0, azimuth_rad % TAU, 62.0 + rng.f32(), 0);
-            azimuth_rad += pitch * if rng.u8(..) < 20 { 1.0 + 3.0 * rng.f32() } else { 0.9 + 0.2 * rng.f32() };
+            azimuth_rad += pitch
+                * if rng.u8(..) < 20 {
+                    1.0 + 3.0 * rng.f32()
+                } else {
+                    0.9 + 0.2 * rng.f32()
+                };
         }
-        let levels: Vec<f32> = (0..4).map(|_| 2.0 + 0.002 * rng.u32(..3000) as f32).collect();
+        let levels: Vec<f32> = (0..4)
+            .map(|_| 2.0 + 0.002 * rng.u32(..3000) as f32)
+            .collect();
         for index in 0..self.rows * self.columns {
             let (row, column) = (index % self.rows, index / self.rows);
-            // Never nearer than any sensor measures: within a hand's breadth of the origin a bent beam need not reach its range.
+            // Never nearer than any sensor measures: within a hand's breadth of the origin a bent
+            // beam need not reach its range.
             let range_m = match self.kind {
                 Kind::Noise => 0.5 + 300.0 * rng.f32().powi(3),
                 Kind::Steps => levels[rng.usize(..4)] + 0.002 * rng.u32(..20) as f32,
                 Kind::Far => 250.0 + [0.0, 4.5, 5.5, 12.0][rng.usize(..4)] + rng.f32(),
                 Kind::Street => {
                     let elevation = sweep.beams[row].elevation_rad;
-                    let road = if elevation < -0.01 { -1.8 / elevation.sin() } else { 0.0 };
+                    let road = if elevation < -0.01 {
+                        -1.8 / elevation.sin()
+                    } else {
+                        0.0
+                    };
                     let wall = levels[column / 7 % 4] * if row % 11 < 8 { 1.0 } else { 0.0 };
                     let bump = 0.02 * rng.f32();
                     match [wall, road] {
@@ -172,10 +239,15 @@ fn label_of(sweep: &mut SweepMut<'_>, config: &Config) {
 /// The same in steps: at each stop, a share of the columns, what will stay as it is.
 fn label_early(sweep: &mut SweepMut<'_>, config: &Config, mut stops: Vec<f64>) {
     stops.sort_by(f64::total_cmp);
-    let (whole, image, range) = (sweep.header.columns, sweep.image_pixels(), sweep.range.to_vec());
+    let (whole, image, range) = (
+        sweep.header.columns,
+        sweep.image_pixels(),
+        sweep.range.to_vec(),
+    );
     let rows = sweep.header.rows as usize;
     let shifts = || sweep.beams.iter().map(|beam| beam.shift);
-    let [lead, trail] = [shifts().max(), shifts().map(|shift| -shift).max()].map(|most| most.unwrap().max(0) as usize);
+    let [lead, trail] = [shifts().max(), shifts().map(|shift| -shift).max()]
+        .map(|most| most.unwrap().max(0) as usize);
     let mut segmenter = Segmenter::new(config.clone()).unwrap();
     for stop in stops {
         if stop < 0.2 {
@@ -200,16 +272,24 @@ fn label_early(sweep: &mut SweepMut<'_>, config: &Config, mut stops: Vec<f64>) {
 
 /// What a segmenter writes into a sweep, but for its header.
 fn written(sweep: &SweepRef<'_>) -> (Vec<u32>, Vec<u32>, Vec<u8>) {
-    let segments = sweep.segments.iter().flat_map(|segment| segment.as_bytes().to_vec()).collect();
+    let segments = sweep
+        .segments
+        .iter()
+        .flat_map(|segment| segment.as_bytes().to_vec())
+        .collect();
     (sweep.label.to_vec(), sweep.label2.to_vec(), segments)
 }
 
-/// The labels with each segment named by its first pixel in an order that a rotation does not change.
+/// The labels with each segment named by its first pixel in an order that a rotation does not
+/// change.
 fn canonical(labels: &[u32], rows: usize, start: usize) -> Vec<u32> {
     let mut labels = labels.to_vec();
     labels.rotate_right(start * rows);
     let mut names = HashMap::new();
-    for label in labels.iter_mut().filter(|label| **label >= LABEL_FIRST_SEGMENT) {
+    for label in labels
+        .iter_mut()
+        .filter(|label| **label >= LABEL_FIRST_SEGMENT)
+    {
         let next = names.len() as u32 + LABEL_FIRST_SEGMENT;
         *label = *names.entry(*label).or_insert(next);
     }
@@ -224,25 +304,39 @@ fn check_table(sweep: &SweepRef<'_>) {
     let mut ground = 0;
     for row in 0..sweep.rows() {
         for column in 0..columns {
-            let Some(pixel) = sweep.pixel(row, column)[0] else { continue };
+            let Some(pixel) = sweep.pixel(row, column)[0] else {
+                continue;
+            };
             ground += u32::from(pixel.label == LABEL_GROUND);
-            let Some(place) = pixel.label.checked_sub(LABEL_FIRST_SEGMENT) else { continue };
+            let Some(place) = pixel.label.checked_sub(LABEL_FIRST_SEGMENT) else {
+                continue;
+            };
             let segment = &sweep.segments[place as usize];
             count[place as usize] += 1;
             for (axis, value) in pixel.point_m.into_iter().enumerate() {
                 sum_m[place as usize][axis] += value;
-                let (min, max) = (f64::from(segment.min_m[axis]), f64::from(segment.max_m[axis]));
-                assert!((min - 1e-3..=max + 1e-3).contains(&value), "{min} {value} {max}");
+                let (min, max) = (
+                    f64::from(segment.min_m[axis]),
+                    f64::from(segment.max_m[axis]),
+                );
+                assert!(
+                    (min - 1e-3..=max + 1e-3).contains(&value),
+                    "{min} {value} {max}"
+                );
             }
             assert!(segment.nearest_m <= pixel.range_m);
             assert!((segment.row_first..=segment.row_last).contains(&(row as u16)));
             let from_first = (column + columns - segment.column_first as usize) % columns;
-            let width = (segment.column_last as usize + columns - segment.column_first as usize) % columns;
+            let width =
+                (segment.column_last as usize + columns - segment.column_first as usize) % columns;
             assert!(from_first <= width, "column {column} in {segment:?}");
         }
     }
-    for ((segment, label), (count, sum_m)) in
-        sweep.segments.iter().zip(LABEL_FIRST_SEGMENT..).zip(count.iter().zip(sum_m))
+    for ((segment, label), (count, sum_m)) in sweep
+        .segments
+        .iter()
+        .zip(LABEL_FIRST_SEGMENT..)
+        .zip(count.iter().zip(sum_m))
     {
         assert_eq!((segment.label, segment.points), (label, *count));
         for (axis, sum_m) in sum_m.into_iter().enumerate() {
@@ -256,14 +350,21 @@ fn check_table(sweep: &SweepRef<'_>) {
 fn is_real(sweep: &SweepRef<'_>, config: &Config, pixel: usize) -> bool {
     let row = pixel % sweep.rows();
     let column = pixel / sweep.rows();
-    let is_masked = config.mask.as_ref().is_some_and(|mask| mask.hides(row, sweep.azimuth_rad(row, column)));
+    let is_masked = config
+        .mask
+        .as_ref()
+        .is_some_and(|mask| mask.hides(row, sweep.azimuth_rad(row, column)));
     let range_m = sweep.range[pixel];
     is_return(range_m) && (config.min_range_m..=config.max_range_m).contains(&range_m) && !is_masked
 }
 
 /// Beta of two pixels, by the points where their beams end if all start at one place, radians.
 fn beta_rad(sweep: &SweepRef<'_>, a: usize, b: usize) -> f64 {
-    let far = if sweep.range[a] > sweep.range[b] { a } else { b };
+    let far = if sweep.range[a] > sweep.range[b] {
+        a
+    } else {
+        b
+    };
     let along_m = |pixel: usize| {
         let row = pixel % sweep.rows();
         let column = pixel / sweep.rows();
@@ -275,7 +376,9 @@ fn beta_rad(sweep: &SweepRef<'_>, a: usize, b: usize) -> f64 {
     let near_m = along_m(a + b - far);
     let apart_m = [0, 1, 2].map(|axis| far_m[axis] - near_m[axis]);
     let dot = |a: [f64; 3], b: [f64; 3]| a[0] * b[0] + a[1] * b[1] + a[2] * b[2];
-    (dot(far_m, apart_m) / (dot(far_m, far_m) * dot(apart_m, apart_m)).sqrt()).clamp(-1.0, 1.0).acos()
+    (dot(far_m, apart_m) / (dot(far_m, far_m) * dot(apart_m, apart_m)).sqrt())
+        .clamp(-1.0, 1.0)
+        .acos()
 }
 
 /// Gaps before the columns in median gaps; none before the first of what is no whole turn.
@@ -283,14 +386,20 @@ fn gaps(sweep: &SweepRef<'_>) -> Vec<Option<f64>> {
     let columns = sweep.columns.len();
     let azimuth_rad = |column: usize| f64::from(sweep.columns[column % columns].azimuth_rad);
     let gap_rad = |column: usize| {
-        let gap_rad = (azimuth_rad(column) - azimuth_rad(column + columns - 1)).rem_euclid(std::f64::consts::TAU);
+        let gap_rad = (azimuth_rad(column) - azimuth_rad(column + columns - 1))
+            .rem_euclid(std::f64::consts::TAU);
         gap_rad.min(std::f64::consts::TAU - gap_rad)
     };
     let first = usize::from(!sweep.header.has(flags::CIRCULAR));
     let mut sorted_rad: Vec<f64> = (first..columns).map(gap_rad).collect();
     sorted_rad.sort_by(f64::total_cmp);
-    let median_rad = sorted_rad.get(sorted_rad.len().saturating_sub(1) / 2).copied().unwrap_or(0.0);
-    (0..columns).map(|column| (column >= first).then(|| gap_rad(column) / median_rad)).collect()
+    let median_rad = sorted_rad
+        .get(sorted_rad.len().saturating_sub(1) / 2)
+        .copied()
+        .unwrap_or(0.0);
+    (0..columns)
+        .map(|column| (column >= first).then(|| gap_rad(column) / median_rad))
+        .collect()
 }
 
 /// Components of some pixels by pairs of them.
@@ -308,9 +417,10 @@ fn united(pixels: usize, pairs: &[[usize; 2]]) -> Vec<usize> {
     }
 }
 
-/// Holds the segments against the paper: neighbours that are no ground belong together where beta exceeds theta, and
-/// components of enough points are numbered by their first pixels. Pairs within some percent of theta may go either way: the
-/// sweep's points know the turning rate of each column, the method but its mean.
+/// Holds the segments against the paper: neighbours that are no ground belong together where beta
+/// exceeds theta, and components of enough points are numbered by their first pixels. Pairs within
+/// some percent of theta may go either way: the sweep's points know the turning rate of each
+/// column, the method but its mean.
 fn check_components(sweep: &SweepRef<'_>, config: &Config) {
     let rows = sweep.rows();
     let columns = sweep.columns.len();
@@ -322,7 +432,11 @@ fn check_components(sweep: &SweepRef<'_>, config: &Config) {
     for pixel in (0..pixels).filter(|&pixel| is_on(pixel)) {
         let above = (pixel % rows > 0).then(|| (pixel - 1, 0.0));
         let before = gaps[pixel / rows].map(|gap| ((pixel + (columns - 1) * rows) % pixels, gap));
-        for (other, gap) in [above, before].into_iter().flatten().filter(|(other, _)| is_on(*other)) {
+        for (other, gap) in [above, before]
+            .into_iter()
+            .flatten()
+            .filter(|(other, _)| is_on(*other))
+        {
             let beta_rad = beta_rad(sweep, pixel, other);
             let theta_rad = f64::from(config.theta_rad);
             if beta_rad > 0.95 * theta_rad && gap < 3.01 {
@@ -335,21 +449,38 @@ fn check_components(sweep: &SweepRef<'_>, config: &Config) {
     }
     let sure = united(pixels, &sure);
     let possible = united(pixels, &possible);
-    let points =
-        |component: &[usize], pixel: usize| component.iter().filter(|first| **first == component[pixel]).count();
+    let points = |component: &[usize], pixel: usize| {
+        component
+            .iter()
+            .filter(|first| **first == component[pixel])
+            .count()
+    };
     let mut first_of = Vec::new();
     for pixel in (0..pixels).filter(|&pixel| is_on(pixel)) {
         let label = sweep.label[pixel];
-        assert_eq!(label, sweep.label[sure[pixel]], "pixel {pixel} and {} are joined", sure[pixel]);
+        assert_eq!(
+            label, sweep.label[sure[pixel]],
+            "pixel {pixel} and {} are joined",
+            sure[pixel]
+        );
         match label.checked_sub(LABEL_FIRST_SEGMENT) {
-            None => assert!(points(&sure, pixel) < config.min_points as usize, "pixel {pixel} has no label"),
+            None => assert!(
+                points(&sure, pixel) < config.min_points as usize,
+                "pixel {pixel} has no label"
+            ),
             Some(place) => {
                 if place as usize == first_of.len() {
                     first_of.push(pixel);
                 }
                 let first = first_of[place as usize];
-                assert_eq!(possible[pixel], possible[first], "pixel {pixel} and {first} are not joined");
-                assert!(points(&possible, pixel) >= config.min_points as usize, "pixel {pixel} has a label");
+                assert_eq!(
+                    possible[pixel], possible[first],
+                    "pixel {pixel} and {first} are not joined"
+                );
+                assert!(
+                    points(&possible, pixel) >= config.min_points as usize,
+                    "pixel {pixel} has a label"
+                );
             }
         }
     }
@@ -420,7 +551,8 @@ proptest! {
         })?;
     }
 
-    /// Strips are taken while the head turns: what may still change, the first columns and the last, is not looked at.
+    /// Strips are taken while the head turns: what may still change, the first columns and the
+    /// last, is not looked at.
     #[test]
     fn early_is_whole(scene in scenes(), columns in 1..300_usize, stops in proptest::collection::vec(0.0..1.0, 0..6)) {
         let scene = Scene { circular: true, columns, ..scene };
@@ -446,7 +578,8 @@ proptest! {
                 prop_assert!(label < sweep.header.segments + LABEL_FIRST_SEGMENT);
             }
             for (index, &label2) in sweep.label2.iter().enumerate() {
-                // Near on the beam it is the same object; nothing is labelled beyond the limits, in either plane.
+                // Near on the beam it is the same object; nothing is labelled beyond the limits, in
+                // either plane.
                 let (range_m, range2_m) = (sweep.range[index], sweep.range2[index]);
                 let within = |range_m: f32| range_m >= config.min_range_m && range_m <= config.max_range_m;
                 let same = (range2_m - range_m).abs() <= 0.3 && is_return(range2_m) && within(range2_m);
@@ -464,8 +597,8 @@ proptest! {
         for method in [Method::Slope, Method::Paper] {
             let config = scene.config(method);
             let labels = |start| scene.with_sweep(start, |sweep| {
-                // Points are measured from the speed of the first column, and some pair lies so near a limit that the
-                // last bit decides.
+                // Points are measured from the speed of the first column, and some pair lies so
+                // near a limit that the last bit decides.
                 sweep.columns.iter_mut().for_each(|column| column.azimuth_rate_rad_s = 62.5);
                 label_of(sweep, &config);
                 canonical(sweep.as_ref().label, scene.rows, start)
@@ -493,7 +626,13 @@ fn a_workspace_keeps_nothing() {
     for method in [Method::Slope, Method::Paper] {
         let config = scene(64, 60, 1).config(method);
         let mut used = Segmenter::new(config.clone()).unwrap();
-        for scene in [scene(64, 60, 1), scene(16, 30, 2), scene(128, 5, 3), scene(1, 1, 4), scene(16, 69, 5)] {
+        for scene in [
+            scene(64, 60, 1),
+            scene(16, 30, 2),
+            scene(128, 5, 3),
+            scene(1, 1, 4),
+            scene(16, 69, 5),
+        ] {
             scene.with_sweep(0, |sweep| {
                 used.segment(sweep);
                 let labels = sweep.as_ref().label.to_vec();
@@ -507,7 +646,12 @@ fn a_workspace_keeps_nothing() {
 #[test]
 fn an_empty_sweep_and_a_full_table_are_no_trouble() {
     let mut buffer = HeapBuffers::default().take(1 << 16);
-    let shape = Shape { rows: 16, columns_capacity: 40, dual: true, segments_capacity: 1 };
+    let shape = Shape {
+        rows: 16,
+        columns_capacity: 40,
+        dual: true,
+        segments_capacity: 1,
+    };
     let mut sweep = SweepMut::create(buffer.as_mut(), &shape).unwrap();
     label_of(&mut sweep, &Config::default());
     assert_eq!((sweep.header.segments, sweep.header.ground), (0, 0));
@@ -523,18 +667,38 @@ fn an_empty_sweep_and_a_full_table_are_no_trouble() {
     for (index, range_m) in sweep.range.iter_mut().enumerate() {
         *range_m = if index / 16 < 20 { 3.0 } else { 30.0 };
     }
-    label_of(&mut sweep, &Config { mount: Mount { height_m: Some(50.0), ..Mount::default() }, ..Config::default() });
+    label_of(
+        &mut sweep,
+        &Config {
+            mount: Mount {
+                height_m: Some(50.0),
+                ..Mount::default()
+            },
+            ..Config::default()
+        },
+    );
     let sweep = sweep.as_ref();
     assert_eq!(sweep.header.segments, 1);
-    assert!((0..640).all(|index| sweep.label[index] == if index / 16 < 20 { LABEL_FIRST_SEGMENT } else { LABEL_NONE }));
+    assert!((0..640).all(|index| sweep.label[index]
+        == if index / 16 < 20 {
+            LABEL_FIRST_SEGMENT
+        } else {
+            LABEL_NONE
+        }));
 }
 
-/// A sparse sensor, 1 m over a flat floor and 4 degrees nose up, with a box 3 m behind it across the seam: columns begin
-/// behind the sensor.
+/// A sparse sensor, 1 m over a flat floor and 4 degrees nose up, with a box 3 m behind it across
+/// the seam: columns begin behind the sensor.
 #[test]
 fn a_reach_that_is_no_distance_is_refused() {
     let of = |small_reach_m| {
-        let config = Config { joining: Joining { small_reach_m, ..Joining::default() }, ..Config::default() };
+        let config = Config {
+            joining: Joining {
+                small_reach_m,
+                ..Joining::default()
+            },
+            ..Config::default()
+        };
         Segmenter::new(config).map(|_| ())
     };
     assert_eq!(of(0.0), Ok(()));
@@ -545,48 +709,114 @@ fn a_reach_that_is_no_distance_is_refused() {
 #[test]
 fn sixteen_tilted_beams_see_a_floor_and_a_box() {
     const COLUMNS: usize = 900;
-    let mount = Mount { height_m: Some(1.0), pitch_rad: 4_f32.to_radians(), roll_rad: 0.0 };
-    let shape = Shape { rows: 16, columns_capacity: COLUMNS, dual: false, segments_capacity: 50 };
+    let mount = Mount {
+        height_m: Some(1.0),
+        pitch_rad: 4_f32.to_radians(),
+        roll_rad: 0.0,
+    };
+    let shape = Shape {
+        rows: 16,
+        columns_capacity: COLUMNS,
+        dual: false,
+        segments_capacity: 50,
+    };
     let mut buffer = HeapBuffers::default().take(shape.total_bytes());
     let mut sweep = SweepMut::create(buffer.as_mut(), &shape).unwrap();
     sweep.header.columns = COLUMNS as u32;
     sweep.header.flags = flags::CIRCULAR;
     for (row, beam) in sweep.beams.iter_mut().enumerate() {
-        *beam = BeamRow::new(&Beam::ideal(row, (15.0 - 2.0 * row as f64).to_radians()), 2304 * row as u32);
+        *beam = BeamRow::new(
+            &Beam::ideal(row, (15.0 - 2.0 * row as f64).to_radians()),
+            2304 * row as u32,
+        );
     }
     for (index, column) in sweep.columns.iter_mut().enumerate() {
-        *column = Column::measured(0, 0, TAU * ((index as f32 / COLUMNS as f32) + 0.5).fract(), 62.8, 0);
+        *column = Column::measured(
+            0,
+            0,
+            TAU * ((index as f32 / COLUMNS as f32) + 0.5).fract(),
+            62.8,
+            0,
+        );
     }
     let up = mount.up();
     for index in 0..16 * COLUMNS {
         let (row, column) = (index % 16, index / 16);
         let [x, y, z] = sweep.as_ref().point_m(row, column, 1.0);
-        let to_floor = if up.height_m([x, y, z]) < -0.03 { -1.0 / up.height_m([x, y, z]) } else { f64::INFINITY };
-        let to_box = if y < 0.0 && (3.0 * x / y).abs() < 0.5 { -3.0 / y } else { f64::INFINITY };
+        let to_floor = if up.height_m([x, y, z]) < -0.03 {
+            -1.0 / up.height_m([x, y, z])
+        } else {
+            f64::INFINITY
+        };
+        let to_box = if y < 0.0 && (3.0 * x / y).abs() < 0.5 {
+            -3.0 / y
+        } else {
+            f64::INFINITY
+        };
         let range_m = to_floor.min(to_box);
-        sweep.range[index] = if range_m.is_finite() { range_m as f32 } else { 0.0 };
+        sweep.range[index] = if range_m.is_finite() {
+            range_m as f32
+        } else {
+            0.0
+        };
     }
 
-    label_of(&mut sweep, &Config { mount, ..Config::default() });
+    label_of(
+        &mut sweep,
+        &Config {
+            mount,
+            ..Config::default()
+        },
+    );
     let read = sweep.as_ref();
     for found in read.returns() {
         let height_m = up.height_m(found.point_m) + 1.0;
         let floor = height_m.abs() < 1e-3;
         // Half a metre behind the last return from the floor, the foot of the box may be a slope.
         let foot = (0.0..0.1).contains(&height_m) && !floor;
-        assert!(found.label == if floor { LABEL_GROUND } else { LABEL_FIRST_SEGMENT } || foot, "{height_m} {found:?}");
+        assert!(
+            found.label
+                == if floor {
+                    LABEL_GROUND
+                } else {
+                    LABEL_FIRST_SEGMENT
+                }
+                || foot,
+            "{height_m} {found:?}"
+        );
     }
     assert_eq!(read.header.segments, 1);
-    assert!(read.segments[0].column_first > 850 && read.segments[0].column_last < 50, "{:?}", read.segments[0]);
-    assert_eq!((read.header.height_m, read.header.pitch_rad), (1.0, mount.pitch_rad));
+    assert!(
+        read.segments[0].column_first > 850 && read.segments[0].column_last < 50,
+        "{:?}",
+        read.segments[0]
+    );
+    assert_eq!(
+        (read.header.height_m, read.header.pitch_rad),
+        (1.0, mount.pitch_rad)
+    );
     assert!(!read.header.has(flags::HEIGHT_ESTIMATED));
 
     // Untold, the height is seen.
-    label_of(&mut sweep, &Config { mount: Mount { height_m: None, ..mount }, ..Config::default() });
-    assert!((sweep.header.height_m - 1.0).abs() < 0.01 && sweep.header.has(flags::HEIGHT_ESTIMATED));
+    label_of(
+        &mut sweep,
+        &Config {
+            mount: Mount {
+                height_m: None,
+                ..mount
+            },
+            ..Config::default()
+        },
+    );
+    assert!(
+        (sweep.header.height_m - 1.0).abs() < 0.01 && sweep.header.has(flags::HEIGHT_ESTIMATED)
+    );
     // A room without floor shows none, and so no ground.
     sweep.range.fill(4.0);
-    sweep.range.chunks_exact_mut(16).for_each(|column| column[8..].fill(0.0));
+    sweep
+        .range
+        .chunks_exact_mut(16)
+        .for_each(|column| column[8..].fill(0.0));
     label_of(&mut sweep, &Config::default());
     assert_eq!((sweep.header.height_m, sweep.header.ground), (0.0, 0));
     assert!(!sweep.header.has(flags::HEIGHT_ESTIMATED));
@@ -595,14 +825,21 @@ fn sixteen_tilted_beams_see_a_floor_and_a_box() {
 /// The roof of KITTI's car is 1.73 m high.
 #[test]
 fn the_height_of_a_car_is_seen() {
-    let Some(data) = common::data_dir() else { return };
+    let Some(data) = common::data_dir() else {
+        return;
+    };
     let mut projector = CloudProjector::new(COLUMNS).unwrap();
     let mut segmenter = Segmenter::new(Config::default()).unwrap();
     for frame in ["000000", "000004", "000009"] {
-        let bytes = std::fs::read(data.join(format!("labelled/semantickitti/04/{frame}.bin"))).unwrap();
+        let bytes =
+            std::fs::read(data.join(format!("labelled/semantickitti/04/{frame}.bin"))).unwrap();
         let mut sweep = projector.project(&points(&bytes).unwrap()).unwrap();
         segmenter.segment(&mut sweep);
-        assert!((sweep.header.height_m - 1.73).abs() < 0.05, "{frame}: {}", sweep.header.height_m);
+        assert!(
+            (sweep.header.height_m - 1.73).abs() < 0.05,
+            "{frame}: {}",
+            sweep.header.height_m
+        );
         assert!(sweep.header.has(flags::HEIGHT_ESTIMATED));
     }
 }
@@ -610,33 +847,50 @@ fn the_height_of_a_car_is_seen() {
 /// Real scans, every step of the way: what is fast is what is naive.
 #[test]
 fn fast_is_naive_on_real_scans() {
-    let Some(data) = common::data_dir() else { return };
+    let Some(data) = common::data_dir() else {
+        return;
+    };
     for scan in ["00/000000", "08/000009"] {
         let bytes = std::fs::read(data.join(format!("labelled/semantickitti/{scan}.bin"))).unwrap();
         let mut projector = CloudProjector::new(COLUMNS).unwrap();
         let mut sweep = projector.project(&points(&bytes).unwrap()).unwrap();
-        let mount = Mount { height_m: Some(1.73), ..Mount::default() };
-        let config = Config { mount, ..Config::default() };
+        let mount = Mount {
+            height_m: Some(1.73),
+            ..Mount::default()
+        };
+        let config = Config {
+            mount,
+            ..Config::default()
+        };
         label_of(&mut sweep, &config);
         let sweep = sweep.as_ref();
         check_table(&sweep);
-        assert!(sweep.label == naive::segment(&sweep, &config, config.mount.height_m), "{scan}");
+        assert!(
+            sweep.label == naive::segment(&sweep, &config, config.mount.height_m),
+            "{scan}"
+        );
     }
 }
 
-/// The labelled street scans: the share of ground points that are found, and of found ones that are ground.
+/// The labelled street scans: the share of ground points that are found, and of found ones that are
+/// ground.
 #[test]
 fn ground_is_what_people_call_ground() {
     const GROUND: [u16; 6] = [40, 44, 48, 49, 60, 72];
     const UNLABELLED: u16 = 0;
-    let Some(data) = common::data_dir() else { return };
+    let Some(data) = common::data_dir() else {
+        return;
+    };
     for (method, least) in [(Method::Slope, 0.95), (Method::Paper, 0.92)] {
         let [mut right, mut found, mut there] = [0_u32; 3];
         for sequence in ["00", "02", "04", "06", "08", "10"] {
             for frame in ["000000", "000004", "000009"] {
                 let file = data.join(format!("labelled/semantickitti/{sequence}/{frame}.bin"));
                 let classes = std::fs::read(file.with_extension("label")).unwrap();
-                let config = Config { method, ..Config::default() };
+                let config = Config {
+                    method,
+                    ..Config::default()
+                };
                 let mut segmenter = CloudSegmenter::new(config, COLUMNS).unwrap();
                 let labels = segmenter.segment(&std::fs::read(file).unwrap()).unwrap();
                 for (label, class) in labels.into_iter().zip(classes.as_chunks::<4>().0) {
@@ -652,7 +906,11 @@ fn ground_is_what_people_call_ground() {
         }
         let [right, found, there] = [right, found, there].map(f64::from);
         let f1 = 2.0 * right / (found + there);
-        println!("{method:?}: precision {:.3}, recall {:.3}, F1 {f1:.3}", right / found, right / there);
+        println!(
+            "{method:?}: precision {:.3}, recall {:.3}, F1 {f1:.3}",
+            right / found,
+            right / there
+        );
         assert!(f1 > least, "{method:?}: {f1}");
     }
 }

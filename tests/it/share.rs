@@ -21,7 +21,12 @@ const SOON: Duration = Duration::from_secs(20);
 
 fn settings(max_consumers: usize) -> Settings {
     let (model, address) = ("VLP-16".to_owned(), "192.168.1.201".to_owned());
-    Settings { name: "roof".to_owned(), max_consumers, model, address }
+    Settings {
+        name: "roof".to_owned(),
+        max_consumers,
+        model,
+        address,
+    }
 }
 
 fn loans(own: &Own, max_consumers: usize) -> Loans {
@@ -29,7 +34,9 @@ fn loans(own: &Own, max_consumers: usize) -> Loans {
 }
 
 fn joining(error: PublishError) -> JoinError {
-    let PublishError::Join(error) = error else { panic!("{error}") };
+    let PublishError::Join(error) = error else {
+        panic!("{error}")
+    };
     error
 }
 
@@ -49,7 +56,9 @@ fn sent() -> Vec<Sent> {
 fn play<B: Buffers>(buffers: B, config: Config, sent: &[Sent], mut done: impl FnMut(B::Buffer)) {
     let mut pipeline = Pipeline::new("192.168.1.201:2368", config, buffers, Untimed).unwrap();
     for one in sent {
-        pipeline.push(&datagram(one.packet.emit(), one.arrival_ns)).unwrap();
+        pipeline
+            .push(&datagram(one.packet.emit(), one.arrival_ns))
+            .unwrap();
         std::iter::from_fn(|| pipeline.poll()).for_each(&mut done);
     }
     pipeline.end().unwrap();
@@ -63,9 +72,15 @@ fn mapped(bytes: &[u8]) -> (PathBuf, u64) {
     let line = |line: &str| {
         let fields: Vec<&str> = line.split_whitespace().collect();
         let (first, last) = fields[0].split_once('-').unwrap();
-        let [first, last, offset] = [first, last, fields[2]].map(|hex| u64::from_str_radix(hex, 16).unwrap());
+        let [first, last, offset] =
+            [first, last, fields[2]].map(|hex| u64::from_str_radix(hex, 16).unwrap());
         let is_here = (first..last).contains(&at) && at + bytes.len() as u64 <= last;
-        is_here.then(|| (PathBuf::from(fields.get(5).copied().unwrap_or_default()), offset + at - first))
+        is_here.then(|| {
+            (
+                PathBuf::from(fields.get(5).copied().unwrap_or_default()),
+                offset + at - first,
+            )
+        })
     };
     maps.lines().find_map(line).expect("mapped in one piece")
 }
@@ -92,18 +107,30 @@ impl Buffers for Watched<Loans> {
 fn the_consumer_reads_the_bytes_that_the_decoder_wrote() {
     let own = Own::new();
     let (sender, given) = mpsc::channel();
-    let watched = Watched { buffers: loans(&own, 2), full_of: 0, given: sender };
+    let watched = Watched {
+        buffers: loans(&own, 2),
+        full_of: 0,
+        given: sender,
+    };
     let mut client = client(&own);
     let mut sweeps = 0;
     play(watched, config(), &sent(), |slot| {
         let (file, offset) = given.recv().unwrap();
-        assert!(file.starts_with("/dev/shm") && own.shared_memory().contains(&file), "{}", file.display());
+        assert!(
+            file.starts_with("/dev/shm") && own.shared_memory().contains(&file),
+            "{}",
+            file.display()
+        );
         let written = SweepRef::open(slot.as_ref()).unwrap();
         let written_to = mapped(written.range_bytes());
         assert!(written_to.0 == file && written_to.1 >= offset);
         assert_eq!(slot.publish().unwrap(), 1);
         let sweep = client.next(SOON).unwrap().unwrap();
-        assert_eq!(mapped(sweep.bytes()), (file, offset), "the same place of the same file");
+        assert_eq!(
+            mapped(sweep.bytes()),
+            (file, offset),
+            "the same place of the same file"
+        );
         assert_eq!(mapped(sweep.view().unwrap().range_bytes()), written_to);
         sweeps += 1;
     });
@@ -122,25 +149,69 @@ impl RangeBytes for SweepRef<'_> {
 
 fn valid(sweep: &SweepRef<'_>) -> Vec<u8> {
     use zerocopy::IntoBytes;
-    let SweepRef { header, range, label, range2, label2, columns, beams, segments, .. } = *sweep;
-    let tables = [header.as_bytes(), columns.as_bytes(), beams.as_bytes(), segments.as_bytes()];
-    let words = [range.as_bytes(), label.as_bytes(), range2.as_bytes(), label2.as_bytes()];
-    [tables.concat(), words.concat(), [sweep.reflectivity, sweep.reflectivity2, sweep.kind].concat()].concat()
+    let SweepRef {
+        header,
+        range,
+        label,
+        range2,
+        label2,
+        columns,
+        beams,
+        segments,
+        ..
+    } = *sweep;
+    let tables = [
+        header.as_bytes(),
+        columns.as_bytes(),
+        beams.as_bytes(),
+        segments.as_bytes(),
+    ];
+    let words = [
+        range.as_bytes(),
+        label.as_bytes(),
+        range2.as_bytes(),
+        label2.as_bytes(),
+    ];
+    [
+        tables.concat(),
+        words.concat(),
+        [sweep.reflectivity, sweep.reflectivity2, sweep.kind].concat(),
+    ]
+    .concat()
 }
 
 #[test]
 fn shared_sweeps_are_those_of_the_heap_whatever_the_pool_held() {
-    for (model, mode) in [(Model::Vlp16, ReturnMode::Strongest), (Model::Hdl64eS3, ReturnMode::Dual)] {
-        let sent = Spin { seed: 3, ..Spin::new(model, mode, 620.0) }.packets(0.25);
-        let config = || Config { calibration: model.is_hdl64e().then(unit), ..config() };
+    for (model, mode) in [
+        (Model::Vlp16, ReturnMode::Strongest),
+        (Model::Hdl64eS3, ReturnMode::Dual),
+    ] {
+        let sent = Spin {
+            seed: 3,
+            ..Spin::new(model, mode, 620.0)
+        }
+        .packets(0.25);
+        let config = || Config {
+            calibration: model.is_hdl64e().then(unit),
+            ..config()
+        };
         let mut expected = Vec::new();
-        play(HeapBuffers::default(), config(), &sent, |buffer: HeapBuffer| {
-            expected.push(valid(&SweepRef::open(buffer.as_ref()).unwrap()));
-        });
+        play(
+            HeapBuffers::default(),
+            config(),
+            &sent,
+            |buffer: HeapBuffer| {
+                expected.push(valid(&SweepRef::open(buffer.as_ref()).unwrap()));
+            },
+        );
         for full_of in [0xA5, 0x3C] {
             let own = Own::new();
             let (sender, _given) = mpsc::channel();
-            let watched = Watched { buffers: loans(&own, 1), full_of, given: sender };
+            let watched = Watched {
+                buffers: loans(&own, 1),
+                full_of,
+                given: sender,
+            };
             let mut client = client(&own);
             let mut sweeps = Vec::new();
             play(watched, config(), &sent, |slot| {
@@ -148,23 +219,36 @@ fn shared_sweeps_are_those_of_the_heap_whatever_the_pool_held() {
                 let sweep = client.next(SOON).unwrap().unwrap();
                 sweeps.push(valid(&sweep.view().unwrap()));
             });
-            assert!(sweeps.len() > 1 && sweeps == expected, "{model}: {} sweeps", sweeps.len());
+            assert!(
+                sweeps.len() > 1 && sweeps == expected,
+                "{model}: {} sweeps",
+                sweeps.len()
+            );
         }
     }
 }
 
 /// A sweep with this number, nothing else in it.
 fn numbered(loans: &mut Loans, sequence: u64, columns_capacity: usize) -> Slot {
-    let shape = Shape { rows: 16, columns_capacity, dual: false, segments_capacity: 10 };
+    let shape = Shape {
+        rows: 16,
+        columns_capacity,
+        dual: false,
+        segments_capacity: 10,
+    };
     let mut slot = loans.take(shape.total_bytes());
-    SweepMut::create(slot.as_mut(), &shape).unwrap().header.sequence = sequence;
+    SweepMut::create(slot.as_mut(), &shape)
+        .unwrap()
+        .header
+        .sequence = sequence;
     slot
 }
 
 fn publish(loans: &mut Loans, sequence: u64) -> usize {
     let slot = numbered(loans, sequence, 1000);
     let trouble = loans.status().trouble();
-    slot.publish().unwrap_or_else(|error| panic!("{error}: {trouble:?}"))
+    slot.publish()
+        .unwrap_or_else(|error| panic!("{error}: {trouble:?}"))
 }
 
 fn number(sweep: &Sweep) -> u64 {
@@ -185,13 +269,16 @@ fn slow_stuck_and_greedy_consumers_delay_nobody() {
         assert_eq!(number(&good.next(SOON).unwrap().unwrap()), sequence);
         match greedy.next(Duration::ZERO) {
             Ok(sweep) => held.extend(sweep),
-            Err(ClientError::Subscribe(error)) => assert!(error.to_string().contains("holds 2 sweeps"), "{error}"),
+            Err(ClientError::Subscribe(error)) => {
+                assert!(error.to_string().contains("holds 2 sweeps"), "{error}")
+            }
             Err(error) => panic!("{error}"),
         }
         if sequence % 50 == 49 {
             // The newest two, and not what is long gone.
-            let got: Vec<u64> =
-                std::iter::from_fn(|| slow.next(Duration::ZERO).unwrap()).map(|sweep| number(&sweep)).collect();
+            let got: Vec<u64> = std::iter::from_fn(|| slow.next(Duration::ZERO).unwrap())
+                .map(|sweep| number(&sweep))
+                .collect();
             assert_eq!(got, [sequence - 1, sequence]);
         }
     }
@@ -202,10 +289,16 @@ fn slow_stuck_and_greedy_consumers_delay_nobody() {
     // The longest of all tells how long this process had no core.
     took.sort_unstable();
     assert!(took[took.len() / 2] < Duration::from_millis(20), "{took:?}");
-    assert_eq!((loans.status().consumers(), loans.status().unshared()), (4, 0));
+    assert_eq!(
+        (loans.status().consumers(), loans.status().unshared()),
+        (4, 0)
+    );
     drop(stuck);
-    // Places of consumers that died are given back within a second: it takes longer to tell that all are taken.
-    let error = [client(&own), Client::within(&own.domain(), "roof").unwrap()][1].next(SOON).unwrap_err();
+    // Places of consumers that died are given back within a second: it takes longer to tell that
+    // all are taken.
+    let error = [client(&own), Client::within(&own.domain(), "roof").unwrap()][1]
+        .next(SOON)
+        .unwrap_err();
     assert!(error.to_string().contains("max_consumers"), "{error}");
 }
 
@@ -218,7 +311,9 @@ fn who_comes_late_gets_the_last_sweep() {
     }
     let mut late = client(&own);
     publish(&mut loans, 3);
-    let got: Vec<u64> = std::iter::from_fn(|| late.next(Duration::ZERO).unwrap()).map(|sweep| number(&sweep)).collect();
+    let got: Vec<u64> = std::iter::from_fn(|| late.next(Duration::ZERO).unwrap())
+        .map(|sweep| number(&sweep))
+        .collect();
     assert_eq!(got, [2, 3]);
 }
 
@@ -232,7 +327,9 @@ fn a_sensor_has_one_publisher_and_its_consumers_outlive_it() {
     publish(&mut first, 1);
     let kept = consumer.next(SOON).unwrap().unwrap();
     drop(first);
-    assert!(consumer.next(Duration::from_millis(300)).unwrap().is_none() && !consumer.is_published());
+    assert!(
+        consumer.next(Duration::from_millis(300)).unwrap().is_none() && !consumer.is_published()
+    );
     let mut second = loans(&own, 2);
     publish(&mut second, 7);
     assert_eq!(number(&consumer.next(SOON).unwrap().unwrap()), 7);
@@ -261,8 +358,8 @@ fn a_consumer_waits_for_the_daemon() {
     publisher.join().unwrap();
 }
 
-/// Everything under the root is deleted while both sides live: the daemon makes its service anew, and the consumer, who is
-/// told nothing, finds it.
+/// Everything under the root is deleted while both sides live: the daemon makes its service anew,
+/// and the consumer, who is told nothing, finds it.
 #[test]
 fn files_that_vanish_are_made_anew_and_found_again() {
     let own = Own::new();
@@ -285,7 +382,12 @@ fn files_that_vanish_are_made_anew_and_found_again() {
         std::fs::remove_dir_all(own.root()).unwrap();
         let begun = Instant::now();
         while status.renewed() < round || consumer.reopened() < round {
-            assert!(begun.elapsed() < SOON, "{} {}", status.renewed(), consumer.reopened());
+            assert!(
+                begun.elapsed() < SOON,
+                "{} {}",
+                status.renewed(),
+                consumer.reopened()
+            );
             consumer.next(Duration::from_millis(50)).unwrap();
         }
         // And then it is as before, for good.
@@ -293,13 +395,20 @@ fn files_that_vanish_are_made_anew_and_found_again() {
         for _ in 0..100 {
             let sequence = number(&consumer.next(SOON).unwrap().unwrap());
             // A sweep is passed over where two newer ones came before it was taken, and never else.
-            let is_explained = sequence == last + 1 || sequence < begun_so_far.load(Ordering::SeqCst);
+            let is_explained =
+                sequence == last + 1 || sequence < begun_so_far.load(Ordering::SeqCst);
             assert!(sequence > last && is_explained, "{last}, then {sequence}");
             last = sequence;
         }
         assert_eq!((status.renewed(), consumer.reopened()), (round, round));
         // Another finds it too.
-        assert!(Client::within(&own.domain(), "roof").unwrap().next(SOON).unwrap().is_some());
+        assert!(
+            Client::within(&own.domain(), "roof")
+                .unwrap()
+                .next(SOON)
+                .unwrap()
+                .is_some()
+        );
     }
     drop(stop);
     publisher.join().unwrap();
@@ -310,7 +419,9 @@ fn too_little_shared_memory_is_an_error_that_says_how_much() {
     let own = Own::new();
     let mut loans = loans(&own, 4);
     let error = loans.reserve(1 << 40).unwrap_err();
-    let JoinError::Memory { wanted, free } = joining(error) else { panic!() };
+    let JoinError::Memory { wanted, free } = joining(error) else {
+        panic!()
+    };
     assert!(wanted > free, "{wanted} {free}");
     // And where it shows only later, the sensor goes on by itself.
     let slot = loans.take(1 << 33);
@@ -355,13 +466,19 @@ fn a_pool_grows_when_the_sensor_begins_to_send_two_returns() {
     assert_eq!(number(&consumer.next(SOON).unwrap().unwrap()), 4);
 }
 
-/// What a pool was made for is given back when another has taken its place, but not while a sweep of it is out.
+/// What a pool was made for is given back when another has taken its place, but not while a sweep
+/// of it is out.
 #[test]
 fn a_pool_that_was_outgrown_is_given_back() {
     let own = Own::new();
     let mut loans = loans(&own, 1);
     publish(&mut loans, 1);
-    let pools = || own.shared_memory().iter().filter(|file| file.to_string_lossy().ends_with(".data")).count();
+    let pools = || {
+        own.shared_memory()
+            .iter()
+            .filter(|file| file.to_string_lossy().ends_with(".data"))
+            .count()
+    };
     let out = numbered(&mut loans, 2, 1000);
     numbered(&mut loans, 3, 5000).publish().unwrap();
     let both = loans.status().reserved_bytes();
@@ -378,7 +495,8 @@ fn a_pool_that_was_outgrown_is_given_back() {
     assert_eq!(loans.status().unshared(), 0);
 }
 
-/// The thread of a sensor gets memory of its own while the pool is made, and its sweep reaches the consumer all the same.
+/// The thread of a sensor gets memory of its own while the pool is made, and its sweep reaches the
+/// consumer all the same.
 #[test]
 fn a_sweep_that_was_begun_before_its_pool_is_there_is_shared_when_it_is_complete() {
     let own = Own::new();
@@ -395,10 +513,14 @@ fn a_sweep_that_was_begun_before_its_pool_is_there_is_shared_when_it_is_complete
     assert_eq!(slot.publish().unwrap(), 1);
     assert_eq!(number(&consumer.next(SOON).unwrap().unwrap()), 7);
     assert!(numbered(&mut loans, 8, 50_000).is_shared());
-    assert_eq!((loans.status().unshared(), loans.status().trouble()), (0, None));
+    assert_eq!(
+        (loans.status().unshared(), loans.status().trouble()),
+        (0, None)
+    );
 }
 
-/// A pool that is too large is not asked for again with each sweep; what was shared before is shared again at once.
+/// A pool that is too large is not asked for again with each sweep; what was shared before is
+/// shared again at once.
 #[test]
 fn a_pool_that_cannot_be_had_is_told_and_tried_again() {
     let own = Own::new();
@@ -408,9 +530,17 @@ fn a_pool_that_cannot_be_had_is_told_and_tried_again() {
     for unshared in 1..=5 {
         assert!(!loans.take(1 << 33).publish_is_ok());
         assert_eq!(status.unshared(), unshared);
-        assert!(status.trouble().unwrap().contains("/dev/shm has"), "{:?}", status.trouble());
+        assert!(
+            status.trouble().unwrap().contains("/dev/shm has"),
+            "{:?}",
+            status.trouble()
+        );
     }
-    assert_eq!(status.reserved_bytes(), 0, "nothing is held for sweeps that do not fit");
+    assert_eq!(
+        status.reserved_bytes(),
+        0,
+        "nothing is held for sweeps that do not fit"
+    );
     let begun = Instant::now();
     while !numbered(&mut loans, 2, 1000).publish_is_ok() {
         std::thread::sleep(Duration::from_millis(20));
@@ -445,12 +575,16 @@ fn of_several_that_begin_at_once_one_publishes() {
             let started: Vec<_> = (0..4).map(|_| scope.spawn(begin)).collect();
             started.into_iter().map(|one| one.join().unwrap()).collect()
         });
-        let taken = ended.iter().filter(|one| matches!(one, Err(PublishError::Taken { .. }))).count();
+        let taken = ended
+            .iter()
+            .filter(|one| matches!(one, Err(PublishError::Taken { .. })))
+            .count();
         assert_eq!(taken, 3, "{ended:?}");
     }
 }
 
-/// The daemon comes back with another `max_consumers` and another sensor, while a consumer of the one before lives.
+/// The daemon comes back with another `max_consumers` and another sensor, while a consumer of the
+/// one before lives.
 #[test]
 fn a_service_that_does_not_fit_any_more_is_made_anew() {
     let own = Own::new();
@@ -458,9 +592,16 @@ fn a_service_that_does_not_fit_any_more_is_made_anew() {
     let mut consumer = client(&own);
     publish(&mut first, 1);
     assert_eq!(number(&consumer.next(SOON).unwrap().unwrap()), 1);
-    for (round, max_consumers, address) in [(1, 3, "192.168.1.201"), (2, 2, "192.168.1.201"), (3, 2, "192.168.1.202")] {
+    for (round, max_consumers, address) in [
+        (1, 3, "192.168.1.201"),
+        (2, 2, "192.168.1.201"),
+        (3, 2, "192.168.1.202"),
+    ] {
         drop(first);
-        let changed = Settings { address: address.to_owned(), ..settings(max_consumers) };
+        let changed = Settings {
+            address: address.to_owned(),
+            ..settings(max_consumers)
+        };
         first = Loans::create(&own.domain(), &changed).unwrap();
         let begun = Instant::now();
         while consumer.reopened() < round {
@@ -468,8 +609,9 @@ fn a_service_that_does_not_fit_any_more_is_made_anew() {
             assert!(begun.elapsed() < SOON);
         }
         // The consumer took a file along on its way, which is put back within a second.
-        let mut others: Vec<Client> =
-            (1..max_consumers).map(|_| Client::within(&own.domain(), "roof").unwrap()).collect();
+        let mut others: Vec<Client> = (1..max_consumers)
+            .map(|_| Client::within(&own.domain(), "roof").unwrap())
+            .collect();
         while publish(&mut first, round) < max_consumers {
             for one in others.iter_mut().chain([&mut consumer]) {
                 one.next(Duration::from_millis(20)).unwrap();
@@ -477,17 +619,30 @@ fn a_service_that_does_not_fit_any_more_is_made_anew() {
             assert!(begun.elapsed() < SOON);
         }
         publish(&mut first, 10 + round);
-        let mut numbers = std::iter::from_fn(|| consumer.next(Duration::ZERO).unwrap()).map(|sweep| number(&sweep));
+        let mut numbers = std::iter::from_fn(|| consumer.next(Duration::ZERO).unwrap())
+            .map(|sweep| number(&sweep));
         assert!(numbers.any(|number| number == 10 + round));
         assert_eq!(consumer.address().as_deref(), Some(address));
         drop(others);
     }
     // And the same again changes nothing.
     drop(first);
-    let mut last =
-        Loans::create(&own.domain(), &Settings { address: "192.168.1.202".to_owned(), ..settings(2) }).unwrap();
+    let mut last = Loans::create(
+        &own.domain(),
+        &Settings {
+            address: "192.168.1.202".to_owned(),
+            ..settings(2)
+        },
+    )
+    .unwrap();
     publish(&mut last, 20);
-    assert_eq!((number(&consumer.next(SOON).unwrap().unwrap()), consumer.reopened()), (20, 3));
+    assert_eq!(
+        (
+            number(&consumer.next(SOON).unwrap().unwrap()),
+            consumer.reopened()
+        ),
+        (20, 3)
+    );
 }
 
 #[test]
@@ -522,10 +677,21 @@ fn a_folder_of_another_user_names_both() {
     std::fs::create_dir(folder.root()).unwrap();
     std::os::unix::fs::chown(folder.root(), Some(65_534), None).unwrap();
     for error in [
-        Loans::create(&folder.domain(), &settings(1)).unwrap_err().to_string(),
-        Client::within(&folder.domain(), "roof").unwrap().next(Duration::ZERO).unwrap_err().to_string(),
-        Client::sensors(&Domain::at(folder.root())).unwrap_err().to_string(),
+        Loans::create(&folder.domain(), &settings(1))
+            .unwrap_err()
+            .to_string(),
+        Client::within(&folder.domain(), "roof")
+            .unwrap()
+            .next(Duration::ZERO)
+            .unwrap_err()
+            .to_string(),
+        Client::sensors(&Domain::at(folder.root()))
+            .unwrap_err()
+            .to_string(),
     ] {
-        assert!(error.contains("user nobody") && error.contains("runs as root"), "{error}");
+        assert!(
+            error.contains("user nobody") && error.contains("runs as root"),
+            "{error}"
+        );
     }
 }

@@ -1,4 +1,5 @@
-//! The default method against the paper's where beams are sparse, on scenes whose truth the simulator knows.
+//! The default method against the paper's where beams are sparse, on scenes whose truth the
+//! simulator knows.
 
 use crate::common::simulated::Simulated;
 use sweepd::score::{InstanceCounts, ScanScore};
@@ -16,23 +17,34 @@ fn instances(scores: &[ScanScore]) -> InstanceCounts {
     all
 }
 
-/// Of the parking lot the leads in PQ over all seeds are 0.25 and 0.175 (`docs/segmentation.md`); seeds differ.
+/// Of the parking lot the leads in PQ over all seeds are 0.25 and 0.175 (`docs/segmentation.md`);
+/// seeds differ.
 #[test]
 fn sparse_sensors_see_more_things_by_the_default_method_than_by_the_papers() {
     for model in [Model::Vlp16, Model::Hdl32e] {
         let simulated = Simulated::new(model, Setting::ParkingLot, 1, 1.3);
         let [ours, paper] = [Method::Slope, Method::Paper].map(|method| {
-            let scores = simulated.score(&Config { method, ..Config::default() }, INSTANCE_POINTS);
+            let scores = simulated.score(
+                &Config {
+                    method,
+                    ..Config::default()
+                },
+                INSTANCE_POINTS,
+            );
             assert!(!scores.is_empty(), "{model}: no whole sweep");
             instances(&scores)
         });
-        let [quality, papers] = [&ours, &paper].map(|counts| counts.panoptic_quality().unwrap_or(0.0));
+        let [quality, papers] =
+            [&ours, &paper].map(|counts| counts.panoptic_quality().unwrap_or(0.0));
         let told = format!(
             "{model}: PQ {quality:.3} and {papers:.3}, found {} and {} of {}",
             ours.found_50, paper.found_50, ours.count
         );
         println!("{told}");
         assert!(ours.count >= 20, "{told}");
-        assert!(quality > papers + 0.1 && ours.found_50 > paper.found_50, "{told}");
+        assert!(
+            quality > papers + 0.1 && ours.found_50 > paper.found_50,
+            "{told}"
+        );
     }
 }

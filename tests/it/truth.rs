@@ -1,4 +1,5 @@
-//! What is decoded and labelled, against what the simulator knows about every return it put on the wire.
+//! What is decoded and labelled, against what the simulator knows about every return it put on the
+//! wire.
 
 use std::collections::HashMap;
 use std::path::Path;
@@ -20,7 +21,11 @@ struct Truth(Vec<PacketTruth>);
 
 impl Truth {
     fn of(sent: &[SimulatedDatagram]) -> Self {
-        Self(sent.iter().filter_map(|one| one.truth.as_deref().cloned()).collect())
+        Self(
+            sent.iter()
+                .filter_map(|one| one.truth.as_deref().cloned())
+                .collect(),
+        )
     }
 
     fn get(&self, placed: &Placed) -> &ReturnTruth {
@@ -33,7 +38,10 @@ impl Truth {
     fn returns(&self) -> usize {
         let mut packets: HashMap<u64, usize> = HashMap::new();
         for packet in &self.0 {
-            packets.insert(packet.ordinal, packet.returns.iter().flatten().flatten().count());
+            packets.insert(
+                packet.ordinal,
+                packet.returns.iter().flatten().flatten().count(),
+            );
         }
         packets.values().sum()
     }
@@ -47,29 +55,49 @@ struct Worst {
     time_ns: i64,
 }
 
-/// How far off an azimuth can be, degrees. A block's own is off by the encoder's jitter and half a hundredth; the rest is
-/// what the turning rate, which is a mean over many packets, adds on the way to the shot.
+/// How far off an azimuth can be, degrees. A block's own is off by the encoder's jitter and half a
+/// hundredth; the rest is what the turning rate, which is a mean over many packets, adds on the way
+/// to the shot.
 fn azimuth_deg(fixture: &Fixture) -> f64 {
-    if fixture.config.encoder.jitter_deg == 0.0 { 0.006 } else { fixture.config.encoder.jitter_deg + 0.01 }
+    if fixture.config.encoder.jitter_deg == 0.0 {
+        0.006
+    } else {
+        fixture.config.encoder.jitter_deg + 0.01
+    }
 }
 
 /// With the unit's calibration from the first packet on, where it has one.
 fn calibrated(fixture: &Fixture) -> Config {
-    let unit = fixture.config.model.is_hdl64e().then(|| fixture.config.beams().into_owned());
-    Config { calibration: unit, ..Config::default() }
+    let unit = fixture
+        .config
+        .model
+        .is_hdl64e()
+        .then(|| fixture.config.beams().into_owned());
+    Config {
+        calibration: unit,
+        ..Config::default()
+    }
 }
 
-/// Every return is there once, with the azimuth, the sensor time and (within `range_m`) the range that are true.
+/// Every return is there once, with the azimuth, the sensor time and (within `range_m`) the range
+/// that are true.
 fn check(fixture: &Fixture, sent: &[SimulatedDatagram], run: &Run, range_m: f64) {
     let file = fixture.file;
     let truth = Truth::of(sent);
     let (views, returns) = (run.views(), run.returns());
     assert_eq!(returns.len(), truth.returns(), "{file}");
     assert_eq!(run.counts.lost, fixture.faults.lost_packets(), "{file}");
-    assert_eq!(run.counts.duplicates, fixture.faults.duplicated.len() as u64, "{file}");
+    assert_eq!(
+        run.counts.duplicates,
+        fixture.faults.duplicated.len() as u64,
+        "{file}"
+    );
     let start_ns = match fixture.config.clock {
         Clock::Free { hour_ns } => hour_ns,
-        Clock::Gps { reception: Reception::ALWAYS, .. } => fixture.config.start_utc_ns.rem_euclid(HOUR_NS),
+        Clock::Gps {
+            reception: Reception::ALWAYS,
+            ..
+        } => fixture.config.start_utc_ns.rem_euclid(HOUR_NS),
         // Switched on with the first shot; no fixture is long enough for it to follow the receiver.
         Clock::Gps { .. } => 0,
     };
@@ -78,19 +106,33 @@ fn check(fixture: &Fixture, sent: &[SimulatedDatagram], run: &Run, range_m: f64)
         let (found, truth) = (&placed.found, truth.get(placed));
         let off_deg = (found.azimuth_rad - truth.azimuth_rad).to_degrees();
         let header = views[placed.sweep].header;
-        // The sensor's own clock: truncated to a microsecond, so late by nothing and early by less than one.
-        let early_ns = start_ns + truth.time_ns - (header.sensor_time_ns + found.time_ns - header.time_ns);
-        assert!((0..1_000).contains(&early_ns), "{file}: {early_ns} ns: {found:?} {truth:?}");
+        // The sensor's own clock: truncated to a microsecond, so late by nothing and early by less
+        // than one.
+        let early_ns =
+            start_ns + truth.time_ns - (header.sensor_time_ns + found.time_ns - header.time_ns);
+        assert!(
+            (0..1_000).contains(&early_ns),
+            "{file}: {early_ns} ns: {found:?} {truth:?}"
+        );
         let utc_ns = fixture.config.start_utc_ns + truth.time_ns;
         match header.time_source() {
-            TimeSource::Gps => assert_eq!(found.time_ns, utc_ns - early_ns, "{file}: {found:?} {truth:?}"),
+            TimeSource::Gps => assert_eq!(
+                found.time_ns,
+                utc_ns - early_ns,
+                "{file}: {found:?} {truth:?}"
+            ),
             // Late by the least way of a packet to the host.
             TimeSource::Host => {
                 let late_ns = found.time_ns + early_ns - utc_ns - fixture.config.host_ahead_ns;
-                assert!((90_000..250_000).contains(&late_ns), "{file}: {late_ns} ns: {found:?}");
+                assert!(
+                    (90_000..250_000).contains(&late_ns),
+                    "{file}: {late_ns} ns: {found:?}"
+                );
             }
         }
-        worst.range_m = worst.range_m.max((f64::from(found.range_m) - truth.range_m).abs());
+        worst.range_m = worst
+            .range_m
+            .max((f64::from(found.range_m) - truth.range_m).abs());
         let off_deg = ((off_deg + 180.0).rem_euclid(360.0) - 180.0).abs();
         let at_far = fixture.config.model.is_hdl64e() && AT_FAR_M.contains(&truth.range_m);
         if at_far && off_deg > azimuth_deg(fixture) {
@@ -100,9 +142,19 @@ fn check(fixture: &Fixture, sent: &[SimulatedDatagram], run: &Run, range_m: f64)
         }
         worst.time_ns = worst.time_ns.max(early_ns);
     }
-    println!("{file}: {} returns, off by at most {worst:?}; {beside} beside", returns.len());
-    assert!(beside * 1000 <= returns.len(), "{file}: {beside} of {}", returns.len());
-    assert!(worst.range_m < range_m && worst.azimuth_deg < azimuth_deg(fixture), "{file}: {worst:?}");
+    println!(
+        "{file}: {} returns, off by at most {worst:?}; {beside} beside",
+        returns.len()
+    );
+    assert!(
+        beside * 1000 <= returns.len(),
+        "{file}: {beside} of {}",
+        returns.len()
+    );
+    assert!(
+        worst.range_m < range_m && worst.azimuth_deg < azimuth_deg(fixture),
+        "{file}: {worst:?}"
+    );
 }
 
 #[test]
@@ -110,7 +162,9 @@ fn the_shipped_captures_decode_to_the_truth() {
     let scene = fixtures::scene();
     for fixture in fixtures::all() {
         let sent: Vec<SimulatedDatagram> = fixture.datagrams(&scene).collect();
-        let capture = Path::new(env!("CARGO_MANIFEST_DIR")).join("pcap_fixtures").join(fixture.file);
+        let capture = Path::new(env!("CARGO_MANIFEST_DIR"))
+            .join("pcap_fixtures")
+            .join(fixture.file);
         let run = Run::of_capture_with(calibrated(&fixture), &capture);
         // Noise of 10 mm: of a million returns none should be six of that off, and none is.
         check(&fixture, &sent, &run, 0.06);
@@ -124,7 +178,10 @@ fn without_noise_only_rounding_is_left() {
         fixture.config.optics.noise_m = 0.0;
         fixture.config.encoder.jitter_deg = 0.0;
         let sent: Vec<SimulatedDatagram> = fixture.datagrams(&scene).collect();
-        let run = Run::of_datagrams_with(calibrated(&fixture), sent.iter().map(SimulatedDatagram::datagram));
+        let run = Run::of_datagrams_with(
+            calibrated(&fixture),
+            sent.iter().map(SimulatedDatagram::datagram),
+        );
         check(&fixture, &sent, &run, RANGE_M);
     }
 }
@@ -134,20 +191,39 @@ fn every_model_gives_back_the_truth_at_every_speed() {
     use sweepd::wire::data::ReturnMode::{Dual, Strongest};
     let scene = fixtures::scene();
     let slow = (Model::Hdl64eS3, Model::Hdl64eS3.specs()[1]);
-    let timings = Model::ALL.map(|model| (model, model.spec())).into_iter().chain([slow]);
+    let timings = Model::ALL
+        .map(|model| (model, model.spec()))
+        .into_iter()
+        .chain([slow]);
     for (model, spec) in timings {
-        for mode in if model == Model::Hdl64eS2 { &[Strongest][..] } else { &[Strongest, Dual] } {
-            for (rpm, jitter_deg) in
-                [(300.0, 0.0), (300.0, 0.02), (600.0, 0.0), (842.7, 0.02), (1200.0, 0.0), (1200.0, 0.02)]
-            {
+        for mode in if model == Model::Hdl64eS2 {
+            &[Strongest][..]
+        } else {
+            &[Strongest, Dual]
+        } {
+            for (rpm, jitter_deg) in [
+                (300.0, 0.0),
+                (300.0, 0.02),
+                (600.0, 0.0),
+                (842.7, 0.02),
+                (1200.0, 0.0),
+                (1200.0, 0.02),
+            ] {
                 let mut config = EmitterConfig::new(model, *mode);
                 (config.spec, config.rpm) = (spec, rpm);
                 (config.encoder.jitter_deg, config.encoder.start_deg) = (jitter_deg, 300.0);
                 config.optics.noise_m = 0.0;
                 config = config.turns(0.4);
-                let fixture = Fixture { file: "made up", config, faults: Faults::default() };
+                let fixture = Fixture {
+                    file: "made up",
+                    config,
+                    faults: Faults::default(),
+                };
                 let sent: Vec<SimulatedDatagram> = fixture.datagrams(&scene).collect();
-                let run = Run::of_datagrams_with(calibrated(&fixture), sent.iter().map(SimulatedDatagram::datagram));
+                let run = Run::of_datagrams_with(
+                    calibrated(&fixture),
+                    sent.iter().map(SimulatedDatagram::datagram),
+                );
                 println!("{model} {mode} {rpm} rpm, jitter {jitter_deg}:");
                 check(&fixture, &sent, &run, RANGE_M);
             }
@@ -155,8 +231,8 @@ fn every_model_gives_back_the_truth_at_every_speed() {
     }
 }
 
-/// The foot of a thing may pass for ground up to here, metres: between two beams that meet the ground, a sparse sensor
-/// cannot tell a wall's foot from a slope.
+/// The foot of a thing may pass for ground up to here, metres: between two beams that meet the
+/// ground, a sparse sensor cannot tell a wall's foot from a slope.
 const FOOT_M: f64 = 0.4;
 
 /// What the labels are worth, over all whole sweeps of a capture.
@@ -182,7 +258,10 @@ fn score(fixture: &Fixture) -> Score {
     let scene = fixtures::scene();
     let sent: Vec<SimulatedDatagram> = fixture.datagrams(&scene).collect();
     let truth = Truth::of(&sent);
-    let run = Run::of_datagrams_with(calibrated(fixture), sent.iter().map(SimulatedDatagram::datagram));
+    let run = Run::of_datagrams_with(
+        calibrated(fixture),
+        sent.iter().map(SimulatedDatagram::datagram),
+    );
     let (views, returns) = (run.views(), run.returns());
     let mut score = Score::default();
     for sweep in (0..views.len()).filter(|&sweep| !views[sweep].header.has(flags::PARTIAL)) {
@@ -195,7 +274,12 @@ fn score(fixture: &Fixture) -> Score {
             score.ground[2] += usize::from(is);
             let place = fixture.config.pose.origin + Vec3::from(placed.found.point_m);
             score.high += usize::from(said && !is && scene.levelled(place).z > FOOT_M);
-            let new = Seen { class: truth.class, returns: 0, range_sum_m: 0.0, segments: HashMap::new() };
+            let new = Seen {
+                class: truth.class,
+                returns: 0,
+                range_sum_m: 0.0,
+                segments: HashMap::new(),
+            };
             let seen = objects.entry(truth.object).or_insert(new);
             seen.returns += 1;
             seen.range_sum_m += truth.range_m;
@@ -213,7 +297,8 @@ fn score(fixture: &Fixture) -> Score {
 }
 
 impl Seen {
-    /// Whether the object is one that a robot on this street must see: near, and met by enough beams.
+    /// Whether the object is one that a robot on this street must see: near, and met by enough
+    /// beams.
     fn counts(&self) -> bool {
         let kind = matches!(self.class, Class::Car | Class::Person | Class::Pole);
         kind && self.returns >= 20 && self.range_sum_m / (self.returns as f64) < 20.0
@@ -222,7 +307,11 @@ impl Seen {
     /// Intersection over union with the segment that has most of it.
     fn best_iou(&self, sweep: &SweepRef<'_>) -> f64 {
         let iou = |(&label, &shared): (&u32, &usize)| {
-            let segment = sweep.segments.iter().find(|segment| segment.label == label).unwrap();
+            let segment = sweep
+                .segments
+                .iter()
+                .find(|segment| segment.label == label)
+                .unwrap();
             shared as f64 / (self.returns + segment.points as usize - shared) as f64
         };
         self.segments.iter().map(iou).fold(0.0, f64::max)
@@ -231,20 +320,31 @@ impl Seen {
 
 #[test]
 fn labels_are_true() {
-    // Ground precision and recall, share of the ground labels up to a foot's height, near objects found: all a little
-    // worse than measured, to catch what makes them worse.
+    // Ground precision and recall, share of the ground labels up to a foot's height, near objects
+    // found: all a little worse than measured, to catch what makes them worse.
     for (file, precision, recall, low, objects) in [
         ("street_vlp16.pcap.gz", 0.88, 0.99, 0.98, 92),
         ("street_hdl32e.pcap.gz", 0.97, 0.99, 0.99, 83),
         ("street_hdl64e_s2.pcap.gz", 0.96, 0.99, 0.99, 290),
     ] {
-        let fixture = fixtures::all().into_iter().find(|fixture| fixture.file == file).unwrap();
+        let fixture = fixtures::all()
+            .into_iter()
+            .find(|fixture| fixture.file == file)
+            .unwrap();
         let score = score(&fixture);
         let [both, said, is] = score.ground.map(|count| count as f64);
         let found = [both / said, both / is, 1.0 - score.high as f64 / said];
-        let [hits, all] = score.found.values().fold([0, 0], |sum, one| [sum[0] + one[0], sum[1] + one[1]]);
-        let told = format!("{file}: precision, recall, low {found:.4?}; {hits} of {all} near objects; {score:?}");
+        let [hits, all] = score
+            .found
+            .values()
+            .fold([0, 0], |sum, one| [sum[0] + one[0], sum[1] + one[1]]);
+        let told = format!(
+            "{file}: precision, recall, low {found:.4?}; {hits} of {all} near objects; {score:?}"
+        );
         println!("{told}");
-        assert!(found[0] > precision && found[1] > recall && found[2] > low && hits >= objects, "{told}");
+        assert!(
+            found[0] > precision && found[1] > recall && found[2] > low && hits >= objects,
+            "{told}"
+        );
     }
 }

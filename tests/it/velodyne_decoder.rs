@@ -1,8 +1,8 @@
-//! Every return of real and of simulated captures, and the status of an HDL-64E, against velodyne-decoder, an
-//! independent decoder in Python and C++.
+//! Every return of real and of simulated captures, and the status of an HDL-64E, against
+//! velodyne-decoder, an independent decoder in Python and C++.
 //!
-//! `compare_velodyne_decoder.py` compares and says which differences are meant. It runs with `SWEEPD_PYTHON`, else
-//! `python3`, and needs `pip install velodyne-decoder==3.1.0`.
+//! `compare_velodyne_decoder.py` compares and says which differences are meant. It runs with
+//! `SWEEPD_PYTHON`, else `python3`, and needs `pip install velodyne-decoder==3.1.0`.
 
 use crate::common;
 use std::ffi::OsStr;
@@ -27,8 +27,8 @@ const CAPTURES: [(&str, &str); 8] = [
     ("vlp16_veloview-90deg-a", "vlp16"),
 ];
 
-/// Simulated captures of the models whose units are all the same: the table in `calib/`, and the options of
-/// `sweepd simulate`.
+/// Simulated captures of the models whose units are all the same: the table in `calib/`, and the
+/// options of `sweepd simulate`.
 const OF_A_TABLE: [(&str, &[&str]); 5] = [
     ("vlp16", &[]),
     ("vlp16", &["--returns", "dual"]),
@@ -37,12 +37,21 @@ const OF_A_TABLE: [(&str, &[&str]); 5] = [
     ("hdl32e", &["--returns", "dual"]),
 ];
 
-/// Simulated captures of HDL-64E whose calibration is a real one: the model as `compare_velodyne_decoder.py` calls it,
-/// the file among the data, and the options of `sweepd simulate`.
+/// Simulated captures of HDL-64E whose calibration is a real one: the model as
+/// `compare_velodyne_decoder.py` calls it, the file among the data, and the options of `sweepd
+/// simulate`.
 const OF_A_UNIT: [(&str, &str, &[&str]); 4] = [
     ("hdl64e-s2", VALGUR, &["--model", "hdl64e-s2"]),
-    ("hdl64e-s3", XIESC, &["--model", "hdl64e-s3", "--returns", "dual"]),
-    ("hdl64e-s3", XIESC, &["--model", "hdl64e-s3", "--firing-period", "57.6"]),
+    (
+        "hdl64e-s3",
+        XIESC,
+        &["--model", "hdl64e-s3", "--returns", "dual"],
+    ),
+    (
+        "hdl64e-s3",
+        XIESC,
+        &["--model", "hdl64e-s3", "--firing-period", "57.6"],
+    ),
     ("hdl64e-s3-288us", VALGUR, &["--model", "hdl64e-s3"]),
 ];
 const VALGUR: &str = "calib/hdl64e_s3-veloview_valgur.yml";
@@ -54,7 +63,9 @@ const SHORT: [&str; 2] = ["--seconds", "0.25"];
 
 /// A folder for one test, empty at its beginning.
 fn folder(test: &str) -> PathBuf {
-    let folder = Path::new(env!("CARGO_TARGET_TMPDIR")).join("velodyne_decoder").join(test);
+    let folder = Path::new(env!("CARGO_TARGET_TMPDIR"))
+        .join("velodyne_decoder")
+        .join(test);
     // Left behind by an earlier run; sweeps of then would be compared too.
     let _ = std::fs::remove_dir_all(&folder);
     std::fs::create_dir_all(&folder).unwrap();
@@ -70,13 +81,23 @@ fn run(program: impl AsRef<OsStr>, args: &[&OsStr]) -> Result<String, String> {
 }
 
 fn sweepd(args: &[&OsStr]) {
-    run(env!("CARGO_BIN_EXE_sweepd"), args).unwrap_or_else(|error| panic!("sweepd {args:?}: {error}"));
+    run(env!("CARGO_BIN_EXE_sweepd"), args)
+        .unwrap_or_else(|error| panic!("sweepd {args:?}: {error}"));
 }
 
 fn simulate(options: &[&str], calibration: Option<&Path>, capture: &Path) {
-    let mut args: Vec<&OsStr> = vec!["simulate".as_ref(), "--force".as_ref(), "--pcap".as_ref(), capture.as_ref()];
+    let mut args: Vec<&OsStr> = vec![
+        "simulate".as_ref(),
+        "--force".as_ref(),
+        "--pcap".as_ref(),
+        capture.as_ref(),
+    ];
     args.extend(options.iter().map(|&option| OsStr::new(option)));
-    args.extend(calibration.iter().flat_map(|file| ["--calibration".as_ref(), file.as_os_str()]));
+    args.extend(
+        calibration
+            .iter()
+            .flat_map(|file| ["--calibration".as_ref(), file.as_os_str()]),
+    );
     sweepd(&args);
 }
 
@@ -89,21 +110,47 @@ struct Comparison<'a> {
 }
 
 impl<'a> Comparison<'a> {
-    fn replay(python: &'a OsStr, capture: &'a Path, model: &'a str, calibration: Option<&Path>) -> Self {
+    fn replay(
+        python: &'a OsStr,
+        capture: &'a Path,
+        model: &'a str,
+        calibration: Option<&Path>,
+    ) -> Self {
         let name = capture.file_stem().unwrap();
-        let csv = Path::new(env!("CARGO_TARGET_TMPDIR")).join("velodyne_decoder").join("csv").join(name);
+        let csv = Path::new(env!("CARGO_TARGET_TMPDIR"))
+            .join("velodyne_decoder")
+            .join("csv")
+            .join(name);
         let _ = std::fs::remove_dir_all(&csv);
-        let mut args: Vec<&OsStr> = ["replay", "--partial", "--no-timing", "--csv"].map(OsStr::new).to_vec();
+        let mut args: Vec<&OsStr> = ["replay", "--partial", "--no-timing", "--csv"]
+            .map(OsStr::new)
+            .to_vec();
         args.extend([csv.as_os_str(), capture.as_os_str()]);
-        args.extend(calibration.iter().flat_map(|file| ["--calibration".as_ref(), file.as_os_str()]));
+        args.extend(
+            calibration
+                .iter()
+                .flat_map(|file| ["--calibration".as_ref(), file.as_os_str()]),
+        );
         sweepd(&args);
-        Self { python, capture, model, csv }
+        Self {
+            python,
+            capture,
+            model,
+            csv,
+        }
     }
 
-    /// What is wrong, if anything is; velodyne-decoder uses this calibration, or its own table of the model.
+    /// What is wrong, if anything is; velodyne-decoder uses this calibration, or its own table of
+    /// the model.
     fn failures(&self, calibration: Option<&Path>) -> String {
-        let script = Path::new(env!("CARGO_MANIFEST_DIR")).join("tests/compare_velodyne_decoder.py");
-        let mut args = vec![script.as_os_str(), self.capture.as_os_str(), self.model.as_ref(), self.csv.as_os_str()];
+        let script =
+            Path::new(env!("CARGO_MANIFEST_DIR")).join("tests/compare_velodyne_decoder.py");
+        let mut args = vec![
+            script.as_os_str(),
+            self.capture.as_os_str(),
+            self.model.as_ref(),
+            self.csv.as_os_str(),
+        ];
         args.extend(calibration.map(Path::as_os_str));
         match run(self.python, &args) {
             Ok(said) => {
@@ -124,7 +171,9 @@ impl Drop for Comparison<'_> {
 
 #[test]
 fn returns_of_real_captures_are_those_of_velodyne_decoder() {
-    let (Some(data), Some(python)) = (common::data_dir(), common::python()) else { return };
+    let (Some(data), Some(python)) = (common::data_dir(), common::python()) else {
+        return;
+    };
     let mut failures = String::new();
     for (name, model) in CAPTURES {
         let capture = data.join(format!("pcap/{name}.pcap"));
@@ -135,13 +184,22 @@ fn returns_of_real_captures_are_those_of_velodyne_decoder() {
 
 #[test]
 fn returns_of_simulated_captures_are_those_of_velodyne_decoder() {
-    let Some(python) = common::python() else { return };
+    let Some(python) = common::python() else {
+        return;
+    };
     let folder = folder("of_a_table");
     let mut failures = String::new();
     for (model, options) in OF_A_TABLE {
-        let capture = folder.join(format!("{}.pcap", named(&[&["simulated", model], options].concat())));
+        let capture = folder.join(format!(
+            "{}.pcap",
+            named(&[&["simulated", model], options].concat())
+        ));
         let table = Path::new(env!("CARGO_MANIFEST_DIR")).join(format!("calib/{model}.yaml"));
-        simulate(&[&["--model", model], options, &SHORT].concat(), None, &capture);
+        simulate(
+            &[&["--model", model], options, &SHORT].concat(),
+            None,
+            &capture,
+        );
         let comparison = Comparison::replay(&python, &capture, model, None);
         failures += &comparison.failures(Some(&table));
         if model == "puck-hires" {
@@ -155,14 +213,20 @@ fn returns_of_simulated_captures_are_those_of_velodyne_decoder() {
 
 #[test]
 fn returns_of_real_units_of_an_hdl64e_are_those_of_velodyne_decoder() {
-    let (Some(data), Some(python)) = (common::data_dir(), common::python()) else { return };
+    let (Some(data), Some(python)) = (common::data_dir(), common::python()) else {
+        return;
+    };
     let folder = folder("of_a_unit");
     let mut failures = String::new();
     for (model, unit, options) in OF_A_UNIT {
         let unit = data.join(unit);
-        let capture = folder.join(format!("{}.pcap", named(&[&["real-unit"], options].concat())));
+        let capture = folder.join(format!(
+            "{}.pcap",
+            named(&[&["real-unit"], options].concat())
+        ));
         simulate(&[options, &SHORT].concat(), Some(&unit), &capture);
-        failures += &Comparison::replay(&python, &capture, model, Some(&unit)).failures(Some(&unit));
+        failures +=
+            &Comparison::replay(&python, &capture, model, Some(&unit)).failures(Some(&unit));
     }
     assert!(failures.is_empty(), "{failures}");
     std::fs::remove_dir_all(&folder).unwrap();
@@ -170,14 +234,21 @@ fn returns_of_real_units_of_an_hdl64e_are_those_of_velodyne_decoder() {
 
 /// A file name of some options.
 fn named(options: &[&str]) -> String {
-    options.iter().map(|option| option.trim_start_matches('-')).collect::<Vec<_>>().join("_")
+    options
+        .iter()
+        .map(|option| option.trim_start_matches('-'))
+        .collect::<Vec<_>>()
+        .join("_")
 }
 
-/// Nothing but the capture: the calibration that velodyne-decoder reads from the status is the one that sweepd reads,
-/// and that of the unit that was simulated; and with what each has read, both decode the same points.
+/// Nothing but the capture: the calibration that velodyne-decoder reads from the status is the one
+/// that sweepd reads, and that of the unit that was simulated; and with what each has read, both
+/// decode the same points.
 #[test]
 fn velodyne_decoder_recovers_the_calibration_of_a_simulated_unit() {
-    let Some(python) = common::python() else { return };
+    let Some(python) = common::python() else {
+        return;
+    };
     let folder = folder("from_the_status");
     let [whole, theirs, ours, given] =
         ["whole.pcap", "theirs.yaml", "ours.yaml", "given.yaml"].map(|name| folder.join(name));
@@ -185,11 +256,25 @@ fn velodyne_decoder_recovers_the_calibration_of_a_simulated_unit() {
     let mut failures = String::new();
     // A whole status takes 4160 packets, 1.2 s and 0.72 s. All units of one seed are the same.
     for (model, options, seconds, said) in [
-        ("hdl64e-s2", &["--model", "hdl64e-s2", "--seed", "5"][..], "1.21", ["'S2'", "'Strongest'"]),
-        ("hdl64e-s3", &["--model", "hdl64e-s3", "--seed", "6", "--returns", "dual"], "0.73", ["'S3'", "'Both'"]),
+        (
+            "hdl64e-s2",
+            &["--model", "hdl64e-s2", "--seed", "5"][..],
+            "1.21",
+            ["'S2'", "'Strongest'"],
+        ),
+        (
+            "hdl64e-s3",
+            &["--model", "hdl64e-s3", "--seed", "6", "--returns", "dual"],
+            "0.73",
+            ["'S3'", "'Both'"],
+        ),
     ] {
         for unit in [None, Some(&given)] {
-            simulate(&[options, &["--seconds", seconds]].concat(), unit.map(PathBuf::as_path), &whole);
+            simulate(
+                &[options, &["--seconds", seconds]].concat(),
+                unit.map(PathBuf::as_path),
+                &whole,
+            );
             let status = read_status(&python, &whole, &theirs);
             for part in [
                 &format!("'Model': {}", said[0]),
@@ -211,15 +296,21 @@ fn velodyne_decoder_recovers_the_calibration_of_a_simulated_unit() {
                 "-o".as_ref(),
                 ours.as_ref(),
             ]);
-            let [read_by_them, read_by_us] = [&theirs, &ours].map(|file| files::calibration(file).unwrap());
+            let [read_by_them, read_by_us] =
+                [&theirs, &ours].map(|file| files::calibration(file).unwrap());
             // velodyne-decoder rounds radians to seven decimals.
             assert_within(0.000_5, &read_by_them, &read_by_us);
             if let Some(given) = unit {
-                assert_within(0.5 + 0.000_5, &read_by_them, &files::calibration(given).unwrap());
+                assert_within(
+                    0.5 + 0.000_5,
+                    &read_by_them,
+                    &files::calibration(given).unwrap(),
+                );
             } else {
                 let capture = folder.join(format!("recovered_{model}.pcap"));
                 simulate(&[options, &SHORT].concat(), None, &capture);
-                failures += &Comparison::replay(&python, &capture, model, Some(&ours)).failures(Some(&theirs));
+                failures += &Comparison::replay(&python, &capture, model, Some(&ours))
+                    .failures(Some(&theirs));
             }
         }
     }
@@ -252,12 +343,17 @@ fn finer_than_the_status() -> Calibration {
     Calibration::new(beams.collect(), stream::DISTANCE_UNIT_M).unwrap()
 }
 
-/// That each number of each beam is the same within this part of its last digit in the status: hundredths of a degree,
-/// millimetres, tenths of a focal slope and whole intensities.
+/// That each number of each beam is the same within this part of its last digit in the status:
+/// hundredths of a degree, millimetres, tenths of a focal slope and whole intensities.
 fn assert_within(part: f64, found: &Calibration, expected: &Calibration) {
     let numbers = |beam: &Beam| {
         let intensity = beam.intensity.expect("the status has one");
-        let of_beam = Quantity::ALL.map(|quantity| (quantity.of(beam), if quantity.is_angle() { 0.01 } else { 0.001 }));
+        let of_beam = Quantity::ALL.map(|quantity| {
+            (
+                quantity.of(beam),
+                if quantity.is_angle() { 0.01 } else { 0.001 },
+            )
+        });
         let of_intensity = [
             (intensity.focal_distance_m, 0.001),
             (intensity.focal_slope, 0.1),
@@ -266,11 +362,19 @@ fn assert_within(part: f64, found: &Calibration, expected: &Calibration) {
         ];
         [&of_beam[..], &of_intensity].concat()
     };
-    assert_eq!((found.beams().len(), found.distance_unit_m()), (expected.beams().len(), expected.distance_unit_m()));
+    assert_eq!(
+        (found.beams().len(), found.distance_unit_m()),
+        (expected.beams().len(), expected.distance_unit_m())
+    );
     for (found, expected) in found.beams().iter().zip(expected.beams()) {
         let pairs = numbers(found).into_iter().zip(numbers(expected));
-        let same = |((found, digit), (expected, _)): ((f64, f64), (f64, f64))| (found - expected).abs() <= part * digit;
-        assert!(pairs.clone().all(same), "within {part} of the last digit: {found:#?}, expected {expected:#?}");
+        let same = |((found, digit), (expected, _)): ((f64, f64), (f64, f64))| {
+            (found - expected).abs() <= part * digit
+        };
+        assert!(
+            pairs.clone().all(same),
+            "within {part} of the last digit: {found:#?}, expected {expected:#?}"
+        );
     }
 }
 
@@ -285,13 +389,20 @@ open(sys.argv[2], 'w').write(yaml.dump(calibration))
 
 /// The status as text, and the calibration in a file.
 fn read_status(python: &OsStr, capture: &Path, calibration: &Path) -> String {
-    let args = ["-c".as_ref(), READ_STATUS.as_ref(), capture.as_os_str(), calibration.as_os_str()];
+    let args = [
+        "-c".as_ref(),
+        READ_STATUS.as_ref(),
+        capture.as_os_str(),
+        calibration.as_os_str(),
+    ];
     run(python, &args).unwrap_or_else(|error| panic!("{error}"))
 }
 
 #[test]
 fn the_status_of_an_hdl64e_is_that_of_velodyne_decoder() {
-    let Some(python) = common::python() else { return };
+    let Some(python) = common::python() else {
+        return;
+    };
     let folder = folder("status");
     let (capture, theirs) = (folder.join("hdl64e.pcap"), folder.join("theirs.yaml"));
     let beams = (0..BEAMS).map(|channel| Beam {
@@ -326,7 +437,10 @@ fn the_status_of_an_hdl64e_is_that_of_velodyne_decoder() {
         }
         let text = std::fs::read_to_string(&theirs).unwrap();
         let theirs = ros_yaml::parse(&text, "theirs.yaml").unwrap();
-        assert_eq!(differences(&stream::calibration(&dump).unwrap(), &theirs), []);
+        assert_eq!(
+            differences(&stream::calibration(&dump).unwrap(), &theirs),
+            []
+        );
     }
     std::fs::remove_dir_all(&folder).unwrap();
 }

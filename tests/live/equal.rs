@@ -1,4 +1,5 @@
-//! What consumers get live, in Rust and in Python, is what a replay of the daemon's own recording gives, byte for byte.
+//! What consumers get live, in Rust and in Python, is what a replay of the daemon's own recording
+//! gives, byte for byte.
 
 use std::collections::{BTreeMap, BTreeSet};
 use std::ffi::OsStr;
@@ -20,19 +21,27 @@ use crate::setup::{Process, Setup};
 type Sweeps = BTreeMap<i64, Vec<u8>>;
 
 fn keep(sweeps: &mut Sweeps, sweep: &SweepRef<'_>) {
-    assert!(sweeps.insert(sweep.header.sensor_time_ns, same(sweep)).is_none(), "two sweeps of one time");
+    assert!(
+        sweeps
+            .insert(sweep.header.sensor_time_ns, same(sweep))
+            .is_none(),
+        "two sweeps of one time"
+    );
 }
 
 fn replayed(capture: &Path) -> Sweeps {
     let mut capture = Capture::open(capture).unwrap();
-    let mut pipeline = Pipeline::new("", Config::default(), HeapBuffers::default(), Untimed).unwrap();
+    let mut pipeline =
+        Pipeline::new("", Config::default(), HeapBuffers::default(), Untimed).unwrap();
     let mut sweeps = Sweeps::new();
     while let Some(datagram) = capture.next_datagram().unwrap() {
         pipeline.push(&datagram).unwrap();
-        std::iter::from_fn(|| pipeline.poll()).for_each(|it| keep(&mut sweeps, &SweepRef::open(it.as_ref()).unwrap()));
+        std::iter::from_fn(|| pipeline.poll())
+            .for_each(|it| keep(&mut sweeps, &SweepRef::open(it.as_ref()).unwrap()));
     }
     pipeline.end().unwrap();
-    std::iter::from_fn(|| pipeline.poll()).for_each(|it| keep(&mut sweeps, &SweepRef::open(it.as_ref()).unwrap()));
+    std::iter::from_fn(|| pipeline.poll())
+        .for_each(|it| keep(&mut sweeps, &SweepRef::open(it.as_ref()).unwrap()));
     sweeps
 }
 
@@ -48,31 +57,49 @@ impl Python {
     fn start(python: &OsStr, setup: &Setup) -> Self {
         let script = Path::new(env!("CARGO_MANIFEST_DIR")).join("tests/live/consumer.py");
         let mut command = Command::new(python);
-        command.arg(script).arg(setup.own.root()).stdin(Stdio::null()).stdout(Stdio::piped());
+        command
+            .arg(script)
+            .arg(setup.own.root())
+            .stdin(Stdio::null())
+            .stdout(Stdio::piped());
         let mut child = command.spawn().unwrap();
         let mut output = child.stdout.take().unwrap();
         let (sender, received) = mpsc::channel();
         std::thread::spawn(move || {
             let mut next = move || -> Option<(i64, Vec<u8>)> {
                 let [mut time, mut len] = [[0; 8]; 2];
-                output.read_exact(&mut time).and_then(|()| output.read_exact(&mut len)).ok()?;
+                output
+                    .read_exact(&mut time)
+                    .and_then(|()| output.read_exact(&mut len))
+                    .ok()?;
                 let mut bytes = vec![0; usize::try_from(u64::from_le_bytes(len)).unwrap()];
                 output.read_exact(&mut bytes).ok()?;
                 Some((i64::from_le_bytes(time), bytes))
             };
             while next().is_some_and(|one| sender.send(one).is_ok()) {}
         });
-        let (_, first) = received.recv_timeout(Duration::from_secs(20)).expect("Python finds the daemon");
+        let (_, first) = received
+            .recv_timeout(Duration::from_secs(20))
+            .expect("Python finds the daemon");
         assert!(first.is_empty());
-        Self { child: Process(child), received, sweeps: Sweeps::new() }
+        Self {
+            child: Process(child),
+            received,
+            sweeps: Sweeps::new(),
+        }
     }
 
     /// All that it received, once the last one is among it.
     fn up_to(mut self, last_time_ns: i64) -> Sweeps {
         while !self.sweeps.contains_key(&last_time_ns) {
-            let (time_ns, bytes) =
-                self.received.recv_timeout(Duration::from_secs(10)).expect("Python has the last sweep");
-            assert!(self.sweeps.insert(time_ns, bytes).is_none(), "two sweeps of one time");
+            let (time_ns, bytes) = self
+                .received
+                .recv_timeout(Duration::from_secs(10))
+                .expect("Python has the last sweep");
+            assert!(
+                self.sweeps.insert(time_ns, bytes).is_none(),
+                "two sweeps of one time"
+            );
         }
         self.child.signal("-KILL");
         self.sweeps
@@ -92,14 +119,24 @@ fn compare(name: &str, python: Option<&OsStr>, send: impl FnOnce(&Setup) -> Proc
         match client.next(Duration::from_millis(100)).unwrap() {
             Some(sweep) => {
                 let sweep = sweep.view().unwrap();
-                (lost, dropped) = (lost + sweep.header.lost_packets, dropped + sweep.header.dropped_datagrams);
+                (lost, dropped) = (
+                    lost + sweep.header.lost_packets,
+                    dropped + sweep.header.dropped_datagrams,
+                );
                 sequences.push(sweep.header.sequence);
                 keep(&mut live, &sweep);
                 last = Instant::now();
             }
             // A sweep that stalled comes half a second later.
-            None if last.elapsed() > Duration::from_millis(1500) && sensor.0.try_wait().unwrap().is_some() => break,
-            None => assert!(last.elapsed() < Duration::from_secs(60), "{name}: nothing comes"),
+            None if last.elapsed() > Duration::from_millis(1500)
+                && sensor.0.try_wait().unwrap().is_some() =>
+            {
+                break;
+            }
+            None => assert!(
+                last.elapsed() < Duration::from_secs(60),
+                "{name}: nothing comes"
+            ),
         }
     }
     assert!(sensor.wait(), "{name}: the sensor failed");
@@ -107,15 +144,31 @@ fn compare(name: &str, python: Option<&OsStr>, send: impl FnOnce(&Setup) -> Proc
     daemon.signal("-TERM");
     assert!(daemon.wait(), "{name}: the daemon ended badly");
     assert!(dropped == 0, "{name}: {dropped} dropped, {lost} lost");
-    assert!(sequences.is_sorted_by(|before, after| before < after), "{name}: {sequences:?}");
+    assert!(
+        sequences.is_sorted_by(|before, after| before < after),
+        "{name}: {sequences:?}"
+    );
     let replayed = replayed(&setup.path("recorded-000.pcap"));
     for (language, received) in [("Rust", Some(&live)), ("Python", in_python.as_ref())] {
         let Some(received) = received else { continue };
-        let other = received.iter().filter(|(time, bytes)| replayed.get(time) != Some(bytes)).count();
-        assert_eq!(other, 0, "{name}: of {} in {language}, {} replayed", received.len(), replayed.len());
-        // The first may have come before the consumer did, and a busy machine may let it miss others: two wait for it, no
-        // more.
-        assert!(received.len() * 4 + 8 >= replayed.len() * 3, "{name}: {} in {language}", received.len());
+        let other = received
+            .iter()
+            .filter(|(time, bytes)| replayed.get(time) != Some(bytes))
+            .count();
+        assert_eq!(
+            other,
+            0,
+            "{name}: of {} in {language}, {} replayed",
+            received.len(),
+            replayed.len()
+        );
+        // The first may have come before the consumer did, and a busy machine may let it miss
+        // others: two wait for it, no more.
+        assert!(
+            received.len() * 4 + 8 >= replayed.len() * 3,
+            "{name}: {} in {language}",
+            received.len()
+        );
     }
     live.len()
 }
@@ -133,7 +186,9 @@ fn simulated_sensors_live_and_replayed() {
         ("hdl64e-s2", 1200, 2.7, 26),
     ] {
         let name = format!("{model} at {rpm} rpm");
-        let received = compare(&name, python.as_deref(), |setup| setup.sensor(model, rpm, seconds));
+        let received = compare(&name, python.as_deref(), |setup| {
+            setup.sensor(model, rpm, seconds)
+        });
         assert!(received * 4 >= sweeps * 3, "{name}: {received}");
     }
 }
@@ -144,20 +199,39 @@ fn a_faulty_sensor_live_and_replayed() {
     for (model, faults) in [("vlp16", "--returns=dual"), ("hdl32e", "--seed=2")] {
         let received = compare(model, None, |setup| {
             let to = format!("127.0.0.1:{}", setup.port);
-            let fixed = ["simulate", "--model", model, "--seconds", "1.2", "--to", &to, "--loss=1", "--duplicate=1"];
-            let args = [&fixed[..], &["--reorder=2x3", "--burst-loss=0.1x20", faults]].concat();
+            let fixed = [
+                "simulate",
+                "--model",
+                model,
+                "--seconds",
+                "1.2",
+                "--to",
+                &to,
+                "--loss=1",
+                "--duplicate=1",
+            ];
+            let args = [
+                &fixed[..],
+                &["--reorder=2x3", "--burst-loss=0.1x20", faults],
+            ]
+            .concat();
             Process::start(&args, &setup.path("sensor.log"))
         });
         assert!(received > 8, "{model}: {received}");
     }
 }
 
-/// Through shared memory at the speed of the sensor, three times as fast, and as fast as can be: what a consumer gets
-/// is the same, though it may miss some.
+/// Through shared memory at the speed of the sensor, three times as fast, and as fast as can be:
+/// what a consumer gets is the same, though it may miss some.
 #[test]
 fn captures_replayed_at_any_speed() {
-    for (capture, sweeps) in [("street_vlp16_losses.pcap", 5), ("street_hdl32e_dual.pcap.gz", 3)] {
-        let path = Path::new(env!("CARGO_MANIFEST_DIR")).join("pcap_fixtures").join(capture);
+    for (capture, sweeps) in [
+        ("street_vlp16_losses.pcap", 5),
+        ("street_hdl32e_dual.pcap.gz", 3),
+    ] {
+        let path = Path::new(env!("CARGO_MANIFEST_DIR"))
+            .join("pcap_fixtures")
+            .join(capture);
         let expected = replayed(&path);
         for speed in ["realtime", "3", "max"] {
             let setup = Setup::new("", "");
@@ -173,14 +247,24 @@ fn captures_replayed_at_any_speed() {
                 "--root",
             ];
             let root = setup.own.root().to_str().unwrap().to_owned();
-            let mut player = Process::start(&[&args[..], &[&root]].concat(), &setup.path("player.log"));
+            let mut player =
+                Process::start(&[&args[..], &[&root]].concat(), &setup.path("player.log"));
             let (mut met, begun) = (BTreeSet::new(), Instant::now());
             while met.len() < sweeps {
-                assert!(begun.elapsed() < Duration::from_secs(20), "{capture} at {speed}: {} sweeps", met.len());
-                let Some(sweep) = client.next(Duration::from_millis(100)).unwrap() else { continue };
+                assert!(
+                    begun.elapsed() < Duration::from_secs(20),
+                    "{capture} at {speed}: {} sweeps",
+                    met.len()
+                );
+                let Some(sweep) = client.next(Duration::from_millis(100)).unwrap() else {
+                    continue;
+                };
                 let sweep = sweep.view().unwrap();
                 let time_ns = sweep.header.sensor_time_ns;
-                assert!(expected.get(&time_ns) == Some(&same(&sweep)), "{capture} at {speed}: the sweep at {time_ns}");
+                assert!(
+                    expected.get(&time_ns) == Some(&same(&sweep)),
+                    "{capture} at {speed}: the sweep at {time_ns}"
+                );
                 met.insert(time_ns);
             }
             let _ = player.0.kill();
@@ -191,7 +275,9 @@ fn captures_replayed_at_any_speed() {
 
 #[test]
 fn real_captures_live_and_replayed() {
-    let Some(data) = crate::common::data_dir() else { return };
+    let Some(data) = crate::common::data_dir() else {
+        return;
+    };
     let python = crate::common::python_with_iceoryx2();
     for capture in [
         "hdl32e_mrpt-sample.pcap",
@@ -204,7 +290,10 @@ fn real_captures_live_and_replayed() {
         let path = data.join("pcap").join(capture);
         let received = compare(capture, python.as_deref(), |setup| {
             let to = format!("127.0.0.1:{}", setup.port);
-            Process::start(&["replay", path.to_str().unwrap(), "--to", &to], &setup.path("sensor.log"))
+            Process::start(
+                &["replay", path.to_str().unwrap(), "--to", &to],
+                &setup.path("sensor.log"),
+            )
         });
         assert!(received > 3, "{capture}: {received}");
     }

@@ -1,4 +1,5 @@
-//! The daemon as robots run it: `sweepd run`, sensors and consumers, each in a process of its own, over loopback.
+//! The daemon as robots run it: `sweepd run`, sensors and consumers, each in a process of its own,
+//! over loopback.
 
 #[path = "../common/mod.rs"]
 mod common;

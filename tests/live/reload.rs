@@ -9,12 +9,21 @@ use crate::setup::{SOON, Setup, sweepd};
 fn points(setup: &Setup) -> Vec<u32> {
     let file = setup.path("segments.csv");
     let mut watch: Command = sweepd(&setup.watch_args());
-    watch.args(["--sweeps", "5", "--timeout", "10", "--force", "--segments"]).arg(&file);
+    watch
+        .args(["--sweeps", "5", "--timeout", "10", "--force", "--segments"])
+        .arg(&file);
     assert!(watch.output().unwrap().status.success(), "{}", setup.log());
     let text = std::fs::read_to_string(&file).unwrap();
     let mut lines = text.lines();
-    let column = lines.next().unwrap().split(',').position(|name| name == "points").unwrap();
-    lines.map(|line| line.split(',').nth(column).unwrap().parse().unwrap()).collect()
+    let column = lines
+        .next()
+        .unwrap()
+        .split(',')
+        .position(|name| name == "points")
+        .unwrap();
+    lines
+        .map(|line| line.split(',').nth(column).unwrap().parse().unwrap())
+        .collect()
 }
 
 #[test]
@@ -26,19 +35,39 @@ fn segmentation_settings_take_effect_with_the_next_sweep() {
     assert!((10..40).contains(&least(&setup)));
     let file = setup.daemon_args()[2].to_owned();
     let first = std::fs::read_to_string(&file).unwrap();
-    for (turn, segment) in ["min_points = 3, theta_deg = 12", "min_points = 40, theta_deg = 12"].iter().enumerate() {
+    for (turn, segment) in [
+        "min_points = 3, theta_deg = 12",
+        "min_points = 40, theta_deg = 12",
+    ]
+    .iter()
+    .enumerate()
+    {
         // Another consumer limit can only be had by a restart.
-        let text =
-            first.replace("segment = { min_points = 10 }", &format!("max_consumers = 3\nsegment = {{ {segment} }}"));
+        let text = first.replace(
+            "segment = { min_points = 10 }",
+            &format!("max_consumers = 3\nsegment = {{ {segment} }}"),
+        );
         std::fs::write(&file, text).unwrap();
         daemon.signal("-HUP");
         let begun = Instant::now();
-        while setup.log().matches("decoded with the new configuration").count() <= turn {
+        while setup
+            .log()
+            .matches("decoded with the new configuration")
+            .count()
+            <= turn
+        {
             assert!(begun.elapsed() < SOON, "it is not taken");
             std::thread::sleep(std::time::Duration::from_millis(10));
         }
         let least = least(&setup);
-        assert!(if turn == 0 { (3..10).contains(&least) } else { least >= 40 }, "{segment}: {least} points");
+        assert!(
+            if turn == 0 {
+                (3..10).contains(&least)
+            } else {
+                least >= 40
+            },
+            "{segment}: {least} points"
+        );
     }
     let log = setup.log();
     for line in [
@@ -49,5 +78,9 @@ fn segmentation_settings_take_effect_with_the_next_sweep() {
     ] {
         assert!(log.contains(line), "no {line:?}");
     }
-    assert_eq!(log.matches("needs a restart").count(), 2, "each time, and alone");
+    assert_eq!(
+        log.matches("needs a restart").count(),
+        2,
+        "each time, and alone"
+    );
 }

@@ -1,7 +1,8 @@
-//! What the machine may run out of, or take away: each has a clear message and state, and an end where it must have one; and
-//! the daemon recovers alone where that is possible.
+//! What the machine may run out of, or take away: each has a clear message and state, and an end
+//! where it must have one; and the daemon recovers alone where that is possible.
 //!
-//! The real binary, in namespaces of its own (unshare(1), as root): what is full, gone or read-only is so for it alone.
+//! The real binary, in namespaces of its own (unshare(1), as root): what is full, gone or read-only
+//! is so for it alone.
 
 #[path = "../common/mod.rs"]
 mod common;

@@ -13,7 +13,11 @@ const DECODED: &str = "sweepd_sweeps_total{sensor=\"roof\"}";
 fn goes_on(world: &World) {
     let (begun, before) = (Instant::now(), world.metric(DECODED));
     while world.metric(DECODED) < before + 3 {
-        assert!(begun.elapsed() < Duration::from_secs(20), "no sweeps: {}", world.log());
+        assert!(
+            begun.elapsed() < Duration::from_secs(20),
+            "no sweeps: {}",
+            world.log()
+        );
         std::thread::sleep(Duration::from_millis(50));
     }
 }
@@ -55,11 +59,19 @@ fn without_descriptors_sweeps_go_on_and_health_answers_again_when_there_are_some
     let pid = world.pid();
     let limit = |files: usize| {
         let limit = format!("--nofile={files}:4096");
-        assert!(Command::new("prlimit").args(["--pid", &pid.to_string(), &limit]).status().unwrap().success());
+        assert!(
+            Command::new("prlimit")
+                .args(["--pid", &pid.to_string(), &limit])
+                .status()
+                .unwrap()
+                .success()
+        );
     };
     // Below all that are open: no more can be had, whichever are free.
     limit(3);
-    let held: Vec<TcpStream> = (0..5).map(|_| TcpStream::connect(("127.0.0.1", world.http)).unwrap()).collect();
+    let held: Vec<TcpStream> = (0..5)
+        .map(|_| TcpStream::connect(("127.0.0.1", world.http)).unwrap())
+        .collect();
     assert_eq!(world.ask("/health").0, 0, "nobody can answer");
     std::thread::sleep(Duration::from_secs(1));
     limit(1024);
@@ -79,7 +91,9 @@ fn a_full_disk_ends_the_recording_and_no_sensor_and_it_goes_on_by_itself_when_th
     world.start(&["-m"], "mount -t tmpfs -o size=256k none /mnt");
     world.until_it_says("recording to /mnt/drive-000.pcap");
     world.simulate(40.0);
-    world.until_it_says("the recording has ended: cannot write /mnt/drive-000.pcap: No space left on device");
+    world.until_it_says(
+        "the recording has ended: cannot write /mnt/drive-000.pcap: No space left on device",
+    );
     world.until_it_says("free space there, or record to another disk");
     world.until_health(503, "nothing is recorded: cannot write /mnt/drive-00");
     assert_eq!(world.metric("sweepd_recording_failed{}"), 1);
@@ -91,7 +105,10 @@ fn a_full_disk_ends_the_recording_and_no_sensor_and_it_goes_on_by_itself_when_th
     world.until_it_says("recording to /mnt/drive-001.pcap again");
     world.until_health(200, "streaming");
     assert_eq!(world.metric("sweepd_recording_failed{}"), 0);
-    assert!(world.metric("sweepd_unrecorded_total{}") >= unrecorded, "what was not recorded stays counted");
+    assert!(
+        world.metric("sweepd_unrecorded_total{}") >= unrecorded,
+        "what was not recorded stays counted"
+    );
     assert_eq!(world.says("the recording has ended"), 1, "{}", world.log());
     assert_eq!(world.metric("sweepd_lost_total{sensor=\"roof\"}"), 0);
     world.signal("-TERM");
@@ -108,7 +125,10 @@ fn where_nothing_can_be_written_nothing_is_recorded_and_it_is_begun_when_somethi
             "mount -t tmpfs -o ro none /mnt",
             "Read-only file system (os error 30); choose a folder that this user may write to",
         ),
-        ("mount -t tmpfs none /mnt\nmkdir /mnt/drive-000.pcap\nmount -o remount,ro /mnt", "Read-only file system"),
+        (
+            "mount -t tmpfs none /mnt\nmkdir /mnt/drive-000.pcap\nmount -o remount,ro /mnt",
+            "Read-only file system",
+        ),
     ] {
         let mut world = World::new();
         world.configure("", "[record]\npath = \"/mnt/drive.pcap\"\n");
@@ -155,7 +175,10 @@ fn an_interface_that_goes_away_and_comes_back_is_listened_on_again() {
         return;
     }
     let mut world = World::new();
-    world.configure("bind = \"0.0.0.0\"\ninterface = \"lidar0\"\naddress = \"10.77.0.2\"\n", "");
+    world.configure(
+        "bind = \"0.0.0.0\"\ninterface = \"lidar0\"\naddress = \"10.77.0.2\"\n",
+        "",
+    );
     let mut sensor = Command::new("unshare");
     let sensor = world.background({
         sensor.args(["-n", "sleep", "300"]);
@@ -177,7 +200,19 @@ fn an_interface_that_goes_away_and_comes_back_is_listened_on_again() {
         }
         let (to, pid) = (format!("10.77.0.1:{}", world.port), sensor.to_string());
         let mut simulate = Command::new("nsenter");
-        simulate.args(["-t", &pid, "-n", &binary(), "simulate", "--model", "vlp16", "--seconds", "120", "--to", &to]);
+        simulate.args([
+            "-t",
+            &pid,
+            "-n",
+            &binary(),
+            "simulate",
+            "--model",
+            "vlp16",
+            "--seconds",
+            "120",
+            "--to",
+            &to,
+        ]);
         let simulate = world.background(simulate);
         if times == 1 {
             // After an outage it is said again only if that was long enough to be told.

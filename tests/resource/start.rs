@@ -1,4 +1,5 @@
-//! What it cannot start without: it says what is missing and how to mend it, and ends; what may come later it waits for.
+//! What it cannot start without: it says what is missing and how to mend it, and ends; what may
+//! come later it waits for.
 
 use std::os::unix::fs::PermissionsExt;
 
@@ -24,7 +25,13 @@ const CASES: [Case; 7] = [
         unshare: &["-m"],
         script: "mount -t tmpfs -o size=1m none /dev/shm",
         code: 1,
-        says: &["error: roof: /dev/shm has", "bytes free and", "are needed,", "more:", "remount,size="],
+        says: &[
+            "error: roof: /dev/shm has",
+            "bytes free and",
+            "are needed,",
+            "more:",
+            "remount,size=",
+        ],
     },
     Case {
         name: "no descriptors",
@@ -59,7 +66,10 @@ const CASES: [Case; 7] = [
         unshare: &["-m"],
         script: "mount -t tmpfs -o mode=755 none /mnt\nPREFIX='setpriv --reuid=65534 --regid=65534 --clear-groups'",
         code: 1,
-        says: &["error: /mnt belongs to user root, this program runs as nobody", "sudo -u root"],
+        says: &[
+            "error: /mnt belongs to user root, this program runs as nobody",
+            "sudo -u root",
+        ],
     },
     Case {
         name: "a privileged port",
@@ -96,7 +106,11 @@ fn what_it_cannot_start_without_is_named_with_the_cure() {
         assert_eq!(status.code(), Some(case.code), "{}: {log}", case.name);
         let last = log.lines().last().unwrap_or_default();
         for text in case.says {
-            assert!(last.contains(text), "{}: `{text}` is not in: {log}", case.name);
+            assert!(
+                last.contains(text),
+                "{}: `{text}` is not in: {log}",
+                case.name
+            );
         }
         assert!(!log.contains("panicked"), "{}: {log}", case.name);
     }
@@ -113,7 +127,11 @@ fn a_port_that_is_taken_is_an_error_that_names_the_holder() {
     world.start(&["-m"], "");
     assert_eq!(world.end().code(), Some(1));
     let text = format!("error: port {} is held by ", world.port);
-    assert!(world.log().contains(&text) && world.log().contains("choose another port"), "{}", world.log());
+    assert!(
+        world.log().contains(&text) && world.log().contains("choose another port"),
+        "{}",
+        world.log()
+    );
 }
 
 #[test]

@@ -18,8 +18,12 @@ pub fn can_unshare() -> bool {
     if !is_root() {
         return false;
     }
-    let script = "mount -t tmpfs none /mnt && ip link set lo up && command -v bash nsenter setpriv prlimit";
-    let tried = Command::new("unshare").args(["-m", "-n", "sh", "-c", script]).stdout(Stdio::null()).status();
+    let script =
+        "mount -t tmpfs none /mnt && ip link set lo up && command -v bash nsenter setpriv prlimit";
+    let tried = Command::new("unshare")
+        .args(["-m", "-n", "sh", "-c", script])
+        .stdout(Stdio::null())
+        .status();
     let can = tried.is_ok_and(|status| status.success());
     if !can {
         skip("no namespaces: util-linux, iproute2 and bash are needed, and the right to use them");
@@ -41,19 +45,44 @@ impl World {
     pub fn new() -> Self {
         static NEXT: AtomicU32 = AtomicU32::new(0);
         let number = NEXT.fetch_add(1, Ordering::Relaxed);
-        let folder = std::env::temp_dir().join(format!("sweepd-resource-{}-{number}", std::process::id()));
+        let folder =
+            std::env::temp_dir().join(format!("sweepd-resource-{}-{number}", std::process::id()));
         fs::create_dir_all(&folder).unwrap();
-        let port = UdpSocket::bind("127.0.0.1:0").unwrap().local_addr().unwrap().port();
-        let http = TcpListener::bind("127.0.0.1:0").unwrap().local_addr().unwrap().port();
-        Self { own: Own::new(), folder, port, http, daemon: None, others: Vec::new() }
+        let port = UdpSocket::bind("127.0.0.1:0")
+            .unwrap()
+            .local_addr()
+            .unwrap()
+            .port();
+        let http = TcpListener::bind("127.0.0.1:0")
+            .unwrap()
+            .local_addr()
+            .unwrap()
+            .port();
+        Self {
+            own: Own::new(),
+            folder,
+            port,
+            http,
+            daemon: None,
+            others: Vec::new(),
+        }
     }
 
-    /// Writes the configuration: a VLP-16 at 127.0.0.1, with more lines of the sensor and of the whole.
+    /// Writes the configuration: a VLP-16 at 127.0.0.1, with more lines of the sensor and of the
+    /// whole.
     pub fn configure(&self, sensor: &str, whole: &str) {
         let Self { port, http, .. } = self;
         let root = self.root().display();
-        let bind = if sensor.contains("bind =") { "" } else { "bind = \"127.0.0.1\"\n" };
-        let address = if sensor.contains("address =") { "" } else { "address = \"127.0.0.1\"\n" };
+        let bind = if sensor.contains("bind =") {
+            ""
+        } else {
+            "bind = \"127.0.0.1\"\n"
+        };
+        let address = if sensor.contains("address =") {
+            ""
+        } else {
+            "address = \"127.0.0.1\"\n"
+        };
         let root = if sensor.contains("root =") || whole.contains("root =") {
             String::new()
         } else {
@@ -75,9 +104,18 @@ impl World {
 
     /// The same, with its log somewhere else.
     pub fn start_with_log(&mut self, unshare: &[&str], script: &str, log: Stdio) {
-        let run = format!("{script}\nexec $PREFIX {} run --config {}/sweepd.toml", binary(), self.folder.display());
+        let run = format!(
+            "{script}\nexec $PREFIX {} run --config {}/sweepd.toml",
+            binary(),
+            self.folder.display()
+        );
         let mut command = Command::new("unshare");
-        command.args(unshare).args(["sh", "-ec", &run]).stdin(Stdio::null()).stdout(Stdio::null()).stderr(log);
+        command
+            .args(unshare)
+            .args(["sh", "-ec", &run])
+            .stdin(Stdio::null())
+            .stdout(Stdio::null())
+            .stderr(log);
         self.daemon = Some(command.spawn().unwrap());
     }
 
@@ -90,7 +128,9 @@ impl World {
 
     fn enter(&self, command: &[&str]) -> Command {
         let mut enter = Command::new("nsenter");
-        enter.args(["-t", &self.pid().to_string(), "-m", "-n"]).args(command);
+        enter
+            .args(["-t", &self.pid().to_string(), "-m", "-n"])
+            .args(command);
         enter
     }
 
@@ -98,20 +138,44 @@ impl World {
     pub fn simulate(&mut self, seconds: f64) {
         let to = format!("127.0.0.1:{}", self.port);
         let seconds = seconds.to_string();
-        let mut command = self.enter(&[&binary(), "simulate", "--model", "vlp16", "--seconds", &seconds, "--to", &to]);
-        self.others.push(command.stdout(Stdio::null()).stderr(Stdio::null()).spawn().unwrap());
+        let mut command = self.enter(&[
+            &binary(),
+            "simulate",
+            "--model",
+            "vlp16",
+            "--seconds",
+            &seconds,
+            "--to",
+            &to,
+        ]);
+        self.others.push(
+            command
+                .stdout(Stdio::null())
+                .stderr(Stdio::null())
+                .spawn()
+                .unwrap(),
+        );
     }
 
     /// Another program that ends with this.
     pub fn background(&mut self, mut command: Command) -> u32 {
-        let child = command.stdin(Stdio::null()).stdout(Stdio::null()).stderr(Stdio::null()).spawn().unwrap();
+        let child = command
+            .stdin(Stdio::null())
+            .stdout(Stdio::null())
+            .stderr(Stdio::null())
+            .spawn()
+            .unwrap();
         self.others.push(child);
         self.others.last().unwrap().id()
     }
 
     /// Ends one of those.
     pub fn stop(&mut self, id: u32) {
-        let child = self.others.iter_mut().find(|child| child.id() == id).unwrap();
+        let child = self
+            .others
+            .iter_mut()
+            .find(|child| child.id() == id)
+            .unwrap();
         child.kill().unwrap();
         child.wait().unwrap();
     }
@@ -126,7 +190,13 @@ impl World {
     }
 
     pub fn signal(&self, name: &str) {
-        assert!(Command::new("kill").args([name, &self.pid().to_string()]).status().unwrap().success());
+        assert!(
+            Command::new("kill")
+                .args([name, &self.pid().to_string()])
+                .status()
+                .unwrap()
+                .success()
+        );
     }
 
     pub fn log(&self) -> String {
@@ -149,8 +219,16 @@ impl World {
         let begun = Instant::now();
         while self.says(text) < times {
             let ended = self.daemon.as_mut().unwrap().try_wait().unwrap();
-            assert!(ended.is_none(), "ended with {ended:?}, and did not say `{text}`: {}", self.log());
-            assert!(begun.elapsed() < Duration::from_secs(20), "does not say `{text}`: {}", self.log());
+            assert!(
+                ended.is_none(),
+                "ended with {ended:?}, and did not say `{text}`: {}",
+                self.log()
+            );
+            assert!(
+                begun.elapsed() < Duration::from_secs(20),
+                "does not say `{text}`: {}",
+                self.log()
+            );
             std::thread::sleep(Duration::from_millis(10));
         }
     }
@@ -161,10 +239,22 @@ impl World {
             "exec 3<>/dev/tcp/127.0.0.1/{}; printf 'GET {path} HTTP/1.1\\r\\nHost: localhost\\r\\n\\r\\n' >&3; timeout 5 cat <&3",
             self.http
         );
-        let answer = self.enter(&["bash", "-c", &script]).stderr(Stdio::null()).output().unwrap();
+        let answer = self
+            .enter(&["bash", "-c", &script])
+            .stderr(Stdio::null())
+            .output()
+            .unwrap();
         let text = String::from_utf8_lossy(&answer.stdout).into_owned();
-        let Some((head, body)) = text.split_once("\r\n\r\n") else { return (0, text) };
-        (head.split(' ').nth(1).and_then(|status| status.parse().ok()).unwrap_or(0), body.to_owned())
+        let Some((head, body)) = text.split_once("\r\n\r\n") else {
+            return (0, text);
+        };
+        (
+            head.split(' ')
+                .nth(1)
+                .and_then(|status| status.parse().ok())
+                .unwrap_or(0),
+            body.to_owned(),
+        )
     }
 
     /// Waits until the health page has this status and text.
@@ -176,7 +266,10 @@ impl World {
             if found == status && body.contains(text) {
                 return;
             }
-            assert!(begun.elapsed() < Duration::from_secs(20), "health is {found}, not {status} with `{text}`: {body}");
+            assert!(
+                begun.elapsed() < Duration::from_secs(20),
+                "health is {found}, not {status} with `{text}`: {body}"
+            );
             std::thread::sleep(Duration::from_millis(50));
         }
     }
@@ -184,7 +277,10 @@ impl World {
     /// A sample of the metrics; 0 where there is none.
     pub fn metric(&self, name: &str) -> u64 {
         let (_, body) = self.ask("/metrics");
-        let sample = body.lines().find_map(|line| line.strip_prefix(name)).unwrap_or(" 0");
+        let sample = body
+            .lines()
+            .find_map(|line| line.strip_prefix(name))
+            .unwrap_or(" 0");
         sample.trim().parse::<f64>().unwrap() as u64
     }
 
@@ -193,7 +289,11 @@ impl World {
     pub fn until_metric(&self, name: &str, least: u64) {
         let begun = Instant::now();
         while self.metric(name) < least {
-            assert!(begun.elapsed() < Duration::from_secs(20), "{name} stays under {least}: {}", self.log());
+            assert!(
+                begun.elapsed() < Duration::from_secs(20),
+                "{name} stays under {least}: {}",
+                self.log()
+            );
             std::thread::sleep(Duration::from_millis(50));
         }
     }
@@ -206,7 +306,11 @@ impl World {
             if let Some(status) = self.daemon.as_mut().unwrap().try_wait().unwrap() {
                 return status;
             }
-            assert!(begun.elapsed() < Duration::from_secs(20), "it does not end: {}", self.log());
+            assert!(
+                begun.elapsed() < Duration::from_secs(20),
+                "it does not end: {}",
+                self.log()
+            );
             std::thread::sleep(Duration::from_millis(5));
         }
     }

@@ -2,9 +2,9 @@
 //!
 //!     cargo run -p sweepd-client --example consumer -- roof
 //!
-//! Number of the sweep, sweeps a second, time from the arrival of its last packet until now, segments, and how near the
-//! nearest one is. It may be started before the daemon, and goes on when that was restarted. Ctrl-C ends it; a consumer that
-//! is killed holds nobody up.
+//! Number of the sweep, sweeps a second, time from the arrival of its last packet until now,
+//! segments, and how near the nearest one is. It may be started before the daemon, and goes on when
+//! that was restarted. Ctrl-C ends it; a consumer that is killed holds nobody up.
 
 use std::collections::VecDeque;
 use std::io::Write;
@@ -32,14 +32,24 @@ fn follow(domain: &Domain, name: &str) -> Result<(), Box<dyn std::error::Error>>
     let mut rate = Rate::default();
     loop {
         let Some(sweep) = sensor.next(Duration::from_secs(1))? else {
-            eprintln!("{name} {}", if sensor.is_published() { "is silent" } else { "is not published" });
+            eprintln!(
+                "{name} {}",
+                if sensor.is_published() {
+                    "is silent"
+                } else {
+                    "is not published"
+                }
+            );
             continue;
         };
         let line = line(name, &sweep.view()?, rate.next());
         // Given back before anything may make this wait.
         drop(sweep);
         let mut output = std::io::stdout().lock();
-        if writeln!(output, "{line}").and_then(|()| output.flush()).is_err() {
+        if writeln!(output, "{line}")
+            .and_then(|()| output.flush())
+            .is_err()
+        {
             // Nobody reads any more.
             return Ok(());
         }
@@ -47,12 +57,23 @@ fn follow(domain: &Domain, name: &str) -> Result<(), Box<dyn std::error::Error>>
 }
 
 fn line(name: &str, sweep: &SweepRef<'_>, rate_hz: f64) -> String {
-    let now_ns = SystemTime::UNIX_EPOCH.elapsed().map_or(0, |since| since.as_nanos() as i64);
+    let now_ns = SystemTime::UNIX_EPOCH
+        .elapsed()
+        .map_or(0, |since| since.as_nanos() as i64);
     let latency_ms = now_ns.saturating_sub(sweep.header.arrival_ns) as f64 * 1e-6;
-    let nearest = sweep.segments.iter().map(|segment| segment.nearest_m).min_by(f32::total_cmp);
-    let nearest = nearest.map_or_else(|| "none".to_owned(), |nearest_m| format!("{nearest_m:.2} m"));
+    let nearest = sweep
+        .segments
+        .iter()
+        .map(|segment| segment.nearest_m)
+        .min_by(f32::total_cmp);
+    let nearest = nearest.map_or_else(
+        || "none".to_owned(),
+        |nearest_m| format!("{nearest_m:.2} m"),
+    );
     let (sequence, segments) = (sweep.header.sequence, sweep.segments.len());
-    format!("{name} {sequence}: {rate_hz:.1} Hz, {latency_ms:.1} ms, {segments} segments, nearest {nearest}")
+    format!(
+        "{name} {sequence}: {rate_hz:.1} Hz, {latency_ms:.1} ms, {segments} segments, nearest {nearest}"
+    )
 }
 
 /// Sweeps a second, over the last ten.

@@ -22,12 +22,14 @@
 //! # Ok::<(), Box<dyn std::error::Error>>(())
 //! ```
 //!
-//! It may be started before the daemon, and goes on when that was restarted. It must run as the daemon's user: shared memory
-//! is open to its owner alone, and another user, root included, is told so.
+//! It may be started before the daemon, and goes on when that was restarted. It must run as the
+//! daemon's user: shared memory is open to its owner alone, and another user, root included, is
+//! told so.
 //!
-//! A publisher that is none of sweepd's, or of another version, or broken, is an error and never a panic: the header of each
-//! sweep is copied once and checked, and the copy is what counts from then on. What stands in planes and tables is the
-//! publisher's word: a range may be infinite, a label may have no segment.
+//! A publisher that is none of sweepd's, or of another version, or broken, is an error and never a
+//! panic: the header of each sweep is copied once and checked, and the copy is what counts from
+//! then on. What stands in planes and tables is the publisher's word: a range may be infinite, a
+//! label may have no segment.
 
 use std::time::Duration;
 
@@ -83,7 +85,9 @@ impl Client {
     /// # Errors
     /// As [`Client::new`].
     pub fn within(domain: &Domain, sensor: &str) -> Result<Self, ClientError> {
-        Ok(Self { subscriber: Subscriber::new(domain, sensor)? })
+        Ok(Self {
+            subscriber: Subscriber::new(domain, sensor)?,
+        })
     }
 
     /// Names of the sensors of a domain.
@@ -94,17 +98,22 @@ impl Client {
         Ok(Subscriber::names(domain)?)
     }
 
-    /// The next sweep; waits for it, and for the daemon if there is none, but at most so long. `None` when none came, or the
-    /// program handled a signal meanwhile.
+    /// The next sweep; waits for it, and for the daemon if there is none, but at most so long.
+    /// `None` when none came, or the program handled a signal meanwhile.
     ///
-    /// A consumer that is too slow gets the newest two: [`Header::sequence`](sweepd_core::sweep::Header::sequence) tells what it
-    /// missed.
+    /// A consumer that is too slow gets the newest two:
+    /// [`Header::sequence`](sweepd_core::sweep::Header::sequence) tells what it missed.
     ///
     /// # Errors
     /// [`ClientError`]: what waiting longer does not mend.
     pub fn next(&mut self, timeout: Duration) -> Result<Option<Sweep>, ClientError> {
-        let Some(received) = self.subscriber.wait(timeout)? else { return Ok(None) };
-        let refused = |source| ClientError::Layout { name: self.subscriber.name().to_owned(), source };
+        let Some(received) = self.subscriber.wait(timeout)? else {
+            return Ok(None);
+        };
+        let refused = |source| ClientError::Layout {
+            name: self.subscriber.name().to_owned(),
+            source,
+        };
         Sweep::of(received).map(Some).map_err(refused)
     }
 
@@ -138,7 +147,8 @@ impl Sweep {
     fn of(received: Received) -> Result<Self, LayoutError> {
         received.check()?;
         let bytes: &[u8] = received.as_ref();
-        let (header, _) = Header::read_from_prefix(bytes).map_err(|_| LayoutError::Bytes { bytes: bytes.len() })?;
+        let (header, _) = Header::read_from_prefix(bytes)
+            .map_err(|_| LayoutError::Bytes { bytes: bytes.len() })?;
         let sweep = Self { header, received };
         sweep.view()?;
         Ok(sweep)

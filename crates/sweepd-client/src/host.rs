@@ -4,7 +4,8 @@
 
 use std::time::{SystemTime, UNIX_EPOCH};
 
-/// The user that this program acts as, by number. (/proc/self would be root's in a program with capabilities of its own.)
+/// The user that this program acts as, by number. (/proc/self would be root's in a program with
+/// capabilities of its own.)
 pub fn own_uid() -> u32 {
     // SAFETY: takes nothing, touches nothing and cannot fail (geteuid(2)).
     unsafe { libc::geteuid() }
@@ -23,15 +24,24 @@ pub fn user_name(uid: u32) -> String {
 
 /// CLOCK_REALTIME, nanoseconds since 1970; 0 before.
 pub fn realtime_ns() -> i64 {
-    SystemTime::now().duration_since(UNIX_EPOCH).map_or(0, |since| since.as_nanos() as i64)
+    SystemTime::now()
+        .duration_since(UNIX_EPOCH)
+        .map_or(0, |since| since.as_nanos() as i64)
 }
 
 /// CLOCK_MONOTONIC, nanoseconds: the same in every process of this host.
 pub fn monotonic_ns() -> i64 {
-    let mut now = libc::timespec { tv_sec: 0, tv_nsec: 0 };
+    let mut now = libc::timespec {
+        tv_sec: 0,
+        tv_nsec: 0,
+    };
     // SAFETY: the call writes a timespec, which lives. It cannot fail: every Linux has this clock.
     unsafe { libc::clock_gettime(libc::CLOCK_MONOTONIC, &raw mut now) };
-    #[allow(clippy::unnecessary_cast, clippy::useless_conversion, reason = "32 bits have other types")]
+    #[allow(
+        clippy::unnecessary_cast,
+        clippy::useless_conversion,
+        reason = "32 bits have other types"
+    )]
     let (seconds, ns) = (i64::from(now.tv_sec), i64::from(now.tv_nsec));
     seconds * 1_000_000_000 + ns
 }
@@ -42,7 +52,10 @@ mod tests {
 
     #[test]
     fn users_have_names_or_numbers() {
-        assert_eq!([0, 4_000_000_000].map(user_name), ["root", "number 4000000000"]);
+        assert_eq!(
+            [0, 4_000_000_000].map(user_name),
+            ["root", "number 4000000000"]
+        );
     }
 
     #[test]

@@ -5,7 +5,8 @@
 //!             wire      sweep ----------   segment
 //! ```
 //!
-//! [`sensor`] says what each model is and where its beams point; [`pipeline`] holds the whole algorithm on one page.
+//! [`sensor`] says what each model is and where its beams point; [`pipeline`] holds the whole
+//! algorithm on one page.
 
 #![forbid(unsafe_code)]
 #![warn(missing_docs)]

@@ -1,7 +1,7 @@
 //! The whole algorithm on one page: datagrams of one sensor in, labelled sweeps out.
 //!
-//! Pure: bytes and time come in as arguments. Live, replay and tests push the same datagrams through here, so the same
-//! bytes give the same sweeps.
+//! Pure: bytes and time come in as arguments. Live, replay and tests push the same datagrams
+//! through here, so the same bytes give the same sweeps.
 //!
 //! ```text
 //! push(datagram)    what arrived                   poll()   the next sweep that is whole, segmented
@@ -9,7 +9,8 @@
 //! tick(now)         nothing arrived for a while    end()    nothing will arrive any more
 //! ```
 //!
-//! Whoever is in a hurry has a sweep segmented while the head still turns: [`Pipeline::segment_early`].
+//! Whoever is in a hurry has a sweep segmented while the head still turns:
+//! [`Pipeline::segment_early`].
 
 mod config;
 mod report;
@@ -83,7 +84,8 @@ enum Closing {
     Exchanged,
 }
 
-/// A time as a clock can tell it: sums with others do not overflow then, whatever whoever calls made of it.
+/// A time as a clock can tell it: sums with others do not overflow then, whatever whoever calls
+/// made of it.
 fn possible(arrival_ns: i64) -> i64 {
     arrival_ns.clamp(*TIMES_NS.start(), *TIMES_NS.end())
 }
@@ -97,12 +99,18 @@ impl<B: Buffers, W: Stopwatch> Pipeline<B, W> {
         Self::with_level(sensor, config, buffers, watch, Level::new())
     }
 
-    /// The same, with no more than these instructions of the machine (see [`levels`](crate::sweep::lanes::levels)): it
-    /// gives the same sweeps, byte for byte.
+    /// The same, with no more than these instructions of the machine (see
+    /// [`levels`](crate::sweep::lanes::levels)): it gives the same sweeps, byte for byte.
     ///
     /// # Errors
     /// [`ConfigError`], as [`Pipeline::new`].
-    pub fn with_level(sensor: &str, config: Config, buffers: B, watch: W, level: Level) -> Result<Self, ConfigError> {
+    pub fn with_level(
+        sensor: &str,
+        config: Config,
+        buffers: B,
+        watch: W,
+        level: Level,
+    ) -> Result<Self, ConfigError> {
         let segmenter = Segmenter::with_level(config.segment.clone(), level)?;
         let state = Self::detecting(config.model, buffers, Clocks::default());
         let counts = Counts::default();
@@ -123,12 +131,17 @@ impl<B: Buffers, W: Stopwatch> Pipeline<B, W> {
         })
     }
 
-    /// Takes a datagram of this sensor. Call [`Pipeline::poll`] until it is empty before the next one.
+    /// Takes a datagram of this sensor. Call [`Pipeline::poll`] until it is empty before the next
+    /// one.
     ///
     /// # Errors
-    /// [`Fault`], once, when the packets turn out to be of no model that can be decoded; all that follow are counted.
+    /// [`Fault`], once, when the packets turn out to be of no model that can be decoded; all that
+    /// follow are counted.
     pub fn push(&mut self, datagram: &Datagram<'_>) -> Result<(), Fault> {
-        let datagram = &Datagram { arrival_ns: possible(datagram.arrival_ns), ..*datagram };
+        let datagram = &Datagram {
+            arrival_ns: possible(datagram.arrival_ns),
+            ..*datagram
+        };
         if datagram.payload.len() == POSITION_PACKET_LEN {
             self.position(datagram);
             return Ok(());
@@ -142,7 +155,11 @@ impl<B: Buffers, W: Stopwatch> Pipeline<B, W> {
         };
         match &mut self.state {
             State::Detecting(detecting) => {
-                match detecting.observe(Waiting { bytes: *packet, number, arrival_ns: datagram.arrival_ns }) {
+                match detecting.observe(Waiting {
+                    bytes: *packet,
+                    number,
+                    arrival_ns: datagram.arrival_ns,
+                }) {
                     Some(result) => self.detected(result),
                     None => Ok(()),
                 }
@@ -159,20 +176,25 @@ impl<B: Buffers, W: Stopwatch> Pipeline<B, W> {
         }
     }
 
-    /// Passes a data packet over, undecoded: the ordinals of those that follow count it all the same.
+    /// Passes a data packet over, undecoded: the ordinals of those that follow count it all the
+    /// same.
     pub fn pass_over(&mut self) {
         self.next_number += 1;
     }
 
-    /// Counts position packets that nobody need read: the next one that is pushed says all that they do, and is newer.
+    /// Counts position packets that nobody need read: the next one that is pushed says all that
+    /// they do, and is newer.
     pub fn pass_over_positions(&mut self, count: u64) {
         self.counts.position += count;
     }
 
-    /// The next sweep that is whole, labelled. See [`SweepRef::open`](crate::sweep::SweepRef::open).
+    /// The next sweep that is whole, labelled. See
+    /// [`SweepRef::open`](crate::sweep::SweepRef::open).
     pub fn poll(&mut self) -> Option<B::Buffer> {
         let begun_ns = self.watch.now_ns();
-        let State::Decoding(decoding) = &mut self.state else { return self.close() };
+        let State::Decoding(decoding) = &mut self.state else {
+            return self.close();
+        };
         let Decoding { order, builder, .. } = &mut **decoding;
         let whole = loop {
             // Firing by firing into columns, up to a cut.
@@ -182,7 +204,9 @@ impl<B: Buffers, W: Stopwatch> Pipeline<B, W> {
                 break Some(sweep);
             }
             // The next packet by the sensor's clock, with what is missing before it.
-            let Some((slot, before)) = order.pop() else { break None };
+            let Some((slot, before)) = order.pop() else {
+                break None;
+            };
             builder.begin(slot, order.packet(slot), before);
         };
         builder.spent(self.watch.now_ns() - begun_ns);
@@ -190,24 +214,35 @@ impl<B: Buffers, W: Stopwatch> Pipeline<B, W> {
         Some(self.segment(whole))
     }
 
-    /// Ground and joins of what is there of the open sweep: so there is little left to do when the head has turned. For when
-    /// there is nothing else to do, as after a batch of packets; the sweeps are the same without.
+    /// Ground and joins of what is there of the open sweep: so there is little left to do when the
+    /// head has turned. For when there is nothing else to do, as after a batch of packets; the
+    /// sweeps are the same without.
     pub fn segment_early(&mut self) {
-        let State::Decoding(decoding) = &mut self.state else { return };
-        let Some((mut sweep, ready)) = decoding.builder.so_far() else { return };
+        let State::Decoding(decoding) = &mut self.state else {
+            return;
+        };
+        let Some((mut sweep, ready)) = decoding.builder.so_far() else {
+            return;
+        };
         if self.spent.sequence != sweep.header.sequence {
-            self.spent = Spent { sequence: sweep.header.sequence, ..Spent::default() };
+            self.spent = Spent {
+                sequence: sweep.header.sequence,
+                ..Spent::default()
+            };
         }
         if self.segmenter.begin_early(&mut sweep, ready) {
             self.spent.strips(&mut self.segmenter, &sweep, &self.watch);
         }
     }
 
-    /// Tells the time while nothing arrives: a sweep that stalled is to be closed as it is. Whether there is one: then it
-    /// comes out at the next [`Pipeline::poll`].
+    /// Tells the time while nothing arrives: a sweep that stalled is to be closed as it is. Whether
+    /// there is one: then it comes out at the next [`Pipeline::poll`].
     pub fn tick(&mut self, now_ns: i64) -> bool {
         if let State::Decoding(decoding) = &mut self.state
-            && decoding.builder.newest_arrival_ns().is_some_and(|newest| now_ns.saturating_sub(newest) > STALL_NS)
+            && decoding
+                .builder
+                .newest_arrival_ns()
+                .is_some_and(|newest| now_ns.saturating_sub(newest) > STALL_NS)
         {
             decoding.order.flush();
             self.closing = Closing::Silence;
@@ -216,10 +251,12 @@ impl<B: Buffers, W: Stopwatch> Pipeline<B, W> {
         false
     }
 
-    /// Nothing more will come: the packets held back and the open sweep come out at the next [`Pipeline::poll`].
+    /// Nothing more will come: the packets held back and the open sweep come out at the next
+    /// [`Pipeline::poll`].
     ///
     /// # Errors
-    /// [`Fault`], when there were too few packets to tell the model before and it proves to be none that can be decoded.
+    /// [`Fault`], when there were too few packets to tell the model before and it proves to be none
+    /// that can be decoded.
     pub fn end(&mut self) -> Result<(), Fault> {
         if let State::Detecting(detecting) = &self.state
             && let Some(result) = detecting.conclude()
@@ -234,7 +271,10 @@ impl<B: Buffers, W: Stopwatch> Pipeline<B, W> {
             State::Calibrating(calibrating) => {
                 let (known, of) = calibrating.unit.known();
                 let model = calibrating.detection.model;
-                let own = calibrating.unit.calibration().map(|own| own.and_then(|own| own.for_model(model)));
+                let own = calibrating
+                    .unit
+                    .calibration()
+                    .map(|own| own.and_then(|own| own.for_model(model)));
                 self.state = State::Refusing;
                 return Err(match own {
                     Some(Err(error)) => Fault::OwnCalibration(error),
@@ -269,15 +309,16 @@ impl<B: Buffers, W: Stopwatch> Pipeline<B, W> {
         }
     }
 
-    /// Expects the HDL-64E of which this is known, before the first packet: its calibration and its power need not be awaited
-    /// then. For another sensor it is of no account.
+    /// Expects the HDL-64E of which this is known, before the first packet: its calibration and its
+    /// power need not be awaited then. For another sensor it is of no account.
     pub fn expect_unit(&mut self, known: Option<Unit>) {
         if let State::Detecting(detecting) = &mut self.state {
             detecting.unit = known;
         }
     }
 
-    /// Ends the pipeline; gives what an HDL-64E has said of itself, for [`Pipeline::expect_unit`] of the next one.
+    /// Ends the pipeline; gives what an HDL-64E has said of itself, for [`Pipeline::expect_unit`]
+    /// of the next one.
     pub fn into_unit(self) -> Option<Unit> {
         let mut unit = match self.state {
             State::Detecting(detecting) => detecting.unit,
@@ -290,8 +331,9 @@ impl<B: Buffers, W: Stopwatch> Pipeline<B, W> {
         Some(unit).filter(Unit::is_settled)
     }
 
-    /// When the packet that completes the open sweep will arrive at the earliest, if the head goes on as it did, nanoseconds
-    /// since 1970; `None` while nobody can tell. Whoever fetches packets need not hurry before.
+    /// When the packet that completes the open sweep will arrive at the earliest, if the head goes
+    /// on as it did, nanoseconds since 1970; `None` while nobody can tell. Whoever fetches packets
+    /// need not hurry before.
     pub fn due_ns(&self) -> Option<i64> {
         match &self.state {
             State::Decoding(decoding) => decoding.builder.due_ns(),
@@ -303,7 +345,11 @@ impl<B: Buffers, W: Stopwatch> Pipeline<B, W> {
     pub fn counts(&self) -> Counts {
         let mut counts = self.counts;
         if let State::Decoding(decoding) = &self.state {
-            let OrderCounts { reordered, unconfirmed, set_back } = decoding.order.counts();
+            let OrderCounts {
+                reordered,
+                unconfirmed,
+                set_back,
+            } = decoding.order.counts();
             counts.reordered += reordered;
             counts.set_back += set_back;
             counts.unconfirmed += unconfirmed;
@@ -312,10 +358,12 @@ impl<B: Buffers, W: Stopwatch> Pipeline<B, W> {
         counts
     }
 
-    /// The paper's two steps, on a whole sweep and in place: take the ground away, join what is left. What was done early
-    /// is not done again.
+    /// The paper's two steps, on a whole sweep and in place: take the ground away, join what is
+    /// left. What was done early is not done again.
     fn segment(&mut self, mut whole: B::Buffer) -> B::Buffer {
-        let Ok(mut sweep) = SweepMut::open(whole.as_mut()) else { return whole };
+        let Ok(mut sweep) = SweepMut::open(whole.as_mut()) else {
+            return whole;
+        };
         let begun_ns = self.watch.now_ns();
         self.segmenter.begin(&mut sweep);
         let mut spent = std::mem::take(&mut self.spent);
@@ -334,7 +382,8 @@ impl<B: Buffers, W: Stopwatch> Pipeline<B, W> {
         whole
     }
 
-    /// All packets are placed: closes the open sweep if that is due, and begins anew with another sensor.
+    /// All packets are placed: closes the open sweep if that is due, and begins anew with another
+    /// sensor.
     fn close(&mut self) -> Option<B::Buffer> {
         if self.closing == Closing::No {
             return None;

@@ -1,10 +1,11 @@
-//! Point clouds without a range image, from KITTI, PCD and PLY files, to sweeps: the projection of the paper's section
-//! III.
+//! Point clouds without a range image, from KITTI, PCD and PLY files, to sweeps: the projection of
+//! the paper's section III.
 //!
-//! Where a file names the ring of each point, or the beams of the sensor are told, the rows come from there. A cloud of a
-//! spinning sensor that lists ring after ring still tells which beam each point came from: a new ring begins where the
-//! azimuth starts over. Where each beam starts and points is fitted to its points, which lie on a cone whose tip is up to a
-//! hand's breadth above the sensor's origin. The columns are even in azimuth, and each shows one point.
+//! Where a file names the ring of each point, or the beams of the sensor are told, the rows come
+//! from there. A cloud of a spinning sensor that lists ring after ring still tells which beam each
+//! point came from: a new ring begins where the azimuth starts over. Where each beam starts and
+//! points is fitted to its points, which lie on a cone whose tip is up to a hand's breadth above
+//! the sensor's origin. The columns are even in azimuth, and each shows one point.
 
 pub(crate) mod fit;
 pub(crate) mod places;
@@ -32,7 +33,8 @@ pub const POINT_BYTES: usize = 16;
 pub struct Cloud {
     /// x forward, y left, z up in metres, and intensity.
     pub points: Vec<[f32; 4]>,
-    /// Number of the ring that each point belongs to, where the file tells; the numbers mean nothing but "the same".
+    /// Number of the ring that each point belongs to, where the file tells; the numbers mean
+    /// nothing but "the same".
     pub rings: Option<Vec<u32>>,
 }
 
@@ -45,8 +47,11 @@ pub enum CloudError {
         /// Bytes that there are.
         bytes: usize,
     },
-    /// More rings than any supported image has rows: mostly a cloud that is not in the order of its rings.
-    #[error("point {point} begins ring {MAX_ROWS} (counted from 0); the points must be in order, ring after ring")]
+    /// More rings than any supported image has rows: mostly a cloud that is not in the order of its
+    /// rings.
+    #[error(
+        "point {point} begins ring {MAX_ROWS} (counted from 0); the points must be in order, ring after ring"
+    )]
     Rings {
         /// Index of the point.
         point: usize,
@@ -119,13 +124,21 @@ impl CloudSegmenter {
     /// # Errors
     /// [`CloudError::Config`] and [`CloudError::Columns`].
     pub fn new(config: Config, columns: usize) -> Result<Self, CloudError> {
-        Ok(Self { projector: CloudProjector::new(columns)?, segmenter: Segmenter::new(config)?, table: None })
+        Ok(Self {
+            projector: CloudProjector::new(columns)?,
+            segmenter: Segmenter::new(config)?,
+            table: None,
+        })
     }
 
-    /// For clouds in any order, whose points tell by their elevation which of these beams they come from.
+    /// For clouds in any order, whose points tell by their elevation which of these beams they come
+    /// from.
     #[must_use]
     pub fn with_rows(self, table: RowTable) -> Self {
-        Self { table: Some(table), ..self }
+        Self {
+            table: Some(table),
+            ..self
+        }
     }
 
     /// Labels of the points of a KITTI `.bin` file, in their order: 0 none, 1 ground, 2.. segment.
@@ -133,7 +146,10 @@ impl CloudSegmenter {
     /// # Errors
     /// [`CloudError`].
     pub fn segment(&mut self, bytes: &[u8]) -> Result<Vec<u32>, CloudError> {
-        let cloud = Cloud { points: points(bytes)?, rings: None };
+        let cloud = Cloud {
+            points: points(bytes)?,
+            rings: None,
+        };
         Ok(self.segment_cloud(&cloud)?.to_vec())
     }
 
@@ -144,8 +160,17 @@ impl CloudSegmenter {
     pub fn segment_cloud(&mut self, cloud: &Cloud) -> Result<&[u32], CloudError> {
         let mut sweep = self.projector.project_cloud(cloud, self.table.as_ref())?;
         let rings = sweep.beams.len();
-        if let Some(mask) = self.segmenter.config().mask.as_ref().filter(|mask| rings > 0 && mask.rows() != rings) {
-            return Err(CloudError::Mask { found: mask.rows(), rings });
+        if let Some(mask) = self
+            .segmenter
+            .config()
+            .mask
+            .as_ref()
+            .filter(|mask| rings > 0 && mask.rows() != rings)
+        {
+            return Err(CloudError::Mask {
+                found: mask.rows(),
+                rings,
+            });
         }
         // Each cloud by itself: the one before may be of another sensor.
         self.segmenter.forget_height();
@@ -163,7 +188,9 @@ pub fn points(bytes: &[u8]) -> Result<Vec<[f32; 4]>, CloudError> {
     if !rest.is_empty() {
         return Err(CloudError::Length { bytes: bytes.len() });
     }
-    let point = |chunk: &[u8; POINT_BYTES]| <[f32; 4]>::read_from_bytes(chunk).expect("as many bytes as four f32");
+    let point = |chunk: &[u8; POINT_BYTES]| {
+        <[f32; 4]>::read_from_bytes(chunk).expect("as many bytes as four f32")
+    };
     Ok(chunks.iter().map(point).collect())
 }
 
@@ -190,7 +217,11 @@ mod tests {
             for firing in 0..FIRINGS {
                 let (sin, cos) = ((firing as f64 + 0.5) / FIRINGS as f64 * TAU).sin_cos();
                 let to_ground = -HEIGHT_M / elevation_rad(beam).tan();
-                let to_wall = if cos > 0.0 && (8.0 * sin / cos).abs() < 1.0 { 8.0 / cos } else { f64::INFINITY };
+                let to_wall = if cos > 0.0 && (8.0 * sin / cos).abs() < 1.0 {
+                    8.0 / cos
+                } else {
+                    f64::INFINITY
+                };
                 let away = to_ground.min(to_wall);
                 let height = away * elevation_rad(beam).tan();
                 points.push([away * cos, away * sin, height, 0.5].map(|value| value as f32));
@@ -200,11 +231,21 @@ mod tests {
     }
 
     fn bytes(points: &[[f32; 4]]) -> Vec<u8> {
-        points.iter().flatten().flat_map(|value| value.to_le_bytes()).collect()
+        points
+            .iter()
+            .flatten()
+            .flat_map(|value| value.to_le_bytes())
+            .collect()
     }
 
     fn config() -> Config {
-        Config { mount: Mount { height_m: Some(HEIGHT_M as f32), ..Mount::default() }, ..Config::default() }
+        Config {
+            mount: Mount {
+                height_m: Some(HEIGHT_M as f32),
+                ..Mount::default()
+            },
+            ..Config::default()
+        }
     }
 
     fn segmenter() -> CloudSegmenter {
@@ -220,7 +261,16 @@ mod tests {
             let on_ground = f64::from(point[2]) < -HEIGHT_M + 1e-3;
             // The lowest return on the wall may be at the height of a kerb.
             let low = f64::from(point[2]) < -HEIGHT_M + 0.2;
-            assert!(label == if on_ground { LABEL_GROUND } else { LABEL_FIRST_SEGMENT } || low, "{point:?} {label}");
+            assert!(
+                label
+                    == if on_ground {
+                        LABEL_GROUND
+                    } else {
+                        LABEL_FIRST_SEGMENT
+                    }
+                    || low,
+                "{point:?} {label}"
+            );
         }
     }
 
@@ -230,9 +280,15 @@ mod tests {
         let mut projector = CloudProjector::new(FIRINGS).unwrap();
         let sweep = projector.project(&points).unwrap();
         let sweep = sweep.as_ref();
-        assert_eq!((sweep.rows(), sweep.header.returns as usize), (BEAMS, points.len()));
+        assert_eq!(
+            (sweep.rows(), sweep.header.returns as usize),
+            (BEAMS, points.len())
+        );
         for (row, beam) in sweep.beams.iter().enumerate() {
-            assert!((f64::from(beam.elevation_rad) - elevation_rad(row)).abs() < 1e-6, "{row}");
+            assert!(
+                (f64::from(beam.elevation_rad) - elevation_rad(row)).abs() < 1e-6,
+                "{row}"
+            );
         }
         // x right is left turned round, y forward.
         for found in sweep.returns() {
@@ -258,10 +314,15 @@ mod tests {
         assert!(segmenter().segment(&[]).unwrap().is_empty());
     }
 
-    /// Two points at one azimuth have two columns; of seven, at least two share the pixels of others.
+    /// Two points at one azimuth have two columns; of seven, at least two share the pixels of
+    /// others.
     #[test]
     fn points_make_room_for_each_other() {
-        let crowd = |count: usize| -> Vec<[f32; 4]> { (0..count).map(|i| [5.0 + i as f32, -1.0, -0.5, 0.0]).collect() };
+        let crowd = |count: usize| -> Vec<[f32; 4]> {
+            (0..count)
+                .map(|i| [5.0 + i as f32, -1.0, -0.5, 0.0])
+                .collect()
+        };
         let mut projector = CloudProjector::new(FIRINGS).unwrap();
         assert_eq!(projector.project(&crowd(2)).unwrap().header.returns, 2);
         let same_azimuth: Vec<[f32; 4]> = (0..7).map(|i| [1.0 + i as f32, 0.0, 0.0, 0.0]).collect();
@@ -271,18 +332,27 @@ mod tests {
         assert_eq!(projector.labels().unwrap(), [7; 7]);
     }
 
-    /// Four points a pixel: all are labelled, and as the twin scene in which each has a pixel of its own.
+    /// Four points a pixel: all are labelled, and as the twin scene in which each has a pixel of
+    /// its own.
     #[test]
     fn points_that_share_a_pixel_are_all_labelled() {
         let bytes = bytes(&street());
         let own = segmenter().segment(&bytes).unwrap();
-        let shared = CloudSegmenter::new(config(), FIRINGS / 4).unwrap().segment(&bytes).unwrap();
+        let shared = CloudSegmenter::new(config(), FIRINGS / 4)
+            .unwrap()
+            .segment(&bytes)
+            .unwrap();
         assert!(shared.iter().all(|&label| label != LABEL_NONE));
-        let same = own.iter().zip(&shared).filter(|(own, shared)| own == shared).count();
+        let same = own
+            .iter()
+            .zip(&shared)
+            .filter(|(own, shared)| own == shared)
+            .count();
         assert!(same * 100 > own.len() * 98, "{same} of {}", own.len());
     }
 
-    /// The same points in the sense of the clock, and from the lowest ring up: the labels are the same, point by point.
+    /// The same points in the sense of the clock, and from the lowest ring up: the labels are the
+    /// same, point by point.
     #[test]
     fn the_sense_and_the_order_of_the_rings_do_not_matter() {
         let street = street();
@@ -294,8 +364,14 @@ mod tests {
         for (index, order) in orders.into_iter().enumerate() {
             let moved: Vec<[f32; 4]> = (0..street.len()).map(|at| street[order(at)]).collect();
             let labels = segmenter().segment(&bytes(&moved)).unwrap();
-            let same = (0..labels.len()).filter(|&at| labels[at] == own[order(at)]).count();
-            assert!(same * 100 > own.len() * 99, "order {index}: {same} of {}", own.len());
+            let same = (0..labels.len())
+                .filter(|&at| labels[at] == own[order(at)])
+                .count();
+            assert!(
+                same * 100 > own.len() * 99,
+                "order {index}: {same} of {}",
+                own.len()
+            );
         }
     }
 
@@ -303,26 +379,60 @@ mod tests {
     #[test]
     fn noise_near_the_sensor_begins_no_ring_and_disorder_is_named() {
         let mut noisy = street();
-        for (index, point) in noisy.iter_mut().enumerate().filter(|(index, _)| index % 50 == 7) {
-            *point = if index % 100 == 7 { [0.02, 0.01, 0.0, 0.0] } else { [0.02, -0.01, 0.0, 0.0] };
+        for (index, point) in noisy
+            .iter_mut()
+            .enumerate()
+            .filter(|(index, _)| index % 50 == 7)
+        {
+            *point = if index % 100 == 7 {
+                [0.02, 0.01, 0.0, 0.0]
+            } else {
+                [0.02, -0.01, 0.0, 0.0]
+            };
         }
         let mut projector = CloudProjector::new(FIRINGS).unwrap();
         assert_eq!(projector.project(&noisy).unwrap().beams.len(), BEAMS);
-        let heap: Vec<[f32; 4]> = (0..10 * FIRINGS).map(|i| [5.0, 0.01 + 1e-4 * i as f32, 0.0, 0.0]).collect();
+        let heap: Vec<[f32; 4]> = (0..10 * FIRINGS)
+            .map(|i| [5.0, 0.01 + 1e-4 * i as f32, 0.0, 0.0])
+            .collect();
         let error = segmenter().segment(&bytes(&heap)).unwrap_err().to_string();
-        assert!(error.contains("has 7200 points, a turn has about 720"), "{error}");
+        assert!(
+            error.contains("has 7200 points, a turn has about 720"),
+            "{error}"
+        );
     }
 
     #[test]
     fn what_is_no_cloud_is_refused_in_words() {
         let error = |bytes: &[u8]| segmenter().segment(bytes).unwrap_err().to_string();
-        assert_eq!(error(&[0; 17]), "17 bytes, expected a multiple of 16: x, y, z and remission as f32");
-        let shuffled: Vec<[f32; 4]> =
-            (0..400).map(|i| if i % 2 == 0 { [1.0, 0.1, 0.0, 0.0] } else { [1.0, -0.1, 0.0, 0.0] }).collect();
+        assert_eq!(
+            error(&[0; 17]),
+            "17 bytes, expected a multiple of 16: x, y, z and remission as f32"
+        );
+        let shuffled: Vec<[f32; 4]> = (0..400)
+            .map(|i| {
+                if i % 2 == 0 {
+                    [1.0, 0.1, 0.0, 0.0]
+                } else {
+                    [1.0, -0.1, 0.0, 0.0]
+                }
+            })
+            .collect();
         assert!(error(&bytes(&shuffled)).contains("ring after ring"));
         let columns = CloudProjector::new(0).unwrap_err().to_string();
-        assert_eq!(columns, format!("0 columns, expected 1 to {COLUMNS_CAPACITY}"));
-        let theta = Config { theta_rad: 0.0, ..Config::default() };
-        assert!(CloudSegmenter::new(theta, COLUMNS).unwrap_err().to_string().starts_with("theta is 0 degrees"));
+        assert_eq!(
+            columns,
+            format!("0 columns, expected 1 to {COLUMNS_CAPACITY}")
+        );
+        let theta = Config {
+            theta_rad: 0.0,
+            ..Config::default()
+        };
+        assert!(
+            CloudSegmenter::new(theta, COLUMNS)
+                .unwrap_err()
+                .to_string()
+                .starts_with("theta is 0 degrees")
+        );
     }
 }

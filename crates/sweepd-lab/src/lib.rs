@@ -1,4 +1,5 @@
-//! The laboratory of sweepd: sensors that are not there, clouds without packets, and scores against scans that people labelled.
+//! The laboratory of sweepd: sensors that are not there, clouds without packets, and scores against
+//! scans that people labelled.
 
 #![forbid(unsafe_code)]
 #![warn(missing_docs)]

@@ -21,7 +21,9 @@ pub enum RecordError {
         source: io::Error,
     },
     /// The system gives no thread to write with.
-    #[error("cannot start the thread that records: {source}; the limit of threads is reached (ulimit -u, TasksMax=)")]
+    #[error(
+        "cannot start the thread that records: {source}; the limit of threads is reached (ulimit -u, TasksMax=)"
+    )]
     Thread {
         /// What the system says.
         source: io::Error,
@@ -31,20 +33,29 @@ pub enum RecordError {
 impl RecordError {
     /// An error of a file, and which it is.
     pub(super) fn of(path: &Path) -> impl Fn(io::Error) -> Self {
-        move |source| Self::File { path: path.to_owned(), source }
+        move |source| Self::File {
+            path: path.to_owned(),
+            source,
+        }
     }
 }
 
 fn cure(error: &io::Error) -> &'static str {
     match error.kind() {
-        io::ErrorKind::AlreadyExists => "a recording overwrites nothing: choose another name, or move that file away",
+        io::ErrorKind::AlreadyExists => {
+            "a recording overwrites nothing: choose another name, or move that file away"
+        }
         io::ErrorKind::NotFound => "make its folder first",
         io::ErrorKind::PermissionDenied | io::ErrorKind::ReadOnlyFilesystem => {
             "choose a folder that this user may write to"
         }
-        io::ErrorKind::StorageFull | io::ErrorKind::QuotaExceeded => "free space there, or record to another disk",
+        io::ErrorKind::StorageFull | io::ErrorKind::QuotaExceeded => {
+            "free space there, or record to another disk"
+        }
         // Of the writer, not of the system: it names the time.
-        io::ErrorKind::InvalidInput if error.raw_os_error().is_none() => "set the clock of this host",
+        io::ErrorKind::InvalidInput if error.raw_os_error().is_none() => {
+            "set the clock of this host"
+        }
         _ => "check the disk, or record to another one",
     }
 }

@@ -24,7 +24,10 @@ impl Format {
     pub fn of(path: &Path) -> Option<Self> {
         let name = path.file_name()?.to_string_lossy();
         let endings = [(".pcap", Self::Plain), (".pcap.gz", Self::Gzip)];
-        endings.into_iter().find(|(ending, _)| name.ends_with(ending)).map(|(_, format)| format)
+        endings
+            .into_iter()
+            .find(|(ending, _)| name.ends_with(ending))
+            .map(|(_, format)| format)
     }
 
     /// `.pcap` or `.pcap.gz`.
@@ -67,13 +70,17 @@ impl Write for Sink {
 }
 
 impl CaptureFile {
-    /// Writes a capture, and overwrites no file: that is the error `AlreadyExists`. A pipe or a device is written
-    /// directly.
+    /// Writes a capture, and overwrites no file: that is the error `AlreadyExists`. A pipe or a
+    /// device is written directly.
     ///
     /// # Errors
     /// What the system says.
     pub fn create_new(path: &Path, format: Format) -> io::Result<Self> {
-        let file = if is_special(path) { File::options().write(true).open(path) } else { File::create_new(path) };
+        let file = if is_special(path) {
+            File::options().write(true).open(path)
+        } else {
+            File::create_new(path)
+        };
         Self::over(file?, format)
     }
 
@@ -82,7 +89,9 @@ impl CaptureFile {
     /// # Errors
     /// What the system says.
     pub fn stdout() -> io::Result<Self> {
-        Ok(Self { writer: PcapWriter::new(Sink::Stdout(BufWriter::new(io::stdout())))? })
+        Ok(Self {
+            writer: PcapWriter::new(Sink::Stdout(BufWriter::new(io::stdout())))?,
+        })
     }
 
     /// Writes a capture into an empty file.
@@ -93,9 +102,15 @@ impl CaptureFile {
         let sink = match format {
             Format::Plain => Sink::Plain(BufWriter::new(file)),
             // No time of making in the header: the same datagrams give the same file.
-            Format::Gzip => Sink::Gzip(BufWriter::new(GzBuilder::new().mtime(0).write(file, Compression::default()))),
+            Format::Gzip => Sink::Gzip(BufWriter::new(
+                GzBuilder::new()
+                    .mtime(0)
+                    .write(file, Compression::default()),
+            )),
         };
-        Ok(Self { writer: PcapWriter::new(sink)? })
+        Ok(Self {
+            writer: PcapWriter::new(sink)?,
+        })
     }
 
     /// Writes a record.
@@ -138,8 +153,15 @@ impl CaptureFile {
 
     fn close(self) -> io::Result<Option<File>> {
         match self.writer.finish()? {
-            Sink::Plain(file) => file.into_inner().map_err(io::IntoInnerError::into_error).map(Some),
-            Sink::Gzip(file) => file.into_inner().map_err(io::IntoInnerError::into_error)?.finish().map(Some),
+            Sink::Plain(file) => file
+                .into_inner()
+                .map_err(io::IntoInnerError::into_error)
+                .map(Some),
+            Sink::Gzip(file) => file
+                .into_inner()
+                .map_err(io::IntoInnerError::into_error)?
+                .finish()
+                .map(Some),
             Sink::Stdout(_) => Ok(None),
         }
     }

@@ -64,27 +64,53 @@ pub(super) struct Files {
 impl Files {
     /// Begins the first file.
     pub(super) fn create(path: &Path, rotation: Rotation) -> Result<Self, RecordError> {
-        let format = Format::of(path).ok_or_else(|| RecordError::Name { path: path.to_owned() })?;
+        let format = Format::of(path).ok_or_else(|| RecordError::Name {
+            path: path.to_owned(),
+        })?;
         Self::begin(path, format, rotation)
     }
 
     fn begin(path: &Path, format: Format, rotation: Rotation) -> Result<Self, RecordError> {
         let (mut next_number, path) = (0, path.to_owned());
         let (first, file) = open(&path, format, rotation, &mut next_number)?;
-        let written = Written { last: first.clone(), first, files: 1, bytes: FILE_HEADER_LEN, datagrams: 0 };
+        let written = Written {
+            last: first.clone(),
+            first,
+            files: 1,
+            bytes: FILE_HEADER_LEN,
+            datagrams: 0,
+        };
         let (len, begun_ns, synced, safe) = (FILE_HEADER_LEN, None, Instant::now(), (0, 0));
-        Ok(Self { path, format, rotation, file, replaces: None, len, begun_ns, next_number, synced, written, safe })
+        Ok(Self {
+            path,
+            format,
+            rotation,
+            file,
+            replaces: None,
+            len,
+            begun_ns,
+            next_number,
+            synced,
+            written,
+            safe,
+        })
     }
 
-    /// Begins the only file as `NAME.part`; it takes its name, and the place of a file of this name, when it is finished.
+    /// Begins the only file as `NAME.part`; it takes its name, and the place of a file of this
+    /// name, when it is finished.
     pub(super) fn replacing(path: &Path) -> Result<Self, RecordError> {
-        let format = Format::of(path).ok_or_else(|| RecordError::Name { path: path.to_owned() })?;
+        let format = Format::of(path).ok_or_else(|| RecordError::Name {
+            path: path.to_owned(),
+        })?;
         if is_special(path) {
             return Self::create(path, Rotation::default());
         }
         let part = part_of(path);
         remove(&part).map_err(RecordError::of(&part))?;
-        Ok(Self { replaces: Some(path.to_owned()), ..Self::begin(&part, format, Rotation::default())? })
+        Ok(Self {
+            replaces: Some(path.to_owned()),
+            ..Self::begin(&part, format, Rotation::default())?
+        })
     }
 
     /// Writes a datagram, in another file if it is time for one.
@@ -93,7 +119,9 @@ impl Files {
         if self.is_full(datagram.arrival_ns, more) {
             self.rotate()?;
         }
-        self.file.write(datagram).map_err(RecordError::of(&self.written.last))?;
+        self.file
+            .write(datagram)
+            .map_err(RecordError::of(&self.written.last))?;
         self.begun_ns.get_or_insert(datagram.arrival_ns);
         self.len += more;
         self.written.datagrams += 1;
@@ -106,7 +134,9 @@ impl Files {
         if self.synced.elapsed() < SYNC_EVERY || self.safe == self.so_far() {
             return Ok(());
         }
-        self.file.sync().map_err(RecordError::of(&self.written.last))?;
+        self.file
+            .sync()
+            .map_err(RecordError::of(&self.written.last))?;
         self.synced = Instant::now();
         self.safe = self.so_far();
         Ok(())
@@ -117,9 +147,12 @@ impl Files {
         &self.written
     }
 
-    /// Has everything on the disk and closes the last file, unless the disk failed before. Gives what is there: after a
-    /// failure, what is there for sure.
-    pub(super) fn finish(self, ended: Result<(), RecordError>) -> (Written, Result<(), RecordError>) {
+    /// Has everything on the disk and closes the last file, unless the disk failed before. Gives
+    /// what is there: after a failure, what is there for sure.
+    pub(super) fn finish(
+        self,
+        ended: Result<(), RecordError>,
+    ) -> (Written, Result<(), RecordError>) {
         let mut written = self.written;
         let ended = ended.and_then(|()| close(self.file, &written.last));
         let ended = ended.and_then(|()| match self.replaces {
@@ -144,13 +177,23 @@ impl Files {
     fn is_full(&self, arrival_ns: i64, more: u64) -> bool {
         // A file holds at least one datagram. A clock that was set back makes a new file as well.
         self.begun_ns.is_some_and(|begun_ns| {
-            self.rotation.bytes.is_some_and(|limit| self.len + more > limit)
-                || self.rotation.ns.is_some_and(|limit| arrival_ns.abs_diff(begun_ns) >= limit)
+            self.rotation
+                .bytes
+                .is_some_and(|limit| self.len + more > limit)
+                || self
+                    .rotation
+                    .ns
+                    .is_some_and(|limit| arrival_ns.abs_diff(begun_ns) >= limit)
         })
     }
 
     fn rotate(&mut self) -> Result<(), RecordError> {
-        let (path, next) = open(&self.path, self.format, self.rotation, &mut self.next_number)?;
+        let (path, next) = open(
+            &self.path,
+            self.format,
+            self.rotation,
+            &mut self.next_number,
+        )?;
         close(std::mem::replace(&mut self.file, next), &self.written.last)?;
         self.safe = self.so_far();
         self.written.last = path;
@@ -168,7 +211,10 @@ fn close(file: CaptureFile, path: &Path) -> Result<(), RecordError> {
 
 /// Has the name of a new file on the disk, as far as the system can do that to a folder.
 fn sync_folder_of(path: &Path) {
-    let folder = path.parent().filter(|parent| !parent.as_os_str().is_empty()).unwrap_or(Path::new("."));
+    let folder = path
+        .parent()
+        .filter(|parent| !parent.as_os_str().is_empty())
+        .unwrap_or(Path::new("."));
     let _ = File::open(folder).and_then(|folder| folder.sync_all());
 }
 
@@ -180,7 +226,11 @@ fn open(
     next_number: &mut u64,
 ) -> Result<(PathBuf, CaptureFile), RecordError> {
     loop {
-        let named = if rotation.is_wanted() { numbered(path, format, *next_number) } else { path.to_owned() };
+        let named = if rotation.is_wanted() {
+            numbered(path, format, *next_number)
+        } else {
+            path.to_owned()
+        };
         *next_number += 1;
         match CaptureFile::create_new(&named, format) {
             Err(error) if rotation.is_wanted() && error.kind() == io::ErrorKind::AlreadyExists => {}
@@ -220,7 +270,9 @@ mod tests {
     #[test]
     fn names_are_numbered_before_their_ending() {
         let numbered = |path: &str, number| {
-            numbered(path.as_ref(), Format::of(path.as_ref()).unwrap(), number).display().to_string()
+            numbered(path.as_ref(), Format::of(path.as_ref()).unwrap(), number)
+                .display()
+                .to_string()
         };
         assert_eq!(numbered("a/drive.pcap", 0), "a/drive-000.pcap");
         assert_eq!(numbered("drive.x.pcap.gz", 12), "drive.x-012.pcap.gz");
@@ -229,9 +281,20 @@ mod tests {
 
     #[test]
     fn names_that_say_no_format_are_refused() {
-        for name in ["-", "", "/", "drive", "drive.pcapng", "drive.gz", "drive.PCAP"] {
+        for name in [
+            "-",
+            "",
+            "/",
+            "drive",
+            "drive.pcapng",
+            "drive.gz",
+            "drive.PCAP",
+        ] {
             assert!(
-                matches!(Files::create(name.as_ref(), Rotation::default()), Err(RecordError::Name { .. })),
+                matches!(
+                    Files::create(name.as_ref(), Rotation::default()),
+                    Err(RecordError::Name { .. })
+                ),
                 "{name}"
             );
         }

@@ -5,11 +5,12 @@
 //! receiving thread -> Lane --ring-/
 //! ```
 //!
-//! Each receiving thread has a [`Lane`] of its own, or one for each stream that is in order by itself. Putting a datagram
-//! in is a copy of its bytes: no lock, no system call, no allocation. What finds no room, since the disk stalls or has
-//! failed, is counted and gone. The writing thread looks every 120 ms, and merges the lanes by arrival: a datagram is
-//! written after any other with an earlier stamp that was put in at most so much later (300 ms, after the first ones of a
-//! lane). Those of one lane keep their order.
+//! Each receiving thread has a [`Lane`] of its own, or one for each stream that is in order by
+//! itself. Putting a datagram in is a copy of its bytes: no lock, no system call, no allocation.
+//! What finds no room, since the disk stalls or has failed, is counted and gone. The writing thread
+//! looks every 120 ms, and merges the lanes by arrival: a datagram is written after any other with
+//! an earlier stamp that was put in at most so much later (300 ms, after the first ones of a lane).
+//! Those of one lane keep their order.
 //!
 //! [`mod@file`] is one capture, [`Rotation`] says when another begins.
 
@@ -30,13 +31,14 @@ pub use self::files::{Rotation, Written};
 use self::ring::{Inlet, Outlet, ring};
 use super::write::Addressed;
 
-/// What may wait for the disk of one lane, bytes: 4.7 s of the fastest model. The system gives the memory when it is first
-/// used.
+/// What may wait for the disk of one lane, bytes: 4.7 s of the fastest model. The system gives the
+/// memory when it is first used.
 const LANE_BYTES: usize = 32 << 20;
-/// How often the writing thread looks, which is also for how long a datagram waits for earlier ones of other lanes: longer
-/// than the threads of a daemon nap while they record.
+/// How often the writing thread looks, which is also for how long a datagram waits for earlier ones
+/// of other lanes: longer than the threads of a daemon nap while they record.
 pub(crate) const PERIOD: Duration = Duration::from_millis(120);
-/// For so long the first ones of a lane wait: a thread that has yet to hear of the recording may sleep for longer.
+/// For so long the first ones of a lane wait: a thread that has yet to hear of the recording may
+/// sleep for longer.
 pub(crate) const OPENING: Duration = Duration::from_millis(300);
 
 /// How far a recording is, readable at any time.
@@ -46,7 +48,8 @@ pub struct RecordCounts {
     pub offered: AtomicU64,
     /// Of these, the ones that found no room or came after the disk failed.
     pub refused: AtomicU64,
-    /// Datagrams that were written, to the disk or to a buffer that is on the disk within about a second.
+    /// Datagrams that were written, to the disk or to a buffer that is on the disk within about a
+    /// second.
     pub written: AtomicU64,
     /// Bytes of the files, uncompressed.
     pub bytes: AtomicU64,
@@ -54,7 +57,8 @@ pub struct RecordCounts {
     pub files: AtomicU64,
 }
 
-/// A recording under way. A recorder that is dropped ends as by [`Recorder::finish`], only that nobody hears of it.
+/// A recording under way. A recorder that is dropped ends as by [`Recorder::finish`], only that
+/// nobody hears of it.
 ///
 /// ```
 /// use sweepd::capture::record::{Recorder, Rotation};
@@ -94,7 +98,9 @@ struct Shared {
 
 impl Shared {
     fn new_lanes(&self) -> MutexGuard<'_, Vec<Outlet>> {
-        self.new_lanes.lock().unwrap_or_else(PoisonError::into_inner)
+        self.new_lanes
+            .lock()
+            .unwrap_or_else(PoisonError::into_inner)
     }
 }
 
@@ -107,8 +113,8 @@ impl Recorder {
         Self::write_to(Files::create(path, rotation)?)
     }
 
-    /// Begins a recording of one file that takes the place of a file of this name when it is finished; until then, and where
-    /// the disk fails, it is `NAME.part`.
+    /// Begins a recording of one file that takes the place of a file of this name when it is
+    /// finished; until then, and where the disk fails, it is `NAME.part`.
     ///
     /// # Errors
     /// As [`Recorder::start`].
@@ -122,16 +128,30 @@ impl Recorder {
         let path = files.written().first.clone();
         let writing = Arc::clone(&shared);
         let writer = thread::Builder::new().name("sweepd-record".to_owned());
-        let writer = writer.spawn(move || Writer { shared: writing, files, lanes: Vec::new() }.run());
+        let writer = writer.spawn(move || {
+            Writer {
+                shared: writing,
+                files,
+                lanes: Vec::new(),
+            }
+            .run()
+        });
         let writer = Some(writer.map_err(|source| RecordError::Thread { source })?);
-        Ok(Self { shared, path, writer })
+        Ok(Self {
+            shared,
+            path,
+            writer,
+        })
     }
 
     /// A way in for one more receiving thread. Takes memory, and a lock: not for the hot path.
     pub fn lane(&self) -> Lane {
         let (inlet, outlet) = ring(LANE_BYTES);
         self.shared.new_lanes().push(outlet);
-        Lane { inlet, shared: Arc::clone(&self.shared) }
+        Lane {
+            inlet,
+            shared: Arc::clone(&self.shared),
+        }
     }
 
     /// The first file.
@@ -149,21 +169,28 @@ impl Recorder {
         self.shared.error.get()
     }
 
-    /// Writes what was put in before, has it on the disk and closes the last file. Says what is there, whatever ended the
-    /// recording: after a failure, what is there for sure.
+    /// Writes what was put in before, has it on the disk and closes the last file. Says what is
+    /// there, whatever ended the recording: after a failure, what is there for sure.
     ///
     /// # Errors
     /// [`RecordError::File`]: what the disk says, or said.
     pub fn finish(mut self) -> (Written, Result<(), Arc<RecordError>>) {
         let written = self.end().unwrap_or_default();
-        (written, self.shared.error.get().cloned().map_or(Ok(()), Err))
+        (
+            written,
+            self.shared.error.get().cloned().map_or(Ok(()), Err),
+        )
     }
 
     fn end(&mut self) -> Option<Written> {
         self.shared.over.store(true, Ordering::Release);
         let writer = self.writer.take()?;
         writer.thread().unpark();
-        Some(writer.join().unwrap_or_else(|panic| std::panic::resume_unwind(panic)))
+        Some(
+            writer
+                .join()
+                .unwrap_or_else(|panic| std::panic::resume_unwind(panic)),
+        )
     }
 }
 
@@ -183,8 +210,9 @@ pub struct Lane {
 }
 
 impl Lane {
-    /// Has a datagram recorded; `false` if there is no room, or the recording is over. Never waits, never allocates. Put
-    /// the last one in before [`Recorder::finish`] is called: one that comes while it runs may be lost.
+    /// Has a datagram recorded; `false` if there is no room, or the recording is over. Never waits,
+    /// never allocates. Put the last one in before [`Recorder::finish`] is called: one that comes
+    /// while it runs may be lost.
     pub fn put(&mut self, datagram: &Addressed<'_>) -> bool {
         let counts = &self.shared.counts;
         counts.offered.fetch_add(1, Ordering::Relaxed);
@@ -217,11 +245,21 @@ struct Merged {
 
 impl Merged {
     fn new(lane: Outlet) -> Self {
-        Self { lane, begun: Instant::now(), due: 0, end: 0, closed: false }
+        Self {
+            lane,
+            begun: Instant::now(),
+            due: 0,
+            end: 0,
+            closed: false,
+        }
     }
 
     fn look(&mut self) {
-        self.due = if self.begun.elapsed() < OPENING { self.due } else { self.end };
+        self.due = if self.begun.elapsed() < OPENING {
+            self.due
+        } else {
+            self.end
+        };
         self.closed = self.lane.is_closed();
         self.end = self.lane.end();
     }
@@ -265,7 +303,8 @@ impl Writer {
     /// Looks how far the lanes have come; `over`: all of it is due.
     fn look(&mut self, over: bool) {
         self.lanes.retain(|merged| !merged.is_done());
-        self.lanes.extend(self.shared.new_lanes().drain(..).map(Merged::new));
+        self.lanes
+            .extend(self.shared.new_lanes().drain(..).map(Merged::new));
         for merged in &mut self.lanes {
             merged.look();
             merged.due = if over { merged.end } else { merged.due };
@@ -275,8 +314,13 @@ impl Writer {
     /// Writes what is due in the order of arrival, and before it what came since and is earlier.
     fn write_due(&mut self) -> Result<(), RecordError> {
         while self.lanes.iter().any(Merged::is_due) {
-            let next = self.lanes.iter_mut().filter_map(|merged| Some((merged.lane.next_ns(merged.end)?, merged)));
-            let Some((_, earliest)) = next.min_by_key(|(next_ns, _)| *next_ns) else { break };
+            let next = self
+                .lanes
+                .iter_mut()
+                .filter_map(|merged| Some((merged.lane.next_ns(merged.end)?, merged)));
+            let Some((_, earliest)) = next.min_by_key(|(next_ns, _)| *next_ns) else {
+                break;
+            };
             if let Some(datagram) = earliest.lane.take(earliest.end) {
                 self.files.write(&datagram)?;
             }

@@ -1,8 +1,9 @@
-//! Between a socket and the disk: a ring with one thread at each end, so that who receives never waits, not even for a
-//! lock.
+//! Between a socket and the disk: a ring with one thread at each end, so that who receives never
+//! waits, not even for a lock.
 //!
-//! It holds 64-bit words. A datagram is three words of [`Heading`] and its payload, the last word filled up with
-//! zeroes. Only whole datagrams are shown to the other end; what finds no room is refused and leaves no trace.
+//! It holds 64-bit words. A datagram is three words of [`Heading`] and its payload, the last word
+//! filled up with zeroes. Only whole datagrams are shown to the other end; what finds no room is
+//! refused and leaves no trace.
 
 use std::net::{Ipv4Addr, SocketAddrV4};
 use std::sync::Arc;
@@ -18,7 +19,8 @@ const WORD_LEN: usize = size_of::<u64>();
 /// What both ends share.
 #[derive(Debug)]
 struct Shared {
-    /// As many as a power of two, untouched until they are needed: the system gives no memory before.
+    /// As many as a power of two, untouched until they are needed: the system gives no memory
+    /// before.
     words: Box<[AtomicU64]>,
     /// Words that were ever put in, and taken out.
     put: Apart,
@@ -51,8 +53,19 @@ pub fn ring(bytes: usize) -> (Inlet, Outlet) {
         let words = || AtomicU64::new(0);
         std::iter::repeat_with(words).take(len).collect()
     });
-    let shared = Arc::new(Shared { words, put: Apart::default(), taken: Apart::default(), closed: false.into() });
-    (Inlet(Arc::clone(&shared)), Outlet { shared, payload: Vec::new() })
+    let shared = Arc::new(Shared {
+        words,
+        put: Apart::default(),
+        taken: Apart::default(),
+        closed: false.into(),
+    });
+    (
+        Inlet(Arc::clone(&shared)),
+        Outlet {
+            shared,
+            payload: Vec::new(),
+        },
+    )
 }
 
 /// All of a datagram but its payload.
@@ -68,7 +81,9 @@ impl Heading {
     fn words(self) -> [u64; HEADING_WORDS as usize] {
         let (source, destination) = (self.source, self.destination);
         let ips = u64::from(source.ip().to_bits()) << 32 | u64::from(destination.ip().to_bits());
-        let rest = u64::from(source.port()) << 48 | u64::from(destination.port()) << 32 | u64::from(self.len);
+        let rest = u64::from(source.port()) << 48
+            | u64::from(destination.port()) << 32
+            | u64::from(self.len);
         [self.arrival_ns as u64, ips, rest]
     }
 
@@ -92,15 +107,28 @@ impl Inlet {
     /// Puts a datagram in, and says whether there was room. Neither waits nor allocates.
     pub fn put(&mut self, datagram: &Addressed<'_>) -> bool {
         let shared = &*self.0;
-        let Ok(len) = u32::try_from(datagram.payload.len()) else { return false };
+        let Ok(len) = u32::try_from(datagram.payload.len()) else {
+            return false;
+        };
         let begin = shared.put.0.load(Ordering::Relaxed);
         let end = begin + HEADING_WORDS + u64::from(len).div_ceil(WORD_LEN as u64);
         // Acquire: what was taken has been read before it is written over.
         if end - shared.taken.0.load(Ordering::Acquire) > shared.words.len() as u64 {
             return false;
         }
-        let &Addressed { arrival_ns, source, destination, payload } = datagram;
-        let heading = Heading { arrival_ns, source, destination, len }.words();
+        let &Addressed {
+            arrival_ns,
+            source,
+            destination,
+            payload,
+        } = datagram;
+        let heading = Heading {
+            arrival_ns,
+            source,
+            destination,
+            len,
+        }
+        .words();
         let (whole, rest) = payload.as_chunks::<WORD_LEN>();
         let mut last = [0; WORD_LEN];
         last[..rest.len()].copy_from_slice(rest);
@@ -154,12 +182,23 @@ impl Outlet {
         let behind = begin + HEADING_WORDS + len.div_ceil(WORD_LEN) as u64;
         self.payload.clear();
         for position in begin + HEADING_WORDS..behind {
-            self.payload.extend_from_slice(&word(position).to_le_bytes());
+            self.payload
+                .extend_from_slice(&word(position).to_le_bytes());
         }
         // Release: the words have been read before they are written over.
         self.shared.taken.0.store(behind, Ordering::Release);
-        let Heading { arrival_ns, source, destination, .. } = heading;
-        Some(Addressed { arrival_ns, source, destination, payload: &self.payload[..len] })
+        let Heading {
+            arrival_ns,
+            source,
+            destination,
+            ..
+        } = heading;
+        Some(Addressed {
+            arrival_ns,
+            source,
+            destination,
+            payload: &self.payload[..len],
+        })
     }
 
     fn taken(&self) -> u64 {
@@ -175,7 +214,12 @@ mod tests {
     const ENDS: (&str, &str) = ("192.168.1.201:2368", "255.255.255.255:2369");
 
     fn addressed(arrival_ns: i64, payload: &[u8]) -> Addressed<'_> {
-        Addressed { arrival_ns, source: ENDS.0.parse().unwrap(), destination: ENDS.1.parse().unwrap(), payload }
+        Addressed {
+            arrival_ns,
+            source: ENDS.0.parse().unwrap(),
+            destination: ENDS.1.parse().unwrap(),
+            payload,
+        }
     }
 
     proptest! {
@@ -220,7 +264,10 @@ mod tests {
         loop {
             let (closed, end) = (outlet.is_closed(), outlet.end());
             while let Some(datagram) = outlet.take(end) {
-                assert_eq!((datagram.arrival_ns, datagram.payload.len()), (number, number as usize % 257));
+                assert_eq!(
+                    (datagram.arrival_ns, datagram.payload.len()),
+                    (number, number as usize % 257)
+                );
                 assert!(datagram.payload.iter().all(|&byte| byte == number as u8));
                 number += 1;
             }

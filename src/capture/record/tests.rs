@@ -9,7 +9,8 @@ struct Folder(PathBuf);
 
 impl Folder {
     fn new(test: &str) -> Self {
-        let path = std::env::temp_dir().join(format!("sweepd-recorder-{test}-{}", std::process::id()));
+        let path =
+            std::env::temp_dir().join(format!("sweepd-recorder-{test}-{}", std::process::id()));
         let _ = std::fs::remove_dir_all(&path);
         std::fs::create_dir(&path).unwrap();
         Self(path)
@@ -26,7 +27,12 @@ const SECOND_NS: i64 = 1_000_000_000;
 
 fn addressed(arrival_ns: i64, port: u16, payload: &[u8]) -> Addressed<'_> {
     let source = "192.168.1.201:2368".parse().unwrap();
-    Addressed { arrival_ns, source, destination: (std::net::SocketAddrV4::new([239, 1, 2, 3].into(), port)), payload }
+    Addressed {
+        arrival_ns,
+        source,
+        destination: (std::net::SocketAddrV4::new([239, 1, 2, 3].into(), port)),
+        payload,
+    }
 }
 
 fn read(path: &Path) -> Vec<(i64, u16, Vec<u8>)> {
@@ -57,9 +63,12 @@ fn lanes_are_merged_by_arrival() {
     for hundred in 0..20_i64 {
         let times = hundred * 100..(hundred + 1) * 100;
         let put = |lane: &mut Lane, port, step| {
-            times.clone().filter(|time| (time % 10 == 5) == (step == 10)).for_each(|time| {
-                assert!(lane.put(&addressed(SECOND_NS + time, port, &time.to_le_bytes())));
-            });
+            times
+                .clone()
+                .filter(|time| (time % 10 == 5) == (step == 10))
+                .for_each(|time| {
+                    assert!(lane.put(&addressed(SECOND_NS + time, port, &time.to_le_bytes())));
+                });
         };
         if hundred % 2 == 0 {
             put(&mut position, 8308, 10);
@@ -79,14 +88,21 @@ fn lanes_are_merged_by_arrival() {
     let all = read(&path);
     assert_eq!(written.datagrams, 2001);
     // Who was late for more than a period on a busy machine is out of place, and still there.
-    let mut times: Vec<i64> = all.iter().map(|one| i64::from_le_bytes(one.2[..].try_into().unwrap())).collect();
+    let mut times: Vec<i64> = all
+        .iter()
+        .map(|one| i64::from_le_bytes(one.2[..].try_into().unwrap()))
+        .collect();
     let misplaced = times.windows(2).filter(|pair| pair[0] > pair[1]).count();
     assert!(misplaced <= 2, "{misplaced}");
     times.sort_unstable();
     assert!(times.into_iter().eq(0..=2000));
     assert!(all.iter().all(|(arrival_ns, port, payload)| {
         let time = i64::from_le_bytes(payload[..].try_into().unwrap());
-        let expected = if time == 2000 { 1 } else { [2368, 8308][usize::from(time % 10 == 5)] };
+        let expected = if time == 2000 {
+            1
+        } else {
+            [2368, 8308][usize::from(time % 10 == 5)]
+        };
         *arrival_ns == SECOND_NS + time && *port == expected
     }));
 }
@@ -103,7 +119,12 @@ fn stamps_that_go_back_are_written_all_the_same() {
         wait_until(|| recorder.counts().written.load(Ordering::Relaxed) == number as u64 + 1);
     }
     recorder.finish().1.unwrap();
-    assert!(read(&path).into_iter().map(|one| one.0).eq(times.map(|time| time * SECOND_NS)));
+    assert!(
+        read(&path)
+            .into_iter()
+            .map(|one| one.0)
+            .eq(times.map(|time| time * SECOND_NS))
+    );
 }
 
 #[test]
@@ -120,10 +141,16 @@ fn what_has_no_room_or_comes_after_a_failure_is_counted_and_the_failure_told() {
     });
     assert!(!lane.put(&addressed(SECOND_NS, 2368, &[7; 1206])));
     let [offered, refused] = [&recorder.counts().offered, &recorder.counts().refused];
-    assert_eq!(offered.load(Ordering::Relaxed) - refused.load(Ordering::Relaxed), taken);
+    assert_eq!(
+        offered.load(Ordering::Relaxed) - refused.load(Ordering::Relaxed),
+        taken
+    );
     let (written, ended) = recorder.finish();
     let error = ended.unwrap_err().to_string();
-    assert!(error.contains("full.pcap") && error.contains("free space there"), "{error}");
+    assert!(
+        error.contains("full.pcap") && error.contains("free space there"),
+        "{error}"
+    );
     assert_eq!(written.datagrams, 0);
 }
 
@@ -135,7 +162,9 @@ fn a_lane_without_room_refuses_and_goes_on_later() {
     let mut lane = recorder.lane();
     let payload = vec![7; 60_000];
     // As many as would fill it twice, faster than any disk.
-    let taken = (0..2 * LANE_BYTES / payload.len()).filter(|_| lane.put(&addressed(SECOND_NS, 1, &payload))).count();
+    let taken = (0..2 * LANE_BYTES / payload.len())
+        .filter(|_| lane.put(&addressed(SECOND_NS, 1, &payload)))
+        .count();
     let written = || recorder.counts().written.load(Ordering::Relaxed) as usize;
     wait_until(|| written() == taken);
     assert!(lane.put(&addressed(SECOND_NS, 1, &payload)));
@@ -150,11 +179,24 @@ fn a_lane_without_room_refuses_and_goes_on_later() {
 fn one_that_is_dropped_has_written_all() {
     let folder = Folder::new("dropped");
     let path = folder.0.join("dropped.pcap.gz");
-    let recorder = Recorder::start(&path, Rotation { bytes: Some(2000), ns: None }).unwrap();
+    let recorder = Recorder::start(
+        &path,
+        Rotation {
+            bytes: Some(2000),
+            ns: None,
+        },
+    )
+    .unwrap();
     let mut lane = recorder.lane();
     assert!((0..100).all(|number| lane.put(&addressed(SECOND_NS + number, 1, &[9; 500]))));
     drop(recorder);
     assert!(!lane.put(&addressed(SECOND_NS, 1, b"late")));
-    let all: Vec<_> = (0..34).flat_map(|number| read(&folder.0.join(format!("dropped-{number:03}.pcap.gz")))).collect();
-    assert!(all.into_iter().map(|one| one.0).eq((0..100).map(|number| SECOND_NS + number)));
+    let all: Vec<_> = (0..34)
+        .flat_map(|number| read(&folder.0.join(format!("dropped-{number:03}.pcap.gz"))))
+        .collect();
+    assert!(
+        all.into_iter()
+            .map(|one| one.0)
+            .eq((0..100).map(|number| SECOND_NS + number))
+    );
 }

@@ -10,24 +10,27 @@ use super::sys;
 use sweepd_core::sensor::Model;
 use sweepd_core::wire::data::ReturnMode;
 
-/// What a data packet costs of the buffer, its 1206 bytes and the kernel's own share; measured on Linux 6.18, where it is
-/// 2304 to 2315.
+/// What a data packet costs of the buffer, its 1206 bytes and the kernel's own share; measured on
+/// Linux 6.18, where it is 2304 to 2315.
 pub const CHARGED_BYTES: usize = 2304;
-/// One of this many parts of the buffer may be full when its reader looks again: others may have the core then.
+/// One of this many parts of the buffer may be full when its reader looks again: others may have
+/// the core then.
 pub const PARTS: usize = 4;
-/// For how long the buffer shall hold what the fastest model sends, nanoseconds: longer than any scheduler lets a
-/// thread wait.
+/// For how long the buffer shall hold what the fastest model sends, nanoseconds: longer than any
+/// scheduler lets a thread wait.
 const AMPLE_NS: u64 = 500_000_000;
 
-/// From one data packet to the next of the fastest model that is supported (an HDL-64E S3 with two returns),
-/// nanoseconds. It is asked for with each nap of a port.
+/// From one data packet to the next of the fastest model that is supported (an HDL-64E S3 with two
+/// returns), nanoseconds. It is asked for with each nap of a port.
 static FASTEST_PERIOD_NS: LazyLock<u64> = LazyLock::new(|| {
-    let periods = Model::ALL
-        .map(|model| [ReturnMode::Strongest, ReturnMode::Dual].map(|mode| model.spec().packet_period_ns(mode)));
+    let periods = Model::ALL.map(|model| {
+        [ReturnMode::Strongest, ReturnMode::Dual].map(|mode| model.spec().packet_period_ns(mode))
+    });
     u64::from(periods.into_iter().flatten().min().unwrap_or(u32::MAX))
 });
 
-/// Buffer that holds half a second of the fastest supported model, bytes as the kernel charges them.
+/// Buffer that holds half a second of the fastest supported model, bytes as the kernel charges
+/// them.
 pub fn ample_buffer_bytes() -> usize {
     AMPLE_NS.div_ceil(*FASTEST_PERIOD_NS) as usize * CHARGED_BYTES
 }
@@ -62,8 +65,8 @@ impl ReceiveBuffer {
         self.packets() as u64 * *FASTEST_PERIOD_NS / 1_000_000
     }
 
-    /// The value of the sysctl net.core.rmem_max that would have been enough: the kernel doubles what a program asks
-    /// for, but only up to this (socket(7)).
+    /// The value of the sysctl net.core.rmem_max that would have been enough: the kernel doubles
+    /// what a program asks for, but only up to this (socket(7)).
     pub fn rmem_max(&self) -> usize {
         self.wanted_bytes.div_ceil(2)
     }
@@ -90,5 +93,8 @@ pub(super) fn enlarge(socket: &Socket, wanted_bytes: usize) -> io::Result<Receiv
         // Who may not keeps what there is, and is warned.
         let _ = sys::force_buffer(socket.as_fd(), ask);
     }
-    Ok(ReceiveBuffer { wanted_bytes, granted_bytes: socket.recv_buffer_size()? })
+    Ok(ReceiveBuffer {
+        wanted_bytes,
+        granted_bytes: socket.recv_buffer_size()?,
+    })
 }

@@ -17,7 +17,9 @@ pub enum UdpError {
         holder: Option<Holder>,
     },
     /// The address is not one of this host.
-    #[error("no interface of this host has the address {address}; `ip -4 address` lists them, and 0.0.0.0 hears all")]
+    #[error(
+        "no interface of this host has the address {address}; `ip -4 address` lists them, and 0.0.0.0 hears all"
+    )]
     NoSuchAddress {
         /// The address.
         address: Ipv4Addr,
@@ -73,8 +75,13 @@ fn held(port: u16, holder: &Option<Holder>) -> String {
 impl UdpError {
     pub(super) fn bind(address: SocketAddrV4, source: io::Error) -> Self {
         match source.kind() {
-            io::ErrorKind::AddrInUse => Self::PortTaken { port: address.port(), holder: Holder::of(address) },
-            io::ErrorKind::AddrNotAvailable => Self::NoSuchAddress { address: *address.ip() },
+            io::ErrorKind::AddrInUse => Self::PortTaken {
+                port: address.port(),
+                holder: Holder::of(address),
+            },
+            io::ErrorKind::AddrNotAvailable => Self::NoSuchAddress {
+                address: *address.ip(),
+            },
             _ => Self::Bind { address, source },
         }
     }

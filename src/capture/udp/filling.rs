@@ -1,4 +1,5 @@
-//! How fast datagrams have filled the socket's buffer of late: a burst of others' datagrams may take the room of a sensor's.
+//! How fast datagrams have filled the socket's buffer of late: a burst of others' datagrams may
+//! take the room of a sensor's.
 
 use std::time::{Duration, Instant};
 
@@ -7,7 +8,8 @@ use super::sys::SLOT_LEN;
 
 /// What took longer than the longest nap of a reader does not count as one filling.
 const LONGEST_NS: i64 = 250_000_000;
-/// A fast filling is remembered for one to two times this long: bursts that come every few seconds are foreseen.
+/// A fast filling is remembered for one to two times this long: bursts that come every few seconds
+/// are foreseen.
 const REMEMBERED: Duration = Duration::from_secs(5);
 
 /// The shortest times in which a part of the buffer was filled, by the kernel's stamps.
@@ -25,10 +27,17 @@ pub(super) struct Filling {
 impl Filling {
     /// A buffer, such a part of which has not been filled yet.
     pub(super) fn new(part_bytes: usize) -> Self {
-        Self { part_bytes, bytes: 0, since_ns: 0, shortest_ns: [i64::MAX; 2], begun: None }
+        Self {
+            part_bytes,
+            bytes: 0,
+            since_ns: 0,
+            shortest_ns: [i64::MAX; 2],
+            begun: None,
+        }
     }
 
-    /// Counts a datagram of this length. Where it completes a part: how long that took, nanoseconds, to be remembered.
+    /// Counts a datagram of this length. Where it completes a part: how long that took,
+    /// nanoseconds, to be remembered.
     pub(super) fn note(&mut self, stamp_ns: i64, len: usize) -> Option<i64> {
         // A clock that was set begins anew, too.
         let took_ns = match stamp_ns.checked_sub(self.since_ns) {
@@ -54,12 +63,16 @@ impl Filling {
             Some(age) if age < 2 * REMEMBERED => [newest, took_ns],
             _ => [i64::MAX, took_ns],
         };
-        if self.begun.is_none_or(|begun| now.saturating_duration_since(begun) >= REMEMBERED) {
+        if self
+            .begun
+            .is_none_or(|begun| now.saturating_duration_since(begun) >= REMEMBERED)
+        {
             self.begun = Some(now);
         }
     }
 
-    /// The shortest time of the last seconds in which a part was filled, nanoseconds; `i64::MAX` where none was.
+    /// The shortest time of the last seconds in which a part was filled, nanoseconds; `i64::MAX`
+    /// where none was.
     pub(super) fn shortest_ns(&self, now: Instant) -> i64 {
         let [before, newest] = self.shortest_ns;
         match self.begun.map(|begun| now.saturating_duration_since(begun)) {
@@ -70,9 +83,14 @@ impl Filling {
     }
 }
 
-/// What the kernel charges for a datagram, or more: drivers give a short one as much memory as a long one.
+/// What the kernel charges for a datagram, or more: drivers give a short one as much memory as a
+/// long one.
 fn charged_bytes(len: usize) -> usize {
-    if len <= SLOT_LEN { CHARGED_BYTES } else { 2 * len }
+    if len <= SLOT_LEN {
+        CHARGED_BYTES
+    } else {
+        2 * len
+    }
 }
 
 #[cfg(test)]
@@ -101,7 +119,11 @@ mod tests {
             come(&mut filling, before, (0, 553_000), now);
             assert_eq!(filling.shortest_ns(now), i64::MAX);
             come(&mut filling, 5_000, (before as i64 * 553_000, 4_000), now);
-            assert_eq!(filling.shortest_ns(now), (PART as i64 - 1) * 4_000, "{before} before");
+            assert_eq!(
+                filling.shortest_ns(now),
+                (PART as i64 - 1) * 4_000,
+                "{before} before"
+            );
         }
     }
 
@@ -115,12 +137,26 @@ mod tests {
         let mut filling = Filling::new(PART * CHARGED_BYTES);
         for burst in 0..100 {
             // As many as have room, every 300 ms; once the clock goes back by an hour, once on.
-            let set_ns = if (30..60).contains(&burst) { -3_600_000 * MS } else { 0 };
-            come(&mut filling, PART - 1, (burst * 300 * MS + set_ns, 1_000), now);
+            let set_ns = if (30..60).contains(&burst) {
+                -3_600_000 * MS
+            } else {
+                0
+            };
+            come(
+                &mut filling,
+                PART - 1,
+                (burst * 300 * MS + set_ns, 1_000),
+                now,
+            );
         }
         assert_eq!(filling.shortest_ns(now), i64::MAX);
         // A few long ones fill it as many short ones do.
-        assert!((0..24).filter_map(|number| filling.note(number * MS, 65_000)).next().is_some());
+        assert!(
+            (0..24)
+                .filter_map(|number| filling.note(number * MS, 65_000))
+                .next()
+                .is_some()
+        );
     }
 
     #[test]
@@ -134,8 +170,14 @@ mod tests {
             // Slower ones come on and on.
             filling.remember(9 * MS, now);
             let shortest_ns = filling.shortest_ns(now);
-            assert!(tenth > 50 || shortest_ns == 3 * MS, "{shortest_ns} after {tenth} tenths");
-            assert!(tenth < 100 || shortest_ns == 9 * MS, "{shortest_ns} after {tenth} tenths");
+            assert!(
+                tenth > 50 || shortest_ns == 3 * MS,
+                "{shortest_ns} after {tenth} tenths"
+            );
+            assert!(
+                tenth < 100 || shortest_ns == 9 * MS,
+                "{shortest_ns} after {tenth} tenths"
+            );
         }
         assert_eq!(filling.shortest_ns(after(34.0)), 9 * MS);
         assert_eq!(filling.shortest_ns(after(41.0)), i64::MAX);

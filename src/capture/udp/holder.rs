@@ -1,8 +1,8 @@
 //! Who holds a UDP port of this host: from the socket tables of the kernel to the program.
 //!
-//! /proc/net/udp and /proc/net/udp6 list all sockets of the network namespace, with user and inode (proc(5)); the
-//! program is the one that has a file descriptor of that inode. Of another user's programs these are hidden, unless root
-//! asks: then the user is all that is known.
+//! /proc/net/udp and /proc/net/udp6 list all sockets of the network namespace, with user and inode
+//! (proc(5)); the program is the one that has a file descriptor of that inode. Of another user's
+//! programs these are hidden, unless root asks: then the user is all that is known.
 
 use std::fmt;
 use std::fs;
@@ -30,12 +30,22 @@ pub struct Program {
 }
 
 impl Holder {
-    /// Who keeps others from listening on an address; `None` if nobody does, or it cannot be found out.
+    /// Who keeps others from listening on an address; `None` if nobody does, or it cannot be found
+    /// out.
     pub fn of(address: SocketAddrV4) -> Option<Self> {
-        let tables = ["/proc/net/udp", "/proc/net/udp6"].map(|table| fs::read_to_string(table).unwrap_or_default());
-        let socket = tables.iter().flat_map(|table| table.lines()).filter_map(Socket::parse);
-        let socket = socket.into_iter().find(|socket| socket.is_in_the_way_of(address))?;
-        Some(Self { uid: socket.uid, program: Program::with_socket(socket.inode) })
+        let tables = ["/proc/net/udp", "/proc/net/udp6"]
+            .map(|table| fs::read_to_string(table).unwrap_or_default());
+        let socket = tables
+            .iter()
+            .flat_map(|table| table.lines())
+            .filter_map(Socket::parse);
+        let socket = socket
+            .into_iter()
+            .find(|socket| socket.is_in_the_way_of(address))?;
+        Some(Self {
+            uid: socket.uid,
+            program: Program::with_socket(socket.inode),
+        })
     }
 
     /// Whether it is sweepd itself, as far as can be known.
@@ -73,10 +83,16 @@ impl Socket {
         let (ip, port) = fields.nth(1)?.split_once(':')?;
         let uid = fields.nth(5)?.parse().ok()?;
         let inode = fields.nth(1)?.parse().ok()?;
-        Some(Self { ip: parse_ip(ip)?, port: u16::from_str_radix(port, 16).ok()?, uid, inode })
+        Some(Self {
+            ip: parse_ip(ip)?,
+            port: u16::from_str_radix(port, 16).ok()?,
+            uid,
+            inode,
+        })
     }
 
-    /// Whether it hears what is sent to the address, or to one of those that the address stands for.
+    /// Whether it hears what is sent to the address, or to one of those that the address stands
+    /// for.
     fn is_in_the_way_of(&self, address: SocketAddrV4) -> bool {
         let ip = match self.ip {
             IpAddr::V4(ip) => Some(ip),
@@ -84,14 +100,20 @@ impl Socket {
             IpAddr::V6(Ipv6Addr::UNSPECIFIED) => Some(Ipv4Addr::UNSPECIFIED),
             IpAddr::V6(ip) => ip.to_ipv4_mapped(),
         };
-        let meets = |ip: Ipv4Addr| ip == *address.ip() || ip.is_unspecified() || address.ip().is_unspecified();
+        let meets = |ip: Ipv4Addr| {
+            ip == *address.ip() || ip.is_unspecified() || address.ip().is_unspecified()
+        };
         self.port == address.port() && ip.is_some_and(meets)
     }
 }
 
 /// An address as the kernel prints it: each four bytes as a number of this machine.
 fn parse_ip(digits: &str) -> Option<IpAddr> {
-    let word = |at: usize| u32::from_str_radix(digits.get(at..at + 8)?, 16).ok().map(u32::to_ne_bytes);
+    let word = |at: usize| {
+        u32::from_str_radix(digits.get(at..at + 8)?, 16)
+            .ok()
+            .map(u32::to_ne_bytes)
+    };
     match digits.len() {
         8 => Some(Ipv4Addr::from(word(0)?).into()),
         32 => {
@@ -107,14 +129,23 @@ impl Program {
     fn with_socket(inode: u64) -> Option<Self> {
         let link = format!("socket:[{inode}]");
         let processes = fs::read_dir("/proc").ok()?.flatten();
-        let pids = processes.filter_map(|process| process.file_name().to_str()?.parse::<u32>().ok());
+        let pids =
+            processes.filter_map(|process| process.file_name().to_str()?.parse::<u32>().ok());
         let holds = |&pid: &u32| {
-            let files = fs::read_dir(format!("/proc/{pid}/fd")).into_iter().flatten().flatten();
-            files.into_iter().any(|file| fs::read_link(file.path()).is_ok_and(|to| to == Path::new(&link)))
+            let files = fs::read_dir(format!("/proc/{pid}/fd"))
+                .into_iter()
+                .flatten()
+                .flatten();
+            files
+                .into_iter()
+                .any(|file| fs::read_link(file.path()).is_ok_and(|to| to == Path::new(&link)))
         };
         let pid = pids.into_iter().find(holds)?;
         let name = fs::read_to_string(format!("/proc/{pid}/comm")).ok()?;
-        Some(Self { pid, name: name.trim_end().to_owned() })
+        Some(Self {
+            pid,
+            name: name.trim_end().to_owned(),
+        })
     }
 }
 
@@ -132,12 +163,27 @@ mod tests {
     #[test]
     #[cfg(target_endian = "little")]
     fn real_lines_are_read_and_others_are_not() {
-        let socket = |ip: &str, port, uid, inode| Some(Socket { ip: ip.parse().unwrap(), port, uid, inode });
+        let socket = |ip: &str, port, uid, inode| {
+            Some(Socket {
+                ip: ip.parse().unwrap(),
+                port,
+                uid,
+                inode,
+            })
+        };
         assert_eq!(Socket::parse(V4), socket("127.0.0.1", 2368, 998, 276_614));
         assert_eq!(Socket::parse(V6), socket("::", 2369, 0, 276_615));
-        assert_eq!(Socket::parse(MAPPED), socket("::ffff:192.168.1.201", 8308, 1000, 7));
-        let cut = (0..V4.trim_end().len() - 30).step_by(7).map(|len| &V4[..len]);
-        for line in [TITLES, "", ":", " 1: é:0940 x 0 0 0 0 0 0 0"].into_iter().chain(cut) {
+        assert_eq!(
+            Socket::parse(MAPPED),
+            socket("::ffff:192.168.1.201", 8308, 1000, 7)
+        );
+        let cut = (0..V4.trim_end().len() - 30)
+            .step_by(7)
+            .map(|len| &V4[..len]);
+        for line in [TITLES, "", ":", " 1: é:0940 x 0 0 0 0 0 0 0"]
+            .into_iter()
+            .chain(cut)
+        {
             assert_eq!(Socket::parse(line), None, "{line}");
         }
     }
@@ -145,8 +191,11 @@ mod tests {
     #[test]
     #[cfg(target_endian = "little")]
     fn only_sockets_that_hear_the_same_are_in_the_way() {
-        let stands =
-            |line: &str, address: &str| Socket::parse(line).unwrap().is_in_the_way_of(address.parse().unwrap());
+        let stands = |line: &str, address: &str| {
+            Socket::parse(line)
+                .unwrap()
+                .is_in_the_way_of(address.parse().unwrap())
+        };
         for (line, address, expected) in [
             (V4, "127.0.0.1:2368", true),
             (V4, "0.0.0.0:2368", true),
@@ -163,23 +212,41 @@ mod tests {
     #[test]
     fn a_port_of_this_program_is_held_by_this_program() {
         let socket = UdpSocket::bind("127.0.0.1:0").unwrap();
-        let std::net::SocketAddr::V4(address) = socket.local_addr().unwrap() else { panic!("IPv4") };
+        let std::net::SocketAddr::V4(address) = socket.local_addr().unwrap() else {
+            panic!("IPv4")
+        };
         let holder = Holder::of(address).unwrap();
         let name = fs::read_to_string("/proc/self/comm").unwrap();
-        let program = Program { pid: std::process::id(), name: name.trim_end().to_owned() };
+        let program = Program {
+            pid: std::process::id(),
+            name: name.trim_end().to_owned(),
+        };
         assert_eq!(holder.program, Some(program));
         assert!(!holder.is_sweepd());
         let text = holder.to_string();
-        assert!(text.contains(&format!("(pid {}, user {})", std::process::id(), user_name(holder.uid))), "{text}");
+        assert!(
+            text.contains(&format!(
+                "(pid {}, user {})",
+                std::process::id(),
+                user_name(holder.uid)
+            )),
+            "{text}"
+        );
         drop(socket);
         assert_eq!(Holder::of(address), None);
     }
 
     #[test]
     fn who_is_hidden_is_told_by_user() {
-        let hidden = Holder { uid: 0, program: None };
+        let hidden = Holder {
+            uid: 0,
+            program: None,
+        };
         assert_eq!(hidden.to_string(), "a program of user root");
-        let nobody = Holder { uid: 4_000_000_000, program: None };
+        let nobody = Holder {
+            uid: 4_000_000_000,
+            program: None,
+        };
         assert_eq!(nobody.to_string(), "a program of user number 4000000000");
     }
 }

@@ -1,9 +1,9 @@
 //! Live sensors: the datagrams of one UDP port, in batches, stamped by the kernel.
 //!
 //! The socket is one that loses nothing quietly: its buffer is made large enough and read back
-//! ([`ReceiveBuffer`]), what the kernel drops is counted exactly ([`UdpSource::dropped`]), and the port is never
-//! shared. SO_REUSEADDR stays off: with it, Linux gives a unicast datagram to the socket bound last alone, so that a
-//! second program would silently take the sensor from the first.
+//! ([`ReceiveBuffer`]), what the kernel drops is counted exactly ([`UdpSource::dropped`]), and the
+//! port is never shared. SO_REUSEADDR stays off: with it, Linux gives a unicast datagram to the
+//! socket bound last alone, so that a second program would silently take the sensor from the first.
 //!
 //! IPv4 only, as the sensors. Sources: socket(7), udp(7), ip(7), recvmmsg(2).
 
@@ -33,16 +33,18 @@ use sweepd_core::wire::Datagram;
 /// Where to listen.
 #[derive(Clone, Debug, PartialEq, Eq)]
 pub struct UdpConfig {
-    /// Address of this host; 0.0.0.0 hears all, and any other misses the broadcasts that the sensors send unless they
-    /// are told a receiver.
+    /// Address of this host; 0.0.0.0 hears all, and any other misses the broadcasts that the
+    /// sensors send unless they are told a receiver.
     pub address: Ipv4Addr,
     /// Port; 0 takes a free one.
     pub port: u16,
     /// Multicast group to join, if the sensor sends to one.
     pub multicast: Option<Ipv4Addr>,
-    /// Network interface to listen on alone, and to join the group on; by default all, and that of the route.
+    /// Network interface to listen on alone, and to join the group on; by default all, and that of
+    /// the route.
     pub interface: Option<String>,
-    /// Bytes that waiting datagrams may hold in the kernel, its own share included; [`ample_buffer_bytes`].
+    /// Bytes that waiting datagrams may hold in the kernel, its own share included;
+    /// [`ample_buffer_bytes`].
     pub buffer_bytes: usize,
 }
 
@@ -50,7 +52,13 @@ impl UdpConfig {
     /// All that is sent to a port of this host, with a buffer for the fastest sensor.
     pub fn port(port: u16) -> Self {
         let buffer_bytes = ample_buffer_bytes();
-        Self { address: Ipv4Addr::UNSPECIFIED, port, multicast: None, interface: None, buffer_bytes }
+        Self {
+            address: Ipv4Addr::UNSPECIFIED,
+            port,
+            multicast: None,
+            interface: None,
+            buffer_bytes,
+        }
     }
 }
 
@@ -87,26 +95,44 @@ impl UdpSource {
     /// Opens the port.
     ///
     /// # Errors
-    /// [`UdpError`]: a port that is taken, an address or interface that this host has not, a group that is none.
+    /// [`UdpError`]: a port that is taken, an address or interface that this host has not, a group
+    /// that is none.
     pub fn bind(config: &UdpConfig) -> Result<Self, UdpError> {
-        let index = config.interface.as_deref().map(interface_index).transpose()?;
+        let index = config
+            .interface
+            .as_deref()
+            .map(interface_index)
+            .transpose()?;
         if let Some(group) = config.multicast.filter(|group| !group.is_multicast()) {
             return Err(UdpError::NoGroup { group });
         }
-        let failed = |source| UdpError::Socket { port: config.port, source };
+        let failed = |source| UdpError::Socket {
+            port: config.port,
+            source,
+        };
         let socket = Socket::new(Domain::IPV4, Type::DGRAM, Some(Protocol::UDP)).map_err(failed)?;
         let buffer = buffer::enlarge(&socket, config.buffer_bytes).map_err(failed)?;
         sys::ask_to_be_told(socket.as_fd()).map_err(failed)?;
-        // Else it would hear every group that any program of this host has joined, on the same port (ip(7)).
+        // Else it would hear every group that any program of this host has joined, on the same port
+        // (ip(7)).
         socket.set_multicast_all_v4(false).map_err(failed)?;
         if let Some(name) = &config.interface {
-            let refused = |source| UdpError::Interface { name: name.clone(), source };
+            let refused = |source| UdpError::Interface {
+                name: name.clone(),
+                source,
+            };
             socket.bind_device(Some(name.as_bytes())).map_err(refused)?;
         }
         let address = SocketAddrV4::new(config.address, config.port);
-        socket.bind(&address.into()).map_err(|source| UdpError::bind(address, source))?;
+        socket
+            .bind(&address.into())
+            .map_err(|source| UdpError::bind(address, source))?;
         join(&socket, config.multicast, index)?;
-        let local = socket.local_addr().map_err(failed)?.as_socket_ipv4().unwrap_or(address);
+        let local = socket
+            .local_addr()
+            .map_err(failed)?
+            .as_socket_ipv4()
+            .unwrap_or(address);
         let slots = vec![Slot::EMPTY; BATCH].into();
         Ok(Self {
             config: config.clone(),
@@ -123,21 +149,27 @@ impl UdpSource {
         })
     }
 
-    /// Waits for datagrams, at most `timeout` (not at all if it is zero, else at least a millisecond), and gives those that
-    /// are there, up to 64 and in the order of their arrival. None come after the timeout or a signal: that is the time to
-    /// look at a clock.
+    /// Waits for datagrams, at most `timeout` (not at all if it is zero, else at least a
+    /// millisecond), and gives those that are there, up to 64 and in the order of their arrival.
+    /// None come after the timeout or a signal: that is the time to look at a clock.
     ///
-    /// They are of any kind, from anyone; [`Gate`](super::Gate) takes those of sensors. One that the kernel gave no
-    /// stamp has the time of this call. Of one longer than 1280 bytes, these are given.
+    /// They are of any kind, from anyone; [`Gate`](super::Gate) takes those of sensors. One that
+    /// the kernel gave no stamp has the time of this call. Of one longer than 1280 bytes, these are
+    /// given.
     ///
     /// # Errors
     /// [`UdpError::Socket`], such as an interface that went away for good.
-    pub fn receive(&mut self, timeout: Duration) -> Result<impl Iterator<Item = Datagram<'_>> + Clone, UdpError> {
-        Ok(self.receive_addressed(timeout)?.map(|addressed| addressed.datagram()))
+    pub fn receive(
+        &mut self,
+        timeout: Duration,
+    ) -> Result<impl Iterator<Item = Datagram<'_>> + Clone, UdpError> {
+        Ok(self
+            .receive_addressed(timeout)?
+            .map(|addressed| addressed.datagram()))
     }
 
-    /// As [`UdpSource::receive`], with the addresses that they were sent to, for who records them: this host's, the
-    /// broadcast address, a multicast group.
+    /// As [`UdpSource::receive`], with the addresses that they were sent to, for who records them:
+    /// this host's, the broadcast address, a multicast group.
     ///
     /// # Errors
     /// As there.
@@ -145,10 +177,13 @@ impl UdpSource {
         &mut self,
         timeout: Duration,
     ) -> Result<impl Iterator<Item = Addressed<'_>> + Clone, UdpError> {
-        Ok(self.receive_counted(timeout)?.map(|(addressed, _)| addressed))
+        Ok(self
+            .receive_counted(timeout)?
+            .map(|(addressed, _)| addressed))
     }
 
-    /// As [`UdpSource::receive_addressed`], each with the number of datagrams that the kernel had dropped before it.
+    /// As [`UdpSource::receive_addressed`], each with the number of datagrams that the kernel had
+    /// dropped before it.
     ///
     /// # Errors
     /// As there.
@@ -166,19 +201,31 @@ impl UdpSource {
         self.was_full = count == self.slots.len();
         let arrived = &self.slots[..count];
         let mut drops = self.drops;
-        arrived.iter().filter_map(|slot| slot.told.dropped).for_each(|dropped| self.drops.note(dropped));
+        arrived
+            .iter()
+            .filter_map(|slot| slot.told.dropped)
+            .for_each(|dropped| self.drops.note(dropped));
         let (now_ns, local) = (realtime_ns(), self.local);
         for slot in arrived {
-            if let Some(took_ns) = self.filling.note(slot.told.stamp_ns.unwrap_or(now_ns), slot.len) {
+            if let Some(took_ns) = self
+                .filling
+                .note(slot.told.stamp_ns.unwrap_or(now_ns), slot.len)
+            {
                 self.filling.remember(took_ns, Instant::now());
             }
         }
         Ok(arrived.iter().map(move |slot| {
-            slot.told.dropped.into_iter().for_each(|dropped| drops.note(dropped));
+            slot.told
+                .dropped
+                .into_iter()
+                .for_each(|dropped| drops.note(dropped));
             let addressed = Addressed {
                 arrival_ns: slot.told.stamp_ns.unwrap_or(now_ns),
                 source: slot.source,
-                destination: SocketAddrV4::new(slot.told.destination.unwrap_or(*local.ip()), local.port()),
+                destination: SocketAddrV4::new(
+                    slot.told.destination.unwrap_or(*local.ip()),
+                    local.port(),
+                ),
                 payload: slot.payload(),
             };
             (addressed, drops.total)
@@ -190,42 +237,60 @@ impl UdpSource {
         self.received
     }
 
-    /// Looks after the interface, if it listens on one alone: one that went away and came back has another number, and the
-    /// kernel ties a socket to the number. Then the port is opened anew; counters go on. Says whether the interface is there.
+    /// Looks after the interface, if it listens on one alone: one that went away and came back has
+    /// another number, and the kernel ties a socket to the number. Then the port is opened anew;
+    /// counters go on. Says whether the interface is there.
     ///
     /// This is for quiet times: it asks the system, and may take memory.
     ///
     /// # Errors
-    /// [`UdpError`]: the interface is back and cannot be listened on yet, such as without its address.
+    /// [`UdpError`]: the interface is back and cannot be listened on yet, such as without its
+    /// address.
     pub fn follow_interface(&mut self) -> Result<bool, UdpError> {
-        let Some(name) = &self.config.interface else { return Ok(true) };
+        let Some(name) = &self.config.interface else {
+            return Ok(true);
+        };
         match interface_index(name) {
             // What cannot be told, for want of descriptors say, is taken to be there.
-            Err(UdpError::Interface { source, .. }) => {
-                Ok(!matches!(source.raw_os_error(), Some(libc::ENODEV | libc::ENXIO)))
-            }
+            Err(UdpError::Interface { source, .. }) => Ok(!matches!(
+                source.raw_os_error(),
+                Some(libc::ENODEV | libc::ENXIO)
+            )),
             Err(error) => Err(error),
             Ok(index) if Some(index) == self.index => Ok(true),
             Ok(_) => {
-                let fresh = Self::bind(&UdpConfig { port: self.local.port(), ..self.config.clone() })?;
+                let fresh = Self::bind(&UdpConfig {
+                    port: self.local.port(),
+                    ..self.config.clone()
+                })?;
                 let (received, dropped) = (self.received, self.dropped());
-                *self = Self { received, drops: DropCounter { last: 0, total: dropped }, ..fresh };
+                *self = Self {
+                    received,
+                    drops: DropCounter {
+                        last: 0,
+                        total: dropped,
+                    },
+                    ..fresh
+                };
                 Ok(true)
             }
         }
     }
 
-    /// Whether more may wait in the socket: the last call gave as many as one can give. Costs nothing.
+    /// Whether more may wait in the socket: the last call gave as many as one can give. Costs
+    /// nothing.
     pub fn may_hold_more(&self) -> bool {
         self.was_full
     }
 
-    /// Datagrams that the kernel had dropped when the last one that was received came; costs nothing.
+    /// Datagrams that the kernel had dropped when the last one that was received came; costs
+    /// nothing.
     pub fn dropped_so_far(&self) -> u64 {
         self.drops.total
     }
 
-    /// Datagrams that the kernel dropped up to now because the buffer was full (or their checksum wrong).
+    /// Datagrams that the kernel dropped up to now because the buffer was full (or their checksum
+    /// wrong).
     pub fn dropped(&mut self) -> u64 {
         // Before Linux 4.12 the next datagram will tell.
         if let Ok(dropped) = sys::dropped_now(self.socket.as_fd()) {
@@ -234,8 +299,9 @@ impl UdpSource {
         self.drops.total
     }
 
-    /// The shortest time of the last seconds in which a part of the buffer was filled ([`ReceiveBuffer::part_bytes`]),
-    /// nanoseconds; `i64::MAX` where none was within a quarter of a second.
+    /// The shortest time of the last seconds in which a part of the buffer was filled
+    /// ([`ReceiveBuffer::part_bytes`]), nanoseconds; `i64::MAX` where none was within a quarter of
+    /// a second.
     pub fn shortest_filling_ns(&self) -> i64 {
         self.filling.shortest_ns(Instant::now())
     }
@@ -262,34 +328,52 @@ impl UdpSource {
         // What is rounded to zero would be for ever.
         let timeout = timeout.max(Duration::from_millis(1));
         if self.timeout != Some(timeout) {
-            self.socket.set_read_timeout(Some(timeout)).map_err(|source| self.failed(source))?;
+            self.socket
+                .set_read_timeout(Some(timeout))
+                .map_err(|source| self.failed(source))?;
             self.timeout = Some(timeout);
         }
         Ok(())
     }
 
     fn failed(&self, source: io::Error) -> UdpError {
-        UdpError::Socket { port: self.local.port(), source }
+        UdpError::Socket {
+            port: self.local.port(),
+            source,
+        }
     }
 }
 
 fn is_no_datagram(error: &io::Error) -> bool {
-    matches!(error.kind(), io::ErrorKind::WouldBlock | io::ErrorKind::TimedOut | io::ErrorKind::Interrupted)
+    matches!(
+        error.kind(),
+        io::ErrorKind::WouldBlock | io::ErrorKind::TimedOut | io::ErrorKind::Interrupted
+    )
 }
 
 fn interface_index(name: &str) -> Result<NonZeroU32, UdpError> {
-    let index =
-        sys::interface_index(name).and_then(|index| NonZeroU32::new(index).ok_or(io::ErrorKind::NotFound.into()));
-    index.map_err(|source| UdpError::Interface { name: name.to_owned(), source })
+    let index = sys::interface_index(name)
+        .and_then(|index| NonZeroU32::new(index).ok_or(io::ErrorKind::NotFound.into()));
+    index.map_err(|source| UdpError::Interface {
+        name: name.to_owned(),
+        source,
+    })
 }
 
-fn join(socket: &Socket, group: Option<Ipv4Addr>, interface: Option<NonZeroU32>) -> Result<(), UdpError> {
+fn join(
+    socket: &Socket,
+    group: Option<Ipv4Addr>,
+    interface: Option<NonZeroU32>,
+) -> Result<(), UdpError> {
     let Some(group) = group else { return Ok(()) };
     let on = InterfaceIndexOrAddress::Index(interface.map_or(0, NonZeroU32::get));
-    socket.join_multicast_v4_n(&group, &on).map_err(|source| UdpError::Join { group, source })
+    socket
+        .join_multicast_v4_n(&group, &on)
+        .map_err(|source| UdpError::Join { group, source })
 }
 
-/// Adds up a counter of the kernel that wraps at 2^32 and that is read in two ways, one of which may lag behind.
+/// Adds up a counter of the kernel that wraps at 2^32 and that is read in two ways, one of which
+/// may lag behind.
 #[derive(Clone, Copy, Debug, Default)]
 struct DropCounter {
     last: u32,

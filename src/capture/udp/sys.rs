@@ -1,7 +1,9 @@
-//! The system calls that no safe crate offers: batches with control messages, some socket options, an interface's index.
+//! The system calls that no safe crate offers: batches with control messages, some socket options,
+//! an interface's index.
 //!
-//! nix 0.31 loses the control messages of a batch once datagrams are dropped (its headers are not reset: nix-rust/nix
-//! pull request 2813), rustix has no `recvmmsg`, socket2 neither it nor these options.
+//! nix 0.31 loses the control messages of a batch once datagrams are dropped (its headers are not
+//! reset: nix-rust/nix pull request 2813), rustix has no `recvmmsg`, socket2 neither it nor these
+//! options.
 
 #![allow(unsafe_code)]
 
@@ -14,10 +16,11 @@ use std::ptr;
 
 /// Datagrams taken from the kernel at once.
 pub(super) const BATCH: usize = 64;
-/// Bytes kept of a datagram, more than any packet has. Of a longer one the rest is lost, not its length.
+/// Bytes kept of a datagram, more than any packet has. Of a longer one the rest is lost, not its
+/// length.
 pub(super) const SLOT_LEN: usize = 1280;
-/// Room for the control messages: 32 bytes of time stamp, 24 of drop counter and 32 of destination where pointers have 64
-/// bits.
+/// Room for the control messages: 32 bytes of time stamp, 24 of drop counter and 32 of destination
+/// where pointers have 64 bits.
 const CONTROL_LEN: usize = 96;
 
 /// Room for one datagram, and what the kernel said of it.
@@ -37,7 +40,8 @@ pub(super) struct Slot {
 pub(super) struct Told {
     /// When the kernel received it, nanoseconds since 1970; `None` if it did not say.
     pub(super) stamp_ns: Option<i64>,
-    /// Datagrams that the socket had dropped when this one came, modulo 2^32; `None` before the first.
+    /// Datagrams that the socket had dropped when this one came, modulo 2^32; `None` before the
+    /// first.
     pub(super) dropped: Option<u32>,
     /// Where it was sent to: this host, everybody, a multicast group; `None` if it did not say.
     pub(super) destination: Option<Ipv4Addr>,
@@ -49,7 +53,11 @@ impl Slot {
         bytes: [0; SLOT_LEN],
         len: 0,
         source: SocketAddrV4::new(Ipv4Addr::UNSPECIFIED, 0),
-        told: Told { stamp_ns: None, dropped: None, destination: None },
+        told: Told {
+            stamp_ns: None,
+            dropped: None,
+            destination: None,
+        },
     };
 
     /// The payload; the first [`SLOT_LEN`] bytes of a longer one.
@@ -58,11 +66,16 @@ impl Slot {
     }
 }
 
-/// Receives a batch (recvmmsg(2)): `waits` for the first datagram as long as the socket's own timeout says, then takes
-/// what is there. Gives the number of slots that were filled.
+/// Receives a batch (recvmmsg(2)): `waits` for the first datagram as long as the socket's own
+/// timeout says, then takes what is there. Gives the number of slots that were filled.
 ///
-/// The headers are made anew each time, on the stack: the kernel shrinks the length of the control messages in them.
-pub(super) fn receive(socket: BorrowedFd<'_>, slots: &mut [Slot], waits: bool) -> io::Result<usize> {
+/// The headers are made anew each time, on the stack: the kernel shrinks the length of the control
+/// messages in them.
+pub(super) fn receive(
+    socket: BorrowedFd<'_>,
+    slots: &mut [Slot],
+    waits: bool,
+) -> io::Result<usize> {
     const NAME_LEN: u32 = size_of::<libc::sockaddr_in>() as u32;
     let count = slots.len().min(BATCH);
     // SAFETY: all three are C structs of numbers and pointers, for which zeroes are a value.
@@ -72,7 +85,10 @@ pub(super) fn receive(socket: BorrowedFd<'_>, slots: &mut [Slot], waits: bool) -
     // SAFETY: as above.
     let mut headers: [libc::mmsghdr; BATCH] = unsafe { MaybeUninit::zeroed().assume_init() };
     for (index, slot) in slots[..count].iter_mut().enumerate() {
-        parts[index] = libc::iovec { iov_base: slot.bytes.as_mut_ptr().cast(), iov_len: SLOT_LEN };
+        parts[index] = libc::iovec {
+            iov_base: slot.bytes.as_mut_ptr().cast(),
+            iov_len: SLOT_LEN,
+        };
         let header = &mut headers[index].msg_hdr;
         header.msg_name = (&raw mut names[index]).cast();
         header.msg_namelen = NAME_LEN;
@@ -81,18 +97,34 @@ pub(super) fn receive(socket: BorrowedFd<'_>, slots: &mut [Slot], waits: bool) -
         header.msg_control = slot.control.as_mut_ptr().cast();
         header.msg_controllen = CONTROL_LEN as _;
     }
-    // MSG_WAITFORONE: the timeout argument is checked only after a datagram came (recvmmsg(2), BUGS), so there is none.
-    let flags = libc::MSG_TRUNC | if waits { libc::MSG_WAITFORONE } else { libc::MSG_DONTWAIT };
-    // SAFETY: the first `count` headers point to buffers of the stated lengths that live, and that nothing else reads
-    // or writes, until the call returns; the kernel keeps none of the pointers.
-    let filled =
-        unsafe { libc::recvmmsg(socket.as_raw_fd(), headers.as_mut_ptr(), count as u32, flags as _, ptr::null_mut()) };
-    let filled = usize::try_from(filled).map_err(|_| io::Error::last_os_error())?.min(count);
+    // MSG_WAITFORONE: the timeout argument is checked only after a datagram came (recvmmsg(2),
+    // BUGS), so there is none.
+    let flags = libc::MSG_TRUNC
+        | if waits {
+            libc::MSG_WAITFORONE
+        } else {
+            libc::MSG_DONTWAIT
+        };
+    // SAFETY: the first `count` headers point to buffers of the stated lengths that live, and that
+    // nothing else reads or writes, until the call returns; the kernel keeps none of the pointers.
+    let filled = unsafe {
+        libc::recvmmsg(
+            socket.as_raw_fd(),
+            headers.as_mut_ptr(),
+            count as u32,
+            flags as _,
+            ptr::null_mut(),
+        )
+    };
+    let filled = usize::try_from(filled)
+        .map_err(|_| io::Error::last_os_error())?
+        .min(count);
     for (index, slot) in slots[..filled].iter_mut().enumerate() {
         slot.len = headers[index].msg_len as usize;
         slot.source = address(&names[index]);
         let header = &mut headers[index].msg_hdr;
-        // The pointer that the kernel was given is older than this borrow of the slot, and may not be read through.
+        // The pointer that the kernel was given is older than this borrow of the slot, and may not
+        // be read through.
         header.msg_control = slot.control.as_mut_ptr().cast();
         slot.told = control(header);
     }
@@ -100,7 +132,10 @@ pub(super) fn receive(socket: BorrowedFd<'_>, slots: &mut [Slot], waits: bool) -
 }
 
 fn address(name: &libc::sockaddr_in) -> SocketAddrV4 {
-    SocketAddrV4::new(Ipv4Addr::from(u32::from_be(name.sin_addr.s_addr)), u16::from_be(name.sin_port))
+    SocketAddrV4::new(
+        Ipv4Addr::from(u32::from_be(name.sin_addr.s_addr)),
+        u16::from_be(name.sin_port),
+    )
 }
 
 /// The control messages (cmsg(3)) of a header that the kernel has filled in.
@@ -111,20 +146,24 @@ fn address(name: &libc::sockaddr_in) -> SocketAddrV4 {
 )]
 fn control(header: &libc::msghdr) -> Told {
     let mut told = Told::default();
-    // SAFETY: `msg_control` points to the aligned control buffer of a slot that is borrowed by the caller, and
-    // `msg_controllen` is what the kernel wrote of it.
+    // SAFETY: `msg_control` points to the aligned control buffer of a slot that is borrowed by the
+    // caller, and `msg_controllen` is what the kernel wrote of it.
     let mut next = unsafe { libc::CMSG_FIRSTHDR(header) };
-    // SAFETY: the macros of cmsg(3) give a pointer to a whole message header in the buffer, or null.
+    // SAFETY: the macros of cmsg(3) give a pointer to a whole message header in the buffer, or
+    // null.
     while let Some(message) = unsafe { next.as_ref() } {
         // SAFETY: only an address is computed.
         let data = unsafe { libc::CMSG_DATA(next) };
         // SAFETY: only a length is computed.
-        let has = |len: usize| message.cmsg_len as usize >= unsafe { libc::CMSG_LEN(len as u32) } as usize;
+        let has = |len: usize| {
+            message.cmsg_len as usize >= unsafe { libc::CMSG_LEN(len as u32) } as usize
+        };
         match (message.cmsg_level, message.cmsg_type) {
             (libc::SOL_SOCKET, libc::SCM_TIMESTAMPNS) if has(size_of::<libc::timespec>()) => {
                 // SAFETY: the message is as long as that, and any bytes are two numbers.
                 let time = unsafe { data.cast::<libc::timespec>().read_unaligned() };
-                told.stamp_ns = Some(i64::from(time.tv_sec) * 1_000_000_000 + i64::from(time.tv_nsec));
+                told.stamp_ns =
+                    Some(i64::from(time.tv_sec) * 1_000_000_000 + i64::from(time.tv_nsec));
             }
             (libc::SOL_SOCKET, libc::SO_RXQ_OVFL) if has(size_of::<u32>()) => {
                 // SAFETY: as above, one number.
@@ -143,8 +182,8 @@ fn control(header: &libc::msghdr) -> Told {
     told
 }
 
-/// Has the kernel say of each datagram when it came (SO_TIMESTAMPNS), how many were dropped before it (SO_RXQ_OVFL) and
-/// where it was sent to (IP_PKTINFO); socket(7), ip(7).
+/// Has the kernel say of each datagram when it came (SO_TIMESTAMPNS), how many were dropped before
+/// it (SO_RXQ_OVFL) and where it was sent to (IP_PKTINFO); socket(7), ip(7).
 pub(super) fn ask_to_be_told(socket: BorrowedFd<'_>) -> io::Result<()> {
     set_option(socket, libc::SOL_SOCKET, libc::SO_TIMESTAMPNS, 1)?;
     set_option(socket, libc::SOL_SOCKET, libc::SO_RXQ_OVFL, 1)?;
@@ -153,28 +192,55 @@ pub(super) fn ask_to_be_told(socket: BorrowedFd<'_>) -> io::Result<()> {
 
 /// Sets the receive buffer beyond net.core.rmem_max (SO_RCVBUFFORCE), which CAP_NET_ADMIN may.
 pub(super) fn force_buffer(socket: BorrowedFd<'_>, bytes: usize) -> io::Result<()> {
-    set_option(socket, libc::SOL_SOCKET, libc::SO_RCVBUFFORCE, libc::c_int::try_from(bytes).unwrap_or(libc::c_int::MAX))
+    set_option(
+        socket,
+        libc::SOL_SOCKET,
+        libc::SO_RCVBUFFORCE,
+        libc::c_int::try_from(bytes).unwrap_or(libc::c_int::MAX),
+    )
 }
 
-fn set_option(socket: BorrowedFd<'_>, level: libc::c_int, name: libc::c_int, value: libc::c_int) -> io::Result<()> {
+fn set_option(
+    socket: BorrowedFd<'_>,
+    level: libc::c_int,
+    name: libc::c_int,
+    value: libc::c_int,
+) -> io::Result<()> {
     // SAFETY: the kernel reads an int, of the stated length, while the call lasts.
     let done = unsafe {
         let len = size_of::<libc::c_int>() as libc::socklen_t;
-        libc::setsockopt(socket.as_raw_fd(), level, name, (&raw const value).cast(), len)
+        libc::setsockopt(
+            socket.as_raw_fd(),
+            level,
+            name,
+            (&raw const value).cast(),
+            len,
+        )
     };
-    if done == 0 { Ok(()) } else { Err(io::Error::last_os_error()) }
+    if done == 0 {
+        Ok(())
+    } else {
+        Err(io::Error::last_os_error())
+    }
 }
 
-/// Datagrams that the socket has dropped up to now, modulo 2^32 (SO_MEMINFO, Linux 4.12): the control messages tell it
-/// only with the next datagram.
+/// Datagrams that the socket has dropped up to now, modulo 2^32 (SO_MEMINFO, Linux 4.12): the
+/// control messages tell it only with the next datagram.
 pub(super) fn dropped_now(socket: BorrowedFd<'_>) -> io::Result<u32> {
     const DROPS: usize = libc::SK_MEMINFO_DROPS as usize;
     let mut numbers = [0_u32; DROPS + 1];
     let mut len = size_of_val(&numbers) as libc::socklen_t;
-    // SAFETY: the kernel writes at most `len` bytes there while the call lasts; any bytes are numbers.
+    // SAFETY: the kernel writes at most `len` bytes there while the call lasts; any bytes are
+    // numbers.
     let done = unsafe {
         let to = numbers.as_mut_ptr().cast();
-        libc::getsockopt(socket.as_raw_fd(), libc::SOL_SOCKET, libc::SO_MEMINFO, to, &raw mut len)
+        libc::getsockopt(
+            socket.as_raw_fd(),
+            libc::SOL_SOCKET,
+            libc::SO_MEMINFO,
+            to,
+            &raw mut len,
+        )
     };
     match done {
         0 if len as usize == size_of_val(&numbers) => Ok(numbers[DROPS]),

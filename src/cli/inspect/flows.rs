@@ -52,7 +52,12 @@ impl Flows {
         flow.datagrams += 1;
         flow.last_ns = arrival_ns;
         flow.bytes = len.min(*flow.bytes.start())..=len.max(*flow.bytes.end());
-        let same = flow.head.iter().zip(datagram.payload).take_while(|(a, b)| a == b).count();
+        let same = flow
+            .head
+            .iter()
+            .zip(datagram.payload)
+            .take_while(|(a, b)| a == b)
+            .count();
         flow.head.truncate(same);
     }
 
@@ -61,9 +66,16 @@ impl Flows {
         let mut flows: Vec<(&(SocketAddr, u16), &Flow)> = self.flows.iter().collect();
         // The address last, so that the order is always the same.
         flows.sort_by_key(|&(key, flow)| (std::cmp::Reverse(flow.datagrams), *key));
-        let rest: u64 = flows.iter().skip(SHOWN).map(|(_, flow)| flow.datagrams).sum::<u64>() + self.beyond;
+        let rest: u64 = flows
+            .iter()
+            .skip(SHOWN)
+            .map(|(_, flow)| flow.datagrams)
+            .sum::<u64>()
+            + self.beyond;
         let shown = flows.iter().take(SHOWN);
-        let mut lines: Vec<String> = shown.map(|((source, port), flow)| flow.line(*source, *port)).collect();
+        let mut lines: Vec<String> = shown
+            .map(|((source, port), flow)| flow.line(*source, *port))
+            .collect();
         if rest > 0 {
             lines.push(format!("and {} of others", count_of(rest, "datagram")));
         }
@@ -74,9 +86,15 @@ impl Flows {
 impl Flow {
     fn line(&self, source: SocketAddr, port: u16) -> String {
         let (least, most) = (self.bytes.start(), self.bytes.end());
-        let bytes = if least == most { format!("{most} bytes") } else { format!("{least} to {most} bytes") };
+        let bytes = if least == most {
+            format!("{most} bytes")
+        } else {
+            format!("{least} to {most} bytes")
+        };
         let count = count_of(self.datagrams, "datagram");
-        let like = self.like(source.port(), port).map_or(String::new(), |like| format!("; looks like {like}"));
+        let like = self
+            .like(source.port(), port)
+            .map_or(String::new(), |like| format!("; looks like {like}"));
         format!(
             "{source} to port {port}: {count} of {bytes}{}{like}",
             rate(self.datagrams, self.first_ns, self.last_ns)
@@ -108,7 +126,12 @@ mod tests {
         let mut flows = Flows::default();
         for (number, &(source, destination_port, payload)) in sent.iter().enumerate() {
             let (arrival_ns, source) = (number as i64 * 500_000_000, source.parse().unwrap());
-            flows.add(&Datagram { arrival_ns, source, destination_port, payload });
+            flows.add(&Datagram {
+                arrival_ns,
+                source,
+                destination_port,
+                payload,
+            });
         }
         flows.lines()
     }
@@ -117,8 +140,18 @@ mod tests {
     fn well_known_lidars_are_told_by_ports_lengths_and_marks() {
         let robosense = [&[0x55, 0xAA, 0x05, 0x0A][..], &[0; 1244]].concat();
         for (source, port, payload, like) in [
-            ("10.0.0.1:50000", 7502, &[1; 8448][..], "an Ouster (its port for measurements)"),
-            ("10.0.0.1:50001", 7503, &[1; 48], "an Ouster (its port for inertial data)"),
+            (
+                "10.0.0.1:50000",
+                7502,
+                &[1; 8448][..],
+                "an Ouster (its port for measurements)",
+            ),
+            (
+                "10.0.0.1:50001",
+                7503,
+                &[1; 48],
+                "an Ouster (its port for inertial data)",
+            ),
             ("10.0.0.2:56300", 56301, &[0; 1380], "a Livox Mid-360"),
             ("10.0.0.3:10000", 2368, &[0xEE, 0xFF, 6, 1, 0, 0], "a Hesai"),
             ("10.0.0.4:6699", 6699, &robosense, "a RoboSense"),
@@ -132,17 +165,29 @@ mod tests {
         }
         for (port, payload) in [(7502, &[1; 100][..]), (5353, &[0x55, 0xAA]), (123, &[])] {
             let lines = flows(&[("10.0.0.9:999", port, payload)]);
-            assert!(lines.len() == 1 && !lines[0].contains("looks like"), "{lines:?}");
+            assert!(
+                lines.len() == 1 && !lines[0].contains("looks like"),
+                "{lines:?}"
+            );
         }
     }
 
     #[test]
     fn what_differs_within_a_flow_is_no_mark_and_many_flows_are_summed_up() {
         let lines = flows(&[("10.0.0.1:9", 9, &[0xEE, 0xFF]), ("10.0.0.1:9", 9, &[0xEE])]);
-        assert_eq!(lines, ["10.0.0.1:9 to port 9: 2 datagrams of 1 to 2 bytes (2.0 a second)"]);
+        assert_eq!(
+            lines,
+            ["10.0.0.1:9 to port 9: 2 datagrams of 1 to 2 bytes (2.0 a second)"]
+        );
         let sources: Vec<String> = (1..=1500).map(|port| format!("10.0.0.1:{port}")).collect();
-        let sent: Vec<(&str, u16, &[u8])> = sources.iter().map(|source| (&source[..], 9, &b"x"[..])).collect();
+        let sent: Vec<(&str, u16, &[u8])> = sources
+            .iter()
+            .map(|source| (&source[..], 9, &b"x"[..]))
+            .collect();
         let lines = flows(&sent);
-        assert_eq!((lines.len(), &lines[8][..]), (9, "and 1,492 datagrams of others"));
+        assert_eq!(
+            (lines.len(), &lines[8][..]),
+            (9, "and 1,492 datagrams of others")
+        );
     }
 }

@@ -22,7 +22,9 @@ pub(super) struct Positions {
 impl Positions {
     /// Adds a position packet; other bytes of its length are passed over.
     pub(super) fn add(&mut self, datagram: &Datagram<'_>) {
-        let Ok(position) = Position::parse(datagram.payload) else { return };
+        let Ok(position) = Position::parse(datagram.payload) else {
+            return;
+        };
         if self.packets == 0 {
             self.first_ns = datagram.arrival_ns;
         }
@@ -31,20 +33,34 @@ impl Positions {
         self.locked += u64::from(position.pps == Pps::Locked);
         self.pps = Some(position.pps);
         self.sentence = position.nmea.map(str::to_owned).or(self.sentence.take());
-        self.chips_c = position.inertial.map(|chips| chips[0].temperature_c()).or(self.chips_c);
-        self.board_c = position.board.map(|board| (board.top_c, board.bottom_c)).or(self.board_c);
+        self.chips_c = position
+            .inertial
+            .map(|chips| chips[0].temperature_c())
+            .or(self.chips_c);
+        self.board_c = position
+            .board
+            .map(|board| (board.top_c, board.bottom_c))
+            .or(self.board_c);
     }
 
     /// Its rows of the text; `whose` says it when several sensors share the address.
     pub(super) fn describe(&self, text: &mut String, whose: &str) {
         let each = rate(self.packets, self.first_ns, self.last_ns);
-        row(text, "position", &format!("{}{each}{whose}", count_of(self.packets, "packet")));
+        row(
+            text,
+            "position",
+            &format!("{}{each}{whose}", count_of(self.packets, "packet")),
+        );
         row(text, "GPS", &self.gps());
         if let Some((top, bottom)) = self.board_c {
             row(text, "boards", &format!("top {top} C, bottom {bottom} C"));
         }
         if let Some(celsius) = self.chips_c {
-            row(text, "inertial", &format!("three gyros and accelerometers, {celsius:.0} C"));
+            row(
+                text,
+                "inertial",
+                &format!("three gyros and accelerometers, {celsius:.0} C"),
+            );
         }
     }
 
@@ -53,16 +69,23 @@ impl Positions {
             Some(Pps::Locked) if self.locked < self.packets => {
                 format!("PPS locked in {} of {} packets", self.locked, self.packets)
             }
-            // The HDL-32E, which alone sends the inertial chips, leaves the byte 0 whatever the pulse does.
-            Some(Pps::Absent) if self.chips_c.is_some() => "PPS not reported by this model".to_owned(),
+            // The HDL-32E, which alone sends the inertial chips, leaves the byte 0 whatever the
+            // pulse does.
+            Some(Pps::Absent) if self.chips_c.is_some() => {
+                "PPS not reported by this model".to_owned()
+            }
             Some(pps) => format!("PPS {pps}"),
             None => "PPS unknown".to_owned(),
         };
-        let Some(sentence) = &self.sentence else { return format!("{pulse}, no sentence") };
+        let Some(sentence) = &self.sentence else {
+            return format!("{pulse}, no sentence");
+        };
         match Rmc::parse(sentence) {
             Ok(rmc) => {
                 let valid = if rmc.valid { "valid" } else { "not valid" };
-                let place = rmc.position_deg.map_or(String::new(), |(lat, lon)| format!(" at {lat:.5}, {lon:.5}"));
+                let place = rmc.position_deg.map_or(String::new(), |(lat, lon)| {
+                    format!(" at {lat:.5}, {lon:.5}")
+                });
                 format!("{pulse}, RMC {valid}: {}{place}", utc_text(rmc.utc_ns))
             }
             Err(error) => format!("{pulse}, sentence `{}`: {error}", sentence.escape_default()),

@@ -12,28 +12,62 @@ pub fn describe(status: &Status, text: &mut String) {
     let series = status.series();
     let mut unit: Vec<String> = Vec::new();
     unit.extend(series.map(|series| format!("series {series}")));
-    unit.extend(status.firmware().map(|firmware| format!("firmware {firmware:#04x}")));
-    unit.extend(status.temperature_c().map(|degrees| format!("{degrees} degrees Celsius")));
+    unit.extend(
+        status
+            .firmware()
+            .map(|firmware| format!("firmware {firmware:#04x}")),
+    );
+    unit.extend(
+        status
+            .temperature_c()
+            .map(|degrees| format!("{degrees} degrees Celsius")),
+    );
     unit.extend(status.rpm().map(|rpm| format!("{rpm} rpm")));
     unit.extend(status.power().map(|power| format!("power {power}")));
-    unit.extend(status.life_hours().map(|hours| format!("{} hours of use", grouped(hours.into()))));
+    unit.extend(
+        status
+            .life_hours()
+            .map(|hours| format!("{} hours of use", grouped(hours.into()))),
+    );
     row(text, "unit", &unit.join(", "));
     if let Some(clock) = status.clock() {
-        let gps = status.gps().map_or("unknown".to_owned(), |gps| gps.to_string());
+        let gps = status
+            .gps()
+            .map_or("unknown".to_owned(), |gps| gps.to_string());
         row(text, "unit clock", &format!("{clock} UTC, GPS: {gps}"));
     }
     if let (Some(series), Some(warnings)) = (series, status.warnings()) {
         let faults: Vec<&str> = warnings.faults(series).collect();
-        row(text, "warnings", &if faults.is_empty() { "none".to_owned() } else { faults.join(", ") });
+        row(
+            text,
+            "warnings",
+            &if faults.is_empty() {
+                "none".to_owned()
+            } else {
+                faults.join(", ")
+            },
+        );
     }
     if let Some([start, end]) = status.fov_cdeg() {
         let degrees = [start, end].map(|cdeg| f64::from(cdeg) / 100.0);
-        row(text, "set view", &format!("{:.2} to {:.2} degrees", degrees[0], degrees[1]));
+        row(
+            text,
+            "set view",
+            &format!("{:.2} to {:.2} degrees", degrees[0], degrees[1]),
+        );
     }
-    let of_all = || format!("{} of {} bytes", grouped(status.known() as u64), grouped(DUMP_LEN as u64));
+    let of_all = || {
+        format!(
+            "{} of {} bytes",
+            grouped(status.known() as u64),
+            grouped(DUMP_LEN as u64)
+        )
+    };
     let calibration = match status.verdict() {
         Verdict::Verified => match status.calibrated() {
-            Some(time) => format!("complete, of {time}; sweepd calib from-capture writes it to a file"),
+            Some(time) => {
+                format!("complete, of {time}; sweepd calib from-capture writes it to a file")
+            }
             None => "complete, but never calibrated by its own account".to_owned(),
         },
         Verdict::Contradictory(error) => format!("damaged: {error}"),

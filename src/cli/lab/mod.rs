@@ -21,7 +21,8 @@ pub enum Command {
     Score(Box<score::Args>),
     /// Be a sensor that is not there: send its packets, or write them to a capture
     Simulate(Box<simulate::Args>),
-    /// Run a daemon through a day of faults, faster than life, and see that nothing grows and all is counted
+    /// Run a daemon through a day of faults, faster than life, and see that nothing grows and all
+    /// is counted
     Soak(Box<soak::Args>),
 }
 
@@ -40,5 +41,8 @@ pub fn run(command: &Command) -> Result<(), CliError> {
 
 /// The bytes of a file of at most `limit` bytes.
 fn read_file(path: &Path, limit: u64) -> Result<Vec<u8>, CliError> {
-    crate::files::read(path, limit).map_err(|source| CliError::Read { path: path.to_owned(), source })
+    crate::files::read(path, limit).map_err(|source| CliError::Read {
+        path: path.to_owned(),
+        source,
+    })
 }

@@ -37,7 +37,8 @@ pub struct Args {
     /// Folder with scans, searched with the folders in it
     #[arg(long, value_name = "DIR")]
     scans: PathBuf,
-    /// Labels to score: PRED/SEQ/NAME.label for SCANS/SEQ/NAME.bin, as `sweepd segment --out PRED/SEQ` writes them
+    /// Labels to score: PRED/SEQ/NAME.label for SCANS/SEQ/NAME.bin, as `sweepd segment --out
+    /// PRED/SEQ` writes them
     #[arg(long, value_name = "DIR", group = "what")]
     pred: Option<PathBuf>,
     /// Suffix of the files with labels to score
@@ -77,7 +78,8 @@ pub struct Args {
 #[derive(Debug, clap::Args)]
 #[command(next_help_heading = "Methods")]
 struct Methods {
-    /// Segment the scans here, by our methods and by two plain ones, and compare them over their parameters
+    /// Segment the scans here, by our methods and by two plain ones, and compare them over their
+    /// parameters
     #[arg(long, group = "what")]
     methods: bool,
     /// Thetas of our methods, degrees
@@ -114,7 +116,12 @@ struct Methods {
     #[arg(long, value_name = "N", default_value_t = cloud::COLUMNS, conflicts_with = "pred")]
     columns: usize,
     /// Draw the precision over the parameters too, into this file
-    #[arg(long, value_name = "FILE.png", requires = "methods", conflicts_with = "pred")]
+    #[arg(
+        long,
+        value_name = "FILE.png",
+        requires = "methods",
+        conflicts_with = "pred"
+    )]
     plot: Option<PathBuf>,
 }
 
@@ -126,13 +133,18 @@ pub fn run(args: &Args) -> Result<(), CliError> {
     let found = find(&args.scans, &args.only)?;
     if found.without_truth > 0 {
         let clouds = count_of(found.without_truth, "cloud");
-        complain("warning", format!("{clouds} without true labels (NAME.label beside NAME.bin) left out"));
+        complain(
+            "warning",
+            format!("{clouds} without true labels (NAME.label beside NAME.bin) left out"),
+        );
     }
     let text = match &args.pred {
         Some(pred) => score(args, &found.scans, pred)?,
         None => methods::compare(args, &found.scans)?,
     };
-    io::stdout().write_all(text.as_bytes()).map_err(CliError::Stdout)
+    io::stdout()
+        .write_all(text.as_bytes())
+        .map_err(CliError::Stdout)
 }
 
 impl Args {
@@ -178,20 +190,39 @@ fn score(args: &Args, scans: &[Scan], pred: &Path) -> Result<String, CliError> {
         scored.push((scan.sequence().to_owned(), score));
     }
     let summary = Summary::new(&scored);
-    let by_name: Vec<(&str, &ScanScore)> =
-        scans.iter().zip(&scored).map(|(scan, (_, score))| (&scan.name[..], score)).filter(|_| args.per_scan).collect();
+    let by_name: Vec<(&str, &ScanScore)> = scans
+        .iter()
+        .zip(&scored)
+        .map(|(scan, (_, score))| (&scan.name[..], score))
+        .filter(|_| args.per_scan)
+        .collect();
     if args.json {
         let (scans, sequences, figures) = (summary.scans, summary.sequences, summary.grouped());
-        let per_scan = by_name.into_iter().map(|(name, score)| ScanLine::new(name, score)).collect();
-        return json(&Report { scans, sequences, figures, per_scan });
+        let per_scan = by_name
+            .into_iter()
+            .map(|(name, score)| ScanLine::new(name, score))
+            .collect();
+        return json(&Report {
+            scans,
+            sequences,
+            figures,
+            per_scan,
+        });
     }
     Ok(table::figures(&summary) + &table::scans(&by_name))
 }
 
 impl ScanLine {
     fn new(name: &str, score: &ScanScore) -> Self {
-        let figures = score.figures().iter().map(|figure| (figure.group, figure.name, figure.value)).collect();
-        Self { scan: name.to_owned(), figures: Grouped(figures) }
+        let figures = score
+            .figures()
+            .iter()
+            .map(|figure| (figure.group, figure.name, figure.value))
+            .collect();
+        Self {
+            scan: name.to_owned(),
+            figures: Grouped(figures),
+        }
     }
 }
 
@@ -199,7 +230,9 @@ impl ScanLine {
 fn progress(scans: usize) -> ProgressBar {
     let style = ProgressStyle::with_template("{pos} of {len} scans, {elapsed} gone");
     let style = style.unwrap_or_else(|_| ProgressStyle::default_bar());
-    ProgressBar::new(scans as u64).with_style(style).with_finish(ProgressFinish::AndClear)
+    ProgressBar::new(scans as u64)
+        .with_style(style)
+        .with_finish(ProgressFinish::AndClear)
 }
 
 /// A line of JSON.

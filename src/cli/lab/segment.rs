@@ -21,9 +21,9 @@ Example:
   sweepd segment velodyne/000000.bin velodyne/000001.bin --out labels
   sweepd segment cloud.pcd --model vlp16 --columns 1800 --out labels")]
 pub struct Args {
-    /// Clouds: KITTI .bin, nuScenes .pcd.bin, PCD or PLY; x forward, y left, z up around the sensor, in
-    /// metres. Rows come from the field ring, else the points must be in order, ring after ring;
-    /// for other clouds say which beams there are
+    /// Clouds: KITTI .bin, nuScenes .pcd.bin, PCD or PLY; x forward, y left, z up around the
+    /// sensor, in metres. Rows come from the field ring, else the points must be in order, ring
+    /// after ring; for other clouds say which beams there are
     #[arg(value_name = "CLOUD", required = true)]
     clouds: Vec<PathBuf>,
     /// Where to write NAME.label: one little-endian u32 a point, 0 none, 1 ground, 2.. segment
@@ -34,18 +34,19 @@ pub struct Args {
     /// Columns of the range image: firings of a turn
     #[arg(long, value_name = "N", default_value_t = cloud::COLUMNS)]
     columns: usize,
-    /// What the clouds are: kitti, nuscenes, pcd or ply [default: told by the name: .bin, .pcd.bin, .pcd, .ply]
+    /// What the clouds are: kitti, nuscenes, pcd or ply [default: told by the name: .bin, .pcd.bin,
+    /// .pcd, .ply]
     #[arg(long, value_name = "FORMAT")]
     format: Option<Format>,
-    /// For clouds in any order: each point goes to the beam of this model that passes it nearest: vlp16, puck-lite,
-    /// puck-hires or hdl32e
+    /// For clouds in any order: each point goes to the beam of this model that passes it nearest:
+    /// vlp16, puck-lite, puck-hires or hdl32e
     #[arg(long, value_name = "MODEL", value_parser = model)]
     model: Option<Model>,
     /// The same with the beams of a unit: its calibration, db.xml or ROS YAML; an HDL-64E needs one
     #[arg(long, value_name = "FILE", conflicts_with = "rows_table")]
     calibration: Option<PathBuf>,
-    /// The same for any sensor: a text with a line for each row from the top, its elevation in degrees and, if need
-    /// be, its vertical offset in metres; # begins a comment
+    /// The same for any sensor: a text with a line for each row from the top, its elevation in
+    /// degrees and, if need be, its vertical offset in metres; # begins a comment
     #[arg(long, value_name = "FILE", conflicts_with = "model")]
     rows_table: Option<PathBuf>,
     #[command(flatten)]
@@ -59,26 +60,46 @@ pub struct Args {
 pub fn run(args: &Args) -> Result<(), CliError> {
     let files = label_files(args)?;
     let existing = args.force.existing();
-    files.iter().try_for_each(|file| output::check(file, existing))?;
-    let formats = args.clouds.iter().map(|cloud| format_of(args, cloud)).collect::<Result<Vec<_>, _>>()?;
+    files
+        .iter()
+        .try_for_each(|file| output::check(file, existing))?;
+    let formats = args
+        .clouds
+        .iter()
+        .map(|cloud| format_of(args, cloud))
+        .collect::<Result<Vec<_>, _>>()?;
     let usage = |error: CloudError| CliError::Usage(error.to_string());
     let mut segmenter = CloudSegmenter::new(args.segment.config()?, args.columns).map_err(usage)?;
     if let Some(table) = table(args)? {
         segmenter = segmenter.with_rows(table);
     }
-    std::fs::create_dir_all(&args.out).map_err(|cause| WriteError::Directory { path: args.out.clone(), cause })?;
+    std::fs::create_dir_all(&args.out).map_err(|cause| WriteError::Directory {
+        path: args.out.clone(),
+        cause,
+    })?;
     for ((path, format), file) in args.clouds.iter().zip(formats).zip(files) {
         let bytes = read_file(path, MAX_CLOUD_LEN)?;
         let cloud = Cloud::read(&bytes, format).map_err(|error| wrong(path, &error))?;
-        let labels = segmenter.segment_cloud(&cloud).map_err(|error| wrong(path, &error))?;
-        let bytes: Vec<u8> = labels.iter().flat_map(|label| label.to_le_bytes()).collect();
+        let labels = segmenter
+            .segment_cloud(&cloud)
+            .map_err(|error| wrong(path, &error))?;
+        let bytes: Vec<u8> = labels
+            .iter()
+            .flat_map(|label| label.to_le_bytes())
+            .collect();
         output::write(&file, &bytes, existing)?;
         let ground = labels.iter().filter(|&&label| label == 1).count();
-        let segments = labels.iter().max().map_or(0, |&most| most.saturating_sub(1));
+        let segments = labels
+            .iter()
+            .max()
+            .map_or(0, |&most| most.saturating_sub(1));
         let share = 100.0 * ground as f64 / labels.len().max(1) as f64;
         let (file, points) = (file.display(), labels.len());
-        writeln!(io::stdout(), "{file}: {points} points, {share:.1} % ground, {segments} segments")
-            .map_err(CliError::Stdout)?;
+        writeln!(
+            io::stdout(),
+            "{file}: {points} points, {share:.1} % ground, {segments} segments"
+        )
+        .map_err(CliError::Stdout)?;
     }
     Ok(())
 }
@@ -110,15 +131,27 @@ fn table(args: &Args) -> Result<Option<RowTable>, CliError> {
     if let Some(path) = &args.rows_table {
         let text = read_file(path, MAX_FILE_LEN as u64)?;
         let table = RowTable::parse(&String::from_utf8_lossy(&text));
-        return Ok(Some(table.map_err(|error| CliError::Usage(format!("{}: {error}", path.display())))?));
+        return Ok(Some(table.map_err(|error| {
+            CliError::Usage(format!("{}: {error}", path.display()))
+        })?));
     }
-    let read = args.calibration.as_deref().map(files::calibration).transpose()?;
+    let read = args
+        .calibration
+        .as_deref()
+        .map(files::calibration)
+        .transpose()?;
     match (read, args.model) {
         (None, None) => Ok(None),
         (Some(calibration), None) => Ok(Some(RowTable::of_calibration(&calibration))),
         (Some(calibration), Some(model)) => {
-            let path = args.calibration.as_deref().unwrap_or(Path::new("")).display();
-            let fitted = calibration.for_model(model).map_err(|error| CliError::Usage(format!("{path}: {error}")))?;
+            let path = args
+                .calibration
+                .as_deref()
+                .unwrap_or(Path::new(""))
+                .display();
+            let fitted = calibration
+                .for_model(model)
+                .map_err(|error| CliError::Usage(format!("{path}: {error}")))?;
             Ok(Some(RowTable::of_calibration(&fitted)))
         }
         (None, Some(model)) => match model.calibration() {
@@ -133,15 +166,21 @@ fn table(args: &Args) -> Result<Option<RowTable>, CliError> {
 /// Longest cloud that is read, bytes: 64 million points.
 pub(super) const MAX_CLOUD_LEN: u64 = 1 << 30;
 
-/// Where the labels of each cloud go; two clouds must not go to one place, and none to where labels lie beside it.
+/// Where the labels of each cloud go; two clouds must not go to one place, and none to where labels
+/// lie beside it.
 fn label_files(args: &Args) -> Result<Vec<PathBuf>, CliError> {
     let mut files: Vec<PathBuf> = Vec::with_capacity(args.clouds.len());
     for cloud in &args.clouds {
-        let file = args.out.join(cloud.file_name().unwrap_or_default()).with_extension("label");
+        let file = args
+            .out
+            .join(cloud.file_name().unwrap_or_default())
+            .with_extension("label");
         if let Some(same) = files.iter().position(|other| *other == file) {
-            let (first, second, file) = (args.clouds[same].display(), cloud.display(), file.display());
-            let message =
-                format!("{first} and {second} would both be written to {file}; give each an --out of its own");
+            let (first, second, file) =
+                (args.clouds[same].display(), cloud.display(), file.display());
+            let message = format!(
+                "{first} and {second} would both be written to {file}; give each an --out of its own"
+            );
             return Err(CliError::Usage(message));
         }
         if file.exists() && is_same_folder(&args.out, cloud) {
@@ -158,6 +197,9 @@ fn label_files(args: &Args) -> Result<Vec<PathBuf>, CliError> {
 
 /// Whether a file lies in this folder.
 fn is_same_folder(folder: &Path, file: &Path) -> bool {
-    let parent = file.parent().filter(|parent| !parent.as_os_str().is_empty()).unwrap_or(Path::new("."));
+    let parent = file
+        .parent()
+        .filter(|parent| !parent.as_os_str().is_empty())
+        .unwrap_or(Path::new("."));
     matches!((folder.canonicalize(), parent.canonicalize()), (Ok(a), Ok(b)) if a == b)
 }

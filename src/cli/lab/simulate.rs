@@ -34,7 +34,9 @@ use sweepd_core::wire::data::{DATA_PACKET_LEN, ReturnMode};
 use sweepd_core::wire::{DATA_PORT, POSITION_PORT};
 use sweepd_lab::simulate::delivery::Delivery;
 use sweepd_lab::simulate::gps::{Clock, Reception};
-use sweepd_lab::simulate::{Emitter, EmitterConfig, Faults, Motor, Scene, Setting, SimulatedDatagram, deliver};
+use sweepd_lab::simulate::{
+    Emitter, EmitterConfig, Faults, Motor, Scene, Setting, SimulatedDatagram, deliver,
+};
 
 /// Options of `sweepd simulate`.
 #[derive(Debug, clap::Args)]
@@ -60,8 +62,8 @@ Examples:
   sweepd simulate --model vlp16 --loss 1 --pcap lossy.pcap --truth truth
   sweepd simulate --from-cloud 0.bin --calibration unit.xml --pcap real.pcap")]
 pub struct Args {
-    /// Model: vlp16, puck-lite, puck-hires, hdl32e, hdl64e-s2 (S2.1 too) or hdl64e-s3; several times for
-    /// several sensors in one scene, with the addresses 192.168.1.201, 192.168.1.202, ...
+    /// Model: vlp16, puck-lite, puck-hires, hdl32e, hdl64e-s2 (S2.1 too) or hdl64e-s3; several
+    /// times for several sensors in one scene, with the addresses 192.168.1.201, 192.168.1.202, ...
     #[arg(long = "model", value_name = "MODEL", required_unless_present = "from_cloud", value_parser = model)]
     models: Vec<Model>,
     /// Scene: street, parking-lot, field or room
@@ -80,16 +82,16 @@ pub struct Args {
     /// One return a shot, the strongest, or two; an hdl64e-s2 has one
     #[arg(long, alias = "return", value_name = "WHICH", value_enum, default_value_t = Returns::Single)]
     returns: Returns,
-    /// Simulate this unit: db.xml or ROS YAML [default: the model's own table; of an HDL-64E, a unit that
-    /// is made up, another one for each seed]
+    /// Simulate this unit: db.xml or ROS YAML [default: the model's own table; of an HDL-64E, a
+    /// unit that is made up, another one for each seed]
     #[arg(long, value_name = "FILE")]
     calibration: Option<PathBuf>,
-    /// From one firing of an hdl64e-s3 with one return to the next: 48 or 57.6; sources contradict each
-    /// other [default: 48]
+    /// From one firing of an hdl64e-s3 with one return to the next: 48 or 57.6; sources contradict
+    /// each other [default: 48]
     #[arg(long, value_name = "MICROSECONDS", value_parser = firing_period, allow_negative_numbers = true)]
     firing_period: Option<u32>,
-    /// The GPS receiver: locked, none, or the seconds FROM..TO in which it hears satellites, either left
-    /// out if need be, such as 2..; the clock follows two seconds after FROM
+    /// The GPS receiver: locked, none, or the seconds FROM..TO in which it hears satellites, either
+    /// left out if need be, such as 2..; the clock follows two seconds after FROM
     #[arg(long, value_name = "WHEN", default_value = "locked", value_parser = gps, allow_negative_numbers = true)]
     gps: GpsReceiver,
     /// By how much the speed of the motor drifts up and down, percent
@@ -127,8 +129,8 @@ struct Target {
     /// Write a capture, as fast as possible: NAME.pcap or NAME.pcap.gz; - is standard output
     #[arg(long, value_name = "FILE")]
     pcap: Option<PathBuf>,
-    /// Send as a sensor does, in real time: data and position packets to one port, each sensor from a
-    /// port of its own
+    /// Send as a sensor does, in real time: data and position packets to one port, each sensor from
+    /// a port of its own
     #[arg(long, value_name = "ADDR:PORT", value_parser = destination)]
     to: Option<SocketAddr>,
 }
@@ -144,10 +146,13 @@ enum Returns {
 
 /// A scene, by its name.
 fn setting(text: &str) -> Result<Setting, String> {
-    Setting::ALL.into_iter().find(|setting| setting.name() == text).ok_or_else(|| {
-        let names = Setting::ALL.map(Setting::name).join(", ");
-        format!("no scene; expected one of {names}")
-    })
+    Setting::ALL
+        .into_iter()
+        .find(|setting| setting.name() == text)
+        .ok_or_else(|| {
+            let names = Setting::ALL.map(Setting::name).join(", ");
+            format!("no scene; expected one of {names}")
+        })
 }
 
 /// Value of `--gps`: none, or when it hears satellites.
@@ -159,7 +164,10 @@ impl GpsReceiver {
     fn clock(self) -> Clock {
         match self.0 {
             // In Frankfurt, as the captures in `pcap_fixtures/` are.
-            Some(reception) => Clock::Gps { position_deg: (50.110_6, 8.682_1), reception },
+            Some(reception) => Clock::Gps {
+                position_deg: (50.110_6, 8.682_1),
+                reception,
+            },
             None => Clock::Free { hour_ns: 0 },
         }
     }
@@ -168,10 +176,16 @@ impl GpsReceiver {
 fn gps(text: &str) -> Result<GpsReceiver, String> {
     let second = |text: &str, missing_ns: i64| match text {
         "" => Some(missing_ns),
-        text => within(0.0..=86_400.0, "seconds")(text).ok().map(|seconds| (seconds * 1e9) as i64),
+        text => within(0.0..=86_400.0, "seconds")(text)
+            .ok()
+            .map(|seconds| (seconds * 1e9) as i64),
     };
-    let ends =
-        |(from, to): (&str, &str)| Some(Reception { from_ns: second(from, i64::MIN)?, to_ns: second(to, i64::MAX)? });
+    let ends = |(from, to): (&str, &str)| {
+        Some(Reception {
+            from_ns: second(from, i64::MIN)?,
+            to_ns: second(to, i64::MAX)?,
+        })
+    };
     match text {
         "none" => Ok(GpsReceiver(None)),
         "locked" => Ok(GpsReceiver(Some(Reception::ALWAYS))),
@@ -195,7 +209,8 @@ fn firing_period(text: &str) -> Result<u32, String> {
 }
 
 fn seed(text: &str) -> Result<u64, String> {
-    text.parse().map_err(|_| format!("expected a whole number from 0 to {}", u64::MAX))
+    text.parse()
+        .map_err(|_| format!("expected a whole number from 0 to {}", u64::MAX))
 }
 
 /// Sensors that there is room for: their addresses are 192.168.1.201 to .254.
@@ -210,7 +225,8 @@ const START_UTC_NS: i64 = 1_777_889_843_000_000_000;
 /// Runs the command.
 ///
 /// # Errors
-/// [`CliError`]: a value that cannot be meant, a file that cannot be read or written, a network that refuses.
+/// [`CliError`]: a value that cannot be meant, a file that cannot be read or written, a network
+/// that refuses.
 pub fn run(args: &Args) -> Result<(), CliError> {
     args.check()?;
     if let Some(file) = &args.cloud.from_cloud {
@@ -219,12 +235,18 @@ pub fn run(args: &Args) -> Result<(), CliError> {
     let configs = args.configs()?;
     let (existing, former) = (args.force.existing(), args.former_truth()?);
     let scene = args.scene.build(args.seed);
-    let mut sensors =
-        configs.iter().map(|config| Simulated::new(args, config, &scene)).collect::<Result<Vec<_>, _>>()?;
+    let mut sensors = configs
+        .iter()
+        .map(|config| Simulated::new(args, config, &scene))
+        .collect::<Result<Vec<_>, _>>()?;
     let mut output = Output::open(&args.target, existing)?;
     let mut progress = Progress::new(Some(args.seconds.unwrap_or(SECONDS)));
     while let Some((mut index, mut datagram)) = next(&mut sensors) {
-        if index < 2 && args.faults.is_exchanged(datagram.arrival_ns - configs[index].start_utc_ns) {
+        if index < 2
+            && args
+                .faults
+                .is_exchanged(datagram.arrival_ns - configs[index].start_utc_ns)
+        {
             index = 1 - index;
             datagram.source.set_ip(configs[index].address);
         }
@@ -244,7 +266,9 @@ pub fn run(args: &Args) -> Result<(), CliError> {
 /// The next datagram of all sensors by time of arrival, and the number of its sensor.
 fn next(sensors: &mut [Simulated<'_>]) -> Option<(usize, SimulatedDatagram)> {
     let arrival_ns = |sensor: &mut Simulated<'_>| sensor.datagrams.peek().map(|one| one.arrival_ns);
-    let (_, index) = (0..sensors.len()).filter_map(|index| Some((arrival_ns(&mut sensors[index])?, index))).min()?;
+    let (_, index) = (0..sensors.len())
+        .filter_map(|index| Some((arrival_ns(&mut sensors[index])?, index)))
+        .min()?;
     Some((index, sensors[index].datagrams.next()?))
 }
 
@@ -252,20 +276,27 @@ impl Args {
     fn check(&self) -> Result<(), CliError> {
         if self.models.len() > MAX_SENSORS {
             let count = self.models.len();
-            return Err(CliError::Usage(format!("--model is given {count} times; expected at most {MAX_SENSORS}")));
+            return Err(CliError::Usage(format!(
+                "--model is given {count} times; expected at most {MAX_SENSORS}"
+            )));
         }
         self.cloud.check()?;
-        self.faults.check(self.models.len(), self.seconds.unwrap_or(SECONDS))
+        self.faults
+            .check(self.models.len(), self.seconds.unwrap_or(SECONDS))
     }
 
     /// What a former run left in the folder of the truth.
     fn former_truth(&self) -> Result<Former, CliError> {
-        self.truth.as_ref().map_or(Ok(Former::default()), |folder| former(folder, self.force.existing()))
+        self.truth.as_ref().map_or(Ok(Former::default()), |folder| {
+            former(folder, self.force.existing())
+        })
     }
 
     /// The timing of a model.
     fn spec(&self, model: Model) -> Result<&'static Spec, CliError> {
-        let Some(period_ns) = self.firing_period else { return Ok(model.spec()) };
+        let Some(period_ns) = self.firing_period else {
+            return Ok(model.spec());
+        };
         if let [only] = model.specs() {
             let us = f64::from(only.firing_period_ns(ReturnMode::Strongest)) / 1e3;
             let message = format!(
@@ -274,9 +305,15 @@ impl Args {
             );
             return Err(CliError::Usage(message));
         }
-        let found = model.specs().iter().find(|spec| spec.firing_period_ns(ReturnMode::Strongest) == period_ns);
+        let found = model
+            .specs()
+            .iter()
+            .find(|spec| spec.firing_period_ns(ReturnMode::Strongest) == period_ns);
         found.copied().ok_or_else(|| {
-            CliError::Usage(format!("--firing-period: the {model} never fires every {} us", f64::from(period_ns) / 1e3))
+            CliError::Usage(format!(
+                "--firing-period: the {model} never fires every {} us",
+                f64::from(period_ns) / 1e3
+            ))
         })
     }
 
@@ -291,21 +328,34 @@ impl Args {
             return Ok(());
         }
         let other = Model::Hdl64eS3.spec().flag;
-        Err(CliError::Usage(format!("{flag}: an {model} has one return; one that has two is --model {other}")))
+        Err(CliError::Usage(format!(
+            "{flag}: an {model} has one return; one that has two is --model {other}"
+        )))
     }
 
     /// The calibration, fitted to a model.
     fn calibration(&self, model: Model) -> Result<Option<Calibration>, CliError> {
-        let Some(path) = &self.calibration else { return Ok(None) };
+        let Some(path) = &self.calibration else {
+            return Ok(None);
+        };
         let fitted = files::calibration(path)?.for_model(model);
-        let wrong = |error| format!("--calibration {} does not fit the {model}: {error}", path.display());
-        fitted.map(Some).map_err(|error| CliError::Usage(wrong(error)))
+        let wrong = |error| {
+            format!(
+                "--calibration {} does not fit the {model}: {error}",
+                path.display()
+            )
+        };
+        fitted
+            .map(Some)
+            .map_err(|error| CliError::Usage(wrong(error)))
     }
 
     /// First shot.
     fn start_utc_ns(&self) -> i64 {
         match self.target.to {
-            Some(_) => SystemTime::UNIX_EPOCH.elapsed().map_or(START_UTC_NS, |since| since.as_nanos() as i64),
+            Some(_) => SystemTime::UNIX_EPOCH
+                .elapsed()
+                .map_or(START_UTC_NS, |since| since.as_nanos() as i64),
             None => START_UTC_NS,
         }
     }
@@ -313,14 +363,21 @@ impl Args {
     /// The sensors that are to be simulated.
     fn configs(&self) -> Result<Vec<EmitterConfig>, CliError> {
         let start_utc_ns = self.start_utc_ns();
-        let mode = if self.returns == Returns::Dual { ReturnMode::Dual } else { ReturnMode::Strongest };
+        let mode = if self.returns == Returns::Dual {
+            ReturnMode::Dual
+        } else {
+            ReturnMode::Strongest
+        };
         let config = |(number, &model): (usize, &Model)| {
             self.check_returns(model)?;
             let mut config = EmitterConfig::new(model, mode);
             config.spec = self.spec(model)?;
             config.rpm = self.rpm.unwrap_or(RPM);
             config.calibration = self.calibration(model)?;
-            config.motor = Motor { drift: self.rpm_drift / 100.0, ..self.faults.motor(config.rpm) };
+            config.motor = Motor {
+                drift: self.rpm_drift / 100.0,
+                ..self.faults.motor(config.rpm)
+            };
             (config.fov, config.clock_step) = (self.faults.fov, self.faults.clock_step);
             config.pose = self.scene.pose(number);
             config.clock = self.gps.clock();
@@ -330,7 +387,10 @@ impl Args {
             let config = config.seconds(self.seconds.unwrap_or(SECONDS), self.faults.mode_switch);
             match (config.check(), &self.calibration) {
                 (Ok(()), _) => Ok(config),
-                (Err(error), Some(path)) => Err(CliError::Usage(format!("--calibration {}: {error}", path.display()))),
+                (Err(error), Some(path)) => Err(CliError::Usage(format!(
+                    "--calibration {}: {error}",
+                    path.display()
+                ))),
                 (Err(error), None) => Err(CliError::Usage(error)),
             }
         };
@@ -351,15 +411,24 @@ struct Simulated<'a> {
 impl<'a> Simulated<'a> {
     fn new(args: &Args, config: &EmitterConfig, scene: &'a Scene) -> Result<Self, CliError> {
         let faults = args.faults.rates().plan(config.seed, config.sent_packets());
-        let folder = args.truth.as_ref().map(|folder| match config.address.octets() {
-            [.., 201] => folder.clone(),
-            _ => folder.join(sensor_folder(&format!("{}:{DATA_PORT}", config.address))),
-        });
+        let folder = args
+            .truth
+            .as_ref()
+            .map(|folder| match config.address.octets() {
+                [.., 201] => folder.clone(),
+                _ => folder.join(sensor_folder(&format!("{}:{DATA_PORT}", config.address))),
+            });
         let emitter = Emitter::new(config.clone(), scene);
-        let emitter = if folder.is_some() { emitter } else { emitter.untold() };
+        let emitter = if folder.is_some() {
+            emitter
+        } else {
+            emitter.untold()
+        };
         Ok(Self {
             truth: folder
-                .map(|folder| TruthFile::create(&folder, args.force.existing(), config.start_utc_ns))
+                .map(|folder| {
+                    TruthFile::create(&folder, args.force.existing(), config.start_utc_ns)
+                })
                 .transpose()?,
             datagrams: deliver(emitter, faults.clone()).peekable(),
             config: config.clone(),
@@ -377,16 +446,30 @@ impl<'a> Simulated<'a> {
         self.data += 1;
         // One of another length is not counted by a replay either.
         let is_packet = sent.payload.len() == DATA_PACKET_LEN;
-        self.truth.as_mut().filter(|_| is_packet).map_or(Ok(()), |file| file.packet(truth))
+        self.truth
+            .as_mut()
+            .filter(|_| is_packet)
+            .map_or(Ok(()), |file| file.packet(truth))
     }
 
     /// Finishes the truth, and says on standard error what was sent and what was done to it.
     fn conclude(self) -> Result<(), CliError> {
-        let Self { config, faults, truth, data, position, .. } = self;
+        let Self {
+            config,
+            faults,
+            truth,
+            data,
+            position,
+            ..
+        } = self;
         truth.map_or(Ok(()), TruthFile::finish)?;
         let EmitterConfig { address, model, .. } = config;
         let (lost, duplicated) = (faults.lost_packets(), faults.duplicated.len());
-        let (reordered, corrupted, strays) = (faults.swapped.len(), faults.corrupted.len(), faults.strays.len());
+        let (reordered, corrupted, strays) = (
+            faults.swapped.len(),
+            faults.corrupted.len(),
+            faults.strays.len(),
+        );
         let switched = match config.mode_switch {
             Some(at) => format!(", {} from data packet {at}", config.mode_of(at)),
             None => String::new(),
@@ -404,7 +487,11 @@ impl<'a> Simulated<'a> {
 /// Where the datagrams go, open.
 enum Output {
     File(CaptureFile),
-    Network { sender: Sender, pacer: Pacer, start: Instant },
+    Network {
+        sender: Sender,
+        pacer: Pacer,
+        start: Instant,
+    },
 }
 
 impl Output {
@@ -413,20 +500,41 @@ impl Output {
             (Some(path), _) => Ok(Self::File(CaptureFile::create(path, existing)?)),
             (None, Some(to)) => {
                 let (sender, pacer) = (Sender::new(to), Pacer::new(Speed::REALTIME));
-                Ok(Self::Network { sender, pacer, start: Instant::now() })
+                Ok(Self::Network {
+                    sender,
+                    pacer,
+                    start: Instant::now(),
+                })
             }
-            (None, None) => Err(CliError::Usage("expected --pcap FILE or --to ADDR:PORT".to_owned())),
+            (None, None) => Err(CliError::Usage(
+                "expected --pcap FILE or --to ADDR:PORT".to_owned(),
+            )),
         }
     }
 
     fn send(&mut self, sensor: usize, sent: &SimulatedDatagram) -> Result<(), CliError> {
-        let SimulatedDatagram { arrival_ns, source, destination, payload, .. } = sent;
+        let SimulatedDatagram {
+            arrival_ns,
+            source,
+            destination,
+            payload,
+            ..
+        } = sent;
         match self {
             Self::File(file) => {
                 let (arrival_ns, source, destination) = (*arrival_ns, *source, *destination);
-                file.write(&Addressed { arrival_ns, source, destination, payload })
+                file.write(&Addressed {
+                    arrival_ns,
+                    source,
+                    destination,
+                    payload,
+                })
             }
-            Self::Network { sender, pacer, start } => {
+            Self::Network {
+                sender,
+                pacer,
+                start,
+            } => {
                 let wait = pacer.wait(*arrival_ns, start.elapsed().as_nanos() as u64);
                 if !wait.is_zero() {
                     std::thread::sleep(wait);

@@ -23,15 +23,23 @@ impl CaptureFile {
     /// [`CliError`]: a name that says no format, a file that exists or cannot be written.
     pub fn create(path: &Path, existing: Existing) -> Result<Self, CliError> {
         if path.as_os_str() == "-" {
-            return Ok(Self { file: file::CaptureFile::stdout().map_err(CliError::Stdout)?, new: None });
+            return Ok(Self {
+                file: file::CaptureFile::stdout().map_err(CliError::Stdout)?,
+                new: None,
+            });
         }
         let format = Format::of(path).ok_or_else(|| {
             let path = path.display();
-            CliError::Usage(format!("--pcap {path}: expected a name that ends in .pcap or .pcap.gz, or -"))
+            CliError::Usage(format!(
+                "--pcap {path}: expected a name that ends in .pcap or .pcap.gz, or -"
+            ))
         })?;
         let (file, new) = NewFile::create(path, existing)?;
         let file = file::CaptureFile::over(file, format).map_err(|cause| new.failed(cause))?;
-        Ok(Self { file, new: Some(new) })
+        Ok(Self {
+            file,
+            new: Some(new),
+        })
     }
 
     /// Writes a record.
@@ -39,7 +47,9 @@ impl CaptureFile {
     /// # Errors
     /// [`CliError`]: what the disk or the reader says.
     pub fn write(&mut self, datagram: &Addressed<'_>) -> Result<(), CliError> {
-        self.file.write(datagram).map_err(|cause| failed(self.new.as_ref(), cause))
+        self.file
+            .write(datagram)
+            .map_err(|cause| failed(self.new.as_ref(), cause))
     }
 
     /// Writes out what is left, and gives the file its name.
@@ -48,7 +58,9 @@ impl CaptureFile {
     /// [`CliError`]: what the disk or the reader says.
     pub fn finish(self) -> Result<(), CliError> {
         let new = self.new;
-        self.file.finish().map_err(|cause| failed(new.as_ref(), cause))?;
+        self.file
+            .finish()
+            .map_err(|cause| failed(new.as_ref(), cause))?;
         Ok(new.map_or(Ok(()), NewFile::commit)?)
     }
 }

@@ -46,7 +46,8 @@ pub fn run(args: &Args) -> Result<(), CliError> {
     let system = |what| move |source| CliError::System { what, source };
     let over = end_flag().map_err(system("handle signals"))?;
     let folder = std::env::temp_dir().join(format!("sweepd-soak-{}", std::process::id()));
-    // One of its own: somebody else may have made a folder or a link of this name for it to write to.
+    // One of its own: somebody else may have made a folder or a link of this name for it to write
+    // to.
     let made = DirBuilder::new().mode(0o700).create(&folder);
     made.map_err(|cause| WriteError::file(&folder, cause))?;
     let plan = Plan {
@@ -69,7 +70,11 @@ pub fn run(args: &Args) -> Result<(), CliError> {
     print(&outcome).map_err(CliError::Stdout)?;
     let grown = outcome.figures.grown();
     grown.iter().for_each(|what| complain("error", what));
-    if grown.is_empty() { Ok(()) } else { Err(CliError::Reported) }
+    if grown.is_empty() {
+        Ok(())
+    } else {
+        Err(CliError::Reported)
+    }
 }
 
 fn print(outcome: &Outcome) -> io::Result<()> {
@@ -102,8 +107,16 @@ fn print(outcome: &Outcome) -> io::Result<()> {
         "consumers: {} started, {} left, {} hung, {} killed",
         census.started, census.left, census.hung, census.killed
     )?;
-    let injected: Vec<String> = outcome.injected.iter().map(|(what, times)| format!("{what} {times}")).collect();
+    let injected: Vec<String> = outcome
+        .injected
+        .iter()
+        .map(|(what, times)| format!("{what} {times}"))
+        .collect();
     writeln!(out, "injected: {}", injected.join(", "))?;
-    writeln!(out, "injected = counted, exactly, after each of {} episodes\n", outcome.exact)?;
+    writeln!(
+        out,
+        "injected = counted, exactly, after each of {} episodes\n",
+        outcome.exact
+    )?;
     write!(out, "{}", outcome.figures.table())
 }

@@ -55,12 +55,21 @@ impl Input {
         }
     }
 
-    /// Receives until the end, and then what came before it. An input that fails ends the recording.
+    /// Receives until the end, and then what came before it. An input that fails ends the
+    /// recording.
     pub(super) fn receive_all(self, recording: &Recording) -> (InputReport, Result<(), CliError>) {
-        let recorded = |gate| Recorded { gate, lanes: Vec::new(), recording };
+        let recorded = |gate| Recorded {
+            gate,
+            lanes: Vec::new(),
+            recording,
+        };
         let (report, result) = match self {
             Self::Port { source, gate } => receive_port(source, recorded(gate)),
-            Self::Daemon { stream, sensor, gate } => receive_daemon(stream, &sensor, recorded(gate)),
+            Self::Daemon {
+                stream,
+                sensor,
+                gate,
+            } => receive_daemon(stream, &sensor, recorded(gate)),
         };
         recording.end();
         (report, result)
@@ -70,15 +79,18 @@ impl Input {
 /// The way from an input to the recorder.
 struct Recorded<'a> {
     gate: Gate,
-    /// One for each port that datagrams came on. A daemon has a thread for each, and passes on what they have received as they
-    /// come to it: of one port in order, of two not.
+    /// One for each port that datagrams came on. A daemon has a thread for each, and passes on what
+    /// they have received as they come to it: of one port in order, of two not.
     lanes: Vec<(u16, Lane)>,
     recording: &'a Recording,
 }
 
 impl Recorded<'_> {
     fn put(&mut self, datagram: &Addressed<'_>) {
-        self.recording.counts.received.fetch_add(1, Ordering::Relaxed);
+        self.recording
+            .counts
+            .received
+            .fetch_add(1, Ordering::Relaxed);
         if self.gate.admit(&datagram.datagram()).is_some() {
             // The recorder counts what it has no room for.
             self.lane(datagram.destination.port()).put(datagram);
@@ -86,20 +98,33 @@ impl Recorded<'_> {
     }
 
     fn lane(&mut self, port: u16) -> &mut Lane {
-        let place = self.lanes.iter().position(|(of, _)| *of == port).unwrap_or_else(|| {
-            self.lanes.push((port, self.recording.recorder.lane()));
-            self.lanes.len() - 1
-        });
+        let place = self
+            .lanes
+            .iter()
+            .position(|(of, _)| *of == port)
+            .unwrap_or_else(|| {
+                self.lanes.push((port, self.recording.recorder.lane()));
+                self.lanes.len() - 1
+            });
         &mut self.lanes[place].1
     }
 }
 
-fn receive_port(mut source: UdpSource, mut recorded: Recorded<'_>) -> (InputReport, Result<(), CliError>) {
+fn receive_port(
+    mut source: UdpSource,
+    mut recorded: Recorded<'_>,
+) -> (InputReport, Result<(), CliError>) {
     let recording = recorded.recording;
     let mut receive = |source: &mut UdpSource, timeout| {
         let dropped = source.dropped_so_far();
-        let count = source.receive_addressed(timeout)?.inspect(|one| recorded.put(one)).count();
-        recording.counts.dropped.fetch_add(source.dropped_so_far() - dropped, Ordering::Relaxed);
+        let count = source
+            .receive_addressed(timeout)?
+            .inspect(|one| recorded.put(one))
+            .count();
+        recording
+            .counts
+            .dropped
+            .fetch_add(source.dropped_so_far() - dropped, Ordering::Relaxed);
         Ok(count)
     };
     let mut result = Ok(0);
@@ -116,7 +141,13 @@ fn receive_port(mut source: UdpSource, mut recorded: Recorded<'_>) -> (InputRepo
     }
     let name = format!("port {}", source.local_addr().port());
     let dropped = (source.dropped(), "by the kernel");
-    let report = InputReport { name, received: source.received(), dropped, gate: recorded.gate, ended_early: false };
+    let report = InputReport {
+        name,
+        received: source.received(),
+        dropped,
+        gate: recorded.gate,
+        ended_early: false,
+    };
     (report, result.map(drop).map_err(CliError::Udp))
 }
 
@@ -144,9 +175,18 @@ fn receive_daemon(
             _ => {}
         }
     };
-    let (name, lost) = (format!("sensor {sensor} of the daemon"), stream.lost().unwrap_or(0));
+    let (name, lost) = (
+        format!("sensor {sensor} of the daemon"),
+        stream.lost().unwrap_or(0),
+    );
     let dropped = (lost, "on the way from the daemon");
     let ended_early = asked.is_none() && result.is_ok();
-    let report = InputReport { name, received, dropped, gate: recorded.gate, ended_early };
+    let report = InputReport {
+        name,
+        received,
+        dropped,
+        gate: recorded.gate,
+        ended_early,
+    };
     (report, result.map_err(CliError::Tap))
 }

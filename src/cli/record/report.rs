@@ -41,7 +41,9 @@ impl Report {
 
     fn refused(&self) -> Refused {
         let mut sum = Refused::default();
-        self.inputs.iter().for_each(|input| sum += input.gate.refused());
+        self.inputs
+            .iter()
+            .for_each(|input| sum += input.gate.refused());
         sum
     }
 
@@ -50,17 +52,35 @@ impl Report {
     /// # Errors
     /// What the reader says.
     pub fn print(&self, to: &mut impl Write) -> io::Result<()> {
-        let Written { datagrams, bytes, first, last, files } = &self.written;
+        let Written {
+            datagrams,
+            bytes,
+            first,
+            last,
+            files,
+        } = &self.written;
         let names = match files {
             1 => first.display().to_string(),
             _ => format!("{} to {} ({files} files)", first.display(), last.display()),
         };
         let seconds = self.took.as_secs_f64();
         writeln!(to, "{names}")?;
-        writeln!(to, "  recorded     {}, {} bytes, {seconds:.1} s", count_of(*datagrams, "datagram"), grouped(*bytes))?;
+        writeln!(
+            to,
+            "  recorded     {}, {} bytes, {seconds:.1} s",
+            count_of(*datagrams, "datagram"),
+            grouped(*bytes)
+        )?;
         for sender in self.inputs.iter().flat_map(|input| input.gate.senders()) {
-            let (data, port) = (count_of(sender.packets, "data packet"), sender.destination_port);
-            writeln!(to, "  sensor       {}: {data} on port {port}", sender.source)?;
+            let (data, port) = (
+                count_of(sender.packets, "data packet"),
+                sender.destination_port,
+            );
+            writeln!(
+                to,
+                "  sensor       {}: {data} on port {port}",
+                sender.source
+            )?;
         }
         let others: u64 = self.inputs.iter().map(|input| input.gate.others()).sum();
         if others > 0 {
@@ -74,10 +94,18 @@ impl Report {
         writeln!(to, "  position     {}", count_of(positions, "packet"))?;
         let (dropped, unwritten) = (grouped(self.dropped()), grouped(self.unwritten()));
         let dropped_where = self.dropped_where();
-        writeln!(to, "  dropped      {dropped} {dropped_where}, {unwritten} because the disk was too slow or failed")?;
+        writeln!(
+            to,
+            "  dropped      {dropped} {dropped_where}, {unwritten} because the disk was too slow or failed"
+        )?;
         let refused = self.refused();
-        let [length, marker, azimuth, source] =
-            [refused.length, refused.marker, refused.azimuth, refused.source].map(grouped);
+        let [length, marker, azimuth, source] = [
+            refused.length,
+            refused.marker,
+            refused.azimuth,
+            refused.source,
+        ]
+        .map(grouped);
         writeln!(
             to,
             "  refused      {length} wrong length, {marker} wrong marker, {azimuth} wrong azimuth, {source} other source"
@@ -89,7 +117,8 @@ impl Report {
     pub fn warnings(&self) -> Vec<String> {
         let mut warnings = Vec::new();
         if self.dropped() > 0 {
-            let (dropped, dropped_where) = (count_of(self.dropped(), "datagram"), self.dropped_where());
+            let (dropped, dropped_where) =
+                (count_of(self.dropped(), "datagram"), self.dropped_where());
             warnings.push(format!(
                 "{dropped} dropped {dropped_where}: the machine was too busy, or the receive buffer too small \
                  (net.core.rmem_max)"
@@ -97,7 +126,9 @@ impl Report {
         }
         if self.unwritten() > 0 {
             let unwritten = count_of(self.unwritten(), "datagram");
-            warnings.push(format!("{unwritten} could not be written: record to a faster disk, or without compression"));
+            warnings.push(format!(
+                "{unwritten} could not be written: record to a faster disk, or without compression"
+            ));
         }
         let names: Vec<&str> = self.inputs.iter().map(|input| &input.name[..]).collect();
         let names = names.join(", ");
@@ -107,7 +138,9 @@ impl Report {
                  `tcpdump -ni any udp` shows what comes"
             ));
         } else if self.received() == self.refused().total() {
-            warnings.push(format!("none of what came from {names} was of a sensor that was asked for"));
+            warnings.push(format!(
+                "none of what came from {names} was of a sensor that was asked for"
+            ));
         }
         if self.inputs.iter().any(|input| input.ended_early) {
             warnings.push("the daemon has ended, and the recording with it".to_owned());

@@ -10,22 +10,30 @@ use tracing_subscriber::fmt::format::{Compact, Format, Writer};
 use tracing_subscriber::fmt::{FmtContext, FormatEvent, FormatFields, format};
 use tracing_subscriber::registry::LookupSpan;
 
-/// Whether standard error goes to the journal, as systemd.exec(5) says it: the variable alone is inherited by terminals too.
+/// Whether standard error goes to the journal, as systemd.exec(5) says it: the variable alone is
+/// inherited by terminals too.
 pub fn hears_stderr() -> bool {
-    std::env::var("JOURNAL_STREAM").is_ok_and(|stream| is_stream(Path::new("/proc/self/fd/2"), &stream))
+    std::env::var("JOURNAL_STREAM")
+        .is_ok_and(|stream| is_stream(Path::new("/proc/self/fd/2"), &stream))
 }
 
 fn is_stream(path: &Path, stream: &str) -> bool {
     fs::metadata(path).is_ok_and(|file| stream == format!("{}:{}", file.dev(), file.ino()))
 }
 
-/// Lines without a time, which the journal knows, that begin with their priority as sd-daemon(3) has it:
-/// `journalctl -p warning` finds those that matter.
+/// Lines without a time, which the journal knows, that begin with their priority as sd-daemon(3)
+/// has it: `journalctl -p warning` finds those that matter.
 pub struct Prioritised(Format<Compact, ()>);
 
 impl Default for Prioritised {
     fn default() -> Self {
-        Self(format().compact().without_time().with_target(false).with_ansi(false))
+        Self(
+            format()
+                .compact()
+                .without_time()
+                .with_target(false)
+                .with_ansi(false),
+        )
     }
 }
 
@@ -34,7 +42,12 @@ where
     S: Subscriber + for<'a> LookupSpan<'a>,
     N: for<'a> FormatFields<'a> + 'static,
 {
-    fn format_event(&self, context: &FmtContext<'_, S, N>, mut line: Writer<'_>, event: &Event<'_>) -> fmt::Result {
+    fn format_event(
+        &self,
+        context: &FmtContext<'_, S, N>,
+        mut line: Writer<'_>,
+        event: &Event<'_>,
+    ) -> fmt::Result {
         let priority = match *event.metadata().level() {
             Level::ERROR => 3,
             Level::WARN => 4,
@@ -79,12 +92,18 @@ mod tests {
         let written = Arc::new(Mutex::new(Vec::new()));
         let writer = Arc::clone(&written);
         let lines = tracing_subscriber::fmt().with_writer(move || Lines(Arc::clone(&writer)));
-        tracing::subscriber::with_default(lines.event_format(Prioritised::default()).finish(), || {
-            tracing::error!("port 2368 hangs");
-            tracing::warn!("roof: no packets");
-            tracing::info!("roof: streaming");
-        });
+        tracing::subscriber::with_default(
+            lines.event_format(Prioritised::default()).finish(),
+            || {
+                tracing::error!("port 2368 hangs");
+                tracing::warn!("roof: no packets");
+                tracing::info!("roof: streaming");
+            },
+        );
         let text = String::from_utf8(written.lock().unwrap().clone()).unwrap();
-        assert_eq!(text, "<3>ERROR port 2368 hangs\n<4> WARN roof: no packets\n<6> INFO roof: streaming\n");
+        assert_eq!(
+            text,
+            "<3>ERROR port 2368 hangs\n<4> WARN roof: no packets\n<6> INFO roof: streaming\n"
+        );
     }
 }

@@ -20,8 +20,14 @@ const STAGES: [(&str, &str); 6] = [
     ("decode", "packets to pixels, all of a sweep's together"),
     ("ground", "ground removal"),
     ("label", "joining, labels and segments"),
-    ("complete", "from the kernel's stamp of the packet that completes the sweep to its labels"),
-    ("share", "from the labels to this consumer: send, wake, receive"),
+    (
+        "complete",
+        "from the kernel's stamp of the packet that completes the sweep to its labels",
+    ),
+    (
+        "share",
+        "from the labels to this consumer: send, wake, receive",
+    ),
     ("chain", "from the kernel's stamp to this consumer"),
 ];
 
@@ -39,7 +45,10 @@ impl Latencies {
             Some(latency.completed),
             chain,
         ];
-        self.stages.iter_mut().zip(stages).for_each(|(stage, us)| stage.extend(us));
+        self.stages
+            .iter_mut()
+            .zip(stages)
+            .for_each(|(stage, us)| stage.extend(us));
     }
 
     /// Shows a histogram a stage.
@@ -51,7 +60,10 @@ impl Latencies {
             times.sort_by(f64::total_cmp);
             writeln!(out, "\n{name}: {what}")?;
             let (Some(least), Some(most)) = (times.first(), times.last()) else {
-                writeln!(out, "  not known: no sweep, or one of a capture that is replayed")?;
+                writeln!(
+                    out,
+                    "  not known: no sweep, or one of a capture that is replayed"
+                )?;
                 continue;
             };
             let [half, p90, p99] = [0.5, 0.9, 0.99].map(|share| quantile(times, share));
@@ -101,7 +113,10 @@ mod tests {
     #[test]
     fn quantiles_are_values_that_occurred() {
         let hundred: Vec<f64> = (1..=100).map(f64::from).collect();
-        assert_eq!([0.5, 0.9, 0.99, 1.0].map(|share| quantile(&hundred, share)), [50.0, 90.0, 99.0, 100.0]);
+        assert_eq!(
+            [0.5, 0.9, 0.99, 1.0].map(|share| quantile(&hundred, share)),
+            [50.0, 90.0, 99.0, 100.0]
+        );
         assert_eq!(quantile(&[7.0], 0.5), 7.0);
     }
 
@@ -109,7 +124,13 @@ mod tests {
     fn buckets_hold_every_value_once() {
         assert_eq!(
             buckets(&[-3.0, 0.2, 1.0, 1.9, 2.0, 9.0]),
-            [(0.0, 1.0, 2), (1.0, 2.0, 2), (2.0, 4.0, 1), (4.0, 8.0, 0), (8.0, 16.0, 1),]
+            [
+                (0.0, 1.0, 2),
+                (1.0, 2.0, 2),
+                (2.0, 4.0, 1),
+                (4.0, 8.0, 0),
+                (8.0, 16.0, 1),
+            ]
         );
         assert_eq!(buckets(&[100.0]), [(64.0, 128.0, 1)]);
         assert_eq!(buckets(&[]), []);

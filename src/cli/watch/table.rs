@@ -46,7 +46,15 @@ impl Table {
     /// A table of a sensor.
     pub fn new(name: &str) -> Self {
         let (name, kind, shown) = (name.to_owned(), String::new(), String::new());
-        Self { name, line: Line::default(), begun: Instant::now(), lines: 0, shown, kind, last: None }
+        Self {
+            name,
+            line: Line::default(),
+            begun: Instant::now(),
+            lines: 0,
+            shown,
+            kind,
+            last: None,
+        }
     }
 
     /// Adds a sweep to the line.
@@ -73,12 +81,19 @@ impl Table {
         if let Some((run_ns, sequence)) = self.last
             && run_ns == header.run_ns
         {
-            line.missed = line.missed.saturating_add(header.sequence.saturating_sub(sequence.saturating_add(1)));
+            line.missed = line
+                .missed
+                .saturating_add(header.sequence.saturating_sub(sequence.saturating_add(1)));
         }
         self.last = Some((header.run_ns, header.sequence));
-        let model = Model::from_code(header.model).map_or("unknown model", |model| model.spec().name);
-        self.kind =
-            format!("{}: {model}, {} returns, from {}", self.name, header.return_mode().name(), header.sensor());
+        let model =
+            Model::from_code(header.model).map_or("unknown model", |model| model.spec().name);
+        self.kind = format!(
+            "{}: {model}, {} returns, from {}",
+            self.name,
+            header.return_mode().name(),
+            header.sensor()
+        );
     }
 
     /// Prints a line when a second is over.
@@ -101,8 +116,11 @@ impl Table {
     /// What writing gives.
     pub fn finish(&mut self) -> io::Result<()> {
         // A part of a second has no rate but that between its sweeps.
-        let seconds =
-            self.line.newest.zip(self.line.first).map_or(0.0, |(newest, first)| (newest - first).as_secs_f64());
+        let seconds = self
+            .line
+            .newest
+            .zip(self.line.first)
+            .map_or(0.0, |(newest, first)| (newest - first).as_secs_f64());
         let rate = (seconds > 0.0).then(|| f64::from(self.line.sweeps - 1) / seconds);
         self.print(rate)
     }
@@ -120,7 +138,16 @@ impl Table {
             writeln!(
                 out,
                 "{:>7} {:>5} {:>8} {:>8} {:>8} {:>8} {:>8} {:>6} {:>6} {:>6}",
-                "sweeps/s", "rpm", "returns", "segments", "age ms", "max ms", "ipc us", "lost", "drops", "missed"
+                "sweeps/s",
+                "rpm",
+                "returns",
+                "segments",
+                "age ms",
+                "max ms",
+                "ipc us",
+                "lost",
+                "drops",
+                "missed"
             )?;
             self.lines = 0;
         }
@@ -133,8 +160,12 @@ impl Line {
     fn write(mut self, out: &mut impl Write, sweeps_per_second: Option<f64>) -> io::Result<()> {
         let sweeps = f64::from(self.sweeps);
         self.chain_us.sort_by(f64::total_cmp);
-        let ms = |us: Option<&f64>| us.map_or("replay".to_owned(), |us| format!("{:.2}", us / 1000.0));
-        let (median, most) = (ms(self.chain_us.get(self.chain_us.len() / 2)), ms(self.chain_us.last()));
+        let ms =
+            |us: Option<&f64>| us.map_or("replay".to_owned(), |us| format!("{:.2}", us / 1000.0));
+        let (median, most) = (
+            ms(self.chain_us.get(self.chain_us.len() / 2)),
+            ms(self.chain_us.last()),
+        );
         let rate = sweeps_per_second.map_or("-".to_owned(), |rate| format!("{rate:.1}"));
         write!(
             out,

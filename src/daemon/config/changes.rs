@@ -1,8 +1,10 @@
-//! Two configurations compared: what a running daemon can take over, and what only another start can.
+//! Two configurations compared: what a running daemon can take over, and what only another start
+//! can.
 //!
-//! One line a setting says which. What sockets, threads and services were made by stays; what only the pipeline reads, and
-//! the recording, can change between two sweeps. Each setting is taken or waits by itself, except that a calibration and a mask
-//! wait with the model or the number of returns: they were checked for the new one.
+//! One line a setting says which. What sockets, threads and services were made by stays; what only
+//! the pipeline reads, and the recording, can change between two sweeps. Each setting is taken or
+//! waits by itself, except that a calibration and a mask wait with the model or the number of
+//! returns: they were checked for the new one.
 
 use std::fmt;
 
@@ -119,7 +121,9 @@ fn text(value: &impl ToString) -> String {
 }
 
 fn or(none: &str, value: &Option<impl ToString>) -> String {
-    value.as_ref().map_or_else(|| none.to_owned(), ToString::to_string)
+    value
+        .as_ref()
+        .map_or_else(|| none.to_owned(), ToString::to_string)
 }
 
 fn presence<T>(none: &str, value: &Option<T>) -> String {
@@ -138,13 +142,21 @@ fn percent(share: &f64) -> String {
 
 /// The settings that differ, and what each takes.
 fn compare<'a, T>(settings: &'a [Setting<T>], old: &T, new: &T) -> Vec<(&'a Setting<T>, Effect)> {
-    let differing: Vec<&Setting<T>> = settings.iter().filter(|setting| !(setting.is_same)(old, new)).collect();
-    let is_other_sensor = differing.iter().any(|setting| ["model", "returns"].contains(&setting.key));
+    let differing: Vec<&Setting<T>> = settings
+        .iter()
+        .filter(|setting| !(setting.is_same)(old, new))
+        .collect();
+    let is_other_sensor = differing
+        .iter()
+        .any(|setting| ["model", "returns"].contains(&setting.key));
     let effect = |setting: &Setting<T>| match setting.key {
         "calibration" | "mask" if is_other_sensor => Effect::Restart,
         _ => setting.effect,
     };
-    differing.into_iter().map(|setting| (setting, effect(setting))).collect()
+    differing
+        .into_iter()
+        .map(|setting| (setting, effect(setting)))
+        .collect()
 }
 
 impl<T> Setting<T> {
@@ -152,7 +164,11 @@ impl<T> Setting<T> {
     fn change(&self, old: &T, new: &T) -> String {
         let (old, new) = ((self.show)(old), (self.show)(new));
         // Of a file, only that there is one is shown.
-        if old == new { format!("{} has changed", self.key) } else { format!("{} {old} -> {new}", self.key) }
+        if old == new {
+            format!("{} has changed", self.key)
+        } else {
+            format!("{} {old} -> {new}", self.key)
+        }
     }
 }
 
@@ -161,32 +177,59 @@ impl Config {
     pub fn changes(&self, new: &Self) -> Vec<Change> {
         let mut changes = Vec::new();
         for (setting, effect) in compare(DAEMON, &self.daemon, &new.daemon) {
-            changes.push(Change { sensor: None, what: setting.change(&self.daemon, &new.daemon), effect });
+            changes.push(Change {
+                sensor: None,
+                what: setting.change(&self.daemon, &new.daemon),
+                effect,
+            });
         }
         for old in &self.sensors {
             let Some(new) = new.sensor(&old.name) else {
                 let what = "is no longer there, which".to_owned();
-                changes.push(Change { sensor: Some(old.name.clone()), what, effect: Effect::Restart });
+                changes.push(Change {
+                    sensor: Some(old.name.clone()),
+                    what,
+                    effect: Effect::Restart,
+                });
                 continue;
             };
             for (setting, effect) in compare(SENSOR, old, new) {
-                changes.push(Change { sensor: Some(old.name.clone()), what: setting.change(old, new), effect });
+                changes.push(Change {
+                    sensor: Some(old.name.clone()),
+                    what: setting.change(old, new),
+                    effect,
+                });
             }
         }
-        for added in new.sensors.iter().filter(|sensor| self.sensor(&sensor.name).is_none()) {
+        for added in new
+            .sensors
+            .iter()
+            .filter(|sensor| self.sensor(&sensor.name).is_none())
+        {
             let what = "is new, which".to_owned();
-            changes.push(Change { sensor: Some(added.name.clone()), what, effect: Effect::Restart });
+            changes.push(Change {
+                sensor: Some(added.name.clone()),
+                what,
+                effect: Effect::Restart,
+            });
         }
         if self.record != new.record {
             let [old, now] = [self, new].map(|config| {
-                config.record.as_ref().map_or_else(|| "off".to_owned(), |record| record.path.display().to_string())
+                config.record.as_ref().map_or_else(
+                    || "off".to_owned(),
+                    |record| record.path.display().to_string(),
+                )
             });
             let what = if old == now {
                 "rotation of the recording has changed".to_owned()
             } else {
                 format!("record {old} -> {now}")
             };
-            changes.push(Change { sensor: None, what, effect: Effect::Reload });
+            changes.push(Change {
+                sensor: None,
+                what,
+                effect: Effect::Reload,
+            });
         }
         changes
     }
@@ -195,7 +238,9 @@ impl Config {
     pub fn reloaded(&self, new: &Self) -> Self {
         let mut running = self.clone();
         for sensor in &mut running.sensors {
-            let Some(new) = new.sensor(&sensor.name) else { continue };
+            let Some(new) = new.sensor(&sensor.name) else {
+                continue;
+            };
             for (setting, effect) in compare(SENSOR, sensor, new) {
                 if effect == Effect::Reload {
                     (setting.take)(sensor, new);

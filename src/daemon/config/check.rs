@@ -1,4 +1,5 @@
-//! From what is written to what can be run: every value within its limits, every file read, the sensors told apart.
+//! From what is written to what can be run: every value within its limits, every file read, the
+//! sensors told apart.
 //!
 //! All that is wrong is collected, so that one run of `sweepd config check` shows it.
 
@@ -38,38 +39,76 @@ struct Checked<'a> {
 
 /// The configuration that is written in a file of this folder, or all that is wrong with it.
 pub(super) fn check(reading: file::Reading, folder: &Path) -> Result<Config, Vec<Problem>> {
-    let file::Reading { file, problems, replaced } = reading;
-    let mut check = Check { folder, problems: Vec::new() };
-    let daemon =
-        DaemonConfig { root: check.path("root", &file.root), http: check.http(&file), http_public: file.http_public };
+    let file::Reading {
+        file,
+        problems,
+        replaced,
+    } = reading;
+    let mut check = Check {
+        folder,
+        problems: Vec::new(),
+    };
+    let daemon = DaemonConfig {
+        root: check.path("root", &file.root),
+        http: check.http(&file),
+        http_public: file.http_public,
+    };
     let sensors = check.sensors(&file.sensor.0);
     let record = file.record.as_ref().and_then(|record| check.record(record));
-    check.problems.retain(|problem| !replaced.contains(&problem.at));
+    check
+        .problems
+        .retain(|problem| !replaced.contains(&problem.at));
     check.problems.extend(problems);
-    if check.problems.is_empty() { Ok(Config { daemon, sensors, record }) } else { Err(check.problems) }
+    if check.problems.is_empty() {
+        Ok(Config {
+            daemon,
+            sensors,
+            record,
+        })
+    } else {
+        Err(check.problems)
+    }
 }
 
 impl Check<'_> {
-    fn problem(&mut self, at: Range<usize>, title: impl Into<String>, expected: impl Into<String>) -> &mut Problem {
+    fn problem(
+        &mut self,
+        at: Range<usize>,
+        title: impl Into<String>,
+        expected: impl Into<String>,
+    ) -> &mut Problem {
         self.problems.push(Problem::new(at, title, expected));
         let last = self.problems.len() - 1;
         &mut self.problems[last]
     }
 
     fn http(&mut self, file: &file::File) -> Option<SocketAddr> {
-        let Some(given) = &file.http else { return Some(HTTP) };
+        let Some(given) = &file.http else {
+            return Some(HTTP);
+        };
         if given.get_ref() == "off" {
             return None;
         }
-        let Some(address) = given.get_ref().parse().ok().filter(|address: &SocketAddr| address.port() != 0) else {
+        let Some(address) = given
+            .get_ref()
+            .parse()
+            .ok()
+            .filter(|address: &SocketAddr| address.port() != 0)
+        else {
             let title = format!("`http` cannot be {:?}", given.get_ref());
-            self.problem(given.span(), title, format!("expected an address and port such as {HTTP}, or \"off\""));
+            self.problem(
+                given.span(),
+                title,
+                format!("expected an address and port such as {HTTP}, or \"off\""),
+            );
             return None;
         };
         if !address.ip().to_canonical().is_loopback() && !file.http_public {
             let title = format!("`http` would be open to all who reach {address}");
-            self.problem(given.span(), title, "not an address of this host alone").cure =
-                Some(format!("serve {HTTP}, or say `http_public = true` if that is meant"));
+            self.problem(given.span(), title, "not an address of this host alone")
+                .cure = Some(format!(
+                "serve {HTTP}, or say `http_public = true` if that is meant"
+            ));
         }
         Some(address)
     }
@@ -81,7 +120,11 @@ impl Check<'_> {
         }
         if let Some(beyond) = written.get(MAX_SENSORS) {
             let title = format!("{} sensors are configured", written.len());
-            self.problem(beyond.span(), title, format!("expected at most {MAX_SENSORS}; this is one more"));
+            self.problem(
+                beyond.span(),
+                title,
+                format!("expected at most {MAX_SENSORS}; this is one more"),
+            );
             return Vec::new();
         }
         self.names_are_unique(written);
@@ -90,7 +133,10 @@ impl Check<'_> {
             let before = self.problems.len();
             let config = self.sensor(written.get_ref(), written.span());
             if let Some(config) = config.filter(|_| self.problems.len() == before) {
-                sensors.push(Checked { written: written.get_ref(), config });
+                sensors.push(Checked {
+                    written: written.get_ref(),
+                    config,
+                });
             }
         }
         self.ports(&mut sensors);
@@ -98,12 +144,19 @@ impl Check<'_> {
     }
 
     fn names_are_unique(&mut self, written: &[Spanned<file::Sensor>]) {
-        let names: Vec<&Spanned<String>> = written.iter().map(|sensor| &sensor.get_ref().name).collect();
+        let names: Vec<&Spanned<String>> = written
+            .iter()
+            .map(|sensor| &sensor.get_ref().name)
+            .collect();
         for (number, name) in names.iter().enumerate() {
-            if let Some(first) = names[..number].iter().find(|first| first.get_ref() == name.get_ref()) {
+            if let Some(first) = names[..number]
+                .iter()
+                .find(|first| first.get_ref() == name.get_ref())
+            {
                 let title = format!("two sensors are called `{}`", name.get_ref());
                 let problem = Problem::new(name.span(), title, "expected another name");
-                self.problems.push(problem.with_other(first.span(), "the first of this name"));
+                self.problems
+                    .push(problem.with_other(first.span(), "the first of this name"));
             }
         }
     }
@@ -116,10 +169,19 @@ impl Check<'_> {
         });
         if !is_capture {
             let title = format!("`path` cannot be {given:?}");
-            self.problem(record.path.span(), title, "expected a file called NAME.pcap or NAME.pcap.gz");
+            self.problem(
+                record.path.span(),
+                title,
+                "expected a file called NAME.pcap or NAME.pcap.gz",
+            );
         }
         let megabytes = self.number("rotate_mb", &record.rotate_mb, ROTATE_MB, "MB");
-        let minutes = self.number("rotate_minutes", &record.rotate_minutes, ROTATE_MINUTES, "minutes");
+        let minutes = self.number(
+            "rotate_minutes",
+            &record.rotate_minutes,
+            ROTATE_MINUTES,
+            "minutes",
+        );
         Some(RecordConfig {
             path: self.path("path", &Some(record.path.clone()))?,
             rotate_bytes: megabytes.map(|megabytes| (megabytes * 1e6) as u64),

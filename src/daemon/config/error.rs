@@ -25,8 +25,8 @@ pub enum ConfigError {
     Invalid(#[from] Problems),
 }
 
-/// All that is wrong with a file, at least one thing. Shown as rustc shows errors: several lines, each problem with its place,
-/// its text underlined, and a cure.
+/// All that is wrong with a file, at least one thing. Shown as rustc shows errors: several lines,
+/// each problem with its place, its text underlined, and a cure.
 #[derive(Clone, Debug)]
 pub struct Problems {
     file: String,
@@ -51,7 +51,13 @@ pub(super) struct Problem {
 
 impl Problem {
     pub fn new(at: Range<usize>, title: impl Into<String>, expected: impl Into<String>) -> Self {
-        Self { at, title: title.into(), expected: expected.into(), other: None, cure: None }
+        Self {
+            at,
+            title: title.into(),
+            expected: expected.into(),
+            other: None,
+            cure: None,
+        }
     }
 
     pub fn with_other(mut self, at: Range<usize>, what: impl Into<String>) -> Self {
@@ -81,15 +87,21 @@ impl Problem {
             ("invalid type: sequence", "wrong type: list"),
             ("invalid type", "wrong type"),
         ];
-        let title = words.iter().fold(title.to_owned(), |title, (serde, ours)| title.replacen(serde, ours, 1));
+        let title = words.iter().fold(title.to_owned(), |title, (serde, ours)| {
+            title.replacen(serde, ours, 1)
+        });
         let cure = suggestion(found, &expected).map(|word| format!("did you mean `{word}`?"));
-        Self { cure, ..Self::new(at, title, expected) }
+        Self {
+            cure,
+            ..Self::new(at, title, expected)
+        }
     }
 
     fn report<'a>(&'a self, file: &'a str, text: &'a str) -> Vec<Group<'a>> {
         let label = Some(&self.expected[..]).filter(|expected| !expected.is_empty());
-        let mut snippet =
-            Snippet::source(text).path(file).annotation(AnnotationKind::Primary.span(self.at.clone()).label(label));
+        let mut snippet = Snippet::source(text)
+            .path(file)
+            .annotation(AnnotationKind::Primary.span(self.at.clone()).label(label));
         if let Some((at, what)) = &self.other {
             snippet = snippet.annotation(AnnotationKind::Context.span(at.clone()).label(&what[..]));
         }
@@ -104,13 +116,23 @@ impl Problem {
 impl Problems {
     pub(super) fn new(file: String, text: &str, mut problems: Vec<Problem>) -> Self {
         problems.sort_by_key(|problem| problem.at.start);
-        Self { file, text: text.to_owned(), problems }
+        Self {
+            file,
+            text: text.to_owned(),
+            problems,
+        }
     }
 
     /// The lines that are to blame, from 1; one for each problem.
     pub fn lines(&self) -> Vec<usize> {
-        let line =
-            |problem: &Problem| 1 + self.text.bytes().take(problem.at.start).filter(|&byte| byte == b'\n').count();
+        let line = |problem: &Problem| {
+            1 + self
+                .text
+                .bytes()
+                .take(problem.at.start)
+                .filter(|&byte| byte == b'\n')
+                .count()
+        };
         self.problems.iter().map(line).collect()
     }
 
@@ -130,7 +152,11 @@ impl fmt::Display for Problems {
         let renderer = Renderer::plain();
         for (number, problem) in self.problems.iter().enumerate() {
             let blank = if number == 0 { "" } else { "\n\n" };
-            write!(f, "{blank}{}", renderer.render(&problem.report(&self.file, &self.text)))?;
+            write!(
+                f,
+                "{blank}{}",
+                renderer.render(&problem.report(&self.file, &self.text))
+            )?;
         }
         Ok(())
     }

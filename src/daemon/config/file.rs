@@ -20,24 +20,35 @@ pub struct Reading {
     pub file: File,
     /// Unknown keys, missing keys and wrong types.
     pub problems: Vec<Problem>,
-    /// Where something was left out or stands for a required key: further problems of these places are no news.
+    /// Where something was left out or stands for a required key: further problems of these places
+    /// are no news.
     pub replaced: Vec<Range<usize>>,
 }
 
-/// Reads a file past each unknown key, missing key and wrong type, so that all of them are found at once.
+/// Reads a file past each unknown key, missing key and wrong type, so that all of them are found at
+/// once.
 ///
 /// # Errors
-/// The problems, if what is left cannot be read: the first slip in the syntax, or too many problems.
+/// The problems, if what is left cannot be read: the first slip in the syntax, or too many
+/// problems.
 pub fn read(text: &str) -> Result<Reading, Vec<Problem>> {
     let mut table = DeTable::parse(text).map_err(|error| vec![Problem::of_toml(&error, text)])?;
     let (mut problems, mut replaced) = (Vec::new(), Vec::new());
     loop {
         match File::deserialize(toml::Deserializer::from(table.clone())) {
-            Ok(file) => return Ok(Reading { file, problems, replaced }),
+            Ok(file) => {
+                return Ok(Reading {
+                    file,
+                    problems,
+                    replaced,
+                });
+            }
             Err(error) => {
                 problems.push(Problem::of_toml(&error, text));
                 let place = error.span().filter(|_| problems.len() < MAX_PROBLEMS);
-                let Some(place) = place.filter(|place| pass_over(&mut table, place, error.message())) else {
+                let Some(place) =
+                    place.filter(|place| pass_over(&mut table, place, error.message()))
+                else {
                     return Err(problems);
                 };
                 let is_sensors = table.get_ref().get("sensor").is_none();
@@ -47,17 +58,27 @@ pub fn read(text: &str) -> Result<Reading, Vec<Problem>> {
     }
 }
 
-/// Changes the table where an error is, so that it can be read past that. Whether the place was found.
+/// Changes the table where an error is, so that it can be read past that. Whether the place was
+/// found.
 fn pass_over(table: &mut Spanned<DeTable<'_>>, place: &Range<usize>, message: &str) -> bool {
     let span = table.span();
-    let missing = message.strip_prefix("missing field `").and_then(|rest| rest.strip_suffix('`'));
+    let missing = message
+        .strip_prefix("missing field `")
+        .and_then(|rest| rest.strip_suffix('`'));
     if let Some(key) = missing.filter(|_| span == *place) {
         let placeholder = Spanned::new(span.clone(), DeValue::String(String::new().into()));
-        table.get_mut().insert(Spanned::new(span, key.to_owned().into()), placeholder);
+        table
+            .get_mut()
+            .insert(Spanned::new(span, key.to_owned().into()), placeholder);
         return true;
     }
-    let is_here = |key: &Range<usize>, value: &Range<usize>| key == place || (missing.is_none() && value == place);
-    let entry = table.get_ref().iter().find(|(key, value)| is_here(&key.span(), &value.span()));
+    let is_here = |key: &Range<usize>, value: &Range<usize>| {
+        key == place || (missing.is_none() && value == place)
+    };
+    let entry = table
+        .get_ref()
+        .iter()
+        .find(|(key, value)| is_here(&key.span(), &value.span()));
     if let Some(key) = entry.map(|(key, _)| key.clone()) {
         let is_required = REQUIRED.contains(&&key.get_ref()[..]) && key.span() != *place;
         match table.get_mut().get_mut(&key).filter(|_| is_required) {
@@ -66,7 +87,10 @@ fn pass_over(table: &mut Spanned<DeTable<'_>>, place: &Range<usize>, message: &s
         }
         return true;
     }
-    table.get_mut().iter_mut().any(|(_, value)| pass_over_within(value, place, message))
+    table
+        .get_mut()
+        .iter_mut()
+        .any(|(_, value)| pass_over_within(value, place, message))
 }
 
 fn pass_over_within(value: &mut Spanned<DeValue<'_>>, place: &Range<usize>, message: &str) -> bool {
@@ -78,7 +102,9 @@ fn pass_over_within(value: &mut Spanned<DeValue<'_>>, place: &Range<usize>, mess
             *inner = table.into_inner();
             found
         }
-        DeValue::Array(values) => values.iter_mut().any(|value| pass_over_within(value, place, message)),
+        DeValue::Array(values) => values
+            .iter_mut()
+            .any(|value| pass_over_within(value, place, message)),
         _ => false,
     }
 }

@@ -1,5 +1,5 @@
-//! What a configuration names and this host does not have. Only a warning: a file may be checked on another host, and
-//! interfaces and disks come and go.
+//! What a configuration names and this host does not have. Only a warning: a file may be checked on
+//! another host, and interfaces and disks come and go.
 
 use std::fs;
 use std::io::ErrorKind;
@@ -19,7 +19,10 @@ impl Config {
         if let Some(record) = &self.record {
             let folder = record.path.parent().unwrap_or(Path::new(""));
             if !folder.is_dir() {
-                missing.push(format!("record: `path` is in {}, which is no folder of this host", folder.display()));
+                missing.push(format!(
+                    "record: `path` is in {}, which is no folder of this host",
+                    folder.display()
+                ));
             }
         }
         missing
@@ -39,7 +42,10 @@ fn missing_address(sensor: &SensorConfig) -> Option<String> {
 fn missing_interface(sensor: &SensorConfig) -> Option<String> {
     let interface = sensor.port.interface.as_deref()?;
     let entries = fs::read_dir("/sys/class/net").ok()?;
-    let mut names: Vec<String> = entries.flatten().filter_map(|entry| entry.file_name().into_string().ok()).collect();
+    let mut names: Vec<String> = entries
+        .flatten()
+        .filter_map(|entry| entry.file_name().into_string().ok())
+        .collect();
     names.sort();
     let is_missing = !names.iter().any(|name| name == interface);
     is_missing.then(|| {

@@ -7,20 +7,24 @@ use sweepd_client::publish::pool_sweeps;
 use sweepd_core::sensor::Model;
 use sweepd_core::sweep::layout::Shape;
 
-/// Bytes of a sweep of this sensor. Where its packets are to tell the model or the return mode, from the least of what it
-/// may be to the most.
+/// Bytes of a sweep of this sensor. Where its packets are to tell the model or the return mode,
+/// from the least of what it may be to the most.
 pub fn sweep_bytes(sensor: &SensorConfig) -> RangeInclusive<usize> {
     let config = &sensor.pipeline;
     let bytes = |model: Model| {
-        let modes = [false, true].into_iter().filter(move |&dual| match sensor.dual {
-            Some(own) => own == dual,
-            None => !dual || model != Model::Hdl64eS2,
-        });
+        let modes = [false, true]
+            .into_iter()
+            .filter(move |&dual| match sensor.dual {
+                Some(own) => own == dual,
+                None => !dual || model != Model::Hdl64eS2,
+            });
         let min_points = config.segment.min_points as usize;
         modes.map(move |dual| Shape::of(model.spec().channels, dual, min_points).total_bytes())
     };
     let all = possible_models(config.model, config.calibration.as_ref()).flat_map(bytes);
-    let (least, most) = all.fold((usize::MAX, 0), |(least, most), bytes| (least.min(bytes), most.max(bytes)));
+    let (least, most) = all.fold((usize::MAX, 0), |(least, most), bytes| {
+        (least.min(bytes), most.max(bytes))
+    });
     least..=most
 }
 
@@ -31,7 +35,10 @@ pub fn is_model_known(sensor: &SensorConfig) -> bool {
 
 /// Bytes of shared memory that this sensor takes, as [`sweep_bytes`].
 pub fn pool_bytes(sensor: &SensorConfig) -> RangeInclusive<u64> {
-    let (sweeps, bytes) = (pool_sweeps(sensor.max_consumers) as u64, sweep_bytes(sensor));
+    let (sweeps, bytes) = (
+        pool_sweeps(sensor.max_consumers) as u64,
+        sweep_bytes(sensor),
+    );
     sweeps * *bytes.start() as u64..=sweeps * *bytes.end() as u64
 }
 
@@ -60,12 +67,16 @@ mod tests {
     #[test]
     fn what_is_reserved_is_what_the_pipeline_asks_for() {
         let scene = street(1);
-        for (model, mode) in [(Model::Vlp16, ReturnMode::Strongest), (Model::Hdl32e, ReturnMode::Dual)] {
+        for (model, mode) in [
+            (Model::Vlp16, ReturnMode::Strongest),
+            (Model::Hdl32e, ReturnMode::Dual),
+        ] {
             let mut config = sensor("roof", "127.0.0.1", 2368);
             (config.pipeline.model, config.dual) = (Some(model), Some(mode == ReturnMode::Dual));
             let asked = Arc::new(Mutex::new(0));
             let buffers = Measuring(HeapBuffers::default(), Arc::clone(&asked));
-            let mut pipeline = Pipeline::new("roof", config.pipeline.clone(), buffers, Untimed).unwrap();
+            let mut pipeline =
+                Pipeline::new("roof", config.pipeline.clone(), buffers, Untimed).unwrap();
             for sent in Emitter::new(EmitterConfig::new(model, mode).turns(0.2), &scene).untold() {
                 pipeline.push(&sent.datagram()).unwrap();
                 assert!(pipeline.poll().is_none());
@@ -81,6 +92,8 @@ mod tests {
         config.dual = Some(true);
         assert!(!is_model_known(&config));
         (config.dual, config.pipeline.model) = (None, Some(Model::Vlp16));
-        assert!(is_model_known(&config) && sweep_bytes(&config).start() < sweep_bytes(&config).end());
+        assert!(
+            is_model_known(&config) && sweep_bytes(&config).start() < sweep_bytes(&config).end()
+        );
     }
 }

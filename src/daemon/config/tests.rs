@@ -35,28 +35,61 @@ fn two_lines_are_enough_for_a_sensor() {
     let config = good(&roof(""));
     assert_eq!(
         config.daemon,
-        DaemonConfig { root: None, http: Some("127.0.0.1:9177".parse().unwrap()), http_public: false }
+        DaemonConfig {
+            root: None,
+            http: Some("127.0.0.1:9177".parse().unwrap()),
+            http_public: false
+        }
     );
-    let [sensor] = &config.sensors[..] else { panic!() };
-    assert_eq!((&sensor.name[..], sensor.address), ("roof", [192, 168, 1, 201].into()));
+    let [sensor] = &config.sensors[..] else {
+        panic!()
+    };
+    assert_eq!(
+        (&sensor.name[..], sensor.address),
+        ("roof", [192, 168, 1, 201].into())
+    );
     let (bind, multicast, interface) = ([0, 0, 0, 0].into(), None, None);
-    let port = PortConfig { bind, port: 2368, multicast, interface, cpu: None, realtime_priority: None };
-    assert_eq!((&sensor.port, sensor.position_port, sensor.source_port), (&port, 8308, None));
-    assert_eq!((sensor.max_consumers, sensor.dual, sensor.rpm), (4, None, None));
+    let port = PortConfig {
+        bind,
+        port: 2368,
+        multicast,
+        interface,
+        cpu: None,
+        realtime_priority: None,
+    };
+    assert_eq!(
+        (&sensor.port, sensor.position_port, sensor.source_port),
+        (&port, 8308, None)
+    );
+    assert_eq!(
+        (sensor.max_consumers, sensor.dual, sensor.rpm),
+        (4, None, None)
+    );
     // Whatever the command line takes by default, the file does.
-    assert_eq!(sensor.pipeline.segment, sweepd_core::segment::Config::default());
-    assert_eq!((sensor.pipeline.model, sensor.pipeline.cut_azimuth_rad), (None, 0.0));
+    assert_eq!(
+        sensor.pipeline.segment,
+        sweepd_core::segment::Config::default()
+    );
+    assert_eq!(
+        (sensor.pipeline.model, sensor.pipeline.cut_azimuth_rad),
+        (None, 0.0)
+    );
     assert!(config.record.is_none());
 }
 
 /// Each is compared with all others, and each slip drawn: twenty thousand took more than 10 s.
 #[test]
 fn a_file_of_thousands_of_sensors_is_refused_at_once() {
-    let sensors = |count: usize| (0..count).map(|n| format!("[[sensor]]\nname = \"s{n}\"\naddress = \"10.0.0.{n}\"\n"));
+    let sensors = |count: usize| {
+        (0..count).map(|n| format!("[[sensor]]\nname = \"s{n}\"\naddress = \"10.0.0.{n}\"\n"))
+    };
     assert_eq!(good(&sensors(64).collect::<String>()).sensors.len(), 64);
     let (lines, message) = bad(&sensors(5000).collect::<String>());
     assert_eq!(lines, [64 * 3 + 1]);
-    assert!(message.contains("5000 sensors are configured") && message.contains("at most 64"), "{message:.300}");
+    assert!(
+        message.contains("5000 sensors are configured") && message.contains("at most 64"),
+        "{message:.300}"
+    );
 }
 
 #[test]
@@ -96,82 +129,195 @@ fn every_key_arrives_where_it_belongs() {
     let root = Path::new(folder).with_file_name("iox2");
     assert_eq!(
         config.daemon,
-        DaemonConfig { root: Some(root), http: Some("0.0.0.0:9000".parse().unwrap()), http_public: true }
+        DaemonConfig {
+            root: Some(root),
+            http: Some("0.0.0.0:9000".parse().unwrap()),
+            http_public: true
+        }
     );
     let sensor = &config.sensors[0];
     assert_eq!(sensor.source_port, Some(2368));
     let (bind, multicast) = ([127, 0, 0, 1].into(), Some([239, 1, 1, 1].into()));
     let (interface, cpu, realtime_priority) = (Some("lo".to_owned()), Some(0), Some(50));
-    assert_eq!(sensor.port, PortConfig { bind, port: 2370, multicast, interface, cpu, realtime_priority });
+    assert_eq!(
+        sensor.port,
+        PortConfig {
+            bind,
+            port: 2370,
+            multicast,
+            interface,
+            cpu,
+            realtime_priority
+        }
+    );
     assert_eq!((sensor.position_port, sensor.max_consumers), (8309, 2));
     assert_eq!((sensor.dual, sensor.rpm), (Some(true), Some(600.0)));
-    assert_eq!(sensor.losses, Limits { warning: 0.015, fault: 0.12 });
+    assert_eq!(
+        sensor.losses,
+        Limits {
+            warning: 0.015,
+            fault: 0.12
+        }
+    );
     let pipeline = &sensor.pipeline;
     assert_eq!(pipeline.model, Some(Model::Vlp16));
     assert_eq!(pipeline.calibration.as_ref(), Model::Vlp16.calibration());
     assert_eq!(pipeline.return_choice, ReturnChoice::Last);
     let half = std::f64::consts::PI;
-    assert_eq!((pipeline.cut_azimuth_rad, pipeline.yaw_rad), (half, half as f32));
+    assert_eq!(
+        (pipeline.cut_azimuth_rad, pipeline.yaw_rad),
+        (half, half as f32)
+    );
     assert_eq!(pipeline.position_m, [1.0, 2.5, -3.0]);
     let segment = &pipeline.segment;
     assert_eq!((segment.method, segment.min_points), (Method::Paper, 3));
-    assert_eq!((segment.theta_rad, segment.min_range_m, segment.max_range_m), ((half / 4.0) as f32, 0.5, 80.0));
+    assert_eq!(
+        (segment.theta_rad, segment.min_range_m, segment.max_range_m),
+        ((half / 4.0) as f32, 0.5, 80.0)
+    );
     let quarter = (half / 2.0) as f32;
     let mount = segment.mount;
-    assert_eq!((mount.height_m, mount.pitch_rad, mount.roll_rad), (Some(1.5), -quarter, quarter));
+    assert_eq!(
+        (mount.height_m, mount.pitch_rad, mount.roll_rad),
+        (Some(1.5), -quarter, quarter)
+    );
     let (rotate_bytes, rotate_seconds) = (Some(1_500_000), Some(600));
-    assert_eq!(config.record, Some(RecordConfig { path: "/data/drive.pcap.gz".into(), rotate_bytes, rotate_seconds }));
+    assert_eq!(
+        config.record,
+        Some(RecordConfig {
+            path: "/data/drive.pcap.gz".into(),
+            rotate_bytes,
+            rotate_seconds
+        })
+    );
 }
 
-/// One line that cannot be meant, the words that say so, and (of several lines) which one is to blame.
+/// One line that cannot be meant, the words that say so, and (of several lines) which one is to
+/// blame.
 #[test]
 fn what_cannot_be_meant_is_shown_with_its_line_and_a_cure() {
     for (line, parts) in [
-        ("prot = 2369", &["unknown key `prot`", "did you mean `port`?"][..]),
-        ("segment = { theta = 12 }", &["unknown key `theta`", "did you mean `theta_deg`?"]),
-        ("port = \"2369\"", &["wrong type: string \"2369\"", "expected a whole number"]),
+        (
+            "prot = 2369",
+            &["unknown key `prot`", "did you mean `port`?"][..],
+        ),
+        (
+            "segment = { theta = 12 }",
+            &["unknown key `theta`", "did you mean `theta_deg`?"],
+        ),
+        (
+            "port = \"2369\"",
+            &["wrong type: string \"2369\"", "expected a whole number"],
+        ),
         ("port = 0", &["`port` cannot be 0", "expected 1 to 65535"]),
-        ("port = 23.5", &["wrong type: floating point", "expected a whole number"]),
+        (
+            "port = 23.5",
+            &["wrong type: floating point", "expected a whole number"],
+        ),
         ("port = 99999999999999999999", &["4:8"]),
-        ("position_port = 70000", &["`position_port` cannot be 70000"]),
-        ("bind = \"eth0\"", &["`bind` cannot be \"eth0\"", "0.0.0.0 for all"]),
+        (
+            "position_port = 70000",
+            &["`position_port` cannot be 70000"],
+        ),
+        (
+            "bind = \"eth0\"",
+            &["`bind` cannot be \"eth0\"", "0.0.0.0 for all"],
+        ),
         ("bind = \"::1\"", &["`bind` cannot be \"::1\""]),
-        ("multicast = \"192.168.1.1\"", &["224.0.0.0 to 239.255.255.255"]),
+        (
+            "multicast = \"192.168.1.1\"",
+            &["224.0.0.0 to 239.255.255.255"],
+        ),
         ("interface = \"\"", &["such as eth1"]),
         ("interface = \"a-name-far-too-long\"", &["such as eth1"]),
         ("cpu = -1", &["`cpu` cannot be -1"]),
         ("cpu = 99999", &["the cores of this machine are "]),
         ("realtime_priority = 100", &["expected 1 to 99"]),
-        ("model = \"vlp61\"", &["no supported model is called \"vlp61\"", "did you mean `vlp16`?"]),
+        (
+            "model = \"vlp61\"",
+            &[
+                "no supported model is called \"vlp61\"",
+                "did you mean `vlp16`?",
+            ],
+        ),
         ("model = \"os1\"", &["expected one of `vlp16`"]),
-        ("returns = \"duel\"", &["unknown value `duel`", "did you mean `dual`?"]),
-        ("return = \"first\"", &["unknown value `first`", "expected one of `nearest`"]),
-        ("model = \"hdl64e-s2\"\nreturns = \"dual\"", &["5:11", "an HDL-64E S2 sends one return", "hdl64e-s3"]),
-        ("cut_azimuth_deg = nan", &["`cut_azimuth_deg` cannot be NaN", "-360 to 360 degrees"]),
+        (
+            "returns = \"duel\"",
+            &["unknown value `duel`", "did you mean `dual`?"],
+        ),
+        (
+            "return = \"first\"",
+            &["unknown value `first`", "expected one of `nearest`"],
+        ),
+        (
+            "model = \"hdl64e-s2\"\nreturns = \"dual\"",
+            &["5:11", "an HDL-64E S2 sends one return", "hdl64e-s3"],
+        ),
+        (
+            "cut_azimuth_deg = nan",
+            &["`cut_azimuth_deg` cannot be NaN", "-360 to 360 degrees"],
+        ),
         ("rpm = 299.9", &["expected 300 to 1200 turns a minute"]),
         ("loss_warning_percent = 0", &["expected 0.1 to 100 percent"]),
         (
             "loss_fault_percent = 5\nloss_warning_percent = 6",
-            &["5:24", "`loss_warning_percent` cannot be 6", "at most `loss_fault_percent`, which is 5"],
+            &[
+                "5:24",
+                "`loss_warning_percent` cannot be 6",
+                "at most `loss_fault_percent`, which is 5",
+            ],
         ),
         ("max_consumers = 17", &["expected 1 to 16"]),
         ("max_consumers = 0", &["expected 1 to 16"]),
-        ("mount = { x_m = 1e9 }", &["`x_m` cannot be 1000000000", "metres"]),
+        (
+            "mount = { x_m = 1e9 }",
+            &["`x_m` cannot be 1000000000", "metres"],
+        ),
         ("mount = { pitch_deg = 91 }", &["-90 to 90 degrees"]),
         ("mount = { height_m = 0 }", &["`height_m` cannot be 0"]),
-        ("segment = { theta_deg = 0 }", &["4:25", "more than 0 and less than 90"]),
-        ("segment = { theta_deg = 91 }", &["expected 0 to 90 degrees"]),
-        ("segment = { min_points = 0 }", &["`min_points` cannot be 0"]),
-        ("segment = { min_range_m = 5, max_range_m = 4 }", &["4:44", "limited to 5..4 m"]),
-        ("segment = { method = \"slop\" }", &["did you mean `slope`?"]),
-        ("segment = { mask = \"body.png\" }", &["cannot read /nowhere/body.png"]),
+        (
+            "segment = { theta_deg = 0 }",
+            &["4:25", "more than 0 and less than 90"],
+        ),
+        (
+            "segment = { theta_deg = 91 }",
+            &["expected 0 to 90 degrees"],
+        ),
+        (
+            "segment = { min_points = 0 }",
+            &["`min_points` cannot be 0"],
+        ),
+        (
+            "segment = { min_range_m = 5, max_range_m = 4 }",
+            &["4:44", "limited to 5..4 m"],
+        ),
+        (
+            "segment = { method = \"slop\" }",
+            &["did you mean `slope`?"],
+        ),
+        (
+            "segment = { mask = \"body.png\" }",
+            &["cannot read /nowhere/body.png"],
+        ),
         ("segment = { mask = \"\" }", &["expected a path"]),
-        ("calibration = \"unit.xml\"", &["cannot read the calibration /nowhere/unit.xml"]),
+        (
+            "calibration = \"unit.xml\"",
+            &["cannot read the calibration /nowhere/unit.xml"],
+        ),
         ("[sensor.mount\nx_m = 1", &["unclosed table"]),
         ("name = \"roof\"", &["duplicate key"]),
-        ("[record]\npath = \"drive.txt\"", &["5:8", "NAME.pcap or NAME.pcap.gz"]),
-        ("[record]\npath = \".pcap\"", &["5:8", "NAME.pcap or NAME.pcap.gz"]),
-        ("[record]\npath = \"a.pcap\"\nrotate_mb = 0", &["6:13", "expected 1 to 1000000 MB"]),
+        (
+            "[record]\npath = \"drive.txt\"",
+            &["5:8", "NAME.pcap or NAME.pcap.gz"],
+        ),
+        (
+            "[record]\npath = \".pcap\"",
+            &["5:8", "NAME.pcap or NAME.pcap.gz"],
+        ),
+        (
+            "[record]\npath = \"a.pcap\"\nrotate_mb = 0",
+            &["6:13", "expected 1 to 1000000 MB"],
+        ),
         ("[record]\nrotate_mb = 10", &["4:1", "missing key `path`"]),
     ] {
         let (lines, message) = bad(&roof(line));
@@ -189,15 +335,37 @@ fn names_and_addresses_that_cannot_be_are_refused() {
     for name in ["roof", "Front-left_2.b", "2", &longest] {
         assert_eq!(good(&roof("").replace("roof", name)).sensors[0].name, name);
     }
-    for name in ["", "ro of", "roof/left", "..", "-roof", "dach\u{fc}", "a\\u0000", &format!("{longest}a")] {
+    for name in [
+        "",
+        "ro of",
+        "roof/left",
+        "..",
+        "-roof",
+        "dach\u{fc}",
+        "a\\u0000",
+        &format!("{longest}a"),
+    ] {
         let (lines, message) = bad(&roof("").replace("roof", name));
-        assert!(lines == [2] && message.contains("a letter or digit first"), "{message}");
+        assert!(
+            lines == [2] && message.contains("a letter or digit first"),
+            "{message}"
+        );
     }
-    for address in
-        ["0.0.0.0", "239.1.1.1", "255.255.255.255", "fe80::1", "roof.local", "10.0.0.1:0", "10.0.0.1>2368", ""]
-    {
+    for address in [
+        "0.0.0.0",
+        "239.1.1.1",
+        "255.255.255.255",
+        "fe80::1",
+        "roof.local",
+        "10.0.0.1:0",
+        "10.0.0.1>2368",
+        "",
+    ] {
         let (lines, message) = bad(&roof("").replace("192.168.1.201", address));
-        assert!(lines == [3] && message.contains("expected the sensor's own IPv4 address"), "{message}");
+        assert!(
+            lines == [3] && message.contains("expected the sensor's own IPv4 address"),
+            "{message}"
+        );
     }
 }
 
@@ -205,14 +373,29 @@ fn names_and_addresses_that_cannot_be_are_refused() {
 fn health_is_for_this_host_alone_unless_it_is_said() {
     let of = |http: &str| format!("{http}\n{}", roof(""));
     assert_eq!(good(&of("http = \"off\"")).daemon.http, None);
-    assert_eq!(good(&of("http = \"[::1]:80\"")).daemon.http, Some("[::1]:80".parse().unwrap()));
-    for open in ["0.0.0.0:80", "[::]:80", "192.168.1.100:80", "[::ffff:10.0.0.1]:80"] {
+    assert_eq!(
+        good(&of("http = \"[::1]:80\"")).daemon.http,
+        Some("[::1]:80".parse().unwrap())
+    );
+    for open in [
+        "0.0.0.0:80",
+        "[::]:80",
+        "192.168.1.100:80",
+        "[::ffff:10.0.0.1]:80",
+    ] {
         let (lines, message) = bad(&of(&format!("http = {open:?}")));
-        assert!(lines == [1] && message.contains("http_public = true"), "{message}");
+        assert!(
+            lines == [1] && message.contains("http_public = true"),
+            "{message}"
+        );
         good(&of(&format!("http = {open:?}\nhttp_public = true")));
     }
     for none in ["on", "127.0.0.1", "127.0.0.1:0", "9177", ""] {
-        assert!(bad(&of(&format!("http = {none:?}"))).1.contains("or \"off\""));
+        assert!(
+            bad(&of(&format!("http = {none:?}")))
+                .1
+                .contains("or \"off\"")
+        );
     }
 }
 
@@ -227,18 +410,31 @@ fn all_that_is_wrong_is_said_at_once_in_the_order_of_the_lines() {
     assert_eq!(message.matches("error: ").count(), 6);
     assert_eq!(bad("").0, [1]);
     assert!(bad("# nothing\n").1.contains("sweepd config example"));
-    assert!(bad("[sensor]\nname = \"roof\"").1.contains("one [[sensor]], in double brackets"));
-    assert!(bad("[[sensor]]\nname = \"roof\"").1.contains("missing key `address`"));
+    assert!(
+        bad("[sensor]\nname = \"roof\"")
+            .1
+            .contains("one [[sensor]], in double brackets")
+    );
+    assert!(
+        bad("[[sensor]]\nname = \"roof\"")
+            .1
+            .contains("missing key `address`")
+    );
 }
 
-/// Ten slips of four kinds (unknown keys, wrong types, missing keys, values) and two that follow from others, which are none.
+/// Ten slips of four kinds (unknown keys, wrong types, missing keys, values) and two that follow
+/// from others, which are none.
 #[test]
 fn keys_types_and_values_are_all_shown_at_once() {
     let text = "colour = 1\nhttp = 9177\n[[sensor]]\nname = 7\naddress = \"10.0.0.1\"\nprot = 1\nport = \"a\"\nrpm = 1\n\
                 [sensor.segment]\ntheta = 1\nmin_points = 0\n[[sensor]]\nname = \"b\"\n[[sensor]]\naddress = \"x\"\n\
                 returns = \"triple\"\n";
     let (lines, message) = bad(text);
-    assert_eq!(lines, [1, 2, 4, 6, 7, 8, 10, 11, 12, 14, 15, 16], "{message}");
+    assert_eq!(
+        lines,
+        [1, 2, 4, 6, 7, 8, 10, 11, 12, 14, 15, 16],
+        "{message}"
+    );
     for part in [
         "unknown key `colour`",
         "wrong type: integer `9177`",
@@ -270,9 +466,19 @@ fn three(roof: &str, left: &str, right: &str) -> String {
 
 #[test]
 fn sensors_on_a_port_agree_about_it() {
-    let config = good(&three("", "cpu = 0\nbind = \"127.0.0.1\"", "bind = \"127.0.0.2\""));
-    assert_eq!(config.sensors[0].port, config.sensors[1].port, "what one says holds for both");
-    assert_eq!((config.sensors[0].port.cpu, config.sensors[2].port.cpu), (Some(0), None));
+    let config = good(&three(
+        "",
+        "cpu = 0\nbind = \"127.0.0.1\"",
+        "bind = \"127.0.0.2\"",
+    ));
+    assert_eq!(
+        config.sensors[0].port, config.sensors[1].port,
+        "what one says holds for both"
+    );
+    assert_eq!(
+        (config.sensors[0].port.cpu, config.sensors[2].port.cpu),
+        (Some(0), None)
+    );
     for (key, one, other) in [
         ("bind", "\"127.0.0.1\"", "\"127.0.0.2\""),
         ("multicast", "\"239.0.0.1\"", "\"239.0.0.2\""),
@@ -282,7 +488,10 @@ fn sensors_on_a_port_agree_about_it() {
         let (one, other) = (format!("{key} = {one}"), format!("{key} = {other}"));
         good(&three(&one, &one, &other));
         let (lines, message) = bad(&three(&one, &other, ""));
-        assert!(lines == [8] && message.contains(&format!("do not agree about `{key}`")), "{message}");
+        assert!(
+            lines == [8] && message.contains(&format!("do not agree about `{key}`")),
+            "{message}"
+        );
         assert!(message.contains("`roof` says this"), "{message}");
     }
 }
@@ -296,12 +505,22 @@ fn sensors_that_cannot_be_told_apart_are_refused() {
     };
     good(&of("10.0.0.1", "10.0.0.1", 2369));
     good(&of("10.0.0.1:2368", "10.0.0.1:2369", 2368));
-    for (left, right) in [("10.0.0.1", "10.0.0.1"), ("10.0.0.1:1", "10.0.0.1:1"), ("10.0.0.1", "10.0.0.1:1")] {
+    for (left, right) in [
+        ("10.0.0.1", "10.0.0.1"),
+        ("10.0.0.1:1", "10.0.0.1:1"),
+        ("10.0.0.1", "10.0.0.1:1"),
+    ] {
         let (lines, message) = bad(&of(left, right, 2368));
-        assert!(lines == [6] && message.contains("`b` cannot be told from `a`"), "{message}");
+        assert!(
+            lines == [6] && message.contains("`b` cannot be told from `a`"),
+            "{message}"
+        );
     }
     let (lines, message) = bad(&of("10.0.0.1", "10.0.0.2", 2368).replace("\"b\"", "\"a\""));
-    assert!(lines == [5] && message.contains("the first of this name"), "{message}");
+    assert!(
+        lines == [5] && message.contains("the first of this name"),
+        "{message}"
+    );
     // The position packets of one may come where the data of another do.
     good(&of("10.0.0.1", "10.0.0.2", 8308));
 }
@@ -313,23 +532,45 @@ fn files_of_another_model_are_refused() {
     let mut bytes = Vec::new();
     let mut encoder = png::Encoder::new(&mut bytes, 4, 32);
     encoder.set_color(png::ColorType::Grayscale);
-    encoder.write_header().unwrap().write_image_data(&[255; 4 * 32]).unwrap();
+    encoder
+        .write_header()
+        .unwrap()
+        .write_image_data(&[255; 4 * 32])
+        .unwrap();
     std::fs::write(folder.join("32.png"), bytes).unwrap();
-    std::fs::copy(concat!(env!("CARGO_MANIFEST_DIR"), "/calib/hdl32e.yaml"), folder.join("32.yaml")).unwrap();
-    let parse = |more: &str| Config::parse(&folder.join("robot.toml"), &roof(more)).map_err(|error| error.to_string());
+    std::fs::copy(
+        concat!(env!("CARGO_MANIFEST_DIR"), "/calib/hdl32e.yaml"),
+        folder.join("32.yaml"),
+    )
+    .unwrap();
+    let parse = |more: &str| {
+        Config::parse(&folder.join("robot.toml"), &roof(more)).map_err(|error| error.to_string())
+    };
     let mask = "[sensor.segment]\nmask = \"32.png\"";
     let calibration = "calibration = \"32.yaml\"";
-    for fitting in [mask, calibration, &format!("model = \"hdl32e\"\n{calibration}\n{mask}")] {
+    for fitting in [
+        mask,
+        calibration,
+        &format!("model = \"hdl32e\"\n{calibration}\n{mask}"),
+    ] {
         let config = parse(fitting).unwrap_or_else(|error| panic!("{error}"));
         let pipeline = &config.sensors[0].pipeline;
         assert_eq!(pipeline.segment.mask.is_some(), fitting.contains("mask"));
-        assert_eq!(pipeline.calibration.is_some(), fitting.contains("calibration"));
+        assert_eq!(
+            pipeline.calibration.is_some(),
+            fitting.contains("calibration")
+        );
     }
     let message = parse(&format!("model = \"vlp16\"\n{mask}")).unwrap_err();
-    assert!(message.contains("32.png has 32 rows, not the VLP-16") && message.contains("robot.toml:6:8"), "{message}");
+    assert!(
+        message.contains("32.png has 32 rows, not the VLP-16")
+            && message.contains("robot.toml:6:8"),
+        "{message}"
+    );
     let message = parse(&format!("model = \"vlp16\"\n{calibration}")).unwrap_err();
     assert!(
-        message.contains("this is the calibration of the HDL-32E") && message.contains("robot.toml:5:15"),
+        message.contains("this is the calibration of the HDL-32E")
+            && message.contains("robot.toml:5:15"),
         "{message}"
     );
     std::fs::remove_dir_all(&folder).unwrap();
@@ -338,13 +579,32 @@ fn files_of_another_model_are_refused() {
 #[test]
 fn a_reload_says_what_it_takes_over_and_what_waits() {
     let old = good(&three("", "", ""));
-    let said = |new: &str| -> Vec<String> { old.changes(&good(new)).iter().map(ToString::to_string).collect() };
+    let said = |new: &str| -> Vec<String> {
+        old.changes(&good(new))
+            .iter()
+            .map(ToString::to_string)
+            .collect()
+    };
     assert!(said(&three("", "", "")).is_empty());
-    assert_eq!(said(&three("port = 2370", "", "")), ["sensor roof: port 2368 -> 2370 needs a restart"]);
-    assert_eq!(said(&three("segment = { theta_deg = 12.5 }", "", "")), ["sensor roof: theta_deg 10 -> 12.5"]);
     assert_eq!(
-        said(&three("segment = { theta_deg = 12.5, min_points = 5 }", "rpm = 600", "")),
-        ["sensor roof: theta_deg 10 -> 12.5", "sensor roof: min_points 10 -> 5", "sensor left: rpm not watched -> 600"]
+        said(&three("port = 2370", "", "")),
+        ["sensor roof: port 2368 -> 2370 needs a restart"]
+    );
+    assert_eq!(
+        said(&three("segment = { theta_deg = 12.5 }", "", "")),
+        ["sensor roof: theta_deg 10 -> 12.5"]
+    );
+    assert_eq!(
+        said(&three(
+            "segment = { theta_deg = 12.5, min_points = 5 }",
+            "rpm = 600",
+            ""
+        )),
+        [
+            "sensor roof: theta_deg 10 -> 12.5",
+            "sensor roof: min_points 10 -> 5",
+            "sensor left: rpm not watched -> 600"
+        ]
     );
     assert_eq!(
         said(&three("port = 2370\nmax_consumers = 3\nrpm = 600", "", "")),
@@ -354,15 +614,25 @@ fn a_reload_says_what_it_takes_over_and_what_waits() {
             "sensor roof: rpm not watched -> 600",
         ]
     );
-    assert_eq!(said(&format!("http = \"off\"\n{}", three("", "", ""))), ["http 127.0.0.1:9177 -> off needs a restart"]);
-    assert_eq!(said(&three("", "", "[record]\npath = \"/a.pcap\"")), ["record off -> /a.pcap"]);
+    assert_eq!(
+        said(&format!("http = \"off\"\n{}", three("", "", ""))),
+        ["http 127.0.0.1:9177 -> off needs a restart"]
+    );
+    assert_eq!(
+        said(&three("", "", "[record]\npath = \"/a.pcap\"")),
+        ["record off -> /a.pcap"]
+    );
     assert_eq!(
         said(&three("", "", "").replace("left", "back")),
-        ["sensor left: is no longer there, which needs a restart", "sensor back: is new, which needs a restart"]
+        [
+            "sensor left: is no longer there, which needs a restart",
+            "sensor back: is new, which needs a restart"
+        ]
     );
 }
 
-/// Each line changes a setting of its own: none of them is overlooked, and a reload does what it says.
+/// Each line changes a setting of its own: none of them is overlooked, and a reload does what it
+/// says.
 #[test]
 fn no_setting_changes_without_a_word() {
     let settings = [
@@ -401,20 +671,40 @@ fn no_setting_changes_without_a_word() {
     let old = parse("");
     for line in settings {
         let new = parse(line);
-        let [change] = &old.changes(&new)[..] else { panic!("{line}: {:?}", old.changes(&new)) };
+        let [change] = &old.changes(&new)[..] else {
+            panic!("{line}: {:?}", old.changes(&new))
+        };
         let (back, running) = (new.changes(&old), old.reloaded(&new));
         assert_eq!((back.len(), back[0].effect), (1, change.effect), "{line}");
         let left = running.changes(&new).len();
-        assert_eq!(left, usize::from(change.effect == Effect::Restart), "{line}");
+        assert_eq!(
+            left,
+            usize::from(change.effect == Effect::Restart),
+            "{line}"
+        );
         assert_eq!(old.changes(&running).len(), 1 - left, "{line}");
     }
     // A calibration is that of the new model, so it waits with it; the rest does not.
     let other = parse("model = \"hdl32e\"\ncalibration = \"hdl32e.yaml\"\nrpm = 600");
-    let waits: Vec<bool> = old.changes(&other).iter().map(|change| change.effect == Effect::Restart).collect();
+    let waits: Vec<bool> = old
+        .changes(&other)
+        .iter()
+        .map(|change| change.effect == Effect::Restart)
+        .collect();
     let running = old.reloaded(&other);
-    assert_eq!((waits, running.changes(&other).len()), (vec![true, true, false], 2));
-    assert_eq!((running.sensors[0].rpm, &running.sensors[0].pipeline.calibration), (Some(600.0), &None));
-    // A setting that is added to the configuration must be added to those that are compared: this stops compiling.
+    assert_eq!(
+        (waits, running.changes(&other).len()),
+        (vec![true, true, false], 2)
+    );
+    assert_eq!(
+        (
+            running.sensors[0].rpm,
+            &running.sensors[0].pipeline.calibration
+        ),
+        (Some(600.0), &None)
+    );
+    // A setting that is added to the configuration must be added to those that are compared: this
+    // stops compiling.
     let SensorConfig {
         name: _,
         address: _,
@@ -444,10 +734,22 @@ fn memory_follows_from_the_model() {
     let of = |more: &str| good(&roof(more)).sensors.remove(0);
     let exact = of("model = \"vlp16\"\nreturns = \"single\"\nmax_consumers = 1");
     let sweep = sweepd_core::sweep::layout::Shape::of(16, false, 10).total_bytes();
-    assert_eq!((sweepd_client::publish::pool_sweeps(1), memory::sweep_bytes(&exact)), (7, sweep..=sweep));
-    assert_eq!(memory::pool_bytes(&exact), 7 * sweep as u64..=7 * sweep as u64);
+    assert_eq!(
+        (
+            sweepd_client::publish::pool_sweeps(1),
+            memory::sweep_bytes(&exact)
+        ),
+        (7, sweep..=sweep)
+    );
+    assert_eq!(
+        memory::pool_bytes(&exact),
+        7 * sweep as u64..=7 * sweep as u64
+    );
     let unknown = memory::sweep_bytes(&of(""));
-    assert_eq!(unknown, sweep..=*memory::sweep_bytes(&of("model = \"hdl64e-s3\"\nreturns = \"dual\"")).end());
+    assert_eq!(
+        unknown,
+        sweep..=*memory::sweep_bytes(&of("model = \"hdl64e-s3\"\nreturns = \"dual\"")).end()
+    );
     let s2 = memory::sweep_bytes(&of("model = \"hdl64e-s2\""));
     assert_eq!(s2.start(), s2.end(), "one return, always");
 }
@@ -455,11 +757,27 @@ fn memory_follows_from_the_model() {
 /// Whether a text is a configuration, or an error that names a line of it; a panic is neither.
 fn is_answered(text: &str) -> Result<(), TestCaseError> {
     if let Err(error) = parse(text) {
-        let ConfigError::Invalid(problems) = &error else { return Err(TestCaseError::fail("no file is read")) };
+        let ConfigError::Invalid(problems) = &error else {
+            return Err(TestCaseError::fail("no file is read"));
+        };
         let lines = text.split('\n').count();
         prop_assert!(!problems.is_empty());
-        prop_assert!(problems.lines().iter().all(|line| (1..=lines).contains(line)), "{error}");
-        prop_assert_eq!(error.to_string().matches("--> /nowhere/robot.toml:").count(), problems.len(), "{}", error);
+        prop_assert!(
+            problems
+                .lines()
+                .iter()
+                .all(|line| (1..=lines).contains(line)),
+            "{error}"
+        );
+        prop_assert_eq!(
+            error
+                .to_string()
+                .matches("--> /nowhere/robot.toml:")
+                .count(),
+            problems.len(),
+            "{}",
+            error
+        );
     }
     Ok(())
 }
@@ -467,7 +785,9 @@ fn is_answered(text: &str) -> Result<(), TestCaseError> {
 /// The example with its optional lines switched on, as it may be edited.
 fn example_switched_on() -> String {
     let on = |line: &str| match line.strip_prefix('#') {
-        Some(rest) if rest.starts_with(|c: char| c.is_ascii_lowercase() || c == '[') => rest.to_owned(),
+        Some(rest) if rest.starts_with(|c: char| c.is_ascii_lowercase() || c == '[') => {
+            rest.to_owned()
+        }
         _ => line.to_owned(),
     };
     EXAMPLE.lines().map(|line| on(line) + "\n").collect()
@@ -477,8 +797,12 @@ fn example_switched_on() -> String {
 fn the_example_names_every_key_with_a_value_that_can_be() {
     good(EXAMPLE);
     let all = example_switched_on();
-    // Two name files that are not there, and the example of a core may be one that this machine has not.
-    let all = all.replace("calibration = ", "#").replace("mask = ", "#").replace("cpu = 1", "cpu = 0");
+    // Two name files that are not there, and the example of a core may be one that this machine has
+    // not.
+    let all = all
+        .replace("calibration = ", "#")
+        .replace("mask = ", "#")
+        .replace("cpu = 1", "cpu = 0");
     good(&all);
     let (_, message) = bad(&roof("x = 1"));
     let (_, mount) = bad(&roof("mount = { x = 1 }"));
@@ -486,11 +810,21 @@ fn the_example_names_every_key_with_a_value_that_can_be() {
     let (_, record) = bad(&roof("[record]\nx = 1"));
     let (_, daemon) = bad("x = 1");
     let mut keys = 0;
-    for key in [message, mount, segment, record, daemon].iter().flat_map(|text| text.split('`').skip(3).step_by(2)) {
+    for key in [message, mount, segment, record, daemon]
+        .iter()
+        .flat_map(|text| text.split('`').skip(3).step_by(2))
+    {
         let is_there = |line: &str| {
-            line.starts_with(key) || line.contains(&format!("[{key}")) || line.contains(&format!(".{key}]"))
+            line.starts_with(key)
+                || line.contains(&format!("[{key}"))
+                || line.contains(&format!(".{key}]"))
         };
-        assert!(EXAMPLE.lines().any(|line| is_there(line.trim_start_matches('#'))), "no {key} in the example");
+        assert!(
+            EXAMPLE
+                .lines()
+                .any(|line| is_there(line.trim_start_matches('#'))),
+            "no {key} in the example"
+        );
         keys += 1;
     }
     assert!(keys > 30, "{keys}");

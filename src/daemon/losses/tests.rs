@@ -9,7 +9,11 @@ struct Watched {
 
 impl Watched {
     fn new() -> Self {
-        Self { losses: Losses::new(Limits::default()), now: Duration::ZERO, tally: Tally::default() }
+        Self {
+            losses: Losses::new(Limits::default()),
+            now: Duration::ZERO,
+            tally: Tally::default(),
+        }
     }
 
     /// Seconds in each half of which this happens; gives what is told.
@@ -24,7 +28,11 @@ impl Watched {
     }
 
     fn sentence(&self) -> String {
-        let place = Place { address: "192.168.1.201".to_owned(), port: Some(2368), sensors: 1 };
+        let place = Place {
+            address: "192.168.1.201".to_owned(),
+            port: Some(2368),
+            sensors: 1,
+        };
         self.losses.recent().unwrap().sentence(&place)
     }
 }
@@ -53,8 +61,13 @@ fn losses_are_told_when_they_begin_and_when_they_are_over() {
     let mut roof = Watched::new();
     assert_eq!(roof.run(20, well), []);
     assert_eq!(roof.run(20, loses_a_tenth), [Turn::Begun(Level::Warning)]);
-    assert!(roof.sentence().starts_with("10.1 % of its packets are lost or of no use (380 of 3750 in 5 s)"));
-    let [Turn::Over(lasted)] = roof.run(20, well)[..] else { panic!("not told once that it is over") };
+    assert!(
+        roof.sentence()
+            .starts_with("10.1 % of its packets are lost or of no use (380 of 3750 in 5 s)")
+    );
+    let [Turn::Over(lasted)] = roof.run(20, well)[..] else {
+        panic!("not told once that it is over")
+    };
     assert!((20..=25).contains(&lasted.as_secs()), "{lasted:?}");
     assert_eq!((roof.losses.level(), roof.run(60, well)), (None, vec![]));
 }
@@ -65,13 +78,19 @@ fn many_losses_are_a_level_of_their_own_and_fall_back_by_half_of_each_limit() {
     // From the first moment that is judged on: no step between.
     assert_eq!(roof.run(10, loses_half), [Turn::Begun(Level::Fault)]);
     // A tenth is just above half of the second limit: still that level.
-    assert_eq!((roof.run(20, loses_a_tenth), roof.losses.level()), (vec![], Some(Level::Fault)));
+    assert_eq!(
+        (roof.run(20, loses_a_tenth), roof.losses.level()),
+        (vec![], Some(Level::Fault))
+    );
     // 1.07 % is below half of both.
     assert_eq!(roof.run(20, loses_one_in_a_hundred).len(), 1);
     assert_eq!(roof.losses.level(), None);
     let mut rear = Watched::new();
     rear.run(10, well);
-    assert_eq!(rear.run(10, loses_half), [Turn::Begun(Level::Warning), Turn::Begun(Level::Fault)]);
+    assert_eq!(
+        rear.run(10, loses_half),
+        [Turn::Begun(Level::Warning), Turn::Begun(Level::Fault)]
+    );
 }
 
 #[test]
@@ -94,16 +113,31 @@ fn a_share_that_wavers_about_a_limit_is_told_once() {
 fn what_comes_first_and_what_came_before_a_reload_is_no_loss() {
     let mut roof = Watched::new();
     // A second in which the model is told and nothing is in order.
-    assert_eq!(roof.run(1, |tally| (tally.data, tally.lost) = (tally.data + 100, tally.lost + 300)), []);
+    assert_eq!(
+        roof.run(1, |tally| (tally.data, tally.lost) =
+            (tally.data + 100, tally.lost + 300)),
+        []
+    );
     assert_eq!(roof.run(20, well), []);
     roof.losses.begin_anew();
-    assert_eq!(roof.run(1, |tally| (tally.data, tally.lost) = (tally.data + 100, tally.lost + 300)), []);
+    assert_eq!(
+        roof.run(1, |tally| (tally.data, tally.lost) =
+            (tally.data + 100, tally.lost + 300)),
+        []
+    );
     assert_eq!(roof.run(20, well), []);
-    assert!(roof.losses.recent().is_some_and(|recent| recent.share() == 0.0));
+    assert!(
+        roof.losses
+            .recent()
+            .is_some_and(|recent| recent.share() == 0.0)
+    );
     // Losses go on over a reload, and end with the stream.
     roof.run(10, loses_half);
     roof.losses.begin_anew();
-    assert_eq!((roof.losses.level(), roof.run(10, loses_half)), (Some(Level::Fault), vec![]));
+    assert_eq!(
+        (roof.losses.level(), roof.run(10, loses_half)),
+        (Some(Level::Fault), vec![])
+    );
     roof.losses.forget();
     assert_eq!((roof.losses.level(), roof.losses.recent()), (None, None));
     assert_eq!(roof.run(20, well), []);
@@ -112,55 +146,113 @@ fn what_comes_first_and_what_came_before_a_reload_is_no_loss() {
 #[test]
 fn some_packets_alone_are_no_share() {
     let mut roof = Watched::new();
-    assert_eq!(roof.run(20, |tally| (tally.data, tally.lost) = (tally.data + 4, tally.lost + 4)), []);
+    assert_eq!(
+        roof.run(20, |tally| (tally.data, tally.lost) =
+            (tally.data + 4, tally.lost + 4)),
+        []
+    );
 }
 
 /// What is counted in five seconds, and the words of its cause and cure.
 #[test]
 fn the_cause_follows_from_what_was_counted() {
     let data = 3000;
-    let place = |sensors| Place { address: "10.0.0.5".to_owned(), port: Some(2368), sensors };
-    let recent = |counted| Recent { span: Duration::from_secs(5), counted };
+    let place = |sensors| Place {
+        address: "10.0.0.5".to_owned(),
+        port: Some(2368),
+        sensors,
+    };
+    let recent = |counted| Recent {
+        span: Duration::from_secs(5),
+        counted,
+    };
     let cases = [
         (
-            Tally { data, lost: 750, ..Tally::default() },
+            Tally {
+                data,
+                lost: 750,
+                ..Tally::default()
+            },
             Cause::Network,
             "lost before this host, whose kernel dropped none on port 2368: look at cable",
         ),
         (
-            Tally { data, lost: 750, dropped: 100, ..Tally::default() },
+            Tally {
+                data,
+                lost: 750,
+                dropped: 100,
+                ..Tally::default()
+            },
             Cause::Network,
             "most of them: its kernel dropped only 100 datagrams on port 2368: look",
         ),
         (
-            Tally { data, lost: 750, dropped: 800, ..Tally::default() },
+            Tally {
+                data,
+                lost: 750,
+                dropped: 800,
+                ..Tally::default()
+            },
             Cause::Host,
             "this host's kernel dropped 800 datagrams",
         ),
         (
-            Tally { data, lost: 750, dropped: 9000, strangers: 40_000, ..Tally::default() },
+            Tally {
+                data,
+                lost: 750,
+                dropped: 9000,
+                strangers: 40_000,
+                ..Tally::default()
+            },
             Cause::Flood,
             "where 40000 of no configured sensor came too: find their sender with `tcpdump -ni any udp port 2368`",
         ),
         // Strangers that cost nothing are not to blame.
-        (Tally { data, lost: 750, strangers: 40_000, ..Tally::default() }, Cause::Network, "look at cable"),
         (
-            Tally { data, late: 1500, lost: 20, ..Tally::default() },
+            Tally {
+                data,
+                lost: 750,
+                strangers: 40_000,
+                ..Tally::default()
+            },
+            Cause::Network,
+            "look at cable",
+        ),
+        (
+            Tally {
+                data,
+                late: 1500,
+                lost: 20,
+                ..Tally::default()
+            },
             Cause::SecondSensor,
             "1500 behind stamps that came before, as if two heads sent from 10.0.0.5 to port 2368",
         ),
         (
-            Tally { data, other_product: 900, malformed: 7, ..Tally::default() },
+            Tally {
+                data,
+                other_product: 900,
+                malformed: 7,
+                ..Tally::default()
+            },
             Cause::SecondSensor,
             "900 with the byte of another product, 7 with azimuths of no turning head, as if",
         ),
         (
-            Tally { data, unconfirmed: 900, ..Tally::default() },
+            Tally {
+                data,
+                unconfirmed: 900,
+                ..Tally::default()
+            },
             Cause::SecondSensor,
             "900 with a stamp that no neighbour confirms, as if",
         ),
         (
-            Tally { data, refused: 900, ..Tally::default() },
+            Tally {
+                data,
+                refused: 900,
+                ..Tally::default()
+            },
             Cause::NoPackets,
             "900 datagrams from 10.0.0.5 to port 2368 are no packets of a sensor",
         ),
@@ -168,24 +260,81 @@ fn the_cause_follows_from_what_was_counted() {
     for (counted, cause, words) in cases {
         let recent = recent(counted);
         assert_eq!(recent.cause(), cause, "{counted:?}");
-        assert!(recent.sentence(&place(1)).contains(words), "{}", recent.sentence(&place(1)));
+        assert!(
+            recent.sentence(&place(1)).contains(words),
+            "{}",
+            recent.sentence(&place(1))
+        );
     }
-    let shared = recent(Tally { data, lost: 9, dropped: 9, ..Tally::default() }).sentence(&place(3));
-    assert!(shared.contains("port 2368, which 3 sensors share, since nobody fetched them"), "{shared}");
-    let unknown = Place { port: None, ..place(0) };
-    let of_consumer = recent(Tally { data, lost: 9, ..Tally::default() }).sentence(&unknown);
-    assert!(of_consumer.contains("dropped none on its port"), "{of_consumer}");
+    let shared = recent(Tally {
+        data,
+        lost: 9,
+        dropped: 9,
+        ..Tally::default()
+    })
+    .sentence(&place(3));
+    assert!(
+        shared.contains("port 2368, which 3 sensors share, since nobody fetched them"),
+        "{shared}"
+    );
+    let unknown = Place {
+        port: None,
+        ..place(0)
+    };
+    let of_consumer = recent(Tally {
+        data,
+        lost: 9,
+        ..Tally::default()
+    })
+    .sentence(&unknown);
+    assert!(
+        of_consumer.contains("dropped none on its port"),
+        "{of_consumer}"
+    );
 }
 
 #[test]
 fn a_share_counts_each_packet_once() {
-    // Of 1000 that were sent, 200 are in no sweep: 150 did not come, 50 came late and were missed before.
-    let counted = Tally { data: 850, lost: 200, late: 50, ..Tally::default() };
-    let share = Recent { span: WINDOW, counted }.share();
+    // Of 1000 that were sent, 200 are in no sweep: 150 did not come, 50 came late and were missed
+    // before.
+    let counted = Tally {
+        data: 850,
+        lost: 200,
+        late: 50,
+        ..Tally::default()
+    };
+    let share = Recent {
+        span: WINDOW,
+        counted,
+    }
+    .share();
     assert!((share - 0.2).abs() < 1e-12, "{share}");
     // 40 that came damaged are missed by the sensor's clock too: no cable is to blame.
-    let recent = Recent { span: WINDOW, counted: Tally { data: 960, lost: 40, refused: 40, ..Tally::default() } };
-    assert!((recent.share() - 0.04).abs() < 1e-12 && recent.cause() == Cause::NoPackets, "{recent:?}");
-    let counted = Tally { refused: 500, ..Tally::default() };
-    assert!((Recent { span: WINDOW, counted }.share() - 1.0).abs() < 1e-12);
+    let recent = Recent {
+        span: WINDOW,
+        counted: Tally {
+            data: 960,
+            lost: 40,
+            refused: 40,
+            ..Tally::default()
+        },
+    };
+    assert!(
+        (recent.share() - 0.04).abs() < 1e-12 && recent.cause() == Cause::NoPackets,
+        "{recent:?}"
+    );
+    let counted = Tally {
+        refused: 500,
+        ..Tally::default()
+    };
+    assert!(
+        (Recent {
+            span: WINDOW,
+            counted
+        }
+        .share()
+            - 1.0)
+            .abs()
+            < 1e-12
+    );
 }

@@ -1,4 +1,5 @@
-//! What lies behind the socket, with clocks of the test's own: that which stamps packets is set, the other never.
+//! What lies behind the socket, with clocks of the test's own: that which stamps packets is set,
+//! the other never.
 
 use std::sync::mpsc::{self, Sender};
 
@@ -51,7 +52,11 @@ impl Buffers for Shared {
     type Buffer = Open;
 
     fn take(&mut self, bytes: usize) -> Open {
-        Open { bytes: self.heap.take(bytes), sensor: self.sensor, sweeps: self.sweeps.clone() }
+        Open {
+            bytes: self.heap.take(bytes),
+            sensor: self.sensor,
+            sweeps: self.sweeps.clone(),
+        }
     }
 }
 
@@ -89,22 +94,51 @@ fn served(
     (counters, mail): (Arc<SensorCounters>, Receiver<Mail>),
     sweeps: &Sender<Sweep>,
 ) -> Served<Shared> {
-    let buffers = Shared { heap: HeapBuffers::default(), sensor: index, sweeps: sweeps.clone() };
+    let buffers = Shared {
+        heap: HeapBuffers::default(),
+        sensor: index,
+        sweeps: sweeps.clone(),
+    };
     let (name, address) = (config.name.clone(), config.address.to_string());
-    let identity = Identity { index, name, address, counters, events: mpsc::channel().0 };
+    let identity = Identity {
+        index,
+        name,
+        address,
+        counters,
+        events: mpsc::channel().0,
+    };
     let sensor = Sensor::new(identity, config.pipeline.clone(), buffers).unwrap();
     let orders = mpsc::channel().1;
-    Served { sensor, mail, orders, tap: None, newest: Newest::default() }
+    Served {
+        sensor,
+        mail,
+        orders,
+        tap: None,
+        newest: Newest::default(),
+    }
 }
 
 /// A port with two sensors, at 127.0.0.1 and 127.0.0.2.
 fn room(sweeps: &Sender<Sweep>) -> Room<Shared> {
     let configs = [1, 2].map(|host| sensor(&format!("s{host}"), &format!("127.0.0.{host}"), 2368));
-    let sensors = (0..2).map(|index| served(index, &configs[index], (Arc::default(), mpsc::channel().1), sweeps));
+    let sensors = (0..2).map(|index| {
+        served(
+            index,
+            &configs[index],
+            (Arc::default(), mpsc::channel().1),
+            sweeps,
+        )
+    });
     let sensors = sensors.collect();
     let config = config_of(configs.to_vec());
     let door = Door::new(&config, &plan::ports(&config)[0]);
-    Room { door, sensors, others: Vec::new(), lane: None, counters: Arc::default() }
+    Room {
+        door,
+        sensors,
+        others: Vec::new(),
+        lane: None,
+        counters: Arc::default(),
+    }
 }
 
 /// What both sensors send, in the order in which it arrives.
@@ -113,15 +147,19 @@ fn sent() -> Vec<(usize, SimulatedDatagram)> {
     let of = |index: usize| {
         let mut config = EmitterConfig::new(Model::Vlp16, ReturnMode::Strongest).turns(TURNS);
         config.encoder.start_deg = 170.0 * index as f64;
-        Emitter::new(config, &scene).untold().map(move |one| (index, one)).collect::<Vec<_>>()
+        Emitter::new(config, &scene)
+            .untold()
+            .map(move |one| (index, one))
+            .collect::<Vec<_>>()
     };
     let mut sent = [of(0), of(1)].concat();
     sent.sort_by_key(|(index, one)| (one.arrival_ns, *index));
     sent
 }
 
-/// The sweeps of both, each with the time that passed until it came out, when the clock that stamps packets is off by so
-/// much after so much time. Each packet is a batch, and a second of silence follows.
+/// The sweeps of both, each with the time that passed until it came out, when the clock that stamps
+/// packets is off by so much after so much time. Each packet is a batch, and a second of silence
+/// follows.
 fn run(sent: &[(usize, SimulatedDatagram)], off_ns: impl Fn(i64) -> i64) -> Vec<(i64, Sweep)> {
     let (told, sweeps) = mpsc::channel();
     let mut room = room(&told);
@@ -137,7 +175,15 @@ fn run(sent: &[(usize, SimulatedDatagram)], off_ns: impl Fn(i64) -> i64) -> Vec<
         let source = format!("127.0.0.{}:2368", index + 1).parse().unwrap();
         let destination = "127.0.0.1:2368".parse().unwrap();
         let arrival_ns = one.arrival_ns + off_ns(after_ns);
-        room.take(&Addressed { arrival_ns, source, destination, payload: &one.payload }, 0);
+        room.take(
+            &Addressed {
+                arrival_ns,
+                source,
+                destination,
+                payload: &one.payload,
+            },
+            0,
+        );
         catch_up(&mut room, after_ns);
     }
     (1..=200).for_each(|tick| catch_up(&mut room, after_ns + tick * 5_000_000));
@@ -150,13 +196,35 @@ fn a_clock_that_is_set_closes_no_sweep_and_holds_none() {
     let sent = sent();
     let expected = run(&sent, |_| 0);
     // The first and the last of each are partial.
-    assert_eq!(expected.iter().filter(|(_, sweep)| sweep.is_partial).count(), 4);
+    assert_eq!(
+        expected
+            .iter()
+            .filter(|(_, sweep)| sweep.is_partial)
+            .count(),
+        4
+    );
     assert!(expected.len() > 16, "{}", expected.len());
-    for by_ns in [HOUR_NS, -HOUR_NS, 2 * SECOND_NS, -2 * SECOND_NS, SECOND_NS / 5, -SECOND_NS / 5] {
+    for by_ns in [
+        HOUR_NS,
+        -HOUR_NS,
+        2 * SECOND_NS,
+        -2 * SECOND_NS,
+        SECOND_NS / 5,
+        -SECOND_NS / 5,
+    ] {
         let once = run(&sent, |after_ns| if after_ns < SET_NS { 0 } else { by_ns });
-        assert!(once == expected, "set once by {by_ns} ns: {} sweeps, expected {}", once.len(), expected.len());
+        assert!(
+            once == expected,
+            "set once by {by_ns} ns: {} sweeps, expected {}",
+            once.len(),
+            expected.len()
+        );
         let to_and_fro = run(&sent, |after_ns| by_ns * (after_ns / 7_000_000 % 2));
-        assert!(to_and_fro == expected, "set to and fro by {by_ns} ns: {} sweeps", to_and_fro.len());
+        assert!(
+            to_and_fro == expected,
+            "set to and fro by {by_ns} ns: {} sweeps",
+            to_and_fro.len()
+        );
     }
 }
 
@@ -167,15 +235,25 @@ fn silence_is_told_whatever_the_clock_says_meanwhile() {
     let first_ns = all[0].1.arrival_ns;
     for more_ns in [0, 10_000_000] {
         let silent_ns = SET_NS + more_ns;
-        let is_sent = |(index, one): &&(usize, SimulatedDatagram)| *index == 0 || one.arrival_ns - first_ns < silent_ns;
+        let is_sent = |(index, one): &&(usize, SimulatedDatagram)| {
+            *index == 0 || one.arrival_ns - first_ns < silent_ns
+        };
         let sent: Vec<_> = all.iter().filter(is_sent).cloned().collect();
         for by_ns in [0, HOUR_NS, -HOUR_NS, -2 * SECOND_NS] {
             let came = run(&sent, |after_ns| if after_ns < SET_NS { 0 } else { by_ns });
             let (at_ns, last) = came.iter().rfind(|(_, sweep)| sweep.sensor == 1).unwrap();
             let waited_ms = (at_ns - silent_ns) / 1_000_000;
             assert!(last.is_partial, "set by {by_ns} ns");
-            assert!((495..515).contains(&waited_ms), "set by {by_ns} ns: closed after {waited_ms} ms");
-            assert_eq!(came.iter().filter(|(_, sweep)| sweep.sensor == 1 && sweep.is_partial).count(), 2);
+            assert!(
+                (495..515).contains(&waited_ms),
+                "set by {by_ns} ns: closed after {waited_ms} ms"
+            );
+            assert_eq!(
+                came.iter()
+                    .filter(|(_, sweep)| sweep.sensor == 1 && sweep.is_partial)
+                    .count(),
+                2
+            );
         }
     }
 }
@@ -199,16 +277,34 @@ fn the_time_of_a_silent_sensor_goes_on_from_its_own_newest_packet() {
 
 #[test]
 fn of_position_packets_that_waited_all_are_counted_and_the_newest_counts() {
-    let ((sender, mail), counters) = (mpsc::sync_channel(MAILS), Arc::new(SensorCounters::default()));
+    let ((sender, mail), counters) = (
+        mpsc::sync_channel(MAILS),
+        Arc::new(SensorCounters::default()),
+    );
     let config = sensor("s", "127.0.0.1", 2368);
     let mut served = served(0, &config, (counters.clone(), mail), &mpsc::channel().0);
     let source = "127.0.0.1:8308".parse().unwrap();
     let put = |pps| {
-        let position = Position { stamp_us: 0, pps, nmea: None, inertial: None, board: None, thermal: None };
-        let datagram = Datagram { arrival_ns: 0, source, destination_port: 8308, payload: &position.emit() };
+        let position = Position {
+            stamp_us: 0,
+            pps,
+            nmea: None,
+            inertial: None,
+            board: None,
+            thermal: None,
+        };
+        let datagram = Datagram {
+            arrival_ns: 0,
+            source,
+            destination_port: 8308,
+            payload: &position.emit(),
+        };
         sender.try_send(Mail::of(&datagram).unwrap()).unwrap();
     };
-    let batches = [(&[Pps::Locked][..], Gps::Incomplete), (&[Pps::Locked, Pps::Locked, Pps::Absent], Gps::Absent)];
+    let batches = [
+        (&[Pps::Locked][..], Gps::Incomplete),
+        (&[Pps::Locked, Pps::Locked, Pps::Absent], Gps::Absent),
+    ];
     for (waited, expected) in batches {
         waited.iter().for_each(|&pps| put(pps));
         served.catch_up(Instant::now(), 0);

@@ -26,7 +26,8 @@ pub struct TapStream {
 }
 
 impl TapStream {
-    /// Asks the daemon that listens at `path` for the datagrams of a sensor. Those that it receives from now on will come.
+    /// Asks the daemon that listens at `path` for the datagrams of a sensor. Those that it receives
+    /// from now on will come.
     ///
     /// # Errors
     /// [`TapError`]: no daemon, one of another user or release, no such sensor.
@@ -42,34 +43,56 @@ impl TapStream {
         // A daemon that refuses may have hung up before; its answer says more than this error.
         let _ = stream.write_all(&wire::hello(sensor));
         let answer = Answer::read(&mut stream).map_err(gone)?;
-        let answer = answer.map_err(|error| TapError::Format { path: path.to_owned(), what: error.to_string() })?;
+        let answer = answer.map_err(|error| TapError::Format {
+            path: path.to_owned(),
+            what: error.to_string(),
+        })?;
         match answer.status {
             Status::Granted if answer.version == VERSION => {}
             Status::Granted | Status::OtherVersion => {
-                return Err(TapError::Version { daemon: answer.version, own: VERSION });
+                return Err(TapError::Version {
+                    daemon: answer.version,
+                    own: VERSION,
+                });
             }
             Status::UnknownSensor => {
-                let names = Some(answer.text).filter(|names| !names.is_empty()).unwrap_or("none".to_owned());
-                return Err(TapError::UnknownSensor { name: sensor.to_owned(), names });
+                let names = Some(answer.text)
+                    .filter(|names| !names.is_empty())
+                    .unwrap_or("none".to_owned());
+                return Err(TapError::UnknownSensor {
+                    name: sensor.to_owned(),
+                    names,
+                });
             }
             Status::Busy => return Err(TapError::Busy),
             Status::OtherUser => return Err(other_user(path, answer.text)),
         }
-        Ok(Self { path: path.to_owned(), stream, frames: Frames::new(), lost: None })
+        Ok(Self {
+            path: path.to_owned(),
+            stream,
+            frames: Frames::new(),
+            lost: None,
+        })
     }
 
-    /// Waits for datagrams, at most `timeout` (at least a millisecond), and hands `each` of those that are there on,
-    /// those of one port in order. Gives how many there were; none after the timeout, after a signal, and after
-    /// [the end](Self::lost).
+    /// Waits for datagrams, at most `timeout` (at least a millisecond), and hands `each` of those
+    /// that are there on, those of one port in order. Gives how many there were; none after the
+    /// timeout, after a signal, and after [the end](Self::lost).
     ///
     /// # Errors
     /// [`TapError::Gone`] and [`TapError::Format`]; what came before has been handed on.
-    pub fn receive(&mut self, timeout: Duration, mut each: impl FnMut(&Addressed<'_>)) -> Result<u64, TapError> {
+    pub fn receive(
+        &mut self,
+        timeout: Duration,
+        mut each: impl FnMut(&Addressed<'_>),
+    ) -> Result<u64, TapError> {
         if self.lost.is_some() {
             return Ok(0);
         }
         let gone = |source| gone(&self.path, source);
-        self.stream.set_read_timeout(Some(timeout.max(Duration::from_millis(1)))).map_err(gone)?;
+        self.stream
+            .set_read_timeout(Some(timeout.max(Duration::from_millis(1))))
+            .map_err(gone)?;
         match self.frames.read(&mut self.stream) {
             Ok(0) => return Err(gone(io::ErrorKind::UnexpectedEof.into())),
             Ok(_) => {}
@@ -88,12 +111,18 @@ impl TapStream {
                     return Ok(count);
                 }
                 Ok(None) => return Ok(count),
-                Err(error) => return Err(TapError::Format { path: self.path.clone(), what: error.to_string() }),
+                Err(error) => {
+                    return Err(TapError::Format {
+                        path: self.path.clone(),
+                        what: error.to_string(),
+                    });
+                }
             }
         }
     }
 
-    /// Asks for the end: what the daemon has received before will still come, and then [the end](Self::lost).
+    /// Asks for the end: what the daemon has received before will still come, and then [the
+    /// end](Self::lost).
     pub fn stop(&self) {
         // Who is gone need not be asked, and `receive` tells.
         let _ = self.stream.shutdown(Shutdown::Write);
@@ -104,7 +133,8 @@ impl TapStream {
         gone(&self.path, io::ErrorKind::TimedOut.into())
     }
 
-    /// How many datagrams found no room on the way, once the end has come: asked for, or because the daemon ends.
+    /// How many datagrams found no room on the way, once the end has come: asked for, or because
+    /// the daemon ends.
     pub fn lost(&self) -> Option<u64> {
         self.lost
     }
@@ -112,26 +142,46 @@ impl TapStream {
 
 /// A daemon that hung up, or that says nothing for too long.
 fn gone(path: &Path, source: io::Error) -> TapError {
-    let source = if is_nothing(&source) { io::ErrorKind::TimedOut.into() } else { source };
-    TapError::Gone { path: path.to_owned(), source }
+    let source = if is_nothing(&source) {
+        io::ErrorKind::TimedOut.into()
+    } else {
+        source
+    };
+    TapError::Gone {
+        path: path.to_owned(),
+        source,
+    }
 }
 
 fn is_nothing(error: &io::Error) -> bool {
-    matches!(error.kind(), io::ErrorKind::WouldBlock | io::ErrorKind::TimedOut | io::ErrorKind::Interrupted)
+    matches!(
+        error.kind(),
+        io::ErrorKind::WouldBlock | io::ErrorKind::TimedOut | io::ErrorKind::Interrupted
+    )
 }
 
 /// Why nobody answers: no daemon, or one of another user, who alone may open its socket.
 fn unreachable(path: &Path, source: io::Error) -> TapError {
     // Of a folder that is closed to this user, its owner.
-    let owner = path.ancestors().find_map(|path| path.metadata().ok()).map(|found| found.uid());
+    let owner = path
+        .ancestors()
+        .find_map(|path| path.metadata().ok())
+        .map(|found| found.uid());
     match owner {
         Some(owner) if source.kind() == io::ErrorKind::PermissionDenied && owner != own_uid() => {
             other_user(path, user_name(owner))
         }
-        _ => TapError::NoDaemon { path: path.to_owned(), source },
+        _ => TapError::NoDaemon {
+            path: path.to_owned(),
+            source,
+        },
     }
 }
 
 fn other_user(path: &Path, daemon: String) -> TapError {
-    TapError::OtherUser { path: path.to_owned(), daemon, own: user_name(own_uid()) }
+    TapError::OtherUser {
+        path: path.to_owned(),
+        daemon,
+        own: user_name(own_uid()),
+    }
 }

@@ -21,7 +21,9 @@ pub enum TapError {
         source: io::Error,
     },
     /// The system gives no thread.
-    #[error("cannot start the thread of the taps: {source}; the limit of threads is reached (ulimit -u, TasksMax=)")]
+    #[error(
+        "cannot start the thread of the taps: {source}; the limit of threads is reached (ulimit -u, TasksMax=)"
+    )]
     Thread {
         /// What the system says.
         source: io::Error,
@@ -64,7 +66,9 @@ pub enum TapError {
     #[error("the daemon has as many recordings under way as it allows; stop one")]
     Busy,
     /// The daemon is of another release.
-    #[error("the daemon speaks version {daemon} and this program version {own}: use the same release of sweepd")]
+    #[error(
+        "the daemon speaks version {daemon} and this program version {own}: use the same release of sweepd"
+    )]
     Version {
         /// Of the daemon.
         daemon: u16,

@@ -1,4 +1,5 @@
-//! The thread of the taps: it accepts clients and carries datagrams from the rings to them, without waiting for any.
+//! The thread of the taps: it accepts clients and carries datagrams from the rings to them, without
+//! waiting for any.
 
 use std::collections::VecDeque;
 use std::fs;
@@ -22,8 +23,8 @@ const BUSY_PERIOD: Duration = Duration::from_millis(1);
 const PERIOD: Duration = Duration::from_millis(10);
 /// After so long it tries again to let in who could not be.
 const NEXT_TRY: Duration = Duration::from_secs(1);
-/// For how long a client may keep silent before it has said what it wants, and may take nothing although there is
-/// something for it.
+/// For how long a client may keep silent before it has said what it wants, and may take nothing
+/// although there is something for it.
 const GREETING_TIME: Duration = Duration::from_secs(2);
 const STUCK_TIME: Duration = Duration::from_secs(30);
 /// How long clients are waited for at the end of the daemon, which itself must end soon.
@@ -42,11 +43,20 @@ pub(super) struct Socket {
 impl Socket {
     pub(super) fn listen(path: &Path) -> Result<Self, TapError> {
         if UnixStream::connect(path).is_ok() {
-            return Err(TapError::Taken { path: path.to_owned() });
+            return Err(TapError::Taken {
+                path: path.to_owned(),
+            });
         }
-        let failed = |source| TapError::Listen { path: path.to_owned(), source };
+        let failed = |source| TapError::Listen {
+            path: path.to_owned(),
+            source,
+        };
         let (listener, inode) = bind(path).map_err(failed)?;
-        Ok(Self { path: path.to_owned(), listener, inode })
+        Ok(Self {
+            path: path.to_owned(),
+            listener,
+            inode,
+        })
     }
 
     /// Listens again if the socket was deleted.
@@ -63,22 +73,33 @@ impl Socket {
 impl Drop for Socket {
     fn drop(&mut self) {
         // Another daemon may have put its own there.
-        if self.path.symlink_metadata().is_ok_and(|found| found.ino() == self.inode) {
+        if self
+            .path
+            .symlink_metadata()
+            .is_ok_and(|found| found.ino() == self.inode)
+        {
             let _ = fs::remove_file(&self.path);
         }
     }
 }
 
-/// Listens, on a socket that only this user may open from the first moment on: it gets its name when it is ready, and
-/// replaces one that was left behind.
+/// Listens, on a socket that only this user may open from the first moment on: it gets its name
+/// when it is ready, and replaces one that was left behind.
 fn bind(path: &Path) -> io::Result<(UnixListener, u64)> {
-    if path.symlink_metadata().is_ok_and(|found| !found.file_type().is_socket()) {
-        return Err(io::Error::new(io::ErrorKind::AlreadyExists, "something else is there"));
+    if path
+        .symlink_metadata()
+        .is_ok_and(|found| !found.file_type().is_socket())
+    {
+        return Err(io::Error::new(
+            io::ErrorKind::AlreadyExists,
+            "something else is there",
+        ));
     }
     let unready = path.with_extension(std::process::id().to_string());
     let _ = fs::remove_file(&unready);
     let listener = UnixListener::bind(&unready)?;
-    match prepare(&listener, &unready).and_then(|inode| fs::rename(&unready, path).map(|()| inode)) {
+    match prepare(&listener, &unready).and_then(|inode| fs::rename(&unready, path).map(|()| inode))
+    {
         Ok(inode) => Ok((listener, inode)),
         Err(error) => {
             let _ = fs::remove_file(&unready);
@@ -96,7 +117,8 @@ fn prepare(listener: &UnixListener, path: &Path) -> io::Result<u64> {
 /// All that the thread has.
 pub(super) struct Server {
     shared: Arc<Shared>,
-    /// Its other end rings when the socket is to be looked after, and is dropped when the thread is to end.
+    /// Its other end rings when the socket is to be looked after, and is dropped when the thread is
+    /// to end.
     bell: UnixStream,
     socket: Socket,
     sensors: Vec<Tapped>,
@@ -105,7 +127,13 @@ pub(super) struct Server {
 
 impl Server {
     pub(super) fn new(shared: Arc<Shared>, bell: UnixStream, socket: Socket) -> Self {
-        Self { shared, bell, socket, sensors: Vec::new(), clients: Vec::new() }
+        Self {
+            shared,
+            bell,
+            socket,
+            sensors: Vec::new(),
+            clients: Vec::new(),
+        }
     }
 
     pub(super) fn run(mut self) {
@@ -117,8 +145,13 @@ impl Server {
             self.round();
             match accepted {
                 Ok(()) => wait_for_either(&self.bell, &self.socket.listener, self.period()),
-                // Who could not be accepted (no file is left) still knocks: the bell alone, else this would never rest.
-                Err(_) => wait_for_either(&self.bell, &self.bell, self.period().clamp(PERIOD, NEXT_TRY)),
+                // Who could not be accepted (no file is left) still knocks: the bell alone, else
+                // this would never rest.
+                Err(_) => wait_for_either(
+                    &self.bell,
+                    &self.bell,
+                    self.period().clamp(PERIOD, NEXT_TRY),
+                ),
             }
         }
         self.clients.iter_mut().for_each(Client::end);
@@ -137,7 +170,13 @@ impl Server {
     fn period(&self) -> Duration {
         match &self.clients[..] {
             // The last one has gone: the valves are to be shut.
-            [] if self.sensors.iter().any(|sensor| sensor.valve.is_open.load(Ordering::Relaxed)) => PERIOD,
+            [] if self
+                .sensors
+                .iter()
+                .any(|sensor| sensor.valve.is_open.load(Ordering::Relaxed)) =>
+            {
+                PERIOD
+            }
             // Who knocks or rings wakes it.
             [] => Duration::MAX,
             // A stuck one among them is no reason to hurry.
@@ -148,7 +187,8 @@ impl Server {
 
     /// Lets in who knocks.
     fn accept(&mut self) -> io::Result<()> {
-        // No more than a few a round: who connects again and again must not keep it from the others.
+        // No more than a few a round: who connects again and again must not keep it from the
+        // others.
         for _ in 0..MAX_CLIENTS {
             let stream = match self.socket.listener.accept() {
                 Ok((stream, _)) => stream,
@@ -165,7 +205,9 @@ impl Server {
                 continue;
             };
             // An answer fits into any socket's buffer; who does not read it is not missed.
-            let _ = stream.set_nonblocking(true).and_then(|()| (&stream).write_all(&refusal.bytes()));
+            let _ = stream
+                .set_nonblocking(true)
+                .and_then(|()| (&stream).write_all(&refusal.bytes()));
         }
         Ok(())
     }
@@ -175,7 +217,9 @@ impl Server {
         self.sensors.extend(self.shared.new_sensors().drain(..));
         // What was before a client came is not for it, and what was before it went is.
         self.carry();
-        self.clients.iter_mut().for_each(|client| client.hear(&self.sensors));
+        self.clients
+            .iter_mut()
+            .for_each(|client| client.hear(&self.sensors));
         // Before a client is told that it will get them.
         for sensor in &self.sensors {
             let is_wanted = self.clients.iter().any(|client| client.wants(&sensor.name));
@@ -183,7 +227,8 @@ impl Server {
         }
         self.carry();
         self.clients.iter_mut().for_each(Client::send);
-        self.clients.retain(|client| !matches!(client.stage, Stage::Gone));
+        self.clients
+            .retain(|client| !matches!(client.stage, Stage::Gone));
     }
 
     fn carry(&mut self) {
@@ -192,14 +237,19 @@ impl Server {
     }
 }
 
-/// Carries all that is there in the order of arrival: the packets of one sensor may come through several threads. A
-/// thread that naps may put in earlier ones later: by less than a nap, they are then out of order (by a quarter of a second at
-/// most, of position packets when a client has just come; else by a tenth). Those of one port keep their order.
+/// Carries all that is there in the order of arrival: the packets of one sensor may come through
+/// several threads. A thread that naps may put in earlier ones later: by less than a nap, they are
+/// then out of order (by a quarter of a second at most, of position packets when a client has just
+/// come; else by a tenth). Those of one port keep their order.
 fn carry(sensors: &mut [Tapped], clients: &mut [Client]) {
     sensors.iter_mut().for_each(|sensor| sensor.look(clients));
     loop {
-        let next = sensors.iter_mut().filter_map(|sensor| Some((sensor.next_ns()?, sensor)));
-        let Some((_, earliest)) = next.min_by_key(|(next_ns, _)| *next_ns) else { return };
+        let next = sensors
+            .iter_mut()
+            .filter_map(|sensor| Some((sensor.next_ns()?, sensor)));
+        let Some((_, earliest)) = next.min_by_key(|(next_ns, _)| *next_ns) else {
+            return;
+        };
         earliest.carry_next(clients);
     }
 }
@@ -221,9 +271,14 @@ impl Tapped {
     }
 
     fn carry_next(&mut self, clients: &mut [Client]) {
-        let Self { name, outlet, end, .. } = self;
+        let Self {
+            name, outlet, end, ..
+        } = self;
         if let Some(datagram) = outlet.take(*end) {
-            clients.iter_mut().filter(|client| client.wants(name)).for_each(|client| client.put(&datagram));
+            clients
+                .iter_mut()
+                .filter(|client| client.wants(name))
+                .for_each(|client| client.put(&datagram));
         }
     }
 
@@ -264,7 +319,13 @@ impl Client {
     fn new(stream: UnixStream) -> Option<Self> {
         stream.set_nonblocking(true).ok()?;
         let (stage, waiting) = (Stage::Greeting(Vec::new()), VecDeque::new());
-        Some(Self { stream, stage, waiting, lost: 0, moved: Instant::now() })
+        Some(Self {
+            stream,
+            stage,
+            waiting,
+            lost: 0,
+            moved: Instant::now(),
+        })
     }
 
     fn wants(&self, sensor: &str) -> bool {
@@ -281,7 +342,9 @@ impl Client {
             Err(_) => return self.stage = Stage::Gone,
         };
         match (&mut self.stage, count) {
-            (Stage::Greeting(_), None) if self.moved.elapsed() > GREETING_TIME => self.stage = Stage::Gone,
+            (Stage::Greeting(_), None) if self.moved.elapsed() > GREETING_TIME => {
+                self.stage = Stage::Gone
+            }
             (Stage::Greeting(said), Some(count)) if count > 0 => {
                 said.extend(&bytes[..count]);
                 let said = Hello::parse(said);
@@ -307,7 +370,10 @@ impl Client {
                 let mut names: Vec<&str> = sensors.iter().map(|sensor| &sensor.name[..]).collect();
                 names.sort_unstable();
                 names.dedup();
-                (Answer::new(Status::UnknownSensor, &names.join(", ")), Stage::Leaving)
+                (
+                    Answer::new(Status::UnknownSensor, &names.join(", ")),
+                    Stage::Leaving,
+                )
             }
         };
         self.waiting.extend(answer.bytes());
@@ -361,21 +427,26 @@ impl Client {
             }
         }
         if self.waiting.is_empty() {
-            // From the beginning again: else it would go through all of its memory in time, which the system gives when it
-            // is first used, though little waits.
+            // From the beginning again: else it would go through all of its memory in time, which
+            // the system gives when it is first used, though little waits.
             self.waiting.clear();
         }
         match self.stage {
             Stage::Leaving if self.waiting.is_empty() => self.stage = Stage::Gone,
             Stage::Streaming(_) if self.waiting.is_empty() => self.moved = Instant::now(),
-            Stage::Streaming(_) | Stage::Leaving if self.moved.elapsed() > STUCK_TIME => self.stage = Stage::Gone,
+            Stage::Streaming(_) | Stage::Leaving if self.moved.elapsed() > STUCK_TIME => {
+                self.stage = Stage::Gone
+            }
             _ => {}
         }
     }
 }
 
 fn is_later(error: &io::Error) -> bool {
-    matches!(error.kind(), io::ErrorKind::WouldBlock | io::ErrorKind::Interrupted)
+    matches!(
+        error.kind(),
+        io::ErrorKind::WouldBlock | io::ErrorKind::Interrupted
+    )
 }
 
 #[cfg(test)]

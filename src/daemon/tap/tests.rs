@@ -33,7 +33,12 @@ impl Drop for Root {
 
 fn addressed(arrival_ns: i64, payload: &[u8]) -> Addressed<'_> {
     let end = |text: &str| text.parse::<SocketAddrV4>().unwrap();
-    Addressed { arrival_ns, source: end("192.168.1.201:2368"), destination: end("239.1.2.3:2369"), payload }
+    Addressed {
+        arrival_ns,
+        source: end("192.168.1.201:2368"),
+        destination: end("239.1.2.3:2369"),
+        payload,
+    }
 }
 
 /// Arrivals and payloads up to the end, and how many got lost.
@@ -60,7 +65,11 @@ fn clients_get_what_they_asked_for_from_the_moment_that_they_did() {
     let root = Root::new("asked");
     let taps = Taps::listen(&root.socket()).unwrap();
     // Two threads may receive the packets of one sensor.
-    let (mut roof, mut roof_position, mut rear) = (taps.sensor("roof"), taps.sensor("roof"), taps.sensor("rear"));
+    let (mut roof, mut roof_position, mut rear) = (
+        taps.sensor("roof"),
+        taps.sensor("roof"),
+        taps.sensor("rear"),
+    );
     roof.put(&addressed(1, b"nobody listens"));
     let clients = [
         TapStream::connect(&root.socket(), "roof").unwrap(),
@@ -79,7 +88,9 @@ fn clients_get_what_they_asked_for_from_the_moment_that_they_did() {
     first.stop();
     let (mut all, lost) = drain(first);
     all.sort();
-    let expected = (0..500).map(|number| (number, vec![1; 1206])).chain([(1000, vec![3; 512])]);
+    let expected = (0..500)
+        .map(|number| (number, vec![1; 1206]))
+        .chain([(1000, vec![3; 512])]);
     assert!(all.into_iter().eq(expected.clone()) && lost == 0);
     // The end of the daemon is told as well.
     let [second, third] = [second, third].map(|client| std::thread::spawn(move || drain(client)));
@@ -87,7 +98,14 @@ fn clients_get_what_they_asked_for_from_the_moment_that_they_did() {
     let (mut all, lost) = second.join().unwrap();
     all.sort();
     assert!(all.into_iter().eq(expected) && lost == 0);
-    assert!(third.join().unwrap().0.into_iter().eq((0..500).map(|number| (number, vec![2; 1206]))));
+    assert!(
+        third
+            .join()
+            .unwrap()
+            .0
+            .into_iter()
+            .eq((0..500).map(|number| (number, vec![2; 1206])))
+    );
     assert!(!root.socket().exists());
     // Nobody is left to close it; it takes no harm.
     roof.put(&addressed(1, b"x"));
@@ -133,7 +151,11 @@ fn clients_that_break_the_rules_are_parted_from_and_others_are_served() {
     for round in 0..100 {
         let mut bad = UnixStream::connect(root.socket()).unwrap();
         bad.set_read_timeout(Some(Duration::from_secs(10))).unwrap();
-        let mut bytes = if round % 2 == 0 { hello("roof") } else { Vec::new() };
+        let mut bytes = if round % 2 == 0 {
+            hello("roof")
+        } else {
+            Vec::new()
+        };
         bytes.extend((0..rng.usize(1..2000)).map(|_| rng.u8(..)));
         // It may have hung up before all is said.
         let _ = bad.write_all(&bytes);
@@ -143,7 +165,10 @@ fn clients_that_break_the_rules_are_parted_from_and_others_are_served() {
     }
     // Who is gone without a word, before and after the hello.
     for half in [&hello("roof")[..7], &hello("roof")] {
-        UnixStream::connect(root.socket()).unwrap().write_all(half).unwrap();
+        UnixStream::connect(root.socket())
+            .unwrap()
+            .write_all(half)
+            .unwrap();
     }
     good.stop();
     let (taken, lost) = drain(good);
@@ -155,7 +180,9 @@ fn there_are_as_many_clients_as_there_may_be_and_the_silent_are_not_waited_for()
     let root = Root::new("many");
     let taps = Taps::listen(&root.socket()).unwrap();
     let _roof = taps.sensor("roof");
-    let silent: Vec<_> = (0..MAX_CLIENTS).map(|_| UnixStream::connect(root.socket()).unwrap()).collect();
+    let silent: Vec<_> = (0..MAX_CLIENTS)
+        .map(|_| UnixStream::connect(root.socket()).unwrap())
+        .collect();
     assert!(matches!(error(&root, "roof"), TapError::Busy));
     let begun = Instant::now();
     let found = loop {
@@ -174,11 +201,22 @@ fn there_are_as_many_clients_as_there_may_be_and_the_silent_are_not_waited_for()
 fn who_cannot_be_served_is_told_why() {
     let root = Root::new("why");
     let none = error(&root, "roof");
-    assert!(matches!(none, TapError::NoDaemon { .. }) && none.to_string().contains("--root"), "{none}");
+    assert!(
+        matches!(none, TapError::NoDaemon { .. }) && none.to_string().contains("--root"),
+        "{none}"
+    );
     let taps = Taps::listen(&root.socket()).unwrap();
-    assert!(error(&root, "roof").to_string().contains("no sensor roof; it has none"));
+    assert!(
+        error(&root, "roof")
+            .to_string()
+            .contains("no sensor roof; it has none")
+    );
     let _sensors = ["roof", "rear", "roof"].map(|name| taps.sensor(name));
-    assert!(error(&root, "front").to_string().contains("no sensor front; it has rear, roof"));
+    assert!(
+        error(&root, "front")
+            .to_string()
+            .contains("no sensor front; it has rear, roof")
+    );
     let mut newer = hello("roof");
     newer[8] = 9;
     let mut client = UnixStream::connect(root.socket()).unwrap();
@@ -194,15 +232,33 @@ fn a_daemon_that_is_none_is_an_error_and_no_panic() {
     let frame = |kind: u16, len: u16| [kind.to_le_bytes(), len.to_le_bytes()].concat();
     let granted = Answer::new(Status::Granted, "").bytes();
     for (said, expected) in [
-        (b"HTTP/1.1 400 Bad Request\r\n".to_vec(), "is no sweepd daemon"),
+        (
+            b"HTTP/1.1 400 Bad Request\r\n".to_vec(),
+            "is no sweepd daemon",
+        ),
         (granted[..5].to_vec(), "does not answer"),
         (Vec::new(), "does not answer"),
         (granted.clone(), "does not answer"),
-        ([&granted[..], &frame(7, 0), &[0; 20]].concat(), "something of kind 7"),
-        ([&granted[..], &frame(2, 9), &[0; 29]].concat(), "an end of 9 bytes"),
-        ([&granted[..], &frame(1, 65_535), &[0; 20]].concat(), "a datagram of 65535 bytes"),
-        ([&granted[..], &frame(1, 4), &[0xFF; 24]].concat(), "an arrival at -1 ns"),
-        ([&granted[..], &frame(1, 1000), &[0; 500]].concat(), "does not answer"),
+        (
+            [&granted[..], &frame(7, 0), &[0; 20]].concat(),
+            "something of kind 7",
+        ),
+        (
+            [&granted[..], &frame(2, 9), &[0; 29]].concat(),
+            "an end of 9 bytes",
+        ),
+        (
+            [&granted[..], &frame(1, 65_535), &[0; 20]].concat(),
+            "a datagram of 65535 bytes",
+        ),
+        (
+            [&granted[..], &frame(1, 4), &[0xFF; 24]].concat(),
+            "an arrival at -1 ns",
+        ),
+        (
+            [&granted[..], &frame(1, 1000), &[0; 500]].concat(),
+            "does not answer",
+        ),
     ] {
         let path = root.socket();
         let client = std::thread::spawn(move || {
@@ -213,7 +269,9 @@ fn a_daemon_that_is_none_is_an_error_and_no_panic() {
             Ok::<_, TapError>(())
         });
         let (mut stream, _) = listener.accept().unwrap();
-        stream.read_exact(&mut vec![0; hello("roof").len()]).unwrap();
+        stream
+            .read_exact(&mut vec![0; hello("roof").len()])
+            .unwrap();
         stream.write_all(&said).unwrap();
         drop(stream);
         let error = client.join().unwrap().unwrap_err().to_string();
@@ -226,8 +284,14 @@ fn the_socket_is_its_users_alone_and_replaces_one_that_was_left() {
     let root = Root::new("own");
     drop(std::os::unix::net::UnixListener::bind(root.socket()).unwrap());
     let taps = Taps::listen(&root.socket()).unwrap();
-    assert_eq!(root.socket().metadata().unwrap().permissions().mode() & 0o777, 0o600);
-    assert!(matches!(Taps::listen(&root.socket()), Err(TapError::Taken { .. })));
+    assert_eq!(
+        root.socket().metadata().unwrap().permissions().mode() & 0o777,
+        0o600
+    );
+    assert!(matches!(
+        Taps::listen(&root.socket()),
+        Err(TapError::Taken { .. })
+    ));
     // All files of the folder deleted, the folder too.
     std::fs::remove_dir_all(&root.0).unwrap();
     // More often than bells are kept.
@@ -250,7 +314,9 @@ fn the_socket_is_its_users_alone_and_replaces_one_that_was_left() {
     let refused = Taps::listen(&root.socket()).unwrap_err().to_string();
     assert!(refused.contains("something else is there"), "{refused}");
     assert_eq!(std::fs::read(root.socket()).unwrap(), b"mine");
-    let nowhere = Taps::listen(&root.0.join("none/tap.sock")).unwrap_err().to_string();
+    let nowhere = Taps::listen(&root.0.join("none/tap.sock"))
+        .unwrap_err()
+        .to_string();
     assert!(nowhere.contains("cannot listen at"), "{nowhere}");
 }
 
@@ -261,12 +327,21 @@ fn iceoryx2_does_not_mind_the_socket_in_its_folder() {
     let taps = Taps::listen(&root.socket()).unwrap();
     let _roof = taps.sensor("roof");
     let mut config = iceoryx2::config::Config::default();
-    config.global.set_root_path(&iceoryx2::prelude::Path::new(root.0.as_os_str().as_encoded_bytes()).unwrap());
-    config.global.prefix = FileName::new(format!("sweepd_tap_{}_", std::process::id()).as_bytes()).unwrap();
-    let node = NodeBuilder::new().config(&config).signal_handling_mode(SignalHandlingMode::Disabled);
+    config.global.set_root_path(
+        &iceoryx2::prelude::Path::new(root.0.as_os_str().as_encoded_bytes()).unwrap(),
+    );
+    config.global.prefix =
+        FileName::new(format!("sweepd_tap_{}_", std::process::id()).as_bytes()).unwrap();
+    let node = NodeBuilder::new()
+        .config(&config)
+        .signal_handling_mode(SignalHandlingMode::Disabled);
     let node = node.create::<ipc::Service>().unwrap();
     let name = "tap".try_into().unwrap();
-    let service = node.service_builder(&name).publish_subscribe::<u64>().open_or_create().unwrap();
+    let service = node
+        .service_builder(&name)
+        .publish_subscribe::<u64>()
+        .open_or_create()
+        .unwrap();
     let mut services = 0;
     let counted = ipc::Service::list(&config, |_| {
         services += 1;
@@ -277,7 +352,10 @@ fn iceoryx2_does_not_mind_the_socket_in_its_folder() {
     assert!(TapStream::connect(&root.socket(), "roof").is_ok());
     // The counter by which iceoryx2 numbers the nodes of this prefix.
     let prefix = config.global.prefix.to_string();
-    for entry in std::fs::read_dir(sweepd_client::publish::SHARED_MEMORY).unwrap().flatten() {
+    for entry in std::fs::read_dir(sweepd_client::publish::SHARED_MEMORY)
+        .unwrap()
+        .flatten()
+    {
         if entry.file_name().to_string_lossy().starts_with(&prefix) {
             std::fs::remove_file(entry.path()).unwrap();
         }
@@ -290,8 +368,16 @@ const NOBODY: u32 = 65_534;
 /// Runs [`in_another_process`] as another user, if this one may.
 fn as_nobody(role: &str, root: &Root) -> Option<Child> {
     let mut command = Command::new(std::env::current_exe().unwrap());
-    command.args(["--exact", "daemon::tap::tests::in_another_process", "--nocapture"]).uid(NOBODY);
-    command.env("SWEEPD_TAP_ROLE", role).env("SWEEPD_TAP_SOCKET", root.socket());
+    command
+        .args([
+            "--exact",
+            "daemon::tap::tests::in_another_process",
+            "--nocapture",
+        ])
+        .uid(NOBODY);
+    command
+        .env("SWEEPD_TAP_ROLE", role)
+        .env("SWEEPD_TAP_SOCKET", root.socket());
     match command.stdin(Stdio::piped()).stdout(Stdio::piped()).spawn() {
         Ok(child) => Some(child),
         Err(error) => {
@@ -305,7 +391,9 @@ fn as_nobody(role: &str, root: &Root) -> Option<Child> {
 /// What the tests below run as another user; in a run of all tests it has nothing to do.
 #[test]
 fn in_another_process() {
-    let Some(path) = std::env::var_os("SWEEPD_TAP_SOCKET").map(PathBuf::from) else { return };
+    let Some(path) = std::env::var_os("SWEEPD_TAP_SOCKET").map(PathBuf::from) else {
+        return;
+    };
     if std::env::var_os("SWEEPD_TAP_ROLE").unwrap() == "daemon" {
         let taps = Taps::listen(&path).unwrap();
         let _roof = taps.sensor("roof");
@@ -325,7 +413,9 @@ fn a_client_of_another_user_is_refused_even_where_it_can_open_the_socket() {
     let taps = Taps::listen(&root.socket()).unwrap();
     let roof = taps.sensor("roof");
     std::fs::set_permissions(root.socket(), std::fs::Permissions::from_mode(0o666)).unwrap();
-    let Some(client) = as_nobody("client", &root) else { return };
+    let Some(client) = as_nobody("client", &root) else {
+        return;
+    };
     let output = client.wait_with_output().unwrap();
     let text = String::from_utf8(output.stdout).unwrap();
     assert!(text.contains("status: OtherUser, text: \"root\""), "{text}");
@@ -336,13 +426,20 @@ fn a_client_of_another_user_is_refused_even_where_it_can_open_the_socket() {
 fn root_is_told_that_a_daemon_is_of_another_user() {
     let root = Root::new("foreign-daemon");
     std::fs::set_permissions(&root.0, std::fs::Permissions::from_mode(0o777)).unwrap();
-    let Some(mut daemon) = as_nobody("daemon", &root) else { return };
+    let Some(mut daemon) = as_nobody("daemon", &root) else {
+        return;
+    };
     let mut said = std::io::BufReader::new(daemon.stdout.take().unwrap()).lines();
     assert!(said.any(|line| line.unwrap().contains("ready")));
     let error = error(&root, "roof");
     assert!(matches!(error, TapError::OtherUser { .. }), "{error}");
     let error = error.to_string();
-    assert!(["user nobody", "user root", "sudo -u nobody"].iter().all(|part| error.contains(part)), "{error}");
+    assert!(
+        ["user nobody", "user root", "sudo -u nobody"]
+            .iter()
+            .all(|part| error.contains(part)),
+        "{error}"
+    );
     drop(daemon.stdin.take());
     daemon.wait().unwrap();
 }

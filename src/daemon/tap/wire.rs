@@ -8,9 +8,9 @@
 //! daemon   end       2 u16  length u16 = 8  zeroes  lost u64
 //! ```
 //!
-//! After the hello a client sends nothing; that it shuts its side down asks for the end. After the answer come datagrams
-//! and one end, which says how many found no room on the way. A connection that breaks off without it was not ended but
-//! lost.
+//! After the hello a client sends nothing; that it shuts its side down asks for the end. After the
+//! answer come datagrams and one end, which says how many found no room on the way. A connection
+//! that breaks off without it was not ended but lost.
 
 use std::io::{self, Read};
 use std::net::{Ipv4Addr, SocketAddrV4};
@@ -41,7 +41,11 @@ pub struct WireError(String);
 
 /// Refuses what it is `unless`.
 fn check(holds: bool, what: impl FnOnce() -> String) -> Result<(), WireError> {
-    if holds { Ok(()) } else { Err(WireError(what())) }
+    if holds {
+        Ok(())
+    } else {
+        Err(WireError(what()))
+    }
 }
 
 #[derive(Clone, Copy, FromBytes, IntoBytes, Immutable, KnownLayout, Unaligned)]
@@ -80,14 +84,25 @@ pub(super) const END_LEN: usize = size_of::<FrameHead>() + size_of::<U64>();
 
 /// Whether bytes may go on to begin with the magic: what cannot is refused at once.
 fn begins(bytes: &[u8]) -> bool {
-    bytes.iter().zip(MAGIC).all(|(&byte, expected)| byte == expected)
+    bytes
+        .iter()
+        .zip(MAGIC)
+        .all(|(&byte, expected)| byte == expected)
 }
 
 /// The hello of a client.
 pub(super) fn hello(sensor: &str) -> Vec<u8> {
     let len = U16::new(sensor.len().min(MAX_NAME_LEN) as u16);
-    let head = HelloHead { magic: MAGIC, version: VERSION.into(), len };
-    [head.as_bytes(), &sensor.as_bytes()[..usize::from(len.get())]].concat()
+    let head = HelloHead {
+        magic: MAGIC,
+        version: VERSION.into(),
+        len,
+    };
+    [
+        head.as_bytes(),
+        &sensor.as_bytes()[..usize::from(len.get())],
+    ]
+    .concat()
 }
 
 /// What a client asks for.
@@ -105,17 +120,22 @@ impl Hello {
     /// Reads the bytes that have come so far.
     pub(super) fn parse(bytes: &[u8]) -> Result<Self, WireError> {
         check(begins(bytes), || "no hello".to_owned())?;
-        let Ok((head, rest)) = HelloHead::ref_from_prefix(bytes) else { return Ok(Self::Incomplete) };
+        let Ok((head, rest)) = HelloHead::ref_from_prefix(bytes) else {
+            return Ok(Self::Incomplete);
+        };
         if head.version.get() != VERSION {
             return Ok(Self::OtherVersion);
         }
         let len = usize::from(head.len.get());
-        check((1..=MAX_NAME_LEN).contains(&len), || format!("a name of {len} bytes"))?;
+        check((1..=MAX_NAME_LEN).contains(&len), || {
+            format!("a name of {len} bytes")
+        })?;
         check(rest.len() <= len, || "more than a hello".to_owned())?;
         if rest.len() < len {
             return Ok(Self::Incomplete);
         }
-        let name = std::str::from_utf8(rest).map_err(|_| WireError("a name that is no text".to_owned()))?;
+        let name = std::str::from_utf8(rest)
+            .map_err(|_| WireError("a name that is no text".to_owned()))?;
         Ok(Self::Sensor(name.to_owned()))
     }
 }
@@ -147,12 +167,21 @@ pub(super) struct Answer {
 impl Answer {
     pub(super) fn new(status: Status, text: &str) -> Self {
         let end = text.floor_char_boundary(MAX_TEXT_LEN);
-        Self { version: VERSION, status, text: text[..end].to_owned() }
+        Self {
+            version: VERSION,
+            status,
+            text: text[..end].to_owned(),
+        }
     }
 
     pub(super) fn bytes(&self) -> Vec<u8> {
         let (version, status) = (self.version.into(), (self.status as u16).into());
-        let head = AnswerHead { magic: MAGIC, version, status, len: (self.text.len() as u16).into() };
+        let head = AnswerHead {
+            magic: MAGIC,
+            version,
+            status,
+            len: (self.text.len() as u16).into(),
+        };
         [head.as_bytes(), self.text.as_bytes()].concat()
     }
 
@@ -167,13 +196,31 @@ impl Answer {
         }
         let mut text = vec![0; len];
         from.read_exact(&mut text)?;
-        let statuses = [Status::Granted, Status::UnknownSensor, Status::Busy, Status::OtherVersion, Status::OtherUser];
-        let status = match statuses.into_iter().find(|&status| status as u16 == head.status.get()) {
+        let statuses = [
+            Status::Granted,
+            Status::UnknownSensor,
+            Status::Busy,
+            Status::OtherVersion,
+            Status::OtherUser,
+        ];
+        let status = match statuses
+            .into_iter()
+            .find(|&status| status as u16 == head.status.get())
+        {
             Some(status) => status,
             None if version != VERSION => Status::OtherVersion,
-            None => return Ok(Err(WireError(format!("an answer with status {}", head.status)))),
+            None => {
+                return Ok(Err(WireError(format!(
+                    "an answer with status {}",
+                    head.status
+                ))));
+            }
         };
-        Ok(Ok(Self { version, status, text: String::from_utf8_lossy(&text).into_owned() }))
+        Ok(Ok(Self {
+            version,
+            status,
+            text: String::from_utf8_lossy(&text).into_owned(),
+        }))
     }
 }
 
@@ -189,9 +236,17 @@ pub(super) enum Frame<'a> {
 }
 
 impl<'a> Frame<'a> {
-    /// Its bytes, in two parts: all but the payload, and the payload. `None` for what no capture can tell.
-    pub(super) fn parts(datagram: &Addressed<'a>) -> Option<([u8; size_of::<FrameHead>()], &'a [u8])> {
-        let &Addressed { arrival_ns, source, destination, payload } = datagram;
+    /// Its bytes, in two parts: all but the payload, and the payload. `None` for what no capture
+    /// can tell.
+    pub(super) fn parts(
+        datagram: &Addressed<'a>,
+    ) -> Option<([u8; size_of::<FrameHead>()], &'a [u8])> {
+        let &Addressed {
+            arrival_ns,
+            source,
+            destination,
+            payload,
+        } = datagram;
         let fits = payload.len() <= MAX_PAYLOAD_LEN && (0..=MAX_ARRIVAL_NS).contains(&arrival_ns);
         let head = FrameHead {
             kind: DATAGRAM.into(),
@@ -217,21 +272,38 @@ impl<'a> Frame<'a> {
 
 impl FrameHead {
     fn check(&self) -> Result<(), WireError> {
-        let (kind, len, arrival_ns) = (self.kind.get(), usize::from(self.len.get()), self.arrival_ns.get());
+        let (kind, len, arrival_ns) = (
+            self.kind.get(),
+            usize::from(self.len.get()),
+            self.arrival_ns.get(),
+        );
         let (is_datagram, is_end) = (kind == DATAGRAM, kind == END);
-        check(is_datagram || is_end, || format!("something of kind {kind}"))?;
-        check(!is_end || len == size_of::<U64>(), || format!("an end of {len} bytes"))?;
-        check(!is_datagram || len <= MAX_PAYLOAD_LEN, || format!("a datagram of {len} bytes"))?;
-        check((0..=MAX_ARRIVAL_NS).contains(&arrival_ns), || format!("an arrival at {arrival_ns} ns"))
+        check(is_datagram || is_end, || {
+            format!("something of kind {kind}")
+        })?;
+        check(!is_end || len == size_of::<U64>(), || {
+            format!("an end of {len} bytes")
+        })?;
+        check(!is_datagram || len <= MAX_PAYLOAD_LEN, || {
+            format!("a datagram of {len} bytes")
+        })?;
+        check((0..=MAX_ARRIVAL_NS).contains(&arrival_ns), || {
+            format!("an arrival at {arrival_ns} ns")
+        })
     }
 
     fn frame<'a>(&self, payload: &'a [u8]) -> Frame<'a> {
         match payload.first_chunk() {
-            Some(lost) if self.kind.get() == END => Frame::End { lost: u64::from_le_bytes(*lost) },
+            Some(lost) if self.kind.get() == END => Frame::End {
+                lost: u64::from_le_bytes(*lost),
+            },
             _ => Frame::Datagram(Addressed {
                 arrival_ns: self.arrival_ns.get(),
                 source: SocketAddrV4::new(Ipv4Addr::from(self.source), self.source_port.get()),
-                destination: SocketAddrV4::new(Ipv4Addr::from(self.destination), self.destination_port.get()),
+                destination: SocketAddrV4::new(
+                    Ipv4Addr::from(self.destination),
+                    self.destination_port.get(),
+                ),
                 payload,
             }),
         }
@@ -249,7 +321,11 @@ pub(super) struct Frames {
 
 impl Frames {
     pub(super) fn new() -> Self {
-        Self { bytes: vec![0; READ_LEN].into(), begin: 0, end: 0 }
+        Self {
+            bytes: vec![0; READ_LEN].into(),
+            begin: 0,
+            end: 0,
+        }
     }
 
     /// Reads what there is, once; 0 at the end. All frames that are whole have to be taken before.
@@ -263,9 +339,13 @@ impl Frames {
 
     /// The next frame, if it is whole.
     pub(super) fn next(&mut self) -> Result<Option<Frame<'_>>, WireError> {
-        let Ok((head, rest)) = FrameHead::ref_from_prefix(&self.bytes[self.begin..self.end]) else { return Ok(None) };
+        let Ok((head, rest)) = FrameHead::ref_from_prefix(&self.bytes[self.begin..self.end]) else {
+            return Ok(None);
+        };
         head.check()?;
-        let Some(payload) = rest.get(..usize::from(head.len.get())) else { return Ok(None) };
+        let Some(payload) = rest.get(..usize::from(head.len.get())) else {
+            return Ok(None);
+        };
         self.begin += size_of::<FrameHead>() + payload.len();
         Ok(Some(head.frame(payload)))
     }
@@ -285,7 +365,8 @@ mod tests {
             while let Some(frame) = frames.next()? {
                 match frame {
                     Frame::Datagram(datagram) => {
-                        let (head, payload) = Frame::parts(&datagram).expect("what was decoded can be said");
+                        let (head, payload) =
+                            Frame::parts(&datagram).expect("what was decoded can be said");
                         again.extend([&head, payload].concat());
                     }
                     Frame::End { lost } => again.extend(Frame::end(lost)),
@@ -299,18 +380,26 @@ mod tests {
     }
 
     fn datagrams() -> impl Strategy<Value = Vec<u8>> {
-        let one = (0..=MAX_ARRIVAL_NS, any::<[u8; 12]>(), prop_oneof![0..2000_usize, Just(MAX_PAYLOAD_LEN)]).prop_map(
-            |(arrival_ns, ends, len)| {
+        let one = (
+            0..=MAX_ARRIVAL_NS,
+            any::<[u8; 12]>(),
+            prop_oneof![0..2000_usize, Just(MAX_PAYLOAD_LEN)],
+        )
+            .prop_map(|(arrival_ns, ends, len)| {
                 let end = |at: usize| {
                     let ip: [u8; 4] = ends[at..at + 4].try_into().unwrap();
                     SocketAddrV4::new(ip.into(), u16::from_le_bytes([ends[at + 4], ends[at + 5]]))
                 };
                 let payload = vec![ends[0]; len];
-                let datagram = Addressed { arrival_ns, source: end(0), destination: end(6), payload: &payload };
+                let datagram = Addressed {
+                    arrival_ns,
+                    source: end(0),
+                    destination: end(6),
+                    payload: &payload,
+                };
                 let (head, payload) = Frame::parts(&datagram).unwrap();
                 [&head, payload].concat()
-            },
-        );
+            });
         prop::collection::vec(one, 0..20).prop_map(|all| all.concat())
     }
 

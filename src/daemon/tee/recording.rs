@@ -14,14 +14,21 @@ use crate::export::text::count_of;
 
 /// A disk that stays too slow is told of so often.
 const REMIND_EVERY: Duration = Duration::from_secs(60);
-/// One that was begun again is well when it went on for so long: by then the disk has taken what came, more than once.
+/// One that was begun again is well when it went on for so long: by then the disk has taken what
+/// came, more than once.
 const PROBATION: Duration = Duration::from_secs(3);
 
 /// Begins to write; waits for the disk.
 pub(super) fn start(config: &RecordConfig) -> Result<Recorder, RecordError> {
-    let ns = config.rotate_seconds.map(|seconds| seconds.saturating_mul(1_000_000_000));
-    // A daemon is started again and again, and overwrites nothing: its files are numbered, even where one may grow for ever.
-    let rotation = Rotation { bytes: Some(config.rotate_bytes.unwrap_or(u64::MAX)), ns };
+    let ns = config
+        .rotate_seconds
+        .map(|seconds| seconds.saturating_mul(1_000_000_000));
+    // A daemon is started again and again, and overwrites nothing: its files are numbered, even
+    // where one may grow for ever.
+    let rotation = Rotation {
+        bytes: Some(config.rotate_bytes.unwrap_or(u64::MAX)),
+        ns,
+    };
     Recorder::start(&config.path, rotation)
 }
 
@@ -38,7 +45,11 @@ impl Add for Sums {
 
     fn add(self, other: Self) -> Self {
         let (files, datagrams) = (self.files + other.files, self.datagrams + other.datagrams);
-        Self { files, datagrams, refused: self.refused + other.refused }
+        Self {
+            files,
+            datagrams,
+            refused: self.refused + other.refused,
+        }
     }
 }
 
@@ -61,12 +72,24 @@ impl Recording {
         if trouble.is_none() {
             info!("recording to {}", recorder.path().display());
         }
-        Self { config, begun: Instant::now(), recorder: Some(recorder), trouble, slow_told: None }
+        Self {
+            config,
+            begun: Instant::now(),
+            recorder: Some(recorder),
+            trouble,
+            slow_told: None,
+        }
     }
 
     /// One that could not be begun.
     pub(super) fn never_begun(config: RecordConfig, error: &RecordError) -> Self {
-        Self { config, begun: Instant::now(), recorder: None, trouble: Some(error.to_string()), slow_told: None }
+        Self {
+            config,
+            begun: Instant::now(),
+            recorder: None,
+            trouble: Some(error.to_string()),
+            slow_told: None,
+        }
     }
 
     /// It could not be begun again either.
@@ -81,33 +104,50 @@ impl Recording {
 
     /// Its first file, or the name it should have.
     pub(super) fn path(&self) -> PathBuf {
-        self.recorder.as_ref().map_or(&*self.config.path, Recorder::path).to_owned()
+        self.recorder
+            .as_ref()
+            .map_or(&*self.config.path, Recorder::path)
+            .to_owned()
     }
 
     pub(super) fn sums(&self) -> Sums {
-        let Some(recorder) = &self.recorder else { return Sums::default() };
+        let Some(recorder) = &self.recorder else {
+            return Sums::default();
+        };
         let counts = recorder.counts();
-        let [files, datagrams, refused] =
-            [&counts.files, &counts.written, &counts.refused].map(|count| count.load(Ordering::Relaxed));
-        Sums { files, datagrams, refused }
+        let [files, datagrams, refused] = [&counts.files, &counts.written, &counts.refused]
+            .map(|count| count.load(Ordering::Relaxed));
+        Sums {
+            files,
+            datagrams,
+            refused,
+        }
     }
 
     /// Why nothing is recorded, though it should be.
     pub(super) fn trouble(&self) -> Option<String> {
-        self.trouble.clone().or_else(|| self.recorder.as_ref()?.error().map(ToString::to_string))
+        self.trouble
+            .clone()
+            .or_else(|| self.recorder.as_ref()?.error().map(ToString::to_string))
     }
 
     /// Whether nothing more is written.
     pub(super) fn has_ended(&self) -> bool {
-        self.recorder.as_ref().is_none_or(|recorder| recorder.error().is_some())
+        self.recorder
+            .as_ref()
+            .is_none_or(|recorder| recorder.error().is_some())
     }
 
     /// Tells what happened, once.
     pub(super) fn look(&mut self) {
-        let Some(recorder) = &self.recorder else { return };
+        let Some(recorder) = &self.recorder else {
+            return;
+        };
         if let Some(error) = recorder.error() {
             if self.trouble.is_none() {
-                error!("the recording has ended: {error}. It is begun again as soon as it can be; the sensors go on");
+                error!(
+                    "the recording has ended: {error}. It is begun again as soon as it can be; the sensors go on"
+                );
                 self.trouble = Some(error.to_string());
             }
             return;
@@ -117,24 +157,41 @@ impl Recording {
             self.trouble = None;
         }
         let refused = recorder.counts().refused.load(Ordering::Relaxed);
-        let (known, is_time) = self.slow_told.map_or((0, true), |(known, at)| (known, at.elapsed() > REMIND_EVERY));
+        let (known, is_time) = self.slow_told.map_or((0, true), |(known, at)| {
+            (known, at.elapsed() > REMIND_EVERY)
+        });
         if refused > known && is_time {
-            warn!("the recording is too slow: {} not recorded so far", count_of(refused, "datagram"));
+            warn!(
+                "the recording is too slow: {} not recorded so far",
+                count_of(refused, "datagram")
+            );
             self.slow_told = Some((refused, Instant::now()));
         }
     }
 
     /// Ends it; waits for the disk.
     pub(super) fn end(self) {
-        let Some(recorder) = self.recorder else { return };
+        let Some(recorder) = self.recorder else {
+            return;
+        };
         let (written, ended) = recorder.finish();
-        let (datagrams, files) = (count_of(written.datagrams, "datagram"), count_of(written.files, "file"));
+        let (datagrams, files) = (
+            count_of(written.datagrams, "datagram"),
+            count_of(written.files, "file"),
+        );
         match ended {
-            Ok(()) => info!("recorded {datagrams} in {files}, the last {}", written.last.display()),
+            Ok(()) => info!(
+                "recorded {datagrams} in {files}, the last {}",
+                written.last.display()
+            ),
             // One that was begun again in vain.
             Err(_) if self.trouble.is_some() && written.datagrams == 0 => {}
-            Err(_) if self.trouble.is_some() => info!("of that recording, {datagrams} in {files} are safe"),
-            Err(error) => error!("the recording has ended: {error}; {datagrams} in {files} are safe"),
+            Err(_) if self.trouble.is_some() => {
+                info!("of that recording, {datagrams} in {files} are safe")
+            }
+            Err(error) => {
+                error!("the recording has ended: {error}; {datagrams} in {files} are safe")
+            }
         }
     }
 }

@@ -24,8 +24,10 @@ pub(super) fn find(seen: &Observations, findings: &mut Findings) {
             );
         }
         Some(RootTrouble::NotWritable { folder }) => {
-            let what =
-                format!("this user may not make files in {}, where shared memory is kept track of", folder.display());
+            let what = format!(
+                "this user may not make files in {}, where shared memory is kept track of",
+                folder.display()
+            );
             let cure = "give the folder to the daemon's user, or name another with `root` in the configuration";
             findings.error(Topic::SharedMemory, what, cure);
         }
@@ -35,10 +37,17 @@ pub(super) fn find(seen: &Observations, findings: &mut Findings) {
 
 fn buffers(seen: &Observations, findings: &mut Findings) {
     for port in &seen.ports {
-        let Heard::All { dropped, buffer, .. } = port.heard else { continue };
+        let Heard::All {
+            dropped, buffer, ..
+        } = port.heard
+        else {
+            continue;
+        };
         let number = port.plan.port;
         if buffer.is_too_small() {
-            let now = seen.host.rmem_max.map_or(String::new(), |bytes| format!(" (net.core.rmem_max is {bytes})"));
+            let now = seen.host.rmem_max.map_or(String::new(), |bytes| {
+                format!(" (net.core.rmem_max is {bytes})")
+            });
             let what = format!(
                 "port {number}: the kernel gave a receive buffer for {} packets, {} ms of the fastest sensor{now}",
                 buffer.packets(),
@@ -51,15 +60,25 @@ fn buffers(seen: &Observations, findings: &mut Findings) {
             findings.warning(Topic::Buffer, what, cure);
         }
         if dropped > 0 {
-            let what = format!("the kernel dropped {dropped} datagrams on port {number} while this listened");
-            findings.warning(Topic::Loss, what, "give it a larger receive buffer, and this host less to do");
+            let what = format!(
+                "the kernel dropped {dropped} datagrams on port {number} while this listened"
+            );
+            findings.warning(
+                Topic::Loss,
+                what,
+                "give it a larger receive buffer, and this host less to do",
+            );
         }
     }
 }
 
 fn shared_memory(seen: &Observations, findings: &mut Findings) {
-    let Some((all, free)) = seen.host.shared else { return };
-    let pool_bytes = |expected: &Expected| pool_sweeps(expected.max_consumers) as u64 * sweep_bytes(expected, seen);
+    let Some((all, free)) = seen.host.shared else {
+        return;
+    };
+    let pool_bytes = |expected: &Expected| {
+        pool_sweeps(expected.max_consumers) as u64 * sweep_bytes(expected, seen)
+    };
     let needed: u64 = seen.plan.sensors.iter().map(pool_bytes).sum();
     if needed > free {
         let what = format!(
@@ -78,10 +97,19 @@ fn shared_memory(seen: &Observations, findings: &mut Findings) {
 
 /// Bytes of a sweep of a sensor: of the largest that it may be, as far as it is not known.
 pub fn sweep_bytes(expected: &Expected, seen: &Observations) -> u64 {
-    let is_it = |sensor: &&Sensor| sensor.source.is_some_and(|source| expected.is_at(source, sensor.port));
+    let is_it = |sensor: &&Sensor| {
+        sensor
+            .source
+            .is_some_and(|source| expected.is_at(source, sensor.port))
+    };
     let heard = seen.sensors.iter().find(is_it);
-    let model = expected.model.or(heard.and_then(|sensor| sensor.model)).unwrap_or(Model::Hdl64eS3);
-    let heard_dual = heard.and_then(|sensor| sensor.return_mode).map(|mode| mode == ReturnMode::Dual);
+    let model = expected
+        .model
+        .or(heard.and_then(|sensor| sensor.model))
+        .unwrap_or(Model::Hdl64eS3);
+    let heard_dual = heard
+        .and_then(|sensor| sensor.return_mode)
+        .map(|mode| mode == ReturnMode::Dual);
     let dual = expected.dual.or(heard_dual).unwrap_or(true);
     Shape::of(model.spec().channels, dual, expected.min_points).total_bytes() as u64
 }

@@ -13,7 +13,8 @@ use serde_json::Value;
 use super::observe::{Heard, Observations};
 use super::{Finding, Severity, Topic};
 
-/// Packets missing over some seconds of which a running daemon is asked, percent: with fewer all is well.
+/// Packets missing over some seconds of which a running daemon is asked, percent: with fewer all is
+/// well.
 const LEAST_LOSS_PERCENT: f64 = 0.1;
 
 /// What is wrong and how to mend it, worst first. Nothing, or notes alone, when all is well.
@@ -34,8 +35,19 @@ pub fn diagnose(seen: &Observations) -> Vec<Finding> {
 struct Findings(Vec<Finding>);
 
 impl Findings {
-    fn add(&mut self, severity: Severity, topic: Topic, what: impl Into<String>, cure: impl Into<String>) {
-        self.0.push(Finding { severity, topic, what: what.into(), cure: cure.into() });
+    fn add(
+        &mut self,
+        severity: Severity,
+        topic: Topic,
+        what: impl Into<String>,
+        cure: impl Into<String>,
+    ) {
+        self.0.push(Finding {
+            severity,
+            topic,
+            what: what.into(),
+            cure: cure.into(),
+        });
     }
 
     fn error(&mut self, topic: Topic, what: impl Into<String>, cure: impl Into<String>) {
@@ -64,7 +76,11 @@ fn ports(seen: &Observations, findings: &mut Findings) {
                     );
                     findings.error(Topic::Port, why, cure);
                 }
-                _ => findings.error(Topic::Port, why, "stop the other program and run this again"),
+                _ => findings.error(
+                    Topic::Port,
+                    why,
+                    "stop the other program and run this again",
+                ),
             },
             Heard::Refused(why) => findings.error(Topic::Port, why, ""),
             Heard::All { others, .. } => {
@@ -87,7 +103,11 @@ fn ports(seen: &Observations, findings: &mut Findings) {
 
 /// Whether a daemon says that it listens on a port; or does not say on which.
 fn serves(health: &Value, port: u16) -> bool {
-    health["ports"].as_array().is_none_or(|ports| ports.iter().any(|one| one["port"].as_u64() == Some(u64::from(port))))
+    health["ports"].as_array().is_none_or(|ports| {
+        ports
+            .iter()
+            .any(|one| one["port"].as_u64() == Some(u64::from(port)))
+    })
 }
 
 /// What a running daemon says, as far as it is understood.
@@ -95,7 +115,11 @@ fn daemon(health: &Value, findings: &mut Findings) {
     let reasons: Vec<String> = elements(&health["reasons"]).filter_map(clean).collect();
     let warnings: Vec<String> = elements(&health["sensors"]).filter_map(warning).collect();
     for reason in &reasons {
-        let severity = if warnings.contains(reason) { Severity::Warning } else { Severity::Error };
+        let severity = if warnings.contains(reason) {
+            Severity::Warning
+        } else {
+            Severity::Error
+        };
         let cure = "this is what the running daemon says; its log has more, `journalctl -u sweepd`";
         findings.add(severity, Topic::Daemon, reason, cure);
     }
@@ -105,18 +129,33 @@ fn daemon(health: &Value, findings: &mut Findings) {
     for port in elements(&health["ports"]) {
         let dropped = port["dropped"].as_u64().unwrap_or(0);
         if dropped > 0 {
-            let what =
-                format!("the kernel dropped {dropped} datagrams on port {} since the daemon began", port["port"]);
+            let what = format!(
+                "the kernel dropped {dropped} datagrams on port {} since the daemon began",
+                port["port"]
+            );
             findings.note(Topic::Loss, what, "");
         }
     }
     for sensor in elements(&health["sensors"]) {
-        let words =
-            ["name", "state", "model"].map(|key| clean(&sensor[key]).unwrap_or_else(|| format!("unknown {key}")));
-        let rpm = sensor["rpm"].as_f64().map_or(String::new(), |rpm| format!(", {rpm:.0} rpm"));
-        let (packets, lost) = (sensor["packets"].as_u64().unwrap_or(0), sensor["lost"].as_u64().unwrap_or(0));
-        let lost = if lost > 0 { format!(", {lost} lost since the daemon began") } else { String::new() };
-        findings.note(Topic::Daemon, format!("{}{rpm}, {packets} packets{lost}", words.join(", ")), "");
+        let words = ["name", "state", "model"]
+            .map(|key| clean(&sensor[key]).unwrap_or_else(|| format!("unknown {key}")));
+        let rpm = sensor["rpm"]
+            .as_f64()
+            .map_or(String::new(), |rpm| format!(", {rpm:.0} rpm"));
+        let (packets, lost) = (
+            sensor["packets"].as_u64().unwrap_or(0),
+            sensor["lost"].as_u64().unwrap_or(0),
+        );
+        let lost = if lost > 0 {
+            format!(", {lost} lost since the daemon began")
+        } else {
+            String::new()
+        };
+        findings.note(
+            Topic::Daemon,
+            format!("{}{rpm}, {packets} packets{lost}", words.join(", ")),
+            "",
+        );
     }
     if reasons.is_empty() {
         let what = match health["status"].as_str() {
@@ -139,20 +178,38 @@ fn warning(sensor: &Value) -> Option<String> {
     if is_fault { None } else { clean(&reason) }
 }
 
-/// What is missing now, where it is too little for a reason of the daemon's. Sums since the daemon began say nothing of now.
+/// What is missing now, where it is too little for a reason of the daemon's. Sums since the daemon
+/// began say nothing of now.
 fn losses(sensor: &Value, findings: &mut Findings) {
     let losses = &sensor["losses"];
-    let is_told = sensor["state"].as_str().is_some_and(|state| state.starts_with("losing"));
-    if is_told || losses["percent"].as_f64().is_none_or(|percent| percent < LEAST_LOSS_PERCENT) {
+    let is_told = sensor["state"]
+        .as_str()
+        .is_some_and(|state| state.starts_with("losing"));
+    if is_told
+        || losses["percent"]
+            .as_f64()
+            .is_none_or(|percent| percent < LEAST_LOSS_PERCENT)
+    {
         return;
     }
     let name = clean(&sensor["name"]).unwrap_or_else(|| "a sensor".to_owned());
     if let Some(what) = clean(&losses["what"]) {
-        findings.warning(Topic::Loss, format!("{name}: {what}"), clean(&losses["cure"]).unwrap_or_default());
+        findings.warning(
+            Topic::Loss,
+            format!("{name}: {what}"),
+            clean(&losses["cure"]).unwrap_or_default(),
+        );
     }
 }
 
 /// A text that came over the network, fit for a terminal.
 fn clean(value: &Value) -> Option<String> {
-    Some(value.as_str()?.chars().filter(|one| !one.is_control()).take(500).collect())
+    Some(
+        value
+            .as_str()?
+            .chars()
+            .filter(|one| !one.is_control())
+            .take(500)
+            .collect(),
+    )
 }

@@ -28,41 +28,65 @@ const LOSS_CURE: &str = "they were lost before this host: look at cable and plug
 pub(super) fn find(seen: &Observations, findings: &mut Findings) {
     senders(seen, findings);
     for (sensor, source) in heard(seen) {
-        let expected = seen.plan.sensors.iter().find(|expected| expected.is_at(source, sensor.port));
-        let name = expected.map_or_else(|| source.to_string(), |expected| format!("{} ({source})", expected.name));
+        let expected = seen
+            .plan
+            .sensors
+            .iter()
+            .find(|expected| expected.is_at(source, sensor.port));
+        let name = expected.map_or_else(
+            || source.to_string(),
+            |expected| format!("{} ({source})", expected.name),
+        );
         model(&name, sensor, expected, findings);
         if sensor.fault.is_none() {
             speed(&name, sensor, expected, findings);
             loss(&name, sensor, seen, findings);
             settings(&name, sensor, expected, findings);
-            let position = seen.positions.iter().find(|sender| sender.address == source.ip());
+            let position = seen
+                .positions
+                .iter()
+                .find(|sender| sender.address == source.ip());
             clock(&name, sensor, position, findings);
         }
     }
 }
 
 fn heard(seen: &Observations) -> impl Iterator<Item = (&Sensor, SocketAddr)> {
-    seen.sensors.iter().filter_map(|sensor| Some((sensor, sensor.source?)))
+    seen.sensors
+        .iter()
+        .filter_map(|sensor| Some((sensor, sensor.source?)))
 }
 
 /// Two on one port are two sensors, or one of them should not be there.
 fn senders(seen: &Observations, findings: &mut Findings) {
     let is_expected = |(sensor, source): &(&Sensor, SocketAddr)| {
-        seen.plan.sensors.iter().any(|expected| expected.is_at(*source, sensor.port))
+        seen.plan
+            .sensors
+            .iter()
+            .any(|expected| expected.is_at(*source, sensor.port))
     };
     if !seen.plan.sensors.is_empty() {
         for (sensor, source) in heard(seen).filter(|one| !is_expected(one)) {
             // The same address on another port was told of where it is missed.
-            if seen.plan.sensors.iter().any(|expected| expected.address == source.ip()) {
+            if seen
+                .plan
+                .sensors
+                .iter()
+                .any(|expected| expected.address == source.ip())
+            {
                 continue;
             }
-            let what =
-                format!("{source} sends data packets to port {}, and no sensor there is configured", sensor.port);
-            let cure =
-                "add it to the configuration, or find who sends this: a replay, a simulator, another robot's sensor";
+            let what = format!(
+                "{source} sends data packets to port {}, and no sensor there is configured",
+                sensor.port
+            );
+            let cure = "add it to the configuration, or find who sends this: a replay, a simulator, another robot's sensor";
             findings.warning(Topic::Senders, what, cure);
         }
-        seen.plan.sensors.iter().for_each(|expected| impostors(expected, seen, findings));
+        seen.plan
+            .sensors
+            .iter()
+            .for_each(|expected| impostors(expected, seen, findings));
         return;
     }
     for port in &seen.ports {
@@ -71,7 +95,12 @@ fn senders(seen: &Observations, findings: &mut Findings) {
             .map(|(_, source)| source.to_string())
             .collect();
         if senders.len() > 1 {
-            let what = format!("{} senders on port {}: {}", senders.len(), port.plan.port, senders.join(", "));
+            let what = format!(
+                "{} senders on port {}: {}",
+                senders.len(),
+                port.plan.port,
+                senders.join(", ")
+            );
             let cure = "if these are sensors of yours, name each in the configuration; if one is not, stop it: a replay, a \
                         simulator, another robot's sensor that broadcasts";
             findings.warning(Topic::Senders, what, cure);
@@ -79,12 +108,18 @@ fn senders(seen: &Observations, findings: &mut Findings) {
     }
 }
 
-/// Two at the address of one sensor are taken for that one, which then sees neither of the two scenes.
+/// Two at the address of one sensor are taken for that one, which then sees neither of the two
+/// scenes.
 fn impostors(expected: &Expected, seen: &Observations, findings: &mut Findings) {
     let taken_for_it = heard(seen).filter(|(sensor, source)| expected.is_at(*source, sensor.port));
     let sources: Vec<String> = taken_for_it.map(|(_, source)| source.to_string()).collect();
     if sources.len() > 1 {
-        let what = format!("{}: {} senders are taken for it: {}", expected.name, sources.len(), sources.join(", "));
+        let what = format!(
+            "{}: {} senders are taken for it: {}",
+            expected.name,
+            sources.len(),
+            sources.join(", ")
+        );
         let cure = "if one is a replay or a simulator, stop it; if all are sensors, tell them apart by their source ports, \
                     `address = \"IP:PORT\"`";
         findings.error(Topic::Senders, what, cure);
@@ -103,12 +138,20 @@ fn model(name: &str, sensor: &Sensor, expected: Option<&Expected>, findings: &mu
     let configured = expected.and_then(|expected| expected.model);
     match (configured, sensor.model) {
         (Some(configured), Some(found)) if !speak_alike(configured, found) => {
-            let what = format!("{name} is configured as {configured}, and its packets are those of a {found}");
-            let cure = format!("set `model = \"{}\"`, or leave the model out: the packets tell it", found.spec().flag);
+            let what = format!(
+                "{name} is configured as {configured}, and its packets are those of a {found}"
+            );
+            let cure = format!(
+                "set `model = \"{}\"`, or leave the model out: the packets tell it",
+                found.spec().flag
+            );
             findings.error(Topic::Model, what, cure);
         }
         (_, None) => {
-            let what = format!("{name}: {} packets came, too few or too odd to tell the model", sensor.counts.data);
+            let what = format!(
+                "{name}: {} packets came, too few or too odd to tell the model",
+                sensor.counts.data
+            );
             findings.error(
                 Topic::Model,
                 what,
@@ -118,9 +161,10 @@ fn model(name: &str, sensor: &Sensor, expected: Option<&Expected>, findings: &mu
         _ => {}
     }
     if sensor.awaits_calibration {
-        let what = format!("{name}: its calibration has not come whole yet; until then nothing is decoded");
-        let cure =
-            "it comes with the packets, within some 2 s without a loss: listen longer, or name the file of this unit";
+        let what = format!(
+            "{name}: its calibration has not come whole yet; until then nothing is decoded"
+        );
+        let cure = "it comes with the packets, within some 2 s without a loss: listen longer, or name the file of this unit";
         findings.warning(Topic::Calibration, what, cure);
     }
 }
@@ -137,7 +181,9 @@ fn speed(name: &str, sensor: &Sensor, expected: Option<&Expected>, findings: &mu
         findings.error(Topic::Speed, format!("{name}: the head stands still"), cure);
         return;
     }
-    let Some((least, most)) = sensor.rpm else { return };
+    let Some((least, most)) = sensor.rpm else {
+        return;
+    };
     let mean = (least + most) / 2.0;
     let set = expected.and_then(|expected| expected.rpm);
     if most - least > STEADY_SHARE * mean {
@@ -156,7 +202,11 @@ fn speed(name: &str, sensor: &Sensor, expected: Option<&Expected>, findings: &mu
         );
     } else if !SPEEDS.contains(&mean) {
         let what = format!("{name}: turns at {mean:.0} rpm; sensors are made for 300 to 1200");
-        findings.warning(Topic::Speed, what, "set the Motor RPM on its web page and press Save");
+        findings.warning(
+            Topic::Speed,
+            what,
+            "set the Motor RPM on its web page and press Save",
+        );
     }
 }
 
@@ -164,19 +214,44 @@ fn loss(name: &str, sensor: &Sensor, seen: &Observations, findings: &mut Finding
     let counts = sensor.counts;
     let dropped: u64 = (seen.ports.iter())
         .filter(|port| port.plan.port == sensor.port)
-        .map(|port| if let Heard::All { dropped, .. } = port.heard { dropped } else { 0 })
+        .map(|port| {
+            if let Heard::All { dropped, .. } = port.heard {
+                dropped
+            } else {
+                0
+            }
+        })
         .sum();
     if counts.lost > 0 {
         let share = counts.lost as f64 / (counts.lost + counts.data) as f64;
-        let severity = if share > MUCH_LOSS { Severity::Error } else { Severity::Warning };
-        let what = format!("{name}: {} of {} packets were lost", counts.lost, counts.lost + counts.data);
-        let of_host =
-            format!("the kernel dropped {dropped} on this host: give it a larger receive buffer or less to do");
-        findings.add(severity, Topic::Loss, what, if dropped > 0 { of_host } else { LOSS_CURE.to_owned() });
+        let severity = if share > MUCH_LOSS {
+            Severity::Error
+        } else {
+            Severity::Warning
+        };
+        let what = format!(
+            "{name}: {} of {} packets were lost",
+            counts.lost,
+            counts.lost + counts.data
+        );
+        let of_host = format!(
+            "the kernel dropped {dropped} on this host: give it a larger receive buffer or less to do"
+        );
+        findings.add(
+            severity,
+            Topic::Loss,
+            what,
+            if dropped > 0 {
+                of_host
+            } else {
+                LOSS_CURE.to_owned()
+            },
+        );
     }
     if counts.duplicates > 0 {
         let what = format!("{name}: {} packets came twice", counts.duplicates);
-        let cure = "look for a loop in the network, a port mirror of the switch, or two ways to this host";
+        let cure =
+            "look for a loop in the network, a port mirror of the switch, or two ways to this host";
         findings.warning(Topic::Loss, what, cure);
     }
     if counts.malformed > 0 {
@@ -190,13 +265,17 @@ fn loss(name: &str, sensor: &Sensor, seen: &Observations, findings: &mut Finding
 }
 
 fn settings(name: &str, sensor: &Sensor, expected: Option<&Expected>, findings: &mut Findings) {
-    if sensor.return_mode == Some(ReturnMode::Dual) && expected.is_some_and(|expected| expected.dual == Some(false)) {
+    if sensor.return_mode == Some(ReturnMode::Dual)
+        && expected.is_some_and(|expected| expected.dual == Some(false))
+    {
         let what = format!("{name}: sends two returns, configured is one");
         let cure = "set Return Type on its web page and press Save, or `dual = true`: two need twice the shared memory";
         findings.warning(Topic::Returns, what, cure);
     }
     if sensor.flags & flags::BLANKED != 0 {
-        let what = format!("{name}: its field of view is limited; it sends nothing from a sector of each turn");
+        let what = format!(
+            "{name}: its field of view is limited; it sends nothing from a sector of each turn"
+        );
         findings.note(
             Topic::View,
             what,
@@ -204,38 +283,62 @@ fn settings(name: &str, sensor: &Sensor, expected: Option<&Expected>, findings: 
         );
     }
     if sensor.flags & flags::REVERSED != 0 {
-        let what = format!("{name}: the head turns counter-clockwise seen from above, as no Velodyne does");
-        findings.note(Topic::Speed, what, "a recording that is played backwards looks like this");
+        let what = format!(
+            "{name}: the head turns counter-clockwise seen from above, as no Velodyne does"
+        );
+        findings.note(
+            Topic::Speed,
+            what,
+            "a recording that is played backwards looks like this",
+        );
     }
 }
 
 fn clock(name: &str, sensor: &Sensor, position: Option<&PositionSender>, findings: &mut Findings) {
     if sensor.counts.unconfirmed > 0 {
-        let what = format!("{name}: {} packets had a time stamp that no neighbour confirms", sensor.counts.unconfirmed);
+        let what = format!(
+            "{name}: {} packets had a time stamp that no neighbour confirms",
+            sensor.counts.unconfirmed
+        );
         findings.warning(
             Topic::Clock,
             what,
             "its clock steps, or two sensors send as one: look for a second one of this address",
         );
     }
-    if let Some(ahead) = sensor.host_ahead_s.filter(|ahead| ahead.abs() > CLOCK_OFF_S) {
+    if let Some(ahead) = sensor
+        .host_ahead_s
+        .filter(|ahead| ahead.abs() > CLOCK_OFF_S)
+    {
         let way = if ahead > 0.0 { "ahead of" } else { "behind" };
-        let what = format!("{name}: the clock of this host is {:.1} s {way} the sensor's GPS time", ahead.abs());
-        findings.warning(Topic::Clock, what, "set it by NTP or PTP: `timedatectl` or `chronyc tracking` say how it is");
+        let what = format!(
+            "{name}: the clock of this host is {:.1} s {way} the sensor's GPS time",
+            ahead.abs()
+        );
+        findings.warning(
+            Topic::Clock,
+            what,
+            "set it by NTP or PTP: `timedatectl` or `chronyc tracking` say how it is",
+        );
     }
     let Some(position) = position else { return };
     let is_hdl32e = sensor.model == Some(Model::Hdl32e);
     let (what, cure) = match (position.pps, position.fix) {
         (Pps::Locked, Some(true)) => return,
-        (Pps::Locked, _) => {
-            ("the pulse per second is locked, and the GPS receiver has no fix", "give its antenna a view of the sky")
-        }
+        (Pps::Locked, _) => (
+            "the pulse per second is locked, and the GPS receiver has no fix",
+            "give its antenna a view of the sky",
+        ),
         // An HDL-32E always says so.
         (_, Some(true)) if is_hdl32e => return,
-        (_, None) => ("no GPS receiver is connected: times are of this host's clock", ""),
-        (Pps::Synchronizing, _) => {
-            ("the pulse per second is there, and its clock does not follow it yet", "wait a minute")
-        }
+        (_, None) => (
+            "no GPS receiver is connected: times are of this host's clock",
+            "",
+        ),
+        (Pps::Synchronizing, _) => (
+            "the pulse per second is there, and its clock does not follow it yet",
+            "wait a minute",
+        ),
         (pps, _) => {
             let cure = "look at the wire of the pulse (PPS), its level and polarity; until then times are of this host's clock";
             findings.warning(

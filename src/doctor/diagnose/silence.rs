@@ -8,16 +8,31 @@ use crate::doctor::observe::{Heard, Interface, Observations, Web};
 
 pub(super) fn find(seen: &Observations, findings: &mut Findings) {
     // What a daemon hears it tells itself.
-    if !seen.ports.iter().any(|port| matches!(port.heard, Heard::All { .. })) {
+    if !seen
+        .ports
+        .iter()
+        .any(|port| matches!(port.heard, Heard::All { .. }))
+    {
         return;
     }
-    for sender in seen.positions.iter().filter(|sender| !is_heard_by_daemon(seen, sender.address)) {
-        if !seen.sensors.iter().any(|sensor| sensor.source.is_some_and(|source| source.ip() == sender.address)) {
+    for sender in seen
+        .positions
+        .iter()
+        .filter(|sender| !is_heard_by_daemon(seen, sender.address))
+    {
+        if !seen.sensors.iter().any(|sensor| {
+            sensor
+                .source
+                .is_some_and(|source| source.ip() == sender.address)
+        }) {
             position_only(seen, sender.address, sender.packets, findings);
         }
     }
     let is_heard = |address: IpAddr| {
-        let sends_data = seen.sensors.iter().any(|one| one.source.is_some_and(|source| source.ip() == address));
+        let sends_data = seen
+            .sensors
+            .iter()
+            .any(|one| one.source.is_some_and(|source| source.ip() == address));
         sends_data || seen.positions.iter().any(|one| one.address == address)
     };
     if seen.plan.sensors.is_empty() {
@@ -27,21 +42,37 @@ pub(super) fn find(seen: &Observations, findings: &mut Findings) {
         return;
     }
     for expected in &seen.plan.sensors {
-        let is_listened_to =
-            seen.ports.iter().any(|port| port.plan.port == expected.port && matches!(port.heard, Heard::All { .. }));
+        let is_listened_to = seen
+            .ports
+            .iter()
+            .any(|port| port.plan.port == expected.port && matches!(port.heard, Heard::All { .. }));
         if is_listened_to && !is_heard(expected.address) {
-            nothing(seen, Some((&expected.name, expected.address, expected.port)), findings);
+            nothing(
+                seen,
+                Some((&expected.name, expected.address, expected.port)),
+                findings,
+            );
         }
         let elsewhere = seen.sensors.iter().find(|one| {
-            one.source.is_some_and(|source| source.ip() == expected.address && !expected.is_at(source, one.port))
+            one.source.is_some_and(|source| {
+                source.ip() == expected.address && !expected.is_at(source, one.port)
+            })
         });
-        let is_at_home = seen.sensors.iter().any(|one| one.source.is_some_and(|from| expected.is_at(from, one.port)));
-        if let Some((elsewhere, source)) = elsewhere.and_then(|one| Some((one, one.source?))).filter(|_| !is_at_home) {
+        let is_at_home = seen.sensors.iter().any(|one| {
+            one.source
+                .is_some_and(|from| expected.is_at(from, one.port))
+        });
+        if let Some((elsewhere, source)) = elsewhere
+            .and_then(|one| Some((one, one.source?)))
+            .filter(|_| !is_at_home)
+        {
             let what = format!(
                 "{}: sends from {source} to port {}, not as configured from {} to port {}",
                 expected.name,
                 elsewhere.port,
-                expected.source_port.map_or("any port".to_owned(), |port| format!("port {port}")),
+                expected
+                    .source_port
+                    .map_or("any port".to_owned(), |port| format!("port {port}")),
                 expected.port
             );
             findings.error(
@@ -53,24 +84,42 @@ pub(super) fn find(seen: &Observations, findings: &mut Findings) {
     }
 }
 
-/// Nothing came at all, and no sensor is named. Where a daemon runs that has ports of its own, it is the one that hears them.
+/// Nothing came at all, and no sensor is named. Where a daemon runs that has ports of its own, it
+/// is the one that hears them.
 fn silence(seen: &Observations, findings: &mut Findings) {
-    let Some(Ok(health)) = &seen.daemon else { return nothing(seen, None, findings) };
-    let has_one = seen.ports.iter().any(|port| matches!(port.heard, Heard::Taken(_)) && serves(health, port.plan.port));
-    let ports: Vec<String> = elements(&health["ports"]).map(|port| port["port"].to_string()).collect();
+    let Some(Ok(health)) = &seen.daemon else {
+        return nothing(seen, None, findings);
+    };
+    let has_one = seen
+        .ports
+        .iter()
+        .any(|port| matches!(port.heard, Heard::Taken(_)) && serves(health, port.plan.port));
+    let ports: Vec<String> = elements(&health["ports"])
+        .map(|port| port["port"].to_string())
+        .collect();
     if !has_one && !ports.is_empty() {
         let ports = ports.join(", ");
-        let what = format!("nothing came to port {}; the running daemon listens on port {ports}", listened(seen));
+        let what = format!(
+            "nothing came to port {}; the running daemon listens on port {ports}",
+            listened(seen)
+        );
         findings.note(Topic::Silent, what, "");
     }
 }
 
 /// Whether a running daemon has the data of a sensor of this address.
 fn is_heard_by_daemon(seen: &Observations, address: IpAddr) -> bool {
-    let Some(Ok(health)) = &seen.daemon else { return false };
+    let Some(Ok(health)) = &seen.daemon else {
+        return false;
+    };
     elements(&health["sensors"]).any(|sensor| {
-        let is_there = sensor["address"].as_str().is_some_and(|text| text.parse() == Ok(address));
-        is_there && sensor["packets"].as_u64().is_some_and(|packets| packets > 0)
+        let is_there = sensor["address"]
+            .as_str()
+            .is_some_and(|text| text.parse() == Ok(address));
+        is_there
+            && sensor["packets"]
+                .as_u64()
+                .is_some_and(|packets| packets > 0)
     })
 }
 
@@ -78,10 +127,16 @@ fn position_only(seen: &Observations, address: IpAddr, packets: u64, findings: &
     let web = web_of(seen, address);
     let ports = listened(seen);
     let cure = match web {
-        Some(Web { lasers_on: Some(false), .. }) => {
+        Some(Web {
+            lasers_on: Some(false),
+            ..
+        }) => {
             format!("its lasers are off: switch them on at http://{address}/ and press Save")
         }
-        Some(Web { data_port: Some(port), .. }) if !ports.contains(&port.to_string()) => {
+        Some(Web {
+            data_port: Some(port),
+            ..
+        }) if !ports.contains(&port.to_string()) => {
             format!(
                 "it sends data to port {port}: set Data Port to one of {ports} at http://{address}/, or listen there"
             )
@@ -99,9 +154,16 @@ fn position_only(seen: &Observations, address: IpAddr, packets: u64, findings: &
 fn nothing(seen: &Observations, expected: Option<(&str, IpAddr, u16)>, findings: &mut Findings) {
     let what = match expected {
         Some((name, address, port)) => {
-            format!("{name}: nothing came from {address} to port {port} in {:.1} s", seen.seconds)
+            format!(
+                "{name}: nothing came from {address} to port {port} in {:.1} s",
+                seen.seconds
+            )
         }
-        None => format!("nothing came to port {} in {:.1} s", listened(seen), seen.seconds),
+        None => format!(
+            "nothing came to port {} in {:.1} s",
+            listened(seen),
+            seen.seconds
+        ),
     };
     let answers = match expected {
         Some((_, address, _)) => web_of(seen, address),
@@ -109,19 +171,32 @@ fn nothing(seen: &Observations, expected: Option<(&str, IpAddr, u16)>, findings:
     };
     let mut steps: Vec<String> = Vec::new();
     if let Some(address) = answers.and_then(|web| web.address) {
-        steps.push(format!("its web page at http://{address}/ answers, so cable and power are good"));
+        steps.push(format!(
+            "its web page at http://{address}/ answers, so cable and power are good"
+        ));
     } else {
-        steps.extend(wiring(&seen.host.interfaces, expected.and_then(|(_, address, _)| v4(address))));
+        steps.extend(wiring(
+            &seen.host.interfaces,
+            expected.and_then(|(_, address, _)| v4(address)),
+        ));
     }
     let own = own_addresses(&seen.host.interfaces);
-    let named =
-        answers.and_then(|web| web.address).map_or("the sensor's web page".to_owned(), |at| format!("http://{at}/"));
+    let named = answers
+        .and_then(|web| web.address)
+        .map_or("the sensor's web page".to_owned(), |at| {
+            format!("http://{at}/")
+        });
     steps.push(format!(
         "at {named} the Destination must be 255.255.255.255 or an address of this host ({own}) and Data Port one of {}; press \
          Set and then Save",
         listened(seen)
     ));
-    if let Some(bound) = seen.ports.iter().map(|port| port.plan.bind).find(|bind| !bind.is_unspecified()) {
+    if let Some(bound) = seen
+        .ports
+        .iter()
+        .map(|port| port.plan.bind)
+        .find(|bind| !bind.is_unspecified())
+    {
         steps.push(format!("listening on {bound} alone misses broadcasts, which sensors send by default: use 0.0.0.0"));
     }
     steps.push(
@@ -137,10 +212,14 @@ fn wiring(interfaces: &[Interface], sensor: Option<Ipv4Addr>) -> Vec<String> {
     let mut steps = vec!["check that the sensor has power and its cable is plugged in".to_owned()];
     for one in interfaces {
         match one.carrier {
-            _ if !one.up => steps.push(format!("interface {0} is down: `ip link set {0} up`", one.name)),
-            Some(false) => {
-                steps.push(format!("interface {} has no carrier: nothing at the other end of its cable", one.name))
-            }
+            _ if !one.up => steps.push(format!(
+                "interface {0} is down: `ip link set {0} up`",
+                one.name
+            )),
+            Some(false) => steps.push(format!(
+                "interface {} has no carrier: nothing at the other end of its cable",
+                one.name
+            )),
             _ => {}
         }
     }
@@ -158,19 +237,32 @@ fn wiring(interfaces: &[Interface], sensor: Option<Ipv4Addr>) -> Vec<String> {
 }
 
 pub(super) fn own_addresses(interfaces: &[Interface]) -> String {
-    let own =
-        interfaces.iter().flat_map(|one| one.addresses.iter().map(move |(own, _)| format!("{own} on {}", one.name)));
+    let own = interfaces.iter().flat_map(|one| {
+        one.addresses
+            .iter()
+            .map(move |(own, _)| format!("{own} on {}", one.name))
+    });
     let own: Vec<String> = own.collect();
-    if own.is_empty() { "it has none".to_owned() } else { own.join(", ") }
+    if own.is_empty() {
+        "it has none".to_owned()
+    } else {
+        own.join(", ")
+    }
 }
 
 fn listened(seen: &Observations) -> String {
-    let ports: Vec<String> = seen.ports.iter().map(|port| port.plan.port.to_string()).collect();
+    let ports: Vec<String> = seen
+        .ports
+        .iter()
+        .map(|port| port.plan.port.to_string())
+        .collect();
     ports.join(", ")
 }
 
 fn web_of(seen: &Observations, address: IpAddr) -> Option<&Web> {
-    seen.web.iter().find(|web| web.address.map(IpAddr::V4) == Some(address))
+    seen.web
+        .iter()
+        .find(|web| web.address.map(IpAddr::V4) == Some(address))
 }
 
 fn v4(address: IpAddr) -> Option<Ipv4Addr> {

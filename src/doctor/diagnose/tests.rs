@@ -18,16 +18,36 @@ const ADDRESS: Ipv4Addr = Ipv4Addr::new(192, 168, 1, 201);
 const OWN: Ipv4Addr = Ipv4Addr::new(192, 168, 1, 100);
 
 fn port(number: u16, received: u64) -> Port {
-    let plan = PortPlan { bind: Ipv4Addr::UNSPECIFIED, port: number, multicast: None, interface: None };
-    let buffer = ReceiveBuffer { wanted_bytes: 8_000_000, granted_bytes: 8_000_000 };
-    Port { plan, heard: Heard::All { received, dropped: 0, others: Vec::new(), buffer } }
+    let plan = PortPlan {
+        bind: Ipv4Addr::UNSPECIFIED,
+        port: number,
+        multicast: None,
+        interface: None,
+    };
+    let buffer = ReceiveBuffer {
+        wanted_bytes: 8_000_000,
+        granted_bytes: 8_000_000,
+    };
+    Port {
+        plan,
+        heard: Heard::All {
+            received,
+            dropped: 0,
+            others: Vec::new(),
+            buffer,
+        },
+    }
 }
 
 fn sensor(source: &str) -> Sensor {
     Sensor {
         source: Some(source.parse().unwrap()),
         port: 2368,
-        counts: Counts { data: 3770, position: 40, ..Counts::default() },
+        counts: Counts {
+            data: 3770,
+            position: 40,
+            ..Counts::default()
+        },
         model: Some(Model::Vlp16),
         return_mode: Some(ReturnMode::Strongest),
         whole_sweeps: 48,
@@ -51,7 +71,12 @@ fn healthy() -> Observations {
         min_points: 10,
     };
     let ports = vec![port(2368, 3770), port(8308, 40)];
-    let interface = Interface { name: "eth0".to_owned(), up: true, carrier: Some(true), addresses: vec![(OWN, 24)] };
+    let interface = Interface {
+        name: "eth0".to_owned(),
+        up: true,
+        carrier: Some(true),
+        addresses: vec![(OWN, 24)],
+    };
     Observations {
         plan: Plan {
             ports: ports.iter().map(|port| port.plan.clone()).collect(),
@@ -63,7 +88,12 @@ fn healthy() -> Observations {
         seconds: 5.0,
         ports,
         sensors: vec![sensor("192.168.1.201:2368")],
-        positions: vec![PositionSender { address: ADDRESS.into(), packets: 40, pps: Pps::Locked, fix: Some(true) }],
+        positions: vec![PositionSender {
+            address: ADDRESS.into(),
+            packets: 40,
+            pps: Pps::Locked,
+            fix: Some(true),
+        }],
         host: Host {
             interfaces: vec![interface],
             rmem_max: Some(4_194_304),
@@ -111,9 +141,16 @@ fn is_only(seen: &Observations, severity: Severity, topic: Topic, parts: &[&str]
 
 #[track_caller]
 fn holds(finding: &Finding, severity: Severity, topic: Topic, parts: &[&str]) {
-    assert_eq!((finding.severity, finding.topic), (severity, topic), "{finding:#?}");
+    assert_eq!(
+        (finding.severity, finding.topic),
+        (severity, topic),
+        "{finding:#?}"
+    );
     let text = format!("{} {}", finding.what, finding.cure);
-    assert!(parts.iter().all(|part| text.contains(part)), "{finding:#?} lacks one of {parts:?}");
+    assert!(
+        parts.iter().all(|part| text.contains(part)),
+        "{finding:#?} lacks one of {parts:?}"
+    );
 }
 
 /// With one thing changed, the only finding.
@@ -145,43 +182,99 @@ fn silence_tells_what_to_check() {
     is_only(&silent(), Severity::Error, Topic::Silent, &told);
     let mut seen = silent();
     seen.plan.sensors.clear();
-    is_only(&seen, Severity::Error, Topic::Silent, &["nothing came to port 2368, 8308 in 5.0 s"]);
+    is_only(
+        &seen,
+        Severity::Error,
+        Topic::Silent,
+        &["nothing came to port 2368, 8308 in 5.0 s"],
+    );
     seen.host.interfaces[0].carrier = Some(false);
-    is_only(&seen, Severity::Error, Topic::Silent, &["eth0 has no carrier"]);
+    is_only(
+        &seen,
+        Severity::Error,
+        Topic::Silent,
+        &["eth0 has no carrier"],
+    );
     seen.host.interfaces[0].up = false;
-    is_only(&seen, Severity::Error, Topic::Silent, &["`ip link set eth0 up`"]);
+    is_only(
+        &seen,
+        Severity::Error,
+        Topic::Silent,
+        &["`ip link set eth0 up`"],
+    );
     let mut seen = silent();
     seen.host.interfaces[0].addresses = vec![(Ipv4Addr::new(10, 0, 0, 5), 8)];
     is_only(
         &seen,
         Severity::Error,
         Topic::Silent,
-        &["no address in the net of 192.168.1.201", "ip address add 192.168.1.100/24"],
+        &[
+            "no address in the net of 192.168.1.201",
+            "ip address add 192.168.1.100/24",
+        ],
     );
     let mut seen = silent();
     seen.ports[0].plan.bind = OWN;
-    is_only(&seen, Severity::Error, Topic::Silent, &["misses broadcasts"]);
+    is_only(
+        &seen,
+        Severity::Error,
+        Topic::Silent,
+        &["misses broadcasts"],
+    );
 }
 
 #[test]
 fn a_sensor_that_sends_elsewhere_is_caught_by_its_web_page() {
     let mut seen = silent();
-    seen.web = vec![Web { destination: Some(Ipv4Addr::new(192, 168, 1, 77)), ..web() }];
+    seen.web = vec![Web {
+        destination: Some(Ipv4Addr::new(192, 168, 1, 77)),
+        ..web()
+    }];
     let findings = diagnose(&seen);
     assert_eq!(findings.len(), 2, "{findings:#?}");
-    holds(&findings[0], Severity::Error, Topic::Silent, &["its web page at http://192.168.1.201/ answers"]);
+    holds(
+        &findings[0],
+        Severity::Error,
+        Topic::Silent,
+        &["its web page at http://192.168.1.201/ answers"],
+    );
     holds(
         &findings[1],
         Severity::Error,
         Topic::Destination,
-        &["sends to 192.168.1.77", "not this host", OWN.to_string().as_str()],
+        &[
+            "sends to 192.168.1.77",
+            "not this host",
+            OWN.to_string().as_str(),
+        ],
     );
-    seen.web = vec![Web { data_port: Some(2370), ..web() }];
-    holds(&diagnose(&seen)[1], Severity::Error, Topic::Destination, &["to port 2370; listened on was 2368, 8308"]);
-    seen.web = vec![Web { destination: Some(Ipv4Addr::new(239, 1, 2, 3)), ..web() }];
-    holds(&diagnose(&seen)[1], Severity::Error, Topic::Destination, &["--multicast 239.1.2.3"]);
+    seen.web = vec![Web {
+        data_port: Some(2370),
+        ..web()
+    }];
+    holds(
+        &diagnose(&seen)[1],
+        Severity::Error,
+        Topic::Destination,
+        &["to port 2370; listened on was 2368, 8308"],
+    );
+    seen.web = vec![Web {
+        destination: Some(Ipv4Addr::new(239, 1, 2, 3)),
+        ..web()
+    }];
+    holds(
+        &diagnose(&seen)[1],
+        Severity::Error,
+        Topic::Destination,
+        &["--multicast 239.1.2.3"],
+    );
     let telemetry = |seen: &mut Observations| seen.web[0].position_port = Some(8309);
-    with(telemetry, Severity::Warning, Topic::Destination, &["position packets to port 8309"]);
+    with(
+        telemetry,
+        Severity::Warning,
+        Topic::Destination,
+        &["position packets to port 8309"],
+    );
 }
 
 #[test]
@@ -191,7 +284,11 @@ fn position_packets_alone_are_no_sensor() {
         only_positions,
         Severity::Error,
         Topic::PositionOnly,
-        &["192.168.1.201 sends position packets (40)", "laser", "Data Port"],
+        &[
+            "192.168.1.201 sends position packets (40)",
+            "laser",
+            "Data Port",
+        ],
     );
     let dark = |seen: &mut Observations| {
         seen.sensors.clear();
@@ -200,15 +297,28 @@ fn position_packets_alone_are_no_sensor() {
     let mut seen = healthy();
     dark(&mut seen);
     let findings = diagnose(&seen);
-    holds(&findings[0], Severity::Error, Topic::PositionOnly, &["lasers are off"]);
-    holds(&findings[1], Severity::Error, Topic::Lasers, &["switch them on"]);
+    holds(
+        &findings[0],
+        Severity::Error,
+        Topic::PositionOnly,
+        &["lasers are off"],
+    );
+    holds(
+        &findings[1],
+        Severity::Error,
+        Topic::Lasers,
+        &["switch them on"],
+    );
 }
 
 #[test]
 fn a_port_that_is_taken_is_asked_of_its_daemon() {
     let take = |seen: &mut Observations| {
         for port in &mut seen.ports {
-            port.heard = Heard::Taken(format!("port {} is taken: sweepd (pid 7) listens on it", port.plan.port));
+            port.heard = Heard::Taken(format!(
+                "port {} is taken: sweepd (pid 7) listens on it",
+                port.plan.port
+            ));
         }
         (seen.sensors, seen.positions, seen.web) = (Vec::new(), Vec::new(), Vec::new());
     };
@@ -217,32 +327,64 @@ fn a_port_that_is_taken_is_asked_of_its_daemon() {
     seen.daemon = Some(Err("connection refused".to_owned()));
     let findings = diagnose(&seen);
     assert_eq!(findings.len(), 2);
-    holds(&findings[0], Severity::Error, Topic::Port, &["sweepd (pid 7)", "connection refused", "journalctl"]);
+    holds(
+        &findings[0],
+        Severity::Error,
+        Topic::Port,
+        &["sweepd (pid 7)", "connection refused", "journalctl"],
+    );
 
     seen.daemon = Some(Ok(json!({"status": "ok", "reasons": []})));
-    is_only(&seen, Severity::Note, Topic::Daemon, &["says that all is well"]);
+    is_only(
+        &seen,
+        Severity::Note,
+        Topic::Daemon,
+        &["says that all is well"],
+    );
     seen.daemon = Some(Ok(json!({
         "status": "unwell", "reasons": ["roof: stalled: no packet for 3 s\u{1b}[2J"],
         "ports": [{"port": 2368, "dropped": 12}, {"port": 8308}],
         "sensors": [{"name": "roof", "state": "stalled", "model": "VLP-16", "packets": 1000, "lost": 50}],
     })));
     let findings = diagnose(&seen);
-    holds(&findings[0], Severity::Error, Topic::Daemon, &["roof: stalled: no packet for 3 s[2J"]);
+    holds(
+        &findings[0],
+        Severity::Error,
+        Topic::Daemon,
+        &["roof: stalled: no packet for 3 s[2J"],
+    );
     // Sums since the daemon began say nothing of now, and blame nobody.
-    holds(&findings[1], Severity::Note, Topic::Loss, &["dropped 12 datagrams on port 2368 since the daemon began"]);
+    holds(
+        &findings[1],
+        Severity::Note,
+        Topic::Loss,
+        &["dropped 12 datagrams on port 2368 since the daemon began"],
+    );
     holds(
         &findings[2],
         Severity::Note,
         Topic::Daemon,
         &["roof, stalled, VLP-16, 1000 packets, 50 lost since the daemon"],
     );
-    assert!(findings.iter().all(|one| !one.cure.contains("cable")), "{findings:#?}");
+    assert!(
+        findings.iter().all(|one| !one.cure.contains("cable")),
+        "{findings:#?}"
+    );
     // Another program's: its daemon serves other ports.
     seen.daemon = Some(Ok(json!({"status": "ok", "ports": [{"port": 2368}]})));
     let findings = diagnose(&seen);
-    holds(&findings[0], Severity::Error, Topic::Port, &["port 8308 is taken"]);
+    holds(
+        &findings[0],
+        Severity::Error,
+        Topic::Port,
+        &["port 8308 is taken"],
+    );
     // Whatever it says, nothing breaks.
-    for odd in [json!(null), json!([1]), json!({"reasons": 3, "ports": {"a": 1}, "sensors": [null, 5, {}]})] {
+    for odd in [
+        json!(null),
+        json!([1]),
+        json!({"reasons": 3, "ports": {"a": 1}, "sensors": [null, 5, {}]}),
+    ] {
         seen.daemon = Some(Ok(odd));
         diagnose(&seen);
     }
@@ -251,9 +393,13 @@ fn a_port_that_is_taken_is_asked_of_its_daemon() {
 /// What a daemon says of a sensor whose losses are these, and what is found then.
 fn beside(state: &str, is_fault: bool, percent: f64) -> Vec<Finding> {
     let mut seen = silent();
-    seen.ports[0].heard = Heard::Taken("port 2368 is taken: sweepd (pid 7) listens on it".to_owned());
+    seen.ports[0].heard =
+        Heard::Taken("port 2368 is taken: sweepd (pid 7) listens on it".to_owned());
     let reason = (state != "streaming").then_some("12.0 % of its packets are lost: look at cable");
-    let reasons: Vec<String> = reason.iter().map(|why| format!("roof: {state}: {why}")).collect();
+    let reasons: Vec<String> = reason
+        .iter()
+        .map(|why| format!("roof: {state}: {why}"))
+        .collect();
     let losses = json!({"percent": percent, "what": "this host's kernel dropped 942", "cure": "a larger buffer"});
     seen.plan.sensors.clear();
     seen.daemon = Some(Ok(json!({
@@ -261,19 +407,44 @@ fn beside(state: &str, is_fault: bool, percent: f64) -> Vec<Finding> {
         "sensors": [{"name": "roof", "address": "192.168.1.201", "state": state, "reason": reason, "is_fault": is_fault,
                      "packets": 9000, "lost": 879, "losses": losses}],
     })));
-    diagnose(&seen).into_iter().filter(Finding::is_trouble).collect()
+    diagnose(&seen)
+        .into_iter()
+        .filter(Finding::is_trouble)
+        .collect()
 }
 
 #[test]
 fn beside_a_daemon_losses_are_those_of_now_and_laid_at_the_door_that_it_names() {
-    // 879 lost and 942 dropped since it began, and none of late: port 8308 is silent since nobody uses it.
+    // 879 lost and 942 dropped since it began, and none of late: port 8308 is silent since nobody
+    // uses it.
     assert_eq!(beside("streaming", false, 0.0), []);
-    let [few] = &beside("streaming", false, 0.5)[..] else { panic!("one finding") };
-    holds(few, Severity::Warning, Topic::Loss, &["roof: this host's kernel dropped 942", "a larger buffer"]);
-    let [some] = &beside("losing packets", false, 12.0)[..] else { panic!("one finding") };
-    holds(some, Severity::Warning, Topic::Daemon, &["roof: losing packets: 12.0 % of its packets are lost"]);
-    let [many] = &beside("losing many packets", true, 40.0)[..] else { panic!("one finding") };
-    holds(many, Severity::Error, Topic::Daemon, &["roof: losing many packets: "]);
+    let [few] = &beside("streaming", false, 0.5)[..] else {
+        panic!("one finding")
+    };
+    holds(
+        few,
+        Severity::Warning,
+        Topic::Loss,
+        &["roof: this host's kernel dropped 942", "a larger buffer"],
+    );
+    let [some] = &beside("losing packets", false, 12.0)[..] else {
+        panic!("one finding")
+    };
+    holds(
+        some,
+        Severity::Warning,
+        Topic::Daemon,
+        &["roof: losing packets: 12.0 % of its packets are lost"],
+    );
+    let [many] = &beside("losing many packets", true, 40.0)[..] else {
+        panic!("one finding")
+    };
+    holds(
+        many,
+        Severity::Error,
+        Topic::Daemon,
+        &["roof: losing many packets: "],
+    );
 }
 
 #[test]
@@ -281,48 +452,93 @@ fn silence_on_the_usual_ports_is_none_where_a_daemon_has_others() {
     let mut seen = silent();
     seen.plan.sensors.clear();
     assert!(seen.plan.is_usual());
-    seen.daemon = Some(Ok(json!({"status": "ok", "reasons": [], "ports": [{"port": 2400}]})));
+    seen.daemon = Some(Ok(
+        json!({"status": "ok", "reasons": [], "ports": [{"port": 2400}]}),
+    ));
     let findings = diagnose(&seen);
     assert!(!findings.iter().any(Finding::is_trouble), "{findings:#?}");
-    holds(&findings[1], Severity::Note, Topic::Silent, &["to port 2368, 8308", "daemon listens on port 2400"]);
+    holds(
+        &findings[1],
+        Severity::Note,
+        Topic::Silent,
+        &["to port 2368, 8308", "daemon listens on port 2400"],
+    );
     // What its sensor sends beside is no sensor without data.
-    seen.daemon = Some(Ok(json!({"ports": [{"port": 2400}], "sensors": [{"address": "192.168.1.201", "packets": 5}]})));
+    seen.daemon = Some(Ok(
+        json!({"ports": [{"port": 2400}], "sensors": [{"address": "192.168.1.201", "packets": 5}]}),
+    ));
     seen.positions = healthy().positions;
     assert!(!diagnose(&seen).iter().any(Finding::is_trouble));
     seen.daemon = None;
-    assert!(diagnose(&seen).iter().any(|one| one.topic == Topic::PositionOnly));
+    assert!(
+        diagnose(&seen)
+            .iter()
+            .any(|one| one.topic == Topic::PositionOnly)
+    );
     seen.plan.ports[0].port = 2400;
     assert!(!seen.plan.is_usual());
 }
 
 #[test]
 fn a_port_that_cannot_be_opened_says_why() {
-    let refuse = |seen: &mut Observations| seen.ports[1].heard = Heard::Refused("no interface has 10.9.9.9".to_owned());
-    with(refuse, Severity::Error, Topic::Port, &["no interface has 10.9.9.9"]);
+    let refuse = |seen: &mut Observations| {
+        seen.ports[1].heard = Heard::Refused("no interface has 10.9.9.9".to_owned())
+    };
+    with(
+        refuse,
+        Severity::Error,
+        Topic::Port,
+        &["no interface has 10.9.9.9"],
+    );
 }
 
 #[test]
 fn other_models_are_told() {
     let other = |seen: &mut Observations| seen.sensors[0].model = Some(Model::Hdl32e);
-    with(other, Severity::Error, Topic::Model, &["configured as VLP-16", "HDL-32E", "model = \"hdl32e\""]);
+    with(
+        other,
+        Severity::Error,
+        Topic::Model,
+        &["configured as VLP-16", "HDL-32E", "model = \"hdl32e\""],
+    );
     // Nothing in the packets tells these apart.
     let mut seen = healthy();
     seen.plan.sensors[0].model = Some(Model::PuckLite);
     assert_eq!(diagnose(&seen), []);
     let unsupported = |seen: &mut Observations| {
-        (seen.sensors[0].model, seen.sensors[0].fault) = (None, Some("this is a VLP-32C".to_owned()));
+        (seen.sensors[0].model, seen.sensors[0].fault) =
+            (None, Some("this is a VLP-32C".to_owned()));
     };
-    with(unsupported, Severity::Error, Topic::Model, &["this is a VLP-32C", "HDL-64E"]);
-    let few = |seen: &mut Observations| (seen.sensors[0].model, seen.sensors[0].counts.data) = (None, 2);
-    with(few, Severity::Error, Topic::Model, &["2 packets came", "--seconds"]);
+    with(
+        unsupported,
+        Severity::Error,
+        Topic::Model,
+        &["this is a VLP-32C", "HDL-64E"],
+    );
+    let few =
+        |seen: &mut Observations| (seen.sensors[0].model, seen.sensors[0].counts.data) = (None, 2);
+    with(
+        few,
+        Severity::Error,
+        Topic::Model,
+        &["2 packets came", "--seconds"],
+    );
 }
 
 #[test]
 fn senders_that_nobody_configured_are_named() {
     let second = |seen: &mut Observations| seen.sensors.push(sensor("192.168.1.202:2368"));
-    with(second, Severity::Warning, Topic::Senders, &["192.168.1.202:2368", "no sensor there is configured"]);
+    with(
+        second,
+        Severity::Warning,
+        Topic::Senders,
+        &["192.168.1.202:2368", "no sensor there is configured"],
+    );
     let twice = |seen: &mut Observations| seen.sensors.push(sensor("192.168.1.201:40000"));
-    let both = ["roof: 2 senders are taken for it: 192.168.1.201:2368, 192.168.1.201:40000", "IP:PORT"];
+    let both = [
+        "roof: 2 senders are taken for it: 192.168.1.201:2368, 192.168.1.201:40000",
+        "IP:PORT",
+    ];
     with(twice, Severity::Error, Topic::Senders, &both);
     let mut seen = healthy();
     second(&mut seen);
@@ -331,16 +547,30 @@ fn senders_that_nobody_configured_are_named() {
         &seen,
         Severity::Warning,
         Topic::Senders,
-        &["2 senders on port 2368", "192.168.1.201:2368, 192.168.1.202:2368"],
+        &[
+            "2 senders on port 2368",
+            "192.168.1.201:2368, 192.168.1.202:2368",
+        ],
     );
-    let elsewhere = |seen: &mut Observations| (seen.sensors[0].port, seen.plan.sensors[0].model) = (8308, None);
-    with(elsewhere, Severity::Error, Topic::Silent, &["to port 8308", "to port 2368"]);
+    let elsewhere =
+        |seen: &mut Observations| (seen.sensors[0].port, seen.plan.sensors[0].model) = (8308, None);
+    with(
+        elsewhere,
+        Severity::Error,
+        Topic::Silent,
+        &["to port 8308", "to port 2368"],
+    );
     let noise = |seen: &mut Observations| {
         if let Heard::All { others, .. } = &mut seen.ports[0].heard {
             others.push((SocketAddr::from(([10, 1, 1, 1], 5000)), 17));
         }
     };
-    with(noise, Severity::Warning, Topic::Foreign, &["17 datagrams on port 2368", "10.1.1.1:5000"]);
+    with(
+        noise,
+        Severity::Warning,
+        Topic::Foreign,
+        &["17 datagrams on port 2368", "10.1.1.1:5000"],
+    );
 }
 
 #[test]
@@ -351,20 +581,45 @@ fn speeds_are_held_against_what_was_set() {
             seen.web[0].rpm = None;
         }
     };
-    with(turns(1190.0, 1200.0), Severity::Warning, Topic::Speed, &["turns at 1195 rpm, configured are 600"]);
-    with(turns(500.0, 600.0), Severity::Warning, Topic::Speed, &["not steady, 500 to 600"]);
+    with(
+        turns(1190.0, 1200.0),
+        Severity::Warning,
+        Topic::Speed,
+        &["turns at 1195 rpm, configured are 600"],
+    );
+    with(
+        turns(500.0, 600.0),
+        Severity::Warning,
+        Topic::Speed,
+        &["not steady, 500 to 600"],
+    );
     let mut seen = healthy();
     turns(120.0, 121.0)(&mut seen);
     seen.plan.sensors[0].rpm = None;
     is_only(&seen, Severity::Warning, Topic::Speed, &["300 to 1200"]);
-    with(|seen| seen.sensors[0].flags |= flags::STOPPED, Severity::Error, Topic::Speed, &["stands still"]);
-    with(|seen| seen.web[0].rpm = Some(1200.0), Severity::Warning, Topic::Speed, &["set to 1200 rpm and turns at 600"]);
+    with(
+        |seen| seen.sensors[0].flags |= flags::STOPPED,
+        Severity::Error,
+        Topic::Speed,
+        &["stands still"],
+    );
+    with(
+        |seen| seen.web[0].rpm = Some(1200.0),
+        Severity::Warning,
+        Topic::Speed,
+        &["set to 1200 rpm and turns at 600"],
+    );
 }
 
 #[test]
 fn losses_are_laid_at_the_right_door() {
     let lost = |lost| move |seen: &mut Observations| seen.sensors[0].counts.lost = lost;
-    with(lost(5), Severity::Warning, Topic::Loss, &["5 of 3775 packets were lost", "before this host"]);
+    with(
+        lost(5),
+        Severity::Warning,
+        Topic::Loss,
+        &["5 of 3775 packets were lost", "before this host"],
+    );
     with(lost(500), Severity::Error, Topic::Loss, &["500 of 4270"]);
     let mut seen = healthy();
     lost(9)(&mut seen);
@@ -372,19 +627,59 @@ fn losses_are_laid_at_the_right_door() {
         *dropped = 9;
     }
     let findings = diagnose(&seen);
-    holds(&findings[0], Severity::Warning, Topic::Loss, &["9 of 3779", "the kernel dropped 9"]);
-    holds(&findings[1], Severity::Warning, Topic::Loss, &["the kernel dropped 9 datagrams on port 2368"]);
-    with(|seen| seen.sensors[0].counts.duplicates = 3770, Severity::Warning, Topic::Loss, &["came twice", "mirror"]);
-    with(|seen| seen.sensors[0].counts.malformed = 2, Severity::Warning, Topic::Loss, &["2 packets are damaged"]);
+    holds(
+        &findings[0],
+        Severity::Warning,
+        Topic::Loss,
+        &["9 of 3779", "the kernel dropped 9"],
+    );
+    holds(
+        &findings[1],
+        Severity::Warning,
+        Topic::Loss,
+        &["the kernel dropped 9 datagrams on port 2368"],
+    );
+    with(
+        |seen| seen.sensors[0].counts.duplicates = 3770,
+        Severity::Warning,
+        Topic::Loss,
+        &["came twice", "mirror"],
+    );
+    with(
+        |seen| seen.sensors[0].counts.malformed = 2,
+        Severity::Warning,
+        Topic::Loss,
+        &["2 packets are damaged"],
+    );
 }
 
 #[test]
 fn settings_of_the_sensor_are_told() {
     let dual = |seen: &mut Observations| seen.sensors[0].return_mode = Some(ReturnMode::Dual);
-    with(dual, Severity::Warning, Topic::Returns, &["two returns, configured is one"]);
-    with(|seen| seen.sensors[0].flags = flags::BLANKED, Severity::Note, Topic::View, &["field of view is limited"]);
-    with(|seen| seen.web[0].view_deg = Some((270.0, 91.0)), Severity::Note, Topic::View, &["from 270 to 91 degrees"]);
-    with(|seen| seen.sensors[0].flags |= flags::REVERSED, Severity::Note, Topic::Speed, &["counter-clockwise"]);
+    with(
+        dual,
+        Severity::Warning,
+        Topic::Returns,
+        &["two returns, configured is one"],
+    );
+    with(
+        |seen| seen.sensors[0].flags = flags::BLANKED,
+        Severity::Note,
+        Topic::View,
+        &["field of view is limited"],
+    );
+    with(
+        |seen| seen.web[0].view_deg = Some((270.0, 91.0)),
+        Severity::Note,
+        Topic::View,
+        &["from 270 to 91 degrees"],
+    );
+    with(
+        |seen| seen.sensors[0].flags |= flags::REVERSED,
+        Severity::Note,
+        Topic::Speed,
+        &["counter-clockwise"],
+    );
     with(
         |seen| seen.sensors[0].awaits_calibration = true,
         Severity::Warning,
@@ -395,18 +690,50 @@ fn settings_of_the_sensor_are_told() {
 
 #[test]
 fn clocks_are_looked_at() {
-    let gps = |pps, fix| move |seen: &mut Observations| (seen.positions[0].pps, seen.positions[0].fix) = (pps, fix);
-    with(gps(Pps::Absent, None), Severity::Note, Topic::Clock, &["no GPS receiver is connected"]);
-    with(gps(Pps::Absent, Some(true)), Severity::Warning, Topic::Clock, &["pulse per second is absent", "PPS"]);
-    with(gps(Pps::Locked, Some(false)), Severity::Note, Topic::Clock, &["has no fix"]);
-    with(gps(Pps::Synchronizing, Some(true)), Severity::Note, Topic::Clock, &["wait a minute"]);
+    let gps = |pps, fix| {
+        move |seen: &mut Observations| (seen.positions[0].pps, seen.positions[0].fix) = (pps, fix)
+    };
+    with(
+        gps(Pps::Absent, None),
+        Severity::Note,
+        Topic::Clock,
+        &["no GPS receiver is connected"],
+    );
+    with(
+        gps(Pps::Absent, Some(true)),
+        Severity::Warning,
+        Topic::Clock,
+        &["pulse per second is absent", "PPS"],
+    );
+    with(
+        gps(Pps::Locked, Some(false)),
+        Severity::Note,
+        Topic::Clock,
+        &["has no fix"],
+    );
+    with(
+        gps(Pps::Synchronizing, Some(true)),
+        Severity::Note,
+        Topic::Clock,
+        &["wait a minute"],
+    );
     // An HDL-32E says absent whatever is connected.
     let mut seen = healthy();
     gps(Pps::Absent, Some(true))(&mut seen);
     (seen.sensors[0].model, seen.plan.sensors[0].model) = (Some(Model::Hdl32e), None);
     assert_eq!(diagnose(&seen), []);
-    with(|seen| seen.sensors[0].host_ahead_s = Some(-37.0), Severity::Warning, Topic::Clock, &["37.0 s behind", "NTP"]);
-    with(|seen| seen.sensors[0].counts.unconfirmed = 4, Severity::Warning, Topic::Clock, &["4 packets", "clock steps"]);
+    with(
+        |seen| seen.sensors[0].host_ahead_s = Some(-37.0),
+        Severity::Warning,
+        Topic::Clock,
+        &["37.0 s behind", "NTP"],
+    );
+    with(
+        |seen| seen.sensors[0].counts.unconfirmed = 4,
+        Severity::Warning,
+        Topic::Clock,
+        &["4 packets", "clock steps"],
+    );
 }
 
 #[test]
@@ -417,23 +744,46 @@ fn what_this_host_lacks_is_told_with_the_command() {
             buffer.granted_bytes = 425_984;
         }
     };
-    let told = ["for 184 packets", "net.core.rmem_max is 212992", "sysctl -w net.core.rmem_max=4000000"];
+    let told = [
+        "for 184 packets",
+        "net.core.rmem_max is 212992",
+        "sysctl -w net.core.rmem_max=4000000",
+    ];
     with(small, Severity::Warning, Topic::Buffer, &told);
     let memory = |seen: &mut Observations| seen.host.shared = Some((16 << 20, 6 << 20));
-    with(memory, Severity::Error, Topic::SharedMemory, &["6 MiB free of 16 MiB", "mount -o remount,size="]);
+    with(
+        memory,
+        Severity::Error,
+        Topic::SharedMemory,
+        &["6 MiB free of 16 MiB", "mount -o remount,size="],
+    );
     // What a running daemon holds is not free any more, and need not be.
     let mut seen = healthy();
     memory(&mut seen);
     seen.daemon = Some(Ok(json!({"status": "ok"})));
     assert!(!diagnose(&seen).iter().any(Finding::is_trouble));
     let denied = |seen: &mut Observations| {
-        seen.host.root_trouble = Some(RootTrouble::NotWritable { folder: "/run/sweepd".into() });
+        seen.host.root_trouble = Some(RootTrouble::NotWritable {
+            folder: "/run/sweepd".into(),
+        });
     };
-    with(denied, Severity::Error, Topic::SharedMemory, &["may not make files in /run/sweepd"]);
+    with(
+        denied,
+        Severity::Error,
+        Topic::SharedMemory,
+        &["may not make files in /run/sweepd"],
+    );
     let owned = |seen: &mut Observations| {
-        seen.host.root_trouble = Some(RootTrouble::Unusable("/run/sweepd belongs to user sweepd".to_owned()));
+        seen.host.root_trouble = Some(RootTrouble::Unusable(
+            "/run/sweepd belongs to user sweepd".to_owned(),
+        ));
     };
-    with(owned, Severity::Warning, Topic::SharedMemory, &["belongs to user sweepd"]);
+    with(
+        owned,
+        Severity::Warning,
+        Topic::SharedMemory,
+        &["belongs to user sweepd"],
+    );
 }
 
 #[test]
@@ -442,7 +792,13 @@ fn the_worst_comes_first() {
     seen.sensors[0].flags |= flags::BLANKED;
     seen.sensors[0].counts.lost = 3;
     seen.sensors[0].model = Some(Model::Hdl32e);
-    let severities: Vec<Severity> = diagnose(&seen).iter().map(|finding| finding.severity).collect();
-    assert_eq!(severities, [Severity::Error, Severity::Warning, Severity::Note]);
+    let severities: Vec<Severity> = diagnose(&seen)
+        .iter()
+        .map(|finding| finding.severity)
+        .collect();
+    assert_eq!(
+        severities,
+        [Severity::Error, Severity::Warning, Severity::Note]
+    );
     assert!(matches!(seen.sensors[0].source, Some(source) if source.ip() == IpAddr::V4(ADDRESS)));
 }

@@ -1,4 +1,5 @@
-//! Pixels to draw on: rectangles, lines, circles and text by embedded-graphics, into bytes that a PNG encoder takes.
+//! Pixels to draw on: rectangles, lines, circles and text by embedded-graphics, into bytes that a
+//! PNG encoder takes.
 
 use std::convert::Infallible;
 
@@ -23,7 +24,10 @@ pub struct Canvas {
 impl Canvas {
     /// An image of one colour.
     pub fn new(size: Size, color: Rgb888) -> Self {
-        let mut canvas = Self { size, bytes: vec![0; (size.width * size.height * 3) as usize] };
+        let mut canvas = Self {
+            size,
+            bytes: vec![0; (size.width * size.height * 3) as usize],
+        };
         canvas.rect(Rectangle::new(Point::zero(), size), color);
         canvas
     }
@@ -36,7 +40,8 @@ impl Canvas {
     /// Colours one pixel.
     #[inline]
     pub fn set(&mut self, Point { x, y }: Point, color: Rgb888) {
-        let inside = (0..self.size.width as i32).contains(&x) && (0..self.size.height as i32).contains(&y);
+        let inside =
+            (0..self.size.width as i32).contains(&x) && (0..self.size.height as i32).contains(&y);
         if inside {
             let at = (y as usize * self.size.width as usize + x as usize) * 3;
             self.bytes[at..at + 3].copy_from_slice(&[color.r(), color.g(), color.b()]);
@@ -50,24 +55,46 @@ impl Canvas {
 
     /// A line of one pixel, within an area.
     pub fn line(&mut self, from: Point, to: Point, color: Rgb888, clip: &Rectangle) {
-        drawn(Line::new(from, to).into_styled(PrimitiveStyle::with_stroke(color, 1)).draw(&mut self.clipped(clip)));
+        drawn(
+            Line::new(from, to)
+                .into_styled(PrimitiveStyle::with_stroke(color, 1))
+                .draw(&mut self.clipped(clip)),
+        );
     }
 
     /// A circle of one pixel, within an area.
     pub fn circle(&mut self, center: Point, radius: u32, color: Rgb888, clip: &Rectangle) {
         let circle = Circle::with_center(center, 2 * radius + 1);
-        drawn(circle.into_styled(PrimitiveStyle::with_stroke(color, 1)).draw(&mut self.clipped(clip)));
+        drawn(
+            circle
+                .into_styled(PrimitiveStyle::with_stroke(color, 1))
+                .draw(&mut self.clipped(clip)),
+        );
     }
 
     /// A filled triangle, within an area.
     pub fn triangle(&mut self, corners: [Point; 3], color: Rgb888, clip: &Rectangle) {
         let [a, b, c] = corners;
-        drawn(Triangle::new(a, b, c).into_styled(PrimitiveStyle::with_fill(color)).draw(&mut self.clipped(clip)));
+        drawn(
+            Triangle::new(a, b, c)
+                .into_styled(PrimitiveStyle::with_fill(color))
+                .draw(&mut self.clipped(clip)),
+        );
     }
 
     /// A line of text below (and beside or around, as aligned) a point; gives the x behind it.
-    pub fn text(&mut self, at: Point, text: &str, font: &MonoFont<'_>, color: Rgb888, alignment: Alignment) -> i32 {
-        let style = TextStyleBuilder::new().alignment(alignment).baseline(Baseline::Top).build();
+    pub fn text(
+        &mut self,
+        at: Point,
+        text: &str,
+        font: &MonoFont<'_>,
+        color: Rgb888,
+        alignment: Alignment,
+    ) -> i32 {
+        let style = TextStyleBuilder::new()
+            .alignment(alignment)
+            .baseline(Baseline::Top)
+            .build();
         let text = Text::with_text_style(text, at, MonoTextStyle::new(font, color), style);
         drawn(text.draw(self));
         let bounds = text.bounding_box();
@@ -81,7 +108,14 @@ impl Canvas {
     }
 
     /// Text with a rim of a pixel, readable whatever is below it.
-    pub fn rimmed_text(&mut self, at: Point, text: &str, font: &MonoFont<'_>, color: Rgb888, rim: Rgb888) {
+    pub fn rimmed_text(
+        &mut self,
+        at: Point,
+        text: &str,
+        font: &MonoFont<'_>,
+        color: Rgb888,
+        rim: Rgb888,
+    ) {
         for y in -1..=1 {
             for x in -1..=1 {
                 self.text(at + Point::new(x, y), text, font, rim, Alignment::Left);
@@ -111,7 +145,10 @@ impl DrawTarget for Canvas {
     type Color = Rgb888;
     type Error = Infallible;
 
-    fn draw_iter<I: IntoIterator<Item = Pixel<Rgb888>>>(&mut self, pixels: I) -> Result<(), Infallible> {
+    fn draw_iter<I: IntoIterator<Item = Pixel<Rgb888>>>(
+        &mut self,
+        pixels: I,
+    ) -> Result<(), Infallible> {
         for Pixel(at, color) in pixels {
             self.set(at, color);
         }

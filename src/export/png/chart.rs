@@ -1,5 +1,5 @@
-//! A picture of figures over a parameter: panels side by side, each with lines over an axis of its own, and all over the
-//! same shares from 0 to 1.
+//! A picture of figures over a parameter: panels side by side, each with lines over an axis of its
+//! own, and all over the same shares from 0 to 1.
 //!
 //! Colour alone tells no line from another: each has a mark of its own shape.
 
@@ -68,11 +68,13 @@ pub struct Panel {
 pub struct Series {
     /// What the legend calls it.
     pub name: String,
-    /// Value of the parameter, 0 or more, and the share, 0 to 1; in the order in which they are joined.
+    /// Value of the parameter, 0 or more, and the share, 0 to 1; in the order in which they are
+    /// joined.
     pub points: Vec<[f64; 2]>,
 }
 
-/// Draws a chart and writes it as PNG, of [`CHART_SIZE`]. A panel without points has an axis from 0 to 1.
+/// Draws a chart and writes it as PNG, of [`CHART_SIZE`]. A panel without points has an axis from 0
+/// to 1.
 ///
 /// # Errors
 /// Those of `out`.
@@ -82,8 +84,20 @@ pub fn write_chart(chart: &Chart, out: impl Write) -> io::Result<()> {
 
 fn draw(chart: &Chart) -> Canvas {
     let mut page = Canvas::new(Size::new(CHART_SIZE.0, CHART_SIZE.1), BACKGROUND);
-    page.text(Point::new(LEFT, 16), &chart.title, TITLE, TEXT, Alignment::Left);
-    page.text(Point::new(LEFT, 44), &chart.note, BODY, DIM, Alignment::Left);
+    page.text(
+        Point::new(LEFT, 16),
+        &chart.title,
+        TITLE,
+        TEXT,
+        Alignment::Left,
+    );
+    page.text(
+        Point::new(LEFT, 44),
+        &chart.note,
+        BODY,
+        DIM,
+        Alignment::Left,
+    );
     let mut marks = 0;
     for (number, panel) in chart.panels.iter().enumerate() {
         let scale = Scale::of(panel, area(number, chart.panels.len()));
@@ -101,7 +115,10 @@ fn draw(chart: &Chart) -> Canvas {
 fn area(number: usize, count: usize) -> Rectangle {
     let width = CHART_SIZE.0 as i32 / count.max(1) as i32;
     let left = number as i32 * width + LEFT;
-    Rectangle::new(Point::new(left, TOP), Size::new((width - LEFT - RIGHT).max(1) as u32, HEIGHT))
+    Rectangle::new(
+        Point::new(left, TOP),
+        Size::new((width - LEFT - RIGHT).max(1) as u32, HEIGHT),
+    )
 }
 
 /// Where values are on the page.
@@ -114,16 +131,30 @@ struct Scale {
 impl Scale {
     /// From 0 to the first round step behind the greatest value.
     fn of(panel: &Panel, area: Rectangle) -> Self {
-        let values = panel.lines.iter().flat_map(|line| &line.points).map(|[value, _]| *value);
+        let values = panel
+            .lines
+            .iter()
+            .flat_map(|line| &line.points)
+            .map(|[value, _]| *value);
         let most = values.fold(0.0, f64::max);
-        let most = if most > 0.0 && most.is_finite() { most } else { 1.0 };
+        let most = if most > 0.0 && most.is_finite() {
+            most
+        } else {
+            1.0
+        };
         let step = palette::round_up(most / STEPS);
-        Self { area, step, steps: (most / step * 0.999_999).ceil() as u32 }
+        Self {
+            area,
+            step,
+            steps: (most / step * 0.999_999).ceil() as u32,
+        }
     }
 
     fn pixel(&self, [value, share]: [f64; 2]) -> Point {
         let Size { width, height } = self.area.size;
-        let part = |share: f64, pixels: u32| (share.clamp(0.0, 1.0) * f64::from(pixels - 1)).round() as i32;
+        let part = |share: f64, pixels: u32| {
+            (share.clamp(0.0, 1.0) * f64::from(pixels - 1)).round() as i32
+        };
         let x = part(value / (self.step * f64::from(self.steps)), width);
         self.area.top_left + Point::new(x, height as i32 - 1 - part(share, height))
     }
@@ -136,18 +167,36 @@ impl Scale {
             let share = f64::from(number) / f64::from(SHARES);
             let [left, right] = [0.0, most].map(|value| self.pixel([value, share]));
             page.line(left, right, GRID, &self.area);
-            page.text(left - Point::new(8, 6), &format!("{share:.1}"), TICK, TEXT, Alignment::Right);
+            page.text(
+                left - Point::new(8, 6),
+                &format!("{share:.1}"),
+                TICK,
+                TEXT,
+                Alignment::Right,
+            );
         }
         let decimals = (-self.step.log10().floor()).max(0.0) as usize;
         for number in 0..=self.steps {
             let value = f64::from(number) * self.step;
             let [foot, head] = [0.0, 1.0].map(|share| self.pixel([value, share]));
             page.line(foot, head, GRID, &self.area);
-            page.text(foot + Point::new(0, 6), &format!("{value:.decimals$}"), TICK, TEXT, Alignment::Center);
+            page.text(
+                foot + Point::new(0, 6),
+                &format!("{value:.decimals$}"),
+                TICK,
+                TEXT,
+                Alignment::Center,
+            );
         }
         let below = Point::new(self.area.center().x, self.bottom() + 24);
         page.text(below, parameter, CAPTION, TEXT, Alignment::Center);
-        page.text(self.area.top_left - Point::new(0, 22), "precision", CAPTION, TEXT, Alignment::Left);
+        page.text(
+            self.area.top_left - Point::new(0, 22),
+            "precision",
+            CAPTION,
+            TEXT,
+            Alignment::Left,
+        );
     }
 
     fn bottom(&self) -> i32 {
@@ -169,17 +218,34 @@ impl Scale {
     fn draw_legend(&self, page: &mut Canvas, line: &Series, mark: usize, below: i32) {
         let at = Point::new(self.area.top_left.x + 10, self.bottom() + 54 + below * LINE);
         draw_mark(page, at + Point::new(0, 7), mark);
-        let end = page.text(at + Point::new(16, 0), &line.name, CAPTION, TEXT, Alignment::Left);
+        let end = page.text(
+            at + Point::new(16, 0),
+            &line.name,
+            CAPTION,
+            TEXT,
+            Alignment::Left,
+        );
         // Of equals the first.
-        let best = line.points.iter().rev().max_by(|a, b| a[1].total_cmp(&b[1]));
+        let best = line
+            .points
+            .iter()
+            .rev()
+            .max_by(|a, b| a[1].total_cmp(&b[1]));
         if let Some([value, share]) = best {
             let text = format!("best {share:.3} at {value}");
-            page.text(Point::new(end + 14, at.y + 1), &text, BODY, DIM, Alignment::Left);
+            page.text(
+                Point::new(end + 14, at.y + 1),
+                &text,
+                BODY,
+                DIM,
+                Alignment::Left,
+            );
         }
     }
 }
 
-/// ColorBrewer's Set2: its hues can be told apart without red or green, and its lightness suits a dark page.
+/// ColorBrewer's Set2: its hues can be told apart without red or green, and its lightness suits a
+/// dark page.
 fn color(mark: usize) -> Rgb888 {
     let color = colorous::SET2[mark % colorous::SET2.len()];
     Rgb888::new(color.r, color.g, color.b)
@@ -192,12 +258,20 @@ fn draw_mark(page: &mut Canvas, at: Point, mark: usize) {
     let [up, right] = [Point::new(0, MARK + 1), Point::new(MARK + 1, 0)];
     match mark % 4 {
         0 => (0..=MARK as u32).for_each(|radius| {
-            // Circles of one pixel leave holes between them; a second set beside the first fills these.
+            // Circles of one pixel leave holes between them; a second set beside the first fills
+            // these.
             page.circle(at, radius, color, &everywhere);
             page.circle(at + Point::new(1, 0), radius, color, &everywhere);
         }),
-        1 => page.rect(Rectangle::with_center(at, Size::new_equal(2 * MARK as u32)), color),
-        2 => page.triangle([at - up, at + up - right, at + up + right], color, &everywhere),
+        1 => page.rect(
+            Rectangle::with_center(at, Size::new_equal(2 * MARK as u32)),
+            color,
+        ),
+        2 => page.triangle(
+            [at - up, at + up - right, at + up + right],
+            color,
+            &everywhere,
+        ),
         _ => {
             page.triangle([at - up, at - right, at + right], color, &everywhere);
             page.triangle([at + up, at - right, at + right], color, &everywhere);
@@ -210,12 +284,22 @@ mod tests {
     use super::*;
 
     fn panel(lines: &[&[[f64; 2]]]) -> Panel {
-        let line = |points: &&[[f64; 2]]| Series { name: "a".into(), points: points.to_vec() };
-        Panel { parameter: "theta, degrees".into(), lines: lines.iter().map(line).collect() }
+        let line = |points: &&[[f64; 2]]| Series {
+            name: "a".into(),
+            points: points.to_vec(),
+        };
+        Panel {
+            parameter: "theta, degrees".into(),
+            lines: lines.iter().map(line).collect(),
+        }
     }
 
     fn chart(panels: Vec<Panel>) -> Chart {
-        Chart { title: "found".into(), note: "all of them".into(), panels }
+        Chart {
+            title: "found".into(),
+            note: "all of them".into(),
+            panels,
+        }
     }
 
     fn at(page: &Canvas, Point { x, y }: Point) -> Rgb888 {
@@ -225,9 +309,20 @@ mod tests {
 
     #[test]
     fn axes_end_at_a_round_step_behind_the_last_value() {
-        for (most, step, steps) in [(45.0, 10.0, 5), (1.5, 0.5, 3), (1.0, 0.2, 5), (50.0, 10.0, 5), (7.0, 2.0, 4)] {
+        for (most, step, steps) in [
+            (45.0, 10.0, 5),
+            (1.5, 0.5, 3),
+            (1.0, 0.2, 5),
+            (50.0, 10.0, 5),
+            (7.0, 2.0, 4),
+        ] {
             let scale = Scale::of(&panel(&[&[[most, 0.5]]]), area(0, 2));
-            assert!((scale.step - step).abs() < 1e-9 && scale.steps == steps, "{most}: {} {}", scale.step, scale.steps);
+            assert!(
+                (scale.step - step).abs() < 1e-9 && scale.steps == steps,
+                "{most}: {} {}",
+                scale.step,
+                scale.steps
+            );
         }
         let empty = Scale::of(&panel(&[]), area(0, 1));
         assert_eq!((empty.step, empty.steps), (0.2, 5));
@@ -245,7 +340,11 @@ mod tests {
                 let most = if number == 0 { 50.0 } else { 40.0 };
                 let x = top_left.x + (value / most * f64::from(size.width - 1)).round() as i32;
                 let y = top_left.y + ((1.0 - share) * f64::from(size.height - 1)).round() as i32;
-                assert_eq!(at(&page, Point::new(x, y)), color(number), "{value} {share}");
+                assert_eq!(
+                    at(&page, Point::new(x, y)),
+                    color(number),
+                    "{value} {share}"
+                );
             }
             assert_eq!(at(&page, top_left + Point::new(3, 3)), NO_RETURN);
         }
@@ -263,7 +362,12 @@ mod tests {
 
     #[test]
     fn anything_gives_a_picture() {
-        let strange = [[f64::NAN, f64::NAN], [f64::INFINITY, -3.0], [-1.0, 7.0], [0.0, 0.0]];
+        let strange = [
+            [f64::NAN, f64::NAN],
+            [f64::INFINITY, -3.0],
+            [-1.0, 7.0],
+            [0.0, 0.0],
+        ];
         for panels in [vec![], vec![panel(&[])], vec![panel(&[&[], &strange])]] {
             let mut file = Vec::new();
             write_chart(&chart(panels), &mut file).unwrap();

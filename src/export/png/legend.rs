@@ -13,8 +13,13 @@ use sweepd_core::sweep::{Segment, SweepRef};
 /// From one line to the next, pixels.
 const LINE: i32 = 25;
 /// Right edges of the table's columns, pixels from the left edge of the legend.
-const COLUMNS: [(i32, &str); 5] =
-    [(90, "label"), (190, "nearest"), (280, "azimuth"), (480, "x × y × z"), (570, "points")];
+const COLUMNS: [(i32, &str); 5] = [
+    (90, "label"),
+    (190, "nearest"),
+    (280, "azimuth"),
+    (480, "x × y × z"),
+    (570, "points"),
+];
 /// Segments that are no higher are not listed, metres.
 const LOW_M: f32 = 0.2;
 /// A swatch.
@@ -27,17 +32,39 @@ pub fn draw(page: &mut Canvas, area: &Rectangle, sweep: SweepRef<'_>) {
     page.heading(area.top_left - Point::new(0, 24), "colours", TEXT);
     let mut y = draw_meanings(page, area.top_left) + 20;
     let end = page.heading(Point::new(left, y), "nearest segments", TEXT);
-    page.text(Point::new(end + 14, y), "over 0.2 m high; boxes in metres", BODY, DIM, Alignment::Left);
+    page.text(
+        Point::new(end + 14, y),
+        "over 0.2 m high; boxes in metres",
+        BODY,
+        DIM,
+        Alignment::Left,
+    );
     y += 28;
     for (right, name) in COLUMNS {
-        page.text(Point::new(left + right, y), name, BODY, DIM, Alignment::Right);
+        page.text(
+            Point::new(left + right, y),
+            name,
+            BODY,
+            DIM,
+            Alignment::Right,
+        );
     }
     y += LINE;
     if sweep.segments.is_empty() {
-        page.text(Point::new(left, y), "none in this sweep", BODY, DIM, Alignment::Left);
+        page.text(
+            Point::new(left, y),
+            "none in this sweep",
+            BODY,
+            DIM,
+            Alignment::Left,
+        );
     }
     // Slivers of kerb are the nearest of all, and tell nothing.
-    let mut segments: Vec<&Segment> = sweep.segments.iter().filter(|one| one.max_m[2] - one.min_m[2] > LOW_M).collect();
+    let mut segments: Vec<&Segment> = sweep
+        .segments
+        .iter()
+        .filter(|one| one.max_m[2] - one.min_m[2] > LOW_M)
+        .collect();
     segments.sort_by(|a, b| a.nearest_m.total_cmp(&b.nearest_m));
     let room = ((bottom - y) / LINE).max(0) as usize;
     for segment in segments.into_iter().take(room) {
@@ -51,7 +78,10 @@ fn draw_meanings(page: &mut Canvas, at: Point) -> i32 {
     let mut y = at.y;
     let lines = [
         (NO_RETURN, "no return: nothing hit, too far, or too dark"),
-        (UNLABELLED, "a return without label: part of a speck, or masked"),
+        (
+            UNLABELLED,
+            "a return without label: part of a speck, or masked",
+        ),
         (GROUND, "ground, seen from above darker"),
     ];
     for (color, meaning) in lines {
@@ -63,13 +93,25 @@ fn draw_meanings(page: &mut Canvas, at: Point) -> i32 {
     }
     y = draw_meaning(page, Point::new(at.x, y), "firings whose packet was lost");
     let eighth = SWATCH.width / 8;
-    for (index, x) in swatch(at.x, y).columns().step_by(eighth as usize).enumerate() {
+    for (index, x) in swatch(at.x, y)
+        .columns()
+        .step_by(eighth as usize)
+        .enumerate()
+    {
         let stripe = Rectangle::new(Point::new(x, y), Size::new(eighth, SWATCH.height));
         page.rect(stripe, palette::label(LABEL_FIRST_SEGMENT + index as u32));
     }
-    y = draw_meaning(page, Point::new(at.x, y), "segments, a colour each; numbers are labels");
+    y = draw_meaning(
+        page,
+        Point::new(at.x, y),
+        "segments, a colour each; numbers are labels",
+    );
     draw_sensor(page, swatch(at.x, y).center(), &swatch(at.x, y));
-    draw_meaning(page, Point::new(at.x, y), "the sensor; it points forward, along y")
+    draw_meaning(
+        page,
+        Point::new(at.x, y),
+        "the sensor; it points forward, along y",
+    )
 }
 
 fn swatch(x: i32, y: i32) -> Rectangle {
@@ -85,7 +127,8 @@ fn draw_segment(page: &mut Canvas, at: Point, segment: &Segment) {
     page.rect(swatch(at.x, at.y), palette::label(segment.label));
     let [x, y, _] = segment.centroid_m;
     let azimuth = (x.atan2(y).to_degrees().round() as i32).rem_euclid(360);
-    let [width, depth, height] = std::array::from_fn(|axis| segment.max_m[axis] - segment.min_m[axis]);
+    let [width, depth, height] =
+        std::array::from_fn(|axis| segment.max_m[axis] - segment.min_m[axis]);
     let cells = [
         segment.label.to_string(),
         format!("{:.2} m", segment.nearest_m),
@@ -94,6 +137,12 @@ fn draw_segment(page: &mut Canvas, at: Point, segment: &Segment) {
         segment.points.to_string(),
     ];
     for ((right, _), cell) in COLUMNS.into_iter().zip(cells) {
-        page.text(at + Point::new(right, 0), &cell, BODY, TEXT, Alignment::Right);
+        page.text(
+            at + Point::new(right, 0),
+            &cell,
+            BODY,
+            TEXT,
+            Alignment::Right,
+        );
     }
 }

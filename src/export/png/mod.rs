@@ -1,8 +1,10 @@
-//! One picture of a sweep that explains itself: ranges, labels, and the labelled points seen from above.
+//! One picture of a sweep that explains itself: ranges, labels, and the labelled points seen from
+//! above.
 //!
-//! The page, from top to bottom: the head (`title`); the images of ranges, reflectivities and labels (`strip`, all over
-//! one `raster`); the floor plan (`plan`) with the `legend` beside it. `numbers` names segments, `palette` gives a colour
-//! one meaning on the whole page, `canvas` holds the pixels.
+//! The page, from top to bottom: the head (`title`); the images of ranges, reflectivities and
+//! labels (`strip`, all over one `raster`); the floor plan (`plan`) with the `legend` beside it.
+//! `numbers` names segments, `palette` gives a colour one meaning on the whole page, `canvas` holds
+//! the pixels.
 //!
 //! `chart` draws figures over a parameter on such a canvas.
 
@@ -47,8 +49,8 @@ const LEGEND_WIDTH: u32 = 612;
 
 /// Draws a sweep and writes it as PNG.
 ///
-/// Any sweep gives a picture, also one without columns or returns. Of a dual sweep the images show the segmented
-/// return, the plan both.
+/// Any sweep gives a picture, also one without columns or returns. Of a dual sweep the images show
+/// the segmented return, the plan both.
 ///
 /// # Errors
 /// Those of `out`.
@@ -81,17 +83,32 @@ struct Layout {
 impl Layout {
     fn of(rows: usize) -> Self {
         let rows = (rows as u32).max(1);
-        let image = Size::new(IMAGE_WIDTH, rows * (IMAGE_HEIGHT / rows).clamp(1, ROW_HEIGHT));
+        let image = Size::new(
+            IMAGE_WIDTH,
+            rows * (IMAGE_HEIGHT / rows).clamp(1, ROW_HEIGHT),
+        );
         let ranges = Rectangle::new(Point::new(LEFT, title::HEIGHT + CAPTION_HEIGHT), image);
         let step = image.height as i32 + CAPTION_HEIGHT;
         let reflectivities = ranges.translate(Point::new(0, step));
         let labels = reflectivities.translate(Point::new(0, step));
         let top = labels.top_left.y + step + AXIS_HEIGHT;
         let height = SIZE.1 - top as u32 - RIGHT as u32;
-        let plan = Rectangle::new(Point::new(LEFT, top), Size::new(IMAGE_WIDTH - LEGEND_WIDTH, height));
+        let plan = Rectangle::new(
+            Point::new(LEFT, top),
+            Size::new(IMAGE_WIDTH - LEGEND_WIDTH, height),
+        );
         let legend_left = LEFT + plan.size.width as i32 + 28;
-        let legend = Rectangle::new(Point::new(legend_left, top), Size::new(LEGEND_WIDTH - 28, height));
-        Self { ranges, reflectivities, labels, plan, legend }
+        let legend = Rectangle::new(
+            Point::new(legend_left, top),
+            Size::new(LEGEND_WIDTH - 28, height),
+        );
+        Self {
+            ranges,
+            reflectivities,
+            labels,
+            plan,
+            legend,
+        }
     }
 }
 
@@ -117,7 +134,10 @@ mod tests {
     use embedded_graphics::pixelcolor::Rgb888;
     use proptest::prelude::*;
 
-    const TITLE: Title<'_> = Title { model: "VLP-16", sweep_number: 12 };
+    const TITLE: Title<'_> = Title {
+        model: "VLP-16",
+        sweep_number: 12,
+    };
 
     struct Picture(Vec<u8>);
 
@@ -125,10 +145,15 @@ mod tests {
         fn of(scene: &Scene) -> Self {
             let mut file = Vec::new();
             write_png(scene.sweep(), &TITLE, &mut file).unwrap();
-            let mut reader = ::png::Decoder::new(io::Cursor::new(file)).read_info().unwrap();
+            let mut reader = ::png::Decoder::new(io::Cursor::new(file))
+                .read_info()
+                .unwrap();
             let mut pixels = vec![0; reader.output_buffer_size().unwrap()];
             let info = reader.next_frame(&mut pixels).unwrap();
-            assert_eq!((info.width, info.height, info.color_type), (SIZE.0, SIZE.1, ::png::ColorType::Rgb));
+            assert_eq!(
+                (info.width, info.height, info.color_type),
+                (SIZE.0, SIZE.1, ::png::ColorType::Rgb)
+            );
             Self(pixels)
         }
 
@@ -152,14 +177,20 @@ mod tests {
         let layout = Layout::of(16);
         let label_at = |azimuth: usize, row: usize| {
             let Point { x, y } = layout.labels.top_left;
-            picture.at(x as usize + IMAGE_WIDTH as usize * azimuth / 360 + 2, y as usize + row * ROW + ROW / 2)
+            picture.at(
+                x as usize + IMAGE_WIDTH as usize * azimuth / 360 + 2,
+                y as usize + row * ROW + ROW / 2,
+            )
         };
         let (sky, ground) = (label_at(20, 0), label_at(20, 15));
         let (block, wall) = (label_at(85, 9), label_at(170, 8));
         assert_eq!(sky, [6, 7, 10]);
         assert_eq!(ground, [112, 112, 112]);
         let colours = [sky, ground, block, wall];
-        assert!((1..4).all(|index| !colours[..index].contains(&colours[index])), "{colours:?}");
+        assert!(
+            (1..4).all(|index| !colours[..index].contains(&colours[index])),
+            "{colours:?}"
+        );
         let Point { x, y } = layout.ranges.top_left;
         assert_ne!(picture.at(x as usize + 100, y as usize + 15 * ROW), sky);
     }
@@ -167,24 +198,48 @@ mod tests {
     #[test]
     fn known_reflectivities_have_known_colours() {
         let mut scene = Scene::small();
-        // From dark and diffuse to the brightest retro-reflector; by hand: the shade of grey is that of the root.
-        let known = [(0, [34, 36, 42]), (25, [142, 143, 146]), (100, [250, 250, 250]), (255, [255, 236, 96])];
+        // From dark and diffuse to the brightest retro-reflector; by hand: the shade of grey is
+        // that of the root.
+        let known = [
+            (0, [34, 36, 42]),
+            (25, [142, 143, 146]),
+            (100, [250, 250, 250]),
+            (255, [255, 236, 96]),
+        ];
         scene.fill(|sweep| {
             let bytes = known.map(|(byte, _)| byte);
-            sweep.reflectivity.chunks_exact_mut(100 * 16).zip(bytes).for_each(|(part, byte)| part.fill(byte));
+            sweep
+                .reflectivity
+                .chunks_exact_mut(100 * 16)
+                .zip(bytes)
+                .for_each(|(part, byte)| part.fill(byte));
         });
         let picture = Picture::of(&scene);
         let Point { x, y } = Layout::of(16).reflectivities.top_left;
         for (quarter, (byte, colour)) in known.into_iter().enumerate() {
             let x = x as usize + IMAGE_WIDTH as usize * (2 * quarter + 1) / 8;
-            assert_eq!(picture.at(x, y as usize + 15 * ROW), colour, "reflectivity {byte}");
-            assert_eq!(picture.at(x, y as usize + 2), [6, 7, 10], "no return above {byte}");
+            assert_eq!(
+                picture.at(x, y as usize + 15 * ROW),
+                colour,
+                "reflectivity {byte}"
+            );
+            assert_eq!(
+                picture.at(x, y as usize + 2),
+                [6, 7, 10],
+                "no return above {byte}"
+            );
         }
     }
 
     /// Pixels of a colour in an area: the least and the greatest x and y.
-    fn extent(picture: &Picture, area: &Rectangle, is: impl Fn(Point, [u8; 3]) -> bool) -> Option<[i32; 4]> {
-        let found = area.points().filter(|&at| is(at, picture.at(at.x as usize, at.y as usize)));
+    fn extent(
+        picture: &Picture,
+        area: &Rectangle,
+        is: impl Fn(Point, [u8; 3]) -> bool,
+    ) -> Option<[i32; 4]> {
+        let found = area
+            .points()
+            .filter(|&at| is(at, picture.at(at.x as usize, at.y as usize)));
         found.fold(None, |extent, Point { x, y }| {
             let [left, right, top, bottom] = extent.unwrap_or([x, x, y, y]);
             Some([left.min(x), right.max(x), top.min(y), bottom.max(y)])
@@ -205,13 +260,20 @@ mod tests {
             let is_return = |_, colour| colour == rgb(palette::UNLABELLED);
             let [left, right, top, bottom] = extent(&picture, &plan, is_return).unwrap();
             let (width, height) = (f64::from(right - left), f64::from(bottom - top));
-            assert!(height >= 0.7 * f64::from(plan.size.height), "{height} pixels for {diameter_m} m");
+            assert!(
+                height >= 0.7 * f64::from(plan.size.height),
+                "{height} pixels for {diameter_m} m"
+            );
             // The degrees at the ends of the axes cover some.
-            assert!((width - height).abs() <= 12.0, "{width} x {height} pixels are no square");
+            assert!(
+                (width - height).abs() <= 12.0,
+                "{width} x {height} pixels are no square"
+            );
         }
     }
 
-    /// What the numbers change is what differs from the picture of the same sweep without its table of segments.
+    /// What the numbers change is what differs from the picture of the same sweep without its table
+    /// of segments.
     #[test]
     fn a_number_is_at_its_segment_in_both_views() {
         let with = Picture::of(&Scene::small());
@@ -225,19 +287,29 @@ mod tests {
                 let is_segment = |_, colour| colour == rgb(palette::label(label));
                 let [left, right, top, bottom] = extent(&without, &view, is_segment).unwrap();
                 let corner = Point::new(left - around, top - around);
-                let size = Size::new((right - left + 2 * around) as u32, (bottom - top + 2 * around) as u32);
+                let size = Size::new(
+                    (right - left + 2 * around) as u32,
+                    (bottom - top + 2 * around) as u32,
+                );
                 let segment = Rectangle::new(corner, size).intersection(&view);
                 let Some([left, right, top, bottom]) = extent(&with, &segment, differs) else {
                     panic!("no number at segment {label}");
                 };
                 // A digit of 9 x 18 pixels and its rim, in part without ink.
-                assert!((6..=11).contains(&(right - left + 1)), "{label}: {left} to {right}");
-                assert!((12..=20).contains(&(bottom - top + 1)), "{label}: {top} to {bottom}");
+                assert!(
+                    (6..=11).contains(&(right - left + 1)),
+                    "{label}: {left} to {right}"
+                );
+                assert!(
+                    (12..=20).contains(&(bottom - top + 1)),
+                    "{label}: {top} to {bottom}"
+                );
             }
         }
     }
 
-    /// The sensor's mark is the only thing of its colour without a rim of text: its longest line of pixels.
+    /// The sensor's mark is the only thing of its colour without a rim of text: its longest line of
+    /// pixels.
     fn sensor(picture: &Picture, plan: &Rectangle) -> Point {
         let is_mark = |at: &Point| picture.at(at.x as usize, at.y as usize) == rgb(palette::TEXT);
         let is_whole = |at: &Point| (-5..=5).all(|dx| is_mark(&(*at + Point::new(dx, 0))));
@@ -262,7 +334,10 @@ mod tests {
                 left += 1;
             }
         }
-        assert!(below > 10 && left > 100, "{below} pixels of the box, {left} of the wall");
+        assert!(
+            below > 10 && left > 100,
+            "{below} pixels of the box, {left} of the wall"
+        );
     }
 
     #[test]
@@ -272,7 +347,9 @@ mod tests {
         let picture = Picture::of(&scene);
         let Point { x, y } = Layout::of(16).labels.top_left;
         let x = x as usize + IMAGE_WIDTH as usize * 115 / 400;
-        let stripes: Vec<[u8; 3]> = (0..8).map(|dx| picture.at(x + dx, y as usize + 3)).collect();
+        let stripes: Vec<[u8; 3]> = (0..8)
+            .map(|dx| picture.at(x + dx, y as usize + 3))
+            .collect();
         assert!(stripes.contains(&[84, 12, 20]) && stripes.contains(&[40, 8, 12]));
     }
 
@@ -281,7 +358,13 @@ mod tests {
         for rows in 0..=256 {
             let layout = Layout::of(rows);
             let page = Rectangle::new(Point::zero(), Size::new(SIZE.0, SIZE.1));
-            for area in [layout.ranges, layout.reflectivities, layout.labels, layout.plan, layout.legend] {
+            for area in [
+                layout.ranges,
+                layout.reflectivities,
+                layout.labels,
+                layout.plan,
+                layout.legend,
+            ] {
                 assert_eq!(area.intersection(&page), area, "{rows} rows");
             }
             assert!(layout.plan.size.height > 400, "{rows} rows");

@@ -1,4 +1,5 @@
-//! Texts over a panel, above all the numbers of segments: readable on any colour, and none covers another.
+//! Texts over a panel, above all the numbers of segments: readable on any colour, and none covers
+//! another.
 
 use embedded_graphics::mono_font::MonoFont;
 use embedded_graphics::pixelcolor::Rgb888;
@@ -14,7 +15,8 @@ use sweepd_core::sweep::{Segment, SweepRef};
 /// Pixels between two texts.
 const GAP: u32 = 4;
 
-/// Segments whose returns take at least as much of the label image as their numbers do, the largest first.
+/// Segments whose returns take at least as much of the label image as their numbers do, the largest
+/// first.
 pub fn numbered(sweep: SweepRef<'_>, row_height: u32) -> Vec<&Segment> {
     let pixels = u64::from(IMAGE_WIDTH) * u64::from(row_height);
     let columns = sweep.columns.len() as u64;
@@ -29,7 +31,9 @@ pub fn numbered(sweep: SweepRef<'_>, row_height: u32) -> Vec<&Segment> {
 
 /// Place of a label's segment in the table; none for ground and for returns without label.
 pub fn entry(label: u32) -> Option<usize> {
-    label.checked_sub(LABEL_FIRST_SEGMENT).map(|entry| entry as usize)
+    label
+        .checked_sub(LABEL_FIRST_SEGMENT)
+        .map(|entry| entry as usize)
 }
 
 /// Pixels that the number of a segment takes.
@@ -50,7 +54,10 @@ pub struct Texts {
 impl Texts {
     /// A panel without texts.
     pub fn new(area: Rectangle) -> Self {
-        Self { area, taken: Vec::new() }
+        Self {
+            area,
+            taken: Vec::new(),
+        }
     }
 
     /// Keeps texts away from here.
@@ -58,7 +65,8 @@ impl Texts {
         self.taken.push(area);
     }
 
-    /// Draws the number of a segment around the first of these points where there is room, none if there is no room.
+    /// Draws the number of a segment around the first of these points where there is room, none if
+    /// there is no room.
     pub fn draw_number(&mut self, page: &mut Canvas, label: u32, centers: &[Point]) {
         let text = label.to_string();
         for &center in centers {
@@ -68,18 +76,44 @@ impl Texts {
         }
     }
 
-    /// Draws a text around a point of the panel, moved into the panel, if there is room; gives whether there was.
-    pub fn draw(&mut self, page: &mut Canvas, center: Point, text: &str, font: &MonoFont<'_>, color: Rgb888) -> bool {
+    /// Draws a text around a point of the panel, moved into the panel, if there is room; gives
+    /// whether there was.
+    pub fn draw(
+        &mut self,
+        page: &mut Canvas,
+        center: Point,
+        text: &str,
+        font: &MonoFont<'_>,
+        color: Rgb888,
+    ) -> bool {
         let size = text_size(text, font) + Size::new_equal(GAP);
-        let Some(lower_right) = self.area.bottom_right().filter(|_| self.area.contains(center)) else { return false };
+        let Some(lower_right) = self
+            .area
+            .bottom_right()
+            .filter(|_| self.area.contains(center))
+        else {
+            return false;
+        };
         let most = lower_right + Point::new(1, 1) - size;
-        let top_left = (center - size / 2).component_min(most).component_max(self.area.top_left);
+        let top_left = (center - size / 2)
+            .component_min(most)
+            .component_max(self.area.top_left);
         let place = Rectangle::new(top_left, size);
-        if self.taken.iter().any(|taken| !taken.intersection(&place).is_zero_sized()) {
+        if self
+            .taken
+            .iter()
+            .any(|taken| !taken.intersection(&place).is_zero_sized())
+        {
             return false;
         }
         self.taken.push(place);
-        page.rimmed_text(top_left + Point::new_equal(GAP as i32 / 2), text, font, color, RIM);
+        page.rimmed_text(
+            top_left + Point::new_equal(GAP as i32 / 2),
+            text,
+            font,
+            color,
+            RIM,
+        );
         true
     }
 }
@@ -97,7 +131,10 @@ mod tests {
         let count = |points: Vec<(Point, Rgb888)>, is: &dyn Fn(Rgb888) -> bool| {
             points.into_iter().filter(|(_, color)| is(*color)).count()
         };
-        (count(inside, &|found| found == color), count(outside, &|found| found != BLACK))
+        (
+            count(inside, &|found| found == color),
+            count(outside, &|found| found != BLACK),
+        )
     }
 
     const BLACK: Rgb888 = Rgb888::new(0, 0, 0);
@@ -132,8 +169,14 @@ mod tests {
         texts.draw_number(&mut page, 7, &[left, right]);
         assert_eq!(pixels(&page, &half(right), TEXT).0, 0);
         texts.draw_number(&mut page, 7, &[left, right]);
-        let (at_left, at_right) = (pixels(&page, &half(left), TEXT).0, pixels(&page, &half(right), TEXT).0);
-        assert!(at_left > 10 && at_left == at_right, "{at_left} and {at_right} pixels");
+        let (at_left, at_right) = (
+            pixels(&page, &half(left), TEXT).0,
+            pixels(&page, &half(right), TEXT).0,
+        );
+        assert!(
+            at_left > 10 && at_left == at_right,
+            "{at_left} and {at_right} pixels"
+        );
         texts.draw_number(&mut page, 7, &[left, right]);
         assert_eq!(pixels(&page, &area, TEXT).0, at_left + at_right);
     }

@@ -33,7 +33,11 @@ pub const MISSING_STRIPE: Rgb888 = Rgb888::new(40, 8, 12);
 
 /// Colour of a pixel of a lost column: diagonal stripes.
 pub fn missing(x: i32, y: i32) -> Rgb888 {
-    if (x + y).rem_euclid(8) < 4 { MISSING } else { MISSING_STRIPE }
+    if (x + y).rem_euclid(8) < 4 {
+        MISSING
+    } else {
+        MISSING_STRIPE
+    }
 }
 
 /// Colour of a label. A number has the same colour in every picture.
@@ -45,28 +49,42 @@ pub fn label(label: u32) -> Rgb888 {
     }
 }
 
-/// Labels are dealt in the order in which segments appear, so neighbours in number are often neighbours in space:
-/// successive hues are a golden section of the circle apart, and lightness changes with each.
+/// Labels are dealt in the order in which segments appear, so neighbours in number are often
+/// neighbours in space: successive hues are a golden section of the circle apart, and lightness
+/// changes with each.
 static SEGMENTS: LazyLock<[Rgb888; 1000]> = LazyLock::new(|| {
     std::array::from_fn(|index| {
         let hue_turns = (index as f64 * 0.618_034 + 0.35).fract();
-        vivid([0.78, 0.62, 0.89, 0.70][index % 4], hue_turns * std::f64::consts::TAU)
+        vivid(
+            [0.78, 0.62, 0.89, 0.70][index % 4],
+            hue_turns * std::f64::consts::TAU,
+        )
     })
 });
 
-/// The most saturated colour of this lightness and hue that a screen shows, up to where it begins to glare.
+/// The most saturated colour of this lightness and hue that a screen shows, up to where it begins
+/// to glare.
 fn vivid(lightness: f64, hue_rad: f64) -> Rgb888 {
-    let shown = (4..=19).rev().map(|chroma| oklch(lightness, f64::from(chroma) * 0.01, hue_rad));
-    let [r, g, b] = shown.clone().find(|rgb| rgb.iter().all(|c| (0.0..=1.0).contains(c))).unwrap_or([lightness; 3]);
+    let shown = (4..=19)
+        .rev()
+        .map(|chroma| oklch(lightness, f64::from(chroma) * 0.01, hue_rad));
+    let [r, g, b] = shown
+        .clone()
+        .find(|rgb| rgb.iter().all(|c| (0.0..=1.0).contains(c)))
+        .unwrap_or([lightness; 3]);
     let byte = |linear: f64| {
-        let encoded = if linear <= 0.003_130_8 { 12.92 * linear } else { 1.055 * linear.powf(1.0 / 2.4) - 0.055 };
+        let encoded = if linear <= 0.003_130_8 {
+            12.92 * linear
+        } else {
+            1.055 * linear.powf(1.0 / 2.4) - 0.055
+        };
         (encoded * 255.0).round() as u8
     };
     Rgb888::new(byte(r), byte(g), byte(b))
 }
 
-/// OKLCH to linear sRGB (B. Ottosson, "A perceptual color space for image processing", 2020): colours of equal
-/// lightness look equally light, which those of HSL do not.
+/// OKLCH to linear sRGB (B. Ottosson, "A perceptual color space for image processing", 2020):
+/// colours of equal lightness look equally light, which those of HSL do not.
 fn oklch(lightness: f64, chroma: f64, hue_rad: f64) -> [f64; 3] {
     let (a, b) = (chroma * hue_rad.cos(), chroma * hue_rad.sin());
     let l = (lightness + 0.396_337_777_4 * a + 0.215_803_757_3 * b).powi(3);
@@ -87,10 +105,14 @@ pub struct RangeScale {
 }
 
 impl RangeScale {
-    /// A scale that spreads over nearly all of these ranges, between round numbers, so that sweeps of one place share it.
+    /// A scale that spreads over nearly all of these ranges, between round numbers, so that sweeps
+    /// of one place share it.
     pub fn of(ranges_m: &mut [f64]) -> Self {
         if ranges_m.is_empty() {
-            return Self { near_m: 1.0, far_m: 100.0 };
+            return Self {
+                near_m: 1.0,
+                far_m: 100.0,
+            };
         }
         let near_m = round_down(percentile(ranges_m, 1)).max(0.1);
         let far_m = round_up(percentile(ranges_m, 99)).max(2.0 * near_m);
@@ -122,7 +144,8 @@ impl RangeScale {
     }
 }
 
-/// Reflectivities as colours: diffuse surfaces as shades of grey, the darker ones spread; retro-reflectors warm.
+/// Reflectivities as colours: diffuse surfaces as shades of grey, the darker ones spread;
+/// retro-reflectors warm.
 pub struct ReflectivityScale;
 
 impl ReflectivityScale {
@@ -136,15 +159,23 @@ impl ReflectivityScale {
     /// Place of a reflectivity on the scale, 0 to 1.
     pub fn position(reflectivity: u8) -> f64 {
         match reflectivity.checked_sub(Self::DIFFUSE) {
-            Some(above) => Self::DIFFUSE_PART + (1.0 - Self::DIFFUSE_PART) * f64::from(above) / 155.0,
-            None => Self::DIFFUSE_PART * (f64::from(reflectivity) / f64::from(Self::DIFFUSE)).sqrt(),
+            Some(above) => {
+                Self::DIFFUSE_PART + (1.0 - Self::DIFFUSE_PART) * f64::from(above) / 155.0
+            }
+            None => {
+                Self::DIFFUSE_PART * (f64::from(reflectivity) / f64::from(Self::DIFFUSE)).sqrt()
+            }
         }
     }
 
     /// Colour of a place on the scale.
     pub fn color_at(position: f64) -> Rgb888 {
         if position <= Self::DIFFUSE_PART {
-            mixed(Rgb888::new(34, 36, 42), Rgb888::new(250, 250, 250), position / Self::DIFFUSE_PART)
+            mixed(
+                Rgb888::new(34, 36, 42),
+                Rgb888::new(250, 250, 250),
+                position / Self::DIFFUSE_PART,
+            )
         } else {
             let part = (position - Self::DIFFUSE_PART) / (1.0 - Self::DIFFUSE_PART);
             mixed(Rgb888::new(190, 48, 24), Rgb888::new(255, 236, 96), part)
@@ -159,8 +190,14 @@ impl ReflectivityScale {
 
 /// A colour between two, 0 the first to 1 the second.
 fn mixed(from: Rgb888, to: Rgb888, part: f64) -> Rgb888 {
-    let channel = |from: u8, to: u8| (f64::from(from) + (f64::from(to) - f64::from(from)) * part).round() as u8;
-    Rgb888::new(channel(from.r(), to.r()), channel(from.g(), to.g()), channel(from.b(), to.b()))
+    let channel = |from: u8, to: u8| {
+        (f64::from(from) + (f64::from(to) - f64::from(from)) * part).round() as u8
+    };
+    Rgb888::new(
+        channel(from.r(), to.r()),
+        channel(from.g(), to.g()),
+        channel(from.b(), to.b()),
+    )
 }
 
 /// The value below which so many percent of the values are. Reorders them; there must be one.
@@ -173,13 +210,19 @@ pub fn percentile(values: &mut [f64], percent: usize) -> f64 {
 pub fn round_up(value: f64) -> f64 {
     let decade = 10_f64.powf(value.log10().floor());
     let steps = [1.0, 2.0, 5.0].map(|step| step * decade);
-    steps.into_iter().find(|&step| step >= value * 0.999_999).unwrap_or(10.0 * decade)
+    steps
+        .into_iter()
+        .find(|&step| step >= value * 0.999_999)
+        .unwrap_or(10.0 * decade)
 }
 
 fn round_down(value: f64) -> f64 {
     let decade = 10_f64.powf(value.log10().floor());
     let steps = [5.0, 2.0].map(|step| step * decade);
-    steps.into_iter().find(|&step| step <= value * 1.000_001).unwrap_or(decade)
+    steps
+        .into_iter()
+        .find(|&step| step <= value * 1.000_001)
+        .unwrap_or(decade)
 }
 
 #[cfg(test)]
@@ -193,14 +236,33 @@ mod tests {
 
     #[test]
     fn labels_of_near_numbers_and_other_meanings_look_different() {
-        let meanings = [NO_RETURN, UNLABELLED, GROUND, MISSING, MISSING_STRIPE, BACKGROUND];
+        let meanings = [
+            NO_RETURN,
+            UNLABELLED,
+            GROUND,
+            MISSING,
+            MISSING_STRIPE,
+            BACKGROUND,
+        ];
         for number in 2..2500 {
             for step in 1..=4 {
                 let apart = apart(label(number), label(number + step));
-                assert!(apart > 50, "labels {number} and {} are {apart} apart", number + step);
+                assert!(
+                    apart > 50,
+                    "labels {number} and {} are {apart} apart",
+                    number + step
+                );
             }
-            assert!(apart(label(number), label(number + 1)) > 90, "labels {number} and the next");
-            assert!(meanings.iter().all(|&meaning| apart(label(number), meaning) > 55), "label {number}");
+            assert!(
+                apart(label(number), label(number + 1)) > 90,
+                "labels {number} and the next"
+            );
+            assert!(
+                meanings
+                    .iter()
+                    .all(|&meaning| apart(label(number), meaning) > 55),
+                "label {number}"
+            );
         }
         for (index, &a) in meanings.iter().enumerate() {
             assert!(meanings[..index].iter().all(|&b| apart(a, b) > 20), "{a:?}");
@@ -212,17 +274,45 @@ mod tests {
     fn a_scale_spans_its_ranges_with_round_ticks() {
         let mut ranges: Vec<f64> = (0..1000).map(|i| 2.3 + f64::from(i) * 0.04).collect();
         let scale = RangeScale::of(&mut ranges);
-        assert_eq!(scale, RangeScale { near_m: 2.0, far_m: 50.0 });
-        assert_eq!(scale.ticks_m().collect::<Vec<_>>(), [2.0, 5.0, 10.0, 20.0, 50.0]);
-        assert_eq!((scale.position(2.0), scale.position(10_f64), scale.position(900.0)), (0.0, 0.5, 1.0));
-        assert_eq!(RangeScale::of(&mut [7.0]), RangeScale { near_m: 5.0, far_m: 10.0 });
+        assert_eq!(
+            scale,
+            RangeScale {
+                near_m: 2.0,
+                far_m: 50.0
+            }
+        );
+        assert_eq!(
+            scale.ticks_m().collect::<Vec<_>>(),
+            [2.0, 5.0, 10.0, 20.0, 50.0]
+        );
+        assert_eq!(
+            (
+                scale.position(2.0),
+                scale.position(10_f64),
+                scale.position(900.0)
+            ),
+            (0.0, 0.5, 1.0)
+        );
+        assert_eq!(
+            RangeScale::of(&mut [7.0]),
+            RangeScale {
+                near_m: 5.0,
+                far_m: 10.0
+            }
+        );
         let red = scale.color(2.0);
         assert!(red.r() > 150 && red.b() < 60);
     }
 
     #[test]
     fn rounding_by_hand() {
-        assert_eq!([0.3, 1.0, 1.1, 20.0, 21.0, 60.0].map(round_up), [0.5, 1.0, 2.0, 20.0, 50.0, 100.0]);
-        assert_eq!([0.3, 1.0, 1.9, 20.0, 49.0, 60.0].map(round_down), [0.2, 1.0, 1.0, 20.0, 20.0, 50.0]);
+        assert_eq!(
+            [0.3, 1.0, 1.1, 20.0, 21.0, 60.0].map(round_up),
+            [0.5, 1.0, 2.0, 20.0, 50.0, 100.0]
+        );
+        assert_eq!(
+            [0.3, 1.0, 1.9, 20.0, 49.0, 60.0].map(round_down),
+            [0.2, 1.0, 1.0, 20.0, 20.0, 50.0]
+        );
     }
 }

@@ -7,14 +7,17 @@ use embedded_graphics::primitives::Rectangle;
 
 use super::canvas::{BODY, Canvas};
 use super::numbers::{Texts, entry, number_size, numbered};
-use super::palette::{self, DIM, GRID, GROUND_FAINT, MISSING, MISSING_STRIPE, NO_RETURN, RIM, TEXT, round_up};
+use super::palette::{
+    self, DIM, GRID, GROUND_FAINT, MISSING, MISSING_STRIPE, NO_RETURN, RIM, TEXT, round_up,
+};
 use super::strip::draw_caption;
 use sweepd_core::sweep::layout::{LABEL_GROUND, LABEL_NONE};
 use sweepd_core::sweep::{Column, Segment, SweepRef};
 
 /// How many of the returns may be outside at each side: a few far ones would make all others small.
 const PERCENT_OUTSIDE: usize = 2;
-/// What the plan holds when there is no return that could tell, and the least that it holds, metres from the sensor.
+/// What the plan holds when there is no return that could tell, and the least that it holds, metres
+/// from the sensor.
 const DEFAULT_REACH_M: f64 = 20.0;
 const LEAST_REACH_M: f64 = 1.0;
 /// Farther returns are taken for nearer ones, metres: there are none.
@@ -37,7 +40,8 @@ struct Spot {
     label: u32,
 }
 
-/// Where metres are on the page: y to the right, x down, as an axis of azimuth that turns clockwise needs it.
+/// Where metres are on the page: y to the right, x down, as an axis of azimuth that turns clockwise
+/// needs it.
 struct View {
     area: Rectangle,
     sensor: Point,
@@ -46,15 +50,23 @@ struct View {
     ring_m: f64,
 }
 
-/// Draws the plan of a sweep, both returns of a dual one; the rows of the label image tell which segments are large.
+/// Draws the plan of a sweep, both returns of a dual one; the rows of the label image tell which
+/// segments are large.
 pub fn draw(page: &mut Canvas, area: &Rectangle, sweep: SweepRef<'_>, row_height: u32) {
     let spots: Vec<Spot> = sweep
         .returns()
         .filter(|found| found.point_m.iter().all(|length| length.is_finite()))
-        .map(|found| Spot { x_m: found.point_m[0], y_m: found.point_m[1], label: found.label })
+        .map(|found| Spot {
+            x_m: found.point_m[0],
+            y_m: found.point_m[1],
+            label: found.label,
+        })
         .collect();
     let view = View::of(&spots, *area);
-    let remark = format!("forward (y) to the right, x down, a ring every {} m around the sensor", view.ring_m);
+    let remark = format!(
+        "forward (y) to the right, x down, a ring every {} m around the sensor",
+        view.ring_m
+    );
     draw_caption(page, area, "seen from above", &remark);
     page.rect(*area, NO_RETURN);
     view.draw_lost_sectors(page, sweep.columns);
@@ -70,21 +82,30 @@ pub fn draw(page: &mut Canvas, area: &Rectangle, sweep: SweepRef<'_>, row_height
 /// An arrow head, forward.
 pub fn draw_sensor(page: &mut Canvas, at: Point, clip: &Rectangle) {
     for (size, color) in [(10, RIM), (8, TEXT)] {
-        let corners = [Point::new(size + 2, 0), Point::new(-size, -size), Point::new(-size, size)];
+        let corners = [
+            Point::new(size + 2, 0),
+            Point::new(-size, -size),
+            Point::new(-size, size),
+        ];
         page.triangle(corners.map(|corner| at + corner), color, clip);
     }
 }
 
-/// The least and the greatest of these lengths, all but a few percent at each end, and the sensor's; rounded outwards,
-/// so that sweeps of one place share a view.
+/// The least and the greatest of these lengths, all but a few percent at each end, and the
+/// sensor's; rounded outwards, so that sweeps of one place share a view.
 fn reach(mut lengths_m: Vec<f64>) -> [f64; 2] {
-    let Some(last) = lengths_m.len().checked_sub(1) else { return [-DEFAULT_REACH_M, DEFAULT_REACH_M] };
+    let Some(last) = lengths_m.len().checked_sub(1) else {
+        return [-DEFAULT_REACH_M, DEFAULT_REACH_M];
+    };
     let outside = last * PERCENT_OUTSIDE / 100;
     let [least, most] = [outside, last - outside].map(|index| {
         let (_, length, _) = lengths_m.select_nth_unstable_by(index, f64::total_cmp);
         *length
     });
-    let (least, most) = (least.clamp(-MOST_REACH_M, -LEAST_REACH_M), most.clamp(LEAST_REACH_M, MOST_REACH_M));
+    let (least, most) = (
+        least.clamp(-MOST_REACH_M, -LEAST_REACH_M),
+        most.clamp(LEAST_REACH_M, MOST_REACH_M),
+    );
     let step = round_up(most - least) / 20.0;
     [(least / step).floor() * step, (most / step).ceil() * step]
 }
@@ -94,7 +115,8 @@ impl View {
     fn of(spots: &[Spot], area: Rectangle) -> Self {
         let down_m = reach(spots.iter().map(|spot| spot.x_m).collect());
         let right_m = reach(spots.iter().map(|spot| spot.y_m).collect());
-        let scale = |pixels: u32, [least, most]: [f64; 2]| f64::from(pixels - 2 * EDGE) / (most - least);
+        let scale =
+            |pixels: u32, [least, most]: [f64; 2]| f64::from(pixels - 2 * EDGE) / (most - least);
         let pixels_per_m = scale(area.size.width, right_m).min(scale(area.size.height, down_m));
         let middle = |[least, most]: [f64; 2]| ((least + most) / 2.0 * pixels_per_m).round() as i32;
         Self {
@@ -112,12 +134,17 @@ impl View {
         self.sensor + Point::new(place(y_m), place(x_m))
     }
 
-    /// Stripes in the directions in which packets were lost, where an empty plan does not mean free space.
+    /// Stripes in the directions in which packets were lost, where an empty plan does not mean free
+    /// space.
     fn draw_lost_sectors(&self, page: &mut Canvas, columns: &[Column]) {
-        let Some(lost) = lost_bins(columns) else { return };
+        let Some(lost) = lost_bins(columns) else {
+            return;
+        };
         for pixel in self.area.points() {
             let Point { x, y } = pixel - self.sensor;
-            if palette::missing(pixel.x, pixel.y) == MISSING && lost[bin(f64::from(y).atan2(f64::from(x)))] {
+            if palette::missing(pixel.x, pixel.y) == MISSING
+                && lost[bin(f64::from(y).atan2(f64::from(x)))]
+            {
                 page.set(pixel, MISSING_STRIPE);
             }
         }
@@ -125,9 +152,17 @@ impl View {
 
     /// The ends of the axes: forward, right, back, left.
     fn axis_ends(&self) -> [Point; 4] {
-        let (first, last) = (self.area.top_left, self.area.top_left + self.area.size - Point::new(1, 1));
+        let (first, last) = (
+            self.area.top_left,
+            self.area.top_left + self.area.size - Point::new(1, 1),
+        );
         let Point { x, y } = self.sensor;
-        [Point::new(last.x, y), Point::new(x, last.y), Point::new(first.x, y), Point::new(x, first.y)]
+        [
+            Point::new(last.x, y),
+            Point::new(x, last.y),
+            Point::new(first.x, y),
+            Point::new(x, first.y),
+        ]
     }
 
     fn draw_grid(&self, page: &mut Canvas) {
@@ -135,7 +170,12 @@ impl View {
             page.line(self.sensor, end, GRID, &self.area);
         }
         for radius_m in self.rings_m() {
-            page.circle(self.sensor, (radius_m * self.pixels_per_m).round() as u32, GRID, &self.area);
+            page.circle(
+                self.sensor,
+                (radius_m * self.pixels_per_m).round() as u32,
+                GRID,
+                &self.area,
+            );
         }
     }
 
@@ -157,14 +197,19 @@ impl View {
         };
         for this in 0..3 {
             for spot in spots.iter().filter(|spot| layer(spot.label) == this) {
-                let color = if spot.label == LABEL_GROUND { GROUND_FAINT } else { palette::label(spot.label) };
+                let color = if spot.label == LABEL_GROUND {
+                    GROUND_FAINT
+                } else {
+                    palette::label(spot.label)
+                };
                 let dot = Rectangle::new(self.pixel(spot.x_m, spot.y_m), Size::new_equal(2));
                 page.rect(dot.intersection(&self.area), color);
             }
         }
     }
 
-    /// Degrees at the ends of the axes, metres at the rings along the longer one of those that lie flat.
+    /// Degrees at the ends of the axes, metres at the rings along the longer one of those that lie
+    /// flat.
     fn draw_axes(&self, page: &mut Canvas, texts: &mut Texts) {
         let ends = self.axis_ends();
         for (end, text) in ends.into_iter().zip(["0° forward", "90°", "180°", "270°"]) {
@@ -177,15 +222,29 @@ impl View {
         }
     }
 
-    /// Numbers at the larger segments: on those that are larger than their number, beside the others.
-    fn draw_numbers(&self, page: &mut Canvas, texts: &mut Texts, spots: &[Spot], sweep: SweepRef<'_>, row_height: u32) {
+    /// Numbers at the larger segments: on those that are larger than their number, beside the
+    /// others.
+    fn draw_numbers(
+        &self,
+        page: &mut Canvas,
+        texts: &mut Texts,
+        spots: &[Spot],
+        sweep: SweepRef<'_>,
+        row_height: u32,
+    ) {
         let anchors = anchors(spots, sweep.segments);
         for segment in numbered(sweep, row_height) {
-            let Some([x_m, y_m]) = entry(segment.label).and_then(|entry| *anchors.get(entry)?) else { continue };
+            let Some([x_m, y_m]) = entry(segment.label).and_then(|entry| *anchors.get(entry)?)
+            else {
+                continue;
+            };
             let size = number_size(segment.label);
-            let [x, y] = [1, 0].map(|axis| f64::from(segment.max_m[axis] - segment.min_m[axis]) * self.pixels_per_m);
+            let [x, y] = [1, 0].map(|axis| {
+                f64::from(segment.max_m[axis] - segment.min_m[axis]) * self.pixels_per_m
+            });
             let (width, height) = (size.width as i32, size.height as i32);
-            // Beside a large one is still at the return, not at the edge of its box, where nothing may be.
+            // Beside a large one is still at the return, not at the edge of its box, where nothing
+            // may be.
             let (half_x, half_y) = (x.min(BESIDE) as i32 / 2, y.min(BESIDE) as i32 / 2);
             let at = self.pixel(x_m, y_m);
             let beside = [
@@ -194,19 +253,26 @@ impl View {
                 Point::new(0, half_y + height / 2 + 5),
                 Point::new(-half_x - width / 2 - 3, 0),
             ];
-            let is_large = x > f64::from(2 * width) && y > f64::from(height) || y > f64::from(2 * height);
+            let is_large =
+                x > f64::from(2 * width) && y > f64::from(height) || y > f64::from(2 * height);
             let on = is_large.then_some(at);
-            let centers: Vec<Point> = on.into_iter().chain(beside.map(|offset| at + offset)).collect();
+            let centers: Vec<Point> = on
+                .into_iter()
+                .chain(beside.map(|offset| at + offset))
+                .collect();
             texts.draw_number(page, segment.label, &centers);
         }
     }
 }
 
-/// Of each segment of the table the return nearest to its mean, x and y: the mean itself may be where nothing is.
+/// Of each segment of the table the return nearest to its mean, x and y: the mean itself may be
+/// where nothing is.
 fn anchors(spots: &[Spot], segments: &[Segment]) -> Vec<Option<[f64; 2]>> {
     let mut nearest = vec![(f64::INFINITY, None); segments.len()];
     for spot in spots {
-        let Some(entry) = entry(spot.label).filter(|&entry| entry < segments.len()) else { continue };
+        let Some(entry) = entry(spot.label).filter(|&entry| entry < segments.len()) else {
+            continue;
+        };
         let best = &mut nearest[entry];
         let [x_m, y_m, _] = segments[entry].centroid_m;
         let squared = (spot.x_m - f64::from(x_m)).powi(2) + (spot.y_m - f64::from(y_m)).powi(2);
@@ -225,9 +291,15 @@ fn bin(azimuth_rad: f64) -> usize {
 /// The directions from each lost column to the one after it; nothing where no column is lost.
 fn lost_bins(columns: &[Column]) -> Option<[bool; BINS]> {
     let mut lost = None;
-    for (index, column) in columns.iter().enumerate().filter(|(_, column)| column.is_missing()) {
+    for (index, column) in columns
+        .iter()
+        .enumerate()
+        .filter(|(_, column)| column.is_missing())
+    {
         let from_rad = f64::from(column.azimuth_rad);
-        let to_rad = columns.get(index + 1).map_or(from_rad, |next| f64::from(next.azimuth_rad));
+        let to_rad = columns
+            .get(index + 1)
+            .map_or(from_rad, |next| f64::from(next.azimuth_rad));
         let turn_rad = (to_rad - from_rad + PI).rem_euclid(TAU) - PI;
         let steps = (turn_rad.abs() / TAU * BINS as f64).ceil();
         let lost = lost.get_or_insert([false; BINS]);
@@ -246,7 +318,11 @@ mod tests {
     fn lost_directions_reach_to_the_next_column_the_short_way() {
         assert!(lost_bins(&[Column::measured(0, 0, 1.0, 60.0, 0)]).is_none());
         let missing = |degrees: f32| Column::missing(degrees.to_radians(), 60.0, 0);
-        let lost = lost_bins(&[missing(359.75), Column::measured(0, 0, 0.35_f32.to_radians(), 60.0, 0)]).unwrap();
+        let lost = lost_bins(&[
+            missing(359.75),
+            Column::measured(0, 0, 0.35_f32.to_radians(), 60.0, 0),
+        ])
+        .unwrap();
         let directions: Vec<usize> = (0..BINS).filter(|&direction| lost[direction]).collect();
         assert_eq!(directions, [0, 1, 2, 3, 3597, 3598, 3599]);
     }

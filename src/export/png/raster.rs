@@ -14,8 +14,8 @@ pub enum Cell {
     Pixel(usize),
 }
 
-/// The image, scaled along x: columns are repeated, or the nearest return of several is shown, so that nothing small
-/// and near disappears.
+/// The image, scaled along x: columns are repeated, or the nearest return of several is shown, so
+/// that nothing small and near disappears.
 pub struct Raster {
     /// Columns of the raster.
     pub width: usize,
@@ -32,9 +32,14 @@ impl Raster {
         for x in 0..width {
             let first = x * columns / width;
             let end = ((x + 1) * columns / width).clamp((first + 1).min(columns), columns);
-            let lost = first < end && sweep.columns[first..end].iter().all(|column| column.is_missing());
+            let lost = first < end
+                && sweep.columns[first..end]
+                    .iter()
+                    .all(|column| column.is_missing());
             let nothing = if lost { Cell::Missing } else { Cell::Empty };
-            cells.extend((0..rows).map(|row| nearest(sweep, row, first..end).map_or(nothing, Cell::Pixel)));
+            cells.extend(
+                (0..rows).map(|row| nearest(sweep, row, first..end).map_or(nothing, Cell::Pixel)),
+            );
         }
         Self { width, rows, cells }
     }
@@ -74,8 +79,14 @@ mod tests {
     #[test]
     fn the_nearest_of_several_columns_is_shown_and_few_columns_are_repeated() {
         use Cell::{Empty, Pixel};
-        assert_eq!(raster(&[5.0, 3.0, 0.0, 0.0, 0.0, 9.0], 3), [Pixel(1), Empty, Pixel(5)]);
-        assert_eq!(raster(&[5.0, 3.0], 5), [Pixel(0), Pixel(0), Pixel(0), Pixel(1), Pixel(1)]);
+        assert_eq!(
+            raster(&[5.0, 3.0, 0.0, 0.0, 0.0, 9.0], 3),
+            [Pixel(1), Empty, Pixel(5)]
+        );
+        assert_eq!(
+            raster(&[5.0, 3.0], 5),
+            [Pixel(0), Pixel(0), Pixel(0), Pixel(1), Pixel(1)]
+        );
         assert_eq!(raster(&[], 2), [Empty, Empty]);
     }
 }

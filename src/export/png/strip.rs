@@ -25,35 +25,61 @@ const BAR_WIDTH: i32 = 520;
 pub fn draw_caption(page: &mut Canvas, area: &Rectangle, name: &str, remark: &str) {
     let at = area.top_left - Point::new(0, 24);
     let end = page.heading(at, name, TEXT);
-    page.text(Point::new(end + 14, at.y), remark, BODY, DIM, Alignment::Left);
+    page.text(
+        Point::new(end + 14, at.y),
+        remark,
+        BODY,
+        DIM,
+        Alignment::Left,
+    );
 }
 
 /// The ranges, with the scale of their colours.
 pub fn draw_ranges(page: &mut Canvas, area: &Rectangle, sweep: SweepRef<'_>, raster: &Raster) {
-    let returns = sweep.range.iter().filter(|&&range| is_return(range) && range.is_finite());
+    let returns = sweep
+        .range
+        .iter()
+        .filter(|&&range| is_return(range) && range.is_finite());
     let scale = RangeScale::of(&mut returns.map(|&range| f64::from(range)).collect::<Vec<_>>());
-    draw_caption(page, area, "range", "a row per laser by elevation, a column per firing in the order measured");
+    draw_caption(
+        page,
+        area,
+        "range",
+        "a row per laser by elevation, a column per firing in the order measured",
+    );
     draw_scale(
         page,
         area,
         RangeScale::color_at,
-        scale.ticks_m().map(|tick| (scale.position(tick), format!("{tick} m"))),
+        scale
+            .ticks_m()
+            .map(|tick| (scale.position(tick), format!("{tick} m"))),
     );
-    draw_cells(page, area, raster, |index| scale.color(f64::from(sweep.range[index])));
+    draw_cells(page, area, raster, |index| {
+        scale.color(f64::from(sweep.range[index]))
+    });
     draw_elevations(page, area, sweep);
 }
 
 /// The reflectivities, with the scale of their colours.
-pub fn draw_reflectivities(page: &mut Canvas, area: &Rectangle, sweep: SweepRef<'_>, raster: &Raster) {
+pub fn draw_reflectivities(
+    page: &mut Canvas,
+    area: &Rectangle,
+    sweep: SweepRef<'_>,
+    raster: &Raster,
+) {
     draw_caption(
         page,
         area,
         "reflectivity",
         "grey: diffuse, up to 100; coloured: retro-reflectors such as signs, over 100",
     );
-    let ticks = ReflectivityScale::TICKS.map(|tick| (ReflectivityScale::position(tick), tick.to_string()));
+    let ticks =
+        ReflectivityScale::TICKS.map(|tick| (ReflectivityScale::position(tick), tick.to_string()));
     draw_scale(page, area, ReflectivityScale::color_at, ticks);
-    draw_cells(page, area, raster, |index| ReflectivityScale::color(sweep.reflectivity[index]));
+    draw_cells(page, area, raster, |index| {
+        ReflectivityScale::color(sweep.reflectivity[index])
+    });
     draw_elevations(page, area, sweep);
 }
 
@@ -61,14 +87,21 @@ pub fn draw_reflectivities(page: &mut Canvas, area: &Rectangle, sweep: SweepRef<
 pub fn draw_labels(page: &mut Canvas, area: &Rectangle, sweep: SweepRef<'_>, raster: &Raster) {
     let remark = "the same image after segmentation; azimuth 0 = sensor +y, clockwise";
     draw_caption(page, area, "labels", remark);
-    draw_cells(page, area, raster, |index| palette::label(sweep.label[index]));
+    draw_cells(page, area, raster, |index| {
+        palette::label(sweep.label[index])
+    });
     draw_elevations(page, area, sweep);
     let row_height = row_height(area, raster.rows) as i32;
     let anchors = anchors(sweep, raster);
     let mut texts = Texts::new(*area);
     for segment in numbered(sweep, row_height as u32) {
-        let Some(run) = entry(segment.label).and_then(|entry| *anchors.get(entry)?) else { continue };
-        let center = Point::new(run.middle as i32, run.row as i32 * row_height + row_height / 2);
+        let Some(run) = entry(segment.label).and_then(|entry| *anchors.get(entry)?) else {
+            continue;
+        };
+        let center = Point::new(
+            run.middle as i32,
+            run.row as i32 * row_height + row_height / 2,
+        );
         texts.draw_number(page, segment.label, &[area.top_left + center]);
     }
 }
@@ -83,8 +116,9 @@ struct Run {
     off_middle: usize,
 }
 
-/// The longest run of each segment of the table, of equals the one nearest the middle of the segment's height: there
-/// a number is on its segment, also if that is hollow or lies across the seam.
+/// The longest run of each segment of the table, of equals the one nearest the middle of the
+/// segment's height: there a number is on its segment, also if that is hollow or lies across the
+/// seam.
 fn anchors(sweep: SweepRef<'_>, raster: &Raster) -> Vec<Option<Run>> {
     let mut longest: Vec<Option<Run>> = vec![None; sweep.segments.len()];
     let segment_at = |x: usize, row: usize| match raster.cell(x, row) {
@@ -98,10 +132,19 @@ fn anchors(sweep: SweepRef<'_>, raster: &Raster) -> Vec<Option<Run>> {
             while x < raster.width && segment_at(x, row) == segment {
                 x += 1;
             }
-            let Some(segment) = segment.filter(|&segment| segment < longest.len()) else { continue };
-            let rows = usize::from(sweep.segments[segment].row_first) + usize::from(sweep.segments[segment].row_last);
-            let run = Run { cells: x - first, middle: (first + x) / 2, row, off_middle: rows.abs_diff(2 * row) };
-            let is_better = |other: &Run| (run.cells, other.off_middle) > (other.cells, run.off_middle);
+            let Some(segment) = segment.filter(|&segment| segment < longest.len()) else {
+                continue;
+            };
+            let rows = usize::from(sweep.segments[segment].row_first)
+                + usize::from(sweep.segments[segment].row_last);
+            let run = Run {
+                cells: x - first,
+                middle: (first + x) / 2,
+                row,
+                off_middle: rows.abs_diff(2 * row),
+            };
+            let is_better =
+                |other: &Run| (run.cells, other.off_middle) > (other.cells, run.off_middle);
             if longest[segment].as_ref().is_none_or(is_better) {
                 longest[segment] = Some(run);
             }
@@ -114,15 +157,31 @@ fn row_height(area: &Rectangle, rows: usize) -> usize {
     area.size.height as usize / rows.max(1)
 }
 
-fn draw_cells(page: &mut Canvas, area: &Rectangle, raster: &Raster, color: impl Fn(usize) -> Rgb888) {
+fn draw_cells(
+    page: &mut Canvas,
+    area: &Rectangle,
+    raster: &Raster,
+    color: impl Fn(usize) -> Rgb888,
+) {
     let row_height = row_height(area, raster.rows);
     for row in 0..raster.rows {
         for x in 0..raster.width {
             let cell = raster.cell(x, row);
-            let fill = if let Cell::Pixel(index) = cell { color(index) } else { NO_RETURN };
+            let fill = if let Cell::Pixel(index) = cell {
+                color(index)
+            } else {
+                NO_RETURN
+            };
             for y in row * row_height..(row + 1) * row_height {
                 let at = area.top_left + Point::new(x as i32, y as i32);
-                page.set(at, if cell == Cell::Missing { palette::missing(at.x, at.y) } else { fill });
+                page.set(
+                    at,
+                    if cell == Cell::Missing {
+                        palette::missing(at.x, at.y)
+                    } else {
+                        fill
+                    },
+                );
             }
         }
     }
@@ -139,14 +198,20 @@ fn draw_scale(
     let (left, top) = (right - BAR_WIDTH, area.top_left.y - 38);
     for x in 0..BAR_WIDTH {
         let color = color_at(f64::from(x) / f64::from(BAR_WIDTH - 1));
-        page.rect(Rectangle::new(Point::new(left + x, top), Size::new(1, 13)), color);
+        page.rect(
+            Rectangle::new(Point::new(left + x, top), Size::new(1, 13)),
+            color,
+        );
     }
     let mut free = i32::MIN;
     for (position, text) in ticks {
         let x = left + (position * f64::from(BAR_WIDTH - 1)) as i32;
         let half = text_width(&text, BODY) as i32 / 2;
         if x - half > free {
-            page.rect(Rectangle::new(Point::new(x, top + 13), Size::new(1, 4)), DIM);
+            page.rect(
+                Rectangle::new(Point::new(x, top + 13), Size::new(1, 4)),
+                DIM,
+            );
             page.text(Point::new(x, top + 17), &text, BODY, DIM, Alignment::Center);
             free = x + half + 8;
         }
@@ -157,16 +222,33 @@ fn draw_scale(
 fn draw_elevations(page: &mut Canvas, area: &Rectangle, sweep: SweepRef<'_>) {
     let rows = sweep.rows();
     let row_height = row_height(area, rows) as i32;
-    let level =
-        |&a: &usize, &b: &usize| sweep.beams[a].elevation_rad.abs().total_cmp(&sweep.beams[b].elevation_rad.abs());
+    let level = |&a: &usize, &b: &usize| {
+        sweep.beams[a]
+            .elevation_rad
+            .abs()
+            .total_cmp(&sweep.beams[b].elevation_rad.abs())
+    };
     let horizon = (0..rows).min_by(level);
     let mut taken: Vec<i32> = Vec::new();
-    for row in [Some(0), rows.checked_sub(1), horizon].into_iter().flatten().filter(|&row| row < rows) {
+    for row in [Some(0), rows.checked_sub(1), horizon]
+        .into_iter()
+        .flatten()
+        .filter(|&row| row < rows)
+    {
         let y = area.top_left.y + row as i32 * row_height + row_height / 2;
         if taken.iter().all(|other| (other - y).abs() >= 20) {
             let text = format!("{:+.1}°", sweep.beams[row].elevation_rad.to_degrees());
-            page.text(Point::new(area.top_left.x - 8, y - 10), &text, BODY, DIM, Alignment::Right);
-            page.rect(Rectangle::new(Point::new(area.top_left.x - 5, y), Size::new(4, 1)), DIM);
+            page.text(
+                Point::new(area.top_left.x - 8, y - 10),
+                &text,
+                BODY,
+                DIM,
+                Alignment::Right,
+            );
+            page.rect(
+                Rectangle::new(Point::new(area.top_left.x - 5, y), Size::new(4, 1)),
+                DIM,
+            );
             taken.push(y);
         }
     }
@@ -175,14 +257,26 @@ fn draw_elevations(page: &mut Canvas, area: &Rectangle, sweep: SweepRef<'_>) {
 /// Degrees below the lowest image.
 pub fn draw_azimuths(page: &mut Canvas, area: &Rectangle, sweep: SweepRef<'_>, raster: &Raster) {
     let below = area.top_left.y + area.size.height as i32;
-    page.text(Point::new(area.top_left.x - 24, below + 7), "azimuth", BODY, DIM, Alignment::Right);
+    page.text(
+        Point::new(area.top_left.x - 24, below + 7),
+        "azimuth",
+        BODY,
+        DIM,
+        Alignment::Right,
+    );
     let mut free = 0;
     for (column, degrees) in azimuth_ticks(sweep) {
         let x = raster.x_of(column, sweep.columns.len());
         if x >= free && x < raster.width {
             let at = Point::new(area.top_left.x + x as i32, below);
             page.rect(Rectangle::new(at, Size::new(1, 6)), DIM);
-            page.text(at + Point::new(1, 7), &format!("{degrees}°"), BODY, DIM, Alignment::Center);
+            page.text(
+                at + Point::new(1, 7),
+                &format!("{degrees}°"),
+                BODY,
+                DIM,
+                Alignment::Center,
+            );
             free = x + TICK_SPACING;
         }
     }
@@ -191,9 +285,14 @@ pub fn draw_azimuths(page: &mut Canvas, area: &Rectangle, sweep: SweepRef<'_>, r
 /// Columns at which the azimuth passes a round number of degrees, and that number.
 fn azimuth_ticks(sweep: SweepRef<'_>) -> Vec<(usize, i64)> {
     let azimuths = unwrapped_degrees(sweep);
-    let (Some(first), Some(last)) = (azimuths.first(), azimuths.last()) else { return Vec::new() };
+    let (Some(first), Some(last)) = (azimuths.first(), azimuths.last()) else {
+        return Vec::new();
+    };
     let span = (last - first).abs();
-    let step = [1.0, 2.0, 5.0, 10.0, 15.0].into_iter().find(|step| span / step <= 15.0).unwrap_or(30.0);
+    let step = [1.0, 2.0, 5.0, 10.0, 15.0]
+        .into_iter()
+        .find(|step| span / step <= 15.0)
+        .unwrap_or(30.0);
     // The column before the first, as far before it as the second is behind it.
     let pitch = azimuths.get(1).map_or(step, |second| second - first);
     let mut before = first - pitch;
@@ -218,11 +317,18 @@ fn azimuth_ticks(sweep: SweepRef<'_>) -> Vec<(usize, i64)> {
 fn unwrapped_degrees(sweep: SweepRef<'_>) -> Vec<f64> {
     let mut turned = 0.0;
     let mut before = None;
-    let azimuths = sweep.columns.iter().map(|column| f64::from(column.azimuth_rad).to_degrees());
+    let azimuths = sweep
+        .columns
+        .iter()
+        .map(|column| f64::from(column.azimuth_rad).to_degrees());
     azimuths
         .map(|azimuth| {
             let step = (azimuth - before.unwrap_or(0.0) + 180.0).rem_euclid(360.0) - 180.0;
-            turned = if before.is_some() { turned + step } else { azimuth };
+            turned = if before.is_some() {
+                turned + step
+            } else {
+                azimuth
+            };
             before = Some(azimuth);
             turned
         })
@@ -247,12 +353,17 @@ mod tests {
 
     #[test]
     fn ticks_stand_where_round_azimuths_are_passed() {
-        let whole: Vec<f32> = (0..720).map(|half| (half as f32 * 0.5 + 270.1).rem_euclid(360.0)).collect();
+        let whole: Vec<f32> = (0..720)
+            .map(|half| (half as f32 * 0.5 + 270.1).rem_euclid(360.0))
+            .collect();
         let whole = ticks(&whole);
         assert_eq!(whole.len(), 12);
         assert_eq!((whole[0], whole[3]), ((0, 270), (180, 0)));
         // Reversed and partial: 10 degrees across the whole turn.
-        assert_eq!(ticks(&[5.5, 3.5, 1.5, 359.5, 357.5, 355.5])[..2], [(0, 6), (1, 4)]);
+        assert_eq!(
+            ticks(&[5.5, 3.5, 1.5, 359.5, 357.5, 355.5])[..2],
+            [(0, 6), (1, 4)]
+        );
         assert_eq!(ticks(&[]), []);
     }
 }

@@ -24,11 +24,27 @@ pub struct Title<'a> {
 /// Draws the head: names large, numbers small, warnings between them at the right.
 pub fn draw(page: &mut Canvas, at: Point, sweep: SweepRef<'_>, title: &Title<'_>) {
     let sensor = sweep.header.sensor();
-    let names = [title.model.to_owned(), sensor.to_owned(), format!("sweep {}", title.sweep_number)];
+    let names = [
+        title.model.to_owned(),
+        sensor.to_owned(),
+        format!("sweep {}", title.sweep_number),
+    ];
     let names: Vec<String> = names.into_iter().filter(|name| !name.is_empty()).collect();
     let end = page.heading(at, &names.join("  ·  "), TEXT);
-    page.text(Point::new(end + 30, at.y), &warnings(sweep).join(", "), BODY, WARNING, Alignment::Left);
-    page.text(at + Point::new(0, 28), &facts(sweep).join("   "), BODY, DIM, Alignment::Left);
+    page.text(
+        Point::new(end + 30, at.y),
+        &warnings(sweep).join(", "),
+        BODY,
+        WARNING,
+        Alignment::Left,
+    );
+    page.text(
+        at + Point::new(0, 28),
+        &facts(sweep).join("   "),
+        BODY,
+        DIM,
+        Alignment::Left,
+    );
 }
 
 fn facts(sweep: SweepRef<'_>) -> Vec<String> {
@@ -39,7 +55,11 @@ fn facts(sweep: SweepRef<'_>) -> Vec<String> {
     };
     let count = |ranges: &[f32]| ranges.iter().filter(|&&range| is_return(range)).count();
     let segmented = count(sweep.range);
-    let ground = sweep.label.iter().filter(|&&label| label == LABEL_GROUND).count();
+    let ground = sweep
+        .label
+        .iter()
+        .filter(|&&label| label == LABEL_GROUND)
+        .count();
     let second = if sweep.range2.is_empty() {
         String::new()
     } else {
@@ -49,8 +69,15 @@ fn facts(sweep: SweepRef<'_>) -> Vec<String> {
         format!("{} ({clock})", utc_text(header.time_ns)),
         format!("{:.0} rpm", header.rpm),
         format!("{} rows × {} columns", sweep.rows(), sweep.columns.len()),
-        format!("{} returns{second} ({})", grouped(segmented as u64), header.return_mode()),
-        format!("{:.0} % ground", 100.0 * ground as f64 / segmented.max(1) as f64),
+        format!(
+            "{} returns{second} ({})",
+            grouped(segmented as u64),
+            header.return_mode()
+        ),
+        format!(
+            "{:.0} % ground",
+            100.0 * ground as f64 / segmented.max(1) as f64
+        ),
         format!("{} segments", grouped(sweep.segments.len() as u64)),
     ]
 }
@@ -64,10 +91,22 @@ fn warnings(sweep: SweepRef<'_>) -> Vec<String> {
         (flags::RATE_UNSTABLE, "speed unsteady"),
         (flags::STOPPED, "head stands still"),
     ];
-    let set = words.into_iter().filter(|&(flag, _)| sweep.header.has(flag)).map(|(_, words)| words.to_owned());
-    let lost = sweep.columns.iter().filter(|column| column.is_missing()).count();
-    let lost =
-        (lost > 0).then(|| format!("{} of {} columns lost", grouped(lost as u64), grouped(sweep.columns.len() as u64)));
+    let set = words
+        .into_iter()
+        .filter(|&(flag, _)| sweep.header.has(flag))
+        .map(|(_, words)| words.to_owned());
+    let lost = sweep
+        .columns
+        .iter()
+        .filter(|column| column.is_missing())
+        .count();
+    let lost = (lost > 0).then(|| {
+        format!(
+            "{} of {} columns lost",
+            grouped(lost as u64),
+            grouped(sweep.columns.len() as u64)
+        )
+    });
     set.chain(lost).collect()
 }
 
@@ -91,6 +130,9 @@ mod tests {
         let expected = "2024-05-01 12:34:56.789 UTC (host clock)|600 rpm|2 rows × 3 columns|\
                         4 returns (strongest)|25 % ground|0 segments";
         assert_eq!(facts, expected);
-        assert_eq!(warnings(scene.sweep()), ["partial sweep", "1 of 3 columns lost"]);
+        assert_eq!(
+            warnings(scene.sweep()),
+            ["partial sweep", "1 of 3 columns lost"]
+        );
     }
 }

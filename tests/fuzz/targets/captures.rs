@@ -34,13 +34,27 @@ pub fn capture(input: &[u8]) {
         }
     }
     let tally = capture.tally();
-    let Tally { records, not_ip, not_udp, truncated_records, fragments, unsupported_link, malformed, .. } = tally;
+    let Tally {
+        records,
+        not_ip,
+        not_udp,
+        truncated_records,
+        fragments,
+        unsupported_link,
+        malformed,
+        ..
+    } = tally;
     assert_eq!(tally.datagrams, datagrams);
     let others = not_ip + not_udp + truncated_records + fragments + unsupported_link + malformed;
     assert_eq!(records, datagrams + others, "{tally:?}");
     if let Some(truncation) = capture.truncation() {
         assert!(!truncation.to_string().is_empty());
-        assert!(capture.next_datagram().expect("the end is no error").is_none());
+        assert!(
+            capture
+                .next_datagram()
+                .expect("the end is no error")
+                .is_none()
+        );
     }
     assert!(capture.link_types().len() <= 16);
     let _ = (capture.first_ns(), capture.last_ns(), capture.record());
@@ -57,8 +71,12 @@ pub fn frame(input: &[u8]) {
         time_ns = time_ns.saturating_add(i64::from(wait as i8) << 30);
         let frame = numbers.bytes(len);
         match decapsulator.decapsulate(link, frame, time_ns) {
-            Ok(datagram) => assert!(datagram.payload.len() <= 65_535 && datagram.arrival_ns == time_ns),
-            Err(NoDatagram::UnsupportedLink(of)) => assert_eq!((of, of.to_string().is_empty()), (link, false)),
+            Ok(datagram) => {
+                assert!(datagram.payload.len() <= 65_535 && datagram.arrival_ns == time_ns)
+            }
+            Err(NoDatagram::UnsupportedLink(of)) => {
+                assert_eq!((of, of.to_string().is_empty()), (link, false))
+            }
             Err(reason) => assert!(!reason.to_string().is_empty()),
         }
     }

@@ -1,7 +1,9 @@
-//! One function for each way into the program. It takes any bytes, and fails where a promise is broken.
+//! One function for each way into the program. It takes any bytes, and fails where a promise is
+//! broken.
 //!
-//! Both forms of the run call the same functions: `cargo test --test fuzz` with mutated seeds on stable Rust, and libFuzzer,
-//! which is led by the code that an input reaches (see `tests/fuzz/README.md`).
+//! Both forms of the run call the same functions: `cargo test --test fuzz` with mutated seeds on
+//! stable Rust, and libFuzzer, which is led by the code that an input reaches (see
+//! `tests/fuzz/README.md`).
 #![allow(dead_code)]
 
 pub mod captures;
@@ -35,7 +37,10 @@ pub const ALL: [(&str, Run); 15] = [
 
 /// The target of this name.
 pub fn named(name: &str) -> Run {
-    ALL.into_iter().find(|(other, _)| *other == name).map(|(_, run)| run).expect("the name of a target")
+    ALL.into_iter()
+        .find(|(other, _)| *other == name)
+        .map(|(_, run)| run)
+        .expect("the name of a target")
 }
 
 /// Reads numbers off the front of an input; zeros behind its end.

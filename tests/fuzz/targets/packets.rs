@@ -1,4 +1,5 @@
-//! What a sensor sends: data packets, position packets with their NMEA sentence, the status of an HDL-64E.
+//! What a sensor sends: data packets, position packets with their NMEA sentence, the status of an
+//! HDL-64E.
 
 use sweepd::sensor::compare::differences;
 use sweepd::sensor::detect::Detector;
@@ -13,9 +14,14 @@ use sweepd::wire::position::Position;
 
 use super::Numbers;
 
-/// Payloads, one behind the other: each is refused, or written as it was read; and what the first ones say of the model.
+/// Payloads, one behind the other: each is refused, or written as it was read; and what the first
+/// ones say of the model.
 pub fn data_packet(input: &[u8]) {
-    let mut detectors: Vec<Detector> = [None].into_iter().chain(Model::ALL.map(Some)).map(Detector::new).collect();
+    let mut detectors: Vec<Detector> = [None]
+        .into_iter()
+        .chain(Model::ALL.map(Some))
+        .map(Detector::new)
+        .collect();
     let mut unit = Unit::default();
     for payload in input.chunks(DATA_PACKET_LEN) {
         let packet = match DataPacket::parse(payload) {
@@ -26,13 +32,23 @@ pub fn data_packet(input: &[u8]) {
             }
         };
         assert_eq!(packet.emit(), payload);
-        assert!(packet.blocks.iter().take(8).all(|block| block.azimuth_cdeg() < 36_000));
+        assert!(
+            packet
+                .blocks
+                .iter()
+                .take(8)
+                .all(|block| block.azimuth_cdeg() < 36_000)
+        );
         assert!(packet.returns() <= BLOCKS * RECORDS);
         let _ = (packet.banks(), ReturnMode::from_byte(packet.return_mode));
-        let _ = (0..=BLOCKS + 1).filter(|&of| packet.azimuths_in_groups(of)).count();
+        let _ = (0..=BLOCKS + 1)
+            .filter(|&of| packet.azimuths_in_groups(of))
+            .count();
         unit.hear(packet);
         for detector in &mut detectors {
-            let _ = detector.observe(packet).map(|result| result.map_err(|error| error.to_string()));
+            let _ = detector
+                .observe(packet)
+                .map(|result| result.map_err(|error| error.to_string()));
         }
     }
     for detector in &detectors {
@@ -46,10 +62,26 @@ pub fn position_packet(input: &[u8]) {
         let bytes = position.emit();
         let again = Position::parse(&bytes).expect("what was written is read");
         // A sentence without room for its line end is cut.
-        assert!(position.nmea.unwrap_or_default().starts_with(again.nmea.unwrap_or_default()));
-        assert_eq!(Position { nmea: position.nmea, ..again }, position);
+        assert!(
+            position
+                .nmea
+                .unwrap_or_default()
+                .starts_with(again.nmea.unwrap_or_default())
+        );
+        assert_eq!(
+            Position {
+                nmea: position.nmea,
+                ..again
+            },
+            position
+        );
         for chip in position.inertial.iter().flatten() {
-            assert!([chip.gyro_deg_s(), chip.temperature_c()].into_iter().chain(chip.accel_g()).all(f64::is_finite));
+            assert!(
+                [chip.gyro_deg_s(), chip.temperature_c()]
+                    .into_iter()
+                    .chain(chip.accel_g())
+                    .all(f64::is_finite)
+            );
         }
         position.nmea.into_iter().for_each(sentence);
     }
@@ -62,11 +94,22 @@ fn sentence(text: &str) {
         Ok(rmc) => rmc,
         Err(error) => return assert!(!error.to_string().is_empty()),
     };
-    let again = Rmc::parse(&rmc.emit()).unwrap_or_else(|error| panic!("{rmc:?} -> {:?}: {error}", rmc.emit()));
-    assert!(again.valid == rmc.valid && again.utc_ns.abs_diff(rmc.utc_ns) <= 10_000_000, "{rmc:?} -> {again:?}");
+    let again = Rmc::parse(&rmc.emit())
+        .unwrap_or_else(|error| panic!("{rmc:?} -> {:?}: {error}", rmc.emit()));
+    assert!(
+        again.valid == rmc.valid && again.utc_ns.abs_diff(rmc.utc_ns) <= 10_000_000,
+        "{rmc:?} -> {again:?}"
+    );
 }
 
-const CLOCK: Clock = Clock { hour: 12, minute: 30, second: 7, day: 4, month: 5, year: 26 };
+const CLOCK: Clock = Clock {
+    hour: 12,
+    minute: 30,
+    second: 7,
+    day: 4,
+    month: 5,
+    year: 26,
+};
 /// Most packets of a stream: five dumps.
 const MOST_PACKETS: usize = 5 * 4160;
 
@@ -92,9 +135,18 @@ pub fn status_stream(input: &[u8]) {
     let records = stream::records(&unit(7)).expect("a unit of the simulator can tell itself");
     let mut dump = Dump::new(series, &records);
     dump.set_warnings(series, Warnings(0b0110_0001));
-    let live = Live { clock: CLOCK, gps: Gps::Both, temperature_c: 41, firmware: 0x47 };
+    let live = Live {
+        clock: CLOCK,
+        gps: Gps::Both,
+        temperature_c: 41,
+        firmware: 0x47,
+    };
     let (mut index, mut stamp_us, mut pushed) = (usize::from(numbers.u16()), 0_u32, 0);
-    let mut send = |status: &mut Status, index: &mut usize, stamp_us: &mut u32, kind_xor: u8, value_xor: u8| {
+    let mut send = |status: &mut Status,
+                    index: &mut usize,
+                    stamp_us: &mut u32,
+                    kind_xor: u8,
+                    value_xor: u8| {
         let (kind, value) = pair(&dump, series, &live, *index);
         status.push(kind ^ kind_xor, value ^ value_xor, *stamp_us);
         (*index, *stamp_us) = (*index + 1, stamp_us.wrapping_add(288));
@@ -123,15 +175,38 @@ pub fn status_stream(input: &[u8]) {
 
 /// All that can be asked of a status.
 fn told(status: &Status) {
-    let _ = (status.verdict(), status.known(), status.series(), status.gps(), status.temperature_c());
-    let _ = (status.clock().and_then(|clock| clock.utc_ns()), status.firmware(), status.rpm(), status.fov_cdeg());
-    let _ = (status.return_mode(), status.power().map(|power| power.is_normalised()), status.life_hours());
+    let _ = (
+        status.verdict(),
+        status.known(),
+        status.series(),
+        status.gps(),
+        status.temperature_c(),
+    );
+    let _ = (
+        status.clock().and_then(|clock| clock.utc_ns()),
+        status.firmware(),
+        status.rpm(),
+        status.fov_cdeg(),
+    );
+    let _ = (
+        status.return_mode(),
+        status.power().map(|power| power.is_normalised()),
+        status.life_hours(),
+    );
     let _ = (status.source(), status.destination(), status.calibrated());
     if let Some(warnings) = status.warnings() {
-        let _ = (warnings.pps(), warnings.gps_time(), warnings.faults(Series::S3).count());
+        let _ = (
+            warnings.pps(),
+            warnings.gps_time(),
+            warnings.faults(Series::S3).count(),
+        );
     }
     let Some(dump) = status.dump() else { return };
-    let _ = (dump.calibrated(), dump.return_mode(), dump.records().count());
+    let _ = (
+        dump.calibrated(),
+        dump.return_mode(),
+        dump.records().count(),
+    );
     match stream::calibration(dump) {
         Ok(calibration) => {
             assert!(differences(&calibration, &calibration).is_empty());

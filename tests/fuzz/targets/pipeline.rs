@@ -37,7 +37,10 @@ struct Head {
 impl Head {
     fn packet(&mut self) -> DataPacket {
         let spec = self.model.spec();
-        let (copies, block_ns) = (spec.blocks_per_azimuth(self.mode), i64::from(spec.azimuth_period_ns(self.mode)));
+        let (copies, block_ns) = (
+            spec.blocks_per_azimuth(self.mode),
+            i64::from(spec.azimuth_period_ns(self.mode)),
+        );
         let mut packet = DataPacket::new(0, self.mode.byte(), spec.product.unwrap_or_default());
         if self.model.is_hdl64e() {
             (packet.return_mode, packet.product) = status(self.sent as usize);
@@ -54,12 +57,20 @@ impl Head {
             for (channel, record) in block.records.iter_mut().enumerate() {
                 // Walls with holes, and ground below.
                 let noise = (self.sent as usize * 31 + index * 7 + channel * 131) as u16;
-                record.distance.set(if noise.is_multiple_of(5) { 0 } else { 1000 + channel as u16 * 300 + noise % 64 });
+                record.distance.set(if noise.is_multiple_of(5) {
+                    0
+                } else {
+                    1000 + channel as u16 * 300 + noise % 64
+                });
                 record.reflectivity = noise as u8;
             }
         }
         self.turn(block_ns);
-        let stamp_ns = if spec.stamp == Stamp::Output { self.clock_ns } else { begun_ns };
+        let stamp_ns = if spec.stamp == Stamp::Output {
+            self.clock_ns
+        } else {
+            begun_ns
+        };
         packet.set_stamp_us((stamp_ns / 1000).rem_euclid(3_600_000_000) as u32);
         self.sent += 1;
         packet
@@ -76,10 +87,30 @@ impl Head {
 fn status(index: usize) -> (u8, u8) {
     static DUMP: OnceLock<Dump> = OnceLock::new();
     let dump = DUMP.get_or_init(|| {
-        Dump::new(Series::S3, &stream::records(own()).expect("a unit of the simulator can tell itself"))
+        Dump::new(
+            Series::S3,
+            &stream::records(own()).expect("a unit of the simulator can tell itself"),
+        )
     });
-    let clock = Clock { hour: 1, minute: 2, second: 3, day: 4, month: 5, year: 26 };
-    pair(dump, Series::S3, &Live { clock, gps: Gps::Both, temperature_c: 41, firmware: 0x47 }, index)
+    let clock = Clock {
+        hour: 1,
+        minute: 2,
+        second: 3,
+        day: 4,
+        month: 5,
+        year: 26,
+    };
+    pair(
+        dump,
+        Series::S3,
+        &Live {
+            clock,
+            gps: Gps::Both,
+            temperature_c: 41,
+            firmware: 0x47,
+        },
+        index,
+    )
 }
 
 fn own() -> &'static Calibration {
@@ -98,8 +129,17 @@ struct Rig {
 impl Rig {
     fn push(&mut self, arrival_ns: i64, payload: &[u8]) {
         let source = ([192, 168, 1, 201], 2368).into();
-        *(if payload.len() == POSITION_PACKET_LEN { &mut self.positions } else { &mut self.data }) += 1;
-        if let Err(fault) = self.pipeline.push(&Datagram { arrival_ns, source, destination_port: 2368, payload }) {
+        *(if payload.len() == POSITION_PACKET_LEN {
+            &mut self.positions
+        } else {
+            &mut self.data
+        }) += 1;
+        if let Err(fault) = self.pipeline.push(&Datagram {
+            arrival_ns,
+            source,
+            destination_port: 2368,
+            payload,
+        }) {
             assert!(!fault.to_string().is_empty());
         }
         self.poll();
@@ -109,12 +149,20 @@ impl Rig {
         while let Some(bytes) = self.pipeline.poll() {
             let sweep = SweepRef::open(bytes.as_ref()).expect("what is published is a sweep");
             let sequence = sweep.header.sequence;
-            assert!(self.sequence.is_none_or(|last| sequence > last), "{sequence} after {:?}", self.sequence);
+            assert!(
+                self.sequence.is_none_or(|last| sequence > last),
+                "{sequence} after {:?}",
+                self.sequence
+            );
             self.sequence = Some(sequence);
             check(&sweep);
         }
         self.pipeline.segment_early();
-        let _ = (self.pipeline.take_notices(), self.pipeline.due_ns(), self.pipeline.counts());
+        let _ = (
+            self.pipeline.take_notices(),
+            self.pipeline.due_ns(),
+            self.pipeline.counts(),
+        );
     }
 }
 
@@ -123,16 +171,33 @@ fn check(sweep: &SweepRef<'_>) {
     let header = sweep.header;
     assert!(sweep.columns.len() <= COLUMNS_CAPACITY && !sweep.columns.is_empty());
     let most = LABEL_FIRST_SEGMENT + header.segments;
-    assert!(sweep.label.iter().chain(sweep.label2).all(|&label| label < most));
-    assert!(sweep.segments.iter().all(|segment| segment.points > 0 && segment.nearest_m > 0.0));
+    assert!(
+        sweep
+            .label
+            .iter()
+            .chain(sweep.label2)
+            .all(|&label| label < most)
+    );
+    assert!(
+        sweep
+            .segments
+            .iter()
+            .all(|segment| segment.points > 0 && segment.nearest_m > 0.0)
+    );
     let mut returns = 0;
     for one in sweep.returns() {
         returns += 1;
-        assert!(one.range_m.is_finite() && one.range_m < 200.0 && (0.0..TAU).contains(&one.azimuth_rad), "{one:?}");
+        assert!(
+            one.range_m.is_finite() && one.range_m < 200.0 && (0.0..TAU).contains(&one.azimuth_rad),
+            "{one:?}"
+        );
         assert!(one.point_m.iter().all(|axis| axis.is_finite()), "{one:?}");
     }
     assert_eq!(returns, header.returns);
-    let unfit = sweep.columns.iter().find(|column| !(0.0..=TAU as f32).contains(&column.azimuth_rad));
+    let unfit = sweep
+        .columns
+        .iter()
+        .find(|column| !(0.0..=TAU as f32).contains(&column.azimuth_rad));
     assert!(unfit.is_none(), "{unfit:?}");
     assert!(header.rpm >= 0.0 && header.rpm.is_finite());
 }
@@ -146,8 +211,11 @@ pub fn pipeline(input: &[u8]) {
         model: (setting & 1 != 0).then_some(model),
         calibration: (setting & 2 == 0 && model.is_hdl64e()).then(|| own().clone()),
         cut_azimuth_rad: f64::from(cut) / 65_536.0 * TAU,
-        return_choice: [ReturnChoice::Nearest, ReturnChoice::Strongest, ReturnChoice::Last]
-            [usize::from(setting >> 2) % 3],
+        return_choice: [
+            ReturnChoice::Nearest,
+            ReturnChoice::Strongest,
+            ReturnChoice::Last,
+        ][usize::from(setting >> 2) % 3],
         ..Config::default()
     };
     if setting & 0x80 != 0 {
@@ -162,8 +230,14 @@ pub fn pipeline(input: &[u8]) {
         rate: i64::from(rate as i16) * 10,
         sent: 0,
     };
-    let pipeline = Pipeline::new("fuzz", config, HeapBuffers::default(), Untimed).expect("a configuration like others");
-    let mut rig = Rig { pipeline, data: 0, positions: 0, sequence: None };
+    let pipeline = Pipeline::new("fuzz", config, HeapBuffers::default(), Untimed)
+        .expect("a configuration like others");
+    let mut rig = Rig {
+        pipeline,
+        data: 0,
+        positions: 0,
+        sequence: None,
+    };
     while !numbers.is_empty() && rig.data + rig.positions < MOST_PACKETS as u64 {
         happen(&mut numbers, &mut head, &mut rig);
     }
@@ -192,9 +266,12 @@ fn happen(numbers: &mut Numbers<'_>, head: &mut Head, rig: &mut Rig) {
         }
         // In another order.
         6 => {
-            let mut packets: Vec<DataPacket> = (0..2 + numbers.u8() % 8).map(|_| head.packet()).collect();
+            let mut packets: Vec<DataPacket> =
+                (0..2 + numbers.u8() % 8).map(|_| head.packet()).collect();
             packets.reverse();
-            packets.iter().for_each(|packet| rig.push(head.arrival_ns, packet.emit()));
+            packets
+                .iter()
+                .for_each(|packet| rig.push(head.arrival_ns, packet.emit()));
         }
         // Flipped bytes.
         7 => {
@@ -206,14 +283,21 @@ fn happen(numbers: &mut Numbers<'_>, head: &mut Head, rig: &mut Rig) {
         }
         // Clocks that jump: that of the sensor, that of the host.
         8 => {
-            head.clock_ns =
-                (head.clock_ns + ((i64::from(numbers.u16() as i16)) << (numbers.u8() % 34))) & ((1 << 52) - 1)
+            head.clock_ns = (head.clock_ns
+                + ((i64::from(numbers.u16() as i16)) << (numbers.u8() % 34)))
+                & ((1 << 52) - 1)
         }
-        9 => head.arrival_ns = head.arrival_ns.wrapping_add(i64::from(numbers.u16() as i16) << (numbers.u8() % 48)),
+        9 => {
+            head.arrival_ns = head
+                .arrival_ns
+                .wrapping_add(i64::from(numbers.u16() as i16) << (numbers.u8() % 48))
+        }
         10 => head.arrival_ns = numbers.i64(),
         // Nothing for a while.
         11 => {
-            let now_ns = head.arrival_ns.wrapping_add(i64::from(numbers.u16() as i16) << (numbers.u8() % 48));
+            let now_ns = head
+                .arrival_ns
+                .wrapping_add(i64::from(numbers.u16() as i16) << (numbers.u8() % 48));
             rig.pipeline.tick(now_ns);
             rig.poll();
         }

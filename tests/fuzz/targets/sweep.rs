@@ -22,7 +22,10 @@ pub fn sweep(input: &[u8]) {
         let bytes = &mut buffer.as_mut()[..numbers.0.len()];
         bytes.copy_from_slice(numbers.0);
         look_at(bytes);
-        assert!(bytes.len() < 2 || SweepRef::open(&bytes[1..]).is_err(), "an odd address was taken");
+        assert!(
+            bytes.len() < 2 || SweepRef::open(&bytes[1..]).is_err(),
+            "an odd address was taken"
+        );
         return;
     }
     let [rows, columns, capacity, segments, words] = [(); 5].map(|()| numbers.u8());
@@ -39,11 +42,21 @@ pub fn sweep(input: &[u8]) {
     (header.columns, header.segments) = (u32::from(columns), u32::from(segments));
     zerocopy::IntoBytes::write_to_prefix(&header, bytes).expect("a sweep has room for its header");
     for _ in 0..words % 8 {
-        let (place, value) = (usize::from(numbers.u8()) % (size_of::<Header>() / 4), numbers.u32());
+        let (place, value) = (
+            usize::from(numbers.u8()) % (size_of::<Header>() / 4),
+            numbers.u32(),
+        );
         bytes[4 * place..][..4].copy_from_slice(&value.to_le_bytes());
     }
-    let rest = if numbers.is_empty() { &[0xA5] } else { numbers.0 };
-    bytes[size_of::<Header>()..].iter_mut().zip(rest.iter().cycle()).for_each(|(byte, &value)| *byte = value);
+    let rest = if numbers.is_empty() {
+        &[0xA5]
+    } else {
+        numbers.0
+    };
+    bytes[size_of::<Header>()..]
+        .iter_mut()
+        .zip(rest.iter().cycle())
+        .for_each(|(byte, &value)| *byte = value);
     look_at(bytes);
 }
 
@@ -65,8 +78,13 @@ fn look_at(bytes: &mut [u8]) {
             assert!(opened);
             ask_all(&sweep.as_ref());
             let (name, at) = ("a name", 5);
-            let completion =
-                Completion { name, run_ns: at, completed_ns: at, completed_monotonic_ns: at, dropped_datagrams: 1 };
+            let completion = Completion {
+                name,
+                run_ns: at,
+                completed_ns: at,
+                completed_monotonic_ns: at,
+                dropped_datagrams: 1,
+            };
             sweep.header.complete(&completion);
             assert_eq!(sweep.header.name(), name);
         }
@@ -77,18 +95,51 @@ fn look_at(bytes: &mut [u8]) {
 fn ask_all(sweep: &SweepRef<'_>) {
     let (rows, columns) = (sweep.rows(), sweep.columns.len());
     let pixels = rows * columns;
-    assert_eq!([sweep.range.len(), sweep.label.len(), sweep.reflectivity.len()], [pixels; 3]);
+    assert_eq!(
+        [
+            sweep.range.len(),
+            sweep.label.len(),
+            sweep.reflectivity.len()
+        ],
+        [pixels; 3]
+    );
     let other = if sweep.kind.is_empty() { 0 } else { pixels };
-    assert_eq!([sweep.range2.len(), sweep.label2.len(), sweep.reflectivity2.len()], [other; 3]);
+    assert_eq!(
+        [
+            sweep.range2.len(),
+            sweep.label2.len(),
+            sweep.reflectivity2.len()
+        ],
+        [other; 3]
+    );
     let header = sweep.header;
-    let _ = (header.time_source(), header.return_mode(), header.sensor(), header.name(), header.shape());
-    let touched: u32 = sweep.segments.iter().map(|&Segment { label, points, .. }| label ^ points).fold(0, |a, b| a ^ b);
+    let _ = (
+        header.time_source(),
+        header.return_mode(),
+        header.sensor(),
+        header.name(),
+        header.shape(),
+    );
+    let touched: u32 = sweep
+        .segments
+        .iter()
+        .map(|&Segment { label, points, .. }| label ^ points)
+        .fold(0, |a, b| a ^ b);
     std::hint::black_box(touched);
     for (row, column) in (0..columns).flat_map(|column| (0..rows).map(move |row| (row, column))) {
         assert!(sweep.fired_in(row, column) < columns);
         let azimuth_rad = sweep.azimuth_rad(row, column);
-        assert!(azimuth_rad.is_nan() || (0.0..TAU).contains(&azimuth_rad), "{azimuth_rad}");
+        assert!(
+            azimuth_rad.is_nan() || (0.0..TAU).contains(&azimuth_rad),
+            "{azimuth_rad}"
+        );
         let _ = std::hint::black_box((sweep.time_ns(row, column), sweep.point_m(row, column, 2.5)));
     }
-    assert!(sweep.returns().inspect(|one| _ = std::hint::black_box(*one)).count() <= pixels + other);
+    assert!(
+        sweep
+            .returns()
+            .inspect(|one| _ = std::hint::black_box(*one))
+            .count()
+            <= pixels + other
+    );
 }

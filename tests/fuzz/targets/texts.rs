@@ -1,4 +1,5 @@
-//! Files that people write and programs send: calibrations, the daemon's configuration, tables of rows, masks, web pages.
+//! Files that people write and programs send: calibrations, the daemon's configuration, tables of
+//! rows, masks, web pages.
 
 use std::path::Path;
 
@@ -23,15 +24,21 @@ type Parse = fn(&str, &str) -> Result<Calibration, CalibrationError>;
 
 /// What is read can be written, and is then read as the same.
 fn calibration(input: &[u8], parse: Parse) {
-    let Ok(text) = str::from_utf8(&input[..input.len().min(MAX_FILE_LEN)]) else { return };
+    let Ok(text) = str::from_utf8(&input[..input.len().min(MAX_FILE_LEN)]) else {
+        return;
+    };
     let calibration = match parse(text, "fuzz") {
         Ok(calibration) => calibration,
         Err(error) => {
             let message = error.to_string();
-            return assert!(message.starts_with("fuzz") && message.len() < 2000, "{message:.300}");
+            return assert!(
+                message.starts_with("fuzz") && message.len() < 2000,
+                "{message:.300}"
+            );
         }
     };
-    let again = ros_yaml::parse(&ros_yaml::emit(&calibration), "again").expect("what was written is read");
+    let again =
+        ros_yaml::parse(&ros_yaml::emit(&calibration), "again").expect("what was written is read");
     assert_eq!(again, calibration);
     for model in Model::ALL {
         if let Err(message) = calibration.clone().for_model(model) {
@@ -43,7 +50,9 @@ fn calibration(input: &[u8], parse: Parse) {
 
 /// The configuration of a daemon. All files that it names are missing.
 pub fn config(input: &[u8]) {
-    let Ok(text) = str::from_utf8(input) else { return };
+    let Ok(text) = str::from_utf8(input) else {
+        return;
+    };
     // Only paths from the root can be there; what stands in them is not what is tested here.
     if text.contains("/dev") || text.contains("/proc") {
         return;
@@ -51,15 +60,28 @@ pub fn config(input: &[u8]) {
     match Config::parse(Path::new("/nonexistent/fuzz.toml"), text) {
         Ok(config) => {
             assert!(!config.sensors.is_empty() && config.changes(&config).is_empty());
-            let bytes: u64 = config.sensors.iter().map(|sensor| *memory::pool_bytes(sensor).end()).sum();
+            let bytes: u64 = config
+                .sensors
+                .iter()
+                .map(|sensor| *memory::pool_bytes(sensor).end())
+                .sum();
             assert!(bytes > 0 && config.reloaded(&config).changes(&config).is_empty());
         }
         Err(ConfigError::Invalid(problems)) => {
             assert_eq!(problems.lines().len(), problems.len());
             let lines = text.split('\n').count();
-            assert!(problems.lines().iter().all(|&line| (1..=lines + 1).contains(&line)));
+            assert!(
+                problems
+                    .lines()
+                    .iter()
+                    .all(|&line| (1..=lines + 1).contains(&line))
+            );
             let drawn = problems.to_string();
-            assert!(!problems.is_empty() && drawn.len() < 4000 * problems.len() + 8 * text.len(), "{}", drawn.len());
+            assert!(
+                !problems.is_empty() && drawn.len() < 4000 * problems.len() + 8 * text.len(),
+                "{}",
+                drawn.len()
+            );
         }
         Err(other) => panic!("no file is read here: {other}"),
     }
@@ -67,11 +89,22 @@ pub fn config(input: &[u8]) {
 
 /// The web page of a sensor, the same bytes for both of its parts.
 pub fn web_page(input: &[u8]) {
-    let Ok(page) = serde_json::from_slice(input) else { return };
+    let Ok(page) = serde_json::from_slice(input) else {
+        return;
+    };
     let told = web::read(&page, &page);
-    assert!([told.rpm, told.measured_rpm].into_iter().flatten().all(f64::is_finite));
+    assert!(
+        [told.rpm, told.measured_rpm]
+            .into_iter()
+            .flatten()
+            .all(f64::is_finite)
+    );
     let texts = [&told.returns, &told.pps].into_iter().flatten();
-    assert!(texts.clone().all(|text| !text.contains(char::is_control) && text.chars().count() <= 64));
+    assert!(
+        texts
+            .clone()
+            .all(|text| !text.contains(char::is_control) && text.chars().count() <= 64)
+    );
 }
 
 /// A PNG that hides a part of what the sensor sees.
@@ -87,11 +120,18 @@ pub fn mask(input: &[u8]) {
 
 /// A table of rows.
 pub fn rows(input: &[u8]) {
-    let Ok(text) = str::from_utf8(input) else { return };
+    let Ok(text) = str::from_utf8(input) else {
+        return;
+    };
     match RowTable::parse(text) {
         Ok(table) => {
             assert!((1..=MAX_ROWS).contains(&table.beams().len()));
-            assert!(table.beams().windows(2).all(|pair| pair[0].elevation_rad > pair[1].elevation_rad));
+            assert!(
+                table
+                    .beams()
+                    .windows(2)
+                    .all(|pair| pair[0].elevation_rad > pair[1].elevation_rad)
+            );
         }
         Err(error) => assert!(!error.to_string().is_empty()),
     }

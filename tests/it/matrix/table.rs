@@ -69,10 +69,24 @@ pub fn print(rows: &[Row]) -> String {
 
 /// A row, and what does not hold.
 pub fn line(row: &Row) -> String {
-    let Row { fault, rate, kind, injected, counted, returns, range_mm, azimuth_deg, sweeps, partial, .. } = row;
+    let Row {
+        fault,
+        rate,
+        kind,
+        injected,
+        counted,
+        returns,
+        range_mm,
+        azimuth_deg,
+        sweeps,
+        partial,
+        ..
+    } = row;
     let (model, mode) = (kind.model.to_string(), kind.mode.to_string());
     let counted = counted.map_or("-".to_owned(), |count| count.to_string());
-    let recovery = row.recovery.map_or("-".to_owned(), |turns| format!("{turns:.2}"));
+    let recovery = row
+        .recovery
+        .map_or("-".to_owned(), |turns| format!("{turns:.2}"));
     let verdict = if row.red.is_empty() { "green" } else { "RED" };
     let mut text = format!(
         "{fault:<25}{rate:<17}{model:<13}{mode:<10}{injected:>9}{counted:>9}{returns:>10}{range_mm:>7.2}{azimuth_deg:>8.3}\

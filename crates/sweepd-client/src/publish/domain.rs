@@ -22,8 +22,8 @@ const PREFIX: &str = "sweepd_";
 /// Links on the way to the folder, at most: as many as Linux follows.
 const MAX_LINKS: usize = 40;
 
-/// A folder of iceoryx2's files. Daemons and consumers see each other when it is the same and belongs to the user of both:
-/// shared memory is open to its owner alone.
+/// A folder of iceoryx2's files. Daemons and consumers see each other when it is the same and
+/// belongs to the user of both: shared memory is open to its owner alone.
 #[derive(Clone, Debug, PartialEq, Eq)]
 pub struct Domain {
     root: PathBuf,
@@ -61,7 +61,8 @@ pub enum DomainError {
         /// What is wrong with it.
         why: String,
     },
-    /// Another user has made a file that must be this user's, and /dev/shm lets nobody but its owner and root remove it.
+    /// Another user has made a file that must be this user's, and /dev/shm lets nobody but its
+    /// owner and root remove it.
     #[error(
         "{file} belongs to user {owner} and stands where a file of user {own} must be: have {owner} or root remove it \
          (`sudo rm {file}`), or name another folder with --root or the variable SWEEPD_ROOT, the same for the daemon and its \
@@ -91,11 +92,20 @@ pub enum DomainError {
 }
 
 impl Default for Domain {
-    /// `$SWEEPD_ROOT`; else /run/sweepd/iox2 where there is a /run/sweepd; else /tmp/sweepd/iox2. The same for all users of a
-    /// host, so that who runs as the wrong one is told so and does not wait for ever.
+    /// `$SWEEPD_ROOT`; else /run/sweepd/iox2 where there is a /run/sweepd; else /tmp/sweepd/iox2.
+    /// The same for all users of a host, so that who runs as the wrong one is told so and does not
+    /// wait for ever.
     fn default() -> Self {
-        let named = std::env::var_os(VARIABLE).filter(|value| !value.is_empty()).map(PathBuf::from);
-        let usual = || PathBuf::from(if Path::new(RUN.0).is_dir() { RUN.1 } else { FALLBACK });
+        let named = std::env::var_os(VARIABLE)
+            .filter(|value| !value.is_empty())
+            .map(PathBuf::from);
+        let usual = || {
+            PathBuf::from(if Path::new(RUN.0).is_dir() {
+                RUN.1
+            } else {
+                FALLBACK
+            })
+        };
         Self::at(named.unwrap_or_else(usual))
     }
 }
@@ -105,7 +115,12 @@ impl Domain {
     pub fn at(root: impl Into<PathBuf>) -> Self {
         let root = root.into();
         // Its name makes names, so that one folder must have one name: `/x/` is `/x`.
-        Self { root: std::path::absolute(&root).unwrap_or(root).components().collect() }
+        Self {
+            root: std::path::absolute(&root)
+                .unwrap_or(root)
+                .components()
+                .collect(),
+        }
     }
 
     /// The domain in a folder, or the default one.
@@ -118,16 +133,23 @@ impl Domain {
         &self.root
     }
 
-    /// What the names of its files in /dev/shm begin with: another root has another prefix, so that two daemons never meet
-    /// there.
+    /// What the names of its files in /dev/shm begin with: another root has another prefix, so that
+    /// two daemons never meet there.
     pub fn prefix(&self) -> String {
-        let is_usual = [RUN.1, FALLBACK].iter().any(|usual| self.root == Path::new(usual));
+        let is_usual = [RUN.1, FALLBACK]
+            .iter()
+            .any(|usual| self.root == Path::new(usual));
         if is_usual {
             return PREFIX.to_owned();
         }
         // FNV-1a: the same in every language and version.
         let fnv = |hash: u64, byte: &u8| (hash ^ u64::from(*byte)).wrapping_mul(0x0100_0000_01b3);
-        let hash = self.root.as_os_str().as_encoded_bytes().iter().fold(0xcbf2_9ce4_8422_2325, fnv);
+        let hash = self
+            .root
+            .as_os_str()
+            .as_encoded_bytes()
+            .iter()
+            .fold(0xcbf2_9ce4_8422_2325, fnv);
         format!("{PREFIX}{hash:016x}_")
     }
 
@@ -137,17 +159,28 @@ impl Domain {
     /// [`DomainError`].
     pub fn prepare(&self) -> Result<(), DomainError> {
         self.exists()?;
-        let unusable = |source| DomainError::Unusable { root: self.root.clone(), source };
-        fs::DirBuilder::new().recursive(true).mode(0o750).create(&self.root).map_err(unusable)?;
+        let unusable = |source| DomainError::Unusable {
+            root: self.root.clone(),
+            source,
+        };
+        fs::DirBuilder::new()
+            .recursive(true)
+            .mode(0o750)
+            .create(&self.root)
+            .map_err(unusable)?;
         self.exists().map(|_| ())
     }
 
-    /// Whether it is there; whose it is, and whether another user could put another in its place, is checked.
+    /// Whether it is there; whose it is, and whether another user could put another in its place,
+    /// is checked.
     ///
     /// # Errors
     /// [`DomainError`].
     pub fn exists(&self) -> Result<bool, DomainError> {
-        let unusable = |source| DomainError::Unusable { root: self.root.clone(), source };
+        let unusable = |source| DomainError::Unusable {
+            root: self.root.clone(),
+            source,
+        };
         let own = own_uid();
         let mut links = 0;
         let mut way = PathBuf::new();
@@ -177,22 +210,38 @@ impl Domain {
                 return Err(unusable(io::ErrorKind::NotADirectory.into()));
             } else if !is_last && metadata.mode() & (OTHERS_WRITE | STICKY) == OTHERS_WRITE {
                 let why = "every user may write to, without the sticky bit".to_owned();
-                return Err(DomainError::Unsafe { root: self.root.clone(), on_the_way: way, why });
+                return Err(DomainError::Unsafe {
+                    root: self.root.clone(),
+                    on_the_way: way,
+                    why,
+                });
             }
         }
         Ok(true)
     }
 
-    /// Of a link or folder on the way that is neither this user's nor root's. Where the domain itself is that user's as well,
-    /// the program runs as the wrong one.
+    /// Of a link or folder on the way that is neither this user's nor root's. Where the domain
+    /// itself is that user's as well, the program runs as the wrong one.
     fn not_ours(&self, on_the_way: PathBuf, owner: u32) -> DomainError {
         let root = self.root.clone();
         let is_link = fs::symlink_metadata(&on_the_way).is_ok_and(|metadata| metadata.is_symlink());
         if !is_link && fs::metadata(&root).is_ok_and(|metadata| metadata.uid() == owner) {
-            return DomainError::OtherUser { root, owner: user_name(owner), own: user_name(own_uid()) };
+            return DomainError::OtherUser {
+                root,
+                owner: user_name(owner),
+                own: user_name(own_uid()),
+            };
         }
-        let what = if is_link { "is a link of" } else { "belongs to" };
-        DomainError::Unsafe { root, on_the_way, why: format!("{what} user {}", user_name(owner)) }
+        let what = if is_link {
+            "is a link of"
+        } else {
+            "belongs to"
+        };
+        DomainError::Unsafe {
+            root,
+            on_the_way,
+            why: format!("{what} user {}", user_name(owner)),
+        }
     }
 
     /// Whether another user has made the one file of shared memory whose name everybody knows.
@@ -204,10 +253,16 @@ impl Domain {
             if !is_counter(&entry) {
                 continue;
             }
-            let owner = entry.metadata().map_or(own_uid(), |metadata| metadata.uid());
+            let owner = entry
+                .metadata()
+                .map_or(own_uid(), |metadata| metadata.uid());
             if owner != own_uid() {
                 let (owner, own) = (user_name(owner), user_name(own_uid()));
-                return Err(DomainError::Occupied { file: entry.path(), owner, own });
+                return Err(DomainError::Occupied {
+                    file: entry.path(),
+                    owner,
+                    own,
+                });
             }
         }
         Ok(())
@@ -223,15 +278,16 @@ impl Domain {
         if let Ok(prefix) = FileName::new(self.prefix().as_bytes()) {
             config.global.prefix = prefix;
         }
-        // The keeper of a publisher does it: it may wait for long, which neither a sensor nor a consumer must.
+        // The keeper of a publisher does it: it may wait for long, which neither a sensor nor a
+        // consumer must.
         config.global.node.cleanup_dead_nodes_on_creation = false;
         config.global.node.cleanup_dead_nodes_on_destruction = false;
         config.global.service.cleanup_dead_nodes_on_open = false;
         config
     }
 
-    /// Closes to others what iceoryx2 leaves open to all: the counter by which it numbers nodes, which every program of the
-    /// domain maps and which nobody else has any business with.
+    /// Closes to others what iceoryx2 leaves open to all: the counter by which it numbers nodes,
+    /// which every program of the domain maps and which nobody else has any business with.
     pub(super) fn close_to_others(&self) {
         for entry in self.shared_memory().filter(is_counter) {
             let _ = fs::set_permissions(entry.path(), fs::Permissions::from_mode(0o600));
@@ -240,31 +296,40 @@ impl Domain {
 
     /// The folder of the files by which services are found.
     pub(super) fn services(&self) -> PathBuf {
-        self.root.join(Config::default().global.service.directory.to_string())
+        self.root
+            .join(Config::default().global.service.directory.to_string())
     }
 
     /// The folder of the nodes.
     pub(super) fn nodes(&self) -> PathBuf {
-        self.root.join(Config::default().global.node.directory.to_string())
+        self.root
+            .join(Config::default().global.node.directory.to_string())
     }
 
     /// The file by which a service is found.
     pub(super) fn service_file(&self, name: &ServiceName, pattern: MessagingPattern) -> PathBuf {
         let service = Config::default().global.service;
         let hash = service_hash(name, pattern);
-        self.services().join(format!("{}{}{}", self.prefix(), hash.as_str(), service.static_config_storage_suffix))
+        self.services().join(format!(
+            "{}{}{}",
+            self.prefix(),
+            hash.as_str(),
+            service.static_config_storage_suffix
+        ))
     }
 
     /// The file that the publisher of a service holds locked.
     pub(super) fn claim_file(&self, name: &ServiceName) -> PathBuf {
         let hash = service_hash(name, MessagingPattern::PublishSubscribe);
-        self.root.join(format!("{}{}.claim", self.prefix(), hash.as_str()))
+        self.root
+            .join(format!("{}{}.claim", self.prefix(), hash.as_str()))
     }
 
     /// The socket by which a listener is woken.
     pub(super) fn event_socket(&self, listener: u128) -> PathBuf {
         let ending = Config::default().global.service.event_connection_suffix;
-        self.root.join(format!("{}{listener}{ending}", self.prefix()))
+        self.root
+            .join(format!("{}{listener}{ending}", self.prefix()))
     }
 
     /// The folder of a node, there as long as others can find it.
@@ -278,7 +343,8 @@ const OTHERS_WRITE: u32 = 0o002;
 /// Only the owner of a file in a folder, and root, may remove or rename it.
 const STICKY: u32 = 0o1000;
 
-/// The steps of a path, the last one first. An absolute one begins at the root of the file system, wherever it is joined to.
+/// The steps of a path, the last one first. An absolute one begins at the root of the file system,
+/// wherever it is joined to.
 fn steps(path: &Path) -> Vec<PathBuf> {
     let mut steps: Vec<PathBuf> = path
         .components()
@@ -312,18 +378,29 @@ mod tests {
     fn a_link_of_ones_own_is_followed_and_a_folder_open_to_all_is_not_safe() {
         let folder = std::env::temp_dir().join(format!("sweepd-way-{}", std::process::id()));
         fs::create_dir_all(folder.join("open/iox2")).unwrap();
-        let open = |mode| fs::set_permissions(folder.join("open"), fs::Permissions::from_mode(mode)).unwrap();
+        let open = |mode| {
+            fs::set_permissions(folder.join("open"), fs::Permissions::from_mode(mode)).unwrap()
+        };
         std::os::unix::fs::symlink("open/../open", folder.join("link")).unwrap();
         std::os::unix::fs::symlink("round", folder.join("round")).unwrap();
         open(0o777);
-        let error = Domain::at(folder.join("link/iox2")).exists().unwrap_err().to_string();
-        assert!(error.contains("/open, which every user may write to"), "{error}");
+        let error = Domain::at(folder.join("link/iox2"))
+            .exists()
+            .unwrap_err()
+            .to_string();
+        assert!(
+            error.contains("/open, which every user may write to"),
+            "{error}"
+        );
         for mode in [0o1777, 0o755] {
             open(mode);
             assert!(Domain::at(folder.join("link/iox2")).exists().unwrap());
             assert!(!Domain::at(folder.join("link/other")).exists().unwrap());
         }
-        assert!(matches!(Domain::at(folder.join("round/iox2")).exists(), Err(DomainError::Unusable { .. })));
+        assert!(matches!(
+            Domain::at(folder.join("round/iox2")).exists(),
+            Err(DomainError::Unusable { .. })
+        ));
         fs::remove_dir_all(folder).unwrap();
     }
 
@@ -334,7 +411,10 @@ mod tests {
         let other = if own == 0 { None } else { Some("/proc/1") };
         if let Some(root) = other {
             let error = Domain::at(root).exists().unwrap_err().to_string();
-            assert!(error.contains("user root") && error.contains(&user_name(own)), "{error}");
+            assert!(
+                error.contains("user root") && error.contains(&user_name(own)),
+                "{error}"
+            );
         }
     }
 }

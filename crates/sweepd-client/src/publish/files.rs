@@ -6,8 +6,8 @@ use std::path::{Path, PathBuf};
 
 use super::Domain;
 
-/// A service's file as it was when the service was opened. It names the service's own number, so that one that was made anew
-/// is another, even under the same name.
+/// A service's file as it was when the service was opened. It names the service's own number, so
+/// that one that was made anew is another, even under the same name.
 #[derive(Debug)]
 pub(super) struct ServiceFile {
     path: PathBuf,
@@ -26,7 +26,10 @@ impl ServiceFile {
     /// Reads it; `None` when it is not there.
     pub(super) fn read(path: &Path) -> Option<Self> {
         let content = fs::read(path).ok()?;
-        Some(Self { path: path.to_owned(), content })
+        Some(Self {
+            path: path.to_owned(),
+            content,
+        })
     }
 
     pub(super) fn path(&self) -> &Path {
@@ -64,8 +67,13 @@ pub(super) struct SharedFile {
 impl SharedFile {
     /// The file of the domain whose name ends like this; `None` when it is not there.
     pub(super) fn find(domain: &Domain, ending: &str) -> Option<Self> {
-        let entry = domain.shared_memory().find(|entry| entry.file_name().to_string_lossy().ends_with(ending))?;
-        Some(Self { path: entry.path(), inode: entry.metadata().ok()?.ino() })
+        let entry = domain
+            .shared_memory()
+            .find(|entry| entry.file_name().to_string_lossy().ends_with(ending))?;
+        Some(Self {
+            path: entry.path(),
+            inode: entry.metadata().ok()?.ino(),
+        })
     }
 
     pub(super) fn path(&self) -> &Path {

@@ -1,14 +1,15 @@
-//! The thread that looks after the services of a publisher: it makes them and their pools, makes them anew when their files
-//! are gone, and cleans up after processes that died.
+//! The thread that looks after the services of a publisher: it makes them and their pools, makes
+//! them anew when their files are gone, and cleans up after processes that died.
 //!
 //! ```text
 //! thread of a sensor   Loans::take -> Desk: the pool of the moment          a lock for the time of a copy
 //! keeper               open, reserve, look each second -> Desk              may take long, and delays no sensor
 //! ```
 //!
-//! iceoryx2 may wait without a limit for a file of a process that died ([`super::leftovers`]). A call of the keeper goes on
-//! as soon as another thread removes that file: those that wait for the keeper do, and [`Keeper::remove_unfinished`] is for a
-//! thread that looks after the process anyway.
+//! iceoryx2 may wait without a limit for a file of a process that died ([`super::leftovers`]). A
+//! call of the keeper goes on as soon as another thread removes that file: those that wait for the
+//! keeper do, and [`Keeper::remove_unfinished`] is for a thread that looks after the process
+//! anyway.
 
 use std::sync::atomic::{AtomicUsize, Ordering};
 use std::sync::mpsc::{self, Receiver, RecvTimeoutError, Sender, SyncSender};
@@ -23,14 +24,16 @@ use super::{Domain, JoinError, leftovers, pool_bytes};
 
 /// How often services are looked after.
 const LOOK_EVERY: Duration = Duration::from_secs(1);
-/// How long to wait for the keeper: longer than it takes to clean up after several processes that died.
+/// How long to wait for the keeper: longer than it takes to clean up after several processes that
+/// died.
 const PATIENCE: Duration = Duration::from_secs(5);
 /// The same where its work may be left undone: it goes on without the one who asked.
 const PATIENCE_AT_THE_END: Duration = Duration::from_millis(500);
 /// How often unfinished files are removed while the keeper is waited for.
 const REMOVE_EVERY: Duration = Duration::from_millis(100);
 
-/// Opens services in a domain and looks after them. A copy stands for the same thread, which ends with the last one.
+/// Opens services in a domain and looks after them. A copy stands for the same thread, which ends
+/// with the last one.
 #[derive(Clone, Debug)]
 pub struct Keeper {
     domain: Domain,
@@ -55,12 +58,19 @@ impl Desk {
 
     /// Room for one sweep; `None` where no pool has any for so many bytes.
     pub(super) fn loan(&self, bytes: usize) -> Option<Result<(Loan, Arc<Pool>), PublishError>> {
-        let pool = self.pool.lock().unwrap_or_else(PoisonError::into_inner).clone()?;
+        let pool = self
+            .pool
+            .lock()
+            .unwrap_or_else(PoisonError::into_inner)
+            .clone()?;
         (pool.sweep_bytes >= bytes).then(|| Ok((pool.loan(bytes)?, pool)))
     }
 
     pub(super) fn has_pool(&self) -> bool {
-        self.pool.lock().unwrap_or_else(PoisonError::into_inner).is_some()
+        self.pool
+            .lock()
+            .unwrap_or_else(PoisonError::into_inner)
+            .is_some()
     }
 
     fn set_pool(&self, pool: Option<Arc<Pool>>) {
@@ -85,24 +95,38 @@ impl Keeper {
     /// [`JoinError::Service`]: the system gives no thread.
     pub fn new(domain: &Domain) -> Result<Self, PublishError> {
         let (sender, orders) = mpsc::channel();
-        let work = Work { domain: domain.clone(), services: Vec::new() };
-        let started = thread::Builder::new().name("keeper".to_owned()).spawn(move || work.serve(&orders));
-        started.map_err(|error| JoinError::Service { what: format!("cannot start a thread: {error}") })?;
-        Ok(Self { domain: domain.clone(), orders: sender })
+        let work = Work {
+            domain: domain.clone(),
+            services: Vec::new(),
+        };
+        let started = thread::Builder::new()
+            .name("keeper".to_owned())
+            .spawn(move || work.serve(&orders));
+        started.map_err(|error| JoinError::Service {
+            what: format!("cannot start a thread: {error}"),
+        })?;
+        Ok(Self {
+            domain: domain.clone(),
+            orders: sender,
+        })
     }
 
-    /// Opens the service of a sensor. `sweep_bytes` is what its sweeps have at least: memory that cannot hold the pool for
-    /// them is an error now. The pool itself comes with the first sweep, or with [`Loans::reserve`].
+    /// Opens the service of a sensor. `sweep_bytes` is what its sweeps have at least: memory that
+    /// cannot hold the pool for them is an error now. The pool itself comes with the first sweep,
+    /// or with [`Loans::reserve`].
     ///
     /// # Errors
     /// [`PublishError`].
     pub fn open(&self, settings: &Settings, sweep_bytes: usize) -> Result<Loans, PublishError> {
-        let desk = self.ask(PATIENCE, |reply| Order::Open(settings.clone(), sweep_bytes, reply))??;
+        let desk = self.ask(PATIENCE, |reply| {
+            Order::Open(settings.clone(), sweep_bytes, reply)
+        })??;
         Ok(Loans::of(self.clone(), desk))
     }
 
-    /// Removes files of shared memory that a process left unfinished a second ago or longer, by which another may be held up.
-    /// Takes microseconds; for a thread that looks around about once a second.
+    /// Removes files of shared memory that a process left unfinished a second ago or longer, by
+    /// which another may be held up. Takes microseconds; for a thread that looks around about once
+    /// a second.
     pub fn remove_unfinished(&self) {
         leftovers::remove_unfinished(&self.domain);
     }
@@ -114,7 +138,9 @@ impl Keeper {
 
     /// Makes room for what is wanted, and waits until it is there.
     pub(super) fn reserve(&self, desk: &Arc<Desk>) -> Result<(), PublishError> {
-        self.ask(PATIENCE, |reply| Order::Reserve(Arc::clone(desk), Some(reply)))?
+        self.ask(PATIENCE, |reply| {
+            Order::Reserve(Arc::clone(desk), Some(reply))
+        })?
     }
 
     /// Has room made for what is wanted.
@@ -124,10 +150,16 @@ impl Keeper {
     }
 
     pub(super) fn close(&self, desk: &Arc<Desk>) {
-        let _ = self.ask(PATIENCE_AT_THE_END, |reply| Order::Close(Arc::clone(desk), reply));
+        let _ = self.ask(PATIENCE_AT_THE_END, |reply| {
+            Order::Close(Arc::clone(desk), reply)
+        });
     }
 
-    fn ask<T>(&self, patience: Duration, order: impl FnOnce(SyncSender<T>) -> Order) -> Result<T, PublishError> {
+    fn ask<T>(
+        &self,
+        patience: Duration,
+        order: impl FnOnce(SyncSender<T>) -> Order,
+    ) -> Result<T, PublishError> {
         let (reply, answer) = mpsc::sync_channel(1);
         let begun = Instant::now();
         let mut is_open = self.orders.send(order(reply)).is_ok();
@@ -138,7 +170,9 @@ impl Keeper {
                 Err(RecvTimeoutError::Disconnected) => is_open = false,
             }
         }
-        Err(PublishError::Hangs { prefix: self.domain.prefix() })
+        Err(PublishError::Hangs {
+            prefix: self.domain.prefix(),
+        })
     }
 }
 
@@ -178,7 +212,10 @@ impl Work {
             }
             Order::Reserve(desk, reply) => {
                 let domain = &self.domain;
-                let kept = self.services.iter_mut().find(|kept| Arc::ptr_eq(&kept.desk, &desk));
+                let kept = self
+                    .services
+                    .iter_mut()
+                    .find(|kept| Arc::ptr_eq(&kept.desk, &desk));
                 let done = kept.map_or(Err(PublishError::NotShared), |kept| kept.make_room(domain));
                 if let Some(reply) = reply {
                     let _ = reply.send(done);
@@ -194,10 +231,22 @@ impl Work {
     }
 
     fn open(&mut self, settings: Settings, sweep_bytes: usize) -> Result<Arc<Desk>, PublishError> {
-        let service = Service::open(&self.domain, &settings, pool_bytes(settings.max_consumers, sweep_bytes))?;
+        let service = Service::open(
+            &self.domain,
+            &settings,
+            pool_bytes(settings.max_consumers, sweep_bytes),
+        )?;
         let (pool, wanted, status) = (Mutex::default(), AtomicUsize::new(0), Arc::default());
-        let desk = Arc::new(Desk { settings, pool, wanted, status });
-        self.services.push(Kept { desk: Arc::clone(&desk), service: Some(service) });
+        let desk = Arc::new(Desk {
+            settings,
+            pool,
+            wanted,
+            status,
+        });
+        self.services.push(Kept {
+            desk: Arc::clone(&desk),
+            service: Some(service),
+        });
         Ok(desk)
     }
 
@@ -218,7 +267,9 @@ impl Kept {
     fn look(&mut self, domain: &Domain) {
         if let Some(missing) = self.service.as_ref().and_then(Service::missing) {
             self.close();
-            self.desk.status.set_renewed(format!("{} was deleted", missing.display()));
+            self.desk
+                .status
+                .set_renewed(format!("{} was deleted", missing.display()));
         }
         if let Some(service) = &mut self.service {
             service.tidy();
@@ -239,7 +290,9 @@ impl Kept {
     fn make_room(&mut self, domain: &Domain) -> Result<(), PublishError> {
         let done = self.try_make_room(domain);
         if let Some(service) = &self.service {
-            self.desk.status.set_use(service.consumers(), service.reserved_bytes());
+            self.desk
+                .status
+                .set_use(service.consumers(), service.reserved_bytes());
         }
         match &done {
             Ok(()) => self.desk.status.set_well(),

@@ -1,10 +1,12 @@
 //! Files that a process left unfinished because it was killed while it made them.
 //!
-//! iceoryx2 0.10 waits without a limit for a shared-memory file of length 0 to grow, and never removes a node that died before
-//! it was complete. So both are removed here, before iceoryx2 meets them.
+//! iceoryx2 0.10 waits without a limit for a shared-memory file of length 0 to grow, and never
+//! removes a node that died before it was complete. So both are removed here, before iceoryx2 meets
+//! them.
 //!
-//! A file counts as abandoned after [`ABANDONED_AFTER`]: a living process finishes one within microseconds. One that was
-//! stopped for longer in just that moment finds its file gone, and fails or opens the service anew.
+//! A file counts as abandoned after [`ABANDONED_AFTER`]: a living process finishes one within
+//! microseconds. One that was stopped for longer in just that moment finds its file gone, and fails
+//! or opens the service anew.
 
 use std::fs::{self, DirEntry, Metadata};
 use std::os::unix::fs::MetadataExt;
@@ -19,13 +21,15 @@ pub(super) const ABANDONED_AFTER: Duration = Duration::from_secs(1);
 const OWNER_READ: u32 = 0o400;
 const OWNER_WRITE: u32 = 0o200;
 
-/// Removes abandoned files of shared memory: those of length 0, and those that their owner may not read yet. Returns whether
-/// younger unfinished ones are left, which iceoryx2 must not meet.
+/// Removes abandoned files of shared memory: those of length 0, and those that their owner may not
+/// read yet. Returns whether younger unfinished ones are left, which iceoryx2 must not meet.
 pub(super) fn remove_unfinished(domain: &Domain) -> bool {
     let mut is_pending = false;
     for entry in domain.shared_memory() {
         // Its maker may just have removed it.
-        let Ok(metadata) = entry.metadata() else { continue };
+        let Ok(metadata) = entry.metadata() else {
+            continue;
+        };
         let is_unfinished = metadata.len() == 0 || metadata.mode() & OWNER_READ == 0;
         if is_unfinished && metadata.uid() == own_uid() && metadata.is_file() {
             is_pending |= !remove_if_abandoned(&entry, &metadata);
@@ -34,8 +38,8 @@ pub(super) fn remove_unfinished(domain: &Domain) -> bool {
     is_pending
 }
 
-/// Removes the files of services and nodes that were never completed, and listeners whose node is gone. For the one
-/// process that looks after the domain.
+/// Removes the files of services and nodes that were never completed, and listeners whose node is
+/// gone. For the one process that looks after the domain.
 pub(super) fn remove_remains(domain: &Domain) {
     // A service's file is written, and then closed to writing.
     for entry in entries(&domain.services()) {
@@ -54,15 +58,23 @@ pub(super) fn is_half_written(metadata: &Metadata) -> bool {
     metadata.mode() & OWNER_WRITE != 0
 }
 
-/// A listener has a file of shared memory and a socket. Its node has a tag of its number, which is made before both and removed
-/// after them. iceoryx2 leaves both where a process died before its service knew of the listener.
+/// A listener has a file of shared memory and a socket. Its node has a tag of its number, which is
+/// made before both and removed after them. iceoryx2 leaves both where a process died before its
+/// service knew of the listener.
 fn remove_listeners(domain: &Domain) {
     let nodes = entries(&domain.nodes()).map(|entry| entry.path());
-    let tags: Vec<String> = nodes.flat_map(|node| entries(&node)).map(|entry| name_of(&entry)).collect();
+    let tags: Vec<String> = nodes
+        .flat_map(|node| entries(&node))
+        .map(|entry| name_of(&entry))
+        .collect();
     for entry in domain.shared_memory().chain(entries(domain.root())) {
         let name = name_of(&entry);
-        let number = name.strip_suffix(".event_mgmt").or_else(|| name.strip_suffix(".event"));
-        let Some((_, number)) = number.and_then(|name| name.rsplit_once('_')) else { continue };
+        let number = name
+            .strip_suffix(".event_mgmt")
+            .or_else(|| name.strip_suffix(".event"));
+        let Some((_, number)) = number.and_then(|name| name.rsplit_once('_')) else {
+            continue;
+        };
         let tag = format!("_{number}.port_tag");
         if !tags.iter().any(|name| name.ends_with(&tag))
             && let Ok(metadata) = entry.metadata()
@@ -72,9 +84,10 @@ fn remove_listeners(domain: &Domain) {
     }
 }
 
-/// A node is made in this order: its folder with its details, then the three files of its monitor, of which the context is
-/// opened to reading last. It is removed in the same order. One without details or without a finished context is therefore
-/// half made or half removed, and iceoryx2 does not look at it.
+/// A node is made in this order: its folder with its details, then the three files of its monitor,
+/// of which the context is opened to reading last. It is removed in the same order. One without
+/// details or without a finished context is therefore half made or half removed, and iceoryx2 does
+/// not look at it.
 fn remove_nodes(domain: &Domain) {
     use std::collections::BTreeMap;
 
@@ -89,19 +102,31 @@ fn remove_nodes(domain: &Domain) {
     let prefix = domain.prefix();
     let mut nodes: BTreeMap<String, NodeFiles> = BTreeMap::new();
     for entry in entries(&domain.nodes()) {
-        let (name, Ok(metadata)) = (name_of(&entry), entry.metadata()) else { continue };
+        let (name, Ok(metadata)) = (name_of(&entry), entry.metadata()) else {
+            continue;
+        };
         if metadata.is_dir() {
             let node = nodes.entry(name).or_default();
-            node.has_details = entries(&entry.path()).any(|file| name_of(&file).ends_with(".details"));
+            node.has_details =
+                entries(&entry.path()).any(|file| name_of(&file).ends_with(".details"));
             node.files.push(entry);
-        } else if let Some((id, kind)) = name.strip_prefix(&prefix).and_then(|name| name.split_once('.')) {
+        } else if let Some((id, kind)) = name
+            .strip_prefix(&prefix)
+            .and_then(|name| name.split_once('.'))
+        {
             let node = nodes.entry(id.to_owned()).or_default();
             node.has_context |= kind.ends_with("_context") && metadata.mode() & OWNER_READ != 0;
             node.files.push(entry);
         }
     }
-    for node in nodes.values().filter(|node| !node.has_details || !node.has_context) {
-        if node.files.iter().all(|file| file.metadata().is_ok_and(|metadata| is_abandoned(&metadata))) {
+    for node in nodes
+        .values()
+        .filter(|node| !node.has_details || !node.has_context)
+    {
+        if node.files.iter().all(|file| {
+            file.metadata()
+                .is_ok_and(|metadata| is_abandoned(&metadata))
+        }) {
             node.files.iter().for_each(remove);
         }
     }
@@ -117,16 +142,23 @@ fn remove_if_abandoned(entry: &DirEntry, metadata: &Metadata) -> bool {
 }
 
 fn is_abandoned(metadata: &Metadata) -> bool {
-    // The status changes with each step of its making. A time to come is that of a clock that was set back since.
+    // The status changes with each step of its making. A time to come is that of a clock that was
+    // set back since.
     let changed = SystemTime::UNIX_EPOCH + Duration::from_secs(metadata.ctime().max(0) as u64);
     let changed = changed + Duration::from_nanos(metadata.ctime_nsec().max(0) as u64);
-    SystemTime::now().duration_since(changed).map_or(true, |age| age >= ABANDONED_AFTER)
+    SystemTime::now()
+        .duration_since(changed)
+        .map_or(true, |age| age >= ABANDONED_AFTER)
 }
 
 fn remove(entry: &DirEntry) {
     let path = entry.path();
     // What another process removed meanwhile is as well.
-    let _ = if path.is_dir() { fs::remove_dir_all(path) } else { fs::remove_file(path) };
+    let _ = if path.is_dir() {
+        fs::remove_dir_all(path)
+    } else {
+        fs::remove_file(path)
+    };
 }
 
 fn name_of(entry: &DirEntry) -> String {
@@ -146,11 +178,16 @@ impl Domain {
     }
 }
 
-/// Whether a file has a name of the domain with this prefix: the prefix, the 40 digits by which iceoryx2 names the type, and
-/// the rest. (The prefix of the usual folders is the beginning of all others.)
+/// Whether a file has a name of the domain with this prefix: the prefix, the 40 digits by which
+/// iceoryx2 names the type, and the rest. (The prefix of the usual folders is the beginning of all
+/// others.)
 fn is_named(name: &str, prefix: &str) -> bool {
-    let digits = name.strip_prefix(prefix).and_then(|name| name.split_once('_'));
-    digits.is_some_and(|(digits, _)| digits.len() == 40 && digits.bytes().all(|byte| byte.is_ascii_hexdigit()))
+    let digits = name
+        .strip_prefix(prefix)
+        .and_then(|name| name.split_once('_'));
+    digits.is_some_and(|(digits, _)| {
+        digits.len() == 40 && digits.bytes().all(|byte| byte.is_ascii_hexdigit())
+    })
 }
 
 #[cfg(test)]
@@ -161,7 +198,10 @@ mod tests {
     fn a_domain_knows_its_own_files() {
         let hash = "9204dd183d1c4d8e1ff592a30766ffa6765aa8b5";
         let (usual, other) = ("sweepd_", "sweepd_07d66707b49cd92d_");
-        assert!(is_named(&format!("{usual}{hash}_node.0_10_0.global_mgmt"), usual));
+        assert!(is_named(
+            &format!("{usual}{hash}_node.0_10_0.global_mgmt"),
+            usual
+        ));
         assert!(is_named(&format!("{other}{hash}_1_2.connection"), other));
         assert!(!is_named(&format!("{other}{hash}_1_2.connection"), usual));
         assert!(!is_named("sweepd_x", usual) && !is_named(&format!("{usual}{hash}"), usual));

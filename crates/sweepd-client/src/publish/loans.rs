@@ -67,7 +67,10 @@ impl PublishError {
     }
 
     pub(super) fn refused(what: &str) -> Self {
-        JoinError::Service { what: what.to_owned() }.into()
+        JoinError::Service {
+            what: what.to_owned(),
+        }
+        .into()
     }
 }
 
@@ -113,16 +116,23 @@ impl Status {
 
     /// Why it was made anew the last time.
     pub fn renewed_because(&self) -> Option<String> {
-        self.renewed_because.lock().unwrap_or_else(PoisonError::into_inner).clone()
+        self.renewed_because
+            .lock()
+            .unwrap_or_else(PoisonError::into_inner)
+            .clone()
     }
 
     /// Why sweeps are not shared at the moment.
     pub fn trouble(&self) -> Option<String> {
-        self.trouble.lock().unwrap_or_else(PoisonError::into_inner).clone()
+        self.trouble
+            .lock()
+            .unwrap_or_else(PoisonError::into_inner)
+            .clone()
     }
 
     pub(super) fn set_trouble(&self, error: &PublishError) {
-        // That nothing is shared is told with its reason, which is another; that the pool is being made is no trouble.
+        // That nothing is shared is told with its reason, which is another; that the pool is being
+        // made is no trouble.
         if !matches!(error, PublishError::NotShared | PublishError::Preparing) {
             *self.trouble.lock().unwrap_or_else(PoisonError::into_inner) = Some(error.to_string());
             self.is_troubled.store(true, Ordering::Relaxed);
@@ -136,7 +146,10 @@ impl Status {
     }
 
     pub(super) fn set_renewed(&self, because: String) {
-        *self.renewed_because.lock().unwrap_or_else(PoisonError::into_inner) = Some(because);
+        *self
+            .renewed_because
+            .lock()
+            .unwrap_or_else(PoisonError::into_inner) = Some(because);
         self.renewed.fetch_add(1, Ordering::Relaxed);
     }
 
@@ -148,8 +161,8 @@ impl Status {
 
 /// Room for the sweeps of one sensor, in shared memory.
 ///
-/// What it gives out always works: where there is no shared memory to be had, it is memory of this process alone, the sensor
-/// goes on, and [`Status`] says why.
+/// What it gives out always works: where there is no shared memory to be had, it is memory of this
+/// process alone, the sensor goes on, and [`Status`] says why.
 #[derive(Debug)]
 pub struct Loans {
     shared: Option<Shared>,
@@ -169,7 +182,11 @@ struct Shared {
 impl Default for Loans {
     /// Memory of this process alone, where nothing is shared.
     fn default() -> Self {
-        Self { shared: None, status: Arc::default(), heap: HeapBuffers::default() }
+        Self {
+            shared: None,
+            status: Arc::default(),
+            heap: HeapBuffers::default(),
+        }
     }
 }
 
@@ -180,8 +197,8 @@ impl Drop for Shared {
 }
 
 impl Loans {
-    /// Opens the service of a sensor with a [`Keeper`] of its own; the memory comes with the first sweep, or with
-    /// [`Loans::reserve`].
+    /// Opens the service of a sensor with a [`Keeper`] of its own; the memory comes with the first
+    /// sweep, or with [`Loans::reserve`].
     ///
     /// # Errors
     /// [`PublishError`].
@@ -191,11 +208,19 @@ impl Loans {
 
     pub(super) fn of(keeper: Keeper, desk: Arc<Desk>) -> Self {
         let status = Arc::clone(&desk.status);
-        Self { shared: Some(Shared { keeper, desk, waits: true }), status, heap: HeapBuffers::default() }
+        Self {
+            shared: Some(Shared {
+                keeper,
+                desk,
+                waits: true,
+            }),
+            status,
+            heap: HeapBuffers::default(),
+        }
     }
 
-    /// The same for a thread that must never wait: while the pool is made, sweeps are built in memory of this process, and
-    /// copied when they are published, if it is there by then.
+    /// The same for a thread that must never wait: while the pool is made, sweeps are built in
+    /// memory of this process, and copied when they are published, if it is there by then.
     #[must_use]
     pub fn without_waiting(mut self) -> Self {
         if let Some(shared) = &mut self.shared {
@@ -209,7 +234,9 @@ impl Loans {
     /// # Errors
     /// [`JoinError::Memory`], where there is not enough.
     pub fn reserve(&mut self, bytes: usize) -> Result<(), PublishError> {
-        let Some(Shared { keeper, desk, .. }) = &self.shared else { return Err(PublishError::NotShared) };
+        let Some(Shared { keeper, desk, .. }) = &self.shared else {
+            return Err(PublishError::NotShared);
+        };
         desk.want(bytes);
         keeper.reserve(desk)
     }
@@ -220,7 +247,14 @@ impl Loans {
     }
 
     fn loan(&self, bytes: usize) -> Result<(Loan, Arc<Pool>), PublishError> {
-        let Some(Shared { keeper, desk, waits }) = &self.shared else { return Err(PublishError::NotShared) };
+        let Some(Shared {
+            keeper,
+            desk,
+            waits,
+        }) = &self.shared
+        else {
+            return Err(PublishError::NotShared);
+        };
         if let Some(loan) = desk.loan(bytes) {
             return loan;
         }
@@ -232,7 +266,11 @@ impl Loans {
             keeper.reserve_soon(desk);
         }
         // What troubles is known by now, and tried again each second.
-        let without = if is_troubled { PublishError::NotShared } else { PublishError::Preparing };
+        let without = if is_troubled {
+            PublishError::NotShared
+        } else {
+            PublishError::Preparing
+        };
         desk.loan(bytes).unwrap_or(Err(without))
     }
 }
@@ -246,10 +284,18 @@ impl Buffers for Loans {
             Err(why) => {
                 self.status.set_trouble(&why);
                 let desk = self.shared.as_ref().map(|shared| Arc::clone(&shared.desk));
-                Memory::Own(OwnMemory { buffer: self.heap.take(bytes), bytes, why, desk })
+                Memory::Own(OwnMemory {
+                    buffer: self.heap.take(bytes),
+                    bytes,
+                    why,
+                    desk,
+                })
             }
         };
-        Slot { memory, status: Arc::clone(&self.status) }
+        Slot {
+            memory,
+            status: Arc::clone(&self.status),
+        }
     }
 }
 
@@ -282,9 +328,12 @@ struct OwnMemory {
 impl OwnMemory {
     /// A copy in shared memory, where that is there by now.
     fn shared(self) -> Result<(Loan, Arc<Pool>), PublishError> {
-        let Some(loan) = self.desk.and_then(|desk| desk.loan(self.bytes)) else { return Err(self.why) };
+        let Some(loan) = self.desk.and_then(|desk| desk.loan(self.bytes)) else {
+            return Err(self.why);
+        };
         let (mut loan, pool) = loan?;
-        loan.payload_mut().copy_from_slice(&self.buffer.as_ref()[..self.bytes]);
+        loan.payload_mut()
+            .copy_from_slice(&self.buffer.as_ref()[..self.bytes]);
         Ok((loan, pool))
     }
 }
@@ -313,9 +362,15 @@ impl Slot {
         }
     }
 
-    /// Whether the pool for it is still being made: it finds its way to the consumers when it is published a little later.
+    /// Whether the pool for it is still being made: it finds its way to the consumers when it is
+    /// published a little later.
     pub fn is_early(&self) -> bool {
-        let Memory::Own(OwnMemory { desk: Some(desk), why: PublishError::Preparing, .. }) = &self.memory else {
+        let Memory::Own(OwnMemory {
+            desk: Some(desk),
+            why: PublishError::Preparing,
+            ..
+        }) = &self.memory
+        else {
             return false;
         };
         !desk.has_pool() && !self.status.is_troubled.load(Ordering::Relaxed)

@@ -58,17 +58,29 @@ impl Pool {
         let gone = || PublishError::from(JoinError::MemoryUnknown(io::ErrorKind::NotFound.into()));
         let file = SharedFile::find(domain, &ending).ok_or_else(gone)?;
         let reserved_bytes = take_pages(&file).map_err(|error| match error.kind() {
-            io::ErrorKind::StorageFull => JoinError::Memory { wanted, free: sys::free_bytes().unwrap_or(0) },
+            io::ErrorKind::StorageFull => JoinError::Memory {
+                wanted,
+                free: sys::free_bytes().unwrap_or(0),
+            },
             _ => JoinError::MemoryUnknown(error),
         })?;
-        Ok(Self { publisher, notifier: Arc::clone(notifier), sweep_bytes, reserved_bytes, file })
+        Ok(Self {
+            publisher,
+            notifier: Arc::clone(notifier),
+            sweep_bytes,
+            reserved_bytes,
+            file,
+        })
     }
 
     /// Room for one sweep; what it holds at first is anything.
     pub(super) fn loan(&self, bytes: usize) -> Result<Loan, PublishError> {
-        let sample = self.publisher.loan_slice_uninit(bytes).map_err(PublishError::service)?;
-        // SAFETY: the pages of the pool were made by the system, zeroed, or written as sweeps since: any byte of them is a
-        // byte.
+        let sample = self
+            .publisher
+            .loan_slice_uninit(bytes)
+            .map_err(PublishError::service)?;
+        // SAFETY: the pages of the pool were made by the system, zeroed, or written as sweeps
+        // since: any byte of them is a byte.
         Ok(unsafe { sample.assume_init() })
     }
 

@@ -18,7 +18,8 @@ use super::leftovers::{self, ABANDONED_AFTER};
 use super::loans::{PublishError, Settings};
 use super::pool::Pool;
 use super::{
-    BORROWED, BUFFERED, Domain, DomainError, HISTORY, Ipc, JoinError, MORE_NODES, OVERHEAD_BYTES, PUBLISHERS, Preamble,
+    BORROWED, BUFFERED, Domain, DomainError, HISTORY, Ipc, JoinError, MORE_NODES, OVERHEAD_BYTES,
+    PUBLISHERS, Preamble,
 };
 use super::{attribute, attributes, node, service_name};
 use sweepd_core::sweep::layout::LAYOUT_VERSION;
@@ -29,9 +30,11 @@ const ATTEMPTS: usize = 3;
 const PENDING_PAUSE: Duration = Duration::from_millis(20);
 type Samples = publish_subscribe::PortFactory<Ipc, [u8], Preamble>;
 type Event = event::PortFactory<Ipc>;
-const PATTERNS: [MessagingPattern; 2] = [MessagingPattern::PublishSubscribe, MessagingPattern::Event];
+const PATTERNS: [MessagingPattern; 2] =
+    [MessagingPattern::PublishSubscribe, MessagingPattern::Event];
 
-/// A service that is open. Dropped in this order: the pools before what they belong to, the claim last.
+/// A service that is open. Dropped in this order: the pools before what they belong to, the claim
+/// last.
 #[derive(Debug)]
 pub(super) struct Service {
     pool: Option<Arc<Pool>>,
@@ -51,22 +54,52 @@ pub(super) struct Service {
 
 impl Service {
     /// Opens or makes the service. `pool_bytes` is what its pool will need at least.
-    pub(super) fn open(domain: &Domain, settings: &Settings, pool_bytes: u64) -> Result<Self, PublishError> {
+    pub(super) fn open(
+        domain: &Domain,
+        settings: &Settings,
+        pool_bytes: u64,
+    ) -> Result<Self, PublishError> {
         domain.prepare()?;
-        let name = service_name(&settings.name).ok_or_else(|| PublishError::Name { name: settings.name.clone() })?;
+        let name = service_name(&settings.name).ok_or_else(|| PublishError::Name {
+            name: settings.name.clone(),
+        })?;
         let claim = Claim::take(domain, &name, settings)?;
         leftovers::remove_remains(domain);
         let node = node_when_possible(domain, pool_bytes.saturating_add(OVERHEAD_BYTES))?;
         // What died before holds places in the service.
         node.try_cleanup_dead_nodes();
-        let Opened { samples, event, files, lists } = open_whole(&node, &name, domain, settings)?;
-        let notifier = Arc::new(event.notifier_builder().create().map_err(PublishError::service)?);
+        let Opened {
+            samples,
+            event,
+            files,
+            lists,
+        } = open_whole(&node, &name, domain, settings)?;
+        let notifier = Arc::new(
+            event
+                .notifier_builder()
+                .create()
+                .map_err(PublishError::service)?,
+        );
         let node_folder = domain.node_folder(node.id());
-        Ok(Self { pool: None, retired: Vec::new(), notifier, samples, files, lists, node_folder, node, _claim: claim })
+        Ok(Self {
+            pool: None,
+            retired: Vec::new(),
+            notifier,
+            samples,
+            files,
+            lists,
+            node_folder,
+            node,
+            _claim: claim,
+        })
     }
 
     /// Makes room for sweeps of up to so many bytes.
-    pub(super) fn reserve(&mut self, domain: &Domain, bytes: usize) -> Result<Arc<Pool>, PublishError> {
+    pub(super) fn reserve(
+        &mut self,
+        domain: &Domain,
+        bytes: usize,
+    ) -> Result<Arc<Pool>, PublishError> {
         self.retired.extend(self.pool.take());
         self.tidy();
         let pool = Arc::new(Pool::create(&self.samples, &self.notifier, domain, bytes)?);
@@ -85,11 +118,15 @@ impl Service {
 
     /// Bytes of shared memory that it takes.
     pub(super) fn reserved_bytes(&self) -> u64 {
-        self.pool.iter().chain(&self.retired).map(|pool| pool.reserved_bytes).sum()
+        self.pool
+            .iter()
+            .chain(&self.retired)
+            .map(|pool| pool.reserved_bytes)
+            .sum()
     }
 
-    /// What consumers that come now would not find, if anything. A file of the service that a consumer of the one before took
-    /// with it is put back.
+    /// What consumers that come now would not find, if anything. A file of the service that a
+    /// consumer of the one before took with it is put back.
     pub(super) fn missing(&self) -> Option<PathBuf> {
         for file in &self.files {
             let is_there = match file.fate() {
@@ -105,11 +142,16 @@ impl Service {
             return Some(self.node_folder.clone());
         }
         let pool = self.pool.as_ref().map(|pool| &pool.file);
-        let gone = self.lists.iter().chain(pool).find(|file| !file.is_there())?;
+        let gone = self
+            .lists
+            .iter()
+            .chain(pool)
+            .find(|file| !file.is_there())?;
         Some(gone.path().to_owned())
     }
 
-    /// Removes the files by which it is found, so that it is made anew and not opened with what is left of it.
+    /// Removes the files by which it is found, so that it is made anew and not opened with what is
+    /// left of it.
     pub(super) fn hide(&self) {
         if self.lists.iter().any(|list| !list.is_there()) {
             for file in &self.files {
@@ -118,7 +160,8 @@ impl Service {
         }
     }
 
-    /// Brings consumers that came since into touch with the pool, and gives back pools that are filled no more.
+    /// Brings consumers that came since into touch with the pool, and gives back pools that are
+    /// filled no more.
     pub(super) fn tidy(&mut self) {
         if let Some(pool) = &self.pool {
             pool.greet();
@@ -132,34 +175,54 @@ impl Service {
     }
 }
 
-/// A node, once no other process is in the middle of making a file: that takes microseconds, and a second when it died then.
+/// A node, once no other process is in the middle of making a file: that takes microseconds, and a
+/// second when it died then.
 fn node_when_possible(domain: &Domain, wanted: u64) -> Result<Node<Ipc>, PublishError> {
     let begun = Instant::now();
     loop {
         match node(domain, wanted) {
-            Err(JoinError::Pending) if begun.elapsed() < 2 * ABANDONED_AFTER => std::thread::sleep(PENDING_PAUSE),
+            Err(JoinError::Pending) if begun.elapsed() < 2 * ABANDONED_AFTER => {
+                std::thread::sleep(PENDING_PAUSE)
+            }
             node => return Ok(node?),
         }
     }
 }
 
-/// The right to publish under a name: a file that is locked (flock(2)) as long as the program lives. What iceoryx2 knows of
-/// publishers does not tell: a tunnel to another host is one too, and stays when the daemon is restarted.
+/// The right to publish under a name: a file that is locked (flock(2)) as long as the program
+/// lives. What iceoryx2 knows of publishers does not tell: a tunnel to another host is one too, and
+/// stays when the daemon is restarted.
 #[derive(Debug)]
 struct Claim {
     _file: File,
 }
 
 impl Claim {
-    fn take(domain: &Domain, name: &ServiceName, settings: &Settings) -> Result<Self, PublishError> {
-        let unusable =
-            |source: io::Error| PublishError::from(DomainError::Unusable { root: domain.root().to_owned(), source });
+    fn take(
+        domain: &Domain,
+        name: &ServiceName,
+        settings: &Settings,
+    ) -> Result<Self, PublishError> {
+        let unusable = |source: io::Error| {
+            PublishError::from(DomainError::Unusable {
+                root: domain.root().to_owned(),
+                source,
+            })
+        };
         let mut options = File::options();
         let path = domain.claim_file(name);
-        let file = options.create(true).truncate(false).write(true).mode(0o600).open(path).map_err(unusable)?;
+        let file = options
+            .create(true)
+            .truncate(false)
+            .write(true)
+            .mode(0o600)
+            .open(path)
+            .map_err(unusable)?;
         match file.try_lock() {
             Ok(()) => Ok(Self { _file: file }),
-            Err(TryLockError::WouldBlock) => Err(PublishError::Taken { name: settings.name.clone() }),
+            Err(TryLockError::WouldBlock) => Err(PublishError::Taken {
+                name: settings.name.clone(),
+            }),
             Err(TryLockError::Error(error)) => Err(unusable(error)),
         }
     }
@@ -175,10 +238,11 @@ struct Opened {
 
 /// Opens the service that consumers of the daemon before still hold, or makes it.
 ///
-/// Files that do not fit are removed, and the service is made anew: those that a crash left in part, those of another layout
-/// version, those with room for fewer consumers than are allowed now. They belong to this publisher alone, which has the claim.
-/// Consumers see that the file is another, and follow. One that leaves the service before may remove a new file by its
-/// name, so there are several attempts.
+/// Files that do not fit are removed, and the service is made anew: those that a crash left in
+/// part, those of another layout version, those with room for fewer consumers than are allowed now.
+/// They belong to this publisher alone, which has the claim. Consumers see that the file is
+/// another, and follow. One that leaves the service before may remove a new file by its name, so
+/// there are several attempts.
 fn open_whole(
     node: &Node<Ipc>,
     name: &ServiceName,
@@ -187,7 +251,8 @@ fn open_whole(
 ) -> Result<Opened, PublishError> {
     for pattern in PATTERNS {
         let path = domain.service_file(name, pattern);
-        let is_half_written = std::fs::symlink_metadata(&path).is_ok_and(|it| leftovers::is_half_written(&it));
+        let is_half_written =
+            std::fs::symlink_metadata(&path).is_ok_and(|it| leftovers::is_half_written(&it));
         // iceoryx2 would wait a second for its maker, who is dead: this publisher has the claim.
         if is_half_written || lacks_list(name, domain, pattern) {
             let _ = std::fs::remove_file(path);
@@ -208,7 +273,9 @@ fn open_whole(
 /// Whether the list of who takes part in a service is gone, or was never made.
 fn lacks_list(name: &ServiceName, domain: &Domain, pattern: MessagingPattern) -> bool {
     let details = <Ipc as iceoryx2::service::Service>::details(name, &domain.config(), pattern);
-    let Ok(Some(details)) = details else { return false };
+    let Ok(Some(details)) = details else {
+        return false;
+    };
     find_list(domain, details.static_details.unique_service_id().value()).is_none()
 }
 
@@ -228,24 +295,45 @@ fn open_both(
     let ids = [samples.unique_service_id(), event.unique_service_id()];
     let lists = ids.map(|id| find_list(domain, id.value()));
     let ([Some(one), Some(other)], [Some(list), Some(other_list)]) = (files, lists) else {
-        return Err(PublishError::refused("the files of the service vanished at once"));
+        return Err(PublishError::refused(
+            "the files of the service vanished at once",
+        ));
     };
-    Ok(Opened { samples, event, files: [one, other], lists: [list, other_list] })
+    Ok(Opened {
+        samples,
+        event,
+        files: [one, other],
+        lists: [list, other_list],
+    })
 }
 
-fn open_samples(node: &Node<Ipc>, name: &ServiceName, settings: &Settings) -> Result<Samples, PublishError> {
-    let builder = || node.service_builder(name).publish_subscribe::<[u8]>().user_header::<Preamble>();
+fn open_samples(
+    node: &Node<Ipc>,
+    name: &ServiceName,
+    settings: &Settings,
+) -> Result<Samples, PublishError> {
+    let builder = || {
+        node.service_builder(name)
+            .publish_subscribe::<[u8]>()
+            .user_header::<Preamble>()
+    };
     let (mut described, mut verified) = (AttributeSpecifier::new(), AttributeVerifier::new());
     for (key, value) in described_by(settings) {
-        described = described.define(&key, &value).map_err(PublishError::service)?;
-        verified = verified.require(&key, &value).map_err(PublishError::service)?;
+        described = described
+            .define(&key, &value)
+            .map_err(PublishError::service)?;
+        verified = verified
+            .require(&key, &value)
+            .map_err(PublishError::service)?;
     }
     let opened = builder().open_with_attributes(&verified);
     if let Ok(service) = opened {
         if service.static_config().max_subscribers() == settings.max_consumers {
             return Ok(service);
         }
-        return Err(PublishError::refused("it was made for another number of consumers"));
+        return Err(PublishError::refused(
+            "it was made for another number of consumers",
+        ));
     }
     builder()
         .max_publishers(PUBLISHERS)
@@ -262,16 +350,34 @@ fn open_samples(node: &Node<Ipc>, name: &ServiceName, settings: &Settings) -> Re
 /// The attributes; what is not known is left out.
 fn described_by(settings: &Settings) -> impl Iterator<Item = (AttributeKey, AttributeValue)> {
     let schema = LAYOUT_VERSION.to_string();
-    let pairs =
-        [(attributes::SCHEMA, &schema), (attributes::MODEL, &settings.model), (attributes::ADDRESS, &settings.address)];
-    let described = pairs.map(|(key, value)| if value.is_empty() { None } else { attribute(key, value) });
+    let pairs = [
+        (attributes::SCHEMA, &schema),
+        (attributes::MODEL, &settings.model),
+        (attributes::ADDRESS, &settings.address),
+    ];
+    let described = pairs.map(|(key, value)| {
+        if value.is_empty() {
+            None
+        } else {
+            attribute(key, value)
+        }
+    });
     described.into_iter().flatten()
 }
 
-fn open_event(node: &Node<Ipc>, name: &ServiceName, settings: &Settings) -> Result<Event, PublishError> {
+fn open_event(
+    node: &Node<Ipc>,
+    name: &ServiceName,
+    settings: &Settings,
+) -> Result<Event, PublishError> {
     let builder = node.service_builder(name).event();
-    let builder = builder.max_notifiers(PUBLISHERS).max_listeners(settings.max_consumers + MORE_NODES);
-    builder.max_nodes(settings.max_consumers + MORE_NODES).open_or_create().map_err(PublishError::service)
+    let builder = builder
+        .max_notifiers(PUBLISHERS)
+        .max_listeners(settings.max_consumers + MORE_NODES);
+    builder
+        .max_nodes(settings.max_consumers + MORE_NODES)
+        .open_or_create()
+        .map_err(PublishError::service)
 }
 
 #[cfg(test)]
@@ -289,21 +395,41 @@ mod tests {
         let name = service_name("roof").unwrap();
         let (key, value) = attribute(attributes::SCHEMA, "1000000").unwrap();
         let described = AttributeSpecifier::new().define(&key, &value).unwrap();
-        let samples = node.service_builder(&name).publish_subscribe::<[u8]>().user_header::<Preamble>();
+        let samples = node
+            .service_builder(&name)
+            .publish_subscribe::<[u8]>()
+            .user_header::<Preamble>();
         let older = samples.create_with_attributes(&described).unwrap();
         let mut client = Client::within(&domain, "roof").unwrap();
         let error = client.next(Duration::ZERO).unwrap_err();
-        assert!(matches!(error, ClientError::Subscribe(SubscribeError::OtherVersion { .. })), "{error}");
+        assert!(
+            matches!(
+                error,
+                ClientError::Subscribe(SubscribeError::OtherVersion { .. })
+            ),
+            "{error}"
+        );
 
-        let settings = Settings { name: "roof".to_owned(), max_consumers: 2, ..Settings::default() };
+        let settings = Settings {
+            name: "roof".to_owned(),
+            max_consumers: 2,
+            ..Settings::default()
+        };
         let service = Service::open(&domain, &settings, 0).unwrap();
         assert!(client.next(Duration::ZERO).unwrap().is_none() && client.is_connected());
         // Whoever held the other takes the file along, which is put back.
         drop(older);
         assert!(service.missing().is_none() && service.missing().is_none());
         drop((client, service, node));
-        for left in std::fs::read_dir(super::super::SHARED_MEMORY).unwrap().flatten() {
-            if left.file_name().to_string_lossy().starts_with(&domain.prefix()) {
+        for left in std::fs::read_dir(super::super::SHARED_MEMORY)
+            .unwrap()
+            .flatten()
+        {
+            if left
+                .file_name()
+                .to_string_lossy()
+                .starts_with(&domain.prefix())
+            {
                 let _ = std::fs::remove_file(left.path());
             }
         }

@@ -1,5 +1,5 @@
-//! A consumer's side: finds the service of a sensor, waits for sweeps, and finds it again after the daemon was restarted or its
-//! files were deleted.
+//! A consumer's side: finds the service of a sensor, waits for sweeps, and finds it again after the
+//! daemon was restarted or its files were deleted.
 
 use std::fmt::Display;
 use std::path::PathBuf;
@@ -18,17 +18,22 @@ use iceoryx2::service::port_factory::publish_subscribe::PortFactory;
 use iceoryx2::service::static_config::messaging_pattern::MessagingPattern as Details;
 
 use super::files::{Fate, ServiceFile};
-use super::{BORROWED, Domain, DomainError, Ipc, JoinError, OVERHEAD_BYTES, Preamble, attributes, leftovers, node};
+use super::{
+    BORROWED, Domain, DomainError, Ipc, JoinError, OVERHEAD_BYTES, Preamble, attributes, leftovers,
+    node,
+};
 use super::{same_schema, sensor_name, service_name};
 use sweepd_core::sweep::layout::{LAYOUT_VERSION, LayoutError};
 
 /// The longest that is slept at once: then it is looked whether everything is still there.
 const LOOK_EVERY: Duration = Duration::from_millis(200);
-/// The shortest: iceoryx2 tells the socket whole microseconds, and none of them would be to sleep for ever.
+/// The shortest: iceoryx2 tells the socket whole microseconds, and none of them would be to sleep
+/// for ever.
 const LEAST: Duration = Duration::from_micros(100);
 /// How often it is looked for a service that is not there.
 const SEEK_EVERY: Duration = Duration::from_millis(50);
-/// How long places that consumers hold which died are waited for: the publisher cleans up after them each second.
+/// How long places that consumers hold which died are waited for: the publisher cleans up after
+/// them each second.
 const FULL_FOR: Duration = Duration::from_secs(2);
 
 /// Why no sweeps can be had.
@@ -75,19 +80,26 @@ pub enum SubscribeError {
         name: String,
     },
     /// There are as many consumers as the pool was made for.
-    #[error("`{name}` has as many consumers as it has room for; raise max_consumers of the sensor, or stop one")]
+    #[error(
+        "`{name}` has as many consumers as it has room for; raise max_consumers of the sensor, or stop one"
+    )]
     Full {
         /// The name.
         name: String,
     },
     /// The program holds too many sweeps.
-    #[error("this program holds {BORROWED} sweeps already, and no consumer may hold more; drop one first")]
+    #[error(
+        "this program holds {BORROWED} sweeps already, and no consumer may hold more; drop one first"
+    )]
     TooManyHeld,
 }
 
 impl SubscribeError {
     fn service(error: impl std::fmt::Debug) -> Self {
-        JoinError::Service { what: format!("{error:?}") }.into()
+        JoinError::Service {
+            what: format!("{error:?}"),
+        }
+        .into()
     }
 }
 
@@ -122,8 +134,8 @@ struct Open {
     _node: Node<Ipc>,
 }
 
-/// The bytes of a sweep, in the memory that the daemon wrote them to. They stay as they are while this is held; what is held
-/// too long is no longer new, and no more than [`BORROWED`] can be held.
+/// The bytes of a sweep, in the memory that the daemon wrote them to. They stay as they are while
+/// this is held; what is held too long is no longer new, and no more than [`BORROWED`] can be held.
 #[derive(Debug)]
 pub struct Received {
     /// As it was when the sample came.
@@ -139,7 +151,8 @@ impl Received {
         &self.preamble
     }
 
-    /// Whether the bytes are those of a sweep of this version's layout, as far as the preamble says.
+    /// Whether the bytes are those of a sweep of this version's layout, as far as the preamble
+    /// says.
     ///
     /// # Errors
     /// [`LayoutError`].
@@ -170,13 +183,23 @@ impl Subscriber {
     /// # Errors
     /// [`SubscribeError::Name`].
     pub fn new(domain: &Domain, name: &str) -> Result<Self, SubscribeError> {
-        let service = service_name(name).ok_or_else(|| SubscribeError::Name { name: name.to_owned() })?;
+        let service = service_name(name).ok_or_else(|| SubscribeError::Name {
+            name: name.to_owned(),
+        })?;
         let (domain, name) = (domain.clone(), name.to_owned());
-        Ok(Self { domain, name, service, open: None, looked: Instant::now(), full_since: None, reopened: 0 })
+        Ok(Self {
+            domain,
+            name,
+            service,
+            open: None,
+            looked: Instant::now(),
+            full_since: None,
+            reopened: 0,
+        })
     }
 
-    /// The next sweep; waits for it, and for the daemon if there is none, but at most `timeout`: less when the program handles
-    /// a signal meanwhile. It comes as soon as it is published.
+    /// The next sweep; waits for it, and for the daemon if there is none, but at most `timeout`:
+    /// less when the program handles a signal meanwhile. It comes as soon as it is published.
     ///
     /// # Errors
     /// [`SubscribeError`]: what waiting longer does not mend.
@@ -186,7 +209,9 @@ impl Subscriber {
             if self.open.is_none() {
                 self.open = self.find_unless_full()?;
             }
-            let rest = deadline.map_or(LOOK_EVERY, |deadline| deadline.saturating_duration_since(Instant::now()));
+            let rest = deadline.map_or(LOOK_EVERY, |deadline| {
+                deadline.saturating_duration_since(Instant::now())
+            });
             let Some(open) = &self.open else {
                 if rest.is_zero() {
                     return Ok(None);
@@ -210,7 +235,10 @@ impl Subscriber {
             if rest.is_zero() {
                 return Ok(None);
             }
-            match open.listener.timed_wait(|_| {}, rest.clamp(LEAST, LOOK_EVERY)) {
+            match open
+                .listener
+                .timed_wait(|_| {}, rest.clamp(LEAST, LOOK_EVERY))
+            {
                 // What it means is the program's to say, which handles it.
                 Err(ListenerWaitError::InterruptSignal) => return Ok(None),
                 woken => woken.map_err(SubscribeError::service)?,
@@ -233,7 +261,9 @@ impl Subscriber {
 
     /// Whether someone publishes at the moment.
     pub fn is_published(&self) -> bool {
-        self.open.as_ref().is_some_and(|open| open.service.dynamic_config().number_of_publishers() > 0)
+        self.open
+            .as_ref()
+            .is_some_and(|open| open.service.dynamic_config().number_of_publishers() > 0)
     }
 
     /// How often the service was lost and looked for anew.
@@ -255,7 +285,10 @@ impl Subscriber {
     pub fn attribute(&self, key: &str) -> Option<String> {
         let service = &self.open.as_ref()?.service;
         let key = AttributeKey::try_from(key).ok()?;
-        service.attributes().key_value(&key, 0).map(ToString::to_string)
+        service
+            .attributes()
+            .key_value(&key, 0)
+            .map(ToString::to_string)
     }
 
     /// Names of the sensors that are published in a domain, or were until a crash.
@@ -276,15 +309,16 @@ impl Subscriber {
             names.extend(sensor_name(details.static_details.name().as_str()).map(str::to_owned));
             CallbackProgression::Continue
         };
-        <Ipc as iceoryx2::service::Service>::list(&domain.config(), note).map_err(SubscribeError::service)?;
+        <Ipc as iceoryx2::service::Service>::list(&domain.config(), note)
+            .map_err(SubscribeError::service)?;
         // The event has the same name.
         names.sort();
         names.dedup();
         Ok(names)
     }
 
-    /// Looks for the service. That it is full is an error only when it stays so: consumers that died hold their places for at
-    /// most a second.
+    /// Looks for the service. That it is full is an error only when it stays so: consumers that
+    /// died hold their places for at most a second.
     fn find_unless_full(&mut self) -> Result<Option<Open>, SubscribeError> {
         match self.find() {
             Err(SubscribeError::Full { .. })
@@ -302,7 +336,9 @@ impl Subscriber {
     /// Looks for the service: `None` when it is not there, or not yet whole.
     fn find(&self) -> Result<Option<Open>, SubscribeError> {
         let is_there = self.domain.exists()?;
-        let path = self.domain.service_file(&self.service, MessagingPattern::PublishSubscribe);
+        let path = self
+            .domain
+            .service_file(&self.service, MessagingPattern::PublishSubscribe);
         let Some(file) = ServiceFile::read(&path).filter(|_| is_there) else {
             // By such a file a daemon could not start: waiting does not mend it.
             self.domain.check_occupied()?;
@@ -312,19 +348,42 @@ impl Subscriber {
             Err(JoinError::Pending) => return Ok(None),
             node => node?,
         };
-        let samples = node.service_builder(&self.service).publish_subscribe::<[u8]>().user_header::<Preamble>();
+        let samples = node
+            .service_builder(&self.service)
+            .publish_subscribe::<[u8]>()
+            .user_header::<Preamble>();
         let service = match samples.open_with_attributes(&same_schema()) {
             Ok(service) => service,
             Err(error) => return self.explain(error).map_or(Ok(None), Err),
         };
-        let Ok(event) = node.service_builder(&self.service).event().open() else { return Ok(None) };
-        let listener = event.listener_builder().create().map_err(SubscribeError::service)?;
-        let samples = service.subscriber_builder().create().map_err(|error| match error {
-            SubscriberCreateError::ExceedsMaxSupportedSubscribers => SubscribeError::Full { name: self.name.clone() },
-            other => SubscribeError::service(other),
-        })?;
-        let own_files = [self.domain.node_folder(node.id()), self.domain.event_socket(listener.id().value())];
-        Ok(Some(Open { samples: Arc::new(samples), listener, service, file, own_files, _node: node }))
+        let Ok(event) = node.service_builder(&self.service).event().open() else {
+            return Ok(None);
+        };
+        let listener = event
+            .listener_builder()
+            .create()
+            .map_err(SubscribeError::service)?;
+        let samples = service
+            .subscriber_builder()
+            .create()
+            .map_err(|error| match error {
+                SubscriberCreateError::ExceedsMaxSupportedSubscribers => SubscribeError::Full {
+                    name: self.name.clone(),
+                },
+                other => SubscribeError::service(other),
+            })?;
+        let own_files = [
+            self.domain.node_folder(node.id()),
+            self.domain.event_socket(listener.id().value()),
+        ];
+        Ok(Some(Open {
+            samples: Arc::new(samples),
+            listener,
+            service,
+            file,
+            own_files,
+            _node: node,
+        }))
     }
 
     /// What waiting does not mend.
@@ -332,18 +391,28 @@ impl Subscriber {
         use PublishSubscribeOpenError as E;
         let name = self.name.clone();
         match error {
-            E::DoesNotExist | E::IsMarkedForDestruction | E::HangsInCreation | E::ServiceInCorruptedState => None,
-            E::IncompatibleAttributes | E::IncompatibleTypes | E::IncompatibleMessagingPattern => self.describe(),
+            E::DoesNotExist
+            | E::IsMarkedForDestruction
+            | E::HangsInCreation
+            | E::ServiceInCorruptedState => None,
+            E::IncompatibleAttributes | E::IncompatibleTypes | E::IncompatibleMessagingPattern => {
+                self.describe()
+            }
             E::VersionMismatch => Some(SubscribeError::OtherIceoryx { name }),
             E::ExceedsMaxNumberOfNodes => Some(SubscribeError::Full { name }),
             other => Some(SubscribeError::service(other)),
         }
     }
 
-    /// What this program does not read: the service as it describes itself. `None` when it is gone by now.
+    /// What this program does not read: the service as it describes itself. `None` when it is gone
+    /// by now.
     fn describe(&self) -> Option<SubscribeError> {
         let pattern = MessagingPattern::PublishSubscribe;
-        let details = <Ipc as iceoryx2::service::Service>::details(&self.service, &self.domain.config(), pattern);
+        let details = <Ipc as iceoryx2::service::Service>::details(
+            &self.service,
+            &self.domain.config(),
+            pattern,
+        );
         let found = details.ok()??.static_details;
         let name = self.name.clone();
         let schema = AttributeKey::try_from(attributes::SCHEMA).ok()?;
@@ -355,7 +424,8 @@ impl Subscriber {
         let found = match found.messaging_pattern() {
             Details::PublishSubscribe(details) => {
                 let types = details.message_type_details();
-                let [payload, header] = [&types.payload, &types.user_header].map(|one| shown(one.type_name()));
+                let [payload, header] =
+                    [&types.payload, &types.user_header].map(|one| shown(one.type_name()));
                 format!("it sends {payload} with the header {header}")
             }
             _ => "it sends nothing".to_owned(),
@@ -364,7 +434,8 @@ impl Subscriber {
     }
 }
 
-/// What a program that may not be sweepd says of itself, for a message: terminals obey what is no text.
+/// What a program that may not be sweepd says of itself, for a message: terminals obey what is no
+/// text.
 fn shown(told: impl Display) -> String {
     told.to_string().escape_debug().to_string()
 }
@@ -383,7 +454,8 @@ impl Open {
         }
     }
 
-    /// Whether the service that was opened is the one that others find, and this consumer is found as well.
+    /// Whether the service that was opened is the one that others find, and this consumer is found
+    /// as well.
     fn is_current(&self) -> bool {
         self.file.fate() == Fate::Same && self.own_files.iter().all(|file| file.exists())
     }

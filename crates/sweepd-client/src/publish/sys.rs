@@ -7,8 +7,8 @@ use std::io;
 use std::mem::MaybeUninit;
 use std::os::fd::AsRawFd;
 
-/// Takes all pages of a file (posix_fallocate(3)): where there are not enough, that is an error here and not a signal at the
-/// first write to one that is missing.
+/// Takes all pages of a file (posix_fallocate(3)): where there are not enough, that is an error
+/// here and not a signal at the first write to one that is missing.
 pub(super) fn take_pages(file: &File, bytes: u64) -> io::Result<()> {
     let bytes = libc::off_t::try_from(bytes).map_err(|_| io::ErrorKind::FileTooLarge)?;
     // SAFETY: the descriptor is open while the call lasts, and no memory of this program is passed.
@@ -32,7 +32,11 @@ pub fn memory_bytes() -> io::Result<(u64, u64)> {
     // SAFETY: zeroes are a value of this struct of numbers, and the call has filled it in.
     let numbers = unsafe { numbers.assume_init() };
     #[allow(clippy::unnecessary_cast, reason = "32 bits have other types")]
-    let [all, free, unit] = [numbers.f_blocks as u64, numbers.f_bavail as u64, numbers.f_frsize as u64];
+    let [all, free, unit] = [
+        numbers.f_blocks as u64,
+        numbers.f_bavail as u64,
+        numbers.f_frsize as u64,
+    ];
     Ok((all.saturating_mul(unit), free.saturating_mul(unit)))
 }
 

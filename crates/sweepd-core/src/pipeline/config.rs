@@ -9,21 +9,25 @@ use crate::sweep::layout::ReturnChoice;
 pub struct Config {
     /// The model; `None` detects it.
     pub model: Option<Model>,
-    /// The unit's calibration; `None` takes the model's table, or the one that an HDL-64E sends with its packets.
+    /// The unit's calibration; `None` takes the model's table, or the one that an HDL-64E sends
+    /// with its packets.
     pub calibration: Option<Calibration>,
-    /// Azimuth at which sweeps are cut, radians. Where the field of view is limited and nothing is sent there in time, they
-    /// are cut a packet's way ahead of the end of the sector that is measured; see [`sweep::edge`](crate::sweep::edge).
+    /// Azimuth at which sweeps are cut, radians. Where the field of view is limited and nothing is
+    /// sent there in time, they are cut a packet's way ahead of the end of the sector that is
+    /// measured; see [`sweep::edge`](crate::sweep::edge).
     pub cut_azimuth_rad: f64,
     /// Which of two returns is segmented.
     pub return_choice: ReturnChoice,
     /// How sweeps are segmented.
     pub segment: segment::Config,
-    /// Times are UTC where the sentence of the GPS receiver is valid, though the sensor does not report the pulse as locked;
-    /// see [`sweep::clock`](crate::sweep::clock).
+    /// Times are UTC where the sentence of the GPS receiver is valid, though the sensor does not
+    /// report the pulse as locked; see [`sweep::clock`](crate::sweep::clock).
     pub gps_without_pps: bool,
-    /// Position of the sensor in the frame of the robot, metres: x right, y forward, z up; only told on.
+    /// Position of the sensor in the frame of the robot, metres: x right, y forward, z up; only
+    /// told on.
     pub position_m: [f32; 3],
-    /// Rotation about the vertical in the frame of the robot, counter-clockwise from above, radians; only told on.
+    /// Rotation about the vertical in the frame of the robot, counter-clockwise from above,
+    /// radians; only told on.
     pub yaw_rad: f32,
 }
 

@@ -28,8 +28,8 @@ pub struct Counts {
     pub unconfirmed: u64,
     /// Packets with another sensor's product byte.
     pub foreign: u64,
-    /// Packets that came before the model was known and after it proved to be unsupported, and those of an HDL-64E before
-    /// its calibration was.
+    /// Packets that came before the model was known and after it proved to be unsupported, and
+    /// those of an HDL-64E before its calibration was.
     pub undecoded: u64,
 }
 
@@ -59,7 +59,9 @@ pub enum Fault {
     #[error("the calibration does not fit: {0}")]
     Calibration(String),
     /// The calibration that an HDL-64E sends is impossible.
-    #[error("the calibration in its packets cannot be used: {0}; give the file of this unit with --calibration")]
+    #[error(
+        "the calibration in its packets cannot be used: {0}; give the file of this unit with --calibration"
+    )]
     OwnCalibration(String),
     /// The packets of an HDL-64E ended before they had told its calibration.
     #[error(
@@ -87,7 +89,8 @@ pub enum Fault {
 /// What happened that people want to know of, apart from the sweeps.
 #[derive(Clone, Debug, PartialEq)]
 pub enum Notice {
-    /// An HDL-64E is known and no calibration was given: nothing is decoded until the one in its packets is complete.
+    /// An HDL-64E is known and no calibration was given: nothing is decoded until the one in its
+    /// packets is complete.
     AwaitsCalibration,
     /// It is complete, and decoding begins.
     Calibrated {

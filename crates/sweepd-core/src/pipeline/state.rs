@@ -1,4 +1,5 @@
-//! How a sensor comes to be decoded: which model it is, where its beams point, and then packet after packet.
+//! How a sensor comes to be decoded: which model it is, where its beams point, and then packet
+//! after packet.
 //!
 //! ```text
 //! Detecting -> Decoding               most models: the table in `calib/`, or a given file
@@ -55,7 +56,8 @@ pub(super) struct Calibrating<B: Buffers> {
     pub(super) detection: Detection,
     pub(super) unit: Unit,
     pub(super) foreign: u32,
-    /// The packets at the last two cycles of the status: from there on, how far the head turned tells its speed.
+    /// The packets at the last two cycles of the status: from there on, how far the head turned
+    /// tells its speed.
     pub(super) marks: [Option<DataPacket>; 2],
     pub(super) buffers: B,
     pub(super) clocks: Clocks,
@@ -70,7 +72,8 @@ pub(super) struct Decoding<B: Buffers> {
     pub(super) foreign: u32,
     /// Return mode of the packet before.
     pub(super) last_mode: ReturnMode,
-    /// Stamp of the packet before, since two returns became one and until the packets' period with one is known.
+    /// Stamp of the packet before, since two returns became one and until the packets' period with
+    /// one is known.
     pub(super) unmeasured_us: Option<u32>,
     pub(super) order: Order,
     pub(super) builder: Builder<B>,
@@ -85,18 +88,49 @@ pub(super) struct Waiting {
 impl<B: Buffers, W: Stopwatch> Pipeline<B, W> {
     pub(super) fn detecting(model: Option<Model>, buffers: B, clocks: Clocks) -> State<B> {
         let (detector, waiting) = (Detector::new(model), Vec::with_capacity(MAX_PACKETS));
-        State::Detecting(Box::new(Detecting { detector, waiting, doubts: 0, doubt: None, unit: None, buffers, clocks }))
+        State::Detecting(Box::new(Detecting {
+            detector,
+            waiting,
+            doubts: 0,
+            doubt: None,
+            unit: None,
+            buffers,
+            clocks,
+        }))
     }
 
-    /// The model is told: decoding begins with the packets that waited, or the wait for the calibration does.
+    /// The model is told: decoding begins with the packets that waited, or the wait for the
+    /// calibration does.
     pub(super) fn detected(&mut self, result: Result<Detection, DetectError>) -> Result<(), Fault> {
-        let State::Detecting(detecting) = std::mem::replace(&mut self.state, State::Refusing) else { return Ok(()) };
-        let Detecting { waiting, doubts, unit, buffers, clocks, .. } = *detecting;
+        let State::Detecting(detecting) = std::mem::replace(&mut self.state, State::Refusing)
+        else {
+            return Ok(());
+        };
+        let Detecting {
+            waiting,
+            doubts,
+            unit,
+            buffers,
+            clocks,
+            ..
+        } = *detecting;
         self.counts.undecoded += u64::from(doubts) + waiting.len() as u64;
         let mut detection = result?;
-        let mut unit = detection.model.is_hdl64e().then(|| unit.unwrap_or_default());
-        let calibration = match (&self.config.calibration, detection.model.calibration(), &unit) {
-            (Some(given), ..) => Some(given.clone().for_model(detection.model).map_err(Fault::Calibration)?),
+        let mut unit = detection
+            .model
+            .is_hdl64e()
+            .then(|| unit.unwrap_or_default());
+        let calibration = match (
+            &self.config.calibration,
+            detection.model.calibration(),
+            &unit,
+        ) {
+            (Some(given), ..) => Some(
+                given
+                    .clone()
+                    .for_model(detection.model)
+                    .map_err(Fault::Calibration)?,
+            ),
             (None, Some(nominal), _) => Some(nominal.clone()),
             (None, None, Some(unit)) => self.calibration_of(unit, &mut detection),
             (None, None, None) => None,
@@ -107,22 +141,45 @@ impl<B: Buffers, W: Stopwatch> Pipeline<B, W> {
                 let _ = unit.hear(&packet.bytes);
             }
             self.notices.push(Notice::AwaitsCalibration);
-            let calibrating = Calibrating { detection, unit, foreign: 0, marks: [None; 2], buffers, clocks };
+            let calibrating = Calibrating {
+                detection,
+                unit,
+                foreign: 0,
+                marks: [None; 2],
+                buffers,
+                clocks,
+            };
             self.state = State::Calibrating(Box::new(calibrating));
             return Ok(());
         };
-        let ends = waiting.first().zip(waiting.last()).map(|(first, last)| (&first.bytes, &last.bytes));
-        let rate = ends.and_then(|(first, last)| rate_between(first, last, detection.return_mode, detection.spec));
-        self.decode(detection, (calibration, unit), (buffers, clocks, rate), waiting)
+        let ends = waiting
+            .first()
+            .zip(waiting.last())
+            .map(|(first, last)| (&first.bytes, &last.bytes));
+        let rate = ends.and_then(|(first, last)| {
+            rate_between(first, last, detection.return_mode, detection.spec)
+        });
+        self.decode(
+            detection,
+            (calibration, unit),
+            (buffers, clocks, rate),
+            waiting,
+        )
     }
 
-    /// The calibration that a unit has told, if it is complete and that of the model, and in the detection what else only
-    /// the unit knows.
+    /// The calibration that a unit has told, if it is complete and that of the model, and in the
+    /// detection what else only the unit knows.
     fn calibration_of(&self, unit: &Unit, detection: &mut Detection) -> Option<Calibration> {
-        // One that no unit can have was damaged on the way, where no checksum tells: the next dump brings it anew.
-        let calibration = unit.calibration()?.and_then(|own| own.for_model(detection.model)).ok()?;
+        // One that no unit can have was damaged on the way, where no checksum tells: the next dump
+        // brings it anew.
+        let calibration = unit
+            .calibration()?
+            .and_then(|own| own.for_model(detection.model))
+            .ok()?;
         // With one return, only the unit itself knows which.
-        if let (ReturnMode::Strongest, Some(ReturnMode::Last)) = (detection.return_mode, unit.return_mode()) {
+        if let (ReturnMode::Strongest, Some(ReturnMode::Last)) =
+            (detection.return_mode, unit.return_mode())
+        {
             detection.return_mode = ReturnMode::Last;
         }
         if self.config.model.is_none() && unit.series() == Some(Series::S3) {
@@ -133,28 +190,56 @@ impl<B: Buffers, W: Stopwatch> Pipeline<B, W> {
 
     /// Takes the byte of the calibration that a packet brings; with the last one, decoding begins.
     pub(super) fn calibrate(&mut self, packet: &DataPacket, arrival_ns: i64) -> Result<(), Fault> {
-        let State::Calibrating(calibrating) = &mut self.state else { return Ok(()) };
+        let State::Calibrating(calibrating) = &mut self.state else {
+            return Ok(());
+        };
         self.counts.undecoded += 1;
         if !calibrating.detection.has_layout(packet) {
             calibrating.foreign += 1;
-            self.closing = if calibrating.foreign >= EXCHANGED_PACKETS { Closing::Exchanged } else { Closing::No };
+            self.closing = if calibrating.foreign >= EXCHANGED_PACKETS {
+                Closing::Exchanged
+            } else {
+                Closing::No
+            };
             return Ok(());
         }
         calibrating.foreign = 0;
         if let Some(Said { utc_ns, .. }) = calibrating.unit.hear(packet) {
-            calibrating.clocks.said(utc_ns, packet.stamp_us(), arrival_ns);
+            calibrating
+                .clocks
+                .said(utc_ns, packet.stamp_us(), arrival_ns);
             calibrating.marks = [calibrating.marks[1], Some(*packet)];
         }
-        let State::Calibrating(calibrating) = &self.state else { return Ok(()) };
-        let mut detection = calibrating.detection;
-        let Some(calibration) = self.calibration_of(&calibrating.unit, &mut detection) else { return Ok(()) };
-        let State::Calibrating(calibrating) = std::mem::replace(&mut self.state, State::Refusing) else {
+        let State::Calibrating(calibrating) = &self.state else {
             return Ok(());
         };
-        let Calibrating { unit, marks, buffers, clocks, .. } = *calibrating;
-        self.notices.push(Notice::Calibrated { calibrated: unit.calibrated(), packets: self.counts.data });
-        let rate = marks[0].and_then(|mark| rate_between(&mark, packet, detection.return_mode, detection.spec));
-        self.decode(detection, (calibration, Some(unit)), (buffers, clocks, rate), Vec::new())
+        let mut detection = calibrating.detection;
+        let Some(calibration) = self.calibration_of(&calibrating.unit, &mut detection) else {
+            return Ok(());
+        };
+        let State::Calibrating(calibrating) = std::mem::replace(&mut self.state, State::Refusing)
+        else {
+            return Ok(());
+        };
+        let Calibrating {
+            unit,
+            marks,
+            buffers,
+            clocks,
+            ..
+        } = *calibrating;
+        self.notices.push(Notice::Calibrated {
+            calibrated: unit.calibrated(),
+            packets: self.counts.data,
+        });
+        let rate = marks[0]
+            .and_then(|mark| rate_between(&mark, packet, detection.return_mode, detection.spec));
+        self.decode(
+            detection,
+            (calibration, Some(unit)),
+            (buffers, clocks, rate),
+            Vec::new(),
+        )
     }
 
     /// Builds what decodes this model and gives it the packets that waited.
@@ -165,14 +250,25 @@ impl<B: Buffers, W: Stopwatch> Pipeline<B, W> {
         (buffers, clocks, rate_cdeg_ns): (B, Clocks, Option<f64>),
         mut waiting: Vec<Waiting>,
     ) -> Result<(), Fault> {
-        if let Some(mask) = self.config.segment.mask.as_ref().filter(|mask| mask.rows() != calibration.rows().len()) {
+        if let Some(mask) = self
+            .config
+            .segment
+            .mask
+            .as_ref()
+            .filter(|mask| mask.rows() != calibration.rows().len())
+        {
             let (found, rows) = (mask.rows(), calibration.rows().len());
-            return Err(Fault::Mask { found, model: detection.model, rows });
+            return Err(Fault::Mask {
+                found,
+                model: detection.model,
+                rows,
+            });
         }
         self.counts.undecoded -= waiting.len() as u64;
         let limits_m = self.config.segment.min_range_m..=self.config.segment.max_range_m;
         let model = (detection.model, detection.spec);
-        let mut decoder = Decoder::new(model, &calibration, self.config.return_choice, limits_m).with_level(self.level);
+        let mut decoder = Decoder::new(model, &calibration, self.config.return_choice, limits_m)
+            .with_level(self.level);
         decoder.is_normalised = unit.as_ref().is_some_and(Unit::is_normalised);
         let mut order = Order::new(decoder.spec);
         order.expect_rate(rate_cdeg_ns);
@@ -182,8 +278,16 @@ impl<B: Buffers, W: Stopwatch> Pipeline<B, W> {
         let product = waiting.last().map_or(0, |packet| packet.bytes.product);
         let unit = unit.map(|unit| (unit, calibration));
         let last_mode = detection.return_mode;
-        let decoding =
-            Decoding { detection, unit, product, foreign: 0, last_mode, unmeasured_us: None, order, builder };
+        let decoding = Decoding {
+            detection,
+            unit,
+            product,
+            foreign: 0,
+            last_mode,
+            unmeasured_us: None,
+            order,
+            builder,
+        };
         self.state = State::Decoding(Box::new(decoding));
         self.counts.reordered += sort_by_stamp(&mut waiting);
         for packet in &waiting {
@@ -203,7 +307,9 @@ impl<B: Buffers, W: Stopwatch> Pipeline<B, W> {
 
     /// Puts a packet in order, or counts why it has no place.
     pub(super) fn order(&mut self, packet: &DataPacket, number: u64, arrival_ns: i64) {
-        let State::Decoding(decoding) = &mut self.state else { return };
+        let State::Decoding(decoding) = &mut self.state else {
+            return;
+        };
         let same_layout = decoding.detection.has_layout(packet);
         if matches!(packet.banks(), Banks::UpperHeavy | Banks::Other) {
             self.counts.malformed += 1;
@@ -231,7 +337,14 @@ impl<B: Buffers, W: Stopwatch> Pipeline<B, W> {
             Err(Refusal::Duplicate) => self.counts.duplicates += 1,
             Err(Refusal::Implausible(_)) => self.counts.malformed += 1,
             Err(Refusal::Behind { motion, time_ns }) => {
-                let packet = Packet { bytes: *packet, motion, mode, number, arrival_ns, time_ns };
+                let packet = Packet {
+                    bytes: *packet,
+                    motion,
+                    mode,
+                    number,
+                    arrival_ns,
+                    time_ns,
+                };
                 if decoding.builder.late(&packet) {
                     self.segmenter.spoil();
                     self.counts.reordered += 1;
@@ -244,7 +357,9 @@ impl<B: Buffers, W: Stopwatch> Pipeline<B, W> {
 
     pub(super) fn position(&mut self, datagram: &Datagram<'_>) {
         self.counts.position += 1;
-        let Ok(position) = Position::parse(datagram.payload) else { return };
+        let Ok(position) = Position::parse(datagram.payload) else {
+            return;
+        };
         let clocks = match &mut self.state {
             State::Detecting(detecting) => &mut detecting.clocks,
             State::Calibrating(calibrating) => &mut calibrating.clocks,
@@ -257,7 +372,8 @@ impl<B: Buffers, W: Stopwatch> Pipeline<B, W> {
 }
 
 impl<B: Buffers> Decoding<B> {
-    /// An HDL-64E S3 that reported two returns so far may have either timing when it reports one: two packets in a row tell.
+    /// An HDL-64E S3 that reported two returns so far may have either timing when it reports one:
+    /// two packets in a row tell.
     fn measure(&mut self, packet: &DataPacket, mode: ReturnMode) {
         let is_change = self.last_mode == ReturnMode::Dual && mode != ReturnMode::Dual;
         let before_us = self.unmeasured_us.take();
@@ -267,7 +383,9 @@ impl<B: Buffers> Decoding<B> {
         }
         let stamp_us = packet.stamp_us();
         let fits = |spec: &&&'static Spec| {
-            before_us.is_some_and(|before_us| detect::is_next(before_us, stamp_us, spec.packet_period_ns(mode)))
+            before_us.is_some_and(|before_us| {
+                detect::is_next(before_us, stamp_us, spec.packet_period_ns(mode))
+            })
         };
         match specs.iter().find(fits) {
             Some(&spec) if spec != self.detection.spec => {
@@ -280,29 +398,40 @@ impl<B: Buffers> Decoding<B> {
         }
     }
 
-    /// Listens to what an HDL-64E says of itself. Gives in what its calibration differs from the one in use, once it is
-    /// known and if it does.
-    fn hear(&mut self, packet: &DataPacket, arrival_ns: i64, may_rename: bool) -> Option<Vec<Difference>> {
+    /// Listens to what an HDL-64E says of itself. Gives in what its calibration differs from the
+    /// one in use, once it is known and if it does.
+    fn hear(
+        &mut self,
+        packet: &DataPacket,
+        arrival_ns: i64,
+        may_rename: bool,
+    ) -> Option<Vec<Difference>> {
         let (unit, calibration) = self.unit.as_mut()?;
         let said = unit.hear(packet);
         // The packet that tells it is the first one decoded so.
         self.builder.decoder_mut().is_normalised = unit.is_normalised();
         let Said { series, utc_ns } = said?;
-        self.builder.clocks.said(utc_ns, packet.stamp_us(), arrival_ns);
+        self.builder
+            .clocks
+            .said(utc_ns, packet.stamp_us(), arrival_ns);
         if series == Some(Series::S3) && may_rename {
             // Until then it may have been either: with one return their timing is the same.
             self.detection.model = Model::Hdl64eS3;
             self.builder.decoder_mut().model = Model::Hdl64eS3;
         }
-        unit.differences(calibration).filter(|differences| !differences.is_empty())
+        unit.differences(calibration)
+            .filter(|differences| !differences.is_empty())
     }
 }
 
 impl<B: Buffers> Detecting<B> {
-    /// Looks at a packet and keeps it. One that speaks of no supported sensor may be corrupt: only the third is believed.
+    /// Looks at a packet and keeps it. One that speaks of no supported sensor may be corrupt: only
+    /// the third is believed.
     pub(super) fn observe(&mut self, packet: Waiting) -> Option<Result<Detection, DetectError>> {
         let result = self.detector.observe(&packet.bytes);
-        if let Some(Err(error @ (DetectError::Unsupported { .. } | DetectError::UnknownProduct { .. }))) = result
+        if let Some(Err(
+            error @ (DetectError::Unsupported { .. } | DetectError::UnknownProduct { .. }),
+        )) = result
             && self.waiting.len() + 1 < MAX_PACKETS
         {
             self.doubts += 1;
@@ -323,9 +452,12 @@ impl<B: Buffers> Detecting<B> {
     }
 }
 
-/// Sorts by the sensor's clock, over the hour if need be; returns how many packets had been overtaken.
+/// Sorts by the sensor's clock, over the hour if need be; returns how many packets had been
+/// overtaken.
 fn sort_by_stamp(waiting: &mut [Waiting]) -> u64 {
-    let Some(first) = waiting.first().map(|packet| packet.bytes.stamp_us()) else { return 0 };
+    let Some(first) = waiting.first().map(|packet| packet.bytes.stamp_us()) else {
+        return 0;
+    };
     let mut clock = SensorClock::default();
     clock.set(first, 0);
     let time_ns = |packet: &Waiting| clock.read_ns(packet.bytes.stamp_us());

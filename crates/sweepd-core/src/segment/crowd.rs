@@ -1,9 +1,10 @@
-//! Where runs are short and many, as in dust, spray or a hedge: points are compared, and not runs. Sixteen columns of a row at
-//! once, with the sixteen that lie so many rows and columns from them, for each place of the window.
+//! Where runs are short and many, as in dust, spray or a hedge: points are compared, and not runs.
+//! Sixteen columns of a row at once, with the sixteen that lie so many rows and columns from them,
+//! for each place of the window.
 //!
-//! It is the same test of the same pairs as [`super::window`]'s, so the labels are the same. Its time hardly depends on how many
-//! runs there are: most places are settled by two loads and two comparisons, since what lies there is of the same component by
-//! then.
+//! It is the same test of the same pairs as [`super::window`]'s, so the labels are the same. Its
+//! time hardly depends on how many runs there are: most places are settled by two loads and two
+//! comparisons, since what lies there is of the same component by then.
 
 use fearless_simd::{Simd, prelude::*, u32x16};
 
@@ -19,7 +20,8 @@ const STRIDE: usize = BEFORE + STRIP;
 const NOTHING: u32 = u32::MAX;
 /// Beside the root of a component that is not small any more.
 const LARGE: u32 = 1 << 31;
-/// More runs than this within reach of a row, on average, are a crowd: there this is the faster way.
+/// More runs than this within reach of a row, on average, are a crowd: there this is the faster
+/// way.
 const MANY: usize = 16;
 
 /// The points of the columns within reach, by their components.
@@ -48,7 +50,11 @@ impl Lanes {
     /// Their points.
     #[inline(always)]
     fn points<S: Simd>(self, simd: S, points: &Points) -> Point<S> {
-        Point::load(simd, points, points.at(self.row).wrapping_add_signed(self.column))
+        Point::load(
+            simd,
+            points,
+            points.at(self.row).wrapping_add_signed(self.column),
+        )
     }
 }
 
@@ -56,7 +62,10 @@ impl Crowd {
     /// Takes room for so many rows.
     pub fn reserve(&mut self, rows: usize) {
         self.root.resize(rows * STRIDE, NOTHING);
-        super::reserve(&mut self.near, (2 * MOST_ROWS + 1) * (MOST_COLUMNS + 1) * STRIP / LANES);
+        super::reserve(
+            &mut self.near,
+            (2 * MOST_ROWS + 1) * (MOST_COLUMNS + 1) * STRIP / LANES,
+        );
     }
 
     /// Whether runs are so many that this is the faster way.
@@ -80,13 +89,21 @@ impl Crowd {
             if entering < rows {
                 self.enter(test, entries, entering, pieces);
             }
-            let Some(row) = entering.checked_sub(test.rows()) else { continue };
+            let Some(row) = entering.checked_sub(test.rows()) else {
+                continue;
+            };
             for column in (0..STRIP as isize).step_by(LANES) {
                 let here = Lanes { row, column };
                 self.compare(simd, test, points, (here, row, 1), pieces);
                 for below in row + 1..rows.min(entering + 1) {
                     self.compare(simd, test, points, (here, below, 0), pieces);
-                    self.compare(simd, test, points, (Lanes { row: below, column }, row, 1), pieces);
+                    self.compare(
+                        simd,
+                        test,
+                        points,
+                        (Lanes { row: below, column }, row, 1),
+                        pieces,
+                    );
                 }
             }
             self.note(simd, test, points, pieces, misses);
@@ -104,8 +121,8 @@ impl Crowd {
         }
     }
 
-    /// Compares sixteen points of a row with those of a row that lie columns before them, from so many columns on to as many as
-    /// the window has, and joins them.
+    /// Compares sixteen points of a row with those of a row that lie columns before them, from so
+    /// many columns on to as many as the window has, and joins them.
     #[inline(always)]
     fn compare<S: Simd>(
         &mut self,
@@ -123,7 +140,10 @@ impl Crowd {
         let one = here.points(simd, points);
         for aside in from..=test.columns() as isize {
             work::count(1);
-            let before = Lanes { row: other, column: here.column - aside };
+            let before = Lanes {
+                row: other,
+                column: here.column - aside,
+            };
             let there = self.roots(simd, before);
             let of_two = is & !there.simd_eq(NOTHING) & !there.simd_eq(root);
             if !of_two.any_true() {
@@ -142,16 +162,25 @@ impl Crowd {
         }
     }
 
-    /// Notes which points of a row are near others, and of a component that is still small, or near such a one: what is joined
-    /// to the row is known by now.
+    /// Notes which points of a row are near others, and of a component that is still small, or near
+    /// such a one: what is joined to the row is known by now.
     #[inline(always)]
-    fn note<S: Simd>(&mut self, simd: S, test: &Test, points: &Points, pieces: &mut Pieces, misses: &mut Vec<Miss>) {
+    fn note<S: Simd>(
+        &mut self,
+        simd: S,
+        test: &Test,
+        points: &Points,
+        pieces: &mut Pieces,
+        misses: &mut Vec<Miss>,
+    ) {
         while let Some([here, before]) = self.near.pop() {
             let (root, there) = (self.roots(simd, here), self.roots(simd, before));
             let is = !root.simd_eq(NOTHING) & !there.simd_eq(NOTHING) & !there.simd_eq(root);
             let is_one_small = (root & there).simd_lt(LARGE);
             work::count(1);
-            let apart2 = here.points(simd, points).apart2(&before.points(simd, points));
+            let apart2 = here
+                .points(simd, points)
+                .apart2(&before.points(simd, points));
             let mut left = (is & is_one_small & test.nears(apart2)).to_bitmask();
             if left == 0 {
                 continue;
@@ -161,9 +190,16 @@ impl Crowd {
                 let lane = left.trailing_zeros() as usize;
                 left &= left - 1;
                 work::count(1);
-                let roots = self.look_up(test, [here, before].map(|lanes| lanes.place() + lane), pieces);
+                let roots = self.look_up(
+                    test,
+                    [here, before].map(|lanes| lanes.place() + lane),
+                    pieces,
+                );
                 if roots[0] != roots[1] && roots.iter().any(|&root| test.is_small(root, pieces)) {
-                    misses.push(Miss { pieces: roots, apart2: apart2[lane] });
+                    misses.push(Miss {
+                        pieces: roots,
+                        apart2: apart2[lane],
+                    });
                 }
             }
         }
@@ -202,5 +238,9 @@ impl Crowd {
 
 /// What is known of a component, by its root.
 fn known(test: &Test, root: u32, pieces: &Pieces) -> u32 {
-    if test.is_small(root, pieces) { root } else { root | LARGE }
+    if test.is_small(root, pieces) {
+        root
+    } else {
+        root | LARGE
+    }
 }

@@ -1,4 +1,5 @@
-//! Where the head looked at each firing: sines and cosines, by position in the order in which columns are taken.
+//! Where the head looked at each firing: sines and cosines, by position in the order in which
+//! columns are taken.
 
 use std::f32::consts::FRAC_2_PI;
 
@@ -24,7 +25,8 @@ pub(super) struct Directions {
 }
 
 impl Directions {
-    /// Takes room for any image of so many columns, with rows that are shifted as far as it is wide.
+    /// Takes room for any image of so many columns, with rows that are shifted as far as it is
+    /// wide.
     pub fn reserve(&mut self, columns: usize) {
         for table in [&mut self.sin, &mut self.cos, &mut self.surplus_rad_s] {
             reserve(table, 3 * columns + 4 * STRIP);
@@ -43,7 +45,8 @@ impl Directions {
     #[inline(always)]
     pub fn extend<S: Simd>(&mut self, simd: S, sweep: &SweepRef<'_>, order: Order, end: usize) {
         let columns = sweep.columns;
-        // While the head still turns, the last vector may hold columns that are not there yet: it is made again.
+        // While the head still turns, the last vector may hold columns that are not there yet: it
+        // is made again.
         let is_open = order.columns.is_none();
         for table in [&mut self.sin, &mut self.cos, &mut self.surplus_rad_s] {
             table.truncate(self.sure);
@@ -55,11 +58,24 @@ impl Directions {
                 azimuth[lane] = column.azimuth_rad;
                 surplus[lane] = column.azimuth_rate_rad_s - self.rate_rad_s;
             };
-            match usize::try_from(ahead).ok().and_then(|at| columns.get(at..at + LANES)) {
-                Some(columns) => columns.iter().enumerate().for_each(|(lane, column)| take(lane, column)),
+            match usize::try_from(ahead)
+                .ok()
+                .and_then(|at| columns.get(at..at + LANES))
+            {
+                Some(columns) => columns
+                    .iter()
+                    .enumerate()
+                    .for_each(|(lane, column)| take(lane, column)),
                 // Over an end of the image.
                 None => {
-                    let at = |lane: usize| shifted(0, ahead + lane as i32, columns.len(), order.circular && !is_open);
+                    let at = |lane: usize| {
+                        shifted(
+                            0,
+                            ahead + lane as i32,
+                            columns.len(),
+                            order.circular && !is_open,
+                        )
+                    };
                     (0..LANES).for_each(|lane| take(lane, &columns[at(lane)]));
                 }
             }
@@ -68,35 +84,53 @@ impl Directions {
             self.cos.extend_from_slice(cos.as_slice());
             self.surplus_rad_s.extend_from_slice(&surplus);
         }
-        let there =
-            if is_open { columns.len() + STRIP + self.margin - order.start.min(columns.len()) } else { usize::MAX };
+        let there = if is_open {
+            columns.len() + STRIP + self.margin - order.start.min(columns.len())
+        } else {
+            usize::MAX
+        };
         self.sure = self.sin.len().min(there / LANES * LANES);
     }
 
-    /// Sine, cosine and the rest of the turning rate of the firings that a row with this shift shows, from a position on.
+    /// Sine, cosine and the rest of the turning rate of the firings that a row with this shift
+    /// shows, from a position on.
     #[inline(always)]
     pub fn at<S: Simd>(&self, simd: S, position: usize, shift: i32) -> [f32x16<S>; 3] {
         let at = (position + self.margin).wrapping_add_signed(shift as isize);
-        [load(simd, &self.sin, at), load(simd, &self.cos, at), load(simd, &self.surplus_rad_s, at)]
+        [
+            load(simd, &self.sin, at),
+            load(simd, &self.cos, at),
+            load(simd, &self.surplus_rad_s, at),
+        ]
     }
 }
 
-/// Sine and cosine of angles of a few turns at most, to 2e-7: reduced to an eighth of a turn either way, then by the series
-/// of Taylor, whose next term is below 3e-8 there.
+/// Sine and cosine of angles of a few turns at most, to 2e-7: reduced to an eighth of a turn either
+/// way, then by the series of Taylor, whose next term is below 3e-8 there.
 #[inline(always)]
 fn sin_cos<S: Simd>(angle_rad: f32x16<S>) -> [f32x16<S>; 2] {
-    // A quarter turn as the sum of two numbers, of which the first has bits to spare for a small factor.
+    // A quarter turn as the sum of two numbers, of which the first has bits to spare for a small
+    // factor.
     const QUARTER: [f32; 2] = [1.570_312_5, 4.838_268e-4];
     let quarters = (angle_rad * FRAC_2_PI).round_ties_even();
     let rest = angle_rad - quarters * QUARTER[0] - quarters * QUARTER[1];
     let square = rest * rest;
-    let sin = rest + rest * square * series(square, [-1.0 / 6.0, 1.0 / 120.0, -1.0 / 5040.0, 1.0 / 362_880.0]);
+    let sin = rest
+        + rest
+            * square
+            * series(
+                square,
+                [-1.0 / 6.0, 1.0 / 120.0, -1.0 / 5040.0, 1.0 / 362_880.0],
+            );
     let cos = square * series(square, [-0.5, 1.0 / 24.0, -1.0 / 720.0, 1.0 / 40_320.0]) + 1.0;
     let quarter = quarters.to_int::<i32x16<S>>();
     let is_odd = (quarter & 1).simd_eq(1);
     let (across, along) = (is_odd.select(cos, sin), is_odd.select(sin, cos));
     let [sin_flips, cos_flips] = [(quarter & 2).simd_eq(2), ((quarter + 1) & 2).simd_eq(2)];
-    [sin_flips.select(-across, across), cos_flips.select(-along, along)]
+    [
+        sin_flips.select(-across, across),
+        cos_flips.select(-along, along),
+    ]
 }
 
 #[inline(always)]
@@ -118,11 +152,14 @@ mod tests {
     #[test]
     fn sines_are_true_and_the_same_everywhere() {
         for step in -30_000..60_000 {
-            let angle_rad: [f32; LANES] = std::array::from_fn(|lane| (step as f32 + lane as f32 / 16.0) * 2.1e-4);
+            let angle_rad: [f32; LANES] =
+                std::array::from_fn(|lane| (step as f32 + lane as f32 / 16.0) * 2.1e-4);
             let [sin, cos] = sines(Level::new(), &angle_rad);
             for (angle_rad, (sin, cos)) in angle_rad.iter().zip(sin.iter().zip(cos)) {
                 let (true_sin, true_cos) = f64::from(*angle_rad).sin_cos();
-                let off = (f64::from(*sin) - true_sin).abs().max((f64::from(cos) - true_cos).abs());
+                let off = (f64::from(*sin) - true_sin)
+                    .abs()
+                    .max((f64::from(cos) - true_cos).abs());
                 assert!(off < 2e-7, "{angle_rad}: {off:e}");
             }
             if step % 100 == 0 {

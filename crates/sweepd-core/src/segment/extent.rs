@@ -10,7 +10,8 @@ pub(super) struct Extent {
     columns: u32,
     /// First and last position.
     ends: Option<[usize; 2]>,
-    /// Widest stretch of columns without the segment's pixels so far: the positions before and behind it.
+    /// Widest stretch of columns without the segment's pixels so far: the positions before and
+    /// behind it.
     hole: [usize; 2],
 }
 
@@ -35,16 +36,28 @@ impl Extent {
             if let Some([_, last]) = self.ends {
                 self.look_at_hole([last, here], order);
             }
-            self.ends = Some([self.ends.map_or(here, |ends| ends[0]), here + stretch as usize - 1]);
-            columns = columns.checked_shr(first + stretch).unwrap_or(0).checked_shl(first + stretch).unwrap_or(0);
+            self.ends = Some([
+                self.ends.map_or(here, |ends| ends[0]),
+                here + stretch as usize - 1,
+            ]);
+            columns = columns
+                .checked_shr(first + stretch)
+                .unwrap_or(0)
+                .checked_shl(first + stretch)
+                .unwrap_or(0);
         }
     }
 
     /// The widest counts; of two as wide the one across the seam, else that of the lower column.
     fn look_at_hole(&mut self, hole: [usize; 2], order: Order) {
         let rank = |[from, to]: [usize; 2]| {
-            let [from_column, to_column] = [from, to].map(|position| order.column(position).unwrap_or(0));
-            (to - from, from_column >= to_column, std::cmp::Reverse(from_column))
+            let [from_column, to_column] =
+                [from, to].map(|position| order.column(position).unwrap_or(0));
+            (
+                to - from,
+                from_column >= to_column,
+                std::cmp::Reverse(from_column),
+            )
         };
         if self.hole == [0, 0] || rank(hole) > rank(self.hole) {
             self.hole = hole;
@@ -54,7 +67,9 @@ impl Extent {
     /// First and last column: in a whole turn, those beside the widest hole.
     pub fn columns(mut self, order: Order) -> [u32; 2] {
         self.close(order);
-        let Some([first, last]) = self.ends else { return [0; 2] };
+        let Some([first, last]) = self.ends else {
+            return [0; 2];
+        };
         let ends = match order.columns.filter(|_| order.circular) {
             Some(columns) => {
                 self.look_at_hole([last, first + columns], order);
@@ -78,9 +93,15 @@ mod tests {
 
     /// Of an image of 100 columns: strips by their first position, and the columns there.
     fn columns(circular: bool, strips: &[(usize, u32)]) -> [u32; 2] {
-        let order = Order { columns: Some(100), circular, start: if circular { STRIP } else { 0 } };
+        let order = Order {
+            columns: Some(100),
+            circular,
+            start: if circular { STRIP } else { 0 },
+        };
         let mut extent = Extent::default();
-        strips.iter().for_each(|&(strip, columns)| extent.add(strip, columns, order));
+        strips
+            .iter()
+            .for_each(|&(strip, columns)| extent.add(strip, columns, order));
         extent.columns(order)
     }
 
@@ -88,8 +109,15 @@ mod tests {
     #[test]
     fn a_part_of_a_turn_has_two_ends() {
         assert_eq!(columns(false, &[(32, 0b1010)]), [1, 3]);
-        assert_eq!(columns(false, &[(32, 1 << 31), (64, 1), (128, 0b1000)]), [31, 99]);
-        assert_eq!(columns(false, &[(32, 0b10), (32, 0b100)]), [1, 2], "two runs in a strip");
+        assert_eq!(
+            columns(false, &[(32, 1 << 31), (64, 1), (128, 0b1000)]),
+            [31, 99]
+        );
+        assert_eq!(
+            columns(false, &[(32, 0b10), (32, 0b100)]),
+            [1, 2],
+            "two runs in a strip"
+        );
     }
 
     /// Position 32 is column 32, and position 131 column 31.
@@ -97,12 +125,20 @@ mod tests {
     fn a_whole_turn_is_cut_at_the_widest_hole() {
         assert_eq!(columns(true, &[(32, 0b1010)]), [33, 35]);
         // Columns 95 to 99, and 0 to 4 behind them.
-        assert_eq!(columns(true, &[(64, 1 << 31), (96, 0b1_1111_1111)]), [95, 4]);
+        assert_eq!(
+            columns(true, &[(64, 1 << 31), (96, 0b1_1111_1111)]),
+            [95, 4]
+        );
         // Column 32 is taken first, 30 and 31 last.
         assert_eq!(columns(true, &[(32, 1), (128, 0b1100)]), [30, 32]);
         // Columns 40 and 90 are as far apart both ways: it does not lie across the seam.
         assert_eq!(columns(true, &[(32, 1 << 8), (64, 1 << 26)]), [40, 90]);
-        let whole = [(32, u32::MAX), (64, u32::MAX), (96, u32::MAX), (128, 0b1111)];
+        let whole = [
+            (32, u32::MAX),
+            (64, u32::MAX),
+            (96, u32::MAX),
+            (128, 0b1111),
+        ];
         assert_eq!(columns(true, &whole), [0, 99]);
     }
 }

@@ -1,10 +1,10 @@
-//! How far beams have spread: from some distance on, what one row meets is further from what another meets than any two points
-//! that belong together.
+//! How far beams have spread: from some distance on, what one row meets is further from what
+//! another meets than any two points that belong together.
 //!
-//! From a point at a distance r the nearest place on another beam is r sin(delta) away, delta being the angle between their
-//! elevations: azimuths that differ only make it more. Beams that do not begin at the sensor's origin come nearer by no more
-//! than their beginnings are aside of it. Two degrees apart, as the rows of a VLP-16 are, neighbours are a metre apart from 29 m
-//! on.
+//! From a point at a distance r the nearest place on another beam is r sin(delta) away, delta being
+//! the angle between their elevations: azimuths that differ only make it more. Beams that do not
+//! begin at the sensor's origin come nearer by no more than their beginnings are aside of it. Two
+//! degrees apart, as the rows of a VLP-16 are, neighbours are a metre apart from 29 m on.
 
 use fearless_simd::{Simd, i16x8, prelude::*};
 
@@ -18,8 +18,8 @@ const _: () = assert!(MOST_ROWS == 8);
 /// For each row, how far out rows below it need looking at.
 #[derive(Clone, Debug, Default)]
 pub(super) struct Fan {
-    /// What is no nearer to the sensor than any point of the row that can have one near it, one row below, two, and so on; in
-    /// steps.
+    /// What is no nearer to the sensor than any point of the row that can have one near it, one row
+    /// below, two, and so on; in steps.
     spread: Vec<[i16; MOST_ROWS]>,
 }
 
@@ -29,7 +29,8 @@ impl Fan {
         super::reserve(&mut self.spread, rows);
     }
 
-    /// Of the beams of these points, so many rows apart at most; near is what is no further away than `near_m`.
+    /// Of the beams of these points, so many rows apart at most; near is what is no further away
+    /// than `near_m`.
     pub fn measure(&mut self, points: &Points, window_rows: usize, near_m: f32) {
         self.spread.clear();
         for row in 0..points.rows() {
@@ -42,10 +43,13 @@ impl Fan {
         }
     }
 
-    /// How many rows below one can hold what is near to points of it, of which the nearest is no nearer than this, in steps.
+    /// How many rows below one can hold what is near to points of it, of which the nearest is no
+    /// nearer than this, in steps.
     #[inline(always)]
     pub fn rows_below<S: Simd>(&self, simd: S, row: usize, low: i16) -> usize {
-        let reach = i16x8::from_slice(simd, &self.spread[row]).simd_ge(low).to_bitmask();
+        let reach = i16x8::from_slice(simd, &self.spread[row])
+            .simd_ge(low)
+            .to_bitmask();
         (u64::BITS - reach.leading_zeros()) as usize
     }
 }
@@ -65,10 +69,16 @@ mod tests {
     const NEAR_M: f32 = 1.0;
     const COLUMNS: usize = 90;
 
-    /// How far out the second of two rows is looked at from the first, and the least distance from any point of the first to
-    /// one of the second, the nearest of which is so many times as far away as that.
+    /// How far out the second of two rows is looked at from the first, and the least distance from
+    /// any point of the first to one of the second, the nearest of which is so many times as far
+    /// away as that.
     fn spread_and_least(beams: [Beam; 2], times: f32) -> [f32; 2] {
-        let shape = Shape { rows: 2, columns_capacity: COLUMNS, dual: false, segments_capacity: 0 };
+        let shape = Shape {
+            rows: 2,
+            columns_capacity: COLUMNS,
+            dual: false,
+            segments_capacity: 0,
+        };
         let mut buffer = HeapBuffers::default().take(shape.total_bytes());
         let sweep = SweepMut::create(buffer.as_mut(), &shape).unwrap();
         sweep.header.columns = COLUMNS as u32;
@@ -97,9 +107,17 @@ mod tests {
         }
         let all = points::placed(&sweep.as_ref(), &Config::default());
         let of = |row: usize| all.iter().skip(row).step_by(2).flatten();
-        let apart_m = |a: [f32; 3], b: [f32; 3]| a.iter().zip(b).map(|(a, b)| (a - b).powi(2)).sum::<f32>().sqrt();
+        let apart_m = |a: [f32; 3], b: [f32; 3]| {
+            a.iter()
+                .zip(b)
+                .map(|(a, b)| (a - b).powi(2))
+                .sum::<f32>()
+                .sqrt()
+        };
         let firsts = of(0).filter(|one| one.far_m >= times * spread_m);
-        let least_m = firsts.flat_map(|a| of(1).map(|b| apart_m(a.point_m, b.point_m))).fold(f32::INFINITY, f32::min);
+        let least_m = firsts
+            .flat_map(|a| of(1).map(|b| apart_m(a.point_m, b.point_m)))
+            .fold(f32::INFINITY, f32::min);
         [spread_m, least_m]
     }
 
@@ -108,7 +126,10 @@ mod tests {
         let beams = [1.0_f64, -1.0].map(|degrees| Beam::ideal(0, degrees.to_radians()));
         let [spread_m, least_m] = spread_and_least(beams, 1.0);
         // 1 / sin(2 degrees), and at most a step more, and what is rounded.
-        assert!((28.654..28.654 + 1.1 / STEPS).contains(&spread_m), "{spread_m}");
+        assert!(
+            (28.654..28.654 + 1.1 / STEPS).contains(&spread_m),
+            "{spread_m}"
+        );
         assert!((least_m - NEAR_M).abs() < 0.001, "{least_m}");
         assert!(spread_and_least(beams, 0.9)[1] < 0.91);
     }
@@ -116,8 +137,11 @@ mod tests {
     #[test]
     fn beams_that_begin_beside_the_origin_are_given_what_they_may_come_nearer() {
         let beams = [1.0_f64, -1.0].map(|degrees| Beam::ideal(0, degrees.to_radians()));
-        for [upper_m, lower_m, left_m, right_m] in [[-0.2, 0.2, 0.0, 0.0], [0.0, 0.0, 0.3, -0.3], [-0.1, 0.2, 0.1, 0.0]]
-        {
+        for [upper_m, lower_m, left_m, right_m] in [
+            [-0.2, 0.2, 0.0, 0.0],
+            [0.0, 0.0, 0.3, -0.3],
+            [-0.1, 0.2, 0.1, 0.0],
+        ] {
             let [mut upper, mut lower] = beams;
             (upper.vertical_offset_m, upper.horizontal_offset_m) = (upper_m, left_m);
             (lower.vertical_offset_m, lower.horizontal_offset_m) = (lower_m, right_m);
@@ -129,8 +153,14 @@ mod tests {
     #[test]
     fn beams_that_are_bent_or_look_the_same_way_are_looked_at_however_far() {
         let straight = Beam::ideal(0, 0.02);
-        let two_point = TwoPoint { distance_offset_x_m: 0.3, distance_offset_y_m: 0.3 };
-        let bent = Beam { two_point: Some(two_point), ..Beam::ideal(0, -0.02) };
+        let two_point = TwoPoint {
+            distance_offset_x_m: 0.3,
+            distance_offset_y_m: 0.3,
+        };
+        let bent = Beam {
+            two_point: Some(two_point),
+            ..Beam::ideal(0, -0.02)
+        };
         for beams in [[straight, bent], [bent, straight], [straight, straight]] {
             assert_eq!(spread_and_least(beams, 1.0)[0], f32::INFINITY);
         }

@@ -1,9 +1,10 @@
-//! Ground by slope: each column is climbed from its lowest row, and what rises too steeply is no ground. Then each row is
-//! asked whether its neighbours agree.
+//! Ground by slope: each column is climbed from its lowest row, and what rises too steeply is no
+//! ground. Then each row is asked whether its neighbours agree.
 //!
-//! The climb starts at the sensor's foot, the point of the ground straight below it, and goes on from each ground point
-//! to the next. So it needs the sensor's height, and holds for sparse sensors, whose first ground point is metres out.
-//! Columns do not look at each other while they climb: a strip of them climbs at once, row by row.
+//! The climb starts at the sensor's foot, the point of the ground straight below it, and goes on
+//! from each ground point to the next. So it needs the sensor's height, and holds for sparse
+//! sensors, whose first ground point is metres out. Columns do not look at each other while they
+//! climb: a strip of them climbs at once, row by row.
 
 use fearless_simd::{Simd, f32x16, mask32x16, prelude::*};
 
@@ -15,8 +16,8 @@ use super::points::{LANES, Points, STRIP};
 pub struct SlopeGround {
     /// Steepest way from one ground point to the next, up or down, metres a metre.
     pub max_slope: f32,
-    /// Highest rise from one ground point to the next, however far apart they are, metres; `None` chooses by the rows of the
-    /// image: see [`SlopeGround::max_rise_m`]. A fall has no such limit.
+    /// Highest rise from one ground point to the next, however far apart they are, metres; `None`
+    /// chooses by the rows of the image: see [`SlopeGround::max_rise_m`]. A fall has no such limit.
     pub max_rise_m: Option<f32>,
     /// Rise or fall that is allowed at any distance: the noise of near points, metres.
     pub min_rise_m: f32,
@@ -24,10 +25,12 @@ pub struct SlopeGround {
     pub max_step_m: f32,
     /// Two returns further apart than this are no step, metres.
     pub step_reach_m: f32,
-    /// A step that is no higher than this is a kerb when the ground goes on level behind it, metres.
+    /// A step that is no higher than this is a kerb when the ground goes on level behind it,
+    /// metres.
     pub max_kerb_m: f32,
-    /// Neighbours in a row whose ranges differ by less vote on each other, metres; 0 asks nobody. Of the three on either
-    /// side, three that are ground make a point ground, and one at most of four or more unmakes it.
+    /// Neighbours in a row whose ranges differ by less vote on each other, metres; 0 asks nobody.
+    /// Of the three on either side, three that are ground make a point ground, and one at most of
+    /// four or more unmakes it.
     pub agree_m: f32,
 }
 
@@ -72,19 +75,30 @@ pub(super) struct Words {
 pub(super) type Window = [Words; 3];
 
 impl SlopeGround {
-    /// Highest rise from one ground point to the next in an image of so many rows, metres: what was told, else 0.3 where
-    /// beams are dense, and 0.15 where they are sparse, so that the next point may lie on what stands there.
+    /// Highest rise from one ground point to the next in an image of so many rows, metres: what was
+    /// told, else 0.3 where beams are dense, and 0.15 where they are sparse, so that the next point
+    /// may lie on what stands there.
     pub fn max_rise_m(&self, rows: usize) -> f32 {
-        self.max_rise_m.unwrap_or(if rows >= DENSE_ROWS { 0.3 } else { 0.15 })
+        self.max_rise_m
+            .unwrap_or(if rows >= DENSE_ROWS { 0.3 } else { 0.15 })
     }
 
     /// Climbs the columns of the strip behind the one at hand. The words say what is real.
     #[inline(always)]
-    pub(super) fn climb<S: Simd>(&self, simd: S, points: &Points, stand: &Stand, words: &mut [Window]) {
+    pub(super) fn climb<S: Simd>(
+        &self,
+        simd: S,
+        points: &Points,
+        stand: &Stand,
+        words: &mut [Window],
+    ) {
         words.iter_mut().for_each(|words| words[2].climbed = 0);
-        let Some(height_m) = stand.height_m else { return };
+        let Some(height_m) = stand.height_m else {
+            return;
+        };
         let max_rise_m = self.max_rise_m(words.len());
-        // For each row: which columns find it the face of a kerb, and which find that a kerb below goes on level here.
+        // For each row: which columns find it the face of a kerb, and which find that a kerb below
+        // goes on level here.
         let mut kerbs = [[0_u32; 2]; super::MAX_ROWS];
         // One half after the other: what both have to remember is more than there are registers.
         for half in (0..STRIP).step_by(LANES) {
@@ -160,7 +174,9 @@ impl SlopeGround {
 #[inline(always)]
 fn across(words: &Window, part: impl Fn(&Words) -> u32) -> u64 {
     let (before, here, next) = (part(&words[0]), part(&words[1]), part(&words[2]));
-    u64::from(before >> super::points::BEFORE) | u64::from(here) << super::points::BEFORE | u64::from(next) << 48
+    u64::from(before >> super::points::BEFORE)
+        | u64::from(here) << super::points::BEFORE
+        | u64::from(next) << 48
 }
 
 /// Counts up to seven for each bit.
@@ -193,7 +209,8 @@ impl Count {
     }
 }
 
-/// Points as the ground sees them: distance from the plumb line, and height over the sensor, metres.
+/// Points as the ground sees them: distance from the plumb line, and height over the sensor,
+/// metres.
 #[derive(Clone, Copy)]
 struct Places<S: Simd> {
     away: f32x16<S>,
@@ -204,14 +221,18 @@ struct Places<S: Simd> {
 fn place<S: Simd>(simd: S, points: &Points, lane: usize, stand: &Stand) -> Places<S> {
     let far = points.far.load(simd, lane);
     let height = points.height(simd, lane, stand.up);
-    Places { away: (far * far - height * height).max(0.0).sqrt(), height }
+    Places {
+        away: (far * far - height * height).max(0.0).sqrt(),
+        height,
+    }
 }
 
 /// The climb of some columns.
 #[derive(Clone, Copy)]
 struct Climber<S: Simd> {
     foothold: Places<S>,
-    /// The foot of what rises steeply: near the sensor, beams are so close that no step from one to the next is high.
+    /// The foot of what rises steeply: near the sensor, beams are so close that no step from one to
+    /// the next is high.
     foot: Places<S>,
     /// The upper edge of what may be a kerb, where there is one.
     edge: Places<S>,
@@ -229,8 +250,17 @@ struct Step {
 impl<S: Simd> Climber<S> {
     #[inline(always)]
     fn new(simd: S, height_m: f32, max_rise_m: f32) -> Self {
-        let foothold = Places { away: f32x16::splat(simd, 0.0), height: f32x16::splat(simd, -height_m) };
-        Self { foothold, foot: foothold, edge: foothold, has_edge: mask32x16::splat(simd, false), max_rise_m }
+        let foothold = Places {
+            away: f32x16::splat(simd, 0.0),
+            height: f32x16::splat(simd, -height_m),
+        };
+        Self {
+            foothold,
+            foot: foothold,
+            edge: foothold,
+            has_edge: mask32x16::splat(simd, false),
+            max_rise_m,
+        }
     }
 
     #[inline(always)]
@@ -246,10 +276,13 @@ impl<S: Simd> Climber<S> {
         let rises_little = rise.simd_lt(slope.min(self.max_rise_m).max(limits.min_rise_m));
         let falls_little = (-rise).simd_lt(slope.abs().max(limits.min_rise_m));
         let (foot_away, foot_rise) = here.from(&self.foot);
-        let near = (foot_away * foot_away + foot_rise * foot_rise).simd_lt(limits.step_reach_m * limits.step_reach_m);
+        let near = (foot_away * foot_away + foot_rise * foot_rise)
+            .simd_lt(limits.step_reach_m * limits.step_reach_m);
         let steep = near & foot_rise.simd_gt(foot_away.abs());
-        let ground = real & rises_little & falls_little & !(steep & foot_rise.simd_gt(limits.max_step_m));
-        let low = rise.simd_gt(0.0) & rise.simd_le(limits.max_kerb_m) & away.simd_gt(-limits.max_step_m);
+        let ground =
+            real & rises_little & falls_little & !(steep & foot_rise.simd_gt(limits.max_step_m));
+        let low =
+            rise.simd_gt(0.0) & rise.simd_le(limits.max_kerb_m) & away.simd_gt(-limits.max_step_m);
         let face = real & !ground & low;
 
         self.foothold = here.or(&self.foothold, ground);
@@ -273,7 +306,10 @@ impl<S: Simd> Places<S> {
     /// These where the mask says so, else the others.
     #[inline(always)]
     fn or(&self, other: &Self, mask: mask32x16<S>) -> Self {
-        Self { away: mask.select(self.away, other.away), height: mask.select(self.height, other.height) }
+        Self {
+            away: mask.select(self.away, other.away),
+            height: mask.select(self.height, other.height),
+        }
     }
 }
 
@@ -284,15 +320,18 @@ mod tests {
     use super::*;
     use crate::sweep::lanes::levels;
 
-    /// A word, bit r for row r, of the ground in a column of points: distance and height from a sensor 1.7 m up. It is put
-    /// into several columns of a strip, and seen with the sensor upright and tilted.
+    /// A word, bit r for row r, of the ground in a column of points: distance and height from a
+    /// sensor 1.7 m up. It is put into several columns of a strip, and seen with the sensor upright
+    /// and tilted.
     fn climbed(level: Level, column: &[(f64, f64)]) -> u32 {
         let tilt: f64 = 0.1;
         let mut found = Vec::new();
-        for (up, [along, across]) in
-            [([0.0, 0.0, 1.0], [1.0, 0.0]), ([0.0, -tilt.sin(), tilt.cos()], [tilt.cos(), tilt.sin()])]
-        {
-            let (mut points, mut words) = (Points::default(), vec![Window::default(); column.len()]);
+        for (up, [along, across]) in [
+            ([0.0, 0.0, 1.0], [1.0, 0.0]),
+            ([0.0, -tilt.sin(), tilt.cos()], [tilt.cos(), tilt.sin()]),
+        ] {
+            let (mut points, mut words) =
+                (Points::default(), vec![Window::default(); column.len()]);
             points.reserve(1);
             let places = [0, 5, 15, 16, 31];
             for (row, (&(away_m, height_m), words)) in column.iter().zip(&mut words).enumerate() {
@@ -304,12 +343,22 @@ mod tests {
                     words[2].real |= 1 << place;
                 }
             }
-            let stand = Stand { up: up.map(|axis| axis as f32), height_m: Some(1.7) };
+            let stand = Stand {
+                up: up.map(|axis| axis as f32),
+                height_m: Some(1.7),
+            };
             dispatch!(level, simd => SlopeGround::default().climb(simd, &points, &stand, &mut words));
-            found.extend(
-                places.map(|place| words.iter().rev().fold(0, |word, words| word << 1 | words[2].climbed >> place & 1)),
+            found.extend(places.map(|place| {
+                words
+                    .iter()
+                    .rev()
+                    .fold(0, |word, words| word << 1 | words[2].climbed >> place & 1)
+            }));
+            assert!(
+                words
+                    .iter()
+                    .all(|words| words[2].climbed & !words[2].real == 0)
             );
-            assert!(words.iter().all(|words| words[2].climbed & !words[2].real == 0));
         }
         found.dedup();
         assert_eq!(found.len(), 1, "{found:?}");
@@ -317,7 +366,10 @@ mod tests {
     }
 
     fn find(column: &[(f64, f64)]) -> u32 {
-        let mut found: Vec<u32> = levels().into_iter().map(|level| climbed(level, column)).collect();
+        let mut found: Vec<u32> = levels()
+            .into_iter()
+            .map(|level| climbed(level, column))
+            .collect();
         found.dedup();
         assert_eq!(found.len(), 1, "{found:?}");
         found[0]
@@ -326,13 +378,25 @@ mod tests {
     /// Top row first: road, a car on it, and road behind the car.
     #[test]
     fn a_car_stands_on_the_ground_before_and_behind_it() {
-        let column = [(40.0, -1.6), (20.0, -1.65), (12.1, -0.4), (12.0, -1.0), (11.9, -1.2), (9.0, -1.7), (7.0, -1.72)];
+        let column = [
+            (40.0, -1.6),
+            (20.0, -1.65),
+            (12.1, -0.4),
+            (12.0, -1.0),
+            (11.9, -1.2),
+            (9.0, -1.7),
+            (7.0, -1.72),
+        ];
         assert_eq!(find(&column), 0b110_0011);
     }
 
     #[test]
     fn the_first_point_is_held_against_the_foot_of_the_sensor() {
-        assert_eq!(find(&[(7.0, -1.6)]), 1, "a sparse sensor's first ground point is far out");
+        assert_eq!(
+            find(&[(7.0, -1.6)]),
+            1,
+            "a sparse sensor's first ground point is far out"
+        );
         assert_eq!(find(&[(7.0, -0.8)]), 0, "a wall that hides all ground");
     }
 
@@ -344,8 +408,14 @@ mod tests {
     /// A wall so near that its returns are 3 cm apart: the climb ends at its foot.
     #[test]
     fn a_near_wall_is_not_climbed_in_small_steps() {
-        let wall: Vec<(f64, f64)> = (0..20).rev().map(|step| (3.6, -1.7 + 0.03 * f64::from(step))).collect();
-        let column: Vec<(f64, f64)> = wall.into_iter().chain([(3.2, -1.7), (2.9, -1.71)]).collect();
+        let wall: Vec<(f64, f64)> = (0..20)
+            .rev()
+            .map(|step| (3.6, -1.7 + 0.03 * f64::from(step)))
+            .collect();
+        let column: Vec<(f64, f64)> = wall
+            .into_iter()
+            .chain([(3.2, -1.7), (2.9, -1.71)])
+            .collect();
         assert_eq!(find(&column), 0b1111 << 18);
     }
 
@@ -353,26 +423,42 @@ mod tests {
     #[test]
     fn the_face_of_a_near_kerb_is_ground() {
         let face = [(5.0, -1.58), (5.0, -1.61), (5.0, -1.64), (5.0, -1.67)];
-        let column: Vec<(f64, f64)> =
-            [(5.6, -1.57), (5.3, -1.575)].into_iter().chain(face).chain([(4.8, -1.7)]).collect();
+        let column: Vec<(f64, f64)> = [(5.6, -1.57), (5.3, -1.575)]
+            .into_iter()
+            .chain(face)
+            .chain([(4.8, -1.7)])
+            .collect();
         assert_eq!(find(&column), 0b111_1111);
     }
 
-    /// A kerb of 12 cm with a pavement behind it; the same with a box behind it; a wall of 50 cm before a terrace.
+    /// A kerb of 12 cm with a pavement behind it; the same with a box behind it; a wall of 50 cm
+    /// before a terrace.
     #[test]
     fn a_kerb_is_ground_where_the_way_goes_on_level() {
-        assert_eq!(find(&[(9.0, -1.57), (8.3, -1.575), (8.02, -1.58), (7.9, -1.7)]), 0b1111);
-        assert_eq!(find(&[(8.05, -1.2), (8.04, -1.4), (8.02, -1.58), (7.9, -1.7)]), 0b1000);
-        assert_eq!(find(&[(9.0, -1.2), (8.3, -1.2), (8.02, -1.2), (7.9, -1.7)]), 0b1000);
+        assert_eq!(
+            find(&[(9.0, -1.57), (8.3, -1.575), (8.02, -1.58), (7.9, -1.7)]),
+            0b1111
+        );
+        assert_eq!(
+            find(&[(8.05, -1.2), (8.04, -1.4), (8.02, -1.58), (7.9, -1.7)]),
+            0b1000
+        );
+        assert_eq!(
+            find(&[(9.0, -1.2), (8.3, -1.2), (8.02, -1.2), (7.9, -1.7)]),
+            0b1000
+        );
     }
 
-    /// A row: bit c of `like` for column c, whose range is like that of the three before as far as these are like it too.
+    /// A row: bit c of `like` for column c, whose range is like that of the three before as far as
+    /// these are like it too.
     fn voted(alike: [u32; 3], climbed: [u32; 3]) -> u32 {
         let row = u128::from(alike[0]) | u128::from(alike[1]) << 32 | u128::from(alike[2]) << 64;
         let words = std::array::from_fn(|strip| Words {
             real: alike[strip],
             climbed: climbed[strip],
-            like: [1, 2, 3].map(|back| (row & row << back) >> (32 * strip)).map(|word| word as u32),
+            like: [1, 2, 3]
+                .map(|back| (row & row << back) >> (32 * strip))
+                .map(|word| word as u32),
         });
         SlopeGround::vote(&words)
     }
@@ -384,7 +470,11 @@ mod tests {
         assert_eq!(vote(0b111_0111), 0b111_1111, "all around it are ground");
         assert_eq!(vote(0b000_1000), 0, "nothing around it is");
         assert_eq!(vote(0b001_1000), 0, "one around each is");
-        assert_eq!(vote(0b001_1100), 0b011_1110, "two are enough to stay, three to become ground");
+        assert_eq!(
+            vote(0b001_1100),
+            0b011_1110,
+            "two are enough to stay, three to become ground"
+        );
         assert_eq!(vote(0b111_1111), 0b111_1111);
         // Too few of them to unmake anything.
         assert_eq!(voted([0, 0b1111, 0], [0, 0b0010, 0]), 0b0010);
@@ -394,7 +484,15 @@ mod tests {
     fn neighbours_vote_from_strip_to_strip() {
         assert_eq!(voted([0b111 << 29, 1, 0], [0b111 << 29, 0, 0]), 1);
         assert_eq!(voted([0, 1 << 31, 0b111], [0, 0, 0b111]), 1 << 31);
-        assert_eq!(voted([0, 1 << 31 | 1, 0b111], [0, 1, 0b111]), 1 << 31 | 1, "a lone point keeps what it is");
-        assert_eq!(voted([0b111 << 28, 1, 0], [0b111 << 28, 0, 0]), 0, "not over a gap in the row");
+        assert_eq!(
+            voted([0, 1 << 31 | 1, 0b111], [0, 1, 0b111]),
+            1 << 31 | 1,
+            "a lone point keeps what it is"
+        );
+        assert_eq!(
+            voted([0b111 << 28, 1, 0], [0b111 << 28, 0, 0]),
+            0,
+            "not over a gap in the row"
+        );
     }
 }

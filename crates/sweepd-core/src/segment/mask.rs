@@ -7,7 +7,8 @@ use super::MAX_ROWS;
 /// Most columns of a mask: finer than the encoder of any sensor.
 pub const MAX_WIDTH: usize = 36_000;
 
-/// An image of what the robot itself hides, one row a beam (the highest on top), any number of columns.
+/// An image of what the robot itself hides, one row a beam (the highest on top), any number of
+/// columns.
 ///
 /// The columns span the azimuth from 0 to 360 degrees, from the sensor's +y axis clockwise.
 #[derive(Clone, Debug, PartialEq)]
@@ -93,7 +94,9 @@ mod tests {
     fn pixels_hide_their_part_of_the_turn() {
         let hidden = [false, true, false, false, false, false, false, true];
         let mask = Mask::new(4, 2, &hidden).unwrap();
-        let quarters = |row| [45_f64, 135.0, 225.0, 315.0].map(|azimuth| mask.hides(row, azimuth.to_radians()));
+        let quarters = |row| {
+            [45_f64, 135.0, 225.0, 315.0].map(|azimuth| mask.hides(row, azimuth.to_radians()))
+        };
         assert_eq!(quarters(0), [false, true, false, false]);
         assert_eq!(quarters(1), [false, false, false, true]);
         assert!(mask.hides(1, -0.001) && !mask.hides(1, TAU));
@@ -102,7 +105,10 @@ mod tests {
     #[test]
     fn an_image_that_can_be_no_mask_is_refused() {
         for (width, height) in [(0, 16), (16, 0), (36_001, 16), (16, 129)] {
-            assert_eq!(Mask::new(width, height, &[]), Err(MaskError::Size { width, height }));
+            assert_eq!(
+                Mask::new(width, height, &[]),
+                Err(MaskError::Size { width, height })
+            );
         }
         assert_eq!(Mask::new(3, 128, &[true; 384]), Err(MaskError::AllBlack));
     }

@@ -1,8 +1,9 @@
 //! A sweep to labels: ground, and the segments that stand on it.
 //!
-//! The idea is Bogoslavskyi and Stachniss, "Fast Range Image-Based Segmentation of Sparse 3D Laser Scans for Online
-//! Operation" (IROS 2016): take the ground away, then join what is near in the range image by one angle test. There are two
-//! methods, and a [`Segmenter`] does either in the same four steps:
+//! The idea is Bogoslavskyi and Stachniss, "Fast Range Image-Based Segmentation of Sparse 3D Laser
+//! Scans for Online Operation" (IROS 2016): take the ground away, then join what is near in the
+//! range image by one angle test. There are two methods, and a [`Segmenter`] does either in the
+//! same four steps:
 //!
 //! ```text
 //! begin         what the sweep says of its beams, and how high the sensor is      mask, mount
@@ -11,13 +12,15 @@
 //! label         components, small ones to others, labels and segments table       strips, tiles
 //! ```
 //!
-//! * [`Method::Slope`], the default, is the files at the right: [`ground`] by slope from the sensor's foot up, then a
-//!   [`window`] over holes and breaks. It takes columns in strips, so it can begin while the head still turns:
-//!   [`Segmenter::begin_early`]. `strips` holds its steps together.
-//! * [`Method::Paper`] is the paper's own, in the folder [`paper`]: all of an image at once, and only pixels that touch.
+//! * [`Method::Slope`], the default, is the files at the right: [`ground`] by slope from the
+//!   sensor's foot up, then a [`window`] over holes and breaks. It takes columns in strips, so it
+//!   can begin while the head still turns: [`Segmenter::begin_early`]. `strips` holds its steps
+//!   together.
+//! * [`Method::Paper`] is the paper's own, in the folder [`paper`]: all of an image at once, and
+//!   only pixels that touch.
 //!
-//! [`settings`] has the options as people write them. [`naive`] says the same as the default method without any of the
-//! speed, and the tests hold the two against each other.
+//! [`settings`] has the options as people write them. [`naive`] says the same as the default method
+//! without any of the speed, and the tests hold the two against each other.
 
 mod crowd;
 mod directions;
@@ -67,8 +70,8 @@ const DENSE_ROWS: usize = 48;
 /// How ground is found.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
 pub enum Method {
-    /// By slope, from the sensor's foot on: needs the sensor's height, configured or estimated. Until a sweep has shown
-    /// the height, no ground is labelled.
+    /// By slope, from the sensor's foot on: needs the sensor's height, configured or estimated.
+    /// Until a sweep has shown the height, no ground is labelled.
     #[default]
     Slope,
     /// As the paper's authors do, by changes of inclination.
@@ -80,7 +83,8 @@ pub enum Method {
 pub struct Config {
     /// How ground is found.
     pub method: Method,
-    /// Two neighbours belong together when the line through them meets the longer beam at more than this angle, radians.
+    /// Two neighbours belong together when the line through them meets the longer beam at more than
+    /// this angle, radians.
     pub theta_rad: f32,
     /// Ground by [`Method::Slope`].
     pub slope: SlopeGround,
@@ -127,7 +131,9 @@ pub enum ConfigError {
         found_deg: f32,
     },
     /// The range limits.
-    #[error("the range is limited to {min_m}..{max_m} m, expected 0 or more, and the second greater than the first")]
+    #[error(
+        "the range is limited to {min_m}..{max_m} m, expected 0 or more, and the second greater than the first"
+    )]
     Range {
         /// Metres.
         min_m: f32,
@@ -135,7 +141,9 @@ pub enum ConfigError {
         max_m: f32,
     },
     /// The window.
-    #[error("the window is {columns} columns and {rows} rows, expected 1 to {MOST_COLUMNS} and 1 to {MOST_ROWS}")]
+    #[error(
+        "the window is {columns} columns and {rows} rows, expected 1 to {MOST_COLUMNS} and 1 to {MOST_ROWS}"
+    )]
     Window {
         /// Columns to either side.
         columns: usize,
@@ -170,12 +178,20 @@ impl Config {
     pub fn check(&self) -> Result<(), ConfigError> {
         let (min_m, max_m) = (self.min_range_m, self.max_range_m);
         if !(self.theta_rad > 0.0 && self.theta_rad < FRAC_PI_2) {
-            return Err(ConfigError::Theta { found_deg: self.theta_rad.to_degrees() });
+            return Err(ConfigError::Theta {
+                found_deg: self.theta_rad.to_degrees(),
+            });
         }
         if !(min_m >= 0.0 && min_m < max_m) {
             return Err(ConfigError::Range { min_m, max_m });
         }
-        let Joining { columns, rows, gap_m, small_reach_m: found_m, .. } = self.joining;
+        let Joining {
+            columns,
+            rows,
+            gap_m,
+            small_reach_m: found_m,
+            ..
+        } = self.joining;
         if !((1..=MOST_COLUMNS).contains(&columns) && (1..=MOST_ROWS).contains(&rows)) {
             return Err(ConfigError::Window { columns, rows });
         }
@@ -186,7 +202,9 @@ impl Config {
             return Err(ConfigError::SmallReach { found_m });
         }
         match self.mount.height_m {
-            Some(found_m) if !(found_m > 0.0 && found_m.is_finite()) => Err(ConfigError::Height { found_m }),
+            Some(found_m) if !(found_m > 0.0 && found_m.is_finite()) => {
+                Err(ConfigError::Height { found_m })
+            }
             _ => Ok(()),
         }
     }
@@ -221,14 +239,27 @@ impl Segmenter {
         Self::with_level(config, Level::new())
     }
 
-    /// A segmenter that uses no more than these instructions of the machine; the labels are the same on all.
+    /// A segmenter that uses no more than these instructions of the machine; the labels are the
+    /// same on all.
     ///
     /// # Errors
     /// [`ConfigError`].
     pub fn with_level(config: Config, level: Level) -> Result<Self, ConfigError> {
         config.check()?;
-        let (height, strips, authors) = (HeightEstimator::default(), Strips::new(level), Authors::default());
-        Ok(Self { config, level, height, strips, authors, open: None, spoilt: None })
+        let (height, strips, authors) = (
+            HeightEstimator::default(),
+            Strips::new(level),
+            Authors::default(),
+        );
+        Ok(Self {
+            config,
+            level,
+            height,
+            strips,
+            authors,
+            open: None,
+            spoilt: None,
+        })
     }
 
     /// What it was told.
@@ -238,10 +269,11 @@ impl Segmenter {
 
     /// Labels a sweep: all steps in their order.
     ///
-    /// Every pixel of the header's columns gets a label: ground, the segment it belongs to, or none where there is no
-    /// return, where it is masked or out of range, or where its component is too small. The segments table and the
-    /// header's counts, height and tilt are written. Segments that the table has no room for are not labelled; a table
-    /// of `pixels / min_points` rows has room for all.
+    /// Every pixel of the header's columns gets a label: ground, the segment it belongs to, or none
+    /// where there is no return, where it is masked or out of range, or where its component is too
+    /// small. The segments table and the header's counts, height and tilt are written. Segments
+    /// that the table has no room for are not labelled; a table of `pixels / min_points` rows has
+    /// room for all.
     ///
     /// # Panics
     /// If the sweep has more than [`MAX_ROWS`] rows.
@@ -253,13 +285,16 @@ impl Segmenter {
         self.label(sweep);
     }
 
-    /// Takes what a sweep says of its beams and columns, and how high the sensor is. The steps that follow are to be given
-    /// the same sweep.
+    /// Takes what a sweep says of its beams and columns, and how high the sensor is. The steps that
+    /// follow are to be given the same sweep.
     ///
     /// # Panics
     /// If the sweep has more than [`MAX_ROWS`] rows.
     pub fn begin(&mut self, sweep: &mut SweepMut<'_>) {
-        assert!(sweep.header.rows as usize <= MAX_ROWS, "more rows than an image has");
+        assert!(
+            sweep.header.rows as usize <= MAX_ROWS,
+            "more rows than an image has"
+        );
         sweep.header.pitch_rad = self.config.mount.pitch_rad;
         sweep.header.roll_rad = self.config.mount.roll_rad;
         let told = self.config.mount.height_m;
@@ -270,40 +305,51 @@ impl Segmenter {
             }
             Method::Slope => {
                 self.spoilt = None;
-                if self.open.take() == Some(sweep.header.sequence) && sweep.header.has(flags::CIRCULAR) {
+                if self.open.take() == Some(sweep.header.sequence)
+                    && sweep.header.has(flags::CIRCULAR)
+                {
                     self.strips.go_on(sweep, None);
                 } else {
                     self.height.reserve(sweep.columns.len());
                     if told.is_none() && self.height.height_m().is_none() {
                         self.height.observe(self.strips.sound(sweep, &self.config));
                     }
-                    self.strips.begin(sweep, &self.config, told.or(self.height.height_m()), None);
+                    self.strips
+                        .begin(sweep, &self.config, told.or(self.height.height_m()), None);
                 }
                 write_height(sweep, self.strips.height_m(), told.is_none());
             }
         }
     }
 
-    /// Takes a sweep that is not complete: a whole turn by its header, of which so many columns are as they will be. True
-    /// where something can be done with it: then [`Segmenter::find_ground`] and [`Segmenter::join`] are to be called until
-    /// there is no more. When it is complete, [`Segmenter::begin`] goes on where this stopped.
+    /// Takes a sweep that is not complete: a whole turn by its header, of which so many columns are
+    /// as they will be. True where something can be done with it: then [`Segmenter::find_ground`]
+    /// and [`Segmenter::join`] are to be called until there is no more. When it is complete,
+    /// [`Segmenter::begin`] goes on where this stopped.
     ///
-    /// A sweep is told by its sequence number: another one has another, or [`Segmenter::spoil`] is called in between.
+    /// A sweep is told by its sequence number: another one has another, or [`Segmenter::spoil`] is
+    /// called in between.
     pub fn begin_early(&mut self, sweep: &mut SweepMut<'_>, ready: usize) -> bool {
         let height_m = self.config.mount.height_m.or(self.height.height_m());
         let sequence = sweep.header.sequence;
-        if self.config.method == Method::Paper || height_m.is_none() || ready == 0 || self.spoilt == Some(sequence) {
+        if self.config.method == Method::Paper
+            || height_m.is_none()
+            || ready == 0
+            || self.spoilt == Some(sequence)
+        {
             return false;
         }
         match self.open.replace(sequence) == Some(sequence) {
             true => self.strips.go_on(sweep, Some(ready)),
-            false => self.strips.begin(sweep, &self.config, height_m, Some(ready)),
+            false => self
+                .strips
+                .begin(sweep, &self.config, height_m, Some(ready)),
         }
         true
     }
 
-    /// What was taken early of a sweep has changed: all of it is taken again, when it is complete and not before, so that
-    /// many changes cost no more than one.
+    /// What was taken early of a sweep has changed: all of it is taken again, when it is complete
+    /// and not before, so that many changes cost no more than one.
     pub fn spoil(&mut self) {
         self.spoilt = self.open.take().or(self.spoilt);
     }
@@ -313,7 +359,8 @@ impl Segmenter {
         self.height = HeightEstimator::default();
     }
 
-    /// Finds the ground in the next strip of columns (in all columns, as the paper has it). False when there is none left.
+    /// Finds the ground in the next strip of columns (in all columns, as the paper has it). False
+    /// when there is none left.
     pub fn find_ground(&mut self, sweep: &SweepMut<'_>) -> bool {
         match self.config.method {
             Method::Paper => self.authors.find_ground(&self.config),
@@ -321,8 +368,8 @@ impl Segmenter {
         }
     }
 
-    /// Joins what is no ground there with each other, and with what was before; once after each time that
-    /// [`Segmenter::find_ground`] said that there is some.
+    /// Joins what is no ground there with each other, and with what was before; once after each
+    /// time that [`Segmenter::find_ground`] said that there is some.
     pub fn join(&mut self) {
         match self.config.method {
             Method::Paper => self.authors.join(),
@@ -359,17 +406,26 @@ fn write_height(sweep: &mut SweepMut<'_>, height_m: Option<f32>, estimated: bool
     }
 }
 
-/// The other return of a pixel gets the label of the segmented one where it lies near it on the beam and within the range
-/// limits, else none. Where the pixel is masked, the segmented return has none to give.
+/// The other return of a pixel gets the label of the segmented one where it lies near it on the
+/// beam and within the range limits, else none. Where the pixel is masked, the segmented return has
+/// none to give.
 fn label_other_returns(sweep: &mut SweepMut<'_>, config: &Config) {
     if sweep.range2.is_empty() {
         return;
     }
     let pixels = sweep.image_pixels();
-    let segmented = sweep.range[pixels.clone()].iter().zip(&sweep.label[pixels.clone()]);
-    let other = sweep.range2[pixels.clone()].iter().zip(&mut sweep.label2[pixels]);
+    let segmented = sweep.range[pixels.clone()]
+        .iter()
+        .zip(&sweep.label[pixels.clone()]);
+    let other = sweep.range2[pixels.clone()]
+        .iter()
+        .zip(&mut sweep.label2[pixels]);
     for ((&range_m, &label), (&range2_m, label2)) in segmented.zip(other) {
         let same = config.holds(range2_m) && (range2_m - range_m).abs() <= SAME_OBJECT_M;
-        *label2 = if same { label } else { crate::sweep::layout::LABEL_NONE };
+        *label2 = if same {
+            label
+        } else {
+            crate::sweep::layout::LABEL_NONE
+        };
     }
 }

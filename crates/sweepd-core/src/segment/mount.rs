@@ -5,7 +5,8 @@ use nalgebra::{Rotation3, Vector3};
 /// Pose of the sensor over the ground it stands on.
 #[derive(Clone, Copy, Debug, Default, PartialEq)]
 pub struct Mount {
-    /// Height of the sensor's origin above the ground, metres; None to have it estimated from the sweeps.
+    /// Height of the sensor's origin above the ground, metres; None to have it estimated from the
+    /// sweeps.
     pub height_m: Option<f32>,
     /// Rotation about the sensor's x axis, nose up, radians.
     pub pitch_rad: f32,
@@ -14,7 +15,8 @@ pub struct Mount {
 }
 
 impl Mount {
-    /// The plumb line, upwards, in the axes of the sensor: it is rolled about its own y axis, then pitched about x.
+    /// The plumb line, upwards, in the axes of the sensor: it is rolled about its own y axis, then
+    /// pitched about x.
     pub fn up(&self) -> Up {
         let pitch = Rotation3::from_axis_angle(&Vector3::x_axis(), f64::from(self.pitch_rad));
         let roll = Rotation3::from_axis_angle(&Vector3::y_axis(), f64::from(self.roll_rad));
@@ -51,10 +53,11 @@ const MIN_COLUMNS: usize = 64;
 
 /// Estimates the height of the sensor when nobody has told it.
 ///
-/// The lowest return of most columns lies on the ground, the others on what stands near: their heights make a
-/// histogram, in which the lowest strong mode is the ground (the robot's own roof, or a wall, is higher). Its estimate
-/// is the median near that mode, and over the last sweeps, so that it does not jump; a sweep counts by its columns, since
-/// a part of a turn may see little ground.
+/// The lowest return of most columns lies on the ground, the others on what stands near: their
+/// heights make a histogram, in which the lowest strong mode is the ground (the robot's own roof,
+/// or a wall, is higher). Its estimate is the median near that mode, and over the last sweeps, so
+/// that it does not jump; a sweep counts by its columns, since a part of a turn may see little
+/// ground.
 #[derive(Clone, Debug, Default)]
 pub struct HeightEstimator {
     /// Depths near that of the ground.
@@ -70,17 +73,21 @@ impl HeightEstimator {
         super::reserve(&mut self.near_m, columns);
     }
 
-    /// Takes one more sweep: how deep below the sensor the lowest return of each column lies, metres; infinite where there is
-    /// none.
+    /// Takes one more sweep: how deep below the sensor the lowest return of each column lies,
+    /// metres; infinite where there is none.
     pub fn observe(&mut self, depths_m: &[f32]) {
-        let columns = depths_m.iter().filter(|depth_m| depth_m.is_finite()).count();
+        let columns = depths_m
+            .iter()
+            .filter(|depth_m| depth_m.is_finite())
+            .count();
         if let Some(height_m) = self.one_sweep(depths_m, columns) {
             self.recent[self.seen % SWEEPS] = (height_m, columns);
             self.seen += 1;
         }
     }
 
-    /// The height of the sensor above the ground by the last sweeps, metres; None until one showed it.
+    /// The height of the sensor above the ground by the last sweeps, metres; None until one showed
+    /// it.
     pub fn height_m(&self) -> Option<f32> {
         let mut recent = self.recent;
         let recent = &mut recent[..self.seen.min(SWEEPS)];
@@ -99,8 +106,8 @@ impl HeightEstimator {
         if columns < MIN_COLUMNS {
             return None;
         }
-        // By way of 32 bits, which takes less time: what is no number, or hardly negative, becomes bin 0, which no ground is in;
-        // what is more negative becomes none that there is.
+        // By way of 32 bits, which takes less time: what is no number, or hardly negative, becomes
+        // bin 0, which no ground is in; what is more negative becomes none that there is.
         let bin_of = |depth_m: f32| (depth_m / BIN_M) as i32 as usize;
         let mut counts = [0_usize; BINS];
         for &depth_m in depths_m {
@@ -112,10 +119,18 @@ impl HeightEstimator {
         let strong = |bin: &usize| strength(*bin) as f64 >= MIN_SHARE * columns as f64;
         let lowest = (2..BINS).rev().find(strong)?;
         // From the first strong bin on to the top of its hill.
-        let mode = (2..=lowest).rev().take_while(strong).max_by_key(|&bin| strength(bin)).unwrap_or(lowest);
+        let mode = (2..=lowest)
+            .rev()
+            .take_while(strong)
+            .max_by_key(|&bin| strength(bin))
+            .unwrap_or(lowest);
         self.near_m.clear();
         // By bins, as they were counted: so there are some.
-        self.near_m.extend(depths_m.iter().filter(|depth_m| bin_of(**depth_m).abs_diff(mode) <= 1));
+        self.near_m.extend(
+            depths_m
+                .iter()
+                .filter(|depth_m| bin_of(**depth_m).abs_diff(mode) <= 1),
+        );
         let half = self.near_m.len() / 2;
         Some(*self.near_m.select_nth_unstable_by(half, f32::total_cmp).1)
     }
@@ -125,15 +140,23 @@ impl HeightEstimator {
 mod tests {
     use super::*;
 
-    /// By hand: a nose 10 degrees up sees a point straight ahead above its origin; a right side 10 degrees down sees a
-    /// point to the right below it.
+    /// By hand: a nose 10 degrees up sees a point straight ahead above its origin; a right side 10
+    /// degrees down sees a point to the right below it.
     #[test]
     fn tilt_is_nose_up_and_right_side_down() {
         let tilt = 10_f32.to_radians();
-        let pitched = Mount { pitch_rad: tilt, ..Mount::default() }.up();
+        let pitched = Mount {
+            pitch_rad: tilt,
+            ..Mount::default()
+        }
+        .up();
         assert!((pitched.height_m([0.0, 10.0, 0.0]) - 10.0 * f64::from(tilt).sin()).abs() < 1e-9);
         assert!(pitched.height_m([10.0, 0.0, 0.0]).abs() < 1e-9);
-        let rolled = Mount { roll_rad: tilt, ..Mount::default() }.up();
+        let rolled = Mount {
+            roll_rad: tilt,
+            ..Mount::default()
+        }
+        .up();
         assert!((rolled.height_m([10.0, 0.0, 0.0]) + 10.0 * f64::from(tilt).sin()).abs() < 1e-9);
         assert_eq!(Mount::default().up().axis(), [0.0, 0.0, 1.0]);
     }
@@ -141,8 +164,10 @@ mod tests {
     #[test]
     fn the_lowest_strong_mode_is_the_ground() {
         let sweep = |depths: &[(f32, usize)]| {
-            let depths_m: Vec<f32> =
-                depths.iter().flat_map(|&(depth, count)| std::iter::repeat_n(depth, count)).collect();
+            let depths_m: Vec<f32> = depths
+                .iter()
+                .flat_map(|&(depth, count)| std::iter::repeat_n(depth, count))
+                .collect();
             let mut estimator = HeightEstimator::default();
             estimator.observe(&depths_m);
             estimator.height_m()
@@ -150,7 +175,11 @@ mod tests {
         // A roof seen often, the ground seen less, a few reflections from below it.
         assert_eq!(sweep(&[(0.55, 500), (1.73, 300), (3.1, 20)]), Some(1.73));
         assert_eq!(sweep(&[(0.55, 10), (1.73, 30)]), None, "too few columns");
-        assert_eq!(sweep(&[(1.73, 63), (f32::INFINITY, 1_000)]), None, "a column without a return is none");
+        assert_eq!(
+            sweep(&[(1.73, 63), (f32::INFINITY, 1_000)]),
+            None,
+            "a column without a return is none"
+        );
         assert_eq!(sweep(&[(-1.0, 500)]), None, "nothing below the sensor");
         assert_eq!(sweep(&[(f32::NAN, 500), (-0.0, 500)]), None);
     }
@@ -164,8 +193,17 @@ mod tests {
                 estimator.observe(&[depth_m; 500]);
                 // Beyond the last bin nothing is looked for, nor in the first.
                 let is_seen = (0.11..5.99).contains(&depth_m);
-                assert!(!is_seen || estimator.height_m() == Some(depth_m), "{depth_m}: {:?}", estimator.height_m());
-                assert!(estimator.height_m().is_none_or(|height_m| height_m == depth_m), "{depth_m}");
+                assert!(
+                    !is_seen || estimator.height_m() == Some(depth_m),
+                    "{depth_m}: {:?}",
+                    estimator.height_m()
+                );
+                assert!(
+                    estimator
+                        .height_m()
+                        .is_none_or(|height_m| height_m == depth_m),
+                    "{depth_m}"
+                );
             }
         }
     }

@@ -1,10 +1,11 @@
 //! What is no ground, as runs and the pieces that they grow to.
 //!
-//! A run is a stretch of neighbours in a row, each joined to the next: a wall is one run in each row, however wide it is. Runs
-//! live on from strip to strip, with their piece. One that is joined to a run of the row above goes to the first piece of that
-//! one's component; any other begins a new piece. Where a run is joined to several components, they are united. The runs that
-//! the window can still reach stand in [`super::reach`]; what is known of all pieces stands in [`Pieces`], which is also the
-//! union-find of the components.
+//! A run is a stretch of neighbours in a row, each joined to the next: a wall is one run in each
+//! row, however wide it is. Runs live on from strip to strip, with their piece. One that is joined
+//! to a run of the row above goes to the first piece of that one's component; any other begins a
+//! new piece. Where a run is joined to several components, they are united. The runs that the
+//! window can still reach stand in [`super::reach`]; what is known of all pieces stands in
+//! [`Pieces`], which is also the union-find of the components.
 
 use std::ops::Range;
 
@@ -18,8 +19,8 @@ use crate::sweep::Segment;
 /// All pieces of an image, and which of them belong together.
 #[derive(Clone, Debug, Default)]
 pub(super) struct Pieces {
-    /// A piece of the same component that began earlier, or the piece itself. At the end, of the root of a small component: the
-    /// root of the one that it became part of.
+    /// A piece of the same component that began earlier, or the piece itself. At the end, of the
+    /// root of a small component: the root of the one that it became part of.
     pub parent: Vec<u32>,
     /// What a component measures so far, at its root; what stands at other pieces counts no more.
     pub sums: Vec<Sum>,
@@ -64,7 +65,10 @@ impl Sum {
     pub fn add(&mut self, other: &Self) {
         self.points += other.points;
         self.first = self.first.min(other.first);
-        self.rows = [self.rows[0].min(other.rows[0]), self.rows[1].max(other.rows[1])];
+        self.rows = [
+            self.rows[0].min(other.rows[0]),
+            self.rows[1].max(other.rows[1]),
+        ];
         for axis in 0..4 {
             self.least_m[axis] = lesser(self.least_m[axis], other.least_m[axis]);
             self.most_m[axis] = greater(self.most_m[axis], other.most_m[axis]);
@@ -82,7 +86,8 @@ impl Sum {
         // Which of the two zeros is the least depends on the machine.
         let [min_x, min_y, min_z, nearest_m] = self.least_m.map(|value| value + 0.0);
         let [max_x, max_y, max_z, _] = self.most_m.map(|value| value + 0.0);
-        (segment.min_m, segment.max_m, segment.nearest_m) = ([min_x, min_y, min_z], [max_x, max_y, max_z], nearest_m);
+        (segment.min_m, segment.max_m, segment.nearest_m) =
+            ([min_x, min_y, min_z], [max_x, max_y, max_z], nearest_m);
         segment.centroid_m = self.sum_m.map(|sum| (sum / f64::from(self.points)) as f32);
         segment
     }
@@ -127,7 +132,8 @@ impl Pieces {
         }
     }
 
-    /// Makes two components one; the root of which is given, and then the one that is none any more.
+    /// Makes two components one; the root of which is given, and then the one that is none any
+    /// more.
     pub fn unite(&mut self, a: u32, b: u32) -> [u32; 2] {
         let (a, b) = (self.root(a), self.root(b));
         if a != b {
@@ -173,16 +179,30 @@ impl Whereabouts {
     /// The first row, of so many, of the strip that begins at a position.
     pub fn of_strip(order: Order, position: usize, rows: usize, counted: u32) -> Self {
         let [first, last] = [0, STRIP - 1].map(|ahead| order.column(position + ahead));
-        let column = first.filter(|first| last == Some(first + STRIP - 1)).map(|column| column as u32);
-        Self { strip: (position / STRIP - 1) as u16, order, position, column, row: 0, rows, counted }
+        let column = first
+            .filter(|first| last == Some(first + STRIP - 1))
+            .map(|column| column as u32);
+        Self {
+            strip: (position / STRIP - 1) as u16,
+            order,
+            position,
+            column,
+            row: 0,
+            rows,
+            counted,
+        }
     }
 
     /// The same of another row.
     pub fn of_row(self, row: usize) -> Self {
-        Self { row: row as u16, ..self }
+        Self {
+            row: row as u16,
+            ..self
+        }
     }
 
-    /// Index in the planes of the first of some pixels. Where the columns begin anew among them, that is behind there.
+    /// Index in the planes of the first of some pixels. Where the columns begin anew among them,
+    /// that is behind there.
     #[inline(always)]
     pub fn first_pixel(&self, columns: u32) -> u32 {
         let first = match self.column {
@@ -195,7 +215,9 @@ impl Whereabouts {
     /// The first of some columns, looked up one by one.
     fn least_column(&self, columns: u32) -> u32 {
         let is_one = |ahead: &usize| columns >> ahead & 1 == 1;
-        let columns = (0..STRIP).filter(is_one).filter_map(|ahead| self.order.column(self.position + ahead));
+        let columns = (0..STRIP)
+            .filter(is_one)
+            .filter_map(|ahead| self.order.column(self.position + ahead));
         columns.min().unwrap_or(0) as u32
     }
 }
@@ -203,17 +225,28 @@ impl Whereabouts {
 /// Up to so many columns are measured one by one: for so few, vectors do not pay.
 const FEW: u32 = 8;
 
-/// What the columns of a run in the strip at hand measure, of which only some are to be counted, and the least and greatest
-/// distance from the sensor of all.
+/// What the columns of a run in the strip at hand measure, of which only some are to be counted,
+/// and the least and greatest distance from the sensor of all.
 #[inline(always)]
-pub(super) fn measure<S: Simd>(simd: S, points: &Points, lane: usize, [columns, counted]: [u32; 2]) -> (Sum, [f32; 2]) {
+pub(super) fn measure<S: Simd>(
+    simd: S,
+    points: &Points,
+    lane: usize,
+    [columns, counted]: [u32; 2],
+) -> (Sum, [f32; 2]) {
     let first = columns.trailing_zeros() as usize;
     let count = columns.count_ones();
     if count <= FEW && counted == columns {
         return measure_few(points, lane + first..lane + first + count as usize);
     }
-    let mut sum = Sum { points: counted.count_ones(), ..Sum::NONE };
-    let [mut low, mut high] = [f32x16::splat(simd, f32::INFINITY), f32x16::splat(simd, f32::NEG_INFINITY)];
+    let mut sum = Sum {
+        points: counted.count_ones(),
+        ..Sum::NONE
+    };
+    let [mut low, mut high] = [
+        f32x16::splat(simd, f32::INFINITY),
+        f32x16::splat(simd, f32::NEG_INFINITY),
+    ];
     let mut nearest = low;
     let [mut least, mut most, mut total] = [[low; 3], [high; 3], [f32x16::splat(simd, 0.0); 3]];
     for half in 0..STRIP / LANES {
@@ -247,7 +280,14 @@ pub(super) fn measure<S: Simd>(simd: S, points: &Points, lane: usize, [columns, 
 /// The same of a few lanes, at least one, all of which are counted.
 #[inline(always)]
 fn measure_few(points: &Points, lanes: Range<usize>) -> (Sum, [f32; 2]) {
-    let Points { x, y, z, range, far, .. } = points;
+    let Points {
+        x,
+        y,
+        z,
+        range,
+        far,
+        ..
+    } = points;
     let at = |lane: usize| ([x[lane], y[lane], z[lane], range[lane]], far[lane]);
     let (first, first_far_m) = at(lanes.start);
     let [mut least_m, mut most_m, mut total_m] = [first; 3];
@@ -261,7 +301,13 @@ fn measure_few(points: &Points, lanes: Range<usize>) -> (Sum, [f32; 2]) {
         (low_m, high_m) = (lesser(low_m, far_m), greater(high_m, far_m));
     }
     let [x_m, y_m, z_m, _] = total_m.map(f64::from);
-    let sum = Sum { points: lanes.len() as u32, least_m, most_m, sum_m: [x_m, y_m, z_m], ..Sum::NONE };
+    let sum = Sum {
+        points: lanes.len() as u32,
+        least_m,
+        most_m,
+        sum_m: [x_m, y_m, z_m],
+        ..Sum::NONE
+    };
     (sum, [low_m, high_m])
 }
 

@@ -1,15 +1,17 @@
-//! Where every return of a strip of columns lies, laid out row after row, so that one instruction treats many columns.
+//! Where every return of a strip of columns lies, laid out row after row, so that one instruction
+//! treats many columns.
 //!
-//! A strip is 32 columns (`STRIP`). The buffer holds the strip at hand, the one behind it, and the columns before it that a
-//! window can reach back to:
+//! A strip is 32 columns (`STRIP`). The buffer holds the strip at hand, the one behind it, and the
+//! columns before it that a window can reach back to:
 //!
 //! ```text
 //! lanes of a row   | 16 before | strip at hand (32) | next strip (32) |
 //!                              ^ at
 //! ```
 //!
-//! When the strip at hand is done, the next one takes its place; only when the buffer ends are the lanes moved back to its
-//! start. So the working memory is some 200 columns, however wide the image is.
+//! When the strip at hand is done, the next one takes its place; only when the buffer ends are the
+//! lanes moved back to its start. So the working memory is some 200 columns, however wide the image
+//! is.
 //!
 //! All is single precision: at 100 m a point is off by 10 micrometres.
 
@@ -35,14 +37,16 @@ pub(super) const STRIP: usize = 32;
 pub(super) const BEFORE: usize = 16;
 /// Lanes before the first strip: those that are kept, and room for windows that reach over them.
 const MARGIN: usize = 2 * BEFORE;
-/// Lanes of a row. Rows are an odd number of cache lines apart, so that they do not fall into the same places of a cache.
+/// Lanes of a row. Rows are an odd number of cache lines apart, so that they do not fall into the
+/// same places of a cache.
 const STRIDE: usize = MARGIN + 5 * STRIP + 16;
 
-/// The order in which the columns of an image are taken: a strip that only leads in, all columns, and for a whole turn the
-/// first ones once more, so that the end meets the beginning.
+/// The order in which the columns of an image are taken: a strip that only leads in, all columns,
+/// and for a whole turn the first ones once more, so that the end meets the beginning.
 ///
-/// A whole turn is not begun at its first column, but at the first that is sure to be as it is now when the turn is complete:
-/// what lies beyond an end is folded to the other then. So it can be taken while the head still turns.
+/// A whole turn is not begun at its first column, but at the first that is sure to be as it is now
+/// when the turn is complete: what lies beyond an end is folded to the other then. So it can be
+/// taken while the head still turns.
 #[derive(Clone, Copy, Debug, Default)]
 pub(super) struct Order {
     /// Columns of the image; `None` while it is not complete.
@@ -55,13 +59,24 @@ pub(super) struct Order {
 impl Order {
     fn new(sweep: &SweepRef<'_>, columns: Option<usize>) -> Self {
         let circular = sweep.header.has(flags::CIRCULAR);
-        let folded = sweep.beams.iter().map(|beam| -beam.shift).max().unwrap_or(0).max(0) as usize;
-        Self { columns, circular, start: if circular { STRIP + folded } else { 0 } }
+        let folded = sweep
+            .beams
+            .iter()
+            .map(|beam| -beam.shift)
+            .max()
+            .unwrap_or(0)
+            .max(0) as usize;
+        Self {
+            columns,
+            circular,
+            start: if circular { STRIP + folded } else { 0 },
+        }
     }
 
     /// Position behind the last column that counts.
     pub fn end(self) -> usize {
-        self.columns.map_or(usize::MAX / 2, |columns| STRIP + columns)
+        self.columns
+            .map_or(usize::MAX / 2, |columns| STRIP + columns)
     }
 
     /// Position behind the last that is joined.
@@ -78,7 +93,9 @@ impl Order {
     #[inline(always)]
     pub fn column(self, position: usize) -> Option<usize> {
         let mut column = (self.start + position).checked_sub(STRIP)?;
-        let Some(columns) = self.columns else { return Some(column) };
+        let Some(columns) = self.columns else {
+            return Some(column);
+        };
         // Hardly more than once, and faster than a division.
         while self.circular && columns > 0 && column >= columns {
             column -= columns;
@@ -90,7 +107,9 @@ impl Order {
     #[inline(always)]
     fn columns_from(self, position: usize) -> [Option<usize>; LANES] {
         match [0, LANES - 1].map(|ahead| self.column(position + ahead)) {
-            [Some(first), Some(last)] if last == first + LANES - 1 => array::from_fn(|ahead| Some(first + ahead)),
+            [Some(first), Some(last)] if last == first + LANES - 1 => {
+                array::from_fn(|ahead| Some(first + ahead))
+            }
             _ => array::from_fn(|ahead| self.column(position + ahead)),
         }
     }
@@ -99,8 +118,8 @@ impl Order {
 /// Lanes of all rows that there can be.
 const ALL: usize = MAX_ROWS * STRIDE;
 
-/// A number for each lane of each row. Sixteen columns, counted from the first of a strip, are one cache line: a vector across
-/// two of them takes twice as long.
+/// A number for each lane of each row. Sixteen columns, counted from the first of a strip, are one
+/// cache line: a vector across two of them takes twice as long.
 #[derive(Clone, Debug)]
 pub(super) struct Plane(Box<Lines>);
 
@@ -172,7 +191,8 @@ pub struct Placed {
     pub range_m: f32,
 }
 
-/// What may be labelled in a sweep, pixel by pixel in the order of its planes; `None` where there is nothing.
+/// What may be labelled in a sweep, pixel by pixel in the order of its planes; `None` where there
+/// is nothing.
 ///
 /// # Panics
 /// If the sweep has more than [`MAX_ROWS`] rows.
@@ -221,16 +241,30 @@ impl Points {
         self.directions.reserve(columns);
     }
 
-    /// Takes the beams of a sweep and begins with the strip that leads in; so many columns it has, if that is known. What an
-    /// older sweep left does no harm: the words say what is real, and what lies before the strip that leads in reaches none that
-    /// counts.
+    /// Takes the beams of a sweep and begins with the strip that leads in; so many columns it has,
+    /// if that is known. What an older sweep left does no harm: the words say what is real, and
+    /// what lies before the strip that leads in reaches none that counts.
     pub fn begin(&mut self, sweep: &SweepRef<'_>, columns: Option<usize>) {
-        // How the head turns when the sweep begins: what it turns faster or slower later is a small rest.
-        let rate_rad_s = sweep.columns.first().map_or(0.0, |column| column.azimuth_rate_rad_s);
+        // How the head turns when the sweep begins: what it turns faster or slower later is a small
+        // rest.
+        let rate_rad_s = sweep
+            .columns
+            .first()
+            .map_or(0.0, |column| column.azimuth_rate_rad_s);
         self.order = Order::new(sweep, columns);
         self.beams.clear();
-        self.beams.extend(sweep.beams.iter().map(|beam| Beam::new(beam, f64::from(rate_rad_s))));
-        let margin = sweep.beams.iter().map(|beam| beam.shift.unsigned_abs() as usize).max().unwrap_or(0);
+        self.beams.extend(
+            sweep
+                .beams
+                .iter()
+                .map(|beam| Beam::new(beam, f64::from(rate_rad_s))),
+        );
+        let margin = sweep
+            .beams
+            .iter()
+            .map(|beam| beam.shift.unsigned_abs() as usize)
+            .max()
+            .unwrap_or(0);
         self.directions.clear(margin, rate_rad_s);
         self.at = MARGIN;
     }
@@ -240,15 +274,16 @@ impl Points {
         self.beams.len()
     }
 
-    /// The distance from the sensor beyond which no point of one row is as near as that to one of another, metres; infinite
-    /// where the beams do not tell.
+    /// The distance from the sensor beyond which no point of one row is as near as that to one of
+    /// another, metres; infinite where the beams do not tell.
     pub fn spread_m(&self, rows: [usize; 2], near_m: f32) -> f32 {
         let [a, b] = rows.map(|row| &self.beams[row]);
         if a.bent.is_some() || b.bent.is_some() {
             return f32::INFINITY;
         }
         let sin = (a.sin_elevation * b.cos_elevation - a.cos_elevation * b.sin_elevation).abs();
-        let [a_m, b_m] = [a, b].map(|beam| beam.vertical_offset_m.abs() + beam.horizontal_offset_m.abs());
+        let [a_m, b_m] =
+            [a, b].map(|beam| beam.vertical_offset_m.abs() + beam.horizontal_offset_m.abs());
         (near_m + a_m + b_m) / sin + a_m
     }
 
@@ -261,7 +296,11 @@ impl Points {
     /// Points of some columns, from a lane on.
     #[inline(always)]
     pub fn place<S: Simd>(&self, simd: S, lane: usize) -> [f32x16<S>; 3] {
-        [self.x.load(simd, lane), self.y.load(simd, lane), self.z.load(simd, lane)]
+        [
+            self.x.load(simd, lane),
+            self.y.load(simd, lane),
+            self.z.load(simd, lane),
+        ]
     }
 
     /// Their heights over the sensor along a direction that is up, of length 1, metres.
@@ -283,7 +322,13 @@ impl Points {
         self.at += STRIP;
         if self.at + 2 * STRIP > STRIDE {
             let kept = self.at - BEFORE..self.at + STRIP;
-            for plane in [&mut self.x, &mut self.y, &mut self.z, &mut self.far, &mut self.range] {
+            for plane in [
+                &mut self.x,
+                &mut self.y,
+                &mut self.z,
+                &mut self.far,
+                &mut self.range,
+            ] {
                 for row in plane.chunks_exact_mut(STRIDE).take(self.beams.len()) {
                     row.copy_within(kept.clone(), MARGIN - BEFORE);
                 }
@@ -292,8 +337,8 @@ impl Points {
         }
     }
 
-    /// Reads the strip behind the one at hand, which begins at this position; writes for each row which columns hold a
-    /// return that may be labelled.
+    /// Reads the strip behind the one at hand, which begins at this position; writes for each row
+    /// which columns hold a return that may be labelled.
     #[inline(always)]
     pub fn fill<S: Simd>(
         &mut self,
@@ -304,17 +349,21 @@ impl Points {
         words: &mut [Window],
     ) {
         self.transpose(simd, sweep, config, position);
-        self.directions.extend(simd, sweep, self.order, position + STRIP);
+        self.directions
+            .extend(simd, sweep, self.order, position + STRIP);
         for (row, words) in words.iter_mut().enumerate() {
             let real = &mut words[2].real;
             *real = 0;
             for half in 0..STRIP / LANES {
                 let lane = self.at(row) + STRIP + half * LANES;
                 let range = self.range.load(simd, lane);
-                let is = range.simd_gt(0.0) & range.simd_ge(config.min_range_m) & range.simd_le(config.max_range_m);
+                let is = range.simd_gt(0.0)
+                    & range.simd_ge(config.min_range_m)
+                    & range.simd_le(config.max_range_m);
                 let bits = is.to_bitmask() as u32;
                 *real |= bits << (half * LANES);
-                self.range.store(lane, is.select(range, f32x16::splat(simd, 0.0)));
+                self.range
+                    .store(lane, is.select(range, f32x16::splat(simd, 0.0)));
                 if bits != 0 {
                     let at = position + half * LANES;
                     let [x, y, z] = self.beams[row].points(simd, &self.directions, at, range);
@@ -329,8 +378,17 @@ impl Points {
 
     /// Copies the ranges of the next strip, column by column into rows.
     #[inline(always)]
-    #[expect(clippy::needless_range_loop, reason = "iterators over arrays of vectors go through memory")]
-    fn transpose<S: Simd>(&mut self, simd: S, sweep: &SweepRef<'_>, config: &Config, position: usize) {
+    #[expect(
+        clippy::needless_range_loop,
+        reason = "iterators over arrays of vectors go through memory"
+    )]
+    fn transpose<S: Simd>(
+        &mut self,
+        simd: S,
+        sweep: &SweepRef<'_>,
+        config: &Config,
+        position: usize,
+    ) {
         let rows = self.beams.len();
         let squared = rows / LANES * LANES;
         for half in (0..STRIP).step_by(LANES) {
@@ -344,7 +402,10 @@ impl Points {
                 }
                 let tile = turn_over(tile);
                 for line in 0..LANES {
-                    self.range.store((row + line) * STRIDE + self.at + STRIP + half, tile[line].bitcast());
+                    self.range.store(
+                        (row + line) * STRIDE + self.at + STRIP + half,
+                        tile[line].bitcast(),
+                    );
                 }
             }
             for row in squared..rows {
@@ -356,7 +417,9 @@ impl Points {
         }
         let Some(mask) = &config.mask else { return };
         for ahead in 0..STRIP {
-            let Some(column) = self.order.column(position + ahead) else { continue };
+            let Some(column) = self.order.column(position + ahead) else {
+                continue;
+            };
             for row in (0..rows).filter(|&row| mask.hides(row, sweep.azimuth_rad(row, column))) {
                 self.range[row * STRIDE + self.at + STRIP + ahead] = 0.0;
             }
@@ -385,10 +448,20 @@ impl Beam {
 
     /// The points at these ranges, of the columns from a position on.
     #[inline(always)]
-    fn points<S: Simd>(&self, simd: S, directions: &Directions, position: usize, range: f32x16<S>) -> [f32x16<S>; 3] {
+    fn points<S: Simd>(
+        &self,
+        simd: S,
+        directions: &Directions,
+        position: usize,
+        range: f32x16<S>,
+    ) -> [f32x16<S>; 3] {
         let [sin, cos, surplus] = directions.at(simd, position, self.shift);
-        let (sin, cos) = (sin * self.cos_turn + cos * self.sin_turn, cos * self.cos_turn - sin * self.sin_turn);
-        // What the head turned faster than at first meanwhile is so little that the first order will do.
+        let (sin, cos) = (
+            sin * self.cos_turn + cos * self.sin_turn,
+            cos * self.cos_turn - sin * self.sin_turn,
+        );
+        // What the head turned faster than at first meanwhile is so little that the first order
+        // will do.
         let rest = surplus * self.time_offset_s;
         let (sin, cos) = (sin + rest * cos, cos - rest * sin);
         let flat = range * self.cos_elevation;
@@ -401,7 +474,8 @@ impl Beam {
         [x - cos * aside, y + sin * aside, z + self.vertical_offset_m]
     }
 
-    /// The points of a bent beam, where the range says that they are within its bend; see [`crate::sweep::corrected`].
+    /// The points of a bent beam, where the range says that they are within its bend; see
+    /// [`crate::sweep::corrected`].
     #[inline(always)]
     fn bend<S: Simd>(
         &self,
@@ -413,10 +487,21 @@ impl Beam {
     ) -> [f32x16<S>; 3] {
         let one = f32x16::splat(simd, 1.0);
         let (along_x, along_y) = (sin * self.cos_elevation, cos * self.cos_elevation);
-        let (slope_x, slope_y) = (one - along_x.abs() * near_x[1], one - along_y.abs() * near_y[1]);
-        let slopes = [along_x * slope_x, along_y * slope_y, (slope_x + slope_y) * (0.5 * self.sin_elevation)];
+        let (slope_x, slope_y) = (
+            one - along_x.abs() * near_x[1],
+            one - along_y.abs() * near_y[1],
+        );
+        let slopes = [
+            along_x * slope_x,
+            along_y * slope_y,
+            (slope_x + slope_y) * (0.5 * self.sin_elevation),
+        ];
         let up = 0.5 * (near_x[0] + near_y[0]) * self.sin_elevation;
-        let bases = [along_x * near_x[0], along_y * near_y[0], f32x16::splat(simd, up)];
+        let bases = [
+            along_x * near_x[0],
+            along_y * near_y[0],
+            f32x16::splat(simd, up),
+        ];
         let (square, linear) = (dot(slopes, slopes), dot(slopes, bases));
         let rest = dot(bases, bases) - range * range;
         let root = linear * linear - square * rest;
@@ -447,18 +532,44 @@ mod tests {
 
     #[test]
     fn a_part_of_a_turn_is_taken_as_it_stands() {
-        let order = Order { columns: Some(10), circular: false, start: 0 };
-        assert_eq!([31, 32, 41, 42].map(|position| order.column(position)), [None, Some(0), Some(9), None]);
-        assert_eq!((order.end(), order.joined_end(), order.strips()), (42, 42, 2));
+        let order = Order {
+            columns: Some(10),
+            circular: false,
+            start: 0,
+        };
+        assert_eq!(
+            [31, 32, 41, 42].map(|position| order.column(position)),
+            [None, Some(0), Some(9), None]
+        );
+        assert_eq!(
+            (order.end(), order.joined_end(), order.strips()),
+            (42, 42, 2)
+        );
     }
 
     #[test]
     fn a_whole_turn_is_led_into_and_taken_on_over_its_end() {
         // Two columns are folded.
-        let order = Order { columns: Some(10), circular: true, start: STRIP + 2 };
-        assert_eq!([0, 31, 32, 41, 42].map(|position| order.column(position)), [2, 3, 4, 3, 4].map(Some));
-        assert_eq!((order.end(), order.joined_end(), order.strips()), (42, 58, 2));
-        let open = Order { columns: None, ..order };
-        assert_eq!([0, 32, 1000].map(|position| open.column(position)), [2, 34, 1002].map(Some));
+        let order = Order {
+            columns: Some(10),
+            circular: true,
+            start: STRIP + 2,
+        };
+        assert_eq!(
+            [0, 31, 32, 41, 42].map(|position| order.column(position)),
+            [2, 3, 4, 3, 4].map(Some)
+        );
+        assert_eq!(
+            (order.end(), order.joined_end(), order.strips()),
+            (42, 58, 2)
+        );
+        let open = Order {
+            columns: None,
+            ..order
+        };
+        assert_eq!(
+            [0, 32, 1000].map(|position| open.column(position)),
+            [2, 34, 1002].map(Some)
+        );
     }
 }

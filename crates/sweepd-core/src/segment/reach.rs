@@ -1,7 +1,9 @@
-//! The runs that the window can still reach: row after row, and in a row in the order of their columns, so that one
-//! instruction compares a run with sixteen that come after it, in its own row and in those below.
+//! The runs that the window can still reach: row after row, and in a row in the order of their
+//! columns, so that one instruction compares a run with sixteen that come after it, in its own row
+//! and in those below.
 //!
-//! Columns are counted from the first that the window could reach back to: the strip at hand begins with [`BEFORE`].
+//! Columns are counted from the first that the window could reach back to: the strip at hand begins
+//! with [`BEFORE`].
 
 use std::ops::{Range, RangeInclusive};
 
@@ -17,11 +19,13 @@ use super::work;
 const MOST: usize = MAX_ROWS * (BEFORE + STRIP) + LANES;
 /// Runs that are compared with one at once: a bit each.
 pub(super) const WORD: usize = u64::BITS as usize;
-/// Distances from the sensor are kept in so many steps a metre: sixteen bits hold the sum of any two.
+/// Distances from the sensor are kept in so many steps a metre: sixteen bits hold the sum of any
+/// two.
 pub(super) const STEPS: f32 = 64.0;
 /// What is further than this is taken to be there, metres.
 const FARTHEST_M: f32 = 255.0;
-/// The first number of which the last bit that counts is a step: fourteen do. The greatest distance stays below its double.
+/// The first number of which the last bit that counts is a step: fourteen do. The greatest distance
+/// stays below its double.
 const FROM_M: f32 = (1 << 14) as f32 / STEPS;
 
 /// The runs within reach, and those that were when the strip before was at hand.
@@ -37,7 +41,8 @@ pub(super) struct Entries {
     count: usize,
     rows: [Row; MAX_ROWS],
     pub row: [u16; MOST],
-    /// A piece of each one's component: its root, as far as [`Entries::refresh`] and [`Entries::rename`] were told.
+    /// A piece of each one's component: its root, as far as [`Entries::refresh`] and
+    /// [`Entries::rename`] were told.
     pub piece: [u32; MOST],
     /// First column within reach.
     pub first: [i16; MOST],
@@ -57,12 +62,17 @@ impl Default for Entries {
     }
 }
 
-/// A distance of 0 or more in steps, or somewhat less; a hair more where it is that near to the next step, for which
-/// comparisons have room.
+/// A distance of 0 or more in steps, or somewhat less; a hair more where it is that near to the
+/// next step, for which comparisons have room.
 #[inline(always)]
 pub(super) fn steps_within(distance_m: f32) -> i16 {
-    let distance_m = if distance_m < FARTHEST_M { distance_m } else { FARTHEST_M };
-    // All from there to its double have the same exponent, and fourteen bits behind it are steps: to convert takes longer.
+    let distance_m = if distance_m < FARTHEST_M {
+        distance_m
+    } else {
+        FARTHEST_M
+    };
+    // All from there to its double have the same exponent, and fourteen bits behind it are steps:
+    // to convert takes longer.
     ((FROM_M + distance_m).to_bits() >> (f32::MANTISSA_DIGITS - 1 - 14)) as i16 & 0x3FFF
 }
 
@@ -128,22 +138,37 @@ impl Entries {
         }
     }
 
-    /// One component has become part of another: some entries, and perhaps a few behind them, are told.
+    /// One component has become part of another: some entries, and perhaps a few behind them, are
+    /// told.
     #[inline(always)]
     pub fn rename<S: Simd>(&mut self, simd: S, entries: Range<usize>, from: u32, to: u32) {
         for at in entries.step_by(LANES) {
             let lanes = &mut self.piece[at..at + LANES];
             let piece = u32x16::from_slice(simd, lanes);
-            piece.simd_eq(from).select(u32x16::splat(simd, to), piece).store_slice(lanes);
+            piece
+                .simd_eq(from)
+                .select(u32x16::splat(simd, to), piece)
+                .store_slice(lanes);
         }
     }
 
-    /// Which of these entries, of which there is one at least and the first [`WORD`] are looked at, are of another component
-    /// than a run, no more columns aside, and no farther away in steps. One of two has to reach into the strip at hand: else
-    /// they were compared before.
+    /// Which of these entries, of which there is one at least and the first [`WORD`] are looked at,
+    /// are of another component than a run, no more columns aside, and no farther away in steps.
+    /// One of two has to reach into the strip at hand: else they were compared before.
     #[inline(always)]
-    pub fn like<S: Simd>(&self, simd: S, run: usize, entries: Range<usize>, aside: i16, away: i16) -> u64 {
-        let new = if self.last[run] < BEFORE as i16 { BEFORE as i16 } else { 0 };
+    pub fn like<S: Simd>(
+        &self,
+        simd: S,
+        run: usize,
+        entries: Range<usize>,
+        aside: i16,
+        away: i16,
+    ) -> u64 {
+        let new = if self.last[run] < BEFORE as i16 {
+            BEFORE as i16
+        } else {
+            0
+        };
         let first_least = i16x16::splat(simd, (self.first[run] - aside).max(new));
         let last_most = i16x16::splat(simd, self.last[run] + aside);
         let least = i16x16::splat(simd, self.low[run] - away);
@@ -166,7 +191,8 @@ impl Entries {
         like & u64::MAX >> (WORD - count)
     }
 
-    /// Whether no point of one run can be as near to one of another as that, in steps, by their distances from the sensor.
+    /// Whether no point of one run can be as near to one of another as that, in steps, by their
+    /// distances from the sensor.
     #[inline(always)]
     pub fn are_apart(&self, a: usize, b: usize, away: i16) -> bool {
         self.low[b] - self.high[a] > away || self.low[a] - self.high[b] > away
@@ -196,8 +222,8 @@ impl Reach {
         self.now.count = 0;
     }
 
-    /// Begins a row with what is still within reach, so many columns aside. True if the last column before the strip holds
-    /// a run.
+    /// Begins a row with what is still within reach, so many columns aside. True if the last column
+    /// before the strip holds a run.
     #[inline(always)]
     pub fn begin_row(&mut self, row: usize, aside: usize) -> bool {
         let Self { now, before } = self;
@@ -205,18 +231,33 @@ impl Reach {
         let of = before.of(row);
         // They end one after the other: those within reach come last.
         let end_least = (BEFORE + STRIP - aside) as i16;
-        let left = before.last[of.clone()].iter().rev().take_while(|&&last| last >= end_least).count();
+        let left = before.last[of.clone()]
+            .iter()
+            .rev()
+            .take_while(|&&last| last >= end_least)
+            .count();
         for entry in of.end - left..of.end {
-            let [first, last] = [before.first[entry], before.last[entry]].map(|column| column - STRIP as i16);
+            let [first, last] =
+                [before.first[entry], before.last[entry]].map(|column| column - STRIP as i16);
             // All that is left of it was in that strip.
-            now.push(row, before.piece[entry], [first.max(0), last], before.here[entry]);
+            now.push(
+                row,
+                before.piece[entry],
+                [first.max(0), last],
+                before.here[entry],
+            );
         }
-        now.rows[row] = Row { from, here: now.count, starts: 0, end: now.count };
+        now.rows[row] = Row {
+            from,
+            here: now.count,
+            starts: 0,
+            end: now.count,
+        };
         now.count > from && now.last[now.count - 1] == BEFORE as i16 - 1
     }
 
-    /// Takes the runs of a row of the strip at hand, of which `on` are the columns: each to the piece of those in the row above
-    /// that it is joined to.
+    /// Takes the runs of a row of the strip at hand, of which `on` are the columns: each to the
+    /// piece of those in the row above that it is joined to.
     #[inline(always)]
     pub fn take<S: Simd>(
         &mut self,
@@ -242,7 +283,11 @@ impl Reach {
             let (sum, [low_m, high_m]) = measure(simd, points, lane, [columns, counted]);
             let sum = match counted {
                 0 => Sum::NONE,
-                _ => Sum { first: at.first_pixel(counted), rows: [at.row; 2], ..sum },
+                _ => Sum {
+                    first: at.first_pixel(counted),
+                    rows: [at.row; 2],
+                    ..sum
+                },
             };
             let is_going_on = first == 0 && goes_on;
             let mut root = is_going_on.then(|| pieces.root(now.piece[now.count - 1]));
@@ -271,7 +316,12 @@ impl Reach {
                 now.push(row, piece, [first, last], [low, high]);
             }
             if counted != 0 {
-                pieces.parts.push(Part { piece, row: at.row, strip: at.strip, columns: counted });
+                pieces.parts.push(Part {
+                    piece,
+                    row: at.row,
+                    strip: at.strip,
+                    columns: counted,
+                });
             }
         }
         now.rows[row].end = now.count;
@@ -286,18 +336,38 @@ mod tests {
     fn steps_lie_on_either_side_of_a_distance() {
         let mut rng = fastrand::Rng::with_seed(1);
         let at_steps = (0..255 * 64).map(|step| step as f32 / STEPS);
-        let around_steps = at_steps.flat_map(|at_m| [at_m.next_down().max(0.0), at_m, at_m.next_up()]);
+        let around_steps =
+            at_steps.flat_map(|at_m| [at_m.next_down().max(0.0), at_m, at_m.next_up()]);
         for distance_m in around_steps.chain((0..100_000).map(|_| 255.0 * rng.f32())) {
-            let [within_m, around_m] = [steps_within, steps_around].map(|steps| f32::from(steps(distance_m)) / STEPS);
-            assert!(within_m <= distance_m + 2e-5 && distance_m < within_m + 1.0 / STEPS, "{distance_m}: {within_m}");
-            assert!(distance_m < around_m && around_m <= distance_m + 1.0 / STEPS + 2e-5, "{distance_m}: {around_m}");
+            let [within_m, around_m] =
+                [steps_within, steps_around].map(|steps| f32::from(steps(distance_m)) / STEPS);
+            assert!(
+                within_m <= distance_m + 2e-5 && distance_m < within_m + 1.0 / STEPS,
+                "{distance_m}: {within_m}"
+            );
+            assert!(
+                distance_m < around_m && around_m <= distance_m + 1.0 / STEPS + 2e-5,
+                "{distance_m}: {around_m}"
+            );
         }
     }
 
     #[test]
     fn what_is_very_far_is_as_far_as_can_be_told() {
-        for distance_m in [255.0, 255.999_99, 256.0, 262.14, 1e6, f32::INFINITY, f32::NAN] {
-            assert_eq!([steps_within(distance_m), steps_around(distance_m)], [255 * 64, 255 * 64 + 1], "{distance_m}");
+        for distance_m in [
+            255.0,
+            255.999_99,
+            256.0,
+            262.14,
+            1e6,
+            f32::INFINITY,
+            f32::NAN,
+        ] {
+            assert_eq!(
+                [steps_within(distance_m), steps_around(distance_m)],
+                [255 * 64, 255 * 64 + 1],
+                "{distance_m}"
+            );
         }
     }
 }

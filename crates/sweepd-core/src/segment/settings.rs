@@ -1,5 +1,5 @@
-//! The settings as people write them, on the command line and in configuration files: degrees and metres, with their
-//! limits and defaults.
+//! The settings as people write them, on the command line and in configuration files: degrees and
+//! metres, with their limits and defaults.
 
 use std::ops::RangeInclusive;
 
@@ -15,7 +15,8 @@ pub struct Settings {
     pub theta_deg: f64,
     /// Returns that a segment has at least; 1 or more.
     pub min_points: u32,
-    /// Distance that two returns of a segment may be apart, metres; `None` chooses by the rows of the image.
+    /// Distance that two returns of a segment may be apart, metres; `None` chooses by the rows of
+    /// the image.
     pub gap_m: Option<f64>,
     /// Columns that the window reaches to either side.
     pub window_columns: u32,

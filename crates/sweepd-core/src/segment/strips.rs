@@ -1,4 +1,5 @@
-//! The default method, strip by strip: points, ground, runs, joins; and at the end the components, their labels and table.
+//! The default method, strip by strip: points, ground, runs, joins; and at the end the components,
+//! their labels and table.
 //!
 //! ```text
 //! begin         beams, how far they spread, height, the test
@@ -7,8 +8,8 @@
 //! label         components, small ones to others, labels, segments table
 //! ```
 //!
-//! For a whole turn the first columns are taken once more behind the last: what they hold for the second time is united with
-//! what it was the first time, and not counted again.
+//! For a whole turn the first columns are taken once more behind the last: what they hold for the
+//! second time is united with what it was the first time, and not counted again.
 
 use fearless_simd::{Level, Simd, dispatch, f32x16, mask32x16, prelude::*, u32x16};
 
@@ -25,7 +26,8 @@ use super::{Config, reserve};
 use crate::sweep::layout::{LABEL_FIRST_SEGMENT, LABEL_GROUND, LABEL_NONE, Segment};
 use crate::sweep::{SweepMut, SweepRef};
 
-/// Labels sweeps by the default method; after the first in buffers of one size it allocates nothing.
+/// Labels sweeps by the default method; after the first in buffers of one size it allocates
+/// nothing.
 #[derive(Clone, Debug)]
 pub(super) struct Strips {
     level: Level,
@@ -38,8 +40,8 @@ pub(super) struct Strips {
     points: Points,
     fan: Fan,
     words: Vec<Words>,
-    /// How deep below the sensor the lowest return of each column lies, position by position, metres; infinite where there is
-    /// none.
+    /// How deep below the sensor the lowest return of each column lies, position by position,
+    /// metres; infinite where there is none.
     depths_m: Vec<f32>,
     reach: Reach,
     crowd: Crowd,
@@ -59,7 +61,8 @@ pub(super) struct Strips {
 struct Finish {
     /// Roots of the components.
     roots: Vec<u32>,
-    /// For each small component the nearest that is not: the square of the distance, its first pixel, and its root.
+    /// For each small component the nearest that is not: the square of the distance, its first
+    /// pixel, and its root.
     nearest: Vec<(f32, u32, u32)>,
     /// First pixel and root of the components that become segments.
     order: Vec<(u32, u32)>,
@@ -92,9 +95,14 @@ impl Strips {
         }
     }
 
-    /// Takes room for any sweep that such a buffer can hold. Room that is never touched costs no memory.
+    /// Takes room for any sweep that such a buffer can hold. Room that is never touched costs no
+    /// memory.
     fn reserve(&mut self, sweep: &SweepMut<'_>) {
-        let (rows, columns, pixels) = (sweep.header.rows as usize, sweep.columns.len(), sweep.range.len());
+        let (rows, columns, pixels) = (
+            sweep.header.rows as usize,
+            sweep.columns.len(),
+            sweep.range.len(),
+        );
         self.points.reserve(columns);
         self.fan.reserve(rows);
         self.words.resize(rows, Words::default());
@@ -115,18 +123,30 @@ impl Strips {
         reserve(&mut self.finish.tile, rows * STRIP);
     }
 
-    /// Takes what a sweep says of its beams. While it is not complete, only so many of its columns are as they will be.
-    pub fn begin(&mut self, sweep: &SweepMut<'_>, config: &Config, height_m: Option<f32>, ready: Option<usize>) {
+    /// Takes what a sweep says of its beams. While it is not complete, only so many of its columns
+    /// are as they will be.
+    pub fn begin(
+        &mut self,
+        sweep: &SweepMut<'_>,
+        config: &Config,
+        height_m: Option<f32>,
+        ready: Option<usize>,
+    ) {
         self.reserve(sweep);
-        self.stand = Stand { up: config.mount.up().axis(), height_m };
+        self.stand = Stand {
+            up: config.mount.up().axis(),
+            height_m,
+        };
         self.test = Test::new(&config.joining, config.theta_rad, self.words.len());
         self.words.fill(Words::default());
         self.reach.clear();
         self.at = 0;
         self.ready = ready;
         let sweep = sweep.as_ref();
-        self.points.begin(&sweep, ready.is_none().then_some(sweep.columns.len()));
-        self.fan.measure(&self.points, config.joining.rows, self.test.near_m());
+        self.points
+            .begin(&sweep, ready.is_none().then_some(sweep.columns.len()));
+        self.fan
+            .measure(&self.points, config.joining.rows, self.test.near_m());
     }
 
     /// More columns are ready, or all (`None`).
@@ -140,8 +160,8 @@ impl Strips {
         self.stand.height_m
     }
 
-    /// How deep below the sensor the lowest return of each column lies, metres; infinite where there is none. Of a sweep that
-    /// was segmented.
+    /// How deep below the sensor the lowest return of each column lies, metres; infinite where
+    /// there is none. Of a sweep that was segmented.
     pub fn depths_m(&self) -> &[f32] {
         &self.depths_m
     }
@@ -162,7 +182,8 @@ impl Strips {
         while self.has_next() {
             let sweep = sweep.as_ref();
             dispatch!(self.level, simd => self.next(simd, &sweep, config));
-            // The strip at hand is the one before the last that was read, and the first only leads in.
+            // The strip at hand is the one before the last that was read, and the first only leads
+            // in.
             if self.at > 2 {
                 return true;
             }
@@ -177,7 +198,9 @@ impl Strips {
         }
         match (self.ready, order.columns) {
             (Some(ready), _) => order.start + self.at * STRIP <= ready,
-            (None, columns) => columns.is_some_and(|columns| columns > 0) && self.at <= order.strips(),
+            (None, columns) => {
+                columns.is_some_and(|columns| columns > 0) && self.at <= order.strips()
+            }
         }
     }
 
@@ -195,7 +218,9 @@ impl Strips {
     #[inline(always)]
     fn next<S: Simd>(&mut self, simd: S, sweep: &SweepRef<'_>, config: &Config) {
         self.read(simd, sweep, config);
-        config.slope.climb(simd, &self.points, &self.stand, &mut self.words);
+        config
+            .slope
+            .climb(simd, &self.points, &self.stand, &mut self.words);
         config.slope.compare(simd, &self.points, &mut self.words);
         self.at += 1;
     }
@@ -204,9 +229,12 @@ impl Strips {
     fn read<S: Simd>(&mut self, simd: S, sweep: &SweepRef<'_>, config: &Config) {
         if self.at > 0 {
             self.points.advance();
-            self.words.iter_mut().for_each(|words| words.copy_within(1.., 0));
+            self.words
+                .iter_mut()
+                .for_each(|words| words.copy_within(1.., 0));
         }
-        self.points.fill(simd, sweep, config, self.at * STRIP, &mut self.words);
+        self.points
+            .fill(simd, sweep, config, self.at * STRIP, &mut self.words);
         if config.mount.height_m.is_none() {
             self.note_depths(simd);
         }
@@ -224,13 +252,19 @@ impl Strips {
         // From the top: what lies lowest is noted last.
         for (row, words) in self.words.iter().enumerate() {
             for (half, depth_m) in depths_m.iter_mut().enumerate() {
-                let real = mask32x16::from_bitmask(simd, u64::from(words[2].real >> (half * LANES)) & 0xFFFF);
+                let real = mask32x16::from_bitmask(
+                    simd,
+                    u64::from(words[2].real >> (half * LANES)) & 0xFFFF,
+                );
                 let lane = self.points.at(row) + STRIP + half * LANES;
                 *depth_m = real.select(-self.points.height(simd, lane, self.stand.up), *depth_m);
             }
         }
-        depths_m.iter().for_each(|depth_m| self.depths_m.extend_from_slice(depth_m.as_slice()));
-        self.depths_m.truncate(self.depths_m.len() - (STRIP - count));
+        depths_m
+            .iter()
+            .for_each(|depth_m| self.depths_m.extend_from_slice(depth_m.as_slice()));
+        self.depths_m
+            .truncate(self.depths_m.len() - (STRIP - count));
     }
 
     /// The ground and the runs of the strip at hand, and what they are joined to.
@@ -261,9 +295,23 @@ impl Strips {
                 along: test.along(simd, &self.points, row, u64::from(on) << 1 | before),
                 down: test.down(simd, &self.points, row, above & on),
             };
-            self.reach.take(simd, &self.points, (on, joined), strip.of_row(row), &mut self.pieces);
+            self.reach.take(
+                simd,
+                &self.points,
+                (on, joined),
+                strip.of_row(row),
+                &mut self.pieces,
+            );
         }
-        let Self { points, fan, reach, crowd, pieces, misses, .. } = self;
+        let Self {
+            points,
+            fan,
+            reach,
+            crowd,
+            pieces,
+            misses,
+            ..
+        } = self;
         match Crowd::is_in(&reach.now, rows) {
             true => crowd.join(simd, &test, points, &reach.now, pieces, misses),
             false => test.join(simd, points, fan, &mut reach.now, pieces, misses),
@@ -273,7 +321,8 @@ impl Strips {
         }
     }
 
-    /// Notes the pieces of the first columns, or unites them with what these hold for the second time.
+    /// Notes the pieces of the first columns, or unites them with what these hold for the second
+    /// time.
     fn meet(&mut self, position: usize) {
         let order = self.points.order;
         if position >= STRIP + BEFORE && position + STRIP <= order.end() {
@@ -296,7 +345,11 @@ impl Strips {
 
 /// So many columns of a strip, from its first on.
 fn columns_below(count: usize) -> u32 {
-    if count >= STRIP { u32::MAX } else { (1 << count) - 1 }
+    if count >= STRIP {
+        u32::MAX
+    } else {
+        (1 << count) - 1
+    }
 }
 
 impl Strips {
@@ -317,7 +370,11 @@ impl Strips {
         self.pieces.flatten();
         let roots = &mut self.finish.roots;
         roots.clear();
-        roots.extend((0..).zip(&self.pieces.parent).filter_map(|(piece, &root)| (piece == root).then_some(piece)));
+        roots.extend(
+            (0..)
+                .zip(&self.pieces.parent)
+                .filter_map(|(piece, &root)| (piece == root).then_some(piece)),
+        );
     }
 
     /// Gives the small components to the nearest that is not: its root is the parent of theirs.
@@ -337,7 +394,8 @@ impl Strips {
         }
     }
 
-    /// Finds for the root of each small component the nearest that is not small, if one is near enough.
+    /// Finds for the root of each small component the nearest that is not small, if one is near
+    /// enough.
     fn find_nearest(&mut self, small_points: u32) {
         let nearest = &mut self.finish.nearest;
         let Pieces { parent, sums, .. } = &self.pieces;
@@ -359,9 +417,16 @@ impl Strips {
         }
     }
 
-    /// Numbers the components that are large enough by their first pixels, and writes what is known of them.
+    /// Numbers the components that are large enough by their first pixels, and writes what is known
+    /// of them.
     fn number(&mut self, config: &Config, segments: &mut [Segment]) -> usize {
-        let Finish { roots, order, label, extents, .. } = &mut self.finish;
+        let Finish {
+            roots,
+            order,
+            label,
+            extents,
+            ..
+        } = &mut self.finish;
         let Pieces { parent, sums, .. } = &self.pieces;
         order.clear();
         for &root in &*roots {
@@ -374,7 +439,8 @@ impl Strips {
         order.truncate(segments.len());
         label.clear();
         label.resize(parent.len(), LABEL_NONE);
-        for ((&(_, root), number), segment) in order.iter().zip(LABEL_FIRST_SEGMENT..).zip(segments) {
+        for ((&(_, root), number), segment) in order.iter().zip(LABEL_FIRST_SEGMENT..).zip(segments)
+        {
             label[root as usize] = number;
             *segment = sums[root as usize].segment(number);
         }
@@ -387,13 +453,19 @@ impl Strips {
         order.len()
     }
 
-    /// Writes the labels: a strip in rows first, where runs lie, then in columns, as the image has them.
+    /// Writes the labels: a strip in rows first, where runs lie, then in columns, as the image has
+    /// them.
     #[inline(always)]
     fn write_labels<S: Simd>(&mut self, simd: S, sweep: &mut SweepMut<'_>) {
         let rows = self.words.len().max(1);
         let pixels = sweep.image_pixels();
         let labels = &mut sweep.label[pixels];
-        let Finish { label, extents, tile, .. } = &mut self.finish;
+        let Finish {
+            label,
+            extents,
+            tile,
+            ..
+        } = &mut self.finish;
         tile.resize(rows * STRIP, 0);
         let Pieces { parent, parts, .. } = &self.pieces;
         let mut parts = parts.iter().peekable();
@@ -407,12 +479,23 @@ impl Strips {
             while let Some(part) = parts.next_if(|part| usize::from(part.strip) == strip) {
                 let number = label[parent[part.piece as usize] as usize];
                 if let Some(place) = number.checked_sub(LABEL_FIRST_SEGMENT) {
-                    fill(simd, &mut tile[usize::from(part.row) * STRIP..][..STRIP], part.columns, number);
+                    fill(
+                        simd,
+                        &mut tile[usize::from(part.row) * STRIP..][..STRIP],
+                        part.columns,
+                        number,
+                    );
                     extents[place as usize].add(position, part.columns, order);
                 }
             }
             let count = STRIP.min(order.end() - position);
-            write_columns(simd, tile, labels, rows, (position..position + count).filter_map(|at| order.column(at)));
+            write_columns(
+                simd,
+                tile,
+                labels,
+                rows,
+                (position..position + count).filter_map(|at| order.column(at)),
+            );
         }
     }
 }
@@ -425,7 +508,8 @@ fn fill<S: Simd>(simd: S, row: &mut [u32], columns: u32, label: u32) {
         let columns = columns >> (half * LANES) & 0xFFFF;
         if columns != 0 {
             let is = mask32x16::from_bitmask(simd, u64::from(columns));
-            is.select(label, u32x16::from_slice(simd, lanes)).store_slice(lanes);
+            is.select(label, u32x16::from_slice(simd, lanes))
+                .store_slice(lanes);
         }
     }
 }
@@ -446,12 +530,19 @@ mod tests {
 
     const ROWS: usize = 16;
 
-    /// So many columns of a turn of 100 or more, in which some pixels hold a return, and some columns none.
+    /// So many columns of a turn of 100 or more, in which some pixels hold a return, and some
+    /// columns none.
     fn noise(rng: &mut Rng, columns: usize, circular: bool) -> HeapBuffer {
-        let shape = Shape { rows: ROWS, columns_capacity: columns, dual: false, segments_capacity: 8 };
+        let shape = Shape {
+            rows: ROWS,
+            columns_capacity: columns,
+            dual: false,
+            segments_capacity: 8,
+        };
         let mut buffer = HeapBuffers::default().take(shape.total_bytes());
         let sweep = SweepMut::create(buffer.as_mut(), &shape).unwrap();
-        (sweep.header.columns, sweep.header.flags) = (columns as u32, if circular { flags::CIRCULAR } else { 0 });
+        (sweep.header.columns, sweep.header.flags) =
+            (columns as u32, if circular { flags::CIRCULAR } else { 0 });
         for (index, column) in sweep.columns.iter_mut().enumerate() {
             let azimuth_rad = index as f64 / columns.max(100) as f64 * TAU;
             *column = Column::measured(0, 0, azimuth_rad as f32, (10.0 * TAU) as f32, 0);
@@ -461,7 +552,13 @@ mod tests {
         }
         for ranges in sweep.range.chunks_exact_mut(ROWS) {
             let share = rng.f32() - 0.3;
-            ranges.fill_with(|| if rng.f32() < share { 1.0 + 30.0 * rng.f32() } else { 0.0 });
+            ranges.fill_with(|| {
+                if rng.f32() < share {
+                    1.0 + 30.0 * rng.f32()
+                } else {
+                    0.0
+                }
+            });
         }
         buffer
     }
@@ -476,7 +573,10 @@ mod tests {
                 -(x * right_m + y * forward_m + z * up_m)
             })
         };
-        points::placed(sweep, config).chunks_exact(ROWS).map(of_column).collect()
+        points::placed(sweep, config)
+            .chunks_exact(ROWS)
+            .map(of_column)
+            .collect()
     }
 
     #[test]
@@ -487,8 +587,16 @@ mod tests {
             let mut buffer = noise(&mut rng, columns, circular);
             let sweep = SweepMut::open(buffer.as_mut()).unwrap();
             let [pitch_rad, roll_rad] = if rng.bool() { [0.0; 2] } else { [0.1, -0.2] };
-            let mount = Mount { height_m: None, pitch_rad, roll_rad };
-            let config = Config { mount, max_range_m: 25.0, ..Config::default() };
+            let mount = Mount {
+                height_m: None,
+                pitch_rad,
+                roll_rad,
+            };
+            let config = Config {
+                mount,
+                max_range_m: 25.0,
+                ..Config::default()
+            };
             let mut expected = depths_m(&sweep.as_ref(), &config);
             expected.sort_by(f32::total_cmp);
             for level in levels() {

@@ -1,4 +1,5 @@
-//! Squares of sixteen by sixteen pixels, turned over: an image lies column by column, runs lie in rows.
+//! Squares of sixteen by sixteen pixels, turned over: an image lies column by column, runs lie in
+//! rows.
 
 use fearless_simd::{Simd, prelude::*, u32x16};
 
@@ -10,7 +11,8 @@ pub fn turn_over<S: Simd, V: SimdBase<S>>(tile: [V; LANES]) -> [V; LANES] {
     deal(deal(deal(deal(tile))))
 }
 
-/// Deals the lines of both halves alternately: after four times, each number has gone where its place was.
+/// Deals the lines of both halves alternately: after four times, each number has gone where its
+/// place was.
 #[inline(always)]
 fn deal<S: Simd, V: SimdBase<S>>(lines: [V; LANES]) -> [V; LANES] {
     let [a, b, c, d, e, f, g, h, i, j, k, l, m, n, o, p] = lines;
@@ -55,7 +57,8 @@ pub(super) fn write_columns<S: Simd>(
         for row in (0..squared).step_by(LANES) {
             let mut tile = [u32x16::splat(simd, 0); LANES];
             for line in 0..LANES {
-                tile[line] = u32x16::from_slice(simd, &strip[(row + line) * STRIP + half..][..LANES]);
+                tile[line] =
+                    u32x16::from_slice(simd, &strip[(row + line) * STRIP + half..][..LANES]);
             }
             let tile = turn_over(tile);
             for ahead in 0..count {

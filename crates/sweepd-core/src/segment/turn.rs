@@ -9,6 +9,9 @@ pub(super) fn turn_rad(beam: &BeamRow, rate_rad_s: f64) -> f64 {
 
 /// Mean turning rate over a sweep, radians a second.
 pub(super) fn mean_rate_rad_s(columns: &[Column]) -> f64 {
-    let sum: f64 = columns.iter().map(|column| f64::from(column.azimuth_rate_rad_s)).sum();
+    let sum: f64 = columns
+        .iter()
+        .map(|column| f64::from(column.azimuth_rate_rad_s))
+        .sum();
     sum / columns.len().max(1) as f64
 }

@@ -1,20 +1,22 @@
-//! Which runs belong together: two whose nearest columns and rows the window holds, and of which any two points pass the
-//! test.
+//! Which runs belong together: two whose nearest columns and rows the window holds, and of which
+//! any two points pass the test.
 //!
-//! The test is the paper's, for any two beams and not only for neighbours: beta, the angle at the farther point between its
-//! beam and the line to the other, is greater than theta (paper, equation 1). From the triangle of the sensor and the two
-//! points, with the distances d1 >= d2 and the distance e between the points,
+//! The test is the paper's, for any two beams and not only for neighbours: beta, the angle at the
+//! farther point between its beam and the line to the other, is greater than theta (paper, equation
+//! 1). From the triangle of the sensor and the two points, with the distances d1 >= d2 and the
+//! distance e between the points,
 //!
 //! ```text
 //! beta > theta   <=>   e cos(theta) > d1 - d2 cos(alpha)   <=>   2 d1 e cos(theta) > (d1 - d2)(d1 + d2) + e²
 //! ```
 //!
-//! Across holes and over other objects that alone would join what merely lies in one direction; so the points must also be
-//! near each other ([`Joining::gap_m`]).
+//! Across holes and over other objects that alone would join what merely lies in one direction; so
+//! the points must also be near each other ([`Joining::gap_m`]).
 //!
-//! Most pairs of runs are settled without looking at a point: they are of one component already, their distances from the
-//! sensor are too different, or their rows have spread too far there. Where runs are as short and many as in dust, that takes
-//! longer than to compare points at once: `crowd`.
+//! Most pairs of runs are settled without looking at a point: they are of one component already,
+//! their distances from the sensor are too different, or their rows have spread too far there.
+//! Where runs are as short and many as in dust, that takes longer than to compare points at once:
+//! `crowd`.
 
 use std::ops::Range;
 
@@ -34,7 +36,8 @@ pub struct Joining {
     pub columns: usize,
     /// Rows that two points may be apart, 1 to 8.
     pub rows: usize,
-    /// Distance that two points may be apart, metres; `None` chooses by the rows of the image: see [`Joining::gap_m`].
+    /// Distance that two points may be apart, metres; `None` chooses by the rows of the image: see
+    /// [`Joining::gap_m`].
     pub gap_m: Option<f32>,
     /// A component of fewer points is part of another one near by; 0 or 1 leaves all alone.
     pub small_points: u32,
@@ -44,7 +47,13 @@ pub struct Joining {
 
 impl Default for Joining {
     fn default() -> Self {
-        Self { columns: MOST_COLUMNS, rows: 2, gap_m: None, small_points: 22, small_reach_m: 0.25 }
+        Self {
+            columns: MOST_COLUMNS,
+            rows: 2,
+            gap_m: None,
+            small_points: 22,
+            small_reach_m: 0.25,
+        }
     }
 }
 
@@ -56,10 +65,11 @@ pub const MOST_ROWS: usize = 8;
 const SLACK_M: f32 = 1e-3;
 
 impl Joining {
-    /// Distance that two points of an image of so many rows may be apart, metres: what was told, else 0.6 where beams are
-    /// dense, and 0.8 where they are sparse.
+    /// Distance that two points of an image of so many rows may be apart, metres: what was told,
+    /// else 0.6 where beams are dense, and 0.8 where they are sparse.
     pub fn gap_m(&self, rows: usize) -> f32 {
-        self.gap_m.unwrap_or(if rows >= DENSE_ROWS { 0.6 } else { 0.8 })
+        self.gap_m
+            .unwrap_or(if rows >= DENSE_ROWS { 0.6 } else { 0.8 })
     }
 }
 
@@ -96,7 +106,12 @@ enum Verdict {
 impl Test {
     pub fn new(joining: &Joining, theta_rad: f32, rows: usize) -> Self {
         let gap_m = joining.gap_m(rows);
-        let near_m = gap_m + if joining.small_points > 1 { joining.small_reach_m } else { 0.0 };
+        let near_m = gap_m
+            + if joining.small_points > 1 {
+                joining.small_reach_m
+            } else {
+                0.0
+            };
         let cos = theta_rad.cos();
         Self {
             columns: joining.columns,
@@ -131,8 +146,8 @@ impl Test {
         !pieces.has(root, self.small_points)
     }
 
-    /// Which columns of a row of the strip at hand are joined to the one before: of those that are on, a bit each after one
-    /// for the column before the strip.
+    /// Which columns of a row of the strip at hand are joined to the one before: of those that are
+    /// on, a bit each after one for the column before the strip.
     #[inline(always)]
     pub fn along<S: Simd>(&self, simd: S, points: &Points, row: usize, on: u64) -> u32 {
         let both = on & on << 1;
@@ -142,7 +157,10 @@ impl Test {
             if bits != 0 {
                 work::count(1);
                 let lane = points.at(row) + half * LANES;
-                let (here, before) = (Point::load(simd, points, lane), Point::load(simd, points, lane - 1));
+                let (here, before) = (
+                    Point::load(simd, points, lane),
+                    Point::load(simd, points, lane - 1),
+                );
                 let is = self.joins(&here, &before, here.apart2(&before));
                 joined |= ((is.to_bitmask() & bits) as u32) << (half * LANES);
             }
@@ -150,7 +168,8 @@ impl Test {
         joined
     }
 
-    /// Which columns of a row of the strip at hand are joined to those of the row above: of those that are on in both.
+    /// Which columns of a row of the strip at hand are joined to those of the row above: of those
+    /// that are on in both.
     #[inline(always)]
     pub fn down<S: Simd>(&self, simd: S, points: &Points, row: usize, both: u32) -> u32 {
         let mut joined = 0;
@@ -158,7 +177,10 @@ impl Test {
             if both >> (half * LANES) & 0xFFFF != 0 {
                 work::count(1);
                 let [above, here] = [row - 1, row].map(|row| points.at(row) + half * LANES);
-                let (above, here) = (Point::load(simd, points, above), Point::load(simd, points, here));
+                let (above, here) = (
+                    Point::load(simd, points, above),
+                    Point::load(simd, points, here),
+                );
                 let is = self.joins(&above, &here, above.apart2(&here));
                 joined |= (is.to_bitmask() as u32) << (half * LANES);
             }
@@ -182,17 +204,28 @@ impl Test {
             if entering < rows {
                 entries.refresh(entering, pieces);
             }
-            let Some(row) = entering.checked_sub(self.rows) else { continue };
+            let Some(row) = entering.checked_sub(self.rows) else {
+                continue;
+            };
             let window_end = entries.of(entering.min(rows - 1)).end;
             for entry in entries.of(row) {
-                let end = entries.of(row + fan.rows_below(simd, row, entries.low[entry])).end;
-                self.join_one(simd, points, (entry..end, window_end), entries, pieces, misses);
+                let end = entries
+                    .of(row + fan.rows_below(simd, row, entries.low[entry]))
+                    .end;
+                self.join_one(
+                    simd,
+                    points,
+                    (entry..end, window_end),
+                    entries,
+                    pieces,
+                    misses,
+                );
             }
         }
     }
 
-    /// Joins the first of some runs with the others. All up to the window's end hear of a new root, also those that it is not
-    /// compared with: the next one may be.
+    /// Joins the first of some runs with the others. All up to the window's end hear of a new root,
+    /// also those that it is not compared with: the next one may be.
     #[inline(always)]
     fn join_one<S: Simd>(
         &self,
@@ -206,7 +239,8 @@ impl Test {
         let (a, end) = (among.start, among.end);
         let mut from = a + 1;
         while from < end {
-            // A whole word before any is looked at: to ask after each sixteen is to be mispredicted too often.
+            // A whole word before any is looked at: to ask after each sixteen is to be mispredicted
+            // too often.
             let mut left = entries.like(simd, a, from..end, self.columns as i16, self.near);
             while left != 0 {
                 let b = from + left.trailing_zeros() as usize;
@@ -220,7 +254,12 @@ impl Test {
                 if !is_one_small && entries.are_apart(a, b, self.gap) {
                     continue;
                 }
-                match self.verdict(simd, points, Stretch::new(entries, a, points), Stretch::new(entries, b, points)) {
+                match self.verdict(
+                    simd,
+                    points,
+                    Stretch::new(entries, a, points),
+                    Stretch::new(entries, b, points),
+                ) {
                     Verdict::Joined => {
                         let [root, gone] = pieces.unite(roots[0], roots[1]);
                         work::count((window_end - a).div_ceil(LANES));
@@ -228,7 +267,10 @@ impl Test {
                     }
                     Verdict::Near(apart2) if is_one_small => {
                         work::count(1);
-                        misses.push(Miss { pieces: roots, apart2 });
+                        misses.push(Miss {
+                            pieces: roots,
+                            apart2,
+                        });
                     }
                     Verdict::Near(_) | Verdict::Apart => {}
                 }
@@ -237,11 +279,15 @@ impl Test {
         }
     }
 
-    /// Looks at the points of two runs: each of the shorter one against all of the longer one that the window holds. What is
-    /// further apart than the reach is of no interest.
+    /// Looks at the points of two runs: each of the shorter one against all of the longer one that
+    /// the window holds. What is further apart than the reach is of no interest.
     #[inline(always)]
     fn verdict<S: Simd>(&self, simd: S, points: &Points, a: Stretch, b: Stretch) -> Verdict {
-        let (few, many) = if a.last - a.first <= b.last - b.first { (a, b) } else { (b, a) };
+        let (few, many) = if a.last - a.first <= b.last - b.first {
+            (a, b)
+        } else {
+            (b, a)
+        };
         let mut nearest = f32x16::splat(simd, f32::INFINITY);
         let mut joined = mask32x16::splat(simd, false);
         for column in few.first..=few.last {
@@ -269,15 +315,15 @@ impl Test {
         }
     }
 
-    /// Which of two rows of points, of which these are the squares of the distances, are near enough to become part of one
-    /// another.
+    /// Which of two rows of points, of which these are the squares of the distances, are near
+    /// enough to become part of one another.
     #[inline(always)]
     pub fn nears<S: Simd>(&self, apart2: f32x16<S>) -> mask32x16<S> {
         apart2.simd_lt(self.near_m * self.near_m)
     }
 
-    /// Which of two rows of points, of which these are the squares of the distances, belong together: they are near each other
-    /// and pass the test of the angle.
+    /// Which of two rows of points, of which these are the squares of the distances, belong
+    /// together: they are near each other and pass the test of the angle.
     #[inline(always)]
     pub fn joins<S: Simd>(&self, a: &Point<S>, b: &Point<S>, apart2: f32x16<S>) -> mask32x16<S> {
         let (longer, shorter) = (a.far.max(b.far), a.far.min(b.far));
@@ -300,7 +346,12 @@ impl<S: Simd> Point<S> {
     #[inline(always)]
     pub fn load(simd: S, points: &Points, lane: usize) -> Self {
         let [x, y, z] = points.place(simd, lane);
-        Self { x, y, z, far: points.far.load(simd, lane) }
+        Self {
+            x,
+            y,
+            z,
+            far: points.far.load(simd, lane),
+        }
     }
 
     /// One point, sixteen times.
@@ -334,6 +385,10 @@ impl Stretch {
     #[inline(always)]
     fn new(entries: &Entries, entry: usize, points: &Points) -> Self {
         let lane = points.at(usize::from(entries.row[entry])) - BEFORE;
-        Self { lane, first: entries.first[entry] as usize, last: entries.last[entry] as usize }
+        Self {
+            lane,
+            first: entries.first[entry] as usize,
+            last: entries.last[entry] as usize,
+        }
     }
 }

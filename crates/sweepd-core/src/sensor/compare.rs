@@ -83,7 +83,11 @@ impl Quantity {
 
     fn tolerance(self) -> f64 {
         // Two values that are as far apart as allowed must not differ because they are binary.
-        let tolerance = if self.is_angle() { ANGLE_TOLERANCE_DEG } else { LENGTH_TOLERANCE_M };
+        let tolerance = if self.is_angle() {
+            ANGLE_TOLERANCE_DEG
+        } else {
+            LENGTH_TOLERANCE_M
+        };
         tolerance * (1.0 + 1e-9)
     }
 }
@@ -94,9 +98,15 @@ impl Quantity {
 pub fn differences(a: &Calibration, b: &Calibration) -> Vec<Difference> {
     let pairs = a.beams().iter().zip(b.beams());
     pairs
-        .flat_map(|(a, b)| Quantity::ALL.map(|quantity| (a.channel, quantity, [quantity.of(a), quantity.of(b)])))
+        .flat_map(|(a, b)| {
+            Quantity::ALL.map(|quantity| (a.channel, quantity, [quantity.of(a), quantity.of(b)]))
+        })
         .filter(|(_, quantity, [a, b])| (a - b).abs() > quantity.tolerance())
-        .map(|(channel, quantity, values)| Difference { channel, quantity, values })
+        .map(|(channel, quantity, values)| Difference {
+            channel,
+            quantity,
+            values,
+        })
         .collect()
 }
 
@@ -108,22 +118,41 @@ mod tests {
     #[test]
     fn what_differs_is_named_and_the_rest_is_not() {
         let calibration = |change: fn(&mut Beam)| {
-            let mut beams = vec![Beam::ideal(0, 0.1), Beam { distance_offset_m: 1.25, ..Beam::ideal(1, 0.2) }];
+            let mut beams = vec![
+                Beam::ideal(0, 0.1),
+                Beam {
+                    distance_offset_m: 1.25,
+                    ..Beam::ideal(1, 0.2)
+                },
+            ];
             change(&mut beams[1]);
             Calibration::new(beams, 0.002).unwrap()
         };
         let plain = calibration(|_| ());
-        let two_point = |x, y| Some(TwoPoint { distance_offset_x_m: x, distance_offset_y_m: y });
+        let two_point = |x, y| {
+            Some(TwoPoint {
+                distance_offset_x_m: x,
+                distance_offset_y_m: y,
+            })
+        };
         let same = calibration(|beam| {
             beam.elevation_rad += 0.02_f64.to_radians();
             beam.vertical_offset_m = 0.002;
-            beam.two_point = Some(TwoPoint { distance_offset_x_m: 1.25, distance_offset_y_m: 1.25 });
+            beam.two_point = Some(TwoPoint {
+                distance_offset_x_m: 1.25,
+                distance_offset_y_m: 1.25,
+            });
         });
         assert_eq!(differences(&plain, &same), []);
-        let mut other = calibration(|beam| beam.rotation_rad = -0.021_f64.to_radians()).beams().to_vec();
+        let mut other = calibration(|beam| beam.rotation_rad = -0.021_f64.to_radians())
+            .beams()
+            .to_vec();
         other[1].two_point = two_point(1.25, 1.253);
         let found = differences(&plain, &Calibration::new(other, 0.002).unwrap());
-        let named: Vec<_> = found.iter().map(|one| (one.channel, one.quantity)).collect();
+        let named: Vec<_> = found
+            .iter()
+            .map(|one| (one.channel, one.quantity))
+            .collect();
         assert_eq!(named, [(1, Quantity::Rotation), (1, Quantity::DistanceY)]);
         assert_eq!(found[1].values, [1.25, 1.253]);
     }

@@ -6,8 +6,9 @@
 //!                          > points_ > item > px > id_, rotCorrection_, vertCorrection_, distCorrection_, …
 //! ```
 //!
-//! There are always 64 slots. On a smaller sensor `enabled_` is 0 from slot 16 or 32 on; those slots hold zeros or
-//! (VLP-16 and Puck Hi-Res of VeloView) repeat the first ones, and are left out here.
+//! There are always 64 slots. On a smaller sensor `enabled_` is 0 from slot 16 or 32 on; those
+//! slots hold zeros or (VLP-16 and Puck Hi-Res of VeloView) repeat the first ones, and are left out
+//! here.
 
 use roxmltree::{Document, Node, ParsingOptions};
 
@@ -32,9 +33,23 @@ const FORM: Form = Form {
         "",
     ],
     // A program writes these files, and it leaves none of these out.
-    required: &[Key::Rotation, Key::Elevation, Key::Distance, Key::VerticalOffset, Key::HorizontalOffset],
-    angle: Unit { name: "degrees", factor: std::f64::consts::PI / 180.0, mistaken: None },
-    length: Unit { name: "centimetres", factor: 0.01, mistaken: None },
+    required: &[
+        Key::Rotation,
+        Key::Elevation,
+        Key::Distance,
+        Key::VerticalOffset,
+        Key::HorizontalOffset,
+    ],
+    angle: Unit {
+        name: "degrees",
+        factor: std::f64::consts::PI / 180.0,
+        mistaken: None,
+    },
+    length: Unit {
+        name: "centimetres",
+        factor: 0.01,
+        mistaken: None,
+    },
     count: "count",
     distance_unit: "distLSB_",
 };
@@ -45,8 +60,8 @@ const SIZES: [usize; 4] = [16, 32, 64, 128];
 /// Nodes of the largest file that is still read; the real ones have about 4000.
 const MAX_NODES: u32 = 100_000;
 
-/// Attributes of the largest file that is still read, told by their `=`; the real ones have about 160. Those of a tag are
-/// compared with each other, and so tens of thousands take far too long.
+/// Attributes of the largest file that is still read, told by their `=`; the real ones have about
+/// 160. Those of a tag are compared with each other, and so tens of thousands take far too long.
 const MAX_ATTRIBUTES: usize = 2000;
 
 /// Reads the text of a file named `file` (for messages).
@@ -56,9 +71,17 @@ const MAX_ATTRIBUTES: usize = 2000;
 pub fn parse(text: &str, file: &str) -> Result<Calibration, CalibrationError> {
     let text = text.trim_start_matches('\u{feff}');
     refuse_what_no_db_xml_has(text, file)?;
-    let options = ParsingOptions { allow_dtd: true, nodes_limit: MAX_NODES, ..ParsingOptions::default() };
-    let document = Document::parse_with_options(text, options).map_err(|error| xml_error(&error, file))?;
-    let reader = Reader { file, lines: text.match_indices('\n').map(|(offset, _)| offset).collect() };
+    let options = ParsingOptions {
+        allow_dtd: true,
+        nodes_limit: MAX_NODES,
+        ..ParsingOptions::default()
+    };
+    let document =
+        Document::parse_with_options(text, options).map_err(|error| xml_error(&error, file))?;
+    let reader = Reader {
+        file,
+        lines: text.match_indices('\n').map(|(offset, _)| offset).collect(),
+    };
     let root = document.root_element();
     let db = reader.child(root, "DB")?;
     let points = reader.child(db, "points_")?;
@@ -67,7 +90,9 @@ pub fn parse(text: &str, file: &str) -> Result<Calibration, CalibrationError> {
         form: &FORM,
         count: child(points, FORM.count).map(|node| reader.entry(node)),
         distance_unit: child(db, FORM.distance_unit).map(|node| reader.entry(node)),
-        lasers: items(points).map(|item| reader.laser(item)).collect::<Result<_, _>>()?,
+        lasers: items(points)
+            .map(|item| reader.laser(item))
+            .collect::<Result<_, _>>()?,
         line: reader.line(points),
     };
     let channels = table.channels()?;
@@ -79,7 +104,9 @@ pub fn parse(text: &str, file: &str) -> Result<Calibration, CalibrationError> {
     }
     let used = reader.used(db, channels.len())?;
     let mut channel = channels.iter();
-    table.lasers.retain(|_| channel.next().is_some_and(|&channel| channel < used));
+    table
+        .lasers
+        .retain(|_| channel.next().is_some_and(|&channel| channel < used));
     table.count = None;
     table.calibration()
 }
@@ -87,16 +114,28 @@ pub fn parse(text: &str, file: &str) -> Result<Calibration, CalibrationError> {
 /// What takes a parser of XML more time or memory than a file of this size should.
 fn refuse_what_no_db_xml_has(text: &str, file: &str) -> Result<(), CalibrationError> {
     let line = |offset: usize| 1 + text[..offset].matches('\n').count();
-    // The form has an empty document type, which must be allowed. Entities of one's own need `<!ENTITY`, and without
-    // them nothing can unfold to more text than there is. Every element keeps all namespaces around it.
-    let words = [("<!ENTITY", "declares an entity (<!ENTITY)"), ("xmlns", "declares a namespace (xmlns)")];
+    // The form has an empty document type, which must be allowed. Entities of one's own need
+    // `<!ENTITY`, and without them nothing can unfold to more text than there is. Every element
+    // keeps all namespaces around it.
+    let words = [
+        ("<!ENTITY", "declares an entity (<!ENTITY)"),
+        ("xmlns", "declares a namespace (xmlns)"),
+    ];
     for (word, what) in words {
         if let Some(offset) = text.find(word) {
-            return Err(at(file, line(offset), format!("{what}, which no db.xml does")));
+            return Err(at(
+                file,
+                line(offset),
+                format!("{what}, which no db.xml does"),
+            ));
         }
     }
     if let Some((offset, _)) = text.match_indices('=').nth(MAX_ATTRIBUTES) {
-        return Err(at(file, line(offset), format!("more than {MAX_ATTRIBUTES} attributes, which no db.xml has")));
+        return Err(at(
+            file,
+            line(offset),
+            format!("more than {MAX_ATTRIBUTES} attributes, which no db.xml has"),
+        ));
     }
     Ok(())
 }
@@ -104,7 +143,8 @@ fn refuse_what_no_db_xml_has(text: &str, file: &str) -> Result<(), CalibrationEr
 /// Finds things in the document and knows on which line they stand.
 struct Reader<'a> {
     file: &'a str,
-    /// Offsets of the line ends: counting lines from the top for every value would take quadratic time.
+    /// Offsets of the line ends: counting lines from the top for every value would take quadratic
+    /// time.
     lines: Vec<usize>,
 }
 
@@ -114,25 +154,45 @@ impl<'a> Reader<'a> {
     }
 
     /// A child that must be there.
-    fn child<'d, 'i>(&self, parent: Node<'d, 'i>, name: &str) -> Result<Node<'d, 'i>, CalibrationError> {
+    fn child<'d, 'i>(
+        &self,
+        parent: Node<'d, 'i>,
+        name: &str,
+    ) -> Result<Node<'d, 'i>, CalibrationError> {
         child(parent, name).ok_or_else(|| {
-            let message = format!("no <{name}> in <{}>: not a db.xml, or a damaged one", parent.tag_name().name());
+            let message = format!(
+                "no <{name}> in <{}>: not a db.xml, or a damaged one",
+                parent.tag_name().name()
+            );
             at(self.file, self.line(parent), message)
         })
     }
 
     fn entry<'d>(&self, node: Node<'d, '_>) -> Entry<'d> {
-        Entry { text: node.text().unwrap_or_default().into(), line: self.line(node) }
+        Entry {
+            text: node.text().unwrap_or_default().into(),
+            line: self.line(node),
+        }
     }
 
     fn laser<'d>(&self, item: Node<'d, '_>) -> Result<Laser<'d>, CalibrationError> {
         let mut laser = Laser::new(self.line(item));
         for node in self.child(item, "px")?.children().filter(Node::is_element) {
             // Other keys occur (closeSlope_ of VeloView) and mean nothing here.
-            let Some(index) = FORM.names.iter().position(|name| *name == node.tag_name().name()) else { continue };
+            let Some(index) = FORM
+                .names
+                .iter()
+                .position(|name| *name == node.tag_name().name())
+            else {
+                continue;
+            };
             let entry = self.entry(node);
             if laser.entries[index].is_some() {
-                return Err(at(self.file, entry.line, format!("{} is there twice in one laser", FORM.names[index])));
+                return Err(at(
+                    self.file,
+                    entry.line,
+                    format!("{} is there twice in one laser", FORM.names[index]),
+                ));
             }
             laser.entries[index] = Some(entry);
         }
@@ -140,17 +200,28 @@ impl<'a> Reader<'a> {
     }
 
     /// A list with one value a laser, or an empty one where the file has none.
-    fn list<'d>(&self, db: Node<'d, '_>, name: &str, lasers: usize) -> Result<Vec<Entry<'d>>, CalibrationError> {
-        let Some(node) = child(db, name) else { return Ok(Vec::new()) };
+    fn list<'d>(
+        &self,
+        db: Node<'d, '_>,
+        name: &str,
+        lasers: usize,
+    ) -> Result<Vec<Entry<'d>>, CalibrationError> {
+        let Some(node) = child(db, name) else {
+            return Ok(Vec::new());
+        };
         let values: Vec<Entry<'d>> = items(node).map(|item| self.entry(item)).collect();
         if values.len() == lasers {
             return Ok(values);
         }
-        let message = format!("{name} has {} values, expected {lasers}, one a laser", values.len());
+        let message = format!(
+            "{name} has {} values, expected {lasers}, one a laser",
+            values.len()
+        );
         Err(at(self.file, self.line(node), message))
     }
 
-    /// Slots in use: all up to the last enabled one, rounded up, since a beam that is switched off is still a beam.
+    /// Slots in use: all up to the last enabled one, rounded up, since a beam that is switched off
+    /// is still a beam.
     fn used(&self, db: Node<'_, '_>, lasers: usize) -> Result<usize, CalibrationError> {
         let mut end = 0;
         let enabled = self.list(db, "enabled_", lasers)?;
@@ -166,7 +237,11 @@ impl<'a> Reader<'a> {
         }
         Ok(match end {
             0 => lasers,
-            _ => SIZES.into_iter().find(|&size| size >= end).unwrap_or(lasers).min(lasers),
+            _ => SIZES
+                .into_iter()
+                .find(|&size| size >= end)
+                .unwrap_or(lasers)
+                .min(lasers),
         })
     }
 }
@@ -182,6 +257,8 @@ fn items<'d, 'i: 'd>(list: Node<'d, 'i>) -> impl Iterator<Item = Node<'d, 'i>> {
 /// The parser's own complaint, its place as ours.
 fn xml_error(error: &roxmltree::Error, file: &str) -> CalibrationError {
     let message = error.to_string();
-    let message = message.rsplit_once(" at ").map_or(message.as_str(), |(message, _)| message);
+    let message = message
+        .rsplit_once(" at ")
+        .map_or(message.as_str(), |(message, _)| message);
     at(file, error.pos().row as usize, message)
 }

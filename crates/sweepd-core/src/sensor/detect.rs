@@ -1,10 +1,11 @@
 //! Which model sends these packets.
 //!
-//! The factory bytes alone mislead: they are blank on old firmware, and early VLP-16 firmware sends the product byte of
-//! an HDL-32E. The time from packet to packet by the sensor clock does not: it follows from the firing order and is
-//! exact to the microsecond that the stamps are cut to. So the first few packets of a stream decide, and the caller
-//! keeps them until then. An HDL-64E has no product byte at all (bytes of its status are there, and may equal any): its
-//! blocks alternate between two heads, which is asked first.
+//! The factory bytes alone mislead: they are blank on old firmware, and early VLP-16 firmware sends
+//! the product byte of an HDL-32E. The time from packet to packet by the sensor clock does not: it
+//! follows from the firing order and is exact to the microsecond that the stamps are cut to. So the
+//! first few packets of a stream decide, and the caller keeps them until then. An HDL-64E has no
+//! product byte at all (bytes of its status are there, and may equal any): its blocks alternate
+//! between two heads, which is asked first.
 //!
 //! ```
 //! use sweepd_core::sensor::Model;
@@ -36,19 +37,22 @@ pub const MAX_PACKETS: usize = 12;
 
 /// Intervals that must agree before the last packet.
 const ENOUGH: usize = 2;
-/// Longest gap, in packets, that still counts as lost packets. At 5 a VLP-16 looks like an HDL-32E: 5 x 1327.104 us is
-/// 12 x 552.960.
+/// Longest gap, in packets, that still counts as lost packets. At 5 a VLP-16 looks like an HDL-32E:
+/// 5 x 1327.104 us is 12 x 552.960.
 const MAX_MULTIPLE: u32 = 4;
-/// How far an interval may be from a multiple of the period: the stamps are cut to microseconds, and crystals drift.
+/// How far an interval may be from a multiple of the period: the stamps are cut to microseconds,
+/// and crystals drift.
 const TOLERANCE_NS: u64 = 3_000;
 
-/// Models that differ in timing, by how their blocks are laid out; the others share the timing of one of them.
+/// Models that differ in timing, by how their blocks are laid out; the others share the timing of
+/// one of them.
 fn timings(banks: Banks) -> [(Model, &'static Spec); 2] {
     match banks {
         // What reports one return every 288 us may be an S2 or an S3; what reports two is an S3.
-        Banks::Alternating => {
-            [(Model::Hdl64eS2, Model::Hdl64eS2.spec()), (Model::Hdl64eS3, Model::Hdl64eS3.specs()[1])]
-        }
+        Banks::Alternating => [
+            (Model::Hdl64eS2, Model::Hdl64eS2.spec()),
+            (Model::Hdl64eS3, Model::Hdl64eS3.specs()[1]),
+        ],
         _ => [Model::Vlp16, Model::Hdl32e].map(|model| (model, model.spec())),
     }
 }
@@ -62,8 +66,9 @@ const UNSUPPORTED: [(u8, &str); 5] = [
     (0xA1, "VLS-128"),
 ];
 
-/// What the azimuths say about the return mode of packets that do not say it themselves: in how many packets of a turning
-/// head they come in equal pairs, and in how many each is its own. One packet may be corrupt.
+/// What the azimuths say about the return mode of packets that do not say it themselves: in how
+/// many packets of a turning head they come in equal pairs, and in how many each is its own. One
+/// packet may be corrupt.
 #[derive(Clone, Copy, Debug, Default)]
 struct Azimuths {
     paired: usize,
@@ -74,8 +79,8 @@ struct Azimuths {
 #[derive(Clone, Debug)]
 pub struct Detector {
     forced: Option<Model>,
-    /// How the blocks of the last packet are laid out, and its return mode and product byte: 0 on an HDL-64E, which has
-    /// none.
+    /// How the blocks of the last packet are laid out, and its return mode and product byte: 0 on
+    /// an HDL-64E, which has none.
     bytes: (Banks, u8, u8),
     azimuths: Azimuths,
     /// Packets observed, also those whose stamps were dropped when the bytes changed.
@@ -118,20 +123,30 @@ impl Detector {
         }
     }
 
-    /// Takes the next packet of the sensor, in the order of arrival, and decides as soon as that is safe: from the
-    /// third packet on, at the latest with packet [`MAX_PACKETS`], and with the first one for a sensor that is not
-    /// supported.
+    /// Takes the next packet of the sensor, in the order of arrival, and decides as soon as that is
+    /// safe: from the third packet on, at the latest with packet [`MAX_PACKETS`], and with the
+    /// first one for a sensor that is not supported.
     ///
     /// # Errors
     /// [`DetectError`], final like a detection.
     pub fn observe(&mut self, packet: &DataPacket) -> Option<Result<Detection, DetectError>> {
-        // The bank markers come first: the factory bytes of an HDL-64E are status bytes and may equal any product.
+        // The bank markers come first: the factory bytes of an HDL-64E are status bytes and may
+        // equal any product.
         match packet.banks() {
             Banks::Alternating => {}
-            Banks::UpperHeavy => return Some(Err(DetectError::Unsupported { sensor: "HDL-64E S1" })),
-            Banks::Other => return Some(Err(DetectError::Unsupported { sensor: many_banks(packet.product) })),
+            Banks::UpperHeavy => {
+                return Some(Err(DetectError::Unsupported {
+                    sensor: "HDL-64E S1",
+                }));
+            }
+            Banks::Other => {
+                return Some(Err(DetectError::Unsupported {
+                    sensor: many_banks(packet.product),
+                }));
+            }
             Banks::One => match said_by(packet.product) {
-                // The user may know a product byte that nobody else does, but not turn one sensor into another.
+                // The user may know a product byte that nobody else does, but not turn one sensor
+                // into another.
                 Err(DetectError::UnknownProduct { .. }) if self.forced.is_some() => {}
                 Err(error) => return Some(Err(error)),
                 Ok(_) => {}
@@ -141,7 +156,11 @@ impl Detector {
             return Some(self.conclude());
         }
         self.record(packet);
-        if self.observed == MAX_PACKETS { Some(self.conclude()) } else { self.decide_early() }
+        if self.observed == MAX_PACKETS {
+            Some(self.conclude())
+        } else {
+            self.decide_early()
+        }
     }
 
     /// Decides now: for a stream that ended before [`Detector::observe`] did.
@@ -155,15 +174,21 @@ impl Detector {
             return self.without_period();
         }
         let [best, next] = self.votes(&intervals);
-        // A field of view leaves one odd interval a turn, heavy loss leaves many; chance fits one in a hundred.
+        // A field of view leaves one odd interval a turn, heavy loss leaves many; chance fits one
+        // in a hundred.
         if best.fits > next.fits && best.fits * 4 >= intervals.len {
             return self.detection(best);
         }
         match unsupported(self.bytes.2) {
             Some(sensor) => Err(DetectError::Unsupported { sensor }),
             None => {
-                let (median_us, mode, heads) = (intervals.median(), best.return_mode, self.has_heads());
-                Err(DetectError::UnknownPeriod { median_us, mode, heads })
+                let (median_us, mode, heads) =
+                    (intervals.median(), best.return_mode, self.has_heads());
+                Err(DetectError::UnknownPeriod {
+                    median_us,
+                    mode,
+                    heads,
+                })
             }
         }
     }
@@ -176,11 +201,19 @@ impl Detector {
     fn check_layout(&self) -> Result<(), DetectError> {
         let heads = self.has_heads();
         let layout = match heads {
-            true => "the blocks of its packets alternate between two heads, as those of the HDL-64E do",
-            false => "the blocks of its packets are all of one head, and those of the HDL-64E alternate between two",
+            true => {
+                "the blocks of its packets alternate between two heads, as those of the HDL-64E do"
+            }
+            false => {
+                "the blocks of its packets are all of one head, and those of the HDL-64E alternate between two"
+            }
         };
         match self.forced {
-            Some(said) if self.len > 0 && said.is_hdl64e() != heads => Err(DetectError::Layout { said, layout, heads }),
+            Some(said) if self.len > 0 && said.is_hdl64e() != heads => Err(DetectError::Layout {
+                said,
+                layout,
+                heads,
+            }),
             _ => Ok(()),
         }
     }
@@ -191,7 +224,8 @@ impl Detector {
             banks => (banks, packet.return_mode, packet.product),
         };
         if self.len == 0 || bytes != self.bytes {
-            // Somebody changed the return mode: the periods on the two sides have nothing in common.
+            // Somebody changed the return mode: the periods on the two sides have nothing in
+            // common.
             self.bytes = bytes;
             self.azimuths = Azimuths::default();
             self.first_stamp = packet.stamp_us();
@@ -203,7 +237,11 @@ impl Detector {
             false => turns().then(|| packet.azimuths_in_groups(2)),
         };
         if let Some(paired) = paired {
-            *if paired { &mut self.azimuths.paired } else { &mut self.azimuths.single } += 1;
+            *if paired {
+                &mut self.azimuths.paired
+            } else {
+                &mut self.azimuths.single
+            } += 1;
         }
         self.stamps[self.len] = since(self.first_stamp, packet.stamp_us());
         self.len += 1;
@@ -222,7 +260,10 @@ impl Detector {
         let mut stamps = self.stamps;
         let stamps = &mut stamps[..self.len];
         stamps.sort_unstable();
-        let mut intervals = Intervals { us: [0; MAX_PACKETS], len: 0 };
+        let mut intervals = Intervals {
+            us: [0; MAX_PACKETS],
+            len: 0,
+        };
         for pair in stamps.windows(2) {
             let interval = u32::try_from(pair[1] - pair[0]).unwrap_or(u32::MAX);
             if interval > 0 {
@@ -236,7 +277,10 @@ impl Detector {
     /// The two timings, the better one first.
     fn votes(&self, intervals: &Intervals) -> [Vote; 2] {
         let [mut best, mut next] = timings(self.bytes.0).map(|timing| self.vote(timing, intervals));
-        if next.return_mode == ReturnMode::Dual && best.return_mode == next.return_mode && self.has_heads() {
+        if next.return_mode == ReturnMode::Dual
+            && best.return_mode == next.return_mode
+            && self.has_heads()
+        {
             // With two returns there is but one timing.
             next.fits = 0;
         }
@@ -248,25 +292,43 @@ impl Detector {
 
     /// How well a timing explains the intervals, in the return mode that explains them best.
     fn vote(&self, (timing, spec): (Model, &'static Spec), intervals: &Intervals) -> Vote {
-        // Strongest first: what both explain is one packet after the other in single mode, not every second one in
-        // dual.
+        // Strongest first: what both explain is one packet after the other in single mode, not
+        // every second one in dual.
         let Azimuths { paired, single } = self.azimuths;
-        let modes: &[ReturnMode] = match (ReturnMode::from_byte(self.bytes.1), paired.cmp(&single)) {
+        let modes: &[ReturnMode] = match (ReturnMode::from_byte(self.bytes.1), paired.cmp(&single))
+        {
             (Some(ReturnMode::Strongest), _) | (None, Ordering::Less) => &[ReturnMode::Strongest],
             (Some(ReturnMode::Last), _) => &[ReturnMode::Last],
             (Some(ReturnMode::Dual), _) | (None, Ordering::Greater) => &[ReturnMode::Dual],
             (None, Ordering::Equal) => &[ReturnMode::Strongest, ReturnMode::Dual],
         };
-        let mut best = Vote { timing, spec, return_mode: modes[0], fits: 0, interval_us: 0 };
+        let mut best = Vote {
+            timing,
+            spec,
+            return_mode: modes[0],
+            fits: 0,
+            interval_us: 0,
+        };
         for &return_mode in modes {
             let period_ns = spec.packet_period_ns(return_mode);
-            let fitting = || intervals.us().iter().copied().filter(|&us| fits(us, period_ns));
+            let fitting = || {
+                intervals
+                    .us()
+                    .iter()
+                    .copied()
+                    .filter(|&us| fits(us, period_ns))
+            };
             let count = fitting().count();
             // Of two modes, the one with the shorter period fits too where the other is meant.
             let is_seen = modes.len() == 1 || fitting().any(|us| fits_once(us, period_ns));
             if count > best.fits && is_seen {
-                best =
-                    Vote { timing, spec, return_mode, fits: count, interval_us: fitting().min().unwrap_or_default() };
+                best = Vote {
+                    timing,
+                    spec,
+                    return_mode,
+                    fits: count,
+                    interval_us: fitting().min().unwrap_or_default(),
+                };
             }
         }
         best
@@ -274,21 +336,46 @@ impl Detector {
 
     /// The detection of a stream whose period is known.
     fn detection(&self, vote: Vote) -> Result<Detection, DetectError> {
-        let Vote { mut timing, spec, return_mode, interval_us, .. } = vote;
+        let Vote {
+            mut timing,
+            spec,
+            return_mode,
+            interval_us,
+            ..
+        } = vote;
         if self.has_heads() && return_mode == ReturnMode::Dual {
             timing = Model::Hdl64eS3;
         }
         let found = |model: Model, basis| {
             let period_ns = spec.packet_period_ns(return_mode);
-            let measured = model.specs().iter().find(|own| own.packet_period_ns(return_mode) == period_ns);
-            Ok(Detection { model, return_mode, basis, spec: measured.copied().unwrap_or(model.spec()) })
+            let measured = model
+                .specs()
+                .iter()
+                .find(|own| own.packet_period_ns(return_mode) == period_ns);
+            Ok(Detection {
+                model,
+                return_mode,
+                basis,
+                spec: measured.copied().unwrap_or(model.spec()),
+            })
         };
-        let contradiction = |said, given| Err(DetectError::Contradiction { said, given, timing, interval_us });
+        let contradiction = |said, given| {
+            Err(DetectError::Contradiction {
+                said,
+                given,
+                timing,
+                interval_us,
+            })
+        };
         if let Some(model) = self.forced {
             let basis = self.basis_of_given(model);
             // An S3 that reports one return may have the timing of an S2.
             let fits = timing_of(model) == timing || model == Model::Hdl64eS3;
-            return if fits { found(model, basis) } else { contradiction(model, true) };
+            return if fits {
+                found(model, basis)
+            } else {
+                contradiction(model, true)
+            };
         }
         if self.has_heads() {
             return found(timing, Basis::HeadsAndPeriod);
@@ -304,7 +391,11 @@ impl Detector {
 
     fn basis_of_given(&self, model: Model) -> Basis {
         let product = self.bytes.2;
-        if product == 0 || Some(product) == model.spec().product { Basis::Given } else { Basis::GivenAgainstBytes }
+        if product == 0 || Some(product) == model.spec().product {
+            Basis::Given
+        } else {
+            Basis::GivenAgainstBytes
+        }
     }
 
     /// The detection of a stream too short to measure its period.
@@ -315,7 +406,11 @@ impl Detector {
             None if self.has_heads() => (Model::Hdl64eS2, Basis::HeadsAlone),
             None => match said_by(self.bytes.2)? {
                 Some(model) => (model, Basis::BytesAlone),
-                None => return Err(DetectError::TooFewPackets { packets: self.observed }),
+                None => {
+                    return Err(DetectError::TooFewPackets {
+                        packets: self.observed,
+                    });
+                }
             },
         };
         let return_mode = ReturnMode::from_byte(self.bytes.1).unwrap_or(match self.azimuths {
@@ -326,7 +421,12 @@ impl Detector {
             (Model::Hdl64eS2, ReturnMode::Dual) if self.forced.is_none() => Model::Hdl64eS3,
             _ => model,
         };
-        Ok(Detection { model, return_mode, basis, spec: model.spec() })
+        Ok(Detection {
+            model,
+            return_mode,
+            basis,
+            spec: model.spec(),
+        })
     }
 }
 
@@ -356,12 +456,14 @@ fn since(from: u32, to: u32) -> i64 {
 /// Whether an interval is a small multiple of a period.
 fn fits(interval_us: u32, period_ns: u32) -> bool {
     let interval_ns = u64::from(interval_us) * 1_000;
-    (1..=MAX_MULTIPLE).any(|multiple| interval_ns.abs_diff(u64::from(period_ns * multiple)) <= TOLERANCE_NS)
+    (1..=MAX_MULTIPLE)
+        .any(|multiple| interval_ns.abs_diff(u64::from(period_ns * multiple)) <= TOLERANCE_NS)
 }
 
 /// Whether a stamp is one period after another, microseconds after the top of the hour.
 pub(crate) fn is_next(before_us: u32, stamp_us: u32, period_ns: u32) -> bool {
-    u32::try_from(since(before_us, stamp_us)).is_ok_and(|interval_us| fits_once(interval_us, period_ns))
+    u32::try_from(since(before_us, stamp_us))
+        .is_ok_and(|interval_us| fits_once(interval_us, period_ns))
 }
 
 /// Whether an interval is one period.
@@ -381,7 +483,11 @@ fn timing_of(model: Model) -> Model {
 
 /// How the blocks of a model are laid out.
 fn banks_of(model: Model) -> Banks {
-    if model.is_hdl64e() { Banks::Alternating } else { Banks::One }
+    if model.is_hdl64e() {
+        Banks::Alternating
+    } else {
+        Banks::One
+    }
 }
 
 /// The model that a product byte names, none if it is blank. A Puck LITE calls itself a VLP-16.
@@ -392,14 +498,20 @@ fn said_by(product: u8) -> Result<Option<Model>, DetectError> {
     if let Some(sensor) = unsupported(product) {
         return Err(DetectError::Unsupported { sensor });
     }
-    match Model::ALL.into_iter().find(|model| model.spec().product == Some(product)) {
+    match Model::ALL
+        .into_iter()
+        .find(|model| model.spec().product == Some(product))
+    {
         Some(model) => Ok(Some(model)),
         None => Err(DetectError::UnknownProduct { product }),
     }
 }
 
 fn unsupported(product: u8) -> Option<&'static str> {
-    UNSUPPORTED.into_iter().find(|&(byte, _)| byte == product).map(|(_, sensor)| sensor)
+    UNSUPPORTED
+        .into_iter()
+        .find(|&(byte, _)| byte == product)
+        .map(|(_, sensor)| sensor)
 }
 
 /// The name of a sensor that mixes banks of lasers in a way of its own.

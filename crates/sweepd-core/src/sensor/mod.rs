@@ -2,8 +2,8 @@
 //!
 //! * [`model`]: names, factory bytes, firing order and timing.
 //! * [`calibration`]: the beams, their elevations and offsets, and the rows that follow from them.
-//! * [`db_xml`], [`ros_yaml`]: the two forms in which people have calibrations; [`stream`]: that in which an HDL-64E
-//!   sends its own; [`mod@unit`]: what else that says.
+//! * [`db_xml`], [`ros_yaml`]: the two forms in which people have calibrations; [`stream`]: that in
+//!   which an HDL-64E sends its own; [`mod@unit`]: what else that says.
 //! * [`compare`]: in what two calibrations differ.
 //! * [`detect`]: which model a stream of packets comes from.
 

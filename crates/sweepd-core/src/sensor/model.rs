@@ -37,7 +37,8 @@ pub struct Spec {
     timing: [Timing; 2],
     /// What the time stamp of a packet is the time of.
     pub stamp: Stamp,
-    /// Whether the beams point so far apart in azimuth that the rows of the image are shifted by whole columns.
+    /// Whether the beams point so far apart in azimuth that the rows of the image are shifted by
+    /// whole columns.
     pub shifted: bool,
     /// Metres of one unit of distance.
     pub distance_unit_m: f64,
@@ -49,7 +50,8 @@ pub struct Spec {
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 struct Timing {
     firing_period_ns: u32,
-    /// Shots come in bursts; the period of these, and when each shot of a burst comes after its first.
+    /// Shots come in bursts; the period of these, and when each shot of a burst comes after its
+    /// first.
     burst_period_ns: u32,
     burst_ns: &'static [u32],
 }
@@ -66,7 +68,8 @@ pub enum Stamp {
 /// The beams that all units of a model have.
 #[derive(Debug, PartialEq)]
 struct Nominal {
-    /// Distance of the beams' common focal point from the axis, metres; where the vertical origin offsets come from.
+    /// Distance of the beams' common focal point from the axis, metres; where the vertical origin
+    /// offsets come from.
     focal_radius_m: f64,
     /// This project's beam table, ROS YAML.
     text: &'static str,
@@ -80,7 +83,11 @@ const VLP16: Spec = Spec {
     flag: "vlp16",
     product: Some(0x22),
     channels: 16,
-    timing: [Timing { firing_period_ns: 55_296, burst_period_ns: 2_304, burst_ns: &[0] }; 2],
+    timing: [Timing {
+        firing_period_ns: 55_296,
+        burst_period_ns: 2_304,
+        burst_ns: &[0],
+    }; 2],
     stamp: Stamp::FirstShot,
     shifted: false,
     distance_unit_m: 0.002,
@@ -91,7 +98,11 @@ const VLP16: Spec = Spec {
     }),
 };
 
-const PUCK_LITE: Spec = Spec { name: "Puck LITE", flag: "puck-lite", ..VLP16 };
+const PUCK_LITE: Spec = Spec {
+    name: "Puck LITE",
+    flag: "puck-lite",
+    ..VLP16
+};
 
 const PUCK_HIRES: Spec = Spec {
     name: "Puck Hi-Res",
@@ -105,13 +116,18 @@ const PUCK_HIRES: Spec = Spec {
     ..VLP16
 };
 
-/// HDL-32E User's Manual, pp. 12-13 and Appendix E; application note 63-9277 (the stamp is that of the first shot).
+/// HDL-32E User's Manual, pp. 12-13 and Appendix E; application note 63-9277 (the stamp is that of
+/// the first shot).
 const HDL32E: Spec = Spec {
     name: "HDL-32E",
     flag: "hdl32e",
     product: Some(0x21),
     channels: 32,
-    timing: [Timing { firing_period_ns: 46_080, burst_period_ns: 1_152, burst_ns: &[0] }; 2],
+    timing: [Timing {
+        firing_period_ns: 46_080,
+        burst_period_ns: 1_152,
+        burst_ns: &[0],
+    }; 2],
     nominal: Some(Nominal {
         focal_radius_m: 0.028_83,
         text: include_str!("../../../../calib/hdl32e.yaml"),
@@ -120,16 +136,24 @@ const HDL32E: Spec = Spec {
     ..VLP16
 };
 
-/// Laser firing time table of the HDL-64E S2 manual, Rev D, p. 38: bursts of four lasers of each head. The first laser
-/// of a packet fires a packet's period before the stamp, the last one 2.34 us before it.
-const EVERY_48_US: Timing =
-    Timing { firing_period_ns: 48_000, burst_period_ns: 6_000, burst_ns: &[0, 1_260, 2_460, 3_660] };
+/// Laser firing time table of the HDL-64E S2 manual, Rev D, p. 38: bursts of four lasers of each
+/// head. The first laser of a packet fires a packet's period before the stamp, the last one 2.34 us
+/// before it.
+const EVERY_48_US: Timing = Timing {
+    firing_period_ns: 48_000,
+    burst_period_ns: 6_000,
+    burst_ns: &[0, 1_260, 2_460, 3_660],
+};
 
 /// Laser firing time table of the HDL-64E S3 manual, 63-HDL64ES3, p. 48.
-const EVERY_57_6_US: Timing =
-    Timing { firing_period_ns: 57_600, burst_period_ns: 7_200, burst_ns: &[0, 1_300, 2_500, 3_700] };
+const EVERY_57_6_US: Timing = Timing {
+    firing_period_ns: 57_600,
+    burst_period_ns: 7_200,
+    burst_ns: &[0, 1_300, 2_500, 3_700],
+};
 
-/// HDL-64E S2 manual, Appendix D; S3 manual pp. 20 and 47. An S2 reports one return only: what reports two is an S3.
+/// HDL-64E S2 manual, Appendix D; S3 manual pp. 20 and 47. An S2 reports one return only: what
+/// reports two is an S3.
 const HDL64E_S2: Spec = Spec {
     name: "HDL-64E S2",
     flag: "hdl64e-s2",
@@ -143,15 +167,28 @@ const HDL64E_S2: Spec = Spec {
 };
 
 /// With one return, packets of an S3 come 288 us apart in most sources.
-const HDL64E_S3: Spec = Spec { name: "HDL-64E S3", flag: "hdl64e-s3", ..HDL64E_S2 };
+const HDL64E_S3: Spec = Spec {
+    name: "HDL-64E S3",
+    flag: "hdl64e-s3",
+    ..HDL64E_S2
+};
 
 /// With one return, packets of an S3 come 345.6 us apart in some sources.
-const HDL64E_S3_SLOW: Spec = Spec { timing: [EVERY_57_6_US; 2], ..HDL64E_S3 };
+const HDL64E_S3_SLOW: Spec = Spec {
+    timing: [EVERY_57_6_US; 2],
+    ..HDL64E_S3
+};
 
 impl Model {
     /// All supported models.
-    pub const ALL: [Self; 6] =
-        [Self::Vlp16, Self::PuckLite, Self::PuckHiRes, Self::Hdl32e, Self::Hdl64eS2, Self::Hdl64eS3];
+    pub const ALL: [Self; 6] = [
+        Self::Vlp16,
+        Self::PuckLite,
+        Self::PuckHiRes,
+        Self::Hdl32e,
+        Self::Hdl64eS2,
+        Self::Hdl64eS3,
+    ];
 
     /// The table of this model.
     pub const fn spec(self) -> &'static Spec {
@@ -165,8 +202,9 @@ impl Model {
         }
     }
 
-    /// All tables of this model, [`Model::spec`] first: an HDL-64E S3 has one more, in which a firing takes 57.6 us with
-    /// one return as well. Sources contradict each other; the packet period tells.
+    /// All tables of this model, [`Model::spec`] first: an HDL-64E S3 has one more, in which a
+    /// firing takes 57.6 us with one return as well. Sources contradict each other; the packet
+    /// period tells.
     pub fn specs(self) -> &'static [&'static Spec] {
         match self {
             Self::Vlp16 => &[&VLP16],
@@ -178,7 +216,8 @@ impl Model {
         }
     }
 
-    /// The number that stands for this model in the header of a sweep, from 1; it never changes its meaning.
+    /// The number that stands for this model in the header of a sweep, from 1; it never changes its
+    /// meaning.
     pub const fn code(self) -> u32 {
         self as u32 + 1
     }
@@ -193,9 +232,11 @@ impl Model {
         self.spec().channels == 64
     }
 
-    /// The nominal beams of this model, the table in `calib/` that the binary embeds; none where each unit has its own.
+    /// The nominal beams of this model, the table in `calib/` that the binary embeds; none where
+    /// each unit has its own.
     pub fn calibration(self) -> Option<&'static Calibration> {
-        static TABLES: [OnceLock<Calibration>; Model::ALL.len()] = [const { OnceLock::new() }; Model::ALL.len()];
+        static TABLES: [OnceLock<Calibration>; Model::ALL.len()] =
+            [const { OnceLock::new() }; Model::ALL.len()];
         let nominal = self.spec().nominal.as_ref()?;
         Some(TABLES[self as usize].get_or_init(|| {
             super::ros_yaml::parse(nominal.text, nominal.file)
@@ -207,7 +248,11 @@ impl Model {
 impl Spec {
     /// Lasers of a block; a firing of more beams takes several blocks.
     pub const fn channels_per_block(&self) -> usize {
-        if self.channels < RECORDS { self.channels } else { RECORDS }
+        if self.channels < RECORDS {
+            self.channels
+        } else {
+            RECORDS
+        }
     }
 
     /// Blocks that one return of a firing takes: two on an HDL-64E, upper head first.
@@ -254,15 +299,20 @@ impl Spec {
         self.firing_period_ns(mode) * self.firings_per_packet(mode) as u32
     }
 
-    /// Shot of a channel after the first shot of its firing, nanoseconds. The two heads of an HDL-64E fire together.
+    /// Shot of a channel after the first shot of its firing, nanoseconds. The two heads of an
+    /// HDL-64E fire together.
     pub fn channel_offset_ns(&self, channel: usize, mode: ReturnMode) -> u32 {
-        let Timing { burst_period_ns, burst_ns, .. } = self.timing(mode);
+        let Timing {
+            burst_period_ns,
+            burst_ns,
+            ..
+        } = self.timing(mode);
         let shot = channel % RECORDS;
         burst_period_ns * (shot / burst_ns.len()) as u32 + burst_ns[shot % burst_ns.len()]
     }
 
-    /// First shot of a packet after its stamp, nanoseconds: 0 or less. The sensor may have been silent meanwhile, where it
-    /// is set to leave a sector out.
+    /// First shot of a packet after its stamp, nanoseconds: 0 or less. The sensor may have been
+    /// silent meanwhile, where it is set to leave a sector out.
     pub fn first_shot_ns(&self, mode: ReturnMode, silent_ns: i64) -> i64 {
         match self.stamp {
             Stamp::FirstShot => 0,
@@ -284,14 +334,18 @@ impl std::fmt::Display for UnknownModel {
 
 impl std::error::Error for UnknownModel {}
 
-/// By [`Spec::flag`] or [`Spec::name`], in any case and with any hyphens, points and blanks: `VLP-16`, `hdl64e s2.1`.
+/// By [`Spec::flag`] or [`Spec::name`], in any case and with any hyphens, points and blanks:
+/// `VLP-16`, `hdl64e s2.1`.
 impl std::str::FromStr for Model {
     type Err = UnknownModel;
 
     fn from_str(text: &str) -> Result<Self, UnknownModel> {
         let word = letters_and_digits(text);
-        let is_called =
-            |model: &Self| [model.spec().flag, model.spec().name].iter().any(|own| letters_and_digits(own) == word);
+        let is_called = |model: &Self| {
+            [model.spec().flag, model.spec().name]
+                .iter()
+                .any(|own| letters_and_digits(own) == word)
+        };
         match &word[..] {
             "puck" => Ok(Self::Vlp16),
             "hdl64es21" => Ok(Self::Hdl64eS2),
@@ -301,7 +355,10 @@ impl std::str::FromStr for Model {
 }
 
 fn letters_and_digits(text: &str) -> String {
-    text.chars().filter(char::is_ascii_alphanumeric).map(|one| one.to_ascii_lowercase()).collect()
+    text.chars()
+        .filter(char::is_ascii_alphanumeric)
+        .map(|one| one.to_ascii_lowercase())
+        .collect()
 }
 
 impl std::fmt::Display for Model {
@@ -329,7 +386,9 @@ mod tests {
         ] {
             assert_eq!(text.parse::<Model>().ok(), Some(model), "{text}");
         }
-        for text in ["", "-", "vlp", "vlp-32c", "hdl64e", "hdl64", "os1", "vlp16x"] {
+        for text in [
+            "", "-", "vlp", "vlp-32c", "hdl64e", "hdl64", "os1", "vlp16x",
+        ] {
             assert!(text.parse::<Model>().is_err(), "{text}");
         }
     }
@@ -343,20 +402,26 @@ mod tests {
         assert_eq!(period(Model::Hdl32e, ReturnMode::Dual), 276_480);
         assert_eq!(period(Model::Hdl64eS2, ReturnMode::Strongest), 288_000);
         assert_eq!(period(Model::Hdl64eS3, ReturnMode::Dual), 172_800);
-        assert_eq!(Model::Hdl64eS3.specs()[1].packet_period_ns(ReturnMode::Strongest), 345_600);
+        assert_eq!(
+            Model::Hdl64eS3.specs()[1].packet_period_ns(ReturnMode::Strongest),
+            345_600
+        );
     }
 
-    /// HDL-64E manuals: the last four lasers fire 6.0, 4.74, 3.54 and 2.34 us before the output of the packet (S2), and
-    /// 7.2, 5.9, 4.7 and 3.5 us (S3, two returns).
+    /// HDL-64E manuals: the last four lasers fire 6.0, 4.74, 3.54 and 2.34 us before the output of
+    /// the packet (S2), and 7.2, 5.9, 4.7 and 3.5 us (S3, two returns).
     #[test]
     fn the_lasers_of_an_hdl64e_fire_in_bursts_before_the_stamp() {
-        for (mode, expected) in
-            [(ReturnMode::Strongest, [6_000, 4_740, 3_540, 2_340]), (ReturnMode::Dual, [7_200, 5_900, 4_700, 3_500])]
-        {
+        for (mode, expected) in [
+            (ReturnMode::Strongest, [6_000, 4_740, 3_540, 2_340]),
+            (ReturnMode::Dual, [7_200, 5_900, 4_700, 3_500]),
+        ] {
             let spec = Model::Hdl64eS3.spec();
             let last = spec.firing_period_ns(mode) as usize * (spec.firings_per_packet(mode) - 1);
             let before = |channel| {
-                -(spec.first_shot_ns(mode, 0) + last as i64 + i64::from(spec.channel_offset_ns(channel, mode)))
+                -(spec.first_shot_ns(mode, 0)
+                    + last as i64
+                    + i64::from(spec.channel_offset_ns(channel, mode)))
             };
             assert_eq!([28, 29, 30, 31].map(before), expected);
             assert_eq!([60, 61, 62, 63].map(before), expected);
@@ -366,19 +431,33 @@ mod tests {
     #[test]
     fn elevations_are_the_published_ones() {
         let degrees = |model: Model| -> Vec<f64> {
-            model.calibration().unwrap().beams().iter().map(|b| b.elevation_rad.to_degrees()).collect()
+            model
+                .calibration()
+                .unwrap()
+                .beams()
+                .iter()
+                .map(|b| b.elevation_rad.to_degrees())
+                .collect()
         };
-        let near = |a: &[f64], b: &[f64]| a.len() == b.len() && a.iter().zip(b).all(|(a, b)| (a - b).abs() < 1e-9);
-        let vlp16 = [-15., 1., -13., 3., -11., 5., -9., 7., -7., 9., -5., 11., -3., 13., -1., 15.];
+        let near = |a: &[f64], b: &[f64]| {
+            a.len() == b.len() && a.iter().zip(b).all(|(a, b)| (a - b).abs() < 1e-9)
+        };
+        let vlp16 = [
+            -15., 1., -13., 3., -11., 5., -9., 7., -7., 9., -5., 11., -3., 13., -1., 15.,
+        ];
         assert!(near(&degrees(Model::Vlp16), &vlp16));
         assert!(near(&degrees(Model::PuckLite), &vlp16));
-        let hires =
-            [-10.0, 0.67, -8.67, 2.0, -7.33, 3.33, -6.0, 4.67, -4.67, 6.0, -3.33, 7.33, -2.0, 8.67, -0.67, 10.0];
+        let hires = [
+            -10.0, 0.67, -8.67, 2.0, -7.33, 3.33, -6.0, 4.67, -4.67, 6.0, -3.33, 7.33, -2.0, 8.67,
+            -0.67, 10.0,
+        ];
         assert!(near(&degrees(Model::PuckHiRes), &hires));
-        // HDL-32E manual, Appendix B: even channels from -30.67, odd ones from -9.33, 4/3 degree apart, two decimals.
+        // HDL-32E manual, Appendix B: even channels from -30.67, odd ones from -9.33, 4/3 degree
+        // apart, two decimals.
         let hdl32e: Vec<f64> = (0..32)
             .map(|k| {
-                let exact = if k % 2 == 0 { -92.0 / 3.0 } else { -28.0 / 3.0 } + f64::from(k / 2) * 4.0 / 3.0;
+                let exact = if k % 2 == 0 { -92.0 / 3.0 } else { -28.0 / 3.0 }
+                    + f64::from(k / 2) * 4.0 / 3.0;
                 (exact * 100.0).round() / 100.0
             })
             .collect();
@@ -388,11 +467,17 @@ mod tests {
     #[test]
     fn vertical_offsets_follow_from_the_focal_point() {
         for model in Model::ALL {
-            let Some(nominal) = &model.spec().nominal else { continue };
+            let Some(nominal) = &model.spec().nominal else {
+                continue;
+            };
             for beam in model.calibration().unwrap().beams() {
                 let expected = -nominal.focal_radius_m * beam.elevation_rad.tan();
                 let found = beam.vertical_offset_m;
-                assert!((found - expected).abs() < 0.000_5, "{model} channel {}: {found} {expected}", beam.channel);
+                assert!(
+                    (found - expected).abs() < 0.000_5,
+                    "{model} channel {}: {found} {expected}",
+                    beam.channel
+                );
             }
         }
     }

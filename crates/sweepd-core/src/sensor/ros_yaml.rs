@@ -7,9 +7,9 @@
 //! - {laser_id: 0, rot_correction: -0.0765, vert_correction: -0.1262, dist_correction: 1.4139, …}
 //! ```
 //!
-//! `laser_id`, `vert_correction` and `distance_resolution` must be there; what else a file leaves out is neutral:
-//! offsets and rotation 0, intensities 0 to 255. A key that nobody knows is an error, since it is most likely a
-//! misspelt one.
+//! `laser_id`, `vert_correction` and `distance_resolution` must be there; what else a file leaves
+//! out is neutral: offsets and rotation 0, intensities 0 to 255. A key that nobody knows is an
+//! error, since it is most likely a misspelt one.
 
 use std::fmt::{self, Write as _};
 
@@ -37,13 +37,22 @@ const FORM: Form = Form {
         "two_pt_correction_available",
     ],
     required: &[Key::Elevation],
-    angle: Unit { name: "radians", factor: 1.0, mistaken: Some(("degrees", std::f64::consts::PI / 180.0)) },
-    length: Unit { name: "metres", factor: 1.0, mistaken: Some(("centimetres", 0.01)) },
+    angle: Unit {
+        name: "radians",
+        factor: 1.0,
+        mistaken: Some(("degrees", std::f64::consts::PI / 180.0)),
+    },
+    length: Unit {
+        name: "metres",
+        factor: 1.0,
+        mistaken: Some(("centimetres", 0.01)),
+    },
     count: "num_lasers",
     distance_unit: "distance_resolution",
 };
 
-/// The file; the values stay text, so that one place turns them into numbers and complains about them.
+/// The file; the values stay text, so that one place turns them into numbers and complains about
+/// them.
 #[derive(Deserialize)]
 #[serde(deny_unknown_fields)]
 struct File {
@@ -84,9 +93,14 @@ impl<'de> Deserialize<'de> for Values {
 /// # Errors
 /// [`CalibrationError::At`] with file, line and key.
 pub fn parse(text: &str, file: &str) -> Result<Calibration, CalibrationError> {
-    let content: File = serde_saphyr::from_str(text).map_err(|error| yaml_error(&error, text, file))?;
-    let lasers: Result<Vec<Laser<'_>>, _> =
-        content.lasers.value.into_iter().map(|values| laser(values, file)).collect();
+    let content: File =
+        serde_saphyr::from_str(text).map_err(|error| yaml_error(&error, text, file))?;
+    let lasers: Result<Vec<Laser<'_>>, _> = content
+        .lasers
+        .value
+        .into_iter()
+        .map(|values| laser(values, file))
+        .collect();
     Table {
         file,
         form: &FORM,
@@ -98,17 +112,25 @@ pub fn parse(text: &str, file: &str) -> Result<Calibration, CalibrationError> {
     .calibration()
 }
 
-/// The text of a file that [`parse`] reads back as the same numbers, and so does ROS: all keys, each beam a line.
+/// The text of a file that [`parse`] reads back as the same numbers, and so does ROS: all keys,
+/// each beam a line.
 ///
 /// Where a beam has no two-point or intensity correction, the keys hold what corrects nothing.
 pub fn emit(calibration: &Calibration) -> String {
     let mut text = format!("num_lasers: {}\n", calibration.beams().len());
-    let _ = writeln!(text, "distance_resolution: {}\nlasers:", calibration.distance_unit_m());
+    let _ = writeln!(
+        text,
+        "distance_resolution: {}\nlasers:",
+        calibration.distance_unit_m()
+    );
     for beam in calibration.beams() {
         let far = beam.distance_offset_m;
-        let [x, y] = beam.two_point.map_or([far; 2], |two| [two.distance_offset_x_m, two.distance_offset_y_m]);
-        let [focal, slope, min, max] =
-            beam.intensity.map_or([0.0, 0.0, 0.0, 255.0], |i| [i.focal_distance_m, i.focal_slope, i.min, i.max]);
+        let [x, y] = beam.two_point.map_or([far; 2], |two| {
+            [two.distance_offset_x_m, two.distance_offset_y_m]
+        });
+        let [focal, slope, min, max] = beam.intensity.map_or([0.0, 0.0, 0.0, 255.0], |i| {
+            [i.focal_distance_m, i.focal_slope, i.min, i.max]
+        });
         // The shortest decimals that are read as the same number.
         let numbers = [
             beam.rotation_rad,
@@ -127,7 +149,12 @@ pub fn emit(calibration: &Calibration) -> String {
         for (name, number) in FORM.names[Key::Rotation as usize..].iter().zip(numbers) {
             let _ = write!(text, ", {name}: {number}");
         }
-        let _ = writeln!(text, ", {}: {}}}", FORM.name(Key::TwoPoint), beam.two_point.is_some());
+        let _ = writeln!(
+            text,
+            ", {}: {}}}",
+            FORM.name(Key::TwoPoint),
+            beam.two_point.is_some()
+        );
     }
     text
 }
@@ -136,7 +163,11 @@ fn laser(values: Spanned<Values>, file: &str) -> Result<Laser<'static>, Calibrat
     let mut laser = Laser::new(line(values.referenced));
     for (key, value) in values.value.0 {
         let Some(index) = FORM.names.iter().position(|name| *name == key) else {
-            return Err(at(file, line(value.referenced), format!("unknown key {}", quote(&key))));
+            return Err(at(
+                file,
+                line(value.referenced),
+                format!("unknown key {}", quote(&key)),
+            ));
         };
         laser.entries[index] = Some(entry(value));
     }
@@ -144,26 +175,49 @@ fn laser(values: Spanned<Values>, file: &str) -> Result<Laser<'static>, Calibrat
 }
 
 fn entry(value: Spanned<String>) -> Entry<'static> {
-    Entry { line: line(value.referenced), text: value.value.into() }
+    Entry {
+        line: line(value.referenced),
+        text: value.value.into(),
+    }
 }
 
 fn line(location: Location) -> usize {
     usize::try_from(location.line()).unwrap_or(usize::MAX)
 }
 
-/// The YAML reader's own complaint on one line: instead of its drawing of the source, what stands there from the key
-/// on.
+/// The YAML reader's own complaint on one line: instead of its drawing of the source, what stands
+/// there from the key on.
 fn yaml_error(error: &serde_saphyr::Error, text: &str, file: &str) -> CalibrationError {
-    let message = error.without_snippet().render_with_formatter(&UserMessageFormatter);
+    let message = error
+        .without_snippet()
+        .render_with_formatter(&UserMessageFormatter);
     let message = message.lines().next().unwrap_or_default();
-    let message = message.rsplit_once(" at line ").map_or(message, |(message, _)| message);
-    let Some(location) = error.location() else { return at(file, 1, message) };
-    let column = usize::try_from(location.column()).unwrap_or(usize::MAX).saturating_sub(1);
-    let source = text.lines().nth(line(location).saturating_sub(1)).unwrap_or_default();
-    let offset = source.char_indices().nth(column).map_or(source.len(), |(offset, _)| offset);
-    let key = source[..offset].rfind(['{', ',']).map_or(0, |offset| offset + 1);
+    let message = message
+        .rsplit_once(" at line ")
+        .map_or(message, |(message, _)| message);
+    let Some(location) = error.location() else {
+        return at(file, 1, message);
+    };
+    let column = usize::try_from(location.column())
+        .unwrap_or(usize::MAX)
+        .saturating_sub(1);
+    let source = text
+        .lines()
+        .nth(line(location).saturating_sub(1))
+        .unwrap_or_default();
+    let offset = source
+        .char_indices()
+        .nth(column)
+        .map_or(source.len(), |(offset, _)| offset);
+    let key = source[..offset]
+        .rfind(['{', ','])
+        .map_or(0, |offset| offset + 1);
     match source[key..].trim() {
         "" => at(file, line(location).max(1), message),
-        found => at(file, line(location).max(1), format!("{message}: {}", quote(found))),
+        found => at(
+            file,
+            line(location).max(1),
+            format!("{message}: {}", quote(found)),
+        ),
     }
 }

@@ -1,7 +1,8 @@
-//! What both calibration forms are underneath: lasers, each a set of named values that stand on some line.
+//! What both calibration forms are underneath: lasers, each a set of named values that stand on
+//! some line.
 //!
-//! The readers ([`super::ros_yaml`], [`super::db_xml`]) find the values; here they become beams, under the same checks
-//! and with the same messages for both.
+//! The readers ([`super::ros_yaml`], [`super::db_xml`]) find the values; here they become beams,
+//! under the same checks and with the same messages for both.
 
 use std::borrow::Cow;
 use std::f64::consts::{FRAC_PI_2, PI};
@@ -79,7 +80,8 @@ pub(super) struct Table<'a> {
     pub line: usize,
 }
 
-/// Longest message, bytes. What the parsers say of themselves quotes names as long as a file can hold.
+/// Longest message, bytes. What the parsers say of themselves quotes names as long as a file can
+/// hold.
 const MAX_MESSAGE_LEN: usize = 180;
 
 /// An error on a line of a file.
@@ -89,7 +91,11 @@ pub(super) fn at(file: &str, line: usize, message: impl Into<String>) -> Calibra
         message.truncate(message.floor_char_boundary(MAX_MESSAGE_LEN));
         message.push('…');
     }
-    CalibrationError::At { file: file.to_owned(), line, message }
+    CalibrationError::At {
+        file: file.to_owned(),
+        line,
+        message,
+    }
 }
 
 /// Text from a file for a message: quoted, on one line, and not too long.
@@ -111,9 +117,11 @@ impl Form {
         match key {
             Key::Rotation => (Some(&self.angle), -PI..=PI),
             Key::Elevation => (Some(&self.angle), -FRAC_PI_2..=FRAC_PI_2),
-            Key::Distance | Key::DistanceX | Key::DistanceY | Key::VerticalOffset | Key::HorizontalOffset => {
-                (Some(&self.length), -MAX_OFFSET_M..=MAX_OFFSET_M)
-            }
+            Key::Distance
+            | Key::DistanceX
+            | Key::DistanceY
+            | Key::VerticalOffset
+            | Key::HorizontalOffset => (Some(&self.length), -MAX_OFFSET_M..=MAX_OFFSET_M),
             // The farthest that 16 bits of 2 mm reach.
             Key::FocalDistance => (Some(&self.length), 0.0..=131.07),
             Key::FocalSlope => (None, 0.0..=10.0),
@@ -125,7 +133,10 @@ impl Form {
 
 impl<'a> Laser<'a> {
     pub(super) fn new(line: usize) -> Self {
-        Self { line, entries: [const { None }; KEYS] }
+        Self {
+            line,
+            entries: [const { None }; KEYS],
+        }
     }
 
     fn get(&self, key: Key) -> Option<&Entry<'a>> {
@@ -137,8 +148,14 @@ impl Table<'_> {
     /// Checks everything and gives the beams.
     pub(super) fn calibration(&self) -> Result<Calibration, CalibrationError> {
         let channels = self.channels()?;
-        let beams: Result<Vec<Beam>, _> = self.lasers.iter().zip(channels).map(|(l, c)| self.beam(l, c)).collect();
-        Calibration::new(beams?, self.distance_unit_m()?).map_err(|message| self.error(self.line, message))
+        let beams: Result<Vec<Beam>, _> = self
+            .lasers
+            .iter()
+            .zip(channels)
+            .map(|(l, c)| self.beam(l, c))
+            .collect();
+        Calibration::new(beams?, self.distance_unit_m()?)
+            .map_err(|message| self.error(self.line, message))
     }
 
     /// The channel of each laser, each from 0 once.
@@ -147,24 +164,43 @@ impl Table<'_> {
         let mut first_line = [None; MAX_BEAMS];
         let mut channels = Vec::with_capacity(self.lasers.len().min(MAX_BEAMS));
         for laser in &self.lasers {
-            let entry = laser.get(Key::Id).ok_or_else(|| self.error(laser.line, format!("a laser without {name}")))?;
+            let entry = laser
+                .get(Key::Id)
+                .ok_or_else(|| self.error(laser.line, format!("a laser without {name}")))?;
             let channel = self.whole(entry, name, MAX_BEAMS - 1)?;
             if let Some(line) = first_line[channel].replace(entry.line) {
-                return Err(self.error(entry.line, format!("{name} {channel} is there twice, first on line {line}")));
+                return Err(self.error(
+                    entry.line,
+                    format!("{name} {channel} is there twice, first on line {line}"),
+                ));
             }
             channels.push(channel);
         }
         let found = channels.len();
-        let declared = self.count.as_ref().map(|e| self.whole(e, self.form.count, MAX_BEAMS)).transpose()?;
-        let end = channels.iter().max().map_or(0, |&highest| highest + 1).max(declared.unwrap_or(0));
+        let declared = self
+            .count
+            .as_ref()
+            .map(|e| self.whole(e, self.form.count, MAX_BEAMS))
+            .transpose()?;
+        let end = channels
+            .iter()
+            .max()
+            .map_or(0, |&highest| highest + 1)
+            .max(declared.unwrap_or(0));
         if let Some(missing) = first_line[..end].iter().position(Option::is_none) {
-            let message = format!("beam {missing} is missing: expected {name} 0 to {}, each once", end - 1);
+            let message = format!(
+                "beam {missing} is missing: expected {name} 0 to {}, each once",
+                end - 1
+            );
             return Err(self.error(self.line, message));
         }
         match (&self.count, declared) {
             (Some(entry), Some(declared)) if declared != found => Err(self.error(
                 entry.line,
-                format!("{} is {declared}, expected {found}, the number of lasers here", self.form.count),
+                format!(
+                    "{} is {declared}, expected {found}, the number of lasers here",
+                    self.form.count
+                ),
             )),
             _ if found == 0 => Err(self.error(self.line, "no lasers, expected at least one")),
             _ => Ok(channels),
@@ -175,11 +211,17 @@ impl Table<'_> {
         let fail = |line, message| self.error(line, format!("beam {channel}: {message}"));
         for &key in self.form.required {
             if laser.get(key).is_none() {
-                return Err(fail(laser.line, format!("{} is missing", self.form.name(key))));
+                return Err(fail(
+                    laser.line,
+                    format!("{} is missing", self.form.name(key)),
+                ));
             }
         }
         let value = |key| match laser.get(key) {
-            Some(entry) => self.value(entry, key).map(Some).map_err(|message| fail(entry.line, message)),
+            Some(entry) => self
+                .value(entry, key)
+                .map(Some)
+                .map_err(|message| fail(entry.line, message)),
             None => Ok(None),
         };
         let or_zero = |key| value(key).map(Option::unwrap_or_default);
@@ -203,8 +245,9 @@ impl Table<'_> {
         })
     }
 
-    /// The two-point correction, where there is one: files made before ROS had the switch have the values alone, and
-    /// the files of sensors without it have two zeros, with or without the switch.
+    /// The two-point correction, where there is one: files made before ROS had the switch have the
+    /// values alone, and the files of sensors without it have two zeros, with or without the
+    /// switch.
     fn two_point(
         &self,
         laser: &Laser<'_>,
@@ -217,35 +260,55 @@ impl Table<'_> {
                 "true" | "yes" | "on" | "1" => {}
                 "false" | "no" | "off" | "0" => return Ok(None),
                 other => {
-                    let message = format!("{}: expected true or false, found {}", name(Key::TwoPoint), quote(other));
+                    let message = format!(
+                        "{}: expected true or false, found {}",
+                        name(Key::TwoPoint),
+                        quote(other)
+                    );
                     return Err((switch.line, message));
                 }
             }
         }
         match (x_m, y_m) {
             (Some(0.0), Some(0.0)) | (None, None) => Ok(None),
-            (Some(distance_offset_x_m), Some(distance_offset_y_m)) => {
-                Ok(Some(TwoPoint { distance_offset_x_m, distance_offset_y_m }))
-            }
-            (Some(_), None) => Err((laser.line, format!("{} without {}", name(Key::DistanceX), name(Key::DistanceY)))),
-            (None, Some(_)) => Err((laser.line, format!("{} without {}", name(Key::DistanceY), name(Key::DistanceX)))),
+            (Some(distance_offset_x_m), Some(distance_offset_y_m)) => Ok(Some(TwoPoint {
+                distance_offset_x_m,
+                distance_offset_y_m,
+            })),
+            (Some(_), None) => Err((
+                laser.line,
+                format!("{} without {}", name(Key::DistanceX), name(Key::DistanceY)),
+            )),
+            (None, Some(_)) => Err((
+                laser.line,
+                format!("{} without {}", name(Key::DistanceY), name(Key::DistanceX)),
+            )),
         }
     }
 
     fn distance_unit_m(&self) -> Result<f64, CalibrationError> {
         let name = self.form.distance_unit;
-        let Unit { name: unit, factor, .. } = self.form.length;
+        let Unit {
+            name: unit, factor, ..
+        } = self.form.length;
         let usual = short(0.002 / factor);
         let Some(entry) = &self.distance_unit else {
-            let message = format!("{name} is missing: the {unit} of one unit of distance, {usual} on most models");
+            let message = format!(
+                "{name} is missing: the {unit} of one unit of distance, {usual} on most models"
+            );
             return Err(self.error(self.line, message));
         };
-        let value = number(entry).map_err(|message| self.error(entry.line, format!("{name}{message}")))?;
+        let value =
+            number(entry).map_err(|message| self.error(entry.line, format!("{name}{message}")))?;
         if DISTANCE_UNITS_M.contains(&(value * factor)) {
             return Ok(value * factor);
         }
-        let (low, high) = (short(DISTANCE_UNITS_M.start() / factor), short(DISTANCE_UNITS_M.end() / factor));
-        let message = format!("{name} is {value} {unit}, expected {low} to {high} ({usual} on most models)");
+        let (low, high) = (
+            short(DISTANCE_UNITS_M.start() / factor),
+            short(DISTANCE_UNITS_M.end() / factor),
+        );
+        let message =
+            format!("{name} is {value} {unit}, expected {low} to {high} ({usual} on most models)");
         Err(self.error(entry.line, message))
     }
 
@@ -259,21 +322,37 @@ impl Table<'_> {
         if limits.contains(&value) {
             return Ok(value);
         }
-        let unit_name = unit.map(|unit| format!(" {}", unit.name)).unwrap_or_default();
+        let unit_name = unit
+            .map(|unit| format!(" {}", unit.name))
+            .unwrap_or_default();
         let (low, high) = (short(limits.start() / factor), short(limits.end() / factor));
         let hint = match unit.and_then(|unit| unit.mistaken) {
-            Some((mistaken, factor)) if limits.contains(&(written * factor)) => format!("; are these {mistaken}?"),
+            Some((mistaken, factor)) if limits.contains(&(written * factor)) => {
+                format!("; are these {mistaken}?")
+            }
             _ => String::new(),
         };
-        Err(format!("{name} is {written}{unit_name}, expected {low} to {high}{hint}"))
+        Err(format!(
+            "{name} is {written}{unit_name}, expected {low} to {high}{hint}"
+        ))
     }
 
     /// A whole number up to `highest`; VeloView writes them with a point.
-    fn whole(&self, entry: &Entry<'_>, name: &str, highest: usize) -> Result<usize, CalibrationError> {
+    fn whole(
+        &self,
+        entry: &Entry<'_>,
+        name: &str,
+        highest: usize,
+    ) -> Result<usize, CalibrationError> {
         match entry.text.trim().parse::<f64>() {
-            Ok(value) if value.fract() == 0.0 && (0.0..=highest as f64).contains(&value) => Ok(value as usize),
+            Ok(value) if value.fract() == 0.0 && (0.0..=highest as f64).contains(&value) => {
+                Ok(value as usize)
+            }
             _ => {
-                let message = format!("{name}: expected 0 to {highest}, found {}", quote(&entry.text));
+                let message = format!(
+                    "{name}: expected 0 to {highest}, found {}",
+                    quote(&entry.text)
+                );
                 Err(self.error(entry.line, message))
             }
         }
@@ -301,10 +380,17 @@ pub(super) fn intensity(
     max: f64,
 ) -> Result<Option<Intensity>, String> {
     if min >= max {
-        return Err(format!("the smallest intensity is {min}, expected less than the largest, {max}"));
+        return Err(format!(
+            "the smallest intensity is {min}, expected less than the largest, {max}"
+        ));
     }
     let idle = focal_slope == 0.0 && min == 0.0 && max == 255.0;
-    Ok((!idle).then_some(Intensity { focal_distance_m, focal_slope, min, max }))
+    Ok((!idle).then_some(Intensity {
+        focal_distance_m,
+        focal_slope,
+        min,
+        max,
+    }))
 }
 
 /// A limit for a message, without the digits that units leave behind.

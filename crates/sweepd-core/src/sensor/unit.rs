@@ -1,10 +1,13 @@
-//! What an HDL-64E says of itself along with its packets, for whoever decodes them: its calibration, its clock, its power.
+//! What an HDL-64E says of itself along with its packets, for whoever decodes them: its
+//! calibration, its clock, its power.
 
 use super::compare::{Difference, differences};
 use super::{Calibration, stream};
 use crate::wire::DataPacket;
 use crate::wire::data::ReturnMode;
-use crate::wire::hdl64::{CYCLE_LEN, CalibrationTime, DUMP_LEN, DUMP_PACKETS, Dump, Gps, Series, Status};
+use crate::wire::hdl64::{
+    CYCLE_LEN, CalibrationTime, DUMP_LEN, DUMP_PACKETS, Dump, Gps, Series, Status,
+};
 
 /// One unit, as far as it has been heard.
 #[derive(Clone, Debug, Default)]
@@ -13,7 +16,8 @@ pub struct Unit {
     heard: usize,
     /// The dump that was compared with the calibration in use, or that is to be.
     compared: Option<Dump>,
-    /// Since when its beams are others than they were before, in packets heard; `None` once they have settled.
+    /// Since when its beams are others than they were before, in packets heard; `None` once they
+    /// have settled.
     changed: Option<usize>,
 }
 
@@ -22,26 +26,38 @@ pub struct Unit {
 pub struct Said {
     /// Its series, once that is known.
     pub series: Option<Series>,
-    /// UTC to the second, nanoseconds since 1970, while a GPS receiver gives both pulse and sentence.
+    /// UTC to the second, nanoseconds since 1970, while a GPS receiver gives both pulse and
+    /// sentence.
     pub utc_ns: Option<i64>,
 }
 
 impl Unit {
     /// Takes a packet of this unit. Once a cycle of the status it gives what the unit says by then.
     pub fn hear(&mut self, packet: &DataPacket) -> Option<Said> {
-        self.status.push(packet.return_mode, packet.product, packet.stamp_us());
+        self.status
+            .push(packet.return_mode, packet.product, packet.stamp_us());
         self.heard += 1;
         self.heard.is_multiple_of(CYCLE_LEN).then(|| self.said())
     }
 
     fn said(&self) -> Said {
-        let utc_ns = self.status.clock().filter(|_| self.status.gps() == Some(Gps::Both)).and_then(|c| c.utc_ns());
-        Said { series: self.status.series(), utc_ns }
+        let utc_ns = self
+            .status
+            .clock()
+            .filter(|_| self.status.gps() == Some(Gps::Both))
+            .and_then(|c| c.utc_ns());
+        Said {
+            series: self.status.series(),
+            utc_ns,
+        }
     }
 
-    /// Whether it is known to send reflectivities that are corrected already. It says so in one packet of each dump.
+    /// Whether it is known to send reflectivities that are corrected already. It says so in one
+    /// packet of each dump.
     pub fn is_normalised(&self) -> bool {
-        self.status.power().is_some_and(|power| power.is_normalised())
+        self.status
+            .power()
+            .is_some_and(|power| power.is_normalised())
     }
 
     /// Bytes of the calibration that are known, and how many there are.
@@ -82,7 +98,8 @@ impl Unit {
         self.status.calibrated()
     }
 
-    /// Whether all that it said can be of one unit: no other seems to have taken its place a short while ago.
+    /// Whether all that it said can be of one unit: no other seems to have taken its place a short
+    /// while ago.
     pub fn is_settled(&self) -> bool {
         self.changed.is_none()
     }
@@ -92,9 +109,10 @@ impl Unit {
         self.compared = None;
     }
 
-    /// In what the calibration in use differs from the unit's own; once for each that it sends. When another unit takes its
-    /// place, the beams change one after the other, and nothing may tell (S2.1) that they are of two units: then it is asked
-    /// once they have stayed the same for a whole dump.
+    /// In what the calibration in use differs from the unit's own; once for each that it sends.
+    /// When another unit takes its place, the beams change one after the other, and nothing may
+    /// tell (S2.1) that they are of two units: then it is asked once they have stayed the same for
+    /// a whole dump.
     pub fn differences(&mut self, used: &Calibration) -> Option<Vec<Difference>> {
         let dump = self.status.dump()?;
         let is_same = |before: &Dump| before.records().eq(dump.records());
@@ -104,7 +122,8 @@ impl Unit {
                 return None;
             }
         } else {
-            self.changed.take_if(|changed| self.heard - *changed >= DUMP_PACKETS)?;
+            self.changed
+                .take_if(|changed| self.heard - *changed >= DUMP_PACKETS)?;
         }
         Some(differences(used, &stream::calibration(dump).ok()?))
     }

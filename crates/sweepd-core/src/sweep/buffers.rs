@@ -13,14 +13,23 @@ pub trait Buffers {
     fn take(&mut self, bytes: usize) -> Self::Buffer;
 }
 
-/// Slices on the heap; one that is dropped is given out again, so a steady stream of sweeps allocates nothing.
+/// Slices on the heap; one that is dropped is given out again, so a steady stream of sweeps
+/// allocates nothing.
 #[derive(Clone, Debug, Default)]
 pub struct HeapBuffers {
     free: Arc<Mutex<Vec<Vec<Line>>>>,
 }
 
 /// 64 aligned bytes.
-#[derive(Clone, Copy, Debug, zerocopy::FromBytes, zerocopy::IntoBytes, zerocopy::KnownLayout, zerocopy::Immutable)]
+#[derive(
+    Clone,
+    Copy,
+    Debug,
+    zerocopy::FromBytes,
+    zerocopy::IntoBytes,
+    zerocopy::KnownLayout,
+    zerocopy::Immutable,
+)]
 #[repr(C, align(64))]
 struct Line([u8; 64]);
 
@@ -38,11 +47,17 @@ impl Buffers for HeapBuffers {
         let count = bytes.div_ceil(size_of::<Line>());
         let mut free = self.free.lock().unwrap_or_else(PoisonError::into_inner);
         let fitting = free.iter().position(|lines| lines.len() >= count);
-        let lines = fitting.map(|index| free.swap_remove(index)).unwrap_or_else(|| {
-            // Zeroed pages are the system's until they are touched: capacity that no sweep fills costs nothing.
-            Line::new_vec_zeroed(count).expect("a sweep fits the address space")
-        });
-        HeapBuffer { lines, home: Arc::clone(&self.free) }
+        let lines = fitting
+            .map(|index| free.swap_remove(index))
+            .unwrap_or_else(|| {
+                // Zeroed pages are the system's until they are touched: capacity that no sweep
+                // fills costs nothing.
+                Line::new_vec_zeroed(count).expect("a sweep fits the address space")
+            });
+        HeapBuffer {
+            lines,
+            home: Arc::clone(&self.free),
+        }
     }
 }
 
@@ -61,7 +76,10 @@ impl AsMut<[u8]> for HeapBuffer {
 impl Drop for HeapBuffer {
     fn drop(&mut self) {
         let lines = std::mem::take(&mut self.lines);
-        self.home.lock().unwrap_or_else(PoisonError::into_inner).push(lines);
+        self.home
+            .lock()
+            .unwrap_or_else(PoisonError::into_inner)
+            .push(lines);
     }
 }
 
@@ -87,6 +105,9 @@ impl<B: Buffers> Buffers for Kept<B> {
     type Buffer = B::Buffer;
 
     fn take(&mut self, bytes: usize) -> B::Buffer {
-        self.0.lock().unwrap_or_else(PoisonError::into_inner).take(bytes)
+        self.0
+            .lock()
+            .unwrap_or_else(PoisonError::into_inner)
+            .take(bytes)
     }
 }

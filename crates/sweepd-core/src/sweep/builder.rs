@@ -20,16 +20,19 @@ use crate::wire::data::ReturnMode;
 const RPM_RANGE: std::ops::RangeInclusive<f32> = 240.0..=1320.0;
 /// A speed that differs from the last sweep's by more than this share is not steady.
 const RPM_STEADY: f32 = 0.1;
-/// A packet whose speed differs from the last sweep's by more than this share is of a head that turns otherwise now; less may
-/// be the encoder's noise, where a packet has but three azimuths.
+/// A packet whose speed differs from the last sweep's by more than this share is of a head that
+/// turns otherwise now; less may be the encoder's noise, where a packet has but three azimuths.
 const RATE_LIKE: f64 = 0.35;
-/// A piece of a turn that is shorter does not tell a speed: the encoder's noise is too large a part of it.
+/// A piece of a turn that is shorter does not tell a speed: the encoder's noise is too large a part
+/// of it.
 const RPM_TELLING_CDEG: f64 = 1_000.0;
 /// No gap is filled that lasted longer: the times in a sweep are to stay small.
 const LONGEST_GAP_NS: i64 = 1_000_000_000;
-/// None waits for another so long: what came so much before the newest one was stamped by a clock that was set back since.
+/// None waits for another so long: what came so much before the newest one was stamped by a clock
+/// that was set back since.
 const SET_BACK_NS: i64 = 100_000_000;
-/// By so much it is in doubt when the head comes to the cut: a turn at 10 Hz that takes 0.15 % less or more than the last.
+/// By so much it is in doubt when the head comes to the cut: a turn at 10 Hz that takes 0.15 % less
+/// or more than the last.
 const DOUBT_NS: f64 = 150_000.0;
 
 /// Builds sweeps out of packets that come in order.
@@ -45,10 +48,12 @@ pub struct Builder<B: Buffers> {
     turns: Turns,
     cursor: Option<Cursor>,
     last_firing_ns: i64,
-    /// Sweeps before the next one, those of other models included; see [`Header::sequence`](super::Header::sequence).
+    /// Sweeps before the next one, those of other models included; see
+    /// [`Header::sequence`](super::Header::sequence).
     pub sequence: u64,
     last_rpm: Option<f32>,
-    /// Turning rate over the last sweep that tells one, hundredths of a degree a nanosecond; negative when reversed.
+    /// Turning rate over the last sweep that tells one, hundredths of a degree a nanosecond;
+    /// negative when reversed.
     last_rate_cdeg_ns: Option<f64>,
     lost: u64,
 }
@@ -92,7 +97,8 @@ impl<B: Buffers> Builder<B> {
         }
     }
 
-    /// Tells how fast the head turns, before any sweep has, hundredths of a degree a nanosecond; negative backwards.
+    /// Tells how fast the head turns, before any sweep has, hundredths of a degree a nanosecond;
+    /// negative backwards.
     pub fn expect_rate(&mut self, rate_cdeg_ns: Option<f64>) {
         self.last_rate_cdeg_ns = rate_cdeg_ns;
     }
@@ -127,18 +133,26 @@ impl<B: Buffers> Builder<B> {
         self.open.as_ref().map(|open| open.so_far.newest_arrival_ns)
     }
 
-    /// When the packet that completes the open sweep will arrive at the earliest, if the head goes on as it did, nanoseconds
-    /// since 1970: so many periods after the newest one as it takes to turn past the cut. Where the cut lies so near to the end
-    /// of a packet that it may be in that or in the next one, it is the former; where a sector is left out on the way, a packet
-    /// may end anywhere behind it. What delayed the newest one does not count.
+    /// When the packet that completes the open sweep will arrive at the earliest, if the head goes
+    /// on as it did, nanoseconds since 1970: so many periods after the newest one as it takes to
+    /// turn past the cut. Where the cut lies so near to the end of a packet that it may be in that
+    /// or in the next one, it is the former; where a sector is left out on the way, a packet may
+    /// end anywhere behind it. What delayed the newest one does not count.
     pub fn due_ns(&self) -> Option<i64> {
         let mode = self.open.as_ref()?.so_far.mode;
         let until_cut_ns = self.head.until_cut_cdeg()? / self.last_rate_cdeg_ns?.abs() - DOUBT_NS;
         let period_ns = f64::from(self.decoder.spec.packet_period_ns(mode));
         let packets = until_cut_ns / period_ns;
-        let packets = if self.head.leaps_until_cut() { packets } else { packets.ceil() };
-        let newest_ns = self.last_firing_ns.saturating_add(i64::from(self.decoder.spec.firing_period_ns(mode)));
-        self.clocks.earliest_ns(newest_ns.saturating_add((packets.max(1.0) * period_ns) as i64))
+        let packets = if self.head.leaps_until_cut() {
+            packets
+        } else {
+            packets.ceil()
+        };
+        let newest_ns = self
+            .last_firing_ns
+            .saturating_add(i64::from(self.decoder.spec.firing_period_ns(mode)));
+        self.clocks
+            .earliest_ns(newest_ns.saturating_add((packets.max(1.0) * period_ns) as i64))
     }
 
     /// Adds to the time spent on the open sweep.
@@ -148,10 +162,14 @@ impl<B: Buffers> Builder<B> {
         }
     }
 
-    /// The open sweep as far as it goes, as long as it may become a whole turn, and how many of its columns will stay as they
-    /// are (those of the first that can be folded to the other end left aside).
+    /// The open sweep as far as it goes, as long as it may become a whole turn, and how many of its
+    /// columns will stay as they are (those of the first that can be folded to the other end left
+    /// aside).
     pub fn so_far(&mut self) -> Option<(SweepMut<'_>, usize)> {
-        let Open { buffer, so_far: open } = self.open.as_mut()?;
+        let Open {
+            buffer,
+            so_far: open,
+        } = self.open.as_mut()?;
         let sweep = SweepMut::open(buffer.as_mut()).ok()?;
         if !open.from_cut || open.blanked {
             return None;
@@ -180,13 +198,23 @@ impl<B: Buffers> Builder<B> {
         };
         let lasted_ns = packet.time_ns - self.last_firing_ns;
         cursor.anew |= lasted_ns > LONGEST_GAP_NS;
-        if let Before::Lost { packets, travelled_cdeg, silence } = before {
+        if let Before::Lost {
+            packets,
+            travelled_cdeg,
+            silence,
+        } = before
+        {
             self.lost += u64::from(packets);
             let firings = packets as usize * spec.firings_per_packet(packet.mode);
             cursor.anew |= travelled_cdeg.abs() >= TURN || firings >= COLUMNS_CAPACITY;
             match self.head.last_cdeg() {
                 Some(from_cdeg) if !cursor.anew => {
-                    let way = Way { from_cdeg, from_ns: self.last_firing_ns, travelled_cdeg, silence };
+                    let way = Way {
+                        from_cdeg,
+                        from_ns: self.last_firing_ns,
+                        travelled_cdeg,
+                        silence,
+                    };
                     cursor.gap = Some(Gap::new(&way, firings, packet, spec));
                 }
                 // A whole turn is gone: nothing can be filled in.
@@ -205,12 +233,14 @@ impl<B: Buffers> Builder<B> {
     }
 
     fn note_arrival(&mut self, packet: &Packet) {
-        let sent_ns =
-            packet.time_ns + packet.motion.silent_ns + i64::from(self.decoder.spec.packet_period_ns(packet.mode));
+        let sent_ns = packet.time_ns
+            + packet.motion.silent_ns
+            + i64::from(self.decoder.spec.packet_period_ns(packet.mode));
         self.clocks.data(sent_ns, packet.arrival_ns);
     }
 
-    /// Places firings of the packet at hand until a sweep is complete, which it returns, or the packet is used up.
+    /// Places firings of the packet at hand until a sweep is complete, which it returns, or the
+    /// packet is used up.
     pub fn advance(&mut self, packet: &Packet, clock: &SensorClock) -> Option<B::Buffer> {
         let mut cursor = self.cursor?;
         if std::mem::take(&mut cursor.anew) {
@@ -251,8 +281,16 @@ impl<B: Buffers> Builder<B> {
         if self.open.is_none() {
             self.open(packet, false);
         }
-        let Some(Open { buffer, so_far: open }) = &mut self.open else { return End::Packet };
-        let Ok(mut sweep) = SweepMut::open(buffer.as_mut()) else { return End::Packet };
+        let Some(Open {
+            buffer,
+            so_far: open,
+        }) = &mut self.open
+        else {
+            return End::Packet;
+        };
+        let Ok(mut sweep) = SweepMut::open(buffer.as_mut()) else {
+            return End::Packet;
+        };
         let turns = &self.turns;
         let is_set_back = open.newest_arrival_ns.saturating_sub(packet.arrival_ns) > SET_BACK_NS;
         if is_set_back || open.newest_arrival_ns < packet.arrival_ns {
@@ -262,7 +300,11 @@ impl<B: Buffers> Builder<B> {
             if !std::mem::replace(&mut cursor.turned, true) {
                 let pace = |rate| Pace::new(rate, self.decoder.spec, packet.mode);
                 let turned = match firing.leaps {
-                    true => self.head.leap(firing.azimuth_cdeg, firing.time_ns, self.last_rate_cdeg_ns.map(pace)),
+                    true => self.head.leap(
+                        firing.azimuth_cdeg,
+                        firing.time_ns,
+                        self.last_rate_cdeg_ns.map(pace),
+                    ),
                     false => self.head.turn(firing.azimuth_cdeg, firing.time_ns),
                 };
                 match turned {
@@ -270,7 +312,11 @@ impl<B: Buffers> Builder<B> {
                     Turned::Cut | Turned::Moved => {
                         // A sector that reaches over the cut is left out of both sweeps.
                         open.blanked |= firing.leaps;
-                        return if turned == Turned::Cut { End::Cut } else { End::Moved };
+                        return if turned == Turned::Cut {
+                            End::Cut
+                        } else {
+                            End::Moved
+                        };
                     }
                     Turned::On | Turned::Anew => return End::Anew,
                 }
@@ -278,7 +324,14 @@ impl<B: Buffers> Builder<B> {
             if firing.index.is_some() && !std::mem::replace(&mut cursor.counted, true) {
                 open.packets += 1;
             }
-            open.place(simd, &mut sweep, &firing, (packet, cursor), (&self.decoder, turns), &self.head);
+            open.place(
+                simd,
+                &mut sweep,
+                &firing,
+                (packet, cursor),
+                (&self.decoder, turns),
+                &self.head,
+            );
             self.last_firing_ns = firing.time_ns;
             cursor.placed += 1;
             cursor.turned = false;
@@ -286,7 +339,8 @@ impl<B: Buffers> Builder<B> {
         End::Packet
     }
 
-    /// Decodes a packet that was overtaken by more than was held back, if its columns wait for it in the open sweep.
+    /// Decodes a packet that was overtaken by more than was held back, if its columns wait for it
+    /// in the open sweep.
     pub fn late(&mut self, packet: &Packet) -> bool {
         dispatch!(self.decoder.level(), simd => self.late_with(simd, packet))
     }
@@ -295,19 +349,46 @@ impl<B: Buffers> Builder<B> {
     fn late_with<S: Simd>(&mut self, simd: S, packet: &Packet) -> bool {
         let decoder = &self.decoder;
         let beat = Beat::new(decoder.spec, packet.mode);
-        let Some(Open { buffer, so_far: open }) = &mut self.open else { return false };
-        let Ok(mut sweep) = SweepMut::open(buffer.as_mut()) else { return false };
+        let Some(Open {
+            buffer,
+            so_far: open,
+        }) = &mut self.open
+        else {
+            return false;
+        };
+        let Ok(mut sweep) = SweepMut::open(buffer.as_mut()) else {
+            return false;
+        };
         if open.mode != packet.mode {
             return false;
         }
-        let Some(first) = open.room_for(&sweep, packet, &beat) else { return false };
+        let Some(first) = open.room_for(&sweep, packet, &beat) else {
+            return false;
+        };
         let rate_rad_s = rate_rad_s(packet, decoder.spec);
         for index in 0..beat.firings {
             let azimuth_rad = radians(packet.motion.azimuth_cdeg(index, &beat));
             let time_ns = open.since_first(packet.firing_ns(index, &beat));
-            let column = Column::measured(packet.number, beat.block(index) as u8, azimuth_rad, rate_rad_s, time_ns);
-            let place = Place { column: first + index, turns: &self.turns };
-            open.returns += decode(simd, &mut sweep, place, column, (index, &beat), packet, decoder);
+            let column = Column::measured(
+                packet.number,
+                beat.block(index) as u8,
+                azimuth_rad,
+                rate_rad_s,
+                time_ns,
+            );
+            let place = Place {
+                column: first + index,
+                turns: &self.turns,
+            };
+            open.returns += decode(
+                simd,
+                &mut sweep,
+                place,
+                column,
+                (index, &beat),
+                packet,
+                decoder,
+            );
         }
         open.lost = open.lost.saturating_sub(1);
         self.lost = self.lost.saturating_sub(1);
@@ -327,11 +408,21 @@ impl<B: Buffers> Builder<B> {
         let beams = self.decoder.beams(mode);
         let rate_cdeg_ns = self.expected_rate_cdeg_ns(packet);
         self.turns.set(beams, rate_cdeg_ns, spec, mode);
-        let shape = Shape::of(self.decoder.rows(), mode == ReturnMode::Dual, self.settings.min_points);
+        let shape = Shape::of(
+            self.decoder.rows(),
+            mode == ReturnMode::Dual,
+            self.settings.min_points,
+        );
         let mut buffer = self.buffers.take(shape.total_bytes());
-        let Ok(sweep) = SweepMut::create(buffer.as_mut(), &shape) else { return };
+        let Ok(sweep) = SweepMut::create(buffer.as_mut(), &shape) else {
+            return;
+        };
         sweep.beams.copy_from_slice(beams);
-        sweep.beams.iter_mut().zip(self.turns.shifts()).for_each(|(beam, &shift)| beam.shift = shift);
+        sweep
+            .beams
+            .iter_mut()
+            .zip(self.turns.shifts())
+            .for_each(|(beam, &shift)| beam.shift = shift);
         let header = sweep.header;
         header.sequence = self.sequence;
         header.model = self.decoder.model.code();
@@ -340,11 +431,14 @@ impl<B: Buffers> Builder<B> {
         header.cut_azimuth_rad = (self.head.cut_cdeg() / 100.0).to_radians() as f32;
         header.set_sensor(&self.settings.sensor);
         self.sequence += 1;
-        self.open = Some(Open { buffer, so_far: SoFar::new(mode, from_cut, &self.turns) });
+        self.open = Some(Open {
+            buffer,
+            so_far: SoFar::new(mode, from_cut, &self.turns),
+        });
     }
 
-    /// The speed of the sweep before, unless this packet says quite another one: then the head stood still meanwhile, or was
-    /// set to another speed.
+    /// The speed of the sweep before, unless this packet says quite another one: then the head
+    /// stood still meanwhile, or was set to another speed.
     fn expected_rate_cdeg_ns(&self, packet: &Packet) -> f64 {
         let own = packet.motion.rate_cdeg_ns(self.decoder.spec);
         let is_like = |last: &f64| (own - last).abs() < RATE_LIKE * last.abs();
@@ -353,18 +447,27 @@ impl<B: Buffers> Builder<B> {
 
     /// Completes the header of the open sweep and hands it out; an empty one is dropped.
     fn close(&mut self, at_cut: bool, clock: &SensorClock) -> Option<B::Buffer> {
-        let Open { mut buffer, so_far: mut open } = self.open.take()?;
+        let Open {
+            mut buffer,
+            so_far: mut open,
+        } = self.open.take()?;
         if open.is_empty() {
             self.sequence -= 1;
             return None;
         }
-        let (time_ns, time_source) = self.clocks.resolve(open.first_ns, clock, open.newest_arrival_ns);
+        let (time_ns, time_source) =
+            self.clocks
+                .resolve(open.first_ns, clock, open.newest_arrival_ns);
         let flags = self.flags(&open, at_cut);
         let mut sweep = SweepMut::open(buffer.as_mut()).ok()?;
         let [margin, columns] = if flags & flags::CIRCULAR != 0 {
             open.fold(&mut sweep, &self.turns)
         } else {
-            open.widen(&mut sweep, &self.turns, self.decoder.spec.firing_period_ns(open.mode))
+            open.widen(
+                &mut sweep,
+                &self.turns,
+                self.decoder.spec.firing_period_ns(open.mode),
+            )
         };
         let header = sweep.header;
         header.flags = flags;
@@ -394,7 +497,9 @@ impl<B: Buffers> Builder<B> {
         let partial = !(at_cut && open.from_cut);
         let rpm = open.rpm();
         let tells = open.travelled_cdeg() > RPM_TELLING_CDEG || open.stands_still();
-        let steady = self.last_rpm.is_none_or(|last| (rpm - last).abs() <= RPM_STEADY * last);
+        let steady = self
+            .last_rpm
+            .is_none_or(|last| (rpm - last).abs() <= RPM_STEADY * last);
         let mut bits = 0;
         let mut set = |flag: u32, is: bool| bits |= if is { flag } else { 0 };
         set(flags::PARTIAL, partial);
@@ -402,7 +507,10 @@ impl<B: Buffers> Builder<B> {
         set(flags::REVERSED, self.head.reversed());
         set(flags::BLANKED, open.blanked);
         set(flags::STOPPED, open.stands_still());
-        set(flags::RATE_UNSTABLE, tells && !(RPM_RANGE.contains(&rpm) && steady));
+        set(
+            flags::RATE_UNSTABLE,
+            tells && !(RPM_RANGE.contains(&rpm) && steady),
+        );
         bits
     }
 }

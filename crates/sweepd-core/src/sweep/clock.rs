@@ -1,8 +1,9 @@
-//! The three clocks: the sensor's microseconds of the hour, the host's, and UTC where GPS vouches for it.
+//! The three clocks: the sensor's microseconds of the hour, the host's, and UTC where GPS vouches
+//! for it.
 //!
-//! UTC is the sentence's hour and the stamp's minute, second and microsecond. That is right only while the sensor's clock
-//! follows the pulse per second, which most models report. An HDL-32E has no byte for it; whoever has wired a pulse to it may
-//! say so ([`vouched_utc_ns`]).
+//! UTC is the sentence's hour and the stamp's minute, second and microsecond. That is right only
+//! while the sensor's clock follows the pulse per second, which most models report. An HDL-32E has
+//! no byte for it; whoever has wired a pulse to it may say so ([`vouched_utc_ns`]).
 
 use std::ops::RangeInclusive;
 
@@ -14,21 +15,23 @@ use crate::wire::{HOUR_US, Position};
 const HOUR_NS: i64 = HOUR_US as i64 * 1000;
 /// A fix older than this no longer vouches for the time.
 const FIX_AGE_NS: i64 = 3_000_000_000;
-/// How long ago a sentence's second began by a clock that follows the pulse: it takes up to a second to be complete, and
-/// stands in the packets until the next one is. (A second more for a receiver that names the one to come, or is late.)
+/// How long ago a sentence's second began by a clock that follows the pulse: it takes up to a
+/// second to be complete, and stands in the packets until the next one is. (A second more for a
+/// receiver that names the one to come, or is late.)
 const SENTENCE_AGE_NS: RangeInclusive<i64> = -1_000_000_000..=3_000_000_000;
 /// How fast the least delay may grow: 100 ppm, since sensor clocks drift by up to 60.
 const DRIFT_PPM: i64 = 100;
-/// The applied offset stays until the least delay is this far from it: within a capture of seconds, times of different
-/// sweeps then differ by the sensor's clock alone. Queues on the way make p95 84 us on a VLP-16.
+/// The applied offset stays until the least delay is this far from it: within a capture of seconds,
+/// times of different sweeps then differ by the sensor's clock alone. Queues on the way make p95 84
+/// us on a VLP-16.
 const DEADBAND_NS: i64 = 250_000;
-/// Where each packet is later than this, against the least delay, for so long by either clock, the host's was set or slewed.
-/// What queued for a pause is sent in time and comes in a burst, and what queues all the while is seldom late by much: the
-/// later, the sooner it is plain.
+/// Where each packet is later than this, against the least delay, for so long by either clock, the
+/// host's was set or slewed. What queued for a pause is sent in time and comes in a burst, and what
+/// queues all the while is seldom late by much: the later, the sooner it is plain.
 const MOVES_NS: [(i64, i64); 2] = [(5_000_000, 1_000_000_000), (500_000_000, 50_000_000)];
 
-/// Farthest sensor time, either way: 36 years, which only stamps that jump for hours can make. What is added to such a time
-/// cannot overflow.
+/// Farthest sensor time, either way: 36 years, which only stamps that jump for hours can make. What
+/// is added to such a time cannot overflow.
 const FARTHEST_NS: i64 = i64::MAX / 8;
 
 /// Brings stamps of the sensor, which begin anew each hour, onto one line of time.
@@ -38,14 +41,23 @@ pub struct SensorClock {
 }
 
 impl SensorClock {
-    /// Nanoseconds since the top of the hour in which this clock was started: the time next to the last one that has this
-    /// stamp. Stamps slightly above an hour occur and do no harm. Beyond any time that a run can last, it starts anew.
+    /// Nanoseconds since the top of the hour in which this clock was started: the time next to the
+    /// last one that has this stamp. Stamps slightly above an hour occur and do no harm. Beyond any
+    /// time that a run can last, it starts anew.
     pub fn read_ns(&self, stamp_us: u32) -> i64 {
-        match self.last.filter(|(_, last_ns)| last_ns.unsigned_abs() < FARTHEST_NS as u64) {
+        match self
+            .last
+            .filter(|(_, last_ns)| last_ns.unsigned_abs() < FARTHEST_NS as u64)
+        {
             None => i64::from(stamp_us) * 1000,
             Some((last_us, last_ns)) => {
-                let forward = (i64::from(stamp_us) - i64::from(last_us)).rem_euclid(i64::from(HOUR_US));
-                let nearest = if forward > i64::from(HOUR_US) / 2 { forward - i64::from(HOUR_US) } else { forward };
+                let forward =
+                    (i64::from(stamp_us) - i64::from(last_us)).rem_euclid(i64::from(HOUR_US));
+                let nearest = if forward > i64::from(HOUR_US) / 2 {
+                    forward - i64::from(HOUR_US)
+                } else {
+                    forward
+                };
                 last_ns + nearest * 1000
             }
         }
@@ -79,19 +91,28 @@ struct Fix {
 }
 
 impl Fix {
-    /// What is near a time tells the hour, the stamp the rest: the hour that brings them closest together.
+    /// What is near a time tells the hour, the stamp the rest: the hour that brings them closest
+    /// together.
     fn new(stamp_us: u32, near_utc_ns: i64, arrival_ns: i64) -> Self {
         let of_hour_ns = i64::from(stamp_us) * 1000;
         let hours = (near_utc_ns - of_hour_ns + HOUR_NS / 2).div_euclid(HOUR_NS);
-        Self { stamp_us, utc_ns: hours * HOUR_NS + of_hour_ns, arrival_ns }
+        Self {
+            stamp_us,
+            utc_ns: hours * HOUR_NS + of_hour_ns,
+            arrival_ns,
+        }
     }
 }
 
-/// UTC to some seconds as a position packet tells it, nanoseconds since 1970: where the sentence is valid and the pulse
-/// locked, or with `without_pps` where the sensor's clock is as far behind the sentence as one that follows the pulse. (One
-/// that counts since power-up is, by chance, one time in 900.)
+/// UTC to some seconds as a position packet tells it, nanoseconds since 1970: where the sentence is
+/// valid and the pulse locked, or with `without_pps` where the sensor's clock is as far behind the
+/// sentence as one that follows the pulse. (One that counts since power-up is, by chance, one time
+/// in 900.)
 pub fn vouched_utc_ns(position: &Position<'_>, without_pps: bool) -> Option<i64> {
-    let rmc = position.nmea.and_then(|text| Rmc::parse(text).ok()).filter(|rmc| rmc.valid)?;
+    let rmc = position
+        .nmea
+        .and_then(|text| Rmc::parse(text).ok())
+        .filter(|rmc| rmc.valid)?;
     let follows = || {
         let behind_ns = (i64::from(position.stamp_us) * 1000 - rmc.utc_ns).rem_euclid(HOUR_NS);
         SENTENCE_AGE_NS.contains(&behind_ns) || SENTENCE_AGE_NS.contains(&(behind_ns - HOUR_NS))
@@ -109,11 +130,15 @@ impl Clocks {
             return;
         };
         let allowed = least + (sensor_ns - at).max(0) / 1_000_000 * DRIFT_PPM;
-        // By the clock that went on less: while the machine stands still the host's does alone, in the burst after it the sensor's.
-        let passed_ns = (sensor_ns - before_ns[0]).min(arrival_ns - before_ns[1]).max(0);
+        // By the clock that went on less: while the machine stands still the host's does alone, in
+        // the burst after it the sensor's.
+        let passed_ns = (sensor_ns - before_ns[0])
+            .min(arrival_ns - before_ns[1])
+            .max(0);
         let mut has_moved = false;
         for (late_for_ns, (late_ns, lasts_ns)) in self.late_for_ns.iter_mut().zip(MOVES_NS) {
-            *late_for_ns = (delay > allowed + late_ns).then(|| late_for_ns.map_or(0, |so_far| so_far + passed_ns));
+            *late_for_ns = (delay > allowed + late_ns)
+                .then(|| late_for_ns.map_or(0, |so_far| so_far + passed_ns));
             has_moved |= late_for_ns.is_some_and(|late_for_ns| late_for_ns > lasts_ns);
         }
         if has_moved {
@@ -126,25 +151,35 @@ impl Clocks {
         }
     }
 
-    /// When a data packet whose last shot is at `sensor_ns` arrives at the earliest, nanoseconds since 1970: as little delayed as
-    /// any of late. `None` before the first.
+    /// When a data packet whose last shot is at `sensor_ns` arrives at the earliest, nanoseconds
+    /// since 1970: as little delayed as any of late. `None` before the first.
     pub fn earliest_ns(&self, sensor_ns: i64) -> Option<i64> {
-        self.least_delay.map(|(delay_ns, _)| sensor_ns.saturating_add(delay_ns))
+        self.least_delay
+            .map(|(delay_ns, _)| sensor_ns.saturating_add(delay_ns))
     }
 
-    /// Notes what a sensor says of UTC, to some seconds, along with a packet of this stamp; `None` when no receiver vouches
-    /// for it.
+    /// Notes what a sensor says of UTC, to some seconds, along with a packet of this stamp; `None`
+    /// when no receiver vouches for it.
     pub fn said(&mut self, utc_ns: Option<i64>, stamp_us: u32, arrival_ns: i64) {
         self.fix = utc_ns.map(|utc_ns| Fix::new(stamp_us, utc_ns, arrival_ns));
     }
 
     /// Forgets what linked the sensor's clock to others, because that clock has jumped.
     pub fn sensor_jumped(&mut self) {
-        *self = Self { fix: self.fix, ..Self::default() };
+        *self = Self {
+            fix: self.fix,
+            ..Self::default()
+        };
     }
 
-    /// Time since 1970 of a sensor time, and the clock that it is in. `newest_arrival_ns` says how old the fix is.
-    pub fn resolve(&mut self, sensor_ns: i64, clock: &SensorClock, newest_arrival_ns: i64) -> (i64, TimeSource) {
+    /// Time since 1970 of a sensor time, and the clock that it is in. `newest_arrival_ns` says how
+    /// old the fix is.
+    pub fn resolve(
+        &mut self,
+        sensor_ns: i64,
+        clock: &SensorClock,
+        newest_arrival_ns: i64,
+    ) -> (i64, TimeSource) {
         if let Some(fix) = self.fix {
             let fix_ns = clock.read_ns(fix.stamp_us);
             let fresh = (newest_arrival_ns - fix.arrival_ns).abs() < FIX_AGE_NS;
@@ -184,7 +219,13 @@ mod tests {
     fn stamps_that_jump_for_ages_do_not_overflow() {
         let mut clock = SensorClock::default();
         clock.set(0, FARTHEST_NS - HOUR_NS);
-        for stamp_us in [1_799_999_999, 3_599_999_998, 1_799_999_997, 3_599_999_996, 5] {
+        for stamp_us in [
+            1_799_999_999,
+            3_599_999_998,
+            1_799_999_997,
+            3_599_999_996,
+            5,
+        ] {
             let time_ns = clock.read_ns(stamp_us);
             assert!(time_ns.abs() < FARTHEST_NS + HOUR_NS, "{time_ns}");
             clock.set(stamp_us, time_ns);
@@ -199,7 +240,10 @@ mod tests {
         for (sensor, delay) in [(0, 900), (1, 200), (2, 5_000), (3, 300)] {
             clocks.data(sensor * 1000, 7 * SECOND + sensor * 1000 + delay);
         }
-        assert_eq!(clocks.resolve(3000, &clock, 0), (7 * SECOND + 3200, TimeSource::Host));
+        assert_eq!(
+            clocks.resolve(3000, &clock, 0),
+            (7 * SECOND + 3200, TimeSource::Host)
+        );
     }
 
     #[test]
@@ -224,23 +268,40 @@ mod tests {
         assert_eq!(clocks.resolve(0, &SensorClock::default(), 0).0, 10 * SECOND);
     }
 
-    /// Time since 1970 of the last of many packets, a millisecond apart by the sensor, that arrive at these times.
-    fn time_after(clocks: &mut Clocks, sensor_ms: std::ops::Range<i64>, arrival_ns: impl Fn(i64) -> i64) -> i64 {
+    /// Time since 1970 of the last of many packets, a millisecond apart by the sensor, that arrive
+    /// at these times.
+    fn time_after(
+        clocks: &mut Clocks,
+        sensor_ms: std::ops::Range<i64>,
+        arrival_ns: impl Fn(i64) -> i64,
+    ) -> i64 {
         for ms in sensor_ms.clone() {
             clocks.data(ms * 1_000_000, arrival_ns(ms * 1_000_000));
         }
-        clocks.resolve((sensor_ms.end - 1) * 1_000_000, &SensorClock::default(), 0).0
+        clocks
+            .resolve((sensor_ms.end - 1) * 1_000_000, &SensorClock::default(), 0)
+            .0
     }
 
     #[test]
     fn a_host_clock_set_by_little_is_followed_after_a_second_and_a_slewed_one_all_the_while() {
         for set_ns in [6_000_000, 50_000_000, 499_000_000] {
             let mut clocks = Clocks::default();
-            assert_eq!(time_after(&mut clocks, 0..3000, |sensor_ns| sensor_ns), 2_999_000_000);
+            assert_eq!(
+                time_after(&mut clocks, 0..3000, |sensor_ns| sensor_ns),
+                2_999_000_000
+            );
             // Some come later than others.
-            let arrival_ns = |sensor_ns: i64| sensor_ns + set_ns + sensor_ns / 1_000_000 % 3 * 100_000;
-            assert_eq!(time_after(&mut clocks, 3000..3900, arrival_ns), 3_899_000_000);
-            assert_eq!(time_after(&mut clocks, 3900..4200, arrival_ns), 4_199_000_000 + set_ns);
+            let arrival_ns =
+                |sensor_ns: i64| sensor_ns + set_ns + sensor_ns / 1_000_000 % 3 * 100_000;
+            assert_eq!(
+                time_after(&mut clocks, 3000..3900, arrival_ns),
+                3_899_000_000
+            );
+            assert_eq!(
+                time_after(&mut clocks, 3900..4200, arrival_ns),
+                4_199_000_000 + set_ns
+            );
         }
         // The fastest that chrony slews: by a twelfth, here until 0.4 s are made up.
         let mut clocks = Clocks::default();
@@ -248,40 +309,73 @@ mod tests {
         for second in 0..10 {
             let time_ns = time_after(&mut clocks, second * 1000..(second + 1) * 1000, arrival_ns);
             let behind_ns = arrival_ns(second * SECOND + 999_000_000) - time_ns;
-            assert!((0..200_000_000).contains(&behind_ns), "{second} s: {behind_ns} ns");
-            assert!(second < 8 || behind_ns < 5_300_000, "{second} s: {behind_ns} ns");
+            assert!(
+                (0..200_000_000).contains(&behind_ns),
+                "{second} s: {behind_ns} ns"
+            );
+            assert!(
+                second < 8 || behind_ns < 5_300_000,
+                "{second} s: {behind_ns} ns"
+            );
         }
     }
 
     #[test]
     fn packets_that_queue_do_not_move_the_time() {
         let mut clocks = Clocks::default();
-        assert_eq!(time_after(&mut clocks, 0..2000, |sensor_ns| sensor_ns), 1_999_000_000);
+        assert_eq!(
+            time_after(&mut clocks, 0..2000, |sensor_ns| sensor_ns),
+            1_999_000_000
+        );
         // Two seconds of them are held, and come 10 us apart.
         let burst_ns = |sensor_ns: i64| 4_000_000_000 + (sensor_ns - 2_000_000_000) / 100;
         assert_eq!(time_after(&mut clocks, 2000..3000, burst_ns), 2_999_000_000);
         assert_eq!(time_after(&mut clocks, 3000..4000, burst_ns), 3_999_000_000);
-        assert_eq!(time_after(&mut clocks, 4000..4100, |sensor_ns| sensor_ns.max(4_020_000_000)), 4_099_000_000);
+        assert_eq!(
+            time_after(&mut clocks, 4000..4100, |sensor_ns| sensor_ns
+                .max(4_020_000_000)),
+            4_099_000_000
+        );
         // Of most of a second, all are late.
-        assert_eq!(time_after(&mut clocks, 4100..5000, |sensor_ns| sensor_ns + 400_000_000), 4_999_000_000);
-        assert_eq!(time_after(&mut clocks, 5000..5100, |sensor_ns| sensor_ns), 5_099_000_000);
+        assert_eq!(
+            time_after(&mut clocks, 4100..5000, |sensor_ns| sensor_ns + 400_000_000),
+            4_999_000_000
+        );
+        assert_eq!(
+            time_after(&mut clocks, 5000..5100, |sensor_ns| sensor_ns),
+            5_099_000_000
+        );
     }
 
     #[test]
     fn a_pause_right_after_a_late_packet_does_not_move_the_time_nor_one_in_the_burst_after_it() {
         for late_ns in [6_000_000, 600_000_000] {
             let mut clocks = Clocks::default();
-            assert_eq!(time_after(&mut clocks, 0..2000, |sensor_ns| sensor_ns), 1_999_000_000);
-            assert_eq!(time_after(&mut clocks, 2000..2001, |sensor_ns| sensor_ns + late_ns), 2_000_000_000);
-            // Three seconds of them are held, and come 10 us apart; in the middle, nothing goes on for another 0.1 s.
+            assert_eq!(
+                time_after(&mut clocks, 0..2000, |sensor_ns| sensor_ns),
+                1_999_000_000
+            );
+            assert_eq!(
+                time_after(&mut clocks, 2000..2001, |sensor_ns| sensor_ns + late_ns),
+                2_000_000_000
+            );
+            // Three seconds of them are held, and come 10 us apart; in the middle, nothing goes on
+            // for another 0.1 s.
             let burst_ns = |sensor_ns: i64| {
                 let queued_ns = sensor_ns - 2_001_000_000;
                 5_001_000_000 + queued_ns / 100 + if queued_ns > SECOND { 100_000_000 } else { 0 }
             };
             assert_eq!(time_after(&mut clocks, 2001..3000, burst_ns), 2_999_000_000);
             assert_eq!(time_after(&mut clocks, 3000..5000, burst_ns), 4_999_000_000);
-            assert_eq!(time_after(&mut clocks, 5000..5200, |sensor_ns| sensor_ns.max(5_131_000_000)), 5_199_000_000);
-            assert_eq!(time_after(&mut clocks, 5200..6000, |sensor_ns| sensor_ns), 5_999_000_000);
+            assert_eq!(
+                time_after(&mut clocks, 5000..5200, |sensor_ns| sensor_ns
+                    .max(5_131_000_000)),
+                5_199_000_000
+            );
+            assert_eq!(
+                time_after(&mut clocks, 5200..6000, |sensor_ns| sensor_ns),
+                5_999_000_000
+            );
         }
     }
 
@@ -289,9 +383,21 @@ mod tests {
     fn a_sentence_vouches_alone_where_that_is_allowed_and_the_clock_agrees_with_it() {
         let utc_ns = 1_355_263_599_000_000_000; // 22:06:39 UTC
         let of = |pps, valid, utc_ns, stamp_us, without_pps| {
-            let text = Rmc { utc_ns, valid, position_deg: None }.emit();
+            let text = Rmc {
+                utc_ns,
+                valid,
+                position_deg: None,
+            }
+            .emit();
             let nmea = Some(text.trim_end());
-            let position = Position { stamp_us, pps, nmea, inertial: None, board: None, thermal: None };
+            let position = Position {
+                stamp_us,
+                pps,
+                nmea,
+                inertial: None,
+                board: None,
+                thermal: None,
+            };
             vouched_utc_ns(&position, without_pps).is_some()
         };
         let stamp_us = 399_850_000;
@@ -299,7 +405,8 @@ mod tests {
         assert!(!of(Pps::Absent, true, utc_ns, stamp_us, false));
         assert!(!of(Pps::Absent, false, utc_ns, stamp_us, true));
         assert!(!of(Pps::Locked, false, utc_ns, stamp_us, true));
-        // A clock that counts since power-up: too far behind the sentence, or ahead of it. A locked pulse is believed.
+        // A clock that counts since power-up: too far behind the sentence, or ahead of it. A locked
+        // pulse is believed.
         for stamp_us in [397_990_000, 402_010_000, 0, 2_199_000_000] {
             assert!(!of(Pps::Absent, true, utc_ns, stamp_us, true), "{stamp_us}");
             assert!(of(Pps::Locked, true, utc_ns, stamp_us, false), "{stamp_us}");
@@ -311,8 +418,8 @@ mod tests {
         assert!(!of(Pps::Absent, true, full_ns, 3_598_500_000, true));
     }
 
-    /// The first position packet of a public VLP-16 capture and the stamp of its first data packet; the host clock of
-    /// that capture is 0.368 s ahead of GPS.
+    /// The first position packet of a public VLP-16 capture and the stamp of its first data packet;
+    /// the host clock of that capture is 0.368 s ahead of GPS.
     #[test]
     fn utc_is_the_sentences_hour_and_the_stamps_minute() {
         let text = "$GPRMC,081802.00,A,3649.7478558,N,00224.4542928,W,0.00,0.00,210116,,,A";
@@ -329,16 +436,38 @@ mod tests {
         let mut clock = SensorClock::default();
         clock.set(1_082_340_595, 1_082_340_595_000);
         let mut clocks = Clocks::default();
-        clocks.said(vouched_utc_ns(&position, false), position.stamp_us, 5 * SECOND);
+        clocks.said(
+            vouched_utc_ns(&position, false),
+            position.stamp_us,
+            5 * SECOND,
+        );
         // 2016-01-21 08:18:02.340595 UTC.
         let utc = (1_453_364_282_340_595_000, TimeSource::Gps);
         assert_eq!(clocks.resolve(1_082_340_595_000, &clock, 6 * SECOND), utc);
-        assert_eq!(clocks.resolve(1_082_340_595_000, &clock, 9 * SECOND).1, TimeSource::Host);
-        for (pps, valid) in [(Pps::Synchronizing, true), (Pps::Absent, true), (Pps::Locked, false)] {
+        assert_eq!(
+            clocks.resolve(1_082_340_595_000, &clock, 9 * SECOND).1,
+            TimeSource::Host
+        );
+        for (pps, valid) in [
+            (Pps::Synchronizing, true),
+            (Pps::Absent, true),
+            (Pps::Locked, false),
+        ] {
             let doubtful = sentence.replace(",A,3649", if valid { ",A,3649" } else { ",V,3649" });
-            let doubtful = Position { pps, nmea: Some(&doubtful), ..position };
-            clocks.said(vouched_utc_ns(&doubtful, false), position.stamp_us, 6 * SECOND);
-            assert_eq!(clocks.resolve(1_082_340_595_000, &clock, 6 * SECOND).1, TimeSource::Host);
+            let doubtful = Position {
+                pps,
+                nmea: Some(&doubtful),
+                ..position
+            };
+            clocks.said(
+                vouched_utc_ns(&doubtful, false),
+                position.stamp_us,
+                6 * SECOND,
+            );
+            assert_eq!(
+                clocks.resolve(1_082_340_595_000, &clock, 6 * SECOND).1,
+                TimeSource::Host
+            );
         }
     }
 }

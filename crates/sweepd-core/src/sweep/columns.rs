@@ -79,13 +79,15 @@ impl SoFar {
         self.columns == self.first_column
     }
 
-    /// Whether there is room for a firing, for what a sector left out takes before it, and for what is behind.
+    /// Whether there is room for a firing, for what a sector left out takes before it, and for what
+    /// is behind.
     pub fn has_room(&self, firing: &Firing, turns: &Turns) -> bool {
         let before = if firing.leaps { turns.span() } else { 0 };
         self.columns + before + 1 + turns.trail() <= COLUMNS_CAPACITY
     }
 
-    /// The first of the missing columns that wait for this packet: at its times, and with the head where it was.
+    /// The first of the missing columns that wait for this packet: at its times, and with the head
+    /// where it was.
     pub fn room_for(&self, sweep: &SweepMut<'_>, packet: &Packet, beat: &Beat) -> Option<usize> {
         let slack_ns = beat.period_ns / 2;
         let early = u32::try_from((packet.time_ns - self.first_ns - slack_ns).max(0)).ok()?;
@@ -116,25 +118,41 @@ impl SoFar {
             self.first_progress_cdeg = head.progress_cdeg();
         }
         self.blanked |= firing.leaps;
-        // A clock that is corrected, and an estimate of silence, may step back a little; columns never do.
+        // A clock that is corrected, and an estimate of silence, may step back a little; columns
+        // never do.
         self.last_ns = firing.time_ns.max(self.last_ns);
         let time_ns = self.last_ns;
         self.last_progress_cdeg = head.progress_cdeg();
         let (azimuth_rad, rate) = (radians(firing.azimuth_cdeg), cursor.rate_rad_s);
         if firing.leaps && !self.is_empty() {
             let behind = Column::unfired(azimuth_rad, rate, self.since_first(time_ns));
-            self.part(sweep, &behind, turns, decoder.spec.firing_period_ns(packet.mode));
+            self.part(
+                sweep,
+                &behind,
+                turns,
+                decoder.spec.firing_period_ns(packet.mode),
+            );
         }
-        let place = Place { column: self.columns, turns };
+        let place = Place {
+            column: self.columns,
+            turns,
+        };
         match firing.index {
             Some(index) => {
                 let beat = &cursor.beat;
                 let block = beat.block(index) as u8;
-                let column = Column::measured(packet.number, block, azimuth_rad, rate, self.since_first(time_ns));
+                let column = Column::measured(
+                    packet.number,
+                    block,
+                    azimuth_rad,
+                    rate,
+                    self.since_first(time_ns),
+                );
                 self.returns += decode(simd, sweep, place, column, (index, beat), packet, decoder);
             }
             None => {
-                sweep.columns[place.column] = Column::missing(azimuth_rad, rate, self.since_first(time_ns));
+                sweep.columns[place.column] =
+                    Column::missing(azimuth_rad, rate, self.since_first(time_ns));
                 clear(sweep, place);
                 self.missing += 1;
                 self.lost += u32::from(firing.begins_lost_packet);
@@ -143,8 +161,9 @@ impl SoFar {
         self.columns += 1;
     }
 
-    /// Parts two firings between which a sector was left out, so that no beam of one lands among those of the other: with
-    /// columns that go on from the firing before, and then some that lead to the one behind.
+    /// Parts two firings between which a sector was left out, so that no beam of one lands among
+    /// those of the other: with columns that go on from the firing before, and then some that lead
+    /// to the one behind.
     fn part(&mut self, sweep: &mut SweepMut<'_>, behind: &Column, turns: &Turns, period_ns: u32) {
         let before = sweep.columns[self.columns - 1];
         // A narrow sector takes less time than these columns would: times never step back.
@@ -163,19 +182,27 @@ impl SoFar {
 
     fn unfired(&mut self, sweep: &mut SweepMut<'_>, column: Column, turns: &Turns) {
         sweep.columns[self.columns] = column;
-        clear(sweep, Place { column: self.columns, turns });
+        clear(
+            sweep,
+            Place {
+                column: self.columns,
+                turns,
+            },
+        );
         self.columns += 1;
         self.unfired += 1;
     }
 
-    /// Makes an image of the whole turn: what fell beyond an end is folded to the other. The first column and the number
-    /// of them.
+    /// Makes an image of the whole turn: what fell beyond an end is folded to the other. The first
+    /// column and the number of them.
     pub fn fold(&self, sweep: &mut SweepMut<'_>, turns: &Turns) -> [usize; 2] {
         let (first, end) = (self.first_column, self.columns);
         let columns = end - first;
         for (row, &shift) in turns.shifts().iter().enumerate() {
-            let [filled, behind] = [first, end].map(|column| (column as i64 - i64::from(shift)) as usize);
-            // Azimuths that no head has can make a turn of fewer columns than the shift: then all of it lies beyond.
+            let [filled, behind] =
+                [first, end].map(|column| (column as i64 - i64::from(shift)) as usize);
+            // Azimuths that no head has can make a turn of fewer columns than the shift: then all
+            // of it lies beyond.
             for from in (filled..behind.min(first)).chain(filled.max(end)..behind) {
                 let onto = (from as i64 - first as i64).rem_euclid(columns as i64) as usize;
                 move_pixel(sweep, row, from, first + onto);
@@ -220,14 +247,20 @@ impl SoFar {
     pub fn rpm(&self) -> f32 {
         let travelled = self.travelled_cdeg();
         let lasted_s = (self.last_ns - self.first_ns) as f64 * 1e-9;
-        if lasted_s > 0.0 { (travelled / TURN / lasted_s * 60.0) as f32 } else { 0.0 }
+        if lasted_s > 0.0 {
+            (travelled / TURN / lasted_s * 60.0) as f32
+        } else {
+            0.0
+        }
     }
 }
 
 /// An azimuth as a column has it, radians.
 pub fn radians(azimuth_cdeg: f64) -> f32 {
     // What is a hair below a whole turn may be rounded to one.
-    Some((azimuth_cdeg / 100.0).to_radians() as f32).filter(|&rad| rad < TAU).unwrap_or(0.0)
+    Some((azimuth_cdeg / 100.0).to_radians() as f32)
+        .filter(|&rad| rad < TAU)
+        .unwrap_or(0.0)
 }
 
 /// How fast the head turns by a packet, as its columns have it, radians a second.
@@ -235,14 +268,18 @@ pub fn rate_rad_s(packet: &Packet, spec: &Spec) -> f32 {
     ((packet.motion.rate_cdeg_ns(spec) / 100.0).to_radians() * 1e9) as f32
 }
 
-/// The column that is so many firings before or behind another, at the speed of the sweep: that of one packet carries the
-/// encoder's noise.
+/// The column that is so many firings before or behind another, at the speed of the sweep: that of
+/// one packet carries the encoder's noise.
 fn extrapolated(from: &Column, firings: i64, turns: &Turns, period_ns: u32) -> Column {
     let apart_ns = firings * i64::from(period_ns);
     let azimuth_rad = f64::from(from.azimuth_rad) + turns.rate_rad_s() * apart_ns as f64 * 1e-9;
     let azimuth_rad = azimuth_rad.rem_euclid(f64::from(TAU)) as f32;
     let time_ns = (i64::from(from.time_ns) + apart_ns).clamp(0, i64::from(u32::MAX)) as u32;
-    Column::unfired(if azimuth_rad < TAU { azimuth_rad } else { 0.0 }, turns.rate_rad_s() as f32, time_ns)
+    Column::unfired(
+        if azimuth_rad < TAU { azimuth_rad } else { 0.0 },
+        turns.rate_rad_s() as f32,
+        time_ns,
+    )
 }
 
 /// Writes a firing and its column; returns how many returns it has.
@@ -261,14 +298,25 @@ pub fn decode<S: Simd>(
     let records = Records { blocks, first };
     sweep.columns[place.column] = column;
     let reach = place.reach();
-    let chosen =
-        Pixels { range: &mut sweep.range[reach.clone()], reflectivity: &mut sweep.reflectivity[reach.clone()] };
+    let chosen = Pixels {
+        range: &mut sweep.range[reach.clone()],
+        reflectivity: &mut sweep.reflectivity[reach.clone()],
+    };
     if sweep.range2.is_empty() {
         return decoder.single(simd, records, column.azimuth_rad, place.turns, chosen);
     }
-    let other =
-        Pixels { range: &mut sweep.range2[reach.clone()], reflectivity: &mut sweep.reflectivity2[reach.clone()] };
-    decoder.dual(simd, records, column.azimuth_rad, place.turns, [chosen, other], &mut sweep.kind[reach])
+    let other = Pixels {
+        range: &mut sweep.range2[reach.clone()],
+        reflectivity: &mut sweep.reflectivity2[reach.clone()],
+    };
+    decoder.dual(
+        simd,
+        records,
+        column.azimuth_rad,
+        place.turns,
+        [chosen, other],
+        &mut sweep.kind[reach],
+    )
 }
 
 impl Place<'_> {
@@ -283,13 +331,19 @@ impl Place<'_> {
 fn clear(sweep: &mut SweepMut<'_>, place: Place<'_>) {
     let first = place.reach().start;
     let pixels = place.turns.pixels().as_flattened();
-    pixels.iter().for_each(|&pixel| clear_pixel(sweep, first + pixel as usize));
+    pixels
+        .iter()
+        .for_each(|&pixel| clear_pixel(sweep, first + pixel as usize));
 }
 
 fn clear_pixel(sweep: &mut SweepMut<'_>, index: usize) {
     (sweep.range[index], sweep.reflectivity[index]) = (0.0, 0);
     if !sweep.range2.is_empty() {
-        (sweep.range2[index], sweep.reflectivity2[index], sweep.kind[index]) = (0.0, 0, 0);
+        (
+            sweep.range2[index],
+            sweep.reflectivity2[index],
+            sweep.kind[index],
+        ) = (0.0, 0, 0);
     }
 }
 
@@ -298,7 +352,8 @@ fn move_pixel(sweep: &mut SweepMut<'_>, row: usize, from_column: usize, to_colum
     let [from, to] = [from_column, to_column].map(|column| column * rows + row);
     (sweep.range[to], sweep.reflectivity[to]) = (sweep.range[from], sweep.reflectivity[from]);
     if !sweep.range2.is_empty() {
-        (sweep.range2[to], sweep.reflectivity2[to]) = (sweep.range2[from], sweep.reflectivity2[from]);
+        (sweep.range2[to], sweep.reflectivity2[to]) =
+            (sweep.range2[from], sweep.reflectivity2[from]);
         sweep.kind[to] = sweep.kind[from];
     }
 }

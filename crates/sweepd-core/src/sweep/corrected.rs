@@ -1,9 +1,10 @@
-//! The corrected beam of an HDL-64E: from a measured distance to the range that a sweep stores, and from there back to the
-//! point (HDL-64E S3 manual, 63-HDL64ES3, appendix on calibration; packets' distances are corrected twice).
+//! The corrected beam of an HDL-64E: from a measured distance to the range that a sweep stores, and
+//! from there back to the point (HDL-64E S3 manual, 63-HDL64ES3, appendix on calibration; packets'
+//! distances are corrected twice).
 //!
-//! A beam adds an offset D to what it measures, and within 25.04 m another one along x and along y, which goes from Dx
-//! and Dy near the sensor to D. So the point leaves the straight line a little, and the range, the length of the corrected
-//! beam, is
+//! A beam adds an offset D to what it measures, and within 25.04 m another one along x and along y,
+//! which goes from Dx and Dy near the sensor to D. So the point leaves the straight line a little,
+//! and the range, the length of the corrected beam, is
 //!
 //! ```text
 //! d = measured + D           length of the beam beyond 25.04 m
@@ -13,9 +14,10 @@
 //! range = sqrt(x² + y² + z²)
 //! ```
 //!
-//! with the elevation w and the azimuth a of the beam. All of it is linear in d, so the range is the root of a quadratic,
-//! and the way back solves that. Near 25.04 m a range can come from either side of the limit; so in the range of a beam that
-//! has such offsets, the last bit of the f32 says which: 1 within the limit, 0 beyond.
+//! with the elevation w and the azimuth a of the beam. All of it is linear in d, so the range is
+//! the root of a quadratic, and the way back solves that. Near 25.04 m a range can come from either
+//! side of the limit; so in the range of a beam that has such offsets, the last bit of the f32 says
+//! which: 1 within the limit, 0 beyond.
 
 use super::layout::BeamRow;
 
@@ -55,11 +57,22 @@ impl Corrected {
         let distance_offset_m = f64::from(beam.distance_offset_m);
         let offset = |near_m: f32, at_m: f64| {
             let slope = (f64::from(near_m) - distance_offset_m) / (FAR_M - at_m);
-            Offset { base_m: slope * FAR_M, slope }
+            Offset {
+                base_m: slope * FAR_M,
+                slope,
+            }
         };
-        let near = [offset(beam.distance_offset_x_m, NEAR_M[0]), offset(beam.distance_offset_y_m, NEAR_M[1])];
+        let near = [
+            offset(beam.distance_offset_x_m, NEAR_M[0]),
+            offset(beam.distance_offset_y_m, NEAR_M[1]),
+        ];
         let near = Some(near).filter(|near| near.iter().any(|offset| offset.slope != 0.0));
-        Self { sin_elevation, cos_elevation, distance_offset_m, near }
+        Self {
+            sin_elevation,
+            cos_elevation,
+            distance_offset_m,
+            near,
+        }
     }
 
     /// Whether the beam is a straight line, so that its direction does not depend on the range.
@@ -84,11 +97,19 @@ impl Corrected {
         measured_m < FAR_M
     }
 
-    /// The range to store for a measured distance, metres, at this sine and cosine of the azimuth; at least `least_m`.
+    /// The range to store for a measured distance, metres, at this sine and cosine of the azimuth;
+    /// at least `least_m`.
     #[inline]
-    pub fn range_m(&self, measured_m: f64, [sin_azimuth, cos_azimuth]: [f64; 2], least_m: f32) -> f32 {
+    pub fn range_m(
+        &self,
+        measured_m: f64,
+        [sin_azimuth, cos_azimuth]: [f64; 2],
+        least_m: f32,
+    ) -> f32 {
         let d = (measured_m + self.distance_offset_m).max(f64::from(least_m));
-        let Some(near) = self.near else { return (d as f32).max(least_m) };
+        let Some(near) = self.near else {
+            return (d as f32).max(least_m);
+        };
         let is_near = Self::is_near(measured_m);
         let range_m = match is_near {
             true => {
@@ -109,18 +130,29 @@ impl Corrected {
             let lines = self.lines(&near, sin_azimuth, cos_azimuth);
             Some(lines.at(lines.solve(range_m)?))
         });
-        let straight = [self.cos_elevation * sin_azimuth, self.cos_elevation * cos_azimuth, self.sin_elevation];
+        let straight = [
+            self.cos_elevation * sin_azimuth,
+            self.cos_elevation * cos_azimuth,
+            self.sin_elevation,
+        ];
         bent.unwrap_or_else(|| straight.map(|axis| axis * range_m))
     }
 
     #[inline]
     fn lines(&self, [near_x, near_y]: &[Offset; 2], sin_azimuth: f64, cos_azimuth: f64) -> Lines {
-        let [along_x, along_y] = [self.cos_elevation * sin_azimuth, self.cos_elevation * cos_azimuth];
+        let [along_x, along_y] = [
+            self.cos_elevation * sin_azimuth,
+            self.cos_elevation * cos_azimuth,
+        ];
         let axis = |near: &Offset, along: f64| [1.0 - near.slope * along.abs(), near.base_m];
         let [x, y] = [axis(near_x, along_x), axis(near_y, along_y)];
         let z = [(x[0] + y[0]) / 2.0, (x[1] + y[1]) / 2.0];
         let scaled = |line: [f64; 2], by: f64| line.map(|one| one * by);
-        Lines { x: scaled(x, along_x), y: scaled(y, along_y), z: scaled(z, self.sin_elevation) }
+        Lines {
+            x: scaled(x, along_x),
+            y: scaled(y, along_y),
+            z: scaled(z, self.sin_elevation),
+        }
     }
 }
 
@@ -132,7 +164,9 @@ impl Lines {
 
     /// The d at which the length is `range_m`: the greater root.
     fn solve(&self, range_m: f64) -> Option<f64> {
-        let sum = |a: usize, b: usize| self.x[a] * self.x[b] + self.y[a] * self.y[b] + self.z[a] * self.z[b];
+        let sum = |a: usize, b: usize| {
+            self.x[a] * self.x[b] + self.y[a] * self.y[b] + self.z[a] * self.z[b]
+        };
         let (square, linear, rest) = (sum(0, 0), sum(0, 1), sum(1, 1) - range_m * range_m);
         let root = linear * linear - square * rest;
         (root >= 0.0 && square > 0.0).then(|| (root.sqrt() - linear) / square)
@@ -149,14 +183,18 @@ mod tests {
     fn beam(elevation_deg: f64, far_m: f64, x_m: f64, y_m: f64) -> Corrected {
         let beam = Beam {
             distance_offset_m: far_m,
-            two_point: Some(TwoPoint { distance_offset_x_m: x_m, distance_offset_y_m: y_m }),
+            two_point: Some(TwoPoint {
+                distance_offset_x_m: x_m,
+                distance_offset_y_m: y_m,
+            }),
             ..Beam::ideal(0, elevation_deg.to_radians())
         };
         Corrected::new(&BeamRow::new(&beam, 0))
     }
 
-    /// By hand, level, D = 1.2, Dx = 1.3, Dy = 1.25. Measured 8.8 m, straight to the right: d = 10, and
-    /// ex = 0.1 x 15.04 / 22.64 = 0.066431. Straight ahead: ey = 0.05 x 15.04 / 23.11 = 0.032540. From 25.04 m on: D alone.
+    /// By hand, level, D = 1.2, Dx = 1.3, Dy = 1.25. Measured 8.8 m, straight to the right: d = 10,
+    /// and ex = 0.1 x 15.04 / 22.64 = 0.066431. Straight ahead: ey = 0.05 x 15.04 / 23.11 =
+    /// 0.032540. From 25.04 m on: D alone.
     #[test]
     fn ranges_are_those_of_the_manual() {
         let beam = beam(0.0, 1.2, 1.3, 1.25);
@@ -167,7 +205,10 @@ mod tests {
             (40.0, [0.0, -1.0], 41.2),
         ] {
             let range_m = beam.range_m(measured_m, direction, 0.001);
-            assert!((f64::from(range_m) - expected_m).abs() < 6e-6, "{measured_m}: {range_m}");
+            assert!(
+                (f64::from(range_m) - expected_m).abs() < 6e-6,
+                "{measured_m}: {range_m}"
+            );
         }
     }
 

@@ -42,7 +42,8 @@ pub struct Gap {
     pub from_ns: i64,
     pub step_cdeg: f64,
     pub step_ns: f64,
-    /// Firings before the sector that was left out in the gap, the way across it, signed as the step, and its duration.
+    /// Firings before the sector that was left out in the gap, the way across it, signed as the
+    /// step, and its duration.
     pub silence: Option<(usize, f64, f64)>,
 }
 
@@ -63,7 +64,9 @@ impl Cursor {
     pub fn firing(&self, packet: &Packet) -> Option<Firing> {
         let beat = &self.beat;
         let first_measured = match &self.gap {
-            Some(gap) if self.placed < gap.firings => return Some(gap.firing(self.placed, beat.firings)),
+            Some(gap) if self.placed < gap.firings => {
+                return Some(gap.firing(self.placed, beat.firings));
+            }
             Some(gap) => gap.firings,
             None => 0,
         };
@@ -72,7 +75,8 @@ impl Cursor {
             azimuth_cdeg: packet.motion.azimuth_cdeg(index, beat),
             time_ns: packet.firing_ns(index, beat),
             leaps: packet.motion.leaps_before(index, beat)
-                || index == 0 && (self.leaps || self.gap.is_some_and(|gap| gap.leaps_at(gap.firings))),
+                || index == 0
+                    && (self.leaps || self.gap.is_some_and(|gap| gap.leaps_at(gap.firings))),
             index: Some(index),
             begins_lost_packet: false,
         })
@@ -82,21 +86,46 @@ impl Cursor {
 impl Gap {
     /// Firings between the last one and this packet, at the lasers' beat.
     pub fn new(way: &Way, firings: usize, packet: &Packet, spec: &Spec) -> Self {
-        let Way { from_cdeg, from_ns, travelled_cdeg, silence } = *way;
+        let Way {
+            from_cdeg,
+            from_ns,
+            travelled_cdeg,
+            silence,
+        } = *way;
         let lasted_ns = (packet.time_ns - from_ns) as f64;
         let steps = (firings + 1) as f64;
-        // The last firing is less than a packet away from where the way was measured from: a turn's difference is none.
-        let travelled = travelled_cdeg + shortest(packet.motion.first_cdeg() - from_cdeg - travelled_cdeg);
+        // The last firing is less than a packet away from where the way was measured from: a turn's
+        // difference is none.
+        let travelled =
+            travelled_cdeg + shortest(packet.motion.first_cdeg() - from_cdeg - travelled_cdeg);
         let Some(sector) = silence else {
             let (step_cdeg, step_ns) = (travelled / steps, lasted_ns / steps);
-            return Self { firings, from_cdeg, from_ns, step_cdeg, step_ns, silence: None };
+            return Self {
+                firings,
+                from_cdeg,
+                from_ns,
+                step_cdeg,
+                step_ns,
+                silence: None,
+            };
         };
         let step_ns = f64::from(spec.firing_period_ns(packet.mode));
         let width = sector.width_cdeg.copysign(travelled);
         let step_cdeg = (travelled - width) / steps;
         let before = sector.ahead_of(from_cdeg, travelled) / step_cdeg.abs().max(f64::MIN_POSITIVE);
-        let silence = Some(((before.max(0.0) as usize).min(firings), width, lasted_ns - steps * step_ns));
-        Self { firings, from_cdeg, from_ns, step_cdeg, step_ns, silence }
+        let silence = Some((
+            (before.max(0.0) as usize).min(firings),
+            width,
+            lasted_ns - steps * step_ns,
+        ));
+        Self {
+            firings,
+            from_cdeg,
+            from_ns,
+            step_cdeg,
+            step_ns,
+            silence,
+        }
     }
 
     pub fn firing(&self, index: usize, firings_per_packet: usize) -> Firing {

@@ -51,8 +51,8 @@ struct Pairs<S: Simd> {
 }
 
 impl Decoder {
-    /// For a model with these beams, as [`Calibration::for_model`] fitted them. Of two returns, `choice` says which is
-    /// segmented, where both are within the range limits.
+    /// For a model with these beams, as [`Calibration::for_model`] fitted them. Of two returns,
+    /// `choice` says which is segmented, where both are within the range limits.
     pub fn new(
         (model, spec): (Model, &'static Spec),
         calibration: &Calibration,
@@ -60,20 +60,36 @@ impl Decoder {
         limits_m: RangeInclusive<f32>,
     ) -> Self {
         let beams = |mode| -> Vec<BeamRow> {
-            let beams = calibration.rows().iter().map(|&channel| &calibration.beams()[channel]);
-            beams.map(|beam| BeamRow::new(beam, spec.channel_offset_ns(beam.channel, mode))).collect()
+            let beams = calibration
+                .rows()
+                .iter()
+                .map(|&channel| &calibration.beams()[channel]);
+            beams
+                .map(|beam| BeamRow::new(beam, spec.channel_offset_ns(beam.channel, mode)))
+                .collect()
         };
         let beams = [ReturnMode::Strongest, ReturnMode::Dual].map(beams);
         let lanes = Lanes::new(calibration, &beams[0]);
         let bends = lanes.bend();
-        Self { spec, model, is_normalised: false, beams, lanes, bends, choice, limits_m, level: Level::new() }
+        Self {
+            spec,
+            model,
+            is_normalised: false,
+            beams,
+            lanes,
+            bends,
+            choice,
+            limits_m,
+            level: Level::new(),
+        }
     }
 
     /// Takes another table of the same model, whose timing with one return differs.
     pub fn take_spec(&mut self, spec: &'static Spec) {
         self.spec = spec;
         for beam in &mut self.beams[0] {
-            beam.time_offset_ns = spec.channel_offset_ns(beam.channel as usize, ReturnMode::Strongest);
+            beam.time_offset_ns =
+                spec.channel_offset_ns(beam.channel as usize, ReturnMode::Strongest);
         }
     }
 
@@ -82,10 +98,13 @@ impl Decoder {
         Self { level, ..self }
     }
 
-    /// The same decoder at each level of vector instructions that this machine has, the least first, with its name; all of
-    /// them give the same bytes.
+    /// The same decoder at each level of vector instructions that this machine has, the least
+    /// first, with its name; all of them give the same bytes.
     pub fn at_every_level(&self) -> Vec<(String, Self)> {
-        lanes::levels().into_iter().map(|level| (format!("{level:?}"), self.clone().with_level(level))).collect()
+        lanes::levels()
+            .into_iter()
+            .map(|level| (format!("{level:?}"), self.clone().with_level(level)))
+            .collect()
     }
 
     /// The vector instructions that it is to be used with.
@@ -103,8 +122,9 @@ impl Decoder {
         &self.beams[mode.returns() - 1]
     }
 
-    /// Writes a firing at an azimuth, radians, into its pixels; returns how many returns it has. To be inlined where many
-    /// firings are written at [its level](Self::level): to go there anew for each takes as long as to write it.
+    /// Writes a firing at an azimuth, radians, into its pixels; returns how many returns it has. To
+    /// be inlined where many firings are written at [its level](Self::level): to go there anew for
+    /// each takes as long as to write it.
     #[inline(always)]
     pub fn single<S: Simd>(
         &self,
@@ -118,14 +138,17 @@ impl Decoder {
         let mut returns = 0;
         for group in 0..self.lanes.groups() {
             let towards = (direction, &turns.asides()[group]);
-            let decoded = self.lanes.decode(simd, group, records, towards, self.is_normalised);
+            let decoded = self
+                .lanes
+                .decode(simd, group, records, towards, self.is_normalised);
             pixels.write(&turns.pixels()[group], &decoded);
             returns += decoded.returns;
         }
         returns
     }
 
-    /// Writes a firing with two returns in the same way: the chosen ones, the others, and which the chosen ones are.
+    /// Writes a firing with two returns in the same way: the chosen ones, the others, and which the
+    /// chosen ones are.
     #[inline(always)]
     pub fn dual<S: Simd>(
         &self,
@@ -142,8 +165,12 @@ impl Decoder {
         let mut returns = 0;
         for group in 0..self.lanes.groups() {
             let (towards, places) = ((direction, &turns.asides()[group]), &turns.pixels()[group]);
-            let first = self.lanes.decode(simd, group, first, towards, self.is_normalised);
-            let second = self.lanes.decode(simd, group, second, towards, self.is_normalised);
+            let first = self
+                .lanes
+                .decode(simd, group, first, towards, self.is_normalised);
+            let second = self
+                .lanes
+                .decode(simd, group, second, towards, self.is_normalised);
             let pairs = self.choose(simd, first, second);
             chosen.write(places, &pairs.chosen);
             other.write(places, &pairs.other);
@@ -161,11 +188,12 @@ impl Decoder {
         lanes::direction(f64::from(azimuth_rad))
     }
 
-    /// Puts the returns to segment first: of each beam one that is there and within the limits before one that is not, else
-    /// as the user chose.
+    /// Puts the returns to segment first: of each beam one that is there and within the limits
+    /// before one that is not, else as the user chose.
     ///
-    /// What the returns of the first and the second blocks are: a sensor with one head puts the last first (VLP-16 manual,
-    /// section 6.2). Of an HDL-64E no manual says it: the farther is the last, the brighter the stronger.
+    /// What the returns of the first and the second blocks are: a sensor with one head puts the
+    /// last first (VLP-16 manual, section 6.2). Of an HDL-64E no manual says it: the farther is the
+    /// last, the brighter the stronger.
     #[inline(always)]
     fn choose<S: Simd>(&self, simd: S, first: Decoded<S>, second: Decoded<S>) -> Pairs<S> {
         let is_said = mask32x16::splat(simd, self.spec.banks() == 1);
@@ -185,7 +213,8 @@ impl Decoder {
         let second_is_better = second_is & !first_is | second_fits & !first_fits;
         let takes_second = second_is_better | !first_is_better & prefers_second;
         let last = i32x16::splat(simd, ReturnKind::Last as i32);
-        let kind = (takes_second ^ first_is_last).select(last, i32x16::splat(simd, ReturnKind::Strongest as i32));
+        let kind = (takes_second ^ first_is_last)
+            .select(last, i32x16::splat(simd, ReturnKind::Strongest as i32));
         let in_second = i32x16::splat(simd, i32::from(SECOND_BLOCKS));
         Pairs {
             chosen: second.or(first, takes_second),
@@ -200,7 +229,10 @@ impl Decoder {
         // As `is_return` has it.
         let is_return = range_m.simd_gt(0.0);
         let (low_m, high_m) = (*self.limits_m.start(), *self.limits_m.end());
-        (is_return, is_return & range_m.simd_ge(low_m) & range_m.simd_le(high_m))
+        (
+            is_return,
+            is_return & range_m.simd_ge(low_m) & range_m.simd_le(high_m),
+        )
     }
 }
 
@@ -210,7 +242,11 @@ impl Pixels<'_> {
         // One length, so that one look at a place is enough for both.
         let count = self.range.len().min(self.reflectivity.len());
         let (range, reflectivity) = (&mut self.range[..count], &mut self.reflectivity[..count]);
-        let both = decoded.range_m.as_array().iter().zip(decoded.reflectivity.as_array());
+        let both = decoded
+            .range_m
+            .as_array()
+            .iter()
+            .zip(decoded.reflectivity.as_array());
         for (&place, (&range_m, &byte)) in places.iter().zip(both) {
             range[place as usize] = range_m;
             reflectivity[place as usize] = byte as u8;
@@ -235,7 +271,8 @@ mod tests {
     use crate::wire::DataPacket;
     use crate::wire::data::Record;
 
-    /// The segmented return, the other, and which the first is: metres for last and strongest in the only channel used.
+    /// The segmented return, the other, and which the first is: metres for last and strongest in
+    /// the only channel used.
     fn dual(
         choice: ReturnChoice,
         limits_m: RangeInclusive<f32>,
@@ -243,30 +280,67 @@ mod tests {
         strongest_m: f32,
     ) -> (f32, f32, ReturnKind) {
         let model = Model::Vlp16;
-        let decoder = Decoder::new((model, model.spec()), model.calibration().unwrap(), choice, limits_m);
+        let decoder = Decoder::new(
+            (model, model.spec()),
+            model.calibration().unwrap(),
+            choice,
+            limits_m,
+        );
         let mut packet = DataPacket::new(0, 0, 0);
         for (block, range_m, reflectivity) in [(0, last_m, 1), (1, strongest_m, 2)] {
             // Channel 15 looks up highest: row 0. The unit is 2 mm.
             let distance = U16::new((range_m * 500.0).round() as u16);
-            packet.blocks[block].records[15] = Record { distance, reflectivity };
+            packet.blocks[block].records[15] = Record {
+                distance,
+                reflectivity,
+            };
         }
         let mut turns = Turns::default();
-        turns.set(decoder.beams(ReturnMode::Dual), 2e-6, decoder.spec, ReturnMode::Dual);
+        turns.set(
+            decoder.beams(ReturnMode::Dual),
+            2e-6,
+            decoder.spec,
+            ReturnMode::Dual,
+        );
         let (mut range, mut range2) = ([9.0; 16], [9.0; 16]);
         let (mut reflectivity, mut reflectivity2, mut kind) = ([9; 16], [9; 16], [9; 16]);
-        let first = Pixels { range: &mut range, reflectivity: &mut reflectivity };
-        let second = Pixels { range: &mut range2, reflectivity: &mut reflectivity2 };
-        let records = Records { blocks: &packet.blocks[..2], first: 0 };
-        let returns =
-            dispatch!(decoder.level(), simd => decoder.dual(simd, records, 0.0, &turns, [first, second], &mut kind));
-        assert_eq!(returns, u32::from(last_m > 0.0) + u32::from(strongest_m > 0.0));
+        let first = Pixels {
+            range: &mut range,
+            reflectivity: &mut reflectivity,
+        };
+        let second = Pixels {
+            range: &mut range2,
+            reflectivity: &mut reflectivity2,
+        };
+        let records = Records {
+            blocks: &packet.blocks[..2],
+            first: 0,
+        };
+        let returns = dispatch!(decoder.level(), simd => decoder.dual(simd, records, 0.0, &turns, [first, second], &mut kind));
+        assert_eq!(
+            returns,
+            u32::from(last_m > 0.0) + u32::from(strongest_m > 0.0)
+        );
         let of_kind = |is_strongest: bool| if is_strongest { 2 } else { 1 };
         let is_strongest = ReturnKind::of_byte(kind[0]) == ReturnKind::Strongest;
-        assert_eq!(kind[0] & SECOND_BLOCKS != 0, is_strongest, "the strongest is in the odd block");
-        assert_eq!((reflectivity[0], reflectivity2[0]), (of_kind(is_strongest), of_kind(!is_strongest)));
-        assert!(range[1..].iter().chain(&range2[1..]).all(|&range| !is_return(range)));
+        assert_eq!(
+            kind[0] & SECOND_BLOCKS != 0,
+            is_strongest,
+            "the strongest is in the odd block"
+        );
+        assert_eq!(
+            (reflectivity[0], reflectivity2[0]),
+            (of_kind(is_strongest), of_kind(!is_strongest))
+        );
+        assert!(
+            range[1..]
+                .iter()
+                .chain(&range2[1..])
+                .all(|&range| !is_return(range))
+        );
         // To the millimetre: the unit is no whole number of anything in binary.
-        let [first_m, second_m] = [range[0], range2[0]].map(|range_m| (range_m * 1000.0).round() / 1000.0);
+        let [first_m, second_m] =
+            [range[0], range2[0]].map(|range_m| (range_m * 1000.0).round() / 1000.0);
         (first_m, second_m, ReturnKind::of_byte(kind[0]))
     }
 
@@ -277,20 +351,56 @@ mod tests {
     #[test]
     fn the_choice_is_the_users() {
         // Last at 30 m, strongest at 20 m, and the other way round, which rain and dust do.
-        assert_eq!(dual(ReturnChoice::Nearest, ALL, 30.0, 20.0), (20.0, 30.0, STRONGEST));
-        assert_eq!(dual(ReturnChoice::Nearest, ALL, 20.0, 30.0), (20.0, 30.0, LAST));
-        assert_eq!(dual(ReturnChoice::Strongest, ALL, 20.0, 30.0), (30.0, 20.0, STRONGEST));
-        assert_eq!(dual(ReturnChoice::Last, ALL, 30.0, 20.0), (30.0, 20.0, LAST));
+        assert_eq!(
+            dual(ReturnChoice::Nearest, ALL, 30.0, 20.0),
+            (20.0, 30.0, STRONGEST)
+        );
+        assert_eq!(
+            dual(ReturnChoice::Nearest, ALL, 20.0, 30.0),
+            (20.0, 30.0, LAST)
+        );
+        assert_eq!(
+            dual(ReturnChoice::Strongest, ALL, 20.0, 30.0),
+            (30.0, 20.0, STRONGEST)
+        );
+        assert_eq!(
+            dual(ReturnChoice::Last, ALL, 30.0, 20.0),
+            (30.0, 20.0, LAST)
+        );
     }
 
     #[test]
     fn a_return_goes_before_none_and_one_within_the_limits_before_one_that_is_not() {
-        for choice in [ReturnChoice::Nearest, ReturnChoice::Strongest, ReturnChoice::Last] {
-            assert_eq!(dual(choice, ALL, 30.0, 0.0), (30.0, 0.0, LAST), "{choice:?}");
-            assert_eq!(dual(choice, ALL, 0.0, 20.0), (20.0, 0.0, STRONGEST), "{choice:?}");
-            assert_eq!(dual(choice, 1.0..=50.0, 30.0, 0.6), (30.0, 0.6, LAST), "{choice:?}");
-            assert_eq!(dual(choice, 1.0..=50.0, 60.0, 20.0), (20.0, 60.0, STRONGEST), "{choice:?}");
-            assert_eq!(dual(choice, 1.0..=50.0, 0.6, 0.0), (0.6, 0.0, LAST), "{choice:?}");
+        for choice in [
+            ReturnChoice::Nearest,
+            ReturnChoice::Strongest,
+            ReturnChoice::Last,
+        ] {
+            assert_eq!(
+                dual(choice, ALL, 30.0, 0.0),
+                (30.0, 0.0, LAST),
+                "{choice:?}"
+            );
+            assert_eq!(
+                dual(choice, ALL, 0.0, 20.0),
+                (20.0, 0.0, STRONGEST),
+                "{choice:?}"
+            );
+            assert_eq!(
+                dual(choice, 1.0..=50.0, 30.0, 0.6),
+                (30.0, 0.6, LAST),
+                "{choice:?}"
+            );
+            assert_eq!(
+                dual(choice, 1.0..=50.0, 60.0, 20.0),
+                (20.0, 60.0, STRONGEST),
+                "{choice:?}"
+            );
+            assert_eq!(
+                dual(choice, 1.0..=50.0, 0.6, 0.0),
+                (0.6, 0.0, LAST),
+                "{choice:?}"
+            );
         }
     }
 }

@@ -1,9 +1,11 @@
-//! The end of the sector that a sensor with a limited field of view measures, and the cut that must come before it.
+//! The end of the sector that a sensor with a limited field of view measures, and the cut that must
+//! come before it.
 //!
-//! Such a sensor sends only full packets: the last firings before the end of its sector wait in it until those behind the
-//! sector that is left out have filled their packet, up to three quarters of a turn later. A sweep whose cut lies among
-//! them, or where nothing is measured at all, would be as late. So the cut is moved ahead, to the last azimuth that is
-//! surely in a packet before the silence; what is measured between it and the end of the sector begins the next sweep.
+//! Such a sensor sends only full packets: the last firings before the end of its sector wait in it
+//! until those behind the sector that is left out have filled their packet, up to three quarters of
+//! a turn later. A sweep whose cut lies among them, or where nothing is measured at all, would be
+//! as late. So the cut is moved ahead, to the last azimuth that is surely in a packet before the
+//! silence; what is measured between it and the end of the sector begins the next sweep.
 //!
 //! All of this follows from the packets alone, so that a replay cuts where the live sensor was cut.
 
@@ -13,14 +15,16 @@ use crate::wire::data::ReturnMode;
 
 /// Leaps over the same sector after which its end is believed.
 const ALIKE: u32 = 2;
-/// How far the edges of a sector may be from where they were the turn before, hundredths of a degree: azimuths are up to
-/// 80 apart, and where packets were lost an edge is known to a column or two.
+/// How far the edges of a sector may be from where they were the turn before, hundredths of a
+/// degree: azimuths are up to 80 apart, and where packets were lost an edge is known to a column or
+/// two.
 const SLACK_CDEG: f64 = 150.0;
 /// The encoder's noise, hundredths of a degree, generously.
 const NOISE_CDEG: f64 = 20.0;
 /// A shorter silence is waited for: moving the cut would gain nothing.
 const LEAST_SILENCE_NS: f64 = 5_000_000.0;
-/// The speed may rise by so much before the cut is moved again, and fall until the way to the end is so much too long.
+/// The speed may rise by so much before the cut is moved again, and fall until the way to the end
+/// is so much too long.
 const REACH: (f64, f64) = (1.1, 1.5);
 
 /// How far the head turns, hundredths of a degree.
@@ -45,9 +49,9 @@ impl Pace {
         }
     }
 
-    /// The way before the end of a sector that may not be sent before the silence. The packet that is not full there began
-    /// less than a packet ahead of it; one azimuth more is needed to pass the cut in the packet before, and one is the
-    /// uncertainty of the end.
+    /// The way before the end of a sector that may not be sent before the silence. The packet that
+    /// is not full there began less than a packet ahead of it; one azimuth more is needed to pass
+    /// the cut in the packet before, and one is the uncertainty of the end.
     fn unsent_cdeg(&self) -> f64 {
         self.packet_cdeg + 2.0 * self.azimuth_cdeg + NOISE_CDEG
     }
@@ -87,12 +91,14 @@ pub struct Edge {
 }
 
 impl Edge {
-    /// The azimuth that the cut is moved to, hundredths of a degree; `None` while it stays where it is configured.
+    /// The azimuth that the cut is moved to, hundredths of a degree; `None` while it stays where it
+    /// is configured.
     pub fn cut_cdeg(&self) -> Option<f64> {
         self.moved_cdeg.map(|(cut_cdeg, _)| cut_cdeg)
     }
 
-    /// Learns from a leap, at this pace of the head if it is known, for a sensor whose cut is configured to be at `cut_cdeg`.
+    /// Learns from a leap, at this pace of the head if it is known, for a sensor whose cut is
+    /// configured to be at `cut_cdeg`.
     pub fn leaps(&mut self, leap: Leap, pace: Option<Pace>, cut_cdeg: f64) {
         let is_like = self.last.is_some_and(|last| leap.is_like(&last));
         self.alike = if is_like { self.alike + 1 } else { 1 };
@@ -103,13 +109,17 @@ impl Edge {
         }
         let Some(pace) = pace else { return };
         let unsent = pace.unsent_cdeg();
-        if self.moved_cdeg.is_some_and(|(_, reach)| (unsent..=REACH.1 * unsent).contains(&reach)) {
+        if self
+            .moved_cdeg
+            .is_some_and(|(_, reach)| (unsent..=REACH.1 * unsent).contains(&reach))
+        {
             return;
         }
         let reach = REACH.0 * unsent;
         let moved = (leap.from_cdeg - leap.sense * reach).rem_euclid(TURN);
         let is_late = ahead(moved, cut_cdeg, leap.sense) <= reach + leap.width_cdeg();
-        let is_worth_it = leap.width_cdeg() > pace.silence_cdeg && TURN - leap.width_cdeg() > 2.0 * reach;
+        let is_worth_it =
+            leap.width_cdeg() > pace.silence_cdeg && TURN - leap.width_cdeg() > 2.0 * reach;
         self.moved_cdeg = (is_late && is_worth_it).then_some((moved, reach));
     }
 
@@ -142,16 +152,26 @@ mod tests {
 
     /// A VLP-16 at 600 rpm: 478 hundredths of a degree a packet, 40 from azimuth to azimuth.
     fn pace() -> Option<Pace> {
-        Some(Pace::new(36_000.0 / 1e8, Model::Vlp16.spec(), ReturnMode::Strongest))
+        Some(Pace::new(
+            36_000.0 / 1e8,
+            Model::Vlp16.spec(),
+            ReturnMode::Strongest,
+        ))
     }
 
     fn leap(from_cdeg: f64, to_cdeg: f64) -> Leap {
-        Leap { from_cdeg, to_cdeg, sense: 1.0 }
+        Leap {
+            from_cdeg,
+            to_cdeg,
+            sense: 1.0,
+        }
     }
 
     fn after(leaps: &[Leap], cut_cdeg: f64) -> Edge {
         let mut edge = Edge::default();
-        leaps.iter().for_each(|&leap| edge.leaps(leap, pace(), cut_cdeg));
+        leaps
+            .iter()
+            .for_each(|&leap| edge.leaps(leap, pace(), cut_cdeg));
         edge
     }
 
@@ -160,8 +180,12 @@ mod tests {
         let seen = [leap(9_080.0, 27_010.0), leap(9_100.0, 27_030.0)];
         assert_eq!(after(&seen[..1], 18_000.0).cut_cdeg(), None);
         let moved = after(&seen, 18_000.0).cut_cdeg().unwrap();
-        assert!((9_100.0 - 800.0..9_100.0 - 478.0 - 80.0).contains(&moved), "{moved}");
-        // Within what is not sent in time it moves too; where the packets pass it, and beyond the silence, it does not.
+        assert!(
+            (9_100.0 - 800.0..9_100.0 - 478.0 - 80.0).contains(&moved),
+            "{moved}"
+        );
+        // Within what is not sent in time it moves too; where the packets pass it, and beyond the
+        // silence, it does not.
         assert!(after(&seen, 9_000.0).cut_cdeg().is_some());
         for cut_cdeg in [8_000.0, 27_100.0, 0.0] {
             assert_eq!(after(&seen, cut_cdeg).cut_cdeg(), None, "{cut_cdeg}");
@@ -170,7 +194,10 @@ mod tests {
 
     #[test]
     fn it_stays_where_it_is_while_the_end_does() {
-        let mut edge = after(&[leap(9_080.0, 27_010.0), leap(9_100.0, 27_030.0)], 18_000.0);
+        let mut edge = after(
+            &[leap(9_080.0, 27_010.0), leap(9_100.0, 27_030.0)],
+            18_000.0,
+        );
         let moved = edge.cut_cdeg();
         for from_cdeg in [9_062.0, 9_099.0, 9_101.0, 9_070.0] {
             edge.leaps(leap(from_cdeg, 27_000.0), pace(), 18_000.0);
@@ -201,7 +228,11 @@ mod tests {
         let seen = leap(9_080.0, 27_010.0);
         let mut edge = after(&[seen, seen], 18_000.0);
         let slow = edge.cut_cdeg().unwrap();
-        let fast = Pace::new(2.0 * 36_000.0 / 1e8, Model::Vlp16.spec(), ReturnMode::Strongest);
+        let fast = Pace::new(
+            2.0 * 36_000.0 / 1e8,
+            Model::Vlp16.spec(),
+            ReturnMode::Strongest,
+        );
         edge.leaps(seen, Some(fast), 18_000.0);
         assert!(edge.cut_cdeg().unwrap() < slow - 400.0);
     }
@@ -209,8 +240,18 @@ mod tests {
     #[test]
     fn a_short_silence_and_a_sliver_of_a_sector_are_left_alone() {
         // 5 ms are 18 degrees.
-        assert_eq!(after(&[leap(9_000.0, 10_700.0); 2], 10_000.0).cut_cdeg(), None);
-        assert!(after(&[leap(9_000.0, 10_900.0); 2], 10_000.0).cut_cdeg().is_some());
-        assert_eq!(after(&[leap(9_000.0, 8_500.0); 2], 18_000.0).cut_cdeg(), None);
+        assert_eq!(
+            after(&[leap(9_000.0, 10_700.0); 2], 10_000.0).cut_cdeg(),
+            None
+        );
+        assert!(
+            after(&[leap(9_000.0, 10_900.0); 2], 10_000.0)
+                .cut_cdeg()
+                .is_some()
+        );
+        assert_eq!(
+            after(&[leap(9_000.0, 8_500.0); 2], 18_000.0).cut_cdeg(),
+            None
+        );
     }
 }

@@ -1,14 +1,16 @@
-//! The turning head: unwraps azimuths, finds the cut, and notices a head that stands still or turns the other way.
+//! The turning head: unwraps azimuths, finds the cut, and notices a head that stands still or turns
+//! the other way.
 
 use super::edge::{Edge, Leap, Pace};
 use super::motion::{TURN, ahead, shortest};
 
 /// Progress since the cut below which a second crossing is encoder jitter, hundredths of a degree.
 const LEAST_TURN_CDEG: f64 = 35_000.0;
-/// Way against the sense of rotation after which the sense was wrong, hundredths of a degree: no noise goes so far.
+/// Way against the sense of rotation after which the sense was wrong, hundredths of a degree: no
+/// noise goes so far.
 const REVERSAL_CDEG: f64 = 500.0;
-/// A head that turns less than this in [`STANDSTILL_NS`] stands still, hundredths of a degree: 1 rpm. An encoder at rest
-/// may be off by up to 11 either way.
+/// A head that turns less than this in [`STANDSTILL_NS`] stands still, hundredths of a degree: 1
+/// rpm. An encoder at rest may be off by up to 11 either way.
 pub const STANDSTILL_CDEG: f64 = 30.0;
 /// See [`STANDSTILL_CDEG`].
 pub const STANDSTILL_NS: i64 = 50_000_000;
@@ -71,7 +73,8 @@ impl Head {
         self.sense < 0.0
     }
 
-    /// Turned since the cut or the start of the run, hundredths of a degree; not negative in steady rotation.
+    /// Turned since the cut or the start of the run, hundredths of a degree; not negative in steady
+    /// rotation.
     pub fn progress_cdeg(&self) -> f64 {
         self.progress_cdeg
     }
@@ -94,12 +97,16 @@ impl Head {
 
     /// Whether a sector is known to be left out on the way there.
     pub fn leaps_until_cut(&self) -> bool {
-        self.last_cdeg.is_some_and(|last| self.edge.is_between(last, self.cut_cdeg, self.sense))
+        self.last_cdeg
+            .is_some_and(|last| self.edge.is_between(last, self.cut_cdeg, self.sense))
     }
 
     /// Forgets where it was: nothing relates the next firing to the last.
     pub fn lose(&mut self) {
-        *self = Self { sense: self.sense, ..Self::new(self.configured_cdeg) };
+        *self = Self {
+            sense: self.sense,
+            ..Self::new(self.configured_cdeg)
+        };
     }
 
     /// Turns to the next firing, the shorter way.
@@ -107,8 +114,8 @@ impl Head {
         self.go(azimuth_cdeg, time_ns, None)
     }
 
-    /// Turns to the next firing over a sector that was left out, in the sense of rotation however far that is, and at this
-    /// pace if it is known.
+    /// Turns to the next firing over a sector that was left out, in the sense of rotation however
+    /// far that is, and at this pace if it is known.
     pub fn leap(&mut self, azimuth_cdeg: f64, time_ns: i64, pace: Option<Pace>) -> Turned {
         self.go(azimuth_cdeg, time_ns, Some(pace))
     }
@@ -143,9 +150,14 @@ impl Head {
             return Turned::On;
         }
         self.cut_seen = true;
-        // From the cut and not from this firing, which may lie far behind it, beyond a sector that was left out.
+        // From the cut and not from this firing, which may lie far behind it, beyond a sector that
+        // was left out.
         self.progress_cdeg = phase + advance - TURN;
-        if std::mem::take(&mut self.moved) { Turned::Moved } else { Turned::Cut }
+        if std::mem::take(&mut self.moved) {
+            Turned::Moved
+        } else {
+            Turned::Cut
+        }
     }
 
     /// Moves the cut ahead of the end of the sector that is measured, or back, if that is due.
@@ -153,7 +165,11 @@ impl Head {
         match leap {
             None => self.edge.fires(azimuth_cdeg),
             Some(pace) => {
-                let leap = Leap { from_cdeg: last_cdeg, to_cdeg: azimuth_cdeg, sense: self.sense };
+                let leap = Leap {
+                    from_cdeg: last_cdeg,
+                    to_cdeg: azimuth_cdeg,
+                    sense: self.sense,
+                };
                 self.edge.leaps(leap, pace, self.configured_cdeg);
             }
         }
@@ -170,7 +186,8 @@ impl Head {
     fn standstill_changes(&mut self, advance: f64, time_ns: i64) -> bool {
         self.watched_cdeg += advance;
         let since = *self.watched_since_ns.get_or_insert(time_ns);
-        // That it stands takes a while to see; that it moves again is seen at once, and the sweep in which it stood ends there.
+        // That it stands takes a while to see; that it moves again is seen at once, and the sweep
+        // in which it stood ends there.
         let moves = self.stopped && self.watched_cdeg.abs() >= STANDSTILL_CDEG;
         if time_ns - since < STANDSTILL_NS && !moves {
             return false;
@@ -210,12 +227,15 @@ impl Head {
 mod tests {
     use super::*;
 
-    /// Turns through azimuths 40 hundredths and 0.1 ms apart and tells the indices of all that is not `On`.
+    /// Turns through azimuths 40 hundredths and 0.1 ms apart and tells the indices of all that is
+    /// not `On`.
     fn events(head: &mut Head, azimuths: &[f64]) -> Vec<(usize, Turned)> {
-        let turned = azimuths
-            .iter()
-            .enumerate()
-            .map(|(index, &azimuth)| (index, head.turn(azimuth.rem_euclid(TURN), index as i64 * 100_000)));
+        let turned = azimuths.iter().enumerate().map(|(index, &azimuth)| {
+            (
+                index,
+                head.turn(azimuth.rem_euclid(TURN), index as i64 * 100_000),
+            )
+        });
         turned.filter(|&(_, turned)| turned != Turned::On).collect()
     }
 
@@ -227,15 +247,27 @@ mod tests {
         azimuths.insert(927, 71_999.0);
         azimuths.insert(927, 72_001.0);
         let cuts = events(&mut Head::new(0.0), &azimuths);
-        assert_eq!(cuts, [(25, Turned::Cut), (926, Turned::Cut), (1828, Turned::Cut)]);
+        assert_eq!(
+            cuts,
+            [(25, Turned::Cut), (926, Turned::Cut), (1828, Turned::Cut)]
+        );
     }
 
     #[test]
     fn the_cut_may_be_anywhere_and_is_itself_behind_the_cut() {
         let azimuths: Vec<f64> = (0..1000).map(|i| 40.0 * f64::from(i)).collect();
-        assert_eq!(events(&mut Head::new(18_000.0), &azimuths), [(450, Turned::Cut)]);
-        assert_eq!(events(&mut Head::new(17_999.0), &azimuths), [(450, Turned::Cut)]);
-        assert_eq!(events(&mut Head::new(18_001.0), &azimuths), [(451, Turned::Cut)]);
+        assert_eq!(
+            events(&mut Head::new(18_000.0), &azimuths),
+            [(450, Turned::Cut)]
+        );
+        assert_eq!(
+            events(&mut Head::new(17_999.0), &azimuths),
+            [(450, Turned::Cut)]
+        );
+        assert_eq!(
+            events(&mut Head::new(18_001.0), &azimuths),
+            [(451, Turned::Cut)]
+        );
     }
 
     #[test]
@@ -243,7 +275,10 @@ mod tests {
         let azimuths: Vec<f64> = (0..1000).map(|i| 18_000.0 - 40.0 * f64::from(i)).collect();
         let mut head = Head::new(0.0);
         // The 13th step back tells; firing 450 is on the cut, and so the first of the next turn.
-        assert_eq!(events(&mut head, &azimuths), [(13, Turned::Anew), (450, Turned::Cut)]);
+        assert_eq!(
+            events(&mut head, &azimuths),
+            [(13, Turned::Anew), (450, Turned::Cut)]
+        );
         assert!(head.reversed());
     }
 
@@ -256,7 +291,10 @@ mod tests {
         let events = events(&mut head, &azimuths);
         assert_eq!(events.len(), 2, "{events:?}");
         // That it moves on is seen when it has gone 0.3 degrees.
-        assert!((1000..=1600).contains(&events[0].0) && events[1].0 == 1703, "{events:?}");
+        assert!(
+            (1000..=1600).contains(&events[0].0) && events[1].0 == 1703,
+            "{events:?}"
+        );
         assert!(!head.stopped);
     }
 

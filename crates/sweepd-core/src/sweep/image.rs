@@ -83,7 +83,8 @@ impl<'a> SweepMut<'a> {
     /// [`LayoutError`] when the bytes are no sweep.
     pub fn open(bytes: &'a mut [u8]) -> Result<Self, LayoutError> {
         let found = bytes.len();
-        let (header, mut rest) = Header::mut_from_prefix(bytes).map_err(|_| LayoutError::Bytes { bytes: found })?;
+        let (header, mut rest) =
+            Header::mut_from_prefix(bytes).map_err(|_| LayoutError::Bytes { bytes: found })?;
         let shape = checked_shape(header, found)?;
         let mut at = size_of::<Header>();
         let sizes = shape.part_bytes();
@@ -97,7 +98,18 @@ impl<'a> SweepMut<'a> {
                 at = offset as usize + size;
             }
         }
-        let [range, reflectivity, label, range2, reflectivity2, label2, kind, columns, beams, segments] = parts;
+        let [
+            range,
+            reflectivity,
+            label,
+            range2,
+            reflectivity2,
+            label2,
+            kind,
+            columns,
+            beams,
+            segments,
+        ] = parts;
         Ok(Self {
             header,
             range: cast_mut(range)?,
@@ -128,7 +140,11 @@ impl<'a> SweepMut<'a> {
     /// The same sweep, to read: trimmed to what is filled.
     pub fn as_ref(&self) -> SweepRef<'_> {
         let pixels = self.image_pixels();
-        let other = if self.range2.is_empty() { 0..0 } else { pixels.clone() };
+        let other = if self.range2.is_empty() {
+            0..0
+        } else {
+            pixels.clone()
+        };
         SweepRef {
             header: self.header,
             range: &self.range[pixels.clone()],
@@ -145,7 +161,9 @@ impl<'a> SweepMut<'a> {
     }
 }
 
-fn cast_mut<T: FromBytes + IntoBytes + KnownLayout + Immutable>(bytes: &mut [u8]) -> Result<&mut [T], LayoutError> {
+fn cast_mut<T: FromBytes + IntoBytes + KnownLayout + Immutable>(
+    bytes: &mut [u8],
+) -> Result<&mut [T], LayoutError> {
     let found = bytes.len();
     if found == 0 {
         return Ok(&mut []);
@@ -187,23 +205,27 @@ pub struct Return {
     pub time_ns: i64,
     /// 0 none, 1 ground, 2.. segment.
     pub label: u32,
-    /// x right, y forward, z up, metres from the sensor's origin; the beam's origin offsets are in it.
+    /// x right, y forward, z up, metres from the sensor's origin; the beam's origin offsets are in
+    /// it.
     pub point_m: [f64; 3],
 }
 
 impl<'a> SweepRef<'a> {
-    /// The view over the bytes of a sweep, checked so that nothing in it can be out of bounds. The bytes must stay as they are:
-    /// for those in shared memory, where a publisher may write on, see [`SweepRef::with_header`].
+    /// The view over the bytes of a sweep, checked so that nothing in it can be out of bounds. The
+    /// bytes must stay as they are: for those in shared memory, where a publisher may write on, see
+    /// [`SweepRef::with_header`].
     ///
     /// # Errors
     /// [`LayoutError`].
     pub fn open(bytes: &'a [u8]) -> Result<Self, LayoutError> {
-        let (header, _) = Header::ref_from_prefix(bytes).map_err(|_| LayoutError::Bytes { bytes: bytes.len() })?;
+        let (header, _) = Header::ref_from_prefix(bytes)
+            .map_err(|_| LayoutError::Bytes { bytes: bytes.len() })?;
         Self::with_header(header, bytes)
     }
 
-    /// The same with a copy of the header of these bytes: where others may write to the bytes meanwhile, what was copied
-    /// and checked is what counts, and nothing of the header is read again.
+    /// The same with a copy of the header of these bytes: where others may write to the bytes
+    /// meanwhile, what was copied and checked is what counts, and nothing of the header is read
+    /// again.
     ///
     /// # Errors
     /// [`LayoutError`].
@@ -228,7 +250,12 @@ impl<'a> SweepRef<'a> {
             kind: other(Part::Kind, 1),
             columns: cast_ref(part(Part::Columns, margin, columns, size_of::<Column>()))?,
             beams: cast_ref(part(Part::Beams, 0, shape.rows, size_of::<BeamRow>()))?,
-            segments: cast_ref(part(Part::Segments, 0, header.segments as usize, size_of::<Segment>()))?,
+            segments: cast_ref(part(
+                Part::Segments,
+                0,
+                header.segments as usize,
+                size_of::<Segment>(),
+            ))?,
         })
     }
 
@@ -237,8 +264,8 @@ impl<'a> SweepRef<'a> {
         self.beams.len()
     }
 
-    /// The column in which a pixel was fired: its own, moved by the shift of its row. Beyond the ends of an image that is
-    /// not circular, where no pixel has a return, the one at the end.
+    /// The column in which a pixel was fired: its own, moved by the shift of its row. Beyond the
+    /// ends of an image that is not circular, where no pixel has a return, the one at the end.
     #[inline]
     pub fn fired_in(&self, row: usize, column: usize) -> usize {
         let circular = self.header.has(flags::CIRCULAR);
@@ -251,8 +278,8 @@ impl<'a> SweepRef<'a> {
         &self.columns[self.fired_in(row, column)]
     }
 
-    /// Azimuth of a pixel's beam when it fired, radians, 0..2 pi. A return of a beam with a two-point correction is a
-    /// little beside it: [`Return::azimuth_rad`] is where that is.
+    /// Azimuth of a pixel's beam when it fired, radians, 0..2 pi. A return of a beam with a
+    /// two-point correction is a little beside it: [`Return::azimuth_rad`] is where that is.
     #[inline]
     pub fn azimuth_rad(&self, row: usize, column: usize) -> f64 {
         pixel_azimuth_rad(self.firing(row, column), &self.beams[row])
@@ -271,10 +298,12 @@ impl<'a> SweepRef<'a> {
         pixel_point_m(self.firing(row, column), &self.beams[row], range_m)
     }
 
-    /// All returns, column after column, from the top row down; of a dual pixel the segmented one first.
+    /// All returns, column after column, from the top row down; of a dual pixel the segmented one
+    /// first.
     pub fn returns(&self) -> impl Iterator<Item = Return> + '_ {
-        (0..self.columns.len())
-            .flat_map(move |column| (0..self.rows()).flat_map(move |row| self.pixel(row, column).into_iter().flatten()))
+        (0..self.columns.len()).flat_map(move |column| {
+            (0..self.rows()).flat_map(move |row| self.pixel(row, column).into_iter().flatten())
+        })
     }
 
     /// The returns of a pixel: the segmented one and the other.
@@ -283,15 +312,30 @@ impl<'a> SweepRef<'a> {
     /// Of a row or a column that the image does not have, as all here that take one.
     pub fn pixel(&self, row: usize, column: usize) -> [Option<Return>; 2] {
         let index = column * self.rows() + row;
-        let first = (self.range[index], self.reflectivity[index], self.label[index]);
+        let first = (
+            self.range[index],
+            self.reflectivity[index],
+            self.label[index],
+        );
         let Some(&byte) = self.kind.get(index) else {
             let last = self.header.return_mode() == ReturnMode::Last;
-            let kind = if last { ReturnKind::Last } else { ReturnKind::Strongest };
+            let kind = if last {
+                ReturnKind::Last
+            } else {
+                ReturnKind::Strongest
+            };
             return [self.at(row, column, (kind, false), first), None];
         };
         let (kind, is_second) = (ReturnKind::of_byte(byte), byte & SECOND_BLOCKS != 0);
-        let second = (self.range2[index], self.reflectivity2[index], self.label2[index]);
-        [self.at(row, column, (kind, is_second), first), self.at(row, column, (kind.other(), !is_second), second)]
+        let second = (
+            self.range2[index],
+            self.reflectivity2[index],
+            self.label2[index],
+        );
+        [
+            self.at(row, column, (kind, is_second), first),
+            self.at(row, column, (kind.other(), !is_second), second),
+        ]
     }
 
     fn at(
@@ -342,20 +386,24 @@ pub(crate) fn shifted(column: usize, shift: i32, columns: usize, circular: bool)
 /// When a beam of a firing fired; at the end of time for a header that is not to be trusted.
 #[inline]
 fn shot_ns(header: &Header, firing: &Column, beam: &BeamRow) -> i64 {
-    header.time_ns.saturating_add(i64::from(firing.time_ns) + i64::from(beam.time_offset_ns))
+    header
+        .time_ns
+        .saturating_add(i64::from(firing.time_ns) + i64::from(beam.time_offset_ns))
 }
 
 /// Azimuth of a beam of a firing at its own shot, radians, 0..2 pi.
 #[inline]
 pub fn pixel_azimuth_rad(column: &Column, beam: &BeamRow) -> f64 {
     let turned = f64::from(column.azimuth_rate_rad_s) * f64::from(beam.time_offset_ns) * 1e-9;
-    let azimuth = (f64::from(column.azimuth_rad) + turned - f64::from(beam.rotation_rad)).rem_euclid(TAU);
+    let azimuth =
+        (f64::from(column.azimuth_rad) + turned - f64::from(beam.rotation_rad)).rem_euclid(TAU);
     // A hair below 0 is rounded to a whole turn.
     if azimuth < TAU { azimuth } else { 0.0 }
 }
 
-/// x right, y forward, z up of a range along a beam of a firing, metres (VLP-16 User Manual, section 9.2; HDL-64E S3
-/// manual, for the beam's origin offsets and the [corrected](super::corrected) beam).
+/// x right, y forward, z up of a range along a beam of a firing, metres (VLP-16 User Manual,
+/// section 9.2; HDL-64E S3 manual, for the beam's origin offsets and the
+/// [corrected](super::corrected) beam).
 #[inline]
 pub fn pixel_point_m(column: &Column, beam: &BeamRow, range_m: f32) -> [f64; 3] {
     let shot = Shot::new(column, beam);
@@ -376,13 +424,20 @@ impl<'a> Shot<'a> {
     fn new(column: &Column, beam: &'a BeamRow) -> Self {
         let azimuth_rad = pixel_azimuth_rad(column, beam);
         let (sin_azimuth, cos_azimuth) = azimuth_rad.sin_cos();
-        Self { beam, azimuth_rad, sin_azimuth, cos_azimuth, corrected: Corrected::new(beam) }
+        Self {
+            beam,
+            azimuth_rad,
+            sin_azimuth,
+            cos_azimuth,
+            corrected: Corrected::new(beam),
+        }
     }
 
     /// From the beam's origin to the point at a range, metres.
     #[inline]
     fn along_m(&self, range_m: f32) -> [f64; 3] {
-        self.corrected.point_m(range_m, self.sin_azimuth, self.cos_azimuth)
+        self.corrected
+            .point_m(range_m, self.sin_azimuth, self.cos_azimuth)
     }
 
     /// The same from the sensor's origin.
@@ -390,7 +445,11 @@ impl<'a> Shot<'a> {
     fn point_m(&self, [x, y, z]: [f64; 3]) -> [f64; 3] {
         let sideways = f64::from(self.beam.horizontal_offset_m);
         let up = f64::from(self.beam.vertical_offset_m);
-        [x - sideways * self.cos_azimuth, y + sideways * self.sin_azimuth, z + up]
+        [
+            x - sideways * self.cos_azimuth,
+            y + sideways * self.sin_azimuth,
+            z + up,
+        ]
     }
 
     /// Azimuth and elevation of what lies along the beam, radians.
@@ -399,7 +458,10 @@ impl<'a> Shot<'a> {
             return [self.azimuth_rad, f64::from(self.beam.elevation_rad)];
         }
         let azimuth_rad = x.atan2(y).rem_euclid(TAU);
-        [if azimuth_rad < TAU { azimuth_rad } else { 0.0 }, z.atan2(x.hypot(y))]
+        [
+            if azimuth_rad < TAU { azimuth_rad } else { 0.0 },
+            z.atan2(x.hypot(y)),
+        ]
     }
 }
 
@@ -412,7 +474,12 @@ mod tests {
     use crate::sensor::Beam;
     use crate::sweep::buffers::{Buffers, HeapBuffers};
 
-    const SHAPE: Shape = Shape { rows: 3, columns_capacity: 5, dual: true, segments_capacity: 2 };
+    const SHAPE: Shape = Shape {
+        rows: 3,
+        columns_capacity: 5,
+        dual: true,
+        segments_capacity: 2,
+    };
 
     #[test]
     fn what_is_written_is_read_and_a_wrong_header_is_refused() {
@@ -426,17 +493,39 @@ mod tests {
         sweep.beams[2] = BeamRow::new(&Beam::ideal(1, -0.25), 2304);
         sweep.header.columns = 2;
         let read = SweepRef::open(bytes).unwrap();
-        assert_eq!((read.range.len(), read.range[4], read.label2[5]), (6, 2.0, 7));
-        assert_eq!((read.columns.len(), read.columns[1].packet, read.beams[2].channel), (2, 9, 1));
+        assert_eq!(
+            (read.range.len(), read.range[4], read.label2[5]),
+            (6, 2.0, 7)
+        );
+        assert_eq!(
+            (
+                read.columns.len(),
+                read.columns[1].packet,
+                read.beams[2].channel
+            ),
+            (2, 9, 1)
+        );
 
-        assert_eq!(SweepRef::open(&bytes[..100]).err(), Some(LayoutError::Bytes { bytes: 100 }));
+        assert_eq!(
+            SweepRef::open(&bytes[..100]).err(),
+            Some(LayoutError::Bytes { bytes: 100 })
+        );
         // What stands in the tables is anybody's.
         let sweep = SweepMut::open(bytes).unwrap();
         sweep.range[..6].fill(1.0);
-        (sweep.header.time_ns, sweep.beams[0].shift, sweep.beams[1].shift) = (i64::MAX, i32::MIN, i32::MAX);
+        (
+            sweep.header.time_ns,
+            sweep.beams[0].shift,
+            sweep.beams[1].shift,
+        ) = (i64::MAX, i32::MIN, i32::MAX);
         for circular in [0, flags::CIRCULAR] {
             SweepMut::open(bytes).unwrap().header.flags = circular;
-            assert!(SweepRef::open(bytes).unwrap().returns().all(|one| one.time_ns == i64::MAX));
+            assert!(
+                SweepRef::open(bytes)
+                    .unwrap()
+                    .returns()
+                    .all(|one| one.time_ns == i64::MAX)
+            );
         }
         SweepMut::open(bytes).unwrap().header.columns = 6;
         assert_eq!(SweepRef::open(bytes).err(), Some(LayoutError::Inconsistent));
@@ -448,17 +537,30 @@ mod tests {
     fn ask_all(sweep: &SweepRef<'_>) {
         let (rows, columns) = (sweep.rows(), sweep.columns.len());
         assert_eq!(
-            (sweep.range.len(), sweep.label.len(), sweep.reflectivity.len()),
+            (
+                sweep.range.len(),
+                sweep.label.len(),
+                sweep.reflectivity.len()
+            ),
             (rows * columns, rows * columns, rows * columns)
         );
         assert_eq!(sweep.segments.len(), sweep.header.segments as usize);
         let header = sweep.header;
-        let _ = (header.time_source(), header.return_mode(), header.sensor(), header.name());
-        for (row, column) in (0..rows).flat_map(|row| (0..columns).map(move |column| (row, column))) {
+        let _ = (
+            header.time_source(),
+            header.return_mode(),
+            header.sensor(),
+            header.name(),
+        );
+        for (row, column) in (0..rows).flat_map(|row| (0..columns).map(move |column| (row, column)))
+        {
             assert!(sweep.fired_in(row, column) < columns);
             let azimuth_rad = sweep.azimuth_rad(row, column);
             assert!(azimuth_rad.is_nan() || (0.0..TAU).contains(&azimuth_rad));
-            let _ = (sweep.time_ns(row, column), sweep.point_m(row, column, f32::MAX));
+            let _ = (
+                sweep.time_ns(row, column),
+                sweep.point_m(row, column, f32::MAX),
+            );
             let both = usize::from(!sweep.kind.is_empty());
             assert!(sweep.pixel(row, column).iter().flatten().count() <= 1 + both);
         }
@@ -502,7 +604,10 @@ mod tests {
     /// By hand: azimuth 90 degrees is +x; 30 degrees up at 2 m is 1.732 m out and 1 m up.
     #[test]
     fn axes_are_those_of_the_manual() {
-        let raised = Beam { vertical_offset_m: 0.01, ..Beam::ideal(0, 30_f64.to_radians()) };
+        let raised = Beam {
+            vertical_offset_m: 0.01,
+            ..Beam::ideal(0, 30_f64.to_radians())
+        };
         let beam = BeamRow::new(&raised, 1_000_000);
         let column = Column::measured(0, 0, 80_f32.to_radians(), 10_f32.to_radians() * 1000.0, 0);
         let [x, y, z] = pixel_point_m(&column, &beam, 2.0);

@@ -1,12 +1,12 @@
 //! Sixteen beams at once: from the records of a firing to ranges and reflectivities.
 //!
-//! All of it is vectors of [`LANES`] numbers, at whatever level the caller runs it: the [decoder](super::decode) takes the
-//! best one of the machine. Beams stay in the order of their channels, as the packet has them: where each goes in the image,
-//! the [turns](super::turns) say.
+//! All of it is vectors of [`LANES`] numbers, at whatever level the caller runs it: the
+//! [decoder](super::decode) takes the best one of the machine. Beams stay in the order of their
+//! channels, as the packet has them: where each goes in the image, the [turns](super::turns) say.
 //!
-//! Every level gives the same bytes, since nothing here rounds otherwise at one than at another: a product is never fused
-//! with a sum, and a square root is exact to the last bit. A range is within 4e-5 m of the length that [`Corrected`] means,
-//! and says the same of near and far.
+//! Every level gives the same bytes, since nothing here rounds otherwise at one than at another: a
+//! product is never fused with a sum, and a square root is exact to the last bit. A range is within
+//! 4e-5 m of the length that [`Corrected`] means, and says the same of near and far.
 
 use std::f64::consts::{FRAC_2_PI, FRAC_PI_2};
 
@@ -24,7 +24,8 @@ use crate::wire::data::{Block, RECORDS, Record};
 pub const LANES: usize = 16;
 /// Least range of a record that is not zero, so that no correction can turn a return into none.
 const LEAST_RANGE_M: f32 = 0.001;
-/// The distance that 16 bits of 2 mm reach, metres: what the focal distance of a beam is a share of.
+/// The distance that 16 bits of 2 mm reach, metres: what the focal distance of a beam is a share
+/// of.
 const FULL_SCALE_M: f64 = 131.0;
 
 /// Bytes of a record.
@@ -32,7 +33,8 @@ const RECORD: usize = size_of::<Record>();
 
 /// Where sixteen bytes begin that hold four records; the last ones end with them.
 const FROM: [usize; 4] = [0, 4 * RECORD, 8 * RECORD, LANES * RECORD - 16];
-/// Of those sixteen bytes, which go where: each record to four bytes, of which the last is anything.
+/// Of those sixteen bytes, which go where: each record to four bytes, of which the last is
+/// anything.
 const SPREAD: [u8; 4 * LANES] = {
     let mut spread = [0; 4 * LANES];
     let mut at = 0;
@@ -71,7 +73,8 @@ struct Group {
 struct Bend {
     sin_elevation: Of<f32>,
     cos_elevation: Of<f32>,
-    /// Additional offsets along x and y: what they lose each metre, and what they are at the axis' zero.
+    /// Additional offsets along x and y: what they lose each metre, and what they are at the axis'
+    /// zero.
     slope: [Of<f32>; 2],
     base_m: [Of<f32>; 2],
     /// 1 of a beam that is bent: the bit that says so in its range.
@@ -111,7 +114,8 @@ pub struct Decoded<S: Simd> {
 /// Where a firing points: sine and cosine of its azimuth.
 pub type Direction = [f32; 2];
 
-/// What one return of a firing brought, or both: the blocks from its first on, and where in each its records begin.
+/// What one return of a firing brought, or both: the blocks from its first on, and where in each
+/// its records begin.
 #[derive(Clone, Copy, Debug)]
 pub struct Records<'a> {
     /// The blocks.
@@ -127,11 +131,19 @@ impl Lanes {
         let mut groups = vec![Group::straight(); rows.len().div_ceil(LANES)];
         for row in rows {
             let (group, lane) = place(row.channel);
-            groups[group].take(lane, row, calibration.beams()[row.channel as usize].intensity);
+            groups[group].take(
+                lane,
+                row,
+                calibration.beams()[row.channel as usize].intensity,
+            );
         }
         let is_near = |&units: &u32| Corrected::is_near(f64::from(units) * unit_m);
         let near_units = (0..=u32::from(u16::MAX)).take_while(is_near).count() as i32;
-        Self { unit_m: unit_m as f32, groups, near_units }
+        Self {
+            unit_m: unit_m as f32,
+            groups,
+            near_units,
+        }
     }
 
     /// Whether ranges depend on the azimuth.
@@ -170,7 +182,11 @@ impl Lanes {
             None => reported,
         };
         let returns = is_return.to_bitmask().count_ones();
-        Decoded { range_m: is_return.select(range_m, f32x16::splat(simd, 0.0)), reflectivity, returns }
+        Decoded {
+            range_m: is_return.select(range_m, f32x16::splat(simd, 0.0)),
+            reflectivity,
+            returns,
+        }
     }
 }
 
@@ -187,22 +203,36 @@ impl<S: Simd> Decoded<S> {
 }
 
 impl Records<'_> {
-    /// A group of records: distance in the low sixteen bits of each, then the reflectivity, then anything.
+    /// A group of records: distance in the low sixteen bits of each, then the reflectivity, then
+    /// anything.
     #[inline(always)]
     fn group<S: Simd>(&self, simd: S, group: usize) -> i32x16<S> {
         const IN_BLOCK: usize = RECORDS / LANES;
-        let records = &self.blocks[group / IN_BLOCK].records[self.first + group % IN_BLOCK * LANES..];
-        let bytes = records.as_bytes().first_chunk().expect("a block is whole groups");
+        let records =
+            &self.blocks[group / IN_BLOCK].records[self.first + group % IN_BLOCK * LANES..];
+        let bytes = records
+            .as_bytes()
+            .first_chunk()
+            .expect("a block is whole groups");
         let [first, second] = [quarter(simd, bytes, 0), quarter(simd, bytes, 2)];
-        let [first, second] = [first.combine(quarter(simd, bytes, 1)), second.combine(quarter(simd, bytes, 3))];
+        let [first, second] = [
+            first.combine(quarter(simd, bytes, 1)),
+            second.combine(quarter(simd, bytes, 3)),
+        ];
         let packed: u8x64<S> = first.combine(second);
-        packed.swizzle_dyn_within_blocks(u8x64::load_array(simd, SPREAD)).bitcast()
+        packed
+            .swizzle_dyn_within_blocks(u8x64::load_array(simd, SPREAD))
+            .bitcast()
     }
 }
 
 impl Group {
     fn straight() -> Self {
-        Self { distance_offset_m: [0.0; LANES], bend: None, focus: None }
+        Self {
+            distance_offset_m: [0.0; LANES],
+            bend: None,
+            focus: None,
+        }
     }
 
     fn take(&mut self, lane: usize, row: &BeamRow, intensity: Option<Intensity>) {
@@ -210,14 +240,18 @@ impl Group {
         let corrected = Corrected::new(row);
         if let Some(near) = corrected.near() {
             let bend = self.bend.get_or_insert_default();
-            [bend.sin_elevation[lane], bend.cos_elevation[lane]] = corrected.elevation().map(|one| one as f32);
+            [bend.sin_elevation[lane], bend.cos_elevation[lane]] =
+                corrected.elevation().map(|one| one as f32);
             for (axis, offset) in near.iter().enumerate() {
-                (bend.slope[axis][lane], bend.base_m[axis][lane]) = (offset.slope as f32, offset.base_m as f32);
+                (bend.slope[axis][lane], bend.base_m[axis][lane]) =
+                    (offset.slope as f32, offset.base_m as f32);
             }
             bend.mark[lane] = 1;
         }
         if let Some(intensity) = intensity {
-            self.focus.get_or_insert_with(Focus::none).take(lane, intensity);
+            self.focus
+                .get_or_insert_with(Focus::none)
+                .take(lane, intensity);
         }
     }
 }
@@ -225,7 +259,13 @@ impl Group {
 impl Bend {
     /// Ranges of beams of these lengths within the reach of the two-point correction.
     #[inline(always)]
-    fn ranges_m<S: Simd>(&self, simd: S, d: f32x16<S>, [sin, cos]: Direction, aside: &Aside) -> f32x16<S> {
+    fn ranges_m<S: Simd>(
+        &self,
+        simd: S,
+        d: f32x16<S>,
+        [sin, cos]: Direction,
+        aside: &Aside,
+    ) -> f32x16<S> {
         let (aside_sin, aside_cos) = (load(simd, &aside.sin), load(simd, &aside.cos));
         let cos_elevation = load(simd, &self.cos_elevation);
         let along_x = (aside_cos * sin + aside_sin * cos) * cos_elevation;
@@ -233,7 +273,11 @@ impl Bend {
         let x = d + self.offset_m(simd, 0, along_x.abs() * d);
         let y = d + self.offset_m(simd, 1, along_y.abs() * d);
         let z = (x + y) * 0.5;
-        let (x, y, z) = (x * along_x, y * along_y, z * load(simd, &self.sin_elevation));
+        let (x, y, z) = (
+            x * along_x,
+            y * along_y,
+            z * load(simd, &self.sin_elevation),
+        );
         (x * x + y * y + z * z).sqrt().max(LEAST_RANGE_M)
     }
 
@@ -245,7 +289,13 @@ impl Bend {
 
     /// The range to store, with the bit that says near or far where a beam has one.
     #[inline(always)]
-    fn mark<S: Simd>(&self, simd: S, is_near: mask32x16<S>, near_m: f32x16<S>, far_m: f32x16<S>) -> f32x16<S> {
+    fn mark<S: Simd>(
+        &self,
+        simd: S,
+        is_near: mask32x16<S>,
+        near_m: f32x16<S>,
+        far_m: f32x16<S>,
+    ) -> f32x16<S> {
         let mark = i32x16::load_array_ref(simd, &self.mark);
         let near = is_near.select(mark, i32x16::splat(simd, 0));
         let range_m: i32x16<S> = near.simd_gt(0).select(near_m, far_m).bitcast();
@@ -256,14 +306,19 @@ impl Bend {
 impl Focus {
     /// Beams that report what they measure.
     fn none() -> Self {
-        Self { max: [255.0; LANES], ..Self::default() }
+        Self {
+            max: [255.0; LANES],
+            ..Self::default()
+        }
     }
 
     fn take(&mut self, lane: usize, intensity: Intensity) {
         let beyond = 1.0 - intensity.focal_distance_m / FULL_SCALE_M;
-        let [slope, min, max] = [intensity.focal_slope, intensity.min, intensity.max].map(|value| value as f32);
+        let [slope, min, max] =
+            [intensity.focal_slope, intensity.min, intensity.max].map(|value| value as f32);
         self.at[lane] = (256.0 * beyond * beyond) as f32;
-        (self.slope[lane], self.min[lane], self.max[lane]) = (slope, min.clamp(0.0, 255.0), max.clamp(0.0, 255.0));
+        (self.slope[lane], self.min[lane], self.max[lane]) =
+            (slope, min.clamp(0.0, 255.0), max.clamp(0.0, 255.0));
     }
 
     /// Reflectivities of what the beams measured, from what they report.
@@ -284,13 +339,15 @@ fn quarter<S: Simd>(simd: S, records: &[u8; LANES * RECORD], quarter: usize) -> 
     u8x16::from_slice(simd, &records[FROM[quarter]..][..16])
 }
 
-/// A function, as all here that has vectors: a closure may stay a call, without the instructions of its caller's level.
+/// A function, as all here that has vectors: a closure may stay a call, without the instructions of
+/// its caller's level.
 #[inline(always)]
 fn load<S: Simd>(simd: S, lanes: &Of<f32>) -> f32x16<S> {
     f32x16::load_array_ref(simd, lanes)
 }
 
-/// What each term of the series of a sine, and of a cosine, is of the one before, but for the sign; the last term first.
+/// What each term of the series of a sine, and of a cosine, is of the one before, but for the sign;
+/// the last term first.
 const SIN: [f64; 5] = [1.0 / 110.0, 1.0 / 72.0, 1.0 / 42.0, 1.0 / 20.0, 1.0 / 6.0];
 const COS: [f64; 5] = [1.0 / 90.0, 1.0 / 56.0, 1.0 / 30.0, 1.0 / 12.0, 1.0 / 2.0];
 
@@ -302,7 +359,11 @@ pub fn direction(azimuth_rad: f64) -> Direction {
     let quarters = (azimuth_rad * FRAC_2_PI + 0.5) as i32;
     let rest = azimuth_rad - f64::from(quarters) * FRAC_PI_2;
     let square = rest * rest;
-    let series = |shares: [f64; 5]| shares.into_iter().fold(1.0, |rest, share| 1.0 - square * share * rest);
+    let series = |shares: [f64; 5]| {
+        shares
+            .into_iter()
+            .fold(1.0, |rest, share| 1.0 - square * share * rest)
+    };
     let (sin, cos) = ((rest * series(SIN)) as f32, series(COS) as f32);
     match quarters & 3 {
         0 => [sin, cos],
@@ -343,7 +404,10 @@ mod tests {
             let azimuth_rad = (f64::from(cdeg) / 10_000.0).to_radians();
             let (sin, cos) = azimuth_rad.sin_cos();
             let [found_sin, found_cos] = direction(azimuth_rad).map(f64::from);
-            assert!((found_sin - sin).abs() < 4e-8 && (found_cos - cos).abs() < 4e-8, "{azimuth_rad}");
+            assert!(
+                (found_sin - sin).abs() < 4e-8 && (found_cos - cos).abs() < 4e-8,
+                "{azimuth_rad}"
+            );
         }
     }
 

@@ -1,22 +1,25 @@
-//! A sweep as bytes: header, planes and tables in one aligned slice. Files, tests and shared memory hold the same bytes.
+//! A sweep as bytes: header, planes and tables in one aligned slice. Files, tests and shared memory
+//! hold the same bytes.
 //!
 //! ```text
 //! | Header | range | reflectivity | label | (dual: range 2 | reflectivity 2 | label 2 | kind) | columns | beams | segments |
 //! ```
 //!
-//! Every part starts at a multiple of 64 bytes; the header tells where. Planes are stored column after column:
-//! `index = (margin_columns + column) * rows + row`, row 0 being the highest beam; so are the columns themselves. In a
-//! sweep of a dual-return sensor, the planes without a number hold the return that is segmented, the planes "2" the other
-//! one, and `kind` tells which is which.
+//! Every part starts at a multiple of 64 bytes; the header tells where. Planes are stored column
+//! after column: `index = (margin_columns + column) * rows + row`, row 0 being the highest beam; so
+//! are the columns themselves. In a sweep of a dual-return sensor, the planes without a number hold
+//! the return that is segmented, the planes "2" the other one, and `kind` tells which is which.
 //!
-//! The beams of an HDL-64E point up to ten degrees to the side. Its rows are shifted by whole columns, so that neighbours
-//! in the image are neighbours in space: the return in a row of column `c` was fired in column `c + shift`, whose azimuth
-//! and time are its own ([`BeamRow::shift`]). In a circular sweep columns are counted around the turn (what is beyond the
-//! last is at the first again); another one is wider by the shifts, with columns that hold no firing at its ends and where
-//! a sector was left out ([`ColumnStatus::Unfired`]).
+//! The beams of an HDL-64E point up to ten degrees to the side. Its rows are shifted by whole
+//! columns, so that neighbours in the image are neighbours in space: the return in a row of column
+//! `c` was fired in column `c + shift`, whose azimuth and time are its own ([`BeamRow::shift`]). In
+//! a circular sweep columns are counted around the turn (what is beyond the last is at the first
+//! again); another one is wider by the shifts, with columns that hold no firing at its ends and
+//! where a sector was left out ([`ColumnStatus::Unfired`]).
 //!
-//! Whoever fills a sweep writes every pixel of every column that the header counts, so nothing that a header declares
-//! valid is left over from an earlier sweep in the same buffer. All numbers are little-endian, as the host's must be.
+//! Whoever fills a sweep writes every pixel of every column that the header counts, so nothing that
+//! a header declares valid is left over from an earlier sweep in the same buffer. All numbers are
+//! little-endian, as the host's must be.
 
 mod header;
 mod shape;
@@ -38,7 +41,8 @@ pub const MAGIC: [u8; 8] = *b"sweepd\r\n";
 pub const LAYOUT_VERSION: u32 = 3;
 /// Alignment of a sweep and of its parts, bytes.
 pub const ALIGN: usize = 64;
-/// Columns that a sweep has room for: an HDL-32E at 240 rpm has 5425, an HDL-64E 5209 and up to 145 on each side.
+/// Columns that a sweep has room for: an HDL-32E at 240 rpm has 5425, an HDL-64E 5209 and up to 145
+/// on each side.
 pub const COLUMNS_CAPACITY: usize = 5632;
 
 /// Whether a range in a plane is a return. The one place that knows how "no return" is written.
@@ -64,7 +68,8 @@ pub mod flags {
     pub const REVERSED: u32 = 1 << 2;
     /// The sensor is set to leave out a sector.
     pub const BLANKED: u32 = 1 << 3;
-    /// Turning slower than 240 rpm, faster than 1320, or more than a tenth faster or slower than the sweep before.
+    /// Turning slower than 240 rpm, faster than 1320, or more than a tenth faster or slower than
+    /// the sweep before.
     pub const RATE_UNSTABLE: u32 = 1 << 4;
     /// The head stands still.
     pub const STOPPED: u32 = 1 << 5;
@@ -96,7 +101,8 @@ pub enum ReturnChoice {
 
 /// Head of a sweep. Counts and offsets first, then what was measured.
 ///
-/// The same packets give the same sweep, byte for byte, but for what depends on the host that took them: [`HOST_FIELDS`].
+/// The same packets give the same sweep, byte for byte, but for what depends on the host that took
+/// them: [`HOST_FIELDS`].
 #[derive(Clone, Copy, Debug, FromBytes, IntoBytes, KnownLayout, Immutable)]
 #[repr(C)]
 pub struct Header {
@@ -120,8 +126,8 @@ pub struct Header {
     pub segments: u32,
     /// Segments that the table has room for.
     pub segments_capacity: u32,
-    /// Code of the [`Model`](crate::sensor::Model): 1 VLP-16, 2 Puck LITE, 3 Puck Hi-Res, 4 HDL-32E, 5 HDL-64E S2 (or
-    /// S2.1), 6 HDL-64E S3.
+    /// Code of the [`Model`](crate::sensor::Model): 1 VLP-16, 2 Puck LITE, 3 Puck Hi-Res, 4
+    /// HDL-32E, 5 HDL-64E S2 (or S2.1), 6 HDL-64E S3.
     pub model: u32,
     /// [`ReturnMode::byte`](crate::wire::data::ReturnMode::byte).
     pub return_mode: u32,
@@ -137,15 +143,16 @@ pub struct Header {
     pub time_ns: i64,
     /// From the first column's first shot to the last column's, nanoseconds.
     pub duration_ns: u64,
-    /// Sensor clock at the first column's first shot, nanoseconds since the top of the hour at which this run began.
+    /// Sensor clock at the first column's first shot, nanoseconds since the top of the hour at
+    /// which this run began.
     pub sensor_time_ns: i64,
-    /// Arrival of the newest packet up to the one that completed the sweep, with the first firing past the cut; nanoseconds
-    /// since 1970.
+    /// Arrival of the newest packet up to the one that completed the sweep, with the first firing
+    /// past the cut; nanoseconds since 1970.
     pub arrival_ns: i64,
     /// Speed over this sweep, turns a minute; not negative.
     pub rpm: f32,
-    /// Azimuth at which sweeps are cut, radians: the configured one or, where the field of view is limited and what is
-    /// measured there would be sent late, one ahead of it.
+    /// Azimuth at which sweeps are cut, radians: the configured one or, where the field of view is
+    /// limited and what is measured there would be sent late, one ahead of it.
     pub cut_azimuth_rad: f32,
     /// Height of the sensor above the ground used for the ground labels, metres; 0 = unknown.
     pub height_m: f32,
@@ -173,25 +180,30 @@ pub struct Header {
     pub margin_columns: u32,
     /// Columns of the image that hold no firing, because the rows are shifted.
     pub unfired_columns: u32,
-    /// Datagrams that the kernel dropped on the sensor's port since the sweep before, because nobody fetched them in time.
+    /// Datagrams that the kernel dropped on the sensor's port since the sweep before, because
+    /// nobody fetched them in time.
     pub dropped_datagrams: u32,
-    /// Rotation of the sensor about the vertical in the frame of the robot, counter-clockwise from above, radians. Its
-    /// position is [`Header::position_m`], the other two angles are [`Header::pitch_rad`] and [`Header::roll_rad`].
+    /// Rotation of the sensor about the vertical in the frame of the robot, counter-clockwise from
+    /// above, radians. Its position is [`Header::position_m`], the other two angles are
+    /// [`Header::pitch_rad`] and [`Header::roll_rad`].
     pub yaw_rad: f32,
     _reserved: u32,
-    /// Position of the sensor in the frame of the robot as configured, metres: x right, y forward, z up.
+    /// Position of the sensor in the frame of the robot as configured, metres: x right, y forward,
+    /// z up.
     pub position_m: [f32; 3],
     _reserved_too: u32,
-    /// CLOCK_REALTIME when labels and segments were complete, nanoseconds since 1970; 0 where no clock was given.
+    /// CLOCK_REALTIME when labels and segments were complete, nanoseconds since 1970; 0 where no
+    /// clock was given.
     pub completed_ns: i64,
     /// CLOCK_MONOTONIC at the same moment, nanoseconds.
     pub completed_monotonic_ns: i64,
-    /// CLOCK_REALTIME when the publisher of this sweep began, nanoseconds since 1970: with [`Header::sequence`] it names the
-    /// sweep for good. 0 where nothing is published.
+    /// CLOCK_REALTIME when the publisher of this sweep began, nanoseconds since 1970: with
+    /// [`Header::sequence`] it names the sweep for good. 0 where nothing is published.
     pub run_ns: i64,
     /// Source of the sensor's packets as text, zero padded.
     pub sensor: [u8; 64],
-    /// Name that the sensor was given, which is also that of its service; zero padded, empty where it was given none.
+    /// Name that the sensor was given, which is also that of its service; zero padded, empty where
+    /// it was given none.
     pub name: [u8; 64],
     _reserved_bytes: [u8; 24],
 }
@@ -221,28 +233,55 @@ pub struct Column {
 pub enum ColumnStatus {
     /// A firing that arrived.
     Measured = 1,
-    /// A firing whose packet was lost; azimuth and time are interpolated, all its pixels are "no return".
+    /// A firing whose packet was lost; azimuth and time are interpolated, all its pixels are "no
+    /// return".
     Missing = 2,
-    /// No firing: here are only beams that point aside, of firings in other columns. The azimuth goes on from these.
+    /// No firing: here are only beams that point aside, of firings in other columns. The azimuth
+    /// goes on from these.
     Unfired = 3,
 }
 
 impl Column {
     /// A column of a packet.
-    pub fn measured(packet: u64, block: u8, azimuth_rad: f32, azimuth_rate_rad_s: f32, time_ns: u32) -> Self {
+    pub fn measured(
+        packet: u64,
+        block: u8,
+        azimuth_rad: f32,
+        azimuth_rate_rad_s: f32,
+        time_ns: u32,
+    ) -> Self {
         let status = ColumnStatus::Measured as u8;
-        Self { packet, azimuth_rad, azimuth_rate_rad_s, time_ns, block, status, _reserved: [0; 2] }
+        Self {
+            packet,
+            azimuth_rad,
+            azimuth_rate_rad_s,
+            time_ns,
+            block,
+            status,
+            _reserved: [0; 2],
+        }
     }
 
     /// A column whose packet was lost.
     pub fn missing(azimuth_rad: f32, azimuth_rate_rad_s: f32, time_ns: u32) -> Self {
         let status = ColumnStatus::Missing as u8;
-        Self { packet: u64::MAX, azimuth_rad, azimuth_rate_rad_s, time_ns, block: 0, status, _reserved: [0; 2] }
+        Self {
+            packet: u64::MAX,
+            azimuth_rad,
+            azimuth_rate_rad_s,
+            time_ns,
+            block: 0,
+            status,
+            _reserved: [0; 2],
+        }
     }
 
     /// A column in which nothing was fired.
     pub fn unfired(azimuth_rad: f32, azimuth_rate_rad_s: f32, time_ns: u32) -> Self {
-        Self { status: ColumnStatus::Unfired as u8, ..Self::missing(azimuth_rad, azimuth_rate_rad_s, time_ns) }
+        Self {
+            status: ColumnStatus::Unfired as u8,
+            ..Self::missing(azimuth_rad, azimuth_rate_rad_s, time_ns)
+        }
     }
 
     /// Whether there is a firing, that arrived or was lost.
@@ -292,7 +331,9 @@ impl BeamRow {
     /// The row of a beam that shoots so long after the first shot of its firing.
     pub fn new(beam: &Beam, time_offset_ns: u32) -> Self {
         let far_m = beam.distance_offset_m;
-        let [x_m, y_m] = beam.two_point.map_or([far_m; 2], |two| [two.distance_offset_x_m, two.distance_offset_y_m]);
+        let [x_m, y_m] = beam.two_point.map_or([far_m; 2], |two| {
+            [two.distance_offset_x_m, two.distance_offset_y_m]
+        });
         Self {
             channel: beam.channel as u32,
             elevation_rad: beam.elevation_rad as f32,
@@ -309,7 +350,8 @@ impl BeamRow {
     }
 }
 
-/// One segment: a connected set of non-ground pixels. Lengths in metres, axes of the sensor (x right, y forward, z up).
+/// One segment: a connected set of non-ground pixels. Lengths in metres, axes of the sensor (x
+/// right, y forward, z up).
 #[derive(Clone, Copy, Debug, PartialEq, FromBytes, IntoBytes, KnownLayout, Immutable)]
 #[repr(C)]
 pub struct Segment {
@@ -329,7 +371,8 @@ pub struct Segment {
     pub row_first: u16,
     /// Lowest row.
     pub row_last: u16,
-    /// First column in the sense of rotation; greater than the last where the segment lies across the seam.
+    /// First column in the sense of rotation; greater than the last where the segment lies across
+    /// the seam.
     pub column_first: u32,
     /// Last column.
     pub column_last: u32,

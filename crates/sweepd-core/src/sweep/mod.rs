@@ -10,7 +10,8 @@
 //!            turns (how far rows point aside)   lanes (sixteen beams at once)   corrected (distance to range, and back)
 //! ```
 //!
-//! [`layout`] defines a sweep as bytes, [`image`] gives the views over them, [`buffers`] says where the bytes live.
+//! [`layout`] defines a sweep as bytes, [`image`] gives the views over them, [`buffers`] says where
+//! the bytes live.
 
 pub mod buffers;
 pub mod builder;

@@ -1,4 +1,5 @@
-//! What one packet says of the head: where it points at each firing, how fast it turns, and whether it left a sector out.
+//! What one packet says of the head: where it points at each firing, how fast it turns, and whether
+//! it left a sector out.
 
 use crate::sensor::model::Spec;
 use crate::wire::data::{BLOCKS, ReturnMode, TURN_CDEG};
@@ -6,7 +7,8 @@ use crate::wire::{DataPacket, HOUR_US};
 
 /// A whole turn, hundredths of a degree.
 pub const TURN: f64 = TURN_CDEG as f64;
-/// How far the encoder's noise can carry the first azimuth of a packet from the last one, hundredths of a degree.
+/// How far the encoder's noise can carry the first azimuth of a packet from the last one,
+/// hundredths of a degree.
 const STEP_NOISE_CDEG: f64 = 8.0;
 /// How far the turning rate of one packet can be from that of those before.
 const STEADY_SHARE: f64 = 0.02;
@@ -14,15 +16,18 @@ const STEADY_SHARE: f64 = 0.02;
 const HALF_TURN_NS: i64 = 20_000_000;
 /// A step between block azimuths that differs this much from the others is no motion of the head.
 const BREAK_CDEG: f64 = 200.0;
-/// An encoder without much noise has no step that differs this much from the others, and more is looked at closely.
+/// An encoder without much noise has no step that differs this much from the others, and more is
+/// looked at closely.
 const BEND_CDEG: f64 = 16.0;
 /// The same where there are but two steps, and none to tell the noise.
 const BEND_OF_TWO_CDEG: f64 = 40.0;
-/// A step that is off by so many times what the third most is does not come from the encoder's noise.
+/// A step that is off by so many times what the third most is does not come from the encoder's
+/// noise.
 const BEND_NOISE: f64 = 4.0;
 /// The encoder's noise is not taken for a head that turns so far from block to block.
 const TURNING_CDEG: f64 = 5.0;
-/// A head that turns less than this from block to block does not leave a sector out: it would take seconds.
+/// A head that turns less than this from block to block does not leave a sector out: it would take
+/// seconds.
 const LEAST_STEP_CDEG: f64 = 1.0;
 
 /// A sector that the sensor is set to leave out, met inside a packet or between two.
@@ -35,23 +40,29 @@ pub struct Sector {
 }
 
 impl Sector {
-    /// How far it is from an azimuth ahead to the sector, hundredths of a degree; a little less than nothing when the
-    /// encoder's noise put the azimuth past the edge.
+    /// How far it is from an azimuth ahead to the sector, hundredths of a degree; a little less
+    /// than nothing when the encoder's noise put the azimuth past the edge.
     pub fn ahead_of(&self, from_cdeg: f64, sense: f64) -> f64 {
         let way = ahead(from_cdeg, self.from_cdeg, sense);
-        if way > TURN - BREAK_CDEG { way - TURN } else { way }
+        if way > TURN - BREAK_CDEG {
+            way - TURN
+        } else {
+            way
+        }
     }
 
-    /// Nanoseconds of silence when the head crosses the sector at a rate. The lasers keep their beat meanwhile (measured
-    /// on a VLP-32C), so that it is a whole number of blocks.
+    /// Nanoseconds of silence when the head crosses the sector at a rate. The lasers keep their
+    /// beat meanwhile (measured on a VLP-32C), so that it is a whole number of blocks.
     pub fn silent_ns(&self, rate_cdeg_ns: f64, spec: &Spec, mode: ReturnMode) -> i64 {
         let block_ns = spec.azimuth_period_ns(mode);
-        let blocks = self.width_cdeg / (rate_cdeg_ns.abs() * f64::from(block_ns)).max(f64::MIN_POSITIVE);
+        let blocks =
+            self.width_cdeg / (rate_cdeg_ns.abs() * f64::from(block_ns)).max(f64::MIN_POSITIVE);
         blocks.min(1e6).round() as i64 * i64::from(block_ns)
     }
 }
 
-/// How the firings of a packet follow each other: what its model and its return mode say, worked out once a packet.
+/// How the firings of a packet follow each other: what its model and its return mode say, worked
+/// out once a packet.
 #[derive(Clone, Copy, Debug)]
 pub struct Beat {
     /// Firings of a packet.
@@ -105,14 +116,15 @@ pub struct Motion {
     /// Azimuths that the packet gives: one for all blocks of a firing.
     azimuths: [u16; BLOCKS],
     count: usize,
-    /// From one azimuth to the next, hundredths of a degree, negative when the head turns the other way.
+    /// From one azimuth to the next, hundredths of a degree, negative when the head turns the other
+    /// way.
     pub step_cdeg: f64,
     /// The same as the packets before have it, without the encoder's noise; see [`Motion::steady`].
     steady_step_cdeg: Option<f64>,
     /// The index of the first azimuth behind a sector that was left out, and the sector.
     pub left_out: Option<(usize, Sector)>,
-    /// Nanoseconds of silence inside the packet. By the packet alone this is good to a few percent; who knows the speed
-    /// of the head better may set it.
+    /// Nanoseconds of silence inside the packet. By the packet alone this is good to a few percent;
+    /// who knows the speed of the head better may set it.
     pub silent_ns: i64,
 }
 
@@ -142,7 +154,10 @@ impl Motion {
         }
         let count = BLOCKS / blocks_per_azimuth;
         let mut azimuths = [0; BLOCKS];
-        for (azimuth, block) in azimuths.iter_mut().zip(packet.blocks.iter().step_by(blocks_per_azimuth)) {
+        for (azimuth, block) in azimuths
+            .iter_mut()
+            .zip(packet.blocks.iter().step_by(blocks_per_azimuth))
+        {
             *azimuth = block.azimuth_cdeg();
         }
         let mut steps = [0.0; BLOCKS - 1];
@@ -151,7 +166,9 @@ impl Motion {
             *step = shortest(f64::from(pair[1]) - f64::from(pair[0]));
         }
         // Where all are alike none is a break, whichever one is taken for the median.
-        let (least, most) = steps.iter().fold((f64::MAX, f64::MIN), |(a, b), &step| (a.min(step), b.max(step)));
+        let (least, most) = steps.iter().fold((f64::MAX, f64::MIN), |(a, b), &step| {
+            (a.min(step), b.max(step))
+        });
         let is_even = most - least <= BEND_CDEG;
         let median = if is_even { steps[0] } else { median(steps) };
         let is_break = |step: f64| (step - median).abs() > BREAK_CDEG.max(5.0 * median.abs());
@@ -174,19 +191,35 @@ impl Motion {
         let left_out = left_out.map(|index| {
             let from_cdeg = (f64::from(azimuths[index - 1]) + step_cdeg).rem_euclid(TURN);
             let width_cdeg = ahead(from_cdeg, f64::from(azimuths[index]), step_cdeg);
-            (index, Sector { from_cdeg, width_cdeg })
+            (
+                index,
+                Sector {
+                    from_cdeg,
+                    width_cdeg,
+                },
+            )
         });
         let rate = step_cdeg / f64::from(spec.azimuth_period_ns(mode));
         let silent_ns = left_out.map_or(0, |(_, sector)| sector.silent_ns(rate, spec, mode));
-        Ok(Self { mode, azimuths, count, step_cdeg, steady_step_cdeg: None, left_out, silent_ns })
+        Ok(Self {
+            mode,
+            azimuths,
+            count,
+            step_cdeg,
+            steady_step_cdeg: None,
+            left_out,
+            silent_ns,
+        })
     }
 
-    /// Tells the turning rate that the packets before had, hundredths of a degree a nanosecond. Where the azimuths of this
-    /// one do not speak against it, it is the better one: they carry the encoder's noise, and there may be but three.
+    /// Tells the turning rate that the packets before had, hundredths of a degree a nanosecond.
+    /// Where the azimuths of this one do not speak against it, it is the better one: they carry the
+    /// encoder's noise, and there may be but three.
     pub fn steady(&mut self, rate_cdeg_ns: f64, spec: &Spec) {
         let step_cdeg = rate_cdeg_ns * f64::from(spec.azimuth_period_ns(self.mode));
         let noise_cdeg = STEP_NOISE_CDEG / (self.count - 1) as f64;
-        let agrees = (step_cdeg - self.step_cdeg).abs() < noise_cdeg + STEADY_SHARE * step_cdeg.abs();
+        let agrees =
+            (step_cdeg - self.step_cdeg).abs() < noise_cdeg + STEADY_SHARE * step_cdeg.abs();
         self.steady_step_cdeg = agrees.then_some(step_cdeg);
     }
 
@@ -204,7 +237,8 @@ impl Motion {
         within_turn(f64::from(self.azimuths[self.count - 1]) + self.step_cdeg)
     }
 
-    /// Nanoseconds that the head needs to cross `width_cdeg` at this packet's speed; 0 when it stands still.
+    /// Nanoseconds that the head needs to cross `width_cdeg` at this packet's speed; 0 when it
+    /// stands still.
     pub fn crossing_ns(&self, width_cdeg: f64, spec: &Spec) -> i64 {
         if self.step_cdeg.abs() < 0.1 {
             return 0;
@@ -217,8 +251,9 @@ impl Motion {
         self.best_step_cdeg() / f64::from(spec.azimuth_period_ns(self.mode))
     }
 
-    /// Azimuth at the first shot of a firing, hundredths of a degree, 0..36000. A firing that has no azimuth of its own
-    /// (the second of a VLP-16 block) gets it from the turning rate: single steps carry the encoder's noise.
+    /// Azimuth at the first shot of a firing, hundredths of a degree, 0..36000. A firing that has
+    /// no azimuth of its own (the second of a VLP-16 block) gets it from the turning rate: single
+    /// steps carry the encoder's noise.
     pub fn azimuth_cdeg(&self, firing: usize, beat: &Beat) -> f64 {
         let within = beat.behind(firing) as f64 / (1 << beat.sharing) as f64;
         within_turn(f64::from(self.azimuths[beat.azimuth(firing)]) + self.best_step_cdeg() * within)
@@ -235,22 +270,33 @@ impl Motion {
 
     /// Whether the head leapt over a sector between the firing before and this one.
     pub fn leaps_before(&self, firing: usize, beat: &Beat) -> bool {
-        self.left_out.is_some_and(|(index, _)| firing == index << beat.sharing)
+        self.left_out
+            .is_some_and(|(index, _)| firing == index << beat.sharing)
     }
 }
 
-/// How fast the head turned from the first azimuth of one packet to the last of another of the same mode, hundredths of a
-/// degree a nanosecond; `None` where that is too short a time, or so long that it may have turned half around.
-pub fn rate_between(first: &DataPacket, last: &DataPacket, mode: ReturnMode, spec: &Spec) -> Option<f64> {
+/// How fast the head turned from the first azimuth of one packet to the last of another of the same
+/// mode, hundredths of a degree a nanosecond; `None` where that is too short a time, or so long
+/// that it may have turned half around.
+pub fn rate_between(
+    first: &DataPacket,
+    last: &DataPacket,
+    mode: ReturnMode,
+    spec: &Spec,
+) -> Option<f64> {
     let us = i64::from(last.stamp_us()) - i64::from(first.stamp_us());
     let azimuths = spec.azimuths_per_packet(mode) as i64 - 1;
-    let lasted_ns = us.rem_euclid(i64::from(HOUR_US)) * 1000 + azimuths * i64::from(spec.azimuth_period_ns(mode));
-    let turned = f64::from(last.blocks[BLOCKS - 1].azimuth_cdeg()) - f64::from(first.blocks[0].azimuth_cdeg());
-    (0..HALF_TURN_NS).contains(&lasted_ns).then(|| shortest(turned) / lasted_ns.max(1) as f64)
+    let lasted_ns = us.rem_euclid(i64::from(HOUR_US)) * 1000
+        + azimuths * i64::from(spec.azimuth_period_ns(mode));
+    let turned = f64::from(last.blocks[BLOCKS - 1].azimuth_cdeg())
+        - f64::from(first.blocks[0].azimuth_cdeg());
+    (0..HALF_TURN_NS)
+        .contains(&lasted_ns)
+        .then(|| shortest(turned) / lasted_ns.max(1) as f64)
 }
 
-/// The same angle within 0..36000 hundredths of a degree: `rem_euclid`, which takes a division, for an angle that is hardly
-/// ever more than a turn away.
+/// The same angle within 0..36000 hundredths of a degree: `rem_euclid`, which takes a division, for
+/// an angle that is hardly ever more than a turn away.
 pub(super) fn within_turn(cdeg: f64) -> f64 {
     match cdeg {
         _ if (0.0..TURN).contains(&cdeg) => cdeg,
@@ -271,25 +317,34 @@ pub(super) fn ahead(from_cdeg: f64, to_cdeg: f64, sense: f64) -> f64 {
     within_turn((to_cdeg - from_cdeg) * sign)
 }
 
-/// Whether one azimuth lies so far beside the line of the others that a bit of it must have been flipped: then the step
-/// to it and the one from it are off, to one side and to the other. Noise is known by the third step from the worst: a
-/// flipped bit spoils two.
+/// Whether one azimuth lies so far beside the line of the others that a bit of it must have been
+/// flipped: then the step to it and the one from it are off, to one side and to the other. Noise is
+/// known by the third step from the worst: a flipped bit spoils two.
 fn is_bent(steps: &[f64], median: f64, is_break: impl Fn(f64) -> bool) -> bool {
     let mut sorted = [0.0; BLOCKS];
     let sorted = &mut sorted[..steps.len()];
     let off = |step: f64| if is_break(step) { 0.0 } else { step - median };
-    sorted.iter_mut().zip(steps).for_each(|(sorted, &step)| *sorted = off(step).abs());
+    sorted
+        .iter_mut()
+        .zip(steps)
+        .for_each(|(sorted, &step)| *sorted = off(step).abs());
     sorted.sort_by(f64::total_cmp);
     let limit = match sorted.len() {
         ..3 => BEND_OF_TWO_CDEG,
         count => BEND_CDEG + BEND_NOISE * sorted[count - 3],
     };
     let is_off = |step: f64| off(step).abs() > limit;
-    // At either end there is one step alone; it may be shorter because the head was stopped or started.
+    // At either end there is one step alone; it may be shorter because the head was stopped or
+    // started.
     let stops = |step: f64| (-BEND_CDEG..=median.abs()).contains(&(step * median.signum()));
     let ends = [steps[0], steps[steps.len() - 1]];
-    let is_there = ends.into_iter().any(|step| is_off(step) && !stops(step) && median.abs() >= TURNING_CDEG);
-    is_there || steps.windows(2).any(|two| is_off(two[0]) && is_off(two[1]) && off(two[0]) * off(two[1]) < 0.0)
+    let is_there = ends
+        .into_iter()
+        .any(|step| is_off(step) && !stops(step) && median.abs() >= TURNING_CDEG);
+    is_there
+        || steps
+            .windows(2)
+            .any(|two| is_off(two[0]) && is_off(two[1]) && off(two[0]) * off(two[1]) < 0.0)
 }
 
 /// The median of steps by their length; of two the shorter, since the other may be a leap.
@@ -317,7 +372,9 @@ mod tests {
     }
 
     /// A public VLP-16 packet: the turn ends between blocks 7 and 8.
-    const WRAPS: [u16; 12] = [35_695, 35_733, 35_773, 35_813, 35_853, 35_891, 35_931, 35_971, 11, 51, 91, 131];
+    const WRAPS: [u16; 12] = [
+        35_695, 35_733, 35_773, 35_813, 35_853, 35_891, 35_931, 35_971, 11, 51, 91, 131,
+    ];
 
     #[test]
     fn the_second_firing_of_a_block_is_interpolated_and_may_wrap_alone() {
@@ -342,7 +399,10 @@ mod tests {
         let beat = &Beat::new(SPEC, ReturnMode::Strongest);
         let motion = Motion::of(&packet(azimuths), ReturnMode::Strongest, SPEC).unwrap();
         let (index, sector) = motion.left_out.unwrap();
-        assert_eq!((index, sector.from_cdeg, sector.width_cdeg), (5, 9_200.0, 17_800.0));
+        assert_eq!(
+            (index, sector.from_cdeg, sector.width_cdeg),
+            (5, 9_200.0, 17_800.0)
+        );
         // 178 degrees at 40 hundredths a block of 110.592 us: 445 blocks.
         assert_eq!(motion.silent_ns, 445 * 110_592);
         assert_eq!(motion.offset_ns(9, beat), 9 * 55_296);
@@ -354,16 +414,34 @@ mod tests {
     fn a_corrupt_azimuth_is_no_field_of_view() {
         let mut azimuths = WRAPS;
         azimuths[4] = 20_000;
-        assert_eq!(Motion::of(&packet(azimuths), ReturnMode::Strongest, SPEC), Err(Implausible::Jumps));
-        assert_eq!(Motion::of(&packet(WRAPS), ReturnMode::Dual, SPEC), Err(Implausible::Unpaired));
+        assert_eq!(
+            Motion::of(&packet(azimuths), ReturnMode::Strongest, SPEC),
+            Err(Implausible::Jumps)
+        );
+        assert_eq!(
+            Motion::of(&packet(WRAPS), ReturnMode::Dual, SPEC),
+            Err(Implausible::Unpaired)
+        );
     }
 
     #[test]
     fn an_angle_comes_within_a_turn_as_by_division() {
         let turns = [-2.0, -1.0, 0.0, 1.0, 2.0].map(|turns| turns * TURN);
-        let near = |cdeg: f64| [cdeg, cdeg.next_down(), cdeg.next_up(), cdeg - 0.25, cdeg + 12_345.678];
+        let near = |cdeg: f64| {
+            [
+                cdeg,
+                cdeg.next_down(),
+                cdeg.next_up(),
+                cdeg - 0.25,
+                cdeg + 12_345.678,
+            ]
+        };
         for cdeg in turns.into_iter().flat_map(near) {
-            assert_eq!(within_turn(cdeg).to_bits(), cdeg.rem_euclid(TURN).to_bits(), "{cdeg}");
+            assert_eq!(
+                within_turn(cdeg).to_bits(),
+                cdeg.rem_euclid(TURN).to_bits(),
+                "{cdeg}"
+            );
         }
     }
 
@@ -374,20 +452,30 @@ mod tests {
         let backwards = Motion::of(&packet(azimuths), ReturnMode::Strongest, SPEC).unwrap();
         assert!((backwards.step_cdeg + 436.0 / 11.0).abs() < 1e-9);
         let still = Motion::of(&packet([123; 12]), ReturnMode::Dual, SPEC).unwrap();
-        assert_eq!((still.step_cdeg, still.crossing_ns(1000.0, Model::Vlp16.spec())), (0.0, 0));
+        assert_eq!(
+            (
+                still.step_cdeg,
+                still.crossing_ns(1000.0, Model::Vlp16.spec())
+            ),
+            (0.0, 0)
+        );
     }
 
     #[test]
     fn one_azimuth_beside_the_line_is_noticed() {
-        let line = |step: f64| std::array::from_fn::<u16, 12, _>(|n| (20_000.0 + n as f64 * step).round() as u16);
+        let line = |step: f64| {
+            std::array::from_fn::<u16, 12, _>(|n| (20_000.0 + n as f64 * step).round() as u16)
+        };
         for step in [40.0, 20.0, 80.0, -40.0] {
             for (at, bit) in (0..12).flat_map(|at| (5..14).map(move |bit| (at, bit))) {
                 let mut azimuths = line(step);
                 azimuths[at] ^= 1 << bit;
                 let off = f64::from(azimuths[at]) - f64::from(line(step)[at]);
                 let motion = Motion::of(&packet(azimuths), ReturnMode::Strongest, SPEC);
-                // A jump at either end may be a sector that is left out, and a short step a head that stops.
-                let may_pass = (at == 0 || at == 11) && (off.abs() > BREAK_CDEG || off.abs() <= step.abs() + BEND_CDEG);
+                // A jump at either end may be a sector that is left out, and a short step a head
+                // that stops.
+                let may_pass = (at == 0 || at == 11)
+                    && (off.abs() > BREAK_CDEG || off.abs() <= step.abs() + BEND_CDEG);
                 assert!(motion.is_err() || may_pass, "{step} {at} {bit}");
             }
         }
@@ -397,10 +485,16 @@ mod tests {
     fn noise_and_a_head_that_stops_are_no_bend() {
         let mut rng = fastrand::Rng::with_seed(1);
         for round in 0..20_000 {
-            // Noise of up to 0.2 degrees while it turns on, of 0.02 when it is stopped somewhere in the packet.
-            let (noise, until) = if round % 2 == 0 { (rng.f64() * 20.0, 12) } else { (2.0, rng.usize(..12)) };
+            // Noise of up to 0.2 degrees while it turns on, of 0.02 when it is stopped somewhere in
+            // the packet.
+            let (noise, until) = if round % 2 == 0 {
+                (rng.f64() * 20.0, 12)
+            } else {
+                (2.0, rng.usize(..12))
+            };
             let azimuths = std::array::from_fn(|n| {
-                (20_000.0 + n.min(until) as f64 * 40.0 + noise * (2.0 * rng.f64() - 1.0)).round() as u16
+                (20_000.0 + n.min(until) as f64 * 40.0 + noise * (2.0 * rng.f64() - 1.0)).round()
+                    as u16
             });
             let motion = Motion::of(&packet(azimuths), ReturnMode::Strongest, SPEC);
             assert!(motion.is_ok(), "{round}: {azimuths:?} {motion:?}");

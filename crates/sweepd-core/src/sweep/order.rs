@@ -1,9 +1,11 @@
-//! Packets into the order of the sensor's clock, and a name for what is missing between two of them.
+//! Packets into the order of the sensor's clock, and a name for what is missing between two of
+//! them.
 //!
-//! Velodynes send no sequence number, but their clock is crystal-exact: the interval between two stamps, divided by the
-//! packet period, is one. Packets in order pass at once. Behind a gap at most [`HOLD`] packets are held back, in case the
-//! missing ones were only overtaken. A packet that contradicts the clock or the return mode is believed when the next one
-//! agrees with it: then the stream did change; else it was corrupt.
+//! Velodynes send no sequence number, but their clock is crystal-exact: the interval between two
+//! stamps, divided by the packet period, is one. Packets in order pass at once. Behind a gap at
+//! most [`HOLD`] packets are held back, in case the missing ones were only overtaken. A packet that
+//! contradicts the clock or the return mode is believed when the next one agrees with it: then the
+//! stream did change; else it was corrupt.
 
 use std::collections::VecDeque;
 
@@ -23,7 +25,8 @@ const SLOTS: usize = 32;
 const SET_BACK_PACKETS: u32 = 16;
 /// A stamp somewhat off the beat, or far, weighs as much as so many on it.
 const OFF_BEAT_WEIGHT: [u32; 2] = [4, 8];
-/// Where so much has come together, stamps are off all the time: then none is refused for that any more.
+/// Where so much has come together, stamps are off all the time: then none is refused for that any
+/// more.
 const UNSTEADY: u32 = 64;
 
 /// Why a packet will not come out again.
@@ -49,7 +52,8 @@ pub struct OrderCounts {
     pub reordered: u64,
     /// Packets whose clock or mode no neighbour confirmed.
     pub unconfirmed: u64,
-    /// Packets refused as [`Refusal::Behind`] until so many in a row showed that the clock was set back.
+    /// Packets refused as [`Refusal::Behind`] until so many in a row showed that the clock was set
+    /// back.
     pub set_back: u64,
 }
 
@@ -90,7 +94,8 @@ impl Order {
         }
     }
 
-    /// Takes another table of the same model, whose timing with one return differs: the packets tell it only now.
+    /// Takes another table of the same model, whose timing with one return differs: the packets
+    /// tell it only now.
     pub fn take_spec(&mut self, spec: &'static Spec) {
         if let Some(suspect) = self.suspect.map(|slot| &mut self.slots[slot]) {
             let silent_ns = suspect.motion.silent_ns;
@@ -111,7 +116,8 @@ impl Order {
         &self.clock
     }
 
-    /// Tells how fast the head turns, before any packet has, hundredths of a degree a nanosecond; negative backwards.
+    /// Tells how fast the head turns, before any packet has, hundredths of a degree a nanosecond;
+    /// negative backwards.
     pub fn expect_rate(&mut self, rate_cdeg_ns: Option<f64>) {
         self.relations.expect_rate(rate_cdeg_ns);
     }
@@ -125,22 +131,41 @@ impl Order {
     ///
     /// # Errors
     /// [`Refusal`]: the packet will not come out.
-    pub fn push(&mut self, bytes: &DataPacket, mode: ReturnMode, number: u64, arrival_ns: i64) -> Result<(), Refusal> {
+    pub fn push(
+        &mut self,
+        bytes: &DataPacket,
+        mode: ReturnMode,
+        number: u64,
+        arrival_ns: i64,
+    ) -> Result<(), Refusal> {
         let mut motion = Motion::of(bytes, mode, self.spec).map_err(Refusal::Implausible)?;
-        if self.slots.iter().any(|known| known.bytes.stamp_us() == bytes.stamp_us() && known.bytes == *bytes) {
+        if self
+            .slots
+            .iter()
+            .any(|known| known.bytes.stamp_us() == bytes.stamp_us() && known.bytes == *bytes)
+        {
             return Err(Refusal::Duplicate);
         }
         self.relations.steady(&mut motion);
         if let Some((_, sector)) = motion.left_out {
             motion.silent_ns = sector.silent_ns(self.relations.rate(&motion), self.spec, mode);
         }
-        let time_ns = self.clock.read_ns(bytes.stamp_us()) + self.spec.first_shot_ns(mode, motion.silent_ns);
-        let mut packet = Packet { bytes: *bytes, motion, mode, number, arrival_ns, time_ns };
+        let time_ns =
+            self.clock.read_ns(bytes.stamp_us()) + self.spec.first_shot_ns(mode, motion.silent_ns);
+        let mut packet = Packet {
+            bytes: *bytes,
+            motion,
+            mode,
+            number,
+            arrival_ns,
+            time_ns,
+        };
         let Some(last) = self.last else {
             self.start(packet);
             return Ok(());
         };
-        self.relations.settle_silence(&self.slots[last], &mut packet);
+        self.relations
+            .settle_silence(&self.slots[last], &mut packet);
         let relation = self.relations.between(&self.slots[last], &packet);
         self.weigh(relation);
         if self.confirm(&packet, relation) {
@@ -148,7 +173,8 @@ impl Order {
         }
         match relation {
             Relation::Follows(_, fit)
-                if self.is_as_good(fit, Fit::Good) && self.relations.is_familiar(&packet.motion) =>
+                if self.is_as_good(fit, Fit::Good)
+                    && self.relations.is_familiar(&packet.motion) =>
             {
                 self.set_back = 0;
                 self.drop_suspect();
@@ -166,12 +192,14 @@ impl Order {
         }
     }
 
-    /// The next packet in order, by its slot, and what lies before it; `None` when more must come first.
+    /// The next packet in order, by its slot, and what lies before it; `None` when more must come
+    /// first.
     pub fn pop(&mut self) -> Option<(usize, Before)> {
         self.ready.pop_front()
     }
 
-    /// The packet in a slot that [`Order::pop`] named; it stays there while later packets are pushed one by one.
+    /// The packet in a slot that [`Order::pop`] named; it stays there while later packets are
+    /// pushed one by one.
     pub fn packet(&self, slot: usize) -> &Packet {
         &self.slots[slot]
     }
@@ -201,17 +229,21 @@ impl Order {
 
     /// Believes the doubtful packet if this one follows it, or was overtaken by it.
     fn confirm(&mut self, packet: &Packet, relation: Relation) -> bool {
-        let Some((suspect, last)) = self.suspect.zip(self.last) else { return false };
-        let follows = |earlier: &Packet, later: &Packet| match self.relations.between(earlier, later) {
-            Relation::Follows(before, fit) if self.is_as_good(fit, Fit::Exact) => Some(before),
-            _ => None,
+        let Some((suspect, last)) = self.suspect.zip(self.last) else {
+            return false;
         };
+        let follows =
+            |earlier: &Packet, later: &Packet| match self.relations.between(earlier, later) {
+                Relation::Follows(before, fit) if self.is_as_good(fit, Fit::Exact) => Some(before),
+                _ => None,
+            };
         let doubtful = &self.slots[suspect];
         let is_next = matches!(relation, Relation::Follows(Before::Nothing, fit) if self.is_as_good(fit, Fit::Good));
         let before = follows(doubtful, packet).filter(|_| !is_next);
         // An earlier packet says nothing of the far end of a doubtful one.
         let is_overtaken = || {
-            let may_be = self.relations.is_familiar(&doubtful.motion) && matches!(relation, Relation::Follows(..));
+            let may_be = self.relations.is_familiar(&doubtful.motion)
+                && matches!(relation, Relation::Follows(..));
             may_be && follows(packet, doubtful).is_some()
         };
         if before.is_none() && !is_overtaken() {
@@ -227,7 +259,12 @@ impl Order {
         self.suspect = None;
         self.set_back = 0;
         let is_related = |relation| matches!(relation, Relation::Follows(..));
-        if before.is_none() || is_related(self.relations.between(&self.slots[last], &self.slots[suspect])) {
+        if before.is_none()
+            || is_related(
+                self.relations
+                    .between(&self.slots[last], &self.slots[suspect]),
+            )
+        {
             self.hold(suspect);
         } else {
             self.settle(0);
@@ -239,7 +276,8 @@ impl Order {
         true
     }
 
-    /// A packet from before what has come out already. Many of them in a row: the clock was set back.
+    /// A packet from before what has come out already. Many of them in a row: the clock was set
+    /// back.
     fn look_back(&mut self, packet: Packet) -> Result<(), Refusal> {
         self.set_back += 1;
         if self.set_back >= SET_BACK_PACKETS {
@@ -249,21 +287,29 @@ impl Order {
         }
         // Kept, so that its copy is known.
         self.store(packet);
-        Err(Refusal::Behind { motion: packet.motion, time_ns: packet.time_ns })
+        Err(Refusal::Behind {
+            motion: packet.motion,
+            time_ns: packet.time_ns,
+        })
     }
 
     /// Puts a packet among those held, by time.
     fn hold(&mut self, slot: usize) {
         let time_ns = self.slots[slot].time_ns;
-        let at = self.held.partition_point(|&held| self.slots[held].time_ns < time_ns);
+        let at = self
+            .held
+            .partition_point(|&held| self.slots[held].time_ns < time_ns);
         self.counts.reordered += u64::from(at < self.held.len());
         self.held.insert(at, slot);
     }
 
-    /// Makes ready what follows directly, and what waits behind a gap when more than `patience` packets do.
+    /// Makes ready what follows directly, and what waits behind a gap when more than `patience`
+    /// packets do.
     fn settle(&mut self, patience: usize) {
         while let (Some(&slot), Some(last)) = (self.held.first(), self.last) {
-            let Relation::Follows(before, _) = self.relations.between(&self.slots[last], &self.slots[slot]) else {
+            let Relation::Follows(before, _) =
+                self.relations.between(&self.slots[last], &self.slots[slot])
+            else {
                 // Two of one stamp, or one that came between disagrees.
                 self.held.remove(0);
                 self.counts.unconfirmed += 1;
@@ -294,7 +340,10 @@ impl Order {
 
     fn release(&mut self, slot: usize, before: Before) {
         let packet = &self.slots[slot];
-        let stamp_ns = packet.time_ns - self.spec.first_shot_ns(packet.mode, packet.motion.silent_ns);
+        let stamp_ns = packet.time_ns
+            - self
+                .spec
+                .first_shot_ns(packet.mode, packet.motion.silent_ns);
         self.clock.set(packet.bytes.stamp_us(), stamp_ns);
         let last = self.last.map(|last| &self.slots[last]);
         self.relations.learn(last, &self.slots[slot], before);

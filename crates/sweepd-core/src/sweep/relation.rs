@@ -1,10 +1,13 @@
-//! How two packets stand to each other: by the sensor's clock, by where the head was, and by the host's clock if need be.
+//! How two packets stand to each other: by the sensor's clock, by where the head was, and by the
+//! host's clock if need be.
 //!
-//! An interval of more than a packet period is loss, when it is a whole number of periods and the head is where its speed
-//! brought it; a sector that the sensor leaves out, when it is a whole number of blocks; else the clock jumped.
+//! An interval of more than a packet period is loss, when it is a whole number of periods and the
+//! head is where its speed brought it; a sector that the sensor leaves out, when it is a whole
+//! number of blocks; else the clock jumped.
 //!
-//! Of a stamp that is a little off the beat, nobody can tell at once whether the pulse per second has set the clock right or
-//! whether one bit is wrong: what was set right stays, so that the next packet tells. See [`Fit`].
+//! Of a stamp that is a little off the beat, nobody can tell at once whether the pulse per second
+//! has set the clock right or whether one bit is wrong: what was set right stays, so that the next
+//! packet tells. See [`Fit`].
 
 use super::motion::{Beat, Motion, Sector, TURN, ahead, shortest};
 use crate::sensor::model::{Spec, Stamp};
@@ -13,22 +16,28 @@ use crate::wire::data::ReturnMode;
 
 /// A packet that looks back further than this comes from another clock.
 const LOOK_BACK_NS: i64 = 1_000_000_000;
-/// How far an interval may be from a whole number of periods: two truncated stamps, and drift over the interval.
+/// How far an interval may be from a whole number of periods: two truncated stamps, and drift over
+/// the interval.
 const STAMP_SLACK_NS: i64 = 3_000;
-/// How far the pulse per second may set the sensor's clock, which drifts by up to 60 us a second: no jump.
+/// How far the pulse per second may set the sensor's clock, which drifts by up to 60 us a second:
+/// no jump.
 const CORRECTION_NS: i64 = 100_000;
-/// The same for a packet that is not believed at once. The packet behind one that was believed with a stamp as far off as
-/// may be is itself no farther off than this.
+/// The same for a packet that is not believed at once. The packet behind one that was believed with
+/// a stamp as far off as may be is itself no farther off than this.
 const LOOSE_NS: i64 = CORRECTION_NS + STAMP_SLACK_NS;
-/// How far the head may be from where its speed would have brought it, hundredths of a degree and share of the way.
+/// How far the head may be from where its speed would have brought it, hundredths of a degree and
+/// share of the way.
 const AZIMUTH_SLACK: (f64, f64) = (100.0, 0.1);
-/// What the encoder's noise may add to that where packets are so short that half the way of one is less.
+/// What the encoder's noise may add to that where packets are so short that half the way of one is
+/// less.
 const NOISE_CDEG: f64 = 20.0;
-/// How far a packet that follows directly may be from where the head should be, hundredths of a degree.
+/// How far a packet that follows directly may be from where the head should be, hundredths of a
+/// degree.
 const FOLLOWING_CDEG: f64 = 300.0;
 /// The shortest way that the head may turn in silence, hundredths of a degree.
 const LEAST_SECTOR_CDEG: f64 = 200.0;
-/// How far the edges of a sector may be from where they were the turn before, hundredths of a degree.
+/// How far the edges of a sector may be from where they were the turn before, hundredths of a
+/// degree.
 const SECTOR_SLACK_CDEG: f64 = 300.0;
 /// How exactly the time of silence inside a packet is known beforehand: a share of it, and blocks.
 const SILENCE_SLACK: (i64, i64) = (20, 3);
@@ -62,7 +71,8 @@ impl Packet {
 /// What lies between a packet and the one before.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub enum Before {
-    /// Nothing that could be related: the first packet, another return mode, or a clock that jumped.
+    /// Nothing that could be related: the first packet, another return mode, or a clock that
+    /// jumped.
     Start,
     /// Nothing: it follows directly.
     Nothing,
@@ -72,8 +82,8 @@ pub enum Before {
     Lost {
         /// How many.
         packets: u32,
-        /// How far the head turned from the end of the packet before, hundredths of a degree, whole turns too; negative
-        /// when it turns backwards.
+        /// How far the head turned from the end of the packet before, hundredths of a degree, whole
+        /// turns too; negative when it turns backwards.
         travelled_cdeg: f64,
         /// The sector that the sensor left out meanwhile.
         silence: Option<Sector>,
@@ -87,8 +97,8 @@ pub enum Fit {
     Loose,
     /// So well that it is believed at once.
     Good,
-    /// So well that each of them shows that nothing is wrong with the other. A stamp that is off by more than what is good
-    /// is far from this, whichever of its neighbours it is held against.
+    /// So well that each of them shows that nothing is wrong with the other. A stamp that is off by
+    /// more than what is good is far from this, whichever of its neighbours it is held against.
     Exact,
 }
 
@@ -130,7 +140,8 @@ impl Between {
         // Half the way of a packet: the head tells how many were lost.
         let (most, share) = AZIMUTH_SLACK;
         let half_cdeg = self.rate_cdeg_ns.abs() * period_ns as f64 / 2.0;
-        let in_place = self.off_cdeg() < half_cdeg.clamp(NOISE_CDEG, most) + share * self.expected_cdeg().abs();
+        let in_place = self.off_cdeg()
+            < half_cdeg.clamp(NOISE_CDEG, most) + share * self.expected_cdeg().abs();
         let is_gap = self.unfired_ns > CORRECTION_NS;
         match off_beat_ns.abs() {
             off if off > at_once_ns || is_gap && !in_place => Fit::Loose,
@@ -146,14 +157,19 @@ pub struct Relations {
     spec: &'static Spec,
     /// The sector that the sensor leaves out every turn.
     sector: Option<Sector>,
-    /// Turning rate, a mean over about a quarter of a turn: that of one packet carries the encoder's noise.
+    /// Turning rate, a mean over about a quarter of a turn: that of one packet carries the
+    /// encoder's noise.
     rate_cdeg_ns: Option<f64>,
 }
 
 impl Relations {
     /// Nothing is known yet.
     pub fn new(spec: &'static Spec) -> Self {
-        Self { spec, sector: None, rate_cdeg_ns: None }
+        Self {
+            spec,
+            sector: None,
+            rate_cdeg_ns: None,
+        }
     }
 
     /// See [`Order::take_spec`](super::order::Order::take_spec).
@@ -194,8 +210,8 @@ impl Relations {
         let mut unfired_ns = beyond_ns - last.motion.silent_ns;
         let expected = rate * unfired_ns as f64;
         let travelled = expected + shortest(packet.motion.first_cdeg() - from_cdeg - expected);
-        // The silence inside a packet was estimated. Where it puts the near end of that packet to a wrong time, the azimuths
-        // tell how long ago the one before ended.
+        // The silence inside a packet was estimated. Where it puts the near end of that packet to a
+        // wrong time, the azimuths tell how long ago the one before ended.
         let estimated = match self.spec.stamp {
             Stamp::FirstShot => &last.motion,
             Stamp::Output => &packet.motion,
@@ -208,30 +224,50 @@ impl Relations {
                 unfired_ns = by_azimuth;
             }
         }
-        Between { from_cdeg, travelled_cdeg: travelled, rate_cdeg_ns: rate, unfired_ns }
+        Between {
+            from_cdeg,
+            travelled_cdeg: travelled,
+            rate_cdeg_ns: rate,
+            unfired_ns,
+        }
     }
 
-    /// Corrects the silence inside a packet whose stamp is that of its end, and so when it began, by where the head was at
-    /// the end of the packet before.
+    /// Corrects the silence inside a packet whose stamp is that of its end, and so when it began,
+    /// by where the head was at the end of the packet before.
     pub fn settle_silence(&self, last: &Packet, packet: &mut Packet) {
-        if self.spec.stamp != Stamp::Output || packet.motion.left_out.is_none() || packet.mode != last.mode {
+        if self.spec.stamp != Stamp::Output
+            || packet.motion.left_out.is_none()
+            || packet.mode != last.mode
+        {
             return;
         }
-        let beyond_ns = packet.time_ns - last.time_ns - i64::from(self.spec.packet_period_ns(last.mode));
-        let too_early_ns = self.way(last, packet, beyond_ns).unfired_ns - (beyond_ns - last.motion.silent_ns);
+        let beyond_ns =
+            packet.time_ns - last.time_ns - i64::from(self.spec.packet_period_ns(last.mode));
+        let too_early_ns =
+            self.way(last, packet, beyond_ns).unfired_ns - (beyond_ns - last.motion.silent_ns);
         packet.time_ns += too_early_ns;
         packet.motion.silent_ns -= too_early_ns;
     }
 
     /// What a gap between two packets is: loss, a sector left out, both, or a clock that jumped.
     fn gap(&self, last: &Packet, packet: &Packet, between: &Between) -> Relation {
-        let Between { travelled_cdeg, rate_cdeg_ns, unfired_ns, .. } = *between;
+        let Between {
+            travelled_cdeg,
+            rate_cdeg_ns,
+            unfired_ns,
+            ..
+        } = *between;
         let expected = between.expected_cdeg();
         let (least, share) = AZIMUTH_SLACK;
         let in_place = between.off_cdeg() < least + share * expected.abs();
-        // Within a turn the head is the witness; later its place says little, and the host's clock is.
+        // Within a turn the head is the witness; later its place says little, and the host's clock
+        // is.
         let within_turn = expected.abs() < TURN && rate_cdeg_ns != 0.0;
-        let trusted = if within_turn { in_place } else { on_time(last, packet) };
+        let trusted = if within_turn {
+            in_place
+        } else {
+            on_time(last, packet)
+        };
         if !trusted {
             return Relation::Unrelated;
         }
@@ -241,17 +277,24 @@ impl Relations {
         let off_beat = (unfired_ns - silence_ns - lost * period).abs();
         let block_ns = i64::from(self.spec.azimuth_period_ns(last.mode));
         if passed > 0 && off_beat <= SILENCE_SLACK.1 * block_ns * passed {
-            return Relation::Follows(lost_or(Before::Silence, lost, travelled_cdeg, self.sector), Fit::Exact);
+            return Relation::Follows(
+                lost_or(Before::Silence, lost, travelled_cdeg, self.sector),
+                Fit::Exact,
+            );
         }
         let slack = STAMP_SLACK_NS + unfired_ns / 50_000;
         let fit = between.fit(off_beat, period);
         if off_beat <= slack {
             return Relation::Follows(lost_or(Before::Nothing, lost, travelled_cdeg, None), fit);
         }
-        // Silence that began exactly between two packets: a whole number of blocks, and not of packets.
+        // Silence that began exactly between two packets: a whole number of blocks, and not of
+        // packets.
         let blocks = (unfired_ns + block_ns / 2).div_euclid(block_ns);
         let on_block = (unfired_ns - blocks * block_ns).abs() <= slack;
-        if in_place && on_block && (LEAST_SECTOR_CDEG..TURN - LEAST_SECTOR_CDEG).contains(&travelled_cdeg.abs()) {
+        if in_place
+            && on_block
+            && (LEAST_SECTOR_CDEG..TURN - LEAST_SECTOR_CDEG).contains(&travelled_cdeg.abs())
+        {
             return Relation::Follows(Before::Silence, Fit::Exact);
         }
         if off_beat <= LOOSE_NS && in_place && on_time(last, packet) {
@@ -262,16 +305,27 @@ impl Relations {
 
     /// How often the head passed the sector that is left out, and how long it was silent.
     fn silence(&self, between: &Between, mode: ReturnMode) -> (i64, i64) {
-        let Some(sector) = self.sector else { return (0, 0) };
+        let Some(sector) = self.sector else {
+            return (0, 0);
+        };
         let to_sector = sector.ahead_of(between.from_cdeg, between.rate_cdeg_ns);
-        let beyond = between.travelled_cdeg.abs() + LEAST_SECTOR_CDEG - to_sector - sector.width_cdeg;
-        let passed = if beyond < 0.0 { 0 } else { 1 + (beyond / TURN) as i64 };
-        (passed, passed * sector.silent_ns(between.rate_cdeg_ns, self.spec, mode))
+        let beyond =
+            between.travelled_cdeg.abs() + LEAST_SECTOR_CDEG - to_sector - sector.width_cdeg;
+        let passed = if beyond < 0.0 {
+            0
+        } else {
+            1 + (beyond / TURN) as i64
+        };
+        (
+            passed,
+            passed * sector.silent_ns(between.rate_cdeg_ns, self.spec, mode),
+        )
     }
 
     /// The turning rate, by this packet if no other told it.
     pub fn rate(&self, motion: &Motion) -> f64 {
-        self.rate_cdeg_ns.unwrap_or_else(|| motion.rate_cdeg_ns(self.spec))
+        self.rate_cdeg_ns
+            .unwrap_or_else(|| motion.rate_cdeg_ns(self.spec))
     }
 
     /// Tells a packet the turning rate of those before it.
@@ -286,22 +340,27 @@ impl Relations {
         self.rate_cdeg_ns = rate_cdeg_ns;
     }
 
-    /// Whether a packet leaves nothing out but what was left out the turn before: else one of its azimuths may be corrupt.
+    /// Whether a packet leaves nothing out but what was left out the turn before: else one of its
+    /// azimuths may be corrupt.
     pub fn is_familiar(&self, motion: &Motion) -> bool {
-        let Some((_, seen)) = motion.left_out else { return true };
+        let Some((_, seen)) = motion.left_out else {
+            return true;
+        };
         self.sector.is_some_and(|known| {
             shortest(seen.from_cdeg - known.from_cdeg).abs() < SECTOR_SLACK_CDEG
                 && (seen.width_cdeg - known.width_cdeg).abs() < 2.0 * SECTOR_SLACK_CDEG
         })
     }
 
-    /// Learns from a packet how fast the head turns and which sector is left out, and forgets the sector when the sensor
-    /// measures inside it.
+    /// Learns from a packet how fast the head turns and which sector is left out, and forgets the
+    /// sector when the sensor measures inside it.
     pub fn learn(&mut self, last: Option<&Packet>, packet: &Packet, before: Before) {
         if before == Before::Start {
             self.sector = None;
             // A head does not turn otherwise because the return mode was changed.
-            self.rate_cdeg_ns = self.rate_cdeg_ns.filter(|_| last.is_none_or(|last| last.mode != packet.mode));
+            self.rate_cdeg_ns = self
+                .rate_cdeg_ns
+                .filter(|_| last.is_none_or(|last| last.mode != packet.mode));
         }
         let motion = &packet.motion;
         if let Some(last) = last.filter(|_| matches!(before, Before::Nothing | Before::Silence)) {
@@ -312,7 +371,10 @@ impl Relations {
         } else if let (Before::Silence, Some(last)) = (before, last) {
             let from_cdeg = last.motion.next_cdeg();
             let width_cdeg = ahead(from_cdeg, motion.first_cdeg(), motion.step_cdeg);
-            self.sector = Some(Sector { from_cdeg, width_cdeg });
+            self.sector = Some(Sector {
+                from_cdeg,
+                width_cdeg,
+            });
         } else if let Some(sector) = self.sector {
             let inside = ahead(sector.from_cdeg, motion.first_cdeg(), motion.step_cdeg);
             if inside > LEAST_SECTOR_CDEG && inside < sector.width_cdeg - LEAST_SECTOR_CDEG {
@@ -325,11 +387,18 @@ impl Relations {
         let (from, to) = (last.motion.first_cdeg(), packet.motion.first_cdeg());
         let far = before == Before::Silence || last.motion.left_out.is_some();
         let sense = last.motion.step_cdeg.signum();
-        let travelled = if far { sense * ahead(from, to, sense) } else { shortest(to - from) };
+        let travelled = if far {
+            sense * ahead(from, to, sense)
+        } else {
+            shortest(to - from)
+        };
         let measured = travelled / (packet.time_ns - last.time_ns) as f64;
         // The further the head went, the less the encoder's noise matters.
         let weight = (travelled.abs() / (travelled.abs() + TURN / 4.0)).max(0.03);
-        self.rate_cdeg_ns = Some(self.rate_cdeg_ns.map_or(measured, |rate| rate + weight * (measured - rate)));
+        self.rate_cdeg_ns = Some(
+            self.rate_cdeg_ns
+                .map_or(measured, |rate| rate + weight * (measured - rate)),
+        );
     }
 }
 
@@ -342,7 +411,11 @@ fn on_time(last: &Packet, packet: &Packet) -> bool {
 
 fn lost_or(nothing: Before, lost: i64, travelled_cdeg: f64, silence: Option<Sector>) -> Before {
     match u32::try_from(lost) {
-        Ok(packets) if packets > 0 => Before::Lost { packets, travelled_cdeg, silence },
+        Ok(packets) if packets > 0 => Before::Lost {
+            packets,
+            travelled_cdeg,
+            silence,
+        },
         _ => nothing,
     }
 }

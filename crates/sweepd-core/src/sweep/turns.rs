@@ -6,7 +6,8 @@ use super::motion::TURN;
 use crate::sensor::model::Spec;
 use crate::wire::data::ReturnMode;
 
-/// A head that turns more slowly, turns a minute, would shift the rows by more columns than there is room for.
+/// A head that turns more slowly, turns a minute, would shift the rows by more columns than there
+/// is room for.
 const SLOWEST_RPM: f64 = 240.0;
 
 /// The turn of each row at the speed that the head had when a sweep began.
@@ -16,7 +17,8 @@ pub struct Turns {
     shifts: Vec<i32>,
     /// By channel, in groups.
     asides: Vec<Aside>,
-    /// By channel too: where the pixel of each is, counted from the first pixel that a firing can have.
+    /// By channel too: where the pixel of each is, counted from the first pixel that a firing can
+    /// have.
     pixels: Vec<Of<u32>>,
     lead: usize,
     trail: usize,
@@ -24,30 +26,39 @@ pub struct Turns {
 }
 
 impl Turns {
-    /// Takes the turns at a speed, hundredths of a degree a nanosecond, negative when the head turns backwards.
+    /// Takes the turns at a speed, hundredths of a degree a nanosecond, negative when the head
+    /// turns backwards.
     ///
-    /// A beam points by its rotation to one side, and its shot comes a little after the first of its firing. Both together
-    /// are rounded to whole columns, so that no return is further from the azimuth of its column than half of one.
+    /// A beam points by its rotation to one side, and its shot comes a little after the first of
+    /// its firing. Both together are rounded to whole columns, so that no return is further from
+    /// the azimuth of its column than half of one.
     pub fn set(&mut self, beams: &[BeamRow], rate_cdeg_ns: f64, spec: &Spec, mode: ReturnMode) {
         let slowest = SLOWEST_RPM / 60.0 * TURN * 1e-9;
-        let rate_rad_ns = (rate_cdeg_ns.abs().max(slowest).copysign(rate_cdeg_ns) / 100.0).to_radians();
+        let rate_rad_ns =
+            (rate_cdeg_ns.abs().max(slowest).copysign(rate_cdeg_ns) / 100.0).to_radians();
         let pitch_rad = rate_rad_ns * f64::from(spec.firing_period_ns(mode));
         self.rate_rad_s = (rate_cdeg_ns / 100.0).to_radians() * 1e9;
-        let turn_rad = |beam: &BeamRow| rate_rad_ns * f64::from(beam.time_offset_ns) - f64::from(beam.rotation_rad);
+        let turn_rad = |beam: &BeamRow| {
+            rate_rad_ns * f64::from(beam.time_offset_ns) - f64::from(beam.rotation_rad)
+        };
         self.shifts.clear();
-        self.shifts.extend(beams.iter().map(|beam| match spec.shifted {
-            true => (-turn_rad(beam) / pitch_rad).round() as i32,
-            false => 0,
-        }));
+        self.shifts
+            .extend(beams.iter().map(|beam| match spec.shifted {
+                true => (-turn_rad(beam) / pitch_rad).round() as i32,
+                false => 0,
+            }));
         let shifts = || self.shifts.iter().copied();
         self.lead = shifts().max().unwrap_or(0).max(0) as usize;
         self.trail = shifts().min().unwrap_or(0).min(0).unsigned_abs() as usize;
-        self.asides.resize(beams.len().div_ceil(LANES), Aside::default());
-        self.pixels.resize(beams.len().div_ceil(LANES), Of::default());
+        self.asides
+            .resize(beams.len().div_ceil(LANES), Aside::default());
+        self.pixels
+            .resize(beams.len().div_ceil(LANES), Of::default());
         for (row, beam) in beams.iter().enumerate() {
             let (group, lane) = lanes::place(beam.channel);
             let aside = &mut self.asides[group];
-            [aside.sin[lane], aside.cos[lane]] = [turn_rad(beam).sin() as f32, turn_rad(beam).cos() as f32];
+            [aside.sin[lane], aside.cos[lane]] =
+                [turn_rad(beam).sin() as f32, turn_rad(beam).cos() as f32];
             let column = self.lead as i32 - self.shifts[row];
             self.pixels[group][lane] = column as u32 * beams.len() as u32 + row as u32;
         }
@@ -63,8 +74,8 @@ impl Turns {
         &self.asides
     }
 
-    /// Where the pixels of a firing are, by channel, counted from the top of the column that is [`Turns::lead`] before its
-    /// own.
+    /// Where the pixels of a firing are, by channel, counted from the top of the column that is
+    /// [`Turns::lead`] before its own.
     pub fn pixels(&self) -> &[Of<u32>] {
         &self.pixels
     }

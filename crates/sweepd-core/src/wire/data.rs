@@ -6,7 +6,8 @@
 //! | flag u16, azimuth u16 (0.01 degree), 32 x { distance u16, reflectivity u8 }
 //! ```
 //!
-//! All numbers are little-endian (VLP-16 User Manual 63-9243, section 9.3; HDL-32E manual, Appendix A).
+//! All numbers are little-endian (VLP-16 User Manual 63-9243, section 9.3; HDL-32E manual, Appendix
+//! A).
 
 use zerocopy::little_endian::{U16, U32};
 use zerocopy::{FromBytes, Immutable, IntoBytes, KnownLayout, Unaligned};
@@ -34,7 +35,9 @@ pub const FLAG_BANK_3: u16 = 0xBBFF;
 const FLAG_UNUSED: [u16; 2] = [0x0000, 0xFFFF];
 
 /// One measurement of one laser.
-#[derive(Clone, Copy, Debug, PartialEq, Eq, FromBytes, IntoBytes, KnownLayout, Immutable, Unaligned)]
+#[derive(
+    Clone, Copy, Debug, PartialEq, Eq, FromBytes, IntoBytes, KnownLayout, Immutable, Unaligned,
+)]
 #[repr(C)]
 pub struct Record {
     /// Distance in the sensor's unit (2 mm on most models); 0 = no return.
@@ -44,7 +47,9 @@ pub struct Record {
 }
 
 /// The 100-byte unit of a data packet: 32 records that share one azimuth.
-#[derive(Clone, Copy, Debug, PartialEq, Eq, FromBytes, IntoBytes, KnownLayout, Immutable, Unaligned)]
+#[derive(
+    Clone, Copy, Debug, PartialEq, Eq, FromBytes, IntoBytes, KnownLayout, Immutable, Unaligned,
+)]
 #[repr(C)]
 pub struct Block {
     /// Which bank of lasers fired: [`FLAG_BANK_0`] and its kin.
@@ -79,8 +84,9 @@ pub enum ReturnMode {
     Strongest,
     /// One return a record: the last.
     Last,
-    /// Two returns: blocks come in pairs of equal azimuth, even = last, odd = strongest; where the last is the strongest,
-    /// the odd one holds the second strongest, and both are equal where there is one return (VLP-16 manual, section 6).
+    /// Two returns: blocks come in pairs of equal azimuth, even = last, odd = strongest; where the
+    /// last is the strongest, the odd one holds the second strongest, and both are equal where
+    /// there is one return (VLP-16 manual, section 6).
     Dual,
 }
 
@@ -148,7 +154,9 @@ pub enum Banks {
 /// let packet = DataPacket::new(1_000_000, ReturnMode::Strongest.byte(), 0x22);
 /// assert_eq!(DataPacket::parse(packet.emit()).unwrap(), &packet);
 /// ```
-#[derive(Clone, Copy, Debug, PartialEq, Eq, FromBytes, IntoBytes, KnownLayout, Immutable, Unaligned)]
+#[derive(
+    Clone, Copy, Debug, PartialEq, Eq, FromBytes, IntoBytes, KnownLayout, Immutable, Unaligned,
+)]
 #[repr(C)]
 pub struct DataPacket {
     /// The twelve blocks.
@@ -163,9 +171,21 @@ pub struct DataPacket {
 impl DataPacket {
     /// A packet without returns: all blocks bank 0, azimuth 0.
     pub fn new(stamp_us: u32, return_mode: u8, product: u8) -> Self {
-        let silent = Record { distance: U16::ZERO, reflectivity: 0 };
-        let block = Block { flag: U16::new(FLAG_BANK_0), azimuth: U16::ZERO, records: [silent; RECORDS] };
-        Self { blocks: [block; BLOCKS], stamp_us: U32::new(stamp_us), return_mode, product }
+        let silent = Record {
+            distance: U16::ZERO,
+            reflectivity: 0,
+        };
+        let block = Block {
+            flag: U16::new(FLAG_BANK_0),
+            azimuth: U16::ZERO,
+            records: [silent; RECORDS],
+        };
+        Self {
+            blocks: [block; BLOCKS],
+            stamp_us: U32::new(stamp_us),
+            return_mode,
+            product,
+        }
     }
 
     /// Checks length, bank markers and azimuths, and gives the view.
@@ -174,17 +194,27 @@ impl DataPacket {
     /// [`PacketError`] with the block and what was found there.
     #[inline]
     pub fn parse(bytes: &[u8]) -> Result<&Self, PacketError> {
-        let packet = Self::ref_from_bytes(bytes)
-            .map_err(|_| PacketError::Length { expected: DATA_PACKET_LEN, found: bytes.len() })?;
+        let packet = Self::ref_from_bytes(bytes).map_err(|_| PacketError::Length {
+            expected: DATA_PACKET_LEN,
+            found: bytes.len(),
+        })?;
         for (index, block) in packet.blocks.iter().enumerate() {
             let flag = block.flag.get();
             match flag {
                 FLAG_BANK_0 | FLAG_BANK_1 | FLAG_BANK_2 | FLAG_BANK_3 => {}
                 _ if index >= 8 && FLAG_UNUSED.contains(&flag) => continue,
-                found => return Err(PacketError::Flag { block: index, found }),
+                found => {
+                    return Err(PacketError::Flag {
+                        block: index,
+                        found,
+                    });
+                }
             }
             if block.azimuth.get() > TURN_CDEG {
-                return Err(PacketError::Azimuth { block: index, found: block.azimuth.get() });
+                return Err(PacketError::Azimuth {
+                    block: index,
+                    found: block.azimuth.get(),
+                });
             }
         }
         Ok(packet)
@@ -195,7 +225,8 @@ impl DataPacket {
         self.as_bytes()
     }
 
-    /// Sensor clock of the packet: microseconds since the top of the hour, truncated. Slightly more than an hour occurs.
+    /// Sensor clock of the packet: microseconds since the top of the hour, truncated. Slightly more
+    /// than an hour occurs.
     #[inline]
     pub fn stamp_us(&self) -> u32 {
         self.stamp_us.get()
@@ -206,8 +237,8 @@ impl DataPacket {
         self.stamp_us = U32::new(stamp_us);
     }
 
-    /// How the banks lie over the blocks. Ask this before the factory bytes: on an HDL-64E those are status bytes that
-    /// may equal any product id.
+    /// How the banks lie over the blocks. Ask this before the factory bytes: on an HDL-64E those
+    /// are status bytes that may equal any product id.
     pub fn banks(&self) -> Banks {
         if self.blocks.iter().all(|b| b.flag.get() == FLAG_BANK_0) {
             return Banks::One;
@@ -219,22 +250,42 @@ impl DataPacket {
         if alternates {
             return Banks::Alternating;
         }
-        let upper = self.blocks.iter().filter(|b| b.flag.get() == FLAG_BANK_0).count();
-        let lower = self.blocks.iter().filter(|b| b.flag.get() == FLAG_BANK_1).count();
-        if (upper, lower) == (9, 3) { Banks::UpperHeavy } else { Banks::Other }
+        let upper = self
+            .blocks
+            .iter()
+            .filter(|b| b.flag.get() == FLAG_BANK_0)
+            .count();
+        let lower = self
+            .blocks
+            .iter()
+            .filter(|b| b.flag.get() == FLAG_BANK_1)
+            .count();
+        if (upper, lower) == (9, 3) {
+            Banks::UpperHeavy
+        } else {
+            Banks::Other
+        }
     }
 
-    /// Whether blocks come in groups of so many with equal azimuth: 2 in dual-return packets of one-bank models, and in
-    /// those of an HDL-64E, 4 in its dual-return packets.
+    /// Whether blocks come in groups of so many with equal azimuth: 2 in dual-return packets of
+    /// one-bank models, and in those of an HDL-64E, 4 in its dual-return packets.
     ///
     /// True also for any packet of a head that stands still.
     pub fn azimuths_in_groups(&self, of: usize) -> bool {
-        self.blocks.chunks(of.max(1)).all(|group| group.iter().all(|b| b.azimuth_cdeg() == group[0].azimuth_cdeg()))
+        self.blocks.chunks(of.max(1)).all(|group| {
+            group
+                .iter()
+                .all(|b| b.azimuth_cdeg() == group[0].azimuth_cdeg())
+        })
     }
 
     /// Non-zero distances in the packet.
     pub fn returns(&self) -> usize {
-        self.blocks.iter().flat_map(|b| &b.records).filter(|r| r.distance != U16::ZERO).count()
+        self.blocks
+            .iter()
+            .flat_map(|b| &b.records)
+            .filter(|r| r.distance != U16::ZERO)
+            .count()
     }
 }
 
@@ -247,7 +298,10 @@ mod tests {
     fn offsets_are_those_of_the_manual() {
         let mut packet = DataPacket::new(0x0403_0201, 0x39, 0x22);
         packet.blocks[11].set_azimuth_cdeg(0x0605);
-        packet.blocks[11].records[31] = Record { distance: U16::new(0x0807), reflectivity: 9 };
+        packet.blocks[11].records[31] = Record {
+            distance: U16::new(0x0807),
+            reflectivity: 9,
+        };
         let bytes = packet.emit();
         assert_eq!(bytes.len(), DATA_PACKET_LEN);
         assert_eq!(&bytes[..2], &[0xFF, 0xEE]);
@@ -259,20 +313,41 @@ mod tests {
     #[test]
     fn refuses_what_is_no_packet_and_says_where() {
         let packet = DataPacket::new(0, 0x37, 0x22);
-        assert_eq!(DataPacket::parse(&packet.emit()[1..]), Err(PacketError::Length { expected: 1206, found: 1205 }));
+        assert_eq!(
+            DataPacket::parse(&packet.emit()[1..]),
+            Err(PacketError::Length {
+                expected: 1206,
+                found: 1205
+            })
+        );
         let mut bad = packet;
         bad.blocks[3].flag = U16::new(0x1234);
-        assert_eq!(DataPacket::parse(bad.emit()), Err(PacketError::Flag { block: 3, found: 0x1234 }));
+        assert_eq!(
+            DataPacket::parse(bad.emit()),
+            Err(PacketError::Flag {
+                block: 3,
+                found: 0x1234
+            })
+        );
         let mut bad = packet;
         bad.blocks[7].set_azimuth_cdeg(36_001);
-        assert_eq!(DataPacket::parse(bad.emit()), Err(PacketError::Azimuth { block: 7, found: 36_001 }));
+        assert_eq!(
+            DataPacket::parse(bad.emit()),
+            Err(PacketError::Azimuth {
+                block: 7,
+                found: 36_001
+            })
+        );
     }
 
     #[test]
     fn azimuth_36000_is_0() {
         let mut packet = DataPacket::new(0, 0x37, 0x22);
         packet.blocks[0].set_azimuth_cdeg(36_000);
-        assert_eq!(DataPacket::parse(packet.emit()).unwrap().blocks[0].azimuth_cdeg(), 0);
+        assert_eq!(
+            DataPacket::parse(packet.emit()).unwrap().blocks[0].azimuth_cdeg(),
+            0
+        );
     }
 
     #[test]
@@ -284,7 +359,10 @@ mod tests {
         }
         assert_eq!(packet.banks(), Banks::Alternating);
         packet.blocks[11].flag = U16::ZERO;
-        assert_eq!(DataPacket::parse(packet.emit()).unwrap().banks(), Banks::Other);
+        assert_eq!(
+            DataPacket::parse(packet.emit()).unwrap().banks(),
+            Banks::Other
+        );
     }
 
     proptest! {

@@ -1,4 +1,5 @@
-//! The rolling status of an HDL-64E S2.1 or S3: one (type, value) pair in bytes 1204 and 1205 of every data packet.
+//! The rolling status of an HDL-64E S2.1 or S3: one (type, value) pair in bytes 1204 and 1205 of
+//! every data packet.
 //!
 //! ```text
 //! dump  = 260 cycles = 4160 packets      cycle = 16 packets
@@ -7,9 +8,9 @@
 //! value  UTC          GPS temperature firmware  7 payload bytes: 260 x 7 = 1820 = one Dump
 //! ```
 //!
-//! ('N' is the month.) A [`Dump`] is what the payload bytes of 260 cycles say, a [`Live`] what the others do;
-//! [`pair`] writes them, [`Status`] reads them, in whatever state the network left them (HDL-64E S3 manual,
-//! 63-HDL64ES3, pp. 30-38).
+//! ('N' is the month.) A [`Dump`] is what the payload bytes of 260 cycles say, a [`Live`] what the
+//! others do; [`pair`] writes them, [`Status`] reads them, in whatever state the network left them
+//! (HDL-64E S3 manual, 63-HDL64ES3, pp. 30-38).
 
 mod counter;
 mod status;
@@ -58,7 +59,9 @@ const MAGIC: [u8; 5] = *b"UNIT#";
 const S21_CHECKSUM: u16 = DUMP_LEN as u16;
 
 /// Calibration of a beam as it is sent: hundredths of a degree and millimetres.
-#[derive(Clone, Copy, Debug, PartialEq, Eq, FromBytes, IntoBytes, KnownLayout, Immutable, Unaligned)]
+#[derive(
+    Clone, Copy, Debug, PartialEq, Eq, FromBytes, IntoBytes, KnownLayout, Immutable, Unaligned,
+)]
 #[repr(C)]
 pub struct BeamRecord {
     /// Number of the laser, 0..64: 0-31 upper head, 32-63 lower head.
@@ -87,8 +90,11 @@ pub struct BeamRecord {
     pub max_intensity: u8,
 }
 
-/// A beam, and the cycle that follows it: on an S3 the warnings come first there, the rest is reserved.
-#[derive(Clone, Copy, Debug, PartialEq, Eq, FromBytes, IntoBytes, KnownLayout, Immutable, Unaligned)]
+/// A beam, and the cycle that follows it: on an S3 the warnings come first there, the rest is
+/// reserved.
+#[derive(
+    Clone, Copy, Debug, PartialEq, Eq, FromBytes, IntoBytes, KnownLayout, Immutable, Unaligned,
+)]
 #[repr(C)]
 struct Slot {
     record: BeamRecord,
@@ -96,7 +102,9 @@ struct Slot {
 }
 
 /// The payload bytes of 260 cycles.
-#[derive(Clone, Copy, Debug, PartialEq, Eq, FromBytes, IntoBytes, KnownLayout, Immutable, Unaligned)]
+#[derive(
+    Clone, Copy, Debug, PartialEq, Eq, FromBytes, IntoBytes, KnownLayout, Immutable, Unaligned,
+)]
 #[repr(C)]
 pub struct Dump {
     magic: [u8; 5],
@@ -152,7 +160,8 @@ pub enum DumpError {
 }
 
 impl Dump {
-    /// A dump of these beams, in the order of their places; all else is 0, but for the field of view, a whole turn.
+    /// A dump of these beams, in the order of their places; all else is 0, but for the field of
+    /// view, a whole turn.
     pub fn new(series: Series, records: &[BeamRecord; BEAMS]) -> Self {
         let mut dump = Self::new_zeroed();
         dump.magic = MAGIC;
@@ -206,7 +215,10 @@ impl Dump {
     pub fn set_warnings(&mut self, series: Series, warnings: Warnings) {
         match series {
             Series::S21 => self.s21_warnings = warnings.0,
-            Series::S3 => self.slots.iter_mut().for_each(|slot| slot.rest[0] = warnings.0),
+            Series::S3 => self
+                .slots
+                .iter_mut()
+                .for_each(|slot| slot.rest[0] = warnings.0),
         }
     }
 
@@ -218,20 +230,31 @@ impl Dump {
         if self.magic != MAGIC {
             return Err(DumpError::Magic);
         }
-        if let Some((place, record)) =
-            self.records().enumerate().find(|(place, record)| usize::from(record.id) != *place)
+        if let Some((place, record)) = self
+            .records()
+            .enumerate()
+            .find(|(place, record)| usize::from(record.id) != *place)
         {
-            return Err(DumpError::Id { place, found: record.id });
+            return Err(DumpError::Id {
+                place,
+                found: record.id,
+            });
         }
         let (expected, found) = (self.expected_checksum(series), self.checksum.get());
-        if expected == found { Ok(()) } else { Err(DumpError::Checksum { expected, found }) }
+        if expected == found {
+            Ok(())
+        } else {
+            Err(DumpError::Checksum { expected, found })
+        }
     }
 
     fn expected_checksum(&self, series: Series) -> u16 {
         match series {
             Series::S21 => S21_CHECKSUM,
             // The number of the beam is left out.
-            Series::S3 => self.records().fold(0, |crc, record| crc16(crc, &record.as_bytes()[1..])),
+            Series::S3 => self
+                .records()
+                .fold(0, |crc, record| crc16(crc, &record.as_bytes()[1..])),
         }
     }
 }
@@ -248,7 +271,9 @@ fn return_mode(byte: u8) -> Option<ReturnMode> {
 /// CRC-16 with the polynomial 0x8005, most significant bit first, going on from `crc`.
 fn crc16(crc: u16, bytes: &[u8]) -> u16 {
     bytes.iter().fold(crc, |crc, &byte| {
-        (0..8).fold(crc ^ u16::from(byte) << 8, |crc, _| crc << 1 ^ if crc & 0x8000 == 0 { 0 } else { 0x8005 })
+        (0..8).fold(crc ^ u16::from(byte) << 8, |crc, _| {
+            crc << 1 ^ if crc & 0x8000 == 0 { 0 } else { 0x8005 }
+        })
     })
 }
 
@@ -272,12 +297,36 @@ fn crc16(crc: u16, bytes: &[u8]) -> u16 {
 pub fn pair(dump: &Dump, series: Series, live: &Live, index: usize) -> (u8, u8) {
     let (cycle, place) = (index / CYCLE_LEN % CYCLES, index % CYCLE_LEN);
     let Some(payload) = place.checked_sub(FIXED.len()) else {
-        let Live { clock, gps, temperature_c, firmware } = *live;
-        let Clock { hour, minute, second, day, month, year } = clock;
-        let values = [hour, minute, second, day, month, year, gps.byte(), temperature_c as u8, firmware];
+        let Live {
+            clock,
+            gps,
+            temperature_c,
+            firmware,
+        } = *live;
+        let Clock {
+            hour,
+            minute,
+            second,
+            day,
+            month,
+            year,
+        } = clock;
+        let values = [
+            hour,
+            minute,
+            second,
+            day,
+            month,
+            year,
+            gps.byte(),
+            temperature_c as u8,
+            firmware,
+        ];
         return (FIXED[place], values[place]);
     };
-    let unique = UNIQUE.into_iter().find(|&(_, at, byte)| (at, byte) == (cycle, payload));
+    let unique = UNIQUE
+        .into_iter()
+        .find(|&(_, at, byte)| (at, byte) == (cycle, payload));
     let kind = match unique {
         Some((kind, ..)) => kind,
         None if series == Series::S3 && payload == 0 && is_after_beam(cycle) => WARNING,

@@ -1,7 +1,8 @@
 //! Bytes and packets: what a Velodyne puts on the network, read and written.
 //!
-//! Each file is one packet type and holds both directions. The views are checked once, on `parse`; after that no
-//! accessor can fail or panic. Nothing here knows a sensor model: a packet says what it carries, not what it means.
+//! Each file is one packet type and holds both directions. The views are checked once, on `parse`;
+//! after that no accessor can fail or panic. Nothing here knows a sensor model: a packet says what
+//! it carries, not what it means.
 
 pub mod data;
 pub mod hdl64;
@@ -21,8 +22,9 @@ pub const POSITION_PORT: u16 = 8308;
 /// Microseconds in an hour: the sensor clock counts from the top of the hour (ToH) and wraps here.
 pub const HOUR_US: u32 = 3_600_000_000;
 
-/// Times that an arrival can have, nanoseconds since 1970: the years 1897 to 2116, beyond what classic pcap can say.
-/// Differences of such times, and their sums with sensor time, cannot overflow.
+/// Times that an arrival can have, nanoseconds since 1970: the years 1897 to 2116, beyond what
+/// classic pcap can say. Differences of such times, and their sums with sensor time, cannot
+/// overflow.
 pub const TIMES_NS: RangeInclusive<i64> = i64::MIN / 4..=i64::MAX / 2;
 
 /// A UDP payload with its arrival time and its two ends, before anybody has looked inside.

@@ -39,14 +39,17 @@ pub enum NmeaError {
 }
 
 impl Rmc {
-    /// Reads `$xxRMC,...*hh`, from any talker; fields may be padded with blanks (old HDL-32E firmware does that).
+    /// Reads `$xxRMC,...*hh`, from any talker; fields may be padded with blanks (old HDL-32E
+    /// firmware does that).
     ///
     /// # Errors
     /// [`NmeaError`]; the checksum must be there and right, and so must time and date.
     pub fn parse(text: &str) -> Result<Self, NmeaError> {
         let text = text.trim_end_matches(['\0', '\r', '\n', ' ']);
         let body = text.strip_prefix('$').ok_or(NmeaError::NotRmc)?;
-        let (body, checksum) = body.rsplit_once('*').map_or((body, None), |(b, c)| (b, Some(c)));
+        let (body, checksum) = body
+            .rsplit_once('*')
+            .map_or((body, None), |(b, c)| (b, Some(c)));
         let mut fields = body.split(',').map(str::trim);
         let name = fields.next().unwrap_or_default();
         if name.len() != 5 || !name.ends_with("RMC") {
@@ -66,18 +69,35 @@ impl Rmc {
         let date = field();
         let day_ns = parse_time(time).ok_or(NmeaError::Field("time"))?;
         let days = parse_date(date).ok_or(NmeaError::Field("date"))?;
-        let position_deg = parse_angle(latitude, north, "NS").zip(parse_angle(longitude, east, "EW"));
-        Ok(Self { utc_ns: days * DAY_NS + day_ns, valid: status == "A", position_deg })
+        let position_deg =
+            parse_angle(latitude, north, "NS").zip(parse_angle(longitude, east, "EW"));
+        Ok(Self {
+            utc_ns: days * DAY_NS + day_ns,
+            valid: status == "A",
+            position_deg,
+        })
     }
 
-    /// Writes the sentence with checksum and line end; time to hundredths of a second, angles to 1e-7 minutes.
+    /// Writes the sentence with checksum and line end; time to hundredths of a second, angles to
+    /// 1e-7 minutes.
     pub fn emit(&self) -> String {
-        let (days, ns) = (self.utc_ns.div_euclid(DAY_NS), self.utc_ns.rem_euclid(DAY_NS));
+        let (days, ns) = (
+            self.utc_ns.div_euclid(DAY_NS),
+            self.utc_ns.rem_euclid(DAY_NS),
+        );
         let (year, month, day) = civil_from_days(days);
         let centiseconds = ns / 10_000_000;
-        let (hour, minute, second) = (centiseconds / 360_000, centiseconds / 6_000 % 60, centiseconds / 100 % 60);
+        let (hour, minute, second) = (
+            centiseconds / 360_000,
+            centiseconds / 6_000 % 60,
+            centiseconds / 100 % 60,
+        );
         let place = match self.position_deg {
-            Some((lat, lon)) => format!("{},{}", emit_angle(lat, 2, ["N", "S"]), emit_angle(lon, 3, ["E", "W"])),
+            Some((lat, lon)) => format!(
+                "{},{}",
+                emit_angle(lat, 2, ["N", "S"]),
+                emit_angle(lon, 3, ["E", "W"])
+            ),
             None => ",,,".to_owned(),
         };
         let body = format!(
@@ -103,7 +123,11 @@ fn parse_time(text: &str) -> Option<i64> {
     if hour > 23 || minute > 59 || second > 60 || fraction.len() > 9 {
         return None;
     }
-    let mut fraction_ns: i64 = if fraction.is_empty() { 0 } else { digits(fraction)? };
+    let mut fraction_ns: i64 = if fraction.is_empty() {
+        0
+    } else {
+        digits(fraction)?
+    };
     for _ in fraction.len()..9 {
         fraction_ns *= 10;
     }
@@ -123,7 +147,11 @@ fn two_digits(text: &str) -> Option<[i64; 3]> {
     if text.len() != 6 || !text.is_ascii() {
         return None;
     }
-    Some([digits(&text[..2])?, digits(&text[2..4])?, digits(&text[4..])?])
+    Some([
+        digits(&text[..2])?,
+        digits(&text[2..4])?,
+        digits(&text[4..])?,
+    ])
 }
 
 fn digits(text: &str) -> Option<i64> {
@@ -135,7 +163,10 @@ fn digits(text: &str) -> Option<i64> {
 
 /// `dddmm.mmmm` and a hemisphere letter as degrees.
 fn parse_angle(text: &str, hemisphere: &str, letters: &str) -> Option<f64> {
-    let value: f64 = text.parse().ok().filter(|v: &f64| (0.0..18_100.0).contains(v))?;
+    let value: f64 = text
+        .parse()
+        .ok()
+        .filter(|v: &f64| (0.0..18_100.0).contains(v))?;
     let degrees = (value / 100.0).trunc();
     let angle = degrees + (value - degrees * 100.0) / 60.0;
     match letters.find(hemisphere).filter(|_| hemisphere.len() == 1)? {
@@ -165,7 +196,8 @@ pub fn civil_from_days(days: i64) -> (i64, i64, i64) {
     let days = days + 719_468;
     let era = days.div_euclid(146_097);
     let day_of_era = days.rem_euclid(146_097);
-    let year_of_era = (day_of_era - day_of_era / 1460 + day_of_era / 36_524 - day_of_era / 146_096) / 365;
+    let year_of_era =
+        (day_of_era - day_of_era / 1460 + day_of_era / 36_524 - day_of_era / 146_096) / 365;
     let day_of_year = day_of_era - (365 * year_of_era + year_of_era / 4 - year_of_era / 100);
     let shifted_month = (5 * day_of_year + 2) / 153;
     let month = (shifted_month + 2) % 12 + 1;
@@ -178,7 +210,8 @@ mod tests {
     use super::*;
     use proptest::prelude::*;
 
-    /// The NMEA 0183 standard's own example; 1994-03-23 12:35:19 UTC is 764426119 s since 1970 (`date -u`).
+    /// The NMEA 0183 standard's own example; 1994-03-23 12:35:19 UTC is 764426119 s since 1970
+    /// (`date -u`).
     const EXAMPLE: &str = "$GPRMC,123519,A,4807.038,N,01131.000,E,022.4,084.4,230394,003.1,W*6A";
 
     #[test]
@@ -194,22 +227,37 @@ mod tests {
     fn blanks_around_fields_and_a_trailer_of_zeros_are_forgiven() {
         let body = "GPRMC, 123519, V, , , , , , , 230394, , ";
         let rmc = Rmc::parse(&format!("${body}*{:02x}\r\n\0\0", xor(body))).unwrap();
-        assert_eq!((rmc.utc_ns, rmc.valid, rmc.position_deg), (764_426_119_000_000_000, false, None));
+        assert_eq!(
+            (rmc.utc_ns, rmc.valid, rmc.position_deg),
+            (764_426_119_000_000_000, false, None)
+        );
     }
 
     #[test]
     fn refuses_what_cannot_be_trusted() {
         assert_eq!(Rmc::parse(""), Err(NmeaError::NotRmc));
         assert_eq!(Rmc::parse("$GPGGA,123519*00"), Err(NmeaError::NotRmc));
-        assert_eq!(Rmc::parse(EXAMPLE.trim_end_matches("*6A")), Err(NmeaError::NoChecksum));
+        assert_eq!(
+            Rmc::parse(EXAMPLE.trim_end_matches("*6A")),
+            Err(NmeaError::NoChecksum)
+        );
         assert_eq!(
             Rmc::parse(&EXAMPLE.replace("123519", "123518")),
-            Err(NmeaError::Checksum { found: 0x6A, computed: 0x6B })
+            Err(NmeaError::Checksum {
+                found: 0x6A,
+                computed: 0x6B
+            })
         );
-        for (time, date, field) in [("", "230394", "time"), ("250000", "230394", "time"), ("123519", "310294", "date")]
-        {
+        for (time, date, field) in [
+            ("", "230394", "time"),
+            ("250000", "230394", "time"),
+            ("123519", "310294", "date"),
+        ] {
             let body = format!("GPRMC,{time},A,,,,,,,{date},,");
-            assert_eq!(Rmc::parse(&format!("${body}*{:02X}", xor(&body))), Err(NmeaError::Field(field)));
+            assert_eq!(
+                Rmc::parse(&format!("${body}*{:02X}", xor(&body))),
+                Err(NmeaError::Field(field))
+            );
         }
     }
 

@@ -1,4 +1,5 @@
-//! The position packet: 512 bytes with the GPS state and, by model and firmware, temperatures and inertial sensors.
+//! The position packet: 512 bytes with the GPS state and, by model and firmware, temperatures and
+//! inertial sensors.
 //!
 //! ```text
 //! 0x00E  3 x { gyro, temperature, accelX, accelY } 12-bit two's complement     HDL-32E only
@@ -7,8 +8,8 @@
 //! 0x0CE  NMEA sentence, zero padded
 //! ```
 //!
-//! Offsets: VLP-16 User Manual 63-9243, section 9.3 (its frame offsets less 42); VLS-128 manual 63-9483, p. 57;
-//! HDL-32E manual, Appendix A for the inertial sensors.
+//! Offsets: VLP-16 User Manual 63-9243, section 9.3 (its frame offsets less 42); VLS-128 manual
+//! 63-9483, p. 57; HDL-32E manual, Appendix A for the inertial sensors.
 
 use zerocopy::little_endian::{I16, U16, U32};
 use zerocopy::{FromBytes, FromZeros, Immutable, IntoBytes, KnownLayout, Unaligned};
@@ -83,7 +84,12 @@ pub struct Inertial {
 }
 
 /// What counts of zero mean: that there is no such chip.
-const NOTHING: Inertial = Inertial { gyro: 0, temperature: 0, accel_x: 0, accel_y: 0 };
+const NOTHING: Inertial = Inertial {
+    gyro: 0,
+    temperature: 0,
+    accel_x: 0,
+    accel_y: 0,
+};
 
 impl Inertial {
     /// Turning rate in degrees a second.
@@ -102,7 +108,8 @@ impl Inertial {
     }
 }
 
-/// Board temperatures and the state of the receiver's analogue converter, where the firmware reports them.
+/// Board temperatures and the state of the receiver's analogue converter, where the firmware
+/// reports them.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub struct Board {
     /// Top board, degrees Celsius.
@@ -132,7 +139,8 @@ pub struct Thermal {
     pub power_up_c: i8,
 }
 
-/// What a position packet says. A group of bytes that is all zero was not reported: `None`, never 0 degrees.
+/// What a position packet says. A group of bytes that is all zero was not reported: `None`, never 0
+/// degrees.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub struct Position<'a> {
     /// Sensor clock, microseconds since the top of the hour.
@@ -195,21 +203,32 @@ impl<'a> Position<'a> {
     /// # Errors
     /// [`PacketError::Length`].
     pub fn parse(bytes: &'a [u8]) -> Result<Self, PacketError> {
-        let layout = Layout::ref_from_bytes(bytes)
-            .map_err(|_| PacketError::Length { expected: POSITION_PACKET_LEN, found: bytes.len() })?;
+        let layout = Layout::ref_from_bytes(bytes).map_err(|_| PacketError::Length {
+            expected: POSITION_PACKET_LEN,
+            found: bytes.len(),
+        })?;
         Ok(Self {
             stamp_us: layout.stamp_us.get(),
             pps: Pps::from_byte(layout.pps),
             nmea: sentence(&layout.nmea),
-            inertial: Some(layout.chips.map(Chip::meaning)).filter(|chips| chips.iter().any(|&chip| chip != NOTHING)),
+            inertial: Some(layout.chips.map(Chip::meaning))
+                .filter(|chips| chips.iter().any(|&chip| chip != NOTHING)),
             board: reported(&layout.board).map(|board| board.meaning()),
-            thermal: reported(&[layout.thermal_status, layout.shutdown_c as u8, layout.power_up_c as u8]).map(|_| {
-                Thermal { status: layout.thermal_status, shutdown_c: layout.shutdown_c, power_up_c: layout.power_up_c }
+            thermal: reported(&[
+                layout.thermal_status,
+                layout.shutdown_c as u8,
+                layout.power_up_c as u8,
+            ])
+            .map(|_| Thermal {
+                status: layout.thermal_status,
+                shutdown_c: layout.shutdown_c,
+                power_up_c: layout.power_up_c,
             }),
         })
     }
 
-    /// The 512 bytes to send. A sentence beyond 126 characters is cut there, so that its line end fits.
+    /// The 512 bytes to send. A sentence beyond 126 characters is cut there, so that its line end
+    /// fits.
     pub fn emit(&self) -> [u8; POSITION_PACKET_LEN] {
         let mut layout = Layout::new_zeroed();
         layout.stamp_us = U32::new(self.stamp_us);
@@ -234,14 +253,18 @@ impl<'a> Position<'a> {
     }
 }
 
-/// The group, unless all its bytes are zero, which means that this model or firmware does not send it.
+/// The group, unless all its bytes are zero, which means that this model or firmware does not send
+/// it.
 fn reported<T: IntoBytes + Immutable>(group: &T) -> Option<&T> {
     group.as_bytes().iter().any(|&b| b != 0).then_some(group)
 }
 
 /// The text up to the line end or the padding; `None` where there is none or it is not ASCII.
 fn sentence(bytes: &[u8]) -> Option<&str> {
-    let end = bytes.iter().position(|b| matches!(b, 0 | b'\r' | b'\n')).unwrap_or(bytes.len());
+    let end = bytes
+        .iter()
+        .position(|b| matches!(b, 0 | b'\r' | b'\n'))
+        .unwrap_or(bytes.len());
     let text = std::str::from_utf8(&bytes[..end]).ok()?;
     (!text.is_empty() && text.is_ascii()).then_some(text)
 }
@@ -304,15 +327,29 @@ mod tests {
         let mut bytes = [0; POSITION_PACKET_LEN];
         bytes[0x00E..0x016].copy_from_slice(&[0xFF, 0x0F, 0x01, 0x00, 0x00, 0x08, 0xFF, 0x07]);
         let chip = Position::parse(&bytes).unwrap().inertial.unwrap()[0];
-        assert_eq!(chip, Inertial { gyro: -1, temperature: 1, accel_x: -2048, accel_y: 2047 });
-        assert!((chip.temperature_c() - 25.1453).abs() < 1e-9 && (chip.accel_g()[0] + 2.500_608).abs() < 1e-9);
+        assert_eq!(
+            chip,
+            Inertial {
+                gyro: -1,
+                temperature: 1,
+                accel_x: -2048,
+                accel_y: 2047
+            }
+        );
+        assert!(
+            (chip.temperature_c() - 25.1453).abs() < 1e-9
+                && (chip.accel_g()[0] + 2.500_608).abs() < 1e-9
+        );
     }
 
     #[test]
     fn not_reported_is_not_zero_degrees() {
         let mut bytes = [0; POSITION_PACKET_LEN];
         let position = Position::parse(&bytes).unwrap();
-        assert_eq!((position.board, position.inertial, position.nmea), (None, None, None));
+        assert_eq!(
+            (position.board, position.inertial, position.nmea),
+            (None, None, None)
+        );
         assert_eq!(position.pps, Pps::Absent);
         bytes[0x0BC] = 0xFB;
         let board = Position::parse(&bytes).unwrap().board.unwrap();
@@ -324,26 +361,45 @@ mod tests {
 
     fn inertial() -> impl Strategy<Value = Inertial> {
         let counts = || -2048_i16..2048;
-        (1_i16..2048, counts(), counts(), counts()).prop_map(|(gyro, temperature, accel_x, accel_y)| Inertial {
-            gyro,
-            temperature,
-            accel_x,
-            accel_y,
-        })
+        (1_i16..2048, counts(), counts(), counts()).prop_map(
+            |(gyro, temperature, accel_x, accel_y)| Inertial {
+                gyro,
+                temperature,
+                accel_x,
+                accel_y,
+            },
+        )
     }
 
     fn board() -> impl Strategy<Value = Board> {
-        (1_i8.., any::<i8>(), any::<i8>(), any::<i16>(), any::<u32>(), any::<u8>(), any::<u8>()).prop_map(
-            |(top_c, bottom_c, adc_calibration_c, adc_change_c, adc_age_s, adc_reason, adc_status)| Board {
-                top_c,
-                bottom_c,
-                adc_calibration_c,
-                adc_change_c,
-                adc_age_s,
-                adc_reason,
-                adc_status,
-            },
+        (
+            1_i8..,
+            any::<i8>(),
+            any::<i8>(),
+            any::<i16>(),
+            any::<u32>(),
+            any::<u8>(),
+            any::<u8>(),
         )
+            .prop_map(
+                |(
+                    top_c,
+                    bottom_c,
+                    adc_calibration_c,
+                    adc_change_c,
+                    adc_age_s,
+                    adc_reason,
+                    adc_status,
+                )| Board {
+                    top_c,
+                    bottom_c,
+                    adc_calibration_c,
+                    adc_change_c,
+                    adc_age_s,
+                    adc_reason,
+                    adc_status,
+                },
+            )
     }
 
     proptest! {

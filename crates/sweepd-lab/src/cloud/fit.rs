@@ -1,14 +1,14 @@
-//! Elevations and vertical offsets fitted to a scan: a line through the points of each ring, z over the distance from
-//! the axis.
+//! Elevations and vertical offsets fitted to a scan: a line through the points of each ring, z over
+//! the distance from the axis.
 //!
 //! ```text
 //! z = away x tan w + V        far points tell the elevation w, near ones the vertical offset V
 //! ```
 //!
-//! Scans of a moving vehicle are mostly corrected for its motion, which shifts the points of a ring by up to a metre
-//! along the way: they lie no longer on a cone. A fit that takes each point for an independent measurement would then
-//! give vertical offsets that no unit has, so that offset leans on the calibration as long as the scan does not speak
-//! clearly.
+//! Scans of a moving vehicle are mostly corrected for its motion, which shifts the points of a ring
+//! by up to a metre along the way: they lie no longer on a cone. A fit that takes each point for an
+//! independent measurement would then give vertical offsets that no unit has, so that offset leans
+//! on the calibration as long as the scan does not speak clearly.
 
 use fearless_simd::{Level, dispatch};
 
@@ -24,13 +24,15 @@ const INDEPENDENT: f64 = 100.0;
 const OFFSETS_M: [f64; 2] = [0.0, 0.3];
 /// Points off the line by more than so many standard deviations do not count (Tukey's biweight).
 const CUT: f64 = 4.685;
-/// The median deviation of a round is looked for so far around that of the one before, in parts of it.
+/// The median deviation of a round is looked for so far around that of the one before, in parts of
+/// it.
 const AROUND: f64 = 0.1;
 /// Standard deviations in a median deviation.
 const MEDIAN_DEVIATION: f64 = 1.482_6;
 /// Most rounds of weighting anew.
 const ROUNDS: usize = 12;
-/// A line that moves less than this in a round, at its foot and [`FAR_M`] away together, is settled.
+/// A line that moves less than this in a round, at its foot and [`FAR_M`] away together, is
+/// settled.
 const SETTLED_M: f64 = 0.000_5;
 const FAR_M: f64 = 50.0;
 /// Fewest points that a beam is fitted to.
@@ -95,17 +97,28 @@ impl Fitter {
         for values in [&mut self.precision, &mut self.off, &mut self.weight] {
             values.resize(samples.len(), 0.0);
         }
-        let prior = Prior { offset_m: prior.offset_m.clamp(OFFSETS_M[0], OFFSETS_M[1]), ..prior };
-        for ((precision, slope), sample) in self.precision.iter_mut().zip(&mut self.off).zip(samples) {
-            *precision = (NOISE_M.powi(2) + (NOISE_RAD * sample.away_m).powi(2)).sqrt().recip();
+        let prior = Prior {
+            offset_m: prior.offset_m.clamp(OFFSETS_M[0], OFFSETS_M[1]),
+            ..prior
+        };
+        for ((precision, slope), sample) in
+            self.precision.iter_mut().zip(&mut self.off).zip(samples)
+        {
+            *precision = (NOISE_M.powi(2) + (NOISE_RAD * sample.away_m).powi(2))
+                .sqrt()
+                .recip();
             *slope = (sample.z_m - prior.offset_m) / sample.away_m;
         }
-        let mut line = Line { slope: median(&mut self.scratch, &self.off), offset_m: prior.offset_m };
+        let mut line = Line {
+            slope: median(&mut self.scratch, &self.off),
+            offset_m: prior.offset_m,
+        };
         let mut deviation = f64::NAN;
         for _ in 0..ROUNDS {
             let before = line;
             (line, deviation) = self.better(samples, prior, line, deviation);
-            let moved_m = (line.offset_m - before.offset_m).abs() + FAR_M * (line.slope - before.slope).abs();
+            let moved_m =
+                (line.offset_m - before.offset_m).abs() + FAR_M * (line.slope - before.slope).abs();
             if moved_m < SETTLED_M {
                 break;
             }
@@ -113,9 +126,9 @@ impl Fitter {
         (line.slope.is_finite() && line.offset_m.is_finite()).then_some(line)
     }
 
-    /// The line with each point weighed anew: by inverse variance, less for points off the last line. Together they
-    /// count as [`INDEPENDENT`] points. And the median deviation from the last line, which is found sooner near the one
-    /// before.
+    /// The line with each point weighed anew: by inverse variance, less for points off the last
+    /// line. Together they count as [`INDEPENDENT`] points. And the median deviation from the last
+    /// line, which is found sooner near the one before.
     #[inline(always)]
     fn better(&mut self, samples: &[Sample], prior: Prior, line: Line, before: f64) -> (Line, f64) {
         for ((off, sample), precision) in self.off.iter_mut().zip(samples).zip(&self.precision) {
@@ -124,7 +137,8 @@ impl Fitter {
         let median = median_near(&mut self.scratch, &self.off, before);
         let deviation = (MEDIAN_DEVIATION * median).max(LEAST_NOISE);
         let each = INDEPENDENT / samples.len() as f64 / deviation.powi(2);
-        for ((weight, off), precision) in self.weight.iter_mut().zip(&self.off).zip(&self.precision) {
+        for ((weight, off), precision) in self.weight.iter_mut().zip(&self.off).zip(&self.precision)
+        {
             let near = (1.0 - (off / (CUT * deviation)).powi(2)).max(0.0);
             *weight = (near * precision).powi(2) * each;
         }
@@ -148,7 +162,13 @@ struct Sums {
 impl Sums {
     fn of(prior: Prior) -> Self {
         let trust = prior.spread_m.powi(-2);
-        Self { ones: trust, x: 0.0, xx: 0.0, z: trust * prior.offset_m, xz: 0.0 }
+        Self {
+            ones: trust,
+            x: 0.0,
+            xx: 0.0,
+            z: trust * prior.offset_m,
+            xz: 0.0,
+        }
     }
 
     fn add(&mut self, sample: &Sample, weight: f64) {
@@ -160,14 +180,19 @@ impl Sums {
         self.xz += weighted * sample.z_m;
     }
 
-    /// The line of least weighted squares; if its offset is one that no unit has, the best with the nearest offset.
+    /// The line of least weighted squares; if its offset is one that no unit has, the best with the
+    /// nearest offset.
     fn solve(&self) -> Option<Line> {
         let determinant = self.xx * self.ones - self.x * self.x;
         if self.xx <= 0.0 || determinant <= 0.0 {
             return None;
         }
-        let offset_m = ((self.xx * self.z - self.x * self.xz) / determinant).clamp(OFFSETS_M[0], OFFSETS_M[1]);
-        Some(Line { slope: (self.xz - offset_m * self.x) / self.xx, offset_m })
+        let offset_m =
+            ((self.xx * self.z - self.x * self.xz) / determinant).clamp(OFFSETS_M[0], OFFSETS_M[1]);
+        Some(Line {
+            slope: (self.xz - offset_m * self.x) / self.xx,
+            offset_m,
+        })
     }
 }
 
@@ -196,7 +221,9 @@ fn median_near(scratch: &mut Vec<i64>, values: &[f64], near: f64) -> f64 {
         below += usize::from(value < low);
     }
     match (values.len() / 2).checked_sub(below) {
-        Some(middle) if middle < around => f64::from_bits(*scratch[..around].select_nth_unstable(middle).1 as u64),
+        Some(middle) if middle < around => {
+            f64::from_bits(*scratch[..around].select_nth_unstable(middle).1 as u64)
+        }
         _ => median(scratch, values),
     }
 }
@@ -212,16 +239,27 @@ mod tests {
     use super::*;
 
     fn samples(slope: f64, offset_m: f64, away_m: impl Iterator<Item = f64>) -> Vec<Sample> {
-        away_m.map(|away_m| Sample { away_m, z_m: slope * away_m + offset_m }).collect()
+        away_m
+            .map(|away_m| Sample {
+                away_m,
+                z_m: slope * away_m + offset_m,
+            })
+            .collect()
     }
 
-    const PRIOR: Prior = Prior { offset_m: 0.15, spread_m: 0.03 };
+    const PRIOR: Prior = Prior {
+        offset_m: 0.15,
+        spread_m: 0.03,
+    };
 
     #[test]
     fn a_ring_with_a_span_tells_both() {
         let mut samples = samples(-0.2, 0.21, (0..2000).map(|i| 3.0 + f64::from(i) * 0.02));
         // One point in five is off the beam altogether.
-        samples.iter_mut().step_by(5).for_each(|sample| sample.z_m += 0.8);
+        samples
+            .iter_mut()
+            .step_by(5)
+            .for_each(|sample| sample.z_m += 0.8);
         let fitted = fit(PRIOR, &samples).unwrap();
         assert!((fitted.slope + 0.2).abs() < 1e-4, "{fitted:?}");
         assert!((fitted.offset_m - 0.21).abs() < 2e-3, "{fitted:?}");
@@ -229,7 +267,11 @@ mod tests {
 
     #[test]
     fn a_ring_without_a_span_keeps_the_offset() {
-        let fitted = fit(PRIOR, &samples(-0.2, 0.21, (0..2000).map(|i| 9.0 + f64::from(i) * 1e-4))).unwrap();
+        let fitted = fit(
+            PRIOR,
+            &samples(-0.2, 0.21, (0..2000).map(|i| 9.0 + f64::from(i) * 1e-4)),
+        )
+        .unwrap();
         assert!((fitted.offset_m - 0.15).abs() < 0.01, "{fitted:?}");
         let at_9_m = 9.1 * fitted.slope + fitted.offset_m;
         assert!((at_9_m - (-0.2 * 9.1 + 0.21)).abs() < 1e-3);
@@ -237,24 +279,43 @@ mod tests {
 
     #[test]
     fn offsets_stay_those_of_a_unit() {
-        let fitted = fit(PRIOR, &samples(-0.2, -0.8, (0..2000).map(|i| 3.0 + f64::from(i) * 0.02))).unwrap();
+        let fitted = fit(
+            PRIOR,
+            &samples(-0.2, -0.8, (0..2000).map(|i| 3.0 + f64::from(i) * 0.02)),
+        )
+        .unwrap();
         assert!((0.0..=0.3).contains(&fitted.offset_m), "{fitted:?}");
-        assert!(fit(PRIOR, &samples(-0.2, 0.2, (0..29).map(|i| 3.0 + f64::from(i)))).is_none());
+        assert!(
+            fit(
+                PRIOR,
+                &samples(-0.2, 0.2, (0..29).map(|i| 3.0 + f64::from(i)))
+            )
+            .is_none()
+        );
     }
 
     /// Wherever it is looked for first, it is the same.
     #[test]
     fn a_median_is_found_from_anywhere() {
-        let values: Vec<f64> = (0..127).map(|index| f64::from(index * 59 % 127) / 8.0).collect();
+        let values: Vec<f64> = (0..127)
+            .map(|index| f64::from(index * 59 % 127) / 8.0)
+            .collect();
         let with_gaps = [&values[..], &[f64::NAN, f64::INFINITY, 0.0]].concat();
         for values in [&values[..], &with_gaps, &[3.0; 7], &[0.5]] {
             let mut sorted = values.to_vec();
             sorted.sort_unstable_by(f64::total_cmp);
             let middle = sorted[sorted.len() / 2];
             for near in [f64::NAN, 0.0, 0.5, 3.0, 7.5, 7.9, 8.6, 100.0, f64::INFINITY] {
-                assert_eq!(median_near(&mut Vec::new(), values, near), middle, "{values:?} {near}");
+                assert_eq!(
+                    median_near(&mut Vec::new(), values, near),
+                    middle,
+                    "{values:?} {near}"
+                );
             }
         }
-        assert_eq!(median(&mut Vec::new(), &[2.0, -1.0, f64::NAN, -3.0, -0.0]), -0.0);
+        assert_eq!(
+            median(&mut Vec::new(), &[2.0, -1.0, f64::NAN, -3.0, -0.0]),
+            -0.0
+        );
     }
 }

@@ -1,11 +1,12 @@
 //! Which column each point of a ring goes to, and which points share one.
 //!
-//! Firings are even; the points of a real scan are not: the encoder steps unevenly, a correction for motion crowds them,
-//! and a beam that starts beside the axis sees near and far things shifted. Most points lie within half a pitch of a
-//! column, but a point in twelve shares that one with another. So points make room: those next to it move up by a
-//! column, in order, to the nearest free one; of two about as near, to that for which all together move less; none lies more
-//! than two pitches from its column. A point that finds no room is in the column where it lies, where the nearer of two hides
-//! the other.
+//! Firings are even; the points of a real scan are not: the encoder steps unevenly, a correction
+//! for motion crowds them, and a beam that starts beside the axis sees near and far things shifted.
+//! Most points lie within half a pitch of a column, but a point in twelve shares that one with
+//! another. So points make room: those next to it move up by a column, in order, to the nearest
+//! free one; of two about as near, to that for which all together move less; none lies more than
+//! two pitches from its column. A point that finds no room is in the column where it lies, where
+//! the nearer of two hides the other.
 
 use std::f64::consts::TAU;
 
@@ -23,7 +24,8 @@ const FARTHER: usize = 2;
 pub(crate) const NONE: u32 = u32::MAX;
 /// Points or columns that one instruction treats.
 const LANES: usize = 16;
-/// Columns that are looked at together for one that is free: more than [`FARTHEST`] and [`FARTHER`].
+/// Columns that are looked at together for one that is free: more than [`FARTHEST`] and
+/// [`FARTHER`].
 const WINDOW: usize = 4 * LANES;
 
 /// Places the points of rings, one ring after the other, in the same memory.
@@ -82,7 +84,12 @@ impl Placer {
         let (whole, rest) = turns.as_chunks();
         let mut last = [f32::NAN; LANES];
         last[..rest.len()].copy_from_slice(rest);
-        let places = self.off.as_chunks_mut().0.iter_mut().zip(self.columns.as_chunks_mut().0);
+        let places = self
+            .off
+            .as_chunks_mut()
+            .0
+            .iter_mut()
+            .zip(self.columns.as_chunks_mut().0);
         for (turns, (off, column_of)) in whole.iter().chain([&last]).zip(places) {
             (*off, *column_of) = lie(simd, turns, columns);
         }
@@ -98,10 +105,13 @@ impl Placer {
         self.points.resize(columns, NONE);
         self.late.resize(self.columns.len(), NONE);
         let (held, points) = (&mut self.held[..columns], &mut self.points[..columns]);
-        // From the last point on, each takes the place of those behind it: nothing is read that has just been written.
+        // From the last point on, each takes the place of those behind it: nothing is read that has
+        // just been written.
         for (point, (&column, &off)) in self.columns.iter().zip(&self.off).enumerate().rev() {
             // What is no point has none.
-            let Some(holder) = points.get_mut(column as usize) else { continue };
+            let Some(holder) = points.get_mut(column as usize) else {
+                continue;
+            };
             *holder = point as u32;
             held[column as usize] = off;
         }
@@ -109,19 +119,25 @@ impl Placer {
         for (point, &column) in self.columns.iter().enumerate() {
             // Written in any case: which points are late, no processor foretells.
             late[count] = point as u32;
-            count += usize::from(points.get(column as usize).is_some_and(|&holder| holder != point as u32));
+            count += usize::from(
+                points
+                    .get(column as usize)
+                    .is_some_and(|&holder| holder != point as u32),
+            );
         }
         self.late.truncate(count);
     }
 
-    /// Finds a column for a point among those that have the columns around it; whether there was one.
+    /// Finds a column for a point among those that have the columns around it; whether there was
+    /// one.
     #[inline(always)]
     fn squeeze<S: Simd>(&mut self, simd: S, point: u32) -> bool {
         let columns = self.points.len();
         let mut column = self.columns[point as usize] as usize;
         let mut off = self.off[point as usize];
-        // The first column whose point lies behind this one, or that is free. Where columns are taken, points are in
-        // order, and none is farther than REACH from its column: both loops soon end.
+        // The first column whose point lies behind this one, or that is free. Where columns are
+        // taken, points are in order, and none is farther than REACH from its column: both loops
+        // soon end.
         while self.held[column] <= off {
             (column, off) = (next(column, true, columns), off - 1.0);
         }
@@ -130,13 +146,22 @@ impl Placer {
             (column, off) = (before, off + 1.0);
             before = next(column, false, columns);
         }
-        // It gets that column, and the points from there on move up; or the one before it, and the others move down.
-        let (up, down) = (self.way(simd, column, off, true), self.way(simd, before, off + 1.0, false));
-        let (nearer, farther) = if up.moved <= down.moved { (up, down) } else { (down, up) };
+        // It gets that column, and the points from there on move up; or the one before it, and the
+        // others move down.
+        let (up, down) = (
+            self.way(simd, column, off, true),
+            self.way(simd, before, off + 1.0, false),
+        );
+        let (nearer, farther) = if up.moved <= down.moved {
+            (up, down)
+        } else {
+            (down, up)
+        };
         if nearer.moved >= FARTHEST.min(columns) {
             return false;
         }
-        let is_as_good = farther.moved <= nearer.moved + FARTHER && self.cost(farther) < self.cost(nearer);
+        let is_as_good =
+            farther.moved <= nearer.moved + FARTHER && self.cost(farther) < self.cost(nearer);
         self.insert(point, if is_as_good { farther } else { nearer });
         true
     }
@@ -160,18 +185,43 @@ impl Placer {
             }
         };
         let ends = ends(simd, window, up);
-        let moved = if up { ends.trailing_zeros() } else { ends.leading_zeros() } as usize;
-        let end = if up { window.get(moved) } else { window.iter().nth_back(moved) };
+        let moved = if up {
+            ends.trailing_zeros()
+        } else {
+            ends.leading_zeros()
+        } as usize;
+        let end = if up {
+            window.get(moved)
+        } else {
+            window.iter().nth_back(moved)
+        };
         let is_open = off.abs() <= REACH && end.is_some_and(|held| held.is_nan());
-        Way { column, off, up, moved: if is_open { moved } else { WINDOW } }
+        Way {
+            column,
+            off,
+            up,
+            moved: if is_open { moved } else { WINDOW },
+        }
     }
 
     /// What a way adds to the squares of all moves, and the new point's own.
     #[inline(always)]
-    fn cost(&self, Way { mut column, off, up, moved }: Way) -> f32 {
+    fn cost(
+        &self,
+        Way {
+            mut column,
+            off,
+            up,
+            moved,
+        }: Way,
+    ) -> f32 {
         let mut cost = off * off;
         for _ in 0..moved {
-            let towards = if up { -self.held[column] } else { self.held[column] };
+            let towards = if up {
+                -self.held[column]
+            } else {
+                self.held[column]
+            };
             cost += 1.0 + 2.0 * towards;
             column = next(column, up, self.held.len());
         }
@@ -180,8 +230,21 @@ impl Placer {
 
     /// Gives a point a column, and moves the points from there to the next free one.
     #[inline(always)]
-    fn insert(&mut self, mut point: u32, Way { column: mut at, mut off, up, .. }: Way) {
-        let (held, points, columns) = (&mut self.held[..], &mut self.points[..], &mut self.columns[..]);
+    fn insert(
+        &mut self,
+        mut point: u32,
+        Way {
+            column: mut at,
+            mut off,
+            up,
+            ..
+        }: Way,
+    ) {
+        let (held, points, columns) = (
+            &mut self.held[..],
+            &mut self.points[..],
+            &mut self.columns[..],
+        );
         while point != NONE {
             columns[point as usize] = at as u32;
             point = std::mem::replace(&mut points[at], point);
@@ -191,13 +254,18 @@ impl Placer {
     }
 }
 
-/// Of columns whose points lie so far behind them: where a way ends, since they are free or their point cannot move.
+/// Of columns whose points lie so far behind them: where a way ends, since they are free or their
+/// point cannot move.
 #[inline(always)]
 fn ends<S: Simd>(simd: S, held: &[f32; WINDOW], up: bool) -> u64 {
     let mut movable = 0;
     for (index, held) in held.as_chunks().0.iter().enumerate() {
         let held = f32x16::load_array_ref(simd, held);
-        let is_movable = if up { held.simd_ge(1.0 - REACH) } else { held.simd_le(REACH - 1.0) };
+        let is_movable = if up {
+            held.simd_ge(1.0 - REACH)
+        } else {
+            held.simd_le(REACH - 1.0)
+        };
         movable |= is_movable.to_bitmask() << (index * LANES);
     }
     !movable
@@ -221,18 +289,29 @@ fn lie<S: Simd>(simd: S, turns: &[f32; LANES], columns: usize) -> ([f32; LANES],
     let column = along.to_int::<i32x16<S>>().min(columns as i32 - 1);
     let off = along - column.to_float::<f32x16<S>>() - 0.5;
     let is_point = turns.simd_eq(turns);
-    (off.to_array(), is_point.select(column.bitcast(), u32x16::splat(simd, NONE)).to_array())
+    (
+        off.to_array(),
+        is_point
+            .select(column.bitcast(), u32x16::splat(simd, NONE))
+            .to_array(),
+    )
 }
 
 /// The point that each column shows, of a ring; `None` in the ring is no point.
 pub(crate) fn shown(points: &[Option<Polar>], columns: usize) -> Vec<Option<usize>> {
-    let turn = |polar: &Option<Polar>| polar.map_or(f32::NAN, |polar| (polar.azimuth_rad / TAU) as f32);
+    let turn =
+        |polar: &Option<Polar>| polar.map_or(f32::NAN, |polar| (polar.azimuth_rad / TAU) as f32);
     let turns: Vec<f32> = points.iter().map(turn).collect();
     let mut placer = Placer::default();
     placer.place(Level::new(), &turns, columns);
     let mut shown = vec![None; columns];
     let away_m = |point: usize| points[point].map_or(f64::INFINITY, |polar| polar.away_m);
-    for (point, &column) in placer.columns.iter().enumerate().filter(|(_, column)| **column != NONE) {
+    for (point, &column) in placer
+        .columns
+        .iter()
+        .enumerate()
+        .filter(|(_, column)| **column != NONE)
+    {
         let shown = &mut shown[column as usize];
         if shown.is_none_or(|other| away_m(point) < away_m(other)) {
             *shown = Some(point);
@@ -254,8 +333,14 @@ mod tests {
         let mut placer = Placer::default();
         placer.place(Level::new(), &turns, columns);
         let column = |(point, &column): (usize, &u32)| {
-            let own = placer.points.get(column as usize).is_some_and(|&holder| holder == point as u32);
-            assert_eq!(!own && column != NONE, placer.crowded.contains(&(point as u32)));
+            let own = placer
+                .points
+                .get(column as usize)
+                .is_some_and(|&holder| holder == point as u32);
+            assert_eq!(
+                !own && column != NONE,
+                placer.crowded.contains(&(point as u32))
+            );
             own.then_some(column as usize)
         };
         placer.columns.iter().enumerate().map(column).collect()
@@ -265,7 +350,11 @@ mod tests {
     fn points_at_columns_have_these() {
         let even: Vec<f64> = (0..10).map(f64::from).collect();
         assert_eq!(alone(&even, 10), (0..10).map(Some).collect::<Vec<_>>());
-        assert_eq!(alone(&[9.6, 0.2, 4.4], 10), [Some(9), Some(0), Some(4)], "each has the nearest but one");
+        assert_eq!(
+            alone(&[9.6, 0.2, 4.4], 10),
+            [Some(9), Some(0), Some(4)],
+            "each has the nearest but one"
+        );
         assert_eq!(alone(&[], 10), []);
         assert_eq!(alone(&[f64::NAN, 3.0], 10), [None, Some(3)]);
     }
@@ -282,8 +371,15 @@ mod tests {
 
     #[test]
     fn the_nearer_of_two_is_shown_where_there_is_no_room() {
-        let polar = |away_m: f64| Some(Polar { azimuth_rad: 3.0, away_m, z_m: 0.0 });
-        let mut points: Vec<Option<Polar>> = (0..5).map(|index| polar(10.0 + f64::from(index))).collect();
+        let polar = |away_m: f64| {
+            Some(Polar {
+                azimuth_rad: 3.0,
+                away_m,
+                z_m: 0.0,
+            })
+        };
+        let mut points: Vec<Option<Polar>> =
+            (0..5).map(|index| polar(10.0 + f64::from(index))).collect();
         points.extend([None, polar(4.0)]);
         let shown: Vec<usize> = shown(&points, 100).into_iter().flatten().collect();
         assert_eq!(shown.len(), 4);
@@ -292,13 +388,19 @@ mod tests {
 
     /// The columns of points and the points of columns, one step after the other.
     fn naive(turns: &[f32], columns: usize) -> [Vec<u32>; 2] {
-        let mut placer = Placer { held: vec![f32::NAN; columns], points: vec![NONE; columns], ..Placer::default() };
+        let mut placer = Placer {
+            held: vec![f32::NAN; columns],
+            points: vec![NONE; columns],
+            ..Placer::default()
+        };
         let mut late = Vec::new();
         for (point, turn) in turns.iter().enumerate() {
             let along = turn * columns as f32;
             let column = (along as usize).min(columns - 1);
             placer.off.push(along - column as f32 - 0.5);
-            placer.columns.push(if turn.is_nan() { NONE } else { column as u32 });
+            placer
+                .columns
+                .push(if turn.is_nan() { NONE } else { column as u32 });
             if turn.is_nan() {
                 continue;
             }
@@ -316,19 +418,38 @@ mod tests {
             while placer.held[next(at, false, columns)] > off + 1.0 {
                 (at, off) = (next(at, false, columns), off + 1.0);
             }
-            let starts = [(at, off, true), (next(at, false, columns), off + 1.0, false)];
+            let starts = [
+                (at, off, true),
+                (next(at, false, columns), off + 1.0, false),
+            ];
             let costs = starts.map(|(at, off, up)| naive_cost(&placer.held, at, off, up));
             // Both go on side by side; who arrives first waits for the other a little.
-            let Some(first) = costs.iter().flatten().map(|&(steps, _)| steps).min() else { continue };
-            let cost = |way: usize| costs[way].filter(|&(steps, _)| steps <= first + FARTHER).map(|(_, cost)| cost);
+            let Some(first) = costs.iter().flatten().map(|&(steps, _)| steps).min() else {
+                continue;
+            };
+            let cost = |way: usize| {
+                costs[way]
+                    .filter(|&(steps, _)| steps <= first + FARTHER)
+                    .map(|(_, cost)| cost)
+            };
             let up = match (cost(0), cost(1)) {
                 _ if first >= FARTHEST.min(columns) => continue,
-                (Some(up), Some(down)) if costs[0].is_some_and(|(steps, _)| steps == first) => up <= down,
+                (Some(up), Some(down)) if costs[0].is_some_and(|(steps, _)| steps == first) => {
+                    up <= down
+                }
                 (Some(up), Some(down)) => up < down,
                 (up, _) => up.is_some(),
             };
             let (column, off, up) = starts[usize::from(!up)];
-            placer.insert(point as u32, Way { column, off, up, moved: 0 });
+            placer.insert(
+                point as u32,
+                Way {
+                    column,
+                    off,
+                    up,
+                    moved: 0,
+                },
+            );
         }
         [placer.columns, placer.points]
     }
@@ -352,13 +473,16 @@ mod tests {
 
     /// The most points that can have a column, by trying all ways.
     fn most(positions: &[f64], columns: usize, taken: u32) -> usize {
-        let Some((&first, rest)) = positions.split_first() else { return 0 };
+        let Some((&first, rest)) = positions.split_first() else {
+            return 0;
+        };
         let within = |column: usize| {
             let off = (first - column as f64).rem_euclid(columns as f64);
             off.min(columns as f64 - off) <= f64::from(REACH) && taken & 1 << column == 0
         };
-        let with =
-            (0..columns).filter(|&column| within(column)).map(|column| 1 + most(rest, columns, taken | 1 << column));
+        let with = (0..columns)
+            .filter(|&column| within(column))
+            .map(|column| 1 + most(rest, columns, taken | 1 << column));
         with.max().unwrap_or(0).max(most(rest, columns, taken))
     }
 

@@ -1,7 +1,8 @@
 //! Points in the cylinder around the sensor: the one step that looks at every point's direction.
 //!
-//! Plain loops over slices, compiled for each level of SIMD that the machine may have. The azimuth comes from a
-//! polynomial that is off by less than [`AZIMUTH_ERROR_TURN`], a thousandth of a column; the range by what f32 rounds.
+//! Plain loops over slices, compiled for each level of SIMD that the machine may have. The azimuth
+//! comes from a polynomial that is off by less than [`AZIMUTH_ERROR_TURN`], a thousandth of a
+//! column; the range by what f32 rounds.
 
 use fearless_simd::{Level, dispatch};
 
@@ -10,16 +11,23 @@ const BLOCK: usize = 64;
 /// How far an azimuth may be off, turns: less than a millionth of a radian.
 #[cfg(test)]
 const AZIMUTH_ERROR_TURN: f64 = 1.6e-7;
-/// atan t / (2 pi t) as a polynomial of t squared, for t from 0 to 1: the one of seven terms whose largest error is
-/// least, 4e-8 turns.
-const ARCTANGENT: [f32; 7] =
-    [0.159_154_32, -0.053_026_237, 0.031_525_116, -0.021_061_517, 0.012_672_5, -0.005_348_277, 0.001_084_130_3];
+/// atan t / (2 pi t) as a polynomial of t squared, for t from 0 to 1: the one of seven terms whose
+/// largest error is least, 4e-8 turns.
+const ARCTANGENT: [f32; 7] = [
+    0.159_154_32,
+    -0.053_026_237,
+    0.031_525_116,
+    -0.021_061_517,
+    0.012_672_5,
+    -0.005_348_277,
+    0.001_084_130_3,
+];
 
 /// Azimuth, distance and height of points, as f32 in three rows.
 #[derive(Clone, Debug, Default)]
 pub(crate) struct Polars {
-    /// Azimuth clockwise from straight ahead, turns from 0 to 1; NaN where there is no point: not finite, at the origin,
-    /// or farther away than anything is.
+    /// Azimuth clockwise from straight ahead, turns from 0 to 1; NaN where there is no point: not
+    /// finite, at the origin, or farther away than anything is.
     pub turn: Vec<f32>,
     /// Distance from the axis, metres.
     pub away_m: Vec<f32>,
@@ -39,7 +47,11 @@ impl Polars {
 
     /// Takes the points of another in this order.
     pub fn fill_ordered(&mut self, other: &Self, order: &[u32]) {
-        let rows = [(&mut self.turn, &other.turn), (&mut self.away_m, &other.away_m), (&mut self.z_m, &other.z_m)];
+        let rows = [
+            (&mut self.turn, &other.turn),
+            (&mut self.away_m, &other.away_m),
+            (&mut self.z_m, &other.z_m),
+        ];
         for (to, from) in rows {
             to.clear();
             to.extend(order.iter().map(|&point| from[point as usize]));
@@ -49,7 +61,8 @@ impl Polars {
 
 #[inline(always)]
 fn fill(points: &[[f32; 4]], turn: &mut [f32], away_m: &mut [f32], z_m: &mut [f32]) {
-    for (((&[x, y, z, _], turn), away_m), height_m) in points.iter().zip(turn).zip(away_m).zip(z_m) {
+    for (((&[x, y, z, _], turn), away_m), height_m) in points.iter().zip(turn).zip(away_m).zip(z_m)
+    {
         (*turn, *away_m) = polar(x, y, z);
         *height_m = z;
     }
@@ -63,7 +76,11 @@ fn polar(x: f32, y: f32, z: f32) -> (f32, f32) {
     let there = square + z * z < f32::INFINITY && away_m + z.abs() > 0.0;
     let (low, high) = (x.abs().min(y.abs()), x.abs().max(y.abs()));
     let eighth = arctangent(low / high.max(f32::MIN_POSITIVE));
-    let quarter = if y.abs() > x.abs() { 0.25 - eighth } else { eighth };
+    let quarter = if y.abs() > x.abs() {
+        0.25 - eighth
+    } else {
+        eighth
+    };
     let half = if x < 0.0 { 0.5 - quarter } else { quarter };
     let turn = if y > 0.0 { 1.0 - half } else { half };
     (if there { turn } else { f32::NAN }, away_m)
@@ -74,11 +91,19 @@ fn polar(x: f32, y: f32, z: f32) -> (f32, f32) {
 fn arctangent(tangent: f32) -> f32 {
     let square = tangent * tangent;
     let [a, b, c, d, e, f, g] = ARCTANGENT;
-    tangent * (a + square * (b + square * (c + square * (d + square * (e + square * (f + square * g))))))
+    tangent
+        * (a + square
+            * (b + square * (c + square * (d + square * (e + square * (f + square * g))))))
 }
 
 /// Ranges of points as seen from so far above the sensor's origin.
-pub(crate) fn ranges(level: Level, away_m: &[f32], z_m: &[f32], vertical_offset_m: f32, range_m: &mut Vec<f32>) {
+pub(crate) fn ranges(
+    level: Level,
+    away_m: &[f32],
+    z_m: &[f32],
+    vertical_offset_m: f32,
+    range_m: &mut Vec<f32>,
+) {
     range_m.resize(away_m.len(), 0.0);
     dispatch!(level, _simd => ranges_of(away_m, z_m, vertical_offset_m, range_m));
 }
@@ -91,9 +116,9 @@ fn ranges_of(away_m: &[f32], z_m: &[f32], vertical_offset_m: f32, range_m: &mut 
     }
 }
 
-/// Where the azimuth starts over, by more than half a turn; points nearer to the axis than `noise_m` are left out.
-/// `falls` are points whose azimuth is less than the last one's, as it is in a ring that goes clockwise; `rises` are
-/// the others.
+/// Where the azimuth starts over, by more than half a turn; points nearer to the axis than
+/// `noise_m` are left out. `falls` are points whose azimuth is less than the last one's, as it is
+/// in a ring that goes clockwise; `rises` are the others.
 #[derive(Clone, Debug, Default)]
 pub(crate) struct Starts {
     pub falls: Vec<usize>,
@@ -110,7 +135,9 @@ impl Starts {
             let end = points.turn.len().min(first + BLOCK);
             let (turn, away_m) = (&points.turn[first..end], &points.away_m[first..end]);
             // Of most blocks it is soon told that no ring begins in them.
-            if (turn[0] - before).abs() <= 0.5 && dispatch!(level, _simd => is_steady(turn, away_m, noise_m)) {
+            if (turn[0] - before).abs() <= 0.5
+                && dispatch!(level, _simd => is_steady(turn, away_m, noise_m))
+            {
                 before = turn[turn.len() - 1];
                 continue;
             }
@@ -132,8 +159,14 @@ impl Starts {
 /// Whether all points are there, far enough, and within half a turn of their neighbours.
 #[inline(always)]
 fn is_steady(turn: &[f32], away_m: &[f32], noise_m: f32) -> bool {
-    let far: usize = away_m.iter().map(|&away_m| usize::from(away_m > noise_m)).sum();
-    let near_each_other: usize = turn.windows(2).map(|pair| usize::from((pair[0] - pair[1]).abs() <= 0.5)).sum();
+    let far: usize = away_m
+        .iter()
+        .map(|&away_m| usize::from(away_m > noise_m))
+        .sum();
+    let near_each_other: usize = turn
+        .windows(2)
+        .map(|pair| usize::from((pair[0] - pair[1]).abs() <= 0.5))
+        .sum();
     far == turn.len() && near_each_other + 1 == turn.len()
 }
 
@@ -149,9 +182,26 @@ mod tests {
         for step in 0..40_000 {
             let azimuth = f64::from(step) / 40_000.0 * TAU;
             let away = 10_f64.powf(f64::from(step % 9) / 2.0 - 2.0);
-            points.push([azimuth.cos() * away, -azimuth.sin() * away, 0.3 * away - 1.0, 0.0].map(|value| value as f32));
+            points.push(
+                [
+                    azimuth.cos() * away,
+                    -azimuth.sin() * away,
+                    0.3 * away - 1.0,
+                    0.0,
+                ]
+                .map(|value| value as f32),
+            );
         }
-        for (x, y) in [(1, 0), (1, 1), (0, 1), (-1, 1), (-1, 0), (-1, -1), (0, -1), (1, -1)] {
+        for (x, y) in [
+            (1, 0),
+            (1, 1),
+            (0, 1),
+            (-1, 1),
+            (-1, 0),
+            (-1, -1),
+            (0, -1),
+            (1, -1),
+        ] {
             points.push([x as f32, y as f32, 0.0, 0.0]);
         }
         points.push([0.0, 0.0, 1.0, 0.0]);
@@ -186,13 +236,20 @@ mod tests {
         ranges(Level::new(), &polars.away_m, &polars.z_m, 0.2, &mut range_m);
         for (point, (away_m, range_m)) in points.iter().zip(polars.away_m.iter().zip(range_m)) {
             let [x, y, z, _] = point.map(f64::from);
-            assert!((f64::from(*away_m) - x.hypot(y)).abs() <= 1e-6 * x.hypot(y), "{point:?}");
+            assert!(
+                (f64::from(*away_m) - x.hypot(y)).abs() <= 1e-6 * x.hypot(y),
+                "{point:?}"
+            );
             let expected = x.hypot(y).hypot(z - 0.2);
-            assert!((f64::from(range_m) - expected).abs() <= 1e-6 * expected.max(1.0), "{point:?}");
+            assert!(
+                (f64::from(range_m) - expected).abs() <= 1e-6 * expected.max(1.0),
+                "{point:?}"
+            );
         }
     }
 
-    /// What the machine has and what every machine has give the same, but for a contracted rounding or two.
+    /// What the machine has and what every machine has give the same, but for a contracted rounding
+    /// or two.
     #[test]
     fn every_level_gives_the_same() {
         let points = around();
@@ -215,16 +272,32 @@ mod tests {
             [1e30; 3],
             [1.0, 1.0, 1e30],
         ];
-        let points: Vec<[f32; 4]> = none.iter().cycle().take(40).map(|&[x, y, z]| [x, y, z, 0.0]).collect();
+        let points: Vec<[f32; 4]> = none
+            .iter()
+            .cycle()
+            .take(40)
+            .map(|&[x, y, z]| [x, y, z, 0.0])
+            .collect();
         assert!(filled(&points).turn.iter().all(|turn| turn.is_nan()));
     }
 
     #[test]
     fn starts_are_found_across_blocks_and_gaps() {
         let turns = |clockwise: bool| -> Vec<[f32; 4]> {
-            let azimuth = |step: usize| (step % 100) as f64 / 100.0 * TAU * if clockwise { 1.0 } else { -1.0 };
-            let points = (0..1000).map(|step| [5.0 * azimuth(step).cos(), -5.0 * azimuth(step).sin(), 0.0, 0.0]);
-            points.map(|point| point.map(|value| value as f32)).collect()
+            let azimuth = |step: usize| {
+                (step % 100) as f64 / 100.0 * TAU * if clockwise { 1.0 } else { -1.0 }
+            };
+            let points = (0..1000).map(|step| {
+                [
+                    5.0 * azimuth(step).cos(),
+                    -5.0 * azimuth(step).sin(),
+                    0.0,
+                    0.0,
+                ]
+            });
+            points
+                .map(|point| point.map(|value| value as f32))
+                .collect()
         };
         for clockwise in [true, false] {
             let mut points = turns(clockwise);
@@ -233,11 +306,18 @@ mod tests {
             points[640] = [0.1, -0.1, 0.0, 0.0];
             let mut starts = Starts::default();
             starts.find(Level::new(), &filled(&points), 0.5);
-            let (starts, none) = if clockwise { (starts.falls, starts.rises) } else { (starts.rises, starts.falls) };
-            // Counter-clockwise the first point of a turn lies at 0, like the end of the one before.
+            let (starts, none) = if clockwise {
+                (starts.falls, starts.rises)
+            } else {
+                (starts.rises, starts.falls)
+            };
+            // Counter-clockwise the first point of a turn lies at 0, like the end of the one
+            // before.
             let first = usize::from(!clockwise);
             // In the middle of the near points the fourth turn ends.
-            let mut expected: Vec<usize> = [2, 3, 5, 6, 7, 8, 9].map(|turn| 100 * turn + first).to_vec();
+            let mut expected: Vec<usize> = [2, 3, 5, 6, 7, 8, 9]
+                .map(|turn| 100 * turn + first)
+                .to_vec();
             expected.insert(0, 101);
             if !clockwise {
                 expected.insert(0, 1);

@@ -1,7 +1,7 @@
 //! Clouds to sweeps, and labels back to points.
 //!
-//! Rows are filled one by one in an image of rows, where a ring stays in the first cache, and the whole is turned to
-//! the columns of a sweep at the end. All memory is kept from cloud to cloud.
+//! Rows are filled one by one in an image of rows, where a ring stays in the first cache, and the
+//! whole is turned to the columns of a sweep at the end. All memory is kept from cloud to cloud.
 
 use std::f64::consts::TAU;
 
@@ -86,7 +86,12 @@ impl CloudProjector {
     /// [`CloudError::Rings`] and [`CloudError::Order`].
     pub fn project(&mut self, points: &[[f32; 4]]) -> Result<SweepMut<'_>, CloudError> {
         self.polars.fill(self.level, points);
-        self.finder.find(self.level, &self.polars, self.columns.len(), &mut self.rings)?;
+        self.finder.find(
+            self.level,
+            &self.polars,
+            self.columns.len(),
+            &mut self.rings,
+        )?;
         self.groups.order.clear();
         self.fit_beams();
         self.draw()
@@ -95,10 +100,18 @@ impl CloudProjector {
     /// A sweep of points of which each tells its ring: by these numbers, in any order.
     ///
     /// # Errors
-    /// [`CloudError::RingNumbers`]; [`CloudError::RingCount`] where there is not one number a point.
-    pub fn project_rings(&mut self, points: &[[f32; 4]], rings: &[u32]) -> Result<SweepMut<'_>, CloudError> {
+    /// [`CloudError::RingNumbers`]; [`CloudError::RingCount`] where there is not one number a
+    /// point.
+    pub fn project_rings(
+        &mut self,
+        points: &[[f32; 4]],
+        rings: &[u32],
+    ) -> Result<SweepMut<'_>, CloudError> {
         if rings.len() != points.len() {
-            return Err(CloudError::RingCount { points: points.len(), rings: rings.len() });
+            return Err(CloudError::RingCount {
+                points: points.len(),
+                rings: rings.len(),
+            });
         }
         self.polars.fill(self.level, points);
         let rows = self.groups.by_number(rings)?;
@@ -107,16 +120,22 @@ impl CloudProjector {
         self.draw()
     }
 
-    /// A sweep of points in any order: each goes to the beam of the table that passes it nearest, which are the rows.
+    /// A sweep of points in any order: each goes to the beam of the table that passes it nearest,
+    /// which are the rows.
     ///
     /// # Errors
     /// [`CloudError::Layout`].
-    pub fn project_rows(&mut self, points: &[[f32; 4]], table: &RowTable) -> Result<SweepMut<'_>, CloudError> {
+    pub fn project_rows(
+        &mut self,
+        points: &[[f32; 4]],
+        table: &RowTable,
+    ) -> Result<SweepMut<'_>, CloudError> {
         self.polars.fill(self.level, points);
         self.groups.by_beam(&self.polars, table);
         self.regroup(table.beams().len());
         for (ring, beam) in self.rings.iter_mut().zip(table.beams()) {
-            (ring.elevation_rad, ring.vertical_offset_m) = (beam.elevation_rad, beam.vertical_offset_m);
+            (ring.elevation_rad, ring.vertical_offset_m) =
+                (beam.elevation_rad, beam.vertical_offset_m);
         }
         self.draw()
     }
@@ -124,8 +143,13 @@ impl CloudProjector {
     /// A sweep of a cloud: by the table if there is one, else by its rings.
     ///
     /// # Errors
-    /// Those of [`CloudProjector::project`], [`CloudProjector::project_rings`] and [`CloudProjector::project_rows`].
-    pub fn project_cloud(&mut self, cloud: &Cloud, table: Option<&RowTable>) -> Result<SweepMut<'_>, CloudError> {
+    /// Those of [`CloudProjector::project`], [`CloudProjector::project_rings`] and
+    /// [`CloudProjector::project_rows`].
+    pub fn project_cloud(
+        &mut self,
+        cloud: &Cloud,
+        table: Option<&RowTable>,
+    ) -> Result<SweepMut<'_>, CloudError> {
         match (table, &cloud.rings) {
             (Some(table), _) => self.project_rows(&cloud.points, table),
             (None, Some(rings)) => self.project_rings(&cloud.points, rings),
@@ -136,15 +160,30 @@ impl CloudProjector {
     /// Puts points in the order of their groups, which become the rings.
     fn regroup(&mut self, rows: usize) {
         self.groups.sort(rows, &mut self.rings);
-        self.groups.polars.fill_ordered(&self.polars, &self.groups.order);
+        self.groups
+            .polars
+            .fill_ordered(&self.polars, &self.groups.order);
         std::mem::swap(&mut self.polars, &mut self.groups.polars);
     }
 
     fn fit_beams(&mut self) {
-        let Self { level, rings, polars, fitter, .. } = self;
-        rings.retain(|ring| polars.turn[ring.first..ring.end].iter().any(|turn| !turn.is_nan()));
-        rings.iter_mut().for_each(|ring| fitter.fit(*level, ring, polars));
-        // Calibrated beams of the lower block can lie above those of the upper one in the order of the file.
+        let Self {
+            level,
+            rings,
+            polars,
+            fitter,
+            ..
+        } = self;
+        rings.retain(|ring| {
+            polars.turn[ring.first..ring.end]
+                .iter()
+                .any(|turn| !turn.is_nan())
+        });
+        rings
+            .iter_mut()
+            .for_each(|ring| fitter.fit(*level, ring, polars));
+        // Calibrated beams of the lower block can lie above those of the upper one in the order of
+        // the file.
         rings.sort_unstable_by(|a, b| b.elevation_rad.total_cmp(&a.elevation_rad));
     }
 
@@ -155,20 +194,38 @@ impl CloudProjector {
         self.image.clear(pixels, self.polars.turn.len());
         for (row, ring) in self.rings.iter().enumerate() {
             let of_ring = ring.first..ring.end;
-            self.placer.place(self.level, &self.polars.turn[of_ring.clone()], columns);
-            let (away_m, z_m) = (&self.polars.away_m[of_ring.clone()], &self.polars.z_m[of_ring]);
-            polar::ranges(self.level, away_m, z_m, ring.vertical_offset_m as f32, &mut self.image.ring_m);
+            self.placer
+                .place(self.level, &self.polars.turn[of_ring.clone()], columns);
+            let (away_m, z_m) = (
+                &self.polars.away_m[of_ring.clone()],
+                &self.polars.z_m[of_ring],
+            );
+            polar::ranges(
+                self.level,
+                away_m,
+                z_m,
+                ring.vertical_offset_m as f32,
+                &mut self.image.ring_m,
+            );
             self.image.draw(row, ring, &self.placer, columns);
         }
         // The last cloud's goes back first, to be had again.
         drop(self.buffer.take());
-        let shape = Shape { rows, columns_capacity: columns, dual: false, segments_capacity: pixels };
+        let shape = Shape {
+            rows,
+            columns_capacity: columns,
+            dual: false,
+            segments_capacity: pixels,
+        };
         let buffer = self.buffer.insert(self.buffers.take(shape.total_bytes()));
         let mut sweep = SweepMut::create(buffer.as_mut(), &shape)?;
         fill_tables(&mut sweep, &self.rings, &self.columns);
         let (by_row, by_column) = (&self.image.range_m, &mut sweep.range[..pixels]);
         dispatch!(self.level, simd => turn::<_, f32x16<_>>(simd, by_row, columns, by_column));
-        sweep.header.returns = sweep.range[..pixels].iter().map(|&range_m| u32::from(is_return(range_m))).sum();
+        sweep.header.returns = sweep.range[..pixels]
+            .iter()
+            .map(|&range_m| u32::from(is_return(range_m)))
+            .sum();
         Ok(sweep)
     }
 
@@ -214,8 +271,8 @@ impl Image {
 
     /// Puts the points of a ring into the pixels of a row, and notes the pixel of each.
     ///
-    /// Where a column is wanted by more points than have room around it, points share a pixel: the nearer is segmented,
-    /// and the other takes the label of the pixel that it resembles.
+    /// Where a column is wanted by more points than have room around it, points share a pixel: the
+    /// nearer is segmented, and the other takes the label of the pixel that it resembles.
     fn draw(&mut self, row: usize, ring: &Ring, placed: &Placer, columns: usize) {
         let first = row * columns;
         let nowhere = self.range_m.len() as u32;
@@ -225,7 +282,11 @@ impl Image {
         }
         let pixels = &mut self.pixel[ring.first..ring.end];
         for (pixel, &column) in pixels.iter_mut().zip(&placed.columns) {
-            *pixel = if column == places::NONE { nowhere } else { first as u32 + column };
+            *pixel = if column == places::NONE {
+                nowhere
+            } else {
+                first as u32 + column
+            };
         }
         for &point in &placed.crowded {
             let shown = &mut shown[placed.columns[point as usize] as usize];
@@ -241,9 +302,9 @@ impl Image {
     }
 }
 
-/// The column whose label a point takes that is hidden in its own by another, more than [`SAME_OBJECT_M`] nearer: that
-/// whose range is most like the point's, no more than [`REACH`] columns off; its own all the same, where none is like
-/// it.
+/// The column whose label a point takes that is hidden in its own by another, more than
+/// [`SAME_OBJECT_M`] nearer: that whose range is most like the point's, no more than [`REACH`]
+/// columns off; its own all the same, where none is like it.
 fn resembling(shown: &[f32], own: usize, range_m: f32) -> usize {
     let columns = shown.len();
     let apart = |column: usize| (shown[column] - range_m).abs();
@@ -252,17 +313,30 @@ fn resembling(shown: &[f32], own: usize, range_m: f32) -> usize {
     }
     let around = (0..=2 * REACH).map(|by| (own + columns * REACH + by - REACH) % columns);
     let most_like = around.min_by(|&a, &b| apart(a).total_cmp(&apart(b)));
-    most_like.filter(|&column| apart(column) <= SAME_OBJECT_M).unwrap_or(own)
+    most_like
+        .filter(|&column| apart(column) <= SAME_OBJECT_M)
+        .unwrap_or(own)
 }
 
 /// Writes pixels that stand line after line, each so wide, column after column.
 #[inline(always)]
-fn turn<S: Simd, V: SimdBase<S>>(simd: S, from: &[V::Element], width: usize, to: &mut [V::Element]) {
+fn turn<S: Simd, V: SimdBase<S>>(
+    simd: S,
+    from: &[V::Element],
+    width: usize,
+    to: &mut [V::Element],
+) {
     let height = from.len().checked_div(width).unwrap_or(0);
     for left in (0..width).step_by(TILE) {
         for top in (0..height).step_by(TILE) {
             if left + TILE <= width && top + TILE <= height {
-                turn_tile::<S, V>(simd, &from[top * width + left..], width, &mut to[left * height + top..], height);
+                turn_tile::<S, V>(
+                    simd,
+                    &from[top * width + left..],
+                    width,
+                    &mut to[left * height + top..],
+                    height,
+                );
                 continue;
             }
             for across in left..width.min(left + TILE) {
@@ -315,7 +389,10 @@ fn fill_tables(sweep: &mut SweepMut<'_>, rings: &[Ring], columns: &[Column]) {
     sweep.label[..pixels].fill(LABEL_NONE);
     sweep.columns.copy_from_slice(columns);
     for (row, (beam, ring)) in sweep.beams.iter_mut().zip(rings).enumerate() {
-        let fitted = Beam { vertical_offset_m: ring.vertical_offset_m, ..Beam::ideal(row, ring.elevation_rad) };
+        let fitted = Beam {
+            vertical_offset_m: ring.vertical_offset_m,
+            ..Beam::ideal(row, ring.elevation_rad)
+        };
         *beam = BeamRow::new(&fitted, 0);
     }
 }

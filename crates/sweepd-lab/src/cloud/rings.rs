@@ -16,8 +16,12 @@ const MOST_TURNS: usize = 8;
 /// Points of a ring that its beam is fitted to.
 const SAMPLES: usize = 128;
 
-/// The vertical offset of a beam of which nothing is known: most sensors' beams start at the origin.
-const OF_ANY_SENSOR: Prior = Prior { offset_m: 0.0, spread_m: 0.05 };
+/// The vertical offset of a beam of which nothing is known: most sensors' beams start at the
+/// origin.
+const OF_ANY_SENSOR: Prior = Prior {
+    offset_m: 0.0,
+    spread_m: 0.05,
+};
 
 /// A stretch of points of one beam.
 #[derive(Clone, Copy, Debug)]
@@ -49,9 +53,9 @@ pub(crate) struct Finder {
 }
 
 impl Finder {
-    /// Where the azimuth starts over, by more than half a turn, a new ring begins. Files go counter-clockwise (KITTI) or
-    /// clockwise: the sense in which it starts over more often is that of the file. Near points are left out: their
-    /// azimuth is noise.
+    /// Where the azimuth starts over, by more than half a turn, a new ring begins. Files go
+    /// counter-clockwise (KITTI) or clockwise: the sense in which it starts over more often is that
+    /// of the file. Near points are left out: their azimuth is noise.
     ///
     /// # Errors
     /// [`CloudError::Rings`] and [`CloudError::Order`].
@@ -65,14 +69,22 @@ impl Finder {
         rings.clear();
         self.starts.find(level, points, NOISE_M as f32);
         let Starts { falls, rises } = &self.starts;
-        let starts = if falls.len() > rises.len() { falls } else { rises };
+        let starts = if falls.len() > rises.len() {
+            falls
+        } else {
+            rises
+        };
         let mut first = 0;
         for &end in starts.iter().chain([&points.turn.len()]) {
             if rings.len() >= MAX_ROWS {
                 return Err(CloudError::Rings { point: first });
             }
             if end - first > MOST_TURNS * columns {
-                return Err(CloudError::Order { point: first, points: end - first, columns });
+                return Err(CloudError::Order {
+                    point: first,
+                    points: end - first,
+                    columns,
+                });
             }
             if end > first {
                 rings.push(Ring::new(first, end));
@@ -87,7 +99,11 @@ impl Finder {
 ///
 /// # Errors
 /// [`CloudError::Rings`] and [`CloudError::Order`].
-pub(crate) fn find(points: &[[f32; 4]], columns: usize, rings: &mut Vec<Ring>) -> Result<(), CloudError> {
+pub(crate) fn find(
+    points: &[[f32; 4]],
+    columns: usize,
+    rings: &mut Vec<Ring>,
+) -> Result<(), CloudError> {
     let (level, mut polars) = (Level::new(), Polars::default());
     polars.fill(level, points);
     Finder::default().find(level, &polars, columns, rings)
@@ -98,7 +114,11 @@ impl Polar {
         let (forward, left, z_m) = (f64::from(x), f64::from(y), f64::from(z));
         let away_m = forward.hypot(left);
         let there = away_m.is_finite() && z_m.is_finite() && away_m > 0.0;
-        there.then(|| Self { azimuth_rad: (-left).atan2(forward).rem_euclid(TAU), away_m, z_m })
+        there.then(|| Self {
+            azimuth_rad: (-left).atan2(forward).rem_euclid(TAU),
+            away_m,
+            z_m,
+        })
     }
 
     pub fn elevation_rad(self) -> f64 {
@@ -114,17 +134,27 @@ impl Polar {
 impl Ring {
     /// The points from `first` up to `end`.
     pub fn new(first: usize, end: usize) -> Self {
-        Self { first, end, elevation_rad: 0.0, vertical_offset_m: 0.0 }
+        Self {
+            first,
+            end,
+            elevation_rad: 0.0,
+            vertical_offset_m: 0.0,
+        }
     }
 
     /// Takes the median elevation of the points as the beam's.
     pub fn measure(&mut self, points: &[[f32; 4]], elevations_rad: &mut Vec<f64>) {
         elevations_rad.clear();
-        elevations_rad
-            .extend(points[self.first..self.end].iter().filter_map(|&point| Some(Polar::of(point)?.elevation_rad())));
+        elevations_rad.extend(
+            points[self.first..self.end]
+                .iter()
+                .filter_map(|&point| Some(Polar::of(point)?.elevation_rad())),
+        );
         let middle = elevations_rad.len() / 2;
         if !elevations_rad.is_empty() {
-            self.elevation_rad = *elevations_rad.select_nth_unstable_by(middle, f64::total_cmp).1;
+            self.elevation_rad = *elevations_rad
+                .select_nth_unstable_by(middle, f64::total_cmp)
+                .1;
         }
     }
 }
@@ -137,19 +167,22 @@ pub(crate) struct BeamFitter {
 }
 
 impl BeamFitter {
-    /// Takes elevation and vertical offset of a ring's beam from its points; where there are not enough of them, the
-    /// median elevation. Heights that are told by an elevation alone would be off by the offset, 20 cm, near the
-    /// sensor.
+    /// Takes elevation and vertical offset of a ring's beam from its points; where there are not
+    /// enough of them, the median elevation. Heights that are told by an elevation alone would be
+    /// off by the offset, 20 cm, near the sensor.
     ///
-    /// Neighbouring points lie on the same things and tell the same: [`SAMPLES`] of a ring, evenly spread, are as good
-    /// as all of them.
+    /// Neighbouring points lie on the same things and tell the same: [`SAMPLES`] of a ring, evenly
+    /// spread, are as good as all of them.
     pub fn fit(&mut self, level: Level, ring: &mut Ring, points: &Polars) {
         let step = (ring.end - ring.first).div_ceil(SAMPLES).max(1);
         let spread = (ring.first..ring.end).step_by(step);
-        let there = spread.filter(|&point| points.turn[point].is_finite() && points.away_m[point] > 0.0);
+        let there =
+            spread.filter(|&point| points.turn[point].is_finite() && points.away_m[point] > 0.0);
         self.samples.clear();
-        self.samples
-            .extend(there.map(|at| Sample { away_m: f64::from(points.away_m[at]), z_m: f64::from(points.z_m[at]) }));
+        self.samples.extend(there.map(|at| Sample {
+            away_m: f64::from(points.away_m[at]),
+            z_m: f64::from(points.z_m[at]),
+        }));
         if let Some(line) = self.fitter.fit(level, OF_ANY_SENSOR, &self.samples) {
             (ring.elevation_rad, ring.vertical_offset_m) = (line.slope.atan(), line.offset_m);
         } else if let Some(slope) = self.median_slope() {
@@ -160,7 +193,8 @@ impl BeamFitter {
     fn median_slope(&mut self) -> Option<f64> {
         let slope = |sample: &Sample| sample.z_m / sample.away_m;
         let middle = self.samples.len() / 2;
-        self.samples.sort_unstable_by(|a, b| slope(a).total_cmp(&slope(b)));
+        self.samples
+            .sort_unstable_by(|a, b| slope(a).total_cmp(&slope(b)));
         self.samples.get(middle).map(slope)
     }
 }

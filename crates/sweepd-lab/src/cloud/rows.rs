@@ -39,7 +39,9 @@ pub enum RowTableError {
         message: String,
     },
     /// As many rows as no image has.
-    #[error("{found} rows, expected 1 to {MAX_ROWS}: a line with an elevation in degrees for each, from the top")]
+    #[error(
+        "{found} rows, expected 1 to {MAX_ROWS}: a line with an elevation in degrees for each, from the top"
+    )]
     Rows {
         /// Rows of the table.
         found: usize,
@@ -47,23 +49,32 @@ pub enum RowTableError {
 }
 
 impl RowTable {
-    /// Reads a text with a line for each row, from the top: the elevation in degrees and, for sensors whose beams do not
-    /// start at the origin, the vertical offset in metres. `#` begins a comment.
+    /// Reads a text with a line for each row, from the top: the elevation in degrees and, for
+    /// sensors whose beams do not start at the origin, the vertical offset in metres. `#` begins a
+    /// comment.
     ///
     /// # Errors
     /// [`RowTableError`], with the line.
     pub fn parse(text: &str) -> Result<Self, RowTableError> {
         let mut beams: Vec<RowBeam> = Vec::new();
         for (index, line) in text.lines().enumerate() {
-            let at = |message: String| RowTableError::Line { line: index + 1, message };
+            let at = |message: String| RowTableError::Line {
+                line: index + 1,
+                message,
+            };
             let values = line.split('#').next().unwrap_or_default();
             if values.trim().is_empty() {
                 continue;
             }
             let beam = RowBeam::parse(values).map_err(at)?;
-            if let Some(above) = beams.last().filter(|above| above.elevation_rad <= beam.elevation_rad) {
+            if let Some(above) = beams
+                .last()
+                .filter(|above| above.elevation_rad <= beam.elevation_rad)
+            {
                 let [above, found] = [above, &beam].map(|beam| beam.elevation_rad.to_degrees());
-                return Err(at(format!("{found:.3} degrees is not below the {above:.3} degrees of the row above")));
+                return Err(at(format!(
+                    "{found:.3} degrees is not below the {above:.3} degrees of the row above"
+                )));
             }
             beams.push(beam);
         }
@@ -77,9 +88,14 @@ impl RowTable {
     pub fn of_calibration(calibration: &Calibration) -> Self {
         let beams = calibration.rows().iter().map(|&channel| {
             let beam = &calibration.beams()[channel];
-            RowBeam { elevation_rad: beam.elevation_rad, vertical_offset_m: beam.vertical_offset_m }
+            RowBeam {
+                elevation_rad: beam.elevation_rad,
+                vertical_offset_m: beam.vertical_offset_m,
+            }
         });
-        Self { beams: beams.collect() }
+        Self {
+            beams: beams.collect(),
+        }
     }
 
     /// The beams, from the top.
@@ -95,13 +111,18 @@ impl RowBeam {
             None => Ok(0.0),
             Some(word) => match word.parse::<f64>() {
                 Ok(number) if number.abs() <= most => Ok(number),
-                _ => Err(format!("{name} \"{word}\" is no number from -{most} to {most}")),
+                _ => Err(format!(
+                    "{name} \"{word}\" is no number from -{most} to {most}"
+                )),
             },
         };
         let elevation_rad = number("elevation", 90.0)?.to_radians();
         let vertical_offset_m = number("vertical offset", MAX_OFFSET_M)?;
         match words.next() {
-            None => Ok(Self { elevation_rad, vertical_offset_m }),
+            None => Ok(Self {
+                elevation_rad,
+                vertical_offset_m,
+            }),
             Some(word) => Err(format!("nothing is expected where \"{word}\" stands")),
         }
     }
@@ -136,7 +157,11 @@ impl Groups {
             }
         }
         rows.clear();
-        rows.extend(rings.iter().map(|ring| numbers.binary_search(ring).unwrap_or_default() as u8));
+        rows.extend(
+            rings
+                .iter()
+                .map(|ring| numbers.binary_search(ring).unwrap_or_default() as u8),
+        );
         Ok(numbers.len())
     }
 
@@ -144,7 +169,11 @@ impl Groups {
     pub fn by_beam(&mut self, points: &Polars, table: &RowTable) {
         let beams = table.beams.iter().map(|beam| {
             let (sin, cos) = beam.elevation_rad.sin_cos();
-            [sin as f32, cos as f32, (beam.vertical_offset_m * cos) as f32]
+            [
+                sin as f32,
+                cos as f32,
+                (beam.vertical_offset_m * cos) as f32,
+            ]
         });
         self.beams.clear();
         self.beams.extend(beams);
@@ -160,13 +189,16 @@ impl Groups {
             row as u8
         };
         self.rows.clear();
-        self.rows.extend(points.away_m.iter().zip(&points.z_m).map(row));
+        self.rows
+            .extend(points.away_m.iter().zip(&points.z_m).map(row));
     }
 
     /// Sorts the points into so many rings.
     pub fn sort(&mut self, rows: usize, rings: &mut Vec<Ring>) {
         let mut ends = [0_usize; MAX_ROWS];
-        self.rows.iter().for_each(|&row| ends[usize::from(row)] += 1);
+        self.rows
+            .iter()
+            .for_each(|&row| ends[usize::from(row)] += 1);
         rings.clear();
         let mut first = 0;
         for end in &mut ends[..rows] {

@@ -20,10 +20,15 @@ pub enum Baseline {
 }
 
 impl Baseline {
-    /// Labels of points (x, y, z in metres, and a remission that does not matter): ground where `ground` holds
-    /// [`LABEL_GROUND`], one of `ground`'s labels a point; segments of at least `min_points` of the others.
+    /// Labels of points (x, y, z in metres, and a remission that does not matter): ground where
+    /// `ground` holds [`LABEL_GROUND`], one of `ground`'s labels a point; segments of at least
+    /// `min_points` of the others.
     pub fn segment(&self, points: &[[f32; 4]], ground: &[u32], min_points: u32) -> Vec<u32> {
-        let stands = |index: &usize| ground.get(*index).is_none_or(|&label| label != LABEL_GROUND);
+        let stands = |index: &usize| {
+            ground
+                .get(*index)
+                .is_none_or(|&label| label != LABEL_GROUND)
+        };
         let standing: Vec<usize> = (0..points.len()).filter(stands).collect();
         let places: Vec<[f32; 3]> = standing.iter().map(|&index| place(points[index])).collect();
         let groups = match *self {

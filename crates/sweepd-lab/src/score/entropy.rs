@@ -1,9 +1,10 @@
 //! USE and OSE: how mixed segments are, and how scattered objects.
 //!
-//! Over-segmentation entropy (OSE) is the sum over the true objects of the entropy of the labels in the object;
-//! under-segmentation entropy (USE) the sum over the segments of the entropy of the objects in the segment. The measures
-//! are those of Oh et al., "TRAVEL" (RA-L 2022), over all points of the scan. An object that was not segmented at all is
-//! not scattered, so both are read together with the cover.
+//! Over-segmentation entropy (OSE) is the sum over the true objects of the entropy of the labels in
+//! the object; under-segmentation entropy (USE) the sum over the segments of the entropy of the
+//! objects in the segment. The measures are those of Oh et al., "TRAVEL" (RA-L 2022), over all
+//! points of the scan. An object that was not segmented at all is not scattered, so both are read
+//! together with the cover.
 
 use super::pairs::{self, Pair};
 use super::truth::NO_OBJECT;
@@ -18,7 +19,8 @@ pub struct EntropyScore {
     pub ose_per_object: Option<f64>,
     /// The same for a mean point of objects: the conditional entropy of segments, given the object.
     pub ose_per_point: Option<f64>,
-    /// Under-segmentation entropy. All that is no object is one bin, and a segment of nothing else does not count.
+    /// Under-segmentation entropy. All that is no object is one bin, and a segment of nothing else
+    /// does not count.
     pub use_: f64,
     /// The same for a mean segment that counts.
     pub use_per_segment: Option<f64>,
@@ -35,14 +37,27 @@ pub struct EntropyScore {
 impl EntropyScore {
     /// Of objects (0 for none) and labels, one each a point.
     pub(super) fn new(objects: &[u32], labels: &[u32]) -> Self {
-        let both = || objects.iter().copied().zip(labels.iter().map(|&label| segment_of(label)));
+        let both = || {
+            objects
+                .iter()
+                .copied()
+                .zip(labels.iter().map(|&label| segment_of(label)))
+        };
         let by_object = pairs::count(both().filter(|&(object, _)| object != NO_OBJECT));
         let scattered = Entropies::new(by_object.chunk_by(|one, next| one.a == next.a));
-        let by_segment =
-            pairs::count(both().filter(|&(_, label)| is_segment(label)).map(|(object, label)| (label, object)));
+        let by_segment = pairs::count(
+            both()
+                .filter(|&(_, label)| is_segment(label))
+                .map(|(object, label)| (label, object)),
+        );
         let segments = || by_segment.chunk_by(|one, next| one.a == next.a);
-        let mixed = Entropies::new(segments().filter(|bins| bins.iter().any(|bin| bin.b != NO_OBJECT)));
-        let covered: u64 = by_object.iter().filter(|pair| is_segment(pair.b)).map(|pair| u64::from(pair.points)).sum();
+        let mixed =
+            Entropies::new(segments().filter(|bins| bins.iter().any(|bin| bin.b != NO_OBJECT)));
+        let covered: u64 = by_object
+            .iter()
+            .filter(|pair| is_segment(pair.b))
+            .map(|pair| u64::from(pair.points))
+            .sum();
         Self {
             ose: scattered.sum,
             ose_per_object: ratio(scattered.sum, scattered.count as f64),
@@ -88,7 +103,10 @@ impl Entropies {
             let points: f64 = bins.iter().map(|bin| f64::from(bin.points)).sum();
             let share = |bin: &Pair| f64::from(bin.points) / points;
             // From 0, not from the -0 of an empty sum: what is not mixed has none.
-            let entropy = bins.iter().map(share).fold(0.0, |sum, share| sum - share * share.ln());
+            let entropy = bins
+                .iter()
+                .map(share)
+                .fold(0.0, |sum, share| sum - share * share.ln());
             entropies.sum += entropy;
             entropies.weighted += entropy * points;
             entropies.points += points;

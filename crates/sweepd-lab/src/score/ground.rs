@@ -34,7 +34,11 @@ impl GroundCounts {
     /// Counts the points that a group is about.
     pub(super) fn new(truth: &[u32], labels: &[u32], group: Group) -> Self {
         let mut counts = Self::default();
-        for (&truth, &label) in truth.iter().zip(labels).filter(|(truth, _)| counts_for(group, class_of(**truth))) {
+        for (&truth, &label) in truth
+            .iter()
+            .zip(labels)
+            .filter(|(truth, _)| counts_for(group, class_of(**truth)))
+        {
             let field = match (is_ground(class_of(truth)), label == LABEL_GROUND) {
                 (true, true) => &mut counts.found,
                 (false, true) => &mut counts.wrong,
@@ -48,7 +52,8 @@ impl GroundCounts {
 
     /// What they come to.
     pub fn score(&self) -> GroundScore {
-        let [found, wrong, missed, left] = [self.found, self.wrong, self.missed, self.left].map(|count| count as f64);
+        let [found, wrong, missed, left] =
+            [self.found, self.wrong, self.missed, self.left].map(|count| count as f64);
         GroundScore {
             precision: ratio(found, found + wrong),
             recall: ratio(found, found + missed),
@@ -60,7 +65,12 @@ impl GroundCounts {
 
 impl GroundScore {
     pub(super) fn figures(&self) -> [(&'static str, Option<f64>); 4] {
-        [("precision", self.precision), ("recall", self.recall), ("f1", self.f1), ("accuracy", self.accuracy)]
+        [
+            ("precision", self.precision),
+            ("recall", self.recall),
+            ("f1", self.f1),
+            ("accuracy", self.accuracy),
+        ]
     }
 }
 

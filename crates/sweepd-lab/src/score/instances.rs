@@ -1,25 +1,28 @@
 //! Segments against instances of things: vehicles, people and riders, told apart one by one.
 //!
-//! Points without a class, and outliers, are left out on both sides. Overlap is measured as IoU, points in both over
-//! points in either, and as share, points in both over points of the instance.
+//! Points without a class, and outliers, are left out on both sides. Overlap is measured as IoU,
+//! points in both over points in either, and as share, points in both over points of the instance.
 
 use super::classes::{OUTLIER, class_of, is_instance, is_thing};
 use super::pairs::{self, Pair};
 use super::{is_segment, ratio, segment_of};
 
-/// Share of an instance that is most of it: less is missed, and two such instances in one segment are merged.
+/// Share of an instance that is most of it: less is missed, and two such instances in one segment
+/// are merged.
 const MOST: f64 = 0.5;
 /// Share of an instance that makes a segment a part of it.
 const PART: f64 = 0.1;
 
-/// What became of the instances of at least [`InstanceCounts::min_points`] points. Counts of several scans add up.
+/// What became of the instances of at least [`InstanceCounts::min_points`] points. Counts of
+/// several scans add up.
 #[derive(Clone, Copy, Debug, Default, PartialEq)]
 pub struct InstanceCounts {
     /// Fewest points of an instance that counts.
     pub min_points: u32,
     /// Instances.
     pub count: u64,
-    /// Those whose best segment has an IoU of more than 0.5; a segment can be so for one instance only.
+    /// Those whose best segment has an IoU of more than 0.5; a segment can be so for one instance
+    /// only.
     pub found_50: u64,
     /// Those whose best segment has an IoU of more than 0.7.
     pub found_70: u64,
@@ -31,8 +34,8 @@ pub struct InstanceCounts {
     pub missed: u64,
     /// Those of which a segment covers half or more whose points are mostly of no thing.
     pub merged_background: u64,
-    /// Segments of at least `min_points` points that no instance was found by, though half of their points or more are of
-    /// things; but not if half are of instances too small to count.
+    /// Segments of at least `min_points` points that no instance was found by, though half of their
+    /// points or more are of things; but not if half are of instances too small to count.
     pub false_positives: u64,
     /// Sum of the best IoU of each.
     pub iou_sum: f64,
@@ -87,7 +90,10 @@ impl InstanceCounts {
     /// Counts once for each size.
     pub(super) fn of(truth: &[u32], labels: &[u32], min_points: &[u32]) -> Vec<Self> {
         let scene = Scene::new(truth, labels);
-        min_points.iter().map(|&min_points| scene.count(min_points)).collect()
+        min_points
+            .iter()
+            .map(|&min_points| scene.count(min_points))
+            .collect()
     }
 
     /// Adds those of another scan, or of one more instance, counted with the same size.
@@ -113,7 +119,10 @@ impl InstanceCounts {
     /// Recognition quality: share of instances found, with false positives counted against it.
     pub fn recognition_quality(&self) -> Option<f64> {
         let (found, missing) = (self.found_50 as f64, (self.count - self.found_50) as f64);
-        ratio(found, found + 0.5 * self.false_positives as f64 + 0.5 * missing)
+        ratio(
+            found,
+            found + 0.5 * self.false_positives as f64 + 0.5 * missing,
+        )
     }
 
     /// Segmentation quality: mean IoU of those found.
@@ -153,24 +162,42 @@ impl InstanceCounts {
 impl Scene {
     fn new(truth: &[u32], labels: &[u32]) -> Self {
         let known = || {
-            let points = truth.iter().zip(labels).filter(|(truth, _)| class_of(**truth) > OUTLIER);
+            let points = truth
+                .iter()
+                .zip(labels)
+                .filter(|(truth, _)| class_of(**truth) > OUTLIER);
             points.map(|(&truth, &label)| (truth, segment_of(label)))
         };
         let in_segment = || known().filter(|&(_, label)| is_segment(label));
-        let all = pairs::count(in_segment().map(|(truth, label)| (label, u32::from(is_thing(class_of(truth))))));
+        let all = pairs::count(
+            in_segment().map(|(truth, label)| (label, u32::from(is_thing(class_of(truth))))),
+        );
         let segment = |bins: &[Pair]| Segment {
             label: bins[0].a,
             points: bins.iter().map(|bin| bin.points).sum(),
             of_things: bins.iter().map(|bin| bin.points * bin.b).sum(),
         };
-        let segments: Vec<Segment> = all.chunk_by(|one, next| one.a == next.a).map(segment).collect();
+        let segments: Vec<Segment> = all
+            .chunk_by(|one, next| one.a == next.a)
+            .map(segment)
+            .collect();
         let met = pairs::count(known().filter(|&(truth, _)| is_instance(truth)));
-        let instances = met.chunk_by(|one, next| one.a == next.a).map(|bins| Instance::new(bins, &segments)).collect();
-        Self { segments, instances }
+        let instances = met
+            .chunk_by(|one, next| one.a == next.a)
+            .map(|bins| Instance::new(bins, &segments))
+            .collect();
+        Self {
+            segments,
+            instances,
+        }
     }
 
     fn count(&self, min_points: u32) -> InstanceCounts {
-        let instances = || self.instances.iter().filter(|instance| instance.points >= min_points);
+        let instances = || {
+            self.instances
+                .iter()
+                .filter(|instance| instance.points >= min_points)
+        };
         let mut roles = vec![Role::default(); self.segments.len()];
         for overlap in instances().flat_map(|instance| &instance.overlaps) {
             let role = &mut roles[overlap.segment];
@@ -178,27 +205,43 @@ impl Scene {
             role.found_one |= overlap.iou > 0.5;
             role.of_counted += overlap.points;
         }
-        let mut counts = InstanceCounts { min_points, ..InstanceCounts::default() };
+        let mut counts = InstanceCounts {
+            min_points,
+            ..InstanceCounts::default()
+        };
         instances().for_each(|instance| counts.add(&self.one(min_points, instance, &roles)));
         let segments = self.segments.iter().zip(&roles);
-        counts.false_positives =
-            segments.filter(|(segment, role)| segment.is_false_positive(role, min_points)).count() as u64;
+        counts.false_positives = segments
+            .filter(|(segment, role)| segment.is_false_positive(role, min_points))
+            .count() as u64;
         counts
     }
 
     /// What became of one instance.
     fn one(&self, min_points: u32, instance: &Instance, roles: &[Role]) -> InstanceCounts {
         let overlaps = &instance.overlaps;
-        let best = overlaps.iter().map(|overlap| overlap.iou).fold(0.0, f64::max);
+        let best = overlaps
+            .iter()
+            .map(|overlap| overlap.iou)
+            .fold(0.0, f64::max);
         let covered: u32 = overlaps.iter().map(|overlap| overlap.points).sum();
-        let mut most = overlaps.iter().filter(|overlap| overlap.share >= MOST).map(|overlap| overlap.segment);
-        let parts = overlaps.iter().filter(|overlap| overlap.share >= PART).count();
+        let mut most = overlaps
+            .iter()
+            .filter(|overlap| overlap.share >= MOST)
+            .map(|overlap| overlap.segment);
+        let parts = overlaps
+            .iter()
+            .filter(|overlap| overlap.share >= PART)
+            .count();
         InstanceCounts {
             min_points,
             count: 1,
             found_50: u64::from(best > 0.5),
             found_70: u64::from(best > 0.7),
-            under: u64::from(most.clone().any(|segment| roles[segment].holds_most_of >= 2)),
+            under: u64::from(
+                most.clone()
+                    .any(|segment| roles[segment].holds_most_of >= 2),
+            ),
             over: u64::from(parts >= 2),
             missed: u64::from(2 * u64::from(covered) <= u64::from(instance.points)),
             merged_background: u64::from(
@@ -207,7 +250,10 @@ impl Scene {
             false_positives: 0,
             iou_sum: best,
             found_iou_sum: if best > 0.5 { best } else { 0.0 },
-            association_sum: overlaps.iter().map(|overlap| overlap.share * overlap.iou).sum(),
+            association_sum: overlaps
+                .iter()
+                .map(|overlap| overlap.share * overlap.iou)
+                .sum(),
         }
     }
 }
@@ -217,12 +263,25 @@ impl Instance {
     fn new(bins: &[Pair], segments: &[Segment]) -> Self {
         let points: u32 = bins.iter().map(|bin| bin.points).sum();
         let overlap = |bin: &Pair| {
-            let segment = segments.binary_search_by_key(&bin.b, |segment| segment.label).ok()?;
-            let (both, either) = (f64::from(bin.points), points + segments[segment].points - bin.points);
+            let segment = segments
+                .binary_search_by_key(&bin.b, |segment| segment.label)
+                .ok()?;
+            let (both, either) = (
+                f64::from(bin.points),
+                points + segments[segment].points - bin.points,
+            );
             let (iou, share) = (both / f64::from(either), both / f64::from(points));
-            Some(Overlap { segment, points: bin.points, iou, share })
+            Some(Overlap {
+                segment,
+                points: bin.points,
+                iou,
+                share,
+            })
         };
-        Self { points, overlaps: bins.iter().filter_map(overlap).collect() }
+        Self {
+            points,
+            overlaps: bins.iter().filter_map(overlap).collect(),
+        }
     }
 }
 
@@ -234,6 +293,9 @@ impl Segment {
 
     fn is_false_positive(&self, role: &Role, min_points: u32) -> bool {
         let of_small = self.of_things - role.of_counted;
-        !role.found_one && self.points >= min_points && self.half(self.of_things) && !self.half(of_small)
+        !role.found_one
+            && self.points >= min_points
+            && self.half(self.of_things)
+            && !self.half(of_small)
     }
 }

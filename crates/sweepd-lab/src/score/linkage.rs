@@ -1,7 +1,9 @@
-//! Single linkage: points nearer to each other than a distance are in one group, and so is all that such steps lead to.
+//! Single linkage: points nearer to each other than a distance are in one group, and so is all that
+//! such steps lead to.
 //!
-//! Cells are sorted by place, so that the cells near a cell are a few short runs of the sorted ones, which move on with
-//! it: no look-up is needed, and one pass over the cells for each run finds all neighbours.
+//! Cells are sorted by place, so that the cells near a cell are a few short runs of the sorted
+//! ones, which move on with it: no look-up is needed, and one pass over the cells for each run
+//! finds all neighbours.
 
 /// Cells to either side of the origin, by axis; what lies further away is in no cell.
 const REACH: f64 = (1 << 20) as f64 - 8.0;
@@ -10,19 +12,23 @@ const BIAS: i64 = 1 << 20;
 
 /// Groups of points by exact single linkage, numbered from 0 in the order of their first points.
 ///
-/// Two points are linked where the distance between them is less than `distance_m`. A point that is not finite, or
-/// further from the origin than about 600,000 times that distance, is a group of its own.
+/// Two points are linked where the distance between them is less than `distance_m`. A point that is
+/// not finite, or further from the origin than about 600,000 times that distance, is a group of its
+/// own.
 pub fn link(points: &[[f32; 3]], distance_m: f64) -> Vec<u32> {
-    // A cell's diagonal is a hair shorter than the distance: all its points are linked, whatever rounding does.
+    // A cell's diagonal is a hair shorter than the distance: all its points are linked, whatever
+    // rounding does.
     let side_m = distance_m / 3f64.sqrt() * 0.9999;
     let cells = Cells::new(points, |[x, y, z]| pack(x / side_m, y / side_m, z / side_m));
     let near_m2 = distance_m * distance_m;
     let mut sets = Sets::new(cells.codes.len());
     let mut undecided = Vec::new();
     for ahead in half_of_neighbours() {
-        cells.for_each_pair(&ahead, |a, b| match square_m2(cells.of(a)[0], cells.of(b)[0]) < near_m2 {
-            true => sets.join(a, b),
-            false => undecided.push((a, b)),
+        cells.for_each_pair(&ahead, |a, b| {
+            match square_m2(cells.of(a)[0], cells.of(b)[0]) < near_m2 {
+                true => sets.join(a, b),
+                false => undecided.push((a, b)),
+            }
         });
     }
     for (a, b) in undecided {
@@ -33,8 +39,9 @@ pub fn link(points: &[[f32; 3]], distance_m: f64) -> Vec<u32> {
     cells.groups(&mut sets, points.len())
 }
 
-/// Groups of points by a grid seen from above: occupied cells of `cell_m` by `cell_m` that touch, by a side or a corner,
-/// are one. Numbered from 0 in the order of their first points; points in no cell as in [`link`].
+/// Groups of points by a grid seen from above: occupied cells of `cell_m` by `cell_m` that touch,
+/// by a side or a corner, are one. Numbered from 0 in the order of their first points; points in no
+/// cell as in [`link`].
 pub fn link_grid(points: &[[f32; 3]], cell_m: f64) -> Vec<u32> {
     let cells = Cells::new(points, |[x, y, _]| pack(x / cell_m, y / cell_m, 0.0));
     let mut sets = Sets::new(cells.codes.len());
@@ -60,14 +67,22 @@ struct Run {
 
 impl Run {
     fn new(dx: i64, dy: i64, from_z: i64, to_z: i64) -> Self {
-        Self { first: (dx << 42) + (dy << 21) + from_z, span: (to_z - from_z) as u64 }
+        Self {
+            first: (dx << 42) + (dy << 21) + from_z,
+            span: (to_z - from_z) as u64,
+        }
     }
 }
 
-/// The cells within two of a cell, which may hold points near one of its own; those behind it see it ahead.
+/// The cells within two of a cell, which may hold points near one of its own; those behind it see
+/// it ahead.
 fn half_of_neighbours() -> Vec<Run> {
-    let beside = (1..=2).map(|dy| (0, dy)).chain((1..=2).flat_map(|dx| (-2..=2).map(move |dy| (dx, dy))));
-    std::iter::once(Run::new(0, 0, 1, 2)).chain(beside.map(|(dx, dy)| Run::new(dx, dy, -2, 2))).collect()
+    let beside = (1..=2)
+        .map(|dy| (0, dy))
+        .chain((1..=2).flat_map(|dx| (-2..=2).map(move |dy| (dx, dy))));
+    std::iter::once(Run::new(0, 0, 1, 2))
+        .chain(beside.map(|(dx, dy)| Run::new(dx, dy, -2, 2)))
+        .collect()
 }
 
 /// Points by cell.
@@ -88,7 +103,12 @@ impl Cells {
             .filter_map(|(index, point)| Some((cell_of(point.map(f64::from))?, index as u32)))
             .collect();
         placed.sort_unstable();
-        let mut cells = Self { codes: Vec::new(), start: Vec::new(), index: Vec::new(), point: Vec::new() };
+        let mut cells = Self {
+            codes: Vec::new(),
+            start: Vec::new(),
+            index: Vec::new(),
+            point: Vec::new(),
+        };
         for (at, &(code, index)) in placed.iter().enumerate() {
             if cells.codes.last() != Some(&code) {
                 cells.codes.push(code);
@@ -115,7 +135,10 @@ impl Cells {
             while self.codes.get(from).is_some_and(|&code| code < first) {
                 from += 1;
             }
-            for (other, _) in self.codes[from..].iter().enumerate().take_while(|(_, code)| *code - first <= ahead.span)
+            for (other, _) in self.codes[from..]
+                .iter()
+                .enumerate()
+                .take_while(|(_, code)| *code - first <= ahead.span)
             {
                 pair(cell as u32, (from + other) as u32);
             }
@@ -128,7 +151,9 @@ impl Cells {
         let mut set = vec![NOWHERE; points];
         for cell in 0..self.codes.len() as u32 {
             let root = sets.root(cell);
-            for &index in &self.index[self.start[cell as usize] as usize..self.start[cell as usize + 1] as usize] {
+            for &index in &self.index
+                [self.start[cell as usize] as usize..self.start[cell as usize + 1] as usize]
+            {
                 set[index as usize] = root;
             }
         }
@@ -152,21 +177,35 @@ impl Cells {
     }
 }
 
-/// Whether any point of one cell is near any of another. Points that are too far from all of the other cell are left out
-/// first: most pairs of cells are decided by that.
+/// Whether any point of one cell is near any of another. Points that are too far from all of the
+/// other cell are left out first: most pairs of cells are decided by that.
 fn meet(a: &[[f64; 3]], b: &[[f64; 3]], near_m2: f64) -> bool {
     let ((low_a, high_a), (low_b, high_b)) = (bounds(a), bounds(b));
-    let gap_m2 = |low: [f64; 3], high: [f64; 3], point: &[f64; 3]| square_m2(*point, clamp(*point, low, high));
-    let near_b: Vec<&[f64; 3]> = b.iter().filter(|point| gap_m2(low_a, high_a, point) < near_m2).collect();
-    (a.iter().filter(|point| gap_m2(low_b, high_b, point) < near_m2))
-        .any(|one| near_b.iter().any(|other| square_m2(*one, **other) < near_m2))
+    let gap_m2 = |low: [f64; 3], high: [f64; 3], point: &[f64; 3]| {
+        square_m2(*point, clamp(*point, low, high))
+    };
+    let near_b: Vec<&[f64; 3]> = b
+        .iter()
+        .filter(|point| gap_m2(low_a, high_a, point) < near_m2)
+        .collect();
+    (a.iter()
+        .filter(|point| gap_m2(low_b, high_b, point) < near_m2))
+    .any(|one| {
+        near_b
+            .iter()
+            .any(|other| square_m2(*one, **other) < near_m2)
+    })
 }
 
 fn bounds(points: &[[f64; 3]]) -> ([f64; 3], [f64; 3]) {
     let extreme = |better: fn(f64, f64) -> f64| {
-        points
-            .iter()
-            .fold(points[0], |[x, y, z], point| [better(x, point[0]), better(y, point[1]), better(z, point[2])])
+        points.iter().fold(points[0], |[x, y, z], point| {
+            [
+                better(x, point[0]),
+                better(y, point[1]),
+                better(z, point[2]),
+            ]
+        })
     };
     (extreme(f64::min), extreme(f64::max))
 }
@@ -176,7 +215,9 @@ fn clamp(point: [f64; 3], low: [f64; 3], high: [f64; 3]) -> [f64; 3] {
 }
 
 fn square_m2(a: [f64; 3], b: [f64; 3]) -> f64 {
-    (0..3).map(|axis| (a[axis] - b[axis]) * (a[axis] - b[axis])).sum()
+    (0..3)
+        .map(|axis| (a[axis] - b[axis]) * (a[axis] - b[axis]))
+        .sum()
 }
 
 /// Sets that only grow together.
@@ -186,7 +227,9 @@ struct Sets {
 
 impl Sets {
     fn new(count: usize) -> Self {
-        Self { parent: (0..count as u32).collect() }
+        Self {
+            parent: (0..count as u32).collect(),
+        }
     }
 
     fn root(&mut self, mut of: u32) -> u32 {
@@ -222,10 +265,13 @@ mod tests {
         (0..points.len() as u32)
             .map(|point| {
                 let root = sets.root(point);
-                numbers.iter().position(|&number| number == root).unwrap_or_else(|| {
-                    numbers.push(root);
-                    numbers.len() - 1
-                }) as u32
+                numbers
+                    .iter()
+                    .position(|&number| number == root)
+                    .unwrap_or_else(|| {
+                        numbers.push(root);
+                        numbers.len() - 1
+                    }) as u32
             })
             .collect()
     }
@@ -236,8 +282,14 @@ mod tests {
         let sizes = [1.0, 4.0, 6.0, 9.0, 14.0, 40.0];
         let cloud = |index: usize| {
             let size = sizes[index % sizes.len()];
-            let shift = if index.is_multiple_of(2) { -0.5 * size } else { 30.0 };
-            (0..250).map(|_| [size, size, 0.4 * size].map(|size| shift + size * random.f32())).collect()
+            let shift = if index.is_multiple_of(2) {
+                -0.5 * size
+            } else {
+                30.0
+            };
+            (0..250)
+                .map(|_| [size, size, 0.4 * size].map(|size| shift + size * random.f32()))
+                .collect()
         };
         (0..36).map(cloud).collect()
     }
@@ -247,9 +299,15 @@ mod tests {
         for (index, points) in clouds().iter().enumerate() {
             for distance_m in [0.3, 1.0, 2.5] {
                 let linked = |a, b| square_m2(a, b) < distance_m * distance_m;
-                assert!(link(points, distance_m) == naive(points, linked), "cloud {index}, {distance_m} m");
+                assert!(
+                    link(points, distance_m) == naive(points, linked),
+                    "cloud {index}, {distance_m} m"
+                );
                 let touching = |a: [f64; 3], b: [f64; 3]| {
-                    (0..2).all(|axis| ((a[axis] / distance_m).floor() - (b[axis] / distance_m).floor()).abs() <= 1.0)
+                    (0..2).all(|axis| {
+                        ((a[axis] / distance_m).floor() - (b[axis] / distance_m).floor()).abs()
+                            <= 1.0
+                    })
                 };
                 assert!(
                     link_grid(points, distance_m) == naive(points, touching),
@@ -259,13 +317,22 @@ mod tests {
         }
     }
 
-    /// Less than the distance, not as much; steps lead on; who is not finite or lost in space is alone.
+    /// Less than the distance, not as much; steps lead on; who is not finite or lost in space is
+    /// alone.
     #[test]
     fn the_distance_itself_is_too_far() {
-        let chain = |step: f32| -> Vec<[f32; 3]> { (0..30).map(|at| [0.0, step * at as f32, -1.0]).collect() };
+        let chain = |step: f32| -> Vec<[f32; 3]> {
+            (0..30).map(|at| [0.0, step * at as f32, -1.0]).collect()
+        };
         assert_eq!(link(&chain(0.96875), 1.0), [0; 30]);
         assert_eq!(link(&chain(1.0), 1.0), (0..30).collect::<Vec<u32>>()[..]);
-        let odd = [[1.0, 1.0, 1.0], [f32::NAN, 1.0, 1.0], [1e30, 0.0, 0.0], [1.5, 1.0, 1.0], [f32::INFINITY, 1.0, 1.0]];
+        let odd = [
+            [1.0, 1.0, 1.0],
+            [f32::NAN, 1.0, 1.0],
+            [1e30, 0.0, 0.0],
+            [1.5, 1.0, 1.0],
+            [f32::INFINITY, 1.0, 1.0],
+        ];
         assert_eq!(link(&odd, 1.0), [0, 1, 2, 0, 3]);
         assert_eq!(link_grid(&odd[..4], 1.0), [0, 1, 2, 0]);
         assert!(link(&[], 1.0).is_empty());
@@ -275,12 +342,21 @@ mod tests {
     #[test]
     fn one_near_pair_joins_two_crowds() {
         let crowd = |x: f32, reach: f32| {
-            (0..200).map(move |at| [x + reach * at as f32 / 199.0, 0.05, if at == 199 { 0.25 } else { 0.05 }])
+            (0..200).map(move |at| {
+                [
+                    x + reach * at as f32 / 199.0,
+                    0.05,
+                    if at == 199 { 0.25 } else { 0.05 },
+                ]
+            })
         };
         let points: Vec<[f32; 3]> = crowd(0.05, 0.4).chain(crowd(1.9, -0.3)).collect();
         let gap_m = f64::from(points[399][0]) - f64::from(points[199][0]);
         assert!(link(&points, gap_m + 1e-6).iter().all(|&group| group == 0));
         let apart = link(&points, gap_m);
-        assert!(apart[..200].iter().all(|&group| group == 0) && apart[200..].iter().all(|&group| group == 1));
+        assert!(
+            apart[..200].iter().all(|&group| group == 0)
+                && apart[200..].iter().all(|&group| group == 1)
+        );
     }
 }

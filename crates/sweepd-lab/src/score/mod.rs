@@ -1,7 +1,8 @@
 //! How good labels are, held against a truth that people made.
 //!
-//! A scan is a cloud whose points carry true labels in the manner of SemanticKITTI: class in the low 16 bits, number of
-//! the instance in the high 16. What is scored has one label a point, as everywhere here: 0 none, 1 ground, 2.. segment.
+//! A scan is a cloud whose points carry true labels in the manner of SemanticKITTI: class in the
+//! low 16 bits, number of the instance in the high 16. What is scored has one label a point, as
+//! everywhere here: 0 none, 1 ground, 2.. segment.
 //!
 //! ```text
 //! truth      classes, linkage     points and true labels -> objects
@@ -12,8 +13,8 @@
 //! baselines                       Euclidean clustering and a grid, to have something to compare with
 //! ```
 //!
-//! The frames of a sequence are nearly the same scan again: as many samples are independent as there are sequences, so
-//! the mean of the sequences' means stands beside the mean of the scans.
+//! The frames of a sequence are nearly the same scan again: as many samples are independent as
+//! there are sequences, so the mean of the sequences' means stands beside the mean of the scans.
 
 pub mod baselines;
 mod classes;
@@ -60,11 +61,13 @@ pub enum ScoreError {
 /// What figures have in common: which of the truth they are about.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, Hash, PartialOrd, Ord)]
 pub enum Group {
-    /// Ground, of all points that have a class. Terrain is ground, vegetation is none, outliers are none.
+    /// Ground, of all points that have a class. Terrain is ground, vegetation is none, outliers are
+    /// none.
     Ground,
     /// Ground, without the points of vegetation and the outliers.
     GroundNoVegetation,
-    /// Ground, without the points of vegetation and terrain and the outliers: what is paved against what clearly stands.
+    /// Ground, without the points of vegetation and terrain and the outliers: what is paved against
+    /// what clearly stands.
     GroundPaved,
     /// USE, OSE and cover.
     Objects,
@@ -119,7 +122,10 @@ impl ScanScore {
     pub fn new(truth: &Truth, labels: &[u32], min_points: &[u32]) -> Result<Self, ScoreError> {
         let points = truth.labels().len();
         if labels.len() != points {
-            return Err(ScoreError::Labels { points, labels: labels.len() });
+            return Err(ScoreError::Labels {
+                points,
+                labels: labels.len(),
+            });
         }
         let ground = |group| GroundCounts::new(truth.labels(), labels, group).score();
         Ok(Self {
@@ -140,7 +146,11 @@ impl ScanScore {
         ];
         let mut figures = Vec::new();
         let mut add = |group, named: &[(&'static str, Option<f64>)]| {
-            figures.extend(named.iter().map(|&(name, value)| Figure { group, name, value }));
+            figures.extend(
+                named
+                    .iter()
+                    .map(|&(name, value)| Figure { group, name, value }),
+            );
         };
         for (group, score) in grounds {
             add(group, &score.figures());

@@ -4,7 +4,8 @@ use serde::Serialize;
 
 use super::{Figure, Group, Grouped, InstanceCounts, ScanScore};
 
-/// One figure over all scans. Scans where it has no value are left out; `None` where no scan is left.
+/// One figure over all scans. Scans where it has no value are left out; `None` where no scan is
+/// left.
 #[derive(Clone, Copy, Debug, PartialEq, Serialize)]
 pub struct Row {
     /// What it is about.
@@ -46,46 +47,85 @@ impl Summary {
         let figures: Vec<Vec<Figure>> = scored.iter().map(|(_, score)| score.figures()).collect();
         let pooled = pool(scored);
         let pooled_figures: Vec<Figure> = (pooled.iter())
-            .flat_map(|counts| (counts.figures().into_iter()).map(|(name, value)| (counts.min_points, name, value)))
-            .map(|(min_points, name, value)| Figure { group: Group::Instances(min_points), name, value })
+            .flat_map(|counts| {
+                (counts.figures().into_iter()).map(|(name, value)| (counts.min_points, name, value))
+            })
+            .map(|(min_points, name, value)| Figure {
+                group: Group::Instances(min_points),
+                name,
+                value,
+            })
             .collect();
         let row = |(index, figure): (usize, &Figure)| {
             let values_of = |sequence: Option<&str>| -> Vec<f64> {
                 let scans = scored.iter().zip(&figures);
-                let asked = scans.filter(|((of, _), _)| sequence.is_none_or(|sequence| sequence == of));
-                asked.filter_map(|(_, figures)| figures[index].value).collect()
+                let asked =
+                    scans.filter(|((of, _), _)| sequence.is_none_or(|sequence| sequence == of));
+                asked
+                    .filter_map(|(_, figures)| figures[index].value)
+                    .collect()
             };
             let all = values_of(None);
-            let means: Vec<f64> = sequences.iter().filter_map(|sequence| mean(&values_of(Some(sequence)))).collect();
-            let same = |pooled: &&Figure| (pooled.group, pooled.name) == (figure.group, figure.name);
+            let means: Vec<f64> = sequences
+                .iter()
+                .filter_map(|sequence| mean(&values_of(Some(sequence))))
+                .collect();
+            let same =
+                |pooled: &&Figure| (pooled.group, pooled.name) == (figure.group, figure.name);
             Row {
                 group: figure.group,
                 name: figure.name,
                 mean: mean(&all),
                 std: deviation(&all),
                 sequence_mean: mean(&means),
-                pooled: pooled_figures.iter().find(same).and_then(|pooled| pooled.value),
+                pooled: pooled_figures
+                    .iter()
+                    .find(same)
+                    .and_then(|pooled| pooled.value),
             }
         };
-        let rows = figures.first().into_iter().flatten().enumerate().map(row).collect();
-        Self { scans: scored.len(), sequences: sequences.len(), rows, pooled }
+        let rows = figures
+            .first()
+            .into_iter()
+            .flatten()
+            .enumerate()
+            .map(row)
+            .collect();
+        Self {
+            scans: scored.len(),
+            sequences: sequences.len(),
+            rows,
+            pooled,
+        }
     }
 
     /// The rows by group and name.
     pub fn grouped(&self) -> Grouped<Row> {
-        Grouped(self.rows.iter().map(|row| (row.group, row.name, *row)).collect())
+        Grouped(
+            self.rows
+                .iter()
+                .map(|row| (row.group, row.name, *row))
+                .collect(),
+        )
     }
 
     /// A figure by its name.
     pub fn row(&self, group: Group, name: &str) -> Option<&Row> {
-        self.rows.iter().find(|row| row.group == group && row.name == name)
+        self.rows
+            .iter()
+            .find(|row| row.group == group && row.name == name)
     }
 }
 
 fn pool(scored: &[(String, ScanScore)]) -> Vec<InstanceCounts> {
-    let mut sums = vec![InstanceCounts::default(); scored.first().map_or(0, |(_, score)| score.instances.len())];
+    let mut sums = vec![
+        InstanceCounts::default();
+        scored.first().map_or(0, |(_, score)| score.instances.len())
+    ];
     for (_, score) in scored {
-        sums.iter_mut().zip(&score.instances).for_each(|(sum, counts)| sum.add(counts));
+        sums.iter_mut()
+            .zip(&score.instances)
+            .for_each(|(sum, counts)| sum.add(counts));
     }
     sums
 }
@@ -96,6 +136,9 @@ fn mean(values: &[f64]) -> Option<f64> {
 
 fn deviation(values: &[f64]) -> Option<f64> {
     let mean_value = mean(values)?;
-    let squares: Vec<f64> = values.iter().map(|value| (value - mean_value).powi(2)).collect();
+    let squares: Vec<f64> = values
+        .iter()
+        .map(|value| (value - mean_value).powi(2))
+        .collect();
     mean(&squares).map(f64::sqrt)
 }

@@ -13,8 +13,9 @@ pub(super) const NO_OBJECT: u32 = 0;
 
 /// True labels of a scan, and its objects.
 ///
-/// An object is what USE and OSE are about: points of one true label, class and instance alike, linked where they are
-/// nearer than 1 m; 10 to 300,000 of them. Ground and what has no class are no objects. A wall behind a gap is two.
+/// An object is what USE and OSE are about: points of one true label, class and instance alike,
+/// linked where they are nearer than 1 m; 10 to 300,000 of them. Ground and what has no class are
+/// no objects. A wall behind a gap is two.
 #[derive(Clone, Debug, PartialEq)]
 pub struct Truth {
     labels: Vec<u32>,
@@ -28,7 +29,10 @@ impl Truth {
     /// [`ScoreError::Truth`].
     pub fn new(points: &[[f32; 4]], labels: Vec<u32>) -> Result<Self, ScoreError> {
         if labels.len() != points.len() {
-            return Err(ScoreError::Truth { points: points.len(), labels: labels.len() });
+            return Err(ScoreError::Truth {
+                points: points.len(),
+                labels: labels.len(),
+            });
         }
         let objects = objects(points, &labels);
         Ok(Self { labels, objects })
@@ -47,12 +51,17 @@ impl Truth {
 
 fn objects(points: &[[f32; 4]], labels: &[u32]) -> Vec<u32> {
     let may_be = |label| !is_ground(class_of(label)) && class_of(label) != UNLABELLED;
-    let mut chosen: Vec<u32> = (0..labels.len() as u32).filter(|&point| may_be(labels[point as usize])).collect();
+    let mut chosen: Vec<u32> = (0..labels.len() as u32)
+        .filter(|&point| may_be(labels[point as usize]))
+        .collect();
     chosen.sort_by_key(|&point| labels[point as usize]);
     let mut objects = vec![NO_OBJECT; labels.len()];
     let mut last = NO_OBJECT;
     for same in chosen.chunk_by(|&a, &b| labels[a as usize] == labels[b as usize]) {
-        let places: Vec<[f32; 3]> = same.iter().map(|&point| place(points[point as usize])).collect();
+        let places: Vec<[f32; 3]> = same
+            .iter()
+            .map(|&point| place(points[point as usize]))
+            .collect();
         let groups = link(&places, LINK_M);
         let mut sizes = vec![0; groups.iter().max().map_or(0, |&most| most as usize + 1)];
         groups.iter().for_each(|&group| sizes[group as usize] += 1);
@@ -60,7 +69,11 @@ fn objects(points: &[[f32; 4]], labels: &[u32]) -> Vec<u32> {
             .iter()
             .map(|size| {
                 last += u32::from(OBJECT_POINTS.contains(size));
-                if OBJECT_POINTS.contains(size) { last } else { NO_OBJECT }
+                if OBJECT_POINTS.contains(size) {
+                    last
+                } else {
+                    NO_OBJECT
+                }
             })
             .collect();
         for (&point, &group) in same.iter().zip(&groups) {

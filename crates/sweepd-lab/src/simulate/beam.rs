@@ -1,8 +1,10 @@
-//! One beam of a unit: from the distance that a packet says to the place that it means, and numerically back.
+//! One beam of a unit: from the distance that a packet says to the place that it means, and
+//! numerically back.
 //!
-//! Forwards are the formulas of the manual (HDL-64E S3 manual, 63-HDL64ES3, pp. 30-31 and Appendix F; S2 manual,
-//! Appendix C). They are written here once more, apart from those of the decoder, and are never solved on paper: the
-//! distance that gives a range is searched for. A mistake in one of the two cannot hide in the other.
+//! Forwards are the formulas of the manual (HDL-64E S3 manual, 63-HDL64ES3, pp. 30-31 and Appendix
+//! F; S2 manual, Appendix C). They are written here once more, apart from those of the decoder, and
+//! are never solved on paper: the distance that gives a range is searched for. A mistake in one of
+//! the two cannot hide in the other.
 //!
 //! ```text
 //! a' = head's azimuth - rotation      d = distance in the packet, metres
@@ -15,8 +17,8 @@ use super::shape::{Vec3, rounded};
 use sweepd_core::sensor::Beam;
 use sweepd_core::sensor::calibration::Intensity;
 
-/// Where the two-point correction ends: from this distance in the packet on, the offset is that of the far point,
-/// metres.
+/// Where the two-point correction ends: from this distance in the packet on, the offset is that of
+/// the far point, metres.
 const FAR_M: f64 = 25.04;
 /// Where the offset for x was measured at the near point, metres.
 const NEAR_X_M: f64 = 2.40;
@@ -48,7 +50,8 @@ struct Near {
     /// What the offsets change by for each metre of x and of y.
     x_gain: f64,
     y_gain: f64,
-    /// More than the offsets of x, y and z ever differ by, and more than that changes by in a metre.
+    /// More than the offsets of x, y and z ever differ by, and more than that changes by in a
+    /// metre.
     bend_m: f64,
     gain: f64,
 }
@@ -59,9 +62,19 @@ impl Laser {
         let far_m = beam.distance_offset_m;
         let near = beam.two_point.map(|two| {
             let (x_m, y_m) = (two.distance_offset_x_m, two.distance_offset_y_m);
-            let (x_gain, y_gain) = ((far_m - x_m) / (FAR_M - NEAR_X_M), (far_m - y_m) / (FAR_M - NEAR_Y_M));
+            let (x_gain, y_gain) = (
+                (far_m - x_m) / (FAR_M - NEAR_X_M),
+                (far_m - y_m) / (FAR_M - NEAR_Y_M),
+            );
             let gain = x_gain.abs() + y_gain.abs();
-            Near { x_m, y_m, x_gain, y_gain, bend_m: (x_m - y_m).abs() + gain * FAR_M, gain }
+            Near {
+                x_m,
+                y_m,
+                x_gain,
+                y_gain,
+                bend_m: (x_m - y_m).abs() + gain * FAR_M,
+                gain,
+            }
         });
         Self {
             rotation_rad: beam.rotation_rad,
@@ -106,22 +119,28 @@ impl Aim<'_> {
         self.laser.near.is_some()
     }
 
-    /// Whether it is plain that the ways to a distance in the packet and to a range part by less than so many metres
-    /// there. That they do is not always plain: then only [`Aim::towards_range`] tells.
+    /// Whether it is plain that the ways to a distance in the packet and to a range part by less
+    /// than so many metres there. That they do is not always plain: then only
+    /// [`Aim::towards_range`] tells.
     pub fn goes_by(&self, distance_m: f64, range_m: f64, beside_m: f64) -> bool {
-        let Some(near) = &self.laser.near else { return true };
-        let is_far = [distance_m, range_m - self.laser.far_offset_m].map(|distance_m| distance_m >= FAR_M);
+        let Some(near) = &self.laser.near else {
+            return true;
+        };
+        let is_far =
+            [distance_m, range_m - self.laser.far_offset_m].map(|distance_m| distance_m >= FAR_M);
         if is_far != [false; 2] {
             return is_far == [true; 2];
         }
         let apart_m = (self.near_vector(near, distance_m).norm() - range_m).abs();
         let is_before_the_break = distance_m + 2.0 * apart_m < FAR_M;
-        // By what the offsets differ from each other the beam is aslant, and less so the farther it goes.
+        // By what the offsets differ from each other the beam is aslant, and less so the farther it
+        // goes.
         let aslant_m = 2.5 * apart_m * (near.bend_m + near.gain * range_m);
         is_before_the_break && apart_m < range_m / 4.0 && aslant_m < beside_m * range_m
     }
 
-    /// From the origin to the place that a distance in the packet means, metres. Its length is the range.
+    /// From the origin to the place that a distance in the packet means, metres. Its length is the
+    /// range.
     pub fn vector(&self, distance_m: f64) -> Vec3 {
         match &self.laser.near {
             Some(near) if distance_m < FAR_M => self.near_vector(near, distance_m),
@@ -137,11 +156,14 @@ impl Aim<'_> {
         self.straight.component_mul(&offsets.add_scalar(distance_m))
     }
 
-    /// The distance in the packet that means a range: that of [`Aim::vector`], or next to it where none does. The
-    /// correction breaks off at 25.04 m, and ranges of a few millimetres there are said by no distance or by two.
+    /// The distance in the packet that means a range: that of [`Aim::vector`], or next to it where
+    /// none does. The correction breaks off at 25.04 m, and ranges of a few millimetres there are
+    /// said by no distance or by two.
     pub fn distance_m(&self, range_m: f64) -> f64 {
         let far_m = range_m - self.laser.far_offset_m;
-        let Some(near) = &self.laser.near else { return far_m };
+        let Some(near) = &self.laser.near else {
+            return far_m;
+        };
         if far_m >= FAR_M {
             return far_m;
         }
@@ -152,11 +174,16 @@ impl Aim<'_> {
             return near_m;
         }
         let miss_m = |distance_m| (self.vector(distance_m).norm() - range_m).abs();
-        if miss_m(nearest_m) < miss_m(FAR_M) { nearest_m } else { FAR_M }
+        if miss_m(nearest_m) < miss_m(FAR_M) {
+            nearest_m
+        } else {
+            FAR_M
+        }
     }
 
-    /// The same for a near surface, by secants, to about a tolerance: the range grows nearly as the distance does, so
-    /// that the first step leaves a hundredth of the error at most, and the next ones far less.
+    /// The same for a near surface, by secants, to about a tolerance: the range grows nearly as the
+    /// distance does, so that the first step leaves a hundredth of the error at most, and the next
+    /// ones far less.
     fn search(&self, near: &Near, range_m: f64, tolerance_m: f64) -> f64 {
         let mut distance_m = range_m - self.laser.far_offset_m;
         let (mut moved_m, mut before_m, mut step) = (0.0, 0.0, 1.0);
@@ -174,27 +201,36 @@ impl Aim<'_> {
         distance_m
     }
 
-    /// About the direction towards a surface at a range, and its azimuth, as [`Aim::towards`] has them.
+    /// About the direction towards a surface at a range, and its azimuth, as [`Aim::towards`] has
+    /// them.
     pub fn towards_range(&self, range_m: f64) -> (Vec3, f64) {
         let far_m = range_m - self.laser.far_offset_m;
         let near = self.laser.near.as_ref().filter(|_| far_m < FAR_M);
         self.towards(near.map_or(far_m, |near| self.search(near, range_m, 1e-3)))
     }
 
-    /// The number of units that says a distance, less or more by noise, best; outside of 1 to 65535 no packet can.
+    /// The number of units that says a distance, less or more by noise, best; outside of 1 to 65535
+    /// no packet can.
     pub fn units(&self, distance_m: f64, noise_m: f64) -> f64 {
         let unit_m = self.laser.distance_unit_m;
         let units = rounded((distance_m + noise_m) / unit_m);
         if !self.is_curved() || (distance_m - FAR_M).abs() > 2.0 * unit_m + noise_m.abs() {
             return units;
         }
-        // Carried or rounded over the end of the correction, a number would mean a range centimetres off.
+        // Carried or rounded over the end of the correction, a number would mean a range
+        // centimetres off.
         let range_m = self.vector(distance_m).norm() + noise_m;
         let miss_m = |units: f64| (self.vector(units * unit_m).norm() - range_m).abs();
         let units = rounded(self.distance_m(range_m) / unit_m);
         [units - 1.0, units + 1.0]
             .into_iter()
-            .fold(units, |best, other| if miss_m(other) < miss_m(best) { other } else { best })
+            .fold(units, |best, other| {
+                if miss_m(other) < miss_m(best) {
+                    other
+                } else {
+                    best
+                }
+            })
     }
 
     /// Whether a number of 16 bits can say a distance.
@@ -202,8 +238,8 @@ impl Aim<'_> {
         (1.0..=f64::from(u16::MAX)).contains(&rounded(distance_m / self.laser.distance_unit_m))
     }
 
-    /// The direction towards the place that a distance in the packet means, and its azimuth, radians, to a hundredth of
-    /// a milliradian.
+    /// The direction towards the place that a distance in the packet means, and its azimuth,
+    /// radians, to a hundredth of a milliradian.
     pub fn towards(&self, distance_m: f64) -> (Vec3, f64) {
         if !self.is_curved() || distance_m >= FAR_M {
             return (self.straight, self.azimuth_rad);
@@ -211,10 +247,14 @@ impl Aim<'_> {
         let vector = self.vector(distance_m);
         let [along, across] = self.turned(&vector);
         let tangent = across / along;
-        (vector / vector.norm(), self.azimuth_rad + tangent - tangent.powi(3) / 3.0)
+        (
+            vector / vector.norm(),
+            self.azimuth_rad + tangent - tangent.powi(3) / 3.0,
+        )
     }
 
-    /// Azimuth of the place that a distance in the packet means, radians; it may be outside of a turn.
+    /// Azimuth of the place that a distance in the packet means, radians; it may be outside of a
+    /// turn.
     pub fn azimuth_of(&self, distance_m: f64) -> f64 {
         if !self.is_curved() {
             return self.azimuth_rad;
@@ -226,28 +266,42 @@ impl Aim<'_> {
     /// A place as seen along the straight direction: how far along, and to the right.
     fn turned(&self, place: &Vec3) -> [f64; 2] {
         let straight = &self.straight;
-        [place.x * straight.x + place.y * straight.y, place.x * straight.y - place.y * straight.x]
+        [
+            place.x * straight.x + place.y * straight.y,
+            place.x * straight.y - place.y * straight.x,
+        ]
     }
 
     /// A direction a little beside another, across (clockwise) and up, radians.
-    pub fn beside(&self, (direction, azimuth_rad): (Vec3, f64), across: f64, up: f64) -> (Vec3, f64) {
+    pub fn beside(
+        &self,
+        (direction, azimuth_rad): (Vec3, f64),
+        across: f64,
+        up: f64,
+    ) -> (Vec3, f64) {
         let (w, u) = (self.laser.elevation.1, direction);
         let right = Vec3::new(u.y, -u.x, 0.0) / w;
         let above = Vec3::new(-u.x * u.z / w, -u.y * u.z / w, w);
-        ((u + right * across + above * up) / (1.0 + across * across + up * up).sqrt(), azimuth_rad + across / w)
+        (
+            (u + right * across + above * up) / (1.0 + across * across + up * up).sqrt(),
+            azimuth_rad + across / w,
+        )
     }
 
-    /// The byte that says a reflectivity at a distance of so many units, as far as a byte can: what the unit adds is
-    /// taken off.
+    /// The byte that says a reflectivity at a distance of so many units, as far as a byte can: what
+    /// the unit adds is taken off.
     pub fn intensity_byte(&self, units: f64, reflectivity: u8) -> u8 {
-        let boost = self.laser.intensity.map_or(0.0, |intensity| intensity_boost(&intensity, units));
+        let boost = self
+            .laser
+            .intensity
+            .map_or(0.0, |intensity| intensity_boost(&intensity, units));
         // From a float to an integer, 'as' keeps to the integer's limits.
         rounded(f64::from(reflectivity) - boost) as u8
     }
 }
 
-/// What is added to the intensity of a return at a distance of so many units (S3 manual, Appendix F): the lens is
-/// focused at one distance, and what is nearer or farther returns less light.
+/// What is added to the intensity of a return at a distance of so many units (S3 manual, Appendix
+/// F): the lens is focused at one distance, and what is nearer or farther returns less light.
 fn intensity_boost(intensity: &Intensity, units: f64) -> f64 {
     let bowl = |share: f64| 256.0 * (1.0 - share).powi(2);
     let focus = bowl(intensity.focal_distance_m / FARTHEST_M);
@@ -263,15 +317,25 @@ mod tests {
     const UNIT_M: f64 = 0.002;
 
     fn beam(elevation_deg: f64, distance_offset_m: f64) -> Beam {
-        Beam { distance_offset_m, ..Beam::ideal(0, elevation_deg.to_radians()) }
+        Beam {
+            distance_offset_m,
+            ..Beam::ideal(0, elevation_deg.to_radians())
+        }
     }
 
     fn two_point(elevation_deg: f64, [far, x, y]: [f64; 3]) -> Beam {
-        let two_point = Some(TwoPoint { distance_offset_x_m: x, distance_offset_y_m: y });
-        Beam { two_point, ..beam(elevation_deg, far) }
+        let two_point = Some(TwoPoint {
+            distance_offset_x_m: x,
+            distance_offset_y_m: y,
+        });
+        Beam {
+            two_point,
+            ..beam(elevation_deg, far)
+        }
     }
 
-    /// Where a beam ends that the packet gives this distance, the head being at this azimuth; and back.
+    /// Where a beam ends that the packet gives this distance, the head being at this azimuth; and
+    /// back.
     #[track_caller]
     fn ends_at(beam: &Beam, azimuth_deg: f64, distance_m: f64, expected: [f64; 3]) {
         let laser = Laser::new(beam, UNIT_M);
@@ -285,14 +349,20 @@ mod tests {
         assert!((direction * vector.norm() - vector).norm() < 1e-3);
         let straight = f64::atan2(vector.x, vector.y);
         for azimuth_rad in [azimuth_rad - 2e-5, aim.azimuth_of(distance_m)] {
-            assert!((azimuth_rad - straight).abs() < 5e-5, "{azimuth_rad} {straight}");
+            assert!(
+                (azimuth_rad - straight).abs() < 5e-5,
+                "{azimuth_rad} {straight}"
+            );
         }
     }
 
     #[test]
     fn rotation_is_taken_off_the_heads_azimuth() {
         // a' = 40 - 10 = 30: x = 10 sin 30, y = 10 cos 30.
-        let turned = Beam { rotation_rad: 10_f64.to_radians(), ..beam(0.0, 0.0) };
+        let turned = Beam {
+            rotation_rad: 10_f64.to_radians(),
+            ..beam(0.0, 0.0)
+        };
         ends_at(&turned, 40.0, 10.0, [5.0, 8.660_254_038, 0.0]);
     }
 
@@ -310,23 +380,41 @@ mod tests {
 
     #[test]
     fn the_offset_for_x_goes_from_its_near_to_its_far_value() {
-        // xx = 11.25: cx = 1.35 + (1.25 - 1.35) (11.25 - 2.40) / 22.64 = 1.35 - 0.1 * 0.390 901 060 = 1.310 909 894.
-        ends_at(&two_point(0.0, [1.25, 1.35, 1.25]), 90.0, 10.0, [11.310_909_894, 0.0, 0.0]);
+        // xx = 11.25: cx = 1.35 + (1.25 - 1.35) (11.25 - 2.40) / 22.64 = 1.35 - 0.1 * 0.390 901 060
+        // = 1.310 909 894.
+        ends_at(
+            &two_point(0.0, [1.25, 1.35, 1.25]),
+            90.0,
+            10.0,
+            [11.310_909_894, 0.0, 0.0],
+        );
     }
 
     #[test]
     fn the_offset_for_y_goes_from_its_near_to_its_far_value() {
-        // yy = 11.25: cy = 1.15 + (1.25 - 1.15) (11.25 - 1.93) / 23.11 = 1.15 + 0.1 * 0.403 288 620 = 1.190 328 862.
-        ends_at(&two_point(0.0, [1.25, 1.25, 1.15]), 0.0, 10.0, [0.0, 11.190_328_862, 0.0]);
+        // yy = 11.25: cy = 1.15 + (1.25 - 1.15) (11.25 - 1.93) / 23.11 = 1.15 + 0.1 * 0.403 288 620
+        // = 1.190 328 862.
+        ends_at(
+            &two_point(0.0, [1.25, 1.25, 1.15]),
+            0.0,
+            10.0,
+            [0.0, 11.190_328_862, 0.0],
+        );
     }
 
     #[test]
     fn the_offset_for_z_is_the_mean_of_both() {
-        // rxy = 11.2 cos 30 = 9.699 484 522, xx = 4.849 742 261, yy = 8.4;
-        // cx = 1.3 - 0.1 (xx - 2.40) / 22.64 = 1.289 179 584, cy = 1.1 + 0.1 (8.4 - 1.93) / 23.11 = 1.127 996 538,
-        // cz = 1.208 588 061; x = 11.289 179 584 / 2 * cos 30, y = 11.127 996 538 * 0.75, z = -11.208 588 061 / 2.
+        // rxy = 11.2 cos 30 = 9.699 484 522, xx = 4.849 742 261, yy = 8.4; cx = 1.3 - 0.1 (xx -
+        // 2.40) / 22.64 = 1.289 179 584, cy = 1.1 + 0.1 (8.4 - 1.93) / 23.11 = 1.127 996 538, cz =
+        // 1.208 588 061; x = 11.289 179 584 / 2 * cos 30, y = 11.127 996 538 * 0.75, z = -11.208
+        // 588 061 / 2.
         let beam = two_point(-30.0, [1.2, 1.3, 1.1]);
-        ends_at(&beam, 30.0, 10.0, [4.888_358_154, 8.345_997_404, -5.604_294_030]);
+        ends_at(
+            &beam,
+            30.0,
+            10.0,
+            [4.888_358_154, 8.345_997_404, -5.604_294_030],
+        );
     }
 
     #[test]
@@ -335,7 +423,8 @@ mod tests {
         // xx = 26.288: cx = 1.35 - 0.1 (26.288 - 2.40) / 22.64 = 1.244 487 633.
         ends_at(&beam, 90.0, 25.038, [26.282_487_633, 0.0, 0.0]);
         ends_at(&beam, 90.0, 25.04, [26.29, 0.0, 0.0]);
-        // Between the two, 26.284 and 26.29 m, lie ranges that no packet says: the nearer of both is said.
+        // Between the two, 26.284 and 26.29 m, lie ranges that no packet says: the nearer of both
+        // is said.
         let laser = Laser::new(&beam, UNIT_M);
         let aim = laser.aimed(90_f64.to_radians());
         for (range_m, units) in [(26.283, 12_519.0), (26.289, 12_520.0), (26.2925, 12_521.0)] {
@@ -346,33 +435,64 @@ mod tests {
     #[test]
     fn the_vertical_offset_is_added_to_z_alone() {
         // z = -10 sin 30 + 0.2: not tilted with the beam.
-        ends_at(&Beam { vertical_offset_m: 0.2, ..beam(-30.0, 0.0) }, 0.0, 10.0, [0.0, 8.660_254_038, -4.8]);
+        ends_at(
+            &Beam {
+                vertical_offset_m: 0.2,
+                ..beam(-30.0, 0.0)
+            },
+            0.0,
+            10.0,
+            [0.0, 8.660_254_038, -4.8],
+        );
     }
 
     #[test]
     fn the_horizontal_offset_moves_the_beam_to_its_left() {
-        // x = 10 sin 30 - 0.026 cos 30 = 5 - 0.022 516 660, y = 10 cos 30 + 0.026 sin 30 = 8.660 254 038 + 0.013.
-        let aside = Beam { horizontal_offset_m: 0.026, ..beam(0.0, 0.0) };
+        // x = 10 sin 30 - 0.026 cos 30 = 5 - 0.022 516 660, y = 10 cos 30 + 0.026 sin 30 = 8.660
+        // 254 038 + 0.013.
+        let aside = Beam {
+            horizontal_offset_m: 0.026,
+            ..beam(0.0, 0.0)
+        };
         let laser = Laser::new(&aside, UNIT_M);
         let aim = laser.aimed(30_f64.to_radians());
         let place = aim.origin + aim.vector(10.0);
-        assert!((place - Vec3::new(4.977_483_340, 8.673_254_038, 0.0)).norm() < 1e-6, "{place:?}");
+        assert!(
+            (place - Vec3::new(4.977_483_340, 8.673_254_038, 0.0)).norm() < 1e-6,
+            "{place:?}"
+        );
     }
 
     #[test]
     fn the_intensity_is_what_the_unit_raises_to_the_reflectivity() {
-        // Focus at 13.1 m: 256 (1 - 0.1)^2 = 207.36. 13107 units of 65535: 256 (1 - 0.2)^2 = 163.84. Slope 1.2:
-        // 1.2 * 43.52 = 52.224 are added, so 80 is sent as 28.
-        let intensity = Some(Intensity { focal_distance_m: 13.1, focal_slope: 1.2, min: 0.0, max: 255.0 });
-        let laser = Laser::new(&Beam { intensity, ..beam(0.0, 0.0) }, UNIT_M);
+        // Focus at 13.1 m: 256 (1 - 0.1)^2 = 207.36. 13107 units of 65535: 256 (1 - 0.2)^2 =
+        // 163.84. Slope 1.2: 1.2 * 43.52 = 52.224 are added, so 80 is sent as 28.
+        let intensity = Some(Intensity {
+            focal_distance_m: 13.1,
+            focal_slope: 1.2,
+            min: 0.0,
+            max: 255.0,
+        });
+        let laser = Laser::new(
+            &Beam {
+                intensity,
+                ..beam(0.0, 0.0)
+            },
+            UNIT_M,
+        );
         let aim = laser.aimed(0.0);
         assert_eq!(aim.intensity_byte(13_107.0, 80), 28);
-        assert_eq!(aim.intensity_byte(13_107.0, 20), 0, "a byte cannot say less");
+        assert_eq!(
+            aim.intensity_byte(13_107.0, 20),
+            0,
+            "a byte cannot say less"
+        );
         let plain = Laser::new(&beam(0.0, 0.0), UNIT_M);
         assert_eq!(plain.aimed(0.0).intensity_byte(13_107.0, 80), 80);
     }
 
-    /// What every number of a packet means is said by that number, or by another that means it as well.
+    /// What every number of a packet means is said by that number, or by another that means it as
+    /// well.
     #[test]
     fn every_distance_comes_back() {
         let unit = unit(3);
@@ -384,7 +504,10 @@ mod tests {
                     let range_m = aim.vector(f64::from(units) * UNIT_M).norm();
                     let said = aim.units(aim.distance_m(range_m), 0.0);
                     let off_m = (aim.vector(said * UNIT_M).norm() - range_m).abs();
-                    assert!(off_m < 0.001 && (said - f64::from(units)).abs() < 30.0, "{number} {head}: {units} {said}");
+                    assert!(
+                        off_m < 0.001 && (said - f64::from(units)).abs() < 30.0,
+                        "{number} {head}: {units} {said}"
+                    );
                 }
             }
         }

@@ -14,7 +14,10 @@ pub(super) struct Builder {
 
 impl Builder {
     pub fn new(scene: Scene, seed: u64) -> Self {
-        Self { scene, rng: Rng::with_seed(seed) }
+        Self {
+            scene,
+            rng: Rng::with_seed(seed),
+        }
     }
 
     pub fn between(&mut self, low: f64, high: f64) -> f64 {
@@ -31,23 +34,39 @@ impl Builder {
 
     /// Puts in one upright block.
     pub fn block(&mut self, class: Class, base: [f64; 3], size: [f64; 3], reflectivity: u8) {
-        self.put(class, vec![(Shape::cuboid(base, size, 0.0), Surface::Plain(reflectivity))]);
+        self.put(
+            class,
+            vec![(Shape::cuboid(base, size, 0.0), Surface::Plain(reflectivity))],
+        );
     }
 
     /// Puts in what moves the way it faces.
     pub fn send(&mut self, class: Class, place: Place, speed_m_s: f64, parts: Parts) {
         let (sin, cos) = place.heading_rad.sin_cos();
-        self.scene.add(class, Vec3::new(sin, cos, 0.0) * speed_m_s, parts);
+        self.scene
+            .add(class, Vec3::new(sin, cos, 0.0) * speed_m_s, parts);
     }
 
     pub fn paint(&mut self) -> u8 {
-        *self.rng.choice(&[7, 12, 18, 25, 38, 52, 68, 80]).expect("there are colours")
+        *self
+            .rng
+            .choice(&[7, 12, 18, 25, 38, 52, 68, 80])
+            .expect("there are colours")
     }
 
     /// Someone on foot, who may have stopped.
     pub fn walker(&mut self, place: Place) {
         let (height_m, clothes) = (self.between(1.52, 1.92), self.rng.u8(10..70));
-        let speed_m_s = if self.chance(0.2) { 0.0 } else { self.between(0.9, 1.6) };
-        self.send(Class::Person, place, speed_m_s, props::person(place, height_m, clothes));
+        let speed_m_s = if self.chance(0.2) {
+            0.0
+        } else {
+            self.between(0.9, 1.6)
+        };
+        self.send(
+            Class::Person,
+            place,
+            speed_m_s,
+            props::person(place, height_m, clothes),
+        );
     }
 }

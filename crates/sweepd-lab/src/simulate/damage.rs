@@ -122,7 +122,8 @@ pub(super) fn other_length(rng: &mut Rng) -> u16 {
     }
 }
 
-/// What is wrong with a packet. A Velodyne's datagrams have no checksum of their own: nobody on the way would notice.
+/// What is wrong with a packet. A Velodyne's datagrams have no checksum of their own: nobody on the
+/// way would notice.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub enum Damage {
     /// One bit is flipped, counted from the lowest of the first byte.
@@ -170,10 +171,12 @@ mod tests {
     #[test]
     fn each_part_is_struck_where_the_packet_has_it() {
         let mut clean = DataPacket::new(77_777, 0x37, 0x22);
-        clean
-            .blocks
-            .iter_mut()
-            .for_each(|block| block.records = [Record { distance: 999.into(), reflectivity: 9 }; 32]);
+        clean.blocks.iter_mut().for_each(|block| {
+            block.records = [Record {
+                distance: 999.into(),
+                reflectivity: 9,
+            }; 32]
+        });
         let mut rng = Rng::with_seed(1);
         for part in Part::ALL {
             for _ in 0..300 {
@@ -185,27 +188,40 @@ mod tests {
                     assert!(bytes.len() != DATA_PACKET_LEN && bytes.len() <= 8_972);
                     continue;
                 };
-                let other: usize = bytes.iter().zip(clean.emit()).map(|(a, b)| (a ^ b).count_ones() as usize).sum();
+                let other: usize = bytes
+                    .iter()
+                    .zip(clean.emit())
+                    .map(|(a, b)| (a ^ b).count_ones() as usize)
+                    .sum();
                 assert_eq!((bytes.len(), other), (DATA_PACKET_LEN, 1));
-                let struck: &DataPacket =
-                    zerocopy::transmute_ref!(<&[u8; DATA_PACKET_LEN]>::try_from(&bytes[..]).unwrap());
+                let struck: &DataPacket = zerocopy::transmute_ref!(
+                    <&[u8; DATA_PACKET_LEN]>::try_from(&bytes[..]).unwrap()
+                );
                 let blocks = struck.blocks.iter().zip(&clean.blocks);
                 let seen = match part {
-                    Part::Flag => struck.blocks.iter().any(|block| block.flag.get() != FLAG_BANK_0),
+                    Part::Flag => struck
+                        .blocks
+                        .iter()
+                        .any(|block| block.flag.get() != FLAG_BANK_0),
                     Part::Azimuth => struck.blocks.iter().any(|block| block.azimuth_cdeg() != 0),
                     Part::Distance => blocks
                         .flat_map(|(a, b)| a.records.iter().zip(&b.records))
                         .any(|(a, b)| a.distance != b.distance),
-                    Part::Reflectivity => {
-                        struck.blocks.iter().flat_map(|block| block.records).any(|one| one.reflectivity != 9)
-                    }
+                    Part::Reflectivity => struck
+                        .blocks
+                        .iter()
+                        .flat_map(|block| block.records)
+                        .any(|one| one.reflectivity != 9),
                     Part::Stamp => struck.stamp_us() != 77_777,
                     Part::Factory => (struck.return_mode, struck.product) != (0x37, 0x22),
                     Part::Any | Part::Length => true,
                 };
                 assert!(seen, "{part:?} {bit}");
                 if let Some((block, record)) = damage.record() {
-                    assert_ne!(struck.blocks[block].records[record], clean.blocks[block].records[record]);
+                    assert_ne!(
+                        struck.blocks[block].records[record],
+                        clean.blocks[block].records[record]
+                    );
                 }
             }
         }

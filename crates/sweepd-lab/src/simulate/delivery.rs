@@ -1,5 +1,5 @@
-//! What happens to datagrams between the sensor and the host: some are lost, some come twice, some change places or bits,
-//! and some come that no sensor sent.
+//! What happens to datagrams between the sensor and the host: some are lost, some come twice, some
+//! change places or bits, and some come that no sensor sent.
 
 use std::collections::VecDeque;
 use std::ops::RangeInclusive;
@@ -20,33 +20,50 @@ pub struct Faults {
     pub places: u64,
     /// Arrive damaged.
     pub corrupted: Vec<(u64, Damage)>,
-    /// Before these arrives a datagram of so many bytes that no sensor sent, from its address and to its port.
+    /// Before these arrives a datagram of so many bytes that no sensor sent, from its address and
+    /// to its port.
     pub strays: Vec<(u64, u16)>,
 }
 
 impl Faults {
     fn lose(&self, ordinal: u64) -> bool {
         let next = self.lost.partition_point(|range| *range.end() < ordinal);
-        self.lost.get(next).is_some_and(|range| range.contains(&ordinal))
+        self.lost
+            .get(next)
+            .is_some_and(|range| range.contains(&ordinal))
     }
 
     fn corrupt(&self, ordinal: u64, payload: &mut Vec<u8>) {
-        if let Ok(index) = self.corrupted.binary_search_by_key(&ordinal, |&(number, _)| number) {
+        if let Ok(index) = self
+            .corrupted
+            .binary_search_by_key(&ordinal, |&(number, _)| number)
+        {
             self.corrupted[index].1.apply(payload);
         }
     }
 
     /// What arrives before a packet.
     fn stray(&self, next: &SimulatedDatagram, ordinal: u64) -> Option<SimulatedDatagram> {
-        let index = self.strays.binary_search_by_key(&ordinal, |&(number, _)| number).ok()?;
+        let index = self
+            .strays
+            .binary_search_by_key(&ordinal, |&(number, _)| number)
+            .ok()?;
         let mut payload = next.payload.clone();
         Damage::Length(self.strays[index].1).apply(&mut payload);
-        Some(SimulatedDatagram { payload, truth: None, arrival_ns: next.arrival_ns - STRAY_AHEAD_NS, ..*next })
+        Some(SimulatedDatagram {
+            payload,
+            truth: None,
+            arrival_ns: next.arrival_ns - STRAY_AHEAD_NS,
+            ..*next
+        })
     }
 
     /// Data packets that never arrive.
     pub fn lost_packets(&self) -> u64 {
-        self.lost.iter().map(|range| range.end() - range.start() + 1).sum()
+        self.lost
+            .iter()
+            .map(|range| range.end() - range.start() + 1)
+            .sum()
     }
 }
 
@@ -56,7 +73,13 @@ impl std::fmt::Display for Faults {
             (start, end) if start == end => start.to_string(),
             (start, end) => format!("{start}-{end}"),
         };
-        let list = |numbers: Vec<String>| if numbers.is_empty() { "none".to_owned() } else { numbers.join(", ") };
+        let list = |numbers: Vec<String>| {
+            if numbers.is_empty() {
+                "none".to_owned()
+            } else {
+                numbers.join(", ")
+            }
+        };
         let singles = |numbers: &[u64]| list(numbers.iter().map(u64::to_string).collect());
         let lost = list(self.lost.iter().map(range).collect());
         let (twice, late) = (singles(&self.duplicated), singles(&self.swapped));
@@ -66,7 +89,11 @@ impl std::fmt::Display for Faults {
 
 /// The datagrams as they arrive. Position packets are left alone.
 pub fn deliver<I: Iterator<Item = SimulatedDatagram>>(sent: I, faults: Faults) -> Delivery<I> {
-    Delivery { sent, faults, ready: VecDeque::new() }
+    Delivery {
+        sent,
+        faults,
+        ready: VecDeque::new(),
+    }
 }
 
 /// See [`deliver`].
@@ -82,8 +109,8 @@ const COPY_DELAY_NS: i64 = 4_000;
 const STRAY_AHEAD_NS: i64 = 3_000;
 
 impl<I: Iterator<Item = SimulatedDatagram>> Delivery<I> {
-    /// Takes the datagrams up to and with the next data packets, and puts `held` behind them: each comes when the one
-    /// before would have.
+    /// Takes the datagrams up to and with the next data packets, and puts `held` behind them: each
+    /// comes when the one before would have.
     fn swap(&mut self, mut held: SimulatedDatagram) {
         let mut behind = VecDeque::new();
         for _ in 0..self.faults.places.max(1) {
@@ -110,7 +137,9 @@ impl<I: Iterator<Item = SimulatedDatagram>> Iterator for Delivery<I> {
                 return Some(ready);
             }
             let mut next = self.sent.next()?;
-            let Some(ordinal) = next.truth.as_ref().map(|truth| truth.ordinal) else { return Some(next) };
+            let Some(ordinal) = next.truth.as_ref().map(|truth| truth.ordinal) else {
+                return Some(next);
+            };
             if self.faults.lose(ordinal) {
                 continue;
             }
@@ -123,7 +152,10 @@ impl<I: Iterator<Item = SimulatedDatagram>> Iterator for Delivery<I> {
             }
             self.faults.corrupt(ordinal, &mut next.payload);
             if self.faults.duplicated.binary_search(&ordinal).is_ok() {
-                let copy = SimulatedDatagram { arrival_ns: next.arrival_ns + COPY_DELAY_NS, ..next.clone() };
+                let copy = SimulatedDatagram {
+                    arrival_ns: next.arrival_ns + COPY_DELAY_NS,
+                    ..next.clone()
+                };
                 self.ready.extend([next, copy]);
             } else {
                 self.ready.push_back(next);
@@ -152,17 +184,43 @@ mod tests {
             ..Faults::default()
         };
         assert_eq!(faults.lost_packets(), 4);
-        assert_eq!(faults.to_string(), "lost: 1, 6-8; twice: 3; after the next: 4, 10");
+        assert_eq!(
+            faults.to_string(),
+            "lost: 1, 6-8; twice: 3; after the next: 4, 10"
+        );
         let clean: Vec<_> = Emitter::new(config.clone(), &scene).collect();
         let came: Vec<_> = deliver(Emitter::new(config, &scene), faults).collect();
-        let order: Vec<Option<u64>> = came.iter().map(|one| one.truth.as_ref().map(|truth| truth.ordinal)).collect();
+        let order: Vec<Option<u64>> = came
+            .iter()
+            .map(|one| one.truth.as_ref().map(|truth| truth.ordinal))
+            .collect();
         // A position packet follows data packets 4 and 9.
-        let expected = [Some(0), Some(2), Some(3), Some(3), Some(5), None, Some(4), Some(9), None, Some(11), Some(10)];
+        let expected = [
+            Some(0),
+            Some(2),
+            Some(3),
+            Some(3),
+            Some(5),
+            None,
+            Some(4),
+            Some(9),
+            None,
+            Some(11),
+            Some(10),
+        ];
         assert_eq!(order, expected);
-        assert!(came.windows(2).all(|two| two[0].arrival_ns < two[1].arrival_ns));
+        assert!(
+            came.windows(2)
+                .all(|two| two[0].arrival_ns < two[1].arrival_ns)
+        );
         for one in came {
             let Some(truth) = &one.truth else { continue };
-            let mut payload = clean.iter().find(|other| other.truth == one.truth).unwrap().payload.clone();
+            let mut payload = clean
+                .iter()
+                .find(|other| other.truth == one.truth)
+                .unwrap()
+                .payload
+                .clone();
             // Bit 17 is the second of the third byte.
             payload[2] ^= if truth.ordinal == 9 { 2 } else { 0 };
             assert_eq!(one.payload, payload);
@@ -175,12 +233,23 @@ mod tests {
         (config.packets, config.data_per_position) = (8, 100);
         let swapped = vec![1];
         let strays = vec![(0, 3), (6, 9_000)];
-        let faults = Faults { swapped, places: 3, strays, ..Faults::default() };
+        let faults = Faults {
+            swapped,
+            places: 3,
+            strays,
+            ..Faults::default()
+        };
         let came: Vec<_> = deliver(Emitter::new(config, &scene), faults).collect();
-        let order: Vec<Option<u64>> = came.iter().map(|one| one.truth.as_ref().map(|truth| truth.ordinal)).collect();
+        let order: Vec<Option<u64>> = came
+            .iter()
+            .map(|one| one.truth.as_ref().map(|truth| truth.ordinal))
+            .collect();
         let [a, b, c, d, e, f, g, h] = std::array::from_fn(|n| Some(n as u64));
         assert_eq!(order, [None, a, c, d, e, b, f, None, g, h]);
         assert_eq!((came[0].payload.len(), came[7].payload.len()), (3, 9_000));
-        assert!(came.windows(2).all(|two| two[0].arrival_ns < two[1].arrival_ns));
+        assert!(
+            came.windows(2)
+                .all(|two| two[0].arrival_ns < two[1].arrival_ns)
+        );
     }
 }

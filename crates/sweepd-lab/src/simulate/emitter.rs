@@ -1,9 +1,11 @@
-//! From time to packets: when each beam fires, where it points then, and what of it reaches the wire.
+//! From time to packets: when each beam fires, where it points then, and what of it reaches the
+//! wire.
 //!
-//! Everything starts from one continuous clock. A shot has a time; the time gives the azimuth of the head, which turns
-//! while the beams fire; the direction gives the returns. What reaches the wire is then less than what was known: the
-//! stamp is truncated to microseconds, the azimuth is that of the first shot in the block, rounded, and the range is
-//! noisy and counted in units. The [`PacketTruth`] keeps what was lost.
+//! Everything starts from one continuous clock. A shot has a time; the time gives the azimuth of
+//! the head, which turns while the beams fire; the direction gives the returns. What reaches the
+//! wire is then less than what was known: the stamp is truncated to microseconds, the azimuth is
+//! that of the first shot in the block, rounded, and the range is noisy and counted in units. The
+//! [`PacketTruth`] keeps what was lost.
 
 use std::f64::consts::TAU;
 use std::net::SocketAddrV4;
@@ -70,15 +72,32 @@ impl<'a> Emitter<'a> {
     pub fn new(config: EmitterConfig, scene: &'a Scene) -> Self {
         config.check().expect("a sensor that can be");
         let beams = config.beams();
-        let lasers = beams.beams().iter().map(|beam| Laser::new(beam, config.spec.distance_unit_m)).collect();
+        let lasers = beams
+            .beams()
+            .iter()
+            .map(|beam| Laser::new(beam, config.spec.distance_unit_m))
+            .collect();
         let eye = eye(&config.pose, &beams);
-        let status = config.model.is_hdl64e().then(|| Status::new(&config).expect("checked"));
+        let status = config
+            .model
+            .is_hdl64e()
+            .then(|| Status::new(&config).expect("checked"));
         let (time_s, half_s) = stretch_s(0);
         let view = (0, View::new(scene, eye.0, eye.1, time_s, half_s));
-        Self { lasers, status, view, schedule: Schedule::default(), cycle_ns: 0, position: None, tells: true, config }
+        Self {
+            lasers,
+            status,
+            view,
+            schedule: Schedule::default(),
+            cycle_ns: 0,
+            position: None,
+            tells: true,
+            config,
+        }
     }
 
-    /// The same, with nothing but its number in the truth of a packet: for whoever does not want more, and has no time.
+    /// The same, with nothing but its number in the truth of a packet: for whoever does not want
+    /// more, and has no time.
     pub fn untold(mut self) -> Self {
         self.tells = false;
         self
@@ -98,7 +117,10 @@ impl<'a> Emitter<'a> {
         let stamp_us = self.config.stamp_us(stamped_ns);
         let mut draft = Draft {
             packet: DataPacket::new(stamp_us, first, second),
-            truth: Box::new(PacketTruth { ordinal, returns: [[None; RECORDS]; BLOCKS] }),
+            truth: Box::new(PacketTruth {
+                ordinal,
+                returns: [[None; RECORDS]; BLOCKS],
+            }),
             layout: Layout::new(spec, mode),
             mode,
             times,
@@ -112,8 +134,8 @@ impl<'a> Emitter<'a> {
         (draft.packet, draft.truth)
     }
 
-    /// Sees to it that what moves is where it is at a time: that of a packet's first shot, or of a later one if there was
-    /// a silence meanwhile.
+    /// Sees to it that what moves is where it is at a time: that of a packet's first shot, or of a
+    /// later one if there was a silence meanwhile.
     fn look_around(&mut self, time_ns: i64, is_first: bool) {
         let stretch = time_ns / VIEW_NS;
         let is_due = is_first || time_ns > (self.view.0 + 1) * VIEW_NS + VIEW_SLACK_NS;
@@ -129,23 +151,34 @@ impl<'a> Emitter<'a> {
         let Self { config, .. } = self;
         let time_ns = draft.times.firing_ns(firing, config);
         if draft.layout.begins_blocks(firing) {
-            let azimuth = config.encoder.azimuth_cdeg(config.azimuth_rad(time_ns), rng);
+            let azimuth = config
+                .encoder
+                .azimuth_cdeg(config.azimuth_rad(time_ns), rng);
             let blocks = draft.layout.blocks(firing);
-            draft.packet.blocks[blocks].iter_mut().for_each(|block| block.set_azimuth_cdeg(azimuth));
+            draft.packet.blocks[blocks]
+                .iter_mut()
+                .for_each(|block| block.set_azimuth_cdeg(azimuth));
         }
         let mut shots = [(0, 0.0); RECORDS];
         for (channel, laser) in self.lasers.iter().enumerate() {
             // The second head fires with the first.
             if channel < RECORDS {
-                let time_ns = time_ns + i64::from(config.spec.channel_offset_ns(channel, draft.mode));
+                let time_ns =
+                    time_ns + i64::from(config.spec.channel_offset_ns(channel, draft.mode));
                 shots[channel] = (time_ns, config.azimuth_rad(time_ns));
             }
             let (time_ns, head_rad) = shots[channel % RECORDS];
             let aim = laser.aimed(head_rad);
             let guess_m = draft.met_m[channel];
-            let shot = Shot { aim, pose: &config.pose, time_s: time_ns as f64 * 1e-9, guess_m };
+            let shot = Shot {
+                aim,
+                pose: &config.pose,
+                time_s: time_ns as f64 * 1e-9,
+                guess_m,
+            };
             let returns = optics::shoot(&config.optics, &self.view.1, &shot, draft.mode, rng);
-            draft.met_m[channel] = returns[0].map_or(config.optics.max_range_m, |one| one.distance_m);
+            draft.met_m[channel] =
+                returns[0].map_or(config.optics.max_range_m, |one| one.distance_m);
             let mut written = None;
             for (slot, one) in returns.iter().enumerate() {
                 let Some(one) = one else { continue };
@@ -164,31 +197,69 @@ impl<'a> Emitter<'a> {
         }
     }
 
-    fn send(&self, arrival_ns: i64, port: u16, payload: Vec<u8>, truth: Option<Box<PacketTruth>>) -> SimulatedDatagram {
+    fn send(
+        &self,
+        arrival_ns: i64,
+        port: u16,
+        payload: Vec<u8>,
+        truth: Option<Box<PacketTruth>>,
+    ) -> SimulatedDatagram {
         let EmitterConfig { model, address, .. } = self.config;
         let source = SocketAddrV4::new(address, port);
         let destination = SocketAddrV4::new(gps::destination(model, address), port);
-        SimulatedDatagram { arrival_ns, source, destination, payload, truth }
+        SimulatedDatagram {
+            arrival_ns,
+            source,
+            destination,
+            payload,
+            truth,
+        }
     }
 }
 
 fn truth(one: &Return, aim: &Aim<'_>, time_ns: i64) -> ReturnTruth {
     let azimuth_rad = within_turn(aim.azimuth_of(one.distance_m));
-    let Hit { object, class, distance_m, .. } = one.hit;
-    ReturnTruth { object, class, range_m: distance_m, azimuth_rad, time_ns }
+    let Hit {
+        object,
+        class,
+        distance_m,
+        ..
+    } = one.hit;
+    ReturnTruth {
+        object,
+        class,
+        range_m: distance_m,
+        azimuth_rad,
+        time_ns,
+    }
 }
 
 /// An azimuth from 0 to a whole turn; most are, and need not be divided.
 fn within_turn(azimuth_rad: f64) -> f64 {
-    if (0.0..TAU).contains(&azimuth_rad) { azimuth_rad } else { azimuth_rad.rem_euclid(TAU) }
+    if (0.0..TAU).contains(&azimuth_rad) {
+        azimuth_rad
+    } else {
+        azimuth_rad.rem_euclid(TAU)
+    }
 }
 
-/// Where the beams of a sensor start: the middle of them, and how far from it the farthest does, metres.
+/// Where the beams of a sensor start: the middle of them, and how far from it the farthest does,
+/// metres.
 fn eye(pose: &Pose, beams: &Calibration) -> (Vec3, f64) {
     let heights = beams.beams().iter().map(|beam| beam.vertical_offset_m);
-    let [low, high] = [heights.clone().fold(f64::INFINITY, f64::min), heights.fold(f64::NEG_INFINITY, f64::max)];
-    let aside_m = beams.beams().iter().map(|beam| beam.horizontal_offset_m.abs()).fold(0.0, f64::max);
-    (pose.origin + Vec3::z() * ((low + high) / 2.0), f64::hypot((high - low) / 2.0, aside_m) + 0.01)
+    let [low, high] = [
+        heights.clone().fold(f64::INFINITY, f64::min),
+        heights.fold(f64::NEG_INFINITY, f64::max),
+    ];
+    let aside_m = beams
+        .beams()
+        .iter()
+        .map(|beam| beam.horizontal_offset_m.abs())
+        .fold(0.0, f64::max);
+    (
+        pose.origin + Vec3::z() * ((low + high) / 2.0),
+        f64::hypot((high - low) / 2.0, aside_m) + 0.01,
+    )
 }
 
 /// The middle of a stretch of time and half of how long it is, seconds.
@@ -207,16 +278,27 @@ impl Iterator for Emitter<'_> {
         }
         let times = self.schedule.next(&self.config)?;
         // Each packet has dice of its own, so that it is the same whatever was sent before.
-        let mut rng = Rng::with_seed(self.config.seed ^ times.ordinal.wrapping_mul(0x9E37_79B9_7F4A_7C15));
+        let mut rng =
+            Rng::with_seed(self.config.seed ^ times.ordinal.wrapping_mul(0x9E37_79B9_7F4A_7C15));
         let (packet, truth) = self.data_packet(times, &mut rng);
         let sent_ns = times.end_ns;
-        // 90 us on the way, and now and then a busy host; less than a packet's period, so nothing overtakes.
-        let delay_ns = 90_000 + rng.i64(0..20_000) + if rng.f64() < 0.05 { rng.i64(0..120_000) } else { 0 };
+        // 90 us on the way, and now and then a busy host; less than a packet's period, so nothing
+        // overtakes.
+        let delay_ns = 90_000
+            + rng.i64(0..20_000)
+            + if rng.f64() < 0.05 {
+                rng.i64(0..120_000)
+            } else {
+                0
+            };
         let arrival_ns = self.config.start_utc_ns + self.config.host_ahead_ns + sent_ns + delay_ns;
         // An HDL-64E has no position packets: its status says what they would.
-        if self.status.is_none() && (times.ordinal + 1).is_multiple_of(self.config.data_per_position) {
+        if self.status.is_none()
+            && (times.ordinal + 1).is_multiple_of(self.config.data_per_position)
+        {
             let payload = gps::position_packet(&self.config, sent_ns + 10_000, &mut rng);
-            self.position = Some(self.send(arrival_ns + 12_000, POSITION_PORT, payload.to_vec(), None));
+            self.position =
+                Some(self.send(arrival_ns + 12_000, POSITION_PORT, payload.to_vec(), None));
         }
         Some(self.send(arrival_ns, DATA_PORT, packet.emit().to_vec(), Some(truth)))
     }

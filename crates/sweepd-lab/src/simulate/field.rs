@@ -1,5 +1,5 @@
-//! An empty field: gently sloping ground, a fence far off on one side, a few bushes and trees, and somebody with a way
-//! to go. What is hard here is how little there is.
+//! An empty field: gently sloping ground, a fence far off on one side, a few bushes and trees, and
+//! somebody with a way to go. What is hard here is how little there is.
 
 use std::f64::consts::TAU;
 
@@ -35,17 +35,40 @@ fn somewhere(field: &mut Builder, near_m: f64, far_m: f64) -> Place {
     let (distance_m, heading_rad) = (field.between(near_m, far_m), field.between(0.0, TAU));
     // Azimuths from 110 to 340 degrees: the fence is to the right ahead.
     let azimuth_rad = field.between(110.0, 340.0).to_radians();
-    Place::new(distance_m * azimuth_rad.sin(), distance_m * azimuth_rad.cos(), heading_rad)
+    Place::new(
+        distance_m * azimuth_rad.sin(),
+        distance_m * azimuth_rad.cos(),
+        heading_rad,
+    )
 }
 
 /// Posts and two rails along the right-hand side, at an angle.
 fn fence(field: &mut Builder) {
-    let (distance_m, azimuth_rad) = (field.between(14.0, 20.0), field.between(40.0, 80.0).to_radians());
+    let (distance_m, azimuth_rad) = (
+        field.between(14.0, 20.0),
+        field.between(40.0, 80.0).to_radians(),
+    );
     let (sin, cos) = azimuth_rad.sin_cos();
-    let at = |along_m: f64, up: f64| [distance_m * sin + along_m * cos, distance_m * cos - along_m * sin, up];
-    let posts = (-11..=11).map(|post| (Shape::cylinder(at(f64::from(post) * 2.5, 0.0), 0.07, 1.3), Plain(30)));
+    let at = |along_m: f64, up: f64| {
+        [
+            distance_m * sin + along_m * cos,
+            distance_m * cos - along_m * sin,
+            up,
+        ]
+    };
+    let posts = (-11..=11).map(|post| {
+        (
+            Shape::cylinder(at(f64::from(post) * 2.5, 0.0), 0.07, 1.3),
+            Plain(30),
+        )
+    });
     // A rail's length lies along the fence: a quarter turn from the way out to it.
     let heading_rad = azimuth_rad + TAU / 4.0;
-    let rails = [0.5, 1.05].map(|up| (Shape::cuboid(at(0.0, up), [0.05, 55.0, 0.12], heading_rad), Plain(38)));
+    let rails = [0.5, 1.05].map(|up| {
+        (
+            Shape::cuboid(at(0.0, up), [0.05, 55.0, 0.12], heading_rad),
+            Plain(38),
+        )
+    });
     field.put(Class::Furniture, posts.chain(rails).collect());
 }

@@ -35,14 +35,29 @@ pub struct Counts {
 
 impl Fixture {
     /// The datagrams, in the order of the file, with their truth.
-    pub fn datagrams<'a>(&self, scene: &'a Scene) -> impl Iterator<Item = SimulatedDatagram> + use<'a> {
-        deliver(Emitter::new(self.config.clone(), scene), self.faults.clone())
+    pub fn datagrams<'a>(
+        &self,
+        scene: &'a Scene,
+    ) -> impl Iterator<Item = SimulatedDatagram> + use<'a> {
+        deliver(
+            Emitter::new(self.config.clone(), scene),
+            self.faults.clone(),
+        )
     }
 
     /// Its line in the table of `pcap_fixtures/README.md`.
     pub fn readme_row(&self, counts: &Counts) -> String {
-        let EmitterConfig { model, return_mode, .. } = self.config;
-        let Counts { data, position, lost, duplicated, swapped, returns } = counts;
+        let EmitterConfig {
+            model, return_mode, ..
+        } = self.config;
+        let Counts {
+            data,
+            position,
+            lost,
+            duplicated,
+            swapped,
+            returns,
+        } = counts;
         let file = self.file;
         format!(
             "| {file} | {model} | {return_mode} | {data} | {position} | {lost} | {duplicated} | {swapped} | {returns} |"
@@ -78,10 +93,14 @@ pub fn scene() -> Scene {
     street(2)
 }
 
-/// A VLP-16 in the old town of Frankfurt whose receiver has a fix, on a host whose clock is 3.2 ms ahead.
+/// A VLP-16 in the old town of Frankfurt whose receiver has a fix, on a host whose clock is 3.2 ms
+/// ahead.
 fn puck(return_mode: ReturnMode, turns: f64, start_deg: f64) -> EmitterConfig {
     let mut config = EmitterConfig::new(Model::Vlp16, return_mode).turns(turns);
-    config.clock = Clock::Gps { position_deg: (50.110_6, 8.682_1), reception: Reception::ALWAYS };
+    config.clock = Clock::Gps {
+        position_deg: (50.110_6, 8.682_1),
+        reception: Reception::ALWAYS,
+    };
     // 2026-05-04 10:17:23 UTC.
     config.start_utc_ns = 1_777_889_843_000_000_000;
     config.host_ahead_ns = 3_200_000;
@@ -93,7 +112,9 @@ fn puck(return_mode: ReturnMode, turns: f64, start_deg: f64) -> EmitterConfig {
 /// An HDL-32E without a receiver, its clock about to pass its own hour.
 fn hdl32e(return_mode: ReturnMode, turns: f64) -> EmitterConfig {
     let mut config = EmitterConfig::new(Model::Hdl32e, return_mode).turns(turns);
-    config.clock = Clock::Free { hour_ns: 3_599_850_000_417 };
+    config.clock = Clock::Free {
+        hour_ns: 3_599_850_000_417,
+    };
     config.encoder.start_deg = 222.68;
     config
 }
@@ -107,12 +128,22 @@ fn hdl64e_s2(seconds: f64, start_deg: f64) -> EmitterConfig {
 
 /// An HDL-64E S3 whose receiver is heard late, so that it is never locked.
 fn hdl64e_s3(return_mode: ReturnMode, start_deg: f64) -> EmitterConfig {
-    hdl64e(EmitterConfig::new(Model::Hdl64eS3, return_mode), 200_000_000, start_deg)
+    hdl64e(
+        EmitterConfig::new(Model::Hdl64eS3, return_mode),
+        200_000_000,
+        start_deg,
+    )
 }
 
 fn hdl64e(mut config: EmitterConfig, from_ns: i64, start_deg: f64) -> EmitterConfig {
-    let reception = Reception { from_ns, to_ns: i64::MAX };
-    config.clock = Clock::Gps { position_deg: (50.110_6, 8.682_1), reception };
+    let reception = Reception {
+        from_ns,
+        to_ns: i64::MAX,
+    };
+    config.clock = Clock::Gps {
+        position_deg: (50.110_6, 8.682_1),
+        reception,
+    };
     config.start_utc_ns = 1_777_889_843_000_000_000;
     config.encoder.start_deg = start_deg;
     // Ranges compress better for it: a status takes 4160 packets to tell.
@@ -120,10 +151,14 @@ fn hdl64e(mut config: EmitterConfig, from_ns: i64, start_deg: f64) -> EmitterCon
     config
 }
 
-/// All fixtures. Each begins and ends in the middle of a turn, as a capture does; the start is chosen so that a block
-/// of each says 36000 at one of its wraps.
+/// All fixtures. Each begins and ends in the middle of a turn, as a capture does; the start is
+/// chosen so that a block of each says 36000 at one of its wraps.
 pub fn all() -> Vec<Fixture> {
-    let clean = |file, config| Fixture { file, config, faults: Faults::default() };
+    let clean = |file, config| Fixture {
+        file,
+        config,
+        faults: Faults::default(),
+    };
     let losses = Faults {
         lost: vec![31..=31, 64..=66, 97..=97, 120..=129, 181..=181, 205..=206],
         duplicated: vec![45, 150],
@@ -131,14 +166,33 @@ pub fn all() -> Vec<Fixture> {
         ..Faults::default()
     };
     vec![
-        clean("street_vlp16.pcap.gz", puck(ReturnMode::Strongest, 6.0, 118.98)),
+        clean(
+            "street_vlp16.pcap.gz",
+            puck(ReturnMode::Strongest, 6.0, 118.98),
+        ),
         clean("street_hdl32e.pcap.gz", hdl32e(ReturnMode::Strongest, 4.5)),
-        clean("street_vlp16_dual.pcap.gz", puck(ReturnMode::Dual, 4.0, 118.89)),
+        clean(
+            "street_vlp16_dual.pcap.gz",
+            puck(ReturnMode::Dual, 4.0, 118.89),
+        ),
         clean("street_hdl32e_dual.pcap.gz", hdl32e(ReturnMode::Dual, 2.5)),
-        Fixture { file: "street_vlp16_losses.pcap", config: puck(ReturnMode::Strongest, 4.0, 118.98), faults: losses },
+        Fixture {
+            file: "street_vlp16_losses.pcap",
+            config: puck(ReturnMode::Strongest, 4.0, 118.98),
+            faults: losses,
+        },
         clean("street_hdl64e_s2.pcap.gz", hdl64e_s2(1.25, 48.939)),
-        clean("street_hdl64e_s3.pcap.gz", hdl64e_s3(ReturnMode::Strongest, 48.958).seconds(1.25, None)),
-        clean("street_hdl64e_s3_dual.pcap.gz", hdl64e_s3(ReturnMode::Dual, 235.59).seconds(0.25, None)),
-        clean("street_hdl64e_s3_switch.pcap.gz", hdl64e_s3(ReturnMode::Strongest, 152.646).seconds(0.4, Some(0.2))),
+        clean(
+            "street_hdl64e_s3.pcap.gz",
+            hdl64e_s3(ReturnMode::Strongest, 48.958).seconds(1.25, None),
+        ),
+        clean(
+            "street_hdl64e_s3_dual.pcap.gz",
+            hdl64e_s3(ReturnMode::Dual, 235.59).seconds(0.25, None),
+        ),
+        clean(
+            "street_hdl64e_s3_switch.pcap.gz",
+            hdl64e_s3(ReturnMode::Strongest, 152.646).seconds(0.4, Some(0.2)),
+        ),
     ]
 }

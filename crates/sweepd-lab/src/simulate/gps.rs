@@ -16,7 +16,8 @@ const HOUR_NS: i64 = HOUR_US as i64 * 1000;
 /// What the sensor clock follows.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub enum Clock {
-    /// Nothing: it counts from wherever it was at the first shot, nanoseconds after the top of its own hour.
+    /// Nothing: it counts from wherever it was at the first shot, nanoseconds after the top of its
+    /// own hour.
     Free {
         /// The clock at the first shot.
         hour_ns: i64,
@@ -53,13 +54,17 @@ const SYNCHRONIZING_NS: i64 = 2_000_000_000;
 
 impl Reception {
     /// Since long ago, and forever.
-    pub const ALWAYS: Self = Self { from_ns: i64::MIN, to_ns: i64::MAX };
+    pub const ALWAYS: Self = Self {
+        from_ns: i64::MIN,
+        to_ns: i64::MAX,
+    };
 
     fn locks_ns(self) -> i64 {
         self.from_ns.saturating_add(SYNCHRONIZING_NS)
     }
 
-    /// Whether the sensor clock counts UTC by then: since it was first locked, also when the receiver is lost again.
+    /// Whether the sensor clock counts UTC by then: since it was first locked, also when the
+    /// receiver is lost again.
     pub fn follows_utc(self, elapsed_ns: i64) -> bool {
         elapsed_ns >= self.locks_ns() && self.to_ns > self.locks_ns()
     }
@@ -75,8 +80,8 @@ impl Reception {
 }
 
 impl Clock {
-    /// The sensor clock as packets carry it: whole microseconds since the top of the hour, truncated. It was set ahead by
-    /// `ahead_ns`.
+    /// The sensor clock as packets carry it: whole microseconds since the top of the hour,
+    /// truncated. It was set ahead by `ahead_ns`.
     pub fn stamp_us(&self, start_utc_ns: i64, elapsed_ns: i64, ahead_ns: i64) -> u32 {
         let start_ns = match self {
             Self::Free { hour_ns } => *hour_ns,
@@ -87,12 +92,15 @@ impl Clock {
         ((start_ns + elapsed_ns + ahead_ns).rem_euclid(HOUR_NS) / 1000) as u32
     }
 
-    /// What the sensor says of the pulse, and the place that the receiver's sentence tells: a sentence since satellites
-    /// were first heard, a place while they are.
+    /// What the sensor says of the pulse, and the place that the receiver's sentence tells: a
+    /// sentence since satellites were first heard, a place while they are.
     pub(super) fn received(&self, elapsed_ns: i64) -> (Pps, Option<Option<(f64, f64)>>) {
         match *self {
             Self::Free { .. } => (Pps::Absent, None),
-            Self::Gps { position_deg, reception } => {
+            Self::Gps {
+                position_deg,
+                reception,
+            } => {
                 let heard = elapsed_ns >= reception.from_ns;
                 let place = (elapsed_ns < reception.to_ns).then_some(position_deg);
                 (reception.pps(elapsed_ns), heard.then_some(place))
@@ -105,13 +113,27 @@ impl Clock {
 const SENTENCE_DELAY_NS: i64 = 250_000_000;
 
 /// The 512 bytes of the position packet that a sensor sends so long after its first shot.
-pub fn position_packet(config: &EmitterConfig, elapsed_ns: i64, rng: &mut Rng) -> [u8; POSITION_PACKET_LEN] {
-    let EmitterConfig { model, clock, start_utc_ns, .. } = *config;
+pub fn position_packet(
+    config: &EmitterConfig,
+    elapsed_ns: i64,
+    rng: &mut Rng,
+) -> [u8; POSITION_PACKET_LEN] {
+    let EmitterConfig {
+        model,
+        clock,
+        start_utc_ns,
+        ..
+    } = *config;
     let (pulse, place) = clock.received(elapsed_ns);
     let sentence = place.map(|position_deg| {
         let second = (start_utc_ns + elapsed_ns - SENTENCE_DELAY_NS).div_euclid(1_000_000_000);
         // Without satellites it goes on by its own clock, with a warning.
-        Rmc { utc_ns: second * 1_000_000_000, valid: position_deg.is_some(), position_deg }.emit()
+        Rmc {
+            utc_ns: second * 1_000_000_000,
+            valid: position_deg.is_some(),
+            position_deg,
+        }
+        .emit()
     });
     let inertial = model == Model::Hdl32e;
     // The HDL-32E has no byte for the pulse.
@@ -122,14 +144,24 @@ pub fn position_packet(config: &EmitterConfig, elapsed_ns: i64, rng: &mut Rng) -
         nmea: sentence.as_deref().map(str::trim_end),
         inertial: inertial.then(|| [chip(rng, 0), chip(rng, 819), chip(rng, 819)]),
         board: (!inertial).then_some(BOARD),
-        thermal: (!inertial).then_some(Thermal { status: 0, shutdown_c: 0, power_up_c: 24 }),
+        thermal: (!inertial).then_some(Thermal {
+            status: 0,
+            shutdown_c: 0,
+            power_up_c: 24,
+        }),
     }
     .emit()
 }
 
-/// A chip at rest: noise about zero, 35 degrees, and on its second axis so many counts of gravity (819 = 1 g).
+/// A chip at rest: noise about zero, 35 degrees, and on its second axis so many counts of gravity
+/// (819 = 1 g).
 fn chip(rng: &mut Rng, gravity: i16) -> Inertial {
-    Inertial { gyro: rng.i16(-3..=3), temperature: 69, accel_x: rng.i16(-2..=2), accel_y: gravity + rng.i16(-2..=2) }
+    Inertial {
+        gyro: rng.i16(-3..=3),
+        temperature: 69,
+        accel_x: rng.i16(-2..=2),
+        accel_y: gravity + rng.i16(-2..=2),
+    }
 }
 
 /// A warm sensor that calibrated its converter at power-up.
@@ -155,7 +187,11 @@ pub fn address(model: Model) -> Ipv4Addr {
 /// Where a sensor sends to: everyone, or on an HDL-64E everyone of its own network.
 pub fn destination(model: Model, address: Ipv4Addr) -> Ipv4Addr {
     let [a, b, c, _] = address.octets();
-    if model.is_hdl64e() { Ipv4Addr::new(a, b, c, 255) } else { Ipv4Addr::BROADCAST }
+    if model.is_hdl64e() {
+        Ipv4Addr::new(a, b, c, 255)
+    } else {
+        Ipv4Addr::BROADCAST
+    }
 }
 
 #[cfg(test)]
@@ -165,10 +201,17 @@ mod tests {
 
     /// 2026-05-04 09:59:59.5 UTC (`date -u -d 2026-05-04T09:59:59 +%s`).
     const UTC_NS: i64 = 1_777_888_799_500_000_000;
-    const GPS: Clock = Clock::Gps { position_deg: (50.1, 8.7), reception: Reception::ALWAYS };
+    const GPS: Clock = Clock::Gps {
+        position_deg: (50.1, 8.7),
+        reception: Reception::ALWAYS,
+    };
 
     fn sensor(model: Model, clock: Clock) -> EmitterConfig {
-        EmitterConfig { clock, start_utc_ns: UTC_NS, ..EmitterConfig::new(model, ReturnMode::Strongest) }
+        EmitterConfig {
+            clock,
+            start_utc_ns: UTC_NS,
+            ..EmitterConfig::new(model, ReturnMode::Strongest)
+        }
     }
 
     #[test]
@@ -178,19 +221,30 @@ mod tests {
         assert_eq!(GPS.stamp_us(UTC_NS, 499_999_999, 0), 3_599_999_999);
         assert_eq!(GPS.stamp_us(UTC_NS, 500_000_000, 0), 0);
         assert_eq!(Clock::Free { hour_ns: 5_500 }.stamp_us(UTC_NS, 600, 0), 6);
-        assert_eq!(Clock::Free { hour_ns: 5_500 }.stamp_us(UTC_NS, 600, -7_000), 3_599_999_999);
+        assert_eq!(
+            Clock::Free { hour_ns: 5_500 }.stamp_us(UTC_NS, 600, -7_000),
+            3_599_999_999
+        );
     }
 
     #[test]
     fn a_locked_puck_tells_the_second_before_last() {
         let at = |elapsed_ns| {
-            let bytes = position_packet(&sensor(Model::Vlp16, GPS), elapsed_ns, &mut Rng::with_seed(0));
+            let bytes = position_packet(
+                &sensor(Model::Vlp16, GPS),
+                elapsed_ns,
+                &mut Rng::with_seed(0),
+            );
             let position = Position::parse(&bytes).unwrap();
             assert_eq!((position.pps, position.inertial), (Pps::Locked, None));
             Rmc::parse(position.nmea.unwrap()).unwrap()
         };
         assert_eq!(at(0).utc_ns, 1_777_888_799_000_000_000);
-        assert_eq!(at(700_000_000).utc_ns, 1_777_888_799_000_000_000, "0.2 s after the pulse: still the old one");
+        assert_eq!(
+            at(700_000_000).utc_ns,
+            1_777_888_799_000_000_000,
+            "0.2 s after the pulse: still the old one"
+        );
         assert_eq!(at(760_000_000).utc_ns, 1_777_888_800_000_000_000);
         assert!(at(0).valid);
     }
@@ -200,7 +254,10 @@ mod tests {
         let free = Clock::Free { hour_ns: 0 };
         let bytes = position_packet(&sensor(Model::Hdl32e, free), 0, &mut Rng::with_seed(0));
         let position = Position::parse(&bytes).unwrap();
-        assert_eq!((position.pps, position.nmea, position.board), (Pps::Absent, None, None));
+        assert_eq!(
+            (position.pps, position.nmea, position.board),
+            (Pps::Absent, None, None)
+        );
         let gravity = position.inertial.unwrap()[1].accel_g()[1];
         assert!((gravity - 1.0).abs() < 0.01, "{gravity}");
     }
@@ -208,18 +265,43 @@ mod tests {
     #[test]
     fn a_receiver_that_comes_and_goes_is_synchronized_locked_and_absent() {
         const SECOND_NS: i64 = 1_000_000_000;
-        let reception = Reception { from_ns: 3 * SECOND_NS, to_ns: 9 * SECOND_NS };
-        let clock = Clock::Gps { position_deg: (50.1, 8.7), reception };
+        let reception = Reception {
+            from_ns: 3 * SECOND_NS,
+            to_ns: 9 * SECOND_NS,
+        };
+        let clock = Clock::Gps {
+            position_deg: (50.1, 8.7),
+            reception,
+        };
         let at = |second: i64| {
-            let bytes = position_packet(&sensor(Model::Vlp16, clock), second * SECOND_NS, &mut Rng::with_seed(0));
+            let bytes = position_packet(
+                &sensor(Model::Vlp16, clock),
+                second * SECOND_NS,
+                &mut Rng::with_seed(0),
+            );
             let position = Position::parse(&bytes).unwrap();
-            (position.pps, position.nmea.map(|text| Rmc::parse(text).unwrap().valid), position.stamp_us)
+            (
+                position.pps,
+                position.nmea.map(|text| Rmc::parse(text).unwrap().valid),
+                position.stamp_us,
+            )
         };
         assert_eq!(at(2), (Pps::Absent, None, 2_000_000));
         assert_eq!(at(4), (Pps::Synchronizing, Some(true), 4_000_000));
-        assert_eq!(at(5), (Pps::Locked, Some(true), 4_500_000), "from its own hour to that of UTC, 09:59:59.5 before");
-        assert_eq!(at(9), (Pps::Absent, Some(false), 8_500_000), "it goes on from there");
-        let too_short = Reception { to_ns: 4 * SECOND_NS, ..reception };
+        assert_eq!(
+            at(5),
+            (Pps::Locked, Some(true), 4_500_000),
+            "from its own hour to that of UTC, 09:59:59.5 before"
+        );
+        assert_eq!(
+            at(9),
+            (Pps::Absent, Some(false), 8_500_000),
+            "it goes on from there"
+        );
+        let too_short = Reception {
+            to_ns: 4 * SECOND_NS,
+            ..reception
+        };
         assert!(!too_short.follows_utc(10 * SECOND_NS));
     }
 }

@@ -62,8 +62,14 @@ impl Encoder {
     pub(super) fn azimuth_cdeg(&self, azimuth_rad: f64, rng: &mut Rng) -> u16 {
         let off_deg = self.jitter_deg * (2.0 * rng.f64() - 1.0);
         let turn = f64::from(TURN_CDEG);
-        let cdeg = ((azimuth_rad.to_degrees() + off_deg) * 100.0).rem_euclid(turn).round();
-        if cdeg == turn && !self.sends_36000 { 0 } else { cdeg as u16 }
+        let cdeg = ((azimuth_rad.to_degrees() + off_deg) * 100.0)
+            .rem_euclid(turn)
+            .round();
+        if cdeg == turn && !self.sends_36000 {
+            0
+        } else {
+            cdeg as u16
+        }
     }
 }
 
@@ -72,7 +78,8 @@ impl Encoder {
 pub struct Motor {
     /// The head starts at rest and gains speed evenly for so long, nanoseconds.
     pub spin_up_ns: i64,
-    /// It stands still, while the lasers fire on, from one time to another; nanoseconds after the first shot.
+    /// It stands still, while the lasers fire on, from one time to another; nanoseconds after the
+    /// first shot.
     pub stall_ns: Option<[i64; 2]>,
     /// It is told to turn at another speed.
     pub change: Option<SpeedChange>,
@@ -92,17 +99,25 @@ pub struct SpeedChange {
 }
 
 impl SpeedChange {
-    /// For how long more (less, where negative) it would have had to turn at the first speed, nanoseconds.
+    /// For how long more (less, where negative) it would have had to turn at the first speed,
+    /// nanoseconds.
     fn gained_ns(&self, time_ns: f64) -> f64 {
-        let (since_ns, lasts_ns) = ((time_ns - self.from_ns as f64).max(0.0), self.lasts_ns as f64);
+        let (since_ns, lasts_ns) = (
+            (time_ns - self.from_ns as f64).max(0.0),
+            self.lasts_ns as f64,
+        );
         let changing_ns = since_ns.min(lasts_ns);
-        let mean = if lasts_ns > 0.0 { changing_ns / lasts_ns / 2.0 } else { 0.0 };
+        let mean = if lasts_ns > 0.0 {
+            changing_ns / lasts_ns / 2.0
+        } else {
+            0.0
+        };
         (self.to - 1.0) * (changing_ns * mean + since_ns - changing_ns)
     }
 }
 
-/// From one greatest speed of a drifting motor to the next, nanoseconds: a VLP-16 was seen to be 0.06 degrees off a
-/// steady turn, root mean square, within a few turns.
+/// From one greatest speed of a drifting motor to the next, nanoseconds: a VLP-16 was seen to be
+/// 0.06 degrees off a steady turn, root mean square, within a few turns.
 const DRIFT_PERIOD_NS: f64 = 1.3e9;
 
 impl Motor {
@@ -126,8 +141,11 @@ impl Motor {
     /// The same without stall and drift.
     fn driven_ns(&self, time_ns: i64) -> f64 {
         let (time_ns, spin_up_ns) = (time_ns as f64, self.spin_up_ns as f64);
-        let even_ns =
-            if time_ns < spin_up_ns { time_ns.powi(2) / (2.0 * spin_up_ns) } else { time_ns - spin_up_ns / 2.0 };
+        let even_ns = if time_ns < spin_up_ns {
+            time_ns.powi(2) / (2.0 * spin_up_ns)
+        } else {
+            time_ns - spin_up_ns / 2.0
+        };
         even_ns + self.change.map_or(0.0, |change| change.gained_ns(time_ns))
     }
 }
@@ -139,10 +157,25 @@ mod tests {
     #[test]
     fn the_motor_gains_speed_and_stands_still_when_it_is_told_to() {
         let second = 1_000_000_000;
-        let motor = Motor { spin_up_ns: 2 * second, stall_ns: Some([5 * second, 8 * second]), ..Motor::default() };
+        let motor = Motor {
+            spin_up_ns: 2 * second,
+            stall_ns: Some([5 * second, 8 * second]),
+            ..Motor::default()
+        };
         // Half the way of a steady motor while it gains speed: t * t / (2 * 2 s), then t - 1 s.
-        for (at_s, steady_s) in [(0, 0.0), (1, 0.25), (2, 1.0), (5, 4.0), (6, 4.0), (8, 4.0), (9, 5.0)] {
-            assert!((motor.steady_ns(at_s * second) * 1e-9 - steady_s).abs() < 1e-12, "{at_s}");
+        for (at_s, steady_s) in [
+            (0, 0.0),
+            (1, 0.25),
+            (2, 1.0),
+            (5, 4.0),
+            (6, 4.0),
+            (8, 4.0),
+            (9, 5.0),
+        ] {
+            assert!(
+                (motor.steady_ns(at_s * second) * 1e-9 - steady_s).abs() < 1e-12,
+                "{at_s}"
+            );
         }
         assert_eq!(Motor::default().steady_ns(7), 7.0);
     }
@@ -150,35 +183,69 @@ mod tests {
     #[test]
     fn the_motor_changes_its_speed_and_its_sense_when_it_is_told_to() {
         let second = 1_000_000_000;
-        let change = |to| Some(SpeedChange { from_ns: 4 * second, lasts_ns: 2 * second, to });
-        // Twice as fast after two seconds at one and a half; there and back after the turning point a second later.
+        let change = |to| {
+            Some(SpeedChange {
+                from_ns: 4 * second,
+                lasts_ns: 2 * second,
+                to,
+            })
+        };
+        // Twice as fast after two seconds at one and a half; there and back after the turning point
+        // a second later.
         for (to, ways) in [(2.0, [4.0, 5.25, 7.0, 9.0]), (-1.0, [4.0, 4.5, 4.0, 3.0])] {
-            let motor = Motor { change: change(to), ..Motor::default() };
+            let motor = Motor {
+                change: change(to),
+                ..Motor::default()
+            };
             for (at_s, steady_s) in [4, 5, 6, 7].into_iter().zip(ways) {
-                assert!((motor.steady_ns(at_s * second) * 1e-9 - steady_s).abs() < 1e-12, "{to} {at_s}");
+                assert!(
+                    (motor.steady_ns(at_s * second) * 1e-9 - steady_s).abs() < 1e-12,
+                    "{to} {at_s}"
+                );
             }
         }
         // Nothing is made up for while it stands.
         let stall_ns = Some([5 * second, 8 * second]);
-        let motor = Motor { change: change(2.0), stall_ns, ..Motor::default() };
+        let motor = Motor {
+            change: change(2.0),
+            stall_ns,
+            ..Motor::default()
+        };
         for (at_s, steady_s) in [(7, 5.25), (8, 5.25), (9, 7.25)] {
-            assert!((motor.steady_ns(at_s * second) * 1e-9 - steady_s).abs() < 1e-12, "{at_s}");
+            assert!(
+                (motor.steady_ns(at_s * second) * 1e-9 - steady_s).abs() < 1e-12,
+                "{at_s}"
+            );
         }
     }
 
     #[test]
     fn the_speed_drifts_by_what_it_is_told_to_and_not_on_average() {
-        let motor = Motor { drift: 0.002, ..Motor::default() };
-        let speed = |at_ns: i64| (motor.steady_ns(at_ns + 1_000_000) - motor.steady_ns(at_ns)) / 1e6;
+        let motor = Motor {
+            drift: 0.002,
+            ..Motor::default()
+        };
+        let speed =
+            |at_ns: i64| (motor.steady_ns(at_ns + 1_000_000) - motor.steady_ns(at_ns)) / 1e6;
         let speeds: Vec<f64> = (0..2_600).map(|ms| speed(ms * 1_000_000)).collect();
-        let [least, most] = [speeds.iter().copied().fold(9.0, f64::min), speeds.iter().copied().fold(0.0, f64::max)];
-        assert!((least - 0.998).abs() < 1e-5 && (most - 1.002).abs() < 1e-5, "{least} {most}");
+        let [least, most] = [
+            speeds.iter().copied().fold(9.0, f64::min),
+            speeds.iter().copied().fold(0.0, f64::max),
+        ];
+        assert!(
+            (least - 0.998).abs() < 1e-5 && (most - 1.002).abs() < 1e-5,
+            "{least} {most}"
+        );
         assert!((motor.steady_ns(2_600_000_000) - 2.6e9).abs() < 1e4);
     }
 
     #[test]
     fn a_field_of_view_may_reach_over_azimuth_0() {
-        let fov = FieldOfView { from_deg: 270.0, to_deg: 90.0, set_ns: [10, 20] };
+        let fov = FieldOfView {
+            from_deg: 270.0,
+            to_deg: 90.0,
+            set_ns: [10, 20],
+        };
         let sees = |deg: f64| fov.has(deg.to_radians(), 10);
         assert!(sees(271.0) && sees(0.0) && sees(89.0) && !sees(91.0) && !sees(269.0));
         assert!(fov.has(2.0, 9) && !fov.has(2.0, 19) && fov.has(2.0, 20));
@@ -186,7 +253,10 @@ mod tests {
 
     #[test]
     fn a_heading_turns_clockwise() {
-        let right = Pose { origin: Vec3::zeros(), heading_rad: std::f64::consts::FRAC_PI_2 };
+        let right = Pose {
+            origin: Vec3::zeros(),
+            heading_rad: std::f64::consts::FRAC_PI_2,
+        };
         assert!((right.turned(Vec3::new(0.0, 2.0, 1.0)) - Vec3::new(2.0, 0.0, 1.0)).norm() < 1e-12);
     }
 }

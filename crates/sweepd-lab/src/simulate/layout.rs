@@ -6,8 +6,8 @@
 //! HDL-64E                   upper, lower   upper and lower of strong, upper and lower of last
 //! ```
 //!
-//! (VLP-16 User Manual, section 9.3; HDL-64E S3 manual, 63-HDL64ES3, pp. 20 and 47. Which pair of an HDL-64E is which
-//! its manual does not say: as VeloView and velodyne_decoder read it.)
+//! (VLP-16 User Manual, section 9.3; HDL-64E S3 manual, 63-HDL64ES3, pp. 20 and 47. Which pair of
+//! an HDL-64E is which its manual does not say: as VeloView and velodyne_decoder read it.)
 
 use std::ops::Range;
 
@@ -30,7 +30,9 @@ impl Layout {
     /// Marks each block with the lasers that it is of.
     pub fn mark(&self, packet: &mut DataPacket) {
         for (index, block) in packet.blocks.iter_mut().enumerate() {
-            block.flag.set([FLAG_BANK_0, FLAG_BANK_1][index % self.spec.banks()]);
+            block
+                .flag
+                .set([FLAG_BANK_0, FLAG_BANK_1][index % self.spec.banks()]);
         }
     }
 
@@ -46,12 +48,16 @@ impl Layout {
         first..first + blocks
     }
 
-    /// Block and record of a return: slot 0 is the only or the last one, slot 1 the strongest or second strongest.
+    /// Block and record of a return: slot 0 is the only or the last one, slot 1 the strongest or
+    /// second strongest.
     pub fn place(&self, firing: usize, channel: usize, slot: usize) -> (usize, usize) {
         let banks = self.spec.banks();
         let swaps = banks > 1 && self.mode == ReturnMode::Dual;
         let pair = if swaps { 1 - slot } else { slot };
         let block = self.blocks(firing).start + pair * banks + channel / RECORDS;
-        (block, firing % self.spec.firings_per_azimuth() * self.spec.channels + channel % RECORDS)
+        (
+            block,
+            firing % self.spec.firings_per_azimuth() * self.spec.channels + channel % RECORDS,
+        )
     }
 }

@@ -1,25 +1,29 @@
-//! A sensor without a sensor: a scene, a head that turns in it, and the datagrams that a real one would send.
+//! A sensor without a sensor: a scene, a head that turns in it, and the datagrams that a real one
+//! would send.
 //!
 //! ```text
 //! setting ->  Scene  ->  View::cast  ->  optics  ->  Emitter  ->  deliver  ->  SimulatedDatagram { bytes, truth }
 //! seed        solids     nearest hit     returns     packets      faults
 //! ```
 //!
-//! * [`shape`]: convex solids and rays. [`scene`]: objects of such solids, and the ray that finds the nearest.
-//! * [`props`]: what stands there. [`mod@street`], [`parking`], [`mod@field`], [`mod@room`]: the scenes; [`setting`]:
-//!   which of them, and where the sensors stand.
-//! * [`beam`]: where a beam starts and goes, by the manual's formulas, and what the packet says of it. [`mod@unit`]: the
-//!   beams of an HDL-64E that was never built.
+//! * [`shape`]: convex solids and rays. [`scene`]: objects of such solids, and the ray that finds
+//!   the nearest.
+//! * [`props`]: what stands there. [`mod@street`], [`parking`], [`mod@field`], [`mod@room`]: the
+//!   scenes; [`setting`]: which of them, and where the sensors stand.
+//! * [`beam`]: where a beam starts and goes, by the manual's formulas, and what the packet says of
+//!   it. [`mod@unit`]: the beams of an HDL-64E that was never built.
 //! * [`optics`]: from what a beam meets to the returns that the sensor reports.
-//! * [`config`]: a sensor. [`head`]: how it turns. `schedule`: when it fires. [`emitter`]: time, turning head and packets.
-//!   [`truth`]: what each return really was. [`gps`]: the position packets; an HDL-64E has its `status` instead.
-//! * [`delivery`]: what a network does to datagrams. [`plan`]: faults at random rates. [`damage`]: what is wrong with one
-//!   packet.
+//! * [`config`]: a sensor. [`head`]: how it turns. `schedule`: when it fires. [`emitter`]: time,
+//!   turning head and packets. [`truth`]: what each return really was. [`gps`]: the position
+//!   packets; an HDL-64E has its `status` instead.
+//! * [`delivery`]: what a network does to datagrams. [`plan`]: faults at random rates. [`damage`]:
+//!   what is wrong with one packet.
 //! * [`fixtures`]: the captures in `pcap_fixtures/`.
 //!
-//! The simulator solves the problem forwards, from time to direction to bytes, and shares nothing with the decoder but
-//! the tables in [`sweepd_core::sensor`]: an error in one does not hide in the other. The same configuration gives the same
-//! bytes, and a packet depends on when it is fired alone, not on those before it.
+//! The simulator solves the problem forwards, from time to direction to bytes, and shares nothing
+//! with the decoder but the tables in [`sweepd_core::sensor`]: an error in one does not hide in the
+//! other. The same configuration gives the same bytes, and a packet depends on when it is fired
+//! alone, not on those before it.
 //!
 //! ```
 //! use sweepd_core::sensor::Model;

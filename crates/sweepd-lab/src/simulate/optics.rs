@@ -1,4 +1,5 @@
-//! From what a beam meets to what the receiver reports: spread of the beam, several returns, weak ones, noise.
+//! From what a beam meets to what the receiver reports: spread of the beam, several returns, weak
+//! ones, noise.
 
 use fastrand::Rng;
 
@@ -15,7 +16,8 @@ use sweepd_core::wire::data::{Record, ReturnMode};
 pub struct Optics {
     /// Nearer than this nothing is reported, metres.
     pub min_range_m: f64,
-    /// A surface of reflectivity 50 is seen half of the time from here, metres; nothing is reported beyond.
+    /// A surface of reflectivity 50 is seen half of the time from here, metres; nothing is reported
+    /// beyond.
     pub max_range_m: f64,
     /// Standard deviation of the range, metres.
     pub noise_m: f64,
@@ -33,12 +35,24 @@ impl Optics {
             Model::Hdl32e => (0.4, 80.0),
             Model::Hdl64eS2 | Model::Hdl64eS3 => (0.9, 120.0),
         };
-        Self { min_range_m, max_range_m, noise_m: 0.01, dropout: 0.004, spread_rad: 0.0015 }
+        Self {
+            min_range_m,
+            max_range_m,
+            noise_m: 0.01,
+            dropout: 0.004,
+            spread_rad: 0.0015,
+        }
     }
 
     /// An instrument without flaws: every hit within range is reported, where it is.
     pub fn perfect(max_range_m: f64) -> Self {
-        Self { min_range_m: 0.0, max_range_m, noise_m: 0.0, dropout: 0.0, spread_rad: 0.0 }
+        Self {
+            min_range_m: 0.0,
+            max_range_m,
+            noise_m: 0.0,
+            dropout: 0.0,
+            spread_rad: 0.0,
+        }
     }
 
     /// Whether the instrument has no flaws and need not roll dice.
@@ -82,16 +96,22 @@ impl Shot<'_> {
 }
 
 /// The rays of a beam: across and up in units of its spread, and the share of its light.
-const FOOTPRINT: [(f64, f64, f64); 5] =
-    [(0.0, 0.0, 0.4), (0.8, 0.0, 0.15), (-0.8, 0.0, 0.15), (0.0, 0.8, 0.15), (0.0, -0.8, 0.15)];
+const FOOTPRINT: [(f64, f64, f64); 5] = [
+    (0.0, 0.0, 0.4),
+    (0.8, 0.0, 0.15),
+    (-0.8, 0.0, 0.15),
+    (0.0, 0.8, 0.15),
+    (0.0, -0.8, 0.15),
+];
 
 /// Pulses nearer to each other than this are one return, metres.
 const RESOLUTION_M: f64 = 0.8;
 
-/// The returns that a shot gives, one for each block that reports it: `[only]` or, in dual mode, `[last, strong]`.
+/// The returns that a shot gives, one for each block that reports it: `[only]` or, in dual mode,
+/// `[last, strong]`.
 ///
-/// Dual (VLP-16 User Manual, section 6.2): the last, and the strongest, or second strongest when the strongest is the
-/// last.
+/// Dual (VLP-16 User Manual, section 6.2): the last, and the strongest, or second strongest when
+/// the strongest is the last.
 pub fn shoot(
     optics: &Optics,
     view: &View<'_>,
@@ -103,7 +123,9 @@ pub fn shoot(
     if !centre.edge {
         // The middle of the beam stands for all of it: a fifth of the work.
         let only = centre.hit.map(|hit| (hit, signal(optics, &hit)));
-        let only = only.filter(|only| is_seen(optics, only.1, rng)).and_then(|only| sayable(&shot.aim, only));
+        let only = only
+            .filter(|only| is_seen(optics, only.1, rng))
+            .and_then(|only| sayable(&shot.aim, only));
         return [only, only.filter(|_| mode == ReturnMode::Dual)];
     }
     let met = met(optics, view, shot, centre.hit, rng);
@@ -116,7 +138,9 @@ pub fn shoot(
     let last = returns.last().copied();
     returns.sort_by(|a, b| b.signal.total_cmp(&a.signal));
     match mode {
-        ReturnMode::Dual if returns.first().copied() == last => [last, returns.get(1).copied().or(last)],
+        ReturnMode::Dual if returns.first().copied() == last => {
+            [last, returns.get(1).copied().or(last)]
+        }
         ReturnMode::Dual => [last, returns.first().copied()],
         ReturnMode::Strongest => [returns.first().copied(), None],
         ReturnMode::Last => [last, None],
@@ -125,17 +149,28 @@ pub fn shoot(
 
 /// How far beside a curved beam a surface may be that is taken as met, metres.
 const BESIDE_M: f64 = 0.001;
-/// Rays that are cast along a curved beam before the last one counts as it is: leaves are somewhere else each time.
+/// Rays that are cast along a curved beam before the last one counts as it is: leaves are somewhere
+/// else each time.
 const MOST_CASTS: usize = 4;
 
 /// What a part of the beam meets, so many radians across and up from its middle.
-fn cast(optics: &Optics, view: &View<'_>, shot: &Shot<'_>, (across, up): (f64, f64), rng: &mut Rng) -> Look {
+fn cast(
+    optics: &Optics,
+    view: &View<'_>,
+    shot: &Shot<'_>,
+    (across, up): (f64, f64),
+    rng: &mut Rng,
+) -> Look {
     let aim = &shot.aim;
     let is_centre = (across, up) == (0.0, 0.0);
     let spread_rad = if is_centre { optics.spread_rad } else { 0.0 };
     let mut towards = aim.towards(shot.guess_m);
     for casts in 1.. {
-        let ray = shot.ray(if is_centre { towards } else { aim.beside(towards, across, up) });
+        let ray = shot.ray(if is_centre {
+            towards
+        } else {
+            aim.beside(towards, across, up)
+        });
         let mut look = view.look(&ray, spread_rad, shot.time_s, optics.max_range_m, rng);
         let range_m = look.hit.map_or(optics.max_range_m, |hit| hit.distance_m);
         if casts < MOST_CASTS && !(casts == 1 && aim.goes_by(shot.guess_m, range_m, BESIDE_M)) {
@@ -151,30 +186,44 @@ fn cast(optics: &Optics, view: &View<'_>, shot: &Shot<'_>, (across, up): (f64, f
     unreachable!("the loop ends with the last cast")
 }
 
-/// A return as the packet can say it: none where 16 bits have no number for its distance, and next to it where none
-/// means its range exactly.
+/// A return as the packet can say it: none where 16 bits have no number for its distance, and next
+/// to it where none means its range exactly.
 fn sayable(aim: &Aim<'_>, (mut hit, signal): (Hit, f64)) -> Option<Return> {
     let distance_m = aim.distance_m(hit.distance_m);
     if aim.is_curved() {
         hit.distance_m = aim.vector(distance_m).norm();
     }
-    aim.is_sayable(distance_m).then_some(Return { hit, signal, distance_m })
+    aim.is_sayable(distance_m).then_some(Return {
+        hit,
+        signal,
+        distance_m,
+    })
 }
 
 /// What the rays of the whole beam meet, nearest first, each with its light.
-fn met(optics: &Optics, view: &View<'_>, shot: &Shot<'_>, centre: Option<Hit>, rng: &mut Rng) -> Vec<(Hit, f64)> {
+fn met(
+    optics: &Optics,
+    view: &View<'_>,
+    shot: &Shot<'_>,
+    centre: Option<Hit>,
+    rng: &mut Rng,
+) -> Vec<(Hit, f64)> {
     let mut met: Vec<(Hit, f64)> = Vec::with_capacity(FOOTPRINT.len());
     for (across, up, share) in FOOTPRINT {
         let (across, up) = (across * optics.spread_rad, up * optics.spread_rad);
-        let hit = if (across, up) == (0.0, 0.0) { centre } else { cast(optics, view, shot, (across, up), rng).hit };
+        let hit = if (across, up) == (0.0, 0.0) {
+            centre
+        } else {
+            cast(optics, view, shot, (across, up), rng).hit
+        };
         met.extend(hit.map(|hit| (hit, share * signal(optics, &hit))));
     }
     met.sort_by(|a, b| a.0.distance_m.total_cmp(&b.0.distance_m));
     met
 }
 
-/// Whether the receiver sees two that follow each other as one pulse. It lies between the surfaces that sent it, where
-/// the light's middle is.
+/// Whether the receiver sees two that follow each other as one pulse. It lies between the surfaces
+/// that sent it, where the light's middle is.
 fn is_one_pulse((a, _): &(Hit, f64), (b, _): &(Hit, f64)) -> bool {
     // Ground under a flat beam gives one long pulse.
     let ground = a.class == Class::Ground && b.class == Class::Ground;
@@ -185,14 +234,20 @@ fn is_one_pulse((a, _): &(Hit, f64), (b, _): &(Hit, f64)) -> bool {
 fn merged(pulse: &[(Hit, f64)]) -> Option<(Hit, f64)> {
     let (mut whole, _) = *pulse.iter().max_by(|a, b| a.1.total_cmp(&b.1))?;
     let signal: f64 = pulse.iter().map(|one| one.1).sum();
-    // Of a long pulse the receiver times the peak; of glass that mirrored all of it there is no light to weigh.
+    // Of a long pulse the receiver times the peak; of glass that mirrored all of it there is no
+    // light to weigh.
     if signal > 0.0 && pulse.iter().any(|(hit, _)| hit.class != Class::Ground) {
-        whole.distance_m = pulse.iter().map(|(hit, signal)| signal * hit.distance_m).sum::<f64>() / signal;
+        whole.distance_m = pulse
+            .iter()
+            .map(|(hit, signal)| signal * hit.distance_m)
+            .sum::<f64>()
+            / signal;
     }
     Some((whole, signal))
 }
 
-/// Light that comes back from a whole beam on this surface, by distance, reflectivity and incidence.
+/// Light that comes back from a whole beam on this surface, by distance, reflectivity and
+/// incidence.
 fn signal(optics: &Optics, hit: &Hit) -> f64 {
     let diffuse = f64::from(hit.reflectivity.min(100)) / 50.0;
     let retro = 1.0 + f64::from(hit.reflectivity.saturating_sub(100)) / 10.0;
@@ -208,15 +263,34 @@ fn is_seen(optics: &Optics, signal: f64, rng: &mut Rng) -> bool {
 
 /// The three bytes that report a return, with the noise of range and reflectivity.
 pub fn record(optics: &Optics, one: &Return, aim: &Aim<'_>, rng: &mut Rng) -> Record {
-    let Return { hit, distance_m, .. } = one;
-    let noise_m = if optics.noise_m == 0.0 { 0.0 } else { optics.noise_m * gaussian(rng) };
+    let Return {
+        hit, distance_m, ..
+    } = one;
+    let noise_m = if optics.noise_m == 0.0 {
+        0.0
+    } else {
+        optics.noise_m * gaussian(rng)
+    };
     // A return is reported even where the noise pushes it below the first unit.
-    let units = aim.units(*distance_m, noise_m).clamp(1.0, f64::from(u16::MAX));
-    let blur = if optics.is_perfect() { 0 } else { rng.i16(-2..=2) };
-    let (low, high) = if hit.reflectivity > 100 { (101, 255) } else { (0, 100) };
+    let units = aim
+        .units(*distance_m, noise_m)
+        .clamp(1.0, f64::from(u16::MAX));
+    let blur = if optics.is_perfect() {
+        0
+    } else {
+        rng.i16(-2..=2)
+    };
+    let (low, high) = if hit.reflectivity > 100 {
+        (101, 255)
+    } else {
+        (0, 100)
+    };
     let reflectivity = (i16::from(hit.reflectivity) + blur).clamp(low, high) as u8;
     let reflectivity = aim.intensity_byte(units, reflectivity);
-    Record { distance: (units as u16).into(), reflectivity }
+    Record {
+        distance: (units as u16).into(),
+        reflectivity,
+    }
 }
 
 /// A normally distributed number (Box and Muller).
@@ -240,20 +314,43 @@ mod tests {
 
     const EYE: Vec3 = Vec3::new(0.0, 0.0, 2.0);
 
-    /// A pole of 4 mrad width at 10 m before a wall at 20 m; a beam of 3 mrad straight at the pole's right edge.
+    /// A pole of 4 mrad width at 10 m before a wall at 20 m; a beam of 3 mrad straight at the
+    /// pole's right edge.
     fn pole_and_wall(pole: u8, wall: u8) -> Scene {
         let mut scene = Scene::new([0.0; 2], 20);
         let solid = |y, width| Shape::cuboid([0.0, y, 0.0], [width, 0.2, 5.0], 0.0);
-        scene.add(Class::Pole, Vec3::zeros(), [(solid(10.1, 0.04), Surface::Plain(pole))]);
-        scene.add(Class::Building, Vec3::zeros(), [(solid(20.1, 30.0), Surface::Plain(wall))]);
+        scene.add(
+            Class::Pole,
+            Vec3::zeros(),
+            [(solid(10.1, 0.04), Surface::Plain(pole))],
+        );
+        scene.add(
+            Class::Building,
+            Vec3::zeros(),
+            [(solid(20.1, 30.0), Surface::Plain(wall))],
+        );
         scene
     }
 
     fn at_edge(scene: &Scene, mode: ReturnMode) -> [Option<Return>; 2] {
-        let optics = Optics { spread_rad: 0.001_5, ..Optics::perfect(100.0) };
+        let optics = Optics {
+            spread_rad: 0.001_5,
+            ..Optics::perfect(100.0)
+        };
         let view = View::new(scene, EYE, 0.03, 0.0, 0.01);
-        let (laser, pose) = (laser(), Pose { origin: EYE, heading_rad: 0.0 });
-        let shot = Shot { aim: laser.aimed(0.002_1), pose: &pose, time_s: 0.0, guess_m: 20.0 };
+        let (laser, pose) = (
+            laser(),
+            Pose {
+                origin: EYE,
+                heading_rad: 0.0,
+            },
+        );
+        let shot = Shot {
+            aim: laser.aimed(0.002_1),
+            pose: &pose,
+            time_s: 0.0,
+            guess_m: 20.0,
+        };
         shoot(&optics, &view, &shot, mode, &mut Rng::with_seed(0))
     }
 
@@ -264,10 +361,22 @@ mod tests {
     #[test]
     fn dual_reports_last_and_strongest_or_second_strongest() {
         let (pole, wall) = (Some(Class::Pole), Some(Class::Building));
-        // One ray of five is on the pole: 0.15 of the light at a quarter of the squared distance, against 0.85.
-        assert_eq!(classes(at_edge(&pole_and_wall(90, 10), ReturnMode::Dual)), [wall, pole], "the pole is stronger");
-        assert_eq!(classes(at_edge(&pole_and_wall(10, 90), ReturnMode::Dual)), [wall, pole], "second strongest");
-        assert_eq!(classes(at_edge(&pole_and_wall(90, 10), ReturnMode::Last)), [wall, None]);
+        // One ray of five is on the pole: 0.15 of the light at a quarter of the squared distance,
+        // against 0.85.
+        assert_eq!(
+            classes(at_edge(&pole_and_wall(90, 10), ReturnMode::Dual)),
+            [wall, pole],
+            "the pole is stronger"
+        );
+        assert_eq!(
+            classes(at_edge(&pole_and_wall(10, 90), ReturnMode::Dual)),
+            [wall, pole],
+            "second strongest"
+        );
+        assert_eq!(
+            classes(at_edge(&pole_and_wall(90, 10), ReturnMode::Last)),
+            [wall, None]
+        );
     }
 
     #[test]
@@ -275,16 +384,32 @@ mod tests {
         // A pole whose face is at 10 m, half a metre before a wall.
         let mut scene = Scene::new([0.0; 2], 20);
         let solid = |y, width| Shape::cuboid([0.0, y, 0.0], [width, 0.2, 5.0], 0.0);
-        scene.add(Class::Pole, Vec3::zeros(), [(solid(10.1, 0.04), Surface::Plain(50))]);
-        scene.add(Class::Building, Vec3::zeros(), [(solid(10.6, 30.0), Surface::Plain(50))]);
+        scene.add(
+            Class::Pole,
+            Vec3::zeros(),
+            [(solid(10.1, 0.04), Surface::Plain(50))],
+        );
+        scene.add(
+            Class::Building,
+            Vec3::zeros(),
+            [(solid(10.6, 30.0), Surface::Plain(50))],
+        );
         for mode in [ReturnMode::Strongest, ReturnMode::Last, ReturnMode::Dual] {
             let [one, other] = at_edge(&scene, mode);
             let hit = one.unwrap().hit;
-            // One ray of five is on the pole, with 0.15 of the light at (10.5 / 10)^2 of the strength.
+            // One ray of five is on the pole, with 0.15 of the light at (10.5 / 10)^2 of the
+            // strength.
             let weight = 0.15 * 10.5_f64.powi(2) / 100.0;
             let expected = (weight * 10.0 + 0.85 * 10.5) / (weight + 0.85);
-            assert!((hit.distance_m - expected).abs() < 0.000_1, "{mode}: {} {expected}", hit.distance_m);
-            assert_eq!((hit.class, other), (Class::Building, one.filter(|_| mode == ReturnMode::Dual)));
+            assert!(
+                (hit.distance_m - expected).abs() < 0.000_1,
+                "{mode}: {} {expected}",
+                hit.distance_m
+            );
+            assert_eq!(
+                (hit.class, other),
+                (Class::Building, one.filter(|_| mode == ReturnMode::Dual))
+            );
         }
     }
 
@@ -295,17 +420,31 @@ mod tests {
         scene.add(Class::Building, Vec3::zeros(), [(wall, Surface::Plain(50))]);
         let [even, odd] = at_edge(&scene, ReturnMode::Dual);
         assert!(even.is_some() && even == odd);
-        assert_eq!(at_edge(&Scene::new([0.0; 2], 20), ReturnMode::Dual), [None, None]);
+        assert_eq!(
+            at_edge(&Scene::new([0.0; 2], 20), ReturnMode::Dual),
+            [None, None]
+        );
     }
 
     #[test]
     fn weak_surfaces_are_lost_first() {
-        let optics = Optics { noise_m: 0.01, ..Optics::perfect(100.0) };
+        let optics = Optics {
+            noise_m: 0.01,
+            ..Optics::perfect(100.0)
+        };
         let mut rng = Rng::with_seed(1);
         let mut seen = |reflectivity, distance_m| {
-            let hit = Hit { distance_m, object: 2, class: Class::Car, reflectivity, cos_incidence: 1.0 };
+            let hit = Hit {
+                distance_m,
+                object: 2,
+                class: Class::Car,
+                reflectivity,
+                cos_incidence: 1.0,
+            };
             let signal = signal(&optics, &hit);
-            (0..1000).filter(|_| is_seen(&optics, signal, &mut rng)).count()
+            (0..1000)
+                .filter(|_| is_seen(&optics, signal, &mut rng))
+                .count()
         };
         assert_eq!(seen(80, 80.0), 1000);
         assert!((400..600).contains(&seen(50, 100.0)));
@@ -315,18 +454,42 @@ mod tests {
 
     #[test]
     fn noise_has_the_given_deviation() {
-        let optics = Optics { noise_m: 0.02, ..Optics::perfect(100.0) };
-        let hit = Hit { distance_m: 30.0, object: 2, class: Class::Car, reflectivity: 100, cos_incidence: 1.0 };
-        let one = Return { hit, signal: 2.0, distance_m: 30.0 };
+        let optics = Optics {
+            noise_m: 0.02,
+            ..Optics::perfect(100.0)
+        };
+        let hit = Hit {
+            distance_m: 30.0,
+            object: 2,
+            class: Class::Car,
+            reflectivity: 100,
+            cos_incidence: 1.0,
+        };
+        let one = Return {
+            hit,
+            signal: 2.0,
+            distance_m: 30.0,
+        };
         let mut rng = Rng::with_seed(2);
         let errors: Vec<f64> = (0..10_000)
-            .map(|_| f64::from(record(&optics, &one, &laser().aimed(0.0), &mut rng).distance.get()) * 0.002 - 30.0)
+            .map(|_| {
+                f64::from(
+                    record(&optics, &one, &laser().aimed(0.0), &mut rng)
+                        .distance
+                        .get(),
+                ) * 0.002
+                    - 30.0
+            })
             .collect();
         let mean = errors.iter().sum::<f64>() / 1e4;
         let deviation = (errors.iter().map(|e| e * e).sum::<f64>() / 1e4).sqrt();
-        assert!(mean.abs() < 0.001 && (deviation - 0.02).abs() < 0.001, "{mean} {deviation}");
         assert!(
-            (0..100).all(|_| record(&optics, &one, &laser().aimed(0.0), &mut rng).reflectivity <= 100),
+            mean.abs() < 0.001 && (deviation - 0.02).abs() < 0.001,
+            "{mean} {deviation}"
+        );
+        assert!(
+            (0..100)
+                .all(|_| record(&optics, &one, &laser().aimed(0.0), &mut rng).reflectivity <= 100),
             "diffuse stays diffuse"
         );
     }

@@ -1,7 +1,9 @@
-//! The parking lot of a supermarket: rows of cars across the view, lamps between them, the market's front ahead.
+//! The parking lot of a supermarket: rows of cars across the view, lamps between them, the market's
+//! front ahead.
 //!
-//! The sensor stands at the origin in the middle of an aisle that runs along x. Rows of cars in twos, bumper to bumper,
-//! lie ahead and behind; each aisle is 6.5 m wide and each bay 2.5 m by 5 m.
+//! The sensor stands at the origin in the middle of an aisle that runs along x. Rows of cars in
+//! twos, bumper to bumper, lie ahead and behind; each aisle is 6.5 m wide and each bay 2.5 m by 5
+//! m.
 
 use std::f64::consts::{FRAC_PI_2, PI};
 
@@ -33,13 +35,18 @@ pub fn parking_lot(seed: u64) -> Scene {
     lot.scene
 }
 
-/// A row of bays, about three in four of them taken; a car faces the heading, or has been backed in.
+/// A row of bays, about three in four of them taken; a car faces the heading, or has been backed
+/// in.
 fn row(lot: &mut Builder, y: f64, heading_rad: f64) {
     let bays = (2.0 * HALF_M / BAY_WIDE_M) as i32;
     for bay in 0..bays {
         let x = -HALF_M + (f64::from(bay) + 0.5) * BAY_WIDE_M;
         let (taken, van, backed) = (lot.chance(0.74), lot.chance(0.06), lot.chance(0.25));
-        let (askew_rad, off_m, paint) = (lot.between(-0.04, 0.04), lot.between(-0.15, 0.15), lot.paint());
+        let (askew_rad, off_m, paint) = (
+            lot.between(-0.04, 0.04),
+            lot.between(-0.15, 0.15),
+            lot.paint(),
+        );
         let length_m = lot.between(3.7, 4.7);
         // The passage across the rows, and a gap beside the sensor.
         if !taken || (18.0..24.0).contains(&x) || (-1.3..1.3).contains(&x) {
@@ -69,20 +76,40 @@ fn island(lot: &mut Builder, y: f64) {
 
 /// The market with its windows, a shelter for trolleys and signs at the entrance.
 fn market(lot: &mut Builder, y: f64) {
-    let house = House { width_m: 60.0, depth_m: 25.0, height_m: 6.5, plaster: 62, gateway: false, bays: false };
-    lot.put(Class::Building, props::house(Place::new(-5.0, y, PI), house));
+    let house = House {
+        width_m: 60.0,
+        depth_m: 25.0,
+        height_m: 6.5,
+        plaster: 62,
+        gateway: false,
+        bays: false,
+    };
+    lot.put(
+        Class::Building,
+        props::house(Place::new(-5.0, y, PI), house),
+    );
     for x in [-14.0, 12.0] {
-        lot.put(Class::Furniture, props::shelter(Place::new(x, y - 3.0, FRAC_PI_2)));
+        lot.put(
+            Class::Furniture,
+            props::shelter(Place::new(x, y - 3.0, FRAC_PI_2)),
+        );
         lot.put(Class::Sign, props::sign(Place::new(x + 4.0, y - 4.0, PI)));
     }
     for x in -6..6 {
-        lot.put(Class::Pole, props::bollard(Place::new(f64::from(x) * 2.0, y - 2.0, 0.0)));
+        lot.put(
+            Class::Pole,
+            props::bollard(Place::new(f64::from(x) * 2.0, y - 2.0, 0.0)),
+        );
     }
 }
 
 /// Who looks for a place, and who walks to the door or back.
 fn traffic(lot: &mut Builder) {
-    for (x, y, heading_rad) in [(13.0, -1.5, -FRAC_PI_2), (-16.0, PITCH_M + 1.4, FRAC_PI_2), (21.0, 12.0, 0.0)] {
+    for (x, y, heading_rad) in [
+        (13.0, -1.5, -FRAC_PI_2),
+        (-16.0, PITCH_M + 1.4, FRAC_PI_2),
+        (21.0, 12.0, 0.0),
+    ] {
         let (paint, place) = (lot.paint(), Place::new(x, y, heading_rad));
         let speed_m_s = lot.between(2.0, 4.0);
         lot.send(Class::Car, place, speed_m_s, props::car(place, 4.3, paint));
@@ -90,8 +117,16 @@ fn traffic(lot: &mut Builder) {
     for aisle in -1..=2 {
         for _ in 0..3 {
             let (x, off_m) = (lot.between(5.0, 25.0), lot.between(-2.4, 2.4));
-            let (x, heading_rad) = if lot.chance(0.5) { (x, FRAC_PI_2) } else { (-x, -FRAC_PI_2) };
-            lot.walker(Place::new(x, f64::from(aisle) * PITCH_M + off_m, heading_rad));
+            let (x, heading_rad) = if lot.chance(0.5) {
+                (x, FRAC_PI_2)
+            } else {
+                (-x, -FRAC_PI_2)
+            };
+            lot.walker(Place::new(
+                x,
+                f64::from(aisle) * PITCH_M + off_m,
+                heading_rad,
+            ));
         }
     }
 }
@@ -99,7 +134,13 @@ fn traffic(lot: &mut Builder) {
 /// Hedges around it.
 fn hedges(lot: &mut Builder) {
     for side in [-1.0, 1.0] {
-        lot.put(Class::Tree, props::hedge(Place::new(side * (HALF_M + 4.0), 0.0, 0.0), 70.0));
+        lot.put(
+            Class::Tree,
+            props::hedge(Place::new(side * (HALF_M + 4.0), 0.0, 0.0), 70.0),
+        );
     }
-    lot.put(Class::Tree, props::hedge(Place::new(0.0, -2.0 * PITCH_M - 6.0, FRAC_PI_2), 90.0));
+    lot.put(
+        Class::Tree,
+        props::hedge(Place::new(0.0, -2.0 * PITCH_M - 6.0, FRAC_PI_2), 90.0),
+    );
 }

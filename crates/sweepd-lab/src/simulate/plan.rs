@@ -31,7 +31,17 @@ pub struct Rates {
 impl Default for Rates {
     fn default() -> Self {
         let [loss, burst_loss, duplicate, reorder, corrupt, stray] = [0.0; 6];
-        Self { loss, burst_loss, burst_len: 0, duplicate, reorder, places: 1, corrupt, part: Part::Any, stray }
+        Self {
+            loss,
+            burst_loss,
+            burst_len: 0,
+            duplicate,
+            reorder,
+            places: 1,
+            corrupt,
+            part: Part::Any,
+            stray,
+        }
     }
 }
 
@@ -48,19 +58,38 @@ struct Dice {
 impl Dice {
     fn new(seed: u64) -> Self {
         let dice = |kind: u64| Rng::with_seed(seed ^ kind.wrapping_mul(0xD1B5_4A32_D192_ED03));
-        Self { loss: dice(1), burst: dice(2), duplicate: dice(3), reorder: dice(4), corrupt: dice(5), stray: dice(6) }
+        Self {
+            loss: dice(1),
+            burst: dice(2),
+            duplicate: dice(3),
+            reorder: dice(4),
+            corrupt: dice(5),
+            stray: dice(6),
+        }
     }
 }
 
 impl Rates {
     /// What strikes a stream of so many data packets.
     ///
-    /// The first and the last packet are spared: without them no receiver could tell what is missing. A packet suffers
-    /// one fault at most, and those that overtake it none, so that each fault can be counted at the other end.
+    /// The first and the last packet are spared: without them no receiver could tell what is
+    /// missing. A packet suffers one fault at most, and those that overtake it none, so that each
+    /// fault can be counted at the other end.
     pub fn plan(&self, seed: u64, packets: u64) -> Faults {
         let places = self.places.max(1);
-        let mut faults = Faults { places, ..Faults::default() };
-        if [self.loss, self.burst_loss, self.duplicate, self.reorder, self.corrupt, self.stray] == [0.0; 6] {
+        let mut faults = Faults {
+            places,
+            ..Faults::default()
+        };
+        if [
+            self.loss,
+            self.burst_loss,
+            self.duplicate,
+            self.reorder,
+            self.corrupt,
+            self.stray,
+        ] == [0.0; 6]
+        {
             return faults;
         }
         let mut dice = Dice::new(seed);
@@ -75,13 +104,20 @@ impl Rates {
             let lost = (dice.loss.f64() < self.loss || ordinal < burst_end) && !last;
             let twice = dice.duplicate.f64() < self.duplicate && !lost && !last;
             let late = dice.reorder.f64() < self.reorder && !lost && !twice && !last;
-            let damage = (dice.corrupt.f64() < self.corrupt).then(|| self.part.damage(&mut dice.corrupt));
+            let damage =
+                (dice.corrupt.f64() < self.corrupt).then(|| self.part.damage(&mut dice.corrupt));
             let corrupt = damage.filter(|_| !lost && !twice && !last);
             let stray = (dice.stray.f64() < self.stray).then(|| other_length(&mut dice.stray));
             waits = waits.filter(|_| !lost && !twice && corrupt.is_none());
             let overtakes = waits.is_some();
-            faults.strays.extend(stray.filter(|_| !lost && !overtakes).map(|bytes| (ordinal, bytes)));
-            faults.swapped.extend(waits.take_if(|first| ordinal - *first == places));
+            faults.strays.extend(
+                stray
+                    .filter(|_| !lost && !overtakes)
+                    .map(|bytes| (ordinal, bytes)),
+            );
+            faults
+                .swapped
+                .extend(waits.take_if(|first| ordinal - *first == places));
             if lost {
                 lose(&mut faults, ordinal);
             } else if twice {
@@ -122,33 +158,104 @@ mod tests {
 
     #[test]
     fn no_rate_is_no_fault_and_a_rate_is_met() {
-        let none = Rates { burst_len: 5, ..Rates::default() }.plan(1, 1000);
-        assert_eq!(none, Faults { places: 1, ..Faults::default() });
+        let none = Rates {
+            burst_len: 5,
+            ..Rates::default()
+        }
+        .plan(1, 1000);
+        assert_eq!(
+            none,
+            Faults {
+                places: 1,
+                ..Faults::default()
+            }
+        );
         let near = |count: u64, share: f64| (count as f64 / 1e5 - share).abs() < 0.1 * share;
-        assert!(near(Rates { loss: 0.05, ..Rates::default() }.plan(1, 100_000).lost_packets(), 0.05));
-        let bursts = Rates { burst_loss: 0.002, burst_len: 10, ..Rates::default() }.plan(1, 100_000);
-        assert!(bursts.lost.iter().all(|range| (range.end() - range.start() + 1).is_multiple_of(10)));
-        assert!(near(bursts.lost_packets(), 0.02), "{}", bursts.lost_packets());
+        assert!(near(
+            Rates {
+                loss: 0.05,
+                ..Rates::default()
+            }
+            .plan(1, 100_000)
+            .lost_packets(),
+            0.05
+        ));
+        let bursts = Rates {
+            burst_loss: 0.002,
+            burst_len: 10,
+            ..Rates::default()
+        }
+        .plan(1, 100_000);
+        assert!(
+            bursts
+                .lost
+                .iter()
+                .all(|range| (range.end() - range.start() + 1).is_multiple_of(10))
+        );
+        assert!(
+            near(bursts.lost_packets(), 0.02),
+            "{}",
+            bursts.lost_packets()
+        );
         let faults = ALL.plan(1, 100_000);
-        assert!(near(faults.duplicated.len() as u64, 0.04 * 0.93), "{}", faults.duplicated.len());
-        assert!(near(faults.corrupted.len() as u64, 0.02 * 0.9), "{}", faults.corrupted.len());
-        assert!(near(faults.strays.len() as u64, 0.01 * 0.9), "{}", faults.strays.len());
-        assert!(near(faults.swapped.len() as u64, 0.03 * 0.88 * 0.88), "{}", faults.swapped.len());
+        assert!(
+            near(faults.duplicated.len() as u64, 0.04 * 0.93),
+            "{}",
+            faults.duplicated.len()
+        );
+        assert!(
+            near(faults.corrupted.len() as u64, 0.02 * 0.9),
+            "{}",
+            faults.corrupted.len()
+        );
+        assert!(
+            near(faults.strays.len() as u64, 0.01 * 0.9),
+            "{}",
+            faults.strays.len()
+        );
+        assert!(
+            near(faults.swapped.len() as u64, 0.03 * 0.88 * 0.88),
+            "{}",
+            faults.swapped.len()
+        );
     }
 
     #[test]
     fn a_packet_suffers_one_fault_and_the_ends_none() {
         let overtakes = |faults: &Faults, one: u64| {
-            faults.swapped.iter().any(|&first| (first + 1..=first + faults.places).contains(&one))
+            faults
+                .swapped
+                .iter()
+                .any(|&first| (first + 1..=first + faults.places).contains(&one))
         };
-        for (seed, rates) in [(1, ALL), (2, Rates { loss: 1.0, ..ALL }), (3, Rates { reorder: 1.0, places: 3, ..ALL })]
-        {
+        for (seed, rates) in [
+            (1, ALL),
+            (2, Rates { loss: 1.0, ..ALL }),
+            (
+                3,
+                Rates {
+                    reorder: 1.0,
+                    places: 3,
+                    ..ALL
+                },
+            ),
+        ] {
             let faults = rates.plan(seed, 5_000);
             let mut struck: Vec<u64> = faults.lost.iter().cloned().flatten().collect();
             struck.extend(&faults.duplicated);
-            struck.extend(faults.swapped.iter().flat_map(|&one| one..=one + rates.places));
+            struck.extend(
+                faults
+                    .swapped
+                    .iter()
+                    .flat_map(|&one| one..=one + rates.places),
+            );
             struck.extend(faults.corrupted.iter().map(|&(one, _)| one));
-            assert!(faults.strays.iter().all(|&(one, _)| !overtakes(&faults, one)));
+            assert!(
+                faults
+                    .strays
+                    .iter()
+                    .all(|&(one, _)| !overtakes(&faults, one))
+            );
             let count = struck.len();
             struck.sort();
             struck.dedup();
@@ -165,8 +272,18 @@ mod tests {
 
     #[test]
     fn one_rate_does_not_move_the_others() {
-        let alone = Rates { loss: 0.05, ..Rates::default() }.plan(4, 10_000);
-        let beside = Rates { loss: 0.05, duplicate: 0.2, corrupt: 0.1, ..Rates::default() }.plan(4, 10_000);
+        let alone = Rates {
+            loss: 0.05,
+            ..Rates::default()
+        }
+        .plan(4, 10_000);
+        let beside = Rates {
+            loss: 0.05,
+            duplicate: 0.2,
+            corrupt: 0.1,
+            ..Rates::default()
+        }
+        .plan(4, 10_000);
         assert_eq!(alone.lost, beside.lost);
     }
 }

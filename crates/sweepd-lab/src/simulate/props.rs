@@ -1,6 +1,7 @@
 //! What stands and moves in the scenes, each made of a few solids.
 //!
-//! Sizes are those of the real things, in metres; numbers like 220 are reflectivities (see [`Surface`]).
+//! Sizes are those of the real things, in metres; numbers like 220 are reflectivities (see
+//! [`Surface`]).
 
 use super::scene::Surface::{self, Leaves, Plain, Windows};
 use super::shape::Shape;
@@ -24,18 +25,30 @@ pub struct Place {
 impl Place {
     /// A place on the road.
     pub fn new(x: f64, y: f64, heading_rad: f64) -> Self {
-        Self { x, y, z: 0.0, heading_rad }
+        Self {
+            x,
+            y,
+            z: 0.0,
+            heading_rad,
+        }
     }
 
     /// The same, this much higher.
     pub fn raised(self, z: f64) -> Self {
-        Self { z: self.z + z, ..self }
+        Self {
+            z: self.z + z,
+            ..self
+        }
     }
 
     /// A point to the right of, ahead of and above the place, as it faces.
     fn at(&self, across: f64, along: f64, up: f64) -> [f64; 3] {
         let (sin, cos) = self.heading_rad.sin_cos();
-        [self.x + across * cos + along * sin, self.y - across * sin + along * cos, self.z + up]
+        [
+            self.x + across * cos + along * sin,
+            self.y - across * sin + along * cos,
+            self.z + up,
+        ]
     }
 
     /// A cuboid in the frame of the place: width across, length along, height.
@@ -56,23 +69,40 @@ impl Place {
 const TYRE: Surface = Plain(6);
 const PLATE: Surface = Plain(220);
 
-fn wheels(place: &Place, across: f64, along: f64, size: [f64; 3]) -> impl Iterator<Item = (Shape, Surface)> {
+fn wheels(
+    place: &Place,
+    across: f64,
+    along: f64,
+    size: [f64; 3],
+) -> impl Iterator<Item = (Shape, Surface)> {
     [(-1.0, -1.0), (1.0, -1.0), (-1.0, 1.0), (1.0, 1.0)]
         .map(|(side, end)| (place.cuboid([side * across, end * along, 0.0], size), TYRE))
         .into_iter()
 }
 
 fn plates(place: &Place, along: f64) -> [(Shape, Surface); 2] {
-    [-1.0, 1.0].map(|end| (place.cuboid([0.0, end * along, 0.45], [0.52, 0.02, 0.11]), PLATE))
+    [-1.0, 1.0].map(|end| {
+        (
+            place.cuboid([0.0, end * along, 0.45], [0.52, 0.02, 0.11]),
+            PLATE,
+        )
+    })
 }
 
-/// A passenger car: body, glass and roof in two steps, wheels with the gap between them, number plates.
+/// A passenger car: body, glass and roof in two steps, wheels with the gap between them, number
+/// plates.
 pub fn car(place: Place, length_m: f64, paint: u8) -> Parts {
     let body = [1.78, length_m, 0.56];
     let mut parts = vec![
         (place.cuboid([0.0, 0.0, 0.27], body), Plain(paint)),
-        (place.cuboid([0.0, -0.25, 0.83], [1.62, 0.60 * length_m, 0.30]), Plain(9)),
-        (place.cuboid([0.0, -0.30, 1.13], [1.42, 0.44 * length_m, 0.32]), Plain(paint)),
+        (
+            place.cuboid([0.0, -0.25, 0.83], [1.62, 0.60 * length_m, 0.30]),
+            Plain(9),
+        ),
+        (
+            place.cuboid([0.0, -0.30, 1.13], [1.42, 0.44 * length_m, 0.32]),
+            Plain(paint),
+        ),
     ];
     parts.extend(wheels(&place, 0.80, 0.31 * length_m, [0.2, 0.62, 0.62]));
     parts.extend(plates(&place, 0.5 * length_m + 0.01));
@@ -82,8 +112,14 @@ pub fn car(place: Place, length_m: f64, paint: u8) -> Parts {
 /// A delivery van.
 pub fn van(place: Place, paint: u8) -> Parts {
     let mut parts = vec![
-        (place.cuboid([0.0, -0.4, 0.40], [1.95, 4.6, 2.0]), Plain(paint)),
-        (place.cuboid([0.0, 2.3, 0.40], [1.85, 0.9, 0.75]), Plain(paint)),
+        (
+            place.cuboid([0.0, -0.4, 0.40], [1.95, 4.6, 2.0]),
+            Plain(paint),
+        ),
+        (
+            place.cuboid([0.0, 2.3, 0.40], [1.85, 0.9, 0.75]),
+            Plain(paint),
+        ),
     ];
     parts.extend(wheels(&place, 0.86, 1.7, [0.22, 0.68, 0.68]));
     parts.extend(plates(&place, 2.76));
@@ -93,7 +129,10 @@ pub fn van(place: Place, paint: u8) -> Parts {
 /// A lorry with a box body.
 pub fn lorry(place: Place, paint: u8) -> Parts {
     let mut parts = vec![
-        (place.cuboid([0.0, -1.2, 1.0], [2.5, 6.6, 2.5]), Plain(paint)),
+        (
+            place.cuboid([0.0, -1.2, 1.0], [2.5, 6.6, 2.5]),
+            Plain(paint),
+        ),
         (place.cuboid([0.0, 3.3, 0.5], [2.4, 1.9, 2.3]), Plain(30)),
         (place.cuboid([0.0, -4.52, 0.7], [2.2, 0.03, 0.14]), PLATE),
     ];
@@ -105,15 +144,24 @@ pub fn lorry(place: Place, paint: u8) -> Parts {
 pub fn person(place: Place, height_m: f64, clothes: u8) -> Parts {
     let s = height_m / 1.75;
     let limb = |across, along, up, radius_m, length_m| {
-        (place.cylinder([across * s, along * s, up * s], radius_m * s, length_m * s), Plain(clothes))
+        (
+            place.cylinder([across * s, along * s, up * s], radius_m * s, length_m * s),
+            Plain(clothes),
+        )
     };
     vec![
         limb(-0.10, 0.16, 0.0, 0.08, 0.84),
         limb(0.10, -0.16, 0.0, 0.08, 0.84),
         limb(-0.26, -0.06, 0.75, 0.05, 0.65),
         limb(0.26, 0.06, 0.75, 0.05, 0.65),
-        (place.ball([0.0, 0.0, 1.13 * s], [0.21 * s, 0.21 * s, 0.37 * s]), Plain(clothes)),
-        (place.ball([0.0, 0.0, 1.62 * s], [0.11 * s, 0.11 * s, 0.13 * s]), Plain(35)),
+        (
+            place.ball([0.0, 0.0, 1.13 * s], [0.21 * s, 0.21 * s, 0.37 * s]),
+            Plain(clothes),
+        ),
+        (
+            place.ball([0.0, 0.0, 1.62 * s], [0.11 * s, 0.11 * s, 0.13 * s]),
+            Plain(35),
+        ),
     ]
 }
 
@@ -123,10 +171,22 @@ pub fn cyclist(place: Place, clothes: u8) -> Parts {
         (place.cuboid([0.0, -0.52, 0.0], [0.05, 0.66, 0.66]), TYRE),
         (place.cuboid([0.0, 0.52, 0.0], [0.05, 0.66, 0.66]), TYRE),
         (place.cuboid([0.0, 0.0, 0.50], [0.05, 1.0, 0.14]), Plain(25)),
-        (place.cuboid([0.0, 0.45, 1.0], [0.55, 0.05, 0.05]), Plain(15)),
-        (place.cylinder([-0.11, 0.05, 0.30], 0.08, 0.65), Plain(clothes)),
-        (place.cylinder([0.11, -0.05, 0.40], 0.08, 0.60), Plain(clothes)),
-        (place.ball([0.0, 0.05, 1.25], [0.21, 0.22, 0.37]), Plain(clothes)),
+        (
+            place.cuboid([0.0, 0.45, 1.0], [0.55, 0.05, 0.05]),
+            Plain(15),
+        ),
+        (
+            place.cylinder([-0.11, 0.05, 0.30], 0.08, 0.65),
+            Plain(clothes),
+        ),
+        (
+            place.cylinder([0.11, -0.05, 0.40], 0.08, 0.60),
+            Plain(clothes),
+        ),
+        (
+            place.ball([0.0, 0.05, 1.25], [0.21, 0.22, 0.37]),
+            Plain(clothes),
+        ),
         (place.ball([0.0, 0.15, 1.72], [0.12, 0.12, 0.14]), Plain(45)),
         (place.cuboid([0.0, -0.86, 0.7], [0.08, 0.02, 0.08]), PLATE),
     ]
@@ -145,7 +205,10 @@ pub fn lamp(place: Place) -> Parts {
 pub fn sign(place: Place) -> Parts {
     vec![
         (place.cylinder([0.0, 0.0, 0.0], 0.035, 2.1), Plain(45)),
-        (place.cuboid([0.0, 0.05, 1.9], [0.62, 0.02, 0.62]), Plain(235)),
+        (
+            place.cuboid([0.0, 0.05, 1.9], [0.62, 0.02, 0.62]),
+            Plain(235),
+        ),
     ]
 }
 
@@ -159,18 +222,39 @@ pub fn bollard(place: Place) -> Parts {
 
 /// A tree: trunk and two overlapping masses of leaves. A size of 1 is about 6 m high.
 pub fn tree(place: Place, size: f64) -> Parts {
-    let leaves = Leaves { reflectivity: 32, free_path_m: 0.9 };
+    let leaves = Leaves {
+        reflectivity: 32,
+        free_path_m: 0.9,
+    };
     let [wide, high] = [1.7 * size, 1.5 * size];
     vec![
-        (place.cylinder([0.0, 0.0, 0.0], 0.13 * size, 3.2 * size), Plain(22)),
-        (place.ball([0.2, 0.1, 3.9 * size], [wide, wide, high]), leaves),
-        (place.ball([-0.4, -0.3, 4.8 * size], [0.7 * wide, 0.7 * wide, 0.8 * high]), leaves),
+        (
+            place.cylinder([0.0, 0.0, 0.0], 0.13 * size, 3.2 * size),
+            Plain(22),
+        ),
+        (
+            place.ball([0.2, 0.1, 3.9 * size], [wide, wide, high]),
+            leaves,
+        ),
+        (
+            place.ball(
+                [-0.4, -0.3, 4.8 * size],
+                [0.7 * wide, 0.7 * wide, 0.8 * high],
+            ),
+            leaves,
+        ),
     ]
 }
 
 /// A hedge along the way it faces.
 pub fn hedge(place: Place, length_m: f64) -> Parts {
-    vec![(place.cuboid([0.0; 3], [0.7, length_m, 1.1]), Leaves { reflectivity: 30, free_path_m: 0.1 })]
+    vec![(
+        place.cuboid([0.0; 3], [0.7, length_m, 1.1]),
+        Leaves {
+            reflectivity: 30,
+            free_path_m: 0.1,
+        },
+    )]
 }
 
 /// A litter bin.
@@ -182,8 +266,14 @@ pub fn bin(place: Place) -> Parts {
 pub fn bench(place: Place) -> Parts {
     vec![
         (place.cuboid([0.0, 0.0, 0.40], [0.45, 1.8, 0.06]), Plain(28)),
-        (place.cuboid([-0.25, 0.0, 0.45], [0.06, 1.8, 0.42]), Plain(28)),
-        (place.cuboid([0.0, -0.75, 0.0], [0.4, 0.08, 0.40]), Plain(14)),
+        (
+            place.cuboid([-0.25, 0.0, 0.45], [0.06, 1.8, 0.42]),
+            Plain(28),
+        ),
+        (
+            place.cuboid([0.0, -0.75, 0.0], [0.4, 0.08, 0.40]),
+            Plain(14),
+        ),
         (place.cuboid([0.0, 0.75, 0.0], [0.4, 0.08, 0.40]), Plain(14)),
     ]
 }
@@ -218,14 +308,31 @@ pub struct House {
 
 /// A house: walls with windows, a doorstep, and a gateway or bays where it has them.
 pub fn house(place: Place, house: House) -> Parts {
-    let House { width_m, depth_m, height_m, plaster, gateway, bays } = house;
+    let House {
+        width_m,
+        depth_m,
+        height_m,
+        plaster,
+        gateway,
+        bays,
+    } = house;
     let wall = Windows(plaster);
     let body = |from: f64, to: f64, up: f64, height_m: f64| {
-        (place.cuboid([(from + to) / 2.0, -depth_m / 2.0, up], [to - from, depth_m, height_m]), wall)
+        (
+            place.cuboid(
+                [(from + to) / 2.0, -depth_m / 2.0, up],
+                [to - from, depth_m, height_m],
+            ),
+            wall,
+        )
     };
     let (left, right) = (-width_m / 2.0, width_m / 2.0);
     let mut parts = if gateway {
-        vec![body(left, -1.5, 0.0, 3.4), body(1.5, right, 0.0, 3.4), body(left, right, 3.4, height_m - 3.4)]
+        vec![
+            body(left, -1.5, 0.0, 3.4),
+            body(1.5, right, 0.0, 3.4),
+            body(left, right, 3.4, height_m - 3.4),
+        ]
     } else {
         vec![body(left, right, 0.0, height_m)]
     };
@@ -233,7 +340,10 @@ pub fn house(place: Place, house: House) -> Parts {
     parts.push((door, Plain(30)));
     if bays {
         for across in [-0.25, 0.25].map(|part| part * width_m) {
-            parts.push((place.cuboid([across, 0.4, 3.2], [2.4, 1.0, height_m - 4.5]), wall));
+            parts.push((
+                place.cuboid([across, 0.4, 3.2], [2.4, 1.0, height_m - 4.5]),
+                wall,
+            ));
         }
     }
     parts

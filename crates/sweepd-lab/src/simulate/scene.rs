@@ -1,8 +1,9 @@
-//! What there is to see: objects made of solids with a surface, on sloping ground, and what a ray meets of each.
+//! What there is to see: objects made of solids with a surface, on sloping ground, and what a ray
+//! meets of each.
 //!
-//! The slope is a shear. A scene is built on level ground and the ray is bent instead: its rise is lessened by what the
-//! ground gains under it. Distances along the ray stay true, upright things stay upright, and everything stands on the
-//! ground without being told how high that is.
+//! The slope is a shear. A scene is built on level ground and the ray is bent instead: its rise is
+//! lessened by what the ground gains under it. Distances along the ray stay true, upright things
+//! stay upright, and everything stands on the ground without being told how high that is.
 
 use fastrand::Rng;
 
@@ -60,10 +61,11 @@ impl Class {
 /// How a surface answers a laser.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub enum Surface {
-    /// An ordinary one: reflectivity 0-100 as the sensors calibrate it, more where it is retro-reflecting.
+    /// An ordinary one: reflectivity 0-100 as the sensors calibrate it, more where it is
+    /// retro-reflecting.
     Plain(u8),
-    /// A front with rows of windows, set back into the wall; the number is the wall's reflectivity. Where a window
-    /// mirrors the beam away, the hit has reflectivity 0.
+    /// A front with rows of windows, set back into the wall; the number is the wall's reflectivity.
+    /// Where a window mirrors the beam away, the hit has reflectivity 0.
     Windows(u8),
     /// Leaves: the light gets lost within, once in so many metres.
     Leaves {
@@ -122,12 +124,25 @@ pub struct Scene {
 impl Scene {
     /// Bare ground.
     pub fn new(slope: [f64; 2], road: u8) -> Self {
-        let ground = Object { class: Class::Ground, velocity: Vec3::zeros() };
-        Self { slope, road, objects: vec![ground], parts: Vec::new() }
+        let ground = Object {
+            class: Class::Ground,
+            velocity: Vec3::zeros(),
+        };
+        Self {
+            slope,
+            road,
+            objects: vec![ground],
+            parts: Vec::new(),
+        }
     }
 
     /// Puts in an object and gives its number.
-    pub fn add(&mut self, class: Class, velocity: Vec3, parts: impl IntoIterator<Item = (Shape, Surface)>) -> u32 {
+    pub fn add(
+        &mut self,
+        class: Class,
+        velocity: Vec3,
+        parts: impl IntoIterator<Item = (Shape, Surface)>,
+    ) -> u32 {
         self.objects.push(Object { class, velocity });
         let object = self.objects.len() as u32;
         self.extend(object, parts);
@@ -139,8 +154,16 @@ impl Scene {
     /// # Panics
     /// When there is no such object.
     pub fn extend(&mut self, object: u32, parts: impl IntoIterator<Item = (Shape, Surface)>) {
-        assert!((1..=self.objects.len() as u32).contains(&object), "there is no object {object}");
-        self.parts.extend(parts.into_iter().map(|(shape, surface)| Part { shape, surface, object }));
+        assert!(
+            (1..=self.objects.len() as u32).contains(&object),
+            "there is no object {object}"
+        );
+        self.parts
+            .extend(parts.into_iter().map(|(shape, surface)| Part {
+                shape,
+                surface,
+                object,
+            }));
     }
 
     /// The objects by number: that with number n is at index n - 1.
@@ -166,14 +189,22 @@ impl Scene {
 
     /// A point of the world in the frame in which the ground is level.
     pub fn levelled(&self, point: Vec3) -> Vec3 {
-        Vec3::new(point.x, point.y, point.z - self.slope[0] * point.x - self.slope[1] * point.y)
+        Vec3::new(
+            point.x,
+            point.y,
+            point.z - self.slope[0] * point.x - self.slope[1] * point.y,
+        )
     }
 
-    /// The ray in the frame in which the ground is level. Its direction is no longer of length 1, so that distances are
-    /// still those of the world.
+    /// The ray in the frame in which the ground is level. Its direction is no longer of length 1,
+    /// so that distances are still those of the world.
     #[inline]
     pub(super) fn bent(&self, ray: &Ray) -> Ray {
-        Ray { origin: self.levelled(ray.origin), direction: self.levelled(ray.direction), ..*ray }
+        Ray {
+            origin: self.levelled(ray.origin),
+            direction: self.levelled(ray.direction),
+            ..*ray
+        }
     }
 
     #[inline]
@@ -192,7 +223,10 @@ impl Scene {
     /// A bent ray as a solid meets it that moves with its object: where it stood at time 0.
     #[inline]
     pub(super) fn beside(&self, part: &Part, bent: &Ray, time_s: f64) -> Ray {
-        Ray { origin: bent.origin - self.velocity(part) * time_s, ..*bent }
+        Ray {
+            origin: bent.origin - self.velocity(part) * time_s,
+            ..*bent
+        }
     }
 
     /// What a ray meets that passes through a solid; leaves and windows answer by chance.
@@ -204,10 +238,17 @@ impl Scene {
                 let recess_m = WINDOW_RECESS_M / span.cos_incidence.max(0.2);
                 // Glass mirrors most of a slanting beam away, and nothing comes back.
                 let mirrored = rng.f64() > 0.75 * span.cos_incidence;
-                (span.enter_m + recess_m, if mirrored { 0 } else { wall / 4 }, span.cos_incidence)
+                (
+                    span.enter_m + recess_m,
+                    if mirrored { 0 } else { wall / 4 },
+                    span.cos_incidence,
+                )
             }
             Surface::Windows(wall) => (span.enter_m, wall, span.cos_incidence),
-            Surface::Leaves { reflectivity, free_path_m } => {
+            Surface::Leaves {
+                reflectivity,
+                free_path_m,
+            } => {
                 // The depth of the first leaf is exponentially distributed; 1 - f64() is never 0.
                 let depth_m = -free_path_m * (1.0 - rng.f64()).ln();
                 (span.enter_m + depth_m, reflectivity, 0.7)
@@ -225,8 +266,8 @@ impl Scene {
 }
 
 impl Part {
-    /// From where on the outline of the solid may be as near to a ray as its rim is wide: a number beyond all distances
-    /// where it is not. Leaves are nothing but outline.
+    /// From where on the outline of the solid may be as near to a ray as its rim is wide: a number
+    /// beyond all distances where it is not. Leaves are nothing but outline.
     #[inline]
     pub(super) fn outline_m(&self, brim: &Brim, ray: &Ray, rim_m: f64) -> f64 {
         let within = match (self.surface, brim.core_m) {
@@ -251,12 +292,14 @@ fn is_storey(z_m: f64) -> bool {
     z_m > 0.9 && (0.6..2.1).contains(&remainder(z_m - 0.4, 3.0))
 }
 
-/// Whether windows are so far along. Fronts run along x or y; the sum of both tells places apart on both.
+/// Whether windows are so far along. Fronts run along x or y; the sum of both tells places apart on
+/// both.
 fn is_column(along_m: f64) -> bool {
     remainder(along_m, 2.2) < 1.2
 }
 
-/// What is left of a number of periods, but for the last bits: a tenth of the work of `f64::rem_euclid`.
+/// What is left of a number of periods, but for the last bits: a tenth of the work of
+/// `f64::rem_euclid`.
 fn remainder(place_m: f64, period_m: f64) -> f64 {
     place_m - period_m * floor(place_m / period_m)
 }
@@ -266,7 +309,9 @@ fn is_frame(place: Vec3, rim_m: f64) -> bool {
     let (along_m, up_m) = (place.x + place.y, place.z);
     let (column, storey) = (is_column(along_m), is_storey(up_m));
     let near = |is_there: fn(f64) -> bool, at_m: f64, there| {
-        [rim_m, -rim_m].iter().any(|off_m| is_there(at_m + off_m) != there)
+        [rim_m, -rim_m]
+            .iter()
+            .any(|off_m| is_there(at_m + off_m) != there)
     };
     storey && near(is_column, along_m, column) || column && near(is_storey, up_m, storey)
 }

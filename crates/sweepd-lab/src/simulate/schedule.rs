@@ -1,4 +1,5 @@
-//! When the blocks of each packet are fired: on and on in one beat, but for the sector that is left out.
+//! When the blocks of each packet are fired: on and on in one beat, but for the sector that is left
+//! out.
 
 use super::config::EmitterConfig;
 use sweepd_core::sensor::model::Stamp;
@@ -26,14 +27,20 @@ impl Schedule {
     /// The times of the next packet; `None` when all were sent.
     pub fn next(&mut self, config: &EmitterConfig) -> Option<Times> {
         let ordinal = self.ordinal;
-        let (mode, limit_ns) = (config.mode_of(ordinal), config.first_shot_ns(config.packets));
+        let (mode, limit_ns) = (
+            config.mode_of(ordinal),
+            config.first_shot_ns(config.packets),
+        );
         let step_ns = i64::from(config.spec.azimuth_period_ns(mode));
         if config.fov.is_none() {
             self.next_ns = config.first_shot_ns(ordinal);
         }
         let mut starts_ns = [0; BLOCKS];
         for start_ns in &mut starts_ns[..config.spec.azimuths_per_packet(mode)] {
-            while config.fov.is_some_and(|fov| !fov.has(config.azimuth_rad(self.next_ns), self.next_ns)) {
+            while config
+                .fov
+                .is_some_and(|fov| !fov.has(config.azimuth_rad(self.next_ns), self.next_ns))
+            {
                 self.next_ns += step_ns;
                 if self.next_ns >= limit_ns {
                     return None;
@@ -46,14 +53,21 @@ impl Schedule {
             return None;
         }
         self.ordinal += 1;
-        Some(Times { ordinal, starts_ns, end_ns: self.next_ns })
+        Some(Times {
+            ordinal,
+            starts_ns,
+            end_ns: self.next_ns,
+        })
     }
 }
 
 impl Times {
     /// First shot of a firing.
     pub fn firing_ns(&self, firing: usize, config: &EmitterConfig) -> i64 {
-        let (mode, sharing) = (config.mode_of(self.ordinal), config.spec.firings_per_azimuth());
+        let (mode, sharing) = (
+            config.mode_of(self.ordinal),
+            config.spec.firings_per_azimuth(),
+        );
         let period_ns = i64::from(config.spec.firing_period_ns(mode));
         self.starts_ns[firing / sharing] + (firing % sharing) as i64 * period_ns
     }
@@ -85,33 +99,59 @@ mod tests {
         (config.packets, config.mode_switch) = (40, Some(10));
         let times = times(&config);
         assert_eq!((times.len() as u64, config.sent_packets()), (40, 40));
-        assert!(times.windows(2).all(|two| two[0].end_ns == two[1].starts_ns[0]));
+        assert!(
+            times
+                .windows(2)
+                .all(|two| two[0].end_ns == two[1].starts_ns[0])
+        );
         // Six azimuths of two firings each, then twelve.
-        assert_eq!((times[9].end_ns, times[39].end_ns), (10 * 12 * 55_296, (10 * 12 + 30 * 24) * 55_296));
+        assert_eq!(
+            (times[9].end_ns, times[39].end_ns),
+            (10 * 12 * 55_296, (10 * 12 + 30 * 24) * 55_296)
+        );
         assert_eq!(times[3].firing_ns(5, &config), (3 * 12 + 5) * 55_296);
     }
 
     #[test]
     fn a_limited_field_of_view_leaves_blocks_out_and_keeps_the_beat() {
-        for (model, mode) in [(Model::Vlp16, ReturnMode::Strongest), (Model::Hdl64eS3, ReturnMode::Dual)] {
+        for (model, mode) in [
+            (Model::Vlp16, ReturnMode::Strongest),
+            (Model::Hdl64eS3, ReturnMode::Dual),
+        ] {
             let mut config = EmitterConfig::new(model, mode).turns(3.0);
             let all = config.packets;
-            config.fov = Some(FieldOfView { from_deg: 90.0, to_deg: 180.0, set_ns: [0, i64::MAX] });
+            config.fov = Some(FieldOfView {
+                from_deg: 90.0,
+                to_deg: 180.0,
+                set_ns: [0, i64::MAX],
+            });
             let times = times(&config);
             let count = times.len() as u64;
             assert_eq!(config.sent_packets(), count);
-            assert!((all / 4 - 3..=all / 4 + 1).contains(&count), "{model}: {count} of {all}");
+            assert!(
+                (all / 4 - 3..=all / 4 + 1).contains(&count),
+                "{model}: {count} of {all}"
+            );
             let step_ns = i64::from(config.spec.azimuth_period_ns(mode));
             let firings = config.spec.firings_per_packet(mode);
-            let fired = times.iter().flat_map(|one| (0..firings).map(|firing| one.firing_ns(firing, &config)));
+            let fired = times
+                .iter()
+                .flat_map(|one| (0..firings).map(|firing| one.firing_ns(firing, &config)));
             let fired: Vec<i64> = fired.step_by(config.spec.firings_per_azimuth()).collect();
             assert!(fired.iter().all(|at| at % step_ns == 0) && fired.is_sorted_by(|a, b| a < b));
             assert_eq!(
-                fired.windows(2).filter(|two| two[1] - two[0] > 70_000_000).count(),
+                fired
+                    .windows(2)
+                    .filter(|two| two[1] - two[0] > 70_000_000)
+                    .count(),
                 2,
                 "three quarters of 0.1 s"
             );
-            assert!(fired.iter().all(|&at| (90.0..=180.0).contains(&config.azimuth_rad(at).to_degrees())));
+            assert!(
+                fired
+                    .iter()
+                    .all(|&at| (90.0..=180.0).contains(&config.azimuth_rad(at).to_degrees()))
+            );
         }
     }
 }

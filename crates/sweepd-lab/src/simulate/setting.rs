@@ -45,8 +45,8 @@ impl Setting {
         }
     }
 
-    /// Where a sensor stands: on the roof of a car, indoors on a robot. Further ones, counted from 0, stand beside the
-    /// first, to its right and to its left by turns.
+    /// Where a sensor stands: on the roof of a car, indoors on a robot. Further ones, counted from
+    /// 0, stand beside the first, to its right and to its left by turns.
     pub fn pose(self, number: usize) -> Pose {
         let (x, height_m) = match self {
             Self::Street => (street::LANE_M, 1.9),
@@ -55,7 +55,10 @@ impl Setting {
         };
         let away_m = 0.1 * number.div_ceil(2) as f64;
         let beside_m = if number % 2 == 1 { away_m } else { -away_m };
-        Pose { origin: Vec3::new(x + beside_m, 0.0, height_m), heading_rad: 0.0 }
+        Pose {
+            origin: Vec3::new(x + beside_m, 0.0, height_m),
+            heading_rad: 0.0,
+        }
     }
 }
 
@@ -77,20 +80,36 @@ mod tests {
     fn each_scene_has_what_makes_it_one() {
         let count = |setting: Setting, class| {
             (1..20)
-                .map(|seed| setting.build(seed).objects().iter().filter(|object| object.class == class).count())
+                .map(|seed| {
+                    setting
+                        .build(seed)
+                        .objects()
+                        .iter()
+                        .filter(|object| object.class == class)
+                        .count()
+                })
                 .min()
         };
         assert!(count(Setting::ParkingLot, Class::Car) >= Some(60));
         assert!(count(Setting::ParkingLot, Class::Building) >= Some(1));
         assert!(count(Setting::Field, Class::Tree) >= Some(3));
         assert_eq!(count(Setting::Field, Class::Building), Some(0));
-        assert!(count(Setting::Room, Class::Building) >= Some(9), "walls, ceiling, pillars");
-        assert!(count(Setting::Room, Class::Furniture) >= Some(8) && count(Setting::Room, Class::Person) >= Some(2));
+        assert!(
+            count(Setting::Room, Class::Building) >= Some(9),
+            "walls, ceiling, pillars"
+        );
+        assert!(
+            count(Setting::Room, Class::Furniture) >= Some(8)
+                && count(Setting::Room, Class::Person) >= Some(2)
+        );
     }
 
     #[test]
     fn nothing_stands_where_the_sensors_are() {
-        for (setting, seed) in Setting::ALL.into_iter().flat_map(|setting| (1..30).map(move |seed| (setting, seed))) {
+        for (setting, seed) in Setting::ALL
+            .into_iter()
+            .flat_map(|setting| (1..30).map(move |seed| (setting, seed)))
+        {
             let scene = setting.build(seed);
             for number in 0..9 {
                 let eye = setting.pose(number).origin;
@@ -99,7 +118,11 @@ mod tests {
                     let bounds = part.shape.bounds();
                     bounds.reach(eye)[0] < 0.5 && bounds.z[0] < eye.z + 0.5
                 };
-                assert!(scene.parts().iter().find(near).is_none(), "{} {seed} {number}", setting.name());
+                assert!(
+                    scene.parts().iter().find(near).is_none(),
+                    "{} {seed} {number}",
+                    setting.name()
+                );
             }
         }
     }

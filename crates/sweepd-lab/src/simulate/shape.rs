@@ -1,7 +1,7 @@
 //! Convex solids and the rays that meet them, in double precision.
 //!
-//! The scene's frame is the sensor's: x to the right, y ahead, z up, metres; headings and azimuths run clockwise from
-//! +y as seen from above.
+//! The scene's frame is the sensor's: x to the right, y ahead, z up, metres; headings and azimuths
+//! run clockwise from +y as seen from above.
 
 use nalgebra::Vector3;
 
@@ -23,7 +23,11 @@ impl Ray {
     /// The ray from a point towards an azimuth and an elevation, radians.
     pub fn new(origin: Vec3, azimuth_rad: f64, elevation_rad: f64) -> Self {
         let ((sin_a, cos_a), (sin_w, cos_w)) = (azimuth_rad.sin_cos(), elevation_rad.sin_cos());
-        Self { origin, direction: Vec3::new(cos_w * sin_a, cos_w * cos_a, sin_w), azimuth_rad }
+        Self {
+            origin,
+            direction: Vec3::new(cos_w * sin_a, cos_w * cos_a, sin_w),
+            azimuth_rad,
+        }
     }
 
     /// The point this far along.
@@ -103,24 +107,43 @@ impl Shape {
     /// A cuboid on a base centre: width across, length along the heading, height upwards.
     pub fn cuboid(base: [f64; 3], size: [f64; 3], heading_rad: f64) -> Self {
         let half = Vec3::from(size) / 2.0;
-        Self::Cuboid { centre: Vec3::from(base) + Vec3::z() * half.z, half, heading: heading_rad.sin_cos() }
+        Self::Cuboid {
+            centre: Vec3::from(base) + Vec3::z() * half.z,
+            half,
+            heading: heading_rad.sin_cos(),
+        }
     }
 
     /// An upright cylinder on the centre of its foot.
     pub fn cylinder(foot: [f64; 3], radius_m: f64, height_m: f64) -> Self {
-        Self::Cylinder { foot: Vec3::from(foot), radius_m, height_m }
+        Self::Cylinder {
+            foot: Vec3::from(foot),
+            radius_m,
+            height_m,
+        }
     }
 
     /// An ellipsoid about its centre.
     pub fn ellipsoid(centre: [f64; 3], semi: [f64; 3]) -> Self {
-        Self::Ellipsoid { centre: Vec3::from(centre), semi: Vec3::from(semi) }
+        Self::Ellipsoid {
+            centre: Vec3::from(centre),
+            semi: Vec3::from(semi),
+        }
     }
 
     /// Where a ray from outside passes through, if it does.
     pub fn span(&self, ray: &Ray) -> Option<Span> {
         match *self {
-            Self::Cuboid { centre, half, heading } => cuboid_span(ray, centre, half, heading),
-            Self::Cylinder { foot, radius_m, height_m } => cylinder_span(ray, foot, radius_m, height_m),
+            Self::Cuboid {
+                centre,
+                half,
+                heading,
+            } => cuboid_span(ray, centre, half, heading),
+            Self::Cylinder {
+                foot,
+                radius_m,
+                height_m,
+            } => cylinder_span(ray, foot, radius_m, height_m),
             Self::Ellipsoid { centre, semi } => ellipsoid_span(ray, centre, semi),
         }
     }
@@ -128,25 +151,59 @@ impl Shape {
     /// Where a ray passes the solid and its brim, if it comes within `rim_m` of it.
     pub fn brim(&self, ray: &Ray, rim_m: f64) -> Option<Brim> {
         match *self {
-            Self::Cuboid { centre, half, heading } => cuboid_brim(ray, centre, half, heading, rim_m),
+            Self::Cuboid {
+                centre,
+                half,
+                heading,
+            } => cuboid_brim(ray, centre, half, heading, rim_m),
             _ => {
                 let outer_m = self.grown(rim_m)?.span(ray)?.enter_m;
-                let core_m = self.grown(-rim_m).and_then(|core| core.span(ray)).map(|span| span.enter_m);
-                Some(Brim { outer_m, core_m, span: self.span(ray) })
+                let core_m = self
+                    .grown(-rim_m)
+                    .and_then(|core| core.span(ray))
+                    .map(|span| span.enter_m);
+                Some(Brim {
+                    outer_m,
+                    core_m,
+                    span: self.span(ray),
+                })
             }
         }
     }
 
-    /// The same solid, larger by a margin to all sides, or smaller by one below 0; none if nothing of it is left.
+    /// The same solid, larger by a margin to all sides, or smaller by one below 0; none if nothing
+    /// of it is left.
     pub fn grown(&self, margin_m: f64) -> Option<Self> {
         let (grown, least_m) = match *self {
-            Self::Cuboid { centre, half, heading } => {
+            Self::Cuboid {
+                centre,
+                half,
+                heading,
+            } => {
                 let half = half.add_scalar(margin_m);
-                (Self::Cuboid { centre, half, heading }, half.min())
+                (
+                    Self::Cuboid {
+                        centre,
+                        half,
+                        heading,
+                    },
+                    half.min(),
+                )
             }
-            Self::Cylinder { foot, radius_m, height_m } => {
+            Self::Cylinder {
+                foot,
+                radius_m,
+                height_m,
+            } => {
                 let (radius_m, height_m) = (radius_m + margin_m, height_m + 2.0 * margin_m);
-                (Self::Cylinder { foot: foot - Vec3::z() * margin_m, radius_m, height_m }, radius_m.min(height_m))
+                (
+                    Self::Cylinder {
+                        foot: foot - Vec3::z() * margin_m,
+                        radius_m,
+                        height_m,
+                    },
+                    radius_m.min(height_m),
+                )
             }
             Self::Ellipsoid { centre, semi } => {
                 let semi = semi.add_scalar(margin_m);
@@ -159,15 +216,32 @@ impl Shape {
     /// A prism around it.
     pub fn bounds(&self) -> Bounds {
         match *self {
-            Self::Cuboid { centre: c, half: h, heading } => {
-                Bounds { centre: [c.x, c.y], half: [h.x, h.y], heading, z: [c.z - h.z, c.z + h.z] }
-            }
-            Self::Cylinder { foot: f, radius_m: r, height_m } => {
-                Bounds { centre: [f.x, f.y], half: [r, r], heading: (0.0, 1.0), z: [f.z, f.z + height_m] }
-            }
-            Self::Ellipsoid { centre: c, semi: s } => {
-                Bounds { centre: [c.x, c.y], half: [s.x, s.y], heading: (0.0, 1.0), z: [c.z - s.z, c.z + s.z] }
-            }
+            Self::Cuboid {
+                centre: c,
+                half: h,
+                heading,
+            } => Bounds {
+                centre: [c.x, c.y],
+                half: [h.x, h.y],
+                heading,
+                z: [c.z - h.z, c.z + h.z],
+            },
+            Self::Cylinder {
+                foot: f,
+                radius_m: r,
+                height_m,
+            } => Bounds {
+                centre: [f.x, f.y],
+                half: [r, r],
+                heading: (0.0, 1.0),
+                z: [f.z, f.z + height_m],
+            },
+            Self::Ellipsoid { centre: c, semi: s } => Bounds {
+                centre: [c.x, c.y],
+                half: [s.x, s.y],
+                heading: (0.0, 1.0),
+                z: [c.z - s.z, c.z + s.z],
+            },
         }
     }
 }
@@ -177,7 +251,8 @@ pub fn turned(x: f64, y: f64, (sin, cos): (f64, f64)) -> [f64; 2] {
     [x * cos - y * sin, x * sin + y * cos]
 }
 
-/// The lesser of two numbers, neither of which is NaN: one instruction, where `f64::min` takes several.
+/// The lesser of two numbers, neither of which is NaN: one instruction, where `f64::min` takes
+/// several.
 fn lesser(a: f64, b: f64) -> f64 {
     if a < b { a } else { b }
 }
@@ -187,8 +262,8 @@ fn greater(a: f64, b: f64) -> f64 {
     if a > b { a } else { b }
 }
 
-/// The number rounded down, if it is no more than a 64-bit integer holds: a few instructions, where `f64::floor` is a
-/// call on processors that may be old.
+/// The number rounded down, if it is no more than a 64-bit integer holds: a few instructions, where
+/// `f64::floor` is a call on processors that may be old.
 pub fn floor(x: f64) -> f64 {
     let whole = x as i64 as f64;
     if whole > x { whole - 1.0 } else { whole }
@@ -218,7 +293,8 @@ fn in_frame(ray: &Ray, centre: Vec3, heading: (f64, f64)) -> [[f64; 3]; 2] {
     [[ox, oy, from.z], [dx, dy, ray.direction.z]]
 }
 
-/// Where a ray passes through a cuboid that it crosses the three slabs of; the ray's direction in the cuboid's frame.
+/// Where a ray passes through a cuboid that it crosses the three slabs of; the ray's direction in
+/// the cuboid's frame.
 fn slabs_span(slabs: &[[f64; 2]; 3], direction: &[f64; 3]) -> Option<Span> {
     let leave_m = lesser(lesser(slabs[0][1], slabs[1][1]), slabs[2][1]);
     let mut face = 0;
@@ -229,35 +305,67 @@ fn slabs_span(slabs: &[[f64; 2]; 3], direction: &[f64; 3]) -> Option<Span> {
     }
     let enter_m = slabs[face][0];
     let (cos_incidence, wall) = (direction[face].abs(), face < 2);
-    (enter_m < leave_m && enter_m > 0.0).then_some(Span { enter_m, leave_m, cos_incidence, wall })
+    (enter_m < leave_m && enter_m > 0.0).then_some(Span {
+        enter_m,
+        leave_m,
+        cos_incidence,
+        wall,
+    })
 }
 
 fn cuboid_span(ray: &Ray, centre: Vec3, half: Vec3, heading: (f64, f64)) -> Option<Span> {
     let [o, d] = in_frame(ray, centre, heading);
-    let slabs = [slab(o[0], d[0], half.x)?, slab(o[1], d[1], half.y)?, slab(o[2], d[2], half.z)?];
+    let slabs = [
+        slab(o[0], d[0], half.x)?,
+        slab(o[1], d[1], half.y)?,
+        slab(o[2], d[2], half.z)?,
+    ];
     slabs_span(&slabs, &d)
 }
 
-/// Where a ray enters the cuboid that is larger by so much to all sides, if it meets that. `steps_m` is what it goes
-/// along the ray between the faces of the two.
+/// Where a ray enters the cuboid that is larger by so much to all sides, if it meets that.
+/// `steps_m` is what it goes along the ray between the faces of the two.
 fn grown_enter_m(slabs: &[[f64; 2]; 3], steps_m: [f64; 3]) -> Option<f64> {
-    let [x, y, z] = [0, 1, 2].map(|axis| [slabs[axis][0] - steps_m[axis], slabs[axis][1] + steps_m[axis]]);
+    let [x, y, z] = [0, 1, 2].map(|axis| {
+        [
+            slabs[axis][0] - steps_m[axis],
+            slabs[axis][1] + steps_m[axis],
+        ]
+    });
     let enter_m = greater(greater(x[0], y[0]), z[0]);
     let leave_m = lesser(lesser(x[1], y[1]), z[1]);
     (enter_m < leave_m && enter_m > 0.0).then_some(enter_m)
 }
 
 /// [`Shape::brim`] of a cuboid: all three from the same six divisions.
-fn cuboid_brim(ray: &Ray, centre: Vec3, half: Vec3, heading: (f64, f64), rim_m: f64) -> Option<Brim> {
+fn cuboid_brim(
+    ray: &Ray,
+    centre: Vec3,
+    half: Vec3,
+    heading: (f64, f64),
+    rim_m: f64,
+) -> Option<Brim> {
     let [o, d] = in_frame(ray, centre, heading);
     // Along a face the step would be infinite; so it is hardly aslant.
     let d = d.map(|d| if d == 0.0 { 1e-300 } else { d });
-    let slabs = [slab(o[0], d[0], half.x)?, slab(o[1], d[1], half.y)?, slab(o[2], d[2], half.z)?];
+    let slabs = [
+        slab(o[0], d[0], half.x)?,
+        slab(o[1], d[1], half.y)?,
+        slab(o[2], d[2], half.z)?,
+    ];
     let steps_m = d.map(|d| rim_m / d.abs());
     let outer_m = grown_enter_m(&slabs, steps_m)?;
     let has_core = lesser(lesser(half.x, half.y), half.z) > rim_m;
-    let core_m = if has_core { grown_enter_m(&slabs, steps_m.map(|step_m| -step_m)) } else { None };
-    Some(Brim { outer_m, core_m, span: slabs_span(&slabs, &d) })
+    let core_m = if has_core {
+        grown_enter_m(&slabs, steps_m.map(|step_m| -step_m))
+    } else {
+        None
+    };
+    Some(Brim {
+        outer_m,
+        core_m,
+        span: slabs_span(&slabs, &d),
+    })
 }
 
 fn cylinder_span(ray: &Ray, foot: Vec3, radius_m: f64, height_m: f64) -> Option<Span> {
@@ -272,16 +380,25 @@ fn cylinder_span(ray: &Ray, foot: Vec3, radius_m: f64, height_m: f64) -> Option<
     let ends = slab(from.z - height_m / 2.0, d.z, height_m / 2.0)?;
     let leave_m = lesser(side[1], ends[1]);
     let (enter_m, cos_incidence) = if side[0] >= ends[0] {
-        let normal = [(from.x + d.x * side[0]) / radius_m, (from.y + d.y * side[0]) / radius_m];
+        let normal = [
+            (from.x + d.x * side[0]) / radius_m,
+            (from.y + d.y * side[0]) / radius_m,
+        ];
         (side[0], (normal[0] * d.x + normal[1] * d.y).abs())
     } else {
         (ends[0], d.z.abs())
     };
-    (enter_m < leave_m && enter_m > 0.0).then_some(Span { enter_m, leave_m, cos_incidence, wall: false })
+    (enter_m < leave_m && enter_m > 0.0).then_some(Span {
+        enter_m,
+        leave_m,
+        cos_incidence,
+        wall: false,
+    })
 }
 
 fn ellipsoid_span(ray: &Ray, centre: Vec3, semi: Vec3) -> Option<Span> {
-    // Scaled by its axes the ellipsoid is the unit sphere, and distances along the ray stay what they are.
+    // Scaled by its axes the ellipsoid is the unit sphere, and distances along the ray stay what
+    // they are.
     let from = (ray.origin - centre).component_div(&semi);
     let d = ray.direction.component_div(&semi);
     let (a, b, c) = (d.norm_squared(), from.dot(&d), from.norm_squared() - 1.0);
@@ -292,7 +409,12 @@ fn ellipsoid_span(ray: &Ray, centre: Vec3, semi: Vec3) -> Option<Span> {
     let (enter_m, leave_m) = ((-b - square.sqrt()) / a, (-b + square.sqrt()) / a);
     let normal = (from + d * enter_m).component_div(&semi).normalize();
     let cos_incidence = normal.dot(&ray.direction).abs();
-    (enter_m > 0.0).then_some(Span { enter_m, leave_m, cos_incidence, wall: false })
+    (enter_m > 0.0).then_some(Span {
+        enter_m,
+        leave_m,
+        cos_incidence,
+        wall: false,
+    })
 }
 
 impl Bounds {
@@ -303,7 +425,8 @@ impl Bounds {
         self
     }
 
-    /// Horizontal distances from a point to the nearest and the farthest place of the prism; the nearest is 0 inside.
+    /// Horizontal distances from a point to the nearest and the farthest place of the prism; the
+    /// nearest is 0 inside.
     pub fn reach(&self, eye: Vec3) -> [f64; 2] {
         let [x, y] = turned(eye.x - self.centre[0], eye.y - self.centre[1], self.heading);
         let (x, y) = (x.abs(), y.abs());
@@ -311,8 +434,8 @@ impl Bounds {
         [near, f64::hypot(x + self.half[0], y + self.half[1])]
     }
 
-    /// The same of what of the prism is between two azimuths a few degrees apart, radians, as seen from a point outside;
-    /// none if nothing is. The nearest may be a little nearer than it is.
+    /// The same of what of the prism is between two azimuths a few degrees apart, radians, as seen
+    /// from a point outside; none if nothing is. The nearest may be a little nearer than it is.
     pub fn reach_between(&self, eye: Vec3, edges: [f64; 2]) -> Option<[f64; 2]> {
         let [x, y] = turned(eye.x - self.centre[0], eye.y - self.centre[1], self.heading);
         let ways = edges.map(|edge_rad| {
@@ -328,17 +451,25 @@ impl Bounds {
             ahead && u * first[1] - v * first[0] >= 0.0 && u * last[1] - v * last[0] <= 0.0
         });
         let crossings = ways.into_iter().filter_map(|way| {
-            let (across, along) = (slab(x, way[0], self.half[0])?, slab(y, way[1], self.half[1])?);
+            let (across, along) = (
+                slab(x, way[0], self.half[0])?,
+                slab(y, way[1], self.half[1])?,
+            );
             let [from, to] = [greater(across[0], along[0]), lesser(across[1], along[1])];
             (from <= to && to > 0.0).then_some([greater(from, 0.0), to])
         });
-        let places = inside.map(|(u, v)| f64::hypot(u, v)).chain(crossings.flatten());
-        let [near, far] = places.fold([f64::INFINITY, 0.0], |[near, far], at| [lesser(near, at), greater(far, at)]);
+        let places = inside
+            .map(|(u, v)| f64::hypot(u, v))
+            .chain(crossings.flatten());
+        let [near, far] = places.fold([f64::INFINITY, 0.0], |[near, far], at| {
+            [lesser(near, at), greater(far, at)]
+        });
         // A side between two corners comes nearer than both by as much as its chord.
         (far > 0.0).then_some([near * (edges[1] - edges[0]).cos(), far])
     }
 
-    /// Azimuth of the centre from a point outside, and the angles from there to the prism's two edges, radians.
+    /// Azimuth of the centre from a point outside, and the angles from there to the prism's two
+    /// edges, radians.
     pub fn azimuths(&self, eye: Vec3) -> (f64, [f64; 2]) {
         let (sin, cos) = self.heading;
         let (x, y) = (self.centre[0] - eye.x, self.centre[1] - eye.y);
@@ -346,7 +477,8 @@ impl Bounds {
         for (across, along) in [(1.0, 1.0), (1.0, -1.0), (-1.0, 1.0), (-1.0, -1.0)] {
             let (u, v) = (across * self.half[0], along * self.half[1]);
             let (cx, cy) = (x + u * cos + v * sin, y - u * sin + v * cos);
-            // Clockwise from the centre; it cannot wrap, as a footprint seen from outside spans less than half a turn.
+            // Clockwise from the centre; it cannot wrap, as a footprint seen from outside spans
+            // less than half a turn.
             let angle = f64::atan2(cx * y - cy * x, cx * x + cy * y);
             edges = [edges[0].min(angle), edges[1].max(angle)];
         }
@@ -379,10 +511,21 @@ mod tests {
         // Front face at y = 8, back face at y = 12.
         let cuboid = Shape::cuboid([0.0, 10.0, 0.0], [3.0, 4.0, 3.0], 0.0);
         let straight = cuboid.span(&ray(0.0, 0.0)).unwrap();
-        assert!(near(straight.enter_m, 8.0) && near(straight.leave_m, 12.0) && near(straight.cos_incidence, 1.0));
+        assert!(
+            near(straight.enter_m, 8.0)
+                && near(straight.leave_m, 12.0)
+                && near(straight.cos_incidence, 1.0)
+        );
         let oblique = cuboid.span(&ray(0.1, 0.0)).unwrap();
-        assert!(near(oblique.enter_m, 8.0 / 0.1_f64.cos()) && near(oblique.cos_incidence, 0.1_f64.cos()));
-        assert_eq!(cuboid.span(&ray(0.2, 0.0)), None, "8 m * tan 0.2 = 1.62 m, beside the face");
+        assert!(
+            near(oblique.enter_m, 8.0 / 0.1_f64.cos())
+                && near(oblique.cos_incidence, 0.1_f64.cos())
+        );
+        assert_eq!(
+            cuboid.span(&ray(0.2, 0.0)),
+            None,
+            "8 m * tan 0.2 = 1.62 m, beside the face"
+        );
         assert_eq!(cuboid.span(&ray(PI, 0.0)), None, "behind");
         assert_eq!(cuboid.span(&ray(0.0, 0.2)), None, "over the top");
     }
@@ -391,7 +534,9 @@ mod tests {
     fn a_cuboid_from_above_is_met_on_its_top() {
         let cuboid = Shape::cuboid([0.0, 3.0, 0.0], [2.0, 4.0, 1.0], 0.0);
         let span = cuboid.span(&ray(0.0, -FRAC_PI_4)).unwrap();
-        assert!(near(span.enter_m, SQRT_2) && near(span.cos_incidence, FRAC_1_SQRT_2) && !span.wall);
+        assert!(
+            near(span.enter_m, SQRT_2) && near(span.cos_incidence, FRAC_1_SQRT_2) && !span.wall
+        );
     }
 
     #[test]
@@ -399,46 +544,76 @@ mod tests {
         // A square of side 2, turned by 45 degrees: its near corner lies at 10 - sqrt 2.
         let cuboid = Shape::cuboid([0.0, 10.0, 0.0], [2.0, 2.0, 4.0], FRAC_PI_4);
         let span = cuboid.span(&ray(1e-9, 0.0)).unwrap();
-        assert!((span.enter_m - (10.0 - SQRT_2)).abs() < 1e-7 && (span.cos_incidence - FRAC_1_SQRT_2).abs() < 1e-8);
+        assert!(
+            (span.enter_m - (10.0 - SQRT_2)).abs() < 1e-7
+                && (span.cos_incidence - FRAC_1_SQRT_2).abs() < 1e-8
+        );
         // The heading is clockwise: a long box at 45 degrees reaches to the far right.
         let long = Shape::cuboid([0.0, 0.0, 0.0], [1.0, 20.0, 1.0], FRAC_PI_4);
         let down = Ray::new(Vec3::new(6.0, 6.0, 5.0), 0.0, -FRAC_PI_2);
         assert!(near(long.span(&down).unwrap().enter_m, 4.0));
-        assert_eq!(long.span(&Ray::new(Vec3::new(-6.0, 6.0, 5.0), 0.0, -FRAC_PI_2)), None);
+        assert_eq!(
+            long.span(&Ray::new(Vec3::new(-6.0, 6.0, 5.0), 0.0, -FRAC_PI_2)),
+            None
+        );
     }
 
     #[test]
     fn a_cylinder_is_met_on_its_side_and_on_its_top() {
         let cylinder = Shape::cylinder([0.0, 5.0, 0.0], 0.5, 3.0);
         let side = cylinder.span(&ray(0.0, 0.0)).unwrap();
-        assert!(near(side.enter_m, 4.5) && near(side.leave_m, 5.5) && near(side.cos_incidence, 1.0));
-        // 0.3 m beside the axis: the chord begins sqrt(0.25 - 0.09) = 0.4 m before the axis, at cosine 0.4 / 0.5.
+        assert!(
+            near(side.enter_m, 4.5) && near(side.leave_m, 5.5) && near(side.cos_incidence, 1.0)
+        );
+        // 0.3 m beside the axis: the chord begins sqrt(0.25 - 0.09) = 0.4 m before the axis, at
+        // cosine 0.4 / 0.5.
         let beside = Ray::new(Vec3::new(0.3, 0.0, 2.0), 0.0, 0.0);
         let span = cylinder.span(&beside).unwrap();
         assert!(near(span.enter_m, 4.6) && near(span.cos_incidence, 0.8));
         let above = Ray::new(Vec3::new(0.0, 3.0, 5.0), 0.0, -FRAC_PI_4);
         assert!(near(cylinder.span(&above).unwrap().enter_m, 2.0 * SQRT_2));
-        assert_eq!(cylinder.span(&Ray::new(Vec3::new(0.6, 0.0, 2.0), 0.0, 0.0)), None);
-        assert_eq!(cylinder.span(&Ray::new(Vec3::new(0.0, 0.0, 3.1), 0.0, 0.0)), None);
+        assert_eq!(
+            cylinder.span(&Ray::new(Vec3::new(0.6, 0.0, 2.0), 0.0, 0.0)),
+            None
+        );
+        assert_eq!(
+            cylinder.span(&Ray::new(Vec3::new(0.0, 0.0, 3.1), 0.0, 0.0)),
+            None
+        );
     }
 
     #[test]
     fn a_sphere_and_an_ellipsoid_are_met_where_the_formula_says() {
         let sphere = Shape::ellipsoid([0.0, 10.0, 2.0], [2.0; 3]);
         let span = sphere.span(&ray(0.0, 0.0)).unwrap();
-        assert!(near(span.enter_m, 8.0) && near(span.leave_m, 12.0) && near(span.cos_incidence, 1.0));
+        assert!(
+            near(span.enter_m, 8.0) && near(span.leave_m, 12.0) && near(span.cos_incidence, 1.0)
+        );
         // 1.2 m beside the centre: sqrt(4 - 1.44) = 1.6 m before it, at cosine 1.6 / 2.
         let beside = Ray::new(Vec3::new(1.2, 0.0, 2.0), 0.0, 0.0);
         let span = sphere.span(&beside).unwrap();
         assert!(near(span.enter_m, 8.4) && near(span.cos_incidence, 0.8));
         let flat = Shape::ellipsoid([0.0, 10.0, 2.0], [3.0, 1.0, 0.5]);
         assert!(near(flat.span(&ray(0.0, 0.0)).unwrap().enter_m, 9.0));
-        assert_eq!(flat.span(&Ray::new(Vec3::new(0.0, 0.0, 2.6), 0.0, 0.0)), None);
+        assert_eq!(
+            flat.span(&Ray::new(Vec3::new(0.0, 0.0, 2.6), 0.0, 0.0)),
+            None
+        );
     }
 
     #[test]
     fn numbers_are_rounded_as_the_library_does() {
-        for x in [0.0, 0.499_999_999_999_999_94, 0.5, 1.5, 2.499, 2.5, 65_535.4, 1e15 + 0.5, 250_199.999_999] {
+        for x in [
+            0.0,
+            0.499_999_999_999_999_94,
+            0.5,
+            1.5,
+            2.499,
+            2.5,
+            65_535.4,
+            1e15 + 0.5,
+            250_199.999_999,
+        ] {
             for x in [x, -x] {
                 assert_eq!((rounded(x), floor(x)), (x.round(), x.floor()), "{x}");
             }
@@ -450,16 +625,28 @@ mod tests {
         let mut rng = fastrand::Rng::with_seed(2);
         let mut met = [0; 3];
         for _ in 0..20_000 {
-            let shape = Shape::cuboid([0.0, 9.0, 0.0], [3.0, 0.1 + rng.f64(), 4.0], rng.f64() * 7.0);
-            let ray = if rng.bool() { ray(0.0, 0.0) } else { ray(rng.f64() - 0.5, rng.f64() * 0.6 - 0.3) };
+            let shape = Shape::cuboid(
+                [0.0, 9.0, 0.0],
+                [3.0, 0.1 + rng.f64(), 4.0],
+                rng.f64() * 7.0,
+            );
+            let ray = if rng.bool() {
+                ray(0.0, 0.0)
+            } else {
+                ray(rng.f64() - 0.5, rng.f64() * 0.6 - 0.3)
+            };
             let rim_m = rng.f64() * 0.3;
             let enter_m = |grown: Option<Shape>| Some(grown?.span(&ray)?.enter_m);
             let outer_m = enter_m(shape.grown(rim_m));
             let brim = shape.brim(&ray, rim_m);
             assert_eq!(brim.is_some(), outer_m.is_some());
             let Some(brim) = brim else { continue };
-            let is_near = |a: Option<f64>, b: Option<f64>| a == b || (a.unwrap() - b.unwrap()).abs() < 1e-9;
-            assert!(is_near(Some(brim.outer_m), outer_m) && is_near(brim.core_m, enter_m(shape.grown(-rim_m))));
+            let is_near =
+                |a: Option<f64>, b: Option<f64>| a == b || (a.unwrap() - b.unwrap()).abs() < 1e-9;
+            assert!(
+                is_near(Some(brim.outer_m), outer_m)
+                    && is_near(brim.core_m, enter_m(shape.grown(-rim_m)))
+            );
             assert_eq!(brim.span, shape.span(&ray));
             met[usize::from(brim.span.is_some()) + usize::from(brim.core_m.is_some())] += 1;
         }
@@ -471,8 +658,16 @@ mod tests {
         let eye = Vec3::new(0.0, 0.0, 2.0);
         let mut rng = fastrand::Rng::with_seed(1);
         for _ in 0..20_000 {
-            let place = [rng.f64() * 40.0 - 20.0, rng.f64() * 40.0 - 20.0, rng.f64() * 3.0];
-            let size = [0.1 + rng.f64() * 5.0, 0.1 + rng.f64() * 9.0, 0.1 + rng.f64() * 4.0];
+            let place = [
+                rng.f64() * 40.0 - 20.0,
+                rng.f64() * 40.0 - 20.0,
+                rng.f64() * 3.0,
+            ];
+            let size = [
+                0.1 + rng.f64() * 5.0,
+                0.1 + rng.f64() * 9.0,
+                0.1 + rng.f64() * 4.0,
+            ];
             let shape = match rng.u8(0..3) {
                 0 => Shape::cuboid(place, size, rng.f64() * 7.0),
                 1 => Shape::cylinder(place, size[0], size[2]),
@@ -485,14 +680,29 @@ mod tests {
             }
             let (centre, edges) = bounds.azimuths(eye);
             let ray = ray(centre + (rng.f64() - 0.5) * 2.0, (rng.f64() - 0.5) * 0.8);
-            let Some(span) = shape.span(&ray) else { continue };
-            let off = (ray.azimuth_rad - centre).sin().atan2((ray.azimuth_rad - centre).cos());
-            assert!(edges[0] - 1e-9 <= off && off <= edges[1] + 1e-9, "{shape:?}: {off} not in {edges:?}");
+            let Some(span) = shape.span(&ray) else {
+                continue;
+            };
+            let off = (ray.azimuth_rad - centre)
+                .sin()
+                .atan2((ray.azimuth_rad - centre).cos());
+            assert!(
+                edges[0] - 1e-9 <= off && off <= edges[1] + 1e-9,
+                "{shape:?}: {off} not in {edges:?}"
+            );
             let across = (ray.at(span.enter_m) - eye).xy().norm();
-            assert!(near - 1e-9 <= across && across <= far + 1e-9, "{shape:?}: {across} not in {near}..{far}");
+            assert!(
+                near - 1e-9 <= across && across <= far + 1e-9,
+                "{shape:?}: {across} not in {near}..{far}"
+            );
             let edges = [ray.azimuth_rad - 0.004, ray.azimuth_rad + 0.003];
-            let [near, far] = bounds.reach_between(eye, edges).expect("the ray is between the edges");
-            assert!(near - 1e-9 <= across && across <= far + 1e-9, "{shape:?}: {across} not in {near}..{far}");
+            let [near, far] = bounds
+                .reach_between(eye, edges)
+                .expect("the ray is between the edges");
+            assert!(
+                near - 1e-9 <= across && across <= far + 1e-9,
+                "{shape:?}: {across} not in {near}..{far}"
+            );
         }
     }
 }

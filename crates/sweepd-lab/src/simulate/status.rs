@@ -5,7 +5,9 @@ use zerocopy::little_endian::{I16, U16};
 use super::config::EmitterConfig;
 use super::gps::{self, Clock};
 use sweepd_core::sensor::{Model, stream};
-use sweepd_core::wire::hdl64::{self, CYCLE_LEN, CalibrationTime, DUMP_PACKETS, Dump, Gps, Live, Series, Warnings};
+use sweepd_core::wire::hdl64::{
+    self, CYCLE_LEN, CalibrationTime, DUMP_PACKETS, Dump, Gps, Live, Series, Warnings,
+};
 use sweepd_core::wire::nmea::civil_from_days;
 use sweepd_core::wire::position::Pps;
 
@@ -29,17 +31,30 @@ pub struct Status {
 pub fn dump(config: &EmitterConfig) -> Result<Dump, String> {
     let mut dump = Dump::new(series(config.model), &stream::records(&config.beams())?);
     dump.noise = [16, 14];
-    dump.calibration_time = CalibrationTime { year: 25, month: 11, day: 4, hour: 9, minute: 41, second: 12 };
+    dump.calibration_time = CalibrationTime {
+        year: 25,
+        month: 11,
+        day: 4,
+        hour: 9,
+        minute: 41,
+        second: 12,
+    };
     dump.humidity = 38;
     dump.rpm = I16::new(config.rpm.round() as i16);
     dump.life_hours = U16::new(1_234);
-    (dump.source, dump.destination) =
-        (config.address.octets(), gps::destination(config.model, config.address).octets());
+    (dump.source, dump.destination) = (
+        config.address.octets(),
+        gps::destination(config.model, config.address).octets(),
+    );
     Ok(dump)
 }
 
 fn series(model: Model) -> Series {
-    if model == Model::Hdl64eS2 { Series::S21 } else { Series::S3 }
+    if model == Model::Hdl64eS2 {
+        Series::S21
+    } else {
+        Series::S3
+    }
 }
 
 impl Status {
@@ -48,11 +63,14 @@ impl Status {
     /// # Errors
     /// A sentence: its calibration does not fit into the stream.
     pub fn new(config: &EmitterConfig) -> Result<Self, String> {
-        Ok(Self { series: series(config.model), dump: dump(config)? })
+        Ok(Self {
+            series: series(config.model),
+            dump: dump(config)?,
+        })
     }
 
-    /// Type and value in a data packet. A cycle of packets tells one moment: that of its first one's stamp, so many
-    /// nanoseconds after the first shot of all.
+    /// Type and value in a data packet. A cycle of packets tells one moment: that of its first
+    /// one's stamp, so many nanoseconds after the first shot of all.
     pub fn pair(&self, config: &EmitterConfig, ordinal: u64, elapsed_ns: i64) -> (u8, u8) {
         let begun = ordinal - ordinal % CYCLE_LEN as u64;
         let (pps, sentence) = config.clock.received(elapsed_ns);
@@ -65,16 +83,32 @@ impl Status {
         dump.set_return_mode(config.mode_of(begun));
         dump.set_warnings(self.series, Warnings(warnings));
         // 4.07 (S2.1), and what an S3 was seen with.
-        let firmware = if self.series == Series::S21 { 0x47 } else { 227 };
-        let live = Live { clock: clock(config, elapsed_ns), gps, temperature_c: 41, firmware };
-        hdl64::pair(&dump, self.series, &live, (ordinal % DUMP_PACKETS as u64) as usize)
+        let firmware = if self.series == Series::S21 {
+            0x47
+        } else {
+            227
+        };
+        let live = Live {
+            clock: clock(config, elapsed_ns),
+            gps,
+            temperature_c: 41,
+            firmware,
+        };
+        hdl64::pair(
+            &dump,
+            self.series,
+            &live,
+            (ordinal % DUMP_PACKETS as u64) as usize,
+        )
     }
 }
 
 /// The unit's own UTC.
 fn clock(config: &EmitterConfig, elapsed_ns: i64) -> hdl64::Clock {
     let utc_ns = match config.clock {
-        Clock::Gps { reception, .. } if reception.follows_utc(elapsed_ns) => config.start_utc_ns + elapsed_ns,
+        Clock::Gps { reception, .. } if reception.follows_utc(elapsed_ns) => {
+            config.start_utc_ns + elapsed_ns
+        }
         Clock::Gps { .. } => START_OF_UNIT_NS + elapsed_ns,
         Clock::Free { hour_ns } => START_OF_UNIT_NS + hour_ns + elapsed_ns,
     };

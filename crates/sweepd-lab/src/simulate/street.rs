@@ -1,8 +1,9 @@
-//! The street that the simulator drives in: a seeded scene of houses, parked and moving cars, people, poles and trees.
+//! The street that the simulator drives in: a seeded scene of houses, parked and moving cars,
+//! people, poles and trees.
 //!
-//! The road runs along y. From its middle outwards: a lane, a row of parked cars, the kerb, a pavement with poles and
-//! trees, the house fronts. One side street leaves to the right ahead, one to the left behind; a small park lies ahead
-//! on the left.
+//! The road runs along y. From its middle outwards: a lane, a row of parked cars, the kerb, a
+//! pavement with poles and trees, the house fronts. One side street leaves to the right ahead, one
+//! to the left behind; a small park lies ahead on the left.
 //!
 //! ```text
 //!   x -11.5      -6.3      -4.1        0        4.1      6.3      11.5
@@ -49,7 +50,11 @@ pub fn street(seed: u64) -> Scene {
 
 /// The side street of a side of the road, from front to front.
 fn opening(side: f64) -> [f64; 2] {
-    if side > 0.0 { RIGHT_STREET } else { LEFT_STREET }
+    if side > 0.0 {
+        RIGHT_STREET
+    } else {
+        LEFT_STREET
+    }
 }
 
 /// Whether a thing of this half length at y would stand in the mouth of the side street.
@@ -100,10 +105,22 @@ impl Street {
             while y < to - 4.0 {
                 let wanted_m = self.between(8.0, 15.0);
                 // What is left must do for another house, or go to this one.
-                let width_m = if to - y - wanted_m < 7.0 { to - y } else { wanted_m };
+                let width_m = if to - y - wanted_m < 7.0 {
+                    to - y
+                } else {
+                    wanted_m
+                };
                 let corner = y == from || y + width_m == to;
-                let setback_m = if corner { 0.0 } else { *self.rng.choice(&[0.0, 0.0, 0.5, 1.4]).unwrap_or(&0.0) };
-                let place = Place::new(side * (FRONT_M + setback_m), y + width_m / 2.0, -side * FRAC_PI_2);
+                let setback_m = if corner {
+                    0.0
+                } else {
+                    *self.rng.choice(&[0.0, 0.0, 0.5, 1.4]).unwrap_or(&0.0)
+                };
+                let place = Place::new(
+                    side * (FRONT_M + setback_m),
+                    y + width_m / 2.0,
+                    -side * FRAC_PI_2,
+                );
                 self.house(place, width_m);
                 y += width_m;
                 if !corner && self.chance(0.3) {
@@ -120,18 +137,28 @@ impl Street {
         while x < 58.0 {
             let width_m = self.between(9.0, 14.0);
             for (y, heading_rad) in [(start - 0.2, 0.0), (end + 0.2, PI)] {
-                self.house(Place::new(side * (x + width_m / 2.0), y, heading_rad), width_m);
+                self.house(
+                    Place::new(side * (x + width_m / 2.0), y, heading_rad),
+                    width_m,
+                );
             }
             x += width_m;
         }
-        self.house(Place::new(side * 72.0, (start + end) / 2.0, -side * FRAC_PI_2), 20.0);
+        self.house(
+            Place::new(side * 72.0, (start + end) / 2.0, -side * FRAC_PI_2),
+            20.0,
+        );
         for x in [16.5, 22.4, 34.5] {
             let place = Place::new(side * x, end - 2.7, side * FRAC_PI_2);
             let (length_m, paint) = (self.between(3.9, 4.7), self.paint());
             self.put(Class::Car, props::car(place, length_m, paint));
         }
         for x in [13.5, 18.0, 27.0] {
-            let heading_rad = if self.chance(0.5) { FRAC_PI_2 } else { -FRAC_PI_2 };
+            let heading_rad = if self.chance(0.5) {
+                FRAC_PI_2
+            } else {
+                -FRAC_PI_2
+            };
             let place = Place::new(side * x, start + 0.8, heading_rad).raised(STEP_M);
             self.walker(place);
         }
@@ -143,11 +170,13 @@ impl Street {
         while y < 95.0 {
             let length_m = self.between(3.7, 4.8);
             let gap = self.chance(0.22);
-            let (van, askew_rad, paint) = (self.chance(0.12), self.between(-0.03, 0.03), self.paint());
+            let (van, askew_rad, paint) =
+                (self.chance(0.12), self.between(-0.03, 0.03), self.paint());
             let x = side * PARKED_M + self.between(-0.12, 0.12);
             let heading_rad = if side > 0.0 { 0.0 } else { PI } + askew_rad;
             let place = Place::new(x, y, heading_rad);
-            // The sensor stands before a driveway: a car right beside it would hide a quarter of the turn.
+            // The sensor stands before a driveway: a car right beside it would hide a quarter of
+            // the turn.
             let driveway = side > 0.0 && y.abs() < 4.5;
             if !gap && !driveway && !in_opening(side, y, 4.5) {
                 if van {
@@ -156,7 +185,11 @@ impl Street {
                     self.put(Class::Car, props::car(place, length_m, paint));
                 }
             }
-            y += if van { 6.6 } else { length_m + self.between(0.9, 1.6) };
+            y += if van {
+                6.6
+            } else {
+                length_m + self.between(0.9, 1.6)
+            };
         }
     }
 
@@ -172,10 +205,25 @@ impl Street {
             if !in_opening(side, y, 1.5) {
                 match index % 4 {
                     0 => self.put(Class::Pole, props::lamp(place)),
-                    2 if self.chance(0.6) => self.put(Class::Sign, props::sign(Place { heading_rad: PI, ..place })),
+                    2 if self.chance(0.6) => self.put(
+                        Class::Sign,
+                        props::sign(Place {
+                            heading_rad: PI,
+                            ..place
+                        }),
+                    ),
                     _ => {
                         let size = self.between(0.8, 1.15);
-                        self.put(Class::Tree, props::tree(Place { x: place.x + side * 0.3, ..place }, size));
+                        self.put(
+                            Class::Tree,
+                            props::tree(
+                                Place {
+                                    x: place.x + side * 0.3,
+                                    ..place
+                                },
+                                size,
+                            ),
+                        );
                     }
                 }
             }
@@ -190,7 +238,11 @@ impl Street {
             let place = Place::new(side * (KERB_M + 0.6), y, toward_road).raised(STEP_M);
             self.put(Class::Furniture, props::bin(place));
         }
-        let waiting = Place::new(side * (KERB_M + 1.4), side * -18.0, if side > 0.0 { PI } else { 0.0 });
+        let waiting = Place::new(
+            side * (KERB_M + 1.4),
+            side * -18.0,
+            if side > 0.0 { PI } else { 0.0 },
+        );
         self.put(Class::Furniture, props::shelter(waiting.raised(STEP_M)));
     }
 
@@ -204,7 +256,11 @@ impl Street {
             if !in_opening(side, y, 1.0) {
                 self.walker(place);
                 if self.chance(0.3) {
-                    self.walker(Place { x: x - side * 0.65, y: y + 0.1, ..place });
+                    self.walker(Place {
+                        x: x - side * 0.65,
+                        y: y + 0.1,
+                        ..place
+                    });
                 }
             }
             y += self.between(4.0, 9.0);
@@ -218,24 +274,34 @@ impl Street {
         let gate_m = 3.0;
         let half_m = (end - start - gate_m) / 2.0;
         for y in [start + half_m / 2.0, end - half_m / 2.0] {
-            self.put(Class::Tree, props::hedge(Place::new(-FRONT_M - 0.4, y, 0.0).raised(STEP_M), half_m));
+            self.put(
+                Class::Tree,
+                props::hedge(Place::new(-FRONT_M - 0.4, y, 0.0).raised(STEP_M), half_m),
+            );
         }
         for row in 0..4 {
             for column in 0..4 {
                 let x = -14.0 - 7.0 * f64::from(row) + self.between(-2.0, 2.0);
                 let y = start + 4.0 + 6.5 * f64::from(column) + self.between(-2.0, 2.0);
                 let size = self.between(0.9, 1.5);
-                self.put(Class::Tree, props::tree(Place::new(x, y, 0.0).raised(STEP_M), size));
+                self.put(
+                    Class::Tree,
+                    props::tree(Place::new(x, y, 0.0).raised(STEP_M), size),
+                );
             }
         }
         for y in [start + 8.0, end - 8.0] {
-            self.put(Class::Furniture, props::bench(Place::new(-12.0, y, 0.0).raised(STEP_M)));
+            self.put(
+                Class::Furniture,
+                props::bench(Place::new(-12.0, y, 0.0).raised(STEP_M)),
+            );
         }
     }
 
     /// What drives: cars both ways, a lorry, bicycles, someone who crosses the road.
     fn traffic(&mut self) {
-        let lane = |side: f64, y: f64| Place::new(side * LANE_M, y, if side > 0.0 { 0.0 } else { PI });
+        let lane =
+            |side: f64, y: f64| Place::new(side * LANE_M, y, if side > 0.0 { 0.0 } else { PI });
         for (side, y, speed_m_s) in [
             (1.0, 13.5, 7.0),
             (1.0, 46.0, 9.0),
@@ -245,21 +311,44 @@ impl Street {
             (-1.0, -44.0, 8.0),
         ] {
             let (place, length_m, paint) = (lane(side, y), self.between(4.0, 4.7), self.paint());
-            self.send(Class::Car, place, speed_m_s, props::car(place, length_m, paint));
+            self.send(
+                Class::Car,
+                place,
+                speed_m_s,
+                props::car(place, length_m, paint),
+            );
         }
         let place = lane(-1.0, 29.0);
         self.send(Class::Lorry, place, 7.0, props::lorry(place, 60));
         // Waiting to come out of the side street on the right.
         let place = Place::new(KERB_M + 3.0, RIGHT_STREET[0] + 6.4, -FRAC_PI_2);
         self.put(Class::Car, props::car(place, 4.3, 40));
-        for (place, speed_m_s) in [(Place::new(3.5, 7.5, 0.0), 4.5), (Place::new(-3.4, -12.0, PI), 5.0)] {
+        for (place, speed_m_s) in [
+            (Place::new(3.5, 7.5, 0.0), 4.5),
+            (Place::new(-3.4, -12.0, PI), 5.0),
+        ] {
             let clothes = self.rng.u8(20..70);
-            self.send(Class::Cyclist, place, speed_m_s, props::cyclist(place, clothes));
+            self.send(
+                Class::Cyclist,
+                place,
+                speed_m_s,
+                props::cyclist(place, clothes),
+            );
         }
         let crossing = Place::new(-0.4, -7.0, FRAC_PI_2);
-        self.send(Class::Person, crossing, 1.3, props::person(crossing, 1.74, 30));
+        self.send(
+            Class::Person,
+            crossing,
+            1.3,
+            props::person(crossing, 1.74, 30),
+        );
         let crossing = Place::new(0.9, -7.6, FRAC_PI_2);
-        self.send(Class::Person, crossing, 1.3, props::person(crossing, 1.63, 45));
+        self.send(
+            Class::Person,
+            crossing,
+            1.3,
+            props::person(crossing, 1.63, 45),
+        );
     }
 }
 
@@ -270,11 +359,30 @@ mod tests {
     #[test]
     fn a_street_has_what_a_street_has() {
         let scene = street(1);
-        let count = |class| scene.objects().iter().filter(|object| object.class == class).count();
-        let moving = scene.objects().iter().filter(|object| object.velocity.norm() > 0.0).count();
-        assert!(count(Class::Building) >= 25 && count(Class::Car) >= 30, "houses and cars");
-        assert!(count(Class::Person) >= 15 && count(Class::Cyclist) == 2 && count(Class::Lorry) >= 1, "who moves");
-        assert!(count(Class::Pole) >= 10 && count(Class::Tree) >= 15 && count(Class::Sign) >= 3, "what stands");
+        let count = |class| {
+            scene
+                .objects()
+                .iter()
+                .filter(|object| object.class == class)
+                .count()
+        };
+        let moving = scene
+            .objects()
+            .iter()
+            .filter(|object| object.velocity.norm() > 0.0)
+            .count();
+        assert!(
+            count(Class::Building) >= 25 && count(Class::Car) >= 30,
+            "houses and cars"
+        );
+        assert!(
+            count(Class::Person) >= 15 && count(Class::Cyclist) == 2 && count(Class::Lorry) >= 1,
+            "who moves"
+        );
+        assert!(
+            count(Class::Pole) >= 10 && count(Class::Tree) >= 15 && count(Class::Sign) >= 3,
+            "what stands"
+        );
         assert!(moving >= 20, "{moving} objects move");
         assert_eq!(count(Class::Ground), 1);
     }

@@ -1,4 +1,5 @@
-//! What leaves a simulated sensor: datagrams, and beside each the truth that did not fit into its bytes.
+//! What leaves a simulated sensor: datagrams, and beside each the truth that did not fit into its
+//! bytes.
 
 use std::net::SocketAddrV4;
 
@@ -49,10 +50,11 @@ pub struct ReturnTruth {
     pub object: u32,
     /// What that object is.
     pub class: Class,
-    /// Along the beam from where it leaves the sensor, metres; between two surfaces that the receiver saw as one.
+    /// Along the beam from where it leaves the sensor, metres; between two surfaces that the
+    /// receiver saw as one.
     pub range_m: f64,
-    /// Where the beam really pointed: its azimuth in the sensor's frame at the shot, 0 to a whole turn, radians. That
-    /// of the head, but for an HDL-64E, whose beams are turned away from it.
+    /// Where the beam really pointed: its azimuth in the sensor's frame at the shot, 0 to a whole
+    /// turn, radians. That of the head, but for an HDL-64E, whose beams are turned away from it.
     pub azimuth_rad: f64,
     /// Time of the shot, nanoseconds after the first of all.
     pub time_ns: i64,

@@ -1,4 +1,5 @@
-//! A scene from where the sensor is: which solids a ray has to be tried on, and the nearest that it meets.
+//! A scene from where the sensor is: which solids a ray has to be tried on, and the nearest that it
+//! meets.
 
 use std::cmp::Ordering;
 
@@ -13,7 +14,8 @@ const SECTORS: usize = 720;
 /// Sectors a radian.
 const PER_SECTOR: f64 = SECTORS as f64 / std::f64::consts::TAU;
 
-/// How far beside a beam a solid is still looked for: twice what the beams of any sensor spread, radians.
+/// How far beside a beam a solid is still looked for: twice what the beams of any sensor spread,
+/// radians.
 const RIM_RAD: f64 = 0.003;
 
 /// More than the azimuth of a curved ray is off, radians.
@@ -34,8 +36,8 @@ struct Candidate {
     here: Within,
 }
 
-/// What a ray of one sector must have to meet a solid or come near its outline: where it does not, there is no need to
-/// look closer.
+/// What a ray of one sector must have to meet a solid or come near its outline: where it does not,
+/// there is no need to look closer.
 #[derive(Clone, Copy)]
 struct Within {
     /// Horizontal distance that it must reach.
@@ -56,27 +58,50 @@ struct Traits {
 impl Candidate {
     /// Nearest first; at one distance as they stand in the scene.
     fn order(&self, other: &Self) -> Ordering {
-        self.near_m.total_cmp(&other.near_m).then(self.part.cmp(&other.part))
+        self.near_m
+            .total_cmp(&other.near_m)
+            .then(self.part.cmp(&other.part))
     }
 
-    /// For each sector in which a ray from the eye can meet what is within bounds, what it must have for that.
+    /// For each sector in which a ray from the eye can meet what is within bounds, what it must
+    /// have for that.
     fn of(part: u32, bounds: &Bounds, eye: Vec3, traits: Traits) -> Vec<(usize, Self)> {
         let [near_m, far_m] = bounds.reach(eye);
         let rise = [f64::NEG_INFINITY, f64::INFINITY];
         let here = Within { near_m, rise };
-        let loose = Self { part, moves: traits.moves, near_m, far_m, rise, here };
+        let loose = Self {
+            part,
+            moves: traits.moves,
+            near_m,
+            far_m,
+            rise,
+            here,
+        };
         if near_m == 0.0 {
             return (0..SECTORS).map(|sector| (sector, loose)).collect();
         }
-        let loose = Self { rise: rises(bounds.z, eye, [near_m, far_m]), ..loose };
+        let loose = Self {
+            rise: rises(bounds.z, eye, [near_m, far_m]),
+            ..loose
+        };
         let (centre, edges) = bounds.azimuths(eye);
-        let [first, last] =
-            [edges[0] - RIM_RAD, edges[1] + RIM_RAD].map(|edge| ((centre + edge) * PER_SECTOR).floor() as i64);
+        let [first, last] = [edges[0] - RIM_RAD, edges[1] + RIM_RAD]
+            .map(|edge| ((centre + edge) * PER_SECTOR).floor() as i64);
         let rim = bounds.grown(RIM_RAD * far_m);
         let candidate = |sector: i64| {
             // What is looked up but a few times is not worth a closer look at each sector.
-            let here = if traits.moves { Some(here) } else { Within::of(&rim, eye, sector) };
-            let here = here.map(|here| if traits.by_chance { Within { near_m, ..here } } else { here });
+            let here = if traits.moves {
+                Some(here)
+            } else {
+                Within::of(&rim, eye, sector)
+            };
+            let here = here.map(|here| {
+                if traits.by_chance {
+                    Within { near_m, ..here }
+                } else {
+                    here
+                }
+            });
             here.map(|here| (wrapped(sector), Self { here, ..loose }))
         };
         (first..=last).filter_map(candidate).collect()
@@ -86,20 +111,30 @@ impl Candidate {
 impl Within {
     /// What a ray from the eye within a sector must have to meet what is within bounds, if any can.
     fn of(bounds: &Bounds, eye: Vec3, sector: i64) -> Option<Self> {
-        let edges = [sector as f64 / PER_SECTOR - ASTRAY_RAD, (sector + 1) as f64 / PER_SECTOR + ASTRAY_RAD];
+        let edges = [
+            sector as f64 / PER_SECTOR - ASTRAY_RAD,
+            (sector + 1) as f64 / PER_SECTOR + ASTRAY_RAD,
+        ];
         let reach = bounds.reach_between(eye, edges)?;
-        Some(Self { near_m: reach[0], rise: rises(bounds.z, eye, reach) })
+        Some(Self {
+            near_m: reach[0],
+            rise: rises(bounds.z, eye, reach),
+        })
     }
 }
 
-/// Least and greatest rise of a ray that can meet what is between two heights and two horizontal distances.
+/// Least and greatest rise of a ray that can meet what is between two heights and two horizontal
+/// distances.
 fn rises(z: [f64; 2], eye: Vec3, [near_m, far_m]: [f64; 2]) -> [f64; 2] {
     let [low, high] = z.map(|z| z - eye.z);
-    [low / if low < 0.0 { near_m } else { far_m }, high / if high > 0.0 { near_m } else { far_m }]
+    [
+        low / if low < 0.0 { near_m } else { far_m },
+        high / if high > 0.0 { near_m } else { far_m },
+    ]
 }
 
-/// The solids that move, or those that do not, by sector, as rays see them that start within a margin of a levelled eye
-/// and within `half_s` seconds of a time.
+/// The solids that move, or those that do not, by sector, as rays see them that start within a
+/// margin of a levelled eye and within `half_s` seconds of a time.
 fn candidates(
     scene: &Scene,
     moving: bool,
@@ -107,15 +142,31 @@ fn candidates(
     time_s: f64,
     half_s: f64,
 ) -> impl Iterator<Item = (usize, Candidate)> {
-    let parts = (0..).zip(scene.parts()).map(|(part, solid)| (part, solid, scene.velocity(solid)));
-    parts.filter(move |(_, _, velocity)| (*velocity != Vec3::zeros()) == moving).flat_map(
-        move |(part, solid, velocity)| {
-            let mut bounds = solid.shape.bounds().grown(margin_m + velocity.norm() * half_s);
-            bounds.centre = [bounds.centre[0] + velocity.x * time_s, bounds.centre[1] + velocity.y * time_s];
+    let parts = (0..)
+        .zip(scene.parts())
+        .map(|(part, solid)| (part, solid, scene.velocity(solid)));
+    parts
+        .filter(move |(_, _, velocity)| (*velocity != Vec3::zeros()) == moving)
+        .flat_map(move |(part, solid, velocity)| {
+            let mut bounds = solid
+                .shape
+                .bounds()
+                .grown(margin_m + velocity.norm() * half_s);
+            bounds.centre = [
+                bounds.centre[0] + velocity.x * time_s,
+                bounds.centre[1] + velocity.y * time_s,
+            ];
             let by_chance = !matches!(solid.surface, Surface::Plain(_));
-            Candidate::of(part, &bounds, eye, Traits { moves: moving, by_chance })
-        },
-    )
+            Candidate::of(
+                part,
+                &bounds,
+                eye,
+                Traits {
+                    moves: moving,
+                    by_chance,
+                },
+            )
+        })
 }
 
 /// The number of a sector within the turn.
@@ -123,13 +174,19 @@ fn wrapped(sector: i64) -> usize {
     sector.rem_euclid(SECTORS as i64) as usize
 }
 
-/// The sector of an azimuth. Most are within the turn, and need neither be rounded down nor divided.
+/// The sector of an azimuth. Most are within the turn, and need neither be rounded down nor
+/// divided.
 fn sector(azimuth_rad: f64) -> usize {
     let sectors = azimuth_rad * PER_SECTOR;
-    if (0.0..SECTORS as f64).contains(&sectors) { sectors as usize } else { wrapped(floor(sectors) as i64) }
+    if (0.0..SECTORS as f64).contains(&sectors) {
+        sectors as usize
+    } else {
+        wrapped(floor(sectors) as i64)
+    }
 }
 
-/// A scene from one place, over a short time: for each half degree the solids that can be there, nearest first.
+/// A scene from one place, over a short time: for each half degree the solids that can be there,
+/// nearest first.
 pub struct View<'a> {
     scene: &'a Scene,
     /// Where rays start, and how far from it they may, metres.
@@ -146,7 +203,8 @@ pub struct View<'a> {
 type Sectors = Vec<Vec<Candidate>>;
 
 impl<'a> View<'a> {
-    /// The view of rays that start within `margin_m` of an eye and within `half_s` seconds of a time.
+    /// The view of rays that start within `margin_m` of an eye and within `half_s` seconds of a
+    /// time.
     pub fn new(scene: &'a Scene, eye: Vec3, margin_m: f64, time_s: f64, half_s: f64) -> Self {
         let mut fixed = vec![Vec::new(); SECTORS];
         let eye = (scene.levelled(eye), margin_m);
@@ -156,7 +214,13 @@ impl<'a> View<'a> {
         for sector in &mut fixed {
             sector.sort_by(Candidate::order);
         }
-        let mut view = Self { scene, eye, sectors: fixed.clone(), fixed, busy: Vec::new() };
+        let mut view = Self {
+            scene,
+            eye,
+            sectors: fixed.clone(),
+            fixed,
+            busy: Vec::new(),
+        };
         view.turn_to(time_s, half_s);
         view
     }
@@ -179,11 +243,14 @@ impl<'a> View<'a> {
         self.look(ray, 0.0, time_s, max_m, rng).hit
     }
 
-    /// The same of the middle of a beam, with whether the whole of it may meet something else: a cone about the ray of
-    /// half an angle of `spread_rad`.
+    /// The same of the middle of a beam, with whether the whole of it may meet something else: a
+    /// cone about the ray of half an angle of `spread_rad`.
     pub fn look(&self, ray: &Ray, spread_rad: f64, time_s: f64, max_m: f64, rng: &mut Rng) -> Look {
         let sight = Sight::new(self.scene.bent(ray), spread_rad, time_s);
-        let mut hit = self.scene.meet_ground(&sight.ray).filter(|hit| hit.distance_m <= max_m);
+        let mut hit = self
+            .scene
+            .meet_ground(&sight.ray)
+            .filter(|hit| hit.distance_m <= max_m);
         let (mut limit_m, mut edge_m) = (hit.map_or(max_m, |hit| hit.distance_m), f64::INFINITY);
         for candidate in &self.sectors[sector(ray.azimuth_rad)] {
             let limit_across_m = limit_m * sight.across;
@@ -200,14 +267,25 @@ impl<'a> View<'a> {
                 hit = Some(met);
             }
         }
-        Look { hit, edge: edge_m <= limit_m }
+        Look {
+            hit,
+            edge: edge_m <= limit_m,
+        }
     }
 
-    /// From where on the outline of a solid is within the beam, a number beyond all distances if it is not, and what
-    /// the middle meets of it.
+    /// From where on the outline of a solid is within the beam, a number beyond all distances if it
+    /// is not, and what the middle meets of it.
     #[inline]
-    fn meet(&self, sight: &Sight, candidate: &Candidate, limit_m: f64, rng: &mut Rng) -> (f64, Option<Hit>) {
-        let Sight { ray, spread_rad, .. } = sight;
+    fn meet(
+        &self,
+        sight: &Sight,
+        candidate: &Candidate,
+        limit_m: f64,
+        rng: &mut Rng,
+    ) -> (f64, Option<Hit>) {
+        let Sight {
+            ray, spread_rad, ..
+        } = sight;
         let part = &self.scene.parts()[candidate.part as usize];
         let moved;
         let ray = if candidate.moves {
@@ -220,10 +298,15 @@ impl<'a> View<'a> {
             (f64::INFINITY, part.shape.span(ray))
         } else {
             let rim_m = spread_rad * (candidate.far_m / sight.across).min(limit_m);
-            let Some(brim) = part.shape.brim(ray, rim_m) else { return (f64::INFINITY, None) };
+            let Some(brim) = part.shape.brim(ray, rim_m) else {
+                return (f64::INFINITY, None);
+            };
             (part.outline_m(&brim, ray, rim_m), brim.span)
         };
-        (outline_m, span.and_then(|span| self.scene.meet(part, ray, &span, rng)))
+        (
+            outline_m,
+            span.and_then(|span| self.scene.meet(part, ray, &span, rng)),
+        )
     }
 }
 
@@ -245,7 +328,14 @@ impl Sight {
     fn new(ray: Ray, spread_rad: f64, time_s: f64) -> Self {
         let across = ray.direction.xy().norm();
         let rise = ray.direction.z / across;
-        Self { ray, spread_rad, time_s, across, rise, slack: spread_rad * (1.0 + rise * rise) }
+        Self {
+            ray,
+            spread_rad,
+            time_s,
+            across,
+            rise,
+            slack: spread_rad * (1.0 + rise * rise),
+        }
     }
 
     /// Whether it may meet a solid, or come near its outline, before it has gone so far across.
@@ -290,29 +380,58 @@ mod tests {
         let scene = Scene::new([0.0; 2], 20);
         let hit = cast(&scene, &Ray::new(EYE, 1.0, -FRAC_PI_6), 0.0).unwrap();
         assert!((hit.distance_m - 4.0).abs() < 1e-12 && (hit.cos_incidence - 0.5).abs() < 1e-12);
-        assert_eq!((hit.object, hit.class, hit.reflectivity), (GROUND, Class::Ground, 20));
+        assert_eq!(
+            (hit.object, hit.class, hit.reflectivity),
+            (GROUND, Class::Ground, 20)
+        );
         assert_eq!(cast(&scene, &Ray::new(EYE, 1.0, 0.0), 0.0), None);
-        assert_eq!(cast(&scene, &Ray::new(EYE, 1.0, -0.01), 0.0), None, "200 m away");
+        assert_eq!(
+            cast(&scene, &Ray::new(EYE, 1.0, -0.01), 0.0),
+            None,
+            "200 m away"
+        );
     }
 
     #[test]
     fn rising_ground_is_met_sooner_and_things_stand_on_it() {
         let mut scene = Scene::new([0.0, 0.05], 20);
-        scene.add(Class::Pole, Vec3::zeros(), [(Shape::cylinder([0.0, 20.0, 0.0], 0.5, 1.5), Surface::Plain(30))]);
+        scene.add(
+            Class::Pole,
+            Vec3::zeros(),
+            [(
+                Shape::cylinder([0.0, 20.0, 0.0], 0.5, 1.5),
+                Surface::Plain(30),
+            )],
+        );
         // z = 2 - s sin w = 0.05 s cos w
         let (sin, cos) = 0.1_f64.sin_cos();
         let ground = cast(&scene, &Ray::new(EYE, 0.0, -0.1), 0.0).unwrap();
         assert!((ground.distance_m - 2.0 / (sin + 0.05 * cos)).abs() < 1e-12);
-        // At y = 20 the ground is 1 m high, the pole's top 2.5 m: a level ray at 2 m meets it, one at 2.6 m does not.
-        assert!((cast(&scene, &Ray::new(EYE, 0.0, 0.0), 0.0).unwrap().distance_m - 19.5).abs() < 1e-12);
+        // At y = 20 the ground is 1 m high, the pole's top 2.5 m: a level ray at 2 m meets it, one
+        // at 2.6 m does not.
+        assert!(
+            (cast(&scene, &Ray::new(EYE, 0.0, 0.0), 0.0)
+                .unwrap()
+                .distance_m
+                - 19.5)
+                .abs()
+                < 1e-12
+        );
         let above = Ray::new(EYE + Vec3::z() * 0.6, 0.0, 0.0);
-        assert_ne!(cast(&scene, &above, 0.0).map(|hit| hit.class), Some(Class::Pole));
+        assert_ne!(
+            cast(&scene, &above, 0.0).map(|hit| hit.class),
+            Some(Class::Pole)
+        );
     }
 
     /// One of the kinds, of up to some metres, within 40 m.
     fn shape_somewhere(rng: &mut Rng) -> Shape {
         let place = [rng.f64() * 80.0 - 40.0, rng.f64() * 80.0 - 40.0, rng.f64()];
-        let size = [0.2 + rng.f64() * 2.0, 0.2 + rng.f64() * 4.0, 0.2 + rng.f64() * 4.0];
+        let size = [
+            0.2 + rng.f64() * 2.0,
+            0.2 + rng.f64() * 4.0,
+            0.2 + rng.f64() * 4.0,
+        ];
         match rng.u8(0..3) {
             0 => Shape::cuboid(place, size, rng.f64() * 7.0),
             1 => Shape::cylinder(place, size[0], size[2]),
@@ -359,7 +478,9 @@ mod tests {
             let then = View::new(&scene, EYE, 0.03, time_s, 0.01);
             for seed in 0..2_000 {
                 let ray = Ray::new(EYE, rng.f64() * 6.2, (rng.f64() - 0.6) * 0.6);
-                let look = |view: &View<'_>| view.look(&ray, 0.001_5, time_s, 100.0, &mut Rng::with_seed(seed));
+                let look = |view: &View<'_>| {
+                    view.look(&ray, 0.001_5, time_s, 100.0, &mut Rng::with_seed(seed))
+                };
                 assert_eq!(look(&view), look(&then));
             }
         }
@@ -370,35 +491,63 @@ mod tests {
         let mut rng = Rng::with_seed(9);
         let mut scene = Scene::new([0.01, -0.02], 20);
         for _ in 0..200 {
-            scene.add(Class::Furniture, Vec3::zeros(), [(shape_somewhere(&mut rng), Surface::Plain(50))]);
+            scene.add(
+                Class::Furniture,
+                Vec3::zeros(),
+                [(shape_somewhere(&mut rng), Surface::Plain(50))],
+            );
         }
         let (view, spread_rad) = (View::new(&scene, EYE, 0.03, 0.0, 0.01), 0.001_5);
         let (mut edges, mut missed) = (0, 0);
         let dice = &mut Rng::with_seed(0);
         for _ in 0..20_000 {
             let (azimuth_rad, elevation_rad) = (rng.f64() * 7.0, (rng.f64() - 0.6) * 0.6);
-            let look = view.look(&Ray::new(EYE, azimuth_rad, elevation_rad), spread_rad, 0.0, 60.0, dice);
+            let look = view.look(
+                &Ray::new(EYE, azimuth_rad, elevation_rad),
+                spread_rad,
+                0.0,
+                60.0,
+                dice,
+            );
             let range_m = |hit: Option<Hit>| hit.map_or(60.0, |hit| hit.distance_m);
             let object = |hit: Option<Hit>| hit.map(|hit| hit.object);
-            let differs = [(1.0, 0.0), (-1.0, 0.0), (0.0, 1.0), (0.0, -1.0)].into_iter().any(|(across, up)| {
-                let (across, up) = (0.8 * spread_rad * across, 0.8 * spread_rad * up);
-                let hit = view.cast(&Ray::new(EYE, azimuth_rad + across, elevation_rad + up), 0.0, 60.0, dice);
-                object(hit) != object(look.hit) && (range_m(hit) - range_m(look.hit)).abs() > 0.3
-            });
+            let differs = [(1.0, 0.0), (-1.0, 0.0), (0.0, 1.0), (0.0, -1.0)]
+                .into_iter()
+                .any(|(across, up)| {
+                    let (across, up) = (0.8 * spread_rad * across, 0.8 * spread_rad * up);
+                    let hit = view.cast(
+                        &Ray::new(EYE, azimuth_rad + across, elevation_rad + up),
+                        0.0,
+                        60.0,
+                        dice,
+                    );
+                    object(hit) != object(look.hit)
+                        && (range_m(hit) - range_m(look.hit)).abs() > 0.3
+                });
             // Ground that ends at the greatest range is no edge.
-            let horizon = look.hit.is_none_or(|hit| hit.object == GROUND && hit.distance_m > 40.0);
+            let horizon = look
+                .hit
+                .is_none_or(|hit| hit.object == GROUND && hit.distance_m > 40.0);
             edges += usize::from(look.edge);
             missed += usize::from(differs && !look.edge && !horizon);
         }
-        // Of the foot of a thing the ground before it is no edge: there is no step in range but where it is flat.
-        assert!((200..4_000).contains(&edges) && missed * 50 < edges, "{edges} {missed}");
+        // Of the foot of a thing the ground before it is no edge: there is no step in range but
+        // where it is flat.
+        assert!(
+            (200..4_000).contains(&edges) && missed * 50 < edges,
+            "{edges} {missed}"
+        );
     }
 
     #[test]
     fn what_moves_is_elsewhere_later() {
         let mut scene = Scene::new([0.0; 2], 20);
         let car = Shape::cuboid([0.0, 10.0, 0.0], [2.0, 4.0, 3.0], 0.0);
-        let number = scene.add(Class::Car, Vec3::new(0.0, 5.0, 0.0), [(car, Surface::Plain(50))]);
+        let number = scene.add(
+            Class::Car,
+            Vec3::new(0.0, 5.0, 0.0),
+            [(car, Surface::Plain(50))],
+        );
         let ahead = Ray::new(EYE, 0.0, 0.0);
         assert!((cast(&scene, &ahead, 0.0).unwrap().distance_m - 8.0).abs() < 1e-12);
         let later = cast(&scene, &ahead, 2.0).unwrap();
@@ -409,13 +558,25 @@ mod tests {
     #[test]
     fn leaves_stop_one_in_e_rays_at_their_free_path() {
         let mut scene = Scene::new([0.0; 2], 20);
-        let leaves = Surface::Leaves { reflectivity: 30, free_path_m: 2.0 };
-        scene.add(Class::Tree, Vec3::zeros(), [(Shape::ellipsoid([10.0, 0.0, 2.0], [1.0; 3]), leaves)]);
+        let leaves = Surface::Leaves {
+            reflectivity: 30,
+            free_path_m: 2.0,
+        };
+        scene.add(
+            Class::Tree,
+            Vec3::zeros(),
+            [(Shape::ellipsoid([10.0, 0.0, 2.0], [1.0; 3]), leaves)],
+        );
         let view = View::new(&scene, EYE, 0.01, 0.0, 0.01);
         let mut rng = Rng::with_seed(3);
-        let through =
-            (0..10_000).filter(|_| view.cast(&Ray::new(EYE, FRAC_PI_2, 0.0), 0.0, 100.0, &mut rng).is_none()).count();
-        // 2 m of leaves with a free path of 2 m: exp(-1) = 36.8 % get through, standard deviation 48.
+        let through = (0..10_000)
+            .filter(|_| {
+                view.cast(&Ray::new(EYE, FRAC_PI_2, 0.0), 0.0, 100.0, &mut rng)
+                    .is_none()
+            })
+            .count();
+        // 2 m of leaves with a free path of 2 m: exp(-1) = 36.8 % get through, standard deviation
+        // 48.
         assert!((3_530..3_830).contains(&through), "{through}");
     }
 
@@ -423,7 +584,11 @@ mod tests {
     fn windows_lie_behind_the_wall() {
         let mut scene = Scene::new([0.0; 2], 20);
         let house = Shape::cuboid([0.0, 15.0, 0.0], [40.0, 10.0, 12.0], 0.0);
-        scene.add(Class::Building, Vec3::zeros(), [(house, Surface::Windows(40))]);
+        scene.add(
+            Class::Building,
+            Vec3::zeros(),
+            [(house, Surface::Windows(40))],
+        );
         let behind = |hit: Hit, ray: &Ray| ray.at(hit.distance_m).y - 10.0;
         let mut seen = [0; 2];
         for k in 0..400 {

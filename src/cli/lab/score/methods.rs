@@ -21,7 +21,8 @@ enum Way {
     Plain(Baseline),
 }
 
-/// A method of ours. What it learns of a sequence, as the height of the sensor, is forgotten with the next one.
+/// A method of ours. What it learns of a sequence, as the height of the sensor, is forgotten with
+/// the next one.
 struct Ours {
     config: Config,
     columns: usize,
@@ -31,7 +32,11 @@ struct Ours {
 impl Ours {
     fn new(config: Config, columns: usize) -> Result<Self, CliError> {
         let segmenter = Self::segmenter(&config, columns)?;
-        Ok(Self { config, columns, segmenter })
+        Ok(Self {
+            config,
+            columns,
+            segmenter,
+        })
     }
 
     fn begin_sequence(&mut self) -> Result<(), CliError> {
@@ -40,7 +45,8 @@ impl Ours {
     }
 
     fn segmenter(config: &Config, columns: usize) -> Result<CloudSegmenter, CliError> {
-        CloudSegmenter::new(config.clone(), columns).map_err(|error| CliError::Usage(error.to_string()))
+        CloudSegmenter::new(config.clone(), columns)
+            .map_err(|error| CliError::Usage(error.to_string()))
     }
 
     fn segment(&mut self, cloud: &Path, bytes: &[u8]) -> Result<Vec<u32>, CliError> {
@@ -71,7 +77,11 @@ struct Loaded<'a> {
 
 impl Trial {
     fn ours(method: Method, theta_deg: f64, columns: usize) -> Result<Self, CliError> {
-        let config = Config { method, theta_rad: theta_deg.to_radians() as f32, ..Config::default() };
+        let config = Config {
+            method,
+            theta_rad: theta_deg.to_radians() as f32,
+            ..Config::default()
+        };
         let name = match method {
             Method::Slope => "slope",
             Method::Paper => "paper",
@@ -81,15 +91,35 @@ impl Trial {
     }
 
     fn euclidean(distance_m: f64) -> Self {
-        Self::new(("euclidean", "distance", "m"), distance_m, Way::Plain(Baseline::Euclidean { distance_m }))
+        Self::new(
+            ("euclidean", "distance", "m"),
+            distance_m,
+            Way::Plain(Baseline::Euclidean { distance_m }),
+        )
     }
 
     fn grid(cell_m: f64) -> Self {
-        Self::new(("grid", "cell", "m"), cell_m, Way::Plain(Baseline::Grid { cell_m }))
+        Self::new(
+            ("grid", "cell", "m"),
+            cell_m,
+            Way::Plain(Baseline::Grid { cell_m }),
+        )
     }
 
-    fn new((method, parameter, unit): (&'static str, &'static str, &'static str), value: f64, way: Way) -> Self {
-        Self { method, parameter, value, unit, way, scored: Vec::new(), ms: Vec::new() }
+    fn new(
+        (method, parameter, unit): (&'static str, &'static str, &'static str),
+        value: f64,
+        way: Way,
+    ) -> Self {
+        Self {
+            method,
+            parameter,
+            value,
+            unit,
+            way,
+            scored: Vec::new(),
+            ms: Vec::new(),
+        }
     }
 
     /// All that were asked for.
@@ -101,7 +131,11 @@ impl Trial {
                 trials.push(Self::ours(method, theta_deg, args.columns)?);
             }
         }
-        trials.extend(args.distance.iter().map(|&distance_m| Self::euclidean(distance_m)));
+        trials.extend(
+            args.distance
+                .iter()
+                .map(|&distance_m| Self::euclidean(distance_m)),
+        );
         trials.extend(args.cell.iter().map(|&cell_m| Self::grid(cell_m)));
         Ok(trials)
     }
@@ -111,7 +145,9 @@ impl Trial {
         let start = Instant::now();
         let labels = match &mut self.way {
             Way::Ours(ours) => ours.segment(scan.cloud, &scan.bytes)?,
-            Way::Plain(baseline) => baseline.segment(&scan.points, &scan.ground, Settings::DEFAULT.min_points),
+            Way::Plain(baseline) => {
+                baseline.segment(&scan.points, &scan.ground, Settings::DEFAULT.min_points)
+            }
         };
         self.ms.push(start.elapsed().as_secs_f64() * 1e3);
         Ok(labels)
@@ -127,13 +163,21 @@ impl Trial {
 
 /// Segments and scores the scans with all methods; gives the table, or the JSON.
 pub(super) fn compare(args: &Args, scans: &[Scan]) -> Result<String, CliError> {
-    let plot = args.methods.plot.as_deref().map(|path| plot::create(path, args.force.existing())).transpose()?;
+    let plot = args
+        .methods
+        .plot
+        .as_deref()
+        .map(|path| plot::create(path, args.force.existing()))
+        .transpose()?;
     let mut trials = Trial::all(args)?;
     let mut default = Ours::new(Config::default(), args.methods.columns)?;
     let sizes = args.sizes();
     let mut last = None;
     for scan in progress(scans.len()).wrap_iter(scans.iter()) {
-        if last.replace(scan.sequence()).is_some_and(|last| last != scan.sequence()) {
+        if last
+            .replace(scan.sequence())
+            .is_some_and(|last| last != scan.sequence())
+        {
             default.begin_sequence()?;
             for trial in &mut trials {
                 if let Way::Ours(ours) = &mut trial.way {
@@ -144,7 +188,12 @@ pub(super) fn compare(args: &Args, scans: &[Scan]) -> Result<String, CliError> {
         let bytes = scan.bytes()?;
         let points = points(&scan.cloud, &bytes)?;
         let truth = scan.truth(&points)?;
-        let loaded = Loaded { cloud: &scan.cloud, ground: default.segment(&scan.cloud, &bytes)?, bytes, points };
+        let loaded = Loaded {
+            cloud: &scan.cloud,
+            ground: default.segment(&scan.cloud, &bytes)?,
+            bytes,
+            points,
+        };
         for trial in &mut trials {
             let score = ScanScore::new(&truth, &trial.label(&loaded)?, &sizes)
                 .map_err(|error| CliError::Usage(format!("{}: {error}", scan.cloud.display())))?;
@@ -154,7 +203,11 @@ pub(super) fn compare(args: &Args, scans: &[Scan]) -> Result<String, CliError> {
     if let Some(plot) = plot {
         plot.write(&trials)?;
     }
-    if args.json { json(&Report::new(&trials)) } else { Ok(table(&trials)) }
+    if args.json {
+        json(&Report::new(&trials))
+    } else {
+        Ok(table(&trials))
+    }
 }
 
 /// What `--json` prints.
@@ -178,13 +231,30 @@ struct MethodLine {
 
 impl Report {
     fn new(trials: &[Trial]) -> Self {
-        let mut report = Self { scans: 0, sequences: 0, methods: Vec::new() };
+        let mut report = Self {
+            scans: 0,
+            sequences: 0,
+            methods: Vec::new(),
+        };
         for trial in trials {
             let summary = Summary::new(&trial.scored);
             (report.scans, report.sequences) = (summary.scans, summary.sequences);
-            let Trial { method, parameter, value, unit, .. } = *trial;
+            let Trial {
+                method,
+                parameter,
+                value,
+                unit,
+                ..
+            } = *trial;
             let (ms, figures) = (trial.median_ms(), summary.grouped());
-            report.methods.push(MethodLine { method, parameter, value, unit, ms, figures });
+            report.methods.push(MethodLine {
+                method,
+                parameter,
+                value,
+                unit,
+                ms,
+                figures,
+            });
         }
         report
     }
@@ -192,8 +262,13 @@ impl Report {
 
 /// A line a method and value; a gap between methods.
 fn table(trials: &[Trial]) -> String {
-    let summaries: Vec<Summary> = trials.iter().map(|trial| Summary::new(&trial.scored)).collect();
-    let Some(first) = summaries.first() else { return String::new() };
+    let summaries: Vec<Summary> = trials
+        .iter()
+        .map(|trial| Summary::new(&trial.scored))
+        .collect();
+    let Some(first) = summaries.first() else {
+        return String::new();
+    };
     let min_points = first.pooled.first().map_or(0, |counts| counts.min_points);
     let mut text = heading(first);
     let _ = writeln!(
@@ -222,10 +297,17 @@ fn table(trials: &[Trial]) -> String {
 
 fn line(trial: &Trial, summary: &Summary, instances: Group) -> String {
     let pooled = |name| number(summary.row(instances, name).and_then(|row| row.pooled), 3);
-    let mean = |name, decimals| number(summary.row(Group::Objects, name).and_then(|row| row.mean), decimals);
+    let mean = |name, decimals| {
+        number(
+            summary.row(Group::Objects, name).and_then(|row| row.mean),
+            decimals,
+        )
+    };
     let (precision, quality) = (pooled("found_50"), pooled("pq"));
     let (mixed, scattered, cover) = (mean("use", 1), mean("ose", 1), mean("cover", 3));
     let Trial { method, value, .. } = trial;
     let ms = trial.median_ms();
-    format!("{method:<11}{value:>16}{precision:>11}{quality:>7}{mixed:>8}{scattered:>8}{cover:>7}{ms:>8.1}\n")
+    format!(
+        "{method:<11}{value:>16}{precision:>11}{quality:>7}{mixed:>8}{scattered:>8}{cover:>7}{ms:>8.1}\n"
+    )
 }

@@ -36,12 +36,21 @@ impl Plot {
 /// A panel for each unit, since methods of one unit share an axis.
 fn chart(trials: &[Trial]) -> Chart {
     let summary = Summary::new(trials.first().map_or(&[], |trial| &trial.scored));
-    let (min_points, count) = summary.pooled.first().map_or((0, 0), |counts| (counts.min_points, counts.count));
+    let (min_points, count) = summary
+        .pooled
+        .first()
+        .map_or((0, 0), |counts| (counts.min_points, counts.count));
     let panel = |trials: &[Trial]| {
         let mut parameters: Vec<&str> = trials.iter().map(|trial| trial.parameter).collect();
         parameters.dedup();
-        let lines = trials.chunk_by(|a, b| a.method == b.method).map(|trials| line(trials, min_points)).collect();
-        Panel { parameter: format!("{}, {}", parameters.join(" or "), trials[0].unit), lines }
+        let lines = trials
+            .chunk_by(|a, b| a.method == b.method)
+            .map(|trials| line(trials, min_points))
+            .collect();
+        Panel {
+            parameter: format!("{}, {}", parameters.join(" or "), trials[0].unit),
+            lines,
+        }
     };
     Chart {
         title: "How many things are found".to_owned(),
@@ -50,7 +59,10 @@ fn chart(trials: &[Trial]) -> Chart {
              that a segment meets with an IoU above 0.5",
             summary.scans, summary.sequences
         ),
-        panels: trials.chunk_by(|a, b| a.unit == b.unit).map(panel).collect(),
+        panels: trials
+            .chunk_by(|a, b| a.unit == b.unit)
+            .map(panel)
+            .collect(),
     }
 }
 
@@ -58,7 +70,9 @@ fn chart(trials: &[Trial]) -> Chart {
 fn line(trials: &[Trial], min_points: u32) -> Series {
     let point = |trial: &Trial| {
         let summary = Summary::new(&trial.scored);
-        let found = summary.row(Group::Instances(min_points), "found_50").and_then(|row| row.pooled)?;
+        let found = summary
+            .row(Group::Instances(min_points), "found_50")
+            .and_then(|row| row.pooled)?;
         Some([trial.value, found])
     };
     let mut points: Vec<[f64; 2]> = trials.iter().filter_map(point).collect();
@@ -67,5 +81,8 @@ fn line(trials: &[Trial], min_points: u32) -> Series {
         "slope" => "default (slope)",
         other => other,
     };
-    Series { name: name.to_owned(), points }
+    Series {
+        name: name.to_owned(),
+        points,
+    }
 }

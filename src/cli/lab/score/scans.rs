@@ -62,20 +62,38 @@ pub(super) fn find(folder: &Path, only: &[String]) -> Result<Found, CliError> {
         );
         Err(CliError::Usage(message))
     };
-    if let Some(only) = only.iter().find(|only| !found.scans.iter().any(|scan| names(only, &scan.name))) {
+    if let Some(only) = only
+        .iter()
+        .find(|only| !found.scans.iter().any(|scan| names(only, &scan.name)))
+    {
         return nothing(&format!("no scan is named by --only {only}"));
     }
-    if found.scans.is_empty() { nothing("no scans") } else { Ok(found) }
+    if found.scans.is_empty() {
+        nothing("no scans")
+    } else {
+        Ok(found)
+    }
 }
 
-/// Collects the clouds of a folder and all folders in it, each folder once, whatever links lead to it.
-fn walk(folder: &Path, seen: &mut BTreeSet<PathBuf>, clouds: &mut Vec<PathBuf>) -> Result<(), CliError> {
-    let read = |source| CliError::Read { path: folder.to_owned(), source };
+/// Collects the clouds of a folder and all folders in it, each folder once, whatever links lead to
+/// it.
+fn walk(
+    folder: &Path,
+    seen: &mut BTreeSet<PathBuf>,
+    clouds: &mut Vec<PathBuf>,
+) -> Result<(), CliError> {
+    let read = |source| CliError::Read {
+        path: folder.to_owned(),
+        source,
+    };
     if !seen.insert(folder.canonicalize().map_err(read)?) {
         return Ok(());
     }
     let entries = std::fs::read_dir(folder).map_err(read)?;
-    let mut paths = entries.map(|entry| Ok(entry?.path())).collect::<Result<Vec<_>, _>>().map_err(read)?;
+    let mut paths = entries
+        .map(|entry| Ok(entry?.path()))
+        .collect::<Result<Vec<_>, _>>()
+        .map_err(read)?;
     paths.sort();
     for path in paths {
         if path.is_dir() {
@@ -87,10 +105,18 @@ fn walk(folder: &Path, seen: &mut BTreeSet<PathBuf>, clouds: &mut Vec<PathBuf>) 
     Ok(())
 }
 
-/// Its path in the folder without suffix, and without the name that each sequence gives to its clouds.
+/// Its path in the folder without suffix, and without the name that each sequence gives to its
+/// clouds.
 fn name_of(folder: &Path, cloud: &Path) -> String {
-    let path = cloud.strip_prefix(folder).unwrap_or(cloud).with_extension("");
-    let parts: Vec<_> = path.iter().map(|part| part.to_string_lossy()).filter(|part| part != CLOUDS).collect();
+    let path = cloud
+        .strip_prefix(folder)
+        .unwrap_or(cloud)
+        .with_extension("");
+    let parts: Vec<_> = path
+        .iter()
+        .map(|part| part.to_string_lossy())
+        .filter(|part| part != CLOUDS)
+        .collect();
     parts.join("/")
 }
 
@@ -103,15 +129,23 @@ fn names(only: &str, name: &str) -> bool {
 fn truth_of(cloud: &Path) -> Option<PathBuf> {
     let beside = cloud.with_extension("label");
     let folder = cloud.parent()?;
-    let apart = folder.parent().filter(|_| folder.ends_with(CLOUDS)).map(|sequence| sequence.join(LABELS));
+    let apart = folder
+        .parent()
+        .filter(|_| folder.ends_with(CLOUDS))
+        .map(|sequence| sequence.join(LABELS));
     let apart = apart.and_then(|labels| Some(labels.join(beside.file_name()?)));
-    [Some(beside), apart].into_iter().flatten().find(|file| file.is_file())
+    [Some(beside), apart]
+        .into_iter()
+        .flatten()
+        .find(|file| file.is_file())
 }
 
 impl Scan {
     /// The sequence it is a frame of.
     pub(super) fn sequence(&self) -> &str {
-        self.name.rsplit_once('/').map_or("", |(sequence, _)| sequence)
+        self.name
+            .rsplit_once('/')
+            .map_or("", |(sequence, _)| sequence)
     }
 
     /// The bytes of the cloud.
@@ -128,7 +162,9 @@ impl Scan {
     pub(super) fn truth(&self, points: &[[f32; 4]]) -> Result<Truth, CliError> {
         Truth::new(points, read_labels(&self.truth)?).map_err(|error| {
             let (file, cloud) = (self.truth.display(), self.cloud.display());
-            CliError::Usage(format!("{file}: {error} of {cloud}; get both from the same release of the data"))
+            CliError::Usage(format!(
+                "{file}: {error} of {cloud}; get both from the same release of the data"
+            ))
         })
     }
 
@@ -145,7 +181,8 @@ impl Scan {
         }
         let real = |path: &Path| path.canonicalize().ok();
         if real(&path) == real(&self.truth) {
-            let message = format!("{file}: these are the true labels; name the folder with yours by --pred");
+            let message =
+                format!("{file}: these are the true labels; name the folder with yours by --pred");
             return Err(CliError::Usage(message));
         }
         Ok(path)
@@ -154,7 +191,8 @@ impl Scan {
 
 /// The points in the bytes of a cloud.
 pub(super) fn points(cloud: &Path, bytes: &[u8]) -> Result<Vec<[f32; 4]>, CliError> {
-    sweepd_lab::cloud::points(bytes).map_err(|error| CliError::Usage(format!("{}: {error}", cloud.display())))
+    sweepd_lab::cloud::points(bytes)
+        .map_err(|error| CliError::Usage(format!("{}: {error}", cloud.display())))
 }
 
 /// The labels in a file, one little-endian u32 a point.
@@ -163,9 +201,13 @@ pub(super) fn read_labels(file: &Path) -> Result<Vec<u32>, CliError> {
     let (labels, rest) = bytes.as_chunks::<LABEL_BYTES>();
     if !rest.is_empty() {
         let (file, len) = (file.display(), bytes.len());
-        let message =
-            format!("{file}: {len} bytes, expected a multiple of {LABEL_BYTES}: one little-endian u32 a point");
+        let message = format!(
+            "{file}: {len} bytes, expected a multiple of {LABEL_BYTES}: one little-endian u32 a point"
+        );
         return Err(CliError::Usage(message));
     }
-    Ok(labels.iter().map(|&label| u32::from_le_bytes(label)).collect())
+    Ok(labels
+        .iter()
+        .map(|&label| u32::from_le_bytes(label))
+        .collect())
 }

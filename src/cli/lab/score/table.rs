@@ -8,11 +8,17 @@ use sweepd_lab::score::{Group, Row, ScanScore, Summary};
 /// All figures, one a line.
 pub(super) fn figures(summary: &Summary) -> String {
     let mut text = heading(summary);
-    text +=
-        "mean and std over the scans; sequences: mean of the means of the sequences; pooled: all instances together\n";
+    text += "mean and std over the scans; sequences: mean of the means of the sequences; pooled: all instances together\n";
     for rows in summary.rows.chunk_by(|one, next| one.group == next.group) {
-        let _ =
-            writeln!(text, "\n{:<28}{:>9}{:>9}{:>11}{:>9}", title(rows[0].group), "mean", "std", "sequences", "pooled");
+        let _ = writeln!(
+            text,
+            "\n{:<28}{:>9}{:>9}{:>11}{:>9}",
+            title(rows[0].group),
+            "mean",
+            "std",
+            "sequences",
+            "pooled"
+        );
         rows.iter().for_each(|row| line(&mut text, row));
     }
     text
@@ -21,7 +27,11 @@ pub(super) fn figures(summary: &Summary) -> String {
 /// `18 scans of 6 sequences`
 pub(super) fn heading(summary: &Summary) -> String {
     let (scans, sequences) = (summary.scans as u64, summary.sequences as u64);
-    format!("{} of {}\n", count_of(scans, "scan"), count_of(sequences, "sequence"))
+    format!(
+        "{} of {}\n",
+        count_of(scans, "scan"),
+        count_of(sequences, "sequence")
+    )
 }
 
 fn title(group: Group) -> String {
@@ -30,7 +40,10 @@ fn title(group: Group) -> String {
         Group::GroundNoVegetation => "ground, no vegetation".to_owned(),
         Group::GroundPaved => "ground, paved".to_owned(),
         Group::Objects => "objects".to_owned(),
-        Group::Instances(points) => format!("instances, {} or more", count_of(u64::from(points), "point")),
+        Group::Instances(points) => format!(
+            "instances, {} or more",
+            count_of(u64::from(points), "point")
+        ),
     }
 }
 
@@ -41,12 +54,26 @@ fn words(name: &str) -> String {
 
 fn line(text: &mut String, row: &Row) {
     // How many there are is counted, what they are like is measured.
-    let decimals = if matches!(row.name, "count" | "false_positives" | "objects" | "segments") { 1 } else { 4 };
+    let decimals = if matches!(
+        row.name,
+        "count" | "false_positives" | "objects" | "segments"
+    ) {
+        1
+    } else {
+        4
+    };
     let pooled_decimals = if decimals == 1 { 0 } else { 4 };
-    let [mean, std, sequences] = [row.mean, row.std, row.sequence_mean].map(|value| number(value, decimals));
-    let pooled =
-        if matches!(row.group, Group::Instances(_)) { number(row.pooled, pooled_decimals) } else { String::new() };
-    let columns = format!("  {:<26}{mean:>9}{std:>9}{sequences:>11}{pooled:>9}", words(row.name));
+    let [mean, std, sequences] =
+        [row.mean, row.std, row.sequence_mean].map(|value| number(value, decimals));
+    let pooled = if matches!(row.group, Group::Instances(_)) {
+        number(row.pooled, pooled_decimals)
+    } else {
+        String::new()
+    };
+    let columns = format!(
+        "  {:<26}{mean:>9}{std:>9}{sequences:>11}{pooled:>9}",
+        words(row.name)
+    );
     let _ = writeln!(text, "{}", columns.trim_end());
 }
 
@@ -57,19 +84,44 @@ pub(super) fn number(value: Option<f64>, decimals: usize) -> String {
 
 /// A line a scan, with the figures that tell most; nothing for no scans.
 pub(super) fn scans(scans: &[(&str, &ScanScore)]) -> String {
-    let Some((_, first)) = scans.first() else { return String::new() };
-    let width = scans.iter().map(|(name, _)| name.chars().count()).max().unwrap_or(0).max("scan".len());
-    let mut text = format!("\n{:<width$}{:>9}{:>8}{:>8}{:>8}", "scan", "ground f1", "use", "ose", "cover");
+    let Some((_, first)) = scans.first() else {
+        return String::new();
+    };
+    let width = scans
+        .iter()
+        .map(|(name, _)| name.chars().count())
+        .max()
+        .unwrap_or(0)
+        .max("scan".len());
+    let mut text = format!(
+        "\n{:<width$}{:>9}{:>8}{:>8}{:>8}",
+        "scan", "ground f1", "use", "ose", "cover"
+    );
     for counts in &first.instances {
         let at = |word: &str| format!("{word} {}", counts.min_points);
-        let _ = write!(text, "{:>10}{:>10}{:>8}", at("count"), at("found"), at("pq"));
+        let _ = write!(
+            text,
+            "{:>10}{:>10}{:>8}",
+            at("count"),
+            at("found"),
+            at("pq")
+        );
     }
     text.push('\n');
     for (name, score) in scans {
         let entropy = &score.entropy;
-        let columns = [(score.ground.f1, 3), (Some(entropy.use_), 1), (Some(entropy.ose), 1), (entropy.cover, 3)];
-        let [f1, mixed, scattered, cover] = columns.map(|(value, decimals)| number(value, decimals));
-        let _ = write!(text, "{name:<width$}{f1:>9}{mixed:>8}{scattered:>8}{cover:>8}");
+        let columns = [
+            (score.ground.f1, 3),
+            (Some(entropy.use_), 1),
+            (Some(entropy.ose), 1),
+            (entropy.cover, 3),
+        ];
+        let [f1, mixed, scattered, cover] =
+            columns.map(|(value, decimals)| number(value, decimals));
+        let _ = write!(
+            text,
+            "{name:<width$}{f1:>9}{mixed:>8}{scattered:>8}{cover:>8}"
+        );
         for counts in &score.instances {
             let found = (counts.count > 0).then(|| counts.found_50 as f64 / counts.count as f64);
             let (found, quality) = (number(found, 3), number(counts.panoptic_quality(), 3));

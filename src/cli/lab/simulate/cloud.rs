@@ -18,10 +18,11 @@ use sweepd_lab::simulate::{Faults, deliver, gps};
 #[derive(Clone, Debug, clap::Args)]
 #[command(next_help_heading = "A real scan instead of a scene")]
 pub struct CloudOptions {
-    /// Encode this KITTI cloud (x forward, y left, z up, remission as f32, ring after ring) as what an HDL-64E S2 with
-    /// the given --calibration would have sent, at 600 turns a minute unless --rpm is given: one turn, with a part of a
-    /// turn before and behind it; with --seconds, the same turn again and again. A point goes to the firing that stands
-    /// for its column of the image of `sweepd segment`: its range comes back, its azimuth to about a column; of two
+    /// Encode this KITTI cloud (x forward, y left, z up, remission as f32, ring after ring) as what
+    /// an HDL-64E S2 with the given --calibration would have sent, at 600 turns a minute unless
+    /// --rpm is given: one turn, with a part of a turn before and behind it; with --seconds, the
+    /// same turn again and again. A point goes to the firing that stands for its column of the
+    /// image of `sweepd segment`: its range comes back, its azimuth to about a column; of two
     /// points without room the nearer is sent
     #[arg(
         long,
@@ -29,8 +30,8 @@ pub struct CloudOptions {
         conflicts_with_all = ["models", "scene", "returns", "spin_up", "stall", "mode_switch", "new_rpm", "fov", "clock_step", "exchange"]
     )]
     pub from_cloud: Option<PathBuf>,
-    /// Fit each beam's elevation and vertical offset to the scan, and write the calibration to replay with: those of
-    /// another unit bend flat ground
+    /// Fit each beam's elevation and vertical offset to the scan, and write the calibration to
+    /// replay with: those of another unit bend flat ground
     #[arg(long)]
     fit_elevations: bool,
     /// Where to write the fitted calibration, ROS YAML [default: NAME.yaml beside the NAME.pcap]
@@ -39,18 +40,24 @@ pub struct CloudOptions {
 }
 
 impl CloudOptions {
-    /// Looks for what says nothing without the rest. (The parser takes it, once an option that excludes the rest is
-    /// given.)
+    /// Looks for what says nothing without the rest. (The parser takes it, once an option that
+    /// excludes the rest is given.)
     ///
     /// # Errors
     /// [`CliError::Usage`].
     pub fn check(&self) -> Result<(), CliError> {
         let needs = |what, other| Err(CliError::Usage(format!("{what} needs {other}")));
         if self.fit_elevations && self.from_cloud.is_none() {
-            return needs("--fit-elevations", "--from-cloud FILE.bin, the scan to fit to");
+            return needs(
+                "--fit-elevations",
+                "--from-cloud FILE.bin, the scan to fit to",
+            );
         }
         if self.fitted.is_some() && !self.fit_elevations {
-            return needs("--fitted", "--fit-elevations: without it the packets are those of the given --calibration");
+            return needs(
+                "--fitted",
+                "--fit-elevations: without it the packets are those of the given --calibration",
+            );
         }
         Ok(())
     }
@@ -59,14 +66,23 @@ impl CloudOptions {
 /// Runs the command for the cloud in a file.
 ///
 /// # Errors
-/// [`CliError`]: a cloud or a calibration that cannot be meant, a file that cannot be read or written.
+/// [`CliError`]: a cloud or a calibration that cannot be meant, a file that cannot be read or
+/// written.
 pub fn run(args: &Args, cloud: &Path) -> Result<(), CliError> {
     let wrong = |error: FromCloudError| CliError::Usage(format!("{}: {error}", cloud.display()));
-    let fitted = args.cloud.fit_elevations.then(|| fitted_file(args)).transpose()?;
+    let fitted = args
+        .cloud
+        .fit_elevations
+        .then(|| fitted_file(args))
+        .transpose()?;
     let turn = encode(args, cloud)?;
     let start_utc_ns = args.start_utc_ns();
-    let sending =
-        Sending { seconds: args.seconds, clock: args.gps.clock(), start_utc_ns, address: gps::address(MODEL) };
+    let sending = Sending {
+        seconds: args.seconds,
+        clock: args.gps.clock(),
+        start_utc_ns,
+        address: gps::address(MODEL),
+    };
     let sender = Sender::new(&turn, sending).map_err(wrong)?;
     let faults = args.faults.rates().plan(args.seed, sender.packets());
     let (existing, former) = (args.force.existing(), args.former_truth()?);
@@ -74,7 +90,11 @@ pub fn run(args: &Args, cloud: &Path) -> Result<(), CliError> {
     let mut truth = args.truth.as_ref().map(create).transpose()?;
     let mut output = Output::open(&args.target, existing)?;
     if let Some(path) = fitted {
-        output::write(&path, ros_yaml::emit(turn.calibration()).as_bytes(), existing)?;
+        output::write(
+            &path,
+            ros_yaml::emit(turn.calibration()).as_bytes(),
+            existing,
+        )?;
     }
     let mut progress = Progress::new(args.seconds);
     let mut packets = 0;
@@ -102,18 +122,29 @@ fn encode(args: &Args, cloud: &Path) -> Result<Turn, CliError> {
     };
     let wrong = |error: FromCloudError| CliError::Usage(format!("{}: {error}", cloud.display()));
     let points = points(&read_file(cloud, MAX_CLOUD_LEN)?).map_err(|error| wrong(error.into()))?;
-    let options = Options { fit: args.cloud.fit_elevations, rpm: args.rpm };
+    let options = Options {
+        fit: args.cloud.fit_elevations,
+        rpm: args.rpm,
+    };
     Turn::new(&points, &calibration, options).map_err(wrong)
 }
 
-/// Where the fitted calibration goes: beside the capture, unless it is said. Never over the one that is fitted.
+/// Where the fitted calibration goes: beside the capture, unless it is said. Never over the one
+/// that is fitted.
 fn fitted_file(args: &Args) -> Result<PathBuf, CliError> {
     let beside = |capture: &PathBuf| {
         let name = capture.file_name()?.to_str()?;
-        let stem = name.strip_suffix(".gz").unwrap_or(name).strip_suffix(".pcap")?;
+        let stem = name
+            .strip_suffix(".gz")
+            .unwrap_or(name)
+            .strip_suffix(".pcap")?;
         Some(capture.with_file_name(format!("{stem}.yaml")))
     };
-    let named = args.cloud.fitted.clone().or_else(|| args.target.pcap.as_ref().and_then(beside));
+    let named = args
+        .cloud
+        .fitted
+        .clone()
+        .or_else(|| args.target.pcap.as_ref().and_then(beside));
     let Some(path) = named else {
         let message = "--fit-elevations: give --fitted FILE.yaml, where the calibration goes; without a --pcap \
                        NAME.pcap it has no place";
@@ -124,7 +155,10 @@ fn fitted_file(args: &Args) -> Result<PathBuf, CliError> {
         one.is_some() && one == other
     };
     if args.calibration.as_ref().is_some_and(same) {
-        let message = format!("{} would be overwritten; give another --fitted FILE.yaml", path.display());
+        let message = format!(
+            "{} would be overwritten; give another --fitted FILE.yaml",
+            path.display()
+        );
         return Err(CliError::Usage(message));
     }
     output::check(&path, args.force.existing())?;
@@ -135,7 +169,11 @@ fn fitted_file(args: &Args) -> Result<PathBuf, CliError> {
 fn conclude(cloud: &Path, turn: &Turn, packets: u64, faults: &Faults) {
     complain(&cloud.display().to_string(), turn.report());
     let (lost, duplicated) = (faults.lost_packets(), faults.duplicated.len());
-    let (reordered, corrupted, strays) = (faults.swapped.len(), faults.corrupted.len(), faults.strays.len());
+    let (reordered, corrupted, strays) = (
+        faults.swapped.len(),
+        faults.corrupted.len(),
+        faults.strays.len(),
+    );
     let message = format!(
         "data packets {packets}, {:.1} turns a minute; injected: lost {lost}, duplicated {duplicated}, reordered \
          {reordered}, corrupted {corrupted}, strays {strays}",

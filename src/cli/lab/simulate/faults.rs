@@ -12,7 +12,8 @@ const DAY_S: RangeInclusive<f64> = 0.0..=86_400.0;
 /// Packets lost in a burst, unless it is said.
 const BURST_LEN: u64 = 10;
 
-/// Faults, by seed; rates in percent of the data packets. The first and the last packet are always delivered whole.
+/// Faults, by seed; rates in percent of the data packets. The first and the last packet are always
+/// delivered whole.
 #[derive(Clone, Debug, clap::Args)]
 #[command(next_help_heading = "Faults (rates in percent of the data packets)")]
 pub struct FaultOptions {
@@ -34,11 +35,12 @@ pub struct FaultOptions {
     /// Let this many be overtaken by the packets behind them, by one or by so many PLACES
     #[arg(long, value_name = "PERCENT[xPLACES]", value_parser = places, allow_negative_numbers = true)]
     reorder: Option<Burst>,
-    /// Damage this many: one bit of a PART [any (the default), flag, azimuth, distance, reflectivity, stamp,
-    /// factory], or the length
+    /// Damage this many: one bit of a PART [any (the default), flag, azimuth, distance,
+    /// reflectivity, stamp, factory], or the length
     #[arg(long, value_name = "PERCENT[xPART]", value_parser = corrupt, allow_negative_numbers = true)]
     corrupt: Option<Corrupt>,
-    /// Before this many, send a datagram that no sensor sends: of 0 to 63, 1205, or 1207 to 8972 bytes
+    /// Before this many, send a datagram that no sensor sends: of 0 to 63, 1205, or 1207 to 8972
+    /// bytes
     #[arg(
         long, value_name = "PERCENT", default_value = "0", hide_default_value = true,
         value_parser = within(PERCENT, "percent"), allow_negative_numbers = true
@@ -56,7 +58,8 @@ pub struct FaultOptions {
     /// Change the speed evenly from one second to another; a negative RPM turns the other way
     #[arg(long, value_name = "RPM@FROM..TO", value_parser = new_speed, allow_negative_numbers = true)]
     new_rpm: Option<NewSpeed>,
-    /// Measure only from one azimuth clockwise to another, for the whole time or from one second to another
+    /// Measure only from one azimuth clockwise to another, for the whole time or from one second to
+    /// another
     #[arg(long, value_name = "DEG..DEG[@FROM..TO]", value_parser = fov, allow_negative_numbers = true)]
     pub fov: Option<FieldOfView>,
     /// Set the sensor's clock ahead by so much after so long; a negative amount sets it back
@@ -78,19 +81,35 @@ struct Burst {
 }
 
 fn burst(text: &str) -> Result<Burst, String> {
-    let (percent, len) = text.split_once('x').map_or((text, None), |(percent, len)| (percent, Some(len)));
+    let (percent, len) = text
+        .split_once('x')
+        .map_or((text, None), |(percent, len)| (percent, Some(len)));
     let percent = within(PERCENT, "percent")(percent).ok();
-    let len = len.map_or(Some(BURST_LEN), |len| len.parse().ok()).filter(|len| (1..=10_000).contains(len));
-    let both = percent.zip(len).map(|(percent, len)| Burst { percent, len });
-    both.ok_or_else(|| "expected 0 to 100 percent, then x and 1 to 10000 packets if need be, such as 0.1x20".to_owned())
+    let len = len
+        .map_or(Some(BURST_LEN), |len| len.parse().ok())
+        .filter(|len| (1..=10_000).contains(len));
+    let both = percent
+        .zip(len)
+        .map(|(percent, len)| Burst { percent, len });
+    both.ok_or_else(|| {
+        "expected 0 to 100 percent, then x and 1 to 10000 packets if need be, such as 0.1x20"
+            .to_owned()
+    })
 }
 
 fn places(text: &str) -> Result<Burst, String> {
     let (percent, places) = text.split_once('x').unwrap_or((text, "1"));
     let percent = within(PERCENT, "percent")(percent).ok();
-    let len = places.parse().ok().filter(|places| (1..=1_000).contains(places));
-    let both = percent.zip(len).map(|(percent, len)| Burst { percent, len });
-    both.ok_or_else(|| "expected 0 to 100 percent, then x and 1 to 1000 places if need be, such as 2x3".to_owned())
+    let len = places
+        .parse()
+        .ok()
+        .filter(|places| (1..=1_000).contains(places));
+    let both = percent
+        .zip(len)
+        .map(|(percent, len)| Burst { percent, len });
+    both.ok_or_else(|| {
+        "expected 0 to 100 percent, then x and 1 to 1000 places if need be, such as 2x3".to_owned()
+    })
 }
 
 /// Value of `--corrupt`.
@@ -104,10 +123,15 @@ fn corrupt(text: &str) -> Result<Corrupt, String> {
     let (percent, part) = text.split_once('x').unwrap_or((text, Part::Any.name()));
     let percent = within(PERCENT, "percent")(percent).ok();
     let part = Part::ALL.into_iter().find(|one| one.name() == part);
-    percent.zip(part).map(|(percent, part)| Corrupt { percent, part }).ok_or_else(|| {
-        let names = Part::ALL.map(Part::name).join(", ");
-        format!("expected 0 to 100 percent, then x and one of {names} if need be, such as 1xstamp")
-    })
+    percent
+        .zip(part)
+        .map(|(percent, part)| Corrupt { percent, part })
+        .ok_or_else(|| {
+            let names = Part::ALL.map(Part::name).join(", ");
+            format!(
+                "expected 0 to 100 percent, then x and one of {names} if need be, such as 1xstamp"
+            )
+        })
 }
 
 /// Value of `--new-rpm`.
@@ -119,7 +143,9 @@ struct NewSpeed {
 
 fn new_speed(text: &str) -> Result<NewSpeed, String> {
     let rpm = |text: &str| within(-1200.0..=1200.0, "turns a minute")(text).ok();
-    let both = text.split_once('@').and_then(|(speed, over)| Some((rpm(speed)?, stall(over).ok()?)));
+    let both = text
+        .split_once('@')
+        .and_then(|(speed, over)| Some((rpm(speed)?, stall(over).ok()?)));
     both.map(|(rpm, over)| NewSpeed { rpm, over }).ok_or_else(|| {
         "expected -1200 to 1200 turns a minute, @, and FROM..TO in seconds, the second greater, such as 900@2..3"
             .to_owned()
@@ -127,9 +153,13 @@ fn new_speed(text: &str) -> Result<NewSpeed, String> {
 }
 
 fn fov(text: &str) -> Result<FieldOfView, String> {
-    let (sector, over) = text.split_once('@').map_or((text, None), |(sector, over)| (sector, Some(over)));
+    let (sector, over) = text
+        .split_once('@')
+        .map_or((text, None), |(sector, over)| (sector, Some(over)));
     let degrees = |text: &str| within(0.0..=360.0, "degrees")(text).ok();
-    let sector = sector.split_once("..").and_then(|(from, to)| Some((degrees(from)?, degrees(to)?)));
+    let sector = sector
+        .split_once("..")
+        .and_then(|(from, to)| Some((degrees(from)?, degrees(to)?)));
     let set_ns = match over.map(stall) {
         None => Ok([0, i64::MAX]),
         Some(over) => over.map(|over| [over.from, over.to].map(nanoseconds)),
@@ -146,9 +176,14 @@ fn fov(text: &str) -> Result<FieldOfView, String> {
 
 fn clock_step(text: &str) -> Result<ClockStep, String> {
     let by = |text: &str| within(-3600.0..=3600.0, "seconds")(text).ok();
-    let both = text.split_once('@').and_then(|(step, at)| Some((by(step)?, within(DAY_S, "seconds")(at).ok()?)));
-    both.map(|(step, at)| ClockStep { at_ns: nanoseconds(at), by_ns: nanoseconds(step) })
-        .ok_or_else(|| "expected -3600 to 3600 seconds, @, and when, such as 0.5@2".to_owned())
+    let both = text
+        .split_once('@')
+        .and_then(|(step, at)| Some((by(step)?, within(DAY_S, "seconds")(at).ok()?)));
+    both.map(|(step, at)| ClockStep {
+        at_ns: nanoseconds(at),
+        by_ns: nanoseconds(step),
+    })
+    .ok_or_else(|| "expected -3600 to 3600 seconds, @, and when, such as 0.5@2".to_owned())
 }
 
 /// Value of `--stall`, seconds.
@@ -160,10 +195,15 @@ struct Stall {
 
 fn stall(text: &str) -> Result<Stall, String> {
     let second = |text: &str| within(DAY_S, "seconds")(text).ok();
-    let ends = text.split_once("..").and_then(|(from, to)| Some((second(from)?, second(to)?)));
+    let ends = text
+        .split_once("..")
+        .and_then(|(from, to)| Some((second(from)?, second(to)?)));
     match ends {
         Some((from, to)) if from < to => Ok(Stall { from, to }),
-        _ => Err("expected FROM..TO, seconds from 0 to 86400, the second greater, such as 2..3.5".to_owned()),
+        _ => Err(
+            "expected FROM..TO, seconds from 0 to 86400, the second greater, such as 2..3.5"
+                .to_owned(),
+        ),
     }
 }
 
@@ -178,19 +218,26 @@ impl FaultOptions {
     /// [`CliError::Usage`].
     pub fn check(&self, sensors: usize, seconds: f64) -> Result<(), CliError> {
         if self.exchange.is_some() && sensors < 2 {
-            return Err(CliError::Usage("--exchange needs two sensors: give --model twice".to_owned()));
+            return Err(CliError::Usage(
+                "--exchange needs two sensors: give --model twice".to_owned(),
+            ));
         }
         let moments = [
             ("--stall", self.stall.map(|stall| stall.from)),
             ("--mode-switch", self.mode_switch),
             ("--new-rpm", self.new_rpm.map(|change| change.over.from)),
             ("--fov", self.fov.map(|fov| fov.set_ns[0] as f64 * 1e-9)),
-            ("--clock-step", self.clock_step.map(|step| step.at_ns as f64 * 1e-9)),
+            (
+                "--clock-step",
+                self.clock_step.map(|step| step.at_ns as f64 * 1e-9),
+            ),
             ("--exchange", self.exchange),
         ];
         for (flag, moment) in moments {
             if let Some(moment) = moment.filter(|&moment| moment >= seconds) {
-                let message = format!("{flag} at {moment} s comes after the end: give more --seconds than {moment}");
+                let message = format!(
+                    "{flag} at {moment} s comes after the end: give more --seconds than {moment}"
+                );
                 return Err(CliError::Usage(message));
             }
         }
@@ -199,12 +246,16 @@ impl FaultOptions {
 
     /// Whether two sensors have each other's address, so long after the start.
     pub fn is_exchanged(&self, elapsed_ns: i64) -> bool {
-        self.exchange.is_some_and(|at| elapsed_ns >= nanoseconds(at))
+        self.exchange
+            .is_some_and(|at| elapsed_ns >= nanoseconds(at))
     }
 
     /// What the network does.
     pub fn rates(&self) -> Rates {
-        let burst = self.burst_loss.unwrap_or(Burst { percent: 0.0, len: BURST_LEN });
+        let burst = self.burst_loss.unwrap_or(Burst {
+            percent: 0.0,
+            len: BURST_LEN,
+        });
         Rates {
             loss: self.loss / 100.0,
             burst_loss: burst.percent / 100.0,
@@ -222,12 +273,18 @@ impl FaultOptions {
     pub fn motor(&self, rpm: f64) -> Motor {
         let change = self.new_rpm.map(|NewSpeed { rpm: other, over }| {
             let [from_ns, to_ns] = [over.from, over.to].map(nanoseconds);
-            SpeedChange { from_ns, lasts_ns: to_ns - from_ns, to: other / rpm }
+            SpeedChange {
+                from_ns,
+                lasts_ns: to_ns - from_ns,
+                to: other / rpm,
+            }
         });
         Motor {
             change,
             spin_up_ns: nanoseconds(self.spin_up),
-            stall_ns: self.stall.map(|stall| [stall.from, stall.to].map(nanoseconds)),
+            stall_ns: self
+                .stall
+                .map(|stall| [stall.from, stall.to].map(nanoseconds)),
             ..Motor::default()
         }
     }

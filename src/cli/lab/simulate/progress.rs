@@ -28,7 +28,13 @@ impl Progress {
             }
             None => ProgressBar::hidden(),
         };
-        Self { bar, seconds: seconds.unwrap_or(0.0), begun_ns: None, steps: 0, packets: 0 }
+        Self {
+            bar,
+            seconds: seconds.unwrap_or(0.0),
+            begun_ns: None,
+            steps: 0,
+            packets: 0,
+        }
     }
 
     /// Counts a packet that is out.
@@ -39,7 +45,10 @@ impl Progress {
         if steps > self.steps {
             self.steps = steps;
             let (gone, packets) = (steps as f64 * STEP_NS as f64 * 1e-9, grouped(self.packets));
-            self.bar.set_message(format!("{gone:.1} of {} s, {packets} packets sent; Ctrl-C ends it", self.seconds));
+            self.bar.set_message(format!(
+                "{gone:.1} of {} s, {packets} packets sent; Ctrl-C ends it",
+                self.seconds
+            ));
             self.bar.set_position(steps);
         }
     }

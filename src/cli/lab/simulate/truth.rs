@@ -17,7 +17,9 @@ const HEADER: &str = "packet,block,record,object,class,range_m,azimuth_deg,time_
 /// # Errors
 /// [`CliError::Write`]: there is something, and it is not to be replaced.
 pub fn former(folder: &Path, existing: Existing) -> Result<Former, CliError> {
-    Ok(Former::find(folder, existing, "file", |name| matches!(name, "truth.csv" | "objects.csv"))?)
+    Ok(Former::find(folder, existing, "file", |name| {
+        matches!(name, "truth.csv" | "objects.csv")
+    })?)
 }
 
 /// The `truth.csv` of one sensor.
@@ -36,13 +38,19 @@ impl TruthFile {
     /// [`CliError::Write`].
     pub fn create(folder: &Path, existing: Existing, start_utc_ns: i64) -> Result<Self, CliError> {
         let (out, new) = create(folder, "truth.csv", existing)?;
-        let mut file = Self { new, out, start_utc_ns, packets: 0, latest: None };
+        let mut file = Self {
+            new,
+            out,
+            start_utc_ns,
+            packets: 0,
+            latest: None,
+        };
         writeln!(file.out, "{HEADER}").map_err(|source| file.failed(source))?;
         Ok(file)
     }
 
-    /// Writes a line per return of a data packet. Packets are counted as they arrive, as a replay counts them; the
-    /// second copy of one counts and has no returns of its own.
+    /// Writes a line per return of a data packet. Packets are counted as they arrive, as a replay
+    /// counts them; the second copy of one counts and has no returns of its own.
     ///
     /// # Errors
     /// [`CliError::Write`].
@@ -52,15 +60,23 @@ impl TruthFile {
         if self.latest.replace(truth.ordinal) == Some(truth.ordinal) {
             return Ok(());
         }
-        self.lines(packet, truth).map_err(|source| self.failed(source))
+        self.lines(packet, truth)
+            .map_err(|source| self.failed(source))
     }
 
     fn lines(&mut self, packet: u64, truth: &PacketTruth) -> io::Result<()> {
         for (block, records) in truth.returns.iter().enumerate() {
-            for (record, one) in records.iter().enumerate().filter_map(|(record, one)| Some((record, one.as_ref()?))) {
+            for (record, one) in records
+                .iter()
+                .enumerate()
+                .filter_map(|(record, one)| Some((record, one.as_ref()?)))
+            {
                 let (object, class, range_m) = (one.object, one.class.name(), one.range_m);
                 // What rounds to a whole turn is 0.
-                let azimuth_deg = (one.azimuth_rad.to_degrees() * 1e4).round().rem_euclid(360e4) / 1e4;
+                let azimuth_deg = (one.azimuth_rad.to_degrees() * 1e4)
+                    .round()
+                    .rem_euclid(360e4)
+                    / 1e4;
                 let time_ns = self.start_utc_ns + one.time_ns;
                 writeln!(
                     self.out,
@@ -102,9 +118,16 @@ pub fn write_objects(folder: &Path, existing: Existing, scene: &Scene) -> Result
     Ok(new.commit()?)
 }
 
-fn create(folder: &Path, name: &str, existing: Existing) -> Result<(BufWriter<File>, NewFile), CliError> {
+fn create(
+    folder: &Path,
+    name: &str,
+    existing: Existing,
+) -> Result<(BufWriter<File>, NewFile), CliError> {
     let made = std::fs::create_dir_all(folder);
-    made.map_err(|cause| WriteError::Directory { path: folder.to_owned(), cause })?;
+    made.map_err(|cause| WriteError::Directory {
+        path: folder.to_owned(),
+        cause,
+    })?;
     let (file, new) = NewFile::create(&folder.join(name), existing)?;
     Ok((BufWriter::new(file), new))
 }

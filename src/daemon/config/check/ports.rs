@@ -17,16 +17,38 @@ fn place<T>(given: &Option<Spanned<T>>) -> Option<Range<usize>> {
 }
 
 impl Check<'_> {
-    /// Sensors on one port share its socket and its thread: what one of them says of these holds for all, and no two may say
-    /// different things.
+    /// Sensors on one port share its socket and its thread: what one of them says of these holds
+    /// for all, and no two may say different things.
     pub(super) fn ports(&mut self, sensors: &mut [Checked<'_>]) {
         self.sources_differ(sensors);
-        self.agree(sensors, "bind", |sensor| place(&sensor.bind), |port| &mut port.bind);
-        self.agree(sensors, "multicast", |sensor| place(&sensor.multicast), |port| &mut port.multicast);
-        self.agree(sensors, "interface", |sensor| place(&sensor.interface), |port| &mut port.interface);
-        self.agree(sensors, "cpu", |sensor| place(&sensor.cpu), |port| &mut port.cpu);
+        self.agree(
+            sensors,
+            "bind",
+            |sensor| place(&sensor.bind),
+            |port| &mut port.bind,
+        );
+        self.agree(
+            sensors,
+            "multicast",
+            |sensor| place(&sensor.multicast),
+            |port| &mut port.multicast,
+        );
+        self.agree(
+            sensors,
+            "interface",
+            |sensor| place(&sensor.interface),
+            |port| &mut port.interface,
+        );
+        self.agree(
+            sensors,
+            "cpu",
+            |sensor| place(&sensor.cpu),
+            |port| &mut port.cpu,
+        );
         let priority: Place = |sensor| place(&sensor.realtime_priority);
-        self.agree(sensors, "realtime_priority", priority, |port| &mut port.realtime_priority);
+        self.agree(sensors, "realtime_priority", priority, |port| {
+            &mut port.realtime_priority
+        });
     }
 
     fn sources_differ(&mut self, sensors: &[Checked<'_>]) {
@@ -39,7 +61,10 @@ impl Check<'_> {
             };
             if let Some(other) = sensors[..number].iter().find(is_same) {
                 let (name, port) = (&other.config.name, config.port.port);
-                let title = format!("`{}` cannot be told from `{name}`: the same address and port {port}", config.name);
+                let title = format!(
+                    "`{}` cannot be told from `{name}`: the same address and port {port}",
+                    config.name
+                );
                 let problem = Problem::new(written.address.span(), title, "expected another address")
                     .with_other(other.written.address.span(), format!("the address of `{name}`"))
                     .with_cure("give each sensor a destination port of its own, or name their source ports, IP:PORT");
@@ -57,8 +82,12 @@ impl Check<'_> {
     ) {
         for number in 0..sensors.len() {
             let port = sensors[number].config.port.port;
-            let says = |other: &Checked<'_>| other.config.port.port == port && place(other.written).is_some();
-            let Some(first) = sensors.iter().position(says) else { continue };
+            let says = |other: &Checked<'_>| {
+                other.config.port.port == port && place(other.written).is_some()
+            };
+            let Some(first) = sensors.iter().position(says) else {
+                continue;
+            };
             let held = setting(&mut sensors[first].config.port).clone();
             let own = place(sensors[number].written);
             let Checked { config, .. } = &mut sensors[number];
@@ -67,8 +96,15 @@ impl Check<'_> {
                 Some(at) if *value != held => {
                     let title = format!("sensors on port {port} do not agree about `{key}`");
                     let first = &sensors[first];
-                    let problem = Problem::new(at, title, "a port has one socket and one thread: leave this out")
-                        .with_other(place(first.written).unwrap_or(0..0), format!("`{}` says this", first.config.name));
+                    let problem = Problem::new(
+                        at,
+                        title,
+                        "a port has one socket and one thread: leave this out",
+                    )
+                    .with_other(
+                        place(first.written).unwrap_or(0..0),
+                        format!("`{}` says this", first.config.name),
+                    );
                     self.problems.push(problem);
                 }
                 _ => *value = held,

@@ -37,7 +37,11 @@ const TURN_DEG: RangeInclusive<f64> = -360.0..=360.0;
 
 impl Check<'_> {
     /// A sensor; where something is wrong, that has been said and what comes back is of no use.
-    pub(super) fn sensor(&mut self, sensor: &file::Sensor, at: Range<usize>) -> Option<SensorConfig> {
+    pub(super) fn sensor(
+        &mut self,
+        sensor: &file::Sensor,
+        at: Range<usize>,
+    ) -> Option<SensorConfig> {
         self.name(&sensor.name);
         let source = self.source(&sensor.address);
         let port = self.port(sensor);
@@ -56,7 +60,10 @@ impl Check<'_> {
             port,
             position_port: position_port.unwrap_or(POSITION_PORT),
             max_consumers: max_consumers.unwrap_or(MAX_CONSUMERS),
-            dual: sensor.returns.as_ref().map(|returns| *returns.get_ref() == Returns::Dual),
+            dual: sensor
+                .returns
+                .as_ref()
+                .map(|returns| *returns.get_ref() == Returns::Dual),
             rpm: rpm.map(|rpm| rpm as f32),
             losses,
             pipeline: pipeline?,
@@ -68,7 +75,11 @@ impl Check<'_> {
         let text = name.get_ref();
         if !is_sensor_name(text) {
             let expected = format!("expected {NAME_RULE}");
-            self.problem(name.span(), format!("a sensor cannot be called {text:?}"), expected);
+            self.problem(
+                name.span(),
+                format!("a sensor cannot be called {text:?}"),
+                expected,
+            );
         }
     }
 
@@ -76,16 +87,23 @@ impl Check<'_> {
     fn source(&mut self, address: &Spanned<String>) -> Option<(Ipv4Addr, Option<u16>)> {
         let text = address.get_ref();
         let alone = text.parse::<Ipv4Addr>().ok().map(|ip| (ip, None));
-        let source = alone.or_else(|| text.parse::<SocketAddrV4>().ok().map(|at| (*at.ip(), Some(at.port()))));
+        let source = alone.or_else(|| {
+            text.parse::<SocketAddrV4>()
+                .ok()
+                .map(|at| (*at.ip(), Some(at.port())))
+        });
         let is_host = |&(ip, port): &(Ipv4Addr, _)| {
             !ip.is_unspecified() && !ip.is_multicast() && !ip.is_broadcast() && port != Some(0)
         };
         let source = source.filter(is_host);
         if source.is_none() {
-            let expected =
-                "expected the sensor's own IPv4 address, such as 192.168.1.201, or with its port, 192.168.1.201:2368";
+            let expected = "expected the sensor's own IPv4 address, such as 192.168.1.201, or with its port, 192.168.1.201:2368";
             let cure = "`sweepd inspect` of a recording names the senders";
-            let problem = Problem::new(address.span(), format!("`address` cannot be {text:?}"), expected);
+            let problem = Problem::new(
+                address.span(),
+                format!("`address` cannot be {text:?}"),
+                expected,
+            );
             self.problems.push(problem.with_cure(cure));
         }
         source
@@ -93,18 +111,34 @@ impl Check<'_> {
 
     fn port(&mut self, sensor: &file::Sensor) -> PortConfig {
         let an_address = "an IPv4 address of this host, such as 192.168.1.100, or 0.0.0.0 for all";
-        let bind =
-            self.text("bind", &sensor.bind, an_address, |ip: &Ipv4Addr| !ip.is_multicast() && !ip.is_broadcast());
+        let bind = self.text("bind", &sensor.bind, an_address, |ip: &Ipv4Addr| {
+            !ip.is_multicast() && !ip.is_broadcast()
+        });
         let a_group = "a multicast group, 224.0.0.0 to 239.255.255.255";
         // Linux: IFNAMSIZ less the zero at the end.
-        let is_interface = |name: &String| (1..=15).contains(&name.len()) && !name.contains([' ', '/', '\0']);
+        let is_interface =
+            |name: &String| (1..=15).contains(&name.len()) && !name.contains([' ', '/', '\0']);
         PortConfig {
             bind: bind.unwrap_or(Ipv4Addr::UNSPECIFIED),
             port: self.whole("port", &sensor.port, PORTS).unwrap_or(PORT),
-            multicast: self.text("multicast", &sensor.multicast, a_group, Ipv4Addr::is_multicast),
-            interface: self.text("interface", &sensor.interface, "a network interface such as eth1", is_interface),
+            multicast: self.text(
+                "multicast",
+                &sensor.multicast,
+                a_group,
+                Ipv4Addr::is_multicast,
+            ),
+            interface: self.text(
+                "interface",
+                &sensor.interface,
+                "a network interface such as eth1",
+                is_interface,
+            ),
             cpu: self.cpu(&sensor.cpu),
-            realtime_priority: self.whole("realtime_priority", &sensor.realtime_priority, REALTIME_PRIORITIES),
+            realtime_priority: self.whole(
+                "realtime_priority",
+                &sensor.realtime_priority,
+                REALTIME_PRIORITIES,
+            ),
         }
     }
 
@@ -117,23 +151,38 @@ impl Check<'_> {
             && !lists(&online, cpu)
         {
             let title = format!("`cpu` cannot be {cpu}");
-            self.problem(given.span(), title, format!("the cores of this machine are {}", online.trim()));
+            self.problem(
+                given.span(),
+                title,
+                format!("the cores of this machine are {}", online.trim()),
+            );
         }
         Some(cpu)
     }
 
     /// Where one limit of two is given, the default of the other gives way.
     fn losses(&mut self, sensor: &file::Sensor) -> Limits {
-        let (given_warning, given_fault) = (&sensor.loss_warning_percent, &sensor.loss_fault_percent);
-        let warning = self.number("loss_warning_percent", given_warning, LOSS_PERCENT, "percent");
+        let (given_warning, given_fault) =
+            (&sensor.loss_warning_percent, &sensor.loss_fault_percent);
+        let warning = self.number(
+            "loss_warning_percent",
+            given_warning,
+            LOSS_PERCENT,
+            "percent",
+        );
         let fault = self.number("loss_fault_percent", given_fault, LOSS_PERCENT, "percent");
         if let (Some(written), Some(warning), Some(fault)) = (given_warning, warning, fault)
             && warning > fault
         {
             let title = format!("`loss_warning_percent` cannot be {warning}");
-            self.problem(written.span(), title, format!("expected at most `loss_fault_percent`, which is {fault}"));
+            self.problem(
+                written.span(),
+                title,
+                format!("expected at most `loss_fault_percent`, which is {fault}"),
+            );
         }
-        let [warning, fault] = [warning, fault].map(|percent| percent.map(|percent| percent / 100.0));
+        let [warning, fault] =
+            [warning, fault].map(|percent| percent.map(|percent| percent / 100.0));
         let default = Limits::default();
         Limits {
             warning: warning.unwrap_or(default.warning.min(fault.unwrap_or(1.0))),
@@ -145,11 +194,18 @@ impl Check<'_> {
         let given = given.as_ref()?;
         let model = given.get_ref().parse();
         if model.is_err() {
-            let flags = Model::ALL.map(|model| format!("`{}`", model.spec().flag)).join(", ");
+            let flags = Model::ALL
+                .map(|model| format!("`{}`", model.spec().flag))
+                .join(", ");
             let expected = format!("expected one of {flags}");
-            let cure = suggestion(given.get_ref(), &flags).map(|flag| format!("did you mean `{flag}`?"));
-            self.problem(given.span(), format!("no supported model is called {:?}", given.get_ref()), expected).cure =
-                cure;
+            let cure =
+                suggestion(given.get_ref(), &flags).map(|flag| format!("did you mean `{flag}`?"));
+            self.problem(
+                given.span(),
+                format!("no supported model is called {:?}", given.get_ref()),
+                expected,
+            )
+            .cure = cure;
         }
         model.ok()
     }
@@ -159,29 +215,54 @@ impl Check<'_> {
             && *returns.get_ref() == Returns::Dual
             && model == Some(Model::Hdl64eS2)
         {
-            self.problem(returns.span(), "an HDL-64E S2 sends one return", "expected \"single\"").cure =
-                Some("one that sends two is an HDL-64E S3: `model = \"hdl64e-s3\"`".to_owned());
+            self.problem(
+                returns.span(),
+                "an HDL-64E S2 sends one return",
+                "expected \"single\"",
+            )
+            .cure = Some("one that sends two is an HDL-64E S3: `model = \"hdl64e-s3\"`".to_owned());
         }
     }
 
-    fn pipeline(&mut self, sensor: &file::Sensor, model: Option<Model>, at: Range<usize>) -> Option<pipeline::Config> {
+    fn pipeline(
+        &mut self,
+        sensor: &file::Sensor,
+        model: Option<Model>,
+        at: Range<usize>,
+    ) -> Option<pipeline::Config> {
         let mount = &sensor.mount;
-        let metres =
-            |check: &mut Self, key, given| check.number(key, given, POSITION_M, "metres").unwrap_or(0.0) as f32;
-        let position_m =
-            [metres(self, "x_m", &mount.x_m), metres(self, "y_m", &mount.y_m), metres(self, "z_m", &mount.z_m)];
-        let yaw_deg = self.number("yaw_deg", &mount.yaw_deg, TURN_DEG, "degrees").unwrap_or(0.0);
+        let metres = |check: &mut Self, key, given| {
+            check
+                .number(key, given, POSITION_M, "metres")
+                .unwrap_or(0.0) as f32
+        };
+        let position_m = [
+            metres(self, "x_m", &mount.x_m),
+            metres(self, "y_m", &mount.y_m),
+            metres(self, "z_m", &mount.z_m),
+        ];
+        let yaw_deg = self
+            .number("yaw_deg", &mount.yaw_deg, TURN_DEG, "degrees")
+            .unwrap_or(0.0);
         let defaults = pipeline::Config::default();
-        let cut_azimuth_deg = self.number("cut_azimuth_deg", &sensor.cut_azimuth_deg, TURN_DEG, "degrees");
+        let cut_azimuth_deg = self.number(
+            "cut_azimuth_deg",
+            &sensor.cut_azimuth_deg,
+            TURN_DEG,
+            "degrees",
+        );
         let calibration = self.calibration(&sensor.calibration, model);
         Some(pipeline::Config {
             model,
             cut_azimuth_rad: cut_azimuth_deg.map_or(defaults.cut_azimuth_rad, f64::to_radians),
-            return_choice: sensor.which_return.map_or(defaults.return_choice, |which| match which {
-                file::WhichReturn::Nearest => ReturnChoice::Nearest,
-                file::WhichReturn::Strongest => ReturnChoice::Strongest,
-                file::WhichReturn::Last => ReturnChoice::Last,
-            }),
+            return_choice: sensor.which_return.map_or(
+                defaults.return_choice,
+                |which| match which {
+                    file::WhichReturn::Nearest => ReturnChoice::Nearest,
+                    file::WhichReturn::Strongest => ReturnChoice::Strongest,
+                    file::WhichReturn::Last => ReturnChoice::Last,
+                },
+            ),
             segment: self.segment(sensor, model, calibration.as_ref(), at)?,
             calibration,
             gps_without_pps: sensor.gps_without_pps,
@@ -190,16 +271,26 @@ impl Check<'_> {
         })
     }
 
-    fn calibration(&mut self, given: &Option<Spanned<String>>, model: Option<Model>) -> Option<Calibration> {
+    fn calibration(
+        &mut self,
+        given: &Option<Spanned<String>>,
+        model: Option<Model>,
+    ) -> Option<Calibration> {
         let path = self.path("calibration", given)?;
-        let read = files::calibration(&path).map_err(|error| error.to_string()).and_then(|calibration| {
-            let fits = match model {
-                Some(model) => calibration.clone().for_model(model).map(drop),
-                None if possible_models(None, Some(&calibration)).next().is_some() => Ok(()),
-                None => Err(format!("{} beams that are those of no supported model", calibration.beams().len())),
-            };
-            fits.map(|()| calibration).map_err(|why| format!("calibration {}: {why}", path.display()))
-        });
+        let read = files::calibration(&path)
+            .map_err(|error| error.to_string())
+            .and_then(|calibration| {
+                let fits = match model {
+                    Some(model) => calibration.clone().for_model(model).map(drop),
+                    None if possible_models(None, Some(&calibration)).next().is_some() => Ok(()),
+                    None => Err(format!(
+                        "{} beams that are those of no supported model",
+                        calibration.beams().len()
+                    )),
+                };
+                fits.map(|()| calibration)
+                    .map_err(|why| format!("calibration {}: {why}", path.display()))
+            });
         self.file_of(given, read, "the calibration that is named here")
     }
 
@@ -210,20 +301,29 @@ impl Check<'_> {
         calibration: Option<&Calibration>,
     ) -> Option<Mask> {
         let path = self.path("mask", given)?;
-        let read = files::mask(&path).map_err(|error| error.to_string()).and_then(|mask| {
-            let rows = mask.rows();
-            if possible_models(model, calibration).any(|model| model.spec().channels == rows) {
-                return Ok(mask);
-            }
-            let sensor =
-                model.map_or_else(|| "no model that this may be".to_owned(), |model| format!("not the {model}"));
-            Err(format!("mask {} has {rows} rows, {sensor}", path.display()))
-        });
+        let read = files::mask(&path)
+            .map_err(|error| error.to_string())
+            .and_then(|mask| {
+                let rows = mask.rows();
+                if possible_models(model, calibration).any(|model| model.spec().channels == rows) {
+                    return Ok(mask);
+                }
+                let sensor = model.map_or_else(
+                    || "no model that this may be".to_owned(),
+                    |model| format!("not the {model}"),
+                );
+                Err(format!("mask {} has {rows} rows, {sensor}", path.display()))
+            });
         self.file_of(given, read, "the mask that is named here")
     }
 
     /// What was read of a file that is named, or the reason why not.
-    fn file_of<T>(&mut self, given: &Option<Spanned<String>>, read: Result<T, String>, label: &str) -> Option<T> {
+    fn file_of<T>(
+        &mut self,
+        given: &Option<Spanned<String>>,
+        read: Result<T, String>,
+        label: &str,
+    ) -> Option<T> {
         let at = given.as_ref().map_or(0..0, Spanned::span);
         match read {
             Ok(value) => Some(value),
@@ -249,13 +349,19 @@ impl Check<'_> {
             Err(error) => {
                 let to_blame = match error {
                     ConfigError::Theta { .. } => &written.theta_deg,
-                    ConfigError::Range { .. } if written.max_range_m.is_none() => &written.min_range_m,
+                    ConfigError::Range { .. } if written.max_range_m.is_none() => {
+                        &written.min_range_m
+                    }
                     ConfigError::Range { .. } => &written.max_range_m,
                     ConfigError::Gap { .. } | ConfigError::Window { .. } => &written.gap_m,
                     ConfigError::SmallReach { .. } => &written.small_reach_m,
                     ConfigError::Height { .. } => &mount.height_m,
                 };
-                self.problem(to_blame.as_ref().map_or(at, Spanned::span), error.to_string(), "");
+                self.problem(
+                    to_blame.as_ref().map_or(at, Spanned::span),
+                    error.to_string(),
+                    "",
+                );
                 None
             }
         }
@@ -263,28 +369,60 @@ impl Check<'_> {
 
     fn settings(&mut self, mount: &file::Mount, written: &file::Segment) -> Settings {
         let default = Settings::DEFAULT;
-        let mut degrees = |key, given, range, default| self.number(key, given, range, "degrees").unwrap_or(default);
-        let theta_deg = degrees("theta_deg", &written.theta_deg, Settings::THETA_DEG, default.theta_deg);
-        let pitch_deg = degrees("pitch_deg", &mount.pitch_deg, Settings::TILT_DEG, default.pitch_deg);
-        let roll_deg = degrees("roll_deg", &mount.roll_deg, Settings::TILT_DEG, default.roll_deg);
+        let mut degrees = |key, given, range, default| {
+            self.number(key, given, range, "degrees").unwrap_or(default)
+        };
+        let theta_deg = degrees(
+            "theta_deg",
+            &written.theta_deg,
+            Settings::THETA_DEG,
+            default.theta_deg,
+        );
+        let pitch_deg = degrees(
+            "pitch_deg",
+            &mount.pitch_deg,
+            Settings::TILT_DEG,
+            default.pitch_deg,
+        );
+        let roll_deg = degrees(
+            "roll_deg",
+            &mount.roll_deg,
+            Settings::TILT_DEG,
+            default.roll_deg,
+        );
         let mut metres = |key, given, range| self.number(key, given, range, "metres");
         let height_m = metres("height_m", &mount.height_m, Settings::HEIGHT_M);
         let min_range_m = metres("min_range_m", &written.min_range_m, Settings::RANGE_M);
         let max_range_m = metres("max_range_m", &written.max_range_m, Settings::RANGE_M);
         let gap_m = metres("gap_m", &written.gap_m, Settings::GAP_M);
-        let small_reach_m = metres("small_reach_m", &written.small_reach_m, Settings::SMALL_REACH_M);
+        let small_reach_m = metres(
+            "small_reach_m",
+            &written.small_reach_m,
+            Settings::SMALL_REACH_M,
+        );
         let max_kerb_m = metres("max_kerb_m", &written.max_kerb_m, Settings::KERB_M);
-        let max_slope = self.number("max_slope", &written.max_slope, Settings::SLOPE, "metres a metre");
+        let max_slope = self.number(
+            "max_slope",
+            &written.max_slope,
+            Settings::SLOPE,
+            "metres a metre",
+        );
         let mut whole = |key, given, range| self.whole(key, given, range);
         let min_points = whole("min_points", &written.min_points, 1..=u32::MAX.into());
-        let window_columns = whole("window_columns", &written.window_columns, Settings::WINDOW_COLUMNS);
+        let window_columns = whole(
+            "window_columns",
+            &written.window_columns,
+            Settings::WINDOW_COLUMNS,
+        );
         let window_rows = whole("window_rows", &written.window_rows, Settings::WINDOW_ROWS);
         let small_points = whole("small_points", &written.small_points, 0..=u32::MAX.into());
         Settings {
-            method: written.method.map_or(default.method, |method| match method {
-                file::Method::Slope => segment::Method::Slope,
-                file::Method::Paper => segment::Method::Paper,
-            }),
+            method: written
+                .method
+                .map_or(default.method, |method| match method {
+                    file::Method::Slope => segment::Method::Slope,
+                    file::Method::Paper => segment::Method::Paper,
+                }),
             theta_deg,
             min_points: min_points.unwrap_or(default.min_points),
             gap_m: gap_m.or(default.gap_m),

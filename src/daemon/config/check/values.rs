@@ -69,7 +69,11 @@ impl Check<'_> {
         let given = given.as_ref()?;
         let text = given.get_ref();
         if text.is_empty() || text.contains(char::is_control) {
-            self.problem(given.span(), format!("`{key}` cannot be {text:?}"), "expected a path");
+            self.problem(
+                given.span(),
+                format!("`{key}` cannot be {text:?}"),
+                "expected a path",
+            );
             return None;
         }
         Some(self.folder.join(text))

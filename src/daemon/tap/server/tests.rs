@@ -5,7 +5,10 @@ use crate::capture::record::ring::ring;
 #[test]
 fn what_came_through_two_threads_is_carried_in_the_order_of_arrival() {
     let (stream, _reader) = UnixStream::pair().unwrap();
-    let client = Client { stage: Stage::Streaming("roof".to_owned()), ..Client::new(stream).unwrap() };
+    let client = Client {
+        stage: Stage::Streaming("roof".to_owned()),
+        ..Client::new(stream).unwrap()
+    };
     let mut clients = vec![client];
     clients[0].waiting.reserve(WAITING_BYTES);
     let (mut inlets, mut sensors) = (Vec::new(), Vec::new());
@@ -13,18 +16,38 @@ fn what_came_through_two_threads_is_carried_in_the_order_of_arrival() {
         let (inlet, outlet) = ring(8192);
         let (name, valve) = ("roof".to_owned(), Arc::<Valve>::default());
         inlets.push(inlet);
-        sensors.push(Tapped { name, outlet, end: 0, valve, refused: 0 });
+        sensors.push(Tapped {
+            name,
+            outlet,
+            end: 0,
+            valve,
+            refused: 0,
+        });
     }
     let end = "127.0.0.1:2368".parse().unwrap();
     let put = |inlet: &mut crate::capture::record::ring::Inlet, arrival_ns| {
-        assert!(inlet.put(&Addressed { arrival_ns, source: end, destination: end, payload: b"x" }));
+        assert!(inlet.put(&Addressed {
+            arrival_ns,
+            source: end,
+            destination: end,
+            payload: b"x"
+        }));
     };
-    [1, 4, 5].into_iter().for_each(|arrival_ns| put(&mut inlets[0], arrival_ns));
-    [2, 3, 6].into_iter().for_each(|arrival_ns| put(&mut inlets[1], arrival_ns));
+    [1, 4, 5]
+        .into_iter()
+        .for_each(|arrival_ns| put(&mut inlets[0], arrival_ns));
+    [2, 3, 6]
+        .into_iter()
+        .for_each(|arrival_ns| put(&mut inlets[1], arrival_ns));
     carry(&mut sensors, &mut clients);
     let expected: Vec<u8> = (1..=6)
         .flat_map(|arrival_ns| {
-            let one = Addressed { arrival_ns, source: end, destination: end, payload: b"x" };
+            let one = Addressed {
+                arrival_ns,
+                source: end,
+                destination: end,
+                payload: b"x",
+            };
             let (head, payload) = Frame::parts(&one).unwrap();
             [&head[..], payload].concat()
         })
@@ -34,10 +57,18 @@ fn what_came_through_two_threads_is_carried_in_the_order_of_arrival() {
 #[test]
 fn a_client_that_keeps_up_makes_use_of_little_memory_however_long_it_stays() {
     let (stream, mut reader) = UnixStream::pair().unwrap();
-    let mut client = Client { stage: Stage::Streaming("roof".to_owned()), ..Client::new(stream).unwrap() };
+    let mut client = Client {
+        stage: Stage::Streaming("roof".to_owned()),
+        ..Client::new(stream).unwrap()
+    };
     client.waiting.reserve_exact(1 << 20);
     let end = "127.0.0.1:2368".parse().unwrap();
-    let datagram = Addressed { arrival_ns: 1, source: end, destination: end, payload: &[7; 1206] };
+    let datagram = Addressed {
+        arrival_ns: 1,
+        source: end,
+        destination: end,
+        payload: &[7; 1206],
+    };
     let mut places = std::collections::HashSet::new();
     let mut taken = vec![0; 4096];
     for _ in 0..2000 {

@@ -1,8 +1,10 @@
-//! The components of an image without its ground: neighbours that pass the test of beta (paper, section III, algorithm 1).
+//! The components of an image without its ground: neighbours that pass the test of beta (paper,
+//! section III, algorithm 1).
 //!
-//! The paper floods each component from its first pixel. Here the image is read once, in the order of its memory, which
-//! finds the same components: a pixel goes on with the piece that it is joined to, above or in the column before, and two
-//! pieces that meet are united. A component is known by its first piece, and these number the segments.
+//! The paper floods each component from its first pixel. Here the image is read once, in the order
+//! of its memory, which finds the same components: a pixel goes on with the piece that it is joined
+//! to, above or in the column before, and two pieces that meet are united. A component is known by
+//! its first piece, and these number the segments.
 
 use super::angles::Angles;
 use crate::sweep::layout::{LABEL_FIRST_SEGMENT, LABEL_NONE, is_return};
@@ -21,8 +23,8 @@ pub struct Components {
 }
 
 impl Components {
-    /// Finds the pieces of an image, and which of them belong together. Ranges, in metres, are 0 where nothing is. Pixels
-    /// that do not count only connect.
+    /// Finds the pieces of an image, and which of them belong together. Ranges, in metres, are 0
+    /// where nothing is. Pixels that do not count only connect.
     pub fn connect(&mut self, range_m: &[f32], counts: &[bool], angles: &Angles) {
         let rows = angles.rows();
         self.piece.resize(range_m.len(), 0);
@@ -42,7 +44,9 @@ impl Components {
                     let before = self.piece[here - rows];
                     // Within a wall both are the same, and nothing is left to test.
                     let is_known = piece.is_some_and(|piece| self.has_met(piece, before));
-                    if !is_known && angles.joins_before(column, row, range_m[here], range_m[here - rows]) {
+                    if !is_known
+                        && angles.joins_before(column, row, range_m[here], range_m[here - rows])
+                    {
                         match piece {
                             Some(piece) => self.unite(piece, before),
                             None => piece = Some(before),
@@ -86,9 +90,16 @@ impl Components {
         piece
     }
 
-    /// Labels the components that hold at least `min_points` of the pixels that count, and gives how many there are: at most
-    /// `max_segments`, numbered by their first pixels. Other pixels get [`LABEL_NONE`].
-    pub fn label(&mut self, counts: &[bool], min_points: u32, max_segments: usize, labels: &mut [u32]) -> usize {
+    /// Labels the components that hold at least `min_points` of the pixels that count, and gives
+    /// how many there are: at most `max_segments`, numbered by their first pixels. Other pixels get
+    /// [`LABEL_NONE`].
+    pub fn label(
+        &mut self,
+        counts: &[bool],
+        min_points: u32,
+        max_segments: usize,
+        labels: &mut [u32],
+    ) -> usize {
         for piece in 0..self.parent.len() {
             // A parent began earlier, so it knows its root already.
             let root = self.parent[self.parent[piece] as usize] as usize;
@@ -111,7 +122,11 @@ impl Components {
             self.label.push(label);
         }
         for ((label, piece), is_counted) in labels.iter_mut().zip(&self.piece).zip(counts) {
-            *label = if *is_counted { self.label[*piece as usize] } else { LABEL_NONE };
+            *label = if *is_counted {
+                self.label[*piece as usize]
+            } else {
+                LABEL_NONE
+            };
         }
         segments
     }
@@ -121,12 +136,18 @@ impl Components {
 mod tests {
     use super::*;
 
-    /// Labels of the first columns of an image whose neighbours are a degree apart, the rest of it being empty, at theta 10
-    /// degrees: 10 m and 10.1 m belong together, 10 m and 12 m do not. A negative range only connects.
+    /// Labels of the first columns of an image whose neighbours are a degree apart, the rest of it
+    /// being empty, at theta 10 degrees: 10 m and 10.1 m belong together, 10 m and 12 m do not. A
+    /// negative range only connects.
     fn label(rows: usize, first_m: &[f32], min_points: u32, max_segments: usize) -> Vec<u32> {
-        let angles = Angles::even(&vec![1_f64.to_radians(); rows - 1], 360, 10_f64.to_radians());
-        let counts: Vec<bool> =
-            (0..360 * rows).map(|pixel| first_m.get(pixel).is_some_and(|&range| range > 0.0)).collect();
+        let angles = Angles::even(
+            &vec![1_f64.to_radians(); rows - 1],
+            360,
+            10_f64.to_radians(),
+        );
+        let counts: Vec<bool> = (0..360 * rows)
+            .map(|pixel| first_m.get(pixel).is_some_and(|&range| range > 0.0))
+            .collect();
         let mut range_m: Vec<f32> = first_m.iter().map(|range_m| range_m.abs()).collect();
         range_m.resize(360 * rows, 0.0);
         let mut labels = vec![9; range_m.len()];
@@ -135,7 +156,10 @@ mod tests {
         for _ in 0..2 {
             components.connect(&range_m, &counts, &angles);
             let segments = components.label(&counts, min_points, max_segments, &mut labels);
-            assert_eq!(segments, labels.iter().max().map_or(0, |most| most.saturating_sub(1)) as usize);
+            assert_eq!(
+                segments,
+                labels.iter().max().map_or(0, |most| most.saturating_sub(1)) as usize
+            );
         }
         labels.truncate(first_m.len());
         labels
@@ -143,7 +167,10 @@ mod tests {
 
     #[test]
     fn beta_parts_a_step() {
-        assert_eq!(label(3, &[10.0, 10.1, 12.1, 10.0, 0.0, 12.0, 0.0, 0.0, 0.0], 1, 9), [2, 2, 3, 2, 0, 3, 0, 0, 0]);
+        assert_eq!(
+            label(3, &[10.0, 10.1, 12.1, 10.0, 0.0, 12.0, 0.0, 0.0, 0.0], 1, 9),
+            [2, 2, 3, 2, 0, 3, 0, 0, 0]
+        );
     }
 
     /// A "U" lying on its side: two arms that only the third column joins.
@@ -168,11 +195,18 @@ mod tests {
     fn what_does_not_count_connects() {
         assert_eq!(label(3, &[10.0, -10.0, 10.0], 2, 9), [2, 0, 2]);
         assert_eq!(label(3, &[10.0, -10.0, 10.0], 3, 9), [0; 3]);
-        assert_eq!(label(3, &[-10.0, 0.0, 20.0], 0, 9), [0, 0, 2], "a segment has a point that counts");
+        assert_eq!(
+            label(3, &[-10.0, 0.0, 20.0], 0, 9),
+            [0, 0, 2],
+            "a segment has a point that counts"
+        );
     }
 
     #[test]
     fn the_last_have_no_label_where_the_table_is_full() {
-        assert_eq!(label(5, &[10.0, 0.0, 10.0, 0.0, 10.0], 1, 2), [2, 0, 3, 0, 0]);
+        assert_eq!(
+            label(5, &[10.0, 0.0, 10.0, 0.0, 10.0], 1, 2),
+            [2, 0, 3, 0, 0]
+        );
     }
 }

@@ -20,8 +20,8 @@ pub(super) struct Table {
 }
 
 impl Table {
-    /// Writes the table of the segments that the pixels are labelled with; their points are placed with no more than these
-    /// instructions of the machine.
+    /// Writes the table of the segments that the pixels are labelled with; their points are placed
+    /// with no more than these instructions of the machine.
     pub fn describe(&mut self, sweep: &mut SweepMut<'_>, config: &Config, level: Level) {
         let segments = sweep.header.segments as usize;
         self.words.resize(sweep.beams.len(), Window::default());
@@ -31,7 +31,12 @@ impl Table {
         self.extents.resize(segments, Extent::default());
         dispatch!(level, simd => self.add(simd, &sweep.as_ref(), config));
         let measured = self.sums.iter().zip(&self.extents);
-        for ((segment, (sum, extent)), label) in sweep.segments.iter_mut().zip(measured).zip(LABEL_FIRST_SEGMENT..) {
+        for ((segment, (sum, extent)), label) in sweep
+            .segments
+            .iter_mut()
+            .zip(measured)
+            .zip(LABEL_FIRST_SEGMENT..)
+        {
             *segment = sum.segment(label);
             [segment.column_first, segment.column_last] = extent.columns(self.points.order);
         }
@@ -42,7 +47,8 @@ impl Table {
         let rows = sweep.rows();
         self.points.begin(sweep, Some(sweep.columns.len()));
         for position in (STRIP..self.points.order.end()).step_by(STRIP) {
-            self.points.fill(simd, sweep, config, position, &mut self.words);
+            self.points
+                .fill(simd, sweep, config, position, &mut self.words);
             let order = self.points.order;
             // First pixels of the columns.
             let mut first = [0; STRIP];
@@ -56,12 +62,17 @@ impl Table {
                 // Run by run.
                 while at < count {
                     let label = sweep.label[first[at] + row];
-                    let length =
-                        first[at..count].iter().take_while(|first| sweep.label[**first + row] == label).count();
+                    let length = first[at..count]
+                        .iter()
+                        .take_while(|first| sweep.label[**first + row] == label)
+                        .count();
                     if let Some(place) = label.checked_sub(LABEL_FIRST_SEGMENT) {
                         let columns = (((1_u64 << length) - 1) << at) as u32;
                         let (sum, _) = measure(simd, &self.points, lane, [columns; 2]);
-                        self.sums[place as usize].add(&Sum { rows: [row as u16; 2], ..sum });
+                        self.sums[place as usize].add(&Sum {
+                            rows: [row as u16; 2],
+                            ..sum
+                        });
                         self.extents[place as usize].add(position, columns, order);
                     }
                     at += length;

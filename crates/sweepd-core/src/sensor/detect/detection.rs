@@ -18,8 +18,8 @@ pub struct Detection {
     pub spec: &'static Spec,
 }
 
-/// A packet of an HDL-64E says two returns by its azimuths alone; they must be so far apart for that, hundredths of a
-/// degree, lest a head that hardly turns seem to.
+/// A packet of an HDL-64E says two returns by its azimuths alone; they must be so far apart for
+/// that, hundredths of a degree, lest a head that hardly turns seem to.
 const TELLING_STEP_CDEG: i32 = 4;
 
 /// Whether a packet of an HDL-64E holds two returns, where its azimuths tell.
@@ -28,13 +28,15 @@ pub(super) fn says_two_returns(packet: &DataPacket) -> Option<bool> {
     if !packet.azimuths_in_groups(BLOCKS_OF_TWO) {
         return Some(false);
     }
-    let [first, second] = [0, BLOCKS_OF_TWO].map(|block| i32::from(packet.blocks[block].azimuth_cdeg()));
+    let [first, second] =
+        [0, BLOCKS_OF_TWO].map(|block| i32::from(packet.blocks[block].azimuth_cdeg()));
     ((first - second).abs() >= TELLING_STEP_CDEG).then_some(true)
 }
 
 impl Detection {
-    /// The return mode of a packet, the one before having that of `last`: an HDL-64E says it by its azimuths, and a head
-    /// that stands still does not say it; others have a byte, and where it is blank the detection's mode holds.
+    /// The return mode of a packet, the one before having that of `last`: an HDL-64E says it by its
+    /// azimuths, and a head that stands still does not say it; others have a byte, and where it is
+    /// blank the detection's mode holds.
     pub fn mode_of(&self, packet: &DataPacket, last: ReturnMode) -> ReturnMode {
         if !self.model.is_hdl64e() {
             return ReturnMode::from_byte(packet.return_mode).unwrap_or(self.return_mode);
@@ -61,7 +63,8 @@ pub enum Basis {
     GivenAgainstBytes,
     /// The product byte, and the packet period agrees.
     BytesAndPeriod,
-    /// The packet period: the product byte is blank, or it is the wrong one that early VLP-16 firmware sends.
+    /// The packet period: the product byte is blank, or it is the wrong one that early VLP-16
+    /// firmware sends.
     Period,
     /// The product byte: there were too few packets to measure their period.
     BytesAlone,
@@ -76,9 +79,13 @@ impl Basis {
     pub fn words(self) -> &'static str {
         match self {
             Self::Given => "as given by --model",
-            Self::GivenAgainstBytes => "as given by --model, although its factory bytes say otherwise",
+            Self::GivenAgainstBytes => {
+                "as given by --model, although its factory bytes say otherwise"
+            }
             Self::BytesAndPeriod => "by its factory bytes and packet period",
-            Self::Period => "by its packet period, since its factory bytes are blank or those of early firmware",
+            Self::Period => {
+                "by its packet period, since its factory bytes are blank or those of early firmware"
+            }
             Self::BytesAlone => "by its factory bytes alone, too few packets to check their period",
             Self::HeadsAndPeriod => "by its two heads and packet period",
             Self::HeadsAlone => "by its two heads alone, too few packets to check their period",

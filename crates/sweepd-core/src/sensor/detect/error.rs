@@ -8,7 +8,10 @@ use crate::wire::data::{Banks, ReturnMode};
 #[derive(Clone, Copy, Debug, PartialEq, Eq, thiserror::Error)]
 pub enum DetectError {
     /// A sensor that is known and not supported.
-    #[error("this is the stream of another sensor, {sensor}; supported are {}", supported())]
+    #[error(
+        "this is the stream of another sensor, {sensor}; supported are {}",
+        supported()
+    )]
     Unsupported {
         /// The sensor.
         sensor: &'static str,
@@ -75,7 +78,9 @@ pub enum DetectError {
 
 /// The supported models, for a sentence.
 fn supported() -> String {
-    Model::ALL.map(|model| format!("{model} ({})", model.spec().flag)).join(", ")
+    Model::ALL
+        .map(|model| format!("{model} ({})", model.spec().flag))
+        .join(", ")
 }
 
 /// What to do about a contradiction. By reference, as thiserror hands out the fields.
@@ -89,12 +94,25 @@ fn cure(given: &bool, timing: &Model) -> String {
 }
 
 fn cure_layout(heads: &bool) -> &'static str {
-    if *heads { "leave --model away, or give hdl64e-s2 or hdl64e-s3" } else { "leave --model away" }
+    if *heads {
+        "leave --model away, or give hdl64e-s2 or hdl64e-s3"
+    } else {
+        "leave --model away"
+    }
 }
 
 /// What a packet period should have been.
 fn expected(mode: &ReturnMode, heads: &bool) -> String {
-    timings(if *heads { Banks::Alternating } else { Banks::One })
-        .map(|(model, spec)| format!("{:.1} us on the {model}", f64::from(spec.packet_period_ns(*mode)) / 1e3))
-        .join(", ")
+    timings(if *heads {
+        Banks::Alternating
+    } else {
+        Banks::One
+    })
+    .map(|(model, spec)| {
+        format!(
+            "{:.1} us on the {model}",
+            f64::from(spec.packet_period_ns(*mode)) / 1e3
+        )
+    })
+    .join(", ")
 }

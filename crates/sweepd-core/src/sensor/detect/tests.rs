@@ -19,7 +19,10 @@ fn packet(stamp_us: u32, bytes: (u8, u8), paired: bool) -> DataPacket {
 
 /// Stamps as a sensor makes them: packets of so many periods after the first, cut to microseconds.
 fn stamps(period_ns: u64, packets: &[u64]) -> Vec<u32> {
-    packets.iter().map(|packet| ((777_000_400 + packet * period_ns) / 1_000) as u32).collect()
+    packets
+        .iter()
+        .map(|packet| ((777_000_400 + packet * period_ns) / 1_000) as u32)
+        .collect()
 }
 
 /// The verdict and the number of packets it took, 0 for one at the end of the stream.
@@ -39,22 +42,75 @@ fn run(
 }
 
 fn found(model: Model, return_mode: ReturnMode, basis: Basis) -> Result<Detection, DetectError> {
-    Ok(Detection { model, return_mode, basis, spec: model.spec() })
+    Ok(Detection {
+        model,
+        return_mode,
+        basis,
+        spec: model.spec(),
+    })
 }
 
 #[test]
 fn three_packets_in_order_are_enough() {
     use ReturnMode::{Dual, Strongest};
     let cases = [
-        ((SINGLE, 0x22), VLP16_NS, Model::Vlp16, Strongest, Basis::BytesAndPeriod),
-        ((SINGLE, 0x24), VLP16_NS, Model::PuckHiRes, Strongest, Basis::BytesAndPeriod),
-        ((SINGLE, 0x21), HDL32E_NS, Model::Hdl32e, Strongest, Basis::BytesAndPeriod),
-        ((0x38, 0x21), HDL32E_NS, Model::Hdl32e, ReturnMode::Last, Basis::BytesAndPeriod),
-        ((DUAL, 0x22), VLP16_NS / 2, Model::Vlp16, Dual, Basis::BytesAndPeriod),
-        ((DUAL, 0x21), HDL32E_NS / 2, Model::Hdl32e, Dual, Basis::BytesAndPeriod),
+        (
+            (SINGLE, 0x22),
+            VLP16_NS,
+            Model::Vlp16,
+            Strongest,
+            Basis::BytesAndPeriod,
+        ),
+        (
+            (SINGLE, 0x24),
+            VLP16_NS,
+            Model::PuckHiRes,
+            Strongest,
+            Basis::BytesAndPeriod,
+        ),
+        (
+            (SINGLE, 0x21),
+            HDL32E_NS,
+            Model::Hdl32e,
+            Strongest,
+            Basis::BytesAndPeriod,
+        ),
+        (
+            (0x38, 0x21),
+            HDL32E_NS,
+            Model::Hdl32e,
+            ReturnMode::Last,
+            Basis::BytesAndPeriod,
+        ),
+        (
+            (DUAL, 0x22),
+            VLP16_NS / 2,
+            Model::Vlp16,
+            Dual,
+            Basis::BytesAndPeriod,
+        ),
+        (
+            (DUAL, 0x21),
+            HDL32E_NS / 2,
+            Model::Hdl32e,
+            Dual,
+            Basis::BytesAndPeriod,
+        ),
         // Early VLP-16 firmware.
-        ((SINGLE, 0x21), VLP16_NS, Model::Vlp16, Strongest, Basis::Period),
-        ((DUAL, 0x21), VLP16_NS / 2, Model::Vlp16, Dual, Basis::Period),
+        (
+            (SINGLE, 0x21),
+            VLP16_NS,
+            Model::Vlp16,
+            Strongest,
+            Basis::Period,
+        ),
+        (
+            (DUAL, 0x21),
+            VLP16_NS / 2,
+            Model::Vlp16,
+            Dual,
+            Basis::Period,
+        ),
         // Blank bytes.
         ((0, 0), VLP16_NS, Model::Vlp16, Strongest, Basis::Period),
         ((0, 0), HDL32E_NS, Model::Hdl32e, Strongest, Basis::Period),
@@ -63,7 +119,11 @@ fn three_packets_in_order_are_enough() {
     ];
     for (bytes, period_ns, model, mode, basis) in cases {
         let verdict = run(None, bytes, mode == Dual, &stamps(period_ns, &[0, 1, 2, 3]));
-        assert_eq!(verdict, (3, found(model, mode, basis)), "{bytes:x?} {period_ns}");
+        assert_eq!(
+            verdict,
+            (3, found(model, mode, basis)),
+            "{bytes:x?} {period_ns}"
+        );
     }
 }
 
@@ -76,20 +136,39 @@ fn loss_duplicates_and_reordering_do_not_mislead() {
         (&[0, 0, 1, 1, 2], 5),
         (&[0, 2, 1], 3),
         (&[3, 4, 0, 1], 3),
-        // Five packets later a VLP-16 stands where an HDL-32E does after twelve: such a gap says nothing.
+        // Five packets later a VLP-16 stands where an HDL-32E does after twelve: such a gap says
+        // nothing.
         (&[0, 5, 10, 11, 12, 13], 6),
     ];
     for (order, needed) in orders {
-        assert_eq!(run(None, (SINGLE, 0x22), false, &stamps(VLP16_NS, order)), (needed, vlp16), "{order:?}");
+        assert_eq!(
+            run(None, (SINGLE, 0x22), false, &stamps(VLP16_NS, order)),
+            (needed, vlp16),
+            "{order:?}"
+        );
     }
-    assert_eq!(run(None, (SINGLE, 0x21), false, &stamps(HDL32E_NS, &[0, 12, 24, 25, 26, 27])), (6, hdl32e));
+    assert_eq!(
+        run(
+            None,
+            (SINGLE, 0x21),
+            false,
+            &stamps(HDL32E_NS, &[0, 12, 24, 25, 26, 27])
+        ),
+        (6, hdl32e)
+    );
 }
 
 #[test]
 fn the_hour_may_end_within_the_stream() {
     let stamps = [3_599_998_900, 227, 1_554];
     let verdict = run(None, (SINGLE, 0x22), false, &stamps);
-    assert_eq!(verdict, (3, found(Model::Vlp16, ReturnMode::Strongest, Basis::BytesAndPeriod)));
+    assert_eq!(
+        verdict,
+        (
+            3,
+            found(Model::Vlp16, ReturnMode::Strongest, Basis::BytesAndPeriod)
+        )
+    );
 }
 
 #[test]
@@ -98,27 +177,42 @@ fn the_odd_interval_of_a_field_of_view_is_outvoted() {
     let gap = times[1] + 50_311;
     times.extend([gap, gap + 1_327, gap + 2_654]);
     let verdict = run(None, (0, 0), false, &times);
-    assert_eq!(verdict, (4, found(Model::Vlp16, ReturnMode::Strongest, Basis::Period)));
+    assert_eq!(
+        verdict,
+        (4, found(Model::Vlp16, ReturnMode::Strongest, Basis::Period))
+    );
 }
 
 #[test]
 fn a_head_that_stands_still_tells_its_mode_by_the_period() {
-    for (period_ns, mode) in [(HDL32E_NS, ReturnMode::Strongest), (HDL32E_NS / 2, ReturnMode::Dual)] {
+    for (period_ns, mode) in [
+        (HDL32E_NS, ReturnMode::Strongest),
+        (HDL32E_NS / 2, ReturnMode::Dual),
+    ] {
         let mut detector = Detector::new(None);
-        let verdict =
-            stamps(period_ns, &[0, 1, 2]).into_iter().find_map(|s| detector.observe(&DataPacket::new(s, 0, 0)));
+        let verdict = stamps(period_ns, &[0, 1, 2])
+            .into_iter()
+            .find_map(|s| detector.observe(&DataPacket::new(s, 0, 0)));
         assert_eq!(verdict, Some(found(Model::Hdl32e, mode, Basis::Period)));
     }
 }
 
 #[test]
 fn unsupported_sensors_are_named_at_once() {
-    let cases = [(0x28, "VLP-32C"), (0xA1, "VLS-128"), (0x63, "VLS-128"), (0x31, "Velarray")];
+    let cases = [
+        (0x28, "VLP-32C"),
+        (0xA1, "VLS-128"),
+        (0x63, "VLS-128"),
+        (0x31, "Velarray"),
+    ];
     for (product, sensor) in cases {
         let verdict = run(None, (SINGLE, product), false, &[0]);
         assert_eq!(verdict, (1, Err(DetectError::Unsupported { sensor })));
     }
-    let message = run(None, (SINGLE, 0x23), false, &[0]).1.unwrap_err().to_string();
+    let message = run(None, (SINGLE, 0x23), false, &[0])
+        .1
+        .unwrap_err()
+        .to_string();
     assert_eq!(
         message,
         "this is the stream of another sensor, VLP-32A or VLP-32B; supported are VLP-16 (vlp16), \
@@ -126,32 +220,63 @@ fn unsupported_sensors_are_named_at_once() {
          HDL-64E S3 (hdl64e-s3)"
     );
     let mut s1 = DataPacket::new(0, SINGLE, 0x22);
-    s1.blocks.iter_mut().skip(2).step_by(4).for_each(|block| block.flag.set(FLAG_BANK_1));
+    s1.blocks
+        .iter_mut()
+        .skip(2)
+        .step_by(4)
+        .for_each(|block| block.flag.set(FLAG_BANK_1));
     for forced in [None, Some(Model::Vlp16)] {
         let verdict = Detector::new(forced).observe(&s1);
-        assert_eq!(verdict, Some(Err(DetectError::Unsupported { sensor: "HDL-64E S1" })));
+        assert_eq!(
+            verdict,
+            Some(Err(DetectError::Unsupported {
+                sensor: "HDL-64E S1"
+            }))
+        );
     }
     let mut vls128 = DataPacket::new(0, SINGLE, 0xA1);
     vls128.blocks[1].flag.set(FLAG_BANK_1);
     let verdict = Detector::new(Some(Model::Vlp16)).observe(&vls128);
-    assert_eq!(verdict, Some(Err(DetectError::Unsupported { sensor: "VLS-128" })));
+    assert_eq!(
+        verdict,
+        Some(Err(DetectError::Unsupported { sensor: "VLS-128" }))
+    );
 }
 
 #[test]
 fn unknown_product_bytes_need_the_user() {
     let times = stamps(VLP16_NS, &[0, 1, 2]);
-    assert_eq!(run(None, (SINGLE, 0x77), false, &times), (1, Err(DetectError::UnknownProduct { product: 0x77 })));
+    assert_eq!(
+        run(None, (SINGLE, 0x77), false, &times),
+        (1, Err(DetectError::UnknownProduct { product: 0x77 }))
+    );
     let verdict = run(Some(Model::PuckLite), (SINGLE, 0x77), false, &times);
-    assert_eq!(verdict, (3, found(Model::PuckLite, ReturnMode::Strongest, Basis::GivenAgainstBytes)));
+    assert_eq!(
+        verdict,
+        (
+            3,
+            found(
+                Model::PuckLite,
+                ReturnMode::Strongest,
+                Basis::GivenAgainstBytes
+            )
+        )
+    );
 }
 
 #[test]
 fn the_user_beats_the_bytes_but_not_the_period() {
     let vlp16 = stamps(VLP16_NS, &[0, 1, 2]);
     let given = |model| found(model, ReturnMode::Strongest, Basis::GivenAgainstBytes);
-    assert_eq!(run(Some(Model::PuckHiRes), (SINGLE, 0x22), false, &vlp16), (3, given(Model::PuckHiRes)));
+    assert_eq!(
+        run(Some(Model::PuckHiRes), (SINGLE, 0x22), false, &vlp16),
+        (3, given(Model::PuckHiRes))
+    );
     let hdl32e = stamps(HDL32E_NS, &[0, 1, 2]);
-    assert_eq!(run(Some(Model::Hdl32e), (SINGLE, 0x22), false, &hdl32e), (3, given(Model::Hdl32e)));
+    assert_eq!(
+        run(Some(Model::Hdl32e), (SINGLE, 0x22), false, &hdl32e),
+        (3, given(Model::Hdl32e))
+    );
     let (packets, verdict) = run(Some(Model::Hdl32e), (SINGLE, 0x21), false, &vlp16);
     assert_eq!(packets, 3);
     assert_eq!(
@@ -166,18 +291,28 @@ fn the_user_does_not_turn_another_sensor_into_a_vlp16() {
     // A VLP-32C: its period is half that of a VLP-16.
     let times = stamps(VLP16_NS / 2, &(0..12).collect::<Vec<_>>());
     let verdict = run(Some(Model::Vlp16), (SINGLE, 0x28), false, &times);
-    assert_eq!(verdict, (1, Err(DetectError::Unsupported { sensor: "VLP-32C" })));
+    assert_eq!(
+        verdict,
+        (1, Err(DetectError::Unsupported { sensor: "VLP-32C" }))
+    );
 }
 
 #[test]
 fn a_byte_that_contradicts_the_period_is_an_error() {
     for product in [0x22, 0x24] {
-        let (packets, verdict) = run(None, (SINGLE, product), false, &stamps(HDL32E_NS, &[0, 1, 2]));
+        let (packets, verdict) = run(
+            None,
+            (SINGLE, product),
+            false,
+            &stamps(HDL32E_NS, &[0, 1, 2]),
+        );
         let message = verdict.unwrap_err().to_string();
         assert_eq!(packets, 3);
         assert!(message.starts_with("the product byte says "), "{message}");
         assert!(
-            message.ends_with("553 us apart, as those of the HDL-32E do; if it is one, give --model hdl32e"),
+            message.ends_with(
+                "553 us apart, as those of the HDL-32E do; if it is one, give --model hdl32e"
+            ),
             "{message}"
         );
     }
@@ -190,7 +325,14 @@ fn a_period_of_no_model_is_an_error_after_the_last_packet() {
         let (packets, verdict) = run(forced, (SINGLE, 0x22), false, &times);
         assert_eq!(packets, MAX_PACKETS);
         let mode = ReturnMode::Strongest;
-        assert_eq!(verdict, Err(DetectError::UnknownPeriod { median_us: 800, mode, heads: false }));
+        assert_eq!(
+            verdict,
+            Err(DetectError::UnknownPeriod {
+                median_us: 800,
+                mode,
+                heads: false
+            })
+        );
         let message = verdict.unwrap_err().to_string();
         assert!(
             message.contains("800 us apart")
@@ -208,27 +350,49 @@ fn streams_too_short_for_a_period_go_by_what_was_said() {
         let bytes = found(Model::PuckHiRes, strongest, Basis::BytesAlone);
         assert_eq!(run(None, (SINGLE, 0x24), false, &times), (0, bytes));
         let given = found(Model::Hdl32e, strongest, Basis::GivenAgainstBytes);
-        assert_eq!(run(Some(Model::Hdl32e), (SINGLE, 0x22), false, &times), (0, given));
-        let blank = Err(DetectError::TooFewPackets { packets: times.len() });
+        assert_eq!(
+            run(Some(Model::Hdl32e), (SINGLE, 0x22), false, &times),
+            (0, given)
+        );
+        let blank = Err(DetectError::TooFewPackets {
+            packets: times.len(),
+        });
         assert_eq!(run(None, (0, 0), false, &times), (0, blank));
     }
-    assert_eq!(Detector::new(None).conclude(), Err(DetectError::TooFewPackets { packets: 0 }));
+    assert_eq!(
+        Detector::new(None).conclude(),
+        Err(DetectError::TooFewPackets { packets: 0 })
+    );
     let dual = found(Model::Vlp16, ReturnMode::Dual, Basis::Given);
     assert_eq!(run(Some(Model::Vlp16), (0, 0), true, &[0]), (0, dual));
     // Nothing but copies of one packet: there is no period, and it ends all the same.
     let bytes = found(Model::Vlp16, strongest, Basis::BytesAlone);
-    assert_eq!(run(None, (SINGLE, 0x22), false, &[5; 40]), (MAX_PACKETS, bytes));
+    assert_eq!(
+        run(None, (SINGLE, 0x22), false, &[5; 40]),
+        (MAX_PACKETS, bytes)
+    );
 }
 
 #[test]
 fn a_change_of_return_mode_starts_the_measurement_again() {
     let mut detector = Detector::new(None);
     let times = stamps(VLP16_NS, &[0, 1]);
-    assert_eq!(detector.observe(&packet(times[0], (SINGLE, 0x22), false)), None);
-    assert_eq!(detector.observe(&packet(times[1], (SINGLE, 0x22), false)), None);
+    assert_eq!(
+        detector.observe(&packet(times[0], (SINGLE, 0x22), false)),
+        None
+    );
+    assert_eq!(
+        detector.observe(&packet(times[1], (SINGLE, 0x22), false)),
+        None
+    );
     let dual = stamps(VLP16_NS / 2, &[40, 41, 42]);
-    let verdict = dual.into_iter().find_map(|stamp| detector.observe(&packet(stamp, (DUAL, 0x22), true)));
-    assert_eq!(verdict, Some(found(Model::Vlp16, ReturnMode::Dual, Basis::BytesAndPeriod)));
+    let verdict = dual
+        .into_iter()
+        .find_map(|stamp| detector.observe(&packet(stamp, (DUAL, 0x22), true)));
+    assert_eq!(
+        verdict,
+        Some(found(Model::Vlp16, ReturnMode::Dual, Basis::BytesAndPeriod))
+    );
 }
 
 #[test]
@@ -237,7 +401,8 @@ fn no_interval_fits_two_timings() {
         let [vlp16, hdl32e] = timings(Banks::One).map(|(_, spec)| spec.packet_period_ns(mode));
         assert!((0..10_000).all(|us| !(fits(us, vlp16) && fits(us, hdl32e))));
     }
-    let [fast, slow] = timings(Banks::Alternating).map(|(_, spec)| spec.packet_period_ns(ReturnMode::Strongest));
+    let [fast, slow] =
+        timings(Banks::Alternating).map(|(_, spec)| spec.packet_period_ns(ReturnMode::Strongest));
     assert!((0..10_000).all(|us| !(fits(us, fast) && fits(us, slow))));
 }
 
@@ -245,7 +410,11 @@ fn no_interval_fits_two_timings() {
 fn two_heads(stamp_us: u32, blocks_per_azimuth: usize) -> DataPacket {
     let mut packet = DataPacket::new(stamp_us, DUAL, 0x22);
     for (index, block) in packet.blocks.iter_mut().enumerate() {
-        block.flag.set(if index % 2 == 1 { FLAG_BANK_1 } else { crate::wire::data::FLAG_BANK_0 });
+        block.flag.set(if index % 2 == 1 {
+            FLAG_BANK_1
+        } else {
+            crate::wire::data::FLAG_BANK_0
+        });
         block.set_azimuth_cdeg(100 + 17 * (index / blocks_per_azimuth) as u16);
     }
     packet
@@ -256,25 +425,53 @@ fn an_hdl64e_is_told_by_its_heads_and_its_timing_by_the_period() {
     use ReturnMode::{Dual, Strongest};
     let run = |forced, period_ns, group, packets: &[u64]| {
         let mut detector = Detector::new(forced);
-        let packets = stamps(period_ns, packets).into_iter().map(|stamp| two_heads(stamp, group));
-        packets.into_iter().find_map(|p| detector.observe(&p)).unwrap_or_else(|| detector.conclude())
+        let packets = stamps(period_ns, packets)
+            .into_iter()
+            .map(|stamp| two_heads(stamp, group));
+        packets
+            .into_iter()
+            .find_map(|p| detector.observe(&p))
+            .unwrap_or_else(|| detector.conclude())
     };
     let slow = Model::Hdl64eS3.specs()[1];
     for (period_ns, group, mode, model, spec) in [
-        (288_000, 2, Strongest, Model::Hdl64eS2, Model::Hdl64eS2.spec()),
+        (
+            288_000,
+            2,
+            Strongest,
+            Model::Hdl64eS2,
+            Model::Hdl64eS2.spec(),
+        ),
         (345_600, 2, Strongest, Model::Hdl64eS3, slow),
         (172_800, 4, Dual, Model::Hdl64eS3, Model::Hdl64eS2.spec()),
     ] {
         for order in [&[0, 1, 2][..], &[0, 2, 5], &[1, 0, 2], &[0, 0, 3, 4]] {
             let found = run(None, period_ns, group, order).unwrap();
-            assert_eq!((found.model, found.return_mode, found.basis), (model, mode, Basis::HeadsAndPeriod));
-            assert_eq!(found.spec.packet_period_ns(mode), spec.packet_period_ns(mode), "{period_ns} {order:?}");
+            assert_eq!(
+                (found.model, found.return_mode, found.basis),
+                (model, mode, Basis::HeadsAndPeriod)
+            );
+            assert_eq!(
+                found.spec.packet_period_ns(mode),
+                spec.packet_period_ns(mode),
+                "{period_ns} {order:?}"
+            );
         }
         let s3 = run(Some(Model::Hdl64eS3), period_ns, group, &[0, 1, 2]).unwrap();
-        assert_eq!((s3.model, s3.return_mode, s3.basis), (Model::Hdl64eS3, mode, Basis::Given));
+        assert_eq!(
+            (s3.model, s3.return_mode, s3.basis),
+            (Model::Hdl64eS3, mode, Basis::Given)
+        );
     }
-    assert_eq!(run(None, 288_000, 2, &[0]).unwrap().basis, Basis::HeadsAlone);
-    let message = |forced, period_ns, group| run(Some(forced), period_ns, group, &[0, 1, 2]).unwrap_err().to_string();
+    assert_eq!(
+        run(None, 288_000, 2, &[0]).unwrap().basis,
+        Basis::HeadsAlone
+    );
+    let message = |forced, period_ns, group| {
+        run(Some(forced), period_ns, group, &[0, 1, 2])
+            .unwrap_err()
+            .to_string()
+    };
     assert_eq!(
         message(Model::Hdl64eS2, 172_800, 4),
         "--model says HDL-64E S2, but packets come 173 us apart, as those of the HDL-64E S3 do; leave --model away, \
@@ -285,32 +482,55 @@ fn an_hdl64e_is_told_by_its_heads_and_its_timing_by_the_period() {
         "--model says VLP-16, but the blocks of its packets alternate between two heads, as those of the HDL-64E do; \
          leave --model away, or give hdl64e-s2 or hdl64e-s3"
     );
-    let (_, one_head) = self::run(Some(Model::Hdl64eS2), (SINGLE, 0x22), false, &stamps(VLP16_NS, &[0, 1, 2]));
-    assert!(matches!(one_head, Err(DetectError::Layout { heads: false, .. })), "{one_head:?}");
+    let (_, one_head) = self::run(
+        Some(Model::Hdl64eS2),
+        (SINGLE, 0x22),
+        false,
+        &stamps(VLP16_NS, &[0, 1, 2]),
+    );
+    assert!(
+        matches!(one_head, Err(DetectError::Layout { heads: false, .. })),
+        "{one_head:?}"
+    );
 }
 
 /// A head that starts: what looks like pairs may be chance.
 #[test]
 fn an_hdl64e_that_hardly_turns_is_told_by_its_period() {
     use ReturnMode::{Dual, Strongest};
-    for (period_ns, mode, packet_ns) in
-        [(288_000, Strongest, 288_000), (345_600, Strongest, 345_600), (172_800, Dual, 288_000)]
-    {
+    for (period_ns, mode, packet_ns) in [
+        (288_000, Strongest, 288_000),
+        (345_600, Strongest, 345_600),
+        (172_800, Dual, 288_000),
+    ] {
         let firings = if mode == Dual { 3 } else { 6 };
-        for (rpm, start) in [0.0, 0.3, 1.0, 3.0, 10.0].into_iter().flat_map(|rpm| (0..50).map(move |s| (rpm, s))) {
+        for (rpm, start) in [0.0, 0.3, 1.0, 3.0, 10.0]
+            .into_iter()
+            .flat_map(|rpm| (0..50).map(move |s| (rpm, s)))
+        {
             let mut detector = Detector::new(None);
             let sent = (0..12).map(|n: u64| {
                 let mut packet = two_heads((n * period_ns / 1000) as u32, 12);
                 for (index, block) in packet.blocks.iter_mut().enumerate() {
                     let firing = (index * firings / BLOCKS) as f64 / firings as f64;
                     let seconds = (n as f64 + firing) * period_ns as f64 * 1e-9;
-                    block.set_azimuth_cdeg((f64::from(start) * 0.37 + rpm * 600.0 * seconds).round() as u16);
+                    block.set_azimuth_cdeg(
+                        (f64::from(start) * 0.37 + rpm * 600.0 * seconds).round() as u16,
+                    );
                 }
                 packet
             });
-            let found = sent.into_iter().find_map(|p| detector.observe(&p)).unwrap().unwrap();
+            let found = sent
+                .into_iter()
+                .find_map(|p| detector.observe(&p))
+                .unwrap()
+                .unwrap();
             let single_ns = found.spec.packet_period_ns(Strongest);
-            assert_eq!((found.return_mode, single_ns), (mode, packet_ns), "{period_ns} {rpm} {start}");
+            assert_eq!(
+                (found.return_mode, single_ns),
+                (mode, packet_ns),
+                "{period_ns} {rpm} {start}"
+            );
         }
     }
 }

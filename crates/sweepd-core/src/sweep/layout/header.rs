@@ -40,12 +40,19 @@ impl Header {
 
     /// The clock of [`Header::time_ns`].
     pub fn time_source(&self) -> TimeSource {
-        if self.time_source == TimeSource::Gps as u32 { TimeSource::Gps } else { TimeSource::Host }
+        if self.time_source == TimeSource::Gps as u32 {
+            TimeSource::Gps
+        } else {
+            TimeSource::Host
+        }
     }
 
     /// The sensor's return mode.
     pub fn return_mode(&self) -> ReturnMode {
-        u8::try_from(self.return_mode).ok().and_then(ReturnMode::from_byte).unwrap_or(ReturnMode::Strongest)
+        u8::try_from(self.return_mode)
+            .ok()
+            .and_then(ReturnMode::from_byte)
+            .unwrap_or(ReturnMode::Strongest)
     }
 
     /// Source of the sensor's packets; empty where what stands there is no text.
@@ -84,8 +91,9 @@ pub struct Completion<'a> {
     pub dropped_datagrams: u32,
 }
 
-/// What of a sweep depends on the host that took the packets, and not on them alone: fields of [`Header`], and of
-/// [`Column`] the last. [`Header::time_ns`] is one where it is in the host's clock.
+/// What of a sweep depends on the host that took the packets, and not on them alone: fields of
+/// [`Header`], and of [`Column`] the last. [`Header::time_ns`] is one where it is in the host's
+/// clock.
 pub const HOST_FIELDS: [&str; 13] = [
     "sequence",
     "run_ns",
@@ -106,7 +114,12 @@ impl Header {
     /// The same with zeros where it depends on the host: see [`HOST_FIELDS`].
     pub fn without_host(&self) -> Self {
         let mut header = *self;
-        (header.sequence, header.run_ns, header.arrival_ns, header.dropped_datagrams) = (0, 0, 0, 0);
+        (
+            header.sequence,
+            header.run_ns,
+            header.arrival_ns,
+            header.dropped_datagrams,
+        ) = (0, 0, 0, 0);
         (header.completed_ns, header.completed_monotonic_ns) = (0, 0);
         (header.decode_ns, header.ground_ns, header.label_ns) = (0, 0, 0);
         (header.name, header.sensor) = ([0; 64], [0; 64]);
@@ -136,10 +149,17 @@ impl Header {
 }
 
 fn text(padded: &[u8; 64]) -> &str {
-    let end = padded.iter().position(|&byte| byte == 0).unwrap_or(padded.len());
+    let end = padded
+        .iter()
+        .position(|&byte| byte == 0)
+        .unwrap_or(padded.len());
     let text = std::str::from_utf8(&padded[..end]).unwrap_or_default();
     // Names are shown on terminals, which obey what is no text.
-    if text.contains(char::is_control) { "" } else { text }
+    if text.contains(char::is_control) {
+        ""
+    } else {
+        text
+    }
 }
 
 fn padded(text: &str) -> [u8; 64] {

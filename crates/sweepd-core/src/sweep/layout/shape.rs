@@ -1,4 +1,5 @@
-//! Where the parts of a sweep stand, how much room they take, and whether a header that others wrote can be true.
+//! Where the parts of a sweep stand, how much room they take, and whether a header that others
+//! wrote can be true.
 
 use super::{ALIGN, BeamRow, COLUMNS_CAPACITY, Column, Header, LAYOUT_VERSION, MAGIC, Segment};
 
@@ -6,7 +7,8 @@ use super::{ALIGN, BeamRow, COLUMNS_CAPACITY, Column, Header, LAYOUT_VERSION, MA
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 #[repr(usize)]
 pub enum Part {
-    /// f32 metres a pixel; see [`is_return`](super::is_return), and [`crate::sweep::corrected`] for the last bit on an HDL-64E.
+    /// f32 metres a pixel; see [`is_return`](super::is_return), and [`crate::sweep::corrected`] for
+    /// the last bit on an HDL-64E.
     Range = 0,
     /// u8 a pixel.
     Reflectivity,
@@ -35,19 +37,26 @@ pub const PARTS: usize = 10;
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 #[repr(u8)]
 pub enum ReturnKind {
-    /// The strongest, or the second strongest where the last is the strongest; the other is the last.
+    /// The strongest, or the second strongest where the last is the strongest; the other is the
+    /// last.
     Strongest = 1,
-    /// The last; the other is the strongest. An HDL-64E does not say which is which: the farther is the last.
+    /// The last; the other is the strongest. An HDL-64E does not say which is which: the farther is
+    /// the last.
     Last = 2,
 }
 
-/// Bit of [`Part::Kind`]: the segmented return stands in the second blocks of its firing, the other in the first.
+/// Bit of [`Part::Kind`]: the segmented return stands in the second blocks of its firing, the other
+/// in the first.
 pub const SECOND_BLOCKS: u8 = 4;
 
 impl ReturnKind {
     /// The kind in a byte of [`Part::Kind`].
     pub fn of_byte(byte: u8) -> Self {
-        if byte & !SECOND_BLOCKS == Self::Last as u8 { Self::Last } else { Self::Strongest }
+        if byte & !SECOND_BLOCKS == Self::Last as u8 {
+            Self::Last
+        } else {
+            Self::Strongest
+        }
     }
 
     /// The other of a pair.
@@ -81,11 +90,16 @@ pub struct Shape {
 }
 
 impl Shape {
-    /// The shape of all sweeps of a sensor with so many rows, whose segments have at least so many pixels: the table has
-    /// room for as many segments as there can be.
+    /// The shape of all sweeps of a sensor with so many rows, whose segments have at least so many
+    /// pixels: the table has room for as many segments as there can be.
     pub fn of(rows: usize, dual: bool, min_points: usize) -> Self {
         let segments_capacity = rows * COLUMNS_CAPACITY / min_points.max(1);
-        Self { rows, columns_capacity: COLUMNS_CAPACITY, dual, segments_capacity }
+        Self {
+            rows,
+            columns_capacity: COLUMNS_CAPACITY,
+            dual,
+            segments_capacity,
+        }
     }
 
     /// Where each part begins (0 = absent), and the bytes of the whole.
@@ -158,18 +172,26 @@ pub enum LayoutError {
     Inconsistent,
 }
 
-/// The shape of a header that was not written here, when everything in it can be true of `bytes` bytes.
+/// The shape of a header that was not written here, when everything in it can be true of `bytes`
+/// bytes.
 pub(in crate::sweep) fn checked_shape(header: &Header, bytes: usize) -> Result<Shape, LayoutError> {
     if header.magic != MAGIC {
         return Err(LayoutError::Foreign);
     }
     if header.version != LAYOUT_VERSION {
-        return Err(LayoutError::Version { found: header.version });
+        return Err(LayoutError::Version {
+            found: header.version,
+        });
     }
     let shape = header.shape();
-    let bounded = shape.rows <= 256 && shape.columns_capacity <= 1 << 20 && shape.segments_capacity <= 1 << 28;
+    let bounded = shape.rows <= 256
+        && shape.columns_capacity <= 1 << 20
+        && shape.segments_capacity <= 1 << 28;
     let columns = u64::from(header.margin_columns) + u64::from(header.columns);
-    if !bounded || columns > u64::from(header.columns_capacity) || header.segments > header.segments_capacity {
+    if !bounded
+        || columns > u64::from(header.columns_capacity)
+        || header.segments > header.segments_capacity
+    {
         return Err(LayoutError::Inconsistent);
     }
     let (offsets, total_bytes) = shape.offsets();
@@ -189,10 +211,19 @@ mod tests {
     #[test]
     fn parts_are_aligned_and_do_not_overlap() {
         for dual in [false, true] {
-            let shape = Shape { rows: 3, columns_capacity: 5, dual, segments_capacity: 2 };
+            let shape = Shape {
+                rows: 3,
+                columns_capacity: 5,
+                dual,
+                segments_capacity: 2,
+            };
             let (offsets, total) = shape.offsets();
             let mut end = size_of::<Header>();
-            for (offset, bytes) in offsets.into_iter().zip(shape.part_bytes()).filter(|&(_, bytes)| bytes > 0) {
+            for (offset, bytes) in offsets
+                .into_iter()
+                .zip(shape.part_bytes())
+                .filter(|&(_, bytes)| bytes > 0)
+            {
                 assert!(offset as usize >= end && (offset as usize).is_multiple_of(ALIGN));
                 end = offset as usize + bytes;
             }

@@ -23,8 +23,11 @@ struct Stream {
 /// Every one that there may be.
 fn streams() -> impl Iterator<Item = Stream> {
     let specs = Model::ALL.into_iter().flat_map(|model| model.specs());
-    let modes = specs.flat_map(|&spec| [ReturnMode::Strongest, ReturnMode::Dual].map(|mode| (spec, mode)));
-    modes.flat_map(|(spec, mode)| [300.0, 600.0, -600.0, 1200.0].map(|rpm| Stream { spec, mode, rpm }))
+    let modes =
+        specs.flat_map(|&spec| [ReturnMode::Strongest, ReturnMode::Dual].map(|mode| (spec, mode)));
+    modes.flat_map(|(spec, mode)| {
+        [300.0, 600.0, -600.0, 1200.0].map(|rpm| Stream { spec, mode, rpm })
+    })
 }
 
 impl Stream {
@@ -45,20 +48,28 @@ impl Stream {
         let azimuth_us = f64::from(self.spec.azimuth_period_ns(self.mode)) / 1e3;
         let each = |number: usize| {
             let begun_us = number as f64 * self.period_us();
-            let stamp_us = (1_000_000 + begun_us as i64 + off_us(number)).rem_euclid(i64::from(HOUR_US));
+            let stamp_us =
+                (1_000_000 + begun_us as i64 + off_us(number)).rem_euclid(i64::from(HOUR_US));
             let mut packet = DataPacket::new(stamp_us as u32, 0x37, 0x22);
-            for (index, blocks) in packet.blocks.chunks_mut(self.spec.blocks_per_azimuth(self.mode)).enumerate() {
-                let turned =
-                    rate_cdeg_us * (begun_us + azimuth_us * index as f64) + NOISE_CDEG * (2.0 * noise.f64() - 1.0);
-                blocks.iter_mut().for_each(|block| block.set_azimuth_cdeg(turned.rem_euclid(36_000.0) as u16));
+            for (index, blocks) in packet
+                .blocks
+                .chunks_mut(self.spec.blocks_per_azimuth(self.mode))
+                .enumerate()
+            {
+                let turned = rate_cdeg_us * (begun_us + azimuth_us * index as f64)
+                    + NOISE_CDEG * (2.0 * noise.f64() - 1.0);
+                blocks
+                    .iter_mut()
+                    .for_each(|block| block.set_azimuth_cdeg(turned.rem_euclid(36_000.0) as u16));
             }
             packet
         };
         (0..count).map(each).collect()
     }
 
-    /// Whether a missing packet cannot be told for sure when the clock is corrected so far at the same moment: where it is
-    /// nearly half a packet's time, or that of whole blocks, as is a sector that is left out.
+    /// Whether a missing packet cannot be told for sure when the clock is corrected so far at the
+    /// same moment: where it is nearly half a packet's time, or that of whole blocks, as is a
+    /// sector that is left out.
     fn is_ambiguous(&self, off_us: i64) -> bool {
         let block_us = f64::from(self.spec.azimuth_period_ns(self.mode)) / 1e3;
         let off_us = off_us.abs() as f64;
@@ -104,10 +115,12 @@ impl Outcome {
         }
     }
 
-    /// Whether all came out but these, nothing was refused but what is missing and arrived, and nothing else was lost.
+    /// Whether all came out but these, nothing was refused but what is missing and arrived, and
+    /// nothing else was lost.
     fn is_all_but(&self, missing: &[usize], refused: u64) -> bool {
         let numbers = (0..PACKETS).filter(|number| !missing.contains(number));
-        let lost_before = |number: usize| missing.iter().filter(|&&lost| lost + 1 == number).count() as u32;
+        let lost_before =
+            |number: usize| missing.iter().filter(|&&lost| lost + 1 == number).count() as u32;
         let fits = |&(number, before): &(usize, Before)| match before {
             Before::Start => number == 0,
             Before::Nothing => number > 0 && lost_before(number) == 0,
@@ -122,13 +135,21 @@ impl Outcome {
 
     /// The part of it that a person looks at.
     fn around(&self) -> String {
-        let around = self.out.iter().filter(|(number, _)| (STRUCK - 3..STRUCK + 6).contains(number));
-        format!("{:?}, {} refused, {} waited", around.collect::<Vec<_>>(), self.refused, self.waited)
+        let around = self
+            .out
+            .iter()
+            .filter(|(number, _)| (STRUCK - 3..STRUCK + 6).contains(number));
+        format!(
+            "{:?}, {} refused, {} waited",
+            around.collect::<Vec<_>>(),
+            self.refused,
+            self.waited
+        )
     }
 }
 
-/// It comes out with a time that the sensor's clock may have as well, or is refused as if it had been lost: nothing else
-/// changes.
+/// It comes out with a time that the sensor's clock may have as well, or is refused as if it had
+/// been lost: nothing else changes.
 #[test]
 fn one_wrong_stamp_harms_no_other_packet() {
     let near = (-800..=800).step_by(5);
@@ -152,11 +173,17 @@ fn one_wrong_stamp_harms_no_other_packet() {
             }
         }
     }
-    assert!(wrong.is_empty(), "{} wrong, such as\n{}", wrong.len(), wrong[..wrong.len().min(20)].join("\n"));
+    assert!(
+        wrong.is_empty(),
+        "{} wrong, such as\n{}",
+        wrong.len(),
+        wrong[..wrong.len().min(20)].join("\n")
+    );
 }
 
-/// A sensor's clock that drifts is set right by the pulse, once a second: nothing is lost but what is, whichever packet is
-/// missing or out of place just then, and at most one packet waits for the next.
+/// A sensor's clock that drifts is set right by the pulse, once a second: nothing is lost but what
+/// is, whichever packet is missing or out of place just then, and at most one packet waits for the
+/// next.
 #[test]
 fn a_stamp_that_is_set_right_costs_nothing() {
     let all: Vec<usize> = (0..PACKETS).collect();
@@ -170,39 +197,75 @@ fn a_stamp_that_is_set_right_costs_nothing() {
             let packets = stream.packets(|number| if number >= STRUCK { off_us } else { 0 });
             let mut expect = |what: &str, holds: bool, outcome: &Outcome| {
                 if !holds {
-                    wrong.push(format!("{what}, {off_us} us, {} {mode} {rpm} rpm: {}", spec.name, outcome.around()));
+                    wrong.push(format!(
+                        "{what}, {off_us} us, {} {mode} {rpm} rpm: {}",
+                        spec.name,
+                        outcome.around()
+                    ));
                 }
             };
             let outcome = stream.run(&packets, all.iter().copied());
             let patience = usize::from(off_us.abs() > at_once_us);
-            expect("in order", outcome.is_all_but(&[], 0) && outcome.waited <= patience, &outcome);
+            expect(
+                "in order",
+                outcome.is_all_but(&[], 0) && outcome.waited <= patience,
+                &outcome,
+            );
             if stream.is_ambiguous(off_us) {
                 continue;
             }
             for gone in [STRUCK - 1, STRUCK, STRUCK + 1] {
-                let outcome = stream.run(&packets, all.iter().copied().filter(|&number| number != gone));
+                let outcome = stream.run(
+                    &packets,
+                    all.iter().copied().filter(|&number| number != gone),
+                );
                 expect("one lost", outcome.is_all_but(&[gone], 0), &outcome);
             }
             let mut outcome = stream.run(&packets, swapped.iter().copied());
             let reordered = std::mem::take(&mut outcome.reordered);
-            expect("swapped", reordered == 1 && outcome.is_all_but(&[], 0), &outcome);
+            expect(
+                "swapped",
+                reordered == 1 && outcome.is_all_but(&[], 0),
+                &outcome,
+            );
         }
     }
-    assert!(wrong.is_empty(), "{} wrong, such as\n{}", wrong.len(), wrong[..wrong.len().min(20)].join("\n"));
+    assert!(
+        wrong.is_empty(),
+        "{} wrong, such as\n{}",
+        wrong.len(),
+        wrong[..wrong.len().min(20)].join("\n")
+    );
 }
 
-/// A sensor that does not keep the beat, by 40 us either way at every packet, loses some at first, and then none.
+/// A sensor that does not keep the beat, by 40 us either way at every packet, loses some at first,
+/// and then none.
 #[test]
 fn stamps_that_waver_all_the_time_are_believed() {
     const LONG: usize = 400;
     for stream in streams().filter(|stream| stream.rpm.abs() <= 600.0) {
         let mut noise = fastrand::Rng::with_seed(5);
         let outcome = stream.run(&stream.many(LONG, |_| noise.i64(-40..=40)), 0..LONG);
-        let late: Vec<_> = outcome.out.iter().filter(|(number, _)| *number >= LONG / 2).collect();
-        let Stream { spec: Spec { name, .. }, mode, rpm } = stream;
-        assert!(outcome.refused <= 24, "{name}, {mode:?}, {rpm} rpm: {} refused", outcome.refused);
+        let late: Vec<_> = outcome
+            .out
+            .iter()
+            .filter(|(number, _)| *number >= LONG / 2)
+            .collect();
+        let Stream {
+            spec: Spec { name, .. },
+            mode,
+            rpm,
+        } = stream;
+        assert!(
+            outcome.refused <= 24,
+            "{name}, {mode:?}, {rpm} rpm: {} refused",
+            outcome.refused
+        );
         assert_eq!(late.len(), LONG / 2, "{name}, {mode:?}, {rpm} rpm");
-        let follow = late.iter().skip(1).all(|(_, before)| *before == Before::Nothing);
+        let follow = late
+            .iter()
+            .skip(1)
+            .all(|(_, before)| *before == Before::Nothing);
         assert!(follow, "{name}, {mode:?}, {rpm} rpm");
     }
 }

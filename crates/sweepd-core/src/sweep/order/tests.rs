@@ -25,7 +25,8 @@ impl Line {
     /// What comes out when this arrives in place `n`.
     fn push(&mut self, packet: &DataPacket, n: u32) -> Result<Vec<(u64, Before)>, Refusal> {
         let arrival_ns = (f64::from(n) * PERIOD_US * 1e3) as i64;
-        self.0.push(packet, ReturnMode::Strongest, u64::from(n), arrival_ns)?;
+        self.0
+            .push(packet, ReturnMode::Strongest, u64::from(n), arrival_ns)?;
         Ok(self.out())
     }
 
@@ -43,13 +44,27 @@ fn behind_a_gap_four_packets_are_held() {
     let mut line = Line::new();
     (11..15).for_each(|n| assert_eq!(line.push(&packet(n), n), Ok(vec![])));
     let out = line.push(&packet(15), 15).unwrap();
-    assert!(matches!(out[0], (11, Before::Lost { packets: 1, silence: None, .. })));
+    assert!(matches!(
+        out[0],
+        (
+            11,
+            Before::Lost {
+                packets: 1,
+                silence: None,
+                ..
+            }
+        )
+    ));
     assert_eq!(out[1..], [12, 13, 14, 15].map(|n| (n, Before::Nothing)));
-    assert!(matches!(line.push(&packet(10), 16), Err(Refusal::Behind { .. })));
+    assert!(matches!(
+        line.push(&packet(10), 16),
+        Err(Refusal::Behind { .. })
+    ));
     assert_eq!(line.push(&packet(10), 17), Err(Refusal::Duplicate));
 }
 
-/// Minutes ahead every stamp is near some beat; nobody waits for it, and nobody counts what never was.
+/// Minutes ahead every stamp is near some beat; nobody waits for it, and nobody counts what never
+/// was.
 #[test]
 fn a_stamp_far_ahead_is_forgotten_with_the_next_packet() {
     let mut line = Line::new();
@@ -60,10 +75,20 @@ fn a_stamp_far_ahead_is_forgotten_with_the_next_packet() {
     let out = line.push(&packet(15), 15).unwrap();
     assert!(matches!(out[0], (11, Before::Lost { packets: 1, .. })));
     line.0.flush();
-    assert_eq!((line.out(), line.0.counts()), (vec![], OrderCounts { unconfirmed: 1, ..OrderCounts::default() }));
+    assert_eq!(
+        (line.out(), line.0.counts()),
+        (
+            vec![],
+            OrderCounts {
+                unconfirmed: 1,
+                ..OrderCounts::default()
+            }
+        )
+    );
 }
 
-/// One azimuth at the end of a packet cannot tell a sector that is left out from a corrupt byte; the next stamp can.
+/// One azimuth at the end of a packet cannot tell a sector that is left out from a corrupt byte;
+/// the next stamp can.
 #[test]
 fn a_jump_at_the_edge_of_a_packet_waits_for_the_next_stamp() {
     for block in [0, 11] {
@@ -73,7 +98,10 @@ fn a_jump_at_the_edge_of_a_packet_waits_for_the_next_stamp() {
         assert_eq!(line.push(&corrupt, 10), Ok(vec![]));
         assert_eq!(line.push(&packet(11), 11), Ok(vec![]));
         line.0.flush();
-        assert!(matches!(line.out()[..], [(11, Before::Lost { packets: 1, .. })]));
+        assert!(matches!(
+            line.out()[..],
+            [(11, Before::Lost { packets: 1, .. })]
+        ));
 
         let mut line = Line::new();
         let mut leaping = packet(10);
@@ -89,7 +117,8 @@ fn a_jump_at_the_edge_of_a_packet_waits_for_the_next_stamp() {
     }
 }
 
-/// An overtaken packet vouches for the stamp of the one that overtook it, and not for an azimuth at the far end of that.
+/// An overtaken packet vouches for the stamp of the one that overtook it, and not for an azimuth at
+/// the far end of that.
 #[test]
 fn an_overtaken_packet_does_not_vouch_for_a_jump_at_the_edge() {
     for block in [0, 11] {
@@ -101,10 +130,15 @@ fn an_overtaken_packet_does_not_vouch_for_a_jump_at_the_edge() {
         let mut out: Vec<_> = (0..).zip(&arrivals).flat_map(arrive).collect();
         line.0.flush();
         out.extend(line.out());
-        // Numbers are those of the arrival: the packet from before, and the two behind the corrupt one.
+        // Numbers are those of the arrival: the packet from before, and the two behind the corrupt
+        // one.
         assert!(matches!(
             out[..],
-            [(11, Before::Nothing), (12, Before::Lost { packets: 1, .. }), (13, Before::Nothing)]
+            [
+                (11, Before::Nothing),
+                (12, Before::Lost { packets: 1, .. }),
+                (13, Before::Nothing)
+            ]
         ));
         assert!(line.0.sector().is_none());
     }
@@ -114,9 +148,14 @@ fn an_overtaken_packet_does_not_vouch_for_a_jump_at_the_edge() {
 fn a_clock_that_jumps_is_believed_when_the_next_packet_agrees() {
     let mut line = Line::new();
     let mut jumped = [packet(10), packet(11)];
-    jumped.iter_mut().for_each(|one| one.set_stamp_us(one.stamp_us() + 77_777_777));
+    jumped
+        .iter_mut()
+        .for_each(|one| one.set_stamp_us(one.stamp_us() + 77_777_777));
     assert_eq!(line.push(&jumped[0], 10), Ok(vec![]));
-    assert_eq!(line.push(&jumped[1], 11), Ok(vec![(10, Before::Start), (11, Before::Nothing)]));
+    assert_eq!(
+        line.push(&jumped[1], 11),
+        Ok(vec![(10, Before::Start), (11, Before::Nothing)])
+    );
     assert_eq!(line.0.counts(), OrderCounts::default());
 }
 
@@ -124,7 +163,9 @@ fn a_clock_that_jumps_is_believed_when_the_next_packet_agrees() {
 fn it_keeps_its_promises_when_nobody_takes_out_what_is_ready() {
     let mut order = Order::new(Model::Vlp16.spec());
     for n in 0..200 {
-        order.push(&packet(n), ReturnMode::Strongest, u64::from(n), 0).unwrap();
+        order
+            .push(&packet(n), ReturnMode::Strongest, u64::from(n), 0)
+            .unwrap();
     }
     let mut numbers = std::iter::from_fn(|| order.pop().map(|(slot, _)| order.packet(slot).number));
     assert!((0..200).all(|n| numbers.next() == Some(n)));

@@ -1,13 +1,16 @@
-//! Packets counted by the sensor's clock and by their types, across losses, copies and packets out of order.
+//! Packets counted by the sensor's clock and by their types, across losses, copies and packets out
+//! of order.
 
 use super::{CYCLE_LEN, place_of};
 use crate::wire::HOUR_US;
 
 /// Longest silence, microseconds, after which packets are still counted by the clock.
 const LONGEST_GAP_US: i32 = 500_000;
-/// Longest gap, packets, over which the count needs no witness: one type tells it from any other that is so short.
+/// Longest gap, packets, over which the count needs no witness: one type tells it from any other
+/// that is so short.
 const NEAR_STEPS: i64 = 8;
-/// Packets one after the other by their types, and as far apart each time, that show what the period really is.
+/// Packets one after the other by their types, and as far apart each time, that show what the
+/// period really is.
 const ALIKE: u8 = 4;
 /// Packets in a row whose types contradict the count before the count is given up.
 const MOST_CONTRADICTIONS: u8 = 4;
@@ -41,13 +44,18 @@ impl Counter {
     /// Counts the next packet.
     pub(super) fn step(&mut self, kind: u8, stamp_us: u32) -> Step {
         let place = place_of(kind).map(|place| place as i64);
-        let Some((count, last_us)) = self.last else { return self.restart(place, stamp_us) };
+        let Some((count, last_us)) = self.last else {
+            return self.restart(place, stamp_us);
+        };
         let delta_us = since(last_us, stamp_us);
         let cycle = CYCLE_LEN as i64;
         let forward = place.map(|place| (place - count).rem_euclid(cycle));
         let Some(period_us) = self.period_us else {
-            // The second packet: the types tell how many lie between, as long as it is less than a cycle.
-            let Some(steps @ 1..) = forward else { return Step::Ignored };
+            // The second packet: the types tell how many lie between, as long as it is less than a
+            // cycle.
+            let Some(steps @ 1..) = forward else {
+                return Step::Ignored;
+            };
             self.period_us = Some(f64::from(delta_us.max(0)) / steps as f64);
             self.last = Some((count + steps, stamp_us));
             return Step::At(count + steps);
@@ -59,16 +67,28 @@ impl Counter {
         if forward == Some(0) && delta_us == 0 {
             return Step::Ignored;
         }
-        // The next type so soon is the next packet, however long that took: the return mode may have been switched.
+        // The next type so soon is the next packet, however long that took: the return mode may
+        // have been switched.
         if forward == Some(1) && delta >= 0.0 && delta <= period_us * NEAR_STEPS as f64 {
             self.unlike = (0, 0);
             let is_usual = (delta - period_us).abs() < period_us / 4.0;
-            self.period_us = Some(if is_usual { period_us + (delta - period_us) / 32.0 } else { delta });
+            self.period_us = Some(if is_usual {
+                period_us + (delta - period_us) / 32.0
+            } else {
+                delta
+            });
             return self.advance(count + 1, stamp_us);
         }
         if forward == Some(1) && delta >= 0.0 {
             let (usual_us, times) = self.unlike;
-            self.unlike = (delta_us, if (delta_us - usual_us).abs() <= 2 + usual_us / 20 { times + 1 } else { 1 });
+            self.unlike = (
+                delta_us,
+                if (delta_us - usual_us).abs() <= 2 + usual_us / 20 {
+                    times + 1
+                } else {
+                    1
+                },
+            );
             if self.unlike.1 >= ALIKE {
                 let restarted = self.restart(place, stamp_us);
                 self.period_us = Some(delta);
@@ -77,9 +97,15 @@ impl Counter {
         } else {
             self.unlike = (0, 0);
         }
-        let exact = if period_us > 0.0 { delta / period_us } else { 0.0 };
+        let exact = if period_us > 0.0 {
+            delta / period_us
+        } else {
+            0.0
+        };
         let steps = exact.round() as i64;
-        let amiss = place.map_or(0, |place| (place - count - steps + cycle / 2).rem_euclid(cycle) - cycle / 2);
+        let amiss = place.map_or(0, |place| {
+            (place - count - steps + cycle / 2).rem_euclid(cycle) - cycle / 2
+        });
         if amiss == 0 {
             self.doubtful |= steps.abs() > NEAR_STEPS;
             return match place {
@@ -110,7 +136,9 @@ impl Counter {
 
     fn restart(&mut self, place: Option<i64>, stamp_us: u32) -> Step {
         *self = Self::default();
-        let Some(place) = place else { return Step::Ignored };
+        let Some(place) = place else {
+            return Step::Ignored;
+        };
         self.last = Some((place, stamp_us));
         Step::Restarted(place)
     }

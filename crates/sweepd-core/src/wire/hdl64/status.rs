@@ -1,4 +1,5 @@
-//! The reader of the rolling status: bytes of several dumps put together by place, whatever got lost between them.
+//! The reader of the rolling status: bytes of several dumps put together by place, whatever got
+//! lost between them.
 
 use std::mem::offset_of;
 use std::ops::Range;
@@ -7,12 +8,14 @@ use zerocopy::FromBytes;
 
 use super::counter::{Counter, Step};
 use super::{
-    BeamRecord, CYCLE_LEN, CYCLES, CalibrationTime, Clock, DUMP_LEN, Dump, DumpError, FIXED, Gps, MAGIC, PAYLOAD_LEN,
-    Power, Series, Slot, UNIQUE, WARNING, Warnings, beam_of, is_after_beam, return_mode,
+    BeamRecord, CYCLE_LEN, CYCLES, CalibrationTime, Clock, DUMP_LEN, Dump, DumpError, FIXED, Gps,
+    MAGIC, PAYLOAD_LEN, Power, Series, Slot, UNIQUE, WARNING, Warnings, beam_of, is_after_beam,
+    return_mode,
 };
 use crate::wire::data::ReturnMode;
 
-/// Bytes that say which cycle it is and contradict the count, in a row, before the count is given up.
+/// Bytes that say which cycle it is and contradict the count, in a row, before the count is given
+/// up.
 const MOST_MISFITS: u8 = 3;
 /// By how many votes a place in the dump must lead before it is believed.
 const LEAD: u16 = 8;
@@ -28,7 +31,8 @@ const MAX_SEEN: u8 = 3;
 pub enum Verdict {
     /// Bytes are missing.
     Incomplete,
-    /// All bytes are there, and do not fit together: one of them is wrong. Each dump replaces what it contradicts.
+    /// All bytes are there, and do not fit together: one of them is wrong. Each dump replaces what
+    /// it contradicts.
     Contradictory(DumpError),
     /// All bytes were there and right at least once.
     Verified,
@@ -36,9 +40,10 @@ pub enum Verdict {
 
 /// Puts the status of one sensor together, from the (type, value) pairs of its data packets.
 ///
-/// The place of a byte in its cycle follows from its type, the cycle in the dump from the bytes that say so (types that
-/// occur once, numbers of beams, warnings, `UNIT#`) and from counting packets by the sensor's clock. So a lost packet
-/// costs its own byte alone, and the next dump brings it.
+/// The place of a byte in its cycle follows from its type, the cycle in the dump from the bytes
+/// that say so (types that occur once, numbers of beams, warnings, `UNIT#`) and from counting
+/// packets by the sensor's clock. So a lost packet costs its own byte alone, and the next dump
+/// brings it.
 #[derive(Clone, Debug)]
 pub struct Status {
     counter: Counter,
@@ -92,7 +97,14 @@ impl LiveBytes {
         self.come |= 1 << place;
         if self.come == Self::ALL_COME {
             let [hour, minute, second, day, month, year] = self.reading;
-            self.clock = Some(Clock { hour, minute, second, day, month, year });
+            self.clock = Some(Clock {
+                hour,
+                minute,
+                second,
+                day,
+                month,
+                year,
+            });
         }
     }
 }
@@ -124,7 +136,8 @@ impl Status {
         }
     }
 
-    /// Takes the type and value of a data packet (bytes 1204 and 1205), and its stamp in microseconds.
+    /// Takes the type and value of a data packet (bytes 1204 and 1205), and its stamp in
+    /// microseconds.
     pub fn push(&mut self, kind: u8, value: u8, stamp_us: u32) {
         let was_doubtful = self.counter.doubtful;
         let count = match self.counter.step(kind, stamp_us) {
@@ -135,7 +148,8 @@ impl Status {
                 count
             }
         };
-        // Without a place in the dump there is nothing that a doubtful count could be checked against later.
+        // Without a place in the dump there is nothing that a doubtful count could be checked
+        // against later.
         if self.counter.doubtful && !was_doubtful && self.offset.is_none() {
             self.lose_place();
             self.counter.doubtful = false;
@@ -191,7 +205,8 @@ impl Status {
         self.waiting.push((count, kind, value));
     }
 
-    /// Votes for the places in the dump where this byte may belong, and settles on one that leads clearly.
+    /// Votes for the places in the dump where this byte may belong, and settles on one that leads
+    /// clearly.
     fn vote(&mut self, count: i64, payload: usize, kind: u8, value: u8) {
         let counted = cycle_in_dump(count, 0);
         let mut vote = |cycle: usize, votes: u16| {
@@ -201,12 +216,15 @@ impl Status {
         if let Some((_, cycle, _)) = UNIQUE.into_iter().find(|unique| unique.0 == kind) {
             vote(cycle, UNIQUE_VOTES);
         } else if kind == WARNING {
-            (0..CYCLES).filter(|&cycle| is_after_beam(cycle)).for_each(|cycle| vote(cycle, 1));
+            (0..CYCLES)
+                .filter(|&cycle| is_after_beam(cycle))
+                .for_each(|cycle| vote(cycle, 1));
         } else {
             if MAGIC.get(payload) == Some(&value) {
                 vote(0, 1);
             }
-            if let Some(cycle) = (0..CYCLES).find(|&cycle| beam_of(cycle) == Some(usize::from(value)))
+            if let Some(cycle) =
+                (0..CYCLES).find(|&cycle| beam_of(cycle) == Some(usize::from(value)))
                 && payload == 0
             {
                 vote(cycle, 1);
@@ -265,7 +283,9 @@ impl Status {
 
     fn check(&mut self) {
         self.unchecked = false;
-        let (Ok(dump), Some(series)) = (Dump::read_from_bytes(&self.bytes), self.series()) else { return };
+        let (Ok(dump), Some(series)) = (Dump::read_from_bytes(&self.bytes), self.series()) else {
+            return;
+        };
         self.error = dump.check(series).err();
         if self.error.is_none() {
             self.verified = Some(dump);
@@ -286,7 +306,8 @@ impl Status {
         }
     }
 
-    /// The dump that was verified last; what changes from dump to dump (speed, warnings) is newer in the other methods.
+    /// The dump that was verified last; what changes from dump to dump (speed, warnings) is newer
+    /// in the other methods.
     pub fn dump(&self) -> Option<&Dump> {
         self.verified.as_ref()
     }
@@ -295,7 +316,11 @@ impl Status {
     pub fn series(&self) -> Option<Series> {
         match self.with_warning {
             [0, 0] => None,
-            [without, with] => Some(if with > without { Series::S3 } else { Series::S21 }),
+            [without, with] => Some(if with > without {
+                Series::S3
+            } else {
+                Series::S21
+            }),
         }
     }
 
@@ -360,14 +385,22 @@ impl Status {
 
     /// Hours that the unit has run.
     pub fn life_hours(&self) -> Option<u16> {
-        self.bytes_at(offset_of!(Dump, life_hours)).map(u16::from_le_bytes)
+        self.bytes_at(offset_of!(Dump, life_hours))
+            .map(u16::from_le_bytes)
     }
 
     /// When the unit was calibrated; also `None` if it never was.
     pub fn calibrated(&self) -> Option<CalibrationTime> {
         let bytes: [u8; 6] = self.bytes_at(offset_of!(Dump, calibration_time))?;
         let [year, month, day, hour, minute, second] = bytes;
-        (!bytes.contains(&0xFF)).then_some(CalibrationTime { year, month, day, hour, minute, second })
+        (!bytes.contains(&0xFF)).then_some(CalibrationTime {
+            year,
+            month,
+            day,
+            hour,
+            minute,
+            second,
+        })
     }
 
     fn byte(&self, index: usize) -> Option<u8> {
@@ -386,7 +419,8 @@ fn cycle_in_dump(count: i64, offset: usize) -> usize {
     (count.div_euclid(CYCLE_LEN as i64) + offset as i64).rem_euclid(CYCLES as i64) as usize
 }
 
-/// Whether a byte confirms or contradicts that it stands in this cycle; `None` if it could stand anywhere.
+/// Whether a byte confirms or contradicts that it stands in this cycle; `None` if it could stand
+/// anywhere.
 fn witness(cycle: usize, payload: usize, kind: u8, value: u8) -> Option<bool> {
     if let Some(unique) = UNIQUE.into_iter().find(|unique| unique.0 == kind) {
         return Some((unique.1, unique.2) == (cycle, payload));
@@ -399,13 +433,18 @@ fn witness(cycle: usize, payload: usize, kind: u8, value: u8) -> Option<bool> {
     Some(usize::from(value) == beam)
 }
 
-/// Whether a byte of the dump stays the same as long as the unit runs: the beams, and what they are checked by.
+/// Whether a byte of the dump stays the same as long as the unit runs: the beams, and what they are
+/// checked by.
 fn is_lasting(index: usize) -> bool {
     let slots = offset_of!(Dump, slots);
     let last_beam = offset_of!(Dump, last)..offset_of!(Dump, calibration_time);
     match index {
-        _ if index < slots || last_beam.contains(&index) || index >= offset_of!(Dump, checksum) => true,
-        _ if index < last_beam.start => (index - slots) % size_of::<Slot>() < size_of::<BeamRecord>(),
+        _ if index < slots || last_beam.contains(&index) || index >= offset_of!(Dump, checksum) => {
+            true
+        }
+        _ if index < last_beam.start => {
+            (index - slots) % size_of::<Slot>() < size_of::<BeamRecord>()
+        }
         _ => false,
     }
 }

@@ -24,7 +24,19 @@ impl fmt::Display for Series {
 }
 
 /// A time as the sensor writes it, each number a byte.
-#[derive(Clone, Copy, Debug, Default, PartialEq, Eq, FromBytes, IntoBytes, KnownLayout, Immutable, Unaligned)]
+#[derive(
+    Clone,
+    Copy,
+    Debug,
+    Default,
+    PartialEq,
+    Eq,
+    FromBytes,
+    IntoBytes,
+    KnownLayout,
+    Immutable,
+    Unaligned,
+)]
 #[repr(C)]
 pub struct CalibrationTime {
     /// Years since 2000.
@@ -43,13 +55,31 @@ pub struct CalibrationTime {
 
 impl CalibrationTime {
     /// What a unit that was never calibrated has here.
-    pub const NEVER: Self = Self { year: 255, month: 255, day: 255, hour: 255, minute: 255, second: 255 };
+    pub const NEVER: Self = Self {
+        year: 255,
+        month: 255,
+        day: 255,
+        hour: 255,
+        minute: 255,
+        second: 255,
+    };
 }
 
 impl fmt::Display for CalibrationTime {
     fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
-        let Self { year, month, day, hour, minute, second } = self;
-        write!(f, "{}-{month:02}-{day:02} {hour:02}:{minute:02}:{second:02}", 2000 + u16::from(*year))
+        let Self {
+            year,
+            month,
+            day,
+            hour,
+            minute,
+            second,
+        } = self;
+        write!(
+            f,
+            "{}-{month:02}-{day:02} {hour:02}:{minute:02}:{second:02}",
+            2000 + u16::from(*year)
+        )
     }
 }
 
@@ -80,7 +110,11 @@ impl Warnings {
 
     /// What is wrong with the unit, in words; an S3 does not watch its supply.
     pub fn faults(self, series: Series) -> impl Iterator<Item = &'static str> {
-        let watched = if series == Series::S3 { 0b0000_0111 } else { 0b0001_1111 };
+        let watched = if series == Series::S3 {
+            0b0000_0111
+        } else {
+            0b0001_1111
+        };
         Self::NAMES
             .into_iter()
             .enumerate()
@@ -89,9 +123,21 @@ impl Warnings {
     }
 }
 
-/// How strongly the lasers fire: 0xA8 chosen by the unit with normalised intensities, 0xA0 chosen by it with raw ones,
-/// n8 level n.
-#[derive(Clone, Copy, Debug, Default, PartialEq, Eq, FromBytes, IntoBytes, KnownLayout, Immutable, Unaligned)]
+/// How strongly the lasers fire: 0xA8 chosen by the unit with normalised intensities, 0xA0 chosen
+/// by it with raw ones, n8 level n.
+#[derive(
+    Clone,
+    Copy,
+    Debug,
+    Default,
+    PartialEq,
+    Eq,
+    FromBytes,
+    IntoBytes,
+    KnownLayout,
+    Immutable,
+    Unaligned,
+)]
 #[repr(transparent)]
 pub struct Power(pub u8);
 
@@ -133,18 +179,38 @@ pub struct Clock {
 impl Clock {
     /// Nanoseconds since 1970; `None` where this is no time.
     pub fn utc_ns(&self) -> Option<i64> {
-        let [year, month, day] = [2000 + i64::from(self.year), self.month.into(), self.day.into()];
+        let [year, month, day] = [
+            2000 + i64::from(self.year),
+            self.month.into(),
+            self.day.into(),
+        ];
         let [hour, minute, second] = [self.hour, self.minute, self.second].map(i64::from);
         let days = days_from_civil(year, month, day);
-        let is_time = civil_from_days(days) == (year, month, day) && hour < 24 && minute < 60 && second < 60;
+        let is_time =
+            civil_from_days(days) == (year, month, day) && hour < 24 && minute < 60 && second < 60;
         is_time.then_some((((days * 24 + hour) * 60 + minute) * 60 + second) * 1_000_000_000)
     }
 }
 
 impl fmt::Display for Clock {
     fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
-        let &Self { hour, minute, second, day, month, year } = self;
-        CalibrationTime { year, month, day, hour, minute, second }.fmt(f)
+        let &Self {
+            hour,
+            minute,
+            second,
+            day,
+            month,
+            year,
+        } = self;
+        CalibrationTime {
+            year,
+            month,
+            day,
+            hour,
+            minute,
+            second,
+        }
+        .fmt(f)
     }
 }
 

@@ -1,8 +1,8 @@
 //! LZF, the packing of compressed PCD files (Marc Lehmann, liblzf 3.6, `lzf_d.c`).
 //!
-//! A byte below 32 says that so many and one bytes follow as they are. Any other has in its upper three bits the length
-//! of a stretch to repeat, less 2 (7: the next byte is added), and in its lower five with the next byte how far back it
-//! begins, less 1.
+//! A byte below 32 says that so many and one bytes follow as they are. Any other has in its upper
+//! three bits the length of a stretch to repeat, less 2 (7: the next byte is added), and in its
+//! lower five with the next byte how far back it begins, less 1.
 
 /// Most bytes that come out of one: three say 264.
 const MOST_FOLD: usize = 88;
@@ -10,7 +10,10 @@ const MOST_FOLD: usize = 88;
 /// Unpacks as many bytes as are expected; where they are no such packing, the byte and a sentence.
 pub(super) fn unpack(packed: &[u8], expected: usize) -> Result<Vec<u8>, (usize, String)> {
     if expected > packed.len().saturating_mul(MOST_FOLD) {
-        let message = format!("{} packed bytes cannot hold the {expected} that the head promises", packed.len());
+        let message = format!(
+            "{} packed bytes cannot hold the {expected} that the head promises",
+            packed.len()
+        );
         return Err((0, message));
     }
     let mut out: Vec<u8> = Vec::with_capacity(expected);
@@ -21,32 +24,40 @@ pub(super) fn unpack(packed: &[u8], expected: usize) -> Result<Vec<u8>, (usize, 
         let mut next = || {
             let byte = packed.get(at).copied();
             at += 1;
-            byte.map(usize::from).ok_or_else(|| wrong("the packed bytes end in the middle of a stretch"))
+            byte.map(usize::from)
+                .ok_or_else(|| wrong("the packed bytes end in the middle of a stretch"))
         };
         let control = next()?;
         if control < 32 {
             let literal = packed.get(begin + 1..begin + 2 + control);
-            out.extend_from_slice(literal.ok_or_else(|| wrong("the packed bytes end in the middle of a stretch"))?);
+            out.extend_from_slice(
+                literal.ok_or_else(|| wrong("the packed bytes end in the middle of a stretch"))?,
+            );
             at += control + 1;
         } else {
             let long = if control >> 5 == 7 { next()? } else { 0 };
             let length = (control >> 5) + long + 2;
             let back = ((control & 31) << 8) + next()? + 1;
-            let from =
-                out.len().checked_sub(back).ok_or_else(|| wrong("a stretch repeats what is before the start"))?;
+            let from = out
+                .len()
+                .checked_sub(back)
+                .ok_or_else(|| wrong("a stretch repeats what is before the start"))?;
             for byte in from..from + length {
                 out.push(out[byte]);
             }
         }
         if out.len() > expected {
-            return Err(wrong(&format!("more than the {expected} bytes that the head promises")));
+            return Err(wrong(&format!(
+                "more than the {expected} bytes that the head promises"
+            )));
         }
     }
     match out.len() {
         found if found == expected => Ok(out),
-        found => {
-            Err((packed.len(), format!("{found} bytes unpacked, the head promises {expected}; the file is damaged")))
-        }
+        found => Err((
+            packed.len(),
+            format!("{found} bytes unpacked, the head promises {expected}; the file is damaged"),
+        )),
     }
 }
 
@@ -59,7 +70,10 @@ mod tests {
     fn stretches_by_hand() {
         assert_eq!(unpack(&[2, 7, 8, 9], 3).unwrap(), [7, 8, 9]);
         // Three bytes, then 1 + 2 of them again.
-        assert_eq!(unpack(&[2, 7, 8, 9, 1 << 5, 2], 6).unwrap(), [7, 8, 9, 7, 8, 9]);
+        assert_eq!(
+            unpack(&[2, 7, 8, 9, 1 << 5, 2], 6).unwrap(),
+            [7, 8, 9, 7, 8, 9]
+        );
         // One byte over and over: it repeats what it just wrote. 7 + 3 + 2.
         assert_eq!(unpack(&[0, 5, 7 << 5, 3, 0], 13).unwrap(), [5; 13]);
         assert!(unpack(&[], 0).unwrap().is_empty());

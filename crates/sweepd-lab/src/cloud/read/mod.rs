@@ -4,9 +4,10 @@
 //! * [`pcd`]: PCL's PCD: ascii, binary and compressed, whose packing [`lzf`] undoes.
 //! * [`ply`]: PLY: ascii and binary of either order of bytes.
 //!
-//! Fields may be of any type and in any order; what is neither `x`, `y`, `z`, `intensity` nor `ring` is passed over. The
-//! points are taken as they stand: x forward, y left, z up around the sensor, in metres; a PCD's viewpoint moves nothing.
-//! Counts are believed only after they were held against the length of the file.
+//! Fields may be of any type and in any order; what is neither `x`, `y`, `z`, `intensity` nor
+//! `ring` is passed over. The points are taken as they stand: x forward, y left, z up around the
+//! sensor, in metres; a PCD's viewpoint moves nothing. Counts are believed only after they were
+//! held against the length of the file.
 
 mod kitti;
 mod lzf;
@@ -38,8 +39,15 @@ impl Format {
     /// Told by the end of a file's name.
     pub fn of_name(path: &Path) -> Option<Self> {
         let name = path.file_name()?.to_string_lossy().to_lowercase();
-        let ends = [(".pcd.bin", Self::Nuscenes), (".bin", Self::Kitti), (".pcd", Self::Pcd), (".ply", Self::Ply)];
-        ends.into_iter().find(|(end, _)| name.ends_with(end)).map(|(_, format)| format)
+        let ends = [
+            (".pcd.bin", Self::Nuscenes),
+            (".bin", Self::Kitti),
+            (".pcd", Self::Pcd),
+            (".ply", Self::Ply),
+        ];
+        ends.into_iter()
+            .find(|(end, _)| name.ends_with(end))
+            .map(|(_, format)| format)
     }
 }
 
@@ -87,11 +95,17 @@ pub struct ReadError {
 
 impl ReadError {
     fn line(line: usize, message: impl Into<String>) -> Self {
-        Self { place: Place::Line(line), message: message.into() }
+        Self {
+            place: Place::Line(line),
+            message: message.into(),
+        }
     }
 
     fn byte(byte: usize, message: impl Into<String>) -> Self {
-        Self { place: Place::Byte(byte), message: message.into() }
+        Self {
+            place: Place::Byte(byte),
+            message: message.into(),
+        }
     }
 }
 
@@ -102,7 +116,10 @@ impl Cloud {
     /// [`CloudError::Length`] and [`CloudError::Read`], with the place.
     pub fn read(bytes: &[u8], format: Format) -> Result<Self, CloudError> {
         match format {
-            Format::Kitti => Ok(Self { points: super::points(bytes)?, rings: None }),
+            Format::Kitti => Ok(Self {
+                points: super::points(bytes)?,
+                rings: None,
+            }),
             Format::Nuscenes => Ok(kitti::nuscenes(bytes)?),
             Format::Pcd => Ok(pcd::read(bytes)?),
             Format::Ply => Ok(ply::read(bytes)?),
@@ -171,7 +188,11 @@ impl Roles {
     /// Told by the fields' names; a sentence when a coordinate is missing or stands twice.
     fn of_names<'a>(names: impl Iterator<Item = &'a str> + Clone) -> Result<Self, String> {
         let find = |wanted: &str| {
-            let mut found = names.clone().enumerate().filter(|(_, name)| *name == wanted).map(|(index, _)| index);
+            let mut found = names
+                .clone()
+                .enumerate()
+                .filter(|(_, name)| *name == wanted)
+                .map(|(index, _)| index);
             match (found.next(), found.next()) {
                 (_, Some(_)) => Err(format!("the field {wanted} stands twice")),
                 (first, None) => Ok(first),
@@ -179,9 +200,18 @@ impl Roles {
         };
         let must = |wanted: &str| {
             let all = || names.clone().collect::<Vec<_>>().join(" ");
-            find(wanted)?.ok_or_else(|| format!("no field {wanted} among \"{}\"; points need x, y and z", all()))
+            find(wanted)?.ok_or_else(|| {
+                format!(
+                    "no field {wanted} among \"{}\"; points need x, y and z",
+                    all()
+                )
+            })
         };
-        Ok(Self { xyz: [must("x")?, must("y")?, must("z")?], intensity: find("intensity")?, ring: find("ring")? })
+        Ok(Self {
+            xyz: [must("x")?, must("y")?, must("z")?],
+            intensity: find("intensity")?,
+            ring: find("ring")?,
+        })
     }
 }
 
@@ -194,13 +224,22 @@ struct Collector {
 impl Collector {
     fn new(roles: Roles, points: usize) -> Self {
         let rings = roles.ring.map(|_| Vec::with_capacity(points));
-        Self { roles, cloud: Cloud { points: Vec::with_capacity(points), rings } }
+        Self {
+            roles,
+            cloud: Cloud {
+                points: Vec::with_capacity(points),
+                rings,
+            },
+        }
     }
 
     /// A point whose fields hold these values; a sentence when its ring is none.
     fn push(&mut self, value: impl Fn(usize) -> f64) -> Result<(), String> {
         let [x, y, z] = self.roles.xyz.map(|field| value(field) as f32);
-        let intensity = self.roles.intensity.map_or(0.0, |field| value(field) as f32);
+        let intensity = self
+            .roles
+            .intensity
+            .map_or(0.0, |field| value(field) as f32);
         if let (Some(rings), Some(field)) = (&mut self.cloud.rings, self.roles.ring) {
             rings.push(ring(value(field)).ok_or_else(|| {
                 let (point, found) = (self.cloud.points.len(), value(field));
@@ -240,12 +279,15 @@ fn binary(
     for point in 0..points {
         let at = |field: usize| fields[field].start + point * fields[field].step;
         let value = |field: usize| fields[field].scalar.read(&bytes[at(field)..], big_endian);
-        collector.push(value).map_err(|message| (roles.ring.map_or(0, at), message))?;
+        collector
+            .push(value)
+            .map_err(|message| (roles.ring.map_or(0, at), message))?;
     }
     Ok(collector.cloud)
 }
 
-/// The points of a text, which begins at this line, and the first line behind them that is not empty.
+/// The points of a text, which begins at this line, and the first line behind them that is not
+/// empty.
 fn ascii(
     text: &[u8],
     first_line: usize,
@@ -260,25 +302,38 @@ fn ascii(
     let mut lines = text.split(|&byte| byte == b'\n').zip(first_line..);
     while collector.cloud.points.len() < points {
         let Some((line, number)) = lines.next() else {
-            let (found, last) = (collector.cloud.points.len(), first_line + text.split(|&byte| byte == b'\n').count());
-            let message =
-                format!("the file ends after {found} of {points} points; it was cut off, or its head is wrong");
+            let (found, last) = (
+                collector.cloud.points.len(),
+                first_line + text.split(|&byte| byte == b'\n').count(),
+            );
+            let message = format!(
+                "the file ends after {found} of {points} points; it was cut off, or its head is wrong"
+            );
             return Err(ReadError::line(last.saturating_sub(1), message));
         };
         let at = |message: String| ReadError::line(number, message);
-        let line =
-            std::str::from_utf8(line).map_err(|_| at("no text; the head says that the points are".to_owned()))?;
+        let line = std::str::from_utf8(line)
+            .map_err(|_| at("no text; the head says that the points are".to_owned()))?;
         values.clear();
         for word in line.split_ascii_whitespace() {
-            values.push(word.parse::<f64>().map_err(|_| at(format!("\"{}\" is no number", shortened(word))))?);
+            values.push(
+                word.parse::<f64>()
+                    .map_err(|_| at(format!("\"{}\" is no number", shortened(word))))?,
+            );
         }
         match values.len() {
             0 => {}
             found if found == words => collector.push(|field| values[field]).map_err(at)?,
-            found => return Err(at(format!("{found} numbers, expected {words}: one for each field"))),
+            found => {
+                return Err(at(format!(
+                    "{found} numbers, expected {words}: one for each field"
+                )));
+            }
         }
     }
-    let further = lines.find(|(line, _)| !line.trim_ascii().is_empty()).map(|(_, number)| number);
+    let further = lines
+        .find(|(line, _)| !line.trim_ascii().is_empty())
+        .map(|(_, number)| number);
     Ok((collector.cloud, further))
 }
 
@@ -291,13 +346,16 @@ fn shortened(word: &str) -> String {
 fn head_lines(bytes: &[u8]) -> impl Iterator<Item = (usize, usize, &[u8])> {
     let head = &bytes[..bytes.len().min(MAX_HEAD_LEN)];
     let mut end = 0;
-    head.split_inclusive(|&byte| byte == b'\n').zip(1..).map(move |(line, number)| {
-        end += line.len();
-        (number, end, line.trim_ascii())
-    })
+    head.split_inclusive(|&byte| byte == b'\n')
+        .zip(1..)
+        .map(move |(line, number)| {
+            end += line.len();
+            (number, end, line.trim_ascii())
+        })
 }
 
 /// A count in a head.
 fn count(word: &str) -> Result<usize, String> {
-    word.parse().map_err(|_| format!("\"{}\" is no count", shortened(word)))
+    word.parse()
+        .map_err(|_| format!("\"{}\" is no count", shortened(word)))
 }

@@ -1,4 +1,5 @@
-//! PCD, the files of the Point Cloud Library (version 0.7 of the format; older ones say `COLUMNS` for `FIELDS`).
+//! PCD, the files of the Point Cloud Library (version 0.7 of the format; older ones say `COLUMNS`
+//! for `FIELDS`).
 //!
 //! ```text
 //! VERSION 0.7
@@ -13,13 +14,16 @@
 //! ```
 
 use super::super::POINT_BYTES;
-use super::{Cloud, Field, ReadError, Roles, Scalar, ascii, binary, count, head_lines, lzf, shortened};
+use super::{
+    Cloud, Field, ReadError, Roles, Scalar, ascii, binary, count, head_lines, lzf, shortened,
+};
 
 /// Longest points that are read, all together, bytes.
 const MAX_BODY_LEN: usize = 1 << 30;
 
-/// Longest packed points that are read, bytes when they are unpacked, each taken for [`POINT_BYTES`] at least: four million
-/// points. A few bytes may promise a gigabyte, and what is labelled here is one turn.
+/// Longest packed points that are read, bytes when they are unpacked, each taken for
+/// [`POINT_BYTES`] at least: four million points. A few bytes may promise a gigabyte, and what is
+/// labelled here is one turn.
 const MAX_UNPACKED_LEN: usize = 64 << 20;
 
 /// How the points are written.
@@ -48,9 +52,12 @@ pub(super) fn read(bytes: &[u8]) -> Result<Cloud, ReadError> {
     let mut head = Head::default();
     for (line, end, text) in head_lines(bytes) {
         let at = |message: String| ReadError::line(line, message);
-        let text = std::str::from_utf8(text).map_err(|_| at("no text where the head should be".to_owned()))?;
+        let text = std::str::from_utf8(text)
+            .map_err(|_| at("no text where the head should be".to_owned()))?;
         let mut words = text.split_ascii_whitespace();
-        let Some(key) = words.next().filter(|key| !key.starts_with('#')) else { continue };
+        let Some(key) = words.next().filter(|key| !key.starts_with('#')) else {
+            continue;
+        };
         let words: Vec<&str> = words.collect();
         if key == "DATA" {
             head.lines[1] = line;
@@ -58,19 +65,31 @@ pub(super) fn read(bytes: &[u8]) -> Result<Cloud, ReadError> {
                 ["ascii"] => Data::Ascii,
                 ["binary"] => Data::Binary,
                 ["binary_compressed"] => Data::Compressed,
-                _ => return Err(at("DATA must be ascii, binary or binary_compressed".to_owned())),
+                _ => {
+                    return Err(at(
+                        "DATA must be ascii, binary or binary_compressed".to_owned()
+                    ));
+                }
             };
             return head.body(data, &bytes[end..], end);
         }
         head.take(key, &words, line).map_err(at)?;
     }
     let last = head_lines(bytes).last().map_or(1, |(line, ..)| line);
-    Err(ReadError::line(last, "no line \"DATA ...\" up to here; a PCD file has one at the end of its head"))
+    Err(ReadError::line(
+        last,
+        "no line \"DATA ...\" up to here; a PCD file has one at the end of its head",
+    ))
 }
 
 impl Head {
     fn take(&mut self, key: &str, words: &[&str], line: usize) -> Result<(), String> {
-        let counts = || words.iter().map(|word| count(word)).collect::<Result<Vec<_>, _>>();
+        let counts = || {
+            words
+                .iter()
+                .map(|word| count(word))
+                .collect::<Result<Vec<_>, _>>()
+        };
         let one = || match words {
             [word] => count(word).map(Some),
             _ => Err(format!("{key} must have one number")),
@@ -108,7 +127,9 @@ impl Head {
         let scalars = self.scalars(roles).map_err(in_fields)?;
         if data == Data::Ascii {
             let words = self.counts.iter().sum();
-            let places = self.counts.iter().scan(0, |word, count| Some(std::mem::replace(word, *word + count)));
+            let places = self.counts.iter().scan(0, |word, count| {
+                Some(std::mem::replace(word, *word + count))
+            });
             let places: Vec<usize> = places.collect();
             let roles = Roles {
                 xyz: roles.xyz.map(|field| places[field]),
@@ -117,16 +138,27 @@ impl Head {
             };
             return match ascii(body, data_line + 1, points, words, roles)? {
                 (cloud, None) => Ok(cloud),
-                (_, Some(line)) => {
-                    Err(ReadError::line(line, format!("more lines than the {points} points of the head")))
-                }
+                (_, Some(line)) => Err(ReadError::line(
+                    line,
+                    format!("more lines than the {points} points of the head"),
+                )),
             };
         }
-        let lengths: Vec<usize> = self.sizes.iter().zip(&self.counts).map(|(size, count)| size * count).collect();
+        let lengths: Vec<usize> = self
+            .sizes
+            .iter()
+            .zip(&self.counts)
+            .map(|(size, count)| size * count)
+            .collect();
         let record: usize = lengths.iter().sum();
-        let expected = points.checked_mul(record).filter(|&bytes| bytes <= MAX_BODY_LEN);
-        let expected = expected.ok_or_else(|| in_head(format!("{points} points of {record} bytes are too many")))?;
-        let starts = lengths.iter().scan(0, |start, length| Some(std::mem::replace(start, *start + length)));
+        let expected = points
+            .checked_mul(record)
+            .filter(|&bytes| bytes <= MAX_BODY_LEN);
+        let expected = expected
+            .ok_or_else(|| in_head(format!("{points} points of {record} bytes are too many")))?;
+        let starts = lengths.iter().scan(0, |start, length| {
+            Some(std::mem::replace(start, *start + length))
+        });
         let at = |byte: usize, message: String| ReadError::byte(first + byte, message);
         if data == Data::Binary {
             if body.len() < expected {
@@ -138,9 +170,14 @@ impl Head {
                 return Err(at(found, message));
             }
             nothing_behind(body, expected).map_err(|(byte, message)| at(byte, message))?;
-            let field = |(start, scalar): (usize, &Scalar)| Field { scalar: *scalar, start, step: record };
+            let field = |(start, scalar): (usize, &Scalar)| Field {
+                scalar: *scalar,
+                start,
+                step: record,
+            };
             let fields: Vec<Field> = starts.zip(&scalars).map(field).collect();
-            return binary(body, points, &fields, roles, false).map_err(|(byte, message)| at(byte, message));
+            return binary(body, points, &fields, roles, false)
+                .map_err(|(byte, message)| at(byte, message));
         }
         if points.saturating_mul(record.max(POINT_BYTES)) > MAX_UNPACKED_LEN {
             return Err(in_head(format!(
@@ -165,13 +202,22 @@ impl Head {
         if self.counts.is_empty() {
             self.counts = vec![1; fields];
         }
-        for (key, found) in [("SIZE", self.sizes.len()), ("TYPE", self.types.len()), ("COUNT", self.counts.len())] {
+        for (key, found) in [
+            ("SIZE", self.sizes.len()),
+            ("TYPE", self.types.len()),
+            ("COUNT", self.counts.len()),
+        ] {
             if found != fields {
-                return Err(format!("{key} has {found} values, expected {fields}: one for each of FIELDS"));
+                return Err(format!(
+                    "{key} has {found} values, expected {fields}: one for each of FIELDS"
+                ));
             }
         }
         let bad_size = self.sizes.iter().find(|size| ![1, 2, 4, 8].contains(*size));
-        match (bad_size, self.counts.iter().find(|&&count| count > MAX_BODY_LEN)) {
+        match (
+            bad_size,
+            self.counts.iter().find(|&&count| count > MAX_BODY_LEN),
+        ) {
             (Some(size), _) => Err(format!("SIZE {size} is none of 1, 2, 4 and 8")),
             (None, Some(count)) => Err(format!("COUNT {count} is too much")),
             (None, None) => Ok(()),
@@ -180,25 +226,35 @@ impl Head {
 
     fn point_count(&self) -> Result<usize, String> {
         let area = match self.size {
-            [Some(width), Some(height)] => {
-                Some(width.checked_mul(height).ok_or_else(|| format!("WIDTH {width} x HEIGHT {height} is too much"))?)
-            }
+            [Some(width), Some(height)] => Some(
+                width
+                    .checked_mul(height)
+                    .ok_or_else(|| format!("WIDTH {width} x HEIGHT {height} is too much"))?,
+            ),
             _ => None,
         };
         match (self.points, area) {
-            (Some(points), Some(area)) if points != area => {
-                Err(format!("POINTS {points}, but WIDTH x HEIGHT is {area}; they must be the same"))
-            }
+            (Some(points), Some(area)) if points != area => Err(format!(
+                "POINTS {points}, but WIDTH x HEIGHT is {area}; they must be the same"
+            )),
             (Some(points), _) | (None, Some(points)) => Ok(points),
             (None, None) => Err("no POINTS before DATA, nor WIDTH and HEIGHT".to_owned()),
         }
     }
 
-    /// How the values of each field are written; those that mean something to us must be single ones.
+    /// How the values of each field are written; those that mean something to us must be single
+    /// ones.
     fn scalars(&self, roles: Roles) -> Result<Vec<Scalar>, String> {
-        let used = roles.xyz.into_iter().chain(roles.intensity).chain(roles.ring);
+        let used = roles
+            .xyz
+            .into_iter()
+            .chain(roles.intensity)
+            .chain(roles.ring);
         if let Some(field) = used.into_iter().find(|&field| self.counts[field] != 1) {
-            return Err(format!("the field {} has COUNT {}, expected 1", self.names[field], self.counts[field]));
+            return Err(format!(
+                "the field {} has COUNT {}, expected 1",
+                self.names[field], self.counts[field]
+            ));
         }
         let scalar = |(index, size): (usize, &usize)| match (self.types[index].as_str(), size) {
             ("I", 1) => Ok(Scalar::I8),
@@ -213,14 +269,17 @@ impl Head {
             ("F", 8) => Ok(Scalar::F64),
             (kind, size) => {
                 let (name, kind) = (shortened(&self.names[index]), shortened(kind));
-                Err(format!("the field {name} has TYPE {kind} and SIZE {size}; expected I or U of 1 to 8, F of 4 or 8"))
+                Err(format!(
+                    "the field {name} has TYPE {kind} and SIZE {size}; expected I or U of 1 to 8, F of 4 or 8"
+                ))
             }
         };
         self.sizes.iter().enumerate().map(scalar).collect()
     }
 }
 
-/// The fields of a compressed file, one after the other; where it is none, the byte of the body and a sentence.
+/// The fields of a compressed file, one after the other; where it is none, the byte of the body and
+/// a sentence.
 fn unpack(body: &[u8], expected: usize) -> Result<Vec<u8>, (usize, String)> {
     let Some((lengths, rest)) = body.split_first_chunk::<8>() else {
         return Err((
@@ -231,10 +290,18 @@ fn unpack(body: &[u8], expected: usize) -> Result<Vec<u8>, (usize, String)> {
     let length = |at: usize| Scalar::U32.read(&lengths[at..], false) as usize;
     let [packed, unpacked] = [length(0), length(4)];
     if unpacked != expected {
-        return Err((4, format!("{unpacked} bytes of points, the head promises {expected}; one of them is wrong")));
+        return Err((
+            4,
+            format!(
+                "{unpacked} bytes of points, the head promises {expected}; one of them is wrong"
+            ),
+        ));
     }
     let Some(packed_bytes) = rest.get(..packed) else {
-        let message = format!("{packed} packed bytes promised, {} follow; the file was cut off", rest.len());
+        let message = format!(
+            "{packed} packed bytes promised, {} follow; the file was cut off",
+            rest.len()
+        );
         return Err((0, message));
     };
     nothing_behind(body, 8 + packed)?;
@@ -245,7 +312,10 @@ fn unpack(body: &[u8], expected: usize) -> Result<Vec<u8>, (usize, String)> {
 fn nothing_behind(body: &[u8], end: usize) -> Result<(), (usize, String)> {
     match body[end..].iter().position(|&byte| byte != 0) {
         None => Ok(()),
-        Some(further) => Err((end + further, "more bytes than the points of the head take; one is wrong".to_owned())),
+        Some(further) => Err((
+            end + further,
+            "more bytes than the points of the head take; one is wrong".to_owned(),
+        )),
     }
 }
 
@@ -263,21 +333,32 @@ mod tests {
         let head = format!(
             "FIELDS x y z\nSIZE {size} {size} {size}\nTYPE {kind} {kind} {kind}\nPOINTS {points}\nDATA binary_compressed\n"
         );
-        let lengths = [body.len() as u32, unpacked as u32].map(u32::to_le_bytes).concat();
+        let lengths = [body.len() as u32, unpacked as u32]
+            .map(u32::to_le_bytes)
+            .concat();
         [head.as_bytes(), &lengths, &body].concat()
     }
 
     #[test]
     fn few_packed_bytes_cannot_take_all_of_the_memory() {
-        for (points, kind, size) in
-            [(80_000_000, "F", 4), (4_194_305, "F", 4), (4_194_305, "I", 1), (2_796_203, "F", 8)]
-        {
+        for (points, kind, size) in [
+            (80_000_000, "F", 4),
+            (4_194_305, "F", 4),
+            (4_194_305, "I", 1),
+            (2_796_203, "F", 8),
+        ] {
             let file = packed(points, kind, size);
             assert!(file.len() < 12_000_000, "{} bytes", file.len());
             let error = read(&file).unwrap_err().to_string();
-            assert!(error.starts_with("line 5: ") && error.contains("at most 67108864 bytes"), "{error}");
+            assert!(
+                error.starts_with("line 5: ") && error.contains("at most 67108864 bytes"),
+                "{error}"
+            );
         }
         // One point less is read.
-        assert_eq!(read(&packed(4_194_304, "I", 1)).unwrap().points.len(), 4_194_304);
+        assert_eq!(
+            read(&packed(4_194_304, "I", 1)).unwrap().points.len(),
+            4_194_304
+        );
     }
 }

@@ -37,17 +37,25 @@ pub(super) fn read(bytes: &[u8]) -> Result<Cloud, ReadError> {
     let mut head = Head::default();
     for (line, end, text) in head_lines(bytes) {
         let at = |message: String| ReadError::line(line, message);
-        let text = std::str::from_utf8(text).map_err(|_| at("no text where the head should be".to_owned()))?;
+        let text = std::str::from_utf8(text)
+            .map_err(|_| at("no text where the head should be".to_owned()))?;
         let words: Vec<&str> = text.split_ascii_whitespace().collect();
         match (line, &words[..]) {
             (1, ["ply"]) | (2.., [] | ["comment" | "obj_info", ..]) => {}
-            (1, _) => return Err(at("a PLY file begins with a line \"ply\"; this is none".to_owned())),
+            (1, _) => {
+                return Err(at(
+                    "a PLY file begins with a line \"ply\"; this is none".to_owned()
+                ));
+            }
             (_, ["end_header"]) => return head.body(&bytes[end..], end, line),
             _ => head.take(&words, line).map_err(at)?,
         }
     }
     let last = head_lines(bytes).last().map_or(1, |(line, ..)| line);
-    Err(ReadError::line(last, "no line \"end_header\" up to here; a PLY file has one at the end of its head"))
+    Err(ReadError::line(
+        last,
+        "no line \"end_header\" up to here; a PLY file has one at the end of its head",
+    ))
 }
 
 impl Head {
@@ -71,21 +79,28 @@ impl Head {
             }
             ["element", name, _] if self.vertices.is_none() => {
                 let name = shortened(name);
-                return Err(format!("the element {name} stands before the vertices; write the file with these first"));
+                return Err(format!(
+                    "the element {name} stands before the vertices; write the file with these first"
+                ));
             }
             ["element", ..] => self.is_past_vertices = true,
             ["property", ..] if self.is_past_vertices => {}
             ["property", "list", ..] => {
-                return Err("a vertex with a list is no point; write the file without it".to_owned());
+                return Err(
+                    "a vertex with a list is no point; write the file without it".to_owned(),
+                );
             }
             ["property", kind, name] if self.vertices.is_some() => {
-                let scalar = scalar(kind).ok_or_else(|| format!("\"{}\" is no type of a property", shortened(kind)))?;
+                let scalar = scalar(kind)
+                    .ok_or_else(|| format!("\"{}\" is no type of a property", shortened(kind)))?;
                 self.scalars.push(scalar);
                 self.names.push((*name).to_owned());
             }
             _ => {
                 let word = shortened(words.first().copied().unwrap_or_default());
-                return Err(format!("a line \"{word} ...\" like this has no place in a PLY head"));
+                return Err(format!(
+                    "a line \"{word} ...\" like this has no place in a PLY head"
+                ));
             }
         }
         Ok(())
@@ -95,9 +110,14 @@ impl Head {
     fn body(&self, body: &[u8], first: usize, line: usize) -> Result<Cloud, ReadError> {
         let at = |byte: usize, message: String| ReadError::byte(first + byte, message);
         let Some((points, vertex_line)) = self.vertices else {
-            return Err(ReadError::line(line, "no line \"element vertex ...\" in the head; there are no points"));
+            return Err(ReadError::line(
+                line,
+                "no line \"element vertex ...\" in the head; there are no points",
+            ));
         };
-        let data = self.data.ok_or_else(|| ReadError::line(line, "no line \"format ... 1.0\" in the head"))?;
+        let data = self
+            .data
+            .ok_or_else(|| ReadError::line(line, "no line \"format ... 1.0\" in the head"))?;
         let roles = Roles::of_names(self.names.iter().map(String::as_str));
         let roles = roles.map_err(|message| ReadError::line(vertex_line, message))?;
         let big_endian = match data {
@@ -105,7 +125,10 @@ impl Head {
             Data::Binary { big_endian } => big_endian,
         };
         let step: usize = self.scalars.iter().map(|scalar| scalar.size()).sum();
-        if points.checked_mul(step).is_none_or(|expected| body.len() < expected) {
+        if points
+            .checked_mul(step)
+            .is_none_or(|expected| body.len() < expected)
+        {
             let found = body.len();
             let message = format!(
                 "{found} bytes follow the head, not enough for {points} points of {step} bytes; the file was cut off, or \
@@ -113,11 +136,17 @@ impl Head {
             );
             return Err(at(found, message));
         }
-        let starts =
-            self.scalars.iter().scan(0, |start, scalar| Some(std::mem::replace(start, *start + scalar.size())));
-        let field = |(start, scalar): (usize, &Scalar)| Field { scalar: *scalar, start, step };
+        let starts = self.scalars.iter().scan(0, |start, scalar| {
+            Some(std::mem::replace(start, *start + scalar.size()))
+        });
+        let field = |(start, scalar): (usize, &Scalar)| Field {
+            scalar: *scalar,
+            start,
+            step,
+        };
         let fields: Vec<Field> = starts.zip(&self.scalars).map(field).collect();
-        binary(body, points, &fields, roles, big_endian).map_err(|(byte, message)| at(byte, message))
+        binary(body, points, &fields, roles, big_endian)
+            .map_err(|(byte, message)| at(byte, message))
     }
 }
 

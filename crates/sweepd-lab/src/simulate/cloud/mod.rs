@@ -8,14 +8,15 @@
 //!                     Turn -> Sender -> packets, each return with the index of its point
 //! ```
 //!
-//! A cloud has lost what its sensor was: rotations, distance offsets and the columns. So the unit is one whose
-//! calibration is given, and the scan is what that unit would have seen. Its elevations are another unit's, and bend
-//! flat ground: [`Options::fit`] takes those of the scan.
+//! A cloud has lost what its sensor was: rotations, distance offsets and the columns. So the unit
+//! is one whose calibration is given, and the scan is what that unit would have seen. Its
+//! elevations are another unit's, and bend flat ground: [`Options::fit`] takes those of the scan.
 //!
-//! The columns are those onto which `sweepd segment` projects the scan, and a firing stands for a column as it does to
-//! whoever shifts each row by whole columns so that neighbours in space are neighbours in the image. So both paths see
-//! one image, and what they make of it can be compared. The price: a beam points up to half a column beside its column,
-//! and starts beside the axis; points come back at their range, but so far aside.
+//! The columns are those onto which `sweepd segment` projects the scan, and a firing stands for a
+//! column as it does to whoever shifts each row by whole columns so that neighbours in space are
+//! neighbours in the image. So both paths see one image, and what they make of it can be compared.
+//! The price: a beam points up to half a column beside its column, and starts beside the axis;
+//! points come back at their range, but so far aside.
 
 mod rows;
 mod send;
@@ -109,7 +110,16 @@ pub struct Report {
 
 impl std::fmt::Display for Report {
     fn fmt(&self, f: &mut std::fmt::Formatter<'_>) -> std::fmt::Result {
-        let Self { points, rings, firings, encoded, within, hidden, out_of_reach, void } = self;
+        let Self {
+            points,
+            rings,
+            firings,
+            encoded,
+            within,
+            hidden,
+            out_of_reach,
+            void,
+        } = self;
         let percent = 100.0 * *encoded as f64 / (*points).max(1) as f64;
         let farther = encoded - within;
         write!(
@@ -152,25 +162,51 @@ struct RowRing<'a> {
 }
 
 impl Turn {
-    /// Encodes the points of a KITTI cloud: x forward, y left, z up, metres, and remission, 0 to 1; ring after ring.
+    /// Encodes the points of a KITTI cloud: x forward, y left, z up, metres, and remission, 0 to 1;
+    /// ring after ring.
     ///
     /// # Errors
     /// [`FromCloudError`]: points in another order, too many rings, or the wrong sensor.
-    pub fn new(points: &[[f32; 4]], calibration: &Calibration, options: Options) -> Result<Self, FromCloudError> {
+    pub fn new(
+        points: &[[f32; 4]],
+        calibration: &Calibration,
+        options: Options,
+    ) -> Result<Self, FromCloudError> {
         let spec = MODEL.spec();
-        let calibration = calibration.clone().for_model(MODEL).map_err(FromCloudError::Calibration)?;
-        let mut beams: Vec<Beam> = calibration.rows().iter().map(|&channel| calibration.beams()[channel]).collect();
+        let calibration = calibration
+            .clone()
+            .for_model(MODEL)
+            .map_err(FromCloudError::Calibration)?;
+        let mut beams: Vec<Beam> = calibration
+            .rows()
+            .iter()
+            .map(|&channel| calibration.beams()[channel])
+            .collect();
         let unit_m = calibration.distance_unit_m();
         let rings = row_rings(points, &beams)?;
         if options.fit {
             beams = fitted(&rings, &beams, unit_m);
         }
-        let calibration = Calibration::new(beams.clone(), unit_m).map_err(FromCloudError::Calibration)?;
+        let calibration =
+            Calibration::new(beams.clone(), unit_m).map_err(FromCloudError::Calibration)?;
         let firings = firings_of(spec, options.rpm.unwrap_or(DEFAULT_RPM));
-        let report = Report { points: points.len(), rings: rings.len(), firings, ..Report::default() };
+        let report = Report {
+            points: points.len(),
+            rings: rings.len(),
+            firings,
+            ..Report::default()
+        };
         let echoes = vec![None; firings * spec.channels];
-        let mut turn = Self { calibration, spec, firings, echoes, report };
-        rings.iter().for_each(|ring| turn.place(ring, &beams[ring.row]));
+        let mut turn = Self {
+            calibration,
+            spec,
+            firings,
+            echoes,
+            report,
+        };
+        rings
+            .iter()
+            .for_each(|ring| turn.place(ring, &beams[ring.row]));
         Ok(turn)
     }
 
@@ -189,15 +225,17 @@ impl Turn {
         60e9 / (self.firings as f64 * f64::from(self.spec.firing_period_ns(MODE)))
     }
 
-    /// Azimuth of the head at the first shot of a firing as the packets have it, hundredths of a degree. The turn begins
-    /// half a pitch behind azimuth 0, so that no rounding moves a firing over the cut.
+    /// Azimuth of the head at the first shot of a firing as the packets have it, hundredths of a
+    /// degree. The turn begins half a pitch behind azimuth 0, so that no rounding moves a firing
+    /// over the cut.
     fn azimuth_cdeg(&self, firing: usize) -> u16 {
         (36_000.0 * (firing as f64 + 0.5) / self.firings as f64).round() as u16
     }
 
     /// Shot of a channel after the first of its firing, firings.
     fn shot_offset(&self, channel: usize) -> f64 {
-        f64::from(self.spec.channel_offset_ns(channel, MODE)) / f64::from(self.spec.firing_period_ns(MODE))
+        f64::from(self.spec.channel_offset_ns(channel, MODE))
+            / f64::from(self.spec.firing_period_ns(MODE))
     }
 
     /// Azimuth of the head at a shot, radians.
@@ -208,7 +246,8 @@ impl Turn {
 
     /// Azimuth of a beam at its shot, radians from 0 to a whole turn.
     fn beam_rad(&self, firing: usize, channel: usize) -> f64 {
-        (self.head_rad(firing, channel) - self.calibration.beams()[channel].rotation_rad).rem_euclid(TAU)
+        (self.head_rad(firing, channel) - self.calibration.beams()[channel].rotation_rad)
+            .rem_euclid(TAU)
     }
 
     /// Gives the points of a ring to the firings of its beam.
@@ -217,17 +256,25 @@ impl Turn {
         // Firings by which the beam is turned back from the head.
         let behind = beam.rotation_rad / TAU * turn - self.shot_offset(beam.channel);
         let laser = Laser::new(beam, self.calibration.distance_unit_m());
-        let polars: Vec<Option<Polar>> = ring.points.iter().map(|&point| Polar::of(point)).collect();
+        let polars: Vec<Option<Polar>> =
+            ring.points.iter().map(|&point| Polar::of(point)).collect();
         let shown = places::shown(&polars, self.firings);
         let there = polars.iter().flatten().count();
         self.report.void += polars.len() - there;
         self.report.hidden += there - shown.iter().flatten().count();
         for (column, point) in shown.into_iter().enumerate() {
-            let Some((point, polar)) = point.and_then(|point| Some((point, polars[point]?))) else { continue };
-            let firing = (column as i64 + behind.round() as i64).rem_euclid(self.firings as i64) as usize;
-            let Some(echo) =
-                self.echo(&laser, (firing, beam.channel), polar, ring.points[point][3], ring.first + point)
-            else {
+            let Some((point, polar)) = point.and_then(|point| Some((point, polars[point]?))) else {
+                continue;
+            };
+            let firing =
+                (column as i64 + behind.round() as i64).rem_euclid(self.firings as i64) as usize;
+            let Some(echo) = self.echo(
+                &laser,
+                (firing, beam.channel),
+                polar,
+                ring.points[point][3],
+                ring.first + point,
+            ) else {
                 self.report.out_of_reach += 1;
                 continue;
             };
@@ -249,7 +296,8 @@ impl Turn {
     ) -> Option<Echo> {
         let aim = laser.aimed(self.head_rad(firing, channel));
         let (sin, cos) = polar.azimuth_rad.sin_cos();
-        let range_m = (Vec3::new(polar.away_m * sin, polar.away_m * cos, polar.z_m) - aim.origin).norm();
+        let range_m =
+            (Vec3::new(polar.away_m * sin, polar.away_m * cos, polar.z_m) - aim.origin).norm();
         let distance_m = aim.distance_m(range_m);
         if !aim.is_sayable(distance_m) {
             return None;
@@ -258,7 +306,12 @@ impl Turn {
         // A remission that is none is 0.
         let reflectivity = (f64::from(remission) * 255.0).round().clamp(0.0, 255.0) as u8;
         let reflectivity = aim.intensity_byte(units, reflectivity);
-        Some(Echo { point: u32::try_from(point).ok()?, distance: units as u16, reflectivity, range_m })
+        Some(Echo {
+            point: u32::try_from(point).ok()?,
+            distance: units as u16,
+            reflectivity,
+            range_m,
+        })
     }
 
     /// What a channel reports in a firing.
@@ -268,17 +321,28 @@ impl Turn {
 }
 
 /// The rings of a cloud, each with its row, from the top.
-fn row_rings<'a>(points: &'a [[f32; 4]], rows: &[Beam]) -> Result<Vec<RowRing<'a>>, FromCloudError> {
+fn row_rings<'a>(
+    points: &'a [[f32; 4]],
+    rows: &[Beam],
+) -> Result<Vec<RowRing<'a>>, FromCloudError> {
     let (mut rings, mut scratch) = (Vec::<Ring>::new(), Vec::new());
     rings::find(points, COLUMNS, &mut rings)?;
-    rings.retain(|ring| points[ring.first..ring.end].iter().any(|&point| Polar::of(point).is_some()));
+    rings.retain(|ring| {
+        points[ring.first..ring.end]
+            .iter()
+            .any(|&point| Polar::of(point).is_some())
+    });
     if rings.is_empty() {
         return Err(FromCloudError::Empty);
     }
-    rings.iter_mut().for_each(|ring| ring.measure(points, &mut scratch));
+    rings
+        .iter_mut()
+        .for_each(|ring| ring.measure(points, &mut scratch));
     rings.sort_by(|a, b| b.elevation_rad.total_cmp(&a.elevation_rad));
     let place = |ring: &Ring| {
-        let polars = points[ring.first..ring.end].iter().filter_map(|&point| Polar::of(point));
+        let polars = points[ring.first..ring.end]
+            .iter()
+            .filter_map(|&point| Polar::of(point));
         let mut away_m: Vec<f64> = polars.map(|polar| polar.away_m).collect();
         let middle = away_m.len() / 2;
         RingPlace {
@@ -288,7 +352,11 @@ fn row_rings<'a>(points: &'a [[f32; 4]], rows: &[Beam]) -> Result<Vec<RowRing<'a
     };
     let places: Vec<RingPlace> = rings.iter().map(place).collect();
     let rows = rows::of_rings(&places, rows)?;
-    let ring = |(ring, row): (&Ring, usize)| RowRing { row, points: &points[ring.first..ring.end], first: ring.first };
+    let ring = |(ring, row): (&Ring, usize)| RowRing {
+        row,
+        points: &points[ring.first..ring.end],
+        first: ring.first,
+    };
     Ok(rings.iter().zip(rows).map(ring).collect())
 }
 
@@ -298,17 +366,28 @@ fn fitted(rings: &[RowRing<'_>], rows: &[Beam], unit_m: f64) -> Vec<Beam> {
     for ring in rings {
         let beam = &rows[ring.row];
         let laser = Laser::new(beam, unit_m);
-        let samples: Vec<Sample> =
-            ring.points.iter().filter_map(|&point| sample(beam, &laser, Polar::of(point)?)).collect();
-        let prior = Prior { offset_m: beam.vertical_offset_m, spread_m: OFFSET_SPREAD_M };
-        let beam_on = |line: Line| Beam { elevation_rad: line.slope.atan(), vertical_offset_m: line.offset_m, ..*beam };
+        let samples: Vec<Sample> = ring
+            .points
+            .iter()
+            .filter_map(|&point| sample(beam, &laser, Polar::of(point)?))
+            .collect();
+        let prior = Prior {
+            offset_m: beam.vertical_offset_m,
+            spread_m: OFFSET_SPREAD_M,
+        };
+        let beam_on = |line: Line| Beam {
+            elevation_rad: line.slope.atan(),
+            vertical_offset_m: line.offset_m,
+            ..*beam
+        };
         fits[ring.row] = fit::fit(prior, &samples).map(beam_on);
     }
     rows::complete(rows, &fits)
 }
 
-/// A point in the plane of its beam, as it would be if the beam were straight: the two-point correction moves the
-/// horizontal and the vertical part of a point differently, so that a beam rises more steeply than its elevation says.
+/// A point in the plane of its beam, as it would be if the beam were straight: the two-point
+/// correction moves the horizontal and the vertical part of a point differently, so that a beam
+/// rises more steeply than its elevation says.
 fn sample(beam: &Beam, laser: &Laser, polar: Polar) -> Option<Sample> {
     let aside_m = beam.horizontal_offset_m;
     let away_m = (polar.away_m.powi(2) - aside_m.powi(2)).max(0.0).sqrt();
@@ -317,8 +396,15 @@ fn sample(beam: &Beam, laser: &Laser, polar: Polar) -> Option<Sample> {
     let rise = |way: Vec3| way.z / way.x.hypot(way.y);
     let (bent, _) = aim.towards_range(away_m.hypot(polar.z_m - beam.vertical_offset_m));
     let steeper = rise(bent) / rise(aim.straight);
-    let away_m = if steeper > 0.0 && steeper.is_finite() { away_m * steeper } else { away_m };
-    (away_m > 0.0).then_some(Sample { away_m, z_m: polar.z_m })
+    let away_m = if steeper > 0.0 && steeper.is_finite() {
+        away_m * steeper
+    } else {
+        away_m
+    };
+    (away_m > 0.0).then_some(Sample {
+        away_m,
+        z_m: polar.z_m,
+    })
 }
 
 /// Firings of a turn.

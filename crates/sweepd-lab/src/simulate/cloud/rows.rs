@@ -3,7 +3,8 @@
 use super::FromCloudError;
 use sweepd_core::sensor::Beam;
 
-/// A ring may lie so far from the beam that it is given to, degrees: units differ by half as much, models by more.
+/// A ring may lie so far from the beam that it is given to, degrees: units differ by half as much,
+/// models by more.
 const MAX_APART_DEG: f64 = 6.0;
 /// Least difference of the elevations of two beams, degrees: what the status stream can tell.
 const STEP_DEG: f64 = 0.01;
@@ -25,16 +26,21 @@ impl RingPlace {
     }
 }
 
-/// The row of each ring. Rings and rows keep their order; where there are fewer rings than rows, those rows stay empty
-/// with which the elevations fit best.
+/// The row of each ring. Rings and rows keep their order; where there are fewer rings than rows,
+/// those rows stay empty with which the elevations fit best.
 ///
 /// # Errors
-/// [`FromCloudError::Rings`]: more rings than beams; [`FromCloudError::Apart`]: a ring that is nowhere near its beam.
+/// [`FromCloudError::Rings`]: more rings than beams; [`FromCloudError::Apart`]: a ring that is
+/// nowhere near its beam.
 pub(super) fn of_rings(rings: &[RingPlace], rows: &[Beam]) -> Result<Vec<usize>, FromCloudError> {
     let Some(spare) = rows.len().checked_sub(rings.len()) else {
-        return Err(FromCloudError::Rings { found: rings.len(), beams: rows.len() });
+        return Err(FromCloudError::Rings {
+            found: rings.len(),
+            beams: rows.len(),
+        });
     };
-    // A ring has at most `spare` empty rows above it. best[k] of a ring: the least sum of all up to it with exactly k.
+    // A ring has at most `spare` empty rows above it. best[k] of a ring: the least sum of all up to
+    // it with exactly k.
     let mut best = vec![0.0; spare + 1];
     let mut empty_before = Vec::with_capacity(rings.len());
     for (index, ring) in rings.iter().enumerate() {
@@ -44,10 +50,14 @@ pub(super) fn of_rings(rings: &[RingPlace], rows: &[Beam]) -> Result<Vec<usize>,
                 from[empty] = from[empty - 1];
             }
         }
-        best = (0..=spare).map(|empty| best[from[empty]] + ring.apart_rad(&rows[index + empty])).collect();
+        best = (0..=spare)
+            .map(|empty| best[from[empty]] + ring.apart_rad(&rows[index + empty]))
+            .collect();
         empty_before.push(from);
     }
-    let mut empty = (0..=spare).min_by(|&a, &b| best[a].total_cmp(&best[b])).unwrap_or(0);
+    let mut empty = (0..=spare)
+        .min_by(|&a, &b| best[a].total_cmp(&best[b]))
+        .unwrap_or(0);
     let mut found = vec![0; rings.len()];
     for index in (0..rings.len()).rev() {
         found[index] = index + empty;
@@ -59,8 +69,13 @@ pub(super) fn of_rings(rings: &[RingPlace], rows: &[Beam]) -> Result<Vec<usize>,
 
 fn check(rings: &[RingPlace], rows: &[Beam], found: &[usize]) -> Result<(), FromCloudError> {
     // What is no number is nowhere.
-    let is_near = |ring: &RingPlace, row: usize| ring.apart_rad(&rows[row]).to_degrees() < MAX_APART_DEG;
-    match rings.iter().zip(found).find(|&(ring, &row)| !is_near(ring, row)) {
+    let is_near =
+        |ring: &RingPlace, row: usize| ring.apart_rad(&rows[row]).to_degrees() < MAX_APART_DEG;
+    match rings
+        .iter()
+        .zip(found)
+        .find(|&(ring, &row)| !is_near(ring, row))
+    {
         None => Ok(()),
         Some((ring, &row)) => Err(FromCloudError::Apart {
             ring_deg: ring.elevation_rad.to_degrees(),
@@ -69,24 +84,33 @@ fn check(rings: &[RingPlace], rows: &[Beam], found: &[usize]) -> Result<(), From
     }
 }
 
-/// Brings beams, row by row from the top, into an order that a calibration keeps: those without a fit follow their
-/// neighbours, and each lies at least [`STEP_DEG`] below the one above it.
+/// Brings beams, row by row from the top, into an order that a calibration keeps: those without a
+/// fit follow their neighbours, and each lies at least [`STEP_DEG`] below the one above it.
 ///
 /// `fits` holds, for each row, what the fit gave.
 pub(super) fn complete(rows: &[Beam], fits: &[Option<Beam>]) -> Vec<Beam> {
     let shift_rad = |row: usize| Some(fits[row]?.elevation_rad - rows[row].elevation_rad);
     let mut beams: Vec<Beam> = Vec::with_capacity(rows.len());
     for (row, beam) in rows.iter().enumerate() {
-        let above = (0..row).rev().find_map(|other| Some((row - other, shift_rad(other)?)));
+        let above = (0..row)
+            .rev()
+            .find_map(|other| Some((row - other, shift_rad(other)?)));
         let below = (row + 1..rows.len()).find_map(|other| Some((other - row, shift_rad(other)?)));
         let shift_rad = match (above, below) {
-            (Some((up, a)), Some((down, b))) => (a * down as f64 + b * up as f64) / (up + down) as f64,
+            (Some((up, a)), Some((down, b))) => {
+                (a * down as f64 + b * up as f64) / (up + down) as f64
+            }
             (Some((_, only)), None) | (None, Some((_, only))) => only,
             (None, None) => 0.0,
         };
-        let mut beam = fits[row].unwrap_or(Beam { elevation_rad: beam.elevation_rad + shift_rad, ..*beam });
+        let mut beam = fits[row].unwrap_or(Beam {
+            elevation_rad: beam.elevation_rad + shift_rad,
+            ..*beam
+        });
         if let Some(above) = beams.last() {
-            beam.elevation_rad = beam.elevation_rad.min(above.elevation_rad - STEP_DEG.to_radians());
+            beam.elevation_rad = beam
+                .elevation_rad
+                .min(above.elevation_rad - STEP_DEG.to_radians());
         }
         beams.push(beam);
     }
@@ -99,36 +123,78 @@ mod tests {
 
     fn rows() -> Vec<Beam> {
         let elevation_rad = |row: usize| (2.0 - 0.42 * row as f64).to_radians();
-        (0..64).map(|row| Beam { vertical_offset_m: 0.2, ..Beam::ideal(row, elevation_rad(row)) }).collect()
+        (0..64)
+            .map(|row| Beam {
+                vertical_offset_m: 0.2,
+                ..Beam::ideal(row, elevation_rad(row))
+            })
+            .collect()
     }
 
     /// What these rows of a unit would make, that points so much higher than the calibration says.
     fn rings(rows_with_ring: impl IntoIterator<Item = usize>, higher_deg: f64) -> Vec<RingPlace> {
         let ring = |row: usize| {
             let rise = (rows()[row].elevation_rad + higher_deg.to_radians()).tan() + 0.2 / 15.0;
-            RingPlace { elevation_rad: rise.atan(), away_m: 15.0 }
+            RingPlace {
+                elevation_rad: rise.atan(),
+                away_m: 15.0,
+            }
         };
         rows_with_ring.into_iter().map(ring).collect()
     }
 
     #[test]
     fn a_ring_has_the_row_of_its_beam() {
-        assert_eq!(of_rings(&rings(0..64, 1.3), &rows()).unwrap(), (0..64).collect::<Vec<_>>());
+        assert_eq!(
+            of_rings(&rings(0..64, 1.3), &rows()).unwrap(),
+            (0..64).collect::<Vec<_>>()
+        );
         let without_top: Vec<usize> = (5..64).collect();
         assert_eq!(of_rings(&rings(5..64, 0.1), &rows()).unwrap(), without_top);
-        let holes: Vec<usize> = (0..64).filter(|row| ![0, 1, 30, 63].contains(row)).collect();
-        assert_eq!(of_rings(&rings(holes.clone(), -0.15), &rows()).unwrap(), holes);
+        let holes: Vec<usize> = (0..64)
+            .filter(|row| ![0, 1, 30, 63].contains(row))
+            .collect();
+        assert_eq!(
+            of_rings(&rings(holes.clone(), -0.15), &rows()).unwrap(),
+            holes
+        );
         assert_eq!(of_rings(&[], &rows()).unwrap(), Vec::<usize>::new());
     }
 
     #[test]
     fn what_is_no_scan_of_this_sensor_is_refused() {
-        let too_many = vec![RingPlace { elevation_rad: 0.0, away_m: 10.0 }; 65];
+        let too_many = vec![
+            RingPlace {
+                elevation_rad: 0.0,
+                away_m: 10.0
+            };
+            65
+        ];
         let error = of_rings(&too_many, &rows()).unwrap_err().to_string();
         assert_eq!(error, "65 rings, the HDL-64E has 64 beams");
-        let error = of_rings(&[RingPlace { elevation_rad: 0.2, away_m: 10.0 }], &rows()).unwrap_err().to_string();
-        assert!(error.contains("11.46 degrees") && error.contains("2.00"), "{error}");
-        assert!(of_rings(&[RingPlace { elevation_rad: f64::NAN, away_m: 10.0 }], &rows()).is_err());
+        let error = of_rings(
+            &[RingPlace {
+                elevation_rad: 0.2,
+                away_m: 10.0,
+            }],
+            &rows(),
+        )
+        .unwrap_err()
+        .to_string();
+        assert!(
+            error.contains("11.46 degrees") && error.contains("2.00"),
+            "{error}"
+        );
+        assert!(
+            of_rings(
+                &[RingPlace {
+                    elevation_rad: f64::NAN,
+                    away_m: 10.0
+                }],
+                &rows()
+            )
+            .is_err()
+        );
     }
 
     #[test]
@@ -136,10 +202,22 @@ mod tests {
         let rows = [0.3, 0.2, 0.1, 0.0, -0.1].map(|elevation_rad| Beam::ideal(0, elevation_rad));
         let at = |elevation_rad| Some(Beam::ideal(0, elevation_rad));
         let elevations = |fits: &[Option<Beam>]| -> Vec<i64> {
-            complete(&rows, fits).iter().map(|beam| (beam.elevation_rad * 1e6).round() as i64).collect()
+            complete(&rows, fits)
+                .iter()
+                .map(|beam| (beam.elevation_rad * 1e6).round() as i64)
+                .collect()
         };
-        assert_eq!(elevations(&[None; 5]), [300_000, 200_000, 100_000, 0, -100_000]);
-        assert_eq!(elevations(&[None, at(0.21), None, at(0.03), None]), [310_000, 210_000, 120_000, 30_000, -70_000]);
-        assert_eq!(elevations(&[None, at(0.2), at(0.25), None, None]), [300_000, 200_000, 199_825, 150_000, 50_000]);
+        assert_eq!(
+            elevations(&[None; 5]),
+            [300_000, 200_000, 100_000, 0, -100_000]
+        );
+        assert_eq!(
+            elevations(&[None, at(0.21), None, at(0.03), None]),
+            [310_000, 210_000, 120_000, 30_000, -70_000]
+        );
+        assert_eq!(
+            elevations(&[None, at(0.2), at(0.25), None, None]),
+            [300_000, 200_000, 199_825, 150_000, 50_000]
+        );
     }
 }

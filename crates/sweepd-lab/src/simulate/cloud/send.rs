@@ -21,7 +21,8 @@ const TAIL: f64 = 0.1;
 /// How packets are sent.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct Sending {
-    /// For how long, seconds; `None` for one turn from cut to cut, and what must be before and behind it.
+    /// For how long, seconds; `None` for one turn from cut to cut, and what must be before and
+    /// behind it.
     pub seconds: Option<f64>,
     /// What the sensor's clock follows.
     pub clock: Clock,
@@ -47,7 +48,12 @@ impl<'a> Sender<'a> {
     /// # Errors
     /// [`FromCloudError::Calibration`]: what the status stream cannot carry.
     pub fn new(turn: &'a Turn, sending: Sending) -> Result<Self, FromCloudError> {
-        let Sending { clock, start_utc_ns, address, .. } = sending;
+        let Sending {
+            clock,
+            start_utc_ns,
+            address,
+            ..
+        } = sending;
         let config = EmitterConfig {
             calibration: Some(turn.calibration.clone()),
             rpm: turn.rpm(),
@@ -61,7 +67,13 @@ impl<'a> Sender<'a> {
             None => config.turns(LEAD + 1.0 + TAIL),
         };
         let status = Status::new(&config).map_err(FromCloudError::Calibration)?;
-        Ok(Self { turn, config, status, layout: Layout::new(turn.spec, MODE), ordinal: 0 })
+        Ok(Self {
+            turn,
+            config,
+            status,
+            layout: Layout::new(turn.spec, MODE),
+            ordinal: 0,
+        })
     }
 
     /// Data packets in all.
@@ -76,12 +88,18 @@ impl<'a> Sender<'a> {
 
     fn packet(&self, ordinal: u64) -> (DataPacket, Box<PacketTruth>) {
         let Turn { spec, firings, .. } = self.turn;
-        let (kind, value) =
-            self.status.pair(&self.config, ordinal, self.stamped_ns(ordinal - ordinal % CYCLE_LEN as u64));
+        let (kind, value) = self.status.pair(
+            &self.config,
+            ordinal,
+            self.stamped_ns(ordinal - ordinal % CYCLE_LEN as u64),
+        );
         let stamp_us = self.config.stamp_us(self.stamped_ns(ordinal));
         let mut packet = DataPacket::new(stamp_us, kind, value);
         self.layout.mark(&mut packet);
-        let mut truth = Box::new(PacketTruth { ordinal, returns: [[None; RECORDS]; BLOCKS] });
+        let mut truth = Box::new(PacketTruth {
+            ordinal,
+            returns: [[None; RECORDS]; BLOCKS],
+        });
         let per_packet = spec.firings_per_packet(MODE);
         let lead = (*firings as f64 * LEAD) as usize;
         let start = (ordinal % *firings as u64) as usize * per_packet + firings - lead;
@@ -97,17 +115,33 @@ impl<'a> Sender<'a> {
         let period_ns = i64::from(spec.firing_period_ns(MODE));
         let first_ns = self.config.first_shot_ns(truth.ordinal) + index as i64 * period_ns;
         let azimuth_cdeg = self.turn.azimuth_cdeg(firing);
-        packet.blocks[self.layout.blocks(index)].iter_mut().for_each(|block| block.set_azimuth_cdeg(azimuth_cdeg));
+        packet.blocks[self.layout.blocks(index)]
+            .iter_mut()
+            .for_each(|block| block.set_azimuth_cdeg(azimuth_cdeg));
         for channel in 0..spec.channels {
-            let Some(&Echo { point, distance, reflectivity, range_m }) = self.turn.at(firing, channel) else {
+            let Some(&Echo {
+                point,
+                distance,
+                reflectivity,
+                range_m,
+            }) = self.turn.at(firing, channel)
+            else {
                 continue;
             };
             let (block, record) = self.layout.place(index, channel, 0);
-            packet.blocks[block].records[record] = Record { distance: distance.into(), reflectivity };
+            packet.blocks[block].records[record] = Record {
+                distance: distance.into(),
+                reflectivity,
+            };
             let time_ns = first_ns + i64::from(spec.channel_offset_ns(channel, MODE));
             let azimuth_rad = self.turn.beam_rad(firing, channel);
-            truth.returns[block][record] =
-                Some(ReturnTruth { object: point, class: Class::Unknown, range_m, azimuth_rad, time_ns });
+            truth.returns[block][record] = Some(ReturnTruth {
+                object: point,
+                class: Class::Unknown,
+                range_m,
+                azimuth_rad,
+                time_ns,
+            });
         }
     }
 }
@@ -122,7 +156,12 @@ impl Iterator for Sender<'_> {
         }
         self.ordinal += 1;
         let (packet, truth) = self.packet(ordinal);
-        let EmitterConfig { model, address, start_utc_ns, .. } = self.config;
+        let EmitterConfig {
+            model,
+            address,
+            start_utc_ns,
+            ..
+        } = self.config;
         Some(SimulatedDatagram {
             // 90 us on the way.
             arrival_ns: start_utc_ns + self.config.first_shot_ns(ordinal + 1) + 90_000,

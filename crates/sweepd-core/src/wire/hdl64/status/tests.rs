@@ -12,20 +12,48 @@ fn unit(seed: u64, series: Series) -> (Dump, Live) {
     let records = std::array::from_fn::<_, BEAMS, _>(|id| {
         let mut record = BeamRecord::new_zeroed();
         random.fill(record.as_mut_bytes());
-        BeamRecord { id: id as u8, ..record }
+        BeamRecord {
+            id: id as u8,
+            ..record
+        }
     });
     let mut dump = Dump::new(series, &records);
     dump.noise = [24, 25];
-    dump.calibration_time = CalibrationTime { year: 16, month: 11, day: 15, hour: 12, minute: 47, second: 47 };
+    dump.calibration_time = CalibrationTime {
+        year: 16,
+        month: 11,
+        day: 15,
+        hour: 12,
+        minute: 47,
+        second: 47,
+    };
     dump.humidity = 25;
     dump.rpm = I16::new(random.i16(300..1200));
-    dump.fov_cdeg = [U16::new(random.u16(..36_000)), U16::new(random.u16(..36_000))];
+    dump.fov_cdeg = [
+        U16::new(random.u16(..36_000)),
+        U16::new(random.u16(..36_000)),
+    ];
     dump.life_hours = U16::new(random.u16(..));
     (dump.source, dump.destination) = ([192, 168, 3, 43], [192, 168, 3, 255]);
     dump.set_return_mode(ReturnMode::Dual);
     dump.set_warnings(series, Warnings(0b0110_0001));
-    let clock = Clock { hour: 23, minute: 59, second: 58, day: 31, month: 12, year: 26 };
-    (dump, Live { clock, gps: Gps::Both, temperature_c: -7, firmware: 0x47 })
+    let clock = Clock {
+        hour: 23,
+        minute: 59,
+        second: 58,
+        day: 31,
+        month: 12,
+        year: 26,
+    };
+    (
+        dump,
+        Live {
+            clock,
+            gps: Gps::Both,
+            temperature_c: -7,
+            firmware: 0x47,
+        },
+    )
 }
 
 /// The packets from `start` on that `keep` keeps, 288 us apart.
@@ -39,7 +67,11 @@ fn push(
     for index in packets {
         let (kind, value) = pair(dump, series, live, index);
         if keep() {
-            status.push(kind, value, (index as u64 * 288 % u64::from(HOUR_US)) as u32);
+            status.push(
+                kind,
+                value,
+                (index as u64 * 288 % u64::from(HOUR_US)) as u32,
+            );
         }
     }
 }
@@ -58,15 +90,32 @@ fn packets_are_those_of_the_manual() {
     dump.slots[0].record.elevation_cdeg = I16::new(0x0102);
     dump.rpm = I16::new(600);
     let packets: Vec<(u8, u8)> = emit(&dump, Series::S3, &live).collect();
-    let text = |range: Range<usize>| packets[range].iter().map(|pair| pair.0 as char).collect::<String>();
-    assert_eq!((packets.len(), text(0..14)), (4160, "HMSDNYGTV12345".to_owned()));
-    assert_eq!(packets[9..14].iter().map(|pair| pair.1).collect::<Vec<_>>(), b"UNIT#");
+    let text = |range: Range<usize>| {
+        packets[range]
+            .iter()
+            .map(|pair| pair.0 as char)
+            .collect::<String>()
+    };
+    assert_eq!(
+        (packets.len(), text(0..14)),
+        (4160, "HMSDNYGTV12345".to_owned())
+    );
+    assert_eq!(
+        packets[9..14].iter().map(|pair| pair.1).collect::<Vec<_>>(),
+        b"UNIT#"
+    );
     assert_eq!(packets[14..16], [(0xF7, 24), (0xF6, 25)]);
     assert_eq!(packets[16 + 9..16 + 12], [(b'1', 0), (b'2', 2), (b'3', 1)]);
     assert_eq!(packets[4 * 16 + 9], (b'W', 0b0110_0001));
     assert_eq!(packets[5 * 16 + 9], (b'1', 1));
-    assert_eq!(packets[257 * 16 + 9..257 * 16 + 11], [(0xFE, 0x58), (0xFF, 0x02)]);
-    assert_eq!((packets[259 * 16 + 11], packets[259 * 16 + 13].0), ((0xF9, 2), 0xF8));
+    assert_eq!(
+        packets[257 * 16 + 9..257 * 16 + 11],
+        [(0xFE, 0x58), (0xFF, 0x02)]
+    );
+    assert_eq!(
+        (packets[259 * 16 + 11], packets[259 * 16 + 13].0),
+        ((0xF9, 2), 0xF8)
+    );
     assert!(emit(&dump, Series::S21, &live).all(|(kind, _)| kind != b'W'));
 }
 
@@ -77,18 +126,39 @@ fn all_that_a_dump_says_is_told() {
         let (dump, live) = &unit;
         let mut status = Status::new();
         push(&mut status, &unit, series, 0..DUMP_PACKETS, || true);
-        assert_eq!((status.verdict(), status.known(), status.series()), (Verdict::Verified, DUMP_LEN, Some(series)));
+        assert_eq!(
+            (status.verdict(), status.known(), status.series()),
+            (Verdict::Verified, DUMP_LEN, Some(series))
+        );
         assert_eq!(status.dump(), Some(dump));
-        assert_eq!((status.clock(), status.gps()), (Some(live.clock), Some(live.gps)));
-        assert_eq!((status.temperature_c(), status.firmware()), (Some(-7), Some(0x47)));
-        assert_eq!((status.rpm(), status.life_hours()), (Some(dump.rpm.get()), Some(dump.life_hours.get())));
+        assert_eq!(
+            (status.clock(), status.gps()),
+            (Some(live.clock), Some(live.gps))
+        );
+        assert_eq!(
+            (status.temperature_c(), status.firmware()),
+            (Some(-7), Some(0x47))
+        );
+        assert_eq!(
+            (status.rpm(), status.life_hours()),
+            (Some(dump.rpm.get()), Some(dump.life_hours.get()))
+        );
         assert_eq!(status.fov_cdeg(), Some(dump.fov_cdeg.map(U16::get)));
-        assert_eq!((status.source(), status.destination()), (Some(dump.source), Some(dump.destination)));
-        assert_eq!((status.return_mode(), status.power()), (Some(ReturnMode::Dual), Some(Power(0xA0))));
+        assert_eq!(
+            (status.source(), status.destination()),
+            (Some(dump.source), Some(dump.destination))
+        );
+        assert_eq!(
+            (status.return_mode(), status.power()),
+            (Some(ReturnMode::Dual), Some(Power(0xA0)))
+        );
         assert_eq!(status.calibrated(), dump.calibrated());
         let warnings = status.warnings().unwrap();
         assert!(warnings.pps() && warnings.gps_time());
-        assert_eq!(warnings.faults(series).collect::<Vec<_>>(), ["lens contaminated"]);
+        assert_eq!(
+            warnings.faults(series).collect::<Vec<_>>(),
+            ["lens contaminated"]
+        );
     }
 }
 
@@ -101,7 +171,13 @@ fn one_percent_loss_is_made_good_within_three_dumps() {
             let mut random = fastrand::Rng::with_seed(1000 + seed);
             let start = random.usize(..DUMP_PACKETS);
             let mut status = Status::new();
-            push(&mut status, &unit, series, start..start + 3 * DUMP_PACKETS, || random.u8(..100) > 0);
+            push(
+                &mut status,
+                &unit,
+                series,
+                start..start + 3 * DUMP_PACKETS,
+                || random.u8(..100) > 0,
+            );
             if status.verdict() == Verdict::Verified {
                 assert_eq!(status.dump(), Some(&unit.0), "seed {seed}");
                 complete += 1;
@@ -118,14 +194,18 @@ fn bursts_and_other_return_modes_do_not_lose_the_place() {
     let mut status = Status::new();
     let mut stamp_us = HOUR_US - 1_000_000;
     for index in 0..4 * DUMP_PACKETS {
-        // 100 packets are lost every 1500; in the middle of it all, the unit is switched from single to dual return.
+        // 100 packets are lost every 1500; in the middle of it all, the unit is switched from
+        // single to dual return.
         stamp_us = (stamp_us + if index < 6000 { 288 } else { 173 }) % HOUR_US;
         if index % 1500 < 1400 {
             let (kind, value) = pair(dump, Series::S3, live, index);
             status.push(kind, value, stamp_us);
         }
     }
-    assert_eq!((status.verdict(), status.dump()), (Verdict::Verified, Some(dump)));
+    assert_eq!(
+        (status.verdict(), status.dump()),
+        (Verdict::Verified, Some(dump))
+    );
 }
 
 #[test]
@@ -145,10 +225,22 @@ fn copies_and_late_packets_do_no_harm() {
         }
     }
     // Those overwritten by a copy never came.
-    let lost = (100..DUMP_PACKETS - 1).step_by(97).filter(|index| (index - 50) % CYCLE_LEN >= FIXED.len()).count();
+    let lost = (100..DUMP_PACKETS - 1)
+        .step_by(97)
+        .filter(|index| (index - 50) % CYCLE_LEN >= FIXED.len())
+        .count();
     assert_eq!(status.known(), DUMP_LEN - lost);
-    push(&mut status, &unit, Series::S3, 2 * DUMP_PACKETS..3 * DUMP_PACKETS, || true);
-    assert_eq!((status.verdict(), status.dump()), (Verdict::Verified, Some(dump)));
+    push(
+        &mut status,
+        &unit,
+        Series::S3,
+        2 * DUMP_PACKETS..3 * DUMP_PACKETS,
+        || true,
+    );
+    assert_eq!(
+        (status.verdict(), status.dump()),
+        (Verdict::Verified, Some(dump))
+    );
 }
 
 #[test]
@@ -162,7 +254,11 @@ fn a_clock_that_is_set_and_a_long_silence_cost_no_wrong_byte() {
             let jumped = if index < 2000 { 0 } else { jump_us };
             status.push(kind, value, index as u32 * 288 + jumped);
         }
-        assert_eq!((status.verdict(), status.dump()), (Verdict::Verified, Some(dump)), "{jump_us} us");
+        assert_eq!(
+            (status.verdict(), status.dump()),
+            (Verdict::Verified, Some(dump)),
+            "{jump_us} us"
+        );
     }
 }
 
