@@ -12,14 +12,15 @@ use std::path::{Path, PathBuf};
 use divan::counter::ItemsCount;
 use divan::{Bencher, black_box};
 use sweepd::capture::{Capture, Route, Sensors};
-use sweepd::pipeline::{Config, Pipeline, Untimed};
+use sweepd::pipeline::{Config, Pipeline};
 use sweepd::sensor::{Calibration, Model};
 use sweepd::simulate::{Emitter, EmitterConfig, fixtures};
+use sweepd::sweep::buffers::OpenBuffer;
 use sweepd::sweep::builder::{Builder, Settings};
 use sweepd::sweep::decode::Decoder;
 use sweepd::sweep::layout::ReturnChoice;
 use sweepd::sweep::order::Order;
-use sweepd::sweep::{HeapBuffers, SweepRef};
+use sweepd::sweep::{HeapBuffers, Memory, SweepRef};
 use sweepd::wire::DataPacket;
 use sweepd::wire::data::ReturnMode;
 
@@ -94,7 +95,8 @@ fn decode(bencher: Bencher, &Stream(model, mode): &Stream) {
             limits_m,
         );
         let mut order = Order::new(decoder.spec);
-        let mut builder = Builder::new(buffers.clone(), decoder, settings.clone());
+        let mut builder = Builder::new(decoder, settings.clone());
+        let mut buffer = Memory::new(buffers.clone());
         for (number, packet) in packets.iter().enumerate() {
             let _ = order.push(
                 black_box(packet),
@@ -104,8 +106,8 @@ fn decode(bencher: Bencher, &Stream(model, mode): &Stream) {
             );
             while let Some((slot, before)) = order.pop() {
                 builder.begin(slot, order.packet(slot), before);
-                while let Some(sweep) = builder.advance(order.packet(slot), order.clock()) {
-                    black_box(&sweep);
+                while builder.advance(order.packet(slot), order.clock(), &mut buffer) {
+                    black_box(buffer.bytes());
                 }
             }
         }
@@ -120,13 +122,13 @@ fn replay(bencher: Bencher, name: &str) {
     let returns = |visit: &mut dyn FnMut(u32)| {
         let mut capture = Capture::open(&path).unwrap();
         let mut sensors = Sensors::new(Vec::new());
-        let mut pipeline =
-            Pipeline::new("bench", Config::default(), HeapBuffers::default(), Untimed).unwrap();
+        let mut pipeline = Pipeline::new("bench", Config::default()).unwrap();
+        let mut memory = Memory::new(HeapBuffers::default());
         while let Some(datagram) = capture.next_datagram().unwrap() {
             if matches!(sensors.route(&datagram), Route::Data(_)) {
                 pipeline.push(&datagram).unwrap();
             }
-            while let Some(buffer) = pipeline.poll() {
+            while let Some(buffer) = pipeline.poll(&mut memory) {
                 visit(SweepRef::open(buffer.as_ref()).unwrap().header.returns);
             }
         }

@@ -12,15 +12,16 @@
 //!
 //! ```
 //! use sweepd::capture::Capture;
-//! use sweepd::pipeline::{Config, Pipeline, Untimed};
-//! use sweepd::sweep::{HeapBuffers, SweepRef};
+//! use sweepd::pipeline::{Config, Pipeline};
+//! use sweepd::sweep::{HeapBuffers, Memory, SweepRef};
 //!
 //! let mut capture = Capture::open("pcap_fixtures/street_vlp16.pcap.gz")?;
-//! let mut pipeline = Pipeline::new("roof", Config::default(), HeapBuffers::default(), Untimed)?;
+//! let mut pipeline = Pipeline::new("roof", Config::default())?;
+//! let mut memory = Memory::new(HeapBuffers::default());
 //! let mut sweeps = 0;
 //! while let Some(datagram) = capture.next_datagram()? {
 //!     pipeline.push(&datagram)?;
-//!     while let Some(bytes) = pipeline.poll() {
+//!     while let Some(bytes) = pipeline.poll(&mut memory) {
 //!         let sweep = SweepRef::open(bytes.as_ref())?;
 //!         println!("{} columns, {} segments", sweep.columns.len(), sweep.segments.len());
 //!         sweeps += 1;

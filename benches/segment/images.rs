@@ -7,14 +7,14 @@ use std::path::{Path, PathBuf};
 use fastrand::Rng;
 use sweepd::capture::{Capture, Route, Sensors};
 use sweepd::cloud::{self, CloudProjector};
-use sweepd::pipeline::{Config, Pipeline, Untimed};
+use sweepd::pipeline::{Config, Pipeline};
 use sweepd::sensor::{Beam, Model};
 use sweepd::simulate::shape::Ray;
 use sweepd::simulate::view::View;
 use sweepd::simulate::{Emitter, EmitterConfig, Setting, fixtures};
 use sweepd::sweep::buffers::HeapBuffer;
 use sweepd::sweep::layout::{flags, is_return};
-use sweepd::sweep::{BeamRow, Buffers, Column, HeapBuffers, Shape, SweepMut, SweepRef};
+use sweepd::sweep::{BeamRow, Buffers, Column, HeapBuffers, Memory, Shape, SweepMut, SweepRef};
 use sweepd::wire::data::ReturnMode;
 
 /// Height of the sensor over the ground in the images that are made here, metres.
@@ -106,14 +106,14 @@ fn projected(points: &[[f32; 4]], columns: usize) -> HeapBuffer {
 fn captured(path: &Path) -> HeapBuffer {
     let mut capture = Capture::open(path).unwrap();
     let mut sensors = Sensors::new(Vec::new());
-    let mut pipeline =
-        Pipeline::new("bench", Config::default(), HeapBuffers::default(), Untimed).unwrap();
+    let mut pipeline = Pipeline::new("bench", Config::default()).unwrap();
+    let mut memory = Memory::new(HeapBuffers::default());
     let mut whole = 0;
     while let Some(datagram) = capture.next_datagram().unwrap() {
         if matches!(sensors.route(&datagram), Route::Data(_)) {
             pipeline.push(&datagram).unwrap();
         }
-        while let Some(buffer) = pipeline.poll() {
+        while let Some(buffer) = pipeline.poll(&mut memory) {
             whole += u32::from(is_whole(&buffer));
             if whole == 2 {
                 return buffer;
@@ -138,10 +138,11 @@ fn simulated(model: Model) -> HeapBuffer {
         calibration: Some(sensor.beams().into_owned()),
         ..Config::default()
     };
-    let mut pipeline = Pipeline::new("bench", config, HeapBuffers::default(), Untimed).unwrap();
+    let mut pipeline = Pipeline::new("bench", config).unwrap();
+    let mut memory = Memory::new(HeapBuffers::default());
     for one in Emitter::new(sensor, &scene) {
         pipeline.push(&one.datagram()).unwrap();
-        while let Some(buffer) = pipeline.poll() {
+        while let Some(buffer) = pipeline.poll(&mut memory) {
             if is_whole(&buffer) {
                 return buffer;
             }

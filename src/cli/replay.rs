@@ -16,13 +16,13 @@ use super::summary::{SensorReport, SummaryLine, Sums, Traffic};
 use super::{CliError, complain};
 use crate::capture::{Capture, CaptureError, Pacer, Route, SensorIndex, Sensors};
 use crate::export::text::count_of;
-use sweepd_client::host::realtime_ns;
+use sweepd_client::host::{monotonic_ns, realtime_ns};
 use sweepd_client::publish::Loans;
-use sweepd_core::pipeline::{Config, Counts, Fault, Notice, Pipeline, Stopwatch};
+use sweepd_core::pipeline::{Config, Counts, Fault, Notice, Pipeline};
 use sweepd_core::sensor::compare::Difference;
 use sweepd_core::sensor::detect::Detection;
 use sweepd_core::sweep::layout::flags;
-use sweepd_core::sweep::{Kept, SweepRef};
+use sweepd_core::sweep::{Memory, SweepRef};
 use sweepd_core::wire::Datagram;
 
 /// Options of `sweepd replay`.
@@ -70,22 +70,12 @@ pub fn run(args: &Args) -> Result<(), CliError> {
     Ok(())
 }
 
-/// The monotonic clock, or one that stands still for output that two runs share.
-#[derive(Clone, Copy)]
-struct Watch(Option<Instant>);
-
-impl Stopwatch for Watch {
-    fn now_ns(&self) -> u64 {
-        self.0.map_or(0, |start| start.elapsed().as_nanos() as u64)
-    }
-}
-
 /// One sensor on its way.
 struct Track {
     name: String,
-    pipeline: Pipeline<Kept<Loans>, Watch>,
-    /// The pipeline's: the next round has the same.
-    buffers: Kept<Loans>,
+    pipeline: Pipeline,
+    /// The next round has the same.
+    memory: Memory<Loans>,
     /// When this round began.
     run_ns: i64,
     /// Of the last sweep; the pipeline forgets it when another sensor takes the place of this one.
@@ -101,7 +91,6 @@ struct Track {
 struct Replay<'a> {
     args: &'a Args,
     config: Config,
-    watch: Watch,
     outputs: Outputs,
     sensors: Sensors,
     /// Datagrams of other senders in the rounds before.
@@ -115,7 +104,6 @@ impl<'a> Replay<'a> {
     fn new(args: &'a Args, config: Config) -> Result<Self, CliError> {
         Ok(Self {
             outputs: Outputs::new(&args.output)?,
-            watch: Watch((!args.output.no_timing).then(Instant::now)),
             sensors: Sensors::new(args.sensor.sensor.clone()),
             others_before: 0,
             tracks: Vec::new(),
@@ -164,7 +152,7 @@ impl<'a> Replay<'a> {
         self.others_before = self.sensors.others().total();
         for track in &mut self.tracks {
             track.past += track.pipeline.counts();
-            track.pipeline = pipeline(&track.name, &self.config, &track.buffers, self.watch)?;
+            track.pipeline = pipeline(&track.name, &self.config, self.args)?;
             track.run_ns = realtime_ns();
         }
         let mut pacer = Pacer::new(self.args.play.speed(self.args.publish.is_wanted()));
@@ -194,7 +182,7 @@ impl<'a> Replay<'a> {
                     let until = Instant::now() + wait;
                     self.tracks
                         .iter_mut()
-                        .for_each(|track| track.pipeline.segment_early());
+                        .for_each(|track| track.pipeline.segment_early(&mut track.memory));
                     std::thread::sleep(until.saturating_duration_since(Instant::now()));
                 }
             }
@@ -265,8 +253,8 @@ impl<'a> Replay<'a> {
             return Ok(());
         }
         let name = self.sensors.sensor(index).name.clone();
-        let buffers = Kept::new(self.args.publish.loans(index.get(), &name)?);
-        let mut pipeline = pipeline(&name, &self.config, &buffers, self.watch)?;
+        let memory = Memory::new(self.args.publish.loans(index.get(), &name)?);
+        let mut pipeline = pipeline(&name, &self.config, self.args)?;
         if let Some(position) = self.sensors.position(index) {
             // A position packet is never a fault.
             let _ = pipeline.push(&position);
@@ -280,7 +268,7 @@ impl<'a> Replay<'a> {
         self.tracks.push(Track {
             name,
             pipeline,
-            buffers,
+            memory,
             run_ns,
             detection,
             sums,
@@ -332,7 +320,7 @@ impl<'a> Replay<'a> {
     /// Writes the sweeps that are whole.
     fn emit(&mut self, index: usize) -> Result<(), CliError> {
         let track = &mut self.tracks[index];
-        while let Some(buffer) = track.pipeline.poll() {
+        while let Some(buffer) = track.pipeline.poll(&mut track.memory) {
             let Ok(sweep) = SweepRef::open(buffer.as_ref()) else {
                 continue;
             };
@@ -531,14 +519,13 @@ fn summarize(differences: &[Difference]) -> String {
     )
 }
 
-fn pipeline(
-    name: &str,
-    config: &Config,
-    buffers: &Kept<Loans>,
-    watch: Watch,
-) -> Result<Pipeline<Kept<Loans>, Watch>, CliError> {
-    Pipeline::new(name, config.clone(), buffers.clone(), watch)
-        .map_err(|error| CliError::Usage(error.to_string()))
+fn pipeline(name: &str, config: &Config, args: &Args) -> Result<Pipeline, CliError> {
+    let pipeline =
+        Pipeline::new(name, config.clone()).map_err(|error| CliError::Usage(error.to_string()))?;
+    if args.output.no_timing {
+        return Ok(pipeline);
+    }
+    Ok(pipeline.timed_by(monotonic_ns))
 }
 
 impl Track {

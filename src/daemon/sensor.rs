@@ -7,11 +7,11 @@ use std::sync::mpsc::Sender;
 use super::counters::{Gps, SensorCounters, Stage};
 use super::sharing::Outgoing;
 use sweepd_client::host::{monotonic_ns, realtime_ns};
-use sweepd_core::pipeline::{self, Counts, Fault, Notice, Pipeline, Stopwatch};
+use sweepd_core::pipeline::{self, Counts, Fault, Notice, Pipeline};
 use sweepd_core::segment::ConfigError;
 use sweepd_core::sweep::clock::vouched_utc_ns;
 use sweepd_core::sweep::layout::{Completion, flags};
-use sweepd_core::sweep::{Buffers, Header, Kept, SweepMut};
+use sweepd_core::sweep::{Buffers, Header, Memory, SweepMut};
 use sweepd_core::wire::nmea::Rmc;
 use sweepd_core::wire::position::Pps;
 use sweepd_core::wire::{Datagram, Position, hdl64};
@@ -19,15 +19,6 @@ use sweepd_core::wire::{Datagram, Position, hdl64};
 /// A sensor that could not be decoded is looked at anew after so long: it may have been exchanged,
 /// or its first packets may have been lost.
 const SECOND_LOOK_NS: i64 = 10_000_000_000;
-
-/// CLOCK_MONOTONIC.
-pub struct Monotonic;
-
-impl Stopwatch for Monotonic {
-    fn now_ns(&self) -> u64 {
-        monotonic_ns() as u64
-    }
-}
 
 /// What happened to a sensor that people want to know of; rare.
 #[derive(Debug)]
@@ -50,8 +41,8 @@ pub struct Sensor<B: Buffers> {
     name: String,
     address: String,
     config: pipeline::Config,
-    buffers: Kept<B>,
-    pipeline: Pipeline<Kept<B>, Monotonic>,
+    memory: Memory<B>,
+    pipeline: Pipeline,
     counters: Arc<SensorCounters>,
     events: Sender<(usize, Event)>,
     /// What pipelines before this one counted.
@@ -91,7 +82,6 @@ impl<B: Buffers<Buffer: Outgoing>> Sensor<B> {
         config: pipeline::Config,
         buffers: B,
     ) -> Result<Self, ConfigError> {
-        let buffers = Kept::new(buffers);
         let Identity {
             index,
             name,
@@ -99,13 +89,13 @@ impl<B: Buffers<Buffer: Outgoing>> Sensor<B> {
             counters,
             events,
         } = identity;
-        let pipeline = Pipeline::new(&address, config.clone(), buffers.clone(), Monotonic)?;
+        let pipeline = Pipeline::new(&address, config.clone())?.timed_by(monotonic_ns);
         Ok(Self {
             index,
             name,
             address,
             config,
-            buffers,
+            memory: Memory::new(buffers),
             pipeline,
             counters,
             events,
@@ -168,7 +158,7 @@ impl<B: Buffers<Buffer: Outgoing>> Sensor<B> {
 
     /// Does what can be done before its sweep is complete, after a batch.
     pub fn work_ahead(&mut self) {
-        self.pipeline.segment_early();
+        self.pipeline.segment_early(&mut self.memory);
     }
 
     /// Brings the counters up to date, after a batch, and sends what was held.
@@ -197,12 +187,7 @@ impl<B: Buffers<Buffer: Outgoing>> Sensor<B> {
     }
 
     fn begin_anew(&mut self, config: pipeline::Config) -> Result<(), ConfigError> {
-        let fresh = Pipeline::new(
-            &self.address,
-            config.clone(),
-            self.buffers.clone(),
-            Monotonic,
-        )?;
+        let fresh = Pipeline::new(&self.address, config.clone())?.timed_by(monotonic_ns);
         let before = std::mem::replace(&mut self.pipeline, fresh);
         self.counted += before.counts();
         self.pipeline.expect_unit(before.into_unit());
@@ -220,7 +205,7 @@ impl<B: Buffers<Buffer: Outgoing>> Sensor<B> {
     }
 
     fn send_sweeps(&mut self, dropped: u64) {
-        while let Some(sweep) = self.pipeline.poll() {
+        while let Some(sweep) = self.pipeline.poll(&mut self.memory) {
             self.send(sweep, dropped);
         }
     }

@@ -8,10 +8,10 @@ use super::observe::{Heard, Port, PositionSender, Sensor};
 use super::plan::Plan;
 use crate::capture::gate::Entry;
 use crate::capture::{Gate, UdpError, UdpSource};
-use sweepd_core::pipeline::{Config, Notice, Pipeline, Untimed};
+use sweepd_core::pipeline::{Config, Notice, Pipeline};
 use sweepd_core::segment::ConfigError;
 use sweepd_core::sweep::layout::{TimeSource, flags};
-use sweepd_core::sweep::{HeapBuffers, SweepRef};
+use sweepd_core::sweep::{HeapBuffers, Memory, SweepRef};
 use sweepd_core::wire::nmea::Rmc;
 use sweepd_core::wire::{Datagram, Position};
 
@@ -44,7 +44,8 @@ struct Ear {
 /// A sensor, and the pipeline that decodes it.
 struct Patient {
     seen: Sensor,
-    pipeline: Pipeline<HeapBuffers, Untimed>,
+    pipeline: Pipeline,
+    memory: Memory<HeapBuffers>,
     sweeps: u64,
 }
 
@@ -190,7 +191,7 @@ impl Patient {
         let mut config = Config::default();
         // Nobody looks at the labels.
         (config.segment.min_range_m, config.segment.max_range_m) = (0.0, 0.01);
-        let pipeline = Pipeline::new("", config, HeapBuffers::default(), Untimed)?;
+        let pipeline = Pipeline::new("", config)?;
         Ok(Self {
             seen: Sensor {
                 source: Some(source),
@@ -198,6 +199,7 @@ impl Patient {
                 ..Sensor::default()
             },
             pipeline,
+            memory: Memory::default(),
             sweeps: 0,
         })
     }
@@ -206,7 +208,7 @@ impl Patient {
         if let Err(fault) = self.pipeline.push(datagram) {
             self.seen.fault = Some(fault.to_string());
         }
-        while let Some(bytes) = self.pipeline.poll() {
+        while let Some(bytes) = self.pipeline.poll(&mut self.memory) {
             if let Ok(sweep) = SweepRef::open(bytes.as_ref()) {
                 self.sees(&sweep);
             }

@@ -19,19 +19,20 @@ use sweepd::capture::record::Rotation;
 use sweepd::capture::{Gate, Recorder, UdpConfig, UdpSource};
 use sweepd::client::Client;
 use sweepd::daemon::tap::{TapStream, Taps, socket_path};
-use sweepd::pipeline::{Config, Pipeline, Untimed};
+use sweepd::pipeline::{Config, Pipeline};
 use sweepd::publish::{Loans, Settings};
 use sweepd::segment::Method;
 use sweepd::sensor::Model;
 use sweepd::simulate::{Emitter, EmitterConfig, street};
-use sweepd::sweep::{Buffers, HeapBuffers, Shape, SweepMut};
+use sweepd::sweep::{Buffers, HeapBuffers, Memory, Shape, SweepMut};
 use sweepd::wire::DataPacket;
 use sweepd::wire::data::ReturnMode;
 
 /// Allocations during each sweep: from the first of its datagrams to the moment it is labelled and
 /// let go.
 fn per_sweep(config: Config, datagrams: &[(Vec<u8>, i64)]) -> Vec<u64> {
-    let mut pipeline = Pipeline::new("test", config, HeapBuffers::default(), Untimed).unwrap();
+    let mut pipeline = Pipeline::new("test", config).unwrap();
+    let mut memory = Memory::new(HeapBuffers::default());
     let mut counts = Vec::with_capacity(100);
     let mut before = ALLOCATIONS.load(Ordering::Relaxed);
     for (payload, arrival_ns) in datagrams {
@@ -39,13 +40,13 @@ fn per_sweep(config: Config, datagrams: &[(Vec<u8>, i64)]) -> Vec<u64> {
             .push(&stream::datagram(payload, *arrival_ns))
             .unwrap();
         pipeline.tick(*arrival_ns);
-        while let Some(sweep) = pipeline.poll() {
+        while let Some(sweep) = pipeline.poll(&mut memory) {
             drop(sweep);
             let now = ALLOCATIONS.load(Ordering::Relaxed);
             counts.push(now - before);
             before = now;
         }
-        pipeline.segment_early();
+        pipeline.segment_early(&mut memory);
     }
     counts
 }

@@ -1,13 +1,14 @@
 //! When the packet that completes a sweep is expected.
 
-use sweepd::pipeline::{Config, Pipeline, Untimed};
-use sweepd::sweep::HeapBuffers;
+use sweepd::pipeline::{Config, Pipeline};
+use sweepd::sweep::{HeapBuffers, Memory};
 use sweepd::wire::Datagram;
 
 /// Of each sweep: by how much the packet that completed it came after it was expected, as was said
 /// after each packet before, nanoseconds.
 pub fn late_ns(config: Config, packets: impl IntoIterator<Item = (Vec<u8>, i64)>) -> Vec<Vec<i64>> {
-    let mut pipeline = Pipeline::new("sensor", config, HeapBuffers::default(), Untimed).unwrap();
+    let mut pipeline = Pipeline::new("sensor", config).unwrap();
+    let mut memory = Memory::new(HeapBuffers::default());
     let (mut said_ns, mut late_ns) = (Vec::new(), Vec::new());
     for (payload, arrival_ns) in packets {
         let source = ([192, 168, 1, 201], 2368).into();
@@ -19,7 +20,7 @@ pub fn late_ns(config: Config, packets: impl IntoIterator<Item = (Vec<u8>, i64)>
                 payload: &payload,
             })
             .unwrap();
-        if std::iter::from_fn(|| pipeline.poll()).count() > 0 {
+        if std::iter::from_fn(|| pipeline.poll(&mut memory)).count() > 0 {
             late_ns.push(
                 said_ns
                     .drain(..)

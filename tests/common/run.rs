@@ -5,10 +5,10 @@ use std::path::Path;
 
 use sweepd::capture::Capture;
 use sweepd::capture::sensors::{Route, Sensors};
-use sweepd::pipeline::{Config, Counts, Fault, Notice, Pipeline, Untimed};
+use sweepd::pipeline::{Config, Counts, Fault, Notice, Pipeline};
 use sweepd::sensor::detect::Detection;
 use sweepd::sweep::buffers::HeapBuffer;
-use sweepd::sweep::{HeapBuffers, Return, SweepRef};
+use sweepd::sweep::{HeapBuffers, Memory, Return, SweepRef};
 use sweepd::wire::Datagram;
 use sweepd::wire::data::RECORDS;
 
@@ -40,14 +40,16 @@ pub struct Placed {
 
 /// A pipeline under way, and the sweeps it gave so far.
 pub struct Runner {
-    pipeline: Pipeline<HeapBuffers, Untimed>,
+    pipeline: Pipeline,
+    memory: Memory<HeapBuffers>,
     pub sweeps: Vec<HeapBuffer>,
 }
 
 impl Runner {
     pub fn new(config: Config) -> Self {
         Self {
-            pipeline: Pipeline::new("test", config, HeapBuffers::default(), Untimed).unwrap(),
+            pipeline: Pipeline::new("test", config).unwrap(),
+            memory: Memory::default(),
             sweeps: Vec::new(),
         }
     }
@@ -55,15 +57,15 @@ impl Runner {
     pub fn push(&mut self, datagram: &Datagram<'_>) -> Result<(), Fault> {
         let result = self.pipeline.push(datagram);
         self.sweeps
-            .extend(std::iter::from_fn(|| self.pipeline.poll()));
-        self.pipeline.segment_early();
+            .extend(std::iter::from_fn(|| self.pipeline.poll(&mut self.memory)));
+        self.pipeline.segment_early(&mut self.memory);
         result
     }
 
     pub fn end(&mut self) -> Result<(), Fault> {
         let result = self.pipeline.end();
         self.sweeps
-            .extend(std::iter::from_fn(|| self.pipeline.poll()));
+            .extend(std::iter::from_fn(|| self.pipeline.poll(&mut self.memory)));
         result
     }
 

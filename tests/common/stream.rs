@@ -4,11 +4,11 @@
 
 use std::collections::BTreeMap;
 
-use sweepd::pipeline::{Config, Counts, Pipeline, Untimed};
+use sweepd::pipeline::{Config, Counts, Pipeline};
 use sweepd::sensor::model::Stamp;
 use sweepd::sensor::{Beam, Calibration, Model};
 use sweepd::sweep::buffers::HeapBuffer;
-use sweepd::sweep::{HeapBuffers, SweepRef};
+use sweepd::sweep::{HeapBuffers, Memory, SweepRef};
 use sweepd::wire::Datagram;
 use sweepd::wire::data::{BLOCKS, Banks, DataPacket, FLAG_BANK_1, RECORDS, Record, ReturnMode};
 
@@ -209,20 +209,21 @@ impl Run {
             calibration: calibration.or(config.calibration.clone()),
             ..config
         };
-        let mut pipeline = Pipeline::new("test", config, HeapBuffers::default(), Untimed).unwrap();
+        let mut pipeline = Pipeline::new("test", config).unwrap();
+        let mut memory = Memory::new(HeapBuffers::default());
         let (mut sweeps, mut out_after) = (Vec::new(), Vec::new());
         for (index, (payload, arrival_ns)) in arrived.iter().enumerate() {
             let _ = pipeline.push(&datagram(payload, *arrival_ns));
-            while let Some(sweep) = pipeline.poll() {
+            while let Some(sweep) = pipeline.poll(&mut memory) {
                 sweeps.push(sweep);
                 out_after.push(index + 1);
             }
             if index % 3 == 0 {
-                pipeline.segment_early();
+                pipeline.segment_early(&mut memory);
             }
         }
         let _ = pipeline.end();
-        while let Some(sweep) = pipeline.poll() {
+        while let Some(sweep) = pipeline.poll(&mut memory) {
             sweeps.push(sweep);
             out_after.push(arrived.len());
         }

@@ -2,12 +2,12 @@
 
 use sweepd::capture::Capture;
 use sweepd::capture::sensors::{Route, Sensors};
-use sweepd::pipeline::{Config, Pipeline, Untimed};
+use sweepd::pipeline::{Config, Pipeline};
 use sweepd::sensor::Model;
 use sweepd::simulate::unit::unit;
 use sweepd::sweep::buffers::HeapBuffer;
 use sweepd::sweep::layout::flags;
-use sweepd::sweep::{Buffers, HeapBuffers, SweepRef};
+use sweepd::sweep::{Buffers, HeapBuffers, Memory, SweepRef};
 use sweepd::wire::data::ReturnMode;
 
 use super::of_project;
@@ -65,30 +65,31 @@ impl Source {
 }
 
 fn play_spin<B: Buffers>(spin: &Spin, config: Config, buffers: B, mut done: impl FnMut(B::Buffer)) {
-    let mut pipeline = Pipeline::new("192.168.1.201:2368", config, buffers, Untimed).unwrap();
+    let mut pipeline = Pipeline::new("192.168.1.201:2368", config).unwrap();
+    let mut memory = Memory::new(buffers);
     for one in spin.packets(0.25) {
         pipeline
             .push(&datagram(one.packet.emit(), one.arrival_ns))
             .unwrap();
-        std::iter::from_fn(|| pipeline.poll()).for_each(&mut done);
+        std::iter::from_fn(|| pipeline.poll(&mut memory)).for_each(&mut done);
     }
     pipeline.end().unwrap();
-    std::iter::from_fn(|| pipeline.poll()).for_each(&mut done);
+    std::iter::from_fn(|| pipeline.poll(&mut memory)).for_each(&mut done);
 }
 
 fn play_capture<B: Buffers>(file: &str, buffers: B, mut done: impl FnMut(B::Buffer)) {
-    let mut pipeline =
-        Pipeline::new("192.168.1.201:2368", Config::default(), buffers, Untimed).unwrap();
+    let mut pipeline = Pipeline::new("192.168.1.201:2368", Config::default()).unwrap();
+    let mut memory = Memory::new(buffers);
     let mut capture = Capture::open(of_project("pcap_fixtures").join(file)).unwrap();
     let mut sensors = Sensors::new(Vec::new());
     while let Some(datagram) = capture.next_datagram().unwrap() {
         if !matches!(sensors.route(&datagram), Route::Other(_)) {
             pipeline.push(&datagram).unwrap();
         }
-        std::iter::from_fn(|| pipeline.poll()).for_each(&mut done);
+        std::iter::from_fn(|| pipeline.poll(&mut memory)).for_each(&mut done);
     }
     pipeline.end().unwrap();
-    std::iter::from_fn(|| pipeline.poll()).for_each(&mut done);
+    std::iter::from_fn(|| pipeline.poll(&mut memory)).for_each(&mut done);
 }
 
 /// The tests that use these sweeps would be worth little if they had nothing of what they are to be

@@ -11,11 +11,11 @@ use sweepd::daemon::counters::{Gps, Reject, Stage};
 use sweepd::daemon::sensor::Event;
 use sweepd::daemon::tee::Tees;
 use sweepd::daemon::{DaemonError, Runtime};
-use sweepd::pipeline::{self, Notice, Pipeline, Untimed};
+use sweepd::pipeline::{self, Notice, Pipeline};
 use sweepd::sensor::Model;
 use sweepd::sweep::buffers::HeapBuffer;
 use sweepd::sweep::layout::{TimeSource, flags};
-use sweepd::sweep::{HeapBuffers, SweepRef};
+use sweepd::sweep::{HeapBuffers, Memory, SweepRef};
 use sweepd::wire::data::ReturnMode;
 use sweepd::wire::{DataPacket, Datagram};
 
@@ -36,9 +36,8 @@ fn by_sensor(sweeps: &Receiver<(Arc<str>, HeapBuffer)>) -> BTreeMap<String, Vec<
 
 /// The sweeps of a stream in a replay.
 fn replayed(sent: &[Sent]) -> Vec<HeapBuffer> {
-    let buffers = HeapBuffers::default();
-    let mut pipeline =
-        Pipeline::new("replay", pipeline::Config::default(), buffers, Untimed).unwrap();
+    let mut pipeline = Pipeline::new("replay", pipeline::Config::default()).unwrap();
+    let mut memory = Memory::new(HeapBuffers::default());
     let mut sweeps = Vec::new();
     for sent in sent {
         let arrival_ns = 1_700_000_000_000_000_000 + sent.after.as_nanos() as i64;
@@ -50,7 +49,7 @@ fn replayed(sent: &[Sent]) -> Vec<HeapBuffer> {
             payload: &sent.payload,
         };
         pipeline.push(&datagram).unwrap();
-        sweeps.extend(std::iter::from_fn(|| pipeline.poll()));
+        sweeps.extend(std::iter::from_fn(|| pipeline.poll(&mut memory)));
     }
     sweeps
 }

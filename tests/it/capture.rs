@@ -10,8 +10,8 @@ use pcap_parser::{LegacyPcapReader, PcapBlockOwned, PcapError};
 use sweepd::capture::{Capture, CaptureReader, LinkType, Route, Sensors};
 use sweepd::daemon::counters::SensorCounters;
 use sweepd::daemon::losses::{Limits, Losses, WINDOW};
-use sweepd::pipeline::{Config, Pipeline, Untimed};
-use sweepd::sweep::HeapBuffers;
+use sweepd::pipeline::{Config, Pipeline};
+use sweepd::sweep::{HeapBuffers, Memory};
 use sweepd::wire::Datagram;
 
 /// File, data packets, position packets, sender: from the README of the captures.
@@ -78,7 +78,8 @@ fn packets_are_counted_as_others_count_them() {
 /// The highest share of packets that a daemon would tell of a capture which is sent to it again and
 /// again, as `replay --loop` does, for four windows.
 fn highest_share(path: &Path) -> f64 {
-    let pipeline = Pipeline::new("roof", Config::default(), HeapBuffers::default(), Untimed);
+    let pipeline = Pipeline::new("roof", Config::default());
+    let mut memory = Memory::new(HeapBuffers::default());
     let (mut pipeline, counters, mut losses) = (
         pipeline.unwrap(),
         SensorCounters::default(),
@@ -101,7 +102,7 @@ fn highest_share(path: &Path) -> f64 {
                 arrival_ns,
                 ..datagram
             });
-            while pipeline.poll().is_some() {}
+            while pipeline.poll(&mut memory).is_some() {}
             counters.set(&pipeline.counts());
             assert_eq!(
                 losses.observe(passed, counters.tally()),

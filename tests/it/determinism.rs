@@ -6,14 +6,13 @@
 use std::sync::LazyLock;
 
 use crate::common::same::same;
-use sweepd::pipeline::{Config, Pipeline, Untimed};
+use sweepd::pipeline::{Config, Pipeline};
 use sweepd::sensor::Model::{Hdl32e, Hdl64eS2, Hdl64eS3, Vlp16};
 use sweepd::simulate::gps::{Clock, Reception};
 use sweepd::simulate::{Emitter, EmitterConfig, Rates, SimulatedDatagram, deliver, fixtures};
-use sweepd::sweep::buffers::HeapBuffer;
 use sweepd::sweep::lanes::levels;
 use sweepd::sweep::layout::flags::HEIGHT_ESTIMATED;
-use sweepd::sweep::{HeapBuffers, Kept, SweepRef};
+use sweepd::sweep::{HeapBuffers, Memory, SweepRef};
 use sweepd::wire::data::ReturnMode::{Dual, Strongest};
 
 /// What a sensor sent, with losses, copies and packets out of order, and the sweeps that it gave.
@@ -88,48 +87,40 @@ static STREAMS: LazyLock<Vec<Stream>> = LazyLock::new(|| {
             sent,
             sweeps: Vec::new(),
         };
-        stream.sweeps = stream.run(
-            stream.pipeline(HeapBuffers::default()),
-            &stream.sent,
-            |_, _| {},
-        );
+        stream.sweeps = stream.run(stream.pipeline(), &stream.sent, |_, _, _| {});
         stream
     });
     streams.collect()
 });
 
-type Plain = Pipeline<HeapBuffers, Untimed>;
-
 /// Takes what is complete.
-fn take<B: sweepd::sweep::Buffers<Buffer = HeapBuffer>>(
-    pipeline: &mut Pipeline<B, Untimed>,
-    sweeps: &mut Vec<Vec<u8>>,
-) {
-    while let Some(sweep) = pipeline.poll() {
+fn take(pipeline: &mut Pipeline, memory: &mut Memory<HeapBuffers>, sweeps: &mut Vec<Vec<u8>>) {
+    while let Some(sweep) = pipeline.poll(memory) {
         sweeps.push(same(&SweepRef::open(sweep.as_ref()).unwrap()));
     }
 }
 
 impl Stream {
-    fn pipeline(&self, buffers: HeapBuffers) -> Plain {
-        Pipeline::new(&self.name, self.config.clone(), buffers, Untimed).unwrap()
+    fn pipeline(&self) -> Pipeline {
+        Pipeline::new(&self.name, self.config.clone()).unwrap()
     }
 
     /// The sweeps of datagrams; `between` is called after each.
     fn run(
         &self,
-        mut pipeline: Plain,
+        mut pipeline: Pipeline,
         sent: &[SimulatedDatagram],
-        mut between: impl FnMut(&mut Plain, i64),
+        mut between: impl FnMut(&mut Pipeline, &mut Memory<HeapBuffers>, i64),
     ) -> Vec<Vec<u8>> {
+        let mut memory = Memory::new(HeapBuffers::default());
         let mut sweeps = Vec::new();
         for one in sent {
             pipeline.push(&one.datagram()).unwrap();
-            take(&mut pipeline, &mut sweeps);
-            between(&mut pipeline, one.arrival_ns);
+            take(&mut pipeline, &mut memory, &mut sweeps);
+            between(&mut pipeline, &mut memory, one.arrival_ns);
         }
         pipeline.end().unwrap();
-        take(&mut pipeline, &mut sweeps);
+        take(&mut pipeline, &mut memory, &mut sweeps);
         sweeps
     }
 
@@ -159,12 +150,12 @@ fn the_streams_show_what_they_are_for() {
         name, config, sent, ..
     } in &*STREAMS
     {
-        let mut pipeline =
-            Pipeline::new(name, config.clone(), HeapBuffers::default(), Untimed).unwrap();
+        let mut pipeline = Pipeline::new(name, config.clone()).unwrap();
+        let mut memory = Memory::new(HeapBuffers::default());
         let (mut segments, mut estimated) = (0, false);
         for one in sent {
             pipeline.push(&one.datagram()).unwrap();
-            while let Some(sweep) = pipeline.poll() {
+            while let Some(sweep) = pipeline.poll(&mut memory) {
                 let sweep = SweepRef::open(sweep.as_ref()).unwrap();
                 segments += sweep.segments.len();
                 estimated |= sweep.header.has(HEIGHT_ESTIMATED) && sweep.header.sequence > 1;
@@ -184,11 +175,10 @@ fn on_every_level_of_instructions() {
     for stream in &*STREAMS {
         for level in levels() {
             let (name, config) = (&stream.name, stream.config.clone());
-            let pipeline =
-                Pipeline::with_level(name, config, HeapBuffers::default(), Untimed, level).unwrap();
+            let pipeline = Pipeline::with_level(name, config, level).unwrap();
             stream.compare(
                 &format!("{level:?}"),
-                &stream.run(pipeline, &stream.sent, |_, _| {}),
+                &stream.run(pipeline, &stream.sent, |_, _, _| {}),
             );
         }
     }
@@ -200,14 +190,14 @@ fn however_often_the_pipeline_is_asked_and_told_the_time() {
         let mut rng = fastrand::Rng::with_seed(1);
         let mut extra = 0;
         let asked = stream.run(
-            stream.pipeline(HeapBuffers::default()),
+            stream.pipeline(),
             &stream.sent,
-            |pipeline, now_ns| {
+            |pipeline, memory, now_ns| {
                 for _ in 0..rng.u8(..4) {
                     // Less than the silence after which a sweep is closed.
                     pipeline.tick(now_ns + rng.i64(0..450_000_000));
-                    extra += usize::from(pipeline.poll().is_some());
-                    pipeline.segment_early();
+                    extra += usize::from(pipeline.poll(memory).is_some());
+                    pipeline.segment_early(memory);
                 }
             },
         );
@@ -236,7 +226,7 @@ fn whenever_the_packets_arrive_and_whatever_the_host_takes_for_the_time() {
                 newest_ns = newest_ns.max(one.arrival_ns + ahead_ns + rng.i64(0..15_000_000));
                 one.arrival_ns = newest_ns;
             }
-            let moved = stream.run(stream.pipeline(HeapBuffers::default()), &sent, |_, _| {});
+            let moved = stream.run(stream.pipeline(), &sent, |_, _, _| {});
             stream.compare(&format!("{ahead_ns} ns ahead"), &moved);
         }
     }
@@ -246,31 +236,31 @@ fn whenever_the_packets_arrive_and_whatever_the_host_takes_for_the_time() {
 fn alone_or_among_others_in_any_order_and_in_the_buffers_of_others() {
     for seed in 0..3 {
         let mut rng = fastrand::Rng::with_seed(seed);
-        let buffers = Kept::new(HeapBuffers::default());
-        let pipeline = |stream: &Stream| {
-            Pipeline::new(
-                &stream.name,
-                stream.config.clone(),
-                buffers.clone(),
-                Untimed,
-            )
-            .unwrap()
-        };
+        let buffers = HeapBuffers::default();
         let mut under_way: Vec<_> = STREAMS
             .iter()
-            .map(|stream| (stream, pipeline(stream), stream.sent.iter(), Vec::new()))
+            .map(|stream| {
+                let memory = Memory::new(buffers.clone());
+                (
+                    stream,
+                    stream.pipeline(),
+                    memory,
+                    stream.sent.iter(),
+                    Vec::new(),
+                )
+            })
             .collect();
         while !under_way.is_empty() {
             let index = rng.usize(..under_way.len());
-            let (_, pipeline, sent, sweeps) = &mut under_way[index];
+            let (_, pipeline, memory, sent, sweeps) = &mut under_way[index];
             // A batch, as the kernel hands them out.
             for one in sent.by_ref().take(rng.usize(1..60)) {
                 pipeline.push(&one.datagram()).unwrap();
-                take(pipeline, sweeps);
+                take(pipeline, memory, sweeps);
             }
             if sent.as_slice().is_empty() {
                 pipeline.end().unwrap();
-                take(pipeline, sweeps);
+                take(pipeline, memory, sweeps);
                 let (stream, .., sweeps) = under_way.swap_remove(index);
                 stream.compare(&format!("among others, seed {seed}"), &sweeps);
             }

@@ -5,10 +5,10 @@ use std::collections::BTreeSet;
 
 use crate::common::stream::{Content, Run, Sent, Spin, config, cut_at};
 use proptest::prelude::*;
-use sweepd::pipeline::{Counts, Pipeline, Untimed};
+use sweepd::pipeline::{Counts, Pipeline};
 use sweepd::sensor::Model::{self, Hdl32e, Hdl64eS3, Vlp16};
-use sweepd::sweep::HeapBuffers;
 use sweepd::sweep::layout::flags::{BLANKED, CIRCULAR, PARTIAL, RATE_UNSTABLE, REVERSED, STOPPED};
+use sweepd::sweep::{HeapBuffers, Memory};
 use sweepd::wire::data::DataPacket;
 use sweepd::wire::data::ReturnMode::{self, Dual, Last, Strongest};
 
@@ -1053,36 +1053,37 @@ fn another_model_on_the_same_address_is_detected_anew() {
 #[test]
 fn silence_closes_the_sweep_once() {
     let sent = Spin::new(Vlp16, Strongest, 600.0).packets(1.2);
-    let mut pipeline = Pipeline::new("test", config(), HeapBuffers::default(), Untimed).unwrap();
-    let push = |pipeline: &mut Pipeline<_, _>, one: &Sent| {
+    let mut pipeline = Pipeline::new("test", config()).unwrap();
+    let mut memory = Memory::new(HeapBuffers::default());
+    let push = |pipeline: &mut Pipeline, memory: &mut Memory<HeapBuffers>, one: &Sent| {
         pipeline
             .push(&stream::datagram(one.packet.emit(), one.arrival_ns))
             .unwrap();
-        std::iter::from_fn(|| pipeline.poll()).count()
+        std::iter::from_fn(|| pipeline.poll(memory)).count()
     };
     // Packet 18 is missing, so that 19 is held when the silence begins.
     let before: usize = sent[..18]
         .iter()
         .chain(&sent[19..20])
-        .map(|one| push(&mut pipeline, one))
+        .map(|one| push(&mut pipeline, &mut memory, one))
         .sum();
     assert_eq!(before, 0);
     let newest_ns = sent[19].arrival_ns;
     pipeline.tick(newest_ns + 400_000_000);
-    assert!(pipeline.poll().is_none());
+    assert!(pipeline.poll(&mut memory).is_none());
     pipeline.tick(newest_ns + 600_000_000);
-    assert!(pipeline.poll().is_some());
-    assert!(pipeline.poll().is_none());
+    assert!(pipeline.poll(&mut memory).is_some());
+    assert!(pipeline.poll(&mut memory).is_none());
     assert_eq!(pipeline.counts().lost, 1);
     pipeline.tick(newest_ns + 900_000_000);
-    assert!(pipeline.poll().is_none());
+    assert!(pipeline.poll(&mut memory).is_none());
     let after: usize = sent[500..600]
         .iter()
-        .map(|one| push(&mut pipeline, one))
+        .map(|one| push(&mut pipeline, &mut memory, one))
         .sum();
     assert_eq!((after, pipeline.counts().lost), (2, 480 + 1));
     pipeline.end().unwrap();
-    assert!(pipeline.poll().is_some() && pipeline.poll().is_none());
+    assert!(pipeline.poll(&mut memory).is_some() && pipeline.poll(&mut memory).is_none());
 }
 
 #[test]

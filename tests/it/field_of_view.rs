@@ -3,10 +3,10 @@
 
 use crate::common::due;
 use crate::common::stream::{Run, Sent, Spin, config, cut_at, datagram, unit};
-use sweepd::pipeline::{Config, Pipeline, Untimed};
+use sweepd::pipeline::{Config, Pipeline};
 use sweepd::sensor::Model::{self, Hdl32e, Hdl64eS3, Vlp16};
 use sweepd::sweep::layout::flags::{BLANKED, CIRCULAR, PARTIAL};
-use sweepd::sweep::{HeapBuffers, SweepRef};
+use sweepd::sweep::{HeapBuffers, Memory, SweepRef};
 use sweepd::wire::data::ReturnMode::{self, Dual, Strongest};
 
 const KINDS: [(Model, ReturnMode); 6] = [
@@ -245,7 +245,8 @@ fn what_was_learned_is_forgotten_without_a_loss() {
 /// The time is told whenever it pleases the caller, as a daemon does while nothing arrives.
 fn with_ticks(config: Config, sent: &[Sent], seed: u64) -> Run {
     let mut rng = fastrand::Rng::with_seed(seed);
-    let mut pipeline = Pipeline::new("test", config, HeapBuffers::default(), Untimed).unwrap();
+    let mut pipeline = Pipeline::new("test", config).unwrap();
+    let mut memory = Memory::new(HeapBuffers::default());
     let (mut sweeps, mut out_after) = (Vec::new(), Vec::new());
     for (index, one) in sent.iter().enumerate() {
         let _ = pipeline.push(&datagram(one.packet.emit(), one.arrival_ns));
@@ -254,7 +255,7 @@ fn with_ticks(config: Config, sent: &[Sent], seed: u64) -> Run {
             .map_or(one.arrival_ns, |next| next.arrival_ns);
         let mut now_ns = one.arrival_ns;
         loop {
-            while let Some(sweep) = pipeline.poll() {
+            while let Some(sweep) = pipeline.poll(&mut memory) {
                 sweeps.push(sweep);
                 out_after.push(index + 1);
             }
@@ -266,7 +267,7 @@ fn with_ticks(config: Config, sent: &[Sent], seed: u64) -> Run {
         }
     }
     let _ = pipeline.end();
-    sweeps.extend(std::iter::from_fn(|| pipeline.poll()));
+    sweeps.extend(std::iter::from_fn(|| pipeline.poll(&mut memory)));
     out_after.resize(sweeps.len(), sent.len());
     Run {
         sweeps,

@@ -2,10 +2,10 @@
 //! from it.
 
 use crate::common::stream::{Run, Sent, Spin, config, datagram, unit};
-use sweepd::pipeline::{Config, Pipeline, Untimed};
+use sweepd::pipeline::{Config, Pipeline};
 use sweepd::sensor::Model;
 use sweepd::sweep::buffers::HeapBuffer;
-use sweepd::sweep::{Buffers, HeapBuffers, SweepRef};
+use sweepd::sweep::{Buffers, HeapBuffers, Memory, SweepRef};
 use sweepd::wire::data::ReturnMode;
 use zerocopy::IntoBytes;
 
@@ -24,17 +24,18 @@ impl Buffers for Full {
 
 /// All bytes of all sweeps that their headers declare valid.
 fn valid(config: &Config, sent: &[Sent], full_of: u8) -> Vec<Vec<u8>> {
-    let mut pipeline = Pipeline::new("test", config.clone(), Full(full_of), Untimed).unwrap();
+    let mut pipeline = Pipeline::new("test", config.clone()).unwrap();
+    let mut memory = Memory::new(Full(full_of));
     let mut sweeps = Vec::new();
     for one in sent {
         pipeline
             .push(&datagram(one.packet.emit(), one.arrival_ns))
             .unwrap();
-        sweeps.extend(std::iter::from_fn(|| pipeline.poll()));
-        pipeline.segment_early();
+        sweeps.extend(std::iter::from_fn(|| pipeline.poll(&mut memory)));
+        pipeline.segment_early(&mut memory);
     }
     pipeline.end().unwrap();
-    sweeps.extend(std::iter::from_fn(|| pipeline.poll()));
+    sweeps.extend(std::iter::from_fn(|| pipeline.poll(&mut memory)));
     sweeps
         .iter()
         .map(|sweep| bytes(&SweepRef::open(sweep.as_ref()).unwrap()))

@@ -9,11 +9,11 @@ use std::time::{Duration, Instant};
 use crate::common::domain::Own;
 use crate::common::stream::{Sent, Spin, config, datagram, unit};
 use sweepd::client::{Client, ClientError, JoinError, Sweep};
-use sweepd::pipeline::{Config, Pipeline, Untimed};
+use sweepd::pipeline::{Config, Pipeline};
 use sweepd::publish::{Domain, Loans, PublishError, Settings, Slot};
 use sweepd::sensor::Model;
 use sweepd::sweep::buffers::HeapBuffer;
-use sweepd::sweep::{Buffers, HeapBuffers, Shape, SweepMut, SweepRef};
+use sweepd::sweep::{Buffers, HeapBuffers, Memory, Shape, SweepMut, SweepRef};
 use sweepd::wire::data::ReturnMode;
 
 /// Longest wait for what comes at once where this process has a core.
@@ -54,15 +54,16 @@ fn sent() -> Vec<Sent> {
 
 /// Has the sweeps of some packets done by `done`.
 fn play<B: Buffers>(buffers: B, config: Config, sent: &[Sent], mut done: impl FnMut(B::Buffer)) {
-    let mut pipeline = Pipeline::new("192.168.1.201:2368", config, buffers, Untimed).unwrap();
+    let mut pipeline = Pipeline::new("192.168.1.201:2368", config).unwrap();
+    let mut memory = Memory::new(buffers);
     for one in sent {
         pipeline
             .push(&datagram(one.packet.emit(), one.arrival_ns))
             .unwrap();
-        std::iter::from_fn(|| pipeline.poll()).for_each(&mut done);
+        std::iter::from_fn(|| pipeline.poll(&mut memory)).for_each(&mut done);
     }
     pipeline.end().unwrap();
-    std::iter::from_fn(|| pipeline.poll()).for_each(&mut done);
+    std::iter::from_fn(|| pipeline.poll(&mut memory)).for_each(&mut done);
 }
 
 /// The file that is mapped where `bytes` are, and where in it they are.

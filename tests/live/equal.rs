@@ -11,8 +11,8 @@ use std::time::{Duration, Instant};
 
 use sweepd::capture::Capture;
 use sweepd::client::Client;
-use sweepd::pipeline::{Config, Pipeline, Untimed};
-use sweepd::sweep::{HeapBuffers, SweepRef};
+use sweepd::pipeline::{Config, Pipeline};
+use sweepd::sweep::{HeapBuffers, Memory, SweepRef};
 
 use crate::same::same;
 use crate::setup::{Process, Setup};
@@ -31,16 +31,16 @@ fn keep(sweeps: &mut Sweeps, sweep: &SweepRef<'_>) {
 
 fn replayed(capture: &Path) -> Sweeps {
     let mut capture = Capture::open(capture).unwrap();
-    let mut pipeline =
-        Pipeline::new("", Config::default(), HeapBuffers::default(), Untimed).unwrap();
+    let mut pipeline = Pipeline::new("", Config::default()).unwrap();
+    let mut memory = Memory::new(HeapBuffers::default());
     let mut sweeps = Sweeps::new();
     while let Some(datagram) = capture.next_datagram().unwrap() {
         pipeline.push(&datagram).unwrap();
-        std::iter::from_fn(|| pipeline.poll())
+        std::iter::from_fn(|| pipeline.poll(&mut memory))
             .for_each(|it| keep(&mut sweeps, &SweepRef::open(it.as_ref()).unwrap()));
     }
     pipeline.end().unwrap();
-    std::iter::from_fn(|| pipeline.poll())
+    std::iter::from_fn(|| pipeline.poll(&mut memory))
         .for_each(|it| keep(&mut sweeps, &SweepRef::open(it.as_ref()).unwrap()));
     sweeps
 }

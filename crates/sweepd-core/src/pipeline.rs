@@ -16,15 +16,16 @@ mod config;
 mod report;
 mod state;
 
-pub use config::{Config, Stopwatch, Untimed};
+pub use config::Config;
 pub use report::{Counts, Fault, Notice};
 
 use crate::segment::{ConfigError, Segmenter};
 use crate::sensor::detect::Detection;
 use crate::sensor::unit::Unit;
+use crate::sweep::buffers::OpenBuffer;
 use crate::sweep::clock::Clocks;
 use crate::sweep::order::OrderCounts;
-use crate::sweep::{Buffers, SweepMut};
+use crate::sweep::{Buffers, Memory, SweepMut};
 use crate::wire::position::POSITION_PACKET_LEN;
 use crate::wire::{DataPacket, Datagram, TIMES_NS};
 use fearless_simd::Level;
@@ -34,11 +35,12 @@ use state::{Decoding, State, Waiting};
 const STALL_NS: i64 = 500_000_000;
 
 /// One sensor's way from datagrams to labelled sweeps.
-pub struct Pipeline<B: Buffers, W: Stopwatch> {
+pub struct Pipeline {
     config: Config,
     sensor: String,
-    watch: W,
-    state: State<B>,
+    /// The clock that times the stages, nanoseconds since any fixed moment.
+    clock: fn() -> i64,
+    state: State,
     segmenter: Segmenter,
     /// Instructions that decoders use.
     level: Level,
@@ -57,23 +59,28 @@ pub struct Pipeline<B: Buffers, W: Stopwatch> {
 #[derive(Default)]
 struct Spent {
     sequence: u64,
-    ground_ns: u64,
-    label_ns: u64,
+    ground_ns: i64,
+    label_ns: i64,
 }
 
 impl Spent {
     /// Strip by strip: takes the ground away, joins what is left.
-    fn strips(&mut self, segmenter: &mut Segmenter, sweep: &SweepMut<'_>, watch: &impl Stopwatch) {
-        let mut begun_ns = watch.now_ns();
+    fn strips(&mut self, segmenter: &mut Segmenter, sweep: &SweepMut<'_>, clock: fn() -> i64) {
+        let mut begun_ns = clock();
         while segmenter.find_ground(sweep) {
-            let without_ground_ns = watch.now_ns();
+            let without_ground_ns = clock();
             segmenter.join();
-            let joined_ns = watch.now_ns();
+            let joined_ns = clock();
             self.ground_ns += without_ground_ns - begun_ns;
             self.label_ns += joined_ns - without_ground_ns;
             begun_ns = joined_ns;
         }
     }
+}
+
+/// A clock that stands still: all times are 0.
+fn untimed() -> i64 {
+    0
 }
 
 /// Whether the open sweep is to be closed when all packets are placed, and why.
@@ -90,13 +97,13 @@ fn possible(arrival_ns: i64) -> i64 {
     arrival_ns.clamp(*TIMES_NS.start(), *TIMES_NS.end())
 }
 
-impl<B: Buffers, W: Stopwatch> Pipeline<B, W> {
+impl Pipeline {
     /// A pipeline for the sensor of this name, which has seen nothing yet.
     ///
     /// # Errors
     /// [`ConfigError`]: no sweep can be segmented like that.
-    pub fn new(sensor: &str, config: Config, buffers: B, watch: W) -> Result<Self, ConfigError> {
-        Self::with_level(sensor, config, buffers, watch, Level::new())
+    pub fn new(sensor: &str, config: Config) -> Result<Self, ConfigError> {
+        Self::with_level(sensor, config, Level::new())
     }
 
     /// The same, with no more than these instructions of the machine (see
@@ -104,21 +111,15 @@ impl<B: Buffers, W: Stopwatch> Pipeline<B, W> {
     ///
     /// # Errors
     /// [`ConfigError`], as [`Pipeline::new`].
-    pub fn with_level(
-        sensor: &str,
-        config: Config,
-        buffers: B,
-        watch: W,
-        level: Level,
-    ) -> Result<Self, ConfigError> {
+    pub fn with_level(sensor: &str, config: Config, level: Level) -> Result<Self, ConfigError> {
         let segmenter = Segmenter::with_level(config.segment.clone(), level)?;
-        let state = Self::detecting(config.model, buffers, Clocks::default());
+        let state = Self::detecting(config.model, Clocks::default());
         let counts = Counts::default();
         let sensor = sensor.to_owned();
         Ok(Self {
             config,
             sensor,
-            watch,
+            clock: untimed,
             state,
             segmenter,
             level,
@@ -129,6 +130,14 @@ impl<B: Buffers, W: Stopwatch> Pipeline<B, W> {
             closing: Closing::No,
             notices: Vec::new(),
         })
+    }
+
+    /// Has this clock time the stages; the core has none of its own. It counts nanoseconds since
+    /// any fixed moment.
+    #[must_use]
+    pub fn timed_by(mut self, clock: fn() -> i64) -> Self {
+        self.clock = clock;
+        self
     }
 
     /// Takes a datagram of this sensor. Call [`Pipeline::poll`] until it is empty before the next
@@ -188,40 +197,76 @@ impl<B: Buffers, W: Stopwatch> Pipeline<B, W> {
         self.counts.position += count;
     }
 
-    /// The next sweep that is whole, labelled. See
-    /// [`SweepRef::open`](crate::sweep::SweepRef::open).
-    pub fn poll(&mut self) -> Option<B::Buffer> {
-        let begun_ns = self.watch.now_ns();
+    /// The next sweep that is whole, labelled; [`SweepRef::open`](crate::sweep::SweepRef::open)
+    /// reads it. Each call takes the same memory: the open sweep is built there.
+    pub fn poll<B: Buffers>(&mut self, memory: &mut Memory<B>) -> Option<B::Buffer> {
+        if self.complete(memory) {
+            memory.finish()
+        } else {
+            None
+        }
+    }
+
+    /// Whether the sweep in this buffer is whole and labelled.
+    fn complete(&mut self, buffer: &mut dyn OpenBuffer) -> bool {
+        let begun_ns = (self.clock)();
+        self.place_late(buffer);
+        let is_whole = self.advance(buffer);
+        if let State::Decoding(decoding) = &mut self.state {
+            decoding.builder.spent((self.clock)() - begun_ns);
+        }
+        if !is_whole && !self.close(buffer) {
+            return false;
+        }
+        self.segment(buffer);
+        true
+    }
+
+    /// Places packets until a sweep is whole or there are no more; returns whether one is.
+    fn advance(&mut self, buffer: &mut dyn OpenBuffer) -> bool {
         let State::Decoding(decoding) = &mut self.state else {
-            return self.close();
+            return false;
         };
         let Decoding { order, builder, .. } = &mut **decoding;
-        let whole = loop {
+        loop {
             // Firing by firing into columns, up to a cut.
             if let Some(slot) = builder.at_hand()
-                && let Some(sweep) = builder.advance(order.packet(slot), order.clock())
+                && builder.advance(order.packet(slot), order.clock(), buffer)
             {
-                break Some(sweep);
+                return true;
             }
             // The next packet by the sensor's clock, with what is missing before it.
             let Some((slot, before)) = order.pop() else {
-                break None;
+                return false;
             };
             builder.begin(slot, order.packet(slot), before);
+        }
+    }
+
+    /// Places the packet that came too late for its order, if its columns wait for it.
+    fn place_late(&mut self, buffer: &mut dyn OpenBuffer) {
+        let State::Decoding(decoding) = &mut self.state else {
+            return;
         };
-        builder.spent(self.watch.now_ns() - begun_ns);
-        let whole = whole.or_else(|| self.close())?;
-        Some(self.segment(whole))
+        let Some(packet) = decoding.late.take() else {
+            return;
+        };
+        if decoding.builder.late(&packet, buffer) {
+            self.segmenter.spoil();
+            self.counts.reordered += 1;
+        } else {
+            self.counts.late += 1;
+        }
     }
 
     /// Ground and joins of what is there of the open sweep: so there is little left to do when the
     /// head has turned. For when there is nothing else to do, as after a batch of packets; the
     /// sweeps are the same without.
-    pub fn segment_early(&mut self) {
+    pub fn segment_early<B: Buffers>(&mut self, memory: &mut Memory<B>) {
         let State::Decoding(decoding) = &mut self.state else {
             return;
         };
-        let Some((mut sweep, ready)) = decoding.builder.so_far() else {
+        let Some((mut sweep, ready)) = decoding.builder.so_far(memory) else {
             return;
         };
         if self.spent.sequence != sweep.header.sequence {
@@ -231,7 +276,7 @@ impl<B: Buffers, W: Stopwatch> Pipeline<B, W> {
             };
         }
         if self.segmenter.begin_early(&mut sweep, ready) {
-            self.spent.strips(&mut self.segmenter, &sweep, &self.watch);
+            self.spent.strips(&mut self.segmenter, &sweep, self.clock);
         }
     }
 
@@ -360,56 +405,55 @@ impl<B: Buffers, W: Stopwatch> Pipeline<B, W> {
 
     /// The paper's two steps, on a whole sweep and in place: take the ground away, join what is
     /// left. What was done early is not done again.
-    fn segment(&mut self, mut whole: B::Buffer) -> B::Buffer {
-        let Ok(mut sweep) = SweepMut::open(whole.as_mut()) else {
-            return whole;
+    fn segment(&mut self, buffer: &mut dyn OpenBuffer) {
+        let Ok(mut sweep) = SweepMut::open(buffer.bytes()) else {
+            return;
         };
-        let begun_ns = self.watch.now_ns();
+        let begun_ns = (self.clock)();
         self.segmenter.begin(&mut sweep);
         let mut spent = std::mem::take(&mut self.spent);
         if spent.sequence != sweep.header.sequence {
             spent = Spent::default();
         }
-        spent.ground_ns += self.watch.now_ns() - begun_ns;
-        spent.strips(&mut self.segmenter, &sweep, &self.watch);
-        let joined_ns = self.watch.now_ns();
+        spent.ground_ns += (self.clock)() - begun_ns;
+        spent.strips(&mut self.segmenter, &sweep, self.clock);
+        let joined_ns = (self.clock)();
         self.segmenter.label(&mut sweep);
-        spent.label_ns += self.watch.now_ns() - joined_ns;
+        spent.label_ns += (self.clock)() - joined_ns;
         sweep.header.ground_ns = u32::try_from(spent.ground_ns).unwrap_or(u32::MAX);
         sweep.header.label_ns = u32::try_from(spent.label_ns).unwrap_or(u32::MAX);
         sweep.header.position_m = self.config.position_m;
         sweep.header.yaw_rad = self.config.yaw_rad;
-        whole
     }
 
-    /// All packets are placed: closes the open sweep if that is due, and begins anew with another
-    /// sensor.
-    fn close(&mut self) -> Option<B::Buffer> {
+    /// All packets are placed: closes the open sweep if that is due, and returns whether there is
+    /// one; then begins again with another sensor.
+    fn close(&mut self, buffer: &mut dyn OpenBuffer) -> bool {
         if self.closing == Closing::No {
-            return None;
+            return false;
         }
         if let State::Decoding(decoding) = &mut self.state
-            && let Some(sweep) = decoding.builder.interrupt(decoding.order.clock())
+            && decoding.builder.interrupt(decoding.order.clock(), buffer)
         {
-            return Some(sweep);
+            return true;
         }
         if std::mem::replace(&mut self.closing, Closing::No) == Closing::Exchanged {
             self.counts = self.counts();
-            let (buffers, clocks) = match std::mem::replace(&mut self.state, State::Refusing) {
+            let clocks = match std::mem::replace(&mut self.state, State::Refusing) {
                 State::Decoding(decoding) => {
                     self.sweeps = decoding.builder.sequence;
-                    decoding.builder.into_parts()
+                    decoding.builder.clocks
                 }
-                State::Calibrating(calibrating) => (calibrating.buffers, calibrating.clocks),
+                State::Calibrating(calibrating) => calibrating.clocks,
                 other => {
                     self.state = other;
-                    return None;
+                    return false;
                 }
             };
-            self.state = Self::detecting(self.config.model, buffers, clocks);
+            self.state = Self::detecting(self.config.model, clocks);
             // Whoever comes next may sit elsewhere.
             self.segmenter.forget_height();
         }
-        None
+        false
     }
 }

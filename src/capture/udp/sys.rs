@@ -138,6 +138,13 @@ fn address(name: &libc::sockaddr_in) -> SocketAddrV4 {
     )
 }
 
+/// Whether a control message is long enough for its payload of `len` bytes.
+#[allow(clippy::unnecessary_cast, reason = "other C libraries have other types")]
+fn has(message: &libc::cmsghdr, len: usize) -> bool {
+    // SAFETY: only a length is computed.
+    message.cmsg_len as usize >= unsafe { libc::CMSG_LEN(len as u32) } as usize
+}
+
 /// The control messages (cmsg(3)) of a header that the kernel has filled in.
 #[allow(
     clippy::unnecessary_cast,
@@ -154,22 +161,20 @@ fn control(header: &libc::msghdr) -> Told {
     while let Some(message) = unsafe { next.as_ref() } {
         // SAFETY: only an address is computed.
         let data = unsafe { libc::CMSG_DATA(next) };
-        // SAFETY: only a length is computed.
-        let has = |len: usize| {
-            message.cmsg_len as usize >= unsafe { libc::CMSG_LEN(len as u32) } as usize
-        };
         match (message.cmsg_level, message.cmsg_type) {
-            (libc::SOL_SOCKET, libc::SCM_TIMESTAMPNS) if has(size_of::<libc::timespec>()) => {
+            (libc::SOL_SOCKET, libc::SCM_TIMESTAMPNS)
+                if has(message, size_of::<libc::timespec>()) =>
+            {
                 // SAFETY: the message is as long as that, and any bytes are two numbers.
                 let time = unsafe { data.cast::<libc::timespec>().read_unaligned() };
                 told.stamp_ns =
                     Some(i64::from(time.tv_sec) * 1_000_000_000 + i64::from(time.tv_nsec));
             }
-            (libc::SOL_SOCKET, libc::SO_RXQ_OVFL) if has(size_of::<u32>()) => {
+            (libc::SOL_SOCKET, libc::SO_RXQ_OVFL) if has(message, size_of::<u32>()) => {
                 // SAFETY: as above, one number.
                 told.dropped = Some(unsafe { data.cast::<u32>().read_unaligned() });
             }
-            (libc::IPPROTO_IP, libc::IP_PKTINFO) if has(size_of::<libc::in_pktinfo>()) => {
+            (libc::IPPROTO_IP, libc::IP_PKTINFO) if has(message, size_of::<libc::in_pktinfo>()) => {
                 // SAFETY: as above, a struct of numbers.
                 let info = unsafe { data.cast::<libc::in_pktinfo>().read_unaligned() };
                 told.destination = Some(Ipv4Addr::from(u32::from_be(info.ipi_addr.s_addr)));

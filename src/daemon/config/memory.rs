@@ -47,8 +47,8 @@ mod tests {
     use super::super::super::testing::sensor;
     use super::*;
     use std::sync::{Arc, Mutex};
-    use sweepd_core::pipeline::{Pipeline, Untimed};
-    use sweepd_core::sweep::{Buffers, HeapBuffers};
+    use sweepd_core::pipeline::Pipeline;
+    use sweepd_core::sweep::{Buffers, HeapBuffers, Memory};
     use sweepd_core::wire::data::ReturnMode;
     use sweepd_lab::simulate::{Emitter, EmitterConfig, street};
 
@@ -75,11 +75,11 @@ mod tests {
             (config.pipeline.model, config.dual) = (Some(model), Some(mode == ReturnMode::Dual));
             let asked = Arc::new(Mutex::new(0));
             let buffers = Measuring(HeapBuffers::default(), Arc::clone(&asked));
-            let mut pipeline =
-                Pipeline::new("roof", config.pipeline.clone(), buffers, Untimed).unwrap();
+            let mut memory = Memory::new(buffers);
+            let mut pipeline = Pipeline::new("roof", config.pipeline.clone()).unwrap();
             for sent in Emitter::new(EmitterConfig::new(model, mode).turns(0.2), &scene).untold() {
                 pipeline.push(&sent.datagram()).unwrap();
-                assert!(pipeline.poll().is_none());
+                assert!(pipeline.poll(&mut memory).is_none());
             }
             let asked = *asked.lock().unwrap();
             assert_eq!(sweep_bytes(&config), asked..=asked, "{model}");

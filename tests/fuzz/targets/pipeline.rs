@@ -3,12 +3,12 @@
 use std::f64::consts::TAU;
 use std::sync::OnceLock;
 
-use sweepd::pipeline::{Config, Pipeline, Untimed};
+use sweepd::pipeline::{Config, Pipeline};
 use sweepd::sensor::model::Stamp;
 use sweepd::sensor::{Calibration, Model, stream};
 use sweepd::simulate::unit::unit;
 use sweepd::sweep::layout::{COLUMNS_CAPACITY, LABEL_FIRST_SEGMENT, ReturnChoice};
-use sweepd::sweep::{HeapBuffers, SweepRef};
+use sweepd::sweep::{HeapBuffers, Memory, SweepRef};
 use sweepd::wire::data::{BLOCKS, DATA_PACKET_LEN, FLAG_BANK_1, ReturnMode};
 use sweepd::wire::hdl64::{Clock, Dump, Gps, Live, Series, pair};
 use sweepd::wire::position::POSITION_PACKET_LEN;
@@ -120,7 +120,8 @@ fn own() -> &'static Calibration {
 
 /// The pipeline and what it was given.
 struct Rig {
-    pipeline: Pipeline<HeapBuffers, Untimed>,
+    pipeline: Pipeline,
+    memory: Memory<HeapBuffers>,
     data: u64,
     positions: u64,
     sequence: Option<u64>,
@@ -146,7 +147,7 @@ impl Rig {
     }
 
     fn poll(&mut self) {
-        while let Some(bytes) = self.pipeline.poll() {
+        while let Some(bytes) = self.pipeline.poll(&mut self.memory) {
             let sweep = SweepRef::open(bytes.as_ref()).expect("what is published is a sweep");
             let sequence = sweep.header.sequence;
             assert!(
@@ -157,7 +158,7 @@ impl Rig {
             self.sequence = Some(sequence);
             check(&sweep);
         }
-        self.pipeline.segment_early();
+        self.pipeline.segment_early(&mut self.memory);
         let _ = (
             self.pipeline.take_notices(),
             self.pipeline.due_ns(),
@@ -230,10 +231,10 @@ pub fn pipeline(input: &[u8]) {
         rate: i64::from(rate as i16) * 10,
         sent: 0,
     };
-    let pipeline = Pipeline::new("fuzz", config, HeapBuffers::default(), Untimed)
-        .expect("a configuration like others");
+    let pipeline = Pipeline::new("fuzz", config).expect("a configuration like others");
     let mut rig = Rig {
         pipeline,
+        memory: Memory::default(),
         data: 0,
         positions: 0,
         sequence: None,

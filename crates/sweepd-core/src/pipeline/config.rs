@@ -45,19 +45,3 @@ impl Default for Config {
         }
     }
 }
-
-/// Reads a clock, for the times spent on each stage; the core itself has none.
-pub trait Stopwatch {
-    /// Nanoseconds since any fixed moment.
-    fn now_ns(&self) -> u64;
-}
-
-/// A stopwatch that stands still: all times are 0.
-#[derive(Clone, Copy, Debug, Default)]
-pub struct Untimed;
-
-impl Stopwatch for Untimed {
-    fn now_ns(&self) -> u64 {
-        0
-    }
-}

@@ -8,13 +8,12 @@
 //! Decoding, Calibrating -> Detecting  another sensor took its place
 //! ```
 
-use super::{Closing, Fault, Notice, Pipeline, Stopwatch};
+use super::{Closing, Fault, Notice, Pipeline};
 use crate::sensor::compare::Difference;
 use crate::sensor::detect::{self, DetectError, Detection, Detector, MAX_PACKETS};
 use crate::sensor::model::Spec;
 use crate::sensor::unit::{Said, Unit};
 use crate::sensor::{Calibration, Model};
-use crate::sweep::Buffers;
 use crate::sweep::builder::{Builder, Settings};
 use crate::sweep::clock::{Clocks, SensorClock, vouched_utc_ns};
 use crate::sweep::decode::Decoder;
@@ -29,18 +28,18 @@ const EXCHANGED_PACKETS: u32 = 8;
 /// Packets that must speak of an unsupported sensor before it is believed.
 const DOUBTS: u32 = 3;
 
-pub(super) enum State<B: Buffers> {
+pub(super) enum State {
     /// Which model is it? The packets so far wait for the answer.
-    Detecting(Box<Detecting<B>>),
+    Detecting(Box<Detecting>),
     /// Where do its beams point? Its packets tell, a byte each.
-    Calibrating(Box<Calibrating<B>>),
+    Calibrating(Box<Calibrating>),
     /// It is this one.
-    Decoding(Box<Decoding<B>>),
+    Decoding(Box<Decoding>),
     /// None that can be decoded.
     Refusing,
 }
 
-pub(super) struct Detecting<B: Buffers> {
+pub(super) struct Detecting {
     pub(super) detector: Detector,
     pub(super) waiting: Vec<Waiting>,
     /// Packets that spoke of no supported sensor, and what the last one said.
@@ -48,22 +47,20 @@ pub(super) struct Detecting<B: Buffers> {
     pub(super) doubt: Option<DetectError>,
     /// What is known of the HDL-64E that this is expected to be.
     pub(super) unit: Option<Unit>,
-    pub(super) buffers: B,
     pub(super) clocks: Clocks,
 }
 
-pub(super) struct Calibrating<B: Buffers> {
+pub(super) struct Calibrating {
     pub(super) detection: Detection,
     pub(super) unit: Unit,
     pub(super) foreign: u32,
     /// The packets at the last two cycles of the status: from there on, how far the head turned
     /// tells its speed.
     pub(super) marks: [Option<DataPacket>; 2],
-    pub(super) buffers: B,
     pub(super) clocks: Clocks,
 }
 
-pub(super) struct Decoding<B: Buffers> {
+pub(super) struct Decoding {
     pub(super) detection: Detection,
     /// What the sensor says of itself, and the calibration in use to hold it against.
     pub(super) unit: Option<(Unit, Calibration)>,
@@ -75,8 +72,10 @@ pub(super) struct Decoding<B: Buffers> {
     /// Stamp of the packet before, since two returns became one and until the packets' period with
     /// one is known.
     pub(super) unmeasured_us: Option<u32>,
+    /// A packet that was overtaken by more than was held back.
+    pub(super) late: Option<Packet>,
     pub(super) order: Order,
-    pub(super) builder: Builder<B>,
+    pub(super) builder: Builder,
 }
 
 pub(super) struct Waiting {
@@ -85,8 +84,8 @@ pub(super) struct Waiting {
     pub(super) arrival_ns: i64,
 }
 
-impl<B: Buffers, W: Stopwatch> Pipeline<B, W> {
-    pub(super) fn detecting(model: Option<Model>, buffers: B, clocks: Clocks) -> State<B> {
+impl Pipeline {
+    pub(super) fn detecting(model: Option<Model>, clocks: Clocks) -> State {
         let (detector, waiting) = (Detector::new(model), Vec::with_capacity(MAX_PACKETS));
         State::Detecting(Box::new(Detecting {
             detector,
@@ -94,7 +93,6 @@ impl<B: Buffers, W: Stopwatch> Pipeline<B, W> {
             doubts: 0,
             doubt: None,
             unit: None,
-            buffers,
             clocks,
         }))
     }
@@ -110,7 +108,6 @@ impl<B: Buffers, W: Stopwatch> Pipeline<B, W> {
             waiting,
             doubts,
             unit,
-            buffers,
             clocks,
             ..
         } = *detecting;
@@ -146,7 +143,6 @@ impl<B: Buffers, W: Stopwatch> Pipeline<B, W> {
                 unit,
                 foreign: 0,
                 marks: [None; 2],
-                buffers,
                 clocks,
             };
             self.state = State::Calibrating(Box::new(calibrating));
@@ -159,12 +155,7 @@ impl<B: Buffers, W: Stopwatch> Pipeline<B, W> {
         let rate = ends.and_then(|(first, last)| {
             rate_between(first, last, detection.return_mode, detection.spec)
         });
-        self.decode(
-            detection,
-            (calibration, unit),
-            (buffers, clocks, rate),
-            waiting,
-        )
+        self.decode(detection, (calibration, unit), (clocks, rate), waiting)
     }
 
     /// The calibration that a unit has told, if it is complete and that of the model, and in the
@@ -224,7 +215,6 @@ impl<B: Buffers, W: Stopwatch> Pipeline<B, W> {
         let Calibrating {
             unit,
             marks,
-            buffers,
             clocks,
             ..
         } = *calibrating;
@@ -237,7 +227,7 @@ impl<B: Buffers, W: Stopwatch> Pipeline<B, W> {
         self.decode(
             detection,
             (calibration, Some(unit)),
-            (buffers, clocks, rate),
+            (clocks, rate),
             Vec::new(),
         )
     }
@@ -247,7 +237,7 @@ impl<B: Buffers, W: Stopwatch> Pipeline<B, W> {
         &mut self,
         detection: Detection,
         (calibration, unit): (Calibration, Option<Unit>),
-        (buffers, clocks, rate_cdeg_ns): (B, Clocks, Option<f64>),
+        (clocks, rate_cdeg_ns): (Clocks, Option<f64>),
         mut waiting: Vec<Waiting>,
     ) -> Result<(), Fault> {
         if let Some(mask) = self
@@ -272,7 +262,7 @@ impl<B: Buffers, W: Stopwatch> Pipeline<B, W> {
         decoder.is_normalised = unit.as_ref().is_some_and(Unit::is_normalised);
         let mut order = Order::new(decoder.spec);
         order.expect_rate(rate_cdeg_ns);
-        let mut builder = Builder::new(buffers, decoder, self.settings());
+        let mut builder = Builder::new(decoder, self.settings());
         (builder.clocks, builder.sequence) = (clocks, self.sweeps);
         builder.expect_rate(rate_cdeg_ns);
         let product = waiting.last().map_or(0, |packet| packet.bytes.product);
@@ -285,6 +275,7 @@ impl<B: Buffers, W: Stopwatch> Pipeline<B, W> {
             foreign: 0,
             last_mode,
             unmeasured_us: None,
+            late: None,
             order,
             builder,
         };
@@ -345,12 +336,8 @@ impl<B: Buffers, W: Stopwatch> Pipeline<B, W> {
                     arrival_ns,
                     time_ns,
                 };
-                if decoding.builder.late(&packet) {
-                    self.segmenter.spoil();
-                    self.counts.reordered += 1;
-                } else {
-                    self.counts.late += 1;
-                }
+                // It is placed by the next poll, before any other.
+                self.counts.late += u64::from(decoding.late.replace(packet).is_some());
             }
         }
     }
@@ -371,7 +358,7 @@ impl<B: Buffers, W: Stopwatch> Pipeline<B, W> {
     }
 }
 
-impl<B: Buffers> Decoding<B> {
+impl Decoding {
     /// An HDL-64E S3 that reported two returns so far may have either timing when it reports one:
     /// two packets in a row tell.
     fn measure(&mut self, packet: &DataPacket, mode: ReturnMode) {
@@ -424,7 +411,7 @@ impl<B: Buffers> Decoding<B> {
     }
 }
 
-impl<B: Buffers> Detecting<B> {
+impl Detecting {
     /// Looks at a packet and keeps it. One that speaks of no supported sensor may be corrupt: only
     /// the third is believed.
     pub(super) fn observe(&mut self, packet: Waiting) -> Option<Result<Detection, DetectError>> {

@@ -83,31 +83,52 @@ impl Drop for HeapBuffer {
     }
 }
 
-/// Buffers that outlive a pipeline: whoever begins another one gives it the same.
+/// Memory for the sweeps of one sensor: the buffer of the open sweep, and the source of the next.
+/// It outlives pipelines: the next one of the same sensor takes the same.
 #[derive(Debug)]
-pub struct Kept<B>(Arc<Mutex<B>>);
+pub struct Memory<B: Buffers> {
+    buffers: B,
+    open: Option<B::Buffer>,
+}
 
-impl<B> Kept<B> {
-    /// Keeps these.
+impl<B: Buffers + Default> Default for Memory<B> {
+    fn default() -> Self {
+        Self::new(B::default())
+    }
+}
+
+impl<B: Buffers> Memory<B> {
+    /// Memory from these buffers.
     pub fn new(buffers: B) -> Self {
-        Self(Arc::new(Mutex::new(buffers)))
+        Self {
+            buffers,
+            open: None,
+        }
+    }
+
+    /// Takes the buffer of the sweep that is complete out.
+    pub(crate) fn finish(&mut self) -> Option<B::Buffer> {
+        self.open.take()
     }
 }
 
-impl<B> Clone for Kept<B> {
-    /// The same buffers once more.
-    fn clone(&self) -> Self {
-        Self(Arc::clone(&self.0))
-    }
+/// The buffer that is being filled, whatever its type.
+pub trait OpenBuffer {
+    /// Gives room for a new sweep of at least `bytes` bytes; the one before is given up.
+    fn begin(&mut self, bytes: usize) -> &mut [u8];
+
+    /// The bytes of the open sweep; empty before the first.
+    fn bytes(&mut self) -> &mut [u8];
 }
 
-impl<B: Buffers> Buffers for Kept<B> {
-    type Buffer = B::Buffer;
+impl<B: Buffers> OpenBuffer for Memory<B> {
+    fn begin(&mut self, bytes: usize) -> &mut [u8] {
+        // Given back first: a pool needs no room for both.
+        self.open = None;
+        self.open.insert(self.buffers.take(bytes)).as_mut()
+    }
 
-    fn take(&mut self, bytes: usize) -> B::Buffer {
-        self.0
-            .lock()
-            .unwrap_or_else(PoisonError::into_inner)
-            .take(bytes)
+    fn bytes(&mut self) -> &mut [u8] {
+        self.open.as_mut().map_or(&mut [], AsMut::as_mut)
     }
 }

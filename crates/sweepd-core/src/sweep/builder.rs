@@ -2,7 +2,7 @@
 
 use fearless_simd::{Simd, dispatch};
 
-use super::buffers::Buffers;
+use super::buffers::OpenBuffer;
 use super::clock::{Clocks, SensorClock};
 use super::columns::{Place, SoFar, decode, radians, rate_rad_s};
 use super::cursor::{Cursor, Gap, Way};
@@ -36,14 +36,13 @@ const SET_BACK_NS: i64 = 100_000_000;
 const DOUBT_NS: f64 = 150_000.0;
 
 /// Builds sweeps out of packets that come in order.
-pub struct Builder<B: Buffers> {
-    buffers: B,
+pub struct Builder {
     decoder: Decoder,
     settings: Settings,
     head: Head,
     /// What brings sensor time to time since 1970.
     pub clocks: Clocks,
-    open: Option<Open<B::Buffer>>,
+    open: Option<SoFar>,
     /// How the rows of the open sweep are turned.
     turns: Turns,
     cursor: Option<Cursor>,
@@ -56,6 +55,8 @@ pub struct Builder<B: Buffers> {
     /// negative when reversed.
     last_rate_cdeg_ns: Option<f64>,
     lost: u64,
+    /// Time spent on the open sweep.
+    decode_ns: i64,
 }
 
 /// What does not change from sweep to sweep.
@@ -71,18 +72,11 @@ pub struct Settings {
     pub sensor: String,
 }
 
-/// The sweep that is being filled.
-struct Open<T> {
-    buffer: T,
-    so_far: SoFar,
-}
-
-impl<B: Buffers> Builder<B> {
+impl Builder {
     /// A builder that has seen nothing.
-    pub fn new(buffers: B, decoder: Decoder, settings: Settings) -> Self {
+    pub fn new(decoder: Decoder, settings: Settings) -> Self {
         Self {
             head: Head::new(settings.cut_cdeg),
-            buffers,
             decoder,
             settings,
             clocks: Clocks::default(),
@@ -94,6 +88,7 @@ impl<B: Buffers> Builder<B> {
             last_rpm: None,
             last_rate_cdeg_ns: None,
             lost: 0,
+            decode_ns: 0,
         }
     }
 
@@ -113,11 +108,6 @@ impl<B: Buffers> Builder<B> {
         &mut self.decoder
     }
 
-    /// Gives the buffers and the clocks back, for a builder of another model.
-    pub fn into_parts(self) -> (B, Clocks) {
-        (self.buffers, self.clocks)
-    }
-
     /// Packets missing by the sensor's clock so far.
     pub fn lost(&self) -> u64 {
         self.lost
@@ -130,7 +120,7 @@ impl<B: Buffers> Builder<B> {
 
     /// Arrival of the newest packet in the open sweep.
     pub fn newest_arrival_ns(&self) -> Option<i64> {
-        self.open.as_ref().map(|open| open.so_far.newest_arrival_ns)
+        self.open.as_ref().map(|open| open.newest_arrival_ns)
     }
 
     /// When the packet that completes the open sweep will arrive at the earliest, if the head goes
@@ -139,7 +129,7 @@ impl<B: Buffers> Builder<B> {
     /// or in the next one, it is the former; where a sector is left out on the way, a packet may
     /// end anywhere behind it. What delayed the newest one does not count.
     pub fn due_ns(&self) -> Option<i64> {
-        let mode = self.open.as_ref()?.so_far.mode;
+        let mode = self.open.as_ref()?.mode;
         let until_cut_ns = self.head.until_cut_cdeg()? / self.last_rate_cdeg_ns?.abs() - DOUBT_NS;
         let period_ns = f64::from(self.decoder.spec.packet_period_ns(mode));
         let packets = until_cut_ns / period_ns;
@@ -155,22 +145,17 @@ impl<B: Buffers> Builder<B> {
             .earliest_ns(newest_ns.saturating_add((packets.max(1.0) * period_ns) as i64))
     }
 
-    /// Adds to the time spent on the open sweep.
-    pub fn spent(&mut self, decode_ns: u64) {
-        if let Some(open) = &mut self.open {
-            open.so_far.decode_ns += decode_ns;
-        }
+    /// Adds to the time spent on the open sweep, or on the next.
+    pub fn spent(&mut self, decode_ns: i64) {
+        self.decode_ns += decode_ns;
     }
 
     /// The open sweep as far as it goes, as long as it may become a whole turn, and how many of its
     /// columns will stay as they are (those of the first that can be folded to the other end left
     /// aside).
-    pub fn so_far(&mut self) -> Option<(SweepMut<'_>, usize)> {
-        let Open {
-            buffer,
-            so_far: open,
-        } = self.open.as_mut()?;
-        let sweep = SweepMut::open(buffer.as_mut()).ok()?;
+    pub fn so_far<'a>(&mut self, buffer: &'a mut dyn OpenBuffer) -> Option<(SweepMut<'a>, usize)> {
+        let open = self.open.as_ref()?;
+        let sweep = SweepMut::open(buffer.bytes()).ok()?;
         if !open.from_cut || open.blanked {
             return None;
         }
@@ -195,6 +180,7 @@ impl<B: Buffers> Builder<B> {
             placed: 0,
             turned: false,
             counted: false,
+            from_cut: false,
         };
         let lasted_ns = packet.time_ns - self.last_firing_ns;
         cursor.anew |= lasted_ns > LONGEST_GAP_NS;
@@ -221,7 +207,7 @@ impl<B: Buffers> Builder<B> {
                 _ => {
                     cursor.anew = true;
                     if let Some(open) = &mut self.open {
-                        open.so_far.lost += packets;
+                        open.lost += packets;
                     }
                 }
             }
@@ -239,56 +225,67 @@ impl<B: Buffers> Builder<B> {
         self.clocks.data(sent_ns, packet.arrival_ns);
     }
 
-    /// Places firings of the packet at hand until a sweep is complete, which it returns, or the
-    /// packet is used up.
-    pub fn advance(&mut self, packet: &Packet, clock: &SensorClock) -> Option<B::Buffer> {
-        let mut cursor = self.cursor?;
+    /// Places firings of the packet at hand until a sweep is complete, or the packet is used up.
+    /// Returns whether a sweep is complete; its buffer must be taken out then. After a sweep that
+    /// ends within the packet, the next call opens the next one.
+    pub fn advance(
+        &mut self,
+        packet: &Packet,
+        clock: &SensorClock,
+        buffer: &mut dyn OpenBuffer,
+    ) -> bool {
+        let Some(mut cursor) = self.cursor else {
+            return false;
+        };
         if std::mem::take(&mut cursor.anew) {
             self.head.lose();
             self.cursor = Some(cursor);
-            let closed = self.close(false, clock);
+            let is_complete = self.close(false, clock, buffer);
             if cursor.jumped {
                 self.clocks.sensor_jumped();
             }
             self.note_arrival(packet);
-            if closed.is_some() {
-                return closed;
+            if is_complete {
+                return true;
             }
         }
         loop {
-            let end = self.fill(&mut cursor, packet);
+            let end = self.fill(&mut cursor, packet, buffer);
             cursor.counted = false;
+            // The next sweep is opened by its first firing: this one's buffer is still in use.
+            cursor.from_cut = end != End::Anew;
             self.cursor = (end != End::Packet).then_some(cursor);
-            let closed = match end {
-                End::Packet => return None,
-                End::Cut => self.close(true, clock),
-                End::Moved | End::Anew => self.close(false, clock),
+            let is_complete = match end {
+                End::Packet => return false,
+                End::Cut => self.close(true, clock, buffer),
+                End::Moved | End::Anew => self.close(false, clock, buffer),
             };
-            self.open(packet, end != End::Anew);
-            if closed.is_some() {
-                return closed;
+            if is_complete {
+                return true;
             }
         }
     }
 
     /// Fills columns of the open sweep with firings of the packet until one does not belong there.
-    fn fill(&mut self, cursor: &mut Cursor, packet: &Packet) -> End {
-        dispatch!(self.decoder.level(), simd => self.fill_with(simd, cursor, packet))
+    fn fill(&mut self, cursor: &mut Cursor, packet: &Packet, buffer: &mut dyn OpenBuffer) -> End {
+        if self.open.is_none() {
+            self.open(packet, cursor.from_cut, buffer);
+        }
+        let Ok(mut sweep) = SweepMut::open(buffer.bytes()) else {
+            return End::Packet;
+        };
+        dispatch!(self.decoder.level(), simd => self.fill_with(simd, cursor, packet, &mut sweep))
     }
 
     #[inline(always)]
-    fn fill_with<S: Simd>(&mut self, simd: S, cursor: &mut Cursor, packet: &Packet) -> End {
-        if self.open.is_none() {
-            self.open(packet, false);
-        }
-        let Some(Open {
-            buffer,
-            so_far: open,
-        }) = &mut self.open
-        else {
-            return End::Packet;
-        };
-        let Ok(mut sweep) = SweepMut::open(buffer.as_mut()) else {
+    fn fill_with<S: Simd>(
+        &mut self,
+        simd: S,
+        cursor: &mut Cursor,
+        packet: &Packet,
+        sweep: &mut SweepMut<'_>,
+    ) -> End {
+        let Some(open) = &mut self.open else {
             return End::Packet;
         };
         let turns = &self.turns;
@@ -326,7 +323,7 @@ impl<B: Buffers> Builder<B> {
             }
             open.place(
                 simd,
-                &mut sweep,
+                sweep,
                 &firing,
                 (packet, cursor),
                 (&self.decoder, turns),
@@ -341,28 +338,24 @@ impl<B: Buffers> Builder<B> {
 
     /// Decodes a packet that was overtaken by more than was held back, if its columns wait for it
     /// in the open sweep.
-    pub fn late(&mut self, packet: &Packet) -> bool {
-        dispatch!(self.decoder.level(), simd => self.late_with(simd, packet))
+    pub fn late(&mut self, packet: &Packet, buffer: &mut dyn OpenBuffer) -> bool {
+        let Ok(mut sweep) = SweepMut::open(buffer.bytes()) else {
+            return false;
+        };
+        dispatch!(self.decoder.level(), simd => self.late_with(simd, packet, &mut sweep))
     }
 
     #[inline(always)]
-    fn late_with<S: Simd>(&mut self, simd: S, packet: &Packet) -> bool {
+    fn late_with<S: Simd>(&mut self, simd: S, packet: &Packet, sweep: &mut SweepMut<'_>) -> bool {
         let decoder = &self.decoder;
         let beat = Beat::new(decoder.spec, packet.mode);
-        let Some(Open {
-            buffer,
-            so_far: open,
-        }) = &mut self.open
-        else {
-            return false;
-        };
-        let Ok(mut sweep) = SweepMut::open(buffer.as_mut()) else {
+        let Some(open) = &mut self.open else {
             return false;
         };
         if open.mode != packet.mode {
             return false;
         }
-        let Some(first) = open.room_for(&sweep, packet, &beat) else {
+        let Some(first) = open.room_for(sweep, packet, &beat) else {
             return false;
         };
         let rate_rad_s = rate_rad_s(packet, decoder.spec);
@@ -380,15 +373,7 @@ impl<B: Buffers> Builder<B> {
                 column: first + index,
                 turns: &self.turns,
             };
-            open.returns += decode(
-                simd,
-                &mut sweep,
-                place,
-                column,
-                (index, &beat),
-                packet,
-                decoder,
-            );
+            open.returns += decode(simd, sweep, place, column, (index, &beat), packet, decoder);
         }
         open.lost = open.lost.saturating_sub(1);
         self.lost = self.lost.saturating_sub(1);
@@ -397,13 +382,14 @@ impl<B: Buffers> Builder<B> {
         true
     }
 
-    /// Closes the open sweep: the stream ended or stalled.
-    pub fn interrupt(&mut self, clock: &SensorClock) -> Option<B::Buffer> {
+    /// Closes the open sweep: the stream ended or stalled. Returns whether there is one that holds
+    /// anything.
+    pub fn interrupt(&mut self, clock: &SensorClock, buffer: &mut dyn OpenBuffer) -> bool {
         self.head.lose();
-        self.close(false, clock)
+        self.close(false, clock, buffer)
     }
 
-    fn open(&mut self, packet: &Packet, from_cut: bool) {
+    fn open(&mut self, packet: &Packet, from_cut: bool, buffer: &mut dyn OpenBuffer) {
         let (mode, spec) = (packet.mode, self.decoder.spec);
         let beams = self.decoder.beams(mode);
         let rate_cdeg_ns = self.expected_rate_cdeg_ns(packet);
@@ -413,8 +399,7 @@ impl<B: Buffers> Builder<B> {
             mode == ReturnMode::Dual,
             self.settings.min_points,
         );
-        let mut buffer = self.buffers.take(shape.total_bytes());
-        let Ok(sweep) = SweepMut::create(buffer.as_mut(), &shape) else {
+        let Ok(sweep) = SweepMut::create(buffer.begin(shape.total_bytes()), &shape) else {
             return;
         };
         sweep.beams.copy_from_slice(beams);
@@ -431,10 +416,7 @@ impl<B: Buffers> Builder<B> {
         header.cut_azimuth_rad = (self.head.cut_cdeg() / 100.0).to_radians() as f32;
         header.set_sensor(&self.settings.sensor);
         self.sequence += 1;
-        self.open = Some(Open {
-            buffer,
-            so_far: SoFar::new(mode, from_cut, &self.turns),
-        });
+        self.open = Some(SoFar::new(mode, from_cut, &self.turns));
     }
 
     /// The speed of the sweep before, unless this packet says quite another one: then the head
@@ -445,21 +427,23 @@ impl<B: Buffers> Builder<B> {
         self.last_rate_cdeg_ns.filter(is_like).unwrap_or(own)
     }
 
-    /// Completes the header of the open sweep and hands it out; an empty one is dropped.
-    fn close(&mut self, at_cut: bool, clock: &SensorClock) -> Option<B::Buffer> {
-        let Open {
-            mut buffer,
-            so_far: mut open,
-        } = self.open.take()?;
+    /// Completes the header of the open sweep. Returns whether there is one; an empty one is
+    /// dropped.
+    fn close(&mut self, at_cut: bool, clock: &SensorClock, buffer: &mut dyn OpenBuffer) -> bool {
+        let Some(mut open) = self.open.take() else {
+            return false;
+        };
         if open.is_empty() {
             self.sequence -= 1;
-            return None;
+            return false;
         }
         let (time_ns, time_source) =
             self.clocks
                 .resolve(open.first_ns, clock, open.newest_arrival_ns);
         let flags = self.flags(&open, at_cut);
-        let mut sweep = SweepMut::open(buffer.as_mut()).ok()?;
+        let Ok(mut sweep) = SweepMut::open(buffer.bytes()) else {
+            return false;
+        };
         let [margin, columns] = if flags & flags::CIRCULAR != 0 {
             open.fold(&mut sweep, &self.turns)
         } else {
@@ -484,13 +468,13 @@ impl<B: Buffers> Builder<B> {
         header.lost_packets = open.lost;
         header.packets = open.packets;
         header.returns = open.returns;
-        header.decode_ns = u32::try_from(open.decode_ns).unwrap_or(u32::MAX);
+        header.decode_ns = u32::try_from(std::mem::take(&mut self.decode_ns)).unwrap_or(u32::MAX);
         if open.travelled_cdeg() > RPM_TELLING_CDEG {
             self.last_rpm = Some(open.rpm());
             let sense = if self.head.reversed() { -1.0 } else { 1.0 };
             self.last_rate_cdeg_ns = Some(sense * f64::from(open.rpm()) / 60.0 * TURN * 1e-9);
         }
-        Some(buffer)
+        true
     }
 
     fn flags(&self, open: &SoFar, at_cut: bool) -> u32 {

@@ -41,7 +41,6 @@ pub struct SoFar {
     pub missing: u32,
     pub returns: u32,
     pub newest_arrival_ns: i64,
-    pub decode_ns: u64,
 }
 
 /// A place in the open sweep: the column of a firing, and how its rows are turned.
@@ -70,7 +69,6 @@ impl SoFar {
             missing: 0,
             returns: 0,
             newest_arrival_ns: i64::MIN,
-            decode_ns: 0,
         }
     }
 

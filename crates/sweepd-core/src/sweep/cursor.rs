@@ -24,6 +24,8 @@ pub struct Cursor {
     pub turned: bool,
     /// The packet is counted in the open sweep.
     pub counted: bool,
+    /// The firing at hand is the first behind a cut.
+    pub from_cut: bool,
 }
 
 /// The way of the head over a gap.

@@ -30,6 +30,6 @@ pub mod order;
 pub mod relation;
 pub mod turns;
 
-pub use buffers::{Buffers, HeapBuffers, Kept};
+pub use buffers::{Buffers, HeapBuffers, Memory};
 pub use image::{Return, SweepMut, SweepRef};
 pub use layout::{BeamRow, Column, Header, Segment, Shape};
