@@ -11,7 +11,8 @@ use std::path::{Path, PathBuf};
 
 use divan::counter::ItemsCount;
 use divan::{Bencher, black_box};
-use sweepd::capture::{Capture, Route, Sensors};
+use sweepd::admission::{DiscoveredSensors, Route};
+use sweepd::capture::Capture;
 use sweepd::pipeline::{Config, Pipeline};
 use sweepd::sensor::{Calibration, Model};
 use sweepd::simulate::{Emitter, EmitterConfig, fixtures};
@@ -121,12 +122,12 @@ fn replay(bencher: Bencher, name: &str) {
     let path = data.join("pcap").join(name).with_extension("pcap");
     let returns = |visit: &mut dyn FnMut(u32)| {
         let mut capture = Capture::open(&path).unwrap();
-        let mut sensors = Sensors::new(Vec::new());
+        let mut sensors = DiscoveredSensors::new(Vec::new());
         let mut pipeline = Pipeline::new("bench", Config::default()).unwrap();
         let mut memory = Memory::new(HeapBuffers::default());
         while let Some(datagram) = capture.next_datagram().unwrap() {
-            if matches!(sensors.route(&datagram), Route::Data(_)) {
-                pipeline.push(&datagram).unwrap();
+            if let Ok((Route::Data(_), packet)) = sensors.admit(&datagram) {
+                pipeline.push(&packet).unwrap();
             }
             while let Some(buffer) = pipeline.poll(&mut memory) {
                 visit(SweepRef::open(buffer.as_ref()).unwrap().header.returns);

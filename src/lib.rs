@@ -20,7 +20,7 @@
 //! let mut memory = Memory::new(HeapBuffers::default());
 //! let mut sweeps = 0;
 //! while let Some(datagram) = capture.next_datagram()? {
-//!     pipeline.push(&datagram)?;
+//!     pipeline.push(&datagram.parse()?)?;
 //!     while let Some(bytes) = pipeline.poll(&mut memory) {
 //!         let sweep = SweepRef::open(bytes.as_ref())?;
 //!         println!("{} columns, {} segments", sweep.columns.len(), sweep.segments.len());
@@ -64,6 +64,7 @@
 #![deny(unsafe_code)]
 #![warn(missing_docs)]
 
+pub mod admission;
 pub mod capture;
 pub mod cli;
 pub mod daemon;

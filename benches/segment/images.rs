@@ -5,7 +5,8 @@ use std::f64::consts::TAU;
 use std::path::{Path, PathBuf};
 
 use fastrand::Rng;
-use sweepd::capture::{Capture, Route, Sensors};
+use sweepd::admission::{DiscoveredSensors, Route};
+use sweepd::capture::Capture;
 use sweepd::cloud::{self, CloudProjector};
 use sweepd::pipeline::{Config, Pipeline};
 use sweepd::sensor::{Beam, Model};
@@ -105,13 +106,13 @@ fn projected(points: &[[f32; 4]], columns: usize) -> HeapBuffer {
 /// The second whole sweep of a capture.
 fn captured(path: &Path) -> HeapBuffer {
     let mut capture = Capture::open(path).unwrap();
-    let mut sensors = Sensors::new(Vec::new());
+    let mut sensors = DiscoveredSensors::new(Vec::new());
     let mut pipeline = Pipeline::new("bench", Config::default()).unwrap();
     let mut memory = Memory::new(HeapBuffers::default());
     let mut whole = 0;
     while let Some(datagram) = capture.next_datagram().unwrap() {
-        if matches!(sensors.route(&datagram), Route::Data(_)) {
-            pipeline.push(&datagram).unwrap();
+        if let Ok((Route::Data(_), packet)) = sensors.admit(&datagram) {
+            pipeline.push(&packet).unwrap();
         }
         while let Some(buffer) = pipeline.poll(&mut memory) {
             whole += u32::from(is_whole(&buffer));
@@ -141,7 +142,7 @@ fn simulated(model: Model) -> HeapBuffer {
     let mut pipeline = Pipeline::new("bench", config).unwrap();
     let mut memory = Memory::new(HeapBuffers::default());
     for one in Emitter::new(sensor, &scene) {
-        pipeline.push(&one.datagram()).unwrap();
+        pipeline.push(&one.datagram().parse().unwrap()).unwrap();
         while let Some(buffer) = pipeline.poll(&mut memory) {
             if is_whole(&buffer) {
                 return buffer;

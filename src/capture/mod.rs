@@ -4,21 +4,17 @@
 //! * [`link`]: the UDP datagram in a frame.
 //! * [`Capture`]: both together, with a count of everything passed over.
 //! * [`udp`]: the datagrams of live sensors.
-//! * [`gate`]: what of them gets in.
-//! * [`sensors`]: which sensor a datagram comes from, for captures and sockets alike.
 //! * [`pace`]: when to hand on what, for replay.
 //! * [`mod@write`]: captures written.
 //! * [`record`]: captures written of live sensors, without delaying them.
 
 pub mod error;
-pub mod gate;
 mod input;
 pub mod link;
 pub mod pace;
 pub mod pcap;
 mod pcapng;
 pub mod record;
-pub mod sensors;
 pub mod udp;
 pub mod write;
 
@@ -26,12 +22,10 @@ use std::io::Read;
 use std::path::Path;
 
 pub use error::{CaptureError, Damage, Truncation};
-pub use gate::Gate;
 pub use link::{Decapsulator, LinkType, NoDatagram};
 pub use pace::{Pacer, Speed};
 pub use pcap::{CaptureReader, Record};
 pub use record::{RecordError, Recorder};
-pub use sensors::{Route, SensorFilter, SensorIndex, Sensors};
 use sweepd_core::wire::Datagram;
 pub use udp::{UdpConfig, UdpError, UdpSource};
 pub use write::PcapWriter;

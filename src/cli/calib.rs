@@ -6,13 +6,15 @@ use std::path::{Path, PathBuf};
 
 use super::output::ForceOptions;
 use super::{CliError, complain};
-use crate::capture::{Capture, Route, SensorFilter, Sensors};
+use crate::admission::{DiscoveredSensors, Route, SensorFilter};
+use crate::capture::Capture;
 use crate::export::text::{count_of, grouped};
 use crate::files;
 use crate::files::output;
 use sweepd_core::sensor::compare::{ANGLE_TOLERANCE_DEG, LENGTH_TOLERANCE_M, differences};
 use sweepd_core::sensor::{Beam, Calibration, Model, ros_yaml, stream};
-use sweepd_core::wire::data::{Banks, DataPacket};
+use sweepd_core::wire::Content;
+use sweepd_core::wire::data::Banks;
 use sweepd_core::wire::hdl64::{DUMP_LEN, DUMP_PACKETS, Series, Status, Verdict};
 
 /// Options of `sweepd calib`.
@@ -264,24 +266,24 @@ fn from_capture(args: &FromCapture) -> Result<(), CliError> {
 
 /// All HDL-64E of a capture, with their status.
 fn read_units(capture: &mut Capture, filter: Option<SensorFilter>) -> Result<Vec<Unit>, CliError> {
-    let mut sensors = Sensors::new(filter.into_iter().collect());
+    let mut sensors = DiscoveredSensors::new(filter.into_iter().collect());
     let mut units: Vec<Option<Unit>> = Vec::new();
     while let Some(datagram) = capture.next_datagram()? {
-        let Route::Data(index) = sensors.route(&datagram) else {
+        let Ok((Route::Data(index), packet)) = sensors.admit(&datagram) else {
             continue;
         };
-        if units.len() <= index.get() {
-            units.resize_with(index.get() + 1, || None);
+        let Content::Data(packet) = packet.content else {
+            continue;
+        };
+        if units.len() <= index {
+            units.resize_with(index + 1, || None);
         }
         // Asked of the blocks: the last two bytes may look like those of any model.
-        let Ok(packet) = DataPacket::parse(datagram.payload) else {
-            continue;
-        };
         if packet.banks() != Banks::Alternating {
             continue;
         }
-        let unit = units[index.get()].get_or_insert_with(|| Unit {
-            name: sensors.sensor(index).name.clone(),
+        let unit = units[index].get_or_insert_with(|| Unit {
+            name: sensors.senders()[index].name.clone(),
             packets: 0,
             status: Status::new(),
         });

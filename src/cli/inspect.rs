@@ -16,7 +16,8 @@ use positions::Positions;
 
 use super::CliError;
 use super::summary::Traffic;
-use crate::capture::{Capture, Route, Sensors};
+use crate::admission::{DiscoveredSensors, Route};
+use crate::capture::Capture;
 use crate::export::text::{count_of, grouped, utc_text};
 use sweepd_core::sensor::Model;
 use sweepd_core::sensor::detect::{DetectError, Detection, Detector};
@@ -24,7 +25,7 @@ use sweepd_core::sweep::motion::TURN;
 use sweepd_core::sweep::order::{Before, Order, Refusal};
 use sweepd_core::wire::data::{Banks, ReturnMode};
 use sweepd_core::wire::hdl64::{Series, Status};
-use sweepd_core::wire::{DataPacket, Datagram};
+use sweepd_core::wire::{Content, DataPacket, Packet};
 
 /// Options of `sweepd inspect`.
 #[derive(Debug, clap::Args)]
@@ -43,7 +44,7 @@ pub struct Args {
 /// [`CliError`]: the capture cannot be read, or standard output not written.
 pub fn run(args: &Args) -> Result<(), CliError> {
     let mut capture = Capture::open(&args.capture)?;
-    let mut sensors = Sensors::new(Vec::new());
+    let mut sensors = DiscoveredSensors::new(Vec::new());
     let mut seen: Vec<Seen> = Vec::new();
     let mut positions: BTreeMap<IpAddr, Positions> = BTreeMap::new();
     let mut flows = Flows::default();
@@ -53,20 +54,23 @@ pub fn run(args: &Args) -> Result<(), CliError> {
             Ok(None) => break Ok(()),
             Err(error) => break Err(error),
         };
-        match sensors.route(&datagram) {
-            Route::Data(index) => {
-                if index.get() == seen.len() {
+        match sensors.admit(&datagram) {
+            Ok((Route::Data(index), packet)) => {
+                if index == seen.len() {
                     seen.push(Seen::default());
                 }
-                seen[index.get()].data(&datagram);
+                seen[index].data(&packet);
             }
-            Route::Position(_) => {
+            Ok((Route::Position(_), packet)) => {
                 positions
                     .entry(datagram.source.ip().to_canonical())
                     .or_default()
-                    .add(&datagram);
+                    .add(&packet);
             }
-            Route::Other(_) => flows.add(&datagram),
+            Err(refused) => match refused.sensor {
+                Some(index) => seen[index].malformed(datagram.arrival_ns),
+                None => flows.add(&datagram),
+            },
         }
     };
     let text =
@@ -80,12 +84,12 @@ pub fn run(args: &Args) -> Result<(), CliError> {
 /// All that was seen, sensor by sensor.
 fn describe(
     capture: &Capture,
-    sensors: &Sensors,
+    sensors: &DiscoveredSensors,
     seen: &mut [Seen],
     positions: &BTreeMap<IpAddr, Positions>,
 ) -> String {
     let mut text = head(capture, sensors);
-    for (sensor, seen) in sensors.sensors().iter().zip(seen) {
+    for (sensor, seen) in sensors.senders().iter().zip(seen) {
         let _ = writeln!(
             text,
             "\n{} to port {}",
@@ -95,7 +99,7 @@ fn describe(
         seen.describe(&mut text);
         if let Some(positions) = positions.get(&sensor.source.ip()) {
             let same = sensors
-                .sensors()
+                .senders()
                 .iter()
                 .filter(|other| other.source.ip() == sensor.source.ip())
                 .count();
@@ -111,7 +115,7 @@ fn describe(
     }
     for (ip, positions) in positions {
         if !sensors
-            .sensors()
+            .senders()
             .iter()
             .any(|sensor| sensor.source.ip() == *ip)
         {
@@ -124,7 +128,7 @@ fn describe(
 
 /// What else there is: all of it where no sensor is, since that was hoped for; else the largest
 /// part.
-fn others(capture: &Capture, sensors: &Sensors, flows: &Flows) -> String {
+fn others(capture: &Capture, sensors: &DiscoveredSensors, flows: &Flows) -> String {
     let lines = flows.lines();
     if lines.is_empty() && capture.tally().records > 0 && capture.tally().datagrams == 0 {
         return "\nother traffic\n  no record holds a UDP datagram\n".to_owned();
@@ -133,7 +137,7 @@ fn others(capture: &Capture, sensors: &Sensors, flows: &Flows) -> String {
         return String::new();
     }
     let mut text = "\nother traffic\n".to_owned();
-    let shown = if sensors.sensors().is_empty() {
+    let shown = if sensors.senders().is_empty() {
         lines.len()
     } else {
         1
@@ -145,7 +149,7 @@ fn others(capture: &Capture, sensors: &Sensors, flows: &Flows) -> String {
 }
 
 /// The capture as a whole.
-fn head(capture: &Capture, sensors: &Sensors) -> String {
+fn head(capture: &Capture, sensors: &DiscoveredSensors) -> String {
     let tally = capture.tally();
     let mut text = format!("{}\n", capture.name());
     if let (Some(first), Some(last)) = (capture.first_ns(), capture.last_ns()) {
@@ -162,7 +166,7 @@ fn head(capture: &Capture, sensors: &Sensors) -> String {
         .map(ToString::to_string)
         .collect();
     row(&mut text, "link type", &links.join(", "));
-    let others = Traffic::new(capture, sensors.others().total()).other;
+    let others = Traffic::new(capture, sensors.others()).other;
     let (records, datagrams) = (
         grouped(tally.records),
         count_of(tally.datagrams, "UDP datagram"),
@@ -188,7 +192,7 @@ fn head(capture: &Capture, sensors: &Sensors) -> String {
     if let Some(truncation) = capture.truncation() {
         row(&mut text, "damaged", &truncation.to_string());
     }
-    if sensors.sensors().is_empty() {
+    if sensors.senders().is_empty() {
         row(&mut text, "sensors", "none sends data packets");
     }
     text
@@ -270,16 +274,25 @@ impl Turn {
 }
 
 impl Seen {
-    fn data(&mut self, datagram: &Datagram<'_>) {
+    fn arrived(&mut self, arrival_ns: i64) {
         if self.packets == 0 {
-            self.first_ns = datagram.arrival_ns;
+            self.first_ns = arrival_ns;
         }
-        self.last_ns = datagram.arrival_ns;
+        self.last_ns = arrival_ns;
         self.packets += 1;
-        let Ok(packet) = DataPacket::parse(datagram.payload) else {
-            self.malformed += 1;
+    }
+
+    fn malformed(&mut self, arrival_ns: i64) {
+        self.arrived(arrival_ns);
+        self.malformed += 1;
+    }
+
+    fn data(&mut self, packet: &Packet<'_>) {
+        let arrival_ns = packet.arrival_ns;
+        let Content::Data(packet) = packet.content else {
             return;
         };
+        self.arrived(arrival_ns);
         match ReturnMode::from_byte(packet.return_mode) {
             _ if packet.banks() == Banks::Alternating => self.status.get_or_insert_default().push(
                 packet.return_mode,
@@ -291,9 +304,9 @@ impl Seen {
             None => self.blank_mode = true,
         }
         if self.order.is_some() {
-            self.place(packet, datagram.arrival_ns);
+            self.place(packet, arrival_ns);
         } else if self.model.is_none() {
-            self.waiting.push((*packet, datagram.arrival_ns));
+            self.waiting.push((*packet, arrival_ns));
             let detector = self.detector.get_or_insert_with(|| Detector::new(None));
             if let Some(result) = detector.observe(packet) {
                 self.decide(result);

@@ -6,7 +6,7 @@ use std::path::PathBuf;
 
 use clap::ValueEnum;
 
-use crate::capture::SensorFilter;
+use crate::admission::SensorFilter;
 use crate::cli::CliError;
 use crate::files;
 use crate::suggest::nearest;

@@ -22,9 +22,10 @@ use super::options::{Listening, within};
 use super::output::ForceOptions;
 use super::signals::end_flag;
 use super::{CliError, complain};
+use crate::admission::{DiscoveredSensors, SensorFilter};
 use crate::capture::record::Rotation;
 use crate::capture::udp::ample_buffer_bytes;
-use crate::capture::{Gate, RecordError, Recorder, SensorFilter, UdpConfig, UdpError, UdpSource};
+use crate::capture::{RecordError, Recorder, UdpConfig, UdpError, UdpSource};
 use crate::daemon::tap::{TapStream, socket_path};
 use crate::export::text::grouped;
 use crate::export::{Existing, WriteError};
@@ -143,7 +144,7 @@ impl Args {
         Ok(vec![Input::Daemon {
             stream,
             sensor: sensor.clone(),
-            gate: self.gate(),
+            admission: self.admission(),
         }])
     }
 
@@ -173,7 +174,7 @@ impl Args {
             }
             inputs.push(Input::Port {
                 source,
-                gate: self.gate(),
+                admission: self.admission(),
             });
         }
         Ok(inputs)
@@ -194,8 +195,8 @@ impl Args {
         }
     }
 
-    fn gate(&self) -> Gate {
-        Gate::new(self.sensor.clone())
+    fn admission(&self) -> DiscoveredSensors {
+        DiscoveredSensors::new(self.sensor.clone())
     }
 
     fn rotation(&self) -> Rotation {

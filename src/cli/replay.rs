@@ -14,7 +14,8 @@ use super::publish::{PublishOptions, publish};
 use super::send::Sender;
 use super::summary::{SensorReport, SummaryLine, Sums, Traffic};
 use super::{CliError, complain};
-use crate::capture::{Capture, CaptureError, Pacer, Route, SensorIndex, Sensors};
+use crate::admission::{DiscoveredSensors, Refused, Route};
+use crate::capture::{Capture, CaptureError, Pacer};
 use crate::export::text::count_of;
 use sweepd_client::host::{monotonic_ns, realtime_ns};
 use sweepd_client::publish::Loans;
@@ -23,7 +24,7 @@ use sweepd_core::sensor::compare::Difference;
 use sweepd_core::sensor::detect::Detection;
 use sweepd_core::sweep::layout::flags;
 use sweepd_core::sweep::{Memory, SweepRef};
-use sweepd_core::wire::Datagram;
+use sweepd_core::wire::{Datagram, Packet};
 
 /// Options of `sweepd replay`.
 #[derive(Debug, clap::Args)]
@@ -92,7 +93,7 @@ struct Replay<'a> {
     args: &'a Args,
     config: Config,
     outputs: Outputs,
-    sensors: Sensors,
+    sensors: DiscoveredSensors,
     /// Datagrams of other senders in the rounds before.
     others_before: u64,
     tracks: Vec<Track>,
@@ -104,7 +105,7 @@ impl<'a> Replay<'a> {
     fn new(args: &'a Args, config: Config) -> Result<Self, CliError> {
         Ok(Self {
             outputs: Outputs::new(&args.output)?,
-            sensors: Sensors::new(args.sensor.sensor.clone()),
+            sensors: DiscoveredSensors::new(args.sensor.sensor.clone()),
             others_before: 0,
             tracks: Vec::new(),
             sender: args.play.destination().map(Sender::new),
@@ -149,7 +150,7 @@ impl<'a> Replay<'a> {
     /// Plays the capture once; played again, each sensor begins anew. What cannot be read any
     /// further is given back: everything before it is played to its end.
     fn play(&mut self, capture: &mut Capture) -> Result<Result<(), CaptureError>, CliError> {
-        self.others_before = self.sensors.others().total();
+        self.others_before = self.sensors.others();
         for track in &mut self.tracks {
             track.past += track.pipeline.counts();
             track.pipeline = pipeline(&track.name, &self.config, self.args)?;
@@ -222,44 +223,57 @@ impl<'a> Replay<'a> {
         record: u64,
     ) -> Result<(), CliError> {
         let ip = datagram.source.ip().to_canonical();
-        let route = self.sensors.route(datagram);
+        let admitted = self.sensors.admit(datagram);
         if let (Some(sender), Place::Within) = (&mut self.sender, place) {
-            match route {
-                Route::Data(index) => sender.data(index.get(), ip, datagram.payload)?,
-                Route::Position(_) => sender.position(ip, datagram.payload)?,
-                Route::Other(_) => {}
+            match &admitted {
+                Ok((Route::Data(index), _))
+                | Err(Refused {
+                    sensor: Some(index),
+                    ..
+                }) => sender.data(*index, ip, datagram.payload)?,
+                Ok((Route::Position(_), _)) => sender.position(ip, datagram.payload)?,
+                Err(_) => {}
             }
         }
-        match route {
-            Route::Data(index) => {
+        match admitted {
+            Ok((Route::Data(index), packet)) => {
                 self.track(index)?;
                 if place == Place::Before {
-                    self.tracks[index.get()].pipeline.pass_over();
+                    self.tracks[index].pipeline.pass_over();
                     return Ok(());
                 }
-                self.push(index.get(), datagram, record)
+                self.push(index, &packet, record)
             }
             // Also before --start: they tell the time.
-            Route::Position(set) => set
-                .into_iter()
-                .try_for_each(|index| self.push(index.get(), datagram, record)),
-            Route::Other(_) => Ok(()),
+            Ok((Route::Position(mut set), packet)) => {
+                set.try_for_each(|index| self.push(index, &packet, record))
+            }
+            Err(refused) => {
+                if let Some(index) = refused.sensor {
+                    let pipeline = &mut self.tracks[index].pipeline;
+                    match place {
+                        Place::Before => pipeline.pass_over(),
+                        _ => pipeline.refuse(),
+                    }
+                }
+                Ok(())
+            }
         }
     }
 
     /// Makes a track for a sensor that is heard for the first time.
-    fn track(&mut self, index: SensorIndex) -> Result<(), CliError> {
-        if index.get() < self.tracks.len() {
+    fn track(&mut self, index: usize) -> Result<(), CliError> {
+        if index < self.tracks.len() {
             return Ok(());
         }
-        let name = self.sensors.sensor(index).name.clone();
-        let memory = Memory::new(self.args.publish.loans(index.get(), &name)?);
+        let name = self.sensors.senders()[index].name.clone();
+        let memory = Memory::new(self.args.publish.loans(index, &name)?);
         let mut pipeline = pipeline(&name, &self.config, self.args)?;
         if let Some(position) = self.sensors.position(index) {
             // A position packet is never a fault.
-            let _ = pipeline.push(&position);
+            let _ = pipeline.push(position);
         }
-        if let Some(note) = self.args.publish.note(index.get(), &name) {
+        if let Some(note) = self.args.publish.note(index, &name) {
             self.progress.suspend(|| complain("note", note));
         }
         let (sums, past) = (Sums::default(), Counts::default());
@@ -279,8 +293,8 @@ impl<'a> Replay<'a> {
         Ok(())
     }
 
-    fn push(&mut self, index: usize, datagram: &Datagram<'_>, record: u64) -> Result<(), CliError> {
-        if let Err(fault) = self.tracks[index].pipeline.push(datagram) {
+    fn push(&mut self, index: usize, packet: &Packet<'_>, record: u64) -> Result<(), CliError> {
+        if let Err(fault) = self.tracks[index].pipeline.push(packet) {
             self.note_fault(index, &fault, Some(record));
         }
         let track = &mut self.tracks[index];
@@ -361,7 +375,7 @@ impl<'a> Replay<'a> {
             .iter()
             .map(|track| track.report(partial_emitted))
             .collect();
-        let traffic = Traffic::new(capture, self.sensors.others().total() - self.others_before);
+        let traffic = Traffic::new(capture, self.sensors.others() - self.others_before);
         self.outputs
             .line(|| SummaryLine::new(capture, &traffic, &reports, timing))?;
         self.outputs.finish()?;
@@ -402,7 +416,7 @@ impl<'a> Replay<'a> {
         let unheard = |filter: &&_| {
             !self
                 .sensors
-                .sensors()
+                .senders()
                 .iter()
                 .any(|sensor| sensor.is_selected_by(filter))
         };

@@ -4,7 +4,7 @@ use std::io;
 use std::net::{IpAddr, Ipv4Addr, Ipv6Addr, SocketAddr, UdpSocket};
 
 use super::CliError;
-use crate::capture::sensors::MAX_SENSORS;
+use crate::admission::MAX_SENSORS;
 
 /// Sends to one address, each sensor from a port of its own, so that a receiver can tell them
 /// apart.

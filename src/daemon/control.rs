@@ -1,6 +1,7 @@
 //! The control plane, on one thread: signals, what is told of the sensors, systemd, and health over
 //! HTTP.
 
+use crate::admission::Refusal;
 use std::future::pending;
 use std::io;
 use std::path::Path;
@@ -13,7 +14,7 @@ use tokio::time::{Interval, MissedTickBehavior, interval_at};
 use tracing::{error, info, warn};
 
 use super::config::{Config, DaemonConfig};
-use super::counters::{Reject, SensorCounters};
+use super::counters::SensorCounters;
 use super::health::{self, Http, View};
 use super::losses::Tally;
 use super::notify::{Notifier, Pulse, beat};
@@ -347,7 +348,7 @@ impl Control {
     /// Tells once of a port that position packets come through it that reach no sensor.
     fn look_at_positions(&mut self) {
         for (index, port) in self.runtime.ports.iter().enumerate() {
-            if port.counters.rejected(Reject::Ambiguous) > 0 && !self.ambiguous.contains(&index) {
+            if port.counters.refused(Refusal::Ambiguous) > 0 && !self.ambiguous.contains(&index) {
                 self.ambiguous.push(index);
                 warn!(
                     "port {}: position packets reach no sensor: {} share an address, and nothing tells whose they are; give \
@@ -496,13 +497,9 @@ fn tally(sensor: &SensorStatus, runtime: &Runtime) -> Tally {
         .filter(|other| other.port_index == sensor.port_index)
         .map(|other| other.counters.refused.get())
         .sum();
-    let rejected: u64 = Reject::ALL
-        .into_iter()
-        .map(|reason| port.rejected(reason))
-        .sum();
     Tally {
         dropped: port.dropped.get(),
-        strangers: rejected.saturating_sub(own),
+        strangers: port.all_refused().saturating_sub(own),
         ..sensor.counters.tally()
     }
 }

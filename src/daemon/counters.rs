@@ -5,6 +5,7 @@
 use std::sync::atomic::{AtomicBool, AtomicI32, AtomicU8, AtomicU32, AtomicU64, Ordering::Relaxed};
 
 use super::losses::Tally;
+use crate::admission::Refusal;
 use sweepd_core::pipeline::Counts;
 use sweepd_core::sensor::Model;
 use sweepd_core::sweep::Header;
@@ -312,56 +313,14 @@ pub struct PortCounters {
     pub received: Counter,
     /// Datagrams that the kernel dropped because nobody fetched them in time.
     pub dropped: Counter,
-    rejected: [Counter; Reject::ALL.len()],
+    refused: [Counter; Refusal::OF_CONFIGURED.len()],
     is_interface_gone: AtomicBool,
-}
-
-/// Why a datagram reaches no sensor.
-#[derive(Clone, Copy, Debug, PartialEq, Eq)]
-pub enum Reject {
-    /// Neither as long as a data packet nor as a position packet.
-    Length,
-    /// As long as a data packet, but a block begins with no marker.
-    Marker,
-    /// A data packet with an azimuth beyond the turn.
-    Azimuth,
-    /// From nobody who is configured.
-    Source,
-    /// A data packet of a sensor that is configured on another port.
-    Port,
-    /// A position packet of one of several sensors at its address, and nothing tells of which. It
-    /// is recorded all the same.
-    Ambiguous,
-}
-
-impl Reject {
-    /// All of them.
-    pub const ALL: [Self; 6] = [
-        Self::Length,
-        Self::Marker,
-        Self::Azimuth,
-        Self::Source,
-        Self::Port,
-        Self::Ambiguous,
-    ];
-
-    /// Its name in metrics.
-    pub fn name(self) -> &'static str {
-        match self {
-            Self::Length => "length",
-            Self::Marker => "marker",
-            Self::Azimuth => "azimuth",
-            Self::Source => "source",
-            Self::Port => "port",
-            Self::Ambiguous => "ambiguous",
-        }
-    }
 }
 
 impl PortCounters {
     /// Counts a datagram that reaches no sensor.
-    pub fn reject(&self, reason: Reject) {
-        self.rejected[reason as usize].add(1);
+    pub fn refuse(&self, reason: Refusal) {
+        self.refused[reason as usize].add(1);
     }
 
     /// Notes whether the interface that it listens on alone is gone.
@@ -375,9 +334,14 @@ impl PortCounters {
         self.is_interface_gone.load(Relaxed)
     }
 
+    /// How many datagrams reached no sensor.
+    pub fn all_refused(&self) -> u64 {
+        self.refused.iter().map(Counter::get).sum()
+    }
+
     /// How many datagrams reached no sensor for a reason.
-    pub fn rejected(&self, reason: Reject) -> u64 {
-        self.rejected[reason as usize].get()
+    pub fn refused(&self, reason: Refusal) -> u64 {
+        self.refused[reason as usize].get()
     }
 }
 

@@ -10,6 +10,7 @@
 //! page whose own name was made to lead here (DNS rebinding) could else read the answers in a
 //! browser of this host.
 
+use crate::admission::Refusal;
 use std::convert::Infallible;
 use std::net::IpAddr;
 use std::path::PathBuf;
@@ -29,7 +30,6 @@ use tokio::net::{TcpListener, TcpStream};
 use tokio::sync::Semaphore;
 use tokio::time::timeout;
 
-use super::counters::Reject;
 use super::losses::Recent;
 use super::metrics;
 use super::runtime::{PortStatus, SensorStatus};
@@ -261,9 +261,9 @@ fn losses(recent: Recent, words: Option<&[String; 2]>) -> Value {
 
 fn port(port: &PortStatus, hangs: bool) -> Value {
     let counters = &port.counters;
-    let rejected: serde_json::Map<String, Value> = Reject::ALL
+    let rejected: serde_json::Map<String, Value> = Refusal::OF_CONFIGURED
         .into_iter()
-        .map(|reason| (reason.name().to_owned(), counters.rejected(reason).into()))
+        .map(|reason| (reason.name().to_owned(), counters.refused(reason).into()))
         .collect();
     json!({
         "name": port.name,

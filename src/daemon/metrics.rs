@@ -1,6 +1,7 @@
 //! The counters in the words of Prometheus: names, labels, units. Nothing is kept here; each
 //! request reads the atomics.
 
+use crate::admission::Refusal;
 use std::fmt;
 use std::iter::once;
 use std::sync::Arc;
@@ -12,7 +13,7 @@ use prometheus_client::encoding::{
 use prometheus_client::metrics::MetricType;
 use prometheus_client::registry::{Registry, Unit};
 
-use super::counters::{Gps, Reject, SensorCounters, Stage};
+use super::counters::{Gps, SensorCounters, Stage};
 use super::health::View;
 use super::runtime::{PortStatus, SensorStatus};
 use super::state::{Condition, State};
@@ -344,13 +345,13 @@ fn undecoded(sensor: &SensorStatus) -> impl Iterator<Item = (Labels<'_, 2>, Tota
 }
 
 fn rejected(port: &PortStatus) -> impl Iterator<Item = (Labels<'_, 2>, Total)> {
-    let labelled = |reason: Reject| {
+    let labelled = |reason: Refusal| {
         (
             [("port", &port.name[..]), ("reason", reason.name())],
-            Total(port.counters.rejected(reason)),
+            Total(port.counters.refused(reason)),
         )
     };
-    Reject::ALL.into_iter().map(labelled)
+    Refusal::OF_CONFIGURED.into_iter().map(labelled)
 }
 
 fn family<'a, const N: usize, M: EncodeMetric>(

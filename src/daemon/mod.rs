@@ -4,7 +4,7 @@
 //! ```text
 //! config                            what is to run, from a TOML file
 //! plan, runtime                     ports and sensors: worked out, opened, started, looked after
-//! port      one thread a port:      receive -> door (who gets in) -> sensor (pipeline, header) -> sharing
+//! port      one thread a port:      receive -> admission -> sensor (pipeline, header) -> sharing
 //! nap                               how long that thread may sleep while packets gather
 //! tee, tap                          copies of what is received: the recording, and `sweepd record --from`
 //! control   one tokio thread:       signals, reload, notify (systemd), health and metrics over HTTP
@@ -15,7 +15,6 @@
 pub mod config;
 pub mod control;
 pub mod counters;
-pub mod door;
 pub mod health;
 pub mod losses;
 pub mod metrics;
@@ -32,6 +31,6 @@ pub mod sys;
 pub mod tap;
 pub mod tee;
 #[cfg(test)]
-mod testing;
+pub(crate) mod testing;
 
 pub use runtime::{DaemonError, Runtime};

@@ -4,6 +4,7 @@
 use std::fmt;
 
 use super::config::{Config, PortConfig, SensorConfig};
+use crate::admission::{ConfiguredSensor, ConfiguredSensors, Likelihood};
 use crate::capture::udp::{UdpConfig, ample_buffer_bytes};
 use sweepd_core::sensor::Model;
 
@@ -27,6 +28,28 @@ impl PortPlan {
             config.sensors[*index].port.interface == self.config.interface
                 && !self.sensors.contains(index)
         })
+    }
+
+    /// What lets in the packets of the port's sensors, and after them the position packets of
+    /// [`PortPlan::others`].
+    pub fn admission(&self, config: &Config) -> ConfiguredSensors {
+        let here = self.sensors.iter().map(|&index| {
+            let positions_here = if self.positions.contains(&index) {
+                Likelihood::Configured
+            } else {
+                Likelihood::BesideData
+            };
+            configured(&config.sensors[index], positions_here)
+        });
+        let others = self.others(config).map(|index| {
+            let positions_here = if self.positions.contains(&index) {
+                Likelihood::Configured
+            } else {
+                Likelihood::Unexpected
+            };
+            configured(&config.sensors[index], positions_here)
+        });
+        ConfiguredSensors::new(here.collect(), others.collect())
     }
 
     /// Those sensors that this port may hear position packets of and that share their address with
@@ -133,6 +156,15 @@ fn find_or_open<'a>(plans: &'a mut Vec<PortPlan>, port: &PortConfig) -> &'a mut 
             plans.len() - 1
         });
     &mut plans[index]
+}
+
+fn configured(sensor: &SensorConfig, positions_here: Likelihood) -> ConfiguredSensor {
+    ConfiguredSensor {
+        ip: sensor.address.to_canonical(),
+        source_port: sensor.source_port,
+        sends_positions: sends_positions(sensor),
+        positions_here,
+    }
 }
 
 /// An HDL-64E tells its GPS state among its data.

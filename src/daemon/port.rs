@@ -2,12 +2,11 @@
 //! line a packet.
 //!
 //! ```text
-//! socket -> door -> data packet      -> pipeline of the sensor -> sweep -> consumers
-//!                -> position packet  -> pipeline of the sensor: of this port at once, of another through a short queue
-//!                                       that its thread empties after each batch or rest
+//! socket -> admission -> data packet      -> pipeline of the sensor -> sweep -> consumers
+//!                     -> position packet  -> pipeline of the sensor: of this port at once, of another through a short queue
+//!                                            that its thread empties after each batch or rest
 //! ```
 
-use std::net::SocketAddr;
 use std::os::unix::net::UnixStream;
 use std::sync::Arc;
 use std::sync::atomic::{AtomicBool, Ordering};
@@ -15,21 +14,20 @@ use std::sync::mpsc::{Receiver, SyncSender};
 use std::thread;
 use std::time::{Duration, Instant};
 
-use super::counters::{PortCounters, Reject, SensorCounters};
-use super::door::{Admitted, Door};
+use super::counters::{PortCounters, SensorCounters};
 use super::nap::{self, Load};
 use super::sensor::Sensor;
 use super::sharing::Outgoing;
 use super::sys::wait_for_either;
 use super::tap::Tap;
+use crate::admission::{ConfiguredSensors, Refusal, Route};
 use crate::capture::record::Lane;
 use crate::capture::write::Addressed;
 use crate::capture::{UdpError, UdpSource};
 use sweepd_client::host::realtime_ns;
 use sweepd_core::pipeline;
 use sweepd_core::sweep::Buffers;
-use sweepd_core::wire::Datagram;
-use sweepd_core::wire::position::POSITION_PACKET_LEN;
+use sweepd_core::wire::Packet;
 
 /// How long to wait for packets while some come.
 const BUSY: Duration = Duration::from_millis(5);
@@ -49,50 +47,10 @@ const FAILURES: u32 = 20;
 /// of a second, that of their sensor for a tenth.
 pub const MAILS: usize = 512;
 
-/// A position packet on its way to the thread of its sensor.
-pub struct Mail {
-    arrival_ns: i64,
-    source: SocketAddr,
-    destination_port: u16,
-    payload: [u8; POSITION_PACKET_LEN],
-}
-
-impl Mail {
-    fn of(datagram: &Datagram<'_>) -> Option<Self> {
-        let Datagram {
-            arrival_ns,
-            source,
-            destination_port,
-            payload,
-        } = *datagram;
-        Some(Self {
-            arrival_ns,
-            source,
-            destination_port,
-            payload: payload.try_into().ok()?,
-        })
-    }
-
-    fn datagram(&self) -> Datagram<'_> {
-        let Self {
-            arrival_ns,
-            source,
-            destination_port,
-            ..
-        } = *self;
-        Datagram {
-            arrival_ns,
-            source,
-            destination_port,
-            payload: &self.payload,
-        }
-    }
-}
-
 /// Where to put position packets for a sensor whose thread is another.
 pub struct Mailbox {
     /// The way there.
-    pub sender: SyncSender<Mail>,
+    pub sender: SyncSender<Packet<'static>>,
     /// What is counted when it is full.
     pub counters: Arc<SensorCounters>,
     /// Where copies of them go.
@@ -104,7 +62,7 @@ pub struct Served<B: Buffers> {
     /// The sensor.
     pub sensor: Sensor<B>,
     /// Its position packets from other ports.
-    pub mail: Receiver<Mail>,
+    pub mail: Receiver<Packet<'static>>,
     /// New configurations.
     pub orders: Receiver<pipeline::Config>,
     /// Where copies of its packets go.
@@ -140,11 +98,11 @@ pub struct End {
 /// What lies behind the socket of a port. Both clocks enter here: that which stamps packets, with
 /// each of them, and CLOCK_MONOTONIC, which nobody sets.
 pub struct Room<B: Buffers> {
-    /// Who is let in.
-    pub door: Door,
-    /// The sensors whose data come through this port, in the order of the door.
+    /// Which packets are let in.
+    pub admission: ConfiguredSensors,
+    /// The sensors whose data come through this port, in the order of admission.
     pub sensors: Vec<Served<B>>,
-    /// The other sensors, in the order of the door.
+    /// The other sensors, in the order of admission.
     pub others: Vec<Mailbox>,
     /// Where copies of all that is let in go.
     pub lane: Option<Lane>,
@@ -339,22 +297,20 @@ impl<B: Buffers<Buffer: Outgoing>> Room<B> {
     /// dropped on the port so far.
     fn take(&mut self, addressed: &Addressed<'_>, dropped: u64) -> bool {
         let datagram = addressed.datagram();
-        match self.door.admit(&datagram) {
-            Ok(Admitted::Data(index)) => {
+        match self.admission.admit(&datagram) {
+            Ok((Route::Data(index), packet)) => {
                 let served = &mut self.sensors[index];
                 put(&mut served.tap, addressed);
-                served.sensor.data(&datagram, dropped);
-                served.newest.stamp(datagram.arrival_ns);
+                served.sensor.data(&packet, dropped);
+                served.newest.stamp(packet.arrival_ns);
             }
-            Ok(Admitted::Position(place)) => {
-                deliver(place, addressed, &mut self.sensors, &mut self.others)
-            }
-            Ok(Admitted::Ambiguous) => self.counters.reject(Reject::Ambiguous),
-            Err(reason) => {
-                self.counters.reject(reason);
-                if let (Reject::Length | Reject::Marker | Reject::Azimuth, Some(index)) =
-                    (reason, self.door.owner(datagram.source))
-                {
+            Ok((Route::Position(mut route), packet)) => match route.next() {
+                Some(place) => self.deliver(place, &packet, addressed),
+                None => self.counters.refuse(Refusal::Ambiguous),
+            },
+            Err(refused) => {
+                self.counters.refuse(refused.reason);
+                if let Some(index) = refused.sensor {
                     self.sensors[index].sensor.refuse();
                 }
                 return false;
@@ -365,6 +321,22 @@ impl<B: Buffers<Buffer: Outgoing>> Room<B> {
             lane.put(addressed);
         }
         true
+    }
+
+    /// Hands a position packet to a sensor, by its number at admission.
+    fn deliver(&mut self, place: usize, packet: &Packet<'_>, addressed: &Addressed<'_>) {
+        if let Some(served) = self.sensors.get_mut(place) {
+            put(&mut served.tap, addressed);
+            served.sensor.position(packet);
+            return;
+        }
+        let mailbox = &mut self.others[place - self.sensors.len()];
+        put(&mut mailbox.tap, addressed);
+        if let Some(packet) = packet.without_sentence()
+            && mailbox.sender.try_send(packet).is_err()
+        {
+            mailbox.counters.position_overflows.add(1);
+        }
     }
 
     /// Whether copies of what comes here for other sensors go anywhere.
@@ -385,26 +357,6 @@ impl<B: Buffers<Buffer: Outgoing>> Room<B> {
     }
 }
 
-/// Hands a position packet to a sensor, by its place at the door.
-fn deliver<B: Buffers<Buffer: Outgoing>>(
-    place: usize,
-    addressed: &Addressed<'_>,
-    here: &mut [Served<B>],
-    others: &mut [Mailbox],
-) {
-    let datagram = addressed.datagram();
-    if let Some(served) = here.get_mut(place) {
-        put(&mut served.tap, addressed);
-        served.sensor.position(&datagram);
-        return;
-    }
-    let mailbox = &mut others[place - here.len()];
-    put(&mut mailbox.tap, addressed);
-    if Mail::of(&datagram).is_none_or(|mail| mailbox.sender.try_send(mail).is_err()) {
-        mailbox.counters.position_overflows.add(1);
-    }
-}
-
 fn put(tap: &mut Option<Tap>, addressed: &Addressed<'_>) {
     if let Some(tap) = tap {
         tap.put(addressed);
@@ -417,7 +369,7 @@ impl<B: Buffers<Buffer: Outgoing>> Served<B> {
         // Of those that waited, the newest says how things are now.
         if let Some((older, newest)) = self.mail.try_iter().enumerate().last() {
             self.sensor.pass_over_positions(older as u64);
-            self.sensor.position(&newest.datagram());
+            self.sensor.position(&newest);
         }
         while let Ok(config) = self.orders.try_recv() {
             self.sensor.reconfigure(config);

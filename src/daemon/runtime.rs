@@ -14,10 +14,9 @@ use tracing::{info, warn};
 
 use super::config::{Config, PortConfig, SensorConfig};
 use super::counters::{PortCounters, SensorCounters};
-use super::door::Door;
 use super::notify::beat;
 use super::plan::{self, PortName, PortPlan};
-use super::port::{End, MAILS, Mail, Mailbox, Newest, Port, Room, Served};
+use super::port::{End, MAILS, Mailbox, Newest, Port, Room, Served};
 use super::sensor::{Event, Identity, Sensor};
 use super::sharing::{Sharing, SharingError, SharingStatus};
 use super::sys;
@@ -28,6 +27,7 @@ use crate::capture::{UdpError, UdpSource};
 use sweepd_core::pipeline;
 use sweepd_core::segment::ConfigError;
 use sweepd_core::sweep::Buffers;
+use sweepd_core::wire::Packet;
 
 /// How long the threads have to end; those that hang end with the process. They take some
 /// milliseconds, and on a machine that is overloaded as long as they wait for a core.
@@ -226,7 +226,7 @@ impl Runtime {
                 .filter_map(|index| ready.remove(index))
                 .collect();
             let others = others(config, &plan, &hall.mailboxes, tees);
-            let door = Door::new(config, &plan);
+            let admission = plan.admission(config);
             let counters = Arc::clone(&status.counters);
             let end = End {
                 over: Arc::clone(&runtime.over),
@@ -235,7 +235,7 @@ impl Runtime {
             let (order, lanes) = mpsc::channel();
             runtime.lanes.push(order);
             let room = Room {
-                door,
+                admission,
                 sensors: served,
                 others,
                 lane: tees.lane(),
@@ -351,7 +351,7 @@ impl Drop for Runtime {
 /// The sensors on their way to the threads of their ports.
 struct Hall {
     statuses: Vec<SensorStatus>,
-    mailboxes: Vec<(SyncSender<Mail>, Arc<SensorCounters>)>,
+    mailboxes: Vec<(SyncSender<Packet<'static>>, Arc<SensorCounters>)>,
     orders: Vec<Sender<pipeline::Config>>,
 }
 
@@ -436,7 +436,7 @@ impl PortStatus {
 fn others(
     config: &Config,
     plan: &PortPlan,
-    mailboxes: &[(SyncSender<Mail>, Arc<SensorCounters>)],
+    mailboxes: &[(SyncSender<Packet<'static>>, Arc<SensorCounters>)],
     tees: &Tees,
 ) -> Vec<Mailbox> {
     let mailbox = |index: usize| {

@@ -14,7 +14,7 @@ use sweepd_core::sweep::layout::{Completion, flags};
 use sweepd_core::sweep::{Buffers, Header, Memory, SweepMut};
 use sweepd_core::wire::nmea::Rmc;
 use sweepd_core::wire::position::Pps;
-use sweepd_core::wire::{Datagram, Position, hdl64};
+use sweepd_core::wire::{Content, Packet, Position, hdl64};
 
 /// A sensor that could not be decoded is looked at anew after so long: it may have been exchanged,
 /// or its first packets may have been lost.
@@ -109,8 +109,8 @@ impl<B: Buffers<Buffer: Outgoing>> Sensor<B> {
     }
 
     /// Takes a data packet; `dropped` is what the kernel had dropped on the port so far.
-    pub fn data(&mut self, datagram: &Datagram<'_>, dropped: u64) {
-        self.push(datagram);
+    pub fn data(&mut self, packet: &Packet<'_>, dropped: u64) {
+        self.push(packet);
         self.send_sweeps(dropped);
     }
 
@@ -125,12 +125,13 @@ impl<B: Buffers<Buffer: Outgoing>> Sensor<B> {
     }
 
     /// Takes a position packet.
-    pub fn position(&mut self, datagram: &Datagram<'_>) {
-        self.push(datagram);
-        if let Ok(position) = Position::parse(datagram.payload) {
+    pub fn position(&mut self, packet: &Packet<'_>) {
+        self.push(packet);
+        if let Content::Position(position, rmc) = &packet.content {
+            let without_pps = self.config.gps_without_pps;
             self.counters
-                .set_gps(gps_of(&position, self.config.gps_without_pps));
-            if let Some(temperature_c) = temperature_of(&position) {
+                .set_gps(gps_of(position, rmc.as_ref(), without_pps));
+            if let Some(temperature_c) = temperature_of(position) {
                 self.counters.set_temperature_c(temperature_c);
             }
         }
@@ -197,8 +198,8 @@ impl<B: Buffers<Buffer: Outgoing>> Sensor<B> {
         Ok(())
     }
 
-    fn push(&mut self, datagram: &Datagram<'_>) {
-        if let Err(fault) = self.pipeline.push(datagram) {
+    fn push(&mut self, packet: &Packet<'_>) {
+        if let Err(fault) = self.pipeline.push(packet) {
             self.second_look_ns = Some(monotonic_ns() + SECOND_LOOK_NS);
             self.report(Event::Fault(fault));
         }
@@ -296,13 +297,10 @@ impl<B: Buffers<Buffer: Outgoing>> Sensor<B> {
     }
 }
 
-fn gps_of(position: &Position<'_>, without_pps: bool) -> Gps {
-    let is_valid = position
-        .nmea
-        .and_then(|text| Rmc::parse(text).ok())
-        .is_some_and(|rmc| rmc.valid);
+fn gps_of(position: &Position<'_>, rmc: Option<&Rmc>, without_pps: bool) -> Gps {
+    let is_valid = rmc.is_some_and(|rmc| rmc.valid);
     match position.pps {
-        _ if vouched_utc_ns(position, without_pps).is_some() => Gps::Locked,
+        _ if vouched_utc_ns(position, rmc, without_pps).is_some() => Gps::Locked,
         Pps::Absent if !is_valid => Gps::Absent,
         _ => Gps::Incomplete,
     }
@@ -345,6 +343,11 @@ mod tests {
         }
     }
 
+    fn gps(position: &Position<'_>, without_pps: bool) -> Gps {
+        let rmc = position.nmea.and_then(|text| Rmc::parse(text).ok());
+        gps_of(position, rmc.as_ref(), without_pps)
+    }
+
     #[test]
     fn gps_is_locked_only_with_pulse_and_valid_time() {
         let checksum = VALID[1..].bytes().fold(0, |sum, byte| sum ^ byte);
@@ -359,7 +362,7 @@ mod tests {
         ];
         for (pps, nmea, expected) in cases {
             assert_eq!(
-                gps_of(&position(pps, nmea), false),
+                gps(&position(pps, nmea), false),
                 expected,
                 "{pps}, {nmea:?}"
             );
@@ -376,8 +379,8 @@ mod tests {
                 stamp_us,
                 ..position(Pps::Absent, Some(&valid))
             };
-            assert_eq!(gps_of(&position, true), expected);
-            assert_eq!(gps_of(&position, false), Gps::Incomplete);
+            assert_eq!(gps(&position, true), expected);
+            assert_eq!(gps(&position, false), Gps::Incomplete);
         }
     }
 

@@ -1,4 +1,4 @@
-//! What comes to the ports, listened to for a few seconds, through the same gate and pipelines as
+//! What comes to the ports, listened to for a few seconds, through the same admission and pipelines as
 //! the daemon's.
 
 use std::net::{IpAddr, SocketAddr};
@@ -6,14 +6,13 @@ use std::time::{Duration, Instant};
 
 use super::observe::{Heard, Port, PositionSender, Sensor};
 use super::plan::Plan;
-use crate::capture::gate::Entry;
-use crate::capture::{Gate, UdpError, UdpSource};
+use crate::admission::{DiscoveredSensors, Refusal, Route};
+use crate::capture::{UdpError, UdpSource};
 use sweepd_core::pipeline::{Config, Notice, Pipeline};
 use sweepd_core::segment::ConfigError;
 use sweepd_core::sweep::layout::{TimeSource, flags};
 use sweepd_core::sweep::{HeapBuffers, Memory, SweepRef};
-use sweepd_core::wire::nmea::Rmc;
-use sweepd_core::wire::{Datagram, Position};
+use sweepd_core::wire::{Content, Packet};
 
 /// Senders of other datagrams that are remembered by name.
 const MAX_OTHERS: usize = 16;
@@ -35,9 +34,9 @@ pub struct Listened {
 /// An open port.
 struct Ear {
     source: UdpSource,
-    gate: Gate,
+    admission: DiscoveredSensors,
     others: Vec<(SocketAddr, u64)>,
-    /// By place of the sender at the gate.
+    /// By number of the sender.
     patients: Vec<Patient>,
 }
 
@@ -77,9 +76,11 @@ pub fn listen(
             let Ok(ear) = &mut ears[index] else { continue };
             let heard = ear.hear(&mut positions)?;
             // GPS time goes to the sensor of the same address, on whichever port its data comes.
-            for payload in heard {
+            for (address, packet) in heard {
                 let patients = ears.iter_mut().flatten().flat_map(|ear| &mut ear.patients);
-                patients.for_each(|patient| patient.takes_position(&payload));
+                patients
+                    .filter(|patient| patient.is_at(address))
+                    .for_each(|patient| patient.takes(&packet));
             }
         }
     }
@@ -105,20 +106,12 @@ pub fn listen(
     Ok(listened)
 }
 
-/// A position packet for whom it concerns.
-struct Telemetry {
-    arrival_ns: i64,
-    source: SocketAddr,
-    destination_port: u16,
-    payload: Vec<u8>,
-}
-
 impl Ear {
     fn open(config: &crate::capture::UdpConfig) -> Result<Self, Heard> {
         match UdpSource::bind(config) {
             Ok(source) => Ok(Self {
                 source,
-                gate: Gate::default(),
+                admission: DiscoveredSensors::default(),
                 others: Vec::new(),
                 patients: Vec::new(),
             }),
@@ -127,13 +120,16 @@ impl Ear {
         }
     }
 
-    /// Takes what is there. Gives the position packets back.
-    fn hear(&mut self, positions: &mut Vec<PositionSender>) -> Result<Vec<Telemetry>, UdpError> {
+    /// Takes what is there. Gives the position packets back, with the address of each.
+    fn hear(
+        &mut self,
+        positions: &mut Vec<PositionSender>,
+    ) -> Result<Vec<(IpAddr, Packet<'static>)>, UdpError> {
         let mut telemetry = Vec::new();
         for datagram in self.source.receive(TURN)? {
-            match self.gate.admit(&datagram) {
-                Some(Entry::Data(index)) => {
-                    while let Some(sender) = self.gate.senders().get(self.patients.len()) {
+            match self.admission.admit(&datagram) {
+                Ok((Route::Data(index), packet)) => {
+                    while let Some(sender) = self.admission.senders().get(self.patients.len()) {
                         // Nobody asks for another segmentation than the usual one, which is
                         // possible.
                         let Ok(patient) = Patient::new(sender.source, sender.destination_port)
@@ -142,26 +138,20 @@ impl Ear {
                         };
                         self.patients.push(patient);
                     }
-                    if let Some(patient) = index.and_then(|index| self.patients.get_mut(index)) {
-                        patient.takes(&datagram);
+                    if let Some(patient) = self.patients.get_mut(index) {
+                        patient.takes(&packet);
                     }
                 }
-                Some(Entry::Position) => {
-                    note_position(positions, &datagram);
-                    let Datagram {
-                        arrival_ns,
-                        source,
-                        destination_port,
-                        payload,
-                    } = datagram;
-                    telemetry.push(Telemetry {
-                        arrival_ns,
-                        source,
-                        destination_port,
-                        payload: payload.to_vec(),
-                    });
+                Ok((Route::Position(_), packet)) => {
+                    let address = datagram.source.ip();
+                    note_position(positions, address, &packet);
+                    if let Some(packet) = packet.without_sentence() {
+                        telemetry.push((address, packet));
+                    }
                 }
-                None => note_other(&mut self.others, datagram.source),
+                // A sensor beyond those that are told apart is none of the others.
+                Err(refused) if refused.reason == Refusal::TooMany => {}
+                Err(_) => note_other(&mut self.others, datagram.source),
             }
         }
         Ok(telemetry)
@@ -204,8 +194,8 @@ impl Patient {
         })
     }
 
-    fn takes(&mut self, datagram: &Datagram<'_>) {
-        if let Err(fault) = self.pipeline.push(datagram) {
+    fn takes(&mut self, packet: &Packet<'_>) {
+        if let Err(fault) = self.pipeline.push(packet) {
             self.seen.fault = Some(fault.to_string());
         }
         while let Some(bytes) = self.pipeline.poll(&mut self.memory) {
@@ -222,25 +212,10 @@ impl Patient {
         }
     }
 
-    fn takes_position(&mut self, position: &Telemetry) {
-        if self
-            .seen
+    fn is_at(&self, address: IpAddr) -> bool {
+        self.seen
             .source
-            .is_some_and(|source| source.ip() == position.source.ip())
-        {
-            let Telemetry {
-                arrival_ns,
-                source,
-                destination_port,
-                ref payload,
-            } = *position;
-            self.takes(&Datagram {
-                arrival_ns,
-                source,
-                destination_port,
-                payload,
-            });
-        }
+            .is_some_and(|source| source.ip() == address.to_canonical())
     }
 
     fn sees(&mut self, sweep: &SweepRef<'_>) {
@@ -282,14 +257,11 @@ fn note_other(others: &mut Vec<(SocketAddr, u64)>, source: SocketAddr) {
     }
 }
 
-fn note_position(positions: &mut Vec<PositionSender>, datagram: &Datagram<'_>) {
-    let Ok(position) = Position::parse(datagram.payload) else {
+fn note_position(positions: &mut Vec<PositionSender>, address: IpAddr, packet: &Packet<'_>) {
+    let Content::Position(position, rmc) = packet.content else {
         return;
     };
-    let address: IpAddr = datagram.source.ip();
-    let fix = position
-        .nmea
-        .map(|text| Rmc::parse(text).is_ok_and(|rmc| rmc.valid));
+    let fix = position.nmea.map(|_| rmc.is_some_and(|rmc| rmc.valid));
     if let Some(known) = positions.iter_mut().find(|known| known.address == address) {
         (known.packets, known.pps, known.fix) = (known.packets + 1, position.pps, fix);
     } else if positions.len() < MAX_POSITIONS {

@@ -2,7 +2,7 @@
 //!
 //! ```text
 //! plan      what should be there: ports and sensors, from a configuration or from options
-//! listen    what comes: a few seconds of every port, through the same gate and pipelines as the daemon's
+//! listen    what comes: a few seconds of every port, through the same admission and pipelines as the daemon's
 //! host      this host: interfaces, buffers, shared memory, permissions
 //! web       what a sensor says of its own settings, read only
 //! health    what a daemon says that holds a port

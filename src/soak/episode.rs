@@ -1,5 +1,6 @@
 //! An episode: ten seconds of both sensors, and then the accounts.
 
+use crate::admission::Refusal;
 use std::collections::BTreeMap;
 use std::fs;
 use std::io;
@@ -11,7 +12,6 @@ use fastrand::Rng;
 use super::feed::{Event, Feed, WITHIN_A_TURN};
 use super::{EPISODE, SENSORS, Soak, SoakError, daemon};
 use crate::capture::udp::buffer::CHARGED_BYTES;
-use crate::daemon::counters::Reject;
 use crate::daemon::sys::pin_to_core;
 
 /// Packets of each sensor at the beginning and at the end of an episode that are all whole: the
@@ -191,8 +191,8 @@ impl Soak {
                 format!("sweepd_received_total{{{port}}}"),
                 tally.received + astray,
             );
-            for (reason, &count) in Reject::ALL.iter().zip(&tally.rejected) {
-                let count = if *reason == Reject::Port {
+            for (reason, &count) in Refusal::OF_CONFIGURED.iter().zip(&tally.rejected) {
+                let count = if *reason == Refusal::Port {
                     count + astray
                 } else {
                     count

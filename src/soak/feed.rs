@@ -1,6 +1,7 @@
 //! One sensor's datagrams with everything that goes wrong on their way, and what the daemon must
 //! count of it.
 
+use crate::admission::Refusal;
 use std::collections::BTreeMap;
 use std::io;
 use std::net::{Ipv4Addr, SocketAddrV4, UdpSocket};
@@ -9,7 +10,6 @@ use std::time::Duration;
 use fastrand::Rng;
 
 use super::stream::Stream;
-use crate::daemon::counters::Reject;
 use sweepd_core::sensor::Model;
 use sweepd_core::wire::HOUR_US;
 use sweepd_core::wire::data::{DATA_PACKET_LEN, ReturnMode};
@@ -32,8 +32,8 @@ const HOUR_NS: u64 = HOUR_US as u64 * 1000;
 pub struct Tally {
     /// Datagrams of any kind to the data port of the sensor.
     pub received: u64,
-    /// Of those, what is not let in, by [`Reject`].
-    pub rejected: [u64; Reject::ALL.len()],
+    /// Of those, what is not let in, by [`Refusal`].
+    pub rejected: [u64; Refusal::OF_CONFIGURED.len()],
     /// Data packets that went to the port of the other sensor.
     pub astray: u64,
     /// Data packets that are let in.
@@ -293,17 +293,17 @@ impl Feed {
             Fault::Short => {
                 // A position packet is 512 bytes long.
                 let len = self.rng.usize(513..DATA_PACKET_LEN);
-                self.reject(Reject::Length);
+                self.reject(Refusal::Length);
                 self.socket.send_to(&packet.emit()[..len], self.place.to)?;
             }
             Fault::Marker => {
                 packet.blocks[block].flag.set(0x1234);
-                self.reject(Reject::Marker);
+                self.reject(Refusal::Marker);
                 self.socket.send_to(packet.emit(), self.place.to)?;
             }
             Fault::Azimuth => {
                 packet.blocks[block].set_azimuth_cdeg(self.rng.u16(36_001..));
-                self.reject(Reject::Azimuth);
+                self.reject(Refusal::Azimuth);
                 self.socket.send_to(packet.emit(), self.place.to)?;
             }
             Fault::Stamp => {
@@ -342,7 +342,7 @@ impl Feed {
         match fault {
             Fault::Foreign => {
                 packet.set_stamp_us(self.rng.u32(..HOUR_US));
-                self.reject(Reject::Source);
+                self.reject(Refusal::Source);
                 self.foreign.send_to(packet.emit(), self.place.to)?;
                 self.inject("foreign", 1);
             }
@@ -358,7 +358,7 @@ impl Feed {
                 } else {
                     self.rng.usize(1300..9000)
                 };
-                self.reject(Reject::Length);
+                self.reject(Refusal::Length);
                 let from = if self.rng.bool() {
                     &self.socket
                 } else {
@@ -372,7 +372,7 @@ impl Feed {
     }
 
     /// A datagram to the sensor's port that will not be let in.
-    fn reject(&mut self, reason: Reject) {
+    fn reject(&mut self, reason: Refusal) {
         self.sent += 1;
         self.tally.received += 1;
         self.tally.rejected[reason as usize] += 1;

@@ -15,8 +15,9 @@ use std::time::{Duration, Instant};
 use counting::ALLOCATIONS;
 use domain::Own;
 use stream::Spin;
+use sweepd::admission::DiscoveredSensors;
 use sweepd::capture::record::Rotation;
-use sweepd::capture::{Gate, Recorder, UdpConfig, UdpSource};
+use sweepd::capture::{Recorder, UdpConfig, UdpSource};
 use sweepd::client::Client;
 use sweepd::daemon::tap::{TapStream, Taps, socket_path};
 use sweepd::pipeline::{Config, Pipeline};
@@ -37,7 +38,7 @@ fn per_sweep(config: Config, datagrams: &[(Vec<u8>, i64)]) -> Vec<u64> {
     let mut before = ALLOCATIONS.load(Ordering::Relaxed);
     for (payload, arrival_ns) in datagrams {
         pipeline
-            .push(&stream::datagram(payload, *arrival_ns))
+            .push(&stream::datagram(payload, *arrival_ns).parse().unwrap())
             .unwrap();
         pipeline.tick(*arrival_ns);
         while let Some(sweep) = pipeline.poll(&mut memory) {
@@ -51,7 +52,7 @@ fn per_sweep(config: Config, datagrams: &[(Vec<u8>, i64)]) -> Vec<u64> {
     counts
 }
 
-/// Allocations while packets are received, pass the gate, and go to a recording and to somebody who
+/// Allocations while packets are received, are admitted, and go to a recording and to somebody who
 /// listens at the tap, after the first batch. The packets wait in the socket: their sender is not
 /// counted. The threads that write and send are.
 fn receiving() -> u64 {
@@ -66,9 +67,9 @@ fn receiving() -> u64 {
     let taps = Taps::listen(&socket_path(&folder)).unwrap();
     let (mut lane, mut tap) = (recorder.lane(), taps.sensor("roof"));
     let mut client = TapStream::connect(&socket_path(&folder), "roof").unwrap();
-    let (sender, mut gate) = (
+    let (sender, mut admission) = (
         std::net::UdpSocket::bind("127.0.0.1:0").unwrap(),
-        Gate::default(),
+        DiscoveredSensors::default(),
     );
     let packets = [
         DataPacket::new(0, 0x37, 0x22).emit().to_vec(),
@@ -89,7 +90,7 @@ fn receiving() -> u64 {
         );
         while source.received() < end {
             for one in source.receive_addressed(Duration::from_secs(5)).unwrap() {
-                if gate.admit(&one.datagram()).is_some() {
+                if admission.admit(&one.datagram()).is_ok() {
                     admitted += 1;
                     assert!(lane.put(&one));
                     tap.put(&one);

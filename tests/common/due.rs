@@ -13,12 +13,16 @@ pub fn late_ns(config: Config, packets: impl IntoIterator<Item = (Vec<u8>, i64)>
     for (payload, arrival_ns) in packets {
         let source = ([192, 168, 1, 201], 2368).into();
         pipeline
-            .push(&Datagram {
-                arrival_ns,
-                source,
-                destination_port: 2368,
-                payload: &payload,
-            })
+            .push(
+                &Datagram {
+                    arrival_ns,
+                    source,
+                    destination_port: 2368,
+                    payload: &payload,
+                }
+                .parse()
+                .unwrap(),
+            )
             .unwrap();
         if std::iter::from_fn(|| pipeline.poll(&mut memory)).count() > 0 {
             late_ns.push(

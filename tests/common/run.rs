@@ -3,8 +3,8 @@
 use std::collections::HashMap;
 use std::path::Path;
 
+use sweepd::admission::{DiscoveredSensors, Refused};
 use sweepd::capture::Capture;
-use sweepd::capture::sensors::{Route, Sensors};
 use sweepd::pipeline::{Config, Counts, Fault, Notice, Pipeline};
 use sweepd::sensor::detect::Detection;
 use sweepd::sweep::buffers::HeapBuffer;
@@ -38,6 +38,17 @@ pub struct Placed {
     pub found: Return,
 }
 
+/// Pushes a datagram of the sensor; one that is no packet is refused.
+pub fn push(pipeline: &mut Pipeline, datagram: &Datagram<'_>) -> Result<(), Fault> {
+    match datagram.parse() {
+        Ok(packet) => pipeline.push(&packet),
+        Err(_) => {
+            pipeline.refuse();
+            Ok(())
+        }
+    }
+}
+
 /// A pipeline under way, and the sweeps it gave so far.
 pub struct Runner {
     pipeline: Pipeline,
@@ -55,7 +66,7 @@ impl Runner {
     }
 
     pub fn push(&mut self, datagram: &Datagram<'_>) -> Result<(), Fault> {
-        let result = self.pipeline.push(datagram);
+        let result = push(&mut self.pipeline, datagram);
         self.sweeps
             .extend(std::iter::from_fn(|| self.pipeline.poll(&mut self.memory)));
         self.pipeline.segment_early(&mut self.memory);
@@ -72,10 +83,11 @@ impl Runner {
     /// Pushes a whole capture; stops at a fault.
     pub fn play(&mut self, capture: &Path) -> Result<(), Fault> {
         let mut capture = Capture::open(capture).unwrap();
-        let mut sensors = Sensors::new(Vec::new());
+        let mut sensors = DiscoveredSensors::new(Vec::new());
         while let Some(datagram) = capture.next_datagram().unwrap() {
-            if !matches!(sensors.route(&datagram), Route::Other(_)) {
-                self.push(&datagram)?;
+            match sensors.admit(&datagram) {
+                Err(Refused { sensor: None, .. }) => {}
+                _ => self.push(&datagram)?,
             }
         }
         self.end()

@@ -4,6 +4,7 @@
 
 use std::collections::BTreeMap;
 
+use super::run::push;
 use sweepd::pipeline::{Config, Counts, Pipeline};
 use sweepd::sensor::model::Stamp;
 use sweepd::sensor::{Beam, Calibration, Model};
@@ -213,7 +214,7 @@ impl Run {
         let mut memory = Memory::new(HeapBuffers::default());
         let (mut sweeps, mut out_after) = (Vec::new(), Vec::new());
         for (index, (payload, arrival_ns)) in arrived.iter().enumerate() {
-            let _ = pipeline.push(&datagram(payload, *arrival_ns));
+            let _ = push(&mut pipeline, &datagram(payload, *arrival_ns));
             while let Some(sweep) = pipeline.poll(&mut memory) {
                 sweeps.push(sweep);
                 out_after.push(index + 1);

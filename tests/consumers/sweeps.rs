@@ -1,7 +1,7 @@
 //! Sweeps of real pipelines, of all kinds that a consumer meets.
 
+use sweepd::admission::DiscoveredSensors;
 use sweepd::capture::Capture;
-use sweepd::capture::sensors::{Route, Sensors};
 use sweepd::pipeline::{Config, Pipeline};
 use sweepd::sensor::Model;
 use sweepd::simulate::unit::unit;
@@ -69,7 +69,7 @@ fn play_spin<B: Buffers>(spin: &Spin, config: Config, buffers: B, mut done: impl
     let mut memory = Memory::new(buffers);
     for one in spin.packets(0.25) {
         pipeline
-            .push(&datagram(one.packet.emit(), one.arrival_ns))
+            .push(&datagram(one.packet.emit(), one.arrival_ns).parse().unwrap())
             .unwrap();
         std::iter::from_fn(|| pipeline.poll(&mut memory)).for_each(&mut done);
     }
@@ -81,10 +81,10 @@ fn play_capture<B: Buffers>(file: &str, buffers: B, mut done: impl FnMut(B::Buff
     let mut pipeline = Pipeline::new("192.168.1.201:2368", Config::default()).unwrap();
     let mut memory = Memory::new(buffers);
     let mut capture = Capture::open(of_project("pcap_fixtures").join(file)).unwrap();
-    let mut sensors = Sensors::new(Vec::new());
+    let mut sensors = DiscoveredSensors::new(Vec::new());
     while let Some(datagram) = capture.next_datagram().unwrap() {
-        if !matches!(sensors.route(&datagram), Route::Other(_)) {
-            pipeline.push(&datagram).unwrap();
+        if let Ok((_, packet)) = sensors.admit(&datagram) {
+            pipeline.push(&packet).unwrap();
         }
         std::iter::from_fn(|| pipeline.poll(&mut memory)).for_each(&mut done);
     }

@@ -6,8 +6,9 @@ use std::net::{Ipv4Addr, UdpSocket};
 use std::sync::Arc;
 use std::sync::mpsc::Receiver;
 use std::time::{Duration, Instant, SystemTime};
+use sweepd::admission::Refusal;
 
-use sweepd::daemon::counters::{Gps, Reject, Stage};
+use sweepd::daemon::counters::{Gps, Stage};
 use sweepd::daemon::sensor::Event;
 use sweepd::daemon::tee::Tees;
 use sweepd::daemon::{DaemonError, Runtime};
@@ -48,7 +49,7 @@ fn replayed(sent: &[Sent]) -> Vec<HeapBuffer> {
             destination_port: 2368,
             payload: &sent.payload,
         };
-        pipeline.push(&datagram).unwrap();
+        pipeline.push(&datagram.parse().unwrap()).unwrap();
         sweeps.extend(std::iter::from_fn(|| pipeline.poll(&mut memory)));
     }
     sweeps
@@ -432,12 +433,7 @@ fn foreign_datagrams_change_nothing_but_a_counter() {
     let sent = stream(Model::Vlp16, SINGLE, 40.0);
     let sending = Sending::start(41, (data, position), sent.clone());
     let counters = &runtime.ports[0].counters;
-    let rejected = || {
-        Reject::ALL
-            .iter()
-            .map(|&reason| counters.rejected(reason))
-            .sum::<u64>()
-    };
+    let rejected = || counters.all_refused();
 
     let [own, other, foreign] =
         [41, 42, 43].map(|host| UdpSocket::bind((Ipv4Addr::new(127, 0, 0, host), 0)).unwrap());
@@ -456,7 +452,7 @@ fn foreign_datagrams_change_nothing_but_a_counter() {
             .unwrap();
     }
     until("five were refused", || rejected() == 5);
-    let by_reason = Reject::ALL.map(|reason| counters.rejected(reason));
+    let by_reason = Refusal::OF_CONFIGURED.map(|reason| counters.refused(reason));
     assert_eq!(by_reason, [1, 1, 0, 2, 1, 0]);
 
     let mut rng = fastrand::Rng::with_seed(7);

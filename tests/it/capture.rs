@@ -7,12 +7,13 @@ use std::time::Duration;
 
 use pcap_parser::traits::PcapReaderIterator;
 use pcap_parser::{LegacyPcapReader, PcapBlockOwned, PcapError};
-use sweepd::capture::{Capture, CaptureReader, LinkType, Route, Sensors};
+use sweepd::admission::{DiscoveredSensors, Route};
+use sweepd::capture::{Capture, CaptureReader, LinkType};
 use sweepd::daemon::counters::SensorCounters;
 use sweepd::daemon::losses::{Limits, Losses, WINDOW};
 use sweepd::pipeline::{Config, Pipeline};
 use sweepd::sweep::{HeapBuffers, Memory};
-use sweepd::wire::Datagram;
+use sweepd::wire::Packet;
 
 /// File, data packets, position packets, sender: from the README of the captures.
 const CAPTURES: [(&str, u64, u64, &str); 11] = [
@@ -37,16 +38,16 @@ fn packets_are_counted_as_others_count_them() {
     for (name, data, position, sender) in CAPTURES {
         let path = dir.join(format!("pcap/{name}.pcap"));
         let mut capture = Capture::open(&path).unwrap();
-        let mut sensors = Sensors::default();
+        let mut sensors = DiscoveredSensors::default();
         let mut counted = (0, 0);
         while let Some(datagram) = capture.next_datagram().unwrap() {
-            match sensors.route(&datagram) {
-                Route::Data(index) => {
-                    assert_eq!(index.get(), 0, "{name}");
+            match sensors.admit(&datagram) {
+                Ok((Route::Data(index), _)) => {
+                    assert_eq!(index, 0, "{name}");
                     counted.0 += 1;
                 }
-                Route::Position(_) => counted.1 += 1,
-                Route::Other(other) => panic!("{name}: {other}"),
+                Ok((Route::Position(_), _)) => counted.1 += 1,
+                Err(refused) => panic!("{name}: {refused:?}"),
             }
         }
         assert_eq!(counted, (data, position), "{name}");
@@ -63,7 +64,7 @@ fn packets_are_counted_as_others_count_them() {
         );
         assert!(capture.first_ns() <= capture.last_ns(), "{name}");
         let names: Vec<&str> = sensors
-            .sensors()
+            .senders()
             .iter()
             .map(|sensor| &sensor.name[..])
             .collect();
@@ -87,20 +88,23 @@ fn highest_share(path: &Path) -> f64 {
     );
     let (mut begun_ns, mut highest, mut passed) = (None, 0.0_f64, Duration::ZERO);
     while passed < 4 * WINDOW {
-        let (mut capture, mut sensors, before) =
-            (Capture::open(path).unwrap(), Sensors::default(), passed);
+        let (mut capture, mut sensors, before) = (
+            Capture::open(path).unwrap(),
+            DiscoveredSensors::default(),
+            passed,
+        );
         while let Some(datagram) = capture.next_datagram().unwrap() {
-            if matches!(sensors.route(&datagram), Route::Other(_)) {
+            let Ok((_, packet)) = sensors.admit(&datagram) else {
                 continue;
-            }
+            };
             let first_ns = *begun_ns.get_or_insert(datagram.arrival_ns);
             let since = Duration::from_nanos((datagram.arrival_ns - first_ns).unsigned_abs());
             passed = before + since;
             let arrival_ns = first_ns + passed.as_nanos() as i64;
             // What is of no model that can be decoded is told, and by another state.
-            let _ = pipeline.push(&Datagram {
+            let _ = pipeline.push(&Packet {
                 arrival_ns,
-                ..datagram
+                ..packet
             });
             while pipeline.poll(&mut memory).is_some() {}
             counters.set(&pipeline.counts());

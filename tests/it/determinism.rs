@@ -115,7 +115,7 @@ impl Stream {
         let mut memory = Memory::new(HeapBuffers::default());
         let mut sweeps = Vec::new();
         for one in sent {
-            pipeline.push(&one.datagram()).unwrap();
+            pipeline.push(&one.datagram().parse().unwrap()).unwrap();
             take(&mut pipeline, &mut memory, &mut sweeps);
             between(&mut pipeline, &mut memory, one.arrival_ns);
         }
@@ -154,7 +154,7 @@ fn the_streams_show_what_they_are_for() {
         let mut memory = Memory::new(HeapBuffers::default());
         let (mut segments, mut estimated) = (0, false);
         for one in sent {
-            pipeline.push(&one.datagram()).unwrap();
+            pipeline.push(&one.datagram().parse().unwrap()).unwrap();
             while let Some(sweep) = pipeline.poll(&mut memory) {
                 let sweep = SweepRef::open(sweep.as_ref()).unwrap();
                 segments += sweep.segments.len();
@@ -255,7 +255,7 @@ fn alone_or_among_others_in_any_order_and_in_the_buffers_of_others() {
             let (_, pipeline, memory, sent, sweeps) = &mut under_way[index];
             // A batch, as the kernel hands them out.
             for one in sent.by_ref().take(rng.usize(1..60)) {
-                pipeline.push(&one.datagram()).unwrap();
+                pipeline.push(&one.datagram().parse().unwrap()).unwrap();
                 take(pipeline, memory, sweeps);
             }
             if sent.as_slice().is_empty() {

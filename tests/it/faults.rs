@@ -1057,7 +1057,11 @@ fn silence_closes_the_sweep_once() {
     let mut memory = Memory::new(HeapBuffers::default());
     let push = |pipeline: &mut Pipeline, memory: &mut Memory<HeapBuffers>, one: &Sent| {
         pipeline
-            .push(&stream::datagram(one.packet.emit(), one.arrival_ns))
+            .push(
+                &stream::datagram(one.packet.emit(), one.arrival_ns)
+                    .parse()
+                    .unwrap(),
+            )
             .unwrap();
         std::iter::from_fn(|| pipeline.poll(memory)).count()
     };

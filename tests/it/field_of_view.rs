@@ -249,7 +249,7 @@ fn with_ticks(config: Config, sent: &[Sent], seed: u64) -> Run {
     let mut memory = Memory::new(HeapBuffers::default());
     let (mut sweeps, mut out_after) = (Vec::new(), Vec::new());
     for (index, one) in sent.iter().enumerate() {
-        let _ = pipeline.push(&datagram(one.packet.emit(), one.arrival_ns));
+        let _ = pipeline.push(&datagram(one.packet.emit(), one.arrival_ns).parse().unwrap());
         let until_ns = sent
             .get(index + 1)
             .map_or(one.arrival_ns, |next| next.arrival_ns);

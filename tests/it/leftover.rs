@@ -29,7 +29,7 @@ fn valid(config: &Config, sent: &[Sent], full_of: u8) -> Vec<Vec<u8>> {
     let mut sweeps = Vec::new();
     for one in sent {
         pipeline
-            .push(&datagram(one.packet.emit(), one.arrival_ns))
+            .push(&datagram(one.packet.emit(), one.arrival_ns).parse().unwrap())
             .unwrap();
         sweeps.extend(std::iter::from_fn(|| pipeline.poll(&mut memory)));
         pipeline.segment_early(&mut memory);

@@ -58,7 +58,7 @@ fn play<B: Buffers>(buffers: B, config: Config, sent: &[Sent], mut done: impl Fn
     let mut memory = Memory::new(buffers);
     for one in sent {
         pipeline
-            .push(&datagram(one.packet.emit(), one.arrival_ns))
+            .push(&datagram(one.packet.emit(), one.arrival_ns).parse().unwrap())
             .unwrap();
         std::iter::from_fn(|| pipeline.poll(&mut memory)).for_each(&mut done);
     }

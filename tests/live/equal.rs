@@ -35,7 +35,7 @@ fn replayed(capture: &Path) -> Sweeps {
     let mut memory = Memory::new(HeapBuffers::default());
     let mut sweeps = Sweeps::new();
     while let Some(datagram) = capture.next_datagram().unwrap() {
-        pipeline.push(&datagram).unwrap();
+        pipeline.push(&datagram.parse().unwrap()).unwrap();
         std::iter::from_fn(|| pipeline.poll(&mut memory))
             .for_each(|it| keep(&mut sweeps, &SweepRef::open(it.as_ref()).unwrap()));
     }

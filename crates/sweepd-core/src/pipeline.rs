@@ -1,10 +1,10 @@
-//! The whole algorithm on one page: datagrams of one sensor in, labelled sweeps out.
+//! The whole algorithm on one page: packets of one sensor in, labelled sweeps out.
 //!
-//! Pure: bytes and time come in as arguments. Live, replay and tests push the same datagrams
+//! Pure: bytes and time come in as arguments. Live, replay and tests push the same packets
 //! through here, so the same bytes give the same sweeps.
 //!
 //! ```text
-//! push(datagram)    what arrived                   poll()   the next sweep that is whole, segmented
+//! push(packet)      what arrived                   poll()   the next sweep that is whole, segmented
 //! segment_early()   nothing to do at the moment
 //! tick(now)         nothing arrived for a while    end()    nothing will arrive any more
 //! ```
@@ -26,15 +26,14 @@ use crate::sweep::buffers::OpenBuffer;
 use crate::sweep::clock::Clocks;
 use crate::sweep::order::OrderCounts;
 use crate::sweep::{Buffers, Memory, SweepMut};
-use crate::wire::position::POSITION_PACKET_LEN;
-use crate::wire::{DataPacket, Datagram, TIMES_NS};
+use crate::wire::{Content, Packet, TIMES_NS};
 use fearless_simd::Level;
 use state::{Decoding, State, Waiting};
 
 /// After so much silence the open sweep is closed as it is.
 const STALL_NS: i64 = 500_000_000;
 
-/// One sensor's way from datagrams to labelled sweeps.
+/// One sensor's way from packets to labelled sweeps.
 pub struct Pipeline {
     config: Config,
     sensor: String,
@@ -140,42 +139,38 @@ impl Pipeline {
         self
     }
 
-    /// Takes a datagram of this sensor. Call [`Pipeline::poll`] until it is empty before the next
+    /// Takes a packet of this sensor. Call [`Pipeline::poll`] until it is empty before the next
     /// one.
     ///
     /// # Errors
     /// [`Fault`], once, when the packets turn out to be of no model that can be decoded; all that
     /// follow are counted.
-    pub fn push(&mut self, datagram: &Datagram<'_>) -> Result<(), Fault> {
-        let datagram = &Datagram {
-            arrival_ns: possible(datagram.arrival_ns),
-            ..*datagram
+    pub fn push(&mut self, packet: &Packet<'_>) -> Result<(), Fault> {
+        let arrival_ns = possible(packet.arrival_ns);
+        let packet = match packet.content {
+            Content::Data(packet) => packet,
+            Content::Position(position, rmc) => {
+                self.position(&position, rmc.as_ref(), arrival_ns);
+                return Ok(());
+            }
         };
-        if datagram.payload.len() == POSITION_PACKET_LEN {
-            self.position(datagram);
-            return Ok(());
-        }
         let number = self.next_number;
         self.next_number += 1;
         self.counts.data += 1;
-        let Ok(packet) = DataPacket::parse(datagram.payload) else {
-            self.counts.malformed += 1;
-            return Ok(());
-        };
         match &mut self.state {
             State::Detecting(detecting) => {
                 match detecting.observe(Waiting {
                     bytes: *packet,
                     number,
-                    arrival_ns: datagram.arrival_ns,
+                    arrival_ns,
                 }) {
                     Some(result) => self.detected(result),
                     None => Ok(()),
                 }
             }
-            State::Calibrating(_) => self.calibrate(packet, datagram.arrival_ns),
+            State::Calibrating(_) => self.calibrate(packet, arrival_ns),
             State::Decoding(_) => {
-                self.order(packet, number, datagram.arrival_ns);
+                self.order(packet, number, arrival_ns);
                 Ok(())
             }
             State::Refusing => {
@@ -183,6 +178,14 @@ impl Pipeline {
                 Ok(())
             }
         }
+    }
+
+    /// Counts a datagram of this sensor that is as long as a data packet and is none: it has an
+    /// ordinal like the others.
+    pub fn refuse(&mut self) {
+        self.next_number += 1;
+        self.counts.data += 1;
+        self.counts.malformed += 1;
     }
 
     /// Passes a data packet over, undecoded: the ordinals of those that follow count it all the

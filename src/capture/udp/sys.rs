@@ -139,7 +139,10 @@ fn address(name: &libc::sockaddr_in) -> SocketAddrV4 {
 }
 
 /// Whether a control message is long enough for its payload of `len` bytes.
-#[allow(clippy::unnecessary_cast, reason = "other C libraries have other types")]
+#[allow(
+    clippy::unnecessary_cast,
+    reason = "other C libraries have other types"
+)]
 fn has(message: &libc::cmsghdr, len: usize) -> bool {
     // SAFETY: only a length is computed.
     message.cmsg_len as usize >= unsafe { libc::CMSG_LEN(len as u32) } as usize

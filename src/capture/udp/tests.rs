@@ -1,8 +1,7 @@
 use std::net::UdpSocket;
 
 use super::*;
-use crate::capture::Gate;
-use crate::capture::gate::Refused;
+use crate::admission::{DiscoveredSensors, Refusal};
 use sweepd_core::wire::DataPacket;
 
 const WAIT: Duration = Duration::from_secs(5);
@@ -215,7 +214,7 @@ fn longer_datagrams_are_cut_and_never_taken_for_packets() {
 #[test]
 fn others_on_the_port_are_told_apart() {
     let (mut source, sensor, foreign) = (source(ample_buffer_bytes()), sender(), sender());
-    let mut gate = Gate::new(vec![
+    let mut sensors = DiscoveredSensors::new(vec![
         sensor.local_addr().unwrap().to_string().parse().unwrap(),
     ]);
     let packet = DataPacket::new(0, 0x37, 0x22);
@@ -229,25 +228,15 @@ fn others_on_the_port_are_told_apart() {
         let batch = source.receive(WAIT).unwrap();
         assert!(batch.clone().count() > 0);
         batch.for_each(|datagram| {
-            gate.admit(&datagram);
+            let _ = sensors.admit(&datagram);
         });
     }
-    assert_eq!(
-        gate.senders()
-            .iter()
-            .map(|sender| sender.packets)
-            .collect::<Vec<_>>(),
-        [50]
-    );
-    assert_eq!(
-        gate.refused(),
-        Refused {
-            length: 50,
-            marker: 50,
-            azimuth: 0,
-            source: 50
-        }
-    );
+    assert_eq!(sensors.senders().len(), 1);
+    assert_eq!(sensors.senders()[0].packets, 50);
+    for reason in [Refusal::Length, Refusal::Marker, Refusal::Source] {
+        assert_eq!(sensors.refusals().get(reason), 50, "{reason:?}");
+    }
+    assert_eq!(sensors.refusals().total(), 150);
 }
 
 #[test]

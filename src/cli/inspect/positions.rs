@@ -4,7 +4,7 @@ use super::{rate, row};
 use crate::export::text::{count_of, utc_text};
 use sweepd_core::wire::nmea::Rmc;
 use sweepd_core::wire::position::Pps;
-use sweepd_core::wire::{Datagram, Position};
+use sweepd_core::wire::{Content, Packet};
 
 /// What was seen of the position packets from one address.
 #[derive(Default)]
@@ -20,16 +20,16 @@ pub(super) struct Positions {
 }
 
 impl Positions {
-    /// Adds a position packet; other bytes of its length are passed over.
-    pub(super) fn add(&mut self, datagram: &Datagram<'_>) {
-        let Ok(position) = Position::parse(datagram.payload) else {
+    /// Adds a position packet; a data packet is passed over.
+    pub(super) fn add(&mut self, packet: &Packet<'_>) {
+        let Content::Position(position, _) = packet.content else {
             return;
         };
         if self.packets == 0 {
-            self.first_ns = datagram.arrival_ns;
+            self.first_ns = packet.arrival_ns;
         }
         self.packets += 1;
-        self.last_ns = datagram.arrival_ns;
+        self.last_ns = packet.arrival_ns;
         self.locked += u64::from(position.pps == Pps::Locked);
         self.pps = Some(position.pps);
         self.sentence = position.nmea.map(str::to_owned).or(self.sentence.take());

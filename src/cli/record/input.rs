@@ -4,9 +4,10 @@ use std::sync::atomic::Ordering;
 use std::time::{Duration, Instant};
 
 use super::{CliError, Recording, TICK};
+use crate::admission::{DiscoveredSensors, Refusal};
+use crate::capture::UdpSource;
 use crate::capture::record::Lane;
 use crate::capture::write::Addressed;
-use crate::capture::{Gate, UdpSource};
 use crate::daemon::tap::TapStream;
 
 /// How long a daemon may take to send what it had when the end was asked for.
@@ -19,7 +20,7 @@ pub enum Input {
         /// Its socket.
         source: UdpSource,
         /// What of it gets in.
-        gate: Gate,
+        admission: DiscoveredSensors,
     },
     /// A sensor of the daemon.
     Daemon {
@@ -28,7 +29,7 @@ pub enum Input {
         /// Its name.
         sensor: String,
         /// What of it gets in.
-        gate: Gate,
+        admission: DiscoveredSensors,
     },
 }
 
@@ -41,7 +42,7 @@ pub struct InputReport {
     /// Datagrams that got lost before, and where.
     pub dropped: (u64, &'static str),
     /// What got in, and what did not.
-    pub gate: Gate,
+    pub admission: DiscoveredSensors,
     /// Whether it ended without being asked to.
     pub ended_early: bool,
 }
@@ -58,18 +59,18 @@ impl Input {
     /// Receives until the end, and then what came before it. An input that fails ends the
     /// recording.
     pub(super) fn receive_all(self, recording: &Recording) -> (InputReport, Result<(), CliError>) {
-        let recorded = |gate| Recorded {
-            gate,
+        let recorded = |admission| Recorded {
+            admission,
             lanes: Vec::new(),
             recording,
         };
         let (report, result) = match self {
-            Self::Port { source, gate } => receive_port(source, recorded(gate)),
+            Self::Port { source, admission } => receive_port(source, recorded(admission)),
             Self::Daemon {
                 stream,
                 sensor,
-                gate,
-            } => receive_daemon(stream, &sensor, recorded(gate)),
+                admission,
+            } => receive_daemon(stream, &sensor, recorded(admission)),
         };
         recording.end();
         (report, result)
@@ -78,7 +79,7 @@ impl Input {
 
 /// The way from an input to the recorder.
 struct Recorded<'a> {
-    gate: Gate,
+    admission: DiscoveredSensors,
     /// One for each port that datagrams came on. A daemon has a thread for each, and passes on what
     /// they have received as they come to it: of one port in order, of two not.
     lanes: Vec<(u16, Lane)>,
@@ -91,7 +92,8 @@ impl Recorded<'_> {
             .counts
             .received
             .fetch_add(1, Ordering::Relaxed);
-        if self.gate.admit(&datagram.datagram()).is_some() {
+        let refused = self.admission.admit(&datagram.datagram()).err();
+        if refused.is_none_or(|refused| refused.reason == Refusal::TooMany) {
             // The recorder counts what it has no room for.
             self.lane(datagram.destination.port()).put(datagram);
         }
@@ -145,7 +147,7 @@ fn receive_port(
         name,
         received: source.received(),
         dropped,
-        gate: recorded.gate,
+        admission: recorded.admission,
         ended_early: false,
     };
     (report, result.map(drop).map_err(CliError::Udp))
@@ -185,7 +187,7 @@ fn receive_daemon(
         name,
         received,
         dropped,
-        gate: recorded.gate,
+        admission: recorded.admission,
         ended_early,
     };
     (report, result.map_err(CliError::Tap))

@@ -4,7 +4,7 @@ use std::io::{self, Write};
 use std::time::Duration;
 
 use super::input::InputReport;
-use crate::capture::gate::Refused;
+use crate::admission::{Refusal, RefusalCounts};
 use crate::capture::record::Written;
 use crate::export::text::{count_of, grouped};
 
@@ -36,15 +36,22 @@ impl Report {
 
     /// Datagrams that were let in and are not in the files.
     pub fn unwritten(&self) -> u64 {
-        (self.received() - self.refused().total()).saturating_sub(self.written.datagrams)
+        (self.received() - self.refused()).saturating_sub(self.written.datagrams)
     }
 
-    fn refused(&self) -> Refused {
-        let mut sum = Refused::default();
+    fn refusals(&self) -> RefusalCounts {
+        let mut sum = RefusalCounts::default();
         self.inputs
             .iter()
-            .for_each(|input| sum += input.gate.refused());
+            .for_each(|input| sum += input.admission.refusals());
         sum
+    }
+
+    /// Datagrams that were not let in. Those of one sensor too many are: they have no line of their
+    /// own, that is all.
+    fn refused(&self) -> u64 {
+        let refusals = self.refusals();
+        refusals.total() - refusals.get(Refusal::TooMany)
     }
 
     /// Prints it for people; each number has its word beside it.
@@ -71,7 +78,11 @@ impl Report {
             count_of(*datagrams, "datagram"),
             grouped(*bytes)
         )?;
-        for sender in self.inputs.iter().flat_map(|input| input.gate.senders()) {
+        for sender in self
+            .inputs
+            .iter()
+            .flat_map(|input| input.admission.senders())
+        {
             let (data, port) = (
                 count_of(sender.packets, "data packet"),
                 sender.destination_port,
@@ -82,7 +93,8 @@ impl Report {
                 sender.source
             )?;
         }
-        let others: u64 = self.inputs.iter().map(|input| input.gate.others()).sum();
+        let refusals = self.refusals();
+        let others = refusals.get(Refusal::TooMany);
         if others > 0 {
             writeln!(
                 to,
@@ -90,7 +102,11 @@ impl Report {
                 count_of(others, "data packet")
             )?;
         }
-        let positions: u64 = self.inputs.iter().map(|input| input.gate.positions()).sum();
+        let positions: u64 = self
+            .inputs
+            .iter()
+            .map(|input| input.admission.positions())
+            .sum();
         writeln!(to, "  position     {}", count_of(positions, "packet"))?;
         let (dropped, unwritten) = (grouped(self.dropped()), grouped(self.unwritten()));
         let dropped_where = self.dropped_where();
@@ -98,17 +114,13 @@ impl Report {
             to,
             "  dropped      {dropped} {dropped_where}, {unwritten} because the disk was too slow or failed"
         )?;
-        let refused = self.refused();
-        let [length, marker, azimuth, source] = [
-            refused.length,
-            refused.marker,
-            refused.azimuth,
-            refused.source,
-        ]
-        .map(grouped);
         writeln!(
             to,
-            "  refused      {length} wrong length, {marker} wrong marker, {azimuth} wrong azimuth, {source} other source"
+            "  refused      {} wrong length, {} wrong marker, {} wrong azimuth, {} other source",
+            grouped(refusals.get(Refusal::Length)),
+            grouped(refusals.get(Refusal::Marker)),
+            grouped(refusals.get(Refusal::Azimuth)),
+            grouped(refusals.get(Refusal::Source)),
         )?;
         to.flush()
     }
@@ -137,7 +149,7 @@ impl Report {
                 "nothing came from {names}: is the sensor on, does it send to this host, does a firewall stop it? \
                  `tcpdump -ni any udp` shows what comes"
             ));
-        } else if self.received() == self.refused().total() {
+        } else if self.received() == self.refused() {
             warnings.push(format!(
                 "none of what came from {names} was of a sensor that was asked for"
             ));

@@ -78,7 +78,7 @@ mod tests {
             let mut memory = Memory::new(buffers);
             let mut pipeline = Pipeline::new("roof", config.pipeline.clone()).unwrap();
             for sent in Emitter::new(EmitterConfig::new(model, mode).turns(0.2), &scene).untold() {
-                pipeline.push(&sent.datagram()).unwrap();
+                pipeline.push(&sent.datagram().parse().unwrap()).unwrap();
                 assert!(pipeline.poll(&mut memory).is_none());
             }
             let asked = *asked.lock().unwrap();

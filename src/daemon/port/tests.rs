@@ -14,9 +14,9 @@ use sweepd_core::sensor::Model;
 use sweepd_core::sweep::buffers::HeapBuffer;
 use sweepd_core::sweep::layout::flags::PARTIAL;
 use sweepd_core::sweep::{HeapBuffers, SweepRef};
-use sweepd_core::wire::Position;
 use sweepd_core::wire::data::ReturnMode;
 use sweepd_core::wire::position::Pps;
+use sweepd_core::wire::{Content, Packet, Position};
 use sweepd_lab::simulate::{Emitter, EmitterConfig, SimulatedDatagram, fixtures};
 
 const SECOND_NS: i64 = 1_000_000_000;
@@ -91,7 +91,7 @@ impl Outgoing for Open {
 fn served(
     index: usize,
     config: &SensorConfig,
-    (counters, mail): (Arc<SensorCounters>, Receiver<Mail>),
+    (counters, mail): (Arc<SensorCounters>, Receiver<Packet<'static>>),
     sweeps: &Sender<Sweep>,
 ) -> Served<Shared> {
     let buffers = Shared {
@@ -131,9 +131,9 @@ fn room(sweeps: &Sender<Sweep>) -> Room<Shared> {
     });
     let sensors = sensors.collect();
     let config = config_of(configs.to_vec());
-    let door = Door::new(&config, &plan::ports(&config)[0]);
+    let admission = plan::ports(&config)[0].admission(&config);
     Room {
-        door,
+        admission,
         sensors,
         others: Vec::new(),
         lane: None,
@@ -283,7 +283,6 @@ fn of_position_packets_that_waited_all_are_counted_and_the_newest_counts() {
     );
     let config = sensor("s", "127.0.0.1", 2368);
     let mut served = served(0, &config, (counters.clone(), mail), &mpsc::channel().0);
-    let source = "127.0.0.1:8308".parse().unwrap();
     let put = |pps| {
         let position = Position {
             stamp_us: 0,
@@ -293,13 +292,12 @@ fn of_position_packets_that_waited_all_are_counted_and_the_newest_counts() {
             board: None,
             thermal: None,
         };
-        let datagram = Datagram {
+        let content = Content::Position(position, None);
+        let packet = Packet {
             arrival_ns: 0,
-            source,
-            destination_port: 8308,
-            payload: &position.emit(),
+            content,
         };
-        sender.try_send(Mail::of(&datagram).unwrap()).unwrap();
+        sender.try_send(packet).unwrap();
     };
     let batches = [
         (&[Pps::Locked][..], Gps::Incomplete),

@@ -2,7 +2,8 @@
 
 use std::io::Cursor;
 
-use sweepd::capture::{Capture, Decapsulator, LinkType, NoDatagram, Sensors, Tally};
+use sweepd::admission::DiscoveredSensors;
+use sweepd::capture::{Capture, Decapsulator, LinkType, NoDatagram, Tally};
 
 use super::Numbers;
 
@@ -17,14 +18,14 @@ pub fn capture(input: &[u8]) {
         Ok(capture) => capture,
         Err(error) => return assert!(!error.to_string().is_empty()),
     };
-    let mut sensors = Sensors::new(Vec::new());
+    let mut sensors = DiscoveredSensors::new(Vec::new());
     let mut datagrams = 0;
     loop {
         match capture.next_placed() {
             Ok(None) => break,
             Ok(Some(placed)) => {
                 assert!(placed.datagram.payload.len() <= 65_535);
-                let _ = sensors.route(&placed.datagram);
+                let _ = sensors.admit(&placed.datagram);
                 datagrams += 1;
             }
             Err(error) => panic!("memory cannot fail to be read: {error}"),

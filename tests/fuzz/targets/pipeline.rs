@@ -135,13 +135,19 @@ impl Rig {
         } else {
             &mut self.data
         }) += 1;
-        if let Err(fault) = self.pipeline.push(&Datagram {
+        let datagram = Datagram {
             arrival_ns,
             source,
             destination_port: 2368,
             payload,
-        }) {
-            assert!(!fault.to_string().is_empty());
+        };
+        match datagram.parse() {
+            Ok(packet) => {
+                if let Err(fault) = self.pipeline.push(&packet) {
+                    assert!(!fault.to_string().is_empty());
+                }
+            }
+            Err(_) => self.pipeline.refuse(),
         }
         self.poll();
     }

@@ -1,9 +1,9 @@
-//! A stream through gate and pipeline, and its sweeps against the truth.
+//! A stream through admission and pipeline, and its sweeps against the truth.
 
 use std::collections::{BTreeSet, HashMap};
 use std::f64::consts::{PI, TAU};
 
-use sweepd::capture::sensors::{Route, Sensors};
+use sweepd::admission::{DiscoveredSensors, Refusal, Refused, Route};
 use sweepd::pipeline::{Config, Counts, Notice};
 use sweepd::sensor::Model;
 use sweepd::simulate::{Damage, PacketTruth, Part};
@@ -36,15 +36,15 @@ pub fn check(made: &Made, row: Row) -> Row {
         calibration,
         ..Config::default()
     });
-    let (mut sensors, mut truth) = (Sensors::new(Vec::new()), Vec::new());
+    let (mut sensors, mut truth) = (DiscoveredSensors::new(Vec::new()), Vec::new());
     for one in &made.sent {
         let datagram = one.datagram();
-        match sensors.route(&datagram) {
-            Route::Other(_) => continue,
-            Route::Data(_) => {
+        match sensors.admit(&datagram) {
+            Err(Refused { sensor: None, .. }) => continue,
+            Ok((Route::Data(_), _)) | Err(_) => {
                 truth.push(one.truth.as_deref().expect("a data packet has its truth"))
             }
-            Route::Position(_) => {}
+            Ok((Route::Position(_), _)) => {}
         }
         runner.push(&datagram).unwrap();
     }
@@ -69,7 +69,11 @@ pub fn check(made: &Made, row: Row) -> Row {
         check.row.red.clear();
     }
     let decoded = check.decoded();
-    check.counters(&run.counts, sensors.others().length, &decoded);
+    check.counters(
+        &run.counts,
+        sensors.refusals().get(Refusal::Length),
+        &decoded,
+    );
     check.sweeps();
     check.recovery();
     check.row

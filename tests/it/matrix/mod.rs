@@ -6,7 +6,7 @@
 //! ```
 //!
 //! prints all rows; with `SWEEPD_MATRIX=WORD` in the environment, those with the word in the name
-//! of the fault or of the model. Each row is one stream with truth, through the gate and the
+//! of the fault or of the model. Each row is one stream with truth, through admission and the
 //! pipeline. In every row: no panic; every return that is published lies where it really was; a
 //! decoded packet is decoded whole, and every other one is counted; a whole sweep has no hole that
 //! it does not tell; the counters are what was injected; and one revolution after the fault ends,

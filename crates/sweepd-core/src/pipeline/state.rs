@@ -21,7 +21,8 @@ use crate::sweep::motion::{TURN, rate_between};
 use crate::sweep::order::{Order, Packet, Refusal};
 use crate::wire::data::{Banks, ReturnMode};
 use crate::wire::hdl64::Series;
-use crate::wire::{DataPacket, Datagram, Position};
+use crate::wire::nmea::Rmc;
+use crate::wire::{DataPacket, Position};
 
 /// Packets in a row with another product byte after which the sensor counts as exchanged.
 const EXCHANGED_PACKETS: u32 = 8;
@@ -342,19 +343,16 @@ impl Pipeline {
         }
     }
 
-    pub(super) fn position(&mut self, datagram: &Datagram<'_>) {
+    pub(super) fn position(&mut self, position: &Position<'_>, rmc: Option<&Rmc>, arrival_ns: i64) {
         self.counts.position += 1;
-        let Ok(position) = Position::parse(datagram.payload) else {
-            return;
-        };
         let clocks = match &mut self.state {
             State::Detecting(detecting) => &mut detecting.clocks,
             State::Calibrating(calibrating) => &mut calibrating.clocks,
             State::Decoding(decoding) => &mut decoding.builder.clocks,
             State::Refusing => return,
         };
-        let utc_ns = vouched_utc_ns(&position, self.config.gps_without_pps);
-        clocks.said(utc_ns, position.stamp_us, datagram.arrival_ns);
+        let utc_ns = vouched_utc_ns(position, rmc, self.config.gps_without_pps);
+        clocks.said(utc_ns, position.stamp_us, arrival_ns);
     }
 }
 

@@ -108,11 +108,12 @@ impl Fix {
 /// valid and the pulse locked, or with `without_pps` where the sensor's clock is as far behind the
 /// sentence as one that follows the pulse. (One that counts since power-up is, by chance, one time
 /// in 900.)
-pub fn vouched_utc_ns(position: &Position<'_>, without_pps: bool) -> Option<i64> {
-    let rmc = position
-        .nmea
-        .and_then(|text| Rmc::parse(text).ok())
-        .filter(|rmc| rmc.valid)?;
+pub fn vouched_utc_ns(
+    position: &Position<'_>,
+    rmc: Option<&Rmc>,
+    without_pps: bool,
+) -> Option<i64> {
+    let rmc = rmc.filter(|rmc| rmc.valid)?;
     let follows = || {
         let behind_ns = (i64::from(position.stamp_us) * 1000 - rmc.utc_ns).rem_euclid(HOUR_NS);
         SENTENCE_AGE_NS.contains(&behind_ns) || SENTENCE_AGE_NS.contains(&(behind_ns - HOUR_NS))
@@ -200,6 +201,12 @@ impl Clocks {
 #[cfg(test)]
 mod tests {
     use super::*;
+
+    /// As in a packet that is parsed.
+    fn vouched(position: &Position<'_>, without_pps: bool) -> Option<i64> {
+        let rmc = position.nmea.and_then(|text| Rmc::parse(text).ok());
+        vouched_utc_ns(position, rmc.as_ref(), without_pps)
+    }
 
     const SECOND: i64 = 1_000_000_000;
 
@@ -398,7 +405,7 @@ mod tests {
                 board: None,
                 thermal: None,
             };
-            vouched_utc_ns(&position, without_pps).is_some()
+            vouched(&position, without_pps).is_some()
         };
         let stamp_us = 399_850_000;
         assert!(of(Pps::Absent, true, utc_ns, stamp_us, true));
@@ -436,11 +443,7 @@ mod tests {
         let mut clock = SensorClock::default();
         clock.set(1_082_340_595, 1_082_340_595_000);
         let mut clocks = Clocks::default();
-        clocks.said(
-            vouched_utc_ns(&position, false),
-            position.stamp_us,
-            5 * SECOND,
-        );
+        clocks.said(vouched(&position, false), position.stamp_us, 5 * SECOND);
         // 2016-01-21 08:18:02.340595 UTC.
         let utc = (1_453_364_282_340_595_000, TimeSource::Gps);
         assert_eq!(clocks.resolve(1_082_340_595_000, &clock, 6 * SECOND), utc);
@@ -459,11 +462,7 @@ mod tests {
                 nmea: Some(&doubtful),
                 ..position
             };
-            clocks.said(
-                vouched_utc_ns(&doubtful, false),
-                position.stamp_us,
-                6 * SECOND,
-            );
+            clocks.said(vouched(&doubtful, false), position.stamp_us, 6 * SECOND);
             assert_eq!(
                 clocks.resolve(1_082_340_595_000, &clock, 6 * SECOND).1,
                 TimeSource::Host

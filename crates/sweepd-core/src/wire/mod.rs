@@ -12,6 +12,10 @@ pub mod position;
 use std::net::SocketAddr;
 use std::ops::RangeInclusive;
 
+use data::DATA_PACKET_LEN;
+use nmea::Rmc;
+use position::POSITION_PACKET_LEN;
+
 pub use data::DataPacket;
 pub use position::Position;
 
@@ -40,14 +44,77 @@ pub struct Datagram<'a> {
     pub payload: &'a [u8],
 }
 
+impl<'a> Datagram<'a> {
+    /// Reads the payload, which its length tells to be a data packet or a position packet.
+    ///
+    /// # Errors
+    /// [`PacketError`]: it is neither.
+    #[inline]
+    pub fn parse(&self) -> Result<Packet<'a>, PacketError> {
+        let content = match self.payload.len() {
+            DATA_PACKET_LEN => Content::Data(DataPacket::parse(self.payload)?),
+            POSITION_PACKET_LEN => {
+                let position = Position::parse(self.payload)?;
+                let rmc = position.nmea.and_then(|text| Rmc::parse(text).ok());
+                Content::Position(position, rmc)
+            }
+            found => return Err(PacketError::Length { found }),
+        };
+        Ok(Packet {
+            arrival_ns: self.arrival_ns,
+            content,
+        })
+    }
+}
+
+/// A datagram that was read: what a [`Pipeline`](crate::pipeline::Pipeline) takes.
+#[derive(Clone, Copy, Debug, PartialEq)]
+pub struct Packet<'a> {
+    /// As in [`Datagram::arrival_ns`].
+    pub arrival_ns: i64,
+    /// The payload.
+    pub content: Content<'a>,
+}
+
+impl Packet<'_> {
+    /// A position packet to keep: all that it says but the text of its sentence. `None` for a data
+    /// packet.
+    pub fn without_sentence(&self) -> Option<Packet<'static>> {
+        let Content::Position(position, rmc) = self.content else {
+            return None;
+        };
+        let position = Position {
+            nmea: None,
+            stamp_us: position.stamp_us,
+            pps: position.pps,
+            inertial: position.inertial,
+            board: position.board,
+            thermal: position.thermal,
+        };
+        Some(Packet {
+            arrival_ns: self.arrival_ns,
+            content: Content::Position(position, rmc),
+        })
+    }
+}
+
+/// The payload of a packet.
+#[derive(Clone, Copy, Debug, PartialEq)]
+pub enum Content<'a> {
+    /// Ranges.
+    Data(&'a DataPacket),
+    /// GPS state, with the RMC sentence if the packet holds a valid one.
+    Position(Position<'a>, Option<Rmc>),
+}
+
 /// Why a payload is not a packet.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, thiserror::Error)]
 pub enum PacketError {
     /// Neither 1206 bytes (data) nor 512 (position).
-    #[error("{found} bytes, expected {expected}")]
+    #[error(
+        "{found} bytes, expected {DATA_PACKET_LEN} (data packet) or {POSITION_PACKET_LEN} (position packet)"
+    )]
     Length {
-        /// Bytes that this packet type has.
-        expected: usize,
         /// Bytes that came.
         found: usize,
     },

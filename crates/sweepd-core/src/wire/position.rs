@@ -203,10 +203,8 @@ impl<'a> Position<'a> {
     /// # Errors
     /// [`PacketError::Length`].
     pub fn parse(bytes: &'a [u8]) -> Result<Self, PacketError> {
-        let layout = Layout::ref_from_bytes(bytes).map_err(|_| PacketError::Length {
-            expected: POSITION_PACKET_LEN,
-            found: bytes.len(),
-        })?;
+        let layout = Layout::ref_from_bytes(bytes)
+            .map_err(|_| PacketError::Length { found: bytes.len() })?;
         Ok(Self {
             stamp_us: layout.stamp_us.get(),
             pps: Pps::from_byte(layout.pps),

@@ -1,53 +1,37 @@
-//! What a port lets in: packets of the right length, with the right markers, of a sensor that is
-//! configured.
-//!
-//! What is a packet says [`Kind`], here as at the [`Gate`](crate::capture::Gate) of who does not
-//! know the sensors beforehand. A daemon does: this door remembers nobody, and a sensor that comes
+//! The sensors of a port that the daemon was told of. Nothing is remembered: a sensor that comes
 //! back from another port, for the hundredth time in months, is the same sensor.
 
 use std::net::{IpAddr, SocketAddr};
 
-use super::config::{Config, SensorConfig};
-use super::counters::Reject;
-use super::plan::{PortPlan, sends_positions};
-use crate::capture::gate::{Kind, Misfit};
-use sweepd_core::wire::Datagram;
-
-/// What is let in.
-#[derive(Clone, Copy, Debug, PartialEq, Eq)]
-pub enum Admitted {
-    /// A data packet of this sensor of the port, by its place among them.
-    Data(usize),
-    /// A position packet of this sensor: its place among those of the port, and after them
-    /// [`PortPlan::others`].
-    Position(usize),
-    /// A position packet of one of several sensors at its address, and nothing tells of which.
-    Ambiguous,
-}
+use super::{Refusal, Refused, Route, SensorSet, canonical};
+use sweepd_core::wire::{Content, Datagram, Packet};
 
 /// The sensors whose packets are let in.
 #[derive(Clone, Debug)]
-pub struct Door {
+pub struct ConfiguredSensors {
     /// Those of the port, then the others whose position packets may come through it.
-    known: Vec<Known>,
+    known: Vec<ConfiguredSensor>,
     /// How many of them are of the port.
     here: usize,
 }
 
 /// What tells a sensor from others.
 #[derive(Clone, Copy, Debug)]
-struct Known {
-    ip: IpAddr,
-    source_port: Option<u16>,
+pub struct ConfiguredSensor {
+    /// Its address.
+    pub ip: IpAddr,
+    /// The port that it sends from, where it is configured.
+    pub source_port: Option<u16>,
     /// An HDL-64E sends no position packets.
-    sends_positions: bool,
+    pub sends_positions: bool,
     /// How likely it sends its position packets to this port.
-    positions_here: Likelihood,
+    pub positions_here: Likelihood,
 }
 
+/// How likely a sensor sends its position packets to a port.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, PartialOrd, Ord)]
-enum Likelihood {
-    /// Neither this nor its data go here by its configuration.
+pub enum Likelihood {
+    /// Neither they nor its data go there by its configuration.
     Unexpected,
     /// Its data come through this port: some senders have one port for everything.
     BesideData,
@@ -55,79 +39,67 @@ enum Likelihood {
     Configured,
 }
 
-impl Door {
-    /// The door of a planned port.
-    pub fn new(config: &Config, plan: &PortPlan) -> Self {
-        let known = |index: usize, is_here: bool| {
-            let sensor: &SensorConfig = &config.sensors[index];
-            let positions_here = match (plan.positions.contains(&index), is_here) {
-                (true, _) => Likelihood::Configured,
-                (false, true) => Likelihood::BesideData,
-                (false, false) => Likelihood::Unexpected,
-            };
-            Known {
-                ip: sensor.address.to_canonical(),
-                source_port: sensor.source_port,
-                sends_positions: sends_positions(sensor),
-                positions_here,
-            }
-        };
-        let here = plan.sensors.iter().map(|&index| known(index, true));
-        let others = plan.others(config).map(|index| known(index, false));
+impl ConfiguredSensors {
+    /// The sensors of a port, and after them others whose position packets may come through it: the
+    /// numbers of a [`Route`] count through both.
+    pub fn new(here: Vec<ConfiguredSensor>, others: Vec<ConfiguredSensor>) -> Self {
         Self {
-            known: here.chain(others).collect(),
-            here: plan.sensors.len(),
+            here: here.len(),
+            known: [here, others].concat(),
         }
     }
 
-    /// Whose packet a datagram is.
+    /// Reads a datagram and says whose it is. The route of a position packet that may be of several
+    /// sensors, of which nothing tells one, is empty.
     ///
     /// # Errors
-    /// Why it is not let in.
-    pub fn admit(&self, datagram: &Datagram<'_>) -> Result<Admitted, Reject> {
-        let source = SocketAddr::new(datagram.source.ip().to_canonical(), datagram.source.port());
-        match Kind::of(datagram.payload) {
-            Ok(Kind::Data) => self.data(source),
-            Ok(Kind::Position) => self.position(source),
-            Err(Misfit::Length) => Err(Reject::Length),
-            Err(Misfit::Marker) => Err(Reject::Marker),
-            Err(Misfit::Azimuth) => Err(Reject::Azimuth),
-        }
+    /// [`Refused`]: why it is not let in.
+    pub fn admit<'a>(&self, datagram: &Datagram<'a>) -> Result<(Route, Packet<'a>), Refused> {
+        let source = canonical(datagram.source);
+        let packet = datagram.parse().map_err(|error| Refused {
+            reason: error.into(),
+            sensor: self.owner(source),
+        })?;
+        let route = match packet.content {
+            Content::Data(_) => Route::Data(self.data(source)?),
+            Content::Position(..) => Route::Position(self.position(source)?),
+        };
+        Ok((route, packet))
     }
 
-    /// The sensor of this port that sends from there, by its place among them.
-    pub fn owner(&self, source: SocketAddr) -> Option<usize> {
-        let (ip, port) = (source.ip().to_canonical(), source.port());
-        let is_own =
-            |known: &Known| known.ip == ip && known.source_port.is_none_or(|own| own == port);
-        self.known[..self.here].iter().position(is_own)
+    /// The sensor of this port that sends from there.
+    fn owner(&self, source: SocketAddr) -> Option<usize> {
+        self.known[..self.here].iter().position(|known| {
+            known.ip == source.ip() && known.source_port.is_none_or(|own| own == source.port())
+        })
     }
 
-    fn data(&self, source: SocketAddr) -> Result<Admitted, Reject> {
-        let here = &self.known[..self.here];
-        match self.owner(source) {
-            Some(index) => Ok(Admitted::Data(index)),
-            None if here.iter().all(|known| known.ip != source.ip())
-                && self.at(source.ip()).next().is_some() =>
-            {
-                Err(Reject::Port)
-            }
-            None => Err(Reject::Source),
+    fn data(&self, source: SocketAddr) -> Result<usize, Refusal> {
+        if let Some(index) = self.owner(source) {
+            return Ok(index);
         }
+        let has_ip = |known: &ConfiguredSensor| known.ip == source.ip();
+        let (here, others) = self.known.split_at(self.here);
+        if !here.iter().any(has_ip) && others.iter().any(has_ip) {
+            return Err(Refusal::Port);
+        }
+        Err(Refusal::Source)
     }
 
     /// One sensor at an address gets all position packets from there: many come from a source port
     /// of their own. Of several, the one that fits best gets it, if it is the only one that fits so
     /// well.
-    fn position(&self, source: SocketAddr) -> Result<Admitted, Reject> {
+    fn position(&self, source: SocketAddr) -> Result<SensorSet, Refusal> {
+        let mut route = SensorSet::default();
         let mut at = self.at(source.ip());
         let Some((first, _)) = at.next() else {
-            return Err(Reject::Source);
+            return Err(Refusal::Source);
         };
         if at.next().is_none() {
-            return Ok(Admitted::Position(first));
+            route.insert(first);
+            return Ok(route);
         }
-        let is_source = |known: &Known| known.source_port == Some(source.port());
+        let is_source = |known: &ConfiguredSensor| known.source_port == Some(source.port());
         let is_named = self.at(source.ip()).any(|(_, known)| is_source(known));
         let mut best = None;
         let mut is_alone = false;
@@ -142,13 +114,14 @@ impl Door {
                 best = Some((fit, place));
             }
         }
-        Ok(best
-            .filter(|_| is_alone)
-            .map_or(Admitted::Ambiguous, |(_, place)| Admitted::Position(place)))
+        if let Some((_, place)) = best.filter(|_| is_alone) {
+            route.insert(place);
+        }
+        Ok(route)
     }
 
     /// The sensors at an address, with their places.
-    fn at(&self, ip: IpAddr) -> impl Iterator<Item = (usize, &Known)> {
+    fn at(&self, ip: IpAddr) -> impl Iterator<Item = (usize, &ConfiguredSensor)> {
         self.known
             .iter()
             .enumerate()
@@ -158,47 +131,67 @@ impl Door {
 
 #[cfg(test)]
 mod tests {
-    use super::super::plan;
-    use super::super::testing::{config_of, sensor};
     use super::*;
+    use crate::daemon::config::SensorConfig;
+    use crate::daemon::plan;
+    use crate::daemon::testing::{config_of, sensor};
     use proptest::prelude::*;
     use sweepd_core::sensor::Model;
     use sweepd_core::wire::DataPacket;
     use sweepd_core::wire::data::DATA_PACKET_LEN;
     use sweepd_core::wire::position::POSITION_PACKET_LEN;
 
-    fn admit(door: &Door, source: &str, payload: &[u8]) -> Result<Admitted, Reject> {
-        door.admit(&Datagram {
+    /// A route, in a form that is written in a line.
+    #[derive(Debug, PartialEq)]
+    enum Admitted {
+        Data(usize),
+        Position(usize),
+        Ambiguous,
+    }
+
+    fn admit(
+        sensors: &ConfiguredSensors,
+        source: &str,
+        payload: &[u8],
+    ) -> Result<Admitted, Refusal> {
+        let admitted = sensors.admit(&Datagram {
             arrival_ns: 5,
             source: source.parse().unwrap(),
             destination_port: 2368,
             payload,
-        })
+        });
+        match admitted {
+            Ok((Route::Data(index), _)) => Ok(Admitted::Data(index)),
+            Ok((Route::Position(mut set), _)) => {
+                let first = set.next().map_or(Admitted::Ambiguous, Admitted::Position);
+                assert_eq!(set.len(), 0);
+                Ok(first)
+            }
+            Err(refused) => Err(refused.reason),
+        }
     }
 
-    /// The door of the port whose data these sensors send, or whose position packets alone.
-    fn door_of(sensors: &[SensorConfig], port: u16) -> Door {
+    /// The admission of the port whose data these sensors send, or whose position packets alone.
+    fn admission_of(sensors: &[SensorConfig], port: u16) -> ConfiguredSensors {
         let config = config_of(sensors.to_vec());
         let plans = plan::ports(&config);
-        Door::new(
-            &config,
-            plans.iter().find(|plan| plan.config.port == port).unwrap(),
-        )
+        let plan = plans.iter().find(|plan| plan.config.port == port);
+        plan.unwrap().admission(&config)
     }
 
-    fn door() -> Door {
+    fn four_sensors() -> ConfiguredSensors {
         let [mut left, mut right] = ["left", "right"].map(|name| sensor(name, "10.0.0.1", 2368));
         (left.source_port, right.source_port) = (Some(4000), Some(4001));
         let (roof, rear) = (
             sensor("roof", "10.0.0.2", 2368),
             sensor("rear", "10.0.0.3", 2369),
         );
-        door_of(&[left, right, roof, rear], 2368)
+        admission_of(&[left, right, roof, rear], 2368)
     }
 
     #[test]
     fn only_packets_of_configured_sensors_get_in_and_the_others_have_a_reason() {
-        let (door, packet) = (door(), DataPacket::new(0, 0x37, 0x22));
+        let (sensors, packet) = (four_sensors(), DataPacket::new(0, 0x37, 0x22));
         let mut broken = packet;
         broken.blocks[7].flag.set(0x1234);
         let mut beyond = packet;
@@ -207,16 +200,16 @@ mod tests {
         let cases = [
             ("10.0.0.1:4000", data, Ok(Admitted::Data(0))),
             ("10.0.0.1:4001", data, Ok(Admitted::Data(1))),
-            ("10.0.0.1:4002", data, Err(Reject::Source)),
+            ("10.0.0.1:4002", data, Err(Refusal::Source)),
             ("10.0.0.2:9", data, Ok(Admitted::Data(2))),
             ("[::ffff:10.0.0.2]:9", data, Ok(Admitted::Data(2))),
-            ("10.0.0.3:9", data, Err(Reject::Port)),
-            ("10.0.0.4:9", data, Err(Reject::Source)),
-            ("10.0.0.2:9", broken.emit(), Err(Reject::Marker)),
-            ("10.0.0.4:9", broken.emit(), Err(Reject::Marker)),
-            ("10.0.0.2:9", beyond.emit(), Err(Reject::Azimuth)),
-            ("10.0.0.2:9", &data[1..], Err(Reject::Length)),
-            ("10.0.0.2:9", b"", Err(Reject::Length)),
+            ("10.0.0.3:9", data, Err(Refusal::Port)),
+            ("10.0.0.4:9", data, Err(Refusal::Source)),
+            ("10.0.0.2:9", broken.emit(), Err(Refusal::Marker)),
+            ("10.0.0.4:9", broken.emit(), Err(Refusal::Marker)),
+            ("10.0.0.2:9", beyond.emit(), Err(Refusal::Azimuth)),
+            ("10.0.0.2:9", &data[1..], Err(Refusal::Length)),
+            ("10.0.0.2:9", b"", Err(Refusal::Length)),
             ("10.0.0.1:4000", position, Ok(Admitted::Position(0))),
             ("10.0.0.1:4001", position, Ok(Admitted::Position(1))),
             ("10.0.0.1:8308", position, Ok(Admitted::Ambiguous)),
@@ -226,11 +219,11 @@ mod tests {
                 Ok(Admitted::Position(2)),
             ),
             ("10.0.0.3:8308", position, Ok(Admitted::Position(3))),
-            ("10.0.0.4:8308", position, Err(Reject::Source)),
+            ("10.0.0.4:8308", position, Err(Refusal::Source)),
         ];
         for (source, payload, expected) in cases {
             assert_eq!(
-                admit(&door, source, payload),
+                admit(&sensors, source, payload),
                 expected,
                 "{source}, {} bytes",
                 payload.len()
@@ -256,7 +249,7 @@ mod tests {
             .find(|plan| plan.config.port == to)
             .unwrap();
         match admit(
-            &Door::new(&config, &plan),
+            &plan.admission(&config),
             &format!("10.0.0.1:{from}"),
             &[0; POSITION_PACKET_LEN],
         )
@@ -351,7 +344,7 @@ mod tests {
         assert_eq!(plans.len(), 4);
         for plan in &plans {
             let admitted = admit(
-                &Door::new(&config, plan),
+                &plan.admission(&config),
                 "10.0.0.1:8308",
                 &[0; POSITION_PACKET_LEN],
             );
@@ -381,7 +374,7 @@ mod tests {
             let mut rng = fastrand::Rng::with_seed(seed);
             let payload: Vec<u8> = (0..len).map(|_| rng.u8(..)).collect();
             let source = format!("10.0.0.{host}:4000");
-            prop_assert!(admit(&door(), &source, &payload).is_err());
+            prop_assert!(admit(&four_sensors(), &source, &payload).is_err());
         }
     }
 }

@@ -1,0 +1,117 @@
+//! Which senders to take.
+
+use std::net::{IpAddr, SocketAddr};
+use std::str::FromStr;
+
+/// Which sensors to take: all at an address, those that send from one port, or also to one port.
+///
+/// ```
+/// use sweepd::admission::SensorFilter;
+/// let filter: SensorFilter = "192.168.1.201".parse().unwrap();
+/// assert!(filter.matches("192.168.1.201:2368".parse().unwrap(), 2368));
+/// ```
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub struct SensorFilter {
+    ip: IpAddr,
+    source_port: Option<u16>,
+    destination_port: Option<u16>,
+}
+
+impl SensorFilter {
+    /// Whether a sensor with this source that sends data to this port is selected.
+    pub fn matches(&self, source: SocketAddr, destination_port: u16) -> bool {
+        self.matches_ip(source.ip())
+            && self.source_port.is_none_or(|port| port == source.port())
+            && self
+                .destination_port
+                .is_none_or(|port| port == destination_port)
+    }
+
+    /// Whether a sensor at this address may be selected; position packets come from a port of their
+    /// own.
+    pub fn matches_ip(&self, ip: IpAddr) -> bool {
+        self.ip == ip.to_canonical()
+    }
+}
+
+impl std::fmt::Display for SensorFilter {
+    fn fmt(&self, f: &mut std::fmt::Formatter<'_>) -> std::fmt::Result {
+        match self.source_port {
+            Some(port) => write!(f, "{}", SocketAddr::new(self.ip, port))?,
+            None => write!(f, "{}", self.ip)?,
+        }
+        self.destination_port
+            .map_or(Ok(()), |port| write!(f, ">{port}"))
+    }
+}
+
+/// A text that names no sensor.
+#[derive(Clone, Debug, PartialEq, Eq, thiserror::Error)]
+#[error(
+    "`{0}` names no sensor; expected IP, IP:PORT or IP:PORT>PORT as in the output, such as 192.168.1.201 or \
+     192.168.1.201:2368, with an IPv6 address in brackets before a port"
+)]
+pub struct SensorFilterError(String);
+
+impl FromStr for SensorFilter {
+    type Err = SensorFilterError;
+
+    fn from_str(text: &str) -> Result<Self, Self::Err> {
+        let wrong = || SensorFilterError(text.to_owned());
+        if let Ok(ip) = text.parse::<IpAddr>() {
+            return Ok(Self {
+                ip: ip.to_canonical(),
+                source_port: None,
+                destination_port: None,
+            });
+        }
+        let (source, destination_port) = match text.split_once('>') {
+            Some((source, port)) => (source, Some(port.parse().map_err(|_| wrong())?)),
+            None => (text, None),
+        };
+        let source: SocketAddr = source.parse().map_err(|_| wrong())?;
+        Ok(Self {
+            ip: source.ip().to_canonical(),
+            source_port: Some(source.port()),
+            destination_port,
+        })
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn filters_are_written_as_they_are_read() {
+        for text in [
+            "10.0.0.1",
+            "10.0.0.1:5",
+            "10.0.0.1:5>6",
+            "fe80::1",
+            "[fe80::1]:5",
+        ] {
+            assert_eq!(text.parse::<SensorFilter>().unwrap().to_string(), text);
+        }
+    }
+
+    #[test]
+    fn a_wrong_filter_says_what_was_expected() {
+        for text in [
+            "",
+            "lidar",
+            "10.0.0",
+            "10.0.0.1:",
+            "10.0.0.1:99999",
+            "10.0.0.1>5",
+            "10.0.0.1:5>x",
+            "fe80::1:5>6",
+        ] {
+            let error = text.parse::<SensorFilter>().unwrap_err().to_string();
+            assert!(
+                error.starts_with(&format!("`{text}` names no sensor; expected IP")),
+                "{error}"
+            );
+        }
+    }
+}
