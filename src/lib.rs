@@ -67,6 +67,7 @@
 pub mod admission;
 pub mod capture;
 pub mod cli;
+pub mod cure;
 pub mod daemon;
 pub mod doctor;
 pub mod export;

@@ -18,6 +18,7 @@ use super::CliError;
 use super::summary::Traffic;
 use crate::admission::{DiscoveredSensors, Route};
 use crate::capture::Capture;
+use crate::cure::{Dialect, explain_model};
 use crate::export::text::{count_of, grouped, utc_text};
 use sweepd_core::sensor::Model;
 use sweepd_core::sensor::detect::{DetectError, Detection, Detector};
@@ -374,7 +375,14 @@ impl Seen {
                 };
                 row(text, "model", &format!("{model}, {basis}"));
             }
-            Some(Err(error)) => row(text, "model", &format!("cannot be decoded: {error}")),
+            Some(Err(error)) => row(
+                text,
+                "model",
+                &format!(
+                    "cannot be decoded: {}",
+                    explain_model(error, Dialect::CommandLine)
+                ),
+            ),
             None => row(text, "model", "no well-formed packet tells"),
         }
         let mut modes: Vec<String> = self.modes.iter().map(ToString::to_string).collect();

@@ -16,6 +16,7 @@ use super::summary::{SensorReport, SummaryLine, Sums, Traffic};
 use super::{CliError, complain};
 use crate::admission::{DiscoveredSensors, Refused, Route};
 use crate::capture::{Capture, CaptureError, Pacer};
+use crate::cure::{Dialect, explain};
 use crate::export::text::count_of;
 use sweepd_client::host::{monotonic_ns, realtime_ns};
 use sweepd_client::publish::Loans;
@@ -459,8 +460,14 @@ impl Args {
                 "the calibration {} does not fit: {why}; give the file of this unit, or leave --calibration away",
                 file.display()
             ),
-            (Fault::Mask { .. }, _, Some(file)) => format!("{}: {fault}", file.display()),
-            _ => fault.to_string(),
+            (Fault::Mask { .. }, _, Some(file)) => {
+                format!(
+                    "{}: {}",
+                    file.display(),
+                    explain(fault, Dialect::CommandLine)
+                )
+            }
+            _ => explain(fault, Dialect::CommandLine),
         }
     }
 }

@@ -24,7 +24,8 @@ use super::sharing::Sharing;
 use super::state::{Condition, Message, Observation, Running, Watcher};
 use super::tap::socket_path;
 use super::tee::Tees;
-use sweepd_core::pipeline::{Fault, Notice};
+use crate::cure::{Dialect, explain};
+use sweepd_core::pipeline::Notice;
 
 /// From one attempt to start to the next, at first and at most.
 const RETRY: (Duration, Duration) = (Duration::from_millis(250), Duration::from_secs(2));
@@ -366,7 +367,7 @@ impl Control {
             let (sensor, watcher) = (&self.runtime.sensors[index], &mut self.watchers[index]);
             let name = &sensor.name;
             match event {
-                Event::Fault(fault) => watcher.refused(in_words_of_the_file(&fault)),
+                Event::Fault(fault) => watcher.refused(explain(&fault, Dialect::Configuration)),
                 Event::Notice(Notice::AwaitsCalibration) => watcher.awaits_calibration(),
                 Event::Notice(Notice::Calibrated { packets, .. }) => {
                     watcher.unhindered();
@@ -463,14 +464,6 @@ impl Control {
     }
 }
 
-/// Faults name the options of the command line; the configuration has keys of the same names.
-fn in_words_of_the_file(fault: &Fault) -> String {
-    fault
-        .to_string()
-        .replace("--model", "`model`")
-        .replace("--calibration", "`calibration`")
-}
-
 /// Ticks at once, and then at multiples of a period since tokio's clock began. Its timers wait in
 /// slots of 64 ms: one that is due where a slot begins, as all are with the period that [`beat`]
 /// has at most, wakes the thread once, and any other once more before.
@@ -521,28 +514,5 @@ fn observation(counters: &SensorCounters, now: Duration) -> Observation {
         steady_sweeps,
         running,
         tally: Tally::default(),
-    }
-}
-
-#[cfg(test)]
-mod tests {
-    use super::*;
-    use sweepd_core::sensor::Model;
-    use sweepd_core::sensor::detect::DetectError;
-
-    #[test]
-    fn faults_name_keys_of_the_configuration() {
-        let (said, timing) = (Model::Vlp16, Model::Hdl32e);
-        let fault = DetectError::Contradiction {
-            said,
-            given: true,
-            timing,
-            interval_us: 553,
-        };
-        let text = in_words_of_the_file(&Fault::Model(fault));
-        assert!(
-            text.starts_with("`model` says VLP-16") && !text.contains("--"),
-            "{text}"
-        );
     }
 }

@@ -8,6 +8,7 @@ use super::observe::{Heard, Port, PositionSender, Sensor};
 use super::plan::Plan;
 use crate::admission::{DiscoveredSensors, Refusal, Route};
 use crate::capture::{UdpError, UdpSource};
+use crate::cure::{Dialect, explain};
 use sweepd_core::pipeline::{Config, Notice, Pipeline};
 use sweepd_core::segment::ConfigError;
 use sweepd_core::sweep::layout::{TimeSource, flags};
@@ -196,7 +197,7 @@ impl Patient {
 
     fn takes(&mut self, packet: &Packet<'_>) {
         if let Err(fault) = self.pipeline.push(packet) {
-            self.seen.fault = Some(fault.to_string());
+            self.seen.fault = Some(explain(&fault, Dialect::Configuration));
         }
         while let Some(bytes) = self.pipeline.poll(&mut self.memory) {
             if let Ok(sweep) = SweepRef::open(bytes.as_ref()) {

@@ -173,9 +173,9 @@ fn what_was_decoded_before_another_sensor_took_the_place_is_kept() {
 #[test]
 fn a_wrong_model_is_a_contradiction() {
     let ran = replay(&fixture("street_vlp16_losses.pcap"), &["--model", "hdl32e"]);
-    ran.says(&["--model says HDL-32E", "1327 us", "--model vlp16"]);
+    ran.says(&["the given model is HDL-32E", "1327 us", "give vlp16"]);
     let ran = replay(&fixture("street_hdl32e.pcap.gz"), &["--model", "vlp16"]);
-    ran.says(&["--model says VLP-16", "--model hdl32e"]);
+    ran.says(&["the given model is VLP-16", "give hdl32e"]);
     let ran = replay(&fixture("street_vlp16_losses.pcap"), &["--model", "vlp32c"]);
     ran.says(&["'vlp32c'", "vlp16, puck-lite, puck-hires, hdl32e"]);
     assert_eq!(ran.code, 2);
@@ -212,7 +212,7 @@ fn real_captures_of_other_sensors_and_real_calibrations_of_others_are_refused() 
         assert!(inspect(&path).done().contains(sensor));
     }
     let path = data.join("pcap/vlp16_einride-a.pcap");
-    replay(&path, &["--model", "hdl32e"]).says(&["--model says HDL-32E", "VLP-16"]);
+    replay(&path, &["--model", "hdl32e"]).says(&["the given model is HDL-32E", "VLP-16"]);
     for (file, beams) in [
         ("hdl32e_32db.xml", "32 beams"),
         ("veloview_HDL-64.xml", "64 beams"),

@@ -59,14 +59,12 @@ pub enum Fault {
     #[error("the calibration does not fit: {0}")]
     Calibration(String),
     /// The calibration that an HDL-64E sends is impossible.
-    #[error(
-        "the calibration in its packets cannot be used: {0}; give the file of this unit with --calibration"
-    )]
+    #[error("the calibration in its packets cannot be used: {0}")]
     OwnCalibration(String),
     /// The packets of an HDL-64E ended before they had told its calibration.
     #[error(
         "no calibration: {known} of the {of} bytes of the one in its packets had come when they ended, and a whole one takes \
-         4160 packets; give the file of this unit with --calibration"
+         4160 packets"
     )]
     Uncalibrated {
         /// Bytes that had come.
@@ -75,7 +73,7 @@ pub enum Fault {
         of: usize,
     },
     /// The mask has not as many rows as the sensor.
-    #[error("the mask is {found} pixels high, a {model} has {rows} rows; make it one row a beam")]
+    #[error("the mask is {found} pixels high, a {model} has {rows} rows")]
     Mask {
         /// Rows of the mask.
         found: usize,

@@ -78,10 +78,8 @@ impl Basis {
     /// The words for it in output.
     pub fn words(self) -> &'static str {
         match self {
-            Self::Given => "as given by --model",
-            Self::GivenAgainstBytes => {
-                "as given by --model, although its factory bytes say otherwise"
-            }
+            Self::Given => "as given",
+            Self::GivenAgainstBytes => "as given, although its factory bytes say otherwise",
             Self::BytesAndPeriod => "by its factory bytes and packet period",
             Self::Period => {
                 "by its packet period, since its factory bytes are blank or those of early firmware"

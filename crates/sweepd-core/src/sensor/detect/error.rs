@@ -1,4 +1,4 @@
-//! Why a stream of packets is of no model, and what to do about it.
+//! Why a stream of packets is of no model.
 
 use super::timings;
 use crate::sensor::Model;
@@ -8,28 +8,21 @@ use crate::wire::data::{Banks, ReturnMode};
 #[derive(Clone, Copy, Debug, PartialEq, Eq, thiserror::Error)]
 pub enum DetectError {
     /// A sensor that is known and not supported.
-    #[error(
-        "this is the stream of another sensor, {sensor}; supported are {}",
-        supported()
-    )]
+    #[error("this is the stream of another sensor, {sensor}")]
     Unsupported {
         /// The sensor.
         sensor: &'static str,
     },
     /// A product byte that no known sensor sends.
-    #[error(
-        "product byte {product:#04x} belongs to no known sensor; supported are {}: if it is one of these, say --model",
-        supported()
-    )]
+    #[error("product byte {product:#04x} belongs to no known sensor")]
     UnknownProduct {
         /// The byte.
         product: u8,
     },
     /// The user or the product byte says one model, the packet period another.
     #[error(
-        "{} says {said}, but packets come {interval_us} us apart, as those of the {timing} do; {}",
-        if *.given { "--model" } else { "the product byte" },
-        cure(.given, .timing)
+        "{} is {said}, but packets come {interval_us} us apart, as those of the {timing} do",
+        if *.given { "the given model" } else { "the model by the product byte" }
     )]
     Contradiction {
         /// The model that was said.
@@ -42,7 +35,7 @@ pub enum DetectError {
         interval_us: u32,
     },
     /// The user says one model, and the blocks are laid out as those of another.
-    #[error("--model says {said}, but {layout}; {}", cure_layout(.heads))]
+    #[error("the given model is {said}, but {layout}")]
     Layout {
         /// The model that was said.
         said: Model,
@@ -53,8 +46,7 @@ pub enum DetectError {
     },
     /// The packet period is that of no supported model.
     #[error(
-        "packets come {median_us} us apart by the sensor clock, expected in {mode} mode: {}; --model cannot help: \
-         is this another sensor, two sensors behind one address, or a capture with most packets lost?",
+        "packets come {median_us} us apart by the sensor clock, expected in {mode} mode: {}",
         expected(.mode, .heads)
     )]
     UnknownPeriod {
@@ -66,39 +58,11 @@ pub enum DetectError {
         heads: bool,
     },
     /// Blank factory bytes, and too few packets to measure their period.
-    #[error(
-        "{packets} packets and blank factory bytes do not tell the sensor; supported are {}: say --model",
-        supported()
-    )]
+    #[error("{packets} packets and blank factory bytes do not tell the sensor")]
     TooFewPackets {
         /// Packets that there were.
         packets: usize,
     },
-}
-
-/// The supported models, for a sentence.
-fn supported() -> String {
-    Model::ALL
-        .map(|model| format!("{model} ({})", model.spec().flag))
-        .join(", ")
-}
-
-/// What to do about a contradiction. By reference, as thiserror hands out the fields.
-fn cure(given: &bool, timing: &Model) -> String {
-    let flag = timing.spec().flag;
-    if *given {
-        format!("leave --model away, or give --model {flag}")
-    } else {
-        format!("if it is one, give --model {flag}")
-    }
-}
-
-fn cure_layout(heads: &bool) -> &'static str {
-    if *heads {
-        "leave --model away, or give hdl64e-s2 or hdl64e-s3"
-    } else {
-        "leave --model away"
-    }
 }
 
 /// What a packet period should have been.
