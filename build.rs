@@ -1,7 +1,10 @@
 //! Sets `SWEEPD_VERSION`: the package's version and, in a release build of a repository, the
-//! commit.
+//! commit. Tells the tests what is missing here (`cfg(without_captures)`), so that those which need
+//! it are shown as ignored.
 
-use std::path::Path;
+use std::fs;
+use std::os::unix::fs::MetadataExt;
+use std::path::{Path, PathBuf};
 use std::process::Command;
 
 fn main() {
@@ -14,6 +17,41 @@ fn main() {
         None => format!("{version} (debug build)"),
     };
     println!("cargo:rustc-env=SWEEPD_VERSION={build}");
+    tell_what_is_missing();
+}
+
+/// What is not there is looked for again when a variable changes, or after `cargo clean -p sweepd`.
+/// With `CI=true` nothing may be missing: tests run, and fail.
+fn tell_what_is_missing() {
+    let data = std::env::var_os("SWEEPD_DATA").map_or("../shared/data".into(), PathBuf::from);
+    let is_root = fs::metadata("/proc/self").is_ok_and(|own| own.uid() == 0);
+    let found = [
+        ("captures", data.join("pcap").is_dir()),
+        ("python", std::env::var_os("SWEEPD_PYTHON").is_some()),
+        (
+            "root",
+            is_root && has("unshare") && has("ip") && has("setpriv"),
+        ),
+        ("compilers", has("cc") && has("c++") && has("cmake")),
+        ("strace", has("strace")),
+        ("systemd", has("systemd-analyze")),
+    ];
+    for variable in ["SWEEPD_DATA", "SWEEPD_PYTHON", "CI"] {
+        println!("cargo:rerun-if-env-changed={variable}");
+    }
+    let is_ci = env("CI") == "true";
+    for (name, is_there) in found {
+        println!("cargo:rustc-check-cfg=cfg(without_{name})");
+        if !is_there && !is_ci {
+            println!("cargo:rustc-cfg=without_{name}");
+        }
+    }
+}
+
+/// Whether a program is on the path.
+fn has(program: &str) -> bool {
+    std::env::split_paths(&std::env::var_os("PATH").unwrap_or_default())
+        .any(|folder| folder.join(program).is_file())
 }
 
 fn env(name: &str) -> String {

@@ -1,8 +1,8 @@
 //! What other languages make of a sweep: `docs/layout.md`, `examples/sweepd.h` and
 //! `examples/consumer.py` against the Rust types, and the example consumers against a publisher.
 //!
-//! A C and a C++ compiler are wanted, and a Python (`SWEEPD_PYTHON`, else `python3`) with the
-//! packages `iceoryx2` 0.10.0 and `numpy`. Where they are missing the tests say so and are skipped;
+//! A C and a C++ compiler are wanted, and a Python (`SWEEPD_PYTHON`) with the
+//! packages `iceoryx2` 0.10.0 and `numpy`. Where they are missing the tests are ignored;
 //! under `CI=true` they fail.
 
 mod common;

@@ -49,7 +49,7 @@ fn fuzz(name: &'static str, rounds: u64, memory_mib: usize) {
         number("SWEEPD_FUZZ_ROUNDS", rounds),
     );
     println!("{name}: seed {seed}, {rounds} rounds");
-    let seeds = seeds::of(name, common::data_dir().as_deref());
+    let seeds = seeds::of(name, common::data_dir_if_any().as_deref());
     let first = [found(name), hostile::of(name), seeds.clone()].concat();
     let current = Arc::new(Mutex::new(Current {
         round: 0,
@@ -207,7 +207,7 @@ fn write_seeds() {
         fs::create_dir_all(&own).unwrap_or_else(|error| panic!("{}: {error}", own.display()));
         for (index, seed) in found(name)
             .into_iter()
-            .chain(seeds::of(name, common::data_dir().as_deref()))
+            .chain(seeds::of(name, common::data_dir_if_any().as_deref()))
             .enumerate()
         {
             fs::write(own.join(format!("seed-{index:03}")), seed)

@@ -36,35 +36,28 @@ pub const HDL64E_UNITS: [&str; 9] = [
     "veloview_HDL-64.xml",
 ];
 
-/// The folder with real captures and calibrations: `SWEEPD_DATA`, or `../shared/data` beside the
-/// project.
-///
-/// They belong to others and stay outside the repository. Where they are missing, this says aloud
-/// that the test is skipped, and gives `None`.
-///
-/// # Panics
-/// Under `CI=true`, if the folder is missing: there no test may be skipped.
-pub fn data_dir() -> Option<PathBuf> {
+/// The folder with real captures and calibrations, which belong to others and stay outside the
+/// repository: `SWEEPD_DATA`, or `../shared/data` beside the project. A test that reads them is
+/// ignored where they are missing, by an attribute; see `build.rs`.
+pub fn data_dir() -> PathBuf {
+    data_dir_if_any().unwrap_or_else(|| {
+        panic!(
+            "no real sensor data: set SWEEPD_DATA to the folder that holds pcap/, and build again"
+        )
+    })
+}
+
+/// The same, for tests that need it not.
+pub fn data_dir_if_any() -> Option<PathBuf> {
     let dir = std::env::var_os("SWEEPD_DATA").map_or_else(
         || Path::new(env!("CARGO_MANIFEST_DIR")).join("../shared/data"),
         PathBuf::from,
     );
-    if dir.join("pcap").is_dir() {
-        return Some(dir);
-    }
-    skip(&format!(
-        "no real sensor data in {}; set SWEEPD_DATA to the folder that holds pcap/",
-        dir.display()
-    ));
-    None
+    dir.join("pcap").is_dir().then_some(dir)
 }
 
-/// The Python interpreter, if it has the right velodyne-decoder: `SWEEPD_PYTHON`, else `python3`.
-/// Where it has not, this says aloud that the test is skipped.
-///
-/// # Panics
-/// Under `CI=true`, if it is missing.
-pub fn python() -> Option<OsString> {
+/// The Python interpreter `SWEEPD_PYTHON`, with the right velodyne-decoder.
+pub fn python() -> OsString {
     // The module's own number was left behind by that of the package.
     python_that_says(
         "import velodyne_decoder, importlib.metadata as m; print(m.version('velodyne_decoder'))",
@@ -73,20 +66,14 @@ pub fn python() -> Option<OsString> {
     )
 }
 
-/// The same, if it has the right iceoryx2, and NumPy.
-///
-/// # Panics
-/// Under `CI=true`, if one is missing.
-pub fn python_with_iceoryx2() -> Option<OsString> {
+/// The same, with the right iceoryx2, and NumPy.
+pub fn python_with_iceoryx2() -> OsString {
     let code = "import iceoryx2, numpy, importlib.metadata as m; print(m.version('iceoryx2'))";
     python_that_says(code, ICEORYX2, "NumPy and iceoryx2")
 }
 
-/// The same, if it has NumPy.
-///
-/// # Panics
-/// Under `CI=true`, if it is missing.
-pub fn python_with_numpy() -> Option<OsString> {
+/// The same, with NumPy.
+pub fn python_with_numpy() -> OsString {
     python_that_says(
         "import numpy; print(numpy.__version__.split('.')[0])",
         NUMPY,
@@ -94,41 +81,21 @@ pub fn python_with_numpy() -> Option<OsString> {
     )
 }
 
-fn python_that_says(code: &str, version: &str, package: &str) -> Option<OsString> {
-    let python = std::env::var_os("SWEEPD_PYTHON").unwrap_or_else(|| "python3".into());
+fn python_that_says(code: &str, version: &str, package: &str) -> OsString {
+    let python = std::env::var_os("SWEEPD_PYTHON").expect("SWEEPD_PYTHON, a Python interpreter");
     let output = Command::new(&python)
         .args(["-c", code])
         .stderr(Stdio::null())
         .output();
-    if output.is_ok_and(|output| String::from_utf8_lossy(&output.stdout).trim() == version) {
-        return Some(python);
-    }
-    let python = python.to_string_lossy();
-    skip(&format!(
-        "{python} has no {package} {version}; set SWEEPD_PYTHON to one that has"
-    ));
-    None
+    assert!(
+        output.is_ok_and(|output| String::from_utf8_lossy(&output.stdout).trim() == version),
+        "{} has no {package} {version}; set SWEEPD_PYTHON to one that has",
+        python.display()
+    );
+    python
 }
 
-/// Says aloud that a test is skipped, and why.
-///
-/// # Panics
-/// Under `CI=true`: there no test may be skipped.
-pub fn skip(missing: &str) {
-    assert!(std::env::var("CI").as_deref() != Ok("true"), "{missing}");
-    eprintln!("SKIPPED: {missing}");
-}
-
-/// Whether this is root, who alone can act as another user. Where it is not, this says aloud that
-/// the test is skipped.
-///
-/// # Panics
-/// Under `CI=true`, if it is not.
+/// Whether this is root, who alone can act as another user.
 pub fn is_root() -> bool {
-    let is_root = std::fs::metadata("/proc/self")
-        .is_ok_and(|own| std::os::unix::fs::MetadataExt::uid(&own) == 0);
-    if !is_root {
-        skip("only root can act as a second user");
-    }
-    is_root
+    std::fs::metadata("/proc/self").is_ok_and(|own| std::os::unix::fs::MetadataExt::uid(&own) == 0)
 }

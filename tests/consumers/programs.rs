@@ -12,7 +12,6 @@ use sweepd::sweep::SweepRef;
 
 use super::common::python_with_iceoryx2;
 use super::domain::Own;
-use super::native::has_compiler;
 use super::python::{Talk, loans, publish};
 use super::sweeps::Source;
 use super::{folder, of_project};
@@ -149,10 +148,9 @@ fn publish_until_line(loans: &mut sweepd::publish::Loans, consumer: &Talk) {
 }
 
 #[test]
+#[cfg_attr(without_python, ignore = "no SWEEPD_PYTHON")]
 fn the_python_consumer_prints_a_line_a_sweep_and_ends_at_once() {
-    let Some(python) = python_with_iceoryx2() else {
-        return;
-    };
+    let python = python_with_iceoryx2();
     let script = of_project("examples/consumer.py");
     let own = Own::new();
     let args = [
@@ -206,10 +204,8 @@ fn the_python_consumer_prints_a_line_a_sweep_and_ends_at_once() {
 
 /// What of it needs no iceoryx2 is compiled and run; all of it is compiled where that is installed.
 #[test]
+#[cfg_attr(without_compilers, ignore = "no compilers")]
 fn the_cpp_consumer_compiles_and_reads_a_sweep() {
-    if !has_compiler("c++") {
-        return;
-    }
     let (source, folder) = (of_project("examples/consumer.cpp"), folder("cpp"));
     let program = folder.join("consumer");
     let strict = ["-std=c++14", "-Wall", "-Wextra", "-Wpedantic", "-Werror"];
@@ -305,10 +301,8 @@ fn the_cpp_consumer_compiles_and_reads_a_sweep() {
 /// The commands at the top of examples/CMakeLists.txt, on a machine without the binding: they warn,
 /// and the program checks a file.
 #[test]
+#[cfg_attr(without_compilers, ignore = "no compilers")]
 fn cmake_builds_the_cpp_consumer() {
-    if !has_compiler("c++") || !has_compiler("cmake") {
-        return;
-    }
     let folder = folder("cmake");
     let build = folder.join("build");
     let mut configure = Command::new("cmake");

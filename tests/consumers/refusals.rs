@@ -20,7 +20,6 @@ use super::domain::Own;
 use super::hostile::{
     COLUMNS, Case, Fate, Hostile, SHAPE, cases, honest, node, preamble, schema, service_name,
 };
-use super::native::has_compiler;
 use super::python::{Talk, check, loans, publish};
 use super::{folder, of_project};
 
@@ -120,6 +119,7 @@ fn a_refusal_of_another_version_names_both_and_the_cure() {
 /// Consumers that are older and newer than the daemon, and what they are told before they read a
 /// byte.
 #[test]
+#[cfg_attr(without_python, ignore = "no SWEEPD_PYTHON")]
 fn a_service_of_another_version_is_refused_with_both_and_the_cure_until_this_one_comes() {
     for version in ["2", "4", "100000"] {
         let own = Own::new();
@@ -147,7 +147,7 @@ fn a_service_of_another_version_is_refused_with_both_and_the_cure_until_this_one
         let said = error.to_string();
         let cure = "build it with the version of sweepd that runs on this host";
         assert!(said.contains(&both("3")) && said.contains(cure), "{said}");
-        if let Some(python) = &mut python {
+        {
             let said = python.ask("next");
             let words = said["refused"].as_str().unwrap_or_else(|| panic!("{said}"));
             assert!(
@@ -200,7 +200,8 @@ fn meet_foreign(own: &Own, what: &str) {
         said.contains("not sweepd") && said.contains(what) && said.contains("SWEEPD_ROOT"),
         "{what}: {said}"
     );
-    if let Some(mut python) = refusing(own) {
+    {
+        let mut python = refusing(own);
         let said = python.ask("next");
         assert!(
             said["refused"]
@@ -212,6 +213,7 @@ fn meet_foreign(own: &Own, what: &str) {
 }
 
 #[test]
+#[cfg_attr(without_python, ignore = "no SWEEPD_PYTHON")]
 fn a_foreign_service_of_the_same_name_is_refused() {
     let version = schema(&LAYOUT_VERSION.to_string());
     macro_rules! meet {
@@ -288,6 +290,7 @@ fn replaced(bytes: &[u8], from: &[u8], to: &[u8]) -> Vec<u8> {
 /// What a service says of itself stands in a file, in which a process of the same user can write
 /// anything.
 #[test]
+#[cfg_attr(without_python, ignore = "no SWEEPD_PYTHON")]
 fn a_service_that_lies_about_what_it_is_is_refused_in_plain_text() {
     let own = Own::new();
     let _hostile = Hostile::new(&own);
@@ -535,17 +538,16 @@ fn watch_shows_or_refuses_whatever_is_sent() {
     }
 }
 
-fn refusing(own: &Own) -> Option<Talk> {
+fn refusing(own: &Own) -> Talk {
     check(&["refuse".as_ref(), "roof".as_ref(), own.root().as_ref()])
 }
 
 #[test]
+#[cfg_attr(without_python, ignore = "no SWEEPD_PYTHON")]
 fn python_takes_or_refuses_whatever_is_sent() {
     let own = Own::new();
     let hostile = Hostile::new(&own);
-    let Some(mut python) = refusing(&own) else {
-        return;
-    };
+    let mut python = refusing(&own);
     // To be there from the first on.
     assert!(python.ask("look")["sweep"].is_null());
     for Case {
@@ -583,10 +585,8 @@ fn python_takes_or_refuses_whatever_is_sent() {
 
 /// The header for C and C++ and the program that uses it, with every access watched.
 #[test]
+#[cfg_attr(without_compilers, ignore = "no compilers")]
 fn cpp_takes_or_refuses_whatever_is_in_a_file() {
-    if !has_compiler("c++") {
-        return;
-    }
     let folder = folder("hostile");
     let program = folder.join("consumer");
     let options = [

@@ -4,7 +4,7 @@
 use std::fs;
 
 use crate::common::python_with_iceoryx2;
-use crate::world::{World, binary, can_unshare};
+use crate::world::{World, binary};
 
 /// Room that is left, KiB.
 const LEFT_KIB: [u32; 5] = [0, 4, 8, 16, 64];
@@ -49,10 +49,8 @@ fn says_what_is_missing(said: &str) -> bool {
 }
 
 #[test]
+#[cfg_attr(without_root, ignore = "not root, or no namespaces")]
 fn a_daemon_without_shared_memory_says_so_and_starts_when_there_is_some() {
-    if !can_unshare() {
-        return;
-    }
     let mut faults = Vec::new();
     for left_kib in LEFT_KIB {
         let mut world = World::new();
@@ -115,31 +113,28 @@ fn consume(name: &str, program: impl Fn(&World) -> String) {
 }
 
 #[test]
+#[cfg_attr(without_root, ignore = "not root, or no namespaces")]
 fn a_rust_consumer_without_shared_memory_says_so() {
-    if can_unshare() {
-        consume("sweepd watch", |world| {
-            format!(
-                "{} watch roof --root {} --sweeps 1 --timeout 5",
-                binary(),
-                world.root().display()
-            )
-        });
-    }
+    consume("sweepd watch", |world| {
+        format!(
+            "{} watch roof --root {} --sweeps 1 --timeout 5",
+            binary(),
+            world.root().display()
+        )
+    });
 }
 
 #[test]
+#[cfg_attr(without_python, ignore = "no SWEEPD_PYTHON")]
+#[cfg_attr(without_root, ignore = "not root, or no namespaces")]
 fn a_python_consumer_without_shared_memory_says_so() {
-    let Some(python) = python_with_iceoryx2() else {
-        return;
-    };
-    if can_unshare() {
-        let script = concat!(env!("CARGO_MANIFEST_DIR"), "/examples/consumer.py");
-        let python = python.to_str().unwrap();
-        consume("consumer.py", |world| {
-            format!(
-                "{python} {script} roof --root {} --count 1",
-                world.root().display()
-            )
-        });
-    }
+    let python = python_with_iceoryx2();
+    let script = concat!(env!("CARGO_MANIFEST_DIR"), "/examples/consumer.py");
+    let python = python.to_str().unwrap();
+    consume("consumer.py", |world| {
+        format!(
+            "{python} {script} roof --root {} --count 1",
+            world.root().display()
+        )
+    });
 }

@@ -7,7 +7,6 @@ use std::sync::atomic::{AtomicUsize, Ordering};
 use std::time::{Duration, Instant};
 use std::{fmt, fs};
 
-use crate::common::skip;
 use crate::domain::clear;
 use crate::setup::{Process, Setup, Watch};
 use crate::{Robot, SETTLE, files, no_more};
@@ -66,17 +65,6 @@ impl fmt::Display for Point {
         let thread = thread.as_deref().unwrap_or("the first thread");
         write!(f, "{call} number {number} of {thread}, on a file .{kind}")
     }
-}
-
-fn has_strace() -> bool {
-    let tried = Command::new("strace")
-        .args(["-D", "-f", "-Y", "-o", "/dev/null", "true"])
-        .status();
-    let can = tried.is_ok_and(|status| status.success());
-    if !can {
-        skip("strace is missing, older than 5.17 or not allowed here");
-    }
-    can
 }
 
 /// `sweepd` as the child of this process, with strace beside it.
@@ -286,9 +274,6 @@ impl Round {
 
 /// Kills a victim at every `stride`-th of its calls, in this many rounds side by side.
 fn kill_everywhere(victim: Victim, rounds: usize, stride: usize) {
-    if !has_strace() {
-        return;
-    }
     let points: Vec<Point> = {
         let mut robot = Robot::start();
         make_room(&mut robot, victim).unwrap();

@@ -75,7 +75,7 @@ fn calibrations() -> Vec<(String, Calibration, Model)> {
         .into_iter()
         .filter_map(|model| Some((model.to_string(), model.calibration()?.clone(), model)))
         .collect();
-    if let Some(dir) = common::data_dir() {
+    if let Some(dir) = common::data_dir_if_any() {
         for entry in std::fs::read_dir(dir.join("calib")).unwrap() {
             let path = entry.unwrap().path();
             let read = files::calibration(&path).unwrap();

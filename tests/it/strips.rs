@@ -3,7 +3,7 @@
 
 use std::path::{Path, PathBuf};
 
-use crate::common::data_dir;
+use crate::common::data_dir_if_any;
 use crate::common::run::Runner;
 use sweepd::pipeline::Config;
 use sweepd::segment::{self, Mount, Segmenter, naive};
@@ -22,7 +22,7 @@ fn captures() -> Vec<PathBuf> {
     ]
     .map(of_name)
     .to_vec();
-    if let Some(data) = data_dir() {
+    if let Some(data) = data_dir_if_any() {
         captures.extend(
             ["hdl32e_veloview-monterey-a.pcap", "vlp16_einride-a.pcap"]
                 .map(|name| data.join("pcap").join(name)),

@@ -40,10 +40,9 @@ const HDL32E_RETURNS: [(&str, &[u32]); 2] = [
 ];
 
 #[test]
+#[cfg_attr(without_captures, ignore = "no captures")]
 fn hdl32e_sweeps_have_the_returns_between_the_wraps() {
-    let Some(data) = common::data_dir() else {
-        return;
-    };
+    let data = common::data_dir();
     for (name, expected) in HDL32E_RETURNS {
         let run = Run::of_capture(&data.join(format!("pcap/{name}.pcap")));
         let views = run.views();
@@ -66,10 +65,9 @@ fn hdl32e_sweeps_have_the_returns_between_the_wraps() {
 }
 
 #[test]
+#[cfg_attr(without_captures, ignore = "no captures")]
 fn every_return_of_a_capture_is_in_one_sweep_as_it_stands_on_the_wire() {
-    let Some(data) = common::data_dir() else {
-        return;
-    };
+    let data = common::data_dir();
     for (name, model, _) in CAPTURES {
         let capture = data.join(format!("pcap/{name}.pcap"));
         let packets = raw::packets(&capture);
@@ -104,10 +102,9 @@ fn every_return_of_a_capture_is_in_one_sweep_as_it_stands_on_the_wire() {
 }
 
 #[test]
+#[cfg_attr(without_captures, ignore = "no captures")]
 fn the_speed_is_that_of_azimuth_over_sensor_time() {
-    let Some(data) = common::data_dir() else {
-        return;
-    };
+    let data = common::data_dir();
     for (name, _, rpm) in CAPTURES {
         let run = Run::of_capture(&data.join(format!("pcap/{name}.pcap")));
         let (mut turns, mut time) = (0.0, 0.0);
@@ -125,10 +122,9 @@ fn the_speed_is_that_of_azimuth_over_sensor_time() {
 }
 
 #[test]
+#[cfg_attr(without_captures, ignore = "no captures")]
 fn lost_packets_leave_their_columns_and_the_rest_stays_in_place() {
-    let Some(data) = common::data_dir() else {
-        return;
-    };
+    let data = common::data_dir();
     let run = Run::of_capture(&data.join("pcap/vlp16_timm-dual-a.pcap"));
     let views = run.views();
     assert_eq!(run.counts.lost, 21);
@@ -178,10 +174,9 @@ fn lost_packets_leave_their_columns_and_the_rest_stays_in_place() {
 }
 
 #[test]
+#[cfg_attr(without_captures, ignore = "no captures")]
 fn dual_returns_keep_both_where_they_are_equal() {
-    let Some(data) = common::data_dir() else {
-        return;
-    };
+    let data = common::data_dir();
     let run = Run::of_capture(&data.join("pcap/vlp16_timm-dual-a.pcap"));
     let equal = |sweep: &SweepRef<'_>| {
         let pixels = 0..sweep.range.len();
@@ -194,10 +189,9 @@ fn dual_returns_keep_both_where_they_are_equal() {
 }
 
 #[test]
+#[cfg_attr(without_captures, ignore = "no captures")]
 fn time_is_utc_where_gps_is_locked() {
-    let Some(data) = common::data_dir() else {
-        return;
-    };
+    let data = common::data_dir();
     let run = Run::of_capture(&data.join("pcap/vlp16_mrpt-gps.pcap"));
     // 2016-01-21 08:18:02.340595 UTC: stamp of the first packet, hour of the sentence.
     assert_eq!(run.views()[0].header.time_ns, 1_453_364_282_340_595_000);
@@ -210,10 +204,9 @@ fn time_is_utc_where_gps_is_locked() {
 
 /// A real HDL-32E whose receiver has a fix, and which has no byte for the pulse.
 #[test]
+#[cfg_attr(without_captures, ignore = "no captures")]
 fn time_is_utc_without_a_reported_pulse_where_that_is_allowed() {
-    let Some(data) = common::data_dir() else {
-        return;
-    };
+    let data = common::data_dir();
     let capture = data.join("pcap/hdl32e_veloview-monterey-a.pcap");
     let run = |gps_without_pps| {
         Run::of_capture_with(
@@ -276,6 +269,7 @@ fn whole_turn_begins_a_sweep(packets: &[RawPacket], run: &Run, firings: usize) {
 }
 
 #[test]
+#[cfg_attr(without_captures, ignore = "no captures")]
 fn azimuth_36000_begins_a_sweep() {
     let scene = fixtures::scene();
     let fixture = fixtures::all()
@@ -289,18 +283,15 @@ fn azimuth_36000_begins_a_sweep() {
     whole_turn_begins_a_sweep(&packets, &run, 2);
 
     // A real one: packet 857, block 4.
-    let Some(data) = common::data_dir() else {
-        return;
-    };
+    let data = common::data_dir();
     let capture = data.join("pcap/hdl32e_veloview-monterey-a.pcap");
     whole_turn_begins_a_sweep(&raw::packets(&capture), &Run::of_capture(&capture), 1);
 }
 
 #[test]
+#[cfg_attr(without_captures, ignore = "no captures")]
 fn models_that_are_not_supported_are_a_fault_and_no_sweep() {
-    let Some(data) = common::data_dir() else {
-        return;
-    };
+    let data = common::data_dir();
     for (name, model) in [
         ("vlp32c_nebula-fov180-a", "VLP-32C"),
         ("vls128_nebula-a", "VLS-128"),

@@ -170,10 +170,11 @@ impl Drop for Comparison<'_> {
 }
 
 #[test]
+#[cfg_attr(without_captures, ignore = "no captures")]
+#[cfg_attr(without_python, ignore = "no SWEEPD_PYTHON")]
 fn returns_of_real_captures_are_those_of_velodyne_decoder() {
-    let (Some(data), Some(python)) = (common::data_dir(), common::python()) else {
-        return;
-    };
+    let data = common::data_dir();
+    let python = common::python();
     let mut failures = String::new();
     for (name, model) in CAPTURES {
         let capture = data.join(format!("pcap/{name}.pcap"));
@@ -183,10 +184,9 @@ fn returns_of_real_captures_are_those_of_velodyne_decoder() {
 }
 
 #[test]
+#[cfg_attr(without_python, ignore = "no SWEEPD_PYTHON")]
 fn returns_of_simulated_captures_are_those_of_velodyne_decoder() {
-    let Some(python) = common::python() else {
-        return;
-    };
+    let python = common::python();
     let folder = folder("of_a_table");
     let mut failures = String::new();
     for (model, options) in OF_A_TABLE {
@@ -212,10 +212,11 @@ fn returns_of_simulated_captures_are_those_of_velodyne_decoder() {
 }
 
 #[test]
+#[cfg_attr(without_captures, ignore = "no captures")]
+#[cfg_attr(without_python, ignore = "no SWEEPD_PYTHON")]
 fn returns_of_real_units_of_an_hdl64e_are_those_of_velodyne_decoder() {
-    let (Some(data), Some(python)) = (common::data_dir(), common::python()) else {
-        return;
-    };
+    let data = common::data_dir();
+    let python = common::python();
     let folder = folder("of_a_unit");
     let mut failures = String::new();
     for (model, unit, options) in OF_A_UNIT {
@@ -245,10 +246,9 @@ fn named(options: &[&str]) -> String {
 /// that sweepd reads, and that of the unit that was simulated; and with what each has read, both
 /// decode the same points.
 #[test]
+#[cfg_attr(without_python, ignore = "no SWEEPD_PYTHON")]
 fn velodyne_decoder_recovers_the_calibration_of_a_simulated_unit() {
-    let Some(python) = common::python() else {
-        return;
-    };
+    let python = common::python();
     let folder = folder("from_the_status");
     let [whole, theirs, ours, given] =
         ["whole.pcap", "theirs.yaml", "ours.yaml", "given.yaml"].map(|name| folder.join(name));
@@ -399,10 +399,9 @@ fn read_status(python: &OsStr, capture: &Path, calibration: &Path) -> String {
 }
 
 #[test]
+#[cfg_attr(without_python, ignore = "no SWEEPD_PYTHON")]
 fn the_status_of_an_hdl64e_is_that_of_velodyne_decoder() {
-    let Some(python) = common::python() else {
-        return;
-    };
+    let python = common::python();
     let folder = folder("status");
     let (capture, theirs) = (folder.join("hdl64e.pcap"), folder.join("theirs.yaml"));
     let beams = (0..BEAMS).map(|channel| Beam {

@@ -174,6 +174,7 @@ fn compare(name: &str, python: Option<&OsStr>, send: impl FnOnce(&Setup) -> Proc
 }
 
 #[test]
+#[cfg_attr(without_python, ignore = "no SWEEPD_PYTHON")]
 fn simulated_sensors_live_and_replayed() {
     let python = crate::common::python_with_iceoryx2();
     for (model, rpm, seconds, sweeps) in [
@@ -186,7 +187,7 @@ fn simulated_sensors_live_and_replayed() {
         ("hdl64e-s2", 1200, 2.7, 26),
     ] {
         let name = format!("{model} at {rpm} rpm");
-        let received = compare(&name, python.as_deref(), |setup| {
+        let received = compare(&name, Some(&python), |setup| {
             setup.sensor(model, rpm, seconds)
         });
         assert!(received * 4 >= sweeps * 3, "{name}: {received}");
@@ -274,10 +275,10 @@ fn captures_replayed_at_any_speed() {
 }
 
 #[test]
+#[cfg_attr(without_captures, ignore = "no captures")]
+#[cfg_attr(without_python, ignore = "no SWEEPD_PYTHON")]
 fn real_captures_live_and_replayed() {
-    let Some(data) = crate::common::data_dir() else {
-        return;
-    };
+    let data = crate::common::data_dir();
     let python = crate::common::python_with_iceoryx2();
     for capture in [
         "hdl32e_mrpt-sample.pcap",
@@ -288,7 +289,7 @@ fn real_captures_live_and_replayed() {
         "vlp16_veloview-90deg-a.pcap",
     ] {
         let path = data.join("pcap").join(capture);
-        let received = compare(capture, python.as_deref(), |setup| {
+        let received = compare(capture, Some(&python), |setup| {
             let to = format!("127.0.0.1:{}", setup.port);
             Process::start(
                 &["replay", path.to_str().unwrap(), "--to", &to],

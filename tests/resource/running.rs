@@ -4,7 +4,7 @@ use std::net::TcpStream;
 use std::process::{Command, Stdio};
 use std::time::{Duration, Instant};
 
-use crate::world::{World, binary, can_unshare};
+use crate::world::{World, binary};
 
 const DECODED: &str = "sweepd_sweeps_total{sensor=\"roof\"}";
 
@@ -23,10 +23,8 @@ fn goes_on(world: &World) {
 }
 
 #[test]
+#[cfg_attr(without_root, ignore = "not root, or no namespaces")]
 fn a_full_shared_memory_is_told_and_sweeps_are_shared_again_when_there_is_room() {
-    if !can_unshare() {
-        return;
-    }
     let mut world = World::new();
     // The model is told by the packets: so the memory is taken when they come.
     world.configure("", "");
@@ -45,10 +43,8 @@ fn a_full_shared_memory_is_told_and_sweeps_are_shared_again_when_there_is_room()
 }
 
 #[test]
+#[cfg_attr(without_root, ignore = "not root, or no namespaces")]
 fn without_descriptors_sweeps_go_on_and_health_answers_again_when_there_are_some() {
-    if !can_unshare() {
-        return;
-    }
     let mut world = World::new();
     world.configure("", "");
     world.start(&["-m"], "");
@@ -82,10 +78,8 @@ fn without_descriptors_sweeps_go_on_and_health_answers_again_when_there_are_some
 }
 
 #[test]
+#[cfg_attr(without_root, ignore = "not root, or no namespaces")]
 fn a_full_disk_ends_the_recording_and_no_sensor_and_it_goes_on_by_itself_when_there_is_room() {
-    if !can_unshare() {
-        return;
-    }
     let mut world = World::new();
     world.configure("", "[record]\npath = \"/mnt/drive.pcap\"\n");
     world.start(&["-m"], "mount -t tmpfs -o size=256k none /mnt");
@@ -116,10 +110,8 @@ fn a_full_disk_ends_the_recording_and_no_sensor_and_it_goes_on_by_itself_when_th
 }
 
 #[test]
+#[cfg_attr(without_root, ignore = "not root, or no namespaces")]
 fn where_nothing_can_be_written_nothing_is_recorded_and_it_is_begun_when_something_can() {
-    if !can_unshare() {
-        return;
-    }
     for (script, why) in [
         (
             "mount -t tmpfs -o ro none /mnt",
@@ -148,10 +140,8 @@ fn where_nothing_can_be_written_nothing_is_recorded_and_it_is_begun_when_somethi
 }
 
 #[test]
+#[cfg_attr(without_root, ignore = "not root, or no namespaces")]
 fn a_log_that_nobody_reads_any_more_stops_nothing() {
-    if !can_unshare() {
-        return;
-    }
     let mut world = World::new();
     world.configure("", "");
     let (reader, writer) = std::io::pipe().unwrap();
@@ -170,10 +160,8 @@ fn a_log_that_nobody_reads_any_more_stops_nothing() {
 }
 
 #[test]
+#[cfg_attr(without_root, ignore = "not root, or no namespaces")]
 fn an_interface_that_goes_away_and_comes_back_is_listened_on_again() {
-    if !can_unshare() {
-        return;
-    }
     let mut world = World::new();
     world.configure(
         "bind = \"0.0.0.0\"\ninterface = \"lidar0\"\naddress = \"10.77.0.2\"\n",

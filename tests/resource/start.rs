@@ -3,7 +3,7 @@
 
 use std::os::unix::fs::PermissionsExt;
 
-use crate::world::{World, can_unshare};
+use crate::world::World;
 
 /// What is wrong at the start, and what must come of it.
 struct Case {
@@ -91,10 +91,8 @@ const CASES: [Case; 7] = [
 ];
 
 #[test]
+#[cfg_attr(without_root, ignore = "not root, or no namespaces")]
 fn what_it_cannot_start_without_is_named_with_the_cure() {
-    if !can_unshare() {
-        return;
-    }
     for case in CASES {
         let mut world = World::new();
         std::fs::set_permissions(&world.folder, std::fs::Permissions::from_mode(0o755)).unwrap();
@@ -117,10 +115,8 @@ fn what_it_cannot_start_without_is_named_with_the_cure() {
 }
 
 #[test]
+#[cfg_attr(without_root, ignore = "not root, or no namespaces")]
 fn a_port_that_is_taken_is_an_error_that_names_the_holder() {
-    if !can_unshare() {
-        return;
-    }
     let mut world = World::new();
     world.configure("", "");
     let _holder = std::net::UdpSocket::bind(("127.0.0.1", world.port)).unwrap();
@@ -135,10 +131,8 @@ fn a_port_that_is_taken_is_an_error_that_names_the_holder() {
 }
 
 #[test]
+#[cfg_attr(without_root, ignore = "not root, or no namespaces")]
 fn an_address_that_is_not_there_at_boot_is_waited_for() {
-    if !can_unshare() {
-        return;
-    }
     let mut world = World::new();
     world.configure("bind = \"10.77.0.1\"\n", "");
     world.start(&["-m", "-n"], "ip link set lo up");
@@ -153,10 +147,8 @@ fn an_address_that_is_not_there_at_boot_is_waited_for() {
 }
 
 #[test]
+#[cfg_attr(without_root, ignore = "not root, or no namespaces")]
 fn it_ends_at_once_while_it_waits_for_an_interface() {
-    if !can_unshare() {
-        return;
-    }
     let mut world = World::new();
     world.configure("bind = \"0.0.0.0\"\ninterface = \"lidar0\"\n", "");
     world.start(&["-m", "-n"], "ip link set lo up");

@@ -7,29 +7,7 @@ use std::process::{Child, Command, ExitStatus, Stdio};
 use std::sync::atomic::{AtomicU32, Ordering};
 use std::time::{Duration, Instant};
 
-use crate::common::{is_root, skip};
 use crate::domain::Own;
-
-/// Whether namespaces can be had here. Where they cannot, this says aloud that the test is skipped.
-///
-/// # Panics
-/// Under `CI=true`, if they cannot.
-pub fn can_unshare() -> bool {
-    if !is_root() {
-        return false;
-    }
-    let script =
-        "mount -t tmpfs none /mnt && ip link set lo up && command -v bash nsenter setpriv prlimit";
-    let tried = Command::new("unshare")
-        .args(["-m", "-n", "sh", "-c", script])
-        .stdout(Stdio::null())
-        .status();
-    let can = tried.is_ok_and(|status| status.success());
-    if !can {
-        skip("no namespaces: util-linux, iproute2 and bash are needed, and the right to use them");
-    }
-    can
-}
 
 /// A daemon's folder, ports, and the daemon.
 pub struct World {
