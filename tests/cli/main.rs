@@ -13,6 +13,7 @@ mod inspect;
 mod made;
 mod options;
 mod outputs;
+mod pages;
 mod publish;
 mod record;
 mod segments;
