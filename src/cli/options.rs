@@ -11,7 +11,8 @@ use crate::cli::CliError;
 use crate::files;
 use crate::suggest::nearest;
 use sweepd_core::pipeline;
-use sweepd_core::segment::{self, Settings};
+use sweepd_core::segment::settings::Unit;
+use sweepd_core::segment::{self, SETTINGS, Setting};
 use sweepd_core::sensor::model::UnknownModel;
 use sweepd_core::sensor::{Calibration, Model};
 use sweepd_core::sweep::layout::ReturnChoice;
@@ -133,126 +134,68 @@ pub struct SegmentOptions {
     /// How ground is found
     #[arg(long, value_enum, default_value_t = GroundMethod::Slope)]
     pub method: GroundMethod,
-    /// Two neighbouring returns belong to one segment when the line through them meets the beam at
-    /// more than this angle (beta of the paper), degrees
-    #[arg(
-        long,
-        value_name = "DEG",
-        default_value_t = Settings::DEFAULT.theta_deg,
-        value_parser = within(Settings::THETA_DEG, "degrees"),
-        allow_negative_numbers = true
-    )]
-    pub theta: f64,
-    /// Fewest returns of a segment
-    #[arg(
-        long,
-        value_name = "N",
-        default_value_t = Settings::DEFAULT.min_points,
-        value_parser = clap::value_parser!(u32).range(1..),
-        allow_negative_numbers = true
-    )]
-    pub min_points: u32,
-    /// Two returns of a segment are no further apart than this, metres [default: 0.6 from 48 rows
-    /// on, else 0.8]
-    #[arg(long, value_name = "M", value_parser = within(Settings::GAP_M, "metres"), allow_negative_numbers = true)]
-    pub gap: Option<f64>,
-    /// Columns to either side in which a return looks for others of its segment
-    #[arg(
-        long,
-        value_name = "N",
-        default_value_t = Settings::DEFAULT.window_columns,
-        value_parser = clap::value_parser!(u32).range(Settings::WINDOW_COLUMNS),
-        allow_negative_numbers = true
-    )]
-    pub window_columns: u32,
-    /// Rows up and down in which it looks
-    #[arg(
-        long,
-        value_name = "N",
-        default_value_t = Settings::DEFAULT.window_rows,
-        value_parser = clap::value_parser!(u32).range(Settings::WINDOW_ROWS),
-        allow_negative_numbers = true
-    )]
-    pub window_rows: u32,
-    /// What has fewer returns becomes part of a larger segment near by; 0 leaves all alone
-    #[arg(
-        long,
-        value_name = "N",
-        default_value_t = Settings::DEFAULT.small_points,
-        value_parser = clap::value_parser!(u32),
-        allow_negative_numbers = true
-    )]
-    pub small_points: u32,
-    /// How much further than the gap that may be, metres
-    #[arg(
-        long,
-        value_name = "M",
-        default_value_t = Settings::DEFAULT.small_reach_m,
-        value_parser = within(Settings::SMALL_REACH_M, "metres"),
-        allow_negative_numbers = true
-    )]
-    pub small_reach: f64,
-    /// Steepest ground (of --method slope), metres a metre
-    #[arg(
-        long,
-        value_name = "SLOPE",
-        default_value_t = Settings::DEFAULT.max_slope,
-        value_parser = within(Settings::SLOPE, "metres a metre"),
-        allow_negative_numbers = true
-    )]
-    pub max_slope: f64,
-    /// Highest kerb that is ground where the way goes on level behind it (of --method slope),
-    /// metres
-    #[arg(
-        long,
-        value_name = "M",
-        default_value_t = Settings::DEFAULT.max_kerb_m,
-        value_parser = within(Settings::KERB_M, "metres"),
-        allow_negative_numbers = true
-    )]
-    pub max_kerb: f64,
-    /// Height of the sensor above the ground, metres [default: estimated from the lowest returns]
-    #[arg(long, value_name = "M", value_parser = within(Settings::HEIGHT_M, "metres"), allow_negative_numbers = true)]
-    pub height: Option<f64>,
-    /// Pitch of the sensor, nose up, degrees
-    #[arg(
-        long,
-        value_name = "DEG",
-        default_value_t = Settings::DEFAULT.pitch_deg,
-        value_parser = within(Settings::TILT_DEG, "degrees"),
-        allow_negative_numbers = true
-    )]
-    pub pitch: f64,
-    /// Roll of the sensor, right side down, degrees
-    #[arg(
-        long,
-        value_name = "DEG",
-        default_value_t = Settings::DEFAULT.roll_deg,
-        value_parser = within(Settings::TILT_DEG, "degrees"),
-        allow_negative_numbers = true
-    )]
-    pub roll: f64,
-    /// Returns nearer than this keep their range and get label 0, metres
-    #[arg(
-        long,
-        value_name = "M",
-        default_value_t = Settings::DEFAULT.min_range_m,
-        value_parser = within(Settings::RANGE_M, "metres"),
-        allow_negative_numbers = true
-    )]
-    pub min_range: f64,
-    /// Returns further than this keep their range and get label 0, metres [default: none are]
-    #[arg(
-        long,
-        value_name = "M",
-        value_parser = within(Settings::RANGE_M, "metres"),
-        allow_negative_numbers = true
-    )]
-    pub max_range: Option<f64>,
+    #[command(flatten)]
+    numbers: Numbers,
     /// The robot's own body: a picture as high as the sensor has rows, azimuth 0 to 360 from left
     /// to right, whose black pixels keep their range and get label 0
     #[arg(long, value_name = "FILE.png")]
     pub mask: Option<PathBuf>,
+}
+
+/// The numbers of [`SETTINGS`] that are given, each by an option.
+#[derive(Clone, Debug)]
+struct Numbers(Vec<(&'static Setting, f64)>);
+
+impl clap::Args for Numbers {
+    fn augment_args(command: clap::Command) -> clap::Command {
+        SETTINGS
+            .iter()
+            .fold(command, |command, setting| command.arg(argument(setting)))
+    }
+
+    fn augment_args_for_update(command: clap::Command) -> clap::Command {
+        Self::augment_args(command)
+    }
+}
+
+impl clap::FromArgMatches for Numbers {
+    fn from_arg_matches(matches: &clap::ArgMatches) -> Result<Self, clap::Error> {
+        let mut numbers = Vec::new();
+        for setting in SETTINGS {
+            if let Some(&value) = matches.get_one::<f64>(setting.option) {
+                numbers.push((setting, value));
+            }
+        }
+        Ok(Self(numbers))
+    }
+
+    fn update_from_arg_matches(&mut self, matches: &clap::ArgMatches) -> Result<(), clap::Error> {
+        *self = Self::from_arg_matches(matches)?;
+        Ok(())
+    }
+}
+
+/// The option of a setting.
+fn argument(setting: &'static Setting) -> clap::Arg {
+    let value_name = match setting.unit {
+        Unit::Count => "N",
+        Unit::Degrees => "DEG",
+        Unit::Metres => "M",
+        Unit::Slope => "SLOPE",
+    };
+    let default = match setting.get(&segment::Config::default()) {
+        Some(default) => default.to_string(),
+        None => setting.absent.to_owned(),
+    };
+    clap::Arg::new(setting.option)
+        .long(setting.option)
+        .help(format!("{} [default: {default}]", setting.doc))
+        .value_name(value_name)
+        .allow_negative_numbers(true)
+        .value_parser(move |text: &str| match text.parse::<f64>() {
+            Ok(value) if setting.allows(value) => Ok(value),
+            _ => Err(format!("expected {}", setting.expected())),
+        })
 }
 
 impl SensorOptions {
@@ -309,26 +252,18 @@ impl SegmentOptions {
             .map(files::mask)
             .transpose()
             .map_err(|error| usage(&error))?;
-        let settings = Settings {
+        let mut config = segment::Config {
             method: match self.method {
                 GroundMethod::Slope => segment::Method::Slope,
                 GroundMethod::Paper => segment::Method::Paper,
             },
-            theta_deg: self.theta,
-            min_points: self.min_points,
-            gap_m: self.gap,
-            window_columns: self.window_columns,
-            window_rows: self.window_rows,
-            small_points: self.small_points,
-            small_reach_m: self.small_reach,
-            max_slope: self.max_slope,
-            max_kerb_m: self.max_kerb,
-            height_m: self.height,
-            pitch_deg: self.pitch,
-            roll_deg: self.roll,
-            min_range_m: self.min_range,
-            max_range_m: self.max_range,
+            mask,
+            ..segment::Config::default()
         };
-        settings.config(mask).map_err(|error| usage(&error))
+        for &(setting, value) in &self.numbers.0 {
+            setting.set(&mut config, value);
+        }
+        config.check().map_err(|error| usage(&error))?;
+        Ok(config)
     }
 }

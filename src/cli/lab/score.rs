@@ -16,7 +16,7 @@ use crate::cli::options::within;
 use crate::cli::output::ForceOptions;
 use crate::cli::{CliError, complain};
 use crate::export::text::count_of;
-use sweepd_core::segment::Settings;
+use sweepd_core::segment::settings::THETA_DEG;
 use sweepd_lab::cloud;
 use sweepd_lab::score::{Grouped, Row, ScanScore, Summary};
 
@@ -88,7 +88,7 @@ struct Methods {
         value_name = "DEG,..",
         value_delimiter = ',',
         default_value = "2.5,5,7.5,10,12.5,15,20,30,45",
-        value_parser = within(Settings::THETA_DEG, "degrees"),
+        value_parser = within(THETA_DEG, "degrees"),
         conflicts_with = "pred"
     )]
     theta: Vec<f64>,

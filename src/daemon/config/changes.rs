@@ -9,6 +9,7 @@
 use std::fmt;
 
 use super::{Config, DaemonConfig, SensorConfig};
+use sweepd_core::segment::SETTINGS;
 
 /// What a change takes.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
@@ -98,21 +99,7 @@ const SENSOR: &[Setting<SensorConfig>] = &[
     setting!(Reload "gps_without_pps", pipeline.gps_without_pps, text),
     setting!(Reload "x_m, y_m, z_m", pipeline.position_m, |[x, y, z]: &[f32; 3]| format!("{x}, {y}, {z}")),
     setting!(Reload "yaw_deg", pipeline.yaw_rad, |angle: &f32| degrees((*angle).into())),
-    setting!(Reload "pitch_deg", pipeline.segment.mount.pitch_rad, |angle: &f32| degrees((*angle).into())),
-    setting!(Reload "roll_deg", pipeline.segment.mount.roll_rad, |angle: &f32| degrees((*angle).into())),
-    setting!(Reload "height_m", pipeline.segment.mount.height_m, |height: &Option<_>| or("estimated", height)),
     setting!(Reload "method", pipeline.segment.method, |method: &_| format!("{method:?}").to_lowercase()),
-    setting!(Reload "theta_deg", pipeline.segment.theta_rad, |angle: &f32| degrees((*angle).into())),
-    setting!(Reload "min_points", pipeline.segment.min_points, text),
-    setting!(Reload "gap_m", pipeline.segment.joining.gap_m, |gap: &Option<_>| or("by the rows", gap)),
-    setting!(Reload "window_columns", pipeline.segment.joining.columns, text),
-    setting!(Reload "window_rows", pipeline.segment.joining.rows, text),
-    setting!(Reload "small_points", pipeline.segment.joining.small_points, text),
-    setting!(Reload "small_reach_m", pipeline.segment.joining.small_reach_m, text),
-    setting!(Reload "max_slope", pipeline.segment.slope.max_slope, text),
-    setting!(Reload "max_kerb_m", pipeline.segment.slope.max_kerb_m, text),
-    setting!(Reload "min_range_m", pipeline.segment.min_range_m, text),
-    setting!(Reload "max_range_m", pipeline.segment.max_range_m, text),
     setting!(Reload "mask", pipeline.segment.mask, |given: &Option<_>| presence("none", given)),
 ];
 
@@ -172,6 +159,27 @@ impl<T> Setting<T> {
     }
 }
 
+/// The numbers of the segmenter that differ; a reload takes all of them.
+fn segment_changes<'a>(
+    old: &'a SensorConfig,
+    new: &'a SensorConfig,
+) -> impl Iterator<Item = Change> + 'a {
+    let differing = SETTINGS
+        .iter()
+        .filter(|setting| !setting.is_same(&old.pipeline.segment, &new.pipeline.segment));
+    differing.map(move |setting| {
+        let [before, now] = [old, new].map(|sensor| match setting.get(&sensor.pipeline.segment) {
+            Some(value) => value.to_string(),
+            None => setting.absent.to_owned(),
+        });
+        Change {
+            sensor: Some(old.name.clone()),
+            what: format!("{} {before} -> {now}", setting.key),
+            effect: Effect::Reload,
+        }
+    })
+}
+
 impl Config {
     /// In what another configuration differs from this one.
     pub fn changes(&self, new: &Self) -> Vec<Change> {
@@ -200,6 +208,7 @@ impl Config {
                     effect,
                 });
             }
+            changes.extend(segment_changes(old, new));
         }
         for added in new
             .sensors
@@ -245,6 +254,9 @@ impl Config {
                 if effect == Effect::Reload {
                     (setting.take)(sensor, new);
                 }
+            }
+            for setting in SETTINGS {
+                setting.take(&mut sensor.pipeline.segment, &new.pipeline.segment);
             }
         }
         running.record.clone_from(&new.record);

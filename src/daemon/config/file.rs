@@ -1,13 +1,15 @@
 //! A configuration file as it is written: keys and types, nothing checked yet.
 
 use std::fmt;
+use std::marker::PhantomData;
 use std::ops::Range;
 
-use serde::de::{Deserialize, Deserializer, Error, SeqAccess, Visitor};
+use serde::de::{Deserialize, DeserializeSeed, Deserializer, Error, MapAccess, SeqAccess, Visitor};
 use toml::Spanned;
 use toml::de::{DeTable, DeValue};
 
 use super::error::Problem;
+use sweepd_core::segment::settings::{SETTINGS, Setting, Table, Unit};
 
 /// Most problems of a file that are looked for: each costs another reading.
 const MAX_PROBLEMS: usize = 64;
@@ -154,35 +156,157 @@ pub struct Sensor {
 }
 
 /// `[sensor.mount]`.
-#[derive(Default, serde::Deserialize)]
-#[serde(deny_unknown_fields)]
+#[derive(Default)]
 pub struct Mount {
     pub x_m: Option<Spanned<Number>>,
     pub y_m: Option<Spanned<Number>>,
     pub z_m: Option<Spanned<Number>>,
-    pub roll_deg: Option<Spanned<Number>>,
-    pub pitch_deg: Option<Spanned<Number>>,
     pub yaw_deg: Option<Spanned<Number>>,
-    pub height_m: Option<Spanned<Number>>,
+    pub numbers: Numbers,
 }
 
 /// `[sensor.segment]`.
-#[derive(Default, serde::Deserialize)]
-#[serde(deny_unknown_fields)]
+#[derive(Default)]
 pub struct Segment {
     pub method: Option<Method>,
-    pub theta_deg: Option<Spanned<Number>>,
-    pub min_points: Option<Spanned<Whole>>,
-    pub gap_m: Option<Spanned<Number>>,
-    pub window_columns: Option<Spanned<Whole>>,
-    pub window_rows: Option<Spanned<Whole>>,
-    pub small_points: Option<Spanned<Whole>>,
-    pub small_reach_m: Option<Spanned<Number>>,
-    pub max_slope: Option<Spanned<Number>>,
-    pub max_kerb_m: Option<Spanned<Number>>,
-    pub min_range_m: Option<Spanned<Number>>,
-    pub max_range_m: Option<Spanned<Number>>,
     pub mask: Option<Spanned<String>>,
+    pub numbers: Numbers,
+}
+
+/// Numbers of [`SETTINGS`] that are written in a table.
+pub type Numbers = Vec<(&'static Setting, Spanned<f64>)>;
+
+/// A table whose keys are its own and those of [`SETTINGS`].
+trait Keyed: Default {
+    const TABLE: Table;
+    /// Its own keys.
+    const KEYS: &'static [&'static str];
+
+    /// Reads the value of one of its own keys.
+    fn read<'de, A: MapAccess<'de>>(&mut self, key: &str, map: &mut A) -> Result<(), A::Error>;
+
+    fn numbers(&mut self) -> &mut Numbers;
+}
+
+impl Keyed for Mount {
+    const TABLE: Table = Table::Mount;
+    const KEYS: &'static [&'static str] = &["x_m", "y_m", "z_m", "yaw_deg"];
+
+    fn read<'de, A: MapAccess<'de>>(&mut self, key: &str, map: &mut A) -> Result<(), A::Error> {
+        let field = match key {
+            "x_m" => &mut self.x_m,
+            "y_m" => &mut self.y_m,
+            "z_m" => &mut self.z_m,
+            _ => &mut self.yaw_deg,
+        };
+        *field = Some(map.next_value()?);
+        Ok(())
+    }
+
+    fn numbers(&mut self) -> &mut Numbers {
+        &mut self.numbers
+    }
+}
+
+impl Keyed for Segment {
+    const TABLE: Table = Table::Segment;
+    const KEYS: &'static [&'static str] = &["method", "mask"];
+
+    fn read<'de, A: MapAccess<'de>>(&mut self, key: &str, map: &mut A) -> Result<(), A::Error> {
+        match key {
+            "method" => self.method = Some(map.next_value()?),
+            _ => self.mask = Some(map.next_value()?),
+        }
+        Ok(())
+    }
+
+    fn numbers(&mut self) -> &mut Numbers {
+        &mut self.numbers
+    }
+}
+
+/// A key of a [`Keyed`] table.
+enum Key {
+    Own(&'static str),
+    Number(&'static Setting),
+}
+
+/// Reads a key of `T`; another one is an error at its place.
+struct KeyReader<T>(PhantomData<T>);
+
+impl<'de, T: Keyed> DeserializeSeed<'de> for KeyReader<T> {
+    type Value = Key;
+
+    fn deserialize<D: Deserializer<'de>>(self, deserializer: D) -> Result<Key, D::Error> {
+        deserializer.deserialize_identifier(self)
+    }
+}
+
+impl<T: Keyed> Visitor<'_> for KeyReader<T> {
+    type Value = Key;
+
+    fn expecting(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
+        f.write_str("a key")
+    }
+
+    fn visit_str<E: Error>(self, text: &str) -> Result<Key, E> {
+        let numbers = || SETTINGS.iter().filter(|setting| setting.table == T::TABLE);
+        if let Some(key) = T::KEYS.iter().find(|key| **key == text) {
+            return Ok(Key::Own(key));
+        }
+        if let Some(setting) = numbers().find(|setting| setting.key == text) {
+            return Ok(Key::Number(setting));
+        }
+        let keys = T::KEYS.iter().copied().chain(numbers().map(|one| one.key));
+        let keys: Vec<String> = keys.map(|key| format!("`{key}`")).collect();
+        // The words of serde, which `Problem` knows.
+        Err(E::custom(format_args!(
+            "unknown field `{text}`, expected one of {}",
+            keys.join(", ")
+        )))
+    }
+}
+
+struct TableReader<T>(PhantomData<T>);
+
+impl<'de, T: Keyed> Visitor<'de> for TableReader<T> {
+    type Value = T;
+
+    fn expecting(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
+        f.write_str("a table")
+    }
+
+    fn visit_map<A: MapAccess<'de>>(self, mut map: A) -> Result<T, A::Error> {
+        let mut table = T::default();
+        while let Some(key) = map.next_key_seed(KeyReader::<T>(PhantomData))? {
+            match key {
+                Key::Own(key) => table.read(key, &mut map)?,
+                Key::Number(setting) => {
+                    let (span, value) = if setting.unit == Unit::Count {
+                        let written = map.next_value::<Spanned<Whole>>()?;
+                        (written.span(), written.get_ref().0 as f64)
+                    } else {
+                        let written = map.next_value::<Spanned<Number>>()?;
+                        (written.span(), written.get_ref().0)
+                    };
+                    table.numbers().push((setting, Spanned::new(span, value)));
+                }
+            }
+        }
+        Ok(table)
+    }
+}
+
+impl<'de> Deserialize<'de> for Mount {
+    fn deserialize<D: Deserializer<'de>>(deserializer: D) -> Result<Self, D::Error> {
+        deserializer.deserialize_map(TableReader(PhantomData))
+    }
+}
+
+impl<'de> Deserialize<'de> for Segment {
+    fn deserialize<D: Deserializer<'de>>(deserializer: D) -> Result<Self, D::Error> {
+        deserializer.deserialize_map(TableReader(PhantomData))
+    }
 }
 
 /// `[record]`.

@@ -3,7 +3,7 @@ use std::path::Path;
 use proptest::prelude::*;
 
 use super::*;
-use sweepd_core::segment::Method;
+use sweepd_core::segment::{Method, SETTINGS};
 use sweepd_core::sensor::Model;
 use sweepd_core::sweep::layout::ReturnChoice;
 
@@ -796,6 +796,12 @@ fn example_switched_on() -> String {
 #[test]
 fn the_example_names_every_key_with_a_value_that_can_be() {
     good(EXAMPLE);
+    for setting in SETTINGS {
+        if let Some(default) = setting.get(&sweepd_core::segment::Config::default()) {
+            let line = format!("#{} = {default}", setting.key);
+            assert!(EXAMPLE.lines().any(|one| one == line), "no `{line}`");
+        }
+    }
     let all = example_switched_on();
     // Two name files that are not there, and the example of a core may be one that this machine has
     // not.

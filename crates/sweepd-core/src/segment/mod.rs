@@ -19,7 +19,7 @@
 //! * [`Method::Paper`] is the paper's own, in the folder [`paper`]: all of an image at once, and
 //!   only pixels that touch.
 //!
-//! [`settings`] has the options as people write them. [`naive`] says the same as the default method
+//! [`settings`] is the table of numbers that people set. [`naive`] says the same as the default method
 //! without any of the speed, and the tests hold the two against each other.
 
 mod crowd;
@@ -47,7 +47,7 @@ pub use ground::SlopeGround;
 pub use mask::{Mask, MaskError};
 pub use mount::{HeightEstimator, Mount};
 pub use paper::ground::{PaperGround, Window};
-pub use settings::Settings;
+pub use settings::{SETTINGS, Setting};
 pub use tiles::turn_over;
 pub use window::Joining;
 
@@ -108,11 +108,11 @@ impl Default for Config {
     fn default() -> Self {
         Self {
             method: Method::Slope,
-            theta_rad: Settings::DEFAULT.theta_deg.to_radians() as f32,
+            theta_rad: 10_f64.to_radians() as f32,
             slope: SlopeGround::default(),
             joining: Joining::default(),
             paper: PaperGround::default(),
-            min_points: Settings::DEFAULT.min_points,
+            min_points: 10,
             mount: Mount::default(),
             min_range_m: 0.0,
             max_range_m: f32::INFINITY,

@@ -1,118 +1,331 @@
-//! The settings as people write them, on the command line and in configuration files: degrees and
-//! metres, with their limits and defaults.
+//! The numbers of a [`Config`] as people write them: one table, from which come the options of the
+//! command line, the keys of the configuration file, their checks, and what a reload compares.
 
 use std::ops::RangeInclusive;
 
+use super::Config;
 use super::window::{MOST_COLUMNS, MOST_ROWS};
-use super::{Config, ConfigError, Joining, Mask, Method, Mount, SlopeGround};
 
-/// What a segmenter is told, in the units of people.
-#[derive(Clone, Copy, Debug, PartialEq)]
-pub struct Settings {
-    /// How ground is found.
-    pub method: Method,
-    /// Angle of the beta test, degrees; more than 0 and less than 90.
-    pub theta_deg: f64,
-    /// Returns that a segment has at least; 1 or more.
-    pub min_points: u32,
-    /// Distance that two returns of a segment may be apart, metres; `None` chooses by the rows of
-    /// the image.
-    pub gap_m: Option<f64>,
-    /// Columns that the window reaches to either side.
-    pub window_columns: u32,
-    /// Rows that the window reaches up and down.
-    pub window_rows: u32,
-    /// A component of fewer returns is part of a larger one near by; 0 leaves all alone.
-    pub small_points: u32,
-    /// How much further than the gap that may be, metres.
-    pub small_reach_m: f64,
-    /// Steepest ground, metres a metre.
-    pub max_slope: f64,
-    /// Highest kerb that is ground, metres.
-    pub max_kerb_m: f64,
-    /// Height of the sensor above the ground, metres; `None` to have it estimated.
-    pub height_m: Option<f64>,
-    /// Nose up, degrees.
-    pub pitch_deg: f64,
-    /// Right side down, degrees.
-    pub roll_deg: f64,
-    /// Returns nearer than this are not labelled, metres.
-    pub min_range_m: f64,
-    /// Returns further than this are not labelled, metres; `None` labels all.
-    pub max_range_m: Option<f64>,
+/// Angles that a beta test can have, degrees; the ends are none.
+pub const THETA_DEG: RangeInclusive<f64> = 0.0..=90.0;
+/// Limits that a range may have, metres: no sensor sees half as far.
+const RANGE_M: RangeInclusive<f64> = 0.0..=1000.0;
+const TILT_DEG: RangeInclusive<f64> = -90.0..=90.0;
+const ANY_COUNT: f64 = u32::MAX as f64;
+
+/// A number that people set.
+#[derive(Debug)]
+pub struct Setting {
+    /// Key in the configuration file.
+    pub key: &'static str,
+    /// Table of a sensor in the configuration file that has the key.
+    pub table: Table,
+    /// Option of the command line, without its dashes.
+    pub option: &'static str,
+    /// What it means.
+    pub doc: &'static str,
+    /// What it is counted in.
+    pub unit: Unit,
+    /// Values that it can have.
+    pub range: RangeInclusive<f64>,
+    /// What holds where it is not set, if that is no number.
+    pub absent: &'static str,
+    field: fn(&mut Config) -> Field<'_>,
 }
 
-impl Settings {
-    /// What holds where nothing is said.
-    pub const DEFAULT: Self = Self {
-        method: Method::Slope,
-        theta_deg: 10.0,
-        min_points: 10,
-        gap_m: None,
-        window_columns: MOST_COLUMNS as u32,
-        window_rows: 2,
-        small_points: 22,
-        small_reach_m: 0.25,
-        max_slope: 0.2,
-        max_kerb_m: 0.28,
-        height_m: None,
-        pitch_deg: 0.0,
-        roll_deg: 0.0,
-        min_range_m: 0.0,
-        max_range_m: None,
-    };
-    /// Angles that a beta test can have, degrees; the ends are none.
-    pub const THETA_DEG: RangeInclusive<f64> = 0.0..=90.0;
-    /// Gaps within a segment, metres.
-    pub const GAP_M: RangeInclusive<f64> = 0.05..=5.0;
-    /// Columns of a window, to either side.
-    pub const WINDOW_COLUMNS: RangeInclusive<i64> = 1..=MOST_COLUMNS as i64;
-    /// Rows of a window, up and down.
-    pub const WINDOW_ROWS: RangeInclusive<i64> = 1..=MOST_ROWS as i64;
-    /// How much further than a gap a small component may be, metres.
-    pub const SMALL_REACH_M: RangeInclusive<f64> = 0.0..=5.0;
-    /// Slopes that ground may have, metres a metre.
-    pub const SLOPE: RangeInclusive<f64> = 0.01..=1.0;
-    /// Heights of kerbs, metres.
-    pub const KERB_M: RangeInclusive<f64> = 0.0..=1.0;
-    /// Heights that a sensor may be mounted at, metres.
-    pub const HEIGHT_M: RangeInclusive<f64> = 0.01..=200.0;
-    /// Pitch or roll of a sensor, degrees.
-    pub const TILT_DEG: RangeInclusive<f64> = -90.0..=90.0;
-    /// Limits that a range may have, metres: no sensor sees half as far.
-    pub const RANGE_M: RangeInclusive<f64> = 0.0..=1000.0;
+/// A table of a sensor in the configuration file.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub enum Table {
+    /// `[sensor.mount]`
+    Mount,
+    /// `[sensor.segment]`
+    Segment,
+}
 
-    /// What the segmenter is told.
-    ///
-    /// # Errors
-    /// [`ConfigError`]: a value that cannot be meant.
-    pub fn config(&self, mask: Option<Mask>) -> Result<Config, ConfigError> {
-        let config = Config {
-            method: self.method,
-            theta_rad: self.theta_deg.to_radians() as f32,
-            min_points: self.min_points,
-            slope: SlopeGround {
-                max_slope: self.max_slope as f32,
-                max_kerb_m: self.max_kerb_m as f32,
-                ..SlopeGround::default()
-            },
-            joining: Joining {
-                columns: self.window_columns as usize,
-                rows: self.window_rows as usize,
-                gap_m: self.gap_m.map(|gap| gap as f32),
-                small_points: self.small_points,
-                small_reach_m: self.small_reach_m as f32,
-            },
-            mount: Mount {
-                height_m: self.height_m.map(|height| height as f32),
-                pitch_rad: self.pitch_deg.to_radians() as f32,
-                roll_rad: self.roll_deg.to_radians() as f32,
-            },
-            min_range_m: self.min_range_m as f32,
-            max_range_m: self.max_range_m.map_or(f32::INFINITY, |range| range as f32),
-            mask,
-            ..Config::default()
-        };
-        config.check().map(|()| config)
+/// What a number is counted in.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub enum Unit {
+    /// Whole things.
+    Count,
+    /// Degrees.
+    Degrees,
+    /// Metres.
+    Metres,
+    /// Metres a metre.
+    Slope,
+}
+
+impl Unit {
+    /// Its name in messages; empty for a count.
+    pub fn name(self) -> &'static str {
+        match self {
+            Self::Count => "",
+            Self::Degrees => "degrees",
+            Self::Metres => "metres",
+            Self::Slope => "metres a metre",
+        }
+    }
+}
+
+/// The place of a number in a [`Config`].
+#[derive(PartialEq)]
+enum Field<'a> {
+    /// Radians; people write degrees.
+    Angle(&'a mut f32),
+    Number(&'a mut f32),
+    Optional(&'a mut Option<f32>),
+    /// Infinite where it is not set.
+    Limit(&'a mut f32),
+    Count(&'a mut u32),
+    Size(&'a mut usize),
+}
+
+/// All numbers that people set, in the order in which they are shown.
+pub const SETTINGS: &[Setting] = &[
+    Setting {
+        key: "theta_deg",
+        table: Table::Segment,
+        option: "theta",
+        doc: "Two neighbouring returns belong to one segment when the line through them meets the beam at more than this \
+              angle (beta of the paper), degrees",
+        unit: Unit::Degrees,
+        range: THETA_DEG,
+        absent: "",
+        field: |config| Field::Angle(&mut config.theta_rad),
+    },
+    Setting {
+        key: "min_points",
+        table: Table::Segment,
+        option: "min-points",
+        doc: "Fewest returns of a segment",
+        unit: Unit::Count,
+        range: 1.0..=ANY_COUNT,
+        absent: "",
+        field: |config| Field::Count(&mut config.min_points),
+    },
+    Setting {
+        key: "gap_m",
+        table: Table::Segment,
+        option: "gap",
+        doc: "Two returns of a segment are no further apart than this, metres",
+        unit: Unit::Metres,
+        range: 0.05..=5.0,
+        absent: "0.6 from 48 rows on, else 0.8",
+        field: |config| Field::Optional(&mut config.joining.gap_m),
+    },
+    Setting {
+        key: "window_columns",
+        table: Table::Segment,
+        option: "window-columns",
+        doc: "Columns to either side in which a return looks for others of its segment",
+        unit: Unit::Count,
+        range: 1.0..=MOST_COLUMNS as f64,
+        absent: "",
+        field: |config| Field::Size(&mut config.joining.columns),
+    },
+    Setting {
+        key: "window_rows",
+        table: Table::Segment,
+        option: "window-rows",
+        doc: "Rows up and down in which it looks",
+        unit: Unit::Count,
+        range: 1.0..=MOST_ROWS as f64,
+        absent: "",
+        field: |config| Field::Size(&mut config.joining.rows),
+    },
+    Setting {
+        key: "small_points",
+        table: Table::Segment,
+        option: "small-points",
+        doc: "A component of fewer returns becomes part of a larger segment near by; 0 leaves all alone",
+        unit: Unit::Count,
+        range: 0.0..=ANY_COUNT,
+        absent: "",
+        field: |config| Field::Count(&mut config.joining.small_points),
+    },
+    Setting {
+        key: "small_reach_m",
+        table: Table::Segment,
+        option: "small-reach",
+        doc: "How much further than the gap that may be, metres",
+        unit: Unit::Metres,
+        range: 0.0..=5.0,
+        absent: "",
+        field: |config| Field::Number(&mut config.joining.small_reach_m),
+    },
+    Setting {
+        key: "max_slope",
+        table: Table::Segment,
+        option: "max-slope",
+        doc: "Steepest ground (of --method slope), metres a metre",
+        unit: Unit::Slope,
+        range: 0.01..=1.0,
+        absent: "",
+        field: |config| Field::Number(&mut config.slope.max_slope),
+    },
+    Setting {
+        key: "max_kerb_m",
+        table: Table::Segment,
+        option: "max-kerb",
+        doc: "Highest kerb that is ground where the way goes on level behind it (of --method slope), metres",
+        unit: Unit::Metres,
+        range: 0.0..=1.0,
+        absent: "",
+        field: |config| Field::Number(&mut config.slope.max_kerb_m),
+    },
+    Setting {
+        key: "height_m",
+        table: Table::Mount,
+        option: "height",
+        doc: "Height of the sensor above the ground, metres",
+        unit: Unit::Metres,
+        range: 0.01..=200.0,
+        absent: "estimated from the lowest returns",
+        field: |config| Field::Optional(&mut config.mount.height_m),
+    },
+    Setting {
+        key: "pitch_deg",
+        table: Table::Mount,
+        option: "pitch",
+        doc: "Pitch of the sensor, nose up, degrees",
+        unit: Unit::Degrees,
+        range: TILT_DEG,
+        absent: "",
+        field: |config| Field::Angle(&mut config.mount.pitch_rad),
+    },
+    Setting {
+        key: "roll_deg",
+        table: Table::Mount,
+        option: "roll",
+        doc: "Roll of the sensor, right side down, degrees",
+        unit: Unit::Degrees,
+        range: TILT_DEG,
+        absent: "",
+        field: |config| Field::Angle(&mut config.mount.roll_rad),
+    },
+    Setting {
+        key: "min_range_m",
+        table: Table::Segment,
+        option: "min-range",
+        doc: "Returns nearer than this keep their range and get label 0, metres",
+        unit: Unit::Metres,
+        range: RANGE_M,
+        absent: "",
+        field: |config| Field::Number(&mut config.min_range_m),
+    },
+    Setting {
+        key: "max_range_m",
+        table: Table::Segment,
+        option: "max-range",
+        doc: "Returns further than this keep their range and get label 0, metres",
+        unit: Unit::Metres,
+        range: RANGE_M,
+        absent: "none are",
+        field: |config| Field::Limit(&mut config.max_range_m),
+    },
+];
+
+impl Setting {
+    /// What a configuration has, in the units of people; `None` where it is not set.
+    pub fn get(&self, config: &Config) -> Option<f64> {
+        let mut config = config.clone();
+        match (self.field)(&mut config) {
+            Field::Angle(angle) => Some((f64::from(*angle).to_degrees() * 1e4).round() / 1e4),
+            Field::Number(number) => Some(as_written(*number)),
+            Field::Optional(number) => number.map(as_written),
+            Field::Limit(limit) => limit.is_finite().then(|| as_written(*limit)),
+            Field::Count(count) => Some(f64::from(*count)),
+            Field::Size(size) => Some(*size as f64),
+        }
+    }
+
+    /// Sets it; the value is within [`Setting::range`], and whole where it is a count.
+    pub fn set(&self, config: &mut Config, value: f64) {
+        match (self.field)(config) {
+            Field::Angle(angle) => *angle = value.to_radians() as f32,
+            Field::Number(number) | Field::Limit(number) => *number = value as f32,
+            Field::Optional(number) => *number = Some(value as f32),
+            Field::Count(count) => *count = value as u32,
+            Field::Size(size) => *size = value as usize,
+        }
+    }
+
+    /// Whether two configurations have the same.
+    pub fn is_same(&self, one: &Config, other: &Config) -> bool {
+        (self.field)(&mut one.clone()) == (self.field)(&mut other.clone())
+    }
+
+    /// Sets it to what another configuration has.
+    pub fn take(&self, to: &mut Config, from: &Config) {
+        match ((self.field)(to), (self.field)(&mut from.clone())) {
+            (Field::Angle(to), Field::Angle(from))
+            | (Field::Number(to), Field::Number(from))
+            | (Field::Limit(to), Field::Limit(from)) => *to = *from,
+            (Field::Optional(to), Field::Optional(from)) => *to = *from,
+            (Field::Count(to), Field::Count(from)) => *to = *from,
+            (Field::Size(to), Field::Size(from)) => *to = *from,
+            // A setting has one kind of field.
+            _ => {}
+        }
+    }
+
+    /// Whether a value can be set.
+    pub fn allows(&self, value: f64) -> bool {
+        self.range.contains(&value) && (self.unit != Unit::Count || value.fract() == 0.0)
+    }
+
+    /// The values that can be set, for a message: `0 to 90 degrees`.
+    pub fn expected(&self) -> String {
+        let (least, most) = (self.range.start(), self.range.end());
+        if self.unit == Unit::Count && *most == ANY_COUNT {
+            return format!("a whole number from {least} on");
+        }
+        format!("{least} to {most} {}", self.unit.name())
+            .trim_end()
+            .to_owned()
+    }
+}
+
+/// The shortest decimal number that is this one.
+fn as_written(number: f32) -> f64 {
+    number.to_string().parse().unwrap_or(number.into())
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn each_setting_has_a_field_of_its_own_and_its_default_can_be() {
+        let default = Config::default();
+        for setting in SETTINGS {
+            let value = setting.get(&default);
+            assert_eq!(
+                value.is_none(),
+                !setting.absent.is_empty(),
+                "{}",
+                setting.key
+            );
+            assert!(
+                value.is_none_or(|value| setting.allows(value)),
+                "{}",
+                setting.key
+            );
+            let middle = (setting.range.start() + setting.range.end().min(100.0)) / 2.0;
+            let other = if setting.unit == Unit::Count {
+                middle.floor()
+            } else {
+                ((middle + 0.01) * 1e3).round() / 1e3
+            };
+            let mut changed = default.clone();
+            setting.set(&mut changed, other);
+            assert_eq!(setting.get(&changed), Some(other), "{}", setting.key);
+            for one in SETTINGS {
+                assert_eq!(one.is_same(&default, &changed), one.key != setting.key);
+            }
+            let mut taken = default.clone();
+            setting.take(&mut taken, &changed);
+            assert_eq!(taken, changed);
+        }
     }
 }

@@ -10,7 +10,7 @@ use super::scans::{Scan, points};
 use super::table::{heading, number};
 use super::{Args, json, plot, progress};
 use crate::cli::CliError;
-use sweepd_core::segment::{Config, Method, Settings};
+use sweepd_core::segment::{Config, Method};
 use sweepd_lab::cloud::{CloudError, CloudSegmenter};
 use sweepd_lab::score::{Baseline, Group, Grouped, Row, ScanScore, Summary};
 
@@ -146,7 +146,7 @@ impl Trial {
         let labels = match &mut self.way {
             Way::Ours(ours) => ours.segment(scan.cloud, &scan.bytes)?,
             Way::Plain(baseline) => {
-                baseline.segment(&scan.points, &scan.ground, Settings::DEFAULT.min_points)
+                baseline.segment(&scan.points, &scan.ground, Config::default().min_points)
             }
         };
         self.ms.push(start.elapsed().as_secs_f64() * 1e3);
@@ -277,7 +277,7 @@ fn table(trials: &[Trial]) -> String {
          precision and PQ over all instances together; USE, OSE and cover as means over the scans\n\
          ms: median over the scans; of slope and paper from points to labels, of the others without finding the ground\n\
          segments of {} points at least; the ground of euclidean and grid is that of the default method",
-        Settings::DEFAULT.min_points
+        Config::default().min_points
     );
     let mut last = "";
     for (trial, summary) in trials.iter().zip(&summaries) {

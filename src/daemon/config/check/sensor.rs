@@ -14,7 +14,7 @@ use crate::files;
 use crate::suggest::suggestion;
 use sweepd_client::publish::{NAME_RULE, is_sensor_name};
 use sweepd_core::pipeline;
-use sweepd_core::segment::{self, ConfigError, Mask, Settings};
+use sweepd_core::segment::{self, ConfigError, Mask, Setting};
 use sweepd_core::sensor::{Calibration, Model};
 use sweepd_core::sweep::layout::ReturnChoice;
 
@@ -341,103 +341,53 @@ impl Check<'_> {
         calibration: Option<&Calibration>,
         at: Range<usize>,
     ) -> Option<segment::Config> {
-        let (mount, written) = (&sensor.mount, &sensor.segment);
-        let settings = self.settings(mount, written);
-        let mask = self.mask(&written.mask, model, calibration);
-        match settings.config(mask) {
-            Ok(config) => Some(config),
-            Err(error) => {
-                let to_blame = match error {
-                    ConfigError::Theta { .. } => &written.theta_deg,
-                    ConfigError::Range { .. } if written.max_range_m.is_none() => {
-                        &written.min_range_m
-                    }
-                    ConfigError::Range { .. } => &written.max_range_m,
-                    ConfigError::Gap { .. } | ConfigError::Window { .. } => &written.gap_m,
-                    ConfigError::SmallReach { .. } => &written.small_reach_m,
-                    ConfigError::Height { .. } => &mount.height_m,
-                };
-                self.problem(
-                    to_blame.as_ref().map_or(at, Spanned::span),
-                    error.to_string(),
-                    "",
-                );
-                None
-            }
+        let written = &sensor.segment;
+        let mut config = segment::Config::default();
+        if let Some(method) = written.method {
+            config.method = match method {
+                file::Method::Slope => segment::Method::Slope,
+                file::Method::Paper => segment::Method::Paper,
+            };
         }
+        let numbers = || sensor.mount.numbers.iter().chain(&written.numbers);
+        for (setting, given) in numbers() {
+            self.setting(setting, given, &mut config);
+        }
+        config.mask = self.mask(&written.mask, model, calibration);
+        let Err(error) = config.check() else {
+            return Some(config);
+        };
+        let key = match error {
+            ConfigError::Theta { .. } => "theta_deg",
+            ConfigError::Range { .. } if config.max_range_m.is_infinite() => "min_range_m",
+            ConfigError::Range { .. } => "max_range_m",
+            ConfigError::Gap { .. } => "gap_m",
+            ConfigError::Window { .. } => "window_columns",
+            ConfigError::SmallReach { .. } => "small_reach_m",
+            ConfigError::Height { .. } => "height_m",
+        };
+        let to_blame = numbers().find(|(setting, _)| setting.key == key);
+        self.problem(
+            to_blame.map_or(at, |(_, given)| given.span()),
+            error.to_string(),
+            "",
+        );
+        None
     }
 
-    fn settings(&mut self, mount: &file::Mount, written: &file::Segment) -> Settings {
-        let default = Settings::DEFAULT;
-        let mut degrees = |key, given, range, default| {
-            self.number(key, given, range, "degrees").unwrap_or(default)
-        };
-        let theta_deg = degrees(
-            "theta_deg",
-            &written.theta_deg,
-            Settings::THETA_DEG,
-            default.theta_deg,
-        );
-        let pitch_deg = degrees(
-            "pitch_deg",
-            &mount.pitch_deg,
-            Settings::TILT_DEG,
-            default.pitch_deg,
-        );
-        let roll_deg = degrees(
-            "roll_deg",
-            &mount.roll_deg,
-            Settings::TILT_DEG,
-            default.roll_deg,
-        );
-        let mut metres = |key, given, range| self.number(key, given, range, "metres");
-        let height_m = metres("height_m", &mount.height_m, Settings::HEIGHT_M);
-        let min_range_m = metres("min_range_m", &written.min_range_m, Settings::RANGE_M);
-        let max_range_m = metres("max_range_m", &written.max_range_m, Settings::RANGE_M);
-        let gap_m = metres("gap_m", &written.gap_m, Settings::GAP_M);
-        let small_reach_m = metres(
-            "small_reach_m",
-            &written.small_reach_m,
-            Settings::SMALL_REACH_M,
-        );
-        let max_kerb_m = metres("max_kerb_m", &written.max_kerb_m, Settings::KERB_M);
-        let max_slope = self.number(
-            "max_slope",
-            &written.max_slope,
-            Settings::SLOPE,
-            "metres a metre",
-        );
-        let mut whole = |key, given, range| self.whole(key, given, range);
-        let min_points = whole("min_points", &written.min_points, 1..=u32::MAX.into());
-        let window_columns = whole(
-            "window_columns",
-            &written.window_columns,
-            Settings::WINDOW_COLUMNS,
-        );
-        let window_rows = whole("window_rows", &written.window_rows, Settings::WINDOW_ROWS);
-        let small_points = whole("small_points", &written.small_points, 0..=u32::MAX.into());
-        Settings {
-            method: written
-                .method
-                .map_or(default.method, |method| match method {
-                    file::Method::Slope => segment::Method::Slope,
-                    file::Method::Paper => segment::Method::Paper,
-                }),
-            theta_deg,
-            min_points: min_points.unwrap_or(default.min_points),
-            gap_m: gap_m.or(default.gap_m),
-            window_columns: window_columns.unwrap_or(default.window_columns),
-            window_rows: window_rows.unwrap_or(default.window_rows),
-            small_points: small_points.unwrap_or(default.small_points),
-            small_reach_m: small_reach_m.unwrap_or(default.small_reach_m),
-            max_slope: max_slope.unwrap_or(default.max_slope),
-            max_kerb_m: max_kerb_m.unwrap_or(default.max_kerb_m),
-            height_m: height_m.or(default.height_m),
-            pitch_deg,
-            roll_deg,
-            min_range_m: min_range_m.unwrap_or(default.min_range_m),
-            max_range_m: max_range_m.or(default.max_range_m),
+    /// A number within its range; another one is a problem, and the default stays.
+    fn setting(&mut self, setting: &Setting, given: &Spanned<f64>, config: &mut segment::Config) {
+        let value = *given.get_ref();
+        if setting.allows(value) {
+            setting.set(config, value);
+            return;
         }
+        let title = format!("`{}` cannot be {value}", setting.key);
+        self.problem(
+            given.span(),
+            title,
+            format!("expected {}", setting.expected()),
+        );
     }
 }
 
