@@ -72,8 +72,6 @@ pub mod daemon;
 pub mod doctor;
 pub mod export;
 pub mod files;
-#[cfg(feature = "lab")]
-pub mod soak;
 mod suggest;
 
 /// Version of this build, with the commit in a release build of a repository: `0.1.0 (6707b6746

@@ -38,8 +38,6 @@ use crate::daemon::config::ConfigError;
 use crate::daemon::tap::TapError;
 use crate::export::WriteError;
 use crate::files::CalibrationFileError;
-#[cfg(feature = "lab")]
-use crate::soak::SoakError;
 use sweepd_client::client::ClientError;
 use sweepd_client::publish::PublishError;
 
@@ -156,10 +154,6 @@ pub enum CliError {
         /// What the system says.
         source: io::Error,
     },
-    #[cfg(feature = "lab")]
-    /// The daemon did not bear a soak.
-    #[error(transparent)]
-    Soak(#[from] SoakError),
     /// Options that contradict each other, or a value that cannot be meant.
     #[error("{0}")]
     Usage(String),

@@ -4,7 +4,6 @@ pub mod score;
 pub mod segment;
 pub mod simulate;
 mod sink;
-pub mod soak;
 
 use std::path::Path;
 
@@ -21,9 +20,6 @@ pub enum Command {
     Score(Box<score::Args>),
     /// Be a sensor that is not there: send its packets, or write them to a capture
     Simulate(Box<simulate::Args>),
-    /// Run a daemon through a day of faults, faster than life, and see that nothing grows and all
-    /// is counted
-    Soak(Box<soak::Args>),
 }
 
 /// Runs a subcommand.
@@ -35,7 +31,6 @@ pub fn run(command: &Command) -> Result<(), CliError> {
         Command::Segment(args) => segment::run(args),
         Command::Score(args) => score::run(args),
         Command::Simulate(args) => simulate::run(args),
-        Command::Soak(args) => soak::run(args),
     }
 }
 

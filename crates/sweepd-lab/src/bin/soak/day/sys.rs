@@ -1,7 +1,5 @@
-//! The system calls that no safe crate of ours offers: a signal to a process, and a process that
-//! inherits no files.
-
-#![allow(unsafe_code)]
+//! The system calls that no safe crate of ours offers: a signal to a process, a process that
+//! inherits no files, and a thread that stays on one core.
 
 use std::io;
 use std::os::unix::process::CommandExt;
@@ -54,4 +52,14 @@ pub fn inherit_nothing(command: &mut Command) {
     };
     // SAFETY: between fork and exec, that is one system call; it neither allocates nor locks.
     unsafe { command.pre_exec(close) };
+}
+
+/// Keeps the calling thread on one core; where the system refuses, it may run on any.
+pub fn pin_to_core(core: usize) {
+    // SAFETY: a cpu_set_t is an array of integers, for which zeroes are a value.
+    let mut cores: libc::cpu_set_t = unsafe { std::mem::zeroed() };
+    // SAFETY: CPU_SET checks that the core lies within the set.
+    unsafe { libc::CPU_SET(core, &mut cores) };
+    // SAFETY: `cores` has the size that is stated and is only read; 0 is the calling thread.
+    unsafe { libc::sched_setaffinity(0, size_of::<libc::cpu_set_t>(), &raw const cores) };
 }

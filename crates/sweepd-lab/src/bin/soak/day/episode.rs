@@ -1,6 +1,5 @@
 //! An episode: ten seconds of both sensors, and then the accounts.
 
-use crate::admission::Refusal;
 use std::collections::BTreeMap;
 use std::fs;
 use std::io;
@@ -9,14 +8,15 @@ use std::time::{Duration, Instant};
 
 use fastrand::Rng;
 
-use super::feed::{Event, Feed, WITHIN_A_TURN};
+use super::feed::{Event, Feed, Refusal, WITHIN_A_TURN};
+use super::sys::pin_to_core;
 use super::{EPISODE, SENSORS, Soak, SoakError, daemon};
-use crate::capture::udp::buffer::CHARGED_BYTES;
-use crate::daemon::sys::pin_to_core;
 
 /// Packets of each sensor at the beginning and at the end of an episode that are all whole: the
 /// model is told by the first ones, and what is behind a gap comes out with the last ones.
 const WHOLE: (u32, u32) = (200, 40);
+/// What the kernel charges for a data packet, bytes.
+const CHARGED_BYTES: u64 = 2304;
 /// From one look at the sockets to the next, packets.
 const CHUNK: u64 = 64;
 /// How often it is looked at consumers and figures, while packets are sent.
@@ -87,7 +87,7 @@ impl Soak {
             serde_json::from_str(&text).map_err(|error| daemon.wrong(error.to_string()))?;
         let ports = report["ports"].as_array().into_iter().flatten();
         let least = ports.filter_map(|port| port["buffer_bytes"].as_u64()).min();
-        Ok((least.unwrap_or(0) / 3).max(CHARGED_BYTES as u64))
+        Ok((least.unwrap_or(0) / 3).max(CHARGED_BYTES))
     }
 
     /// Waits until the daemon has counted what was sent, all of it and no more, and the consumers
@@ -191,7 +191,7 @@ impl Soak {
                 format!("sweepd_received_total{{{port}}}"),
                 tally.received + astray,
             );
-            for (reason, &count) in Refusal::OF_CONFIGURED.iter().zip(&tally.rejected) {
+            for (reason, &count) in Refusal::ALL.iter().zip(&tally.rejected) {
                 let count = if *reason == Refusal::Port {
                     count + astray
                 } else {
@@ -303,7 +303,7 @@ impl Soak {
 /// process inherits that.
 fn stay_on_one_core() {
     let last = thread::available_parallelism().map_or(0, |cores| cores.get() - 1);
-    let _ = pin_to_core(last);
+    pin_to_core(last);
 }
 
 /// Sends all feeds for so long by their clocks, no faster than the sockets are emptied: no more

@@ -1,7 +1,6 @@
 //! One sensor's datagrams with everything that goes wrong on their way, and what the daemon must
 //! count of it.
 
-use crate::admission::Refusal;
 use std::collections::BTreeMap;
 use std::io;
 use std::net::{Ipv4Addr, SocketAddrV4, UdpSocket};
@@ -15,6 +14,47 @@ use sweepd_core::wire::HOUR_US;
 use sweepd_core::wire::data::{DATA_PACKET_LEN, ReturnMode};
 use sweepd_lab::simulate::EmitterConfig;
 use sweepd_lab::simulate::gps::{self, Clock, Reception};
+
+/// Why the daemon lets a datagram not in, in the order of [`Tally::rejected`].
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub enum Refusal {
+    /// Its length is that of no packet.
+    Length,
+    /// A block has no marker.
+    Marker,
+    /// A block has an impossible azimuth.
+    Azimuth,
+    /// It is of no configured sensor.
+    Source,
+    /// It is of a sensor on another port.
+    Port,
+    /// It is a position packet of one of several sensors.
+    Ambiguous,
+}
+
+impl Refusal {
+    /// All of them.
+    pub const ALL: [Self; 6] = [
+        Self::Length,
+        Self::Marker,
+        Self::Azimuth,
+        Self::Source,
+        Self::Port,
+        Self::Ambiguous,
+    ];
+
+    /// Its name in the daemon's metrics.
+    pub fn name(self) -> &'static str {
+        match self {
+            Self::Length => "length",
+            Self::Marker => "marker",
+            Self::Azimuth => "azimuth",
+            Self::Source => "source",
+            Self::Port => "port",
+            Self::Ambiguous => "ambiguous",
+        }
+    }
+}
 
 /// From one fault to the next at least so many packets are whole, so that each can be counted.
 const BETWEEN: u32 = 10;
@@ -33,7 +73,7 @@ pub struct Tally {
     /// Datagrams of any kind to the data port of the sensor.
     pub received: u64,
     /// Of those, what is not let in, by [`Refusal`].
-    pub rejected: [u64; Refusal::OF_CONFIGURED.len()],
+    pub rejected: [u64; Refusal::ALL.len()],
     /// Data packets that went to the port of the other sensor.
     pub astray: u64,
     /// Data packets that are let in.

@@ -8,7 +8,6 @@ use std::time::{Duration, Instant};
 #[test]
 fn half_a_minute_with_faults_restarts_and_dying_consumers_is_counted_exactly_and_leaves_nothing() {
     let args = [
-        "soak",
         "--hours",
         "0.008",
         "--seed",
@@ -18,7 +17,7 @@ fn half_a_minute_with_faults_restarts_and_dying_consumers_is_counted_exactly_and
         "--every",
         "1",
     ];
-    let mut command = Command::new(env!("CARGO_BIN_EXE_sweepd"));
+    let mut command = Command::new(env!("CARGO_BIN_EXE_sweepd-soak"));
     let child = command
         .args(args)
         .stdin(Stdio::null())
@@ -55,7 +54,7 @@ fn half_a_minute_with_faults_restarts_and_dying_consumers_is_counted_exactly_and
         "{out}"
     );
     assert!(!folder.exists(), "{} is left", folder.display());
-    let prefix = sweepd::client::Domain::at(folder.join("iox2")).prefix();
+    let prefix = sweepd_client::client::Domain::at(folder.join("iox2")).prefix();
     let left = std::fs::read_dir("/dev/shm").unwrap().flatten();
     let left = left
         .filter(|entry| entry.file_name().to_string_lossy().starts_with(&prefix))

@@ -13,9 +13,10 @@ use fastrand::Rng;
 
 use super::SoakError;
 use super::sys::{Signal, signal};
-use crate::daemon::tap::MAX_CLIENTS;
 use sweepd_client::client::{Client, ClientError, Domain, Sweep};
 
+/// Recordings that the daemon serves at a time.
+const MAX_CLIENTS: usize = 4;
 /// Others at a time, of each sensor.
 pub const OTHERS: usize = 3;
 /// One sweep in so many is looked at pixel by pixel.
@@ -215,16 +216,6 @@ impl Crowd {
             every,
             census,
         }
-    }
-
-    /// How many there are.
-    pub fn len(&self) -> usize {
-        self.others.len()
-    }
-
-    /// Whether nobody is there.
-    pub fn is_empty(&self) -> bool {
-        self.others.is_empty()
     }
 
     /// Lets happen what is due: they come, go, hang and die.
