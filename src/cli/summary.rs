@@ -330,22 +330,12 @@ impl<'a> SensorReport<'a> {
         );
         row("sweeps", format!("{} whole{partial}; {size}", sums.whole));
         row("returns", grouped(sums.returns));
-        let height = match sums.height {
-            Some((height, true)) => {
-                format!("; sensor {height:.2} m above it (estimated; --height if you know it)")
-            }
-            Some((height, false)) => format!("; sensor {height:.2} m above it"),
-            None if sums.ground == 0 && sums.segmented > 0 => {
-                "; the height of the sensor was not found, so none is labelled: give --height"
-                    .to_owned()
-            }
-            None => String::new(),
-        };
         row(
             "ground",
             format!(
-                "{:.1} % of the returns{height}",
-                100.0 * sums.ground_share()
+                "{:.1} % of the returns{}",
+                100.0 * sums.ground_share(),
+                self.height()
             ),
         );
         row(
@@ -364,6 +354,22 @@ impl<'a> SensorReport<'a> {
                 .collect::<Vec<_>>()
                 .join(", "),
         );
+    }
+
+    /// How high the sensor is, where that is known.
+    fn height(&self) -> String {
+        let sums = self.sums;
+        match sums.height {
+            Some((height, true)) => {
+                format!("; sensor {height:.2} m above it (estimated; --height if you know it)")
+            }
+            Some((height, false)) => format!("; sensor {height:.2} m above it"),
+            None if sums.ground == 0 && sums.segmented > 0 => {
+                "; the height of the sensor was not found, so none is labelled: give --height"
+                    .to_owned()
+            }
+            None => String::new(),
+        }
     }
 
     fn packets(&self) -> String {

@@ -104,49 +104,52 @@ impl Collector for Snapshot {
     }
 }
 
+type Read = fn(&SensorCounters) -> u64;
+
+/// Totals of a sensor: name, help, and the counter.
+const SENSOR_TOTALS: [(&str, &str, Read); 9] = [
+    ("packets", "Data packets let in", |counters| {
+        counters.data.get()
+    }),
+    ("position_packets", "Position packets let in", |counters| {
+        counters.position.get()
+    }),
+    (
+        "position_overflows",
+        "Position packets that found no room on the way to their sensor's thread",
+        |counters| counters.position_overflows.get(),
+    ),
+    (
+        "refused",
+        "Datagrams from the sensor's address to its data port that are no packets",
+        |counters| counters.refused.get(),
+    ),
+    (
+        "lost",
+        "Data packets missing by the sensor's clock",
+        |counters| counters.lost.get(),
+    ),
+    ("reordered", "Data packets put back in order", |counters| {
+        counters.reordered.get()
+    }),
+    ("sweeps", "Sweeps, partial ones included", |counters| {
+        counters.sweeps.get()
+    }),
+    (
+        "partial_sweeps",
+        "Sweeps that are not from cut to cut",
+        |counters| counters.partial_sweeps.get(),
+    ),
+    (
+        "unshared_sweeps",
+        "Sweeps that no consumer could have got",
+        |counters| counters.unshared.get(),
+    ),
+];
+
 impl Snapshot {
     fn sensor_totals(&self, encoder: &mut DescriptorEncoder<'_>) -> fmt::Result {
-        type Read = fn(&SensorCounters) -> u64;
-        let totals: [(&str, &str, Read); 9] = [
-            ("packets", "Data packets let in", |counters| {
-                counters.data.get()
-            }),
-            ("position_packets", "Position packets let in", |counters| {
-                counters.position.get()
-            }),
-            (
-                "position_overflows",
-                "Position packets that found no room on the way to their sensor's thread",
-                |c| c.position_overflows.get(),
-            ),
-            (
-                "refused",
-                "Datagrams from the sensor's address to its data port that are no packets",
-                |c| c.refused.get(),
-            ),
-            (
-                "lost",
-                "Data packets missing by the sensor's clock",
-                |counters| counters.lost.get(),
-            ),
-            ("reordered", "Data packets put back in order", |counters| {
-                counters.reordered.get()
-            }),
-            ("sweeps", "Sweeps, partial ones included", |counters| {
-                counters.sweeps.get()
-            }),
-            (
-                "partial_sweeps",
-                "Sweeps that are not from cut to cut",
-                |counters| counters.partial_sweeps.get(),
-            ),
-            (
-                "unshared_sweeps",
-                "Sweeps that no consumer could have got",
-                |counters| counters.unshared.get(),
-            ),
-        ];
-        for (name, help, read) in totals {
+        for (name, help, read) in SENSOR_TOTALS {
             let all = self.sensors.iter().map(|sensor| {
                 (
                     [("sensor", &sensor.name[..])],
@@ -283,6 +286,10 @@ impl Snapshot {
             "1 while pulse and time of a GPS receiver are good, where it is told",
             locked,
         )?;
+        self.losses_and_states(encoder)
+    }
+
+    fn losses_and_states(&self, encoder: &mut DescriptorEncoder<'_>) -> fmt::Result {
         let shares = self
             .sensors
             .iter()

@@ -10,26 +10,7 @@ pub fn describe(status: &Status, text: &mut String) {
         return;
     }
     let series = status.series();
-    let mut unit: Vec<String> = Vec::new();
-    unit.extend(series.map(|series| format!("series {series}")));
-    unit.extend(
-        status
-            .firmware()
-            .map(|firmware| format!("firmware {firmware:#04x}")),
-    );
-    unit.extend(
-        status
-            .temperature_c()
-            .map(|degrees| format!("{degrees} degrees Celsius")),
-    );
-    unit.extend(status.rpm().map(|rpm| format!("{rpm} rpm")));
-    unit.extend(status.power().map(|power| format!("power {power}")));
-    unit.extend(
-        status
-            .life_hours()
-            .map(|hours| format!("{} hours of use", grouped(hours.into()))),
-    );
-    row(text, "unit", &unit.join(", "));
+    row(text, "unit", &unit(status));
     if let Some(clock) = status.clock() {
         let gps = status
             .gps()
@@ -56,14 +37,36 @@ pub fn describe(status: &Status, text: &mut String) {
             &format!("{:.2} to {:.2} degrees", degrees[0], degrees[1]),
         );
     }
-    let of_all = || {
-        format!(
-            "{} of {} bytes",
-            grouped(status.known() as u64),
-            grouped(DUMP_LEN as u64)
-        )
-    };
-    let calibration = match status.verdict() {
+    row(text, "calibration", &calibration(status));
+}
+
+/// Which unit it is, and how it is.
+fn unit(status: &Status) -> String {
+    let mut unit: Vec<String> = Vec::new();
+    unit.extend(status.series().map(|series| format!("series {series}")));
+    unit.extend(
+        status
+            .firmware()
+            .map(|firmware| format!("firmware {firmware:#04x}")),
+    );
+    unit.extend(
+        status
+            .temperature_c()
+            .map(|degrees| format!("{degrees} degrees Celsius")),
+    );
+    unit.extend(status.rpm().map(|rpm| format!("{rpm} rpm")));
+    unit.extend(status.power().map(|power| format!("power {power}")));
+    unit.extend(
+        status
+            .life_hours()
+            .map(|hours| format!("{} hours of use", grouped(hours.into()))),
+    );
+    unit.join(", ")
+}
+
+/// How far its calibration is known.
+fn calibration(status: &Status) -> String {
+    match status.verdict() {
         Verdict::Verified => match status.calibrated() {
             Some(time) => {
                 format!("complete, of {time}; sweepd calib from-capture writes it to a file")
@@ -71,7 +74,10 @@ pub fn describe(status: &Status, text: &mut String) {
             None => "complete, but never calibrated by its own account".to_owned(),
         },
         Verdict::Contradictory(error) => format!("damaged: {error}"),
-        Verdict::Incomplete => format!("incomplete: {}", of_all()),
-    };
-    row(text, "calibration", &calibration);
+        Verdict::Incomplete => format!(
+            "incomplete: {} of {} bytes",
+            grouped(status.known() as u64),
+            grouped(DUMP_LEN as u64)
+        ),
+    }
 }

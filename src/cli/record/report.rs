@@ -108,6 +108,13 @@ impl Report {
             .map(|input| input.admission.positions())
             .sum();
         writeln!(to, "  position     {}", count_of(positions, "packet"))?;
+        self.print_missing(to)?;
+        to.flush()
+    }
+
+    /// What is not in the files, and why.
+    fn print_missing(&self, to: &mut impl Write) -> io::Result<()> {
+        let refusals = self.refusals();
         let (dropped, unwritten) = (grouped(self.dropped()), grouped(self.unwritten()));
         let dropped_where = self.dropped_where();
         writeln!(
@@ -121,8 +128,7 @@ impl Report {
             grouped(refusals.get(Refusal::Marker)),
             grouped(refusals.get(Refusal::Azimuth)),
             grouped(refusals.get(Refusal::Source)),
-        )?;
-        to.flush()
+        )
     }
 
     /// What people must know of, each with its cure.

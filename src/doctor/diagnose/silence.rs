@@ -5,6 +5,7 @@ use std::net::{IpAddr, Ipv4Addr};
 use super::{Findings, elements, serves};
 use crate::doctor::Topic;
 use crate::doctor::observe::{Heard, Interface, Observations, Web};
+use crate::doctor::plan::Expected;
 
 pub(super) fn find(seen: &Observations, findings: &mut Findings) {
     // What a daemon hears it tells itself.
@@ -53,34 +54,39 @@ pub(super) fn find(seen: &Observations, findings: &mut Findings) {
                 findings,
             );
         }
-        let elsewhere = seen.sensors.iter().find(|one| {
-            one.source.is_some_and(|source| {
-                source.ip() == expected.address && !expected.is_at(source, one.port)
-            })
-        });
-        let is_at_home = seen.sensors.iter().any(|one| {
-            one.source
-                .is_some_and(|from| expected.is_at(from, one.port))
-        });
-        if let Some((elsewhere, source)) = elsewhere
-            .and_then(|one| Some((one, one.source?)))
-            .filter(|_| !is_at_home)
-        {
-            let what = format!(
-                "{}: sends from {source} to port {}, not as configured from {} to port {}",
-                expected.name,
-                elsewhere.port,
-                expected
-                    .source_port
-                    .map_or("any port".to_owned(), |port| format!("port {port}")),
-                expected.port
-            );
-            findings.error(
-                Topic::Silent,
-                what,
-                "correct `port` or `source_port` in the configuration, or the sensor's",
-            );
-        }
+        misplaced(seen, expected, findings);
+    }
+}
+
+/// A sensor that sends, but not from where or to where the configuration says.
+fn misplaced(seen: &Observations, expected: &Expected, findings: &mut Findings) {
+    let elsewhere = seen.sensors.iter().find(|one| {
+        one.source.is_some_and(|source| {
+            source.ip() == expected.address && !expected.is_at(source, one.port)
+        })
+    });
+    let is_at_home = seen.sensors.iter().any(|one| {
+        one.source
+            .is_some_and(|from| expected.is_at(from, one.port))
+    });
+    if let Some((elsewhere, source)) = elsewhere
+        .and_then(|one| Some((one, one.source?)))
+        .filter(|_| !is_at_home)
+    {
+        let what = format!(
+            "{}: sends from {source} to port {}, not as configured from {} to port {}",
+            expected.name,
+            elsewhere.port,
+            expected
+                .source_port
+                .map_or("any port".to_owned(), |port| format!("port {port}")),
+            expected.port
+        );
+        findings.error(
+            Topic::Silent,
+            what,
+            "correct `port` or `source_port` in the configuration, or the sensor's",
+        );
     }
 }
 

@@ -59,6 +59,11 @@ fn destination(seen: &Observations, web: &Web, address: Ipv4Addr, findings: &mut
             findings.error(Topic::Destination, what, cure);
         }
     }
+    ports(seen, web, address, findings);
+}
+
+/// Ports that the sensor sends to and nothing listens on.
+fn ports(seen: &Observations, web: &Web, address: Ipv4Addr, findings: &mut Findings) {
     let is_listened = |port: u16| seen.ports.iter().any(|one| one.plan.port == port);
     let listened = || {
         seen.ports
