@@ -128,7 +128,7 @@ struct Stream {
     /// What is sent after each fifth of them to another port, by a sensor that sends such.
     position: Option<Vec<u8>>,
     period_ns: u64,
-    /// How far clock and head get until the packets begin anew.
+    /// How far clock and head get until the packets begin again.
     us: u32,
     cdeg: f64,
 }
@@ -217,7 +217,7 @@ impl Stream {
         packet
     }
 
-    /// Sends them to a port, and position packets to the other, at so many times their own pace,
+    /// Sends them to a port, and position packets to the other, at this many times their own pace,
     /// until `over`; gives how many of the former.
     fn send(
         &self,

@@ -215,7 +215,7 @@ fn project(points: &[[f32; 4]]) -> Result<(Vec<Option<usize>>, usize, HeapBuffer
     Ok((pixel, rows, projector.into_buffer().ok_or("no image")?))
 }
 
-/// The points whose row counts among every so many. One without a pixel has the row of the point
+/// The points whose row counts among every this many. One without a pixel has the row of the point
 /// before it.
 fn kept(points: &[[f32; 4]], step: usize) -> Result<Vec<bool>> {
     let (pixel, rows, _) = project(points)?;

@@ -7,7 +7,7 @@
 //! ```
 //!
 //! Everything from [`wire::Datagram`] to the segments is pure: bytes and time come in as arguments.
-//! [`pipeline`] holds the whole algorithm on one page; whoever has datagrams pushes them through
+//! [`pipeline`] holds the whole algorithm on one page; a program pushes its datagrams through
 //! it:
 //!
 //! ```

@@ -1,6 +1,6 @@
 //! Every way into the program, given inputs that are nearly right: the same functions that the
 //! coverage-guided run calls (`tests/fuzz/README.md`), on stable Rust, with a seed that is told and
-//! so many rounds.
+//! this many rounds.
 //!
 //! `SWEEPD_FUZZ_SEED` and `SWEEPD_FUZZ_ROUNDS` change seed and rounds; `SWEEPD_FUZZ_INPUT` runs the
 //! file of this name and nothing else. An input that fails is written to `target/tmp/fuzz`.
@@ -37,7 +37,7 @@ struct Current {
     begun: Instant,
 }
 
-/// Runs a target over what was found before, what is hostile, its seeds, and so many mutations of
+/// Runs a target over what was found before, what is hostile, its seeds, and this many mutations of
 /// them; each may take so much memory.
 fn fuzz(name: &'static str, rounds: u64, memory_mib: usize) {
     let run = targets::named(name);

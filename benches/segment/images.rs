@@ -79,7 +79,7 @@ pub fn full() -> Image {
     scan(cloud::COLUMNS).unwrap_or_else(|| Image::new("street", simulated(Model::Hdl64eS2)))
 }
 
-/// A real scan in an image of so many columns, where the data is at hand.
+/// A real scan in an image of this many columns, where the data is at hand.
 pub fn scan(columns: usize) -> Option<Image> {
     Some(Image::new("KITTI", projected(&kitti(&data()?), columns)))
 }

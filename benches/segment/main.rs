@@ -43,10 +43,10 @@ use self::plain::Plain;
 
 /// Turns in which each takes part.
 const TURNS: usize = 60;
-/// After so many, a comparison that takes longer than [`LONG`] ends.
+/// After this many, a comparison that takes longer than [`LONG`] ends.
 const FEWEST: usize = 5;
 const LONG: Duration = Duration::from_secs(2);
-/// The naive twin is slow: it takes part in one turn of so many.
+/// The naive twin is slow: it takes part in one turn of this many.
 const NAIVE_EVERY: usize = 20;
 
 fn main() {

@@ -133,7 +133,7 @@ pub fn run(args: &Args) -> Result<(), CliError> {
 
 fn announce(ports: &[u16], args: &Args) {
     let ports: Vec<String> = ports.iter().map(u16::to_string).collect();
-    // Where none can be listened on, nobody waits, and the findings say why.
+    // If no port can be opened, there is no wait, and the findings say why.
     if !ports.is_empty() {
         let _ = writeln!(
             io::stderr(),

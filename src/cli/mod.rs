@@ -204,7 +204,7 @@ pub fn report(error: &CliError) {
     }
 }
 
-/// A line on standard error. When even that is gone, there is nobody left to tell.
+/// A line on standard error. When even that is gone, the message is lost.
 fn complain(severity: &str, message: impl Display) {
     let _ = writeln!(io::stderr(), "{severity}: {message}");
 }

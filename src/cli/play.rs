@@ -152,7 +152,7 @@ impl PlayOptions {
             })
     }
 
-    /// Whether the capture is to be played again after so many times.
+    /// Whether the capture is to be played again after this many times.
     pub fn again(&self, played: u64) -> bool {
         match self.times {
             None => false,

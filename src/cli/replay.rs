@@ -148,7 +148,7 @@ impl<'a> Replay<'a> {
         )?)
     }
 
-    /// Plays the capture once; played again, each sensor begins anew. What cannot be read any
+    /// Plays the capture once; played again, each sensor begins again. What cannot be read any
     /// further is given back: everything before it is played to its end.
     fn play(&mut self, capture: &mut Capture) -> Result<Result<(), CaptureError>, CliError> {
         self.others_before = self.sensors.others();
@@ -583,7 +583,7 @@ fn print_tables(traffic: &Traffic, reports: &[SensorReport<'_>], timing: bool) -
     stdout.flush()
 }
 
-/// What is wrong with the capture and stops nobody.
+/// What is wrong with the capture and does not stop the replay.
 fn warn(capture: &Capture) {
     let name = capture.name();
     if let Some(truncation) = capture.truncation() {

@@ -135,7 +135,7 @@ fn log(level: Option<tracing::Level>) -> Result<(), CliError> {
         (None, Ok(directives)) => EnvFilter::try_new(directives).map_err(wrong)?,
         (None, Err(_)) => EnvFilter::new("info"),
     };
-    // When nobody reads the log any more, the sensors go on: complaining of that on standard error
+    // Without a reader of the log, the sensors go on: complaining of that on standard error
     // would panic.
     let lines = tracing_subscriber::fmt()
         .with_env_filter(filter)

@@ -214,7 +214,7 @@ pub struct Traffic {
 }
 
 impl Traffic {
-    /// Of a capture, with so many datagrams of other senders.
+    /// Of a capture, with this many datagrams of other senders.
     pub fn new(capture: &Capture, datagrams: u64) -> Self {
         let tally = capture.tally();
         Self {

@@ -30,7 +30,7 @@ use sweepd_core::pipeline::Notice;
 /// From one attempt to start to the next, at first and at most.
 const RETRY: (Duration, Duration) = (Duration::from_millis(250), Duration::from_secs(2));
 
-/// A configuration that was read anew.
+/// A configuration that was read again.
 #[derive(Clone, Debug)]
 pub struct Reload {
     /// What runs from now on: the sensors and ports of the one before, with what of the new one can
@@ -42,11 +42,11 @@ pub struct Reload {
     pub needs_restart: Vec<String>,
 }
 
-/// Reads the configuration anew and compares it with the one that runs, or says why it cannot be
+/// Reads the configuration again and compares it with the one that runs, or says why it cannot be
 /// taken.
 pub type Reread = Box<dyn FnMut(&Config) -> Result<Reload, String>>;
 
-/// Runs the daemon until SIGTERM or SIGINT; SIGHUP reads the configuration anew. `root` is the
+/// Runs the daemon until SIGTERM or SIGINT; SIGHUP reads the configuration again. `root` is the
 /// folder where consumers find it, and the socket of the taps.
 ///
 /// A signal ends it within 200 ms where its threads get a core, all but the recording: what that
@@ -178,7 +178,7 @@ struct Control {
     hanging: Vec<usize>,
     /// Ports whose interfaces are gone, as told last.
     gone: Vec<usize>,
-    /// How often the shared memory of each sensor was made anew, as told last.
+    /// How often the shared memory of each sensor was made again, as told last.
     renewed: Vec<u64>,
     /// Ports of which it was told that position packets reach no sensor.
     ambiguous: Vec<usize>,
@@ -425,7 +425,7 @@ impl Control {
         &self.runtime.ports[index].name
     }
 
-    /// Reads the configuration anew; whatever comes of it, everything keeps running.
+    /// Reads the configuration again; whatever comes of it, everything keeps running.
     fn reload(&mut self) {
         self.notifier.reloading();
         match (self.reread)(&self.config) {
@@ -457,7 +457,7 @@ impl Control {
             }
             self.watchers[index].limit_losses(new.losses);
         }
-        // One that has failed is begun again at once: whoever reloads has seen to the disk.
+        // One that has failed is begun again at once: a reload says that the disk is well.
         if self.config.record.as_ref() != self.tees.config() || self.tees.has_failed() {
             self.tees.record(self.config.record.as_ref());
         }

@@ -311,7 +311,7 @@ pub struct PortCounters {
     pub heartbeat: Counter,
     /// Datagrams, of any kind.
     pub received: Counter,
-    /// Datagrams that the kernel dropped because nobody fetched them in time.
+    /// Datagrams that the kernel dropped because they were not fetched in time.
     pub dropped: Counter,
     refused: [Counter; Refusal::OF_CONFIGURED.len()],
     is_interface_gone: AtomicBool,

@@ -5,9 +5,9 @@
 //! GET /metrics   Prometheus (OpenMetrics text)
 //! ```
 //!
-//! Few connections at a time, each for one request and not for long: nobody can hold the daemon up
-//! here. Unless `http_public` is set, requests to a name other than `localhost` are refused: a web
-//! page whose own name was made to lead here (DNS rebinding) could else read the answers in a
+//! Few connections at a time, each for one request and not for long: no client can hold the daemon
+//! up here. Unless `http_public` is set, requests to a name other than `localhost` are refused: a
+//! web page whose own name was made to lead here (DNS rebinding) could else read the answers in a
 //! browser of this host.
 
 use crate::admission::Refusal;
@@ -340,7 +340,7 @@ async fn converse(stream: TcpStream, view: Arc<Mutex<View>>, is_public: bool) {
         .header_read_timeout(PATIENCE)
         .max_buf_size(REQUEST_BYTES)
         .keep_alive(false);
-    // Whoever broke off knows it.
+    // The client that broke off knows it.
     let _ = http.serve_connection(TokioIo::new(stream), service).await;
 }
 

@@ -123,7 +123,7 @@ impl fmt::Display for Place {
 pub enum Cause {
     /// They do not reach this host.
     Network,
-    /// This host's kernel drops them: nobody fetches them in time.
+    /// This host's kernel drops them: they are not fetched in time.
     Host,
     /// The kernel drops them, and datagrams of others fill its buffer.
     Flood,
@@ -321,7 +321,7 @@ pub enum Turn {
 #[derive(Clone, Debug)]
 pub struct Losses {
     limits: Limits,
-    /// Counts by moment, oldest first, over [`WINDOW`] at least if there are so many.
+    /// Counts by moment, oldest first, over [`WINDOW`] at least if there are this many.
     noted: VecDeque<(Duration, Tally)>,
     /// When the stream that is watched began.
     begun: Option<Duration>,
@@ -362,7 +362,7 @@ impl Losses {
         })
     }
 
-    /// Counts anew from here on: packets were decoded in another way before.
+    /// Counts again from here on: packets were decoded in another way before.
     pub fn begin_anew(&mut self) {
         self.noted.clear();
         self.begun = None;

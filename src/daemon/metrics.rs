@@ -370,7 +370,7 @@ fn family<'a, const N: usize, M: EncodeMetric>(
     family_in(encoder, name, help, None, metrics)
 }
 
-/// One metric of several sensors or ports; none at all where nobody has it.
+/// One metric of several sensors or ports; none at all where no one of them has it.
 fn family_in<'a, const N: usize, M: EncodeMetric>(
     encoder: &mut DescriptorEncoder<'_>,
     name: &str,

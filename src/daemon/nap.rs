@@ -17,7 +17,7 @@ use crate::capture::udp::buffer::PARTS;
 /// packets.
 pub const LONGEST: Duration = Duration::from_millis(100);
 /// The same where position packets come alone, and no copies of them are kept in order with those
-/// of data: nobody is in a hurry for them.
+/// of data: they are not urgent.
 pub const LONGEST_OF_POSITIONS: Duration = Duration::from_millis(250);
 /// From so long before the packet that completes a sweep is expected, each packet is fetched as it
 /// comes, so that little is left to do.
@@ -74,8 +74,8 @@ impl Load {
     }
 }
 
-/// Longest nap of a port with such a buffer, where the data packets of so many sensors come and the
-/// position packets of so many others, and with so much to do, nanoseconds: `most`, or less.
+/// Longest nap of a port with such a buffer, where the data packets of this many sensors come and
+/// the position packets of this many others, and with so much to do, nanoseconds: `most`, or less.
 ///
 /// `filled_ns` is the shortest time of the last seconds in which a part of the buffer was filled
 /// ([`UdpSource::shortest_filling_ns`](crate::capture::UdpSource::shortest_filling_ns)). The
@@ -120,7 +120,7 @@ mod tests {
 
     const MS: i64 = 1_000_000;
 
-    /// The load of a thread that works so many milliseconds of every hundred, for three seconds.
+    /// The load of a thread that works this many milliseconds of every hundred, for three seconds.
     fn load(busy_ms: u64) -> Load {
         let begun = Instant::now();
         let after = |ms| begun + Duration::from_millis(ms);

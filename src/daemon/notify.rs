@@ -28,8 +28,8 @@ impl Notifier {
         )]);
     }
 
-    /// The configuration is being read anew. systemd before version 253 ignores the time, and later
-    /// ones want it.
+    /// The configuration is being read again. systemd before version 253 ignores the time, and
+    /// later ones want it.
     pub fn reloading(&mut self) {
         match NotifyState::monotonic_usec_now() {
             Ok(now) => self.send(&[NotifyState::Reloading, now]),

@@ -39,7 +39,7 @@ const PAUSE: Duration = Duration::from_millis(50);
 const QUIET: Duration = Duration::from_secs(1);
 /// How often it is looked at the interface, while nothing comes.
 const LOOK_EVERY: Duration = Duration::from_secs(1);
-/// A socket that fails so often in a row will not recover: the daemon ends, and opens it anew when
+/// A socket that fails so often in a row will not recover: the daemon ends, and opens it again when
 /// it is restarted.
 const FAILURES: u32 = 20;
 /// Position packets that may wait for the thread of their sensor. An HDL-32E with two returns sends
@@ -96,7 +96,7 @@ pub struct End {
 }
 
 /// What lies behind the socket of a port. Both clocks enter here: that which stamps packets, with
-/// each of them, and CLOCK_MONOTONIC, which nobody sets.
+/// each of them, and CLOCK_MONOTONIC, which cannot be set.
 pub struct Room<B: Buffers> {
     /// Which packets are let in.
     pub admission: ConfiguredSensors,
@@ -111,7 +111,7 @@ pub struct Room<B: Buffers> {
 }
 
 /// When the newest data packet of a sensor came, by the clock that stamps packets and by one that
-/// nobody sets.
+/// that cannot be set.
 ///
 /// The kernel stamps packets by CLOCK_REALTIME, which may be stepped by hours. How long a sensor
 /// has been quiet is therefore told by CLOCK_MONOTONIC: else a step would close an open sweep, or
@@ -176,7 +176,7 @@ impl<B: Buffers<Buffer: Outgoing>> Port<B> {
         let (mut failures, mut looked) = (0, Instant::now());
         while !self.end.over.load(Ordering::Relaxed) {
             let was_quiet = self.is_quiet();
-            // For position packets nobody hurries: they are napped over, not waited for.
+            // Position packets are not urgent: the thread naps while they gather.
             let is_waited_for = !was_quiet && self.has_sweeps();
             match self.round(if is_waited_for { BUSY } else { Duration::ZERO }) {
                 Ok(()) => failures = 0,

@@ -107,7 +107,7 @@ impl DaemonError {
     }
 }
 
-/// What is known of a sensor, for whoever asks.
+/// What is known of a sensor, for other threads.
 pub struct SensorStatus {
     /// Its name and that of its service.
     pub name: String,
@@ -125,7 +125,7 @@ pub struct SensorStatus {
     pub sharing: Arc<dyn SharingStatus>,
 }
 
-/// What is known of a port, for whoever asks.
+/// What is known of a port, for other threads.
 pub struct PortStatus {
     /// Its name in output.
     pub name: String,

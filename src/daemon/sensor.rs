@@ -16,7 +16,7 @@ use sweepd_core::wire::nmea::Rmc;
 use sweepd_core::wire::position::Pps;
 use sweepd_core::wire::{Content, Packet, Position, hdl64};
 
-/// A sensor that could not be decoded is looked at anew after so long: it may have been exchanged,
+/// A sensor that could not be decoded is looked at again after so long: it may have been exchanged,
 /// or its first packets may have been lost.
 const SECOND_LOOK_NS: i64 = 10_000_000_000;
 
@@ -292,7 +292,7 @@ impl<B: Buffers<Buffer: Outgoing>> Sensor<B> {
     }
 
     fn report(&self, event: Event) {
-        // Nobody listens any more once the daemon ends.
+        // The receiver is gone once the daemon ends.
         let _ = self.events.send((self.index, event));
     }
 }

@@ -1,4 +1,5 @@
-//! What the daemon asks of whoever shares its sweeps: buffers to build them in, and a way out.
+//! What the daemon asks of the side that shares its sweeps: buffers to build them in, and a way
+//! out.
 //!
 //! [`sweepd_client::publish`] does it through shared memory; tests have implementations of their
 //! own.
@@ -55,11 +56,11 @@ pub trait SharingStatus: Send + Sync {
     fn reserved_bytes(&self) -> u64;
     /// Why sweeps are not shared at the moment.
     fn trouble(&self) -> Option<String>;
-    /// How often the way out was made anew because files of it were deleted.
+    /// How often the way out was made again because files of it were deleted.
     fn renewed(&self) -> u64 {
         0
     }
-    /// Why it was made anew the last time.
+    /// Why it was made again the last time.
     fn renewed_because(&self) -> Option<String> {
         None
     }

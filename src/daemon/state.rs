@@ -125,7 +125,7 @@ pub struct Message {
     pub text: String,
 }
 
-/// How a sensor is, for whoever asks.
+/// How a sensor is, for other threads.
 #[derive(Clone, Debug, PartialEq)]
 pub struct Condition {
     /// In a word.
@@ -459,7 +459,7 @@ mod tests {
             }
         }
 
-        /// Observes for so many tenths of a second in which so many packets and sweeps come in
+        /// Observes for this many tenths of a second in which this many packets and sweeps come in
         /// each.
         fn observe(&mut self, tenths: u32, data: u64, sweeps: u64) -> Vec<String> {
             let mut texts = Vec::new();
@@ -618,7 +618,7 @@ mod tests {
         );
     }
 
-    /// Seconds of a sensor that streams and loses so many packets for each 75 that come.
+    /// Seconds of a sensor that streams and loses this many packets for each 75 that come.
     fn lose(roof: &mut Watched, seconds: u32, lost: u64) -> Vec<String> {
         let mut told = Vec::new();
         for _ in 0..10 * seconds {

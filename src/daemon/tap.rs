@@ -5,7 +5,7 @@
 //! ```
 //!
 //! A daemon listens on a socket in its folder, [`socket_path`], that its own user alone may open;
-//! both ends check that the other is of the same user. While nobody listens, [`Tap::put`] costs one
+//! both ends check that the other is of the same user. Without a client, [`Tap::put`] costs one
 //! relaxed load. While somebody does, it copies the datagram into a ring: it never waits, never
 //! allocates, and takes no lock. One more thread carries the datagrams from there to at most
 //! [`MAX_CLIENTS`] clients. What finds no room, in the ring or with a client that is slow or stuck,
@@ -43,7 +43,7 @@ pub fn socket_path(root: &Path) -> PathBuf {
     root.join("tap.sock")
 }
 
-/// The taps of a daemon. While nobody listens, their thread sleeps. When they are dropped, clients
+/// The taps of a daemon. Without a client, their thread sleeps. When they are dropped, clients
 /// get what was put in before, and are told the end.
 ///
 /// ```
@@ -117,7 +117,7 @@ impl Taps {
     /// Listens. A socket that a daemon left behind is replaced.
     ///
     /// # Errors
-    /// [`TapError`]: another daemon listens there, or nobody can.
+    /// [`TapError`]: another daemon listens there, or the socket cannot be made.
     pub fn listen(path: &Path) -> Result<Self, TapError> {
         let socket = Socket::listen(path)?;
         let shared = Arc::new(Shared::default());
@@ -143,7 +143,7 @@ impl Taps {
         })
     }
 
-    /// Looks whether the socket was deleted, and has it made anew; to be called now and then.
+    /// Looks whether the socket was deleted, and has it made again; to be called now and then.
     pub fn look_after(&self) {
         if is_gone(&self.path)
             && let Some(mut bell) = self.bell.as_ref()

@@ -107,7 +107,7 @@ impl Retries {
     }
 }
 
-/// What is known of the recording, for whoever asks.
+/// What is known of the recording, for other threads.
 #[derive(Clone, Debug, Default, PartialEq, Eq)]
 pub struct RecordingStatus {
     /// Its first file, or the name it should have.
@@ -260,7 +260,7 @@ impl Tees {
         let beginning = thread::Builder::new()
             .name("sweepd-record".to_owned())
             .spawn(move || {
-                // Where nobody hears of it any more it ends, here.
+                // Without a receiver it ends here.
                 let _ = tell.send(recording::start(&to_begin));
             });
         match beginning {

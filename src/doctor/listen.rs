@@ -1,5 +1,5 @@
-//! What comes to the ports, listened to for a few seconds, through the same admission and pipelines as
-//! the daemon's.
+//! What comes to the ports, listened to for a few seconds, through the same admission and pipelines
+//! as the daemon's.
 
 use std::net::{IpAddr, SocketAddr};
 use std::time::{Duration, Instant};
@@ -26,9 +26,9 @@ const TURN: Duration = Duration::from_millis(10);
 pub struct Listened {
     /// By port of the plan.
     pub ports: Vec<Port>,
-    /// Whoever sent data packets.
+    /// Senders of data packets.
     pub sensors: Vec<Sensor>,
-    /// Whoever sent position packets.
+    /// Senders of position packets.
     pub positions: Vec<PositionSender>,
 }
 
@@ -180,7 +180,7 @@ impl Ear {
 impl Patient {
     fn new(source: SocketAddr, port: u16) -> Result<Self, ConfigError> {
         let mut config = Config::default();
-        // Nobody looks at the labels.
+        // The labels are not used.
         (config.segment.min_range_m, config.segment.max_range_m) = (0.0, 0.01);
         let pipeline = Pipeline::new("", config)?;
         Ok(Self {

@@ -59,7 +59,7 @@ pub enum Topic {
     Model,
     /// Where the sensor sends to.
     Destination,
-    /// Senders that nobody asked for, or several.
+    /// Senders that are not expected, or several.
     Senders,
     /// Datagrams that are no sensor's packets.
     Foreign,
@@ -170,8 +170,8 @@ pub fn examine(
     Ok(seen)
 }
 
-/// Who may have a web page: whoever was heard or is named, or a sensor as it leaves the factory; no
-/// HDL-64E.
+/// Addresses that may have a web page: senders that were heard, named sensors, or a sensor as it
+/// leaves the factory; no HDL-64E.
 fn whom_to_ask(seen: &Observations) -> Vec<Ipv4Addr> {
     let may_answer = |sensor: &&Sensor| !sensor.model.is_some_and(|model| model.is_hdl64e());
     let heard = seen

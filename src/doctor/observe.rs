@@ -21,9 +21,9 @@ pub struct Observations {
     pub seconds: f64,
     /// By port of the plan.
     pub ports: Vec<Port>,
-    /// Whoever sent data packets.
+    /// Senders of data packets.
     pub sensors: Vec<Sensor>,
-    /// Whoever sent position packets.
+    /// Senders of position packets.
     pub positions: Vec<PositionSender>,
     /// This host.
     pub host: Host,

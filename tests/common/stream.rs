@@ -76,7 +76,7 @@ impl Spin {
             .is_none_or(|(from, to)| (cdeg - from).rem_euclid(TURN) <= (to - from).rem_euclid(TURN))
     }
 
-    /// The packets that the sensor sends in so many seconds.
+    /// The packets that the sensor sends in this many seconds.
     pub fn packets(&self, seconds: f64) -> Vec<Sent> {
         let spec = self.model.spec();
         let copies = spec.blocks_per_azimuth(self.mode);

@@ -62,7 +62,7 @@ impl Hostile {
         Self::aligned(own, 1)
     }
 
-    /// One whose payload is aligned to so many bytes.
+    /// One whose payload is aligned to this many bytes.
     pub fn aligned(own: &Own, bytes: usize) -> Self {
         let node = node(own);
         let samples = node

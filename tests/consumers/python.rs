@@ -415,7 +415,7 @@ fn python_goes_on_when_the_daemon_was_restarted_and_when_files_were_deleted() {
     assert_eq!(python.json()["ready"], false);
     assert_eq!(python.ask("0.2")["sweep"], Value::Null);
     let mut first = loans(&own);
-    // Sends until the other has got something new, having found the service anew so often.
+    // Sends until the other has got something new, having found the service again so often.
     let mut sequence = 0;
     let mut send_until_seen = |loans: &mut Loans, python: &mut Talk, reopened: u64| {
         let (begun, before) = (Instant::now(), sequence);

@@ -17,7 +17,7 @@ struct Kind {
     /// Part of their paths; of several such files, the one of this number alone.
     holds: &'static str,
     number: Option<usize>,
-    /// Whether no consumer can connect without them, so that the service must be made anew.
+    /// Whether no consumer can connect without them, so that the service must be made again.
     is_vital: bool,
 }
 
@@ -106,7 +106,7 @@ fn delete(setup: &Setup, kind: &Kind) {
     }
 }
 
-/// How often the service was made anew, and why for the last time.
+/// How often the service was made again, and why for the last time.
 fn renewed(setup: &Setup) -> Option<(u64, String)> {
     let sensor = setup.health()?;
     Some((

@@ -15,7 +15,7 @@ use sweepd::daemon::control::{self, Reload};
 
 use crate::rig::{Fate, Rig, config, sensor, until};
 
-/// `host data-port position-port http-port`, for each sensor; and the file that is read anew.
+/// `host data-port position-port http-port`, for each sensor; and the file that is read again.
 const SENSORS: &str = "SWEEPD_TEST_SENSORS";
 const RELOADED: &str = "SWEEPD_TEST_RELOADED";
 

@@ -12,7 +12,7 @@ use crate::rig::{Sending, cool_stream_without_gps, free_port, free_tcp_port, str
 
 const WATCHDOG: Duration = Duration::from_millis(800);
 
-/// A VLP-16 for so many turns.
+/// A VLP-16 for this many turns.
 fn vlp16(host: u16, ports: (u16, u16), turns: f64) -> Sending {
     Sending::start(
         host as u8,

@@ -92,7 +92,7 @@ fn descriptors(daemon: &Daemon) -> usize {
         .count()
 }
 
-/// A request with so many headers of so many bytes.
+/// A request with this many headers of this many bytes.
 fn with_headers(count: usize, bytes: usize) -> Vec<u8> {
     let headers: String = (0..count)
         .map(|number| format!("X-{number}: {}\r\n", "x".repeat(bytes)))

@@ -27,7 +27,7 @@ fn daemon<const N: usize>(hosts: [u16; N]) -> (Daemon, [u16; N]) {
     (daemon, ports)
 }
 
-/// What a VLP-16 sends in these seconds, of whose data packets so many percent are lost before a
+/// What a VLP-16 sends in these seconds, of whose data packets this many percent are lost before a
 /// time.
 fn lossy(seconds: f64, percent: u8, before: Duration) -> Vec<Sent> {
     let mut rng = fastrand::Rng::with_seed(percent.into());

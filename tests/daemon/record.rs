@@ -134,7 +134,7 @@ impl Daemon {
         child
     }
 
-    /// Sends so many turns, and gives what they were.
+    /// Sends this many turns, and gives what they were.
     fn send(&self, host: u8, turns: f64) -> Vec<Sent> {
         let sent = vlp16(turns);
         Sending::start(host, self.ports, sent.clone()).finish();

@@ -221,7 +221,7 @@ pub struct Sent {
     pub payload: Vec<u8>,
 }
 
-/// What a sensor with GPS sends, for so many turns.
+/// What a sensor with GPS sends, for this many turns.
 pub fn stream(model: Model, mode: ReturnMode, turns: f64) -> Vec<Sent> {
     stream_by(
         model,

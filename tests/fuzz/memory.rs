@@ -50,7 +50,7 @@ unsafe impl GlobalAlloc for Measuring {
 #[global_allocator]
 static MEASURING: Measuring = Measuring;
 
-/// Begins to measure anew on this thread; what it has in use now.
+/// Begins to measure again on this thread; what it has in use now.
 pub fn begin() -> usize {
     let live = LIVE.get();
     PEAK.set(live);

@@ -443,7 +443,7 @@ fn text_that_is_no_calibration_is_refused_in_one_line() {
     );
 }
 
-/// A db.xml of so many lasers, five lines each after the first nine.
+/// A db.xml of this many lasers, five lines each after the first nine.
 fn xml(lasers: usize) -> String {
     let list = |name: &str, value: &str| {
         format!(

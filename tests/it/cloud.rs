@@ -79,7 +79,7 @@ fn check_agreement(what: &str, a: &[u32], b: &[u32], least: f64) {
     );
 }
 
-/// An order of so many points, drawn from a seed.
+/// An order of this many points, drawn from a seed.
 fn shuffled(count: usize) -> Vec<usize> {
     let mut order: Vec<usize> = (0..count).collect();
     fastrand::Rng::with_seed(7).shuffle(&mut order);

@@ -331,7 +331,7 @@ fn a_gap_is_held_open_for_four_packets_and_no_more() {
     let sent = Spin::new(Vlp16, Strongest, 600.0).packets(0.25);
     let cut = Run::of(config(), &sent).out_after[0] - 1;
     for gap in 1..=8 {
-        // The cut is crossed in the packet after the gap that is so many packets long, or in one
+        // The cut is crossed in the packet after the gap that is this many packets long, or in one
         // after that.
         for behind in 0..6 {
             let arrived = without(&sent, |n| (cut - behind - gap..cut - behind).contains(&n));

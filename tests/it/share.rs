@@ -359,7 +359,7 @@ fn a_consumer_waits_for_the_daemon() {
     publisher.join().unwrap();
 }
 
-/// Everything under the root is deleted while both sides live: the daemon makes its service anew,
+/// Everything under the root is deleted while both sides live: the daemon makes its service again,
 /// and the consumer, who is told nothing, finds it.
 #[test]
 fn files_that_vanish_are_made_anew_and_found_again() {

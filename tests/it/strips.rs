@@ -108,7 +108,7 @@ fn a_sweep_taken_early_is_labelled_as_a_whole_one_is() {
             capture.display()
         );
     }
-    // The four fixtures have so many; a real capture has one whole turn at least.
+    // The four fixtures have this many; a real capture has one whole turn at least.
     assert!(
         circular >= 10 + captures.len() - 4 && others >= 7,
         "{circular} {others}"

@@ -4,7 +4,7 @@
 //!
 //! Number of the sweep, sweeps a second, time from the arrival of its last packet until now,
 //! segments, and how near the nearest one is. It may be started before the daemon, and goes on when
-//! that was restarted. Ctrl-C ends it; a consumer that is killed holds nobody up.
+//! that was restarted. Ctrl-C ends it; a consumer that is killed delays no other.
 
 use std::collections::VecDeque;
 use std::io::Write;
@@ -50,7 +50,7 @@ fn follow(domain: &Domain, name: &str) -> Result<(), Box<dyn std::error::Error>>
             .and_then(|()| output.flush())
             .is_err()
         {
-            // Nobody reads any more.
+            // The reader is gone.
             return Ok(());
         }
     }

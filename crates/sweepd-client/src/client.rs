@@ -127,7 +127,7 @@ impl Client {
         self.subscriber.is_published()
     }
 
-    /// How often the service went away and was looked for anew.
+    /// How often the service went away and was looked for again.
     pub fn reopened(&self) -> u64 {
         self.subscriber.reopened()
     }

@@ -9,7 +9,7 @@
 //! tick(now)         nothing arrived for a while    end()    nothing will arrive any more
 //! ```
 //!
-//! Whoever is in a hurry has a sweep segmented while the head still turns:
+//! A sweep can be segmented while the head still turns:
 //! [`Pipeline::segment_early`].
 
 mod config;
@@ -90,7 +90,7 @@ enum Closing {
     Exchanged,
 }
 
-/// A time as a clock can tell it: sums with others do not overflow then, whatever whoever calls
+/// A time as a clock can tell it: sums with others do not overflow then, whatever the caller
 /// made of it.
 fn possible(arrival_ns: i64) -> i64 {
     arrival_ns.clamp(*TIMES_NS.start(), *TIMES_NS.end())
@@ -194,7 +194,7 @@ impl Pipeline {
         self.next_number += 1;
     }
 
-    /// Counts position packets that nobody need read: the next one that is pushed says all that
+    /// Counts position packets that need not be read: the next one that is pushed says all that
     /// they do, and is newer.
     pub fn pass_over_positions(&mut self, count: u64) {
         self.counts.position += count;
@@ -375,13 +375,13 @@ impl Pipeline {
             State::Refusing => None,
         }?;
         unit.forget_comparison();
-        // One that is being exchanged is asked anew: what it said so far may be of two.
+        // One that is being exchanged is asked again: what it said so far may be of two.
         Some(unit).filter(Unit::is_settled)
     }
 
     /// When the packet that completes the open sweep will arrive at the earliest, if the head goes
-    /// on as it did, nanoseconds since 1970; `None` while nobody can tell. Whoever fetches packets
-    /// need not hurry before.
+    /// on as it did, nanoseconds since 1970; `None` while it is unknown. The caller that fetches
+    /// packets need not hurry before.
     pub fn due_ns(&self) -> Option<i64> {
         match &self.state {
             State::Decoding(decoding) => decoding.builder.due_ns(),
@@ -454,7 +454,7 @@ impl Pipeline {
                 }
             };
             self.state = Self::detecting(self.config.model, clocks);
-            // Whoever comes next may sit elsewhere.
+            // The next sensor may sit elsewhere.
             self.segmenter.forget_height();
         }
         false

@@ -119,7 +119,7 @@ pub struct CloudSegmenter {
 }
 
 impl CloudSegmenter {
-    /// For clouds of sensors with about so many firings a turn; [`COLUMNS`] for KITTI.
+    /// For clouds of sensors with about this many firings a turn; [`COLUMNS`] for KITTI.
     ///
     /// # Errors
     /// [`CloudError::Config`] and [`CloudError::Columns`].

@@ -18,7 +18,7 @@ const SYNC_EVERY: Duration = Duration::from_secs(1);
 pub struct Rotation {
     /// Before a file would get longer than this, bytes (uncompressed).
     pub bytes: Option<u64>,
-    /// When a file holds so many nanoseconds.
+    /// When a file holds this many nanoseconds.
     pub ns: Option<u64>,
 }
 

@@ -278,7 +278,7 @@ impl Writer {
         let ended = self.write_all();
         let (written, ended) = self.files.finish(ended);
         if let Err(error) = ended {
-            // Nobody else sets it.
+            // No other thread sets it.
             let _ = self.shared.error.set(Arc::new(error));
         }
         self.shared.publish(&written);

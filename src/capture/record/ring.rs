@@ -45,7 +45,7 @@ pub struct Outlet {
     payload: Vec<u8>,
 }
 
-/// A ring for at least so many bytes, headings included.
+/// A ring for at least this many bytes, headings included.
 pub fn ring(bytes: usize) -> (Inlet, Outlet) {
     let len = bytes.div_ceil(WORD_LEN).max(64).next_power_of_two();
     // No memory is what ends any program, here as in `Vec`.

@@ -39,7 +39,7 @@ impl Filling {
     /// Counts a datagram of this length. Where it completes a part: how long that took,
     /// nanoseconds, to be remembered.
     pub(super) fn note(&mut self, stamp_ns: i64, len: usize) -> Option<i64> {
-        // A clock that was set begins anew, too.
+        // A clock that was set begins again, too.
         let took_ns = match stamp_ns.checked_sub(self.since_ns) {
             Some(took_ns @ 0..=LONGEST_NS) if self.bytes > 0 => took_ns,
             _ => {

@@ -30,8 +30,8 @@ pub struct Program {
 }
 
 impl Holder {
-    /// Who keeps others from listening on an address; `None` if nobody does, or it cannot be found
-    /// out.
+    /// Who keeps others from listening on an address; `None` if no process does, or it cannot be
+    /// found out.
     pub fn of(address: SocketAddrV4) -> Option<Self> {
         let tables = ["/proc/net/udp", "/proc/net/udp6"]
             .map(|table| fs::read_to_string(table).unwrap_or_default());

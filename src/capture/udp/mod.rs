@@ -238,7 +238,7 @@ impl UdpSource {
     }
 
     /// Looks after the interface, if it listens on one alone: one that went away and came back has
-    /// another number, and the kernel ties a socket to the number. Then the port is opened anew;
+    /// another number, and the kernel ties a socket to the number. Then the port is opened again;
     /// counters go on. Says whether the interface is there.
     ///
     /// This is for quiet times: it asks the system, and may take memory.

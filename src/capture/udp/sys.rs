@@ -69,7 +69,7 @@ impl Slot {
 /// Receives a batch (recvmmsg(2)): `waits` for the first datagram as long as the socket's own
 /// timeout says, then takes what is there. Gives the number of slots that were filled.
 ///
-/// The headers are made anew each time, on the stack: the kernel shrinks the length of the control
+/// The headers are made again each time, on the stack: the kernel shrinks the length of the control
 /// messages in them.
 pub(super) fn receive(
     socket: BorrowedFd<'_>,

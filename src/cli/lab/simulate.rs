@@ -474,7 +474,7 @@ impl<'a> Simulated<'a> {
             Some(at) => format!(", {} from data packet {at}", config.mode_of(at)),
             None => String::new(),
         };
-        // When even standard error is gone, there is nobody left to tell.
+        // When even standard error is gone, the message is lost.
         let _ = writeln!(
             io::stderr(),
             "{address} ({model}): data packets {data}, position packets {position}; injected: lost {lost}, duplicated \

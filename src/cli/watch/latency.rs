@@ -6,7 +6,7 @@ use super::LIVE_US;
 use crate::cli::output::LatencyUs;
 use sweepd_core::sweep::Header;
 
-/// Bars are so many characters long at most.
+/// Bars are this many characters long at most.
 const BAR: u64 = 40;
 
 /// Times of each stage, microseconds.

@@ -160,7 +160,7 @@ fn is_nothing(error: &io::Error) -> bool {
     )
 }
 
-/// Why nobody answers: no daemon, or one of another user, who alone may open its socket.
+/// Why there is no answer: no daemon, or one of another user, who alone may open its socket.
 fn unreachable(path: &Path, source: io::Error) -> TapError {
     // Of a folder that is closed to this user, its owner.
     let owner = path

@@ -12,7 +12,7 @@ pub enum TapError {
         /// The socket.
         path: PathBuf,
     },
-    /// Nobody can listen there.
+    /// The socket cannot be made.
     #[error("cannot listen at {}: {source}; the folder must be this daemon's own, and its path short", path.display())]
     Listen {
         /// The socket.

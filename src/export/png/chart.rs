@@ -111,7 +111,7 @@ fn draw(chart: &Chart) -> Canvas {
     page
 }
 
-/// Where a panel is among so many.
+/// Where a panel is among this many.
 fn area(number: usize, count: usize) -> Rectangle {
     let width = CHART_SIZE.0 as i32 / count.max(1) as i32;
     let left = number as i32 * width + LEFT;

@@ -25,7 +25,7 @@ pub struct Raster {
 }
 
 impl Raster {
-    /// The image of a sweep, so many cells wide.
+    /// The image of a sweep, this many cells wide.
     pub fn new(sweep: SweepRef<'_>, width: usize) -> Self {
         let (rows, columns) = (sweep.rows(), sweep.columns.len());
         let mut cells = Vec::with_capacity(width * rows);
@@ -50,7 +50,7 @@ impl Raster {
         self.cells[x * self.rows + row]
     }
 
-    /// Where a column of a sweep of so many columns begins.
+    /// Where a column of a sweep of this many columns begins.
     pub fn x_of(&self, column: usize, columns: usize) -> usize {
         (column * self.width).div_ceil(columns.max(1))
     }

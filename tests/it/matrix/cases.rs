@@ -51,7 +51,7 @@ impl Cases {
 
 const NONE: Promise = Promise::NONE;
 /// The sensor's clock is set: the sweep is interrupted, and what links it to other clocks begins
-/// anew.
+/// again.
 const SET: Promise = Promise {
     counts: Told::Interrupted,
     time_ns: None,

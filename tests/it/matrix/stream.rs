@@ -87,7 +87,7 @@ pub struct Promise {
     pub azimuth_deg: f64,
     /// Times are off by less than this, nanoseconds; `None` where the sensor's clock is set.
     pub time_ns: Option<i64>,
-    /// Sweeps are whole again at the latest so many revolutions after the fault.
+    /// Sweeps are whole again at the latest this many revolutions after the fault.
     pub recovery_turns: f64,
     /// Packets after the fault that may be refused until it is understood.
     pub given_up: u64,

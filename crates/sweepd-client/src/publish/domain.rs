@@ -61,7 +61,7 @@ pub enum DomainError {
         /// What is wrong with it.
         why: String,
     },
-    /// Another user has made a file that must be this user's, and /dev/shm lets nobody but its
+    /// Another user has made a file that must be this user's, and /dev/shm lets no one but its
     /// owner and root remove it.
     #[error(
         "{file} belongs to user {owner} and stands where a file of user {own} must be: have {owner} or root remove it \

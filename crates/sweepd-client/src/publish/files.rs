@@ -7,7 +7,7 @@ use std::path::{Path, PathBuf};
 use super::Domain;
 
 /// A service's file as it was when the service was opened. It names the service's own number, so
-/// that one that was made anew is another, even under the same name.
+/// that one that was made again is another, even under the same name.
 #[derive(Debug)]
 pub(super) struct ServiceFile {
     path: PathBuf,
@@ -57,7 +57,7 @@ impl ServiceFile {
     }
 }
 
-/// A file of shared memory that is mapped here. Whoever opens it later finds it by its name.
+/// A file of shared memory that is mapped here. Other processes find it by its name.
 #[derive(Debug)]
 pub(super) struct SharedFile {
     path: PathBuf,

@@ -1,5 +1,5 @@
 //! The thread that looks after the services of a publisher: it makes them and their pools, makes
-//! them anew when their files are gone, and cleans up after processes that died.
+//! them again when their files are gone, and cleans up after processes that died.
 //!
 //! ```text
 //! thread of a sensor   Loans::take -> Desk: the pool of the moment          a lock for the time of a copy
@@ -51,12 +51,12 @@ pub(super) struct Desk {
 }
 
 impl Desk {
-    /// Notes that there is no room for sweeps of so many bytes; whether that is new.
+    /// Notes that there is no room for sweeps of this many bytes; whether that is new.
     pub(super) fn want(&self, bytes: usize) -> bool {
         self.wanted.swap(bytes, Ordering::Relaxed) != bytes
     }
 
-    /// Room for one sweep; `None` where no pool has any for so many bytes.
+    /// Room for one sweep; `None` where no pool has any for this many bytes.
     pub(super) fn loan(&self, bytes: usize) -> Option<Result<(Loan, Arc<Pool>), PublishError>> {
         let pool = self
             .pool
@@ -80,7 +80,7 @@ impl Desk {
 
 /// What the keeper is asked, and where the answer goes.
 enum Order {
-    /// To open a service whose sweeps have at least so many bytes.
+    /// To open a service whose sweeps have at least this many bytes.
     Open(Settings, usize, SyncSender<Result<Arc<Desk>, PublishError>>),
     /// To make room for what is wanted.
     Reserve(Arc<Desk>, Option<SyncSender<Result<(), PublishError>>>),
@@ -145,7 +145,7 @@ impl Keeper {
 
     /// Has room made for what is wanted.
     pub(super) fn reserve_soon(&self, desk: &Arc<Desk>) {
-        // A keeper that has ended is told by whoever waits for it.
+        // The thread that waits for a keeper reports that it has ended.
         let _ = self.orders.send(Order::Reserve(Arc::clone(desk), None));
     }
 

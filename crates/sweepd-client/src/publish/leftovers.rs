@@ -6,7 +6,7 @@
 //!
 //! A file counts as abandoned after [`ABANDONED_AFTER`]: a living process finishes one within
 //! microseconds. One that was stopped for longer in just that moment finds its file gone, and fails
-//! or opens the service anew.
+//! or opens the service again.
 
 use std::fs::{self, DirEntry, Metadata};
 use std::os::unix::fs::MetadataExt;

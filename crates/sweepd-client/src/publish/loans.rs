@@ -109,12 +109,12 @@ impl Status {
         self.unshared.load(Ordering::Relaxed)
     }
 
-    /// How often the service was made anew because its files were gone.
+    /// How often the service was made again because its files were gone.
     pub fn renewed(&self) -> u64 {
         self.renewed.load(Ordering::Relaxed)
     }
 
-    /// Why it was made anew the last time.
+    /// Why it was made again the last time.
     pub fn renewed_because(&self) -> Option<String> {
         self.renewed_because
             .lock()
@@ -229,7 +229,7 @@ impl Loans {
         self
     }
 
-    /// Takes the memory for sweeps of up to so many bytes now.
+    /// Takes the memory for sweeps of up to this many bytes now.
     ///
     /// # Errors
     /// [`JoinError::Memory`], where there is not enough.

@@ -8,7 +8,7 @@
 //!
 //! * [`Domain`]: the folder of the files by which both sides find each other.
 //! * [`Loans`]: the daemon's side, which gives out room in the pool.
-//! * [`Keeper`]: the daemon's thread that makes services and pools, makes them anew when their
+//! * [`Keeper`]: the daemon's thread that makes services and pools, makes them again when their
 //!   files are gone, and cleans up after processes that died. All that may take long is done there.
 //! * [`Subscriber`]: a consumer's side, which finds the service again whatever happens to the
 //!   daemon.
@@ -18,9 +18,9 @@
 //! in front of it stands a [`Preamble`], whose alignment is also the payload's. The service's
 //! attributes say what it is: `schema` (version of the layout), `model`, `address`.
 //!
-//! A slow, stuck or crashed consumer delays nobody: each has room for [`BUFFERED`] sweeps of its
-//! own, of which the oldest gives way, and may hold [`BORROWED`] more. iceoryx2's settings, and
-//! which of them fail silently, were measured; the reasons stand beside them.
+//! A slow, stuck or crashed consumer delays no other process: each has room for [`BUFFERED`] sweeps
+//! of its own, of which the oldest gives way, and may hold [`BORROWED`] more. iceoryx2's settings,
+//! and which of them fail silently, were measured; the reasons stand beside them.
 
 mod domain;
 mod files;
@@ -94,7 +94,7 @@ pub struct Preamble {
 }
 
 impl Preamble {
-    /// Of a sweep with so many bytes.
+    /// Of a sweep with this many bytes.
     fn of(sweep_bytes: usize) -> Self {
         Self {
             layout_version: LAYOUT_VERSION,
@@ -189,7 +189,7 @@ pub enum JoinError {
     },
 }
 
-/// Checks that so many bytes of shared memory are free.
+/// Checks that this many bytes of shared memory are free.
 fn require_free(wanted: u64) -> Result<(), JoinError> {
     let free = free_bytes().map_err(JoinError::MemoryUnknown)?;
     if free < wanted {

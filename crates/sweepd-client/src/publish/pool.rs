@@ -18,7 +18,7 @@ use super::files::SharedFile;
 use super::loans::PublishError;
 use super::{Domain, Ipc, JoinError, LOANED, OVERHEAD_BYTES, Preamble, require_free, sys};
 
-/// A sweep in shared memory that nobody else sees yet.
+/// A sweep in shared memory that no consumer sees yet.
 pub(super) type Loan = SampleMut<Ipc, [u8], Preamble>;
 
 /// Room for as many sweeps as all consumers may hold, and two more.
@@ -36,7 +36,7 @@ pub(super) struct Pool {
 }
 
 impl Pool {
-    /// Makes room for sweeps of up to so many bytes.
+    /// Makes room for sweeps of up to this many bytes.
     pub(super) fn create(
         service: &PortFactory<Ipc, [u8], Preamble>,
         notifier: &Arc<Notifier<Ipc>>,

@@ -94,7 +94,7 @@ impl Service {
         })
     }
 
-    /// Makes room for sweeps of up to so many bytes.
+    /// Makes room for sweeps of up to this many bytes.
     pub(super) fn reserve(
         &mut self,
         domain: &Domain,
@@ -150,7 +150,7 @@ impl Service {
         Some(gone.path().to_owned())
     }
 
-    /// Removes the files by which it is found, so that it is made anew and not opened with what is
+    /// Removes the files by which it is found, so that it is made again and not opened with what is
     /// left of it.
     pub(super) fn hide(&self) {
         if self.lists.iter().any(|list| !list.is_there()) {
@@ -238,7 +238,7 @@ struct Opened {
 
 /// Opens the service that consumers of the daemon before still hold, or makes it.
 ///
-/// Files that do not fit are removed, and the service is made anew: those that a crash left in
+/// Files that do not fit are removed, and the service is made again: those that a crash left in
 /// part, those of another layout version, those with room for fewer consumers than are allowed now.
 /// They belong to this publisher alone, which has the claim. Consumers see that the file is
 /// another, and follow. One that leaves the service before may remove a new file by its name, so
@@ -417,7 +417,7 @@ mod tests {
         };
         let service = Service::open(&domain, &settings, 0).unwrap();
         assert!(client.next(Duration::ZERO).unwrap().is_none() && client.is_connected());
-        // Whoever held the other takes the file along, which is put back.
+        // The holder of the other takes the file along, which is put back.
         drop(older);
         assert!(service.missing().is_none() && service.missing().is_none());
         drop((client, service, node));

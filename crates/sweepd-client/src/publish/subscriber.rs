@@ -266,7 +266,7 @@ impl Subscriber {
             .is_some_and(|open| open.service.dynamic_config().number_of_publishers() > 0)
     }
 
-    /// How often the service was lost and looked for anew.
+    /// How often the service was lost and looked for again.
     pub fn reopened(&self) -> u64 {
         self.reopened
     }

@@ -163,7 +163,7 @@ impl Pipeline {
     /// detection what else only the unit knows.
     fn calibration_of(&self, unit: &Unit, detection: &mut Detection) -> Option<Calibration> {
         // One that no unit can have was damaged on the way, where no checksum tells: the next dump
-        // brings it anew.
+        // brings it again.
         let calibration = unit
             .calibration()?
             .and_then(|own| own.for_model(detection.model))

@@ -1,6 +1,6 @@
 //! Where runs are short and many, as in dust, spray or a hedge: points are compared, and not runs.
-//! Sixteen columns of a row at once, with the sixteen that lie so many rows and columns from them,
-//! for each place of the window.
+//! Sixteen columns of a row at once, with the sixteen that lie this many rows and columns from
+//! them, for each place of the window.
 //!
 //! It is the same test of the same pairs as [`super::window`]'s, so the labels are the same. Its
 //! time hardly depends on how many runs there are: most places are settled by two loads and two
@@ -59,7 +59,7 @@ impl Lanes {
 }
 
 impl Crowd {
-    /// Takes room for so many rows.
+    /// Takes room for this many rows.
     pub fn reserve(&mut self, rows: usize) {
         self.root.resize(rows * STRIDE, NOTHING);
         super::reserve(

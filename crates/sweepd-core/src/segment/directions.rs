@@ -25,7 +25,7 @@ pub(super) struct Directions {
 }
 
 impl Directions {
-    /// Takes room for any image of so many columns, with rows that are shifted as far as it is
+    /// Takes room for any image of this many columns, with rows that are shifted as far as it is
     /// wide.
     pub fn reserve(&mut self, columns: usize) {
         for table in [&mut self.sin, &mut self.cos, &mut self.surplus_rad_s] {
@@ -33,7 +33,7 @@ impl Directions {
         }
     }
 
-    /// Forgets all; beams point to firings up to so many columns aside.
+    /// Forgets all; beams point to firings up to this many columns aside.
     pub fn clear(&mut self, margin: usize, rate_rad_s: f32) {
         self.sin.clear();
         self.cos.clear();

@@ -24,12 +24,12 @@ pub(super) struct Fan {
 }
 
 impl Fan {
-    /// Takes room for so many rows.
+    /// Takes room for this many rows.
     pub fn reserve(&mut self, rows: usize) {
         super::reserve(&mut self.spread, rows);
     }
 
-    /// Of the beams of these points, so many rows apart at most; near is what is no further away
+    /// Of the beams of these points, this many rows apart at most; near is what is no further away
     /// than `near_m`.
     pub fn measure(&mut self, points: &Points, window_rows: usize, near_m: f32) {
         self.spread.clear();
@@ -70,7 +70,7 @@ mod tests {
     const COLUMNS: usize = 90;
 
     /// How far out the second of two rows is looked at from the first, and the least distance from
-    /// any point of the first to one of the second, the nearest of which is so many times as far
+    /// any point of the first to one of the second, the nearest of which is this many times as far
     /// away as that.
     fn spread_and_least(beams: [Beam; 2], times: f32) -> [f32; 2] {
         let shape = Shape {

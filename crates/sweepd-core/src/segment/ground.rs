@@ -28,9 +28,9 @@ pub struct SlopeGround {
     /// A step that is no higher than this is a kerb when the ground goes on level behind it,
     /// metres.
     pub max_kerb_m: f32,
-    /// Neighbours in a row whose ranges differ by less vote on each other, metres; 0 asks nobody.
-    /// Of the three on either side, three that are ground make a point ground, and one at most of
-    /// four or more unmakes it.
+    /// Neighbours in a row whose ranges differ by less vote on each other, metres; 0 turns the vote
+    /// off. Of the three on either side, three that are ground make a point ground, and one at most
+    /// of four or more unmakes it.
     pub agree_m: f32,
 }
 
@@ -56,7 +56,7 @@ pub(super) const VOTERS: usize = 3;
 pub(super) struct Stand {
     /// Direction away from the ground, of length 1.
     pub up: [f32; 3],
-    /// Height over the ground; `None` while nobody knows it: then nothing is ground.
+    /// Height over the ground; `None` while it is unknown: then nothing is ground.
     pub height_m: Option<f32>,
 }
 
@@ -67,7 +67,7 @@ pub(super) struct Words {
     pub real: u32,
     /// Ground by the climb alone.
     pub climbed: u32,
-    /// Columns whose range is like that of the column so many before, plus one.
+    /// Columns whose range is like that of the column this many before, plus one.
     pub like: [u32; VOTERS],
 }
 
@@ -75,9 +75,9 @@ pub(super) struct Words {
 pub(super) type Window = [Words; 3];
 
 impl SlopeGround {
-    /// Highest rise from one ground point to the next in an image of so many rows, metres: what was
-    /// told, else 0.3 where beams are dense, and 0.15 where they are sparse, so that the next point
-    /// may lie on what stands there.
+    /// Highest rise from one ground point to the next in an image of this many rows, metres: what
+    /// was told, else 0.3 where beams are dense, and 0.15 where they are sparse, so that the next
+    /// point may lie on what stands there.
     pub fn max_rise_m(&self, rows: usize) -> f32 {
         self.max_rise_m
             .unwrap_or(if rows >= DENSE_ROWS { 0.3 } else { 0.15 })

@@ -19,8 +19,8 @@
 //! * [`Method::Paper`] is the paper's own, in the folder [`paper`]: all of an image at once, and
 //!   only pixels that touch.
 //!
-//! [`settings`] is the table of numbers that people set. [`naive`] says the same as the default method
-//! without any of the speed, and the tests hold the two against each other.
+//! [`settings`] is the table of numbers that people set. [`naive`] says the same as the default
+//! method without any of the speed, and the tests hold the two against each other.
 
 mod crowd;
 mod directions;
@@ -64,7 +64,7 @@ pub const SAME_OBJECT_M: f32 = 0.3;
 /// Most rows of an image.
 pub const MAX_ROWS: usize = 128;
 
-/// Images of so many rows or more are dense: some limits that were not told are chosen by that.
+/// Images of this many rows or more are dense: some limits that were not told are chosen by that.
 const DENSE_ROWS: usize = 48;
 
 /// How ground is found.
@@ -322,10 +322,10 @@ impl Segmenter {
         }
     }
 
-    /// Takes a sweep that is not complete: a whole turn by its header, of which so many columns are
-    /// as they will be. True where something can be done with it: then [`Segmenter::find_ground`]
-    /// and [`Segmenter::join`] are to be called until there is no more. When it is complete,
-    /// [`Segmenter::begin`] goes on where this stopped.
+    /// Takes a sweep that is not complete: a whole turn by its header, of which this many columns
+    /// are as they will be. True where something can be done with it: then
+    /// [`Segmenter::find_ground`] and [`Segmenter::join`] are to be called until there is no more.
+    /// When it is complete, [`Segmenter::begin`] goes on where this stopped.
     ///
     /// A sweep is told by its sequence number: another one has another, or [`Segmenter::spoil`] is
     /// called in between.
@@ -354,7 +354,8 @@ impl Segmenter {
         self.spoilt = self.open.take().or(self.spoilt);
     }
 
-    /// Forgets how high the sensor is, where nobody told: what comes next is from another one.
+    /// Forgets how high the sensor is, where it is not configured: what comes next is from another
+    /// one.
     pub fn forget_height(&mut self) {
         self.height = HeightEstimator::default();
     }
@@ -392,7 +393,7 @@ impl Segmenter {
     }
 }
 
-/// Empties a vector and takes room for so many elements.
+/// Empties a vector and takes room for this many elements.
 fn reserve<T>(vec: &mut Vec<T>, count: usize) {
     vec.clear();
     vec.reserve(count);

@@ -51,7 +51,7 @@ const MIN_SHARE: f64 = 0.1;
 /// Columns with a return below which nothing is estimated.
 const MIN_COLUMNS: usize = 64;
 
-/// Estimates the height of the sensor when nobody has told it.
+/// Estimates the height of the sensor when it is not configured.
 ///
 /// The lowest return of most columns lies on the ground, the others on what stands near: their
 /// heights make a histogram, in which the lowest strong mode is the ground (the robot's own roof,
@@ -68,7 +68,7 @@ pub struct HeightEstimator {
 }
 
 impl HeightEstimator {
-    /// Takes room for sweeps of up to so many columns.
+    /// Takes room for sweeps of up to this many columns.
     pub fn reserve(&mut self, columns: usize) {
         super::reserve(&mut self.near_m, columns);
     }
@@ -101,7 +101,7 @@ impl HeightEstimator {
         middle.map(|(height_m, _)| *height_m)
     }
 
-    /// The height by one sweep, of which so many columns have a return.
+    /// The height by one sweep, of which this many columns have a return.
     fn one_sweep(&mut self, depths_m: &[f32], columns: usize) -> Option<f32> {
         if columns < MIN_COLUMNS {
             return None;

@@ -40,7 +40,7 @@ struct Image<'a> {
 }
 
 impl Image<'_> {
-    /// The pixel so many rows below and columns behind another.
+    /// The pixel this many rows below and columns behind another.
     fn beside(&self, pixel: usize, down: i64, on: i64) -> Option<usize> {
         let (row, column) = (
             (pixel % self.rows) as i64 + down,

@@ -47,7 +47,7 @@ pub(super) struct Sum {
     pub rows: [u16; 2],
     /// Least of x, y, z and the range.
     pub least_m: [f32; 4],
-    /// Greatest of x, y and z; nobody asks for that of the range.
+    /// Greatest of x, y and z; that of the range is not needed.
     pub most_m: [f32; 4],
     pub sum_m: [f64; 3],
 }
@@ -144,7 +144,7 @@ impl Pieces {
         [a.min(b), a.max(b)]
     }
 
-    /// Whether a component has so many points by now; it never loses any.
+    /// Whether a component has this many points by now; it never loses any.
     #[inline(always)]
     pub fn has(&self, root: u32, points: u32) -> bool {
         self.sums[root as usize].points >= points
@@ -176,7 +176,7 @@ pub(super) struct Whereabouts {
 }
 
 impl Whereabouts {
-    /// The first row, of so many, of the strip that begins at a position.
+    /// The first row, of this many, of the strip that begins at a position.
     pub fn of_strip(order: Order, position: usize, rows: usize, counted: u32) -> Self {
         let [first, last] = [0, STRIP - 1].map(|ahead| order.column(position + ahead));
         let column = first
@@ -201,7 +201,7 @@ impl Whereabouts {
         }
     }
 
-    /// Index in the planes of the first of some pixels. Where the columns begin anew among them,
+    /// Index in the planes of the first of some pixels. Where the columns begin again among them,
     /// that is behind there.
     #[inline(always)]
     pub fn first_pixel(&self, columns: u32) -> u32 {
@@ -222,7 +222,7 @@ impl Whereabouts {
     }
 }
 
-/// Up to so many columns are measured one by one: for so few, vectors do not pay.
+/// Up to this many columns are measured one by one: for so few, vectors do not pay.
 const FEW: u32 = 8;
 
 /// What the columns of a run in the strip at hand measure, of which only some are to be counted,

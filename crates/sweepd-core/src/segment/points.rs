@@ -236,14 +236,14 @@ struct Beam {
 }
 
 impl Points {
-    /// Takes room for any image of so many columns.
+    /// Takes room for any image of this many columns.
     pub fn reserve(&mut self, columns: usize) {
         self.directions.reserve(columns);
     }
 
-    /// Takes the beams of a sweep and begins with the strip that leads in; so many columns it has,
-    /// if that is known. What an older sweep left does no harm: the words say what is real, and
-    /// what lies before the strip that leads in reaches none that counts.
+    /// Takes the beams of a sweep and begins with the strip that leads in; this many columns it
+    /// has, if that is known. What an older sweep left does no harm: the words say what is real,
+    /// and what lies before the strip that leads in reaches none that counts.
     pub fn begin(&mut self, sweep: &SweepRef<'_>, columns: Option<usize>) {
         // How the head turns when the sweep begins: what it turns faster or slower later is a small
         // rest.

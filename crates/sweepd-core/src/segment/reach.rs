@@ -19,7 +19,7 @@ use super::work;
 const MOST: usize = MAX_ROWS * (BEFORE + STRIP) + LANES;
 /// Runs that are compared with one at once: a bit each.
 pub(super) const WORD: usize = u64::BITS as usize;
-/// Distances from the sensor are kept in so many steps a metre: sixteen bits hold the sum of any
+/// Distances from the sensor are kept in this many steps a metre: sixteen bits hold the sum of any
 /// two.
 pub(super) const STEPS: f32 = 64.0;
 /// What is further than this is taken to be there, metres.
@@ -222,8 +222,8 @@ impl Reach {
         self.now.count = 0;
     }
 
-    /// Begins a row with what is still within reach, so many columns aside. True if the last column
-    /// before the strip holds a run.
+    /// Begins a row with what is still within reach, this many columns aside. True if the last
+    /// column before the strip holds a run.
     #[inline(always)]
     pub fn begin_row(&mut self, row: usize, aside: usize) -> bool {
         let Self { now, before } = self;

@@ -123,8 +123,8 @@ impl Strips {
         reserve(&mut self.finish.tile, rows * STRIP);
     }
 
-    /// Takes what a sweep says of its beams. While it is not complete, only so many of its columns
-    /// are as they will be.
+    /// Takes what a sweep says of its beams. While it is not complete, only this many of its
+    /// columns are as they will be.
     pub fn begin(
         &mut self,
         sweep: &SweepMut<'_>,

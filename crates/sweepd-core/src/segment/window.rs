@@ -65,7 +65,7 @@ pub const MOST_ROWS: usize = 8;
 const SLACK_M: f32 = 1e-3;
 
 impl Joining {
-    /// Distance that two points of an image of so many rows may be apart, metres: what was told,
+    /// Distance that two points of an image of this many rows may be apart, metres: what was told,
     /// else 0.6 where beams are dense, and 0.8 where they are sparse.
     pub fn gap_m(&self, rows: usize) -> f32 {
         self.gap_m

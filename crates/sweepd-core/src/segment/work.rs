@@ -52,7 +52,7 @@ mod tests {
         (3.0 - 28.0 * (row as f64 + 0.5) / ROWS as f64).to_radians()
     }
 
-    /// Steps a pixel that so many columns of a turn of so many take, with such ranges, 0 for no
+    /// Steps a pixel that this many columns of a turn of this many take, with such ranges, 0 for no
     /// return.
     fn steps([columns, turn]: [usize; 2], mut range_m: impl FnMut(usize, usize) -> f32) -> f64 {
         let pixels = ROWS * columns;

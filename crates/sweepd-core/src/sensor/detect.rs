@@ -145,7 +145,7 @@ impl Detector {
                 }));
             }
             Banks::One => match said_by(packet.product) {
-                // The user may know a product byte that nobody else does, but not turn one sensor
+                // The user may know a product byte that sweepd does not, but not turn one sensor
                 // into another.
                 Err(DetectError::UnknownProduct { .. }) if self.forced.is_some() => {}
                 Err(error) => return Some(Err(error)),

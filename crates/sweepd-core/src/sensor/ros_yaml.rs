@@ -8,7 +8,7 @@
 //! ```
 //!
 //! `laser_id`, `vert_correction` and `distance_resolution` must be there; what else a file leaves
-//! out is neutral: offsets and rotation 0, intensities 0 to 255. A key that nobody knows is an
+//! out is neutral: offsets and rotation 0, intensities 0 to 255. An unknown key is an
 //! error, since it is most likely a misspelt one.
 
 use std::fmt::{self, Write as _};

@@ -1,4 +1,4 @@
-//! What an HDL-64E says of itself along with its packets, for whoever decodes them: its
+//! What an HDL-64E says of itself along with its packets, for the decoder: its
 //! calibration, its clock, its power.
 
 use super::compare::{Difference, differences};

@@ -124,7 +124,7 @@ impl Builder {
     }
 
     /// When the packet that completes the open sweep will arrive at the earliest, if the head goes
-    /// on as it did, nanoseconds since 1970: so many periods after the newest one as it takes to
+    /// on as it did, nanoseconds since 1970: this many periods after the newest one as it takes to
     /// turn past the cut. Where the cut lies so near to the end of a packet that it may be in that
     /// or in the next one, it is the former; where a sector is left out on the way, a packet may
     /// end anywhere behind it. What delayed the newest one does not count.

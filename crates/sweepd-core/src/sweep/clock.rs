@@ -3,7 +3,7 @@
 //!
 //! UTC is the sentence's hour and the stamp's minute, second and microsecond. That is right only
 //! while the sensor's clock follows the pulse per second, which most models report. An HDL-32E has
-//! no byte for it; whoever has wired a pulse to it may say so ([`vouched_utc_ns`]).
+//! no byte for it; a user who has wired a pulse to it may say so ([`vouched_utc_ns`]).
 
 use std::ops::RangeInclusive;
 
@@ -34,7 +34,7 @@ const MOVES_NS: [(i64, i64); 2] = [(5_000_000, 1_000_000_000), (500_000_000, 50_
 /// is added to such a time cannot overflow.
 const FARTHEST_NS: i64 = i64::MAX / 8;
 
-/// Brings stamps of the sensor, which begin anew each hour, onto one line of time.
+/// Brings stamps of the sensor, which begin again each hour, onto one line of time.
 #[derive(Clone, Copy, Debug, Default)]
 pub struct SensorClock {
     last: Option<(u32, i64)>,
@@ -43,7 +43,7 @@ pub struct SensorClock {
 impl SensorClock {
     /// Nanoseconds since the top of the hour in which this clock was started: the time next to the
     /// last one that has this stamp. Stamps slightly above an hour occur and do no harm. Beyond any
-    /// time that a run can last, it starts anew.
+    /// time that a run can last, it starts again.
     pub fn read_ns(&self, stamp_us: u32) -> i64 {
         match self
             .last
@@ -184,7 +184,7 @@ impl Clocks {
         if let Some(fix) = self.fix {
             let fix_ns = clock.read_ns(fix.stamp_us);
             let fresh = (newest_arrival_ns - fix.arrival_ns).abs() < FIX_AGE_NS;
-            // A stamp far from the data packets' belongs to a clock that was since set anew.
+            // A stamp far from the data packets' belongs to a clock that was since set again.
             if fresh && (sensor_ns - fix_ns).abs() < FIX_AGE_NS {
                 return (fix.utc_ns + sensor_ns - fix_ns, TimeSource::Gps);
             }

@@ -266,8 +266,8 @@ pub fn rate_rad_s(packet: &Packet, spec: &Spec) -> f32 {
     ((packet.motion.rate_cdeg_ns(spec) / 100.0).to_radians() * 1e9) as f32
 }
 
-/// The column that is so many firings before or behind another, at the speed of the sweep: that of
-/// one packet carries the encoder's noise.
+/// The column that is this many firings before or behind another, at the speed of the sweep: that
+/// of one packet carries the encoder's noise.
 fn extrapolated(from: &Column, firings: i64, turns: &Turns, period_ns: u32) -> Column {
     let apart_ns = firings * i64::from(period_ns);
     let azimuth_rad = f64::from(from.azimuth_rad) + turns.rate_rad_s() * apart_ns as f64 * 1e-9;

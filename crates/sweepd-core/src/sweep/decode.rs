@@ -123,7 +123,7 @@ impl Decoder {
     }
 
     /// Writes a firing at an azimuth, radians, into its pixels; returns how many returns it has. To
-    /// be inlined where many firings are written at [its level](Self::level): to go there anew for
+    /// be inlined where many firings are written at [its level](Self::level): to go there again for
     /// each takes as long as to write it.
     #[inline(always)]
     pub fn single<S: Simd>(

@@ -17,9 +17,9 @@
 //! again); another one is wider by the shifts, with columns that hold no firing at its ends and
 //! where a sector was left out ([`ColumnStatus::Unfired`]).
 //!
-//! Whoever fills a sweep writes every pixel of every column that the header counts, so nothing that
-//! a header declares valid is left over from an earlier sweep in the same buffer. All numbers are
-//! little-endian, as the host's must be.
+//! The builder of a sweep writes every pixel of every column that the header counts, so nothing
+//! that a header declares valid is left over from an earlier sweep in the same buffer. All numbers
+//! are little-endian, as the host's must be.
 
 mod header;
 mod shape;

@@ -21,7 +21,7 @@ const BREAK_CDEG: f64 = 200.0;
 const BEND_CDEG: f64 = 16.0;
 /// The same where there are but two steps, and none to tell the noise.
 const BEND_OF_TWO_CDEG: f64 = 40.0;
-/// A step that is off by so many times what the third most is does not come from the encoder's
+/// A step that is off by this many times what the third most is does not come from the encoder's
 /// noise.
 const BEND_NOISE: f64 = 4.0;
 /// The encoder's noise is not taken for a head that turns so far from block to block.

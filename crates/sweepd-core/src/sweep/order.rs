@@ -23,7 +23,7 @@ pub const HOLD: usize = 4;
 const SLOTS: usize = 32;
 /// So many packets in a row that only look back: the clock was set back, by less than a second.
 const SET_BACK_PACKETS: u32 = 16;
-/// A stamp somewhat off the beat, or far, weighs as much as so many on it.
+/// A stamp somewhat off the beat, or far, weighs as much as this many on it.
 const OFF_BEAT_WEIGHT: [u32; 2] = [4, 8];
 /// Where so much has come together, stamps are off all the time: then none is refused for that any
 /// more.
@@ -34,7 +34,7 @@ const UNSTEADY: u32 = 64;
 pub enum Refusal {
     /// The same bytes as a packet that was here before.
     Duplicate,
-    /// Behind what has come out already; whoever has room for it may still take it.
+    /// Behind what has come out already; the builder may still have room for it.
     Behind {
         /// How its head moved.
         motion: Motion,
@@ -52,8 +52,8 @@ pub struct OrderCounts {
     pub reordered: u64,
     /// Packets whose clock or mode no neighbour confirmed.
     pub unconfirmed: u64,
-    /// Packets refused as [`Refusal::Behind`] until so many in a row showed that the clock was set
-    /// back.
+    /// Packets refused as [`Refusal::Behind`] until this many in a row showed that the clock was
+    /// set back.
     pub set_back: u64,
 }
 
@@ -364,7 +364,7 @@ impl Order {
                 }
             }
         }
-        // Beyond the usual number only if nobody takes out what is ready.
+        // Beyond the usual number only if what is ready is not taken out.
         self.slots.push(packet);
         self.slots.len() - 1
     }

@@ -5,7 +5,7 @@
 //! head is where its speed brought it; a sector that the sensor leaves out, when it is a whole
 //! number of blocks; else the clock jumped.
 //!
-//! Of a stamp that is a little off the beat, nobody can tell at once whether the pulse per second
+//! Of a stamp that is a little off the beat, it is unknown at first whether the pulse per second
 //! has set the clock right or whether one bit is wrong: what was set right stays, so that the next
 //! packet tells. See [`Fit`].
 

@@ -265,7 +265,7 @@ impl DataPacket {
         }
     }
 
-    /// Whether blocks come in groups of so many with equal azimuth: 2 in dual-return packets of
+    /// Whether blocks come in groups of this many with equal azimuth: 2 in dual-return packets of
     /// one-bank models, and in those of an HDL-64E, 4 in its dual-return packets.
     ///
     /// True also for any packet of a head that stands still.

@@ -18,18 +18,18 @@ const NOISE_M: f64 = 0.01;
 const NOISE_RAD: f64 = 0.000_5;
 /// Least noise of a scan, in that noise: what looks better is luck.
 const LEAST_NOISE: f64 = 0.5;
-/// All points of a ring together count as so many independent ones.
+/// All points of a ring together count as this many independent ones.
 const INDEPENDENT: f64 = 100.0;
 /// Vertical offsets that a unit can have, metres: those of real ones are 0.105 to 0.217.
 const OFFSETS_M: [f64; 2] = [0.0, 0.3];
-/// Points off the line by more than so many standard deviations do not count (Tukey's biweight).
+/// Points off the line by more than this many standard deviations do not count (Tukey's biweight).
 const CUT: f64 = 4.685;
 /// The median deviation of a round is looked for so far around that of the one before, in parts of
 /// it.
 const AROUND: f64 = 0.1;
 /// Standard deviations in a median deviation.
 const MEDIAN_DEVIATION: f64 = 1.482_6;
-/// Most rounds of weighting anew.
+/// Most rounds of weighting again.
 const ROUNDS: usize = 12;
 /// A line that moves less than this in a round, at its foot and [`FAR_M`] away together, is
 /// settled.
@@ -126,7 +126,7 @@ impl Fitter {
         (line.slope.is_finite() && line.offset_m.is_finite()).then_some(line)
     }
 
-    /// The line with each point weighed anew: by inverse variance, less for points off the last
+    /// The line with each point weighed again: by inverse variance, less for points off the last
     /// line. Together they count as [`INDEPENDENT`] points. And the median deviation from the last
     /// line, which is found sooner near the one before.
     #[inline(always)]

@@ -56,7 +56,7 @@ struct Image {
 }
 
 impl CloudProjector {
-    /// Onto images of so many columns.
+    /// Onto images of this many columns.
     ///
     /// # Errors
     /// [`CloudError::Columns`].
@@ -262,7 +262,7 @@ impl CloudProjector {
 }
 
 impl Image {
-    /// Makes room for so many pixels and points, all empty.
+    /// Makes room for this many pixels and points, all empty.
     fn clear(&mut self, pixels: usize, points: usize) {
         self.range_m.resize(pixels, 0.0);
         self.pixel.clear();

@@ -11,7 +11,7 @@ use sweepd_core::segment::MAX_ROWS;
 
 /// Points so near tell nothing of the order: their azimuth is noise.
 const NOISE_M: f64 = 0.5;
-/// A ring may have so many times the points of a turn: dual returns, and columns chosen too few.
+/// A ring may have this many times the points of a turn: dual returns, and columns chosen too few.
 const MOST_TURNS: usize = 8;
 /// Points of a ring that its beam is fitted to.
 const SAMPLES: usize = 128;

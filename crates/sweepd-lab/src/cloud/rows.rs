@@ -193,7 +193,7 @@ impl Groups {
             .extend(points.away_m.iter().zip(&points.z_m).map(row));
     }
 
-    /// Sorts the points into so many rings.
+    /// Sorts the points into this many rings.
     pub fn sort(&mut self, rows: usize, rings: &mut Vec<Ring>) {
         let mut ends = [0_usize; MAX_ROWS];
         self.rows

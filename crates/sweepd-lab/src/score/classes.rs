@@ -1,6 +1,6 @@
 //! The classes of SemanticKITTI that figures are made of.
 
-/// Points that nobody gave a class.
+/// Points without a class.
 pub(super) const UNLABELLED: u16 = 0;
 /// Points that no surface made.
 pub(super) const OUTLIER: u16 = 1;

@@ -286,7 +286,7 @@ impl Instance {
 }
 
 impl Segment {
-    /// Whether so many points are half of it or more.
+    /// Whether this many points are half of it or more.
     fn half(&self, points: u32) -> bool {
         2 * u64::from(points) >= u64::from(self.points)
     }

@@ -71,7 +71,7 @@ pub enum Group {
     GroundPaved,
     /// USE, OSE and cover.
     Objects,
-    /// Instances of things with at least so many points.
+    /// Instances of things with at least this many points.
     Instances(u32),
 }
 

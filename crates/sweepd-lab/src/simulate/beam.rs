@@ -120,7 +120,7 @@ impl Aim<'_> {
     }
 
     /// Whether it is plain that the ways to a distance in the packet and to a range part by less
-    /// than so many metres there. That they do is not always plain: then only
+    /// than this many metres there. That they do is not always plain: then only
     /// [`Aim::towards_range`] tells.
     pub fn goes_by(&self, distance_m: f64, range_m: f64, beside_m: f64) -> bool {
         let Some(near) = &self.laser.near else {
@@ -288,8 +288,8 @@ impl Aim<'_> {
         )
     }
 
-    /// The byte that says a reflectivity at a distance of so many units, as far as a byte can: what
-    /// the unit adds is taken off.
+    /// The byte that says a reflectivity at a distance of this many units, as far as a byte can:
+    /// what the unit adds is taken off.
     pub fn intensity_byte(&self, units: f64, reflectivity: u8) -> u8 {
         let boost = self
             .laser
@@ -300,7 +300,7 @@ impl Aim<'_> {
     }
 }
 
-/// What is added to the intensity of a return at a distance of so many units (S3 manual, Appendix
+/// What is added to the intensity of a return at a distance of this many units (S3 manual, Appendix
 /// F): the lens is focused at one distance, and what is nearer or farther returns less light.
 fn intensity_boost(intensity: &Intensity, units: f64) -> f64 {
     let bowl = |share: f64| 256.0 * (1.0 - share).powi(2);

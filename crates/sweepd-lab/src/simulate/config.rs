@@ -36,7 +36,7 @@ pub struct EmitterConfig {
     /// one.
     pub mode_switch: Option<u64>,
     /// Data packets to send: fewer where the field of view is limited, which leaves out a part of
-    /// the time that so many take.
+    /// the time that this many take.
     pub packets: u64,
     /// Where it stands.
     pub pose: Pose,

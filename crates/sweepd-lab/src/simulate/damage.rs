@@ -128,7 +128,7 @@ pub(super) fn other_length(rng: &mut Rng) -> u16 {
 pub enum Damage {
     /// One bit is flipped, counted from the lowest of the first byte.
     Bit(u16),
-    /// It has so many bytes: the end is missing, or zeros follow.
+    /// It has this many bytes: the end is missing, or zeros follow.
     Length(u16),
 }
 

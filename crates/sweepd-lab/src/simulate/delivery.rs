@@ -20,7 +20,7 @@ pub struct Faults {
     pub places: u64,
     /// Arrive damaged.
     pub corrupted: Vec<(u64, Damage)>,
-    /// Before these arrives a datagram of so many bytes that no sensor sent, from its address and
+    /// Before these arrives a datagram of this many bytes that no sensor sent, from its address and
     /// to its port.
     pub strays: Vec<(u64, u16)>,
 }

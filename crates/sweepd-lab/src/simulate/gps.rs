@@ -153,7 +153,7 @@ pub fn position_packet(
     .emit()
 }
 
-/// A chip at rest: noise about zero, 35 degrees, and on its second axis so many counts of gravity
+/// A chip at rest: noise about zero, 35 degrees, and on its second axis this many counts of gravity
 /// (819 = 1 g).
 fn chip(rng: &mut Rng, gravity: i16) -> Inertial {
     Inertial {

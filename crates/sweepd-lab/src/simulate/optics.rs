@@ -153,7 +153,7 @@ const BESIDE_M: f64 = 0.001;
 /// else each time.
 const MOST_CASTS: usize = 4;
 
-/// What a part of the beam meets, so many radians across and up from its middle.
+/// What a part of the beam meets, this many radians across and up from its middle.
 fn cast(
     optics: &Optics,
     view: &View<'_>,

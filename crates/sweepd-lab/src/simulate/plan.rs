@@ -70,7 +70,7 @@ impl Dice {
 }
 
 impl Rates {
-    /// What strikes a stream of so many data packets.
+    /// What strikes a stream of this many data packets.
     ///
     /// The first and the last packet are spared: without them no receiver could tell what is
     /// missing. A packet suffers one fault at most, and those that overtake it none, so that each

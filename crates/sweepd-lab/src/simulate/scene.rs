@@ -67,7 +67,7 @@ pub enum Surface {
     /// A front with rows of windows, set back into the wall; the number is the wall's reflectivity.
     /// Where a window mirrors the beam away, the hit has reflectivity 0.
     Windows(u8),
-    /// Leaves: the light gets lost within, once in so many metres.
+    /// Leaves: the light gets lost within, once in this many metres.
     Leaves {
         /// Reflectivity of a leaf.
         reflectivity: u8,
@@ -304,7 +304,7 @@ fn remainder(place_m: f64, period_m: f64) -> f64 {
     place_m - period_m * floor(place_m / period_m)
 }
 
-/// Whether a place on a front is within so many metres of where glass begins or ends.
+/// Whether a place on a front is within this many metres of where glass begins or ends.
 fn is_frame(place: Vec3, rim_m: f64) -> bool {
     let (along_m, up_m) = (place.x + place.y, place.z);
     let (column, storey) = (is_column(along_m), is_storey(up_m));

@@ -70,7 +70,7 @@ impl Status {
     }
 
     /// Type and value in a data packet. A cycle of packets tells one moment: that of its first
-    /// one's stamp, so many nanoseconds after the first shot of all.
+    /// one's stamp, this many nanoseconds after the first shot of all.
     pub fn pair(&self, config: &EmitterConfig, ordinal: u64, elapsed_ns: i64) -> (u8, u8) {
         let begun = ordinal - ordinal % CYCLE_LEN as u64;
         let (pps, sentence) = config.clock.received(elapsed_ns);

@@ -32,7 +32,7 @@ pub(super) struct Scan {
 pub(super) struct Found {
     /// In the order of their names.
     pub(super) scans: Vec<Scan>,
-    /// Clouds that nobody labelled.
+    /// Clouds without labels.
     pub(super) without_truth: u64,
 }
 

@@ -32,7 +32,7 @@ pub struct FaultOptions {
         value_parser = within(PERCENT, "percent"), allow_negative_numbers = true
     )]
     duplicate: f64,
-    /// Let this many be overtaken by the packets behind them, by one or by so many PLACES
+    /// Let this many be overtaken by the packets behind them, by one or by this many PLACES
     #[arg(long, value_name = "PERCENT[xPLACES]", value_parser = places, allow_negative_numbers = true)]
     reorder: Option<Burst>,
     /// Damage this many: one bit of a PART [any (the default), flag, azimuth, distance,

@@ -17,7 +17,8 @@ fn packet(stamp_us: u32, bytes: (u8, u8), paired: bool) -> DataPacket {
     packet
 }
 
-/// Stamps as a sensor makes them: packets of so many periods after the first, cut to microseconds.
+/// Stamps as a sensor makes them: packets of this many periods after the first, cut to
+/// microseconds.
 fn stamps(period_ns: u64, packets: &[u64]) -> Vec<u32> {
     packets
         .iter()

@@ -90,8 +90,8 @@ pub struct Shape {
 }
 
 impl Shape {
-    /// The shape of all sweeps of a sensor with so many rows, whose segments have at least so many
-    /// pixels: the table has room for as many segments as there can be.
+    /// The shape of all sweeps of a sensor with this many rows, whose segments have at least so
+    /// many pixels: the table has room for as many segments as there can be.
     pub fn of(rows: usize, dual: bool, min_points: usize) -> Self {
         let segments_capacity = rows * COLUMNS_CAPACITY / min_points.max(1);
         Self {
@@ -159,7 +159,7 @@ pub enum LayoutError {
         /// Version that the header names.
         found: u32,
     },
-    /// Fewer bytes than whoever sent them says.
+    /// Fewer bytes than the header says.
     #[error("torn: {promised} bytes are named and {bytes} are there")]
     Torn {
         /// Bytes that are named.

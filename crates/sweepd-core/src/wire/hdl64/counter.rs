@@ -36,7 +36,7 @@ pub(super) enum Step {
     At(i64),
     /// The packet is a copy, or its type is wrong, or the place is not known yet: it says nothing.
     Ignored,
-    /// The count starts anew, with this one.
+    /// The count starts again, with this one.
     Restarted(i64),
 }
 

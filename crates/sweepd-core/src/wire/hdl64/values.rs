@@ -261,7 +261,7 @@ impl fmt::Display for Gps {
     }
 }
 
-/// What each cycle says anew.
+/// What each cycle says again.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub struct Live {
     /// The sensor's own UTC.

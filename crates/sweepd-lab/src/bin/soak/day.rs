@@ -20,7 +20,7 @@
 //! * [`figures`]: what must not grow.
 //!
 //! A run is a row of episodes. After each one the sender waits until everything has been fetched;
-//! then every counter must be what was injected. Between episodes the configuration is read anew,
+//! then every counter must be what was injected. Between episodes the configuration is read again,
 //! and recordings begin and end. In the middle of the run the daemon is ended or killed, and
 //! started again, several times, so that it has two long lives.
 
@@ -112,7 +112,7 @@ pub struct Outcome {
     pub exact: u64,
     /// Ends of the daemon: asked for, by SIGKILL.
     pub restarts: [u64; 2],
-    /// Configurations read anew: taken, refused.
+    /// Configurations read again: taken, refused.
     pub reloads: [u64; 2],
     /// Recordings begun and ended.
     pub recordings: u64,
@@ -122,7 +122,7 @@ pub struct Outcome {
     pub figures: Figures,
 }
 
-/// A sensor's time in an episode: so long and so many episodes there are.
+/// A sensor's time in an episode: so long and this many episodes there are.
 const EPISODE: Duration = Duration::from_secs(10);
 /// The sensors' addresses, and that of somebody else.
 const SENSORS: [(&str, Model, Ipv4Addr); 2] = [

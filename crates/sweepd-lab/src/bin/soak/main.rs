@@ -19,8 +19,8 @@ use signal_hook::flag;
 
 use day::{Outcome, Plan, SoakError};
 
-/// Runs a daemon through a day of faults, faster than life, and checks that nothing grows and all is
-/// counted
+/// Runs a daemon through a day of faults, faster than life, and checks that nothing grows and all
+/// is counted
 #[derive(Clone, Debug, Parser)]
 #[command(
     name = "sweepd-soak",

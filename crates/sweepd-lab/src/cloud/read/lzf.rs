@@ -1,6 +1,6 @@
 //! LZF, the packing of compressed PCD files (Marc Lehmann, liblzf 3.6, `lzf_d.c`).
 //!
-//! A byte below 32 says that so many and one bytes follow as they are. Any other has in its upper
+//! A byte below 32 says that this many and one bytes follow as they are. Any other has in its upper
 //! three bits the length of a stretch to repeat, less 2 (7: the next byte is added), and in its
 //! lower five with the next byte how far back it begins, less 1.
 

@@ -19,7 +19,7 @@ use sweepd_client::client::{Client, ClientError, Domain, Sweep};
 const MAX_CLIENTS: usize = 4;
 /// Others at a time, of each sensor.
 pub const OTHERS: usize = 3;
-/// One sweep in so many is looked at pixel by pixel.
+/// One sweep in this many is looked at pixel by pixel.
 const LOOK_AT: u64 = 50;
 /// A consumer that wants some sweeps has them within this, or something is wrong.
 const PATIENCE: Duration = Duration::from_secs(60);
@@ -31,7 +31,7 @@ pub struct Seen {
     pub published: u64,
     /// Those of them that it got.
     pub received: u64,
-    /// Runs: a pipeline that began anew numbers its sweeps from 0.
+    /// Runs: a pipeline that began again numbers its sweeps from 0.
     pub runs: u64,
     /// What was wrong with a sweep, if one was.
     pub wrong: Option<String>,

@@ -147,8 +147,8 @@ impl Daemon {
         Ok(())
     }
 
-    /// Has it read its configuration anew, and waits until so many sensors are decoded by the new
-    /// one.
+    /// Has it read its configuration again, and waits until this many sensors are decoded by the
+    /// new one.
     ///
     /// # Errors
     /// [`SoakError`].

@@ -28,8 +28,8 @@ const BEHIND: Duration = Duration::from_millis(700);
 /// Sweeps, which come many times faster than in life, that may be complete while a pool is made, at
 /// most: with the first packets of a daemon, and when two returns begin. All others must be shared.
 const WHILE_POOLS_ARE_MADE: u64 = 50;
-/// Of each hundred episodes, so many begin with a new configuration, with one that is refused, with
-/// a recording.
+/// Of each hundred episodes, this many begin with a new configuration, with one that is refused,
+/// with a recording.
 const RELOADS: [u32; 3] = [20, 5, 3];
 
 impl Soak {
@@ -45,7 +45,7 @@ impl Soak {
         Ok(())
     }
 
-    /// Sends an episode, or so many thousandths of it.
+    /// Sends an episode, or this many thousandths of it.
     pub(super) fn send(&mut self, share: f64, thousandths: Option<u64>) -> Result<(), SoakError> {
         let span_ns = EPISODE.as_nanos() as u64 * thousandths.unwrap_or(1000) / 1000;
         let ports = [self.ports.data[0], self.ports.data[1]];
@@ -93,7 +93,7 @@ impl Soak {
     /// Waits until the daemon has counted what was sent, all of it and no more, and the consumers
     /// that stay know of all sweeps that it published.
     ///
-    /// They know by the number of the newest. One that had to find the service anew in the last
+    /// They know by the number of the newest. One that had to find the service again in the last
     /// moments (a consumer that leaves may take a file of it along, which the daemon puts back with
     /// a later sweep) has missed that, and gets the next: in life the sensor goes on, and so it
     /// does here.
@@ -256,7 +256,7 @@ impl Soak {
         off
     }
 
-    /// What may happen between two episodes: the configuration is read anew.
+    /// What may happen between two episodes: the configuration is read again.
     pub(super) fn between(&mut self) -> Result<(), SoakError> {
         let failed = |source| SoakError::System {
             what: "write the configuration",
@@ -270,7 +270,7 @@ impl Soak {
             self.daemon()?.reload_recording(false)?;
             fs::remove_dir_all(self.recordings()).map_err(failed)?;
         } else if dice < taken {
-            // Another one than before: what has not changed is not taken anew.
+            // Another one than before: what has not changed is not taken again.
             self.settings.0 = (self.settings.0 + self.rng.u32(1..360)) % 360;
             self.write_config(true).map_err(failed)?;
             self.outcome.reloads[0] += 1;
@@ -326,7 +326,7 @@ fn send(
         .try_for_each(|feed| feed.send_whole(WHOLE.0))?;
     let mut steps = 0_u64;
     loop {
-        // Whoever is behind by his own clock, so that both go on together.
+        // The feed that is behind by its own clock, so that both go on together.
         let left = |(index, feed): (usize, &Feed)| {
             (
                 end_ns[index].saturating_sub(feed.stream.elapsed_ns()),

@@ -56,11 +56,11 @@ impl Refusal {
     }
 }
 
-/// From one fault to the next at least so many packets are whole, so that each can be counted.
+/// From one fault to the next at least this many packets are whole, so that each can be counted.
 const BETWEEN: u32 = 10;
 /// More packets than any sensor sends in a turn.
 pub(super) const WITHIN_A_TURN: u32 = 400;
-/// One packet in so many meets a fault, beyond that.
+/// One packet in this many meets a fault, beyond that.
 const ONE_IN: u32 = 60;
 /// Data packets for each position packet.
 const DATA_PER_POSITION: u64 = 14;
@@ -218,7 +218,7 @@ impl Feed {
         self.tally = Tally::default();
     }
 
-    /// Sends so many packets whole.
+    /// Sends this many packets whole.
     ///
     /// # Errors
     /// The network refuses.

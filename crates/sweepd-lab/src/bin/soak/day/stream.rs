@@ -141,7 +141,7 @@ impl Stream {
         packet
     }
 
-    /// Measures so many packets that nobody gets.
+    /// Measures this many packets that nobody gets.
     pub fn skip(&mut self, packets: u64) {
         for _ in 0..packets {
             let len = self.clip().packets.len();

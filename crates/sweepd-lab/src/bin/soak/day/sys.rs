@@ -10,7 +10,7 @@ use std::process::{Child, Command};
 pub enum Signal {
     /// SIGTERM: to end.
     End = libc::SIGTERM as isize,
-    /// SIGHUP: to read its configuration anew.
+    /// SIGHUP: to read its configuration again.
     Reload = libc::SIGHUP as isize,
     /// SIGSTOP: to stand still, whatever it holds.
     Freeze = libc::SIGSTOP as isize,
