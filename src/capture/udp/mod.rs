@@ -153,7 +153,7 @@ impl UdpSource {
     /// millisecond), and gives those that are there, up to 64 and in the order of their arrival.
     /// None come after the timeout or a signal: that is the time to look at a clock.
     ///
-    /// They are of any kind, from anyone; [`Gate`](super::Gate) takes those of sensors. One that
+    /// They are of any kind, from anyone; [`admission`](crate::admission) takes those of sensors. One that
     /// the kernel gave no stamp has the time of this call. Of one longer than 1280 bytes, these are
     /// given.
     ///
