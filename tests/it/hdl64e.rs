@@ -5,6 +5,7 @@ use crate::common;
 use std::collections::{BTreeMap, BTreeSet};
 
 use crate::common::run::{Run, Runner};
+use sweepd::cure;
 use sweepd::files;
 use sweepd::pipeline::{Config, Fault, Notice};
 use sweepd::sensor::{Calibration, Model};
@@ -489,7 +490,11 @@ fn a_unit_that_never_told_its_beams_is_an_error_that_says_how_far_it_came() {
         ),
         "{fault}"
     );
-    assert!(fault.to_string().contains("--calibration"), "{fault}");
+    let explained = cure::explain(&fault, cure::Dialect::CommandLine);
+    assert!(
+        explained.ends_with("give the file of this unit with --calibration"),
+        "{explained}"
+    );
 }
 
 #[test]
