@@ -667,10 +667,13 @@ fn beside_a_daemon_the_doctor_and_watch_say_how_it_is_now() {
     std::thread::scope(|scope| {
         // Whatever fails ends it.
         let ends = Ends(&over);
+        let begun = Instant::now();
         while doctor()
             .iter()
             .any(|one| one["topic"] == "port" || one["topic"] == "silent")
         {
+            let waited = begun.elapsed();
+            assert!(waited < Duration::from_secs(30), "the daemon has no port");
             std::thread::sleep(Duration::from_millis(100));
         }
         scope.spawn(|| send(&stream, LOCAL, &[port], &over));
