@@ -111,7 +111,7 @@ pub struct Room<B: Buffers> {
 }
 
 /// When the newest data packet of a sensor came, by the clock that stamps packets and by one that
-/// that cannot be set.
+/// cannot be set.
 ///
 /// The kernel stamps packets by CLOCK_REALTIME, which may be stepped by hours. How long a sensor
 /// has been quiet is therefore told by CLOCK_MONOTONIC: else a step would close an open sweep, or
@@ -214,8 +214,8 @@ impl<B: Buffers<Buffer: Outgoing>> Port<B> {
     }
 
     /// Sleeps while no sweep of any sensor is about to end; the socket keeps what comes. A quiet
-    /// port waits on its socket instead: nothing gathers there yet. Whoever ends the daemon unparks
-    /// those that sleep, and rings for those that wait.
+    /// port waits on its socket instead: nothing gathers there yet. The end of the daemon unparks
+    /// threads that sleep, and rings for those that wait.
     fn rest(&self) {
         if self.is_quiet() {
             // One for position packets alone is asked for nothing but a lane, which it looks for
