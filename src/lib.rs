@@ -3,7 +3,7 @@
 //!
 //! ```text
 //! socket | pcap | simulator -> Datagram -> Packet -> Column -> Sweep -> Labels + Segments -> shared memory | files
-//!          capture, simulate   wire        sweep ------------   segment                      publish         export
+//!          capture, simulate   wire        assemble  sweep      segment                      publish         export
 //! ```
 //!
 //! Everything from [`wire::Datagram`] to the segments is pure: bytes and time come in as arguments.
@@ -79,6 +79,6 @@ mod suggest;
 pub const VERSION: &str = env!("SWEEPD_VERSION");
 
 pub use sweepd_client::{client, host, publish};
-pub use sweepd_core::{pipeline, segment, sensor, sweep, wire};
+pub use sweepd_core::{assemble, pipeline, segment, sensor, sweep, wire};
 #[cfg(feature = "lab")]
 pub use sweepd_lab::{cloud, score, simulate};

@@ -3,13 +3,13 @@
 
 use crate::common;
 use fearless_simd::dispatch;
+use sweepd::assemble::decode::{Decoder, Pixels};
+use sweepd::assemble::lanes::Records;
+use sweepd::assemble::turns::Turns;
 use sweepd::files;
 use sweepd::sensor::{Calibration, Model};
 use sweepd::sweep::corrected::Corrected;
-use sweepd::sweep::decode::{Decoder, Pixels};
-use sweepd::sweep::lanes::Records;
 use sweepd::sweep::layout::{BeamRow, ReturnChoice, ReturnKind, SECOND_BLOCKS, is_return};
-use sweepd::sweep::turns::Turns;
 use sweepd::wire::DataPacket;
 use sweepd::wire::data::{DATA_PACKET_LEN, ReturnMode};
 

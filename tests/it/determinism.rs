@@ -6,11 +6,11 @@
 use std::sync::LazyLock;
 
 use crate::common::same::same;
+use sweepd::assemble::lanes::levels;
 use sweepd::pipeline::{Config, Pipeline};
 use sweepd::sensor::Model::{Hdl32e, Hdl64eS2, Hdl64eS3, Vlp16};
 use sweepd::simulate::gps::{Clock, Reception};
 use sweepd::simulate::{Emitter, EmitterConfig, Rates, SimulatedDatagram, deliver, fixtures};
-use sweepd::sweep::lanes::levels;
 use sweepd::sweep::layout::flags::HEIGHT_ESTIMATED;
 use sweepd::sweep::{HeapBuffers, Memory, SweepRef};
 use sweepd::wire::data::ReturnMode::{Dual, Strongest};

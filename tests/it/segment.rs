@@ -5,6 +5,7 @@ use std::collections::HashMap;
 use std::f32::consts::TAU;
 
 use proptest::prelude::*;
+use sweepd::assemble::lanes::levels;
 use sweepd::cloud::{COLUMNS, CloudProjector, CloudSegmenter, points};
 use sweepd::segment::points::placed;
 use sweepd::segment::{
@@ -12,7 +13,6 @@ use sweepd::segment::{
 };
 use sweepd::sensor::Beam;
 use sweepd::sensor::calibration::TwoPoint;
-use sweepd::sweep::lanes::levels;
 use sweepd::sweep::layout::{LABEL_FIRST_SEGMENT, LABEL_GROUND, LABEL_NONE, flags, is_return};
 use sweepd::sweep::{BeamRow, Buffers, Column, HeapBuffers, Shape, SweepMut, SweepRef};
 use zerocopy::IntoBytes;

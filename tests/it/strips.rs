@@ -5,9 +5,9 @@ use std::path::{Path, PathBuf};
 
 use crate::common::data_dir_if_any;
 use crate::common::run::Runner;
+use sweepd::assemble::lanes::levels;
 use sweepd::pipeline::Config;
 use sweepd::segment::{self, Mount, Segmenter, naive};
-use sweepd::sweep::lanes::levels;
 use sweepd::sweep::layout::flags;
 use sweepd::sweep::{Buffers, HeapBuffers, SweepMut, SweepRef};
 

@@ -2,7 +2,7 @@
 //!
 //! ```text
 //! Datagram -> Packet -> Column -> Sweep -> labels and segments
-//!             wire      sweep ----------   segment
+//!             wire      assemble  sweep    segment
 //! ```
 //!
 //! [`sensor`] says what each model is and where its beams point; [`pipeline`] holds the whole
@@ -11,6 +11,7 @@
 #![forbid(unsafe_code)]
 #![warn(missing_docs)]
 
+pub mod assemble;
 pub mod pipeline;
 pub mod segment;
 pub mod sensor;

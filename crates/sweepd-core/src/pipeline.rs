@@ -19,12 +19,12 @@ mod state;
 pub use config::Config;
 pub use report::{Counts, Fault, Notice};
 
+use crate::assemble::clock::Clocks;
+use crate::assemble::order::OrderCounts;
 use crate::segment::{ConfigError, Segmenter};
 use crate::sensor::detect::Detection;
 use crate::sensor::unit::Unit;
 use crate::sweep::buffers::OpenBuffer;
-use crate::sweep::clock::Clocks;
-use crate::sweep::order::OrderCounts;
 use crate::sweep::{Buffers, Memory, SweepMut};
 use crate::wire::{Content, Packet, TIMES_NS};
 use fearless_simd::Level;
@@ -106,7 +106,7 @@ impl Pipeline {
     }
 
     /// The same, with no more than these instructions of the machine (see
-    /// [`levels`](crate::sweep::lanes::levels)): it gives the same sweeps, byte for byte.
+    /// [`levels`](crate::assemble::lanes::levels)): it gives the same sweeps, byte for byte.
     ///
     /// # Errors
     /// [`ConfigError`], as [`Pipeline::new`].

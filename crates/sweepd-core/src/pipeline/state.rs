@@ -9,16 +9,16 @@
 //! ```
 
 use super::{Closing, Fault, Notice, Pipeline};
+use crate::assemble::builder::{Builder, Settings};
+use crate::assemble::clock::{Clocks, SensorClock, vouched_utc_ns};
+use crate::assemble::decode::Decoder;
+use crate::assemble::motion::{TURN, rate_between};
+use crate::assemble::order::{Order, Packet, Refusal};
 use crate::sensor::compare::Difference;
 use crate::sensor::detect::{self, DetectError, Detection, Detector, MAX_PACKETS};
 use crate::sensor::model::Spec;
 use crate::sensor::unit::{Said, Unit};
 use crate::sensor::{Calibration, Model};
-use crate::sweep::builder::{Builder, Settings};
-use crate::sweep::clock::{Clocks, SensorClock, vouched_utc_ns};
-use crate::sweep::decode::Decoder;
-use crate::sweep::motion::{TURN, rate_between};
-use crate::sweep::order::{Order, Packet, Refusal};
 use crate::wire::data::{Banks, ReturnMode};
 use crate::wire::hdl64::Series;
 use crate::wire::nmea::Rmc;

@@ -143,7 +143,7 @@ mod tests {
     use fearless_simd::{Level, dispatch};
 
     use super::*;
-    use crate::sweep::lanes::levels;
+    use crate::assemble::lanes::levels;
 
     fn sines(level: Level, angle_rad: &[f32; LANES]) -> [[f32; LANES]; 2] {
         dispatch!(level, simd => sin_cos(load(simd, angle_rad, 0)).map(|lanes| lanes.to_array()))

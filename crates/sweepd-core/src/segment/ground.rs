@@ -318,7 +318,7 @@ mod tests {
     use fearless_simd::{Level, dispatch};
 
     use super::*;
-    use crate::sweep::lanes::levels;
+    use crate::assemble::lanes::levels;
 
     /// A word, bit r for row r, of the ground in a column of points: distance and height from a
     /// sensor 1.7 m up. It is put into several columns of a strip, and seen with the sensor upright

@@ -521,10 +521,10 @@ mod tests {
     use fastrand::Rng;
 
     use super::*;
+    use crate::assemble::lanes::levels;
     use crate::segment::{Mount, points};
     use crate::sensor::Beam;
     use crate::sweep::buffers::HeapBuffer;
-    use crate::sweep::lanes::levels;
     use crate::sweep::layout::flags;
     use crate::sweep::{BeamRow, Buffers, Column, HeapBuffers, Shape};
 

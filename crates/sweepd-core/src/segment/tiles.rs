@@ -78,7 +78,7 @@ mod tests {
     use fearless_simd::dispatch;
 
     use super::*;
-    use crate::sweep::lanes::levels;
+    use crate::assemble::lanes::levels;
 
     #[test]
     fn lines_become_what_stood_across() {

@@ -87,13 +87,13 @@ impl Corrected {
     }
 
     /// Sine and cosine of the beam's elevation.
-    pub(super) fn elevation(&self) -> [f64; 2] {
+    pub(crate) fn elevation(&self) -> [f64; 2] {
         [self.sin_elevation, self.cos_elevation]
     }
 
     /// Whether additional offsets apply at a measured distance, metres.
     #[inline]
-    pub(super) fn is_near(measured_m: f64) -> bool {
+    pub(crate) fn is_near(measured_m: f64) -> bool {
         measured_m < FAR_M
     }
 

@@ -1,34 +1,13 @@
-//! Packets to columns, columns to sweeps.
+//! A sweep as bytes, and the views over them.
 //!
-//! ```text
-//! packet -> motion (where the head points) -> order (by the sensor's clock) -> builder (columns, cut, gaps) -> sweep
-//!                                                       |                                |
-//!                            relation (loss, silence, jumps of the clock)                 |
-//!                      cursor (firings of a packet, and those missing)   head (turns, cut, standstill)
-//!                                        columns (what stands in the open sweep)   decode (records to pixels)
-//!                                                                           edge (where a limited field of view ends)
-//!            turns (how far rows point aside)   lanes (sixteen beams at once)   corrected (distance to range, and back)
-//! ```
-//!
-//! [`layout`] defines a sweep as bytes, [`image`] gives the views over them, [`buffers`] says where
-//! the bytes live.
+//! [`layout`] defines the bytes: they are what consumers find in shared memory. [`image`] gives the
+//! views over them, [`buffers`] says where they live, [`corrected`] turns a distance into a range,
+//! and back.
 
 pub mod buffers;
-pub mod builder;
-pub mod clock;
-mod columns;
 pub mod corrected;
-mod cursor;
-pub mod decode;
-pub mod edge;
-pub mod head;
 pub mod image;
-pub mod lanes;
 pub mod layout;
-pub mod motion;
-pub mod order;
-pub mod relation;
-pub mod turns;
 
 pub use buffers::{Buffers, HeapBuffers, Memory};
 pub use image::{Return, SweepMut, SweepRef};

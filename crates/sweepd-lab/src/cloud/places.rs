@@ -324,7 +324,7 @@ pub(crate) fn shown(points: &[Option<Polar>], columns: usize) -> Vec<Option<usiz
 mod tests {
     use super::*;
     use proptest::prelude::*;
-    use sweepd_core::sweep::lanes::levels;
+    use sweepd_core::assemble::lanes::levels;
 
     /// The column that each point has for itself; positions in columns after the first.
     fn alone(positions: &[f64], columns: usize) -> Vec<Option<usize>> {

@@ -6,10 +6,10 @@ use fearless_simd::prelude::*;
 use fearless_simd::{Level, f32x16, i32x16, mask32x16};
 
 use super::lanes::{self, Decoded, Direction, Lanes, Of, Records};
-use super::layout::{BeamRow, ReturnChoice, ReturnKind, SECOND_BLOCKS};
 use super::turns::Turns;
 use crate::sensor::model::Spec;
 use crate::sensor::{Calibration, Model};
+use crate::sweep::layout::{BeamRow, ReturnChoice, ReturnKind, SECOND_BLOCKS};
 use crate::wire::data::ReturnMode;
 
 /// What turns records into pixels; chosen once for a sensor.

@@ -14,10 +14,10 @@ use fearless_simd::prelude::*;
 use fearless_simd::{Level, f32x16, i32x16, mask32x16, u8x16, u8x64};
 use zerocopy::IntoBytes;
 
-use super::corrected::Corrected;
-use super::layout::BeamRow;
 use crate::sensor::Calibration;
 use crate::sensor::calibration::Intensity;
+use crate::sweep::corrected::Corrected;
+use crate::sweep::layout::BeamRow;
 use crate::wire::data::{Block, RECORDS, Record};
 
 /// Beams that are computed at once: no firing of any model has a number that this does not divide.

@@ -2,18 +2,18 @@
 
 use fearless_simd::{Simd, dispatch};
 
-use super::buffers::OpenBuffer;
 use super::clock::{Clocks, SensorClock};
 use super::columns::{Place, SoFar, decode, radians, rate_rad_s};
 use super::cursor::{Cursor, Gap, Way};
 use super::decode::Decoder;
 use super::edge::Pace;
 use super::head::{Head, Turned};
-use super::image::SweepMut;
-use super::layout::{COLUMNS_CAPACITY, Column, ReturnChoice, Shape, flags};
 use super::motion::{Beat, TURN};
 use super::order::{Before, Packet};
 use super::turns::Turns;
+use crate::sweep::buffers::OpenBuffer;
+use crate::sweep::image::SweepMut;
+use crate::sweep::layout::{COLUMNS_CAPACITY, Column, ReturnChoice, Shape, flags};
 use crate::wire::data::ReturnMode;
 
 /// Speeds that a Velodyne is made for, with a margin, turns a minute.

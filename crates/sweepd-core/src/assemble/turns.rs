@@ -1,9 +1,9 @@
 //! How far each row of a sweep points to the side of its firing: in whole columns, and as an angle.
 
 use super::lanes::{self, Aside, LANES, Of};
-use super::layout::BeamRow;
 use super::motion::TURN;
 use crate::sensor::model::Spec;
+use crate::sweep::layout::BeamRow;
 use crate::wire::data::ReturnMode;
 
 /// A head that turns more slowly, turns a minute, would shift the rows by more columns than there

@@ -8,13 +8,13 @@ use fearless_simd::Simd;
 use super::cursor::{Cursor, Firing};
 use super::decode::{Decoder, Pixels};
 use super::head::{Head, STANDSTILL_CDEG, STANDSTILL_NS};
-use super::image::SweepMut;
 use super::lanes::Records;
-use super::layout::{COLUMNS_CAPACITY, Column};
 use super::motion::{Beat, TURN, shortest};
 use super::relation::Packet;
 use super::turns::Turns;
 use crate::sensor::model::Spec;
+use crate::sweep::image::SweepMut;
+use crate::sweep::layout::{COLUMNS_CAPACITY, Column};
 use crate::wire::data::ReturnMode;
 
 /// How far a packet that comes late may be from where its columns were thought to be.

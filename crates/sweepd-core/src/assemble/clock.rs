@@ -7,7 +7,7 @@
 
 use std::ops::RangeInclusive;
 
-use super::layout::TimeSource;
+use crate::sweep::layout::TimeSource;
 use crate::wire::nmea::Rmc;
 use crate::wire::position::Pps;
 use crate::wire::{HOUR_US, Position};
