@@ -7,3 +7,5 @@
 pub mod cloud;
 pub mod score;
 pub mod simulate;
+#[cfg(feature = "testkit")]
+pub mod testkit;

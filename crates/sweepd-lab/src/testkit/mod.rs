@@ -1,0 +1,31 @@
+//! What the tests and `sweepd-soak` share: a temporary domain, reserved ports, and a daemon in a
+//! process of its own.
+
+pub mod daemon;
+pub mod domain;
+pub mod port;
+pub mod process;
+
+use std::fmt::{self, Debug, Display, Formatter};
+
+pub use daemon::Daemon;
+pub use domain::TempDomain;
+pub use port::ReservedPort;
+pub use process::{PATIENCE, Process};
+
+/// What went wrong, as a sentence for the one who runs the tests.
+#[derive(Clone, PartialEq, Eq, thiserror::Error)]
+#[error("{0}")]
+pub struct Failure(pub String);
+
+/// The sentence itself, with its line breaks: this is what `unwrap` shows.
+impl Debug for Failure {
+    fn fmt(&self, f: &mut Formatter<'_>) -> fmt::Result {
+        Display::fmt(self, f)
+    }
+}
+
+/// Turns an error into a [`Failure`] that says what was tried: "cannot start the daemon: ...".
+pub fn cannot<E: Display>(what: &str) -> impl FnOnce(E) -> Failure {
+    move |error| Failure(format!("cannot {what}: {error}"))
+}
