@@ -73,6 +73,7 @@ pub mod doctor;
 pub mod export;
 pub mod files;
 mod suggest;
+mod text;
 
 /// Version of this build, with the commit in a release build of a repository: `0.1.0 (6707b6746
 /// 2026-11-24)`.

@@ -7,7 +7,7 @@ use std::path::{Path, PathBuf};
 
 use super::{CliError, complain};
 use crate::daemon::config::{Config, RecordConfig, SensorConfig, memory};
-use crate::export::text::count_of;
+use crate::text::count_of;
 use sweepd_client::publish::{SHARED_MEMORY, free_bytes, pool_sweeps};
 use sweepd_core::segment::Method;
 

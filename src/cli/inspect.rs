@@ -19,7 +19,7 @@ use super::summary::Traffic;
 use crate::admission::{DiscoveredSensors, Route};
 use crate::capture::Capture;
 use crate::cure::{Dialect, explain_model};
-use crate::export::text::{count_of, grouped, utc_text};
+use crate::text::{count_of, grouped, utc_text};
 use sweepd_core::assemble::motion::TURN;
 use sweepd_core::assemble::order::{Before, Order, Refusal};
 use sweepd_core::sensor::Model;

@@ -27,8 +27,8 @@ use crate::capture::record::Rotation;
 use crate::capture::udp::ample_buffer_bytes;
 use crate::capture::{RecordError, Recorder, UdpConfig, UdpError, UdpSource};
 use crate::daemon::tap::{TapStream, socket_path};
-use crate::export::text::grouped;
 use crate::export::{Existing, WriteError};
+use crate::text::grouped;
 use sweepd_client::publish::Domain;
 
 /// How soon everybody hears of the end.

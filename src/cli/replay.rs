@@ -17,7 +17,7 @@ use super::{CliError, complain};
 use crate::admission::{DiscoveredSensors, Refused, Route};
 use crate::capture::{Capture, CaptureError, Pacer};
 use crate::cure::{Dialect, explain};
-use crate::export::text::count_of;
+use crate::text::count_of;
 use sweepd_client::host::{monotonic_ns, realtime_ns};
 use sweepd_client::publish::Loans;
 use sweepd_core::pipeline::{Config, Counts, Fault, Notice, Pipeline};

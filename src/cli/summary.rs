@@ -6,7 +6,7 @@ use serde::Serialize;
 
 use super::output::{StageUs, rounded, time_source_name};
 use crate::capture::Capture;
-use crate::export::text::{count_of, grouped};
+use crate::text::{count_of, grouped};
 use sweepd_core::pipeline::Counts;
 use sweepd_core::sensor::detect::Detection;
 use sweepd_core::sweep::SweepRef;

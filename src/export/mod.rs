@@ -3,8 +3,7 @@
 //! * [`csv`]: every return with its provenance, to check the driver or to feed a spreadsheet.
 //! * [`pcd`]: the points and labels, for PCL, Open3D and CloudCompare.
 //! * [`segments`]: the table of segments, a line each.
-//! * [`png`]: one picture that shows what was measured and what the segmentation made of it; and
-//!   charts of figures.
+//! * [`png`]: one picture that shows what was measured and what the segmentation made of it.
 //!
 //! The writers take a [`SweepRef`] and any [`Write`]; an [`Exporter`] puts their output into the
 //! files of a directory.
@@ -15,7 +14,6 @@ pub mod png;
 pub mod segments;
 #[cfg(test)]
 mod test_scene;
-pub mod text;
 
 use std::fs;
 use std::io::{BufWriter, Write};

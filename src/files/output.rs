@@ -6,7 +6,7 @@ use std::io::{self, Write};
 use std::net::IpAddr;
 use std::path::{Path, PathBuf};
 
-use crate::export::text::count_of;
+use crate::text::count_of;
 
 /// What becomes of files that exist under the names of an output.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]

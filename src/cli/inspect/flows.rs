@@ -5,7 +5,7 @@ use std::net::SocketAddr;
 use std::ops::RangeInclusive;
 
 use super::rate;
-use crate::export::text::count_of;
+use crate::text::count_of;
 use sweepd_core::wire::Datagram;
 
 /// Most flows that are told apart: a capture may be made to have millions.

@@ -1,7 +1,7 @@
 //! What position packets say: the GPS state, and how the sensor is.
 
 use super::{rate, row};
-use crate::export::text::{count_of, utc_text};
+use crate::text::{count_of, utc_text};
 use sweepd_core::wire::nmea::Rmc;
 use sweepd_core::wire::position::Pps;
 use sweepd_core::wire::{Content, Packet};

@@ -1,7 +1,7 @@
 //! What an HDL-64E says about itself, in rows.
 
 use super::row;
-use crate::export::text::grouped;
+use crate::text::grouped;
 use sweepd_core::wire::hdl64::{DUMP_LEN, Status, Verdict};
 
 /// Adds the rows; none for a unit that sends no status (S1, early S2).

@@ -1,5 +1,6 @@
 //! `sweepd score`: how good labels are.
 
+mod chart;
 mod methods;
 mod plot;
 mod scans;
@@ -15,7 +16,7 @@ use self::scans::{Scan, find};
 use crate::cli::options::within;
 use crate::cli::output::ForceOptions;
 use crate::cli::{CliError, complain};
-use crate::export::text::count_of;
+use crate::text::count_of;
 use sweepd_core::segment::settings::THETA_DEG;
 use sweepd_lab::cloud;
 use sweepd_lab::score::{Grouped, Row, ScanScore, Summary};

@@ -6,7 +6,7 @@ use std::time::Duration;
 use super::input::InputReport;
 use crate::admission::{Refusal, RefusalCounts};
 use crate::capture::record::Written;
-use crate::export::text::{count_of, grouped};
+use crate::text::{count_of, grouped};
 
 /// All that it came to.
 pub struct Report {

@@ -10,7 +10,7 @@ use tracing::{error, info, warn};
 use crate::capture::RecordError;
 use crate::capture::record::{Lane, Recorder, Rotation};
 use crate::daemon::config::RecordConfig;
-use crate::export::text::count_of;
+use crate::text::count_of;
 
 /// A disk that stays too slow is told of so often.
 const REMIND_EVERY: Duration = Duration::from_secs(60);

@@ -2,6 +2,7 @@
 //! PNG encoder takes.
 
 use std::convert::Infallible;
+use std::io::{self, Write};
 
 use embedded_graphics::Pixel;
 use embedded_graphics::mono_font::{MonoFont, MonoTextStyle, iso_8859_1 as fonts};
@@ -33,8 +34,25 @@ impl Canvas {
     }
 
     /// The pixels, row after row, three bytes each.
+    #[cfg(test)]
     pub fn bytes(&self) -> &[u8] {
         &self.bytes
+    }
+
+    /// Writes the image as PNG.
+    ///
+    /// # Errors
+    /// Those of `out`.
+    pub fn write_png(&self, out: impl Write) -> io::Result<()> {
+        let mut encoder = png::Encoder::new(out, self.size.width, self.size.height);
+        encoder.set_color(png::ColorType::Rgb);
+        encoder.set_depth(png::BitDepth::Eight);
+        // Two thirds of the size that the fastest gives, in a tenth more time.
+        encoder.set_deflate_compression(png::DeflateCompression::Level(1));
+        let mut writer = encoder.write_header()?;
+        writer.write_image_data(&self.bytes)?;
+        writer.finish()?;
+        Ok(())
     }
 
     /// Colours one pixel.

@@ -5,14 +5,11 @@
 //! labels (`strip`, all over one `raster`); the floor plan (`plan`) with the `legend` beside it.
 //! `numbers` names segments, `palette` gives a colour one meaning on the whole page, `canvas` holds
 //! the pixels.
-//!
-//! `chart` draws figures over a parameter on such a canvas.
 
-mod canvas;
-mod chart;
+pub(crate) mod canvas;
 mod legend;
 mod numbers;
-mod palette;
+pub(crate) mod palette;
 mod plan;
 mod raster;
 mod strip;
@@ -28,7 +25,6 @@ use self::raster::Raster;
 use self::strip::{AXIS_HEIGHT, CAPTION_HEIGHT};
 use sweepd_core::sweep::SweepRef;
 
-pub use chart::{CHART_SIZE, Chart, Panel, Series, write_chart};
 pub use title::Title;
 
 /// Pixels of a picture.
@@ -55,20 +51,7 @@ const LEGEND_WIDTH: u32 = 612;
 /// # Errors
 /// Those of `out`.
 pub fn write_png(sweep: SweepRef<'_>, title: &Title<'_>, out: impl Write) -> io::Result<()> {
-    encode(&draw(sweep, title), SIZE, out)
-}
-
-/// Writes what is on a canvas of a size.
-fn encode(page: &Canvas, (width, height): (u32, u32), out: impl Write) -> io::Result<()> {
-    let mut encoder = ::png::Encoder::new(out, width, height);
-    encoder.set_color(::png::ColorType::Rgb);
-    encoder.set_depth(::png::BitDepth::Eight);
-    // Two thirds of the size that the fastest gives, in a tenth more time.
-    encoder.set_deflate_compression(::png::DeflateCompression::Level(1));
-    let mut writer = encoder.write_header()?;
-    writer.write_image_data(page.bytes())?;
-    writer.finish()?;
-    Ok(())
+    draw(sweep, title).write_png(out)
 }
 
 /// The areas of a page.

@@ -5,7 +5,7 @@ use embedded_graphics::text::Alignment;
 
 use super::canvas::{BODY, Canvas};
 use super::palette::{DIM, TEXT, WARNING};
-use crate::export::text::{grouped, utc_text};
+use crate::text::{grouped, utc_text};
 use sweepd_core::sweep::SweepRef;
 use sweepd_core::sweep::layout::{LABEL_GROUND, TimeSource, flags, is_return};
 

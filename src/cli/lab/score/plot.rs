@@ -4,10 +4,10 @@ use std::fs::File;
 use std::io::{BufWriter, Write};
 use std::path::Path;
 
+use super::chart::{Chart, Panel, Series, write_chart};
 use super::methods::Trial;
 use crate::cli::CliError;
 use crate::export::Existing;
-use crate::export::png::{Chart, Panel, Series, write_chart};
 use crate::files::output::NewFile;
 use sweepd_lab::score::{Group, Summary};
 

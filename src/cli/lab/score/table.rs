@@ -2,7 +2,7 @@
 
 use std::fmt::Write as _;
 
-use crate::export::text::count_of;
+use crate::text::count_of;
 use sweepd_lab::score::{Group, Row, ScanScore, Summary};
 
 /// All figures, one a line.

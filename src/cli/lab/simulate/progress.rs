@@ -2,7 +2,7 @@
 
 use indicatif::{ProgressBar, ProgressDrawTarget, ProgressStyle};
 
-use crate::export::text::grouped;
+use crate::text::grouped;
 
 /// Simulated time from one drawing to the next, nanoseconds.
 const STEP_NS: i64 = 100_000_000;

@@ -11,8 +11,8 @@ use embedded_graphics::prelude::*;
 use embedded_graphics::primitives::Rectangle;
 use embedded_graphics::text::Alignment;
 
-use super::canvas::Canvas;
-use super::palette::{self, BACKGROUND, DIM, GRID, NO_RETURN, TEXT};
+use crate::export::png::canvas::Canvas;
+use crate::export::png::palette::{BACKGROUND, DIM, GRID, NO_RETURN, TEXT, round_up};
 
 /// Pixels of a chart.
 pub const CHART_SIZE: (u32, u32) = (1200, 620);
@@ -79,7 +79,7 @@ pub struct Series {
 /// # Errors
 /// Those of `out`.
 pub fn write_chart(chart: &Chart, out: impl Write) -> io::Result<()> {
-    super::encode(&draw(chart), CHART_SIZE, out)
+    draw(chart).write_png(out)
 }
 
 fn draw(chart: &Chart) -> Canvas {
@@ -142,7 +142,7 @@ impl Scale {
         } else {
             1.0
         };
-        let step = palette::round_up(most / STEPS);
+        let step = round_up(most / STEPS);
         Self {
             area,
             step,
