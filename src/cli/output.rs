@@ -4,12 +4,11 @@
 use std::io::{self, BufWriter, StdoutLock, Write};
 use std::path::PathBuf;
 
-use clap::ValueEnum;
 use serde::Serialize;
 
 use super::CliError;
 use super::tables::SegmentTables;
-use crate::export::{self, Existing, Exporter, Format, Title, is_sweep_file};
+use crate::export::{Axes, Existing, Exporter, Format, Title, is_sweep_file};
 use crate::files::output::{Former, sensor_folder};
 use sweepd_core::sensor::Model;
 use sweepd_core::sweep::SweepRef;
@@ -71,24 +70,6 @@ impl ForceOptions {
             Existing::Replace
         } else {
             Existing::Keep
-        }
-    }
-}
-
-/// Values of `--axes`.
-#[derive(Clone, Copy, Debug, PartialEq, Eq, ValueEnum)]
-pub enum Axes {
-    /// As the sensor's manual: x right, y forward at azimuth 0, z up
-    Sensor,
-    /// As ROS: x forward, y left, z up
-    Ros,
-}
-
-impl From<Axes> for export::Axes {
-    fn from(axes: Axes) -> Self {
-        match axes {
-            Axes::Sensor => Self::Sensor,
-            Axes::Ros => Self::Ros,
         }
     }
 }
@@ -166,7 +147,7 @@ pub struct Outputs {
     existing: Existing,
     former: Vec<Former>,
     segments: Option<SegmentTables>,
-    axes: export::Axes,
+    axes: Axes,
     stdout: Option<BufWriter<StdoutLock<'static>>>,
     timing: bool,
 }
@@ -188,7 +169,7 @@ impl Outputs {
             .filter_map(|(dir, format)| Some((dir.clone()?, format)))
             .collect();
         let stdout = options.json.then(|| BufWriter::new(io::stdout().lock()));
-        let (axes, existing) = (options.axes.into(), options.force.existing());
+        let (axes, existing) = (options.axes, options.force.existing());
         let segments = options.segments.as_deref();
         let segments = segments
             .map(|path| SegmentTables::create(path, options.json, axes, existing))

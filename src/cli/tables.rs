@@ -33,28 +33,24 @@ impl SegmentTables {
         axes: Axes,
         existing: Existing,
     ) -> Result<Self, CliError> {
-        let shown = path.display();
         if path.as_os_str() == "-" {
             if is_json {
                 let message =
                     "--segments - and --json both write to standard output; give --segments a file";
                 return Err(CliError::Usage(message.to_owned()));
             }
-            let out = Out::Stdout(BufWriter::new(io::stdout().lock()));
             return Ok(Self {
-                out,
+                out: Out::Stdout(BufWriter::new(io::stdout().lock())),
                 format: TableFormat::Jsonl,
                 axes,
             });
         }
-        let format = path
-            .extension()
-            .and_then(|ending| ending.to_str()?.parse().ok())
-            .ok_or_else(|| {
-                CliError::Usage(format!(
-                    "--segments {shown}: expected a name that ends in .jsonl or .csv, or -"
-                ))
-            })?;
+        let format = TableFormat::of(path).ok_or_else(|| {
+            CliError::Usage(format!(
+                "--segments {}: expected a name that ends in .jsonl or .csv, or -",
+                path.display()
+            ))
+        })?;
         let (file, new) = NewFile::create(path, existing)?;
         let mut tables = Self {
             out: Out::File(BufWriter::new(file), new),
@@ -89,13 +85,14 @@ impl SegmentTables {
         &mut self,
         write: impl FnOnce(&mut dyn Write) -> io::Result<()>,
     ) -> Result<(), CliError> {
-        match &mut self.out {
-            Out::File(out, new) => write(out)
-                .and_then(|()| out.flush())
-                .map_err(|cause| new.failed(cause).into()),
-            Out::Stdout(out) => write(out)
-                .and_then(|()| out.flush())
-                .map_err(CliError::Stdout),
-        }
+        let out: &mut dyn Write = match &mut self.out {
+            Out::File(out, _) => out,
+            Out::Stdout(out) => out,
+        };
+        let written = write(out).and_then(|()| out.flush());
+        written.map_err(|cause| match &self.out {
+            Out::File(_, new) => new.failed(cause).into(),
+            Out::Stdout(_) => CliError::Stdout(cause),
+        })
     }
 }

@@ -18,7 +18,8 @@ mod test_scene;
 use std::fs;
 use std::io::{BufWriter, Write};
 use std::path::PathBuf;
-use std::str::FromStr;
+
+use clap::ValueEnum;
 
 use crate::files::output::NewFile;
 use sweepd_core::sweep::SweepRef;
@@ -29,13 +30,13 @@ pub use pcd::write_pcd;
 pub use png::{Title, write_png};
 pub use segments::write_segments;
 
-/// The frame in which points are written.
-#[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
+/// Axes in which points are written.
+#[derive(Clone, Copy, Debug, PartialEq, Eq, ValueEnum)]
 pub enum Axes {
-    /// The manual's: x right, y forward (azimuth 0), z up.
-    #[default]
+    /// As the sensor's manual: x right, y forward at azimuth 0, z up
     Sensor,
-    /// REP 103: x forward, y left, z up.
+    /// As ROS: x forward, y left, z up
+    // REP 103.
     Ros,
 }
 
@@ -46,21 +47,6 @@ impl Axes {
         match self {
             Self::Sensor => [x, y, z],
             Self::Ros => [y, -x, z],
-        }
-    }
-}
-
-impl FromStr for Axes {
-    type Err = UnknownWord;
-
-    fn from_str(word: &str) -> Result<Self, UnknownWord> {
-        match word {
-            "sensor" => Ok(Self::Sensor),
-            "ros" => Ok(Self::Ros),
-            _ => Err(UnknownWord {
-                found: word.to_owned(),
-                expected: "sensor or ros",
-            }),
         }
     }
 }
@@ -85,28 +71,6 @@ impl Format {
             Self::Png => "png",
         }
     }
-}
-
-impl FromStr for Format {
-    type Err = UnknownWord;
-
-    fn from_str(word: &str) -> Result<Self, UnknownWord> {
-        [Self::Csv, Self::Pcd, Self::Png]
-            .into_iter()
-            .find(|format| format.extension() == word)
-            .ok_or_else(|| UnknownWord {
-                found: word.to_owned(),
-                expected: "csv, pcd or png",
-            })
-    }
-}
-
-/// A word that names none of the choices.
-#[derive(Clone, Debug, PartialEq, Eq, thiserror::Error)]
-#[error("unknown word \"{found}\", expected {expected}")]
-pub struct UnknownWord {
-    found: String,
-    expected: &'static str,
 }
 
 /// Writes sweeps into a directory, a file each.
@@ -216,20 +180,13 @@ mod tests {
     fn files_are_named_by_stem_and_format_and_no_part_is_left() {
         let dir = empty_dir("names");
         let scene = Scene::small();
-        for (word, first) in [
-            ("csv", &b"packet,"[..]),
-            ("pcd", b"# .PCD"),
-            ("png", b"\x89PNG"),
+        for (format, word, first) in [
+            (Format::Csv, "csv", &b"packet,"[..]),
+            (Format::Pcd, "pcd", b"# .PCD"),
+            (Format::Png, "png", b"\x89PNG"),
         ] {
-            let new = || {
-                Exporter::new(
-                    dir.join("a/b"),
-                    word.parse().unwrap(),
-                    Axes::Sensor,
-                    Existing::Keep,
-                )
-                .unwrap()
-            };
+            let new =
+                || Exporter::new(dir.join("a/b"), format, Axes::Sensor, Existing::Keep).unwrap();
             let mut exporter = new();
             let path = exporter.write(scene.sweep(), &TITLE).unwrap();
             assert_eq!(path, dir.join(format!("a/b/sweep_000003.{word}")));
@@ -297,14 +254,5 @@ mod tests {
         ] {
             assert!(!is_sweep_file(name, Format::Png), "{name}");
         }
-    }
-
-    #[test]
-    fn words_are_read_and_others_refused_with_the_choices() {
-        assert_eq!("ros".parse(), Ok(Axes::Ros));
-        assert_eq!("sensor".parse(), Ok(Axes::Sensor));
-        let axes = "enu".parse::<Axes>().unwrap_err().to_string();
-        assert_eq!(axes, "unknown word \"enu\", expected sensor or ros");
-        assert!("PCD".parse::<Format>().is_err());
     }
 }

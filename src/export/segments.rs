@@ -1,10 +1,10 @@
 //! The table of segments, a line each: objects instead of points.
 
 use std::io::{self, Write};
-use std::str::FromStr;
+use std::path::Path;
 
+use super::Axes;
 use super::csv::{push_decimal, push_integer, push_signed};
-use super::{Axes, UnknownWord};
 use sweepd_core::sweep::{Segment, SweepRef};
 
 /// First line of a table as CSV; also the keys of a line of JSON, in their order.
@@ -22,26 +22,20 @@ pub enum TableFormat {
 }
 
 impl TableFormat {
+    /// The format of a file, by the ending of its name.
+    pub fn of(path: &Path) -> Option<Self> {
+        match path.extension()?.to_str()? {
+            "csv" => Some(Self::Csv),
+            "jsonl" => Some(Self::Jsonl),
+            _ => None,
+        }
+    }
+
     /// What stands before the first line.
     pub fn header(self) -> &'static str {
         match self {
             Self::Csv => HEADER,
             Self::Jsonl => "",
-        }
-    }
-}
-
-impl FromStr for TableFormat {
-    type Err = UnknownWord;
-
-    fn from_str(word: &str) -> Result<Self, UnknownWord> {
-        match word {
-            "csv" => Ok(Self::Csv),
-            "jsonl" => Ok(Self::Jsonl),
-            _ => Err(UnknownWord {
-                found: word.to_owned(),
-                expected: "csv or jsonl",
-            }),
         }
     }
 }

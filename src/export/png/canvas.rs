@@ -5,16 +5,25 @@ use std::convert::Infallible;
 use std::io::{self, Write};
 
 use embedded_graphics::Pixel;
-use embedded_graphics::mono_font::{MonoFont, MonoTextStyle, iso_8859_1 as fonts};
+use embedded_graphics::mono_font::{MonoTextStyle, iso_8859_1 as fonts};
 use embedded_graphics::pixelcolor::Rgb888;
 use embedded_graphics::prelude::*;
-use embedded_graphics::primitives::{Circle, Line, PrimitiveStyle, Rectangle, Triangle};
+use embedded_graphics::primitives::{PrimitiveStyle, Rectangle, StyledDrawable, Triangle};
 use embedded_graphics::text::{Alignment, Baseline, Text, TextStyleBuilder};
 
+use super::palette::{self, DIM, RIM, TEXT, WARNING};
+
+/// How a text looks: its font and colour.
+pub type TextStyle = MonoTextStyle<'static, Rgb888>;
+
+/// Names, and the values of the legend: a page is shown at two thirds of its size on most screens.
+pub const BODY: TextStyle = MonoTextStyle::new(&fonts::FONT_10X20, TEXT);
+/// Sentences, and numbers at axes.
+pub const NOTE: TextStyle = MonoTextStyle::new(&fonts::FONT_10X20, DIM);
+/// What a reader should not overlook.
+pub const ALERT: TextStyle = MonoTextStyle::new(&fonts::FONT_10X20, WARNING);
 /// Numbers at segments.
-pub const NUMBER: &MonoFont<'static> = &fonts::FONT_9X18_BOLD;
-/// Sentences, and numbers at axes: a page is shown at two thirds of its size on most screens.
-pub const BODY: &MonoFont<'static> = &fonts::FONT_10X20;
+pub const NUMBER: TextStyle = MonoTextStyle::new(&fonts::FONT_9X18_BOLD, TEXT);
 
 /// An image in memory; what is drawn outside of it is left out.
 pub struct Canvas {
@@ -71,81 +80,66 @@ impl Canvas {
         drawn(self.fill_solid(&area, color));
     }
 
-    /// A line of one pixel, within an area.
-    pub fn line(&mut self, from: Point, to: Point, color: Rgb888, clip: &Rectangle) {
-        drawn(
-            Line::new(from, to)
-                .into_styled(PrimitiveStyle::with_stroke(color, 1))
-                .draw(&mut self.clipped(clip)),
-        );
+    /// Fills a rectangle with the stripes of lost columns.
+    pub fn stripes(&mut self, area: Rectangle) {
+        for pixel in area.points() {
+            self.set(pixel, palette::missing(pixel.x, pixel.y));
+        }
     }
 
-    /// A circle of one pixel, within an area.
-    pub fn circle(&mut self, center: Point, radius: u32, color: Rgb888, clip: &Rectangle) {
-        let circle = Circle::with_center(center, 2 * radius + 1);
-        drawn(
-            circle
-                .into_styled(PrimitiveStyle::with_stroke(color, 1))
-                .draw(&mut self.clipped(clip)),
-        );
+    /// The outline of a shape, a pixel wide, within an area.
+    pub fn outline(
+        &mut self,
+        shape: &impl StyledDrawable<PrimitiveStyle<Rgb888>, Color = Rgb888>,
+        color: Rgb888,
+        clip: &Rectangle,
+    ) {
+        let style = PrimitiveStyle::with_stroke(color, 1);
+        drawn(shape.draw_styled(&style, &mut self.clipped(clip)));
     }
 
     /// A filled triangle, within an area.
-    pub fn triangle(&mut self, corners: [Point; 3], color: Rgb888, clip: &Rectangle) {
-        let [a, b, c] = corners;
-        drawn(
-            Triangle::new(a, b, c)
-                .into_styled(PrimitiveStyle::with_fill(color))
-                .draw(&mut self.clipped(clip)),
-        );
+    pub fn triangle(&mut self, [a, b, c]: [Point; 3], color: Rgb888, clip: &Rectangle) {
+        let style = PrimitiveStyle::with_fill(color);
+        drawn(Triangle::new(a, b, c).draw_styled(&style, &mut self.clipped(clip)));
     }
 
-    /// A line of text below (and beside or around, as aligned) a point; gives the x behind it.
-    pub fn text(
-        &mut self,
-        at: Point,
-        text: &str,
-        font: &MonoFont<'_>,
-        color: Rgb888,
-        alignment: Alignment,
-    ) -> i32 {
-        let style = TextStyleBuilder::new()
+    /// A line of text, its upper left corner at a point; returns the x behind it.
+    pub fn text(&mut self, at: Point, text: &str, style: TextStyle) -> i32 {
+        self.aligned_text(at, text, style, Alignment::Left);
+        at.x + text_width(text, style) as i32
+    }
+
+    /// A line of text below a point, and beside or around it as aligned.
+    pub fn aligned_text(&mut self, at: Point, text: &str, style: TextStyle, alignment: Alignment) {
+        let place = TextStyleBuilder::new()
             .alignment(alignment)
             .baseline(Baseline::Top)
             .build();
-        let text = Text::with_text_style(text, at, MonoTextStyle::new(font, color), style);
-        drawn(text.draw(self));
-        let bounds = text.bounding_box();
-        bounds.top_left.x + bounds.size.width as i32
+        drawn(Text::with_text_style(text, at, style, place).draw(self));
     }
 
-    /// A name, bold: there is no bold font of this size. Gives the x behind it.
-    pub fn heading(&mut self, at: Point, text: &str, color: Rgb888) -> i32 {
-        self.text(at, text, BODY, color, Alignment::Left);
-        self.text(at + Point::new(1, 0), text, BODY, color, Alignment::Left)
+    /// A name, bold: there is no bold font of this size. Returns the x behind it.
+    pub fn heading(&mut self, at: Point, text: &str) -> i32 {
+        self.text(at, text, BODY);
+        self.text(at + Point::new(1, 0), text, BODY)
     }
 
     /// Text with a rim of a pixel, readable whatever is below it.
-    pub fn rimmed_text(
-        &mut self,
-        at: Point,
-        text: &str,
-        font: &MonoFont<'_>,
-        color: Rgb888,
-        rim: Rgb888,
-    ) {
+    pub fn rimmed_text(&mut self, at: Point, text: &str, style: TextStyle) {
+        let rim = TextStyle::new(style.font, RIM);
         for y in -1..=1 {
             for x in -1..=1 {
-                self.text(at + Point::new(x, y), text, font, rim, Alignment::Left);
+                self.text(at + Point::new(x, y), text, rim);
             }
         }
-        self.text(at, text, font, color, Alignment::Left);
+        self.text(at, text, style);
     }
 }
 
 /// Pixels that a text is wide.
-pub fn text_width(text: &str, font: &MonoFont<'_>) -> u32 {
-    text.chars().count() as u32 * font.character_size.width
+pub fn text_width(text: &str, style: TextStyle) -> u32 {
+    text.chars().count() as u32 * style.font.character_size.width
 }
 
 /// Nothing can fail on a canvas.

@@ -4,8 +4,8 @@ use embedded_graphics::prelude::*;
 use embedded_graphics::primitives::Rectangle;
 use embedded_graphics::text::Alignment;
 
-use super::canvas::{BODY, Canvas};
-use super::palette::{self, DIM, GROUND, NO_RETURN, TEXT, UNLABELLED};
+use super::canvas::{BODY, Canvas, NOTE};
+use super::palette::{self, GROUND, NO_RETURN, UNLABELLED};
 use super::plan::draw_sensor;
 use sweepd_core::sweep::layout::LABEL_FIRST_SEGMENT;
 use sweepd_core::sweep::{Segment, SweepRef};
@@ -25,106 +25,75 @@ const LOW_M: f32 = 0.2;
 /// A swatch.
 const SWATCH: Size = Size::new(32, 16);
 
+/// What the swatches mean, from the top.
+const MEANINGS: [&str; 6] = [
+    "no return: nothing hit, too far, or too dark",
+    "a return without label: part of a speck, or masked",
+    "ground, seen from above darker",
+    "firings whose packet was lost",
+    "segments, a colour each; numbers are labels",
+    "the sensor; it points forward, along y",
+];
+
 /// Draws the legend into an area; segments as many as fit.
 pub fn draw(page: &mut Canvas, area: &Rectangle, sweep: SweepRef<'_>) {
-    let left = area.top_left.x;
-    let bottom = area.top_left.y + area.size.height as i32;
-    page.heading(area.top_left - Point::new(0, 24), "colours", TEXT);
-    let mut y = draw_meanings(page, area.top_left) + 20;
-    let end = page.heading(Point::new(left, y), "nearest segments", TEXT);
-    page.text(
-        Point::new(end + 14, y),
-        "over 0.2 m high; boxes in metres",
-        BODY,
-        DIM,
-        Alignment::Left,
-    );
-    y += 28;
+    page.heading(area.top_left - Point::new(0, 24), "colours");
+    draw_meanings(page, area.top_left);
+    let mut at = area.top_left + Point::new(0, MEANINGS.len() as i32 * LINE + 20);
+    let end = page.heading(at, "nearest segments");
+    let remark = "over 0.2 m high; boxes in metres";
+    page.text(Point::new(end + 14, at.y), remark, NOTE);
+    at.y += 28;
     for (right, name) in COLUMNS {
-        page.text(
-            Point::new(left + right, y),
-            name,
-            BODY,
-            DIM,
-            Alignment::Right,
-        );
+        page.aligned_text(at + Point::new(right, 0), name, NOTE, Alignment::Right);
     }
-    y += LINE;
+    at.y += LINE;
     if sweep.segments.is_empty() {
-        page.text(
-            Point::new(left, y),
-            "none in this sweep",
-            BODY,
-            DIM,
-            Alignment::Left,
-        );
+        page.text(at, "none in this sweep", NOTE);
     }
-    // Slivers of kerb are the nearest of all, and tell nothing.
+    // Slivers of kerb are the nearest of all, and say nothing.
     let mut segments: Vec<&Segment> = sweep
         .segments
         .iter()
         .filter(|one| one.max_m[2] - one.min_m[2] > LOW_M)
         .collect();
     segments.sort_by(|a, b| a.nearest_m.total_cmp(&b.nearest_m));
-    let room = ((bottom - y) / LINE).max(0) as usize;
+    let bottom = area.top_left.y + area.size.height as i32;
+    let room = ((bottom - at.y) / LINE).max(0) as usize;
     for segment in segments.into_iter().take(room) {
-        draw_segment(page, Point::new(left, y), segment);
-        y += LINE;
+        draw_segment(page, at, segment);
+        at.y += LINE;
     }
 }
 
-/// A line per meaning; gives the y below the last.
-fn draw_meanings(page: &mut Canvas, at: Point) -> i32 {
-    let mut y = at.y;
-    let lines = [
-        (NO_RETURN, "no return: nothing hit, too far, or too dark"),
-        (
-            UNLABELLED,
-            "a return without label: part of a speck, or masked",
-        ),
-        (GROUND, "ground, seen from above darker"),
-    ];
-    for (color, meaning) in lines {
-        page.rect(swatch(at.x, y), color);
-        y = draw_meaning(page, Point::new(at.x, y), meaning);
+/// A line per meaning.
+fn draw_meanings(page: &mut Canvas, at: Point) {
+    let lines: [Point; MEANINGS.len()] =
+        std::array::from_fn(|line| at + Point::new(0, line as i32 * LINE));
+    for (line, meaning) in lines.into_iter().zip(MEANINGS) {
+        page.text(line + Point::new(44, 0), meaning, NOTE);
     }
-    for pixel in swatch(at.x, y).points() {
-        page.set(pixel, palette::missing(pixel.x, pixel.y));
+    let [no_return, unlabelled, ground, lost, segments, sensor] = lines.map(swatch);
+    page.rect(no_return, NO_RETURN);
+    page.rect(unlabelled, UNLABELLED);
+    page.rect(ground, GROUND);
+    page.stripes(lost);
+    let eighth = Size::new(SWATCH.width / 8, SWATCH.height);
+    for index in 0..8 {
+        let left = segments.top_left.x + (index * eighth.width) as i32;
+        let part = Rectangle::new(Point::new(left, lines[4].y), eighth);
+        page.rect(part, palette::label(LABEL_FIRST_SEGMENT + index));
     }
-    y = draw_meaning(page, Point::new(at.x, y), "firings whose packet was lost");
-    let eighth = SWATCH.width / 8;
-    for (index, x) in swatch(at.x, y)
-        .columns()
-        .step_by(eighth as usize)
-        .enumerate()
-    {
-        let stripe = Rectangle::new(Point::new(x, y), Size::new(eighth, SWATCH.height));
-        page.rect(stripe, palette::label(LABEL_FIRST_SEGMENT + index as u32));
-    }
-    y = draw_meaning(
-        page,
-        Point::new(at.x, y),
-        "segments, a colour each; numbers are labels",
-    );
-    draw_sensor(page, swatch(at.x, y).center(), &swatch(at.x, y));
-    draw_meaning(
-        page,
-        Point::new(at.x, y),
-        "the sensor; it points forward, along y",
-    )
+    draw_sensor(page, sensor.center(), &sensor);
 }
 
-fn swatch(x: i32, y: i32) -> Rectangle {
-    Rectangle::new(Point::new(x, y + 2), SWATCH)
-}
-
-fn draw_meaning(page: &mut Canvas, at: Point, meaning: &str) -> i32 {
-    page.text(at + Point::new(44, 0), meaning, BODY, DIM, Alignment::Left);
-    at.y + LINE
+/// The place of a swatch in a line.
+fn swatch(line: Point) -> Rectangle {
+    Rectangle::new(line + Point::new(0, 2), SWATCH)
 }
 
 fn draw_segment(page: &mut Canvas, at: Point, segment: &Segment) {
-    page.rect(swatch(at.x, at.y), palette::label(segment.label));
+    page.rect(swatch(at), palette::label(segment.label));
     let [x, y, _] = segment.centroid_m;
     let azimuth = (x.atan2(y).to_degrees().round() as i32).rem_euclid(360);
     let [width, depth, height] =
@@ -137,12 +106,6 @@ fn draw_segment(page: &mut Canvas, at: Point, segment: &Segment) {
         segment.points.to_string(),
     ];
     for ((right, _), cell) in COLUMNS.into_iter().zip(cells) {
-        page.text(
-            at + Point::new(right, 0),
-            &cell,
-            BODY,
-            TEXT,
-            Alignment::Right,
-        );
+        page.aligned_text(at + Point::new(right, 0), &cell, BODY, Alignment::Right);
     }
 }

@@ -42,6 +42,8 @@ const IMAGE_HEIGHT: u32 = 192;
 const ROW_HEIGHT: u32 = 14;
 /// Width of the legend with the gap before it, pixels.
 const LEGEND_WIDTH: u32 = 612;
+/// The gap before the legend, pixels.
+const LEGEND_GAP: i32 = 28;
 
 /// Draws a sweep and writes it as PNG.
 ///
@@ -76,28 +78,21 @@ impl Layout {
         let labels = reflectivities.translate(Point::new(0, step));
         let top = labels.top_left.y + step + AXIS_HEIGHT;
         let height = SIZE.1 - top as u32 - RIGHT as u32;
-        let plan = Rectangle::new(
-            Point::new(LEFT, top),
-            Size::new(IMAGE_WIDTH - LEGEND_WIDTH, height),
-        );
-        let legend_left = LEFT + plan.size.width as i32 + 28;
-        let legend = Rectangle::new(
-            Point::new(legend_left, top),
-            Size::new(LEGEND_WIDTH - 28, height),
-        );
+        let plan_size = Size::new(IMAGE_WIDTH - LEGEND_WIDTH, height);
+        let legend_left = LEFT + plan_size.width as i32 + LEGEND_GAP;
+        let legend_size = Size::new(LEGEND_WIDTH - LEGEND_GAP as u32, height);
         Self {
             ranges,
             reflectivities,
             labels,
-            plan,
-            legend,
+            plan: Rectangle::new(Point::new(LEFT, top), plan_size),
+            legend: Rectangle::new(Point::new(legend_left, top), legend_size),
         }
     }
 }
 
 fn draw(sweep: SweepRef<'_>, title: &Title<'_>) -> Canvas {
     let layout = Layout::of(sweep.rows());
-    let row_height = layout.labels.size.height / (sweep.rows() as u32).max(1);
     let raster = Raster::new(sweep, layout.ranges.size.width as usize);
     let mut page = Canvas::new(Size::new(SIZE.0, SIZE.1), palette::BACKGROUND);
     title::draw(&mut page, Point::new(LEFT, 14), sweep, title);
@@ -105,7 +100,7 @@ fn draw(sweep: SweepRef<'_>, title: &Title<'_>) -> Canvas {
     strip::draw_reflectivities(&mut page, &layout.reflectivities, sweep, &raster);
     strip::draw_labels(&mut page, &layout.labels, sweep, &raster);
     strip::draw_azimuths(&mut page, &layout.labels, sweep, &raster);
-    plan::draw(&mut page, &layout.plan, sweep, row_height);
+    plan::draw(&mut page, &layout.plan, sweep, layout.labels.size);
     legend::draw(&mut page, &layout.legend, sweep);
     page
 }

@@ -1,30 +1,27 @@
 //! Texts over a panel, above all the numbers of segments: readable on any colour, and none covers
 //! another.
 
-use embedded_graphics::mono_font::MonoFont;
-use embedded_graphics::pixelcolor::Rgb888;
 use embedded_graphics::prelude::*;
 use embedded_graphics::primitives::Rectangle;
 
-use super::IMAGE_WIDTH;
-use super::canvas::{Canvas, NUMBER, text_width};
-use super::palette::{RIM, TEXT};
+use super::canvas::{Canvas, NUMBER, TextStyle, text_width};
 use sweepd_core::sweep::layout::LABEL_FIRST_SEGMENT;
 use sweepd_core::sweep::{Segment, SweepRef};
 
 /// Pixels between two texts.
 const GAP: u32 = 4;
 
-/// Segments whose returns take at least as much of the label image as their numbers do, the largest
-/// first.
-pub fn numbered(sweep: SweepRef<'_>, row_height: u32) -> Vec<&Segment> {
-    let pixels = u64::from(IMAGE_WIDTH) * u64::from(row_height);
+/// Segments whose returns take at least as much of the label image, which has this size, as their
+/// numbers do, the largest first.
+pub fn numbered(sweep: SweepRef<'_>, image: Size) -> Vec<&Segment> {
+    let row_height = image.height / (sweep.rows() as u32).max(1);
+    let row_pixels = u64::from(image.width) * u64::from(row_height);
     let columns = sweep.columns.len() as u64;
-    let is_large = |segment: &&Segment| {
+    let mut segments: Vec<&Segment> = sweep.segments.iter().collect();
+    segments.retain(|segment| {
         let Size { width, height } = number_size(segment.label);
-        u64::from(segment.points) * pixels >= u64::from(width * height) * columns
-    };
-    let mut segments: Vec<&Segment> = sweep.segments.iter().filter(is_large).collect();
+        u64::from(segment.points) * row_pixels >= u64::from(width * height) * columns
+    });
     segments.sort_by_key(|segment| (std::cmp::Reverse(segment.points), segment.label));
     segments
 }
@@ -41,8 +38,8 @@ pub fn number_size(label: u32) -> Size {
     text_size(&label.to_string(), NUMBER)
 }
 
-fn text_size(text: &str, font: &MonoFont<'_>) -> Size {
-    Size::new(text_width(text, font), font.character_size.height)
+fn text_size(text: &str, style: TextStyle) -> Size {
+    Size::new(text_width(text, style), style.font.character_size.height)
 }
 
 /// The texts of a panel.
@@ -69,57 +66,39 @@ impl Texts {
     /// there is no room.
     pub fn draw_number(&mut self, page: &mut Canvas, label: u32, centers: &[Point]) {
         let text = label.to_string();
-        for &center in centers {
-            if self.draw(page, center, &text, NUMBER, TEXT) {
-                return;
-            }
-        }
+        centers
+            .iter()
+            .find(|&&center| self.draw(page, center, &text, NUMBER));
     }
 
-    /// Draws a text around a point of the panel, moved into the panel, if there is room; gives
+    /// Draws a text around a point of the panel, moved into the panel, if there is room; returns
     /// whether there was.
-    pub fn draw(
-        &mut self,
-        page: &mut Canvas,
-        center: Point,
-        text: &str,
-        font: &MonoFont<'_>,
-        color: Rgb888,
-    ) -> bool {
-        let size = text_size(text, font) + Size::new_equal(GAP);
-        let Some(lower_right) = self
-            .area
-            .bottom_right()
-            .filter(|_| self.area.contains(center))
-        else {
+    pub fn draw(&mut self, page: &mut Canvas, center: Point, text: &str, style: TextStyle) -> bool {
+        let size = text_size(text, style) + Size::new_equal(GAP);
+        let area = self.area;
+        let Some(lower_right) = area.bottom_right().filter(|_| area.contains(center)) else {
             return false;
         };
         let most = lower_right + Point::new(1, 1) - size;
         let top_left = (center - size / 2)
             .component_min(most)
-            .component_max(self.area.top_left);
+            .component_max(area.top_left);
         let place = Rectangle::new(top_left, size);
-        if self
-            .taken
-            .iter()
-            .any(|taken| !taken.intersection(&place).is_zero_sized())
-        {
+        let mut meets = self.taken.iter().map(|taken| taken.intersection(&place));
+        if !meets.all(|common| common.is_zero_sized()) {
             return false;
         }
         self.taken.push(place);
-        page.rimmed_text(
-            top_left + Point::new_equal(GAP as i32 / 2),
-            text,
-            font,
-            color,
-            RIM,
-        );
+        page.rimmed_text(top_left + Point::new_equal(GAP as i32 / 2), text, style);
         true
     }
 }
 
 #[cfg(test)]
 mod tests {
+    use embedded_graphics::pixelcolor::Rgb888;
+
+    use super::super::palette::TEXT;
     use super::*;
 
     /// Pixels of this colour, and of another one than black outside of an area.
@@ -145,7 +124,7 @@ mod tests {
         let area = Rectangle::new(Point::new(20, 10), Size::new(200, 120));
         let blank = || Canvas::new(Size::new(240, 140), BLACK);
         let mut alone = blank();
-        assert!(Texts::new(area).draw(&mut alone, area.center(), "88", NUMBER, TEXT));
+        assert!(Texts::new(area).draw(&mut alone, area.center(), "88", NUMBER));
         let (one, _) = pixels(&alone, &area, TEXT);
         assert!(one > 60, "{one} pixels of 88");
 
@@ -153,7 +132,7 @@ mod tests {
         let (mut page, mut texts, mut drawn) = (blank(), Texts::new(area), 0);
         for _ in 0..1000 {
             let center = Point::new(random.i32(0..240), random.i32(0..140));
-            drawn += usize::from(texts.draw(&mut page, center, "88", NUMBER, TEXT));
+            drawn += usize::from(texts.draw(&mut page, center, "88", NUMBER));
         }
         // 9 x 6 would fit side by side.
         assert!((15..=54).contains(&drawn), "{drawn} drawn");

@@ -201,7 +201,7 @@ fn mixed(from: Rgb888, to: Rgb888, part: f64) -> Rgb888 {
 }
 
 /// The value below which this many percent of the values are. Reorders them; there must be one.
-pub fn percentile(values: &mut [f64], percent: usize) -> f64 {
+fn percentile(values: &mut [f64], percent: usize) -> f64 {
     let index = (values.len() - 1) * percent / 100;
     *values.select_nth_unstable_by(index, f64::total_cmp).1
 }

@@ -3,12 +3,12 @@
 use std::f64::consts::{PI, TAU};
 
 use embedded_graphics::prelude::*;
-use embedded_graphics::primitives::Rectangle;
+use embedded_graphics::primitives::{Circle, Line, Rectangle};
 
-use super::canvas::{BODY, Canvas};
+use super::canvas::{BODY, Canvas, NOTE};
 use super::numbers::{Texts, entry, number_size, numbered};
 use super::palette::{
-    self, DIM, GRID, GROUND_FAINT, MISSING, MISSING_STRIPE, NO_RETURN, RIM, TEXT, round_up,
+    self, GRID, GROUND_FAINT, MISSING, MISSING_STRIPE, NO_RETURN, RIM, TEXT, round_up,
 };
 use super::strip::draw_caption;
 use sweepd_core::sweep::layout::{LABEL_GROUND, LABEL_NONE};
@@ -40,9 +40,20 @@ struct Spot {
     label: u32,
 }
 
+impl Spot {
+    /// What covers what: the greater covers the lesser.
+    fn layer(&self) -> u8 {
+        match self.label {
+            LABEL_GROUND => 0,
+            LABEL_NONE => 1,
+            _ => 2,
+        }
+    }
+}
+
 /// Where metres are on the page: y to the right, x down, as an axis of azimuth that turns clockwise
 /// needs it.
-struct View {
+struct FloorPlan {
     area: Rectangle,
     sensor: Point,
     pixels_per_m: f64,
@@ -50,9 +61,9 @@ struct View {
     ring_m: f64,
 }
 
-/// Draws the plan of a sweep, both returns of a dual one; the rows of the label image tell which
-/// segments are large.
-pub fn draw(page: &mut Canvas, area: &Rectangle, sweep: SweepRef<'_>, row_height: u32) {
+/// Draws the plan of a sweep, both returns of a dual one; the size of the label image decides which
+/// segments are numbered.
+pub fn draw(page: &mut Canvas, area: &Rectangle, sweep: SweepRef<'_>, label_image: Size) {
     let spots: Vec<Spot> = sweep
         .returns()
         .filter(|found| found.point_m.iter().all(|length| length.is_finite()))
@@ -62,21 +73,26 @@ pub fn draw(page: &mut Canvas, area: &Rectangle, sweep: SweepRef<'_>, row_height
             label: found.label,
         })
         .collect();
-    let view = View::of(&spots, *area);
+    let plan = FloorPlan::of(&spots, *area);
     let remark = format!(
         "forward (y) to the right, x down, a ring every {} m around the sensor",
-        view.ring_m
+        plan.ring_m
     );
     draw_caption(page, area, "seen from above", &remark);
     page.rect(*area, NO_RETURN);
-    view.draw_lost_sectors(page, sweep.columns);
-    view.draw_grid(page);
-    view.draw_spots(page, &spots);
-    draw_sensor(page, view.sensor, area);
+    plan.draw_lost_sectors(page, sweep.columns);
+    plan.draw_grid(page);
+    plan.draw_spots(page, &spots);
+    draw_sensor(page, plan.sensor, area);
     let mut texts = Texts::new(*area);
-    texts.keep_clear(Rectangle::with_center(view.sensor, Size::new_equal(24)));
-    view.draw_axes(page, &mut texts);
-    view.draw_numbers(page, &mut texts, &spots, sweep, row_height);
+    texts.keep_clear(Rectangle::with_center(plan.sensor, Size::new_equal(24)));
+    plan.draw_axes(page, &mut texts);
+    let anchors = anchors(&spots, sweep.segments);
+    for segment in numbered(sweep, label_image) {
+        if let Some([x_m, y_m]) = entry(segment.label).and_then(|entry| *anchors.get(entry)?) {
+            plan.draw_number(page, &mut texts, segment, plan.pixel(x_m, y_m));
+        }
+    }
 }
 
 /// An arrow head, forward.
@@ -92,36 +108,36 @@ pub fn draw_sensor(page: &mut Canvas, at: Point, clip: &Rectangle) {
 }
 
 /// The least and the greatest of these lengths, all but a few percent at each end, and the
-/// sensor's; rounded outwards, so that sweeps of one place share a view.
-fn reach(mut lengths_m: Vec<f64>) -> [f64; 2] {
+/// sensor's; rounded outwards, so that sweeps of one place share a plan.
+fn reach(lengths_m: impl Iterator<Item = f64>) -> [f64; 2] {
+    let mut lengths_m: Vec<f64> = lengths_m.collect();
     let Some(last) = lengths_m.len().checked_sub(1) else {
         return [-DEFAULT_REACH_M, DEFAULT_REACH_M];
     };
     let outside = last * PERCENT_OUTSIDE / 100;
-    let [least, most] = [outside, last - outside].map(|index| {
-        let (_, length, _) = lengths_m.select_nth_unstable_by(index, f64::total_cmp);
-        *length
-    });
-    let (least, most) = (
-        least.clamp(-MOST_REACH_M, -LEAST_REACH_M),
-        most.clamp(LEAST_REACH_M, MOST_REACH_M),
-    );
+    let (_, &mut least, _) = lengths_m.select_nth_unstable_by(outside, f64::total_cmp);
+    let (_, &mut most, _) = lengths_m.select_nth_unstable_by(last - outside, f64::total_cmp);
+    let least = least.clamp(-MOST_REACH_M, -LEAST_REACH_M);
+    let most = most.clamp(LEAST_REACH_M, MOST_REACH_M);
     let step = round_up(most - least) / 20.0;
     [(least / step).floor() * step, (most / step).ceil() * step]
 }
 
-impl View {
-    /// A view that holds nearly all returns.
+impl FloorPlan {
+    /// A plan that holds nearly all returns.
     fn of(spots: &[Spot], area: Rectangle) -> Self {
-        let down_m = reach(spots.iter().map(|spot| spot.x_m).collect());
-        let right_m = reach(spots.iter().map(|spot| spot.y_m).collect());
-        let scale =
-            |pixels: u32, [least, most]: [f64; 2]| f64::from(pixels - 2 * EDGE) / (most - least);
-        let pixels_per_m = scale(area.size.width, right_m).min(scale(area.size.height, down_m));
-        let middle = |[least, most]: [f64; 2]| ((least + most) / 2.0 * pixels_per_m).round() as i32;
+        let [up_m, down_m] = reach(spots.iter().map(|spot| spot.x_m));
+        let [left_m, right_m] = reach(spots.iter().map(|spot| spot.y_m));
+        let width = f64::from(area.size.width - 2 * EDGE);
+        let height = f64::from(area.size.height - 2 * EDGE);
+        let pixels_per_m = (width / (right_m - left_m)).min(height / (down_m - up_m));
+        let middle = Point::new(
+            ((left_m + right_m) / 2.0 * pixels_per_m).round() as i32,
+            ((up_m + down_m) / 2.0 * pixels_per_m).round() as i32,
+        );
         Self {
             area,
-            sensor: area.center() - Point::new(middle(right_m), middle(down_m)),
+            sensor: area.center() - middle,
             pixels_per_m,
             ring_m: round_up(RING / pixels_per_m),
         }
@@ -129,9 +145,11 @@ impl View {
 
     /// The pixel of a place; far outside of the area for what is far away.
     fn pixel(&self, x_m: f64, y_m: f64) -> Point {
-        let far = f64::from(i16::MAX);
-        let place = |metres: f64| (metres * self.pixels_per_m).clamp(-far, far).round() as i32;
-        self.sensor + Point::new(place(y_m), place(x_m))
+        let [x, y] = [x_m, y_m].map(|metres| {
+            let far = f64::from(i16::MAX);
+            (metres * self.pixels_per_m).clamp(-far, far).round() as i32
+        });
+        self.sensor + Point::new(y, x)
     }
 
     /// Stripes in the directions in which packets were lost, where an empty plan does not mean free
@@ -152,10 +170,8 @@ impl View {
 
     /// The ends of the axes: forward, right, back, left.
     fn axis_ends(&self) -> [Point; 4] {
-        let (first, last) = (
-            self.area.top_left,
-            self.area.top_left + self.area.size - Point::new(1, 1),
-        );
+        let first = self.area.top_left;
+        let last = first + self.area.size - Point::new(1, 1);
         let Point { x, y } = self.sensor;
         [
             Point::new(last.x, y),
@@ -167,15 +183,12 @@ impl View {
 
     fn draw_grid(&self, page: &mut Canvas) {
         for end in self.axis_ends() {
-            page.line(self.sensor, end, GRID, &self.area);
+            page.outline(&Line::new(self.sensor, end), GRID, &self.area);
         }
         for radius_m in self.rings_m() {
-            page.circle(
-                self.sensor,
-                (radius_m * self.pixels_per_m).round() as u32,
-                GRID,
-                &self.area,
-            );
+            let radius = (radius_m * self.pixels_per_m).round() as u32;
+            let ring = Circle::with_center(self.sensor, 2 * radius + 1);
+            page.outline(&ring, GRID, &self.area);
         }
     }
 
@@ -190,17 +203,11 @@ impl View {
 
     /// Ground lowest, segments on top.
     fn draw_spots(&self, page: &mut Canvas, spots: &[Spot]) {
-        let layer = |label: u32| match label {
-            LABEL_GROUND => 0,
-            LABEL_NONE => 1,
-            _ => 2,
-        };
-        for this in 0..3 {
-            for spot in spots.iter().filter(|spot| layer(spot.label) == this) {
-                let color = if spot.label == LABEL_GROUND {
-                    GROUND_FAINT
-                } else {
-                    palette::label(spot.label)
+        for layer in 0..3 {
+            for spot in spots.iter().filter(|spot| spot.layer() == layer) {
+                let color = match spot.label {
+                    LABEL_GROUND => GROUND_FAINT,
+                    label => palette::label(label),
                 };
                 let dot = Rectangle::new(self.pixel(spot.x_m, spot.y_m), Size::new_equal(2));
                 page.rect(dot.intersection(&self.area), color);
@@ -213,55 +220,39 @@ impl View {
     fn draw_axes(&self, page: &mut Canvas, texts: &mut Texts) {
         let ends = self.axis_ends();
         for (end, text) in ends.into_iter().zip(["0° forward", "90°", "180°", "270°"]) {
-            texts.draw(page, end, text, BODY, TEXT);
+            texts.draw(page, end, text, BODY);
         }
         let right = (ends[0].x - self.sensor.x) >= (self.sensor.x - ends[2].x);
         for radius_m in self.rings_m() {
             let at = self.pixel(0.0, if right { radius_m } else { -radius_m });
-            texts.draw(page, at, &format!("{radius_m} m"), BODY, DIM);
+            texts.draw(page, at, &format!("{radius_m} m"), NOTE);
         }
     }
 
-    /// Numbers at the larger segments: on those that are larger than their number, beside the
-    /// others.
-    fn draw_numbers(
-        &self,
-        page: &mut Canvas,
-        texts: &mut Texts,
-        spots: &[Spot],
-        sweep: SweepRef<'_>,
-        row_height: u32,
-    ) {
-        let anchors = anchors(spots, sweep.segments);
-        for segment in numbered(sweep, row_height) {
-            let Some([x_m, y_m]) = entry(segment.label).and_then(|entry| *anchors.get(entry)?)
-            else {
-                continue;
-            };
-            let size = number_size(segment.label);
-            let [x, y] = [1, 0].map(|axis| {
-                f64::from(segment.max_m[axis] - segment.min_m[axis]) * self.pixels_per_m
-            });
-            let (width, height) = (size.width as i32, size.height as i32);
-            // Beside a large one is still at the return, not at the edge of its box, where nothing
-            // may be.
-            let (half_x, half_y) = (x.min(BESIDE) as i32 / 2, y.min(BESIDE) as i32 / 2);
-            let at = self.pixel(x_m, y_m);
-            let beside = [
-                Point::new(0, -half_y - height / 2 - 3),
-                Point::new(half_x + width / 2 + 5, 0),
-                Point::new(0, half_y + height / 2 + 5),
-                Point::new(-half_x - width / 2 - 3, 0),
-            ];
-            let is_large =
-                x > f64::from(2 * width) && y > f64::from(height) || y > f64::from(2 * height);
-            let on = is_large.then_some(at);
-            let centers: Vec<Point> = on
-                .into_iter()
-                .chain(beside.map(|offset| at + offset))
-                .collect();
-            texts.draw_number(page, segment.label, &centers);
+    /// The number of a segment, which has a return at `at`: there where the segment is larger than
+    /// its number, else beside it.
+    fn draw_number(&self, page: &mut Canvas, texts: &mut Texts, segment: &Segment, at: Point) {
+        let size = number_size(segment.label);
+        let width = size.width as i32;
+        let height = size.height as i32;
+        // The page has the sensor's y to the right.
+        let [y, x, _] = std::array::from_fn(|axis| {
+            f64::from(segment.max_m[axis] - segment.min_m[axis]) * self.pixels_per_m
+        });
+        // Beside a large one is still at the return, not at the edge of its box, where nothing
+        // may be.
+        let half_x = x.min(BESIDE) as i32 / 2;
+        let half_y = y.min(BESIDE) as i32 / 2;
+        let mut centers = vec![
+            at + Point::new(0, -half_y - height / 2 - 3),
+            at + Point::new(half_x + width / 2 + 5, 0),
+            at + Point::new(0, half_y + height / 2 + 5),
+            at + Point::new(-half_x - width / 2 - 3, 0),
+        ];
+        if x > f64::from(2 * width) && y > f64::from(height) || y > f64::from(2 * height) {
+            centers.insert(0, at);
         }
+        texts.draw_number(page, segment.label, &centers);
     }
 }
 

@@ -5,12 +5,12 @@ use embedded_graphics::prelude::*;
 use embedded_graphics::primitives::Rectangle;
 use embedded_graphics::text::Alignment;
 
-use super::canvas::{BODY, Canvas, text_width};
+use super::canvas::{Canvas, NOTE, text_width};
 use super::numbers::{Texts, entry, numbered};
-use super::palette::{self, DIM, NO_RETURN, RangeScale, ReflectivityScale, TEXT};
+use super::palette::{self, DIM, NO_RETURN, RangeScale, ReflectivityScale};
 use super::raster::{Cell, Raster};
-use sweepd_core::sweep::SweepRef;
 use sweepd_core::sweep::layout::is_return;
+use sweepd_core::sweep::{Segment, SweepRef};
 
 /// Height of a caption with the gap below it, pixels.
 pub const CAPTION_HEIGHT: i32 = 44;
@@ -24,14 +24,8 @@ const BAR_WIDTH: i32 = 520;
 /// The name of a panel and a remark, above its area.
 pub fn draw_caption(page: &mut Canvas, area: &Rectangle, name: &str, remark: &str) {
     let at = area.top_left - Point::new(0, 24);
-    let end = page.heading(at, name, TEXT);
-    page.text(
-        Point::new(end + 14, at.y),
-        remark,
-        BODY,
-        DIM,
-        Alignment::Left,
-    );
+    let end = page.heading(at, name);
+    page.text(Point::new(end + 14, at.y), remark, NOTE);
 }
 
 /// The ranges, with the scale of their colours.
@@ -41,20 +35,12 @@ pub fn draw_ranges(page: &mut Canvas, area: &Rectangle, sweep: SweepRef<'_>, ras
         .iter()
         .filter(|&&range| is_return(range) && range.is_finite());
     let scale = RangeScale::of(&mut returns.map(|&range| f64::from(range)).collect::<Vec<_>>());
-    draw_caption(
-        page,
-        area,
-        "range",
-        "a row per laser by elevation, a column per firing in the order measured",
-    );
-    draw_scale(
-        page,
-        area,
-        RangeScale::color_at,
-        scale
-            .ticks_m()
-            .map(|tick| (scale.position(tick), format!("{tick} m"))),
-    );
+    let remark = "a row per laser by elevation, a column per firing in the order measured";
+    draw_caption(page, area, "range", remark);
+    let ticks = scale
+        .ticks_m()
+        .map(|tick| (scale.position(tick), format!("{tick} m")));
+    draw_scale(page, area, RangeScale::color_at, ticks);
     draw_cells(page, area, raster, |index| {
         scale.color(f64::from(sweep.range[index]))
     });
@@ -68,12 +54,8 @@ pub fn draw_reflectivities(
     sweep: SweepRef<'_>,
     raster: &Raster,
 ) {
-    draw_caption(
-        page,
-        area,
-        "reflectivity",
-        "grey: diffuse, up to 100; coloured: retro-reflectors such as signs, over 100",
-    );
+    let remark = "grey: diffuse, up to 100; coloured: retro-reflectors such as signs, over 100";
+    draw_caption(page, area, "reflectivity", remark);
     let ticks =
         ReflectivityScale::TICKS.map(|tick| (ReflectivityScale::position(tick), tick.to_string()));
     draw_scale(page, area, ReflectivityScale::color_at, ticks);
@@ -91,18 +73,16 @@ pub fn draw_labels(page: &mut Canvas, area: &Rectangle, sweep: SweepRef<'_>, ras
         palette::label(sweep.label[index])
     });
     draw_elevations(page, area, sweep);
-    let row_height = row_height(area, raster.rows) as i32;
+    let row_height = row_height(area, raster.rows);
     let anchors = anchors(sweep, raster);
     let mut texts = Texts::new(*area);
-    for segment in numbered(sweep, row_height as u32) {
+    for segment in numbered(sweep, area.size) {
         let Some(run) = entry(segment.label).and_then(|entry| *anchors.get(entry)?) else {
             continue;
         };
-        let center = Point::new(
-            run.middle as i32,
-            run.row as i32 * row_height + row_height / 2,
-        );
-        texts.draw_number(page, segment.label, &[area.top_left + center]);
+        let y = run.row as i32 * row_height + row_height / 2;
+        let center = area.top_left + Point::new(run.middle as i32, y);
+        texts.draw_number(page, segment.label, &[center]);
     }
 }
 
@@ -121,31 +101,35 @@ struct Run {
 /// seam.
 fn anchors(sweep: SweepRef<'_>, raster: &Raster) -> Vec<Option<Run>> {
     let mut longest: Vec<Option<Run>> = vec![None; sweep.segments.len()];
-    let segment_at = |x: usize, row: usize| match raster.cell(x, row) {
-        Cell::Pixel(index) => entry(sweep.label[index]),
-        Cell::Missing | Cell::Empty => None,
-    };
     for row in 0..raster.rows {
-        let mut x = 0;
-        while x < raster.width {
-            let (first, segment) = (x, segment_at(x, row));
-            while x < raster.width && segment_at(x, row) == segment {
-                x += 1;
-            }
-            let Some(segment) = segment.filter(|&segment| segment < longest.len()) else {
+        let segments: Vec<Option<usize>> = (0..raster.width)
+            .map(|x| match raster.cell(x, row) {
+                Cell::Pixel(index) => entry(sweep.label[index]),
+                Cell::Missing | Cell::Empty => None,
+            })
+            .collect();
+        let mut first = 0;
+        for cells in segments.chunk_by(|a, b| a == b) {
+            let end = first + cells.len();
+            let middle = (first + end) / 2;
+            first = end;
+            let Some(segment) = cells[0].filter(|&segment| segment < longest.len()) else {
                 continue;
             };
-            let rows = usize::from(sweep.segments[segment].row_first)
-                + usize::from(sweep.segments[segment].row_last);
+            let Segment {
+                row_first,
+                row_last,
+                ..
+            } = sweep.segments[segment];
             let run = Run {
-                cells: x - first,
-                middle: (first + x) / 2,
+                cells: cells.len(),
+                middle,
                 row,
-                off_middle: rows.abs_diff(2 * row),
+                off_middle: (usize::from(row_first) + usize::from(row_last)).abs_diff(2 * row),
             };
-            let is_better =
-                |other: &Run| (run.cells, other.off_middle) > (other.cells, run.off_middle);
-            if longest[segment].as_ref().is_none_or(is_better) {
+            let is_better = longest[segment]
+                .is_none_or(|other| (run.cells, other.off_middle) > (other.cells, run.off_middle));
+            if is_better {
                 longest[segment] = Some(run);
             }
         }
@@ -153,8 +137,8 @@ fn anchors(sweep: SweepRef<'_>, raster: &Raster) -> Vec<Option<Run>> {
     longest
 }
 
-fn row_height(area: &Rectangle, rows: usize) -> usize {
-    area.size.height as usize / rows.max(1)
+fn row_height(area: &Rectangle, rows: usize) -> i32 {
+    area.size.height as i32 / rows.max(1) as i32
 }
 
 fn draw_cells(
@@ -166,22 +150,12 @@ fn draw_cells(
     let row_height = row_height(area, raster.rows);
     for row in 0..raster.rows {
         for x in 0..raster.width {
-            let cell = raster.cell(x, row);
-            let fill = if let Cell::Pixel(index) = cell {
-                color(index)
-            } else {
-                NO_RETURN
-            };
-            for y in row * row_height..(row + 1) * row_height {
-                let at = area.top_left + Point::new(x as i32, y as i32);
-                page.set(
-                    at,
-                    if cell == Cell::Missing {
-                        palette::missing(at.x, at.y)
-                    } else {
-                        fill
-                    },
-                );
+            let top = area.top_left + Point::new(x as i32, row as i32 * row_height);
+            let place = Rectangle::new(top, Size::new(1, row_height as u32));
+            match raster.cell(x, row) {
+                Cell::Pixel(index) => page.rect(place, color(index)),
+                Cell::Empty => page.rect(place, NO_RETURN),
+                Cell::Missing => page.stripes(place),
             }
         }
     }
@@ -198,55 +172,44 @@ fn draw_scale(
     let (left, top) = (right - BAR_WIDTH, area.top_left.y - 38);
     for x in 0..BAR_WIDTH {
         let color = color_at(f64::from(x) / f64::from(BAR_WIDTH - 1));
-        page.rect(
-            Rectangle::new(Point::new(left + x, top), Size::new(1, 13)),
-            color,
-        );
+        draw_tick(page, Point::new(left + x, top), 13, color);
     }
     let mut free = i32::MIN;
     for (position, text) in ticks {
         let x = left + (position * f64::from(BAR_WIDTH - 1)) as i32;
-        let half = text_width(&text, BODY) as i32 / 2;
+        let half = text_width(&text, NOTE) as i32 / 2;
         if x - half > free {
-            page.rect(
-                Rectangle::new(Point::new(x, top + 13), Size::new(1, 4)),
-                DIM,
-            );
-            page.text(Point::new(x, top + 17), &text, BODY, DIM, Alignment::Center);
+            draw_tick(page, Point::new(x, top + 13), 4, DIM);
+            page.aligned_text(Point::new(x, top + 17), &text, NOTE, Alignment::Center);
             free = x + half + 8;
         }
     }
 }
 
+/// A vertical line of a pixel, this long.
+fn draw_tick(page: &mut Canvas, top: Point, length: u32, color: Rgb888) {
+    page.rect(Rectangle::new(top, Size::new(1, length)), color);
+}
+
 /// Elevations of the top row, the bottom row and the one nearest the horizon, left of the image.
 fn draw_elevations(page: &mut Canvas, area: &Rectangle, sweep: SweepRef<'_>) {
     let rows = sweep.rows();
-    let row_height = row_height(area, rows) as i32;
-    let level = |&a: &usize, &b: &usize| {
-        sweep.beams[a]
-            .elevation_rad
-            .abs()
-            .total_cmp(&sweep.beams[b].elevation_rad.abs())
+    let row_height = row_height(area, rows);
+    let Some(horizon) = (0..rows).min_by(|&a, &b| {
+        let a = sweep.beams[a].elevation_rad.abs();
+        a.total_cmp(&sweep.beams[b].elevation_rad.abs())
+    }) else {
+        return;
     };
-    let horizon = (0..rows).min_by(level);
     let mut taken: Vec<i32> = Vec::new();
-    for row in [Some(0), rows.checked_sub(1), horizon]
-        .into_iter()
-        .flatten()
-        .filter(|&row| row < rows)
-    {
+    for row in [0, rows - 1, horizon] {
         let y = area.top_left.y + row as i32 * row_height + row_height / 2;
         if taken.iter().all(|other| (other - y).abs() >= 20) {
+            let left = area.top_left.x;
             let text = format!("{:+.1}°", sweep.beams[row].elevation_rad.to_degrees());
-            page.text(
-                Point::new(area.top_left.x - 8, y - 10),
-                &text,
-                BODY,
-                DIM,
-                Alignment::Right,
-            );
+            page.aligned_text(Point::new(left - 8, y - 10), &text, NOTE, Alignment::Right);
             page.rect(
-                Rectangle::new(Point::new(area.top_left.x - 5, y), Size::new(4, 1)),
+                Rectangle::new(Point::new(left - 5, y), Size::new(4, 1)),
                 DIM,
             );
             taken.push(y);
@@ -256,27 +219,21 @@ fn draw_elevations(page: &mut Canvas, area: &Rectangle, sweep: SweepRef<'_>) {
 
 /// Degrees below the lowest image.
 pub fn draw_azimuths(page: &mut Canvas, area: &Rectangle, sweep: SweepRef<'_>, raster: &Raster) {
-    let below = area.top_left.y + area.size.height as i32;
-    page.text(
-        Point::new(area.top_left.x - 24, below + 7),
+    let lower_left = area.top_left + area.size.y_axis();
+    page.aligned_text(
+        lower_left + Point::new(-24, 7),
         "azimuth",
-        BODY,
-        DIM,
+        NOTE,
         Alignment::Right,
     );
     let mut free = 0;
     for (column, degrees) in azimuth_ticks(sweep) {
         let x = raster.x_of(column, sweep.columns.len());
         if x >= free && x < raster.width {
-            let at = Point::new(area.top_left.x + x as i32, below);
-            page.rect(Rectangle::new(at, Size::new(1, 6)), DIM);
-            page.text(
-                at + Point::new(1, 7),
-                &format!("{degrees}°"),
-                BODY,
-                DIM,
-                Alignment::Center,
-            );
+            let at = lower_left + Point::new(x as i32, 0);
+            draw_tick(page, at, 6, DIM);
+            let text = format!("{degrees}°");
+            page.aligned_text(at + Point::new(1, 7), &text, NOTE, Alignment::Center);
             free = x + TICK_SPACING;
         }
     }
@@ -315,24 +272,17 @@ fn azimuth_ticks(sweep: SweepRef<'_>) -> Vec<(usize, i64)> {
 
 /// Azimuths of the columns in degrees, without the step at the whole turn.
 fn unwrapped_degrees(sweep: SweepRef<'_>) -> Vec<f64> {
-    let mut turned = 0.0;
-    let mut before = None;
-    let azimuths = sweep
+    let azimuths: Vec<f64> = sweep
         .columns
         .iter()
-        .map(|column| f64::from(column.azimuth_rad).to_degrees());
-    azimuths
-        .map(|azimuth| {
-            let step = (azimuth - before.unwrap_or(0.0) + 180.0).rem_euclid(360.0) - 180.0;
-            turned = if before.is_some() {
-                turned + step
-            } else {
-                azimuth
-            };
-            before = Some(azimuth);
-            turned
-        })
-        .collect()
+        .map(|column| f64::from(column.azimuth_rad).to_degrees())
+        .collect();
+    let mut turned = azimuths.clone();
+    for column in 1..azimuths.len() {
+        let step = azimuths[column] - azimuths[column - 1];
+        turned[column] = turned[column - 1] + ((step + 180.0).rem_euclid(360.0) - 180.0);
+    }
+    turned
 }
 
 #[cfg(test)]

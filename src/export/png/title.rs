@@ -1,10 +1,8 @@
 //! The head of a page: which sweep this is, and what is in it.
 
 use embedded_graphics::prelude::*;
-use embedded_graphics::text::Alignment;
 
-use super::canvas::{BODY, Canvas};
-use super::palette::{DIM, TEXT, WARNING};
+use super::canvas::{ALERT, Canvas, NOTE};
 use crate::text::{grouped, utc_text};
 use sweepd_core::sweep::SweepRef;
 use sweepd_core::sweep::layout::{LABEL_GROUND, TimeSource, flags, is_return};
@@ -24,27 +22,13 @@ pub struct Title<'a> {
 /// Draws the head: names large, numbers small, warnings between them at the right.
 pub fn draw(page: &mut Canvas, at: Point, sweep: SweepRef<'_>, title: &Title<'_>) {
     let sensor = sweep.header.sensor();
-    let names = [
-        title.model.to_owned(),
-        sensor.to_owned(),
-        format!("sweep {}", title.sweep_number),
-    ];
-    let names: Vec<String> = names.into_iter().filter(|name| !name.is_empty()).collect();
-    let end = page.heading(at, &names.join("  ·  "), TEXT);
-    page.text(
-        Point::new(end + 30, at.y),
-        &warnings(sweep).join(", "),
-        BODY,
-        WARNING,
-        Alignment::Left,
-    );
-    page.text(
-        at + Point::new(0, 28),
-        &facts(sweep).join("   "),
-        BODY,
-        DIM,
-        Alignment::Left,
-    );
+    let number = format!("sweep {}", title.sweep_number);
+    let mut names = vec![title.model, sensor, &number];
+    names.retain(|name| !name.is_empty());
+    let end = page.heading(at, &names.join("  ·  "));
+    let warnings = warnings(sweep).join(", ");
+    page.text(Point::new(end + 30, at.y), &warnings, ALERT);
+    page.text(at + Point::new(0, 28), &facts(sweep).join("   "), NOTE);
 }
 
 fn facts(sweep: SweepRef<'_>) -> Vec<String> {
@@ -53,8 +37,7 @@ fn facts(sweep: SweepRef<'_>) -> Vec<String> {
         TimeSource::Gps => "GPS clock",
         TimeSource::Host => "host clock",
     };
-    let count = |ranges: &[f32]| ranges.iter().filter(|&&range| is_return(range)).count();
-    let segmented = count(sweep.range);
+    let segmented = returns(sweep.range);
     let ground = sweep
         .label
         .iter()
@@ -63,7 +46,10 @@ fn facts(sweep: SweepRef<'_>) -> Vec<String> {
     let second = if sweep.range2.is_empty() {
         String::new()
     } else {
-        format!(" + {} second returns", grouped(count(sweep.range2) as u64))
+        format!(
+            " + {} second returns",
+            grouped(returns(sweep.range2) as u64)
+        )
     };
     vec![
         format!("{} ({clock})", utc_text(header.time_ns)),
@@ -82,6 +68,10 @@ fn facts(sweep: SweepRef<'_>) -> Vec<String> {
     ]
 }
 
+fn returns(ranges: &[f32]) -> usize {
+    ranges.iter().filter(|&&range| is_return(range)).count()
+}
+
 /// What makes this sweep unlike a whole turn at a steady speed.
 fn warnings(sweep: SweepRef<'_>) -> Vec<String> {
     let words = [
@@ -91,23 +81,19 @@ fn warnings(sweep: SweepRef<'_>) -> Vec<String> {
         (flags::RATE_UNSTABLE, "speed unsteady"),
         (flags::STOPPED, "head stands still"),
     ];
-    let set = words
+    let mut warnings: Vec<String> = words
         .into_iter()
         .filter(|&(flag, _)| sweep.header.has(flag))
-        .map(|(_, words)| words.to_owned());
-    let lost = sweep
-        .columns
-        .iter()
-        .filter(|column| column.is_missing())
-        .count();
-    let lost = (lost > 0).then(|| {
-        format!(
-            "{} of {} columns lost",
-            grouped(lost as u64),
-            grouped(sweep.columns.len() as u64)
-        )
-    });
-    set.chain(lost).collect()
+        .map(|(_, words)| words.to_owned())
+        .collect();
+    let columns = sweep.columns;
+    let lost = columns.iter().filter(|column| column.is_missing()).count();
+    if lost > 0 {
+        let lost = grouped(lost as u64);
+        let columns = grouped(columns.len() as u64);
+        warnings.push(format!("{lost} of {columns} columns lost"));
+    }
+    warnings
 }
 
 #[cfg(test)]

@@ -5,26 +5,25 @@
 
 use std::io::{self, Write};
 
-use embedded_graphics::mono_font::{MonoFont, iso_8859_1 as fonts};
+use embedded_graphics::mono_font::iso_8859_1 as fonts;
 use embedded_graphics::pixelcolor::Rgb888;
 use embedded_graphics::prelude::*;
-use embedded_graphics::primitives::Rectangle;
+use embedded_graphics::primitives::{Circle, Line, Rectangle};
 use embedded_graphics::text::Alignment;
 
-use crate::export::png::canvas::Canvas;
+use crate::export::png::canvas::{BODY, Canvas, TextStyle};
 use crate::export::png::palette::{BACKGROUND, DIM, GRID, NO_RETURN, TEXT, round_up};
 
 /// Pixels of a chart.
 pub const CHART_SIZE: (u32, u32) = (1200, 620);
 
 // A chart is shown as large as it is, other than a picture of a sweep.
-const TITLE: &MonoFont<'static> = &fonts::FONT_10X20;
 /// Names of axes and lines.
-const CAPTION: &MonoFont<'static> = &fonts::FONT_9X15_BOLD;
+const CAPTION: TextStyle = TextStyle::new(&fonts::FONT_9X15_BOLD, TEXT);
 /// Sentences.
-const BODY: &MonoFont<'static> = &fonts::FONT_7X13;
+const NOTE: TextStyle = TextStyle::new(&fonts::FONT_7X13, DIM);
 /// Numbers at axes.
-const TICK: &MonoFont<'static> = &fonts::FONT_6X12;
+const TICK: TextStyle = TextStyle::new(&fonts::FONT_6X12, TEXT);
 
 /// From the top to the panels, pixels.
 const TOP: i32 = 108;
@@ -84,20 +83,8 @@ pub fn write_chart(chart: &Chart, out: impl Write) -> io::Result<()> {
 
 fn draw(chart: &Chart) -> Canvas {
     let mut page = Canvas::new(Size::new(CHART_SIZE.0, CHART_SIZE.1), BACKGROUND);
-    page.text(
-        Point::new(LEFT, 16),
-        &chart.title,
-        TITLE,
-        TEXT,
-        Alignment::Left,
-    );
-    page.text(
-        Point::new(LEFT, 44),
-        &chart.note,
-        BODY,
-        DIM,
-        Alignment::Left,
-    );
+    page.text(Point::new(LEFT, 16), &chart.title, BODY);
+    page.text(Point::new(LEFT, 44), &chart.note, NOTE);
     let mut marks = 0;
     for (number, panel) in chart.panels.iter().enumerate() {
         let scale = Scale::of(panel, area(number, chart.panels.len()));
@@ -166,37 +153,21 @@ impl Scale {
         for number in 0..=SHARES {
             let share = f64::from(number) / f64::from(SHARES);
             let [left, right] = [0.0, most].map(|value| self.pixel([value, share]));
-            page.line(left, right, GRID, &self.area);
-            page.text(
-                left - Point::new(8, 6),
-                &format!("{share:.1}"),
-                TICK,
-                TEXT,
-                Alignment::Right,
-            );
+            page.outline(&Line::new(left, right), GRID, &self.area);
+            let text = format!("{share:.1}");
+            page.aligned_text(left - Point::new(8, 6), &text, TICK, Alignment::Right);
         }
         let decimals = (-self.step.log10().floor()).max(0.0) as usize;
         for number in 0..=self.steps {
             let value = f64::from(number) * self.step;
             let [foot, head] = [0.0, 1.0].map(|share| self.pixel([value, share]));
-            page.line(foot, head, GRID, &self.area);
-            page.text(
-                foot + Point::new(0, 6),
-                &format!("{value:.decimals$}"),
-                TICK,
-                TEXT,
-                Alignment::Center,
-            );
+            page.outline(&Line::new(foot, head), GRID, &self.area);
+            let text = format!("{value:.decimals$}");
+            page.aligned_text(foot + Point::new(0, 6), &text, TICK, Alignment::Center);
         }
         let below = Point::new(self.area.center().x, self.bottom() + 24);
-        page.text(below, parameter, CAPTION, TEXT, Alignment::Center);
-        page.text(
-            self.area.top_left - Point::new(0, 22),
-            "precision",
-            CAPTION,
-            TEXT,
-            Alignment::Left,
-        );
+        page.aligned_text(below, parameter, CAPTION, Alignment::Center);
+        page.text(self.area.top_left - Point::new(0, 22), "precision", CAPTION);
     }
 
     fn bottom(&self) -> i32 {
@@ -208,7 +179,8 @@ impl Scale {
         for ends in pixels.windows(2) {
             for thick in 0..2 {
                 let down = Point::new(0, thick);
-                page.line(ends[0] + down, ends[1] + down, color(mark), &self.area);
+                let part = Line::new(ends[0] + down, ends[1] + down);
+                page.outline(&part, color(mark), &self.area);
             }
         }
         pixels.into_iter().for_each(|at| draw_mark(page, at, mark));
@@ -218,13 +190,7 @@ impl Scale {
     fn draw_legend(&self, page: &mut Canvas, line: &Series, mark: usize, below: i32) {
         let at = Point::new(self.area.top_left.x + 10, self.bottom() + 54 + below * LINE);
         draw_mark(page, at + Point::new(0, 7), mark);
-        let end = page.text(
-            at + Point::new(16, 0),
-            &line.name,
-            CAPTION,
-            TEXT,
-            Alignment::Left,
-        );
+        let end = page.text(at + Point::new(16, 0), &line.name, CAPTION);
         // Of equals the first.
         let best = line
             .points
@@ -233,13 +199,7 @@ impl Scale {
             .max_by(|a, b| a[1].total_cmp(&b[1]));
         if let Some([value, share]) = best {
             let text = format!("best {share:.3} at {value}");
-            page.text(
-                Point::new(end + 14, at.y + 1),
-                &text,
-                BODY,
-                DIM,
-                Alignment::Left,
-            );
+            page.text(Point::new(end + 14, at.y + 1), &text, NOTE);
         }
     }
 }
@@ -260,8 +220,10 @@ fn draw_mark(page: &mut Canvas, at: Point, mark: usize) {
         0 => (0..=MARK as u32).for_each(|radius| {
             // Circles of one pixel leave holes between them; a second set beside the first fills
             // these.
-            page.circle(at, radius, color, &everywhere);
-            page.circle(at + Point::new(1, 0), radius, color, &everywhere);
+            for center in [at, at + Point::new(1, 0)] {
+                let circle = Circle::with_center(center, 2 * radius + 1);
+                page.outline(&circle, color, &everywhere);
+            }
         }),
         1 => page.rect(
             Rectangle::with_center(at, Size::new_equal(2 * MARK as u32)),
