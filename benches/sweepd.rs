@@ -12,9 +12,9 @@ use std::path::{Path, PathBuf};
 use divan::counter::ItemsCount;
 use divan::{Bencher, black_box};
 use sweepd::admission::{DiscoveredSensors, Route};
-use sweepd::assemble::builder::{Builder, Settings};
+use sweepd::assemble::builder::{Builder, BuilderConfig};
 use sweepd::assemble::decode::Decoder;
-use sweepd::assemble::order::Order;
+use sweepd::assemble::order::PacketOrder;
 use sweepd::capture::Capture;
 use sweepd::pipeline::{Config, Pipeline};
 use sweepd::sensor::{Calibration, Model};
@@ -81,7 +81,7 @@ fn decode(bencher: Bencher, &Stream(model, mode): &Stream) {
     let packets = packets(model, mode, 3.0);
     let returns: usize = packets.iter().map(DataPacket::returns).sum();
     let buffers = HeapBuffers::default();
-    let settings = Settings {
+    let settings = BuilderConfig {
         cut_cdeg: 0.0,
         return_choice: ReturnChoice::Nearest,
         min_points: 10,
@@ -95,7 +95,7 @@ fn decode(bencher: Bencher, &Stream(model, mode): &Stream) {
             ReturnChoice::Nearest,
             limits_m,
         );
-        let mut order = Order::new(decoder.spec);
+        let mut order = PacketOrder::new(decoder.spec);
         let mut builder = Builder::new(decoder, settings.clone());
         let mut buffer = Memory::new(buffers.clone());
         for (number, packet) in packets.iter().enumerate() {

@@ -15,7 +15,7 @@ use sweepd_core::sensor::compare::{ANGLE_TOLERANCE_DEG, LENGTH_TOLERANCE_M, diff
 use sweepd_core::sensor::{Beam, Calibration, Model, ros_yaml, stream};
 use sweepd_core::wire::Content;
 use sweepd_core::wire::data::Banks;
-use sweepd_core::wire::hdl64::{DUMP_LEN, DUMP_PACKETS, Series, Status, Verdict};
+use sweepd_core::wire::hdl64::{DUMP_LEN, DUMP_PACKETS, DumpState, Series, Status};
 
 /// Options of `sweepd calib`.
 #[derive(Debug, clap::Args)]
@@ -302,8 +302,8 @@ fn incomplete(unit: &Unit) -> String {
         grouped(DUMP_PACKETS as u64)
     );
     let name = &unit.name;
-    match unit.status.verdict() {
-        Verdict::Contradictory(error) => {
+    match unit.status.dump_state() {
+        DumpState::Contradictory(error) => {
             format!(
                 "the calibration of {name} is damaged: {error}; {longer}: give a longer capture"
             )

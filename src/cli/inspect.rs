@@ -21,7 +21,7 @@ use crate::capture::Capture;
 use crate::cure::{Dialect, explain_model};
 use crate::text::{count_of, grouped, utc_text};
 use sweepd_core::assemble::motion::TURN;
-use sweepd_core::assemble::order::{Before, Order, Refusal};
+use sweepd_core::assemble::order::{PacketGap, PacketOrder, Rejection};
 use sweepd_core::sensor::Model;
 use sweepd_core::sensor::detect::{DetectError, Detection, Detector};
 use sweepd_core::wire::data::{Banks, ReturnMode};
@@ -218,7 +218,7 @@ struct Seen {
     detector: Option<Detector>,
     waiting: Vec<(DataPacket, i64)>,
     last_mode: Option<ReturnMode>,
-    order: Option<Order>,
+    order: Option<PacketOrder>,
     motion: Moved,
 }
 
@@ -318,7 +318,7 @@ impl Seen {
     fn decide(&mut self, result: Result<Detection, DetectError>) {
         self.model = Some(result);
         if let Ok(detection) = result {
-            self.order = Some(Order::new(detection.spec));
+            self.order = Some(PacketOrder::new(detection.spec));
             for (packet, arrival_ns) in std::mem::take(&mut self.waiting) {
                 self.place(&packet, arrival_ns);
             }
@@ -340,9 +340,9 @@ impl Seen {
         }
         match order.push(packet, mode, self.packets, arrival_ns) {
             Ok(()) => {}
-            Err(Refusal::Duplicate) => self.motion.duplicates += 1,
-            Err(Refusal::Behind { .. }) => self.motion.late += 1,
-            Err(Refusal::Implausible(_)) => self.malformed += 1,
+            Err(Rejection::Duplicate) => self.motion.duplicates += 1,
+            Err(Rejection::Behind { .. }) => self.motion.late += 1,
+            Err(Rejection::Implausible(_)) => self.malformed += 1,
         }
         self.motion.follow(order, detection);
     }
@@ -423,14 +423,14 @@ impl Seen {
 }
 
 impl Moved {
-    fn follow(&mut self, order: &mut Order, detection: &Detection) {
+    fn follow(&mut self, order: &mut PacketOrder, detection: &Detection) {
         let spec = detection.spec;
         let mut first = self.rpm_count == 0;
         while let Some((slot, before)) = order.pop() {
             match before {
-                Before::Lost { packets, .. } => self.lost += u64::from(packets),
-                Before::Start if !first => self.restarts += 1,
-                Before::Start | Before::Nothing | Before::Silence => {}
+                PacketGap::Lost { packets, .. } => self.lost += u64::from(packets),
+                PacketGap::Start if !first => self.restarts += 1,
+                PacketGap::Start | PacketGap::None | PacketGap::Blanked => {}
             }
             first = false;
             let rpm = order.packet(slot).motion.rate_cdeg_ns(spec) * 60e9 / TURN;
@@ -470,7 +470,7 @@ impl Moved {
         format!("{:.1} rpm{turns}{sense}", mean.abs())
     }
 
-    fn describe(&self, text: &mut String, order: Option<&Order>) {
+    fn describe(&self, text: &mut String, order: Option<&PacketOrder>) {
         let Some(order) = order else { return };
         if self.rpm_count > 0 {
             row(text, "speed", &self.speed());

@@ -5,7 +5,7 @@ use std::path::PathBuf;
 use super::CliError;
 use sweepd_client::host::{monotonic_ns, realtime_ns};
 use sweepd_client::publish::{
-    Domain, Loans, NAME_RULE, PublishError, Settings, Slot, is_sensor_name,
+    Domain, Loans, NAME_RULE, PublishError, ServiceSettings, Slot, is_sensor_name,
 };
 use sweepd_core::sweep::SweepMut;
 use sweepd_core::sweep::layout::Completion;
@@ -96,7 +96,7 @@ impl PublishOptions {
             return Ok(Loans::default());
         };
         let (name, address) = (name.to_owned(), address.to_owned());
-        let settings = Settings {
+        let settings = ServiceSettings {
             name,
             max_consumers: self.max_consumers.into(),
             model: String::new(),

@@ -3,14 +3,14 @@
 
 use super::config::{SensorConfig, memory};
 use super::sharing::{Outgoing, Sharing, SharingError, SharingStatus, Way};
-use sweepd_client::publish::{Keeper, Loans, Settings, Slot, Status};
+use sweepd_client::publish::{Keeper, Loans, PublishStatus, ServiceSettings, Slot};
 use sweepd_core::sensor::Model;
 
 impl Sharing for Keeper {
     type Buffers = Loans;
 
     fn open(&self, sensor: &SensorConfig) -> Result<Way<Loans>, SharingError> {
-        let settings = Settings {
+        let settings = ServiceSettings {
             name: sensor.name.clone(),
             max_consumers: sensor.max_consumers,
             model: sensor
@@ -44,24 +44,24 @@ impl Outgoing for Slot {
     }
 }
 
-impl SharingStatus for Status {
+impl SharingStatus for PublishStatus {
     fn consumers(&self) -> u64 {
-        Status::consumers(self) as u64
+        PublishStatus::consumers(self) as u64
     }
 
     fn reserved_bytes(&self) -> u64 {
-        Status::reserved_bytes(self)
+        PublishStatus::reserved_bytes(self)
     }
 
     fn trouble(&self) -> Option<String> {
-        Status::trouble(self)
+        PublishStatus::trouble(self)
     }
 
     fn renewed(&self) -> u64 {
-        Status::renewed(self)
+        PublishStatus::renewed(self)
     }
 
     fn renewed_because(&self) -> Option<String> {
-        Status::renewed_because(self)
+        PublishStatus::renewed_because(self)
     }
 }

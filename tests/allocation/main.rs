@@ -21,7 +21,7 @@ use sweepd::capture::{Recorder, UdpConfig, UdpSource};
 use sweepd::client::Client;
 use sweepd::daemon::tap::{TapStream, Taps, socket_path};
 use sweepd::pipeline::{Config, Pipeline};
-use sweepd::publish::{Loans, Settings};
+use sweepd::publish::{Loans, ServiceSettings};
 use sweepd::segment::Method;
 use sweepd::sensor::Model;
 use sweepd::simulate::{Emitter, EmitterConfig, street};
@@ -117,10 +117,10 @@ fn receiving() -> u64 {
 /// another does not. In 2.5 seconds the keeper looks after the service two or three times.
 fn sharing() -> Vec<u64> {
     let own = Own::new();
-    let settings = Settings {
+    let settings = ServiceSettings {
         name: "roof".to_owned(),
         max_consumers: 2,
-        ..Settings::default()
+        ..ServiceSettings::default()
     };
     let mut loans = Loans::create(&own.domain(), &settings).unwrap();
     let shape = Shape {

@@ -8,7 +8,7 @@ use std::sync::mpsc::{self, Receiver};
 use std::time::{Duration, Instant};
 
 use serde_json::Value;
-use sweepd::publish::{Loans, Settings, Slot};
+use sweepd::publish::{Loans, ServiceSettings, Slot};
 use sweepd::sweep::layout::is_return;
 use sweepd::sweep::{Buffers, Shape, SweepMut, SweepRef};
 use zerocopy::IntoBytes;
@@ -119,7 +119,7 @@ pub fn loans(own: &Own) -> Loans {
     let (model, address) = ("VLP-16".to_owned(), "192.168.1.201".to_owned());
     Loans::create(
         &own.domain(),
-        &Settings {
+        &ServiceSettings {
             name: "roof".to_owned(),
             max_consumers: 2,
             model,

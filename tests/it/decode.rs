@@ -5,7 +5,7 @@ use crate::common;
 use fearless_simd::dispatch;
 use sweepd::assemble::decode::{Decoder, Pixels};
 use sweepd::assemble::lanes::Records;
-use sweepd::assemble::turns::Turns;
+use sweepd::assemble::row_offsets::RowOffsets;
 use sweepd::files;
 use sweepd::sensor::{Calibration, Model};
 use sweepd::sweep::corrected::Corrected;
@@ -17,7 +17,7 @@ use sweepd::wire::data::{DATA_PACKET_LEN, ReturnMode};
 const RATE: f64 = 3.6e-4;
 const LIMITS_M: std::ops::RangeInclusive<f32> = 2.0..=60.0;
 
-/// A plane of each kind, with two returns; by pixel, counted as [`Turns::pixels`] does.
+/// A plane of each kind, with two returns; by pixel, counted as [`RowOffsets::pixels`] does.
 #[derive(Clone, PartialEq)]
 struct Planes {
     range_m: [Vec<f32>; 2],
@@ -90,8 +90,8 @@ fn calibrations() -> Vec<(String, Calibration, Model)> {
     all
 }
 
-fn turns(decoder: &Decoder, mode: ReturnMode) -> Turns {
-    let mut turns = Turns::default();
+fn turns(decoder: &Decoder, mode: ReturnMode) -> RowOffsets {
+    let mut turns = RowOffsets::default();
     turns.set(decoder.beams(mode), RATE, decoder.spec, mode);
     turns
 }

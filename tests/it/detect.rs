@@ -38,7 +38,7 @@ fn data_packets(path: &Path) -> Vec<Vec<u8>> {
 }
 
 /// The verdict of a detector that starts with this packet.
-fn verdict(packets: &[Vec<u8>], forced: Option<Model>) -> Result<Detection, DetectError> {
+fn dump_state(packets: &[Vec<u8>], forced: Option<Model>) -> Result<Detection, DetectError> {
     let mut detector = Detector::new(forced);
     packets
         .iter()
@@ -98,11 +98,11 @@ fn every_capture_is_detected_as_its_sensor() {
     );
     for (name, expected) in expected {
         let packets = data_packets(&dir.join(name).with_extension("pcap"));
-        assert_eq!(verdict(&packets, None), expected, "{name}");
+        assert_eq!(dump_state(&packets, None), expected, "{name}");
         // Wherever a stream is joined, the verdict is the same.
         for start in 0..packets.len().saturating_sub(MAX_PACKETS) {
             assert_eq!(
-                verdict(&packets[start..], None),
+                dump_state(&packets[start..], None),
                 expected,
                 "{name} from packet {start}"
             );
@@ -128,7 +128,7 @@ fn captures_with_their_factory_bytes_blanked_are_told_by_the_period() {
             basis: Basis::Period,
             spec: model.spec(),
         };
-        assert_eq!(verdict(&packets, None), Ok(found), "{name}");
+        assert_eq!(dump_state(&packets, None), Ok(found), "{name}");
     }
 }
 
@@ -141,7 +141,7 @@ fn the_wrong_model_given_is_refused() {
         ("vlp16_veloview-90deg-a", Model::Hdl32e),
     ] {
         let packets = data_packets(&dir.join(name).with_extension("pcap"));
-        let error = verdict(&packets, Some(model)).unwrap_err();
+        let error = dump_state(&packets, Some(model)).unwrap_err();
         assert!(
             matches!(error, DetectError::Contradiction { said, given: true, .. } if said == model),
             "{error}"

@@ -10,7 +10,7 @@ use crate::common::domain::Own;
 use crate::common::stream::{Sent, Spin, config, datagram, unit};
 use sweepd::client::{Client, ClientError, JoinError, Sweep};
 use sweepd::pipeline::{Config, Pipeline};
-use sweepd::publish::{Domain, Loans, PublishError, Settings, Slot};
+use sweepd::publish::{Domain, Loans, PublishError, ServiceSettings, Slot};
 use sweepd::sensor::Model;
 use sweepd::sweep::buffers::HeapBuffer;
 use sweepd::sweep::{Buffers, HeapBuffers, Memory, Shape, SweepMut, SweepRef};
@@ -19,9 +19,9 @@ use sweepd::wire::data::ReturnMode;
 /// Longest wait for what comes at once where this process has a core.
 const SOON: Duration = Duration::from_secs(20);
 
-fn settings(max_consumers: usize) -> Settings {
+fn settings(max_consumers: usize) -> ServiceSettings {
     let (model, address) = ("VLP-16".to_owned(), "192.168.1.201".to_owned());
-    Settings {
+    ServiceSettings {
         name: "roof".to_owned(),
         max_consumers,
         model,
@@ -599,7 +599,7 @@ fn a_service_that_does_not_fit_any_more_is_made_anew() {
         (3, 2, "192.168.1.202"),
     ] {
         drop(first);
-        let changed = Settings {
+        let changed = ServiceSettings {
             address: address.to_owned(),
             ..settings(max_consumers)
         };
@@ -630,7 +630,7 @@ fn a_service_that_does_not_fit_any_more_is_made_anew() {
     drop(first);
     let mut last = Loans::create(
         &own.domain(),
-        &Settings {
+        &ServiceSettings {
             address: "192.168.1.202".to_owned(),
             ..settings(2)
         },

@@ -28,7 +28,7 @@ use crate::sweep::buffers::OpenBuffer;
 use crate::sweep::{Buffers, Memory, SweepMut};
 use crate::wire::{Content, Packet, TIMES_NS};
 use fearless_simd::Level;
-use state::{Decoding, State, Waiting};
+use state::{Decoding, State, WaitingPacket};
 
 /// After so much silence the open sweep is closed as it is.
 const STALL_NS: i64 = 500_000_000;
@@ -44,7 +44,7 @@ pub struct Pipeline {
     /// Instructions that decoders use.
     level: Level,
     /// What was spent on the open sweep so far.
-    spent: Spent,
+    spent: SegmentTime,
     counts: Counts,
     /// Sweeps of the sensors that were there before this one.
     sweeps: u64,
@@ -56,13 +56,13 @@ pub struct Pipeline {
 
 /// Time spent on the segmentation of a sweep.
 #[derive(Default)]
-struct Spent {
+struct SegmentTime {
     sequence: u64,
     ground_ns: i64,
     label_ns: i64,
 }
 
-impl Spent {
+impl SegmentTime {
     /// Strip by strip: takes the ground away, joins what is left.
     fn strips(&mut self, segmenter: &mut Segmenter, sweep: &SweepMut<'_>, clock: fn() -> i64) {
         let mut begun_ns = clock();
@@ -92,7 +92,7 @@ enum Closing {
 
 /// A time as a clock can tell it: sums with others do not overflow then, whatever the caller
 /// made of it.
-fn possible(arrival_ns: i64) -> i64 {
+fn clamp_arrival(arrival_ns: i64) -> i64 {
     arrival_ns.clamp(*TIMES_NS.start(), *TIMES_NS.end())
 }
 
@@ -122,7 +122,7 @@ impl Pipeline {
             state,
             segmenter,
             level,
-            spent: Spent::default(),
+            spent: SegmentTime::default(),
             counts,
             sweeps: 0,
             next_number: 0,
@@ -146,7 +146,7 @@ impl Pipeline {
     /// [`Fault`], once, when the packets turn out to be of no model that can be decoded; all that
     /// follow are counted.
     pub fn push(&mut self, packet: &Packet<'_>) -> Result<(), Fault> {
-        let arrival_ns = possible(packet.arrival_ns);
+        let arrival_ns = clamp_arrival(packet.arrival_ns);
         let packet = match packet.content {
             Content::Data(packet) => packet,
             Content::Position(position, rmc) => {
@@ -159,7 +159,7 @@ impl Pipeline {
         self.counts.data += 1;
         match &mut self.state {
             State::Detecting(detecting) => {
-                match detecting.observe(Waiting {
+                match detecting.observe(WaitingPacket {
                     bytes: *packet,
                     number,
                     arrival_ns,
@@ -233,7 +233,7 @@ impl Pipeline {
         let Decoding { order, builder, .. } = &mut **decoding;
         loop {
             // Firing by firing into columns, up to a cut.
-            if let Some(slot) = builder.at_hand()
+            if let Some(slot) = builder.current_slot()
                 && builder.advance(order.packet(slot), order.clock(), buffer)
             {
                 return true;
@@ -273,9 +273,9 @@ impl Pipeline {
             return;
         };
         if self.spent.sequence != sweep.header.sequence {
-            self.spent = Spent {
+            self.spent = SegmentTime {
                 sequence: sweep.header.sequence,
-                ..Spent::default()
+                ..SegmentTime::default()
             };
         }
         if self.segmenter.begin_early(&mut sweep, ready) {
@@ -416,7 +416,7 @@ impl Pipeline {
         self.segmenter.begin(&mut sweep);
         let mut spent = std::mem::take(&mut self.spent);
         if spent.sequence != sweep.header.sequence {
-            spent = Spent::default();
+            spent = SegmentTime::default();
         }
         spent.ground_ns += (self.clock)() - begun_ns;
         spent.strips(&mut self.segmenter, &sweep, self.clock);

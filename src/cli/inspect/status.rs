@@ -2,7 +2,7 @@
 
 use super::row;
 use crate::text::grouped;
-use sweepd_core::wire::hdl64::{DUMP_LEN, Status, Verdict};
+use sweepd_core::wire::hdl64::{DUMP_LEN, DumpState, Status};
 
 /// Adds the rows; none for a unit that sends no status (S1, early S2).
 pub fn describe(status: &Status, text: &mut String) {
@@ -66,15 +66,15 @@ fn unit(status: &Status) -> String {
 
 /// How far its calibration is known.
 fn calibration(status: &Status) -> String {
-    match status.verdict() {
-        Verdict::Verified => match status.calibrated() {
+    match status.dump_state() {
+        DumpState::Verified => match status.calibrated() {
             Some(time) => {
                 format!("complete, of {time}; sweepd calib from-capture writes it to a file")
             }
             None => "complete, but never calibrated by its own account".to_owned(),
         },
-        Verdict::Contradictory(error) => format!("damaged: {error}"),
-        Verdict::Incomplete => format!(
+        DumpState::Contradictory(error) => format!("damaged: {error}"),
+        DumpState::Incomplete => format!(
             "incomplete: {} of {} bytes",
             grouped(status.known() as u64),
             grouped(DUMP_LEN as u64)

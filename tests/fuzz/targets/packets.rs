@@ -176,7 +176,7 @@ pub fn status_stream(input: &[u8]) {
 /// All that can be asked of a status.
 fn told(status: &Status) {
     let _ = (
-        status.verdict(),
+        status.dump_state(),
         status.known(),
         status.series(),
         status.gps(),

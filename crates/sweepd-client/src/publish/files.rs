@@ -16,10 +16,10 @@ pub(super) struct ServiceFile {
 
 /// What became of a file.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
-pub(super) enum Fate {
+pub(super) enum FileState {
     Same,
     Gone,
-    Other,
+    Replaced,
 }
 
 impl ServiceFile {
@@ -36,11 +36,11 @@ impl ServiceFile {
         &self.path
     }
 
-    pub(super) fn fate(&self) -> Fate {
+    pub(super) fn state(&self) -> FileState {
         match fs::read(&self.path) {
-            Ok(content) if content == self.content => Fate::Same,
-            Ok(_) => Fate::Other,
-            Err(_) => Fate::Gone,
+            Ok(content) if content == self.content => FileState::Same,
+            Ok(_) => FileState::Replaced,
+            Err(_) => FileState::Gone,
         }
     }
 

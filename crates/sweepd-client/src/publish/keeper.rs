@@ -2,8 +2,8 @@
 //! them again when their files are gone, and cleans up after processes that died.
 //!
 //! ```text
-//! thread of a sensor   Loans::take -> Desk: the pool of the moment          a lock for the time of a copy
-//! keeper               open, reserve, look each second -> Desk              may take long, and delays no sensor
+//! thread of a sensor   Loans::take -> SensorPool: the pool of the moment          a lock for the time of a copy
+//! keeper               open, reserve, look each second -> SensorPool              may take long, and delays no sensor
 //! ```
 //!
 //! iceoryx2 may wait without a limit for a file of a process that died ([`super::leftovers`]). A
@@ -17,7 +17,7 @@ use std::sync::{Arc, Mutex, PoisonError};
 use std::thread;
 use std::time::{Duration, Instant};
 
-use super::loans::{Loans, PublishError, Settings, Status};
+use super::loans::{Loans, PublishError, PublishStatus, ServiceSettings};
 use super::pool::{Loan, Pool};
 use super::service::Service;
 use super::{Domain, JoinError, leftovers, pool_bytes};
@@ -37,20 +37,20 @@ const REMOVE_EVERY: Duration = Duration::from_millis(100);
 #[derive(Clone, Debug)]
 pub struct Keeper {
     domain: Domain,
-    orders: Sender<Order>,
+    requests: Sender<Request>,
 }
 
 /// Where the thread of a sensor finds its pool.
 #[derive(Debug)]
-pub(super) struct Desk {
-    settings: Settings,
+pub(super) struct SensorPool {
+    settings: ServiceSettings,
     pool: Mutex<Option<Arc<Pool>>>,
     /// Bytes of the newest sweep that no pool had room for.
     wanted: AtomicUsize,
-    pub(super) status: Arc<Status>,
+    pub(super) status: Arc<PublishStatus>,
 }
 
-impl Desk {
+impl SensorPool {
     /// Notes that there is no room for sweeps of this many bytes; whether that is new.
     pub(super) fn want(&self, bytes: usize) -> bool {
         self.wanted.swap(bytes, Ordering::Relaxed) != bytes
@@ -79,13 +79,20 @@ impl Desk {
 }
 
 /// What the keeper is asked, and where the answer goes.
-enum Order {
+enum Request {
     /// To open a service whose sweeps have at least this many bytes.
-    Open(Settings, usize, SyncSender<Result<Arc<Desk>, PublishError>>),
+    Open(
+        ServiceSettings,
+        usize,
+        SyncSender<Result<Arc<SensorPool>, PublishError>>,
+    ),
     /// To make room for what is wanted.
-    Reserve(Arc<Desk>, Option<SyncSender<Result<(), PublishError>>>),
+    Reserve(
+        Arc<SensorPool>,
+        Option<SyncSender<Result<(), PublishError>>>,
+    ),
     /// To close a service.
-    Close(Arc<Desk>, SyncSender<()>),
+    Close(Arc<SensorPool>, SyncSender<()>),
 }
 
 impl Keeper {
@@ -94,20 +101,20 @@ impl Keeper {
     /// # Errors
     /// [`JoinError::Service`]: the system gives no thread.
     pub fn new(domain: &Domain) -> Result<Self, PublishError> {
-        let (sender, orders) = mpsc::channel();
-        let work = Work {
+        let (sender, requests) = mpsc::channel();
+        let work = KeeperThread {
             domain: domain.clone(),
             services: Vec::new(),
         };
         let started = thread::Builder::new()
             .name("keeper".to_owned())
-            .spawn(move || work.serve(&orders));
+            .spawn(move || work.serve(&requests));
         started.map_err(|error| JoinError::Service {
             what: format!("cannot start a thread: {error}"),
         })?;
         Ok(Self {
             domain: domain.clone(),
-            orders: sender,
+            requests: sender,
         })
     }
 
@@ -117,11 +124,15 @@ impl Keeper {
     ///
     /// # Errors
     /// [`PublishError`].
-    pub fn open(&self, settings: &Settings, sweep_bytes: usize) -> Result<Loans, PublishError> {
-        let desk = self.ask(PATIENCE, |reply| {
-            Order::Open(settings.clone(), sweep_bytes, reply)
+    pub fn open(
+        &self,
+        settings: &ServiceSettings,
+        sweep_bytes: usize,
+    ) -> Result<Loans, PublishError> {
+        let sensor_pool = self.ask(PATIENCE, |reply| {
+            Request::Open(settings.clone(), sweep_bytes, reply)
         })??;
-        Ok(Loans::of(self.clone(), desk))
+        Ok(Loans::of(self.clone(), sensor_pool))
     }
 
     /// Removes files of shared memory that a process left unfinished a second ago or longer, by
@@ -137,32 +148,34 @@ impl Keeper {
     }
 
     /// Makes room for what is wanted, and waits until it is there.
-    pub(super) fn reserve(&self, desk: &Arc<Desk>) -> Result<(), PublishError> {
+    pub(super) fn reserve(&self, sensor_pool: &Arc<SensorPool>) -> Result<(), PublishError> {
         self.ask(PATIENCE, |reply| {
-            Order::Reserve(Arc::clone(desk), Some(reply))
+            Request::Reserve(Arc::clone(sensor_pool), Some(reply))
         })?
     }
 
     /// Has room made for what is wanted.
-    pub(super) fn reserve_soon(&self, desk: &Arc<Desk>) {
+    pub(super) fn reserve_soon(&self, sensor_pool: &Arc<SensorPool>) {
         // The thread that waits for a keeper reports that it has ended.
-        let _ = self.orders.send(Order::Reserve(Arc::clone(desk), None));
+        let _ = self
+            .requests
+            .send(Request::Reserve(Arc::clone(sensor_pool), None));
     }
 
-    pub(super) fn close(&self, desk: &Arc<Desk>) {
+    pub(super) fn close(&self, sensor_pool: &Arc<SensorPool>) {
         let _ = self.ask(PATIENCE_AT_THE_END, |reply| {
-            Order::Close(Arc::clone(desk), reply)
+            Request::Close(Arc::clone(sensor_pool), reply)
         });
     }
 
     fn ask<T>(
         &self,
         patience: Duration,
-        order: impl FnOnce(SyncSender<T>) -> Order,
+        request: impl FnOnce(SyncSender<T>) -> Request,
     ) -> Result<T, PublishError> {
         let (reply, answer) = mpsc::sync_channel(1);
         let begun = Instant::now();
-        let mut is_open = self.orders.send(order(reply)).is_ok();
+        let mut is_open = self.requests.send(request(reply)).is_ok();
         while is_open && begun.elapsed() < patience {
             match answer.recv_timeout(REMOVE_EVERY) {
                 Ok(answer) => return Ok(answer),
@@ -177,24 +190,24 @@ impl Keeper {
 }
 
 /// What the keeper's thread holds.
-struct Work {
+struct KeeperThread {
     domain: Domain,
-    services: Vec<Kept>,
+    services: Vec<KeptService>,
 }
 
 /// A service that is looked after.
-struct Kept {
-    desk: Arc<Desk>,
+struct KeptService {
+    sensor_pool: Arc<SensorPool>,
     /// `None` while it cannot be made.
     service: Option<Service>,
 }
 
-impl Work {
-    fn serve(mut self, orders: &Receiver<Order>) {
+impl KeeperThread {
+    fn serve(mut self, requests: &Receiver<Request>) {
         let mut looked = Instant::now();
         loop {
-            match orders.recv_timeout(LOOK_EVERY.saturating_sub(looked.elapsed())) {
-                Ok(order) => self.obey(order),
+            match requests.recv_timeout(LOOK_EVERY.saturating_sub(looked.elapsed())) {
+                Ok(request) => self.serve_request(request),
                 Err(RecvTimeoutError::Timeout) => {
                     looked = Instant::now();
                     self.look();
@@ -204,50 +217,55 @@ impl Work {
         }
     }
 
-    fn obey(&mut self, order: Order) {
+    fn serve_request(&mut self, request: Request) {
         // Who asked and has gone since needs no answer.
-        match order {
-            Order::Open(settings, sweep_bytes, reply) => {
+        match request {
+            Request::Open(settings, sweep_bytes, reply) => {
                 let _ = reply.send(self.open(settings, sweep_bytes));
             }
-            Order::Reserve(desk, reply) => {
+            Request::Reserve(sensor_pool, reply) => {
                 let domain = &self.domain;
                 let kept = self
                     .services
                     .iter_mut()
-                    .find(|kept| Arc::ptr_eq(&kept.desk, &desk));
+                    .find(|kept| Arc::ptr_eq(&kept.sensor_pool, &sensor_pool));
                 let done = kept.map_or(Err(PublishError::NotShared), |kept| kept.make_room(domain));
                 if let Some(reply) = reply {
                     let _ = reply.send(done);
                 }
             }
-            Order::Close(desk, reply) => {
+            Request::Close(sensor_pool, reply) => {
                 // Nothing of it is left when the one who asked goes on.
-                desk.set_pool(None);
-                self.services.retain(|kept| !Arc::ptr_eq(&kept.desk, &desk));
+                sensor_pool.set_pool(None);
+                self.services
+                    .retain(|kept| !Arc::ptr_eq(&kept.sensor_pool, &sensor_pool));
                 let _ = reply.send(());
             }
         }
     }
 
-    fn open(&mut self, settings: Settings, sweep_bytes: usize) -> Result<Arc<Desk>, PublishError> {
+    fn open(
+        &mut self,
+        settings: ServiceSettings,
+        sweep_bytes: usize,
+    ) -> Result<Arc<SensorPool>, PublishError> {
         let service = Service::open(
             &self.domain,
             &settings,
             pool_bytes(settings.max_consumers, sweep_bytes),
         )?;
         let (pool, wanted, status) = (Mutex::default(), AtomicUsize::new(0), Arc::default());
-        let desk = Arc::new(Desk {
+        let sensor_pool = Arc::new(SensorPool {
             settings,
             pool,
             wanted,
             status,
         });
-        self.services.push(Kept {
-            desk: Arc::clone(&desk),
+        self.services.push(KeptService {
+            sensor_pool: Arc::clone(&sensor_pool),
             service: Some(service),
         });
-        Ok(desk)
+        Ok(sensor_pool)
     }
 
     fn look(&mut self) {
@@ -263,11 +281,11 @@ impl Work {
     }
 }
 
-impl Kept {
+impl KeptService {
     fn look(&mut self, domain: &Domain) {
         if let Some(missing) = self.service.as_ref().and_then(Service::missing) {
             self.close();
-            self.desk
+            self.sensor_pool
                 .status
                 .set_renewed(format!("{} was deleted", missing.display()));
         }
@@ -280,7 +298,7 @@ impl Kept {
 
     /// Takes the service from the sensor, and removes what is left of it.
     fn close(&mut self) {
-        self.desk.set_pool(None);
+        self.sensor_pool.set_pool(None);
         if let Some(service) = self.service.take() {
             service.hide();
         }
@@ -290,27 +308,28 @@ impl Kept {
     fn make_room(&mut self, domain: &Domain) -> Result<(), PublishError> {
         let done = self.try_make_room(domain);
         if let Some(service) = &self.service {
-            self.desk
+            self.sensor_pool
                 .status
                 .set_use(service.consumers(), service.reserved_bytes());
         }
         match &done {
-            Ok(()) => self.desk.status.set_well(),
-            Err(error) => self.desk.status.set_trouble(error),
+            Ok(()) => self.sensor_pool.status.set_well(),
+            Err(error) => self.sensor_pool.status.set_trouble(error),
         }
         done
     }
 
     fn try_make_room(&mut self, domain: &Domain) -> Result<(), PublishError> {
-        let wanted = self.desk.wanted.load(Ordering::Relaxed);
+        let wanted = self.sensor_pool.wanted.load(Ordering::Relaxed);
         let service = match &mut self.service {
             Some(service) => service,
-            none => none.insert(Service::open(domain, &self.desk.settings, 0)?),
+            none => none.insert(Service::open(domain, &self.sensor_pool.settings, 0)?),
         };
         if service.sweep_bytes() < wanted {
             // The pool before goes first: there is memory for one.
-            self.desk.set_pool(None);
-            self.desk.set_pool(Some(service.reserve(domain, wanted)?));
+            self.sensor_pool.set_pool(None);
+            self.sensor_pool
+                .set_pool(Some(service.reserve(domain, wanted)?));
         }
         Ok(())
     }

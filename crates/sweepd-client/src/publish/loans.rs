@@ -4,7 +4,7 @@ use std::fmt::Debug;
 use std::sync::atomic::{AtomicBool, AtomicU64, AtomicUsize, Ordering};
 use std::sync::{Arc, Mutex, PoisonError};
 
-use super::keeper::{Desk, Keeper};
+use super::keeper::{Keeper, SensorPool};
 use super::pool::{Loan, Pool};
 use super::{Domain, DomainError, JoinError, Preamble};
 use sweepd_core::sweep::buffers::HeapBuffer;
@@ -12,7 +12,7 @@ use sweepd_core::sweep::{Buffers, HeapBuffers};
 
 /// What is shared under which name.
 #[derive(Clone, Debug, Default, PartialEq, Eq)]
-pub struct Settings {
+pub struct ServiceSettings {
     /// Name of the sensor.
     pub name: String,
     /// Consumers at most.
@@ -56,7 +56,7 @@ pub enum PublishError {
     /// The pool is being made; it is there for one of the next sweeps.
     #[error("its shared memory is being taken")]
     Preparing,
-    /// This sweep had no room in the pool; [`Status::trouble`] says why.
+    /// This sweep had no room in the pool; [`PublishStatus::trouble`] says why.
     #[error("this sweep is not in shared memory")]
     NotShared,
 }
@@ -82,7 +82,7 @@ impl From<DomainError> for PublishError {
 
 /// How the sharing goes, for other threads to look at.
 #[derive(Debug, Default)]
-pub struct Status {
+pub struct PublishStatus {
     consumers: AtomicUsize,
     reserved_bytes: AtomicU64,
     unshared: AtomicU64,
@@ -93,7 +93,7 @@ pub struct Status {
     renewed_because: Mutex<Option<String>>,
 }
 
-impl Status {
+impl PublishStatus {
     /// Consumers at the last sweep, or a second ago.
     pub fn consumers(&self) -> usize {
         self.consumers.load(Ordering::Relaxed)
@@ -162,19 +162,19 @@ impl Status {
 /// Room for the sweeps of one sensor, in shared memory.
 ///
 /// What it gives out always works: where there is no shared memory to be had, it is memory of this
-/// process alone, the sensor goes on, and [`Status`] says why.
+/// process alone, the sensor goes on, and [`PublishStatus`] says why.
 #[derive(Debug)]
 pub struct Loans {
-    shared: Option<Shared>,
-    status: Arc<Status>,
+    shared: Option<PoolAccess>,
+    status: Arc<PublishStatus>,
     heap: HeapBuffers,
 }
 
 /// The way to the pool.
 #[derive(Debug)]
-struct Shared {
+struct PoolAccess {
     keeper: Keeper,
-    desk: Arc<Desk>,
+    sensor_pool: Arc<SensorPool>,
     /// Whether to wait while the pool is made.
     waits: bool,
 }
@@ -190,9 +190,9 @@ impl Default for Loans {
     }
 }
 
-impl Drop for Shared {
+impl Drop for PoolAccess {
     fn drop(&mut self) {
-        self.keeper.close(&self.desk);
+        self.keeper.close(&self.sensor_pool);
     }
 }
 
@@ -202,16 +202,16 @@ impl Loans {
     ///
     /// # Errors
     /// [`PublishError`].
-    pub fn create(domain: &Domain, settings: &Settings) -> Result<Self, PublishError> {
+    pub fn create(domain: &Domain, settings: &ServiceSettings) -> Result<Self, PublishError> {
         Keeper::new(domain)?.open(settings, 0)
     }
 
-    pub(super) fn of(keeper: Keeper, desk: Arc<Desk>) -> Self {
-        let status = Arc::clone(&desk.status);
+    pub(super) fn of(keeper: Keeper, sensor_pool: Arc<SensorPool>) -> Self {
+        let status = Arc::clone(&sensor_pool.status);
         Self {
-            shared: Some(Shared {
+            shared: Some(PoolAccess {
                 keeper,
-                desk,
+                sensor_pool,
                 waits: true,
             }),
             status,
@@ -234,36 +234,41 @@ impl Loans {
     /// # Errors
     /// [`JoinError::Memory`], where there is not enough.
     pub fn reserve(&mut self, bytes: usize) -> Result<(), PublishError> {
-        let Some(Shared { keeper, desk, .. }) = &self.shared else {
+        let Some(PoolAccess {
+            keeper,
+            sensor_pool,
+            ..
+        }) = &self.shared
+        else {
             return Err(PublishError::NotShared);
         };
-        desk.want(bytes);
-        keeper.reserve(desk)
+        sensor_pool.want(bytes);
+        keeper.reserve(sensor_pool)
     }
 
     /// How the sharing goes.
-    pub fn status(&self) -> Arc<Status> {
+    pub fn status(&self) -> Arc<PublishStatus> {
         Arc::clone(&self.status)
     }
 
     fn loan(&self, bytes: usize) -> Result<(Loan, Arc<Pool>), PublishError> {
-        let Some(Shared {
+        let Some(PoolAccess {
             keeper,
-            desk,
+            sensor_pool,
             waits,
         }) = &self.shared
         else {
             return Err(PublishError::NotShared);
         };
-        if let Some(loan) = desk.loan(bytes) {
+        if let Some(loan) = sensor_pool.loan(bytes) {
             return loan;
         }
-        let is_new = desk.want(bytes);
+        let is_new = sensor_pool.want(bytes);
         let is_troubled = self.status.is_troubled.load(Ordering::Relaxed);
         if *waits && (is_new || !is_troubled) {
-            keeper.reserve(desk)?;
+            keeper.reserve(sensor_pool)?;
         } else if is_new {
-            keeper.reserve_soon(desk);
+            keeper.reserve_soon(sensor_pool);
         }
         // What troubles is known by now, and tried again each second.
         let without = if is_troubled {
@@ -271,7 +276,7 @@ impl Loans {
         } else {
             PublishError::Preparing
         };
-        desk.loan(bytes).unwrap_or(Err(without))
+        sensor_pool.loan(bytes).unwrap_or(Err(without))
     }
 }
 
@@ -280,15 +285,18 @@ impl Buffers for Loans {
 
     fn take(&mut self, bytes: usize) -> Slot {
         let memory = match self.loan(bytes) {
-            Ok((loan, pool)) => Memory::Shared(loan, pool),
+            Ok((loan, pool)) => SlotMemory::Shared(loan, pool),
             Err(why) => {
                 self.status.set_trouble(&why);
-                let desk = self.shared.as_ref().map(|shared| Arc::clone(&shared.desk));
-                Memory::Own(OwnMemory {
+                let sensor_pool = self
+                    .shared
+                    .as_ref()
+                    .map(|shared| Arc::clone(&shared.sensor_pool));
+                SlotMemory::Own(OwnMemory {
                     buffer: self.heap.take(bytes),
                     bytes,
                     why,
-                    desk,
+                    sensor_pool,
                 })
             }
         };
@@ -302,12 +310,12 @@ impl Buffers for Loans {
 /// Memory for one sweep: on loan, or of this process alone where there is none to be had.
 #[derive(Debug)]
 pub struct Slot {
-    memory: Memory,
-    status: Arc<Status>,
+    memory: SlotMemory,
+    status: Arc<PublishStatus>,
 }
 
 #[derive(Debug)]
-enum Memory {
+enum SlotMemory {
     /// With its pool, which stays as long as the sweep is being filled.
     Shared(Loan, Arc<Pool>),
     Own(OwnMemory),
@@ -322,13 +330,16 @@ struct OwnMemory {
     /// Why it is not shared.
     why: PublishError,
     /// Where shared memory may be had when the sweep is complete.
-    desk: Option<Arc<Desk>>,
+    sensor_pool: Option<Arc<SensorPool>>,
 }
 
 impl OwnMemory {
     /// A copy in shared memory, where that is there by now.
     fn shared(self) -> Result<(Loan, Arc<Pool>), PublishError> {
-        let Some(loan) = self.desk.and_then(|desk| desk.loan(self.bytes)) else {
+        let Some(loan) = self
+            .sensor_pool
+            .and_then(|sensor_pool| sensor_pool.loan(self.bytes))
+        else {
             return Err(self.why);
         };
         let (mut loan, pool) = loan?;
@@ -345,8 +356,8 @@ impl Slot {
     /// [`PublishError`]; the sensor goes on, and the next sweep may find its way.
     pub fn publish(self) -> Result<usize, PublishError> {
         let shared = match self.memory {
-            Memory::Shared(loan, pool) => Ok((loan, pool)),
-            Memory::Own(own) => own.shared(),
+            SlotMemory::Shared(loan, pool) => Ok((loan, pool)),
+            SlotMemory::Own(own) => own.shared(),
         };
         match shared.and_then(send) {
             Ok(consumers) => {
@@ -365,20 +376,20 @@ impl Slot {
     /// Whether the pool for it is still being made: it finds its way to the consumers when it is
     /// published a little later.
     pub fn is_early(&self) -> bool {
-        let Memory::Own(OwnMemory {
-            desk: Some(desk),
+        let SlotMemory::Own(OwnMemory {
+            sensor_pool: Some(sensor_pool),
             why: PublishError::Preparing,
             ..
         }) = &self.memory
         else {
             return false;
         };
-        !desk.has_pool() && !self.status.is_troubled.load(Ordering::Relaxed)
+        !sensor_pool.has_pool() && !self.status.is_troubled.load(Ordering::Relaxed)
     }
 
     /// Whether its memory is shared.
     pub fn is_shared(&self) -> bool {
-        matches!(self.memory, Memory::Shared(..))
+        matches!(self.memory, SlotMemory::Shared(..))
     }
 }
 
@@ -393,8 +404,8 @@ fn send((mut loan, pool): (Loan, Arc<Pool>)) -> Result<usize, PublishError> {
 impl AsRef<[u8]> for Slot {
     fn as_ref(&self) -> &[u8] {
         match &self.memory {
-            Memory::Shared(loan, _) => loan.payload(),
-            Memory::Own(own) => own.buffer.as_ref(),
+            SlotMemory::Shared(loan, _) => loan.payload(),
+            SlotMemory::Own(own) => own.buffer.as_ref(),
         }
     }
 }
@@ -402,8 +413,8 @@ impl AsRef<[u8]> for Slot {
 impl AsMut<[u8]> for Slot {
     fn as_mut(&mut self) -> &mut [u8] {
         match &mut self.memory {
-            Memory::Shared(loan, _) => loan.payload_mut(),
-            Memory::Own(own) => own.buffer.as_mut(),
+            SlotMemory::Shared(loan, _) => loan.payload_mut(),
+            SlotMemory::Own(own) => own.buffer.as_mut(),
         }
     }
 }

@@ -42,7 +42,7 @@ use sweepd_core::sweep::layout::LAYOUT_VERSION;
 
 pub use domain::{Domain, DomainError};
 pub use keeper::Keeper;
-pub use loans::{Loans, PublishError, Settings, Slot, Status};
+pub use loans::{Loans, PublishError, PublishStatus, ServiceSettings, Slot};
 pub use subscriber::{Received, SubscribeError, Subscriber};
 pub use sys::{free_bytes, memory_bytes};
 

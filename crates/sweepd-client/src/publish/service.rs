@@ -13,9 +13,9 @@ use iceoryx2::service::attribute::{AttributeKey, AttributeValue};
 use iceoryx2::service::port_factory::event;
 use iceoryx2::service::port_factory::publish_subscribe;
 
-use super::files::{Fate, ServiceFile, SharedFile};
+use super::files::{FileState, ServiceFile, SharedFile};
 use super::leftovers::{self, ABANDONED_AFTER};
-use super::loans::{PublishError, Settings};
+use super::loans::{PublishError, ServiceSettings};
 use super::pool::Pool;
 use super::{
     BORROWED, BUFFERED, Domain, DomainError, HISTORY, Ipc, JoinError, MORE_NODES, OVERHEAD_BYTES,
@@ -56,7 +56,7 @@ impl Service {
     /// Opens or makes the service. `pool_bytes` is what its pool will need at least.
     pub(super) fn open(
         domain: &Domain,
-        settings: &Settings,
+        settings: &ServiceSettings,
         pool_bytes: u64,
     ) -> Result<Self, PublishError> {
         domain.prepare()?;
@@ -68,7 +68,7 @@ impl Service {
         let node = node_when_possible(domain, pool_bytes.saturating_add(OVERHEAD_BYTES))?;
         // What died before holds places in the service.
         node.try_cleanup_dead_nodes();
-        let Opened {
+        let OpenService {
             samples,
             event,
             files,
@@ -129,10 +129,10 @@ impl Service {
     /// consumer of the one before took with it is put back.
     pub(super) fn missing(&self) -> Option<PathBuf> {
         for file in &self.files {
-            let is_there = match file.fate() {
-                Fate::Same => true,
-                Fate::Gone => file.restore().is_ok(),
-                Fate::Other => false,
+            let is_there = match file.state() {
+                FileState::Same => true,
+                FileState::Gone => file.restore().is_ok(),
+                FileState::Replaced => false,
             };
             if !is_there {
                 return Some(file.path().to_owned());
@@ -201,7 +201,7 @@ impl Claim {
     fn take(
         domain: &Domain,
         name: &ServiceName,
-        settings: &Settings,
+        settings: &ServiceSettings,
     ) -> Result<Self, PublishError> {
         let unusable = |source: io::Error| {
             PublishError::from(DomainError::Unusable {
@@ -229,7 +229,7 @@ impl Claim {
 }
 
 /// Both halves of a service, and their files.
-struct Opened {
+struct OpenService {
     samples: Samples,
     event: Event,
     files: [ServiceFile; 2],
@@ -247,8 +247,8 @@ fn open_whole(
     node: &Node<Ipc>,
     name: &ServiceName,
     domain: &Domain,
-    settings: &Settings,
-) -> Result<Opened, PublishError> {
+    settings: &ServiceSettings,
+) -> Result<OpenService, PublishError> {
     for pattern in PATTERNS {
         let path = domain.service_file(name, pattern);
         let is_half_written =
@@ -287,8 +287,8 @@ fn open_both(
     node: &Node<Ipc>,
     name: &ServiceName,
     domain: &Domain,
-    settings: &Settings,
-) -> Result<Opened, PublishError> {
+    settings: &ServiceSettings,
+) -> Result<OpenService, PublishError> {
     let samples = open_samples(node, name, settings)?;
     let event = open_event(node, name, settings)?;
     let files = PATTERNS.map(|pattern| ServiceFile::read(&domain.service_file(name, pattern)));
@@ -299,7 +299,7 @@ fn open_both(
             "the files of the service vanished at once",
         ));
     };
-    Ok(Opened {
+    Ok(OpenService {
         samples,
         event,
         files: [one, other],
@@ -310,7 +310,7 @@ fn open_both(
 fn open_samples(
     node: &Node<Ipc>,
     name: &ServiceName,
-    settings: &Settings,
+    settings: &ServiceSettings,
 ) -> Result<Samples, PublishError> {
     let builder = || {
         node.service_builder(name)
@@ -348,7 +348,9 @@ fn open_samples(
 }
 
 /// The attributes; what is not known is left out.
-fn described_by(settings: &Settings) -> impl Iterator<Item = (AttributeKey, AttributeValue)> {
+fn described_by(
+    settings: &ServiceSettings,
+) -> impl Iterator<Item = (AttributeKey, AttributeValue)> {
     let schema = LAYOUT_VERSION.to_string();
     let pairs = [
         (attributes::SCHEMA, &schema),
@@ -368,7 +370,7 @@ fn described_by(settings: &Settings) -> impl Iterator<Item = (AttributeKey, Attr
 fn open_event(
     node: &Node<Ipc>,
     name: &ServiceName,
-    settings: &Settings,
+    settings: &ServiceSettings,
 ) -> Result<Event, PublishError> {
     let builder = node.service_builder(name).event();
     let builder = builder
@@ -410,10 +412,10 @@ mod tests {
             "{error}"
         );
 
-        let settings = Settings {
+        let settings = ServiceSettings {
             name: "roof".to_owned(),
             max_consumers: 2,
-            ..Settings::default()
+            ..ServiceSettings::default()
         };
         let service = Service::open(&domain, &settings, 0).unwrap();
         assert!(client.next(Duration::ZERO).unwrap().is_none() && client.is_connected());

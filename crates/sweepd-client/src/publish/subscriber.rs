@@ -17,7 +17,7 @@ use iceoryx2::service::port_factory::PortFactory as _;
 use iceoryx2::service::port_factory::publish_subscribe::PortFactory;
 use iceoryx2::service::static_config::messaging_pattern::MessagingPattern as Details;
 
-use super::files::{Fate, ServiceFile};
+use super::files::{FileState, ServiceFile};
 use super::{
     BORROWED, Domain, DomainError, Ipc, JoinError, OVERHEAD_BYTES, Preamble, attributes, leftovers,
     node,
@@ -115,7 +115,7 @@ pub struct Subscriber {
     domain: Domain,
     name: String,
     service: ServiceName,
-    open: Option<Open>,
+    open: Option<Connection>,
     looked: Instant,
     /// Since when the service has had no place for this consumer.
     full_since: Option<Instant>,
@@ -124,7 +124,7 @@ pub struct Subscriber {
 
 /// A service that was found. Dropped in this order.
 #[derive(Debug)]
-struct Open {
+struct Connection {
     samples: Arc<Port<Ipc, [u8], Preamble>>,
     listener: Listener<Ipc>,
     service: PortFactory<Ipc, [u8], Preamble>,
@@ -319,7 +319,7 @@ impl Subscriber {
 
     /// Looks for the service. That it is full is an error only when it stays so: consumers that
     /// died hold their places for at most a second.
-    fn find_unless_full(&mut self) -> Result<Option<Open>, SubscribeError> {
+    fn find_unless_full(&mut self) -> Result<Option<Connection>, SubscribeError> {
         match self.find() {
             Err(SubscribeError::Full { .. })
                 if self.full_since.get_or_insert_with(Instant::now).elapsed() < FULL_FOR =>
@@ -334,7 +334,7 @@ impl Subscriber {
     }
 
     /// Looks for the service: `None` when it is not there, or not yet whole.
-    fn find(&self) -> Result<Option<Open>, SubscribeError> {
+    fn find(&self) -> Result<Option<Connection>, SubscribeError> {
         let is_there = self.domain.exists()?;
         let path = self
             .domain
@@ -376,7 +376,7 @@ impl Subscriber {
             self.domain.node_folder(node.id()),
             self.domain.event_socket(listener.id().value()),
         ];
-        Ok(Some(Open {
+        Ok(Some(Connection {
             samples: Arc::new(samples),
             listener,
             service,
@@ -440,7 +440,7 @@ fn shown(told: impl Display) -> String {
     told.to_string().escape_debug().to_string()
 }
 
-impl Open {
+impl Connection {
     fn receive(&self) -> Result<Option<Received>, SubscribeError> {
         match self.samples.receive() {
             Ok(sample) => Ok(sample.map(|sample| Received {
@@ -457,6 +457,6 @@ impl Open {
     /// Whether the service that was opened is the one that others find, and this consumer is found
     /// as well.
     fn is_current(&self) -> bool {
-        self.file.fate() == Fate::Same && self.own_files.iter().all(|file| file.exists())
+        self.file.state() == FileState::Same && self.own_files.iter().all(|file| file.exists())
     }
 }

@@ -3,14 +3,14 @@
 use fearless_simd::{Simd, dispatch};
 
 use super::clock::{Clocks, SensorClock};
-use super::columns::{Place, SoFar, decode, radians, rate_rad_s};
-use super::cursor::{Cursor, Gap, Way};
+use super::cursor::{Cursor, HeadTravel, MissingFirings};
 use super::decode::Decoder;
-use super::edge::Pace;
-use super::head::{Head, Turned};
-use super::motion::{Beat, TURN};
-use super::order::{Before, Packet};
-use super::turns::Turns;
+use super::fov_edge::HeadSpeed;
+use super::head_tracker::{HeadEvent, HeadTracker};
+use super::motion::{FiringTiming, TURN};
+use super::open_sweep::{ColumnTarget, OpenSweep, decode, radians, rate_rad_s};
+use super::order::{OrderedPacket, PacketGap};
+use super::row_offsets::RowOffsets;
 use crate::sweep::buffers::OpenBuffer;
 use crate::sweep::image::SweepMut;
 use crate::sweep::layout::{COLUMNS_CAPACITY, Column, ReturnChoice, Shape, flags};
@@ -38,13 +38,13 @@ const DOUBT_NS: f64 = 150_000.0;
 /// Builds sweeps out of packets that come in order.
 pub struct Builder {
     decoder: Decoder,
-    settings: Settings,
-    head: Head,
+    config: BuilderConfig,
+    head: HeadTracker,
     /// What brings sensor time to time since 1970.
     pub clocks: Clocks,
-    open: Option<SoFar>,
+    open: Option<OpenSweep>,
     /// How the rows of the open sweep are turned.
-    turns: Turns,
+    row_offsets: RowOffsets,
     cursor: Option<Cursor>,
     last_firing_ns: i64,
     /// Sweeps before the next one, those of other models included; see
@@ -61,7 +61,7 @@ pub struct Builder {
 
 /// What does not change from sweep to sweep.
 #[derive(Clone, Debug)]
-pub struct Settings {
+pub struct BuilderConfig {
     /// Azimuth at which sweeps are cut, hundredths of a degree, 0..36000.
     pub cut_cdeg: f64,
     /// Which of two returns is segmented.
@@ -74,14 +74,14 @@ pub struct Settings {
 
 impl Builder {
     /// A builder that has seen nothing.
-    pub fn new(decoder: Decoder, settings: Settings) -> Self {
+    pub fn new(decoder: Decoder, config: BuilderConfig) -> Self {
         Self {
-            head: Head::new(settings.cut_cdeg),
+            head: HeadTracker::new(config.cut_cdeg),
             decoder,
-            settings,
+            config,
             clocks: Clocks::default(),
             open: None,
-            turns: Turns::default(),
+            row_offsets: RowOffsets::default(),
             cursor: None,
             last_firing_ns: 0,
             sequence: 0,
@@ -114,7 +114,7 @@ impl Builder {
     }
 
     /// The slot of the packet that is being placed, if there is one.
-    pub fn at_hand(&self) -> Option<usize> {
+    pub fn current_slot(&self) -> Option<usize> {
         self.cursor.map(|cursor| cursor.slot)
     }
 
@@ -133,7 +133,7 @@ impl Builder {
         let until_cut_ns = self.head.until_cut_cdeg()? / self.last_rate_cdeg_ns?.abs() - DOUBT_NS;
         let period_ns = f64::from(self.decoder.spec.packet_period_ns(mode));
         let packets = until_cut_ns / period_ns;
-        let packets = if self.head.leaps_until_cut() {
+        let packets = if self.head.skips_sector_until_cut() {
             packets
         } else {
             packets.ceil()
@@ -163,28 +163,28 @@ impl Builder {
         sweep.header.margin_columns = open.first_column as u32;
         sweep.header.columns = placed as u32;
         sweep.header.flags = flags::CIRCULAR;
-        Some((sweep, placed.saturating_sub(self.turns.lead())))
+        Some((sweep, placed.saturating_sub(self.row_offsets.lead())))
     }
 
     /// Takes the next packet in order to hand. The one before must have been placed.
-    pub fn begin(&mut self, slot: usize, packet: &Packet, before: Before) {
+    pub fn begin(&mut self, slot: usize, packet: &OrderedPacket, before: PacketGap) {
         let spec = self.decoder.spec;
         let mut cursor = Cursor {
             slot,
-            beat: Beat::new(spec, packet.mode),
+            timing: FiringTiming::new(spec, packet.mode),
             rate_rad_s: rate_rad_s(packet, spec),
-            anew: before == Before::Start,
-            jumped: before == Before::Start,
-            leaps: before == Before::Silence,
-            gap: None,
+            new_run: before == PacketGap::Start,
+            jumped: before == PacketGap::Start,
+            skips_sector: before == PacketGap::Blanked,
+            missing: None,
             placed: 0,
             turned: false,
             counted: false,
             from_cut: false,
         };
         let lasted_ns = packet.time_ns - self.last_firing_ns;
-        cursor.anew |= lasted_ns > LONGEST_GAP_NS;
-        if let Before::Lost {
+        cursor.new_run |= lasted_ns > LONGEST_GAP_NS;
+        if let PacketGap::Lost {
             packets,
             travelled_cdeg,
             silence,
@@ -192,37 +192,37 @@ impl Builder {
         {
             self.lost += u64::from(packets);
             let firings = packets as usize * spec.firings_per_packet(packet.mode);
-            cursor.anew |= travelled_cdeg.abs() >= TURN || firings >= COLUMNS_CAPACITY;
+            cursor.new_run |= travelled_cdeg.abs() >= TURN || firings >= COLUMNS_CAPACITY;
             match self.head.last_cdeg() {
-                Some(from_cdeg) if !cursor.anew => {
-                    let way = Way {
+                Some(from_cdeg) if !cursor.new_run => {
+                    let travel = HeadTravel {
                         from_cdeg,
                         from_ns: self.last_firing_ns,
                         travelled_cdeg,
                         silence,
                     };
-                    cursor.gap = Some(Gap::new(&way, firings, packet, spec));
+                    cursor.missing = Some(MissingFirings::new(&travel, firings, packet, spec));
                 }
                 // A whole turn is gone: nothing can be filled in.
                 _ => {
-                    cursor.anew = true;
+                    cursor.new_run = true;
                     if let Some(open) = &mut self.open {
                         open.lost += packets;
                     }
                 }
             }
         }
-        if !cursor.anew {
+        if !cursor.new_run {
             self.note_arrival(packet);
         }
         self.cursor = Some(cursor);
     }
 
-    fn note_arrival(&mut self, packet: &Packet) {
+    fn note_arrival(&mut self, packet: &OrderedPacket) {
         let sent_ns = packet.time_ns
             + packet.motion.silent_ns
             + i64::from(self.decoder.spec.packet_period_ns(packet.mode));
-        self.clocks.data(sent_ns, packet.arrival_ns);
+        self.clocks.note_arrival(sent_ns, packet.arrival_ns);
     }
 
     /// Places firings of the packet at hand until a sweep is complete, or the packet is used up.
@@ -230,14 +230,14 @@ impl Builder {
     /// ends within the packet, the next call opens the next one.
     pub fn advance(
         &mut self,
-        packet: &Packet,
+        packet: &OrderedPacket,
         clock: &SensorClock,
         buffer: &mut dyn OpenBuffer,
     ) -> bool {
         let Some(mut cursor) = self.cursor else {
             return false;
         };
-        if std::mem::take(&mut cursor.anew) {
+        if std::mem::take(&mut cursor.new_run) {
             self.head.lose();
             self.cursor = Some(cursor);
             let is_complete = self.close(false, clock, buffer);
@@ -253,12 +253,12 @@ impl Builder {
             let end = self.fill(&mut cursor, packet, buffer);
             cursor.counted = false;
             // The next sweep is opened by its first firing: this one's buffer is still in use.
-            cursor.from_cut = end != End::Anew;
-            self.cursor = (end != End::Packet).then_some(cursor);
+            cursor.from_cut = end != FillEnd::NewRun;
+            self.cursor = (end != FillEnd::PacketDone).then_some(cursor);
             let is_complete = match end {
-                End::Packet => return false,
-                End::Cut => self.close(true, clock, buffer),
-                End::Moved | End::Anew => self.close(false, clock, buffer),
+                FillEnd::PacketDone => return false,
+                FillEnd::Cut => self.close(true, clock, buffer),
+                FillEnd::MovedCut | FillEnd::NewRun => self.close(false, clock, buffer),
             };
             if is_complete {
                 return true;
@@ -267,12 +267,17 @@ impl Builder {
     }
 
     /// Fills columns of the open sweep with firings of the packet until one does not belong there.
-    fn fill(&mut self, cursor: &mut Cursor, packet: &Packet, buffer: &mut dyn OpenBuffer) -> End {
+    fn fill(
+        &mut self,
+        cursor: &mut Cursor,
+        packet: &OrderedPacket,
+        buffer: &mut dyn OpenBuffer,
+    ) -> FillEnd {
         if self.open.is_none() {
             self.open(packet, cursor.from_cut, buffer);
         }
         let Ok(mut sweep) = SweepMut::open(buffer.bytes()) else {
-            return End::Packet;
+            return FillEnd::PacketDone;
         };
         dispatch!(self.decoder.level(), simd => self.fill_with(simd, cursor, packet, &mut sweep))
     }
@@ -282,40 +287,40 @@ impl Builder {
         &mut self,
         simd: S,
         cursor: &mut Cursor,
-        packet: &Packet,
+        packet: &OrderedPacket,
         sweep: &mut SweepMut<'_>,
-    ) -> End {
+    ) -> FillEnd {
         let Some(open) = &mut self.open else {
-            return End::Packet;
+            return FillEnd::PacketDone;
         };
-        let turns = &self.turns;
+        let row_offsets = &self.row_offsets;
         let is_set_back = open.newest_arrival_ns.saturating_sub(packet.arrival_ns) > SET_BACK_NS;
         if is_set_back || open.newest_arrival_ns < packet.arrival_ns {
             open.newest_arrival_ns = packet.arrival_ns;
         }
         while let Some(firing) = cursor.firing(packet) {
             if !std::mem::replace(&mut cursor.turned, true) {
-                let pace = |rate| Pace::new(rate, self.decoder.spec, packet.mode);
-                let turned = match firing.leaps {
-                    true => self.head.leap(
+                let speed = |rate| HeadSpeed::new(rate, self.decoder.spec, packet.mode);
+                let turned = match firing.skips_sector {
+                    true => self.head.skip_sector(
                         firing.azimuth_cdeg,
                         firing.time_ns,
-                        self.last_rate_cdeg_ns.map(pace),
+                        self.last_rate_cdeg_ns.map(speed),
                     ),
                     false => self.head.turn(firing.azimuth_cdeg, firing.time_ns),
                 };
                 match turned {
-                    Turned::On if open.has_room(&firing, turns) => {}
-                    Turned::Cut | Turned::Moved => {
+                    HeadEvent::Continues if open.has_room(&firing, row_offsets) => {}
+                    HeadEvent::Cut | HeadEvent::MovedCut => {
                         // A sector that reaches over the cut is left out of both sweeps.
-                        open.blanked |= firing.leaps;
-                        return if turned == Turned::Cut {
-                            End::Cut
+                        open.blanked |= firing.skips_sector;
+                        return if turned == HeadEvent::Cut {
+                            FillEnd::Cut
                         } else {
-                            End::Moved
+                            FillEnd::MovedCut
                         };
                     }
-                    Turned::On | Turned::Anew => return End::Anew,
+                    HeadEvent::Continues | HeadEvent::NewRun => return FillEnd::NewRun,
                 }
             }
             if firing.index.is_some() && !std::mem::replace(&mut cursor.counted, true) {
@@ -326,19 +331,19 @@ impl Builder {
                 sweep,
                 &firing,
                 (packet, cursor),
-                (&self.decoder, turns),
+                (&self.decoder, row_offsets),
                 &self.head,
             );
             self.last_firing_ns = firing.time_ns;
             cursor.placed += 1;
             cursor.turned = false;
         }
-        End::Packet
+        FillEnd::PacketDone
     }
 
     /// Decodes a packet that was overtaken by more than was held back, if its columns wait for it
     /// in the open sweep.
-    pub fn late(&mut self, packet: &Packet, buffer: &mut dyn OpenBuffer) -> bool {
+    pub fn late(&mut self, packet: &OrderedPacket, buffer: &mut dyn OpenBuffer) -> bool {
         let Ok(mut sweep) = SweepMut::open(buffer.bytes()) else {
             return false;
         };
@@ -346,38 +351,51 @@ impl Builder {
     }
 
     #[inline(always)]
-    fn late_with<S: Simd>(&mut self, simd: S, packet: &Packet, sweep: &mut SweepMut<'_>) -> bool {
+    fn late_with<S: Simd>(
+        &mut self,
+        simd: S,
+        packet: &OrderedPacket,
+        sweep: &mut SweepMut<'_>,
+    ) -> bool {
         let decoder = &self.decoder;
-        let beat = Beat::new(decoder.spec, packet.mode);
+        let timing = FiringTiming::new(decoder.spec, packet.mode);
         let Some(open) = &mut self.open else {
             return false;
         };
         if open.mode != packet.mode {
             return false;
         }
-        let Some(first) = open.room_for(sweep, packet, &beat) else {
+        let Some(first) = open.room_for(sweep, packet, &timing) else {
             return false;
         };
         let rate_rad_s = rate_rad_s(packet, decoder.spec);
-        for index in 0..beat.firings {
-            let azimuth_rad = radians(packet.motion.azimuth_cdeg(index, &beat));
-            let time_ns = open.since_first(packet.firing_ns(index, &beat));
+        for index in 0..timing.firings {
+            let azimuth_rad = radians(packet.motion.azimuth_cdeg(index, &timing));
+            let time_ns = open.since_first(packet.firing_ns(index, &timing));
             let column = Column::measured(
                 packet.number,
-                beat.block(index) as u8,
+                timing.block(index) as u8,
                 azimuth_rad,
                 rate_rad_s,
                 time_ns,
             );
-            let place = Place {
+            let place = ColumnTarget {
                 column: first + index,
-                turns: &self.turns,
+                row_offsets: &self.row_offsets,
             };
-            open.returns += decode(simd, sweep, place, column, (index, &beat), packet, decoder);
+            open.returns += decode(
+                simd,
+                sweep,
+                place,
+                column,
+                (index, &timing),
+                packet,
+                decoder,
+            );
         }
         open.lost = open.lost.saturating_sub(1);
         self.lost = self.lost.saturating_sub(1);
-        open.missing -= beat.firings as u32;
+        open.missing -= timing.firings as u32;
         open.packets += 1;
         true
     }
@@ -389,15 +407,15 @@ impl Builder {
         self.close(false, clock, buffer)
     }
 
-    fn open(&mut self, packet: &Packet, from_cut: bool, buffer: &mut dyn OpenBuffer) {
+    fn open(&mut self, packet: &OrderedPacket, from_cut: bool, buffer: &mut dyn OpenBuffer) {
         let (mode, spec) = (packet.mode, self.decoder.spec);
         let beams = self.decoder.beams(mode);
         let rate_cdeg_ns = self.expected_rate_cdeg_ns(packet);
-        self.turns.set(beams, rate_cdeg_ns, spec, mode);
+        self.row_offsets.set(beams, rate_cdeg_ns, spec, mode);
         let shape = Shape::of(
             self.decoder.rows(),
             mode == ReturnMode::Dual,
-            self.settings.min_points,
+            self.config.min_points,
         );
         let Ok(sweep) = SweepMut::create(buffer.begin(shape.total_bytes()), &shape) else {
             return;
@@ -406,22 +424,22 @@ impl Builder {
         sweep
             .beams
             .iter_mut()
-            .zip(self.turns.shifts())
+            .zip(self.row_offsets.shifts())
             .for_each(|(beam, &shift)| beam.shift = shift);
         let header = sweep.header;
         header.sequence = self.sequence;
         header.model = self.decoder.model.code();
         header.return_mode = u32::from(mode.byte());
-        header.return_choice = self.settings.return_choice as u32;
+        header.return_choice = self.config.return_choice as u32;
         header.cut_azimuth_rad = (self.head.cut_cdeg() / 100.0).to_radians() as f32;
-        header.set_sensor(&self.settings.sensor);
+        header.set_sensor(&self.config.sensor);
         self.sequence += 1;
-        self.open = Some(SoFar::new(mode, from_cut, &self.turns));
+        self.open = Some(OpenSweep::new(mode, from_cut, &self.row_offsets));
     }
 
     /// The speed of the sweep before, unless this packet says quite another one: then the head
     /// stood still meanwhile, or was set to another speed.
-    fn expected_rate_cdeg_ns(&self, packet: &Packet) -> f64 {
+    fn expected_rate_cdeg_ns(&self, packet: &OrderedPacket) -> f64 {
         let own = packet.motion.rate_cdeg_ns(self.decoder.spec);
         let is_like = |last: &f64| (own - last).abs() < RATE_LIKE * last.abs();
         self.last_rate_cdeg_ns.filter(is_like).unwrap_or(own)
@@ -445,11 +463,11 @@ impl Builder {
             return false;
         };
         let [margin, columns] = if flags & flags::CIRCULAR != 0 {
-            open.fold(&mut sweep, &self.turns)
+            open.fold(&mut sweep, &self.row_offsets)
         } else {
             open.widen(
                 &mut sweep,
-                &self.turns,
+                &self.row_offsets,
                 self.decoder.spec.firing_period_ns(open.mode),
             )
         };
@@ -477,7 +495,7 @@ impl Builder {
         true
     }
 
-    fn flags(&self, open: &SoFar, at_cut: bool) -> u32 {
+    fn flags(&self, open: &OpenSweep, at_cut: bool) -> u32 {
         let partial = !(at_cut && open.from_cut);
         let rpm = open.rpm();
         let tells = open.travelled_cdeg() > RPM_TELLING_CDEG || open.stands_still();
@@ -501,13 +519,13 @@ impl Builder {
 
 /// Why [`Builder::fill`] stopped.
 #[derive(Clone, Copy, PartialEq, Eq)]
-enum End {
+enum FillEnd {
     /// The packet is used up.
-    Packet,
+    PacketDone,
     /// It is behind the cut.
     Cut,
     /// The same, and the sweep began where the cut was before.
-    Moved,
+    MovedCut,
     /// It belongs to another run, or there is no room.
-    Anew,
+    NewRun,
 }

@@ -123,7 +123,7 @@ pub fn vouched_utc_ns(
 
 impl Clocks {
     /// Notes a data packet whose last shot was at `sensor_ns` and which arrived at `arrival_ns`.
-    pub fn data(&mut self, sensor_ns: i64, arrival_ns: i64) {
+    pub fn note_arrival(&mut self, sensor_ns: i64, arrival_ns: i64) {
         let delay = arrival_ns - sensor_ns;
         let before_ns = std::mem::replace(&mut self.newest_ns, [sensor_ns, arrival_ns]);
         let Some((least, at)) = self.least_delay else {
@@ -161,7 +161,7 @@ impl Clocks {
 
     /// Notes what a sensor says of UTC, to some seconds, along with a packet of this stamp; `None`
     /// when no receiver vouches for it.
-    pub fn said(&mut self, utc_ns: Option<i64>, stamp_us: u32, arrival_ns: i64) {
+    pub fn note_utc(&mut self, utc_ns: Option<i64>, stamp_us: u32, arrival_ns: i64) {
         self.fix = utc_ns.map(|utc_ns| Fix::new(stamp_us, utc_ns, arrival_ns));
     }
 
@@ -245,7 +245,7 @@ mod tests {
         let mut clocks = Clocks::default();
         let clock = SensorClock::default();
         for (sensor, delay) in [(0, 900), (1, 200), (2, 5_000), (3, 300)] {
-            clocks.data(sensor * 1000, 7 * SECOND + sensor * 1000 + delay);
+            clocks.note_arrival(sensor * 1000, 7 * SECOND + sensor * 1000 + delay);
         }
         assert_eq!(
             clocks.resolve(3000, &clock, 0),
@@ -257,20 +257,20 @@ mod tests {
     fn small_changes_of_the_least_delay_do_not_move_the_time() {
         let mut clocks = Clocks::default();
         let clock = SensorClock::default();
-        clocks.data(0, 1_000_000);
+        clocks.note_arrival(0, 1_000_000);
         assert_eq!(clocks.resolve(0, &clock, 0).0, 1_000_000);
-        clocks.data(1000, 1000 + 800_000);
+        clocks.note_arrival(1000, 1000 + 800_000);
         assert_eq!(clocks.resolve(1000, &clock, 0).0, 1000 + 1_000_000);
-        clocks.data(2000, 2000 + 700_000);
+        clocks.note_arrival(2000, 2000 + 700_000);
         assert_eq!(clocks.resolve(2000, &clock, 0).0, 2000 + 700_000);
     }
 
     #[test]
     fn a_stepped_host_clock_is_followed_after_a_while() {
         let mut clocks = Clocks::default();
-        clocks.data(0, 0);
+        clocks.note_arrival(0, 0);
         for packet in 1..=60 {
-            clocks.data(packet * 1_000_000, 10 * SECOND + packet * 1_000_000);
+            clocks.note_arrival(packet * 1_000_000, 10 * SECOND + packet * 1_000_000);
         }
         assert_eq!(clocks.resolve(0, &SensorClock::default(), 0).0, 10 * SECOND);
     }
@@ -283,7 +283,7 @@ mod tests {
         arrival_ns: impl Fn(i64) -> i64,
     ) -> i64 {
         for ms in sensor_ms.clone() {
-            clocks.data(ms * 1_000_000, arrival_ns(ms * 1_000_000));
+            clocks.note_arrival(ms * 1_000_000, arrival_ns(ms * 1_000_000));
         }
         clocks
             .resolve((sensor_ms.end - 1) * 1_000_000, &SensorClock::default(), 0)
@@ -443,7 +443,7 @@ mod tests {
         let mut clock = SensorClock::default();
         clock.set(1_082_340_595, 1_082_340_595_000);
         let mut clocks = Clocks::default();
-        clocks.said(vouched(&position, false), position.stamp_us, 5 * SECOND);
+        clocks.note_utc(vouched(&position, false), position.stamp_us, 5 * SECOND);
         // 2016-01-21 08:18:02.340595 UTC.
         let utc = (1_453_364_282_340_595_000, TimeSource::Gps);
         assert_eq!(clocks.resolve(1_082_340_595_000, &clock, 6 * SECOND), utc);
@@ -462,7 +462,7 @@ mod tests {
                 nmea: Some(&doubtful),
                 ..position
             };
-            clocks.said(vouched(&doubtful, false), position.stamp_us, 6 * SECOND);
+            clocks.note_utc(vouched(&doubtful, false), position.stamp_us, 6 * SECOND);
             assert_eq!(
                 clocks.resolve(1_082_340_595_000, &clock, 6 * SECOND).1,
                 TimeSource::Host

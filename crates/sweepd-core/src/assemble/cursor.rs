@@ -1,23 +1,23 @@
 //! The firings of a packet in their order, with those that are missing before it.
 
-use super::motion::{Beat, Sector, shortest, within_turn};
-use super::relation::Packet;
+use super::matcher::OrderedPacket;
+use super::motion::{FiringTiming, Sector, shortest, within_turn};
 use crate::sensor::model::Spec;
 
 /// How far the packet at hand, with the gap before it, has been placed.
 #[derive(Clone, Copy, Debug)]
 pub struct Cursor {
     pub slot: usize,
-    pub beat: Beat,
+    pub timing: FiringTiming,
     /// How fast the head turns, radians a second.
     pub rate_rad_s: f32,
     /// The run ends before this packet.
-    pub anew: bool,
+    pub new_run: bool,
     /// Nothing relates it to the clock of those before.
     pub jumped: bool,
     /// The first firing is beyond a sector that was left out.
-    pub leaps: bool,
-    pub gap: Option<Gap>,
+    pub skips_sector: bool,
+    pub missing: Option<MissingFirings>,
     /// Firings placed, missing ones first.
     pub placed: usize,
     /// The head has turned to the firing at hand already: it opens a sweep.
@@ -29,7 +29,7 @@ pub struct Cursor {
 }
 
 /// The way of the head over a gap.
-pub struct Way {
+pub struct HeadTravel {
     pub from_cdeg: f64,
     pub from_ns: i64,
     pub travelled_cdeg: f64,
@@ -38,7 +38,7 @@ pub struct Way {
 
 /// Firings that are missing, evenly spread between two that are there.
 #[derive(Clone, Copy, Debug)]
-pub struct Gap {
+pub struct MissingFirings {
     pub firings: usize,
     pub from_cdeg: f64,
     pub from_ns: i64,
@@ -53,7 +53,7 @@ pub struct Gap {
 pub struct Firing {
     pub azimuth_cdeg: f64,
     pub time_ns: i64,
-    pub leaps: bool,
+    pub skips_sector: bool,
     /// Its index in the packet; `None` when it is missing.
     pub index: Option<usize>,
     /// The first missing firing of a packet.
@@ -63,37 +63,40 @@ pub struct Firing {
 impl Cursor {
     /// The firing at hand.
     #[inline]
-    pub fn firing(&self, packet: &Packet) -> Option<Firing> {
-        let beat = &self.beat;
-        let first_measured = match &self.gap {
-            Some(gap) if self.placed < gap.firings => {
-                return Some(gap.firing(self.placed, beat.firings));
+    pub fn firing(&self, packet: &OrderedPacket) -> Option<Firing> {
+        let timing = &self.timing;
+        let first_measured = match &self.missing {
+            Some(missing) if self.placed < missing.firings => {
+                return Some(missing.firing(self.placed, timing.firings));
             }
-            Some(gap) => gap.firings,
+            Some(missing) => missing.firings,
             None => 0,
         };
         let index = self.placed - first_measured;
-        (index < beat.firings).then(|| Firing {
-            azimuth_cdeg: packet.motion.azimuth_cdeg(index, beat),
-            time_ns: packet.firing_ns(index, beat),
-            leaps: packet.motion.leaps_before(index, beat)
+        (index < timing.firings).then(|| Firing {
+            azimuth_cdeg: packet.motion.azimuth_cdeg(index, timing),
+            time_ns: packet.firing_ns(index, timing),
+            skips_sector: packet.motion.skips_sector_before(index, timing)
                 || index == 0
-                    && (self.leaps || self.gap.is_some_and(|gap| gap.leaps_at(gap.firings))),
+                    && (self.skips_sector
+                        || self
+                            .missing
+                            .is_some_and(|missing| missing.skips_sector_at(missing.firings))),
             index: Some(index),
             begins_lost_packet: false,
         })
     }
 }
 
-impl Gap {
+impl MissingFirings {
     /// Firings between the last one and this packet, at the lasers' beat.
-    pub fn new(way: &Way, firings: usize, packet: &Packet, spec: &Spec) -> Self {
-        let Way {
+    pub fn new(travel: &HeadTravel, firings: usize, packet: &OrderedPacket, spec: &Spec) -> Self {
+        let HeadTravel {
             from_cdeg,
             from_ns,
             travelled_cdeg,
             silence,
-        } = *way;
+        } = *travel;
         let lasted_ns = (packet.time_ns - from_ns) as f64;
         let steps = (firings + 1) as f64;
         // The last firing is less than a packet away from where the way was measured from: a turn's
@@ -139,13 +142,13 @@ impl Gap {
         Firing {
             azimuth_cdeg: within_turn(self.from_cdeg + self.step_cdeg * steps + width),
             time_ns: self.from_ns + (self.step_ns * steps + silent) as i64,
-            leaps: self.leaps_at(index),
+            skips_sector: self.skips_sector_at(index),
             index: None,
             begins_lost_packet: index.is_multiple_of(firings_per_packet),
         }
     }
 
-    pub fn leaps_at(&self, index: usize) -> bool {
+    pub fn skips_sector_at(&self, index: usize) -> bool {
         self.silence.is_some_and(|(before, ..)| before == index)
     }
 }

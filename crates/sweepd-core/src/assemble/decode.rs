@@ -5,8 +5,8 @@ use std::ops::RangeInclusive;
 use fearless_simd::prelude::*;
 use fearless_simd::{Level, f32x16, i32x16, mask32x16};
 
-use super::lanes::{self, Decoded, Direction, Lanes, Of, Records};
-use super::turns::Turns;
+use super::lanes::{self, BeamGroups, Decoded, Direction, PerLane, Records};
+use super::row_offsets::RowOffsets;
 use crate::sensor::model::Spec;
 use crate::sensor::{Calibration, Model};
 use crate::sweep::layout::{BeamRow, ReturnChoice, ReturnKind, SECOND_BLOCKS};
@@ -23,7 +23,7 @@ pub struct Decoder {
     pub is_normalised: bool,
     /// The beams as a sweep of one return carries them, and as one of two does.
     beams: [Vec<BeamRow>; 2],
-    lanes: Lanes,
+    lanes: BeamGroups,
     /// Ranges depend on the azimuth.
     bends: bool,
     choice: ReturnChoice,
@@ -69,7 +69,7 @@ impl Decoder {
                 .collect()
         };
         let beams = [ReturnMode::Strongest, ReturnMode::Dual].map(beams);
-        let lanes = Lanes::new(calibration, &beams[0]);
+        let lanes = BeamGroups::new(calibration, &beams[0]);
         let bends = lanes.bend();
         Self {
             spec,
@@ -131,17 +131,17 @@ impl Decoder {
         simd: S,
         records: Records<'_>,
         azimuth_rad: f32,
-        turns: &Turns,
+        row_offsets: &RowOffsets,
         mut pixels: Pixels<'_>,
     ) -> u32 {
         let direction = self.direction(azimuth_rad);
         let mut returns = 0;
         for group in 0..self.lanes.groups() {
-            let towards = (direction, &turns.asides()[group]);
+            let towards = (direction, &row_offsets.side_angles()[group]);
             let decoded = self
                 .lanes
                 .decode(simd, group, records, towards, self.is_normalised);
-            pixels.write(&turns.pixels()[group], &decoded);
+            pixels.write(&row_offsets.pixels()[group], &decoded);
             returns += decoded.returns;
         }
         returns
@@ -155,7 +155,7 @@ impl Decoder {
         simd: S,
         records: Records<'_>,
         azimuth_rad: f32,
-        turns: &Turns,
+        row_offsets: &RowOffsets,
         [mut chosen, mut other]: [Pixels<'_>; 2],
         kind: &mut [u8],
     ) -> u32 {
@@ -164,7 +164,10 @@ impl Decoder {
         let [first, second] = [first, second].map(|blocks| Records { blocks, ..records });
         let mut returns = 0;
         for group in 0..self.lanes.groups() {
-            let (towards, places) = ((direction, &turns.asides()[group]), &turns.pixels()[group]);
+            let (towards, places) = (
+                (direction, &row_offsets.side_angles()[group]),
+                &row_offsets.pixels()[group],
+            );
             let first = self
                 .lanes
                 .decode(simd, group, first, towards, self.is_normalised);
@@ -238,7 +241,7 @@ impl Decoder {
 
 impl Pixels<'_> {
     #[inline(always)]
-    fn write<S: Simd>(&mut self, places: &Of<u32>, decoded: &Decoded<S>) {
+    fn write<S: Simd>(&mut self, places: &PerLane<u32>, decoded: &Decoded<S>) {
         // One length, so that one look at a place is enough for both.
         let count = self.range.len().min(self.reflectivity.len());
         let (range, reflectivity) = (&mut self.range[..count], &mut self.reflectivity[..count]);
@@ -255,7 +258,7 @@ impl Pixels<'_> {
 }
 
 #[inline(always)]
-fn write_bytes<S: Simd>(plane: &mut [u8], places: &Of<u32>, bytes: i32x16<S>) {
+fn write_bytes<S: Simd>(plane: &mut [u8], places: &PerLane<u32>, bytes: i32x16<S>) {
     for (&place, &byte) in places.iter().zip(bytes.as_array()) {
         plane[place as usize] = byte as u8;
     }
@@ -295,8 +298,8 @@ mod tests {
                 reflectivity,
             };
         }
-        let mut turns = Turns::default();
-        turns.set(
+        let mut row_offsets = RowOffsets::default();
+        row_offsets.set(
             decoder.beams(ReturnMode::Dual),
             2e-6,
             decoder.spec,
@@ -316,7 +319,7 @@ mod tests {
             blocks: &packet.blocks[..2],
             first: 0,
         };
-        let returns = dispatch!(decoder.level(), simd => decoder.dual(simd, records, 0.0, &turns, [first, second], &mut kind));
+        let returns = dispatch!(decoder.level(), simd => decoder.dual(simd, records, 0.0, &row_offsets, [first, second], &mut kind));
         assert_eq!(
             returns,
             u32::from(last_m > 0.0) + u32::from(strongest_m > 0.0)

@@ -2,7 +2,7 @@
 //!
 //! All of it is vectors of [`LANES`] numbers, at whatever level the caller runs it: the
 //! [decoder](super::decode) takes the best one of the machine. Beams stay in the order of their
-//! channels, as the packet has them: where each goes in the image, the [turns](super::turns) say.
+//! channels, as the packet has them: where each goes in the image, the [row offsets](super::row_offsets) say.
 //!
 //! Every level gives the same bytes, since nothing here rounds otherwise at one than at another: a
 //! product is never fused with a sum, and a square root is exact to the last bit. A range is within
@@ -48,11 +48,11 @@ const SPREAD: [u8; 4 * LANES] = {
 };
 
 /// A number for each of the beams.
-pub type Of<T> = [T; LANES];
+pub type PerLane<T> = [T; LANES];
 
 /// What the beams of a sensor need.
 #[derive(Clone, Debug)]
-pub struct Lanes {
+pub struct BeamGroups {
     /// Metres of one unit of distance.
     unit_m: f32,
     groups: Vec<Group>,
@@ -63,7 +63,7 @@ pub struct Lanes {
 /// What sixteen of them need.
 #[derive(Clone, Debug)]
 struct Group {
-    distance_offset_m: Of<f32>,
+    distance_offset_m: PerLane<f32>,
     bend: Option<Bend>,
     focus: Option<Focus>,
 }
@@ -71,33 +71,33 @@ struct Group {
 /// How the beams leave the straight line; see [`Corrected`].
 #[derive(Clone, Debug, Default)]
 struct Bend {
-    sin_elevation: Of<f32>,
-    cos_elevation: Of<f32>,
+    sin_elevation: PerLane<f32>,
+    cos_elevation: PerLane<f32>,
     /// Additional offsets along x and y: what they lose each metre, and what they are at the axis'
     /// zero.
-    slope: [Of<f32>; 2],
-    base_m: [Of<f32>; 2],
+    slope: [PerLane<f32>; 2],
+    base_m: [PerLane<f32>; 2],
     /// 1 of a beam that is bent: the bit that says so in its range.
-    mark: Of<i32>,
+    mark: PerLane<i32>,
 }
 
 /// How much less the beams report of what is not in their focus (HDL-64E S3 manual, appendix F).
 #[derive(Clone, Debug, Default)]
 struct Focus {
     /// Where it is bright: 256 times the square of the share of the full scale that is left beyond.
-    at: Of<f32>,
-    slope: Of<f32>,
-    min: Of<f32>,
-    max: Of<f32>,
+    at: PerLane<f32>,
+    slope: PerLane<f32>,
+    min: PerLane<f32>,
+    max: PerLane<f32>,
 }
 
 /// How far the beams point to the side of their firing.
 #[derive(Clone, Copy, Debug, Default)]
-pub struct Aside {
+pub struct SideAngles {
     /// Sine of the angle from the firing's azimuth to the beam's.
-    pub sin: Of<f32>,
+    pub sin: PerLane<f32>,
     /// Its cosine.
-    pub cos: Of<f32>,
+    pub cos: PerLane<f32>,
 }
 
 /// One return of each of the beams, and what they report of it.
@@ -124,7 +124,7 @@ pub struct Records<'a> {
     pub first: usize,
 }
 
-impl Lanes {
+impl BeamGroups {
     /// For these beams, given as a sweep carries them too, row by row.
     pub fn new(calibration: &Calibration, rows: &[BeamRow]) -> Self {
         let unit_m = calibration.distance_unit_m();
@@ -163,7 +163,7 @@ impl Lanes {
         simd: S,
         index: usize,
         records: Records<'_>,
-        (direction, aside): (Direction, &Aside),
+        (direction, aside): (Direction, &SideAngles),
         is_normalised: bool,
     ) -> Decoded<S> {
         let group = &self.groups[index];
@@ -264,7 +264,7 @@ impl Bend {
         simd: S,
         d: f32x16<S>,
         [sin, cos]: Direction,
-        aside: &Aside,
+        aside: &SideAngles,
     ) -> f32x16<S> {
         let (aside_sin, aside_cos) = (load(simd, &aside.sin), load(simd, &aside.cos));
         let cos_elevation = load(simd, &self.cos_elevation);
@@ -342,7 +342,7 @@ fn quarter<S: Simd>(simd: S, records: &[u8; LANES * RECORD], quarter: usize) -> 
 /// A function, as all here that has vectors: a closure may stay a call, without the instructions of
 /// its caller's level.
 #[inline(always)]
-fn load<S: Simd>(simd: S, lanes: &Of<f32>) -> f32x16<S> {
+fn load<S: Simd>(simd: S, lanes: &PerLane<f32>) -> f32x16<S> {
     f32x16::load_array_ref(simd, lanes)
 }
 

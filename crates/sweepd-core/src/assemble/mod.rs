@@ -1,24 +1,26 @@
 //! Packets to columns, columns to sweeps.
 //!
 //! ```text
-//! packet -> motion (where the head points) -> order (by the sensor's clock) -> builder (columns, cut, gaps) -> sweep
-//!                                                       |                                |
-//!                            relation (loss, silence, jumps of the clock)                 |
-//!                      cursor (firings of a packet, and those missing)   head (turns, cut, standstill)
-//!                                        columns (what stands in the open sweep)   decode (records to pixels)
-//!                                                                           edge (where a limited field of view ends)
-//!                           turns (how far rows point aside)   lanes (sixteen beams at once)
+//! packet -> motion -> order -> builder -> sweep
+//!
+//! motion       where the head points during a packet     builder        columns, cut, gaps
+//! order        packets by the sensor's clock             cursor         firings of a packet, and those missing before it
+//! matcher      loss, silence, jumps of the clock         head_tracker   turns of the head, the cut, standstill
+//! clock        sensor, host and GPS time                 fov_edge       the cut where the field of view is limited
+//!                                                        open_sweep     what the open sweep holds
+//!                                                        row_offsets    how far rows point to the side of their firing
+//!                                                        decode, lanes  records to pixels, sixteen beams at once
 //! ```
 
 pub mod builder;
 pub mod clock;
-mod columns;
 mod cursor;
 pub mod decode;
-pub mod edge;
-pub mod head;
+pub mod fov_edge;
+pub mod head_tracker;
 pub mod lanes;
+pub mod matcher;
 pub mod motion;
+mod open_sweep;
 pub mod order;
-pub mod relation;
-pub mod turns;
+pub mod row_offsets;

@@ -64,7 +64,7 @@ impl Sector {
 /// How the firings of a packet follow each other: what its model and its return mode say, worked
 /// out once a packet.
 #[derive(Clone, Copy, Debug)]
-pub struct Beat {
+pub struct FiringTiming {
     /// Firings of a packet.
     pub firings: usize,
     /// Blocks that one firing takes, or the two that share one.
@@ -76,7 +76,7 @@ pub struct Beat {
     sharing: u32,
 }
 
-impl Beat {
+impl FiringTiming {
     /// Of a model's packets with this return mode.
     pub fn new(spec: &Spec, mode: ReturnMode) -> Self {
         Self {
@@ -254,24 +254,26 @@ impl Motion {
     /// Azimuth at the first shot of a firing, hundredths of a degree, 0..36000. A firing that has
     /// no azimuth of its own (the second of a VLP-16 block) gets it from the turning rate: single
     /// steps carry the encoder's noise.
-    pub fn azimuth_cdeg(&self, firing: usize, beat: &Beat) -> f64 {
-        let within = beat.behind(firing) as f64 / (1 << beat.sharing) as f64;
-        within_turn(f64::from(self.azimuths[beat.azimuth(firing)]) + self.best_step_cdeg() * within)
+    pub fn azimuth_cdeg(&self, firing: usize, timing: &FiringTiming) -> f64 {
+        let within = timing.behind(firing) as f64 / (1 << timing.sharing) as f64;
+        within_turn(
+            f64::from(self.azimuths[timing.azimuth(firing)]) + self.best_step_cdeg() * within,
+        )
     }
 
     /// First shot of a firing after that of the packet, nanoseconds.
-    pub fn offset_ns(&self, firing: usize, beat: &Beat) -> i64 {
-        let fired = beat.period_ns * firing as i64;
+    pub fn offset_ns(&self, firing: usize, timing: &FiringTiming) -> i64 {
+        let fired = timing.period_ns * firing as i64;
         match self.left_out {
-            Some((index, _)) if beat.azimuth(firing) >= index => fired + self.silent_ns,
+            Some((index, _)) if timing.azimuth(firing) >= index => fired + self.silent_ns,
             _ => fired,
         }
     }
 
     /// Whether the head leapt over a sector between the firing before and this one.
-    pub fn leaps_before(&self, firing: usize, beat: &Beat) -> bool {
+    pub fn skips_sector_before(&self, firing: usize, timing: &FiringTiming) -> bool {
         self.left_out
-            .is_some_and(|(index, _)| firing == index << beat.sharing)
+            .is_some_and(|(index, _)| firing == index << timing.sharing)
     }
 }
 
@@ -347,7 +349,7 @@ fn is_bent(steps: &[f64], median: f64, is_break: impl Fn(f64) -> bool) -> bool {
             .any(|two| is_off(two[0]) && is_off(two[1]) && off(two[0]) * off(two[1]) < 0.0)
 }
 
-/// The median of steps by their length; of two the shorter, since the other may be a leap.
+/// The median of steps by their length; of two the shorter, since the other may be a skip.
 fn median(values: &[f64]) -> f64 {
     let mut sorted = [0.0; BLOCKS];
     let sorted = &mut sorted[..values.len()];
@@ -378,16 +380,16 @@ mod tests {
 
     #[test]
     fn the_second_firing_of_a_block_is_interpolated_and_may_wrap_alone() {
-        let beat = &Beat::new(SPEC, ReturnMode::Strongest);
+        let timing = &FiringTiming::new(SPEC, ReturnMode::Strongest);
         let motion = Motion::of(&packet(WRAPS), ReturnMode::Strongest, SPEC).unwrap();
         // 436 hundredths in eleven steps.
         assert!((motion.step_cdeg - 436.0 / 11.0).abs() < 1e-9);
-        assert_eq!(motion.azimuth_cdeg(14, beat), 35_971.0);
-        assert!((motion.azimuth_cdeg(15, beat) - (35_971.0 + 218.0 / 11.0)).abs() < 1e-9);
+        assert_eq!(motion.azimuth_cdeg(14, timing), 35_971.0);
+        assert!((motion.azimuth_cdeg(15, timing) - (35_971.0 + 218.0 / 11.0)).abs() < 1e-9);
         let mut late = WRAPS;
         late[7] = 35_985;
         let motion = Motion::of(&packet(late), ReturnMode::Strongest, SPEC).unwrap();
-        assert!(motion.azimuth_cdeg(15, beat) < 10.0);
+        assert!(motion.azimuth_cdeg(15, timing) < 10.0);
     }
 
     #[test]
@@ -396,7 +398,7 @@ mod tests {
         for (index, azimuth) in azimuths.iter_mut().enumerate() {
             *azimuth = if index < 5 { 9_000 } else { 26_800 } + 40 * index as u16;
         }
-        let beat = &Beat::new(SPEC, ReturnMode::Strongest);
+        let timing = &FiringTiming::new(SPEC, ReturnMode::Strongest);
         let motion = Motion::of(&packet(azimuths), ReturnMode::Strongest, SPEC).unwrap();
         let (index, sector) = motion.left_out.unwrap();
         assert_eq!(
@@ -405,9 +407,9 @@ mod tests {
         );
         // 178 degrees at 40 hundredths a block of 110.592 us: 445 blocks.
         assert_eq!(motion.silent_ns, 445 * 110_592);
-        assert_eq!(motion.offset_ns(9, beat), 9 * 55_296);
-        assert_eq!(motion.offset_ns(10, beat), (10 + 890) * 55_296);
-        assert!(motion.leaps_before(10, beat) && !motion.leaps_before(11, beat));
+        assert_eq!(motion.offset_ns(9, timing), 9 * 55_296);
+        assert_eq!(motion.offset_ns(10, timing), (10 + 890) * 55_296);
+        assert!(motion.skips_sector_before(10, timing) && !motion.skips_sector_before(11, timing));
     }
 
     #[test]
@@ -426,7 +428,7 @@ mod tests {
 
     #[test]
     fn an_angle_comes_within_a_turn_as_by_division() {
-        let turns = [-2.0, -1.0, 0.0, 1.0, 2.0].map(|turns| turns * TURN);
+        let row_offsets = [-2.0, -1.0, 0.0, 1.0, 2.0].map(|row_offsets| row_offsets * TURN);
         let near = |cdeg: f64| {
             [
                 cdeg,
@@ -436,7 +438,7 @@ mod tests {
                 cdeg + 12_345.678,
             ]
         };
-        for cdeg in turns.into_iter().flat_map(near) {
+        for cdeg in row_offsets.into_iter().flat_map(near) {
             assert_eq!(
                 within_turn(cdeg).to_bits(),
                 cdeg.rem_euclid(TURN).to_bits(),

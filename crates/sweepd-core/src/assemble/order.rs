@@ -10,9 +10,9 @@
 use std::collections::VecDeque;
 
 use super::clock::SensorClock;
+use super::matcher::{MatchQuality, PacketMatcher, Relation};
+pub use super::matcher::{OrderedPacket, PacketGap};
 use super::motion::{Implausible, Motion, Sector};
-pub use super::relation::{Before, Packet};
-use super::relation::{Fit, Relation, Relations};
 use crate::sensor::model::{Spec, Stamp};
 use crate::wire::DataPacket;
 use crate::wire::data::ReturnMode;
@@ -31,7 +31,7 @@ const UNSTEADY: u32 = 64;
 
 /// Why a packet will not come out again.
 #[derive(Clone, Copy, Debug, PartialEq)]
-pub enum Refusal {
+pub enum Rejection {
     /// The same bytes as a packet that was here before.
     Duplicate,
     /// Behind what has come out already; the builder may still have room for it.
@@ -52,30 +52,30 @@ pub struct OrderCounts {
     pub reordered: u64,
     /// Packets whose clock or mode no neighbour confirmed.
     pub unconfirmed: u64,
-    /// Packets refused as [`Refusal::Behind`] until this many in a row showed that the clock was
+    /// Packets refused as [`Rejection::Behind`] until this many in a row showed that the clock was
     /// set back.
     pub set_back: u64,
 }
 
 /// The queue that puts packets in order.
 #[derive(Debug)]
-pub struct Order {
+pub struct PacketOrder {
     spec: &'static Spec,
     clock: SensorClock,
-    slots: Vec<Packet>,
+    slots: Vec<OrderedPacket>,
     next_slot: usize,
     held: Vec<usize>,
-    ready: VecDeque<(usize, Before)>,
+    ready: VecDeque<(usize, PacketGap)>,
     last: Option<usize>,
     suspect: Option<usize>,
     set_back: u32,
     /// How much off the beat stamps were of late.
     off_beat: u32,
-    relations: Relations,
+    relations: PacketMatcher,
     counts: OrderCounts,
 }
 
-impl Order {
+impl PacketOrder {
     /// An empty queue for a model.
     pub fn new(spec: &'static Spec) -> Self {
         Self {
@@ -89,7 +89,7 @@ impl Order {
             suspect: None,
             set_back: 0,
             off_beat: 0,
-            relations: Relations::new(spec),
+            relations: PacketMatcher::new(spec),
             counts: OrderCounts::default(),
         }
     }
@@ -127,24 +127,24 @@ impl Order {
         self.relations.sector()
     }
 
-    /// Takes a packet in. Call [`Order::pop`] until it is empty before the next one.
+    /// Takes a packet in. Call [`PacketOrder::pop`] until it is empty before the next one.
     ///
     /// # Errors
-    /// [`Refusal`]: the packet will not come out.
+    /// [`Rejection`]: the packet will not come out.
     pub fn push(
         &mut self,
         bytes: &DataPacket,
         mode: ReturnMode,
         number: u64,
         arrival_ns: i64,
-    ) -> Result<(), Refusal> {
-        let mut motion = Motion::of(bytes, mode, self.spec).map_err(Refusal::Implausible)?;
+    ) -> Result<(), Rejection> {
+        let mut motion = Motion::of(bytes, mode, self.spec).map_err(Rejection::Implausible)?;
         if self
             .slots
             .iter()
             .any(|known| known.bytes.stamp_us() == bytes.stamp_us() && known.bytes == *bytes)
         {
-            return Err(Refusal::Duplicate);
+            return Err(Rejection::Duplicate);
         }
         self.relations.steady(&mut motion);
         if let Some((_, sector)) = motion.left_out {
@@ -152,7 +152,7 @@ impl Order {
         }
         let time_ns =
             self.clock.read_ns(bytes.stamp_us()) + self.spec.first_shot_ns(mode, motion.silent_ns);
-        let mut packet = Packet {
+        let mut packet = OrderedPacket {
             bytes: *bytes,
             motion,
             mode,
@@ -173,7 +173,7 @@ impl Order {
         }
         match relation {
             Relation::Follows(_, fit)
-                if self.is_as_good(fit, Fit::Good)
+                if self.is_as_good(fit, MatchQuality::Good)
                     && self.relations.is_familiar(&packet.motion) =>
             {
                 self.set_back = 0;
@@ -194,13 +194,13 @@ impl Order {
 
     /// The next packet in order, by its slot, and what lies before it; `None` when more must come
     /// first.
-    pub fn pop(&mut self) -> Option<(usize, Before)> {
+    pub fn pop(&mut self) -> Option<(usize, PacketGap)> {
         self.ready.pop_front()
     }
 
-    /// The packet in a slot that [`Order::pop`] named; it stays there while later packets are
+    /// The packet in a slot that [`PacketOrder::pop`] named; it stays there while later packets are
     /// pushed one by one.
-    pub fn packet(&self, slot: usize) -> &Packet {
+    pub fn packet(&self, slot: usize) -> &OrderedPacket {
         &self.slots[slot]
     }
 
@@ -214,31 +214,35 @@ impl Order {
     fn weigh(&mut self, relation: Relation) {
         let [somewhat, far] = OFF_BEAT_WEIGHT;
         self.off_beat = match relation {
-            Relation::Follows(_, Fit::Exact) => self.off_beat.saturating_sub(1),
-            Relation::Follows(_, Fit::Good) => self.off_beat + somewhat,
-            Relation::Follows(_, Fit::Loose) => self.off_beat + far,
+            Relation::Follows(_, MatchQuality::Exact) => self.off_beat.saturating_sub(1),
+            Relation::Follows(_, MatchQuality::Good) => self.off_beat + somewhat,
+            Relation::Follows(_, MatchQuality::Loose) => self.off_beat + far,
             Relation::Behind | Relation::Unrelated => self.off_beat,
         };
         self.off_beat = self.off_beat.min(2 * UNSTEADY);
     }
 
     /// Whether a packet follows so well, or as well as any of a sensor that does not keep the beat.
-    fn is_as_good(&self, fit: Fit, as_that: Fit) -> bool {
+    fn is_as_good(&self, fit: MatchQuality, as_that: MatchQuality) -> bool {
         fit >= as_that || self.off_beat >= UNSTEADY
     }
 
     /// Believes the doubtful packet if this one follows it, or was overtaken by it.
-    fn confirm(&mut self, packet: &Packet, relation: Relation) -> bool {
+    fn confirm(&mut self, packet: &OrderedPacket, relation: Relation) -> bool {
         let Some((suspect, last)) = self.suspect.zip(self.last) else {
             return false;
         };
-        let follows =
-            |earlier: &Packet, later: &Packet| match self.relations.between(earlier, later) {
-                Relation::Follows(before, fit) if self.is_as_good(fit, Fit::Exact) => Some(before),
-                _ => None,
-            };
+        let follows = |earlier: &OrderedPacket, later: &OrderedPacket| match self
+            .relations
+            .between(earlier, later)
+        {
+            Relation::Follows(before, fit) if self.is_as_good(fit, MatchQuality::Exact) => {
+                Some(before)
+            }
+            _ => None,
+        };
         let doubtful = &self.slots[suspect];
-        let is_next = matches!(relation, Relation::Follows(Before::Nothing, fit) if self.is_as_good(fit, Fit::Good));
+        let is_next = matches!(relation, Relation::Follows(PacketGap::None, fit) if self.is_as_good(fit, MatchQuality::Good));
         let before = follows(doubtful, packet).filter(|_| !is_next);
         // An earlier packet says nothing of the far end of a doubtful one.
         let is_overtaken = || {
@@ -250,7 +254,7 @@ impl Order {
             return false;
         }
         let is_end_unknown = self.spec.stamp == Stamp::FirstShot;
-        if before == Some(Before::Nothing) && is_end_unknown && doubtful.motion.left_out.is_some() {
+        if before == Some(PacketGap::None) && is_end_unknown && doubtful.motion.left_out.is_some() {
             // Now the silence is known exactly.
             let period = i64::from(self.spec.packet_period_ns(packet.mode));
             let silent_ns = packet.time_ns - doubtful.time_ns - period;
@@ -268,7 +272,7 @@ impl Order {
             self.hold(suspect);
         } else {
             self.settle(0);
-            self.release(suspect, Before::Start);
+            self.release(suspect, PacketGap::Start);
         }
         let slot = self.store(*packet);
         self.hold(slot);
@@ -278,7 +282,7 @@ impl Order {
 
     /// A packet from before what has come out already. Many of them in a row: the clock was set
     /// back.
-    fn look_back(&mut self, packet: Packet) -> Result<(), Refusal> {
+    fn look_back(&mut self, packet: OrderedPacket) -> Result<(), Rejection> {
         self.set_back += 1;
         if self.set_back >= SET_BACK_PACKETS {
             self.counts.set_back += u64::from(SET_BACK_PACKETS - 1);
@@ -287,7 +291,7 @@ impl Order {
         }
         // Kept, so that its copy is known.
         self.store(packet);
-        Err(Refusal::Behind {
+        Err(Rejection::Behind {
             motion: packet.motion,
             time_ns: packet.time_ns,
         })
@@ -315,7 +319,7 @@ impl Order {
                 self.counts.unconfirmed += 1;
                 continue;
             };
-            if matches!(before, Before::Lost { .. }) && self.held.len() <= patience {
+            if matches!(before, PacketGap::Lost { .. }) && self.held.len() <= patience {
                 return;
             }
             self.held.remove(0);
@@ -327,18 +331,18 @@ impl Order {
         self.counts.unconfirmed += u64::from(self.suspect.take().is_some());
     }
 
-    fn start(&mut self, packet: Packet) {
+    fn start(&mut self, packet: OrderedPacket) {
         let slot = self.store(packet);
-        self.release(slot, Before::Start);
+        self.release(slot, PacketGap::Start);
     }
 
-    fn restart(&mut self, packet: Packet) {
+    fn restart(&mut self, packet: OrderedPacket) {
         self.flush();
         self.set_back = 0;
         self.start(packet);
     }
 
-    fn release(&mut self, slot: usize, before: Before) {
+    fn release(&mut self, slot: usize, before: PacketGap) {
         let packet = &self.slots[slot];
         let stamp_ns = packet.time_ns
             - self
@@ -353,7 +357,7 @@ impl Order {
     }
 
     /// Keeps a packet in the slot that was used longest ago.
-    fn store(&mut self, packet: Packet) -> usize {
+    fn store(&mut self, packet: OrderedPacket) -> usize {
         if self.slots.len() >= SLOTS {
             for _ in 0..SLOTS {
                 let slot = self.next_slot;

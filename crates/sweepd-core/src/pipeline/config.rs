@@ -14,7 +14,7 @@ pub struct Config {
     pub calibration: Option<Calibration>,
     /// Azimuth at which sweeps are cut, radians. Where the field of view is limited and nothing is
     /// sent there in time, they are cut a packet's way ahead of the end of the sector that is
-    /// measured; see [`assemble::edge`](crate::assemble::edge).
+    /// measured; see [`assemble::fov_edge`](crate::assemble::fov_edge).
     pub cut_azimuth_rad: f64,
     /// Which of two returns is segmented.
     pub return_choice: ReturnChoice,

@@ -9,15 +9,15 @@
 //! ```
 
 use super::{Closing, Fault, Notice, Pipeline};
-use crate::assemble::builder::{Builder, Settings};
+use crate::assemble::builder::{Builder, BuilderConfig};
 use crate::assemble::clock::{Clocks, SensorClock, vouched_utc_ns};
 use crate::assemble::decode::Decoder;
 use crate::assemble::motion::{TURN, rate_between};
-use crate::assemble::order::{Order, Packet, Refusal};
+use crate::assemble::order::{OrderedPacket, PacketOrder, Rejection};
 use crate::sensor::compare::Difference;
 use crate::sensor::detect::{self, DetectError, Detection, Detector, MAX_PACKETS};
 use crate::sensor::model::Spec;
-use crate::sensor::unit::{Said, Unit};
+use crate::sensor::unit::{Unit, UnitUpdate};
 use crate::sensor::{Calibration, Model};
 use crate::wire::data::{Banks, ReturnMode};
 use crate::wire::hdl64::Series;
@@ -42,7 +42,7 @@ pub(super) enum State {
 
 pub(super) struct Detecting {
     pub(super) detector: Detector,
-    pub(super) waiting: Vec<Waiting>,
+    pub(super) waiting: Vec<WaitingPacket>,
     /// Packets that spoke of no supported sensor, and what the last one said.
     pub(super) doubts: u32,
     pub(super) doubt: Option<DetectError>,
@@ -74,12 +74,12 @@ pub(super) struct Decoding {
     /// one is known.
     pub(super) unmeasured_us: Option<u32>,
     /// A packet that was overtaken by more than was held back.
-    pub(super) late: Option<Packet>,
-    pub(super) order: Order,
+    pub(super) late: Option<OrderedPacket>,
+    pub(super) order: PacketOrder,
     pub(super) builder: Builder,
 }
 
-pub(super) struct Waiting {
+pub(super) struct WaitingPacket {
     pub(super) bytes: DataPacket,
     pub(super) number: u64,
     pub(super) arrival_ns: i64,
@@ -196,10 +196,10 @@ impl Pipeline {
             return Ok(());
         }
         calibrating.foreign = 0;
-        if let Some(Said { utc_ns, .. }) = calibrating.unit.hear(packet) {
+        if let Some(UnitUpdate { utc_ns, .. }) = calibrating.unit.hear(packet) {
             calibrating
                 .clocks
-                .said(utc_ns, packet.stamp_us(), arrival_ns);
+                .note_utc(utc_ns, packet.stamp_us(), arrival_ns);
             calibrating.marks = [calibrating.marks[1], Some(*packet)];
         }
         let State::Calibrating(calibrating) = &self.state else {
@@ -239,7 +239,7 @@ impl Pipeline {
         detection: Detection,
         (calibration, unit): (Calibration, Option<Unit>),
         (clocks, rate_cdeg_ns): (Clocks, Option<f64>),
-        mut waiting: Vec<Waiting>,
+        mut waiting: Vec<WaitingPacket>,
     ) -> Result<(), Fault> {
         if let Some(mask) = self
             .config
@@ -261,9 +261,9 @@ impl Pipeline {
         let mut decoder = Decoder::new(model, &calibration, self.config.return_choice, limits_m)
             .with_level(self.level);
         decoder.is_normalised = unit.as_ref().is_some_and(Unit::is_normalised);
-        let mut order = Order::new(decoder.spec);
+        let mut order = PacketOrder::new(decoder.spec);
         order.expect_rate(rate_cdeg_ns);
-        let mut builder = Builder::new(decoder, self.settings());
+        let mut builder = Builder::new(decoder, self.builder_config());
         (builder.clocks, builder.sequence) = (clocks, self.sweeps);
         builder.expect_rate(rate_cdeg_ns);
         let product = waiting.last().map_or(0, |packet| packet.bytes.product);
@@ -288,8 +288,8 @@ impl Pipeline {
         Ok(())
     }
 
-    fn settings(&self) -> Settings {
-        Settings {
+    fn builder_config(&self) -> BuilderConfig {
+        BuilderConfig {
             cut_cdeg: (self.config.cut_azimuth_rad.to_degrees() * 100.0).rem_euclid(TURN),
             return_choice: self.config.return_choice,
             min_points: self.config.segment.min_points as usize,
@@ -326,10 +326,10 @@ impl Pipeline {
         decoding.last_mode = mode;
         match decoding.order.push(packet, mode, number, arrival_ns) {
             Ok(()) => {}
-            Err(Refusal::Duplicate) => self.counts.duplicates += 1,
-            Err(Refusal::Implausible(_)) => self.counts.malformed += 1,
-            Err(Refusal::Behind { motion, time_ns }) => {
-                let packet = Packet {
+            Err(Rejection::Duplicate) => self.counts.duplicates += 1,
+            Err(Rejection::Implausible(_)) => self.counts.malformed += 1,
+            Err(Rejection::Behind { motion, time_ns }) => {
+                let packet = OrderedPacket {
                     bytes: *packet,
                     motion,
                     mode,
@@ -352,7 +352,7 @@ impl Pipeline {
             State::Refusing => return,
         };
         let utc_ns = vouched_utc_ns(position, rmc, self.config.gps_without_pps);
-        clocks.said(utc_ns, position.stamp_us, arrival_ns);
+        clocks.note_utc(utc_ns, position.stamp_us, arrival_ns);
     }
 }
 
@@ -395,10 +395,10 @@ impl Decoding {
         let said = unit.hear(packet);
         // The packet that tells it is the first one decoded so.
         self.builder.decoder_mut().is_normalised = unit.is_normalised();
-        let Said { series, utc_ns } = said?;
+        let UnitUpdate { series, utc_ns } = said?;
         self.builder
             .clocks
-            .said(utc_ns, packet.stamp_us(), arrival_ns);
+            .note_utc(utc_ns, packet.stamp_us(), arrival_ns);
         if series == Some(Series::S3) && may_rename {
             // Until then it may have been either: with one return their timing is the same.
             self.detection.model = Model::Hdl64eS3;
@@ -412,7 +412,10 @@ impl Decoding {
 impl Detecting {
     /// Looks at a packet and keeps it. One that speaks of no supported sensor may be corrupt: only
     /// the third is believed.
-    pub(super) fn observe(&mut self, packet: Waiting) -> Option<Result<Detection, DetectError>> {
+    pub(super) fn observe(
+        &mut self,
+        packet: WaitingPacket,
+    ) -> Option<Result<Detection, DetectError>> {
         let result = self.detector.observe(&packet.bytes);
         if let Some(Err(
             error @ (DetectError::Unsupported { .. } | DetectError::UnknownProduct { .. }),
@@ -439,13 +442,13 @@ impl Detecting {
 
 /// Sorts by the sensor's clock, over the hour if need be; returns how many packets had been
 /// overtaken.
-fn sort_by_stamp(waiting: &mut [Waiting]) -> u64 {
+fn sort_by_stamp(waiting: &mut [WaitingPacket]) -> u64 {
     let Some(first) = waiting.first().map(|packet| packet.bytes.stamp_us()) else {
         return 0;
     };
     let mut clock = SensorClock::default();
     clock.set(first, 0);
-    let time_ns = |packet: &Waiting| clock.read_ns(packet.bytes.stamp_us());
+    let time_ns = |packet: &WaitingPacket| clock.read_ns(packet.bytes.stamp_us());
     let mut newest_ns = i64::MIN;
     let mut overtaken = 0;
     for packet in waiting.iter() {

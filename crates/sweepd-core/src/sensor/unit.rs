@@ -23,7 +23,7 @@ pub struct Unit {
 
 /// What a unit says that decoding depends on; see [`Unit::hear`].
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
-pub struct Said {
+pub struct UnitUpdate {
     /// Its series, once that is known.
     pub series: Option<Series>,
     /// UTC to the second, nanoseconds since 1970, while a GPS receiver gives both pulse and
@@ -33,20 +33,20 @@ pub struct Said {
 
 impl Unit {
     /// Takes a packet of this unit. Once a cycle of the status it gives what the unit says by then.
-    pub fn hear(&mut self, packet: &DataPacket) -> Option<Said> {
+    pub fn hear(&mut self, packet: &DataPacket) -> Option<UnitUpdate> {
         self.status
             .push(packet.return_mode, packet.product, packet.stamp_us());
         self.heard += 1;
         self.heard.is_multiple_of(CYCLE_LEN).then(|| self.said())
     }
 
-    fn said(&self) -> Said {
+    fn said(&self) -> UnitUpdate {
         let utc_ns = self
             .status
             .clock()
             .filter(|_| self.status.gps() == Some(Gps::Both))
             .and_then(|c| c.utc_ns());
-        Said {
+        UnitUpdate {
             series: self.status.series(),
             utc_ns,
         }

@@ -19,7 +19,7 @@ mod values;
 use zerocopy::little_endian::{I16, U16};
 use zerocopy::{FromBytes, FromZeros, Immutable, IntoBytes, KnownLayout, Unaligned};
 
-pub use status::{Status, Verdict};
+pub use status::{DumpState, Status};
 pub use values::{CalibrationTime, Clock, Gps, Live, Power, Series, Warnings};
 
 use super::data::ReturnMode;
@@ -280,7 +280,7 @@ fn crc16(crc: u16, bytes: &[u8]) -> u16 {
 /// Type and value of packet `index` of a dump; the packet after 4159 is that of 0.
 ///
 /// ```
-/// use sweepd_core::wire::hdl64::{BEAMS, BeamRecord, Clock, DUMP_PACKETS, Dump, Gps, Live, Series, Status, Verdict, pair};
+/// use sweepd_core::wire::hdl64::{BEAMS, BeamRecord, Clock, DUMP_PACKETS, Dump, Gps, Live, Series, Status, DumpState, pair};
 /// use zerocopy::FromZeros;
 ///
 /// let records = std::array::from_fn::<_, BEAMS, _>(|id| BeamRecord { id: id as u8, ..BeamRecord::new_zeroed() });
@@ -292,7 +292,7 @@ fn crc16(crc: u16, bytes: &[u8]) -> u16 {
 ///     let (kind, value) = pair(&dump, Series::S3, &live, index);
 ///     status.push(kind, value, index as u32 * 288);
 /// }
-/// assert_eq!((status.verdict(), status.dump()), (Verdict::Verified, Some(&dump)));
+/// assert_eq!((status.dump_state(), status.dump()), (DumpState::Verified, Some(&dump)));
 /// ```
 pub fn pair(dump: &Dump, series: Series, live: &Live, index: usize) -> (u8, u8) {
     let (cycle, place) = (index / CYCLE_LEN % CYCLES, index % CYCLE_LEN);

@@ -79,7 +79,7 @@ impl Stream {
 
     /// What comes out of these packets, in the order in which they arrive.
     fn run(&self, packets: &[DataPacket], arrive: impl IntoIterator<Item = usize>) -> Outcome {
-        let mut order = Order::new(self.spec);
+        let mut order = PacketOrder::new(self.spec);
         let mut outcome = Outcome::default();
         for (place, number) in arrive.into_iter().enumerate() {
             let arrival_ns = (place as f64 * self.period_us() * 1e3) as i64;
@@ -101,7 +101,7 @@ impl Stream {
 #[derive(Debug, Default)]
 struct Outcome {
     /// The numbers of the packets, and what lies before each.
-    out: Vec<(usize, Before)>,
+    out: Vec<(usize, PacketGap)>,
     refused: u64,
     reordered: u64,
     /// Most packets that waited for another.
@@ -109,7 +109,7 @@ struct Outcome {
 }
 
 impl Outcome {
-    fn take(&mut self, order: &mut Order) {
+    fn take(&mut self, order: &mut PacketOrder) {
         while let Some((slot, before)) = order.pop() {
             self.out.push((order.packet(slot).number as usize, before));
         }
@@ -121,11 +121,11 @@ impl Outcome {
         let numbers = (0..PACKETS).filter(|number| !missing.contains(number));
         let lost_before =
             |number: usize| missing.iter().filter(|&&lost| lost + 1 == number).count() as u32;
-        let fits = |&(number, before): &(usize, Before)| match before {
-            Before::Start => number == 0,
-            Before::Nothing => number > 0 && lost_before(number) == 0,
-            Before::Lost { packets, .. } => packets == lost_before(number),
-            Before::Silence => false,
+        let fits = |&(number, before): &(usize, PacketGap)| match before {
+            PacketGap::Start => number == 0,
+            PacketGap::None => number > 0 && lost_before(number) == 0,
+            PacketGap::Lost { packets, .. } => packets == lost_before(number),
+            PacketGap::Blanked => false,
         };
         self.out.iter().map(|&(number, _)| number).eq(numbers)
             && self.out.iter().all(fits)
@@ -265,7 +265,7 @@ fn stamps_that_waver_all_the_time_are_believed() {
         let follow = late
             .iter()
             .skip(1)
-            .all(|(_, before)| *before == Before::Nothing);
+            .all(|(_, before)| *before == PacketGap::None);
         assert!(follow, "{name}, {mode:?}, {rpm} rpm");
     }
 }

@@ -12,25 +12,25 @@ fn packet(n: u32) -> DataPacket {
     packet
 }
 
-struct Line(Order);
+struct Line(PacketOrder);
 
 impl Line {
     /// After ten packets in order.
     fn new() -> Self {
-        let mut line = Self(Order::new(Model::Vlp16.spec()));
+        let mut line = Self(PacketOrder::new(Model::Vlp16.spec()));
         (0..10).for_each(|n| assert_eq!(line.push(&packet(n), n).unwrap().len(), 1));
         line
     }
 
     /// What comes out when this arrives in place `n`.
-    fn push(&mut self, packet: &DataPacket, n: u32) -> Result<Vec<(u64, Before)>, Refusal> {
+    fn push(&mut self, packet: &DataPacket, n: u32) -> Result<Vec<(u64, PacketGap)>, Rejection> {
         let arrival_ns = (f64::from(n) * PERIOD_US * 1e3) as i64;
         self.0
             .push(packet, ReturnMode::Strongest, u64::from(n), arrival_ns)?;
         Ok(self.out())
     }
 
-    fn out(&mut self) -> Vec<(u64, Before)> {
+    fn out(&mut self) -> Vec<(u64, PacketGap)> {
         let mut out = Vec::new();
         while let Some((slot, before)) = self.0.pop() {
             out.push((self.0.packet(slot).number, before));
@@ -48,19 +48,19 @@ fn behind_a_gap_four_packets_are_held() {
         out[0],
         (
             11,
-            Before::Lost {
+            PacketGap::Lost {
                 packets: 1,
                 silence: None,
                 ..
             }
         )
     ));
-    assert_eq!(out[1..], [12, 13, 14, 15].map(|n| (n, Before::Nothing)));
+    assert_eq!(out[1..], [12, 13, 14, 15].map(|n| (n, PacketGap::None)));
     assert!(matches!(
         line.push(&packet(10), 16),
-        Err(Refusal::Behind { .. })
+        Err(Rejection::Behind { .. })
     ));
-    assert_eq!(line.push(&packet(10), 17), Err(Refusal::Duplicate));
+    assert_eq!(line.push(&packet(10), 17), Err(Rejection::Duplicate));
 }
 
 /// Minutes ahead every stamp is near some beat; nobody waits for it, and nobody counts what never
@@ -73,7 +73,7 @@ fn a_stamp_far_ahead_is_forgotten_with_the_next_packet() {
     assert_eq!(line.push(&corrupt, 10), Ok(vec![]));
     (11..15).for_each(|n| assert_eq!(line.push(&packet(n), n), Ok(vec![])));
     let out = line.push(&packet(15), 15).unwrap();
-    assert!(matches!(out[0], (11, Before::Lost { packets: 1, .. })));
+    assert!(matches!(out[0], (11, PacketGap::Lost { packets: 1, .. })));
     line.0.flush();
     assert_eq!(
         (line.out(), line.0.counts()),
@@ -100,7 +100,7 @@ fn a_jump_at_the_edge_of_a_packet_waits_for_the_next_stamp() {
         line.0.flush();
         assert!(matches!(
             line.out()[..],
-            [(11, Before::Lost { packets: 1, .. })]
+            [(11, PacketGap::Lost { packets: 1, .. })]
         ));
 
         let mut line = Line::new();
@@ -112,7 +112,7 @@ fn a_jump_at_the_edge_of_a_packet_waits_for_the_next_stamp() {
         }
         assert_eq!(line.push(&leaping, 10), Ok(vec![]));
         let out = line.push(&packet(48), 48).unwrap();
-        assert_eq!(out, [(10, Before::Nothing), (48, Before::Nothing)]);
+        assert_eq!(out, [(10, PacketGap::None), (48, PacketGap::None)]);
         assert!(line.0.sector().is_some());
     }
 }
@@ -135,9 +135,9 @@ fn an_overtaken_packet_does_not_vouch_for_a_jump_at_the_edge() {
         assert!(matches!(
             out[..],
             [
-                (11, Before::Nothing),
-                (12, Before::Lost { packets: 1, .. }),
-                (13, Before::Nothing)
+                (11, PacketGap::None),
+                (12, PacketGap::Lost { packets: 1, .. }),
+                (13, PacketGap::None)
             ]
         ));
         assert!(line.0.sector().is_none());
@@ -154,14 +154,14 @@ fn a_clock_that_jumps_is_believed_when_the_next_packet_agrees() {
     assert_eq!(line.push(&jumped[0], 10), Ok(vec![]));
     assert_eq!(
         line.push(&jumped[1], 11),
-        Ok(vec![(10, Before::Start), (11, Before::Nothing)])
+        Ok(vec![(10, PacketGap::Start), (11, PacketGap::None)])
     );
     assert_eq!(line.0.counts(), OrderCounts::default());
 }
 
 #[test]
 fn it_keeps_its_promises_when_nobody_takes_out_what_is_ready() {
-    let mut order = Order::new(Model::Vlp16.spec());
+    let mut order = PacketOrder::new(Model::Vlp16.spec());
     for n in 0..200 {
         order
             .push(&packet(n), ReturnMode::Strongest, u64::from(n), 0)

@@ -28,7 +28,7 @@ const MAX_SEEN: u8 = 3;
 
 /// What can be said of the dump.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
-pub enum Verdict {
+pub enum DumpState {
     /// Bytes are missing.
     Incomplete,
     /// All bytes are there, and do not fit together: one of them is wrong. Each dump replaces what
@@ -298,11 +298,11 @@ impl Status {
     }
 
     /// How far the dump has come.
-    pub fn verdict(&self) -> Verdict {
+    pub fn dump_state(&self) -> DumpState {
         match (&self.verified, self.error) {
-            (Some(_), _) => Verdict::Verified,
-            (None, Some(error)) => Verdict::Contradictory(error),
-            (None, None) => Verdict::Incomplete,
+            (Some(_), _) => DumpState::Verified,
+            (None, Some(error)) => DumpState::Contradictory(error),
+            (None, None) => DumpState::Incomplete,
         }
     }
 

@@ -5,7 +5,7 @@ use crate::simulate::scene::{Class, Surface};
 use crate::simulate::shape::Shape;
 use crate::simulate::street::street;
 use sweepd_core::sensor::{Beam, Model, stream};
-use sweepd_core::wire::hdl64::{Gps, Series, Status, Verdict};
+use sweepd_core::wire::hdl64::{DumpState, Gps, Series, Status};
 use sweepd_core::wire::position::Position;
 
 fn data(config: EmitterConfig, scene: &Scene) -> Vec<(DataPacket, PacketTruth)> {
@@ -510,8 +510,8 @@ fn the_status_tells_the_unit_the_mode_and_the_receiver() {
             live.extend(status.gps().zip(status.clock()));
         }
         assert_eq!(
-            (status.verdict(), status.series()),
-            (Verdict::Verified, Some(series)),
+            (status.dump_state(), status.series()),
+            (DumpState::Verified, Some(series)),
             "{model}"
         );
         assert_eq!(stream::calibration(status.dump().unwrap()).unwrap(), beams);

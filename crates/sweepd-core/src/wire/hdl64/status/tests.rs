@@ -127,8 +127,8 @@ fn all_that_a_dump_says_is_told() {
         let mut status = Status::new();
         push(&mut status, &unit, series, 0..DUMP_PACKETS, || true);
         assert_eq!(
-            (status.verdict(), status.known(), status.series()),
-            (Verdict::Verified, DUMP_LEN, Some(series))
+            (status.dump_state(), status.known(), status.series()),
+            (DumpState::Verified, DUMP_LEN, Some(series))
         );
         assert_eq!(status.dump(), Some(dump));
         assert_eq!(
@@ -178,7 +178,7 @@ fn one_percent_loss_is_made_good_within_three_dumps() {
                 start..start + 3 * DUMP_PACKETS,
                 || random.u8(..100) > 0,
             );
-            if status.verdict() == Verdict::Verified {
+            if status.dump_state() == DumpState::Verified {
                 assert_eq!(status.dump(), Some(&unit.0), "seed {seed}");
                 complete += 1;
             }
@@ -203,8 +203,8 @@ fn bursts_and_other_return_modes_do_not_lose_the_place() {
         }
     }
     assert_eq!(
-        (status.verdict(), status.dump()),
-        (Verdict::Verified, Some(dump))
+        (status.dump_state(), status.dump()),
+        (DumpState::Verified, Some(dump))
     );
 }
 
@@ -238,8 +238,8 @@ fn copies_and_late_packets_do_no_harm() {
         || true,
     );
     assert_eq!(
-        (status.verdict(), status.dump()),
-        (Verdict::Verified, Some(dump))
+        (status.dump_state(), status.dump()),
+        (DumpState::Verified, Some(dump))
     );
 }
 
@@ -255,8 +255,8 @@ fn a_clock_that_is_set_and_a_long_silence_cost_no_wrong_byte() {
             status.push(kind, value, index as u32 * 288 + jumped);
         }
         assert_eq!(
-            (status.verdict(), status.dump()),
-            (Verdict::Verified, Some(dump)),
+            (status.dump_state(), status.dump()),
+            (DumpState::Verified, Some(dump)),
             "{jump_us} us"
         );
     }
@@ -271,7 +271,7 @@ proptest! {
         let unit = unit(seed, series);
         let mut status = Status::new();
         push(&mut status, &unit, series, start..start + DUMP_PACKETS, || true);
-        prop_assert_eq!(status.verdict(), Verdict::Verified);
+        prop_assert_eq!(status.dump_state(), DumpState::Verified);
         prop_assert_eq!(status.dump(), Some(&unit.0));
         prop_assert_eq!(status.series(), Some(series));
     }
@@ -288,11 +288,11 @@ proptest! {
             let flip = if index == corrupt { flip } else { 0 };
             status.push(kind, value ^ flip, index as u32 * 288);
             if index + 1 == DUMP_PACKETS {
-                let caught = matches!(status.verdict(), Verdict::Contradictory(DumpError::Checksum { .. }));
+                let caught = matches!(status.dump_state(), DumpState::Contradictory(DumpError::Checksum { .. }));
                 prop_assert!(caught);
             }
         }
-        prop_assert_eq!(status.verdict(), Verdict::Verified);
+        prop_assert_eq!(status.dump_state(), DumpState::Verified);
         prop_assert_eq!(status.dump(), Some(dump));
     }
 

@@ -1,6 +1,6 @@
 //! How far each row of a sweep points to the side of its firing: in whole columns, and as an angle.
 
-use super::lanes::{self, Aside, LANES, Of};
+use super::lanes::{self, LANES, PerLane, SideAngles};
 use super::motion::TURN;
 use crate::sensor::model::Spec;
 use crate::sweep::layout::BeamRow;
@@ -12,20 +12,20 @@ const SLOWEST_RPM: f64 = 240.0;
 
 /// The turn of each row at the speed that the head had when a sweep began.
 #[derive(Clone, Debug, Default)]
-pub struct Turns {
+pub struct RowOffsets {
     /// Columns from a pixel to its firing, by row; see [`BeamRow::shift`].
     shifts: Vec<i32>,
     /// By channel, in groups.
-    asides: Vec<Aside>,
+    side_angles: Vec<SideAngles>,
     /// By channel too: where the pixel of each is, counted from the first pixel that a firing can
     /// have.
-    pixels: Vec<Of<u32>>,
+    pixels: Vec<PerLane<u32>>,
     lead: usize,
     trail: usize,
     rate_rad_s: f64,
 }
 
-impl Turns {
+impl RowOffsets {
     /// Takes the turns at a speed, hundredths of a degree a nanosecond, negative when the head
     /// turns backwards.
     ///
@@ -50,13 +50,13 @@ impl Turns {
         let shifts = || self.shifts.iter().copied();
         self.lead = shifts().max().unwrap_or(0).max(0) as usize;
         self.trail = shifts().min().unwrap_or(0).min(0).unsigned_abs() as usize;
-        self.asides
-            .resize(beams.len().div_ceil(LANES), Aside::default());
+        self.side_angles
+            .resize(beams.len().div_ceil(LANES), SideAngles::default());
         self.pixels
-            .resize(beams.len().div_ceil(LANES), Of::default());
+            .resize(beams.len().div_ceil(LANES), PerLane::default());
         for (row, beam) in beams.iter().enumerate() {
             let (group, lane) = lanes::place(beam.channel);
-            let aside = &mut self.asides[group];
+            let aside = &mut self.side_angles[group];
             [aside.sin[lane], aside.cos[lane]] =
                 [turn_rad(beam).sin() as f32, turn_rad(beam).cos() as f32];
             let column = self.lead as i32 - self.shifts[row];
@@ -70,13 +70,13 @@ impl Turns {
     }
 
     /// How far the beams point aside, by channel.
-    pub fn asides(&self) -> &[Aside] {
-        &self.asides
+    pub fn side_angles(&self) -> &[SideAngles] {
+        &self.side_angles
     }
 
     /// Where the pixels of a firing are, by channel, counted from the top of the column that is
-    /// [`Turns::lead`] before its own.
-    pub fn pixels(&self) -> &[Of<u32>] {
+    /// [`RowOffsets::lead`] before its own.
+    pub fn pixels(&self) -> &[PerLane<u32>] {
         &self.pixels
     }
 

@@ -7,9 +7,9 @@
 //!
 //! Of a stamp that is a little off the beat, it is unknown at first whether the pulse per second
 //! has set the clock right or whether one bit is wrong: what was set right stays, so that the next
-//! packet tells. See [`Fit`].
+//! packet tells. See [`MatchQuality`].
 
-use super::motion::{Beat, Motion, Sector, TURN, ahead, shortest};
+use super::motion::{FiringTiming, Motion, Sector, TURN, ahead, shortest};
 use crate::sensor::model::{Spec, Stamp};
 use crate::wire::DataPacket;
 use crate::wire::data::ReturnMode;
@@ -46,7 +46,7 @@ const ARRIVAL_SLACK_NS: i64 = 20_000_000;
 
 /// A packet in the order of the sensor's clock.
 #[derive(Clone, Copy, Debug)]
-pub struct Packet {
+pub struct OrderedPacket {
     /// Its bytes.
     pub bytes: DataPacket,
     /// How the head moved.
@@ -61,23 +61,23 @@ pub struct Packet {
     pub time_ns: i64,
 }
 
-impl Packet {
+impl OrderedPacket {
     /// Sensor time of the first shot of a firing.
-    pub fn firing_ns(&self, firing: usize, beat: &Beat) -> i64 {
-        self.time_ns + self.motion.offset_ns(firing, beat)
+    pub fn firing_ns(&self, firing: usize, timing: &FiringTiming) -> i64 {
+        self.time_ns + self.motion.offset_ns(firing, timing)
     }
 }
 
 /// What lies between a packet and the one before.
 #[derive(Clone, Copy, Debug, PartialEq)]
-pub enum Before {
+pub enum PacketGap {
     /// Nothing that could be related: the first packet, another return mode, or a clock that
     /// jumped.
     Start,
     /// Nothing: it follows directly.
-    Nothing,
+    None,
     /// A sector that the sensor leaves out.
-    Silence,
+    Blanked,
     /// Packets that were lost.
     Lost {
         /// How many.
@@ -92,7 +92,7 @@ pub enum Before {
 
 /// How well a packet follows an earlier one.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, PartialOrd, Ord)]
-pub enum Fit {
+pub enum MatchQuality {
     /// It may: to be believed when the next packet follows it exactly.
     Loose,
     /// So well that it is believed at once.
@@ -106,7 +106,7 @@ pub enum Fit {
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub enum Relation {
     /// After it, with this in between.
-    Follows(Before, Fit),
+    Follows(PacketGap, MatchQuality),
     /// Before it.
     Behind,
     /// No head that turns and no clock that runs leads from one to the other.
@@ -114,7 +114,7 @@ pub enum Relation {
 }
 
 /// What lies between two packets, by stamps and azimuths.
-struct Between {
+struct GapMotion {
     /// Where the head was at the end of the earlier one.
     from_cdeg: f64,
     /// How far it turned since, whole turns too; negative when it turns backwards.
@@ -124,7 +124,7 @@ struct Between {
     unfired_ns: i64,
 }
 
-impl Between {
+impl GapMotion {
     fn expected_cdeg(&self) -> f64 {
         self.rate_cdeg_ns * self.unfired_ns as f64
     }
@@ -135,7 +135,7 @@ impl Between {
     }
 
     /// How well a packet follows whose stamp is so far off the beat.
-    fn fit(&self, off_beat_ns: i64, period_ns: i64) -> Fit {
+    fn fit(&self, off_beat_ns: i64, period_ns: i64) -> MatchQuality {
         let at_once_ns = CORRECTION_NS.min(period_ns / 4);
         // Half the way of a packet: the head tells how many were lost.
         let (most, share) = AZIMUTH_SLACK;
@@ -144,16 +144,16 @@ impl Between {
             < half_cdeg.clamp(NOISE_CDEG, most) + share * self.expected_cdeg().abs();
         let is_gap = self.unfired_ns > CORRECTION_NS;
         match off_beat_ns.abs() {
-            off if off > at_once_ns || is_gap && !in_place => Fit::Loose,
-            off if off > at_once_ns / 2 || !in_place => Fit::Good,
-            _ => Fit::Exact,
+            off if off > at_once_ns || is_gap && !in_place => MatchQuality::Loose,
+            off if off > at_once_ns / 2 || !in_place => MatchQuality::Good,
+            _ => MatchQuality::Exact,
         }
     }
 }
 
 /// What the packets so far tell of the head, to judge the next ones by.
 #[derive(Debug)]
-pub struct Relations {
+pub struct PacketMatcher {
     spec: &'static Spec,
     /// The sector that the sensor leaves out every turn.
     sector: Option<Sector>,
@@ -162,7 +162,7 @@ pub struct Relations {
     rate_cdeg_ns: Option<f64>,
 }
 
-impl Relations {
+impl PacketMatcher {
     /// Nothing is known yet.
     pub fn new(spec: &'static Spec) -> Self {
         Self {
@@ -172,7 +172,7 @@ impl Relations {
         }
     }
 
-    /// See [`Order::take_spec`](super::order::Order::take_spec).
+    /// See [`PacketOrder::take_spec`](super::order::PacketOrder::take_spec).
     pub fn take_spec(&mut self, spec: &'static Spec) {
         self.spec = spec;
     }
@@ -183,7 +183,7 @@ impl Relations {
     }
 
     /// How the packet stands to an earlier one.
-    pub fn between(&self, last: &Packet, packet: &Packet) -> Relation {
+    pub fn between(&self, last: &OrderedPacket, packet: &OrderedPacket) -> Relation {
         let interval = packet.time_ns - last.time_ns;
         if packet.mode != last.mode || interval < -LOOK_BACK_NS {
             return Relation::Unrelated;
@@ -196,7 +196,7 @@ impl Relations {
         match between.unfired_ns {
             // Not when all azimuths of one of them are wrong.
             unfired if unfired.abs() <= LOOSE_NS && between.off_cdeg() < FOLLOWING_CDEG => {
-                Relation::Follows(Before::Nothing, between.fit(unfired, period))
+                Relation::Follows(PacketGap::None, between.fit(unfired, period))
             }
             unfired if unfired < 0 => Relation::Unrelated,
             _ => self.gap(last, packet, &between),
@@ -204,7 +204,7 @@ impl Relations {
     }
 
     /// Time and way from the end of one packet to the start of another.
-    fn way(&self, last: &Packet, packet: &Packet, beyond_ns: i64) -> Between {
+    fn way(&self, last: &OrderedPacket, packet: &OrderedPacket, beyond_ns: i64) -> GapMotion {
         let rate = self.rate(&last.motion);
         let from_cdeg = last.motion.next_cdeg();
         let mut unfired_ns = beyond_ns - last.motion.silent_ns;
@@ -224,7 +224,7 @@ impl Relations {
                 unfired_ns = by_azimuth;
             }
         }
-        Between {
+        GapMotion {
             from_cdeg,
             travelled_cdeg: travelled,
             rate_cdeg_ns: rate,
@@ -234,7 +234,7 @@ impl Relations {
 
     /// Corrects the silence inside a packet whose stamp is that of its end, and so when it began,
     /// by where the head was at the end of the packet before.
-    pub fn settle_silence(&self, last: &Packet, packet: &mut Packet) {
+    pub fn settle_silence(&self, last: &OrderedPacket, packet: &mut OrderedPacket) {
         if self.spec.stamp != Stamp::Output
             || packet.motion.left_out.is_none()
             || packet.mode != last.mode
@@ -250,8 +250,8 @@ impl Relations {
     }
 
     /// What a gap between two packets is: loss, a sector left out, both, or a clock that jumped.
-    fn gap(&self, last: &Packet, packet: &Packet, between: &Between) -> Relation {
-        let Between {
+    fn gap(&self, last: &OrderedPacket, packet: &OrderedPacket, between: &GapMotion) -> Relation {
+        let GapMotion {
             travelled_cdeg,
             rate_cdeg_ns,
             unfired_ns,
@@ -278,14 +278,14 @@ impl Relations {
         let block_ns = i64::from(self.spec.azimuth_period_ns(last.mode));
         if passed > 0 && off_beat <= SILENCE_SLACK.1 * block_ns * passed {
             return Relation::Follows(
-                lost_or(Before::Silence, lost, travelled_cdeg, self.sector),
-                Fit::Exact,
+                lost_or(PacketGap::Blanked, lost, travelled_cdeg, self.sector),
+                MatchQuality::Exact,
             );
         }
         let slack = STAMP_SLACK_NS + unfired_ns / 50_000;
         let fit = between.fit(off_beat, period);
         if off_beat <= slack {
-            return Relation::Follows(lost_or(Before::Nothing, lost, travelled_cdeg, None), fit);
+            return Relation::Follows(lost_or(PacketGap::None, lost, travelled_cdeg, None), fit);
         }
         // Silence that began exactly between two packets: a whole number of blocks, and not of
         // packets.
@@ -295,16 +295,16 @@ impl Relations {
             && on_block
             && (LEAST_SECTOR_CDEG..TURN - LEAST_SECTOR_CDEG).contains(&travelled_cdeg.abs())
         {
-            return Relation::Follows(Before::Silence, Fit::Exact);
+            return Relation::Follows(PacketGap::Blanked, MatchQuality::Exact);
         }
         if off_beat <= LOOSE_NS && in_place && on_time(last, packet) {
-            return Relation::Follows(lost_or(Before::Nothing, lost, travelled_cdeg, None), fit);
+            return Relation::Follows(lost_or(PacketGap::None, lost, travelled_cdeg, None), fit);
         }
         Relation::Unrelated
     }
 
     /// How often the head passed the sector that is left out, and how long it was silent.
-    fn silence(&self, between: &Between, mode: ReturnMode) -> (i64, i64) {
+    fn silence(&self, between: &GapMotion, mode: ReturnMode) -> (i64, i64) {
         let Some(sector) = self.sector else {
             return (0, 0);
         };
@@ -354,8 +354,13 @@ impl Relations {
 
     /// Learns from a packet how fast the head turns and which sector is left out, and forgets the
     /// sector when the sensor measures inside it.
-    pub fn learn(&mut self, last: Option<&Packet>, packet: &Packet, before: Before) {
-        if before == Before::Start {
+    pub fn learn(
+        &mut self,
+        last: Option<&OrderedPacket>,
+        packet: &OrderedPacket,
+        before: PacketGap,
+    ) {
+        if before == PacketGap::Start {
             self.sector = None;
             // A head does not turn otherwise because the return mode was changed.
             self.rate_cdeg_ns = self
@@ -363,12 +368,13 @@ impl Relations {
                 .filter(|_| last.is_none_or(|last| last.mode != packet.mode));
         }
         let motion = &packet.motion;
-        if let Some(last) = last.filter(|_| matches!(before, Before::Nothing | Before::Silence)) {
+        if let Some(last) = last.filter(|_| matches!(before, PacketGap::None | PacketGap::Blanked))
+        {
             self.learn_rate(last, packet, before);
         }
         if let Some((_, sector)) = motion.left_out {
             self.sector = Some(sector);
-        } else if let (Before::Silence, Some(last)) = (before, last) {
+        } else if let (PacketGap::Blanked, Some(last)) = (before, last) {
             let from_cdeg = last.motion.next_cdeg();
             let width_cdeg = ahead(from_cdeg, motion.first_cdeg(), motion.step_cdeg);
             self.sector = Some(Sector {
@@ -383,9 +389,9 @@ impl Relations {
         }
     }
 
-    fn learn_rate(&mut self, last: &Packet, packet: &Packet, before: Before) {
+    fn learn_rate(&mut self, last: &OrderedPacket, packet: &OrderedPacket, before: PacketGap) {
         let (from, to) = (last.motion.first_cdeg(), packet.motion.first_cdeg());
-        let far = before == Before::Silence || last.motion.left_out.is_some();
+        let far = before == PacketGap::Blanked || last.motion.left_out.is_some();
         let sense = last.motion.step_cdeg.signum();
         let travelled = if far {
             sense * ahead(from, to, sense)
@@ -403,15 +409,20 @@ impl Relations {
 }
 
 /// Whether the host waited about as long as the stamps say.
-fn on_time(last: &Packet, packet: &Packet) -> bool {
+fn on_time(last: &OrderedPacket, packet: &OrderedPacket) -> bool {
     let interval = packet.time_ns - last.time_ns;
     let waited = packet.arrival_ns.saturating_sub(last.arrival_ns);
     waited.saturating_sub(interval).saturating_abs() < interval / 4 + ARRIVAL_SLACK_NS
 }
 
-fn lost_or(nothing: Before, lost: i64, travelled_cdeg: f64, silence: Option<Sector>) -> Before {
+fn lost_or(
+    nothing: PacketGap,
+    lost: i64,
+    travelled_cdeg: f64,
+    silence: Option<Sector>,
+) -> PacketGap {
     match u32::try_from(lost) {
-        Ok(packets) if packets > 0 => Before::Lost {
+        Ok(packets) if packets > 0 => PacketGap::Lost {
             packets,
             travelled_cdeg,
             silence,

@@ -29,7 +29,7 @@ const REACH: (f64, f64) = (1.1, 1.5);
 
 /// How far the head turns, hundredths of a degree.
 #[derive(Clone, Copy, Debug)]
-pub struct Pace {
+pub struct HeadSpeed {
     /// During a packet.
     packet_cdeg: f64,
     /// From one azimuth of a packet to the next.
@@ -38,7 +38,7 @@ pub struct Pace {
     silence_cdeg: f64,
 }
 
-impl Pace {
+impl HeadSpeed {
     /// That of a head which turns so fast, hundredths of a degree a nanosecond.
     pub fn new(rate_cdeg_ns: f64, spec: &Spec, mode: ReturnMode) -> Self {
         let rate = rate_cdeg_ns.abs();
@@ -59,7 +59,7 @@ impl Pace {
 
 /// A way of the head without a firing.
 #[derive(Clone, Copy, Debug)]
-pub struct Leap {
+pub struct SectorSkip {
     /// The last firing before it, hundredths of a degree.
     pub from_cdeg: f64,
     /// The first one behind it.
@@ -68,7 +68,7 @@ pub struct Leap {
     pub sense: f64,
 }
 
-impl Leap {
+impl SectorSkip {
     fn width_cdeg(&self) -> f64 {
         ahead(self.from_cdeg, self.to_cdeg, self.sense)
     }
@@ -82,33 +82,33 @@ impl Leap {
 
 /// What is known of the sector's end.
 #[derive(Clone, Copy, Debug, Default)]
-pub struct Edge {
-    last: Option<Leap>,
+pub struct FovEdge {
+    last: Option<SectorSkip>,
     /// Leaps in a row that were like the last one.
     alike: u32,
     /// How far ahead of the end the cut is moved, once it is.
     moved_cdeg: Option<(f64, f64)>,
 }
 
-impl Edge {
+impl FovEdge {
     /// The azimuth that the cut is moved to, hundredths of a degree; `None` while it stays where it
     /// is configured.
     pub fn cut_cdeg(&self) -> Option<f64> {
         self.moved_cdeg.map(|(cut_cdeg, _)| cut_cdeg)
     }
 
-    /// Learns from a leap, at this pace of the head if it is known, for a sensor whose cut is
+    /// Learns from a skip, at this speed of the head if it is known, for a sensor whose cut is
     /// configured to be at `cut_cdeg`.
-    pub fn leaps(&mut self, leap: Leap, pace: Option<Pace>, cut_cdeg: f64) {
-        let is_like = self.last.is_some_and(|last| leap.is_like(&last));
+    pub fn skipped(&mut self, skip: SectorSkip, speed: Option<HeadSpeed>, cut_cdeg: f64) {
+        let is_like = self.last.is_some_and(|last| skip.is_like(&last));
         self.alike = if is_like { self.alike + 1 } else { 1 };
-        self.last = Some(leap);
+        self.last = Some(skip);
         if self.alike < ALIKE {
             self.moved_cdeg = None;
             return;
         }
-        let Some(pace) = pace else { return };
-        let unsent = pace.unsent_cdeg();
+        let Some(speed) = speed else { return };
+        let unsent = speed.unsent_cdeg();
         if self
             .moved_cdeg
             .is_some_and(|(_, reach)| (unsent..=REACH.1 * unsent).contains(&reach))
@@ -116,17 +116,17 @@ impl Edge {
             return;
         }
         let reach = REACH.0 * unsent;
-        let moved = (leap.from_cdeg - leap.sense * reach).rem_euclid(TURN);
-        let is_late = ahead(moved, cut_cdeg, leap.sense) <= reach + leap.width_cdeg();
+        let moved = (skip.from_cdeg - skip.sense * reach).rem_euclid(TURN);
+        let is_late = ahead(moved, cut_cdeg, skip.sense) <= reach + skip.width_cdeg();
         let is_worth_it =
-            leap.width_cdeg() > pace.silence_cdeg && TURN - leap.width_cdeg() > 2.0 * reach;
+            skip.width_cdeg() > speed.silence_cdeg && TURN - skip.width_cdeg() > 2.0 * reach;
         self.moved_cdeg = (is_late && is_worth_it).then_some((moved, reach));
     }
 
     /// Whether the sector that is left out begins on the way from one azimuth to another.
     pub fn is_between(&self, from_cdeg: f64, to_cdeg: f64, sense: f64) -> bool {
-        let is_between = |leap: Leap| {
-            let way_cdeg = ahead(from_cdeg, leap.from_cdeg, sense);
+        let is_between = |skip: SectorSkip| {
+            let way_cdeg = ahead(from_cdeg, skip.from_cdeg, sense);
             // The encoder's noise may have put the last firing past the end.
             way_cdeg < ahead(from_cdeg, to_cdeg, sense) || way_cdeg > TURN - SLACK_CDEG
         };
@@ -134,10 +134,10 @@ impl Edge {
     }
 
     /// Hears of a firing, and forgets the sector when it lies where nothing was measured before.
-    pub fn fires(&mut self, azimuth_cdeg: f64) {
-        let inside = |leap: &Leap| {
-            let way = ahead(leap.from_cdeg, azimuth_cdeg, leap.sense);
-            (SLACK_CDEG..leap.width_cdeg() - SLACK_CDEG).contains(&way)
+    pub fn fired(&mut self, azimuth_cdeg: f64) {
+        let inside = |skip: &SectorSkip| {
+            let way = ahead(skip.from_cdeg, azimuth_cdeg, skip.sense);
+            (SLACK_CDEG..skip.width_cdeg() - SLACK_CDEG).contains(&way)
         };
         if self.last.as_ref().is_some_and(inside) {
             *self = Self::default();
@@ -151,33 +151,33 @@ mod tests {
     use crate::sensor::Model;
 
     /// A VLP-16 at 600 rpm: 478 hundredths of a degree a packet, 40 from azimuth to azimuth.
-    fn pace() -> Option<Pace> {
-        Some(Pace::new(
+    fn speed() -> Option<HeadSpeed> {
+        Some(HeadSpeed::new(
             36_000.0 / 1e8,
             Model::Vlp16.spec(),
             ReturnMode::Strongest,
         ))
     }
 
-    fn leap(from_cdeg: f64, to_cdeg: f64) -> Leap {
-        Leap {
+    fn skip(from_cdeg: f64, to_cdeg: f64) -> SectorSkip {
+        SectorSkip {
             from_cdeg,
             to_cdeg,
             sense: 1.0,
         }
     }
 
-    fn after(leaps: &[Leap], cut_cdeg: f64) -> Edge {
-        let mut edge = Edge::default();
-        leaps
+    fn after(skips: &[SectorSkip], cut_cdeg: f64) -> FovEdge {
+        let mut edge = FovEdge::default();
+        skips
             .iter()
-            .for_each(|&leap| edge.leaps(leap, pace(), cut_cdeg));
+            .for_each(|&skip| edge.skipped(skip, speed(), cut_cdeg));
         edge
     }
 
     #[test]
     fn the_cut_moves_ahead_of_the_end_by_more_than_a_packet_once_it_was_the_same_twice() {
-        let seen = [leap(9_080.0, 27_010.0), leap(9_100.0, 27_030.0)];
+        let seen = [skip(9_080.0, 27_010.0), skip(9_100.0, 27_030.0)];
         assert_eq!(after(&seen[..1], 18_000.0).cut_cdeg(), None);
         let moved = after(&seen, 18_000.0).cut_cdeg().unwrap();
         assert!(
@@ -195,45 +195,45 @@ mod tests {
     #[test]
     fn it_stays_where_it_is_while_the_end_does() {
         let mut edge = after(
-            &[leap(9_080.0, 27_010.0), leap(9_100.0, 27_030.0)],
+            &[skip(9_080.0, 27_010.0), skip(9_100.0, 27_030.0)],
             18_000.0,
         );
         let moved = edge.cut_cdeg();
         for from_cdeg in [9_062.0, 9_099.0, 9_101.0, 9_070.0] {
-            edge.leaps(leap(from_cdeg, 27_000.0), pace(), 18_000.0);
-            edge.fires(27_040.0);
-            edge.fires(9_030.0);
-            edge.fires(9_110.0);
+            edge.skipped(skip(from_cdeg, 27_000.0), speed(), 18_000.0);
+            edge.fired(27_040.0);
+            edge.fired(9_030.0);
+            edge.fired(9_110.0);
             assert_eq!(edge.cut_cdeg(), moved);
         }
     }
 
     #[test]
     fn another_end_and_a_firing_in_the_sector_bring_it_back() {
-        let seen = [leap(9_080.0, 27_010.0), leap(9_100.0, 27_030.0)];
-        for other in [leap(8_000.0, 27_000.0), leap(9_100.0, 25_000.0)] {
+        let seen = [skip(9_080.0, 27_010.0), skip(9_100.0, 27_030.0)];
+        for other in [skip(8_000.0, 27_000.0), skip(9_100.0, 25_000.0)] {
             let mut edge = after(&seen, 18_000.0);
-            edge.leaps(other, pace(), 18_000.0);
+            edge.skipped(other, speed(), 18_000.0);
             assert_eq!(edge.cut_cdeg(), None);
         }
         let mut edge = after(&seen, 18_000.0);
-        edge.fires(9_300.0);
+        edge.fired(9_300.0);
         assert_eq!(edge.cut_cdeg(), None);
-        edge.leaps(seen[0], pace(), 18_000.0);
+        edge.skipped(seen[0], speed(), 18_000.0);
         assert_eq!(edge.cut_cdeg(), None);
     }
 
     #[test]
     fn a_faster_head_needs_more_room() {
-        let seen = leap(9_080.0, 27_010.0);
+        let seen = skip(9_080.0, 27_010.0);
         let mut edge = after(&[seen, seen], 18_000.0);
         let slow = edge.cut_cdeg().unwrap();
-        let fast = Pace::new(
+        let fast = HeadSpeed::new(
             2.0 * 36_000.0 / 1e8,
             Model::Vlp16.spec(),
             ReturnMode::Strongest,
         );
-        edge.leaps(seen, Some(fast), 18_000.0);
+        edge.skipped(seen, Some(fast), 18_000.0);
         assert!(edge.cut_cdeg().unwrap() < slow - 400.0);
     }
 
@@ -241,16 +241,16 @@ mod tests {
     fn a_short_silence_and_a_sliver_of_a_sector_are_left_alone() {
         // 5 ms are 18 degrees.
         assert_eq!(
-            after(&[leap(9_000.0, 10_700.0); 2], 10_000.0).cut_cdeg(),
+            after(&[skip(9_000.0, 10_700.0); 2], 10_000.0).cut_cdeg(),
             None
         );
         assert!(
-            after(&[leap(9_000.0, 10_900.0); 2], 10_000.0)
+            after(&[skip(9_000.0, 10_900.0); 2], 10_000.0)
                 .cut_cdeg()
                 .is_some()
         );
         assert_eq!(
-            after(&[leap(9_000.0, 8_500.0); 2], 18_000.0).cut_cdeg(),
+            after(&[skip(9_000.0, 8_500.0); 2], 18_000.0).cut_cdeg(),
             None
         );
     }

@@ -1,7 +1,7 @@
 //! The turning head: unwraps azimuths, finds the cut, and notices a head that stands still or turns
 //! the other way.
 
-use super::edge::{Edge, Leap, Pace};
+use super::fov_edge::{FovEdge, HeadSpeed, SectorSkip};
 use super::motion::{TURN, ahead, shortest};
 
 /// Progress since the cut below which a second crossing is encoder jitter, hundredths of a degree.
@@ -17,25 +17,25 @@ pub const STANDSTILL_NS: i64 = 50_000_000;
 
 /// What a firing means for the sweep at hand.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
-pub enum Turned {
-    /// It belongs to it.
-    On,
+pub enum HeadEvent {
+    /// It belongs to the open sweep.
+    Continues,
     /// It is the first behind the cut.
     Cut,
-    /// The same, and the cut was elsewhere when the sweep began; see [`Edge`].
-    Moved,
-    /// It belongs to another run: the head stopped, started, or turns the other way.
-    Anew,
+    /// It is the first behind the cut, which was elsewhere when the sweep began; see [`FovEdge`].
+    MovedCut,
+    /// It begins a new run: the head stopped, started, or turns the other way.
+    NewRun,
 }
 
 /// Where the head is and how it got there.
 #[derive(Clone, Copy, Debug)]
-pub struct Head {
+pub struct HeadTracker {
     /// Where it is configured.
     configured_cdeg: f64,
     /// Where it is: elsewhere when the field of view is limited.
     cut_cdeg: f64,
-    edge: Edge,
+    edge: FovEdge,
     /// The cut was moved since the last one.
     moved: bool,
     sense: f64,
@@ -49,13 +49,13 @@ pub struct Head {
     stopped: bool,
 }
 
-impl Head {
+impl HeadTracker {
     /// A head of which nothing is known; `cut_cdeg` in 0..36000.
     pub fn new(cut_cdeg: f64) -> Self {
         Self {
             configured_cdeg: cut_cdeg,
             cut_cdeg,
-            edge: Edge::default(),
+            edge: FovEdge::default(),
             moved: false,
             sense: 1.0,
             against_cdeg: 0.0,
@@ -96,7 +96,7 @@ impl Head {
     }
 
     /// Whether a sector is known to be left out on the way there.
-    pub fn leaps_until_cut(&self) -> bool {
+    pub fn skips_sector_until_cut(&self) -> bool {
         self.last_cdeg
             .is_some_and(|last| self.edge.is_between(last, self.cut_cdeg, self.sense))
     }
@@ -110,67 +110,82 @@ impl Head {
     }
 
     /// Turns to the next firing, the shorter way.
-    pub fn turn(&mut self, azimuth_cdeg: f64, time_ns: i64) -> Turned {
+    pub fn turn(&mut self, azimuth_cdeg: f64, time_ns: i64) -> HeadEvent {
         self.go(azimuth_cdeg, time_ns, None)
     }
 
     /// Turns to the next firing over a sector that was left out, in the sense of rotation however
-    /// far that is, and at this pace if it is known.
-    pub fn leap(&mut self, azimuth_cdeg: f64, time_ns: i64, pace: Option<Pace>) -> Turned {
-        self.go(azimuth_cdeg, time_ns, Some(pace))
+    /// far that is, and at this speed if it is known.
+    pub fn skip_sector(
+        &mut self,
+        azimuth_cdeg: f64,
+        time_ns: i64,
+        speed: Option<HeadSpeed>,
+    ) -> HeadEvent {
+        self.go(azimuth_cdeg, time_ns, Some(speed))
     }
 
-    fn go(&mut self, azimuth_cdeg: f64, time_ns: i64, leap: Option<Option<Pace>>) -> Turned {
+    fn go(
+        &mut self,
+        azimuth_cdeg: f64,
+        time_ns: i64,
+        skip: Option<Option<HeadSpeed>>,
+    ) -> HeadEvent {
         let Some(last) = self.last_cdeg.replace(azimuth_cdeg) else {
             self.watched_since_ns = Some(time_ns);
-            return Turned::On;
+            return HeadEvent::Continues;
         };
-        let advance = if leap.is_some() {
+        let advance = if skip.is_some() {
             ahead(last, azimuth_cdeg, self.sense)
         } else {
             shortest(azimuth_cdeg - last) * self.sense
         };
         self.progress_cdeg += advance;
         if self.standstill_changes(advance, time_ns) || self.sense_is_wrong(advance) {
-            return Turned::Anew;
+            return HeadEvent::NewRun;
         }
         let turned = self.crosses(last, advance);
-        match self.moves_cut(last, azimuth_cdeg, leap) {
+        match self.moves_cut(last, azimuth_cdeg, skip) {
             // The cut may have moved to where the head has just come by.
-            true if turned == Turned::On => self.crosses(last, advance),
+            true if turned == HeadEvent::Continues => self.crosses(last, advance),
             _ => turned,
         }
     }
 
     /// Whether the head has just come by the cut.
-    fn crosses(&mut self, last_cdeg: f64, advance: f64) -> Turned {
+    fn crosses(&mut self, last_cdeg: f64, advance: f64) -> HeadEvent {
         let phase = ahead(self.cut_cdeg, last_cdeg, self.sense);
         let crosses = advance > 0.0 && phase + advance >= TURN;
         if !crosses || self.cut_seen && self.progress_cdeg < LEAST_TURN_CDEG {
-            return Turned::On;
+            return HeadEvent::Continues;
         }
         self.cut_seen = true;
         // From the cut and not from this firing, which may lie far behind it, beyond a sector that
         // was left out.
         self.progress_cdeg = phase + advance - TURN;
         if std::mem::take(&mut self.moved) {
-            Turned::Moved
+            HeadEvent::MovedCut
         } else {
-            Turned::Cut
+            HeadEvent::Cut
         }
     }
 
     /// Moves the cut ahead of the end of the sector that is measured, or back, if that is due.
-    fn moves_cut(&mut self, last_cdeg: f64, azimuth_cdeg: f64, leap: Option<Option<Pace>>) -> bool {
-        match leap {
-            None => self.edge.fires(azimuth_cdeg),
-            Some(pace) => {
-                let leap = Leap {
+    fn moves_cut(
+        &mut self,
+        last_cdeg: f64,
+        azimuth_cdeg: f64,
+        skip: Option<Option<HeadSpeed>>,
+    ) -> bool {
+        match skip {
+            None => self.edge.fired(azimuth_cdeg),
+            Some(speed) => {
+                let skip = SectorSkip {
                     from_cdeg: last_cdeg,
                     to_cdeg: azimuth_cdeg,
                     sense: self.sense,
                 };
-                self.edge.leaps(leap, pace, self.configured_cdeg);
+                self.edge.skipped(skip, speed, self.configured_cdeg);
             }
         }
         let cut_cdeg = self.edge.cut_cdeg().unwrap_or(self.configured_cdeg);
@@ -215,7 +230,7 @@ impl Head {
     }
 
     fn begin_run(&mut self) {
-        self.edge = Edge::default();
+        self.edge = FovEdge::default();
         self.cut_cdeg = self.configured_cdeg;
         self.moved = false;
         self.cut_seen = false;
@@ -229,14 +244,16 @@ mod tests {
 
     /// Turns through azimuths 40 hundredths and 0.1 ms apart and tells the indices of all that is
     /// not `On`.
-    fn events(head: &mut Head, azimuths: &[f64]) -> Vec<(usize, Turned)> {
+    fn events(head: &mut HeadTracker, azimuths: &[f64]) -> Vec<(usize, HeadEvent)> {
         let turned = azimuths.iter().enumerate().map(|(index, &azimuth)| {
             (
                 index,
                 head.turn(azimuth.rem_euclid(TURN), index as i64 * 100_000),
             )
         });
-        turned.filter(|&(_, turned)| turned != Turned::On).collect()
+        turned
+            .filter(|&(_, turned)| turned != HeadEvent::Continues)
+            .collect()
     }
 
     #[test]
@@ -246,10 +263,14 @@ mod tests {
         azimuths.insert(26, 35_990.0);
         azimuths.insert(927, 71_999.0);
         azimuths.insert(927, 72_001.0);
-        let cuts = events(&mut Head::new(0.0), &azimuths);
+        let cuts = events(&mut HeadTracker::new(0.0), &azimuths);
         assert_eq!(
             cuts,
-            [(25, Turned::Cut), (926, Turned::Cut), (1828, Turned::Cut)]
+            [
+                (25, HeadEvent::Cut),
+                (926, HeadEvent::Cut),
+                (1828, HeadEvent::Cut)
+            ]
         );
     }
 
@@ -257,27 +278,27 @@ mod tests {
     fn the_cut_may_be_anywhere_and_is_itself_behind_the_cut() {
         let azimuths: Vec<f64> = (0..1000).map(|i| 40.0 * f64::from(i)).collect();
         assert_eq!(
-            events(&mut Head::new(18_000.0), &azimuths),
-            [(450, Turned::Cut)]
+            events(&mut HeadTracker::new(18_000.0), &azimuths),
+            [(450, HeadEvent::Cut)]
         );
         assert_eq!(
-            events(&mut Head::new(17_999.0), &azimuths),
-            [(450, Turned::Cut)]
+            events(&mut HeadTracker::new(17_999.0), &azimuths),
+            [(450, HeadEvent::Cut)]
         );
         assert_eq!(
-            events(&mut Head::new(18_001.0), &azimuths),
-            [(451, Turned::Cut)]
+            events(&mut HeadTracker::new(18_001.0), &azimuths),
+            [(451, HeadEvent::Cut)]
         );
     }
 
     #[test]
     fn a_head_that_turns_backwards_is_noticed_and_cut_too() {
         let azimuths: Vec<f64> = (0..1000).map(|i| 18_000.0 - 40.0 * f64::from(i)).collect();
-        let mut head = Head::new(0.0);
+        let mut head = HeadTracker::new(0.0);
         // The 13th step back tells; firing 450 is on the cut, and so the first of the next turn.
         assert_eq!(
             events(&mut head, &azimuths),
-            [(13, Turned::Anew), (450, Turned::Cut)]
+            [(13, HeadEvent::NewRun), (450, HeadEvent::Cut)]
         );
         assert!(head.reversed());
     }
@@ -287,7 +308,7 @@ mod tests {
         let mut azimuths: Vec<f64> = (0..600).map(|i| 9_000.0 + 10.0 * f64::from(i)).collect();
         azimuths.extend([15_000.0; 1100]);
         azimuths.extend((0..1000).map(|i| 15_000.0 + 10.0 * f64::from(i)));
-        let mut head = Head::new(0.0);
+        let mut head = HeadTracker::new(0.0);
         let events = events(&mut head, &azimuths);
         assert_eq!(events.len(), 2, "{events:?}");
         // That it moves on is seen when it has gone 0.3 degrees.
@@ -300,11 +321,11 @@ mod tests {
 
     #[test]
     fn a_leap_over_the_cut_is_a_cut() {
-        let mut head = Head::new(0.0);
-        assert_eq!(head.turn(27_000.0, 0), Turned::On);
-        assert_eq!(head.leap(9_000.0, 1_000_000, None), Turned::Cut);
-        assert_eq!(head.turn(9_040.0, 1_100_000), Turned::On);
-        assert_eq!(head.turn(27_000.0, 25_000_000), Turned::On);
-        assert_eq!(head.leap(8_000.0, 50_000_000, None), Turned::Cut);
+        let mut head = HeadTracker::new(0.0);
+        assert_eq!(head.turn(27_000.0, 0), HeadEvent::Continues);
+        assert_eq!(head.skip_sector(9_000.0, 1_000_000, None), HeadEvent::Cut);
+        assert_eq!(head.turn(9_040.0, 1_100_000), HeadEvent::Continues);
+        assert_eq!(head.turn(27_000.0, 25_000_000), HeadEvent::Continues);
+        assert_eq!(head.skip_sector(8_000.0, 50_000_000, None), HeadEvent::Cut);
     }
 }

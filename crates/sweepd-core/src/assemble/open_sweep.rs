@@ -7,11 +7,11 @@ use fearless_simd::Simd;
 
 use super::cursor::{Cursor, Firing};
 use super::decode::{Decoder, Pixels};
-use super::head::{Head, STANDSTILL_CDEG, STANDSTILL_NS};
+use super::head_tracker::{HeadTracker, STANDSTILL_CDEG, STANDSTILL_NS};
 use super::lanes::Records;
-use super::motion::{Beat, TURN, shortest};
-use super::relation::Packet;
-use super::turns::Turns;
+use super::matcher::OrderedPacket;
+use super::motion::{FiringTiming, TURN, shortest};
+use super::row_offsets::RowOffsets;
 use crate::sensor::model::Spec;
 use crate::sweep::image::SweepMut;
 use crate::sweep::layout::{COLUMNS_CAPACITY, Column};
@@ -22,7 +22,7 @@ const LATE_SLACK_CDEG: f64 = 100.0;
 
 /// What stands in the open sweep.
 #[derive(Clone, Copy)]
-pub struct SoFar {
+pub struct OpenSweep {
     pub mode: ReturnMode,
     pub from_cut: bool,
     /// Columns in use, with those before the first firing that its sideways beams need.
@@ -45,19 +45,19 @@ pub struct SoFar {
 
 /// A place in the open sweep: the column of a firing, and how its rows are turned.
 #[derive(Clone, Copy)]
-pub struct Place<'a> {
+pub struct ColumnTarget<'a> {
     pub column: usize,
-    pub turns: &'a Turns,
+    pub row_offsets: &'a RowOffsets,
 }
 
-impl SoFar {
+impl OpenSweep {
     /// A sweep without a firing.
-    pub fn new(mode: ReturnMode, from_cut: bool, turns: &Turns) -> Self {
+    pub fn new(mode: ReturnMode, from_cut: bool, row_offsets: &RowOffsets) -> Self {
         Self {
             mode,
             from_cut,
-            columns: turns.lead(),
-            first_column: turns.lead(),
+            columns: row_offsets.lead(),
+            first_column: row_offsets.lead(),
             unfired: 0,
             first_ns: 0,
             last_ns: 0,
@@ -79,21 +79,31 @@ impl SoFar {
 
     /// Whether there is room for a firing, for what a sector left out takes before it, and for what
     /// is behind.
-    pub fn has_room(&self, firing: &Firing, turns: &Turns) -> bool {
-        let before = if firing.leaps { turns.span() } else { 0 };
-        self.columns + before + 1 + turns.trail() <= COLUMNS_CAPACITY
+    pub fn has_room(&self, firing: &Firing, row_offsets: &RowOffsets) -> bool {
+        let before = if firing.skips_sector {
+            row_offsets.span()
+        } else {
+            0
+        };
+        self.columns + before + 1 + row_offsets.trail() <= COLUMNS_CAPACITY
     }
 
     /// The first of the missing columns that wait for this packet: at its times, and with the head
     /// where it was.
-    pub fn room_for(&self, sweep: &SweepMut<'_>, packet: &Packet, beat: &Beat) -> Option<usize> {
-        let slack_ns = beat.period_ns / 2;
+    pub fn room_for(
+        &self,
+        sweep: &SweepMut<'_>,
+        packet: &OrderedPacket,
+        timing: &FiringTiming,
+    ) -> Option<usize> {
+        let slack_ns = timing.period_ns / 2;
         let early = u32::try_from((packet.time_ns - self.first_ns - slack_ns).max(0)).ok()?;
         let columns = &sweep.columns[self.first_column..self.columns];
         let first = columns.partition_point(|column| column.time_ns < early);
-        let waiting = columns.get(first..first + beat.firings)?;
+        let waiting = columns.get(first..first + timing.firings)?;
         let fits = |(index, column): (usize, &Column)| {
-            let off_ns = self.first_ns + i64::from(column.time_ns) - packet.firing_ns(index, beat);
+            let off_ns =
+                self.first_ns + i64::from(column.time_ns) - packet.firing_ns(index, timing);
             column.is_missing() && off_ns.abs() < slack_ns
         };
         let azimuth_cdeg = f64::from(waiting[0].azimuth_rad).to_degrees() * 100.0;
@@ -107,38 +117,38 @@ impl SoFar {
         simd: S,
         sweep: &mut SweepMut<'_>,
         firing: &Firing,
-        (packet, cursor): (&Packet, &Cursor),
-        (decoder, turns): (&Decoder, &Turns),
-        head: &Head,
+        (packet, cursor): (&OrderedPacket, &Cursor),
+        (decoder, row_offsets): (&Decoder, &RowOffsets),
+        head: &HeadTracker,
     ) {
         if self.is_empty() {
             (self.first_ns, self.last_ns) = (firing.time_ns, firing.time_ns);
             self.first_progress_cdeg = head.progress_cdeg();
         }
-        self.blanked |= firing.leaps;
+        self.blanked |= firing.skips_sector;
         // A clock that is corrected, and an estimate of silence, may step back a little; columns
         // never do.
         self.last_ns = firing.time_ns.max(self.last_ns);
         let time_ns = self.last_ns;
         self.last_progress_cdeg = head.progress_cdeg();
         let (azimuth_rad, rate) = (radians(firing.azimuth_cdeg), cursor.rate_rad_s);
-        if firing.leaps && !self.is_empty() {
+        if firing.skips_sector && !self.is_empty() {
             let behind = Column::unfired(azimuth_rad, rate, self.since_first(time_ns));
             self.part(
                 sweep,
                 &behind,
-                turns,
+                row_offsets,
                 decoder.spec.firing_period_ns(packet.mode),
             );
         }
-        let place = Place {
+        let place = ColumnTarget {
             column: self.columns,
-            turns,
+            row_offsets,
         };
         match firing.index {
             Some(index) => {
-                let beat = &cursor.beat;
-                let block = beat.block(index) as u8;
+                let timing = &cursor.timing;
+                let block = timing.block(index) as u8;
                 let column = Column::measured(
                     packet.number,
                     block,
@@ -146,7 +156,8 @@ impl SoFar {
                     rate,
                     self.since_first(time_ns),
                 );
-                self.returns += decode(simd, sweep, place, column, (index, beat), packet, decoder);
+                self.returns +=
+                    decode(simd, sweep, place, column, (index, timing), packet, decoder);
             }
             None => {
                 sweep.columns[place.column] =
@@ -162,29 +173,35 @@ impl SoFar {
     /// Parts two firings between which a sector was left out, so that no beam of one lands among
     /// those of the other: with columns that go on from the firing before, and then some that lead
     /// to the one behind.
-    fn part(&mut self, sweep: &mut SweepMut<'_>, behind: &Column, turns: &Turns, period_ns: u32) {
+    fn part(
+        &mut self,
+        sweep: &mut SweepMut<'_>,
+        behind: &Column,
+        row_offsets: &RowOffsets,
+        period_ns: u32,
+    ) {
         let before = sweep.columns[self.columns - 1];
         // A narrow sector takes less time than these columns would: times never step back.
         let middle_ns = before.time_ns.midpoint(behind.time_ns);
-        for step in 1..=turns.trail() {
-            let mut column = extrapolated(&before, step as i64, turns, period_ns);
+        for step in 1..=row_offsets.trail() {
+            let mut column = extrapolated(&before, step as i64, row_offsets, period_ns);
             column.time_ns = column.time_ns.min(middle_ns);
-            self.unfired(sweep, column, turns);
+            self.unfired(sweep, column, row_offsets);
         }
-        for step in (1..=turns.lead()).rev() {
-            let mut column = extrapolated(behind, -(step as i64), turns, period_ns);
+        for step in (1..=row_offsets.lead()).rev() {
+            let mut column = extrapolated(behind, -(step as i64), row_offsets, period_ns);
             column.time_ns = column.time_ns.max(middle_ns);
-            self.unfired(sweep, column, turns);
+            self.unfired(sweep, column, row_offsets);
         }
     }
 
-    fn unfired(&mut self, sweep: &mut SweepMut<'_>, column: Column, turns: &Turns) {
+    fn unfired(&mut self, sweep: &mut SweepMut<'_>, column: Column, row_offsets: &RowOffsets) {
         sweep.columns[self.columns] = column;
         clear(
             sweep,
-            Place {
+            ColumnTarget {
                 column: self.columns,
-                turns,
+                row_offsets,
             },
         );
         self.columns += 1;
@@ -193,10 +210,10 @@ impl SoFar {
 
     /// Makes an image of the whole turn: what fell beyond an end is folded to the other. The first
     /// column and the number of them.
-    pub fn fold(&self, sweep: &mut SweepMut<'_>, turns: &Turns) -> [usize; 2] {
+    pub fn fold(&self, sweep: &mut SweepMut<'_>, row_offsets: &RowOffsets) -> [usize; 2] {
         let (first, end) = (self.first_column, self.columns);
         let columns = end - first;
-        for (row, &shift) in turns.shifts().iter().enumerate() {
+        for (row, &shift) in row_offsets.shifts().iter().enumerate() {
             let [filled, behind] =
                 [first, end].map(|column| (column as i64 - i64::from(shift)) as usize);
             // Azimuths that no head has can make a turn of fewer columns than the shift: then all
@@ -210,23 +227,30 @@ impl SoFar {
     }
 
     /// Makes an image of a part of a turn: wider than its firings by what fell beyond their ends.
-    pub fn widen(&mut self, sweep: &mut SweepMut<'_>, turns: &Turns, period_ns: u32) -> [usize; 2] {
+    pub fn widen(
+        &mut self,
+        sweep: &mut SweepMut<'_>,
+        row_offsets: &RowOffsets,
+        period_ns: u32,
+    ) -> [usize; 2] {
         let (first, end) = (self.first_column, self.columns);
         let (earliest, latest) = (sweep.columns[first], sweep.columns[end - 1]);
         for step in 1..=first {
-            sweep.columns[first - step] = extrapolated(&earliest, -(step as i64), turns, period_ns);
+            sweep.columns[first - step] =
+                extrapolated(&earliest, -(step as i64), row_offsets, period_ns);
         }
-        for step in 0..turns.trail() {
-            sweep.columns[end + step] = extrapolated(&latest, step as i64 + 1, turns, period_ns);
+        for step in 0..row_offsets.trail() {
+            sweep.columns[end + step] =
+                extrapolated(&latest, step as i64 + 1, row_offsets, period_ns);
         }
-        let rows = turns.shifts().len();
-        for (row, &shift) in turns.shifts().iter().enumerate() {
+        let rows = row_offsets.shifts().len();
+        for (row, &shift) in row_offsets.shifts().iter().enumerate() {
             let [from, to] = [first, end].map(|column| (column as i64 - i64::from(shift)) as usize);
-            let empty = (0..from).chain(to..end + turns.trail());
+            let empty = (0..from).chain(to..end + row_offsets.trail());
             empty.for_each(|column| clear_pixel(sweep, column * rows + row));
         }
-        self.unfired += turns.span();
-        [0, end + turns.trail()]
+        self.unfired += row_offsets.span();
+        [0, end + row_offsets.trail()]
     }
 
     pub fn since_first(&self, time_ns: i64) -> u32 {
@@ -262,20 +286,21 @@ pub fn radians(azimuth_cdeg: f64) -> f32 {
 }
 
 /// How fast the head turns by a packet, as its columns have it, radians a second.
-pub fn rate_rad_s(packet: &Packet, spec: &Spec) -> f32 {
+pub fn rate_rad_s(packet: &OrderedPacket, spec: &Spec) -> f32 {
     ((packet.motion.rate_cdeg_ns(spec) / 100.0).to_radians() * 1e9) as f32
 }
 
 /// The column that is this many firings before or behind another, at the speed of the sweep: that
 /// of one packet carries the encoder's noise.
-fn extrapolated(from: &Column, firings: i64, turns: &Turns, period_ns: u32) -> Column {
+fn extrapolated(from: &Column, firings: i64, row_offsets: &RowOffsets, period_ns: u32) -> Column {
     let apart_ns = firings * i64::from(period_ns);
-    let azimuth_rad = f64::from(from.azimuth_rad) + turns.rate_rad_s() * apart_ns as f64 * 1e-9;
+    let azimuth_rad =
+        f64::from(from.azimuth_rad) + row_offsets.rate_rad_s() * apart_ns as f64 * 1e-9;
     let azimuth_rad = azimuth_rad.rem_euclid(f64::from(TAU)) as f32;
     let time_ns = (i64::from(from.time_ns) + apart_ns).clamp(0, i64::from(u32::MAX)) as u32;
     Column::unfired(
         if azimuth_rad < TAU { azimuth_rad } else { 0.0 },
-        turns.rate_rad_s() as f32,
+        row_offsets.rate_rad_s() as f32,
         time_ns,
     )
 }
@@ -285,14 +310,14 @@ fn extrapolated(from: &Column, firings: i64, turns: &Turns, period_ns: u32) -> C
 pub fn decode<S: Simd>(
     simd: S,
     sweep: &mut SweepMut<'_>,
-    place: Place<'_>,
+    place: ColumnTarget<'_>,
     column: Column,
-    (firing, beat): (usize, &Beat),
-    packet: &Packet,
+    (firing, timing): (usize, &FiringTiming),
+    packet: &OrderedPacket,
     decoder: &Decoder,
 ) -> u32 {
-    let blocks = &packet.bytes.blocks[usize::from(column.block)..][..beat.blocks];
-    let first = beat.record(firing);
+    let blocks = &packet.bytes.blocks[usize::from(column.block)..][..timing.blocks];
+    let first = timing.record(firing);
     let records = Records { blocks, first };
     sweep.columns[place.column] = column;
     let reach = place.reach();
@@ -301,7 +326,7 @@ pub fn decode<S: Simd>(
         reflectivity: &mut sweep.reflectivity[reach.clone()],
     };
     if sweep.range2.is_empty() {
-        return decoder.single(simd, records, column.azimuth_rad, place.turns, chosen);
+        return decoder.single(simd, records, column.azimuth_rad, place.row_offsets, chosen);
     }
     let other = Pixels {
         range: &mut sweep.range2[reach.clone()],
@@ -311,24 +336,25 @@ pub fn decode<S: Simd>(
         simd,
         records,
         column.azimuth_rad,
-        place.turns,
+        place.row_offsets,
         [chosen, other],
         &mut sweep.kind[reach],
     )
 }
 
-impl Place<'_> {
+impl ColumnTarget<'_> {
     /// The pixels that a firing can have, and those between them, in each plane.
     fn reach(self) -> Range<usize> {
-        let rows = self.turns.shifts().len();
-        (self.column - self.turns.lead()) * rows..(self.column + self.turns.trail() + 1) * rows
+        let rows = self.row_offsets.shifts().len();
+        (self.column - self.row_offsets.lead()) * rows
+            ..(self.column + self.row_offsets.trail() + 1) * rows
     }
 }
 
 /// Writes a firing without returns.
-fn clear(sweep: &mut SweepMut<'_>, place: Place<'_>) {
+fn clear(sweep: &mut SweepMut<'_>, place: ColumnTarget<'_>) {
     let first = place.reach().start;
-    let pixels = place.turns.pixels().as_flattened();
+    let pixels = place.row_offsets.pixels().as_flattened();
     pixels
         .iter()
         .for_each(|&pixel| clear_pixel(sweep, first + pixel as usize));
