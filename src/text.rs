@@ -1,4 +1,6 @@
-//! Numbers and times as people read them.
+//! Numbers, times and tables as people read them.
+
+use std::fmt::{Display, Write as _};
 
 use sweepd_core::wire::nmea::civil_from_days;
 
@@ -15,7 +17,7 @@ pub fn grouped(number: u64) -> String {
     text
 }
 
-/// So many things: `1 packet`, `1,192 packets`.
+/// A number of things: `1 packet`, `1,192 packets`.
 pub fn count_of(number: u64, thing: &str) -> String {
     format!(
         "{} {thing}{}",
@@ -35,6 +37,11 @@ pub fn utc_text(time_ns: i64) -> String {
         "{year:04}-{month:02}-{day:02} {hour:02}:{minute:02}:{second:02}.{:03} UTC",
         ms % 1000
     )
+}
+
+/// Adds a row to a text: a name, and the value beside it.
+pub fn row(text: &mut String, name: &str, value: impl Display) {
+    let _ = writeln!(text, "  {name:<13}{value}");
 }
 
 #[cfg(test)]

@@ -59,6 +59,11 @@ pub struct Tally {
 }
 
 impl Tally {
+    /// Records that were whole and held no UDP datagram.
+    pub fn other_traffic(&self) -> u64 {
+        self.not_ip + self.not_udp + self.unsupported_link + self.malformed
+    }
+
     fn count(&mut self, reason: NoDatagram) {
         *match reason {
             NoDatagram::NotIp => &mut self.not_ip,

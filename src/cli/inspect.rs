@@ -15,7 +15,6 @@ use flows::Flows;
 use positions::Positions;
 
 use super::CliError;
-use super::summary::Traffic;
 use crate::admission::{DiscoveredSensors, Route};
 use crate::capture::Capture;
 use crate::cure::{Dialect, explain_model};
@@ -167,7 +166,7 @@ fn head(capture: &Capture, sensors: &DiscoveredSensors) -> String {
         .map(ToString::to_string)
         .collect();
     row(&mut text, "link type", &links.join(", "));
-    let others = Traffic::new(capture, sensors.others()).other;
+    let others = tally.other_traffic() + sensors.others();
     let (records, datagrams) = (
         grouped(tally.records),
         count_of(tally.datagrams, "UDP datagram"),

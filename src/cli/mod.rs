@@ -20,7 +20,6 @@ pub mod replay;
 pub mod run;
 pub mod send;
 pub mod signals;
-pub mod summary;
 pub mod tables;
 pub mod watch;
 

@@ -215,7 +215,8 @@ impl Outputs {
     /// [`CliError`].
     pub fn sweep(
         &mut self,
-        (sensor, model): (usize, Model),
+        sensor: usize,
+        model: Model,
         seq: u64,
         sweep: SweepRef<'_>,
         latency_us: Option<LatencyUs>,

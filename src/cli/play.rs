@@ -59,7 +59,7 @@ fn to(text: &str) -> Result<To, String> {
 pub enum Times {
     /// Until something stops it.
     Forever,
-    /// So many times in all.
+    /// This number of times in all.
     Count(u64),
 }
 
@@ -93,15 +93,15 @@ pub(super) fn destination(text: &str) -> Result<SocketAddr, String> {
     }
 }
 
-/// Where a datagram is, seen from what is to be played.
+/// When a datagram comes, relative to the part of the capture that is played.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
-pub enum Place {
-    /// Not yet.
+pub enum When {
+    /// Before the part.
     Before,
-    /// Now.
+    /// Within the part.
     Within,
-    /// No more.
-    Behind,
+    /// After the part.
+    After,
 }
 
 impl PlayOptions {
@@ -110,19 +110,19 @@ impl PlayOptions {
     /// # Errors
     /// [`CliError::Usage`].
     pub fn check(&self, capture: &Path) -> Result<(), CliError> {
-        let usage = |message: &str| Err(CliError::Usage(message.to_owned()));
-        if self.times.is_some() && capture.as_os_str() == "-" {
-            return usage("standard input cannot be played again: --loop needs a file");
-        }
-        match (self.start, self.end()) {
+        let message = match (self.start, self.end()) {
+            _ if self.times.is_some() && capture.as_os_str() == "-" => {
+                "standard input cannot be played again: --loop needs a file"
+            }
             (Some(start), Some(end)) if end <= start => {
-                usage("--end is not after --start: nothing would be left")
+                "--end is not after --start: nothing would be left"
             }
             (None, Some(0.0)) => {
-                usage("--end 0 leaves nothing of the capture: expected more than 0 seconds")
+                "--end 0 leaves nothing of the capture: expected more than 0 seconds"
             }
-            _ => Ok(()),
-        }
+            _ => return Ok(()),
+        };
+        Err(CliError::Usage(message.to_owned()))
     }
 
     /// Where datagrams are sent, if they are.
@@ -142,14 +142,13 @@ impl PlayOptions {
         self.end.or(older)
     }
 
-    /// How fast: by default as it was recorded, if anybody listens.
+    /// How fast: by default as it was recorded, if others receive it.
     pub fn speed(&self, is_published: bool) -> Speed {
-        self.speed
-            .unwrap_or(if self.destination().is_some() || is_published {
-                Speed::REALTIME
-            } else {
-                Speed::Max
-            })
+        match self.speed {
+            Some(speed) => speed,
+            None if self.destination().is_some() || is_published => Speed::REALTIME,
+            None => Speed::Max,
+        }
     }
 
     /// Whether the capture is to be played again after this many times.
@@ -161,26 +160,27 @@ impl PlayOptions {
         }
     }
 
-    /// Where a moment of the capture is.
-    pub fn place(&self, since_start_ns: i64) -> Place {
+    /// When a moment of the capture is, nanoseconds from its start.
+    pub fn when(&self, since_start_ns: i64) -> When {
         let seconds = since_start_ns as f64 * 1e-9;
         if self.start.is_some_and(|start| seconds < start) {
-            Place::Before
+            When::Before
         } else if self.end().is_some_and(|end| seconds >= end) {
-            Place::Behind
+            When::After
         } else {
-            Place::Within
+            When::Within
         }
     }
 
     /// The part that is played, for a sentence: ` from 10 s to 20 s`, or nothing if it is all.
     pub fn part(&self) -> String {
-        let start = self
-            .start
-            .map_or(String::new(), |start| format!(" from {start} s"));
-        let end = self
-            .end()
-            .map_or(String::new(), |end| format!(" to {end} s"));
-        start + &end
+        let mut part = String::new();
+        if let Some(start) = self.start {
+            part += &format!(" from {start} s");
+        }
+        if let Some(end) = self.end() {
+            part += &format!(" to {end} s");
+        }
+        part
     }
 }

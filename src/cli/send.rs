@@ -4,7 +4,8 @@ use std::io;
 use std::net::{IpAddr, Ipv4Addr, Ipv6Addr, SocketAddr, UdpSocket};
 
 use super::CliError;
-use crate::admission::MAX_SENSORS;
+use crate::admission::{MAX_SENSORS, Refused, Route};
+use sweepd_core::wire::{Datagram, Packet};
 
 /// Sends to one address, each sensor from a port of its own, so that a receiver can tell them
 /// apart.
@@ -33,21 +34,40 @@ impl Sender {
         }
     }
 
+    /// Sends a datagram that was received; not one that belongs to no sensor.
+    ///
+    /// # Errors
+    /// [`CliError::Send`].
+    pub fn forward(
+        &mut self,
+        datagram: &Datagram<'_>,
+        admitted: &Result<(Route, Packet<'_>), Refused>,
+    ) -> Result<(), CliError> {
+        let ip = datagram.source.ip().to_canonical();
+        match admitted {
+            Ok((Route::Data(index), _))
+            | Err(Refused {
+                sensor: Some(index),
+                ..
+            }) => self.data(*index, ip, datagram.payload),
+            Ok((Route::Position(_), _)) => self.position(ip, datagram.payload),
+            Err(_) => Ok(()),
+        }
+    }
+
     /// Sends a data packet of a sensor.
     ///
     /// # Errors
     /// [`CliError::Send`].
     pub fn data(&mut self, sensor: usize, ip: IpAddr, payload: &[u8]) -> Result<(), CliError> {
-        let own = self
-            .ports
-            .iter()
-            .position(|port| port.sensor == Some(sensor));
-        let own = own.or_else(|| {
-            self.ports
-                .iter()
-                .position(|port| port.sensor.is_none() && port.ip == ip)
-        });
-        let index = own.map_or_else(|| self.open(ip), Ok)?;
+        let mut ports = self.ports.iter();
+        let own = ports.position(|port| port.sensor == Some(sensor));
+        let mut ports = self.ports.iter();
+        let unused = ports.position(|port| port.sensor.is_none() && port.ip == ip);
+        let index = match own.or(unused) {
+            Some(index) => index,
+            None => self.open(ip)?,
+        };
         self.ports[index].sensor = Some(sensor);
         self.send(index, payload)
     }

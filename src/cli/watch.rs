@@ -206,7 +206,7 @@ impl Watch<'_> {
             return Err(CliError::Usage(text));
         };
         self.outputs
-            .sweep((0, model), header.sequence, sweep, Some(latency_us))
+            .sweep(0, model, header.sequence, sweep, Some(latency_us))
     }
 
     /// Tells losses once when they begin and once when they are over, as the daemon does, by what

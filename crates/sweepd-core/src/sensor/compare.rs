@@ -67,6 +67,11 @@ impl Quantity {
         matches!(self, Self::Elevation | Self::Rotation)
     }
 
+    /// Its unit: `degrees` or `m`.
+    pub fn unit(self) -> &'static str {
+        if self.is_angle() { "degrees" } else { "m" }
+    }
+
     /// Its value for a beam, degrees or metres.
     pub fn of(self, beam: &Beam) -> f64 {
         let far = beam.distance_offset_m;

@@ -1,12 +1,12 @@
 //! What a replay came to, for people and for programs.
 
-use std::fmt::Write as _;
+use std::io::{self, Write};
 
 use serde::Serialize;
 
-use super::output::{StageUs, rounded, time_source_name};
 use crate::capture::Capture;
-use crate::text::{count_of, grouped};
+use crate::cli::output::{StageUs, rounded, time_source_name};
+use crate::text::{count_of, grouped, row};
 use sweepd_core::pipeline::Counts;
 use sweepd_core::sensor::detect::Detection;
 use sweepd_core::sweep::SweepRef;
@@ -16,28 +16,36 @@ use sweepd_core::sweep::layout::{TimeSource, flags, is_return};
 #[derive(Clone, Debug, Default)]
 pub struct Sums {
     /// Sweeps from cut to cut.
-    pub whole: u64,
-    /// Partial ones.
-    pub partial: u64,
+    whole: u64,
+    partial: u64,
     returns: u64,
-    segmented: u64,
-    ground: u64,
-    segments: u64,
-    columns: u64,
-    rows: usize,
     missing_columns: u64,
-    rpm: Option<(f32, f32)>,
-    rpm_sum: f64,
+    rows: usize,
+    /// Metres, and whether it was estimated.
     height: Option<(f32, bool)>,
     reversed: bool,
     modes: Vec<&'static str>,
     sources: Vec<&'static str>,
-    stages: [StageUs; 2],
+    /// Over whole sweeps; over partial ones as long as there is no whole one.
+    means: Means,
+}
+
+/// What depends on a whole turn: speed, shares, times.
+#[derive(Clone, Debug, Default)]
+struct Means {
+    sweeps: u64,
+    segmented: u64,
+    ground: u64,
+    segments: u64,
+    columns: u64,
+    rpm_sum: f64,
+    rpm_bounds: Option<(f32, f32)>,
+    stage_sum: StageUs,
+    stage_max: StageUs,
 }
 
 impl Sums {
-    /// Adds a sweep. What depends on a whole turn (speed, shares, times) is taken from whole ones
-    /// as long as there are any.
+    /// Adds a sweep.
     pub fn add(&mut self, sweep: &SweepRef<'_>) {
         let header = sweep.header;
         self.returns += u64::from(header.returns);
@@ -52,61 +60,67 @@ impl Sums {
         } else {
             self.whole += 1;
             if self.whole == 1 {
-                self.forget_partial();
+                self.means = Means::default();
             }
         }
-        self.segmented += sweep
-            .range
-            .iter()
-            .filter(|&&range| is_return(range))
-            .count() as u64;
-        self.ground += u64::from(header.ground);
-        self.segments += u64::from(header.segments);
-        self.columns += sweep.columns.len() as u64;
         self.rows = sweep.rows();
-        let (least, most) = self.rpm.unwrap_or((header.rpm, header.rpm));
-        self.rpm = Some((least.min(header.rpm), most.max(header.rpm)));
-        self.rpm_sum += f64::from(header.rpm);
         self.reversed |= header.has(flags::REVERSED);
         if header.height_m > 0.0 {
             self.height = Some((header.height_m, header.has(flags::HEIGHT_ESTIMATED)));
         }
-        self.time(StageUs::of(sweep));
-    }
-
-    fn forget_partial(&mut self) {
-        (self.segmented, self.ground, self.segments, self.columns) = (0, 0, 0, 0);
-        (self.rpm, self.rpm_sum, self.stages) = (None, 0.0, [StageUs::default(); 2]);
-    }
-
-    fn time(&mut self, stage: StageUs) {
-        let [sum, most] = &mut self.stages;
-        for (sum, most, this) in [
-            (&mut sum.decode, &mut most.decode, stage.decode),
-            (&mut sum.ground, &mut most.ground, stage.ground),
-            (&mut sum.label, &mut most.label, stage.label),
-        ] {
-            *sum += this;
-            *most = most.max(this);
-        }
+        self.means.add(sweep);
     }
 
     /// Whether there was any sweep.
     pub fn any(&self) -> bool {
         self.whole + self.partial > 0
     }
+}
 
-    /// Sweeps that shares and means are over.
-    fn counted(&self) -> f64 {
-        if self.whole > 0 {
-            self.whole as f64
-        } else {
-            self.partial.max(1) as f64
-        }
+impl Means {
+    fn add(&mut self, sweep: &SweepRef<'_>) {
+        let header = sweep.header;
+        let segmented = sweep.range.iter().filter(|&&range| is_return(range));
+        self.sweeps += 1;
+        self.segmented += segmented.count() as u64;
+        self.ground += u64::from(header.ground);
+        self.segments += u64::from(header.segments);
+        self.columns += sweep.columns.len() as u64;
+        let (least, most) = self.rpm_bounds.unwrap_or((header.rpm, header.rpm));
+        self.rpm_bounds = Some((least.min(header.rpm), most.max(header.rpm)));
+        self.rpm_sum += f64::from(header.rpm);
+        let stage = StageUs::of(sweep);
+        self.stage_sum.decode += stage.decode;
+        self.stage_sum.ground += stage.ground;
+        self.stage_sum.label += stage.label;
+        self.stage_max.decode = self.stage_max.decode.max(stage.decode);
+        self.stage_max.ground = self.stage_max.ground.max(stage.ground);
+        self.stage_max.label = self.stage_max.label.max(stage.label);
+    }
+
+    /// A sum divided by the sweeps.
+    fn mean(&self, sum: f64) -> f64 {
+        sum / self.sweeps.max(1) as f64
+    }
+
+    fn rpm(&self) -> f64 {
+        self.mean(self.rpm_sum)
+    }
+
+    fn segments(&self) -> f64 {
+        self.mean(self.segments as f64)
     }
 
     fn ground_share(&self) -> f64 {
-        self.ground as f64 / (self.segmented.max(1)) as f64
+        self.ground as f64 / self.segmented.max(1) as f64
+    }
+
+    fn stage(&self) -> StageUs {
+        StageUs {
+            decode: self.mean(self.stage_sum.decode),
+            ground: self.mean(self.stage_sum.ground),
+            label: self.mean(self.stage_sum.label),
+        }
     }
 }
 
@@ -185,7 +199,7 @@ impl<'a> SummaryLine<'a> {
     /// Of a capture and the sensors in it.
     pub fn new(
         capture: &'a Capture,
-        traffic: &Traffic,
+        other_traffic: u64,
         reports: &[SensorReport<'a>],
         timing: bool,
     ) -> Self {
@@ -196,7 +210,7 @@ impl<'a> SummaryLine<'a> {
                     name: capture.name(),
                     records: tally.records,
                     datagrams: tally.datagrams,
-                    other_traffic: traffic.other,
+                    other_traffic,
                     truncated_records: tally.truncated_records,
                     breaks_off: capture.truncation().map(ToString::to_string),
                 },
@@ -206,33 +220,11 @@ impl<'a> SummaryLine<'a> {
     }
 }
 
-/// What a capture held beside the sensors.
-#[derive(Clone, Copy, Debug, PartialEq, Eq)]
-pub struct Traffic {
-    /// Records and datagrams that belong to no selected sensor.
-    pub other: u64,
-}
-
-impl Traffic {
-    /// Of a capture, with this many datagrams of other senders.
-    pub fn new(capture: &Capture, datagrams: u64) -> Self {
-        let tally = capture.tally();
-        Self {
-            other: tally.not_ip
-                + tally.not_udp
-                + tally.unsupported_link
-                + tally.malformed
-                + datagrams,
-        }
-    }
-}
-
 impl<'a> SensorReport<'a> {
     fn line(&self, timing: bool) -> SensorSummary<'a> {
-        let (sums, counts) = (self.sums, self.counts);
-        let counted = sums.counted();
-        let [sum, most] = sums.stages;
-        let mean = |sum: f64| rounded(sum / counted, 1000.0);
+        let Self { sums, counts, .. } = self;
+        let means = &sums.means;
+        let stage = means.stage();
         SensorSummary {
             sensor: self.sensor,
             model: self.detection.map(|detection| detection.model.spec().name),
@@ -240,13 +232,13 @@ impl<'a> SensorReport<'a> {
             fault: self.fault,
             return_modes: &sums.modes,
             time_sources: &sums.sources,
-            rpm: rounded(sums.rpm_sum / counted, 1000.0),
+            rpm: rounded(means.rpm(), 1000.0),
             sweeps: sums.whole,
             partial_sweeps: sums.partial,
             returns: sums.returns,
             missing_columns: sums.missing_columns,
-            ground_share: rounded(sums.ground_share(), 1e4),
-            segments_per_sweep: rounded(sums.segments as f64 / counted, 10.0),
+            ground_share: rounded(means.ground_share(), 1e4),
+            segments_per_sweep: rounded(means.segments(), 10.0),
             height_m: sums
                 .height
                 .map(|(height, _)| rounded(f64::from(height), 1000.0)),
@@ -262,109 +254,88 @@ impl<'a> SensorReport<'a> {
             foreign: counts.foreign,
             undecoded: counts.undecoded,
             stage_us_mean: timing.then(|| StageUs {
-                decode: mean(sum.decode),
-                ground: mean(sum.ground),
-                label: mean(sum.label),
+                decode: rounded(stage.decode, 1000.0),
+                ground: rounded(stage.ground, 1000.0),
+                label: rounded(stage.label, 1000.0),
             }),
-            stage_us_max: timing.then_some(most),
+            stage_us_max: timing.then_some(means.stage_max),
         }
     }
 
     /// The table for people.
-    pub fn table(&self, timing: bool) -> String {
+    fn table(&self, timing: bool) -> String {
         let mut table = format!("{}\n", self.sensor);
-        let mut row = |name: &str, value: String| {
-            let _ = writeln!(table, "  {name:<13}{value}");
-        };
-        match self.detection {
-            Some(detection) => row("model", format!("{}, {}", detection.model, detection.basis)),
-            None if self.fault.is_none() => row("model", "not known: no packet tells".to_owned()),
-            None => {}
+        if let Some(detection) = self.detection {
+            let Detection { model, basis, .. } = detection;
+            row(&mut table, "model", format_args!("{model}, {basis}"));
+        } else if self.fault.is_none() {
+            row(&mut table, "model", "not known: no packet tells");
         }
         if self.fault.is_some() {
-            row("not decoded", "the error says why".to_owned());
+            row(&mut table, "not decoded", "the error says why");
         }
         if self.sums.any() {
-            self.measured(&mut row);
+            self.add_sweeps(&mut table);
         }
-        row("packets", self.packets());
-        row("losses", self.losses());
+        let data = grouped(self.counts.data);
+        let position = grouped(self.counts.position);
+        let packets = format_args!("{data} data, {position} position");
+        row(&mut table, "packets", packets);
+        row(&mut table, "losses", self.losses());
         if timing && self.sums.any() {
-            row("time", self.times());
+            row(&mut table, "time", self.times());
         }
         table
     }
 
-    fn measured(&self, row: &mut impl FnMut(&str, String)) {
+    /// The rows about its sweeps.
+    fn add_sweeps(&self, table: &mut String) {
         let sums = self.sums;
-        let counted = sums.counted();
-        row("return mode", sums.modes.join(", "));
-        if let Some((least, most)) = sums.rpm {
+        let means = &sums.means;
+        row(table, "return mode", sums.modes.join(", "));
+        if let Some((least, most)) = means.rpm_bounds {
             let sense = if sums.reversed {
                 ", counter-clockwise"
             } else {
                 ""
             };
-            row(
-                "speed",
-                format!(
-                    "{:.1} rpm ({least:.1} to {most:.1}){sense}",
-                    sums.rpm_sum / counted
-                ),
-            );
+            let rpm = means.rpm();
+            let speed = format_args!("{rpm:.1} rpm ({least:.1} to {most:.1}){sense}");
+            row(table, "speed", speed);
         }
-        let kept = if self.partial_emitted {
-            ""
-        } else {
-            " (left out; --partial keeps them)"
+        let partial = match sums.partial {
+            0 => String::new(),
+            count if self.partial_emitted => format!(", {count} partial"),
+            count => format!(", {count} partial (left out; --partial keeps them)"),
         };
-        let partial = if sums.partial > 0 {
-            format!(", {} partial{kept}", sums.partial)
-        } else {
-            String::new()
-        };
-        let size = format!(
-            "{} rows x {:.0} columns",
-            sums.rows,
-            sums.columns as f64 / counted
-        );
-        row("sweeps", format!("{} whole{partial}; {size}", sums.whole));
-        row("returns", grouped(sums.returns));
-        row(
-            "ground",
-            format!(
-                "{:.1} % of the returns{}",
-                100.0 * sums.ground_share(),
-                self.height()
-            ),
-        );
-        row(
-            "segments",
-            format!("{:.1} a sweep", sums.segments as f64 / counted),
-        );
-        let clock = |name: &&str| match *name == time_source_name(TimeSource::Gps) {
-            true => "UTC from GPS",
-            false => "time of the capture (no GPS lock reported)",
-        };
-        row(
-            "clock",
-            sums.sources
-                .iter()
-                .map(clock)
-                .collect::<Vec<_>>()
-                .join(", "),
-        );
+        let whole = sums.whole;
+        let rows = sums.rows;
+        let columns = means.mean(means.columns as f64);
+        let sweeps = format_args!("{whole} whole{partial}; {rows} rows x {columns:.0} columns");
+        row(table, "sweeps", sweeps);
+        row(table, "returns", grouped(sums.returns));
+        let percent = 100.0 * means.ground_share();
+        let height = self.height();
+        let ground = format_args!("{percent:.1} % of the returns{height}");
+        row(table, "ground", ground);
+        let segments = means.segments();
+        row(table, "segments", format_args!("{segments:.1} a sweep"));
+        let clocks = sums.sources.iter().map(|&name| match name {
+            _ if name == time_source_name(TimeSource::Gps) => "UTC from GPS",
+            _ => "time of the capture (no GPS lock reported)",
+        });
+        row(table, "clock", clocks.collect::<Vec<_>>().join(", "));
     }
 
     /// How high the sensor is, where that is known.
     fn height(&self) -> String {
-        let sums = self.sums;
-        match sums.height {
+        let means = &self.sums.means;
+        match self.sums.height {
             Some((height, true)) => {
                 format!("; sensor {height:.2} m above it (estimated; --height if you know it)")
             }
             Some((height, false)) => format!("; sensor {height:.2} m above it"),
-            None if sums.ground == 0 && sums.segmented > 0 => {
+            None if means.ground == 0 && means.segmented > 0 => {
                 "; the height of the sensor was not found, so none is labelled: give --height"
                     .to_owned()
             }
@@ -372,21 +343,11 @@ impl<'a> SensorReport<'a> {
         }
     }
 
-    fn packets(&self) -> String {
-        format!(
-            "{} data, {} position",
-            grouped(self.counts.data),
-            grouped(self.counts.position)
-        )
-    }
-
     fn losses(&self) -> String {
         let counts = self.counts;
-        let mut parts = vec![format!(
-            "{} lost, {} missing",
-            count_of(counts.lost, "packet"),
-            count_of(self.sums.missing_columns, "column")
-        )];
+        let lost = count_of(counts.lost, "packet");
+        let missing = count_of(self.sums.missing_columns, "column");
+        let mut losses = format!("{lost} lost, {missing} missing");
         for (count, word) in [
             (counts.reordered, "put back in order"),
             (counts.duplicates, "received twice"),
@@ -397,25 +358,39 @@ impl<'a> SensorReport<'a> {
             (counts.undecoded, "not decoded"),
         ] {
             if count > 0 {
-                parts.push(format!("{} {word}", grouped(count)));
+                losses += &format!(", {} {word}", grouped(count));
             }
         }
-        parts.join(", ")
+        losses
     }
 
     fn times(&self) -> String {
-        let counted = self.sums.counted();
-        let [sum, most] = self.sums.stages;
-        let stage = |name: &str, sum: f64, most: f64| {
-            format!("{name} {:.0} us (at most {most:.0})", sum / counted)
-        };
-        format!(
-            "{}, {}, {} a sweep",
-            stage("decode", sum.decode, most.decode),
-            stage("ground", sum.ground, most.ground),
-            stage("label", sum.label, most.label)
-        )
+        let mean = self.sums.means.stage();
+        let max = self.sums.means.stage_max;
+        let stages = [
+            ("decode", mean.decode, max.decode),
+            ("ground", mean.ground, max.ground),
+            ("label", mean.label, max.label),
+        ];
+        let stages =
+            stages.map(|(name, mean, max)| format!("{name} {mean:.0} us (at most {max:.0})"));
+        format!("{} a sweep", stages.join(", "))
     }
+}
+
+/// Prints the tables of all sensors.
+///
+/// # Errors
+/// What writing gives.
+pub fn print(other_traffic: u64, reports: &[SensorReport<'_>], timing: bool) -> io::Result<()> {
+    let tables: Vec<String> = reports.iter().map(|report| report.table(timing)).collect();
+    let mut stdout = io::stdout().lock();
+    write!(stdout, "{}", tables.join("\n"))?;
+    if other_traffic > 0 && !tables.is_empty() {
+        let records = count_of(other_traffic, "record");
+        writeln!(stdout, "\npassed over: {records} of other traffic")?;
+    }
+    stdout.flush()
 }
 
 fn note(seen: &mut Vec<&'static str>, name: &'static str) {

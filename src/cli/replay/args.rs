@@ -1,0 +1,56 @@
+//! Options of `sweepd replay`.
+
+use std::path::PathBuf;
+
+use crate::cli::CliError;
+use crate::cli::options::{SegmentOptions, SensorOptions, pipeline_config};
+use crate::cli::output::OutputOptions;
+use crate::cli::play::PlayOptions;
+use crate::cli::publish::PublishOptions;
+use crate::cure::{Dialect, explain};
+use sweepd_core::pipeline::{Config, Fault};
+
+/// Options of `sweepd replay`.
+#[derive(Debug, clap::Args)]
+#[command(after_help = "\
+Examples:
+  sweepd replay pcap_fixtures/street_vlp16.pcap.gz --png out
+  sweepd replay drive.pcapng --sensor 192.168.1.201 --json > sweeps.jsonl
+  sweepd replay drive.pcap --start 10 --end 20 --csv returns --partial
+  sweepd replay drive.pcap --to 127.0.0.1:2368 --loop
+  sweepd replay drive.pcap --publish roof --loop")]
+pub struct Args {
+    /// pcap or pcapng, plain or compressed with gzip or zstd; - is standard input
+    #[arg(value_name = "CAPTURE")]
+    pub capture: PathBuf,
+    #[command(flatten)]
+    pub(super) sensor: SensorOptions,
+    #[command(flatten)]
+    segment: SegmentOptions,
+    #[command(flatten)]
+    pub(super) output: OutputOptions,
+    #[command(flatten)]
+    pub(super) play: PlayOptions,
+    #[command(flatten)]
+    pub(super) publish: PublishOptions,
+}
+
+impl Args {
+    /// The pipeline that each sensor gets.
+    pub(super) fn pipeline_config(&self) -> Result<Config, CliError> {
+        pipeline_config(&self.sensor, &self.segment)
+    }
+
+    /// A fault in the words of the options that brought it.
+    pub(super) fn explain(&self, fault: &Fault) -> String {
+        let text = explain(fault, Dialect::CommandLine);
+        match (fault, &self.sensor.calibration, &self.segment.mask) {
+            (Fault::Calibration(why), Some(file), _) => format!(
+                "the calibration {} does not fit: {why}; give the file of this unit, or leave --calibration away",
+                file.display()
+            ),
+            (Fault::Mask { .. }, _, Some(file)) => format!("{}: {text}", file.display()),
+            _ => text,
+        }
+    }
+}

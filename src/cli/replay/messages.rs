@@ -1,0 +1,88 @@
+//! What a replay says at its end, on standard error.
+
+use super::args::Args;
+use super::summary::SensorReport;
+use crate::admission::DiscoveredSensors;
+use crate::capture::{Capture, CaptureError};
+use crate::cli::complain;
+use crate::text::count_of;
+
+/// Shows where the capture is damaged. Returns whether it could be read at all.
+pub(super) fn show_damage(capture: &Capture, read: Result<(), CaptureError>) -> bool {
+    let name = capture.name();
+    if let Some(truncation) = capture.truncation() {
+        let message = format!("{name}: {truncation}; everything before was replayed");
+        complain("warning", message);
+    }
+    let cut = capture.tally().truncated_records;
+    if cut > 0 {
+        let cut = count_of(cut, "record");
+        let message = format!("{name}: {cut} cut short; capture with a larger snap length");
+        complain("warning", message);
+    }
+    if let Err(error) = &read {
+        complain(
+            "error",
+            format_args!("{error}; everything before was replayed"),
+        );
+    }
+    read.is_ok()
+}
+
+/// Shows what was asked for and is not there. Returns whether all is there.
+pub(super) fn show_missing(
+    args: &Args,
+    capture: &Capture,
+    sensors: &DiscoveredSensors,
+    reports: &[SensorReport<'_>],
+) -> bool {
+    let missing = missing(args, capture, sensors, reports);
+    for message in &missing {
+        complain("error", format_args!("{}: {message}", capture.name()));
+    }
+    missing.is_empty()
+}
+
+fn missing(
+    args: &Args,
+    capture: &Capture,
+    sensors: &DiscoveredSensors,
+    reports: &[SensorReport<'_>],
+) -> Vec<String> {
+    const LISTS: &str = "`sweepd inspect` lists those that are there";
+    let mut missing = Vec::new();
+    for filter in &args.sensor.sensor {
+        let mut senders = sensors.senders().iter();
+        if !senders.any(|sender| sender.is_selected_by(filter)) {
+            missing.push(format!("no sensor {filter} in it; {LISTS}"));
+        }
+    }
+    let part = args.play.part();
+    if reports.is_empty() && missing.is_empty() {
+        let tally = capture.tally();
+        let records = count_of(tally.records, "record");
+        let datagrams = count_of(tally.datagrams, "UDP datagram");
+        missing.push(format!(
+            "no Velodyne data packets{part} ({records}, {datagrams}); `sweepd inspect` says what is in it"
+        ));
+    }
+    if !reports.is_empty() && reports.iter().all(|report| report.counts.data == 0) {
+        let first_ns = capture.first_ns().unwrap_or(0);
+        let ns = capture.last_ns().unwrap_or(0).saturating_sub(first_ns);
+        let seconds = ns as f64 * 1e-9;
+        missing.push(format!(
+            "no data packets{part}; what was read of it spans {seconds:.3} s"
+        ));
+    }
+    let unshared: Vec<String> = args
+        .publish
+        .left_over(reports.len())
+        .iter()
+        .map(|name| format!("--publish {name}"))
+        .collect();
+    if !reports.is_empty() && !unshared.is_empty() {
+        let names = unshared.join(", ");
+        missing.push(format!("no sensor in it for {names}; {LISTS}"));
+    }
+    missing
+}

@@ -1,0 +1,237 @@
+//! One sensor of a replay: its pipeline, and what its sweeps came to.
+
+use indicatif::ProgressBar;
+
+use super::args::Args;
+use super::summary::{SensorReport, Sums};
+use crate::cli::output::Outputs;
+use crate::cli::publish::publish;
+use crate::cli::{CliError, complain};
+use crate::text::count_of;
+use sweepd_client::host::{monotonic_ns, realtime_ns};
+use sweepd_client::publish::Loans;
+use sweepd_core::pipeline::{Config, Counts, Fault, Notice, Pipeline};
+use sweepd_core::sensor::compare::Difference;
+use sweepd_core::sensor::detect::Detection;
+use sweepd_core::sweep::layout::flags;
+use sweepd_core::sweep::{Memory, SweepRef};
+use sweepd_core::wire::Packet;
+
+/// A sensor with its pipeline.
+pub(super) struct Track<'a> {
+    args: &'a Args,
+    progress: ProgressBar,
+    /// Number of the sensor.
+    index: usize,
+    name: String,
+    pub(super) pipeline: Pipeline,
+    /// Kept from round to round.
+    memory: Memory<Loans>,
+    /// When this round began.
+    run_ns: i64,
+    /// Of the last packet; the pipeline forgets it when another sensor takes the place of this one.
+    detection: Option<Detection>,
+    pub(super) sums: Sums,
+    emitted: u64,
+    /// Of the rounds before.
+    past: Counts,
+    pub(super) fault: Option<String>,
+}
+
+impl<'a> Track<'a> {
+    /// A sensor that is heard for the first time.
+    pub(super) fn new(
+        args: &'a Args,
+        progress: &ProgressBar,
+        index: usize,
+        name: &str,
+        config: &Config,
+    ) -> Result<Self, CliError> {
+        let memory = Memory::new(args.publish.loans(index, name)?);
+        let pipeline = pipeline(args, name, config)?;
+        if let Some(note) = args.publish.note(index, name) {
+            progress.suspend(|| complain("note", note));
+        }
+        Ok(Self {
+            args,
+            progress: progress.clone(),
+            index,
+            name: name.to_owned(),
+            pipeline,
+            memory,
+            run_ns: realtime_ns(),
+            detection: None,
+            sums: Sums::default(),
+            emitted: 0,
+            past: Counts::default(),
+            fault: None,
+        })
+    }
+
+    /// Begins again with a pipeline that knows nothing.
+    pub(super) fn begin_round(&mut self, config: &Config) -> Result<(), CliError> {
+        self.past += self.pipeline.counts();
+        self.pipeline = pipeline(self.args, &self.name, config)?;
+        self.run_ns = realtime_ns();
+        Ok(())
+    }
+
+    /// Takes a packet from a record of the capture.
+    pub(super) fn push(
+        &mut self,
+        packet: &Packet<'_>,
+        record: u64,
+        outputs: &mut Outputs,
+    ) -> Result<(), CliError> {
+        if let Err(fault) = self.pipeline.push(packet) {
+            self.show_fault(&fault, &format!(", record {record}"));
+        }
+        self.detection = self.pipeline.detection().or(self.detection);
+        for notice in self.pipeline.take_notices() {
+            let (level, text) = explain_notice(&notice);
+            self.progress
+                .suspend(|| complain(level, format_args!("{}: {text}", self.name)));
+        }
+        self.write_sweeps(outputs)
+    }
+
+    /// Takes the time of the capture: a sensor that fell silent has its sweep closed, as it would be
+    /// live.
+    pub(super) fn tick(&mut self, now_ns: i64, outputs: &mut Outputs) -> Result<(), CliError> {
+        if self.pipeline.tick(now_ns) {
+            self.write_sweeps(outputs)?;
+        }
+        Ok(())
+    }
+
+    /// Segments what is there of the open sweep.
+    pub(super) fn segment_early(&mut self) {
+        self.pipeline.segment_early(&mut self.memory);
+    }
+
+    /// Closes the last sweep.
+    pub(super) fn end(&mut self, outputs: &mut Outputs) -> Result<(), CliError> {
+        if let Err(fault) = self.pipeline.end() {
+            self.show_fault(&fault, "");
+        }
+        self.write_sweeps(outputs)
+    }
+
+    /// Of all rounds.
+    pub(super) fn counts(&self) -> Counts {
+        let mut counts = self.past;
+        counts += self.pipeline.counts();
+        counts
+    }
+
+    /// What became of the sensor.
+    pub(super) fn report(&self) -> SensorReport<'_> {
+        SensorReport {
+            sensor: &self.name,
+            detection: self.pipeline.detection().or(self.detection),
+            fault: self.fault.as_deref(),
+            counts: self.counts(),
+            sums: &self.sums,
+            partial_emitted: self.args.play.partial,
+        }
+    }
+
+    /// Writes and shares the sweeps that are whole.
+    fn write_sweeps(&mut self, outputs: &mut Outputs) -> Result<(), CliError> {
+        while let Some(buffer) = self.pipeline.poll(&mut self.memory) {
+            let Ok(sweep) = SweepRef::open(buffer.as_ref()) else {
+                continue;
+            };
+            let Some(detection) = self.pipeline.detection() else {
+                continue;
+            };
+            self.sums.add(&sweep);
+            if self.args.play.partial || !sweep.header.has(flags::PARTIAL) {
+                outputs.sweep(self.index, detection.model, self.emitted, sweep, None)?;
+                self.emitted += 1;
+            }
+            if let Some(name) = self.args.publish.name(self.index) {
+                publish(buffer, name, self.run_ns)?;
+            }
+        }
+        Ok(())
+    }
+
+    /// Shows a fault at once, since a replay may take long; the same one only once, since it may
+    /// come with every packet.
+    fn show_fault(&mut self, fault: &Fault, place: &str) {
+        let fault = self.args.explain(fault);
+        if self.fault.as_ref() != Some(&fault) {
+            let capture = self.args.capture.display();
+            let message = format!("{capture}{place}: {}: {fault}", self.name);
+            self.progress.suspend(|| complain("error", message));
+            self.fault = Some(fault);
+        }
+    }
+}
+
+fn pipeline(args: &Args, name: &str, config: &Config) -> Result<Pipeline, CliError> {
+    let pipeline =
+        Pipeline::new(name, config.clone()).map_err(|error| CliError::Usage(error.to_string()))?;
+    if args.output.no_timing {
+        return Ok(pipeline);
+    }
+    Ok(pipeline.timed_by(monotonic_ns))
+}
+
+/// A notice in words, and how serious it is.
+fn explain_notice(notice: &Notice) -> (&'static str, String) {
+    match notice {
+        Notice::AwaitsCalibration => (
+            "note",
+            "an HDL-64E, and no --calibration: waiting for the one that it sends with its packets, a byte each"
+                .to_owned(),
+        ),
+        Notice::Calibrated {
+            calibrated,
+            packets,
+        } => {
+            let packets = count_of(*packets, "data packet");
+            let of = calibrated.map_or(String::new(), |time| format!(", of {time}"));
+            let text =
+                format!("its own calibration{of}, is complete after {packets}: decoding begins");
+            ("note", text)
+        }
+        Notice::OtherCalibration { differences } => {
+            let differences = summarize(differences);
+            let text = format!(
+                "--calibration is not the one that the unit sends: {differences}; is it the file of another unit?"
+            );
+            ("warning", text)
+        }
+    }
+}
+
+/// Beams that differ, and the first few differences.
+fn summarize(differences: &[Difference]) -> String {
+    let mut beams: Vec<usize> = differences.iter().map(|one| one.channel).collect();
+    beams.dedup();
+    let list: Vec<String> = beams.iter().map(usize::to_string).collect();
+    let mut examples: Vec<String> = Vec::new();
+    for Difference {
+        channel,
+        quantity,
+        values: [used, own],
+    } in differences.iter().take(3)
+    {
+        let name = quantity.name();
+        let unit = quantity.unit();
+        examples.push(format!(
+            "beam {channel} {name} {used:.3} and not {own:.3} {unit}"
+        ));
+    }
+    if differences.len() > examples.len() {
+        examples.push("...".to_owned());
+    }
+    format!(
+        "{} differ ({}): {}",
+        count_of(beams.len() as u64, "beam"),
+        list.join(", "),
+        examples.join(", ")
+    )
+}
