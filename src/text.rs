@@ -39,6 +39,16 @@ pub fn utc_text(time_ns: i64) -> String {
     )
 }
 
+/// The rate of things that came between two times: ` (753.5 a second)`, where there is more than
+/// one.
+pub fn rate(count: u64, first_ns: i64, last_ns: i64) -> String {
+    let seconds = last_ns.saturating_sub(first_ns) as f64 * 1e-9;
+    if count < 2 || seconds <= 0.0 {
+        return String::new();
+    }
+    format!(" ({:.1} a second)", (count - 1) as f64 / seconds)
+}
+
 /// Adds a row to a text: a name, and the value beside it.
 pub fn row(text: &mut String, name: &str, value: impl Display) {
     let _ = writeln!(text, "  {name:<13}{value}");

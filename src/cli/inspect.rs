@@ -15,11 +15,11 @@ use flows::Flows;
 use positions::Positions;
 
 use super::CliError;
-use crate::admission::{DiscoveredSensors, Route};
-use crate::capture::Capture;
+use crate::admission::{DiscoveredSensors, Route, Sender};
+use crate::capture::{Capture, LinkType};
 use crate::cure::{Dialect, explain_model};
-use crate::text::{count_of, grouped, utc_text};
-use sweepd_core::assemble::motion::TURN;
+use crate::text::{count_of, grouped, rate, row, utc_text};
+use sweepd_core::assemble::motion::{Sector, TURN};
 use sweepd_core::assemble::order::{PacketGap, PacketOrder, Rejection};
 use sweepd_core::sensor::Model;
 use sweepd_core::sensor::detect::{DetectError, Detection, Detector};
@@ -45,7 +45,7 @@ pub struct Args {
 pub fn run(args: &Args) -> Result<(), CliError> {
     let mut capture = Capture::open(&args.capture)?;
     let mut sensors = DiscoveredSensors::new(Vec::new());
-    let mut seen: Vec<Seen> = Vec::new();
+    let mut streams: Vec<DataStream> = Vec::new();
     let mut positions: BTreeMap<IpAddr, Positions> = BTreeMap::new();
     let mut flows = Flows::default();
     let read = loop {
@@ -56,25 +56,23 @@ pub fn run(args: &Args) -> Result<(), CliError> {
         };
         match sensors.admit(&datagram) {
             Ok((Route::Data(index), packet)) => {
-                if index == seen.len() {
-                    seen.push(Seen::default());
+                if index == streams.len() {
+                    streams.push(DataStream::default());
                 }
-                seen[index].data(&packet);
+                streams[index].add(&packet);
             }
             Ok((Route::Position(_), packet)) => {
-                positions
-                    .entry(datagram.source.ip().to_canonical())
-                    .or_default()
-                    .add(&packet);
+                let ip = datagram.source.ip().to_canonical();
+                positions.entry(ip).or_default().add(&packet);
             }
             Err(refused) => match refused.sensor {
-                Some(index) => seen[index].malformed(datagram.arrival_ns),
+                Some(index) => streams[index].add_malformed(datagram.arrival_ns),
                 None => flows.add(&datagram),
             },
         }
     };
-    let text =
-        describe(&capture, &sensors, &mut seen, &positions) + &others(&capture, &sensors, &flows);
+    let mut text = describe(&capture, &sensors, &mut streams, &positions);
+    text += &describe_others(&capture, &sensors, &flows);
     io::stdout()
         .write_all(text.as_bytes())
         .map_err(CliError::Stdout)?;
@@ -85,40 +83,34 @@ pub fn run(args: &Args) -> Result<(), CliError> {
 fn describe(
     capture: &Capture,
     sensors: &DiscoveredSensors,
-    seen: &mut [Seen],
+    streams: &mut [DataStream],
     positions: &BTreeMap<IpAddr, Positions>,
 ) -> String {
-    let mut text = head(capture, sensors);
-    for (sensor, seen) in sensors.senders().iter().zip(seen) {
-        let _ = writeln!(
-            text,
-            "\n{} to port {}",
-            sensor.source, sensor.destination_port
-        );
-        seen.finish();
-        seen.describe(&mut text);
-        if let Some(positions) = positions.get(&sensor.source.ip()) {
-            let same = sensors
-                .senders()
-                .iter()
-                .filter(|other| other.source.ip() == sensor.source.ip())
-                .count();
-            positions.describe(
-                &mut text,
-                if same > 1 {
-                    ", of all sensors at this address"
-                } else {
-                    ""
-                },
-            );
+    let mut text = describe_capture(capture, sensors);
+    // How many sensors each address has.
+    let mut addresses: BTreeMap<IpAddr, u32> = BTreeMap::new();
+    for sensor in sensors.senders() {
+        *addresses.entry(sensor.source.ip()).or_default() += 1;
+    }
+    for (sensor, stream) in sensors.senders().iter().zip(streams) {
+        let Sender {
+            source,
+            destination_port,
+            ..
+        } = sensor;
+        let _ = writeln!(text, "\n{source} to port {destination_port}");
+        stream.finish();
+        stream.describe(&mut text);
+        if let Some(positions) = positions.get(&source.ip()) {
+            let whose = match addresses[&source.ip()] {
+                1 => "",
+                _ => ", of all sensors at this address",
+            };
+            positions.describe(&mut text, whose);
         }
     }
     for (ip, positions) in positions {
-        if !sensors
-            .senders()
-            .iter()
-            .any(|sensor| sensor.source.ip() == *ip)
-        {
+        if !addresses.contains_key(ip) {
             let _ = writeln!(text, "\n{ip}, position packets only");
             positions.describe(&mut text, "");
         }
@@ -126,71 +118,51 @@ fn describe(
     text
 }
 
-/// What else there is: all of it where no sensor is, since that was hoped for; else the largest
-/// part.
-fn others(capture: &Capture, sensors: &DiscoveredSensors, flows: &Flows) -> String {
-    let lines = flows.lines();
-    if lines.is_empty() && capture.tally().records > 0 && capture.tally().datagrams == 0 {
-        return "\nother traffic\n  no record holds a UDP datagram\n".to_owned();
+/// Other traffic: all of it where no sensor is, since that was hoped for; else the largest part.
+fn describe_others(capture: &Capture, sensors: &DiscoveredSensors, flows: &Flows) -> String {
+    let mut lines = flows.lines();
+    let tally = capture.tally();
+    if lines.is_empty() && tally.records > 0 && tally.datagrams == 0 {
+        lines.push("no record holds a UDP datagram".to_owned());
     }
     if lines.is_empty() {
         return String::new();
     }
-    let mut text = "\nother traffic\n".to_owned();
-    let shown = if sensors.senders().is_empty() {
-        lines.len()
-    } else {
-        1
-    };
-    for line in &lines[..shown] {
-        let _ = writeln!(text, "  {line}");
+    if !sensors.senders().is_empty() {
+        lines.truncate(1);
     }
-    text
+    format!("\nother traffic\n  {}\n", lines.join("\n  "))
 }
 
 /// The capture as a whole.
-fn head(capture: &Capture, sensors: &DiscoveredSensors) -> String {
+fn describe_capture(capture: &Capture, sensors: &DiscoveredSensors) -> String {
     let tally = capture.tally();
     let mut text = format!("{}\n", capture.name());
     if let (Some(first), Some(last)) = (capture.first_ns(), capture.last_ns()) {
         let seconds = last.saturating_sub(first) as f64 * 1e-9;
-        row(
-            &mut text,
-            "time",
-            &format!("{} to {}, {seconds:.3} s", utc_text(first), utc_text(last)),
-        );
+        let first = utc_text(first);
+        let last = utc_text(last);
+        let time = format_args!("{first} to {last}, {seconds:.3} s");
+        row(&mut text, "time", time);
     }
     let links: Vec<String> = capture
         .link_types()
         .iter()
-        .map(ToString::to_string)
+        .map(LinkType::to_string)
         .collect();
-    row(&mut text, "link type", &links.join(", "));
-    let others = tally.other_traffic() + sensors.others();
-    let (records, datagrams) = (
-        grouped(tally.records),
-        count_of(tally.datagrams, "UDP datagram"),
-    );
-    row(
-        &mut text,
-        "records",
-        &format!(
-            "{records}, with {datagrams}; {} of other traffic",
-            grouped(others)
-        ),
-    );
+    row(&mut text, "link type", links.join(", "));
+    let records = grouped(tally.records);
+    let datagrams = count_of(tally.datagrams, "UDP datagram");
+    let others = grouped(tally.other_traffic() + sensors.others());
+    let all = format_args!("{records}, with {datagrams}; {others} of other traffic");
+    row(&mut text, "records", all);
     if tally.truncated_records > 0 {
-        row(
-            &mut text,
-            "cut short",
-            &format!(
-                "{}: hold less than was sent",
-                count_of(tally.truncated_records, "record")
-            ),
-        );
+        let cut = count_of(tally.truncated_records, "record");
+        let cut = format_args!("{cut}: hold less than was sent");
+        row(&mut text, "cut short", cut);
     }
     if let Some(truncation) = capture.truncation() {
-        row(&mut text, "damaged", &truncation.to_string());
+        row(&mut text, "damaged", truncation);
     }
     if sensors.senders().is_empty() {
         row(&mut text, "sensors", "none sends data packets");
@@ -198,13 +170,9 @@ fn head(capture: &Capture, sensors: &DiscoveredSensors) -> String {
     text
 }
 
-fn row(text: &mut String, name: &str, value: &str) {
-    let _ = writeln!(text, "  {name:<13}{value}");
-}
-
-/// What was seen of the data packets of one sensor.
+/// The data packets of one sensor.
 #[derive(Default)]
-struct Seen {
+struct DataStream {
     packets: u64,
     malformed: u64,
     first_ns: i64,
@@ -215,41 +183,26 @@ struct Seen {
     blank_mode: bool,
     model: Option<Result<Detection, DetectError>>,
     detector: Option<Detector>,
+    /// Packets from before the model was known, each with its arrival.
     waiting: Vec<(DataPacket, i64)>,
     last_mode: Option<ReturnMode>,
     order: Option<PacketOrder>,
-    motion: Moved,
+    motion: MotionStats,
 }
 
-/// What the order of the packets told.
+/// What the order of the packets shows.
 #[derive(Default)]
-struct Moved {
+struct MotionStats {
     lost: u64,
     duplicates: u64,
     late: u64,
     restarts: u64,
-    sector_deg: Option<(f64, f64)>,
+    sector: Option<Sector>,
     rpm_sum: f64,
     rpm_count: u64,
     turn: Turn,
-    whole_turns: Turns,
-}
-
-/// Speeds of whole turns.
-#[derive(Default)]
-struct Turns {
-    count: u32,
-    sum_rpm: f64,
-    bounds_rpm: Option<(f64, f64)>,
-}
-
-impl Turns {
-    fn add(&mut self, rpm: f64) {
-        let (least, most) = self.bounds_rpm.unwrap_or((rpm, rpm));
-        self.bounds_rpm = Some((least.min(rpm), most.max(rpm)));
-        self.sum_rpm += rpm;
-        self.count += 1;
-    }
+    /// Mean speeds of whole turns.
+    turns_rpm: Vec<f64>,
 }
 
 /// A turn under way: single packets carry the encoder's noise.
@@ -261,7 +214,7 @@ struct Turn {
 }
 
 impl Turn {
-    /// Adds a packet; gives the mean speed when the turn is whole.
+    /// Adds a packet; returns the mean speed when the turn is whole.
     fn add(&mut self, rpm: f64, period_ns: f64) -> Option<f64> {
         self.turned_cdeg += (rpm * TURN / 60e9).abs() * period_ns;
         self.rpm_sum += rpm;
@@ -273,8 +226,8 @@ impl Turn {
     }
 }
 
-impl Seen {
-    fn arrived(&mut self, arrival_ns: i64) {
+impl DataStream {
+    fn add_arrival(&mut self, arrival_ns: i64) {
         if self.packets == 0 {
             self.first_ns = arrival_ns;
         }
@@ -282,29 +235,28 @@ impl Seen {
         self.packets += 1;
     }
 
-    fn malformed(&mut self, arrival_ns: i64) {
-        self.arrived(arrival_ns);
+    fn add_malformed(&mut self, arrival_ns: i64) {
+        self.add_arrival(arrival_ns);
         self.malformed += 1;
     }
 
-    fn data(&mut self, packet: &Packet<'_>) {
+    /// Adds a data packet; a position packet is passed over.
+    fn add(&mut self, packet: &Packet<'_>) {
         let arrival_ns = packet.arrival_ns;
         let Content::Data(packet) = packet.content else {
             return;
         };
-        self.arrived(arrival_ns);
-        match ReturnMode::from_byte(packet.return_mode) {
-            _ if packet.banks() == Banks::Alternating => self.status.get_or_insert_default().push(
-                packet.return_mode,
-                packet.product,
-                packet.stamp_us(),
-            ),
-            Some(mode) if !self.modes.contains(&mode) => self.modes.push(mode),
-            Some(_) => {}
-            None => self.blank_mode = true,
+        self.add_arrival(arrival_ns);
+        if packet.banks() == Banks::Alternating {
+            let status = self.status.get_or_insert_default();
+            status.push(packet.return_mode, packet.product, packet.stamp_us());
+        } else if let Some(mode) = ReturnMode::from_byte(packet.return_mode) {
+            self.add_mode(mode);
+        } else {
+            self.blank_mode = true;
         }
         if self.order.is_some() {
-            self.place(packet, arrival_ns);
+            self.put_in_order(packet, arrival_ns);
         } else if self.model.is_none() {
             self.waiting.push((*packet, arrival_ns));
             let detector = self.detector.get_or_insert_with(|| Detector::new(None));
@@ -314,18 +266,24 @@ impl Seen {
         }
     }
 
+    fn add_mode(&mut self, mode: ReturnMode) {
+        if !self.modes.contains(&mode) {
+            self.modes.push(mode);
+        }
+    }
+
     fn decide(&mut self, result: Result<Detection, DetectError>) {
         self.model = Some(result);
         if let Ok(detection) = result {
             self.order = Some(PacketOrder::new(detection.spec));
             for (packet, arrival_ns) in std::mem::take(&mut self.waiting) {
-                self.place(&packet, arrival_ns);
+                self.put_in_order(&packet, arrival_ns);
             }
         }
     }
 
-    fn place(&mut self, packet: &DataPacket, arrival_ns: i64) {
-        let (Some(order), Some(Ok(detection))) = (&mut self.order, &self.model) else {
+    fn put_in_order(&mut self, packet: &DataPacket, arrival_ns: i64) {
+        let (Some(order), Some(Ok(detection))) = (&mut self.order, self.model) else {
             return;
         };
         if !detection.has_layout(packet) {
@@ -333,20 +291,20 @@ impl Seen {
             return;
         }
         let mode = detection.mode_of(packet, self.last_mode.unwrap_or(detection.return_mode));
-        self.last_mode = Some(mode);
-        if detection.model.is_hdl64e() && !self.modes.contains(&mode) {
-            self.modes.push(mode);
-        }
         match order.push(packet, mode, self.packets, arrival_ns) {
             Ok(()) => {}
             Err(Rejection::Duplicate) => self.motion.duplicates += 1,
             Err(Rejection::Behind { .. }) => self.motion.late += 1,
             Err(Rejection::Implausible(_)) => self.malformed += 1,
         }
-        self.motion.follow(order, detection);
+        self.motion.follow(order, &detection);
+        self.last_mode = Some(mode);
+        if detection.model.is_hdl64e() {
+            self.add_mode(mode);
+        }
     }
 
-    /// The capture ended: what was still waiting is looked at.
+    /// The capture ended: takes the packets that still wait.
     fn finish(&mut self) {
         if self.model.is_none()
             && let Some(detector) = &self.detector
@@ -361,67 +319,62 @@ impl Seen {
     }
 
     fn describe(&self, text: &mut String) {
-        match &self.model {
-            Some(Ok(detection)) => {
-                let series = self.status.as_ref().and_then(Status::series);
-                let (model, basis) = match (detection.model, series) {
-                    // With one return the packets of both series are alike; the status is not.
-                    (Model::Hdl64eS2, Some(Series::S3)) => (
-                        Model::Hdl64eS3,
-                        "by its two heads, packet period and status",
-                    ),
-                    (model, _) => (model, detection.basis.words()),
-                };
-                row(text, "model", &format!("{model}, {basis}"));
-            }
-            Some(Err(error)) => row(
-                text,
-                "model",
-                &format!(
-                    "cannot be decoded: {}",
-                    explain_model(error, Dialect::CommandLine)
-                ),
-            ),
-            None => row(text, "model", "no well-formed packet tells"),
-        }
-        let mut modes: Vec<String> = self.modes.iter().map(ToString::to_string).collect();
-        if self.blank_mode {
-            modes.push("not stated".to_owned());
-        }
-        let said = self.status.as_ref().and_then(Status::return_mode);
-        let seen = modes.join(", ");
-        match said.map(|mode| mode.to_string()) {
-            Some(said) if seen.is_empty() || said == seen => {
-                row(text, "return mode", &format!("{said}, by its status"))
-            }
-            Some(said) => row(
-                text,
-                "return mode",
-                &format!("{seen}; its status says {said}"),
-            ),
-            None if seen.is_empty() => {}
-            None => row(text, "return mode", &seen),
+        row(text, "model", self.model_text());
+        let mode = self.mode_text();
+        if !mode.is_empty() {
+            row(text, "return mode", mode);
         }
         if let Some(status) = &self.status {
             status::describe(status, text);
         }
-        row(
-            text,
-            "data",
-            &format!(
-                "{}{}",
-                count_of(self.packets, "packet"),
-                rate(self.packets, self.first_ns, self.last_ns)
-            ),
-        );
-        self.motion.describe(text, self.order.as_ref());
+        let packets = count_of(self.packets, "packet");
+        let rate = rate(self.packets, self.first_ns, self.last_ns);
+        row(text, "data", packets + &rate);
+        if let Some(order) = &self.order {
+            self.motion.describe(text, order);
+        }
         if self.malformed > 0 {
-            row(text, "malformed", &count_of(self.malformed, "packet"));
+            row(text, "malformed", count_of(self.malformed, "packet"));
+        }
+    }
+
+    fn model_text(&self) -> String {
+        let detection = match &self.model {
+            Some(Ok(detection)) => detection,
+            Some(Err(error)) => {
+                let why = explain_model(error, Dialect::CommandLine);
+                return format!("cannot be decoded: {why}");
+            }
+            None => return "no well-formed packet tells".to_owned(),
+        };
+        let series = self.status.as_ref().and_then(Status::series);
+        // With one return the packets of both series are alike; the status is not.
+        if detection.model == Model::Hdl64eS2 && series == Some(Series::S3) {
+            let model = Model::Hdl64eS3;
+            return format!("{model}, by its two heads, packet period and status");
+        }
+        format!("{}, {}", detection.model, detection.basis.words())
+    }
+
+    fn mode_text(&self) -> String {
+        let mut modes: Vec<String> = self.modes.iter().map(ReturnMode::to_string).collect();
+        if self.blank_mode {
+            modes.push("not stated".to_owned());
+        }
+        let seen = modes.join(", ");
+        let Some(stated) = self.status.as_ref().and_then(Status::return_mode) else {
+            return seen;
+        };
+        let stated = stated.to_string();
+        if seen.is_empty() || stated == seen {
+            format!("{stated}, by its status")
+        } else {
+            format!("{seen}; its status says {stated}")
         }
     }
 }
 
-impl Moved {
+impl MotionStats {
     fn follow(&mut self, order: &mut PacketOrder, detection: &Detection) {
         let spec = detection.spec;
         let mut first = self.rpm_count == 0;
@@ -432,57 +385,46 @@ impl Moved {
                 PacketGap::Start | PacketGap::None | PacketGap::Blanked => {}
             }
             first = false;
-            let rpm = order.packet(slot).motion.rate_cdeg_ns(spec) * 60e9 / TURN;
+            let packet = order.packet(slot);
+            let rpm = packet.motion.rate_cdeg_ns(spec) * 60e9 / TURN;
             self.rpm_sum += rpm;
             self.rpm_count += 1;
-            if let Some(rpm) = self.turn.add(
-                rpm,
-                f64::from(spec.packet_period_ns(order.packet(slot).mode)),
-            ) {
-                self.whole_turns.add(rpm);
-            }
+            let period_ns = f64::from(spec.packet_period_ns(packet.mode));
+            self.turns_rpm.extend(self.turn.add(rpm, period_ns));
         }
-        let sector = order.sector();
-        self.sector_deg = sector
-            .map(|sector| (sector.from_cdeg / 100.0, sector.width_cdeg / 100.0))
-            .or(self.sector_deg);
+        self.sector = order.sector().or(self.sector);
     }
 
     /// Its mean, its bounds over whole turns, and the sense if it is the unusual one.
     fn speed(&self) -> String {
-        let (mean, turns) = match self.whole_turns.bounds_rpm {
-            Some((a, b)) => (
-                self.whole_turns.sum_rpm / f64::from(self.whole_turns.count),
-                format!(
-                    " ({:.1} to {:.1})",
-                    a.abs().min(b.abs()),
-                    a.abs().max(b.abs())
-                ),
-            ),
-            None => (self.rpm_sum / self.rpm_count as f64, String::new()),
+        let turns = self.turns_rpm.iter().copied();
+        let mean = match turns.len() {
+            0 => self.rpm_sum / self.rpm_count as f64,
+            count => turns.clone().sum::<f64>() / count as f64,
         };
-        let sense = if mean < 0.0 {
-            ", counter-clockwise"
-        } else {
-            ""
-        };
-        format!("{:.1} rpm{turns}{sense}", mean.abs())
+        let mut speed = format!("{:.1} rpm", mean.abs());
+        if turns.len() > 0 {
+            let a = turns.clone().fold(f64::INFINITY, f64::min).abs();
+            let b = turns.fold(f64::NEG_INFINITY, f64::max).abs();
+            let _ = write!(speed, " ({:.1} to {:.1})", a.min(b), a.max(b));
+        }
+        if mean < 0.0 {
+            speed += ", counter-clockwise";
+        }
+        speed
     }
 
-    fn describe(&self, text: &mut String, order: Option<&PacketOrder>) {
-        let Some(order) = order else { return };
+    fn describe(&self, text: &mut String, order: &PacketOrder) {
         if self.rpm_count > 0 {
-            row(text, "speed", &self.speed());
+            row(text, "speed", self.speed());
         }
-        if let Some((from, width)) = self.sector_deg {
-            let to = (from + width).rem_euclid(360.0);
-            row(
-                text,
-                "left out",
-                &format!(
-                    "azimuth {from:.1} to {to:.1} degrees: the sensor's field of view is limited"
-                ),
+        if let Some(sector) = self.sector {
+            let from = sector.from_cdeg / 100.0;
+            let to = (from + sector.width_cdeg / 100.0).rem_euclid(360.0);
+            let sector = format_args!(
+                "azimuth {from:.1} to {to:.1} degrees: the sensor's field of view is limited"
             );
+            row(text, "left out", sector);
         }
         let counts = order.counts();
         let mut losses = format!("{} lost", count_of(self.lost, "packet"));
@@ -500,15 +442,6 @@ impl Moved {
                 let _ = write!(losses, ", {count} {word}");
             }
         }
-        row(text, "losses", &losses);
+        row(text, "losses", losses);
     }
-}
-
-/// ` (753.5 a second)`, where there is more than one.
-fn rate(count: u64, first_ns: i64, last_ns: i64) -> String {
-    let seconds = last_ns.saturating_sub(first_ns) as f64 * 1e-9;
-    if count < 2 || seconds <= 0.0 {
-        return String::new();
-    }
-    format!(" ({:.1} a second)", (count - 1) as f64 / seconds)
 }

@@ -4,8 +4,7 @@ use std::collections::HashMap;
 use std::net::SocketAddr;
 use std::ops::RangeInclusive;
 
-use super::rate;
-use crate::text::count_of;
+use crate::text::{count_of, rate};
 use sweepd_core::wire::Datagram;
 
 /// Most flows that are told apart: a capture may be made to have millions.
@@ -41,7 +40,8 @@ impl Flows {
             self.beyond += 1;
             return;
         }
-        let (len, arrival_ns) = (datagram.payload.len(), datagram.arrival_ns);
+        let len = datagram.payload.len();
+        let arrival_ns = datagram.arrival_ns;
         let flow = self.flows.entry(key).or_insert_with(|| Flow {
             datagrams: 0,
             bytes: len..=len,
@@ -66,16 +66,13 @@ impl Flows {
         let mut flows: Vec<(&(SocketAddr, u16), &Flow)> = self.flows.iter().collect();
         // The address last, so that the order is always the same.
         flows.sort_by_key(|&(key, flow)| (std::cmp::Reverse(flow.datagrams), *key));
-        let rest: u64 = flows
+        let shown = flows.len().min(SHOWN);
+        let mut lines: Vec<String> = flows[..shown]
             .iter()
-            .skip(SHOWN)
-            .map(|(_, flow)| flow.datagrams)
-            .sum::<u64>()
-            + self.beyond;
-        let shown = flows.iter().take(SHOWN);
-        let mut lines: Vec<String> = shown
             .map(|((source, port), flow)| flow.line(*source, *port))
             .collect();
+        let rest = flows[shown..].iter().map(|(_, flow)| flow.datagrams);
+        let rest = rest.sum::<u64>() + self.beyond;
         if rest > 0 {
             lines.push(format!("and {} of others", count_of(rest, "datagram")));
         }
@@ -85,24 +82,24 @@ impl Flows {
 
 impl Flow {
     fn line(&self, source: SocketAddr, port: u16) -> String {
-        let (least, most) = (self.bytes.start(), self.bytes.end());
+        let least = self.bytes.start();
+        let most = self.bytes.end();
         let bytes = if least == most {
             format!("{most} bytes")
         } else {
             format!("{least} to {most} bytes")
         };
         let count = count_of(self.datagrams, "datagram");
-        let like = self
-            .like(source.port(), port)
-            .map_or(String::new(), |like| format!("; looks like {like}"));
-        format!(
-            "{source} to port {port}: {count} of {bytes}{}{like}",
-            rate(self.datagrams, self.first_ns, self.last_ns)
-        )
+        let rate = rate(self.datagrams, self.first_ns, self.last_ns);
+        let mut line = format!("{source} to port {port}: {count} of {bytes}{rate}");
+        if let Some(maker) = self.looks_like(source.port(), port) {
+            line += &format!("; looks like {maker}");
+        }
+        line
     }
 
     /// The LiDAR that sends such datagrams by default, by the drivers that its maker publishes.
-    fn like(&self, source_port: u16, port: u16) -> Option<&'static str> {
+    fn looks_like(&self, source_port: u16, port: u16) -> Option<&'static str> {
         let least = *self.bytes.start();
         match (source_port, port) {
             (_, 7502) if least >= 1000 => Some("an Ouster (its port for measurements)"),

@@ -1,7 +1,6 @@
 //! What position packets say: the GPS state, and how the sensor is.
 
-use super::{rate, row};
-use crate::text::{count_of, utc_text};
+use crate::text::{count_of, rate, row, utc_text};
 use sweepd_core::wire::nmea::Rmc;
 use sweepd_core::wire::position::Pps;
 use sweepd_core::wire::{Content, Packet};
@@ -32,35 +31,33 @@ impl Positions {
         self.last_ns = packet.arrival_ns;
         self.locked += u64::from(position.pps == Pps::Locked);
         self.pps = Some(position.pps);
-        self.sentence = position.nmea.map(str::to_owned).or(self.sentence.take());
-        self.chips_c = position
-            .inertial
-            .map(|chips| chips[0].temperature_c())
-            .or(self.chips_c);
-        self.board_c = position
-            .board
-            .map(|board| (board.top_c, board.bottom_c))
-            .or(self.board_c);
+        if let Some(sentence) = position.nmea {
+            self.sentence = Some(sentence.to_owned());
+        }
+        if let Some(chips) = position.inertial {
+            self.chips_c = Some(chips[0].temperature_c());
+        }
+        if let Some(board) = position.board {
+            self.board_c = Some((board.top_c, board.bottom_c));
+        }
     }
 
     /// Its rows of the text; `whose` says it when several sensors share the address.
     pub(super) fn describe(&self, text: &mut String, whose: &str) {
-        let each = rate(self.packets, self.first_ns, self.last_ns);
-        row(
-            text,
-            "position",
-            &format!("{}{each}{whose}", count_of(self.packets, "packet")),
-        );
-        row(text, "GPS", &self.gps());
+        let packets = count_of(self.packets, "packet");
+        let rate = rate(self.packets, self.first_ns, self.last_ns);
+        row(text, "position", format_args!("{packets}{rate}{whose}"));
+        row(text, "GPS", self.gps());
         if let Some((top, bottom)) = self.board_c {
-            row(text, "boards", &format!("top {top} C, bottom {bottom} C"));
-        }
-        if let Some(celsius) = self.chips_c {
             row(
                 text,
-                "inertial",
-                &format!("three gyros and accelerometers, {celsius:.0} C"),
+                "boards",
+                format_args!("top {top} C, bottom {bottom} C"),
             );
+        }
+        if let Some(celsius) = self.chips_c {
+            let chips = format_args!("three gyros and accelerometers, {celsius:.0} C");
+            row(text, "inertial", chips);
         }
     }
 

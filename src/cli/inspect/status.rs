@@ -1,7 +1,6 @@
 //! What an HDL-64E says about itself, in rows.
 
-use super::row;
-use crate::text::grouped;
+use crate::text::{grouped, row};
 use sweepd_core::wire::hdl64::{DUMP_LEN, DumpState, Status};
 
 /// Adds the rows; none for a unit that sends no status (S1, early S2).
@@ -9,59 +8,49 @@ pub fn describe(status: &Status, text: &mut String) {
     if status.known() == 0 {
         return;
     }
-    let series = status.series();
-    row(text, "unit", &unit(status));
+    row(text, "unit", unit(status));
     if let Some(clock) = status.clock() {
-        let gps = status
-            .gps()
-            .map_or("unknown".to_owned(), |gps| gps.to_string());
-        row(text, "unit clock", &format!("{clock} UTC, GPS: {gps}"));
+        let gps = status.gps();
+        let gps = gps.map_or("unknown".to_owned(), |gps| gps.to_string());
+        row(text, "unit clock", format_args!("{clock} UTC, GPS: {gps}"));
     }
-    if let (Some(series), Some(warnings)) = (series, status.warnings()) {
+    if let (Some(series), Some(warnings)) = (status.series(), status.warnings()) {
         let faults: Vec<&str> = warnings.faults(series).collect();
-        row(
-            text,
-            "warnings",
-            &if faults.is_empty() {
-                "none".to_owned()
-            } else {
-                faults.join(", ")
-            },
-        );
+        let faults = match faults.is_empty() {
+            true => "none".to_owned(),
+            false => faults.join(", "),
+        };
+        row(text, "warnings", faults);
     }
     if let Some([start, end]) = status.fov_cdeg() {
-        let degrees = [start, end].map(|cdeg| f64::from(cdeg) / 100.0);
+        let start = f64::from(start) / 100.0;
+        let end = f64::from(end) / 100.0;
         row(
             text,
             "set view",
-            &format!("{:.2} to {:.2} degrees", degrees[0], degrees[1]),
+            format_args!("{start:.2} to {end:.2} degrees"),
         );
     }
-    row(text, "calibration", &calibration(status));
+    row(text, "calibration", calibration(status));
 }
 
 /// Which unit it is, and how it is.
 fn unit(status: &Status) -> String {
-    let mut unit: Vec<String> = Vec::new();
-    unit.extend(status.series().map(|series| format!("series {series}")));
-    unit.extend(
+    let facts = [
+        status.series().map(|series| format!("series {series}")),
         status
             .firmware()
-            .map(|firmware| format!("firmware {firmware:#04x}")),
-    );
-    unit.extend(
+            .map(|byte| format!("firmware {byte:#04x}")),
         status
             .temperature_c()
             .map(|degrees| format!("{degrees} degrees Celsius")),
-    );
-    unit.extend(status.rpm().map(|rpm| format!("{rpm} rpm")));
-    unit.extend(status.power().map(|power| format!("power {power}")));
-    unit.extend(
+        status.rpm().map(|rpm| format!("{rpm} rpm")),
+        status.power().map(|power| format!("power {power}")),
         status
             .life_hours()
             .map(|hours| format!("{} hours of use", grouped(hours.into()))),
-    );
-    unit.join(", ")
+    ];
+    facts.into_iter().flatten().collect::<Vec<_>>().join(", ")
 }
 
 /// How far its calibration is known.
