@@ -18,24 +18,26 @@ pub fn nearest<'a>(found: &str, words: impl Iterator<Item = &'a str>) -> Option<
     if found.is_empty() || found.len() > LONGEST {
         return None;
     }
-    let near = |word: &&str| {
-        let distance = distance(found, word);
-        let lacks_unit = word
-            .strip_prefix(found)
-            .is_some_and(|rest| rest.starts_with('_'));
-        let distance = if lacks_unit { 0 } else { distance };
-        (distance <= word.len().div_ceil(3)).then_some(distance)
-    };
     words
-        .filter_map(|word| Some((near(&word)?, word)))
-        .min_by_key(|&(distance, _)| distance)
+        .map(|word| (difference(found, word), word))
+        .filter(|(difference, word)| *difference <= word.len().div_ceil(3))
+        .min_by_key(|&(difference, _)| difference)
         .map(|(_, word)| word)
+}
+
+/// How much `found` differs from a word: not at all where only the unit is missing.
+fn difference(found: &str, word: &str) -> usize {
+    match word.strip_prefix(found) {
+        Some(rest) if rest.starts_with('_') => 0,
+        _ => distance(found, word),
+    }
 }
 
 /// Letters to be inserted, removed, replaced or exchanged with their neighbour to make one word the
 /// other (optimal string alignment).
 fn distance(a: &str, b: &str) -> usize {
-    let (a, b): (Vec<char>, Vec<char>) = (a.chars().collect(), b.chars().collect());
+    let a: Vec<char> = a.chars().collect();
+    let b: Vec<char> = b.chars().collect();
     let mut before: Vec<usize> = Vec::new();
     let mut last: Vec<usize> = (0..=b.len()).collect();
     for i in 1..=a.len() {

@@ -11,7 +11,9 @@ use crate::capture::Capture;
 use crate::files;
 use crate::files::output;
 use crate::text::{count_of, grouped};
-use sweepd_core::sensor::compare::{ANGLE_TOLERANCE_DEG, LENGTH_TOLERANCE_M, differences};
+use sweepd_core::sensor::compare::{
+    ANGLE_TOLERANCE_DEG, Difference, LENGTH_TOLERANCE_M, differences,
+};
 use sweepd_core::sensor::{Beam, Calibration, Model, ros_yaml, stream};
 use sweepd_core::wire::Content;
 use sweepd_core::wire::data::Banks;
@@ -92,14 +94,12 @@ fn print(text: &str) -> Result<(), CliError> {
 
 fn show(file: &Path, calibration: &Calibration) -> String {
     let beams = calibration.beams();
-    let (count, unit_mm) = (
-        count_of(beams.len() as u64, "beam"),
-        calibration.distance_unit_m() * 1e3,
-    );
+    let count = count_of(beams.len() as u64, "beam");
+    let unit_mm = calibration.distance_unit_m() * 1e3;
+    let models = fitting_models(calibration);
     let mut text = format!(
-        "{}: {count}, distances in units of {unit_mm:.0} mm; {}\n\n",
+        "{}: {count}, distances in units of {unit_mm:.0} mm; fits {models}\n\n",
         file.display(),
-        fits(calibration)
     );
     text += "row  channel  elevation  rotation  distance    near x    near y  vertical  horizontal  focal  slope  \
              intensity\n";
@@ -112,89 +112,78 @@ fn show(file: &Path, calibration: &Calibration) -> String {
 
 /// A beam in the table; a dash where it has no such correction.
 fn line(beam: &Beam) -> String {
-    let (elevation, rotation) = (
-        beam.elevation_rad.to_degrees(),
-        beam.rotation_rad.to_degrees(),
-    );
-    let near = match beam.two_point {
-        Some(two) => format!(
-            "{:8.4}  {:8.4}",
-            two.distance_offset_x_m, two.distance_offset_y_m
-        ),
-        None => format!("{:>8}  {:>8}", "-", "-"),
-    };
-    let intensity = match beam.intensity {
-        Some(one) => {
-            format!(
-                "{:5.2}  {:5.2}  {:>9}",
-                one.focal_distance_m,
-                one.focal_slope,
-                format!("{}-{}", one.min, one.max)
-            )
-        }
-        None => format!("{:>5}  {:>5}  {:>9}", "-", "-", "-"),
-    };
+    let elevation = beam.elevation_rad.to_degrees();
+    let rotation = beam.rotation_rad.to_degrees();
+    let mut near_x = "-".to_owned();
+    let mut near_y = "-".to_owned();
+    if let Some(near) = beam.two_point {
+        near_x = format!("{:.4}", near.distance_offset_x_m);
+        near_y = format!("{:.4}", near.distance_offset_y_m);
+    }
+    let mut focal = "-".to_owned();
+    let mut slope = "-".to_owned();
+    let mut intensity = "-".to_owned();
+    if let Some(correction) = beam.intensity {
+        focal = format!("{:.2}", correction.focal_distance_m);
+        slope = format!("{:.2}", correction.focal_slope);
+        intensity = format!("{}-{}", correction.min, correction.max);
+    }
     format!(
-        "{:7}  {elevation:9.4}  {rotation:8.4}  {:8.4}  {near}  {:8.4}  {:10.4}  {intensity}",
+        "{:7}  {elevation:9.4}  {rotation:8.4}  {:8.4}  {near_x:>8}  {near_y:>8}  {:8.4}  {:10.4}  \
+         {focal:>5}  {slope:>5}  {intensity:>9}",
         beam.channel, beam.distance_offset_m, beam.vertical_offset_m, beam.horizontal_offset_m
     )
 }
 
 /// The models that a calibration may belong to.
-fn fits(calibration: &Calibration) -> String {
-    let fitting: Vec<&str> = Model::ALL
-        .into_iter()
-        .filter(|&model| calibration.clone().for_model(model).is_ok())
-        .map(|model| model.spec().name)
-        .collect();
-    match (fitting.is_empty(), calibration.beams().len()) {
-        (false, _) => format!("fits {}", fitting.join(", ")),
-        (true, _) => "fits no supported model".to_owned(),
+fn fitting_models(calibration: &Calibration) -> String {
+    let mut models: Vec<&str> = Vec::new();
+    for model in Model::ALL {
+        if calibration.clone().for_model(model).is_ok() {
+            models.push(model.spec().name);
+        }
     }
+    if models.is_empty() {
+        return "no supported model".to_owned();
+    }
+    models.join(", ")
 }
 
 fn diff(path_a: &Path, path_b: &Path) -> Result<(), CliError> {
-    let (a, b) = (files::calibration(path_a)?, files::calibration(path_b)?);
-    let (name_a, name_b) = (path_a.display(), path_b.display());
+    let a = files::calibration(path_a)?;
+    let b = files::calibration(path_b)?;
+    let name_a = path_a.display();
+    let name_b = path_b.display();
     let mut text = String::new();
-    if a.beams().len() != b.beams().len() {
-        let _ = writeln!(
-            text,
-            "{name_a} has {} beams, {name_b} {}",
-            a.beams().len(),
-            b.beams().len()
-        );
+    let beams_a = a.beams().len();
+    let beams_b = b.beams().len();
+    if beams_a != beams_b {
+        let _ = writeln!(text, "{name_a} has {beams_a} beams, {name_b} {beams_b}");
     }
-    if a.distance_unit_m() != b.distance_unit_m() {
+    let unit_a = a.distance_unit_m();
+    let unit_b = b.distance_unit_m();
+    if unit_a != unit_b {
         let _ = writeln!(
             text,
-            "{name_a} has distances in units of {} m, {name_b} of {} m",
-            a.distance_unit_m(),
-            b.distance_unit_m()
+            "{name_a} has distances in units of {unit_a} m, {name_b} of {unit_b} m"
         );
     }
     let found = differences(&a, &b);
     if !found.is_empty() {
-        let _ = writeln!(
-            text,
-            "channel  {:<18}  {:>9}  {:>9}  {:>9}",
-            "", "A", "B", "B - A"
-        );
+        text += "channel                              A          B      B - A\n";
     }
-    for one in &found {
-        let ([a, b], unit) = (
-            one.values,
-            if one.quantity.is_angle() {
-                "degrees"
-            } else {
-                "m"
-            },
-        );
-        let (channel, name) = (one.channel, one.quantity.name());
+    for Difference {
+        channel,
+        quantity,
+        values: [a, b],
+    } in found
+    {
+        let name = quantity.name();
+        let more = b - a;
+        let unit = quantity.unit();
         let _ = writeln!(
             text,
-            "{channel:7}  {name:<18}  {a:9.4}  {b:9.4}  {:9.4} {unit}",
-            b - a
+            "{channel:7}  {name:<18}  {a:9.4}  {b:9.4}  {more:9.4} {unit}"
         );
     }
     if text.is_empty() {
@@ -207,7 +196,7 @@ fn diff(path_a: &Path, path_b: &Path) -> Result<(), CliError> {
     Err(CliError::Reported)
 }
 
-/// What one sensor of a capture sent.
+/// What one HDL-64E of a capture sent.
 struct Unit {
     name: String,
     packets: u64,
@@ -222,46 +211,48 @@ fn from_capture(args: &FromCapture) -> Result<(), CliError> {
     if let Some(truncation) = capture.truncation() {
         complain("warning", truncation);
     }
-    let refuse =
-        |message: String| CliError::Usage(format!("{}: {message}", args.capture.display()));
-    let unit = match &units[..] {
-        [] => {
-            return Err(refuse(
-                "no packets of an HDL-64E, the only model that sends its calibration with them"
-                    .to_owned(),
-            ));
-        }
-        [unit] => unit,
-        several => {
-            let names: Vec<&str> = several.iter().map(|unit| &unit.name[..]).collect();
-            return Err(refuse(format!(
-                "several HDL-64E: choose one with --sensor: {}",
-                names.join(", ")
-            )));
-        }
-    };
+    let unit = only_unit(&units).map_err(|message| args.refused(&message))?;
+    let name = &unit.name;
     let (Some(dump), Some(series)) = (unit.status.dump(), unit.status.series()) else {
-        return Err(refuse(incomplete(unit)));
+        return Err(args.refused(&incomplete(unit)));
     };
     let calibration =
-        stream::calibration(dump).map_err(|message| refuse(format!("{}: {message}", unit.name)))?;
+        stream::calibration(dump).map_err(|message| args.refused(&format!("{name}: {message}")))?;
     let calibrated = match dump.calibrated() {
         Some(time) => format!("calibrated {time}"),
         None => {
-            complain(
-                "warning",
-                format!("{} says that it was never calibrated", unit.name),
-            );
+            let message = format_args!("{name} says that it was never calibrated");
+            complain("warning", message);
             "never calibrated".to_owned()
         }
     };
-    let source = format!(
-        "HDL-64E {series} at {}, {calibrated}, from its own packets",
-        unit.name
-    );
+    let source = format!("HDL-64E {series} at {name}, {calibrated}, from its own packets");
     let text = format!("# {source}\n{}", ros_yaml::emit(&calibration));
     output::write(&args.out, text.as_bytes(), existing)?;
     print(&describe(&args.out, &source, series))
+}
+
+impl FromCapture {
+    fn refused(&self, message: &str) -> CliError {
+        CliError::Usage(format!("{}: {message}", self.capture.display()))
+    }
+}
+
+fn only_unit(units: &[Unit]) -> Result<&Unit, String> {
+    match units {
+        [unit] => Ok(unit),
+        [] => Err(
+            "no packets of an HDL-64E, the only model that sends its calibration with them"
+                .to_owned(),
+        ),
+        several => {
+            let names: Vec<&str> = several.iter().map(|unit| &unit.name[..]).collect();
+            let names = names.join(", ");
+            Err(format!(
+                "several HDL-64E: choose one with --sensor: {names}"
+            ))
+        }
+    }
 }
 
 /// All HDL-64E of a capture, with their status.
@@ -294,14 +285,13 @@ fn read_units(capture: &mut Capture, filter: Option<SensorFilter>) -> Result<Vec
     Ok(units.into_iter().flatten().collect())
 }
 
-/// How far it came, and what to do.
+/// How much of the calibration came, and what to do.
 fn incomplete(unit: &Unit) -> String {
-    let (known, packets) = (unit.status.known(), count_of(unit.packets, "packet"));
-    let longer = format!(
-        "the sensor sends it every {} packets, about once a second",
-        grouped(DUMP_PACKETS as u64)
-    );
     let name = &unit.name;
+    let known = unit.status.known();
+    let packets = count_of(unit.packets, "packet");
+    let period = grouped(DUMP_PACKETS as u64);
+    let longer = format!("the sensor sends it every {period} packets, about once a second");
     match unit.status.dump_state() {
         DumpState::Contradictory(error) => {
             format!(

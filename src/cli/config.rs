@@ -1,8 +1,7 @@
 //! `sweepd config`: a configuration checked, and one to begin with.
 
-use std::fmt::Write as _;
+use std::fmt::{Display, Write as _};
 use std::io::{self, Write as _};
-use std::ops::RangeInclusive;
 use std::path::{Path, PathBuf};
 
 use super::{CliError, complain};
@@ -64,97 +63,71 @@ fn check(file: &Path) -> Result<(), CliError> {
         count_of(config.sensors.len() as u64, "sensor")
     );
     for sensor in &config.sensors {
-        text += &told(&sensor.name, &sensor_lines(sensor));
+        describe_sensor(&mut text, sensor);
     }
+    let pools = config.sensors.iter().map(memory::pool_bytes);
+    let (least, most) = pools.fold((0, 0), |(least, most), pool| {
+        (least + pool.start(), most + pool.end())
+    });
     let free = free_bytes();
-    text += &told("daemon", &daemon_lines(&config, &free));
+    describe_daemon(&mut text, &config, &mib(least, most), &free);
     print(&text)?;
     for missing in config.missing_on_this_host() {
         complain("warning", missing);
     }
-    let most: u64 = config
-        .sensors
-        .iter()
-        .map(|sensor| *memory::pool_bytes(sensor).end())
-        .sum();
     if let Ok(free) = free
         && free < most
     {
-        let (most, free) = (mib(most), mib(free));
+        let free = mib(free, free);
+        let most = mib(most, most);
         complain(
             "warning",
             format_args!(
-                "{} has {free} free and {most} may be needed, if no daemon holds that now; enlarge it with \
-                 `mount -o remount,size=...` (of a container: --shm-size), lower max_consumers, or tell model and returns",
-                SHARED_MEMORY
+                "{SHARED_MEMORY} has {free} free and {most} may be needed, if no daemon holds that now; enlarge it with \
+                 `mount -o remount,size=...` (of a container: --shm-size), lower max_consumers, or tell model and returns"
             ),
         );
     }
     Ok(())
 }
 
-/// Lines of a heading: what, and what about it.
-type Lines = Vec<(&'static str, String)>;
-
-fn told(heading: &str, lines: &Lines) -> String {
-    let mut text = format!("\n{heading}\n");
-    for (what, value) in lines {
-        let _ = writeln!(text, "  {what:<13}  {value}");
-    }
-    text
+/// Adds a row: a name, and the value beside it.
+fn row(text: &mut String, name: &str, value: impl Display) {
+    let _ = writeln!(text, "  {name:<13}  {value}");
 }
 
-fn sensor_lines(sensor: &SensorConfig) -> Lines {
-    let source = sensor
-        .source_port
-        .map_or_else(String::new, |port| format!(":{port}"));
-    let sweeps = memory::sweep_bytes(sensor);
-    let sweep = mib(*sweeps.start() as u64)..=mib(*sweeps.end() as u64);
-    let samples = pool_sweeps(sensor.max_consumers);
+fn describe_sensor(text: &mut String, sensor: &SensorConfig) {
+    let SensorConfig { name, address, .. } = sensor;
+    let _ = writeln!(text, "\n{name}");
+    let source = match sensor.source_port {
+        Some(port) => format!("{address}:{port}"),
+        None => address.to_string(),
+    };
+    let packets = format_args!("from {source} to port {}", sensor.port.port);
+    row(text, "packets", packets);
+    let positions = format_args!("from {address} to port {}", sensor.position_port);
+    row(text, "positions", positions);
+    row(text, "listens", listening(sensor));
+    row(text, "thread", thread(sensor));
+    row(text, "model", model(sensor));
+    match sensor.rpm {
+        Some(rpm) => row(text, "speed", format_args!("{rpm} rpm")),
+        None => row(text, "speed", "any"),
+    }
+    let cut = rounded(sensor.pipeline.cut_azimuth_rad.to_degrees());
+    row(text, "cut", format_args!("at {cut} degrees"));
+    row(text, "mount", mount(sensor));
+    row(text, "segments", segments(sensor));
     let consumers = count_of(sensor.max_consumers as u64, "consumer");
-    vec![
-        (
-            "packets",
-            format!(
-                "from {}{source} to port {}",
-                sensor.address, sensor.port.port
-            ),
-        ),
-        (
-            "positions",
-            format!("from {} to port {}", sensor.address, sensor.position_port),
-        ),
-        ("listens", listening(sensor)),
-        ("thread", thread(sensor)),
-        ("model", model(sensor)),
-        (
-            "speed",
-            sensor
-                .rpm
-                .map_or_else(|| "any".to_owned(), |rpm| format!("{rpm} rpm")),
-        ),
-        (
-            "cut",
-            format!(
-                "at {} degrees",
-                rounded(sensor.pipeline.cut_azimuth_rad.to_degrees())
-            ),
-        ),
-        ("mount", mount(sensor)),
-        ("segments", segments(sensor)),
-        (
-            "service",
-            format!("sweepd/{}/sweep, {consumers} at most", sensor.name),
-        ),
-        (
-            "shared memory",
-            format!(
-                "{}: {samples} sweeps of {}",
-                pool(sensor),
-                one_or_range(&sweep)
-            ),
-        ),
-    ]
+    let service = format_args!("sweepd/{name}/sweep, {consumers} at most");
+    row(text, "service", service);
+    let pool = memory::pool_bytes(sensor);
+    let pool = mib(*pool.start(), *pool.end());
+    let sweep = memory::sweep_bytes(sensor);
+    let sweep = mib(*sweep.start() as u64, *sweep.end() as u64);
+    let sweeps = pool_sweeps(sensor.max_consumers);
+    let memory = format_args!("{pool}: {sweeps} sweeps of {sweep}");
+    row(text, "shared memory", memory);
 }
 
 fn listening(sensor: &SensorConfig) -> String {
@@ -174,10 +147,10 @@ fn listening(sensor: &SensorConfig) -> String {
 }
 
 fn thread(sensor: &SensorConfig) -> String {
-    let core = sensor
-        .port
-        .cpu
-        .map_or_else(|| "any core".to_owned(), |cpu| format!("core {cpu}"));
+    let core = match sensor.port.cpu {
+        Some(cpu) => format!("core {cpu}"),
+        None => "any core".to_owned(),
+    };
     match sensor.port.realtime_priority {
         Some(priority) => format!("{core}, SCHED_FIFO priority {priority}"),
         None => format!("{core}, the usual scheduler"),
@@ -186,10 +159,10 @@ fn thread(sensor: &SensorConfig) -> String {
 
 fn model(sensor: &SensorConfig) -> String {
     let config = &sensor.pipeline;
-    let model = config.model.map_or_else(
-        || "told by the packets".to_owned(),
-        |model| model.to_string(),
-    );
+    let model = match config.model {
+        Some(model) => model.to_string(),
+        None => "told by the packets".to_owned(),
+    };
     let calibration = match (&config.calibration, config.model) {
         (Some(_), _) => "calibration from its file",
         (None, Some(model)) if model.calibration().is_none() => "calibration told by its packets",
@@ -201,21 +174,21 @@ fn model(sensor: &SensorConfig) -> String {
         Some(false) => "one return",
         None => "one return or two",
     };
-    format!(
-        "{model}; {calibration}; {returns}, {} segmented",
-        format!("{:?}", config.return_choice).to_lowercase()
-    )
+    let segmented = format!("{:?}", config.return_choice).to_lowercase();
+    format!("{model}; {calibration}; {returns}, {segmented} segmented")
 }
 
 fn mount(sensor: &SensorConfig) -> String {
-    let (config, mount) = (&sensor.pipeline, &sensor.pipeline.segment.mount);
+    let config = &sensor.pipeline;
+    let mount = &config.segment.mount;
     let [x, y, z] = config.position_m;
-    let [roll, pitch, yaw] = [mount.roll_rad, mount.pitch_rad, config.yaw_rad]
-        .map(|rad| rounded(f64::from(rad).to_degrees()));
-    let height = mount.height_m.map_or_else(
-        || "height estimated".to_owned(),
-        |height| format!("{height} m above ground"),
-    );
+    let roll = degrees(mount.roll_rad);
+    let pitch = degrees(mount.pitch_rad);
+    let yaw = degrees(config.yaw_rad);
+    let height = match mount.height_m {
+        Some(height) => format!("{height} m above ground"),
+        None => "height estimated".to_owned(),
+    };
     format!("x {x}, y {y}, z {z} m; roll {roll}, pitch {pitch}, yaw {yaw} degrees; {height}")
 }
 
@@ -225,88 +198,76 @@ fn segments(sensor: &SensorConfig) -> String {
         Method::Slope => "slope",
         Method::Paper => "paper",
     };
-    let theta = rounded(f64::from(config.theta_rad).to_degrees());
-    let mut text = format!(
-        "ground by {method}, theta {theta} degrees, {} points at least",
-        config.min_points
-    );
-    let (min_m, max_m) = (config.min_range_m, config.max_range_m);
-    let _ = match (min_m > 0.0, max_m.is_finite()) {
-        (_, true) => write!(text, ", {min_m} to {max_m} m"),
-        (true, false) => write!(text, ", from {min_m} m on"),
-        (false, false) => Ok(()),
-    };
+    let theta = degrees(config.theta_rad);
+    let points = config.min_points;
+    let mut text = format!("ground by {method}, theta {theta} degrees, {points} points at least");
+    let min_m = config.min_range_m;
+    let max_m = config.max_range_m;
+    if max_m.is_finite() {
+        text += &format!(", {min_m} to {max_m} m");
+    } else if min_m > 0.0 {
+        text += &format!(", from {min_m} m on");
+    }
     if config.mask.is_some() {
         text += ", masked";
     }
     text
 }
 
-fn daemon_lines(config: &Config, free: &io::Result<u64>) -> Lines {
-    let http = config.daemon.http.map_or_else(
-        || "off".to_owned(),
-        |at| format!("http://{at}/health and /metrics"),
-    );
-    let by_default = "the default: $SWEEPD_ROOT, /run/sweepd/iox2 or /tmp/sweepd/iox2";
-    let root = config
-        .daemon
-        .root
-        .as_ref()
-        .map_or_else(|| by_default.to_owned(), |root| root.display().to_string());
-    let pools = config.sensors.iter().map(memory::pool_bytes);
-    let (least, most) = pools.fold((0, 0), |sum, pool| {
-        (sum.0 + pool.start(), sum.1 + pool.end())
-    });
+fn describe_daemon(text: &mut String, config: &Config, pools: &str, free: &io::Result<u64>) {
+    *text += "\ndaemon\n";
+    match config.daemon.http {
+        Some(at) => row(
+            text,
+            "health",
+            format_args!("http://{at}/health and /metrics"),
+        ),
+        None => row(text, "health", "off"),
+    }
+    match &config.daemon.root {
+        Some(root) => row(text, "root", root.display()),
+        None => row(
+            text,
+            "root",
+            "the default: $SWEEPD_ROOT, /run/sweepd/iox2 or /tmp/sweepd/iox2",
+        ),
+    }
+    match &config.record {
+        Some(record) => row(text, "recording", recording(record)),
+        None => row(text, "recording", "off"),
+    }
     let free = match free {
-        Ok(free) => format!("{} free in {}", mib(*free), SHARED_MEMORY),
-        Err(error) => format!("{}: {error}", SHARED_MEMORY),
+        Ok(free) => format!("{} free in {SHARED_MEMORY}", mib(*free, *free)),
+        Err(error) => format!("{SHARED_MEMORY}: {error}"),
     };
-    vec![
-        ("health", http),
-        ("root", root),
-        (
-            "recording",
-            config
-                .record
-                .as_ref()
-                .map_or_else(|| "off".to_owned(), recording),
-        ),
-        (
-            "shared memory",
-            format!("{}; {free}", one_or_range(&(mib(least)..=mib(most)))),
-        ),
-    ]
+    row(text, "shared memory", format_args!("{pools}; {free}"));
 }
 
 fn recording(record: &RecordConfig) -> String {
-    let mut text = format!(
-        "{}, numbered, another file each start",
-        record.path.display()
-    );
+    let path = record.path.display();
+    let mut text = format!("{path}, numbered, another file each start");
     if let Some(bytes) = record.rotate_bytes {
-        let _ = write!(text, ", each {} MB", bytes as f64 / 1e6);
+        text += &format!(", each {} MB", bytes as f64 / 1e6);
     }
     if let Some(seconds) = record.rotate_seconds {
-        let _ = write!(text, ", each {} minutes", rounded(seconds as f64 / 60.0));
+        text += &format!(", each {} minutes", rounded(seconds as f64 / 60.0));
     }
     text
 }
 
-fn pool(sensor: &SensorConfig) -> String {
-    let bytes = memory::pool_bytes(sensor);
-    one_or_range(&(mib(*bytes.start())..=mib(*bytes.end())))
-}
-
-fn mib(bytes: u64) -> String {
-    format!("{:.1} MiB", bytes as f64 / f64::from(1 << 20))
-}
-
-fn one_or_range(texts: &RangeInclusive<String>) -> String {
-    if texts.start() == texts.end() {
-        texts.start().clone()
-    } else {
-        format!("{} to {}", texts.start(), texts.end())
+/// A range of bytes, or one number where both ends look the same.
+fn mib(least: u64, most: u64) -> String {
+    let mib = f64::from(1 << 20);
+    let least = format!("{:.1} MiB", least as f64 / mib);
+    let most = format!("{:.1} MiB", most as f64 / mib);
+    if least == most {
+        return least;
     }
+    format!("{least} to {most}")
+}
+
+fn degrees(rad: f32) -> f64 {
+    rounded(f64::from(rad).to_degrees())
 }
 
 /// Without the noise of a conversion.

@@ -57,16 +57,16 @@ impl Args {
         let mut plan = match &self.config {
             Some(file) => Plan::of(&Config::read(file)?),
             None => {
-                let Listening {
-                    ports,
-                    bind,
-                    multicast,
-                    interface,
-                } = &self.listening;
-                let plan = Plan::of_ports(ports, *bind, *multicast, interface.as_deref());
+                let listening = &self.listening;
+                let interface = listening.interface.as_deref();
                 Plan {
                     health: Some(self.health),
-                    ..plan
+                    ..Plan::of_ports(
+                        &listening.ports,
+                        listening.bind,
+                        listening.multicast,
+                        interface,
+                    )
                 }
             }
         };
@@ -77,7 +77,7 @@ impl Args {
 
 /// What `--json` prints.
 #[derive(Serialize)]
-struct Report<'a> {
+struct JsonReport<'a> {
     well: bool,
     seconds: f64,
     sensors: Vec<SensorLine>,
@@ -145,39 +145,41 @@ fn announce(ports: &[u16], args: &Args) {
 }
 
 fn print_json(seen: &Observations, findings: &[Finding], well: bool) -> io::Result<()> {
-    let sensors = seen
-        .sensors
-        .iter()
-        .map(|sensor| SensorLine::of(sensor, seen.seconds))
-        .collect();
+    let seconds = seen.seconds;
+    let sensors = seen.sensors.iter();
+    let report = JsonReport {
+        well,
+        seconds,
+        sensors: sensors.map(|one| SensorLine::of(one, seconds)).collect(),
+        findings,
+    };
     let mut stdout = io::stdout().lock();
-    serde_json::to_writer_pretty(
-        &mut stdout,
-        &Report {
-            well,
-            seconds: seen.seconds,
-            sensors,
-            findings,
-        },
-    )?;
+    serde_json::to_writer_pretty(&mut stdout, &report)?;
     stdout.write_all(b"\n")
 }
 
 fn print(seen: &Observations, findings: &[Finding], well: bool) -> io::Result<()> {
     let mut stdout = io::stdout().lock();
     for sensor in &seen.sensors {
-        let line = SensorLine::of(sensor, seen.seconds);
-        let model = line.model.as_deref().unwrap_or("unknown model");
-        let returns = line
-            .return_mode
-            .map_or(String::new(), |mode| format!(", {mode}"));
-        let rpm = line
-            .rpm
-            .map_or(String::new(), |rpm| format!(", {rpm:.0} rpm"));
-        let (source, port, rate) = (&line.source, line.port, line.packets_per_s);
+        let SensorLine {
+            source,
+            port,
+            model,
+            return_mode,
+            rpm,
+            packets_per_s,
+            ..
+        } = SensorLine::of(sensor, seen.seconds);
+        let mut line = model.unwrap_or_else(|| "unknown model".to_owned());
+        if let Some(mode) = return_mode {
+            line += &format!(", {mode}");
+        }
+        if let Some(rpm) = rpm {
+            line += &format!(", {rpm:.0} rpm");
+        }
         writeln!(
             stdout,
-            "{source} to port {port}: {model}{returns}{rpm}, {rate:.0} packets a second"
+            "{source} to port {port}: {line}, {packets_per_s:.0} packets a second"
         )?;
     }
     for expected in &seen.plan.sensors {

@@ -204,11 +204,10 @@ impl SensorOptions {
     /// # Errors
     /// [`CliError::Calibration`].
     pub fn read_calibration(&self) -> Result<Option<Calibration>, CliError> {
-        Ok(self
-            .calibration
-            .as_deref()
-            .map(files::calibration)
-            .transpose()?)
+        match &self.calibration {
+            Some(path) => Ok(Some(files::calibration(path)?)),
+            None => Ok(None),
+        }
     }
 
     fn return_choice(&self) -> ReturnChoice {
@@ -240,18 +239,13 @@ pub fn pipeline_config(
 }
 
 impl SegmentOptions {
-    /// What the segmenter is told.
+    /// The segmenter's configuration.
     ///
     /// # Errors
     /// [`CliError`]: a mask that cannot be read, a value that cannot be meant.
     pub fn config(&self) -> Result<segment::Config, CliError> {
-        let usage = |error: &dyn std::error::Error| CliError::Usage(error.to_string());
-        let mask = self
-            .mask
-            .as_deref()
-            .map(files::mask)
-            .transpose()
-            .map_err(|error| usage(&error))?;
+        let mask = self.mask.as_deref().map(files::mask).transpose();
+        let mask = mask.map_err(|error| CliError::Usage(error.to_string()))?;
         let mut config = segment::Config {
             method: match self.method {
                 GroundMethod::Slope => segment::Method::Slope,
@@ -263,7 +257,9 @@ impl SegmentOptions {
         for &(setting, value) in &self.numbers.0 {
             setting.set(&mut config, value);
         }
-        config.check().map_err(|error| usage(&error))?;
-        Ok(config)
+        match config.check() {
+            Ok(()) => Ok(config),
+            Err(error) => Err(CliError::Usage(error.to_string())),
+        }
     }
 }

@@ -2,7 +2,7 @@
 //! of files that exist.
 
 use std::io::{self, BufWriter, StdoutLock, Write};
-use std::path::PathBuf;
+use std::path::{Path, PathBuf};
 
 use serde::Serialize;
 
@@ -47,11 +47,7 @@ pub struct OutputOptions {
 impl OutputOptions {
     /// Whether standard output is for lines of JSON, and tables for people have no place there.
     pub fn is_json(&self) -> bool {
-        self.json
-            || self
-                .segments
-                .as_ref()
-                .is_some_and(|path| path.as_os_str() == "-")
+        self.json || self.segments.as_deref() == Some(Path::new("-"))
     }
 }
 
@@ -107,6 +103,16 @@ pub struct LatencyUs {
     pub completed: f64,
 }
 
+impl LatencyUs {
+    /// Older than this is the replay of a capture, whose age says nothing, microseconds.
+    const LIVE_US: f64 = 10e6;
+
+    /// Since the packet that completed it, unless that is the age of a capture.
+    pub fn live_arrival(self) -> Option<f64> {
+        Some(self.arrival).filter(|us| us.abs() < Self::LIVE_US)
+    }
+}
+
 /// Time spent on a sweep, microseconds.
 #[derive(Clone, Copy, Debug, Default, Serialize)]
 pub struct StageUs {
@@ -121,12 +127,10 @@ pub struct StageUs {
 impl StageUs {
     /// As the sweep's header has it.
     pub fn of(sweep: &SweepRef<'_>) -> Self {
-        let us = |ns: u32| f64::from(ns) / 1000.0;
-        let header = sweep.header;
         Self {
-            decode: us(header.decode_ns),
-            ground: us(header.ground_ns),
-            label: us(header.label_ns),
+            decode: f64::from(sweep.header.decode_ns) / 1000.0,
+            ground: f64::from(sweep.header.ground_ns) / 1000.0,
+            label: f64::from(sweep.header.label_ns) / 1000.0,
         }
     }
 }
@@ -142,8 +146,8 @@ pub fn time_source_name(source: TimeSource) -> &'static str {
 /// Everything that was asked for.
 pub struct Outputs {
     files: Vec<(PathBuf, Format)>,
-    /// By number of the sensor; `None` until its first sweep.
-    exporters: Vec<Option<Vec<Exporter>>>,
+    /// By number of the sensor; empty until its first sweep.
+    exporters: Vec<Vec<Exporter>>,
     existing: Existing,
     former: Vec<Former>,
     segments: Option<SegmentTables>,
@@ -159,39 +163,35 @@ impl Outputs {
     /// # Errors
     /// [`CliError`]: what cannot be written, or is there and must not be replaced.
     pub fn new(options: &OutputOptions) -> Result<Self, CliError> {
-        let asked = [
+        let mut files = Vec::new();
+        for (dir, format) in [
             (&options.csv, Format::Csv),
             (&options.pcd, Format::Pcd),
             (&options.png, Format::Png),
-        ];
-        let files = asked
-            .into_iter()
-            .filter_map(|(dir, format)| Some((dir.clone()?, format)))
-            .collect();
+        ] {
+            files.extend(dir.clone().map(|dir| (dir, format)));
+        }
+        let axes = options.axes;
+        let existing = options.force.existing();
         let stdout = options.json.then(|| BufWriter::new(io::stdout().lock()));
-        let (axes, existing) = (options.axes, options.force.existing());
-        let segments = options.segments.as_deref();
-        let segments = segments
-            .map(|path| SegmentTables::create(path, options.json, axes, existing))
-            .transpose()?;
-        let (exporters, former, timing) = (Vec::new(), Vec::new(), !options.no_timing);
+        let segments = match &options.segments {
+            Some(path) => Some(SegmentTables::create(path, options.json, axes, existing)?),
+            None => None,
+        };
         let mut outputs = Self {
             files,
-            exporters,
+            exporters: Vec::new(),
             existing,
-            former,
+            former: Vec::new(),
             segments,
             axes,
             stdout,
-            timing,
+            timing: !options.no_timing,
         };
         outputs.exporters(0, "")?;
         for (dir, format) in &outputs.files {
-            outputs
-                .former
-                .push(Former::find(dir, existing, "sweep", |name| {
-                    is_sweep_file(name, *format)
-                })?);
+            let former = Former::find(dir, existing, "sweep", |name| is_sweep_file(name, *format))?;
+            outputs.former.push(former);
         }
         Ok(outputs)
     }
@@ -202,10 +202,10 @@ impl Outputs {
     /// # Errors
     /// [`CliError::Write`].
     pub fn remove_former(&mut self) -> Result<(), CliError> {
-        std::mem::take(&mut self.former)
-            .into_iter()
-            .try_for_each(Former::remove)
-            .map_err(CliError::from)
+        for former in self.former.drain(..) {
+            former.remove()?;
+        }
+        Ok(())
     }
 
     /// Writes a sweep of a sensor; `seq` counts the sweeps that were written of it. One that was
@@ -274,31 +274,29 @@ impl Outputs {
     /// # Errors
     /// [`CliError`].
     pub fn finish(&mut self) -> Result<(), CliError> {
-        self.segments.take().map_or(Ok(()), SegmentTables::finish)
+        match self.segments.take() {
+            Some(segments) => segments.finish(),
+            None => Ok(()),
+        }
     }
 
     /// The exporters of a sensor: the first one writes into the directories themselves, each other
     /// one into a folder of its name in them.
     fn exporters(&mut self, sensor: usize, name: &str) -> Result<&mut [Exporter], CliError> {
         if self.exporters.len() <= sensor {
-            self.exporters.resize(sensor + 1, None);
+            self.exporters.resize(sensor + 1, Vec::new());
         }
-        let slot = &mut self.exporters[sensor];
-        let created = match slot.take() {
-            Some(exporters) => exporters,
-            None => {
-                let create = |(dir, format): &(PathBuf, Format)| {
-                    let dir = if sensor == 0 {
-                        dir.clone()
-                    } else {
-                        dir.join(sensor_folder(name))
-                    };
-                    Exporter::new(dir, *format, self.axes, self.existing)
+        let exporters = &mut self.exporters[sensor];
+        if exporters.is_empty() {
+            for (dir, format) in &self.files {
+                let dir = match sensor {
+                    0 => dir.clone(),
+                    _ => dir.join(sensor_folder(name)),
                 };
-                self.files.iter().map(create).collect::<Result<_, _>>()?
+                exporters.push(Exporter::new(dir, *format, self.axes, self.existing)?);
             }
-        };
-        Ok(slot.insert(created))
+        }
+        Ok(exporters)
     }
 }
 

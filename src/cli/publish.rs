@@ -1,4 +1,4 @@
-//! Options of those who share sweeps, and what they write into them.
+//! Options of the commands that share sweeps, and the completion of a shared sweep.
 
 use std::path::PathBuf;
 
@@ -58,20 +58,18 @@ impl PublishOptions {
     /// # Errors
     /// [`CliError::Usage`].
     pub fn check(&self) -> Result<(), CliError> {
-        let twice = self
-            .publish
-            .iter()
-            .enumerate()
-            .find(|(index, name)| self.publish[..*index].contains(name));
-        twice.map_or(Ok(()), |(_, name)| {
-            Err(CliError::Usage(format!(
-                "--publish {name} is given twice; give each sensor a name of its own"
-            )))
-        })
+        for (index, name) in self.publish.iter().enumerate() {
+            if self.publish[..index].contains(name) {
+                return Err(CliError::Usage(format!(
+                    "--publish {name} is given twice; give each sensor a name of its own"
+                )));
+            }
+        }
+        Ok(())
     }
 
-    /// What there is to say of a sensor that is heard for the first time: under which name it is
-    /// shared, or that it is not shared, for the first such sensor alone.
+    /// A note about a sensor that is heard for the first time: the name under which it is shared, or
+    /// that it is not shared, for the first such sensor alone.
     pub fn note(&self, sensor: usize, address: &str) -> Option<String> {
         match self.name(sensor) {
             Some(name) => Some(format!("{address} is shared as {name}")),
@@ -82,12 +80,12 @@ impl PublishOptions {
         }
     }
 
-    /// The names that are left over when this many sensors were heard.
+    /// The names for which no sensor came, when this many were heard.
     pub fn left_over(&self, sensors: usize) -> &[String] {
         self.publish.get(sensors..).unwrap_or_default()
     }
 
-    /// Room for the sweeps of a sensor.
+    /// Shared memory for the sweeps of a sensor, if it is shared.
     ///
     /// # Errors
     /// [`PublishError`].
@@ -95,12 +93,11 @@ impl PublishOptions {
         let Some(name) = self.name(sensor) else {
             return Ok(Loans::default());
         };
-        let (name, address) = (name.to_owned(), address.to_owned());
         let settings = ServiceSettings {
-            name,
+            name: name.to_owned(),
             max_consumers: self.max_consumers.into(),
             model: String::new(),
-            address,
+            address: address.to_owned(),
         };
         Loans::create(&self.root.domain(), &settings)
     }
@@ -114,21 +111,19 @@ fn sensor_name(text: &str) -> Result<String, String> {
     }
 }
 
-/// Says in a sweep where and when it was completed, and hands it to all consumers.
+/// Writes into a sweep where and when it was completed, and hands it to all consumers.
 ///
 /// # Errors
 /// [`PublishError`].
 pub fn publish(mut slot: Slot, name: &str, run_ns: i64) -> Result<usize, PublishError> {
     if let Ok(sweep) = SweepMut::open(slot.as_mut()) {
-        let (completed_ns, completed_monotonic_ns) = (realtime_ns(), monotonic_ns());
-        let completion = Completion {
+        sweep.header.complete(&Completion {
             name,
             run_ns,
-            completed_ns,
-            completed_monotonic_ns,
+            completed_ns: realtime_ns(),
+            completed_monotonic_ns: monotonic_ns(),
             dropped_datagrams: 0,
-        };
-        sweep.header.complete(&completion);
+        });
     }
     slot.publish()
 }

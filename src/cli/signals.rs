@@ -13,10 +13,8 @@ use signal_hook::flag;
 /// # Errors
 /// What the system says.
 pub fn end_flag() -> io::Result<Arc<AtomicBool>> {
-    let (over, again) = (
-        Arc::new(AtomicBool::new(false)),
-        Arc::new(AtomicBool::new(false)),
-    );
+    let over = Arc::new(AtomicBool::new(false));
+    let again = Arc::new(AtomicBool::new(false));
     for signal in [SIGINT, SIGTERM, SIGHUP] {
         flag::register_conditional_default(signal, Arc::clone(&again))?;
         flag::register(signal, Arc::clone(&again))?;

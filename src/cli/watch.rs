@@ -22,10 +22,8 @@ use sweepd_client::host::{monotonic_ns, realtime_ns};
 use sweepd_core::sensor::Model;
 use sweepd_core::sweep::Header;
 
-/// How long is waited at once: then it is looked for a signal.
+/// Longest wait between two looks for a signal.
 const LOOK_EVERY: Duration = Duration::from_millis(100);
-/// Older than this is the replay of a capture, whose age says nothing, microseconds.
-const LIVE_US: f64 = 10e6;
 
 /// Options of `sweepd watch`.
 #[derive(Debug, clap::Args)]
@@ -84,17 +82,15 @@ pub fn run(args: &Args) -> Result<(), CliError> {
     let mut outputs = Outputs::new(&args.output)?;
     outputs.remove_former()?;
     let table = (!args.output.is_json()).then(|| Table::new(&name));
-    let (latencies, losses) = (Latencies::default(), Losses::new(Limits::default()));
-    let tally = Tally::default();
     Watch {
         args,
         name,
         client,
         outputs,
         table,
-        latencies,
-        losses,
-        tally,
+        latencies: Latencies::default(),
+        losses: Losses::new(Limits::default()),
+        tally: Tally::default(),
         newest: None,
         seen: 0,
     }
@@ -143,7 +139,7 @@ impl Watch<'_> {
 
     fn follow(&mut self, over: &AtomicBool) -> Result<(), CliError> {
         let mut last = Instant::now();
-        let mut told = false;
+        let mut is_noted = false;
         while !over.load(Ordering::Relaxed)
             && self.args.sweeps.is_none_or(|sweeps| self.seen < sweeps)
         {
@@ -152,27 +148,20 @@ impl Watch<'_> {
                 realtime_ns: realtime_ns(),
                 monotonic_ns: monotonic_ns(),
             };
+            let waited = last.elapsed();
             if let Some(sweep) = next {
-                (last, told) = (Instant::now(), false);
+                last = Instant::now();
+                is_noted = false;
                 self.seen += 1;
-                self.sweep(
-                    sweep
-                        .view()
-                        .map_err(|error| CliError::Usage(error.to_string()))?,
-                    receipt,
-                )?;
-            } else if self
-                .args
-                .timeout
-                .is_some_and(|timeout| last.elapsed().as_secs_f64() >= timeout)
-            {
-                return Err(CliError::Usage(self.nothing(last.elapsed())));
-            } else if last.elapsed() > Duration::from_secs(2) && !std::mem::replace(&mut told, true)
-            {
-                complain(
-                    "note",
-                    format_args!("{}; waiting for it", self.nothing(last.elapsed())),
-                );
+                let view = sweep.view();
+                let view = view.map_err(|error| CliError::Usage(error.to_string()))?;
+                self.sweep(view, receipt)?;
+            } else if self.args.is_over(waited) {
+                return Err(CliError::Usage(self.nothing(waited)));
+            } else if waited > Duration::from_secs(2) && !is_noted {
+                let nothing = self.nothing(waited);
+                complain("note", format_args!("{nothing}; waiting for it"));
+                is_noted = true;
             }
             if let Some(table) = &mut self.table {
                 table.print_when_due().map_err(CliError::Stdout)?;
@@ -183,18 +172,17 @@ impl Watch<'_> {
 
     fn sweep(&mut self, sweep: SweepRef<'_>, receipt: Receipt) -> Result<(), CliError> {
         let header = sweep.header;
+        let arrival_ns = receipt.realtime_ns.saturating_sub(header.arrival_ns);
+        let completed_ns = receipt
+            .monotonic_ns
+            .saturating_sub(header.completed_monotonic_ns);
         let latency_us = LatencyUs {
-            arrival: receipt.realtime_ns.saturating_sub(header.arrival_ns) as f64 / 1000.0,
-            completed: receipt
-                .monotonic_ns
-                .saturating_sub(header.completed_monotonic_ns) as f64
-                / 1000.0,
+            arrival: arrival_ns as f64 / 1000.0,
+            completed: completed_ns as f64 / 1000.0,
         };
         self.latencies.add(header, latency_us);
-        self.note_losses(
-            header,
-            Duration::from_nanos(receipt.monotonic_ns.unsigned_abs()),
-        );
+        let now = Duration::from_nanos(receipt.monotonic_ns.unsigned_abs());
+        self.note_losses(header, now);
         if let Some(table) = &mut self.table {
             table.add(&sweep, latency_us, self.client.reopened());
         }
@@ -209,8 +197,8 @@ impl Watch<'_> {
             .sweep(0, model, header.sequence, sweep, Some(latency_us))
     }
 
-    /// Tells losses once when they begin and once when they are over, as the daemon does, by what
-    /// the headers count.
+    /// Reports losses once when they begin and once when they are over, as the daemon does, from the
+    /// counts of the headers.
     fn note_losses(&mut self, header: &Header, now: Duration) {
         match self.newest.replace((header.run_ns, now)) {
             Some((_, before)) if now.saturating_sub(before) >= PATIENCE => self.losses.forget(),
@@ -229,11 +217,11 @@ impl Watch<'_> {
             port: None,
             sensors: 1,
         };
-        let told = match turn {
+        let message = match turn {
             Turn::Begun(_) => recent.sentence(&place),
             Turn::Over(lasted) => recent.over(lasted),
         };
-        complain("note", format_args!("{}: {told}", header.name()));
+        complain("note", format_args!("{}: {message}", header.name()));
     }
 
     /// Why no sweep came.
@@ -273,6 +261,11 @@ impl Watch<'_> {
 }
 
 impl Args {
+    fn is_over(&self, waited: Duration) -> bool {
+        let seconds = waited.as_secs_f64();
+        self.timeout.is_some_and(|timeout| seconds >= timeout)
+    }
+
     /// The sensor to watch: the one that was named, or the only one. Of several, the names are
     /// shown, and it is an error.
     fn find(&self, domain: &Domain, over: &Arc<AtomicBool>) -> Result<Option<String>, CliError> {
@@ -280,33 +273,28 @@ impl Args {
             return Ok(Some(name.clone()));
         }
         let begun = Instant::now();
-        let mut told = false;
+        let mut is_noted = false;
         while !over.load(Ordering::Relaxed) {
             let mut names = Client::sensors(domain)?;
-            match names.len() {
-                0 => {}
-                1 => return Ok(names.pop()),
-                _ => {
-                    return Err(CliError::Usage(format!(
-                        "there are several sensors, name one: {}",
-                        names.join(", ")
-                    )));
-                }
+            if names.len() > 1 {
+                let names = names.join(", ");
+                return Err(CliError::Usage(format!(
+                    "there are several sensors, name one: {names}"
+                )));
+            }
+            if !names.is_empty() {
+                return Ok(names.pop());
             }
             let root = domain.root().display();
-            if self
-                .timeout
-                .is_some_and(|timeout| begun.elapsed().as_secs_f64() >= timeout)
-            {
+            if self.is_over(begun.elapsed()) {
                 return Err(CliError::Usage(format!(
                     "no sensor is published in {root}; is the daemon running?"
                 )));
             }
-            if !std::mem::replace(&mut told, true) {
-                complain(
-                    "note",
-                    format_args!("no sensor is published in {root} yet; waiting for one"),
-                );
+            if !is_noted {
+                let message = format_args!("no sensor is published in {root} yet; waiting for one");
+                complain("note", message);
+                is_noted = true;
             }
             std::thread::sleep(LOOK_EVERY);
         }

@@ -2,7 +2,6 @@
 
 use std::io::{self, Write};
 
-use super::LIVE_US;
 use crate::cli::output::LatencyUs;
 use sweepd_core::sweep::Header;
 
@@ -34,21 +33,18 @@ const STAGES: [(&str, &str); 6] = [
 impl Latencies {
     /// Notes a sweep.
     pub fn add(&mut self, header: &Header, latency: LatencyUs) {
-        let us = |ns: u32| f64::from(ns) / 1000.0;
-        // What was recorded long ago has an age that says nothing.
-        let chain = Some(latency.arrival).filter(|us| us.abs() < LIVE_US);
+        let chain = latency.live_arrival();
         let stages = [
-            Some(us(header.decode_ns)),
-            Some(us(header.ground_ns)),
-            Some(us(header.label_ns)),
+            Some(f64::from(header.decode_ns) / 1000.0),
+            Some(f64::from(header.ground_ns) / 1000.0),
+            Some(f64::from(header.label_ns) / 1000.0),
             chain.map(|chain| chain - latency.completed),
             Some(latency.completed),
             chain,
         ];
-        self.stages
-            .iter_mut()
-            .zip(stages)
-            .for_each(|(stage, us)| stage.extend(us));
+        for (stage, us) in self.stages.iter_mut().zip(stages) {
+            stage.extend(us);
+        }
     }
 
     /// Shows a histogram a stage.
@@ -66,7 +62,9 @@ impl Latencies {
                 )?;
                 continue;
             };
-            let [half, p90, p99] = [0.5, 0.9, 0.99].map(|share| quantile(times, share));
+            let half = quantile(times, 0.5);
+            let p90 = quantile(times, 0.9);
+            let p99 = quantile(times, 0.99);
             let count = times.len();
             writeln!(
                 out,

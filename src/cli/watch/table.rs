@@ -3,7 +3,6 @@
 use std::io::{self, Write};
 use std::time::{Duration, Instant};
 
-use super::LIVE_US;
 use crate::cli::output::LatencyUs;
 use sweepd_core::sensor::Model;
 use sweepd_core::sweep::SweepRef;
@@ -11,6 +10,10 @@ use sweepd_core::sweep::layout::flags;
 
 /// Lines after which the head is shown again.
 const LINES: u32 = 20;
+
+/// The head of the table.
+const HEAD: &str =
+    "sweeps/s   rpm  returns segments   age ms   max ms   ipc us   lost  drops missed";
 
 /// Sums up the sweeps of a second at a time.
 pub struct Table {
@@ -24,6 +27,7 @@ pub struct Table {
     last: Option<(i64, u64)>,
 }
 
+/// The sweeps of a line.
 #[derive(Default)]
 struct Line {
     /// When the first and the newest sweep came.
@@ -45,21 +49,21 @@ struct Line {
 impl Table {
     /// A table of a sensor.
     pub fn new(name: &str) -> Self {
-        let (name, kind, shown) = (name.to_owned(), String::new(), String::new());
         Self {
-            name,
+            name: name.to_owned(),
             line: Line::default(),
             begun: Instant::now(),
             lines: 0,
-            shown,
-            kind,
+            shown: String::new(),
+            kind: String::new(),
             last: None,
         }
     }
 
     /// Adds a sweep to the line.
     pub fn add(&mut self, sweep: &SweepRef<'_>, latency: LatencyUs, reopened: u64) {
-        let (header, line) = (sweep.header, &mut self.line);
+        let header = sweep.header;
+        let line = &mut self.line;
         if line.sweeps == 0 {
             self.begun = self.begun.max(Instant::now() - Duration::from_secs(1));
         }
@@ -74,9 +78,7 @@ impl Table {
         line.dropped += u64::from(header.dropped_datagrams);
         line.rpm = header.rpm;
         line.reopened = reopened;
-        if latency.arrival.abs() < LIVE_US {
-            line.chain_us.push(latency.arrival);
-        }
+        line.chain_us.extend(latency.live_arrival());
         line.slowest_us = line.slowest_us.max(latency.completed);
         if let Some((run_ns, sequence)) = self.last
             && run_ns == header.run_ns
@@ -135,20 +137,7 @@ impl Table {
         if self.lines.is_multiple_of(LINES) || self.kind != self.shown {
             self.shown.clone_from(&self.kind);
             writeln!(out, "{}", self.kind)?;
-            writeln!(
-                out,
-                "{:>7} {:>5} {:>8} {:>8} {:>8} {:>8} {:>8} {:>6} {:>6} {:>6}",
-                "sweeps/s",
-                "rpm",
-                "returns",
-                "segments",
-                "age ms",
-                "max ms",
-                "ipc us",
-                "lost",
-                "drops",
-                "missed"
-            )?;
+            writeln!(out, "{HEAD}")?;
             self.lines = 0;
         }
         self.lines += 1;
@@ -160,12 +149,8 @@ impl Line {
     fn write(mut self, out: &mut impl Write, sweeps_per_second: Option<f64>) -> io::Result<()> {
         let sweeps = f64::from(self.sweeps);
         self.chain_us.sort_by(f64::total_cmp);
-        let ms =
-            |us: Option<&f64>| us.map_or("replay".to_owned(), |us| format!("{:.2}", us / 1000.0));
-        let (median, most) = (
-            ms(self.chain_us.get(self.chain_us.len() / 2)),
-            ms(self.chain_us.last()),
-        );
+        let median = ms(self.chain_us.get(self.chain_us.len() / 2));
+        let most = ms(self.chain_us.last());
         let rate = sweeps_per_second.map_or("-".to_owned(), |rate| format!("{rate:.1}"));
         write!(
             out,
@@ -187,4 +172,8 @@ impl Line {
         writeln!(out)?;
         out.flush()
     }
+}
+
+fn ms(us: Option<&f64>) -> String {
+    us.map_or("replay".to_owned(), |us| format!("{:.2}", us / 1000.0))
 }
