@@ -21,7 +21,7 @@ use super::sharing::Outgoing;
 use super::sys::wait_for_either;
 use super::tap::Tap;
 use crate::admission::{ConfiguredSensors, Refusal, Route};
-use crate::capture::record::Lane;
+use crate::capture::record::Feed;
 use crate::capture::write::Addressed;
 use crate::capture::{UdpError, UdpSource};
 use sweepd_client::host::realtime_ns;
@@ -77,7 +77,7 @@ pub struct Port<B: Buffers> {
     /// Who sits behind it.
     room: Room<B>,
     /// Other ways to a recording.
-    lanes: Receiver<Option<Lane>>,
+    feeds: Receiver<Option<Feed>>,
     end: End,
     /// How often it shows that it lives, at least.
     beat: Duration,
@@ -105,7 +105,7 @@ pub struct Room<B: Buffers> {
     /// The other sensors, in the order of admission.
     pub others: Vec<Mailbox>,
     /// Where copies of all that is let in go.
-    pub lane: Option<Lane>,
+    pub feed: Option<Feed>,
     /// What is counted.
     pub counters: Arc<PortCounters>,
 }
@@ -148,14 +148,14 @@ impl<B: Buffers<Buffer: Outgoing>> Port<B> {
     pub fn new(
         source: UdpSource,
         room: Room<B>,
-        lanes: Receiver<Option<Lane>>,
+        feeds: Receiver<Option<Feed>>,
         end: End,
         beat: Duration,
     ) -> Self {
         Self {
             source,
             room,
-            lanes,
+            feeds,
             end,
             beat,
             heard: None,
@@ -218,7 +218,7 @@ impl<B: Buffers<Buffer: Outgoing>> Port<B> {
     /// threads that sleep, and rings for those that wait.
     fn rest(&self) {
         if self.is_quiet() {
-            // One for position packets alone is asked for nothing but a lane, which it looks for
+            // One for position packets alone is asked for nothing but a feed, which it looks for
             // before it takes a packet.
             let idle = if self.has_sweeps() {
                 IDLE.min(self.beat)
@@ -260,13 +260,13 @@ impl<B: Buffers<Buffer: Outgoing>> Port<B> {
         let Self {
             source,
             room,
-            lanes,
+            feeds,
             heard,
             load,
             ..
         } = self;
-        while let Ok(next) = lanes.try_recv() {
-            room.lane = next;
+        while let Ok(next) = feeds.try_recv() {
+            room.feed = next;
         }
         let mut some_came = false;
         let batch = source.receive_counted(timeout)?;
@@ -316,9 +316,9 @@ impl<B: Buffers<Buffer: Outgoing>> Room<B> {
                 return false;
             }
         }
-        if let Some(lane) = &mut self.lane {
+        if let Some(feed) = &mut self.feed {
             // What finds no room is counted there.
-            lane.put(addressed);
+            feed.put(addressed);
         }
         true
     }
@@ -341,7 +341,7 @@ impl<B: Buffers<Buffer: Outgoing>> Room<B> {
 
     /// Whether copies of what comes here for other sensors go anywhere.
     fn is_copied(&self) -> bool {
-        self.lane.is_some()
+        self.feed.is_some()
             || self
                 .others
                 .iter()

@@ -21,7 +21,7 @@ use super::sensor::{Event, Identity, Sensor};
 use super::sharing::{Sharing, SharingError, SharingStatus};
 use super::sys;
 use super::tee::Tees;
-use crate::capture::record::Lane;
+use crate::capture::record::Feed;
 use crate::capture::udp::ReceiveBuffer;
 use crate::capture::{UdpError, UdpSource};
 use sweepd_core::pipeline;
@@ -151,8 +151,8 @@ pub struct Runtime {
     pub events: Receiver<(usize, Event)>,
     /// Ways to give sensors another configuration.
     orders: Vec<Sender<pipeline::Config>>,
-    /// Ways to give ports another lane of a recording.
-    lanes: Vec<Sender<Option<Lane>>>,
+    /// Ways to give ports another feed of a recording.
+    feeds: Vec<Sender<Option<Feed>>>,
     over: Arc<AtomicBool>,
     /// Shut down when they are to end, for those that wait on a socket.
     bell: UnixStream,
@@ -206,13 +206,13 @@ impl Runtime {
         };
         let (bell, rung) = UnixStream::pair().map_err(failed)?;
         let sensors = hall.statuses.into();
-        let (ports, lanes, threads) = (Arc::new([]), Vec::new(), Vec::new());
+        let (ports, feeds, threads) = (Arc::new([]), Vec::new(), Vec::new());
         let mut runtime = Self {
             sensors,
             ports,
             events,
             orders: hall.orders,
-            lanes,
+            feeds,
             over,
             bell,
             threads,
@@ -232,16 +232,16 @@ impl Runtime {
                 over: Arc::clone(&runtime.over),
                 bell: rung.try_clone().map_err(failed)?,
             };
-            let (order, lanes) = mpsc::channel();
-            runtime.lanes.push(order);
+            let (order, feeds) = mpsc::channel();
+            runtime.feeds.push(order);
             let room = Room {
                 admission,
                 sensors: served,
                 others,
-                lane: tees.lane(),
+                feed: tees.feed(),
                 counters,
             };
-            let port = Port::new(source, room, lanes, end, beat);
+            let port = Port::new(source, room, feeds, end, beat);
             // On an early return, dropping the runtime ends those that run already.
             runtime.threads.push((
                 status.name.clone(),
@@ -260,10 +260,10 @@ impl Runtime {
         let _ = self.orders[sensor].send(config);
     }
 
-    /// Gives all ports their lanes of another recording; who naps takes it at once.
+    /// Gives all ports their feeds of another recording; who naps takes it at once.
     pub fn record(&self, tees: &Tees) {
-        for port in &self.lanes {
-            let _ = port.send(tees.lane());
+        for port in &self.feeds {
+            let _ = port.send(tees.feed());
         }
         self.wake();
     }
@@ -526,7 +526,7 @@ mod tests {
             ports,
             events,
             orders: Vec::new(),
-            lanes: Vec::new(),
+            feeds: Vec::new(),
             over,
             bell,
             threads,

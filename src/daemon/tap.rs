@@ -29,7 +29,7 @@ use std::thread::{self, JoinHandle};
 pub use self::client::TapStream;
 pub use self::error::TapError;
 use self::server::{Server, Socket};
-use crate::capture::record::ring::{Inlet, Outlet, ring};
+use crate::capture::record::ring::{Consumer, Producer, ring};
 use crate::capture::write::Addressed;
 
 /// Most clients at a time.
@@ -97,7 +97,7 @@ impl Shared {
 #[derive(Debug)]
 struct Tapped {
     name: String,
-    outlet: Outlet,
+    consumer: Consumer,
     /// Where that ended at the last look.
     end: u64,
     valve: Arc<Valve>,
@@ -156,18 +156,18 @@ impl Taps {
     /// A tap for the datagrams of a sensor. Each thread that receives such needs one of its own.
     /// Takes memory and a lock: not for the hot path.
     pub fn sensor(&self, name: &str) -> Tap {
-        let (inlet, outlet) = ring(RING_BYTES);
+        let (producer, consumer) = ring(RING_BYTES);
         let valve = Arc::new(Valve::default());
         let (name, of_tap) = (name.to_owned(), Arc::clone(&valve));
         self.shared.new_sensors().push(Tapped {
             name,
-            outlet,
+            consumer,
             end: 0,
             valve,
             refused: 0,
         });
         Tap {
-            inlet,
+            producer,
             valve: of_tap,
         }
     }
@@ -193,7 +193,7 @@ impl Drop for Taps {
 /// Where a receiving thread puts the datagrams of a sensor.
 #[derive(Debug)]
 pub struct Tap {
-    inlet: Inlet,
+    producer: Producer,
     valve: Arc<Valve>,
 }
 
@@ -205,7 +205,7 @@ impl Tap {
 
     /// Passes a datagram on to who listens. Never waits, never allocates.
     pub fn put(&mut self, datagram: &Addressed<'_>) {
-        if self.is_open() && !self.inlet.put(datagram) {
+        if self.is_open() && !self.producer.put(datagram) {
             self.valve.refused.fetch_add(1, Ordering::Relaxed);
         }
     }

@@ -1,7 +1,7 @@
 //! Where the daemon's datagrams go beside its pipelines: into its own recording, and to `sweepd
 //! record --from`.
 //!
-//! Each port's thread has a lane of the recording, and each sensor a tap; both take a copy and
+//! Each port's thread has a feed of the recording, and each sensor a tap; both take a copy and
 //! never wait. A recording that cannot be begun or fails stops no sensor: it is told once in the
 //! log, and by `/health` and the metrics until it is mended. It is begun again by itself, after a
 //! second at first and after a minute at most, and goes on in a new file as soon as the disk takes
@@ -22,9 +22,9 @@ use self::recording::{Recording, Sums};
 use super::config::RecordConfig;
 use super::tap::{Tap, Taps};
 use crate::capture::RecordError;
-use crate::capture::record::{Lane, Recorder};
+use crate::capture::record::{Feed, Recorder};
 
-/// In this time every thread is given its new lane, at the next look, and takes it, in its next
+/// In this time every thread is given its new feed, at the next look, and takes it, in its next
 /// round: about half a second each at most.
 const TURNED: Duration = Duration::from_secs(2);
 /// From one attempt to begin a recording that has failed to the next, at first and at most. One
@@ -43,7 +43,7 @@ pub struct Tees {
     /// What is to be recorded, where that was said while another was being begun.
     wanted: Option<Option<RecordConfig>>,
     retries: Retries,
-    /// The threads are to be given their lanes of another one.
+    /// The threads are to be given their feeds of another one.
     is_another: bool,
     /// Threads that wait for the disk in place of the control thread.
     ending: Vec<JoinHandle<()>>,
@@ -175,8 +175,8 @@ impl Tees {
     }
 
     /// A way into the recording, for one thread.
-    pub fn lane(&self) -> Option<Lane> {
-        self.recording.as_ref()?.lane()
+    pub fn feed(&self) -> Option<Feed> {
+        self.recording.as_ref()?.feed()
     }
 
     /// A tap of a sensor, for one thread.
@@ -211,7 +211,7 @@ impl Tees {
     }
 
     /// Looks after the taps, tells what happened to the recording, once, and begins it again if it
-    /// is time. Whether the threads must be given their lanes of another one; the one before ends a
+    /// is time. Whether the threads must be given their feeds of another one; the one before ends a
     /// little later.
     pub fn look(&mut self) -> bool {
         let now = Instant::now();

@@ -65,7 +65,7 @@ fn receiving() -> u64 {
     std::fs::create_dir_all(&folder).unwrap();
     let recorder = Recorder::start(&folder.join("all.pcap"), Rotation::default()).unwrap();
     let taps = Taps::listen(&socket_path(&folder)).unwrap();
-    let (mut lane, mut tap) = (recorder.lane(), taps.sensor("roof"));
+    let (mut feed, mut tap) = (recorder.feed(), taps.sensor("roof"));
     let mut client = TapStream::connect(&socket_path(&folder), "roof").unwrap();
     let (sender, mut admission) = (
         std::net::UdpSocket::bind("127.0.0.1:0").unwrap(),
@@ -92,7 +92,7 @@ fn receiving() -> u64 {
             for one in source.receive_addressed(Duration::from_secs(5)).unwrap() {
                 if admission.admit(&one.datagram()).is_ok() {
                     admitted += 1;
-                    assert!(lane.put(&one));
+                    assert!(feed.put(&one));
                     tap.put(&one);
                 }
             }

@@ -1,16 +1,16 @@
 //! Datagrams to capture files, so that who receives them never waits for a disk.
 //!
 //! ```text
-//! receiving thread -> Lane --ring--> writing thread -> NAME-000.pcap, NAME-001.pcap, ...
-//! receiving thread -> Lane --ring-/
+//! receiving thread -> Feed --ring--> writing thread -> NAME-000.pcap, NAME-001.pcap, ...
+//! receiving thread -> Feed --ring-/
 //! ```
 //!
-//! Each receiving thread has a [`Lane`] of its own, or one for each stream that is in order by
+//! Each receiving thread has a [`Feed`] of its own, or one for each stream that is in order by
 //! itself. Putting a datagram in is a copy of its bytes: no lock, no system call, no allocation.
 //! What finds no room, since the disk stalls or has failed, is counted and gone. The writing thread
-//! looks every 120 ms, and merges the lanes by arrival: a datagram is written after any other with
-//! an earlier stamp that was put in at most so much later (300 ms, after the first ones of a lane).
-//! Those of one lane keep their order.
+//! looks every 120 ms, and merges the feeds by arrival: a datagram is written after any other with
+//! an earlier stamp that was put in at most so much later (300 ms, after the first ones of a feed).
+//! Those of one feed keep their order.
 //!
 //! [`mod@file`] is one capture, [`Rotation`] says when another begins.
 
@@ -28,16 +28,16 @@ use std::time::{Duration, Instant};
 pub use self::error::RecordError;
 use self::files::Files;
 pub use self::files::{Rotation, Written};
-use self::ring::{Inlet, Outlet, ring};
+use self::ring::{Consumer, Producer, ring};
 use super::write::Addressed;
 
-/// What may wait for the disk of one lane, bytes: 4.7 s of the fastest model. The system gives the
+/// What may wait for the disk of one feed, bytes: 4.7 s of the fastest model. The system gives the
 /// memory when it is first used.
-const LANE_BYTES: usize = 32 << 20;
+const FEED_BYTES: usize = 32 << 20;
 /// How often the writing thread looks, which is also for how long a datagram waits for earlier ones
-/// of other lanes: longer than the threads of a daemon nap while they record.
+/// of other feeds: longer than the threads of a daemon nap while they record.
 pub(crate) const PERIOD: Duration = Duration::from_millis(120);
-/// For so long the first ones of a lane wait: a thread that has yet to hear of the recording may
+/// For so long the first ones of a feed wait: a thread that has yet to hear of the recording may
 /// sleep for longer.
 pub(crate) const OPENING: Duration = Duration::from_millis(300);
 
@@ -68,9 +68,9 @@ pub struct RecordCounts {
 /// # std::fs::create_dir_all(&folder)?;
 /// let path = folder.join("drive.pcap.gz");
 /// let recorder = Recorder::start(&path, Rotation::default())?;
-/// let mut lane = recorder.lane();
+/// let mut feed = recorder.feed();
 /// let (source, destination) = ("192.168.1.201:2368".parse()?, "255.255.255.255:2368".parse()?);
-/// lane.put(&Addressed { arrival_ns: 1_500_000_000_123_456_789, source, destination, payload: b"hello" });
+/// feed.put(&Addressed { arrival_ns: 1_500_000_000_123_456_789, source, destination, payload: b"hello" });
 /// let (written, ended) = recorder.finish();
 /// ended?;
 /// assert_eq!(written.datagrams, 1);
@@ -92,13 +92,13 @@ struct Shared {
     counts: RecordCounts,
     over: AtomicBool,
     /// Lanes that the writing thread has not seen yet.
-    new_lanes: Mutex<Vec<Outlet>>,
+    new_feeds: Mutex<Vec<Consumer>>,
     error: OnceLock<Arc<RecordError>>,
 }
 
 impl Shared {
-    fn new_lanes(&self) -> MutexGuard<'_, Vec<Outlet>> {
-        self.new_lanes
+    fn new_feeds(&self) -> MutexGuard<'_, Vec<Consumer>> {
+        self.new_feeds
             .lock()
             .unwrap_or_else(PoisonError::into_inner)
     }
@@ -132,7 +132,7 @@ impl Recorder {
             Writer {
                 shared: writing,
                 files,
-                lanes: Vec::new(),
+                feeds: Vec::new(),
             }
             .run()
         });
@@ -145,11 +145,11 @@ impl Recorder {
     }
 
     /// A way in for one more receiving thread. Takes memory, and a lock: not for the hot path.
-    pub fn lane(&self) -> Lane {
-        let (inlet, outlet) = ring(LANE_BYTES);
-        self.shared.new_lanes().push(outlet);
-        Lane {
-            inlet,
+    pub fn feed(&self) -> Feed {
+        let (producer, consumer) = ring(FEED_BYTES);
+        self.shared.new_feeds().push(consumer);
+        Feed {
+            producer,
             shared: Arc::clone(&self.shared),
         }
     }
@@ -204,12 +204,12 @@ impl Drop for Recorder {
 
 /// The way into a recording for one receiving thread.
 #[derive(Debug)]
-pub struct Lane {
-    inlet: Inlet,
+pub struct Feed {
+    producer: Producer,
     shared: Arc<Shared>,
 }
 
-impl Lane {
+impl Feed {
     /// Has a datagram recorded; `false` if there is no room, or the recording is over. Never waits,
     /// never allocates. Put the last one in before [`Recorder::finish`] is called: one that comes
     /// while it runs may be lost.
@@ -217,7 +217,7 @@ impl Lane {
         let counts = &self.shared.counts;
         counts.offered.fetch_add(1, Ordering::Relaxed);
         let is_over = self.shared.over.load(Ordering::Relaxed) || self.shared.error.get().is_some();
-        let taken = !is_over && self.inlet.put(datagram);
+        let taken = !is_over && self.producer.put(datagram);
         if !taken {
             counts.refused.fetch_add(1, Ordering::Relaxed);
         }
@@ -229,12 +229,12 @@ impl Lane {
 struct Writer {
     shared: Arc<Shared>,
     files: Files,
-    lanes: Vec<Merged>,
+    feeds: Vec<OpenFeed>,
 }
 
-/// A lane among the others.
-struct Merged {
-    lane: Outlet,
+/// A feed among the others.
+struct OpenFeed {
+    feed: Consumer,
     begun: Instant,
     /// Where it ended a period ago: up to here it is due. While it opens, nothing is.
     due: u64,
@@ -243,10 +243,10 @@ struct Merged {
     closed: bool,
 }
 
-impl Merged {
-    fn new(lane: Outlet) -> Self {
+impl OpenFeed {
+    fn new(feed: Consumer) -> Self {
         Self {
-            lane,
+            feed,
             begun: Instant::now(),
             due: 0,
             end: 0,
@@ -260,16 +260,16 @@ impl Merged {
         } else {
             self.end
         };
-        self.closed = self.lane.is_closed();
-        self.end = self.lane.end();
+        self.closed = self.feed.is_closed();
+        self.end = self.feed.end();
     }
 
     fn is_due(&self) -> bool {
-        !self.lane.is_at(self.due)
+        !self.feed.is_at(self.due)
     }
 
     fn is_done(&self) -> bool {
-        self.closed && self.lane.is_at(self.end)
+        self.closed && self.feed.is_at(self.end)
     }
 }
 
@@ -287,7 +287,7 @@ impl Writer {
 
     fn write_all(&mut self) -> Result<(), RecordError> {
         loop {
-            // Before the look at the lanes: what was put in before the end is seen.
+            // Before the look at the feeds: what was put in before the end is seen.
             let over = self.shared.over.load(Ordering::Acquire);
             self.look(over);
             self.write_due()?;
@@ -300,12 +300,12 @@ impl Writer {
         }
     }
 
-    /// Looks how far the lanes have come; `over`: all of it is due.
+    /// Looks how far the feeds have come; `over`: all of it is due.
     fn look(&mut self, over: bool) {
-        self.lanes.retain(|merged| !merged.is_done());
-        self.lanes
-            .extend(self.shared.new_lanes().drain(..).map(Merged::new));
-        for merged in &mut self.lanes {
+        self.feeds.retain(|merged| !merged.is_done());
+        self.feeds
+            .extend(self.shared.new_feeds().drain(..).map(OpenFeed::new));
+        for merged in &mut self.feeds {
             merged.look();
             merged.due = if over { merged.end } else { merged.due };
         }
@@ -313,15 +313,15 @@ impl Writer {
 
     /// Writes what is due in the order of arrival, and before it what came since and is earlier.
     fn write_due(&mut self) -> Result<(), RecordError> {
-        while self.lanes.iter().any(Merged::is_due) {
+        while self.feeds.iter().any(OpenFeed::is_due) {
             let next = self
-                .lanes
+                .feeds
                 .iter_mut()
-                .filter_map(|merged| Some((merged.lane.next_ns(merged.end)?, merged)));
+                .filter_map(|merged| Some((merged.feed.next_ns(merged.end)?, merged)));
             let Some((_, earliest)) = next.min_by_key(|(next_ns, _)| *next_ns) else {
                 break;
             };
-            if let Some(datagram) = earliest.lane.take(earliest.end) {
+            if let Some(datagram) = earliest.feed.take(earliest.end) {
                 self.files.write(&datagram)?;
             }
         }

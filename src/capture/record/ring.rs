@@ -35,18 +35,18 @@ struct Apart(AtomicU64);
 
 /// The end that datagrams are put into.
 #[derive(Debug)]
-pub struct Inlet(Arc<Shared>);
+pub struct Producer(Arc<Shared>);
 
 /// The end that they are taken from.
 #[derive(Debug)]
-pub struct Outlet {
+pub struct Consumer {
     shared: Arc<Shared>,
     /// The payload taken last.
     payload: Vec<u8>,
 }
 
 /// A ring for at least this many bytes, headings included.
-pub fn ring(bytes: usize) -> (Inlet, Outlet) {
+pub fn ring(bytes: usize) -> (Producer, Consumer) {
     let len = bytes.div_ceil(WORD_LEN).max(64).next_power_of_two();
     // No memory is what ends any program, here as in `Vec`.
     let words = <[AtomicU64]>::new_box_zeroed_with_elems(len).unwrap_or_else(|_| {
@@ -60,8 +60,8 @@ pub fn ring(bytes: usize) -> (Inlet, Outlet) {
         closed: false.into(),
     });
     (
-        Inlet(Arc::clone(&shared)),
-        Outlet {
+        Producer(Arc::clone(&shared)),
+        Consumer {
             shared,
             payload: Vec::new(),
         },
@@ -103,7 +103,7 @@ impl Shared {
     }
 }
 
-impl Inlet {
+impl Producer {
     /// Puts a datagram in, and says whether there was room. Neither waits nor allocates.
     pub fn put(&mut self, datagram: &Addressed<'_>) -> bool {
         let shared = &*self.0;
@@ -143,34 +143,34 @@ impl Inlet {
     }
 }
 
-impl Drop for Inlet {
+impl Drop for Producer {
     fn drop(&mut self) {
         self.0.closed.store(true, Ordering::Release);
     }
 }
 
-impl Outlet {
+impl Consumer {
     /// Words that were ever put in: a place to take up to.
     pub fn end(&self) -> u64 {
         self.shared.put.0.load(Ordering::Acquire)
     }
 
-    /// Whether nothing is before a place that [`Outlet::end`] gave.
+    /// Whether nothing is before a place that [`Consumer::end`] gave.
     pub fn is_at(&self, end: u64) -> bool {
         self.taken() >= end
     }
 
-    /// Whether nothing will be put in any more; ask before the last look at [`Outlet::end`].
+    /// Whether nothing will be put in any more; ask before the last look at [`Consumer::end`].
     pub fn is_closed(&self) -> bool {
         self.shared.closed.load(Ordering::Acquire)
     }
 
-    /// Arrival of the next datagram before a place that [`Outlet::end`] gave.
+    /// Arrival of the next datagram before a place that [`Consumer::end`] gave.
     pub fn next_ns(&self, end: u64) -> Option<i64> {
         (!self.is_at(end)).then(|| self.shared.word(self.taken()).load(Ordering::Relaxed) as i64)
     }
 
-    /// Takes the next datagram before a place that [`Outlet::end`] gave.
+    /// Takes the next datagram before a place that [`Consumer::end`] gave.
     pub fn take(&mut self, end: u64) -> Option<Addressed<'_>> {
         if self.is_at(end) {
             return None;
@@ -227,22 +227,22 @@ mod tests {
         fn what_was_put_in_comes_out_and_what_was_refused_does_not(
             steps in prop::collection::vec((0..1300_usize, any::<i64>(), 0..3_u8), 1..200),
         ) {
-            let (mut inlet, mut outlet) = ring(8192);
+            let (mut producer, mut consumer) = ring(8192);
             let mut waiting = std::collections::VecDeque::new();
             for (len, arrival_ns, takes) in steps {
                 let payload = vec![len as u8; len];
                 let words = |len: usize| 3 + len.div_ceil(8);
                 let used: usize = waiting.iter().map(|(_, payload): &(i64, Vec<u8>)| words(payload.len())).sum();
                 let has_room = used + words(len) <= 1024;
-                prop_assert_eq!(inlet.put(&addressed(arrival_ns, &payload)), has_room);
+                prop_assert_eq!(producer.put(&addressed(arrival_ns, &payload)), has_room);
                 if has_room {
                     waiting.push_back((arrival_ns, payload));
                 }
                 for _ in 0..takes {
-                    let (end, expected) = (outlet.end(), waiting.pop_front());
-                    prop_assert_eq!(outlet.next_ns(end), expected.as_ref().map(|(arrival_ns, _)| *arrival_ns));
+                    let (end, expected) = (consumer.end(), waiting.pop_front());
+                    prop_assert_eq!(consumer.next_ns(end), expected.as_ref().map(|(arrival_ns, _)| *arrival_ns));
                     let expected = expected.as_ref().map(|(arrival_ns, payload)| addressed(*arrival_ns, payload));
-                    prop_assert_eq!(outlet.take(end), expected);
+                    prop_assert_eq!(consumer.take(end), expected);
                 }
             }
         }
@@ -250,20 +250,20 @@ mod tests {
 
     #[test]
     fn two_threads_pass_on_a_million_words_in_order() {
-        let (mut inlet, mut outlet) = ring(4096);
+        let (mut producer, mut consumer) = ring(4096);
         let producer = std::thread::spawn(move || {
             for number in 0..50_000_i64 {
                 let payload = [number as u8; 257];
                 let payload = &payload[..number as usize % 257];
-                while !inlet.put(&addressed(number, payload)) {
+                while !producer.put(&addressed(number, payload)) {
                     std::thread::yield_now();
                 }
             }
         });
         let mut number = 0;
         loop {
-            let (closed, end) = (outlet.is_closed(), outlet.end());
-            while let Some(datagram) = outlet.take(end) {
+            let (closed, end) = (consumer.is_closed(), consumer.end());
+            while let Some(datagram) = consumer.take(end) {
                 assert_eq!(
                     (datagram.arrival_ns, datagram.payload.len()),
                     (number, number as usize % 257)

@@ -54,20 +54,20 @@ fn wait_until(mut done: impl FnMut() -> bool) {
 }
 
 #[test]
-fn lanes_are_merged_by_arrival() {
+fn feeds_are_merged_by_arrival() {
     let folder = Folder::new("merged");
     let path = folder.0.join("merged.pcap");
     let recorder = Recorder::start(&path, Rotation::default()).unwrap();
-    let (mut data, mut position) = (recorder.lane(), recorder.lane());
+    let (mut data, mut position) = (recorder.feed(), recorder.feed());
     // The thread of the positions comes to each hundred before that of the data, and after it.
     for hundred in 0..20_i64 {
         let times = hundred * 100..(hundred + 1) * 100;
-        let put = |lane: &mut Lane, port, step| {
+        let put = |feed: &mut Feed, port, step| {
             times
                 .clone()
                 .filter(|time| (time % 10 == 5) == (step == 10))
                 .for_each(|time| {
-                    assert!(lane.put(&addressed(SECOND_NS + time, port, &time.to_le_bytes())));
+                    assert!(feed.put(&addressed(SECOND_NS + time, port, &time.to_le_bytes())));
                 });
         };
         if hundred % 2 == 0 {
@@ -79,9 +79,9 @@ fn lanes_are_merged_by_arrival() {
         }
         thread::sleep(Duration::from_millis(3));
     }
-    // A lane that was closed is written to its end, and one more can come.
+    // A feed that was closed is written to its end, and one more can come.
     drop((data, position));
-    let mut late = recorder.lane();
+    let mut late = recorder.feed();
     assert!(late.put(&addressed(SECOND_NS + 2000, 1, &2000_i64.to_le_bytes())));
     let (written, ended) = recorder.finish();
     ended.unwrap();
@@ -112,10 +112,10 @@ fn stamps_that_go_back_are_written_all_the_same() {
     let folder = Folder::new("back");
     let path = folder.0.join("back.pcap.gz");
     let recorder = Recorder::start(&path, Rotation::default()).unwrap();
-    let mut lanes = [recorder.lane(), recorder.lane()];
+    let mut feeds = [recorder.feed(), recorder.feed()];
     let times = [5, 4, 9, 1, 1, 0];
     for (number, time) in times.into_iter().enumerate() {
-        assert!(lanes[number % 2].put(&addressed(time * SECOND_NS, 2368, b"x")));
+        assert!(feeds[number % 2].put(&addressed(time * SECOND_NS, 2368, b"x")));
         wait_until(|| recorder.counts().written.load(Ordering::Relaxed) == number as u64 + 1);
     }
     recorder.finish().1.unwrap();
@@ -133,13 +133,13 @@ fn what_has_no_room_or_comes_after_a_failure_is_counted_and_the_failure_told() {
     let path = folder.0.join("full.pcap");
     std::os::unix::fs::symlink("/dev/full", &path).unwrap();
     let recorder = Recorder::start(&path, Rotation::default()).unwrap();
-    let mut lane = recorder.lane();
+    let mut feed = recorder.feed();
     let mut taken = 0;
     wait_until(|| {
-        taken += u64::from(lane.put(&addressed(SECOND_NS, 2368, &[7; 1206])));
+        taken += u64::from(feed.put(&addressed(SECOND_NS, 2368, &[7; 1206])));
         recorder.error().is_some()
     });
-    assert!(!lane.put(&addressed(SECOND_NS, 2368, &[7; 1206])));
+    assert!(!feed.put(&addressed(SECOND_NS, 2368, &[7; 1206])));
     let [offered, refused] = [&recorder.counts().offered, &recorder.counts().refused];
     assert_eq!(
         offered.load(Ordering::Relaxed) - refused.load(Ordering::Relaxed),
@@ -155,19 +155,19 @@ fn what_has_no_room_or_comes_after_a_failure_is_counted_and_the_failure_told() {
 }
 
 #[test]
-fn a_lane_without_room_refuses_and_goes_on_later() {
+fn a_feed_without_room_refuses_and_goes_on_later() {
     let folder = Folder::new("room");
     let path = folder.0.join("room.pcap");
     let recorder = Recorder::start(&path, Rotation::default()).unwrap();
-    let mut lane = recorder.lane();
+    let mut feed = recorder.feed();
     let payload = vec![7; 60_000];
     // As many as would fill it twice, faster than any disk.
-    let taken = (0..2 * LANE_BYTES / payload.len())
-        .filter(|_| lane.put(&addressed(SECOND_NS, 1, &payload)))
+    let taken = (0..2 * FEED_BYTES / payload.len())
+        .filter(|_| feed.put(&addressed(SECOND_NS, 1, &payload)))
         .count();
     let written = || recorder.counts().written.load(Ordering::Relaxed) as usize;
     wait_until(|| written() == taken);
-    assert!(lane.put(&addressed(SECOND_NS, 1, &payload)));
+    assert!(feed.put(&addressed(SECOND_NS, 1, &payload)));
     let offered = recorder.counts().offered.load(Ordering::Relaxed) as usize;
     let refused = recorder.counts().refused.load(Ordering::Relaxed) as usize;
     assert_eq!(offered - refused, taken + 1);
@@ -187,10 +187,10 @@ fn one_that_is_dropped_has_written_all() {
         },
     )
     .unwrap();
-    let mut lane = recorder.lane();
-    assert!((0..100).all(|number| lane.put(&addressed(SECOND_NS + number, 1, &[9; 500]))));
+    let mut feed = recorder.feed();
+    assert!((0..100).all(|number| feed.put(&addressed(SECOND_NS + number, 1, &[9; 500]))));
     drop(recorder);
-    assert!(!lane.put(&addressed(SECOND_NS, 1, b"late")));
+    assert!(!feed.put(&addressed(SECOND_NS, 1, b"late")));
     let all: Vec<_> = (0..34)
         .flat_map(|number| read(&folder.0.join(format!("dropped-{number:03}.pcap.gz"))))
         .collect();

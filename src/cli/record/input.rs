@@ -6,7 +6,7 @@ use std::time::{Duration, Instant};
 use super::{CliError, Recording, TICK};
 use crate::admission::{DiscoveredSensors, Refusal};
 use crate::capture::UdpSource;
-use crate::capture::record::Lane;
+use crate::capture::record::Feed;
 use crate::capture::write::Addressed;
 use crate::daemon::tap::TapStream;
 
@@ -61,7 +61,7 @@ impl Input {
     pub(super) fn receive_all(self, recording: &Recording) -> (InputReport, Result<(), CliError>) {
         let recorded = |admission| Recorded {
             admission,
-            lanes: Vec::new(),
+            feeds: Vec::new(),
             recording,
         };
         let (report, result) = match self {
@@ -82,7 +82,7 @@ struct Recorded<'a> {
     admission: DiscoveredSensors,
     /// One for each port that datagrams came on. A daemon has a thread for each, and passes on what
     /// they have received as they come to it: of one port in order, of two not.
-    lanes: Vec<(u16, Lane)>,
+    feeds: Vec<(u16, Feed)>,
     recording: &'a Recording,
 }
 
@@ -95,20 +95,20 @@ impl Recorded<'_> {
         let refused = self.admission.admit(&datagram.datagram()).err();
         if refused.is_none_or(|refused| refused.reason == Refusal::TooMany) {
             // The recorder counts what it has no room for.
-            self.lane(datagram.destination.port()).put(datagram);
+            self.feed(datagram.destination.port()).put(datagram);
         }
     }
 
-    fn lane(&mut self, port: u16) -> &mut Lane {
+    fn feed(&mut self, port: u16) -> &mut Feed {
         let place = self
-            .lanes
+            .feeds
             .iter()
             .position(|(of, _)| *of == port)
             .unwrap_or_else(|| {
-                self.lanes.push((port, self.recording.recorder.lane()));
-                self.lanes.len() - 1
+                self.feeds.push((port, self.recording.recorder.feed()));
+                self.feeds.len() - 1
             });
-        &mut self.lanes[place].1
+        &mut self.feeds[place].1
     }
 }
 

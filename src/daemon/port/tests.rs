@@ -136,7 +136,7 @@ fn room(sweeps: &Sender<Sweep>) -> Room<Shared> {
         admission,
         sensors,
         others: Vec::new(),
-        lane: None,
+        feed: None,
         counters: Arc::default(),
     }
 }

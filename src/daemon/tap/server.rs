@@ -258,7 +258,7 @@ impl Tapped {
     /// Looks how far it has come, and counts what it had no room for.
     fn look(&mut self, clients: &mut [Client]) {
         let before = self.refused;
-        self.end = self.outlet.end();
+        self.end = self.consumer.end();
         self.refused = self.valve.refused.load(Ordering::Relaxed);
         for client in clients.iter_mut().filter(|client| client.wants(&self.name)) {
             client.lost += self.refused - before;
@@ -267,14 +267,17 @@ impl Tapped {
 
     /// Arrival of the next datagram that was there at the last look.
     fn next_ns(&self) -> Option<i64> {
-        self.outlet.next_ns(self.end)
+        self.consumer.next_ns(self.end)
     }
 
     fn carry_next(&mut self, clients: &mut [Client]) {
         let Self {
-            name, outlet, end, ..
+            name,
+            consumer,
+            end,
+            ..
         } = self;
-        if let Some(datagram) = outlet.take(*end) {
+        if let Some(datagram) = consumer.take(*end) {
             clients
                 .iter_mut()
                 .filter(|client| client.wants(name))
@@ -284,7 +287,7 @@ impl Tapped {
 
     /// Whether its [`Tap`](super::Tap) was dropped, and all is taken.
     fn is_done(&self) -> bool {
-        self.outlet.is_closed() && self.outlet.is_at(self.outlet.end())
+        self.consumer.is_closed() && self.consumer.is_at(self.consumer.end())
     }
 }
 

@@ -8,7 +8,7 @@ use std::time::{Duration, Instant};
 use tracing::{error, info, warn};
 
 use crate::capture::RecordError;
-use crate::capture::record::{Lane, Recorder, Rotation};
+use crate::capture::record::{Feed, Recorder, Rotation};
 use crate::daemon::config::RecordConfig;
 use crate::text::count_of;
 
@@ -98,8 +98,8 @@ impl Recording {
     }
 
     /// A way in, for one thread.
-    pub(super) fn lane(&self) -> Option<Lane> {
-        self.recorder.as_ref().map(Recorder::lane)
+    pub(super) fn feed(&self) -> Option<Feed> {
+        self.recorder.as_ref().map(Recorder::feed)
     }
 
     /// Its first file, or the name it should have.

@@ -13,20 +13,20 @@ fn what_came_through_two_threads_is_carried_in_the_order_of_arrival() {
     clients[0].waiting.reserve(WAITING_BYTES);
     let (mut inlets, mut sensors) = (Vec::new(), Vec::new());
     for _ in 0..2 {
-        let (inlet, outlet) = ring(8192);
+        let (producer, consumer) = ring(8192);
         let (name, valve) = ("roof".to_owned(), Arc::<Valve>::default());
-        inlets.push(inlet);
+        inlets.push(producer);
         sensors.push(Tapped {
             name,
-            outlet,
+            consumer,
             end: 0,
             valve,
             refused: 0,
         });
     }
     let end = "127.0.0.1:2368".parse().unwrap();
-    let put = |inlet: &mut crate::capture::record::ring::Inlet, arrival_ns| {
-        assert!(inlet.put(&Addressed {
+    let put = |producer: &mut crate::capture::record::ring::Producer, arrival_ns| {
+        assert!(producer.put(&Addressed {
             arrival_ns,
             source: end,
             destination: end,
