@@ -59,7 +59,7 @@
 //! | consumer | a program that reads sweeps from shared memory |
 //! | domain | the folder by which a daemon and its consumers find each other |
 //! | loan, pool | shared memory for one sweep, filled before anybody sees it; that of all sweeps of a sensor |
-//! | lane, tap | the way of a thread's datagrams into a recording; to who records from a running daemon |
+//! | recording, feed | files that grow with what is received; the way of one thread's datagrams into them |
 
 #![deny(unsafe_code)]
 #![warn(missing_docs)]

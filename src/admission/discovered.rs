@@ -88,6 +88,15 @@ impl DiscoveredSensors {
         admitted
     }
 
+    /// Reads a datagram, counts it, and says whether a recording of these sensors holds it. It
+    /// holds what one sensor more than [`MAX_SENSORS`] sends, too.
+    pub fn is_recorded(&mut self, datagram: &Datagram<'_>) -> bool {
+        match self.admit(datagram) {
+            Ok(_) => true,
+            Err(refused) => refused.reason == Refusal::TooMany,
+        }
+    }
+
     /// All senders, by number.
     pub fn senders(&self) -> &[Sender] {
         &self.senders

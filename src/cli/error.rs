@@ -8,7 +8,7 @@ use std::sync::Arc;
 use crate::capture::{CaptureError, RecordError, UdpError};
 use crate::daemon::DaemonError;
 use crate::daemon::config::ConfigError;
-use crate::daemon::tap::TapError;
+use crate::daemon::record::client::RemoteRecordError;
 use crate::export::WriteError;
 use crate::files::CalibrationFileError;
 use sweepd_client::client::ClientError;
@@ -46,9 +46,9 @@ pub enum CliError {
     /// No sweeps can be had from a daemon.
     #[error(transparent)]
     Client(#[from] ClientError),
-    /// The daemon's datagrams cannot be had.
+    /// The daemon does not record.
     #[error(transparent)]
-    Tap(#[from] TapError),
+    RemoteRecord(#[from] RemoteRecordError),
     /// A port cannot be listened on.
     #[error(transparent)]
     Udp(#[from] UdpError),

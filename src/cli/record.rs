@@ -1,10 +1,11 @@
-//! `sweepd record`: live sensors to a capture, from UDP or from the daemon that has them.
+//! `sweepd record`: live sensors to a capture, from UDP, or by the daemon that has them.
 //!
-//! A thread an input receives and does nothing that could wait; a [`Recorder`] writes. Signals come
-//! by signal-hook, which sets a flag without a runtime, a thread or `unsafe` of ours; there is
-//! nothing here that would want to be asynchronous.
+//! A thread a port receives and does nothing that could wait; a [`Recorder`] writes. With `--from`
+//! the daemon does both. Signals come by signal-hook, which sets a flag without a runtime, a thread
+//! or `unsafe` of ours.
 
 mod input;
+mod remote;
 mod report;
 
 use std::io::{self, BufWriter, IsTerminal, Write};
@@ -16,20 +17,18 @@ use std::time::{Duration, Instant};
 
 use indicatif::{ProgressBar, ProgressStyle};
 
-use self::input::{Input, InputReport};
-use self::report::Report;
+use self::input::Input;
+use self::report::{InputReport, Report};
 use super::options::{Listening, within};
 use super::output::ForceOptions;
 use super::signals::end_flag;
 use super::{CliError, complain};
 use crate::admission::{DiscoveredSensors, SensorFilter};
-use crate::capture::record::Rotation;
+use crate::capture::record::{RecorderConfig, Rotation};
 use crate::capture::udp::ample_buffer_bytes;
-use crate::capture::{RecordError, Recorder, UdpConfig, UdpError, UdpSource};
-use crate::daemon::tap::{TapStream, socket_path};
-use crate::export::{Existing, WriteError};
+use crate::capture::{Recorder, UdpConfig, UdpError, UdpSource};
+use crate::daemon::record::protocol::Progress;
 use crate::text::grouped;
-use sweepd_client::publish::Domain;
 
 /// How soon everybody hears of the end.
 const TICK: Duration = Duration::from_millis(50);
@@ -53,8 +52,8 @@ pub struct Args {
     output: PathBuf,
     #[command(flatten)]
     force: ForceOptions,
-    /// Record what the running daemon receives of this sensor, by its name in the daemon's
-    /// configuration
+    /// Have the running daemon record what it receives of this sensor, by its name in the daemon's
+    /// configuration; the daemon's user must be allowed to write the file
     #[arg(long, value_name = "NAME", conflicts_with_all = ["ports", "bind", "multicast", "interface"])]
     from: Option<String>,
     /// Folder of the daemon's files [default: $SWEEPD_ROOT; else /run/sweepd/iox2 where there is a
@@ -101,55 +100,63 @@ pub fn run(args: &Args) -> Result<(), CliError> {
         what: "handle signals",
         source,
     })?;
-    let inputs = args.inputs()?;
-    let recorder = args.recorder()?;
-    announce(&inputs, recorder.path());
-    let (report, ended) = Recording {
-        recorder,
-        over,
-        counts: Counts::default(),
-    }
-    .run(args, inputs);
+    let (report, ended) = match &args.from {
+        Some(sensor) => remote::record(args, sensor, &over)?,
+        None => args.record_ports(over)?,
+    };
     report
         .print(&mut BufWriter::new(io::stdout().lock()))
         .map_err(CliError::Stdout)?;
     // What an error explains needs no warning.
     if ended.is_ok() {
-        report
-            .warnings()
-            .iter()
-            .for_each(|warning| complain("warning", warning));
+        for warning in report.warnings() {
+            complain("warning", &warning);
+        }
     }
     ended
 }
 
-fn announce(inputs: &[Input], file: &Path) {
-    let places: Vec<String> = inputs.iter().map(Input::place).collect();
+fn announce(inputs: &str, file: &Path) {
     let _ = writeln!(
         io::stderr(),
-        "recording {} to {}; Ctrl-C ends it",
-        places.join(", "),
+        "recording {inputs} to {}; Ctrl-C ends it",
         file.display()
     );
 }
 
 impl Args {
-    /// What to record: ports of this host, or a sensor of the daemon.
-    fn inputs(&self) -> Result<Vec<Input>, CliError> {
-        let Some(sensor) = &self.from else {
-            return self.listen();
+    fn record_ports(
+        &self,
+        over: Arc<AtomicBool>,
+    ) -> Result<(Report, Result<(), CliError>), CliError> {
+        let sources = self.listen()?;
+        let recorder = Recorder::start(RecorderConfig {
+            rotation: self.rotation(),
+            existing: self.force.existing(),
+            ..RecorderConfig::new(&self.output)
+        })?;
+        let places: Vec<String> = sources
+            .iter()
+            .map(|source| source.local_addr().to_string())
+            .collect();
+        announce(&places.join(", "), recorder.path());
+        let inputs = sources.into_iter().map(|source| Input {
+            source,
+            admission: DiscoveredSensors::new(self.sensor.clone()),
+            feed: recorder.feed(),
+        });
+        let inputs = inputs.collect();
+        let recording = Recording {
+            recorder,
+            over,
+            received: AtomicU64::new(0),
+            dropped: AtomicU64::new(0),
         };
-        let domain = Domain::at_or_default(self.root.as_deref());
-        let stream = TapStream::connect(&socket_path(domain.root()), sensor)?;
-        Ok(vec![Input::Daemon {
-            stream,
-            sensor: sensor.clone(),
-            admission: self.admission(),
-        }])
+        Ok(recording.run(self, inputs))
     }
 
     /// Opens all ports, and says which have too small a buffer.
-    fn listen(&self) -> Result<Vec<Input>, CliError> {
+    fn listen(&self) -> Result<Vec<UdpSource>, CliError> {
         let Listening {
             mut ports,
             bind,
@@ -158,45 +165,22 @@ impl Args {
         } = self.listening.clone();
         ports.sort_unstable();
         ports.dedup();
-        let mut inputs = Vec::new();
+        let mut sources = Vec::new();
         for port in ports {
-            let (interface, buffer_bytes) = (interface.clone(), ample_buffer_bytes());
             let config = UdpConfig {
                 address: bind,
                 port,
                 multicast,
-                interface,
-                buffer_bytes,
+                interface: interface.clone(),
+                buffer_bytes: ample_buffer_bytes(),
             };
             let source = UdpSource::bind(&config).map_err(in_place_of_daemon)?;
             if let Some(warning) = source.buffer().warning(source.local_addr().port()) {
                 complain("warning", warning);
             }
-            inputs.push(Input::Port {
-                source,
-                admission: self.admission(),
-            });
+            sources.push(source);
         }
-        Ok(inputs)
-    }
-
-    /// Begins to write.
-    fn recorder(&self) -> Result<Recorder, CliError> {
-        if self.force.existing() == Existing::Replace {
-            return Ok(Recorder::replacing(&self.output)?);
-        }
-        match Recorder::start(&self.output, self.rotation()) {
-            Err(RecordError::File { path, source })
-                if source.kind() == io::ErrorKind::AlreadyExists =>
-            {
-                Err(WriteError::Exists { path }.into())
-            }
-            begun => Ok(begun?),
-        }
-    }
-
-    fn admission(&self) -> DiscoveredSensors {
-        DiscoveredSensors::new(self.sensor.clone())
+        Ok(sources)
     }
 
     fn rotation(&self) -> Rotation {
@@ -227,78 +211,60 @@ fn in_place_of_daemon(error: UdpError) -> CliError {
     }
 }
 
-/// What the live line shows of the inputs.
-#[derive(Default)]
-struct Counts {
-    received: AtomicU64,
-    dropped: AtomicU64,
-}
-
 /// What the threads share.
 struct Recording {
     recorder: Recorder,
     over: Arc<AtomicBool>,
-    counts: Counts,
+    /// Datagrams of all ports that came, and that the kernel dropped before.
+    received: AtomicU64,
+    dropped: AtomicU64,
 }
 
 impl Recording {
     /// Records until the end. What was recorded is reported whatever ended it.
     fn run(self, args: &Args, inputs: Vec<Input>) -> (Report, Result<(), CliError>) {
         let begun = Instant::now();
-        let received: Vec<(InputReport, Result<(), CliError>)> = thread::scope(|scope| {
-            let receive = |input: Input| scope.spawn(|| input.receive_all(&self));
-            let receivers: Vec<_> = inputs.into_iter().map(receive).collect();
+        let ended: Vec<(InputReport, Result<(), CliError>)> = thread::scope(|scope| {
+            let receivers: Vec<_> = inputs
+                .into_iter()
+                .map(|input| scope.spawn(|| input.receive_all(&self)))
+                .collect();
             self.watch(args, begun);
             receivers
                 .into_iter()
-                .map(|receiver| resume(receiver.join()))
+                .map(|one| resume(one.join()))
                 .collect()
         });
         let (written, finished) = self.recorder.finish();
-        let took = begun.elapsed();
-        let (inputs, failed): (Vec<_>, Vec<_>) = received.into_iter().unzip();
-        let failed = failed.into_iter().collect::<Result<(), CliError>>();
-        (
-            Report {
-                inputs,
-                written,
-                took,
-            },
-            finished.map_err(CliError::from).and(failed),
-        )
+        let mut inputs = Vec::new();
+        let mut result = finished.map_err(CliError::from);
+        for (input, received) in ended {
+            inputs.push(input);
+            result = result.and(received);
+        }
+        let report = Report {
+            inputs,
+            written,
+            took: begun.elapsed(),
+        };
+        (report, result)
     }
 
-    /// Waits for the end, with a live line where somebody sits. A disk that fails is an end as
-    /// well.
+    /// Waits for the end, with a live line where standard error is a terminal. A disk that fails is
+    /// an end as well.
     fn watch(&self, args: &Args, begun: Instant) {
         let line = live_line();
         while !self.is_over() && !args.is_due(begun) && self.recorder.error().is_none() {
             thread::sleep(TICK);
-            line.set_message(self.live(begun));
+            let progress = Progress {
+                received: self.received.load(Ordering::Relaxed),
+                dropped: self.dropped.load(Ordering::Relaxed),
+                ..Progress::of(self.recorder.counts())
+            };
+            line.set_message(describe(begun, &progress));
         }
         line.finish_and_clear();
         self.end();
-    }
-
-    fn live(&self, begun: Instant) -> String {
-        let (counts, recorded) = (&self.counts, self.recorder.counts());
-        let [received, dropped, refused, written, bytes] = [
-            &counts.received,
-            &counts.dropped,
-            &recorded.refused,
-            &recorded.written,
-            &recorded.bytes,
-        ]
-        .map(|count| count.load(Ordering::Relaxed));
-        let megabytes = bytes as f64 * 1e-6;
-        format!(
-            "{:.0} s: {} datagrams came, {} recorded ({megabytes:.1} MB), {} dropped before, {} for want of a faster disk",
-            begun.elapsed().as_secs_f64(),
-            grouped(received),
-            grouped(written),
-            grouped(dropped),
-            grouped(refused),
-        )
     }
 
     fn is_over(&self) -> bool {
@@ -308,6 +274,19 @@ impl Recording {
     fn end(&self) {
         self.over.store(true, Ordering::Relaxed);
     }
+}
+
+/// The live line.
+fn describe(begun: Instant, progress: &Progress) -> String {
+    format!(
+        "{:.0} s: {} datagrams came, {} recorded ({:.1} MB), {} dropped before, {} for want of a faster disk",
+        begun.elapsed().as_secs_f64(),
+        grouped(progress.received),
+        grouped(progress.written),
+        progress.bytes as f64 * 1e-6,
+        grouped(progress.dropped),
+        grouped(progress.unwritten),
+    )
 }
 
 fn live_line() -> ProgressBar {

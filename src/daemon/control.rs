@@ -18,12 +18,12 @@ use super::counters::SensorCounters;
 use super::health::{self, Http, View};
 use super::losses::Tally;
 use super::notify::{Notifier, Pulse, beat};
+use super::record::server::ControlServer;
+use super::record::{Recordings, socket_path};
 use super::runtime::{DaemonError, PortStatus, Runtime, SensorStatus};
 use super::sensor::Event;
 use super::sharing::Sharing;
 use super::state::{Condition, Message, Observation, Running, Watcher};
-use super::tap::socket_path;
-use super::tee::Tees;
 use crate::cure::{Dialect, explain};
 use sweepd_core::pipeline::Notice;
 
@@ -47,10 +47,10 @@ pub struct Reload {
 pub type Reread = Box<dyn FnMut(&Config) -> Result<Reload, String>>;
 
 /// Runs the daemon until SIGTERM or SIGINT; SIGHUP reads the configuration again. `root` is the
-/// folder where consumers find it, and the socket of the taps.
+/// folder where consumers find it, and its control socket.
 ///
-/// A signal ends it within 200 ms where its threads get a core, all but the recording: what that
-/// has is on the disk before this returns, however long the disk takes. (systemd gives it the
+/// A signal ends it within 200 ms where its threads get a core, all but the recordings: what they
+/// have is on the disk before this returns, however long the disk takes. (systemd gives it the
 /// TimeoutStopSec of the unit; what the disk did not take in that time is lost.)
 ///
 /// # Errors
@@ -78,13 +78,18 @@ pub fn run<S: Sharing>(
             source,
         })?;
         let http = listen(&config.daemon).await?;
-        let mut tees = Tees::open(Some(socket_path(root)));
-        let mut start = || Runtime::start(&config, sharing, &mut tees);
+        let mut recordings = Recordings::default();
+        let mut start = || Runtime::start(&config, sharing, &mut recordings);
         let Some(runtime) = started(&mut start, (root, http.as_ref()), &mut signals).await? else {
             return Ok(());
         };
-        Control::new(config, (runtime, tees), reread, root, begun)
-            .serve(sharing, signals, http)
+        let server = ControlServer::start(&socket_path(root), recordings.event_sender());
+        // No reason not to run.
+        let server = server
+            .inspect_err(|error| warn!("`sweepd record --from` is not served: {error}"))
+            .ok();
+        Control::new(config, (runtime, recordings), reread, root, begun)
+            .serve(sharing, signals, http, server)
             .await
     })
 }
@@ -166,7 +171,7 @@ async fn listen(config: &DaemonConfig) -> Result<Option<Http>, DaemonError> {
 struct Control {
     config: Config,
     runtime: Runtime,
-    tees: Tees,
+    recordings: Recordings,
     reread: Reread,
     /// When tokio's clock began.
     begun: Instant,
@@ -189,7 +194,7 @@ struct Control {
 impl Control {
     fn new(
         config: Config,
-        (runtime, tees): (Runtime, Tees),
+        (runtime, recordings): (Runtime, Recordings),
         reread: Reread,
         root: &Path,
         begun: Instant,
@@ -224,7 +229,7 @@ impl Control {
         Self {
             config,
             runtime,
-            tees,
+            recordings,
             reread,
             begun,
             watchers,
@@ -244,6 +249,7 @@ impl Control {
         sharing: &impl Sharing,
         mut signals: Signals,
         http: Option<Http>,
+        server: Option<ControlServer>,
     ) -> Result<(), DaemonError> {
         for status in self.runtime.sensors.iter() {
             info!(
@@ -262,6 +268,7 @@ impl Control {
                 _ = signals.interrupt.recv() => break Ok("SIGINT"),
                 _ = signals.reload.recv() => self.reload(),
                 never = &mut serving => match never {},
+                event = self.recordings.next_event() => self.recordings.handle(event),
                 _ = ticks.tick() => match self.look_around() {
                     Ok(()) => sharing.look(),
                     Err(error) => break Err(error),
@@ -272,7 +279,10 @@ impl Control {
         // Who finds it gone is to see that it was asked to.
         let ended = ended.map(|signal| info!("ends, by {signal}"));
         let stopped = self.runtime.stop();
-        self.tees.finish();
+        self.recordings.finish();
+        if let Some(server) = server {
+            server.finish().await;
+        }
         ended.and(stopped)
     }
 
@@ -281,9 +291,7 @@ impl Control {
         self.runtime.check()?;
         let now = self.begun.elapsed();
         self.hear_events();
-        if self.tees.look() {
-            self.runtime.record(&self.tees);
-        }
+        self.recordings.look();
         for (watcher, sensor) in self.watchers.iter_mut().zip(self.runtime.sensors.iter()) {
             let tally = tally(sensor, &self.runtime);
             watcher
@@ -418,7 +426,7 @@ impl Control {
         self.view
             .lock()
             .unwrap_or_else(PoisonError::into_inner)
-            .update(conditions, hanging, self.tees.status());
+            .update(conditions, hanging, self.recordings.status());
     }
 
     fn port(&self, index: usize) -> &str {
@@ -458,8 +466,8 @@ impl Control {
             self.watchers[index].limit_losses(new.losses);
         }
         // One that has failed is begun again at once: a reload says that the disk is well.
-        if self.config.record.as_ref() != self.tees.config() || self.tees.has_failed() {
-            self.tees.record(self.config.record.as_ref());
+        if self.config.record.as_ref() != self.recordings.config() || self.recordings.has_failed() {
+            self.recordings.configure(self.config.record.as_ref());
         }
     }
 }

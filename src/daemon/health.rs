@@ -32,9 +32,9 @@ use tokio::time::timeout;
 
 use super::losses::Recent;
 use super::metrics;
+use super::record::{RecordingStatus, RecordingsStatus};
 use super::runtime::{PortStatus, SensorStatus};
 use super::state::{Condition, State};
-use super::tee::RecordingStatus;
 use sweepd_core::wire::data::ReturnMode;
 
 /// Connections that are served at a time; more are closed at once.
@@ -52,7 +52,7 @@ pub struct View {
     pub(super) conditions: Vec<Condition>,
     /// Ports whose threads hang.
     hanging: Vec<String>,
-    pub(super) recording: Option<RecordingStatus>,
+    pub(super) recordings: RecordingsStatus,
     /// What is not there yet, without which nothing can be begun.
     waits_for: Option<String>,
     /// The folder where consumers find the daemon.
@@ -77,7 +77,7 @@ impl View {
             ports,
             conditions,
             hanging: Vec::new(),
-            recording: None,
+            recordings: RecordingsStatus::default(),
             waits_for: None,
             root,
             begun: Instant::now(),
@@ -92,15 +92,17 @@ impl View {
         }
     }
 
-    /// Takes how the sensors are, the names of the ports whose threads hang, and how the recording
-    /// is.
+    /// Takes how the sensors are, the names of the ports whose threads hang, and how the recordings
+    /// are.
     pub fn update(
         &mut self,
         conditions: Vec<Condition>,
         hanging: Vec<String>,
-        recording: Option<RecordingStatus>,
+        recordings: RecordingsStatus,
     ) {
-        (self.conditions, self.hanging, self.recording) = (conditions, hanging, recording);
+        self.conditions = conditions;
+        self.hanging = hanging;
+        self.recordings = recordings;
     }
 
     /// Of which sensors not all is well although they stream: warnings, no faults.
@@ -141,11 +143,10 @@ impl View {
             .map(|port| format!("the thread of port {port} hangs"));
         let is_gone = |port: &&PortStatus| port.counters.is_interface_gone();
         let gone = self.ports.iter().filter(is_gone).map(interface_gone);
-        let failed = self
-            .recording
-            .as_ref()
-            .and_then(|recording| recording.trouble.as_ref());
-        let unrecorded = failed.map(|why| format!("nothing is recorded: {why}"));
+        let configured = self.recordings.configured.as_ref();
+        let unrecorded = configured
+            .and_then(|recording| recording.trouble.as_ref())
+            .map(|why| format!("nothing is recorded: {why}"));
         self.waits_for
             .clone()
             .into_iter()
@@ -187,7 +188,8 @@ impl View {
             "root": self.root,
             "sensors": sensors,
             "ports": ports,
-            "recording": self.recording.as_ref().map(recording),
+            "recording": self.recordings.configured.as_ref().map(recording),
+            "asked_recordings": self.recordings.asked.iter().map(recording).collect::<Vec<_>>(),
         });
         (is_well, report)
     }
@@ -281,6 +283,7 @@ fn port(port: &PortStatus, hangs: bool) -> Value {
 
 fn recording(recording: &RecordingStatus) -> Value {
     let RecordingStatus {
+        sensor,
         path,
         files,
         datagrams,
@@ -289,6 +292,7 @@ fn recording(recording: &RecordingStatus) -> Value {
         trouble,
     } = recording;
     json!({
+        "sensor": sensor,
         "path": path,
         "files": files,
         "datagrams": datagrams,

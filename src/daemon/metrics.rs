@@ -15,9 +15,9 @@ use prometheus_client::registry::{Registry, Unit};
 
 use super::counters::{Gps, SensorCounters, Stage};
 use super::health::View;
+use super::record::RecordingsStatus;
 use super::runtime::{PortStatus, SensorStatus};
 use super::state::{Condition, State};
-use super::tee::RecordingStatus;
 
 /// What [`encode`] writes.
 pub const CONTENT_TYPE: &str = "application/openmetrics-text; version=1.0.0; charset=utf-8";
@@ -27,17 +27,11 @@ pub const CONTENT_TYPE: &str = "application/openmetrics-text; version=1.0.0; cha
 /// # Errors
 /// None that this format could not hold; what writes to it may fail.
 pub fn encode(view: &View) -> Result<String, fmt::Error> {
-    let conditions = view.conditions.clone();
-    let (sensors, ports, recording) = (
-        Arc::clone(&view.sensors),
-        Arc::clone(&view.ports),
-        view.recording.clone(),
-    );
     let snapshot = Snapshot {
-        sensors,
-        ports,
-        conditions,
-        recording,
+        sensors: Arc::clone(&view.sensors),
+        ports: Arc::clone(&view.ports),
+        conditions: view.conditions.clone(),
+        recordings: view.recordings.clone(),
     };
     let mut registry = Registry::with_prefix("sweepd");
     registry.register_collector(Box::new(snapshot));
@@ -50,7 +44,7 @@ struct Snapshot {
     sensors: Arc<[SensorStatus]>,
     ports: Arc<[PortStatus]>,
     conditions: Vec<Condition>,
-    recording: Option<RecordingStatus>,
+    recordings: RecordingsStatus,
 }
 
 impl fmt::Debug for Snapshot {
@@ -98,7 +92,7 @@ impl Collector for Snapshot {
     fn encode(&self, mut encoder: DescriptorEncoder<'_>) -> fmt::Result {
         self.sensor_totals(&mut encoder)?;
         self.port_totals(&mut encoder)?;
-        self.recording(&mut encoder)?;
+        self.recordings(&mut encoder)?;
         self.gauges(&mut encoder)?;
         self.stages(&mut encoder)
     }
@@ -204,39 +198,33 @@ impl Snapshot {
         )
     }
 
-    fn recording(&self, encoder: &mut DescriptorEncoder<'_>) -> fmt::Result {
-        let Some(RecordingStatus {
-            datagrams,
-            refused,
-            retries,
-            trouble,
-            ..
-        }) = &self.recording
-        else {
-            return Ok(());
-        };
-        let none: Labels<'_, 0> = [];
-        family(
+    fn recordings(&self, encoder: &mut DescriptorEncoder<'_>) -> fmt::Result {
+        let RecordingsStatus {
+            configured,
+            asked,
+            asked_datagrams,
+            asked_refused,
+        } = &self.recordings;
+        let unwritten = "Datagrams that found no room, since the disk is too slow or failed";
+        if let Some(one) = configured {
+            let help = "Datagrams written by [record]";
+            single(encoder, "recorded", help, Total(one.datagrams))?;
+            single(encoder, "unrecorded", unwritten, Total(one.refused))?;
+            let help = "Attempts to begin a recording again that has failed";
+            single(encoder, "recording_retries", help, Total(one.retries))?;
+            let help = "1 while nothing is recorded, though it should be";
+            let has_failed = u8::from(one.trouble.is_some());
+            single(encoder, "recording_failed", help, Now(has_failed.into()))?;
+        }
+        let help = "Recordings under way for sweepd record --from";
+        single(encoder, "asked_recordings", help, Now(asked.len() as f64))?;
+        let help = "Datagrams written for sweepd record --from";
+        single(encoder, "asked_recorded", help, Total(*asked_datagrams))?;
+        single(
             encoder,
-            "recorded",
-            "Datagrams written by [record]",
-            once((none, Total(*datagrams))),
-        )?;
-        let help = "Datagrams that found no room, since the disk is too slow or failed";
-        family(encoder, "unrecorded", help, once((none, Total(*refused))))?;
-        let help = "Attempts to begin a recording again that has failed";
-        family(
-            encoder,
-            "recording_retries",
-            help,
-            once((none, Total(*retries))),
-        )?;
-        let failed = f64::from(u8::from(trouble.is_some()));
-        family(
-            encoder,
-            "recording_failed",
-            "1 while nothing is recorded, though it should be",
-            once((none, Now(failed))),
+            "asked_unrecorded",
+            unwritten,
+            Total(*asked_refused),
         )
     }
 
@@ -368,6 +356,17 @@ fn family<'a, const N: usize, M: EncodeMetric>(
     metrics: impl Iterator<Item = (Labels<'a, N>, M)>,
 ) -> fmt::Result {
     family_in(encoder, name, help, None, metrics)
+}
+
+/// One metric of the whole daemon.
+fn single(
+    encoder: &mut DescriptorEncoder<'_>,
+    name: &str,
+    help: &str,
+    metric: impl EncodeMetric,
+) -> fmt::Result {
+    let none: Labels<'_, 0> = [];
+    family(encoder, name, help, once((none, metric)))
 }
 
 /// One metric of several sensors or ports; none at all where no one of them has it.

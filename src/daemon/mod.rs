@@ -6,7 +6,7 @@
 //! plan, runtime                     ports and sensors: worked out, opened, started, looked after
 //! port      one thread a port:      receive -> admission -> sensor (pipeline, header) -> sharing
 //! nap                               how long that thread may sleep while packets gather
-//! tee, tap                          copies of what is received: the recording, and `sweepd record --from`
+//! record                            what is recorded: by the configuration, and for `sweepd record --from`
 //! control   one tokio thread:       signals, reload, notify (systemd), health and metrics over HTTP
 //! counters                          what the first tell the second: plain atomics
 //! state                             what that means, in words
@@ -22,14 +22,13 @@ pub mod nap;
 pub mod notify;
 pub mod plan;
 pub mod port;
+pub mod record;
 pub mod runtime;
 pub mod sensor;
 mod shared_memory;
 pub mod sharing;
 pub mod state;
 pub mod sys;
-pub mod tap;
-pub mod tee;
 #[cfg(test)]
 pub(crate) mod testing;
 

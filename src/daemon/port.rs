@@ -16,12 +16,11 @@ use std::time::{Duration, Instant};
 
 use super::counters::{PortCounters, SensorCounters};
 use super::nap::{self, Load};
+use super::record::{PortChange, PortRecording};
 use super::sensor::Sensor;
 use super::sharing::Outgoing;
 use super::sys::wait_for_either;
-use super::tap::Tap;
 use crate::admission::{ConfiguredSensors, Refusal, Route};
-use crate::capture::record::Feed;
 use crate::capture::write::Addressed;
 use crate::capture::{UdpError, UdpSource};
 use sweepd_client::host::realtime_ns;
@@ -53,8 +52,6 @@ pub struct Mailbox {
     pub sender: SyncSender<Packet<'static>>,
     /// What is counted when it is full.
     pub counters: Arc<SensorCounters>,
-    /// Where copies of them go.
-    pub tap: Option<Tap>,
 }
 
 /// A sensor of this port, and what reaches it from other threads.
@@ -65,8 +62,6 @@ pub struct Served<B: Buffers> {
     pub mail: Receiver<Packet<'static>>,
     /// New configurations.
     pub orders: Receiver<pipeline::Config>,
-    /// Where copies of its packets go.
-    pub tap: Option<Tap>,
     /// Its newest data packet.
     pub newest: Newest,
 }
@@ -76,8 +71,8 @@ pub struct Port<B: Buffers> {
     source: UdpSource,
     /// Who sits behind it.
     room: Room<B>,
-    /// Other ways to a recording.
-    feeds: Receiver<Option<Feed>>,
+    /// What changes in its recordings.
+    changes: Receiver<PortChange>,
     end: End,
     /// How often it shows that it lives, at least.
     beat: Duration,
@@ -104,8 +99,8 @@ pub struct Room<B: Buffers> {
     pub sensors: Vec<Served<B>>,
     /// The other sensors, in the order of admission.
     pub others: Vec<Mailbox>,
-    /// Where copies of all that is let in go.
-    pub feed: Option<Feed>,
+    /// Where what is let in is recorded.
+    pub recordings: Vec<PortRecording>,
     /// What is counted.
     pub counters: Arc<PortCounters>,
 }
@@ -143,19 +138,18 @@ impl Newest {
 }
 
 impl<B: Buffers<Buffer: Outgoing>> Port<B> {
-    /// A port whose socket is open, with ways to a recording; it goes a round after each `beat`, or
-    /// sooner.
+    /// A port whose socket is open; it goes a round after each `beat`, or sooner.
     pub fn new(
         source: UdpSource,
         room: Room<B>,
-        feeds: Receiver<Option<Feed>>,
+        changes: Receiver<PortChange>,
         end: End,
         beat: Duration,
     ) -> Self {
         Self {
             source,
             room,
-            feeds,
+            changes,
             end,
             beat,
             heard: None,
@@ -218,8 +212,8 @@ impl<B: Buffers<Buffer: Outgoing>> Port<B> {
     /// threads that sleep, and rings for those that wait.
     fn rest(&self) {
         if self.is_quiet() {
-            // One for position packets alone is asked for nothing but a feed, which it looks for
-            // before it takes a packet.
+            // One for position packets alone is asked for nothing but recordings, which it looks
+            // for before it handles a packet.
             let idle = if self.has_sweeps() {
                 IDLE.min(self.beat)
             } else {
@@ -232,7 +226,9 @@ impl<B: Buffers<Buffer: Outgoing>> Port<B> {
             sensors, others, ..
         } = &self.room;
         let (longest, senders) = match self.has_sweeps() {
-            false if !self.room.is_copied() => (nap::LONGEST_OF_POSITIONS, [0, others.len()]),
+            false if self.room.recordings.is_empty() => {
+                (nap::LONGEST_OF_POSITIONS, [0, others.len()])
+            }
             false => (nap::LONGEST, [0, others.len()]),
             true => (nap::LONGEST, [sensors.len(), 0]),
         };
@@ -260,16 +256,17 @@ impl<B: Buffers<Buffer: Outgoing>> Port<B> {
         let Self {
             source,
             room,
-            feeds,
+            changes,
             heard,
             load,
             ..
         } = self;
-        while let Ok(next) = feeds.try_recv() {
-            room.feed = next;
-        }
         let mut some_came = false;
         let batch = source.receive_counted(timeout)?;
+        // Not before: what came after a change was asked for falls under it.
+        while let Ok(change) = changes.try_recv() {
+            change.apply(&mut room.recordings);
+        }
         let begun = Instant::now();
         for (addressed, dropped) in batch {
             some_came |= room.take(&addressed, dropped);
@@ -297,17 +294,21 @@ impl<B: Buffers<Buffer: Outgoing>> Room<B> {
     /// dropped on the port so far.
     fn take(&mut self, addressed: &Addressed<'_>, dropped: u64) -> bool {
         let datagram = addressed.datagram();
-        match self.admission.admit(&datagram) {
+        let sensor = match self.admission.admit(&datagram) {
             Ok((Route::Data(index), packet)) => {
                 let served = &mut self.sensors[index];
-                put(&mut served.tap, addressed);
                 served.sensor.data(&packet, dropped);
                 served.newest.stamp(packet.arrival_ns);
+                Some(index)
             }
-            Ok((Route::Position(mut route), packet)) => match route.next() {
-                Some(place) => self.deliver(place, &packet, addressed),
-                None => self.counters.refuse(Refusal::Ambiguous),
-            },
+            Ok((Route::Position(mut route), packet)) => {
+                let sensor = route.next();
+                match sensor {
+                    Some(index) => self.deliver(index, &packet),
+                    None => self.counters.refuse(Refusal::Ambiguous),
+                }
+                sensor
+            }
             Err(refused) => {
                 self.counters.refuse(refused.reason);
                 if let Some(index) = refused.sensor {
@@ -315,23 +316,20 @@ impl<B: Buffers<Buffer: Outgoing>> Room<B> {
                 }
                 return false;
             }
-        }
-        if let Some(feed) = &mut self.feed {
-            // What finds no room is counted there.
-            feed.put(addressed);
+        };
+        for recording in &mut self.recordings {
+            recording.put(sensor, addressed);
         }
         true
     }
 
     /// Hands a position packet to a sensor, by its number at admission.
-    fn deliver(&mut self, place: usize, packet: &Packet<'_>, addressed: &Addressed<'_>) {
-        if let Some(served) = self.sensors.get_mut(place) {
-            put(&mut served.tap, addressed);
+    fn deliver(&mut self, index: usize, packet: &Packet<'_>) {
+        if let Some(served) = self.sensors.get_mut(index) {
             served.sensor.position(packet);
             return;
         }
-        let mailbox = &mut self.others[place - self.sensors.len()];
-        put(&mut mailbox.tap, addressed);
+        let mailbox = &self.others[index - self.sensors.len()];
         if let Some(packet) = packet.without_sentence()
             && mailbox.sender.try_send(packet).is_err()
         {
@@ -339,27 +337,11 @@ impl<B: Buffers<Buffer: Outgoing>> Room<B> {
         }
     }
 
-    /// Whether copies of what comes here for other sensors go anywhere.
-    fn is_copied(&self) -> bool {
-        self.feed.is_some()
-            || self
-                .others
-                .iter()
-                .filter_map(|mailbox| mailbox.tap.as_ref())
-                .any(Tap::is_open)
-    }
-
     /// What is done between batches.
     fn catch_up(&mut self, now: Instant, dropped: u64) {
         self.sensors
             .iter_mut()
             .for_each(|served| served.catch_up(now, dropped));
-    }
-}
-
-fn put(tap: &mut Option<Tap>, addressed: &Addressed<'_>) {
-    if let Some(tap) = tap {
-        tap.put(addressed);
     }
 }
 

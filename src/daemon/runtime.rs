@@ -17,11 +17,10 @@ use super::counters::{PortCounters, SensorCounters};
 use super::notify::beat;
 use super::plan::{self, PortName, PortPlan};
 use super::port::{End, MAILS, Mailbox, Newest, Port, Room, Served};
+use super::record::{PortLink, Recordings};
 use super::sensor::{Event, Identity, Sensor};
 use super::sharing::{Sharing, SharingError, SharingStatus};
 use super::sys;
-use super::tee::Tees;
-use crate::capture::record::Feed;
 use crate::capture::udp::ReceiveBuffer;
 use crate::capture::{UdpError, UdpSource};
 use sweepd_core::pipeline;
@@ -151,8 +150,6 @@ pub struct Runtime {
     pub events: Receiver<(usize, Event)>,
     /// Ways to give sensors another configuration.
     orders: Vec<Sender<pipeline::Config>>,
-    /// Ways to give ports another feed of a recording.
-    feeds: Vec<Sender<Option<Feed>>>,
     over: Arc<AtomicBool>,
     /// Shut down when they are to end, for those that wait on a socket.
     bell: UnixStream,
@@ -169,7 +166,7 @@ impl Runtime {
     pub fn start<S: Sharing>(
         config: &Config,
         sharing: &S,
-        tees: &mut Tees,
+        recordings: &mut Recordings,
     ) -> Result<Self, DaemonError> {
         // Ports first: who holds them already is told before anything is reserved.
         let mut sockets = Vec::new();
@@ -194,11 +191,11 @@ impl Runtime {
                 .map_or(0, |(source, _)| source.local_addr().port());
             ready.insert(
                 index,
-                hall.enter(index, sensor, (port_index, port), (sharing, &*tees), &told)?,
+                hall.enter(index, sensor, (port_index, port), sharing, &told)?,
             );
         }
         // Now that it may run: a daemon that cannot, again and again, begins no files.
-        tees.begin(config.record.as_ref());
+        recordings.start(config.record.as_ref());
         let over = Arc::new(AtomicBool::new(false));
         let failed = |source| DaemonError::System {
             what: "make a pair of sockets",
@@ -206,17 +203,17 @@ impl Runtime {
         };
         let (bell, rung) = UnixStream::pair().map_err(failed)?;
         let sensors = hall.statuses.into();
-        let (ports, feeds, threads) = (Arc::new([]), Vec::new(), Vec::new());
+        let (ports, threads) = (Arc::new([]), Vec::new());
         let mut runtime = Self {
             sensors,
             ports,
             events,
             orders: hall.orders,
-            feeds,
             over,
             bell,
             threads,
         };
+        let mut links = Vec::new();
         let (mut statuses, beat) = (Vec::new(), beat(sd_notify::watchdog_enabled()));
         for (source, plan) in sockets {
             let status = PortStatus::new(&source, config, &plan);
@@ -225,23 +222,32 @@ impl Runtime {
                 .iter()
                 .filter_map(|index| ready.remove(index))
                 .collect();
-            let others = others(config, &plan, &hall.mailboxes, tees);
+            let others = others(config, &plan, &hall.mailboxes);
             let admission = plan.admission(config);
             let counters = Arc::clone(&status.counters);
             let end = End {
                 over: Arc::clone(&runtime.over),
                 bell: rung.try_clone().map_err(failed)?,
             };
-            let (order, feeds) = mpsc::channel();
-            runtime.feeds.push(order);
+            let (order, changes) = mpsc::channel();
+            links.push(PortLink {
+                sensors: plan
+                    .sensors
+                    .iter()
+                    .copied()
+                    .chain(plan.others(config))
+                    .collect(),
+                counters: Arc::clone(&counters),
+                changes: order,
+            });
             let room = Room {
                 admission,
                 sensors: served,
                 others,
-                feed: tees.feed(),
+                recordings: Vec::new(),
                 counters,
             };
-            let port = Port::new(source, room, feeds, end, beat);
+            let port = Port::new(source, room, changes, end, beat);
             // On an early return, dropping the runtime ends those that run already.
             runtime.threads.push((
                 status.name.clone(),
@@ -250,6 +256,8 @@ impl Runtime {
             statuses.push(status);
         }
         runtime.ports = statuses.into();
+        let names = config.sensors.iter().map(|sensor| sensor.name.clone());
+        recordings.connect(names.collect(), links);
         runtime.await_first_round()?;
         Ok(runtime)
     }
@@ -258,14 +266,6 @@ impl Runtime {
     pub fn reconfigure(&self, sensor: usize, config: pipeline::Config) {
         // A thread that has ended is found by `check`.
         let _ = self.orders[sensor].send(config);
-    }
-
-    /// Gives all ports their feeds of another recording; who naps takes it at once.
-    pub fn record(&self, tees: &Tees) {
-        for port in &self.feeds {
-            let _ = port.send(tees.feed());
-        }
-        self.wake();
     }
 
     /// Looks after the threads.
@@ -361,7 +361,7 @@ impl Hall {
         index: usize,
         sensor: &SensorConfig,
         (port_index, port): (usize, u16),
-        (sharing, tees): (&S, &Tees),
+        sharing: &S,
         events: &Sender<(usize, Event)>,
     ) -> Result<Served<S::Buffers>, DaemonError> {
         let name = || sensor.name.clone();
@@ -402,7 +402,6 @@ impl Hall {
             sensor: at_work,
             mail,
             orders,
-            tap: tees.tap(&sensor.name),
             newest: Newest::default(),
         })
     }
@@ -437,15 +436,10 @@ fn others(
     config: &Config,
     plan: &PortPlan,
     mailboxes: &[(SyncSender<Packet<'static>>, Arc<SensorCounters>)],
-    tees: &Tees,
 ) -> Vec<Mailbox> {
     let mailbox = |index: usize| {
         let (sender, counters) = mailboxes[index].clone();
-        Mailbox {
-            sender,
-            counters,
-            tap: tees.tap(&config.sensors[index].name),
-        }
+        Mailbox { sender, counters }
     };
     plan.others(config).map(mailbox).collect()
 }
@@ -526,7 +520,6 @@ mod tests {
             ports,
             events,
             orders: Vec::new(),
-            feeds: Vec::new(),
             over,
             bell,
             threads,

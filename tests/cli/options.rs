@@ -112,7 +112,7 @@ fn the_examples_of_record_are_understood() {
         let (nowhere, expected) = match example.contains("--from") {
             true => (
                 ["--root", "/nonexistent/root"],
-                "no daemon listens at /nonexistent/root/tap.sock",
+                "no daemon listens at /nonexistent/root/control.sock",
             ),
             false => (["--bind", "192.0.2.1"], "has the address 192.0.2.1"),
         };

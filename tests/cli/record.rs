@@ -2,15 +2,15 @@
 //! may drop datagrams; the accounts must be right all the same.
 
 use std::io::{BufRead, BufReader, Read};
-use std::net::{Ipv4Addr, SocketAddr, SocketAddrV4, UdpSocket};
+use std::net::{Ipv4Addr, SocketAddr, UdpSocket};
+use std::os::unix::fs::PermissionsExt;
+use std::os::unix::net::UnixListener;
 use std::os::unix::process::CommandExt;
 use std::path::{Path, PathBuf};
 use std::process::{Child, ChildStderr, Command, Stdio};
 use std::time::{Duration, Instant, SystemTime};
 
-use sweepd::capture::write::Addressed;
 use sweepd::capture::{Capture, CaptureReader};
-use sweepd::daemon::tap::{Tap, Taps, socket_path};
 use sweepd::wire::Datagram;
 
 use crate::common::run::Run;
@@ -33,18 +33,6 @@ impl Recorder {
         )
     }
 
-    /// Of a sensor of a daemon.
-    fn from(output: &Path, root: &Path, sensor: &str, options: &[&str]) -> Self {
-        Self::of(
-            output,
-            &[
-                &["--from", sensor, "--root", root.to_str().unwrap()],
-                options,
-            ]
-            .concat(),
-        )
-    }
-
     fn of(output: &Path, options: &[&str]) -> Self {
         let mut command = command(&[&["record", "-o", output.to_str().unwrap()], options].concat());
         let mut child = command
@@ -63,10 +51,7 @@ impl Recorder {
                 break rest.split(" to ").next().unwrap().to_owned();
             }
         };
-        // A daemon's sensor has no address.
-        let to = place
-            .parse()
-            .unwrap_or(SocketAddr::from((Ipv4Addr::UNSPECIFIED, 0)));
+        let to = place.parse().unwrap();
         Self {
             child,
             stderr,
@@ -125,16 +110,7 @@ fn number(ran: &Ran, word: &str) -> u64 {
 #[track_caller]
 fn is_whole(ran: &Ran, sent: usize) -> bool {
     assert_eq!(ran.code, 0, "{}", ran.stderr);
-    let of_daemon = ran.stdout.contains(" on the way");
-    let dropped = number(
-        ran,
-        if of_daemon {
-            " on the way"
-        } else {
-            " by the kernel"
-        },
-    );
-    let lost = dropped + number(ran, " because the disk");
+    let lost = number(ran, " by the kernel") + number(ran, " because the disk");
     let refused: u64 = [
         " wrong length",
         " wrong marker",
@@ -380,144 +356,25 @@ fn an_hdl64e_with_two_returns_is_recorded_whole_while_files_rotate() {
 }
 
 #[test]
-fn a_sensor_of_the_daemon_is_recorded_whole_while_files_rotate() {
-    let (folder, root, sent) = (
-        Folder::new("record-from"),
-        Folder::new("record-from-root"),
-        hdl64e_dual(),
-    );
-    let taps = Taps::listen(&socket_path(&root.0)).unwrap();
-    let (mut roof, mut rear) = (taps.sensor("roof"), taps.sensor("rear"));
-    let recorder = Recorder::from(&folder.path("roof.pcap"), &root.0, "roof", &FAST_ROTATION);
-    let source: SocketAddrV4 = "192.168.1.201:2368".parse().unwrap();
-    let destination: SocketAddrV4 = "239.1.2.3:2369".parse().unwrap();
-    let arrival_ns = |number| 1_500_000_000_123_456_789 + number as i64 * 172_801;
-    paced(&sent, |number, payload| {
-        roof.put(&Addressed {
-            arrival_ns: arrival_ns(number),
-            source,
-            destination,
-            payload,
-        });
-        rear.put(&Addressed {
-            arrival_ns: 0,
-            source,
-            destination,
-            payload,
-        });
-    });
-    let ran = recorder.stop();
-    assert!(is_whole(&ran, sent.len()), "{}", ran.stdout);
-    assert_eq!(number(&ran, " data packets"), sent.len() as u64);
-    let files = rotated(&folder);
-    assert!(files.len() >= 14, "{}", files.len());
-    let recorded = files.iter().flat_map(|file| read(file));
-    let expected = sent.into_iter().enumerate();
-    let expected = expected.map(|(number, payload)| {
-        (
-            source.into(),
-            destination.port(),
-            arrival_ns(number),
-            payload,
-        )
-    });
-    assert!(recorded.eq(expected));
-    assert!(
-        files
-            .iter()
-            .flat_map(|file| destinations(file))
-            .all(|ip| ip == *destination.ip())
-    );
-}
-
-#[test]
-fn what_two_threads_of_the_daemon_received_is_recorded_in_the_order_of_arrival() {
-    let (folder, root) = (
-        Folder::new("record-order"),
-        Folder::new("record-order-root"),
-    );
-    let taps = Taps::listen(&socket_path(&root.0)).unwrap();
-    let (mut of_data, mut of_positions) = (taps.sensor("roof"), taps.sensor("roof"));
-    let path = folder.path("roof.pcap");
-    let recorder = Recorder::from(&path, &root.0, "roof", &[]);
-    let source: SocketAddrV4 = "192.168.1.201:2368".parse().unwrap();
-    let packet = payloads(&made::vlp16())
-        .into_iter()
-        .find(|payload| payload.len() == 1206)
-        .unwrap();
-    let put = |tap: &mut Tap, port, arrival_ns, payload: &[u8]| {
-        let destination = SocketAddrV4::new(Ipv4Addr::BROADCAST, port);
-        tap.put(&Addressed {
-            arrival_ns,
-            source,
-            destination,
-            payload,
-        });
-    };
-    // The thread of the positions is behind that of the data, most when it has not heard of the
-    // recording yet.
-    for (begin, behind_ms) in [(0, 260), (1_000, 10)] {
-        (begin..begin + 1_000).for_each(|number| put(&mut of_data, 2368, 2 * number, &packet));
-        std::thread::sleep(Duration::from_millis(behind_ms));
-        (begin..begin + 1_000)
-            .step_by(50)
-            .for_each(|number| put(&mut of_positions, 8308, 2 * number + 1, &[0; 512]));
-        std::thread::sleep(Duration::from_millis(500));
-    }
-    let ran = recorder.stop();
-    assert!(is_whole(&ran, 2_040), "{}", ran.stdout);
-    let recorded = read(&path);
-    assert!(recorded.is_sorted_by_key(|one| one.2));
-    assert_eq!(recorded.iter().filter(|one| one.1 == 8308).count(), 40);
-}
-
-#[test]
-fn what_no_daemon_gives_is_one_error_that_says_why() {
+fn a_daemon_that_is_not_there_is_one_error_that_says_so() {
     let root = Folder::new("record-no-daemon");
     let path = root.path("x.pcap");
-    let args = |sensor| {
-        [
-            "record",
-            "-o",
-            path.to_str().unwrap(),
-            "--from",
-            sensor,
-            "--root",
-            root.0.to_str().unwrap(),
-        ]
-    };
-    sweepd(&args("roof")).says(&["no daemon listens at", "sweepd run", "--root"]);
-    let taps = Taps::listen(&socket_path(&root.0)).unwrap();
-    let (mut rear, mut roof) = (taps.sensor("rear"), taps.sensor("roof"));
-    sweepd(&args("front")).says(&["no sensor front", "it has rear, roof"]);
+    sweepd(&[
+        "record",
+        "-o",
+        path.to_str().unwrap(),
+        "--from",
+        "roof",
+        "--root",
+        root.0.to_str().unwrap(),
+    ])
+    .says(&[
+        "no daemon listens at",
+        "control.sock",
+        "sweepd run",
+        "--root",
+    ]);
     assert!(!path.exists());
-    // The end of the daemon ends a recording, which keeps what it has.
-    let recorder = Recorder::from(&path, &root.0, "roof", &[]);
-    let sent = payloads(&made::vlp16());
-    for payload in &sent {
-        let ends = "127.0.0.1:2368".parse().unwrap();
-        roof.put(&Addressed {
-            arrival_ns: 5,
-            source: ends,
-            destination: ends,
-            payload,
-        });
-        rear.put(&Addressed {
-            arrival_ns: 5,
-            source: ends,
-            destination: ends,
-            payload,
-        });
-    }
-    drop(taps);
-    let ran = recorder.wait();
-    assert_eq!(ran.code, 0);
-    assert!(
-        ran.stderr.contains("warning: the daemon has ended"),
-        "{}",
-        ran.stderr
-    );
-    assert!(read_payloads(&path) == sent);
 }
 
 #[test]
@@ -525,8 +382,9 @@ fn what_no_daemon_gives_is_one_error_that_says_why() {
 fn the_daemon_of_another_user_is_one_error_that_names_both() {
     const NOBODY: u32 = 65_534;
     let root = Folder::new("record-user");
-    let taps = Taps::listen(&socket_path(&root.0)).unwrap();
-    let _roof = taps.sensor("roof");
+    let socket = root.path("control.sock");
+    let _listener = UnixListener::bind(&socket).unwrap();
+    std::fs::set_permissions(&socket, std::fs::Permissions::from_mode(0o600)).unwrap();
     let mut command = command(&[
         "record",
         "-o",

@@ -9,8 +9,8 @@ use std::time::{Duration, Instant, SystemTime};
 use sweepd::admission::Refusal;
 
 use sweepd::daemon::counters::{Gps, Stage};
+use sweepd::daemon::record::Recordings;
 use sweepd::daemon::sensor::Event;
-use sweepd::daemon::tee::Tees;
 use sweepd::daemon::{DaemonError, Runtime};
 use sweepd::pipeline::{self, Notice, Pipeline};
 use sweepd::sensor::Model;
@@ -76,7 +76,7 @@ fn what_a_sensor_sends_comes_out_as_in_a_replay_with_the_times_of_this_host() {
     let runtime = Runtime::start(
         &config(vec![sensor("roof", 11, (0, 0))]),
         &rig,
-        &mut Tees::default(),
+        &mut Recordings::default(),
     )
     .unwrap();
     assert_eq!(
@@ -139,7 +139,7 @@ fn two_sensors_on_one_port_are_told_apart_by_their_address() {
         sensor("left", 21, (0, 0)),
         sensor("right", 22, (0, 0)),
     ]);
-    let runtime = Runtime::start(&both, &rig, &mut Tees::default()).unwrap();
+    let runtime = Runtime::start(&both, &rig, &mut Recordings::default()).unwrap();
     let port = runtime.ports[0].local.port();
     let streams = [(Model::Vlp16, 21), (Model::Hdl32e, 22)]
         .map(|(model, host)| (host, stream(model, SINGLE, 3.2)));
@@ -176,7 +176,7 @@ fn a_steady_stream_of_packets_allocates_nothing_on_the_thread_of_its_port() {
         sensor("roof", 25, (data, data)),
         sensor("rear", 26, (free_port(), data)),
     ]);
-    let runtime = Runtime::start(&two, &rig, &mut Tees::default()).unwrap();
+    let runtime = Runtime::start(&two, &rig, &mut Recordings::default()).unwrap();
     // Buffers come back at once.
     let consumer = std::thread::spawn(move || sweeps.iter().for_each(drop));
     let [foreign, rear] =
@@ -217,7 +217,7 @@ fn an_hdl64e_tells_its_calibration_and_then_streams() {
     let (rig, sweeps) = Rig::new();
     let mut one = sensor("roof", 28, (0, 0));
     one.pipeline.model = Some(Model::Hdl64eS3);
-    let runtime = Runtime::start(&config(vec![one]), &rig, &mut Tees::default()).unwrap();
+    let runtime = Runtime::start(&config(vec![one]), &rig, &mut Recordings::default()).unwrap();
     let port = runtime.ports[0].local.port();
     let sending = Sending::start(28, (port, port), stream(Model::Hdl64eS3, SINGLE, 16.0));
     let told = runtime
@@ -260,7 +260,7 @@ fn an_hdl64e_tells_its_calibration_and_then_streams() {
 fn an_hdl64e_without_a_file_streams_on_over_a_reload() {
     let (rig, sweeps) = Rig::new();
     let one = config(vec![sensor("roof", 30, (0, 0))]);
-    let runtime = Runtime::start(&one, &rig, &mut Tees::default()).unwrap();
+    let runtime = Runtime::start(&one, &rig, &mut Recordings::default()).unwrap();
     let port = runtime.ports[0].local.port();
     let _sending = Sending::start(30, (port, port), stream(Model::Hdl64eS2, SINGLE, 30.0));
     let counters = &runtime.sensors[0].counters;
@@ -312,7 +312,7 @@ fn a_sensor_of_the_wrong_model_may_be_exchanged_for_the_right_one() {
     one.pipeline.model = Some(Model::Vlp16);
     // A core that there is not, and perhaps no right to be urgent, are no reason not to start.
     (one.port.cpu, one.port.realtime_priority) = (Some(1_000), Some(1));
-    let runtime = Runtime::start(&config(vec![one]), &rig, &mut Tees::default()).unwrap();
+    let runtime = Runtime::start(&config(vec![one]), &rig, &mut Recordings::default()).unwrap();
     let port = runtime.ports[0].local.port();
     Sending::start(29, (port, port), stream(Model::Hdl32e, SINGLE, 1.5)).finish();
     let told = runtime.events.recv_timeout(Duration::from_secs(5)).unwrap();
@@ -334,7 +334,8 @@ fn three_sensors_on_three_ports_get_their_position_packets_from_a_fourth() {
         .iter()
         .zip(ports)
         .map(|(&host, port)| sensor(&format!("s{host}"), host, (port, positions)));
-    let runtime = Runtime::start(&config(sensors.collect()), &rig, &mut Tees::default()).unwrap();
+    let runtime =
+        Runtime::start(&config(sensors.collect()), &rig, &mut Recordings::default()).unwrap();
     assert_eq!(runtime.ports.len(), 4);
     let sent = stream(Model::Vlp16, SINGLE, 3.2);
     let sending = [0, 1, 2]
@@ -382,7 +383,7 @@ fn two_sensors_at_one_address_keep_their_gps_and_their_temperature_apart() {
         sensor("left", 34, ports[0]),
         sensor("right", 34, ports[1]),
     ]);
-    let runtime = Runtime::start(&both, &rig, &mut Tees::default()).unwrap();
+    let runtime = Runtime::start(&both, &rig, &mut Recordings::default()).unwrap();
     let streams = [
         stream(Model::Vlp16, SINGLE, 12.0),
         cool_stream_without_gps(12.0),
@@ -429,7 +430,7 @@ fn foreign_datagrams_change_nothing_but_a_counter() {
         sensor("roof", 41, (data, position)),
         sensor("rear", 42, (free_port(), position)),
     ]);
-    let runtime = Runtime::start(&two, &rig, &mut Tees::default()).unwrap();
+    let runtime = Runtime::start(&two, &rig, &mut Recordings::default()).unwrap();
     let sent = stream(Model::Vlp16, SINGLE, 40.0);
     let sending = Sending::start(41, (data, position), sent.clone());
     let counters = &runtime.ports[0].counters;
@@ -522,7 +523,7 @@ fn bursts_of_others_cost_a_sensor_nothing_from_the_second_on() {
     let runtime = Runtime::start(
         &config(vec![sensor("roof", 46, (data, data))]),
         &rig,
-        &mut Tees::default(),
+        &mut Recordings::default(),
     )
     .unwrap();
     let consumer = std::thread::spawn(move || sweeps.iter().for_each(drop));
@@ -564,7 +565,7 @@ fn bursts_of_others_cost_a_sensor_nothing_from_the_second_on() {
 fn another_configuration_is_taken_while_the_sensor_streams() {
     let (rig, sweeps) = Rig::new();
     let one = config(vec![sensor("roof", 51, (0, 0))]);
-    let runtime = Runtime::start(&one, &rig, &mut Tees::default()).unwrap();
+    let runtime = Runtime::start(&one, &rig, &mut Recordings::default()).unwrap();
     let port = runtime.ports[0].local.port();
     let _sending = Sending::start(51, (port, port), stream(Model::Vlp16, SINGLE, 30.0));
     let counters = &runtime.sensors[0].counters;
@@ -615,7 +616,7 @@ fn a_port_that_is_taken_and_a_sensor_that_cannot_be_shared_are_errors_at_start()
     let error = Runtime::start(
         &config(vec![sensor("roof", 61, (port, port))]),
         &rig,
-        &mut Tees::default(),
+        &mut Recordings::default(),
     )
     .err()
     .unwrap();
@@ -628,7 +629,7 @@ fn a_port_that_is_taken_and_a_sensor_that_cannot_be_shared_are_errors_at_start()
     let error = Runtime::start(
         &config(vec![sensor("unshareable", 61, (0, 0))]),
         &rig,
-        &mut Tees::default(),
+        &mut Recordings::default(),
     )
     .err()
     .unwrap();
@@ -643,7 +644,7 @@ fn a_sweep_that_is_complete_before_its_memory_is_there_is_sent_when_it_is() {
     let runtime = Runtime::start(
         &config(vec![sensor("roof", 63, (0, 0))]),
         &rig,
-        &mut Tees::default(),
+        &mut Recordings::default(),
     )
     .unwrap();
     let port = runtime.ports[0].local.port();
@@ -675,7 +676,7 @@ fn what_cannot_be_shared_is_told_once_and_the_sensor_goes_on() {
     let runtime = Runtime::start(
         &config(vec![sensor("roof", 62, (0, 0))]),
         &rig,
-        &mut Tees::default(),
+        &mut Recordings::default(),
     )
     .unwrap();
     let port = runtime.ports[0].local.port();
@@ -716,7 +717,7 @@ fn a_thread_that_panics_is_found_and_one_that_hangs_is_left_to_its_end() {
         let mut runtime = Runtime::start(
             &config(vec![sensor("roof", 63, (0, 0))]),
             &rig,
-            &mut Tees::default(),
+            &mut Recordings::default(),
         )
         .unwrap();
         assert!(runtime.check().is_ok());

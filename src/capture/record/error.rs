@@ -12,6 +12,12 @@ pub enum RecordError {
         /// The path as it was given.
         path: PathBuf,
     },
+    /// The file exists.
+    #[error("{} exists; --force replaces it", path.display())]
+    Exists {
+        /// The file.
+        path: PathBuf,
+    },
     /// A file cannot be written.
     #[error("cannot write {}: {source}; {cure}", path.display(), cure = cure(source))]
     File {
@@ -33,18 +39,18 @@ pub enum RecordError {
 impl RecordError {
     /// An error of a file, and which it is.
     pub(super) fn of(path: &Path) -> impl Fn(io::Error) -> Self {
-        move |source| Self::File {
-            path: path.to_owned(),
-            source,
+        move |source| {
+            let path = path.to_owned();
+            match source.kind() {
+                io::ErrorKind::AlreadyExists => Self::Exists { path },
+                _ => Self::File { path, source },
+            }
         }
     }
 }
 
 fn cure(error: &io::Error) -> &'static str {
     match error.kind() {
-        io::ErrorKind::AlreadyExists => {
-            "a recording overwrites nothing: choose another name, or move that file away"
-        }
         io::ErrorKind::NotFound => "make its folder first",
         io::ErrorKind::PermissionDenied | io::ErrorKind::ReadOnlyFilesystem => {
             "choose a folder that this user may write to"

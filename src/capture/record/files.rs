@@ -5,6 +5,8 @@ use std::io;
 use std::path::{Path, PathBuf};
 use std::time::{Duration, Instant};
 
+use serde::{Deserialize, Serialize};
+
 use super::RecordError;
 use super::file::{CaptureFile, Format};
 use crate::capture::write::{Addressed, FILE_HEADER_LEN, record_len};
@@ -14,7 +16,7 @@ use crate::files::output::{is_special, part_of, remove};
 const SYNC_EVERY: Duration = Duration::from_secs(1);
 
 /// When to begin another file.
-#[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
+#[derive(Clone, Copy, Debug, Default, PartialEq, Eq, Serialize, Deserialize)]
 pub struct Rotation {
     /// Before a file would get longer than this, bytes (uncompressed).
     pub bytes: Option<u64>,
@@ -29,7 +31,7 @@ impl Rotation {
 }
 
 /// What was written.
-#[derive(Clone, Debug, Default, PartialEq, Eq)]
+#[derive(Clone, Debug, Default, PartialEq, Eq, Serialize, Deserialize)]
 pub struct Written {
     /// Datagrams.
     pub datagrams: u64,

@@ -20,7 +20,7 @@ mod files;
 pub(crate) mod ring;
 
 use std::path::{Path, PathBuf};
-use std::sync::atomic::{AtomicBool, AtomicU64, Ordering};
+use std::sync::atomic::{AtomicBool, AtomicU64, AtomicUsize, Ordering};
 use std::sync::{Arc, Mutex, MutexGuard, OnceLock, PoisonError};
 use std::thread::{self, JoinHandle};
 use std::time::{Duration, Instant};
@@ -30,6 +30,7 @@ use self::files::Files;
 pub use self::files::{Rotation, Written};
 use self::ring::{Consumer, Producer, ring};
 use super::write::Addressed;
+use crate::files::output::Existing;
 
 /// What may wait for the disk of one feed, bytes: 4.7 s of the fastest model. The system gives the
 /// memory when it is first used.
@@ -41,7 +42,8 @@ pub(crate) const PERIOD: Duration = Duration::from_millis(120);
 /// sleep for longer.
 pub(crate) const OPENING: Duration = Duration::from_millis(300);
 
-/// How far a recording is, readable at any time.
+/// How far a recording is, readable at any time. A recorder that continues another one adds to its
+/// counts.
 #[derive(Debug, Default)]
 pub struct RecordCounts {
     /// Datagrams that were to be recorded.
@@ -61,13 +63,13 @@ pub struct RecordCounts {
 /// nobody hears of it.
 ///
 /// ```
-/// use sweepd::capture::record::{Recorder, Rotation};
+/// use sweepd::capture::record::{Recorder, RecorderConfig};
 /// use sweepd::capture::{Capture, write::Addressed};
 ///
 /// # let folder = std::env::temp_dir().join(format!("sweepd-doc-{}", std::process::id()));
 /// # std::fs::create_dir_all(&folder)?;
 /// let path = folder.join("drive.pcap.gz");
-/// let recorder = Recorder::start(&path, Rotation::default())?;
+/// let recorder = Recorder::start(RecorderConfig::new(&path))?;
 /// let mut feed = recorder.feed();
 /// let (source, destination) = ("192.168.1.201:2368".parse()?, "255.255.255.255:2368".parse()?);
 /// feed.put(&Addressed { arrival_ns: 1_500_000_000_123_456_789, source, destination, payload: b"hello" });
@@ -89,9 +91,11 @@ pub struct Recorder {
 /// What the threads share.
 #[derive(Debug, Default)]
 struct Shared {
-    counts: RecordCounts,
+    counts: Arc<RecordCounts>,
     over: AtomicBool,
-    /// Lanes that the writing thread has not seen yet.
+    /// Feeds that are not dropped yet.
+    open_feeds: AtomicUsize,
+    /// Feeds that the writing thread has not seen yet.
     new_feeds: Mutex<Vec<Consumer>>,
     error: OnceLock<Arc<RecordError>>,
 }
@@ -104,49 +108,77 @@ impl Shared {
     }
 }
 
+/// Asked by the writing thread of each datagram: whether to write it.
+pub type Accept = Box<dyn FnMut(&Addressed<'_>) -> bool + Send>;
+
+/// What a recorder is to write, and where.
+pub struct RecorderConfig<'a> {
+    /// The file, or the name from which those of a rotation are made.
+    pub path: &'a Path,
+    /// When to begin another file.
+    pub rotation: Rotation,
+    /// What becomes of a file of this name. One that is replaced stays until the recording is
+    /// finished; until then, and where the disk fails, the new one is `NAME.part`, and there is no
+    /// rotation.
+    pub existing: Existing,
+    /// What to write.
+    pub accept: Accept,
+    /// What is counted; those of a recorder that failed go on in the one that continues it.
+    pub counts: Arc<RecordCounts>,
+}
+
+impl<'a> RecorderConfig<'a> {
+    /// All datagrams, to a file that does not exist yet.
+    pub fn new(path: &'a Path) -> Self {
+        Self {
+            path,
+            rotation: Rotation::default(),
+            existing: Existing::Keep,
+            accept: Box::new(|_| true),
+            counts: Arc::default(),
+        }
+    }
+}
+
 impl Recorder {
-    /// Begins a recording with its first file; a file that exists is never overwritten.
+    /// Begins a recording with its first file; waits for the disk.
     ///
     /// # Errors
     /// [`RecordError`]: a name without format, a file that cannot be written.
-    pub fn start(path: &Path, rotation: Rotation) -> Result<Self, RecordError> {
-        Self::write_to(Files::create(path, rotation)?)
-    }
-
-    /// Begins a recording of one file that takes the place of a file of this name when it is
-    /// finished; until then, and where the disk fails, it is `NAME.part`.
-    ///
-    /// # Errors
-    /// As [`Recorder::start`].
-    pub fn replacing(path: &Path) -> Result<Self, RecordError> {
-        Self::write_to(Files::replacing(path)?)
-    }
-
-    fn write_to(files: Files) -> Result<Self, RecordError> {
-        let shared = Arc::new(Shared::default());
-        shared.publish(files.written());
-        let path = files.written().first.clone();
-        let writing = Arc::clone(&shared);
-        let writer = thread::Builder::new().name("sweepd-record".to_owned());
-        let writer = writer.spawn(move || {
-            Writer {
-                shared: writing,
-                files,
-                feeds: Vec::new(),
-            }
-            .run()
+    pub fn start(config: RecorderConfig<'_>) -> Result<Self, RecordError> {
+        let files = match config.existing {
+            Existing::Keep => Files::create(config.path, config.rotation)?,
+            Existing::Replace => Files::replacing(config.path)?,
+        };
+        let mut published = Published::default();
+        published.update(&config.counts, files.written());
+        let shared = Arc::new(Shared {
+            counts: config.counts,
+            ..Shared::default()
         });
-        let writer = Some(writer.map_err(|source| RecordError::Thread { source })?);
+        let path = files.written().first.clone();
+        let writer = Writer {
+            shared: Arc::clone(&shared),
+            files,
+            accept: config.accept,
+            feeds: Vec::new(),
+            published,
+        };
+        let thread = thread::Builder::new()
+            .name("sweepd-record".to_owned())
+            .spawn(move || writer.run())
+            .map_err(|source| RecordError::Thread { source })?;
         Ok(Self {
             shared,
             path,
-            writer,
+            writer: Some(thread),
         })
     }
 
     /// A way in for one more receiving thread. Takes memory, and a lock: not for the hot path.
     pub fn feed(&self) -> Feed {
         let (producer, consumer) = ring(FEED_BYTES);
+        self.shared.open_feeds.fetch_add(1, Ordering::Relaxed);
         self.shared.new_feeds().push(consumer);
         Feed {
             producer,
@@ -162,6 +194,11 @@ impl Recorder {
     /// How far it is.
     pub fn counts(&self) -> &RecordCounts {
         &self.shared.counts
+    }
+
+    /// Whether a thread still holds a feed.
+    pub fn has_feeds(&self) -> bool {
+        self.shared.open_feeds.load(Ordering::Acquire) > 0
     }
 
     /// Why it has ended before its time, once it has; nothing is written any more then.
@@ -225,11 +262,19 @@ impl Feed {
     }
 }
 
+impl Drop for Feed {
+    fn drop(&mut self) {
+        self.shared.open_feeds.fetch_sub(1, Ordering::Release);
+    }
+}
+
 /// The writing thread.
 struct Writer {
     shared: Arc<Shared>,
     files: Files,
+    accept: Accept,
     feeds: Vec<OpenFeed>,
+    published: Published,
 }
 
 /// A feed among the others.
@@ -281,7 +326,7 @@ impl Writer {
             // No other thread sets it.
             let _ = self.shared.error.set(Arc::new(error));
         }
-        self.shared.publish(&written);
+        self.published.update(&self.shared.counts, &written);
         written
     }
 
@@ -291,7 +336,8 @@ impl Writer {
             let over = self.shared.over.load(Ordering::Acquire);
             self.look(over);
             self.write_due()?;
-            self.shared.publish(self.files.written());
+            self.published
+                .update(&self.shared.counts, self.files.written());
             if over {
                 return Ok(());
             }
@@ -321,7 +367,9 @@ impl Writer {
             let Some((_, earliest)) = next.min_by_key(|(next_ns, _)| *next_ns) else {
                 break;
             };
-            if let Some(datagram) = earliest.feed.take(earliest.end) {
+            if let Some(datagram) = earliest.feed.take(earliest.end)
+                && (self.accept)(&datagram)
+            {
                 self.files.write(&datagram)?;
             }
         }
@@ -329,13 +377,27 @@ impl Writer {
     }
 }
 
-impl Shared {
-    fn publish(&self, written: &Written) {
-        let counts = &self.counts;
-        counts.written.store(written.datagrams, Ordering::Relaxed);
-        counts.bytes.store(written.bytes, Ordering::Relaxed);
-        counts.files.store(written.files, Ordering::Relaxed);
+/// What of the files is in the counts.
+#[derive(Default)]
+struct Published {
+    datagrams: u64,
+    bytes: u64,
+    files: u64,
+}
+
+impl Published {
+    fn update(&mut self, counts: &RecordCounts, written: &Written) {
+        add(&counts.written, &mut self.datagrams, written.datagrams);
+        add(&counts.bytes, &mut self.bytes, written.bytes);
+        add(&counts.files, &mut self.files, written.files);
     }
+}
+
+/// Adds the difference. It is negative after a failure, where only what is safe on the disk counts;
+/// the sum wraps around to the right one.
+fn add(count: &AtomicU64, published: &mut u64, now: u64) {
+    count.fetch_add(now.wrapping_sub(*published), Ordering::Relaxed);
+    *published = now;
 }
 
 #[cfg(test)]

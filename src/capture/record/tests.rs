@@ -57,7 +57,7 @@ fn wait_until(mut done: impl FnMut() -> bool) {
 fn feeds_are_merged_by_arrival() {
     let folder = Folder::new("merged");
     let path = folder.0.join("merged.pcap");
-    let recorder = Recorder::start(&path, Rotation::default()).unwrap();
+    let recorder = Recorder::start(RecorderConfig::new(&path)).unwrap();
     let (mut data, mut position) = (recorder.feed(), recorder.feed());
     // The thread of the positions comes to each hundred before that of the data, and after it.
     for hundred in 0..20_i64 {
@@ -111,7 +111,7 @@ fn feeds_are_merged_by_arrival() {
 fn stamps_that_go_back_are_written_all_the_same() {
     let folder = Folder::new("back");
     let path = folder.0.join("back.pcap.gz");
-    let recorder = Recorder::start(&path, Rotation::default()).unwrap();
+    let recorder = Recorder::start(RecorderConfig::new(&path)).unwrap();
     let mut feeds = [recorder.feed(), recorder.feed()];
     let times = [5, 4, 9, 1, 1, 0];
     for (number, time) in times.into_iter().enumerate() {
@@ -132,7 +132,7 @@ fn what_has_no_room_or_comes_after_a_failure_is_counted_and_the_failure_told() {
     let folder = Folder::new("full");
     let path = folder.0.join("full.pcap");
     std::os::unix::fs::symlink("/dev/full", &path).unwrap();
-    let recorder = Recorder::start(&path, Rotation::default()).unwrap();
+    let recorder = Recorder::start(RecorderConfig::new(&path)).unwrap();
     let mut feed = recorder.feed();
     let mut taken = 0;
     wait_until(|| {
@@ -158,7 +158,7 @@ fn what_has_no_room_or_comes_after_a_failure_is_counted_and_the_failure_told() {
 fn a_feed_without_room_refuses_and_goes_on_later() {
     let folder = Folder::new("room");
     let path = folder.0.join("room.pcap");
-    let recorder = Recorder::start(&path, Rotation::default()).unwrap();
+    let recorder = Recorder::start(RecorderConfig::new(&path)).unwrap();
     let mut feed = recorder.feed();
     let payload = vec![7; 60_000];
     // As many as would fill it twice, faster than any disk.
@@ -179,13 +179,13 @@ fn a_feed_without_room_refuses_and_goes_on_later() {
 fn one_that_is_dropped_has_written_all() {
     let folder = Folder::new("dropped");
     let path = folder.0.join("dropped.pcap.gz");
-    let recorder = Recorder::start(
-        &path,
-        Rotation {
+    let recorder = Recorder::start(RecorderConfig {
+        rotation: Rotation {
             bytes: Some(2000),
             ns: None,
         },
-    )
+        ..RecorderConfig::new(&path)
+    })
     .unwrap();
     let mut feed = recorder.feed();
     assert!((0..100).all(|number| feed.put(&addressed(SECOND_NS + number, 1, &[9; 500]))));

@@ -3,10 +3,19 @@
 use std::io::{self, Write};
 use std::time::Duration;
 
-use super::input::InputReport;
-use crate::admission::{Refusal, RefusalCounts};
 use crate::capture::record::Written;
+use crate::daemon::record::protocol::{Received, Refused};
 use crate::text::{count_of, grouped};
+
+/// What came to one port, or from the daemon.
+pub struct InputReport {
+    /// `port 2368`, or `sensor roof of the daemon`.
+    pub name: String,
+    /// What came.
+    pub received: Received,
+    /// Whether it ended without being asked to.
+    pub ended_early: bool,
+}
 
 /// All that it came to.
 pub struct Report {
@@ -19,39 +28,29 @@ pub struct Report {
 }
 
 impl Report {
+    fn sum(&self, of: impl Fn(&Received) -> u64) -> u64 {
+        self.inputs.iter().map(|input| of(&input.received)).sum()
+    }
+
     /// Datagrams that came, of any kind.
-    pub fn received(&self) -> u64 {
-        self.inputs.iter().map(|input| input.received).sum()
+    fn received(&self) -> u64 {
+        self.sum(|input| input.datagrams)
     }
 
-    /// Datagrams that got lost before they came.
-    pub fn dropped(&self) -> u64 {
-        self.inputs.iter().map(|input| input.dropped.0).sum()
+    /// Datagrams that the kernel dropped before.
+    fn dropped(&self) -> u64 {
+        self.sum(|input| input.dropped)
     }
 
-    /// Where they did.
-    fn dropped_where(&self) -> &'static str {
-        self.inputs.first().map_or("", |input| input.dropped.1)
-    }
-
-    /// Datagrams that were let in and are not in the files.
-    pub fn unwritten(&self) -> u64 {
-        (self.received() - self.refused()).saturating_sub(self.written.datagrams)
-    }
-
-    fn refusals(&self) -> RefusalCounts {
-        let mut sum = RefusalCounts::default();
-        self.inputs
-            .iter()
-            .for_each(|input| sum += input.admission.refusals());
-        sum
-    }
-
-    /// Datagrams that were not let in. Those of one sensor too many are: they have no line of their
-    /// own, that is all.
+    /// Datagrams that were not wanted.
     fn refused(&self) -> u64 {
-        let refusals = self.refusals();
-        refusals.total() - refusals.get(Refusal::TooMany)
+        self.sum(|input| input.refused.total())
+    }
+
+    /// Datagrams that were wanted and are not in the files.
+    fn unwritten(&self) -> u64 {
+        let wanted = self.received().saturating_sub(self.refused());
+        wanted.saturating_sub(self.written.datagrams)
     }
 
     /// Prints it for people; each number has its word beside it.
@@ -78,23 +77,15 @@ impl Report {
             count_of(*datagrams, "datagram"),
             grouped(*bytes)
         )?;
-        for sender in self
-            .inputs
-            .iter()
-            .flat_map(|input| input.admission.senders())
-        {
-            let (data, port) = (
-                count_of(sender.packets, "data packet"),
-                sender.destination_port,
-            );
+        for sender in self.inputs.iter().flat_map(|input| &input.received.senders) {
+            let data = count_of(sender.packets, "data packet");
             writeln!(
                 to,
-                "  sensor       {}: {data} on port {port}",
-                sender.source
+                "  sensor       {}: {data} on port {}",
+                sender.source, sender.port
             )?;
         }
-        let refusals = self.refusals();
-        let others = refusals.get(Refusal::TooMany);
+        let others = self.sum(|input| input.others);
         if others > 0 {
             writeln!(
                 to,
@@ -102,11 +93,7 @@ impl Report {
                 count_of(others, "data packet")
             )?;
         }
-        let positions: u64 = self
-            .inputs
-            .iter()
-            .map(|input| input.admission.positions())
-            .sum();
+        let positions = self.sum(|input| input.positions);
         writeln!(to, "  position     {}", count_of(positions, "packet"))?;
         self.print_missing(to)?;
         to.flush()
@@ -114,20 +101,20 @@ impl Report {
 
     /// What is not in the files, and why.
     fn print_missing(&self, to: &mut impl Write) -> io::Result<()> {
-        let refusals = self.refusals();
-        let (dropped, unwritten) = (grouped(self.dropped()), grouped(self.unwritten()));
-        let dropped_where = self.dropped_where();
         writeln!(
             to,
-            "  dropped      {dropped} {dropped_where}, {unwritten} because the disk was too slow or failed"
+            "  dropped      {} by the kernel, {} because the disk was too slow or failed",
+            grouped(self.dropped()),
+            grouped(self.unwritten())
         )?;
+        let refused = |of: fn(&Refused) -> u64| grouped(self.sum(|input| of(&input.refused)));
         writeln!(
             to,
             "  refused      {} wrong length, {} wrong marker, {} wrong azimuth, {} other source",
-            grouped(refusals.get(Refusal::Length)),
-            grouped(refusals.get(Refusal::Marker)),
-            grouped(refusals.get(Refusal::Azimuth)),
-            grouped(refusals.get(Refusal::Source)),
+            refused(|count| count.length),
+            refused(|count| count.marker),
+            refused(|count| count.azimuth),
+            refused(|count| count.source),
         )
     }
 
@@ -135,10 +122,9 @@ impl Report {
     pub fn warnings(&self) -> Vec<String> {
         let mut warnings = Vec::new();
         if self.dropped() > 0 {
-            let (dropped, dropped_where) =
-                (count_of(self.dropped(), "datagram"), self.dropped_where());
+            let dropped = count_of(self.dropped(), "datagram");
             warnings.push(format!(
-                "{dropped} dropped {dropped_where}: the machine was too busy, or the receive buffer too small \
+                "{dropped} dropped by the kernel: the machine was too busy, or the receive buffer too small \
                  (net.core.rmem_max)"
             ));
         }

@@ -113,7 +113,6 @@ fn served(
         sensor,
         mail,
         orders,
-        tap: None,
         newest: Newest::default(),
     }
 }
@@ -136,7 +135,7 @@ fn room(sweeps: &Sender<Sweep>) -> Room<Shared> {
         admission,
         sensors,
         others: Vec::new(),
-        feed: None,
+        recordings: Vec::new(),
         counters: Arc::default(),
     }
 }

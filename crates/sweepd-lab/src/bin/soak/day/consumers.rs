@@ -292,7 +292,7 @@ impl Crowd {
         if fate == Fate::Records {
             let path = self
                 .folder
-                .join(format!("tap-{}.pcap", self.census.started));
+                .join(format!("asked-{}.pcap", self.census.started));
             command
                 .args(["record", "--from", name, "--seconds", "0.5", "-o"])
                 .arg(&path);
