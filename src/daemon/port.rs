@@ -44,24 +44,24 @@ const FAILURES: u32 = 20;
 /// Position packets that may wait for the thread of their sensor. An HDL-32E with two returns sends
 /// 720 a second (one for five data packets); the thread that takes them in may rest for a quarter
 /// of a second, that of their sensor for a tenth.
-pub const MAILS: usize = 512;
+pub const POSITION_QUEUE_LEN: usize = 512;
 
-/// Where to put position packets for a sensor whose thread is another.
-pub struct Mailbox {
-    /// The way there.
+/// Where to put position packets for a sensor of another port.
+pub struct PositionQueue {
+    /// To that port's thread.
     pub sender: SyncSender<Packet<'static>>,
     /// What is counted when it is full.
     pub counters: Arc<SensorCounters>,
 }
 
 /// A sensor of this port, and what reaches it from other threads.
-pub struct Served<B: Buffers> {
+pub struct PortSensor<B: Buffers> {
     /// The sensor.
     pub sensor: Sensor<B>,
     /// Its position packets from other ports.
-    pub mail: Receiver<Packet<'static>>,
+    pub positions: Receiver<Packet<'static>>,
     /// New configurations.
-    pub orders: Receiver<pipeline::Config>,
+    pub reconfigurations: Receiver<pipeline::Config>,
     /// Its newest data packet.
     pub newest: Newest,
 }
@@ -69,36 +69,35 @@ pub struct Served<B: Buffers> {
 /// A port and its sensors.
 pub struct Port<B: Buffers> {
     source: UdpSource,
-    /// Who sits behind it.
-    room: Room<B>,
+    state: PortState<B>,
     /// What changes in its recordings.
     changes: Receiver<PortChange>,
-    end: End,
+    shutdown: Shutdown,
     /// How often it shows that it lives, at least.
     beat: Duration,
     /// When the newest packet was let in.
-    heard: Option<Instant>,
+    newest: Option<Instant>,
     /// How much of the time it works.
     load: Load,
 }
 
-/// By what the thread of a port learns that the daemon ends.
-pub struct End {
+/// How the thread of a port learns that the daemon ends.
+pub struct Shutdown {
     /// Set then.
     pub over: Arc<AtomicBool>,
     /// Can be read then: its other end is shut down.
-    pub bell: UnixStream,
+    pub ended: UnixStream,
 }
 
-/// What lies behind the socket of a port. Both clocks enter here: that which stamps packets, with
-/// each of them, and CLOCK_MONOTONIC, which cannot be set.
-pub struct Room<B: Buffers> {
+/// All of a port but its socket. Both clocks enter here: that which stamps packets, with each of
+/// them, and CLOCK_MONOTONIC, which cannot be set.
+pub struct PortState<B: Buffers> {
     /// Which packets are let in.
     pub admission: ConfiguredSensors,
     /// The sensors whose data come through this port, in the order of admission.
-    pub sensors: Vec<Served<B>>,
+    pub sensors: Vec<PortSensor<B>>,
     /// The other sensors, in the order of admission.
-    pub others: Vec<Mailbox>,
+    pub others: Vec<PositionQueue>,
     /// Where what is let in is recorded.
     pub recordings: Vec<PortRecording>,
     /// What is counted.
@@ -141,18 +140,18 @@ impl<B: Buffers<Buffer: Outgoing>> Port<B> {
     /// A port whose socket is open; it goes a round after each `beat`, or sooner.
     pub fn new(
         source: UdpSource,
-        room: Room<B>,
+        state: PortState<B>,
         changes: Receiver<PortChange>,
-        end: End,
+        shutdown: Shutdown,
         beat: Duration,
     ) -> Self {
         Self {
             source,
-            room,
+            state,
             changes,
-            end,
+            shutdown,
             beat,
-            heard: None,
+            newest: None,
             load: Load::new(Instant::now()),
         }
     }
@@ -167,8 +166,9 @@ impl<B: Buffers<Buffer: Outgoing>> Port<B> {
     /// # Errors
     /// [`UdpError::Socket`], when the socket fails and does not recover.
     pub fn serve(mut self) -> Result<(), UdpError> {
-        let (mut failures, mut looked) = (0, Instant::now());
-        while !self.end.over.load(Ordering::Relaxed) {
+        let mut failures = 0;
+        let mut looked = Instant::now();
+        while !self.shutdown.over.load(Ordering::Relaxed) {
             let was_quiet = self.is_quiet();
             // Position packets are not urgent: the thread naps while they gather.
             let is_waited_for = !was_quiet && self.has_sweeps();
@@ -187,9 +187,9 @@ impl<B: Buffers<Buffer: Outgoing>> Port<B> {
                 // One that is back and has no address yet is as good as gone; it is looked at
                 // again.
                 let is_there = self.source.follow_interface().unwrap_or(false);
-                self.room.counters.set_interface_gone(!is_there);
+                self.state.counters.set_interface_gone(!is_there);
             }
-            self.room.counters.heartbeat.add(1);
+            self.state.counters.heartbeat.add(1);
             // What fills a whole batch has more behind it: a nap would let that pile up.
             if !self.source.may_hold_more() {
                 self.rest();
@@ -199,12 +199,12 @@ impl<B: Buffers<Buffer: Outgoing>> Port<B> {
     }
 
     fn is_quiet(&self) -> bool {
-        self.heard.is_none_or(|heard| heard.elapsed() > QUIET)
+        self.newest.is_none_or(|newest| newest.elapsed() > QUIET)
     }
 
     /// Whether data packets come here, and not position packets alone.
     fn has_sweeps(&self) -> bool {
-        !self.room.sensors.is_empty()
+        !self.state.sensors.is_empty()
     }
 
     /// Sleeps while no sweep of any sensor is about to end; the socket keeps what comes. A quiet
@@ -219,33 +219,36 @@ impl<B: Buffers<Buffer: Outgoing>> Port<B> {
             } else {
                 self.beat
             };
-            return wait_for_either(self.source.socket(), &self.end.bell, idle);
+            return wait_for_either(self.source.socket(), &self.shutdown.ended, idle);
         }
         let now_ns = realtime_ns();
-        let Room {
-            sensors, others, ..
-        } = &self.room;
-        let (longest, senders) = match self.has_sweeps() {
-            false if self.room.recordings.is_empty() => {
-                (nap::LONGEST_OF_POSITIONS, [0, others.len()])
-            }
-            false => (nap::LONGEST, [0, others.len()]),
-            true => (nap::LONGEST, [sensors.len(), 0]),
+        let PortState {
+            sensors,
+            others,
+            recordings,
+            ..
+        } = &self.state;
+        let senders = match self.has_sweeps() {
+            true => [sensors.len(), 0],
+            false => [0, others.len()],
         };
-        let (buffer, filled_ns) = (self.source.buffer(), self.source.shortest_filling_ns());
+        // Recorded position packets are kept in order with data packets.
+        let longest = match self.has_sweeps() || !recordings.is_empty() {
+            true => nap::LONGEST,
+            false => nap::LONGEST_OF_POSITIONS,
+        };
         let longest_ns = nap::longest_ns(
             longest.min(self.beat),
-            buffer,
+            self.source.buffer(),
             senders,
-            filled_ns,
+            self.source.shortest_filling_ns(),
             &self.load,
         );
-        let nap_ns =
-            |due_ns: i64| nap::length_ns(due_ns.saturating_sub(now_ns), longest_ns, &self.load);
-        // One of whom it is not known is waited on.
-        let naps_ns = sensors
-            .iter()
-            .map(|served| served.sensor.due_ns().map_or(0, nap_ns));
+        let naps_ns = sensors.iter().map(|one| match one.sensor.due_ns() {
+            Some(due_ns) => nap::length_ns(due_ns.saturating_sub(now_ns), longest_ns, &self.load),
+            // A sensor whose next sweep cannot be foreseen is waited on.
+            None => 0,
+        });
         if let ns @ 1.. = naps_ns.min().unwrap_or(longest_ns.max(1_000_000)) {
             thread::park_timeout(Duration::from_nanos(ns as u64));
         }
@@ -255,9 +258,9 @@ impl<B: Buffers<Buffer: Outgoing>> Port<B> {
     fn round(&mut self, timeout: Duration) -> Result<(), UdpError> {
         let Self {
             source,
-            room,
+            state,
             changes,
-            heard,
+            newest,
             load,
             ..
         } = self;
@@ -265,31 +268,31 @@ impl<B: Buffers<Buffer: Outgoing>> Port<B> {
         let batch = source.receive_counted(timeout)?;
         // Not before: what came after a change was asked for falls under it.
         while let Ok(change) = changes.try_recv() {
-            change.apply(&mut room.recordings);
+            change.apply(&mut state.recordings);
         }
         let begun = Instant::now();
         for (addressed, dropped) in batch {
-            some_came |= room.take(&addressed, dropped);
+            some_came |= state.take(&addressed, dropped);
         }
         let now = Instant::now();
         if some_came {
-            room.counters.set_interface_gone(false);
-            *heard = Some(now);
+            state.counters.set_interface_gone(false);
+            *newest = Some(now);
         }
         let dropped = if some_came {
             source.dropped_so_far()
         } else {
             source.dropped()
         };
-        room.counters.received.set(source.received());
-        room.counters.dropped.set(dropped);
-        room.catch_up(now, dropped);
+        state.counters.received.set(source.received());
+        state.counters.dropped.set(dropped);
+        state.catch_up(now, dropped);
         load.worked(begun, Instant::now());
         Ok(())
     }
 }
 
-impl<B: Buffers<Buffer: Outgoing>> Room<B> {
+impl<B: Buffers<Buffer: Outgoing>> PortState<B> {
     /// Hands a datagram to whom it is for, if it is let in. `dropped` is what the kernel had
     /// dropped on the port so far.
     fn take(&mut self, addressed: &Addressed<'_>, dropped: u64) -> bool {
@@ -329,11 +332,11 @@ impl<B: Buffers<Buffer: Outgoing>> Room<B> {
             served.sensor.position(packet);
             return;
         }
-        let mailbox = &self.others[index - self.sensors.len()];
+        let queue = &self.others[index - self.sensors.len()];
         if let Some(packet) = packet.without_sentence()
-            && mailbox.sender.try_send(packet).is_err()
+            && queue.sender.try_send(packet).is_err()
         {
-            mailbox.counters.position_overflows.add(1);
+            queue.counters.position_overflows.add(1);
         }
     }
 
@@ -345,15 +348,15 @@ impl<B: Buffers<Buffer: Outgoing>> Room<B> {
     }
 }
 
-impl<B: Buffers<Buffer: Outgoing>> Served<B> {
+impl<B: Buffers<Buffer: Outgoing>> PortSensor<B> {
     /// What is done between batches.
     fn catch_up(&mut self, now: Instant, dropped: u64) {
         // Of those that waited, the newest says how things are now.
-        if let Some((older, newest)) = self.mail.try_iter().enumerate().last() {
+        if let Some((older, newest)) = self.positions.try_iter().enumerate().last() {
             self.sensor.pass_over_positions(older as u64);
             self.sensor.position(&newest);
         }
-        while let Ok(config) = self.orders.try_recv() {
+        while let Ok(config) = self.reconfigurations.try_recv() {
             self.sensor.reconfigure(config);
         }
         self.sensor.tick(self.newest.stamp_of(now), dropped);

@@ -1,8 +1,7 @@
 //! The ports of a configuration opened, and their threads.
 
 use std::any::Any;
-use std::collections::HashMap;
-use std::net::{IpAddr, Shutdown, SocketAddr, SocketAddrV4};
+use std::net::{self, IpAddr, SocketAddr, SocketAddrV4};
 use std::os::unix::net::UnixStream;
 use std::sync::Arc;
 use std::sync::atomic::{AtomicBool, Ordering};
@@ -12,14 +11,16 @@ use std::time::{Duration, Instant};
 
 use tracing::{info, warn};
 
-use super::config::{Config, PortConfig, SensorConfig};
+use super::config::{Config, PortConfig};
 use super::counters::{PortCounters, SensorCounters};
 use super::notify::beat;
 use super::plan::{self, PortName, PortPlan};
-use super::port::{End, MAILS, Mailbox, Newest, Port, Room, Served};
+use super::port::{
+    Newest, POSITION_QUEUE_LEN, Port, PortSensor, PortState, PositionQueue, Shutdown,
+};
 use super::record::{PortLink, Recordings};
 use super::sensor::{Event, Identity, Sensor};
-use super::sharing::{Sharing, SharingError, SharingStatus};
+use super::sharing::{Outgoing, Sharing, SharingError, SharingStatus};
 use super::sys;
 use crate::capture::udp::ReceiveBuffer;
 use crate::capture::{UdpError, UdpSource};
@@ -148,11 +149,11 @@ pub struct Runtime {
     pub ports: Arc<[PortStatus]>,
     /// What happens to sensors, by their places.
     pub events: Receiver<(usize, Event)>,
-    /// Ways to give sensors another configuration.
-    orders: Vec<Sender<pipeline::Config>>,
+    /// Where sensors take another configuration.
+    reconfigurations: Vec<Sender<pipeline::Config>>,
     over: Arc<AtomicBool>,
     /// Shut down when they are to end, for those that wait on a socket.
-    bell: UnixStream,
+    end: UnixStream,
     threads: Vec<(String, JoinHandle<Result<(), UdpError>>)>,
 }
 
@@ -168,96 +169,46 @@ impl Runtime {
         sharing: &S,
         recordings: &mut Recordings,
     ) -> Result<Self, DaemonError> {
-        // Ports first: who holds them already is told before anything is reserved.
+        // Ports first: one that is taken is reported before anything is reserved.
         let mut sockets = Vec::new();
         for plan in plan::ports(config) {
             sockets.push((UdpSource::bind(&plan.udp())?, plan));
         }
-        let (told, events) = mpsc::channel();
-        let mut hall = Hall {
-            statuses: Vec::new(),
-            mailboxes: Vec::new(),
-            orders: Vec::new(),
-        };
-        let mut ready = HashMap::new();
-        for (index, sensor) in config.sensors.iter().enumerate() {
-            let bound = |plan: &PortPlan| plan.sensors.contains(&index);
-            let port_index = sockets
-                .iter()
-                .position(|(_, plan)| bound(plan))
-                .unwrap_or(0);
-            let port = sockets
-                .get(port_index)
-                .map_or(0, |(source, _)| source.local_addr().port());
-            ready.insert(
-                index,
-                hall.enter(index, sensor, (port_index, port), sharing, &told)?,
-            );
+        let (to_events, events) = mpsc::channel();
+        let mut startup = Startup::new(config);
+        for index in 0..config.sensors.len() {
+            startup.open_sensor(index, &sockets, sharing, &to_events)?;
         }
         // Now that it may run: a daemon that cannot, again and again, begins no files.
         recordings.start(config.record.as_ref());
         let over = Arc::new(AtomicBool::new(false));
-        let failed = |source| DaemonError::System {
-            what: "make a pair of sockets",
-            source,
-        };
-        let (bell, rung) = UnixStream::pair().map_err(failed)?;
-        let sensors = hall.statuses.into();
-        let (ports, threads) = (Arc::new([]), Vec::new());
-        let mut runtime = Self {
-            sensors,
-            ports,
-            events,
-            orders: hall.orders,
-            over,
-            bell,
-            threads,
-        };
-        let mut links = Vec::new();
-        let (mut statuses, beat) = (Vec::new(), beat(sd_notify::watchdog_enabled()));
+        let (end, ended) = UnixStream::pair().map_err(no_socket_pair)?;
+        let mut ports = Vec::new();
         for (source, plan) in sockets {
-            let status = PortStatus::new(&source, config, &plan);
-            let served = plan
-                .sensors
-                .iter()
-                .filter_map(|index| ready.remove(index))
-                .collect();
-            let others = others(config, &plan, &hall.mailboxes);
-            let admission = plan.admission(config);
-            let counters = Arc::clone(&status.counters);
-            let end = End {
-                over: Arc::clone(&runtime.over),
-                bell: rung.try_clone().map_err(failed)?,
+            let shutdown = Shutdown {
+                over: Arc::clone(&over),
+                ended: ended.try_clone().map_err(no_socket_pair)?,
             };
-            let (order, changes) = mpsc::channel();
-            links.push(PortLink {
-                sensors: plan
-                    .sensors
-                    .iter()
-                    .copied()
-                    .chain(plan.others(config))
-                    .collect(),
-                counters: Arc::clone(&counters),
-                changes: order,
-            });
-            let room = Room {
-                admission,
-                sensors: served,
-                others,
-                recordings: Vec::new(),
-                counters,
-            };
-            let port = Port::new(source, room, changes, end, beat);
-            // On an early return, dropping the runtime ends those that run already.
-            runtime.threads.push((
-                status.name.clone(),
-                spawn(port, &status.name, &plan.config)?,
-            ));
-            statuses.push(status);
+            ports.push((startup.port(source, &plan, shutdown), plan.config));
         }
-        runtime.ports = statuses.into();
+        // Before any thread runs, so that nothing is missed.
         let names = config.sensors.iter().map(|sensor| sensor.name.clone());
-        recordings.connect(names.collect(), links);
+        recordings.connect(names.collect(), startup.links);
+        let mut runtime = Self {
+            sensors: startup.sensors.into(),
+            ports: startup.ports.into(),
+            events,
+            reconfigurations: startup.reconfigurations,
+            over,
+            end,
+            threads: Vec::new(),
+        };
+        for (index, (port, config)) in ports.into_iter().enumerate() {
+            let name = runtime.ports[index].name.clone();
+            // On an early return, dropping the runtime ends those that run already.
+            let thread = spawn(port, &name, &config)?;
+            runtime.threads.push((name, thread));
+        }
         runtime.await_first_round()?;
         Ok(runtime)
     }
@@ -265,7 +216,7 @@ impl Runtime {
     /// Gives a sensor another configuration; whether it could be used is told by an event.
     pub fn reconfigure(&self, sensor: usize, config: pipeline::Config) {
         // A thread that has ended is found by `check`.
-        let _ = self.orders[sensor].send(config);
+        let _ = self.reconfigurations[sensor].send(config);
     }
 
     /// Looks after the threads.
@@ -318,15 +269,10 @@ impl Runtime {
     fn end(&self) {
         self.over.store(true, Ordering::Relaxed);
         // Once more does no harm.
-        let _ = self.bell.shutdown(Shutdown::Both);
-        self.wake();
-    }
-
-    /// Ends the naps of all threads.
-    fn wake(&self) {
-        self.threads
-            .iter()
-            .for_each(|(_, thread)| thread.thread().unpark());
+        let _ = self.end.shutdown(net::Shutdown::Both);
+        for (_, thread) in &self.threads {
+            thread.thread().unpark();
+        }
     }
 
     fn await_first_round(&mut self) -> Result<(), DaemonError> {
@@ -348,62 +294,121 @@ impl Drop for Runtime {
     }
 }
 
-/// The sensors on their way to the threads of their ports.
-struct Hall {
-    statuses: Vec<SensorStatus>,
-    mailboxes: Vec<(SyncSender<Packet<'static>>, Arc<SensorCounters>)>,
-    orders: Vec<Sender<pipeline::Config>>,
+fn no_socket_pair(source: std::io::Error) -> DaemonError {
+    DaemonError::System {
+        what: "make a pair of sockets",
+        source,
+    }
 }
 
-impl Hall {
-    fn enter<S: Sharing>(
+/// What is opened before the threads of the ports run.
+struct Startup<'a, B: Buffers> {
+    config: &'a Config,
+    sensors: Vec<SensorStatus>,
+    reconfigurations: Vec<Sender<pipeline::Config>>,
+    /// The sensors, until their ports take them.
+    ready: Vec<Option<PortSensor<B>>>,
+    /// Where other ports put their position packets.
+    queues: Vec<SyncSender<Packet<'static>>>,
+    ports: Vec<PortStatus>,
+    links: Vec<PortLink>,
+}
+
+impl<'a, B: Buffers<Buffer: Outgoing>> Startup<'a, B> {
+    fn new(config: &'a Config) -> Self {
+        Self {
+            config,
+            sensors: Vec::new(),
+            reconfigurations: Vec::new(),
+            ready: Vec::new(),
+            queues: Vec::new(),
+            ports: Vec::new(),
+            links: Vec::new(),
+        }
+    }
+
+    /// Shares a sensor, and makes what its port's thread will need.
+    fn open_sensor<S: Sharing<Buffers = B>>(
         &mut self,
         index: usize,
-        sensor: &SensorConfig,
-        (port_index, port): (usize, u16),
+        sockets: &[(UdpSource, PortPlan)],
         sharing: &S,
         events: &Sender<(usize, Event)>,
-    ) -> Result<Served<S::Buffers>, DaemonError> {
-        let name = || sensor.name.clone();
-        let way = sharing.open(sensor);
-        let way = way.map_err(|source| DaemonError::Sharing {
-            sensor: name(),
-            source,
-        })?;
+    ) -> Result<(), DaemonError> {
+        let config = &self.config.sensors[index];
+        let mut plans = sockets.iter();
+        // Each sensor has a port: `plan::ports` makes it.
+        let port_index = plans
+            .position(|(_, plan)| plan.sensors.contains(&index))
+            .unwrap_or(0);
+        let shared = sharing
+            .open(config)
+            .map_err(|source| DaemonError::Sharing {
+                sensor: config.name.clone(),
+                source,
+            })?;
         let counters = Arc::new(SensorCounters::default());
-        let address = sensor.address.to_canonical();
+        let address = config.address.to_canonical();
         let identity = Identity {
             index,
-            name: name(),
+            name: config.name.clone(),
             address: address.to_string(),
             counters: Arc::clone(&counters),
             events: events.clone(),
         };
-        let at_work = Sensor::new(identity, sensor.pipeline.clone(), way.buffers);
-        let at_work = at_work.map_err(|source| DaemonError::Segmenting {
-            sensor: name(),
+        let sensor = Sensor::new(identity, config.pipeline.clone(), shared.buffers);
+        let sensor = sensor.map_err(|source| DaemonError::Segmenting {
+            sensor: config.name.clone(),
             source,
         })?;
-        let (sender, mail) = mpsc::sync_channel(MAILS);
-        let (order, orders) = mpsc::channel();
-        self.mailboxes.push((sender, Arc::clone(&counters)));
-        self.orders.push(order);
-        let (position_port, sharing) = (sensor.position_port, way.status);
-        self.statuses.push(SensorStatus {
-            name: name(),
+        let (queue, positions) = mpsc::sync_channel(POSITION_QUEUE_LEN);
+        let (reconfigure, reconfigurations) = mpsc::channel();
+        self.queues.push(queue);
+        self.reconfigurations.push(reconfigure);
+        self.sensors.push(SensorStatus {
+            name: config.name.clone(),
             address,
-            port,
+            port: sockets[port_index].0.local_addr().port(),
             port_index,
-            position_port,
+            position_port: config.position_port,
             counters,
-            sharing,
+            sharing: shared.status,
         });
-        Ok(Served {
-            sensor: at_work,
-            mail,
-            orders,
+        self.ready.push(Some(PortSensor {
+            sensor,
+            positions,
+            reconfigurations,
             newest: Newest::default(),
-        })
+        }));
+        Ok(())
+    }
+
+    /// A port with its sensors.
+    fn port(&mut self, source: UdpSource, plan: &PortPlan, shutdown: Shutdown) -> Port<B> {
+        let status = PortStatus::new(&source, self.config, plan);
+        let sensors = plan.sensors.iter();
+        let sensors = sensors.filter_map(|&index| self.ready[index].take());
+        let others = plan.others(self.config).map(|index| PositionQueue {
+            sender: self.queues[index].clone(),
+            counters: Arc::clone(&self.sensors[index].counters),
+        });
+        let state = PortState {
+            admission: plan.admission(self.config),
+            sensors: sensors.collect(),
+            others: others.collect(),
+            recordings: Vec::new(),
+            counters: Arc::clone(&status.counters),
+        };
+        let (to_port, changes) = mpsc::channel();
+        let here = plan.sensors.iter().copied();
+        self.links.push(PortLink {
+            sensors: here.chain(plan.others(self.config)).collect(),
+            counters: Arc::clone(&status.counters),
+            changes: to_port,
+        });
+        self.ports.push(status);
+        let beat = beat(sd_notify::watchdog_enabled());
+        Port::new(source, state, changes, shutdown, beat)
     }
 }
 
@@ -431,26 +436,13 @@ impl PortStatus {
     }
 }
 
-/// Mailboxes of the sensors that a port hears and does not serve.
-fn others(
-    config: &Config,
-    plan: &PortPlan,
-    mailboxes: &[(SyncSender<Packet<'static>>, Arc<SensorCounters>)],
-) -> Vec<Mailbox> {
-    let mailbox = |index: usize| {
-        let (sender, counters) = mailboxes[index].clone();
-        Mailbox { sender, counters }
-    };
-    plan.others(config).map(mailbox).collect()
-}
-
 fn spawn<B>(
     port: Port<B>,
     name: &str,
     config: &PortConfig,
 ) -> Result<JoinHandle<Result<(), UdpError>>, DaemonError>
 where
-    B: Buffers<Buffer: super::sharing::Outgoing> + Send + 'static,
+    B: Buffers<Buffer: Outgoing> + Send + 'static,
 {
     let (cpu, priority, name) = (config.cpu, config.realtime_priority, name.to_owned());
     let number = port.number();
@@ -512,17 +504,14 @@ mod tests {
             thread::sleep(Duration::from_millis(400));
             Ok(())
         });
-        let (threads, over) = (vec![("127.0.0.1:2368".to_owned(), slow)], Arc::default());
-        let bell = UnixStream::pair().unwrap().0;
-        let (sensors, ports, events) = (Arc::new([]), Arc::new([]), mpsc::channel().1);
         let runtime = Runtime {
-            sensors,
-            ports,
-            events,
-            orders: Vec::new(),
-            over,
-            bell,
-            threads,
+            sensors: Arc::new([]),
+            ports: Arc::new([]),
+            events: mpsc::channel().1,
+            reconfigurations: Vec::new(),
+            over: Arc::default(),
+            end: UnixStream::pair().unwrap().0,
+            threads: vec![("127.0.0.1:2368".to_owned(), slow)],
         };
         runtime.stop().unwrap();
     }

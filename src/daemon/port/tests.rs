@@ -87,13 +87,14 @@ impl Outgoing for Open {
     }
 }
 
-/// A sensor that was configured so, with its counters and its mail.
+/// A sensor that was configured so, with its counters and its position packets from other ports.
 fn served(
     index: usize,
     config: &SensorConfig,
-    (counters, mail): (Arc<SensorCounters>, Receiver<Packet<'static>>),
+    counters: Arc<SensorCounters>,
+    positions: Receiver<Packet<'static>>,
     sweeps: &Sender<Sweep>,
-) -> Served<Shared> {
+) -> PortSensor<Shared> {
     let buffers = Shared {
         heap: HeapBuffers::default(),
         sensor: index,
@@ -108,30 +109,30 @@ fn served(
         events: mpsc::channel().0,
     };
     let sensor = Sensor::new(identity, config.pipeline.clone(), buffers).unwrap();
-    let orders = mpsc::channel().1;
-    Served {
+    PortSensor {
         sensor,
-        mail,
-        orders,
+        positions,
+        reconfigurations: mpsc::channel().1,
         newest: Newest::default(),
     }
 }
 
 /// A port with two sensors, at 127.0.0.1 and 127.0.0.2.
-fn room(sweeps: &Sender<Sweep>) -> Room<Shared> {
+fn state(sweeps: &Sender<Sweep>) -> PortState<Shared> {
     let configs = [1, 2].map(|host| sensor(&format!("s{host}"), &format!("127.0.0.{host}"), 2368));
     let sensors = (0..2).map(|index| {
         served(
             index,
             &configs[index],
-            (Arc::default(), mpsc::channel().1),
+            Arc::default(),
+            mpsc::channel().1,
             sweeps,
         )
     });
     let sensors = sensors.collect();
     let config = config_of(configs.to_vec());
     let admission = plan::ports(&config)[0].admission(&config);
-    Room {
+    PortState {
         admission,
         sensors,
         others: Vec::new(),
@@ -161,11 +162,11 @@ fn sent() -> Vec<(usize, SimulatedDatagram)> {
 /// follows.
 fn run(sent: &[(usize, SimulatedDatagram)], off_ns: impl Fn(i64) -> i64) -> Vec<(i64, Sweep)> {
     let (told, sweeps) = mpsc::channel();
-    let mut room = room(&told);
+    let mut state = state(&told);
     let (first_ns, begun) = (sent[0].1.arrival_ns, Instant::now());
     let mut came = Vec::new();
-    let mut catch_up = |room: &mut Room<Shared>, after_ns: i64| {
-        room.catch_up(begun + Duration::from_nanos(after_ns as u64), 0);
+    let mut catch_up = |state: &mut PortState<Shared>, after_ns: i64| {
+        state.catch_up(begun + Duration::from_nanos(after_ns as u64), 0);
         came.extend(sweeps.try_iter().map(|sweep| (after_ns, sweep)));
     };
     let mut after_ns = 0;
@@ -174,7 +175,7 @@ fn run(sent: &[(usize, SimulatedDatagram)], off_ns: impl Fn(i64) -> i64) -> Vec<
         let source = format!("127.0.0.{}:2368", index + 1).parse().unwrap();
         let destination = "127.0.0.1:2368".parse().unwrap();
         let arrival_ns = one.arrival_ns + off_ns(after_ns);
-        room.take(
+        state.take(
             &Addressed {
                 arrival_ns,
                 source,
@@ -183,9 +184,9 @@ fn run(sent: &[(usize, SimulatedDatagram)], off_ns: impl Fn(i64) -> i64) -> Vec<
             },
             0,
         );
-        catch_up(&mut room, after_ns);
+        catch_up(&mut state, after_ns);
     }
-    (1..=200).for_each(|tick| catch_up(&mut room, after_ns + tick * 5_000_000));
+    (1..=200).for_each(|tick| catch_up(&mut state, after_ns + tick * 5_000_000));
     came
 }
 
@@ -276,12 +277,10 @@ fn the_time_of_a_silent_sensor_goes_on_from_its_own_newest_packet() {
 
 #[test]
 fn of_position_packets_that_waited_all_are_counted_and_the_newest_counts() {
-    let ((sender, mail), counters) = (
-        mpsc::sync_channel(MAILS),
-        Arc::new(SensorCounters::default()),
-    );
+    let (sender, positions) = mpsc::sync_channel(POSITION_QUEUE_LEN);
+    let counters = Arc::new(SensorCounters::default());
     let config = sensor("s", "127.0.0.1", 2368);
-    let mut served = served(0, &config, (counters.clone(), mail), &mpsc::channel().0);
+    let mut served = served(0, &config, counters.clone(), positions, &mpsc::channel().0);
     let put = |pps| {
         let position = Position {
             stamp_us: 0,
