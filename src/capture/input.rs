@@ -17,31 +17,30 @@ const ZSTD_MAGIC: [u8; 4] = [0x28, 0xB5, 0x2F, 0xFD];
 
 /// Byte order of a capture: that of the machine that wrote it.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
-pub(super) enum Order {
+pub(super) enum ByteOrder {
     Little,
     Big,
 }
 
-impl Order {
+impl ByteOrder {
     pub(super) fn u16(self, bytes: [u8; 2]) -> u16 {
-        match self {
-            Self::Little => u16::from_le_bytes(bytes),
-            Self::Big => u16::from_be_bytes(bytes),
-        }
+        u16::from_le_bytes(self.little(bytes))
     }
 
     pub(super) fn u32(self, bytes: [u8; 4]) -> u32 {
-        match self {
-            Self::Little => u32::from_le_bytes(bytes),
-            Self::Big => u32::from_be_bytes(bytes),
-        }
+        u32::from_le_bytes(self.little(bytes))
     }
 
     pub(super) fn i64(self, bytes: [u8; 8]) -> i64 {
-        match self {
-            Self::Little => i64::from_le_bytes(bytes),
-            Self::Big => i64::from_be_bytes(bytes),
+        i64::from_le_bytes(self.little(bytes))
+    }
+
+    /// The bytes of a number, the lowest first.
+    fn little<const N: usize>(self, mut bytes: [u8; N]) -> [u8; N] {
+        if self == Self::Big {
+            bytes.reverse();
         }
+        bytes
     }
 }
 
@@ -85,18 +84,17 @@ impl Input {
         let mut magic = [0; 4];
         let len = read_full(&mut raw, &mut magic)?;
         let whole = Cursor::new(magic).take(len as u64).chain(raw);
-        let (source, compression): (Box<dyn Read + Send>, _) =
-            if magic[..len].starts_with(&GZIP_MAGIC) {
-                let compressed = BufReader::with_capacity(BUFFER_LEN, whole);
-                (Box::new(MultiGzDecoder::new(compressed)), Some("gzip"))
-            } else if magic[..len] == ZSTD_MAGIC {
-                (
-                    Box::new(ZstdFrames::new(BufReader::with_capacity(BUFFER_LEN, whole))),
-                    Some("zstd"),
-                )
-            } else {
-                (Box::new(whole), None)
-            };
+        let mut compression = None;
+        let mut source: Box<dyn Read + Send> = Box::new(whole);
+        if magic[..len].starts_with(&GZIP_MAGIC) {
+            let compressed = BufReader::with_capacity(BUFFER_LEN, source);
+            source = Box::new(MultiGzDecoder::new(compressed));
+            compression = Some("gzip");
+        } else if magic[..len] == ZSTD_MAGIC {
+            let compressed = BufReader::with_capacity(BUFFER_LEN, source);
+            source = Box::new(ZstdFrames::new(compressed));
+            compression = Some("zstd");
+        }
         Ok(Self {
             source: BufReader::with_capacity(BUFFER_LEN, source),
             compression,
@@ -136,31 +134,23 @@ impl Input {
     /// The next `N` words as they stand, which must be there.
     pub(super) fn raw_words<const N: usize>(&mut self) -> Result<[[u8; 4]; N], Stop> {
         let mut words = [[0; 4]; N];
-        let len = self.fill(words.as_flattened_mut())?;
-        if len < 4 * N {
-            Err(Damage::Cut.into())
-        } else {
-            Ok(words)
-        }
+        self.fill_whole(words.as_flattened_mut())?;
+        Ok(words)
     }
 
     /// The next `N` words as numbers, which must be there.
-    pub(super) fn words<const N: usize>(&mut self, order: Order) -> Result<[u32; N], Stop> {
+    pub(super) fn words<const N: usize>(&mut self, order: ByteOrder) -> Result<[u32; N], Stop> {
         Ok(self.raw_words()?.map(|word| order.u32(word)))
     }
 
-    /// Reads `len` bytes, to be had from [`Input::bytes`]. The caller bounds `len`: so much memory
-    /// is taken.
+    /// Reads `len` bytes, to be had from [`Input::bytes`]. The caller bounds `len`, which is also the
+    /// memory that is taken.
     pub(super) fn load(&mut self, len: usize) -> Result<(), Stop> {
         let mut bytes = std::mem::take(&mut self.bytes);
         bytes.resize(len, 0);
-        let read = self.fill(&mut bytes);
+        let filled = self.fill_whole(&mut bytes);
         self.bytes = bytes;
-        if read? < len {
-            Err(Damage::Cut.into())
-        } else {
-            Ok(())
-        }
+        filled
     }
 
     /// Passes over `len` bytes without keeping them.
@@ -169,10 +159,9 @@ impl Input {
         let skipped = skipped.map_err(|error| self.stop(error))?;
         self.offset += skipped;
         if skipped < len {
-            Err(Damage::Cut.into())
-        } else {
-            Ok(())
+            return Err(Damage::Cut.into());
         }
+        Ok(())
     }
 
     /// Fills as much of `target` as the stream still has.
@@ -180,6 +169,13 @@ impl Input {
         let len = read_full(&mut self.source, target).map_err(|error| self.stop(error))?;
         self.offset += len as u64;
         Ok(len)
+    }
+
+    fn fill_whole(&mut self, target: &mut [u8]) -> Result<(), Stop> {
+        if self.fill(target)? < target.len() {
+            return Err(Damage::Cut.into());
+        }
+        Ok(())
     }
 
     /// A compressed stream that cannot be decoded is damage; whatever the system says itself is

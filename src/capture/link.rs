@@ -10,7 +10,7 @@
 //! check sequences, and options and tags before it move the payload away from the usual offset of
 //! 42 bytes.
 
-use std::net::SocketAddr;
+use std::net::{IpAddr, SocketAddr};
 use std::ops::Range;
 
 use etherparse::defrag::{IpDefragPayloadVec, IpDefragPool};
@@ -115,10 +115,10 @@ struct Waiting {
 pub(super) struct Found {
     pub(super) source: SocketAddr,
     pub(super) destination_port: u16,
-    place: Place,
+    place: PayloadPlace,
 }
 
-enum Place {
+enum PayloadPlace {
     /// Within the frame.
     Frame(Range<usize>),
     /// Within the datagram put together last.
@@ -170,35 +170,23 @@ impl Decapsulator {
     ) -> Result<Found, NoDatagram> {
         let ip_packet = ip_packet(link_type, frame)?;
         let ip = lax_ip(ip_packet)?;
-        let (protocol, packet, in_frame) = if ip.is_fragmenting_payload() {
-            let assembled = self.assemble(link_type, ip_packet, time_ns)?;
-            (assembled.ip_number, &assembled.payload[..], false)
-        } else {
-            (ip.payload_ip_number(), ip.payload().payload, true)
-        };
-        let udp = Udp::parse(protocol, packet)?;
-        let start = if in_frame {
-            packet.as_ptr().addr() - frame.as_ptr().addr()
-        } else {
-            0
-        } + UDP_HEADER_LEN;
-        let range = start..start + udp.payload_len;
-        Ok(Found {
-            source: SocketAddr::new(ip.source_addr(), udp.source_port),
-            destination_port: udp.destination_port,
-            place: if in_frame {
-                Place::Frame(range)
-            } else {
-                Place::Assembled(range)
-            },
-        })
+        let source = ip.source_addr();
+        if ip.is_fragmenting_payload() {
+            let whole = self.assemble(link_type, ip_packet, time_ns)?;
+            let udp = Udp::parse(whole.ip_number, &whole.payload)?;
+            return Ok(udp.found(source, PayloadPlace::Assembled(udp.payload(0))));
+        }
+        let packet = ip.payload().payload;
+        let udp = Udp::parse(ip.payload_ip_number(), packet)?;
+        let start = packet.as_ptr().addr() - frame.as_ptr().addr();
+        Ok(udp.found(source, PayloadPlace::Frame(udp.payload(start))))
     }
 
     /// The payload of what [`Decapsulator::find`] just found in `frame`.
     pub(super) fn payload<'a>(&'a self, found: &Found, frame: &'a [u8]) -> &'a [u8] {
         let (bytes, range) = match &found.place {
-            Place::Frame(range) => (frame, range),
-            Place::Assembled(range) => (
+            PayloadPlace::Frame(range) => (frame, range),
+            PayloadPlace::Assembled(range) => (
                 self.assembled
                     .as_ref()
                     .map_or(&[][..], |whole| &whole.payload),
@@ -228,14 +216,13 @@ impl Decapsulator {
             ip::SliceError::Len(_) => NoDatagram::CutShort,
             ip::SliceError::IpHeaders(_) => NoDatagram::Malformed,
         })?;
-        let net = Some(match ip {
-            IpSlice::Ipv4(ipv4) => NetSlice::Ipv4(ipv4),
-            IpSlice::Ipv6(ipv6) => NetSlice::Ipv6(ipv6),
-        });
         let packet = SlicedPacket {
             link: None,
             link_exts: Default::default(),
-            net,
+            net: Some(match ip {
+                IpSlice::Ipv4(ipv4) => NetSlice::Ipv4(ipv4),
+                IpSlice::Ipv6(ipv6) => NetSlice::Ipv6(ipv6),
+            }),
             transport: None,
         };
         let whole = self
@@ -264,24 +251,9 @@ impl Decapsulator {
 /// The frame without what lies before the IP header.
 fn ip_packet(link_type: LinkType, frame: &[u8]) -> Result<&[u8], NoDatagram> {
     match link_type {
-        LinkType::ETHERNET => {
-            let ([.., high, low], rest) = frame
-                .split_first_chunk::<14>()
-                .ok_or(NoDatagram::CutShort)?;
-            after_ether_type(EtherType(u16::from_be_bytes([*high, *low])), rest)
-        }
-        LinkType::LINUX_SLL => {
-            let ([.., high, low], rest) = frame
-                .split_first_chunk::<16>()
-                .ok_or(NoDatagram::CutShort)?;
-            after_ether_type(EtherType(u16::from_be_bytes([*high, *low])), rest)
-        }
-        LinkType::LINUX_SLL2 => {
-            let ([high, low, ..], rest) = frame
-                .split_first_chunk::<20>()
-                .ok_or(NoDatagram::CutShort)?;
-            after_ether_type(EtherType(u16::from_be_bytes([*high, *low])), rest)
-        }
+        LinkType::ETHERNET => after_link_header(frame, 14, 12),
+        LinkType::LINUX_SLL => after_link_header(frame, 16, 14),
+        LinkType::LINUX_SLL2 => after_link_header(frame, 20, 0),
         LinkType::NULL | LinkType::LOOP => {
             let (family, rest) = frame.split_first_chunk::<4>().ok_or(NoDatagram::CutShort)?;
             if is_ip_family(u32::from_le_bytes(*family))
@@ -313,18 +285,21 @@ fn lax_ip(packet: &[u8]) -> Result<LaxIpSlice<'_>, NoDatagram> {
     }
 }
 
-/// Passes over any number of VLAN tags.
-fn after_ether_type(mut kind: EtherType, mut rest: &[u8]) -> Result<&[u8], NoDatagram> {
+/// The packet behind a header of `len` bytes with the EtherType at `type_at`, and behind any number
+/// of VLAN tags.
+fn after_link_header(frame: &[u8], len: usize, type_at: usize) -> Result<&[u8], NoDatagram> {
+    let (header, mut rest) = frame.split_at_checked(len).ok_or(NoDatagram::CutShort)?;
+    let mut kind = u16::from_be_bytes([header[type_at], header[type_at + 1]]);
     loop {
-        match kind {
+        match EtherType(kind) {
             ether_type::IPV4 | ether_type::IPV6 => return Ok(rest),
             ether_type::VLAN_TAGGED_FRAME
             | ether_type::PROVIDER_BRIDGING
             | ether_type::VLAN_DOUBLE_TAGGED_FRAME
             | EtherType(0x9200) => {
-                let ([_, _, high, low], inner) =
+                let (&[_, _, high, low], inner) =
                     rest.split_first_chunk::<4>().ok_or(NoDatagram::CutShort)?;
-                kind = EtherType(u16::from_be_bytes([*high, *low]));
+                kind = u16::from_be_bytes([high, low]);
                 rest = inner;
             }
             _ => return Err(NoDatagram::NotIp),
@@ -345,6 +320,20 @@ struct Udp {
 }
 
 impl Udp {
+    fn found(&self, source: IpAddr, place: PayloadPlace) -> Found {
+        Found {
+            source: SocketAddr::new(source, self.source_port),
+            destination_port: self.destination_port,
+            place,
+        }
+    }
+
+    /// Where the payload lies if the header begins at `start`.
+    fn payload(&self, start: usize) -> Range<usize> {
+        let start = start + UDP_HEADER_LEN;
+        start..start + self.payload_len
+    }
+
     fn parse(protocol: IpNumber, packet: &[u8]) -> Result<Self, NoDatagram> {
         if protocol != ip_number::UDP {
             return Err(NoDatagram::NotUdp);

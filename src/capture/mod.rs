@@ -9,6 +9,7 @@
 //! * [`record`]: captures written of live sensors, without delaying them.
 
 pub mod error;
+mod frame;
 mod input;
 pub mod link;
 pub mod pace;
@@ -22,9 +23,10 @@ use std::io::Read;
 use std::path::Path;
 
 pub use error::{CaptureError, Damage, Truncation};
+pub use frame::Record;
 pub use link::{Decapsulator, LinkType, NoDatagram};
 pub use pace::{Pacer, Speed};
-pub use pcap::{CaptureReader, Record};
+pub use pcap::CaptureReader;
 pub use record::{RecordError, Recorder};
 use sweepd_core::wire::Datagram;
 pub use udp::{UdpConfig, UdpError, UdpSource};
@@ -35,7 +37,7 @@ const MAX_LINK_TYPES: usize = 16;
 
 /// What a capture held so far. Every record is a datagram or one of the others.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
-pub struct Tally {
+pub struct RecordCounts {
     /// Records read.
     pub records: u64,
     /// Records that gave a datagram, the last fragment of one included.
@@ -58,7 +60,7 @@ pub struct Tally {
     pub untimed: u64,
 }
 
-impl Tally {
+impl RecordCounts {
     /// Records that were whole and held no UDP datagram.
     pub fn other_traffic(&self) -> u64 {
         self.not_ip + self.not_udp + self.unsupported_link + self.malformed
@@ -91,7 +93,7 @@ impl Tally {
 pub struct Capture {
     reader: CaptureReader,
     decapsulator: Decapsulator,
-    seen: Seen,
+    stats: CaptureStats,
 }
 
 /// A datagram with its place in the capture.
@@ -107,22 +109,22 @@ pub struct Placed<'a> {
 
 /// What is remembered of the records read.
 #[derive(Default)]
-struct Seen {
-    tally: Tally,
+struct CaptureStats {
+    counts: RecordCounts,
     link_types: Vec<LinkType>,
     first_ns: Option<i64>,
     last_ns: Option<i64>,
 }
 
-impl Seen {
+impl CaptureStats {
     /// Notes a record, and says what time it has.
     fn note(&mut self, record: &Record<'_>) -> i64 {
-        self.tally.records += 1;
+        self.counts.records += 1;
         if self.link_types.len() < MAX_LINK_TYPES && !self.link_types.contains(&record.link_type) {
             self.link_types.push(record.link_type);
         }
         let Some(time_ns) = record.time_ns else {
-            self.tally.untimed += 1;
+            self.counts.untimed += 1;
             return self.last_ns.unwrap_or(0);
         };
         self.first_ns.get_or_insert(time_ns);
@@ -152,7 +154,7 @@ impl Capture {
         Self {
             reader,
             decapsulator: Decapsulator::new(),
-            seen: Seen::default(),
+            stats: CaptureStats::default(),
         }
     }
 
@@ -174,16 +176,16 @@ impl Capture {
             let Some(record) = self.reader.next()? else {
                 return Ok(None);
             };
-            let time_ns = self.seen.note(&record);
+            let time_ns = self.stats.note(&record);
             match self
                 .decapsulator
                 .find(record.link_type, record.bytes, time_ns)
             {
                 Ok(found) => break (found, time_ns),
-                Err(reason) => self.seen.tally.count(reason),
+                Err(reason) => self.stats.counts.count(reason),
             }
         };
-        self.seen.tally.datagrams += 1;
+        self.stats.counts.datagrams += 1;
         // Asked for again, since a record that the loop gave out could not be followed by another.
         let frame = self.reader.record().map_or(&[][..], |record| record.bytes);
         let payload = self.decapsulator.payload(&found, frame);
@@ -193,8 +195,8 @@ impl Capture {
             destination_port: found.destination_port,
             payload,
         };
-        let record = self.seen.tally.records - 1;
-        let since_start_ns = arrival_ns.saturating_sub(self.seen.first_ns.unwrap_or(arrival_ns));
+        let record = self.stats.counts.records - 1;
+        let since_start_ns = arrival_ns.saturating_sub(self.stats.first_ns.unwrap_or(arrival_ns));
         Ok(Some(Placed {
             record,
             since_start_ns,
@@ -208,23 +210,23 @@ impl Capture {
     }
 
     /// What was read and passed over so far.
-    pub fn tally(&self) -> Tally {
-        self.seen.tally
+    pub fn counts(&self) -> RecordCounts {
+        self.stats.counts
     }
 
     /// The link types met so far, at most 16.
     pub fn link_types(&self) -> &[LinkType] {
-        &self.seen.link_types
+        &self.stats.link_types
     }
 
     /// Time of the first record that has one, nanoseconds since 1970.
     pub fn first_ns(&self) -> Option<i64> {
-        self.seen.first_ns
+        self.stats.first_ns
     }
 
     /// Time of the last record read that has one, nanoseconds since 1970.
     pub fn last_ns(&self) -> Option<i64> {
-        self.seen.last_ns
+        self.stats.last_ns
     }
 
     /// Where and why the capture broke off, once it has.

@@ -103,7 +103,8 @@ impl Pacer {
         let Speed::Factor(factor) = self.speed else {
             return Duration::ZERO;
         };
-        let (capture, latest) = (i128::from(capture_ns), i128::from(self.latest_ns));
+        let capture = i128::from(capture_ns);
+        let latest = i128::from(self.latest_ns);
         let jumped =
             capture + DISORDER_NS < latest || self.start.is_some() && capture > latest + PAUSE_NS;
         let start = match self.start {
@@ -116,7 +117,7 @@ impl Pacer {
         self.latest_ns = self.latest_ns.max(capture_ns);
         // Differences of i64 fit i128; the casts from f64 saturate, and take a factor that is no
         // number as 0.
-        let elapsed_ns = (i128::from(capture_ns) - i128::from(start.capture_ns)).max(0);
+        let elapsed_ns = (capture - i128::from(start.capture_ns)).max(0);
         let due_ns = start
             .now_ns
             .saturating_add((elapsed_ns as f64 / factor) as u64);

@@ -16,41 +16,14 @@ use std::io::Read;
 use std::path::Path;
 
 use super::error::{CaptureError, Damage, Stop, Truncation};
-use super::input::{Input, Order, describe};
+use super::frame::{FrameHeader, MAX_RECORD_LEN, Record};
+use super::input::{ByteOrder, Input, describe};
 use super::link::LinkType;
 use super::pcapng::Sections;
 
-/// Most captured bytes of a record: the limit of libpcap, four times the largest IP packet.
-pub const MAX_RECORD_LEN: u32 = 256 * 1024;
 /// Bytes of a pcap file header, and of a pcapng section header without its options: enough to tell
 /// what a file is.
 const HEAD_LEN: usize = 24;
-
-/// A frame as it was captured.
-#[derive(Clone, Copy, Debug, PartialEq, Eq)]
-pub struct Record<'a> {
-    /// Number of the record in the capture, from 0.
-    pub number: u64,
-    /// Where the record begins, in bytes of the decompressed capture.
-    pub offset: u64,
-    /// Arrival, nanoseconds since 1970. A pcapng simple packet block has none.
-    pub time_ns: Option<i64>,
-    /// What the bytes begin with.
-    pub link_type: LinkType,
-    /// Bytes of the frame on the network; more than `bytes` where the capture was told to cut
-    /// frames.
-    pub original_len: u32,
-    /// The captured bytes.
-    pub bytes: &'a [u8],
-}
-
-/// What a record says besides its bytes.
-#[derive(Clone, Copy, Debug)]
-pub(super) struct Head {
-    pub(super) time_ns: Option<i64>,
-    pub(super) link_type: LinkType,
-    pub(super) original_len: u32,
-}
 
 /// A capture file, read record by record; see [`CaptureReader::next`].
 pub struct CaptureReader {
@@ -58,7 +31,7 @@ pub struct CaptureReader {
     input: Input,
     format: Format,
     /// The record in `input.bytes()`.
-    current: Option<Head>,
+    current: Option<FrameHeader>,
     /// Records begun; the current one included.
     records: u64,
     ended: bool,
@@ -86,9 +59,30 @@ impl CaptureReader {
     /// [`CaptureError::Read`] and [`CaptureError::NotACapture`].
     pub fn new(name: &str, source: Box<dyn Read + Send>) -> Result<Self, CaptureError> {
         let name = name.to_owned();
-        let mut input = match Input::new(source) {
-            Ok(input) => input,
-            Err(source) => {
+        let mut head = Vec::with_capacity(HEAD_LEN);
+        let begun = Input::new(source).map_err(Stop::Read);
+        let begun = begun.and_then(|mut input| {
+            let format = Format::recognise(&mut input, &mut head)?;
+            Ok((input, format))
+        });
+        let found = match begun {
+            Ok((input, Some(format))) => {
+                return Ok(Self {
+                    name,
+                    input,
+                    format,
+                    current: None,
+                    records: 0,
+                    ended: false,
+                    truncation: None,
+                });
+            }
+            Ok((input, None)) => match input.compression() {
+                Some(format) => format!("{format} of something else: {}", describe(&head)),
+                None => describe(&head),
+            },
+            Err(Stop::Damaged(damage)) => format!("a file header that is damaged ({damage})"),
+            Err(Stop::Read(source)) => {
                 return Err(CaptureError::Read {
                     name,
                     record: 0,
@@ -97,35 +91,7 @@ impl CaptureReader {
                 });
             }
         };
-        let mut head = Vec::with_capacity(HEAD_LEN);
-        match Format::recognise(&mut input, &mut head) {
-            Ok(Some(format)) => Ok(Self {
-                name,
-                input,
-                format,
-                current: None,
-                records: 0,
-                ended: false,
-                truncation: None,
-            }),
-            Ok(None) => {
-                let mut found = describe(&head);
-                if let Some(compression) = input.compression() {
-                    found = format!("{compression} of something else: {found}");
-                }
-                Err(CaptureError::NotACapture { name, found })
-            }
-            Err(Stop::Damaged(damage)) => Err(CaptureError::NotACapture {
-                name,
-                found: format!("a file header that is damaged ({damage})"),
-            }),
-            Err(Stop::Read(source)) => Err(CaptureError::Read {
-                name,
-                record: 0,
-                offset: 0,
-                source,
-            }),
-        }
+        Err(CaptureError::NotACapture { name, found })
     }
 
     /// The next record; `None` at the end, and where the capture breaks off:
@@ -155,51 +121,44 @@ impl CaptureReader {
             Format::Pcapng(sections) => sections.next(&mut self.input),
         };
         match next {
-            Ok(Some(head)) => {
-                self.current = Some(head);
+            Ok(Some(header)) => {
+                self.current = Some(header);
                 self.records += 1;
                 return Ok(true);
             }
-            Ok(None) => {}
+            Ok(None) => self.ended = true,
             Err(Stop::Damaged(reason)) => {
-                let offset = self.input.mark();
+                self.ended = true;
                 self.truncation = Some(Truncation {
                     record: self.records,
-                    offset,
+                    offset: self.input.mark(),
                     reason,
                 });
             }
             Err(Stop::Read(source)) => {
                 self.ended = true;
-                let (name, record, offset) = (self.name.clone(), self.records, self.input.mark());
                 return Err(CaptureError::Read {
-                    name,
-                    record,
-                    offset,
+                    name: self.name.clone(),
+                    record: self.records,
+                    offset: self.input.mark(),
                     source,
                 });
             }
         }
-        self.ended = true;
         Ok(false)
     }
 
     /// The record that was read last.
     pub fn record(&self) -> Option<Record<'_>> {
-        self.current.map(
-            |Head {
-                 time_ns,
-                 link_type,
-                 original_len,
-             }| Record {
-                number: self.records - 1,
-                offset: self.input.mark(),
-                time_ns,
-                link_type,
-                original_len,
-                bytes: self.input.bytes(),
-            },
-        )
+        let header = self.current?;
+        Some(Record {
+            number: self.records - 1,
+            offset: self.input.mark(),
+            time_ns: header.time_ns,
+            link_type: header.link_type,
+            original_len: header.original_len,
+            bytes: self.input.bytes(),
+        })
     }
 
     /// The path or name that the reader was opened with.
@@ -247,15 +206,15 @@ impl Format {
 
 /// The classic format: one link type, one resolution.
 struct Pcap {
-    order: Order,
+    order: ByteOrder,
     tick_ns: i64,
     link_type: LinkType,
 }
 
 impl Pcap {
     /// Byte order and length of a tick, from the first word of the file.
-    fn magic(word: [u8; 4]) -> Option<(Order, i64)> {
-        [Order::Little, Order::Big]
+    fn magic(word: [u8; 4]) -> Option<(ByteOrder, i64)> {
+        [ByteOrder::Little, ByteOrder::Big]
             .into_iter()
             .find_map(|order| match order.u32(word) {
                 0xA1B2_C3D4 => Some((order, 1_000)),
@@ -264,7 +223,7 @@ impl Pcap {
             })
     }
 
-    fn next(&self, input: &mut Input) -> Result<Option<Head>, Stop> {
+    fn next(&self, input: &mut Input) -> Result<Option<FrameHeader>, Stop> {
         let Some(header) = input.start::<4>()? else {
             return Ok(None);
         };
@@ -278,7 +237,7 @@ impl Pcap {
         }
         input.load(captured as usize)?;
         let time_ns = i64::from(seconds) * 1_000_000_000 + i64::from(fraction) * self.tick_ns;
-        Ok(Some(Head {
+        Ok(Some(FrameHeader {
             time_ns: Some(time_ns),
             link_type: self.link_type,
             original_len,

@@ -10,9 +10,9 @@
 //! Layout: draft-ietf-opsawg-pcapng, section 4.
 
 use super::error::{Damage, Stop};
-use super::input::{Input, Order};
+use super::frame::{FrameHeader, MAX_RECORD_LEN};
+use super::input::{ByteOrder, Input};
 use super::link::LinkType;
-use super::pcap::{Head, MAX_RECORD_LEN};
 use sweepd_core::wire::TIMES_NS;
 
 const INTERFACE: u32 = 1;
@@ -33,7 +33,7 @@ const MAX_INTERFACES: usize = 1024;
 
 /// The section being read: its byte order and the interfaces that it has described so far.
 pub(super) struct Sections {
-    order: Order,
+    order: ByteOrder,
     interfaces: Vec<Interface>,
 }
 
@@ -55,7 +55,7 @@ struct Clock {
 impl Default for Sections {
     fn default() -> Self {
         Self {
-            order: Order::Little,
+            order: ByteOrder::Little,
             interfaces: Vec::new(),
         }
     }
@@ -74,10 +74,12 @@ impl Sections {
         version: [u8; 4],
         input: &mut Input,
     ) -> Result<(), Stop> {
-        let order = [Order::Little, Order::Big]
+        let order = [ByteOrder::Little, ByteOrder::Big]
             .into_iter()
             .find(|order| order.u32(mark) == BYTE_ORDER_MARK);
-        let major = order.unwrap_or(Order::Big).u16([version[0], version[1]]);
+        let major = order
+            .unwrap_or(ByteOrder::Big)
+            .u16([version[0], version[1]]);
         let Some(order) = order.filter(|_| major == 1) else {
             return Err(Damage::Section {
                 mark: u32::from_be_bytes(mark),
@@ -94,7 +96,7 @@ impl Sections {
     }
 
     /// The next packet block, its bytes loaded; `None` at the end of the file.
-    pub(super) fn next(&mut self, input: &mut Input) -> Result<Option<Head>, Stop> {
+    pub(super) fn next(&mut self, input: &mut Input) -> Result<Option<FrameHeader>, Stop> {
         loop {
             let Some([kind, length]) = input.start::<2>()? else {
                 return Ok(None);
@@ -104,15 +106,17 @@ impl Sections {
                 self.begin(length, mark, version, input)?;
                 continue;
             }
-            let (kind, length) = (self.order.u32(kind), self.order.u32(length));
+            let kind = self.order.u32(kind);
+            let length = self.order.u32(length);
             check_length(kind, length, FRAME_LEN)?;
             let block = Block { kind, length };
-            let packet = match kind {
-                INTERFACE => self.interface(block, input).map(|()| None)?,
-                ENHANCED_PACKET | OBSOLETE_PACKET => Some(self.packet(block, input)?),
-                SIMPLE_PACKET => Some(self.simple_packet(block, input)?),
-                _ => input.skip(u64::from(block.body_len())).map(|()| None)?,
-            };
+            let mut packet = None;
+            match kind {
+                INTERFACE => self.interface(block, input)?,
+                ENHANCED_PACKET | OBSOLETE_PACKET => packet = Some(self.packet(block, input)?),
+                SIMPLE_PACKET => packet = Some(self.simple_packet(block, input)?),
+                _ => input.skip(u64::from(block.body_len()))?,
+            }
             self.end_block(length, input)?;
             if packet.is_some() {
                 return Ok(packet);
@@ -157,45 +161,35 @@ impl Sections {
         Ok(())
     }
 
-    fn packet(&self, block: Block, input: &mut Input) -> Result<Head, Stop> {
-        let room = block
-            .body_len()
-            .checked_sub(20)
-            .ok_or_else(|| block.bad_length())?;
+    fn packet(&self, block: Block, input: &mut Input) -> Result<FrameHeader, Stop> {
+        let room = block.room_after(20)?;
         let [from, high, low, captured, original_len] = input.words(self.order)?;
         // The obsolete block has a drop count in the second half of the word.
         let from = match (block.kind, self.order) {
-            (OBSOLETE_PACKET, Order::Little) => from & 0xFFFF,
-            (OBSOLETE_PACKET, Order::Big) => from >> 16,
+            (OBSOLETE_PACKET, ByteOrder::Little) => from & 0xFFFF,
+            (OBSOLETE_PACKET, ByteOrder::Big) => from >> 16,
             _ => from,
         };
         let interface = self.described(from)?;
-        let time_ns = interface
-            .clock
-            .time_ns(u64::from(high) << 32 | u64::from(low));
-        let head = Head {
-            time_ns: Some(time_ns),
+        let ticks = u64::from(high) << 32 | u64::from(low);
+        load_packet(captured, room, input)?;
+        Ok(FrameHeader {
+            time_ns: Some(interface.clock.time_ns(ticks)),
             link_type: interface.link_type,
             original_len,
-        };
-        load_packet(captured, room, input)?;
-        Ok(head)
+        })
     }
 
-    fn simple_packet(&self, block: Block, input: &mut Input) -> Result<Head, Stop> {
-        let room = block
-            .body_len()
-            .checked_sub(4)
-            .ok_or_else(|| block.bad_length())?;
+    fn simple_packet(&self, block: Block, input: &mut Input) -> Result<FrameHeader, Stop> {
+        let room = block.room_after(4)?;
         let [original_len] = input.words(self.order)?;
         let interface = self.described(0)?;
-        let snaplen = if interface.snaplen == 0 {
-            u32::MAX
-        } else {
-            interface.snaplen
+        let snaplen = match interface.snaplen {
+            0 => u32::MAX,
+            snaplen => snaplen,
         };
         load_packet(original_len.min(snaplen).min(room), room, input)?;
-        Ok(Head {
+        Ok(FrameHeader {
             time_ns: None,
             link_type: interface.link_type,
             original_len,
@@ -222,6 +216,12 @@ impl Block {
         self.length - FRAME_LEN
     }
 
+    /// Bytes of the body behind its first `len`.
+    fn room_after(self, len: u32) -> Result<u32, Stop> {
+        let room = self.body_len().checked_sub(len);
+        room.ok_or_else(|| self.bad_length())
+    }
+
     fn bad_length(self) -> Stop {
         Damage::BlockLength {
             kind: self.kind,
@@ -232,15 +232,13 @@ impl Block {
 }
 
 fn check_length(kind: u32, length: u32, least: u32) -> Result<(), Damage> {
-    let possible = length >= least && length.is_multiple_of(4);
-    if possible {
-        Ok(())
-    } else {
-        Err(Damage::BlockLength {
-            kind,
-            found: length,
-        })
+    if length >= least && length.is_multiple_of(4) {
+        return Ok(());
     }
+    Err(Damage::BlockLength {
+        kind,
+        found: length,
+    })
 }
 
 /// Loads the packet and passes over padding and options, which fill the rest of the `room`.
@@ -258,7 +256,7 @@ fn load_packet(captured: u32, room: u32, input: &mut Input) -> Result<(), Stop> 
 }
 
 impl Clock {
-    fn from_options(mut options: &[u8], order: Order) -> Self {
+    fn from_options(mut options: &[u8], order: ByteOrder) -> Self {
         let mut clock = Self {
             resolution: 6,
             offset_s: 0,
@@ -347,21 +345,21 @@ mod tests {
             0, 0,
         ];
         assert_eq!(
-            Clock::from_options(&options, Order::Little),
+            Clock::from_options(&options, ByteOrder::Little),
             Clock {
                 resolution: 9,
                 offset_s: 1
             }
         );
         assert_eq!(
-            Clock::from_options(&options[..20], Order::Little),
+            Clock::from_options(&options[..20], ByteOrder::Little),
             Clock {
                 resolution: 9,
                 offset_s: 0
             }
         );
         assert_eq!(
-            Clock::from_options(&[], Order::Big),
+            Clock::from_options(&[], ByteOrder::Big),
             Clock {
                 resolution: 6,
                 offset_s: 0

@@ -8,12 +8,12 @@ use flate2::write::GzEncoder;
 use proptest::prelude::*;
 use ruzstd::encoding::{CompressionLevel, compress_to_vec};
 
-use super::input::Order;
+use super::input::ByteOrder;
 use super::testutil::*;
 use super::write::Addressed;
 use super::*;
 
-const ORDERS: [Order; 2] = [Order::Little, Order::Big];
+const ORDERS: [ByteOrder; 2] = [ByteOrder::Little, ByteOrder::Big];
 const MICROSECONDS: u32 = 0xA1B2_C3D4;
 const NANOSECONDS: u32 = 0xA1B2_3C4D;
 
@@ -52,11 +52,11 @@ fn sample(count: u64) -> Vec<u8> {
 }
 
 /// A pcapng file with two sections, three interfaces, and each kind of packet block.
-fn sample_ng(order: Order) -> Vec<u8> {
-    let other = if order == Order::Little {
-        Order::Big
+fn sample_ng(order: ByteOrder) -> Vec<u8> {
+    let other = if order == ByteOrder::Little {
+        ByteOrder::Big
     } else {
-        Order::Little
+        ByteOrder::Little
     };
     [
         section(order),
@@ -94,7 +94,12 @@ fn pcap_in_either_order_and_resolution() {
 
 #[test]
 fn pcap_header_flags_beside_the_link_type_are_passed_over() {
-    let file = pcap(Order::Little, MICROSECONDS, 0x5400_0001, &[(1, 0, b"abc")]);
+    let file = pcap(
+        ByteOrder::Little,
+        MICROSECONDS,
+        0x5400_0001,
+        &[(1, 0, b"abc")],
+    );
     assert_eq!(
         reader(&file).next().unwrap().unwrap().link_type,
         LinkType::ETHERNET
@@ -104,7 +109,7 @@ fn pcap_header_flags_beside_the_link_type_are_passed_over() {
 #[test]
 fn records_know_their_place() {
     let file = pcap(
-        Order::Big,
+        ByteOrder::Big,
         MICROSECONDS,
         1,
         &[(1, 0, b"abc"), (2, 0, b"de")],
@@ -175,11 +180,11 @@ fn pcapng_with_several_interfaces_and_sections() {
             (Some(5), Some(101_500_000_000))
         );
         assert_eq!(
-            capture.tally(),
-            Tally {
+            capture.counts(),
+            RecordCounts {
                 records: 3,
                 datagrams: 3,
-                ..Tally::default()
+                ..RecordCounts::default()
             }
         );
     }
@@ -187,7 +192,7 @@ fn pcapng_with_several_interfaces_and_sections() {
 
 #[test]
 fn a_new_section_forgets_the_interfaces_of_the_last() {
-    let order = Order::Little;
+    let order = ByteOrder::Little;
     let file = [
         section(order),
         interface(order, 1, 0, &[]),
@@ -231,7 +236,7 @@ fn simple_and_obsolete_packet_blocks() {
 
 #[test]
 fn a_record_without_time_takes_that_of_the_one_before() {
-    let order = Order::Little;
+    let order = ByteOrder::Little;
     let bytes = frame(b"x");
     let simple = block(
         order,
@@ -252,7 +257,7 @@ fn a_record_without_time_takes_that_of_the_one_before() {
         [0, 9_000, 9_000]
     );
     assert_eq!(
-        (capture.tally().untimed, capture.first_ns()),
+        (capture.counts().untimed, capture.first_ns()),
         (2, Some(9_000))
     );
 }
@@ -265,11 +270,11 @@ fn what_the_writer_wrote_comes_back() {
         (5, 152, 1_700_000_000_005_308_417)
     );
     assert_eq!(
-        capture.tally(),
-        Tally {
+        capture.counts(),
+        RecordCounts {
             records: 5,
             datagrams: 5,
-            ..Tally::default()
+            ..RecordCounts::default()
         }
     );
     let file = sample(1);
@@ -382,7 +387,7 @@ fn a_corrupt_zstd_checksum_is_reported() {
 
 #[test]
 fn absurd_lengths_end_the_reading() {
-    let mut file = pcap(Order::Little, MICROSECONDS, 1, &[(1, 0, b"abc")]);
+    let mut file = pcap(ByteOrder::Little, MICROSECONDS, 1, &[(1, 0, b"abc")]);
     file.extend([1, 0, u32::MAX, 5].map(u32::to_le_bytes).as_flattened());
     let (all, end) = records(&file);
     assert_eq!(all.len(), 1);
@@ -392,7 +397,7 @@ fn absurd_lengths_end_the_reading() {
         )
     );
 
-    let order = Order::Little;
+    let order = ByteOrder::Little;
     let start = [section(order), interface(order, 1, 0, &[])].concat();
     for (length, says) in [
         (0, "a pcapng block of type 0x00000006 claims 0 bytes"),
@@ -419,7 +424,7 @@ fn absurd_lengths_end_the_reading() {
 
 #[test]
 fn endless_interfaces_are_bounded() {
-    let order = Order::Little;
+    let order = ByteOrder::Little;
     let file = [section(order), interface(order, 1, 0, &[]).repeat(1025)].concat();
     assert!(
         records(&file)
@@ -432,7 +437,7 @@ fn endless_interfaces_are_bounded() {
 #[test]
 fn what_is_no_capture_is_named() {
     let zero_head = [0; 40];
-    let mut wrong_version = section(Order::Little);
+    let mut wrong_version = section(ByteOrder::Little);
     wrong_version[12] = 2;
     for (bytes, found) in [
         (&b""[..], "nothing, it is empty"),
@@ -512,8 +517,8 @@ fn a_failing_disk_is_an_error_and_not_the_end_of_the_capture() {
 fn any_sample() -> impl Strategy<Value = Vec<u8>> {
     let plain = prop_oneof![
         Just(sample(6)),
-        Just(sample_ng(Order::Little)),
-        Just(sample_ng(Order::Big))
+        Just(sample_ng(ByteOrder::Little)),
+        Just(sample_ng(ByteOrder::Big))
     ];
     (plain, 0..3).prop_map(|(plain, packing)| match packing {
         0 => plain,
@@ -526,7 +531,7 @@ proptest! {
     #[test]
     fn any_bytes_are_read_or_refused(bytes in proptest::collection::vec(any::<u8>(), 0..400)) {
         datagrams(&bytes);
-        for start in [&sample(0), &sample_ng(Order::Big)] {
+        for start in [&sample(0), &sample_ng(ByteOrder::Big)] {
             datagrams(&[&start[..], &bytes].concat());
         }
     }
@@ -548,7 +553,7 @@ proptest! {
         let whole = datagrams(&file).unwrap().0;
         if let Some((all, capture)) = datagrams(&file[..at.index(file.len())]) {
             prop_assert!(whole.starts_with(&all));
-            let tally = capture.tally();
+            let tally = capture.counts();
             prop_assert_eq!(tally.records, tally.datagrams);
         }
     }

@@ -2,13 +2,13 @@
 
 use std::io::Cursor;
 
-use super::input::Order;
+use super::input::ByteOrder;
 use super::{Capture, CaptureReader};
 
 pub(super) const SOURCE: [u8; 4] = [192, 168, 1, 201];
 pub(super) const SOURCE_V6: [u8; 16] = [0xFE, 0x80, 0, 0, 0, 0, 0, 0, 0, 0, 0, 0, 0, 0, 0, 1];
 
-impl Order {
+impl ByteOrder {
     pub(super) fn put16(self, value: u16) -> [u8; 2] {
         if self == Self::Little {
             value.to_le_bytes()
@@ -45,7 +45,7 @@ pub(super) fn padded(mut bytes: Vec<u8>) -> Vec<u8> {
 
 /// A pcap file: magic, link type, and records of (seconds, fraction, bytes).
 pub(super) fn pcap(
-    order: Order,
+    order: ByteOrder,
     magic: u32,
     link_type: u32,
     records: &[(u32, u32, &[u8])],
@@ -61,13 +61,13 @@ pub(super) fn pcap(
     file
 }
 
-pub(super) fn block(order: Order, kind: u32, body: Vec<u8>) -> Vec<u8> {
+pub(super) fn block(order: ByteOrder, kind: u32, body: Vec<u8>) -> Vec<u8> {
     let body = padded(body);
     let len = body.len() as u32 + 12;
     [order.put_all(&[kind, len]), body, order.put32(len).to_vec()].concat()
 }
 
-pub(super) fn section(order: Order) -> Vec<u8> {
+pub(super) fn section(order: ByteOrder) -> Vec<u8> {
     let version = [order.put16(1), order.put16(0)].concat();
     let body = [order.put32(0x1A2B_3C4D).to_vec(), version, vec![0xFF; 8]].concat();
     block(order, 0x0A0D_0D0A, body)
@@ -75,7 +75,7 @@ pub(super) fn section(order: Order) -> Vec<u8> {
 
 /// An interface with options (code, value).
 pub(super) fn interface(
-    order: Order,
+    order: ByteOrder,
     link_type: u16,
     snaplen: u32,
     options: &[(u16, Vec<u8>)],
@@ -94,7 +94,7 @@ pub(super) fn interface(
     block(order, 1, body)
 }
 
-pub(super) fn enhanced(order: Order, from: u32, ticks: u64, bytes: &[u8]) -> Vec<u8> {
+pub(super) fn enhanced(order: ByteOrder, from: u32, ticks: u64, bytes: &[u8]) -> Vec<u8> {
     let len = bytes.len() as u32;
     let mut body = order.put_all(&[from, (ticks >> 32) as u32, ticks as u32, len, len]);
     body.extend(padded(bytes.to_vec()));

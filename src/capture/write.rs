@@ -3,8 +3,8 @@
 use std::io::{self, Write};
 use std::net::SocketAddrV4;
 
+use super::frame::MAX_RECORD_LEN;
 use super::link::LinkType;
-use super::pcap::MAX_RECORD_LEN;
 use sweepd_core::wire::Datagram;
 
 const ETHERNET_LEN: usize = 14;

@@ -121,8 +121,8 @@ fn describe(
 /// Other traffic: all of it where no sensor is, since that was hoped for; else the largest part.
 fn describe_others(capture: &Capture, sensors: &DiscoveredSensors, flows: &Flows) -> String {
     let mut lines = flows.lines();
-    let tally = capture.tally();
-    if lines.is_empty() && tally.records > 0 && tally.datagrams == 0 {
+    let counts = capture.counts();
+    if lines.is_empty() && counts.records > 0 && counts.datagrams == 0 {
         lines.push("no record holds a UDP datagram".to_owned());
     }
     if lines.is_empty() {
@@ -136,7 +136,7 @@ fn describe_others(capture: &Capture, sensors: &DiscoveredSensors, flows: &Flows
 
 /// The capture as a whole.
 fn describe_capture(capture: &Capture, sensors: &DiscoveredSensors) -> String {
-    let tally = capture.tally();
+    let counts = capture.counts();
     let mut text = format!("{}\n", capture.name());
     if let (Some(first), Some(last)) = (capture.first_ns(), capture.last_ns()) {
         let seconds = last.saturating_sub(first) as f64 * 1e-9;
@@ -151,13 +151,13 @@ fn describe_capture(capture: &Capture, sensors: &DiscoveredSensors) -> String {
         .map(LinkType::to_string)
         .collect();
     row(&mut text, "link type", links.join(", "));
-    let records = grouped(tally.records);
-    let datagrams = count_of(tally.datagrams, "UDP datagram");
-    let others = grouped(tally.other_traffic() + sensors.others());
+    let records = grouped(counts.records);
+    let datagrams = count_of(counts.datagrams, "UDP datagram");
+    let others = grouped(counts.other_traffic() + sensors.others());
     let all = format_args!("{records}, with {datagrams}; {others} of other traffic");
     row(&mut text, "records", all);
-    if tally.truncated_records > 0 {
-        let cut = count_of(tally.truncated_records, "record");
+    if counts.truncated_records > 0 {
+        let cut = count_of(counts.truncated_records, "record");
         let cut = format_args!("{cut}: hold less than was sent");
         row(&mut text, "cut short", cut);
     }

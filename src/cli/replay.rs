@@ -189,7 +189,7 @@ impl<'a> Replay<'a> {
         let timing = !self.args.output.no_timing;
         let reports: Vec<SensorReport<'_>> = self.tracks.iter().map(Track::report).collect();
         let others = self.sensors.others() - self.others_before;
-        let other_traffic = capture.tally().other_traffic() + others;
+        let other_traffic = capture.counts().other_traffic() + others;
         self.outputs
             .line(|| SummaryLine::new(capture, other_traffic, &reports, timing))?;
         self.outputs.finish()?;

@@ -95,16 +95,14 @@ impl NewFile {
     pub fn create(path: &Path, existing: Existing) -> Result<(File, Self), WriteError> {
         check(path, existing)?;
         let failed = |cause| WriteError::file(path, cause);
+        let mut new = Self {
+            path: path.to_owned(),
+            part: None,
+            existing,
+        };
         if is_special(path) {
             let file = File::options().append(true).open(path).map_err(failed)?;
-            return Ok((
-                file,
-                Self {
-                    path: path.to_owned(),
-                    part: None,
-                    existing,
-                },
-            ));
+            return Ok((file, new));
         }
         if path.is_dir() {
             return Err(failed(io::ErrorKind::IsADirectory.into()));
@@ -118,14 +116,8 @@ impl NewFile {
             io::ErrorKind::AlreadyExists => WriteError::Part { path: part.clone() },
             _ => failed(cause),
         })?;
-        Ok((
-            file,
-            Self {
-                path: path.to_owned(),
-                part: Some(part),
-                existing,
-            },
-        ))
+        new.part = Some(part);
+        Ok((file, new))
     }
 
     /// Gives the file its name; all must have been written to it.
@@ -137,26 +129,23 @@ impl NewFile {
         let Some(part) = &self.part else {
             return Ok(());
         };
-        if self.existing == Existing::Replace {
-            fs::rename(part, &self.path).map_err(|cause| self.failed(cause))?;
-            self.part = None;
-            return Ok(());
-        }
-        // Unlike a rename, a link never replaces a file.
-        match fs::hard_link(part, &self.path) {
-            // Dropped, the part goes; the file has another name now.
-            Ok(()) => Ok(()),
-            Err(cause) if cause.kind() == io::ErrorKind::AlreadyExists => Err(WriteError::Exists {
-                path: self.path.clone(),
-            }),
-            // A file system without links, such as FAT.
-            Err(_) => {
-                check(&self.path, self.existing)?;
-                fs::rename(part, &self.path).map_err(|cause| self.failed(cause))?;
-                self.part = None;
-                Ok(())
+        if self.existing == Existing::Keep {
+            // Unlike a rename, a link never replaces a file.
+            match fs::hard_link(part, &self.path) {
+                // Dropped, the part goes; the file has another name now.
+                Ok(()) => return Ok(()),
+                Err(cause) if cause.kind() == io::ErrorKind::AlreadyExists => {
+                    return Err(WriteError::Exists {
+                        path: self.path.clone(),
+                    });
+                }
+                // A file system without links, such as FAT.
+                Err(_) => check(&self.path, self.existing)?,
             }
         }
+        fs::rename(part, &self.path).map_err(|cause| self.failed(cause))?;
+        self.part = None;
+        Ok(())
     }
 
     /// The error of a write to it.
@@ -190,32 +179,32 @@ pub fn write(path: &Path, bytes: &[u8], existing: Existing) -> Result<(), WriteE
 /// # Errors
 /// [`WriteError::Exists`].
 pub fn check(path: &Path, existing: Existing) -> Result<(), WriteError> {
-    let is_taken = existing == Existing::Keep
-        && !path.is_dir()
-        && !is_special(path)
-        && path.symlink_metadata().is_ok();
-    if is_taken {
-        Err(WriteError::Exists {
-            path: path.to_owned(),
-        })
-    } else {
-        Ok(())
+    if existing == Existing::Replace
+        || path.is_dir()
+        || is_special(path)
+        || path.symlink_metadata().is_err()
+    {
+        return Ok(());
     }
+    Err(WriteError::Exists {
+        path: path.to_owned(),
+    })
 }
 
 /// Whether there is a pipe or a device under this name, or one of the streams of this process:
 /// nothing that can be replaced.
 pub fn is_special(path: &Path) -> bool {
-    let is_stream = |path: &Path| {
-        let folder = path.parent().and_then(|folder| folder.canonicalize().ok());
-        folder.is_some_and(|folder| folder.starts_with("/proc"))
-    };
     // /dev/stdout leads there, and may be a file that a shell has opened for it.
     is_stream(path)
         || path.read_link().is_ok_and(|target| is_stream(&target))
         || path
             .metadata()
             .is_ok_and(|found| !found.is_file() && !found.is_dir())
+}
+
+fn is_stream(path: &Path) -> bool {
+    let folder = path.parent().and_then(|folder| folder.canonicalize().ok());
+    folder.is_some_and(|folder| folder.starts_with("/proc"))
 }
 
 /// `NAME.part` for `NAME`.
@@ -264,10 +253,8 @@ impl Former {
             };
             for entry in entries {
                 let entry = entry.map_err(failed)?;
-                let (name, is_folder) = (
-                    entry.file_name(),
-                    entry.file_type().map_err(failed)?.is_dir(),
-                );
+                let name = entry.file_name();
+                let is_folder = entry.file_type().map_err(failed)?.is_dir();
                 let Some(name) = name.to_str() else { continue };
                 match is_folder {
                     true if folder == dir && is_sensor_folder(name) => folders.push(entry.path()),
@@ -294,9 +281,10 @@ impl Former {
     /// # Errors
     /// [`WriteError::File`].
     pub fn remove(self) -> Result<(), WriteError> {
-        self.0
-            .iter()
-            .try_for_each(|file| remove(file).map_err(|cause| WriteError::file(file, cause)))
+        for file in &self.0 {
+            remove(file).map_err(|cause| WriteError::file(file, cause))?;
+        }
+        Ok(())
     }
 }
 
@@ -307,17 +295,14 @@ pub fn sensor_folder(sensor: &str) -> String {
 
 /// Whether a folder may be that of a sensor: an address and one port or two.
 fn is_sensor_folder(name: &str) -> bool {
+    without_port(name)
+        .is_some_and(|one| is_address(one) || without_port(one).is_some_and(is_address))
+}
+
+fn is_address(text: &str) -> bool {
     // The colons of an IPv6 address are underscores there, too.
-    let is_address = |text: &str| {
-        text.trim_matches(['[', ']'])
-            .replace('_', ":")
-            .parse::<IpAddr>()
-            .is_ok()
-    };
-    let Some(one) = without_port(name) else {
-        return false;
-    };
-    is_address(one) || without_port(one).is_some_and(is_address)
+    let address = text.trim_matches(['[', ']']).replace('_', ":");
+    address.parse::<IpAddr>().is_ok()
 }
 
 fn without_port(text: &str) -> Option<&str> {

@@ -50,9 +50,9 @@ fn packets_are_counted_as_others_count_them() {
             }
         }
         assert_eq!(counted, (data, position), "{name}");
-        let tally = capture.tally();
+        let counts = capture.counts();
         assert_eq!(
-            (tally.records, tally.datagrams),
+            (counts.records, counts.datagrams),
             (data + position, data + position),
             "{name}"
         );

@@ -73,6 +73,13 @@ fn held(port: u16, holder: &Option<Holder>) -> String {
 }
 
 impl UdpError {
+    pub(super) fn interface(name: &str, source: io::Error) -> Self {
+        Self::Interface {
+            name: name.to_owned(),
+            source,
+        }
+    }
+
     pub(super) fn bind(address: SocketAddrV4, source: io::Error) -> Self {
         match source.kind() {
             io::ErrorKind::AddrInUse => Self::PortTaken {

@@ -35,13 +35,11 @@ impl Holder {
     pub fn of(address: SocketAddrV4) -> Option<Self> {
         let tables = ["/proc/net/udp", "/proc/net/udp6"]
             .map(|table| fs::read_to_string(table).unwrap_or_default());
-        let socket = tables
+        let mut sockets = tables
             .iter()
             .flat_map(|table| table.lines())
             .filter_map(Socket::parse);
-        let socket = socket
-            .into_iter()
-            .find(|socket| socket.is_in_the_way_of(address))?;
+        let socket = sockets.find(|socket| socket.is_in_the_way_of(address))?;
         Some(Self {
             uid: socket.uid,
             program: Program::with_socket(socket.inode),
@@ -100,47 +98,38 @@ impl Socket {
             IpAddr::V6(Ipv6Addr::UNSPECIFIED) => Some(Ipv4Addr::UNSPECIFIED),
             IpAddr::V6(ip) => ip.to_ipv4_mapped(),
         };
-        let meets = |ip: Ipv4Addr| {
-            ip == *address.ip() || ip.is_unspecified() || address.ip().is_unspecified()
-        };
-        self.port == address.port() && ip.is_some_and(meets)
+        self.port == address.port()
+            && ip.is_some_and(|ip| {
+                ip == *address.ip() || ip.is_unspecified() || address.ip().is_unspecified()
+            })
     }
 }
 
 /// An address as the kernel prints it: each four bytes as a number of this machine.
 fn parse_ip(digits: &str) -> Option<IpAddr> {
-    let word = |at: usize| {
-        u32::from_str_radix(digits.get(at..at + 8)?, 16)
-            .ok()
-            .map(u32::to_ne_bytes)
-    };
-    match digits.len() {
-        8 => Some(Ipv4Addr::from(word(0)?).into()),
-        32 => {
-            let words = [word(0)?, word(8)?, word(16)?, word(24)?];
-            let bytes: [u8; 16] = words.as_flattened().try_into().ok()?;
-            Some(Ipv6Addr::from(bytes).into())
-        }
-        _ => None,
+    let mut bytes = Vec::new();
+    for at in (0..digits.len()).step_by(8) {
+        let word = u32::from_str_radix(digits.get(at..at + 8)?, 16).ok()?;
+        bytes.extend(word.to_ne_bytes());
     }
+    if let Ok(bytes) = <[u8; 4]>::try_from(&bytes[..]) {
+        return Some(Ipv4Addr::from(bytes).into());
+    }
+    let bytes = <[u8; 16]>::try_from(&bytes[..]).ok()?;
+    Some(Ipv6Addr::from(bytes).into())
 }
 
 impl Program {
     fn with_socket(inode: u64) -> Option<Self> {
         let link = format!("socket:[{inode}]");
         let processes = fs::read_dir("/proc").ok()?.flatten();
-        let pids =
+        let mut pids =
             processes.filter_map(|process| process.file_name().to_str()?.parse::<u32>().ok());
-        let holds = |&pid: &u32| {
-            let files = fs::read_dir(format!("/proc/{pid}/fd"))
-                .into_iter()
-                .flatten()
-                .flatten();
-            files
-                .into_iter()
-                .any(|file| fs::read_link(file.path()).is_ok_and(|to| to == Path::new(&link)))
-        };
-        let pid = pids.into_iter().find(holds)?;
+        let pid = pids.find(|pid| {
+            let files = fs::read_dir(format!("/proc/{pid}/fd"));
+            let mut files = files.into_iter().flatten().flatten();
+            files.any(|file| fs::read_link(file.path()).is_ok_and(|to| to == Path::new(&link)))
+        })?;
         let name = fs::read_to_string(format!("/proc/{pid}/comm")).ok()?;
         Some(Self {
             pid,

@@ -51,13 +51,12 @@ pub struct UdpConfig {
 impl UdpConfig {
     /// All that is sent to a port of this host, with a buffer for the fastest sensor.
     pub fn port(port: u16) -> Self {
-        let buffer_bytes = ample_buffer_bytes();
         Self {
             address: Ipv4Addr::UNSPECIFIED,
             port,
             multicast: None,
             interface: None,
-            buffer_bytes,
+            buffer_bytes: ample_buffer_bytes(),
         }
     }
 }
@@ -98,11 +97,10 @@ impl UdpSource {
     /// [`UdpError`]: a port that is taken, an address or interface that this host has not, a group
     /// that is none.
     pub fn bind(config: &UdpConfig) -> Result<Self, UdpError> {
-        let index = config
-            .interface
-            .as_deref()
-            .map(interface_index)
-            .transpose()?;
+        let index = match &config.interface {
+            Some(name) => Some(interface_index(name)?),
+            None => None,
+        };
         if let Some(group) = config.multicast.filter(|group| !group.is_multicast()) {
             return Err(UdpError::NoGroup { group });
         }
@@ -112,16 +110,14 @@ impl UdpSource {
         };
         let socket = Socket::new(Domain::IPV4, Type::DGRAM, Some(Protocol::UDP)).map_err(failed)?;
         let buffer = buffer::enlarge(&socket, config.buffer_bytes).map_err(failed)?;
-        sys::ask_to_be_told(socket.as_fd()).map_err(failed)?;
+        sys::request_meta(socket.as_fd()).map_err(failed)?;
         // Else it would hear every group that any program of this host has joined, on the same port
         // (ip(7)).
         socket.set_multicast_all_v4(false).map_err(failed)?;
         if let Some(name) = &config.interface {
-            let refused = |source| UdpError::Interface {
-                name: name.clone(),
-                source,
-            };
-            socket.bind_device(Some(name.as_bytes())).map_err(refused)?;
+            socket
+                .bind_device(Some(name.as_bytes()))
+                .map_err(|source| UdpError::interface(name, source))?;
         }
         let address = SocketAddrV4::new(config.address, config.port);
         socket
@@ -133,7 +129,6 @@ impl UdpSource {
             .map_err(failed)?
             .as_socket_ipv4()
             .unwrap_or(address);
-        let slots = vec![Slot::EMPTY; BATCH].into();
         Ok(Self {
             config: config.clone(),
             index,
@@ -141,7 +136,7 @@ impl UdpSource {
             local,
             buffer,
             filling: Filling::new(buffer.part_bytes()),
-            slots,
+            slots: vec![Slot::EMPTY; BATCH].into(),
             timeout: None,
             drops: DropCounter::default(),
             received: 0,
@@ -168,8 +163,8 @@ impl UdpSource {
             .map(|addressed| addressed.datagram()))
     }
 
-    /// As [`UdpSource::receive`], with the addresses that they were sent to, for who records them:
-    /// this host's, the broadcast address, a multicast group.
+    /// As [`UdpSource::receive`], with the addresses that they were sent to, for recordings: this
+    /// host's, the broadcast address, a multicast group.
     ///
     /// # Errors
     /// As there.
@@ -200,32 +195,23 @@ impl UdpSource {
         self.received += count as u64;
         self.was_full = count == self.slots.len();
         let arrived = &self.slots[..count];
+        let now_ns = realtime_ns();
+        let local = self.local;
         let mut drops = self.drops;
-        arrived
-            .iter()
-            .filter_map(|slot| slot.told.dropped)
-            .for_each(|dropped| self.drops.note(dropped));
-        let (now_ns, local) = (realtime_ns(), self.local);
         for slot in arrived {
-            if let Some(took_ns) = self
-                .filling
-                .note(slot.told.stamp_ns.unwrap_or(now_ns), slot.len)
-            {
+            self.drops.note(slot.meta.dropped);
+            let stamp_ns = slot.meta.stamp_ns.unwrap_or(now_ns);
+            if let Some(took_ns) = self.filling.note(stamp_ns, slot.len) {
                 self.filling.remember(took_ns, Instant::now());
             }
         }
         Ok(arrived.iter().map(move |slot| {
-            slot.told
-                .dropped
-                .into_iter()
-                .for_each(|dropped| drops.note(dropped));
+            drops.note(slot.meta.dropped);
+            let destination = slot.meta.destination.unwrap_or(*local.ip());
             let addressed = Addressed {
-                arrival_ns: slot.told.stamp_ns.unwrap_or(now_ns),
+                arrival_ns: slot.meta.stamp_ns.unwrap_or(now_ns),
                 source: slot.source,
-                destination: SocketAddrV4::new(
-                    slot.told.destination.unwrap_or(*local.ip()),
-                    local.port(),
-                ),
+                destination: SocketAddrV4::new(destination, local.port()),
                 payload: slot.payload(),
             };
             (addressed, drops.total)
@@ -237,9 +223,9 @@ impl UdpSource {
         self.received
     }
 
-    /// Looks after the interface, if it listens on one alone: one that went away and came back has
+    /// Follows the interface, if it listens on one alone: one that went away and came back has
     /// another number, and the kernel ties a socket to the number. Then the port is opened again;
-    /// counters go on. Says whether the interface is there.
+    /// counters go on. Returns whether the interface is there.
     ///
     /// This is for quiet times: it asks the system, and may take memory.
     ///
@@ -251,7 +237,8 @@ impl UdpSource {
             return Ok(true);
         };
         match interface_index(name) {
-            // What cannot be told, for want of descriptors say, is taken to be there.
+            // Where that cannot be found out, such as without free descriptors, it is taken to be
+            // there.
             Err(UdpError::Interface { source, .. }) => Ok(!matches!(
                 source.raw_os_error(),
                 Some(libc::ENODEV | libc::ENXIO)
@@ -263,13 +250,10 @@ impl UdpSource {
                     port: self.local.port(),
                     ..self.config.clone()
                 })?;
-                let (received, dropped) = (self.received, self.dropped());
+                let total = self.dropped();
                 *self = Self {
-                    received,
-                    drops: DropCounter {
-                        last: 0,
-                        total: dropped,
-                    },
+                    received: self.received,
+                    drops: DropCounter { last: 0, total },
                     ..fresh
                 };
                 Ok(true)
@@ -292,10 +276,8 @@ impl UdpSource {
     /// Datagrams that the kernel dropped up to now because the buffer was full (or their checksum
     /// wrong).
     pub fn dropped(&mut self) -> u64 {
-        // Before Linux 4.12 the next datagram will tell.
-        if let Ok(dropped) = sys::dropped_now(self.socket.as_fd()) {
-            self.drops.note(dropped);
-        }
+        // Before Linux 4.12 the next datagram has the count.
+        self.drops.note(sys::dropped_now(self.socket.as_fd()).ok());
         self.drops.total
     }
 
@@ -325,7 +307,7 @@ impl UdpSource {
         if timeout.is_zero() {
             return Ok(());
         }
-        // What is rounded to zero would be for ever.
+        // A timeout that is rounded to zero would be for ever.
         let timeout = timeout.max(Duration::from_millis(1));
         if self.timeout != Some(timeout) {
             self.socket
@@ -354,10 +336,7 @@ fn is_no_datagram(error: &io::Error) -> bool {
 fn interface_index(name: &str) -> Result<NonZeroU32, UdpError> {
     let index = sys::interface_index(name)
         .and_then(|index| NonZeroU32::new(index).ok_or(io::ErrorKind::NotFound.into()));
-    index.map_err(|source| UdpError::Interface {
-        name: name.to_owned(),
-        source,
-    })
+    index.map_err(|source| UdpError::interface(name, source))
 }
 
 fn join(
@@ -381,7 +360,9 @@ struct DropCounter {
 }
 
 impl DropCounter {
-    fn note(&mut self, dropped: u32) {
+    /// Takes the kernel's count, where it is known.
+    fn note(&mut self, dropped: Option<u32>) {
+        let Some(dropped) = dropped else { return };
         let more = dropped.wrapping_sub(self.last);
         // Half the circle or more is behind: read earlier than what is known.
         if more <= u32::MAX / 2 {

@@ -32,12 +32,12 @@ pub(super) struct Slot {
     /// Bytes of the datagram, those that found no room included.
     pub(super) len: usize,
     pub(super) source: SocketAddrV4,
-    pub(super) told: Told,
+    pub(super) meta: RecvMeta,
 }
 
 /// What the kernel said of a datagram.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
-pub(super) struct Told {
+pub(super) struct RecvMeta {
     /// When the kernel received it, nanoseconds since 1970; `None` if it did not say.
     pub(super) stamp_ns: Option<i64>,
     /// Datagrams that the socket had dropped when this one came, modulo 2^32; `None` before the
@@ -53,7 +53,7 @@ impl Slot {
         bytes: [0; SLOT_LEN],
         len: 0,
         source: SocketAddrV4::new(Ipv4Addr::UNSPECIFIED, 0),
-        told: Told {
+        meta: RecvMeta {
             stamp_ns: None,
             dropped: None,
             destination: None,
@@ -126,7 +126,7 @@ pub(super) fn receive(
         // The pointer that the kernel was given is older than this borrow of the slot, and may not
         // be read through.
         header.msg_control = slot.control.as_mut_ptr().cast();
-        slot.told = control(header);
+        slot.meta = control(header);
     }
     Ok(filled)
 }
@@ -154,8 +154,8 @@ fn has(message: &libc::cmsghdr, len: usize) -> bool {
     clippy::useless_conversion,
     reason = "other C libraries and 32 bits have other types"
 )]
-fn control(header: &libc::msghdr) -> Told {
-    let mut told = Told::default();
+fn control(header: &libc::msghdr) -> RecvMeta {
+    let mut meta = RecvMeta::default();
     // SAFETY: `msg_control` points to the aligned control buffer of a slot that is borrowed by the
     // caller, and `msg_controllen` is what the kernel wrote of it.
     let mut next = unsafe { libc::CMSG_FIRSTHDR(header) };
@@ -170,29 +170,29 @@ fn control(header: &libc::msghdr) -> Told {
             {
                 // SAFETY: the message is as long as that, and any bytes are two numbers.
                 let time = unsafe { data.cast::<libc::timespec>().read_unaligned() };
-                told.stamp_ns =
+                meta.stamp_ns =
                     Some(i64::from(time.tv_sec) * 1_000_000_000 + i64::from(time.tv_nsec));
             }
             (libc::SOL_SOCKET, libc::SO_RXQ_OVFL) if has(message, size_of::<u32>()) => {
                 // SAFETY: as above, one number.
-                told.dropped = Some(unsafe { data.cast::<u32>().read_unaligned() });
+                meta.dropped = Some(unsafe { data.cast::<u32>().read_unaligned() });
             }
             (libc::IPPROTO_IP, libc::IP_PKTINFO) if has(message, size_of::<libc::in_pktinfo>()) => {
                 // SAFETY: as above, a struct of numbers.
                 let info = unsafe { data.cast::<libc::in_pktinfo>().read_unaligned() };
-                told.destination = Some(Ipv4Addr::from(u32::from_be(info.ipi_addr.s_addr)));
+                meta.destination = Some(Ipv4Addr::from(u32::from_be(info.ipi_addr.s_addr)));
             }
             _ => {}
         }
         // SAFETY: `next` is a message of this header.
         next = unsafe { libc::CMSG_NXTHDR(header, next) };
     }
-    told
+    meta
 }
 
 /// Has the kernel say of each datagram when it came (SO_TIMESTAMPNS), how many were dropped before
 /// it (SO_RXQ_OVFL) and where it was sent to (IP_PKTINFO); socket(7), ip(7).
-pub(super) fn ask_to_be_told(socket: BorrowedFd<'_>) -> io::Result<()> {
+pub(super) fn request_meta(socket: BorrowedFd<'_>) -> io::Result<()> {
     set_option(socket, libc::SOL_SOCKET, libc::SO_TIMESTAMPNS, 1)?;
     set_option(socket, libc::SOL_SOCKET, libc::SO_RXQ_OVFL, 1)?;
     set_option(socket, libc::IPPROTO_IP, libc::IP_PKTINFO, 1)

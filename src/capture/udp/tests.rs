@@ -186,7 +186,7 @@ fn each_datagram_says_how_many_were_dropped_before_it() {
 fn the_drop_counter_wraps_and_never_goes_back() {
     let mut drops = DropCounter::default();
     let mut total = |dropped| {
-        drops.note(dropped);
+        drops.note(Some(dropped));
         drops.total
     };
     assert_eq!([5, 5, 4, 9].map(&mut total), [5, 5, 5, 9]);

@@ -14,7 +14,7 @@ pub(super) fn show_damage(capture: &Capture, read: Result<(), CaptureError>) -> 
         let message = format!("{name}: {truncation}; everything before was replayed");
         complain("warning", message);
     }
-    let cut = capture.tally().truncated_records;
+    let cut = capture.counts().truncated_records;
     if cut > 0 {
         let cut = count_of(cut, "record");
         let message = format!("{name}: {cut} cut short; capture with a larger snap length");
@@ -59,9 +59,9 @@ fn missing(
     }
     let part = args.play.part();
     if reports.is_empty() && missing.is_empty() {
-        let tally = capture.tally();
-        let records = count_of(tally.records, "record");
-        let datagrams = count_of(tally.datagrams, "UDP datagram");
+        let counts = capture.counts();
+        let records = count_of(counts.records, "record");
+        let datagrams = count_of(counts.datagrams, "UDP datagram");
         missing.push(format!(
             "no Velodyne data packets{part} ({records}, {datagrams}); `sweepd inspect` says what is in it"
         ));

@@ -203,15 +203,15 @@ impl<'a> SummaryLine<'a> {
         reports: &[SensorReport<'a>],
         timing: bool,
     ) -> Self {
-        let tally = capture.tally();
+        let counts = capture.counts();
         Self {
             summary: Summary {
                 capture: CaptureSummary {
                     name: capture.name(),
-                    records: tally.records,
-                    datagrams: tally.datagrams,
+                    records: counts.records,
+                    datagrams: counts.datagrams,
                     other_traffic,
-                    truncated_records: tally.truncated_records,
+                    truncated_records: counts.truncated_records,
                     breaks_off: capture.truncation().map(ToString::to_string),
                 },
                 sensors: reports.iter().map(|report| report.line(timing)).collect(),

@@ -3,7 +3,7 @@
 use std::io::Cursor;
 
 use sweepd::admission::DiscoveredSensors;
-use sweepd::capture::{Capture, Decapsulator, LinkType, NoDatagram, Tally};
+use sweepd::capture::{Capture, Decapsulator, LinkType, NoDatagram, RecordCounts};
 
 use super::Numbers;
 
@@ -30,12 +30,12 @@ pub fn capture(input: &[u8]) {
             }
             Err(error) => panic!("memory cannot fail to be read: {error}"),
         }
-        if capture.tally().records >= MOST_RECORDS {
+        if capture.counts().records >= MOST_RECORDS {
             break;
         }
     }
-    let tally = capture.tally();
-    let Tally {
+    let tally = capture.counts();
+    let RecordCounts {
         records,
         not_ip,
         not_udp,
