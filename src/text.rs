@@ -32,7 +32,9 @@ pub fn utc_text(time_ns: i64) -> String {
     let ms = time_ns.div_euclid(1_000_000);
     let (year, month, day) = civil_from_days(ms.div_euclid(DAY_MS));
     let ms = ms.rem_euclid(DAY_MS);
-    let (hour, minute, second) = (ms / 3_600_000, ms / 60_000 % 60, ms / 1000 % 60);
+    let hour = ms / 3_600_000;
+    let minute = ms / 60_000 % 60;
+    let second = ms / 1000 % 60;
     format!(
         "{year:04}-{month:02}-{day:02} {hour:02}:{minute:02}:{second:02}.{:03} UTC",
         ms % 1000

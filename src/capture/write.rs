@@ -85,7 +85,6 @@ impl<W: Write> PcapWriter<W> {
     /// `InvalidInput` where the time or the payload does not fit the formats, with nothing written;
     /// else what the sink says.
     pub fn write(&mut self, datagram: &Addressed<'_>) -> io::Result<()> {
-        let invalid = |what| io::Error::new(io::ErrorKind::InvalidInput, what);
         let seconds =
             u32::try_from(datagram.arrival_ns.div_euclid(1_000_000_000)).map_err(|_| {
                 invalid("the arrival time is before 1970 or after 2106, which pcap cannot say")
@@ -116,6 +115,10 @@ impl<W: Write> PcapWriter<W> {
         self.sink.flush()?;
         Ok(self.sink)
     }
+}
+
+fn invalid(what: &'static str) -> io::Error {
+    io::Error::new(io::ErrorKind::InvalidInput, what)
 }
 
 fn headers(datagram: &Addressed<'_>, ip_len: u16) -> [u8; HEADERS_LEN] {

@@ -183,7 +183,8 @@ fn print(seen: &Observations, findings: &[Finding], well: bool) -> io::Result<()
         )?;
     }
     for expected in &seen.plan.sensors {
-        let (name, sweeps) = (&expected.name, pool_sweeps(expected.max_consumers));
+        let name = &expected.name;
+        let sweeps = pool_sweeps(expected.max_consumers);
         let bytes = sweep_bytes(expected, seen);
         let mib = (bytes * sweeps as u64) as f64 / f64::from(1 << 20);
         writeln!(

@@ -66,7 +66,8 @@ impl SegmentTables {
     /// # Errors
     /// [`CliError`]: what the disk or the reader says.
     pub fn sweep(&mut self, sweep: SweepRef<'_>, seq: u64) -> Result<(), CliError> {
-        let (axes, format) = (self.axes, self.format);
+        let axes = self.axes;
+        let format = self.format;
         self.write(|mut out| write_segments(sweep, seq, axes, format, &mut out))
     }
 

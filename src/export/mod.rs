@@ -43,7 +43,8 @@ pub enum Axes {
 impl Axes {
     /// A point of the sensor's axes in these.
     #[inline]
-    pub fn of_sensor(self, [x, y, z]: [f64; 3]) -> [f64; 3] {
+    pub fn of_sensor(self, point: [f64; 3]) -> [f64; 3] {
+        let [x, y, z] = point;
         match self {
             Self::Sensor => [x, y, z],
             Self::Ros => [y, -x, z],

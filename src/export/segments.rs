@@ -75,15 +75,12 @@ pub fn write_segments(
 
 /// In the order of [`HEADER`].
 fn values<'a>(sweep: &SweepRef<'a>, seq: u64, segment: &Segment, axes: Axes) -> [Value<'a>; 21] {
-    let [centroid, one, other] = [segment.centroid_m, segment.min_m, segment.max_m]
-        .map(|point_m| axes.of_sensor(point_m.map(f64::from)));
+    let centroid = axes.of_sensor(segment.centroid_m.map(f64::from));
+    let one = axes.of_sensor(segment.min_m.map(f64::from));
+    let other = axes.of_sensor(segment.max_m.map(f64::from));
     // An axis may be reversed, and its least is the greatest then.
-    let least = |axis: usize| Value::Decimal(one[axis].min(other[axis]));
-    let greatest = |axis: usize| Value::Decimal(one[axis].max(other[axis]));
-    let azimuth = |column: u32| {
-        let column = sweep.columns.get(column as usize);
-        Value::Decimal(column.map_or(f64::NAN, |column| azimuth_deg(column.azimuth_rad)))
-    };
+    let least: [f64; 3] = std::array::from_fn(|axis| one[axis].min(other[axis]));
+    let greatest: [f64; 3] = std::array::from_fn(|axis| one[axis].max(other[axis]));
     [
         Value::Text(sweep.header.sensor()),
         Value::Count(seq),
@@ -93,15 +90,15 @@ fn values<'a>(sweep: &SweepRef<'a>, seq: u64, segment: &Segment, axes: Axes) -> 
         Value::Decimal(centroid[0]),
         Value::Decimal(centroid[1]),
         Value::Decimal(centroid[2]),
-        least(0),
-        least(1),
-        least(2),
-        greatest(0),
-        greatest(1),
-        greatest(2),
+        Value::Decimal(least[0]),
+        Value::Decimal(least[1]),
+        Value::Decimal(least[2]),
+        Value::Decimal(greatest[0]),
+        Value::Decimal(greatest[1]),
+        Value::Decimal(greatest[2]),
         Value::Decimal(segment.nearest_m.into()),
-        azimuth(segment.column_first),
-        azimuth(segment.column_last),
+        Value::Decimal(azimuth_deg(sweep, segment.column_first)),
+        Value::Decimal(azimuth_deg(sweep, segment.column_last)),
         Value::Count(segment.row_first.into()),
         Value::Count(segment.row_last.into()),
         Value::Count(segment.column_first.into()),
@@ -109,12 +106,14 @@ fn values<'a>(sweep: &SweepRef<'a>, seq: u64, segment: &Segment, axes: Axes) -> 
     ]
 }
 
-/// To four decimals; what rounds to 360 is 0.
-fn azimuth_deg(azimuth_rad: f32) -> f64 {
-    (f64::from(azimuth_rad).to_degrees() * 1e4)
-        .round()
-        .rem_euclid(360e4)
-        / 1e4
+/// The azimuth of a column to four decimals, 0 where it rounds to 360; NaN where the sweep has no
+/// such column.
+fn azimuth_deg(sweep: &SweepRef<'_>, column: u32) -> f64 {
+    let Some(column) = sweep.columns.get(column as usize) else {
+        return f64::NAN;
+    };
+    let degrees = f64::from(column.azimuth_rad).to_degrees();
+    (degrees * 1e4).round().rem_euclid(360e4) / 1e4
 }
 
 fn push_line(text: &mut Vec<u8>, values: &[Value<'_>], format: TableFormat) {
@@ -137,7 +136,7 @@ fn push_line(text: &mut Vec<u8>, values: &[Value<'_>], format: TableFormat) {
             }
             Value::Count(count) => push_integer(text, count),
             Value::Time(time_ns) => push_signed(text, time_ns),
-            // JSON has no word for these.
+            // JSON has no such numbers.
             Value::Decimal(number) if is_json && !number.is_finite() => {
                 text.extend_from_slice(b"null,")
             }

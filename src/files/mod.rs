@@ -34,17 +34,12 @@ pub enum CalibrationFileError {
 /// # Errors
 /// [`CalibrationFileError`].
 pub fn calibration(path: &Path) -> Result<Calibration, CalibrationFileError> {
-    let refused = |source| CalibrationFileError::Io {
-        path: path.to_owned(),
-        source,
-    };
-    let mut bytes = Vec::new();
     // One byte more than is allowed: the core refuses it, with the limit.
-    File::open(path)
-        .map_err(refused)?
-        .take(MAX_FILE_LEN as u64 + 1)
-        .read_to_end(&mut bytes)
-        .map_err(refused)?;
+    let bytes =
+        read_start(path, MAX_FILE_LEN as u64 + 1).map_err(|source| CalibrationFileError::Io {
+            path: path.to_owned(),
+            source,
+        })?;
     Ok(Calibration::decode(&bytes, &path.display().to_string())?)
 }
 
@@ -54,11 +49,17 @@ pub fn calibration(path: &Path) -> Result<Calibration, CalibrationFileError> {
 /// What the system says; [`io::ErrorKind::FileTooLarge`] for a longer file, of which no more is
 /// read.
 pub fn read(path: &Path, limit: u64) -> io::Result<Vec<u8>> {
-    let mut bytes = Vec::new();
-    File::open(path)?.take(limit + 1).read_to_end(&mut bytes)?;
+    let bytes = read_start(path, limit + 1)?;
     if bytes.len() as u64 > limit {
         let message = format!("more than {} MiB, not what is expected here", limit >> 20);
         return Err(io::Error::new(io::ErrorKind::FileTooLarge, message));
     }
+    Ok(bytes)
+}
+
+/// The first `len` bytes of a file, or fewer if it is shorter.
+fn read_start(path: &Path, len: u64) -> io::Result<Vec<u8>> {
+    let mut bytes = Vec::new();
+    File::open(path)?.take(len).read_to_end(&mut bytes)?;
     Ok(bytes)
 }

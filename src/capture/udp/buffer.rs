@@ -71,9 +71,11 @@ impl ReceiveBuffer {
         self.wanted_bytes.div_ceil(2)
     }
 
-    /// What to tell people where it is too small, and how to set it right.
+    /// A warning where it is too small, with the cure.
     pub fn warning(&self, port: u16) -> Option<String> {
-        let (packets, ms, rmem_max) = (self.packets(), self.fastest_ms(), self.rmem_max());
+        let packets = self.packets();
+        let ms = self.fastest_ms();
+        let rmem_max = self.rmem_max();
         self.is_too_small().then(|| {
             format!(
                 "port {port}: the kernel gave a receive buffer of {} bytes, not {}: room for {packets} packets, {ms} ms of \
@@ -90,7 +92,7 @@ pub(super) fn enlarge(socket: &Socket, wanted_bytes: usize) -> io::Result<Receiv
     let ask = wanted_bytes.div_ceil(2);
     socket.set_recv_buffer_size(ask)?;
     if socket.recv_buffer_size()? < wanted_bytes {
-        // Who may not keeps what there is, and is warned.
+        // Without the right to it, the buffer stays as it is, and there is a warning.
         let _ = sys::force_buffer(socket.as_fd(), ask);
     }
     Ok(ReceiveBuffer {

@@ -104,16 +104,9 @@ impl UdpSource {
         if let Some(group) = config.multicast.filter(|group| !group.is_multicast()) {
             return Err(UdpError::NoGroup { group });
         }
-        let failed = |source| UdpError::Socket {
-            port: config.port,
-            source,
-        };
-        let socket = Socket::new(Domain::IPV4, Type::DGRAM, Some(Protocol::UDP)).map_err(failed)?;
-        let buffer = buffer::enlarge(&socket, config.buffer_bytes).map_err(failed)?;
-        sys::request_meta(socket.as_fd()).map_err(failed)?;
-        // Else it would hear every group that any program of this host has joined, on the same port
-        // (ip(7)).
-        socket.set_multicast_all_v4(false).map_err(failed)?;
+        let port = config.port;
+        let (socket, buffer) =
+            open_socket(config.buffer_bytes).map_err(|source| UdpError::Socket { port, source })?;
         if let Some(name) = &config.interface {
             socket
                 .bind_device(Some(name.as_bytes()))
@@ -126,7 +119,7 @@ impl UdpSource {
         join(&socket, config.multicast, index)?;
         let local = socket
             .local_addr()
-            .map_err(failed)?
+            .map_err(|source| UdpError::Socket { port, source })?
             .as_socket_ipv4()
             .unwrap_or(address);
         Ok(Self {
@@ -324,6 +317,17 @@ impl UdpSource {
             source,
         }
     }
+}
+
+/// A socket with all its options set, and its buffer.
+fn open_socket(buffer_bytes: usize) -> io::Result<(Socket, ReceiveBuffer)> {
+    let socket = Socket::new(Domain::IPV4, Type::DGRAM, Some(Protocol::UDP))?;
+    let buffer = buffer::enlarge(&socket, buffer_bytes)?;
+    sys::request_meta(socket.as_fd())?;
+    // Else it would hear every group that any program of this host has joined, on the same port
+    // (ip(7)).
+    socket.set_multicast_all_v4(false)?;
+    Ok((socket, buffer))
 }
 
 fn is_no_datagram(error: &io::Error) -> bool {

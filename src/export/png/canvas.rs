@@ -8,7 +8,7 @@ use embedded_graphics::Pixel;
 use embedded_graphics::mono_font::{MonoTextStyle, iso_8859_1 as fonts};
 use embedded_graphics::pixelcolor::Rgb888;
 use embedded_graphics::prelude::*;
-use embedded_graphics::primitives::{PrimitiveStyle, Rectangle, StyledDrawable, Triangle};
+use embedded_graphics::primitives::{PrimitiveStyle, Rectangle, StyledDrawable};
 use embedded_graphics::text::{Alignment, Baseline, Text, TextStyleBuilder};
 
 use super::palette::{self, DIM, RIM, TEXT, WARNING};
@@ -98,10 +98,15 @@ impl Canvas {
         drawn(shape.draw_styled(&style, &mut self.clipped(clip)));
     }
 
-    /// A filled triangle, within an area.
-    pub fn triangle(&mut self, [a, b, c]: [Point; 3], color: Rgb888, clip: &Rectangle) {
+    /// A filled shape, within an area.
+    pub fn fill(
+        &mut self,
+        shape: &impl StyledDrawable<PrimitiveStyle<Rgb888>, Color = Rgb888>,
+        color: Rgb888,
+        clip: &Rectangle,
+    ) {
         let style = PrimitiveStyle::with_fill(color);
-        drawn(Triangle::new(a, b, c).draw_styled(&style, &mut self.clipped(clip)));
+        drawn(shape.draw_styled(&style, &mut self.clipped(clip)));
     }
 
     /// A line of text, its upper left corner at a point; returns the x behind it.
@@ -169,7 +174,8 @@ impl DrawTarget for Canvas {
 
     fn fill_solid(&mut self, area: &Rectangle, color: Rgb888) -> Result<(), Infallible> {
         let area = area.intersection(&self.bounding_box());
-        let (width, row_bytes) = (self.size.width as usize, area.size.width as usize * 3);
+        let width = self.size.width as usize;
+        let row_bytes = area.size.width as usize * 3;
         for y in area.rows() {
             let at = (y as usize * width + area.top_left.x as usize) * 3;
             for pixel in self.bytes[at..at + row_bytes].chunks_exact_mut(3) {

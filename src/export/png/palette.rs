@@ -72,21 +72,24 @@ fn vivid(lightness: f64, hue_rad: f64) -> Rgb888 {
         .clone()
         .find(|rgb| rgb.iter().all(|c| (0.0..=1.0).contains(c)))
         .unwrap_or([lightness; 3]);
-    let byte = |linear: f64| {
-        let encoded = if linear <= 0.003_130_8 {
-            12.92 * linear
-        } else {
-            1.055 * linear.powf(1.0 / 2.4) - 0.055
-        };
-        (encoded * 255.0).round() as u8
+    Rgb888::new(srgb(r), srgb(g), srgb(b))
+}
+
+/// A linear channel, 0 to 1, in the encoding of sRGB.
+fn srgb(linear: f64) -> u8 {
+    let encoded = if linear <= 0.003_130_8 {
+        12.92 * linear
+    } else {
+        1.055 * linear.powf(1.0 / 2.4) - 0.055
     };
-    Rgb888::new(byte(r), byte(g), byte(b))
+    (encoded * 255.0).round() as u8
 }
 
 /// OKLCH to linear sRGB (B. Ottosson, "A perceptual color space for image processing", 2020):
 /// colours of equal lightness look equally light, which those of HSL do not.
 fn oklch(lightness: f64, chroma: f64, hue_rad: f64) -> [f64; 3] {
-    let (a, b) = (chroma * hue_rad.cos(), chroma * hue_rad.sin());
+    let a = chroma * hue_rad.cos();
+    let b = chroma * hue_rad.sin();
     let l = (lightness + 0.396_337_777_4 * a + 0.215_803_757_3 * b).powi(3);
     let m = (lightness - 0.105_561_345_8 * a - 0.063_854_172_8 * b).powi(3);
     let s = (lightness - 0.089_484_177_5 * a - 1.291_485_548_0 * b).powi(3);
@@ -190,14 +193,16 @@ impl ReflectivityScale {
 
 /// A colour between two, 0 the first to 1 the second.
 fn mixed(from: Rgb888, to: Rgb888, part: f64) -> Rgb888 {
-    let channel = |from: u8, to: u8| {
-        (f64::from(from) + (f64::from(to) - f64::from(from)) * part).round() as u8
-    };
     Rgb888::new(
-        channel(from.r(), to.r()),
-        channel(from.g(), to.g()),
-        channel(from.b(), to.b()),
+        between(from.r(), to.r(), part),
+        between(from.g(), to.g(), part),
+        between(from.b(), to.b(), part),
     )
+}
+
+fn between(from: u8, to: u8, part: f64) -> u8 {
+    let from = f64::from(from);
+    (from + (f64::from(to) - from) * part).round() as u8
 }
 
 /// The value below which this many percent of the values are. Reorders them; there must be one.

@@ -3,7 +3,7 @@
 use std::f64::consts::{PI, TAU};
 
 use embedded_graphics::prelude::*;
-use embedded_graphics::primitives::{Circle, Line, Rectangle};
+use embedded_graphics::primitives::{Circle, Line, Rectangle, Triangle};
 
 use super::canvas::{BODY, Canvas, NOTE};
 use super::numbers::{Texts, entry, number_size, numbered};
@@ -98,12 +98,12 @@ pub fn draw(page: &mut Canvas, area: &Rectangle, sweep: SweepRef<'_>, label_imag
 /// An arrow head, forward.
 pub fn draw_sensor(page: &mut Canvas, at: Point, clip: &Rectangle) {
     for (size, color) in [(10, RIM), (8, TEXT)] {
-        let corners = [
-            Point::new(size + 2, 0),
-            Point::new(-size, -size),
-            Point::new(-size, size),
-        ];
-        page.triangle(corners.map(|corner| at + corner), color, clip);
+        let arrow = Triangle::new(
+            at + Point::new(size + 2, 0),
+            at + Point::new(-size, -size),
+            at + Point::new(-size, size),
+        );
+        page.fill(&arrow, color, clip);
     }
 }
 
@@ -145,11 +145,12 @@ impl FloorPlan {
 
     /// The pixel of a place; far outside of the area for what is far away.
     fn pixel(&self, x_m: f64, y_m: f64) -> Point {
-        let [x, y] = [x_m, y_m].map(|metres| {
-            let far = f64::from(i16::MAX);
-            (metres * self.pixels_per_m).clamp(-far, far).round() as i32
-        });
-        self.sensor + Point::new(y, x)
+        self.sensor + Point::new(self.pixels(y_m), self.pixels(x_m))
+    }
+
+    fn pixels(&self, length_m: f64) -> i32 {
+        let far = f64::from(i16::MAX);
+        (length_m * self.pixels_per_m).clamp(-far, far).round() as i32
     }
 
     /// Stripes in the directions in which packets were lost, where an empty plan does not mean free

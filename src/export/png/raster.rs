@@ -27,7 +27,8 @@ pub struct Raster {
 impl Raster {
     /// The image of a sweep, this many cells wide.
     pub fn new(sweep: SweepRef<'_>, width: usize) -> Self {
-        let (rows, columns) = (sweep.rows(), sweep.columns.len());
+        let rows = sweep.rows();
+        let columns = sweep.columns.len();
         let mut cells = Vec::with_capacity(width * rows);
         for x in 0..width {
             let first = x * columns / width;

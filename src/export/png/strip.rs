@@ -169,7 +169,8 @@ fn draw_scale(
     ticks: impl IntoIterator<Item = (f64, String)>,
 ) {
     let right = area.top_left.x + area.size.width as i32 - 24;
-    let (left, top) = (right - BAR_WIDTH, area.top_left.y - 38);
+    let left = right - BAR_WIDTH;
+    let top = area.top_left.y - 38;
     for x in 0..BAR_WIDTH {
         let color = color_at(f64::from(x) / f64::from(BAR_WIDTH - 1));
         draw_tick(page, Point::new(left + x, top), 13, color);

@@ -8,7 +8,7 @@ use std::io::{self, Write};
 use embedded_graphics::mono_font::iso_8859_1 as fonts;
 use embedded_graphics::pixelcolor::Rgb888;
 use embedded_graphics::prelude::*;
-use embedded_graphics::primitives::{Circle, Line, Rectangle};
+use embedded_graphics::primitives::{Circle, Line, Rectangle, Triangle};
 use embedded_graphics::text::Alignment;
 
 use crate::export::png::canvas::{BODY, Canvas, TextStyle};
@@ -229,14 +229,15 @@ fn draw_mark(page: &mut Canvas, at: Point, mark: usize) {
             Rectangle::with_center(at, Size::new_equal(2 * MARK as u32)),
             color,
         ),
-        2 => page.triangle(
-            [at - up, at + up - right, at + up + right],
-            color,
-            &everywhere,
-        ),
+        2 => {
+            let triangle = Triangle::new(at - up, at + up - right, at + up + right);
+            page.fill(&triangle, color, &everywhere);
+        }
         _ => {
-            page.triangle([at - up, at - right, at + right], color, &everywhere);
-            page.triangle([at + up, at - right, at + right], color, &everywhere);
+            for tip in [at - up, at + up] {
+                let half = Triangle::new(tip, at - right, at + right);
+                page.fill(&half, color, &everywhere);
+            }
         }
     }
 }
