@@ -16,8 +16,7 @@ pub struct Record<'a> {
     pub time_ns: Option<i64>,
     /// What the bytes begin with.
     pub link_type: LinkType,
-    /// Bytes of the frame on the network; more than `bytes` where the capture was told to cut
-    /// frames.
+    /// Bytes of the frame on the network; more than `bytes` where the capture has a snap length.
     pub original_len: u32,
     /// The captured bytes.
     pub bytes: &'a [u8],

@@ -278,9 +278,9 @@ impl<R: BufRead> ZstdFrames<R> {
         }
     }
 
-    /// Makes the decoder give out what it holds back as the window of blocks that will not come. It
-    /// does so at the end of a frame only, so it is given one: an empty last block and a checksum
-    /// that nobody will look at.
+    /// Makes the decoder give out the bytes that it holds back as the window of later blocks. It does
+    /// so at the end of a frame only, so it gets one: an empty last block and a checksum that is not
+    /// compared.
     fn release_window(&mut self) {
         let end: [u8; 7] = [1, 0, 0, 0, 0, 0, 0];
         let _ = self

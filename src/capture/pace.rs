@@ -132,8 +132,7 @@ mod tests {
 
     const MS: i64 = 1_000_000;
 
-    /// Waits in milliseconds for datagrams at these capture times, on a machine that waits as it is
-    /// told.
+    /// Waits in milliseconds for datagrams at these capture times, on a machine that waits exactly.
     fn waits(speed: &str, capture_ms: &[i64]) -> Vec<u128> {
         let mut pacer = Pacer::new(speed.parse().unwrap());
         let mut now_ns = 77;

@@ -21,8 +21,8 @@ use super::input::{ByteOrder, Input, describe};
 use super::link::LinkType;
 use super::pcapng::Sections;
 
-/// Bytes of a pcap file header, and of a pcapng section header without its options: enough to tell
-/// what a file is.
+/// Bytes of a pcap file header, and of a pcapng section header without its options: enough to
+/// recognise a format.
 const HEAD_LEN: usize = 24;
 
 /// A capture file, read record by record; see [`CaptureReader::next`].
@@ -173,7 +173,8 @@ impl CaptureReader {
 }
 
 impl Format {
-    /// Reads the file header, and leaves its bytes in `head` for the message if it is none.
+    /// Reads the file header. Leaves its bytes in `head`, for the message where they are of no known
+    /// format.
     fn recognise(input: &mut Input, head: &mut Vec<u8>) -> Result<Option<Self>, Stop> {
         head.resize(HEAD_LEN, 0);
         let len = input.fill(head)?;

@@ -84,7 +84,7 @@ struct JsonReport<'a> {
     findings: &'a [Finding],
 }
 
-/// A sensor that was heard.
+/// A sensor from which packets came.
 #[derive(Serialize)]
 struct SensorLine {
     source: String,

@@ -100,7 +100,7 @@ impl CliError {
 }
 
 /// Shows an error on standard error, with its cause where the message does not hold it. A reader
-/// that went away (`| head`) is none.
+/// that went away (`| head`) is not an error.
 pub fn report(error: &CliError) {
     match error {
         CliError::Reported => {}

@@ -1,5 +1,5 @@
-//! `sweepd inspect`: what is in a capture, told from headers, stamps and azimuths, without decoding
-//! a single return.
+//! `sweepd inspect`: what is in a capture, from headers, stamps and azimuths, without decoding a
+//! single return.
 
 mod flows;
 mod positions;

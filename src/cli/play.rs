@@ -78,7 +78,7 @@ impl FromStr for Times {
     }
 }
 
-/// A time of a capture, to the nanosecond, as its records tell it.
+/// A time of a capture, to the nanosecond, as its records have it.
 fn seconds(text: &str) -> Result<f64, String> {
     within(0.0..=LONGEST_S, "seconds")(text).map(|seconds| (seconds * 1e9).round() / 1e9)
 }

@@ -48,7 +48,7 @@ impl PublishOptions {
         !self.publish.is_empty()
     }
 
-    /// The name under which a sensor is shared, if it is: the first one heard is number 0.
+    /// The name under which a sensor is shared, if it is: the first one in the capture is number 0.
     pub fn name(&self, sensor: usize) -> Option<&str> {
         self.publish.get(sensor).map(String::as_str)
     }
@@ -68,8 +68,8 @@ impl PublishOptions {
         Ok(())
     }
 
-    /// A note about a sensor that is heard for the first time: the name under which it is shared, or
-    /// that it is not shared, for the first such sensor alone.
+    /// A note about a new sensor: the name under which it is shared, or that it is not shared, for
+    /// the first such sensor alone.
     pub fn note(&self, sensor: usize, address: &str) -> Option<String> {
         match self.name(sensor) {
             Some(name) => Some(format!("{address} is shared as {name}")),
@@ -80,7 +80,7 @@ impl PublishOptions {
         }
     }
 
-    /// The names for which no sensor came, when this many were heard.
+    /// The names for which no sensor came, if this many came.
     pub fn left_over(&self, sensors: usize) -> &[String] {
         self.publish.get(sensors..).unwrap_or_default()
     }

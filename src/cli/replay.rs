@@ -139,7 +139,7 @@ impl<'a> Replay<'a> {
                     self.tracks[index].push(&packet, placed.record, &mut self.outputs)?;
                 }
             }
-            // Also before --start: they tell the time.
+            // Also before --start: they have the time.
             Ok((Route::Position(sensors), packet)) => {
                 for index in sensors {
                     self.tracks[index].push(&packet, placed.record, &mut self.outputs)?;
@@ -158,7 +158,7 @@ impl<'a> Replay<'a> {
         Ok(())
     }
 
-    /// The track of a sensor, a new one where it is heard for the first time.
+    /// The track of a sensor, a new one for a new sensor.
     fn track(&mut self, index: usize) -> Result<&mut Track<'a>, CliError> {
         if index == self.tracks.len() {
             let name = &self.sensors.senders()[index].name;

@@ -105,8 +105,8 @@ impl Sender {
         Ok(self.ports.len() - 1)
     }
 
-    /// Not connected: a connected socket fails, and sends nothing, after a datagram that nobody was
-    /// there to take.
+    /// Not connected: a connected socket fails, and sends nothing, after a datagram that found
+    /// no receiver.
     fn send(&self, index: usize, payload: &[u8]) -> Result<(), CliError> {
         let sent = self.ports[index].socket.send_to(payload, self.to);
         sent.map(drop).map_err(|source| self.failed(source))

@@ -111,7 +111,7 @@ impl NewFile {
         if existing == Existing::Replace {
             remove(&part).map_err(failed)?;
         }
-        // Never through a link that somebody laid there.
+        // Never through a link that stands there.
         let file = File::create_new(&part).map_err(|cause| match cause.kind() {
             io::ErrorKind::AlreadyExists => WriteError::Part { path: part.clone() },
             _ => failed(cause),

@@ -75,7 +75,7 @@ struct Socket {
 }
 
 impl Socket {
-    /// Reads a line; the one with the titles is none.
+    /// Reads a line; `None` for the one with the titles.
     fn parse(line: &str) -> Option<Self> {
         let mut fields = line.split_ascii_whitespace();
         let (ip, port) = fields.nth(1)?.split_once(':')?;
@@ -89,12 +89,11 @@ impl Socket {
         })
     }
 
-    /// Whether it hears what is sent to the address, or to one of those that the address stands
-    /// for.
+    /// Whether it receives datagrams to the address, or to one of those that the address stands for.
     fn is_in_the_way_of(&self, address: SocketAddrV4) -> bool {
         let ip = match self.ip {
             IpAddr::V4(ip) => Some(ip),
-            // Hears IPv4 too, unless it was told not to.
+            // Receives IPv4 too, unless IPV6_V6ONLY is set.
             IpAddr::V6(Ipv6Addr::UNSPECIFIED) => Some(Ipv4Addr::UNSPECIFIED),
             IpAddr::V6(ip) => ip.to_ipv4_mapped(),
         };

@@ -33,8 +33,8 @@ use sweepd_core::wire::Datagram;
 /// Where to listen.
 #[derive(Clone, Debug, PartialEq, Eq)]
 pub struct UdpConfig {
-    /// Address of this host; 0.0.0.0 hears all, and any other misses the broadcasts that the
-    /// sensors send unless they are told a receiver.
+    /// Address of this host; 0.0.0.0 receives all, and any other misses the broadcasts, which
+    /// sensors send by default.
     pub address: Ipv4Addr,
     /// Port; 0 takes a free one.
     pub port: u16,
@@ -94,8 +94,8 @@ impl UdpSource {
     /// Opens the port.
     ///
     /// # Errors
-    /// [`UdpError`]: a port that is taken, an address or interface that this host has not, a group
-    /// that is none.
+    /// [`UdpError`]: a port that is taken, an address or interface that this host does not have, a
+    /// group that is not multicast.
     pub fn bind(config: &UdpConfig) -> Result<Self, UdpError> {
         let index = match &config.interface {
             Some(name) => Some(interface_index(name)?),
@@ -324,8 +324,8 @@ fn open_socket(buffer_bytes: usize) -> io::Result<(Socket, ReceiveBuffer)> {
     let socket = Socket::new(Domain::IPV4, Type::DGRAM, Some(Protocol::UDP))?;
     let buffer = buffer::enlarge(&socket, buffer_bytes)?;
     sys::request_meta(socket.as_fd())?;
-    // Else it would hear every group that any program of this host has joined, on the same port
-    // (ip(7)).
+    // Else it would receive every group that any program of this host has joined, on the same
+    // port (ip(7)).
     socket.set_multicast_all_v4(false)?;
     Ok((socket, buffer))
 }

@@ -23,7 +23,7 @@ pub(super) const SLOT_LEN: usize = 1280;
 /// where pointers have 64 bits.
 const CONTROL_LEN: usize = 96;
 
-/// Room for one datagram, and what the kernel said of it.
+/// Room for one datagram with its metadata.
 #[derive(Clone, Debug)]
 #[repr(C, align(8))]
 pub(super) struct Slot {
@@ -35,7 +35,7 @@ pub(super) struct Slot {
     pub(super) meta: RecvMeta,
 }
 
-/// What the kernel said of a datagram.
+/// The kernel's metadata of a datagram.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
 pub(super) struct RecvMeta {
     /// When the kernel received it, nanoseconds since 1970; `None` if it did not say.
@@ -97,8 +97,8 @@ pub(super) fn receive(
         header.msg_control = slot.control.as_mut_ptr().cast();
         header.msg_controllen = CONTROL_LEN as _;
     }
-    // MSG_WAITFORONE: the timeout argument is checked only after a datagram came (recvmmsg(2),
-    // BUGS), so there is none.
+    // MSG_WAITFORONE, and no timeout argument: that is checked only after a datagram came
+    // (recvmmsg(2), BUGS).
     let flags = libc::MSG_TRUNC
         | if waits {
             libc::MSG_WAITFORONE
@@ -190,7 +190,7 @@ fn control(header: &libc::msghdr) -> RecvMeta {
     meta
 }
 
-/// Has the kernel say of each datagram when it came (SO_TIMESTAMPNS), how many were dropped before
+/// Makes the kernel add to each datagram when it came (SO_TIMESTAMPNS), how many were dropped before
 /// it (SO_RXQ_OVFL) and where it was sent to (IP_PKTINFO); socket(7), ip(7).
 pub(super) fn request_meta(socket: BorrowedFd<'_>) -> io::Result<()> {
     set_option(socket, libc::SOL_SOCKET, libc::SO_TIMESTAMPNS, 1)?;
@@ -233,7 +233,7 @@ fn set_option(
 }
 
 /// Datagrams that the socket has dropped up to now, modulo 2^32 (SO_MEMINFO, Linux 4.12): the
-/// control messages tell it only with the next datagram.
+/// control messages have it only with the next datagram.
 pub(super) fn dropped_now(socket: BorrowedFd<'_>) -> io::Result<u32> {
     const DROPS: usize = libc::SK_MEMINFO_DROPS as usize;
     let mut numbers = [0_u32; DROPS + 1];

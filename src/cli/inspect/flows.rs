@@ -7,7 +7,7 @@ use std::ops::RangeInclusive;
 use crate::text::{count_of, rate};
 use sweepd_core::wire::Datagram;
 
-/// Most flows that are told apart: a capture may be made to have millions.
+/// Most flows that are counted apart: a hostile capture may have millions.
 const MAX_FLOWS: usize = 1024;
 /// Most that are shown, the largest first.
 const SHOWN: usize = 8;

@@ -1,4 +1,4 @@
-//! What a replay came to, for people and for programs.
+//! The summary of a replay, for people and for programs.
 
 use std::io::{self, Write};
 
@@ -128,7 +128,7 @@ impl Means {
 pub struct SensorReport<'a> {
     /// Its name.
     pub sensor: &'a str,
-    /// Its model, if it could be told.
+    /// Its model, if it was detected.
     pub detection: Option<Detection>,
     /// Why it could not be decoded, if so.
     pub fault: Option<&'a str>,

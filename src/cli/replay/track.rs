@@ -1,4 +1,4 @@
-//! One sensor of a replay: its pipeline, and what its sweeps came to.
+//! One sensor of a replay: its pipeline, and the sums over its sweeps.
 
 use indicatif::ProgressBar;
 
@@ -39,7 +39,7 @@ pub(super) struct Track<'a> {
 }
 
 impl<'a> Track<'a> {
-    /// A sensor that is heard for the first time.
+    /// A new sensor.
     pub(super) fn new(
         args: &'a Args,
         progress: &ProgressBar,

@@ -127,7 +127,7 @@ impl Table {
         self.print(rate)
     }
 
-    /// Prints a line, if there is anything to tell, below the head where that is due.
+    /// Prints a line, if sweeps came, below the head where that is due.
     fn print(&mut self, sweeps_per_second: Option<f64>) -> io::Result<()> {
         let line = std::mem::take(&mut self.line);
         if line.sweeps == 0 {

@@ -129,7 +129,7 @@ impl RangeScale {
 
     /// Colour of a place on the scale.
     pub fn color_at(position: f64) -> Rgb888 {
-        // The ends of Turbo are too dark to be told from the page.
+        // The ends of Turbo are too dark to be seen on the page.
         let color = colorous::TURBO.eval_continuous(0.92 - 0.84 * position);
         Rgb888::new(color.r, color.g, color.b)
     }

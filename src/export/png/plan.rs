@@ -16,11 +16,10 @@ use sweepd_core::sweep::{Column, Segment, SweepRef};
 
 /// How many of the returns may be outside at each side: a few far ones would make all others small.
 const PERCENT_OUTSIDE: usize = 2;
-/// What the plan holds when there is no return that could tell, and the least that it holds, metres
-/// from the sensor.
+/// Reach of a plan without returns, and lower bound of any reach, metres from the sensor.
 const DEFAULT_REACH_M: f64 = 20.0;
 const LEAST_REACH_M: f64 = 1.0;
-/// Farther returns are taken for nearer ones, metres: there are none.
+/// Upper bound of any reach, metres: no sensor measures farther.
 const MOST_REACH_M: f64 = 1e4;
 /// Between the returns and the edge, pixels.
 const EDGE: u32 = 12;
