@@ -11,7 +11,7 @@ use crate::export::WriteError;
 use crate::files;
 use crate::files::output;
 use sweepd_core::sensor::Model;
-use sweepd_core::sensor::calibration::MAX_FILE_LEN;
+use sweepd_core::sensor::read::MAX_FILE_LEN;
 use sweepd_lab::cloud::{self, Cloud, CloudError, CloudSegmenter, Format, RowTable};
 
 /// Options of `sweepd segment`.

@@ -7,7 +7,7 @@ use sweepd::cloud::RowTable;
 use sweepd::daemon::config::{Config, ConfigError, memory};
 use sweepd::doctor::web;
 use sweepd::segment::MAX_ROWS;
-use sweepd::sensor::calibration::MAX_FILE_LEN;
+use sweepd::sensor::read::MAX_FILE_LEN;
 use sweepd::sensor::{Calibration, CalibrationError, Model, db_xml, ros_yaml, stream};
 
 /// A db.xml.

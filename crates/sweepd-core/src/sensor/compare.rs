@@ -74,13 +74,12 @@ impl Quantity {
 
     /// Its value for a beam, degrees or metres.
     pub fn of(self, beam: &Beam) -> f64 {
-        let far = beam.distance_offset_m;
         match self {
             Self::Elevation => beam.elevation_rad.to_degrees(),
             Self::Rotation => beam.rotation_rad.to_degrees(),
-            Self::Distance => far,
-            Self::DistanceX => beam.two_point.map_or(far, |two| two.distance_offset_x_m),
-            Self::DistanceY => beam.two_point.map_or(far, |two| two.distance_offset_y_m),
+            Self::Distance => beam.distance_offset_m,
+            Self::DistanceX => beam.near_distance_offsets_m()[0],
+            Self::DistanceY => beam.near_distance_offsets_m()[1],
             Self::VerticalOffset => beam.vertical_offset_m,
             Self::HorizontalOffset => beam.horizontal_offset_m,
         }
@@ -101,18 +100,20 @@ impl Quantity {
 ///
 /// Beams that only one of the two has are passed over: compare their numbers first.
 pub fn differences(a: &Calibration, b: &Calibration) -> Vec<Difference> {
-    let pairs = a.beams().iter().zip(b.beams());
-    pairs
-        .flat_map(|(a, b)| {
-            Quantity::ALL.map(|quantity| (a.channel, quantity, [quantity.of(a), quantity.of(b)]))
-        })
-        .filter(|(_, quantity, [a, b])| (a - b).abs() > quantity.tolerance())
-        .map(|(channel, quantity, values)| Difference {
-            channel,
-            quantity,
-            values,
-        })
-        .collect()
+    let mut differences = Vec::new();
+    for (a, b) in a.beams().iter().zip(b.beams()) {
+        for quantity in Quantity::ALL {
+            let values = [quantity.of(a), quantity.of(b)];
+            if (values[0] - values[1]).abs() > quantity.tolerance() {
+                differences.push(Difference {
+                    channel: a.channel,
+                    quantity,
+                    values,
+                });
+            }
+        }
+    }
+    differences
 }
 
 #[cfg(test)]

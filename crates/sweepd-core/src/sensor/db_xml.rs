@@ -12,10 +12,10 @@
 
 use roxmltree::{Document, Node, ParsingOptions};
 
-use super::table::{Entry, Form, Key, Laser, Table, Unit, at, quote};
+use super::table::{Entry, FileFormat, Key, Laser, MeasureUnit, Table, at, quote};
 use super::{Calibration, CalibrationError};
 
-const FORM: Form = Form {
+const FORMAT: FileFormat = FileFormat {
     names: [
         "id_",
         "rotCorrection_",
@@ -40,12 +40,12 @@ const FORM: Form = Form {
         Key::VerticalOffset,
         Key::HorizontalOffset,
     ],
-    angle: Unit {
+    angle: MeasureUnit {
         name: "degrees",
         factor: std::f64::consts::PI / 180.0,
         mistaken: None,
     },
-    length: Unit {
+    length: MeasureUnit {
         name: "centimetres",
         factor: 0.01,
         mistaken: None,
@@ -87,9 +87,9 @@ pub fn parse(text: &str, file: &str) -> Result<Calibration, CalibrationError> {
     let points = reader.child(db, "points_")?;
     let mut table = Table {
         file,
-        form: &FORM,
-        count: child(points, FORM.count).map(|node| reader.entry(node)),
-        distance_unit: child(db, FORM.distance_unit).map(|node| reader.entry(node)),
+        format: &FORMAT,
+        count: child(points, FORMAT.count).map(|node| reader.entry(node)),
+        distance_unit: child(db, FORMAT.distance_unit).map(|node| reader.entry(node)),
         lasers: items(points)
             .map(|item| reader.laser(item))
             .collect::<Result<_, _>>()?,
@@ -97,7 +97,7 @@ pub fn parse(text: &str, file: &str) -> Result<Calibration, CalibrationError> {
     };
     let channels = table.channels()?;
     for key in [Key::MinIntensity, Key::MaxIntensity] {
-        let values = reader.list(db, FORM.name(key), channels.len())?;
+        let values = reader.list(db, FORMAT.name(key), channels.len())?;
         for (laser, &channel) in table.lasers.iter_mut().zip(&channels) {
             laser.entries[key as usize] = values.get(channel).cloned();
         }
@@ -179,7 +179,7 @@ impl<'a> Reader<'a> {
         let mut laser = Laser::new(self.line(item));
         for node in self.child(item, "px")?.children().filter(Node::is_element) {
             // Other keys occur (closeSlope_ of VeloView) and mean nothing here.
-            let Some(index) = FORM
+            let Some(index) = FORMAT
                 .names
                 .iter()
                 .position(|name| *name == node.tag_name().name())
@@ -191,7 +191,7 @@ impl<'a> Reader<'a> {
                 return Err(at(
                     self.file,
                     entry.line,
-                    format!("{} is there twice in one laser", FORM.names[index]),
+                    format!("{} is there twice in one laser", FORMAT.names[index]),
                 ));
             }
             laser.entries[index] = Some(entry);

@@ -21,15 +21,18 @@
 
 mod detection;
 mod error;
+mod timing;
 
 pub use detection::{Basis, Detection};
 pub use error::DetectError;
+pub(crate) use timing::is_next;
 
 use std::cmp::Ordering;
 
+use timing::{fits, fits_once, since, timing_of, timings};
+
 use super::Model;
 use super::model::Spec;
-use crate::wire::HOUR_US;
 use crate::wire::data::{BLOCKS, Banks, DataPacket, ReturnMode};
 
 /// Packets after which [`Detector::observe`] has decided, one way or the other.
@@ -37,26 +40,6 @@ pub const MAX_PACKETS: usize = 12;
 
 /// Intervals that must agree before the last packet.
 const ENOUGH: usize = 2;
-/// Longest gap, in packets, that still counts as lost packets. At 5 a VLP-16 looks like an HDL-32E:
-/// 5 x 1327.104 us is 12 x 552.960.
-const MAX_MULTIPLE: u32 = 4;
-/// How far an interval may be from a multiple of the period: the stamps are cut to microseconds,
-/// and crystals drift.
-const TOLERANCE_NS: u64 = 3_000;
-
-/// Models that differ in timing, by how their blocks are laid out; the others share the timing of
-/// one of them.
-fn timings(banks: Banks) -> [(Model, &'static Spec); 2] {
-    match banks {
-        // What reports one return every 288 us may be an S2 or an S3; what reports two is an S3.
-        Banks::Alternating => [
-            (Model::Hdl64eS2, Model::Hdl64eS2.spec()),
-            (Model::Hdl64eS3, Model::Hdl64eS3.specs()[1]),
-        ],
-        _ => [Model::Vlp16, Model::Hdl32e].map(|model| (model, model.spec())),
-    }
-}
-
 /// Product bytes of sensors that speak this protocol and are not supported.
 const UNSUPPORTED: [(u8, &str); 5] = [
     (0x23, "VLP-32A or VLP-32B"),
@@ -75,13 +58,38 @@ struct Azimuths {
     single: usize,
 }
 
-/// Tells the model from the first packets of one sensor. It keeps no packets and does not allocate.
+/// What each packet says itself.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+struct FactoryBytes {
+    /// How the blocks are laid out.
+    banks: Banks,
+    /// Return mode and product byte: 0 on an HDL-64E, which has none.
+    return_mode: u8,
+    product: u8,
+}
+
+impl FactoryBytes {
+    fn of(packet: &DataPacket) -> Self {
+        match packet.banks() {
+            Banks::Alternating => Self {
+                banks: Banks::Alternating,
+                return_mode: 0,
+                product: 0,
+            },
+            banks => Self {
+                banks,
+                return_mode: packet.return_mode,
+                product: packet.product,
+            },
+        }
+    }
+}
+
+/// Detects the model from the first packets of one sensor. It keeps no packets and does not allocate.
 #[derive(Clone, Debug)]
 pub struct Detector {
     forced: Option<Model>,
-    /// How the blocks of the last packet are laid out, and its return mode and product byte: 0 on
-    /// an HDL-64E, which has none.
-    bytes: (Banks, u8, u8),
+    bytes: FactoryBytes,
     azimuths: Azimuths,
     /// Packets observed, also those whose stamps were dropped when the bytes changed.
     observed: usize,
@@ -114,7 +122,11 @@ impl Detector {
     pub fn new(forced: Option<Model>) -> Self {
         Self {
             forced,
-            bytes: (Banks::One, 0, 0),
+            bytes: FactoryBytes {
+                banks: Banks::One,
+                return_mode: 0,
+                product: 0,
+            },
             azimuths: Azimuths::default(),
             observed: 0,
             stamps: [0; MAX_PACKETS],
@@ -144,7 +156,7 @@ impl Detector {
                     sensor: many_banks(packet.product),
                 }));
             }
-            Banks::One => match said_by(packet.product) {
+            Banks::One => match model_of_product(packet.product) {
                 // The user may know a product byte that sweepd does not, but not turn one sensor
                 // into another.
                 Err(DetectError::UnknownProduct { .. }) if self.forced.is_some() => {}
@@ -179,50 +191,33 @@ impl Detector {
         if best.fits > next.fits && best.fits * 4 >= intervals.len {
             return self.detection(best);
         }
-        match unsupported(self.bytes.2) {
+        match unsupported(self.bytes.product) {
             Some(sensor) => Err(DetectError::Unsupported { sensor }),
-            None => {
-                let (median_us, mode, heads) =
-                    (intervals.median(), best.return_mode, self.has_heads());
-                Err(DetectError::UnknownPeriod {
-                    median_us,
-                    mode,
-                    heads,
-                })
-            }
+            None => Err(DetectError::UnknownPeriod {
+                median_us: intervals.median(),
+                mode: best.return_mode,
+                heads: self.has_heads(),
+            }),
         }
     }
 
     fn has_heads(&self) -> bool {
-        self.bytes.0 == Banks::Alternating
+        self.bytes.banks == Banks::Alternating
     }
 
-    /// Whether the blocks can be those of the model that the user says it is.
+    /// Checks that the blocks can be those of the model that the user says it is.
     fn check_layout(&self) -> Result<(), DetectError> {
         let heads = self.has_heads();
-        let layout = match heads {
-            true => {
-                "the blocks of its packets alternate between two heads, as those of the HDL-64E do"
-            }
-            false => {
-                "the blocks of its packets are all of one head, and those of the HDL-64E alternate between two"
-            }
-        };
         match self.forced {
-            Some(said) if self.len > 0 && said.is_hdl64e() != heads => Err(DetectError::Layout {
-                said,
-                layout,
-                heads,
-            }),
+            Some(said) if self.len > 0 && said.is_hdl64e() != heads => {
+                Err(DetectError::Layout { said, heads })
+            }
             _ => Ok(()),
         }
     }
 
     fn record(&mut self, packet: &DataPacket) {
-        let bytes = match packet.banks() {
-            Banks::Alternating => (Banks::Alternating, 0, 0),
-            banks => (banks, packet.return_mode, packet.product),
-        };
+        let bytes = FactoryBytes::of(packet);
         if self.len == 0 || bytes != self.bytes {
             // Somebody changed the return mode: the periods on the two sides have nothing in
             // common.
@@ -231,17 +226,16 @@ impl Detector {
             self.first_stamp = packet.stamp_us();
             self.len = 0;
         }
-        let turns = || packet.blocks[0].azimuth_cdeg() != packet.blocks[BLOCKS - 1].azimuth_cdeg();
-        let paired = match self.has_heads() {
-            true => detection::says_two_returns(packet),
-            false => turns().then(|| packet.azimuths_in_groups(2)),
+        let is_paired = if self.has_heads() {
+            detection::says_two_returns(packet)
+        } else {
+            let turns = packet.blocks[0].azimuth_cdeg() != packet.blocks[BLOCKS - 1].azimuth_cdeg();
+            turns.then(|| packet.azimuths_in_groups(2))
         };
-        if let Some(paired) = paired {
-            *if paired {
-                &mut self.azimuths.paired
-            } else {
-                &mut self.azimuths.single
-            } += 1;
+        match is_paired {
+            Some(true) => self.azimuths.paired += 1,
+            Some(false) => self.azimuths.single += 1,
+            None => {}
         }
         self.stamps[self.len] = since(self.first_stamp, packet.stamp_us());
         self.len += 1;
@@ -276,7 +270,9 @@ impl Detector {
 
     /// The two timings, the better one first.
     fn votes(&self, intervals: &Intervals) -> [Vote; 2] {
-        let [mut best, mut next] = timings(self.bytes.0).map(|timing| self.vote(timing, intervals));
+        let [(model, spec), (other, other_spec)] = timings(self.bytes.banks);
+        let mut best = self.vote(model, spec, intervals);
+        let mut next = self.vote(other, other_spec, intervals);
         if next.return_mode == ReturnMode::Dual
             && best.return_mode == next.return_mode
             && self.has_heads()
@@ -291,12 +287,14 @@ impl Detector {
     }
 
     /// How well a timing explains the intervals, in the return mode that explains them best.
-    fn vote(&self, (timing, spec): (Model, &'static Spec), intervals: &Intervals) -> Vote {
+    fn vote(&self, timing: Model, spec: &'static Spec, intervals: &Intervals) -> Vote {
         // Strongest first: what both explain is one packet after the other in single mode, not
         // every second one in dual.
         let Azimuths { paired, single } = self.azimuths;
-        let modes: &[ReturnMode] = match (ReturnMode::from_byte(self.bytes.1), paired.cmp(&single))
-        {
+        let modes: &[ReturnMode] = match (
+            ReturnMode::from_byte(self.bytes.return_mode),
+            paired.cmp(&single),
+        ) {
             (Some(ReturnMode::Strongest), _) | (None, Ordering::Less) => &[ReturnMode::Strongest],
             (Some(ReturnMode::Last), _) => &[ReturnMode::Last],
             (Some(ReturnMode::Dual), _) | (None, Ordering::Greater) => &[ReturnMode::Dual],
@@ -311,23 +309,17 @@ impl Detector {
         };
         for &return_mode in modes {
             let period_ns = spec.packet_period_ns(return_mode);
-            let fitting = || {
-                intervals
-                    .us()
-                    .iter()
-                    .copied()
-                    .filter(|&us| fits(us, period_ns))
-            };
+            let fitting = || intervals.us().iter().filter(|&&us| fits(us, period_ns));
             let count = fitting().count();
             // Of two modes, the one with the shorter period fits too where the other is meant.
-            let is_seen = modes.len() == 1 || fitting().any(|us| fits_once(us, period_ns));
+            let is_seen = modes.len() == 1 || fitting().any(|&us| fits_once(us, period_ns));
             if count > best.fits && is_seen {
                 best = Vote {
                     timing,
                     spec,
                     return_mode,
                     fits: count,
-                    interval_us: fitting().min().unwrap_or_default(),
+                    interval_us: fitting().min().copied().unwrap_or_default(),
                 };
             }
         }
@@ -336,61 +328,48 @@ impl Detector {
 
     /// The detection of a stream whose period is known.
     fn detection(&self, vote: Vote) -> Result<Detection, DetectError> {
-        let Vote {
-            mut timing,
-            spec,
-            return_mode,
-            interval_us,
-            ..
-        } = vote;
-        if self.has_heads() && return_mode == ReturnMode::Dual {
-            timing = Model::Hdl64eS3;
-        }
-        let found = |model: Model, basis| {
-            let period_ns = spec.packet_period_ns(return_mode);
-            let measured = model
-                .specs()
-                .iter()
-                .find(|own| own.packet_period_ns(return_mode) == period_ns);
-            Ok(Detection {
-                model,
-                return_mode,
-                basis,
-                spec: measured.copied().unwrap_or(model.spec()),
-            })
+        let timing = if self.has_heads() && vote.return_mode == ReturnMode::Dual {
+            Model::Hdl64eS3
+        } else {
+            vote.timing
         };
-        let contradiction = |said, given| {
-            Err(DetectError::Contradiction {
-                said,
-                given,
+        let (model, basis) = if let Some(model) = self.forced {
+            (model, self.basis_of_given(model))
+        } else if self.has_heads() {
+            (timing, Basis::HeadsAndPeriod)
+        } else {
+            match model_of_product(self.bytes.product)? {
+                // Early VLP-16 firmware sends the product byte of an HDL-32E.
+                Some(Model::Hdl32e) if timing != Model::Hdl32e => (timing, Basis::Period),
+                Some(model) => (model, Basis::BytesAndPeriod),
+                None => (timing, Basis::Period),
+            }
+        };
+        // An S3 that reports one return may have the timing of an S2.
+        let may_have_any = self.forced.is_some() && model == Model::Hdl64eS3;
+        if timing_of(model) != timing && !may_have_any {
+            return Err(DetectError::Contradiction {
+                said: model,
+                given: self.forced.is_some(),
                 timing,
-                interval_us,
-            })
-        };
-        if let Some(model) = self.forced {
-            let basis = self.basis_of_given(model);
-            // An S3 that reports one return may have the timing of an S2.
-            let fits = timing_of(model) == timing || model == Model::Hdl64eS3;
-            return if fits {
-                found(model, basis)
-            } else {
-                contradiction(model, true)
-            };
+                interval_us: vote.interval_us,
+            });
         }
-        if self.has_heads() {
-            return found(timing, Basis::HeadsAndPeriod);
-        }
-        match said_by(self.bytes.2)? {
-            None => found(timing, Basis::Period),
-            Some(model) if timing_of(model) == timing => found(model, Basis::BytesAndPeriod),
-            // Early VLP-16 firmware sends the product byte of an HDL-32E.
-            Some(Model::Hdl32e) => found(timing, Basis::Period),
-            Some(model) => contradiction(model, false),
-        }
+        let period_ns = vote.spec.packet_period_ns(vote.return_mode);
+        let measured = model
+            .specs()
+            .iter()
+            .find(|own| own.packet_period_ns(vote.return_mode) == period_ns);
+        Ok(Detection {
+            model,
+            return_mode: vote.return_mode,
+            basis,
+            spec: measured.copied().unwrap_or(model.spec()),
+        })
     }
 
     fn basis_of_given(&self, model: Model) -> Basis {
-        let product = self.bytes.2;
+        let product = self.bytes.product;
         if product == 0 || Some(product) == model.spec().product {
             Basis::Given
         } else {
@@ -404,7 +383,7 @@ impl Detector {
             Some(model) => (model, self.basis_of_given(model)),
             None if self.len == 0 => return Err(DetectError::TooFewPackets { packets: 0 }),
             None if self.has_heads() => (Model::Hdl64eS2, Basis::HeadsAlone),
-            None => match said_by(self.bytes.2)? {
+            None => match model_of_product(self.bytes.product)? {
                 Some(model) => (model, Basis::BytesAlone),
                 None => {
                     return Err(DetectError::TooFewPackets {
@@ -413,10 +392,11 @@ impl Detector {
                 }
             },
         };
-        let return_mode = ReturnMode::from_byte(self.bytes.1).unwrap_or(match self.azimuths {
-            Azimuths { paired, single } if paired > single => ReturnMode::Dual,
-            _ => ReturnMode::Strongest,
-        });
+        let return_mode =
+            ReturnMode::from_byte(self.bytes.return_mode).unwrap_or(match self.azimuths {
+                Azimuths { paired, single } if paired > single => ReturnMode::Dual,
+                _ => ReturnMode::Strongest,
+            });
         let model = match (model, return_mode) {
             (Model::Hdl64eS2, ReturnMode::Dual) if self.forced.is_none() => Model::Hdl64eS3,
             _ => model,
@@ -443,55 +423,8 @@ impl Intervals {
     }
 }
 
-/// Microseconds from one stamp to another, the short way round the hour.
-fn since(from: u32, to: u32) -> i64 {
-    let hour = i64::from(HOUR_US);
-    match i64::from(to) - i64::from(from) {
-        ahead if ahead > hour / 2 => ahead - hour,
-        behind if behind < -hour / 2 => behind + hour,
-        difference => difference,
-    }
-}
-
-/// Whether an interval is a small multiple of a period.
-fn fits(interval_us: u32, period_ns: u32) -> bool {
-    let interval_ns = u64::from(interval_us) * 1_000;
-    (1..=MAX_MULTIPLE)
-        .any(|multiple| interval_ns.abs_diff(u64::from(period_ns * multiple)) <= TOLERANCE_NS)
-}
-
-/// Whether a stamp is one period after another, microseconds after the top of the hour.
-pub(crate) fn is_next(before_us: u32, stamp_us: u32, period_ns: u32) -> bool {
-    u32::try_from(since(before_us, stamp_us))
-        .is_ok_and(|interval_us| fits_once(interval_us, period_ns))
-}
-
-/// Whether an interval is one period.
-fn fits_once(interval_us: u32, period_ns: u32) -> bool {
-    (u64::from(interval_us) * 1_000).abs_diff(u64::from(period_ns)) <= TOLERANCE_NS
-}
-
-/// The model of [`timings`] whose timing a model has.
-fn timing_of(model: Model) -> Model {
-    match model {
-        Model::Vlp16 | Model::PuckLite | Model::PuckHiRes => Model::Vlp16,
-        Model::Hdl32e => Model::Hdl32e,
-        Model::Hdl64eS2 => Model::Hdl64eS2,
-        Model::Hdl64eS3 => Model::Hdl64eS3,
-    }
-}
-
-/// How the blocks of a model are laid out.
-fn banks_of(model: Model) -> Banks {
-    if model.is_hdl64e() {
-        Banks::Alternating
-    } else {
-        Banks::One
-    }
-}
-
 /// The model that a product byte names, none if it is blank. A Puck LITE calls itself a VLP-16.
-fn said_by(product: u8) -> Result<Option<Model>, DetectError> {
+fn model_of_product(product: u8) -> Result<Option<Model>, DetectError> {
     if product == 0 {
         return Ok(None);
     }

@@ -1,17 +1,19 @@
-//! The sensors: what each model is, as a table chosen once, and where each of its beams points.
+//! The sensors: each model as a table chosen once, and where each of its beams points.
 //!
 //! * [`model`]: names, factory bytes, firing order and timing.
 //! * [`calibration`]: the beams, their elevations and offsets, and the rows that follow from them.
-//! * [`db_xml`], [`ros_yaml`]: the two forms in which people have calibrations; [`stream`]: that in
-//!   which an HDL-64E sends its own; [`mod@unit`]: what else that says.
-//! * [`compare`]: in what two calibrations differ.
+//! * [`read`]: calibration files, in one of two formats, [`db_xml`] and [`ros_yaml`].
+//! * [`stream`]: the calibration that an HDL-64E sends; [`mod@unit`]: what else it sends.
+//! * [`compare`]: the values in which two calibrations differ.
 //! * [`detect`]: which model a stream of packets comes from.
 
 pub mod calibration;
 pub mod compare;
 pub mod db_xml;
 pub mod detect;
+mod fit;
 pub mod model;
+pub mod read;
 pub mod ros_yaml;
 pub mod stream;
 mod table;

@@ -1,8 +1,5 @@
 //! The models as const tables: what differs between them stands here and nowhere else.
 
-use std::sync::OnceLock;
-
-use super::Calibration;
 use crate::wire::data::{BLOCKS, RECORDS, ReturnMode};
 
 /// A supported sensor model.
@@ -43,7 +40,7 @@ pub struct Spec {
     /// Metres of one unit of distance.
     pub distance_unit_m: f64,
     /// The beams, where all units have the same.
-    nominal: Option<Nominal>,
+    pub(super) nominal: Option<Nominal>,
 }
 
 /// When the lasers of one firing shoot, and when the next firing begins.
@@ -67,14 +64,14 @@ pub enum Stamp {
 
 /// The beams that all units of a model have.
 #[derive(Debug, PartialEq)]
-struct Nominal {
+pub(super) struct Nominal {
     /// Distance of the beams' common focal point from the axis, metres; where the vertical origin
     /// offsets come from.
     focal_radius_m: f64,
     /// This project's beam table, ROS YAML.
-    text: &'static str,
+    pub(super) text: &'static str,
     /// The same, for messages.
-    file: &'static str,
+    pub(super) file: &'static str,
 }
 
 /// VLP-16 User Manual 63-9243, sections 6 and 9.4 (timing), p. 54 (vertical offsets).
@@ -230,18 +227,6 @@ impl Model {
     /// Whether it is an HDL-64E of any series.
     pub fn is_hdl64e(self) -> bool {
         self.spec().channels == 64
-    }
-
-    /// The nominal beams of this model, the table in `calib/` that the binary embeds; none where
-    /// each unit has its own.
-    pub fn calibration(self) -> Option<&'static Calibration> {
-        static TABLES: [OnceLock<Calibration>; Model::ALL.len()] =
-            [const { OnceLock::new() }; Model::ALL.len()];
-        let nominal = self.spec().nominal.as_ref()?;
-        Some(TABLES[self as usize].get_or_init(|| {
-            super::ros_yaml::parse(nominal.text, nominal.file)
-                .expect("the tables in calib/ are part of the program and tested")
-        }))
     }
 }
 

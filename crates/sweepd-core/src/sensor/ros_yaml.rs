@@ -17,10 +17,11 @@ use serde::Deserialize;
 use serde::de::{Deserializer, MapAccess, Visitor};
 use serde_saphyr::{Location, Spanned, UserMessageFormatter};
 
-use super::table::{Entry, Form, Key, Laser, Table, Unit, at, quote};
+use super::calibration::Intensity;
+use super::table::{Entry, FileFormat, Key, Laser, MeasureUnit, Table, at, quote};
 use super::{Calibration, CalibrationError};
 
-const FORM: Form = Form {
+const FORMAT: FileFormat = FileFormat {
     names: [
         "laser_id",
         "rot_correction",
@@ -37,12 +38,12 @@ const FORM: Form = Form {
         "two_pt_correction_available",
     ],
     required: &[Key::Elevation],
-    angle: Unit {
+    angle: MeasureUnit {
         name: "radians",
         factor: 1.0,
         mistaken: Some(("degrees", std::f64::consts::PI / 180.0)),
     },
-    length: Unit {
+    length: MeasureUnit {
         name: "metres",
         factor: 1.0,
         mistaken: Some(("centimetres", 0.01)),
@@ -103,7 +104,7 @@ pub fn parse(text: &str, file: &str) -> Result<Calibration, CalibrationError> {
         .collect();
     Table {
         file,
-        form: &FORM,
+        format: &FORMAT,
         count: content.num_lasers.map(entry),
         distance_unit: content.distance_resolution.map(entry),
         lasers: lasers?,
@@ -124,35 +125,30 @@ pub fn emit(calibration: &Calibration) -> String {
         calibration.distance_unit_m()
     );
     for beam in calibration.beams() {
-        let far = beam.distance_offset_m;
-        let [x, y] = beam.two_point.map_or([far; 2], |two| {
-            [two.distance_offset_x_m, two.distance_offset_y_m]
-        });
-        let [focal, slope, min, max] = beam.intensity.map_or([0.0, 0.0, 0.0, 255.0], |i| {
-            [i.focal_distance_m, i.focal_slope, i.min, i.max]
-        });
+        let [near_x_m, near_y_m] = beam.near_distance_offsets_m();
+        let intensity = beam.intensity.unwrap_or(Intensity::NEUTRAL);
         // The shortest decimals that are read as the same number.
         let numbers = [
             beam.rotation_rad,
             beam.elevation_rad,
-            far,
-            x,
-            y,
+            beam.distance_offset_m,
+            near_x_m,
+            near_y_m,
             beam.vertical_offset_m,
             beam.horizontal_offset_m,
-            focal,
-            slope,
-            min,
-            max,
+            intensity.focal_distance_m,
+            intensity.focal_slope,
+            intensity.min,
+            intensity.max,
         ];
         let _ = write!(text, "- {{laser_id: {}", beam.channel);
-        for (name, number) in FORM.names[Key::Rotation as usize..].iter().zip(numbers) {
+        for (name, number) in FORMAT.names[Key::Rotation as usize..].iter().zip(numbers) {
             let _ = write!(text, ", {name}: {number}");
         }
         let _ = writeln!(
             text,
             ", {}: {}}}",
-            FORM.name(Key::TwoPoint),
+            FORMAT.name(Key::TwoPoint),
             beam.two_point.is_some()
         );
     }
@@ -162,7 +158,7 @@ pub fn emit(calibration: &Calibration) -> String {
 fn laser(values: Spanned<Values>, file: &str) -> Result<Laser<'static>, CalibrationError> {
     let mut laser = Laser::new(line(values.referenced));
     for (key, value) in values.value.0 {
-        let Some(index) = FORM.names.iter().position(|name| *name == key) else {
+        let Some(index) = FORMAT.names.iter().position(|name| *name == key) else {
             return Err(at(
                 file,
                 line(value.referenced),

@@ -5,8 +5,7 @@
 
 use zerocopy::little_endian::I16;
 
-use super::calibration::TwoPoint;
-use super::table::intensity;
+use super::calibration::{Intensity, TwoPoint};
 use super::{Beam, Calibration};
 use crate::wire::hdl64::{BEAMS, BeamRecord, Dump};
 
@@ -26,44 +25,51 @@ pub fn calibration(dump: &Dump) -> Result<Calibration, String> {
 }
 
 fn beam(record: &BeamRecord) -> Result<Beam, String> {
-    let rad = |value: I16| (f64::from(value.get()) * DEG_PER_UNIT).to_radians();
-    // Divided, so that a value is the very number that its decimals stand for.
-    let metres = |value: I16| f64::from(value.get()) / 1000.0;
-    let [far, x, y] = [
-        record.distance_mm,
-        record.distance_x_mm,
-        record.distance_y_mm,
-    ];
-    // Equal offsets correct nothing, and two zeros are a unit that has none.
-    let has_two_point = (x, y) != (far, far) && (x, y) != (I16::ZERO, I16::ZERO);
-    let fail = |message| format!("beam {}: {message}", record.id);
-    let focal_slope = f64::from(record.focal_slope_tenths.get()) / 10.0;
     for (name, value) in [
         ("focal distance", record.focal_distance_mm),
         ("focal slope", record.focal_slope_tenths),
     ] {
         if value.get() < 0 {
-            return Err(fail(format!("{name} is {value}, expected 0 or more")));
+            return Err(format!(
+                "beam {}: {name} is {value}, expected 0 or more",
+                record.id
+            ));
         }
     }
-    let (min, max) = (
-        f64::from(record.min_intensity),
-        f64::from(record.max_intensity),
-    );
+    let far_mm = record.distance_mm;
+    let near_mm = [record.distance_x_mm, record.distance_y_mm];
+    // Equal offsets correct nothing, and two zeros are a unit that has none.
+    let has_two_point = near_mm != [far_mm; 2] && near_mm != [I16::ZERO; 2];
+    let intensity = Intensity {
+        focal_distance_m: metres(record.focal_distance_mm),
+        focal_slope: f64::from(record.focal_slope_tenths.get()) / 10.0,
+        min: f64::from(record.min_intensity),
+        max: f64::from(record.max_intensity),
+    };
     Ok(Beam {
         channel: usize::from(record.id),
-        elevation_rad: rad(record.elevation_cdeg),
-        rotation_rad: rad(record.rotation_cdeg),
-        distance_offset_m: metres(far),
+        elevation_rad: radians(record.elevation_cdeg),
+        rotation_rad: radians(record.rotation_cdeg),
+        distance_offset_m: metres(far_mm),
         vertical_offset_m: metres(record.vertical_offset_mm),
         horizontal_offset_m: metres(record.horizontal_offset_mm),
         two_point: has_two_point.then(|| TwoPoint {
-            distance_offset_x_m: metres(x),
-            distance_offset_y_m: metres(y),
+            distance_offset_x_m: metres(record.distance_x_mm),
+            distance_offset_y_m: metres(record.distance_y_mm),
         }),
-        intensity: intensity(metres(record.focal_distance_mm), focal_slope, min, max)
-            .map_err(fail)?,
+        intensity: intensity
+            .checked()
+            .map_err(|message| format!("beam {}: {message}", record.id))?,
     })
+}
+
+fn radians(value: I16) -> f64 {
+    (f64::from(value.get()) * DEG_PER_UNIT).to_radians()
+}
+
+/// Divided, so that a value is the very number that its decimals stand for.
+fn metres(value: I16) -> f64 {
+    f64::from(value.get()) / 1000.0
 }
 
 /// The records of a calibration, rounded to what the stream can say.
@@ -79,48 +85,70 @@ pub fn records(calibration: &Calibration) -> Result<[BeamRecord; BEAMS], String>
 }
 
 fn record(beam: &Beam) -> Result<BeamRecord, String> {
-    let units = |name: &str, value: f64, unit: f64| {
-        let units = (value / unit).round();
-        let fits = (f64::from(i16::MIN)..=f64::from(i16::MAX)).contains(&units);
-        let too_large = || {
-            format!(
-                "beam {}: {name} is too large for the stream: {units} x {unit}",
-                beam.channel
-            )
-        };
-        if fits {
-            Ok(I16::new(units as i16))
-        } else {
-            Err(too_large())
-        }
-    };
-    let far = beam.distance_offset_m;
-    let [x, y] = beam.two_point.map_or([far; 2], |two| {
-        [two.distance_offset_x_m, two.distance_offset_y_m]
-    });
-    let (focal_distance, focal_slope, min, max) =
-        beam.intensity.map_or((0.0, 0.0, 0.0, 255.0), |value| {
-            (
-                value.focal_distance_m,
-                value.focal_slope,
-                value.min,
-                value.max,
-            )
-        });
+    let channel = beam.channel;
+    let [x_m, y_m] = beam.near_distance_offsets_m();
+    let intensity = beam.intensity.unwrap_or(Intensity::NEUTRAL);
     Ok(BeamRecord {
-        id: u8::try_from(beam.channel)
-            .map_err(|_| format!("beam {} has no place in the stream", beam.channel))?,
-        elevation_cdeg: units("elevation", beam.elevation_rad.to_degrees(), DEG_PER_UNIT)?,
-        rotation_cdeg: units("rotation", beam.rotation_rad.to_degrees(), DEG_PER_UNIT)?,
-        distance_mm: units("distance offset", far, M_PER_UNIT)?,
-        distance_x_mm: units("distance offset for x", x, M_PER_UNIT)?,
-        distance_y_mm: units("distance offset for y", y, M_PER_UNIT)?,
-        vertical_offset_mm: units("vertical offset", beam.vertical_offset_m, M_PER_UNIT)?,
-        horizontal_offset_mm: units("horizontal offset", beam.horizontal_offset_m, M_PER_UNIT)?,
-        focal_distance_mm: units("focal distance", focal_distance, M_PER_UNIT)?,
-        focal_slope_tenths: units("focal slope", focal_slope, SLOPE_PER_UNIT)?,
+        id: u8::try_from(channel)
+            .map_err(|_| format!("beam {channel} has no place in the stream"))?,
+        elevation_cdeg: units(
+            channel,
+            "elevation",
+            beam.elevation_rad.to_degrees(),
+            DEG_PER_UNIT,
+        )?,
+        rotation_cdeg: units(
+            channel,
+            "rotation",
+            beam.rotation_rad.to_degrees(),
+            DEG_PER_UNIT,
+        )?,
+        distance_mm: units(
+            channel,
+            "distance offset",
+            beam.distance_offset_m,
+            M_PER_UNIT,
+        )?,
+        distance_x_mm: units(channel, "distance offset for x", x_m, M_PER_UNIT)?,
+        distance_y_mm: units(channel, "distance offset for y", y_m, M_PER_UNIT)?,
+        vertical_offset_mm: units(
+            channel,
+            "vertical offset",
+            beam.vertical_offset_m,
+            M_PER_UNIT,
+        )?,
+        horizontal_offset_mm: units(
+            channel,
+            "horizontal offset",
+            beam.horizontal_offset_m,
+            M_PER_UNIT,
+        )?,
+        focal_distance_mm: units(
+            channel,
+            "focal distance",
+            intensity.focal_distance_m,
+            M_PER_UNIT,
+        )?,
+        focal_slope_tenths: units(
+            channel,
+            "focal slope",
+            intensity.focal_slope,
+            SLOPE_PER_UNIT,
+        )?,
         // Intensities of a file are within 0 and 255; those made by a program are brought there.
-        min_intensity: min.round() as u8,
-        max_intensity: max.round() as u8,
+        min_intensity: intensity.min.round() as u8,
+        max_intensity: intensity.max.round() as u8,
     })
+}
+
+/// A value of a beam in units of the stream.
+fn units(channel: usize, name: &str, value: f64, unit: f64) -> Result<I16, String> {
+    let units = (value / unit).round();
+    if (f64::from(i16::MIN)..=f64::from(i16::MAX)).contains(&units) {
+        Ok(I16::new(units as i16))
+    } else {
+        Err(format!(
+            "beam {channel}: {name} is too large for the stream: {units} x {unit}"
+        ))
+    }
 }

@@ -1,4 +1,4 @@
-//! What both calibration forms are underneath: lasers, each a set of named values that stand on
+//! What both calibration formats are underneath: lasers, each a set of named values that stand on
 //! some line.
 //!
 //! The readers ([`super::ros_yaml`], [`super::db_xml`]) find the values; here they become beams,
@@ -11,7 +11,7 @@ use std::ops::RangeInclusive;
 use super::calibration::{DISTANCE_UNITS_M, Intensity, MAX_BEAMS, MAX_OFFSET_M, TwoPoint};
 use super::{Beam, Calibration, CalibrationError};
 
-/// What a value of a laser is, whatever its form calls it.
+/// What a value of a laser is, whatever its format calls it.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub(super) enum Key {
     Id,
@@ -33,22 +33,22 @@ pub(super) enum Key {
 /// Number of [`Key`]s.
 pub(super) const KEYS: usize = Key::TwoPoint as usize + 1;
 
-/// A unit of a form, and the unit that people put there by mistake.
-pub(super) struct Unit {
+/// A unit of a format, and the unit that people put there by mistake.
+pub(super) struct MeasureUnit {
     pub name: &'static str,
     /// Radians or metres of one such unit.
     pub factor: f64,
     pub mistaken: Option<(&'static str, f64)>,
 }
 
-/// A calibration form: its words and units.
-pub(super) struct Form {
+/// A calibration format: its words and units.
+pub(super) struct FileFormat {
     /// Names of the keys, in the order of [`Key`].
     pub names: [&'static str; KEYS],
     /// Keys that every laser must have.
     pub required: &'static [Key],
-    pub angle: Unit,
-    pub length: Unit,
+    pub angle: MeasureUnit,
+    pub length: MeasureUnit,
     /// Name of the number of lasers.
     pub count: &'static str,
     /// Name of the distance unit.
@@ -72,7 +72,7 @@ pub(super) struct Laser<'a> {
 /// All that a calibration file says.
 pub(super) struct Table<'a> {
     pub file: &'a str,
-    pub form: &'static Form,
+    pub format: &'static FileFormat,
     pub count: Option<Entry<'a>>,
     pub distance_unit: Option<Entry<'a>>,
     pub lasers: Vec<Laser<'a>>,
@@ -107,13 +107,13 @@ pub(super) fn quote(text: &str) -> String {
     format!("{short:?}")
 }
 
-impl Form {
+impl FileFormat {
     pub(super) fn name(&self, key: Key) -> &'static str {
         self.names[key as usize]
     }
 
     /// The unit of a key, none for a plain number, and the possible values in radians or metres.
-    fn limits(&self, key: Key) -> (Option<&Unit>, RangeInclusive<f64>) {
+    fn limits(&self, key: Key) -> (Option<&MeasureUnit>, RangeInclusive<f64>) {
         match key {
             Key::Rotation => (Some(&self.angle), -PI..=PI),
             Key::Elevation => (Some(&self.angle), -FRAC_PI_2..=FRAC_PI_2),
@@ -160,7 +160,7 @@ impl Table<'_> {
 
     /// The channel of each laser, each from 0 once.
     pub(super) fn channels(&self) -> Result<Vec<usize>, CalibrationError> {
-        let name = self.form.name(Key::Id);
+        let name = self.format.name(Key::Id);
         let mut first_line = [None; MAX_BEAMS];
         let mut channels = Vec::with_capacity(self.lasers.len().min(MAX_BEAMS));
         for laser in &self.lasers {
@@ -180,7 +180,7 @@ impl Table<'_> {
         let declared = self
             .count
             .as_ref()
-            .map(|e| self.whole(e, self.form.count, MAX_BEAMS))
+            .map(|e| self.whole(e, self.format.count, MAX_BEAMS))
             .transpose()?;
         let end = channels
             .iter()
@@ -199,7 +199,7 @@ impl Table<'_> {
                 entry.line,
                 format!(
                     "{} is {declared}, expected {found}, the number of lasers here",
-                    self.form.count
+                    self.format.count
                 ),
             )),
             _ if found == 0 => Err(self.error(self.line, "no lasers, expected at least one")),
@@ -208,40 +208,39 @@ impl Table<'_> {
     }
 
     fn beam(&self, laser: &Laser<'_>, channel: usize) -> Result<Beam, CalibrationError> {
-        let fail = |line, message| self.error(line, format!("beam {channel}: {message}"));
-        for &key in self.form.required {
+        for &key in self.format.required {
             if laser.get(key).is_none() {
-                return Err(fail(
-                    laser.line,
-                    format!("{} is missing", self.form.name(key)),
-                ));
+                let message = format!("{} is missing", self.format.name(key));
+                return Err(self.beam_error(channel, laser.line, &message));
             }
         }
-        let value = |key| match laser.get(key) {
-            Some(entry) => self
-                .value(entry, key)
-                .map(Some)
-                .map_err(|message| fail(entry.line, message)),
-            None => Ok(None),
+        let elevation_rad = self.value(laser, channel, Key::Elevation)?;
+        let rotation_rad = self.value(laser, channel, Key::Rotation)?;
+        let distance_offset_m = self.value(laser, channel, Key::Distance)?;
+        let vertical_offset_m = self.value(laser, channel, Key::VerticalOffset)?;
+        let horizontal_offset_m = self.value(laser, channel, Key::HorizontalOffset)?;
+        let two_point = self.two_point(laser, channel)?;
+        let focal_distance_m = self.value(laser, channel, Key::FocalDistance)?;
+        let focal_slope = self.value(laser, channel, Key::FocalSlope)?;
+        let min = self.value(laser, channel, Key::MinIntensity)?;
+        let max = self.value(laser, channel, Key::MaxIntensity)?;
+        let intensity = Intensity {
+            focal_distance_m: focal_distance_m.unwrap_or_default(),
+            focal_slope: focal_slope.unwrap_or_default(),
+            min: min.unwrap_or_default(),
+            max: max.unwrap_or(Intensity::NEUTRAL.max),
         };
-        let or_zero = |key| value(key).map(Option::unwrap_or_default);
         Ok(Beam {
             channel,
-            elevation_rad: or_zero(Key::Elevation)?,
-            rotation_rad: or_zero(Key::Rotation)?,
-            distance_offset_m: or_zero(Key::Distance)?,
-            vertical_offset_m: or_zero(Key::VerticalOffset)?,
-            horizontal_offset_m: or_zero(Key::HorizontalOffset)?,
-            two_point: self
-                .two_point(laser, value(Key::DistanceX)?, value(Key::DistanceY)?)
-                .map_err(|(line, message)| fail(line, message))?,
-            intensity: intensity(
-                or_zero(Key::FocalDistance)?,
-                or_zero(Key::FocalSlope)?,
-                or_zero(Key::MinIntensity)?,
-                value(Key::MaxIntensity)?.unwrap_or(255.0),
-            )
-            .map_err(|message| fail(laser.line, message))?,
+            elevation_rad: elevation_rad.unwrap_or_default(),
+            rotation_rad: rotation_rad.unwrap_or_default(),
+            distance_offset_m: distance_offset_m.unwrap_or_default(),
+            vertical_offset_m: vertical_offset_m.unwrap_or_default(),
+            horizontal_offset_m: horizontal_offset_m.unwrap_or_default(),
+            two_point,
+            intensity: intensity
+                .checked()
+                .map_err(|message| self.beam_error(channel, laser.line, &message))?,
         })
     }
 
@@ -251,10 +250,10 @@ impl Table<'_> {
     fn two_point(
         &self,
         laser: &Laser<'_>,
-        x_m: Option<f64>,
-        y_m: Option<f64>,
-    ) -> Result<Option<TwoPoint>, (usize, String)> {
-        let name = |key| self.form.name(key);
+        channel: usize,
+    ) -> Result<Option<TwoPoint>, CalibrationError> {
+        let x_m = self.value(laser, channel, Key::DistanceX)?;
+        let y_m = self.value(laser, channel, Key::DistanceY)?;
         if let Some(switch) = laser.get(Key::TwoPoint) {
             match switch.text.trim().to_ascii_lowercase().as_str() {
                 "true" | "yes" | "on" | "1" => {}
@@ -262,35 +261,37 @@ impl Table<'_> {
                 other => {
                     let message = format!(
                         "{}: expected true or false, found {}",
-                        name(Key::TwoPoint),
+                        self.format.name(Key::TwoPoint),
                         quote(other)
                     );
-                    return Err((switch.line, message));
+                    return Err(self.beam_error(channel, switch.line, &message));
                 }
             }
         }
-        match (x_m, y_m) {
-            (Some(0.0), Some(0.0)) | (None, None) => Ok(None),
-            (Some(distance_offset_x_m), Some(distance_offset_y_m)) => Ok(Some(TwoPoint {
-                distance_offset_x_m,
-                distance_offset_y_m,
-            })),
-            (Some(_), None) => Err((
-                laser.line,
-                format!("{} without {}", name(Key::DistanceX), name(Key::DistanceY)),
-            )),
-            (None, Some(_)) => Err((
-                laser.line,
-                format!("{} without {}", name(Key::DistanceY), name(Key::DistanceX)),
-            )),
-        }
+        let (present, absent) = match (x_m, y_m) {
+            (Some(0.0), Some(0.0)) | (None, None) => return Ok(None),
+            (Some(distance_offset_x_m), Some(distance_offset_y_m)) => {
+                return Ok(Some(TwoPoint {
+                    distance_offset_x_m,
+                    distance_offset_y_m,
+                }));
+            }
+            (Some(_), None) => (Key::DistanceX, Key::DistanceY),
+            (None, Some(_)) => (Key::DistanceY, Key::DistanceX),
+        };
+        let message = format!(
+            "{} without {}",
+            self.format.name(present),
+            self.format.name(absent)
+        );
+        Err(self.beam_error(channel, laser.line, &message))
     }
 
     fn distance_unit_m(&self) -> Result<f64, CalibrationError> {
-        let name = self.form.distance_unit;
-        let Unit {
+        let name = self.format.distance_unit;
+        let MeasureUnit {
             name: unit, factor, ..
-        } = self.form.length;
+        } = self.format.length;
         let usual = short(0.002 / factor);
         let Some(entry) = &self.distance_unit else {
             let message = format!(
@@ -303,20 +304,33 @@ impl Table<'_> {
         if DISTANCE_UNITS_M.contains(&(value * factor)) {
             return Ok(value * factor);
         }
-        let (low, high) = (
-            short(DISTANCE_UNITS_M.start() / factor),
-            short(DISTANCE_UNITS_M.end() / factor),
-        );
+        let low = short(DISTANCE_UNITS_M.start() / factor);
+        let high = short(DISTANCE_UNITS_M.end() / factor);
         let message =
             format!("{name} is {value} {unit}, expected {low} to {high} ({usual} on most models)");
         Err(self.error(entry.line, message))
     }
 
+    /// A value of a laser in radians or metres, where the file has it.
+    fn value(
+        &self,
+        laser: &Laser<'_>,
+        channel: usize,
+        key: Key,
+    ) -> Result<Option<f64>, CalibrationError> {
+        let Some(entry) = laser.get(key) else {
+            return Ok(None);
+        };
+        self.convert(entry, key)
+            .map(Some)
+            .map_err(|message| self.beam_error(channel, entry.line, &message))
+    }
+
     /// A value in radians or metres, or what is wrong with it.
-    fn value(&self, entry: &Entry<'_>, key: Key) -> Result<f64, String> {
-        let name = self.form.name(key);
+    fn convert(&self, entry: &Entry<'_>, key: Key) -> Result<f64, String> {
+        let name = self.format.name(key);
         let written = number(entry).map_err(|message| format!("{name}{message}"))?;
-        let (unit, limits) = self.form.limits(key);
+        let (unit, limits) = self.format.limits(key);
         let factor = unit.map_or(1.0, |unit| unit.factor);
         let value = written * factor;
         if limits.contains(&value) {
@@ -325,7 +339,8 @@ impl Table<'_> {
         let unit_name = unit
             .map(|unit| format!(" {}", unit.name))
             .unwrap_or_default();
-        let (low, high) = (short(limits.start() / factor), short(limits.end() / factor));
+        let low = short(limits.start() / factor);
+        let high = short(limits.end() / factor);
         let hint = match unit.and_then(|unit| unit.mistaken) {
             Some((mistaken, factor)) if limits.contains(&(written * factor)) => {
                 format!("; are these {mistaken}?")
@@ -358,7 +373,11 @@ impl Table<'_> {
         }
     }
 
-    pub(super) fn error(&self, line: usize, message: impl Into<String>) -> CalibrationError {
+    fn beam_error(&self, channel: usize, line: usize, message: &str) -> CalibrationError {
+        self.error(line, format!("beam {channel}: {message}"))
+    }
+
+    fn error(&self, line: usize, message: impl Into<String>) -> CalibrationError {
         at(self.file, line, message)
     }
 }
@@ -370,27 +389,6 @@ fn number(entry: &Entry<'_>) -> Result<f64, String> {
         Ok(value) => Err(format!(" is {value}, expected a finite number")),
         Err(_) => Err(format!(": expected a number, found {}", quote(&entry.text))),
     }
-}
-
-/// The intensity correction, none where it would change nothing.
-pub(super) fn intensity(
-    focal_distance_m: f64,
-    focal_slope: f64,
-    min: f64,
-    max: f64,
-) -> Result<Option<Intensity>, String> {
-    if min >= max {
-        return Err(format!(
-            "the smallest intensity is {min}, expected less than the largest, {max}"
-        ));
-    }
-    let idle = focal_slope == 0.0 && min == 0.0 && max == 255.0;
-    Ok((!idle).then_some(Intensity {
-        focal_distance_m,
-        focal_slope,
-        min,
-        max,
-    }))
 }
 
 /// A limit for a message, without the digits that units leave behind.

@@ -30,7 +30,7 @@ use crate::sensor::Beam;
 
 pub use self::header::{Completion, HOST_FIELDS};
 pub(in crate::sweep) use self::shape::checked_shape;
-pub use self::shape::{LayoutError, PARTS, Part, ReturnKind, SECOND_BLOCKS, Shape};
+pub use self::shape::{LayoutError, Shape};
 
 #[cfg(not(target_endian = "little"))]
 compile_error!("the layout of a sweep is little-endian, and so must be the host");
@@ -99,7 +99,80 @@ pub enum ReturnChoice {
     Last = 2,
 }
 
-/// Head of a sweep. Counts and offsets first, then what was measured.
+/// The parts of a sweep behind its header.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+#[repr(usize)]
+pub enum Part {
+    /// f32 metres a pixel; see [`is_return`], and [`crate::sweep::corrected`] for
+    /// the last bit on an HDL-64E.
+    Range = 0,
+    /// u8 a pixel.
+    Reflectivity,
+    /// u32 a pixel: 0 none, 1 ground, 2.. segment.
+    Label,
+    /// Range of the other return, dual only.
+    Range2,
+    /// Reflectivity of the other return, dual only.
+    Reflectivity2,
+    /// Label of the other return, dual only.
+    Label2,
+    /// u8 a pixel, dual only: [`ReturnKind`] of the segmented return, and [`SECOND_BLOCKS`].
+    Kind,
+    /// [`Column`] a column.
+    Columns,
+    /// [`BeamRow`] a row.
+    Beams,
+    /// [`Segment`] a segment.
+    Segments,
+}
+
+/// Number of parts.
+pub const PARTS: usize = 10;
+
+/// Which of a pair of dual returns a plane holds.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+#[repr(u8)]
+pub enum ReturnKind {
+    /// The strongest, or the second strongest where the last is the strongest; the other is the
+    /// last.
+    Strongest = 1,
+    /// The last; the other is the strongest. An HDL-64E does not say which is which: the farther is
+    /// the last.
+    Last = 2,
+}
+
+/// Bit of [`Part::Kind`]: the segmented return stands in the second blocks of its firing, the other
+/// in the first.
+pub const SECOND_BLOCKS: u8 = 4;
+
+impl ReturnKind {
+    /// The kind in a byte of [`Part::Kind`].
+    pub fn of_byte(byte: u8) -> Self {
+        if byte & !SECOND_BLOCKS == Self::Last as u8 {
+            Self::Last
+        } else {
+            Self::Strongest
+        }
+    }
+
+    /// The other of a pair.
+    pub fn other(self) -> Self {
+        match self {
+            Self::Strongest => Self::Last,
+            Self::Last => Self::Strongest,
+        }
+    }
+
+    /// The word for it in output.
+    pub fn name(self) -> &'static str {
+        match self {
+            Self::Strongest => "strongest",
+            Self::Last => "last",
+        }
+    }
+}
+
+/// The header of a sweep. Counts and offsets first, then what was measured.
 ///
 /// The same packets give the same sweep, byte for byte, but for what depends on the host that took
 /// them: [`HOST_FIELDS`].
@@ -242,7 +315,7 @@ pub enum ColumnStatus {
 }
 
 impl Column {
-    /// A column of a packet.
+    /// The column of a firing that arrived.
     pub fn measured(
         packet: u64,
         block: u8,
@@ -250,33 +323,28 @@ impl Column {
         azimuth_rate_rad_s: f32,
         time_ns: u32,
     ) -> Self {
-        let status = ColumnStatus::Measured as u8;
         Self {
             packet,
-            azimuth_rad,
-            azimuth_rate_rad_s,
-            time_ns,
             block,
-            status,
-            _reserved: [0; 2],
+            status: ColumnStatus::Measured as u8,
+            ..Self::missing(azimuth_rad, azimuth_rate_rad_s, time_ns)
         }
     }
 
-    /// A column whose packet was lost.
+    /// The column of a firing whose packet was lost.
     pub fn missing(azimuth_rad: f32, azimuth_rate_rad_s: f32, time_ns: u32) -> Self {
-        let status = ColumnStatus::Missing as u8;
         Self {
             packet: u64::MAX,
             azimuth_rad,
             azimuth_rate_rad_s,
             time_ns,
             block: 0,
-            status,
+            status: ColumnStatus::Missing as u8,
             _reserved: [0; 2],
         }
     }
 
-    /// A column in which nothing was fired.
+    /// A column without a firing.
     pub fn unfired(azimuth_rad: f32, azimuth_rate_rad_s: f32, time_ns: u32) -> Self {
         Self {
             status: ColumnStatus::Unfired as u8,
@@ -330,10 +398,7 @@ pub struct BeamRow {
 impl BeamRow {
     /// The row of a beam that shoots so long after the first shot of its firing.
     pub fn new(beam: &Beam, time_offset_ns: u32) -> Self {
-        let far_m = beam.distance_offset_m;
-        let [x_m, y_m] = beam.two_point.map_or([far_m; 2], |two| {
-            [two.distance_offset_x_m, two.distance_offset_y_m]
-        });
+        let [near_x_m, near_y_m] = beam.near_distance_offsets_m();
         Self {
             channel: beam.channel as u32,
             elevation_rad: beam.elevation_rad as f32,
@@ -342,9 +407,9 @@ impl BeamRow {
             vertical_offset_m: beam.vertical_offset_m as f32,
             horizontal_offset_m: beam.horizontal_offset_m as f32,
             shift: 0,
-            distance_offset_m: far_m as f32,
-            distance_offset_x_m: x_m as f32,
-            distance_offset_y_m: y_m as f32,
+            distance_offset_m: beam.distance_offset_m as f32,
+            distance_offset_x_m: near_x_m as f32,
+            distance_offset_y_m: near_y_m as f32,
             _reserved: [0; 2],
         }
     }

@@ -7,16 +7,13 @@
 pub mod data;
 pub mod hdl64;
 pub mod nmea;
+mod packet;
 pub mod position;
 
-use std::net::SocketAddr;
 use std::ops::RangeInclusive;
 
-use data::DATA_PACKET_LEN;
-use nmea::Rmc;
-use position::POSITION_PACKET_LEN;
-
 pub use data::DataPacket;
+pub use packet::{Content, Datagram, Packet};
 pub use position::Position;
 
 /// UDP port that data packets are sent to unless the sensor is set otherwise.
@@ -31,89 +28,11 @@ pub const HOUR_US: u32 = 3_600_000_000;
 /// overflow.
 pub const TIMES_NS: RangeInclusive<i64> = i64::MIN / 4..=i64::MAX / 2;
 
-/// A UDP payload with its arrival time and its two ends, before anybody has looked inside.
-#[derive(Clone, Copy, Debug, PartialEq, Eq)]
-pub struct Datagram<'a> {
-    /// Arrival on this host or in the capture, nanoseconds since 1970; see [`TIMES_NS`].
-    pub arrival_ns: i64,
-    /// Who sent it.
-    pub source: SocketAddr,
-    /// The UDP port that it was sent to.
-    pub destination_port: u16,
-    /// The UDP payload.
-    pub payload: &'a [u8],
-}
-
-impl<'a> Datagram<'a> {
-    /// Reads the payload, which its length tells to be a data packet or a position packet.
-    ///
-    /// # Errors
-    /// [`PacketError`]: it is neither.
-    #[inline]
-    pub fn parse(&self) -> Result<Packet<'a>, PacketError> {
-        let content = match self.payload.len() {
-            DATA_PACKET_LEN => Content::Data(DataPacket::parse(self.payload)?),
-            POSITION_PACKET_LEN => {
-                let position = Position::parse(self.payload)?;
-                let rmc = position.nmea.and_then(|text| Rmc::parse(text).ok());
-                Content::Position(position, rmc)
-            }
-            found => return Err(PacketError::Length { found }),
-        };
-        Ok(Packet {
-            arrival_ns: self.arrival_ns,
-            content,
-        })
-    }
-}
-
-/// A datagram that was read: what a [`Pipeline`](crate::pipeline::Pipeline) takes.
-#[derive(Clone, Copy, Debug, PartialEq)]
-pub struct Packet<'a> {
-    /// As in [`Datagram::arrival_ns`].
-    pub arrival_ns: i64,
-    /// The payload.
-    pub content: Content<'a>,
-}
-
-impl Packet<'_> {
-    /// A position packet to keep: all that it says but the text of its sentence. `None` for a data
-    /// packet.
-    pub fn without_sentence(&self) -> Option<Packet<'static>> {
-        let Content::Position(position, rmc) = self.content else {
-            return None;
-        };
-        let position = Position {
-            nmea: None,
-            stamp_us: position.stamp_us,
-            pps: position.pps,
-            inertial: position.inertial,
-            board: position.board,
-            thermal: position.thermal,
-        };
-        Some(Packet {
-            arrival_ns: self.arrival_ns,
-            content: Content::Position(position, rmc),
-        })
-    }
-}
-
-/// The payload of a packet.
-#[derive(Clone, Copy, Debug, PartialEq)]
-pub enum Content<'a> {
-    /// Ranges.
-    Data(&'a DataPacket),
-    /// GPS state, with the RMC sentence if the packet holds a valid one.
-    Position(Position<'a>, Option<Rmc>),
-}
-
 /// Why a payload is not a packet.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, thiserror::Error)]
 pub enum PacketError {
     /// Neither 1206 bytes (data) nor 512 (position).
-    #[error(
-        "{found} bytes, expected {DATA_PACKET_LEN} (data packet) or {POSITION_PACKET_LEN} (position packet)"
-    )]
+    #[error("{found} bytes, expected 1206 (data packet) or 512 (position packet)")]
     Length {
         /// Bytes that came.
         found: usize,

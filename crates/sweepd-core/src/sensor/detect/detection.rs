@@ -1,6 +1,6 @@
 //! The model of a stream, once it is told.
 
-use super::banks_of;
+use super::timing::banks_of;
 use crate::sensor::Model;
 use crate::sensor::model::Spec;
 use crate::wire::data::{DataPacket, ReturnMode};
@@ -28,8 +28,8 @@ pub(super) fn says_two_returns(packet: &DataPacket) -> Option<bool> {
     if !packet.azimuths_in_groups(BLOCKS_OF_TWO) {
         return Some(false);
     }
-    let [first, second] =
-        [0, BLOCKS_OF_TWO].map(|block| i32::from(packet.blocks[block].azimuth_cdeg()));
+    let first = i32::from(packet.blocks[0].azimuth_cdeg());
+    let second = i32::from(packet.blocks[BLOCKS_OF_TWO].azimuth_cdeg());
     ((first - second).abs() >= TELLING_STEP_CDEG).then_some(true)
 }
 

@@ -1,6 +1,6 @@
 //! Why a stream of packets is of no model.
 
-use super::timings;
+use super::timing::timings;
 use crate::sensor::Model;
 use crate::wire::data::{Banks, ReturnMode};
 
@@ -35,12 +35,10 @@ pub enum DetectError {
         interval_us: u32,
     },
     /// The user says one model, and the blocks are laid out as those of another.
-    #[error("the given model is {said}, but {layout}")]
+    #[error("the given model is {said}, but the blocks of its packets {}", layout(*.heads))]
     Layout {
         /// The model that was said.
         said: Model,
-        /// How the blocks are laid out.
-        layout: &'static str,
         /// Whether they are those of two heads.
         heads: bool,
     },
@@ -79,4 +77,13 @@ fn expected(mode: &ReturnMode, heads: &bool) -> String {
         )
     })
     .join(", ")
+}
+
+/// How the blocks of packets of one head, or of two, are laid out.
+fn layout(heads: bool) -> &'static str {
+    if heads {
+        "alternate between two heads, as those of the HDL-64E do"
+    } else {
+        "are all of one head, and those of the HDL-64E alternate between two"
+    }
 }

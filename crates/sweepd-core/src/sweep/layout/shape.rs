@@ -1,80 +1,9 @@
 //! Where the parts of a sweep stand, how much room they take, and whether a header that others
 //! wrote can be true.
 
-use super::{ALIGN, BeamRow, COLUMNS_CAPACITY, Column, Header, LAYOUT_VERSION, MAGIC, Segment};
-
-/// The parts of a sweep behind its header.
-#[derive(Clone, Copy, Debug, PartialEq, Eq)]
-#[repr(usize)]
-pub enum Part {
-    /// f32 metres a pixel; see [`is_return`](super::is_return), and [`crate::sweep::corrected`] for
-    /// the last bit on an HDL-64E.
-    Range = 0,
-    /// u8 a pixel.
-    Reflectivity,
-    /// u32 a pixel: 0 none, 1 ground, 2.. segment.
-    Label,
-    /// Range of the other return, dual only.
-    Range2,
-    /// Reflectivity of the other return, dual only.
-    Reflectivity2,
-    /// Label of the other return, dual only.
-    Label2,
-    /// u8 a pixel, dual only: [`ReturnKind`] of the segmented return, and [`SECOND_BLOCKS`].
-    Kind,
-    /// [`Column`] a column.
-    Columns,
-    /// [`BeamRow`] a row.
-    Beams,
-    /// [`Segment`] a segment.
-    Segments,
-}
-
-/// Number of parts.
-pub const PARTS: usize = 10;
-
-/// Which of a pair of dual returns a plane holds.
-#[derive(Clone, Copy, Debug, PartialEq, Eq)]
-#[repr(u8)]
-pub enum ReturnKind {
-    /// The strongest, or the second strongest where the last is the strongest; the other is the
-    /// last.
-    Strongest = 1,
-    /// The last; the other is the strongest. An HDL-64E does not say which is which: the farther is
-    /// the last.
-    Last = 2,
-}
-
-/// Bit of [`Part::Kind`]: the segmented return stands in the second blocks of its firing, the other
-/// in the first.
-pub const SECOND_BLOCKS: u8 = 4;
-
-impl ReturnKind {
-    /// The kind in a byte of [`Part::Kind`].
-    pub fn of_byte(byte: u8) -> Self {
-        if byte & !SECOND_BLOCKS == Self::Last as u8 {
-            Self::Last
-        } else {
-            Self::Strongest
-        }
-    }
-
-    /// The other of a pair.
-    pub fn other(self) -> Self {
-        match self {
-            Self::Strongest => Self::Last,
-            Self::Last => Self::Strongest,
-        }
-    }
-
-    /// The word for it in output.
-    pub fn name(self) -> &'static str {
-        match self {
-            Self::Strongest => "strongest",
-            Self::Last => "last",
-        }
-    }
-}
+use super::{
+    ALIGN, BeamRow, COLUMNS_CAPACITY, Column, Header, LAYOUT_VERSION, MAGIC, PARTS, Segment,
+};
 
 /// What a sweep must have room for.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]

@@ -1,0 +1,104 @@
+//! Which calibrations are those of a model, and the one that all its units have.
+
+use std::sync::OnceLock;
+
+use super::{Calibration, Model, ros_yaml};
+
+/// How far a beam may point from its nominal elevation: far more than units differ, far less than
+/// models do.
+const MAX_ELEVATION_ERROR_DEG: f64 = 0.5;
+/// How far a beam may be turned on a model whose beams all point the same way.
+const MAX_ROTATION_DEG: f64 = 0.1;
+/// How far a beam may be turned on a model whose beams point aside; those of real units stay under
+/// 10. More would shift rows by more columns than a sweep has room for.
+const MAX_ASIDE_DEG: f64 = 12.0;
+
+impl Model {
+    /// The nominal beams of this model, the table in `calib/` that the binary embeds; `None` where
+    /// each unit has its own.
+    pub fn calibration(self) -> Option<&'static Calibration> {
+        static TABLES: [OnceLock<Calibration>; Model::ALL.len()] =
+            [const { OnceLock::new() }; Model::ALL.len()];
+        let nominal = self.spec().nominal.as_ref()?;
+        Some(TABLES[self as usize].get_or_init(|| {
+            ros_yaml::parse(nominal.text, nominal.file)
+                .expect("the tables in calib/ are part of the program and tested")
+        }))
+    }
+}
+
+impl Calibration {
+    /// Fits a calibration to a model: a db.xml always has 64 slots, of which a smaller model uses
+    /// the first.
+    ///
+    /// # Errors
+    /// A sentence when beams, elevations, rotations or distance unit cannot belong to this model;
+    /// it names the model that they do belong to, if it is a supported one.
+    pub fn for_model(self, model: Model) -> Result<Self, String> {
+        if let Err(message) = self.fit(model) {
+            let other = Model::ALL
+                .into_iter()
+                .find(|&other| self.fit(other).is_ok());
+            return Err(match other {
+                Some(other) => format!("{message}; this is the calibration of the {other}"),
+                None => message,
+            });
+        }
+        let beams = self.beams()[..model.spec().channels].to_vec();
+        Self::new(beams, self.distance_unit_m())
+    }
+
+    /// Checks that these can be the beams of a model; the error says what speaks against it.
+    fn fit(&self, model: Model) -> Result<(), String> {
+        let spec = model.spec();
+        let channels = spec.channels;
+        let count = self.beams().len();
+        // Spare slots point nowhere or repeat the used ones (VeloView's VLP-16 does); beams of a
+        // larger sensor do neither.
+        let has_count = count >= channels
+            && self.beams()[channels..].iter().all(|spare| {
+                let repeated = &self.beams()[spare.channel % channels];
+                spare.elevation_rad == 0.0 || spare.elevation_rad == repeated.elevation_rad
+            });
+        if !has_count {
+            return Err(format!("{count} beams, the {model} has {channels}"));
+        }
+        let used = &self.beams()[..channels];
+        let most_deg = if spec.shifted {
+            MAX_ASIDE_DEG
+        } else {
+            MAX_ROTATION_DEG
+        };
+        for beam in used {
+            let rotation_deg = beam.rotation_rad.to_degrees();
+            if rotation_deg.abs() > most_deg {
+                let channel = beam.channel;
+                return Err(format!(
+                    "beam {channel} is turned by {rotation_deg:.2} degrees, no beam of the {model} is"
+                ));
+            }
+        }
+        // Of an HDL-64E each unit has elevations of its own.
+        let nominal = model
+            .calibration()
+            .map_or(&[][..], |nominal| nominal.beams());
+        for (beam, expected) in used.iter().zip(nominal) {
+            let found = beam.elevation_rad.to_degrees();
+            let nominal = expected.elevation_rad.to_degrees();
+            if (found - nominal).abs() > MAX_ELEVATION_ERROR_DEG {
+                return Err(format!(
+                    "beam {} is at {found:.2} degrees, that of the {model} at {nominal:.2}",
+                    beam.channel
+                ));
+            }
+        }
+        if (self.distance_unit_m() - spec.distance_unit_m).abs() > 1e-6 {
+            return Err(format!(
+                "a unit of distance is {:.1} mm, that of the {model} {:.1} mm",
+                self.distance_unit_m() * 1e3,
+                spec.distance_unit_m * 1e3
+            ));
+        }
+        Ok(())
+    }
+}

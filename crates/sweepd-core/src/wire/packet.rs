@@ -1,0 +1,84 @@
+//! A datagram, and what it is once it was read.
+
+use std::net::SocketAddr;
+
+use super::PacketError;
+use super::data::{DATA_PACKET_LEN, DataPacket};
+use super::nmea::Rmc;
+use super::position::{POSITION_PACKET_LEN, Position};
+
+/// A UDP payload with its arrival time and its two ends, not read yet.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub struct Datagram<'a> {
+    /// Arrival on this host or in the capture, nanoseconds since 1970; see [`TIMES_NS`](super::TIMES_NS).
+    pub arrival_ns: i64,
+    /// Its sender.
+    pub source: SocketAddr,
+    /// The UDP port that it was sent to.
+    pub destination_port: u16,
+    /// The UDP payload.
+    pub payload: &'a [u8],
+}
+
+impl<'a> Datagram<'a> {
+    /// Reads the payload: its length says whether it is a data packet or a position packet.
+    ///
+    /// # Errors
+    /// [`PacketError`]: it is neither.
+    #[inline]
+    pub fn parse(&self) -> Result<Packet<'a>, PacketError> {
+        let content = match self.payload.len() {
+            DATA_PACKET_LEN => Content::Data(DataPacket::parse(self.payload)?),
+            POSITION_PACKET_LEN => {
+                let position = Position::parse(self.payload)?;
+                let rmc = position.nmea.and_then(|text| Rmc::parse(text).ok());
+                Content::Position(position, rmc)
+            }
+            found => return Err(PacketError::Length { found }),
+        };
+        Ok(Packet {
+            arrival_ns: self.arrival_ns,
+            content,
+        })
+    }
+}
+
+/// A datagram that was read: what a [`Pipeline`](crate::pipeline::Pipeline) takes.
+#[derive(Clone, Copy, Debug, PartialEq)]
+pub struct Packet<'a> {
+    /// As in [`Datagram::arrival_ns`].
+    pub arrival_ns: i64,
+    /// The payload.
+    pub content: Content<'a>,
+}
+
+impl Packet<'_> {
+    /// A position packet to keep: all that it says but the text of its sentence. `None` for a data
+    /// packet.
+    pub fn without_sentence(&self) -> Option<Packet<'static>> {
+        let Content::Position(position, rmc) = self.content else {
+            return None;
+        };
+        let position = Position {
+            nmea: None,
+            stamp_us: position.stamp_us,
+            pps: position.pps,
+            inertial: position.inertial,
+            board: position.board,
+            thermal: position.thermal,
+        };
+        Some(Packet {
+            arrival_ns: self.arrival_ns,
+            content: Content::Position(position, rmc),
+        })
+    }
+}
+
+/// The payload of a packet.
+#[derive(Clone, Copy, Debug, PartialEq)]
+pub enum Content<'a> {
+    /// Ranges.
+    Data(&'a DataPacket),
+    /// GPS state, with the RMC sentence if the packet holds a valid one.
+    Position(Position<'a>, Option<Rmc>),
+}
