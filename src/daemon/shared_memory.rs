@@ -20,7 +20,7 @@ impl Sharing for Keeper {
             address: sensor.address.to_string(),
         };
         let least = *memory::sweep_bytes(sensor).start();
-        let mut buffers = Keeper::open(self, &settings, least)?;
+        let mut buffers = Loans::open(self, &settings, least)?;
         // A sensor of another model, or with two returns, gets a larger pool when it shows.
         if memory::is_model_known(sensor) {
             buffers.reserve(least)?;

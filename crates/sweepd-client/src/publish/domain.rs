@@ -1,15 +1,19 @@
 //! Where the files are by which a daemon and its consumers find each other, and who may use them.
 
-use std::fs;
+use std::fs::{self, DirEntry};
 use std::io;
 use std::os::unix::fs::{DirBuilderExt, MetadataExt, PermissionsExt};
 use std::path::{Component, Path, PathBuf};
 
 use iceoryx2::config::Config;
 use iceoryx2::prelude::*;
+use iceoryx2::service::service_hash::ServiceHash;
 
-use super::service_hash;
+use super::settings::Ipc;
 use crate::host::{own_uid, user_name};
+
+/// Where the system keeps shared memory, shm_open(3).
+pub const SHARED_MEMORY: &str = "/dev/shm";
 
 /// Environment variable that names the folder.
 const VARIABLE: &str = "SWEEPD_ROOT";
@@ -286,6 +290,12 @@ impl Domain {
         config
     }
 
+    /// Its files in shared memory.
+    pub(super) fn shared_memory(&self) -> impl Iterator<Item = DirEntry> + use<> {
+        let prefix = self.prefix();
+        entries(Path::new(SHARED_MEMORY)).filter(move |entry| is_named(&name_of(entry), &prefix))
+    }
+
     /// Closes to others what iceoryx2 leaves open to all: the counter by which it numbers nodes,
     /// which every program of the domain maps and which nobody else has any business with.
     pub(super) fn close_to_others(&self) {
@@ -355,8 +365,33 @@ fn steps(path: &Path) -> Vec<PathBuf> {
     steps
 }
 
+/// Whether a file has a name of the domain with this prefix: the prefix, the 40 digits by which
+/// iceoryx2 names the type, and the rest. (The prefix of the usual folders is the beginning of all
+/// others.)
+fn is_named(name: &str, prefix: &str) -> bool {
+    let digits = name
+        .strip_prefix(prefix)
+        .and_then(|name| name.split_once('_'));
+    digits.is_some_and(|(digits, _)| {
+        digits.len() == 40 && digits.bytes().all(|byte| byte.is_ascii_hexdigit())
+    })
+}
+
+/// What a folder holds; nothing where it cannot be read.
+pub(super) fn entries(folder: &Path) -> impl Iterator<Item = DirEntry> + use<> {
+    fs::read_dir(folder).into_iter().flatten().flatten()
+}
+
+pub(super) fn name_of(entry: &DirEntry) -> String {
+    entry.file_name().to_string_lossy().into_owned()
+}
+
+fn service_hash(name: &ServiceName, pattern: MessagingPattern) -> ServiceHash {
+    ServiceHash::new::<<Ipc as iceoryx2::service::Service>::ServiceNameHasher>(name, pattern)
+}
+
 /// Whether a file is the counter by which iceoryx2 numbers nodes.
-fn is_counter(entry: &fs::DirEntry) -> bool {
+fn is_counter(entry: &DirEntry) -> bool {
     let ending = Config::default().global.node.global_mgmt_suffix.to_string();
     entry.file_name().to_string_lossy().ends_with(&ending)
 }
@@ -372,6 +407,19 @@ mod tests {
         assert_eq!(Domain::at("/a").prefix(), "sweepd_07d66707b49cd92d_");
         assert_ne!(Domain::at("/a").prefix(), Domain::at("/b").prefix());
         assert_eq!(Domain::at("/a//./").prefix(), Domain::at("/a").prefix());
+    }
+
+    #[test]
+    fn a_domain_knows_its_own_files() {
+        let hash = "9204dd183d1c4d8e1ff592a30766ffa6765aa8b5";
+        let (usual, other) = ("sweepd_", "sweepd_07d66707b49cd92d_");
+        assert!(is_named(
+            &format!("{usual}{hash}_node.0_10_0.global_mgmt"),
+            usual
+        ));
+        assert!(is_named(&format!("{other}{hash}_1_2.connection"), other));
+        assert!(!is_named(&format!("{other}{hash}_1_2.connection"), usual));
+        assert!(!is_named("sweepd_x", usual) && !is_named(&format!("{usual}{hash}"), usual));
     }
 
     #[test]

@@ -4,7 +4,7 @@ use std::fs;
 use std::os::unix::fs::MetadataExt;
 use std::path::{Path, PathBuf};
 
-use super::Domain;
+use super::domain::Domain;
 
 /// A service's file as it was when the service was opened. It names the service's own number, so
 /// that one that was made again is another, even under the same name.

@@ -11,16 +11,17 @@
 //! keeper do, and [`Keeper::remove_unfinished`] is for a thread that looks after the process
 //! anyway.
 
-use std::sync::atomic::{AtomicUsize, Ordering};
+use std::sync::Arc;
 use std::sync::mpsc::{self, Receiver, RecvTimeoutError, Sender, SyncSender};
-use std::sync::{Arc, Mutex, PoisonError};
 use std::thread;
 use std::time::{Duration, Instant};
 
-use super::loans::{Loans, PublishError, PublishStatus, ServiceSettings};
-use super::pool::{Loan, Pool};
+use super::domain::Domain;
+use super::error::{JoinError, PublishError};
+use super::leftovers;
+use super::pool::SensorPool;
 use super::service::Service;
-use super::{Domain, JoinError, leftovers, pool_bytes};
+use super::settings::{ServiceSettings, pool_bytes};
 
 /// How often services are looked after.
 const LOOK_EVERY: Duration = Duration::from_secs(1);
@@ -38,44 +39,6 @@ const REMOVE_EVERY: Duration = Duration::from_millis(100);
 pub struct Keeper {
     domain: Domain,
     requests: Sender<Request>,
-}
-
-/// Where the thread of a sensor finds its pool.
-#[derive(Debug)]
-pub(super) struct SensorPool {
-    settings: ServiceSettings,
-    pool: Mutex<Option<Arc<Pool>>>,
-    /// Bytes of the newest sweep that no pool had room for.
-    wanted: AtomicUsize,
-    pub(super) status: Arc<PublishStatus>,
-}
-
-impl SensorPool {
-    /// Notes that there is no room for sweeps of this many bytes; whether that is new.
-    pub(super) fn want(&self, bytes: usize) -> bool {
-        self.wanted.swap(bytes, Ordering::Relaxed) != bytes
-    }
-
-    /// Room for one sweep; `None` where no pool has any for this many bytes.
-    pub(super) fn loan(&self, bytes: usize) -> Option<Result<(Loan, Arc<Pool>), PublishError>> {
-        let pool = self
-            .pool
-            .lock()
-            .unwrap_or_else(PoisonError::into_inner)
-            .clone()?;
-        (pool.sweep_bytes >= bytes).then(|| Ok((pool.loan(bytes)?, pool)))
-    }
-
-    pub(super) fn has_pool(&self) -> bool {
-        self.pool
-            .lock()
-            .unwrap_or_else(PoisonError::into_inner)
-            .is_some()
-    }
-
-    fn set_pool(&self, pool: Option<Arc<Pool>>) {
-        *self.pool.lock().unwrap_or_else(PoisonError::into_inner) = pool;
-    }
 }
 
 /// What the keeper is asked, and where the answer goes.
@@ -118,21 +81,15 @@ impl Keeper {
         })
     }
 
-    /// Opens the service of a sensor. `sweep_bytes` is what its sweeps have at least: memory that
-    /// cannot hold the pool for them is an error now. The pool itself comes with the first sweep,
-    /// or with [`Loans::reserve`].
-    ///
-    /// # Errors
-    /// [`PublishError`].
-    pub fn open(
+    /// Opens the service of a sensor, whose sweeps have at least `sweep_bytes`.
+    pub(super) fn open(
         &self,
         settings: &ServiceSettings,
         sweep_bytes: usize,
-    ) -> Result<Loans, PublishError> {
-        let sensor_pool = self.ask(PATIENCE, |reply| {
+    ) -> Result<Arc<SensorPool>, PublishError> {
+        self.ask(PATIENCE, |reply| {
             Request::Open(settings.clone(), sweep_bytes, reply)
-        })??;
-        Ok(Loans::of(self.clone(), sensor_pool))
+        })?
     }
 
     /// Removes files of shared memory that a process left unfinished a second ago or longer, by
@@ -254,13 +211,7 @@ impl KeeperThread {
             &settings,
             pool_bytes(settings.max_consumers, sweep_bytes),
         )?;
-        let (pool, wanted, status) = (Mutex::default(), AtomicUsize::new(0), Arc::default());
-        let sensor_pool = Arc::new(SensorPool {
-            settings,
-            pool,
-            wanted,
-            status,
-        });
+        let sensor_pool = Arc::new(SensorPool::new(settings));
         self.services.push(KeptService {
             sensor_pool: Arc::clone(&sensor_pool),
             service: Some(service),
@@ -320,7 +271,7 @@ impl KeptService {
     }
 
     fn try_make_room(&mut self, domain: &Domain) -> Result<(), PublishError> {
-        let wanted = self.sensor_pool.wanted.load(Ordering::Relaxed);
+        let wanted = self.sensor_pool.wanted();
         let service = match &mut self.service {
             Some(service) => service,
             none => none.insert(Service::open(domain, &self.sensor_pool.settings, 0)?),

@@ -10,10 +10,9 @@
 
 use std::fs::{self, DirEntry, Metadata};
 use std::os::unix::fs::MetadataExt;
-use std::path::Path;
 use std::time::{Duration, SystemTime};
 
-use super::{Domain, SHARED_MEMORY};
+use super::domain::{Domain, entries, name_of};
 use crate::host::own_uid;
 
 /// Age from which an unfinished file has no maker any more.
@@ -159,51 +158,4 @@ fn remove(entry: &DirEntry) {
     } else {
         fs::remove_file(path)
     };
-}
-
-fn name_of(entry: &DirEntry) -> String {
-    entry.file_name().to_string_lossy().into_owned()
-}
-
-/// What a folder holds; nothing where it cannot be read.
-fn entries(folder: &Path) -> impl Iterator<Item = DirEntry> + use<> {
-    fs::read_dir(folder).into_iter().flatten().flatten()
-}
-
-impl Domain {
-    /// Its files in shared memory.
-    pub(super) fn shared_memory(&self) -> impl Iterator<Item = DirEntry> + use<> {
-        let prefix = self.prefix();
-        entries(Path::new(SHARED_MEMORY)).filter(move |entry| is_named(&name_of(entry), &prefix))
-    }
-}
-
-/// Whether a file has a name of the domain with this prefix: the prefix, the 40 digits by which
-/// iceoryx2 names the type, and the rest. (The prefix of the usual folders is the beginning of all
-/// others.)
-fn is_named(name: &str, prefix: &str) -> bool {
-    let digits = name
-        .strip_prefix(prefix)
-        .and_then(|name| name.split_once('_'));
-    digits.is_some_and(|(digits, _)| {
-        digits.len() == 40 && digits.bytes().all(|byte| byte.is_ascii_hexdigit())
-    })
-}
-
-#[cfg(test)]
-mod tests {
-    use super::*;
-
-    #[test]
-    fn a_domain_knows_its_own_files() {
-        let hash = "9204dd183d1c4d8e1ff592a30766ffa6765aa8b5";
-        let (usual, other) = ("sweepd_", "sweepd_07d66707b49cd92d_");
-        assert!(is_named(
-            &format!("{usual}{hash}_node.0_10_0.global_mgmt"),
-            usual
-        ));
-        assert!(is_named(&format!("{other}{hash}_1_2.connection"), other));
-        assert!(!is_named(&format!("{other}{hash}_1_2.connection"), usual));
-        assert!(!is_named("sweepd_x", usual) && !is_named(&format!("{usual}{hash}"), usual));
-    }
 }

@@ -1,163 +1,15 @@
 //! The daemon's side: room for sweeps on loan, and the way to the consumers.
 
-use std::fmt::Debug;
-use std::sync::atomic::{AtomicBool, AtomicU64, AtomicUsize, Ordering};
-use std::sync::{Arc, Mutex, PoisonError};
+use std::sync::Arc;
 
-use super::keeper::{Keeper, SensorPool};
-use super::pool::{Loan, Pool};
-use super::{Domain, DomainError, JoinError, Preamble};
+use super::domain::Domain;
+use super::error::PublishError;
+use super::keeper::Keeper;
+use super::pool::{Loan, SensorPool};
+use super::settings::ServiceSettings;
+use super::status::PublishStatus;
 use sweepd_core::sweep::buffers::HeapBuffer;
 use sweepd_core::sweep::{Buffers, HeapBuffers};
-
-/// What is shared under which name.
-#[derive(Clone, Debug, Default, PartialEq, Eq)]
-pub struct ServiceSettings {
-    /// Name of the sensor.
-    pub name: String,
-    /// Consumers at most.
-    pub max_consumers: usize,
-    /// Model of the sensor, as far as known: an attribute for people and tools.
-    pub model: String,
-    /// Where its packets come from: another.
-    pub address: String,
-}
-
-/// Why sweeps cannot be shared.
-#[derive(Debug, thiserror::Error)]
-pub enum PublishError {
-    /// The folder, or shared memory itself.
-    #[error(transparent)]
-    Join(#[from] JoinError),
-    /// No name of a service.
-    #[error("`{name}` cannot be the name of a sensor's service: it is empty or too long")]
-    Name {
-        /// The name.
-        name: String,
-    },
-    /// Another program publishes it.
-    #[error(
-        "`{name}` is published by another program already (a daemon, or `sweepd replay --publish`); stop that one, or give \
-         this sensor another name"
-    )]
-    Taken {
-        /// The name.
-        name: String,
-    },
-    /// iceoryx2 does not come back from a call.
-    #[error(
-        "shared memory does not answer: a process that died left a file in /dev/shm that is waited for; remove the files of \
-         this domain there, whose names begin with {prefix}, and start again"
-    )]
-    Hangs {
-        /// What their names begin with.
-        prefix: String,
-    },
-    /// The pool is being made; it is there for one of the next sweeps.
-    #[error("its shared memory is being taken")]
-    Preparing,
-    /// This sweep had no room in the pool; [`PublishStatus::trouble`] says why.
-    #[error("this sweep is not in shared memory")]
-    NotShared,
-}
-
-impl PublishError {
-    pub(super) fn service(error: impl Debug) -> Self {
-        Self::refused(&format!("{error:?}"))
-    }
-
-    pub(super) fn refused(what: &str) -> Self {
-        JoinError::Service {
-            what: what.to_owned(),
-        }
-        .into()
-    }
-}
-
-impl From<DomainError> for PublishError {
-    fn from(error: DomainError) -> Self {
-        JoinError::from(error).into()
-    }
-}
-
-/// How the sharing goes, for other threads to look at.
-#[derive(Debug, Default)]
-pub struct PublishStatus {
-    consumers: AtomicUsize,
-    reserved_bytes: AtomicU64,
-    unshared: AtomicU64,
-    renewed: AtomicU64,
-    /// Whether there is a text: where all is well, no lock is taken.
-    is_troubled: AtomicBool,
-    trouble: Mutex<Option<String>>,
-    renewed_because: Mutex<Option<String>>,
-}
-
-impl PublishStatus {
-    /// Consumers at the last sweep, or a second ago.
-    pub fn consumers(&self) -> usize {
-        self.consumers.load(Ordering::Relaxed)
-    }
-
-    /// Bytes of shared memory that the pool takes.
-    pub fn reserved_bytes(&self) -> u64 {
-        self.reserved_bytes.load(Ordering::Relaxed)
-    }
-
-    /// Sweeps that found no way to the consumers.
-    pub fn unshared(&self) -> u64 {
-        self.unshared.load(Ordering::Relaxed)
-    }
-
-    /// How often the service was made again because its files were gone.
-    pub fn renewed(&self) -> u64 {
-        self.renewed.load(Ordering::Relaxed)
-    }
-
-    /// Why it was made again the last time.
-    pub fn renewed_because(&self) -> Option<String> {
-        self.renewed_because
-            .lock()
-            .unwrap_or_else(PoisonError::into_inner)
-            .clone()
-    }
-
-    /// Why sweeps are not shared at the moment.
-    pub fn trouble(&self) -> Option<String> {
-        self.trouble
-            .lock()
-            .unwrap_or_else(PoisonError::into_inner)
-            .clone()
-    }
-
-    pub(super) fn set_trouble(&self, error: &PublishError) {
-        // That nothing is shared is told with its reason, which is another; that the pool is being
-        // made is no trouble.
-        if !matches!(error, PublishError::NotShared | PublishError::Preparing) {
-            *self.trouble.lock().unwrap_or_else(PoisonError::into_inner) = Some(error.to_string());
-            self.is_troubled.store(true, Ordering::Relaxed);
-        }
-    }
-
-    pub(super) fn set_well(&self) {
-        if self.is_troubled.swap(false, Ordering::Relaxed) {
-            *self.trouble.lock().unwrap_or_else(PoisonError::into_inner) = None;
-        }
-    }
-
-    pub(super) fn set_renewed(&self, because: String) {
-        *self
-            .renewed_because
-            .lock()
-            .unwrap_or_else(PoisonError::into_inner) = Some(because);
-        self.renewed.fetch_add(1, Ordering::Relaxed);
-    }
-
-    pub(super) fn set_use(&self, consumers: usize, reserved_bytes: u64) {
-        self.consumers.store(consumers, Ordering::Relaxed);
-        self.reserved_bytes.store(reserved_bytes, Ordering::Relaxed);
-    }
-}
 
 /// Room for the sweeps of one sensor, in shared memory.
 ///
@@ -203,20 +55,31 @@ impl Loans {
     /// # Errors
     /// [`PublishError`].
     pub fn create(domain: &Domain, settings: &ServiceSettings) -> Result<Self, PublishError> {
-        Keeper::new(domain)?.open(settings, 0)
+        Self::open(&Keeper::new(domain)?, settings, 0)
     }
 
-    pub(super) fn of(keeper: Keeper, sensor_pool: Arc<SensorPool>) -> Self {
+    /// Opens the service of a sensor. `sweep_bytes` is the lower bound of its sweeps: memory that
+    /// cannot hold the pool for them is an error now. The pool itself comes with the first sweep,
+    /// or with [`Loans::reserve`].
+    ///
+    /// # Errors
+    /// [`PublishError`].
+    pub fn open(
+        keeper: &Keeper,
+        settings: &ServiceSettings,
+        sweep_bytes: usize,
+    ) -> Result<Self, PublishError> {
+        let sensor_pool = keeper.open(settings, sweep_bytes)?;
         let status = Arc::clone(&sensor_pool.status);
-        Self {
+        Ok(Self {
             shared: Some(PoolAccess {
-                keeper,
+                keeper: keeper.clone(),
                 sensor_pool,
                 waits: true,
             }),
             status,
             heap: HeapBuffers::default(),
-        }
+        })
     }
 
     /// The same for a thread that must never wait: while the pool is made, sweeps are built in
@@ -251,7 +114,7 @@ impl Loans {
         Arc::clone(&self.status)
     }
 
-    fn loan(&self, bytes: usize) -> Result<(Loan, Arc<Pool>), PublishError> {
+    fn loan(&self, bytes: usize) -> Result<Loan, PublishError> {
         let Some(PoolAccess {
             keeper,
             sensor_pool,
@@ -264,7 +127,7 @@ impl Loans {
             return loan;
         }
         let is_new = sensor_pool.want(bytes);
-        let is_troubled = self.status.is_troubled.load(Ordering::Relaxed);
+        let is_troubled = self.status.is_troubled();
         if *waits && (is_new || !is_troubled) {
             keeper.reserve(sensor_pool)?;
         } else if is_new {
@@ -285,7 +148,7 @@ impl Buffers for Loans {
 
     fn take(&mut self, bytes: usize) -> Slot {
         let memory = match self.loan(bytes) {
-            Ok((loan, pool)) => SlotMemory::Shared(loan, pool),
+            Ok(loan) => SlotMemory::Shared(loan),
             Err(why) => {
                 self.status.set_trouble(&why);
                 let sensor_pool = self
@@ -316,8 +179,7 @@ pub struct Slot {
 
 #[derive(Debug)]
 enum SlotMemory {
-    /// With its pool, which stays as long as the sweep is being filled.
-    Shared(Loan, Arc<Pool>),
+    Shared(Loan),
     Own(OwnMemory),
 }
 
@@ -335,17 +197,14 @@ struct OwnMemory {
 
 impl OwnMemory {
     /// A copy in shared memory, where that is there by now.
-    fn shared(self) -> Result<(Loan, Arc<Pool>), PublishError> {
-        let Some(loan) = self
-            .sensor_pool
-            .and_then(|sensor_pool| sensor_pool.loan(self.bytes))
-        else {
+    fn shared(self) -> Result<Loan, PublishError> {
+        let Some(loan) = self.sensor_pool.and_then(|pool| pool.loan(self.bytes)) else {
             return Err(self.why);
         };
-        let (mut loan, pool) = loan?;
+        let mut loan = loan?;
         loan.payload_mut()
             .copy_from_slice(&self.buffer.as_ref()[..self.bytes]);
-        Ok((loan, pool))
+        Ok(loan)
     }
 }
 
@@ -353,20 +212,20 @@ impl Slot {
     /// Hands the sweep to all consumers and wakes those that wait. Gives how many there are.
     ///
     /// # Errors
-    /// [`PublishError`]; the sensor goes on, and the next sweep may find its way.
+    /// [`PublishError`]; the sensor goes on, and the next sweep may be shared again.
     pub fn publish(self) -> Result<usize, PublishError> {
         let shared = match self.memory {
-            SlotMemory::Shared(loan, pool) => Ok((loan, pool)),
+            SlotMemory::Shared(loan) => Ok(loan),
             SlotMemory::Own(own) => own.shared(),
         };
-        match shared.and_then(send) {
+        match shared.and_then(Loan::send) {
             Ok(consumers) => {
-                self.status.consumers.store(consumers, Ordering::Relaxed);
+                self.status.set_consumers(consumers);
                 self.status.set_well();
                 Ok(consumers)
             }
             Err(error) => {
-                self.status.unshared.fetch_add(1, Ordering::Relaxed);
+                self.status.count_unshared();
                 self.status.set_trouble(&error);
                 Err(error)
             }
@@ -384,7 +243,7 @@ impl Slot {
         else {
             return false;
         };
-        !sensor_pool.has_pool() && !self.status.is_troubled.load(Ordering::Relaxed)
+        !sensor_pool.has_pool() && !self.status.is_troubled()
     }
 
     /// Whether its memory is shared.
@@ -393,18 +252,10 @@ impl Slot {
     }
 }
 
-fn send((mut loan, pool): (Loan, Arc<Pool>)) -> Result<usize, PublishError> {
-    *loan.user_header_mut() = Preamble::of(loan.payload().len());
-    let sent = loan.send().map_err(PublishError::service);
-    // A listener whose buffer is full was woken before; one that is gone needs nothing.
-    let _ = pool.notifier.notify();
-    sent
-}
-
 impl AsRef<[u8]> for Slot {
     fn as_ref(&self) -> &[u8] {
         match &self.memory {
-            SlotMemory::Shared(loan, _) => loan.payload(),
+            SlotMemory::Shared(loan) => loan.payload(),
             SlotMemory::Own(own) => own.buffer.as_ref(),
         }
     }
@@ -413,7 +264,7 @@ impl AsRef<[u8]> for Slot {
 impl AsMut<[u8]> for Slot {
     fn as_mut(&mut self) -> &mut [u8] {
         match &mut self.memory {
-            SlotMemory::Shared(loan, _) => loan.payload_mut(),
+            SlotMemory::Shared(loan) => loan.payload_mut(),
             SlotMemory::Own(own) => own.buffer.as_mut(),
         }
     }

@@ -4,7 +4,8 @@
 
 use std::fs::File;
 use std::io;
-use std::sync::Arc;
+use std::sync::atomic::{AtomicUsize, Ordering};
+use std::sync::{Arc, Mutex};
 
 use iceoryx2::port::notifier::Notifier;
 use iceoryx2::port::publisher::Publisher;
@@ -14,19 +15,20 @@ use iceoryx2::sample_mut::SampleMut;
 use iceoryx2::service::port_factory::PortFactory as _;
 use iceoryx2::service::port_factory::publish_subscribe::PortFactory;
 
+use super::domain::Domain;
+use super::error::{JoinError, PublishError};
 use super::files::SharedFile;
-use super::loans::PublishError;
-use super::{Domain, Ipc, JoinError, LOANED, OVERHEAD_BYTES, Preamble, require_free, sys};
-
-/// A sweep in shared memory that no consumer sees yet.
-pub(super) type Loan = SampleMut<Ipc, [u8], Preamble>;
+use super::node::require_free;
+use super::settings::{Ipc, LOANED, OVERHEAD_BYTES, Preamble, ServiceSettings, pool_bytes};
+use super::status::{PublishStatus, lock};
+use super::sys;
 
 /// Room for as many sweeps as all consumers may hold, and two more.
 #[derive(Debug)]
 pub(super) struct Pool {
     publisher: Publisher<Ipc, [u8], Preamble>,
     /// Wakes consumers that wait for a sweep.
-    pub(super) notifier: Arc<Notifier<Ipc>>,
+    notifier: Arc<Notifier<Ipc>>,
     /// Bytes of the largest sweep.
     pub(super) sweep_bytes: usize,
     /// Bytes of all of it.
@@ -43,7 +45,7 @@ impl Pool {
         domain: &Domain,
         sweep_bytes: usize,
     ) -> Result<Self, PublishError> {
-        let wanted = super::pool_bytes(service.static_config().max_subscribers(), sweep_bytes);
+        let wanted = pool_bytes(service.static_config().max_subscribers(), sweep_bytes);
         // The first pages are written before all can be taken, so they must be there.
         require_free(wanted + OVERHEAD_BYTES)?;
         let publisher = service
@@ -74,20 +76,94 @@ impl Pool {
     }
 
     /// Room for one sweep; what it holds at first is anything.
-    pub(super) fn loan(&self, bytes: usize) -> Result<Loan, PublishError> {
+    fn loan(self: Arc<Self>, bytes: usize) -> Result<Loan, PublishError> {
         let sample = self
             .publisher
             .loan_slice_uninit(bytes)
             .map_err(PublishError::service)?;
         // SAFETY: the pages of the pool were made by the system, zeroed, or written as sweeps
         // since: any byte of them is a byte.
-        Ok(unsafe { sample.assume_init() })
+        let sample = unsafe { sample.assume_init() };
+        Ok(Loan { sample, pool: self })
     }
 
     /// Brings consumers that came since into touch with this pool.
     pub(super) fn greet(&self) {
         // Fails for a consumer that is gone already, which is no fault of the others.
         let _ = self.publisher.update_connections();
+    }
+}
+
+/// A sweep in shared memory that no consumer sees yet. The pool stays as long as the sweep is being
+/// filled: it is dropped last.
+#[derive(Debug)]
+pub(super) struct Loan {
+    sample: SampleMut<Ipc, [u8], Preamble>,
+    pool: Arc<Pool>,
+}
+
+impl Loan {
+    pub(super) fn payload(&self) -> &[u8] {
+        self.sample.payload()
+    }
+
+    pub(super) fn payload_mut(&mut self) -> &mut [u8] {
+        self.sample.payload_mut()
+    }
+
+    /// Hands the sweep to all consumers and wakes those that wait. Gives how many there are.
+    pub(super) fn send(mut self) -> Result<usize, PublishError> {
+        *self.sample.user_header_mut() = Preamble::of(self.sample.payload().len());
+        let sent = self.sample.send().map_err(PublishError::service);
+        // A listener whose buffer is full was woken before; one that is gone needs nothing.
+        let _ = self.pool.notifier.notify();
+        sent
+    }
+}
+
+/// Where the thread of a sensor finds its pool.
+#[derive(Debug)]
+pub(super) struct SensorPool {
+    pub(super) settings: ServiceSettings,
+    pool: Mutex<Option<Arc<Pool>>>,
+    /// Bytes of the newest sweep that no pool had room for.
+    wanted: AtomicUsize,
+    pub(super) status: Arc<PublishStatus>,
+}
+
+impl SensorPool {
+    /// Without a pool yet.
+    pub(super) fn new(settings: ServiceSettings) -> Self {
+        Self {
+            settings,
+            pool: Mutex::default(),
+            wanted: AtomicUsize::new(0),
+            status: Arc::default(),
+        }
+    }
+
+    /// Bytes of the newest sweep that no pool had room for.
+    pub(super) fn wanted(&self) -> usize {
+        self.wanted.load(Ordering::Relaxed)
+    }
+
+    /// Notes that there is no room for sweeps of this many bytes; whether that is new.
+    pub(super) fn want(&self, bytes: usize) -> bool {
+        self.wanted.swap(bytes, Ordering::Relaxed) != bytes
+    }
+
+    /// Room for one sweep; `None` where no pool has any for this many bytes.
+    pub(super) fn loan(&self, bytes: usize) -> Option<Result<Loan, PublishError>> {
+        let pool = lock(&self.pool).clone()?;
+        (pool.sweep_bytes >= bytes).then(|| pool.loan(bytes))
+    }
+
+    pub(super) fn has_pool(&self) -> bool {
+        lock(&self.pool).is_some()
+    }
+
+    pub(super) fn set_pool(&self, pool: Option<Arc<Pool>>) {
+        *lock(&self.pool) = pool;
     }
 }
 

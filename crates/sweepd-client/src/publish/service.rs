@@ -13,15 +13,16 @@ use iceoryx2::service::attribute::{AttributeKey, AttributeValue};
 use iceoryx2::service::port_factory::event;
 use iceoryx2::service::port_factory::publish_subscribe;
 
+use super::domain::{Domain, DomainError};
+use super::error::{JoinError, PublishError};
 use super::files::{FileState, ServiceFile, SharedFile};
 use super::leftovers::{self, ABANDONED_AFTER};
-use super::loans::{PublishError, ServiceSettings};
+use super::node::node;
 use super::pool::Pool;
-use super::{
-    BORROWED, BUFFERED, Domain, DomainError, HISTORY, Ipc, JoinError, MORE_NODES, OVERHEAD_BYTES,
-    PUBLISHERS, Preamble,
+use super::settings::{
+    BORROWED, BUFFERED, HISTORY, Ipc, MORE_NODES, OVERHEAD_BYTES, PUBLISHERS, Preamble,
+    ServiceSettings, attribute, attributes, service_name,
 };
-use super::{attribute, attributes, node, service_name};
 use sweepd_core::sweep::layout::LAYOUT_VERSION;
 
 /// Attempts at opening a service: what is in the way is removed after each.

@@ -17,12 +17,14 @@ use iceoryx2::service::port_factory::PortFactory as _;
 use iceoryx2::service::port_factory::publish_subscribe::PortFactory;
 use iceoryx2::service::static_config::messaging_pattern::MessagingPattern as Details;
 
+use super::domain::{Domain, DomainError};
+use super::error::JoinError;
 use super::files::{FileState, ServiceFile};
-use super::{
-    BORROWED, Domain, DomainError, Ipc, JoinError, OVERHEAD_BYTES, Preamble, attributes, leftovers,
-    node,
+use super::leftovers;
+use super::node::node;
+use super::settings::{
+    BORROWED, Ipc, OVERHEAD_BYTES, Preamble, attributes, same_schema, sensor_name, service_name,
 };
-use super::{same_schema, sensor_name, service_name};
 use sweepd_core::sweep::layout::{LAYOUT_VERSION, LayoutError};
 
 /// The longest that is slept at once: then it is looked whether everything is still there.
