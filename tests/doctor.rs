@@ -13,8 +13,8 @@ use std::time::{Duration, Instant};
 use domain::Own;
 use serde_json::{Value, json};
 use stream::Spin;
-use sweepd::doctor::observe::Heard;
-use sweepd::doctor::plan::{Expected, PortPlan};
+use sweepd::doctor::observe::PortResult;
+use sweepd::doctor::plan::{ExpectedSensor, PortPlan};
 use sweepd::doctor::{Finding, Observations, Plan, Severity, Topic, diagnose, examine};
 use sweepd::sensor::Model;
 use sweepd::simulate::{Emitter, EmitterConfig, fixtures};
@@ -192,7 +192,7 @@ fn what_is_configured_is_held_against_what_comes() {
             .port()
     };
     let ports: Vec<u16> = [0, 1].iter().map(free).collect();
-    let expected = |name: &str, address| Expected {
+    let expected = |name: &str, address| ExpectedSensor {
         name: name.to_owned(),
         address: IpAddr::V4(address),
         source_port: None,
@@ -382,7 +382,7 @@ fn a_daemon_that_holds_the_ports_is_asked() {
     };
     let observed = seen(plan, None, &[]);
     server.join().unwrap();
-    assert!(matches!(observed.ports[0].heard, Heard::Taken(_)));
+    assert!(matches!(observed.ports[0].result, PortResult::Taken(_)));
     let findings = found(&observed);
     has(
         &findings,

@@ -11,7 +11,6 @@ use super::CliError;
 use super::options::{Listening, within};
 use crate::daemon::config::Config;
 use crate::doctor::diagnose::sweep_bytes;
-use crate::doctor::observe::Sensor;
 use crate::doctor::plan::HEALTH;
 use crate::doctor::{ExamineError, Finding, Observations, Plan, Severity, diagnose, examine};
 use sweepd_client::publish::pool_sweeps;
@@ -80,13 +79,13 @@ impl Args {
 struct JsonReport<'a> {
     well: bool,
     seconds: f64,
-    sensors: Vec<SensorLine>,
+    sensors: Vec<SensorReport>,
     findings: &'a [Finding],
 }
 
-/// A sensor from which packets came.
+/// A sensor that sends data.
 #[derive(Serialize)]
-struct SensorLine {
+struct SensorReport {
     source: String,
     port: u16,
     model: Option<String>,
@@ -121,7 +120,7 @@ pub fn run(args: &Args) -> Result<(), CliError> {
     let printed = if args.json {
         print_json(&seen, &findings, well)
     } else {
-        print(&seen, &findings, well)
+        print(&seen, &findings)
     };
     printed.map_err(CliError::Stdout)?;
     if well {
@@ -145,12 +144,10 @@ fn announce(ports: &[u16], args: &Args) {
 }
 
 fn print_json(seen: &Observations, findings: &[Finding], well: bool) -> io::Result<()> {
-    let seconds = seen.seconds;
-    let sensors = seen.sensors.iter();
     let report = JsonReport {
         well,
-        seconds,
-        sensors: sensors.map(|one| SensorLine::of(one, seconds)).collect(),
+        seconds: seen.seconds,
+        sensors: sensor_reports(seen),
         findings,
     };
     let mut stdout = io::stdout().lock();
@@ -158,81 +155,57 @@ fn print_json(seen: &Observations, findings: &[Finding], well: bool) -> io::Resu
     stdout.write_all(b"\n")
 }
 
-fn print(seen: &Observations, findings: &[Finding], well: bool) -> io::Result<()> {
+fn print(seen: &Observations, findings: &[Finding]) -> io::Result<()> {
     let mut stdout = io::stdout().lock();
-    for sensor in &seen.sensors {
-        let SensorLine {
-            source,
-            port,
-            model,
-            return_mode,
-            rpm,
-            packets_per_s,
-            ..
-        } = SensorLine::of(sensor, seen.seconds);
-        let mut line = model.unwrap_or_else(|| "unknown model".to_owned());
-        if let Some(mode) = return_mode {
-            line += &format!(", {mode}");
+    for sensor in sensor_reports(seen) {
+        let model = sensor.model.as_deref().unwrap_or("unknown model");
+        write!(stdout, "{} to port {}: {model}", sensor.source, sensor.port)?;
+        if let Some(mode) = sensor.return_mode {
+            write!(stdout, ", {mode}")?;
         }
-        if let Some(rpm) = rpm {
-            line += &format!(", {rpm:.0} rpm");
+        if let Some(rpm) = sensor.rpm {
+            write!(stdout, ", {rpm:.0} rpm")?;
         }
-        writeln!(
-            stdout,
-            "{source} to port {port}: {line}, {packets_per_s:.0} packets a second"
-        )?;
+        writeln!(stdout, ", {:.0} packets a second", sensor.packets_per_s)?;
     }
     for expected in &seen.plan.sensors {
-        let name = &expected.name;
         let sweeps = pool_sweeps(expected.max_consumers);
         let bytes = sweep_bytes(expected, seen);
         let mib = (bytes * sweeps as u64) as f64 / f64::from(1 << 20);
         writeln!(
             stdout,
-            "{name}: takes {mib:.1} MiB of shared memory, {sweeps} sweeps of {bytes} bytes"
+            "{}: takes {mib:.1} MiB of shared memory, {sweeps} sweeps of {bytes} bytes",
+            expected.name
         )?;
     }
-    for Finding {
-        severity,
-        what,
-        cure,
-        ..
-    } in findings
-    {
-        let severity = match severity {
+    for finding in findings {
+        let severity = match finding.severity {
             Severity::Error => "error",
             Severity::Warning => "warning",
             Severity::Note => "note",
         };
-        writeln!(stdout, "{severity}: {what}")?;
-        for step in cure.lines() {
+        writeln!(stdout, "{severity}: {}", finding.what)?;
+        for step in finding.cure.lines() {
             writeln!(stdout, "    {step}")?;
         }
     }
-    match findings
-        .iter()
-        .filter(|finding| finding.is_trouble())
-        .count()
-    {
-        _ if well => writeln!(stdout, "all well"),
+    match findings.iter().filter(|one| one.is_trouble()).count() {
+        0 => writeln!(stdout, "all well"),
         1 => writeln!(stdout, "1 thing is wrong"),
         count => writeln!(stdout, "{count} things are wrong, the worst first"),
     }
 }
 
-impl SensorLine {
-    fn of(sensor: &Sensor, seconds: f64) -> Self {
-        Self {
-            source: sensor
-                .source
-                .map_or_else(String::new, |source| source.to_string()),
-            port: sensor.port,
-            model: sensor.model.map(|model| model.to_string()),
-            return_mode: sensor.return_mode.map(|mode| mode.name()),
-            rpm: sensor.rpm.map(|(least, most)| (least + most) / 2.0),
-            packets: sensor.counts.data,
-            packets_per_s: (sensor.counts.data as f64 / seconds).round(),
-            lost: sensor.counts.lost,
-        }
-    }
+fn sensor_reports(seen: &Observations) -> Vec<SensorReport> {
+    let reports = seen.sensors.iter().map(|sensor| SensorReport {
+        source: sensor.source.to_string(),
+        port: sensor.port,
+        model: sensor.model.map(|model| model.to_string()),
+        return_mode: sensor.return_mode.map(|mode| mode.name()),
+        rpm: sensor.mean_rpm(),
+        packets: sensor.counts.data,
+        packets_per_s: (sensor.counts.data as f64 / seen.seconds).round(),
+        lost: sensor.counts.lost,
+    });
+    reports.collect()
 }

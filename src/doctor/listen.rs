@@ -4,10 +4,10 @@
 use std::net::{IpAddr, SocketAddr};
 use std::time::{Duration, Instant};
 
-use super::observe::{Heard, Port, PositionSender, Sensor};
+use super::observe::{ObservedPort, ObservedSensor, PortResult, PositionSender};
 use super::plan::Plan;
 use crate::admission::{DiscoveredSensors, Refusal, Route};
-use crate::capture::{UdpError, UdpSource};
+use crate::capture::{UdpConfig, UdpError, UdpSource};
 use crate::cure::{Dialect, explain};
 use sweepd_core::pipeline::{Config, Notice, Pipeline};
 use sweepd_core::segment::ConfigError;
@@ -22,35 +22,43 @@ const MAX_POSITIONS: usize = 64;
 /// Longest wait on one port while others may have something.
 const TURN: Duration = Duration::from_millis(10);
 
-/// What was heard.
-pub struct Listened {
+/// What was received.
+pub struct Received {
     /// By port of the plan.
-    pub ports: Vec<Port>,
+    pub ports: Vec<ObservedPort>,
     /// Senders of data packets.
-    pub sensors: Vec<Sensor>,
+    pub sensors: Vec<ObservedSensor>,
     /// Senders of position packets.
     pub positions: Vec<PositionSender>,
 }
 
+impl Received {
+    /// Whether no packet came.
+    pub fn is_empty(&self) -> bool {
+        self.sensors.is_empty() && self.positions.is_empty()
+    }
+}
+
 /// An open port.
-struct Ear {
+struct Listener {
     source: UdpSource,
     admission: DiscoveredSensors,
+    /// Senders of datagrams that are no packets.
     others: Vec<(SocketAddr, u64)>,
     /// By number of the sender.
-    patients: Vec<Patient>,
+    sensors: Vec<DecodedSensor>,
 }
 
 /// A sensor, and the pipeline that decodes it.
-struct Patient {
-    seen: Sensor,
+struct DecodedSensor {
+    observed: ObservedSensor,
     pipeline: Pipeline,
     memory: Memory<HeapBuffers>,
     sweeps: u64,
 }
 
-/// Opens all ports of the plan and listens for so long. `opened` is told the ports that could be
-/// opened before anything is received.
+/// Opens all ports of the plan and listens for a time. `opened` gets the ports that could be opened
+/// before anything is received.
 ///
 /// # Errors
 /// [`UdpError`], when a port fails that could be opened.
@@ -58,96 +66,105 @@ pub fn listen(
     plan: &Plan,
     lasting: Duration,
     opened: impl FnOnce(&[u16]),
-) -> Result<Listened, UdpError> {
-    let mut ears: Vec<Result<Ear, Heard>> = plan
+) -> Result<Received, UdpError> {
+    let mut listeners: Vec<Result<Listener, PortResult>> = plan
         .ports
         .iter()
-        .map(|port| Ear::open(&port.udp()))
+        .map(|port| Listener::open(&port.udp()))
         .collect();
-    let numbers: Vec<u16> = ears
-        .iter()
-        .flatten()
-        .map(|ear| ear.source.local_addr().port())
-        .collect();
-    opened(&numbers);
+    let ports: Vec<u16> = listeners.iter().flatten().map(Listener::port).collect();
+    opened(&ports);
     let mut positions = Vec::new();
     let until = Instant::now() + lasting;
-    while !numbers.is_empty() && Instant::now() < until {
-        for index in 0..ears.len() {
-            let Ok(ear) = &mut ears[index] else { continue };
-            let heard = ear.hear(&mut positions)?;
+    while !ports.is_empty() && Instant::now() < until {
+        for index in 0..listeners.len() {
+            let Ok(listener) = &mut listeners[index] else {
+                continue;
+            };
             // GPS time goes to the sensor of the same address, on whichever port its data comes.
-            for (address, packet) in heard {
-                let patients = ears.iter_mut().flatten().flat_map(|ear| &mut ear.patients);
-                patients
-                    .filter(|patient| patient.is_at(address))
-                    .for_each(|patient| patient.takes(&packet));
+            for (address, packet) in listener.receive(&mut positions)? {
+                for sensor in listeners
+                    .iter_mut()
+                    .flatten()
+                    .flat_map(|one| &mut one.sensors)
+                {
+                    if sensor.observed.source.ip() == address.to_canonical() {
+                        sensor.push(&packet);
+                    }
+                }
             }
         }
     }
-    let mut listened = Listened {
+    let mut received = Received {
         ports: Vec::new(),
         sensors: Vec::new(),
         positions,
     };
-    for (plan, ear) in plan.ports.iter().zip(ears) {
+    for (plan, listener) in plan.ports.iter().zip(listeners) {
         let mut plan = plan.clone();
-        let heard = match ear {
-            Ok(ear) => {
+        let result = match listener {
+            Ok(mut listener) => {
                 // Port 0 took a free one.
-                plan.port = ear.source.local_addr().port();
-                let (heard, sensors) = ear.conclude();
-                listened.sensors.extend(sensors);
-                heard
+                plan.port = listener.port();
+                let result = PortResult::Open {
+                    received: listener.source.received(),
+                    dropped: listener.source.dropped(),
+                    others: listener.others,
+                    buffer: listener.source.buffer(),
+                };
+                let sensors = listener.sensors.into_iter().map(DecodedSensor::finish);
+                received.sensors.extend(sensors);
+                result
             }
             Err(refused) => refused,
         };
-        listened.ports.push(Port { plan, heard });
+        received.ports.push(ObservedPort { plan, result });
     }
-    Ok(listened)
+    Ok(received)
 }
 
-impl Ear {
-    fn open(config: &crate::capture::UdpConfig) -> Result<Self, Heard> {
+impl Listener {
+    fn open(config: &UdpConfig) -> Result<Self, PortResult> {
         match UdpSource::bind(config) {
             Ok(source) => Ok(Self {
                 source,
                 admission: DiscoveredSensors::default(),
                 others: Vec::new(),
-                patients: Vec::new(),
+                sensors: Vec::new(),
             }),
-            Err(error @ UdpError::PortTaken { .. }) => Err(Heard::Taken(error.to_string())),
-            Err(error) => Err(Heard::Refused(error.to_string())),
+            Err(error @ UdpError::PortTaken { .. }) => Err(PortResult::Taken(error.to_string())),
+            Err(error) => Err(PortResult::Refused(error.to_string())),
         }
     }
 
-    /// Takes what is there. Gives the position packets back, with the address of each.
-    fn hear(
+    fn port(&self) -> u16 {
+        self.source.local_addr().port()
+    }
+
+    /// Takes what has come. Returns the position packets, with the address of each.
+    fn receive(
         &mut self,
         positions: &mut Vec<PositionSender>,
     ) -> Result<Vec<(IpAddr, Packet<'static>)>, UdpError> {
-        let mut telemetry = Vec::new();
+        let mut for_sensors = Vec::new();
         for datagram in self.source.receive(TURN)? {
             match self.admission.admit(&datagram) {
                 Ok((Route::Data(index), packet)) => {
-                    while let Some(sender) = self.admission.senders().get(self.patients.len()) {
-                        // Nobody asks for another segmentation than the usual one, which is
-                        // possible.
-                        let Ok(patient) = Patient::new(sender.source, sender.destination_port)
-                        else {
-                            break;
-                        };
-                        self.patients.push(patient);
+                    while let Some(sender) = self.admission.senders().get(self.sensors.len()) {
+                        let new = DecodedSensor::new(sender.source, sender.destination_port);
+                        // The usual segmentation, which it asks for, is possible.
+                        let Ok(new) = new else { break };
+                        self.sensors.push(new);
                     }
-                    if let Some(patient) = self.patients.get_mut(index) {
-                        patient.takes(&packet);
+                    if let Some(sensor) = self.sensors.get_mut(index) {
+                        sensor.push(&packet);
                     }
                 }
                 Ok((Route::Position(_), packet)) => {
                     let address = datagram.source.ip();
                     note_position(positions, address, &packet);
                     if let Some(packet) = packet.without_sentence() {
-                        telemetry.push((address, packet));
+                        for_sensors.push((address, packet));
                     }
                 }
                 // A sensor beyond those that are told apart is none of the others.
@@ -155,98 +172,71 @@ impl Ear {
                 Err(_) => note_other(&mut self.others, datagram.source),
             }
         }
-        Ok(telemetry)
-    }
-
-    fn conclude(mut self) -> (Heard, Vec<Sensor>) {
-        let (received, dropped, buffer) = (
-            self.source.received(),
-            self.source.dropped(),
-            self.source.buffer(),
-        );
-        let sensors = self.patients.into_iter().map(Patient::conclude).collect();
-        (
-            Heard::All {
-                received,
-                dropped,
-                others: self.others,
-                buffer,
-            },
-            sensors,
-        )
+        Ok(for_sensors)
     }
 }
 
-impl Patient {
+impl DecodedSensor {
     fn new(source: SocketAddr, port: u16) -> Result<Self, ConfigError> {
         let mut config = Config::default();
         // The labels are not used.
-        (config.segment.min_range_m, config.segment.max_range_m) = (0.0, 0.01);
-        let pipeline = Pipeline::new("", config)?;
+        config.segment.min_range_m = 0.0;
+        config.segment.max_range_m = 0.01;
         Ok(Self {
-            seen: Sensor {
-                source: Some(source),
-                port,
-                ..Sensor::default()
-            },
-            pipeline,
+            observed: ObservedSensor::new(source, port),
+            pipeline: Pipeline::new("", config)?,
             memory: Memory::default(),
             sweeps: 0,
         })
     }
 
-    fn takes(&mut self, packet: &Packet<'_>) {
+    fn push(&mut self, packet: &Packet<'_>) {
         if let Err(fault) = self.pipeline.push(packet) {
-            self.seen.fault = Some(explain(&fault, Dialect::Configuration));
+            self.observed.fault = Some(explain(&fault, Dialect::Configuration));
         }
         while let Some(bytes) = self.pipeline.poll(&mut self.memory) {
             if let Ok(sweep) = SweepRef::open(bytes.as_ref()) {
-                self.sees(&sweep);
+                self.observe(&sweep);
             }
         }
         for notice in self.pipeline.take_notices() {
             match notice {
-                Notice::AwaitsCalibration => self.seen.awaits_calibration = true,
-                Notice::Calibrated { .. } => self.seen.awaits_calibration = false,
+                Notice::AwaitsCalibration => self.observed.awaits_calibration = true,
+                Notice::Calibrated { .. } => self.observed.awaits_calibration = false,
                 Notice::OtherCalibration { .. } => {}
             }
         }
     }
 
-    fn is_at(&self, address: IpAddr) -> bool {
-        self.seen
-            .source
-            .is_some_and(|source| source.ip() == address.to_canonical())
-    }
-
-    fn sees(&mut self, sweep: &SweepRef<'_>) {
-        let (seen, header) = (&mut self.seen, sweep.header);
-        seen.return_mode = Some(header.return_mode());
+    fn observe(&mut self, sweep: &SweepRef<'_>) {
+        let observed = &mut self.observed;
+        let header = sweep.header;
+        observed.return_mode = Some(header.return_mode());
         if header.time_source() == TimeSource::Gps {
             let end_ns = header.time_ns + header.duration_ns as i64;
-            seen.host_ahead_s = Some((header.arrival_ns - end_ns) as f64 * 1e-9);
+            observed.host_ahead_s = Some((header.arrival_ns - end_ns) as f64 * 1e-9);
         }
         self.sweeps += 1;
         // The first one begins anywhere.
         if self.sweeps > 1 {
-            seen.flags |= header.flags;
+            observed.flags |= header.flags;
         }
         if !header.has(flags::PARTIAL) {
-            let (least, most) = seen.rpm.unwrap_or((header.rpm, header.rpm));
-            seen.rpm = Some((least.min(header.rpm), most.max(header.rpm)));
-            seen.whole_sweeps += 1;
+            let (least, most) = observed.rpm.unwrap_or((header.rpm, header.rpm));
+            observed.rpm = Some((least.min(header.rpm), most.max(header.rpm)));
+            observed.whole_sweeps += 1;
         }
     }
 
-    fn conclude(mut self) -> Sensor {
-        let detection = self.pipeline.detection();
-        self.seen.counts = self.pipeline.counts();
-        self.seen.model = detection.map(|detection| detection.model);
-        self.seen.return_mode = self
-            .seen
-            .return_mode
-            .or(detection.map(|detection| detection.return_mode));
-        self.seen
+    fn finish(mut self) -> ObservedSensor {
+        self.observed.counts = self.pipeline.counts();
+        if let Some(detection) = self.pipeline.detection() {
+            self.observed.model = Some(detection.model);
+            self.observed
+                .return_mode
+                .get_or_insert(detection.return_mode);
+        }
+        self.observed
     }
 }
 
@@ -264,7 +254,9 @@ fn note_position(positions: &mut Vec<PositionSender>, address: IpAddr, packet: &
     };
     let fix = position.nmea.map(|_| rmc.is_some_and(|rmc| rmc.valid));
     if let Some(known) = positions.iter_mut().find(|known| known.address == address) {
-        (known.packets, known.pps, known.fix) = (known.packets + 1, position.pps, fix);
+        known.packets += 1;
+        known.pps = position.pps;
+        known.fix = fix;
     } else if positions.len() < MAX_POSITIONS {
         positions.push(PositionSender {
             address,

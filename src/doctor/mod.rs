@@ -21,17 +21,18 @@ mod sys;
 pub mod web;
 
 use std::io;
-use std::net::{IpAddr, Ipv4Addr};
+use std::net::Ipv4Addr;
 use std::time::Duration;
 
 use serde::Serialize;
 
 use crate::capture::UdpError;
-use observe::{Heard, Sensor};
+use observe::PortResult;
 
 pub use diagnose::diagnose;
 pub use observe::Observations;
 pub use plan::Plan;
+use plan::ipv4;
 
 /// How bad it is.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, PartialOrd, Ord, Serialize)]
@@ -123,8 +124,8 @@ pub enum ExamineError {
     System(#[from] io::Error),
 }
 
-/// Listens for so long, looks around, and asks the sensors at this port of theirs, unless it is
-/// `None`. `opened` is told the ports that are listened on, once they are.
+/// Listens for a time, examines this host, and asks the sensors' web pages at a port, unless it is
+/// `None`. `opened` gets the ports that are listened on, once they are.
 ///
 /// # Errors
 /// [`ExamineError`]; whatever is wrong with sensors, network and host is an observation and no
@@ -135,20 +136,14 @@ pub fn examine(
     web_port: Option<u16>,
     opened: impl FnOnce(&[u16]),
 ) -> Result<Observations, ExamineError> {
-    let listen::Listened {
-        ports,
-        sensors,
-        positions,
-    } = listen::listen(&plan, lasting, opened)?;
-    let is_taken = ports
-        .iter()
-        .any(|port| matches!(port.heard, Heard::Taken(_)));
+    let received = listen::listen(&plan, lasting, opened)?;
+    let is_taken = (received.ports.iter()).any(|port| matches!(port.result, PortResult::Taken(_)));
     let daemon = match plan.health {
         Some(address) if is_taken => Some(health::ask(address)),
         None if is_taken => Some(Err("its configuration has no `http`".to_owned())),
         // A daemon may have other ports than the usual ones. Where there is none, silence is the
         // finding.
-        Some(address) if plan.is_usual() && sensors.is_empty() && positions.is_empty() => {
+        Some(address) if plan.is_usual() && received.is_empty() => {
             health::ask(address).ok().map(Ok)
         }
         _ => None,
@@ -157,42 +152,34 @@ pub fn examine(
     let mut seen = Observations {
         plan,
         seconds: lasting.as_secs_f64(),
-        ports,
-        sensors,
-        positions,
+        ports: received.ports,
+        sensors: received.sensors,
+        positions: received.positions,
         host,
         web: Vec::new(),
         daemon,
     };
     if let Some(port) = web_port {
-        seen.web = web::ask(&whom_to_ask(&seen), port)?;
+        seen.web = web::ask(&addresses_to_ask(&seen), port)?;
     }
     Ok(seen)
 }
 
 /// Addresses that may have a web page: senders that were heard, named sensors, or a sensor as it
 /// leaves the factory; no HDL-64E.
-fn whom_to_ask(seen: &Observations) -> Vec<Ipv4Addr> {
-    let may_answer = |sensor: &&Sensor| !sensor.model.is_some_and(|model| model.is_hdl64e());
-    let heard = seen
-        .sensors
-        .iter()
-        .filter(may_answer)
-        .filter_map(|sensor| Some(sensor.source?.ip()));
-    let positions = seen.positions.iter().map(|sender| sender.address);
-    let heard = heard.chain(positions).filter_map(|address| match address {
-        IpAddr::V4(address) => Some(address),
-        IpAddr::V6(_) => None,
-    });
-    let mut whom: Vec<Ipv4Addr> = seen.plan.ask.iter().copied().chain(heard).collect();
-    whom.sort_unstable();
-    whom.dedup();
-    whom.truncate(MAX_ASKED);
-    if whom.is_empty()
-        && seen.daemon.is_none()
-        && seen.host.interfaces.iter().any(|one| one.reaches(FACTORY))
-    {
-        whom.push(FACTORY);
+fn addresses_to_ask(seen: &Observations) -> Vec<Ipv4Addr> {
+    let senders = (seen.sensors.iter())
+        .filter(|sensor| !sensor.model.is_some_and(|model| model.is_hdl64e()))
+        .map(|sensor| sensor.source.ip());
+    let position_senders = seen.positions.iter().map(|sender| sender.address);
+    let mut addresses = seen.plan.ask.clone();
+    addresses.extend(ipv4(senders.chain(position_senders)));
+    addresses.sort_unstable();
+    addresses.dedup();
+    addresses.truncate(MAX_ASKED);
+    let reaches_factory = seen.host.interfaces.iter().any(|one| one.reaches(FACTORY));
+    if addresses.is_empty() && seen.daemon.is_none() && reaches_factory {
+        addresses.push(FACTORY);
     }
-    whom
+    addresses
 }

@@ -5,7 +5,7 @@ use std::path::PathBuf;
 
 use serde_json::Value;
 
-use super::plan::{Plan, PortPlan};
+use super::plan::{ExpectedSensor, Plan, PortPlan};
 use crate::capture::udp::ReceiveBuffer;
 use sweepd_core::pipeline::Counts;
 use sweepd_core::sensor::Model;
@@ -20,9 +20,9 @@ pub struct Observations {
     /// For how long was listened, seconds.
     pub seconds: f64,
     /// By port of the plan.
-    pub ports: Vec<Port>,
+    pub ports: Vec<ObservedPort>,
     /// Senders of data packets.
-    pub sensors: Vec<Sensor>,
+    pub sensors: Vec<ObservedSensor>,
     /// Senders of position packets.
     pub positions: Vec<PositionSender>,
     /// This host.
@@ -34,20 +34,64 @@ pub struct Observations {
     pub daemon: Option<Result<Value, String>>,
 }
 
-/// A port.
-#[derive(Clone, Debug)]
-pub struct Port {
-    /// Which.
-    pub plan: PortPlan,
-    /// What came of it.
-    pub heard: Heard,
+impl Observations {
+    /// The sender of data packets at an address.
+    pub fn sensor_at(&self, address: IpAddr) -> Option<&ObservedSensor> {
+        self.sensors.iter().find(|one| one.source.ip() == address)
+    }
+
+    /// The sender that is taken for a configured sensor.
+    pub fn sensor_of(&self, expected: &ExpectedSensor) -> Option<&ObservedSensor> {
+        self.sensors.iter().find(|one| one.matches(expected))
+    }
+
+    /// The web page at an address.
+    pub fn web_at(&self, address: IpAddr) -> Option<&Web> {
+        self.web.iter().find(|web| web.address == address)
+    }
+
+    /// The sender of position packets at an address.
+    pub fn position_sender(&self, address: IpAddr) -> Option<&PositionSender> {
+        self.positions.iter().find(|one| one.address == address)
+    }
+
+    /// Whether a port is in the plan.
+    pub fn has_port(&self, port: u16) -> bool {
+        self.ports.iter().any(|one| one.plan.port == port)
+    }
+
+    /// The ports of the plan: "2368, 8308".
+    pub fn port_list(&self) -> String {
+        let ports: Vec<String> = self
+            .ports
+            .iter()
+            .map(|port| port.plan.port.to_string())
+            .collect();
+        ports.join(", ")
+    }
 }
 
-/// What came of listening on a port.
+/// A port of the plan.
 #[derive(Clone, Debug)]
-pub enum Heard {
+pub struct ObservedPort {
+    /// What should be there.
+    pub plan: PortPlan,
+    /// The result of listening.
+    pub result: PortResult,
+}
+
+impl ObservedPort {
+    /// Whether it was listened on.
+    pub fn is_open(&self) -> bool {
+        matches!(self.result, PortResult::Open { .. })
+    }
+}
+
+/// The result of listening on a port.
+#[derive(Clone, Debug)]
+pub enum PortResult {
     /// It was listened on.
-    All {
+    Open {
         /// Datagrams of any kind.
         received: u64,
         /// Datagrams that the kernel dropped.
@@ -64,10 +108,10 @@ pub enum Heard {
 }
 
 /// A sender of data packets.
-#[derive(Clone, Debug, Default)]
-pub struct Sensor {
+#[derive(Clone, Debug)]
+pub struct ObservedSensor {
     /// Where it sends from.
-    pub source: Option<SocketAddr>,
+    pub source: SocketAddr,
     /// The port it sends to.
     pub port: u16,
     /// What became of its packets.
@@ -88,6 +132,42 @@ pub struct Sensor {
     pub flags: u32,
     /// How far the host's clock is ahead of UTC by GPS, seconds, where GPS vouches for it.
     pub host_ahead_s: Option<f64>,
+}
+
+impl ObservedSensor {
+    /// A sender of which nothing is known yet.
+    pub fn new(source: SocketAddr, port: u16) -> Self {
+        Self {
+            source,
+            port,
+            counts: Counts::default(),
+            model: None,
+            fault: None,
+            return_mode: None,
+            awaits_calibration: false,
+            whole_sweeps: 0,
+            rpm: None,
+            flags: 0,
+            host_ahead_s: None,
+        }
+    }
+
+    /// Whether it is taken for a configured sensor.
+    pub fn matches(&self, expected: &ExpectedSensor) -> bool {
+        expected.address == self.source.ip()
+            && expected.port == self.port
+            && (expected.source_port).is_none_or(|port| port == self.source.port())
+    }
+
+    /// Whether any sweep but the first had one of these flags.
+    pub fn has(&self, flags: u32) -> bool {
+        self.flags & flags != 0
+    }
+
+    /// Mean of the least and the greatest speed, turns a minute.
+    pub fn mean_rpm(&self) -> Option<f32> {
+        self.rpm.map(|(least, most)| (least + most) / 2.0)
+    }
 }
 
 /// A sender of position packets.
@@ -128,6 +208,29 @@ pub enum RootTrouble {
     },
 }
 
+impl Host {
+    /// Whether an interface has an address.
+    pub fn has(&self, address: Ipv4Addr) -> bool {
+        let mut own = self.interfaces.iter().flat_map(|one| &one.addresses);
+        own.any(|(own, _)| *own == address)
+    }
+
+    /// Its addresses and their interfaces: "192.168.1.100 on eth0".
+    pub fn address_list(&self) -> String {
+        let mut list: Vec<String> = Vec::new();
+        for interface in &self.interfaces {
+            for (address, _) in &interface.addresses {
+                list.push(format!("{address} on {}", interface.name));
+            }
+        }
+        if list.is_empty() {
+            "it has none".to_owned()
+        } else {
+            list.join(", ")
+        }
+    }
+}
+
 /// An interface of this host.
 #[derive(Clone, Debug, PartialEq, Eq)]
 pub struct Interface {
@@ -154,10 +257,10 @@ impl Interface {
 }
 
 /// What a sensor says of its settings.
-#[derive(Clone, Debug, Default, PartialEq)]
+#[derive(Clone, Debug, PartialEq)]
 pub struct Web {
     /// Its address.
-    pub address: Option<Ipv4Addr>,
+    pub address: Ipv4Addr,
     /// The speed it is set to, turns a minute.
     pub rpm: Option<f64>,
     /// The speed it turns at, turns a minute.
@@ -176,4 +279,22 @@ pub struct Web {
     pub lasers_on: Option<bool>,
     /// State of the pulse per second.
     pub pps: Option<String>,
+}
+
+impl Web {
+    /// A page of which nothing is known.
+    pub fn unknown(address: Ipv4Addr) -> Self {
+        Self {
+            address,
+            rpm: None,
+            measured_rpm: None,
+            returns: None,
+            view_deg: None,
+            destination: None,
+            data_port: None,
+            position_port: None,
+            lasers_on: None,
+            pps: None,
+        }
+    }
 }

@@ -18,7 +18,7 @@ pub struct Plan {
     /// Where packets should come in.
     pub ports: Vec<PortPlan>,
     /// The sensors that should be heard; whichever there are, if none is named.
-    pub sensors: Vec<Expected>,
+    pub sensors: Vec<ExpectedSensor>,
     /// Addresses whose web page is asked even if nothing is heard from them.
     pub ask: Vec<Ipv4Addr>,
     /// Folder of iceoryx2's files; `None` for the default.
@@ -42,7 +42,7 @@ pub struct PortPlan {
 
 /// A sensor that should be heard.
 #[derive(Clone, Debug, PartialEq)]
-pub struct Expected {
+pub struct ExpectedSensor {
     /// Its name.
     pub name: String,
     /// Where its packets come from.
@@ -63,7 +63,7 @@ pub struct Expected {
     pub min_points: usize,
 }
 
-impl Expected {
+impl ExpectedSensor {
     fn of(sensor: &SensorConfig) -> Self {
         Self {
             name: sensor.name.clone(),
@@ -77,25 +77,15 @@ impl Expected {
             min_points: sensor.pipeline.segment.min_points as usize,
         }
     }
-
-    /// Whether this is the sensor that sends from there to this port.
-    pub fn is_at(&self, source: SocketAddr, port: u16) -> bool {
-        self.address == source.ip()
-            && self.port == port
-            && self
-                .source_port
-                .is_none_or(|expected| expected == source.port())
-    }
 }
 
 impl PortPlan {
     fn of(port: &PortConfig, number: u16) -> Self {
-        let (multicast, interface) = (port.multicast, port.interface.clone());
         Self {
             bind: port.bind,
             port: number,
-            multicast,
-            interface,
+            multicast: port.multicast,
+            interface: port.interface.clone(),
         }
     }
 
@@ -123,14 +113,10 @@ impl Plan {
                 }
             }
         }
-        let v4 = |sensor: &SensorConfig| match sensor.address {
-            IpAddr::V4(address) => Some(address),
-            IpAddr::V6(_) => None,
-        };
         Self {
             ports,
-            sensors: config.sensors.iter().map(Expected::of).collect(),
-            ask: config.sensors.iter().filter_map(v4).collect(),
+            sensors: config.sensors.iter().map(ExpectedSensor::of).collect(),
+            ask: ipv4(config.sensors.iter().map(|sensor| sensor.address)).collect(),
             root: config.daemon.root.clone(),
             health: config.daemon.http,
         }
@@ -139,30 +125,39 @@ impl Plan {
     /// Whether no sensor and no other ports are named than those that sensors send to as they leave
     /// the factory.
     pub fn is_usual(&self) -> bool {
-        let is_usual = |port: &PortPlan| port.port == DATA_PORT || port.port == POSITION_PORT;
-        self.sensors.is_empty() && self.ports.iter().all(is_usual)
+        let usual = [DATA_PORT, POSITION_PORT];
+        self.sensors.is_empty() && self.ports.iter().all(|port| usual.contains(&port.port))
     }
 
-    /// Whatever comes to these ports.
+    /// These ports, and no sensor by name.
     pub fn of_ports(
         ports: &[u16],
         bind: Ipv4Addr,
         multicast: Option<Ipv4Addr>,
         interface: Option<&str>,
     ) -> Self {
-        let port = |&port: &u16| PortPlan {
-            bind,
-            port,
-            multicast,
-            interface: interface.map(str::to_owned),
-        };
-        let ports = ports.iter().map(port).collect();
         Self {
-            ports,
+            ports: ports
+                .iter()
+                .map(|&port| PortPlan {
+                    bind,
+                    port,
+                    multicast,
+                    interface: interface.map(str::to_owned),
+                })
+                .collect(),
             sensors: Vec::new(),
             ask: Vec::new(),
             root: None,
             health: Some(HEALTH),
         }
     }
+}
+
+/// The IPv4 addresses among some addresses.
+pub(super) fn ipv4(addresses: impl Iterator<Item = IpAddr>) -> impl Iterator<Item = Ipv4Addr> {
+    addresses.filter_map(|address| match address {
+        IpAddr::V4(address) => Some(address),
+        IpAddr::V6(_) => None,
+    })
 }

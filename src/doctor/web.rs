@@ -15,7 +15,7 @@ use super::observe::Web;
 /// How long an answer may take: it is a small computer.
 const PATIENCE: Duration = Duration::from_millis(1500);
 
-/// Asks sensors for their settings, all at once. Who does not answer is left out.
+/// Asks sensors for their settings, all at once. Those that do not answer are left out.
 ///
 /// # Errors
 /// What the system says when it cannot even begin.
@@ -44,25 +44,19 @@ async fn ask_one(address: Ipv4Addr, port: u16) -> Option<Web> {
     if snapshot.is_err() && status.is_err() {
         return None;
     }
-    let web = read(&snapshot.unwrap_or_default(), &status.unwrap_or_default());
-    // Some other device with a web page of its own.
-    (web != Web::default()).then_some(Web {
-        address: Some(address),
-        ..web
-    })
+    let snapshot = snapshot.unwrap_or_default();
+    let web = read(address, &snapshot, &status.unwrap_or_default());
+    // Otherwise it is some other device with a web page of its own.
+    (web != Web::unknown(address)).then_some(web)
 }
 
-/// Reads both pages, as far as they are there.
-pub fn read(snapshot: &Value, status: &Value) -> Web {
+/// Reads both pages of a sensor, as far as they are there.
+pub fn read(address: Ipv4Addr, snapshot: &Value, status: &Value) -> Web {
     let config = &snapshot["config"];
-    let (host, fov) = (&config["host"], &config["fov"]);
-    let port = |value: &Value| {
-        number(value)
-            .filter(|port| (1.0..=65535.0).contains(port))
-            .map(|port| port as u16)
-    };
+    let host = &config["host"];
+    let fov = &config["fov"];
     Web {
-        address: None,
+        address,
         rpm: number(&config["rpm"]),
         measured_rpm: number(&status["motor"]["rpm"]),
         returns: text(&config["returns"]),
@@ -84,13 +78,13 @@ fn number(value: &Value) -> Option<f64> {
 
 fn text(value: &Value) -> Option<String> {
     // What comes over the network is shown on a terminal.
-    let clean = |text: &str| {
-        text.chars()
-            .filter(|one| !one.is_control())
-            .take(64)
-            .collect()
-    };
-    value.as_str().map(clean)
+    let clean = value.as_str()?.chars().filter(|one| !one.is_control());
+    Some(clean.take(64).collect())
+}
+
+fn port(value: &Value) -> Option<u16> {
+    let port = number(value).filter(|port| (1.0..=65535.0).contains(port));
+    port.map(|port| port as u16)
 }
 
 fn on_or_off(value: &Value) -> Option<bool> {
@@ -106,15 +100,18 @@ mod tests {
     use super::*;
     use serde_json::json;
 
+    const ADDRESS: Ipv4Addr = Ipv4Addr::new(192, 168, 1, 201);
+
     #[test]
     fn numbers_may_be_text_and_much_may_be_missing() {
         let told = read(
+            ADDRESS,
             &json!({"config": {"rpm": "600", "returns": "Dual", "laser": "On", "fov": {"start": "270", "end": 91},
                                "host": {"addr": "255.255.255.255", "dport": "2368", "tport": 8308}}}),
             &json!({"motor": {"rpm": 599, "state": "On"}, "gps": {"pps_state": "Absent"}}),
         );
         let expected = Web {
-            address: None,
+            address: ADDRESS,
             rpm: Some(600.0),
             measured_rpm: Some(599.0),
             returns: Some("Dual".to_owned()),
@@ -126,9 +123,12 @@ mod tests {
             pps: Some("Absent".to_owned()),
         };
         assert_eq!(told, expected);
-        assert_eq!(read(&json!({"camera": true}), &Value::Null), Web::default());
+        assert_eq!(
+            read(ADDRESS, &json!({"camera": true}), &Value::Null),
+            Web::unknown(ADDRESS)
+        );
         let odd = json!({"config": {"rpm": "fast", "host": {"addr": "somewhere", "dport": 99999}, "laser": 1}});
-        assert_eq!(read(&odd, &json!([1, 2])), Web::default());
+        assert_eq!(read(ADDRESS, &odd, &json!([1, 2])), Web::unknown(ADDRESS));
     }
 
     #[test]

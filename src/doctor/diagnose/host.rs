@@ -2,8 +2,8 @@
 
 use super::Findings;
 use crate::doctor::Topic;
-use crate::doctor::observe::{Heard, Observations, RootTrouble, Sensor};
-use crate::doctor::plan::Expected;
+use crate::doctor::observe::{Observations, PortResult, RootTrouble};
+use crate::doctor::plan::ExpectedSensor;
 use sweepd_client::publish::pool_sweeps;
 use sweepd_core::sensor::Model;
 use sweepd_core::sweep::layout::Shape;
@@ -37,9 +37,9 @@ pub(super) fn find(seen: &Observations, findings: &mut Findings) {
 
 fn buffers(seen: &Observations, findings: &mut Findings) {
     for port in &seen.ports {
-        let Heard::All {
+        let PortResult::Open {
             dropped, buffer, ..
-        } = port.heard
+        } = port.result
         else {
             continue;
         };
@@ -76,10 +76,9 @@ fn shared_memory(seen: &Observations, findings: &mut Findings) {
     let Some((all, free)) = seen.host.shared else {
         return;
     };
-    let pool_bytes = |expected: &Expected| {
-        pool_sweeps(expected.max_consumers) as u64 * sweep_bytes(expected, seen)
-    };
-    let needed: u64 = seen.plan.sensors.iter().map(pool_bytes).sum();
+    let needed: u64 = (seen.plan.sensors.iter())
+        .map(|one| pool_sweeps(one.max_consumers) as u64 * sweep_bytes(one, seen))
+        .sum();
     if needed > free {
         let what = format!(
             "/dev/shm has {} MiB free of {} MiB, the configured sensors need {} MiB",
@@ -96,21 +95,15 @@ fn shared_memory(seen: &Observations, findings: &mut Findings) {
 }
 
 /// Bytes of a sweep of a sensor: of the largest that it may be, as far as it is not known.
-pub fn sweep_bytes(expected: &Expected, seen: &Observations) -> u64 {
-    let is_it = |sensor: &&Sensor| {
-        sensor
-            .source
-            .is_some_and(|source| expected.is_at(source, sensor.port))
-    };
-    let heard = seen.sensors.iter().find(is_it);
-    let model = expected
-        .model
-        .or(heard.and_then(|sensor| sensor.model))
-        .unwrap_or(Model::Hdl64eS3);
-    let heard_dual = heard
-        .and_then(|sensor| sensor.return_mode)
-        .map(|mode| mode == ReturnMode::Dual);
-    let dual = expected.dual.or(heard_dual).unwrap_or(true);
+pub fn sweep_bytes(expected: &ExpectedSensor, seen: &Observations) -> u64 {
+    let sensor = seen.sensor_of(expected);
+    let found_model = sensor.and_then(|sensor| sensor.model);
+    let found_mode = sensor.and_then(|sensor| sensor.return_mode);
+    let model = expected.model.or(found_model).unwrap_or(Model::Hdl64eS3);
+    let dual = expected
+        .dual
+        .or(found_mode.map(|mode| mode == ReturnMode::Dual))
+        .unwrap_or(true);
     Shape::of(model.spec().channels, dual, expected.min_points).total_bytes() as u64
 }
 

@@ -10,7 +10,7 @@ mod web;
 pub use host::sweep_bytes;
 use serde_json::Value;
 
-use super::observe::{Heard, Observations};
+use super::observe::{Observations, PortResult};
 use super::{Finding, Severity, Topic};
 
 /// Packets missing over some seconds of which a running daemon is asked, percent: with fewer all is
@@ -66,8 +66,8 @@ impl Findings {
 fn ports(seen: &Observations, findings: &mut Findings) {
     for port in &seen.ports {
         let number = port.plan.port;
-        match &port.heard {
-            Heard::Taken(why) => match &seen.daemon {
+        match &port.result {
+            PortResult::Taken(why) => match &seen.daemon {
                 Some(Ok(health)) if serves(health, number) => {}
                 Some(Err(error)) => {
                     let cure = format!(
@@ -76,16 +76,15 @@ fn ports(seen: &Observations, findings: &mut Findings) {
                     );
                     findings.error(Topic::Port, why, cure);
                 }
-                _ => findings.error(
-                    Topic::Port,
-                    why,
-                    "stop the other program and run this again",
-                ),
+                _ => {
+                    let cure = "stop the other program and run this again";
+                    findings.error(Topic::Port, why, cure);
+                }
             },
-            Heard::Refused(why) => findings.error(Topic::Port, why, ""),
-            Heard::All { others, .. } => {
-                let count: u64 = others.iter().map(|(_, count)| count).sum();
+            PortResult::Refused(why) => findings.error(Topic::Port, why, ""),
+            PortResult::Open { others, .. } => {
                 if let Some((from, _)) = others.first() {
+                    let count: u64 = others.iter().map(|(_, count)| count).sum();
                     let what = format!(
                         "{count} datagrams on port {number} are no packets of a Velodyne, the first from {from}"
                     );
@@ -103,11 +102,12 @@ fn ports(seen: &Observations, findings: &mut Findings) {
 
 /// Whether a daemon says that it listens on a port; or does not say on which.
 fn serves(health: &Value, port: u16) -> bool {
-    health["ports"].as_array().is_none_or(|ports| {
-        ports
-            .iter()
-            .any(|one| one["port"].as_u64() == Some(u64::from(port)))
-    })
+    let Some(ports) = health["ports"].as_array() else {
+        return true;
+    };
+    ports
+        .iter()
+        .any(|one| one["port"].as_u64() == Some(port.into()))
 }
 
 /// What a running daemon says, as far as it is understood.
@@ -137,25 +137,7 @@ fn daemon(health: &Value, findings: &mut Findings) {
         }
     }
     for sensor in elements(&health["sensors"]) {
-        let words = ["name", "state", "model"]
-            .map(|key| clean(&sensor[key]).unwrap_or_else(|| format!("unknown {key}")));
-        let rpm = sensor["rpm"]
-            .as_f64()
-            .map_or(String::new(), |rpm| format!(", {rpm:.0} rpm"));
-        let (packets, lost) = (
-            sensor["packets"].as_u64().unwrap_or(0),
-            sensor["lost"].as_u64().unwrap_or(0),
-        );
-        let lost = if lost > 0 {
-            format!(", {lost} lost since the daemon began")
-        } else {
-            String::new()
-        };
-        findings.note(
-            Topic::Daemon,
-            format!("{}{rpm}, {packets} packets{lost}", words.join(", ")),
-            "",
-        );
+        findings.note(Topic::Daemon, sensor_line(sensor), "");
     }
     if reasons.is_empty() {
         let what = match health["status"].as_str() {
@@ -166,50 +148,60 @@ fn daemon(health: &Value, findings: &mut Findings) {
     }
 }
 
+/// A sensor of a running daemon, in a line.
+fn sensor_line(sensor: &Value) -> String {
+    let mut line = String::new();
+    for key in ["name", "state", "model"] {
+        line += &clean(&sensor[key]).unwrap_or_else(|| format!("unknown {key}"));
+        line += ", ";
+    }
+    if let Some(rpm) = sensor["rpm"].as_f64() {
+        line += &format!("{rpm:.0} rpm, ");
+    }
+    line += &format!("{} packets", sensor["packets"].as_u64().unwrap_or(0));
+    let lost = sensor["lost"].as_u64().unwrap_or(0);
+    if lost > 0 {
+        line += &format!(", {lost} lost since the daemon began");
+    }
+    line
+}
+
 fn elements(array: &Value) -> impl Iterator<Item = &Value> {
     array.as_array().into_iter().flatten()
 }
 
 /// The reason of a sensor that is not at fault.
 fn warning(sensor: &Value) -> Option<String> {
-    let [name, state, reason] = ["name", "state", "reason"].map(|key| sensor[key].as_str());
-    let is_fault = sensor["is_fault"].as_bool()?;
-    let reason = Value::from(format!("{}: {}: {}", name?, state?, reason?));
-    if is_fault { None } else { clean(&reason) }
+    if sensor["is_fault"].as_bool()? {
+        return None;
+    }
+    let reason = format!(
+        "{}: {}: {}",
+        sensor["name"].as_str()?,
+        sensor["state"].as_str()?,
+        sensor["reason"].as_str()?
+    );
+    clean(&Value::from(reason))
 }
 
 /// What is missing now, where it is too little for a reason of the daemon's. Sums since the daemon
 /// began say nothing of now.
 fn losses(sensor: &Value, findings: &mut Findings) {
     let losses = &sensor["losses"];
-    let is_told = sensor["state"]
-        .as_str()
-        .is_some_and(|state| state.starts_with("losing"));
-    if is_told
-        || losses["percent"]
-            .as_f64()
-            .is_none_or(|percent| percent < LEAST_LOSS_PERCENT)
-    {
+    let state = sensor["state"].as_str().unwrap_or_default();
+    let percent = losses["percent"].as_f64().unwrap_or(0.0);
+    if state.starts_with("losing") || percent < LEAST_LOSS_PERCENT {
         return;
     }
-    let name = clean(&sensor["name"]).unwrap_or_else(|| "a sensor".to_owned());
     if let Some(what) = clean(&losses["what"]) {
-        findings.warning(
-            Topic::Loss,
-            format!("{name}: {what}"),
-            clean(&losses["cure"]).unwrap_or_default(),
-        );
+        let name = clean(&sensor["name"]).unwrap_or_else(|| "a sensor".to_owned());
+        let cure = clean(&losses["cure"]).unwrap_or_default();
+        findings.warning(Topic::Loss, format!("{name}: {what}"), cure);
     }
 }
 
 /// A text that came over the network, fit for a terminal.
 fn clean(value: &Value) -> Option<String> {
-    Some(
-        value
-            .as_str()?
-            .chars()
-            .filter(|one| !one.is_control())
-            .take(500)
-            .collect(),
-    )
+    let clean = value.as_str()?.chars().filter(|one| !one.is_control());
+    Some(clean.take(500).collect())
 }

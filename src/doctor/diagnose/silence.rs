@@ -4,110 +4,68 @@ use std::net::{IpAddr, Ipv4Addr};
 
 use super::{Findings, elements, serves};
 use crate::doctor::Topic;
-use crate::doctor::observe::{Heard, Interface, Observations, Web};
-use crate::doctor::plan::Expected;
+use crate::doctor::observe::{Interface, Observations, PortResult, Web};
+use crate::doctor::plan::ExpectedSensor;
 
 pub(super) fn find(seen: &Observations, findings: &mut Findings) {
-    // What a daemon hears it tells itself.
-    if !seen
-        .ports
-        .iter()
-        .any(|port| matches!(port.heard, Heard::All { .. }))
-    {
+    // What a daemon receives it reports itself.
+    if !seen.ports.iter().any(|port| port.is_open()) {
         return;
     }
-    for sender in seen
-        .positions
-        .iter()
-        .filter(|sender| !is_heard_by_daemon(seen, sender.address))
-    {
-        if !seen.sensors.iter().any(|sensor| {
-            sensor
-                .source
-                .is_some_and(|source| source.ip() == sender.address)
-        }) {
+    for sender in &seen.positions {
+        if seen.sensor_at(sender.address).is_none() && !is_heard_by_daemon(seen, sender.address) {
             position_only(seen, sender.address, sender.packets, findings);
         }
     }
-    let is_heard = |address: IpAddr| {
-        let sends_data = seen
-            .sensors
-            .iter()
-            .any(|one| one.source.is_some_and(|source| source.ip() == address));
-        sends_data || seen.positions.iter().any(|one| one.address == address)
-    };
-    if seen.plan.sensors.is_empty() {
-        if seen.sensors.is_empty() && seen.positions.is_empty() {
-            silence(seen, findings);
-        }
-        return;
+    if seen.plan.sensors.is_empty() && seen.sensors.is_empty() && seen.positions.is_empty() {
+        no_sensor(seen, findings);
     }
     for expected in &seen.plan.sensors {
-        let is_listened_to = seen
-            .ports
-            .iter()
-            .any(|port| port.plan.port == expected.port && matches!(port.heard, Heard::All { .. }));
-        if is_listened_to && !is_heard(expected.address) {
-            nothing(
-                seen,
-                Some((&expected.name, expected.address, expected.port)),
-                findings,
-            );
+        let is_listened_to =
+            (seen.ports.iter()).any(|port| port.plan.port == expected.port && port.is_open());
+        let is_silent = seen.sensor_at(expected.address).is_none()
+            && seen.position_sender(expected.address).is_none();
+        if is_listened_to && is_silent {
+            nothing(seen, Some(expected), findings);
         }
         misplaced(seen, expected, findings);
     }
 }
 
 /// A sensor that sends, but not from where or to where the configuration says.
-fn misplaced(seen: &Observations, expected: &Expected, findings: &mut Findings) {
-    let elsewhere = seen.sensors.iter().find(|one| {
-        one.source.is_some_and(|source| {
-            source.ip() == expected.address && !expected.is_at(source, one.port)
-        })
-    });
-    let is_at_home = seen.sensors.iter().any(|one| {
-        one.source
-            .is_some_and(|from| expected.is_at(from, one.port))
-    });
-    if let Some((elsewhere, source)) = elsewhere
-        .and_then(|one| Some((one, one.source?)))
-        .filter(|_| !is_at_home)
-    {
+fn misplaced(seen: &Observations, expected: &ExpectedSensor, findings: &mut Findings) {
+    if seen.sensor_of(expected).is_some() {
+        return;
+    }
+    if let Some(elsewhere) = seen.sensor_at(expected.address) {
+        let source_port = expected
+            .source_port
+            .map_or("any port".to_owned(), |port| format!("port {port}"));
         let what = format!(
-            "{}: sends from {source} to port {}, not as configured from {} to port {}",
-            expected.name,
-            elsewhere.port,
-            expected
-                .source_port
-                .map_or("any port".to_owned(), |port| format!("port {port}")),
-            expected.port
+            "{}: sends from {} to port {}, not as configured from {source_port} to port {}",
+            expected.name, elsewhere.source, elsewhere.port, expected.port
         );
-        findings.error(
-            Topic::Silent,
-            what,
-            "correct `port` or `source_port` in the configuration, or the sensor's",
-        );
+        let cure = "correct `port` or `source_port` in the configuration, or the sensor's";
+        findings.error(Topic::Silent, what, cure);
     }
 }
 
-/// Nothing came at all, and no sensor is named. Where a daemon runs that has ports of its own, it
-/// is the one that hears them.
-fn silence(seen: &Observations, findings: &mut Findings) {
+/// No packet came, and no sensor is configured. Where a daemon runs that has ports of its own, it
+/// is the one that receives them.
+fn no_sensor(seen: &Observations, findings: &mut Findings) {
     let Some(Ok(health)) = &seen.daemon else {
         return nothing(seen, None, findings);
     };
-    let has_one = seen
-        .ports
-        .iter()
-        .any(|port| matches!(port.heard, Heard::Taken(_)) && serves(health, port.plan.port));
+    let has_one = (seen.ports.iter())
+        .any(|port| matches!(port.result, PortResult::Taken(_)) && serves(health, port.plan.port));
     let ports: Vec<String> = elements(&health["ports"])
         .map(|port| port["port"].to_string())
         .collect();
     if !has_one && !ports.is_empty() {
-        let ports = ports.join(", ");
         let what = format!(
-            "nothing came to port {}; the running daemon listens on port {ports}",
-            listened(seen)
+            "nothing came to port {}; the running daemon listens on port {}",
+            seen.port_list(),
+            ports.join(", ")
         );
         findings.note(Topic::Silent, what, "");
     }
@@ -118,115 +76,116 @@ fn is_heard_by_daemon(seen: &Observations, address: IpAddr) -> bool {
     let Some(Ok(health)) = &seen.daemon else {
         return false;
     };
+    let text = address.to_string();
     elements(&health["sensors"]).any(|sensor| {
-        let is_there = sensor["address"]
-            .as_str()
-            .is_some_and(|text| text.parse() == Ok(address));
-        is_there
-            && sensor["packets"]
-                .as_u64()
-                .is_some_and(|packets| packets > 0)
+        let packets = sensor["packets"].as_u64().unwrap_or(0);
+        sensor["address"].as_str() == Some(&text) && packets > 0
     })
 }
 
 fn position_only(seen: &Observations, address: IpAddr, packets: u64, findings: &mut Findings) {
-    let web = web_of(seen, address);
-    let ports = listened(seen);
-    let cure = match web {
-        Some(Web {
-            lasers_on: Some(false),
-            ..
-        }) => {
-            format!("its lasers are off: switch them on at http://{address}/ and press Save")
-        }
-        Some(Web {
-            data_port: Some(port),
-            ..
-        }) if !ports.contains(&port.to_string()) => {
-            format!(
-                "it sends data to port {port}: set Data Port to one of {ports} at http://{address}/, or listen there"
-            )
-        }
-        _ => format!(
+    let web = seen.web_at(address);
+    let ports = seen.port_list();
+    let lasers_on = web.and_then(|web| web.lasers_on);
+    let data_port = web.and_then(|web| web.data_port);
+    let cure = if lasers_on == Some(false) {
+        format!("its lasers are off: switch them on at http://{address}/ and press Save")
+    } else if let Some(port) = data_port.filter(|&port| !seen.has_port(port)) {
+        format!(
+            "it sends data to port {port}: set Data Port to one of {ports} at http://{address}/, or listen there"
+        )
+    } else {
+        format!(
             "look at http://{address}/ whether the laser is on and Data Port is one of {ports}, and at the firewall of this \
              host, which must let these ports in (`nft list ruleset` or `iptables -L -n`, as root)",
-        ),
+        )
     };
     let what = format!("{address} sends position packets ({packets}) and no data packets");
     findings.error(Topic::PositionOnly, what, cure);
 }
 
 /// Nothing came, from one sensor or at all.
-fn nothing(seen: &Observations, expected: Option<(&str, IpAddr, u16)>, findings: &mut Findings) {
+fn nothing(seen: &Observations, expected: Option<&ExpectedSensor>, findings: &mut Findings) {
     let what = match expected {
-        Some((name, address, port)) => {
-            format!(
-                "{name}: nothing came from {address} to port {port} in {:.1} s",
-                seen.seconds
-            )
-        }
+        Some(ExpectedSensor {
+            name,
+            address,
+            port,
+            ..
+        }) => format!(
+            "{name}: nothing came from {address} to port {port} in {:.1} s",
+            seen.seconds
+        ),
         None => format!(
             "nothing came to port {} in {:.1} s",
-            listened(seen),
+            seen.port_list(),
             seen.seconds
         ),
     };
-    let answers = match expected {
-        Some((_, address, _)) => web_of(seen, address),
+    let web = match expected {
+        Some(expected) => seen.web_at(expected.address),
         None => seen.web.first(),
     };
-    let mut steps: Vec<String> = Vec::new();
-    if let Some(address) = answers.and_then(|web| web.address) {
-        steps.push(format!(
-            "its web page at http://{address}/ answers, so cable and power are good"
-        ));
-    } else {
-        steps.extend(wiring(
-            &seen.host.interfaces,
-            expected.and_then(|(_, address, _)| v4(address)),
-        ));
-    }
-    let own = own_addresses(&seen.host.interfaces);
-    let named = answers
-        .and_then(|web| web.address)
-        .map_or("the sensor's web page".to_owned(), |at| {
-            format!("http://{at}/")
-        });
+    let cure = cure_of_silence(seen, expected, web).join("\n");
+    findings.error(Topic::Silent, what, cure);
+}
+
+/// What to try where nothing comes; `web` is the page of the sensor, if that answers.
+fn cure_of_silence(
+    seen: &Observations,
+    expected: Option<&ExpectedSensor>,
+    web: Option<&Web>,
+) -> Vec<String> {
+    let mut steps = Vec::new();
+    let page = match web {
+        Some(Web { address, .. }) => {
+            steps.push(format!(
+                "its web page at http://{address}/ answers, so cable and power are good"
+            ));
+            format!("http://{address}/")
+        }
+        None => {
+            steps.extend(wiring(
+                &seen.host.interfaces,
+                expected.and_then(|expected| match expected.address {
+                    IpAddr::V4(address) => Some(address),
+                    IpAddr::V6(_) => None,
+                }),
+            ));
+            "the sensor's web page".to_owned()
+        }
+    };
     steps.push(format!(
-        "at {named} the Destination must be 255.255.255.255 or an address of this host ({own}) and Data Port one of {}; press \
+        "at {page} the Destination must be 255.255.255.255 or an address of this host ({}) and Data Port one of {}; press \
          Set and then Save",
-        listened(seen)
+        seen.host.address_list(),
+        seen.port_list()
     ));
-    if let Some(bound) = seen
-        .ports
-        .iter()
-        .map(|port| port.plan.bind)
-        .find(|bind| !bind.is_unspecified())
-    {
-        steps.push(format!("listening on {bound} alone misses broadcasts, which sensors send by default: use 0.0.0.0"));
+    let mut bound = seen.ports.iter().map(|port| port.plan.bind);
+    if let Some(bound) = bound.find(|bind| !bind.is_unspecified()) {
+        steps.push(format!(
+            "listening on {bound} alone misses broadcasts, which sensors send by default: use 0.0.0.0"
+        ));
     }
     steps.push(
         "a firewall must let UDP to these ports in: as root, `nft list ruleset` or `iptables -L -n` shows it; \
          `tcpdump -ni INTERFACE udp` shows packets that it drops"
             .to_owned(),
     );
-    findings.error(Topic::Silent, what, steps.join("\n"));
+    steps
 }
 
 /// What may be wrong between this host and a sensor that does not answer.
 fn wiring(interfaces: &[Interface], sensor: Option<Ipv4Addr>) -> Vec<String> {
     let mut steps = vec!["check that the sensor has power and its cable is plugged in".to_owned()];
     for one in interfaces {
-        match one.carrier {
-            _ if !one.up => steps.push(format!(
-                "interface {0} is down: `ip link set {0} up`",
-                one.name
-            )),
-            Some(false) => steps.push(format!(
-                "interface {} has no carrier: nothing at the other end of its cable",
-                one.name
-            )),
-            _ => {}
+        let name = &one.name;
+        if !one.up {
+            steps.push(format!("interface {name} is down: `ip link set {name} up`"));
+        } else if one.carrier == Some(false) {
+            steps.push(format!(
+                "interface {name} has no carrier: nothing at the other end of its cable"
+            ));
         }
     }
     if let Some(sensor) = sensor.filter(|sensor| !sensor.is_loopback())
@@ -240,40 +199,4 @@ fn wiring(interfaces: &[Interface], sensor: Option<Ipv4Addr>) -> Vec<String> {
         ));
     }
     steps
-}
-
-pub(super) fn own_addresses(interfaces: &[Interface]) -> String {
-    let own = interfaces.iter().flat_map(|one| {
-        one.addresses
-            .iter()
-            .map(move |(own, _)| format!("{own} on {}", one.name))
-    });
-    let own: Vec<String> = own.collect();
-    if own.is_empty() {
-        "it has none".to_owned()
-    } else {
-        own.join(", ")
-    }
-}
-
-fn listened(seen: &Observations) -> String {
-    let ports: Vec<String> = seen
-        .ports
-        .iter()
-        .map(|port| port.plan.port.to_string())
-        .collect();
-    ports.join(", ")
-}
-
-fn web_of(seen: &Observations, address: IpAddr) -> Option<&Web> {
-    seen.web
-        .iter()
-        .find(|web| web.address.map(IpAddr::V4) == Some(address))
-}
-
-fn v4(address: IpAddr) -> Option<Ipv4Addr> {
-    match address {
-        IpAddr::V4(address) => Some(address),
-        IpAddr::V6(_) => None,
-    }
 }

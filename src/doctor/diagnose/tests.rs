@@ -1,13 +1,15 @@
 //! Each finding by itself: a healthy sensor, and one thing that is wrong.
 
-use std::net::{IpAddr, Ipv4Addr, SocketAddr};
+use std::net::{Ipv4Addr, SocketAddr};
 
 use serde_json::json;
 
 use super::*;
 use crate::capture::udp::ReceiveBuffer;
-use crate::doctor::observe::{Host, Interface, Port, PositionSender, RootTrouble, Sensor, Web};
-use crate::doctor::plan::{Expected, HEALTH, Plan, PortPlan};
+use crate::doctor::observe::{
+    Host, Interface, ObservedPort, ObservedSensor, PositionSender, RootTrouble, Web,
+};
+use crate::doctor::plan::{ExpectedSensor, HEALTH, Plan, PortPlan};
 use sweepd_core::pipeline::Counts;
 use sweepd_core::sensor::Model;
 use sweepd_core::sweep::layout::flags;
@@ -17,7 +19,7 @@ use sweepd_core::wire::position::Pps;
 const ADDRESS: Ipv4Addr = Ipv4Addr::new(192, 168, 1, 201);
 const OWN: Ipv4Addr = Ipv4Addr::new(192, 168, 1, 100);
 
-fn port(number: u16, received: u64) -> Port {
+fn port(number: u16, received: u64) -> ObservedPort {
     let plan = PortPlan {
         bind: Ipv4Addr::UNSPECIFIED,
         port: number,
@@ -28,9 +30,9 @@ fn port(number: u16, received: u64) -> Port {
         wanted_bytes: 8_000_000,
         granted_bytes: 8_000_000,
     };
-    Port {
+    ObservedPort {
         plan,
-        heard: Heard::All {
+        result: PortResult::Open {
             received,
             dropped: 0,
             others: Vec::new(),
@@ -39,10 +41,8 @@ fn port(number: u16, received: u64) -> Port {
     }
 }
 
-fn sensor(source: &str) -> Sensor {
-    Sensor {
-        source: Some(source.parse().unwrap()),
-        port: 2368,
+fn sensor(source: &str) -> ObservedSensor {
+    ObservedSensor {
         counts: Counts {
             data: 3770,
             position: 40,
@@ -53,13 +53,13 @@ fn sensor(source: &str) -> Sensor {
         whole_sweeps: 48,
         rpm: Some((599.0, 601.0)),
         flags: flags::CIRCULAR,
-        ..Sensor::default()
+        ..ObservedSensor::new(source.parse().unwrap(), 2368)
     }
 }
 
 /// A VLP-16 with GPS that broadcasts, as configured, to a host that lacks nothing.
 fn healthy() -> Observations {
-    let expected = Expected {
+    let expected = ExpectedSensor {
         name: "roof".to_owned(),
         address: ADDRESS.into(),
         source_port: None,
@@ -107,7 +107,7 @@ fn healthy() -> Observations {
 
 fn web() -> Web {
     Web {
-        address: Some(ADDRESS),
+        address: ADDRESS,
         rpm: Some(600.0),
         measured_rpm: Some(600.0),
         returns: Some("Strongest".to_owned()),
@@ -315,7 +315,7 @@ fn position_packets_alone_are_no_sensor() {
 fn a_port_that_is_taken_is_asked_of_its_daemon() {
     let take = |seen: &mut Observations| {
         for port in &mut seen.ports {
-            port.heard = Heard::Taken(format!(
+            port.result = PortResult::Taken(format!(
                 "port {} is taken: sweepd (pid 7) listens on it",
                 port.plan.port
             ));
@@ -393,8 +393,8 @@ fn a_port_that_is_taken_is_asked_of_its_daemon() {
 /// What a daemon says of a sensor whose losses are these, and what is found then.
 fn beside(state: &str, is_fault: bool, percent: f64) -> Vec<Finding> {
     let mut seen = silent();
-    seen.ports[0].heard =
-        Heard::Taken("port 2368 is taken: sweepd (pid 7) listens on it".to_owned());
+    seen.ports[0].result =
+        PortResult::Taken("port 2368 is taken: sweepd (pid 7) listens on it".to_owned());
     let reason = (state != "streaming").then_some("12.0 % of its packets are lost: look at cable");
     let reasons: Vec<String> = reason
         .iter()
@@ -482,7 +482,7 @@ fn silence_on_the_usual_ports_is_none_where_a_daemon_has_others() {
 #[test]
 fn a_port_that_cannot_be_opened_says_why() {
     let refuse = |seen: &mut Observations| {
-        seen.ports[1].heard = Heard::Refused("no interface has 10.9.9.9".to_owned())
+        seen.ports[1].result = PortResult::Refused("no interface has 10.9.9.9".to_owned())
     };
     with(
         refuse,
@@ -561,7 +561,7 @@ fn senders_that_nobody_configured_are_named() {
         &["to port 8308", "to port 2368"],
     );
     let noise = |seen: &mut Observations| {
-        if let Heard::All { others, .. } = &mut seen.ports[0].heard {
+        if let PortResult::Open { others, .. } = &mut seen.ports[0].result {
             others.push((SocketAddr::from(([10, 1, 1, 1], 5000)), 17));
         }
     };
@@ -623,7 +623,7 @@ fn losses_are_laid_at_the_right_door() {
     with(lost(500), Severity::Error, Topic::Loss, &["500 of 4270"]);
     let mut seen = healthy();
     lost(9)(&mut seen);
-    if let Heard::All { dropped, .. } = &mut seen.ports[0].heard {
+    if let PortResult::Open { dropped, .. } = &mut seen.ports[0].result {
         *dropped = 9;
     }
     let findings = diagnose(&seen);
@@ -740,7 +740,7 @@ fn clocks_are_looked_at() {
 fn what_this_host_lacks_is_told_with_the_command() {
     let small = |seen: &mut Observations| {
         seen.host.rmem_max = Some(212_992);
-        if let Heard::All { buffer, .. } = &mut seen.ports[0].heard {
+        if let PortResult::Open { buffer, .. } = &mut seen.ports[0].result {
             buffer.granted_bytes = 425_984;
         }
     };
@@ -800,5 +800,5 @@ fn the_worst_comes_first() {
         severities,
         [Severity::Error, Severity::Warning, Severity::Note]
     );
-    assert!(matches!(seen.sensors[0].source, Some(source) if source.ip() == IpAddr::V4(ADDRESS)));
+    assert_eq!(seen.sensors[0].source.ip(), ADDRESS);
 }

@@ -1,6 +1,7 @@
 //! Files that people write and programs send: calibrations, the daemon's configuration, tables of
 //! rows, masks, web pages.
 
+use std::net::Ipv4Addr;
 use std::path::Path;
 
 use sweepd::cloud::RowTable;
@@ -92,7 +93,7 @@ pub fn web_page(input: &[u8]) {
     let Ok(page) = serde_json::from_slice(input) else {
         return;
     };
-    let told = web::read(&page, &page);
+    let told = web::read(Ipv4Addr::LOCALHOST, &page, &page);
     assert!(
         [told.rpm, told.measured_rpm]
             .into_iter()
