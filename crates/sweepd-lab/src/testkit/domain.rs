@@ -1,12 +1,13 @@
 //! A temporary folder with a domain of shared memory in it.
 
-use std::fs;
+use std::fs::{self, Permissions};
 use std::io;
+use std::os::unix::fs::PermissionsExt;
 use std::path::{Path, PathBuf};
 
 use sweepd_client::client::Domain;
 use sweepd_client::publish::SHARED_MEMORY;
-use tempfile::TempDir;
+use tempfile::{Builder, TempDir};
 
 /// A folder that only this user can read, with the root of a domain in it. When it is dropped, the
 /// folder goes, and so do the files that the domain left in shared memory.
@@ -21,7 +22,10 @@ impl TempDomain {
     /// # Errors
     /// The system refuses.
     pub fn new(prefix: &str) -> io::Result<Self> {
-        let folder = TempDir::with_prefix(prefix)?;
+        let folder = Builder::new()
+            .prefix(prefix)
+            .permissions(Permissions::from_mode(0o700))
+            .tempdir()?;
         Ok(Self { folder })
     }
 

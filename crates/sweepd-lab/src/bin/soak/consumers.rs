@@ -1,123 +1,115 @@
-//! Programs that read the sweeps: one that stays and checks them all, and others that come, go,
-//! hang and die.
+//! Consumers: one for each sensor that stays and checks every sweep, and others that come, go,
+//! hang and are killed.
 
-use std::io::Read;
-use std::path::{Path, PathBuf};
-use std::process::{Child, Command, Stdio};
+use std::path::PathBuf;
+use std::process::{Command, Stdio};
 use std::sync::atomic::{AtomicBool, Ordering};
-use std::sync::{Arc, Mutex, PoisonError};
+use std::sync::{Arc, Mutex, MutexGuard, PoisonError};
 use std::thread::{self, JoinHandle};
 use std::time::{Duration, Instant};
 
 use fastrand::Rng;
-
-use super::SoakError;
-use super::sys::{Signal, signal};
+use rustix::process::Signal;
 use sweepd_client::client::{Client, ClientError, Domain, Sweep};
+use sweepd_lab::testkit::{Failure, Process, cannot};
 
-/// Recordings that the daemon serves at a time.
-const MAX_CLIENTS: usize = 4;
-/// Others at a time, of each sensor.
-pub const OTHERS: usize = 3;
-/// One sweep in this many is looked at pixel by pixel.
-const LOOK_AT: u64 = 50;
+use super::sensors::SENSORS;
+
+/// Consumers that record at a time; the daemon serves one more.
+const MAX_RECORDERS: usize = 3;
+/// Consumers of the pool at a time, of each sensor.
+pub const POOL_PER_SENSOR: usize = 3;
+/// One sweep in this many has its returns counted.
+const COUNT_EVERY: u64 = 50;
 /// A consumer that wants some sweeps has them within this, or something is wrong.
 const PATIENCE: Duration = Duration::from_secs(60);
 
-/// What a consumer that stays has seen.
+/// What a steady consumer has received.
 #[derive(Clone, Debug, Default)]
-pub struct Seen {
-    /// Sweeps that were published by all runs of pipelines so far, by their numbers.
+pub struct Received {
+    /// Sweeps that all runs of the pipeline have published so far, by their numbers.
     pub published: u64,
-    /// Those of them that it got.
-    pub received: u64,
-    /// Runs: a pipeline that began again numbers its sweeps from 0.
+    /// The ones among them that it got.
+    pub sweeps: u64,
+    /// Runs of the pipeline: each numbers its sweeps from 0.
     pub runs: u64,
-    /// What was wrong with a sweep, if one was.
+    /// The first thing that was wrong with a sweep.
     pub wrong: Option<String>,
     run_ns: i64,
     next: u64,
 }
 
-impl Seen {
+impl Received {
     fn take(&mut self, sweep: &Sweep) -> Result<(), String> {
         let view = sweep.view().map_err(|error| error.to_string())?;
-        let (run_ns, sequence) = (view.header.run_ns, view.header.sequence);
-        if run_ns != self.run_ns {
-            if run_ns < self.run_ns {
-                return Err(format!(
-                    "sweep {sequence} is of a run before the one that was seen last"
-                ));
-            }
-            (self.run_ns, self.next, self.runs) = (run_ns, 0, self.runs + 1);
+        let run_ns = view.header.run_ns;
+        let sequence = view.header.sequence;
+        if run_ns < self.run_ns {
+            return Err(format!(
+                "sweep {sequence} is of an earlier run than the sweep before it"
+            ));
+        }
+        if run_ns > self.run_ns {
+            self.run_ns = run_ns;
+            self.next = 0;
+            self.runs += 1;
         }
         if sequence < self.next {
             return Err(format!("sweep {sequence} came when {} was due", self.next));
         }
         self.published += sequence + 1 - self.next;
-        self.received += 1;
+        self.sweeps += 1;
         self.next = sequence + 1;
-        let is_told = |returns: usize| returns == view.header.returns as usize;
-        if self.received.is_multiple_of(LOOK_AT) && !is_told(view.returns().count()) {
+        let is_counted = self.sweeps.is_multiple_of(COUNT_EVERY);
+        if is_counted && view.returns().count() != view.header.returns as usize {
             return Err(format!(
-                "sweep {sequence} holds not as many returns as it says"
+                "the header of sweep {sequence} has another number of returns than its image"
             ));
         }
         Ok(())
     }
 }
 
-/// A consumer that stays, whatever happens to the daemon.
+/// A consumer that stays, in a thread of its own, whatever happens to the daemon.
 #[derive(Debug)]
-pub struct Steadfast {
-    seen: Arc<Mutex<Seen>>,
+pub struct SteadyConsumer {
+    received: Arc<Mutex<Received>>,
     over: Arc<AtomicBool>,
     thread: Option<JoinHandle<()>>,
 }
 
-impl Steadfast {
-    /// One of a sensor; the daemon need not run yet.
+impl SteadyConsumer {
+    /// Starts a consumer of a sensor; the daemon need not run yet.
     ///
     /// # Errors
     /// [`ClientError`].
     pub fn start(domain: &Domain, sensor: &str) -> Result<Self, ClientError> {
         let mut client = Client::within(domain, sensor)?;
-        let (seen, over) = (
-            Arc::<Mutex<Seen>>::default(),
-            Arc::new(AtomicBool::new(false)),
-        );
-        let (told, ended) = (Arc::clone(&seen), Arc::clone(&over));
-        let thread = thread::spawn(move || {
-            while !ended.load(Ordering::Relaxed) {
-                let next = client.next(Duration::from_millis(100));
-                let mut seen = told.lock().unwrap_or_else(PoisonError::into_inner);
-                let taken = match &next {
-                    Ok(Some(sweep)) => seen.take(sweep),
-                    Ok(None) => Ok(()),
-                    Err(error) => Err(error.to_string()),
-                };
-                if let (Err(wrong), None) = (taken, &seen.wrong) {
-                    seen.wrong = Some(wrong);
+        let received = Arc::<Mutex<Received>>::default();
+        let over = Arc::new(AtomicBool::new(false));
+        let thread = {
+            let received = Arc::clone(&received);
+            let over = Arc::clone(&over);
+            thread::spawn(move || {
+                while !over.load(Ordering::Relaxed) {
+                    receive(&mut client, &received);
                 }
-            }
-        });
+            })
+        };
         Ok(Self {
-            seen,
+            received,
             over,
             thread: Some(thread),
         })
     }
 
-    /// What it has seen so far.
-    pub fn seen(&self) -> Seen {
-        self.seen
-            .lock()
-            .unwrap_or_else(PoisonError::into_inner)
-            .clone()
+    /// What it has received so far.
+    pub fn received(&self) -> Received {
+        lock(&self.received).clone()
     }
 }
 
-impl Drop for Steadfast {
+impl Drop for SteadyConsumer {
     fn drop(&mut self) {
         self.over.store(true, Ordering::Relaxed);
         if let Some(thread) = self.thread.take() {
@@ -126,12 +118,29 @@ impl Drop for Steadfast {
     }
 }
 
-/// What becomes of a consumer.
+fn receive(client: &mut Client, received: &Mutex<Received>) {
+    let next = client.next(Duration::from_millis(100));
+    let mut received = lock(received);
+    let taken = match &next {
+        Ok(Some(sweep)) => received.take(sweep),
+        Ok(None) => Ok(()),
+        Err(error) => Err(error.to_string()),
+    };
+    if let Err(wrong) = taken {
+        received.wrong.get_or_insert(wrong);
+    }
+}
+
+fn lock(received: &Mutex<Received>) -> MutexGuard<'_, Received> {
+    received.lock().unwrap_or_else(PoisonError::into_inner)
+}
+
+/// What a consumer of the pool does, and how it ends.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
-enum Fate {
-    /// It gets some sweeps and ends well.
-    Leaves,
-    /// It records some packets through the daemon and ends well.
+enum Behaviour {
+    /// It gets some sweeps and ends by itself.
+    Watches,
+    /// It records some packets through the daemon and ends by itself.
     Records,
     /// It is killed.
     Dies,
@@ -141,92 +150,98 @@ enum Fate {
     HangsAndDies,
 }
 
+const BEHAVIOURS: [Behaviour; 6] = [
+    Behaviour::Watches,
+    Behaviour::Watches,
+    Behaviour::Records,
+    Behaviour::Dies,
+    Behaviour::Hangs,
+    Behaviour::HangsAndDies,
+];
+
+/// A consumer of the pool.
 #[derive(Debug)]
-struct Other {
+struct Consumer {
     sensor: usize,
-    child: Child,
-    fate: Fate,
+    process: Process,
+    behaviour: Behaviour,
     /// When something happens to it, or when it must have ended.
     next: Instant,
-    is_frozen: bool,
+    is_stopped: bool,
     is_ending: bool,
-    /// Where it records.
+    /// The file that it records to.
     file: Option<PathBuf>,
 }
 
-impl Drop for Other {
+impl Drop for Consumer {
     fn drop(&mut self) {
-        let _ = self.child.kill();
-        let _ = self.child.wait();
+        let _ = self.process.child.kill();
+        let _ = self.process.child.wait();
         if let Some(file) = &self.file {
             let _ = std::fs::remove_file(file);
         }
     }
 }
 
-/// How many consumers there were.
+/// How many consumers the pool had.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
-pub struct Census {
+pub struct ConsumerStats {
     /// Processes that were started.
     pub started: u64,
-    /// Of those, that ended well.
+    /// Those that ended with exit code 0.
     pub left: u64,
-    /// That were stopped with SIGSTOP.
+    /// Those that were stopped with SIGSTOP.
     pub hung: u64,
-    /// That were killed with SIGKILL.
+    /// Those that were killed with SIGKILL.
     pub killed: u64,
 }
 
-/// The others.
+/// The consumers that come and go, each a process of its own.
 #[derive(Debug)]
-pub struct Crowd {
+pub struct ConsumerPool {
     program: PathBuf,
     root: PathBuf,
     folder: PathBuf,
-    sensors: Vec<&'static str>,
-    others: Vec<Other>,
+    consumers: Vec<Consumer>,
     rng: Rng,
-    /// When the next one comes.
+    /// When the next one starts.
     next: Instant,
     every: Duration,
     /// How many there were.
-    pub census: Census,
+    pub stats: ConsumerStats,
 }
 
-impl Crowd {
-    /// Nobody yet. One of them comes about so often; what they record goes to `folder`.
+impl ConsumerPool {
+    /// An empty pool. On the average, a consumer starts each `every`; recordings go to `folder`.
     pub fn new(
-        program: &Path,
-        root: &Path,
-        folder: &Path,
-        sensors: Vec<&'static str>,
+        program: PathBuf,
+        root: PathBuf,
+        folder: PathBuf,
         seed: u64,
         every: Duration,
     ) -> Self {
-        let (program, root, folder) = (program.to_owned(), root.to_owned(), folder.to_owned());
-        let (rng, next, census) = (Rng::with_seed(seed), Instant::now(), Census::default());
         Self {
             program,
             root,
             folder,
-            sensors,
-            others: Vec::new(),
-            rng,
-            next,
+            consumers: Vec::new(),
+            rng: Rng::with_seed(seed),
+            next: Instant::now(),
             every,
-            census,
+            stats: ConsumerStats::default(),
         }
     }
 
-    /// Lets happen what is due: they come, go, hang and die.
+    /// Starts, stops and kills the consumers for which it is time, and removes those that have
+    /// ended.
     ///
     /// # Errors
-    /// [`SoakError`]: one of them ended badly, or does not get what it came for.
-    pub fn look(&mut self) -> Result<(), SoakError> {
+    /// One of them ended with an error, or does not get what it came for.
+    pub fn step(&mut self) -> Result<(), Failure> {
         let mut index = 0;
-        while index < self.others.len() {
-            if self.others[index].look(&mut self.census, &mut self.rng)? {
-                self.others.swap_remove(index);
+        while index < self.consumers.len() {
+            if self.consumers[index].step(&mut self.stats, &mut self.rng)? {
+                self.consumers.swap_remove(index);
             } else {
                 index += 1;
             }
@@ -234,96 +249,65 @@ impl Crowd {
         let now = Instant::now();
         if now >= self.next {
             self.next = now + self.every.mul_f64(self.rng.f64() + 0.5);
-            self.admit()?;
+            self.start_one()?;
         }
         Ok(())
     }
 
-    /// Whether one of them records through the daemon.
-    pub fn has_recorders(&self) -> bool {
-        self.others.iter().any(|other| other.fate == Fate::Records)
+    /// How many of them record through the daemon.
+    pub fn recorders(&self) -> usize {
+        let recorders = self.consumers.iter().filter(|one| one.file.is_some());
+        recorders.count()
     }
 
-    /// Ends those that record, which the end of a daemon would be an error for.
-    pub fn dismiss_recorders(&mut self) {
-        self.others.retain(|other| other.fate != Fate::Records);
+    /// Ends those that record: for them, the end of the daemon would be an error.
+    pub fn remove_recorders(&mut self) {
+        self.consumers.retain(|one| one.file.is_none());
     }
 
     /// Ends all of them.
-    pub fn dismiss(&mut self) {
-        self.others.clear();
+    pub fn clear(&mut self) {
+        self.consumers.clear();
     }
 
-    fn admit(&mut self) -> Result<(), SoakError> {
-        let sensor = self.rng.usize(..self.sensors.len());
-        if self
-            .others
-            .iter()
-            .filter(|other| other.sensor == sensor)
-            .count()
-            >= OTHERS
-        {
+    /// Starts a consumer, unless its sensor has enough of them.
+    fn start_one(&mut self) -> Result<(), Failure> {
+        let sensor = self.rng.usize(..SENSORS.len());
+        let same_sensor = self.consumers.iter().filter(|one| one.sensor == sensor);
+        if same_sensor.count() >= POOL_PER_SENSOR {
             return Ok(());
         }
-        let fates = [
-            Fate::Leaves,
-            Fate::Leaves,
-            Fate::Records,
-            Fate::Dies,
-            Fate::Hangs,
-            Fate::HangsAndDies,
-        ];
-        let mut fate = fates[self.rng.usize(..fates.len())];
-        // A daemon has room for some.
-        if self
-            .others
-            .iter()
-            .filter(|other| other.fate == Fate::Records)
-            .count()
-            + 1
-            >= MAX_CLIENTS
-        {
-            fate = Fate::Dies;
+        let mut behaviour = BEHAVIOURS[self.rng.usize(..BEHAVIOURS.len())];
+        if behaviour == Behaviour::Records && self.recorders() == MAX_RECORDERS {
+            behaviour = Behaviour::Dies;
         }
-        self.census.started += 1;
+        self.stats.started += 1;
+        let file = (behaviour == Behaviour::Records).then(|| {
+            self.folder
+                .join(format!("consumer-{}.pcap", self.stats.started))
+        });
         let mut command = Command::new(&self.program);
-        let name = self.sensors[sensor];
-        let mut file = None;
-        if fate == Fate::Records {
-            let path = self
-                .folder
-                .join(format!("asked-{}.pcap", self.census.started));
-            command
+        let name = SENSORS[sensor].name;
+        match &file {
+            Some(file) => command
                 .args(["record", "--from", name, "--seconds", "0.5", "-o"])
-                .arg(&path);
-            file = Some(path);
-        } else {
-            command.args(["watch", name]);
-        }
-        if fate == Fate::Leaves {
+                .arg(file),
+            None => command.args(["watch", name]),
+        };
+        if behaviour == Behaviour::Watches {
             command.args(["--sweeps", &self.rng.u32(2..200).to_string()]);
         }
-        command.arg("--root").arg(&self.root);
-        command
-            .stdin(Stdio::null())
-            .stdout(Stdio::null())
-            .stderr(Stdio::piped());
-        let child = command.spawn().map_err(|source| SoakError::System {
-            what: "start a consumer",
-            source,
-        })?;
-        let patience = if matches!(fate, Fate::Leaves | Fate::Records) {
-            PATIENCE
-        } else {
-            self.every * self.rng.u32(1..5)
+        command.arg("--root").arg(&self.root).stdout(Stdio::null());
+        let wait = match behaviour {
+            Behaviour::Watches | Behaviour::Records => PATIENCE,
+            _ => self.every * self.rng.u32(1..5),
         };
-        let next = Instant::now() + patience;
-        self.others.push(Other {
+        self.consumers.push(Consumer {
             sensor,
-            child,
-            fate,
-            next,
-            is_frozen: false,
+            process: Process::start(&mut command).map_err(cannot("start a consumer"))?,
+            behaviour,
+            next: Instant::now() + wait,
+            is_stopped: false,
             is_ending: false,
             file,
         });
@@ -331,62 +315,54 @@ impl Crowd {
     }
 }
 
-impl Other {
-    /// Lets happen what is due; whether it has ended.
-    fn look(&mut self, census: &mut Census, rng: &mut Rng) -> Result<bool, SoakError> {
-        if let Ok(Some(status)) = self.child.try_wait() {
-            census.left += 1;
+impl Consumer {
+    /// Does to it what is due; returns whether it is gone.
+    fn step(&mut self, stats: &mut ConsumerStats, rng: &mut Rng) -> Result<bool, Failure> {
+        if let Ok(Some(status)) = self.process.child.try_wait() {
+            stats.left += 1;
             return if status.success() {
                 Ok(true)
             } else {
-                Err(self.wrong(&format!("ended with {status}")))
+                Err(self.failure("ended"))
             };
         }
         if Instant::now() < self.next {
             return Ok(false);
         }
-        let failed = |source| SoakError::System {
-            what: "send a consumer a signal",
-            source,
-        };
-        match (self.fate, self.is_frozen) {
-            (Fate::Leaves | Fate::Records, _) => {
-                return Err(self.wrong("does not get what it came for"));
+        match self.behaviour {
+            _ if self.is_ending => return Err(self.failure("was asked to end, and does not")),
+            Behaviour::Watches | Behaviour::Records => {
+                return Err(self.failure("does not get what it came for"));
             }
-            _ if self.is_ending => return Err(self.wrong("was asked to end, and does not")),
-            (Fate::Hangs | Fate::HangsAndDies, false) => {
-                signal(&self.child, Signal::Freeze).map_err(failed)?;
-                census.hung += 1;
-                (self.is_frozen, self.next) = (
-                    true,
-                    Instant::now() + Duration::from_millis(rng.u64(50..2000)),
-                );
+            Behaviour::Hangs | Behaviour::HangsAndDies if !self.is_stopped => {
+                self.signal(Signal::STOP)?;
+                stats.hung += 1;
+                self.is_stopped = true;
+                self.next = Instant::now() + Duration::from_millis(rng.u64(50..2000));
             }
-            (Fate::Hangs, true) => {
-                signal(&self.child, Signal::Thaw)
-                    .and_then(|()| signal(&self.child, Signal::End))
-                    .map_err(failed)?;
-                (self.is_ending, self.next) = (true, Instant::now() + PATIENCE);
+            Behaviour::Hangs => {
+                self.signal(Signal::CONT)?;
+                self.signal(Signal::TERM)?;
+                self.is_ending = true;
+                self.next = Instant::now() + PATIENCE;
             }
-            (Fate::Dies, _) | (Fate::HangsAndDies, true) => {
-                // Its place in the list is what kills it.
-                census.killed += 1;
+            Behaviour::Dies | Behaviour::HangsAndDies => {
+                // The caller drops it, which kills it.
+                stats.killed += 1;
                 return Ok(true);
             }
         }
         Ok(false)
     }
 
-    fn wrong(&mut self, how: &str) -> SoakError {
-        // One that lives says no more, and would keep this waiting.
-        let _ = self.child.kill();
-        let mut said = String::new();
-        if let Some(mut stderr) = self.child.stderr.take() {
-            let _ = stderr.read_to_string(&mut said);
-        }
-        SoakError::Wrong {
-            what: format!("a consumer ({:?}) {how}: {}", self.fate, said.trim_end()),
-            log: String::new(),
-        }
+    fn signal(&self, signal: Signal) -> Result<(), Failure> {
+        self.process
+            .signal(signal)
+            .map_err(cannot("signal a consumer"))
+    }
+
+    fn failure(&mut self, how: &str) -> Failure {
+        self.process
+            .failure(format!("a consumer ({:?}) {how}", self.behaviour))
     }
 }

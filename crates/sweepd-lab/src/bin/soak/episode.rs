@@ -1,4 +1,4 @@
-//! An episode: ten seconds of both sensors, and then the accounts.
+//! An episode: ten seconds of both sensors, and then the check of every counter.
 
 use std::collections::BTreeMap;
 use std::fs;
@@ -7,379 +7,415 @@ use std::thread;
 use std::time::{Duration, Instant};
 
 use fastrand::Rng;
+use rustix::process::Signal;
+use rustix::thread::{CpuSet, sched_setaffinity};
+use sweepd_lab::testkit::{Failure, PATIENCE, cannot};
 
-use super::feed::{Event, Feed, Refusal, WITHIN_A_TURN};
-use super::sys::pin_to_core;
-use super::{EPISODE, SENSORS, Soak, SoakError, daemon};
+use super::feed::{Feed, SensorFault, WITHIN_A_TURN};
+use super::run::{EPISODE, Soak};
+use super::sensors::SENSORS;
+use super::usage::waiting_bytes;
 
-/// Packets of each sensor at the beginning and at the end of an episode that are all whole: the
-/// model is told by the first ones, and what is behind a gap comes out with the last ones.
-const WHOLE: (u32, u32) = (200, 40);
+/// Packets of each sensor at the beginning of an episode that are all whole: the first ones show
+/// the model.
+const WHOLE_FIRST: u32 = 200;
+/// Packets at its end that are all whole: they bring out what is behind a gap.
+const WHOLE_LAST: u32 = 40;
 /// What the kernel charges for a data packet, bytes.
 const CHARGED_BYTES: u64 = 2304;
 /// From one look at the sockets to the next, packets.
 const CHUNK: u64 = 64;
-/// How often it is looked at consumers and figures, while packets are sent.
-const LOOK_EVERY: Duration = Duration::from_millis(100);
+/// From one look at consumers and figures to the next, while packets are sent.
+const SAMPLE_EVERY: Duration = Duration::from_millis(100);
 /// How long the daemon may take to fetch and count what was sent.
-const PATIENCE: Duration = Duration::from_secs(10);
-/// A consumer that is behind for so long gets more sweeps.
+const COUNTED_WITHIN: Duration = Duration::from_secs(10);
+/// A consumer that is behind for this long gets more sweeps.
 const BEHIND: Duration = Duration::from_millis(700);
-/// Sweeps, which come many times faster than in life, that may be complete while a pool is made, at
-/// most: with the first packets of a daemon, and when two returns begin. All others must be shared.
-const WHILE_POOLS_ARE_MADE: u64 = 50;
-/// Of each hundred episodes, this many begin with a new configuration, with one that is refused,
-/// with a recording.
-const RELOADS: [u32; 3] = [20, 5, 3];
+/// Sweeps that may be complete before a pool of shared memory is ready, at most: with the first
+/// packets of a daemon, and when two returns begin. Here sweeps come many times faster than in
+/// life. All others must be shared.
+const UNSHARED: u64 = 50;
+/// Counters that are named when some are off, at most.
+const SHOWN: usize = 12;
+/// Of each hundred episodes, this many begin with a new configuration.
+const RELOADS_TAKEN: u32 = 20;
+/// This many with a configuration that is refused.
+const RELOADS_REFUSED: u32 = 5;
+/// This many with a recording.
+const RECORDINGS: u32 = 3;
+
+/// The daemon's reasons to reject a datagram.
+const REJECTED: [&str; 6] = ["length", "marker", "azimuth", "source", "port", "ambiguous"];
+/// Its reasons not to decode a packet.
+const UNDECODED: [&str; 6] = [
+    "malformed",
+    "duplicate",
+    "late",
+    "unconfirmed",
+    "other_product",
+    "not_ready",
+];
+
+/// Compares the daemon's metrics with what they must be.
+struct MetricsCheck<'a> {
+    metrics: &'a BTreeMap<String, f64>,
+    /// A sentence for each that is off.
+    off: Vec<String>,
+}
+
+impl MetricsCheck<'_> {
+    fn must_be(&mut self, metric: &str, expected: u64) {
+        match self.metrics.get(metric) {
+            Some(&found) if found == expected as f64 => {}
+            Some(found) => self
+                .off
+                .push(format!("{metric} is {found}, must be {expected}")),
+            None => self
+                .off
+                .push(format!("{metric} is missing, must be {expected}")),
+        }
+    }
+
+    /// A counter that no test can foresee; 0 where it is missing.
+    fn found(&self, metric: &str) -> u64 {
+        self.metrics.get(metric).map_or(0, |&found| found as u64)
+    }
+}
 
 impl Soak {
     /// Sends for ten seconds of the sensors' clocks, and checks every counter.
     ///
     /// # Errors
-    /// [`SoakError`].
-    pub(super) fn episode(&mut self, share: f64) -> Result<(), SoakError> {
-        self.send(share, None)?;
+    /// The first thing that was wrong.
+    pub fn episode(&mut self) -> Result<(), Failure> {
+        self.send(EPISODE)?;
         self.settle()?;
-        self.look(share);
+        self.sample();
         self.outcome.exact += 1;
         Ok(())
     }
 
-    /// Sends an episode, or this many thousandths of it.
-    pub(super) fn send(&mut self, share: f64, thousandths: Option<u64>) -> Result<(), SoakError> {
-        let span_ns = EPISODE.as_nanos() as u64 * thousandths.unwrap_or(1000) / 1000;
-        let ports = [self.ports.data[0], self.ports.data[1]];
-        let window = self.window()?;
-        let mut rng = self.rng.fork();
+    /// Sends for a time by the sensors' clocks, while consumers come and go.
+    ///
+    /// # Errors
+    /// The network refuses, or something is wrong with a consumer.
+    pub fn send(&mut self, span: Duration) -> Result<(), Failure> {
+        let mut sending = Sending {
+            ports: self.setup.data_ports(),
+            window_bytes: self.window_bytes()?,
+            rng: self.rng.fork(),
+        };
         let mut feeds = std::mem::take(&mut self.feeds);
-        let sent = thread::scope(|scope| {
-            let sending = scope.spawn(|| {
-                stay_on_one_core();
-                send(&mut feeds, span_ns, (&ports, window), &mut rng)
-            });
-            let mut looked = Ok(());
-            while !sending.is_finished() {
+        let mut looked = Ok(());
+        let sent = on_sender_thread(
+            || sending.send(&mut feeds, span),
+            || {
                 if looked.is_ok() {
-                    looked = self.crowd.look();
-                    self.look(share);
+                    looked = self.pool.step();
+                    self.sample();
                 }
-                thread::sleep(LOOK_EVERY);
-            }
-            let sent = sending
-                .join()
-                .unwrap_or_else(|_| Err(io::Error::other("the sender panicked")));
-            looked.and(sent.map_err(|source| SoakError::System {
-                what: "send packets",
-                source,
-            }))
-        });
+            },
+        );
         self.feeds = feeds;
-        sent
+        looked.and(sent)
     }
 
     /// Bytes that may wait in a socket: a third of what the kernel gave.
-    fn window(&mut self) -> Result<u64, SoakError> {
-        let daemon = self.daemon()?;
-        let text = daemon
-            .ask("/health")
-            .map_err(|source| daemon.wrong(format!("/health: {source}")))?;
-        let report: serde_json::Value =
-            serde_json::from_str(&text).map_err(|error| daemon.wrong(error.to_string()))?;
-        let ports = report["ports"].as_array().into_iter().flatten();
+    fn window_bytes(&mut self) -> Result<u64, Failure> {
+        let health = self.daemon.health()?;
+        let ports = health["ports"].as_array().into_iter().flatten();
         let least = ports.filter_map(|port| port["buffer_bytes"].as_u64()).min();
         Ok((least.unwrap_or(0) / 3).max(CHARGED_BYTES))
     }
 
-    /// Waits until the daemon has counted what was sent, all of it and no more, and the consumers
-    /// that stay know of all sweeps that it published.
+    /// Waits until the daemon has counted what was sent, all of it and no more, and the steady
+    /// consumers know of all sweeps that it published.
     ///
     /// They know by the number of the newest. One that had to find the service again in the last
     /// moments (a consumer that leaves may take a file of it along, which the daemon puts back with
     /// a later sweep) has missed that, and gets the next: in life the sensor goes on, and so it
     /// does here.
-    fn settle(&mut self) -> Result<(), SoakError> {
+    fn settle(&mut self) -> Result<(), Failure> {
         let begun = Instant::now();
         let mut sent = Instant::now();
         loop {
-            let daemon = self.daemon()?;
-            let metrics = daemon.metrics()?;
+            let metrics = self.daemon.metrics()?;
             let mut off = self.off(&metrics);
             if off.is_empty() {
                 return Ok(());
             }
-            if begun.elapsed() > PATIENCE {
-                off.truncate(12);
-                return Err(self
-                    .daemon()?
-                    .wrong(format!("counters are off: {}", off.join("; "))));
+            if begun.elapsed() > COUNTED_WITHIN {
+                off.truncate(SHOWN);
+                let what = format!("counters are off: {}", off.join("; "));
+                return Err(self.daemon.process.failure(what));
             }
-            for steadfast in &self.steadfast {
-                if let Some(wrong) = steadfast.seen().wrong {
-                    return Err(self
-                        .daemon()?
-                        .wrong(format!("a consumer got what it must not: {wrong}")));
+            for consumer in &self.steady {
+                if let Some(wrong) = consumer.received().wrong {
+                    let what = format!("a consumer got what it must not: {wrong}");
+                    return Err(self.daemon.process.failure(what));
                 }
             }
             let behind = self.behind(&metrics);
             if !behind.is_empty() && sent.elapsed() > BEHIND {
                 self.outcome.caught_up += behind.len() as u64;
-                self.send_more(&behind)?;
+                let feeds = &mut self.feeds;
+                on_sender_thread(
+                    || {
+                        (behind.iter())
+                            .try_for_each(|&index| feeds[index].send_whole(WITHIN_A_TURN))
+                    },
+                    || {},
+                )?;
                 sent = Instant::now();
             }
             thread::sleep(Duration::from_millis(3));
         }
     }
 
-    /// Sensors of which a consumer that stays knows fewer sweeps than the daemon has counted.
+    /// Sensors whose steady consumer knows of fewer sweeps than the daemon has counted.
     fn behind(&self, metrics: &BTreeMap<String, f64>) -> Vec<usize> {
-        let is_behind = |&index: &usize| {
-            let metric = format!(
-                "sweepd_sweeps_total{{sensor=\"{}\"}}",
-                self.feeds[index].place.name
-            );
-            metrics
-                .get(&metric)
-                .is_some_and(|&counted| counted > self.known(index) as f64)
-        };
-        (0..self.feeds.len()).filter(is_behind).collect()
+        let mut behind = Vec::new();
+        for (index, sensor) in SENSORS.iter().enumerate() {
+            let counted = metrics.get(&sensor_metric("sweeps", sensor.name));
+            if counted.is_some_and(|&counted| counted > self.known_sweeps(index) as f64) {
+                behind.push(index);
+            }
+        }
+        behind
     }
 
-    /// Sweeps of this daemon that the consumer that stays knows of.
-    fn known(&self, index: usize) -> u64 {
-        let published = self
-            .steadfast
-            .get(index)
-            .map_or(0, |one| one.seen().published);
-        published - self.published_before[index]
-    }
-
-    /// Sends a turn or more of some sensors.
-    fn send_more(&mut self, sensors: &[usize]) -> Result<(), SoakError> {
-        let feeds = &mut self.feeds;
-        let sent = thread::scope(|scope| {
-            let sending = scope.spawn(|| {
-                stay_on_one_core();
-                sensors
-                    .iter()
-                    .try_for_each(|&index| feeds[index].send_whole(WITHIN_A_TURN))
-            });
-            sending
-                .join()
-                .unwrap_or_else(|_| Err(io::Error::other("the sender panicked")))
-        });
-        sent.map_err(|source| SoakError::System {
-            what: "send packets",
-            source,
-        })
-    }
-
-    /// Counters that are not what they must be.
+    /// Counters that are not what they must be, a sentence each.
     fn off(&self, metrics: &BTreeMap<String, f64>) -> Vec<String> {
-        let mut off = Vec::new();
-        let mut must = |metric: String, expected: u64| {
-            let found = metrics.get(&metric).copied();
-            if found != Some(expected as f64) {
-                let found = found.map_or("nothing".to_owned(), |found| found.to_string());
-                off.push(format!("{metric} is {found}, must be {expected}"));
-            }
+        let mut check = MetricsCheck {
+            metrics,
+            off: Vec::new(),
         };
-        for (index, feed) in self.feeds.iter().enumerate() {
-            let (tally, sensor) = (&feed.tally, feed.place.name);
-            let astray = self.feeds[1 - index].tally.astray;
-            let port = format!("port=\"127.0.0.1:{}\"", self.ports.data[index]);
-            must(
-                format!("sweepd_received_total{{{port}}}"),
-                tally.received + astray,
-            );
-            for (reason, &count) in Refusal::ALL.iter().zip(&tally.rejected) {
-                let count = if *reason == Refusal::Port {
-                    count + astray
-                } else {
-                    count
-                };
-                must(
-                    format!(
-                        "sweepd_rejected_total{{{port},reason=\"{}\"}}",
-                        reason.name()
-                    ),
-                    count,
-                );
-            }
-            must(format!("sweepd_dropped_total{{{port}}}"), 0);
-            let of = |metric: &str| format!("sweepd_{metric}_total{{sensor=\"{sensor}\"}}");
-            must(of("packets"), tally.packets);
-            must(of("lost"), tally.lost);
-            must(of("reordered"), tally.reordered);
-            let unshared = metrics
-                .get(&of("unshared_sweeps"))
-                .map_or(u64::MAX, |&found| found as u64);
-            must(of("unshared_sweeps"), unshared.min(WHILE_POOLS_ARE_MADE));
-            let undecoded = [
-                ("malformed", 0),
-                ("duplicate", tally.duplicates),
-                ("late", 0),
-                ("unconfirmed", tally.unconfirmed),
-                ("other_product", tally.other_product),
-                ("not_ready", 0),
-            ];
-            for (reason, count) in undecoded {
-                must(
-                    format!("sweepd_undecoded_total{{sensor=\"{sensor}\",reason=\"{reason}\"}}"),
-                    count,
-                );
-            }
-            let overflows = metrics
-                .get(&of("position_overflows"))
-                .copied()
-                .unwrap_or(0.0) as u64;
-            must(
-                of("position_packets"),
-                tally.positions.saturating_sub(overflows),
-            );
-            must(of("sweeps"), self.known(index));
+        for index in 0..SENSORS.len() {
+            self.check_port(&mut check, index);
+            self.check_sensor(&mut check, index);
         }
-        if self.settings.1 {
-            let unrecorded = metrics
-                .get("sweepd_unrecorded_total{}")
-                .copied()
-                .unwrap_or(0.0) as u64;
-            let let_in: u64 = self
-                .feeds
-                .iter()
-                .map(|feed| feed.tally.packets + feed.tally.positions)
-                .sum();
-            must(
-                "sweepd_recorded_total{}".to_owned(),
-                let_in - self.recorded_before - unrecorded,
+        if self.setup.is_recording {
+            let unrecorded = check.found("sweepd_unrecorded_total{}");
+            check.must_be(
+                "sweepd_recorded_total{}",
+                self.admitted() - self.recorded_before - unrecorded,
             );
         }
-        off
+        check.off
     }
 
-    /// What may happen between two episodes: the configuration is read again.
-    pub(super) fn between(&mut self) -> Result<(), SoakError> {
-        let failed = |source| SoakError::System {
-            what: "write the configuration",
-            source,
-        };
+    fn check_port(&self, check: &mut MetricsCheck<'_>, index: usize) {
+        let expected = &self.feeds[index].expected;
+        let from_other = self.feeds[1 - index].expected.to_other_port;
+        let port = format!("port=\"127.0.0.1:{}\"", self.setup.data_ports()[index]);
+        check.must_be(
+            &format!("sweepd_received_total{{{port}}}"),
+            expected.received + from_other,
+        );
+        check.must_be(&format!("sweepd_dropped_total{{{port}}}"), 0);
+        for reason in REJECTED {
+            let count = match reason {
+                "port" => from_other,
+                _ => expected.rejected.get(reason).copied().unwrap_or(0),
+            };
+            check.must_be(
+                &format!("sweepd_rejected_total{{{port},reason=\"{reason}\"}}"),
+                count,
+            );
+        }
+    }
+
+    fn check_sensor(&self, check: &mut MetricsCheck<'_>, index: usize) {
+        let expected = &self.feeds[index].expected;
+        let name = SENSORS[index].name;
+        let positions = sensor_metric("position_packets", name);
+        let overflows = check.found(&sensor_metric("position_overflows", name));
+        let unshared = sensor_metric("unshared_sweeps", name);
+        let unshared_found = check.found(&unshared);
+        check.must_be(&sensor_metric("packets", name), expected.packets);
+        check.must_be(&sensor_metric("lost", name), expected.lost);
+        check.must_be(&sensor_metric("reordered", name), expected.reordered);
+        check.must_be(&unshared, unshared_found.min(UNSHARED));
+        check.must_be(&positions, expected.positions.saturating_sub(overflows));
+        check.must_be(&sensor_metric("sweeps", name), self.known_sweeps(index));
+        for reason in UNDECODED {
+            check.must_be(
+                &format!("sweepd_undecoded_total{{sensor=\"{name}\",reason=\"{reason}\"}}"),
+                expected.undecoded.get(reason).copied().unwrap_or(0),
+            );
+        }
+    }
+
+    /// Packets that the daemon must have admitted since it began.
+    fn admitted(&self) -> u64 {
+        let expected = self.feeds.iter().map(|feed| &feed.expected);
+        expected.map(|one| one.packets + one.positions).sum()
+    }
+
+    /// What may happen between two episodes: the daemon reads its configuration again.
+    ///
+    /// # Errors
+    /// It does not do what the configuration says.
+    pub fn between_episodes(&mut self) -> Result<(), Failure> {
         let dice = self.rng.u32(..100);
-        let [taken, refused, recorded] = RELOADS;
-        if self.settings.1 {
-            self.settings.1 = false;
-            self.write_config(true).map_err(failed)?;
-            self.daemon()?.reload_recording(false)?;
-            fs::remove_dir_all(self.recordings()).map_err(failed)?;
-        } else if dice < taken {
-            // Another one than before: what has not changed is not taken again.
-            self.settings.0 = (self.settings.0 + self.rng.u32(1..360)) % 360;
-            self.write_config(true).map_err(failed)?;
-            self.outcome.reloads[0] += 1;
-            self.daemon()?.reload(SENSORS.len() as u64)?;
-        } else if dice < taken + refused {
-            self.write_config(false).map_err(failed)?;
-            self.outcome.reloads[1] += 1;
-            self.daemon()?.reload_in_vain()?;
-            self.write_config(true).map_err(failed)?;
-        } else if dice < taken + refused + recorded {
-            self.settings.1 = true;
-            fs::create_dir_all(self.recordings()).map_err(failed)?;
-            self.write_config(true).map_err(failed)?;
+        if self.setup.is_recording {
+            self.setup.is_recording = false;
+            self.setup.write_config()?;
+            self.reload("recorded ", 1)?;
+            fs::remove_dir_all(self.setup.recordings()).map_err(cannot("remove a recording"))?;
+        } else if dice < RELOADS_TAKEN {
+            // Another cut than before: what has not changed is not taken again.
+            self.setup.cut_deg = (self.setup.cut_deg + self.rng.u32(1..360)) % 360;
+            self.setup.write_config()?;
+            self.outcome.reloads_taken += 1;
+            self.reload("decoded with the new configuration", SENSORS.len())?;
+        } else if dice < RELOADS_TAKEN + RELOADS_REFUSED {
+            self.setup.write_config_with("\n[[sensor]]\nname = 5\n")?;
+            self.outcome.reloads_refused += 1;
+            self.reload("the configuration is not taken", 1)?;
+            self.setup.write_config()?;
+        } else if dice < RELOADS_TAKEN + RELOADS_REFUSED + RECORDINGS {
+            self.setup.is_recording = true;
+            fs::create_dir_all(self.setup.recordings()).map_err(cannot("make a folder"))?;
+            self.setup.write_config()?;
             self.outcome.recordings += 1;
-            self.recorded_before = self
-                .feeds
-                .iter()
-                .map(|feed| feed.tally.packets + feed.tally.positions)
-                .sum();
-            self.daemon()?.reload_recording(true)?;
+            self.recorded_before = self.admitted();
+            self.reload("recording to ", 1)?;
             // Each thread has its lane after one more round, which takes a nap at most; one that
             // waits looks for it before it takes the next packet.
             thread::sleep(Duration::from_millis(400));
         }
         Ok(())
     }
+
+    /// Has the daemon read its configuration again, and waits until it has logged `text` so often.
+    fn reload(&mut self, text: &str, times: usize) -> Result<(), Failure> {
+        let process = &mut self.daemon.process;
+        let before = process.log_lines();
+        process
+            .signal(Signal::HUP)
+            .map_err(cannot("signal the daemon"))?;
+        process.until(PATIENCE, &format!("it logged `{text}`"), |daemon| {
+            daemon.logged_after(before, text) >= times
+        })
+    }
 }
 
-/// For a thread that sends: on loopback, two cores could change the order of what is sent. No
-/// process inherits that.
-fn stay_on_one_core() {
-    let last = thread::available_parallelism().map_or(0, |cores| cores.get() - 1);
-    pin_to_core(last);
+/// The name of a sensor's counter.
+fn sensor_metric(name: &str, sensor: &str) -> String {
+    format!("sweepd_{name}_total{{sensor=\"{sensor}\"}}")
 }
 
-/// Sends all feeds for so long by their clocks, no faster than the sockets are emptied: no more
-/// than `window` bytes wait.
-fn send(
-    feeds: &mut [Feed],
-    span_ns: u64,
-    (ports, window): (&[u16], u64),
-    rng: &mut Rng,
-) -> io::Result<()> {
-    let end_ns: Vec<u64> = feeds
-        .iter()
-        .map(|feed| feed.stream.elapsed_ns() + span_ns)
-        .collect();
-    let mut events: Vec<(usize, u64, Event)> = (0..rng.usize(..4))
-        .map(|_| event(feeds, span_ns, rng))
-        .collect();
-    feeds
-        .iter_mut()
-        .try_for_each(|feed| feed.send_whole(WHOLE.0))?;
-    let mut steps = 0_u64;
-    loop {
-        // The feed that is behind by its own clock, so that both go on together.
-        let left = |(index, feed): (usize, &Feed)| {
-            (
-                end_ns[index].saturating_sub(feed.stream.elapsed_ns()),
-                index,
-            )
-        };
-        let Some((1.., index)) = feeds.iter().enumerate().map(left).max() else {
-            break;
-        };
-        let now_ns = feeds[index].stream.elapsed_ns();
-        let due = events
+/// Runs `send` on a thread of its own that stays on one core (on loopback, two cores could change
+/// the order of what is sent; the processes that this one starts must not inherit that), and calls
+/// `meanwhile` now and then.
+fn on_sender_thread(
+    send: impl FnOnce() -> io::Result<()> + Send,
+    mut meanwhile: impl FnMut(),
+) -> Result<(), Failure> {
+    let sent = thread::scope(|scope| {
+        let sender = scope.spawn(|| {
+            let mut cores = CpuSet::new();
+            cores.set(thread::available_parallelism().map_or(0, |cores| cores.get() - 1));
+            // Where the system refuses, the thread may run on any core.
+            let _ = sched_setaffinity(None, &cores);
+            send()
+        });
+        while !sender.is_finished() {
+            meanwhile();
+            thread::sleep(SAMPLE_EVERY);
+        }
+        sender
+            .join()
+            .unwrap_or_else(|_| Err(io::Error::other("the sender panicked")))
+    });
+    sent.map_err(cannot("send packets"))
+}
+
+/// How an episode is sent: no faster than the daemon empties its sockets.
+struct Sending {
+    ports: [u16; 2],
+    /// Bytes that may wait in a socket.
+    window_bytes: u64,
+    rng: Rng,
+}
+
+/// A fault of a sensor that is due at a time of its clock.
+struct Scheduled {
+    sensor: usize,
+    at: Duration,
+    fault: SensorFault,
+}
+
+impl Sending {
+    fn send(&mut self, feeds: &mut [Feed], span: Duration) -> io::Result<()> {
+        let ends: Vec<Duration> = feeds
             .iter()
-            .position(|&(of, at_ns, _)| of == index && at_ns <= now_ns);
-        match due.map(|due| events.swap_remove(due)) {
-            Some((.., event)) => feeds[index].event(event)?,
-            None => feeds[index].step()?,
+            .map(|feed| feed.stream.elapsed() + span)
+            .collect();
+        let mut faults: Vec<Scheduled> = (0..self.rng.usize(..4))
+            .map(|_| self.schedule(feeds, span))
+            .collect();
+        for feed in feeds.iter_mut() {
+            feed.send_whole(WHOLE_FIRST)?;
         }
-        steps += 1;
-        if steps.is_multiple_of(CHUNK) {
-            await_room(ports, window)?;
+        let mut steps = 0_u64;
+        // The feed that is behind by its own clock, so that both go on together.
+        while let Some((left, sensor)) = (0..feeds.len())
+            .map(|index| {
+                (
+                    ends[index].saturating_sub(feeds[index].stream.elapsed()),
+                    index,
+                )
+            })
+            .max()
+            && !left.is_zero()
+        {
+            let feed = &mut feeds[sensor];
+            let now = feed.stream.elapsed();
+            let due = (faults.iter()).position(|one| one.sensor == sensor && one.at <= now);
+            match due {
+                Some(due) => feed.inject_into_sensor(faults.swap_remove(due).fault)?,
+                None => feed.step()?,
+            }
+            steps += 1;
+            if steps.is_multiple_of(CHUNK) {
+                self.await_room()?;
+            }
+        }
+        for feed in feeds.iter_mut() {
+            feed.send_whole(WHOLE_LAST)?;
+        }
+        Ok(())
+    }
+
+    fn schedule(&mut self, feeds: &[Feed], span: Duration) -> Scheduled {
+        let faults = [
+            SensorFault::ClockJump,
+            SensorFault::ClockJump,
+            SensorFault::HeadStall,
+            SensorFault::ModeSwitch,
+            SensorFault::Gps,
+            SensorFault::Gps,
+            SensorFault::Silence(Duration::from_millis(self.rng.u64(150..800))),
+        ];
+        let sensor = self.rng.usize(..feeds.len());
+        Scheduled {
+            sensor,
+            at: feeds[sensor].stream.elapsed() + span.mul_f64(self.rng.f64()),
+            fault: faults[self.rng.usize(..faults.len())],
         }
     }
-    feeds
-        .iter_mut()
-        .try_for_each(|feed| feed.send_whole(WHOLE.1))
-}
 
-fn event(feeds: &[Feed], span_ns: u64, rng: &mut Rng) -> (usize, u64, Event) {
-    let all = [
-        Event::ClockJump,
-        Event::ClockJump,
-        Event::HeadStall,
-        Event::ModeSwitch,
-        Event::Gps,
-        Event::Gps,
-        Event::Silence(Duration::from_millis(rng.u64(150..800))),
-    ];
-    let index = rng.usize(..feeds.len());
-    (
-        index,
-        feeds[index].stream.elapsed_ns() + rng.u64(..span_ns),
-        all[rng.usize(..all.len())],
-    )
-}
-
-/// Waits until there is room for more in the sockets.
-fn await_room(ports: &[u16], window: u64) -> io::Result<()> {
-    let begun = Instant::now();
-    while daemon::waiting(ports)?.0 > window {
-        if begun.elapsed() > PATIENCE {
-            return Err(io::Error::other("the daemon fetches nothing"));
+    /// Waits until there is room for more in the sockets.
+    fn await_room(&self) -> io::Result<()> {
+        let begun = Instant::now();
+        while waiting_bytes(&self.ports)? > self.window_bytes {
+            if begun.elapsed() > COUNTED_WITHIN {
+                return Err(io::Error::other("the daemon fetches nothing"));
+            }
+            thread::sleep(Duration::from_micros(200));
         }
-        thread::sleep(Duration::from_micros(200));
+        Ok(())
     }
-    Ok(())
 }

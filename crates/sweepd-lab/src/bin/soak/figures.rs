@@ -1,33 +1,104 @@
 //! What must not grow, quarter by quarter of the run.
 
 use std::fmt::Write as _;
-use std::ops::Range;
 
-use super::daemon::Usage;
+use super::usage::{DomainUsage, ProcessUsage};
 
-/// What is looked at: its name, its unit, and by how much the greatest value of a later quarter may
-/// exceed that of an earlier one: a share of it and so much more, or so much where there were few
-/// looks. (Few looks may not meet the most consumers that there can be at a time, nor a VLP-16 that
-/// begins to send two returns: once in a life of the daemon, its pool in shared memory grows by 17
-/// MiB, and the one before, of 28, stays for two seconds.)
-///
-/// Memory is looked at while the daemon is at rest. A recording takes up to 96 MiB (32 for each of
-/// three ports), and a client of the taps up to 8: both are given back, and how many there are at a
-/// time is chance. What the taps keep afterwards is bounded, but comes bit by bit: three rings of 8
-/// MiB, and up to 16 MiB that malloc does not give back.
-const ROWS: [(&str, &str, f64, f64, f64); 8] = [
-    ("daemon: memory of its own", "KiB", 0.05, 1024.0, 40_000.0),
-    ("daemon: resident memory", "KiB", 0.05, 2048.0, 40_000.0),
-    ("daemon: threads", "", 0.0, 1.0, 4.0),
-    ("daemon: descriptors", "", 0.0, 6.0, 40.0),
-    ("files of the domain", "", 0.0, 12.0, 100.0),
-    ("shared memory", "KiB", 0.05, 1024.0, 48_000.0),
-    ("consumer that stays: memory", "KiB", 0.05, 2048.0, 8192.0),
-    ("consumer that stays: descriptors", "", 0.0, 6.0, 40.0),
+/// What is sampled, and by how much the greatest value of a later quarter may exceed that of an
+/// earlier one: by `share` of it, and by `more`, or by `more_with_few` where there were few
+/// samples.
+struct Row {
+    name: &'static str,
+    unit: &'static str,
+    share: f64,
+    more: f64,
+    /// Few samples may not meet the most consumers that there can be at a time, nor a VLP-16 that
+    /// begins to send two returns: once in a life of the daemon, its pool in shared memory grows
+    /// by 17 MiB, and the one before, of 28, stays for two seconds.
+    more_with_few: f64,
+    /// Memory is compared while the daemon is at rest. A recording takes up to 96 MiB (32 for each
+    /// of three ports), and a client of the taps up to 8: both are given back, and how many there
+    /// are at a time is chance. What the taps keep afterwards is bounded, but comes bit by bit:
+    /// three rings of 8 MiB, and up to 16 MiB that malloc does not give back.
+    is_at_rest: bool,
+    value: fn(&Sample) -> u64,
+}
+
+const ROWS: [Row; 8] = [
+    Row {
+        name: "daemon: memory of its own",
+        unit: "KiB",
+        share: 0.05,
+        more: 1024.0,
+        more_with_few: 40_000.0,
+        is_at_rest: true,
+        value: |sample| sample.daemon.own_kib,
+    },
+    Row {
+        name: "daemon: resident memory",
+        unit: "KiB",
+        share: 0.05,
+        more: 2048.0,
+        more_with_few: 40_000.0,
+        is_at_rest: true,
+        value: |sample| sample.daemon.resident_kib,
+    },
+    Row {
+        name: "daemon: threads",
+        unit: "",
+        share: 0.0,
+        more: 1.0,
+        more_with_few: 4.0,
+        is_at_rest: false,
+        value: |sample| sample.daemon.threads,
+    },
+    Row {
+        name: "daemon: descriptors",
+        unit: "",
+        share: 0.0,
+        more: 6.0,
+        more_with_few: 40.0,
+        is_at_rest: false,
+        value: |sample| sample.daemon.descriptors,
+    },
+    Row {
+        name: "files of the domain",
+        unit: "",
+        share: 0.0,
+        more: 12.0,
+        more_with_few: 100.0,
+        is_at_rest: false,
+        value: |sample| sample.domain.files,
+    },
+    Row {
+        name: "shared memory",
+        unit: "KiB",
+        share: 0.05,
+        more: 1024.0,
+        more_with_few: 48_000.0,
+        is_at_rest: false,
+        value: |sample| sample.domain.shared_bytes / 1024,
+    },
+    Row {
+        name: "consumer that stays: memory",
+        unit: "KiB",
+        share: 0.05,
+        more: 2048.0,
+        more_with_few: 8192.0,
+        is_at_rest: false,
+        value: |sample| sample.own.own_kib,
+    },
+    Row {
+        name: "consumer that stays: descriptors",
+        unit: "",
+        share: 0.0,
+        more: 6.0,
+        more_with_few: 40.0,
+        is_at_rest: false,
+        value: |sample| sample.own.descriptors,
+    },
 ];
-/// Of the rows, these are looked at only at rest.
-const AT_REST: Range<usize> = 0..2;
-/// Fewer looks in a quarter are few: in that time, the smallest ring of the taps is not yet full.
+/// Fewer samples in a quarter are few: in that time, the smallest ring of the taps is not yet full.
 const MANY: u64 = 6_000;
 /// A life of the daemon may begin between two quarters, not within one that is compared.
 const QUARTERS: usize = 4;
@@ -35,52 +106,41 @@ const QUARTERS: usize = 4;
 /// first.
 const COMPARED: [(usize, usize); 3] = [(0, 1), (2, 3), (0, 3)];
 
-/// One look at everything.
+/// A sample of everything.
 #[derive(Clone, Copy, Debug, Default)]
 pub struct Sample {
     /// The daemon.
-    pub daemon: Usage,
+    pub daemon: ProcessUsage,
     /// Whether it neither records nor has clients that record through it.
     pub is_at_rest: bool,
-    /// Files in the domain's folder and in shared memory.
-    pub files: u64,
-    /// Bytes of shared memory that are really taken.
-    pub shared_bytes: u64,
-    /// This process, which has the consumers that stay.
-    pub own: Usage,
+    /// Its domain.
+    pub domain: DomainUsage,
+    /// This process, which has the steady consumers.
+    pub own: ProcessUsage,
 }
 
-impl Sample {
-    fn numbers(&self) -> [u64; ROWS.len()] {
-        let (daemon, own) = (self.daemon, self.own);
-        [
-            daemon.own_kib,
-            daemon.resident_kib,
-            daemon.threads,
-            daemon.descriptors,
-            self.files,
-            self.shared_bytes / 1024,
-            own.own_kib,
-            own.descriptors,
-        ]
-    }
+/// A row in a quarter.
+#[derive(Clone, Copy, Debug, Default)]
+struct Greatest {
+    value: u64,
+    samples: u64,
 }
 
-/// The greatest of each, by quarter.
+/// The greatest value of each row, by quarter.
 #[derive(Clone, Debug, Default)]
 pub struct Figures {
-    most: [[u64; ROWS.len()]; QUARTERS],
-    samples: [[u64; ROWS.len()]; QUARTERS],
+    rows: [[Greatest; QUARTERS]; ROWS.len()],
 }
 
 impl Figures {
     /// Takes a sample at a share of the run, 0 to 1.
     pub fn add(&mut self, share: f64, sample: &Sample) {
         let quarter = ((share * QUARTERS as f64) as usize).min(QUARTERS - 1);
-        for (row, number) in sample.numbers().into_iter().enumerate() {
-            if sample.is_at_rest || !AT_REST.contains(&row) {
-                self.samples[quarter][row] += 1;
-                self.most[quarter][row] = number.max(self.most[quarter][row]);
+        for (row, quarters) in ROWS.iter().zip(&mut self.rows) {
+            if sample.is_at_rest || !row.is_at_rest {
+                let greatest = &mut quarters[quarter];
+                greatest.samples += 1;
+                greatest.value = greatest.value.max((row.value)(sample));
             }
         }
     }
@@ -88,21 +148,26 @@ impl Figures {
     /// What grew, a sentence each; nothing where all is flat.
     pub fn grown(&self) -> Vec<String> {
         let mut grown = Vec::new();
-        for (row, (name, unit, share, more, with_few)) in ROWS.iter().enumerate() {
+        for (row, quarters) in ROWS.iter().zip(&self.rows) {
             for (before, after) in COMPARED {
-                let [from, to] = [before, after].map(|quarter| self.most[quarter][row]);
-                let [looks, later] = [before, after].map(|quarter| self.samples[quarter][row]);
-                let more = if looks < MANY { with_few } else { more };
-                let is_known = looks > 0 && later > 0;
-                if is_known && to as f64 > from as f64 * (1.0 + share) + more {
-                    let (before, after) = (before + 1, after + 1);
-                    let unit = if unit.is_empty() {
-                        String::new()
-                    } else {
-                        format!(" {unit}")
-                    };
+                let from = quarters[before];
+                let to = quarters[after];
+                let more = if from.samples < MANY {
+                    row.more_with_few
+                } else {
+                    row.more
+                };
+                let is_known = from.samples > 0 && to.samples > 0;
+                if is_known && to.value as f64 > from.value as f64 * (1.0 + row.share) + more {
+                    let space = if row.unit.is_empty() { "" } else { " " };
                     grown.push(format!(
-                        "{name} grew from {from} to {to}{unit}, quarter {before} to {after}"
+                        "{} grew from {} to {}{space}{}, quarter {} to {}",
+                        row.name,
+                        from.value,
+                        to.value,
+                        row.unit,
+                        before + 1,
+                        after + 1
                     ));
                 }
             }
@@ -110,36 +175,30 @@ impl Figures {
         grown
     }
 
-    /// The table: a row each, the greatest of every quarter.
+    /// The table: a line for each row, with the greatest value of every quarter.
     pub fn table(&self) -> String {
-        let mut text = format!(
-            "{:<36} {:>11} {:>11} {:>11} {:>11}\n",
-            "greatest of each quarter", 1, 2, 3, 4
-        );
-        for (row, (name, unit, ..)) in ROWS.iter().enumerate() {
-            let [one, two, three, four] = [0, 1, 2, 3].map(|quarter| self.most[quarter][row]);
-            let name = if unit.is_empty() {
-                (*name).to_owned()
-            } else {
-                format!("{name}, {unit}")
-            };
-            let _ = writeln!(
-                text,
-                "{name:<36} {one:>11} {two:>11} {three:>11} {four:>11}"
-            );
+        let mut table = String::new();
+        write_line(&mut table, "greatest of each quarter", [1, 2, 3, 4]);
+        for (row, quarters) in ROWS.iter().zip(&self.rows) {
+            let comma = if row.unit.is_empty() { "" } else { ", " };
+            let name = format!("{}{comma}{}", row.name, row.unit);
+            write_line(&mut table, &name, quarters.map(|one| one.value));
         }
-        for (name, row) in [
-            ("looks", AT_REST.end),
-            ("looks at memory, at rest", AT_REST.start),
-        ] {
-            let [one, two, three, four] = [0, 1, 2, 3].map(|quarter| self.samples[quarter][row]);
-            let _ = writeln!(
-                text,
-                "{name:<36} {one:>11} {two:>11} {three:>11} {four:>11}"
-            );
+        for (name, is_at_rest) in [("looks", false), ("looks at memory, at rest", true)] {
+            let row = ROWS.iter().position(|row| row.is_at_rest == is_at_rest);
+            let quarters = row.map(|row| self.rows[row]).unwrap_or_default();
+            write_line(&mut table, name, quarters.map(|one| one.samples));
         }
-        text
+        table
     }
+}
+
+fn write_line(table: &mut String, name: &str, quarters: [u64; QUARTERS]) {
+    let _ = write!(table, "{name:<36}");
+    for value in quarters {
+        let _ = write!(table, " {value:>11}");
+    }
+    table.push('\n');
 }
 
 #[cfg(test)]
@@ -147,11 +206,11 @@ mod tests {
     use super::*;
 
     fn sample(own_kib: u64, threads: u64, descriptors: u64) -> Sample {
-        let daemon = Usage {
+        let daemon = ProcessUsage {
             own_kib,
             threads,
             descriptors,
-            ..Usage::default()
+            ..ProcessUsage::default()
         };
         Sample {
             daemon,

@@ -1,23 +1,54 @@
-//! `sweepd-soak`: a day of the daemon in about an hour.
+//! `sweepd-soak`: a day of the daemon in about an hour, with everything that happens to it in the
+//! field, while its memory, threads, descriptors and files must stay as they are, and its counters
+//! must be exact.
+//!
+//! ```text
+//! Feed (VLP-16) --\                          /-- SteadyConsumer: checks every sweep
+//!                  UDP, loopback -> sweepd run -- shared memory
+//! Feed (HDL-64E) -/                          \-- ConsumerPool: `sweepd watch` and `record --from`, which come, go, hang and die
+//! ```
+//!
+//! The daemon is the real one, a process of its own, reached through its sockets and nothing else;
+//! so are the consumers. Only the sender is accelerated: the packets' own clock and the head go on
+//! as in life, and the next packet is sent when the last ones were fetched, so that the kernel
+//! drops none. Within a turn the daemon judges a gap by the sensor's clock and the head, and these
+//! are true to life. What it judges by the host's clock is not accelerated: silences last in real
+//! time.
+//!
+//! * [`stream`]: a sensor that never ends. [`feed`]: what goes wrong on the way, and what must be
+//!   counted of it.
+//! * [`consumers`]: the programs that read.
+//! * [`figures`]: what must not grow.
+//! * [`run`] and [`episode`]: a run is a sequence of episodes. After each one the sender waits until
+//!   everything has been fetched; then every counter must be what was injected. Between episodes
+//!   the daemon reads its configuration again, and recordings begin and end. In the middle of the
+//!   run the daemon is ended or killed, and started again, several times, so that it has two long
+//!   lives.
 
-mod day;
+mod consumers;
+mod episode;
+mod feed;
+mod figures;
+mod run;
+mod sensors;
+mod stream;
+mod sys;
+mod usage;
 
-use std::fmt::Display;
-use std::fs::{self, DirBuilder};
 use std::io::{self, Write};
 use std::ops::RangeInclusive;
-use std::os::unix::fs::DirBuilderExt;
 use std::path::PathBuf;
 use std::process::ExitCode;
 use std::sync::Arc;
-use std::sync::atomic::{AtomicBool, Ordering};
+use std::sync::atomic::AtomicBool;
 use std::time::Duration;
 
 use clap::Parser;
 use signal_hook::consts::{SIGHUP, SIGINT, SIGTERM};
 use signal_hook::flag;
 
-use day::{Outcome, Plan, SoakError};
+use run::Outcome;
+use sweepd_lab::testkit::{Failure, cannot};
 
 /// Runs a daemon through a day of faults, faster than life, and checks that nothing grows and all
 /// is counted
@@ -41,90 +72,57 @@ struct Args {
     #[arg(long, value_name = "FILE")]
     sweepd: Option<PathBuf>,
     /// For how long, by the sensors' clocks
-    #[arg(long, value_name = "HOURS", default_value = "24", value_parser = within(0.001..=1e4, "hours"))]
-    hours: f64,
+    #[arg(long, value_name = "HOURS", default_value = "24", value_parser = duration(0.001..=1e4, "hours", 3600.0))]
+    hours: Duration,
     /// Seed of all chance
     #[arg(long, value_name = "N", default_value = "1")]
     seed: u64,
     /// A line of progress so often
-    #[arg(long, value_name = "SECONDS", default_value = "30", value_parser = within(0.1..=1e6, "seconds"))]
-    every: f64,
+    #[arg(long, value_name = "SECONDS", default_value = "30", value_parser = duration(0.1..=1e6, "seconds", 1.0))]
+    every: Duration,
     /// From one consumer that comes to the next, on the average
-    #[arg(long, value_name = "SECONDS", default_value = "1", value_parser = within(0.01..=1e6, "seconds"))]
-    consumer_every: f64,
+    #[arg(long, value_name = "SECONDS", default_value = "1", value_parser = duration(0.01..=1e6, "seconds", 1.0))]
+    consumer_every: Duration,
 }
 
 fn main() -> ExitCode {
-    match soak(&Args::parse()) {
-        Ok(complaints) if complaints.is_empty() => ExitCode::SUCCESS,
-        Ok(complaints) => {
-            for complaint in complaints {
-                complain(&complaint);
-            }
-            ExitCode::FAILURE
-        }
-        Err(error) => {
-            complain(&error);
-            ExitCode::FAILURE
-        }
+    let grown = soak(&Args::parse()).unwrap_or_else(|failure| vec![failure.to_string()]);
+    for line in &grown {
+        // A reader that has gone away changes nothing.
+        let _ = writeln!(io::stderr(), "error: {line}");
+    }
+    if grown.is_empty() {
+        ExitCode::SUCCESS
+    } else {
+        ExitCode::FAILURE
     }
 }
 
-/// An error line; a reader that has gone away changes nothing.
-fn complain(what: &dyn Display) {
-    let _ = writeln!(io::stderr(), "error: {what}");
-}
-
 /// Runs it, and returns what grew.
-fn soak(args: &Args) -> Result<Vec<String>, SoakError> {
-    let system = |what| move |source| SoakError::System { what, source };
+fn soak(args: &Args) -> Result<Vec<String>, Failure> {
     let program = program(args)?;
-    let over = end_flag().map_err(system("handle signals"))?;
-    let folder = std::env::temp_dir().join(format!("sweepd-soak-{}", std::process::id()));
-    // A new one: somebody else may have made a folder or a link of this name for it to write to.
-    let made = DirBuilder::new().mode(0o700).create(&folder);
-    made.map_err(system("make a folder in the temporary folder"))?;
-    let plan = Plan {
-        program,
-        folder: folder.clone(),
-        duration: Duration::from_secs_f64(args.hours * 3600.0),
-        seed: args.seed,
-        consumer_every: Duration::from_secs_f64(args.consumer_every),
-        tell_every: Duration::from_secs_f64(args.every),
-    };
-    let mut told = Ok(());
-    let outcome = day::run(&plan, &over, &mut |line| {
-        told = writeln!(io::stdout(), "{line}");
-        // Without a reader it need not go on for an hour.
-        over.fetch_or(told.is_err(), Ordering::Relaxed);
-    });
-    let _ = fs::remove_dir(&folder);
-    told.map_err(system("write to standard output"))?;
-    let outcome = outcome?;
-    print(&outcome).map_err(system("write to standard output"))?;
+    let over = end_flag().map_err(cannot("handle signals"))?;
+    let outcome = run::run(args, program, &over)?;
+    print(&outcome).map_err(cannot("write to standard output"))?;
     Ok(outcome.figures.grown())
 }
 
 /// The program `sweepd`.
-fn program(args: &Args) -> Result<PathBuf, SoakError> {
+fn program(args: &Args) -> Result<PathBuf, Failure> {
     let path = match &args.sweepd {
         Some(path) => path.clone(),
         None => std::env::current_exe()
-            .map_err(|source| SoakError::System {
-                what: "find this program",
-                source,
-            })?
+            .map_err(cannot("find this program"))?
             .with_file_name("sweepd"),
     };
-    if !path.is_file() {
-        let what = format!(
+    if path.is_file() {
+        Ok(path)
+    } else {
+        Err(Failure(format!(
             "there is no program {}: build it (`cargo build --release`), or name it with --sweepd",
             path.display()
-        );
-        let log = String::new();
-        return Err(SoakError::Wrong { what, log });
+        )))
     }
-    Ok(path)
 }
 
 /// A flag that is set when the run shall end; a second signal ends the program at once.
@@ -139,13 +137,14 @@ fn end_flag() -> io::Result<Arc<AtomicBool>> {
     Ok(over)
 }
 
-/// Reads a number within `range`.
-fn within(
+/// Reads a number within `range` of a unit with this many seconds.
+fn duration(
     range: RangeInclusive<f64>,
     unit: &'static str,
-) -> impl Fn(&str) -> Result<f64, String> + Clone {
+    unit_s: f64,
+) -> impl Fn(&str) -> Result<Duration, String> + Clone {
     move |text| match text.parse::<f64>() {
-        Ok(number) if range.contains(&number) => Ok(number),
+        Ok(number) if range.contains(&number) => Ok(Duration::from_secs_f64(number * unit_s)),
         _ => Err(format!(
             "expected {} to {} {unit}",
             range.start(),
@@ -156,7 +155,8 @@ fn within(
 
 fn print(outcome: &Outcome) -> io::Result<()> {
     let mut out = io::stdout().lock();
-    let (simulated, took) = (outcome.simulated.as_secs_f64(), outcome.took.as_secs_f64());
+    let simulated = outcome.simulated.as_secs_f64();
+    let took = outcome.took.as_secs_f64();
     writeln!(
         out,
         "\n{:.2} h of two sensors in {:.2} h, {:.1} times life",
@@ -164,30 +164,35 @@ fn print(outcome: &Outcome) -> io::Result<()> {
         took / 3600.0,
         simulated / took
     )?;
-    let [published, received, runs] = outcome.sweeps;
     writeln!(
         out,
-        "{} datagrams; {published} sweeps in {runs} runs of pipelines; {received} got by the consumers that stay, which had to \
-         catch up {} times after an episode",
-        outcome.datagrams, outcome.caught_up
+        "{} datagrams; {} sweeps in {} runs of pipelines; {} got by the consumers that stay, which had to catch up {} times \
+         after an episode",
+        outcome.datagrams,
+        outcome.published,
+        outcome.pipeline_runs,
+        outcome.received,
+        outcome.caught_up
     )?;
-    let [ended, killed] = outcome.restarts;
-    let [taken, refused] = outcome.reloads;
     writeln!(
         out,
-        "daemon: ended {ended} times, killed {killed} times; {taken} configurations taken, {refused} refused; {} recordings",
+        "daemon: ended {} times, killed {} times; {} configurations taken, {} refused; {} recordings",
+        outcome.ended,
+        outcome.killed,
+        outcome.reloads_taken,
+        outcome.reloads_refused,
         outcome.recordings
     )?;
-    let census = outcome.census;
+    let consumers = outcome.consumers;
     writeln!(
         out,
         "consumers: {} started, {} left, {} hung, {} killed",
-        census.started, census.left, census.hung, census.killed
+        consumers.started, consumers.left, consumers.hung, consumers.killed
     )?;
     let injected: Vec<String> = outcome
         .injected
         .iter()
-        .map(|(what, times)| format!("{what} {times}"))
+        .map(|(fault, times)| format!("{fault} {times}"))
         .collect();
     writeln!(out, "injected: {}", injected.join(", "))?;
     writeln!(

@@ -1,98 +1,37 @@
-//! A day of the daemon in about an hour: everything that happens to it in the field, while its
-//! memory, threads, descriptors and files must stay as they are, and its counters must be exact.
-//!
-//! ```text
-//! Feed (VLP-16) --\                          /-- Steadfast: checks every sweep
-//!                  UDP, loopback -> sweepd run -- shared memory
-//! Feed (HDL-64E) -/                          \-- Crowd: `sweepd watch` and `record --from`, which come, go, hang and die
-//! ```
-//!
-//! The daemon is the real one, a process of its own, reached through its sockets and nothing else;
-//! so are the consumers. What is accelerated is the sender alone: the packets' own clock and the
-//! head go on as in life, and the next packet is sent when the last ones were fetched, so that the
-//! kernel drops none. Within a turn the daemon judges a gap by the sensor's clock and the head, and
-//! these are true to life. What it judges by the host's clock is not accelerated: silences last in
-//! real time.
-//!
-//! * [`stream`]: a sensor for ever. [`feed`]: what goes wrong on the way, and what must be counted
-//!   of it.
-//! * [`daemon`]: the daemon's process. [`consumers`]: those who read.
-//! * [`figures`]: what must not grow.
-//!
-//! A run is a row of episodes. After each one the sender waits until everything has been fetched;
-//! then every counter must be what was injected. Between episodes the configuration is read again,
-//! and recordings begin and end. In the middle of the run the daemon is ended or killed, and
-//! started again, several times, so that it has two long lives.
-
-pub mod consumers;
-pub mod daemon;
-mod episode;
-pub mod feed;
-pub mod figures;
-pub mod stream;
-mod sys;
+//! A run: a daemon, its sensors and its consumers, and one episode after the other.
 
 use std::fs;
-use std::io;
-use std::net::{Ipv4Addr, SocketAddrV4};
+use std::io::{self, Write};
+use std::net::Ipv4Addr;
 use std::path::{Path, PathBuf};
 use std::sync::atomic::{AtomicBool, Ordering};
 use std::time::{Duration, Instant};
 
 use fastrand::Rng;
-
-use self::consumers::{Census, Crowd, Steadfast};
-use self::daemon::Daemon;
-use self::feed::{Feed, Injected, Place};
-use self::figures::{Figures, Sample};
-use sweepd_client::client::{ClientError, Domain};
+use rustix::process::Signal;
 use sweepd_core::sensor::Model;
 use sweepd_core::sensor::ros_yaml;
 use sweepd_core::wire::data::ReturnMode;
 use sweepd_lab::simulate::EmitterConfig;
+use sweepd_lab::testkit::daemon::run_command;
+use sweepd_lab::testkit::{Daemon, Failure, PATIENCE, ReservedPort, TempDomain, cannot};
 
-/// What is to be run.
-#[derive(Clone, Debug)]
-pub struct Plan {
-    /// The program `sweepd`.
-    pub program: PathBuf,
-    /// A folder that is there and empty; it is left empty.
-    pub folder: PathBuf,
-    /// Time by the sensors' clocks.
-    pub duration: Duration,
-    /// Seed of all chance.
-    pub seed: u64,
-    /// From one consumer to the next, on the average.
-    pub consumer_every: Duration,
-    /// From one line of progress to the next.
-    pub tell_every: Duration,
-}
+use super::Args;
+use super::consumers::{ConsumerPool, ConsumerStats, POOL_PER_SENSOR, SteadyConsumer};
+use super::feed::{ExpectedCounts, Feed, FeedConfig, Injected};
+use super::figures::{Figures, Sample};
+use super::sensors::SENSORS;
+use super::sys::inherit_nothing;
+use super::usage::{DomainUsage, ProcessUsage};
 
-/// Why a run ended, or could not begin.
-#[derive(Debug, thiserror::Error)]
-pub enum SoakError {
-    /// The daemon, or a consumer, does what it must not.
-    #[error("{what}{}", if log.is_empty() { String::new() } else { format!("; the daemon said last:\n{log}") })]
-    Wrong {
-        /// What.
-        what: String,
-        /// The end of the daemon's log, where it matters.
-        log: String,
-    },
-    /// The system refuses.
-    #[error("cannot {what}: {source}")]
-    System {
-        /// What was tried.
-        what: &'static str,
-        /// What the system says.
-        source: io::Error,
-    },
-    /// The consumer that stays cannot.
-    #[error(transparent)]
-    Client(#[from] ClientError),
-}
+/// An address that is not configured.
+const FOREIGN: Ipv4Addr = Ipv4Addr::new(127, 0, 0, 9);
+/// The length of an episode by the sensors' clocks.
+pub const EPISODE: Duration = Duration::from_secs(10);
+/// Restarts of the daemon at most.
+const RESTARTS: u64 = 16;
 
-/// What came of a run.
+/// The result of a run.
 #[derive(Clone, Debug, Default)]
 pub struct Outcome {
     /// Time by the sensors' clocks.
@@ -101,362 +40,353 @@ pub struct Outcome {
     pub took: Duration,
     /// Datagrams sent.
     pub datagrams: u64,
-    /// Sweeps published, by the consumers that stay; those that they got; runs of pipelines.
-    pub sweeps: [u64; 3],
-    /// How often a consumer that stays was behind after an episode, and caught up with the sweeps
-    /// that followed.
+    /// Sweeps published.
+    pub published: u64,
+    /// The ones among them that the steady consumers received.
+    pub received: u64,
+    /// Runs of pipelines.
+    pub pipeline_runs: u64,
+    /// How often a steady consumer was behind after an episode, and caught up with the sweeps that
+    /// followed.
     pub caught_up: u64,
     /// What was injected.
     pub injected: Injected,
     /// Episodes after which all counters were exact.
     pub exact: u64,
-    /// Ends of the daemon: asked for, by SIGKILL.
-    pub restarts: [u64; 2],
-    /// Configurations read again: taken, refused.
-    pub reloads: [u64; 2],
-    /// Recordings begun and ended.
+    /// How often the daemon was asked to end.
+    pub ended: u64,
+    /// How often the daemon was killed.
+    pub killed: u64,
+    /// Configurations that the daemon took at a reload.
+    pub reloads_taken: u64,
+    /// Configurations that it refused.
+    pub reloads_refused: u64,
+    /// Recordings that began and ended.
     pub recordings: u64,
-    /// The consumers.
-    pub census: Census,
+    /// The consumers of the pool.
+    pub consumers: ConsumerStats,
     /// What must not grow.
     pub figures: Figures,
 }
 
-/// A sensor's time in an episode: so long and this many episodes there are.
-const EPISODE: Duration = Duration::from_secs(10);
-/// The sensors' addresses, and that of somebody else.
-const SENSORS: [(&str, Model, Ipv4Addr); 2] = [
-    ("vlp", Model::Vlp16, Ipv4Addr::new(127, 0, 0, 2)),
-    ("hdl", Model::Hdl64eS2, Ipv4Addr::new(127, 0, 0, 3)),
-];
-const FOREIGN: Ipv4Addr = Ipv4Addr::new(127, 0, 0, 9);
-/// Restarts of the daemon at most.
-const RESTARTS: u64 = 16;
+/// What happens to the daemon before an episode.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+enum Restart {
+    Ended,
+    Killed,
+}
 
-/// Runs a plan. `tell` gets a line now and then; `over` ends the run early, which is no error.
+/// Runs the episodes that `args` asks for, with this program as the daemon, and prints a line of
+/// progress now and then. `over` ends the run early, which is no error.
 ///
 /// # Errors
-/// [`SoakError`]: the first thing that was wrong; with a counter that is off, its name and both
-/// numbers. What grew is no error here: [`Figures::grown`].
-pub fn run(
-    plan: &Plan,
-    over: &AtomicBool,
-    tell: &mut dyn FnMut(&str),
-) -> Result<Outcome, SoakError> {
-    let mut soak = Soak::begin(plan)?;
-    let episodes = plan.duration.as_nanos().div_ceil(EPISODE.as_nanos()).max(1) as u64;
-    let mut told = Instant::now();
+/// The first thing that was wrong; with a counter that is off, its name and both numbers. What grew
+/// is no error here: [`Figures::grown`].
+pub fn run(args: &Args, program: PathBuf, over: &AtomicBool) -> Result<Outcome, Failure> {
+    let mut soak = Soak::begin(args, program)?;
+    let episodes = args.hours.as_nanos().div_ceil(EPISODE.as_nanos()).max(1) as u64;
+    let mut printed = Instant::now();
     for number in 0..episodes {
         if over.load(Ordering::Relaxed) {
             break;
         }
-        let share = number as f64 / episodes as f64;
-        if restart_after(number, episodes).is_some() {
-            soak.restart(restart_after(number, episodes) == Some(true), share)?;
+        soak.share = number as f64 / episodes as f64;
+        if let Some(restart) = restart_before(number, episodes) {
+            soak.restart(restart)?;
         }
-        soak.episode(share)?;
-        if told.elapsed() >= plan.tell_every {
-            told = Instant::now();
-            tell(&soak.line((number + 1) as f64 / episodes as f64));
+        soak.episode()?;
+        if printed.elapsed() >= args.every {
+            printed = Instant::now();
+            let share = (number + 1) as f64 / episodes as f64;
+            writeln!(io::stdout(), "{}", soak.progress(share))
+                .map_err(cannot("write to standard output"))?;
         }
-        soak.between()?;
+        soak.between_episodes()?;
     }
     soak.end()
 }
 
-/// Whether the daemon is restarted before an episode, and whether it is killed: some times in the
-/// middle of the run.
-fn restart_after(number: u64, episodes: u64) -> Option<bool> {
+/// The daemon is restarted several times in the middle of the run, so that it has two long lives.
+fn restart_before(number: u64, episodes: u64) -> Option<Restart> {
     let count = (episodes / 3).clamp(1, RESTARTS);
     let apart = (episodes / 400).max(1);
-    let since = number.checked_sub(episodes / 2)?;
-    (since.is_multiple_of(apart) && since / apart < count)
-        .then_some((since / apart).is_multiple_of(2))
+    let since_first = number.checked_sub(episodes / 2)?;
+    if !since_first.is_multiple_of(apart) {
+        return None;
+    }
+    match since_first / apart {
+        index if index >= count => None,
+        index if index.is_multiple_of(2) => Some(Restart::Killed),
+        _ => Some(Restart::Ended),
+    }
 }
 
-/// A run.
-struct Soak {
-    plan: Plan,
-    domain: Domain,
-    config: PathBuf,
-    ports: Ports,
-    daemon: Option<Daemon>,
-    feeds: Vec<Feed>,
-    steadfast: Vec<Steadfast>,
-    /// What the steadfast knew when the daemon began.
+/// A run under way. Dropped in this order: the domain's files go last.
+pub struct Soak {
+    /// Share of the run that is over, 0 to 1.
+    share: f64,
+    program: PathBuf,
+    pub daemon: Daemon,
+    pub feeds: Vec<Feed>,
+    /// One for each sensor.
+    pub steady: Vec<SteadyConsumer>,
+    /// The sweeps of each sensor that were published before the daemon began.
     published_before: Vec<u64>,
-    crowd: Crowd,
-    rng: Rng,
-    /// Where the sweeps are cut, degrees; and whether the daemon records.
-    settings: (u32, bool),
-    /// What had been sent when the recording began.
-    recorded_before: u64,
+    pub pool: ConsumerPool,
+    pub rng: Rng,
+    pub setup: Setup,
+    /// Packets that were admitted before the recording began.
+    pub recorded_before: u64,
     begun: Instant,
-    outcome: Outcome,
+    pub outcome: Outcome,
 }
 
-/// Where everything listens.
-#[derive(Clone, Copy, Debug)]
-struct Ports {
-    data: [u16; 2],
-    position: u16,
-    http: u16,
+/// The daemon's configuration, and what it names.
+pub struct Setup {
+    domain: TempDomain,
+    data: [ReservedPort; 2],
+    position: ReservedPort,
+    http: ReservedPort,
+    /// Where the sweeps are cut, degrees.
+    pub cut_deg: u32,
+    /// Whether the daemon records.
+    pub is_recording: bool,
 }
 
-impl Soak {
-    fn begin(plan: &Plan) -> Result<Self, SoakError> {
-        let failed = |what| move |source| SoakError::System { what, source };
-        let ([one, other, position], http) =
-            daemon::free_ports().map_err(failed("find free ports"))?;
-        let ports = Ports {
-            data: [one, other],
-            position,
-            http,
-        };
-        let domain = Domain::at(plan.folder.join("iox2"));
-        let mut feeds = Vec::new();
-        for (index, (name, model, from)) in SENSORS.into_iter().enumerate() {
-            let here = |port| SocketAddrV4::new(Ipv4Addr::LOCALHOST, port);
-            let position = (!model.is_hdl64e()).then_some(here(ports.position));
-            let (to, other) = (here(ports.data[index]), here(ports.data[1 - index]));
-            let place = Place {
-                name,
-                model,
-                from,
-                to,
-                position,
-                other,
-            };
-            let feed = Feed::new(place, FOREIGN, plan.seed.wrapping_add(index as u64));
-            feeds.push(feed.map_err(failed("open the sensors' sockets"))?);
-        }
-        let names: Vec<&str> = SENSORS.iter().map(|(name, ..)| *name).collect();
-        let root = domain.root();
-        let crowd = Crowd::new(
-            &plan.program,
-            root,
-            &plan.folder,
-            names,
-            plan.seed ^ 0xC0,
-            plan.consumer_every,
-        );
-        let mut soak = Self {
-            plan: plan.clone(),
-            config: plan.folder.join("sweepd.toml"),
-            domain,
-            ports,
-            daemon: None,
-            feeds,
-            steadfast: Vec::new(),
-            published_before: vec![0; SENSORS.len()],
-            crowd,
-            rng: Rng::with_seed(plan.seed ^ 0x50AC),
-            settings: (0, false),
-            recorded_before: 0,
-            begun: Instant::now(),
-            outcome: Outcome::default(),
-        };
-        soak.write_config(true)
-            .map_err(failed("write the configuration"))?;
-        soak.start()?;
-        for (name, ..) in SENSORS {
-            soak.steadfast.push(Steadfast::start(&soak.domain, name)?);
-        }
-        soak.begun = Instant::now();
-        Ok(soak)
+impl Setup {
+    fn new() -> io::Result<Self> {
+        Ok(Self {
+            domain: TempDomain::new("sweepd-soak-")?,
+            data: [ReservedPort::new()?, ReservedPort::new()?],
+            position: ReservedPort::new()?,
+            http: ReservedPort::new()?,
+            cut_deg: 0,
+            is_recording: false,
+        })
     }
 
-    /// Writes the configuration, or one that cannot be meant.
-    fn write_config(&self, is_valid: bool) -> io::Result<()> {
-        let Ports {
-            data,
-            position,
-            http,
-        } = self.ports;
-        let (cut_deg, records) = self.settings;
+    /// Opens the sensors' sockets.
+    fn feeds(&self, seed: u64) -> io::Result<Vec<Feed>> {
+        let mut feeds = Vec::new();
+        for (index, sensor) in SENSORS.iter().enumerate() {
+            let config = FeedConfig {
+                model: sensor.model,
+                from: sensor.address,
+                foreign: FOREIGN,
+                data: self.data[index].address(),
+                position: (!sensor.model.is_hdl64e()).then_some(self.position.address()),
+                other: self.data[1 - index].address(),
+            };
+            feeds.push(Feed::new(config, seed.wrapping_add(index as u64))?);
+        }
+        Ok(feeds)
+    }
+
+    /// The sensors' data ports.
+    pub fn data_ports(&self) -> [u16; 2] {
+        self.data.each_ref().map(ReservedPort::number)
+    }
+
+    /// Where the daemon records.
+    pub fn recordings(&self) -> PathBuf {
+        self.domain.path("recordings")
+    }
+
+    fn config_path(&self) -> PathBuf {
+        self.domain.path("sweepd.toml")
+    }
+
+    /// Writes the configuration.
+    ///
+    /// # Errors
+    /// The system refuses.
+    pub fn write_config(&self) -> Result<(), Failure> {
+        self.write_config_with("")
+    }
+
+    /// Writes the configuration, followed by more lines.
+    ///
+    /// # Errors
+    /// The system refuses.
+    pub fn write_config_with(&self, more: &str) -> Result<(), Failure> {
         let mut text = format!(
-            "http = \"127.0.0.1:{http}\"\nroot = \"{}\"\n",
-            self.domain.root().display()
+            "http = \"{}\"\nroot = \"{}\"\n",
+            self.http.address(),
+            self.domain.domain().root().display()
         );
-        for ((name, model, address), port) in SENSORS.into_iter().zip(data) {
+        for (sensor, port) in SENSORS.iter().zip(&self.data) {
             text += &format!(
-                "\n[[sensor]]\nname = \"{name}\"\naddress = \"{address}\"\nbind = \"127.0.0.1\"\nport = {port}\n\
-                 position_port = {position}\nmax_consumers = {}\ncut_azimuth_deg = {cut_deg}\n",
-                1 + consumers::OTHERS
+                "\n[[sensor]]\nname = \"{}\"\naddress = \"{}\"\nbind = \"127.0.0.1\"\nport = {}\n\
+                 position_port = {}\nmax_consumers = {}\ncut_azimuth_deg = {}\n",
+                sensor.name,
+                sensor.address,
+                port.number(),
+                self.position.number(),
+                1 + POOL_PER_SENSOR,
+                self.cut_deg
             );
-            if model.is_hdl64e() {
-                let beams = EmitterConfig::new(model, ReturnMode::Strongest)
-                    .beams()
-                    .into_owned();
-                fs::write(self.plan.folder.join("unit.yaml"), ros_yaml::emit(&beams))?;
+            if sensor.model.is_hdl64e() {
                 text += &format!(
                     "model = \"{}\"\ncalibration = \"unit.yaml\"\n",
-                    model.spec().flag
+                    sensor.model.spec().flag
                 );
             }
         }
-        if records {
+        if self.is_recording {
             text += &format!(
                 "\n[record]\npath = \"{}\"\nrotate_mb = 8\n",
                 self.recordings().join("all.pcap").display()
             );
         }
-        if !is_valid {
-            text += "\n[[sensor]]\nname = 5\n";
+        fs::write(self.config_path(), text + more).map_err(cannot("write the configuration"))
+    }
+
+    /// Writes the calibration that the configuration names.
+    fn write_calibration(&self) -> io::Result<()> {
+        let hdl = EmitterConfig::new(Model::Hdl64eS2, ReturnMode::Strongest);
+        fs::write(self.domain.path("unit.yaml"), ros_yaml::emit(&hdl.beams()))
+    }
+
+    fn start_daemon(&self, program: &Path) -> Result<Daemon, Failure> {
+        let mut command = run_command(program, &self.config_path());
+        inherit_nothing(&mut command);
+        Daemon::start(&mut command, self.http.address())
+    }
+}
+
+impl Soak {
+    fn begin(args: &Args, program: PathBuf) -> Result<Self, Failure> {
+        let setup = Setup::new().map_err(cannot("make a folder and find free ports"))?;
+        let feeds = setup
+            .feeds(args.seed)
+            .map_err(cannot("open the sensors' sockets"))?;
+        setup
+            .write_calibration()
+            .map_err(cannot("write the calibration"))?;
+        setup.write_config()?;
+        let daemon = setup.start_daemon(&program)?;
+        let domain = setup.domain.domain();
+        let mut steady = Vec::new();
+        for sensor in SENSORS {
+            let consumer = SteadyConsumer::start(&domain, sensor.name);
+            steady.push(consumer.map_err(cannot("start a consumer"))?);
         }
-        fs::write(&self.config, text)
-    }
-
-    /// Where the daemon records.
-    fn recordings(&self) -> PathBuf {
-        self.plan.folder.join("recordings")
-    }
-
-    fn daemon(&mut self) -> Result<&mut Daemon, SoakError> {
-        self.daemon.as_mut().ok_or_else(|| SoakError::Wrong {
-            what: "no daemon".to_owned(),
-            log: String::new(),
+        Ok(Self {
+            share: 0.0,
+            daemon,
+            feeds,
+            steady,
+            published_before: vec![0; SENSORS.len()],
+            pool: ConsumerPool::new(
+                program.clone(),
+                domain.root().to_owned(),
+                setup.domain.folder().to_owned(),
+                args.seed ^ 0xC0,
+                args.consumer_every,
+            ),
+            program,
+            rng: Rng::with_seed(args.seed ^ 0x50AC),
+            setup,
+            recorded_before: 0,
+            begun: Instant::now(),
+            outcome: Outcome::default(),
         })
-    }
-
-    fn start(&mut self) -> Result<(), SoakError> {
-        let http = SocketAddrV4::new(Ipv4Addr::LOCALHOST, self.ports.http);
-        self.daemon = Some(Daemon::start(&self.plan.program, &self.config, http)?);
-        for feed in &mut self.feeds {
-            feed.begin_anew();
-        }
-        self.recorded_before = 0;
-        let published = |index| {
-            self.steadfast
-                .get(index)
-                .map_or(0, |one: &Steadfast| one.seen().published)
-        };
-        self.published_before = (0..SENSORS.len()).map(published).collect();
-        Ok(())
     }
 
     /// Ends the daemon between two episodes, or kills it in the middle of its work, and starts it
     /// again.
-    fn restart(&mut self, is_killed: bool, share: f64) -> Result<(), SoakError> {
-        self.outcome.restarts[usize::from(is_killed)] += 1;
-        if is_killed {
-            let thousandths = self.rng.u64(100..900);
-            self.send(share, Some(thousandths))?;
+    fn restart(&mut self, restart: Restart) -> Result<(), Failure> {
+        if restart == Restart::Killed {
+            let share = self.rng.f64() * 0.8 + 0.1;
+            self.send(EPISODE.mul_f64(share))?;
         }
-        // Of those that come while it sends, too.
-        self.crowd.dismiss_recorders();
-        let Some(daemon) = self.daemon.take() else {
-            return Ok(());
-        };
-        if is_killed {
-            daemon.kill()?
-        } else {
-            daemon.end()?
+        // While it sent, more of them may have started.
+        self.pool.remove_recorders();
+        match restart {
+            Restart::Ended => {
+                self.outcome.ended += 1;
+                self.daemon.process.end(PATIENCE)?;
+            }
+            Restart::Killed => {
+                self.outcome.killed += 1;
+                self.daemon
+                    .process
+                    .signal(Signal::KILL)
+                    .map_err(cannot("kill the daemon"))?;
+                self.daemon.process.wait(PATIENCE)?;
+            }
         }
-        self.start()
+        self.daemon = self.setup.start_daemon(&self.program)?;
+        self.recorded_before = 0;
+        for (index, feed) in self.feeds.iter_mut().enumerate() {
+            feed.expected = ExpectedCounts::default();
+            self.published_before[index] = self.steady[index].received().published;
+        }
+        Ok(())
     }
 
-    /// Looks at everything that must not grow.
-    fn look(&mut self, share: f64) {
-        let Some(daemon) = &self.daemon else { return };
-        let (files, shared_bytes) = daemon::files(self.domain.root(), &self.domain.prefix());
-        let is_at_rest = !self.settings.1 && !self.crowd.has_recorders();
-        let own = daemon::usage(std::process::id());
+    /// The sweeps of this daemon that the steady consumer of a sensor knows of.
+    pub fn known_sweeps(&self, sensor: usize) -> u64 {
+        self.steady[sensor].received().published - self.published_before[sensor]
+    }
+
+    /// Samples everything that must not grow.
+    pub fn sample(&mut self) {
         let sample = Sample {
-            daemon: daemon.usage(),
-            is_at_rest,
-            files,
-            shared_bytes,
-            own,
+            daemon: ProcessUsage::of(self.daemon.process.child.id()),
+            is_at_rest: !self.setup.is_recording && self.pool.recorders() == 0,
+            domain: DomainUsage::of(&self.setup.domain),
+            own: ProcessUsage::of(std::process::id()),
         };
-        self.outcome.figures.add(share, &sample);
+        self.outcome.figures.add(self.share, &sample);
     }
 
-    fn simulated(&self) -> Duration {
-        self.feeds.first().map_or(Duration::ZERO, |feed| {
-            Duration::from_nanos(feed.stream.elapsed_ns())
-        })
-    }
-
-    fn line(&self, share: f64) -> String {
-        let (simulated, took) = (
-            self.simulated().as_secs_f64(),
-            self.begun.elapsed().as_secs_f64(),
-        );
+    /// A line of progress at a share of the run.
+    fn progress(&self, share: f64) -> String {
+        let simulated = self.feeds[0].stream.elapsed().as_secs_f64();
         let datagrams: u64 = self.feeds.iter().map(|feed| feed.sent).sum();
-        let published: u64 = self.steadfast.iter().map(|one| one.seen().published).sum();
-        let usage = self.daemon.as_ref().map(Daemon::usage).unwrap_or_default();
-        let (files, shared) = daemon::files(self.domain.root(), &self.domain.prefix());
-        let Census {
-            started,
-            hung,
-            killed,
-            ..
-        } = self.crowd.census;
+        let published: u64 = self.steady.iter().map(|one| one.received().published).sum();
+        let daemon = ProcessUsage::of(self.daemon.process.child.id());
+        let domain = DomainUsage::of(&self.setup.domain);
+        let consumers = self.pool.stats;
         format!(
             "{:5.1} %  {:6.2} h at {:.1} times life  {:.1} million datagrams  {published} sweeps  daemon {} KiB, {} threads, \
-             {} descriptors, {files} files, {} KiB shared  consumers {started} started, {hung} hung, {killed} killed  \
-             counters exact {} times",
+             {} descriptors, {} files, {} KiB shared  consumers {} started, {} hung, {} killed  counters exact {} times",
             share * 100.0,
             simulated / 3600.0,
-            simulated / took,
+            simulated / self.begun.elapsed().as_secs_f64(),
             datagrams as f64 / 1e6,
-            usage.own_kib,
-            usage.threads,
-            usage.descriptors,
-            shared / 1024,
+            daemon.own_kib,
+            daemon.threads,
+            daemon.descriptors,
+            domain.files,
+            domain.shared_bytes / 1024,
+            consumers.started,
+            consumers.hung,
+            consumers.killed,
             self.outcome.exact,
         )
     }
 
-    fn end(mut self) -> Result<Outcome, SoakError> {
-        self.crowd.dismiss();
-        if let Some(daemon) = self.daemon.take() {
-            daemon.end()?;
-        }
-        let mut outcome = std::mem::take(&mut self.outcome);
-        (outcome.simulated, outcome.took) = (self.simulated(), self.begun.elapsed());
-        outcome.census = self.crowd.census;
+    fn end(mut self) -> Result<Outcome, Failure> {
+        self.pool.clear();
+        self.daemon.process.end(PATIENCE)?;
+        let mut outcome = self.outcome;
+        outcome.simulated = self.feeds[0].stream.elapsed();
+        outcome.took = self.begun.elapsed();
+        outcome.consumers = self.pool.stats;
         for feed in &self.feeds {
             outcome.datagrams += feed.sent;
-            for (what, times) in &feed.injected {
-                *outcome.injected.entry(what).or_default() += times;
+            for (fault, times) in &feed.injected {
+                *outcome.injected.entry(fault).or_default() += times;
             }
         }
-        for seen in self.steadfast.iter().map(Steadfast::seen) {
-            for (sum, more) in
-                outcome
-                    .sweeps
-                    .iter_mut()
-                    .zip([seen.published, seen.received, seen.runs])
-            {
-                *sum += more;
-            }
+        for received in self.steady.iter().map(SteadyConsumer::received) {
+            outcome.published += received.published;
+            outcome.received += received.sweeps;
+            outcome.pipeline_runs += received.runs;
         }
         Ok(outcome)
-    }
-}
-
-impl Drop for Soak {
-    fn drop(&mut self) {
-        self.daemon = None;
-        self.crowd.dismiss();
-        self.steadfast.clear();
-        for path in daemon::shared_memory(&self.domain.prefix()) {
-            let _ = fs::remove_file(path);
-        }
-        empty(&self.plan.folder);
-    }
-}
-
-fn empty(folder: &Path) {
-    for entry in fs::read_dir(folder).into_iter().flatten().flatten() {
-        let path = entry.path();
-        let _ = if path.is_dir() {
-            fs::remove_dir_all(path)
-        } else {
-            fs::remove_file(path)
-        };
     }
 }
 
@@ -468,7 +398,7 @@ mod tests {
     fn the_daemon_has_two_long_lives_and_some_short_ones_between() {
         for (episodes, first, count) in [(1, 0, 1), (6, 3, 2), (8_640, 4_320, 16)] {
             let restarts: Vec<u64> = (0..episodes)
-                .filter(|&number| restart_after(number, episodes).is_some())
+                .filter(|&number| restart_before(number, episodes).is_some())
                 .collect();
             assert_eq!(
                 (restarts[0], restarts.len() as u64),

@@ -1,6 +1,8 @@
 //! A sensor's packets for ever: a turn and a half is simulated, and sent again and again while
 //! clock and head go on.
 
+use std::time::Duration;
+
 use sweepd_core::sensor::Model;
 use sweepd_core::wire::data::ReturnMode;
 use sweepd_core::wire::hdl64::DUMP_PACKETS;
@@ -27,19 +29,21 @@ impl Clip {
             ..EmitterConfig::new(model, mode)
         }
         .turns(1.5);
-        let period_ns = config.spec.packet_period_ns(mode).into();
-        let data = |payload: &[u8]| DataPacket::parse(payload).ok().copied();
         Self {
-            packets: Emitter::new(config, scene)
-                .untold()
-                .filter_map(|one| data(&one.payload))
-                .collect(),
-            period_ns,
+            period_ns: config.spec.packet_period_ns(mode).into(),
+            packets: data_packets(config, scene),
         }
     }
 }
 
-/// What an HDL-64E says of itself, packet by packet: a whole dump. An empty scene costs little.
+fn data_packets(config: EmitterConfig, scene: &Scene) -> Vec<DataPacket> {
+    Emitter::new(config, scene)
+        .untold()
+        .filter_map(|sent| DataPacket::parse(&sent.payload).ok().copied())
+        .collect()
+}
+
+/// The two status bytes of an HDL-64E, packet by packet, for a whole dump.
 fn status(model: Model) -> Vec<(u8, u8)> {
     if !model.is_hdl64e() {
         return Vec::new();
@@ -48,15 +52,11 @@ fn status(model: Model) -> Vec<(u8, u8)> {
         packets: DUMP_PACKETS as u64,
         ..EmitterConfig::new(model, ReturnMode::Strongest)
     };
-    let pair = |payload: &[u8]| {
-        DataPacket::parse(payload)
-            .ok()
-            .map(|packet| (packet.return_mode, packet.product))
-    };
-    let nowhere = Scene::new([0.0; 2], 0);
-    Emitter::new(config, &nowhere)
-        .untold()
-        .filter_map(|one| pair(&one.payload))
+    // An empty scene costs little.
+    let packets = data_packets(config, &Scene::new([0.0; 2], 0));
+    packets
+        .iter()
+        .map(|packet| (packet.return_mode, packet.product))
         .collect()
 }
 
@@ -109,9 +109,9 @@ impl Stream {
         self.time_ns
     }
 
-    /// How long it has measured, however its clock jumped, nanoseconds.
-    pub fn elapsed_ns(&self) -> u64 {
-        self.elapsed_ns
+    /// How long it has measured, however its clock jumped.
+    pub fn elapsed(&self) -> Duration {
+        Duration::from_nanos(self.elapsed_ns)
     }
 
     /// From one packet to the next, nanoseconds.
