@@ -18,7 +18,7 @@ mod rows;
 use zerocopy::FromBytes;
 
 pub use self::project::CloudProjector;
-pub use self::read::{Format, Place, ReadError};
+pub use self::read::{FilePosition, Format, ReadError};
 pub use self::rows::{RowBeam, RowTable, RowTableError};
 use sweepd_core::segment::{Config, ConfigError, MAX_ROWS, Segmenter};
 use sweepd_core::sweep::layout::{COLUMNS_CAPACITY, LayoutError};

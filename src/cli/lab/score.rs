@@ -5,6 +5,7 @@ mod methods;
 mod plot;
 mod scans;
 mod table;
+mod trial;
 
 use std::io::{self, Write as _};
 use std::path::{Path, PathBuf};
@@ -160,70 +161,71 @@ impl Args {
 
 /// What `--json` prints.
 #[derive(Serialize)]
-struct Report {
+struct ScoreReport {
     scans: usize,
     sequences: usize,
     figures: Grouped<Row>,
     #[serde(skip_serializing_if = "Vec::is_empty")]
-    per_scan: Vec<ScanLine>,
+    per_scan: Vec<ScanReport>,
 }
 
 /// A scan in JSON.
 #[derive(Serialize)]
-struct ScanLine {
+struct ScanReport {
     scan: String,
     figures: Grouped<Option<f64>>,
 }
 
-/// Scores what is in files.
+/// Scores labels in files.
 fn score(args: &Args, scans: &[Scan], pred: &Path) -> Result<String, CliError> {
     let sizes = args.sizes();
     let mut scored = Vec::with_capacity(scans.len());
     for scan in progress(scans.len()).wrap_iter(scans.iter()) {
         let file = scan.prediction(pred, &args.ext)?;
-        let (points, labels) = (scan.points()?, scans::read_labels(&file)?);
+        let points = scan.points()?;
+        let labels = scans::read_labels(&file)?;
         let score = ScanScore::new(&scan.truth(&points)?, &labels, &sizes).map_err(|error| {
-            let (file, cloud) = (file.display(), scan.cloud.display());
             CliError::Usage(format!(
-                "{file}: {error} of {cloud}; labels of another cloud, or cut short: make them again"
+                "{}: {error} of {}; labels of another cloud, or cut short: make them again",
+                file.display(),
+                scan.cloud.display()
             ))
         })?;
         scored.push((scan.sequence().to_owned(), score));
     }
     let summary = Summary::new(&scored);
-    let by_name: Vec<(&str, &ScanScore)> = scans
-        .iter()
-        .zip(&scored)
-        .map(|(scan, (_, score))| (&scan.name[..], score))
-        .filter(|_| args.per_scan)
-        .collect();
+    let mut by_name: Vec<(&str, &ScanScore)> = Vec::new();
+    if args.per_scan {
+        by_name.extend(
+            scans
+                .iter()
+                .zip(&scored)
+                .map(|(scan, (_, score))| (&scan.name[..], score)),
+        );
+    }
     if args.json {
-        let (scans, sequences, figures) = (summary.scans, summary.sequences, summary.grouped());
-        let per_scan = by_name
-            .into_iter()
-            .map(|(name, score)| ScanLine::new(name, score))
-            .collect();
-        return json(&Report {
-            scans,
-            sequences,
-            figures,
-            per_scan,
+        return json(&ScoreReport {
+            scans: summary.scans,
+            sequences: summary.sequences,
+            figures: summary.grouped(),
+            per_scan: by_name
+                .iter()
+                .map(|(name, score)| scan_report(name, score))
+                .collect(),
         });
     }
     Ok(table::figures(&summary) + &table::scans(&by_name))
 }
 
-impl ScanLine {
-    fn new(name: &str, score: &ScanScore) -> Self {
-        let figures = score
-            .figures()
-            .iter()
-            .map(|figure| (figure.group, figure.name, figure.value))
-            .collect();
-        Self {
-            scan: name.to_owned(),
-            figures: Grouped(figures),
-        }
+fn scan_report(name: &str, score: &ScanScore) -> ScanReport {
+    let figures = score.figures().into_iter();
+    ScanReport {
+        scan: name.to_owned(),
+        figures: Grouped(
+            figures
+                .map(|figure| (figure.group, figure.name, figure.value))
+                .collect(),
+        ),
     }
 }
 

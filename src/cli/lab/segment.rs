@@ -68,8 +68,8 @@ pub fn run(args: &Args) -> Result<(), CliError> {
         .iter()
         .map(|cloud| format_of(args, cloud))
         .collect::<Result<Vec<_>, _>>()?;
-    let usage = |error: CloudError| CliError::Usage(error.to_string());
-    let mut segmenter = CloudSegmenter::new(args.segment.config()?, args.columns).map_err(usage)?;
+    let mut segmenter = CloudSegmenter::new(args.segment.config()?, args.columns)
+        .map_err(|error| CliError::Usage(error.to_string()))?;
     if let Some(table) = table(args)? {
         segmenter = segmenter.with_rows(table);
     }
@@ -135,31 +135,23 @@ fn table(args: &Args) -> Result<Option<RowTable>, CliError> {
             CliError::Usage(format!("{}: {error}", path.display()))
         })?));
     }
-    let read = args
-        .calibration
-        .as_deref()
-        .map(files::calibration)
-        .transpose()?;
-    match (read, args.model) {
-        (None, None) => Ok(None),
-        (Some(calibration), None) => Ok(Some(RowTable::of_calibration(&calibration))),
-        (Some(calibration), Some(model)) => {
-            let path = args
-                .calibration
-                .as_deref()
-                .unwrap_or(Path::new(""))
-                .display();
-            let fitted = calibration
+    if let Some(path) = &args.calibration {
+        let mut calibration = files::calibration(path)?;
+        if let Some(model) = args.model {
+            calibration = calibration
                 .for_model(model)
-                .map_err(|error| CliError::Usage(format!("{path}: {error}")))?;
-            Ok(Some(RowTable::of_calibration(&fitted)))
+                .map_err(|error| CliError::Usage(format!("{}: {error}", path.display())))?;
         }
-        (None, Some(model)) => match model.calibration() {
-            Some(calibration) => Ok(Some(RowTable::of_calibration(calibration))),
-            None => Err(CliError::Usage(format!(
-                "of the {model} each unit has beams of its own; give them with --calibration FILE or --rows-table FILE"
-            ))),
-        },
+        return Ok(Some(RowTable::of_calibration(&calibration)));
+    }
+    let Some(model) = args.model else {
+        return Ok(None);
+    };
+    match model.calibration() {
+        Some(calibration) => Ok(Some(RowTable::of_calibration(calibration))),
+        None => Err(CliError::Usage(format!(
+            "of the {model} each unit has beams of its own; give them with --calibration FILE or --rows-table FILE"
+        ))),
     }
 }
 

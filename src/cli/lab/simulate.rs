@@ -32,8 +32,8 @@ use sweepd_core::sensor::model::Spec;
 use sweepd_core::sensor::{Calibration, Model};
 use sweepd_core::wire::data::{DATA_PACKET_LEN, ReturnMode};
 use sweepd_core::wire::{DATA_PORT, POSITION_PORT};
+use sweepd_lab::simulate::clock::{Clock, Reception};
 use sweepd_lab::simulate::delivery::Delivery;
-use sweepd_lab::simulate::gps::{Clock, Reception};
 use sweepd_lab::simulate::{
     Emitter, EmitterConfig, Faults, Motor, Scene, Setting, SimulatedDatagram, deliver,
 };
@@ -174,29 +174,34 @@ impl GpsReceiver {
 }
 
 fn gps(text: &str) -> Result<GpsReceiver, String> {
-    let second = |text: &str, missing_ns: i64| match text {
-        "" => Some(missing_ns),
-        text => within(0.0..=86_400.0, "seconds")(text)
-            .ok()
-            .map(|seconds| (seconds * 1e9) as i64),
-    };
-    let ends = |(from, to): (&str, &str)| {
-        Some(Reception {
-            from_ns: second(from, i64::MIN)?,
-            to_ns: second(to, i64::MAX)?,
-        })
-    };
     match text {
         "none" => Ok(GpsReceiver(None)),
         "locked" => Ok(GpsReceiver(Some(Reception::ALWAYS))),
-        _ => {
-            match text.split_once("..").and_then(ends) {
-                Some(reception) if reception.from_ns < reception.to_ns => Ok(GpsReceiver(Some(reception))),
-                _ => Err("expected locked, none, or FROM..TO in seconds from 0 to 86400, such as 2.., ..5 or 2..5"
-                    .to_owned()),
-            }
-        }
+        _ => reception(text)
+            .map(|reception| GpsReceiver(Some(reception)))
+            .ok_or_else(|| {
+                "expected locked, none, or FROM..TO in seconds from 0 to 86400, such as 2.., ..5 or 2..5"
+                    .to_owned()
+            }),
     }
+}
+
+/// `FROM..TO`, `FROM..` or `..TO`, in seconds.
+fn reception(text: &str) -> Option<Reception> {
+    let (from, to) = text.split_once("..")?;
+    let mut reception = Reception::ALWAYS;
+    if !from.is_empty() {
+        reception.from_ns = gps_second(from)?;
+    }
+    if !to.is_empty() {
+        reception.to_ns = gps_second(to)?;
+    }
+    (reception.from_ns < reception.to_ns).then_some(reception)
+}
+
+fn gps_second(text: &str) -> Option<i64> {
+    let seconds = within(0.0..=86_400.0, "seconds")(text).ok()?;
+    Some((seconds * 1e9) as i64)
 }
 
 /// Microseconds as nanoseconds.
@@ -233,7 +238,8 @@ pub fn run(args: &Args) -> Result<(), CliError> {
         return cloud::run(args, file);
     }
     let configs = args.configs()?;
-    let (existing, former) = (args.force.existing(), args.former_truth()?);
+    let existing = args.force.existing();
+    let former = args.former_truth()?;
     let scene = args.scene.build(args.seed);
     let mut sensors = configs
         .iter()
@@ -242,11 +248,8 @@ pub fn run(args: &Args) -> Result<(), CliError> {
     let mut output = Output::open(&args.target, existing)?;
     let mut progress = Progress::new(Some(args.seconds.unwrap_or(SECONDS)));
     while let Some((mut index, mut datagram)) = next(&mut sensors) {
-        if index < 2
-            && args
-                .faults
-                .is_exchanged(datagram.arrival_ns - configs[index].start_utc_ns)
-        {
+        let elapsed_ns = datagram.arrival_ns - configs[index].start_utc_ns;
+        if index < 2 && args.faults.is_exchanged(elapsed_ns) {
             index = 1 - index;
             datagram.source.set_ip(configs[index].address);
         }
@@ -260,15 +263,20 @@ pub fn run(args: &Args) -> Result<(), CliError> {
     if let Some(folder) = &args.truth {
         write_objects(folder, existing, &scene)?;
     }
-    sensors.into_iter().try_for_each(Simulated::conclude)
+    sensors.into_iter().try_for_each(Simulated::finish)
 }
 
 /// The next datagram of all sensors by time of arrival, and the number of its sensor.
 fn next(sensors: &mut [Simulated<'_>]) -> Option<(usize, SimulatedDatagram)> {
-    let arrival_ns = |sensor: &mut Simulated<'_>| sensor.datagrams.peek().map(|one| one.arrival_ns);
-    let (_, index) = (0..sensors.len())
-        .filter_map(|index| Some((arrival_ns(&mut sensors[index])?, index)))
-        .min()?;
+    let mut first: Option<(i64, usize)> = None;
+    for (index, sensor) in sensors.iter_mut().enumerate() {
+        if let Some(datagram) = sensor.datagrams.peek()
+            && first.is_none_or(|(arrival_ns, _)| datagram.arrival_ns < arrival_ns)
+        {
+            first = Some((datagram.arrival_ns, index));
+        }
+    }
+    let (_, index) = first?;
     Some((index, sensors[index].datagrams.next()?))
 }
 
@@ -339,15 +347,12 @@ impl Args {
             return Ok(None);
         };
         let fitted = files::calibration(path)?.for_model(model);
-        let wrong = |error| {
-            format!(
+        fitted.map(Some).map_err(|error| {
+            CliError::Usage(format!(
                 "--calibration {} does not fit the {model}: {error}",
                 path.display()
-            )
-        };
-        fitted
-            .map(Some)
-            .map_err(|error| CliError::Usage(wrong(error)))
+            ))
+        })
     }
 
     /// First shot.
@@ -368,7 +373,8 @@ impl Args {
         } else {
             ReturnMode::Strongest
         };
-        let config = |(number, &model): (usize, &Model)| {
+        let mut configs = Vec::with_capacity(self.models.len());
+        for (number, &model) in self.models.iter().enumerate() {
             self.check_returns(model)?;
             let mut config = EmitterConfig::new(model, mode);
             config.spec = self.spec(model)?;
@@ -378,23 +384,24 @@ impl Args {
                 drift: self.rpm_drift / 100.0,
                 ..self.faults.motor(config.rpm)
             };
-            (config.fov, config.clock_step) = (self.faults.fov, self.faults.clock_step);
+            config.fov = self.faults.fov;
+            config.clock_step = self.faults.clock_step;
             config.pose = self.scene.pose(number);
             config.clock = self.gps.clock();
             config.start_utc_ns = start_utc_ns;
             config.address = Ipv4Addr::new(192, 168, 1, 201 + number as u8);
             config.seed = self.seed.wrapping_add((number as u64) << 32);
             let config = config.seconds(self.seconds.unwrap_or(SECONDS), self.faults.mode_switch);
-            match (config.check(), &self.calibration) {
-                (Ok(()), _) => Ok(config),
-                (Err(error), Some(path)) => Err(CliError::Usage(format!(
-                    "--calibration {}: {error}",
-                    path.display()
-                ))),
-                (Err(error), None) => Err(CliError::Usage(error)),
-            }
-        };
-        self.models.iter().enumerate().map(config).collect()
+            config
+                .check()
+                .map_err(|error| match &self.calibration {
+                    Some(path) => format!("--calibration {}: {error}", path.display()),
+                    None => error,
+                })
+                .map_err(CliError::Usage)?;
+            configs.push(config);
+        }
+        Ok(configs)
     }
 }
 
@@ -445,31 +452,16 @@ impl<'a> Simulated<'a> {
         };
         self.data += 1;
         // One of another length is not counted by a replay either.
-        let is_packet = sent.payload.len() == DATA_PACKET_LEN;
-        self.truth
-            .as_mut()
-            .filter(|_| is_packet)
-            .map_or(Ok(()), |file| file.packet(truth))
+        match &mut self.truth {
+            Some(file) if sent.payload.len() == DATA_PACKET_LEN => file.packet(truth),
+            _ => Ok(()),
+        }
     }
 
     /// Finishes the truth, and says on standard error what was sent and what was done to it.
-    fn conclude(self) -> Result<(), CliError> {
-        let Self {
-            config,
-            faults,
-            truth,
-            data,
-            position,
-            ..
-        } = self;
-        truth.map_or(Ok(()), TruthFile::finish)?;
-        let EmitterConfig { address, model, .. } = config;
-        let (lost, duplicated) = (faults.lost_packets(), faults.duplicated.len());
-        let (reordered, corrupted, strays) = (
-            faults.swapped.len(),
-            faults.corrupted.len(),
-            faults.strays.len(),
-        );
+    fn finish(self) -> Result<(), CliError> {
+        self.truth.map_or(Ok(()), TruthFile::finish)?;
+        let config = &self.config;
         let switched = match config.mode_switch {
             Some(at) => format!(", {} from data packet {at}", config.mode_of(at)),
             None => String::new(),
@@ -477,8 +469,12 @@ impl<'a> Simulated<'a> {
         // When even standard error is gone, the message is lost.
         let _ = writeln!(
             io::stderr(),
-            "{address} ({model}): data packets {data}, position packets {position}; injected: lost {lost}, duplicated \
-             {duplicated}, reordered {reordered}, corrupted {corrupted}, strays {strays}{switched}"
+            "{} ({}): data packets {}, position packets {}; injected: {}{switched}",
+            config.address,
+            config.model,
+            self.data,
+            self.position,
+            self.faults.summary()
         );
         Ok(())
     }
@@ -498,14 +494,11 @@ impl Output {
     fn open(target: &Target, existing: Existing) -> Result<Self, CliError> {
         match (&target.pcap, target.to) {
             (Some(path), _) => Ok(Self::File(CaptureFile::create(path, existing)?)),
-            (None, Some(to)) => {
-                let (sender, pacer) = (Sender::new(to), Pacer::new(Speed::REALTIME));
-                Ok(Self::Network {
-                    sender,
-                    pacer,
-                    start: Instant::now(),
-                })
-            }
+            (None, Some(to)) => Ok(Self::Network {
+                sender: Sender::new(to),
+                pacer: Pacer::new(Speed::REALTIME),
+                start: Instant::now(),
+            }),
             (None, None) => Err(CliError::Usage(
                 "expected --pcap FILE or --to ADDR:PORT".to_owned(),
             )),
@@ -513,36 +506,26 @@ impl Output {
     }
 
     fn send(&mut self, sensor: usize, sent: &SimulatedDatagram) -> Result<(), CliError> {
-        let SimulatedDatagram {
-            arrival_ns,
-            source,
-            destination,
-            payload,
-            ..
-        } = sent;
         match self {
-            Self::File(file) => {
-                let (arrival_ns, source, destination) = (*arrival_ns, *source, *destination);
-                file.write(&Addressed {
-                    arrival_ns,
-                    source,
-                    destination,
-                    payload,
-                })
-            }
+            Self::File(file) => file.write(&Addressed {
+                arrival_ns: sent.arrival_ns,
+                source: sent.source,
+                destination: sent.destination,
+                payload: &sent.payload,
+            }),
             Self::Network {
                 sender,
                 pacer,
                 start,
             } => {
-                let wait = pacer.wait(*arrival_ns, start.elapsed().as_nanos() as u64);
+                let wait = pacer.wait(sent.arrival_ns, start.elapsed().as_nanos() as u64);
                 if !wait.is_zero() {
                     std::thread::sleep(wait);
                 }
-                let ip = (*source.ip()).into();
-                match destination.port() {
-                    DATA_PORT => sender.data(sensor, ip, payload),
-                    _ => sender.position(ip, payload),
+                let ip = (*sent.source.ip()).into();
+                match sent.destination.port() {
+                    DATA_PORT => sender.data(sensor, ip, &sent.payload),
+                    _ => sender.position(ip, &sent.payload),
                 }
             }
         }

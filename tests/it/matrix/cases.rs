@@ -2,7 +2,7 @@
 
 use sweepd::sensor::Model::{self, Hdl32e, Hdl64eS2, Vlp16};
 use sweepd::simulate::gps::{Clock, Reception};
-use sweepd::simulate::{ClockStep, EmitterConfig, Motor, Part, Rates};
+use sweepd::simulate::{ClockStep, EmitterConfig, Motor, PacketPart, Rates};
 use sweepd::sweep::layout::flags::{BLANKED, RATE_UNSTABLE, REVERSED, STOPPED};
 use sweepd::wire::data::ReturnMode::{Dual, Strongest};
 
@@ -178,18 +178,18 @@ fn network(all: &mut Cases) {
 
 fn damaged(all: &mut Cases) {
     for (fault, part) in [
-        ("damaged length", Part::Length),
-        ("damaged flag", Part::Flag),
-        ("damaged azimuth", Part::Azimuth),
-        ("damaged stamp", Part::Stamp),
-        ("damaged mode or product", Part::Factory),
-        ("damaged distance", Part::Distance),
-        ("damaged reflectivity", Part::Reflectivity),
-        ("damaged anywhere", Part::Any),
+        ("damaged length", PacketPart::Length),
+        ("damaged flag", PacketPart::Flag),
+        ("damaged azimuth", PacketPart::Azimuth),
+        ("damaged stamp", PacketPart::Stamp),
+        ("damaged mode or product", PacketPart::Factory),
+        ("damaged distance", PacketPart::Distance),
+        ("damaged reflectivity", PacketPart::Reflectivity),
+        ("damaged anywhere", PacketPart::Any),
     ] {
         // Of two in a row that agree with each other nobody can tell that they are wrong: stamps
         // are struck less often.
-        let rates = if matches!(part, Part::Stamp | Part::Any) {
+        let rates = if matches!(part, PacketPart::Stamp | PacketPart::Any) {
             [0.02, 0.005]
         } else {
             [0.1, 0.01]
@@ -201,13 +201,13 @@ fn damaged(all: &mut Cases) {
             };
             let promise = match part {
                 // So near to the truth that the encoder's noise hides it.
-                Part::Azimuth | Part::Any => Promise {
+                PacketPart::Azimuth | PacketPart::Any => Promise {
                     azimuth_deg: 0.36,
                     time_ns: Some(100_000),
                     ..promise
                 },
                 // So near to it that the sensor's clock may be that far off.
-                Part::Stamp => Promise {
+                PacketPart::Stamp => Promise {
                     time_ns: Some(100_000),
                     ..promise
                 },
@@ -240,7 +240,7 @@ fn status(stock: &Stock, corrupt: f64) -> Made {
     let (config, sent) = stock.other(|config| *config = config.clone().seconds(2.6, None));
     let mut faults = Rates {
         corrupt,
-        part: Part::Factory,
+        part: PacketPart::Factory,
         ..Rates::default()
     }
     .plan(3, 4_000);

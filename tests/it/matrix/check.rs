@@ -6,7 +6,7 @@ use std::f64::consts::{PI, TAU};
 use sweepd::admission::{DiscoveredSensors, Refusal, Refused, Route};
 use sweepd::pipeline::{Config, Counts, Notice};
 use sweepd::sensor::Model;
-use sweepd::simulate::{Damage, PacketTruth, Part};
+use sweepd::simulate::{Damage, PacketPart, PacketTruth};
 use sweepd::sweep::layout::flags::*;
 use sweepd::sweep::{Column, SweepRef};
 
@@ -167,7 +167,7 @@ impl<'a> Check<'a> {
                 .damage
                 .get(&self.truth[packet].ordinal)
                 .map(|damage| damage.part());
-            found[packet].abs_diff(sent) > usize::from(struck == Some(Part::Distance))
+            found[packet].abs_diff(sent) > usize::from(struck == Some(PacketPart::Distance))
         });
         let halves = halves.count();
         self.expect(halves == 0, || {
@@ -198,7 +198,7 @@ impl<'a> Check<'a> {
         let struck = self
             .damage
             .get(&ordinal)
-            .filter(|damage| damage.part() == Part::Distance);
+            .filter(|damage| damage.part() == PacketPart::Distance);
         struck.and_then(|damage| damage.record())
             == Some((usize::from(placed.found.block), placed.record))
     }
@@ -298,7 +298,8 @@ impl<'a> Check<'a> {
 
     /// Length and flags always tell.
     fn refused_where_it_can_be_told(&mut self, decoded: &BTreeSet<u64>) {
-        let tells = |damage: &Damage| matches!(damage.part(), Part::Length | Part::Flag);
+        let tells =
+            |damage: &Damage| matches!(damage.part(), PacketPart::Length | PacketPart::Flag);
         let accepted = self
             .damage
             .iter()

@@ -47,7 +47,7 @@ pub(crate) struct Placer {
 
 /// How a point could get a column: those from there to the next free one move by one, up or down.
 #[derive(Clone, Copy)]
-struct Way {
+struct ColumnShift {
     column: usize,
     /// How far the new point would lie behind it, pitches.
     off: f32,
@@ -104,7 +104,8 @@ impl Placer {
         self.points.clear();
         self.points.resize(columns, NONE);
         self.late.resize(self.columns.len(), NONE);
-        let (held, points) = (&mut self.held[..columns], &mut self.points[..columns]);
+        let held = &mut self.held[..columns];
+        let points = &mut self.points[..columns];
         // From the last point on, each takes the place of those behind it: nothing is read that has
         // just been written.
         for (point, (&column, &off)) in self.columns.iter().zip(&self.off).enumerate().rev() {
@@ -115,7 +116,8 @@ impl Placer {
             *holder = point as u32;
             held[column as usize] = off;
         }
-        let (late, mut count) = (&mut self.late[..], 0);
+        let late = &mut self.late[..];
+        let mut count = 0;
         for (point, &column) in self.columns.iter().enumerate() {
             // Written in any case: which points are late, no processor foretells.
             late[count] = point as u32;
@@ -139,19 +141,19 @@ impl Placer {
         // taken, points are in order, and none is farther than REACH from its column: both loops
         // soon end.
         while self.held[column] <= off {
-            (column, off) = (next(column, true, columns), off - 1.0);
+            column = next(column, true, columns);
+            off -= 1.0;
         }
         let mut before = next(column, false, columns);
         while self.held[before] > off + 1.0 {
-            (column, off) = (before, off + 1.0);
+            column = before;
+            off += 1.0;
             before = next(column, false, columns);
         }
         // It gets that column, and the points from there on move up; or the one before it, and the
         // others move down.
-        let (up, down) = (
-            self.way(simd, column, off, true),
-            self.way(simd, before, off + 1.0, false),
-        );
+        let up = self.shift_from(simd, column, off, true);
+        let down = self.shift_from(simd, before, off + 1.0, false);
         let (nearer, farther) = if up.moved <= down.moved {
             (up, down)
         } else {
@@ -168,7 +170,7 @@ impl Placer {
 
     /// The way to a column, so far before the new point, and from there on.
     #[inline(always)]
-    fn way<S: Simd>(&self, simd: S, column: usize, off: f32, up: bool) -> Way {
+    fn shift_from<S: Simd>(&self, simd: S, column: usize, off: f32, up: bool) -> ColumnShift {
         let columns = self.held.len();
         // The window begins at the column, or ends with it.
         let first = match (column + 1).checked_sub(WINDOW) {
@@ -196,7 +198,7 @@ impl Placer {
             window.iter().nth_back(moved)
         };
         let is_open = off.abs() <= REACH && end.is_some_and(|held| held.is_nan());
-        Way {
+        ColumnShift {
             column,
             off,
             up,
@@ -206,50 +208,30 @@ impl Placer {
 
     /// What a way adds to the squares of all moves, and the new point's own.
     #[inline(always)]
-    fn cost(
-        &self,
-        Way {
-            mut column,
-            off,
-            up,
-            moved,
-        }: Way,
-    ) -> f32 {
-        let mut cost = off * off;
-        for _ in 0..moved {
-            let towards = if up {
-                -self.held[column]
-            } else {
-                self.held[column]
-            };
-            cost += 1.0 + 2.0 * towards;
-            column = next(column, up, self.held.len());
+    fn cost(&self, shift: ColumnShift) -> f32 {
+        let mut cost = shift.off * shift.off;
+        let mut column = shift.column;
+        for _ in 0..shift.moved {
+            let held = self.held[column];
+            cost += 1.0 + 2.0 * if shift.up { -held } else { held };
+            column = next(column, shift.up, self.held.len());
         }
         cost
     }
 
     /// Gives a point a column, and moves the points from there to the next free one.
     #[inline(always)]
-    fn insert(
-        &mut self,
-        mut point: u32,
-        Way {
-            column: mut at,
-            mut off,
-            up,
-            ..
-        }: Way,
-    ) {
-        let (held, points, columns) = (
-            &mut self.held[..],
-            &mut self.points[..],
-            &mut self.columns[..],
-        );
+    fn insert(&mut self, mut point: u32, shift: ColumnShift) {
+        let mut at = shift.column;
+        let mut off = shift.off;
+        let held = &mut self.held[..];
+        let points = &mut self.points[..];
+        let columns = &mut self.columns[..];
         while point != NONE {
             columns[point as usize] = at as u32;
             point = std::mem::replace(&mut points[at], point);
-            off = std::mem::replace(&mut held[at], off) + if up { -1.0 } else { 1.0 };
-            at = next(at, up, points.len());
+            off = std::mem::replace(&mut held[at], off) + if shift.up { -1.0 } else { 1.0 };
+            at = next(at, shift.up, points.len());
         }
     }
 }
@@ -299,9 +281,10 @@ fn lie<S: Simd>(simd: S, turns: &[f32; LANES], columns: usize) -> ([f32; LANES],
 
 /// The point that each column shows, of a ring; `None` in the ring is no point.
 pub(crate) fn shown(points: &[Option<Polar>], columns: usize) -> Vec<Option<usize>> {
-    let turn =
-        |polar: &Option<Polar>| polar.map_or(f32::NAN, |polar| (polar.azimuth_rad / TAU) as f32);
-    let turns: Vec<f32> = points.iter().map(turn).collect();
+    let turns: Vec<f32> = points
+        .iter()
+        .map(|polar| polar.map_or(f32::NAN, |polar| (polar.azimuth_rad / TAU) as f32))
+        .collect();
     let mut placer = Placer::default();
     placer.place(Level::new(), &turns, columns);
     let mut shown = vec![None; columns];
@@ -443,7 +426,7 @@ mod tests {
             let (column, off, up) = starts[usize::from(!up)];
             placer.insert(
                 point as u32,
-                Way {
+                ColumnShift {
                     column,
                     off,
                     up,

@@ -1,6 +1,6 @@
 //! Two plain ways to segment what is no ground, to have something to compare with.
 
-use super::linkage::{link, link_grid};
+use super::linkage::{link, link_grid, number_groups};
 use super::truth::place;
 use sweepd_core::sweep::layout::{LABEL_GROUND, LABEL_NONE};
 
@@ -24,26 +24,16 @@ impl Baseline {
     /// `ground` holds [`LABEL_GROUND`], one of `ground`'s labels a point; segments of at least
     /// `min_points` of the others.
     pub fn segment(&self, points: &[[f32; 4]], ground: &[u32], min_points: u32) -> Vec<u32> {
-        let stands = |index: &usize| {
-            ground
-                .get(*index)
-                .is_none_or(|&label| label != LABEL_GROUND)
-        };
-        let standing: Vec<usize> = (0..points.len()).filter(stands).collect();
+        let standing: Vec<usize> = (0..points.len())
+            .filter(|&point| ground.get(point) != Some(&LABEL_GROUND))
+            .collect();
         let places: Vec<[f32; 3]> = standing.iter().map(|&index| place(points[index])).collect();
         let groups = match *self {
             Self::Euclidean { distance_m } => link(&places, distance_m),
             Self::Grid { cell_m } => link_grid(&places, cell_m),
         };
-        let mut sizes = vec![0u32; groups.iter().max().map_or(0, |&most| most as usize + 1)];
-        groups.iter().for_each(|&group| sizes[group as usize] += 1);
         let mut last = LABEL_GROUND;
-        let label = |&size: &u32| {
-            let large = size >= min_points;
-            last += u32::from(large);
-            if large { last } else { LABEL_NONE }
-        };
-        let numbers: Vec<u32> = sizes.iter().map(label).collect();
+        let numbers = number_groups(&groups, min_points..=u32::MAX, LABEL_NONE, &mut last);
         let mut labels = vec![LABEL_GROUND; points.len()];
         for (&index, &group) in standing.iter().zip(&groups) {
             labels[index] = numbers[group as usize];

@@ -5,6 +5,8 @@
 //! ones, which move on with it: no look-up is needed, and one pass over the cells for each run
 //! finds all neighbours.
 
+use std::ops::RangeInclusive;
+
 /// Cells to either side of the origin, by axis; what lies further away is in no cell.
 const REACH: f64 = (1 << 20) as f64 - 8.0;
 /// Added to a cell's index, so that indices and those of neighbours are never negative.
@@ -49,6 +51,31 @@ pub fn link_grid(points: &[[f32; 3]], cell_m: f64) -> Vec<u32> {
         cells.for_each_pair(&Run::new(dx, dy, 0, 0), |a, b| sets.join(a, b));
     }
     cells.groups(&mut sets, points.len())
+}
+
+/// A number for each group: those of a kept size get the numbers behind `last`, which moves on; the
+/// others get `none`.
+pub(super) fn number_groups(
+    groups: &[u32],
+    kept: RangeInclusive<u32>,
+    none: u32,
+    last: &mut u32,
+) -> Vec<u32> {
+    let count = groups.iter().max().map_or(0, |&most| most as usize + 1);
+    let mut sizes = vec![0; count];
+    for &group in groups {
+        sizes[group as usize] += 1;
+    }
+    let mut numbers = Vec::with_capacity(count);
+    for size in &sizes {
+        if kept.contains(size) {
+            *last += 1;
+            numbers.push(*last);
+        } else {
+            numbers.push(none);
+        }
+    }
+    numbers
 }
 
 /// One code for a cell: sorted by code, cells are in the order of x, then y, then z.

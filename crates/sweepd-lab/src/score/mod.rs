@@ -139,27 +139,33 @@ impl ScanScore {
 
     /// All figures, in an order that is the same for all scans scored with the same sizes.
     pub fn figures(&self) -> Vec<Figure> {
-        let grounds = [
-            (Group::Ground, &self.ground),
-            (Group::GroundNoVegetation, &self.ground_no_vegetation),
-            (Group::GroundPaved, &self.ground_paved),
-        ];
         let mut figures = Vec::new();
-        let mut add = |group, named: &[(&'static str, Option<f64>)]| {
-            figures.extend(
-                named
-                    .iter()
-                    .map(|&(name, value)| Figure { group, name, value }),
-            );
-        };
-        for (group, score) in grounds {
-            add(group, &score.figures());
-        }
-        add(Group::Objects, &self.entropy.figures());
+        add(&mut figures, Group::Ground, &self.ground.figures());
+        add(
+            &mut figures,
+            Group::GroundNoVegetation,
+            &self.ground_no_vegetation.figures(),
+        );
+        add(
+            &mut figures,
+            Group::GroundPaved,
+            &self.ground_paved.figures(),
+        );
+        add(&mut figures, Group::Objects, &self.entropy.figures());
         for counts in &self.instances {
-            add(Group::Instances(counts.min_points), &counts.figures());
+            add(
+                &mut figures,
+                Group::Instances(counts.min_points),
+                &counts.figures(),
+            );
         }
         figures
+    }
+}
+
+fn add(figures: &mut Vec<Figure>, group: Group, named: &[(&'static str, Option<f64>)]) {
+    for &(name, value) in named {
+        figures.push(Figure { group, name, value });
     }
 }
 

@@ -1,5 +1,7 @@
 //! Many scans to one table.
 
+use std::collections::BTreeMap;
+
 use serde::Serialize;
 
 use super::{Figure, Group, Grouped, InstanceCounts, ScanScore};
@@ -41,56 +43,28 @@ pub struct Summary {
 impl Summary {
     /// Of scans by the name of their sequence, all scored with the same sizes.
     pub fn new(scored: &[(String, ScanScore)]) -> Self {
-        let mut sequences: Vec<&str> = scored.iter().map(|(sequence, _)| &sequence[..]).collect();
-        sequences.sort_unstable();
-        sequences.dedup();
         let figures: Vec<Vec<Figure>> = scored.iter().map(|(_, score)| score.figures()).collect();
+        let mut sequences: BTreeMap<&str, Vec<&[Figure]>> = BTreeMap::new();
+        for ((sequence, _), figures) in scored.iter().zip(&figures) {
+            sequences.entry(sequence).or_default().push(figures);
+        }
+        let all: Vec<&[Figure]> = figures.iter().map(Vec::as_slice).collect();
         let pooled = pool(scored);
-        let pooled_figures: Vec<Figure> = (pooled.iter())
-            .flat_map(|counts| {
-                (counts.figures().into_iter()).map(|(name, value)| (counts.min_points, name, value))
-            })
-            .map(|(min_points, name, value)| Figure {
-                group: Group::Instances(min_points),
-                name,
-                value,
-            })
-            .collect();
-        let row = |(index, figure): (usize, &Figure)| {
-            let values_of = |sequence: Option<&str>| -> Vec<f64> {
-                let scans = scored.iter().zip(&figures);
-                let asked =
-                    scans.filter(|((of, _), _)| sequence.is_none_or(|sequence| sequence == of));
-                asked
-                    .filter_map(|(_, figures)| figures[index].value)
-                    .collect()
-            };
-            let all = values_of(None);
+        let mut rows = Vec::new();
+        for (index, figure) in figures.first().into_iter().flatten().enumerate() {
             let means: Vec<f64> = sequences
-                .iter()
-                .filter_map(|sequence| mean(&values_of(Some(sequence))))
+                .values()
+                .filter_map(|scans| mean(&values(scans, index)))
                 .collect();
-            let same =
-                |pooled: &&Figure| (pooled.group, pooled.name) == (figure.group, figure.name);
-            Row {
+            rows.push(Row {
                 group: figure.group,
                 name: figure.name,
-                mean: mean(&all),
-                std: deviation(&all),
+                mean: mean(&values(&all, index)),
+                std: deviation(&values(&all, index)),
                 sequence_mean: mean(&means),
-                pooled: pooled_figures
-                    .iter()
-                    .find(same)
-                    .and_then(|pooled| pooled.value),
-            }
-        };
-        let rows = figures
-            .first()
-            .into_iter()
-            .flatten()
-            .enumerate()
-            .map(row)
-            .collect();
+                pooled: pooled_value(&pooled, figure),
+            });
+        }
         Self {
             scans: scored.len(),
             sequences: sequences.len(),
@@ -109,6 +83,16 @@ impl Summary {
         )
     }
 
+    /// The mean of a figure over the scans.
+    pub fn mean(&self, group: Group, name: &str) -> Option<f64> {
+        self.row(group, name)?.mean
+    }
+
+    /// A figure of the instances of all scans together.
+    pub fn pooled_value(&self, group: Group, name: &str) -> Option<f64> {
+        self.row(group, name)?.pooled
+    }
+
     /// A figure by its name.
     pub fn row(&self, group: Group, name: &str) -> Option<&Row> {
         self.rows
@@ -117,17 +101,29 @@ impl Summary {
     }
 }
 
+/// A figure of the scans that have it.
+fn values(scans: &[&[Figure]], index: usize) -> Vec<f64> {
+    scans.iter().filter_map(|scan| scan[index].value).collect()
+}
+
+/// The instances of all scans together.
 fn pool(scored: &[(String, ScanScore)]) -> Vec<InstanceCounts> {
-    let mut sums = vec![
-        InstanceCounts::default();
-        scored.first().map_or(0, |(_, score)| score.instances.len())
-    ];
+    let sizes = scored.first().map_or(0, |(_, score)| score.instances.len());
+    let mut sums = vec![InstanceCounts::default(); sizes];
     for (_, score) in scored {
-        sums.iter_mut()
-            .zip(&score.instances)
-            .for_each(|(sum, counts)| sum.add(counts));
+        for (sum, counts) in sums.iter_mut().zip(&score.instances) {
+            sum.add(counts);
+        }
     }
     sums
+}
+
+fn pooled_value(pooled: &[InstanceCounts], figure: &Figure) -> Option<f64> {
+    let counts = pooled
+        .iter()
+        .find(|counts| figure.group == Group::Instances(counts.min_points))?;
+    let mut figures = counts.figures().into_iter();
+    figures.find(|(name, _)| *name == figure.name)?.1
 }
 
 fn mean(values: &[f64]) -> Option<f64> {

@@ -2,7 +2,7 @@
 
 use super::ScoreError;
 use super::classes::{UNLABELLED, class_of, is_ground};
-use super::linkage::link;
+use super::linkage::{link, number_groups};
 
 /// Points of one label nearer than this are one object, metres.
 const LINK_M: f64 = 1.0;
@@ -50,9 +50,11 @@ impl Truth {
 }
 
 fn objects(points: &[[f32; 4]], labels: &[u32]) -> Vec<u32> {
-    let may_be = |label| !is_ground(class_of(label)) && class_of(label) != UNLABELLED;
     let mut chosen: Vec<u32> = (0..labels.len() as u32)
-        .filter(|&point| may_be(labels[point as usize]))
+        .filter(|&point| {
+            let class = class_of(labels[point as usize]);
+            !is_ground(class) && class != UNLABELLED
+        })
         .collect();
     chosen.sort_by_key(|&point| labels[point as usize]);
     let mut objects = vec![NO_OBJECT; labels.len()];
@@ -63,19 +65,7 @@ fn objects(points: &[[f32; 4]], labels: &[u32]) -> Vec<u32> {
             .map(|&point| place(points[point as usize]))
             .collect();
         let groups = link(&places, LINK_M);
-        let mut sizes = vec![0; groups.iter().max().map_or(0, |&most| most as usize + 1)];
-        groups.iter().for_each(|&group| sizes[group as usize] += 1);
-        let numbers: Vec<u32> = sizes
-            .iter()
-            .map(|size| {
-                last += u32::from(OBJECT_POINTS.contains(size));
-                if OBJECT_POINTS.contains(size) {
-                    last
-                } else {
-                    NO_OBJECT
-                }
-            })
-            .collect();
+        let numbers = number_groups(&groups, OBJECT_POINTS, NO_OBJECT, &mut last);
         for (&point, &group) in same.iter().zip(&groups) {
             objects[point as usize] = numbers[group as usize];
         }

@@ -2,7 +2,7 @@
 
 use fastrand::Rng;
 
-use super::props::{self, Parts, Place};
+use super::props::{self, GroundPose, Parts};
 use super::scene::{Class, Scene, Surface};
 use super::shape::{Shape, Vec3};
 
@@ -41,7 +41,7 @@ impl Builder {
     }
 
     /// Puts in what moves the way it faces.
-    pub fn send(&mut self, class: Class, place: Place, speed_m_s: f64, parts: Parts) {
+    pub fn send(&mut self, class: Class, place: GroundPose, speed_m_s: f64, parts: Parts) {
         let (sin, cos) = place.heading_rad.sin_cos();
         self.scene
             .add(class, Vec3::new(sin, cos, 0.0) * speed_m_s, parts);
@@ -55,7 +55,7 @@ impl Builder {
     }
 
     /// Someone on foot, who may have stopped.
-    pub fn walker(&mut self, place: Place) {
+    pub fn walker(&mut self, place: GroundPose) {
         let (height_m, clothes) = (self.between(1.52, 1.92), self.rng.u8(10..70));
         let speed_m_s = if self.chance(0.2) {
             0.0

@@ -4,12 +4,11 @@ use std::borrow::Cow;
 use std::f64::consts::TAU;
 use std::net::Ipv4Addr;
 
-use super::gps::{self, Clock, ClockStep};
+use super::clock::{Clock, ClockStep};
 use super::head::{Encoder, FieldOfView, Motor, Pose};
 use super::optics::Optics;
-use super::schedule::Schedule;
 use super::shape::{Vec3, floor};
-use super::{status, street, unit};
+use super::{street, unit};
 use sweepd_core::sensor::model::Spec;
 use sweepd_core::sensor::{Calibration, Model};
 use sweepd_core::wire::data::ReturnMode;
@@ -91,7 +90,7 @@ impl EmitterConfig {
             start_utc_ns: 1_777_888_800_000_000_000,
             host_ahead_ns: 0,
             data_per_position: 14,
-            address: gps::address(model),
+            address: address(model),
             seed: 1,
         }
         .turns(1.0)
@@ -99,29 +98,36 @@ impl EmitterConfig {
 
     /// The same for as many packets as these turns take.
     pub fn turns(mut self, turns: f64) -> Self {
-        let packet_s = f64::from(self.spec.packet_period_ns(self.return_mode)) * 1e-9;
-        self.packets = (turns * 60.0 / self.rpm / packet_s).ceil() as u64;
+        self.packets = self.packets_within(self.return_mode, turns * 60.0 / self.rpm);
         self
     }
 
-    /// The same for as many packets as begin within these seconds, with the mode switch after so
-    /// many if there is one.
+    /// The same for as many packets as begin within these seconds, with the mode switch after
+    /// `mode_switch` seconds if there is one.
     pub fn seconds(mut self, seconds: f64, mode_switch: Option<f64>) -> Self {
-        let packets = |mode, seconds: f64| {
-            let packet_s = f64::from(self.spec.packet_period_ns(mode)) * 1e-9;
-            ((seconds / packet_s).ceil() as u64, packet_s)
-        };
-        let (all, packet_s) = packets(self.return_mode, seconds);
+        let first = self.return_mode;
+        let all = self.packets_within(first, seconds);
         self.mode_switch = mode_switch
-            .map(|at| packets(self.return_mode, at).0)
+            .map(|at| self.packets_within(first, at))
             .filter(|&at| at < all);
         self.packets = match self.mode_switch {
             Some(at) => {
-                at + packets(other_mode(self.return_mode), seconds - at as f64 * packet_s).0
+                let rest_s = seconds - at as f64 * self.packet_s(first);
+                at + self.packets_within(other_mode(first), rest_s)
             }
             None => all,
         };
         self
+    }
+
+    /// From one data packet to the next, seconds.
+    fn packet_s(&self, mode: ReturnMode) -> f64 {
+        f64::from(self.spec.packet_period_ns(mode)) * 1e-9
+    }
+
+    /// Data packets that begin within these seconds.
+    fn packets_within(&self, mode: ReturnMode, seconds: f64) -> u64 {
+        (seconds / self.packet_s(mode)).ceil() as u64
     }
 
     /// What a data packet reports.
@@ -134,11 +140,10 @@ impl EmitterConfig {
 
     /// First shot of a packet, nanoseconds after the first of all.
     pub(super) fn first_shot_ns(&self, ordinal: u64) -> i64 {
-        let periods_ns =
-            |mode, count: u64| count as i64 * i64::from(self.spec.packet_period_ns(mode));
         let before = self.mode_switch.map_or(ordinal, |at| ordinal.min(at));
-        periods_ns(self.return_mode, before)
-            + periods_ns(other_mode(self.return_mode), ordinal - before)
+        let period_ns = i64::from(self.spec.packet_period_ns(self.return_mode));
+        let other_period_ns = i64::from(self.spec.packet_period_ns(other_mode(self.return_mode)));
+        before as i64 * period_ns + (ordinal - before) as i64 * other_period_ns
     }
 
     /// The sensor clock as packets carry it, so long after the first shot of all.
@@ -158,15 +163,6 @@ impl EmitterConfig {
         (turns - floor(turns)) * TAU
     }
 
-    /// Data packets that it really sends.
-    pub fn sent_packets(&self) -> u64 {
-        if self.fov.is_none() {
-            return self.packets;
-        }
-        let mut schedule = Schedule::default();
-        std::iter::from_fn(|| schedule.next(self)).count() as u64
-    }
-
     /// The beams that it has.
     pub fn beams(&self) -> Cow<'_, Calibration> {
         let own = self
@@ -175,34 +171,24 @@ impl EmitterConfig {
             .or_else(|| self.model.calibration());
         own.map_or_else(|| Cow::Owned(unit::unit(self.seed)), Cow::Borrowed)
     }
+}
 
-    /// Whether there can be such a sensor.
-    ///
-    /// # Errors
-    /// A sentence: what speaks against it.
-    pub fn check(&self) -> Result<(), String> {
-        let beams = self.beams();
-        let (found, expected) = (beams.beams().len(), self.spec.channels);
-        if found != expected {
-            return Err(format!(
-                "a calibration of {found} beams, the {} has {expected}",
-                self.model
-            ));
-        }
-        if self.model == Model::Hdl64eS2
-            && (self.return_mode == ReturnMode::Dual || self.mode_switch.is_some())
-        {
-            return Err(format!(
-                "an {} reports one return; an {} reports two",
-                self.model,
-                Model::Hdl64eS3
-            ));
-        }
-        if self.model.is_hdl64e() {
-            status::dump(self).map(drop)
-        } else {
-            Ok(())
-        }
+/// The factory address of a model; of the HDL-64E, its manuals' section on Ethernet.
+pub fn address(model: Model) -> Ipv4Addr {
+    match model {
+        Model::Hdl64eS2 | Model::Hdl64eS3 => Ipv4Addr::new(192, 168, 3, 43),
+        Model::Hdl32e => Ipv4Addr::new(192, 168, 1, 202),
+        Model::Vlp16 | Model::PuckLite | Model::PuckHiRes => Ipv4Addr::new(192, 168, 1, 201),
+    }
+}
+
+/// Where a sensor sends to: everyone, or on an HDL-64E everyone of its own network.
+pub fn destination(model: Model, address: Ipv4Addr) -> Ipv4Addr {
+    let [a, b, c, _] = address.octets();
+    if model.is_hdl64e() {
+        Ipv4Addr::new(a, b, c, 255)
+    } else {
+        Ipv4Addr::BROADCAST
     }
 }
 

@@ -22,7 +22,7 @@ const JUMBO_LEN: u16 = 8_972;
 
 /// A part of a data packet.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
-pub enum Part {
+pub enum PacketPart {
     /// Any bit of the packet.
     Any,
     /// Of a block: which lasers fired.
@@ -41,7 +41,7 @@ pub enum Part {
     Length,
 }
 
-impl Part {
+impl PacketPart {
     /// All of them.
     pub const ALL: [Self; 8] = [
         Self::Any,
@@ -146,10 +146,10 @@ impl Damage {
     }
 
     /// The part that is struck.
-    pub fn part(self) -> Part {
+    pub fn part(self) -> PacketPart {
         match self {
-            Self::Bit(bit) => Part::of_bit(bit),
-            Self::Length(_) => Part::Length,
+            Self::Bit(bit) => PacketPart::of_bit(bit),
+            Self::Length(_) => PacketPart::Length,
         }
     }
 
@@ -157,7 +157,7 @@ impl Damage {
     pub fn record(self) -> Option<(usize, usize)> {
         let Self::Bit(bit) = self else { return None };
         let byte = usize::from(bit / 8);
-        let is_record = matches!(self.part(), Part::Distance | Part::Reflectivity);
+        let is_record = matches!(self.part(), PacketPart::Distance | PacketPart::Reflectivity);
         is_record.then(|| (byte / BLOCK_LEN, (byte % BLOCK_LEN - HEAD_LEN) / RECORD_LEN))
     }
 }
@@ -178,12 +178,15 @@ mod tests {
             }; 32]
         });
         let mut rng = Rng::with_seed(1);
-        for part in Part::ALL {
+        for part in PacketPart::ALL {
             for _ in 0..300 {
                 let damage = part.damage(&mut rng);
                 let mut bytes = clean.emit().to_vec();
                 damage.apply(&mut bytes);
-                assert!(part == Part::Any || damage.part() == part, "{damage:?}");
+                assert!(
+                    part == PacketPart::Any || damage.part() == part,
+                    "{damage:?}"
+                );
                 let Damage::Bit(bit) = damage else {
                     assert!(bytes.len() != DATA_PACKET_LEN && bytes.len() <= 8_972);
                     continue;
@@ -199,22 +202,24 @@ mod tests {
                 );
                 let blocks = struck.blocks.iter().zip(&clean.blocks);
                 let seen = match part {
-                    Part::Flag => struck
+                    PacketPart::Flag => struck
                         .blocks
                         .iter()
                         .any(|block| block.flag.get() != FLAG_BANK_0),
-                    Part::Azimuth => struck.blocks.iter().any(|block| block.azimuth_cdeg() != 0),
-                    Part::Distance => blocks
+                    PacketPart::Azimuth => {
+                        struck.blocks.iter().any(|block| block.azimuth_cdeg() != 0)
+                    }
+                    PacketPart::Distance => blocks
                         .flat_map(|(a, b)| a.records.iter().zip(&b.records))
                         .any(|(a, b)| a.distance != b.distance),
-                    Part::Reflectivity => struck
+                    PacketPart::Reflectivity => struck
                         .blocks
                         .iter()
                         .flat_map(|block| block.records)
                         .any(|one| one.reflectivity != 9),
-                    Part::Stamp => struck.stamp_us() != 77_777,
-                    Part::Factory => (struck.return_mode, struck.product) != (0x37, 0x22),
-                    Part::Any | Part::Length => true,
+                    PacketPart::Stamp => struck.stamp_us() != 77_777,
+                    PacketPart::Factory => (struck.return_mode, struck.product) != (0x37, 0x22),
+                    PacketPart::Any | PacketPart::Length => true,
                 };
                 assert!(seen, "{part:?} {bit}");
                 if let Some((block, record)) = damage.record() {

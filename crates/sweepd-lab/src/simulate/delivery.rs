@@ -58,6 +58,18 @@ impl Faults {
         })
     }
 
+    /// How many there are of each kind, in words.
+    pub fn summary(&self) -> String {
+        format!(
+            "lost {}, duplicated {}, reordered {}, corrupted {}, strays {}",
+            self.lost_packets(),
+            self.duplicated.len(),
+            self.swapped.len(),
+            self.corrupted.len(),
+            self.strays.len()
+        )
+    }
+
     /// Data packets that never arrive.
     pub fn lost_packets(&self) -> u64 {
         self.lost

@@ -13,7 +13,7 @@ use std::net::SocketAddrV4;
 use fastrand::Rng;
 
 use super::beam::{Aim, Laser};
-use super::config::EmitterConfig;
+use super::config::{EmitterConfig, destination};
 use super::gps;
 use super::head::Pose;
 use super::layout::Layout;
@@ -206,7 +206,7 @@ impl<'a> Emitter<'a> {
     ) -> SimulatedDatagram {
         let EmitterConfig { model, address, .. } = self.config;
         let source = SocketAddrV4::new(address, port);
-        let destination = SocketAddrV4::new(gps::destination(model, address), port);
+        let destination = SocketAddrV4::new(destination(model, address), port);
         SimulatedDatagram {
             arrival_ns,
             source,

@@ -4,7 +4,7 @@
 use std::f64::consts::TAU;
 
 use super::builder::Builder;
-use super::props::{self, Place};
+use super::props::{self, GroundPose};
 use super::scene::Surface::Plain;
 use super::scene::{Class, Scene};
 use super::shape::Shape;
@@ -31,11 +31,11 @@ pub fn field(seed: u64) -> Scene {
 }
 
 /// A place in a ring around the sensor, on this side of the fence.
-fn somewhere(field: &mut Builder, near_m: f64, far_m: f64) -> Place {
+fn somewhere(field: &mut Builder, near_m: f64, far_m: f64) -> GroundPose {
     let (distance_m, heading_rad) = (field.between(near_m, far_m), field.between(0.0, TAU));
     // Azimuths from 110 to 340 degrees: the fence is to the right ahead.
     let azimuth_rad = field.between(110.0, 340.0).to_radians();
-    Place::new(
+    GroundPose::new(
         distance_m * azimuth_rad.sin(),
         distance_m * azimuth_rad.cos(),
         heading_rad,

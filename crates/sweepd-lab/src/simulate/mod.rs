@@ -13,9 +13,9 @@
 //! * [`beam`]: where a beam starts and goes, by the manual's formulas, and what the packet says of
 //!   it. [`mod@unit`]: the beams of an HDL-64E that was never built.
 //! * [`optics`]: from what a beam meets to the returns that the sensor reports.
-//! * [`config`]: a sensor. [`head`]: how it turns. `schedule`: when it fires. [`emitter`]: time,
-//!   turning head and packets. [`truth`]: what each return really was. [`gps`]: the position
-//!   packets; an HDL-64E has its `status` instead.
+//! * [`config`]: a sensor. [`head`]: how it turns. [`clock`]: what its clock follows. `schedule`:
+//!   when it fires. [`emitter`]: time, turning head and packets. [`truth`]: what each return really
+//!   was. [`gps`]: the position packets; an HDL-64E has its `status` instead.
 //! * [`delivery`]: what a network does to datagrams. [`plan`]: faults at random rates. [`damage`]:
 //!   what is wrong with one packet.
 //! * [`fixtures`]: the captures in `pcap_fixtures/`.
@@ -41,6 +41,7 @@
 //! ```
 
 mod builder;
+pub mod clock;
 mod layout;
 mod schedule;
 mod status;
@@ -68,11 +69,11 @@ pub mod truth;
 pub mod unit;
 pub mod view;
 
+pub use clock::ClockStep;
 pub use config::EmitterConfig;
-pub use damage::{Damage, Part};
+pub use damage::{Damage, PacketPart};
 pub use delivery::{Faults, deliver};
 pub use emitter::Emitter;
-pub use gps::ClockStep;
 pub use head::{FieldOfView, Motor, SpeedChange};
 pub use plan::Rates;
 pub use scene::{Class, Scene};

@@ -8,7 +8,7 @@
 use std::f64::consts::{FRAC_PI_2, PI};
 
 use super::builder::Builder;
-use super::props::{self, House, Place};
+use super::props::{self, GroundPose, House};
 use super::scene::{Class, Scene};
 
 const AISLE_M: f64 = 6.5;
@@ -53,7 +53,7 @@ fn row(lot: &mut Builder, y: f64, heading_rad: f64) {
             continue;
         }
         let heading_rad = heading_rad + askew_rad + if backed { PI } else { 0.0 };
-        let place = Place::new(x + off_m, y, heading_rad);
+        let place = GroundPose::new(x + off_m, y, heading_rad);
         if van {
             lot.put(Class::Lorry, props::van(place, paint.max(30)));
         } else {
@@ -66,10 +66,13 @@ fn row(lot: &mut Builder, y: f64, heading_rad: f64) {
 fn island(lot: &mut Builder, y: f64) {
     for step in -2..=2 {
         let x = f64::from(step) * 17.5;
-        lot.put(Class::Pole, props::lamp(Place::new(x, y, FRAC_PI_2)));
+        lot.put(Class::Pole, props::lamp(GroundPose::new(x, y, FRAC_PI_2)));
         if lot.chance(0.5) {
             let size = lot.between(0.6, 0.8);
-            lot.put(Class::Tree, props::tree(Place::new(x + 8.75, y, 0.0), size));
+            lot.put(
+                Class::Tree,
+                props::tree(GroundPose::new(x + 8.75, y, 0.0), size),
+            );
         }
     }
 }
@@ -86,19 +89,22 @@ fn market(lot: &mut Builder, y: f64) {
     };
     lot.put(
         Class::Building,
-        props::house(Place::new(-5.0, y, PI), house),
+        props::house(GroundPose::new(-5.0, y, PI), house),
     );
     for x in [-14.0, 12.0] {
         lot.put(
             Class::Furniture,
-            props::shelter(Place::new(x, y - 3.0, FRAC_PI_2)),
+            props::shelter(GroundPose::new(x, y - 3.0, FRAC_PI_2)),
         );
-        lot.put(Class::Sign, props::sign(Place::new(x + 4.0, y - 4.0, PI)));
+        lot.put(
+            Class::Sign,
+            props::sign(GroundPose::new(x + 4.0, y - 4.0, PI)),
+        );
     }
     for x in -6..6 {
         lot.put(
             Class::Pole,
-            props::bollard(Place::new(f64::from(x) * 2.0, y - 2.0, 0.0)),
+            props::bollard(GroundPose::new(f64::from(x) * 2.0, y - 2.0, 0.0)),
         );
     }
 }
@@ -110,7 +116,7 @@ fn traffic(lot: &mut Builder) {
         (-16.0, PITCH_M + 1.4, FRAC_PI_2),
         (21.0, 12.0, 0.0),
     ] {
-        let (paint, place) = (lot.paint(), Place::new(x, y, heading_rad));
+        let (paint, place) = (lot.paint(), GroundPose::new(x, y, heading_rad));
         let speed_m_s = lot.between(2.0, 4.0);
         lot.send(Class::Car, place, speed_m_s, props::car(place, 4.3, paint));
     }
@@ -122,7 +128,7 @@ fn traffic(lot: &mut Builder) {
             } else {
                 (-x, -FRAC_PI_2)
             };
-            lot.walker(Place::new(
+            lot.walker(GroundPose::new(
                 x,
                 f64::from(aisle) * PITCH_M + off_m,
                 heading_rad,
@@ -136,11 +142,11 @@ fn hedges(lot: &mut Builder) {
     for side in [-1.0, 1.0] {
         lot.put(
             Class::Tree,
-            props::hedge(Place::new(side * (HALF_M + 4.0), 0.0, 0.0), 70.0),
+            props::hedge(GroundPose::new(side * (HALF_M + 4.0), 0.0, 0.0), 70.0),
         );
     }
     lot.put(
         Class::Tree,
-        props::hedge(Place::new(0.0, -2.0 * PITCH_M - 6.0, FRAC_PI_2), 90.0),
+        props::hedge(GroundPose::new(0.0, -2.0 * PITCH_M - 6.0, FRAC_PI_2), 90.0),
     );
 }

@@ -2,7 +2,7 @@
 
 use fastrand::Rng;
 
-use super::damage::{Part, other_length};
+use super::damage::{PacketPart, other_length};
 use super::delivery::Faults;
 
 /// How often what goes wrong, each as a share of the data packets, 0 to 1.
@@ -23,7 +23,7 @@ pub struct Rates {
     /// Packets that are damaged.
     pub corrupt: f64,
     /// Where they are.
-    pub part: Part,
+    pub part: PacketPart,
     /// Packets before which a datagram arrives that no sensor sent, tiny or jumbo.
     pub stray: f64,
 }
@@ -39,7 +39,7 @@ impl Default for Rates {
             reorder,
             places: 1,
             corrupt,
-            part: Part::Any,
+            part: PacketPart::Any,
             stray,
         }
     }
@@ -152,7 +152,7 @@ mod tests {
         reorder: 0.03,
         places: 1,
         corrupt: 0.02,
-        part: Part::Any,
+        part: PacketPart::Any,
         stray: 0.01,
     };
 

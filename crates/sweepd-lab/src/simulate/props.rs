@@ -11,7 +11,7 @@ pub type Parts = Vec<(Shape, Surface)>;
 
 /// Where a thing stands and which way it faces.
 #[derive(Clone, Copy, Debug)]
-pub struct Place {
+pub struct GroundPose {
     /// To the right, metres.
     pub x: f64,
     /// Ahead, metres.
@@ -22,7 +22,7 @@ pub struct Place {
     pub heading_rad: f64,
 }
 
-impl Place {
+impl GroundPose {
     /// A place on the road.
     pub fn new(x: f64, y: f64, heading_rad: f64) -> Self {
         Self {
@@ -70,7 +70,7 @@ const TYRE: Surface = Plain(6);
 const PLATE: Surface = Plain(220);
 
 fn wheels(
-    place: &Place,
+    place: &GroundPose,
     across: f64,
     along: f64,
     size: [f64; 3],
@@ -80,7 +80,7 @@ fn wheels(
         .into_iter()
 }
 
-fn plates(place: &Place, along: f64) -> [(Shape, Surface); 2] {
+fn plates(place: &GroundPose, along: f64) -> [(Shape, Surface); 2] {
     [-1.0, 1.0].map(|end| {
         (
             place.cuboid([0.0, end * along, 0.45], [0.52, 0.02, 0.11]),
@@ -91,7 +91,7 @@ fn plates(place: &Place, along: f64) -> [(Shape, Surface); 2] {
 
 /// A passenger car: body, glass and roof in two steps, wheels with the gap between them, number
 /// plates.
-pub fn car(place: Place, length_m: f64, paint: u8) -> Parts {
+pub fn car(place: GroundPose, length_m: f64, paint: u8) -> Parts {
     let body = [1.78, length_m, 0.56];
     let mut parts = vec![
         (place.cuboid([0.0, 0.0, 0.27], body), Plain(paint)),
@@ -110,7 +110,7 @@ pub fn car(place: Place, length_m: f64, paint: u8) -> Parts {
 }
 
 /// A delivery van.
-pub fn van(place: Place, paint: u8) -> Parts {
+pub fn van(place: GroundPose, paint: u8) -> Parts {
     let mut parts = vec![
         (
             place.cuboid([0.0, -0.4, 0.40], [1.95, 4.6, 2.0]),
@@ -127,7 +127,7 @@ pub fn van(place: Place, paint: u8) -> Parts {
 }
 
 /// A lorry with a box body.
-pub fn lorry(place: Place, paint: u8) -> Parts {
+pub fn lorry(place: GroundPose, paint: u8) -> Parts {
     let mut parts = vec![
         (
             place.cuboid([0.0, -1.2, 1.0], [2.5, 6.6, 2.5]),
@@ -141,7 +141,7 @@ pub fn lorry(place: Place, paint: u8) -> Parts {
 }
 
 /// Someone on foot, in mid-stride.
-pub fn person(place: Place, height_m: f64, clothes: u8) -> Parts {
+pub fn person(place: GroundPose, height_m: f64, clothes: u8) -> Parts {
     let s = height_m / 1.75;
     let limb = |across, along, up, radius_m, length_m| {
         (
@@ -166,7 +166,7 @@ pub fn person(place: Place, height_m: f64, clothes: u8) -> Parts {
 }
 
 /// Someone on a bicycle, with a reflector at the back.
-pub fn cyclist(place: Place, clothes: u8) -> Parts {
+pub fn cyclist(place: GroundPose, clothes: u8) -> Parts {
     vec![
         (place.cuboid([0.0, -0.52, 0.0], [0.05, 0.66, 0.66]), TYRE),
         (place.cuboid([0.0, 0.52, 0.0], [0.05, 0.66, 0.66]), TYRE),
@@ -193,7 +193,7 @@ pub fn cyclist(place: Place, clothes: u8) -> Parts {
 }
 
 /// A lamp post; its arm points the way it faces.
-pub fn lamp(place: Place) -> Parts {
+pub fn lamp(place: GroundPose) -> Parts {
     vec![
         (place.cylinder([0.0, 0.0, 0.0], 0.11, 1.2), Plain(40)),
         (place.cylinder([0.0, 0.0, 1.2], 0.075, 4.8), Plain(40)),
@@ -202,7 +202,7 @@ pub fn lamp(place: Place) -> Parts {
 }
 
 /// A traffic sign on its post; the plate faces the way it faces.
-pub fn sign(place: Place) -> Parts {
+pub fn sign(place: GroundPose) -> Parts {
     vec![
         (place.cylinder([0.0, 0.0, 0.0], 0.035, 2.1), Plain(45)),
         (
@@ -213,7 +213,7 @@ pub fn sign(place: Place) -> Parts {
 }
 
 /// A bollard with a reflecting band.
-pub fn bollard(place: Place) -> Parts {
+pub fn bollard(place: GroundPose) -> Parts {
     vec![
         (place.cylinder([0.0, 0.0, 0.0], 0.06, 0.95), Plain(12)),
         (place.cylinder([0.0, 0.0, 0.75], 0.063, 0.1), Plain(180)),
@@ -221,7 +221,7 @@ pub fn bollard(place: Place) -> Parts {
 }
 
 /// A tree: trunk and two overlapping masses of leaves. A size of 1 is about 6 m high.
-pub fn tree(place: Place, size: f64) -> Parts {
+pub fn tree(place: GroundPose, size: f64) -> Parts {
     let leaves = Leaves {
         reflectivity: 32,
         free_path_m: 0.9,
@@ -247,7 +247,7 @@ pub fn tree(place: Place, size: f64) -> Parts {
 }
 
 /// A hedge along the way it faces.
-pub fn hedge(place: Place, length_m: f64) -> Parts {
+pub fn hedge(place: GroundPose, length_m: f64) -> Parts {
     vec![(
         place.cuboid([0.0; 3], [0.7, length_m, 1.1]),
         Leaves {
@@ -258,12 +258,12 @@ pub fn hedge(place: Place, length_m: f64) -> Parts {
 }
 
 /// A litter bin.
-pub fn bin(place: Place) -> Parts {
+pub fn bin(place: GroundPose) -> Parts {
     vec![(place.cylinder([0.0; 3], 0.24, 0.95), Plain(18))]
 }
 
 /// A bench, its back to its left.
-pub fn bench(place: Place) -> Parts {
+pub fn bench(place: GroundPose) -> Parts {
     vec![
         (place.cuboid([0.0, 0.0, 0.40], [0.45, 1.8, 0.06]), Plain(28)),
         (
@@ -279,7 +279,7 @@ pub fn bench(place: Place) -> Parts {
 }
 
 /// A bus shelter, its back to its left.
-pub fn shelter(place: Place) -> Parts {
+pub fn shelter(place: GroundPose) -> Parts {
     vec![
         (place.cuboid([-0.6, 0.0, 0.1], [0.04, 3.6, 2.1]), Plain(7)),
         (place.cuboid([-0.2, -1.8, 0.1], [0.8, 0.04, 2.1]), Plain(7)),
@@ -307,7 +307,7 @@ pub struct House {
 }
 
 /// A house: walls with windows, a doorstep, and a gateway or bays where it has them.
-pub fn house(place: Place, house: House) -> Parts {
+pub fn house(place: GroundPose, house: House) -> Parts {
     let House {
         width_m,
         depth_m,

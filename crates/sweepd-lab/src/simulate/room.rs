@@ -4,7 +4,7 @@
 use std::f64::consts::{FRAC_PI_2, PI};
 
 use super::builder::Builder;
-use super::props::{self, Parts, Place};
+use super::props::{self, GroundPose, Parts};
 use super::scene::Surface::{self, Plain};
 use super::scene::{Class, Scene};
 
@@ -15,7 +15,7 @@ const DOOR_HIGH_M: f64 = 2.1;
 const FREE_M: f64 = 1.6;
 
 /// The inside of the hall: from left to right, from behind to ahead, and its height.
-struct Hall {
+struct RoomSize {
     x: [f64; 2],
     y: [f64; 2],
     height_m: f64,
@@ -24,7 +24,7 @@ struct Hall {
 /// A room like any other; each seed gives another one.
 pub fn room(seed: u64) -> Scene {
     let mut room = Builder::new(Scene::new([0.0; 2], 35), seed);
-    let hall = Hall {
+    let hall = RoomSize {
         x: [-room.between(5.0, 8.0), room.between(5.0, 8.0)],
         y: [-room.between(6.0, 9.0), room.between(8.0, 12.0)],
         height_m: room.between(2.8, 3.6),
@@ -38,8 +38,8 @@ pub fn room(seed: u64) -> Scene {
 }
 
 /// Walls, the corridor behind the door ahead, and the ceiling over all.
-fn walls(room: &mut Builder, hall: &Hall) {
-    let Hall {
+fn walls(room: &mut Builder, hall: &RoomSize) {
+    let RoomSize {
         x: [left, right],
         y: [behind, ahead],
         height_m,
@@ -73,7 +73,7 @@ fn walls(room: &mut Builder, hall: &Hall) {
 }
 
 /// Four pillars in a rectangle.
-fn pillars(room: &mut Builder, hall: &Hall) {
+fn pillars(room: &mut Builder, hall: &RoomSize) {
     let size_m = room.between(0.35, 0.5);
     for x in hall.x.map(|x| 0.75 * x) {
         for y in hall.y.map(|y| 0.5 * y) {
@@ -88,22 +88,22 @@ fn pillars(room: &mut Builder, hall: &Hall) {
 }
 
 /// Shelves with boards and what lies on them, along the left wall and the one behind.
-fn shelves(room: &mut Builder, hall: &Hall) {
+fn shelves(room: &mut Builder, hall: &RoomSize) {
     let mut y = hall.y[0] + 1.4;
     while y < hall.y[1] - 1.5 {
-        let parts = shelf(room, Place::new(hall.x[0] + 0.25, y, 0.0));
+        let parts = shelf(room, GroundPose::new(hall.x[0] + 0.25, y, 0.0));
         room.put(Class::Furniture, parts);
         y += room.between(2.2, 3.6);
     }
     let parts = shelf(
         room,
-        Place::new(hall.x[1] / 2.0, hall.y[0] + 0.25, FRAC_PI_2),
+        GroundPose::new(hall.x[1] / 2.0, hall.y[0] + 0.25, FRAC_PI_2),
     );
     room.put(Class::Furniture, parts);
 }
 
 /// A shelf 2 m long, 2 m high, along the way it faces.
-fn shelf(room: &mut Builder, place: Place) -> Parts {
+fn shelf(room: &mut Builder, place: GroundPose) -> Parts {
     let board = |up, thick_m| {
         (
             place.cuboid([0.0, 0.0, up], [0.42, 2.0, thick_m]),
@@ -127,13 +127,13 @@ fn shelf(room: &mut Builder, place: Place) -> Parts {
 }
 
 /// Two rows of tables with chairs on both sides.
-fn tables(room: &mut Builder, hall: &Hall) {
+fn tables(room: &mut Builder, hall: &RoomSize) {
     const WOOD: Surface = Plain(48);
     for side in [-1.0, 1.0] {
         let mut y = hall.y[0] + 2.6;
         while y < hall.y[1] - 1.6 {
             let x = side * room.between(2.7, 3.1);
-            let place = Place::new(x, y, room.between(-0.1, 0.1));
+            let place = GroundPose::new(x, y, room.between(-0.1, 0.1));
             let mut parts = vec![(place.cuboid([0.0, 0.0, 0.71], [0.8, 1.6, 0.04]), WOOD)];
             for (across, along) in [(-0.33, -0.72), (0.33, -0.72), (-0.33, 0.72), (0.33, 0.72)] {
                 parts.push((
@@ -149,7 +149,7 @@ fn tables(room: &mut Builder, hall: &Hall) {
                         place.heading_rad + facing * FRAC_PI_2 + room.between(-0.3, 0.3);
                     room.put(
                         Class::Furniture,
-                        chair(Place::new(x - facing * 0.75, y + along_m, heading_rad)),
+                        chair(GroundPose::new(x - facing * 0.75, y + along_m, heading_rad)),
                     );
                 }
             }
@@ -159,7 +159,7 @@ fn tables(room: &mut Builder, hall: &Hall) {
 }
 
 /// A chair that faces the way it faces.
-fn chair(place: Place) -> Parts {
+fn chair(place: GroundPose) -> Parts {
     let mut parts = vec![
         (
             place.cuboid([0.0, 0.0, 0.43], [0.42, 0.42, 0.04]),
@@ -177,7 +177,7 @@ fn chair(place: Place) -> Parts {
 }
 
 /// People in the middle aisle, ahead and behind.
-fn people(room: &mut Builder, hall: &Hall) {
+fn people(room: &mut Builder, hall: &RoomSize) {
     for (from, to) in [
         (FREE_M + 0.6, hall.y[1] - 1.0),
         (hall.y[0] + 1.0, -FREE_M - 0.6),
@@ -186,7 +186,7 @@ fn people(room: &mut Builder, hall: &Hall) {
             let (x, y) = (room.between(-1.2, 1.2), room.between(from, to));
             let away_rad = if y > 0.0 { 0.0 } else { PI };
             let (height_m, clothes) = (room.between(1.55, 1.9), room.rng.u8(10..70));
-            let place = Place::new(x, y, away_rad);
+            let place = GroundPose::new(x, y, away_rad);
             // Slowly: in a long recording a wall comes.
             room.send(
                 Class::Person,

@@ -78,7 +78,7 @@ pub enum Surface {
 
 /// One solid of an object.
 #[derive(Clone, Copy, Debug)]
-pub struct Part {
+pub struct Solid {
     /// Its shape, at time 0.
     pub shape: Shape,
     /// Its surface.
@@ -118,7 +118,7 @@ pub struct Scene {
     /// Reflectivity of the road.
     pub road: u8,
     objects: Vec<Object>,
-    parts: Vec<Part>,
+    solids: Vec<Solid>,
 }
 
 impl Scene {
@@ -132,7 +132,7 @@ impl Scene {
             slope,
             road,
             objects: vec![ground],
-            parts: Vec::new(),
+            solids: Vec::new(),
         }
     }
 
@@ -158,8 +158,8 @@ impl Scene {
             (1..=self.objects.len() as u32).contains(&object),
             "there is no object {object}"
         );
-        self.parts
-            .extend(parts.into_iter().map(|(shape, surface)| Part {
+        self.solids
+            .extend(parts.into_iter().map(|(shape, surface)| Solid {
                 shape,
                 surface,
                 object,
@@ -172,8 +172,8 @@ impl Scene {
     }
 
     /// All solids.
-    pub fn parts(&self) -> &[Part] {
-        &self.parts
+    pub fn solids(&self) -> &[Solid] {
+        &self.solids
     }
 
     #[inline]
@@ -183,8 +183,8 @@ impl Scene {
 
     /// How a solid moves, metres a second.
     #[inline]
-    pub(super) fn velocity(&self, part: &Part) -> Vec3 {
-        self.object(part.object).velocity
+    pub(super) fn velocity(&self, solid: &Solid) -> Vec3 {
+        self.object(solid.object).velocity
     }
 
     /// A point of the world in the frame in which the ground is level.
@@ -222,17 +222,17 @@ impl Scene {
 
     /// A bent ray as a solid meets it that moves with its object: where it stood at time 0.
     #[inline]
-    pub(super) fn beside(&self, part: &Part, bent: &Ray, time_s: f64) -> Ray {
+    pub(super) fn beside(&self, solid: &Solid, bent: &Ray, time_s: f64) -> Ray {
         Ray {
-            origin: bent.origin - self.velocity(part) * time_s,
+            origin: bent.origin - self.velocity(solid) * time_s,
             ..*bent
         }
     }
 
     /// What a ray meets that passes through a solid; leaves and windows answer by chance.
     #[inline]
-    pub(super) fn meet(&self, part: &Part, ray: &Ray, span: &Span, rng: &mut Rng) -> Option<Hit> {
-        let (distance_m, reflectivity, cos_incidence) = match part.surface {
+    pub(super) fn meet(&self, solid: &Solid, ray: &Ray, span: &Span, rng: &mut Rng) -> Option<Hit> {
+        let (distance_m, reflectivity, cos_incidence) = match solid.surface {
             Surface::Plain(reflectivity) => (span.enter_m, reflectivity, span.cos_incidence),
             Surface::Windows(wall) if span.wall && is_window(ray.at(span.enter_m)) => {
                 let recess_m = WINDOW_RECESS_M / span.cos_incidence.max(0.2);
@@ -254,18 +254,17 @@ impl Scene {
                 (span.enter_m + depth_m, reflectivity, 0.7)
             }
         };
-        let object = part.object;
         (distance_m < span.leave_m).then(|| Hit {
             distance_m,
-            object,
-            class: self.object(object).class,
+            object: solid.object,
+            class: self.object(solid.object).class,
             reflectivity,
             cos_incidence,
         })
     }
 }
 
-impl Part {
+impl Solid {
     /// From where on the outline of the solid may be as near to a ray as its rim is wide: a number
     /// beyond all distances where it is not. Leaves are nothing but outline.
     #[inline]
@@ -306,12 +305,14 @@ fn remainder(place_m: f64, period_m: f64) -> f64 {
 
 /// Whether a place on a front is within this many metres of where glass begins or ends.
 fn is_frame(place: Vec3, rim_m: f64) -> bool {
-    let (along_m, up_m) = (place.x + place.y, place.z);
-    let (column, storey) = (is_column(along_m), is_storey(up_m));
-    let near = |is_there: fn(f64) -> bool, at_m: f64, there| {
-        [rim_m, -rim_m]
-            .iter()
-            .any(|off_m| is_there(at_m + off_m) != there)
-    };
-    storey && near(is_column, along_m, column) || column && near(is_storey, up_m, storey)
+    let along_m = place.x + place.y;
+    let up_m = place.z;
+    is_storey(up_m) && changes_near(is_column, along_m, rim_m)
+        || is_column(along_m) && changes_near(is_storey, up_m, rim_m)
+}
+
+/// Whether something is otherwise this many metres to one side or the other.
+fn changes_near(is_there: fn(f64) -> bool, at_m: f64, rim_m: f64) -> bool {
+    let here = is_there(at_m);
+    is_there(at_m + rim_m) != here || is_there(at_m - rim_m) != here
 }

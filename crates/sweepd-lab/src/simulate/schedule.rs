@@ -27,10 +27,8 @@ impl Schedule {
     /// The times of the next packet; `None` when all were sent.
     pub fn next(&mut self, config: &EmitterConfig) -> Option<Times> {
         let ordinal = self.ordinal;
-        let (mode, limit_ns) = (
-            config.mode_of(ordinal),
-            config.first_shot_ns(config.packets),
-        );
+        let mode = config.mode_of(ordinal);
+        let limit_ns = config.first_shot_ns(config.packets);
         let step_ns = i64::from(config.spec.azimuth_period_ns(mode));
         if config.fov.is_none() {
             self.next_ns = config.first_shot_ns(ordinal);
@@ -61,13 +59,22 @@ impl Schedule {
     }
 }
 
+impl EmitterConfig {
+    /// Data packets that it really sends.
+    pub fn sent_packets(&self) -> u64 {
+        if self.fov.is_none() {
+            return self.packets;
+        }
+        let mut schedule = Schedule::default();
+        std::iter::from_fn(|| schedule.next(self)).count() as u64
+    }
+}
+
 impl Times {
     /// First shot of a firing.
     pub fn firing_ns(&self, firing: usize, config: &EmitterConfig) -> i64 {
-        let (mode, sharing) = (
-            config.mode_of(self.ordinal),
-            config.spec.firings_per_azimuth(),
-        );
+        let mode = config.mode_of(self.ordinal);
+        let sharing = config.spec.firings_per_azimuth();
         let period_ns = i64::from(config.spec.firing_period_ns(mode));
         self.starts_ns[firing / sharing] + (firing % sharing) as i64 * period_ns
     }

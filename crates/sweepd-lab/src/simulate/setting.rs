@@ -114,12 +114,12 @@ mod tests {
             for number in 0..9 {
                 let eye = setting.pose(number).origin;
                 // What hangs above, as a ceiling does, may.
-                let near = |part: &&crate::simulate::scene::Part| {
+                let near = |part: &&crate::simulate::scene::Solid| {
                     let bounds = part.shape.bounds();
                     bounds.reach(eye)[0] < 0.5 && bounds.z[0] < eye.z + 0.5
                 };
                 assert!(
-                    scene.parts().iter().find(near).is_none(),
+                    scene.solids().iter().find(near).is_none(),
                     "{} {seed} {number}",
                     setting.name()
                 );

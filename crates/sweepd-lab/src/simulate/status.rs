@@ -2,9 +2,10 @@
 
 use zerocopy::little_endian::{I16, U16};
 
-use super::config::EmitterConfig;
-use super::gps::{self, Clock};
+use super::clock::Clock;
+use super::config::{EmitterConfig, destination};
 use sweepd_core::sensor::{Model, stream};
+use sweepd_core::wire::data::ReturnMode;
 use sweepd_core::wire::hdl64::{
     self, CYCLE_LEN, CalibrationTime, DUMP_PACKETS, Dump, Gps, Live, Series, Warnings,
 };
@@ -42,10 +43,8 @@ pub fn dump(config: &EmitterConfig) -> Result<Dump, String> {
     dump.humidity = 38;
     dump.rpm = I16::new(config.rpm.round() as i16);
     dump.life_hours = U16::new(1_234);
-    (dump.source, dump.destination) = (
-        config.address.octets(),
-        gps::destination(config.model, config.address).octets(),
-    );
+    dump.source = config.address.octets();
+    dump.destination = destination(config.model, config.address).octets();
     Ok(dump)
 }
 
@@ -54,6 +53,37 @@ fn series(model: Model) -> Series {
         Series::S21
     } else {
         Series::S3
+    }
+}
+
+impl EmitterConfig {
+    /// Whether there can be such a sensor.
+    ///
+    /// # Errors
+    /// A sentence: what speaks against it.
+    pub fn check(&self) -> Result<(), String> {
+        let found = self.beams().beams().len();
+        let expected = self.spec.channels;
+        if found != expected {
+            return Err(format!(
+                "a calibration of {found} beams, the {} has {expected}",
+                self.model
+            ));
+        }
+        if self.model == Model::Hdl64eS2
+            && (self.return_mode == ReturnMode::Dual || self.mode_switch.is_some())
+        {
+            return Err(format!(
+                "an {} reports one return; an {} reports two",
+                self.model,
+                Model::Hdl64eS3
+            ));
+        }
+        if self.model.is_hdl64e() {
+            dump(self).map(drop)
+        } else {
+            Ok(())
+        }
     }
 }
 
@@ -113,8 +143,8 @@ fn clock(config: &EmitterConfig, elapsed_ns: i64) -> hdl64::Clock {
         Clock::Free { hour_ns } => START_OF_UNIT_NS + hour_ns + elapsed_ns,
     };
     let seconds = utc_ns.div_euclid(1_000_000_000);
-    let (days, second) = (seconds.div_euclid(86_400), seconds.rem_euclid(86_400));
-    let (year, month, day) = civil_from_days(days);
+    let second = seconds.rem_euclid(86_400);
+    let (year, month, day) = civil_from_days(seconds.div_euclid(86_400));
     hdl64::Clock {
         hour: (second / 3_600) as u8,
         minute: (second / 60 % 60) as u8,

@@ -13,7 +13,7 @@
 use std::f64::consts::{FRAC_PI_2, PI};
 
 use super::builder::Builder as Street;
-use super::props::{self, House, Place};
+use super::props::{self, GroundPose, House};
 use super::scene::{Class, GROUND, Scene, Surface};
 use super::shape::Shape;
 
@@ -81,7 +81,7 @@ impl Street {
         self.slab(deep, [end - 1.5, end]);
     }
 
-    fn house(&mut self, place: Place, width_m: f64) {
+    fn house(&mut self, place: GroundPose, width_m: f64) {
         let house = House {
             width_m,
             depth_m: 11.0,
@@ -116,7 +116,7 @@ impl Street {
                 } else {
                     *self.rng.choice(&[0.0, 0.0, 0.5, 1.4]).unwrap_or(&0.0)
                 };
-                let place = Place::new(
+                let place = GroundPose::new(
                     side * (FRONT_M + setback_m),
                     y + width_m / 2.0,
                     -side * FRAC_PI_2,
@@ -138,18 +138,18 @@ impl Street {
             let width_m = self.between(9.0, 14.0);
             for (y, heading_rad) in [(start - 0.2, 0.0), (end + 0.2, PI)] {
                 self.house(
-                    Place::new(side * (x + width_m / 2.0), y, heading_rad),
+                    GroundPose::new(side * (x + width_m / 2.0), y, heading_rad),
                     width_m,
                 );
             }
             x += width_m;
         }
         self.house(
-            Place::new(side * 72.0, (start + end) / 2.0, -side * FRAC_PI_2),
+            GroundPose::new(side * 72.0, (start + end) / 2.0, -side * FRAC_PI_2),
             20.0,
         );
         for x in [16.5, 22.4, 34.5] {
-            let place = Place::new(side * x, end - 2.7, side * FRAC_PI_2);
+            let place = GroundPose::new(side * x, end - 2.7, side * FRAC_PI_2);
             let (length_m, paint) = (self.between(3.9, 4.7), self.paint());
             self.put(Class::Car, props::car(place, length_m, paint));
         }
@@ -159,7 +159,7 @@ impl Street {
             } else {
                 -FRAC_PI_2
             };
-            let place = Place::new(side * x, start + 0.8, heading_rad).raised(STEP_M);
+            let place = GroundPose::new(side * x, start + 0.8, heading_rad).raised(STEP_M);
             self.walker(place);
         }
     }
@@ -174,7 +174,7 @@ impl Street {
                 (self.chance(0.12), self.between(-0.03, 0.03), self.paint());
             let x = side * PARKED_M + self.between(-0.12, 0.12);
             let heading_rad = if side > 0.0 { 0.0 } else { PI } + askew_rad;
-            let place = Place::new(x, y, heading_rad);
+            let place = GroundPose::new(x, y, heading_rad);
             // The sensor stands before a driveway: a car right beside it would hide a quarter of
             // the turn.
             let driveway = side > 0.0 && y.abs() < 4.5;
@@ -201,13 +201,13 @@ impl Street {
             if y > 92.0 {
                 break;
             }
-            let place = Place::new(side * (KERB_M + 0.5), y, toward_road).raised(STEP_M);
+            let place = GroundPose::new(side * (KERB_M + 0.5), y, toward_road).raised(STEP_M);
             if !in_opening(side, y, 1.5) {
                 match index % 4 {
                     0 => self.put(Class::Pole, props::lamp(place)),
                     2 if self.chance(0.6) => self.put(
                         Class::Sign,
-                        props::sign(Place {
+                        props::sign(GroundPose {
                             heading_rad: PI,
                             ..place
                         }),
@@ -217,7 +217,7 @@ impl Street {
                         self.put(
                             Class::Tree,
                             props::tree(
-                                Place {
+                                GroundPose {
                                     x: place.x + side * 0.3,
                                     ..place
                                 },
@@ -231,14 +231,14 @@ impl Street {
         }
         let [start, end] = opening(side);
         for y in [start - 0.4, start + 0.9, end - 0.9, end + 0.4] {
-            let place = Place::new(side * (KERB_M + 0.3), y, toward_road).raised(STEP_M);
+            let place = GroundPose::new(side * (KERB_M + 0.3), y, toward_road).raised(STEP_M);
             self.put(Class::Pole, props::bollard(place));
         }
         for y in [-58.0, -9.0, 24.0, 41.0].map(|y| y + 3.0 * side) {
-            let place = Place::new(side * (KERB_M + 0.6), y, toward_road).raised(STEP_M);
+            let place = GroundPose::new(side * (KERB_M + 0.6), y, toward_road).raised(STEP_M);
             self.put(Class::Furniture, props::bin(place));
         }
-        let waiting = Place::new(
+        let waiting = GroundPose::new(
             side * (KERB_M + 1.4),
             side * -18.0,
             if side > 0.0 { PI } else { 0.0 },
@@ -252,11 +252,11 @@ impl Street {
         while y < 50.0 {
             let heading_rad = if self.chance(0.5) { 0.0 } else { PI };
             let x = side * self.between(KERB_M + 1.4, FRONT_M - 0.6);
-            let place = Place::new(x, y, heading_rad).raised(STEP_M);
+            let place = GroundPose::new(x, y, heading_rad).raised(STEP_M);
             if !in_opening(side, y, 1.0) {
                 self.walker(place);
                 if self.chance(0.3) {
-                    self.walker(Place {
+                    self.walker(GroundPose {
                         x: x - side * 0.65,
                         y: y + 0.1,
                         ..place
@@ -276,7 +276,10 @@ impl Street {
         for y in [start + half_m / 2.0, end - half_m / 2.0] {
             self.put(
                 Class::Tree,
-                props::hedge(Place::new(-FRONT_M - 0.4, y, 0.0).raised(STEP_M), half_m),
+                props::hedge(
+                    GroundPose::new(-FRONT_M - 0.4, y, 0.0).raised(STEP_M),
+                    half_m,
+                ),
             );
         }
         for row in 0..4 {
@@ -286,22 +289,23 @@ impl Street {
                 let size = self.between(0.9, 1.5);
                 self.put(
                     Class::Tree,
-                    props::tree(Place::new(x, y, 0.0).raised(STEP_M), size),
+                    props::tree(GroundPose::new(x, y, 0.0).raised(STEP_M), size),
                 );
             }
         }
         for y in [start + 8.0, end - 8.0] {
             self.put(
                 Class::Furniture,
-                props::bench(Place::new(-12.0, y, 0.0).raised(STEP_M)),
+                props::bench(GroundPose::new(-12.0, y, 0.0).raised(STEP_M)),
             );
         }
     }
 
     /// What drives: cars both ways, a lorry, bicycles, someone who crosses the road.
     fn traffic(&mut self) {
-        let lane =
-            |side: f64, y: f64| Place::new(side * LANE_M, y, if side > 0.0 { 0.0 } else { PI });
+        let lane = |side: f64, y: f64| {
+            GroundPose::new(side * LANE_M, y, if side > 0.0 { 0.0 } else { PI })
+        };
         for (side, y, speed_m_s) in [
             (1.0, 13.5, 7.0),
             (1.0, 46.0, 9.0),
@@ -321,11 +325,11 @@ impl Street {
         let place = lane(-1.0, 29.0);
         self.send(Class::Lorry, place, 7.0, props::lorry(place, 60));
         // Waiting to come out of the side street on the right.
-        let place = Place::new(KERB_M + 3.0, RIGHT_STREET[0] + 6.4, -FRAC_PI_2);
+        let place = GroundPose::new(KERB_M + 3.0, RIGHT_STREET[0] + 6.4, -FRAC_PI_2);
         self.put(Class::Car, props::car(place, 4.3, 40));
         for (place, speed_m_s) in [
-            (Place::new(3.5, 7.5, 0.0), 4.5),
-            (Place::new(-3.4, -12.0, PI), 5.0),
+            (GroundPose::new(3.5, 7.5, 0.0), 4.5),
+            (GroundPose::new(-3.4, -12.0, PI), 5.0),
         ] {
             let clothes = self.rng.u8(20..70);
             self.send(
@@ -335,14 +339,14 @@ impl Street {
                 props::cyclist(place, clothes),
             );
         }
-        let crossing = Place::new(-0.4, -7.0, FRAC_PI_2);
+        let crossing = GroundPose::new(-0.4, -7.0, FRAC_PI_2);
         self.send(
             Class::Person,
             crossing,
             1.3,
             props::person(crossing, 1.74, 30),
         );
-        let crossing = Place::new(0.9, -7.6, FRAC_PI_2);
+        let crossing = GroundPose::new(0.9, -7.6, FRAC_PI_2);
         self.send(
             Class::Person,
             crossing,

@@ -24,7 +24,7 @@ const ASTRAY_RAD: f64 = 0.000_1;
 /// One solid as seen from the eye: what a ray must have for a test to be worth while.
 #[derive(Clone, Copy)]
 struct Candidate {
-    part: u32,
+    solid: u32,
     moves: bool,
     /// Horizontal distance of its nearest place.
     near_m: f64,
@@ -60,17 +60,17 @@ impl Candidate {
     fn order(&self, other: &Self) -> Ordering {
         self.near_m
             .total_cmp(&other.near_m)
-            .then(self.part.cmp(&other.part))
+            .then(self.solid.cmp(&other.solid))
     }
 
     /// For each sector in which a ray from the eye can meet what is within bounds, what it must
     /// have for that.
-    fn of(part: u32, bounds: &Bounds, eye: Vec3, traits: Traits) -> Vec<(usize, Self)> {
+    fn of(solid: u32, bounds: &Bounds, eye: Vec3, traits: Traits) -> Vec<(usize, Self)> {
         let [near_m, far_m] = bounds.reach(eye);
         let rise = [f64::NEG_INFINITY, f64::INFINITY];
         let here = Within { near_m, rise };
         let loose = Self {
-            part,
+            solid,
             moves: traits.moves,
             near_m,
             far_m,
@@ -85,26 +85,24 @@ impl Candidate {
             ..loose
         };
         let (centre, edges) = bounds.azimuths(eye);
-        let [first, last] = [edges[0] - RIM_RAD, edges[1] + RIM_RAD]
-            .map(|edge| ((centre + edge) * PER_SECTOR).floor() as i64);
+        let first = ((centre + (edges[0] - RIM_RAD)) * PER_SECTOR).floor() as i64;
+        let last = ((centre + (edges[1] + RIM_RAD)) * PER_SECTOR).floor() as i64;
         let rim = bounds.grown(RIM_RAD * far_m);
-        let candidate = |sector: i64| {
+        let mut candidates = Vec::new();
+        for sector in first..=last {
             // What is looked up but a few times is not worth a closer look at each sector.
             let here = if traits.moves {
                 Some(here)
             } else {
                 Within::of(&rim, eye, sector)
             };
-            let here = here.map(|here| {
-                if traits.by_chance {
-                    Within { near_m, ..here }
-                } else {
-                    here
-                }
-            });
-            here.map(|here| (wrapped(sector), Self { here, ..loose }))
-        };
-        (first..=last).filter_map(candidate).collect()
+            let Some(mut here) = here else { continue };
+            if traits.by_chance {
+                here.near_m = near_m;
+            }
+            candidates.push((wrapped(sector), Self { here, ..loose }));
+        }
+        candidates
     }
 }
 
@@ -126,7 +124,8 @@ impl Within {
 /// Least and greatest rise of a ray that can meet what is between two heights and two horizontal
 /// distances.
 fn rises(z: [f64; 2], eye: Vec3, [near_m, far_m]: [f64; 2]) -> [f64; 2] {
-    let [low, high] = z.map(|z| z - eye.z);
+    let low = z[0] - eye.z;
+    let high = z[1] - eye.z;
     [
         low / if low < 0.0 { near_m } else { far_m },
         high / if high > 0.0 { near_m } else { far_m },
@@ -142,30 +141,20 @@ fn candidates(
     time_s: f64,
     half_s: f64,
 ) -> impl Iterator<Item = (usize, Candidate)> {
-    let parts = (0..)
-        .zip(scene.parts())
-        .map(|(part, solid)| (part, solid, scene.velocity(solid)));
-    parts
-        .filter(move |(_, _, velocity)| (*velocity != Vec3::zeros()) == moving)
-        .flat_map(move |(part, solid, velocity)| {
-            let mut bounds = solid
-                .shape
-                .bounds()
-                .grown(margin_m + velocity.norm() * half_s);
-            bounds.centre = [
-                bounds.centre[0] + velocity.x * time_s,
-                bounds.centre[1] + velocity.y * time_s,
-            ];
-            let by_chance = !matches!(solid.surface, Surface::Plain(_));
-            Candidate::of(
-                part,
-                &bounds,
-                eye,
-                Traits {
-                    moves: moving,
-                    by_chance,
-                },
-            )
+    let solids = (0..).zip(scene.solids());
+    solids
+        .filter(move |(_, solid)| (scene.velocity(solid) != Vec3::zeros()) == moving)
+        .flat_map(move |(index, solid)| {
+            let velocity = scene.velocity(solid);
+            let grown_m = margin_m + velocity.norm() * half_s;
+            let mut bounds = solid.shape.bounds().grown(grown_m);
+            bounds.centre[0] += velocity.x * time_s;
+            bounds.centre[1] += velocity.y * time_s;
+            let traits = Traits {
+                moves: moving,
+                by_chance: !matches!(solid.surface, Surface::Plain(_)),
+            };
+            Candidate::of(index, &bounds, eye, traits)
         })
 }
 
@@ -251,7 +240,8 @@ impl<'a> View<'a> {
             .scene
             .meet_ground(&sight.ray)
             .filter(|hit| hit.distance_m <= max_m);
-        let (mut limit_m, mut edge_m) = (hit.map_or(max_m, |hit| hit.distance_m), f64::INFINITY);
+        let mut limit_m = hit.map_or(max_m, |hit| hit.distance_m);
+        let mut edge_m = f64::INFINITY;
         for candidate in &self.sectors[sector(ray.azimuth_rad)] {
             let limit_across_m = limit_m * sight.across;
             if candidate.near_m > limit_across_m {
@@ -286,26 +276,26 @@ impl<'a> View<'a> {
         let Sight {
             ray, spread_rad, ..
         } = sight;
-        let part = &self.scene.parts()[candidate.part as usize];
+        let solid = &self.scene.solids()[candidate.solid as usize];
         let moved;
         let ray = if candidate.moves {
-            moved = self.scene.beside(part, ray, sight.time_s);
+            moved = self.scene.beside(solid, ray, sight.time_s);
             &moved
         } else {
             ray
         };
         let (outline_m, span) = if *spread_rad == 0.0 {
-            (f64::INFINITY, part.shape.span(ray))
+            (f64::INFINITY, solid.shape.span(ray))
         } else {
             let rim_m = spread_rad * (candidate.far_m / sight.across).min(limit_m);
-            let Some(brim) = part.shape.brim(ray, rim_m) else {
+            let Some(brim) = solid.shape.brim(ray, rim_m) else {
                 return (f64::INFINITY, None);
             };
-            (part.outline_m(&brim, ray, rim_m), brim.span)
+            (solid.outline_m(&brim, ray, rim_m), brim.span)
         };
         (
             outline_m,
-            span.and_then(|span| self.scene.meet(part, ray, &span, rng)),
+            span.and_then(|span| self.scene.meet(solid, ray, &span, rng)),
         )
     }
 }
@@ -342,7 +332,8 @@ impl Sight {
     #[inline]
     fn may_meet(&self, candidate: &Candidate, limit_across_m: f64) -> bool {
         let Self { rise, slack, .. } = *self;
-        let (here, [low, high]) = (&candidate.here, candidate.rise);
+        let here = &candidate.here;
+        let [low, high] = candidate.rise;
         // The first turns down most.
         rise >= here.rise[0]
             && rise <= here.rise[1]
@@ -456,9 +447,14 @@ mod tests {
             let ray = Ray::new(origin, rng.f64() * 7.0 - 0.5, (rng.f64() - 0.6) * 0.6);
             let at_s = time_s + (rng.f64() - 0.5) * 2.0 * half_s;
             let bent = scene.bent(&ray);
-            let all = scene.parts().iter().filter_map(|part| {
-                let ray = scene.beside(part, &bent, at_s);
-                scene.meet(part, &ray, &part.shape.span(&ray)?, &mut Rng::with_seed(0))
+            let all = scene.solids().iter().filter_map(|solid| {
+                let ray = scene.beside(solid, &bent, at_s);
+                scene.meet(
+                    solid,
+                    &ray,
+                    &solid.shape.span(&ray)?,
+                    &mut Rng::with_seed(0),
+                )
             });
             let naive = all
                 .chain(scene.meet_ground(&bent))

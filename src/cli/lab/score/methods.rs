@@ -1,194 +1,39 @@
 //! Methods compared on the same scans, over their parameters.
 
 use std::fmt::Write as _;
-use std::path::Path;
-use std::time::Instant;
 
 use serde::Serialize;
 
 use super::scans::{Scan, points};
 use super::table::{heading, number};
+use super::trial::{LoadedScan, OwnMethod, Trial};
 use super::{Args, json, plot, progress};
 use crate::cli::CliError;
-use sweepd_core::segment::{Config, Method};
-use sweepd_lab::cloud::{CloudError, CloudSegmenter};
-use sweepd_lab::score::{Baseline, Group, Grouped, Row, ScanScore, Summary};
-
-/// A way to segment clouds.
-enum Way {
-    Ours(Box<Ours>),
-    /// Segments of what our default method leaves when it has taken the ground away.
-    Plain(Baseline),
-}
-
-/// A method of ours. What it learns of a sequence, as the height of the sensor, is forgotten with
-/// the next one.
-struct Ours {
-    config: Config,
-    columns: usize,
-    segmenter: CloudSegmenter,
-}
-
-impl Ours {
-    fn new(config: Config, columns: usize) -> Result<Self, CliError> {
-        let segmenter = Self::segmenter(&config, columns)?;
-        Ok(Self {
-            config,
-            columns,
-            segmenter,
-        })
-    }
-
-    fn begin_sequence(&mut self) -> Result<(), CliError> {
-        self.segmenter = Self::segmenter(&self.config, self.columns)?;
-        Ok(())
-    }
-
-    fn segmenter(config: &Config, columns: usize) -> Result<CloudSegmenter, CliError> {
-        CloudSegmenter::new(config.clone(), columns)
-            .map_err(|error| CliError::Usage(error.to_string()))
-    }
-
-    fn segment(&mut self, cloud: &Path, bytes: &[u8]) -> Result<Vec<u32>, CliError> {
-        let fault = |error: CloudError| CliError::Usage(format!("{}: {error}", cloud.display()));
-        self.segmenter.segment(bytes).map_err(fault)
-    }
-}
-
-/// One way with one value of its parameter, and what came of it so far.
-pub(super) struct Trial {
-    pub method: &'static str,
-    pub parameter: &'static str,
-    pub value: f64,
-    pub unit: &'static str,
-    way: Way,
-    pub scored: Vec<(String, ScanScore)>,
-    ms: Vec<f64>,
-}
-
-/// A scan with all that the trials share.
-struct Loaded<'a> {
-    cloud: &'a Path,
-    bytes: Vec<u8>,
-    points: Vec<[f32; 4]>,
-    /// Labels of the default method.
-    ground: Vec<u32>,
-}
-
-impl Trial {
-    fn ours(method: Method, theta_deg: f64, columns: usize) -> Result<Self, CliError> {
-        let config = Config {
-            method,
-            theta_rad: theta_deg.to_radians() as f32,
-            ..Config::default()
-        };
-        let name = match method {
-            Method::Slope => "slope",
-            Method::Paper => "paper",
-        };
-        let way = Way::Ours(Box::new(Ours::new(config, columns)?));
-        Ok(Self::new((name, "theta", "degrees"), theta_deg, way))
-    }
-
-    fn euclidean(distance_m: f64) -> Self {
-        Self::new(
-            ("euclidean", "distance", "m"),
-            distance_m,
-            Way::Plain(Baseline::Euclidean { distance_m }),
-        )
-    }
-
-    fn grid(cell_m: f64) -> Self {
-        Self::new(
-            ("grid", "cell", "m"),
-            cell_m,
-            Way::Plain(Baseline::Grid { cell_m }),
-        )
-    }
-
-    fn new(
-        (method, parameter, unit): (&'static str, &'static str, &'static str),
-        value: f64,
-        way: Way,
-    ) -> Self {
-        Self {
-            method,
-            parameter,
-            value,
-            unit,
-            way,
-            scored: Vec::new(),
-            ms: Vec::new(),
-        }
-    }
-
-    /// All that were asked for.
-    fn all(args: &Args) -> Result<Vec<Self>, CliError> {
-        let args = &args.methods;
-        let mut trials = Vec::new();
-        for method in [Method::Slope, Method::Paper] {
-            for &theta_deg in &args.theta {
-                trials.push(Self::ours(method, theta_deg, args.columns)?);
-            }
-        }
-        trials.extend(
-            args.distance
-                .iter()
-                .map(|&distance_m| Self::euclidean(distance_m)),
-        );
-        trials.extend(args.cell.iter().map(|&cell_m| Self::grid(cell_m)));
-        Ok(trials)
-    }
-
-    /// Labels a scan, and takes the time.
-    fn label(&mut self, scan: &Loaded<'_>) -> Result<Vec<u32>, CliError> {
-        let start = Instant::now();
-        let labels = match &mut self.way {
-            Way::Ours(ours) => ours.segment(scan.cloud, &scan.bytes)?,
-            Way::Plain(baseline) => {
-                baseline.segment(&scan.points, &scan.ground, Config::default().min_points)
-            }
-        };
-        self.ms.push(start.elapsed().as_secs_f64() * 1e3);
-        Ok(labels)
-    }
-
-    /// The time of the middle one of the scans: the first of a sequence also takes memory.
-    fn median_ms(&self) -> f64 {
-        let mut ms = self.ms.clone();
-        ms.sort_unstable_by(f64::total_cmp);
-        ms.get(ms.len() / 2).copied().unwrap_or_default()
-    }
-}
+use sweepd_core::segment::Config;
+use sweepd_lab::score::{Group, Grouped, Row, ScanScore, Summary};
 
 /// Segments and scores the scans with all methods; gives the table, or the JSON.
 pub(super) fn compare(args: &Args, scans: &[Scan]) -> Result<String, CliError> {
-    let plot = args
-        .methods
-        .plot
-        .as_deref()
-        .map(|path| plot::create(path, args.force.existing()))
-        .transpose()?;
-    let mut trials = Trial::all(args)?;
-    let mut default = Ours::new(Config::default(), args.methods.columns)?;
+    let plot = match &args.methods.plot {
+        Some(path) => Some(plot::create(path, args.force.existing())?),
+        None => None,
+    };
+    let mut trials = Trial::all(&args.methods)?;
+    let mut default = OwnMethod::new(Config::default(), args.methods.columns)?;
     let sizes = args.sizes();
-    let mut last = None;
+    let mut sequence = None;
     for scan in progress(scans.len()).wrap_iter(scans.iter()) {
-        if last
-            .replace(scan.sequence())
-            .is_some_and(|last| last != scan.sequence())
-        {
+        if sequence.is_some_and(|last| last != scan.sequence()) {
             default.begin_sequence()?;
             for trial in &mut trials {
-                if let Way::Ours(ours) = &mut trial.way {
-                    ours.begin_sequence()?;
-                }
+                trial.begin_sequence()?;
             }
         }
+        sequence = Some(scan.sequence());
         let bytes = scan.bytes()?;
         let points = points(&scan.cloud, &bytes)?;
         let truth = scan.truth(&points)?;
-        let loaded = Loaded {
+        let loaded = LoadedScan {
             cloud: &scan.cloud,
             ground: default.segment(&scan.cloud, &bytes)?,
             bytes,
@@ -204,7 +49,7 @@ pub(super) fn compare(args: &Args, scans: &[Scan]) -> Result<String, CliError> {
         plot.write(&trials)?;
     }
     if args.json {
-        json(&Report::new(&trials))
+        json(&MethodsReport::new(&trials))
     } else {
         Ok(table(&trials))
     }
@@ -212,15 +57,15 @@ pub(super) fn compare(args: &Args, scans: &[Scan]) -> Result<String, CliError> {
 
 /// What `--json` prints.
 #[derive(Serialize)]
-struct Report {
+struct MethodsReport {
     scans: usize,
     sequences: usize,
-    methods: Vec<MethodLine>,
+    methods: Vec<MethodReport>,
 }
 
 /// A method with one value of its parameter.
 #[derive(Serialize)]
-struct MethodLine {
+struct MethodReport {
     method: &'static str,
     parameter: &'static str,
     value: f64,
@@ -229,7 +74,7 @@ struct MethodLine {
     figures: Grouped<Row>,
 }
 
-impl Report {
+impl MethodsReport {
     fn new(trials: &[Trial]) -> Self {
         let mut report = Self {
             scans: 0,
@@ -238,22 +83,15 @@ impl Report {
         };
         for trial in trials {
             let summary = Summary::new(&trial.scored);
-            (report.scans, report.sequences) = (summary.scans, summary.sequences);
-            let Trial {
-                method,
-                parameter,
-                value,
-                unit,
-                ..
-            } = *trial;
-            let (ms, figures) = (trial.median_ms(), summary.grouped());
-            report.methods.push(MethodLine {
-                method,
-                parameter,
-                value,
-                unit,
-                ms,
-                figures,
+            report.scans = summary.scans;
+            report.sequences = summary.sequences;
+            report.methods.push(MethodReport {
+                method: trial.method,
+                parameter: trial.parameter,
+                value: trial.value,
+                unit: trial.unit,
+                ms: trial.median_ms(),
+                figures: summary.grouped(),
             });
         }
         report
@@ -296,18 +134,15 @@ fn table(trials: &[Trial]) -> String {
 }
 
 fn line(trial: &Trial, summary: &Summary, instances: Group) -> String {
-    let pooled = |name| number(summary.row(instances, name).and_then(|row| row.pooled), 3);
-    let mean = |name, decimals| {
-        number(
-            summary.row(Group::Objects, name).and_then(|row| row.mean),
-            decimals,
-        )
-    };
-    let (precision, quality) = (pooled("found_50"), pooled("pq"));
-    let (mixed, scattered, cover) = (mean("use", 1), mean("ose", 1), mean("cover", 3));
-    let Trial { method, value, .. } = trial;
-    let ms = trial.median_ms();
     format!(
-        "{method:<11}{value:>16}{precision:>11}{quality:>7}{mixed:>8}{scattered:>8}{cover:>7}{ms:>8.1}\n"
+        "{:<11}{:>16}{:>11}{:>7}{:>8}{:>8}{:>7}{:>8.1}\n",
+        trial.method,
+        trial.value,
+        number(summary.pooled_value(instances, "found_50"), 3),
+        number(summary.pooled_value(instances, "pq"), 3),
+        number(summary.mean(Group::Objects, "use"), 1),
+        number(summary.mean(Group::Objects, "ose"), 1),
+        number(summary.mean(Group::Objects, "cover"), 3),
+        trial.median_ms()
     )
 }

@@ -5,7 +5,7 @@ use std::io::{BufWriter, Write};
 use std::path::Path;
 
 use super::chart::{Chart, Panel, Series, write_chart};
-use super::methods::Trial;
+use super::trial::Trial;
 use crate::cli::CliError;
 use crate::export::Existing;
 use crate::files::output::NewFile;
@@ -36,46 +36,42 @@ impl Plot {
 /// A panel for each unit, since methods of one unit share an axis.
 fn chart(trials: &[Trial]) -> Chart {
     let summary = Summary::new(trials.first().map_or(&[], |trial| &trial.scored));
-    let (min_points, count) = summary
-        .pooled
-        .first()
-        .map_or((0, 0), |counts| (counts.min_points, counts.count));
-    let panel = |trials: &[Trial]| {
-        let mut parameters: Vec<&str> = trials.iter().map(|trial| trial.parameter).collect();
-        parameters.dedup();
-        let lines = trials
-            .chunk_by(|a, b| a.method == b.method)
-            .map(|trials| line(trials, min_points))
-            .collect();
-        Panel {
-            parameter: format!("{}, {}", parameters.join(" or "), trials[0].unit),
-            lines,
-        }
-    };
+    let smallest = summary.pooled.first().copied().unwrap_or_default();
     Chart {
         title: "How many things are found".to_owned(),
         note: format!(
-            "precision: share of the {count} instances of {min_points} points or more, in {} scans of {} sequences, \
-             that a segment meets with an IoU above 0.5",
-            summary.scans, summary.sequences
+            "precision: share of the {} instances of {} points or more, in {} scans of {} sequences, that a segment meets \
+             with an IoU above 0.5",
+            smallest.count, smallest.min_points, summary.scans, summary.sequences
         ),
         panels: trials
             .chunk_by(|a, b| a.unit == b.unit)
-            .map(panel)
+            .map(|trials| panel(trials, smallest.min_points))
+            .collect(),
+    }
+}
+
+fn panel(trials: &[Trial], min_points: u32) -> Panel {
+    let mut parameters: Vec<&str> = trials.iter().map(|trial| trial.parameter).collect();
+    parameters.dedup();
+    Panel {
+        parameter: format!("{}, {}", parameters.join(" or "), trials[0].unit),
+        lines: trials
+            .chunk_by(|a, b| a.method == b.method)
+            .map(|trials| line(trials, min_points))
             .collect(),
     }
 }
 
 /// One method over its parameter, from the least value to the greatest.
 fn line(trials: &[Trial], min_points: u32) -> Series {
-    let point = |trial: &Trial| {
+    let mut points = Vec::new();
+    for trial in trials {
         let summary = Summary::new(&trial.scored);
-        let found = summary
-            .row(Group::Instances(min_points), "found_50")
-            .and_then(|row| row.pooled)?;
-        Some([trial.value, found])
-    };
-    let mut points: Vec<[f64; 2]> = trials.iter().filter_map(point).collect();
+        if let Some(found) = summary.pooled_value(Group::Instances(min_points), "found_50") {
+            points.push([trial.value, found]);
+        }
+    }
     points.sort_unstable_by(|a, b| a[0].total_cmp(&b[0]));
     let name = match trials[0].method {
         "slope" => "default (slope)",

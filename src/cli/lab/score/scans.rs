@@ -55,24 +55,18 @@ pub(super) fn find(folder: &Path, only: &[String]) -> Result<Found, CliError> {
         }
     }
     found.scans.sort_by(|a, b| a.name.cmp(&b.name));
-    let nothing = |what: &str| {
-        let message = format!(
-            "{}: {what}; expected NAME.bin with its true labels in NAME.label beside it, in folders by sequence",
-            folder.display()
-        );
-        Err(CliError::Usage(message))
-    };
-    if let Some(only) = only
+    let unnamed = only
         .iter()
-        .find(|only| !found.scans.iter().any(|scan| names(only, &scan.name)))
-    {
-        return nothing(&format!("no scan is named by --only {only}"));
-    }
-    if found.scans.is_empty() {
-        nothing("no scans")
-    } else {
-        Ok(found)
-    }
+        .find(|only| !found.scans.iter().any(|scan| names(only, &scan.name)));
+    let what = match unnamed {
+        Some(only) => format!("no scan is named by --only {only}"),
+        None if found.scans.is_empty() => "no scans".to_owned(),
+        None => return Ok(found),
+    };
+    Err(CliError::Usage(format!(
+        "{}: {what}; expected NAME.bin with its true labels in NAME.label beside it, in folders by sequence",
+        folder.display()
+    )))
 }
 
 /// Collects the clouds of a folder and all folders in it, each folder once, whatever links lead to
@@ -129,15 +123,14 @@ fn names(only: &str, name: &str) -> bool {
 fn truth_of(cloud: &Path) -> Option<PathBuf> {
     let beside = cloud.with_extension("label");
     let folder = cloud.parent()?;
-    let apart = folder
-        .parent()
-        .filter(|_| folder.ends_with(CLOUDS))
-        .map(|sequence| sequence.join(LABELS));
-    let apart = apart.and_then(|labels| Some(labels.join(beside.file_name()?)));
-    [Some(beside), apart]
-        .into_iter()
-        .flatten()
-        .find(|file| file.is_file())
+    if beside.is_file() {
+        return Some(beside);
+    }
+    if !folder.ends_with(CLOUDS) {
+        return None;
+    }
+    let apart = folder.parent()?.join(LABELS).join(beside.file_name()?);
+    apart.is_file().then_some(apart)
 }
 
 impl Scan {
@@ -161,9 +154,10 @@ impl Scan {
     /// What is known of the points.
     pub(super) fn truth(&self, points: &[[f32; 4]]) -> Result<Truth, CliError> {
         Truth::new(points, read_labels(&self.truth)?).map_err(|error| {
-            let (file, cloud) = (self.truth.display(), self.cloud.display());
             CliError::Usage(format!(
-                "{file}: {error} of {cloud}; get both from the same release of the data"
+                "{}: {error} of {}; get both from the same release of the data",
+                self.truth.display(),
+                self.cloud.display()
             ))
         })
     }
@@ -179,8 +173,7 @@ impl Scan {
                  --out {out}, or choose scans with --only"
             )));
         }
-        let real = |path: &Path| path.canonicalize().ok();
-        if real(&path) == real(&self.truth) {
+        if path.canonicalize().ok() == self.truth.canonicalize().ok() {
             let message =
                 format!("{file}: these are the true labels; name the folder with yours by --pred");
             return Err(CliError::Usage(message));
@@ -200,11 +193,11 @@ pub(super) fn read_labels(file: &Path) -> Result<Vec<u32>, CliError> {
     let bytes = read_file(file, MAX_CLOUD_LEN / (POINT_BYTES / LABEL_BYTES) as u64)?;
     let (labels, rest) = bytes.as_chunks::<LABEL_BYTES>();
     if !rest.is_empty() {
-        let (file, len) = (file.display(), bytes.len());
-        let message = format!(
-            "{file}: {len} bytes, expected a multiple of {LABEL_BYTES}: one little-endian u32 a point"
-        );
-        return Err(CliError::Usage(message));
+        return Err(CliError::Usage(format!(
+            "{}: {} bytes, expected a multiple of {LABEL_BYTES}: one little-endian u32 a point",
+            file.display(),
+            bytes.len()
+        )));
     }
     Ok(labels
         .iter()

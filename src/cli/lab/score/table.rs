@@ -26,11 +26,10 @@ pub(super) fn figures(summary: &Summary) -> String {
 
 /// `18 scans of 6 sequences`
 pub(super) fn heading(summary: &Summary) -> String {
-    let (scans, sequences) = (summary.scans as u64, summary.sequences as u64);
     format!(
         "{} of {}\n",
-        count_of(scans, "scan"),
-        count_of(sequences, "sequence")
+        count_of(summary.scans as u64, "scan"),
+        count_of(summary.sequences as u64, "sequence")
     )
 }
 
@@ -47,32 +46,23 @@ fn title(group: Group) -> String {
     }
 }
 
-/// A name as it stands in a table: `found_50` is `found 50`.
-fn words(name: &str) -> String {
-    name.replace('_', " ")
-}
-
 fn line(text: &mut String, row: &Row) {
     // How many there are is counted, what they are like is measured.
-    let decimals = if matches!(
+    let is_count = matches!(
         row.name,
         "count" | "false_positives" | "objects" | "segments"
-    ) {
-        1
-    } else {
-        4
-    };
-    let pooled_decimals = if decimals == 1 { 0 } else { 4 };
-    let [mean, std, sequences] =
-        [row.mean, row.std, row.sequence_mean].map(|value| number(value, decimals));
-    let pooled = if matches!(row.group, Group::Instances(_)) {
-        number(row.pooled, pooled_decimals)
-    } else {
-        String::new()
+    );
+    let decimals = if is_count { 1 } else { 4 };
+    let pooled = match row.group {
+        Group::Instances(_) => number(row.pooled, if is_count { 0 } else { 4 }),
+        _ => String::new(),
     };
     let columns = format!(
-        "  {:<26}{mean:>9}{std:>9}{sequences:>11}{pooled:>9}",
-        words(row.name)
+        "  {:<26}{:>9}{:>9}{:>11}{pooled:>9}",
+        row.name.replace('_', " "),
+        number(row.mean, decimals),
+        number(row.std, decimals),
+        number(row.sequence_mean, decimals)
     );
     let _ = writeln!(text, "{}", columns.trim_end());
 }
@@ -98,34 +88,30 @@ pub(super) fn scans(scans: &[(&str, &ScanScore)]) -> String {
         "scan", "ground f1", "use", "ose", "cover"
     );
     for counts in &first.instances {
-        let at = |word: &str| format!("{word} {}", counts.min_points);
-        let _ = write!(
-            text,
-            "{:>10}{:>10}{:>8}",
-            at("count"),
-            at("found"),
-            at("pq")
-        );
+        for (word, width) in [("count", 10), ("found", 10), ("pq", 8)] {
+            let _ = write!(text, "{:>width$}", format!("{word} {}", counts.min_points));
+        }
     }
     text.push('\n');
     for (name, score) in scans {
         let entropy = &score.entropy;
-        let columns = [
-            (score.ground.f1, 3),
-            (Some(entropy.use_), 1),
-            (Some(entropy.ose), 1),
-            (entropy.cover, 3),
-        ];
-        let [f1, mixed, scattered, cover] =
-            columns.map(|(value, decimals)| number(value, decimals));
         let _ = write!(
             text,
-            "{name:<width$}{f1:>9}{mixed:>8}{scattered:>8}{cover:>8}"
+            "{name:<width$}{:>9}{:>8.1}{:>8.1}{:>8}",
+            number(score.ground.f1, 3),
+            entropy.use_,
+            entropy.ose,
+            number(entropy.cover, 3)
         );
         for counts in &score.instances {
             let found = (counts.count > 0).then(|| counts.found_50 as f64 / counts.count as f64);
-            let (found, quality) = (number(found, 3), number(counts.panoptic_quality(), 3));
-            let _ = write!(text, "{:>10}{found:>10}{quality:>8}", counts.count);
+            let _ = write!(
+                text,
+                "{:>10}{:>10}{:>8}",
+                counts.count,
+                number(found, 3),
+                number(counts.panoptic_quality(), 3)
+            );
         }
         text.push('\n');
     }

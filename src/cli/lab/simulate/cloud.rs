@@ -12,7 +12,7 @@ use crate::files::output;
 use sweepd_core::sensor::ros_yaml;
 use sweepd_lab::cloud::points;
 use sweepd_lab::simulate::cloud::{FromCloudError, MODEL, Options, Sender, Sending, Turn};
-use sweepd_lab::simulate::{Faults, deliver, gps};
+use sweepd_lab::simulate::{Faults, config, deliver};
 
 /// Options of a simulation from a cloud.
 #[derive(Clone, Debug, clap::Args)]
@@ -81,13 +81,16 @@ pub fn run(args: &Args, cloud: &Path) -> Result<(), CliError> {
         seconds: args.seconds,
         clock: args.gps.clock(),
         start_utc_ns,
-        address: gps::address(MODEL),
+        address: config::address(MODEL),
     };
     let sender = Sender::new(&turn, sending).map_err(wrong)?;
     let faults = args.faults.rates().plan(args.seed, sender.packets());
-    let (existing, former) = (args.force.existing(), args.former_truth()?);
-    let create = |folder: &PathBuf| TruthFile::create(folder, existing, start_utc_ns);
-    let mut truth = args.truth.as_ref().map(create).transpose()?;
+    let existing = args.force.existing();
+    let former = args.former_truth()?;
+    let mut truth = match &args.truth {
+        Some(folder) => Some(TruthFile::create(folder, existing, start_utc_ns)?),
+        None => None,
+    };
     let mut output = Output::open(&args.target, existing)?;
     if let Some(path) = fitted {
         output::write(
@@ -102,8 +105,8 @@ pub fn run(args: &Args, cloud: &Path) -> Result<(), CliError> {
         output.send(0, &datagram)?;
         progress.note(datagram.arrival_ns);
         packets += 1;
-        if let (Some(file), Some(told)) = (&mut truth, &datagram.truth) {
-            file.packet(told)?;
+        if let (Some(file), Some(truth)) = (&mut truth, &datagram.truth) {
+            file.packet(truth)?;
         }
     }
     progress.finish();
@@ -132,29 +135,16 @@ fn encode(args: &Args, cloud: &Path) -> Result<Turn, CliError> {
 /// Where the fitted calibration goes: beside the capture, unless it is said. Never over the one
 /// that is fitted.
 fn fitted_file(args: &Args) -> Result<PathBuf, CliError> {
-    let beside = |capture: &PathBuf| {
-        let name = capture.file_name()?.to_str()?;
-        let stem = name
-            .strip_suffix(".gz")
-            .unwrap_or(name)
-            .strip_suffix(".pcap")?;
-        Some(capture.with_file_name(format!("{stem}.yaml")))
-    };
-    let named = args
-        .cloud
-        .fitted
-        .clone()
-        .or_else(|| args.target.pcap.as_ref().and_then(beside));
+    let beside = args.target.pcap.as_deref().and_then(yaml_beside);
+    let named = args.cloud.fitted.clone().or(beside);
     let Some(path) = named else {
         let message = "--fit-elevations: give --fitted FILE.yaml, where the calibration goes; without a --pcap \
                        NAME.pcap it has no place";
         return Err(CliError::Usage(message.to_owned()));
     };
-    let same = |other: &PathBuf| {
-        let [one, other] = [&path, other].map(|path| path.canonicalize().ok());
-        one.is_some() && one == other
-    };
-    if args.calibration.as_ref().is_some_and(same) {
+    let existing = path.canonicalize().ok();
+    let fitted_to = (args.calibration.as_ref()).and_then(|path| path.canonicalize().ok());
+    if existing.is_some() && existing == fitted_to {
         let message = format!(
             "{} would be overwritten; give another --fitted FILE.yaml",
             path.display()
@@ -165,19 +155,23 @@ fn fitted_file(args: &Args) -> Result<PathBuf, CliError> {
     Ok(path)
 }
 
+/// NAME.yaml beside NAME.pcap or NAME.pcap.gz.
+fn yaml_beside(capture: &Path) -> Option<PathBuf> {
+    let name = capture.file_name()?.to_str()?;
+    let stem = name
+        .strip_suffix(".gz")
+        .unwrap_or(name)
+        .strip_suffix(".pcap")?;
+    Some(capture.with_file_name(format!("{stem}.yaml")))
+}
+
 /// Says on standard error what became of the points, and what was sent.
 fn conclude(cloud: &Path, turn: &Turn, packets: u64, faults: &Faults) {
     complain(&cloud.display().to_string(), turn.report());
-    let (lost, duplicated) = (faults.lost_packets(), faults.duplicated.len());
-    let (reordered, corrupted, strays) = (
-        faults.swapped.len(),
-        faults.corrupted.len(),
-        faults.strays.len(),
-    );
     let message = format!(
-        "data packets {packets}, {:.1} turns a minute; injected: lost {lost}, duplicated {duplicated}, reordered \
-         {reordered}, corrupted {corrupted}, strays {strays}",
-        turn.rpm()
+        "data packets {packets}, {:.1} turns a minute; injected: {}",
+        turn.rpm(),
+        faults.summary()
     );
-    complain(&format!("{} ({MODEL})", gps::address(MODEL)), message);
+    complain(&format!("{} ({MODEL})", config::address(MODEL)), message);
 }

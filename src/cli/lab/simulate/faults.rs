@@ -4,7 +4,7 @@ use std::ops::RangeInclusive;
 
 use crate::cli::CliError;
 use crate::cli::options::within;
-use sweepd_lab::simulate::{ClockStep, FieldOfView, Motor, Part, Rates, SpeedChange};
+use sweepd_lab::simulate::{ClockStep, FieldOfView, Motor, PacketPart, Rates, SpeedChange};
 
 const PERCENT: RangeInclusive<f64> = 0.0..=100.0;
 /// Any moment of the longest simulation, seconds.
@@ -54,7 +54,7 @@ pub struct FaultOptions {
     spin_up: f64,
     /// Stand still from one second to another, while packets go on
     #[arg(long, value_name = "FROM..TO", value_parser = stall, allow_negative_numbers = true)]
-    stall: Option<Stall>,
+    stall: Option<Interval>,
     /// Change the speed evenly from one second to another; a negative RPM turns the other way
     #[arg(long, value_name = "RPM@FROM..TO", value_parser = new_speed, allow_negative_numbers = true)]
     new_rpm: Option<NewSpeed>,
@@ -73,42 +73,36 @@ pub struct FaultOptions {
     pub mode_switch: Option<f64>,
 }
 
-/// Value of `--burst-loss`.
+/// Values of `--burst-loss` and `--reorder`.
 #[derive(Clone, Copy, Debug, PartialEq)]
 struct Burst {
     percent: f64,
+    /// Packets in a row, or places.
     len: u64,
 }
 
 fn burst(text: &str) -> Result<Burst, String> {
-    let (percent, len) = text
-        .split_once('x')
-        .map_or((text, None), |(percent, len)| (percent, Some(len)));
-    let percent = within(PERCENT, "percent")(percent).ok();
-    let len = len
-        .map_or(Some(BURST_LEN), |len| len.parse().ok())
-        .filter(|len| (1..=10_000).contains(len));
-    let both = percent
-        .zip(len)
-        .map(|(percent, len)| Burst { percent, len });
-    both.ok_or_else(|| {
+    percent_and_len(text, BURST_LEN, 10_000).ok_or_else(|| {
         "expected 0 to 100 percent, then x and 1 to 10000 packets if need be, such as 0.1x20"
             .to_owned()
     })
 }
 
 fn places(text: &str) -> Result<Burst, String> {
-    let (percent, places) = text.split_once('x').unwrap_or((text, "1"));
-    let percent = within(PERCENT, "percent")(percent).ok();
-    let len = places
-        .parse()
-        .ok()
-        .filter(|places| (1..=1_000).contains(places));
-    let both = percent
-        .zip(len)
-        .map(|(percent, len)| Burst { percent, len });
-    both.ok_or_else(|| {
+    percent_and_len(text, 1, 1_000).ok_or_else(|| {
         "expected 0 to 100 percent, then x and 1 to 1000 places if need be, such as 2x3".to_owned()
+    })
+}
+
+/// `PERCENT`, with the default length, or `PERCENTxLEN` with at most `most`.
+fn percent_and_len(text: &str, default: u64, most: u64) -> Option<Burst> {
+    let (percent, len) = match text.split_once('x') {
+        Some((percent, len)) => (percent, len.parse().ok()?),
+        None => (text, default),
+    };
+    (1..=most).contains(&len).then_some(Burst {
+        percent: number(percent, PERCENT)?,
+        len,
     })
 }
 
@@ -116,95 +110,111 @@ fn places(text: &str) -> Result<Burst, String> {
 #[derive(Clone, Copy, Debug, PartialEq)]
 struct Corrupt {
     percent: f64,
-    part: Part,
+    part: PacketPart,
 }
 
 fn corrupt(text: &str) -> Result<Corrupt, String> {
-    let (percent, part) = text.split_once('x').unwrap_or((text, Part::Any.name()));
-    let percent = within(PERCENT, "percent")(percent).ok();
-    let part = Part::ALL.into_iter().find(|one| one.name() == part);
-    percent
-        .zip(part)
-        .map(|(percent, part)| Corrupt { percent, part })
-        .ok_or_else(|| {
-            let names = Part::ALL.map(Part::name).join(", ");
-            format!(
+    let (percent, name) = text
+        .split_once('x')
+        .unwrap_or((text, PacketPart::Any.name()));
+    let part = PacketPart::ALL.into_iter().find(|part| part.name() == name);
+    match (number(percent, PERCENT), part) {
+        (Some(percent), Some(part)) => Ok(Corrupt { percent, part }),
+        _ => {
+            let names = PacketPart::ALL.map(PacketPart::name).join(", ");
+            Err(format!(
                 "expected 0 to 100 percent, then x and one of {names} if need be, such as 1xstamp"
-            )
-        })
+            ))
+        }
+    }
 }
 
 /// Value of `--new-rpm`.
 #[derive(Clone, Copy, Debug, PartialEq)]
 struct NewSpeed {
     rpm: f64,
-    over: Stall,
+    over: Interval,
 }
 
 fn new_speed(text: &str) -> Result<NewSpeed, String> {
-    let rpm = |text: &str| within(-1200.0..=1200.0, "turns a minute")(text).ok();
-    let both = text
-        .split_once('@')
-        .and_then(|(speed, over)| Some((rpm(speed)?, stall(over).ok()?)));
-    both.map(|(rpm, over)| NewSpeed { rpm, over }).ok_or_else(|| {
+    let parse = || {
+        let (rpm, over) = text.split_once('@')?;
+        Some(NewSpeed {
+            rpm: number(rpm, -1200.0..=1200.0)?,
+            over: interval(over)?,
+        })
+    };
+    parse().ok_or_else(|| {
         "expected -1200 to 1200 turns a minute, @, and FROM..TO in seconds, the second greater, such as 900@2..3"
             .to_owned()
     })
 }
 
 fn fov(text: &str) -> Result<FieldOfView, String> {
-    let (sector, over) = text
-        .split_once('@')
-        .map_or((text, None), |(sector, over)| (sector, Some(over)));
-    let degrees = |text: &str| within(0.0..=360.0, "degrees")(text).ok();
-    let sector = sector
-        .split_once("..")
-        .and_then(|(from, to)| Some((degrees(from)?, degrees(to)?)));
-    let set_ns = match over.map(stall) {
-        None => Ok([0, i64::MAX]),
-        Some(over) => over.map(|over| [over.from, over.to].map(nanoseconds)),
+    sector(text).ok_or_else(|| {
+        "expected two azimuths of 0 to 360 degrees, then @ and FROM..TO in seconds if need be, such as 270..90 or \
+         270..90@2..5"
+            .to_owned()
+    })
+}
+
+/// `DEG..DEG`, or `DEG..DEG@FROM..TO`.
+fn sector(text: &str) -> Option<FieldOfView> {
+    let (sector, set_ns) = match text.split_once('@') {
+        Some((sector, over)) => (sector, interval(over)?.nanoseconds()),
+        None => (text, [0, i64::MAX]),
     };
-    match (sector, set_ns) {
-        (Some((from_deg, to_deg)), Ok(set_ns)) if from_deg != to_deg => Ok(FieldOfView { from_deg, to_deg, set_ns }),
-        _ => Err(
-            "expected two azimuths of 0 to 360 degrees, then @ and FROM..TO in seconds if need be, such as 270..90 or \
-                  270..90@2..5"
-                .to_owned(),
-        ),
-    }
+    let (from, to) = sector.split_once("..")?;
+    let from_deg = number(from, 0.0..=360.0)?;
+    let to_deg = number(to, 0.0..=360.0)?;
+    (from_deg != to_deg).then_some(FieldOfView {
+        from_deg,
+        to_deg,
+        set_ns,
+    })
 }
 
 fn clock_step(text: &str) -> Result<ClockStep, String> {
-    let by = |text: &str| within(-3600.0..=3600.0, "seconds")(text).ok();
-    let both = text
-        .split_once('@')
-        .and_then(|(step, at)| Some((by(step)?, within(DAY_S, "seconds")(at).ok()?)));
-    both.map(|(step, at)| ClockStep {
-        at_ns: nanoseconds(at),
-        by_ns: nanoseconds(step),
-    })
-    .ok_or_else(|| "expected -3600 to 3600 seconds, @, and when, such as 0.5@2".to_owned())
+    let parse = || {
+        let (step, at) = text.split_once('@')?;
+        Some(ClockStep {
+            at_ns: nanoseconds(number(at, DAY_S)?),
+            by_ns: nanoseconds(number(step, -3600.0..=3600.0)?),
+        })
+    };
+    parse().ok_or_else(|| "expected -3600 to 3600 seconds, @, and when, such as 0.5@2".to_owned())
 }
 
-/// Value of `--stall`, seconds.
+/// From one second to another.
 #[derive(Clone, Copy, Debug, PartialEq)]
-struct Stall {
+struct Interval {
     from: f64,
     to: f64,
 }
 
-fn stall(text: &str) -> Result<Stall, String> {
-    let second = |text: &str| within(DAY_S, "seconds")(text).ok();
-    let ends = text
-        .split_once("..")
-        .and_then(|(from, to)| Some((second(from)?, second(to)?)));
-    match ends {
-        Some((from, to)) if from < to => Ok(Stall { from, to }),
-        _ => Err(
-            "expected FROM..TO, seconds from 0 to 86400, the second greater, such as 2..3.5"
-                .to_owned(),
-        ),
+impl Interval {
+    fn nanoseconds(self) -> [i64; 2] {
+        [nanoseconds(self.from), nanoseconds(self.to)]
     }
+}
+
+fn stall(text: &str) -> Result<Interval, String> {
+    interval(text).ok_or_else(|| {
+        "expected FROM..TO, seconds from 0 to 86400, the second greater, such as 2..3.5".to_owned()
+    })
+}
+
+/// `FROM..TO`, the second greater.
+fn interval(text: &str) -> Option<Interval> {
+    let (from, to) = text.split_once("..")?;
+    let from = number(from, DAY_S)?;
+    let to = number(to, DAY_S)?;
+    (from < to).then_some(Interval { from, to })
+}
+
+/// A number within a range; the caller says what was expected.
+fn number(text: &str, range: RangeInclusive<f64>) -> Option<f64> {
+    within(range, "")(text).ok()
 }
 
 fn nanoseconds(seconds: f64) -> i64 {
@@ -264,27 +274,25 @@ impl FaultOptions {
             reorder: self.reorder.map_or(0.0, |late| late.percent / 100.0),
             places: self.reorder.map_or(1, |late| late.len),
             corrupt: self.corrupt.map_or(0.0, |corrupt| corrupt.percent / 100.0),
-            part: self.corrupt.map_or(Part::Any, |corrupt| corrupt.part),
+            part: self.corrupt.map_or(PacketPart::Any, |corrupt| corrupt.part),
             stray: self.stray / 100.0,
         }
     }
 
     /// What the motor of a sensor at this speed does.
     pub fn motor(&self, rpm: f64) -> Motor {
-        let change = self.new_rpm.map(|NewSpeed { rpm: other, over }| {
-            let [from_ns, to_ns] = [over.from, over.to].map(nanoseconds);
+        let change = self.new_rpm.map(|new| {
+            let [from_ns, to_ns] = new.over.nanoseconds();
             SpeedChange {
                 from_ns,
                 lasts_ns: to_ns - from_ns,
-                to: other / rpm,
+                to: new.rpm / rpm,
             }
         });
         Motor {
             change,
             spin_up_ns: nanoseconds(self.spin_up),
-            stall_ns: self
-                .stall
-                .map(|stall| [stall.from, stall.to].map(nanoseconds)),
+            stall_ns: self.stall.map(Interval::nanoseconds),
             ..Motor::default()
         }
     }

@@ -44,10 +44,11 @@ impl Progress {
         let steps = (gone_ns / STEP_NS).max(0) as u64;
         if steps > self.steps {
             self.steps = steps;
-            let (gone, packets) = (steps as f64 * STEP_NS as f64 * 1e-9, grouped(self.packets));
             self.bar.set_message(format!(
-                "{gone:.1} of {} s, {packets} packets sent; Ctrl-C ends it",
-                self.seconds
+                "{:.1} of {} s, {} packets sent; Ctrl-C ends it",
+                steps as f64 * STEP_NS as f64 * 1e-9,
+                self.seconds,
+                grouped(self.packets)
             ));
             self.bar.set_position(steps);
         }

@@ -66,21 +66,20 @@ impl TruthFile {
 
     fn lines(&mut self, packet: u64, truth: &PacketTruth) -> io::Result<()> {
         for (block, records) in truth.returns.iter().enumerate() {
-            for (record, one) in records
-                .iter()
-                .enumerate()
-                .filter_map(|(record, one)| Some((record, one.as_ref()?)))
-            {
-                let (object, class, range_m) = (one.object, one.class.name(), one.range_m);
+            for (record, one) in records.iter().enumerate() {
+                let Some(one) = one else { continue };
                 // What rounds to a whole turn is 0.
                 let azimuth_deg = (one.azimuth_rad.to_degrees() * 1e4)
                     .round()
                     .rem_euclid(360e4)
                     / 1e4;
-                let time_ns = self.start_utc_ns + one.time_ns;
                 writeln!(
                     self.out,
-                    "{packet},{block},{record},{object},{class},{range_m:.4},{azimuth_deg:.4},{time_ns}"
+                    "{packet},{block},{record},{},{},{:.4},{azimuth_deg:.4},{}",
+                    one.object,
+                    one.class.name(),
+                    one.range_m,
+                    self.start_utc_ns + one.time_ns
                 )?;
             }
         }
@@ -106,16 +105,17 @@ impl TruthFile {
 /// # Errors
 /// [`CliError::Write`].
 pub fn write_objects(folder: &Path, existing: Existing, scene: &Scene) -> Result<(), CliError> {
-    let (mut out, new) = create(folder, "objects.csv", existing)?;
-    let mut write = || -> io::Result<()> {
-        writeln!(out, "object,class")?;
-        for (number, object) in (1..).zip(scene.objects()) {
-            writeln!(out, "{number},{}", object.class.name())?;
-        }
-        out.flush()
-    };
-    write().map_err(|source| new.failed(source))?;
+    let (out, new) = create(folder, "objects.csv", existing)?;
+    write_classes(out, scene).map_err(|source| new.failed(source))?;
     Ok(new.commit()?)
+}
+
+fn write_classes(mut out: impl Write, scene: &Scene) -> io::Result<()> {
+    writeln!(out, "object,class")?;
+    for (number, object) in (1..).zip(scene.objects()) {
+        writeln!(out, "{number},{}", object.class.name())?;
+    }
+    out.flush()
 }
 
 fn create(
@@ -123,8 +123,7 @@ fn create(
     name: &str,
     existing: Existing,
 ) -> Result<(BufWriter<File>, NewFile), CliError> {
-    let made = std::fs::create_dir_all(folder);
-    made.map_err(|cause| WriteError::Directory {
+    std::fs::create_dir_all(folder).map_err(|cause| WriteError::Directory {
         path: folder.to_owned(),
         cause,
     })?;

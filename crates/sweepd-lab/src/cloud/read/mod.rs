@@ -67,14 +67,14 @@ impl FromStr for Format {
 
 /// Where in a file something is wrong.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
-pub enum Place {
+pub enum FilePosition {
     /// A line, from 1.
     Line(usize),
     /// A byte, from 0.
     Byte(usize),
 }
 
-impl std::fmt::Display for Place {
+impl std::fmt::Display for FilePosition {
     fn fmt(&self, f: &mut std::fmt::Formatter<'_>) -> std::fmt::Result {
         match self {
             Self::Line(line) => write!(f, "line {line}"),
@@ -88,7 +88,7 @@ impl std::fmt::Display for Place {
 #[error("{place}: {message}")]
 pub struct ReadError {
     /// Where it goes wrong.
-    pub place: Place,
+    pub place: FilePosition,
     /// What is there and what was expected.
     pub message: String,
 }
@@ -96,14 +96,14 @@ pub struct ReadError {
 impl ReadError {
     fn line(line: usize, message: impl Into<String>) -> Self {
         Self {
-            place: Place::Line(line),
+            place: FilePosition::Line(line),
             message: message.into(),
         }
     }
 
     fn byte(byte: usize, message: impl Into<String>) -> Self {
         Self {
-            place: Place::Byte(byte),
+            place: FilePosition::Byte(byte),
             message: message.into(),
         }
     }
@@ -352,6 +352,17 @@ fn head_lines(bytes: &[u8]) -> impl Iterator<Item = (usize, usize, &[u8])> {
             end += line.len();
             (number, end, line.trim_ascii())
         })
+}
+
+/// Where each of some stretches starts that follow one another.
+fn starts(lengths: &[usize]) -> Vec<usize> {
+    let mut next = 0;
+    let mut starts = Vec::with_capacity(lengths.len());
+    for length in lengths {
+        starts.push(next);
+        next += length;
+    }
+    starts
 }
 
 /// A count in a head.

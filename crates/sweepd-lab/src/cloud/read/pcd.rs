@@ -16,6 +16,7 @@
 use super::super::POINT_BYTES;
 use super::{
     Cloud, Field, ReadError, Roles, Scalar, ascii, binary, count, head_lines, lzf, shortened,
+    starts,
 };
 
 /// Longest points that are read, all together, bytes.
@@ -84,28 +85,18 @@ pub(super) fn read(bytes: &[u8]) -> Result<Cloud, ReadError> {
 
 impl Head {
     fn take(&mut self, key: &str, words: &[&str], line: usize) -> Result<(), String> {
-        let counts = || {
-            words
-                .iter()
-                .map(|word| count(word))
-                .collect::<Result<Vec<_>, _>>()
-        };
-        let one = || match words {
-            [word] => count(word).map(Some),
-            _ => Err(format!("{key} must have one number")),
-        };
         match key {
             "VERSION" | "VIEWPOINT" => {}
             "FIELDS" | "COLUMNS" => {
                 self.names = words.iter().map(|&word| word.to_owned()).collect();
                 self.lines[0] = line;
             }
-            "SIZE" => self.sizes = counts()?,
+            "SIZE" => self.sizes = counts(words)?,
             "TYPE" => self.types = words.iter().map(|&word| word.to_owned()).collect(),
-            "COUNT" => self.counts = counts()?,
-            "WIDTH" => self.size[0] = one()?,
-            "HEIGHT" => self.size[1] = one()?,
-            "POINTS" => self.points = one()?,
+            "COUNT" => self.counts = counts(words)?,
+            "WIDTH" => self.size[0] = Some(one_count(key, words)?),
+            "HEIGHT" => self.size[1] = Some(one_count(key, words)?),
+            "POINTS" => self.points = Some(one_count(key, words)?),
             _ => {
                 let key = shortened(key);
                 return Err(format!(
@@ -119,30 +110,14 @@ impl Head {
     /// The points behind the head, which ends at byte `first`.
     fn body(&mut self, data: Data, body: &[u8], first: usize) -> Result<Cloud, ReadError> {
         let [fields_line, data_line] = self.lines;
-        let in_head = |message: String| ReadError::line(data_line, message);
-        self.check_counts().map_err(in_head)?;
-        let points = self.point_count().map_err(in_head)?;
-        let in_fields = |message: String| ReadError::line(fields_line, message);
+        let in_data = |message| ReadError::line(data_line, message);
+        self.check_counts().map_err(in_data)?;
+        let points = self.point_count().map_err(in_data)?;
+        let in_fields = |message| ReadError::line(fields_line, message);
         let roles = Roles::of_names(self.names.iter().map(String::as_str)).map_err(in_fields)?;
         let scalars = self.scalars(roles).map_err(in_fields)?;
         if data == Data::Ascii {
-            let words = self.counts.iter().sum();
-            let places = self.counts.iter().scan(0, |word, count| {
-                Some(std::mem::replace(word, *word + count))
-            });
-            let places: Vec<usize> = places.collect();
-            let roles = Roles {
-                xyz: roles.xyz.map(|field| places[field]),
-                intensity: roles.intensity.map(|field| places[field]),
-                ring: roles.ring.map(|field| places[field]),
-            };
-            return match ascii(body, data_line + 1, points, words, roles)? {
-                (cloud, None) => Ok(cloud),
-                (_, Some(line)) => Err(ReadError::line(
-                    line,
-                    format!("more lines than the {points} points of the head"),
-                )),
-            };
+            return self.ascii(body, points, roles);
         }
         let lengths: Vec<usize> = self
             .sizes
@@ -153,47 +128,58 @@ impl Head {
         let record: usize = lengths.iter().sum();
         let expected = points
             .checked_mul(record)
-            .filter(|&bytes| bytes <= MAX_BODY_LEN);
-        let expected = expected
-            .ok_or_else(|| in_head(format!("{points} points of {record} bytes are too many")))?;
-        let starts = lengths.iter().scan(0, |start, length| {
-            Some(std::mem::replace(start, *start + length))
-        });
-        let at = |byte: usize, message: String| ReadError::byte(first + byte, message);
+            .filter(|&bytes| bytes <= MAX_BODY_LEN)
+            .ok_or_else(|| in_data(format!("{points} points of {record} bytes are too many")))?;
+        let starts = starts(&lengths);
         if data == Data::Binary {
-            if body.len() < expected {
-                let found = body.len();
-                let message = format!(
-                    "{found} bytes follow the head, {points} points of {record} bytes need {expected}; the file was cut \
-                     off, or its head is wrong"
-                );
-                return Err(at(found, message));
-            }
-            nothing_behind(body, expected).map_err(|(byte, message)| at(byte, message))?;
-            let field = |(start, scalar): (usize, &Scalar)| Field {
-                scalar: *scalar,
-                start,
-                step: record,
-            };
-            let fields: Vec<Field> = starts.zip(&scalars).map(field).collect();
-            return binary(body, points, &fields, roles, false)
-                .map_err(|(byte, message)| at(byte, message));
+            let fields: Vec<Field> = (0..scalars.len())
+                .map(|field| Field {
+                    scalar: scalars[field],
+                    start: starts[field],
+                    step: record,
+                })
+                .collect();
+            return check_length(body, points, record, expected)
+                .and_then(|()| binary(body, points, &fields, roles, false))
+                .map_err(|(byte, message)| ReadError::byte(first + byte, message));
         }
         if points.saturating_mul(record.max(POINT_BYTES)) > MAX_UNPACKED_LEN {
-            return Err(in_head(format!(
+            return Err(in_data(format!(
                 "{points} points of {record} bytes, packed; at most {MAX_UNPACKED_LEN} bytes are unpacked, {POINT_BYTES} a point \
                  or more: write the file as DATA binary, or one turn a file"
             )));
         }
-        let unpacked = unpack(body, expected).map_err(|(byte, message)| at(byte, message))?;
-        let field = |((start, scalar), length): ((usize, &Scalar), &usize)| Field {
-            scalar: *scalar,
-            start: start * points,
-            step: *length,
-        };
-        let fields: Vec<Field> = starts.zip(&scalars).zip(&lengths).map(field).collect();
+        let unpacked = unpack(body, expected)
+            .map_err(|(byte, message)| ReadError::byte(first + byte, message))?;
+        let fields: Vec<Field> = (0..scalars.len())
+            .map(|field| Field {
+                scalar: scalars[field],
+                start: starts[field] * points,
+                step: lengths[field],
+            })
+            .collect();
         // A byte of what was unpacked stands nowhere in the file.
-        binary(&unpacked, points, &fields, roles, false).map_err(|(_, message)| at(8, message))
+        binary(&unpacked, points, &fields, roles, false)
+            .map_err(|(_, message)| ReadError::byte(first + 8, message))
+    }
+
+    /// The points of a body in text.
+    fn ascii(&self, body: &[u8], points: usize, roles: Roles) -> Result<Cloud, ReadError> {
+        let [_, data_line] = self.lines;
+        let words = self.counts.iter().sum();
+        let word_of = starts(&self.counts);
+        let roles = Roles {
+            xyz: roles.xyz.map(|field| word_of[field]),
+            intensity: roles.intensity.map(|field| word_of[field]),
+            ring: roles.ring.map(|field| word_of[field]),
+        };
+        match ascii(body, data_line + 1, points, words, roles)? {
+            (cloud, None) => Ok(cloud),
+            (_, Some(line)) => Err(ReadError::line(
+                line,
+                format!("more lines than the {points} points of the head"),
+            )),
+        }
     }
 
     /// There is a size, a type and a count for each field.
@@ -256,25 +242,40 @@ impl Head {
                 self.names[field], self.counts[field]
             ));
         }
-        let scalar = |(index, size): (usize, &usize)| match (self.types[index].as_str(), size) {
-            ("I", 1) => Ok(Scalar::I8),
-            ("I", 2) => Ok(Scalar::I16),
-            ("I", 4) => Ok(Scalar::I32),
-            ("I", 8) => Ok(Scalar::I64),
-            ("U", 1) => Ok(Scalar::U8),
-            ("U", 2) => Ok(Scalar::U16),
-            ("U", 4) => Ok(Scalar::U32),
-            ("U", 8) => Ok(Scalar::U64),
-            ("F", 4) => Ok(Scalar::F32),
-            ("F", 8) => Ok(Scalar::F64),
+        let mut scalars = Vec::new();
+        for (index, size) in self.sizes.iter().enumerate() {
+            scalars.push(match (self.types[index].as_str(), size) {
+            ("I", 1) => Scalar::I8,
+            ("I", 2) => Scalar::I16,
+            ("I", 4) => Scalar::I32,
+            ("I", 8) => Scalar::I64,
+            ("U", 1) => Scalar::U8,
+            ("U", 2) => Scalar::U16,
+            ("U", 4) => Scalar::U32,
+            ("U", 8) => Scalar::U64,
+            ("F", 4) => Scalar::F32,
+            ("F", 8) => Scalar::F64,
             (kind, size) => {
-                let (name, kind) = (shortened(&self.names[index]), shortened(kind));
-                Err(format!(
+                let name = shortened(&self.names[index]);
+                let kind = shortened(kind);
+                return Err(format!(
                     "the field {name} has TYPE {kind} and SIZE {size}; expected I or U of 1 to 8, F of 4 or 8"
-                ))
+                ));
             }
-        };
-        self.sizes.iter().enumerate().map(scalar).collect()
+            });
+        }
+        Ok(scalars)
+    }
+}
+
+fn counts(words: &[&str]) -> Result<Vec<usize>, String> {
+    words.iter().map(|word| count(word)).collect()
+}
+
+fn one_count(key: &str, words: &[&str]) -> Result<usize, String> {
+    match words {
+        [word] => count(word),
+        _ => Err(format!("{key} must have one number")),
     }
 }
 
@@ -287,8 +288,8 @@ fn unpack(body: &[u8], expected: usize) -> Result<Vec<u8>, (usize, String)> {
             "the file ends before the two lengths of its packed points; it was cut off".to_owned(),
         ));
     };
-    let length = |at: usize| Scalar::U32.read(&lengths[at..], false) as usize;
-    let [packed, unpacked] = [length(0), length(4)];
+    let packed = Scalar::U32.read(&lengths[..4], false) as usize;
+    let unpacked = Scalar::U32.read(&lengths[4..], false) as usize;
     if unpacked != expected {
         return Err((
             4,
@@ -306,6 +307,24 @@ fn unpack(body: &[u8], expected: usize) -> Result<Vec<u8>, (usize, String)> {
     };
     nothing_behind(body, 8 + packed)?;
     lzf::unpack(packed_bytes, expected).map_err(|(byte, message)| (8 + byte, message))
+}
+
+/// A binary body holds the points of the head, and nothing behind them.
+fn check_length(
+    body: &[u8],
+    points: usize,
+    record: usize,
+    expected: usize,
+) -> Result<(), (usize, String)> {
+    let found = body.len();
+    if found < expected {
+        let message = format!(
+            "{found} bytes follow the head, {points} points of {record} bytes need {expected}; the file was cut off, or its \
+             head is wrong"
+        );
+        return Err((found, message));
+    }
+    nothing_behind(body, expected)
 }
 
 /// Behind the points there may be zeros, as writers leave that map whole pages.

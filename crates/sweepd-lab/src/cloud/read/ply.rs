@@ -11,7 +11,9 @@
 //!
 //! The vertices must be the first element; what comes behind them is passed over.
 
-use super::{Cloud, Field, ReadError, Roles, Scalar, ascii, binary, count, head_lines, shortened};
+use super::{
+    Cloud, Field, ReadError, Roles, Scalar, ascii, binary, count, head_lines, shortened, starts,
+};
 
 /// How the points are written.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
@@ -124,7 +126,8 @@ impl Head {
             Data::Ascii => return Ok(ascii(body, line + 1, points, self.names.len(), roles)?.0),
             Data::Binary { big_endian } => big_endian,
         };
-        let step: usize = self.scalars.iter().map(|scalar| scalar.size()).sum();
+        let lengths: Vec<usize> = self.scalars.iter().map(|scalar| scalar.size()).collect();
+        let step: usize = lengths.iter().sum();
         if points
             .checked_mul(step)
             .is_none_or(|expected| body.len() < expected)
@@ -136,15 +139,13 @@ impl Head {
             );
             return Err(at(found, message));
         }
-        let starts = self.scalars.iter().scan(0, |start, scalar| {
-            Some(std::mem::replace(start, *start + scalar.size()))
-        });
-        let field = |(start, scalar): (usize, &Scalar)| Field {
-            scalar: *scalar,
-            start,
-            step,
-        };
-        let fields: Vec<Field> = starts.zip(&self.scalars).map(field).collect();
+        let fields: Vec<Field> = (self.scalars.iter().zip(starts(&lengths)))
+            .map(|(&scalar, start)| Field {
+                scalar,
+                start,
+                step,
+            })
+            .collect();
         binary(body, points, &fields, roles, big_endian)
             .map_err(|(byte, message)| at(byte, message))
     }

@@ -3,8 +3,8 @@
 use std::net::{Ipv4Addr, SocketAddrV4};
 
 use super::{Echo, FromCloudError, MODE, MODEL, Turn};
-use crate::simulate::config::EmitterConfig;
-use crate::simulate::gps::{self, Clock};
+use crate::simulate::clock::Clock;
+use crate::simulate::config::{EmitterConfig, destination};
 use crate::simulate::layout::Layout;
 use crate::simulate::scene::Class;
 use crate::simulate::status::Status;
@@ -166,7 +166,7 @@ impl Iterator for Sender<'_> {
             // 90 us on the way.
             arrival_ns: start_utc_ns + self.config.first_shot_ns(ordinal + 1) + 90_000,
             source: SocketAddrV4::new(address, DATA_PORT),
-            destination: SocketAddrV4::new(gps::destination(model, address), DATA_PORT),
+            destination: SocketAddrV4::new(destination(model, address), DATA_PORT),
             payload: packet.emit().to_vec(),
             truth: Some(truth),
         })
