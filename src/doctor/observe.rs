@@ -1,4 +1,4 @@
-//! What was seen, of all kinds, for [`diagnose`](super::diagnose()).
+//! What was seen, of all kinds, for `diagnose`.
 
 use std::net::{IpAddr, Ipv4Addr, SocketAddr};
 use std::path::PathBuf;

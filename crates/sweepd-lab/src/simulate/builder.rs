@@ -2,7 +2,7 @@
 
 use fastrand::Rng;
 
-use super::props::{self, GroundPose, Parts};
+use super::props::{self, GroundPose, Prop};
 use super::scene::{Class, Scene, Surface};
 use super::shape::{Shape, Vec3};
 
@@ -28,23 +28,26 @@ impl Builder {
         self.rng.f64() < probability
     }
 
-    pub fn put(&mut self, class: Class, parts: Parts) {
-        self.scene.add(class, Vec3::zeros(), parts);
+    /// Puts in a thing that stands still.
+    pub fn put(&mut self, prop: Prop) {
+        self.scene.add(prop.class, Vec3::zeros(), prop.solids);
     }
 
     /// Puts in one upright block.
     pub fn block(&mut self, class: Class, base: [f64; 3], size: [f64; 3], reflectivity: u8) {
-        self.put(
+        let shape = Shape::cuboid(base, size, 0.0);
+        self.scene.add(
             class,
-            vec![(Shape::cuboid(base, size, 0.0), Surface::Plain(reflectivity))],
+            Vec3::zeros(),
+            [(shape, Surface::Plain(reflectivity))],
         );
     }
 
     /// Puts in what moves the way it faces.
-    pub fn send(&mut self, class: Class, place: GroundPose, speed_m_s: f64, parts: Parts) {
-        let (sin, cos) = place.heading_rad.sin_cos();
-        self.scene
-            .add(class, Vec3::new(sin, cos, 0.0) * speed_m_s, parts);
+    pub fn send(&mut self, speed_m_s: f64, prop: Prop) {
+        let (sin, cos) = prop.place.heading_rad.sin_cos();
+        let velocity = Vec3::new(sin, cos, 0.0) * speed_m_s;
+        self.scene.add(prop.class, velocity, prop.solids);
     }
 
     pub fn paint(&mut self) -> u8 {
@@ -56,17 +59,13 @@ impl Builder {
 
     /// Someone on foot, who may have stopped.
     pub fn walker(&mut self, place: GroundPose) {
-        let (height_m, clothes) = (self.between(1.52, 1.92), self.rng.u8(10..70));
+        let height_m = self.between(1.52, 1.92);
+        let clothes = self.rng.u8(10..70);
         let speed_m_s = if self.chance(0.2) {
             0.0
         } else {
             self.between(0.9, 1.6)
         };
-        self.send(
-            Class::Person,
-            place,
-            speed_m_s,
-            props::person(place, height_m, clothes),
-        );
+        self.send(speed_m_s, props::person(place, height_m, clothes));
     }
 }

@@ -9,7 +9,7 @@ use std::f64::consts::{FRAC_PI_2, PI};
 
 use super::builder::Builder;
 use super::props::{self, GroundPose, House};
-use super::scene::{Class, Scene};
+use super::scene::Scene;
 
 const AISLE_M: f64 = 6.5;
 const BAY_WIDE_M: f64 = 2.5;
@@ -41,12 +41,12 @@ fn row(lot: &mut Builder, y: f64, heading_rad: f64) {
     let bays = (2.0 * HALF_M / BAY_WIDE_M) as i32;
     for bay in 0..bays {
         let x = -HALF_M + (f64::from(bay) + 0.5) * BAY_WIDE_M;
-        let (taken, van, backed) = (lot.chance(0.74), lot.chance(0.06), lot.chance(0.25));
-        let (askew_rad, off_m, paint) = (
-            lot.between(-0.04, 0.04),
-            lot.between(-0.15, 0.15),
-            lot.paint(),
-        );
+        let taken = lot.chance(0.74);
+        let van = lot.chance(0.06);
+        let backed = lot.chance(0.25);
+        let askew_rad = lot.between(-0.04, 0.04);
+        let off_m = lot.between(-0.15, 0.15);
+        let paint = lot.paint();
         let length_m = lot.between(3.7, 4.7);
         // The passage across the rows, and a gap beside the sensor.
         if !taken || (18.0..24.0).contains(&x) || (-1.3..1.3).contains(&x) {
@@ -55,9 +55,9 @@ fn row(lot: &mut Builder, y: f64, heading_rad: f64) {
         let heading_rad = heading_rad + askew_rad + if backed { PI } else { 0.0 };
         let place = GroundPose::new(x + off_m, y, heading_rad);
         if van {
-            lot.put(Class::Lorry, props::van(place, paint.max(30)));
+            lot.put(props::van(place, paint.max(30)));
         } else {
-            lot.put(Class::Car, props::car(place, length_m, paint));
+            lot.put(props::car(place, length_m, paint));
         }
     }
 }
@@ -66,13 +66,10 @@ fn row(lot: &mut Builder, y: f64, heading_rad: f64) {
 fn island(lot: &mut Builder, y: f64) {
     for step in -2..=2 {
         let x = f64::from(step) * 17.5;
-        lot.put(Class::Pole, props::lamp(GroundPose::new(x, y, FRAC_PI_2)));
+        lot.put(props::lamp(GroundPose::new(x, y, FRAC_PI_2)));
         if lot.chance(0.5) {
             let size = lot.between(0.6, 0.8);
-            lot.put(
-                Class::Tree,
-                props::tree(GroundPose::new(x + 8.75, y, 0.0), size),
-            );
+            lot.put(props::tree(GroundPose::new(x + 8.75, y, 0.0), size));
         }
     }
 }
@@ -87,25 +84,17 @@ fn market(lot: &mut Builder, y: f64) {
         gateway: false,
         bays: false,
     };
-    lot.put(
-        Class::Building,
-        props::house(GroundPose::new(-5.0, y, PI), house),
-    );
+    lot.put(props::house(GroundPose::new(-5.0, y, PI), house));
     for x in [-14.0, 12.0] {
-        lot.put(
-            Class::Furniture,
-            props::shelter(GroundPose::new(x, y - 3.0, FRAC_PI_2)),
-        );
-        lot.put(
-            Class::Sign,
-            props::sign(GroundPose::new(x + 4.0, y - 4.0, PI)),
-        );
+        lot.put(props::shelter(GroundPose::new(x, y - 3.0, FRAC_PI_2)));
+        lot.put(props::sign(GroundPose::new(x + 4.0, y - 4.0, PI)));
     }
     for x in -6..6 {
-        lot.put(
-            Class::Pole,
-            props::bollard(GroundPose::new(f64::from(x) * 2.0, y - 2.0, 0.0)),
-        );
+        lot.put(props::bollard(GroundPose::new(
+            f64::from(x) * 2.0,
+            y - 2.0,
+            0.0,
+        )));
     }
 }
 
@@ -116,23 +105,17 @@ fn traffic(lot: &mut Builder) {
         (-16.0, PITCH_M + 1.4, FRAC_PI_2),
         (21.0, 12.0, 0.0),
     ] {
-        let (paint, place) = (lot.paint(), GroundPose::new(x, y, heading_rad));
+        let paint = lot.paint();
+        let place = GroundPose::new(x, y, heading_rad);
         let speed_m_s = lot.between(2.0, 4.0);
-        lot.send(Class::Car, place, speed_m_s, props::car(place, 4.3, paint));
+        lot.send(speed_m_s, props::car(place, 4.3, paint));
     }
     for aisle in -1..=2 {
         for _ in 0..3 {
-            let (x, off_m) = (lot.between(5.0, 25.0), lot.between(-2.4, 2.4));
-            let (x, heading_rad) = if lot.chance(0.5) {
-                (x, FRAC_PI_2)
-            } else {
-                (-x, -FRAC_PI_2)
-            };
-            lot.walker(GroundPose::new(
-                x,
-                f64::from(aisle) * PITCH_M + off_m,
-                heading_rad,
-            ));
+            let x = lot.between(5.0, 25.0);
+            let y = f64::from(aisle) * PITCH_M + lot.between(-2.4, 2.4);
+            let side = if lot.chance(0.5) { 1.0 } else { -1.0 };
+            lot.walker(GroundPose::new(side * x, y, side * FRAC_PI_2));
         }
     }
 }
@@ -140,13 +123,13 @@ fn traffic(lot: &mut Builder) {
 /// Hedges around it.
 fn hedges(lot: &mut Builder) {
     for side in [-1.0, 1.0] {
-        lot.put(
-            Class::Tree,
-            props::hedge(GroundPose::new(side * (HALF_M + 4.0), 0.0, 0.0), 70.0),
-        );
+        lot.put(props::hedge(
+            GroundPose::new(side * (HALF_M + 4.0), 0.0, 0.0),
+            70.0,
+        ));
     }
-    lot.put(
-        Class::Tree,
-        props::hedge(GroundPose::new(0.0, -2.0 * PITCH_M - 6.0, FRAC_PI_2), 90.0),
-    );
+    lot.put(props::hedge(
+        GroundPose::new(0.0, -2.0 * PITCH_M - 6.0, FRAC_PI_2),
+        90.0,
+    ));
 }

@@ -14,7 +14,7 @@ use std::f64::consts::{FRAC_PI_2, PI};
 
 use super::builder::Builder as Street;
 use super::props::{self, GroundPose, House};
-use super::scene::{Class, GROUND, Scene, Surface};
+use super::scene::{GROUND, Scene, Surface};
 use super::shape::Shape;
 
 /// Where the middle of a lane is.
@@ -90,7 +90,7 @@ impl Street {
             gateway: width_m > 10.0 && self.chance(0.25),
             bays: width_m > 9.0 && self.chance(0.35),
         };
-        self.put(Class::Building, props::house(place, house));
+        self.put(props::house(place, house));
     }
 
     /// House after house from one y to another, with a passage between some.
@@ -150,8 +150,9 @@ impl Street {
         );
         for x in [16.5, 22.4, 34.5] {
             let place = GroundPose::new(side * x, end - 2.7, side * FRAC_PI_2);
-            let (length_m, paint) = (self.between(3.9, 4.7), self.paint());
-            self.put(Class::Car, props::car(place, length_m, paint));
+            let length_m = self.between(3.9, 4.7);
+            let paint = self.paint();
+            self.put(props::car(place, length_m, paint));
         }
         for x in [13.5, 18.0, 27.0] {
             let heading_rad = if self.chance(0.5) {
@@ -170,8 +171,9 @@ impl Street {
         while y < 95.0 {
             let length_m = self.between(3.7, 4.8);
             let gap = self.chance(0.22);
-            let (van, askew_rad, paint) =
-                (self.chance(0.12), self.between(-0.03, 0.03), self.paint());
+            let van = self.chance(0.12);
+            let askew_rad = self.between(-0.03, 0.03);
+            let paint = self.paint();
             let x = side * PARKED_M + self.between(-0.12, 0.12);
             let heading_rad = if side > 0.0 { 0.0 } else { PI } + askew_rad;
             let place = GroundPose::new(x, y, heading_rad);
@@ -180,9 +182,9 @@ impl Street {
             let driveway = side > 0.0 && y.abs() < 4.5;
             if !gap && !driveway && !in_opening(side, y, 4.5) {
                 if van {
-                    self.put(Class::Lorry, props::van(place, paint.max(30)));
+                    self.put(props::van(place, paint.max(30)));
                 } else {
-                    self.put(Class::Car, props::car(place, length_m, paint));
+                    self.put(props::car(place, length_m, paint));
                 }
             }
             y += if van {
@@ -204,26 +206,21 @@ impl Street {
             let place = GroundPose::new(side * (KERB_M + 0.5), y, toward_road).raised(STEP_M);
             if !in_opening(side, y, 1.5) {
                 match index % 4 {
-                    0 => self.put(Class::Pole, props::lamp(place)),
-                    2 if self.chance(0.6) => self.put(
-                        Class::Sign,
-                        props::sign(GroundPose {
+                    0 => self.put(props::lamp(place)),
+                    2 if self.chance(0.6) => {
+                        let sign = GroundPose {
                             heading_rad: PI,
                             ..place
-                        }),
-                    ),
+                        };
+                        self.put(props::sign(sign));
+                    }
                     _ => {
+                        let tree = GroundPose {
+                            x: place.x + side * 0.3,
+                            ..place
+                        };
                         let size = self.between(0.8, 1.15);
-                        self.put(
-                            Class::Tree,
-                            props::tree(
-                                GroundPose {
-                                    x: place.x + side * 0.3,
-                                    ..place
-                                },
-                                size,
-                            ),
-                        );
+                        self.put(props::tree(tree, size));
                     }
                 }
             }
@@ -232,18 +229,18 @@ impl Street {
         let [start, end] = opening(side);
         for y in [start - 0.4, start + 0.9, end - 0.9, end + 0.4] {
             let place = GroundPose::new(side * (KERB_M + 0.3), y, toward_road).raised(STEP_M);
-            self.put(Class::Pole, props::bollard(place));
+            self.put(props::bollard(place));
         }
         for y in [-58.0, -9.0, 24.0, 41.0].map(|y| y + 3.0 * side) {
             let place = GroundPose::new(side * (KERB_M + 0.6), y, toward_road).raised(STEP_M);
-            self.put(Class::Furniture, props::bin(place));
+            self.put(props::bin(place));
         }
         let waiting = GroundPose::new(
             side * (KERB_M + 1.4),
             side * -18.0,
             if side > 0.0 { PI } else { 0.0 },
         );
-        self.put(Class::Furniture, props::shelter(waiting.raised(STEP_M)));
+        self.put(props::shelter(waiting.raised(STEP_M)));
     }
 
     /// People on the pavement, alone and in pairs.
@@ -274,38 +271,26 @@ impl Street {
         let gate_m = 3.0;
         let half_m = (end - start - gate_m) / 2.0;
         for y in [start + half_m / 2.0, end - half_m / 2.0] {
-            self.put(
-                Class::Tree,
-                props::hedge(
-                    GroundPose::new(-FRONT_M - 0.4, y, 0.0).raised(STEP_M),
-                    half_m,
-                ),
-            );
+            let place = GroundPose::new(-FRONT_M - 0.4, y, 0.0).raised(STEP_M);
+            self.put(props::hedge(place, half_m));
         }
         for row in 0..4 {
             for column in 0..4 {
                 let x = -14.0 - 7.0 * f64::from(row) + self.between(-2.0, 2.0);
                 let y = start + 4.0 + 6.5 * f64::from(column) + self.between(-2.0, 2.0);
                 let size = self.between(0.9, 1.5);
-                self.put(
-                    Class::Tree,
-                    props::tree(GroundPose::new(x, y, 0.0).raised(STEP_M), size),
-                );
+                let place = GroundPose::new(x, y, 0.0).raised(STEP_M);
+                self.put(props::tree(place, size));
             }
         }
         for y in [start + 8.0, end - 8.0] {
-            self.put(
-                Class::Furniture,
-                props::bench(GroundPose::new(-12.0, y, 0.0).raised(STEP_M)),
-            );
+            let place = GroundPose::new(-12.0, y, 0.0).raised(STEP_M);
+            self.put(props::bench(place));
         }
     }
 
     /// What drives: cars both ways, a lorry, bicycles, someone who crosses the road.
     fn traffic(&mut self) {
-        let lane = |side: f64, y: f64| {
-            GroundPose::new(side * LANE_M, y, if side > 0.0 { 0.0 } else { PI })
-        };
         for (side, y, speed_m_s) in [
             (1.0, 13.5, 7.0),
             (1.0, 46.0, 9.0),
@@ -314,46 +299,33 @@ impl Street {
             (-1.0, 58.0, 9.5),
             (-1.0, -44.0, 8.0),
         ] {
-            let (place, length_m, paint) = (lane(side, y), self.between(4.0, 4.7), self.paint());
-            self.send(
-                Class::Car,
-                place,
-                speed_m_s,
-                props::car(place, length_m, paint),
-            );
+            let length_m = self.between(4.0, 4.7);
+            let paint = self.paint();
+            let place = in_lane(side, y);
+            self.send(speed_m_s, props::car(place, length_m, paint));
         }
-        let place = lane(-1.0, 29.0);
-        self.send(Class::Lorry, place, 7.0, props::lorry(place, 60));
+        let place = in_lane(-1.0, 29.0);
+        self.send(7.0, props::lorry(place, 60));
         // Waiting to come out of the side street on the right.
         let place = GroundPose::new(KERB_M + 3.0, RIGHT_STREET[0] + 6.4, -FRAC_PI_2);
-        self.put(Class::Car, props::car(place, 4.3, 40));
+        self.put(props::car(place, 4.3, 40));
         for (place, speed_m_s) in [
             (GroundPose::new(3.5, 7.5, 0.0), 4.5),
             (GroundPose::new(-3.4, -12.0, PI), 5.0),
         ] {
             let clothes = self.rng.u8(20..70);
-            self.send(
-                Class::Cyclist,
-                place,
-                speed_m_s,
-                props::cyclist(place, clothes),
-            );
+            self.send(speed_m_s, props::cyclist(place, clothes));
         }
         let crossing = GroundPose::new(-0.4, -7.0, FRAC_PI_2);
-        self.send(
-            Class::Person,
-            crossing,
-            1.3,
-            props::person(crossing, 1.74, 30),
-        );
+        self.send(1.3, props::person(crossing, 1.74, 30));
         let crossing = GroundPose::new(0.9, -7.6, FRAC_PI_2);
-        self.send(
-            Class::Person,
-            crossing,
-            1.3,
-            props::person(crossing, 1.63, 45),
-        );
+        self.send(1.3, props::person(crossing, 1.63, 45));
     }
+}
+
+/// A place in the middle of a lane, facing the way of its traffic.
+fn in_lane(side: f64, y: f64) -> GroundPose {
+    GroundPose::new(side * LANE_M, y, if side > 0.0 { 0.0 } else { PI })
 }
 
 #[cfg(test)]
