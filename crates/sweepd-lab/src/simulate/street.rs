@@ -330,6 +330,7 @@ fn in_lane(side: f64, y: f64) -> GroundPose {
 
 #[cfg(test)]
 mod tests {
+    use super::super::scene::Class;
     use super::*;
 
     #[test]

@@ -261,7 +261,8 @@ impl Soak {
         if self.setup.is_recording {
             self.setup.is_recording = false;
             self.setup.write_config()?;
-            self.reload("recorded ", 1)?;
+            let ended = format!(", the last {}", self.setup.recordings().display());
+            self.reload(&ended, 1)?;
             fs::remove_dir_all(self.setup.recordings()).map_err(cannot("remove a recording"))?;
         } else if dice < RELOADS_TAKEN {
             // Another cut than before: what has not changed is not taken again.
@@ -280,9 +281,9 @@ impl Soak {
             self.setup.write_config()?;
             self.outcome.recordings += 1;
             self.recorded_before = self.admitted();
-            self.reload("recording to ", 1)?;
-            // Each thread has its lane after one more round, which takes a nap at most; one that
-            // waits looks for it before it takes the next packet.
+            let begun = format!("recording to {}", self.setup.recordings().display());
+            self.reload(&begun, 1)?;
+            // Each thread sees the recording after one more round, which takes a nap at most.
             thread::sleep(Duration::from_millis(400));
         }
         Ok(())

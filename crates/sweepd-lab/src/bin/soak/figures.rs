@@ -16,10 +16,8 @@ struct Row {
     /// begins to send two returns: once in a life of the daemon, its pool in shared memory grows
     /// by 17 MiB, and the one before, of 28, stays for two seconds.
     more_with_few: f64,
-    /// Memory is compared while the daemon is at rest. A recording takes up to 96 MiB (32 for each
-    /// of three ports), and a client of the taps up to 8: both are given back, and how many there
-    /// are at a time is chance. What the taps keep afterwards is bounded, but comes bit by bit:
-    /// three rings of 8 MiB, and up to 16 MiB that malloc does not give back.
+    /// Memory is compared while the daemon records nothing. A recording keeps what the disk has not
+    /// taken yet; that is given back, and how many there are at a time is chance.
     is_at_rest: bool,
     value: fn(&Sample) -> u64,
 }
@@ -98,7 +96,7 @@ const ROWS: [Row; 8] = [
         value: |sample| sample.own.descriptors,
     },
 ];
-/// Fewer samples in a quarter are few: in that time, the smallest ring of the taps is not yet full.
+/// Fewer samples in a quarter are few.
 const MANY: u64 = 6_000;
 /// A life of the daemon may begin between two quarters, not within one that is compared.
 const QUARTERS: usize = 4;
