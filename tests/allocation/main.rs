@@ -7,7 +7,8 @@ mod common;
 #[path = "../common/counting.rs"]
 mod counting;
 
-use common::{domain, stream};
+use common::domain;
+use sweepd_lab::testkit::stream;
 
 use std::sync::atomic::Ordering;
 use std::time::{Duration, Instant};

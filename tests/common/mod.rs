@@ -12,11 +12,12 @@ pub mod run;
 pub mod same;
 pub mod setup;
 pub mod simulated;
-pub mod stream;
 
 use std::ffi::OsString;
 use std::path::{Path, PathBuf};
 use std::process::{Command, Stdio};
+
+use sweepd_lab::testkit::ReservedPort;
 
 const VELODYNE_DECODER: &str = "3.1.0";
 const ICEORYX2: &str = "0.10.0";
@@ -93,6 +94,14 @@ fn python_that_says(code: &str, version: &str, package: &str) -> OsString {
         python.display()
     );
     python
+}
+
+/// A port of loopback, free for UDP and TCP, that no other test gets before this process ends.
+pub fn free_port() -> u16 {
+    let port = ReservedPort::new().unwrap();
+    let number = port.number();
+    std::mem::forget(port);
+    number
 }
 
 /// Whether this is root, who alone can act as another user.

@@ -11,6 +11,7 @@ use sweepd::sweep::buffers::HeapBuffer;
 use sweepd::sweep::{HeapBuffers, Memory, Return, SweepRef};
 use sweepd::wire::Datagram;
 use sweepd::wire::data::RECORDS;
+use sweepd_lab::testkit::stream::push;
 
 /// Ranges at which the two-point correction of an HDL-64E may end: 25.04 m and the distance offset
 /// of a beam. There a range may be said from the other side alone, some hundredths of a degree
@@ -36,17 +37,6 @@ pub struct Placed {
     /// VLP-16 holds each channel twice.
     pub record: usize,
     pub found: Return,
-}
-
-/// Pushes a datagram of the sensor; one that is no packet is refused.
-pub fn push(pipeline: &mut Pipeline, datagram: &Datagram<'_>) -> Result<(), Fault> {
-    match datagram.parse() {
-        Ok(packet) => pipeline.push(&packet),
-        Err(_) => {
-            pipeline.refuse();
-            Ok(())
-        }
-    }
 }
 
 /// A pipeline under way, and the sweeps it gave so far.

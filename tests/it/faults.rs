@@ -1,9 +1,8 @@
 //! What a network, a sensor and its users do to a stream, and what must hold all the same.
 
-use crate::common::stream;
 use std::collections::BTreeSet;
+use sweepd_lab::testkit::stream;
 
-use crate::common::stream::{Content, Run, Sent, Spin, config, cut_at};
 use proptest::prelude::*;
 use sweepd::pipeline::{Counts, Pipeline};
 use sweepd::sensor::Model::{self, Hdl32e, Hdl64eS3, Vlp16};
@@ -11,6 +10,7 @@ use sweepd::sweep::layout::flags::{BLANKED, CIRCULAR, PARTIAL, RATE_UNSTABLE, RE
 use sweepd::sweep::{HeapBuffers, Memory};
 use sweepd::wire::data::DataPacket;
 use sweepd::wire::data::ReturnMode::{self, Dual, Last, Strongest};
+use sweepd_lab::testkit::stream::{Content, Run, Sent, Spin, config, cut_at};
 
 const KINDS: [(Model, ReturnMode); 6] = [
     (Vlp16, Strongest),

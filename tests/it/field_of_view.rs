@@ -2,12 +2,12 @@
 //! head is back in it.
 
 use crate::common::due;
-use crate::common::stream::{Run, Sent, Spin, config, cut_at, datagram, unit};
 use sweepd::pipeline::{Config, Pipeline};
 use sweepd::sensor::Model::{self, Hdl32e, Hdl64eS3, Vlp16};
 use sweepd::sweep::layout::flags::{BLANKED, CIRCULAR, PARTIAL};
 use sweepd::sweep::{HeapBuffers, Memory, SweepRef};
 use sweepd::wire::data::ReturnMode::{self, Dual, Strongest};
+use sweepd_lab::testkit::stream::{Run, Sent, Spin, config, cut_at, datagram, unit};
 
 const KINDS: [(Model, ReturnMode); 6] = [
     (Vlp16, Strongest),

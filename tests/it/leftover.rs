@@ -1,12 +1,12 @@
 //! A buffer comes back with an old sweep in it: nothing that a header declares valid is left over
 //! from it.
 
-use crate::common::stream::{Run, Sent, Spin, config, datagram, unit};
 use sweepd::pipeline::{Config, Pipeline};
 use sweepd::sensor::Model;
 use sweepd::sweep::buffers::HeapBuffer;
 use sweepd::sweep::{Buffers, HeapBuffers, Memory, SweepRef};
 use sweepd::wire::data::ReturnMode;
+use sweepd_lab::testkit::stream::{Run, Sent, Spin, config, datagram, unit};
 use zerocopy::IntoBytes;
 
 /// Buffers that are full of one byte.

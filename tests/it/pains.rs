@@ -1,13 +1,13 @@
 //! Of the 25 pains of users of other drivers (docs/promises.md), those that no other test shows to
 //! be absent.
 
-use crate::common::stream;
 use std::collections::BTreeSet;
+use sweepd_lab::testkit::stream;
 
-use crate::common::stream::{Run, Spin, config};
 use sweepd::sensor::Model;
 use sweepd::sweep::layout::flags::CIRCULAR;
 use sweepd::wire::data::{BLOCKS, ReturnMode};
+use sweepd_lab::testkit::stream::{Run, Spin, config};
 
 /// The block in which the azimuth wraps, of each packet that has one: 0 where it is less than the
 /// last of the packet before.

@@ -1,10 +1,11 @@
-//! What the tests and `sweepd-soak` share: a temporary domain, reserved ports, and a daemon in a
-//! process of its own.
+//! What the tests and `sweepd-soak` share: a temporary domain, reserved ports, a daemon in a
+//! process of its own, and packet streams made by hand.
 
 pub mod daemon;
 pub mod domain;
 pub mod port;
 pub mod process;
+pub mod stream;
 
 use std::fmt::{self, Debug, Display, Formatter};
 
