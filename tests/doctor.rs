@@ -3,12 +3,13 @@
 
 mod common;
 
-use common::{domain, stream};
+use common::{domain, free_port};
 use std::io::{BufRead, BufReader, Read, Write};
 use std::net::{IpAddr, Ipv4Addr, SocketAddr, TcpListener, UdpSocket};
 use std::process::{Child, Command, Stdio};
 use std::sync::atomic::{AtomicBool, Ordering};
 use std::time::{Duration, Instant};
+use sweepd_lab::testkit::stream;
 
 use domain::Own;
 use serde_json::{Value, json};
@@ -184,14 +185,7 @@ fn two_senders_and_noise_are_found() {
 /// A VLP-16 where an HDL-32E is configured, at another speed, beside one that is missing.
 #[test]
 fn what_is_configured_is_held_against_what_comes() {
-    let free = |_| {
-        UdpSocket::bind((LOCAL, 0))
-            .unwrap()
-            .local_addr()
-            .unwrap()
-            .port()
-    };
-    let ports: Vec<u16> = [0, 1].iter().map(free).collect();
+    let ports = vec![free_port(), free_port()];
     let expected = |name: &str, address| ExpectedSensor {
         name: name.to_owned(),
         address: IpAddr::V4(address),
@@ -515,11 +509,7 @@ fn the_exit_status_says_whether_something_is_wrong() {
 
 #[test]
 fn a_configuration_names_ports_and_sensors() {
-    let port = UdpSocket::bind((LOCAL, 0))
-        .unwrap()
-        .local_addr()
-        .unwrap()
-        .port();
+    let port = free_port();
     let folder = std::env::temp_dir().join(format!("sweepd-doctor-config-{}", std::process::id()));
     std::fs::create_dir_all(&folder).unwrap();
     let file = folder.join("sweepd.toml");
@@ -594,14 +584,9 @@ impl Drop for Program {
 fn beside_a_daemon_the_doctor_and_watch_say_how_it_is_now() {
     let own = Own::new();
     std::fs::create_dir_all(own.root()).unwrap();
-    let free = |_| {
-        UdpSocket::bind((LOCAL, 0))
-            .unwrap()
-            .local_addr()
-            .unwrap()
-            .port()
-    };
-    let [port, other, http] = [0, 1, 2].map(free);
+    let port = free_port();
+    let other = free_port();
+    let http = free_port();
     let (file, notes) = (own.root().join("sweepd.toml"), own.root().join("watch.log"));
     let text = format!(
         "http = \"127.0.0.1:{http}\"\n[[sensor]]\nname = \"roof\"\naddress = \"127.0.0.1\"\nbind = \"127.0.0.1\"\n\

@@ -25,7 +25,7 @@ use std::{fs, panic, thread};
 use fastrand::Rng;
 
 /// Longest time for one input: in a debug build, on a machine that does other things too.
-const PATIENCE: Duration = Duration::from_secs(10);
+const PATIENCE: Duration = Duration::from_secs(30);
 /// Memory that each byte of an input may take: LZF unpacks to 88 times as many bytes, and points
 /// are more than that.
 const MEMORY_PER_BYTE: usize = 400;

@@ -137,10 +137,12 @@ fn a_pcd_has_the_time_of_each_point() {
     }
 }
 
-/// What the points of a label are: how many, least and greatest x, y, z, their sum, the nearest.
+/// What the points of a label are: how many, least and greatest x, y, z, their sum, the nearest,
+/// and where each is.
 #[derive(Default)]
 struct OfPoints {
     points: u64,
+    azimuths_deg: Vec<f64>,
     sum: [f64; 3],
     min: Option<[f64; 3]>,
     max: Option<[f64; 3]>,
@@ -158,6 +160,7 @@ fn of_points(rows: &[Row]) -> BTreeMap<u64, OfPoints> {
         let of: &mut OfPoints = found.entry(label).or_default();
         let point = ["x_m", "y_m", "z_m"].map(|name| number(row, name));
         of.points += 1;
+        of.azimuths_deg.push(number(row, "azimuth_deg"));
         (0..3).for_each(|axis| of.sum[axis] += point[axis]);
         let (mut min, mut max) = (of.min.unwrap_or(point), of.max.unwrap_or(point));
         for axis in 0..3 {
@@ -238,12 +241,8 @@ fn segments_are_what_their_points_are() {
                 let [first, last] =
                     ["azimuth_first_deg", "azimuth_last_deg"].map(|name| number(row, name));
                 let extent = (last - first).rem_euclid(360.0);
-                for point in returns
-                    .iter()
-                    .filter(|point| point["label"] == row["label"])
-                {
-                    let behind =
-                        (number(point, "azimuth_deg") - first + 0.5).rem_euclid(360.0) - 0.5;
+                for azimuth_deg in &of.azimuths_deg {
+                    let behind = (azimuth_deg - first + 0.5).rem_euclid(360.0) - 0.5;
                     assert!(
                         (-0.4..=extent + 0.4).contains(&behind),
                         "{behind} of {extent}: {row:?}"

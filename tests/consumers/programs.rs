@@ -16,20 +16,14 @@ use super::python::{Talk, loans, publish};
 use super::sweeps::Source;
 use super::{folder, of_project};
 
-/// The Rust consumer, built as these tests are.
+/// The Rust consumer, built as these tests are, with the same features: `cargo test` has done so
+/// before.
 fn rust_consumer() -> PathBuf {
     let mut cargo = Command::new(env!("CARGO"));
     cargo
-        .args([
-            "build",
-            "--quiet",
-            "--locked",
-            "--offline",
-            "-p",
-            "sweepd-client",
-            "--example",
-            "consumer",
-        ])
+        .args(
+            "build --quiet --locked --offline --features slow-tests --example consumer".split(' '),
+        )
         .current_dir(of_project(""));
     if !cfg!(debug_assertions) {
         cargo.arg("--release");

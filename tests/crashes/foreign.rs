@@ -4,12 +4,12 @@
 use std::fs::{self, Permissions};
 use std::os::unix::fs::{PermissionsExt, chown, lchown, symlink};
 use std::path::{Path, PathBuf};
-use std::time::Duration;
 
 use sweepd::client::Domain;
 
+use crate::common::free_port;
 use crate::domain::{Own, shared_memory};
-use crate::setup::{Process, Setup};
+use crate::setup::{Process, SOON, Setup};
 
 /// The user `nobody`.
 const OTHER: u32 = 65_534;
@@ -24,11 +24,11 @@ fn temporary(name: &str, ending: &str) -> PathBuf {
     ))
 }
 
-/// Runs `sweepd` until its end, which must come within two seconds, with exit code 1 and one error
+/// Runs `sweepd` until its end, which must come by itself, with exit code 1 and one error
 /// with all these parts and a cure; else gives what is wrong.
 fn fault(name: &str, args: &[&str], parts: &[&str]) -> Option<String> {
     let log = temporary(name, "log");
-    let ended = Process::start(args, &log).ends_within(Duration::from_secs(2));
+    let ended = Process::start(args, &log).ends_within(SOON);
     let said = fs::read_to_string(&log).unwrap();
     let _ = fs::remove_file(&log);
     let Some(status) = ended else {
@@ -57,11 +57,7 @@ fn gives(path: &Path, mode: u32) {
 fn faults(name: &str, root: &Path, parts: &[&str]) -> Vec<String> {
     let folder = root.to_str().unwrap();
     let config = temporary(name, "toml");
-    let port = std::net::UdpSocket::bind("127.0.0.1:0")
-        .unwrap()
-        .local_addr()
-        .unwrap()
-        .port();
+    let port = free_port();
     let text = format!(
         "http = \"off\"\nroot = \"{folder}\"\n[[sensor]]\nname = \"roof\"\naddress = \"127.0.0.1\"\nbind = \"127.0.0.1\"\n\
          port = {port}\nposition_port = {port}\n"

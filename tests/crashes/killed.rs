@@ -1,5 +1,7 @@
 //! What single kills cost the others: sweeps, time, room for consumers.
 
+use std::fs;
+use std::path::PathBuf;
 use std::time::{Duration, Instant};
 
 use crate::setup::{Process, SOON, Setup};
@@ -69,10 +71,14 @@ fn consumers_killed_while_they_hold_sweeps_cost_the_others_none() {
         ]
         .concat();
         let mut other = Process::start(&args, &setup.path("watch.log"));
-        // Long enough for it to draw, holding a sweep.
+        // It draws, and holds a sweep meanwhile.
         let begun = Instant::now();
-        while begun.elapsed() < Duration::from_millis(500) {
+        while begun.elapsed() < Duration::from_millis(300) || drawings(&setup).is_empty() {
             receive(&mut client);
+            assert!(begun.elapsed() < SOON, "nothing is drawn");
+        }
+        for drawing in drawings(&setup) {
+            fs::remove_file(drawing).unwrap();
         }
         other.signal("-KILL");
         other.wait();
@@ -80,21 +86,16 @@ fn consumers_killed_while_they_hold_sweeps_cost_the_others_none() {
     for _ in 0..10 {
         receive(&mut client);
     }
-    let watched = std::fs::read_to_string(setup.path("watch.log")).unwrap();
+    let watched = fs::read_to_string(setup.path("watch.log")).unwrap();
     assert!(!watched.contains("error"), "{watched}");
-    assert!(
-        setup
-            .folder
-            .read_dir()
-            .unwrap()
-            .flatten()
-            .any(|it| it.path().extension().is_some_and(|it| it == "png"))
-    );
-    daemon.signal("-TERM");
-    let begun = Instant::now();
-    assert!(
-        daemon.wait() && begun.elapsed() < Duration::from_secs(1),
-        "{:?}",
-        begun.elapsed()
-    );
+    daemon.ends_when_told().unwrap();
+}
+
+/// The PNGs that a consumer has drawn.
+fn drawings(setup: &Setup) -> Vec<PathBuf> {
+    let files = fs::read_dir(&setup.folder).unwrap().flatten();
+    files
+        .map(|file| file.path())
+        .filter(|path| path.extension().is_some_and(|it| it == "png"))
+        .collect()
 }

@@ -7,7 +7,7 @@ use sweepd::sensor::Model;
 use sweepd::wire::data::ReturnMode;
 
 use crate::child::Daemon;
-use crate::rig::{Sending, Sent, free_port, free_tcp_port, stream, until};
+use crate::rig::{Sending, Sent, free_port, stream, until};
 
 const SINGLE: ReturnMode = ReturnMode::Strongest;
 /// How far the clocks of two sensors are apart.
@@ -22,7 +22,7 @@ fn daemon<const N: usize>(hosts: [u16; N]) -> (Daemon, [u16; N]) {
         .zip(ports)
         .map(|(host, port)| [host, port, port])
         .collect();
-    let daemon = Daemon::start(&sensors, free_tcp_port(), WATCHDOG);
+    let daemon = Daemon::start(&sensors, free_port(), WATCHDOG);
     daemon.until_ready();
     (daemon, ports)
 }

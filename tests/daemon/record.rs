@@ -15,7 +15,7 @@ use sweepd::publish::Domain;
 use sweepd::sensor::Model;
 use sweepd::wire::data::ReturnMode;
 
-use crate::rig::{Sending, Sent, free_port, free_tcp_port, stream, until};
+use crate::rig::{Sending, Sent, free_port, stream, until};
 
 /// The program, in a folder of its own; both end with it.
 struct Daemon {
@@ -36,7 +36,7 @@ impl Daemon {
         ));
         let _ = fs::remove_dir_all(&folder);
         fs::create_dir_all(&folder).unwrap();
-        let (ports, http) = ((free_port(), free_port()), free_tcp_port());
+        let (ports, http) = ((free_port(), free_port()), free_port());
         let of = |(name, address): &(&str, String)| {
             let (data, position) = ports;
             format!(

@@ -1,12 +1,13 @@
 //! A daemon whose sweeps the test gets, and sensors that are not there.
 
-use std::net::{Ipv4Addr, SocketAddr, TcpListener, UdpSocket};
+use std::net::{Ipv4Addr, SocketAddr, UdpSocket};
 use std::sync::atomic::{AtomicBool, Ordering};
 use std::sync::mpsc::{self, Receiver, Sender};
 use std::sync::{Arc, Mutex};
 use std::thread::JoinHandle;
 use std::time::{Duration, Instant};
 
+pub use crate::common::free_port;
 use crate::counting::allocations;
 use sweepd::daemon::config::{Config, DaemonConfig, PortConfig, SensorConfig};
 use sweepd::daemon::losses::Limits;
@@ -157,24 +158,6 @@ impl Outgoing for Sweep {
             Fate::Waits => Ok(Some(self)),
         }
     }
-}
-
-/// A UDP port of the loopback interface that is free, most likely for a while.
-pub fn free_port() -> u16 {
-    UdpSocket::bind("127.0.0.1:0")
-        .unwrap()
-        .local_addr()
-        .unwrap()
-        .port()
-}
-
-/// The same for TCP.
-pub fn free_tcp_port() -> u16 {
-    TcpListener::bind("127.0.0.1:0")
-        .unwrap()
-        .local_addr()
-        .unwrap()
-        .port()
 }
 
 /// A sensor at 127.0.0.`host` whose packets come to ports of 127.0.0.1.

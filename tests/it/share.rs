@@ -7,14 +7,14 @@ use std::sync::mpsc::{self, RecvTimeoutError, Sender};
 use std::time::{Duration, Instant};
 
 use crate::common::domain::Own;
-use crate::common::stream::{Sent, Spin, config, datagram, unit};
 use sweepd::client::{Client, ClientError, JoinError, Sweep};
 use sweepd::pipeline::{Config, Pipeline};
-use sweepd::publish::{Domain, Loans, PublishError, ServiceSettings, Slot};
+use sweepd::publish::{Domain, Loans, PublishError, ServiceSettings, Slot, pool_sweeps};
 use sweepd::sensor::Model;
 use sweepd::sweep::buffers::HeapBuffer;
 use sweepd::sweep::{Buffers, HeapBuffers, Memory, Shape, SweepMut, SweepRef};
 use sweepd::wire::data::ReturnMode;
+use sweepd_lab::testkit::stream::{Sent, Spin, config, datagram, unit};
 
 /// Longest wait for what comes at once where this process has a core.
 const SOON: Duration = Duration::from_secs(20);
@@ -31,6 +31,15 @@ fn settings(max_consumers: usize) -> ServiceSettings {
 
 fn loans(own: &Own, max_consumers: usize) -> Loans {
     Loans::create(&own.domain(), &settings(max_consumers)).unwrap()
+}
+
+/// Bytes of a sweep for whose pool /dev/shm has too little; the more consumers, the smaller.
+fn too_many_bytes(loans: &mut Loans, max_consumers: usize) -> usize {
+    let JoinError::Memory { free, .. } = joining(loans.reserve(1 << 40).unwrap_err()) else {
+        panic!("a pool of terabytes")
+    };
+    // Other tests give some of theirs back meanwhile.
+    2 * free as usize / pool_sweeps(max_consumers)
 }
 
 fn joining(error: PublishError) -> JoinError {
@@ -418,14 +427,15 @@ fn files_that_vanish_are_made_anew_and_found_again() {
 #[test]
 fn too_little_shared_memory_is_an_error_that_says_how_much() {
     let own = Own::new();
-    let mut loans = loans(&own, 4);
+    let mut loans = loans(&own, 100);
     let error = loans.reserve(1 << 40).unwrap_err();
     let JoinError::Memory { wanted, free } = joining(error) else {
         panic!()
     };
     assert!(wanted > free, "{wanted} {free}");
     // And where it shows only later, the sensor goes on by itself.
-    let slot = loans.take(1 << 33);
+    let bytes = too_many_bytes(&mut loans, 100);
+    let slot = loans.take(bytes);
     assert!(!slot.is_shared());
     assert!(loans.status().trouble().unwrap().contains("/dev/shm"));
     assert!(slot.publish().is_err() && loans.status().unshared() == 1);
@@ -525,11 +535,12 @@ fn a_sweep_that_was_begun_before_its_pool_is_there_is_shared_when_it_is_complete
 #[test]
 fn a_pool_that_cannot_be_had_is_told_and_tried_again() {
     let own = Own::new();
-    let mut loans = loans(&own, 1);
+    let mut loans = loans(&own, 100);
     publish(&mut loans, 1);
     let status = loans.status();
+    let bytes = too_many_bytes(&mut loans, 100);
     for unshared in 1..=5 {
-        assert!(!loans.take(1 << 33).publish_is_ok());
+        assert!(!loans.take(bytes).publish_is_ok());
         assert_eq!(status.unshared(), unshared);
         assert!(
             status.trouble().unwrap().contains("/dev/shm has"),

@@ -1,12 +1,12 @@
 //! A daemon in namespaces of its own, and what can be done to it there.
 
 use std::fs;
-use std::net::{TcpListener, UdpSocket};
 use std::path::PathBuf;
 use std::process::{Child, Command, ExitStatus, Stdio};
 use std::sync::atomic::{AtomicU32, Ordering};
 use std::time::{Duration, Instant};
 
+use crate::common::free_port;
 use crate::domain::Own;
 
 /// A daemon's folder, ports, and the daemon.
@@ -26,21 +26,11 @@ impl World {
         let folder =
             std::env::temp_dir().join(format!("sweepd-resource-{}-{number}", std::process::id()));
         fs::create_dir_all(&folder).unwrap();
-        let port = UdpSocket::bind("127.0.0.1:0")
-            .unwrap()
-            .local_addr()
-            .unwrap()
-            .port();
-        let http = TcpListener::bind("127.0.0.1:0")
-            .unwrap()
-            .local_addr()
-            .unwrap()
-            .port();
         Self {
             own: Own::new(),
             folder,
-            port,
-            http,
+            port: free_port(),
+            http: free_port(),
             daemon: None,
             others: Vec::new(),
         }
