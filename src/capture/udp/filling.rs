@@ -1,12 +1,12 @@
-//! How fast datagrams have filled the socket's buffer of late: a burst of others' datagrams may
-//! take the room of a sensor's.
+//! How fast datagrams filled the socket's buffer in the last seconds: a burst of other datagrams
+//! may take the room of a sensor's.
 
 use std::time::{Duration, Instant};
 
 use super::buffer::CHARGED_BYTES;
 use super::sys::SLOT_LEN;
 
-/// What took longer than the longest nap of a reader does not count as one filling.
+/// The longest nap of a reader, nanoseconds: a part that took longer does not count as filled.
 const LONGEST_NS: i64 = 250_000_000;
 /// A fast filling is remembered for one to two times this long: bursts that come every few seconds
 /// are foreseen.
@@ -16,7 +16,7 @@ const REMEMBERED: Duration = Duration::from_secs(5);
 #[derive(Clone, Copy, Debug)]
 pub(super) struct Filling {
     part_bytes: usize,
-    /// What came since this stamp, bytes as the kernel charges them.
+    /// Bytes received since the stamp below, as the kernel charges them.
     bytes: usize,
     since_ns: i64,
     /// The shortest time of the period before, and of the one that began at `begun`.
@@ -25,7 +25,7 @@ pub(super) struct Filling {
 }
 
 impl Filling {
-    /// A buffer, such a part of which has not been filled yet.
+    /// A buffer with parts of this size, none filled yet.
     pub(super) fn new(part_bytes: usize) -> Self {
         Self {
             part_bytes,
@@ -57,16 +57,9 @@ impl Filling {
 
     /// Remembers that a part was filled in this time.
     pub(super) fn remember(&mut self, took_ns: i64, now: Instant) {
-        let [before, newest] = self.shortest_ns;
-        self.shortest_ns = match self.begun.map(|begun| now.saturating_duration_since(begun)) {
-            Some(age) if age < REMEMBERED => [before, newest.min(took_ns)],
-            Some(age) if age < 2 * REMEMBERED => [newest, took_ns],
-            _ => [i64::MAX, took_ns],
-        };
-        if self
-            .begun
-            .is_none_or(|begun| now.saturating_duration_since(begun) >= REMEMBERED)
-        {
+        let [before, newest] = self.remembered_ns(now);
+        self.shortest_ns = [before, newest.min(took_ns)];
+        if self.age(now).is_none_or(|age| age >= REMEMBERED) {
             self.begun = Some(now);
         }
     }
@@ -74,12 +67,24 @@ impl Filling {
     /// The shortest time of the last seconds in which a part was filled, nanoseconds; `i64::MAX`
     /// where none was.
     pub(super) fn shortest_ns(&self, now: Instant) -> i64 {
-        let [before, newest] = self.shortest_ns;
-        match self.begun.map(|begun| now.saturating_duration_since(begun)) {
-            Some(age) if age < REMEMBERED => before.min(newest),
-            Some(age) if age < 2 * REMEMBERED => newest,
-            _ => i64::MAX,
+        let [before, newest] = self.remembered_ns(now);
+        before.min(newest)
+    }
+
+    /// The shortest times of the period before and of the present one: once the present one is
+    /// over, it is the period before.
+    fn remembered_ns(&self, now: Instant) -> [i64; 2] {
+        let [_, newest] = self.shortest_ns;
+        match self.age(now) {
+            Some(age) if age < REMEMBERED => self.shortest_ns,
+            Some(age) if age < 2 * REMEMBERED => [newest, i64::MAX],
+            _ => [i64::MAX; 2],
         }
+    }
+
+    /// Time since the present period began.
+    fn age(&self, now: Instant) -> Option<Duration> {
+        self.begun.map(|begun| now.saturating_duration_since(begun))
     }
 }
 
