@@ -154,10 +154,8 @@ impl Motion {
         }
         let count = BLOCKS / blocks_per_azimuth;
         let mut azimuths = [0; BLOCKS];
-        for (azimuth, block) in azimuths
-            .iter_mut()
-            .zip(packet.blocks.iter().step_by(blocks_per_azimuth))
-        {
+        let blocks = packet.blocks.iter().step_by(blocks_per_azimuth);
+        for (azimuth, block) in azimuths.iter_mut().zip(blocks) {
             *azimuth = block.azimuth_cdeg();
         }
         let mut steps = [0.0; BLOCKS - 1];
@@ -165,39 +163,18 @@ impl Motion {
         for (step, pair) in steps.iter_mut().zip(azimuths.windows(2)) {
             *step = shortest(f64::from(pair[1]) - f64::from(pair[0]));
         }
-        // Where all are alike none is a break, whichever one is taken for the median.
-        let (least, most) = steps.iter().fold((f64::MAX, f64::MIN), |(a, b), &step| {
-            (a.min(step), b.max(step))
-        });
-        let is_even = most - least <= BEND_CDEG;
-        let median = if is_even { steps[0] } else { median(steps) };
-        let is_break = |step: f64| (step - median).abs() > BREAK_CDEG.max(5.0 * median.abs());
-        let (mut sum, mut kept, mut left_out) = (0.0, 0, None);
-        for (index, &step) in steps.iter().enumerate() {
-            if !is_break(step) {
-                sum += step;
-                kept += 1;
-            } else if left_out.replace(index + 1).is_some() {
-                return Err(Implausible::Jumps);
-            }
-        }
-        if !is_even && is_bent(steps, median, is_break) {
-            return Err(Implausible::Bent);
-        }
-        let step_cdeg = sum / f64::from(kept.max(1));
-        if left_out.is_some() && step_cdeg.abs() < LEAST_STEP_CDEG {
-            return Err(Implausible::Jumps);
-        }
-        let left_out = left_out.map(|index| {
+        let Steps {
+            step_cdeg,
+            break_at,
+        } = Steps::of(steps)?;
+        let left_out = break_at.map(|index| {
             let from_cdeg = (f64::from(azimuths[index - 1]) + step_cdeg).rem_euclid(TURN);
             let width_cdeg = ahead(from_cdeg, f64::from(azimuths[index]), step_cdeg);
-            (
-                index,
-                Sector {
-                    from_cdeg,
-                    width_cdeg,
-                },
-            )
+            let sector = Sector {
+                from_cdeg,
+                width_cdeg,
+            };
+            (index, sector)
         });
         let rate = step_cdeg / f64::from(spec.azimuth_period_ns(mode));
         let silent_ns = left_out.map_or(0, |(_, sector)| sector.silent_ns(rate, spec, mode));
@@ -319,34 +296,88 @@ pub(super) fn ahead(from_cdeg: f64, to_cdeg: f64, sense: f64) -> f64 {
     within_turn((to_cdeg - from_cdeg) * sign)
 }
 
+/// The steps from azimuth to azimuth of a packet, checked.
+struct Steps {
+    /// The mean of all but the break, hundredths of a degree.
+    step_cdeg: f64,
+    /// Index of the azimuth behind the one step that is no motion of the head.
+    break_at: Option<usize>,
+}
+
+impl Steps {
+    fn of(steps: &[f64]) -> Result<Self, Implausible> {
+        let least = steps.iter().copied().fold(f64::MAX, f64::min);
+        let most = steps.iter().copied().fold(f64::MIN, f64::max);
+        // Where all are alike none is a break, whichever one is taken for the median.
+        let is_even = most - least <= BEND_CDEG;
+        let median = if is_even { steps[0] } else { median(steps) };
+        let mut sum = 0.0;
+        let mut kept = 0;
+        let mut break_at = None;
+        for (index, &step) in steps.iter().enumerate() {
+            if !is_break(step, median) {
+                sum += step;
+                kept += 1;
+            } else if break_at.replace(index + 1).is_some() {
+                return Err(Implausible::Jumps);
+            }
+        }
+        if !is_even && is_bent(steps, median) {
+            return Err(Implausible::Bent);
+        }
+        let step_cdeg = sum / f64::from(kept.max(1));
+        if break_at.is_some() && step_cdeg.abs() < LEAST_STEP_CDEG {
+            return Err(Implausible::Jumps);
+        }
+        Ok(Self {
+            step_cdeg,
+            break_at,
+        })
+    }
+}
+
+/// Whether a step is no motion of a head whose steps have this median.
+fn is_break(step: f64, median: f64) -> bool {
+    (step - median).abs() > BREAK_CDEG.max(5.0 * median.abs())
+}
+
+/// How far a step is from the median; 0 for a break, which is judged elsewhere.
+fn deviation(step: f64, median: f64) -> f64 {
+    if is_break(step, median) {
+        0.0
+    } else {
+        step - median
+    }
+}
+
 /// Whether one azimuth lies so far beside the line of the others that a bit of it must have been
 /// flipped: then the step to it and the one from it are off, to one side and to the other. Noise is
 /// known by the third step from the worst: a flipped bit spoils two.
-fn is_bent(steps: &[f64], median: f64, is_break: impl Fn(f64) -> bool) -> bool {
+fn is_bent(steps: &[f64], median: f64) -> bool {
     let mut sorted = [0.0; BLOCKS];
     let sorted = &mut sorted[..steps.len()];
-    let off = |step: f64| if is_break(step) { 0.0 } else { step - median };
-    sorted
-        .iter_mut()
-        .zip(steps)
-        .for_each(|(sorted, &step)| *sorted = off(step).abs());
+    for (sorted, &step) in sorted.iter_mut().zip(steps) {
+        *sorted = deviation(step, median).abs();
+    }
     sorted.sort_by(f64::total_cmp);
     let limit = match sorted.len() {
         ..3 => BEND_OF_TWO_CDEG,
         count => BEND_CDEG + BEND_NOISE * sorted[count - 3],
     };
-    let is_off = |step: f64| off(step).abs() > limit;
     // At either end there is one step alone; it may be shorter because the head was stopped or
     // started.
-    let stops = |step: f64| (-BEND_CDEG..=median.abs()).contains(&(step * median.signum()));
-    let ends = [steps[0], steps[steps.len() - 1]];
-    let is_there = ends
-        .into_iter()
-        .any(|step| is_off(step) && !stops(step) && median.abs() >= TURNING_CDEG);
-    is_there
-        || steps
-            .windows(2)
-            .any(|two| is_off(two[0]) && is_off(two[1]) && off(two[0]) * off(two[1]) < 0.0)
+    let slowed = -BEND_CDEG..=median.abs();
+    let is_end_bent = [steps[0], steps[steps.len() - 1]].into_iter().any(|step| {
+        deviation(step, median).abs() > limit
+            && !slowed.contains(&(step * median.signum()))
+            && median.abs() >= TURNING_CDEG
+    });
+    is_end_bent
+        || steps.windows(2).any(|pair| {
+            let before = deviation(pair[0], median);
+            let behind = deviation(pair[1], median);
+            before.abs() > limit && behind.abs() > limit && before * behind < 0.0
+        })
 }
 
 /// The median of steps by their length; of two the shorter, since the other may be a skip.

@@ -4,6 +4,8 @@
 use super::{CYCLE_LEN, place_of};
 use crate::wire::HOUR_US;
 
+/// Packets of a cycle.
+const CYCLE: i64 = CYCLE_LEN as i64;
 /// Longest silence, microseconds, after which packets are still counted by the clock.
 const LONGEST_GAP_US: i32 = 500_000;
 /// Longest gap, packets, over which the count needs no witness: one type tells it from any other
@@ -22,8 +24,10 @@ pub(super) struct Counter {
     last: Option<(i64, u32)>,
     /// From packet to packet, microseconds, once two have been seen.
     period_us: Option<f64>,
-    /// The time from packet to packet that does not fit the period, and how often in a row it came.
-    unlike: (i32, u8),
+    /// The interval that does not fit the period, microseconds.
+    unusual_us: i32,
+    /// How often in a row it came.
+    unusual_times: u8,
     contradictions: u8,
     /// Whether the count has gone over a gap that leaves it in doubt.
     pub(super) doubtful: bool,
@@ -48,8 +52,7 @@ impl Counter {
             return self.restart(place, stamp_us);
         };
         let delta_us = since(last_us, stamp_us);
-        let cycle = CYCLE_LEN as i64;
-        let forward = place.map(|place| (place - count).rem_euclid(cycle));
+        let forward = place.map(|place| (place - count).rem_euclid(CYCLE));
         let Some(period_us) = self.period_us else {
             // The second packet: the types tell how many lie between, as long as it is less than a
             // cycle.
@@ -57,20 +60,20 @@ impl Counter {
                 return Step::Ignored;
             };
             self.period_us = Some(f64::from(delta_us.max(0)) / steps as f64);
-            self.last = Some((count + steps, stamp_us));
-            return Step::At(count + steps);
+            return self.keep(count + steps, stamp_us);
         };
         if !(-LONGEST_GAP_US..=LONGEST_GAP_US).contains(&delta_us) {
             return self.restart(place, stamp_us);
         }
-        let delta = f64::from(delta_us);
         if forward == Some(0) && delta_us == 0 {
             return Step::Ignored;
         }
+        let is_next_type = forward == Some(1) && delta_us >= 0;
+        let delta = f64::from(delta_us);
         // The next type so soon is the next packet, however long that took: the return mode may
         // have been switched.
-        if forward == Some(1) && delta >= 0.0 && delta <= period_us * NEAR_STEPS as f64 {
-            self.unlike = (0, 0);
+        if is_next_type && delta <= period_us * NEAR_STEPS as f64 {
+            self.unusual_times = 0;
             let is_usual = (delta - period_us).abs() < period_us / 4.0;
             self.period_us = Some(if is_usual {
                 period_us + (delta - period_us) / 32.0
@@ -79,59 +82,71 @@ impl Counter {
             });
             return self.advance(count + 1, stamp_us);
         }
-        if forward == Some(1) && delta >= 0.0 {
-            let (usual_us, times) = self.unlike;
-            self.unlike = (
-                delta_us,
-                if (delta_us - usual_us).abs() <= 2 + usual_us / 20 {
-                    times + 1
-                } else {
-                    1
-                },
-            );
-            if self.unlike.1 >= ALIKE {
-                let restarted = self.restart(place, stamp_us);
-                self.period_us = Some(delta);
-                return restarted;
-            }
-        } else {
-            self.unlike = (0, 0);
+        if !is_next_type {
+            self.unusual_times = 0;
+        } else if self.is_new_period(delta_us) {
+            let restarted = self.restart(place, stamp_us);
+            self.period_us = Some(delta);
+            return restarted;
         }
-        let exact = if period_us > 0.0 {
+        let periods = if period_us > 0.0 {
             delta / period_us
         } else {
             0.0
         };
-        let steps = exact.round() as i64;
-        let amiss = place.map_or(0, |place| {
-            (place - count - steps + cycle / 2).rem_euclid(cycle) - cycle / 2
-        });
+        self.step_by_clock(count, place, periods, stamp_us)
+    }
+
+    /// Notes an interval that does not fit the period; returns whether it came so often in a row
+    /// that it is the period.
+    fn is_new_period(&mut self, delta_us: i32) -> bool {
+        let is_alike = self.unusual_times > 0
+            && (delta_us - self.unusual_us).abs() <= 2 + self.unusual_us / 20;
+        self.unusual_times = if is_alike { self.unusual_times + 1 } else { 1 };
+        self.unusual_us = delta_us;
+        self.unusual_times >= ALIKE
+    }
+
+    /// Counts the periods that passed since the last packet, and holds its type against them.
+    fn step_by_clock(
+        &mut self,
+        count: i64,
+        place: Option<i64>,
+        periods: f64,
+        stamp_us: u32,
+    ) -> Step {
+        let steps = periods.round() as i64;
+        let Some(place) = place else {
+            self.doubtful |= steps.abs() > NEAR_STEPS;
+            return self.keep(count + steps, stamp_us);
+        };
+        let amiss = (place - count - steps + CYCLE / 2).rem_euclid(CYCLE) - CYCLE / 2;
         if amiss == 0 {
             self.doubtful |= steps.abs() > NEAR_STEPS;
-            return match place {
-                Some(_) => self.advance(count + steps, stamp_us),
-                None => {
-                    self.last = Some((count + steps, stamp_us));
-                    Step::At(count + steps)
-                }
-            };
+            return self.advance(count + steps, stamp_us);
         }
-        if steps.abs() > NEAR_STEPS || (exact - steps as f64).abs() > 0.3 {
+        if steps.abs() > NEAR_STEPS || (periods - steps as f64).abs() > 0.3 {
             self.doubtful = true;
             return self.advance(count + steps + amiss, stamp_us);
         }
         self.contradictions += 1;
         if self.contradictions >= MOST_CONTRADICTIONS {
-            return self.restart(place, stamp_us);
+            return self.restart(Some(place), stamp_us);
         }
         self.last = Some((count + steps, stamp_us));
         Step::Ignored
     }
 
-    fn advance(&mut self, count: i64, stamp_us: u32) -> Step {
-        self.contradictions = 0;
+    /// Takes a count that the types do not confirm.
+    fn keep(&mut self, count: i64, stamp_us: u32) -> Step {
         self.last = Some((count, stamp_us));
         Step::At(count)
+    }
+
+    /// Takes a count that the types confirm.
+    fn advance(&mut self, count: i64, stamp_us: u32) -> Step {
+        self.contradictions = 0;
+        self.keep(count, stamp_us)
     }
 
     fn restart(&mut self, place: Option<i64>, stamp_us: u32) -> Step {
@@ -146,7 +161,8 @@ impl Counter {
 
 /// From one stamp to another the shorter way round the hour, microseconds.
 fn since(from_us: u32, to_us: u32) -> i32 {
-    let (hour, delta) = (i64::from(HOUR_US), i64::from(to_us) - i64::from(from_us));
+    let hour = i64::from(HOUR_US);
+    let delta = i64::from(to_us) - i64::from(from_us);
     let shorter = (delta + hour / 2).rem_euclid(hour) - hour / 2;
     shorter as i32
 }
