@@ -442,16 +442,13 @@ impl Pipeline {
         }
         if std::mem::replace(&mut self.closing, Closing::No) == Closing::Exchanged {
             self.counts = self.counts();
-            let clocks = match std::mem::replace(&mut self.state, State::Refusing) {
+            let clocks = match &self.state {
                 State::Decoding(decoding) => {
                     self.sweeps = decoding.builder.sequence;
                     decoding.builder.clocks
                 }
                 State::Calibrating(calibrating) => calibrating.clocks,
-                other => {
-                    self.state = other;
-                    return false;
-                }
+                State::Detecting(_) | State::Refusing => return false,
             };
             self.state = Self::detecting(self.config.model, clocks);
             // The next sensor may sit elsewhere.

@@ -8,7 +8,7 @@
 //! Decoding, Calibrating -> Detecting  another sensor took its place
 //! ```
 
-use super::{Closing, Fault, Notice, Pipeline};
+use super::{Closing, Config, Fault, Notice, Pipeline};
 use crate::assemble::builder::{Builder, BuilderConfig};
 use crate::assemble::clock::{Clocks, SensorClock, vouched_utc_ns};
 use crate::assemble::decode::Decoder;
@@ -16,7 +16,6 @@ use crate::assemble::motion::{TURN, rate_between};
 use crate::assemble::order::{OrderedPacket, PacketOrder, Rejection};
 use crate::sensor::compare::Difference;
 use crate::sensor::detect::{self, DetectError, Detection, Detector, MAX_PACKETS};
-use crate::sensor::model::Spec;
 use crate::sensor::unit::{Unit, UnitUpdate};
 use crate::sensor::{Calibration, Model};
 use crate::wire::data::{Banks, ReturnMode};
@@ -85,12 +84,24 @@ pub(super) struct WaitingPacket {
     pub(super) arrival_ns: i64,
 }
 
+/// All that decoding a sensor begins with.
+struct KnownSensor {
+    detection: Detection,
+    calibration: Calibration,
+    /// What an HDL-64E has said of itself.
+    unit: Option<Unit>,
+    clocks: Clocks,
+    /// How fast the head turns, hundredths of a degree a nanosecond, if the packets so far tell.
+    rate_cdeg_ns: Option<f64>,
+    /// Product byte of its packets.
+    product: u8,
+}
+
 impl Pipeline {
     pub(super) fn detecting(model: Option<Model>, clocks: Clocks) -> State {
-        let (detector, waiting) = (Detector::new(model), Vec::with_capacity(MAX_PACKETS));
         State::Detecting(Box::new(Detecting {
-            detector,
-            waiting,
+            detector: Detector::new(model),
+            waiting: Vec::with_capacity(MAX_PACKETS),
             doubts: 0,
             doubt: None,
             unit: None,
@@ -98,86 +109,88 @@ impl Pipeline {
         }))
     }
 
-    /// The model is told: decoding begins with the packets that waited, or the wait for the
+    /// Ends the detection: decoding begins with the packets that waited, or the wait for the
     /// calibration does.
     pub(super) fn detected(&mut self, result: Result<Detection, DetectError>) -> Result<(), Fault> {
-        let State::Detecting(detecting) = std::mem::replace(&mut self.state, State::Refusing)
-        else {
+        let State::Detecting(detecting) = &mut self.state else {
             return Ok(());
         };
-        let Detecting {
-            waiting,
-            doubts,
-            unit,
-            clocks,
-            ..
-        } = *detecting;
-        self.counts.undecoded += u64::from(doubts) + waiting.len() as u64;
-        let mut detection = result?;
-        let mut unit = detection
-            .model
-            .is_hdl64e()
-            .then(|| unit.unwrap_or_default());
-        let calibration = match (
-            &self.config.calibration,
-            detection.model.calibration(),
-            &unit,
-        ) {
-            (Some(given), ..) => Some(
-                given
-                    .clone()
-                    .for_model(detection.model)
-                    .map_err(Fault::Calibration)?,
-            ),
-            (None, Some(nominal), _) => Some(nominal.clone()),
-            (None, None, Some(unit)) => self.calibration_of(unit, &mut detection),
-            (None, None, None) => None,
+        let mut waiting = std::mem::take(&mut detecting.waiting);
+        let unit = detecting.unit.take();
+        let clocks = detecting.clocks;
+        self.counts.undecoded += u64::from(detecting.doubts);
+        let next = result
+            .map_err(Fault::from)
+            .and_then(|detection| self.after_detection(detection, unit, clocks, &waiting));
+        if let Ok(State::Decoding(_)) = next {
+            self.counts.reordered += sort_by_stamp(&mut waiting);
+        } else {
+            self.counts.undecoded += waiting.len() as u64;
+            waiting.clear();
+        }
+        self.enter(next)?;
+        for packet in &waiting {
+            self.order(&packet.bytes, packet.number, packet.arrival_ns);
+        }
+        Ok(())
+    }
+
+    /// Enters the next state; a fault leads to the one that refuses all packets.
+    fn enter(&mut self, next: Result<State, Fault>) -> Result<(), Fault> {
+        self.state = State::Refusing;
+        self.state = next?;
+        Ok(())
+    }
+
+    /// The state of a sensor whose model is known: decoding, if its calibration is known too.
+    fn after_detection(
+        &mut self,
+        mut detection: Detection,
+        unit: Option<Unit>,
+        clocks: Clocks,
+        waiting: &[WaitingPacket],
+    ) -> Result<State, Fault> {
+        let model = detection.model;
+        let mut unit = model.is_hdl64e().then(|| unit.unwrap_or_default());
+        let calibration = if let Some(given) = &self.config.calibration {
+            Some(given.clone().for_model(model).map_err(Fault::Calibration)?)
+        } else if let Some(nominal) = model.calibration() {
+            Some(nominal.clone())
+        } else {
+            unit.as_ref()
+                .and_then(|unit| sent_calibration(&self.config, unit, &mut detection))
         };
         let Some(calibration) = calibration else {
             let mut unit = unit.take().unwrap_or_default();
-            for packet in &waiting {
+            for packet in waiting {
                 let _ = unit.hear(&packet.bytes);
             }
             self.notices.push(Notice::AwaitsCalibration);
-            let calibrating = Calibrating {
+            return Ok(State::Calibrating(Box::new(Calibrating {
                 detection,
                 unit,
                 foreign: 0,
                 marks: [None; 2],
                 clocks,
-            };
-            self.state = State::Calibrating(Box::new(calibrating));
-            return Ok(());
+            })));
         };
-        let ends = waiting
-            .first()
-            .zip(waiting.last())
-            .map(|(first, last)| (&first.bytes, &last.bytes));
-        let rate = ends.and_then(|(first, last)| {
-            rate_between(first, last, detection.return_mode, detection.spec)
+        let ends = waiting.first().zip(waiting.last());
+        let rate_cdeg_ns = ends.and_then(|(first, last)| {
+            rate_between(
+                &first.bytes,
+                &last.bytes,
+                detection.return_mode,
+                detection.spec,
+            )
         });
-        self.decode(detection, (calibration, unit), (clocks, rate), waiting)
-    }
-
-    /// The calibration that a unit has told, if it is complete and that of the model, and in the
-    /// detection what else only the unit knows.
-    fn calibration_of(&self, unit: &Unit, detection: &mut Detection) -> Option<Calibration> {
-        // One that no unit can have was damaged on the way, where no checksum tells: the next dump
-        // brings it again.
-        let calibration = unit
-            .calibration()?
-            .and_then(|own| own.for_model(detection.model))
-            .ok()?;
-        // With one return, only the unit itself knows which.
-        if let (ReturnMode::Strongest, Some(ReturnMode::Last)) =
-            (detection.return_mode, unit.return_mode())
-        {
-            detection.return_mode = ReturnMode::Last;
-        }
-        if self.config.model.is_none() && unit.series() == Some(Series::S3) {
-            detection.model = Model::Hdl64eS3;
-        }
-        Some(calibration)
+        self.decoding(KnownSensor {
+            detection,
+            calibration,
+            unit,
+            clocks,
+            rate_cdeg_ns,
+            product: waiting.last().map_or(0, |packet| packet.bytes.product),
+        })
     }
 
     /// Takes the byte of the calibration that a packet brings; with the last one, decoding begins.
@@ -202,60 +215,49 @@ impl Pipeline {
                 .note_utc(utc_ns, packet.stamp_us(), arrival_ns);
             calibrating.marks = [calibrating.marks[1], Some(*packet)];
         }
-        let State::Calibrating(calibrating) = &self.state else {
-            return Ok(());
-        };
         let mut detection = calibrating.detection;
-        let Some(calibration) = self.calibration_of(&calibrating.unit, &mut detection) else {
-            return Ok(());
-        };
-        let State::Calibrating(calibrating) = std::mem::replace(&mut self.state, State::Refusing)
+        let Some(calibration) = sent_calibration(&self.config, &calibrating.unit, &mut detection)
         else {
             return Ok(());
         };
-        let Calibrating {
-            unit,
-            marks,
-            clocks,
-            ..
-        } = *calibrating;
         self.notices.push(Notice::Calibrated {
-            calibrated: unit.calibrated(),
+            calibrated: calibrating.unit.calibrated(),
             packets: self.counts.data,
         });
-        let rate = marks[0]
+        let rate_cdeg_ns = calibrating.marks[0]
             .and_then(|mark| rate_between(&mark, packet, detection.return_mode, detection.spec));
-        self.decode(
+        let known = KnownSensor {
             detection,
-            (calibration, Some(unit)),
-            (clocks, rate),
-            Vec::new(),
-        )
+            calibration,
+            unit: Some(std::mem::take(&mut calibrating.unit)),
+            clocks: calibrating.clocks,
+            rate_cdeg_ns,
+            product: 0,
+        };
+        let next = self.decoding(known);
+        self.enter(next)
     }
 
-    /// Builds what decodes this model and gives it the packets that waited.
-    fn decode(
-        &mut self,
-        detection: Detection,
-        (calibration, unit): (Calibration, Option<Unit>),
-        (clocks, rate_cdeg_ns): (Clocks, Option<f64>),
-        mut waiting: Vec<WaitingPacket>,
-    ) -> Result<(), Fault> {
-        if let Some(mask) = self
-            .config
-            .segment
-            .mask
-            .as_ref()
-            .filter(|mask| mask.rows() != calibration.rows().len())
+    /// The state that decodes the packets of this sensor.
+    fn decoding(&self, known: KnownSensor) -> Result<State, Fault> {
+        let KnownSensor {
+            detection,
+            calibration,
+            unit,
+            clocks,
+            rate_cdeg_ns,
+            product,
+        } = known;
+        let rows = calibration.rows().len();
+        if let Some(mask) = &self.config.segment.mask
+            && mask.rows() != rows
         {
-            let (found, rows) = (mask.rows(), calibration.rows().len());
             return Err(Fault::Mask {
-                found,
+                found: mask.rows(),
                 model: detection.model,
                 rows,
             });
         }
-        self.counts.undecoded -= waiting.len() as u64;
         let limits_m = self.config.segment.min_range_m..=self.config.segment.max_range_m;
         let model = (detection.model, detection.spec);
         let mut decoder = Decoder::new(model, &calibration, self.config.return_choice, limits_m)
@@ -264,28 +266,20 @@ impl Pipeline {
         let mut order = PacketOrder::new(decoder.spec);
         order.expect_rate(rate_cdeg_ns);
         let mut builder = Builder::new(decoder, self.builder_config());
-        (builder.clocks, builder.sequence) = (clocks, self.sweeps);
+        builder.clocks = clocks;
+        builder.sequence = self.sweeps;
         builder.expect_rate(rate_cdeg_ns);
-        let product = waiting.last().map_or(0, |packet| packet.bytes.product);
-        let unit = unit.map(|unit| (unit, calibration));
-        let last_mode = detection.return_mode;
-        let decoding = Decoding {
+        Ok(State::Decoding(Box::new(Decoding {
             detection,
-            unit,
+            unit: unit.map(|unit| (unit, calibration)),
             product,
             foreign: 0,
-            last_mode,
+            last_mode: detection.return_mode,
             unmeasured_us: None,
             late: None,
             order,
             builder,
-        };
-        self.state = State::Decoding(Box::new(decoding));
-        self.counts.reordered += sort_by_stamp(&mut waiting);
-        for packet in &waiting {
-            self.order(&packet.bytes, packet.number, packet.arrival_ns);
-        }
-        Ok(())
+        })))
     }
 
     fn builder_config(&self) -> BuilderConfig {
@@ -367,12 +361,12 @@ impl Decoding {
             return;
         }
         let stamp_us = packet.stamp_us();
-        let fits = |spec: &&&'static Spec| {
+        let measured = specs.iter().find(|spec| {
             before_us.is_some_and(|before_us| {
                 detect::is_next(before_us, stamp_us, spec.packet_period_ns(mode))
             })
-        };
-        match specs.iter().find(fits) {
+        });
+        match measured {
             Some(&spec) if spec != self.detection.spec => {
                 self.detection.spec = spec;
                 self.order.take_spec(spec);
@@ -438,6 +432,31 @@ impl Detecting {
             _ => Some(self.detector.conclude()),
         }
     }
+}
+
+/// The calibration that a unit has sent, if it is complete and that of the model; completes the
+/// detection by what only the unit knows.
+fn sent_calibration(
+    config: &Config,
+    unit: &Unit,
+    detection: &mut Detection,
+) -> Option<Calibration> {
+    // One that no unit can have was damaged on the way, where no checksum tells: the next dump
+    // brings it again.
+    let calibration = unit
+        .calibration()?
+        .and_then(|own| own.for_model(detection.model))
+        .ok()?;
+    // With one return, only the unit itself knows which.
+    if detection.return_mode == ReturnMode::Strongest
+        && unit.return_mode() == Some(ReturnMode::Last)
+    {
+        detection.return_mode = ReturnMode::Last;
+    }
+    if config.model.is_none() && unit.series() == Some(Series::S3) {
+        detection.model = Model::Hdl64eS3;
+    }
+    Some(calibration)
 }
 
 /// Sorts by the sensor's clock, over the hour if need be; returns how many packets had been
