@@ -61,11 +61,10 @@ impl Laser {
     pub fn new(beam: &Beam, distance_unit_m: f64) -> Self {
         let far_m = beam.distance_offset_m;
         let near = beam.two_point.map(|two| {
-            let (x_m, y_m) = (two.distance_offset_x_m, two.distance_offset_y_m);
-            let (x_gain, y_gain) = (
-                (far_m - x_m) / (FAR_M - NEAR_X_M),
-                (far_m - y_m) / (FAR_M - NEAR_Y_M),
-            );
+            let x_m = two.distance_offset_x_m;
+            let y_m = two.distance_offset_y_m;
+            let x_gain = (far_m - x_m) / (FAR_M - NEAR_X_M);
+            let y_gain = (far_m - y_m) / (FAR_M - NEAR_Y_M);
             let gain = x_gain.abs() + y_gain.abs();
             Near {
                 x_m,
@@ -91,7 +90,8 @@ impl Laser {
     /// The beam while the head points to an azimuth, radians.
     pub fn aimed(&self, head_rad: f64) -> Aim<'_> {
         let azimuth_rad = head_rad - self.rotation_rad;
-        let ((sin_a, cos_a), (sin_w, cos_w)) = (azimuth_rad.sin_cos(), self.elevation);
+        let (sin_a, cos_a) = azimuth_rad.sin_cos();
+        let (sin_w, cos_w) = self.elevation;
         Aim {
             laser: self,
             origin: Vec3::new(-self.aside_m * cos_a, self.aside_m * sin_a, self.up_m),
@@ -126,10 +126,10 @@ impl Aim<'_> {
         let Some(near) = &self.laser.near else {
             return true;
         };
-        let is_far =
-            [distance_m, range_m - self.laser.far_offset_m].map(|distance_m| distance_m >= FAR_M);
-        if is_far != [false; 2] {
-            return is_far == [true; 2];
+        let is_distance_far = distance_m >= FAR_M;
+        let is_range_far = range_m - self.laser.far_offset_m >= FAR_M;
+        if is_distance_far || is_range_far {
+            return is_distance_far && is_range_far;
         }
         let apart_m = (self.near_vector(near, distance_m).norm() - range_m).abs();
         let is_before_the_break = distance_m + 2.0 * apart_m < FAR_M;
@@ -173,12 +173,16 @@ impl Aim<'_> {
         if near_m <= nearest_m {
             return near_m;
         }
-        let miss_m = |distance_m| (self.vector(distance_m).norm() - range_m).abs();
-        if miss_m(nearest_m) < miss_m(FAR_M) {
+        if self.miss_m(nearest_m, range_m) < self.miss_m(FAR_M, range_m) {
             nearest_m
         } else {
             FAR_M
         }
+    }
+
+    /// How far a distance in the packet is from meaning a range, metres.
+    fn miss_m(&self, distance_m: f64, range_m: f64) -> f64 {
+        (self.vector(distance_m).norm() - range_m).abs()
     }
 
     /// The same for a near surface, by secants, to about a tolerance: the range grows nearly as the
@@ -186,13 +190,16 @@ impl Aim<'_> {
     /// ones far less.
     fn search(&self, near: &Near, range_m: f64, tolerance_m: f64) -> f64 {
         let mut distance_m = range_m - self.laser.far_offset_m;
-        let (mut moved_m, mut before_m, mut step) = (0.0, 0.0, 1.0);
+        let mut moved_m = 0.0;
+        let mut before_m = 0.0;
+        let mut step = 1.0;
         for _ in 0..6 {
             let off_m = range_m - self.near_vector(near, distance_m).norm();
             if moved_m != 0.0 && off_m != before_m {
                 step = moved_m / (before_m - off_m);
             }
-            (moved_m, before_m) = (off_m * step, off_m);
+            moved_m = off_m * step;
+            before_m = off_m;
             distance_m += moved_m;
             if off_m.abs() < 100.0 * tolerance_m {
                 break;
@@ -220,17 +227,14 @@ impl Aim<'_> {
         // Carried or rounded over the end of the correction, a number would mean a range
         // centimetres off.
         let range_m = self.vector(distance_m).norm() + noise_m;
-        let miss_m = |units: f64| (self.vector(units * unit_m).norm() - range_m).abs();
         let units = rounded(self.distance_m(range_m) / unit_m);
-        [units - 1.0, units + 1.0]
-            .into_iter()
-            .fold(units, |best, other| {
-                if miss_m(other) < miss_m(best) {
-                    other
-                } else {
-                    best
-                }
-            })
+        let mut best = units;
+        for other in [units - 1.0, units + 1.0] {
+            if self.miss_m(other * unit_m, range_m) < self.miss_m(best * unit_m, range_m) {
+                best = other;
+            }
+        }
+        best
     }
 
     /// Whether a number of 16 bits can say a distance.
@@ -279,7 +283,8 @@ impl Aim<'_> {
         across: f64,
         up: f64,
     ) -> (Vec3, f64) {
-        let (w, u) = (self.laser.elevation.1, direction);
+        let u = direction;
+        let w = self.laser.elevation.1;
         let right = Vec3::new(u.y, -u.x, 0.0) / w;
         let above = Vec3::new(-u.x * u.z / w, -u.y * u.z / w, w);
         (
@@ -303,9 +308,9 @@ impl Aim<'_> {
 /// What is added to the intensity of a return at a distance of this many units (S3 manual, Appendix
 /// F): the lens is focused at one distance, and what is nearer or farther returns less light.
 fn intensity_boost(intensity: &Intensity, units: f64) -> f64 {
-    let bowl = |share: f64| 256.0 * (1.0 - share).powi(2);
-    let focus = bowl(intensity.focal_distance_m / FARTHEST_M);
-    intensity.focal_slope * (focus - bowl(units / f64::from(u16::MAX))).abs()
+    let focus = 256.0 * (1.0 - intensity.focal_distance_m / FARTHEST_M).powi(2);
+    let here = 256.0 * (1.0 - units / f64::from(u16::MAX)).powi(2);
+    intensity.focal_slope * (focus - here).abs()
 }
 
 #[cfg(test)]

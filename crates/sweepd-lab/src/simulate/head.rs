@@ -102,10 +102,8 @@ impl SpeedChange {
     /// For how long more (less, where negative) it would have had to turn at the first speed,
     /// nanoseconds.
     fn gained_ns(&self, time_ns: f64) -> f64 {
-        let (since_ns, lasts_ns) = (
-            (time_ns - self.from_ns as f64).max(0.0),
-            self.lasts_ns as f64,
-        );
+        let since_ns = (time_ns - self.from_ns as f64).max(0.0);
+        let lasts_ns = self.lasts_ns as f64;
         let changing_ns = since_ns.min(lasts_ns);
         let mean = if lasts_ns > 0.0 {
             changing_ns / lasts_ns / 2.0
@@ -140,7 +138,8 @@ impl Motor {
 
     /// The same without stall and drift.
     fn driven_ns(&self, time_ns: i64) -> f64 {
-        let (time_ns, spin_up_ns) = (time_ns as f64, self.spin_up_ns as f64);
+        let time_ns = time_ns as f64;
+        let spin_up_ns = self.spin_up_ns as f64;
         let even_ns = if time_ns < spin_up_ns {
             time_ns.powi(2) / (2.0 * spin_up_ns)
         } else {

@@ -22,7 +22,8 @@ pub struct Ray {
 impl Ray {
     /// The ray from a point towards an azimuth and an elevation, radians.
     pub fn new(origin: Vec3, azimuth_rad: f64, elevation_rad: f64) -> Self {
-        let ((sin_a, cos_a), (sin_w, cos_w)) = (azimuth_rad.sin_cos(), elevation_rad.sin_cos());
+        let (sin_a, cos_a) = azimuth_rad.sin_cos();
+        let (sin_w, cos_w) = elevation_rad.sin_cos();
         Self {
             origin,
             direction: Vec3::new(cos_w * sin_a, cos_w * cos_a, sin_w),
@@ -40,30 +41,38 @@ impl Ray {
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub enum Shape {
     /// A cuboid, upright, turned about the vertical.
-    Cuboid {
-        /// Its centre.
-        centre: Vec3,
-        /// Half its width (across), length (along) and height.
-        half: Vec3,
-        /// Sine and cosine of the heading of its length.
-        heading: (f64, f64),
-    },
+    Cuboid(Cuboid),
     /// An upright cylinder with flat ends.
-    Cylinder {
-        /// Centre of its lower end.
-        foot: Vec3,
-        /// Its radius.
-        radius_m: f64,
-        /// Its height.
-        height_m: f64,
-    },
+    Cylinder(Cylinder),
     /// An ellipsoid whose axes are those of the frame; a sphere when they are equal.
-    Ellipsoid {
-        /// Its centre.
-        centre: Vec3,
-        /// Its semi-axes.
-        semi: Vec3,
-    },
+    Ellipsoid(Ellipsoid),
+}
+
+/// See [`Shape::Cuboid`].
+#[derive(Clone, Copy, Debug, PartialEq)]
+pub struct Cuboid {
+    centre: Vec3,
+    /// Half its width (across), length (along) and height.
+    half: Vec3,
+    /// Sine and cosine of the heading of its length.
+    heading: (f64, f64),
+}
+
+/// See [`Shape::Cylinder`].
+#[derive(Clone, Copy, Debug, PartialEq)]
+pub struct Cylinder {
+    /// Centre of its lower end.
+    foot: Vec3,
+    radius_m: f64,
+    height_m: f64,
+}
+
+/// See [`Shape::Ellipsoid`].
+#[derive(Clone, Copy, Debug, PartialEq)]
+pub struct Ellipsoid {
+    centre: Vec3,
+    /// Its semi-axes.
+    semi: Vec3,
 }
 
 /// The stretch of a ray inside a solid.
@@ -107,107 +116,71 @@ impl Shape {
     /// A cuboid on a base centre: width across, length along the heading, height upwards.
     pub fn cuboid(base: [f64; 3], size: [f64; 3], heading_rad: f64) -> Self {
         let half = Vec3::from(size) / 2.0;
-        Self::Cuboid {
+        Self::Cuboid(Cuboid {
             centre: Vec3::from(base) + Vec3::z() * half.z,
             half,
             heading: heading_rad.sin_cos(),
-        }
+        })
     }
 
     /// An upright cylinder on the centre of its foot.
     pub fn cylinder(foot: [f64; 3], radius_m: f64, height_m: f64) -> Self {
-        Self::Cylinder {
+        Self::Cylinder(Cylinder {
             foot: Vec3::from(foot),
             radius_m,
             height_m,
-        }
+        })
     }
 
     /// An ellipsoid about its centre.
     pub fn ellipsoid(centre: [f64; 3], semi: [f64; 3]) -> Self {
-        Self::Ellipsoid {
+        Self::Ellipsoid(Ellipsoid {
             centre: Vec3::from(centre),
             semi: Vec3::from(semi),
-        }
+        })
     }
 
     /// Where a ray from outside passes through, if it does.
     pub fn span(&self, ray: &Ray) -> Option<Span> {
-        match *self {
-            Self::Cuboid {
-                centre,
-                half,
-                heading,
-            } => cuboid_span(ray, centre, half, heading),
-            Self::Cylinder {
-                foot,
-                radius_m,
-                height_m,
-            } => cylinder_span(ray, foot, radius_m, height_m),
-            Self::Ellipsoid { centre, semi } => ellipsoid_span(ray, centre, semi),
+        match self {
+            Self::Cuboid(cuboid) => cuboid.span(ray),
+            Self::Cylinder(cylinder) => cylinder.span(ray),
+            Self::Ellipsoid(ellipsoid) => ellipsoid.span(ray),
         }
     }
 
     /// Where a ray passes the solid and its brim, if it comes within `rim_m` of it.
     pub fn brim(&self, ray: &Ray, rim_m: f64) -> Option<Brim> {
-        match *self {
-            Self::Cuboid {
-                centre,
-                half,
-                heading,
-            } => cuboid_brim(ray, centre, half, heading, rim_m),
-            _ => {
-                let outer_m = self.grown(rim_m)?.span(ray)?.enter_m;
-                let core_m = self
-                    .grown(-rim_m)
-                    .and_then(|core| core.span(ray))
-                    .map(|span| span.enter_m);
-                Some(Brim {
-                    outer_m,
-                    core_m,
-                    span: self.span(ray),
-                })
-            }
+        if let Self::Cuboid(cuboid) = self {
+            return cuboid.brim(ray, rim_m);
         }
+        let outer_m = self.grown(rim_m)?.span(ray)?.enter_m;
+        let core = self.grown(-rim_m).and_then(|core| core.span(ray));
+        Some(Brim {
+            outer_m,
+            core_m: core.map(|span| span.enter_m),
+            span: self.span(ray),
+        })
     }
 
     /// The same solid, larger by a margin to all sides, or smaller by one below 0; none if nothing
     /// of it is left.
     pub fn grown(&self, margin_m: f64) -> Option<Self> {
-        let (grown, least_m) = match *self {
-            Self::Cuboid {
-                centre,
-                half,
-                heading,
-            } => {
-                let half = half.add_scalar(margin_m);
-                (
-                    Self::Cuboid {
-                        centre,
-                        half,
-                        heading,
-                    },
-                    half.min(),
-                )
+        let mut grown = *self;
+        let least_m = match &mut grown {
+            Self::Cuboid(cuboid) => {
+                cuboid.half = cuboid.half.add_scalar(margin_m);
+                cuboid.half.min()
             }
-            Self::Cylinder {
-                foot,
-                radius_m,
-                height_m,
-            } => {
-                let (radius_m, height_m) = (radius_m + margin_m, height_m + 2.0 * margin_m);
-                (
-                    Self::Cylinder {
-                        foot: foot - Vec3::z() * margin_m,
-                        radius_m,
-                        height_m,
-                    },
-                    radius_m.min(height_m),
-                )
+            Self::Cylinder(cylinder) => {
+                cylinder.foot -= Vec3::z() * margin_m;
+                cylinder.radius_m += margin_m;
+                cylinder.height_m += 2.0 * margin_m;
+                cylinder.radius_m.min(cylinder.height_m)
             }
-            Self::Ellipsoid { centre, semi } => {
-                let semi = semi.add_scalar(margin_m);
-                (Self::Ellipsoid { centre, semi }, semi.min())
+            Self::Ellipsoid(ellipsoid) => {
+                ellipsoid.semi = ellipsoid.semi.add_scalar(margin_m);
+                ellipsoid.semi.min()
             }
         };
         (least_m > 0.0).then_some(grown)
@@ -216,27 +189,27 @@ impl Shape {
     /// A prism around it.
     pub fn bounds(&self) -> Bounds {
         match *self {
-            Self::Cuboid {
+            Self::Cuboid(Cuboid {
                 centre: c,
                 half: h,
                 heading,
-            } => Bounds {
+            }) => Bounds {
                 centre: [c.x, c.y],
                 half: [h.x, h.y],
                 heading,
                 z: [c.z - h.z, c.z + h.z],
             },
-            Self::Cylinder {
+            Self::Cylinder(Cylinder {
                 foot: f,
                 radius_m: r,
                 height_m,
-            } => Bounds {
+            }) => Bounds {
                 centre: [f.x, f.y],
                 half: [r, r],
                 heading: (0.0, 1.0),
                 z: [f.z, f.z + height_m],
             },
-            Self::Ellipsoid { centre: c, semi: s } => Bounds {
+            Self::Ellipsoid(Ellipsoid { centre: c, semi: s }) => Bounds {
                 centre: [c.x, c.y],
                 half: [s.x, s.y],
                 heading: (0.0, 1.0),
@@ -281,16 +254,9 @@ fn slab(origin: f64, direction: f64, half: f64) -> Option<[f64; 2]> {
     if direction == 0.0 {
         return (origin.abs() <= half).then_some([f64::NEG_INFINITY, f64::INFINITY]);
     }
-    let (a, b) = ((-half - origin) / direction, (half - origin) / direction);
+    let a = (-half - origin) / direction;
+    let b = (half - origin) / direction;
     Some([lesser(a, b), greater(a, b)])
-}
-
-/// Where a ray starts and goes in the frame of a cuboid: across, along and up.
-fn in_frame(ray: &Ray, centre: Vec3, heading: (f64, f64)) -> [[f64; 3]; 2] {
-    let from = ray.origin - centre;
-    let [ox, oy] = turned(from.x, from.y, heading);
-    let [dx, dy] = turned(ray.direction.x, ray.direction.y, heading);
-    [[ox, oy, from.z], [dx, dy, ray.direction.z]]
 }
 
 /// Where a ray passes through a cuboid that it crosses the three slabs of; the ray's direction in
@@ -304,117 +270,126 @@ fn slabs_span(slabs: &[[f64; 2]; 3], direction: &[f64; 3]) -> Option<Span> {
         }
     }
     let enter_m = slabs[face][0];
-    let (cos_incidence, wall) = (direction[face].abs(), face < 2);
     (enter_m < leave_m && enter_m > 0.0).then_some(Span {
         enter_m,
         leave_m,
-        cos_incidence,
-        wall,
+        cos_incidence: direction[face].abs(),
+        wall: face < 2,
     })
-}
-
-fn cuboid_span(ray: &Ray, centre: Vec3, half: Vec3, heading: (f64, f64)) -> Option<Span> {
-    let [o, d] = in_frame(ray, centre, heading);
-    let slabs = [
-        slab(o[0], d[0], half.x)?,
-        slab(o[1], d[1], half.y)?,
-        slab(o[2], d[2], half.z)?,
-    ];
-    slabs_span(&slabs, &d)
 }
 
 /// Where a ray enters the cuboid that is larger by so much to all sides, if it meets that.
 /// `steps_m` is what it goes along the ray between the faces of the two.
 fn grown_enter_m(slabs: &[[f64; 2]; 3], steps_m: [f64; 3]) -> Option<f64> {
-    let [x, y, z] = [0, 1, 2].map(|axis| {
-        [
-            slabs[axis][0] - steps_m[axis],
-            slabs[axis][1] + steps_m[axis],
-        ]
-    });
-    let enter_m = greater(greater(x[0], y[0]), z[0]);
-    let leave_m = lesser(lesser(x[1], y[1]), z[1]);
+    let [x, y, z] = slabs;
+    let [step_x, step_y, step_z] = steps_m;
+    let enter_m = greater(greater(x[0] - step_x, y[0] - step_y), z[0] - step_z);
+    let leave_m = lesser(lesser(x[1] + step_x, y[1] + step_y), z[1] + step_z);
     (enter_m < leave_m && enter_m > 0.0).then_some(enter_m)
 }
 
-/// [`Shape::brim`] of a cuboid: all three from the same six divisions.
-fn cuboid_brim(
-    ray: &Ray,
-    centre: Vec3,
-    half: Vec3,
-    heading: (f64, f64),
-    rim_m: f64,
-) -> Option<Brim> {
-    let [o, d] = in_frame(ray, centre, heading);
-    // Along a face the step would be infinite; so it is hardly aslant.
-    let d = d.map(|d| if d == 0.0 { 1e-300 } else { d });
-    let slabs = [
-        slab(o[0], d[0], half.x)?,
-        slab(o[1], d[1], half.y)?,
-        slab(o[2], d[2], half.z)?,
-    ];
-    let steps_m = d.map(|d| rim_m / d.abs());
-    let outer_m = grown_enter_m(&slabs, steps_m)?;
-    let has_core = lesser(lesser(half.x, half.y), half.z) > rim_m;
-    let core_m = if has_core {
-        grown_enter_m(&slabs, steps_m.map(|step_m| -step_m))
-    } else {
-        None
-    };
-    Some(Brim {
-        outer_m,
-        core_m,
-        span: slabs_span(&slabs, &d),
-    })
+impl Cuboid {
+    /// Where a ray starts and goes in the frame of the cuboid: across, along and up.
+    fn in_frame(&self, ray: &Ray) -> [[f64; 3]; 2] {
+        let from = ray.origin - self.centre;
+        let [ox, oy] = turned(from.x, from.y, self.heading);
+        let [dx, dy] = turned(ray.direction.x, ray.direction.y, self.heading);
+        [[ox, oy, from.z], [dx, dy, ray.direction.z]]
+    }
+
+    fn slabs(&self, origin: &[f64; 3], direction: &[f64; 3]) -> Option<[[f64; 2]; 3]> {
+        Some([
+            slab(origin[0], direction[0], self.half.x)?,
+            slab(origin[1], direction[1], self.half.y)?,
+            slab(origin[2], direction[2], self.half.z)?,
+        ])
+    }
+
+    fn span(&self, ray: &Ray) -> Option<Span> {
+        let [origin, direction] = self.in_frame(ray);
+        slabs_span(&self.slabs(&origin, &direction)?, &direction)
+    }
+
+    /// See [`Shape::brim`]: all three from the same six divisions.
+    fn brim(&self, ray: &Ray, rim_m: f64) -> Option<Brim> {
+        let [origin, direction] = self.in_frame(ray);
+        // Along a face the step would be infinite; so it is hardly aslant.
+        let direction = direction.map(|d| if d == 0.0 { 1e-300 } else { d });
+        let slabs = self.slabs(&origin, &direction)?;
+        let steps_m = direction.map(|d| rim_m / d.abs());
+        let outer_m = grown_enter_m(&slabs, steps_m)?;
+        let has_core = lesser(lesser(self.half.x, self.half.y), self.half.z) > rim_m;
+        let core_m = if has_core {
+            grown_enter_m(&slabs, steps_m.map(|step_m| -step_m))
+        } else {
+            None
+        };
+        Some(Brim {
+            outer_m,
+            core_m,
+            span: slabs_span(&slabs, &direction),
+        })
+    }
 }
 
-fn cylinder_span(ray: &Ray, foot: Vec3, radius_m: f64, height_m: f64) -> Option<Span> {
-    let (from, d) = (ray.origin - foot, ray.direction);
-    let (a, b) = (d.x * d.x + d.y * d.y, from.x * d.x + from.y * d.y);
-    let c = from.x * from.x + from.y * from.y - radius_m * radius_m;
-    let root = greater(b * b - a * c, 0.0).sqrt();
-    if root == 0.0 {
-        return None;
+impl Cylinder {
+    fn span(&self, ray: &Ray) -> Option<Span> {
+        let Self {
+            foot,
+            radius_m,
+            height_m,
+        } = *self;
+        let from = ray.origin - foot;
+        let d = ray.direction;
+        let a = d.x * d.x + d.y * d.y;
+        let b = from.x * d.x + from.y * d.y;
+        let c = from.x * from.x + from.y * from.y - radius_m * radius_m;
+        let root = greater(b * b - a * c, 0.0).sqrt();
+        if root == 0.0 {
+            return None;
+        }
+        let side = [(-b - root) / a, (-b + root) / a];
+        let ends = slab(from.z - height_m / 2.0, d.z, height_m / 2.0)?;
+        let leave_m = lesser(side[1], ends[1]);
+        let (enter_m, cos_incidence) = if side[0] >= ends[0] {
+            let normal_x = (from.x + d.x * side[0]) / radius_m;
+            let normal_y = (from.y + d.y * side[0]) / radius_m;
+            (side[0], (normal_x * d.x + normal_y * d.y).abs())
+        } else {
+            (ends[0], d.z.abs())
+        };
+        (enter_m < leave_m && enter_m > 0.0).then_some(Span {
+            enter_m,
+            leave_m,
+            cos_incidence,
+            wall: false,
+        })
     }
-    let side = [(-b - root) / a, (-b + root) / a];
-    let ends = slab(from.z - height_m / 2.0, d.z, height_m / 2.0)?;
-    let leave_m = lesser(side[1], ends[1]);
-    let (enter_m, cos_incidence) = if side[0] >= ends[0] {
-        let normal = [
-            (from.x + d.x * side[0]) / radius_m,
-            (from.y + d.y * side[0]) / radius_m,
-        ];
-        (side[0], (normal[0] * d.x + normal[1] * d.y).abs())
-    } else {
-        (ends[0], d.z.abs())
-    };
-    (enter_m < leave_m && enter_m > 0.0).then_some(Span {
-        enter_m,
-        leave_m,
-        cos_incidence,
-        wall: false,
-    })
 }
 
-fn ellipsoid_span(ray: &Ray, centre: Vec3, semi: Vec3) -> Option<Span> {
-    // Scaled by its axes the ellipsoid is the unit sphere, and distances along the ray stay what
-    // they are.
-    let from = (ray.origin - centre).component_div(&semi);
-    let d = ray.direction.component_div(&semi);
-    let (a, b, c) = (d.norm_squared(), from.dot(&d), from.norm_squared() - 1.0);
-    let square = b * b - a * c;
-    if square <= 0.0 {
-        return None;
+impl Ellipsoid {
+    fn span(&self, ray: &Ray) -> Option<Span> {
+        // Scaled by its axes the ellipsoid is the unit sphere, and distances along the ray stay
+        // what they are.
+        let from = (ray.origin - self.centre).component_div(&self.semi);
+        let d = ray.direction.component_div(&self.semi);
+        let a = d.norm_squared();
+        let b = from.dot(&d);
+        let c = from.norm_squared() - 1.0;
+        let square = b * b - a * c;
+        if square <= 0.0 {
+            return None;
+        }
+        let enter_m = (-b - square.sqrt()) / a;
+        let leave_m = (-b + square.sqrt()) / a;
+        let normal = (from + d * enter_m).component_div(&self.semi).normalize();
+        (enter_m > 0.0).then_some(Span {
+            enter_m,
+            leave_m,
+            cos_incidence: normal.dot(&ray.direction).abs(),
+            wall: false,
+        })
     }
-    let (enter_m, leave_m) = ((-b - square.sqrt()) / a, (-b + square.sqrt()) / a);
-    let normal = (from + d * enter_m).component_div(&semi).normalize();
-    let cos_incidence = normal.dot(&ray.direction).abs();
-    (enter_m > 0.0).then_some(Span {
-        enter_m,
-        leave_m,
-        cos_incidence,
-        wall: false,
-    })
 }
 
 impl Bounds {
@@ -429,7 +404,8 @@ impl Bounds {
     /// nearest is 0 inside.
     pub fn reach(&self, eye: Vec3) -> [f64; 2] {
         let [x, y] = turned(eye.x - self.centre[0], eye.y - self.centre[1], self.heading);
-        let (x, y) = (x.abs(), y.abs());
+        let x = x.abs();
+        let y = y.abs();
         let near = f64::hypot((x - self.half[0]).max(0.0), (y - self.half[1]).max(0.0));
         [near, f64::hypot(x + self.half[0], y + self.half[1])]
     }
