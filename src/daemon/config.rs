@@ -1,7 +1,7 @@
 //! What the daemon is to run: a TOML file, read, checked, and compared with the one before.
 //!
 //! ```text
-//! text -> file (keys and types) -> check (values, files, sensors among each other) -> Config -> changes (a reload)
+//! text -> file, table (keys and types) -> check (values, files, sensors among each other) -> Config -> changes (a reload)
 //! error                            what is wrong, where, and what was meant
 //! memory                           bytes that it takes
 //! host                             what this host does not have of it
@@ -13,6 +13,7 @@ mod error;
 mod file;
 mod host;
 pub mod memory;
+mod table;
 
 use std::net::{IpAddr, Ipv4Addr, SocketAddr};
 use std::path::{Path, PathBuf};

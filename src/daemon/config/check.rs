@@ -53,7 +53,7 @@ pub(super) fn check(reading: file::Reading, folder: &Path) -> Result<Config, Vec
         http: check.http(&file),
         http_public: file.http_public,
     };
-    let sensors = check.sensors(&file.sensor.0);
+    let sensors = check.sensors(&file.sensors);
     let record = file.record.as_ref().and_then(|record| check.record(record));
     check
         .problems

@@ -7,8 +7,6 @@ use std::path::PathBuf;
 
 use annotate_snippets::{AnnotationKind, Group, Level, Renderer, Snippet};
 
-use crate::suggest::suggestion;
-
 /// Why there is no [`Config`](super::Config).
 #[derive(Debug, thiserror::Error)]
 pub enum ConfigError {
@@ -70,30 +68,12 @@ impl Problem {
         self
     }
 
-    /// What the TOML reader found: a slip of the pen, an unknown key, a wrong type.
-    pub fn of_toml(error: &toml::de::Error, text: &str) -> Self {
+    /// A slip in the syntax, as the TOML reader found it.
+    pub fn of_toml(error: &toml::de::Error) -> Self {
         let at = error.span().unwrap_or(0..0);
-        let message = error.message();
-        let found = text.get(at.clone()).unwrap_or_default();
-        let (title, expected) = match message.split_once(", expected ") {
-            Some((title, expected)) => (title, format!("expected {expected}")),
-            None => (message, String::new()),
-        };
-        let words = [
-            ("unknown field", "unknown key"),
-            ("missing field", "missing key"),
-            ("unknown variant", "unknown value"),
-            ("invalid type: map", "wrong type: table"),
-            ("invalid type: sequence", "wrong type: list"),
-            ("invalid type", "wrong type"),
-        ];
-        let title = words.iter().fold(title.to_owned(), |title, (serde, ours)| {
-            title.replacen(serde, ours, 1)
-        });
-        let cure = suggestion(found, &expected).map(|word| format!("did you mean `{word}`?"));
-        Self {
-            cure,
-            ..Self::new(at, title, expected)
+        match error.message().split_once(", expected ") {
+            Some((title, expected)) => Self::new(at, title, format!("expected {expected}")),
+            None => Self::new(at, error.message(), ""),
         }
     }
 

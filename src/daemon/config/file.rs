@@ -1,20 +1,19 @@
-//! A configuration file as it is written: keys and types, nothing checked yet.
+//! A configuration file as it is written: keys and types, no values checked yet. A key is named
+//! once, where it is read.
 
-use std::fmt;
-use std::marker::PhantomData;
 use std::ops::Range;
 
-use serde::de::{Deserialize, DeserializeSeed, Deserializer, Error, MapAccess, SeqAccess, Visitor};
 use toml::Spanned;
 use toml::de::{DeTable, DeValue};
 
 use super::error::Problem;
+use super::table::{FormProblems, TableReader};
+use sweepd_core::segment::Method;
 use sweepd_core::segment::settings::{SETTINGS, Setting, Table, Unit};
+use sweepd_core::sweep::layout::ReturnChoice;
 
-/// Most problems of a file that are looked for: each costs another reading.
+/// Most problems of form that are shown.
 const MAX_PROBLEMS: usize = 64;
-/// Keys without which a table cannot be read.
-const REQUIRED: [&str; 3] = ["name", "address", "path"];
 
 /// A file as far as it could be read.
 pub struct Reading {
@@ -22,8 +21,8 @@ pub struct Reading {
     pub file: File,
     /// Unknown keys, missing keys and wrong types.
     pub problems: Vec<Problem>,
-    /// Where something was left out or stands for a required key: further problems of these places
-    /// are no news.
+    /// Where something was passed over or stands for a required key: further problems of these
+    /// places are no news.
     pub replaced: Vec<Range<usize>>,
 }
 
@@ -34,385 +33,210 @@ pub struct Reading {
 /// The problems, if what is left cannot be read: the first slip in the syntax, or too many
 /// problems.
 pub fn read(text: &str) -> Result<Reading, Vec<Problem>> {
-    let mut table = DeTable::parse(text).map_err(|error| vec![Problem::of_toml(&error, text)])?;
-    let (mut problems, mut replaced) = (Vec::new(), Vec::new());
-    loop {
-        match File::deserialize(toml::Deserializer::from(table.clone())) {
-            Ok(file) => {
-                return Ok(Reading {
-                    file,
-                    problems,
-                    replaced,
-                });
-            }
-            Err(error) => {
-                problems.push(Problem::of_toml(&error, text));
-                let place = error.span().filter(|_| problems.len() < MAX_PROBLEMS);
-                let Some(place) =
-                    place.filter(|place| pass_over(&mut table, place, error.message()))
-                else {
-                    return Err(problems);
-                };
-                let is_sensors = table.get_ref().get("sensor").is_none();
-                replaced.push(if is_sensors { 0..0 } else { place });
-            }
-        }
+    let table = DeTable::parse(text).map_err(|error| vec![Problem::of_toml(&error)])?;
+    let mut form = FormProblems::new(text);
+    let file = File::read(TableReader::of(table, &mut form));
+    let FormProblems {
+        mut problems,
+        mut replaced,
+        ..
+    } = form;
+    if problems.len() >= MAX_PROBLEMS {
+        problems.sort_by_key(|problem| problem.at.start);
+        problems.truncate(MAX_PROBLEMS);
+        return Err(problems);
     }
-}
-
-/// Changes the table where an error is, so that it can be read past that. Whether the place was
-/// found.
-fn pass_over(table: &mut Spanned<DeTable<'_>>, place: &Range<usize>, message: &str) -> bool {
-    let span = table.span();
-    let missing = message
-        .strip_prefix("missing field `")
-        .and_then(|rest| rest.strip_suffix('`'));
-    if let Some(key) = missing.filter(|_| span == *place) {
-        let placeholder = Spanned::new(span.clone(), DeValue::String(String::new().into()));
-        table
-            .get_mut()
-            .insert(Spanned::new(span, key.to_owned().into()), placeholder);
-        return true;
+    // That no sensor could be read says nothing of whether one is configured.
+    if file.sensors.is_empty() && !problems.is_empty() {
+        replaced.push(0..0);
     }
-    let is_here = |key: &Range<usize>, value: &Range<usize>| {
-        key == place || (missing.is_none() && value == place)
-    };
-    let entry = table
-        .get_ref()
-        .iter()
-        .find(|(key, value)| is_here(&key.span(), &value.span()));
-    if let Some(key) = entry.map(|(key, _)| key.clone()) {
-        let is_required = REQUIRED.contains(&&key.get_ref()[..]) && key.span() != *place;
-        match table.get_mut().get_mut(&key).filter(|_| is_required) {
-            Some(value) => *value.get_mut() = DeValue::String(String::new().into()),
-            None => drop(table.get_mut().remove(&key)),
-        }
-        return true;
-    }
-    table
-        .get_mut()
-        .iter_mut()
-        .any(|(_, value)| pass_over_within(value, place, message))
-}
-
-fn pass_over_within(value: &mut Spanned<DeValue<'_>>, place: &Range<usize>, message: &str) -> bool {
-    let span = value.span();
-    match value.get_mut() {
-        DeValue::Table(inner) => {
-            let mut table = Spanned::new(span, std::mem::take(inner));
-            let found = pass_over(&mut table, place, message);
-            *inner = table.into_inner();
-            found
-        }
-        DeValue::Array(values) => values
-            .iter_mut()
-            .any(|value| pass_over_within(value, place, message)),
-        _ => false,
-    }
+    Ok(Reading {
+        file,
+        problems,
+        replaced,
+    })
 }
 
 /// The whole file.
-#[derive(serde::Deserialize)]
-#[serde(deny_unknown_fields)]
 pub struct File {
     pub http: Option<Spanned<String>>,
-    #[serde(default)]
     pub http_public: bool,
     pub root: Option<Spanned<String>>,
-    #[serde(default)]
-    pub sensor: Sensors,
+    pub sensors: Vec<Spanned<Sensor>>,
     pub record: Option<Record>,
 }
 
+impl File {
+    fn read(mut table: TableReader<'_, '_, '_>) -> Self {
+        let file = Self {
+            http: table.text("http"),
+            http_public: table.flag("http_public"),
+            root: table.text("root"),
+            sensors: Sensor::read_all(&mut table),
+            record: table.table("record", Record::read),
+        };
+        table.finish();
+        file
+    }
+}
+
 /// A `[[sensor]]`.
-#[derive(serde::Deserialize)]
-#[serde(deny_unknown_fields)]
 pub struct Sensor {
     pub name: Spanned<String>,
     pub address: Spanned<String>,
-    pub port: Option<Spanned<Whole>>,
-    pub position_port: Option<Spanned<Whole>>,
+    pub port: Option<Spanned<i64>>,
+    pub position_port: Option<Spanned<i64>>,
     pub bind: Option<Spanned<String>>,
     pub multicast: Option<Spanned<String>>,
     pub interface: Option<Spanned<String>>,
-    pub cpu: Option<Spanned<Whole>>,
-    pub realtime_priority: Option<Spanned<Whole>>,
+    pub cpu: Option<Spanned<i64>>,
+    pub realtime_priority: Option<Spanned<i64>>,
     pub model: Option<Spanned<String>>,
     pub calibration: Option<Spanned<String>>,
-    pub returns: Option<Spanned<Returns>>,
-    #[serde(rename = "return")]
-    pub which_return: Option<WhichReturn>,
-    pub cut_azimuth_deg: Option<Spanned<Number>>,
-    pub rpm: Option<Spanned<Number>>,
-    #[serde(default)]
+    /// Whether `returns` is `dual`.
+    pub dual: Option<Spanned<bool>>,
+    pub return_choice: Option<Spanned<ReturnChoice>>,
+    pub cut_azimuth_deg: Option<Spanned<f64>>,
+    pub rpm: Option<Spanned<f64>>,
     pub gps_without_pps: bool,
-    pub loss_warning_percent: Option<Spanned<Number>>,
-    pub loss_fault_percent: Option<Spanned<Number>>,
-    pub max_consumers: Option<Spanned<Whole>>,
-    #[serde(default)]
+    pub loss_warning_percent: Option<Spanned<f64>>,
+    pub loss_fault_percent: Option<Spanned<f64>>,
+    pub max_consumers: Option<Spanned<i64>>,
     pub mount: Mount,
-    #[serde(default)]
     pub segment: Segment,
+}
+
+impl Sensor {
+    fn read_all(file: &mut TableReader<'_, '_, '_>) -> Vec<Spanned<Self>> {
+        let Some(value) = file.take("sensor") else {
+            return Vec::new();
+        };
+        let DeValue::Array(tables) = value.get_ref() else {
+            let expected = "one [[sensor]], in double brackets, for each sensor";
+            file.problems().wrong_type(&value, expected);
+            return Vec::new();
+        };
+        let mut sensors = Vec::new();
+        for table in tables.iter() {
+            if let Some(reader) = TableReader::new(table.clone(), file.problems()) {
+                sensors.push(Spanned::new(table.span(), Self::read(reader)));
+            }
+        }
+        sensors
+    }
+
+    fn read(mut table: TableReader<'_, '_, '_>) -> Self {
+        let returns = [("single", false), ("dual", true)];
+        let choices = [
+            ("nearest", ReturnChoice::Nearest),
+            ("strongest", ReturnChoice::Strongest),
+            ("last", ReturnChoice::Last),
+        ];
+        let sensor = Self {
+            name: table.required_text("name"),
+            address: table.required_text("address"),
+            port: table.whole("port"),
+            position_port: table.whole("position_port"),
+            bind: table.text("bind"),
+            multicast: table.text("multicast"),
+            interface: table.text("interface"),
+            cpu: table.whole("cpu"),
+            realtime_priority: table.whole("realtime_priority"),
+            model: table.text("model"),
+            calibration: table.text("calibration"),
+            dual: table.choice("returns", &returns),
+            return_choice: table.choice("return", &choices),
+            cut_azimuth_deg: table.number("cut_azimuth_deg"),
+            rpm: table.number("rpm"),
+            gps_without_pps: table.flag("gps_without_pps"),
+            loss_warning_percent: table.number("loss_warning_percent"),
+            loss_fault_percent: table.number("loss_fault_percent"),
+            max_consumers: table.whole("max_consumers"),
+            mount: table.table("mount", Mount::read).unwrap_or_default(),
+            segment: table.table("segment", Segment::read).unwrap_or_default(),
+        };
+        table.finish();
+        sensor
+    }
 }
 
 /// `[sensor.mount]`.
 #[derive(Default)]
 pub struct Mount {
-    pub x_m: Option<Spanned<Number>>,
-    pub y_m: Option<Spanned<Number>>,
-    pub z_m: Option<Spanned<Number>>,
-    pub yaw_deg: Option<Spanned<Number>>,
+    pub x_m: Option<Spanned<f64>>,
+    pub y_m: Option<Spanned<f64>>,
+    pub z_m: Option<Spanned<f64>>,
+    pub yaw_deg: Option<Spanned<f64>>,
     pub numbers: Numbers,
+}
+
+impl Mount {
+    fn read(mut table: TableReader<'_, '_, '_>) -> Self {
+        let mount = Self {
+            x_m: table.number("x_m"),
+            y_m: table.number("y_m"),
+            z_m: table.number("z_m"),
+            yaw_deg: table.number("yaw_deg"),
+            numbers: numbers(&mut table, Table::Mount),
+        };
+        table.finish();
+        mount
+    }
 }
 
 /// `[sensor.segment]`.
 #[derive(Default)]
 pub struct Segment {
-    pub method: Option<Method>,
+    pub method: Option<Spanned<Method>>,
     pub mask: Option<Spanned<String>>,
     pub numbers: Numbers,
+}
+
+impl Segment {
+    fn read(mut table: TableReader<'_, '_, '_>) -> Self {
+        let methods = [("slope", Method::Slope), ("paper", Method::Paper)];
+        let segment = Self {
+            method: table.choice("method", &methods),
+            mask: table.text("mask"),
+            numbers: numbers(&mut table, Table::Segment),
+        };
+        table.finish();
+        segment
+    }
 }
 
 /// Numbers of [`SETTINGS`] that are written in a table.
 pub type Numbers = Vec<(&'static Setting, Spanned<f64>)>;
 
-/// A table whose keys are its own and those of [`SETTINGS`].
-trait Keyed: Default {
-    const TABLE: Table;
-    /// Its own keys.
-    const KEYS: &'static [&'static str];
-
-    /// Reads the value of one of its own keys.
-    fn read<'de, A: MapAccess<'de>>(&mut self, key: &str, map: &mut A) -> Result<(), A::Error>;
-
-    fn numbers(&mut self) -> &mut Numbers;
-}
-
-impl Keyed for Mount {
-    const TABLE: Table = Table::Mount;
-    const KEYS: &'static [&'static str] = &["x_m", "y_m", "z_m", "yaw_deg"];
-
-    fn read<'de, A: MapAccess<'de>>(&mut self, key: &str, map: &mut A) -> Result<(), A::Error> {
-        let field = match key {
-            "x_m" => &mut self.x_m,
-            "y_m" => &mut self.y_m,
-            "z_m" => &mut self.z_m,
-            _ => &mut self.yaw_deg,
+fn numbers(table: &mut TableReader<'_, '_, '_>, of: Table) -> Numbers {
+    let mut numbers = Vec::new();
+    for setting in SETTINGS.iter().filter(|setting| setting.table == of) {
+        let number = match setting.unit {
+            Unit::Count => table
+                .whole(setting.key)
+                .map(|count| Spanned::new(count.span(), *count.get_ref() as f64)),
+            _ => table.number(setting.key),
         };
-        *field = Some(map.next_value()?);
-        Ok(())
+        numbers.extend(number.map(|number| (setting, number)));
     }
-
-    fn numbers(&mut self) -> &mut Numbers {
-        &mut self.numbers
-    }
-}
-
-impl Keyed for Segment {
-    const TABLE: Table = Table::Segment;
-    const KEYS: &'static [&'static str] = &["method", "mask"];
-
-    fn read<'de, A: MapAccess<'de>>(&mut self, key: &str, map: &mut A) -> Result<(), A::Error> {
-        match key {
-            "method" => self.method = Some(map.next_value()?),
-            _ => self.mask = Some(map.next_value()?),
-        }
-        Ok(())
-    }
-
-    fn numbers(&mut self) -> &mut Numbers {
-        &mut self.numbers
-    }
-}
-
-/// A key of a [`Keyed`] table.
-enum Key {
-    Own(&'static str),
-    Number(&'static Setting),
-}
-
-/// Reads a key of `T`; another one is an error at its place.
-struct KeyReader<T>(PhantomData<T>);
-
-impl<'de, T: Keyed> DeserializeSeed<'de> for KeyReader<T> {
-    type Value = Key;
-
-    fn deserialize<D: Deserializer<'de>>(self, deserializer: D) -> Result<Key, D::Error> {
-        deserializer.deserialize_identifier(self)
-    }
-}
-
-impl<T: Keyed> Visitor<'_> for KeyReader<T> {
-    type Value = Key;
-
-    fn expecting(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
-        f.write_str("a key")
-    }
-
-    fn visit_str<E: Error>(self, text: &str) -> Result<Key, E> {
-        let numbers = || SETTINGS.iter().filter(|setting| setting.table == T::TABLE);
-        if let Some(key) = T::KEYS.iter().find(|key| **key == text) {
-            return Ok(Key::Own(key));
-        }
-        if let Some(setting) = numbers().find(|setting| setting.key == text) {
-            return Ok(Key::Number(setting));
-        }
-        let keys = T::KEYS.iter().copied().chain(numbers().map(|one| one.key));
-        let keys: Vec<String> = keys.map(|key| format!("`{key}`")).collect();
-        // The words of serde, which `Problem` knows.
-        Err(E::custom(format_args!(
-            "unknown field `{text}`, expected one of {}",
-            keys.join(", ")
-        )))
-    }
-}
-
-struct TableReader<T>(PhantomData<T>);
-
-impl<'de, T: Keyed> Visitor<'de> for TableReader<T> {
-    type Value = T;
-
-    fn expecting(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
-        f.write_str("a table")
-    }
-
-    fn visit_map<A: MapAccess<'de>>(self, mut map: A) -> Result<T, A::Error> {
-        let mut table = T::default();
-        while let Some(key) = map.next_key_seed(KeyReader::<T>(PhantomData))? {
-            match key {
-                Key::Own(key) => table.read(key, &mut map)?,
-                Key::Number(setting) => {
-                    let (span, value) = if setting.unit == Unit::Count {
-                        let written = map.next_value::<Spanned<Whole>>()?;
-                        (written.span(), written.get_ref().0 as f64)
-                    } else {
-                        let written = map.next_value::<Spanned<Number>>()?;
-                        (written.span(), written.get_ref().0)
-                    };
-                    table.numbers().push((setting, Spanned::new(span, value)));
-                }
-            }
-        }
-        Ok(table)
-    }
-}
-
-impl<'de> Deserialize<'de> for Mount {
-    fn deserialize<D: Deserializer<'de>>(deserializer: D) -> Result<Self, D::Error> {
-        deserializer.deserialize_map(TableReader(PhantomData))
-    }
-}
-
-impl<'de> Deserialize<'de> for Segment {
-    fn deserialize<D: Deserializer<'de>>(deserializer: D) -> Result<Self, D::Error> {
-        deserializer.deserialize_map(TableReader(PhantomData))
-    }
+    numbers
 }
 
 /// `[record]`.
-#[derive(serde::Deserialize)]
-#[serde(deny_unknown_fields)]
 pub struct Record {
     pub path: Spanned<String>,
-    pub rotate_mb: Option<Spanned<Number>>,
-    pub rotate_minutes: Option<Spanned<Number>>,
+    pub rotate_mb: Option<Spanned<f64>>,
+    pub rotate_minutes: Option<Spanned<f64>>,
 }
 
-/// Values of `returns`.
-#[derive(Clone, Copy, PartialEq, Eq, serde::Deserialize)]
-#[serde(rename_all = "lowercase")]
-pub enum Returns {
-    Single,
-    Dual,
-}
-
-/// Values of `return`.
-#[derive(Clone, Copy, serde::Deserialize)]
-#[serde(rename_all = "lowercase")]
-pub enum WhichReturn {
-    Nearest,
-    Strongest,
-    Last,
-}
-
-/// Values of `method`.
-#[derive(Clone, Copy, serde::Deserialize)]
-#[serde(rename_all = "lowercase")]
-pub enum Method {
-    Slope,
-    Paper,
-}
-
-/// A whole number; an error calls it that, and not by the name of a type.
-#[derive(Clone, Copy)]
-pub struct Whole(pub i64);
-
-impl<'de> Deserialize<'de> for Whole {
-    fn deserialize<D: Deserializer<'de>>(deserializer: D) -> Result<Self, D::Error> {
-        struct Reader;
-        impl Visitor<'_> for Reader {
-            type Value = Whole;
-
-            fn expecting(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
-                f.write_str("a whole number")
-            }
-
-            fn visit_i64<E: Error>(self, value: i64) -> Result<Whole, E> {
-                Ok(Whole(value))
-            }
-        }
-        deserializer.deserialize_i64(Reader)
-    }
-}
-
-/// A number with a fraction or without.
-#[derive(Clone, Copy)]
-pub struct Number(pub f64);
-
-impl<'de> Deserialize<'de> for Number {
-    fn deserialize<D: Deserializer<'de>>(deserializer: D) -> Result<Self, D::Error> {
-        struct Reader;
-        impl Visitor<'_> for Reader {
-            type Value = Number;
-
-            fn expecting(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
-                f.write_str("a number")
-            }
-
-            fn visit_f64<E: Error>(self, value: f64) -> Result<Number, E> {
-                Ok(Number(value))
-            }
-
-            fn visit_i64<E: Error>(self, value: i64) -> Result<Number, E> {
-                Ok(Number(value as f64))
-            }
-        }
-        deserializer.deserialize_f64(Reader)
-    }
-}
-
-/// All `[[sensor]]`; an error says that these take two brackets.
-#[derive(Default)]
-pub struct Sensors(pub Vec<Spanned<Sensor>>);
-
-impl<'de> Deserialize<'de> for Sensors {
-    fn deserialize<D: Deserializer<'de>>(deserializer: D) -> Result<Self, D::Error> {
-        struct Reader;
-        impl<'de> Visitor<'de> for Reader {
-            type Value = Sensors;
-
-            fn expecting(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
-                f.write_str("one [[sensor]], in double brackets, for each sensor")
-            }
-
-            fn visit_seq<A: SeqAccess<'de>>(self, mut tables: A) -> Result<Sensors, A::Error> {
-                let mut sensors = Vec::new();
-                while let Some(sensor) = tables.next_element()? {
-                    sensors.push(sensor);
-                }
-                Ok(Sensors(sensors))
-            }
-        }
-        deserializer.deserialize_seq(Reader)
+impl Record {
+    fn read(mut table: TableReader<'_, '_, '_>) -> Self {
+        let record = Self {
+            path: table.required_text("path"),
+            rotate_mb: table.number("rotate_mb"),
+            rotate_minutes: table.number("rotate_minutes"),
+        };
+        table.finish();
+        record
     }
 }

@@ -7,7 +7,7 @@ use toml::Spanned;
 
 use super::Check;
 use crate::daemon::config::error::Problem;
-use crate::daemon::config::file::{self, Returns};
+use crate::daemon::config::file;
 use crate::daemon::config::{PortConfig, SensorConfig, possible_models};
 use crate::daemon::losses::Limits;
 use crate::files;
@@ -16,7 +16,6 @@ use sweepd_client::publish::{NAME_RULE, is_sensor_name};
 use sweepd_core::pipeline;
 use sweepd_core::segment::{self, ConfigError, Mask, Setting};
 use sweepd_core::sensor::{Calibration, Model};
-use sweepd_core::sweep::layout::ReturnChoice;
 
 /// Ports that a Velodyne sends to unless it is told others.
 const PORT: u16 = 2368;
@@ -50,7 +49,7 @@ impl Check<'_> {
         let rpm = self.number("rpm", &sensor.rpm, RPM, "turns a minute");
         let losses = self.losses(sensor);
         let model = self.model(&sensor.model);
-        self.returns_are_of(model, &sensor.returns);
+        self.returns_are_of(model, &sensor.dual);
         let pipeline = self.pipeline(sensor, model, at);
         let (ip, source_port) = source?;
         Some(SensorConfig {
@@ -60,10 +59,7 @@ impl Check<'_> {
             port,
             position_port: position_port.unwrap_or(POSITION_PORT),
             max_consumers: max_consumers.unwrap_or(MAX_CONSUMERS),
-            dual: sensor
-                .returns
-                .as_ref()
-                .map(|returns| *returns.get_ref() == Returns::Dual),
+            dual: sensor.dual.as_ref().map(|dual| *dual.get_ref()),
             rpm: rpm.map(|rpm| rpm as f32),
             losses,
             pipeline: pipeline?,
@@ -143,7 +139,7 @@ impl Check<'_> {
     }
 
     /// A core that this machine has, where the system tells which it has.
-    fn cpu(&mut self, given: &Option<Spanned<file::Whole>>) -> Option<usize> {
+    fn cpu(&mut self, given: &Option<Spanned<i64>>) -> Option<usize> {
         let cpu = self.whole("cpu", given, 0..=u32::MAX.into())?;
         let online = std::fs::read_to_string("/sys/devices/system/cpu/online").unwrap_or_default();
         if let Some(given) = given
@@ -162,14 +158,10 @@ impl Check<'_> {
 
     /// Where one limit of two is given, the default of the other gives way.
     fn losses(&mut self, sensor: &file::Sensor) -> Limits {
-        let (given_warning, given_fault) =
-            (&sensor.loss_warning_percent, &sensor.loss_fault_percent);
-        let warning = self.number(
-            "loss_warning_percent",
-            given_warning,
-            LOSS_PERCENT,
-            "percent",
-        );
+        let given_warning = &sensor.loss_warning_percent;
+        let given_fault = &sensor.loss_fault_percent;
+        let key = "loss_warning_percent";
+        let warning = self.number(key, given_warning, LOSS_PERCENT, "percent");
         let fault = self.number("loss_fault_percent", given_fault, LOSS_PERCENT, "percent");
         if let (Some(written), Some(warning), Some(fault)) = (given_warning, warning, fault)
             && warning > fault
@@ -181,8 +173,8 @@ impl Check<'_> {
                 format!("expected at most `loss_fault_percent`, which is {fault}"),
             );
         }
-        let [warning, fault] =
-            [warning, fault].map(|percent| percent.map(|percent| percent / 100.0));
+        let warning = warning.map(|percent| percent / 100.0);
+        let fault = fault.map(|percent| percent / 100.0);
         let default = Limits::default();
         Limits {
             warning: warning.unwrap_or(default.warning.min(fault.unwrap_or(1.0))),
@@ -210,13 +202,13 @@ impl Check<'_> {
         model.ok()
     }
 
-    fn returns_are_of(&mut self, model: Option<Model>, returns: &Option<Spanned<Returns>>) {
-        if let Some(returns) = returns
-            && *returns.get_ref() == Returns::Dual
+    fn returns_are_of(&mut self, model: Option<Model>, dual: &Option<Spanned<bool>>) {
+        if let Some(dual) = dual
+            && *dual.get_ref()
             && model == Some(Model::Hdl64eS2)
         {
             self.problem(
-                returns.span(),
+                dual.span(),
                 "an HDL-64E S2 sends one return",
                 "expected \"single\"",
             )
@@ -255,14 +247,10 @@ impl Check<'_> {
         Some(pipeline::Config {
             model,
             cut_azimuth_rad: cut_azimuth_deg.map_or(defaults.cut_azimuth_rad, f64::to_radians),
-            return_choice: sensor.which_return.map_or(
-                defaults.return_choice,
-                |which| match which {
-                    file::WhichReturn::Nearest => ReturnChoice::Nearest,
-                    file::WhichReturn::Strongest => ReturnChoice::Strongest,
-                    file::WhichReturn::Last => ReturnChoice::Last,
-                },
-            ),
+            return_choice: sensor
+                .return_choice
+                .as_ref()
+                .map_or(defaults.return_choice, |choice| *choice.get_ref()),
             segment: self.segment(sensor, model, calibration.as_ref(), at)?,
             calibration,
             gps_without_pps: sensor.gps_without_pps,
@@ -343,11 +331,8 @@ impl Check<'_> {
     ) -> Option<segment::Config> {
         let written = &sensor.segment;
         let mut config = segment::Config::default();
-        if let Some(method) = written.method {
-            config.method = match method {
-                file::Method::Slope => segment::Method::Slope,
-                file::Method::Paper => segment::Method::Paper,
-            };
+        if let Some(method) = &written.method {
+            config.method = *method.get_ref();
         }
         let numbers = || sensor.mount.numbers.iter().chain(&written.numbers);
         for (setting, given) in numbers() {

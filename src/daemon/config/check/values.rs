@@ -7,19 +7,18 @@ use std::str::FromStr;
 use toml::Spanned;
 
 use super::Check;
-use crate::daemon::config::file::{Number, Whole};
 
 impl Check<'_> {
     /// A number within `range`.
     pub(super) fn number(
         &mut self,
         key: &str,
-        given: &Option<Spanned<Number>>,
+        given: &Option<Spanned<f64>>,
         range: RangeInclusive<f64>,
         unit: &str,
     ) -> Option<f64> {
         let given = given.as_ref()?;
-        let Number(value) = *given.get_ref();
+        let value = *given.get_ref();
         if range.contains(&value) {
             return Some(value);
         }
@@ -32,11 +31,11 @@ impl Check<'_> {
     pub(super) fn whole<T: TryFrom<i64>>(
         &mut self,
         key: &str,
-        given: &Option<Spanned<Whole>>,
+        given: &Option<Spanned<i64>>,
         range: RangeInclusive<i64>,
     ) -> Option<T> {
         let given = given.as_ref()?;
-        let Whole(value) = *given.get_ref();
+        let value = *given.get_ref();
         if range.contains(&value)
             && let Ok(value) = T::try_from(value)
         {
