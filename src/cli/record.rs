@@ -185,10 +185,9 @@ impl Args {
 
     fn rotation(&self) -> Rotation {
         // The casts saturate.
-        let scaled = |number: Option<f64>, unit: f64| number.map(|number| (number * unit) as u64);
         Rotation {
-            bytes: scaled(self.rotate_mb, 1e6),
-            ns: scaled(self.rotate_seconds, 1e9),
+            bytes: self.rotate_mb.map(|megabytes| (megabytes * 1e6) as u64),
+            ns: self.rotate_seconds.map(|seconds| (seconds * 1e9) as u64),
         }
     }
 

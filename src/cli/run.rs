@@ -160,7 +160,8 @@ fn reread(args: Args) -> Reread {
             return Err("it was started with --sensor, so there is no file to read".to_owned());
         }
         let new = args.read().map_err(|error| error.to_string())?;
-        let (mut taken, mut needs_restart) = (Vec::new(), Vec::new());
+        let mut taken = Vec::new();
+        let mut needs_restart = Vec::new();
         for change in old.changes(&new) {
             match change.effect {
                 Effect::Reload => taken.push(change.to_string()),

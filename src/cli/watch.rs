@@ -14,7 +14,7 @@ use super::output::{LatencyUs, OutputOptions, Outputs};
 use super::publish::RootOptions;
 use super::signals::end_flag;
 use super::{CliError, complain};
-use crate::daemon::losses::{Limits, Losses, Place, Tally, Turn};
+use crate::daemon::losses::{Limits, Losses, SensorAddress, Tally, Turn};
 use crate::daemon::state::PATIENCE;
 use crate::suggest::nearest;
 use sweepd_client::client::{Client, Domain, SweepRef};
@@ -212,7 +212,7 @@ impl Watch<'_> {
         let Some((turn, recent)) = turn.zip(self.losses.recent()) else {
             return;
         };
-        let place = Place {
+        let place = SensorAddress {
             address: header.sensor().to_owned(),
             port: None,
             sensors: 1,

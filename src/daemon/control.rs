@@ -16,7 +16,7 @@ use tracing::{error, info, warn};
 use super::config::{Config, DaemonConfig};
 use super::counters::SensorCounters;
 use super::health::{self, Http, View};
-use super::losses::Tally;
+use super::losses::{SensorAddress, Tally};
 use super::notify::{Notifier, Pulse, beat};
 use super::record::server::ControlServer;
 use super::record::{Recordings, socket_path};
@@ -62,15 +62,14 @@ pub fn run<S: Sharing>(
     root: &Path,
     reread: Reread,
 ) -> Result<(), DaemonError> {
-    let failed = |source| DaemonError::System {
-        what: "start the control thread",
-        source,
-    };
     let begun = Instant::now();
     let tokio = tokio::runtime::Builder::new_current_thread()
         .enable_all()
         .build()
-        .map_err(failed)?;
+        .map_err(|source| DaemonError::System {
+            what: "start the control thread",
+            source,
+        })?;
     tokio.block_on(async {
         // Before anything is opened, so that no signal leaves it half done.
         let mut signals = Signals::new().map_err(|source| DaemonError::System {
@@ -79,8 +78,10 @@ pub fn run<S: Sharing>(
         })?;
         let http = listen(&config.daemon).await?;
         let mut recordings = Recordings::default();
-        let mut start = || Runtime::start(&config, sharing, &mut recordings);
-        let Some(runtime) = started(&mut start, (root, http.as_ref()), &mut signals).await? else {
+        let started = await_start(root, http.as_ref(), &mut signals, || {
+            Runtime::start(&config, sharing, &mut recordings)
+        });
+        let Some(runtime) = started.await? else {
             return Ok(());
         };
         let server = ControlServer::start(&socket_path(root), recordings.event_sender());
@@ -88,7 +89,7 @@ pub fn run<S: Sharing>(
         let server = server
             .inspect_err(|error| warn!("`sweepd record --from` is not served: {error}"))
             .ok();
-        Control::new(config, (runtime, recordings), reread, root, begun)
+        Control::new(config, runtime, recordings, reread, root, begun)
             .serve(sharing, signals, http, server)
             .await
     })
@@ -97,12 +98,15 @@ pub fn run<S: Sharing>(
 /// Starts, again and again while what is missing may come: at boot, the network may not be there
 /// yet. `None` when it was asked to end meanwhile. A reload ends it too: then systemd starts it
 /// with the new configuration.
-async fn started(
-    start: &mut dyn FnMut() -> Result<Runtime, DaemonError>,
-    (root, http): (&Path, Option<&Http>),
+async fn await_start(
+    root: &Path,
+    http: Option<&Http>,
     signals: &mut Signals,
+    mut start: impl FnMut() -> Result<Runtime, DaemonError>,
 ) -> Result<Option<Runtime>, DaemonError> {
-    let (mut notifier, mut pause, mut told) = (Notifier::default(), RETRY.0, String::new());
+    let mut notifier = Notifier::default();
+    let mut pause = RETRY.0;
+    let mut told = String::new();
     loop {
         let error = match start() {
             Ok(runtime) => return Ok(Some(runtime)),
@@ -154,9 +158,10 @@ async fn listen(config: &DaemonConfig) -> Result<Option<Http>, DaemonError> {
     let Some(address) = config.http else {
         return Ok(None);
     };
-    let refused = |source| DaemonError::Http { address, source };
-    let listener = TcpListener::bind(address).await.map_err(refused)?;
-    let address = listener.local_addr().map_err(refused)?;
+    let bound = TcpListener::bind(address)
+        .await
+        .and_then(|listener| Ok((listener.local_addr()?, listener)));
+    let (address, listener) = bound.map_err(|source| DaemonError::Http { address, source })?;
     info!("health and metrics at http://{address}/health and http://{address}/metrics");
     if !address.ip().is_loopback() {
         warn!("health and metrics are served to every host that reaches {address}");
@@ -194,28 +199,28 @@ struct Control {
 impl Control {
     fn new(
         config: Config,
-        (runtime, recordings): (Runtime, Recordings),
+        runtime: Runtime,
+        recordings: Recordings,
         reread: Reread,
         root: &Path,
         begun: Instant,
     ) -> Self {
         let now = begun.elapsed();
-        let watcher = |(status, sensor): (&SensorStatus, &super::config::SensorConfig)| {
-            let place = (status.address.to_string(), status.port);
-            let mut watcher = Watcher::new(&status.name, place, sensor.rpm, now);
-            let has_its_port = |other: &&SensorStatus| other.port_index == status.port_index;
-            watcher.watch_losses(
+        let mut watchers = Vec::new();
+        for (status, sensor) in runtime.sensors.iter().zip(&config.sensors) {
+            let place = SensorAddress {
+                address: status.address.to_string(),
+                port: Some(status.port),
+                sensors: runtime.sensors_of_port(status.port_index).count(),
+            };
+            watchers.push(Watcher::new(
+                &status.name,
+                place,
+                sensor.rpm,
                 sensor.losses,
-                runtime.sensors.iter().filter(has_its_port).count(),
-            );
-            watcher
-        };
-        let watchers: Vec<Watcher> = runtime
-            .sensors
-            .iter()
-            .zip(&config.sensors)
-            .map(watcher)
-            .collect();
+                now,
+            ));
+        }
         let watchdog = sd_notify::watchdog_enabled();
         let pulse = Pulse::new(watchdog, runtime.ports.len(), now);
         let view = View::new(
@@ -372,7 +377,8 @@ impl Control {
     fn hear_events(&mut self) {
         let events: Vec<_> = self.runtime.events.try_iter().collect();
         for (index, event) in events {
-            let (sensor, watcher) = (&self.runtime.sensors[index], &mut self.watchers[index]);
+            let sensor = &self.runtime.sensors[index];
+            let watcher = &mut self.watchers[index];
             let name = &sensor.name;
             match event {
                 Event::Fault(fault) => watcher.refused(explain(&fault, Dialect::Configuration)),
@@ -494,8 +500,8 @@ fn tally(sensor: &SensorStatus, runtime: &Runtime) -> Tally {
     let Some(PortStatus { counters: port, .. }) = runtime.ports.get(sensor.port_index) else {
         return sensor.counters.tally();
     };
-    let own: u64 = (runtime.sensors.iter())
-        .filter(|other| other.port_index == sensor.port_index)
+    let own: u64 = runtime
+        .sensors_of_port(sensor.port_index)
         .map(|other| other.counters.refused.get())
         .sum();
     Tally {
@@ -508,13 +514,15 @@ fn tally(sensor: &SensorStatus, runtime: &Runtime) -> Tally {
 fn observation(counters: &SensorCounters, now: Duration) -> Observation {
     // Sweeps before the packets, as they are counted the other way round.
     let steady_sweeps = counters.steady_sweeps.get();
-    let (model, return_mode) = (counters.model(), counters.return_mode());
+    let model = counters.model();
+    let return_mode = counters.return_mode();
     let running = model.zip(return_mode).map(|(model, return_mode)| Running {
         model,
         return_mode,
         rpm: counters.rpm(),
     });
-    let (data, position) = (counters.data.get(), counters.position.get());
+    let data = counters.data.get();
+    let position = counters.position.get();
     Observation {
         now,
         data,

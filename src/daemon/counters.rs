@@ -238,7 +238,9 @@ impl SensorCounters {
         // A clock that is set back costs some packets once, and no cable or second sensor is to
         // blame.
         let late = late.saturating_sub(self.set_back.get());
-        let (data, lost, refused) = (self.data.get(), self.lost.get(), self.refused.get());
+        let data = self.data.get();
+        let lost = self.lost.get();
+        let refused = self.refused.get();
         Tally {
             data,
             lost,

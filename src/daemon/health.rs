@@ -111,56 +111,48 @@ impl View {
     }
 
     fn sensor_reasons(&self, is_fault: bool) -> Vec<String> {
-        let named = self.sensors.iter().zip(&self.conditions);
-        let unwell =
-            named.filter(|(_, is)| is.is_fault == is_fault && (is_fault || is.complaint.is_some()));
-        let told = unwell.map(
-            |(
-                sensor,
-                Condition {
-                    state, complaint, ..
-                },
-            )| match complaint {
-                Some(why) => format!("{}: {state}: {why}", sensor.name),
-                None => format!("{}: {state}", sensor.name),
-            },
-        );
-        told.collect()
+        let mut reasons = Vec::new();
+        for (sensor, condition) in self.sensors.iter().zip(&self.conditions) {
+            let name = &sensor.name;
+            let state = condition.state;
+            match &condition.complaint {
+                _ if condition.is_fault != is_fault => {}
+                Some(why) => reasons.push(format!("{name}: {state}: {why}")),
+                None if is_fault => reasons.push(format!("{name}: {state}")),
+                None => {}
+            }
+        }
+        reasons
     }
 
     /// What is at fault; empty if nothing is.
     fn faults(&self) -> Vec<String> {
-        let sensors = self.sensor_reasons(true);
-        let unshared = self.sensors.iter().filter_map(|sensor| {
-            sensor
-                .sharing
-                .trouble()
-                .map(|why| format!("{}: sweeps reach nobody: {why}", sensor.name))
-        });
-        let hanging = self
-            .hanging
-            .iter()
-            .map(|port| format!("the thread of port {port} hangs"));
-        let is_gone = |port: &&PortStatus| port.counters.is_interface_gone();
-        let gone = self.ports.iter().filter(is_gone).map(interface_gone);
+        let mut faults: Vec<String> = self.waits_for.iter().cloned().collect();
+        faults.extend(self.sensor_reasons(true));
+        for sensor in self.sensors.iter() {
+            if let Some(why) = sensor.sharing.trouble() {
+                faults.push(format!("{}: sweeps reach nobody: {why}", sensor.name));
+            }
+        }
+        for port in &self.hanging {
+            faults.push(format!("the thread of port {port} hangs"));
+        }
+        for port in self.ports.iter() {
+            if port.counters.is_interface_gone() {
+                faults.push(interface_gone(port));
+            }
+        }
         let configured = self.recordings.configured.as_ref();
-        let unrecorded = configured
-            .and_then(|recording| recording.trouble.as_ref())
-            .map(|why| format!("nothing is recorded: {why}"));
-        self.waits_for
-            .clone()
-            .into_iter()
-            .chain(sensors)
-            .chain(unshared)
-            .chain(hanging)
-            .chain(gone)
-            .chain(unrecorded)
-            .collect()
+        if let Some(why) = configured.and_then(|recording| recording.trouble.as_ref()) {
+            faults.push(format!("nothing is recorded: {why}"));
+        }
+        faults
     }
 
     /// All of it, as JSON; and whether nothing is at fault.
     pub fn report(&self) -> (bool, Value) {
-        let (faults, warnings) = (self.faults(), self.warnings());
+        let faults = self.faults();
+        let warnings = self.warnings();
         let sensors: Vec<Value> = self
             .sensors
             .iter()
@@ -391,18 +383,19 @@ fn answer(
 /// Whether each name in a request is `localhost` or an IP address, which no name server can make
 /// lead elsewhere. A browser always sends one; programs of old do not.
 fn is_for_this_host<B>(request: &Request<B>) -> bool {
-    let is_own = |authority: &Authority| {
-        let host = authority.host();
-        let ip = host
-            .strip_prefix('[')
-            .and_then(|host| host.strip_suffix(']'))
-            .unwrap_or(host);
-        host.eq_ignore_ascii_case("localhost") || ip.parse::<IpAddr>().is_ok()
-    };
-    let is_own_header =
-        |value: &HeaderValue| Authority::try_from(value.as_bytes()).is_ok_and(|host| is_own(&host));
+    let mut hosts = request.headers().get_all(HOST).iter();
     request.uri().authority().is_none_or(is_own)
-        && request.headers().get_all(HOST).iter().all(is_own_header)
+        && hosts.all(|value| Authority::try_from(value.as_bytes()).is_ok_and(|host| is_own(&host)))
+}
+
+/// Whether it is an IP address or `localhost`.
+fn is_own(authority: &Authority) -> bool {
+    let host = authority.host();
+    let ip = host
+        .strip_prefix('[')
+        .and_then(|host| host.strip_suffix(']'))
+        .unwrap_or(host);
+    host.eq_ignore_ascii_case("localhost") || ip.parse::<IpAddr>().is_ok()
 }
 
 fn text(status: StatusCode, text: &str) -> Response<Full<Bytes>> {

@@ -99,7 +99,7 @@ impl Tally {
 
 /// Where a sensor's packets come in, for sentences.
 #[derive(Clone, Debug, PartialEq, Eq)]
-pub struct Place {
+pub struct SensorAddress {
     /// Where its packets come from.
     pub address: String,
     /// The port that they come to; `None` where it is not known.
@@ -108,7 +108,7 @@ pub struct Place {
     pub sensors: usize,
 }
 
-impl fmt::Display for Place {
+impl fmt::Display for SensorAddress {
     fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
         match (self.port, self.sensors) {
             (None, _) => f.write_str("its port"),
@@ -203,20 +203,23 @@ impl Recent {
     }
 
     /// How much is missing, why most likely, and what to do about it.
-    pub fn sentence(&self, place: &Place) -> String {
+    pub fn sentence(&self, place: &SensorAddress) -> String {
         format!("{}: {}", self.what(place), self.cure(place))
     }
 
     /// How much is missing, and why most likely.
-    pub fn what(&self, place: &Place) -> String {
+    pub fn what(&self, place: &SensorAddress) -> String {
         let Tally {
             refused,
             dropped,
             strangers,
             ..
         } = self.counted;
-        let (percent, seconds) = (100.0 * self.share(), self.span.as_secs_f64());
-        let (missing, all, address) = (self.missing(), self.all(), &place.address);
+        let percent = 100.0 * self.share();
+        let seconds = self.span.as_secs_f64();
+        let missing = self.missing();
+        let all = self.all();
+        let address = &place.address;
         let share = format!(
             "{percent:.1} % of its packets are lost or of no use ({missing} of {all} in {seconds:.0} s)"
         );
@@ -251,7 +254,7 @@ impl Recent {
     }
 
     /// What to do about it.
-    pub fn cure(&self, place: &Place) -> String {
+    pub fn cure(&self, place: &SensorAddress) -> String {
         let cure = match self.cause() {
             Cause::Network => {
                 "look at cable and plugs, a switch that is shared with other traffic or at 100 Mbit/s, and Wi-Fi on the way; \
@@ -281,7 +284,8 @@ impl Recent {
 
     /// What is told when losses are over that lasted so long.
     pub fn over(&self, lasted: Duration) -> String {
-        let (seconds, percent) = (lasted.as_secs_f64(), 100.0 * self.share());
+        let seconds = lasted.as_secs_f64();
+        let percent = 100.0 * self.share();
         format!(
             "its losses are over after {seconds:.0} s: {percent:.1} % of its packets are lost or of no use now"
         )
@@ -396,7 +400,8 @@ impl Losses {
             self.noted.pop_front();
         }
         let share = self.recent()?.share();
-        let (was, level) = (self.level, self.level_of(share));
+        let was = self.level;
+        let level = self.level_of(share);
         self.level = level;
         if was.is_none() {
             self.losing_since = now;

@@ -98,104 +98,87 @@ impl Collector for Snapshot {
     }
 }
 
-type Read = fn(&SensorCounters) -> u64;
-
-/// Totals of a sensor: name, help, and the counter.
-const SENSOR_TOTALS: [(&str, &str, Read); 9] = [
-    ("packets", "Data packets let in", |counters| {
-        counters.data.get()
-    }),
-    ("position_packets", "Position packets let in", |counters| {
-        counters.position.get()
-    }),
-    (
-        "position_overflows",
-        "Position packets that found no room on the way to their sensor's thread",
-        |counters| counters.position_overflows.get(),
-    ),
-    (
-        "refused",
-        "Datagrams from the sensor's address to its data port that are no packets",
-        |counters| counters.refused.get(),
-    ),
-    (
-        "lost",
-        "Data packets missing by the sensor's clock",
-        |counters| counters.lost.get(),
-    ),
-    ("reordered", "Data packets put back in order", |counters| {
-        counters.reordered.get()
-    }),
-    ("sweeps", "Sweeps, partial ones included", |counters| {
-        counters.sweeps.get()
-    }),
-    (
-        "partial_sweeps",
-        "Sweeps that are not from cut to cut",
-        |counters| counters.partial_sweeps.get(),
-    ),
-    (
-        "unshared_sweeps",
-        "Sweeps that no consumer could have got",
-        |counters| counters.unshared.get(),
-    ),
-];
-
 impl Snapshot {
+    /// One metric of each sensor that has it.
+    fn by_sensor<M: EncodeMetric>(
+        &self,
+        encoder: &mut DescriptorEncoder<'_>,
+        name: &str,
+        help: &str,
+        read: impl Fn(&SensorStatus) -> Option<M>,
+    ) -> fmt::Result {
+        self.by_sensor_in(encoder, name, help, None, read)
+    }
+
+    fn by_sensor_in<M: EncodeMetric>(
+        &self,
+        encoder: &mut DescriptorEncoder<'_>,
+        name: &str,
+        help: &str,
+        unit: Option<&Unit>,
+        read: impl Fn(&SensorStatus) -> Option<M>,
+    ) -> fmt::Result {
+        let sensors = self.sensors.iter();
+        let metrics = sensors.filter_map(|one| Some(([("sensor", name_of(one))], read(one)?)));
+        family_in(encoder, name, help, unit, metrics)
+    }
+
+    /// One counter of all sensors.
+    fn total(
+        &self,
+        encoder: &mut DescriptorEncoder<'_>,
+        name: &str,
+        help: &str,
+        read: fn(&SensorCounters) -> u64,
+    ) -> fmt::Result {
+        self.by_sensor(encoder, name, help, |one| Some(Total(read(&one.counters))))
+    }
+
     fn sensor_totals(&self, encoder: &mut DescriptorEncoder<'_>) -> fmt::Result {
-        for (name, help, read) in SENSOR_TOTALS {
-            let all = self.sensors.iter().map(|sensor| {
-                (
-                    [("sensor", &sensor.name[..])],
-                    Total(read(&sensor.counters)),
-                )
-            });
-            family(encoder, name, help, all)?;
-        }
+        self.total(encoder, "packets", "Data packets let in", |of| {
+            of.data.get()
+        })?;
+        let help = "Position packets let in";
+        self.total(encoder, "position_packets", help, |of| of.position.get())?;
+        let help = "Position packets that found no room on the way to their sensor's thread";
+        self.total(encoder, "position_overflows", help, |of| {
+            of.position_overflows.get()
+        })?;
+        let help = "Datagrams from the sensor's address to its data port that are no packets";
+        self.total(encoder, "refused", help, |of| of.refused.get())?;
+        let help = "Data packets missing by the sensor's clock";
+        self.total(encoder, "lost", help, |of| of.lost.get())?;
+        let help = "Data packets put back in order";
+        self.total(encoder, "reordered", help, |of| of.reordered.get())?;
+        let help = "Sweeps, partial ones included";
+        self.total(encoder, "sweeps", help, |of| of.sweeps.get())?;
+        let help = "Sweeps that are not from cut to cut";
+        self.total(encoder, "partial_sweeps", help, |of| {
+            of.partial_sweeps.get()
+        })?;
+        let help = "Sweeps that no consumer could have got";
+        self.total(encoder, "unshared_sweeps", help, |of| of.unshared.get())?;
         let help = "Times that shared memory was made anew because files of it were deleted";
-        let renewed = self.sensors.iter().map(|sensor| {
-            (
-                [("sensor", name_of(sensor))],
-                Total(sensor.sharing.renewed()),
-            )
-        });
-        family(encoder, "renewed", help, renewed)?;
-        let by_reason = |sensor| undecoded(sensor);
+        self.by_sensor(encoder, "renewed", help, |one| {
+            Some(Total(one.sharing.renewed()))
+        })?;
         let help = "Data packets let in and not decoded, by reason";
-        family(
-            encoder,
-            "undecoded",
-            help,
-            self.sensors.iter().flat_map(by_reason),
-        )
+        let by_reason = self.sensors.iter().flat_map(undecoded);
+        family(encoder, "undecoded", help, by_reason)
     }
 
     fn port_totals(&self, encoder: &mut DescriptorEncoder<'_>) -> fmt::Result {
-        let all = |read: fn(&PortStatus) -> u64| {
-            self.ports
-                .iter()
-                .map(move |port| ([("port", &port.name[..])], Total(read(port))))
-        };
-        family(
-            encoder,
-            "received",
-            "Datagrams of any kind",
-            all(|port| port.counters.received.get()),
-        )?;
+        let help = "Datagrams of any kind";
+        let ports = self.ports.iter();
+        let received = ports.map(|one| (port_label(one), Total(one.counters.received.get())));
+        family(encoder, "received", help, received)?;
         let help = "Datagrams that the kernel dropped because nobody fetched them in time";
-        family(
-            encoder,
-            "dropped",
-            help,
-            all(|port| port.counters.dropped.get()),
-        )?;
+        let ports = self.ports.iter();
+        let dropped = ports.map(|one| (port_label(one), Total(one.counters.dropped.get())));
+        family(encoder, "dropped", help, dropped)?;
         let help = "Datagrams that reach no sensor, by reason";
-        family(
-            encoder,
-            "rejected",
-            help,
-            self.ports.iter().flat_map(rejected),
-        )
+        let by_reason = self.ports.iter().flat_map(rejected);
+        family(encoder, "rejected", help, by_reason)
     }
 
     fn recordings(&self, encoder: &mut DescriptorEncoder<'_>) -> fmt::Result {
@@ -229,82 +212,48 @@ impl Snapshot {
     }
 
     fn gauges(&self, encoder: &mut DescriptorEncoder<'_>) -> fmt::Result {
-        let of = |read: fn(&SensorStatus) -> Option<f64>| {
-            let of_sensor = move |sensor| Some(([("sensor", name_of(sensor))], Now(read(sensor)?)));
-            self.sensors.iter().filter_map(of_sensor)
-        };
-        family(
-            encoder,
-            "consumers",
-            "Consumers connected",
-            of(|sensor| Some(sensor.sharing.consumers() as f64)),
-        )?;
-        let reserved = of(|sensor| Some(sensor.sharing.reserved_bytes() as f64));
-        family_in(
-            encoder,
-            "shared_memory",
-            "Shared memory reserved",
-            Some(&Unit::Bytes),
-            reserved,
-        )?;
-        let rpm = of(|sensor| {
-            sensor
-                .counters
-                .model()
-                .map(|_| sensor.counters.rpm().into())
-        });
-        family(encoder, "rpm", "Turns a minute of the newest sweep", rpm)?;
-        let celsius = of(|sensor| sensor.counters.temperature_c().map(f64::from));
-        family_in(
-            encoder,
-            "temperature",
-            "Temperature that the sensor tells",
-            Some(&Unit::Celsius),
-            celsius,
-        )?;
-        let locked = of(|sensor| {
-            sensor
-                .counters
-                .gps()
-                .map(|gps| f64::from(u8::from(gps == Gps::Locked)))
-        });
-        family(
-            encoder,
-            "gps_locked",
-            "1 while pulse and time of a GPS receiver are good, where it is told",
-            locked,
-        )?;
+        self.by_sensor(encoder, "consumers", "Consumers connected", |one| {
+            Some(Now(one.sharing.consumers() as f64))
+        })?;
+        let help = "Shared memory reserved";
+        self.by_sensor_in(encoder, "shared_memory", help, Some(&Unit::Bytes), |one| {
+            Some(Now(one.sharing.reserved_bytes() as f64))
+        })?;
+        let help = "Turns a minute of the newest sweep";
+        self.by_sensor(encoder, "rpm", help, |one| {
+            let model = one.counters.model();
+            model.map(|_| Now(one.counters.rpm().into()))
+        })?;
+        let help = "Temperature that the sensor tells";
+        self.by_sensor_in(encoder, "temperature", help, Some(&Unit::Celsius), |one| {
+            let celsius = one.counters.temperature_c()?;
+            Some(Now(celsius.into()))
+        })?;
+        let help = "1 while pulse and time of a GPS receiver are good, where it is told";
+        self.by_sensor(encoder, "gps_locked", help, |one| {
+            let is_locked = one.counters.gps()? == Gps::Locked;
+            Some(Now(u8::from(is_locked).into()))
+        })?;
         self.losses_and_states(encoder)
     }
 
     fn losses_and_states(&self, encoder: &mut DescriptorEncoder<'_>) -> fmt::Result {
-        let shares = self
-            .sensors
-            .iter()
-            .zip(&self.conditions)
-            .filter_map(|(sensor, is)| {
-                is.recent
-                    .map(|recent| ([("sensor", name_of(sensor))], Now(recent.share())))
-            });
         let help = "Share of the data packets of the last seconds that were lost or of no use, 0 to 1, while packets come";
+        let sensors = self.sensors.iter().zip(&self.conditions);
+        let shares = sensors.filter_map(|(sensor, condition)| {
+            let recent = condition.recent?;
+            Some(([("sensor", name_of(sensor))], Now(recent.share())))
+        });
         family(encoder, "loss_ratio", help, shares)?;
-        let states = self
-            .sensors
-            .iter()
-            .zip(&self.conditions)
-            .flat_map(|(sensor, is)| {
-                let labels =
-                    move |state: State| [("sensor", name_of(sensor)), ("state", state.name())];
-                State::ALL
-                    .into_iter()
-                    .map(move |state| (labels(state), Now(f64::from(u8::from(state == is.state)))))
-            });
-        family(
-            encoder,
-            "state",
-            "1 for the state that the sensor is in",
-            states,
-        )
+        let help = "1 for the state that the sensor is in";
+        let sensors = self.sensors.iter().zip(&self.conditions);
+        let states = sensors.flat_map(|(sensor, condition)| {
+            State::ALL.into_iter().map(move |state| {
+                let labels = [("sensor", name_of(sensor)), ("state", state.name())];
+                (labels, Now(u8::from(state == condition.state).into()))
+            })
+        });
+        family(encoder, "state", help, states)
     }
 
     fn stages(&self, encoder: &mut DescriptorEncoder<'_>) -> fmt::Result {
@@ -329,24 +278,22 @@ fn name_of(sensor: &SensorStatus) -> &str {
     &sensor.name
 }
 
+fn port_label(port: &PortStatus) -> Labels<'_, 1> {
+    [("port", &port.name)]
+}
+
 fn undecoded(sensor: &SensorStatus) -> impl Iterator<Item = (Labels<'_, 2>, Total)> {
-    let labelled = |(reason, count)| {
-        (
-            [("sensor", name_of(sensor)), ("reason", reason)],
-            Total(count),
-        )
-    };
-    sensor.counters.undecoded().map(labelled)
+    sensor.counters.undecoded().map(|(reason, count)| {
+        let labels = [("sensor", name_of(sensor)), ("reason", reason)];
+        (labels, Total(count))
+    })
 }
 
 fn rejected(port: &PortStatus) -> impl Iterator<Item = (Labels<'_, 2>, Total)> {
-    let labelled = |reason: Refusal| {
-        (
-            [("port", &port.name[..]), ("reason", reason.name())],
-            Total(port.counters.refused(reason)),
-        )
-    };
-    Refusal::OF_CONFIGURED.into_iter().map(labelled)
+    Refusal::OF_CONFIGURED.into_iter().map(|reason| {
+        let labels = [("port", &port.name[..]), ("reason", reason.name())];
+        (labels, Total(port.counters.refused(reason)))
+    })
 }
 
 fn family<'a, const N: usize, M: EncodeMetric>(

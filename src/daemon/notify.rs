@@ -108,10 +108,13 @@ impl Pulse {
             }
         }
         let patience = self.watchdog.map_or(HUNG, |watchdog| watchdog / 2);
-        let hangs = |(index, &(_, since)): (usize, &(u64, Duration))| {
-            (now - since > patience).then_some(index)
-        };
-        self.beats.iter().enumerate().filter_map(hangs).collect()
+        let mut hanging = Vec::new();
+        for (index, (_, since)) in self.beats.iter().enumerate() {
+            if now - *since > patience {
+                hanging.push(index);
+            }
+        }
+        hanging
     }
 
     /// Whether the watchdog is to be fed, four times in its time; ask only while no thread hangs.

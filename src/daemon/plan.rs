@@ -58,19 +58,16 @@ impl PortPlan {
         &'a self,
         config: &'a Config,
     ) -> impl Iterator<Item = &'a SensorConfig> {
-        let heard = move || {
-            self.sensors
-                .iter()
-                .copied()
-                .chain(self.others(config))
-                .map(|index| &config.sensors[index])
-        };
-        heard().filter(move |one| {
-            heard()
-                .filter(|other| other.address == one.address)
-                .nth(1)
-                .is_some()
+        self.heard(config).filter(move |one| {
+            let at_its_address = self.heard(config).filter(|two| two.address == one.address);
+            at_its_address.count() > 1
         })
+    }
+
+    /// The sensors whose data or position packets may come through it.
+    fn heard<'a>(&'a self, config: &'a Config) -> impl Iterator<Item = &'a SensorConfig> {
+        let indexes = self.sensors.iter().copied().chain(self.others(config));
+        indexes.map(|index| &config.sensors[index])
     }
 
     /// What the socket is told.
@@ -130,7 +127,8 @@ pub fn ports(config: &Config) -> Vec<PortPlan> {
         .filter(|(_, sensor)| sends_positions(sensor))
     {
         // Its few packets are in no hurry.
-        let (cpu, realtime_priority) = (None, None);
+        let cpu = None;
+        let realtime_priority = None;
         let port = PortConfig {
             port: sensor.position_port,
             cpu,
@@ -143,10 +141,9 @@ pub fn ports(config: &Config) -> Vec<PortPlan> {
 }
 
 fn find_or_open<'a>(plans: &'a mut Vec<PortPlan>, port: &PortConfig) -> &'a mut PortPlan {
-    let key = |port: &PortConfig| (port.bind, port.port, port.multicast, port.interface.clone());
     let index = plans
         .iter()
-        .position(|plan| key(&plan.config) == key(port))
+        .position(|plan| is_one_socket(&plan.config, port))
         .unwrap_or_else(|| {
             plans.push(PortPlan {
                 config: port.clone(),
@@ -156,6 +153,13 @@ fn find_or_open<'a>(plans: &'a mut Vec<PortPlan>, port: &PortConfig) -> &'a mut 
             plans.len() - 1
         });
     &mut plans[index]
+}
+
+fn is_one_socket(one: &PortConfig, other: &PortConfig) -> bool {
+    one.bind == other.bind
+        && one.port == other.port
+        && one.multicast == other.multicast
+        && one.interface == other.interface
 }
 
 fn configured(sensor: &SensorConfig, positions_here: Likelihood) -> ConfiguredSensor {

@@ -219,6 +219,13 @@ impl Runtime {
         let _ = self.reconfigurations[sensor].send(config);
     }
 
+    /// The sensors whose data come through a port.
+    pub fn sensors_of_port(&self, port_index: usize) -> impl Iterator<Item = &SensorStatus> {
+        self.sensors
+            .iter()
+            .filter(move |sensor| sensor.port_index == port_index)
+    }
+
     /// Looks after the threads.
     ///
     /// # Errors
@@ -414,7 +421,8 @@ impl<'a, B: Buffers<Buffer: Outgoing>> Startup<'a, B> {
 
 impl PortStatus {
     fn new(source: &UdpSource, config: &Config, plan: &PortPlan) -> Self {
-        let (local, buffer) = (source.local_addr(), source.buffer());
+        let local = source.local_addr();
+        let buffer = source.buffer();
         let name = PortName(&plan.config, local.port()).to_string();
         if let Some(warning) = buffer.warning(local.port()) {
             warn!("{warning}");
@@ -444,7 +452,9 @@ fn spawn<B>(
 where
     B: Buffers<Buffer: Outgoing> + Send + 'static,
 {
-    let (cpu, priority, name) = (config.cpu, config.realtime_priority, name.to_owned());
+    let cpu = config.cpu;
+    let priority = config.realtime_priority;
+    let name = name.to_owned();
     let number = port.number();
     // What the system shows of a thread is 15 bytes long.
     let thread = thread::Builder::new()

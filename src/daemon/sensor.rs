@@ -213,13 +213,15 @@ impl<B: Buffers<Buffer: Outgoing>> Sensor<B> {
 
     /// Completes the header of a sweep, sends it, and counts it.
     fn send(&mut self, mut sweep: B::Buffer, dropped: u64) {
-        let (completed_ns, completed_monotonic_ns) = (realtime_ns(), monotonic_ns());
+        let completed_ns = realtime_ns();
+        let completed_monotonic_ns = monotonic_ns();
         let Ok(whole) = SweepMut::open(sweep.as_mut()) else {
             return self.counters.unshared.add(1);
         };
         let header = whole.header;
         let dropped_datagrams = u32::try_from(dropped - self.dropped_before).unwrap_or(u32::MAX);
-        let (name, run_ns) = (&self.name[..], self.run_ns);
+        let name = &self.name[..];
+        let run_ns = self.run_ns;
         header.complete(&Completion {
             name,
             run_ns,

@@ -4,7 +4,7 @@
 use std::fmt;
 use std::time::Duration;
 
-use super::losses::{Level, Limits, Losses, Place, Recent, Tally, Turn};
+use super::losses::{Level, Limits, Losses, Recent, SensorAddress, Tally, Turn};
 use sweepd_core::sensor::Model;
 use sweepd_core::wire::data::ReturnMode;
 
@@ -146,10 +146,7 @@ pub struct Condition {
 pub struct Watcher {
     name: String,
     /// Where its packets come from, and the port that they come to.
-    address: String,
-    port: u16,
-    /// How many sensors have that port.
-    sensors: usize,
+    place: SensorAddress,
     losses: Losses,
     /// Turns a minute that it is set to, if that is watched.
     rpm: Option<f32>,
@@ -171,16 +168,15 @@ impl Watcher {
     /// A watcher of a sensor that has sent nothing yet; `now` as in [`Observation::now`].
     pub fn new(
         name: &str,
-        (address, port): (String, u16),
+        place: SensorAddress,
         rpm: Option<f32>,
+        limits: Limits,
         now: Duration,
     ) -> Self {
         Self {
             name: name.to_owned(),
-            address,
-            port,
-            sensors: 1,
-            losses: Losses::new(Limits::default()),
+            place,
+            losses: Losses::new(limits),
             rpm,
             state: State::Waiting,
             hindrance: None,
@@ -206,14 +202,16 @@ impl Watcher {
 
     /// How the sensor is, and why.
     pub fn condition(&self) -> Condition {
-        let (state, complaint, recent) = (self.state(), self.complaint(), self.losses.recent());
+        let state = self.state();
+        let complaint = self.complaint();
+        let recent = self.losses.recent();
         let is_fault = match state {
             State::Streaming | State::Losing => self.is_off_speed,
             _ => true,
         };
         let losses = recent
             .filter(|recent| recent.share() > 0.0)
-            .map(|recent| [recent.what(&self.place()), recent.cure(&self.place())]);
+            .map(|recent| [recent.what(&self.place), recent.cure(&self.place)]);
         Condition {
             state,
             complaint,
@@ -221,12 +219,6 @@ impl Watcher {
             recent,
             losses,
         }
-    }
-
-    /// Holds losses against these limits from now on, and says how many sensors have its port.
-    pub fn watch_losses(&mut self, limits: Limits, sensors: usize) {
-        self.limit_losses(limits);
-        self.sensors = sensors;
     }
 
     /// Holds losses against other limits from now on.
@@ -253,7 +245,7 @@ impl Watcher {
                 let losses = self
                     .losses
                     .recent()
-                    .map(|recent| recent.sentence(&self.place()))
+                    .map(|recent| recent.sentence(&self.place))
                     .unwrap_or_default();
                 Some(if self.is_off_speed {
                     format!("{losses}; it {}", self.off_speed())
@@ -347,7 +339,7 @@ impl Watcher {
             State::SpinningUp => {
                 let text = format!(
                     "packets from {} come, its first whole turn is awaited",
-                    self.address
+                    self.place.address
                 );
                 self.message(false, &text)
             }
@@ -389,17 +381,9 @@ impl Watcher {
         let turn = self.losses.observe(now.now, now.tally)?;
         let recent = self.losses.recent()?;
         Some(match turn {
-            Turn::Begun(_) => self.message(true, &recent.sentence(&self.place())),
+            Turn::Begun(_) => self.message(true, &recent.sentence(&self.place)),
             Turn::Over(lasted) => self.message(false, &recent.over(lasted)),
         })
-    }
-
-    fn place(&self) -> Place {
-        Place {
-            address: self.address.clone(),
-            port: Some(self.port),
-            sensors: self.sensors,
-        }
     }
 
     fn off_speed(&self) -> String {
@@ -411,7 +395,8 @@ impl Watcher {
     }
 
     fn silence(&self) -> String {
-        let Self { address, port, .. } = self;
+        let address = &self.place.address;
+        let port = self.place.port.unwrap_or_default();
         if self.before.position > 0 && self.before.data == 0 {
             return format!(
                 "only position packets from {address}, no data on port {port}: does it send its data to another port?"
@@ -452,10 +437,14 @@ mod tests {
 
     impl Watched {
         fn new(rpm: Option<f32>) -> Self {
-            let (seen, place) = (Observation::default(), ("192.168.1.201".to_owned(), 2368));
+            let place = SensorAddress {
+                address: "192.168.1.201".to_owned(),
+                port: Some(2368),
+                sensors: 1,
+            };
             Self {
-                watcher: Watcher::new("roof", place, rpm, Duration::ZERO),
-                seen,
+                watcher: Watcher::new("roof", place, rpm, Limits::default(), Duration::ZERO),
+                seen: Observation::default(),
             }
         }
 

@@ -73,28 +73,26 @@ impl Files {
     }
 
     fn begin(path: &Path, format: Format, rotation: Rotation) -> Result<Self, RecordError> {
-        let (mut next_number, path) = (0, path.to_owned());
-        let (first, file) = open(&path, format, rotation, &mut next_number)?;
-        let written = Written {
-            last: first.clone(),
-            first,
-            files: 1,
-            bytes: FILE_HEADER_LEN,
-            datagrams: 0,
-        };
-        let (len, begun_ns, synced, safe) = (FILE_HEADER_LEN, None, Instant::now(), (0, 0));
+        let mut next_number = 0;
+        let (first, file) = open(path, format, rotation, &mut next_number)?;
         Ok(Self {
-            path,
+            path: path.to_owned(),
             format,
             rotation,
             file,
             replaces: None,
-            len,
-            begun_ns,
+            len: FILE_HEADER_LEN,
+            begun_ns: None,
             next_number,
-            synced,
-            written,
-            safe,
+            synced: Instant::now(),
+            written: Written {
+                last: first.clone(),
+                first,
+                files: 1,
+                bytes: FILE_HEADER_LEN,
+                datagrams: 0,
+            },
+            safe: (0, 0),
         })
     }
 

@@ -50,8 +50,9 @@ pub fn ring(bytes: usize) -> (Producer, Consumer) {
     let len = bytes.div_ceil(WORD_LEN).max(64).next_power_of_two();
     // No memory is what ends any program, here as in `Vec`.
     let words = <[AtomicU64]>::new_box_zeroed_with_elems(len).unwrap_or_else(|_| {
-        let words = || AtomicU64::new(0);
-        std::iter::repeat_with(words).take(len).collect()
+        std::iter::repeat_with(|| AtomicU64::new(0))
+            .take(len)
+            .collect()
     });
     let shared = Arc::new(Shared {
         words,
@@ -79,7 +80,8 @@ struct Heading {
 
 impl Heading {
     fn words(self) -> [u64; HEADING_WORDS as usize] {
-        let (source, destination) = (self.source, self.destination);
+        let source = self.source;
+        let destination = self.destination;
         let ips = u64::from(source.ip().to_bits()) << 32 | u64::from(destination.ip().to_bits());
         let rest = u64::from(source.port()) << 48
             | u64::from(destination.port()) << 32
@@ -98,6 +100,10 @@ impl Heading {
 }
 
 impl Shared {
+    fn load(&self, position: u64) -> u64 {
+        self.word(position).load(Ordering::Relaxed)
+    }
+
     fn word(&self, position: u64) -> &AtomicU64 {
         &self.words[position as usize & (self.words.len() - 1)]
     }
@@ -167,7 +173,7 @@ impl Consumer {
 
     /// Arrival of the next datagram before a place that [`Consumer::end`] gave.
     pub fn next_ns(&self, end: u64) -> Option<i64> {
-        (!self.is_at(end)).then(|| self.shared.word(self.taken()).load(Ordering::Relaxed) as i64)
+        (!self.is_at(end)).then(|| self.shared.load(self.taken()) as i64)
     }
 
     /// Takes the next datagram before a place that [`Consumer::end`] gave.
@@ -176,14 +182,17 @@ impl Consumer {
             return None;
         }
         let begin = self.taken();
-        let word = |position| self.shared.word(position).load(Ordering::Relaxed);
-        let heading = Heading::of([begin, begin + 1, begin + 2].map(word));
+        let heading = Heading::of([
+            self.shared.load(begin),
+            self.shared.load(begin + 1),
+            self.shared.load(begin + 2),
+        ]);
         let len = heading.len as usize;
         let behind = begin + HEADING_WORDS + len.div_ceil(WORD_LEN) as u64;
         self.payload.clear();
         for position in begin + HEADING_WORDS..behind {
             self.payload
-                .extend_from_slice(&word(position).to_le_bytes());
+                .extend_from_slice(&self.shared.load(position).to_le_bytes());
         }
         // Release: the words have been read before they are written over.
         self.shared.taken.0.store(behind, Ordering::Release);

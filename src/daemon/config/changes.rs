@@ -9,7 +9,7 @@
 use std::fmt;
 
 use super::{Config, DaemonConfig, SensorConfig};
-use sweepd_core::segment::SETTINGS;
+use sweepd_core::segment::{self, SETTINGS};
 
 /// What a change takes.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
@@ -136,20 +136,18 @@ fn compare<'a, T>(settings: &'a [Setting<T>], old: &T, new: &T) -> Vec<(&'a Sett
     let is_other_sensor = differing
         .iter()
         .any(|setting| ["model", "returns"].contains(&setting.key));
-    let effect = |setting: &Setting<T>| match setting.key {
-        "calibration" | "mask" if is_other_sensor => Effect::Restart,
-        _ => setting.effect,
-    };
-    differing
-        .into_iter()
-        .map(|setting| (setting, effect(setting)))
-        .collect()
+    let with_effects = differing.into_iter().map(|setting| match setting.key {
+        "calibration" | "mask" if is_other_sensor => (setting, Effect::Restart),
+        _ => (setting, setting.effect),
+    });
+    with_effects.collect()
 }
 
 impl<T> Setting<T> {
     /// What changes: `port 2368 -> 2369`.
     fn change(&self, old: &T, new: &T) -> String {
-        let (old, new) = ((self.show)(old), (self.show)(new));
+        let old = (self.show)(old);
+        let new = (self.show)(new);
         // Of a file, only that there is one is shown.
         if old == new {
             format!("{} has changed", self.key)
@@ -168,16 +166,21 @@ fn segment_changes<'a>(
         .iter()
         .filter(|setting| !setting.is_same(&old.pipeline.segment, &new.pipeline.segment));
     differing.map(move |setting| {
-        let [before, now] = [old, new].map(|sensor| match setting.get(&sensor.pipeline.segment) {
-            Some(value) => value.to_string(),
-            None => setting.absent.to_owned(),
-        });
+        let before = shown(setting, old);
+        let now = shown(setting, new);
         Change {
             sensor: Some(old.name.clone()),
             what: format!("{} {before} -> {now}", setting.key),
             effect: Effect::Reload,
         }
     })
+}
+
+fn shown(setting: &segment::Setting, sensor: &SensorConfig) -> String {
+    match setting.get(&sensor.pipeline.segment) {
+        Some(value) => value.to_string(),
+        None => setting.absent.to_owned(),
+    }
 }
 
 impl Config {
@@ -223,12 +226,8 @@ impl Config {
             });
         }
         if self.record != new.record {
-            let [old, now] = [self, new].map(|config| {
-                config.record.as_ref().map_or_else(
-                    || "off".to_owned(),
-                    |record| record.path.display().to_string(),
-                )
-            });
+            let old = self.recorded();
+            let now = new.recorded();
             let what = if old == now {
                 "rotation of the recording has changed".to_owned()
             } else {
@@ -261,6 +260,14 @@ impl Config {
         }
         running.record.clone_from(&new.record);
         running
+    }
+
+    /// Where it records.
+    fn recorded(&self) -> String {
+        match &self.record {
+            Some(record) => record.path.display().to_string(),
+            None => "off".to_owned(),
+        }
     }
 
     /// The sensor of this name.

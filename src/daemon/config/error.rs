@@ -105,15 +105,12 @@ impl Problems {
 
     /// The lines that are to blame, from 1; one for each problem.
     pub fn lines(&self) -> Vec<usize> {
-        let line = |problem: &Problem| {
-            1 + self
-                .text
-                .bytes()
-                .take(problem.at.start)
-                .filter(|&byte| byte == b'\n')
-                .count()
-        };
-        self.problems.iter().map(line).collect()
+        let mut lines = Vec::new();
+        for problem in &self.problems {
+            let before = self.text.bytes().take(problem.at.start);
+            lines.push(1 + before.filter(|&byte| byte == b'\n').count());
+        }
+        lines
     }
 
     /// How many there are.

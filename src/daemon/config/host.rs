@@ -30,7 +30,8 @@ impl Config {
 }
 
 fn missing_address(sensor: &SensorConfig) -> Option<String> {
-    let (name, address) = (&sensor.name, sensor.port.bind);
+    let name = &sensor.name;
+    let address = sensor.port.bind;
     let error = UdpSocket::bind((address, 0)).err()?;
     (error.kind() == ErrorKind::AddrNotAvailable).then(|| {
         format!(
@@ -49,7 +50,8 @@ fn missing_interface(sensor: &SensorConfig) -> Option<String> {
     names.sort();
     let is_missing = !names.iter().any(|name| name == interface);
     is_missing.then(|| {
-        let (name, names) = (&sensor.name, names.join(", "));
+        let name = &sensor.name;
+        let names = names.join(", ");
         format!("sensor {name}: `interface` {interface} is not on this host, which has {names}")
     })
 }

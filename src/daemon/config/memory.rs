@@ -11,20 +11,22 @@ use sweepd_core::sweep::layout::Shape;
 /// from the least of what it may be to the most.
 pub fn sweep_bytes(sensor: &SensorConfig) -> RangeInclusive<usize> {
     let config = &sensor.pipeline;
-    let bytes = |model: Model| {
-        let modes = [false, true]
-            .into_iter()
-            .filter(move |&dual| match sensor.dual {
+    let min_points = config.segment.min_points as usize;
+    let mut least = usize::MAX;
+    let mut most = 0;
+    for model in possible_models(config.model, config.calibration.as_ref()) {
+        for dual in [false, true] {
+            let may_be = match sensor.dual {
                 Some(own) => own == dual,
                 None => !dual || model != Model::Hdl64eS2,
-            });
-        let min_points = config.segment.min_points as usize;
-        modes.map(move |dual| Shape::of(model.spec().channels, dual, min_points).total_bytes())
-    };
-    let all = possible_models(config.model, config.calibration.as_ref()).flat_map(bytes);
-    let (least, most) = all.fold((usize::MAX, 0), |(least, most), bytes| {
-        (least.min(bytes), most.max(bytes))
-    });
+            };
+            if may_be {
+                let bytes = Shape::of(model.spec().channels, dual, min_points).total_bytes();
+                least = least.min(bytes);
+                most = most.max(bytes);
+            }
+        }
+    }
     least..=most
 }
 
@@ -35,10 +37,8 @@ pub fn is_model_known(sensor: &SensorConfig) -> bool {
 
 /// Bytes of shared memory that this sensor takes, as [`sweep_bytes`].
 pub fn pool_bytes(sensor: &SensorConfig) -> RangeInclusive<u64> {
-    let (sweeps, bytes) = (
-        pool_sweeps(sensor.max_consumers) as u64,
-        sweep_bytes(sensor),
-    );
+    let sweeps = pool_sweeps(sensor.max_consumers) as u64;
+    let bytes = sweep_bytes(sensor);
     sweeps * *bytes.start() as u64..=sweeps * *bytes.end() as u64
 }
 

@@ -28,7 +28,7 @@ impl Watched {
     }
 
     fn sentence(&self) -> String {
-        let place = Place {
+        let place = SensorAddress {
             address: "192.168.1.201".to_owned(),
             port: Some(2368),
             sensors: 1,
@@ -157,7 +157,7 @@ fn some_packets_alone_are_no_share() {
 #[test]
 fn the_cause_follows_from_what_was_counted() {
     let data = 3000;
-    let place = |sensors| Place {
+    let place = |sensors| SensorAddress {
         address: "10.0.0.5".to_owned(),
         port: Some(2368),
         sensors,
@@ -277,7 +277,7 @@ fn the_cause_follows_from_what_was_counted() {
         shared.contains("port 2368, which 3 sensors share, since nobody fetched them"),
         "{shared}"
     );
-    let unknown = Place {
+    let unknown = SensorAddress {
         port: None,
         ..place(0)
     };

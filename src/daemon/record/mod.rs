@@ -17,7 +17,6 @@ pub mod protocol;
 mod recording;
 pub mod server;
 
-use std::io;
 use std::path::{Path, PathBuf};
 use std::sync::Arc;
 use std::sync::atomic::Ordering;
@@ -92,6 +91,18 @@ pub struct PortLink {
     pub counters: Arc<PortCounters>,
     /// Where it takes changes.
     pub changes: Sender<PortChange>,
+}
+
+impl PortLink {
+    /// The number of a sensor at this port's admission.
+    fn number_of(&self, sensor: usize) -> Option<usize> {
+        self.sensors.iter().position(|&one| one == sensor)
+    }
+
+    /// Whether packets of this sensor may come through it; of any, if there is none.
+    fn carries(&self, sensor: Option<usize>) -> bool {
+        sensor.is_none_or(|sensor| self.sensors.contains(&sensor))
+    }
 }
 
 /// What happens to recordings.
@@ -282,28 +293,36 @@ impl Recordings {
 
     /// How all are.
     pub fn status(&self) -> RecordingsStatus {
-        let asked = || self.list.iter().filter(|one| !one.is_configured());
-        let counts = || {
-            let ending = self.ending.iter().filter_map(|one| one.counts.as_ref());
-            asked().map(|one| &one.counts).chain(ending)
+        let mut status = RecordingsStatus {
+            configured: None,
+            asked: Vec::new(),
+            asked_datagrams: self.ended_datagrams,
+            asked_refused: self.ended_refused,
         };
-        let written: u64 = counts()
-            .map(|one| one.written.load(Ordering::Relaxed))
-            .sum();
-        let refused: u64 = counts()
-            .map(|one| one.refused.load(Ordering::Relaxed))
-            .sum();
-        // While another is being begun, the one before goes on.
-        let configured = self.configured().find(|one| one.was_tried());
-        RecordingsStatus {
-            configured: configured.map(|one| one.status(&self.sensors)),
-            asked: asked()
-                .filter(|one| one.was_tried())
-                .map(|one| one.status(&self.sensors))
-                .collect(),
-            asked_datagrams: self.ended_datagrams + written,
-            asked_refused: self.ended_refused + refused,
+        let mut counts: Vec<&RecordCounts> = Vec::new();
+        for ending in &self.ending {
+            counts.extend(ending.counts.as_deref());
         }
+        for recording in &self.list {
+            if !recording.is_configured() {
+                counts.push(&recording.counts);
+            }
+            // While another is being begun, the one before goes on.
+            if !recording.was_tried() {
+                continue;
+            }
+            let one = recording.status(&self.sensors);
+            if !recording.is_configured() {
+                status.asked.push(one);
+            } else if status.configured.is_none() {
+                status.configured = Some(one);
+            }
+        }
+        for count in counts {
+            status.asked_datagrams += count.written.load(Ordering::Relaxed);
+            status.asked_refused += count.refused.load(Ordering::Relaxed);
+        }
+        status
     }
 
     /// Ends all. When this returns, what was put in is on the disk; how long that takes is up to
@@ -418,11 +437,13 @@ impl Recordings {
             recording,
             &recorder,
         );
-        let sensor = recording.target.sensor;
-        let carries = |port: &&PortLink| sensor.is_none_or(|sensor| port.sensors.contains(&sensor));
-        let counters = self.ports.iter().filter(carries);
-        let drops = counters.map(|port| Arc::clone(&port.counters)).collect();
-        let failed = self.list[index].begun(recorder, Drops::since_now(drops));
+        let mut counters = Vec::new();
+        for port in &self.ports {
+            if port.carries(recording.target.sensor) {
+                counters.push(Arc::clone(&port.counters));
+            }
+        }
+        let failed = self.list[index].begun(recorder, Drops::since_now(counters));
         if let Some(failed) = failed {
             self.wait_aside(None, move || {
                 await_release(&failed);
@@ -436,19 +457,18 @@ impl Recordings {
 
     fn begun_in_vain(&mut self, index: usize, error: &RecordError) {
         let other = self.other_configured(index);
-        let goes_on = |id| {
-            self.list
-                .iter()
-                .any(|one| one.id == id && !one.has_failed())
-        };
+        let mut list = self.list.iter();
+        let goes_on = list.any(|one| Some(one.id) == other && !one.has_failed());
         if !self.list[index].is_configured() {
             self.list.remove(index).refuse(explain(error));
-        } else if other.is_some_and(goes_on) {
+        } else if goes_on {
             warn!("the recording stays as it was: {error}");
             self.list.remove(index);
         } else {
             self.list[index].failed(error);
-            other.into_iter().for_each(|id| self.end(id));
+            if let Some(other) = other {
+                self.end(other);
+            }
         }
     }
 
@@ -488,10 +508,8 @@ impl Recordings {
         counts: Option<Arc<RecordCounts>>,
         wait: impl FnOnce() + Send + 'static,
     ) {
-        let spawned: io::Result<_> = thread::Builder::new()
-            .name("sweepd-record".to_owned())
-            .spawn(wait);
-        match spawned {
+        let thread = thread::Builder::new().name("sweepd-record".to_owned());
+        match thread.spawn(wait) {
             Ok(thread) => self.ending.push(EndingRecording { thread, counts }),
             // The recorder was dropped, and has waited here.
             Err(error) => warn!("a recording has ended without a report: {error}"),
@@ -507,17 +525,11 @@ impl Drop for Recordings {
 
 /// Gives each port whose packets are recorded a feed, in place of that of another recording.
 fn feed(ports: &[PortLink], remove: Option<u64>, recording: &Recording, recorder: &Recorder) {
-    for port in ports {
-        let sensor = match recording.target.sensor {
-            Some(index) => match port.sensors.iter().position(|&one| one == index) {
-                Some(number) => Some(number),
-                None => continue,
-            },
-            None => None,
-        };
+    let sensor = recording.target.sensor;
+    for port in ports.iter().filter(|port| port.carries(sensor)) {
         let add = PortRecording {
             id: recording.id,
-            sensor,
+            sensor: sensor.and_then(|index| port.number_of(index)),
             feed: recorder.feed(),
         };
         // A thread that has ended is found by `Runtime::check`.

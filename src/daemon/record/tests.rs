@@ -14,6 +14,7 @@ use super::server::{ControlServer, SocketError};
 use super::*;
 use crate::capture::Capture;
 use crate::capture::record::Rotation;
+use std::io;
 
 const SOON: Duration = Duration::from_secs(10);
 

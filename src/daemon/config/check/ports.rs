@@ -10,7 +10,7 @@ use crate::daemon::config::error::Problem;
 use crate::daemon::config::{PortConfig, file};
 
 /// Where a setting stands, if it does.
-type Place = fn(&file::Sensor) -> Option<Range<usize>>;
+type SpanOf = fn(&file::Sensor) -> Option<Range<usize>>;
 
 fn place<T>(given: &Option<Spanned<T>>) -> Option<Range<usize>> {
     given.as_ref().map(Spanned::span)
@@ -45,7 +45,7 @@ impl Check<'_> {
             |sensor| place(&sensor.cpu),
             |port| &mut port.cpu,
         );
-        let priority: Place = |sensor| place(&sensor.realtime_priority);
+        let priority: SpanOf = |sensor| place(&sensor.realtime_priority);
         self.agree(sensors, "realtime_priority", priority, |port| {
             &mut port.realtime_priority
         });
@@ -60,7 +60,8 @@ impl Check<'_> {
                     && (ports.0 == ports.1 || ports.0.is_none() || ports.1.is_none())
             };
             if let Some(other) = sensors[..number].iter().find(is_same) {
-                let (name, port) = (&other.config.name, config.port.port);
+                let name = &other.config.name;
+                let port = config.port.port;
                 let title = format!(
                     "`{}` cannot be told from `{name}`: the same address and port {port}",
                     config.name
@@ -77,7 +78,7 @@ impl Check<'_> {
         &mut self,
         sensors: &mut [Checked<'_>],
         key: &str,
-        place: Place,
+        place: SpanOf,
         setting: fn(&mut PortConfig) -> &mut T,
     ) {
         for number in 0..sensors.len() {

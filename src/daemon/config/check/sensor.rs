@@ -223,15 +223,10 @@ impl Check<'_> {
         at: Range<usize>,
     ) -> Option<pipeline::Config> {
         let mount = &sensor.mount;
-        let metres = |check: &mut Self, key, given| {
-            check
-                .number(key, given, POSITION_M, "metres")
-                .unwrap_or(0.0) as f32
-        };
         let position_m = [
-            metres(self, "x_m", &mount.x_m),
-            metres(self, "y_m", &mount.y_m),
-            metres(self, "z_m", &mount.z_m),
+            self.position("x_m", &mount.x_m),
+            self.position("y_m", &mount.y_m),
+            self.position("z_m", &mount.z_m),
         ];
         let yaw_deg = self
             .number("yaw_deg", &mount.yaw_deg, TURN_DEG, "degrees")
@@ -257,6 +252,11 @@ impl Check<'_> {
             position_m,
             yaw_rad: yaw_deg.to_radians() as f32,
         })
+    }
+
+    fn position(&mut self, key: &str, given: &Option<Spanned<f64>>) -> f32 {
+        let metres = self.number(key, given, POSITION_M, "metres");
+        metres.unwrap_or(0.0) as f32
     }
 
     fn calibration(
@@ -334,8 +334,8 @@ impl Check<'_> {
         if let Some(method) = &written.method {
             config.method = *method.get_ref();
         }
-        let numbers = || sensor.mount.numbers.iter().chain(&written.numbers);
-        for (setting, given) in numbers() {
+        let mut numbers = sensor.mount.numbers.iter().chain(&written.numbers);
+        for (setting, given) in numbers.clone() {
             self.setting(setting, given, &mut config);
         }
         config.mask = self.mask(&written.mask, model, calibration);
@@ -351,7 +351,7 @@ impl Check<'_> {
             ConfigError::SmallReach { .. } => "small_reach_m",
             ConfigError::Height { .. } => "height_m",
         };
-        let to_blame = numbers().find(|(setting, _)| setting.key == key);
+        let to_blame = numbers.find(|(setting, _)| setting.key == key);
         self.problem(
             to_blame.map_or(at, |(_, given)| given.span()),
             error.to_string(),
