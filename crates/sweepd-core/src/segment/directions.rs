@@ -5,7 +5,7 @@ use std::f32::consts::FRAC_2_PI;
 
 use fearless_simd::{Simd, f32x16, i32x16, prelude::*};
 
-use super::points::{LANES, Order, STRIP, load};
+use super::order::{LANES, Order, STRIP, load};
 use super::reserve;
 use crate::sweep::image::shifted;
 use crate::sweep::{Column, SweepRef};
@@ -29,7 +29,7 @@ impl Directions {
     /// wide.
     pub fn reserve(&mut self, columns: usize) {
         for table in [&mut self.sin, &mut self.cos, &mut self.surplus_rad_s] {
-            reserve(table, 3 * columns + 4 * STRIP);
+            reserve(table, 3 * columns + 6 * STRIP);
         }
     }
 

@@ -1,13 +1,13 @@
 //! First and last column of a segment: in a whole turn, those beside the widest stretch without it.
 
-use super::points::Order;
+use super::order::Order;
 
 /// Where a segment lies among the columns, position by position.
 #[derive(Clone, Copy, Debug, Default)]
 pub(super) struct Extent {
     /// Position of its strip at hand, and its columns there.
     strip: usize,
-    columns: u32,
+    columns: u64,
     /// First and last position.
     ends: Option<[usize; 2]>,
     /// Widest stretch of columns without the segment's pixels so far: the positions before and
@@ -18,7 +18,7 @@ pub(super) struct Extent {
 impl Extent {
     /// Takes columns of the strip that begins at a position; strips come in order.
     #[inline]
-    pub fn add(&mut self, strip: usize, columns: u32, order: Order) {
+    pub fn add(&mut self, strip: usize, columns: u64, order: Order) {
         if strip != self.strip {
             self.close(order);
             self.strip = strip;
@@ -88,13 +88,13 @@ impl Extent {
 
 #[cfg(test)]
 mod tests {
-    use super::super::points::STRIP;
+    use super::super::order::STRIP;
     use super::*;
 
-    /// Of an image of 100 columns: strips by their first position, and the columns there.
-    fn columns(circular: bool, strips: &[(usize, u32)]) -> [u32; 2] {
+    /// Of an image of 200 columns: strips by their first position, and the columns there.
+    fn columns(circular: bool, strips: &[(usize, u64)]) -> [u32; 2] {
         let order = Order {
-            columns: Some(100),
+            columns: Some(200),
             circular,
             start: if circular { STRIP } else { 0 },
         };
@@ -105,40 +105,40 @@ mod tests {
         extent.columns(order)
     }
 
-    /// Position 32 is column 0.
+    /// Position 64 is column 0.
     #[test]
     fn a_part_of_a_turn_has_two_ends() {
-        assert_eq!(columns(false, &[(32, 0b1010)]), [1, 3]);
+        assert_eq!(columns(false, &[(64, 0b1010)]), [1, 3]);
         assert_eq!(
-            columns(false, &[(32, 1 << 31), (64, 1), (128, 0b1000)]),
-            [31, 99]
+            columns(false, &[(64, 1 << 63), (128, 1), (256, 0b1000)]),
+            [63, 195]
         );
         assert_eq!(
-            columns(false, &[(32, 0b10), (32, 0b100)]),
+            columns(false, &[(64, 0b10), (64, 0b100)]),
             [1, 2],
             "two runs in a strip"
         );
     }
 
-    /// Position 32 is column 32, and position 131 column 31.
+    /// Position 64 is column 64, and position 263 column 63.
     #[test]
     fn a_whole_turn_is_cut_at_the_widest_hole() {
-        assert_eq!(columns(true, &[(32, 0b1010)]), [33, 35]);
-        // Columns 95 to 99, and 0 to 4 behind them.
+        assert_eq!(columns(true, &[(64, 0b1010)]), [65, 67]);
+        // Columns 191 to 199, and 0 to 4 behind them.
         assert_eq!(
-            columns(true, &[(64, 1 << 31), (96, 0b1_1111_1111)]),
-            [95, 4]
+            columns(true, &[(128, 1 << 63), (192, 0b1_1111_1111_1111)]),
+            [191, 4]
         );
-        // Column 32 is taken first, 30 and 31 last.
-        assert_eq!(columns(true, &[(32, 1), (128, 0b1100)]), [30, 32]);
-        // Columns 40 and 90 are as far apart both ways: it does not lie across the seam.
-        assert_eq!(columns(true, &[(32, 1 << 8), (64, 1 << 26)]), [40, 90]);
+        // Column 64 is taken first, 62 and 63 last.
+        assert_eq!(columns(true, &[(64, 1), (256, 0b1100_0000)]), [62, 64]);
+        // Columns 80 and 180 are as far apart both ways: it does not lie across the seam.
+        assert_eq!(columns(true, &[(64, 1 << 16), (128, 1 << 52)]), [80, 180]);
         let whole = [
-            (32, u32::MAX),
-            (64, u32::MAX),
-            (96, u32::MAX),
-            (128, 0b1111),
+            (64, u64::MAX),
+            (128, u64::MAX),
+            (192, u64::MAX),
+            (256, 0b1111_1111),
         ];
-        assert_eq!(columns(true, &whole), [0, 99]);
+        assert_eq!(columns(true, &whole), [0, 199]);
     }
 }

@@ -8,8 +8,10 @@
 
 use fearless_simd::{Simd, f32x16, mask32x16, prelude::*};
 
-use super::DENSE_ROWS;
-use super::points::{LANES, Points, STRIP};
+use super::order::{LANES, STRIP};
+use super::points::{Beams, Profile};
+use super::ranges::Ranges;
+use super::{DENSE_ROWS, MAX_ROWS};
 
 /// What counts as ground.
 #[derive(Clone, Copy, Debug, PartialEq)]
@@ -64,11 +66,9 @@ pub(super) struct Stand {
 #[derive(Clone, Copy, Debug, Default)]
 pub(super) struct Words {
     /// Returns that may be labelled.
-    pub real: u32,
+    pub real: u64,
     /// Ground by the climb alone.
-    pub climbed: u32,
-    /// Columns whose range is like that of the column this many before, plus one.
-    pub like: [u32; VOTERS],
+    pub climbed: u64,
 }
 
 /// The words of the strip before, the one at hand and the next.
@@ -83,12 +83,15 @@ impl SlopeGround {
             .unwrap_or(if rows >= DENSE_ROWS { 0.3 } else { 0.15 })
     }
 
-    /// Climbs the columns of the strip behind the one at hand. The words say what is real.
+    /// Climbs the columns of the next strip, which begins at this position. The words say what is
+    /// real.
     #[inline(always)]
     pub(super) fn climb<S: Simd>(
         &self,
         simd: S,
-        points: &Points,
+        beams: &Beams,
+        ranges: &Ranges,
+        position: usize,
         stand: &Stand,
         words: &mut [Window],
     ) {
@@ -99,20 +102,21 @@ impl SlopeGround {
         let max_rise_m = self.max_rise_m(words.len());
         // For each row: which columns find it the face of a kerb, and which find that a kerb below
         // goes on level here.
-        let mut kerbs = [[0_u32; 2]; super::MAX_ROWS];
-        // One half after the other: what both have to remember is more than there are registers.
-        for half in (0..STRIP).step_by(LANES) {
+        let mut kerbs = [[0_u64; 2]; MAX_ROWS];
+        // Sixteen after sixteen: what more have to remember is more than there are registers.
+        for first in (0..STRIP).step_by(LANES) {
             let mut climber = Climber::new(simd, height_m, max_rise_m);
             for row in (0..words.len()).rev() {
-                let Words { real, climbed, .. } = &mut words[row][2];
-                if *real >> half & 0xFFFF == 0 {
+                let Words { real, climbed } = &mut words[row][2];
+                if *real >> first & 0xFFFF == 0 {
                     continue;
                 }
-                let here = place(simd, points, points.at(row) + STRIP + half, stand);
-                let step = climber.step(simd, self, here, u64::from(*real >> half));
-                *climbed |= step.ground << half;
-                kerbs[row][0] |= step.face << half;
-                kerbs[row][1] |= step.goes_on << half;
+                let range = ranges.load(simd, row, STRIP + first);
+                let here = beams.profile(simd, row, position + first, range, stand.up);
+                let step = climber.step(simd, self, here, *real >> first);
+                *climbed |= step.ground << first;
+                kerbs[row][0] |= step.face << first;
+                kerbs[row][1] |= step.goes_on << first;
             }
         }
         // From the top: the faces straight below where a kerb goes on level.
@@ -123,134 +127,114 @@ impl SlopeGround {
         }
     }
 
-    /// Says which columns of the strip behind the one at hand are like those before them.
-    #[inline(always)]
-    pub(super) fn compare<S: Simd>(&self, simd: S, points: &Points, words: &mut [Window]) {
-        for (row, words) in words.iter_mut().enumerate() {
-            let next = &mut words[2];
-            next.like = [0; VOTERS];
-            if next.real == 0 || self.agree_m <= 0.0 {
-                continue;
-            }
-            for half in 0..STRIP / LANES {
-                let lane = points.at(row) + STRIP + half * LANES;
-                let here = points.range.load(simd, lane);
-                for (back, like) in (1..).zip(&mut next.like) {
-                    let there = points.range.load(simd, lane - back);
-                    // What has no return is further than that from what has one.
-                    let near = (here - there).abs().simd_lt(self.agree_m) & there.simd_gt(0.0);
-                    *like |= (near.to_bitmask() as u32) << (half * LANES);
-                }
-            }
-            next.like.iter_mut().for_each(|like| *like &= next.real);
-        }
-    }
-
     /// The ground of the strip at hand in a row, after the vote.
     #[inline(always)]
-    pub(super) fn vote(words: &Window) -> u32 {
-        let Words { real, climbed, .. } = words[1];
-        let around = across(words, |words| words.climbed);
+    pub(super) fn vote<S: Simd>(
+        &self,
+        simd: S,
+        ranges: &Ranges,
+        row: usize,
+        words: &Window,
+    ) -> u64 {
+        let climbed = across(words.map(|words| words.climbed));
+        let real = across(words.map(|words| words.real));
         // All ground, or none near: nothing to vote on.
-        if around == 0 || climbed == real && around == across(words, |words| words.real) {
-            return climbed;
+        if climbed == 0 || climbed == real || self.agree_m <= 0.0 {
+            return words[1].climbed;
         }
-        let (mut ayes, mut votes) = (Count::default(), Count::default());
+        let mut ayes = Count::default();
+        let mut votes = Count::default();
         for back in 1..=VOTERS {
-            let like = across(words, |words| words.like[back - 1]);
-            for (voter, is_ground) in [(like, around << back), (like >> back, around >> back)] {
+            let like = self.like(simd, ranges, row, back) << VOTERS & real;
+            for (voter, is_ground) in [(like, climbed << back), (like >> back, climbed >> back)] {
                 votes.add(voter);
                 ayes.add(voter & is_ground);
             }
         }
         let made = ayes.at_least_3();
         let unmade = !ayes.at_least_2() & votes.at_least_4();
-        let voted = (around | made) & !(around & unmade);
-        (voted >> super::points::BEFORE) as u32 & real
+        let voted = (climbed | made) & !(climbed & unmade);
+        (voted >> VOTERS) as u64 & words[1].real
+    }
+
+    /// Which columns of the strip at hand, and of the first behind it, have a range like that of
+    /// the column this many before.
+    #[inline(always)]
+    fn like<S: Simd>(&self, simd: S, ranges: &Ranges, row: usize, back: usize) -> u128 {
+        let mut like = 0;
+        for first in (0..STRIP + LANES).step_by(LANES) {
+            let here = ranges.load(simd, row, first);
+            let there = ranges.load_before(simd, row, first, back);
+            // What has no return is further than that from what has one.
+            let near = (here - there).abs().simd_lt(self.agree_m) & there.simd_gt(0.0);
+            like |= u128::from(near.to_bitmask()) << first;
+        }
+        like
     }
 }
 
-/// A word over the columns before the strip at hand, the strip, and the first behind it.
+/// A word over the three columns before the strip at hand, the strip, and the three behind it.
 #[inline(always)]
-fn across(words: &Window, part: impl Fn(&Words) -> u32) -> u64 {
-    let (before, here, next) = (part(&words[0]), part(&words[1]), part(&words[2]));
-    u64::from(before >> super::points::BEFORE)
-        | u64::from(here) << super::points::BEFORE
-        | u64::from(next) << 48
+fn across([before, here, next]: [u64; 3]) -> u128 {
+    u128::from(before >> (STRIP - VOTERS))
+        | u128::from(here) << VOTERS
+        | u128::from(next & ((1 << VOTERS) - 1)) << (STRIP + VOTERS)
 }
 
 /// Counts up to seven for each bit.
 #[derive(Clone, Copy, Default)]
 struct Count {
-    ones: u64,
-    twos: u64,
-    fours: u64,
+    ones: u128,
+    twos: u128,
+    fours: u128,
 }
 
 impl Count {
     #[inline(always)]
-    fn add(&mut self, bit: u64) {
+    fn add(&mut self, bit: u128) {
         let carry = self.ones & bit;
         self.ones ^= bit;
         self.fours |= self.twos & carry;
         self.twos ^= carry;
     }
 
-    fn at_least_2(self) -> u64 {
+    fn at_least_2(self) -> u128 {
         self.twos | self.fours
     }
 
-    fn at_least_3(self) -> u64 {
+    fn at_least_3(self) -> u128 {
         self.fours | self.twos & self.ones
     }
 
-    fn at_least_4(self) -> u64 {
+    fn at_least_4(self) -> u128 {
         self.fours
-    }
-}
-
-/// Points as the ground sees them: distance from the plumb line, and height over the sensor,
-/// metres.
-#[derive(Clone, Copy)]
-struct Places<S: Simd> {
-    away: f32x16<S>,
-    height: f32x16<S>,
-}
-
-#[inline(always)]
-fn place<S: Simd>(simd: S, points: &Points, lane: usize, stand: &Stand) -> Places<S> {
-    let far = points.far.load(simd, lane);
-    let height = points.height(simd, lane, stand.up);
-    Places {
-        away: (far * far - height * height).max(0.0).sqrt(),
-        height,
     }
 }
 
 /// The climb of some columns.
 #[derive(Clone, Copy)]
 struct Climber<S: Simd> {
-    foothold: Places<S>,
+    foothold: Profile<f32x16<S>>,
     /// The foot of what rises steeply: near the sensor, beams are so close that no step from one to
     /// the next is high.
-    foot: Places<S>,
+    foot: Profile<f32x16<S>>,
     /// The upper edge of what may be a kerb, where there is one.
-    edge: Places<S>,
+    edge: Profile<f32x16<S>>,
     has_edge: mask32x16<S>,
     max_rise_m: f32,
 }
 
 /// What columns find in a row.
 struct Step {
-    ground: u32,
-    face: u32,
-    goes_on: u32,
+    ground: u64,
+    face: u64,
+    goes_on: u64,
 }
 
 impl<S: Simd> Climber<S> {
     #[inline(always)]
     fn new(simd: S, height_m: f32, max_rise_m: f32) -> Self {
-        let foothold = Places {
+        let foothold = Profile {
             away: f32x16::splat(simd, 0.0),
             height: f32x16::splat(simd, -height_m),
         };
@@ -264,7 +248,7 @@ impl<S: Simd> Climber<S> {
     }
 
     #[inline(always)]
-    fn step(&mut self, simd: S, limits: &SlopeGround, here: Places<S>, real: u64) -> Step {
+    fn step(&mut self, simd: S, limits: &SlopeGround, here: Profile<f32x16<S>>, real: u64) -> Step {
         let real = mask32x16::from_bitmask(simd, real);
         let (away, rise) = here.from(&self.edge);
         let goes_on = self.has_edge & real & rise.abs().simd_lt(away * limits.max_slope);
@@ -290,14 +274,14 @@ impl<S: Simd> Climber<S> {
         self.has_edge |= face;
         self.foot = here.or(&self.foot, real & !steep);
         Step {
-            ground: ground.to_bitmask() as u32,
-            face: face.to_bitmask() as u32,
-            goes_on: goes_on.to_bitmask() as u32,
+            ground: ground.to_bitmask(),
+            face: face.to_bitmask(),
+            goes_on: goes_on.to_bitmask(),
         }
     }
 }
 
-impl<S: Simd> Places<S> {
+impl<S: Simd> Profile<f32x16<S>> {
     #[inline(always)]
     fn from(&self, other: &Self) -> (f32x16<S>, f32x16<S>) {
         (self.away - other.away, self.height - other.height)
@@ -319,40 +303,51 @@ mod tests {
 
     use super::*;
     use crate::assemble::lanes::levels;
+    use crate::segment::order::{BEFORE, lane_of};
+    use crate::sensor::Beam;
+    use crate::sweep::{BeamRow, Buffers, HeapBuffers, Shape, SweepMut};
 
     /// A word, bit r for row r, of the ground in a column of points: distance and height from a
     /// sensor 1.7 m up. It is put into several columns of a strip, and seen with the sensor upright
     /// and tilted.
     fn climbed(level: Level, column: &[(f64, f64)]) -> u32 {
-        let tilt: f64 = 0.1;
         let mut found = Vec::new();
-        for (up, [along, across]) in [
-            ([0.0, 0.0, 1.0], [1.0, 0.0]),
-            ([0.0, -tilt.sin(), tilt.cos()], [tilt.cos(), tilt.sin()]),
-        ] {
-            let (mut points, mut words) =
-                (Points::default(), vec![Window::default(); column.len()]);
-            points.reserve(1);
-            let places = [0, 5, 15, 16, 31];
-            for (row, (&(away_m, height_m), words)) in column.iter().zip(&mut words).enumerate() {
+        for tilt in [0.0, 0.1_f64] {
+            let shape = Shape {
+                rows: column.len(),
+                columns_capacity: STRIP,
+                dual: false,
+                segments_capacity: 0,
+            };
+            let mut buffer = HeapBuffers::default().take(shape.total_bytes());
+            let sweep = SweepMut::create(buffer.as_mut(), &shape).unwrap();
+            sweep.header.columns = STRIP as u32;
+            let mut ranges = Ranges::default();
+            let mut words = vec![Window::default(); column.len()];
+            let places = [0, 5, 15, 16, 63];
+            for (row, &(away_m, height_m)) in column.iter().enumerate() {
+                let elevation_rad = height_m.atan2(away_m) + tilt;
+                sweep.beams[row] = BeamRow::new(&Beam::ideal(row, elevation_rad), 0);
                 for place in places {
-                    let lane = points.at(row) + STRIP + place;
-                    points.y[lane] = (away_m * along - height_m * across) as f32;
-                    points.z[lane] = (away_m * across + height_m * along) as f32;
-                    points.far[lane] = away_m.hypot(height_m) as f32;
-                    words[2].real |= 1 << place;
+                    ranges.plane[lane_of(row) + STRIP + place] = away_m.hypot(height_m) as f32;
+                    words[row][2].real |= 1 << place;
                 }
             }
             let stand = Stand {
-                up: up.map(|axis| axis as f32),
+                up: [0.0, -tilt.sin(), tilt.cos()].map(|axis| axis as f32),
                 height_m: Some(1.7),
             };
-            dispatch!(level, simd => SlopeGround::default().climb(simd, &points, &stand, &mut words));
+            let sweep = sweep.as_ref();
+            dispatch!(level, simd => {
+                let mut beams = Beams::default();
+                beams.begin(&sweep, Some(STRIP));
+                beams.extend(simd, &sweep, 2 * STRIP);
+                SlopeGround::default().climb(simd, &beams, &ranges, STRIP, &stand, &mut words);
+            });
             found.extend(places.map(|place| {
-                words
-                    .iter()
-                    .rev()
-                    .fold(0, |word, words| word << 1 | words[2].climbed >> place & 1)
+                words.iter().rev().fold(0, |word, words| {
+                    word << 1 | (words[2].climbed >> place & 1) as u32
+                })
             }));
             assert!(
                 words
@@ -449,24 +444,34 @@ mod tests {
         );
     }
 
-    /// A row: bit c of `like` for column c, whose range is like that of the three before as far as
-    /// these are like it too.
-    fn voted(alike: [u32; 3], climbed: [u32; 3]) -> u32 {
-        let row = u128::from(alike[0]) | u128::from(alike[1]) << 32 | u128::from(alike[2]) << 64;
-        let words = std::array::from_fn(|strip| Words {
+    /// The ground of a strip in a row of which these columns of the strip before, of the strip and
+    /// of the next hold a return, all at one range.
+    fn voted(alike: [u64; 3], climbed: [u64; 3]) -> u64 {
+        let words = [0, 1, 2].map(|strip| Words {
             real: alike[strip],
             climbed: climbed[strip],
-            like: [1, 2, 3]
-                .map(|back| (row & row << back) >> (32 * strip))
-                .map(|word| word as u32),
         });
-        SlopeGround::vote(&words)
+        let mut ranges = Ranges::default();
+        for column in 0..3 * STRIP {
+            let is_real = alike[column / STRIP] >> (column % STRIP) & 1 == 1;
+            let lane = (lane_of(0) + column).wrapping_sub(STRIP);
+            if is_real && lane >= lane_of(0) - BEFORE {
+                ranges.plane[lane] = 10.0;
+            }
+        }
+        let mut found: Vec<u64> = levels()
+            .into_iter()
+            .map(|level| dispatch!(level, simd => SlopeGround::default().vote(simd, &ranges, 0, &words)))
+            .collect();
+        found.dedup();
+        assert_eq!(found.len(), 1, "{found:?}");
+        found[0]
     }
 
     #[test]
     fn three_of_six_neighbours_make_ground_and_one_at_most_unmakes_it() {
         let alike = [0, 0b111_1111 << 10, 0];
-        let vote = |climbed: u32| voted(alike, [0, climbed << 10, 0]) >> 10;
+        let vote = |climbed: u64| voted(alike, [0, climbed << 10, 0]) >> 10;
         assert_eq!(vote(0b111_0111), 0b111_1111, "all around it are ground");
         assert_eq!(vote(0b000_1000), 0, "nothing around it is");
         assert_eq!(vote(0b001_1000), 0, "one around each is");
@@ -482,15 +487,15 @@ mod tests {
 
     #[test]
     fn neighbours_vote_from_strip_to_strip() {
-        assert_eq!(voted([0b111 << 29, 1, 0], [0b111 << 29, 0, 0]), 1);
-        assert_eq!(voted([0, 1 << 31, 0b111], [0, 0, 0b111]), 1 << 31);
+        assert_eq!(voted([0b111 << 61, 1, 0], [0b111 << 61, 0, 0]), 1);
+        assert_eq!(voted([0, 1 << 63, 0b111], [0, 0, 0b111]), 1 << 63);
         assert_eq!(
-            voted([0, 1 << 31 | 1, 0b111], [0, 1, 0b111]),
-            1 << 31 | 1,
+            voted([0, 1 << 63 | 1, 0b111], [0, 1, 0b111]),
+            1 << 63 | 1,
             "a lone point keeps what it is"
         );
         assert_eq!(
-            voted([0b111 << 28, 1, 0], [0b111 << 28, 0, 0]),
+            voted([0b111 << 60, 1, 0], [0b111 << 60, 0, 0]),
             0,
             "not over a gap in the row"
         );

@@ -7,56 +7,58 @@
 //!
 //! ```text
 //! begin         what the sweep says of its beams, and how high the sensor is      mask, mount
-//! find_ground   the ground of the next strip of columns                           points, ground
-//! join          what is no ground there: stretches of neighbours, then of others  pieces, reach, fan, window, crowd
-//! label         components, small ones to others, labels and segments table       strips, tiles
+//! find_ground   the ground of the next strip of columns                           ranges, points, ground
+//! join          what is no ground there: runs of neighbours, then windows         runs, windows, joining, components
+//! label         components, small ones to others, labels and segments table       components, labels, extent
 //! ```
 //!
 //! * [`Method::Slope`], the default, is the files at the right: [`ground`] by slope from the
-//!   sensor's foot up, then a [`window`] over holes and breaks. It takes columns in strips, so it
-//!   can begin while the head still turns: [`Segmenter::begin_early`]. `strips` holds its steps
-//!   together.
+//!   sensor's foot up, then runs in rows, and windows over holes and breaks where these begin and
+//!   end. It takes columns in strips of 64, a word of each row, so it can begin while the head still
+//!   turns: [`Segmenter::begin_early`]. `strips` holds its steps together, `order` says which
+//!   column is taken when.
 //! * [`Method::Paper`] is the paper's own, in the folder [`paper`]: all of an image at once, and
 //!   only pixels that touch.
 //!
 //! [`settings`] is the table of numbers that people set. [`naive`] says the same as the default
 //! method without any of the speed, and the tests hold the two against each other.
 
-mod crowd;
+mod components;
 mod directions;
 mod extent;
-mod fan;
 pub mod ground;
+pub mod joining;
+mod labels;
 pub mod mask;
 pub mod mount;
 pub mod naive;
+mod order;
 pub mod paper;
-mod pieces;
 pub mod points;
-mod reach;
+mod ranges;
+mod runs;
 pub mod settings;
 mod strips;
-mod tiles;
 mod turn;
-pub mod window;
-mod work;
+mod turnover;
+mod windows;
 
 use std::f32::consts::FRAC_PI_2;
 
 pub use ground::SlopeGround;
+pub use joining::Joining;
 pub use mask::{Mask, MaskError};
 pub use mount::{HeightEstimator, Mount};
 pub use paper::ground::{PaperGround, Window};
 pub use settings::{SETTINGS, Setting};
-pub use tiles::turn_over;
-pub use window::Joining;
+pub use turnover::turn_over;
 
 use crate::sweep::SweepMut;
 use crate::sweep::layout::{flags, is_return};
 use fearless_simd::Level;
+use joining::{MOST_COLUMNS, MOST_ROWS};
 use paper::Authors;
 use strips::Strips;
-use window::{MOST_COLUMNS, MOST_ROWS};
 
 /// The two returns of a dual pixel share a label when they are no further apart than this, metres.
 pub const SAME_OBJECT_M: f32 = 0.3;
@@ -374,7 +376,7 @@ impl Segmenter {
     pub fn join(&mut self) {
         match self.config.method {
             Method::Paper => self.authors.join(),
-            Method::Slope => self.strips.join(),
+            Method::Slope => self.strips.join(&self.config),
         }
     }
 

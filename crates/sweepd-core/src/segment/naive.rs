@@ -6,6 +6,8 @@
 
 use std::collections::{HashMap, VecDeque};
 
+use super::joining::{Apart, Chords, Limits};
+use super::order::Order;
 use super::points::{self, Placed};
 use super::{Config, SlopeGround};
 use crate::sweep::SweepRef;
@@ -15,19 +17,44 @@ use crate::sweep::layout::{LABEL_FIRST_SEGMENT, LABEL_GROUND, LABEL_NONE, flags}
 pub fn segment(sweep: &SweepRef<'_>, config: &Config, height_m: Option<f32>) -> Vec<u32> {
     let pixels = points::placed(sweep, config);
     let circular = sweep.header.has(flags::CIRCULAR);
+    let columns = sweep.columns.len();
+    let order = Order::new(sweep, Some(columns));
+    let chords = Chords::new(sweep.beams, sweep.columns, order, config.joining.columns);
+    let is_jump = |column: usize| {
+        let before = match column.checked_sub(1) {
+            None if circular => columns - 1,
+            None => return false,
+            Some(before) => before,
+        };
+        chords.is_jump(&sweep.columns[before], &sweep.columns[column])
+    };
     let image = Image {
         rows: sweep.rows(),
-        columns: sweep.columns.len(),
+        columns,
         circular,
         pixels: &pixels,
+        jumps: (0..columns).map(is_jump).collect(),
     };
     let climbed = match height_m {
-        Some(height_m) => climb(&image, &config.slope, config.mount.up().axis(), height_m),
+        Some(height_m) => climb(&image, &config.slope, height_m),
         None => vec![false; pixels.len()],
     };
     let ground = vote(&image, &climbed, &config.slope);
-    let component = components(&image, &ground, config);
-    let component = small_to_large(&image, component, config);
+    let on: Vec<bool> = pixels
+        .iter()
+        .zip(&ground)
+        .map(|(pixel, ground)| pixel.is_some() && !ground)
+        .collect();
+    let near = Nearness {
+        image: &image,
+        on: &on,
+        chords: &chords,
+        limits: Limits::new(config, image.rows),
+        columns: config.joining.columns as i64,
+        rows: config.joining.rows as i64,
+    };
+    let component = near.components();
+    let component = near.small_to_large(component, config.joining.small_points);
     number(&component, &ground, &pixels, config.min_points.max(1))
 }
 
@@ -37,6 +64,8 @@ struct Image<'a> {
     columns: usize,
     circular: bool,
     pixels: &'a [Option<Placed>],
+    /// Columns that are no neighbours of those before.
+    jumps: Vec<bool>,
 }
 
 impl Image<'_> {
@@ -83,109 +112,174 @@ fn vote(image: &Image<'_>, climbed: &[bool], limits: &SlopeGround) -> Vec<bool> 
         .collect()
 }
 
-/// The square of the distance of two points, and whether the angle at the farther one, between its
-/// beam and the line to the other, is greater than theta.
-fn compare(a: &Placed, b: &Placed, theta_rad: f32) -> (f32, bool) {
-    let [x, y, z] = [0, 1, 2].map(|axis| a.point_m[axis] - b.point_m[axis]);
-    let apart2 = x * x + y * y + z * z;
-    let (longer, shorter) = (a.far_m.max(b.far_m), a.far_m.min(b.far_m));
-    let along = (longer - shorter) * (longer + shorter) + apart2;
-    let cos2 = theta_rad.cos() * theta_rad.cos();
-    (
-        apart2,
-        longer * longer * apart2 * (4.0 * cos2) > along * along,
-    )
+/// What of an image is no ground, and which of its pixels are near each other.
+struct Nearness<'a> {
+    image: &'a Image<'a>,
+    on: &'a [bool],
+    chords: &'a Chords,
+    limits: Limits,
+    /// Window.
+    columns: i64,
+    rows: i64,
 }
 
-/// The pairs of pixels that the window holds: the second with the square of its distance, and
-/// whether the test joins them.
-fn window<'a>(
-    image: &'a Image<'_>,
-    ground: &'a [bool],
-    config: &'a Config,
-    pixel: usize,
-) -> impl Iterator<Item = (usize, f32, bool)> + 'a {
-    let (wide, high) = (config.joining.columns as i64, config.joining.rows as i64);
-    let gap_m = config.joining.gap_m(image.rows);
-    let around = (-wide..=wide).flat_map(move |on| (-high..=high).map(move |down| (down, on)));
-    around.filter_map(move |(down, on)| {
-        let here = image.pixels[pixel]?;
-        let other = image
-            .beside(pixel, down, on)
-            .filter(|&other| other != pixel && !ground[other])?;
-        let (apart2, passes) = compare(&here, &image.pixels[other]?, config.theta_rad);
-        Some((other, apart2, apart2 < gap_m * gap_m && passes))
-    })
-}
+impl Nearness<'_> {
+    /// The pixel this many rows below and columns behind another, if both are no ground and there
+    /// is no jump between their columns.
+    fn beside(&self, pixel: usize, down: i64, on: i64) -> Option<usize> {
+        let other = self.image.beside(pixel, down, on)?;
+        let between = if on > 0 { 1..=on } else { on + 1..=0 };
+        let is_parted = between
+            .filter_map(|on| self.image.beside(pixel, 0, on))
+            .any(|pixel| self.image.jumps[pixel / self.image.rows]);
+        (self.on[pixel] && self.on[other] && !is_parted).then_some(other)
+    }
 
-/// Breadth-first search over what the window joins; the first pixel of each pixel's component.
-fn components(image: &Image<'_>, ground: &[bool], config: &Config) -> Vec<Option<usize>> {
-    let mut component = vec![None; image.pixels.len()];
-    for start in
-        (0..image.pixels.len()).filter(|&pixel| image.pixels[pixel].is_some() && !ground[pixel])
-    {
-        if component[start].is_some() {
-            continue;
-        }
-        component[start] = Some(start);
-        let mut queue = VecDeque::from([start]);
-        while let Some(here) = queue.pop_front() {
-            for (there, _, _) in
-                window(image, ground, config, here).filter(|(_, _, joined)| *joined)
-            {
-                if component[there].is_none() {
-                    component[there] = Some(start);
-                    queue.push_back(there);
+    /// What a pixel and another one that is as many columns away are apart.
+    fn apart(&self, pixel: usize, other: usize, on: i64) -> Option<Apart<f32>> {
+        let here = self.image.pixels[pixel]?.range_m;
+        let there = self.image.pixels[other]?.range_m;
+        let rows = self.image.rows;
+        let alone = self.chords.rows(pixel % rows, other % rows);
+        let chord2 = self.chords.of(alone, on.unsigned_abs() as usize);
+        Some(Apart::of(here, there, chord2))
+    }
+
+    /// The pixel there, if it is near enough to be joined: from one row to another, theta counts
+    /// too.
+    fn near(&self, pixel: usize, down: i64, on: i64) -> Option<usize> {
+        let other = self.beside(pixel, down, on)?;
+        let apart = self.apart(pixel, other, on)?;
+        let tan2_theta = if down == 0 {
+            0.0
+        } else {
+            self.limits.tan2_theta
+        };
+        let is_direct = down == 0 && on == -1;
+        let is_near = apart.square() < self.limits.gap2;
+        (is_near && (is_direct || apart.is_steep(tan2_theta))).then_some(other)
+    }
+
+    /// Whether a pixel continues the run to the left of it.
+    fn goes_on(&self, pixel: usize) -> bool {
+        self.near(pixel, 0, -1).is_some()
+    }
+
+    /// Whether the pixel in the row above (-1) or below (1) is joined to one, and has a run that
+    /// goes on to the left of it (0) or to the right (1).
+    fn goes_on_beside(&self, pixel: usize, down: i64, right: i64) -> bool {
+        let beside = self.near(pixel, down, 0);
+        let next = beside.and_then(|beside| self.image.beside(beside, 0, right));
+        next.is_some_and(|next| self.goes_on(next))
+    }
+
+    /// The window of a pixel where a run begins (to the left) or ends (to the right): rows below
+    /// and columns behind.
+    fn window(&self, pixel: usize) -> Vec<(i64, i64)> {
+        let mut window = Vec::new();
+        let sides = [(0, -self.columns..=0), (1, 0..=self.columns)];
+        for (right, columns) in sides {
+            let next = self.image.beside(pixel, 0, right);
+            let goes_on = next.is_some_and(|next| self.goes_on(next));
+            if goes_on {
+                continue;
+            }
+            for down in -self.rows..=self.rows {
+                if down == 0 || !self.goes_on_beside(pixel, down.signum(), right) {
+                    window.extend(columns.clone().map(|on| (down, on)));
                 }
             }
         }
+        window
     }
-    component
-}
 
-/// Gives each small component to the large one that is nearest, if one is near enough.
-fn small_to_large(
-    image: &Image<'_>,
-    component: Vec<Option<usize>>,
-    config: &Config,
-) -> Vec<Option<usize>> {
-    let joining = &config.joining;
-    if joining.small_points <= 1 {
-        return component;
+    /// What a pixel is joined to: its direct neighbours to the left and above, and what its window
+    /// holds.
+    fn joined(&self, pixel: usize) -> impl Iterator<Item = usize> {
+        let above = (1..=self.rows).map(|up| (-up, 0));
+        std::iter::once((0, -1))
+            .chain(above)
+            .chain(self.window(pixel))
+            .filter_map(move |(down, on)| self.near(pixel, down, on))
     }
-    let mut points: HashMap<usize, u32> = HashMap::new();
-    component
-        .iter()
-        .flatten()
-        .for_each(|first| *points.entry(*first).or_default() += 1);
-    let is_small = |first: usize| points[&first] < joining.small_points;
-    let near_m = joining.gap_m(image.rows) + joining.small_reach_m;
-    let in_none: Vec<bool> = component.iter().map(Option::is_none).collect();
-    let mut nearest: HashMap<usize, (f32, usize)> = HashMap::new();
-    for (pixel, small) in component.iter().enumerate() {
-        let Some(small) = small.filter(|&first| is_small(first)) else {
-            continue;
-        };
-        for (other, apart2, _) in window(image, &in_none, config, pixel) {
-            let Some(large) = component[other].filter(|&first| !is_small(first)) else {
-                continue;
-            };
-            let best = nearest.entry(small).or_insert((f32::INFINITY, usize::MAX));
-            if apart2 < near_m * near_m && (apart2, large) < *best {
-                *best = (apart2, large);
+
+    /// Breadth-first search over what is joined; the first pixel of each pixel's component.
+    fn components(&self) -> Vec<Option<usize>> {
+        let mut joined = vec![Vec::new(); self.on.len()];
+        for pixel in (0..self.on.len()).filter(|&pixel| self.on[pixel]) {
+            for other in self.joined(pixel) {
+                joined[pixel].push(other);
+                joined[other].push(pixel);
             }
         }
+        let mut component = vec![None; self.on.len()];
+        for start in (0..self.on.len()).filter(|&pixel| self.on[pixel]) {
+            if component[start].is_some() {
+                continue;
+            }
+            component[start] = Some(start);
+            let mut queue = VecDeque::from([start]);
+            while let Some(here) = queue.pop_front() {
+                for &there in &joined[here] {
+                    if component[there].is_none() {
+                        component[there] = Some(start);
+                        queue.push_back(there);
+                    }
+                }
+            }
+        }
+        component
     }
-    let found = |first: usize| {
-        nearest
-            .get(&first)
-            .filter(|(apart2, _)| apart2.is_finite())
-            .map_or(first, |best| best.1)
-    };
-    component
-        .into_iter()
-        .map(|first| first.map(found))
-        .collect()
+
+    /// Gives each small component to the large one that is nearest to where its runs begin and end,
+    /// if one is near enough.
+    fn small_to_large(
+        &self,
+        component: Vec<Option<usize>>,
+        small_points: u32,
+    ) -> Vec<Option<usize>> {
+        if small_points <= 1 {
+            return component;
+        }
+        let mut points: HashMap<usize, u32> = HashMap::new();
+        component
+            .iter()
+            .flatten()
+            .for_each(|first| *points.entry(*first).or_default() += 1);
+        let is_small = |first: usize| points[&first] < small_points;
+        let mut nearest: HashMap<usize, (f32, usize)> = HashMap::new();
+        for (pixel, small) in component.iter().enumerate() {
+            let Some(small) = small.filter(|&first| is_small(first)) else {
+                continue;
+            };
+            for (down, on) in self.window(pixel) {
+                let Some(other) = self.beside(pixel, down, on) else {
+                    continue;
+                };
+                let Some(large) = component[other].filter(|&first| !is_small(first)) else {
+                    continue;
+                };
+                let Some(apart) = self.apart(pixel, other, on) else {
+                    continue;
+                };
+                let best = nearest.entry(small).or_insert((f32::INFINITY, usize::MAX));
+                let found = (apart.square(), large);
+                if found.0 < self.limits.reach2 && apart.is_steep(0.0) && found < *best {
+                    *best = found;
+                }
+            }
+        }
+        let found = |first: usize| {
+            nearest
+                .get(&first)
+                .filter(|(apart2, _)| apart2.is_finite())
+                .map_or(first, |best| best.1)
+        };
+        component
+            .into_iter()
+            .map(|first| first.map(found))
+            .collect()
+    }
 }
 
 /// Numbers the components that are large enough by their first pixels in memory.
@@ -214,7 +308,7 @@ fn number(
 }
 
 /// Ground by the climb of each column: see [`SlopeGround`].
-fn climb(image: &Image<'_>, limits: &SlopeGround, up: [f32; 3], height_m: f32) -> Vec<bool> {
+fn climb(image: &Image<'_>, limits: &SlopeGround, height_m: f32) -> Vec<bool> {
     let mut ground = vec![false; image.pixels.len()];
     for column in 0..image.columns {
         let mut foothold = (0.0, -height_m);
@@ -223,16 +317,11 @@ fn climb(image: &Image<'_>, limits: &SlopeGround, up: [f32; 3], height_m: f32) -
         let mut edge: Option<(f32, f32)> = None;
         for row in (0..image.rows).rev() {
             let index = column * image.rows + row;
-            let Some(Placed {
-                point_m: [x, y, z],
-                far_m,
-                ..
-            }) = image.pixels[index]
-            else {
+            let Some(placed) = image.pixels[index] else {
                 continue;
             };
-            let high = x * up[0] + y * up[1] + z * up[2];
-            let away = (far_m * far_m - high * high).max(0.0).sqrt();
+            let away = placed.away_m;
+            let high = placed.height_m;
 
             if let Some(top) = edge.take()
                 && (high - top.1).abs() < limits.max_slope * (away - top.0)

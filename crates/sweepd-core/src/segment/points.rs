@@ -1,223 +1,23 @@
-//! Where every return of a strip of columns lies, laid out row after row, so that one instruction
-//! treats many columns.
-//!
-//! A strip is 32 columns (`STRIP`). The buffer holds the strip at hand, the one behind it, and the
-//! columns before it that a window can reach back to:
-//!
-//! ```text
-//! lanes of a row   | 16 before | strip at hand (32) | next strip (32) |
-//!                              ^ at
-//! ```
-//!
-//! When the strip at hand is done, the next one takes its place; only when the buffer ends are the
-//! lanes moved back to its start. So the working memory is some 200 columns, however wide the image
-//! is.
+//! Where returns lie: in space, and as the ground sees them.
 //!
 //! All is single precision: at 100 m a point is off by 10 micrometres.
 
-use std::array;
-use std::ops::{Deref, DerefMut};
-
-use fearless_simd::{Level, Simd, dispatch, f32x16, prelude::*, u32x16};
+use fearless_simd::{Level, Simd, dispatch, f32x4, f32x8, f32x16, prelude::*, u32x16};
 
 use super::directions::Directions;
-use super::ground::Window;
-use super::tiles::turn_over;
+use super::order::{LANES, Order, STRIP};
+use super::ranges::Ranges;
 use super::turn::turn_rad;
 use super::{Config, MAX_ROWS};
 use crate::sweep::corrected::Corrected;
-use crate::sweep::layout::flags;
 use crate::sweep::{BeamRow, SweepRef};
 
-/// Columns that one instruction treats.
-pub(super) const LANES: usize = 16;
-/// Columns of a strip.
-pub(super) const STRIP: usize = 32;
-/// Columns before the strip at hand that are kept.
-pub(super) const BEFORE: usize = 16;
-/// Lanes before the first strip: those that are kept, and room for windows that reach over them.
-const MARGIN: usize = 2 * BEFORE;
-/// Lanes of a row. Rows are an odd number of cache lines apart, so that they do not fall into the
-/// same places of a cache.
-const STRIDE: usize = MARGIN + 5 * STRIP + 16;
-
-/// The order in which the columns of an image are taken: a strip that only leads in, all columns,
-/// and for a whole turn the first ones once more, so that the end meets the beginning.
-///
-/// A whole turn is not begun at its first column, but at the first that is sure to be as it is now
-/// when the turn is complete: what lies beyond an end is folded to the other then. So it can be
-/// taken while the head still turns.
-#[derive(Clone, Copy, Debug, Default)]
-pub(super) struct Order {
-    /// Columns of the image; `None` while it is not complete.
-    pub columns: Option<usize>,
-    pub circular: bool,
-    /// The column at position [`STRIP`].
-    pub start: usize,
-}
-
-impl Order {
-    fn new(sweep: &SweepRef<'_>, columns: Option<usize>) -> Self {
-        let circular = sweep.header.has(flags::CIRCULAR);
-        let folded = sweep
-            .beams
-            .iter()
-            .map(|beam| -beam.shift)
-            .max()
-            .unwrap_or(0)
-            .max(0) as usize;
-        Self {
-            columns,
-            circular,
-            start: if circular { STRIP + folded } else { 0 },
-        }
-    }
-
-    /// Position behind the last column that counts.
-    pub fn end(self) -> usize {
-        self.columns
-            .map_or(usize::MAX / 2, |columns| STRIP + columns)
-    }
-
-    /// Position behind the last that is joined.
-    pub fn joined_end(self) -> usize {
-        self.end() + if self.circular { BEFORE } else { 0 }
-    }
-
-    /// Strips, with the one that leads in.
-    pub fn strips(self) -> usize {
-        self.joined_end().div_ceil(STRIP)
-    }
-
-    /// The column at a position, if there is one.
-    #[inline(always)]
-    pub fn column(self, position: usize) -> Option<usize> {
-        let mut column = (self.start + position).checked_sub(STRIP)?;
-        let Some(columns) = self.columns else {
-            return Some(column);
-        };
-        // Hardly more than once, and faster than a division.
-        while self.circular && columns > 0 && column >= columns {
-            column -= columns;
-        }
-        (column < columns).then_some(column)
-    }
-
-    /// The columns at as many positions, from one on, as a vector has lanes.
-    #[inline(always)]
-    fn columns_from(self, position: usize) -> [Option<usize>; LANES] {
-        match [0, LANES - 1].map(|ahead| self.column(position + ahead)) {
-            [Some(first), Some(last)] if last == first + LANES - 1 => {
-                array::from_fn(|ahead| Some(first + ahead))
-            }
-            _ => array::from_fn(|ahead| self.column(position + ahead)),
-        }
-    }
-}
-
-/// Lanes of all rows that there can be.
-const ALL: usize = MAX_ROWS * STRIDE;
-
-/// A number for each lane of each row. Sixteen columns, counted from the first of a strip, are one
-/// cache line: a vector across two of them takes twice as long.
-#[derive(Clone, Debug)]
-pub(super) struct Plane(Box<Lines>);
-
-#[derive(Clone, Debug)]
-#[repr(C, align(64))]
-struct Lines([f32; ALL]);
-
-impl Default for Plane {
-    fn default() -> Self {
-        Self(Box::new(Lines([0.0; ALL])))
-    }
-}
-
-impl Plane {
-    /// The lanes from one on.
-    #[inline(always)]
-    pub fn load<S: Simd>(&self, simd: S, lane: usize) -> f32x16<S> {
-        load(simd, &self[..], lane)
-    }
-
-    #[inline(always)]
-    fn store<S: Simd>(&mut self, lane: usize, numbers: f32x16<S>) {
-        numbers.store_slice(&mut self[lane..lane + LANES]);
-    }
-}
-
-impl Deref for Plane {
-    type Target = [f32; ALL];
-
-    #[inline(always)]
-    fn deref(&self) -> &[f32; ALL] {
-        &self.0.0
-    }
-}
-
-impl DerefMut for Plane {
-    #[inline(always)]
-    fn deref_mut(&mut self) -> &mut [f32; ALL] {
-        &mut self.0.0
-    }
-}
-
-/// The points of the strips at hand.
+/// The beams of a sweep, and where the head looked.
 #[derive(Clone, Debug, Default)]
-pub(super) struct Points {
+pub(super) struct Beams {
     pub order: Order,
-    /// Metres: right, forward, up, from the sensor's origin.
-    pub x: Plane,
-    pub y: Plane,
-    pub z: Plane,
-    /// Distance from the sensor's origin, metres.
-    pub far: Plane,
-    /// Range as the sweep has it, metres; 0 where there is no return that may be labelled.
-    pub range: Plane,
-    beams: Vec<Beam>,
+    rows: Vec<Beam>,
     directions: Directions,
-    /// Lane of the strip at hand.
-    at: usize,
-}
-
-/// A return as the segmenter sees it.
-#[derive(Clone, Copy, Debug, PartialEq)]
-pub struct Placed {
-    /// Right, forward, up from the sensor's origin, metres.
-    pub point_m: [f32; 3],
-    /// Distance from the sensor's origin, metres.
-    pub far_m: f32,
-    /// As the sweep has it, metres.
-    pub range_m: f32,
-}
-
-/// What may be labelled in a sweep, pixel by pixel in the order of its planes; `None` where there
-/// is nothing.
-///
-/// # Panics
-/// If the sweep has more than [`MAX_ROWS`] rows.
-pub fn placed(sweep: &SweepRef<'_>, config: &Config) -> Vec<Option<Placed>> {
-    let mut points = Points::default();
-    let (rows, columns) = (sweep.rows(), sweep.columns.len());
-    points.reserve(columns);
-    let mut words = vec![Window::default(); rows];
-    let mut all = vec![None; rows * columns];
-    dispatch!(Level::new(), simd => {
-        points.begin(sweep, Some(columns));
-        for first in (0..columns).step_by(STRIP) {
-            points.fill(simd, sweep, config, STRIP + first, &mut words);
-            for (ahead, row) in (0..STRIP.min(columns - first)).flat_map(|ahead| (0..rows).map(move |row| (ahead, row))) {
-                let lane = points.at(row) + STRIP + ahead;
-                let column = points.order.column(STRIP + first + ahead).unwrap_or(0);
-                all[column * rows + row] = (words[row][2].real >> ahead & 1 == 1).then(|| Placed {
-                    point_m: [points.x[lane], points.y[lane], points.z[lane]],
-                    far_m: points.far[lane],
-                    range_m: points.range[lane],
-                });
-            }
-        }
-    });
-    all
 }
 
 /// What the points of a row are made from.
@@ -235,15 +35,78 @@ struct Beam {
     bent: Option<[[f32; 2]; 2]>,
 }
 
-impl Points {
+/// Returns as the ground sees them: distance from the plumb line, and height over the sensor,
+/// metres.
+#[derive(Clone, Copy)]
+pub(super) struct Profile<T> {
+    pub away: T,
+    pub height: T,
+}
+
+/// A return as the segmenter sees it.
+#[derive(Clone, Copy, Debug, PartialEq)]
+pub struct Placed {
+    /// Right, forward, up from the sensor's origin, metres.
+    pub point_m: [f32; 3],
+    /// As the sweep has it, metres.
+    pub range_m: f32,
+    /// Distance from the plumb line through the sensor, metres.
+    pub away_m: f32,
+    /// Over the sensor, metres.
+    pub height_m: f32,
+}
+
+/// What may be labelled in a sweep, pixel by pixel in the order of its planes; `None` where there
+/// is nothing.
+///
+/// # Panics
+/// If the sweep has more than [`MAX_ROWS`] rows.
+pub fn placed(sweep: &SweepRef<'_>, config: &Config) -> Vec<Option<Placed>> {
+    let rows = sweep.rows();
+    let columns = sweep.columns.len();
+    assert!(rows <= MAX_ROWS, "more rows than an image has");
+    let mut beams = Beams::default();
+    let mut ranges = Ranges::default();
+    let mut real = vec![0; rows];
+    let mut all = vec![None; rows * columns];
+    let up = config.mount.up().axis();
+    dispatch!(Level::new(), simd => {
+        beams.begin(sweep, Some(columns));
+        let order = beams.order;
+        for position in (STRIP..STRIP + columns).step_by(STRIP) {
+            beams.extend(simd, sweep, position + STRIP);
+            ranges.fill(simd, sweep, config, order, position, |row, word| real[row] = word);
+            ranges.advance(rows);
+            for row in 0..rows {
+                for first in (0..STRIP).step_by(LANES) {
+                    let range = ranges.load(simd, row, first);
+                    let point = beams.points(simd, row, position + first, range);
+                    let profile = beams.profile(simd, row, position + first, range, up);
+                    for ahead in 0..LANES {
+                        let at = position + first + ahead;
+                        if at < order.end() && real[row] >> (first + ahead) & 1 == 1 {
+                            all[order.column(at).unwrap_or(0) * rows + row] = Some(Placed {
+                                point_m: point.map(|axis| axis.as_slice()[ahead]),
+                                range_m: range.as_slice()[ahead],
+                                away_m: profile.away.as_slice()[ahead],
+                                height_m: profile.height.as_slice()[ahead],
+                            });
+                        }
+                    }
+                }
+            }
+        }
+    });
+    all
+}
+
+impl Beams {
     /// Takes room for any image of this many columns.
     pub fn reserve(&mut self, columns: usize) {
         self.directions.reserve(columns);
     }
 
-    /// Takes the beams of a sweep and begins with the strip that leads in; this many columns it
-    /// has, if that is known. What an older sweep left does no harm: the words say what is real,
-    /// and what lies before the strip that leads in reaches none that counts.
+    /// Takes the beams of a sweep; this many columns it has, if that is known.
     pub fn begin(&mut self, sweep: &SweepRef<'_>, columns: Option<usize>) {
         // How the head turns when the sweep begins: what it turns faster or slower later is a small
         // rest.
@@ -252,8 +115,8 @@ impl Points {
             .first()
             .map_or(0.0, |column| column.azimuth_rate_rad_s);
         self.order = Order::new(sweep, columns);
-        self.beams.clear();
-        self.beams.extend(
+        self.rows.clear();
+        self.rows.extend(
             sweep
                 .beams
                 .iter()
@@ -266,163 +129,53 @@ impl Points {
             .max()
             .unwrap_or(0);
         self.directions.clear(margin, rate_rad_s);
-        self.at = MARGIN;
     }
 
-    /// Rows of the image.
-    pub fn rows(&self) -> usize {
-        self.beams.len()
-    }
-
-    /// The distance from the sensor beyond which no point of one row is as near as that to one of
-    /// another, metres; infinite where the beams do not tell.
-    pub fn spread_m(&self, rows: [usize; 2], near_m: f32) -> f32 {
-        let [a, b] = rows.map(|row| &self.beams[row]);
-        if a.bent.is_some() || b.bent.is_some() {
-            return f32::INFINITY;
-        }
-        let sin = (a.sin_elevation * b.cos_elevation - a.cos_elevation * b.sin_elevation).abs();
-        let [a_m, b_m] =
-            [a, b].map(|beam| beam.vertical_offset_m.abs() + beam.horizontal_offset_m.abs());
-        (near_m + a_m + b_m) / sin + a_m
-    }
-
-    /// Where in a plane the strip at hand begins, in a row.
+    /// Looks up where the head looked at all positions before one.
     #[inline(always)]
-    pub fn at(&self, row: usize) -> usize {
-        row * STRIDE + self.at
+    pub fn extend<S: Simd>(&mut self, simd: S, sweep: &SweepRef<'_>, end: usize) {
+        self.directions.extend(simd, sweep, self.order, end);
     }
 
-    /// Points of some columns, from a lane on.
+    /// The points at these ranges of a row, of the columns from a position on: right, forward, up,
+    /// from the sensor's origin, metres.
     #[inline(always)]
-    pub fn place<S: Simd>(&self, simd: S, lane: usize) -> [f32x16<S>; 3] {
-        [
-            self.x.load(simd, lane),
-            self.y.load(simd, lane),
-            self.z.load(simd, lane),
-        ]
-    }
-
-    /// Their heights over the sensor along a direction that is up, of length 1, metres.
-    #[inline(always)]
-    pub fn height<S: Simd>(&self, simd: S, lane: usize, up: [f32; 3]) -> f32x16<S> {
-        match up {
-            // Upright, as most sensors stand: z bit for bit.
-            [0.0, 0.0, 1.0] => self.z.load(simd, lane),
-            up => {
-                let [x, y, z] = self.place(simd, lane);
-                x * up[0] + y * up[1] + z * up[2]
-            }
-        }
-    }
-
-    /// Goes on to the next strip.
-    #[inline(always)]
-    pub fn advance(&mut self) {
-        self.at += STRIP;
-        if self.at + 2 * STRIP > STRIDE {
-            let kept = self.at - BEFORE..self.at + STRIP;
-            for plane in [
-                &mut self.x,
-                &mut self.y,
-                &mut self.z,
-                &mut self.far,
-                &mut self.range,
-            ] {
-                for row in plane.chunks_exact_mut(STRIDE).take(self.beams.len()) {
-                    row.copy_within(kept.clone(), MARGIN - BEFORE);
-                }
-            }
-            self.at = MARGIN;
-        }
-    }
-
-    /// Reads the strip behind the one at hand, which begins at this position; writes for each row
-    /// which columns hold a return that may be labelled.
-    #[inline(always)]
-    pub fn fill<S: Simd>(
-        &mut self,
+    pub fn points<S: Simd>(
+        &self,
         simd: S,
-        sweep: &SweepRef<'_>,
-        config: &Config,
+        row: usize,
         position: usize,
-        words: &mut [Window],
-    ) {
-        self.transpose(simd, sweep, config, position);
-        self.directions
-            .extend(simd, sweep, self.order, position + STRIP);
-        for (row, words) in words.iter_mut().enumerate() {
-            let real = &mut words[2].real;
-            *real = 0;
-            for half in 0..STRIP / LANES {
-                let lane = self.at(row) + STRIP + half * LANES;
-                let range = self.range.load(simd, lane);
-                let is = range.simd_gt(0.0)
-                    & range.simd_ge(config.min_range_m)
-                    & range.simd_le(config.max_range_m);
-                let bits = is.to_bitmask() as u32;
-                *real |= bits << (half * LANES);
-                self.range
-                    .store(lane, is.select(range, f32x16::splat(simd, 0.0)));
-                if bits != 0 {
-                    let at = position + half * LANES;
-                    let [x, y, z] = self.beams[row].points(simd, &self.directions, at, range);
-                    self.x.store(lane, x);
-                    self.y.store(lane, y);
-                    self.z.store(lane, z);
-                    self.far.store(lane, (x * x + y * y + z * z).sqrt());
-                }
-            }
-        }
+        range: f32x16<S>,
+    ) -> [f32x16<S>; 3] {
+        self.rows[row].points(simd, &self.directions, position, range)
     }
 
-    /// Copies the ranges of the next strip, column by column into rows.
+    /// The same as the ground sees them, along a direction that is up, of length 1. Beams are taken
+    /// to be straight here, and to start on the sensor's axis: the few centimetres that they are
+    /// bent or lie aside hardly show in heights.
     #[inline(always)]
-    #[expect(
-        clippy::needless_range_loop,
-        reason = "iterators over arrays of vectors go through memory"
-    )]
-    fn transpose<S: Simd>(
-        &mut self,
+    pub fn profile<S: Simd>(
+        &self,
         simd: S,
-        sweep: &SweepRef<'_>,
-        config: &Config,
+        row: usize,
         position: usize,
-    ) {
-        let rows = self.beams.len();
-        let squared = rows / LANES * LANES;
-        for half in (0..STRIP).step_by(LANES) {
-            let columns = self.order.columns_from(position + half);
-            for row in (0..squared).step_by(LANES) {
-                let mut tile = [u32x16::splat(simd, 0); LANES];
-                for ahead in 0..LANES {
-                    if let Some(column) = columns[ahead] {
-                        tile[ahead] = load(simd, sweep.range, column * rows + row).bitcast();
-                    }
-                }
-                let tile = turn_over(tile);
-                for line in 0..LANES {
-                    self.range.store(
-                        (row + line) * STRIDE + self.at + STRIP + half,
-                        tile[line].bitcast(),
-                    );
-                }
-            }
-            for row in squared..rows {
-                for (ahead, column) in columns.iter().enumerate() {
-                    let range = column.map_or(0.0, |column| sweep.range[column * rows + row]);
-                    self.range[row * STRIDE + self.at + STRIP + half + ahead] = range;
-                }
-            }
-        }
-        let Some(mask) = &config.mask else { return };
-        for ahead in 0..STRIP {
-            let Some(column) = self.order.column(position + ahead) else {
-                continue;
+        range: f32x16<S>,
+        [x, y, z]: [f32; 3],
+    ) -> Profile<f32x16<S>> {
+        let beam = &self.rows[row];
+        let offset = z * beam.vertical_offset_m;
+        if x == 0.0 && y == 0.0 {
+            return Profile {
+                away: range * beam.cos_elevation,
+                height: range * (z * beam.sin_elevation) + offset,
             };
-            for row in (0..rows).filter(|&row| mask.hides(row, sweep.azimuth_rad(row, column))) {
-                self.range[row * STRIDE + self.at + STRIP + ahead] = 0.0;
-            }
+        }
+        let [sin, cos] = beam.aim(simd, &self.directions, position);
+        let rise = (sin * x + cos * y) * beam.cos_elevation + z * beam.sin_elevation;
+        let one = f32x16::splat(simd, 1.0);
+        Profile {
+            away: range * (one - rise * rise).max(0.0).sqrt(),
+            height: range * rise + offset,
         }
     }
 }
@@ -446,7 +199,18 @@ impl Beam {
         }
     }
 
-    /// The points at these ranges, of the columns from a position on.
+    /// Sines and cosines of where the beam points to in the columns from a position on.
+    #[inline(always)]
+    fn aim<S: Simd>(&self, simd: S, directions: &Directions, position: usize) -> [f32x16<S>; 2] {
+        let [head_sin, head_cos, surplus] = directions.at(simd, position, self.shift);
+        let sin = head_sin * self.cos_turn + head_cos * self.sin_turn;
+        let cos = head_cos * self.cos_turn - head_sin * self.sin_turn;
+        // What the head turned faster than at first meanwhile is so little that the first order
+        // will do.
+        let rest = surplus * self.time_offset_s;
+        [sin + rest * cos, cos - rest * sin]
+    }
+
     #[inline(always)]
     fn points<S: Simd>(
         &self,
@@ -455,15 +219,7 @@ impl Beam {
         position: usize,
         range: f32x16<S>,
     ) -> [f32x16<S>; 3] {
-        let [sin, cos, surplus] = directions.at(simd, position, self.shift);
-        let (sin, cos) = (
-            sin * self.cos_turn + cos * self.sin_turn,
-            cos * self.cos_turn - sin * self.sin_turn,
-        );
-        // What the head turned faster than at first meanwhile is so little that the first order
-        // will do.
-        let rest = surplus * self.time_offset_s;
-        let (sin, cos) = (sin + rest * cos, cos - rest * sin);
+        let [sin, cos] = self.aim(simd, directions, position);
         let flat = range * self.cos_elevation;
         let straight = [flat * sin, flat * cos, range * self.sin_elevation];
         let [x, y, z] = match &self.bent {
@@ -520,56 +276,54 @@ fn dot<S: Simd>(a: [f32x16<S>; 3], b: [f32x16<S>; 3]) -> f32x16<S> {
     a[0] * b[0] + a[1] * b[1] + a[2] * b[2]
 }
 
-/// The lanes from an index on.
-#[inline(always)]
-pub(super) fn load<S: Simd>(simd: S, plane: &[f32], at: usize) -> f32x16<S> {
-    f32x16::from_slice(simd, &plane[at..at + LANES])
+/// The points of a row of the strip at hand: x, y, z and the range of each, column after column.
+#[derive(Clone, Debug)]
+pub(super) struct RowPoints(Box<[f32; 4 * STRIP]>);
+
+impl Default for RowPoints {
+    fn default() -> Self {
+        Self(Box::new([0.0; 4 * STRIP]))
+    }
 }
 
-#[cfg(test)]
-mod tests {
-    use super::*;
-
-    #[test]
-    fn a_part_of_a_turn_is_taken_as_it_stands() {
-        let order = Order {
-            columns: Some(10),
-            circular: false,
-            start: 0,
-        };
-        assert_eq!(
-            [31, 32, 41, 42].map(|position| order.column(position)),
-            [None, Some(0), Some(9), None]
-        );
-        assert_eq!(
-            (order.end(), order.joined_end(), order.strips()),
-            (42, 42, 2)
-        );
+impl RowPoints {
+    /// Takes the points of the sixteens of columns that hold some of these.
+    #[inline(always)]
+    pub fn place<S: Simd>(
+        &mut self,
+        simd: S,
+        beams: &Beams,
+        ranges: &Ranges,
+        row: usize,
+        position: usize,
+        columns: u64,
+    ) {
+        for first in (0..STRIP).step_by(LANES) {
+            if columns >> first & 0xFFFF == 0 {
+                continue;
+            }
+            let range = ranges.load(simd, row, first);
+            let [x, y, z] = beams.points(simd, row, position + first, range);
+            let [x, y, z, range] = [quarters(x), quarters(y), quarters(z), quarters(range)];
+            for quarter in 0..4 {
+                let lanes = [x[quarter], y[quarter], z[quarter], range[quarter]];
+                let into = 4 * (first + 4 * quarter);
+                f32x4::store_four_interleaved(lanes, &mut self.0[into..into + LANES]);
+            }
+        }
     }
 
-    #[test]
-    fn a_whole_turn_is_led_into_and_taken_on_over_its_end() {
-        // Two columns are folded.
-        let order = Order {
-            columns: Some(10),
-            circular: true,
-            start: STRIP + 2,
-        };
-        assert_eq!(
-            [0, 31, 32, 41, 42].map(|position| order.column(position)),
-            [2, 3, 4, 3, 4].map(Some)
-        );
-        assert_eq!(
-            (order.end(), order.joined_end(), order.strips()),
-            (42, 58, 2)
-        );
-        let open = Order {
-            columns: None,
-            ..order
-        };
-        assert_eq!(
-            [0, 32, 1000].map(|position| open.column(position)),
-            [2, 34, 1002].map(Some)
-        );
+    /// The point of a column, and its range.
+    #[inline(always)]
+    pub fn at<S: Simd>(&self, simd: S, column: usize) -> f32x4<S> {
+        f32x4::from_slice(simd, &self.0[4 * column..4 * column + 4])
     }
+}
+
+#[inline(always)]
+fn quarters<S: Simd>(lanes: f32x16<S>) -> [f32x4<S>; 4] {
+    let (low, high): (f32x8<S>, f32x8<S>) = lanes.split();
+    let (first, second) = low.split();
+    let (third, fourth) = high.split();
+    [first, second, third, fourth]
 }

@@ -4,7 +4,7 @@
 use std::ops::RangeInclusive;
 
 use super::Config;
-use super::window::{MOST_COLUMNS, MOST_ROWS};
+use super::joining::{MOST_COLUMNS, MOST_ROWS};
 
 /// Angles that a beta test can have, degrees; the ends are none.
 pub const THETA_DEG: RangeInclusive<f64> = 0.0..=90.0;
@@ -110,7 +110,7 @@ pub const SETTINGS: &[Setting] = &[
         doc: "Two returns of a segment are no further apart than this, metres",
         unit: Unit::Metres,
         range: 0.05..=5.0,
-        absent: "0.6 from 48 rows on, else 0.8",
+        absent: "0.6 from 48 rows on, else 0.785",
         field: |config| Field::Optional(&mut config.joining.gap_m),
     },
     Setting {

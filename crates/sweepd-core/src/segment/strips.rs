@@ -1,29 +1,27 @@
-//! The default method, strip by strip: points, ground, runs, joins; and at the end the components,
-//! their labels and table.
+//! The default method, strip by strip; and at the end the components, their labels and table.
 //!
 //! ```text
-//! begin         beams, how far they spread, height, the test
-//! find_ground   the points of the next strip, and how deep they lie; its columns are climbed, and compared with those before
-//! join          the vote on the strip at hand, its runs, their pieces, and what within reach these are joined to
-//! label         components, small ones to others, labels, segments table
+//! begin         beams, height, limits
+//! find_ground   the ranges of the next strip, and how deep they lie; its columns are climbed
+//! join          the vote on the strip at hand, its runs, and what these are joined to
+//! label         components, small ones to others, segments table, labels
 //! ```
 //!
 //! For a whole turn the first columns are taken once more behind the last: what they hold for the
 //! second time is united with what it was the first time, and not counted again.
 
-use fearless_simd::{Level, Simd, dispatch, f32x16, mask32x16, prelude::*, u32x16};
+use fearless_simd::{Level, Simd, dispatch, f32x16, mask32x16, prelude::*};
 
-use super::crowd::Crowd;
-use super::extent::Extent;
-use super::fan::Fan;
-use super::ground::{SlopeGround, Stand, Window as Words};
-use super::pieces::{Pieces, Whereabouts};
-use super::points::{BEFORE, LANES, Points, STRIP};
-use super::reach::{Joined, Reach};
-use super::tiles::write_columns;
-use super::window::{Miss, Test};
+use super::components::Components;
+use super::ground::{Stand, Window as Words};
+use super::joining::{Chords, Limits};
+use super::labels::{Found, Labels};
+use super::order::{BEFORE, LANES, Order, STRIP, lane_of};
+use super::points::Beams;
+use super::ranges::Ranges;
+use super::runs::Runs;
+use super::windows::Windows;
 use super::{Config, reserve};
-use crate::sweep::layout::{LABEL_FIRST_SEGMENT, LABEL_GROUND, LABEL_NONE, Segment};
 use crate::sweep::{SweepMut, SweepRef};
 
 /// Labels sweeps by the default method; after the first in buffers of one size it allocates
@@ -32,44 +30,26 @@ use crate::sweep::{SweepMut, SweepRef};
 pub(super) struct Strips {
     level: Level,
     stand: Stand,
-    test: Test,
+    limits: Limits,
     /// Strips that were read, with the one that leads in.
     at: usize,
     /// Columns that are as they will be, while the sweep is not complete.
     ready: Option<usize>,
-    points: Points,
-    fan: Fan,
+    beams: Beams,
+    chords: Chords,
+    ranges: Ranges,
     words: Vec<Words>,
+    /// Columns of the strip at hand and of the next one that are no neighbours of those before.
+    jumps: [u64; 2],
     /// How deep below the sensor the lowest return of each column lies, position by position,
     /// metres; infinite where there is none.
     depths_m: Vec<f32>,
-    reach: Reach,
-    crowd: Crowd,
-    /// What is no ground in the strip at hand, row by row.
-    on: Vec<u32>,
-    pieces: Pieces,
-    misses: Vec<Miss>,
-    /// Ground of the strips that count, row by row.
-    ground: Vec<u32>,
-    /// Pieces of the first columns: what they hold for the second time is the same.
+    runs: Runs,
+    windows: Windows,
+    components: Components,
+    /// Pieces of the first columns, row by row: what they hold for the second time is the same.
     first: Vec<[u32; BEFORE]>,
-    finish: Finish,
-}
-
-/// Workspace of the end.
-#[derive(Clone, Debug, Default)]
-struct Finish {
-    /// Roots of the components.
-    roots: Vec<u32>,
-    /// For each small component the nearest that is not: the square of the distance, its first
-    /// pixel, and its root.
-    nearest: Vec<(f32, u32, u32)>,
-    /// First pixel and root of the components that become segments.
-    order: Vec<(u32, u32)>,
-    /// Label of each component, at its root; of a small one too.
-    label: Vec<u32>,
-    extents: Vec<Extent>,
-    tile: Vec<u32>,
+    labels: Labels,
 }
 
 impl Strips {
@@ -77,54 +57,26 @@ impl Strips {
         Self {
             level,
             stand: Stand::default(),
-            test: Test::default(),
+            limits: Limits::default(),
             at: 0,
             ready: None,
-            points: Points::default(),
-            fan: Fan::default(),
+            beams: Beams::default(),
+            chords: Chords::default(),
+            ranges: Ranges::default(),
             words: Vec::new(),
+            jumps: [0; 2],
             depths_m: Vec::new(),
-            reach: Reach::default(),
-            crowd: Crowd::default(),
-            on: Vec::new(),
-            pieces: Pieces::default(),
-            misses: Vec::new(),
-            ground: Vec::new(),
+            runs: Runs::default(),
+            windows: Windows::default(),
+            components: Components::default(),
             first: Vec::new(),
-            finish: Finish::default(),
+            labels: Labels::default(),
         }
     }
 
-    /// Takes room for any sweep that such a buffer can hold. Room that is never touched costs no
-    /// memory.
-    fn reserve(&mut self, sweep: &SweepMut<'_>) {
-        let (rows, columns, pixels) = (
-            sweep.header.rows as usize,
-            sweep.columns.len(),
-            sweep.range.len(),
-        );
-        self.points.reserve(columns);
-        self.fan.reserve(rows);
-        self.words.resize(rows, Words::default());
-        reserve(&mut self.depths_m, columns.next_multiple_of(STRIP));
-        self.crowd.reserve(rows);
-        self.on.resize(rows, 0);
-        self.first.resize(rows, [0; BEFORE]);
-        // The first columns are there twice.
-        let most_pieces = pixels + rows * BEFORE;
-        self.pieces.reserve(most_pieces);
-        reserve(&mut self.misses, pixels);
-        reserve(&mut self.ground, rows * columns.div_ceil(STRIP));
-        reserve(&mut self.finish.roots, most_pieces);
-        reserve(&mut self.finish.nearest, most_pieces);
-        reserve(&mut self.finish.order, most_pieces);
-        reserve(&mut self.finish.label, most_pieces);
-        reserve(&mut self.finish.extents, sweep.segments.len());
-        reserve(&mut self.finish.tile, rows * STRIP);
-    }
-
     /// Takes what a sweep says of its beams. While it is not complete, only this many of its
-    /// columns are as they will be.
+    /// columns are as they will be. Takes room for any sweep that such a buffer can hold; room that
+    /// is never touched costs no memory.
     pub fn begin(
         &mut self,
         sweep: &SweepMut<'_>,
@@ -132,27 +84,38 @@ impl Strips {
         height_m: Option<f32>,
         ready: Option<usize>,
     ) {
-        self.reserve(sweep);
+        let rows = sweep.header.rows as usize;
+        let columns = sweep.columns.len();
+        // The first columns are there twice.
+        let pixels = sweep.range.len() + rows * BEFORE;
         self.stand = Stand {
             up: config.mount.up().axis(),
             height_m,
         };
-        self.test = Test::new(&config.joining, config.theta_rad, self.words.len());
-        self.words.fill(Words::default());
-        self.reach.clear();
+        self.limits = Limits::new(config, rows);
         self.at = 0;
         self.ready = ready;
+        self.words.clear();
+        self.words.resize(rows, Words::default());
+        self.jumps = [0; 2];
+        reserve(&mut self.depths_m, columns.next_multiple_of(STRIP));
+        self.first.resize(rows, [0; BEFORE]);
+        self.beams.reserve(columns);
+        self.chords.reserve(rows);
+        self.runs.begin(rows, pixels);
+        self.windows.begin(rows, config.joining.rows);
+        self.components.reserve(pixels);
+        self.labels.begin(rows, columns, sweep.segments.len());
         let sweep = sweep.as_ref();
-        self.points
+        self.beams
             .begin(&sweep, ready.is_none().then_some(sweep.columns.len()));
-        self.fan
-            .measure(&self.points, config.joining.rows, self.test.near_m());
+        self.chords.set_beams(sweep.beams);
     }
 
     /// More columns are ready, or all (`None`).
     pub fn go_on(&mut self, sweep: &SweepMut<'_>, ready: Option<usize>) {
         self.ready = ready;
-        self.points.order.columns = ready.is_none().then_some(sweep.header.columns as usize);
+        self.beams.order.columns = ready.is_none().then_some(sweep.header.columns as usize);
     }
 
     /// Height of the sensor over the ground, as this sweep was begun with, metres.
@@ -192,8 +155,8 @@ impl Strips {
     }
 
     fn has_next(&self) -> bool {
-        let order = self.points.order;
-        if self.points.rows() == 0 {
+        let order = self.beams.order;
+        if self.words.is_empty() {
             return false;
         }
         match (self.ready, order.columns) {
@@ -205,36 +168,61 @@ impl Strips {
     }
 
     /// Joins the runs of that strip with each other and with those before.
-    pub fn join(&mut self) {
-        dispatch!(self.level, simd => self.take(simd));
+    pub fn join(&mut self, config: &Config) {
+        // Each step by itself: together they are more than a compiler keeps in view.
+        self.runs.advance();
+        self.windows.advance(self.jumps[0]);
+        dispatch!(self.level, simd => self.vote(simd, config));
+        dispatch!(self.level, simd => self.join_neighbours(simd, config));
+        dispatch!(self.level, simd => self.measure(simd));
+        dispatch!(self.level, simd => self.join_windows(simd));
+        dispatch!(self.level, simd => self.meet(simd));
     }
 
     /// Writes labels and segments, and how many there are of each into the header.
     pub fn label(&mut self, sweep: &mut SweepMut<'_>, config: &Config) {
-        dispatch!(self.level, simd => self.finish_with(simd, sweep, config));
+        dispatch!(self.level, simd => self.label_with(simd, sweep, config));
     }
 
-    /// Goes on to the next strip, and reads the points behind it: the vote looks ahead.
+    /// Goes on to the next strip, and reads the one behind it: the vote looks ahead.
     #[inline(always)]
     fn next<S: Simd>(&mut self, simd: S, sweep: &SweepRef<'_>, config: &Config) {
+        let position = self.at * STRIP;
         self.read(simd, sweep, config);
-        config
-            .slope
-            .climb(simd, &self.points, &self.stand, &mut self.words);
-        config.slope.compare(simd, &self.points, &mut self.words);
+        config.slope.climb(
+            simd,
+            &self.beams,
+            &self.ranges,
+            position,
+            &self.stand,
+            &mut self.words,
+        );
         self.at += 1;
     }
 
     #[inline(always)]
     fn read<S: Simd>(&mut self, simd: S, sweep: &SweepRef<'_>, config: &Config) {
-        if self.at > 0 {
-            self.points.advance();
-            self.words
-                .iter_mut()
-                .for_each(|words| words.copy_within(1.., 0));
+        let position = self.at * STRIP;
+        let order = self.beams.order;
+        if self.at == 0 {
+            let columns = config.joining.columns;
+            self.chords.set_columns(sweep.columns, order, columns);
+        } else {
+            self.ranges.advance(self.words.len());
+            for words in &mut self.words {
+                words.copy_within(1.., 0);
+            }
         }
-        self.points
-            .fill(simd, sweep, config, self.at * STRIP, &mut self.words);
+        self.jumps = [
+            self.jumps[1],
+            self.chords.jumps(sweep.columns, order, position),
+        ];
+        self.beams.extend(simd, sweep, position + STRIP);
+        let words = &mut self.words;
+        self.ranges
+            .fill(simd, sweep, config, order, position, |row, real| {
+                words[row][2].real = real
+            });
         if config.mount.height_m.is_none() {
             self.note_depths(simd);
         }
@@ -244,272 +232,151 @@ impl Strips {
     #[inline(always)]
     fn note_depths<S: Simd>(&mut self, simd: S) {
         let position = self.at * STRIP;
-        let count = self.points.order.end().saturating_sub(position).min(STRIP);
-        if self.at == 0 || count == 0 {
+        let count = self.beams.order.end().saturating_sub(position).min(STRIP);
+        if self.at == 0 {
             return;
         }
-        let mut depths_m = [f32x16::splat(simd, f32::INFINITY); STRIP / LANES];
-        // From the top: what lies lowest is noted last.
-        for (row, words) in self.words.iter().enumerate() {
-            for (half, depth_m) in depths_m.iter_mut().enumerate() {
-                let real = mask32x16::from_bitmask(
-                    simd,
-                    u64::from(words[2].real >> (half * LANES)) & 0xFFFF,
-                );
-                let lane = self.points.at(row) + STRIP + half * LANES;
-                *depth_m = real.select(-self.points.height(simd, lane, self.stand.up), *depth_m);
+        for first in (0..count).step_by(LANES) {
+            let mut depths_m = f32x16::splat(simd, f32::INFINITY);
+            let mut open = 0xFFFF;
+            for row in (0..self.words.len()).rev() {
+                let lowest = self.words[row][2].real >> first & open;
+                if lowest != 0 {
+                    let range = self.ranges.load(simd, row, STRIP + first);
+                    let up = self.stand.up;
+                    let profile = self.beams.profile(simd, row, position + first, range, up);
+                    let is = mask32x16::from_bitmask(simd, lowest);
+                    depths_m = is.select(-profile.height, depths_m);
+                    open &= !lowest;
+                }
+                if open == 0 {
+                    break;
+                }
             }
+            let count = (count - first).min(LANES);
+            self.depths_m
+                .extend_from_slice(&depths_m.as_slice()[..count]);
         }
-        depths_m
-            .iter()
-            .for_each(|depth_m| self.depths_m.extend_from_slice(depth_m.as_slice()));
-        self.depths_m
-            .truncate(self.depths_m.len() - (STRIP - count));
     }
 
-    /// The ground and the runs of the strip at hand, and what they are joined to.
+    /// Position of the strip at hand.
+    fn position(&self) -> usize {
+        (self.at - 2) * STRIP
+    }
+
+    /// Columns of the strip at hand that count; the others are there for the second time.
+    fn counted(&self) -> u64 {
+        Order::columns_before(self.position(), self.beams.order.end())
+    }
+
+    /// The ground of the strip at hand, and what is none.
     #[inline(always)]
-    fn take<S: Simd>(&mut self, simd: S) {
-        let order = self.points.order;
-        let (rows, test) = (self.points.rows(), self.test);
-        let position = (self.at - 2) * STRIP;
-        let columns_before = |end: usize| columns_below(end.saturating_sub(position));
-        let counted = columns_before(order.end());
-        let joined_here = columns_before(order.joined_end());
-        let strip = Whereabouts::of_strip(order, position, rows, counted);
-        self.reach.advance();
-        for row in 0..rows {
+    fn vote<S: Simd>(&mut self, simd: S, config: &Config) {
+        let counted = self.counted();
+        let joined = Order::columns_before(self.position(), self.beams.order.joined_end());
+        for row in 0..self.words.len() {
             let words = &self.words[row];
-            let ground = SlopeGround::vote(words);
+            let ground = config.slope.vote(simd, &self.ranges, row, words);
+            let on = words[1].real & !ground & joined;
+            self.runs.set_row(simd, &self.ranges, row, on);
             if counted != 0 {
-                self.ground.push(ground & counted);
-            }
-            let on = words[1].real & !ground & joined_here;
-            self.on[row] = on;
-            let before = u64::from(self.reach.begin_row(row, test.columns()));
-            if on == 0 {
-                continue;
-            }
-            let above = row.checked_sub(1).map_or(0, |above| self.on[above]);
-            let joined = Joined {
-                along: test.along(simd, &self.points, row, u64::from(on) << 1 | before),
-                down: test.down(simd, &self.points, row, above & on),
-            };
-            self.reach.take(
-                simd,
-                &self.points,
-                (on, joined),
-                strip.of_row(row),
-                &mut self.pieces,
-            );
-        }
-        let Self {
-            points,
-            fan,
-            reach,
-            crowd,
-            pieces,
-            misses,
-            ..
-        } = self;
-        match Crowd::is_in(&reach.now, rows) {
-            true => crowd.join(simd, &test, points, &reach.now, pieces, misses),
-            false => test.join(simd, points, fan, &mut reach.now, pieces, misses),
-        }
-        if order.circular {
-            self.meet(position);
-        }
-    }
-
-    /// Notes the pieces of the first columns, or unites them with what these hold for the second
-    /// time.
-    fn meet(&mut self, position: usize) {
-        let order = self.points.order;
-        if position >= STRIP + BEFORE && position + STRIP <= order.end() {
-            return;
-        }
-        for (row, first) in self.first.iter_mut().enumerate() {
-            for (piece, columns) in self.reach.now.at_hand(row) {
-                for position in columns.map(|column| position + column) {
-                    if position < STRIP + BEFORE {
-                        first[position - STRIP] = piece;
-                    }
-                    if let Some(again) = position.checked_sub(order.end()) {
-                        self.pieces.unite(piece, first[again]);
-                    }
-                }
+                self.labels.found.push(Found {
+                    ground: ground & counted,
+                    on: on & counted,
+                });
             }
         }
     }
-}
 
-/// So many columns of a strip, from its first on.
-fn columns_below(count: usize) -> u32 {
-    if count >= STRIP {
-        u32::MAX
-    } else {
-        (1 << count) - 1
-    }
-}
-
-impl Strips {
+    /// Runs, and what is joined to what is directly beside it.
     #[inline(always)]
-    fn finish_with<S: Simd>(&mut self, simd: S, sweep: &mut SweepMut<'_>, config: &Config) {
-        sweep.header.ground = self.ground.iter().map(|word| word.count_ones()).sum();
-        self.components();
-        self.small_to_large(config.joining.small_points);
-        sweep.header.segments = self.number(config, sweep.segments) as u32;
-        self.write_labels(simd, sweep);
-        for (segment, extent) in sweep.segments.iter_mut().zip(&self.finish.extents) {
-            [segment.column_first, segment.column_last] = extent.columns(self.points.order);
+    fn join_neighbours<S: Simd>(&mut self, simd: S, config: &Config) {
+        let rows_up = config.joining.rows;
+        let jumps = self.jumps[0];
+        for row in 0..self.words.len() {
+            self.runs
+                .find_edges(simd, &self.chords, &self.limits, row, rows_up, jumps);
+            self.runs.join_row(simd, row, rows_up, &mut self.components);
         }
     }
 
-    /// Lets each piece know its component, and lists the roots of these.
-    fn components(&mut self) {
-        self.pieces.flatten();
-        let roots = &mut self.finish.roots;
-        roots.clear();
-        roots.extend(
-            (0..)
-                .zip(&self.pieces.parent)
-                .filter_map(|(piece, &root)| (piece == root).then_some(piece)),
+    /// What the runs measure.
+    #[inline(always)]
+    fn measure<S: Simd>(&mut self, simd: S) {
+        let position = self.position();
+        let components = &mut self.components;
+        self.runs
+            .measure(simd, &self.beams, &self.ranges, position, components);
+        if self.counted() != 0 {
+            self.labels.run_ends.push(self.runs.all.len());
+        }
+    }
+
+    /// What is joined to what lies further away.
+    #[inline(always)]
+    fn join_windows<S: Simd>(&mut self, simd: S) {
+        let order = self.beams.order;
+        let position = self.position();
+        self.windows.find_ends(order, position, &self.runs);
+        self.windows.join(
+            simd,
+            &self.chords,
+            &self.limits,
+            &mut self.runs,
+            &mut self.components,
         );
+        self.runs.refresh(simd, &mut self.components);
     }
 
-    /// Gives the small components to the nearest that is not: its root is the parent of theirs.
-    fn small_to_large(&mut self, small_points: u32) {
-        if small_points <= 1 || self.misses.is_empty() {
+    /// Of a whole turn, notes the pieces of the first columns, or unites them with what these hold
+    /// for the second time.
+    #[inline(always)]
+    fn meet<S: Simd>(&mut self, simd: S) {
+        let order = self.beams.order;
+        let position = self.position();
+        let is_inside = position >= STRIP + BEFORE && position + STRIP <= order.end();
+        if !order.circular || is_inside {
             return;
         }
-        self.find_nearest(small_points);
-        let Pieces { parent, sums, .. } = &mut self.pieces;
-        for &root in &self.finish.roots {
-            let (_, _, large) = self.finish.nearest[root as usize];
-            if large != u32::MAX {
-                let sum = sums[root as usize];
-                sums[large as usize].add(&sum);
-                parent[root as usize] = large;
-            }
-        }
-    }
-
-    /// Finds for the root of each small component the nearest that is not small, if one is near
-    /// enough.
-    fn find_nearest(&mut self, small_points: u32) {
-        let nearest = &mut self.finish.nearest;
-        let Pieces { parent, sums, .. } = &self.pieces;
-        nearest.clear();
-        nearest.resize(parent.len(), (f32::INFINITY, u32::MAX, u32::MAX));
-        let is_small = |root: u32| sums[root as usize].points < small_points;
-        for miss in &self.misses {
-            let [a, b] = miss.pieces.map(|piece| parent[piece as usize]);
-            let (small, large) = match [is_small(a), is_small(b)] {
-                [true, false] => (a, b),
-                [false, true] => (b, a),
-                _ => continue,
-            };
-            let place = &mut nearest[small as usize];
-            let found = (miss.apart2, sums[large as usize].first, large);
-            if found < *place {
-                *place = found;
-            }
-        }
-    }
-
-    /// Numbers the components that are large enough by their first pixels, and writes what is known
-    /// of them.
-    fn number(&mut self, config: &Config, segments: &mut [Segment]) -> usize {
-        let Finish {
-            roots,
-            order,
-            label,
-            extents,
-            ..
-        } = &mut self.finish;
-        let Pieces { parent, sums, .. } = &self.pieces;
-        order.clear();
-        for &root in &*roots {
-            let sum = &sums[root as usize];
-            if parent[root as usize] == root && sum.points >= config.min_points.max(1) {
-                order.push((sum.first, root));
-            }
-        }
-        order.sort_unstable();
-        order.truncate(segments.len());
-        label.clear();
-        label.resize(parent.len(), LABEL_NONE);
-        for ((&(_, root), number), segment) in order.iter().zip(LABEL_FIRST_SEGMENT..).zip(segments)
-        {
-            label[root as usize] = number;
-            *segment = sums[root as usize].segment(number);
-        }
-        // A small one has the label of the one that it became part of.
-        for &root in &*roots {
-            label[root as usize] = label[parent[root as usize] as usize];
-        }
-        extents.clear();
-        extents.resize(order.len(), Extent::default());
-        order.len()
-    }
-
-    /// Writes the labels: a strip in rows first, where runs lie, then in columns, as the image has
-    /// them.
-    #[inline(always)]
-    fn write_labels<S: Simd>(&mut self, simd: S, sweep: &mut SweepMut<'_>) {
-        let rows = self.words.len().max(1);
-        let pixels = sweep.image_pixels();
-        let labels = &mut sweep.label[pixels];
-        let Finish {
-            label,
-            extents,
-            tile,
-            ..
-        } = &mut self.finish;
-        tile.resize(rows * STRIP, 0);
-        let Pieces { parent, parts, .. } = &self.pieces;
-        let mut parts = parts.iter().peekable();
-        let order = self.points.order;
-        for (strip, ground) in self.ground.chunks_exact(rows).enumerate() {
-            let position = (strip + 1) * STRIP;
-            tile.fill(LABEL_NONE);
-            for (row, ground) in tile.chunks_exact_mut(STRIP).zip(ground) {
-                fill(simd, row, *ground, LABEL_GROUND);
-            }
-            while let Some(part) = parts.next_if(|part| usize::from(part.strip) == strip) {
-                let number = label[parent[part.piece as usize] as usize];
-                if let Some(place) = number.checked_sub(LABEL_FIRST_SEGMENT) {
-                    fill(
-                        simd,
-                        &mut tile[usize::from(part.row) * STRIP..][..STRIP],
-                        part.columns,
-                        number,
-                    );
-                    extents[place as usize].add(position, part.columns, order);
+        for row in 0..self.first.len() {
+            let mut on = self.runs.edges[row].on;
+            while on != 0 {
+                let column = on.trailing_zeros() as usize;
+                on &= on - 1;
+                let at = position + column;
+                let piece = self.runs.piece[lane_of(row) + column];
+                if at < STRIP + BEFORE {
+                    self.first[row][at - STRIP] = piece;
+                }
+                if let Some(again) = at.checked_sub(order.end()) {
+                    self.components.unite(simd, piece, self.first[row][again]);
                 }
             }
-            let count = STRIP.min(order.end() - position);
-            write_columns(
-                simd,
-                tile,
-                labels,
-                rows,
-                (position..position + count).filter_map(|at| order.column(at)),
-            );
         }
     }
-}
 
-/// Writes a label into some columns of a row.
-#[inline(always)]
-fn fill<S: Simd>(simd: S, row: &mut [u32], columns: u32, label: u32) {
-    let label = u32x16::splat(simd, label);
-    for (half, lanes) in row.chunks_exact_mut(LANES).enumerate() {
-        let columns = columns >> (half * LANES) & 0xFFFF;
-        if columns != 0 {
-            let is = mask32x16::from_bitmask(simd, u64::from(columns));
-            is.select(label, u32x16::from_slice(simd, lanes))
-                .store_slice(lanes);
+    #[inline(always)]
+    fn label_with<S: Simd>(&mut self, simd: S, sweep: &mut SweepMut<'_>, config: &Config) {
+        let order = self.beams.order;
+        sweep.header.ground = self.labels.ground();
+        let segments = self.components.finish(
+            simd,
+            config.joining.small_points,
+            config.min_points,
+            sweep.segments,
+        );
+        sweep.header.segments = segments as u32;
+        let pixels = sweep.image_pixels();
+        self.labels.write(
+            simd,
+            order,
+            segments,
+            &self.runs.all,
+            &self.components,
+            &mut sweep.label[pixels],
+        );
+        for (index, segment) in sweep.segments[..segments].iter_mut().enumerate() {
+            [segment.column_first, segment.column_last] = self.labels.columns(index, order);
         }
     }
 }
@@ -565,13 +432,9 @@ mod tests {
 
     /// Column by column, from the points one by one.
     fn depths_m(sweep: &SweepRef<'_>, config: &Config) -> Vec<f32> {
-        let [x, y, z] = config.mount.up().axis();
         let of_column = |column: &[Option<points::Placed>]| {
             let lowest = column.iter().rev().flatten().next();
-            lowest.map_or(f32::INFINITY, |placed| {
-                let [right_m, forward_m, up_m] = placed.point_m;
-                -(x * right_m + y * forward_m + z * up_m)
-            })
+            lowest.map_or(f32::INFINITY, |placed| -placed.height_m)
         };
         points::placed(sweep, config)
             .chunks_exact(ROWS)

@@ -69,7 +69,7 @@ impl Authors {
         reserve(&mut self.components.parent, pixels);
         reserve(&mut self.components.points, pixels);
         reserve(&mut self.components.label, pixels);
-        self.table.points.reserve(sweep.columns.len());
+        self.table.beams.reserve(sweep.columns.len());
         reserve(&mut self.table.sums, sweep.segments.len());
         reserve(&mut self.table.extents, sweep.segments.len());
     }

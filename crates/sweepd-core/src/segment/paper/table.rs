@@ -3,18 +3,20 @@
 use fearless_simd::{Level, Simd, dispatch};
 
 use crate::segment::Config;
+use crate::segment::components::Sum;
 use crate::segment::extent::Extent;
-use crate::segment::ground::Window;
-use crate::segment::pieces::{Sum, measure};
-use crate::segment::points::{Points, STRIP};
+use crate::segment::order::STRIP;
+use crate::segment::points::{Beams, RowPoints};
+use crate::segment::ranges::Ranges;
 use crate::sweep::layout::LABEL_FIRST_SEGMENT;
 use crate::sweep::{SweepMut, SweepRef};
 
 /// Workspace of the table.
 #[derive(Clone, Debug, Default)]
 pub(super) struct Table {
-    pub points: Points,
-    words: Vec<Window>,
+    pub beams: Beams,
+    ranges: Ranges,
+    points: RowPoints,
     pub sums: Vec<Sum>,
     pub extents: Vec<Extent>,
 }
@@ -24,7 +26,6 @@ impl Table {
     /// with no more than these instructions of the machine.
     pub fn describe(&mut self, sweep: &mut SweepMut<'_>, config: &Config, level: Level) {
         let segments = sweep.header.segments as usize;
-        self.words.resize(sweep.beams.len(), Window::default());
         self.sums.clear();
         self.sums.resize(segments, Sum::NONE);
         self.extents.clear();
@@ -38,18 +39,20 @@ impl Table {
             .zip(LABEL_FIRST_SEGMENT..)
         {
             *segment = sum.segment(label);
-            [segment.column_first, segment.column_last] = extent.columns(self.points.order);
+            [segment.column_first, segment.column_last] = extent.columns(self.beams.order);
         }
     }
 
     #[inline(always)]
     fn add<S: Simd>(&mut self, simd: S, sweep: &SweepRef<'_>, config: &Config) {
         let rows = sweep.rows();
-        self.points.begin(sweep, Some(sweep.columns.len()));
-        for position in (STRIP..self.points.order.end()).step_by(STRIP) {
-            self.points
-                .fill(simd, sweep, config, position, &mut self.words);
-            let order = self.points.order;
+        self.beams.begin(sweep, Some(sweep.columns.len()));
+        let order = self.beams.order;
+        for position in (STRIP..order.end()).step_by(STRIP) {
+            self.beams.extend(simd, sweep, position + STRIP);
+            self.ranges
+                .fill(simd, sweep, config, order, position, |_, _| {});
+            self.ranges.advance(rows);
             // First pixels of the columns.
             let mut first = [0; STRIP];
             let count = STRIP.min(order.end() - position);
@@ -57,7 +60,8 @@ impl Table {
                 *first = order.column(position + ahead).unwrap_or(0) * rows;
             }
             for row in 0..rows {
-                let lane = self.points.at(row) + STRIP;
+                self.points
+                    .place(simd, &self.beams, &self.ranges, row, position, u64::MAX);
                 let mut at = 0;
                 // Run by run.
                 while at < count {
@@ -67,12 +71,9 @@ impl Table {
                         .take_while(|first| sweep.label[**first + row] == label)
                         .count();
                     if let Some(place) = label.checked_sub(LABEL_FIRST_SEGMENT) {
-                        let columns = (((1_u64 << length) - 1) << at) as u32;
-                        let (sum, _) = measure(simd, &self.points, lane, [columns; 2]);
-                        self.sums[place as usize].add(&Sum {
-                            rows: [row as u16; 2],
-                            ..sum
-                        });
+                        let sum = Sum::of_run(simd, &self.points, row as u16, at, length, u32::MAX);
+                        self.sums[place as usize].add(simd, &sum);
+                        let columns = u64::MAX >> (STRIP - length) << at;
                         self.extents[place as usize].add(position, columns, order);
                     }
                     at += length;

@@ -1,9 +1,9 @@
 //! Squares of sixteen by sixteen pixels, turned over: an image lies column by column, runs lie in
 //! rows.
 
-use fearless_simd::{Simd, prelude::*, u32x16};
+use fearless_simd::{Simd, prelude::*};
 
-use super::points::{LANES, STRIP};
+use super::order::LANES;
 
 /// Of sixteen lines of sixteen: what was the third of each line becomes the third line.
 #[inline(always)]
@@ -36,46 +36,9 @@ fn deal<S: Simd, V: SimdBase<S>>(lines: [V; LANES]) -> [V; LANES] {
     ]
 }
 
-/// Copies the first columns of a strip that lies in rows to these columns of an image.
-#[inline(always)]
-pub(super) fn write_columns<S: Simd>(
-    simd: S,
-    strip: &[u32],
-    image: &mut [u32],
-    rows: usize,
-    mut columns: impl Iterator<Item = usize>,
-) {
-    let squared = rows / LANES * LANES;
-    for half in (0..STRIP).step_by(LANES) {
-        let (mut there, mut count) = ([0; LANES], 0);
-        while count < LANES
-            && let Some(column) = columns.next()
-        {
-            there[count] = column;
-            count += 1;
-        }
-        for row in (0..squared).step_by(LANES) {
-            let mut tile = [u32x16::splat(simd, 0); LANES];
-            for line in 0..LANES {
-                tile[line] =
-                    u32x16::from_slice(simd, &strip[(row + line) * STRIP + half..][..LANES]);
-            }
-            let tile = turn_over(tile);
-            for ahead in 0..count {
-                tile[ahead].store_slice(&mut image[there[ahead] * rows + row..][..LANES]);
-            }
-        }
-        for row in squared..rows {
-            for (ahead, column) in there[..count].iter().enumerate() {
-                image[column * rows + row] = strip[row * STRIP + half + ahead];
-            }
-        }
-    }
-}
-
 #[cfg(test)]
 mod tests {
-    use fearless_simd::dispatch;
+    use fearless_simd::{dispatch, u32x16};
 
     use super::*;
     use crate::assemble::lanes::levels;

@@ -1,0 +1,154 @@
+//! Labels into the image: a strip's runs in rows first, then column by column, as the image has
+//! them.
+
+use fearless_simd::{Simd, mask32x16, prelude::*, u32x16};
+
+use super::components::Components;
+use super::extent::Extent;
+use super::order::{LANES, Order, Plane, STRIP, lane_of};
+use super::runs::Run;
+use super::turnover::turn_over;
+use crate::sweep::layout::{LABEL_FIRST_SEGMENT, LABEL_GROUND};
+
+/// Words of a row of a strip: the columns that count.
+#[derive(Clone, Copy, Debug, Default)]
+pub(super) struct Found {
+    pub ground: u64,
+    /// What is no ground.
+    pub on: u64,
+}
+
+/// Labels of the strips that count, and where segments lie.
+#[derive(Clone, Debug)]
+pub(super) struct Labels {
+    rows: usize,
+    /// Strip by strip, each row by row.
+    pub found: Vec<Found>,
+    /// Index behind the last run of each strip.
+    pub run_ends: Vec<usize>,
+    extents: Vec<Extent>,
+    plane: Plane<u32>,
+}
+
+impl Default for Labels {
+    fn default() -> Self {
+        Self {
+            rows: 0,
+            found: Vec::new(),
+            run_ends: Vec::new(),
+            extents: Vec::new(),
+            plane: Plane::of(0),
+        }
+    }
+}
+
+impl Labels {
+    /// Takes room for any image of this shape, and forgets all.
+    pub fn begin(&mut self, rows: usize, columns: usize, segments: usize) {
+        self.rows = rows;
+        super::reserve(&mut self.found, rows * columns.div_ceil(STRIP));
+        super::reserve(&mut self.run_ends, columns.div_ceil(STRIP));
+        super::reserve(&mut self.extents, segments);
+    }
+
+    /// Pixels that are ground.
+    pub fn ground(&self) -> u32 {
+        self.found
+            .iter()
+            .map(|found| found.ground.count_ones())
+            .sum()
+    }
+
+    /// Writes the labels of all pixels of an image, of which this many segments are numbered.
+    #[inline(always)]
+    pub fn write<S: Simd>(
+        &mut self,
+        simd: S,
+        order: Order,
+        segments: usize,
+        runs: &[Run],
+        components: &Components,
+        image: &mut [u32],
+    ) {
+        self.extents.clear();
+        self.extents.resize(segments, Extent::default());
+        let mut from = 0;
+        for strip in 0..self.run_ends.len() {
+            let position = (strip + 1) * STRIP;
+            let end = self.run_ends[strip];
+            self.spread(simd, position, order, &runs[from..end], components);
+            from = end;
+            self.write_strip(simd, strip, order, image);
+        }
+    }
+
+    /// First and last column of a segment.
+    pub fn columns(&self, segment: usize, order: Order) -> [u32; 2] {
+        self.extents[segment].columns(order)
+    }
+
+    /// Writes the labels of the runs of a strip into rows.
+    #[inline(always)]
+    fn spread<S: Simd>(
+        &mut self,
+        simd: S,
+        position: usize,
+        order: Order,
+        runs: &[Run],
+        components: &Components,
+    ) {
+        let counted = Order::columns_before(position, order.end());
+        for run in runs {
+            let label = components.label(run.piece);
+            let lane = lane_of(usize::from(run.row)) + usize::from(run.first);
+            self.plane.spread(simd, lane, usize::from(run.count), label);
+            let columns = run.columns() & counted;
+            if label >= LABEL_FIRST_SEGMENT && columns != 0 {
+                let segment = (label - LABEL_FIRST_SEGMENT) as usize;
+                self.extents[segment].add(position, columns, order);
+            }
+        }
+    }
+
+    /// Turns the rows of a strip into columns of the image.
+    #[inline(always)]
+    fn write_strip<S: Simd>(&self, simd: S, strip: usize, order: Order, image: &mut [u32]) {
+        let rows = self.rows;
+        let position = (strip + 1) * STRIP;
+        let found = &self.found[strip * rows..][..rows];
+        let count = STRIP.min(order.end() - position);
+        for first in (0..count).step_by(LANES) {
+            let columns = order.columns_from(position + first);
+            let count = (count - first).min(LANES);
+            let squared = rows / LANES * LANES;
+            for row in (0..squared).step_by(LANES) {
+                let mut tile = [u32x16::splat(simd, 0); LANES];
+                for line in 0..LANES {
+                    let Found { ground, on } = found[row + line];
+                    let label = self.plane.load(simd, lane_of(row + line) + first);
+                    let on = mask32x16::from_bitmask(simd, on >> first & 0xFFFF);
+                    let ground = mask32x16::from_bitmask(simd, ground >> first & 0xFFFF);
+                    let none = u32x16::splat(simd, 0);
+                    let other = ground.select(u32x16::splat(simd, LABEL_GROUND), none);
+                    tile[line] = on.select(label, other);
+                }
+                let tile = turn_over(tile);
+                for ahead in 0..count {
+                    if let Some(column) = columns[ahead] {
+                        tile[ahead].store_slice(&mut image[column * rows + row..][..LANES]);
+                    }
+                }
+            }
+            for row in squared..rows {
+                let Found { ground, on } = found[row];
+                for (ahead, column) in columns[..count].iter().enumerate() {
+                    let Some(column) = column else { continue };
+                    let at = first + ahead;
+                    let label = self.plane[lane_of(row) + at];
+                    let ground = (ground >> at & 1) as u32 * LABEL_GROUND;
+                    image[column * rows + row] = if on >> at & 1 == 1 { label } else { ground };
+                }
+            }
+        }
+    }
+}

@@ -1,0 +1,245 @@
+//! The order in which the columns of an image are taken, strip by strip, and the planes that a
+//! strip is laid out in.
+
+use std::ops::{Deref, DerefMut};
+
+use fearless_simd::{Simd, f32x16, prelude::*, u32x16};
+
+use super::MAX_ROWS;
+use super::joining::MOST_ROWS;
+use crate::sweep::SweepRef;
+use crate::sweep::layout::flags;
+
+/// Columns that one instruction treats.
+pub(super) const LANES: usize = 16;
+/// Columns of a strip: a bit each of a word.
+pub(super) const STRIP: usize = 64;
+/// Columns before the strip at hand that are kept, and after a whole turn taken again: what a
+/// window reaches over.
+pub(super) const BEFORE: usize = 16;
+
+/// The order in which the columns of an image are taken: a strip that only leads in, all columns,
+/// and for a whole turn the first ones once more, so that the end meets the beginning.
+///
+/// A whole turn is not begun at its first column, but at the first that is sure to be as it is now
+/// when the turn is complete: what lies beyond an end is folded to the other then. So it can be
+/// taken while the head still turns.
+#[derive(Clone, Copy, Debug, Default)]
+pub(super) struct Order {
+    /// Columns of the image; `None` while it is not complete.
+    pub columns: Option<usize>,
+    pub circular: bool,
+    /// The column at position [`STRIP`].
+    pub start: usize,
+}
+
+impl Order {
+    pub fn new(sweep: &SweepRef<'_>, columns: Option<usize>) -> Self {
+        let circular = sweep.header.has(flags::CIRCULAR);
+        let folded = sweep
+            .beams
+            .iter()
+            .map(|beam| -beam.shift)
+            .max()
+            .unwrap_or(0)
+            .max(0) as usize;
+        Self {
+            columns,
+            circular,
+            start: if circular { STRIP + folded } else { 0 },
+        }
+    }
+
+    /// Position behind the last column that counts.
+    pub fn end(self) -> usize {
+        self.columns
+            .map_or(usize::MAX / 2, |columns| STRIP + columns)
+    }
+
+    /// Position behind the last that is joined.
+    pub fn joined_end(self) -> usize {
+        self.end() + if self.circular { BEFORE } else { 0 }
+    }
+
+    /// Strips, with the one that leads in: to where the windows of the last column end.
+    pub fn strips(self) -> usize {
+        (self.end() + BEFORE).div_ceil(STRIP)
+    }
+
+    /// Which columns of the strip at a position lie before another position: a bit each.
+    pub fn columns_before(position: usize, end: usize) -> u64 {
+        match end.saturating_sub(position) {
+            count if count < STRIP => (1 << count) - 1,
+            _ => u64::MAX,
+        }
+    }
+
+    /// The column at a position, if there is one.
+    #[inline(always)]
+    pub fn column(self, position: usize) -> Option<usize> {
+        let mut column = (self.start + position).checked_sub(STRIP)?;
+        let Some(columns) = self.columns else {
+            return Some(column);
+        };
+        // Hardly more than once, and faster than a division.
+        while self.circular && columns > 0 && column >= columns {
+            column -= columns;
+        }
+        (column < columns).then_some(column)
+    }
+
+    /// The columns at as many positions, from one on, as a vector has lanes.
+    #[inline(always)]
+    pub fn columns_from(self, position: usize) -> [Option<usize>; LANES] {
+        let first = self.column(position);
+        let last = self.column(position + LANES - 1);
+        match (first, last) {
+            (Some(first), Some(last)) if last == first + LANES - 1 => {
+                std::array::from_fn(|ahead| Some(first + ahead))
+            }
+            _ => std::array::from_fn(|ahead| self.column(position + ahead)),
+        }
+    }
+
+    /// The least column of some that count, of positions one after another.
+    #[inline(always)]
+    pub fn least_column(self, position: usize, count: usize) -> usize {
+        let first = self.column(position).unwrap_or(0);
+        let last = self.column(position + count - 1).unwrap_or(0);
+        // Where the columns begin again among them, the first of all is one of them.
+        if last < first { 0 } else { first }
+    }
+}
+
+/// Lanes of a row: columns before the strip at hand, the strip, and the next one. Nine cache lines:
+/// an odd number, so that rows do not fall into the same places of a cache.
+pub(super) const STRIDE: usize = BEFORE + 2 * STRIP;
+/// Lanes of all rows that there can be, and of those that a window reaches beyond them.
+const ALL: usize = (MAX_ROWS + 2 * MOST_ROWS) * STRIDE;
+
+/// The lane of a row's first column in the strip at hand.
+#[inline(always)]
+pub(super) fn lane_of(row: usize) -> usize {
+    (row + MOST_ROWS) * STRIDE + BEFORE
+}
+
+/// A number for each lane of each row. Sixteen columns, counted from the first of a strip, are one
+/// cache line: a vector across two of them takes twice as long.
+#[derive(Clone, Debug)]
+pub(super) struct Plane<T>(Box<Lines<T>>);
+
+#[derive(Clone, Debug)]
+#[repr(C, align(64))]
+struct Lines<T>([T; ALL]);
+
+impl<T: Copy> Plane<T> {
+    pub fn of(value: T) -> Self {
+        Self(Box::new(Lines([value; ALL])))
+    }
+}
+
+impl Plane<f32> {
+    /// The lanes from one on.
+    #[inline(always)]
+    pub fn load<S: Simd>(&self, simd: S, lane: usize) -> f32x16<S> {
+        load(simd, &self[..], lane)
+    }
+
+    #[inline(always)]
+    pub fn store<S: Simd>(&mut self, lane: usize, numbers: f32x16<S>) {
+        numbers.store_slice(&mut self[lane..lane + LANES]);
+    }
+}
+
+impl Plane<u32> {
+    /// The lanes from one on.
+    #[inline(always)]
+    pub fn load<S: Simd>(&self, simd: S, lane: usize) -> u32x16<S> {
+        u32x16::from_slice(simd, &self[lane..lane + LANES])
+    }
+
+    /// Writes a number over some lanes from one on, and over up to 15 behind them.
+    #[inline(always)]
+    pub fn spread<S: Simd>(&mut self, simd: S, lane: usize, count: usize, number: u32) {
+        let numbers = u32x16::splat(simd, number);
+        let mut done = 0;
+        while done < count {
+            numbers.store_slice(&mut self[lane + done..lane + done + LANES]);
+            done += LANES;
+        }
+    }
+}
+
+impl<T> Deref for Plane<T> {
+    type Target = [T; ALL];
+
+    #[inline(always)]
+    fn deref(&self) -> &[T; ALL] {
+        &self.0.0
+    }
+}
+
+impl<T> DerefMut for Plane<T> {
+    #[inline(always)]
+    fn deref_mut(&mut self) -> &mut [T; ALL] {
+        &mut self.0.0
+    }
+}
+
+/// The lanes from an index on.
+#[inline(always)]
+pub(super) fn load<S: Simd>(simd: S, plane: &[f32], at: usize) -> f32x16<S> {
+    f32x16::from_slice(simd, &plane[at..at + LANES])
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn a_part_of_a_turn_is_taken_as_it_stands() {
+        let order = Order {
+            columns: Some(10),
+            circular: false,
+            start: 0,
+        };
+        assert_eq!(
+            [63, 64, 73, 74].map(|position| order.column(position)),
+            [None, Some(0), Some(9), None]
+        );
+        assert_eq!(
+            (order.end(), order.joined_end(), order.strips()),
+            (74, 74, 2)
+        );
+    }
+
+    #[test]
+    fn a_whole_turn_is_led_into_and_taken_on_over_its_end() {
+        // Two columns are folded.
+        let order = Order {
+            columns: Some(10),
+            circular: true,
+            start: STRIP + 2,
+        };
+        assert_eq!(
+            [0, 63, 64, 73, 74].map(|position| order.column(position)),
+            [2, 5, 6, 5, 6].map(Some)
+        );
+        assert_eq!(
+            (order.end(), order.joined_end(), order.strips()),
+            (74, 90, 2)
+        );
+        assert_eq!(
+            [(64, 4), (66, 5)].map(|(at, count)| order.least_column(at, count)),
+            [6, 0]
+        );
+        let open = Order {
+            columns: None,
+            ..order
+        };
+        assert_eq!(
+            [0, 64, 1000].map(|position| open.column(position)),
+            [2, 66, 1002].map(Some)
+        );
+    }
+}
