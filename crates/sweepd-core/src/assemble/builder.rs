@@ -48,7 +48,7 @@ pub struct Builder {
     cursor: Option<Cursor>,
     last_firing_ns: i64,
     /// Sweeps before the next one, those of other models included; see
-    /// [`Header::sequence`](super::Header::sequence).
+    /// [`Header::sequence`](crate::sweep::Header::sequence).
     pub sequence: u64,
     last_rpm: Option<f32>,
     /// Turning rate over the last sweep that tells one, hundredths of a degree a nanosecond;
