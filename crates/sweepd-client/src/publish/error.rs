@@ -71,7 +71,7 @@ pub enum PublishError {
     /// The pool is being made; it is there for one of the next sweeps.
     #[error("its shared memory is being taken")]
     Preparing,
-    /// This sweep had no room in the pool; [`PublishStatus::trouble`] says why.
+    /// This sweep had no room in the pool; [`PublishStatus::trouble`](super::PublishStatus::trouble) says why.
     #[error("this sweep is not in shared memory")]
     NotShared,
 }

@@ -95,7 +95,7 @@ impl Loans {
     /// Takes the memory for sweeps of up to this many bytes now.
     ///
     /// # Errors
-    /// [`JoinError::Memory`], where there is not enough.
+    /// [`JoinError::Memory`](super::JoinError::Memory), where there is not enough.
     pub fn reserve(&mut self, bytes: usize) -> Result<(), PublishError> {
         let Some(PoolAccess {
             keeper,
