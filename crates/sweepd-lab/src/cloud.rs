@@ -188,10 +188,10 @@ pub fn points(bytes: &[u8]) -> Result<Vec<[f32; 4]>, CloudError> {
     if !rest.is_empty() {
         return Err(CloudError::Length { bytes: bytes.len() });
     }
-    let point = |chunk: &[u8; POINT_BYTES]| {
-        <[f32; 4]>::read_from_bytes(chunk).expect("as many bytes as four f32")
-    };
-    Ok(chunks.iter().map(point).collect())
+    Ok(chunks
+        .iter()
+        .map(|chunk| <[f32; 4]>::read_from_bytes(chunk).expect("as many bytes as four f32"))
+        .collect())
 }
 
 #[cfg(test)]

@@ -208,14 +208,16 @@ fn median(scratch: &mut Vec<i64>, values: &[f64]) -> f64 {
     f64::from_bits(ordered(*scratch.select_nth_unstable(middle).1) as u64)
 }
 
-/// The same of values none of which is negative: looked for around `near` first.
+/// The median of values of which none is negative; the search starts around `near`.
 #[inline(always)]
 fn median_near(scratch: &mut Vec<i64>, values: &[f64], near: f64) -> f64 {
-    let (low, high) = (near * (1.0 - AROUND), near * (1.0 + AROUND));
+    let low = near * (1.0 - AROUND);
+    let high = near * (1.0 + AROUND);
     scratch.resize(values.len(), 0);
-    let (mut below, mut around) = (0, 0);
+    let mut below = 0;
+    let mut around = 0;
     for &value in values {
-        // Written in any case: which values are near, no processor foretells.
+        // Written in any case: a branch on whether a value is near would be mispredicted.
         scratch[around] = value.to_bits() as i64;
         around += usize::from(value >= low && value < high);
         below += usize::from(value < low);

@@ -288,7 +288,7 @@ pub(crate) fn shown(points: &[Option<Polar>], columns: usize) -> Vec<Option<usiz
     let mut placer = Placer::default();
     placer.place(Level::new(), &turns, columns);
     let mut shown = vec![None; columns];
-    let away_m = |point: usize| points[point].map_or(f64::INFINITY, |polar| polar.away_m);
+
     for (point, &column) in placer
         .columns
         .iter()
@@ -296,11 +296,15 @@ pub(crate) fn shown(points: &[Option<Polar>], columns: usize) -> Vec<Option<usiz
         .filter(|(_, column)| **column != NONE)
     {
         let shown = &mut shown[column as usize];
-        if shown.is_none_or(|other| away_m(point) < away_m(other)) {
+        if shown.is_none_or(|other| away_m(points[point]) < away_m(points[other])) {
             *shown = Some(point);
         }
     }
     shown
+}
+
+fn away_m(polar: Option<Polar>) -> f64 {
+    polar.map_or(f64::INFINITY, |polar| polar.away_m)
 }
 
 #[cfg(test)]

@@ -74,7 +74,8 @@ fn polar(x: f32, y: f32, z: f32) -> (f32, f32) {
     let square = x * x + y * y;
     let away_m = square.sqrt();
     let there = square + z * z < f32::INFINITY && away_m + z.abs() > 0.0;
-    let (low, high) = (x.abs().min(y.abs()), x.abs().max(y.abs()));
+    let low = x.abs().min(y.abs());
+    let high = x.abs().max(y.abs());
     let eighth = arctangent(low / high.max(f32::MIN_POSITIVE));
     let quarter = if y.abs() > x.abs() {
         0.25 - eighth
@@ -133,8 +134,9 @@ impl Starts {
         let mut before = f32::NAN;
         for first in (0..points.turn.len()).step_by(BLOCK) {
             let end = points.turn.len().min(first + BLOCK);
-            let (turn, away_m) = (&points.turn[first..end], &points.away_m[first..end]);
-            // Of most blocks it is soon told that no ring begins in them.
+            let turn = &points.turn[first..end];
+            let away_m = &points.away_m[first..end];
+            // A cheap test shows for most blocks that no ring begins in them.
             if (turn[0] - before).abs() <= 0.5
                 && dispatch!(level, _simd => is_steady(turn, away_m, noise_m))
             {

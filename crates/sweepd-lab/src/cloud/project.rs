@@ -189,27 +189,24 @@ impl CloudProjector {
 
     /// The sweep of the rings, which have their beams.
     fn draw(&mut self) -> Result<SweepMut<'_>, CloudError> {
-        let (rows, columns) = (self.rings.len(), self.columns.len());
+        let rows = self.rings.len();
+        let columns = self.columns.len();
         let pixels = rows * columns;
         self.image.clear(pixels, self.polars.turn.len());
         for (row, ring) in self.rings.iter().enumerate() {
             let of_ring = ring.first..ring.end;
             self.placer
                 .place(self.level, &self.polars.turn[of_ring.clone()], columns);
-            let (away_m, z_m) = (
-                &self.polars.away_m[of_ring.clone()],
-                &self.polars.z_m[of_ring],
-            );
             polar::ranges(
                 self.level,
-                away_m,
-                z_m,
+                &self.polars.away_m[of_ring.clone()],
+                &self.polars.z_m[of_ring],
                 ring.vertical_offset_m as f32,
                 &mut self.image.ring_m,
             );
             self.image.draw(row, ring, &self.placer, columns);
         }
-        // The last cloud's goes back first, to be had again.
+        // The last cloud's buffer goes back first, so that it can be taken again.
         drop(self.buffer.take());
         let shape = Shape {
             rows,
@@ -220,7 +217,8 @@ impl CloudProjector {
         let buffer = self.buffer.insert(self.buffers.take(shape.total_bytes()));
         let mut sweep = SweepMut::create(buffer.as_mut(), &shape)?;
         fill_tables(&mut sweep, &self.rings, &self.columns);
-        let (by_row, by_column) = (&self.image.range_m, &mut sweep.range[..pixels]);
+        let by_row = &self.image.range_m;
+        let by_column = &mut sweep.range[..pixels];
         dispatch!(self.level, simd => turn::<_, f32x16<_>>(simd, by_row, columns, by_column));
         sweep.header.returns = sweep.range[..pixels]
             .iter()
@@ -239,16 +237,18 @@ impl CloudProjector {
             let sweep = SweepMut::open(buffer.as_mut())?;
             let pixels = self.image.range_m.len();
             self.image.label.resize(pixels + 1, LABEL_NONE);
-            let (by_column, by_row) = (&sweep.label[..pixels], &mut self.image.label[..pixels]);
+            let by_column = &sweep.label[..pixels];
+            let by_row = &mut self.image.label[..pixels];
             dispatch!(self.level, simd => turn::<_, u32x16<_>>(simd, by_column, self.rings.len(), by_row));
             self.image.label[pixels] = LABEL_NONE;
-            let label = |&pixel: &u32| self.image.label[pixel as usize];
+            let pixels = self.image.pixel.iter();
+            let labels = pixels.map(|&pixel| self.image.label[pixel as usize]);
             if self.groups.order.is_empty() {
-                self.labels.extend(self.image.pixel.iter().map(label));
+                self.labels.extend(labels);
             } else {
                 self.labels.resize(self.image.pixel.len(), LABEL_NONE);
-                for (&point, pixel) in self.groups.order.iter().zip(&self.image.pixel) {
-                    self.labels[point as usize] = label(pixel);
+                for (&point, label) in self.groups.order.iter().zip(labels) {
+                    self.labels[point as usize] = label;
                 }
             }
         }
@@ -302,23 +302,23 @@ impl Image {
     }
 }
 
-/// The column whose label a point takes that is hidden in its own by another, more than
-/// [`SAME_OBJECT_M`] nearer: that whose range is most like the point's, no more than [`REACH`]
-/// columns off; its own all the same, where none is like it.
+/// The column whose label a hidden point takes: its own, unless the point shown there is more than
+/// [`SAME_OBJECT_M`] away from it in range. Then the column within [`REACH`] whose range is most
+/// like the point's, or its own, if none is within [`SAME_OBJECT_M`].
 fn resembling(shown: &[f32], own: usize, range_m: f32) -> usize {
     let columns = shown.len();
-    let apart = |column: usize| (shown[column] - range_m).abs();
-    if apart(own) <= SAME_OBJECT_M {
+    if (shown[own] - range_m).abs() <= SAME_OBJECT_M {
         return own;
     }
     let around = (0..=2 * REACH).map(|by| (own + columns * REACH + by - REACH) % columns);
-    let most_like = around.min_by(|&a, &b| apart(a).total_cmp(&apart(b)));
-    most_like
-        .filter(|&column| apart(column) <= SAME_OBJECT_M)
-        .unwrap_or(own)
+    around
+        .map(|column| (column, (shown[column] - range_m).abs()))
+        .min_by(|a, b| a.1.total_cmp(&b.1))
+        .filter(|&(_, apart_m)| apart_m <= SAME_OBJECT_M)
+        .map_or(own, |(column, _)| column)
 }
 
-/// Writes pixels that stand line after line, each so wide, column after column.
+/// Writes pixels that stand line after line, `width` pixels each, column after column.
 #[inline(always)]
 fn turn<S: Simd, V: SimdBase<S>>(
     simd: S,
@@ -348,7 +348,7 @@ fn turn<S: Simd, V: SimdBase<S>>(
     }
 }
 
-/// The same for a square of [`TILE`] pixels, by lines and columns of as many.
+/// [`turn`] of a square of [`TILE`] by [`TILE`] pixels.
 #[inline(always)]
 fn turn_tile<S: Simd, V: SimdBase<S>>(
     simd: S,
@@ -370,12 +370,13 @@ fn turn_tile<S: Simd, V: SimdBase<S>>(
 /// The columns of a turn.
 fn even_columns(columns: usize) -> Vec<Column> {
     let rate_rad_s = (TAU * TURNS_A_SECOND) as f32;
-    let column = |index: usize| {
-        let azimuth_rad = (index as f64 + 0.5) / columns as f64 * TAU;
-        let time_ns = index as f64 / columns as f64 / TURNS_A_SECOND * 1e9;
-        Column::measured(0, 0, azimuth_rad as f32, rate_rad_s, time_ns as u32)
-    };
-    (0..columns).map(column).collect()
+    (0..columns)
+        .map(|index| {
+            let azimuth_rad = (index as f64 + 0.5) / columns as f64 * TAU;
+            let time_ns = index as f64 / columns as f64 / TURNS_A_SECOND * 1e9;
+            Column::measured(0, 0, azimuth_rad as f32, rate_rad_s, time_ns as u32)
+        })
+        .collect()
 }
 
 /// Writes what the sweep says of itself: a whole turn of even columns.

@@ -104,14 +104,15 @@ pub(crate) fn find(
     columns: usize,
     rings: &mut Vec<Ring>,
 ) -> Result<(), CloudError> {
-    let (level, mut polars) = (Level::new(), Polars::default());
+    let level = Level::new();
+    let mut polars = Polars::default();
     polars.fill(level, points);
     Finder::default().find(level, &polars, columns, rings)
 }
 
 impl Polar {
-    pub fn of([x, y, z, _]: [f32; 4]) -> Option<Self> {
-        let (forward, left, z_m) = (f64::from(x), f64::from(y), f64::from(z));
+    pub fn of(point: [f32; 4]) -> Option<Self> {
+        let [forward, left, z_m, _] = point.map(f64::from);
         let away_m = forward.hypot(left);
         let there = away_m.is_finite() && z_m.is_finite() && away_m > 0.0;
         there.then(|| Self {
@@ -159,7 +160,7 @@ impl Ring {
     }
 }
 
-/// Fits beams to rings, each time in the same memory.
+/// Fits beams to rings; the memory is kept from ring to ring.
 #[derive(Clone, Debug, Default)]
 pub(crate) struct BeamFitter {
     samples: Vec<Sample>,
@@ -168,11 +169,11 @@ pub(crate) struct BeamFitter {
 
 impl BeamFitter {
     /// Takes elevation and vertical offset of a ring's beam from its points; where there are not
-    /// enough of them, the median elevation. Heights that are told by an elevation alone would be
-    /// off by the offset, 20 cm, near the sensor.
+    /// enough of them, the median elevation. An elevation alone would put points near the sensor
+    /// off by the offset, 20 cm in height.
     ///
-    /// Neighbouring points lie on the same things and tell the same: [`SAMPLES`] of a ring, evenly
-    /// spread, are as good as all of them.
+    /// Neighbouring points lie on the same surfaces: [`SAMPLES`] of a ring, evenly spread, are as
+    /// good as all of them.
     pub fn fit(&mut self, level: Level, ring: &mut Ring, points: &Polars) {
         let step = (ring.end - ring.first).div_ceil(SAMPLES).max(1);
         let spread = (ring.first..ring.end).step_by(step);
@@ -191,10 +192,13 @@ impl BeamFitter {
     }
 
     fn median_slope(&mut self) -> Option<f64> {
-        let slope = |sample: &Sample| sample.z_m / sample.away_m;
         let middle = self.samples.len() / 2;
         self.samples
             .sort_unstable_by(|a, b| slope(a).total_cmp(&slope(b)));
         self.samples.get(middle).map(slope)
     }
+}
+
+fn slope(sample: &Sample) -> f64 {
+    sample.z_m / sample.away_m
 }

@@ -57,24 +57,24 @@ impl RowTable {
     /// [`RowTableError`], with the line.
     pub fn parse(text: &str) -> Result<Self, RowTableError> {
         let mut beams: Vec<RowBeam> = Vec::new();
-        for (index, line) in text.lines().enumerate() {
-            let at = |message: String| RowTableError::Line {
-                line: index + 1,
-                message,
-            };
-            let values = line.split('#').next().unwrap_or_default();
+        for (index, row) in text.lines().enumerate() {
+            let line = index + 1;
+            let values = row.split('#').next().unwrap_or_default();
             if values.trim().is_empty() {
                 continue;
             }
-            let beam = RowBeam::parse(values).map_err(at)?;
+            let beam =
+                RowBeam::parse(values).map_err(|message| RowTableError::Line { line, message })?;
             if let Some(above) = beams
                 .last()
                 .filter(|above| above.elevation_rad <= beam.elevation_rad)
             {
-                let [above, found] = [above, &beam].map(|beam| beam.elevation_rad.to_degrees());
-                return Err(at(format!(
+                let above = above.elevation_rad.to_degrees();
+                let found = beam.elevation_rad.to_degrees();
+                let message = format!(
                     "{found:.3} degrees is not below the {above:.3} degrees of the row above"
-                )));
+                );
+                return Err(RowTableError::Line { line, message });
             }
             beams.push(beam);
         }
@@ -107,17 +107,8 @@ impl RowTable {
 impl RowBeam {
     fn parse(values: &str) -> Result<Self, String> {
         let mut words = values.split_whitespace();
-        let mut number = |name: &str, most: f64| match words.next() {
-            None => Ok(0.0),
-            Some(word) => match word.parse::<f64>() {
-                Ok(number) if number.abs() <= most => Ok(number),
-                _ => Err(format!(
-                    "{name} \"{word}\" is no number from -{most} to {most}"
-                )),
-            },
-        };
-        let elevation_rad = number("elevation", 90.0)?.to_radians();
-        let vertical_offset_m = number("vertical offset", MAX_OFFSET_M)?;
+        let elevation_rad = number(words.next(), "elevation", 90.0)?.to_radians();
+        let vertical_offset_m = number(words.next(), "vertical offset", MAX_OFFSET_M)?;
         match words.next() {
             None => Ok(Self {
                 elevation_rad,
@@ -125,6 +116,19 @@ impl RowBeam {
             }),
             Some(word) => Err(format!("nothing is expected where \"{word}\" stands")),
         }
+    }
+}
+
+/// The number of a word, at most `most` from 0; 0 where there is no word.
+fn number(word: Option<&str>, name: &str, most: f64) -> Result<f64, String> {
+    let Some(word) = word else {
+        return Ok(0.0);
+    };
+    match word.parse::<f64>() {
+        Ok(number) if number.abs() <= most => Ok(number),
+        _ => Err(format!(
+            "{name} \"{word}\" is no number from -{most} to {most}"
+        )),
     }
 }
 
@@ -177,20 +181,19 @@ impl Groups {
         });
         self.beams.clear();
         self.beams.extend(beams);
-        let beams = &self.beams;
-        let row = |(&away_m, &z_m): (&f32, &f32)| {
-            let (mut nearest, mut row) = (f32::INFINITY, 0);
-            for (index, [sin, cos, offset]) in beams.iter().enumerate() {
+        self.rows.clear();
+        for (&away_m, &z_m) in points.away_m.iter().zip(&points.z_m) {
+            let mut nearest_m = f32::INFINITY;
+            let mut row = 0;
+            for (index, [sin, cos, offset]) in self.beams.iter().enumerate() {
                 let apart_m = (z_m * cos - away_m * sin - offset).abs();
-                if apart_m < nearest {
-                    (nearest, row) = (apart_m, index);
+                if apart_m < nearest_m {
+                    nearest_m = apart_m;
+                    row = index;
                 }
             }
-            row as u8
-        };
-        self.rows.clear();
-        self.rows
-            .extend(points.away_m.iter().zip(&points.z_m).map(row));
+            self.rows.push(row as u8);
+        }
     }
 
     /// Sorts the points into this many rings.

@@ -7,6 +7,8 @@
 /// Most bytes that come out of one: three say 264.
 const MOST_FOLD: usize = 88;
 
+const CUT_OFF: &str = "the packed bytes end in the middle of a stretch";
+
 /// Unpacks as many bytes as are expected; where they are no such packing, the byte and a sentence.
 pub(super) fn unpack(packed: &[u8], expected: usize) -> Result<Vec<u8>, (usize, String)> {
     if expected > packed.len().saturating_mul(MOST_FOLD) {
@@ -20,36 +22,29 @@ pub(super) fn unpack(packed: &[u8], expected: usize) -> Result<Vec<u8>, (usize, 
     let mut at = 0;
     while at < packed.len() {
         let begin = at;
-        let wrong = |message: &str| (begin, format!("{message}; the file is damaged"));
-        let mut next = || {
-            let byte = packed.get(at).copied();
-            at += 1;
-            byte.map(usize::from)
-                .ok_or_else(|| wrong("the packed bytes end in the middle of a stretch"))
-        };
-        let control = next()?;
+        let control = next(packed, &mut at).ok_or_else(|| damaged(begin, CUT_OFF))?;
         if control < 32 {
             let literal = packed.get(begin + 1..begin + 2 + control);
-            out.extend_from_slice(
-                literal.ok_or_else(|| wrong("the packed bytes end in the middle of a stretch"))?,
-            );
+            out.extend_from_slice(literal.ok_or_else(|| damaged(begin, CUT_OFF))?);
             at += control + 1;
         } else {
-            let long = if control >> 5 == 7 { next()? } else { 0 };
-            let length = (control >> 5) + long + 2;
-            let back = ((control & 31) << 8) + next()? + 1;
+            let mut length = (control >> 5) + 2;
+            if control >> 5 == 7 {
+                length += next(packed, &mut at).ok_or_else(|| damaged(begin, CUT_OFF))?;
+            }
+            let low = next(packed, &mut at).ok_or_else(|| damaged(begin, CUT_OFF))?;
+            let back = ((control & 31) << 8) + low + 1;
             let from = out
                 .len()
                 .checked_sub(back)
-                .ok_or_else(|| wrong("a stretch repeats what is before the start"))?;
+                .ok_or_else(|| damaged(begin, "a stretch repeats what is before the start"))?;
             for byte in from..from + length {
                 out.push(out[byte]);
             }
         }
         if out.len() > expected {
-            return Err(wrong(&format!(
-                "more than the {expected} bytes that the head promises"
-            )));
+            let message = format!("more than the {expected} bytes that the head promises");
+            return Err(damaged(begin, &message));
         }
     }
     match out.len() {
@@ -59,6 +54,17 @@ pub(super) fn unpack(packed: &[u8], expected: usize) -> Result<Vec<u8>, (usize, 
             format!("{found} bytes unpacked, the head promises {expected}; the file is damaged"),
         )),
     }
+}
+
+/// The byte at `at`, which moves to the next one.
+fn next(packed: &[u8], at: &mut usize) -> Option<usize> {
+    let byte = packed.get(*at)?;
+    *at += 1;
+    Some(usize::from(*byte))
+}
+
+fn damaged(byte: usize, message: &str) -> (usize, String) {
+    (byte, format!("{message}; the file is damaged"))
 }
 
 #[cfg(test)]

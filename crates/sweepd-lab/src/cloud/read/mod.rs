@@ -185,34 +185,37 @@ struct Roles {
 }
 
 impl Roles {
-    /// Told by the fields' names; a sentence when a coordinate is missing or stands twice.
-    fn of_names<'a>(names: impl Iterator<Item = &'a str> + Clone) -> Result<Self, String> {
-        let find = |wanted: &str| {
-            let mut found = names
-                .clone()
-                .enumerate()
-                .filter(|(_, name)| *name == wanted)
-                .map(|(index, _)| index);
-            match (found.next(), found.next()) {
-                (_, Some(_)) => Err(format!("the field {wanted} stands twice")),
-                (first, None) => Ok(first),
-            }
-        };
-        let must = |wanted: &str| {
-            let all = || names.clone().collect::<Vec<_>>().join(" ");
-            find(wanted)?.ok_or_else(|| {
-                format!(
-                    "no field {wanted} among \"{}\"; points need x, y and z",
-                    all()
-                )
-            })
-        };
+    /// Finds the roles by the fields' names; a sentence when a coordinate is missing or stands twice.
+    fn of_names<'a>(names: impl Iterator<Item = &'a str>) -> Result<Self, String> {
+        let names: Vec<&str> = names.collect();
         Ok(Self {
-            xyz: [must("x")?, must("y")?, must("z")?],
-            intensity: find("intensity")?,
-            ring: find("ring")?,
+            xyz: [
+                coordinate(&names, "x")?,
+                coordinate(&names, "y")?,
+                coordinate(&names, "z")?,
+            ],
+            intensity: field(&names, "intensity")?,
+            ring: field(&names, "ring")?,
         })
     }
+}
+
+/// Index of a field, if the file has it; a sentence when it stands twice.
+fn field(names: &[&str], wanted: &str) -> Result<Option<usize>, String> {
+    let first = names.iter().position(|name| *name == wanted);
+    if first != names.iter().rposition(|name| *name == wanted) {
+        return Err(format!("the field {wanted} stands twice"));
+    }
+    Ok(first)
+}
+
+fn coordinate(names: &[&str], wanted: &str) -> Result<usize, String> {
+    field(names, wanted)?.ok_or_else(|| {
+        format!(
+            "no field {wanted} among \"{}\"; points need x, y and z",
+            names.join(" ")
+        )
+    })
 }
 
 /// Collects the points of a file.
@@ -242,7 +245,8 @@ impl Collector {
             .map_or(0.0, |field| value(field) as f32);
         if let (Some(rings), Some(field)) = (&mut self.cloud.rings, self.roles.ring) {
             rings.push(ring(value(field)).ok_or_else(|| {
-                let (point, found) = (self.cloud.points.len(), value(field));
+                let point = self.cloud.points.len();
+                let found = value(field);
                 format!("point {point} (counted from 0) has ring {found}, expected a whole number from 0 on")
             })?);
         }
@@ -267,6 +271,13 @@ struct Field {
     step: usize,
 }
 
+impl Field {
+    /// Where its value of a point begins.
+    fn at(&self, point: usize) -> usize {
+        self.start + point * self.step
+    }
+}
+
 /// The points of a binary file, which is long enough for them.
 fn binary(
     bytes: &[u8],
@@ -277,11 +288,15 @@ fn binary(
 ) -> Result<Cloud, (usize, String)> {
     let mut collector = Collector::new(roles, points);
     for point in 0..points {
-        let at = |field: usize| fields[field].start + point * fields[field].step;
-        let value = |field: usize| fields[field].scalar.read(&bytes[at(field)..], big_endian);
         collector
-            .push(value)
-            .map_err(|message| (roles.ring.map_or(0, at), message))?;
+            .push(|field| {
+                let field = fields[field];
+                field.scalar.read(&bytes[field.at(point)..], big_endian)
+            })
+            .map_err(|message| {
+                let byte = roles.ring.map_or(0, |ring| fields[ring].at(point));
+                (byte, message)
+            })?;
     }
     Ok(collector.cloud)
 }
@@ -302,32 +317,29 @@ fn ascii(
     let mut lines = text.split(|&byte| byte == b'\n').zip(first_line..);
     while collector.cloud.points.len() < points {
         let Some((line, number)) = lines.next() else {
-            let (found, last) = (
-                collector.cloud.points.len(),
-                first_line + text.split(|&byte| byte == b'\n').count(),
-            );
+            let found = collector.cloud.points.len();
+            let last = first_line + text.split(|&byte| byte == b'\n').count();
             let message = format!(
                 "the file ends after {found} of {points} points; it was cut off, or its head is wrong"
             );
             return Err(ReadError::line(last.saturating_sub(1), message));
         };
-        let at = |message: String| ReadError::line(number, message);
         let line = std::str::from_utf8(line)
-            .map_err(|_| at("no text; the head says that the points are".to_owned()))?;
+            .map_err(|_| ReadError::line(number, "no text; the head says that the points are"))?;
         values.clear();
         for word in line.split_ascii_whitespace() {
-            values.push(
-                word.parse::<f64>()
-                    .map_err(|_| at(format!("\"{}\" is no number", shortened(word))))?,
-            );
+            values.push(word.parse::<f64>().map_err(|_| {
+                ReadError::line(number, format!("\"{}\" is no number", shortened(word)))
+            })?);
         }
         match values.len() {
             0 => {}
-            found if found == words => collector.push(|field| values[field]).map_err(at)?,
+            found if found == words => collector
+                .push(|field| values[field])
+                .map_err(|message| ReadError::line(number, message))?,
             found => {
-                return Err(at(format!(
-                    "{found} numbers, expected {words}: one for each field"
-                )));
+                let message = format!("{found} numbers, expected {words}: one for each field");
+                return Err(ReadError::line(number, message));
             }
         }
     }

@@ -52,9 +52,8 @@ struct Head {
 pub(super) fn read(bytes: &[u8]) -> Result<Cloud, ReadError> {
     let mut head = Head::default();
     for (line, end, text) in head_lines(bytes) {
-        let at = |message: String| ReadError::line(line, message);
         let text = std::str::from_utf8(text)
-            .map_err(|_| at("no text where the head should be".to_owned()))?;
+            .map_err(|_| ReadError::line(line, "no text where the head should be"))?;
         let mut words = text.split_ascii_whitespace();
         let Some(key) = words.next().filter(|key| !key.starts_with('#')) else {
             continue;
@@ -67,14 +66,16 @@ pub(super) fn read(bytes: &[u8]) -> Result<Cloud, ReadError> {
                 ["binary"] => Data::Binary,
                 ["binary_compressed"] => Data::Compressed,
                 _ => {
-                    return Err(at(
-                        "DATA must be ascii, binary or binary_compressed".to_owned()
+                    return Err(ReadError::line(
+                        line,
+                        "DATA must be ascii, binary or binary_compressed",
                     ));
                 }
             };
             return head.body(data, &bytes[end..], end);
         }
-        head.take(key, &words, line).map_err(at)?;
+        head.take(key, &words, line)
+            .map_err(|message| ReadError::line(line, message))?;
     }
     let last = head_lines(bytes).last().map_or(1, |(line, ..)| line);
     Err(ReadError::line(
@@ -113,9 +114,9 @@ impl Head {
         let in_data = |message| ReadError::line(data_line, message);
         self.check_counts().map_err(in_data)?;
         let points = self.point_count().map_err(in_data)?;
-        let in_fields = |message| ReadError::line(fields_line, message);
-        let roles = Roles::of_names(self.names.iter().map(String::as_str)).map_err(in_fields)?;
-        let scalars = self.scalars(roles).map_err(in_fields)?;
+        let (roles, scalars) = Roles::of_names(self.names.iter().map(String::as_str))
+            .and_then(|roles| Ok((roles, self.scalars(roles)?)))
+            .map_err(|message| ReadError::line(fields_line, message))?;
         if data == Data::Ascii {
             return self.ascii(body, points, roles);
         }

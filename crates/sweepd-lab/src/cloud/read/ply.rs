@@ -38,19 +38,21 @@ struct Head {
 pub(super) fn read(bytes: &[u8]) -> Result<Cloud, ReadError> {
     let mut head = Head::default();
     for (line, end, text) in head_lines(bytes) {
-        let at = |message: String| ReadError::line(line, message);
         let text = std::str::from_utf8(text)
-            .map_err(|_| at("no text where the head should be".to_owned()))?;
+            .map_err(|_| ReadError::line(line, "no text where the head should be"))?;
         let words: Vec<&str> = text.split_ascii_whitespace().collect();
         match (line, &words[..]) {
             (1, ["ply"]) | (2.., [] | ["comment" | "obj_info", ..]) => {}
             (1, _) => {
-                return Err(at(
-                    "a PLY file begins with a line \"ply\"; this is none".to_owned()
+                return Err(ReadError::line(
+                    line,
+                    "a PLY file begins with a line \"ply\"; this is none",
                 ));
             }
             (_, ["end_header"]) => return head.body(&bytes[end..], end, line),
-            _ => head.take(&words, line).map_err(at)?,
+            _ => head
+                .take(&words, line)
+                .map_err(|message| ReadError::line(line, message))?,
         }
     }
     let last = head_lines(bytes).last().map_or(1, |(line, ..)| line);
