@@ -35,24 +35,24 @@ pub struct EntropyScore {
 }
 
 impl EntropyScore {
-    /// Of objects (0 for none) and labels, one each a point.
+    /// Compares objects (0 for none) with labels, one of each per point.
     pub(super) fn new(objects: &[u32], labels: &[u32]) -> Self {
-        let both = || {
-            objects
-                .iter()
-                .copied()
-                .zip(labels.iter().map(|&label| segment_of(label)))
-        };
-        let by_object = pairs::count(both().filter(|&(object, _)| object != NO_OBJECT));
-        let scattered = Entropies::new(by_object.chunk_by(|one, next| one.a == next.a));
+        let points = objects.iter().copied().zip(labels.iter().copied());
+        let by_object = pairs::count(
+            points
+                .clone()
+                .filter(|&(object, _)| object != NO_OBJECT)
+                .map(|(object, label)| (object, segment_of(label))),
+        );
+        let scattered = Entropies::new(pairs::by_a(&by_object));
         let by_segment = pairs::count(
-            both()
+            points
                 .filter(|&(_, label)| is_segment(label))
                 .map(|(object, label)| (label, object)),
         );
-        let segments = || by_segment.chunk_by(|one, next| one.a == next.a);
-        let mixed =
-            Entropies::new(segments().filter(|bins| bins.iter().any(|bin| bin.b != NO_OBJECT)));
+        let with_objects =
+            pairs::by_a(&by_segment).filter(|bins| bins.iter().any(|bin| bin.b != NO_OBJECT));
+        let mixed = Entropies::new(with_objects);
         let covered: u64 = by_object
             .iter()
             .filter(|pair| is_segment(pair.b))
@@ -67,7 +67,7 @@ impl EntropyScore {
             use_per_point: ratio(mixed.weighted, mixed.points),
             cover: ratio(covered as f64, scattered.points),
             objects: scattered.count,
-            segments: segments().count(),
+            segments: pairs::by_a(&by_segment).count(),
         }
     }
 
@@ -90,7 +90,7 @@ impl EntropyScore {
 #[derive(Default)]
 struct Entropies {
     sum: f64,
-    /// Each entropy as often as its group has points.
+    /// Each entropy times the points of its group.
     weighted: f64,
     points: f64,
     count: usize,
@@ -101,11 +101,10 @@ impl Entropies {
         let mut entropies = Self::default();
         for bins in groups {
             let points: f64 = bins.iter().map(|bin| f64::from(bin.points)).sum();
-            let share = |bin: &Pair| f64::from(bin.points) / points;
             // From 0, not from the -0 of an empty sum: what is not mixed has none.
             let entropy = bins
                 .iter()
-                .map(share)
+                .map(|bin| f64::from(bin.points) / points)
                 .fold(0.0, |sum, share| sum - share * share.ln());
             entropies.sum += entropy;
             entropies.weighted += entropy * points;

@@ -50,10 +50,12 @@ impl GroundCounts {
         counts
     }
 
-    /// What they come to.
+    /// The shares that follow from the counts.
     pub fn score(&self) -> GroundScore {
-        let [found, wrong, missed, left] =
-            [self.found, self.wrong, self.missed, self.left].map(|count| count as f64);
+        let found = self.found as f64;
+        let wrong = self.wrong as f64;
+        let missed = self.missed as f64;
+        let left = self.left as f64;
         GroundScore {
             precision: ratio(found, found + wrong),
             recall: ratio(found, found + missed),

@@ -118,7 +118,8 @@ impl InstanceCounts {
 
     /// Recognition quality: share of instances found, with false positives counted against it.
     pub fn recognition_quality(&self) -> Option<f64> {
-        let (found, missing) = (self.found_50 as f64, (self.count - self.found_50) as f64);
+        let found = self.found_50 as f64;
+        let missing = (self.count - self.found_50) as f64;
         ratio(
             found,
             found + 0.5 * self.false_positives as f64 + 0.5 * missing,
@@ -139,51 +140,50 @@ impl InstanceCounts {
     }
 
     pub(super) fn figures(&self) -> [(&'static str, Option<f64>); 13] {
-        let share = |count: u64| ratio(count as f64, self.count as f64);
-        let mean = |sum: f64| ratio(sum, self.count as f64);
+        let count = self.count as f64;
         [
-            ("count", Some(self.count as f64)),
-            ("found_50", share(self.found_50)),
-            ("found_70", share(self.found_70)),
-            ("under", share(self.under)),
-            ("over", share(self.over)),
-            ("missed", share(self.missed)),
-            ("merged_background", share(self.merged_background)),
-            ("mean_iou", mean(self.iou_sum)),
+            ("count", Some(count)),
+            ("found_50", ratio(self.found_50 as f64, count)),
+            ("found_70", ratio(self.found_70 as f64, count)),
+            ("under", ratio(self.under as f64, count)),
+            ("over", ratio(self.over as f64, count)),
+            ("missed", ratio(self.missed as f64, count)),
+            (
+                "merged_background",
+                ratio(self.merged_background as f64, count),
+            ),
+            ("mean_iou", ratio(self.iou_sum, count)),
             ("false_positives", Some(self.false_positives as f64)),
             ("rq", self.recognition_quality()),
             ("sq", self.segmentation_quality()),
             ("pq", self.panoptic_quality()),
-            ("s_assoc", mean(self.association_sum)),
+            ("s_assoc", ratio(self.association_sum, count)),
         ]
     }
 }
 
 impl Scene {
     fn new(truth: &[u32], labels: &[u32]) -> Self {
-        let known = || {
-            let points = truth
-                .iter()
-                .zip(labels)
-                .filter(|(truth, _)| class_of(**truth) > OUTLIER);
-            points.map(|(&truth, &label)| (truth, segment_of(label)))
-        };
-        let in_segment = || known().filter(|&(_, label)| is_segment(label));
-        let all = pairs::count(
-            in_segment().map(|(truth, label)| (label, u32::from(is_thing(class_of(truth))))),
+        let known = truth
+            .iter()
+            .zip(labels)
+            .filter(|(truth, _)| class_of(**truth) > OUTLIER)
+            .map(|(&truth, &label)| (truth, segment_of(label)));
+        let in_segments = pairs::count(
+            known
+                .clone()
+                .filter(|&(_, label)| is_segment(label))
+                .map(|(truth, label)| (label, u32::from(is_thing(class_of(truth))))),
         );
-        let segment = |bins: &[Pair]| Segment {
-            label: bins[0].a,
-            points: bins.iter().map(|bin| bin.points).sum(),
-            of_things: bins.iter().map(|bin| bin.points * bin.b).sum(),
-        };
-        let segments: Vec<Segment> = all
-            .chunk_by(|one, next| one.a == next.a)
-            .map(segment)
+        let segments: Vec<Segment> = pairs::by_a(&in_segments)
+            .map(|bins| Segment {
+                label: bins[0].a,
+                points: bins.iter().map(|bin| bin.points).sum(),
+                of_things: bins.iter().map(|bin| bin.points * bin.b).sum(),
+            })
             .collect();
-        let met = pairs::count(known().filter(|&(truth, _)| is_instance(truth)));
-        let instances = met
-            .chunk_by(|one, next| one.a == next.a)
+        let of_instances = pairs::count(known.filter(|&(truth, _)| is_instance(truth)));
+        let instances = pairs::by_a(&of_instances)
             .map(|bins| Instance::new(bins, &segments))
             .collect();
         Self {
@@ -193,13 +193,10 @@ impl Scene {
     }
 
     fn count(&self, min_points: u32) -> InstanceCounts {
-        let instances = || {
-            self.instances
-                .iter()
-                .filter(|instance| instance.points >= min_points)
-        };
+        let instances = self.instances.iter();
+        let counted = instances.filter(|instance| instance.points >= min_points);
         let mut roles = vec![Role::default(); self.segments.len()];
-        for overlap in instances().flat_map(|instance| &instance.overlaps) {
+        for overlap in counted.clone().flat_map(|instance| &instance.overlaps) {
             let role = &mut roles[overlap.segment];
             role.holds_most_of += u32::from(overlap.share >= MOST);
             role.found_one |= overlap.iou > 0.5;
@@ -209,7 +206,9 @@ impl Scene {
             min_points,
             ..InstanceCounts::default()
         };
-        instances().for_each(|instance| counts.add(&self.one(min_points, instance, &roles)));
+        for instance in counted {
+            counts.add(&self.one(min_points, instance, &roles));
+        }
         let segments = self.segments.iter().zip(&roles);
         counts.false_positives = segments
             .filter(|(segment, role)| segment.is_false_positive(role, min_points))
@@ -259,28 +258,25 @@ impl Scene {
 }
 
 impl Instance {
-    /// Of its pairs with labels, in their order.
+    /// From its pairs with labels, in their order.
     fn new(bins: &[Pair], segments: &[Segment]) -> Self {
         let points: u32 = bins.iter().map(|bin| bin.points).sum();
-        let overlap = |bin: &Pair| {
+        let overlaps = bins.iter().filter_map(|bin| {
             let segment = segments
                 .binary_search_by_key(&bin.b, |segment| segment.label)
                 .ok()?;
-            let (both, either) = (
-                f64::from(bin.points),
-                points + segments[segment].points - bin.points,
-            );
-            let (iou, share) = (both / f64::from(either), both / f64::from(points));
+            let both = f64::from(bin.points);
+            let either = points + segments[segment].points - bin.points;
             Some(Overlap {
                 segment,
                 points: bin.points,
-                iou,
-                share,
+                iou: both / f64::from(either),
+                share: both / f64::from(points),
             })
-        };
+        });
         Self {
             points,
-            overlaps: bins.iter().filter_map(overlap).collect(),
+            overlaps: overlaps.collect(),
         }
     }
 }

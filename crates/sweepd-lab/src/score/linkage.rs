@@ -80,8 +80,12 @@ pub(super) fn number_groups(
 
 /// One code for a cell: sorted by code, cells are in the order of x, then y, then z.
 fn pack(x: f64, y: f64, z: f64) -> Option<u64> {
-    let index = |at: f64| (at.abs() < REACH).then(|| (at.floor() as i64 + BIAS) as u64);
-    Some(index(x)? << 42 | index(y)? << 21 | index(z)?)
+    Some(biased(x)? << 42 | biased(y)? << 21 | biased(z)?)
+}
+
+/// The index of a cell along one axis, from 0 on; `None` where it is out of reach.
+fn biased(at: f64) -> Option<u64> {
+    (at.abs() < REACH).then(|| (at.floor() as i64 + BIAS) as u64)
 }
 
 /// Cells ahead of a cell that follow each other in the order of codes.
@@ -186,18 +190,17 @@ impl Cells {
         }
         let mut number = vec![NOWHERE; self.codes.len()];
         let mut next = 0;
-        let mut count = || {
-            next += 1;
-            next - 1
-        };
         for set in &mut set {
             *set = match number.get_mut(*set as usize) {
-                Some(number) if *number == NOWHERE => {
-                    *number = count();
-                    *number
+                Some(&mut known) if known != NOWHERE => known,
+                unknown => {
+                    // A point in no cell is a group by itself.
+                    if let Some(number) = unknown {
+                        *number = next;
+                    }
+                    next += 1;
+                    next - 1
                 }
-                Some(number) => *number,
-                None => count(),
             };
         }
         set
@@ -207,16 +210,14 @@ impl Cells {
 /// Whether any point of one cell is near any of another. Points that are too far from all of the
 /// other cell are left out first: most pairs of cells are decided by that.
 fn meet(a: &[[f64; 3]], b: &[[f64; 3]], near_m2: f64) -> bool {
-    let ((low_a, high_a), (low_b, high_b)) = (bounds(a), bounds(b));
-    let gap_m2 = |low: [f64; 3], high: [f64; 3], point: &[f64; 3]| {
-        square_m2(*point, clamp(*point, low, high))
-    };
+    let (low_a, high_a) = bounds(a);
+    let (low_b, high_b) = bounds(b);
     let near_b: Vec<&[f64; 3]> = b
         .iter()
-        .filter(|point| gap_m2(low_a, high_a, point) < near_m2)
+        .filter(|point| square_m2(**point, clamp(**point, low_a, high_a)) < near_m2)
         .collect();
     (a.iter()
-        .filter(|point| gap_m2(low_b, high_b, point) < near_m2))
+        .filter(|point| square_m2(**point, clamp(**point, low_b, high_b)) < near_m2))
     .any(|one| {
         near_b
             .iter()
@@ -225,16 +226,15 @@ fn meet(a: &[[f64; 3]], b: &[[f64; 3]], near_m2: f64) -> bool {
 }
 
 fn bounds(points: &[[f64; 3]]) -> ([f64; 3], [f64; 3]) {
-    let extreme = |better: fn(f64, f64) -> f64| {
-        points.iter().fold(points[0], |[x, y, z], point| {
-            [
-                better(x, point[0]),
-                better(y, point[1]),
-                better(z, point[2]),
-            ]
-        })
-    };
-    (extreme(f64::min), extreme(f64::max))
+    let mut low = points[0];
+    let mut high = points[0];
+    for point in points {
+        for axis in 0..3 {
+            low[axis] = low[axis].min(point[axis]);
+            high[axis] = high[axis].max(point[axis]);
+        }
+    }
+    (low, high)
 }
 
 fn clamp(point: [f64; 3], low: [f64; 3], high: [f64; 3]) -> [f64; 3] {
@@ -269,7 +269,8 @@ impl Sets {
     }
 
     fn join(&mut self, a: u32, b: u32) {
-        let (a, b) = (self.root(a), self.root(b));
+        let a = self.root(a);
+        let b = self.root(b);
         self.parent[a.max(b) as usize] = a.min(b);
     }
 }

@@ -120,20 +120,20 @@ impl ScanScore {
     /// # Errors
     /// [`ScoreError::Labels`].
     pub fn new(truth: &Truth, labels: &[u32], min_points: &[u32]) -> Result<Self, ScoreError> {
-        let points = truth.labels().len();
-        if labels.len() != points {
+        let wanted = truth.labels();
+        if labels.len() != wanted.len() {
             return Err(ScoreError::Labels {
-                points,
+                points: wanted.len(),
                 labels: labels.len(),
             });
         }
-        let ground = |group| GroundCounts::new(truth.labels(), labels, group).score();
         Ok(Self {
-            ground: ground(Group::Ground),
-            ground_no_vegetation: ground(Group::GroundNoVegetation),
-            ground_paved: ground(Group::GroundPaved),
+            ground: GroundCounts::new(wanted, labels, Group::Ground).score(),
+            ground_no_vegetation: GroundCounts::new(wanted, labels, Group::GroundNoVegetation)
+                .score(),
+            ground_paved: GroundCounts::new(wanted, labels, Group::GroundPaved).score(),
             entropy: EntropyScore::new(truth.objects(), labels),
-            instances: InstanceCounts::of(truth.labels(), labels, min_points),
+            instances: InstanceCounts::of(wanted, labels, min_points),
         })
     }
 
@@ -174,7 +174,7 @@ fn is_segment(label: u32) -> bool {
     label != LABEL_NONE && label != LABEL_GROUND
 }
 
-/// The label of a segment; all that is none has one label.
+/// The label of a segment, [`LABEL_NONE`] for anything else.
 fn segment_of(label: u32) -> u32 {
     if is_segment(label) { label } else { LABEL_NONE }
 }
@@ -190,9 +190,9 @@ pub struct Grouped<T>(pub Vec<(Group, &'static str, T)>);
 
 impl<T: Serialize> Serialize for Grouped<T> {
     fn serialize<S: Serializer>(&self, serializer: S) -> Result<S::Ok, S::Error> {
-        let groups = || self.0.chunk_by(|a, b| a.0 == b.0);
-        let mut map = serializer.serialize_map(Some(groups().count()))?;
-        for group in groups() {
+        let groups: Vec<_> = self.0.chunk_by(|a, b| a.0 == b.0).collect();
+        let mut map = serializer.serialize_map(Some(groups.len()))?;
+        for group in groups {
             map.serialize_entry(&group[0].0.key(), &Named(group))?;
         }
         map.end()

@@ -14,10 +14,16 @@ pub(super) fn count(pairs: impl Iterator<Item = (u32, u32)>) -> Vec<Pair> {
         .map(|(a, b)| u64::from(a) << 32 | u64::from(b))
         .collect();
     keys.sort_unstable();
-    let pair = |same: &[u64]| Pair {
-        a: (same[0] >> 32) as u32,
-        b: same[0] as u32,
-        points: same.len() as u32,
-    };
-    keys.chunk_by(|one, next| one == next).map(pair).collect()
+    keys.chunk_by(|one, next| one == next)
+        .map(|same| Pair {
+            a: (same[0] >> 32) as u32,
+            b: same[0] as u32,
+            points: same.len() as u32,
+        })
+        .collect()
+}
+
+/// Counted pairs, all those of one `a` together.
+pub(super) fn by_a(pairs: &[Pair]) -> impl Iterator<Item = &[Pair]> {
+    pairs.chunk_by(|one, next| one.a == next.a)
 }

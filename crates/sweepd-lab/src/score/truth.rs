@@ -74,6 +74,7 @@ fn objects(points: &[[f32; 4]], labels: &[u32]) -> Vec<u32> {
 }
 
 /// Where a point is.
-pub(super) fn place([x, y, z, _]: [f32; 4]) -> [f32; 3] {
+pub(super) fn place(point: [f32; 4]) -> [f32; 3] {
+    let [x, y, z, _] = point;
     [x, y, z]
 }
