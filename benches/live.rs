@@ -70,7 +70,7 @@ fn main() {
                     let share = load(name, &stream, 1.0, 20);
                     least(&stream, 10, share);
                 }
-                None => println!("\n== {name}: that capture is not at hand (see the README)"),
+                None => println!("\n== {name}: that capture is not at hand (see CONTRIBUTING.md)"),
             }
         }
     }

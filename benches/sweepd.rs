@@ -5,7 +5,7 @@
 //! ```
 //!
 //! What is decoded is simulated, so that anyone can run this; captures are real, where they are at
-//! hand (see the README).
+//! hand (see CONTRIBUTING.md).
 
 use std::path::{Path, PathBuf};
 

@@ -43,7 +43,7 @@
 //! | firing | one pass of all beams; a VLP-16 stores two per block |
 //! | shot | one beam's part of a firing, at a time of its own |
 //! | row, column | range-image indices; row 0 = highest elevation, a column = a firing, after each row's shift |
-//! | shift | whole columns from a pixel to its firing, by row: the beams of an HDL-64E point aside |
+//! | shift | number of columns between a pixel and its firing; it depends on the row, and is 0 unless beams differ in azimuth |
 //! | azimuth, elevation | rotation angle, clockwise from above, 0 = sensor +y; vertical angle |
 //! | range | metres along the beam; 0 = no return, asked through [`sweep::layout::is_return`] only |
 //! | return | one echo: strongest, last; dual = both |
@@ -52,14 +52,20 @@
 //! | sweep | the columns between two crossings of the cut azimuth |
 //! | label | u32 per pixel: 0 none, 1 ground, 2.. segment |
 //! | segment | connected non-ground pixels with one label |
-//! | strip, run | 32 columns, segmented together; a stretch of pixels in a row, or in a column, each joined to the next |
-//! | piece, component | runs that were joined as they were taken; pieces that belong together, whatever joins them |
-//! | scan, truth, object | a cloud that people labelled; the labels they gave; what segments are scored against |
-//! | drop, loss, gap | datagrams discarded by the kernel or by us; packets missing by the sensor's clock; columns missing in a sweep |
+//! | strip | 64 columns, segmented together |
+//! | run | neighbouring pixels of a row, each joined to the next |
+//! | piece, component | runs joined as they were taken; pieces that belong together |
+//! | scan, truth | a cloud that people labelled, and the labels they gave |
+//! | object | points with one label of the truth: segments are scored against objects |
+//! | drop | a datagram discarded by the kernel or by us |
+//! | loss | a packet missing by the sensor's clock |
+//! | gap | columns missing in a sweep |
 //! | consumer | a program that reads sweeps from shared memory |
 //! | domain | the folder by which a daemon and its consumers find each other |
-//! | loan, pool | shared memory for one sweep, filled before anybody sees it; that of all sweeps of a sensor |
-//! | recording, feed | files that grow with what is received; the way of one thread's datagrams into them |
+//! | loan | shared memory for one sweep, filled before a consumer sees it |
+//! | pool | the shared memory of all sweeps of a sensor |
+//! | recording | capture files that grow with the datagrams received |
+//! | feed | the queue from one receiving thread to a recording |
 
 #![deny(unsafe_code)]
 #![warn(missing_docs)]

@@ -7,7 +7,7 @@
 //! ```
 //!
 //! Simulated sweeps are the street of `sweepd simulate`; "rays" are ranges cast in it for shapes
-//! that no supported sensor has. Real ones are measured where the data is at hand (see the README).
+//! that no supported sensor has. Real ones are measured where the data is at hand (see CONTRIBUTING.md).
 //! Times are medians in ms, and a minimum, of up to 60 turns, in which all that is compared takes
 //! part; turns in which others had the core are left out ("calm" counts the rest). "tail" is the
 //! last strip and the labels: what remains when the last column comes, if all strips before are

@@ -1,9 +1,9 @@
 //! The sweeps of a running daemon, without a copy: for programs on the same host.
 //!
-//! This needs the crate's feature `client` alone, which builds nothing of the daemon:
+//! This crate builds nothing of the daemon:
 //!
 //! ```toml
-//! sweepd = { git = "...", default-features = false, features = ["client"] }
+//! sweepd-client = { git = "..." }
 //! ```
 //!
 //! ```no_run

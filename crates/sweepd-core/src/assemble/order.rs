@@ -2,7 +2,7 @@
 //! them.
 //!
 //! Velodynes send no sequence number, but their clock is crystal-exact: the interval between two
-//! stamps, divided by the packet period, is one. Packets in order pass at once. Behind a gap at
+//! stamps, divided by the packet period, serves as one. Packets in order pass at once. Behind a gap at
 //! most [`HOLD`] packets are held back, in case the missing ones were only overtaken. A packet that
 //! contradicts the clock or the return mode is believed when the next one agrees with it: then the
 //! stream did change; else it was corrupt.
