@@ -174,7 +174,8 @@ fn bind(path: &Path) -> io::Result<(UnixListener, u64)> {
             "something else is there",
         ));
     }
-    let unready = path.with_extension(std::process::id().to_string());
+    // Always the same name: a daemon that was killed here may have left it.
+    let unready = path.with_extension("unready");
     let _ = fs::remove_file(&unready);
     let listener = net::UnixListener::bind(&unready)?;
     let prepared = prepare(listener, &unready);

@@ -420,8 +420,11 @@ async fn the_socket_is_its_owners_and_comes_back_when_it_is_deleted() {
     daemon.begin(&daemon.request("x.pcap")).await.unwrap();
     // What a killed daemon left behind is replaced; what is no socket is not.
     let left = daemon.folder.join("left");
+    let unready = daemon.folder.join("left.unready");
     drop(std::os::unix::net::UnixListener::bind(&left).unwrap());
+    drop(std::os::unix::net::UnixListener::bind(&unready).unwrap());
     ControlServer::start(&left, daemon.recordings.event_sender()).unwrap();
+    assert!(!unready.exists());
     let file = daemon.folder.join("file");
     std::fs::write(&file, "mine").unwrap();
     let error = ControlServer::start(&file, daemon.recordings.event_sender()).unwrap_err();
