@@ -31,8 +31,11 @@ pub struct Talk {
 
 impl Talk {
     pub fn start(program: &OsStr, args: &[&OsStr]) -> Self {
-        let mut command = Command::new(program);
+        // A test that runs in the background of a shell ignores SIGINT, and so would its children.
+        let mut command = Command::new("env");
         command
+            .arg("--default-signal=INT")
+            .arg(program)
             .args(args)
             .stdin(Stdio::piped())
             .stdout(Stdio::piped());
