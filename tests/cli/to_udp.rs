@@ -6,6 +6,9 @@ use std::time::{Duration, Instant};
 
 use crate::{Folder, Ran, command, fixture, made, replay};
 
+/// For 600 datagrams, each of which the kernel counts with 2.3 kB.
+const BUFFER_BYTES: usize = 4 << 20;
+
 /// Replays to a socket, and gives what arrived by the port that it came from, and how long it took.
 fn received(
     capture: &std::path::Path,
@@ -13,6 +16,10 @@ fn received(
     options: &[&str],
 ) -> (BTreeMap<u16, Vec<Vec<u8>>>, Duration) {
     let socket = UdpSocket::bind("127.0.0.1:0").unwrap();
+    // Room for all of it, should the reader have to wait for a core; the system may allow less.
+    socket2::SockRef::from(&socket)
+        .set_recv_buffer_size(BUFFER_BYTES)
+        .unwrap();
     socket
         .set_read_timeout(Some(Duration::from_secs(20)))
         .unwrap();
