@@ -53,7 +53,8 @@ impl Directions {
         }
         for first in (self.sure..end + 2 * self.margin).step_by(LANES) {
             let ahead = (order.start + first) as i32 - (STRIP + self.margin) as i32;
-            let (mut azimuth, mut surplus) = ([0.0; LANES], [0.0; LANES]);
+            let mut azimuth = [0.0; LANES];
+            let mut surplus = [0.0; LANES];
             let mut take = |lane: usize, column: &Column| {
                 azimuth[lane] = column.azimuth_rad;
                 surplus[lane] = column.azimuth_rate_rad_s - self.rate_rad_s;
@@ -125,7 +126,8 @@ fn sin_cos<S: Simd>(angle_rad: f32x16<S>) -> [f32x16<S>; 2] {
     let cos = square * series(square, [-0.5, 1.0 / 24.0, -1.0 / 720.0, 1.0 / 40_320.0]) + 1.0;
     let quarter = quarters.to_int::<i32x16<S>>();
     let is_odd = (quarter & 1).simd_eq(1);
-    let (across, along) = (is_odd.select(cos, sin), is_odd.select(sin, cos));
+    let across = is_odd.select(cos, sin);
+    let along = is_odd.select(sin, cos);
     let [sin_flips, cos_flips] = [(quarter & 2).simd_eq(2), ((quarter + 1) & 2).simd_eq(2)];
     [
         sin_flips.select(-across, across),

@@ -178,7 +178,8 @@ impl Config {
     /// # Errors
     /// [`ConfigError`] of the first that cannot.
     pub fn check(&self) -> Result<(), ConfigError> {
-        let (min_m, max_m) = (self.min_range_m, self.max_range_m);
+        let min_m = self.min_range_m;
+        let max_m = self.max_range_m;
         if !(self.theta_rad > 0.0 && self.theta_rad < FRAC_PI_2) {
             return Err(ConfigError::Theta {
                 found_deg: self.theta_rad.to_degrees(),
@@ -248,17 +249,12 @@ impl Segmenter {
     /// [`ConfigError`].
     pub fn with_level(config: Config, level: Level) -> Result<Self, ConfigError> {
         config.check()?;
-        let (height, strips, authors) = (
-            HeightEstimator::default(),
-            Strips::new(level),
-            Authors::default(),
-        );
         Ok(Self {
             config,
             level,
-            height,
-            strips,
-            authors,
+            height: HeightEstimator::default(),
+            strips: Strips::new(level),
+            authors: Authors::default(),
             open: None,
             spoilt: None,
         })

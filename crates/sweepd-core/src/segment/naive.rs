@@ -71,10 +71,8 @@ struct Image<'a> {
 impl Image<'_> {
     /// The pixel this many rows below and columns behind another.
     fn beside(&self, pixel: usize, down: i64, on: i64) -> Option<usize> {
-        let (row, column) = (
-            (pixel % self.rows) as i64 + down,
-            (pixel / self.rows) as i64 + on,
-        );
+        let row = (pixel % self.rows) as i64 + down;
+        let column = (pixel / self.rows) as i64 + on;
         let column = if self.circular {
             column.rem_euclid(self.columns as i64)
         } else {
@@ -330,14 +328,16 @@ fn climb(image: &Image<'_>, limits: &SlopeGround, height_m: f32) -> Vec<bool> {
                 foothold = top;
             }
 
-            let (run, rise) = (away - foothold.0, high - foothold.1);
+            let run = away - foothold.0;
+            let rise = high - foothold.1;
             let slope_rise = run * limits.max_slope;
             let highest = slope_rise
                 .min(limits.max_rise_m(image.rows))
                 .max(limits.min_rise_m);
             let walkable = rise < highest && -rise < slope_rise.abs().max(limits.min_rise_m);
 
-            let (step_run, step_rise) = (away - foot.0, high - foot.1);
+            let step_run = away - foot.0;
+            let step_rise = high - foot.1;
             let near = step_run * step_run + step_rise * step_rise
                 < limits.step_reach_m * limits.step_reach_m;
             let steep = near && step_rise > step_run.abs();

@@ -242,11 +242,10 @@ impl Beam {
         straight: [f32x16<S>; 3],
     ) -> [f32x16<S>; 3] {
         let one = f32x16::splat(simd, 1.0);
-        let (along_x, along_y) = (sin * self.cos_elevation, cos * self.cos_elevation);
-        let (slope_x, slope_y) = (
-            one - along_x.abs() * near_x[1],
-            one - along_y.abs() * near_y[1],
-        );
+        let along_x = sin * self.cos_elevation;
+        let along_y = cos * self.cos_elevation;
+        let slope_x = one - along_x.abs() * near_x[1];
+        let slope_y = one - along_y.abs() * near_y[1];
         let slopes = [
             along_x * slope_x,
             along_y * slope_y,
@@ -258,7 +257,8 @@ impl Beam {
             along_y * near_y[0],
             f32x16::splat(simd, up),
         ];
-        let (square, linear) = (dot(slopes, slopes), dot(slopes, bases));
+        let square = dot(slopes, slopes);
+        let linear = dot(slopes, bases);
         let rest = dot(bases, bases) - range * range;
         let root = linear * linear - square * rest;
         let is_near = (range.bitcast::<u32x16<S>>() & 1).simd_eq(1);

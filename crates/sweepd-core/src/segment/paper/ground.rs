@@ -76,7 +76,8 @@ pub fn repair(column: &mut [f32], limits: &PaperGround) {
 
 fn mean_of_pairs(column: &[f32], row: usize, limits: &PaperGround) -> Option<f32> {
     let (above, below) = column.split_at(row);
-    let (mut sum_m, mut count) = (0.0, 0);
+    let mut sum_m = 0.0;
+    let mut count = 0;
     for above_m in above
         .iter()
         .rev()
