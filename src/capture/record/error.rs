@@ -18,6 +18,18 @@ pub enum RecordError {
         /// The file.
         path: PathBuf,
     },
+    /// Another recording writes the file.
+    #[error("another recording writes {}; end that one first, or choose another name", path.display())]
+    Busy {
+        /// The file.
+        path: PathBuf,
+    },
+    /// The part of a recording was removed or replaced before it could take its name.
+    #[error("{} was removed or replaced while it was written: what was recorded is lost", path.display())]
+    Lost {
+        /// The part.
+        path: PathBuf,
+    },
     /// A file cannot be written.
     #[error("cannot write {}: {source}; {cure}", path.display(), cure = cure(source))]
     File {
@@ -43,6 +55,7 @@ impl RecordError {
             let path = path.to_owned();
             match source.kind() {
                 io::ErrorKind::AlreadyExists => Self::Exists { path },
+                io::ErrorKind::ResourceBusy => Self::Busy { path },
                 _ => Self::File { path, source },
             }
         }
@@ -52,6 +65,7 @@ impl RecordError {
 fn cure(error: &io::Error) -> &'static str {
     match error.kind() {
         io::ErrorKind::NotFound => "make its folder first",
+        io::ErrorKind::IsADirectory => "choose another name",
         io::ErrorKind::PermissionDenied | io::ErrorKind::ReadOnlyFilesystem => {
             "choose a folder that this user may write to"
         }

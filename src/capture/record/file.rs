@@ -1,6 +1,6 @@
 //! One capture that is written: plain or compressed, synced so that it can be read up to there.
 
-use std::fs::File;
+use std::fs::{File, TryLockError};
 use std::io::{self, BufWriter, Stdout, Write};
 use std::path::Path;
 
@@ -71,17 +71,19 @@ impl Write for Sink {
 
 impl CaptureFile {
     /// Writes a capture, and overwrites no file: that is the error `AlreadyExists`. A pipe or a
-    /// device is written directly.
+    /// device is written directly. A file stays locked while it is written ([`is_being_written`]).
     ///
     /// # Errors
-    /// What the system says.
+    /// What the system says; `ResourceBusy` where another recording has taken the file.
     pub fn create_new(path: &Path, format: Format) -> io::Result<Self> {
-        let file = if is_special(path) {
-            File::options().write(true).open(path)
-        } else {
-            File::create_new(path)
-        };
-        Self::over(file?, format)
+        if is_special(path) {
+            return Self::over(File::options().write(true).open(path)?, format);
+        }
+        let file = File::create_new(path)?;
+        if is_being_written(&file) {
+            return Err(io::ErrorKind::ResourceBusy.into());
+        }
+        Self::over(file, format)
     }
 
     /// Writes a plain capture to standard output.
@@ -143,12 +145,17 @@ impl CaptureFile {
         self.close().map(drop)
     }
 
-    /// As [`CaptureFile::finish`], and has all of it on the disk.
+    /// As [`CaptureFile::finish`], and has all of it on the disk. Gives the file, which is locked
+    /// until it is dropped; `None` for standard output.
     ///
     /// # Errors
     /// What the disk says.
-    pub fn finish_and_sync(self) -> io::Result<()> {
-        self.close()?.map_or(Ok(()), |file| synced(&file))
+    pub fn finish_and_sync(self) -> io::Result<Option<File>> {
+        let file = self.close()?;
+        if let Some(file) = &file {
+            synced(file)?;
+        }
+        Ok(file)
     }
 
     fn close(self) -> io::Result<Option<File>> {
@@ -165,6 +172,12 @@ impl CaptureFile {
             Sink::Stdout(_) => Ok(None),
         }
     }
+}
+
+/// Whether a recording writes this file, of this process or another one; if not, it is locked
+/// until it is closed. A file system without locks never says so.
+pub(super) fn is_being_written(file: &File) -> bool {
+    matches!(file.try_lock(), Err(TryLockError::WouldBlock))
 }
 
 /// A pipe or a device has nothing to sync (fsync(2), EINVAL).

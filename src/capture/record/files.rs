@@ -2,13 +2,14 @@
 
 use std::fs::{self, File};
 use std::io;
+use std::os::unix::fs::{MetadataExt, OpenOptionsExt};
 use std::path::{Path, PathBuf};
 use std::time::{Duration, Instant};
 
 use serde::{Deserialize, Serialize};
 
 use super::RecordError;
-use super::file::{CaptureFile, Format};
+use super::file::{CaptureFile, Format, is_being_written};
 use crate::capture::write::{Addressed, FILE_HEADER_LEN, record_len};
 use crate::files::output::{is_special, part_of, remove};
 
@@ -105,7 +106,13 @@ impl Files {
         if is_special(path) {
             return Self::create(path, Rotation::default());
         }
+        if path.is_dir() {
+            return Err(RecordError::of(path)(io::ErrorKind::IsADirectory.into()));
+        }
+        drop(unwritten(path)?);
         let part = part_of(path);
+        // Locked until the new part has its name: another recording may be about to do the same.
+        let _left_behind = unwritten(&part)?;
         remove(&part).map_err(RecordError::of(&part))?;
         Ok(Self {
             replaces: Some(path.to_owned()),
@@ -155,8 +162,14 @@ impl Files {
     ) -> (Written, Result<(), RecordError>) {
         let mut written = self.written;
         let ended = ended.and_then(|()| close(self.file, &written.last));
-        let ended = ended.and_then(|()| match self.replaces {
+        let ended = ended.and_then(|file| match self.replaces {
             Some(path) => {
+                // Still locked, so that no other recording takes the part before the rename.
+                if !file.is_some_and(|file| is_named(&file, &written.last)) {
+                    return Err(RecordError::Lost {
+                        path: written.last.clone(),
+                    });
+                }
                 fs::rename(&written.last, &path).map_err(RecordError::of(&path))?;
                 sync_folder_of(&path);
                 (written.first, written.last) = (path.clone(), path);
@@ -204,8 +217,36 @@ impl Files {
     }
 }
 
+/// A file of this name, if there is one, locked: no recording writes it.
+///
+/// # Errors
+/// [`RecordError::Busy`], if one does.
+fn unwritten(path: &Path) -> Result<Option<File>, RecordError> {
+    // A link is replaced, not followed, and a pipe is not waited for.
+    let flags = libc::O_NOFOLLOW | libc::O_NONBLOCK;
+    let opened = File::options().write(true).custom_flags(flags).open(path);
+    // One that is not there, or that may be removed and not written, is in no recording's hands
+    // as far as can be told.
+    let Ok(file) = opened else { return Ok(None) };
+    // What was locked may have been replaced since it was opened.
+    if is_being_written(&file) || !is_named(&file, path) {
+        return Err(RecordError::Busy {
+            path: path.to_owned(),
+        });
+    }
+    Ok(Some(file))
+}
+
+/// Whether this open file is the one of this name.
+fn is_named(file: &File, path: &Path) -> bool {
+    let (Ok(opened), Ok(named)) = (file.metadata(), path.symlink_metadata()) else {
+        return false;
+    };
+    opened.dev() == named.dev() && opened.ino() == named.ino()
+}
+
 /// Ends a file and has it on the disk.
-fn close(file: CaptureFile, path: &Path) -> Result<(), RecordError> {
+fn close(file: CaptureFile, path: &Path) -> Result<Option<File>, RecordError> {
     file.finish_and_sync().map_err(RecordError::of(path))
 }
 

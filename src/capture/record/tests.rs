@@ -200,3 +200,67 @@ fn one_that_is_dropped_has_written_all() {
             .eq((0..100).map(|number| SECOND_NS + number))
     );
 }
+
+fn replacing(path: &Path) -> RecorderConfig<'_> {
+    RecorderConfig {
+        existing: Existing::Replace,
+        ..RecorderConfig::new(path)
+    }
+}
+
+fn record_one(recorder: &Recorder) {
+    let mut feed = recorder.feed();
+    assert!(feed.put(&addressed(SECOND_NS, 2368, b"kept")));
+}
+
+#[test]
+fn a_second_recording_never_takes_the_file_of_the_first() {
+    let folder = Folder::new("busy");
+    let path = folder.0.join("x.pcap");
+    let other_name = folder.0.join("same").join("x.pcap");
+    std::os::unix::fs::symlink(&folder.0, folder.0.join("same")).unwrap();
+    // What a killed recording left behind is in nobody's hands.
+    std::fs::write(folder.0.join("x.pcap.part"), "left behind").unwrap();
+    let first = Recorder::start(replacing(&path)).unwrap();
+    record_one(&first);
+    for name in [&path, &other_name] {
+        let error = Recorder::start(replacing(name)).unwrap_err();
+        assert!(matches!(error, RecordError::Busy { .. }), "{error}");
+    }
+    let (_, ended) = first.finish();
+    assert!(ended.is_ok() && read(&path).len() == 1);
+    // One that has its name from the beginning is not replaced before it ends either.
+    let plain = folder.0.join("plain.pcap");
+    let first = Recorder::start(RecorderConfig::new(&plain)).unwrap();
+    let error = Recorder::start(replacing(&plain)).unwrap_err();
+    assert!(matches!(error, RecordError::Busy { .. }), "{error}");
+    drop(first);
+    let second = Recorder::start(replacing(&plain)).unwrap();
+    record_one(&second);
+    assert!(second.finish().1.is_ok() && read(&plain).len() == 1);
+}
+
+#[test]
+fn a_part_that_was_replaced_replaces_nothing() {
+    let folder = Folder::new("lost");
+    let path = folder.0.join("x.pcap");
+    std::fs::write(&path, "good").unwrap();
+    let recorder = Recorder::start(replacing(&path)).unwrap();
+    let part = folder.0.join("x.pcap.part");
+    std::fs::remove_file(&part).unwrap();
+    std::fs::write(&part, "of another program").unwrap();
+    let (_, ended) = recorder.finish();
+    assert!(matches!(*ended.unwrap_err(), RecordError::Lost { .. }));
+    assert_eq!(std::fs::read(&path).unwrap(), b"good");
+    assert_eq!(std::fs::read(&part).unwrap(), b"of another program");
+}
+
+#[test]
+fn a_folder_is_not_replaced() {
+    let folder = Folder::new("folder");
+    let path = folder.0.join("x.pcap");
+    std::fs::create_dir(&path).unwrap();
+    let error = Recorder::start(replacing(&path)).unwrap_err().to_string();
+    assert!(error.contains("choose another name"), "{error}");
+    assert!(!folder.0.join("x.pcap.part").exists());
+}
