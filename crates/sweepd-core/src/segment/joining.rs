@@ -19,7 +19,7 @@ use std::f32::consts::{PI, TAU};
 
 use fearless_simd::{Simd, f32x16, mask32x16, prelude::*};
 
-use super::order::{LANES, Order, STRIP};
+use super::order::{LANES, MOST_COLUMNS, Order, STRIP};
 use super::{Config, DENSE_ROWS};
 use crate::sweep::{BeamRow, Column};
 
@@ -51,10 +51,6 @@ impl Default for Joining {
     }
 }
 
-/// Widest window.
-pub const MOST_COLUMNS: usize = 12;
-/// Highest window.
-pub const MOST_ROWS: usize = 8;
 /// Columns whose azimuths are further apart than this many pitches are no neighbours.
 const JUMP_PITCHES: f32 = 3.0;
 

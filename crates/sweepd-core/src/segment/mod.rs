@@ -56,7 +56,7 @@ pub use turnover::turn_over;
 use crate::sweep::SweepMut;
 use crate::sweep::layout::{flags, is_return};
 use fearless_simd::Level;
-use joining::{MOST_COLUMNS, MOST_ROWS};
+use order::{MOST_COLUMNS, MOST_ROWS};
 use paper::Authors;
 use strips::Strips;
 

@@ -6,10 +6,13 @@ use std::ops::{Deref, DerefMut};
 use fearless_simd::{Simd, f32x16, prelude::*, u32x16};
 
 use super::MAX_ROWS;
-use super::joining::MOST_ROWS;
 use crate::sweep::SweepRef;
 use crate::sweep::layout::flags;
 
+/// Widest window.
+pub const MOST_COLUMNS: usize = 12;
+/// Highest window.
+pub const MOST_ROWS: usize = 8;
 /// Columns that one instruction treats.
 pub(super) const LANES: usize = 16;
 /// Columns of a strip: a bit each of a word.

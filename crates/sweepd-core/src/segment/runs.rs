@@ -7,8 +7,8 @@
 use fearless_simd::{Simd, f32x16, mask32x16, prelude::*};
 
 use super::components::{Components, Sum};
-use super::joining::{Apart, Chords, Limits, MOST_ROWS};
-use super::order::{BEFORE, LANES, Order, Plane, STRIP, lane_of};
+use super::joining::{Apart, Chords, Limits};
+use super::order::{BEFORE, LANES, MOST_ROWS, Order, Plane, STRIP, lane_of};
 use super::points::{Beams, RowPoints};
 use super::ranges::Ranges;
 

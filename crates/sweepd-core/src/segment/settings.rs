@@ -4,7 +4,7 @@
 use std::ops::RangeInclusive;
 
 use super::Config;
-use super::joining::{MOST_COLUMNS, MOST_ROWS};
+use super::order::{MOST_COLUMNS, MOST_ROWS};
 
 /// Angles that a beta test can have, degrees; the ends are none.
 pub const THETA_DEG: RangeInclusive<f64> = 0.0..=90.0;

@@ -11,11 +11,15 @@
 //! those that hold something are looked at. When all rows are joined, the windows of small
 //! components are scanned again for what these may become part of.
 
+use std::ops::RangeInclusive;
+
 use fearless_simd::{Simd, f32x16, mask32x16, prelude::*, u32x16};
 
 use super::components::Components;
-use super::joining::{Apart, Chords, Limits, MOST_COLUMNS, MOST_ROWS};
-use super::order::{BEFORE, LANES, Order, Plane, STRIDE, STRIP, lane_of, load};
+use super::joining::{Apart, Chords, Limits};
+use super::order::{
+    BEFORE, LANES, MOST_COLUMNS, MOST_ROWS, Order, Plane, STRIDE, STRIP, lane_of, load,
+};
 use super::runs::{Edges, Runs};
 
 /// Of a pixel, what a row of its window holds that is near.
@@ -250,16 +254,7 @@ impl Scan<'_> {
         let side = ends.side;
         let first = row.saturating_sub(self.rows);
         let last = (row + self.rows).min(runs.edges.len() - 1);
-        // What is the same for all windows of the row.
-        let zero = f32x16::splat(simd, 0.0);
-        let mut others = [(zero, zero); 2 * MOST_ROWS + 1];
-        let others = &mut others[..last - first + 1];
-        for (other, (chord2, tan2_theta)) in (first..).zip(others.iter_mut()) {
-            *chord2 = self.chord2(simd, [row, other], side);
-            if other != row {
-                *tan2_theta = f32x16::splat(simd, self.tan2_theta);
-            }
-        }
+        let others = &self.others(simd, row, first..=last, side)[..last - first + 1];
         let near2 = f32x16::splat(simd, self.near2);
         let range = &*runs.range;
         let piece = &*runs.piece;
@@ -301,8 +296,29 @@ impl Scan<'_> {
         count
     }
 
+    /// Squares of the chords to each row of a window, and of the tangent of theta.
+    /// They are the same for all windows of a row.
     #[inline(always)]
-    fn chord2<S: Simd>(&self, simd: S, [row, other]: [usize; 2], side: Side) -> f32x16<S> {
+    fn others<S: Simd>(
+        &self,
+        simd: S,
+        row: usize,
+        window: RangeInclusive<usize>,
+        side: Side,
+    ) -> [(f32x16<S>, f32x16<S>); 2 * MOST_ROWS + 1] {
+        let zero = f32x16::splat(simd, 0.0);
+        let mut others = [(zero, zero); 2 * MOST_ROWS + 1];
+        for (other, (chord2, tan2_theta)) in window.zip(&mut others) {
+            *chord2 = self.chord2(simd, row, other, side);
+            if other != row {
+                *tan2_theta = f32x16::splat(simd, self.tan2_theta);
+            }
+        }
+        others
+    }
+
+    #[inline(always)]
+    fn chord2<S: Simd>(&self, simd: S, row: usize, other: usize, side: Side) -> f32x16<S> {
         let rows = self.chords.rows(row, other);
         self.chords.window(simd, rows, side == Side::Left)
     }
@@ -362,7 +378,7 @@ impl Scan<'_> {
         let pixel = usize::from(hit.pixel);
         let others = usize::from(hit.others);
         let row = |lane: usize| lane / STRIDE - MOST_ROWS;
-        let chord2 = self.chord2(simd, [row(pixel), row(others)], hit.side);
+        let chord2 = self.chord2(simd, row(pixel), row(others), hit.side);
         let here = f32x16::splat(simd, runs.range[pixel]);
         let apart = Apart::lanes(here, runs.range.load(simd, others), chord2).squares();
         let far = f32x16::splat(simd, f32::INFINITY);
