@@ -261,7 +261,8 @@ impl Domain {
                 .metadata()
                 .map_or(own_uid(), |metadata| metadata.uid());
             if owner != own_uid() {
-                let (owner, own) = (user_name(owner), user_name(own_uid()));
+                let owner = user_name(owner);
+                let own = user_name(own_uid());
                 return Err(DomainError::Occupied {
                     file: entry.path(),
                     owner,

@@ -318,7 +318,8 @@ fn open_samples(
             .publish_subscribe::<[u8]>()
             .user_header::<Preamble>()
     };
-    let (mut described, mut verified) = (AttributeSpecifier::new(), AttributeVerifier::new());
+    let mut described = AttributeSpecifier::new();
+    let mut verified = AttributeVerifier::new();
     for (key, value) in described_by(settings) {
         described = described
             .define(&key, &value)

@@ -97,9 +97,11 @@ pub const NAME_RULE: &str =
 /// Whether a sensor may be called this: the name stands in that of a service, in the header of a
 /// sweep and in names of files.
 pub fn is_sensor_name(text: &str) -> bool {
-    let is_allowed = |c: char| c.is_ascii_alphanumeric() || matches!(c, '-' | '_' | '.');
     let begins_well = text.starts_with(|c: char| c.is_ascii_alphanumeric());
-    begins_well && text.chars().all(is_allowed) && text.len() <= 63
+    let is_allowed = text
+        .chars()
+        .all(|c| c.is_ascii_alphanumeric() || matches!(c, '-' | '_' | '.'));
+    begins_well && is_allowed && text.len() <= 63
 }
 
 /// The service of a sensor.

@@ -159,7 +159,8 @@ impl Received {
     /// # Errors
     /// [`LayoutError`].
     pub fn check(&self) -> Result<(), LayoutError> {
-        let (found, promised) = (self.preamble.layout_version, self.preamble.sweep_bytes);
+        let found = self.preamble.layout_version;
+        let promised = self.preamble.sweep_bytes;
         if found != LAYOUT_VERSION {
             return Err(LayoutError::Version { found });
         }
@@ -426,8 +427,8 @@ impl Subscriber {
         let found = match found.messaging_pattern() {
             Details::PublishSubscribe(details) => {
                 let types = details.message_type_details();
-                let [payload, header] =
-                    [&types.payload, &types.user_header].map(|one| shown(one.type_name()));
+                let payload = shown(types.payload.type_name());
+                let header = shown(types.user_header.type_name());
                 format!("it sends {payload} with the header {header}")
             }
             _ => "it sends nothing".to_owned(),
