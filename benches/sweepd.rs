@@ -90,7 +90,8 @@ fn decode(bencher: Bencher, &Stream(model, mode): &Stream) {
     bencher.counter(ItemsCount::new(returns)).bench_local(|| {
         let limits_m = 0.0..=f32::INFINITY;
         let decoder = Decoder::new(
-            (model, model.spec()),
+            model,
+            model.spec(),
             &beams(model),
             ReturnChoice::Nearest,
             limits_m,

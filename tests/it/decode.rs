@@ -148,7 +148,7 @@ fn every_level_gives_the_same_bytes() {
             ReturnChoice::Strongest,
             ReturnChoice::Last,
         ] {
-            let decoder = Decoder::new((model, model.spec()), &calibration, choice, LIMITS_M);
+            let decoder = Decoder::new(model, model.spec(), &calibration, choice, LIMITS_M);
             let levels = decoder.at_every_level();
             for _ in 0..40 {
                 let (packet, azimuth_rad) = (noise.packet(), (noise.next() % 6_283) as f32 * 0.001);
@@ -180,7 +180,8 @@ fn a_firing_is_what_the_formulas_make_of_its_records() {
     let mut noise = Noise(0x2545_F491_4F6C_DD1D);
     for (name, calibration, model) in calibrations() {
         let decoder = Decoder::new(
-            (model, model.spec()),
+            model,
+            model.spec(),
             &calibration,
             ReturnChoice::Nearest,
             LIMITS_M,
@@ -310,7 +311,7 @@ fn of_two_returns_the_rules_choose() {
             ReturnChoice::Strongest,
             ReturnChoice::Last,
         ] {
-            let decoder = Decoder::new((model, model.spec()), &calibration, choice, LIMITS_M);
+            let decoder = Decoder::new(model, model.spec(), &calibration, choice, LIMITS_M);
             let turns = turns(&decoder, ReturnMode::Dual);
             for _ in 0..40 {
                 let (packet, azimuth_rad) = (noise.packet(), (noise.next() % 6_283) as f32 * 0.001);

@@ -8,7 +8,7 @@ use super::decode::Decoder;
 use super::fov_edge::HeadSpeed;
 use super::head_tracker::{HeadEvent, HeadTracker};
 use super::motion::{FiringTiming, TURN};
-use super::open_sweep::{ColumnTarget, OpenSweep, decode, radians, rate_rad_s};
+use super::open_sweep::{ColumnTarget, FiringContext, OpenSweep, decode, radians, rate_rad_s};
 use super::order::{OrderedPacket, PacketGap};
 use super::row_offsets::RowOffsets;
 use crate::sweep::buffers::OpenBuffer;
@@ -300,12 +300,12 @@ impl Builder {
         }
         while let Some(firing) = cursor.firing(packet) {
             if !std::mem::replace(&mut cursor.turned, true) {
-                let speed = |rate| HeadSpeed::new(rate, self.decoder.spec, packet.mode);
                 let turned = match firing.skips_sector {
                     true => self.head.skip_sector(
                         firing.azimuth_cdeg,
                         firing.time_ns,
-                        self.last_rate_cdeg_ns.map(speed),
+                        self.last_rate_cdeg_ns
+                            .map(|rate| HeadSpeed::new(rate, self.decoder.spec, packet.mode)),
                     ),
                     false => self.head.turn(firing.azimuth_cdeg, firing.time_ns),
                 };
@@ -330,9 +330,13 @@ impl Builder {
                 simd,
                 sweep,
                 &firing,
-                (packet, cursor),
-                (&self.decoder, row_offsets),
-                &self.head,
+                &FiringContext {
+                    packet,
+                    cursor,
+                    decoder: &self.decoder,
+                    row_offsets,
+                    head: &self.head,
+                },
             );
             self.last_firing_ns = firing.time_ns;
             cursor.placed += 1;
@@ -388,8 +392,7 @@ impl Builder {
                 sweep,
                 place,
                 column,
-                (index, &timing),
-                packet,
+                timing.records(&packet.bytes, index),
                 decoder,
             );
         }
@@ -408,7 +411,8 @@ impl Builder {
     }
 
     fn open(&mut self, packet: &OrderedPacket, from_cut: bool, buffer: &mut dyn OpenBuffer) {
-        let (mode, spec) = (packet.mode, self.decoder.spec);
+        let mode = packet.mode;
+        let spec = self.decoder.spec;
         let beams = self.decoder.beams(mode);
         let rate_cdeg_ns = self.expected_rate_cdeg_ns(packet);
         self.row_offsets.set(beams, rate_cdeg_ns, spec, mode);
@@ -441,8 +445,9 @@ impl Builder {
     /// stood still meanwhile, or was set to another speed.
     fn expected_rate_cdeg_ns(&self, packet: &OrderedPacket) -> f64 {
         let own = packet.motion.rate_cdeg_ns(self.decoder.spec);
-        let is_like = |last: &f64| (own - last).abs() < RATE_LIKE * last.abs();
-        self.last_rate_cdeg_ns.filter(is_like).unwrap_or(own)
+        self.last_rate_cdeg_ns
+            .filter(|last| (own - last).abs() < RATE_LIKE * last.abs())
+            .unwrap_or(own)
     }
 
     /// Completes the header of the open sweep. Returns whether there is one; an empty one is

@@ -114,11 +114,10 @@ pub fn vouched_utc_ns(
     without_pps: bool,
 ) -> Option<i64> {
     let rmc = rmc.filter(|rmc| rmc.valid)?;
-    let follows = || {
-        let behind_ns = (i64::from(position.stamp_us) * 1000 - rmc.utc_ns).rem_euclid(HOUR_NS);
-        SENTENCE_AGE_NS.contains(&behind_ns) || SENTENCE_AGE_NS.contains(&(behind_ns - HOUR_NS))
-    };
-    (position.pps == Pps::Locked || without_pps && follows()).then_some(rmc.utc_ns)
+    let behind_ns = (i64::from(position.stamp_us) * 1000 - rmc.utc_ns).rem_euclid(HOUR_NS);
+    let follows =
+        SENTENCE_AGE_NS.contains(&behind_ns) || SENTENCE_AGE_NS.contains(&(behind_ns - HOUR_NS));
+    (position.pps == Pps::Locked || without_pps && follows).then_some(rmc.utc_ns)
 }
 
 impl Clocks {

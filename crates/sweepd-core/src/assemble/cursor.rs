@@ -104,7 +104,8 @@ impl MissingFirings {
         let travelled =
             travelled_cdeg + shortest(packet.motion.first_cdeg() - from_cdeg - travelled_cdeg);
         let Some(sector) = silence else {
-            let (step_cdeg, step_ns) = (travelled / steps, lasted_ns / steps);
+            let step_cdeg = travelled / steps;
+            let step_ns = lasted_ns / steps;
             return Self {
                 firings,
                 from_cdeg,

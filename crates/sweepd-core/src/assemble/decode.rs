@@ -54,7 +54,8 @@ impl Decoder {
     /// For a model with these beams, as [`Calibration::for_model`] fitted them. Of two returns,
     /// `choice` says which is segmented, where both are within the range limits.
     pub fn new(
-        (model, spec): (Model, &'static Spec),
+        model: Model,
+        spec: &'static Spec,
         calibration: &Calibration,
         choice: ReturnChoice,
         limits_m: RangeInclusive<f32>,
@@ -137,10 +138,15 @@ impl Decoder {
         let direction = self.direction(azimuth_rad);
         let mut returns = 0;
         for group in 0..self.lanes.groups() {
-            let towards = (direction, &row_offsets.side_angles()[group]);
-            let decoded = self
-                .lanes
-                .decode(simd, group, records, towards, self.is_normalised);
+            let side_angles = &row_offsets.side_angles()[group];
+            let decoded = self.lanes.decode(
+                simd,
+                group,
+                records,
+                direction,
+                side_angles,
+                self.is_normalised,
+            );
             pixels.write(&row_offsets.pixels()[group], &decoded);
             returns += decoded.returns;
         }
@@ -160,20 +166,27 @@ impl Decoder {
         kind: &mut [u8],
     ) -> u32 {
         let direction = self.direction(azimuth_rad);
-        let (first, second) = records.blocks.split_at(self.spec.banks());
-        let [first, second] = [first, second].map(|blocks| Records { blocks, ..records });
+        let (first, second) = records.split_at(self.spec.banks());
         let mut returns = 0;
         for group in 0..self.lanes.groups() {
-            let (towards, places) = (
-                (direction, &row_offsets.side_angles()[group]),
-                &row_offsets.pixels()[group],
+            let side_angles = &row_offsets.side_angles()[group];
+            let places = &row_offsets.pixels()[group];
+            let first = self.lanes.decode(
+                simd,
+                group,
+                first,
+                direction,
+                side_angles,
+                self.is_normalised,
             );
-            let first = self
-                .lanes
-                .decode(simd, group, first, towards, self.is_normalised);
-            let second = self
-                .lanes
-                .decode(simd, group, second, towards, self.is_normalised);
+            let second = self.lanes.decode(
+                simd,
+                group,
+                second,
+                direction,
+                side_angles,
+                self.is_normalised,
+            );
             let pairs = self.choose(simd, first, second);
             chosen.write(places, &pairs.chosen);
             other.write(places, &pairs.other);
@@ -231,7 +244,8 @@ impl Decoder {
     fn worth<S: Simd>(&self, range_m: f32x16<S>) -> (mask32x16<S>, mask32x16<S>) {
         // As `is_return` has it.
         let is_return = range_m.simd_gt(0.0);
-        let (low_m, high_m) = (*self.limits_m.start(), *self.limits_m.end());
+        let low_m = *self.limits_m.start();
+        let high_m = *self.limits_m.end();
         (
             is_return,
             is_return & range_m.simd_ge(low_m) & range_m.simd_le(high_m),
@@ -244,7 +258,8 @@ impl Pixels<'_> {
     fn write<S: Simd>(&mut self, places: &PerLane<u32>, decoded: &Decoded<S>) {
         // One length, so that one look at a place is enough for both.
         let count = self.range.len().min(self.reflectivity.len());
-        let (range, reflectivity) = (&mut self.range[..count], &mut self.reflectivity[..count]);
+        let range = &mut self.range[..count];
+        let reflectivity = &mut self.reflectivity[..count];
         let both = decoded
             .range_m
             .as_array()
@@ -284,7 +299,8 @@ mod tests {
     ) -> (f32, f32, ReturnKind) {
         let model = Model::Vlp16;
         let decoder = Decoder::new(
-            (model, model.spec()),
+            model,
+            model.spec(),
             model.calibration().unwrap(),
             choice,
             limits_m,

@@ -125,21 +125,20 @@ impl FovEdge {
 
     /// Whether the sector that is left out begins on the way from one azimuth to another.
     pub fn is_between(&self, from_cdeg: f64, to_cdeg: f64, sense: f64) -> bool {
-        let is_between = |skip: SectorSkip| {
+        self.last.is_some_and(|skip| {
             let way_cdeg = ahead(from_cdeg, skip.from_cdeg, sense);
             // The encoder's noise may have put the last firing past the end.
             way_cdeg < ahead(from_cdeg, to_cdeg, sense) || way_cdeg > TURN - SLACK_CDEG
-        };
-        self.last.is_some_and(is_between)
+        })
     }
 
     /// Hears of a firing, and forgets the sector when it lies where nothing was measured before.
     pub fn fired(&mut self, azimuth_cdeg: f64) {
-        let inside = |skip: &SectorSkip| {
+        let is_inside = self.last.as_ref().is_some_and(|skip| {
             let way = ahead(skip.from_cdeg, azimuth_cdeg, skip.sense);
             (SLACK_CDEG..skip.width_cdeg() - SLACK_CDEG).contains(&way)
-        };
-        if self.last.as_ref().is_some_and(inside) {
+        });
+        if is_inside {
             *self = Self::default();
         }
     }

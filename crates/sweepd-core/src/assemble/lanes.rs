@@ -39,7 +39,9 @@ const SPREAD: [u8; 4 * LANES] = {
     let mut spread = [0; 4 * LANES];
     let mut at = 0;
     while at < spread.len() {
-        let (quarter, record, byte) = (at / 16, at / 4, at % 4);
+        let quarter = at / 16;
+        let record = at / 4;
+        let byte = at % 4;
         let byte = if byte < RECORD { byte } else { RECORD - 1 };
         spread[at] = (record * RECORD + byte - FROM[quarter]) as u8;
         at += 1;
@@ -137,8 +139,9 @@ impl BeamGroups {
                 calibration.beams()[row.channel as usize].intensity,
             );
         }
-        let is_near = |&units: &u32| Corrected::is_near(f64::from(units) * unit_m);
-        let near_units = (0..=u32::from(u16::MAX)).take_while(is_near).count() as i32;
+        let near_units = (0..=u32::from(u16::MAX))
+            .take_while(|&units| Corrected::is_near(f64::from(units) * unit_m))
+            .count() as i32;
         Self {
             unit_m: unit_m as f32,
             groups,
@@ -163,12 +166,14 @@ impl BeamGroups {
         simd: S,
         index: usize,
         records: Records<'_>,
-        (direction, aside): (Direction, &SideAngles),
+        direction: Direction,
+        aside: &SideAngles,
         is_normalised: bool,
     ) -> Decoded<S> {
         let group = &self.groups[index];
         let records = records.group(simd, index);
-        let (distance, reported) = (records & 0xFFFF, (records >> 16) & 0xFF);
+        let distance = records & 0xFFFF;
+        let reported = (records >> 16) & 0xFF;
         let units: f32x16<S> = distance.to_float();
         let offset_m = load(simd, &group.distance_offset_m);
         let mut range_m = (units * self.unit_m + offset_m).max(LEAST_RANGE_M);
@@ -203,6 +208,22 @@ impl<S: Simd> Decoded<S> {
 }
 
 impl Records<'_> {
+    /// The records in the first blocks, and those in the blocks that follow them.
+    #[inline(always)]
+    pub fn split_at(self, blocks: usize) -> (Self, Self) {
+        let (first, second) = self.blocks.split_at(blocks);
+        (
+            Records {
+                blocks: first,
+                ..self
+            },
+            Records {
+                blocks: second,
+                ..self
+            },
+        )
+    }
+
     /// A group of records: distance in the low sixteen bits of each, then the reflectivity, then
     /// anything.
     #[inline(always)]
@@ -214,11 +235,8 @@ impl Records<'_> {
             .as_bytes()
             .first_chunk()
             .expect("a block is whole groups");
-        let [first, second] = [quarter(simd, bytes, 0), quarter(simd, bytes, 2)];
-        let [first, second] = [
-            first.combine(quarter(simd, bytes, 1)),
-            second.combine(quarter(simd, bytes, 3)),
-        ];
+        let first = quarter(simd, bytes, 0).combine(quarter(simd, bytes, 1));
+        let second = quarter(simd, bytes, 2).combine(quarter(simd, bytes, 3));
         let packed: u8x64<S> = first.combine(second);
         packed
             .swizzle_dyn_within_blocks(u8x64::load_array(simd, SPREAD))
@@ -263,21 +281,20 @@ impl Bend {
         &self,
         simd: S,
         d: f32x16<S>,
-        [sin, cos]: Direction,
+        direction: Direction,
         aside: &SideAngles,
     ) -> f32x16<S> {
-        let (aside_sin, aside_cos) = (load(simd, &aside.sin), load(simd, &aside.cos));
+        let [sin, cos] = direction;
+        let aside_sin = load(simd, &aside.sin);
+        let aside_cos = load(simd, &aside.cos);
         let cos_elevation = load(simd, &self.cos_elevation);
         let along_x = (aside_cos * sin + aside_sin * cos) * cos_elevation;
         let along_y = (aside_cos * cos - aside_sin * sin) * cos_elevation;
         let x = d + self.offset_m(simd, 0, along_x.abs() * d);
         let y = d + self.offset_m(simd, 1, along_y.abs() * d);
-        let z = (x + y) * 0.5;
-        let (x, y, z) = (
-            x * along_x,
-            y * along_y,
-            z * load(simd, &self.sin_elevation),
-        );
+        let z = (x + y) * 0.5 * load(simd, &self.sin_elevation);
+        let x = x * along_x;
+        let y = y * along_y;
         (x * x + y * y + z * z).sqrt().max(LEAST_RANGE_M)
     }
 
@@ -314,11 +331,10 @@ impl Focus {
 
     fn take(&mut self, lane: usize, intensity: Intensity) {
         let beyond = 1.0 - intensity.focal_distance_m / FULL_SCALE_M;
-        let [slope, min, max] =
-            [intensity.focal_slope, intensity.min, intensity.max].map(|value| value as f32);
         self.at[lane] = (256.0 * beyond * beyond) as f32;
-        (self.slope[lane], self.min[lane], self.max[lane]) =
-            (slope, min.clamp(0.0, 255.0), max.clamp(0.0, 255.0));
+        self.slope[lane] = intensity.focal_slope as f32;
+        self.min[lane] = (intensity.min as f32).clamp(0.0, 255.0);
+        self.max[lane] = (intensity.max as f32).clamp(0.0, 255.0);
     }
 
     /// Reflectivities of what the beams measured, from what they report.
@@ -351,20 +367,23 @@ fn load<S: Simd>(simd: S, lanes: &PerLane<f32>) -> f32x16<S> {
 const SIN: [f64; 5] = [1.0 / 110.0, 1.0 / 72.0, 1.0 / 42.0, 1.0 / 20.0, 1.0 / 6.0];
 const COS: [f64; 5] = [1.0 / 90.0, 1.0 / 56.0, 1.0 / 30.0, 1.0 / 12.0, 1.0 / 2.0];
 
+/// The series of a sine or cosine, nested: each term from the one before it.
+fn horner(square: f64, shares: [f64; 5]) -> f64 {
+    shares
+        .into_iter()
+        .fold(1.0, |rest, share| 1.0 - square * share * rest)
+}
+
 /// Sine and cosine of an azimuth, 0..2 pi, to the last bit or two of an f32.
 ///
 /// The same on every machine, which the system's library does not promise.
 pub fn direction(azimuth_rad: f64) -> Direction {
-    // To the nearest quarter turn, and the rest of at most 45 degrees by the series, nested.
+    // To the nearest quarter turn, and the rest of at most 45 degrees by the series.
     let quarters = (azimuth_rad * FRAC_2_PI + 0.5) as i32;
     let rest = azimuth_rad - f64::from(quarters) * FRAC_PI_2;
     let square = rest * rest;
-    let series = |shares: [f64; 5]| {
-        shares
-            .into_iter()
-            .fold(1.0, |rest, share| 1.0 - square * share * rest)
-    };
-    let (sin, cos) = ((rest * series(SIN)) as f32, series(COS) as f32);
+    let sin = (rest * horner(square, SIN)) as f32;
+    let cos = horner(square, COS) as f32;
     match quarters & 3 {
         0 => [sin, cos],
         1 => [cos, -sin],

@@ -390,7 +390,8 @@ impl PacketMatcher {
     }
 
     fn learn_rate(&mut self, last: &OrderedPacket, packet: &OrderedPacket, before: PacketGap) {
-        let (from, to) = (last.motion.first_cdeg(), packet.motion.first_cdeg());
+        let from = last.motion.first_cdeg();
+        let to = packet.motion.first_cdeg();
         let far = before == PacketGap::Blanked || last.motion.left_out.is_some();
         let sense = last.motion.step_cdeg.signum();
         let travelled = if far {

@@ -1,6 +1,7 @@
 //! What one packet says of the head: where it points at each firing, how fast it turns, and whether
 //! it left a sector out.
 
+use super::lanes::Records;
 use crate::sensor::model::Spec;
 use crate::wire::data::{BLOCKS, ReturnMode, TURN_CDEG};
 use crate::wire::{DataPacket, HOUR_US};
@@ -93,9 +94,12 @@ impl FiringTiming {
         self.azimuth(firing) * self.blocks
     }
 
-    /// The first record of a firing in its blocks.
-    pub fn record(&self, firing: usize) -> usize {
-        self.behind(firing) * self.channels
+    /// The records of a firing.
+    pub fn records<'a>(&self, packet: &'a DataPacket, firing: usize) -> Records<'a> {
+        Records {
+            blocks: &packet.blocks[self.block(firing)..][..self.blocks],
+            first: self.behind(firing) * self.channels,
+        }
     }
 
     /// Index of the azimuth that a firing has.

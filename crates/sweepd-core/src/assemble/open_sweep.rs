@@ -50,6 +50,16 @@ pub struct ColumnTarget<'a> {
     pub row_offsets: &'a RowOffsets,
 }
 
+/// What a firing is decoded with.
+pub struct FiringContext<'a> {
+    /// The packet that carries it, or for a missing one the packet behind the gap.
+    pub packet: &'a OrderedPacket,
+    pub cursor: &'a Cursor,
+    pub decoder: &'a Decoder,
+    pub row_offsets: &'a RowOffsets,
+    pub head: &'a HeadTracker,
+}
+
 impl OpenSweep {
     /// A sweep without a firing.
     pub fn new(mode: ReturnMode, from_cut: bool, row_offsets: &RowOffsets) -> Self {
@@ -101,28 +111,35 @@ impl OpenSweep {
         let columns = &sweep.columns[self.first_column..self.columns];
         let first = columns.partition_point(|column| column.time_ns < early);
         let waiting = columns.get(first..first + timing.firings)?;
-        let fits = |(index, column): (usize, &Column)| {
+        let azimuth_cdeg = f64::from(waiting[0].azimuth_rad).to_degrees() * 100.0;
+        let in_place = shortest(azimuth_cdeg - packet.motion.first_cdeg()).abs() < LATE_SLACK_CDEG;
+        let in_time = waiting.iter().enumerate().all(|(index, column)| {
             let off_ns =
                 self.first_ns + i64::from(column.time_ns) - packet.firing_ns(index, timing);
             column.is_missing() && off_ns.abs() < slack_ns
-        };
-        let azimuth_cdeg = f64::from(waiting[0].azimuth_rad).to_degrees() * 100.0;
-        let in_place = shortest(azimuth_cdeg - packet.motion.first_cdeg()).abs() < LATE_SLACK_CDEG;
-        (in_place && waiting.iter().enumerate().all(fits)).then_some(self.first_column + first)
+        });
+        (in_place && in_time).then_some(self.first_column + first)
     }
 
+    /// Writes a firing into the next column.
     #[inline(always)]
     pub fn place<S: Simd>(
         &mut self,
         simd: S,
         sweep: &mut SweepMut<'_>,
         firing: &Firing,
-        (packet, cursor): (&OrderedPacket, &Cursor),
-        (decoder, row_offsets): (&Decoder, &RowOffsets),
-        head: &HeadTracker,
+        context: &FiringContext<'_>,
     ) {
+        let &FiringContext {
+            packet,
+            cursor,
+            decoder,
+            row_offsets,
+            head,
+        } = context;
         if self.is_empty() {
-            (self.first_ns, self.last_ns) = (firing.time_ns, firing.time_ns);
+            self.first_ns = firing.time_ns;
+            self.last_ns = firing.time_ns;
             self.first_progress_cdeg = head.progress_cdeg();
         }
         self.blanked |= firing.skips_sector;
@@ -131,7 +148,8 @@ impl OpenSweep {
         self.last_ns = firing.time_ns.max(self.last_ns);
         let time_ns = self.last_ns;
         self.last_progress_cdeg = head.progress_cdeg();
-        let (azimuth_rad, rate) = (radians(firing.azimuth_cdeg), cursor.rate_rad_s);
+        let azimuth_rad = radians(firing.azimuth_cdeg);
+        let rate = cursor.rate_rad_s;
         if firing.skips_sector && !self.is_empty() {
             let behind = Column::unfired(azimuth_rad, rate, self.since_first(time_ns));
             self.part(
@@ -156,8 +174,8 @@ impl OpenSweep {
                     rate,
                     self.since_first(time_ns),
                 );
-                self.returns +=
-                    decode(simd, sweep, place, column, (index, timing), packet, decoder);
+                let records = timing.records(&packet.bytes, index);
+                self.returns += decode(simd, sweep, place, column, records, decoder);
             }
             None => {
                 sweep.columns[place.column] =
@@ -211,11 +229,12 @@ impl OpenSweep {
     /// Makes an image of the whole turn: what fell beyond an end is folded to the other. The first
     /// column and the number of them.
     pub fn fold(&self, sweep: &mut SweepMut<'_>, row_offsets: &RowOffsets) -> [usize; 2] {
-        let (first, end) = (self.first_column, self.columns);
+        let first = self.first_column;
+        let end = self.columns;
         let columns = end - first;
         for (row, &shift) in row_offsets.shifts().iter().enumerate() {
-            let [filled, behind] =
-                [first, end].map(|column| (column as i64 - i64::from(shift)) as usize);
+            let filled = unshifted(first, shift);
+            let behind = unshifted(end, shift);
             // Azimuths that no head has can make a turn of fewer columns than the shift: then all
             // of it lies beyond.
             for from in (filled..behind.min(first)).chain(filled.max(end)..behind) {
@@ -233,8 +252,10 @@ impl OpenSweep {
         row_offsets: &RowOffsets,
         period_ns: u32,
     ) -> [usize; 2] {
-        let (first, end) = (self.first_column, self.columns);
-        let (earliest, latest) = (sweep.columns[first], sweep.columns[end - 1]);
+        let first = self.first_column;
+        let end = self.columns;
+        let earliest = sweep.columns[first];
+        let latest = sweep.columns[end - 1];
         for step in 1..=first {
             sweep.columns[first - step] =
                 extrapolated(&earliest, -(step as i64), row_offsets, period_ns);
@@ -245,7 +266,8 @@ impl OpenSweep {
         }
         let rows = row_offsets.shifts().len();
         for (row, &shift) in row_offsets.shifts().iter().enumerate() {
-            let [from, to] = [first, end].map(|column| (column as i64 - i64::from(shift)) as usize);
+            let from = unshifted(first, shift);
+            let to = unshifted(end, shift);
             let empty = (0..from).chain(to..end + row_offsets.trail());
             empty.for_each(|column| clear_pixel(sweep, column * rows + row));
         }
@@ -275,6 +297,11 @@ impl OpenSweep {
             0.0
         }
     }
+}
+
+/// The column of the image that holds a row's pixel of a firing, where the row is shifted.
+fn unshifted(firing: usize, shift: i32) -> usize {
+    (firing as i64 - i64::from(shift)) as usize
 }
 
 /// An azimuth as a column has it, radians.
@@ -312,13 +339,9 @@ pub fn decode<S: Simd>(
     sweep: &mut SweepMut<'_>,
     place: ColumnTarget<'_>,
     column: Column,
-    (firing, timing): (usize, &FiringTiming),
-    packet: &OrderedPacket,
+    records: Records<'_>,
     decoder: &Decoder,
 ) -> u32 {
-    let blocks = &packet.bytes.blocks[usize::from(column.block)..][..timing.blocks];
-    let first = timing.record(firing);
-    let records = Records { blocks, first };
     sweep.columns[place.column] = column;
     let reach = place.reach();
     let chosen = Pixels {
@@ -373,7 +396,8 @@ fn clear_pixel(sweep: &mut SweepMut<'_>, index: usize) {
 
 fn move_pixel(sweep: &mut SweepMut<'_>, row: usize, from_column: usize, to_column: usize) {
     let rows = sweep.header.rows as usize;
-    let [from, to] = [from_column, to_column].map(|column| column * rows + row);
+    let from = from_column * rows + row;
+    let to = to_column * rows + row;
     (sweep.range[to], sweep.reflectivity[to]) = (sweep.range[from], sweep.reflectivity[from]);
     if !sweep.range2.is_empty() {
         (sweep.range2[to], sweep.reflectivity2[to]) =

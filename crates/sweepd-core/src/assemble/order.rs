@@ -99,8 +99,8 @@ impl PacketOrder {
     pub fn take_spec(&mut self, spec: &'static Spec) {
         if let Some(suspect) = self.suspect.map(|slot| &mut self.slots[slot]) {
             let silent_ns = suspect.motion.silent_ns;
-            let first_shot_ns = |spec: &Spec| spec.first_shot_ns(suspect.mode, silent_ns);
-            suspect.time_ns += first_shot_ns(spec) - first_shot_ns(self.spec);
+            suspect.time_ns += spec.first_shot_ns(suspect.mode, silent_ns)
+                - self.spec.first_shot_ns(suspect.mode, silent_ns);
         }
         self.spec = spec;
         self.relations.take_spec(spec);
@@ -227,30 +227,27 @@ impl PacketOrder {
         fit >= as_that || self.off_beat >= UNSTEADY
     }
 
+    /// The gap between two packets, if the later one follows the earlier exactly.
+    fn gap_between(&self, earlier: &OrderedPacket, later: &OrderedPacket) -> Option<PacketGap> {
+        match self.relations.between(earlier, later) {
+            Relation::Follows(gap, fit) if self.is_as_good(fit, MatchQuality::Exact) => Some(gap),
+            _ => None,
+        }
+    }
+
     /// Believes the doubtful packet if this one follows it, or was overtaken by it.
     fn confirm(&mut self, packet: &OrderedPacket, relation: Relation) -> bool {
         let Some((suspect, last)) = self.suspect.zip(self.last) else {
             return false;
         };
-        let follows = |earlier: &OrderedPacket, later: &OrderedPacket| match self
-            .relations
-            .between(earlier, later)
-        {
-            Relation::Follows(before, fit) if self.is_as_good(fit, MatchQuality::Exact) => {
-                Some(before)
-            }
-            _ => None,
-        };
         let doubtful = &self.slots[suspect];
         let is_next = matches!(relation, Relation::Follows(PacketGap::None, fit) if self.is_as_good(fit, MatchQuality::Good));
-        let before = follows(doubtful, packet).filter(|_| !is_next);
+        let before = self.gap_between(doubtful, packet).filter(|_| !is_next);
         // An earlier packet says nothing of the far end of a doubtful one.
-        let is_overtaken = || {
-            let may_be = self.relations.is_familiar(&doubtful.motion)
-                && matches!(relation, Relation::Follows(..));
-            may_be && follows(packet, doubtful).is_some()
-        };
-        if before.is_none() && !is_overtaken() {
+        let is_overtaken = self.relations.is_familiar(&doubtful.motion)
+            && matches!(relation, Relation::Follows(..))
+            && self.gap_between(packet, doubtful).is_some();
+        if before.is_none() && !is_overtaken {
             return false;
         }
         let is_end_unknown = self.spec.stamp == Stamp::FirstShot;
@@ -262,13 +259,10 @@ impl PacketOrder {
         }
         self.suspect = None;
         self.set_back = 0;
-        let is_related = |relation| matches!(relation, Relation::Follows(..));
-        if before.is_none()
-            || is_related(
-                self.relations
-                    .between(&self.slots[last], &self.slots[suspect]),
-            )
-        {
+        let between = self
+            .relations
+            .between(&self.slots[last], &self.slots[suspect]);
+        if before.is_none() || matches!(between, Relation::Follows(..)) {
             self.hold(suspect);
         } else {
             self.settle(0);

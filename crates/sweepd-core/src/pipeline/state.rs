@@ -259,9 +259,14 @@ impl Pipeline {
             });
         }
         let limits_m = self.config.segment.min_range_m..=self.config.segment.max_range_m;
-        let model = (detection.model, detection.spec);
-        let mut decoder = Decoder::new(model, &calibration, self.config.return_choice, limits_m)
-            .with_level(self.level);
+        let mut decoder = Decoder::new(
+            detection.model,
+            detection.spec,
+            &calibration,
+            self.config.return_choice,
+            limits_m,
+        )
+        .with_level(self.level);
         decoder.is_normalised = unit.as_ref().is_some_and(Unit::is_normalised);
         let mut order = PacketOrder::new(decoder.spec);
         order.expect_rate(rate_cdeg_ns);

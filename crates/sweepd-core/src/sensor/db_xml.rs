@@ -113,7 +113,6 @@ pub fn parse(text: &str, file: &str) -> Result<Calibration, CalibrationError> {
 
 /// What takes a parser of XML more time or memory than a file of this size should.
 fn refuse_what_no_db_xml_has(text: &str, file: &str) -> Result<(), CalibrationError> {
-    let line = |offset: usize| 1 + text[..offset].matches('\n').count();
     // The form has an empty document type, which must be allowed. Entities of one's own need
     // `<!ENTITY`, and without them nothing can unfold to more text than there is. Every element
     // keeps all namespaces around it.
@@ -125,7 +124,7 @@ fn refuse_what_no_db_xml_has(text: &str, file: &str) -> Result<(), CalibrationEr
         if let Some(offset) = text.find(word) {
             return Err(at(
                 file,
-                line(offset),
+                line_of(text, offset),
                 format!("{what}, which no db.xml does"),
             ));
         }
@@ -133,11 +132,16 @@ fn refuse_what_no_db_xml_has(text: &str, file: &str) -> Result<(), CalibrationEr
     if let Some((offset, _)) = text.match_indices('=').nth(MAX_ATTRIBUTES) {
         return Err(at(
             file,
-            line(offset),
+            line_of(text, offset),
             format!("more than {MAX_ATTRIBUTES} attributes, which no db.xml has"),
         ));
     }
     Ok(())
+}
+
+/// The line of a byte of the text, counted from 1.
+fn line_of(text: &str, offset: usize) -> usize {
+    1 + text[..offset].matches('\n').count()
 }
 
 /// Finds things in the document and knows on which line they stand.

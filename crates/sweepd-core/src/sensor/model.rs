@@ -326,15 +326,16 @@ impl std::str::FromStr for Model {
 
     fn from_str(text: &str) -> Result<Self, UnknownModel> {
         let word = letters_and_digits(text);
-        let is_called = |model: &Self| {
-            [model.spec().flag, model.spec().name]
-                .iter()
-                .any(|own| letters_and_digits(own) == word)
-        };
         match &word[..] {
             "puck" => Ok(Self::Vlp16),
             "hdl64es21" => Ok(Self::Hdl64eS2),
-            _ => Self::ALL.into_iter().find(is_called).ok_or(UnknownModel),
+            _ => Self::ALL
+                .into_iter()
+                .find(|model| {
+                    let spec = model.spec();
+                    letters_and_digits(spec.flag) == word || letters_and_digits(spec.name) == word
+                })
+                .ok_or(UnknownModel),
         }
     }
 }

@@ -115,8 +115,10 @@ impl Unit {
     /// a whole dump.
     pub fn differences(&mut self, used: &Calibration) -> Option<Vec<Difference>> {
         let dump = self.status.dump()?;
-        let is_same = |before: &Dump| before.records().eq(dump.records());
-        if !self.compared.as_ref().is_some_and(is_same) {
+        let is_same = self
+            .compared
+            .is_some_and(|before| before.records().eq(dump.records()));
+        if !is_same {
             if self.compared.replace(*dump).is_some() {
                 self.changed = Some(self.heard);
                 return None;

@@ -43,6 +43,13 @@ pub(crate) struct Offset {
     pub(crate) slope: f64,
 }
 
+impl Offset {
+    /// An axis of the beam, divided by its direction along the axis: a multiple of d and a constant.
+    fn along(&self, along: f64) -> [f64; 2] {
+        [1.0 - self.slope * along.abs(), self.base_m]
+    }
+}
+
 /// Each axis of the corrected beam as a multiple of d and a constant.
 struct Lines {
     x: [f64; 2],
@@ -139,19 +146,16 @@ impl Corrected {
     }
 
     #[inline]
-    fn lines(&self, [near_x, near_y]: &[Offset; 2], sin_azimuth: f64, cos_azimuth: f64) -> Lines {
-        let [along_x, along_y] = [
-            self.cos_elevation * sin_azimuth,
-            self.cos_elevation * cos_azimuth,
-        ];
-        let axis = |near: &Offset, along: f64| [1.0 - near.slope * along.abs(), near.base_m];
-        let [x, y] = [axis(near_x, along_x), axis(near_y, along_y)];
+    fn lines(&self, near: &[Offset; 2], sin_azimuth: f64, cos_azimuth: f64) -> Lines {
+        let along_x = self.cos_elevation * sin_azimuth;
+        let along_y = self.cos_elevation * cos_azimuth;
+        let x = near[0].along(along_x);
+        let y = near[1].along(along_y);
         let z = [(x[0] + y[0]) / 2.0, (x[1] + y[1]) / 2.0];
-        let scaled = |line: [f64; 2], by: f64| line.map(|one| one * by);
         Lines {
-            x: scaled(x, along_x),
-            y: scaled(y, along_y),
-            z: scaled(z, self.sin_elevation),
+            x: x.map(|term| term * along_x),
+            y: y.map(|term| term * along_y),
+            z: z.map(|term| term * self.sin_elevation),
         }
     }
 }
@@ -167,7 +171,9 @@ impl Lines {
         let sum = |a: usize, b: usize| {
             self.x[a] * self.x[b] + self.y[a] * self.y[b] + self.z[a] * self.z[b]
         };
-        let (square, linear, rest) = (sum(0, 0), sum(0, 1), sum(1, 1) - range_m * range_m);
+        let square = sum(0, 0);
+        let linear = sum(0, 1);
+        let rest = sum(1, 1) - range_m * range_m;
         let root = linear * linear - square * rest;
         (root >= 0.0 && square > 0.0).then(|| (root.sqrt() - linear) / square)
     }

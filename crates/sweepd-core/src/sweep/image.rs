@@ -231,8 +231,10 @@ impl<'a> SweepRef<'a> {
     /// [`LayoutError`].
     pub fn with_header(header: &'a Header, bytes: &'a [u8]) -> Result<Self, LayoutError> {
         let shape = checked_shape(header, bytes.len())?;
-        let (margin, columns) = (header.margin_columns as usize, header.columns as usize);
-        let (before, pixels) = (margin * shape.rows, columns * shape.rows);
+        let margin = header.margin_columns as usize;
+        let columns = header.columns as usize;
+        let before = margin * shape.rows;
+        let pixels = columns * shape.rows;
         let part = |part: Part, first: usize, count: usize, size: usize| {
             let start = header.offsets[part as usize] as usize + first * size;
             &bytes[start..start + count * size]
@@ -326,7 +328,8 @@ impl<'a> SweepRef<'a> {
             };
             return [self.at(row, column, (kind, false), first), None];
         };
-        let (kind, is_second) = (ReturnKind::of_byte(byte), byte & SECOND_BLOCKS != 0);
+        let kind = ReturnKind::of_byte(byte);
+        let is_second = byte & SECOND_BLOCKS != 0;
         let second = (
             self.range2[index],
             self.reflectivity2[index],
@@ -348,7 +351,8 @@ impl<'a> SweepRef<'a> {
         if !is_return(range_m) {
             return None;
         }
-        let (firing, beam) = (self.firing(row, column), &self.beams[row]);
+        let firing = self.firing(row, column);
+        let beam = &self.beams[row];
         let banks = self.beams.len().div_ceil(RECORDS);
         let block = beam.channel as usize / RECORDS + if in_second_blocks { banks } else { 0 };
         let shot = Shot::new(firing, beam);

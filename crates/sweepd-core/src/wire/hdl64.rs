@@ -240,7 +240,8 @@ impl Dump {
                 found: record.id,
             });
         }
-        let (expected, found) = (self.expected_checksum(series), self.checksum.get());
+        let expected = self.expected_checksum(series);
+        let found = self.checksum.get();
         if expected == found {
             Ok(())
         } else {
@@ -295,7 +296,8 @@ fn crc16(crc: u16, bytes: &[u8]) -> u16 {
 /// assert_eq!((status.dump_state(), status.dump()), (DumpState::Verified, Some(&dump)));
 /// ```
 pub fn pair(dump: &Dump, series: Series, live: &Live, index: usize) -> (u8, u8) {
-    let (cycle, place) = (index / CYCLE_LEN % CYCLES, index % CYCLE_LEN);
+    let cycle = index / CYCLE_LEN % CYCLES;
+    let place = index % CYCLE_LEN;
     let Some(payload) = place.checked_sub(FIXED.len()) else {
         let Live {
             clock,

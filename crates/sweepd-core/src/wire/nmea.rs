@@ -64,8 +64,12 @@ impl Rmc {
         let mut field = || fields.next().unwrap_or_default();
         let time = field();
         let status = field();
-        let (latitude, north, longitude, east) = (field(), field(), field(), field());
-        let (_speed, _course) = (field(), field());
+        let latitude = field();
+        let north = field();
+        let longitude = field();
+        let east = field();
+        let _speed = field();
+        let _course = field();
         let date = field();
         let day_ns = parse_time(time).ok_or(NmeaError::Field("time"))?;
         let days = parse_date(date).ok_or(NmeaError::Field("date"))?;
@@ -81,22 +85,18 @@ impl Rmc {
     /// Writes the sentence with checksum and line end; time to hundredths of a second, angles to
     /// 1e-7 minutes.
     pub fn emit(&self) -> String {
-        let (days, ns) = (
-            self.utc_ns.div_euclid(DAY_NS),
-            self.utc_ns.rem_euclid(DAY_NS),
-        );
+        let days = self.utc_ns.div_euclid(DAY_NS);
+        let ns = self.utc_ns.rem_euclid(DAY_NS);
         let (year, month, day) = civil_from_days(days);
         let centiseconds = ns / 10_000_000;
-        let (hour, minute, second) = (
-            centiseconds / 360_000,
-            centiseconds / 6_000 % 60,
-            centiseconds / 100 % 60,
-        );
+        let hour = centiseconds / 360_000;
+        let minute = centiseconds / 6_000 % 60;
+        let second = centiseconds / 100 % 60;
         let place = match self.position_deg {
             Some((lat, lon)) => format!(
                 "{},{}",
-                emit_angle(lat, 2, ["N", "S"]),
-                emit_angle(lon, 3, ["E", "W"])
+                emit_angle(lat, 2, "N", "S"),
+                emit_angle(lon, 3, "E", "W")
             ),
             None => ",,,".to_owned(),
         };
@@ -175,7 +175,7 @@ fn parse_angle(text: &str, hemisphere: &str, letters: &str) -> Option<f64> {
     }
 }
 
-fn emit_angle(angle: f64, degree_digits: usize, [positive, negative]: [&str; 2]) -> String {
+fn emit_angle(angle: f64, degree_digits: usize, positive: &str, negative: &str) -> String {
     let degrees = angle.abs().trunc();
     let minutes = (angle.abs() - degrees) * 60.0;
     let letter = if angle < 0.0 { negative } else { positive };

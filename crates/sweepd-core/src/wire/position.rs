@@ -269,22 +269,20 @@ fn sentence(bytes: &[u8]) -> Option<&str> {
 
 impl Chip {
     fn meaning(self) -> Inertial {
-        let signed = |word: U16| ((word.get() << 4) as i16) >> 4;
         Inertial {
-            gyro: signed(self.gyro),
-            temperature: signed(self.temperature),
-            accel_x: signed(self.accel_x),
-            accel_y: signed(self.accel_y),
+            gyro: sign_extend(self.gyro),
+            temperature: sign_extend(self.temperature),
+            accel_x: sign_extend(self.accel_x),
+            accel_y: sign_extend(self.accel_y),
         }
     }
 
     fn of(chip: Inertial) -> Self {
-        let word = |counts: i16| U16::new(counts as u16 & 0x0FFF);
         Self {
-            gyro: word(chip.gyro),
-            temperature: word(chip.temperature),
-            accel_x: word(chip.accel_x),
-            accel_y: word(chip.accel_y),
+            gyro: low_12_bits(chip.gyro),
+            temperature: low_12_bits(chip.temperature),
+            accel_x: low_12_bits(chip.accel_x),
+            accel_y: low_12_bits(chip.accel_y),
         }
     }
 }
@@ -313,6 +311,16 @@ impl BoardBytes {
             adc_status: board.adc_status,
         }
     }
+}
+
+/// The signed number in the low 12 bits of a word.
+fn sign_extend(word: U16) -> i16 {
+    ((word.get() << 4) as i16) >> 4
+}
+
+/// A word with a signed number in its low 12 bits.
+fn low_12_bits(counts: i16) -> U16 {
+    U16::new(counts as u16 & 0x0FFF)
 }
 
 #[cfg(test)]

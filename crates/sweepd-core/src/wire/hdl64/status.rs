@@ -230,7 +230,9 @@ impl Status {
                 vote(cycle, 1);
             }
         }
-        let (mut best, mut first, mut second) = (0, 0, 0);
+        let mut best = 0;
+        let mut first = 0;
+        let mut second = 0;
         for (offset, &votes) in self.votes.iter().enumerate() {
             if votes > first {
                 (best, first, second) = (offset, votes, first);
@@ -264,7 +266,8 @@ impl Status {
             self.s3_warnings = Some(Warnings(value));
         }
         let index = cycle * PAYLOAD_LEN + payload;
-        let (byte, seen) = (&mut self.bytes[index], &mut self.seen[index]);
+        let byte = &mut self.bytes[index];
+        let seen = &mut self.seen[index];
         match *seen {
             0 => {
                 (*byte, *seen) = (value, 1);

@@ -179,12 +179,12 @@ pub struct Clock {
 impl Clock {
     /// Nanoseconds since 1970; `None` where this is no time.
     pub fn utc_ns(&self) -> Option<i64> {
-        let [year, month, day] = [
-            2000 + i64::from(self.year),
-            self.month.into(),
-            self.day.into(),
-        ];
-        let [hour, minute, second] = [self.hour, self.minute, self.second].map(i64::from);
+        let year = 2000 + i64::from(self.year);
+        let month = i64::from(self.month);
+        let day = i64::from(self.day);
+        let hour = i64::from(self.hour);
+        let minute = i64::from(self.minute);
+        let second = i64::from(self.second);
         let days = days_from_civil(year, month, day);
         let is_time =
             civil_from_days(days) == (year, month, day) && hour < 24 && minute < 60 && second < 60;
