@@ -277,12 +277,7 @@ impl Aim<'_> {
     }
 
     /// A direction a little beside another, across (clockwise) and up, radians.
-    pub fn beside(
-        &self,
-        (direction, azimuth_rad): (Vec3, f64),
-        across: f64,
-        up: f64,
-    ) -> (Vec3, f64) {
+    pub fn beside(&self, direction: Vec3, azimuth_rad: f64, across: f64, up: f64) -> (Vec3, f64) {
         let u = direction;
         let w = self.laser.elevation.1;
         let right = Vec3::new(u.y, -u.x, 0.0) / w;

@@ -83,11 +83,6 @@ impl PacketPart {
 
     /// Something that is wrong with this part, by chance.
     pub fn damage(self, rng: &mut Rng) -> Damage {
-        let of_block = |rng: &mut Rng, within: usize| rng.usize(..BLOCKS) * BLOCK_LEN + within;
-        let of_record = |rng: &mut Rng, within: usize| {
-            let record = rng.usize(..RECORDS);
-            of_block(rng, HEAD_LEN + record * RECORD_LEN + within)
-        };
         let byte = match self {
             Self::Any => rng.usize(..DATA_PACKET_LEN),
             Self::Flag => {
@@ -109,6 +104,17 @@ impl PacketPart {
         };
         Damage::Bit((byte * 8) as u16 + rng.u16(..8))
     }
+}
+
+/// A byte of a block by chance, at this place within it.
+fn of_block(rng: &mut Rng, within: usize) -> usize {
+    rng.usize(..BLOCKS) * BLOCK_LEN + within
+}
+
+/// A byte of a record by chance, at this place within it.
+fn of_record(rng: &mut Rng, within: usize) -> usize {
+    let record = rng.usize(..RECORDS);
+    of_block(rng, HEAD_LEN + record * RECORD_LEN + within)
 }
 
 /// A length that no datagram of these sensors has: tiny, jumbo, or a byte off.

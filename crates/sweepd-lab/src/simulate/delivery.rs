@@ -81,21 +81,23 @@ impl Faults {
 
 impl std::fmt::Display for Faults {
     fn fmt(&self, f: &mut std::fmt::Formatter<'_>) -> std::fmt::Result {
-        let range = |range: &RangeInclusive<u64>| match (range.start(), range.end()) {
-            (start, end) if start == end => start.to_string(),
-            (start, end) => format!("{start}-{end}"),
-        };
-        let list = |numbers: Vec<String>| {
-            if numbers.is_empty() {
-                "none".to_owned()
-            } else {
-                numbers.join(", ")
-            }
-        };
-        let singles = |numbers: &[u64]| list(numbers.iter().map(u64::to_string).collect());
-        let lost = list(self.lost.iter().map(range).collect());
-        let (twice, late) = (singles(&self.duplicated), singles(&self.swapped));
+        let lost = self.lost.iter().map(|range| match range.start() {
+            start if start == range.end() => start.to_string(),
+            start => format!("{start}-{}", range.end()),
+        });
+        let lost = list(lost);
+        let twice = list(self.duplicated.iter().map(u64::to_string));
+        let late = list(self.swapped.iter().map(u64::to_string));
         write!(f, "lost: {lost}; twice: {twice}; after the next: {late}")
+    }
+}
+
+fn list(numbers: impl Iterator<Item = String>) -> String {
+    let numbers: Vec<String> = numbers.collect();
+    if numbers.is_empty() {
+        "none".to_owned()
+    } else {
+        numbers.join(", ")
     }
 }
 

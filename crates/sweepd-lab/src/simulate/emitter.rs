@@ -104,7 +104,8 @@ impl<'a> Emitter<'a> {
     }
 
     fn data_packet(&mut self, times: Times, rng: &mut Rng) -> (DataPacket, Box<PacketTruth>) {
-        let (spec, ordinal) = (self.config.spec, times.ordinal);
+        let spec = self.config.spec;
+        let ordinal = times.ordinal;
         let mode = self.config.mode_of(ordinal);
         let stamped_ns = times.stamped_ns(&self.config);
         if ordinal.is_multiple_of(CYCLE_LEN as u64) {

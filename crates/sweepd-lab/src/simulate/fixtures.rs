@@ -151,14 +151,18 @@ fn hdl64e(mut config: EmitterConfig, from_ns: i64, start_deg: f64) -> EmitterCon
     config
 }
 
-/// All fixtures. Each begins and ends in the middle of a turn, as a capture does; the start is
-/// chosen so that a block of each says 36000 at one of its wraps.
-pub fn all() -> Vec<Fixture> {
-    let clean = |file, config| Fixture {
+/// A fixture that lost nothing.
+fn clean(file: &'static str, config: EmitterConfig) -> Fixture {
+    Fixture {
         file,
         config,
         faults: Faults::default(),
-    };
+    }
+}
+
+/// All fixtures. Each begins and ends in the middle of a turn, as a capture does; the start is
+/// chosen so that a block of each says 36000 at one of its wraps.
+pub fn all() -> Vec<Fixture> {
     let losses = Faults {
         lost: vec![31..=31, 64..=66, 97..=97, 120..=129, 181..=181, 205..=206],
         duplicated: vec![45, 150],

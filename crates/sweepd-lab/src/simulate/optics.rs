@@ -72,6 +72,20 @@ pub struct Return {
     pub distance_m: f64,
 }
 
+/// Light that comes back from one surface, before the receiver.
+#[derive(Clone, Copy, Debug)]
+struct Pulse {
+    hit: Hit,
+    /// As in [`Return`].
+    signal: f64,
+}
+
+impl Pulse {
+    fn new(hit: Hit, signal: f64) -> Self {
+        Self { hit, signal }
+    }
+}
+
 /// A shot of one beam: where it starts and points, and when.
 #[derive(Clone, Copy, Debug)]
 pub struct Shot<'a> {
@@ -86,7 +100,7 @@ pub struct Shot<'a> {
 }
 
 impl Shot<'_> {
-    fn ray(&self, (direction, azimuth_rad): (Vec3, f64)) -> Ray {
+    fn ray(&self, direction: Vec3, azimuth_rad: f64) -> Ray {
         Ray {
             origin: self.pose.origin + self.pose.turned(self.aim.origin),
             direction: self.pose.turned(direction),
@@ -119,19 +133,20 @@ pub fn shoot(
     mode: ReturnMode,
     rng: &mut Rng,
 ) -> [Option<Return>; 2] {
-    let centre = cast(optics, view, shot, (0.0, 0.0), rng);
+    let centre = cast(optics, view, shot, 0.0, 0.0, rng);
     if !centre.edge {
         // The middle of the beam stands for all of it: a fifth of the work.
-        let only = centre.hit.map(|hit| (hit, signal(optics, &hit)));
-        let only = only
-            .filter(|only| is_seen(optics, only.1, rng))
-            .and_then(|only| sayable(&shot.aim, only));
+        let only = centre
+            .hit
+            .map(|hit| Pulse::new(hit, signal(optics, &hit)))
+            .filter(|pulse| is_seen(optics, pulse.signal, rng))
+            .and_then(|pulse| sayable(&shot.aim, pulse));
         return [only, only.filter(|_| mode == ReturnMode::Dual)];
     }
     let met = met(optics, view, shot, centre.hit, rng);
     let mut returns: Vec<Return> = Vec::with_capacity(met.len());
     for pulse in met.chunk_by(is_one_pulse).filter_map(merged) {
-        if is_seen(optics, pulse.1, rng) {
+        if is_seen(optics, pulse.signal, rng) {
             returns.extend(sayable(&shot.aim, pulse));
         }
     }
@@ -158,7 +173,8 @@ fn cast(
     optics: &Optics,
     view: &View<'_>,
     shot: &Shot<'_>,
-    (across, up): (f64, f64),
+    across: f64,
+    up: f64,
     rng: &mut Rng,
 ) -> Look {
     let aim = &shot.aim;
@@ -166,11 +182,12 @@ fn cast(
     let spread_rad = if is_centre { optics.spread_rad } else { 0.0 };
     let mut towards = aim.towards(shot.guess_m);
     for casts in 1.. {
-        let ray = shot.ray(if is_centre {
+        let (direction, azimuth_rad) = if is_centre {
             towards
         } else {
-            aim.beside(towards, across, up)
-        });
+            aim.beside(towards.0, towards.1, across, up)
+        };
+        let ray = shot.ray(direction, azimuth_rad);
         let mut look = view.look(&ray, spread_rad, shot.time_s, optics.max_range_m, rng);
         let range_m = look.hit.map_or(optics.max_range_m, |hit| hit.distance_m);
         if casts < MOST_CASTS && !(casts == 1 && aim.goes_by(shot.guess_m, range_m, BESIDE_M)) {
@@ -188,7 +205,8 @@ fn cast(
 
 /// A return as the packet can say it: none where 16 bits have no number for its distance, and next
 /// to it where none means its range exactly.
-fn sayable(aim: &Aim<'_>, (mut hit, signal): (Hit, f64)) -> Option<Return> {
+fn sayable(aim: &Aim<'_>, pulse: Pulse) -> Option<Return> {
+    let Pulse { mut hit, signal } = pulse;
     let distance_m = aim.distance_m(hit.distance_m);
     if aim.is_curved() {
         hit.distance_m = aim.vector(distance_m).norm();
@@ -207,43 +225,45 @@ fn met(
     shot: &Shot<'_>,
     centre: Option<Hit>,
     rng: &mut Rng,
-) -> Vec<(Hit, f64)> {
-    let mut met: Vec<(Hit, f64)> = Vec::with_capacity(FOOTPRINT.len());
+) -> Vec<Pulse> {
+    let mut met: Vec<Pulse> = Vec::with_capacity(FOOTPRINT.len());
     for (across, up, share) in FOOTPRINT {
-        let (across, up) = (across * optics.spread_rad, up * optics.spread_rad);
+        let across = across * optics.spread_rad;
+        let up = up * optics.spread_rad;
         let hit = if (across, up) == (0.0, 0.0) {
             centre
         } else {
-            cast(optics, view, shot, (across, up), rng).hit
+            cast(optics, view, shot, across, up, rng).hit
         };
-        met.extend(hit.map(|hit| (hit, share * signal(optics, &hit))));
+        met.extend(hit.map(|hit| Pulse::new(hit, share * signal(optics, &hit))));
     }
-    met.sort_by(|a, b| a.0.distance_m.total_cmp(&b.0.distance_m));
+    met.sort_by(|a, b| a.hit.distance_m.total_cmp(&b.hit.distance_m));
     met
 }
 
 /// Whether the receiver sees two that follow each other as one pulse. It lies between the surfaces
 /// that sent it, where the light's middle is.
-fn is_one_pulse((a, _): &(Hit, f64), (b, _): &(Hit, f64)) -> bool {
+fn is_one_pulse(a: &Pulse, b: &Pulse) -> bool {
     // Ground under a flat beam gives one long pulse.
-    let ground = a.class == Class::Ground && b.class == Class::Ground;
-    b.distance_m - a.distance_m < RESOLUTION_M || ground
+    let ground = a.hit.class == Class::Ground && b.hit.class == Class::Ground;
+    b.hit.distance_m - a.hit.distance_m < RESOLUTION_M || ground
 }
 
-/// One return of several that are too close to tell apart.
-fn merged(pulse: &[(Hit, f64)]) -> Option<(Hit, f64)> {
-    let (mut whole, _) = *pulse.iter().max_by(|a, b| a.1.total_cmp(&b.1))?;
-    let signal: f64 = pulse.iter().map(|one| one.1).sum();
+/// One pulse of several that the receiver cannot separate.
+fn merged(parts: &[Pulse]) -> Option<Pulse> {
+    let brightest = parts.iter().max_by(|a, b| a.signal.total_cmp(&b.signal))?;
+    let mut hit = brightest.hit;
+    let signal: f64 = parts.iter().map(|part| part.signal).sum();
     // Of a long pulse the receiver times the peak; of glass that mirrored all of it there is no
     // light to weigh.
-    if signal > 0.0 && pulse.iter().any(|(hit, _)| hit.class != Class::Ground) {
-        whole.distance_m = pulse
+    if signal > 0.0 && parts.iter().any(|part| part.hit.class != Class::Ground) {
+        hit.distance_m = parts
             .iter()
-            .map(|(hit, signal)| signal * hit.distance_m)
+            .map(|part| part.signal * part.hit.distance_m)
             .sum::<f64>()
             / signal;
     }
-    Some((whole, signal))
+    Some(Pulse::new(hit, signal))
 }
 
 /// Light that comes back from a whole beam on this surface, by distance, reflectivity and

@@ -57,16 +57,19 @@ struct Dice {
 
 impl Dice {
     fn new(seed: u64) -> Self {
-        let dice = |kind: u64| Rng::with_seed(seed ^ kind.wrapping_mul(0xD1B5_4A32_D192_ED03));
         Self {
-            loss: dice(1),
-            burst: dice(2),
-            duplicate: dice(3),
-            reorder: dice(4),
-            corrupt: dice(5),
-            stray: dice(6),
+            loss: dice(seed, 1),
+            burst: dice(seed, 2),
+            duplicate: dice(seed, 3),
+            reorder: dice(seed, 4),
+            corrupt: dice(seed, 5),
+            stray: dice(seed, 6),
         }
     }
+}
+
+fn dice(seed: u64, kind: u64) -> Rng {
+    Rng::with_seed(seed ^ kind.wrapping_mul(0xD1B5_4A32_D192_ED03))
 }
 
 impl Rates {

@@ -40,7 +40,8 @@ impl GroundPose {
     }
 
     /// A point to the right of, ahead of and above the place, as it faces.
-    fn at(&self, [across, along, up]: [f64; 3]) -> [f64; 3] {
+    fn at(&self, offset: [f64; 3]) -> [f64; 3] {
+        let [across, along, up] = offset;
         let (sin, cos) = self.heading_rad.sin_cos();
         [
             self.x + across * cos + along * sin,

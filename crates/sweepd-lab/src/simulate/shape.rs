@@ -219,8 +219,10 @@ impl Shape {
     }
 }
 
-/// A horizontal vector in the frame of a heading: across (to the right) and along.
-pub fn turned(x: f64, y: f64, (sin, cos): (f64, f64)) -> [f64; 2] {
+/// A horizontal vector in the frame of a heading, given by its sine and cosine: across (to the
+/// right) and along.
+pub fn turned(x: f64, y: f64, heading: (f64, f64)) -> [f64; 2] {
+    let (sin, cos) = heading;
     [x * cos - y * sin, x * sin + y * cos]
 }
 
@@ -427,10 +429,8 @@ impl Bounds {
             ahead && u * first[1] - v * first[0] >= 0.0 && u * last[1] - v * last[0] <= 0.0
         });
         let crossings = ways.into_iter().filter_map(|way| {
-            let (across, along) = (
-                slab(x, way[0], self.half[0])?,
-                slab(y, way[1], self.half[1])?,
-            );
+            let across = slab(x, way[0], self.half[0])?;
+            let along = slab(y, way[1], self.half[1])?;
             let [from, to] = [greater(across[0], along[0]), lesser(across[1], along[1])];
             (from <= to && to > 0.0).then_some([greater(from, 0.0), to])
         });
@@ -448,11 +448,14 @@ impl Bounds {
     /// edges, radians.
     pub fn azimuths(&self, eye: Vec3) -> (f64, [f64; 2]) {
         let (sin, cos) = self.heading;
-        let (x, y) = (self.centre[0] - eye.x, self.centre[1] - eye.y);
+        let x = self.centre[0] - eye.x;
+        let y = self.centre[1] - eye.y;
         let mut edges = [0.0_f64; 2];
         for (across, along) in [(1.0, 1.0), (1.0, -1.0), (-1.0, 1.0), (-1.0, -1.0)] {
-            let (u, v) = (across * self.half[0], along * self.half[1]);
-            let (cx, cy) = (x + u * cos + v * sin, y - u * sin + v * cos);
+            let u = across * self.half[0];
+            let v = along * self.half[1];
+            let cx = x + u * cos + v * sin;
+            let cy = y - u * sin + v * cos;
             // Clockwise from the centre; it cannot wrap, as a footprint seen from outside spans
             // less than half a turn.
             let angle = f64::atan2(cx * y - cy * x, cx * x + cy * y);

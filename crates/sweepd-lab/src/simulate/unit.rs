@@ -4,6 +4,8 @@
 //! Made up to be like the real ones in kind and size, in the very numbers that the status can say,
 //! so that a receiver that reads its calibration from there knows it exactly.
 
+use std::ops::RangeInclusive;
+
 use fastrand::Rng;
 use zerocopy::FromZeros;
 use zerocopy::little_endian::I16;
@@ -24,9 +26,8 @@ pub fn unit(seed: u64) -> Calibration {
     let mut rng = Rng::with_seed(seed ^ 0x64E);
     let mut records = [BeamRecord::new_zeroed(); BEAMS];
     for (place, laser) in TOP_DOWN.into_iter().enumerate() {
-        records[laser] = record(laser, 200 - 34 * place as i16, [193, 217], &mut rng);
-        records[laser + HEAD] =
-            record(laser + HEAD, -890 - 51 * place as i16, [105, 163], &mut rng);
+        records[laser] = record(laser, 200 - 34 * place as i16, 193..=217, &mut rng);
+        records[laser + HEAD] = record(laser + HEAD, -890 - 51 * place as i16, 105..=163, &mut rng);
     }
     stream::calibration(&Dump::new(Series::S3, &records))
         .expect("tested for every series of numbers")
@@ -37,11 +38,12 @@ pub fn unit(seed: u64) -> Calibration {
 fn record(
     id: usize,
     elevation_cdeg: i16,
-    [low_mm, high_mm]: [i16; 2],
+    height_mm: RangeInclusive<i16>,
     rng: &mut Rng,
 ) -> BeamRecord {
     // Four columns of lasers to each side of the head's middle, odd ones to the right.
-    let (column, is_odd) = ((id / 2 % 4) as i16, id % 2 == 1);
+    let column = (id / 2 % 4) as i16;
+    let is_odd = id % 2 == 1;
     let rotation_cdeg = if is_odd {
         250 + 230 * column
     } else {
@@ -56,7 +58,7 @@ fn record(
         distance_mm: I16::new(distance_mm),
         distance_x_mm: I16::new(distance_mm + rng.i16(-100..=100)),
         distance_y_mm: I16::new(distance_mm + rng.i16(-100..=100)),
-        vertical_offset_mm: I16::new(rng.i16(low_mm..=high_mm)),
+        vertical_offset_mm: I16::new(rng.i16(height_mm)),
         horizontal_offset_mm: I16::new(aside_mm),
         focal_distance_mm: I16::new(rng.i16(4_000..=24_000)),
         focal_slope_tenths: I16::new(rng.i16(9..=20)),

@@ -137,7 +137,8 @@ fn rises(z: [f64; 2], eye: Vec3, [near_m, far_m]: [f64; 2]) -> [f64; 2] {
 fn candidates(
     scene: &Scene,
     moving: bool,
-    (eye, margin_m): (Vec3, f64),
+    eye: Vec3,
+    margin_m: f64,
     time_s: f64,
     half_s: f64,
 ) -> impl Iterator<Item = (usize, Candidate)> {
@@ -178,8 +179,10 @@ fn sector(azimuth_rad: f64) -> usize {
 /// nearest first.
 pub struct View<'a> {
     scene: &'a Scene,
-    /// Where rays start, and how far from it they may, metres.
-    eye: (Vec3, f64),
+    /// Where rays start.
+    eye: Vec3,
+    /// How far from the eye they may start, metres.
+    margin_m: f64,
     /// What stands still, which is most: worked out once.
     fixed: Sectors,
     /// All of it, with what moves at the time of the view.
@@ -196,8 +199,8 @@ impl<'a> View<'a> {
     /// time.
     pub fn new(scene: &'a Scene, eye: Vec3, margin_m: f64, time_s: f64, half_s: f64) -> Self {
         let mut fixed = vec![Vec::new(); SECTORS];
-        let eye = (scene.levelled(eye), margin_m);
-        for (sector, candidate) in candidates(scene, false, eye, time_s, half_s) {
+        let eye = scene.levelled(eye);
+        for (sector, candidate) in candidates(scene, false, eye, margin_m, time_s, half_s) {
             fixed[sector].push(candidate);
         }
         for sector in &mut fixed {
@@ -206,6 +209,7 @@ impl<'a> View<'a> {
         let mut view = Self {
             scene,
             eye,
+            margin_m,
             sectors: fixed.clone(),
             fixed,
             busy: Vec::new(),
@@ -219,7 +223,8 @@ impl<'a> View<'a> {
         for sector in self.busy.drain(..) {
             self.sectors[sector].clone_from(&self.fixed[sector]);
         }
-        for (index, candidate) in candidates(self.scene, true, self.eye, time_s, half_s) {
+        let moving = candidates(self.scene, true, self.eye, self.margin_m, time_s, half_s);
+        for (index, candidate) in moving {
             let sector = &mut self.sectors[index];
             let place = sector.partition_point(|other| other.order(&candidate).is_lt());
             sector.insert(place, candidate);

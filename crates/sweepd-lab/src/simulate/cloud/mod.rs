@@ -27,7 +27,7 @@ use self::rows::RingPlace;
 pub use self::send::{Sender, Sending};
 use super::beam::Laser;
 use super::shape::Vec3;
-use crate::cloud::fit::{self, Line, Prior, Sample};
+use crate::cloud::fit::{self, Prior, Sample};
 use crate::cloud::rings::{self, Polar, Ring};
 use crate::cloud::{COLUMNS, CloudError, places};
 use sweepd_core::sensor::model::Spec;
@@ -270,7 +270,8 @@ impl Turn {
                 (column as i64 + behind.round() as i64).rem_euclid(self.firings as i64) as usize;
             let Some(echo) = self.echo(
                 &laser,
-                (firing, beam.channel),
+                firing,
+                beam.channel,
                 polar,
                 ring.points[point][3],
                 ring.first + point,
@@ -289,7 +290,8 @@ impl Turn {
     fn echo(
         &self,
         laser: &Laser,
-        (firing, channel): (usize, usize),
+        firing: usize,
+        channel: usize,
         polar: Polar,
         remission: f32,
         point: usize,
@@ -325,7 +327,7 @@ fn row_rings<'a>(
     points: &'a [[f32; 4]],
     rows: &[Beam],
 ) -> Result<Vec<RowRing<'a>>, FromCloudError> {
-    let (mut rings, mut scratch) = (Vec::<Ring>::new(), Vec::new());
+    let mut rings: Vec<Ring> = Vec::new();
     rings::find(points, COLUMNS, &mut rings)?;
     rings.retain(|ring| {
         points[ring.first..ring.end]
@@ -335,29 +337,35 @@ fn row_rings<'a>(
     if rings.is_empty() {
         return Err(FromCloudError::Empty);
     }
-    rings
-        .iter_mut()
-        .for_each(|ring| ring.measure(points, &mut scratch));
+    let mut scratch = Vec::new();
+    for ring in &mut rings {
+        ring.measure(points, &mut scratch);
+    }
     rings.sort_by(|a, b| b.elevation_rad.total_cmp(&a.elevation_rad));
-    let place = |ring: &Ring| {
-        let polars = points[ring.first..ring.end]
-            .iter()
-            .filter_map(|&point| Polar::of(point));
-        let mut away_m: Vec<f64> = polars.map(|polar| polar.away_m).collect();
-        let middle = away_m.len() / 2;
-        RingPlace {
-            elevation_rad: ring.elevation_rad,
-            away_m: *away_m.select_nth_unstable_by(middle, f64::total_cmp).1,
-        }
-    };
-    let places: Vec<RingPlace> = rings.iter().map(place).collect();
+    let places: Vec<RingPlace> = rings.iter().map(|ring| place(ring, points)).collect();
     let rows = rows::of_rings(&places, rows)?;
-    let ring = |(ring, row): (&Ring, usize)| RowRing {
-        row,
-        points: &points[ring.first..ring.end],
-        first: ring.first,
-    };
-    Ok(rings.iter().zip(rows).map(ring).collect())
+    Ok(rings
+        .iter()
+        .zip(rows)
+        .map(|(ring, row)| RowRing {
+            row,
+            points: &points[ring.first..ring.end],
+            first: ring.first,
+        })
+        .collect())
+}
+
+/// Elevation and median distance of a ring, which has points.
+fn place(ring: &Ring, points: &[[f32; 4]]) -> RingPlace {
+    let polars = points[ring.first..ring.end]
+        .iter()
+        .filter_map(|&point| Polar::of(point));
+    let mut away_m: Vec<f64> = polars.map(|polar| polar.away_m).collect();
+    let middle = away_m.len() / 2;
+    RingPlace {
+        elevation_rad: ring.elevation_rad,
+        away_m: *away_m.select_nth_unstable_by(middle, f64::total_cmp).1,
+    }
 }
 
 /// The beams of all rows, with elevations and vertical offsets as the rings have them.
@@ -375,12 +383,11 @@ fn fitted(rings: &[RowRing<'_>], rows: &[Beam], unit_m: f64) -> Vec<Beam> {
             offset_m: beam.vertical_offset_m,
             spread_m: OFFSET_SPREAD_M,
         };
-        let beam_on = |line: Line| Beam {
+        fits[ring.row] = fit::fit(prior, &samples).map(|line| Beam {
             elevation_rad: line.slope.atan(),
             vertical_offset_m: line.offset_m,
             ..*beam
-        };
-        fits[ring.row] = fit::fit(prior, &samples).map(beam_on);
+        });
     }
     rows::complete(rows, &fits)
 }
@@ -393,7 +400,7 @@ fn sample(beam: &Beam, laser: &Laser, polar: Polar) -> Option<Sample> {
     let away_m = (polar.away_m.powi(2) - aside_m.powi(2)).max(0.0).sqrt();
     let towards_rad = polar.azimuth_rad + (aside_m / polar.away_m).clamp(-1.0, 1.0).asin();
     let aim = laser.aimed(towards_rad + beam.rotation_rad);
-    let rise = |way: Vec3| way.z / way.x.hypot(way.y);
+
     let (bent, _) = aim.towards_range(away_m.hypot(polar.z_m - beam.vertical_offset_m));
     let steeper = rise(bent) / rise(aim.straight);
     let away_m = if steeper > 0.0 && steeper.is_finite() {
@@ -405,6 +412,11 @@ fn sample(beam: &Beam, laser: &Laser, polar: Polar) -> Option<Sample> {
         away_m,
         z_m: polar.z_m,
     })
+}
+
+/// How steeply a direction rises.
+fn rise(direction: Vec3) -> f64 {
+    direction.z / direction.x.hypot(direction.y)
 }
 
 /// Firings of a turn.
