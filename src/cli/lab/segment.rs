@@ -94,7 +94,8 @@ pub fn run(args: &Args) -> Result<(), CliError> {
             .max()
             .map_or(0, |&most| most.saturating_sub(1));
         let share = 100.0 * ground as f64 / labels.len().max(1) as f64;
-        let (file, points) = (file.display(), labels.len());
+        let file = file.display();
+        let points = labels.len();
         writeln!(
             io::stdout(),
             "{file}: {points} points, {share:.1} % ground, {segments} segments"
@@ -168,15 +169,17 @@ fn label_files(args: &Args) -> Result<Vec<PathBuf>, CliError> {
             .join(cloud.file_name().unwrap_or_default())
             .with_extension("label");
         if let Some(same) = files.iter().position(|other| *other == file) {
-            let (first, second, file) =
-                (args.clouds[same].display(), cloud.display(), file.display());
+            let first = args.clouds[same].display();
+            let second = cloud.display();
+            let file = file.display();
             let message = format!(
                 "{first} and {second} would both be written to {file}; give each an --out of its own"
             );
             return Err(CliError::Usage(message));
         }
         if file.exists() && is_same_folder(&args.out, cloud) {
-            let (cloud, file) = (cloud.display(), file.display());
+            let cloud = cloud.display();
+            let file = file.display();
             let message = format!(
                 "{file} lies beside {cloud} already, and may be its true labels; give another folder as --out, or remove it"
             );

@@ -137,11 +137,9 @@ impl Scale {
         }
     }
 
-    fn pixel(&self, [value, share]: [f64; 2]) -> Point {
+    fn pixel(&self, point: [f64; 2]) -> Point {
+        let [value, share] = point;
         let Size { width, height } = self.area.size;
-        let part = |share: f64, pixels: u32| {
-            (share.clamp(0.0, 1.0) * f64::from(pixels - 1)).round() as i32
-        };
         let x = part(value / (self.step * f64::from(self.steps)), width);
         self.area.top_left + Point::new(x, height as i32 - 1 - part(share, height))
     }
@@ -152,7 +150,8 @@ impl Scale {
         let most = self.step * f64::from(self.steps);
         for number in 0..=SHARES {
             let share = f64::from(number) / f64::from(SHARES);
-            let [left, right] = [0.0, most].map(|value| self.pixel([value, share]));
+            let left = self.pixel([0.0, share]);
+            let right = self.pixel([most, share]);
             page.outline(&Line::new(left, right), GRID, &self.area);
             let text = format!("{share:.1}");
             page.aligned_text(left - Point::new(8, 6), &text, TICK, Alignment::Right);
@@ -160,7 +159,8 @@ impl Scale {
         let decimals = (-self.step.log10().floor()).max(0.0) as usize;
         for number in 0..=self.steps {
             let value = f64::from(number) * self.step;
-            let [foot, head] = [0.0, 1.0].map(|share| self.pixel([value, share]));
+            let foot = self.pixel([value, 0.0]);
+            let head = self.pixel([value, 1.0]);
             page.outline(&Line::new(foot, head), GRID, &self.area);
             let text = format!("{value:.decimals$}");
             page.aligned_text(foot + Point::new(0, 6), &text, TICK, Alignment::Center);
@@ -240,6 +240,11 @@ fn draw_mark(page: &mut Canvas, at: Point, mark: usize) {
             }
         }
     }
+}
+
+/// The pixel at a share of this many.
+fn part(share: f64, pixels: u32) -> i32 {
+    (share.clamp(0.0, 1.0) * f64::from(pixels - 1)).round() as i32
 }
 
 #[cfg(test)]

@@ -165,7 +165,8 @@ impl Scan {
     /// The file of its labels that are to be scored.
     pub(super) fn prediction(&self, folder: &Path, suffix: &str) -> Result<PathBuf, CliError> {
         let path = folder.join(format!("{}{suffix}", self.name));
-        let (cloud, file) = (self.cloud.display(), path.display());
+        let cloud = self.cloud.display();
+        let file = path.display();
         if !path.is_file() {
             let out = path.parent().unwrap_or(folder).display();
             return Err(CliError::Usage(format!(

@@ -46,18 +46,13 @@ impl CloudOptions {
     /// # Errors
     /// [`CliError::Usage`].
     pub fn check(&self) -> Result<(), CliError> {
-        let needs = |what, other| Err(CliError::Usage(format!("{what} needs {other}")));
         if self.fit_elevations && self.from_cloud.is_none() {
-            return needs(
-                "--fit-elevations",
-                "--from-cloud FILE.bin, the scan to fit to",
-            );
+            let message = "--fit-elevations needs --from-cloud FILE.bin, the scan to fit to";
+            return Err(CliError::Usage(message.to_owned()));
         }
         if self.fitted.is_some() && !self.fit_elevations {
-            return needs(
-                "--fitted",
-                "--fit-elevations: without it the packets are those of the given --calibration",
-            );
+            let message = "--fitted needs --fit-elevations: without it the packets are those of the given --calibration";
+            return Err(CliError::Usage(message.to_owned()));
         }
         Ok(())
     }
