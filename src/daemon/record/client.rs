@@ -97,7 +97,9 @@ impl RemoteRecording {
             connection: Connection::new(stream),
             heard: Instant::now(),
         };
-        recording.connection.send(request).await.map_err(gone)?;
+        // A daemon that refuses at once may have closed its end before it took the request; its
+        // answer is there nevertheless, and where it is not, `next` fails.
+        let _ = timeout(SILENCE, recording.connection.send(request)).await;
         match recording.next(SILENCE).await? {
             Some(Reply::Begun(path)) => Ok((recording, path)),
             Some(Reply::Refused(why)) => Err(RemoteRecordError::Daemon(why)),
