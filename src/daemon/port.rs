@@ -266,13 +266,25 @@ impl<B: Buffers<Buffer: Outgoing>> Port<B> {
         } = self;
         let mut some_came = false;
         let batch = source.receive_counted(timeout)?;
-        // Not before: what came after a change was asked for falls under it.
-        while let Ok(change) = changes.try_recv() {
-            change.apply(&mut state.recordings);
+        // Not before: what came after a recording was asked for falls under it. Empty ones take no
+        // memory.
+        let (ends, additions): (Vec<PortChange>, Vec<PortChange>) = changes
+            .try_iter()
+            .partition(|change| change.ends_one_of(&state.recordings));
+        for addition in additions {
+            addition.apply(&mut state.recordings);
         }
         let begun = Instant::now();
         for (addressed, dropped) in batch {
             some_came |= state.take(&addressed, dropped);
+        }
+        if !ends.is_empty() {
+            // What came before the end is recorded too.
+            let rest = take_waiting(source, state);
+            for end in ends {
+                end.apply(&mut state.recordings);
+            }
+            some_came |= rest?;
         }
         let now = Instant::now();
         if some_came {
@@ -289,6 +301,24 @@ impl<B: Buffers<Buffer: Outgoing>> Port<B> {
         state.catch_up(now, dropped);
         load.worked(begun, Instant::now());
         Ok(())
+    }
+}
+
+/// Takes what waits in the socket, and no more than can wait there. Returns whether some of it was
+/// let in.
+fn take_waiting<B: Buffers<Buffer: Outgoing>>(
+    source: &mut UdpSource,
+    state: &mut PortState<B>,
+) -> Result<bool, UdpError> {
+    let mut some_came = false;
+    let most = source.received() + source.buffer().packets() as u64;
+    loop {
+        for (addressed, dropped) in source.receive_counted(Duration::ZERO)? {
+            some_came |= state.take(&addressed, dropped);
+        }
+        if !source.may_hold_more() || source.received() >= most {
+            return Ok(some_came);
+        }
     }
 }
 

@@ -74,6 +74,12 @@ pub struct PortChange {
 }
 
 impl PortChange {
+    /// Whether it ends one of these recordings.
+    pub fn ends_one_of(&self, recordings: &[PortRecording]) -> bool {
+        let mut ids = recordings.iter().map(|recording| recording.id);
+        ids.any(|id| Some(id) == self.remove)
+    }
+
     /// Makes the change.
     pub fn apply(self, recordings: &mut Vec<PortRecording>) {
         recordings.retain(|recording| Some(recording.id) != self.remove);
