@@ -393,11 +393,11 @@ impl Published {
     }
 }
 
-/// Adds the difference. It is negative after a failure, where only what is safe on the disk counts;
-/// the sum wraps around to the right one.
+/// Adds the difference. After a failure only what is safe on the disk counts as written, which may be
+/// less than before; the exported counters never go down, so nothing is taken back from them.
 fn add(count: &AtomicU64, published: &mut u64, now: u64) {
-    count.fetch_add(now.wrapping_sub(*published), Ordering::Relaxed);
-    *published = now;
+    count.fetch_add(now.saturating_sub(*published), Ordering::Relaxed);
+    *published = now.max(*published);
 }
 
 #[cfg(test)]
