@@ -502,9 +502,11 @@ impl Recordings {
             });
         }
         let counts = (!recording.is_configured()).then(|| Arc::clone(&recording.counts));
+        // What the ports drop while the disk keeps this waiting comes after the end.
+        let dropped = recording.dropped();
         self.wait_aside(counts, move || {
             recording.recorder().into_iter().for_each(await_release);
-            recording.finish();
+            recording.finish(dropped);
         });
     }
 

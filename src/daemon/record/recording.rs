@@ -406,8 +406,14 @@ impl Recording {
         }
     }
 
-    /// Ends it, and says what it came to; waits for the disk. One that was never begun has nothing.
-    pub(super) fn finish(self) {
+    /// Datagrams that the kernel dropped so far, before they could be recorded.
+    pub(super) fn dropped(&self) -> u64 {
+        self.drops.count()
+    }
+
+    /// Ends it, and reports what it came to, `dropped` with it; waits for the disk. One that was
+    /// never begun has nothing.
+    pub(super) fn finish(self, dropped: u64) {
         let Some(recorder) = self.recorder else {
             return;
         };
@@ -417,7 +423,7 @@ impl Recording {
         if let Origin::Client(client) = self.origin {
             // A client that has gone need not know.
             let _ = client.ended.send(Ended {
-                received: self.target.received(&self.counts, self.drops.count()),
+                received: self.target.received(&self.counts, dropped),
                 error: result.err().map(|error| explain(&error)),
                 written,
             });
