@@ -467,8 +467,9 @@ pub(super) fn explain(error: &RecordError) -> String {
         return error.to_string();
     }
     let folder = path.parent().unwrap_or(path).display();
-    // systemd says which folder is the unit's own (systemd.exec(5)).
+    // systemd lists the folders that are the unit's own, with colons between (systemd.exec(5)).
     let own = std::env::var("STATE_DIRECTORY").unwrap_or_else(|_| "/var/lib/sweepd".to_owned());
+    let own = own.split(':').next().unwrap_or(&own);
     format!(
         "the daemon may not write to the folder {folder}: {source}; record to its own folder ({own} under systemd), or let \
          its user write there, and its unit by ReadWritePaths={folder} (docs/install.md)"
