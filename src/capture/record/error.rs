@@ -65,6 +65,10 @@ impl RecordError {
 fn cure(error: &io::Error) -> &'static str {
     match error.kind() {
         io::ErrorKind::NotFound => "make its folder first",
+        // Of a pipe (open(2)).
+        _ if error.raw_os_error() == Some(libc::ENXIO) => {
+            "no program reads it: start the reader first"
+        }
         io::ErrorKind::IsADirectory => "choose another name",
         io::ErrorKind::PermissionDenied | io::ErrorKind::ReadOnlyFilesystem => {
             "choose a folder that this user may write to"

@@ -183,6 +183,14 @@ impl Files {
         (written, ended)
     }
 
+    /// Removes the file, unless it is a pipe or a device. Gives what is there: nothing.
+    pub(super) fn discard(self) -> Written {
+        if is_file(&self.written.last) {
+            let _ = fs::remove_file(&self.written.last);
+        }
+        Written::default()
+    }
+
     fn so_far(&self) -> (u64, u64) {
         (self.written.datagrams, self.written.bytes)
     }

@@ -93,6 +93,8 @@ pub struct Recorder {
 struct Shared {
     counts: Arc<RecordCounts>,
     over: AtomicBool,
+    /// Set before `over`: the file is removed.
+    discarded: AtomicBool,
     /// Feeds that are not dropped yet.
     open_feeds: AtomicUsize,
     /// Feeds that the writing thread has not seen yet.
@@ -219,6 +221,13 @@ impl Recorder {
         )
     }
 
+    /// Ends a recording that is not wanted any more and has recorded nothing: its file is removed,
+    /// and what it was to replace stays.
+    pub fn discard(mut self) {
+        self.shared.discarded.store(true, Ordering::Relaxed);
+        self.end();
+    }
+
     fn end(&mut self) -> Option<Written> {
         self.shared.over.store(true, Ordering::Release);
         let writer = self.writer.take()?;
@@ -321,6 +330,9 @@ impl OpenFeed {
 impl Writer {
     fn run(mut self) -> Written {
         let ended = self.write_all();
+        if self.shared.discarded.load(Ordering::Relaxed) {
+            return self.files.discard();
+        }
         let (written, ended) = self.files.finish(ended);
         if let Err(error) = ended {
             // No other thread sets it.

@@ -135,6 +135,24 @@ pub enum Event {
     },
 }
 
+impl Event {
+    /// Drops an event that is not handled any more.
+    fn discard(self) {
+        if let Self::Begun {
+            result: Ok(recorder),
+            ..
+        } = self
+        {
+            recorder.discard();
+        }
+    }
+}
+
+/// Why one client more is refused.
+fn too_many() -> String {
+    format!("the daemon has {MAX_ASKED} recordings under way, as many as it allows; stop one")
+}
+
 /// How all recordings are, for other threads.
 #[derive(Clone, Debug, Default, PartialEq, Eq)]
 pub struct RecordingsStatus {
@@ -334,7 +352,10 @@ impl Recordings {
     /// Ends all. When this returns, what was put in is on the disk; how long that takes is up to
     /// the disk.
     pub fn finish(&mut self) {
-        // One that is being begun has nothing yet.
+        // One that is being begun has nothing yet, and must replace nothing.
+        while let Ok(event) = self.events.try_recv() {
+            event.discard();
+        }
         let ids: Vec<u64> = self.list.iter().map(|one| one.id).collect();
         ids.into_iter().for_each(|id| self.end(id));
         for ending in self.ending.drain(..) {
@@ -367,7 +388,10 @@ impl Recordings {
                 ))
             }
         };
+        // Those whose clients have gone count as long as the disk keeps them from beginning.
+        let asked = self.list.iter().filter(|one| !one.is_configured()).count();
         match target {
+            Ok(_) if asked >= MAX_ASKED => client.refuse(too_many()),
             Ok(target) if self.list.iter().any(|one| one.target.path == target.path) => {
                 let path = target.path.display();
                 client.refuse(format!(
@@ -394,8 +418,9 @@ impl Recordings {
             .name("sweepd-record".to_owned())
             .spawn(move || {
                 let result = target.start(counts);
-                // Without a receiver it ends here.
-                let _ = events.send(Event::Begun { id, result });
+                if let Err(unsent) = events.send(Event::Begun { id, result }) {
+                    unsent.0.discard();
+                }
             });
         if let Err(source) = thread {
             self.begun(id, Err(RecordError::Thread { source }));
@@ -405,12 +430,19 @@ impl Recordings {
     /// A recording was begun, for the first time or once more, or could not be.
     fn begun(&mut self, id: u64, result: Result<Recorder, RecordError>) {
         let Some(index) = self.list.iter().position(|one| one.id == id) else {
-            // It was ended meanwhile.
+            // It was ended meanwhile, and has recorded nothing.
             if let Ok(recorder) = result {
-                self.wait_aside(None, || finish_failed(recorder));
+                self.wait_aside(None, || recorder.discard());
             }
             return;
         };
+        if self.list[index].is_abandoned() {
+            self.list.remove(index);
+            if let Ok(recorder) = result {
+                self.wait_aside(None, || recorder.discard());
+            }
+            return;
+        }
         let recording = &mut self.list[index];
         recording.is_beginning = false;
         if recording.is_configured()

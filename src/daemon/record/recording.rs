@@ -1,7 +1,9 @@
 //! One recording: what is recorded where, how it is, and who asked for it.
 
+use std::fs::File;
 use std::io;
-use std::path::PathBuf;
+use std::os::unix::fs::OpenOptionsExt;
+use std::path::{Path, PathBuf};
 use std::sync::atomic::Ordering;
 use std::sync::{Arc, Mutex, PoisonError};
 use std::time::{Duration, Instant};
@@ -15,7 +17,7 @@ use crate::capture::RecordError;
 use crate::capture::record::{Accept, RecordCounts, Recorder, RecorderConfig, Rotation, Written};
 use crate::daemon::config::RecordConfig;
 use crate::daemon::counters::PortCounters;
-use crate::files::output::Existing;
+use crate::files::output::{Existing, is_special};
 use crate::text::count_of;
 
 /// From one attempt to begin a recording that has failed to the next, at first and at most. One
@@ -82,6 +84,11 @@ impl Target {
 
     /// Begins to write; waits for the disk.
     pub(super) fn start(&self, counts: Arc<RecordCounts>) -> Result<Recorder, RecordError> {
+        // Kept open meanwhile, so that the reader of a pipe sees no end before the beginning.
+        let _pipe = match self.admission {
+            Some(_) => open_special(&self.path)?,
+            None => None,
+        };
         let accept: Accept = match self.admission.clone() {
             Some(admission) => Box::new(move |datagram| {
                 let mut admission = admission.lock().unwrap_or_else(PoisonError::into_inner);
@@ -108,6 +115,23 @@ impl Target {
             }
             None => Received::default(),
         }
+    }
+}
+
+/// Opens a pipe or a device of a client, which must not keep the daemon waiting: to open a pipe
+/// that no program reads would take until one does. A file is not opened.
+fn open_special(path: &Path) -> Result<Option<File>, RecordError> {
+    if !is_special(path) {
+        return Ok(None);
+    }
+    let mut options = File::options();
+    options.write(true).custom_flags(libc::O_NONBLOCK);
+    match options.open(path) {
+        Ok(file) => Ok(Some(file)),
+        Err(source) => Err(RecordError::File {
+            path: path.to_owned(),
+            source,
+        }),
     }
 }
 
@@ -337,6 +361,14 @@ impl Recording {
         }
         self.drops = drops;
         self.recorder.replace(recorder)
+    }
+
+    /// Whether the client that asked for it has gone.
+    pub(super) fn is_abandoned(&self) -> bool {
+        match &self.origin {
+            Origin::Client(client) => client.ended.is_closed(),
+            Origin::Configuration(_) => false,
+        }
     }
 
     /// Says to its client, if there is one, why it could not be begun.

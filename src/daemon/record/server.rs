@@ -19,7 +19,7 @@ use tokio::time::{MissedTickBehavior, interval, sleep, timeout};
 
 use super::protocol::{Connection, Reply, Request};
 use super::recording::Client;
-use super::{Event, MAX_ASKED};
+use super::{Event, MAX_ASKED, too_many};
 use sweepd_client::host::{own_uid, user_name};
 
 /// How long a client may take to say what it wants, and to read what its recording came to.
@@ -99,9 +99,7 @@ fn admit(stream: UnixStream, places: &Arc<Semaphore>, events: &UnboundedSender<E
             "the daemon records for its own user alone: {}",
             user_name(own)
         ),
-        Err(_) => format!(
-            "the daemon has {MAX_ASKED} recordings under way, as many as it allows; stop one"
-        ),
+        Err(_) => too_many(),
         Ok(place) => {
             let events = events.clone();
             tokio::spawn(async move {
@@ -204,7 +202,14 @@ async fn converse(mut connection: Connection, events: &UnboundedSender<Event>) -
         Ok(request) => {
             // Without a receiver the daemon ends, and `begun` fails.
             let _ = events.send(Event::Asked { request, client });
-            begun.await.unwrap_or(Err("the daemon ends".to_owned()))
+            tokio::select! {
+                // First: what has begun has to be ended.
+                biased;
+                begun = begun => begun.unwrap_or(Err("the daemon ends".to_owned())),
+                // The client goes, or asks for the end, before the beginning: without a receiver,
+                // what is being begun is discarded.
+                _ = connection.receive() => return Ok(()),
+            }
         }
         Err(why) => Err(why),
     };

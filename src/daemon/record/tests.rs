@@ -433,3 +433,36 @@ async fn the_socket_is_its_owners_and_comes_back_when_it_is_deleted() {
         "{error}"
     );
 }
+
+#[tokio::test(flavor = "current_thread")]
+async fn a_client_that_goes_before_the_beginning_replaces_nothing() {
+    let mut daemon = Daemon::start("gone-early");
+    let mut request = daemon.request("x.pcap");
+    request.replaces = true;
+    std::fs::write(&request.path, "good").unwrap();
+    let stream = UnixStream::connect(socket_path(&daemon.folder)).await;
+    let mut connection = Connection::new(stream.unwrap());
+    connection.send(&request).await.unwrap();
+    let asked = daemon.recordings.next_event().await;
+    daemon.recordings.handle(asked);
+    // It is begun, and the control thread does not know yet; the client goes first.
+    drop(connection);
+    let begun = daemon.recordings.next_event().await;
+    sleep(Duration::from_millis(50)).await;
+    daemon.recordings.handle(begun);
+    daemon.recordings.finish();
+    assert_eq!(std::fs::read(&request.path).unwrap(), b"good");
+    assert!(!daemon.folder.join("x.pcap.part").exists());
+}
+
+#[tokio::test(flavor = "current_thread")]
+async fn a_pipe_that_no_program_reads_is_refused() {
+    let mut daemon = Daemon::start("pipe");
+    let request = daemon.request("x.pcap");
+    let mkfifo = std::process::Command::new("mkfifo")
+        .arg(&request.path)
+        .status();
+    assert!(mkfifo.unwrap().success());
+    let refusal = daemon.refusal(&request).await;
+    assert!(refusal.contains("no program reads it"), "{refusal}");
+}
