@@ -1,7 +1,7 @@
 //! A recording that the daemon writes.
 
 use std::sync::atomic::{AtomicBool, Ordering};
-use std::time::Instant;
+use std::time::{Duration, Instant};
 
 use super::report::{InputReport, Report};
 use super::{Args, CliError, TICK, announce, describe, live_line};
@@ -56,7 +56,8 @@ pub fn record(
             inputs: vec![InputReport {
                 name,
                 received,
-                ended_early,
+                // The daemon ends what is overdue.
+                ended_early: ended_early && !args.is_due(begun),
             }],
             written,
             took: begun.elapsed(),
@@ -85,5 +86,6 @@ fn request(args: &Args, sensor: &str) -> Result<Request, CliError> {
         path,
         replaces: args.force.existing() == Existing::Replace,
         rotation: args.rotation(),
+        duration: args.seconds.map(Duration::from_secs_f64),
     })
 }

@@ -300,19 +300,21 @@ impl Recordings {
             }
         }
         let mut due = Vec::new();
-        let mut failed = Vec::new();
+        let mut over = Vec::new();
         let is_replaced = self.configured().any(|one| one.is_beginning);
         for recording in &mut self.list {
             recording.look();
             if !is_replaced && recording.is_due(now) {
                 recording.is_beginning = true;
                 due.push(recording.id);
-            } else if !recording.is_configured() && recording.has_failed() {
-                failed.push(recording.id);
+            } else if !recording.is_configured()
+                && (recording.has_failed() || recording.is_overdue())
+            {
+                over.push(recording.id);
             }
         }
         due.into_iter().for_each(|id| self.begin(id));
-        failed.into_iter().for_each(|id| self.end(id));
+        over.into_iter().for_each(|id| self.end(id));
     }
 
     /// How all are.

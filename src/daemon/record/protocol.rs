@@ -9,6 +9,7 @@ use std::io;
 use std::net::SocketAddr;
 use std::path::PathBuf;
 use std::sync::atomic::Ordering;
+use std::time::Duration;
 
 use serde::{Deserialize, Serialize};
 use tokio::net::UnixStream;
@@ -17,7 +18,7 @@ use crate::admission::{DiscoveredSensors, Refusal};
 use crate::capture::record::{RecordCounts, Rotation, Written};
 
 /// Increased whenever a message changes.
-pub const VERSION: u32 = 1;
+pub const VERSION: u32 = 2;
 /// Longest message, bytes: the summary of 64 senders takes 6 KB, a path at most 4 KB.
 const MAX_LEN: usize = 64 << 10;
 
@@ -37,6 +38,8 @@ pub struct Request {
     pub replaces: bool,
     /// When to begin another file.
     pub rotation: Rotation,
+    /// When it ends where the client does not ask for the end; never, if there is none.
+    pub duration: Option<Duration>,
 }
 
 impl Request {

@@ -23,6 +23,9 @@ use crate::text::count_of;
 /// From one attempt to begin a recording that has failed to the next, at first and at most. One
 /// that goes on for longer than the latter has failed for the first time when it fails again.
 const RETRY: (Duration, Duration) = (Duration::from_secs(1), Duration::from_secs(60));
+/// A client ends its recording itself when the time is up. The daemon does so this much later, for
+/// one that is stopped.
+const GRACE: Duration = Duration::from_secs(1);
 /// How often a disk that stays too slow is logged.
 const REMIND_EVERY: Duration = Duration::from_secs(60);
 /// One that was begun again is well after this time: by then the disk has taken what came, more
@@ -37,6 +40,8 @@ pub(super) struct Target {
     pub(super) path: PathBuf,
     rotation: Rotation,
     existing: Existing,
+    /// How long it goes on; until it is ended, if there is none.
+    duration: Option<Duration>,
     /// What tells the senders of a recording apart that a client asked for.
     admission: Option<Arc<Mutex<DiscoveredSensors>>>,
 }
@@ -57,6 +62,7 @@ impl Target {
                 ns,
             },
             existing: Existing::Keep,
+            duration: None,
             admission: None,
         }
     }
@@ -78,6 +84,7 @@ impl Target {
             } else {
                 Existing::Keep
             },
+            duration: request.duration,
             admission: Some(Arc::new(Mutex::new(admission))),
         })
     }
@@ -336,6 +343,13 @@ impl Recording {
     /// Whether it is a failed one that is to be begun again now.
     pub(super) fn is_due(&mut self, now: Instant) -> bool {
         self.is_configured() && self.has_failed() && self.retries.is_due(now)
+    }
+
+    /// Whether its time is up, and its client has not ended it.
+    pub(super) fn is_overdue(&self) -> bool {
+        let went_on = self.begun.elapsed().saturating_sub(GRACE);
+        let limit = self.target.duration;
+        self.recorder.is_some() && limit.is_some_and(|limit| went_on >= limit)
     }
 
     pub(super) fn recorder(&self) -> Option<&Recorder> {

@@ -110,6 +110,7 @@ impl Daemon {
             path: self.folder.join(file),
             replaces: false,
             rotation: Rotation::default(),
+            duration: None,
         }
     }
 
@@ -465,4 +466,15 @@ async fn a_pipe_that_no_program_reads_is_refused() {
     assert!(mkfifo.unwrap().success());
     let refusal = daemon.refusal(&request).await;
     assert!(refusal.contains("no program reads it"), "{refusal}");
+}
+
+#[tokio::test(flavor = "current_thread")]
+async fn a_client_that_is_stopped_records_no_longer_than_it_wanted() {
+    let mut daemon = Daemon::start("overdue");
+    let mut request = daemon.request("x.pcap");
+    request.duration = Some(Duration::from_millis(100));
+    let mut recording = daemon.begin(&request).await.unwrap();
+    let ended = daemon.during(ended(&mut recording)).await;
+    assert_eq!(ended.error, None);
+    assert!(daemon.recordings.list.is_empty());
 }
