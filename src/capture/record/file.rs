@@ -71,7 +71,7 @@ impl Write for Sink {
 
 impl CaptureFile {
     /// Writes a capture, and overwrites no file: that is the error `AlreadyExists`. A pipe or a
-    /// device is written directly. A file stays locked while it is written ([`is_being_written`]).
+    /// device is written directly. A file stays locked while it is written (`is_being_written`).
     ///
     /// # Errors
     /// What the system says; `ResourceBusy` where another recording has taken the file.

@@ -8,7 +8,7 @@
 //! ```
 //!
 //! k² is a sum of what the two rows and what the columns between them add, so that a few numbers
-//! tell it for all of an image ([`Chords`]). Beams are taken to start at one place, and columns to
+//! tell it for all of an image (`Chords`). Beams are taken to start at one place, and columns to
 //! be one pitch apart: a beam that starts some centimetres aside is off by no more than that.
 //!
 //! Two returns of different rows must also lie on a line that meets the beams at more than theta
