@@ -77,7 +77,7 @@ pub fn run(args: &Args) -> Result<(), CliError> {
         );
     }
     let domain = Domain::at_or_default(config.daemon.root.as_deref());
-    // Its folder is made here, since the taps' socket is there too.
+    // Its folder is made here, since the control socket is there too.
     domain
         .prepare()
         .map_err(|error| CliError::Usage(error.to_string()))?;

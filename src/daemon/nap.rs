@@ -229,7 +229,7 @@ mod tests {
     /// Else it would not have the datagrams of several ports in order.
     #[test]
     fn a_recording_waits_longer_than_a_nap() {
-        let look_of_taps = Duration::from_millis(10);
-        assert!(PERIOD > LONGEST + look_of_taps && OPENING > LONGEST_OF_POSITIONS + look_of_taps);
+        let look = Duration::from_millis(10);
+        assert!(PERIOD > LONGEST + look && OPENING > LONGEST_OF_POSITIONS + look);
     }
 }

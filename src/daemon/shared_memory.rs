@@ -2,14 +2,14 @@
 //! [`sweepd_client::publish`].
 
 use super::config::{SensorConfig, memory};
-use super::sharing::{Outgoing, Sharing, SharingError, SharingStatus, Way};
+use super::sharing::{Outgoing, SharedOutput, Sharing, SharingError, SharingStatus};
 use sweepd_client::publish::{Keeper, Loans, PublishStatus, ServiceSettings, Slot};
 use sweepd_core::sensor::Model;
 
 impl Sharing for Keeper {
     type Buffers = Loans;
 
-    fn open(&self, sensor: &SensorConfig) -> Result<Way<Loans>, SharingError> {
+    fn open(&self, sensor: &SensorConfig) -> Result<SharedOutput<Loans>, SharingError> {
         let settings = ServiceSettings {
             name: sensor.name.clone(),
             max_consumers: sensor.max_consumers,
@@ -27,7 +27,7 @@ impl Sharing for Keeper {
         }
         let buffers = buffers.without_waiting();
         let status = buffers.status();
-        Ok(Way { buffers, status })
+        Ok(SharedOutput { buffers, status })
     }
 
     fn look(&self) {

@@ -22,7 +22,7 @@ pub trait Sharing {
     ///
     /// # Errors
     /// Why not, and what to do.
-    fn open(&self, sensor: &SensorConfig) -> Result<Way<Self::Buffers>, SharingError>;
+    fn open(&self, sensor: &SensorConfig) -> Result<SharedOutput<Self::Buffers>, SharingError>;
 
     /// Does what the sharing needs done about once a second, and never waits.
     fn look(&self) {}
@@ -40,8 +40,8 @@ pub trait Outgoing: AsRef<[u8]> + AsMut<[u8]> + Send + 'static {
         Self: Sized;
 }
 
-/// A sensor's way out.
-pub struct Way<B> {
+/// The shared output of a sensor.
+pub struct SharedOutput<B> {
     /// Where its sweeps are built.
     pub buffers: B,
     /// What people are told of it.

@@ -11,7 +11,7 @@ pub use crate::common::free_port;
 use crate::counting::allocations;
 use sweepd::daemon::config::{Config, DaemonConfig, PortConfig, SensorConfig};
 use sweepd::daemon::losses::Limits;
-use sweepd::daemon::sharing::{Outgoing, Sharing, SharingError, SharingStatus, Way};
+use sweepd::daemon::sharing::{Outgoing, SharedOutput, Sharing, SharingError, SharingStatus};
 use sweepd::pipeline;
 use sweepd::sensor::Model;
 use sweepd::simulate::gps::{Clock, Reception};
@@ -96,7 +96,7 @@ impl Rig {
 impl Sharing for Rig {
     type Buffers = RigBuffers;
 
-    fn open(&self, sensor: &SensorConfig) -> Result<Way<RigBuffers>, SharingError> {
+    fn open(&self, sensor: &SensorConfig) -> Result<SharedOutput<RigBuffers>, SharingError> {
         if sensor.name == "unshareable" {
             return Err("no room in /dev/shm".into());
         }
@@ -106,7 +106,7 @@ impl Sharing for Rig {
             name,
             rig,
         };
-        Ok(Way {
+        Ok(SharedOutput {
             buffers,
             status: Arc::new(OneConsumer(Arc::clone(&self.fate))),
         })

@@ -46,7 +46,7 @@ impl fmt::Display for Change {
 }
 
 /// A setting: how it is called, shown and compared, and what a change of it takes.
-struct Setting<T> {
+struct ReloadRule<T> {
     key: &'static str,
     effect: Effect,
     show: fn(&T) -> String,
@@ -57,7 +57,7 @@ struct Setting<T> {
 
 macro_rules! setting {
     ($effect:ident $key:literal, $($field:ident).+, $show:expr) => {
-        Setting {
+        ReloadRule {
             key: $key,
             effect: Effect::$effect,
             show: |of| $show(&of.$($field).+),
@@ -67,7 +67,7 @@ macro_rules! setting {
     };
 }
 
-const DAEMON: &[Setting<DaemonConfig>] = &[
+const DAEMON: &[ReloadRule<DaemonConfig>] = &[
     setting!(Restart "root", root, |root: &Option<std::path::PathBuf>| {
         root.as_ref().map_or("the default".to_owned(), |root| root.display().to_string())
     }),
@@ -75,7 +75,7 @@ const DAEMON: &[Setting<DaemonConfig>] = &[
     setting!(Restart "http_public", http_public, text),
 ];
 
-const SENSOR: &[Setting<SensorConfig>] = &[
+const SENSOR: &[ReloadRule<SensorConfig>] = &[
     setting!(Restart "address", address, text),
     setting!(Restart "source port", source_port, |port: &Option<_>| or("any", port)),
     setting!(Restart "port", port.port, text),
@@ -128,8 +128,12 @@ fn percent(share: &f64) -> String {
 }
 
 /// The settings that differ, and what each takes.
-fn compare<'a, T>(settings: &'a [Setting<T>], old: &T, new: &T) -> Vec<(&'a Setting<T>, Effect)> {
-    let differing: Vec<&Setting<T>> = settings
+fn compare<'a, T>(
+    settings: &'a [ReloadRule<T>],
+    old: &T,
+    new: &T,
+) -> Vec<(&'a ReloadRule<T>, Effect)> {
+    let differing: Vec<&ReloadRule<T>> = settings
         .iter()
         .filter(|setting| !(setting.is_same)(old, new))
         .collect();
@@ -143,7 +147,7 @@ fn compare<'a, T>(settings: &'a [Setting<T>], old: &T, new: &T) -> Vec<(&'a Sett
     with_effects.collect()
 }
 
-impl<T> Setting<T> {
+impl<T> ReloadRule<T> {
     /// What changes: `port 2368 -> 2369`.
     fn change(&self, old: &T, new: &T) -> String {
         let old = (self.show)(old);

@@ -71,7 +71,7 @@ pub struct PacketOrder {
     set_back: u32,
     /// How much off the beat stamps were of late.
     off_beat: u32,
-    relations: PacketMatcher,
+    matcher: PacketMatcher,
     counts: OrderCounts,
 }
 
@@ -89,7 +89,7 @@ impl PacketOrder {
             suspect: None,
             set_back: 0,
             off_beat: 0,
-            relations: PacketMatcher::new(spec),
+            matcher: PacketMatcher::new(spec),
             counts: OrderCounts::default(),
         }
     }
@@ -103,7 +103,7 @@ impl PacketOrder {
                 - self.spec.first_shot_ns(suspect.mode, silent_ns);
         }
         self.spec = spec;
-        self.relations.take_spec(spec);
+        self.matcher.take_spec(spec);
     }
 
     /// What happened so far.
@@ -119,12 +119,12 @@ impl PacketOrder {
     /// Tells how fast the head turns, before any packet has, hundredths of a degree a nanosecond;
     /// negative backwards.
     pub fn expect_rate(&mut self, rate_cdeg_ns: Option<f64>) {
-        self.relations.expect_rate(rate_cdeg_ns);
+        self.matcher.expect_rate(rate_cdeg_ns);
     }
 
     /// The sector that the sensor leaves out every turn, once it was seen.
     pub fn sector(&self) -> Option<Sector> {
-        self.relations.sector()
+        self.matcher.sector()
     }
 
     /// Takes a packet in. Call [`PacketOrder::pop`] until it is empty before the next one.
@@ -146,9 +146,9 @@ impl PacketOrder {
         {
             return Err(Rejection::Duplicate);
         }
-        self.relations.steady(&mut motion);
+        self.matcher.steady(&mut motion);
         if let Some((_, sector)) = motion.left_out {
-            motion.silent_ns = sector.silent_ns(self.relations.rate(&motion), self.spec, mode);
+            motion.silent_ns = sector.silent_ns(self.matcher.rate(&motion), self.spec, mode);
         }
         let time_ns =
             self.clock.read_ns(bytes.stamp_us()) + self.spec.first_shot_ns(mode, motion.silent_ns);
@@ -164,9 +164,8 @@ impl PacketOrder {
             self.start(packet);
             return Ok(());
         };
-        self.relations
-            .settle_silence(&self.slots[last], &mut packet);
-        let relation = self.relations.between(&self.slots[last], &packet);
+        self.matcher.settle_silence(&self.slots[last], &mut packet);
+        let relation = self.matcher.between(&self.slots[last], &packet);
         self.weigh(relation);
         if self.confirm(&packet, relation) {
             return Ok(());
@@ -174,7 +173,7 @@ impl PacketOrder {
         match relation {
             Relation::Follows(_, fit)
                 if self.is_as_good(fit, MatchQuality::Good)
-                    && self.relations.is_familiar(&packet.motion) =>
+                    && self.matcher.is_familiar(&packet.motion) =>
             {
                 self.set_back = 0;
                 self.drop_suspect();
@@ -229,7 +228,7 @@ impl PacketOrder {
 
     /// The gap between two packets, if the later one follows the earlier exactly.
     fn gap_between(&self, earlier: &OrderedPacket, later: &OrderedPacket) -> Option<PacketGap> {
-        match self.relations.between(earlier, later) {
+        match self.matcher.between(earlier, later) {
             Relation::Follows(gap, fit) if self.is_as_good(fit, MatchQuality::Exact) => Some(gap),
             _ => None,
         }
@@ -244,7 +243,7 @@ impl PacketOrder {
         let is_next = matches!(relation, Relation::Follows(PacketGap::None, fit) if self.is_as_good(fit, MatchQuality::Good));
         let before = self.gap_between(doubtful, packet).filter(|_| !is_next);
         // An earlier packet says nothing of the far end of a doubtful one.
-        let is_overtaken = self.relations.is_familiar(&doubtful.motion)
+        let is_overtaken = self.matcher.is_familiar(&doubtful.motion)
             && matches!(relation, Relation::Follows(..))
             && self.gap_between(packet, doubtful).is_some();
         if before.is_none() && !is_overtaken {
@@ -260,7 +259,7 @@ impl PacketOrder {
         self.suspect = None;
         self.set_back = 0;
         let between = self
-            .relations
+            .matcher
             .between(&self.slots[last], &self.slots[suspect]);
         if before.is_none() || matches!(between, Relation::Follows(..)) {
             self.hold(suspect);
@@ -306,7 +305,7 @@ impl PacketOrder {
     fn settle(&mut self, patience: usize) {
         while let (Some(&slot), Some(last)) = (self.held.first(), self.last) {
             let Relation::Follows(before, _) =
-                self.relations.between(&self.slots[last], &self.slots[slot])
+                self.matcher.between(&self.slots[last], &self.slots[slot])
             else {
                 // Two of one stamp, or one that came between disagrees.
                 self.held.remove(0);
@@ -344,8 +343,8 @@ impl PacketOrder {
                 .first_shot_ns(packet.mode, packet.motion.silent_ns);
         self.clock.set(packet.bytes.stamp_us(), stamp_ns);
         let last = self.last.map(|last| &self.slots[last]);
-        self.relations.learn(last, &self.slots[slot], before);
-        self.relations.steady(&mut self.slots[slot].motion);
+        self.matcher.learn(last, &self.slots[slot], before);
+        self.matcher.steady(&mut self.slots[slot].motion);
         self.last = Some(slot);
         self.ready.push_back((slot, before));
     }

@@ -57,7 +57,7 @@ use crate::sweep::SweepMut;
 use crate::sweep::layout::{flags, is_return};
 use fearless_simd::Level;
 use order::{MOST_COLUMNS, MOST_ROWS};
-use paper::Authors;
+use paper::PaperSegmenter;
 use strips::Strips;
 
 /// The two returns of a dual pixel share a label when they are no further apart than this, metres.
@@ -226,7 +226,7 @@ pub struct Segmenter {
     level: Level,
     height: HeightEstimator,
     strips: Strips,
-    authors: Authors,
+    paper: PaperSegmenter,
     /// The sweep that was begun early, by its number.
     open: Option<u64>,
     /// The one that was spoilt.
@@ -254,7 +254,7 @@ impl Segmenter {
             level,
             height: HeightEstimator::default(),
             strips: Strips::new(level),
-            authors: Authors::default(),
+            paper: PaperSegmenter::default(),
             open: None,
             spoilt: None,
         })
@@ -299,7 +299,7 @@ impl Segmenter {
         match self.config.method {
             Method::Paper => {
                 write_height(sweep, told, false);
-                self.authors.begin(sweep, &self.config);
+                self.paper.begin(sweep, &self.config);
             }
             Method::Slope => {
                 self.spoilt = None;
@@ -362,7 +362,7 @@ impl Segmenter {
     /// when there is none left.
     pub fn find_ground(&mut self, sweep: &SweepMut<'_>) -> bool {
         match self.config.method {
-            Method::Paper => self.authors.find_ground(&self.config),
+            Method::Paper => self.paper.find_ground(&self.config),
             Method::Slope => self.strips.find_ground(sweep, &self.config),
         }
     }
@@ -371,7 +371,7 @@ impl Segmenter {
     /// time that [`Segmenter::find_ground`] said that there is some.
     pub fn join(&mut self) {
         match self.config.method {
-            Method::Paper => self.authors.join(),
+            Method::Paper => self.paper.join(),
             Method::Slope => self.strips.join(&self.config),
         }
     }
@@ -379,7 +379,7 @@ impl Segmenter {
     /// When all strips are joined: writes the labels, the segments table, and the header's counts.
     pub fn label(&mut self, sweep: &mut SweepMut<'_>) {
         match self.config.method {
-            Method::Paper => self.authors.label(sweep, &self.config, self.level),
+            Method::Paper => self.paper.label(sweep, &self.config, self.level),
             Method::Slope => {
                 self.strips.label(sweep, &self.config);
                 if self.config.mount.height_m.is_none() {

@@ -28,7 +28,7 @@ use table::Table;
 
 /// Labels sweeps as the paper does; after the first in buffers of one size it allocates nothing.
 #[derive(Clone, Debug, Default)]
-pub(super) struct Authors {
+pub(super) struct PaperSegmenter {
     /// Ranges that may be labelled, and what fills their holes; 0 elsewhere, and where the ground
     /// was found.
     range_m: Vec<f32>,
@@ -42,7 +42,7 @@ pub(super) struct Authors {
     is_found: bool,
 }
 
-impl Authors {
+impl PaperSegmenter {
     /// Takes what may be labelled, and the angles between neighbours.
     pub fn begin(&mut self, sweep: &SweepMut<'_>, config: &Config) {
         self.reserve(sweep);
