@@ -100,8 +100,9 @@ impl Labels {
         let counted = Order::columns_before(position, order.end());
         for run in runs {
             let label = components.label(run.piece);
+            let labels = u32x16::splat(simd, label);
             let lane = lane_of(usize::from(run.row)) + usize::from(run.first);
-            self.plane.spread(simd, lane, usize::from(run.count), label);
+            self.plane.spread(lane, usize::from(run.count), labels);
             let columns = run.columns() & counted;
             if label >= LABEL_FIRST_SEGMENT && columns != 0 {
                 let segment = (label - LABEL_FIRST_SEGMENT) as usize;

@@ -3,7 +3,7 @@
 
 use std::ops::{Deref, DerefMut};
 
-use fearless_simd::{Simd, f32x16, prelude::*, u32x16};
+use fearless_simd::{Simd, f32x16, prelude::*};
 
 use super::MAX_ROWS;
 use crate::sweep::SweepRef;
@@ -141,34 +141,32 @@ impl<T: Copy> Plane<T> {
     }
 }
 
-impl Plane<f32> {
-    /// The lanes from one on.
+impl<T: Copy> Plane<T> {
+    /// The lanes from one on, as many as the vector has.
     #[inline(always)]
-    pub fn load<S: Simd>(&self, simd: S, lane: usize) -> f32x16<S> {
-        load(simd, &self[..], lane)
+    pub fn load<S: Simd, V: SimdBase<S, Element = T>>(&self, simd: S, lane: usize) -> V {
+        V::from_slice(simd, &self[lane..lane + V::LEN])
     }
 
+    /// Writes a vector over the lanes from one on.
     #[inline(always)]
-    pub fn store<S: Simd>(&mut self, lane: usize, numbers: f32x16<S>) {
-        numbers.store_slice(&mut self[lane..lane + LANES]);
-    }
-}
-
-impl Plane<u32> {
-    /// The lanes from one on.
-    #[inline(always)]
-    pub fn load<S: Simd>(&self, simd: S, lane: usize) -> u32x16<S> {
-        u32x16::from_slice(simd, &self[lane..lane + LANES])
+    pub fn store<S: Simd, V: SimdBase<S, Element = T>>(&mut self, lane: usize, numbers: V) {
+        numbers.store_slice(&mut self[lane..lane + V::LEN]);
     }
 
-    /// Writes a number over some lanes from one on, and over up to 15 behind them.
+    /// Writes a vector over some lanes from one on, again and again: also over some behind them, up
+    /// to the end of the last vector.
     #[inline(always)]
-    pub fn spread<S: Simd>(&mut self, simd: S, lane: usize, count: usize, number: u32) {
-        let numbers = u32x16::splat(simd, number);
+    pub fn spread<S: Simd, V: SimdBase<S, Element = T>>(
+        &mut self,
+        lane: usize,
+        count: usize,
+        numbers: V,
+    ) {
         let mut done = 0;
         while done < count {
-            numbers.store_slice(&mut self[lane + done..lane + done + LANES]);
-            done += LANES;
+            self.store(lane + done, numbers);
+            done += V::LEN;
         }
     }
 }

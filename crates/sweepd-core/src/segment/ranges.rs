@@ -5,24 +5,43 @@
 //! lanes of a row   | 16 before | strip at hand (64) | next strip (64) |
 //! ```
 
-use fearless_simd::{Simd, f32x16, prelude::*, u32x16};
+use fearless_simd::{Simd, f32x16, i16x16, i32x16, prelude::*, u32x16};
 
 use super::Config;
 use super::order::{BEFORE, LANES, Order, Plane, STRIDE, STRIP, lane_of, load};
 use super::turnover::turn_over;
 use crate::sweep::SweepRef;
 
+/// Steps of a range in 16 bits, in a metre: a step is 7.8 mm, and ranges beyond 256 m are that.
+pub(super) const STEPS: f32 = 128.0;
+
+/// The range in 16 bits where there is no return: so far from all others that it is near to none.
+pub(super) const NO_RETURN: i16 = i16::MIN;
+
 /// The ranges of the strips at hand.
 #[derive(Clone, Debug)]
 pub(super) struct Ranges {
     /// Metres, as the sweep has it; 0 where there is no return that may be labelled.
     pub plane: Plane<f32>,
+    /// The same in [`STEPS`], to the nearest; [`NO_RETURN`] where there is none.
+    pub steps: Plane<i16>,
+}
+
+/// Ranges in metres to the nearest steps, a half upwards, at least one; [`NO_RETURN`] for 0.
+#[inline(always)]
+pub(super) fn to_steps<S: Simd>(range_m: f32x16<S>) -> i16x16<S> {
+    let nearest = (range_m * STEPS + 0.5).max(1.0).min(f32::from(i16::MAX));
+    let no_return = f32x16::splat(range_m.token(), f32::from(NO_RETURN));
+    let steps = range_m.simd_gt(0.0).select(nearest, no_return);
+    let (low, high) = steps.to_int::<i32x16<S>>().split();
+    low.saturating_narrow(high)
 }
 
 impl Default for Ranges {
     fn default() -> Self {
         Self {
             plane: Plane::of(0.0),
+            steps: Plane::of(NO_RETURN),
         }
     }
 }
@@ -33,6 +52,7 @@ impl Ranges {
         for row in 0..rows {
             let first = lane_of(row) - BEFORE;
             self.plane.copy_within(first + STRIP..first + STRIDE, first);
+            self.steps.copy_within(first + STRIP..first + STRIDE, first);
         }
     }
 
@@ -84,12 +104,14 @@ impl Ranges {
             let mut real = 0;
             for ahead in (0..STRIP).step_by(LANES) {
                 let lane = lane_of(row) + STRIP + ahead;
-                let range = self.plane.load(simd, lane);
+                let range: f32x16<S> = self.plane.load(simd, lane);
                 let is = range.simd_gt(0.0)
                     & range.simd_ge(config.min_range_m)
                     & range.simd_le(config.max_range_m);
+                let range = is.select(range, nothing);
+                self.plane.store(lane, range);
+                self.steps.store(lane, to_steps(range));
                 real |= is.to_bitmask() << ahead;
-                self.plane.store(lane, is.select(range, nothing));
             }
             set_real(row, real);
         }
@@ -116,7 +138,7 @@ impl Ranges {
                 let tile = turn_over(tile);
                 for line in 0..LANES {
                     let lane = lane_of(row + line) + STRIP + first;
-                    self.plane.store(lane, tile[line].bitcast());
+                    self.plane.store(lane, tile[line].bitcast::<f32x16<S>>());
                 }
             }
             for row in squared..rows {
@@ -125,6 +147,29 @@ impl Ranges {
                     self.plane[lane_of(row) + STRIP + first + ahead] = range;
                 }
             }
+        }
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use fearless_simd::dispatch;
+
+    use super::*;
+    use crate::assemble::lanes::levels;
+
+    #[test]
+    fn ranges_are_rounded_to_steps() {
+        let [below, above] = [1.5_f32.next_down() / STEPS, 1.5 / STEPS];
+        let mut ranges_m = [0.0; LANES];
+        ranges_m[1..8].copy_from_slice(&[1e-6, below, above, 10.0, 255.99, 256.0, 1e9]);
+        for level in levels() {
+            let steps = dispatch!(level, simd => to_steps(load(simd, &ranges_m, 0)).to_array());
+            assert_eq!(
+                steps[..9],
+                [NO_RETURN, 1, 1, 2, 1280, 32767, 32767, 32767, NO_RETURN],
+                "{level:?}"
+            );
         }
     }
 }

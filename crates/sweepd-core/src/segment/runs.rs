@@ -4,7 +4,7 @@
 //! row above, in the same column, belongs to its component; one that is near none begins a piece.
 //! Runs end with the strip, and go on in the next one with their piece.
 
-use fearless_simd::{Simd, f32x16, mask32x16, prelude::*};
+use fearless_simd::{Simd, f32x16, mask32x16, prelude::*, u32x16};
 
 use super::components::{Components, Sum};
 use super::joining::{Apart, Chords, Limits};
@@ -170,7 +170,7 @@ impl Runs {
             if on >> first & 0xFFFF == 0 {
                 continue;
             }
-            let here = self.range.load(simd, lane_of(row) + first);
+            let here: f32x16<S> = self.range.load(simd, lane_of(row) + first);
             let there = self.range.load(simd, lane_of(row - up) + first - left);
             let apart = Apart::lanes(here, there, chord2);
             let mut is = apart.squares().simd_lt(gap2);
@@ -277,7 +277,8 @@ impl Runs {
             let root = components.root(piece);
             self.all[run].piece = root;
             let lane = lane_of(usize::from(row)) + usize::from(first);
-            self.piece.spread(simd, lane, usize::from(count), root);
+            self.piece
+                .spread(lane, usize::from(count), u32x16::splat(simd, root));
             if placed_row != Some(row) {
                 placed_row = Some(row);
                 let on = self.edges[usize::from(row)].on;
@@ -310,7 +311,7 @@ impl Runs {
                 let root = components.root(run.piece);
                 let first = usize::from(run.first).max(STRIP - BEFORE);
                 let lane = lane_of(usize::from(run.row)) + first;
-                self.piece.spread(simd, lane, LANES, root);
+                self.piece.store(lane, u32x16::splat(simd, root));
             }
         }
     }

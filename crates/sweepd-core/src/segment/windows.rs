@@ -357,7 +357,7 @@ impl Scan<'_> {
     ) {
         let lane = usize::from(hit.others);
         let mut mine = components.root(pieces[usize::from(hit.pixel)]);
-        let mut others = pieces.load(simd, lane);
+        let mut others: u32x16<S> = pieces.load(simd, lane);
         let mut near = self.near(hit) & !(others.simd_eq(mine).to_bitmask() as u16);
         if near == 0 {
             return;
@@ -386,7 +386,7 @@ impl Scan<'_> {
         let mut near = self.near(hit);
         while near != 0 {
             let piece = runs.piece[others + near.trailing_zeros() as usize];
-            let is = runs.piece.load(simd, others).simd_eq(piece);
+            let is = runs.piece.load::<S, u32x16<S>>(simd, others).simd_eq(piece);
             let these = is.to_bitmask() as u16 & near;
             near &= !these;
             let other = components.root(piece);
