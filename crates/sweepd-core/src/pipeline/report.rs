@@ -84,6 +84,14 @@ pub enum Fault {
     },
 }
 
+/// What happened in a pipeline so far.
+#[derive(Default)]
+pub(super) struct Events {
+    pub counts: Counts,
+    /// Since they were fetched last.
+    pub notices: Vec<Notice>,
+}
+
 /// What happened that people want to know of, apart from the sweeps.
 #[derive(Clone, Debug, PartialEq)]
 pub enum Notice {

@@ -1,0 +1,95 @@
+//! The segmenter, and how long it takes for a sweep.
+
+use crate::segment::Segmenter;
+use crate::sweep::SweepMut;
+
+/// A segmenter that writes into the header of each sweep how long it took.
+pub(super) struct TimedSegmenter {
+    segmenter: Segmenter,
+    /// Nanoseconds since any fixed moment.
+    clock: fn() -> i64,
+    /// What was spent on the sweep that was begun early.
+    spent: SegmentTime,
+}
+
+/// Time spent on the segmentation of a sweep.
+#[derive(Default)]
+struct SegmentTime {
+    sequence: u64,
+    ground_ns: i64,
+    label_ns: i64,
+}
+
+impl TimedSegmenter {
+    /// A segmenter, timed by this clock.
+    pub fn new(segmenter: Segmenter, clock: fn() -> i64) -> Self {
+        Self {
+            segmenter,
+            clock,
+            spent: SegmentTime::default(),
+        }
+    }
+
+    /// Takes another clock.
+    pub fn set_clock(&mut self, clock: fn() -> i64) {
+        self.clock = clock;
+    }
+
+    /// What was done early of the open sweep no longer holds.
+    pub fn spoil(&mut self) {
+        self.segmenter.spoil();
+    }
+
+    /// The next sensor may sit elsewhere.
+    pub fn forget_height(&mut self) {
+        self.segmenter.forget_height();
+    }
+
+    /// Ground and joins of the open sweep, of which the first `ready` columns will stay as they
+    /// are.
+    pub fn segment_early(&mut self, sweep: &mut SweepMut<'_>, ready: usize) {
+        self.take_time(sweep.header.sequence);
+        if self.segmenter.begin_early(sweep, ready) {
+            self.segment_strips(sweep);
+        }
+    }
+
+    /// The paper's two steps, on a whole sweep and in place: take the ground away, join what is
+    /// left. What was done early is not done again.
+    pub fn segment(&mut self, sweep: &mut SweepMut<'_>) {
+        self.take_time(sweep.header.sequence);
+        let begun_ns = (self.clock)();
+        self.segmenter.begin(sweep);
+        self.spent.ground_ns += (self.clock)() - begun_ns;
+        self.segment_strips(sweep);
+        let joined_ns = (self.clock)();
+        self.segmenter.label(sweep);
+        self.spent.label_ns += (self.clock)() - joined_ns;
+        let spent = std::mem::take(&mut self.spent);
+        sweep.header.ground_ns = u32::try_from(spent.ground_ns).unwrap_or(u32::MAX);
+        sweep.header.label_ns = u32::try_from(spent.label_ns).unwrap_or(u32::MAX);
+    }
+
+    /// Strip by strip: takes the ground away, joins what is left.
+    fn segment_strips(&mut self, sweep: &SweepMut<'_>) {
+        let mut begun_ns = (self.clock)();
+        while self.segmenter.find_ground(sweep) {
+            let without_ground_ns = (self.clock)();
+            self.segmenter.join();
+            let joined_ns = (self.clock)();
+            self.spent.ground_ns += without_ground_ns - begun_ns;
+            self.spent.label_ns += joined_ns - without_ground_ns;
+            begun_ns = joined_ns;
+        }
+    }
+
+    /// Begins to count, unless this sweep was begun early.
+    fn take_time(&mut self, sequence: u64) {
+        if self.spent.sequence != sequence {
+            self.spent = SegmentTime {
+                sequence,
+                ..SegmentTime::default()
+            };
+        }
+    }
+}
