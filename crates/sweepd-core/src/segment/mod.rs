@@ -224,7 +224,8 @@ impl Config {
 pub struct Segmenter {
     config: Config,
     level: Level,
-    height: HeightEstimator,
+    /// Estimates the height of the sensor where none is configured. `None`: headers tell it.
+    height: Option<HeightEstimator>,
     strips: Strips,
     paper: PaperSegmenter,
     /// The sweep that was begun early, by its number.
@@ -252,12 +253,21 @@ impl Segmenter {
         Ok(Self {
             config,
             level,
-            height: HeightEstimator::default(),
+            height: Some(HeightEstimator::default()),
             strips: Strips::new(level),
             paper: PaperSegmenter::default(),
             open: None,
             spoilt: None,
         })
+    }
+
+    /// Takes the height of the sensor from the header of each sweep, where
+    /// [`Segmenter::find_height`] of another segmenter with this configuration has written it.
+    /// Nothing passes from sweep to sweep then, so several such segmenters can share the work.
+    #[must_use]
+    pub fn with_heights_in_headers(mut self) -> Self {
+        self.height = None;
+        self
     }
 
     /// What it was told.
@@ -289,10 +299,7 @@ impl Segmenter {
     /// # Panics
     /// If the sweep has more than [`MAX_ROWS`] rows.
     pub fn begin(&mut self, sweep: &mut SweepMut<'_>) {
-        assert!(
-            sweep.header.rows as usize <= MAX_ROWS,
-            "more rows than an image has"
-        );
+        check_rows(sweep);
         sweep.header.pitch_rad = self.config.mount.pitch_rad;
         sweep.header.roll_rad = self.config.mount.roll_rad;
         let told = self.config.mount.height_m;
@@ -308,12 +315,18 @@ impl Segmenter {
                 {
                     self.strips.go_on(sweep, None);
                 } else {
-                    self.height.reserve(sweep.columns.len());
-                    if told.is_none() && self.height.height_m().is_none() {
-                        self.height.observe(self.strips.sound(sweep, &self.config));
-                    }
-                    self.strips
-                        .begin(sweep, &self.config, told.or(self.height.height_m()), None);
+                    let height_m = match &mut self.height {
+                        _ if told.is_some() => told,
+                        None => Some(sweep.header.height_m).filter(|height_m| *height_m > 0.0),
+                        Some(height) => {
+                            height.reserve(sweep.columns.len());
+                            if height.height_m().is_none() {
+                                height.observe(self.strips.sound(sweep, &self.config));
+                            }
+                            height.height_m()
+                        }
+                    };
+                    self.strips.begin(sweep, &self.config, height_m, None);
                 }
                 write_height(sweep, self.strips.height_m(), told.is_none());
             }
@@ -328,7 +341,8 @@ impl Segmenter {
     /// A sweep is told by its sequence number: another one has another, or [`Segmenter::spoil`] is
     /// called in between.
     pub fn begin_early(&mut self, sweep: &mut SweepMut<'_>, ready: usize) -> bool {
-        let height_m = self.config.mount.height_m.or(self.height.height_m());
+        let estimated_m = self.height.as_ref().and_then(HeightEstimator::height_m);
+        let height_m = self.config.mount.height_m.or(estimated_m);
         let sequence = sweep.header.sequence;
         if self.config.method == Method::Paper
             || height_m.is_none()
@@ -355,7 +369,32 @@ impl Segmenter {
     /// Forgets how high the sensor is, where it is not configured: what comes next is from another
     /// one.
     pub fn forget_height(&mut self) {
-        self.height = HeightEstimator::default();
+        if let Some(height) = &mut self.height {
+            *height = HeightEstimator::default();
+        }
+    }
+
+    /// Writes the height of the sensor into the header of a sweep, as [`Segmenter::segment`] would
+    /// after the same sweeps; the labels are for a segmenter
+    /// [with heights in headers](Segmenter::with_heights_in_headers).
+    ///
+    /// # Panics
+    /// If the sweep has more than [`MAX_ROWS`] rows.
+    pub fn find_height(&mut self, sweep: &mut SweepMut<'_>) {
+        check_rows(sweep);
+        let told = self.config.mount.height_m;
+        match &mut self.height {
+            Some(height) if told.is_none() && self.config.method == Method::Slope => {
+                height.reserve(sweep.columns.len());
+                let depths_m = self.strips.sound(sweep, &self.config);
+                if height.height_m().is_none() {
+                    height.observe(depths_m);
+                }
+                write_height(sweep, height.height_m(), true);
+                height.observe(depths_m);
+            }
+            _ => write_height(sweep, told, false),
+        }
     }
 
     /// Finds the ground in the next strip of columns (in all columns, as the paper has it). False
@@ -382,8 +421,10 @@ impl Segmenter {
             Method::Paper => self.paper.label(sweep, &self.config, self.level),
             Method::Slope => {
                 self.strips.label(sweep, &self.config);
-                if self.config.mount.height_m.is_none() {
-                    self.height.observe(self.strips.depths_m());
+                if let Some(height) = &mut self.height
+                    && self.config.mount.height_m.is_none()
+                {
+                    height.observe(self.strips.depths_m());
                 }
             }
         }
@@ -395,6 +436,13 @@ impl Segmenter {
 fn reserve<T>(vec: &mut Vec<T>, count: usize) {
     vec.clear();
     vec.reserve(count);
+}
+
+fn check_rows(sweep: &SweepMut<'_>) {
+    assert!(
+        sweep.header.rows as usize <= MAX_ROWS,
+        "more rows than an image has"
+    );
 }
 
 fn write_height(sweep: &mut SweepMut<'_>, height_m: Option<f32>, estimated: bool) {
