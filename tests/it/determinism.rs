@@ -7,12 +7,13 @@ use std::sync::LazyLock;
 
 use crate::common::same::same;
 use sweepd::assemble::lanes::levels;
-use sweepd::pipeline::{Config, Pipeline};
+use sweepd::pipeline::{Config, Pipeline, TimedSegmenter};
+use sweepd::segment::Segmenter;
 use sweepd::sensor::Model::{Hdl32e, Hdl64eS2, Hdl64eS3, Vlp16};
 use sweepd::simulate::gps::{Clock, Reception};
 use sweepd::simulate::{Emitter, EmitterConfig, Rates, SimulatedDatagram, deliver, fixtures};
 use sweepd::sweep::layout::flags::HEIGHT_ESTIMATED;
-use sweepd::sweep::{HeapBuffers, Memory, SweepRef};
+use sweepd::sweep::{HeapBuffers, Memory, SweepMut, SweepRef};
 use sweepd::wire::data::ReturnMode::{Dual, Strongest};
 
 /// What a sensor sent, with losses, copies and packets out of order, and the sweeps that it gave.
@@ -181,6 +182,35 @@ fn on_every_level_of_instructions() {
                 &stream.run(pipeline, &stream.sent, |_, _, _| {}),
             );
         }
+    }
+}
+
+/// Decoded in order, and labelled in another order by several segmenters.
+#[test]
+fn labelled_side_by_side() {
+    for stream in &*STREAMS {
+        let mut pipeline = stream.pipeline();
+        let mut memory = Memory::new(HeapBuffers::default());
+        let mut decoded = Vec::new();
+        for one in &stream.sent {
+            pipeline.push(&one.datagram().parse().unwrap()).unwrap();
+            decoded.extend(std::iter::from_fn(|| pipeline.poll_unlabelled(&mut memory)));
+        }
+        pipeline.end().unwrap();
+        decoded.extend(std::iter::from_fn(|| pipeline.poll_unlabelled(&mut memory)));
+        let segmenter = Segmenter::new(stream.config.segment.clone()).unwrap();
+        let segmenter = segmenter.with_heights_in_headers();
+        let mut segmenters: [_; 3] =
+            std::array::from_fn(|_| TimedSegmenter::new(segmenter.clone(), || 0));
+        for (index, buffer) in decoded.iter_mut().enumerate().rev() {
+            let mut sweep = SweepMut::open(buffer.as_mut()).unwrap();
+            segmenters[index % 3].segment(&mut sweep);
+        }
+        let sweeps: Vec<Vec<u8>> = decoded
+            .iter()
+            .map(|buffer| same(&SweepRef::open(buffer.as_ref()).unwrap()))
+            .collect();
+        stream.compare("labelled side by side", &sweeps);
     }
 }
 

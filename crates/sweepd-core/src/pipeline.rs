@@ -21,6 +21,7 @@ mod timed;
 
 pub use config::Config;
 pub use report::{Counts, Fault, Notice};
+pub use timed::TimedSegmenter;
 
 use crate::assemble::clock::vouched_utc_ns;
 use crate::segment::{ConfigError, Segmenter};
@@ -34,7 +35,6 @@ use fearless_simd::Level;
 use identify::{Handover, NumberedPacket, Setup};
 use report::Events;
 use state::State;
-use timed::TimedSegmenter;
 
 /// One sensor's way from packets to labelled sweeps.
 pub struct Pipeline {
@@ -148,7 +148,20 @@ impl Pipeline {
     /// reads it. Each call takes the same memory: the open sweep is built there.
     pub fn poll<B: Buffers>(&mut self, memory: &mut Memory<B>) -> Option<B::Buffer> {
         if self.assemble(memory) {
-            self.segment(memory);
+            self.complete(memory, TimedSegmenter::segment);
+            memory.finish()
+        } else {
+            None
+        }
+    }
+
+    /// The same without labels, but with the height of the sensor: the labels are for a
+    /// [`TimedSegmenter`] with [heights in headers](Segmenter::with_heights_in_headers), on any
+    /// thread, while this one decodes the next sweep. Instead of [`Pipeline::poll`] and
+    /// [`Pipeline::segment_early`].
+    pub fn poll_unlabelled<B: Buffers>(&mut self, memory: &mut Memory<B>) -> Option<B::Buffer> {
+        if self.assemble(memory) {
+            self.complete(memory, TimedSegmenter::find_height);
             memory.finish()
         } else {
             None
@@ -190,12 +203,16 @@ impl Pipeline {
         }
     }
 
-    /// Ground and objects of a whole sweep, in place.
-    fn segment(&mut self, buffer: &mut dyn OpenBuffer) {
+    /// Takes a step of the segmenter with a whole sweep, in place; writes where the sensor sits.
+    fn complete(
+        &mut self,
+        buffer: &mut dyn OpenBuffer,
+        step: fn(&mut TimedSegmenter, &mut SweepMut<'_>),
+    ) {
         let Ok(mut sweep) = SweepMut::open(buffer.bytes()) else {
             return;
         };
-        self.segmenter.segment(&mut sweep);
+        step(&mut self.segmenter, &mut sweep);
         sweep.header.position_m = self.setup.config.position_m;
         sweep.header.yaw_rad = self.setup.config.yaw_rad;
     }

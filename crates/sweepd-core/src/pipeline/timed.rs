@@ -4,7 +4,7 @@ use crate::segment::Segmenter;
 use crate::sweep::SweepMut;
 
 /// A segmenter that writes into the header of each sweep how long it took.
-pub(super) struct TimedSegmenter {
+pub struct TimedSegmenter {
     segmenter: Segmenter,
     /// Nanoseconds since any fixed moment.
     clock: fn() -> i64,
@@ -31,23 +31,28 @@ impl TimedSegmenter {
     }
 
     /// Takes another clock.
-    pub fn set_clock(&mut self, clock: fn() -> i64) {
+    pub(super) fn set_clock(&mut self, clock: fn() -> i64) {
         self.clock = clock;
     }
 
     /// What was done early of the open sweep no longer holds.
-    pub fn spoil(&mut self) {
+    pub(super) fn spoil(&mut self) {
         self.segmenter.spoil();
     }
 
     /// The next sensor may sit elsewhere.
-    pub fn forget_height(&mut self) {
+    pub(super) fn forget_height(&mut self) {
         self.segmenter.forget_height();
+    }
+
+    /// The height of the sensor into a whole sweep, that another segmenter labels.
+    pub(super) fn find_height(&mut self, sweep: &mut SweepMut<'_>) {
+        self.segmenter.find_height(sweep);
     }
 
     /// Ground and joins of the open sweep, of which the first `ready` columns will stay as they
     /// are.
-    pub fn segment_early(&mut self, sweep: &mut SweepMut<'_>, ready: usize) {
+    pub(super) fn segment_early(&mut self, sweep: &mut SweepMut<'_>, ready: usize) {
         self.take_time(sweep.header.sequence);
         if self.segmenter.begin_early(sweep, ready) {
             self.segment_strips(sweep);
