@@ -9,6 +9,7 @@ pub mod config;
 pub mod doctor;
 mod error;
 pub mod inspect;
+pub mod jobs;
 #[cfg(feature = "lab")]
 pub mod lab;
 pub mod options;

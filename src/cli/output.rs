@@ -1,7 +1,7 @@
 //! Where the sweeps of a replay go: a line of JSON, a table, a cloud, a picture; and what becomes
 //! of files that exist.
 
-use std::io::{self, BufWriter, StdoutLock, Write};
+use std::io::{self, BufWriter, Stdout, Write};
 use std::path::{Path, PathBuf};
 
 use serde::Serialize;
@@ -152,8 +152,45 @@ pub struct Outputs {
     former: Vec<Former>,
     segments: Option<SegmentTables>,
     axes: Axes,
-    stdout: Option<BufWriter<StdoutLock<'static>>>,
+    stdout: Option<BufWriter<Stdout>>,
     timing: bool,
+}
+
+/// Which sweep is written.
+#[derive(Clone, Copy)]
+pub struct SweepId {
+    /// Number of its sensor.
+    pub sensor: usize,
+    /// Model of its sensor.
+    pub model: Model,
+    /// Sweeps that were written of this sensor before.
+    pub seq: u64,
+}
+
+/// Makes the files of sweeps, on any thread.
+#[derive(Clone)]
+pub struct Encoder {
+    formats: Vec<Format>,
+    axes: Axes,
+}
+
+/// The files of a sweep, or why one cannot be made, in the order of the formats.
+pub struct EncodedFiles(Vec<io::Result<Vec<u8>>>);
+
+impl Encoder {
+    /// The files of a sweep that are wanted.
+    pub fn encode(&self, id: SweepId, sweep: SweepRef<'_>) -> EncodedFiles {
+        let title = Title {
+            model: id.model.spec().name,
+            sweep_number: id.seq,
+        };
+        let formats = self.formats.iter();
+        EncodedFiles(
+            formats
+                .map(|format| format.encode(sweep, self.axes, &title))
+                .collect(),
+        )
+    }
 }
 
 impl Outputs {
@@ -173,7 +210,7 @@ impl Outputs {
         }
         let axes = options.axes;
         let existing = options.force.existing();
-        let stdout = options.json.then(|| BufWriter::new(io::stdout().lock()));
+        let stdout = options.json.then(|| BufWriter::new(io::stdout()));
         let segments = match &options.segments {
             Some(path) => Some(SegmentTables::create(path, options.json, axes, existing)?),
             None => None,
@@ -208,25 +245,29 @@ impl Outputs {
         Ok(())
     }
 
-    /// Writes a sweep of a sensor; `seq` counts the sweeps that were written of it. One that was
-    /// received says how old it was.
+    /// What makes the files for [`Outputs::sweep`].
+    pub fn encoder(&self) -> Encoder {
+        Encoder {
+            formats: self.files.iter().map(|(_, format)| *format).collect(),
+            axes: self.axes,
+        }
+    }
+
+    /// Writes a sweep and its files. One that was received says how old it was.
     ///
     /// # Errors
     /// [`CliError`].
     pub fn sweep(
         &mut self,
-        sensor: usize,
-        model: Model,
-        seq: u64,
+        id: SweepId,
         sweep: SweepRef<'_>,
+        files: EncodedFiles,
         latency_us: Option<LatencyUs>,
     ) -> Result<(), CliError> {
-        let title = Title {
-            model: model.spec().name,
-            sweep_number: seq,
-        };
-        for exporter in self.exporters(sensor, sweep.header.sensor())? {
-            exporter.write(sweep, &title)?;
+        let SweepId { sensor, model, seq } = id;
+        let exporters = self.exporters(sensor, sweep.header.sensor())?;
+        for (exporter, file) in exporters.iter_mut().zip(files.0) {
+            exporter.write(seq, file)?;
         }
         if let Some(segments) = &mut self.segments {
             segments.sweep(sweep, seq)?;
@@ -293,7 +334,7 @@ impl Outputs {
                     0 => dir.clone(),
                     _ => dir.join(sensor_folder(name)),
                 };
-                exporters.push(Exporter::new(dir, *format, self.axes, self.existing)?);
+                exporters.push(Exporter::new(dir, *format, self.existing)?);
             }
         }
         Ok(exporters)

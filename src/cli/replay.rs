@@ -4,21 +4,26 @@ mod args;
 mod messages;
 mod progress;
 mod summary;
+mod sweeps;
 mod track;
 
+use std::thread;
 use std::time::{Duration, Instant};
 
 use indicatif::ProgressBar;
 
-use self::summary::{SensorReport, SummaryLine};
+use self::summary::{SensorReport, SummaryLine, Sums};
+use self::sweeps::{Finisher, Sweep, Writer};
 use self::track::Track;
 use super::CliError;
+use super::jobs::Jobs;
 use super::output::Outputs;
 use super::play::When;
 use super::send::Sender;
 use crate::admission::{DiscoveredSensors, Route};
-use crate::capture::{Capture, CaptureError, Pacer, Placed};
-use sweepd_core::pipeline::Config;
+use crate::capture::{Capture, CaptureError, Pacer, Placed, Speed};
+use sweepd_core::pipeline::{Config, TimedSegmenter};
+use sweepd_core::segment::Segmenter;
 
 pub use args::Args;
 
@@ -31,8 +36,8 @@ pub fn run(args: &Args) -> Result<(), CliError> {
     args.publish.check()?;
     let mut replay = Replay::new(args)?;
     for played in 1.. {
-        let mut capture = progress::open(args, &replay.progress)?;
-        replay.outputs.remove_former()?;
+        let mut capture = progress::open(args, &replay.playback.progress)?;
+        replay.writer.outputs.remove_former()?;
         let read = replay.play(&mut capture)?;
         if read.is_err() || !args.play.again(played) || !replay.is_worth_playing_again() {
             return replay.conclude(&capture, read);
@@ -43,10 +48,90 @@ pub fn run(args: &Args) -> Result<(), CliError> {
 
 /// A replay under way.
 struct Replay<'a> {
+    playback: Playback<'a>,
+    writer: Writer<'a>,
+}
+
+impl<'a> Replay<'a> {
+    fn new(args: &'a Args) -> Result<Self, CliError> {
+        Ok(Self {
+            playback: Playback::new(args)?,
+            writer: Writer {
+                args,
+                outputs: Outputs::new(&args.output)?,
+                sums: Vec::new(),
+            },
+        })
+    }
+
+    /// Plays the capture once. Where it cannot be read to its end, everything before is played, and
+    /// the inner error says why.
+    fn play(&mut self, capture: &mut Capture) -> Result<Result<(), CaptureError>, CliError> {
+        let mut finishers = self.playback.finishers(&self.writer.outputs)?;
+        thread::scope(|scope| {
+            let works = finishers
+                .iter_mut()
+                .map(|finisher| |sweep| finisher.finish(sweep))
+                .collect();
+            let mut jobs = Jobs::start(scope, works, |sweep| self.writer.write(sweep))?;
+            let read = self.playback.play(capture, &mut jobs)?;
+            jobs.finish()?;
+            Ok(read)
+        })
+    }
+
+    /// Whether another round could bring more than this one, and nothing that was asked for is
+    /// missing.
+    fn is_worth_playing_again(&self) -> bool {
+        let Playback { args, tracks, .. } = &self.playback;
+        let is_all_shared = args.publish.left_over(tracks.len()).is_empty();
+        let is_sent = self.playback.sender.is_some();
+        is_all_shared && (is_sent || self.writer.sums.iter().any(Sums::any))
+    }
+
+    /// The summary, and an error when something could not be read or decoded.
+    fn conclude(self, capture: &Capture, read: Result<(), CaptureError>) -> Result<(), CliError> {
+        let Playback {
+            args,
+            tracks,
+            sensors,
+            others_before,
+            progress,
+            ..
+        } = self.playback;
+        let Writer {
+            mut outputs, sums, ..
+        } = self.writer;
+        progress.finish_and_clear();
+        let timing = !args.output.no_timing;
+        let none = Sums::default();
+        let reports: Vec<SensorReport<'_>> = tracks
+            .iter()
+            .enumerate()
+            .map(|(index, track)| track.report(sums.get(index).unwrap_or(&none)))
+            .collect();
+        let other_traffic = capture.counts().other_traffic() + sensors.others() - others_before;
+        outputs.line(|| SummaryLine::new(capture, other_traffic, &reports, timing))?;
+        outputs.finish()?;
+        if !args.output.is_json() {
+            summary::print(other_traffic, &reports, timing).map_err(CliError::Stdout)?;
+        }
+        let is_read = messages::show_damage(capture, read);
+        let is_complete = messages::show_missing(args, capture, &sensors, &reports);
+        let is_decoded = tracks.iter().all(|track| track.fault.is_none());
+        if is_read && is_complete && is_decoded {
+            Ok(())
+        } else {
+            Err(CliError::Reported)
+        }
+    }
+}
+
+/// The way of a capture's datagrams to the pipelines.
+struct Playback<'a> {
     args: &'a Args,
     config: Config,
     progress: ProgressBar,
-    outputs: Outputs,
     sender: Option<Sender>,
     sensors: DiscoveredSensors,
     /// By number of the sensor.
@@ -55,13 +140,12 @@ struct Replay<'a> {
     others_before: u64,
 }
 
-impl<'a> Replay<'a> {
+impl<'a> Playback<'a> {
     fn new(args: &'a Args) -> Result<Self, CliError> {
         Ok(Self {
             args,
             config: args.pipeline_config()?,
             progress: progress::bar(args),
-            outputs: Outputs::new(&args.output)?,
             sender: args.play.destination().map(Sender::new),
             sensors: DiscoveredSensors::new(args.sensor.sensor.clone()),
             tracks: Vec::new(),
@@ -69,14 +153,49 @@ impl<'a> Replay<'a> {
         })
     }
 
-    /// Plays the capture once. Where it cannot be read to its end, everything before is played, and
-    /// the inner error says why.
-    fn play(&mut self, capture: &mut Capture) -> Result<Result<(), CaptureError>, CliError> {
+    /// How fast it goes.
+    fn speed(&self) -> Speed {
+        self.args.play.speed(self.args.publish.is_wanted())
+    }
+
+    /// What finishes sweeps, for each job. Where there is time, or sweeps are shared, one job does
+    /// as the daemon does.
+    fn finishers(&self, outputs: &Outputs) -> Result<Vec<Finisher>, CliError> {
+        let is_live = self.speed() != Speed::Max || self.args.publish.is_wanted();
+        let count = if is_live { 1 } else { self.args.jobs.count() };
+        let mut finishers = Vec::new();
+        for _ in 0..count {
+            let segmenter = match count {
+                1 => None,
+                _ => Some(self.segmenter()?),
+            };
+            finishers.push(Finisher {
+                segmenter,
+                encoder: outputs.encoder(),
+            });
+        }
+        Ok(finishers)
+    }
+
+    /// Labels what pipelines decoded.
+    fn segmenter(&self) -> Result<TimedSegmenter, CliError> {
+        let segmenter = Segmenter::new(self.config.segment.clone())
+            .map_err(|error| CliError::Usage(error.to_string()))?
+            .with_heights_in_headers();
+        Ok(TimedSegmenter::new(segmenter, self.args.clock()))
+    }
+
+    /// Plays the capture once.
+    fn play(
+        &mut self,
+        capture: &mut Capture,
+        jobs: &mut Jobs<'_, Sweep>,
+    ) -> Result<Result<(), CaptureError>, CliError> {
         self.others_before = self.sensors.others();
         for track in &mut self.tracks {
             track.begin_round(&self.config)?;
         }
-        let mut pacer = Pacer::new(self.args.play.speed(self.args.publish.is_wanted()));
+        let mut pacer = Pacer::new(self.speed());
         let begun = Instant::now();
         let mut is_over = false;
         let mut before_ns = i64::MAX;
@@ -102,12 +221,12 @@ impl<'a> Replay<'a> {
             let now_ns = arrival_ns.min(before_ns);
             before_ns = arrival_ns;
             for track in &mut self.tracks {
-                track.tick(now_ns, &mut self.outputs)?;
+                track.tick(now_ns, jobs)?;
             }
-            self.datagram(&placed, when)?;
+            self.datagram(&placed, when, jobs)?;
         };
         for track in &mut self.tracks {
-            track.end(&mut self.outputs)?;
+            track.end(jobs)?;
         }
         Ok(read)
     }
@@ -119,11 +238,16 @@ impl<'a> Replay<'a> {
         }
         let until = Instant::now() + wait;
         self.tracks.iter_mut().for_each(Track::segment_early);
-        std::thread::sleep(until.saturating_duration_since(Instant::now()));
+        thread::sleep(until.saturating_duration_since(Instant::now()));
     }
 
     /// Sends a datagram on, and gives its packet to its sensors.
-    fn datagram(&mut self, placed: &Placed<'_>, when: When) -> Result<(), CliError> {
+    fn datagram(
+        &mut self,
+        placed: &Placed<'_>,
+        when: When,
+        jobs: &mut Jobs<'_, Sweep>,
+    ) -> Result<(), CliError> {
         let admitted = self.sensors.admit(&placed.datagram);
         if when == When::Within
             && let Some(sender) = &mut self.sender
@@ -136,13 +260,13 @@ impl<'a> Replay<'a> {
                 if when == When::Before {
                     track.pipeline.pass_over();
                 } else {
-                    self.tracks[index].push(&packet, placed.record, &mut self.outputs)?;
+                    self.tracks[index].push(&packet, placed.record, jobs)?;
                 }
             }
             // Also before --start: they have the time.
             Ok((Route::Position(sensors), packet)) => {
                 for index in sensors {
-                    self.tracks[index].push(&packet, placed.record, &mut self.outputs)?;
+                    self.tracks[index].push(&packet, placed.record, jobs)?;
                 }
             }
             Err(refused) => {
@@ -170,39 +294,5 @@ impl<'a> Replay<'a> {
             self.tracks.push(track);
         }
         Ok(&mut self.tracks[index])
-    }
-
-    /// Whether another round could bring more than this one, and nothing that was asked for is
-    /// missing.
-    fn is_worth_playing_again(&self) -> bool {
-        let is_all_shared = self.args.publish.left_over(self.tracks.len()).is_empty();
-        is_all_shared && (self.sender.is_some() || self.tracks.iter().any(|track| track.sums.any()))
-    }
-
-    /// The summary, and an error when something could not be read or decoded.
-    fn conclude(
-        mut self,
-        capture: &Capture,
-        read: Result<(), CaptureError>,
-    ) -> Result<(), CliError> {
-        self.progress.finish_and_clear();
-        let timing = !self.args.output.no_timing;
-        let reports: Vec<SensorReport<'_>> = self.tracks.iter().map(Track::report).collect();
-        let others = self.sensors.others() - self.others_before;
-        let other_traffic = capture.counts().other_traffic() + others;
-        self.outputs
-            .line(|| SummaryLine::new(capture, other_traffic, &reports, timing))?;
-        self.outputs.finish()?;
-        if !self.args.output.is_json() {
-            summary::print(other_traffic, &reports, timing).map_err(CliError::Stdout)?;
-        }
-        let is_read = messages::show_damage(capture, read);
-        let is_complete = messages::show_missing(self.args, capture, &self.sensors, &reports);
-        let is_decoded = self.tracks.iter().all(|track| track.fault.is_none());
-        if is_read && is_complete && is_decoded {
-            Ok(())
-        } else {
-            Err(CliError::Reported)
-        }
     }
 }

@@ -1,7 +1,7 @@
 //! `--segments`: the tables of segments of all sweeps, in one file.
 
 use std::fs::File;
-use std::io::{self, BufWriter, StdoutLock, Write};
+use std::io::{self, BufWriter, Stdout, Write};
 use std::path::Path;
 
 use super::CliError;
@@ -19,7 +19,7 @@ pub struct SegmentTables {
 
 enum Out {
     File(BufWriter<File>, NewFile),
-    Stdout(BufWriter<StdoutLock<'static>>),
+    Stdout(BufWriter<Stdout>),
 }
 
 impl SegmentTables {
@@ -40,7 +40,7 @@ impl SegmentTables {
                 return Err(CliError::Usage(message.to_owned()));
             }
             return Ok(Self {
-                out: Out::Stdout(BufWriter::new(io::stdout().lock())),
+                out: Out::Stdout(BufWriter::new(io::stdout())),
                 format: TableFormat::Jsonl,
                 axes,
             });

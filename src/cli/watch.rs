@@ -10,7 +10,7 @@ use std::time::{Duration, Instant};
 
 use self::latency::Latencies;
 use self::table::Table;
-use super::output::{LatencyUs, OutputOptions, Outputs};
+use super::output::{LatencyUs, OutputOptions, Outputs, SweepId};
 use super::publish::RootOptions;
 use super::signals::end_flag;
 use super::{CliError, complain};
@@ -193,8 +193,13 @@ impl Watch<'_> {
             );
             return Err(CliError::Usage(text));
         };
-        self.outputs
-            .sweep(0, model, header.sequence, sweep, Some(latency_us))
+        let id = SweepId {
+            sensor: 0,
+            model,
+            seq: header.sequence,
+        };
+        let files = self.outputs.encoder().encode(id, sweep);
+        self.outputs.sweep(id, sweep, files, Some(latency_us))
     }
 
     /// Reports losses once when they begin and once when they are over, as the daemon does, from the

@@ -5,8 +5,8 @@
 //! * [`segments`]: the table of segments, a line each.
 //! * [`png`]: one picture that shows what was measured and what the segmentation made of it.
 //!
-//! The writers take a [`SweepRef`] and any [`Write`]; an [`Exporter`] puts their output into the
-//! files of a directory.
+//! The writers take a [`SweepRef`] and any [`Write`]. [`Format::encode`] makes a whole file in memory,
+//! on any thread; an [`Exporter`] puts such files into a directory, in their order.
 
 pub mod csv;
 pub mod pcd;
@@ -16,7 +16,7 @@ pub mod segments;
 mod test_scene;
 
 use std::fs;
-use std::io::{BufWriter, Write};
+use std::io::{self, Write};
 use std::path::PathBuf;
 
 use clap::ValueEnum;
@@ -72,6 +72,20 @@ impl Format {
             Self::Png => "png",
         }
     }
+
+    /// The file of a sweep.
+    ///
+    /// # Errors
+    /// What the writer of the format says.
+    pub fn encode(self, sweep: SweepRef<'_>, axes: Axes, title: &Title<'_>) -> io::Result<Vec<u8>> {
+        let mut file = Vec::new();
+        match self {
+            Self::Csv => write_csv(sweep, axes, &mut file),
+            Self::Pcd => write_pcd(sweep, axes, &mut file),
+            Self::Png => write_png(sweep, title, &mut file),
+        }?;
+        Ok(file)
+    }
 }
 
 /// Writes sweeps into a directory, a file each.
@@ -79,7 +93,6 @@ impl Format {
 pub struct Exporter {
     dir: PathBuf,
     format: Format,
-    axes: Axes,
     existing: Existing,
     /// One more than the greatest number so far.
     next_number: u64,
@@ -93,7 +106,6 @@ impl Exporter {
     pub fn new(
         dir: impl Into<PathBuf>,
         format: Format,
-        axes: Axes,
         existing: Existing,
     ) -> Result<Self, WriteError> {
         let dir = dir.into();
@@ -101,7 +113,6 @@ impl Exporter {
             Ok(()) => Ok(Self {
                 dir,
                 format,
-                axes,
                 existing,
                 next_number: 0,
             }),
@@ -109,7 +120,8 @@ impl Exporter {
         }
     }
 
-    /// Writes a sweep as [`file_stem`] of its number with the format's ending, and gives the path.
+    /// Writes the file of a sweep, as [`Format::encode`] made it, under [`file_stem`] of its number
+    /// with the format's ending, and gives the path.
     ///
     /// The file grows as `NAME.part` and takes its name when it is whole: no reader gets half a
     /// sweep.
@@ -117,8 +129,11 @@ impl Exporter {
     /// # Errors
     /// [`WriteError`]: a file of this name exists and is not to be replaced, or cannot be written;
     /// nothing of it is left then.
-    pub fn write(&mut self, sweep: SweepRef<'_>, title: &Title<'_>) -> Result<PathBuf, WriteError> {
-        let number = title.sweep_number;
+    pub fn write(
+        &mut self,
+        number: u64,
+        encoded: io::Result<Vec<u8>>,
+    ) -> Result<PathBuf, WriteError> {
         let path = self
             .dir
             .join(format!("{}.{}", file_stem(number), self.format.extension()));
@@ -128,15 +143,9 @@ impl Exporter {
         } else {
             self.existing
         };
-        let (file, new) = NewFile::create(&path, existing)?;
-        let mut out = BufWriter::with_capacity(1 << 16, file);
-        let written = match self.format {
-            Format::Csv => write_csv(sweep, self.axes, &mut out),
-            Format::Pcd => write_pcd(sweep, self.axes, &mut out),
-            Format::Png => write_png(sweep, title, &mut out),
-        };
-        written
-            .and_then(|()| out.flush())
+        let (mut file, new) = NewFile::create(&path, existing)?;
+        encoded
+            .and_then(|bytes| file.write_all(&bytes))
             .map_err(|cause| new.failed(cause))?;
         new.commit()?;
         self.next_number = self.next_number.max(number.saturating_add(1));
@@ -186,16 +195,16 @@ mod tests {
             (Format::Pcd, "pcd", b"# .PCD"),
             (Format::Png, "png", b"\x89PNG"),
         ] {
-            let new =
-                || Exporter::new(dir.join("a/b"), format, Axes::Sensor, Existing::Keep).unwrap();
+            let new = || Exporter::new(dir.join("a/b"), format, Existing::Keep).unwrap();
+            let encode = || format.encode(scene.sweep(), Axes::Sensor, &TITLE);
             let mut exporter = new();
-            let path = exporter.write(scene.sweep(), &TITLE).unwrap();
+            let path = exporter.write(3, encode()).unwrap();
             assert_eq!(path, dir.join(format!("a/b/sweep_000003.{word}")));
             assert!(fs::read(&path).unwrap().starts_with(first));
             // Its own, when a publisher counts from the start again; but not another's.
-            exporter.write(scene.sweep(), &TITLE).unwrap();
+            exporter.write(3, encode()).unwrap();
             assert!(
-                matches!(new().write(scene.sweep(), &TITLE), Err(WriteError::Exists { path: found }) if found == path)
+                matches!(new().write(3, encode()), Err(WriteError::Exists { path: found }) if found == path)
             );
         }
         assert_eq!(fs::read_dir(dir.join("a/b")).unwrap().count(), 3);
@@ -206,8 +215,7 @@ mod tests {
     fn a_file_in_the_place_of_the_directory_is_named() {
         let dir = empty_dir("directory");
         fs::write(&dir, "").unwrap();
-        let error =
-            Exporter::new(dir.join("deep"), Format::Csv, Axes::Sensor, Existing::Keep).unwrap_err();
+        let error = Exporter::new(dir.join("deep"), Format::Csv, Existing::Keep).unwrap_err();
         assert!(error.to_string().starts_with(&format!(
             "cannot create the directory {}/deep: ",
             dir.display()
@@ -220,10 +228,11 @@ mod tests {
     fn a_full_disk_is_reported_with_the_file() {
         let dir = empty_dir("full");
         for format in [Format::Csv, Format::Pcd, Format::Png] {
-            let mut exporter = Exporter::new(&dir, format, Axes::Ros, Existing::Keep).unwrap();
+            let mut exporter = Exporter::new(&dir, format, Existing::Keep).unwrap();
             let path = dir.join(format!("sweep_000003.{}", format.extension()));
             std::os::unix::fs::symlink("/dev/full", &path).unwrap();
-            let error = exporter.write(Scene::small().sweep(), &TITLE).unwrap_err();
+            let encoded = format.encode(Scene::small().sweep(), Axes::Ros, &TITLE);
+            let error = exporter.write(3, encoded).unwrap_err();
             let expected = format!("cannot write {}: No space left on device", path.display());
             assert!(error.to_string().starts_with(&expected), "{error}");
             assert!(

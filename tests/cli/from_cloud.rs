@@ -36,7 +36,7 @@ fn cloud() -> Vec<u8> {
     bytes
 }
 
-fn calibration() -> String {
+pub fn calibration() -> String {
     let mut yaml = "num_lasers: 64\ndistance_resolution: 0.002\nlasers:\n".to_owned();
     for row in 0..64 {
         let (elevation, rotation) = (
@@ -235,7 +235,7 @@ fn what_cannot_be_meant_is_one_error() {
 }
 
 /// Some of the rings.
-fn cloud_of_rows(rows: std::ops::Range<usize>) -> Vec<u8> {
+pub fn cloud_of_rows(rows: std::ops::Range<usize>) -> Vec<u8> {
     let ring_bytes = FIRINGS * 16;
     cloud()[rows.start * ring_bytes..rows.end * ring_bytes].to_vec()
 }

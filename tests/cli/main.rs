@@ -10,6 +10,7 @@ mod existing;
 mod from_cloud;
 mod inputs;
 mod inspect;
+mod jobs;
 mod made;
 mod options;
 mod outputs;

@@ -149,7 +149,10 @@ fn two_runs_without_timing_are_the_same_byte_by_byte() {
         ];
         replay(&path, &[&options[..], json].concat()).done()
     };
-    assert_eq!(run("a", &["--json"]), run("b", &["--json"]));
+    assert_eq!(
+        run("a", &["--json", "--jobs=2"]),
+        run("b", &["--json", "--jobs=1"])
+    );
     let files = folder.files("a");
     // 5 sweeps of the one and 6 of the other, three files each.
     assert_eq!(files.len(), 3 * (5 + 6));

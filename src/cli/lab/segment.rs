@@ -2,12 +2,14 @@
 
 use std::io::{self, Write};
 use std::path::{Path, PathBuf};
+use std::thread;
 
 use super::read_file;
 use crate::cli::CliError;
+use crate::cli::jobs::{JobOptions, Jobs};
 use crate::cli::options::{SegmentOptions, model};
 use crate::cli::output::ForceOptions;
-use crate::export::WriteError;
+use crate::export::{Existing, WriteError};
 use crate::files;
 use crate::files::output;
 use sweepd_core::sensor::Model;
@@ -50,6 +52,8 @@ pub struct Args {
     #[arg(long, value_name = "FILE", conflicts_with = "model")]
     rows_table: Option<PathBuf>,
     #[command(flatten)]
+    jobs: JobOptions,
+    #[command(flatten)]
     segment: SegmentOptions,
 }
 
@@ -68,26 +72,80 @@ pub fn run(args: &Args) -> Result<(), CliError> {
         .iter()
         .map(|cloud| format_of(args, cloud))
         .collect::<Result<Vec<_>, _>>()?;
-    let mut segmenter = CloudSegmenter::new(args.segment.config()?, args.columns)
-        .map_err(|error| CliError::Usage(error.to_string()))?;
-    if let Some(table) = table(args)? {
-        segmenter = segmenter.with_rows(table);
-    }
+    let count = args.jobs.count().min(args.clouds.len());
+    let mut segmenters = segmenters(args, count)?;
     std::fs::create_dir_all(&args.out).map_err(|cause| WriteError::Directory {
         path: args.out.clone(),
         cause,
     })?;
-    for ((path, format), file) in args.clouds.iter().zip(formats).zip(files) {
+    thread::scope(|scope| {
+        let works = segmenters
+            .iter_mut()
+            .map(|segmenter| |cloud: CloudFile<'_>| cloud.segment(segmenter))
+            .collect();
+        let mut jobs = Jobs::start(scope, works, |labels: Result<Labels, CliError>| {
+            labels?.write(existing)
+        })?;
+        for ((path, format), file) in args.clouds.iter().zip(formats).zip(files) {
+            jobs.push(CloudFile { path, format, file })?;
+        }
+        jobs.finish()
+    })
+}
+
+/// A segmenter for each job.
+fn segmenters(args: &Args, count: usize) -> Result<Vec<CloudSegmenter>, CliError> {
+    let config = args.segment.config()?;
+    let table = table(args)?;
+    let mut segmenters = Vec::new();
+    for _ in 0..count {
+        let segmenter = CloudSegmenter::new(config.clone(), args.columns)
+            .map_err(|error| CliError::Usage(error.to_string()))?;
+        segmenters.push(match &table {
+            Some(table) => segmenter.with_rows(table.clone()),
+            None => segmenter,
+        });
+    }
+    Ok(segmenters)
+}
+
+/// A cloud, and where its labels go.
+struct CloudFile<'a> {
+    path: &'a Path,
+    format: Format,
+    file: PathBuf,
+}
+
+/// The labels of a cloud, point by point, and where they go.
+struct Labels {
+    file: PathBuf,
+    labels: Vec<u32>,
+}
+
+impl CloudFile<'_> {
+    fn segment(self, segmenter: &mut CloudSegmenter) -> Result<Labels, CliError> {
+        let path = self.path;
         let bytes = read_file(path, MAX_CLOUD_LEN)?;
-        let cloud = Cloud::read(&bytes, format).map_err(|error| wrong(path, &error))?;
+        let cloud = Cloud::read(&bytes, self.format).map_err(|error| wrong(path, &error))?;
         let labels = segmenter
             .segment_cloud(&cloud)
             .map_err(|error| wrong(path, &error))?;
+        Ok(Labels {
+            file: self.file,
+            labels: labels.to_vec(),
+        })
+    }
+}
+
+impl Labels {
+    /// Writes the file, and a line about it on standard output.
+    fn write(&self, existing: Existing) -> Result<(), CliError> {
+        let Self { file, labels } = self;
         let bytes: Vec<u8> = labels
             .iter()
             .flat_map(|label| label.to_le_bytes())
             .collect();
-        output::write(&file, &bytes, existing)?;
+        output::write(file, &bytes, existing)?;
         let ground = labels.iter().filter(|&&label| label == 1).count();
         let segments = labels
             .iter()
@@ -100,9 +158,8 @@ pub fn run(args: &Args) -> Result<(), CliError> {
             io::stdout(),
             "{file}: {points} points, {share:.1} % ground, {segments} segments"
         )
-        .map_err(CliError::Stdout)?;
+        .map_err(CliError::Stdout)
     }
-    Ok(())
 }
 
 /// What is wrong with a cloud; where its order is, the options that do without.

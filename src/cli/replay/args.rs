@@ -3,11 +3,13 @@
 use std::path::PathBuf;
 
 use crate::cli::CliError;
+use crate::cli::jobs::JobOptions;
 use crate::cli::options::{SegmentOptions, SensorOptions, pipeline_config};
 use crate::cli::output::OutputOptions;
 use crate::cli::play::PlayOptions;
 use crate::cli::publish::PublishOptions;
 use crate::cure::{Dialect, explain};
+use sweepd_client::host::monotonic_ns;
 use sweepd_core::pipeline::{Config, Fault};
 
 /// Options of `sweepd replay`.
@@ -24,6 +26,8 @@ pub struct Args {
     #[arg(value_name = "CAPTURE")]
     pub capture: PathBuf,
     #[command(flatten)]
+    pub(super) jobs: JobOptions,
+    #[command(flatten)]
     pub(super) sensor: SensorOptions,
     #[command(flatten)]
     segment: SegmentOptions,
@@ -39,6 +43,15 @@ impl Args {
     /// The pipeline that each sensor gets.
     pub(super) fn pipeline_config(&self) -> Result<Config, CliError> {
         pipeline_config(&self.sensor, &self.segment)
+    }
+
+    /// The clock that times the stages, nanoseconds; it stands still where times are left out.
+    pub(super) fn clock(&self) -> fn() -> i64 {
+        if self.output.no_timing {
+            || 0
+        } else {
+            monotonic_ns
+        }
     }
 
     /// A fault in the words of the options that brought it.

@@ -1,14 +1,15 @@
-//! One sensor of a replay: its pipeline, and the sums over its sweeps.
+//! One sensor of a replay: its packets through its pipeline.
 
 use indicatif::ProgressBar;
 
 use super::args::Args;
 use super::summary::{SensorReport, Sums};
-use crate::cli::output::Outputs;
-use crate::cli::publish::publish;
+use super::sweeps::Sweep;
+use crate::cli::jobs::Jobs;
+use crate::cli::output::SweepId;
 use crate::cli::{CliError, complain};
 use crate::text::count_of;
-use sweepd_client::host::{monotonic_ns, realtime_ns};
+use sweepd_client::host::realtime_ns;
 use sweepd_client::publish::Loans;
 use sweepd_core::pipeline::{Config, Counts, Fault, Notice, Pipeline};
 use sweepd_core::sensor::compare::Difference;
@@ -31,7 +32,6 @@ pub(super) struct Track<'a> {
     run_ns: i64,
     /// Of the last packet; the pipeline forgets it when another sensor takes the place of this one.
     detection: Option<Detection>,
-    pub(super) sums: Sums,
     emitted: u64,
     /// Of the rounds before.
     past: Counts,
@@ -61,7 +61,6 @@ impl<'a> Track<'a> {
             memory,
             run_ns: realtime_ns(),
             detection: None,
-            sums: Sums::default(),
             emitted: 0,
             past: Counts::default(),
             fault: None,
@@ -81,7 +80,7 @@ impl<'a> Track<'a> {
         &mut self,
         packet: &Packet<'_>,
         record: u64,
-        outputs: &mut Outputs,
+        jobs: &mut Jobs<'_, Sweep>,
     ) -> Result<(), CliError> {
         if let Err(fault) = self.pipeline.push(packet) {
             self.show_fault(&fault, &format!(", record {record}"));
@@ -92,14 +91,14 @@ impl<'a> Track<'a> {
             self.progress
                 .suspend(|| complain(level, format_args!("{}: {text}", self.name)));
         }
-        self.write_sweeps(outputs)
+        self.pass_on(jobs)
     }
 
     /// Takes the time of the capture: a sensor that fell silent has its sweep closed, as it would be
     /// live.
-    pub(super) fn tick(&mut self, now_ns: i64, outputs: &mut Outputs) -> Result<(), CliError> {
+    pub(super) fn tick(&mut self, now_ns: i64, jobs: &mut Jobs<'_, Sweep>) -> Result<(), CliError> {
         if self.pipeline.tick(now_ns) {
-            self.write_sweeps(outputs)?;
+            self.pass_on(jobs)?;
         }
         Ok(())
     }
@@ -110,11 +109,11 @@ impl<'a> Track<'a> {
     }
 
     /// Closes the last sweep.
-    pub(super) fn end(&mut self, outputs: &mut Outputs) -> Result<(), CliError> {
+    pub(super) fn end(&mut self, jobs: &mut Jobs<'_, Sweep>) -> Result<(), CliError> {
         if let Err(fault) = self.pipeline.end() {
             self.show_fault(&fault, "");
         }
-        self.write_sweeps(outputs)
+        self.pass_on(jobs)
     }
 
     /// Of all rounds.
@@ -124,35 +123,43 @@ impl<'a> Track<'a> {
         counts
     }
 
-    /// What became of the sensor.
-    pub(super) fn report(&self) -> SensorReport<'_> {
+    /// What became of the sensor, whose sweeps came to this.
+    pub(super) fn report<'r>(&'r self, sums: &'r Sums) -> SensorReport<'r> {
         SensorReport {
             sensor: &self.name,
             detection: self.pipeline.detection().or(self.detection),
             fault: self.fault.as_deref(),
             counts: self.counts(),
-            sums: &self.sums,
+            sums,
             partial_emitted: self.args.play.partial,
         }
     }
 
-    /// Writes and shares the sweeps that are whole.
-    fn write_sweeps(&mut self, outputs: &mut Outputs) -> Result<(), CliError> {
-        while let Some(buffer) = self.pipeline.poll(&mut self.memory) {
+    /// Gives the sweeps that are whole to the jobs.
+    fn pass_on(&mut self, jobs: &mut Jobs<'_, Sweep>) -> Result<(), CliError> {
+        while let Some(buffer) = match jobs.are_side_by_side() {
+            false => self.pipeline.poll(&mut self.memory),
+            true => self.pipeline.poll_unlabelled(&mut self.memory),
+        } {
             let Ok(sweep) = SweepRef::open(buffer.as_ref()) else {
                 continue;
             };
             let Some(detection) = self.pipeline.detection() else {
                 continue;
             };
-            self.sums.add(&sweep);
-            if self.args.play.partial || !sweep.header.has(flags::PARTIAL) {
-                outputs.sweep(self.index, detection.model, self.emitted, sweep, None)?;
-                self.emitted += 1;
-            }
-            if let Some(name) = self.args.publish.name(self.index) {
-                publish(buffer, name, self.run_ns)?;
-            }
+            let is_emitted = self.args.play.partial || !sweep.header.has(flags::PARTIAL);
+            let id = SweepId {
+                sensor: self.index,
+                model: detection.model,
+                seq: self.emitted,
+            };
+            self.emitted += u64::from(is_emitted);
+            jobs.push(Sweep {
+                id,
+                is_emitted,
+                run_ns: self.run_ns,
+                buffer,
+            })?;
         }
         Ok(())
     }
@@ -171,12 +178,10 @@ impl<'a> Track<'a> {
 }
 
 fn pipeline(args: &Args, name: &str, config: &Config) -> Result<Pipeline, CliError> {
-    let pipeline =
-        Pipeline::new(name, config.clone()).map_err(|error| CliError::Usage(error.to_string()))?;
-    if args.output.no_timing {
-        return Ok(pipeline);
+    match Pipeline::new(name, config.clone()) {
+        Ok(pipeline) => Ok(pipeline.timed_by(args.clock())),
+        Err(error) => Err(CliError::Usage(error.to_string())),
     }
-    Ok(pipeline.timed_by(monotonic_ns))
 }
 
 /// A notice in words, and how serious it is.
