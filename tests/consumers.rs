@@ -23,7 +23,6 @@ mod refusals;
 #[path = "consumers/sweeps.rs"]
 mod sweeps;
 
-use common::domain;
 use sweepd_lab::testkit::stream;
 
 use std::path::PathBuf;

@@ -3,15 +3,14 @@
 
 mod common;
 
-use common::{domain, free_port};
+use common::{free_port, temp_domain};
 use std::io::{BufRead, BufReader, Read, Write};
 use std::net::{IpAddr, Ipv4Addr, SocketAddr, TcpListener, UdpSocket};
 use std::process::{Child, Command, Stdio};
 use std::sync::atomic::{AtomicBool, Ordering};
 use std::time::{Duration, Instant};
-use sweepd_lab::testkit::stream;
+use sweepd_lab::testkit::{TempDomain, stream};
 
-use domain::Own;
 use serde_json::{Value, json};
 use stream::Spin;
 use sweepd::doctor::observe::PortResult;
@@ -510,8 +509,8 @@ fn the_exit_status_says_whether_something_is_wrong() {
 #[test]
 fn a_configuration_names_ports_and_sensors() {
     let port = free_port();
-    let folder = std::env::temp_dir().join(format!("sweepd-doctor-config-{}", std::process::id()));
-    std::fs::create_dir_all(&folder).unwrap();
+    let temporary = tempfile::tempdir().unwrap();
+    let folder = temporary.path();
     let file = folder.join("sweepd.toml");
     let text = format!(
         "[[sensor]]\nname = \"roof\"\naddress = \"127.0.0.7\"\nbind = \"127.0.0.1\"\nport = {port}\nposition_port = {port}\n"
@@ -533,7 +532,6 @@ fn a_configuration_names_ports_and_sensors() {
             .unwrap()
     };
     let (found, missing) = (run(&file), run(&folder.join("none.toml")));
-    std::fs::remove_dir_all(&folder).unwrap();
     let stderr = String::from_utf8_lossy(&found.stderr);
     let report: Value =
         serde_json::from_slice(&found.stdout).unwrap_or_else(|error| panic!("{error}: {stderr}"));
@@ -559,7 +557,7 @@ fn a_configuration_names_ports_and_sensors() {
 struct Program(Child);
 
 impl Program {
-    fn start(args: &[&str], own: &Own, stdout: Stdio, stderr: Stdio) -> Self {
+    fn start(args: &[&str], own: &TempDomain, stdout: Stdio, stderr: Stdio) -> Self {
         let mut command = Command::new(env!("CARGO_BIN_EXE_sweepd"));
         command
             .args(args)
@@ -582,7 +580,7 @@ impl Drop for Program {
 /// doctor, and a consumer.
 #[test]
 fn beside_a_daemon_the_doctor_and_watch_say_how_it_is_now() {
-    let own = Own::new();
+    let own = temp_domain();
     std::fs::create_dir_all(own.root()).unwrap();
     let port = free_port();
     let other = free_port();

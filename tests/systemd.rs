@@ -7,6 +7,8 @@ use std::ffi::OsStr;
 use std::path::{Path, PathBuf};
 use std::process::{Command, Stdio};
 
+use tempfile::TempDir;
+
 use sweepd::capture::udp::ample_buffer_bytes;
 use sweepd::daemon::config::Config;
 
@@ -34,34 +36,16 @@ fn tool(name: &str) -> Command {
     command
 }
 
-/// A folder of a test's own, removed with it.
-struct Folder(PathBuf);
-
-impl Folder {
-    fn new(test: &str) -> Self {
-        let path =
-            std::env::temp_dir().join(format!("sweepd-systemd-{test}-{}", std::process::id()));
-        std::fs::create_dir_all(&path).unwrap();
-        Self(path)
-    }
-}
-
-impl Drop for Folder {
-    fn drop(&mut self) {
-        let _ = std::fs::remove_dir_all(&self.0);
-    }
-}
-
 /// The unit with these lines more, its program being the one that was built: the other is not
 /// installed here.
-fn unit(folder: &Folder, more: &str) -> PathBuf {
+fn unit(folder: &TempDir, more: &str) -> PathBuf {
     let (installed, built) = (
         "ExecStart=/usr/bin/sweepd ",
         format!("ExecStart={} ", env!("CARGO_BIN_EXE_sweepd")),
     );
     let unit = text("sweepd.service");
     assert_eq!(unit.matches(installed).count(), 1);
-    let path = folder.0.join("sweepd.service");
+    let path = folder.path().join("sweepd.service");
     std::fs::write(
         &path,
         unit.replace(installed, &built)
@@ -82,7 +66,7 @@ fn said(command: &mut Command, arguments: &[&OsStr]) -> (bool, String) {
 #[test]
 #[cfg_attr(without_systemd, ignore = "no systemd")]
 fn the_unit_is_taken_without_a_word() {
-    let folder = Folder::new("verify");
+    let folder = tempfile::tempdir().unwrap();
     let verify = |more: &str| {
         let path = unit(&folder, more);
         said(
@@ -101,7 +85,7 @@ fn the_unit_is_taken_without_a_word() {
 #[cfg_attr(without_systemd, ignore = "no systemd")]
 fn the_unit_exposes_no_more_than_it_must() {
     let mut analyze = tool("systemd-analyze");
-    let folder = Folder::new("security");
+    let folder = tempfile::tempdir().unwrap();
     let path = unit(&folder, "");
     let (_, table) = said(
         &mut analyze,
@@ -178,9 +162,9 @@ fn the_sysctl_allows_the_buffer_that_is_asked_for() {
 #[cfg_attr(without_systemd, ignore = "no systemd")]
 fn the_user_of_the_unit_is_made() {
     let mut sysusers = tool("systemd-sysusers");
-    let folder = Folder::new("sysusers");
-    std::fs::create_dir_all(folder.0.join("etc")).unwrap();
-    let root = format!("--root={}", folder.0.display());
+    let folder = tempfile::tempdir().unwrap();
+    std::fs::create_dir_all(folder.path().join("etc")).unwrap();
+    let root = format!("--root={}", folder.path().display());
     let file = shipped("sysusers.d/sweepd.conf");
     let (done, plan) = said(
         &mut sysusers,
@@ -237,11 +221,11 @@ fn what_the_instructions_name_is_there() {
 #[cfg_attr(without_systemd, ignore = "no systemd")]
 fn an_upgrade_keeps_what_the_administrator_changed() {
     let mut tmpfiles = tool("systemd-tmpfiles");
-    let folder = Folder::new("upgrade");
+    let folder = tempfile::tempdir().unwrap();
     let project = Path::new(env!("CARGO_MANIFEST_DIR"));
     let instructions = std::fs::read_to_string(project.join("docs/install.md")).unwrap();
     let in_folder = |line: &str| {
-        let root = folder.0.display();
+        let root = folder.path().display();
         let line = line
             .replace(" /usr/", &format!(" {root}/usr/"))
             .replace(" /etc/", &format!(" {root}/etc/"));
@@ -266,14 +250,14 @@ fn an_upgrade_keeps_what_the_administrator_changed() {
         copies.into_iter().for_each(in_folder);
     };
     install();
-    std::fs::create_dir_all(folder.0.join("etc/tmpfiles.d")).unwrap();
+    std::fs::create_dir_all(folder.path().join("etc/tmpfiles.d")).unwrap();
     in_folder(
         commands()
             .find(|line| line.starts_with("sed ") && line.contains("tmpfiles.d"))
             .unwrap(),
     );
     install();
-    let root = format!("--root={}", folder.0.display());
+    let root = format!("--root={}", folder.path().display());
     let (done, taken) = said(
         &mut tmpfiles,
         &[

@@ -312,42 +312,26 @@ fn without_port(text: &str) -> Option<&str> {
 
 #[cfg(test)]
 mod tests {
+    use tempfile::TempDir;
+
     use super::*;
 
-    /// A folder of a test's own, removed with it.
-    struct Folder(PathBuf);
-
-    impl Folder {
-        fn new(test: &str) -> Self {
-            let path =
-                std::env::temp_dir().join(format!("sweepd-output-{test}-{}", std::process::id()));
-            let _ = fs::remove_dir_all(&path);
-            fs::create_dir(&path).unwrap();
-            Self(path)
-        }
-
-        fn names(&self) -> Vec<String> {
-            let name =
-                |entry: io::Result<fs::DirEntry>| entry.unwrap().file_name().into_string().unwrap();
-            let mut names: Vec<String> = fs::read_dir(&self.0).unwrap().map(name).collect();
-            names.sort();
-            names
-        }
-    }
-
-    impl Drop for Folder {
-        fn drop(&mut self) {
-            let _ = fs::remove_dir_all(&self.0);
-        }
+    fn names(folder: &TempDir) -> Vec<String> {
+        let mut names: Vec<String> = fs::read_dir(folder.path())
+            .unwrap()
+            .map(|entry| entry.unwrap().file_name().into_string().unwrap())
+            .collect();
+        names.sort();
+        names
     }
 
     #[test]
     fn a_file_has_its_name_when_it_is_whole_and_replaces_one_only_when_asked() {
-        let folder = Folder::new("whole");
-        let path = folder.0.join("a.yaml");
+        let folder = tempfile::tempdir().unwrap();
+        let path = folder.path().join("a.yaml");
         let (mut file, new) = NewFile::create(&path, Existing::Keep).unwrap();
         file.write_all(b"one").unwrap();
-        assert_eq!(folder.names(), ["a.yaml.part"]);
+        assert_eq!(names(&folder), ["a.yaml.part"]);
         let second = NewFile::create(&path, Existing::Keep)
             .unwrap_err()
             .to_string();
@@ -357,7 +341,7 @@ mod tests {
         );
         new.commit().unwrap();
         assert_eq!(
-            (folder.names(), fs::read(&path).unwrap()),
+            (names(&folder), fs::read(&path).unwrap()),
             (vec!["a.yaml".to_owned()], b"one".to_vec())
         );
         let refused = write(&path, b"two", Existing::Keep)
@@ -370,26 +354,30 @@ mod tests {
         // One that is given up leaves the old one.
         drop(NewFile::create(&path, Existing::Replace).unwrap());
         assert_eq!(
-            (folder.names(), fs::read(&path).unwrap()),
+            (names(&folder), fs::read(&path).unwrap()),
             (vec!["a.yaml".to_owned()], b"one".to_vec())
         );
-        fs::write(folder.0.join("a.yaml.part"), "of a run that was killed").unwrap();
+        fs::write(
+            folder.path().join("a.yaml.part"),
+            "of a run that was killed",
+        )
+        .unwrap();
         write(&path, b"two", Existing::Replace).unwrap();
         assert_eq!(
-            (folder.names(), fs::read(&path).unwrap()),
+            (names(&folder), fs::read(&path).unwrap()),
             (vec!["a.yaml".to_owned()], b"two".to_vec())
         );
     }
 
     #[test]
     fn a_file_that_another_process_makes_meanwhile_stays() {
-        let folder = Folder::new("meanwhile");
-        let path = folder.0.join("a.pcap");
+        let folder = tempfile::tempdir().unwrap();
+        let path = folder.path().join("a.pcap");
         let (_file, new) = NewFile::create(&path, Existing::Keep).unwrap();
         fs::write(&path, "theirs").unwrap();
         assert!(matches!(new.commit(), Err(WriteError::Exists { .. })));
         assert_eq!(
-            (folder.names(), fs::read(&path).unwrap()),
+            (names(&folder), fs::read(&path).unwrap()),
             (vec!["a.pcap".to_owned()], b"theirs".to_vec())
         );
     }
@@ -403,19 +391,19 @@ mod tests {
             );
         }
         write("/dev/null".as_ref(), b"gone", Existing::Keep).unwrap();
-        let folder = Folder::new("special");
-        std::os::unix::fs::symlink("/dev/full", folder.0.join("full")).unwrap();
-        let full = write(&folder.0.join("full"), b"x", Existing::Keep)
+        let folder = tempfile::tempdir().unwrap();
+        std::os::unix::fs::symlink("/dev/full", folder.path().join("full")).unwrap();
+        let full = write(&folder.path().join("full"), b"x", Existing::Keep)
             .unwrap_err()
             .to_string();
         assert!(full.contains("/full: No space left on device"), "{full}");
         // A link that leads nowhere exists all the same, and no file is made behind it.
-        std::os::unix::fs::symlink(folder.0.join("none"), folder.0.join("link")).unwrap();
+        std::os::unix::fs::symlink(folder.path().join("none"), folder.path().join("link")).unwrap();
         assert!(matches!(
-            write(&folder.0.join("link"), b"x", Existing::Keep),
+            write(&folder.path().join("link"), b"x", Existing::Keep),
             Err(WriteError::Exists { .. })
         ));
-        assert_eq!(folder.names(), ["full", "link"]);
+        assert_eq!(names(&folder), ["full", "link"]);
     }
 
     #[test]

@@ -7,14 +7,13 @@ mod common;
 #[path = "../common/counting.rs"]
 mod counting;
 
-use common::domain;
 use sweepd_lab::testkit::stream;
 
 use std::sync::atomic::Ordering;
 use std::time::{Duration, Instant};
 
+use crate::common::temp_domain;
 use counting::ALLOCATIONS;
-use domain::Own;
 use stream::Spin;
 use sweepd::admission::DiscoveredSensors;
 use sweepd::capture::record::RecorderConfig;
@@ -60,8 +59,8 @@ fn receiving() -> u64 {
         ..UdpConfig::port(0)
     })
     .unwrap();
-    let folder = std::env::temp_dir().join(format!("sweepd-allocation-{}", std::process::id()));
-    std::fs::create_dir_all(&folder).unwrap();
+    let temporary = tempfile::tempdir().unwrap();
+    let folder = temporary.path();
     let recorder = Recorder::start(RecorderConfig::new(&folder.join("all.pcap"))).unwrap();
     let mut feed = recorder.feed();
     let (sender, mut admission) = (
@@ -102,14 +101,13 @@ fn receiving() -> u64 {
     let counts: u64 = (0..10).map(|_| receive(100)).sum();
     assert_eq!(admitted, 502);
     recorder.finish().1.unwrap();
-    std::fs::remove_dir_all(&folder).unwrap();
     counts
 }
 
 /// Allocations by the publisher's thread for each of many sweeps, which one consumer reads and
 /// another does not. In 2.5 seconds the keeper looks after the service two or three times.
 fn sharing() -> Vec<u64> {
-    let own = Own::new();
+    let own = temp_domain();
     let settings = ServiceSettings {
         name: "roof".to_owned(),
         max_consumers: 2,

@@ -148,7 +148,7 @@ fn a_file_that_is_no_configuration_is_named() {
         "none.toml",
         "No such file",
     ]);
-    check(&folder.0).says(&["cannot read the configuration", "Is a directory"]);
+    check(folder.0.path()).says(&["cannot read the configuration", "Is a directory"]);
     check(&folder.write("picture.toml", b"http = \"\xff\xfe\"")).says(&["this is no text"]);
     check(&folder.write("long.toml", vec![b'#'; (1 << 20) + 1])).says(&["more than 1 MiB"]);
 }
@@ -181,7 +181,7 @@ fn what_this_host_does_not_have_is_a_warning() {
         "warning: sensor roof: `interface` eth99 is not on this host, which has",
         &format!(
             "warning: record: `path` is in {}/none, which is no folder",
-            folder.0.display()
+            folder.0.path().display()
         ),
     ] {
         assert!(ran.stderr.contains(part), "{part}:\n{}", ran.stderr);

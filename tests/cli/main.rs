@@ -23,11 +23,11 @@ mod to_udp;
 mod truth;
 mod watch;
 
-use common::domain;
-
 use std::io::Write;
 use std::path::{Path, PathBuf};
 use std::process::{Command, Output, Stdio};
+
+use tempfile::{Builder, TempDir};
 
 /// What a run of the binary came to.
 struct Ran {
@@ -134,19 +134,18 @@ fn sweeps(stdout: &str) -> Vec<serde_json::Value> {
         .collect()
 }
 
-/// A folder of a test's own, removed with it.
-struct Folder(PathBuf);
+/// A folder of one test, removed with it.
+struct Folder(TempDir);
 
 impl Folder {
     fn new(test: &str) -> Self {
-        let path = std::env::temp_dir().join(format!("sweepd-cli-{test}-{}", std::process::id()));
-        let _ = std::fs::remove_dir_all(&path);
-        std::fs::create_dir(&path).unwrap();
-        Self(path)
+        let prefix = format!("sweepd-cli-{test}-");
+        let folder = Builder::new().prefix(&prefix).tempdir();
+        Self(folder.unwrap())
     }
 
     fn path(&self, name: &str) -> PathBuf {
-        self.0.join(name)
+        self.0.path().join(name)
     }
 
     fn write(&self, name: &str, bytes: impl AsRef<[u8]>) -> PathBuf {
@@ -176,11 +175,5 @@ impl Folder {
         }
         files.sort();
         files
-    }
-}
-
-impl Drop for Folder {
-    fn drop(&mut self) {
-        let _ = std::fs::remove_dir_all(&self.0);
     }
 }

@@ -1,9 +1,10 @@
 //! What `sweepd replay --publish` says of names and sensors.
 
-use crate::domain::Own;
+use crate::common::temp_domain;
 use crate::{Folder, Ran, fixture, made, sweepd};
+use sweepd_lab::testkit::TempDomain;
 
-fn publish(own: &Own, capture: &std::path::Path, names: &[&str], options: &[&str]) -> Ran {
+fn publish(own: &TempDomain, capture: &std::path::Path, names: &[&str], options: &[&str]) -> Ran {
     let names: Vec<&str> = names.iter().flat_map(|name| ["--publish", name]).collect();
     let fixed = [
         "replay",
@@ -25,7 +26,7 @@ fn shared(ran: &Ran) -> Vec<&str> {
 
 #[test]
 fn names_that_no_service_or_file_may_have_are_refused() {
-    let own = Own::new();
+    let own = temp_domain();
     let capture = fixture("street_vlp16_losses.pcap");
     for name in [
         "a/b",
@@ -59,7 +60,7 @@ fn names_that_no_service_or_file_may_have_are_refused() {
 
 #[test]
 fn sensors_are_told_with_their_names_and_what_is_left_over_is_told_too() {
-    let own = Own::new();
+    let own = temp_domain();
     let folder = Folder::new("publish");
     let two = made::together(&[&made::vlp16(), &made::datagrams("street_hdl32e.pcap.gz")]);
     let three = made::together(&[

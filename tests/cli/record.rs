@@ -366,7 +366,7 @@ fn a_daemon_that_is_not_there_is_one_error_that_says_so() {
         "--from",
         "roof",
         "--root",
-        root.0.to_str().unwrap(),
+        root.0.path().to_str().unwrap(),
     ])
     .says(&[
         "no daemon listens at",
@@ -392,7 +392,7 @@ fn the_daemon_of_another_user_is_one_error_that_names_both() {
         "--from",
         "roof",
         "--root",
-        root.0.to_str().unwrap(),
+        root.0.path().to_str().unwrap(),
     ]);
     let output = command.uid(NOBODY).output().unwrap();
     Ran::of(output).says(&["user root", "user nobody", "sudo -u root"]);

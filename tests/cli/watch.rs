@@ -1,15 +1,18 @@
 //! `sweepd watch` of what `sweepd replay --publish` shares, each in a process of its own.
 
+use std::fs::Permissions;
 use std::io::{BufRead, BufReader};
+use std::os::unix::fs::PermissionsExt;
 use std::os::unix::process::CommandExt;
 use std::process::{Child, Command, Output, Stdio};
 use std::time::{Duration, Instant};
 
-use crate::domain::Own;
+use crate::common::temp_domain;
 use crate::{Folder, Ran, command, fixture, replay, sweepd, sweeps};
+use sweepd_lab::testkit::TempDomain;
 
 /// The binary in a domain of the test's own.
-fn within(own: &Own, args: &[&str]) -> Command {
+fn within(own: &TempDomain, args: &[&str]) -> Command {
     let mut command = command(args);
     command
         .env("SWEEPD_ROOT", own.root())
@@ -32,7 +35,7 @@ fn output(mut child: Child) -> Output {
 
 #[test]
 fn what_is_watched_is_what_is_replayed() {
-    let own = Own::new();
+    let own = temp_domain();
     let folder = Folder::new("watched");
     for name in ["street_vlp16_dual.pcap.gz", "street_hdl32e.pcap.gz"] {
         let capture = fixture(name);
@@ -100,7 +103,7 @@ fn what_is_watched_is_what_is_replayed() {
 
 #[test]
 fn several_sensors_are_listed_and_none_are_waited_for() {
-    let own = Own::new();
+    let own = temp_domain();
     within(&own, &["watch", "--timeout", "0.3"])
         .output()
         .map(Ran::of)
@@ -167,7 +170,7 @@ fn several_sensors_are_listed_and_none_are_waited_for() {
 
 #[test]
 fn another_user_gets_nothing_and_is_told_whose_it_is() {
-    let own = Own::new();
+    let own = temp_domain();
     let capture = fixture("street_vlp16.pcap.gz");
     let mut child = within(
         &own,
@@ -188,6 +191,9 @@ fn another_user_gets_nothing_and_is_told_whose_it_is() {
         let folder = Folder::new("nobody");
         let copy = folder.path("sweepd");
         std::fs::copy(env!("CARGO_BIN_EXE_sweepd"), &copy).unwrap();
+        for open in [folder.0.path(), own.folder()] {
+            std::fs::set_permissions(open, Permissions::from_mode(0o755)).unwrap();
+        }
         let nobody = |program: &str, args: &[&str]| {
             let mut command = Command::new(program);
             command
@@ -230,7 +236,7 @@ fn another_user_gets_nothing_and_is_told_whose_it_is() {
 /// Ctrl-C, in the middle of waiting: that is no error, and what was asked for at the end is shown.
 #[test]
 fn ctrl_c_ends_it_well() {
-    let own = Own::new();
+    let own = temp_domain();
     let capture = fixture("street_vlp16.pcap.gz");
     let mut shared = within(
         &own,
@@ -285,7 +291,7 @@ fn ctrl_c_ends_it_well() {
 
 #[test]
 fn names_that_are_none_are_refused() {
-    let own = Own::new();
+    let own = temp_domain();
     let long = "x".repeat(300);
     for name in ["", &long] {
         let ran = sweepd(&["watch", name, "--root", own.root().to_str().unwrap()]);

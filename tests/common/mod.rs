@@ -3,7 +3,6 @@
 // Each test uses its part of this.
 #![allow(dead_code)]
 
-pub mod domain;
 pub mod due;
 pub mod hdl64;
 pub mod npy;
@@ -17,7 +16,7 @@ use std::ffi::OsString;
 use std::path::{Path, PathBuf};
 use std::process::{Command, Stdio};
 
-use sweepd_lab::testkit::ReservedPort;
+use sweepd_lab::testkit::{ReservedPort, TempDomain};
 
 const VELODYNE_DECODER: &str = "3.1.0";
 const ICEORYX2: &str = "0.10.0";
@@ -94,6 +93,11 @@ fn python_that_says(code: &str, version: &str, package: &str) -> OsString {
         python.display()
     );
     python
+}
+
+/// A domain that no other test uses, with a folder. Both go when it is dropped.
+pub fn temp_domain() -> TempDomain {
+    TempDomain::new("sweepd-").unwrap()
 }
 
 /// A port of loopback, free for UDP and TCP, that no other test gets before this process ends.

@@ -7,14 +7,14 @@ use std::io::{BufRead, BufReader, Read, Write};
 use std::net::TcpStream;
 use std::path::{Path, PathBuf};
 use std::process::{Child, Command, ExitStatus, Stdio};
-use std::sync::atomic::{AtomicU32, Ordering};
 use std::sync::{Arc, Mutex};
 use std::time::{Duration, Instant};
 
 use sweepd::client::{Client, Domain};
 
-use super::domain::Own;
 use super::free_port;
+use super::temp_domain;
+use sweepd_lab::testkit::TempDomain;
 
 /// Longer than anything takes on a busy machine.
 pub const SOON: Duration = Duration::from_secs(10);
@@ -106,8 +106,7 @@ pub fn sweepd(args: &[&str]) -> Command {
 
 /// A daemon's folder, ports and configuration.
 pub struct Setup {
-    pub own: Own,
-    pub folder: PathBuf,
+    pub own: TempDomain,
     pub port: u16,
     http: u16,
     config: PathBuf,
@@ -116,12 +115,7 @@ pub struct Setup {
 impl Setup {
     /// One sensor, `roof`, on loopback, with more lines of its own and of the whole.
     pub fn new(sensor: &str, more: &str) -> Self {
-        static NEXT: AtomicU32 = AtomicU32::new(0);
-        let number = NEXT.fetch_add(1, Ordering::Relaxed);
-        let folder =
-            std::env::temp_dir().join(format!("sweepd-setup-{}-{number}", std::process::id()));
-        std::fs::create_dir_all(&folder).unwrap();
-        let own = Own::new();
+        let own = temp_domain();
         let port = free_port();
         let position_port = free_port();
         let http = free_port();
@@ -130,11 +124,10 @@ impl Setup {
              position_port = {position_port}\nbind = \"127.0.0.1\"\n{sensor}\n{more}\n",
             own.root().display()
         );
-        let config = folder.join("sweepd.toml");
+        let config = own.path("sweepd.toml");
         std::fs::write(&config, text).unwrap();
         Self {
             own,
-            folder,
             port,
             http,
             config,
@@ -146,7 +139,7 @@ impl Setup {
     }
 
     pub fn path(&self, name: &str) -> PathBuf {
-        self.folder.join(name)
+        self.own.path(name)
     }
 
     /// The arguments with which the daemon starts.
@@ -220,7 +213,6 @@ impl Drop for Setup {
         if std::thread::panicking() {
             eprintln!("the daemon said:\n{}", self.log());
         }
-        let _ = std::fs::remove_dir_all(&self.folder);
     }
 }
 

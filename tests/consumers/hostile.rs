@@ -10,8 +10,8 @@ use sweepd::sweep::layout::{Header, LAYOUT_VERSION, Part};
 use sweepd::sweep::{Buffers, HeapBuffers, Shape, SweepMut};
 use zerocopy::{FromBytes, IntoBytes};
 
-use super::domain::Own;
 use super::python::mapped;
+use sweepd_lab::testkit::TempDomain;
 
 type Ipc = iceoryx2::service::ipc_threadsafe::Service;
 
@@ -25,7 +25,7 @@ pub const SHAPE: Shape = Shape {
 /// Columns of an honest sweep.
 pub const COLUMNS: usize = 80;
 
-pub fn node(own: &Own) -> Node<Ipc> {
+pub fn node(own: &TempDomain) -> Node<Ipc> {
     let mut config = Config::default();
     config.global.set_root_path(
         &iceoryx2::prelude::Path::new(own.root().as_os_str().as_encoded_bytes()).unwrap(),
@@ -58,12 +58,12 @@ pub struct Hostile {
 }
 
 impl Hostile {
-    pub fn new(own: &Own) -> Self {
+    pub fn new(own: &TempDomain) -> Self {
         Self::aligned(own, 1)
     }
 
     /// One whose payload is aligned to this many bytes.
-    pub fn aligned(own: &Own, bytes: usize) -> Self {
+    pub fn aligned(own: &TempDomain, bytes: usize) -> Self {
         let node = node(own);
         let samples = node
             .service_builder(&service_name())

@@ -10,11 +10,11 @@ use serde_json::Value;
 use sweepd::client::Client;
 use sweepd::sweep::SweepRef;
 
-use super::common::python_with_iceoryx2;
-use super::domain::Own;
+use super::common::{python_with_iceoryx2, temp_domain};
 use super::python::{Talk, loans, publish};
 use super::sweeps::Source;
 use super::{folder, of_project};
+use sweepd_lab::testkit::TempDomain;
 
 /// The Rust consumer, built as these tests are, with the same features: `cargo test` has done so
 /// before.
@@ -50,7 +50,7 @@ fn nearest(sweep: &SweepRef<'_>) -> Option<f32> {
 }
 
 /// Plays a street to a consumer, whose every line must be about the sweep that was sent.
-fn play_to(consumer: &Talk, own: &Own, mut check: impl FnMut(&SweepRef<'_>, &str)) {
+fn play_to(consumer: &Talk, own: &TempDomain, mut check: impl FnMut(&SweepRef<'_>, &str)) {
     let mut loans = loans(own);
     // It is there when it has printed something.
     loop {
@@ -110,7 +110,7 @@ fn interrupt(consumer: &Talk) {
 
 #[test]
 fn the_rust_consumer_prints_a_line_a_sweep_and_makes_room_when_it_is_killed() {
-    let own = Own::new();
+    let own = temp_domain();
     let program = rust_consumer();
     let args = ["roof".as_ref(), own.root().as_os_str()];
     let mut consumer = Talk::start(program.as_os_str(), &args);
@@ -146,7 +146,7 @@ fn publish_until_line(loans: &mut sweepd::publish::Loans, consumer: &Talk) {
 fn the_python_consumer_prints_a_line_a_sweep_and_ends_at_once() {
     let python = python_with_iceoryx2();
     let script = of_project("examples/consumer.py");
-    let own = Own::new();
+    let own = temp_domain();
     let args = [
         script.as_os_str(),
         "roof".as_ref(),
@@ -158,7 +158,7 @@ fn the_python_consumer_prints_a_line_a_sweep_and_ends_at_once() {
     interrupt(&consumer);
     assert!(consumer.end().success());
 
-    let own = Own::new();
+    let own = temp_domain();
     let args = [
         script.as_os_str(),
         "roof".as_ref(),
@@ -244,7 +244,7 @@ fn the_cpp_consumer_compiles_and_reads_a_sweep() {
     let (done, _, error) = run(&[file.as_os_str()]);
     assert!(!done && error.contains("too few bytes"), "{error}");
 
-    let own = Own::new();
+    let own = temp_domain();
     for root in [own.root(), "/run/sweepd/iox2".as_ref(), "/a".as_ref()] {
         let prefix = sweepd::publish::Domain::at(root).prefix();
         assert_eq!(run(&["--prefix".as_ref(), root.as_os_str()]).1, prefix);

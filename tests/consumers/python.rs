@@ -13,11 +13,11 @@ use sweepd::sweep::layout::is_return;
 use sweepd::sweep::{Buffers, Shape, SweepMut, SweepRef};
 use zerocopy::IntoBytes;
 
-use super::common::python_with_iceoryx2;
-use super::domain::Own;
+use super::common::{python_with_iceoryx2, temp_domain};
 use super::fields::{numbers, structs};
 use super::sweeps::SOURCES;
 use super::{folder, of_project};
+use sweepd_lab::testkit::TempDomain;
 
 /// Longer than anything here takes on a busy machine.
 const LIMIT: Duration = Duration::from_secs(60);
@@ -109,7 +109,7 @@ pub fn check(args: &[&OsStr]) -> Talk {
     Talk::start(&python, &[&[script.as_os_str()], args].concat())
 }
 
-fn follow(own: &Own, points_to: &Path) -> Talk {
+fn follow(own: &TempDomain, points_to: &Path) -> Talk {
     check(&[
         "follow".as_ref(),
         "roof".as_ref(),
@@ -118,7 +118,7 @@ fn follow(own: &Own, points_to: &Path) -> Talk {
     ])
 }
 
-pub fn loans(own: &Own) -> Loans {
+pub fn loans(own: &TempDomain) -> Loans {
     let (model, address) = ("VLP-16".to_owned(), "192.168.1.201".to_owned());
     Loans::create(
         &own.domain(),
@@ -157,7 +157,7 @@ pub fn publish(loans: &mut Loans, sequence: u64) {
 #[test]
 #[cfg_attr(without_python, ignore = "no SWEEPD_PYTHON")]
 fn the_python_consumer_has_the_fields_and_numbers_of_the_layout() {
-    let own = Own::new();
+    let own = temp_domain();
     let roots = [
         "/run/sweepd/iox2",
         "/tmp/sweepd/iox2",
@@ -340,7 +340,7 @@ fn compare_points(sweep: &SweepRef<'_>, folder: &Path) {
 #[cfg_attr(without_python, ignore = "no SWEEPD_PYTHON")]
 fn python_reads_the_bytes_that_the_decoder_wrote_and_the_same_points() {
     for source in SOURCES {
-        let (own, points_to) = (Own::new(), folder("python"));
+        let (own, points_to) = (temp_domain(), folder("python"));
         let mut hashes = Vec::new();
         let loans = loans(&own);
         let mut python = follow(&own, &points_to);
@@ -412,7 +412,7 @@ fn compare_hashes(hashes: &[(Vec<u8>, String)]) {
 #[test]
 #[cfg_attr(without_python, ignore = "no SWEEPD_PYTHON")]
 fn python_goes_on_when_the_daemon_was_restarted_and_when_files_were_deleted() {
-    let own = Own::new();
+    let own = temp_domain();
     // It is there first.
     let mut python = follow(&own, Path::new(""));
     assert_eq!(python.json()["ready"], false);
@@ -459,7 +459,7 @@ fn python_goes_on_when_the_daemon_was_restarted_and_when_files_were_deleted() {
 #[test]
 #[cfg_attr(without_python, ignore = "no SWEEPD_PYTHON")]
 fn what_python_holds_stays_and_more_than_two_are_refused() {
-    let own = Own::new();
+    let own = temp_domain();
     let mut loans = loans(&own);
     let mut python = check(&["hold".as_ref(), "roof".as_ref(), own.root().as_ref()]);
     assert_eq!(python.json()["ready"], true);
@@ -487,7 +487,7 @@ fn what_python_holds_stays_and_more_than_two_are_refused() {
 #[test]
 #[cfg_attr(without_python, ignore = "no SWEEPD_PYTHON")]
 fn python_refuses_a_full_service() {
-    let own = Own::new();
+    let own = temp_domain();
     let _loans = loans(&own);
     let mut others: Vec<Talk> = (0..2).map(|_| follow(&own, Path::new(""))).collect();
     assert!(others.iter().all(|talk| talk.json()["ready"] == true));
@@ -511,7 +511,7 @@ fn python_refuses_a_full_service() {
 #[cfg_attr(without_python, ignore = "no SWEEPD_PYTHON")]
 #[cfg_attr(without_root, ignore = "not root, or no namespaces")]
 fn a_folder_of_another_user_is_named() {
-    let folder = Own::new();
+    let folder = temp_domain();
     std::fs::create_dir(folder.root()).unwrap();
     std::os::unix::fs::chown(folder.root(), Some(65_534), None).unwrap();
     let said = follow(&folder, Path::new("")).json();

@@ -16,16 +16,17 @@ use sweepd::sweep::SweepRef;
 use sweepd::sweep::layout::{Header, LAYOUT_VERSION, LayoutError};
 use zerocopy::IntoBytes;
 
-use super::domain::Own;
 use super::hostile::{
     COLUMNS, Case, Fate, Hostile, SHAPE, cases, honest, node, preamble, schema, service_name,
 };
 use super::python::{Talk, check, loans, publish};
 use super::{folder, of_project};
+use crate::common::temp_domain;
+use sweepd_lab::testkit::TempDomain;
 
 const SOON: Duration = Duration::from_secs(5);
 
-fn client(own: &Own) -> Client {
+fn client(own: &TempDomain) -> Client {
     let mut client = Client::within(&own.domain(), "roof").unwrap();
     assert!(client.next(Duration::ZERO).unwrap().is_none() && client.is_connected());
     client
@@ -57,7 +58,7 @@ fn ask_all(sweep: &SweepRef<'_>) -> usize {
 
 #[test]
 fn rust_takes_or_refuses_whatever_is_sent() {
-    let own = Own::new();
+    let own = temp_domain();
     let hostile = Hostile::new(&own);
     let mut client = client(&own);
     for Case {
@@ -122,7 +123,7 @@ fn a_refusal_of_another_version_names_both_and_the_cure() {
 #[cfg_attr(without_python, ignore = "no SWEEPD_PYTHON")]
 fn a_service_of_another_version_is_refused_with_both_and_the_cure_until_this_one_comes() {
     for version in ["2", "4", "100000"] {
-        let own = Own::new();
+        let own = temp_domain();
         let (mut client, mut python) = (
             Client::within(&own.domain(), "roof").unwrap(),
             refusing(&own),
@@ -163,7 +164,7 @@ fn a_service_of_another_version_is_refused_with_both_and_the_cure_until_this_one
 
 /// A daemon begins, and the client that was refused gets its sweeps.
 #[track_caller]
-fn comes_back(own: &Own, client: &mut Client) {
+fn comes_back(own: &TempDomain, client: &mut Client) {
     let mut loans = loans(own);
     let begun = Instant::now();
     loop {
@@ -185,7 +186,7 @@ struct Wider {
 }
 
 /// Has the clients meet the service while it lives.
-fn meet_foreign(own: &Own, what: &str) {
+fn meet_foreign(own: &TempDomain, what: &str) {
     let mut client = Client::within(&own.domain(), "roof").unwrap();
     let error = client.next(Duration::ZERO).unwrap_err();
     assert!(
@@ -218,7 +219,7 @@ fn a_foreign_service_of_the_same_name_is_refused() {
     let version = schema(&LAYOUT_VERSION.to_string());
     macro_rules! meet {
         ($what:literal, $attributes:expr, $payload:ty, $($header:tt)*) => {{
-            let own = Own::new();
+            let own = temp_domain();
             let node = node(&own);
             let samples = node.service_builder(&service_name()).publish_subscribe::<$payload>()$($header)*;
             let _service = samples.create_with_attributes($attributes).unwrap();
@@ -234,7 +235,7 @@ fn a_foreign_service_of_the_same_name_is_refused() {
 }
 
 /// Has something else stand in the file in which a service says what it is.
-fn rewrite(own: &Own, how: impl Fn(&ServiceFile, &ServiceFile) -> Vec<u8>) {
+fn rewrite(own: &TempDomain, how: impl Fn(&ServiceFile, &ServiceFile) -> Vec<u8>) {
     let folder = std::fs::read_dir(own.root().join("services")).unwrap();
     let read = |path: PathBuf| {
         let content = std::fs::read(&path).unwrap();
@@ -292,7 +293,7 @@ fn replaced(bytes: &[u8], from: &[u8], to: &[u8]) -> Vec<u8> {
 #[test]
 #[cfg_attr(without_python, ignore = "no SWEEPD_PYTHON")]
 fn a_service_that_lies_about_what_it_is_is_refused_in_plain_text() {
-    let own = Own::new();
+    let own = temp_domain();
     let _hostile = Hostile::new(&own);
     // It is an event, under the name of the sweeps: iceoryx2 panics where it is asked for the types
     // of that.
@@ -305,7 +306,7 @@ fn a_service_that_lies_about_what_it_is_is_refused_in_plain_text() {
     });
     meet_foreign(&own, "nothing");
 
-    let own = Own::new();
+    let own = temp_domain();
     let _hostile = Hostile::new(&own);
     // A type whose name clears a terminal.
     rewrite(&own, |sweeps, _| {
@@ -328,7 +329,7 @@ fn a_service_that_lies_about_what_it_is_is_refused_in_plain_text() {
 /// A daemon that was built with another iceoryx2.
 #[test]
 fn a_service_of_another_iceoryx2_is_refused_with_the_cure_until_this_one_comes() {
-    let own = Own::new();
+    let own = temp_domain();
     let hostile = Hostile::new(&own);
     rewrite(&own, |sweeps, _| {
         replaced(&sweeps.content, b"minor = 10\n", b"minor = 99\n")
@@ -355,7 +356,7 @@ fn a_service_of_another_iceoryx2_is_refused_with_the_cure_until_this_one_comes()
 /// apart as ever.
 #[test]
 fn a_service_that_is_aligned_to_more_is_read() {
-    let own = Own::new();
+    let own = temp_domain();
     let hostile = Hostile::aligned(&own, 128);
     let mut client = client(&own);
     hostile.send(&honest(4), &honest_preamble());
@@ -368,7 +369,7 @@ fn a_service_that_is_aligned_to_more_is_read() {
 /// counts.
 #[test]
 fn a_header_that_changes_while_it_is_read_changes_nothing() {
-    let own = Own::new();
+    let own = temp_domain();
     let hostile = Hostile::new(&own);
     let mut client = client(&own);
     let over = AtomicBool::new(false);
@@ -456,7 +457,7 @@ fn hold(sweep: &Sweep) -> bool {
 /// A client that was refused gets the sweeps of the daemon that comes afterwards.
 #[test]
 fn who_was_refused_goes_on_when_the_daemon_comes() {
-    let own = Own::new();
+    let own = temp_domain();
     let hostile = Hostile::new(&own);
     let mut client = client(&own);
     hostile.send(b"no sweep at all", &preamble(LAYOUT_VERSION, 15));
@@ -469,7 +470,7 @@ fn who_was_refused_goes_on_when_the_daemon_comes() {
 /// none at all would be for ever.
 #[test]
 fn a_wait_ends_however_short_it_is() {
-    let own = Own::new();
+    let own = temp_domain();
     let _loans = loans(&own);
     let mut client = client(&own);
     let (ended, is_ended) = mpsc::channel();
@@ -497,7 +498,7 @@ fn watch_shows_or_refuses_whatever_is_sent() {
         if fate != Fate::Taken && name != "noise" && name != "another mark" {
             continue;
         }
-        let own = Own::new();
+        let own = temp_domain();
         let hostile = Hostile::new(&own);
         let mut watch = Command::new(env!("CARGO_BIN_EXE_sweepd"));
         watch
@@ -538,14 +539,14 @@ fn watch_shows_or_refuses_whatever_is_sent() {
     }
 }
 
-fn refusing(own: &Own) -> Talk {
+fn refusing(own: &TempDomain) -> Talk {
     check(&["refuse".as_ref(), "roof".as_ref(), own.root().as_ref()])
 }
 
 #[test]
 #[cfg_attr(without_python, ignore = "no SWEEPD_PYTHON")]
 fn python_takes_or_refuses_whatever_is_sent() {
-    let own = Own::new();
+    let own = temp_domain();
     let hostile = Hostile::new(&own);
     let mut python = refusing(&own);
     // To be there from the first on.

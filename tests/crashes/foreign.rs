@@ -7,9 +7,9 @@ use std::path::{Path, PathBuf};
 
 use sweepd::client::Domain;
 
-use crate::common::free_port;
-use crate::domain::{Own, shared_memory};
+use crate::common::{free_port, temp_domain};
 use crate::setup::{Process, SOON, Setup};
+use sweepd_lab::testkit::domain::shared_memory;
 
 /// The user `nobody`.
 const OTHER: u32 = 65_534;
@@ -78,7 +78,7 @@ fn faults(name: &str, root: &Path, parts: &[&str]) -> Vec<String> {
 #[test]
 #[cfg_attr(without_root, ignore = "not root, or no namespaces")]
 fn a_folder_behind_a_link_or_below_a_folder_of_another_user_is_refused() {
-    let own = Own::new();
+    let own = temp_domain();
     let [evil, target] = ["evil", "target"].map(|name| own.root().join(name));
     fs::create_dir_all(&evil).unwrap();
     fs::create_dir(&target).unwrap();
@@ -142,7 +142,7 @@ fn shared_memory_of_another_user_under_the_name_of_the_counter_is_refused() {
         ("random", random, 0o600),
         ("a copy", &true_bytes, 0o666),
     ] {
-        let own = Own::new();
+        let own = temp_domain();
         fs::create_dir_all(own.root()).unwrap();
         fs::set_permissions(own.root(), Permissions::from_mode(0o750)).unwrap();
         let file = Path::new("/dev/shm").join(format!("{}{COUNTER}", own.domain().prefix()));

@@ -29,7 +29,7 @@ fn fill(left_kib: u32) -> String {
 /// A script that runs a program with this room and writes its exit code and words to the test's
 /// folder.
 fn run_full(world: &World, program: &str, left_kib: u32) -> String {
-    let folder = world.folder.display();
+    let folder = world.folder().display();
     format!(
         "{}code=0\ntimeout 10 {program} >/dev/null 2>{folder}/said || code=$?\necho $code > {folder}/code\nrm /dev/shm/other\n",
         fill(left_kib)
@@ -38,7 +38,7 @@ fn run_full(world: &World, program: &str, left_kib: u32) -> String {
 
 /// The exit code and the words of the program that ran without room.
 fn outcome(world: &World) -> (i32, String) {
-    let read = |name| fs::read_to_string(world.folder.join(name)).unwrap_or_default();
+    let read = |name| fs::read_to_string(world.folder().join(name)).unwrap_or_default();
     (read("code").trim().parse().unwrap_or(-1), read("said"))
 }
 
@@ -58,7 +58,7 @@ fn a_daemon_without_shared_memory_says_so_and_starts_when_there_is_some() {
         let run = format!(
             "{} run --config {}/sweepd.toml",
             binary(),
-            world.folder.display()
+            world.folder().display()
         );
         let script = format!(
             "mount -t tmpfs -o size=64m none /dev/shm\n{}",

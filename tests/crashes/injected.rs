@@ -7,9 +7,9 @@ use std::sync::atomic::{AtomicUsize, Ordering};
 use std::time::{Duration, Instant};
 use std::{fmt, fs};
 
-use crate::domain::clear;
 use crate::setup::{Process, Setup, Watch};
 use crate::{Robot, SETTLE, files, no_more};
+use sweepd_lab::testkit::domain::clear;
 
 /// The calls; not every machine has those with a question mark.
 const CALLS: &str = "openat,ftruncate,fchmod,?fchmodat,?chmod,write,?rename,?renameat,renameat2,bind,?unlink,unlinkat,\

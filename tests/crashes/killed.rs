@@ -67,7 +67,7 @@ fn consumers_killed_while_they_hold_sweeps_cost_the_others_none() {
         // There is room for one beside this one: what the dead had must be given back each time.
         let args = [
             &setup.watch_args()[..],
-            &["--force", "--png", setup.folder.to_str().unwrap()],
+            &["--force", "--png", setup.own.folder().to_str().unwrap()],
         ]
         .concat();
         let mut other = Process::start(&args, &setup.path("watch.log"));
@@ -93,7 +93,7 @@ fn consumers_killed_while_they_hold_sweeps_cost_the_others_none() {
 
 /// The PNGs that a consumer has drawn.
 fn drawings(setup: &Setup) -> Vec<PathBuf> {
-    let files = fs::read_dir(&setup.folder).unwrap().flatten();
+    let files = fs::read_dir(setup.own.folder()).unwrap().flatten();
     files
         .map(|file| file.path())
         .filter(|path| path.extension().is_some_and(|it| it == "png"))

@@ -16,7 +16,7 @@ mod random;
 #[path = "../resource/world.rs"]
 mod world;
 
-use common::{domain, setup};
+use common::setup;
 
 use std::collections::BTreeMap;
 use std::fs;

@@ -11,5 +11,3 @@ mod losses;
 mod ports;
 mod record;
 mod rig;
-
-use common::domain;

@@ -597,8 +597,8 @@ fn entities_do_not_explode() {
 
 #[test]
 fn reading_needs_a_file_of_text_of_sensible_length() {
-    let dir = std::env::temp_dir().join(format!("sweepd-calibration-{}", std::process::id()));
-    std::fs::create_dir_all(&dir).unwrap();
+    let temporary = tempfile::tempdir().unwrap();
+    let dir = temporary.path();
     let file = |bytes: &[u8]| {
         let path = dir.join("table");
         std::fs::write(&path, bytes).unwrap();
@@ -624,7 +624,6 @@ fn reading_needs_a_file_of_text_of_sensible_length() {
             .ends_with("more than 256 KiB, too long for a calibration"),
         "{error}"
     );
-    std::fs::remove_dir_all(&dir).unwrap();
     let error = files::calibration(&dir.join("none.yaml")).unwrap_err();
     assert!(
         matches!(error, CalibrationFileError::Io { .. }) && error.to_string().contains("none.yaml"),

@@ -9,20 +9,20 @@ use serde_json::Value;
 use sweepd::cloud::{COLUMNS, CloudSegmenter};
 use sweepd::score::{Baseline, Group, InstanceCounts, ScanScore, Summary, Truth};
 use sweepd::segment::Config;
+use tempfile::{Builder, TempDir};
 
 /// A folder that goes with the test.
-struct Folder(PathBuf);
+struct Folder(TempDir);
 
 impl Folder {
     fn new(test: &str) -> Self {
-        let path = std::env::temp_dir().join(format!("sweepd-score-{test}-{}", std::process::id()));
-        let _ = std::fs::remove_dir_all(&path);
-        std::fs::create_dir(&path).unwrap();
-        Self(path)
+        let prefix = format!("sweepd-score-{test}-");
+        let folder = Builder::new().prefix(&prefix).tempdir();
+        Self(folder.unwrap())
     }
 
     fn path(&self, name: &str) -> PathBuf {
-        self.0.join(name)
+        self.0.path().join(name)
     }
 
     /// Writes a file, in a folder of it that need not be there.
@@ -42,7 +42,7 @@ impl Folder {
     fn run(&self, options: &[&str]) -> Output {
         let mut command = Command::new(env!("CARGO_BIN_EXE_sweepd"));
         command
-            .current_dir(&self.0)
+            .current_dir(self.0.path())
             .args(["score", "--scans", "scans"])
             .args(options)
             .output()
@@ -72,12 +72,6 @@ impl Folder {
             said.starts_with("error: ") && lacking.is_empty(),
             "{said}lacks {lacking:?}"
         );
-    }
-}
-
-impl Drop for Folder {
-    fn drop(&mut self) {
-        let _ = std::fs::remove_dir_all(&self.0);
     }
 }
 

@@ -6,7 +6,7 @@ use std::sync::atomic::{AtomicU64, Ordering};
 use std::sync::mpsc::{self, RecvTimeoutError, Sender};
 use std::time::{Duration, Instant};
 
-use crate::common::domain::Own;
+use crate::common::temp_domain;
 use sweepd::client::{Client, ClientError, JoinError, Sweep};
 use sweepd::pipeline::{Config, Pipeline};
 use sweepd::publish::{Domain, Loans, PublishError, ServiceSettings, Slot, pool_sweeps};
@@ -14,6 +14,7 @@ use sweepd::sensor::Model;
 use sweepd::sweep::buffers::HeapBuffer;
 use sweepd::sweep::{Buffers, HeapBuffers, Memory, Shape, SweepMut, SweepRef};
 use sweepd::wire::data::ReturnMode;
+use sweepd_lab::testkit::TempDomain;
 use sweepd_lab::testkit::stream::{Sent, Spin, config, datagram, unit};
 
 /// Longest wait for what comes at once where this process has a core.
@@ -29,7 +30,7 @@ fn settings(max_consumers: usize) -> ServiceSettings {
     }
 }
 
-fn loans(own: &Own, max_consumers: usize) -> Loans {
+fn loans(own: &TempDomain, max_consumers: usize) -> Loans {
     Loans::create(&own.domain(), &settings(max_consumers)).unwrap()
 }
 
@@ -49,7 +50,7 @@ fn joining(error: PublishError) -> JoinError {
     error
 }
 
-fn client(own: &Own) -> Client {
+fn client(own: &TempDomain) -> Client {
     let mut client = Client::within(&own.domain(), "roof").unwrap();
     // To be there from the first sweep on.
     assert!(client.next(Duration::ZERO).unwrap().is_none() && client.is_connected());
@@ -115,7 +116,7 @@ impl Buffers for Watched<Loans> {
 
 #[test]
 fn the_consumer_reads_the_bytes_that_the_decoder_wrote() {
-    let own = Own::new();
+    let own = temp_domain();
     let (sender, given) = mpsc::channel();
     let watched = Watched {
         buffers: loans(&own, 2),
@@ -215,7 +216,7 @@ fn shared_sweeps_are_those_of_the_heap_whatever_the_pool_held() {
             },
         );
         for full_of in [0xA5, 0x3C] {
-            let own = Own::new();
+            let own = temp_domain();
             let (sender, _given) = mpsc::channel();
             let watched = Watched {
                 buffers: loans(&own, 1),
@@ -267,7 +268,7 @@ fn number(sweep: &Sweep) -> u64 {
 
 #[test]
 fn slow_stuck_and_greedy_consumers_delay_nobody() {
-    let own = Own::new();
+    let own = temp_domain();
     let mut loans = loans(&own, 4);
     let [mut good, mut slow, mut greedy, stuck] = [(); 4].map(|()| client(&own));
     let mut held = Vec::new();
@@ -314,7 +315,7 @@ fn slow_stuck_and_greedy_consumers_delay_nobody() {
 
 #[test]
 fn who_comes_late_gets_the_last_sweep() {
-    let own = Own::new();
+    let own = temp_domain();
     let mut loans = loans(&own, 4);
     for sequence in 0..3 {
         publish(&mut loans, sequence);
@@ -329,7 +330,7 @@ fn who_comes_late_gets_the_last_sweep() {
 
 #[test]
 fn a_sensor_has_one_publisher_and_its_consumers_outlive_it() {
-    let own = Own::new();
+    let own = temp_domain();
     let mut first = loans(&own, 2);
     let mut consumer = client(&own);
     let taken = Loans::create(&own.domain(), &settings(2)).unwrap_err();
@@ -350,7 +351,7 @@ fn a_sensor_has_one_publisher_and_its_consumers_outlive_it() {
 
 #[test]
 fn a_consumer_waits_for_the_daemon() {
-    let own = Own::new();
+    let own = temp_domain();
     let mut early = Client::within(&own.domain(), "roof").unwrap();
     assert!(early.next(Duration::from_millis(120)).unwrap().is_none() && !early.is_connected());
     let mut loans = loans(&own, 2);
@@ -372,7 +373,7 @@ fn a_consumer_waits_for_the_daemon() {
 /// and the consumer, who is told nothing, finds it.
 #[test]
 fn files_that_vanish_are_made_anew_and_found_again() {
-    let own = Own::new();
+    let own = temp_domain();
     let mut loans = loans(&own, 2);
     let mut consumer = client(&own);
     let status = loans.status();
@@ -426,7 +427,7 @@ fn files_that_vanish_are_made_anew_and_found_again() {
 
 #[test]
 fn too_little_shared_memory_is_an_error_that_says_how_much() {
-    let own = Own::new();
+    let own = temp_domain();
     let mut loans = loans(&own, 100);
     let error = loans.reserve(1 << 40).unwrap_err();
     let JoinError::Memory { wanted, free } = joining(error) else {
@@ -443,7 +444,7 @@ fn too_little_shared_memory_is_an_error_that_says_how_much() {
 
 #[test]
 fn nothing_is_left_in_shared_memory() {
-    let own = Own::new();
+    let own = temp_domain();
     let mut loans = loans(&own, 2);
     let mut consumer = client(&own);
     loans.reserve(100_000).unwrap();
@@ -459,7 +460,7 @@ fn nothing_is_left_in_shared_memory() {
 
 #[test]
 fn a_pool_grows_when_the_sensor_begins_to_send_two_returns() {
-    let own = Own::new();
+    let own = temp_domain();
     let mut loans = loans(&own, 1);
     let mut consumer = client(&own);
     publish(&mut loans, 1);
@@ -481,7 +482,7 @@ fn a_pool_grows_when_the_sensor_begins_to_send_two_returns() {
 /// of it is out.
 #[test]
 fn a_pool_that_was_outgrown_is_given_back() {
-    let own = Own::new();
+    let own = temp_domain();
     let mut loans = loans(&own, 1);
     publish(&mut loans, 1);
     let pools = || {
@@ -510,7 +511,7 @@ fn a_pool_that_was_outgrown_is_given_back() {
 /// consumer all the same.
 #[test]
 fn a_sweep_that_was_begun_before_its_pool_is_there_is_shared_when_it_is_complete() {
-    let own = Own::new();
+    let own = temp_domain();
     let mut loans = loans(&own, 2).without_waiting();
     let mut consumer = client(&own);
     // Tens of megabytes, whose pages take a while.
@@ -534,7 +535,7 @@ fn a_sweep_that_was_begun_before_its_pool_is_there_is_shared_when_it_is_complete
 /// shared again at once.
 #[test]
 fn a_pool_that_cannot_be_had_is_told_and_tried_again() {
-    let own = Own::new();
+    let own = temp_domain();
     let mut loans = loans(&own, 100);
     publish(&mut loans, 1);
     let status = loans.status();
@@ -573,7 +574,7 @@ impl IsOk for Slot {
 
 #[test]
 fn of_several_that_begin_at_once_one_publishes() {
-    let own = Own::new();
+    let own = temp_domain();
     let barrier = std::sync::Barrier::new(4);
     let begin = || {
         barrier.wait();
@@ -599,7 +600,7 @@ fn of_several_that_begin_at_once_one_publishes() {
 /// one before lives.
 #[test]
 fn a_service_that_does_not_fit_any_more_is_made_anew() {
-    let own = Own::new();
+    let own = temp_domain();
     let mut first = loans(&own, 1);
     let mut consumer = client(&own);
     publish(&mut first, 1);
@@ -659,7 +660,7 @@ fn a_service_that_does_not_fit_any_more_is_made_anew() {
 
 #[test]
 fn a_sweep_outlives_its_client_and_its_daemon() {
-    let own = Own::new();
+    let own = temp_domain();
     let mut loans = loans(&own, 1);
     let mut consumer = client(&own);
     publish(&mut loans, 1);
@@ -682,7 +683,7 @@ fn a_sweep_outlives_its_client_and_its_daemon() {
 #[test]
 #[cfg_attr(without_root, ignore = "not root, or no namespaces")]
 fn a_folder_of_another_user_names_both() {
-    let folder = Own::new();
+    let folder = temp_domain();
     std::fs::create_dir(folder.root()).unwrap();
     std::os::unix::fs::chown(folder.root(), Some(65_534), None).unwrap();
     for error in [

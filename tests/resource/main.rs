@@ -9,5 +9,3 @@ mod common;
 mod running;
 mod start;
 mod world;
-
-use common::domain;

@@ -95,9 +95,9 @@ const CASES: [Case; 7] = [
 fn what_it_cannot_start_without_is_named_with_the_cure() {
     for case in CASES {
         let mut world = World::new();
-        std::fs::set_permissions(&world.folder, std::fs::Permissions::from_mode(0o755)).unwrap();
+        std::fs::set_permissions(world.folder(), std::fs::Permissions::from_mode(0o755)).unwrap();
         world.configure(case.config.0, case.config.1);
-        let folder = world.folder.display().to_string();
+        let folder = world.folder().display().to_string();
         world.start(case.unshare, &case.script.replace("$FOLDER", &folder));
         let status = world.end();
         let log = world.log();

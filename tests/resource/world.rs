@@ -1,18 +1,16 @@
 //! A daemon in namespaces of its own, and what can be done to it there.
 
 use std::fs;
-use std::path::PathBuf;
+use std::path::Path;
 use std::process::{Child, Command, ExitStatus, Stdio};
-use std::sync::atomic::{AtomicU32, Ordering};
 use std::time::{Duration, Instant};
 
-use crate::common::free_port;
-use crate::domain::Own;
+use crate::common::{free_port, temp_domain};
+use sweepd_lab::testkit::TempDomain;
 
 /// A daemon's folder, ports, and the daemon.
 pub struct World {
-    own: Own,
-    pub folder: PathBuf,
+    own: TempDomain,
     pub port: u16,
     pub http: u16,
     daemon: Option<Child>,
@@ -21,19 +19,17 @@ pub struct World {
 
 impl World {
     pub fn new() -> Self {
-        static NEXT: AtomicU32 = AtomicU32::new(0);
-        let number = NEXT.fetch_add(1, Ordering::Relaxed);
-        let folder =
-            std::env::temp_dir().join(format!("sweepd-resource-{}-{number}", std::process::id()));
-        fs::create_dir_all(&folder).unwrap();
         Self {
-            own: Own::new(),
-            folder,
+            own: temp_domain(),
             port: free_port(),
             http: free_port(),
             daemon: None,
             others: Vec::new(),
         }
+    }
+
+    pub fn folder(&self) -> &Path {
+        self.own.folder()
     }
 
     /// Writes the configuration: a VLP-16 at 127.0.0.1, with more lines of the sensor and of the
@@ -61,12 +57,12 @@ impl World {
             "http = \"127.0.0.1:{http}\"\n{root}{before}\n[[sensor]]\nname = \"roof\"\nport = {port}\nposition_port = {port}\n\
              {address}{bind}{sensor}\n{after}\n"
         );
-        fs::write(self.folder.join("sweepd.toml"), text).unwrap();
+        fs::write(self.own.path("sweepd.toml"), text).unwrap();
     }
 
     /// Starts the daemon after a script, in mount and network namespaces as said: `-m`, `-n`.
     pub fn start(&mut self, unshare: &[&str], script: &str) {
-        let log = fs::File::create(self.folder.join("log")).unwrap();
+        let log = fs::File::create(self.own.path("log")).unwrap();
         self.start_with_log(unshare, script, log.into());
     }
 
@@ -75,7 +71,7 @@ impl World {
         let run = format!(
             "{script}\nexec $PREFIX {} run --config {}/sweepd.toml",
             binary(),
-            self.folder.display()
+            self.folder().display()
         );
         let mut command = Command::new("unshare");
         command
@@ -168,7 +164,7 @@ impl World {
     }
 
     pub fn log(&self) -> String {
-        fs::read_to_string(self.folder.join("log")).unwrap_or_default()
+        fs::read_to_string(self.own.path("log")).unwrap_or_default()
     }
 
     /// How often the log says something.
@@ -290,7 +286,6 @@ impl Drop for World {
             let _ = child.kill();
             let _ = child.wait();
         }
-        let _ = fs::remove_dir_all(&self.folder);
     }
 }
 

@@ -1,27 +1,7 @@
-use std::path::PathBuf;
 use std::time::Instant;
 
 use super::*;
 use crate::capture::Capture;
-
-/// A folder of a test's own, removed with it.
-struct Folder(PathBuf);
-
-impl Folder {
-    fn new(test: &str) -> Self {
-        let path =
-            std::env::temp_dir().join(format!("sweepd-recorder-{test}-{}", std::process::id()));
-        let _ = std::fs::remove_dir_all(&path);
-        std::fs::create_dir(&path).unwrap();
-        Self(path)
-    }
-}
-
-impl Drop for Folder {
-    fn drop(&mut self) {
-        let _ = std::fs::remove_dir_all(&self.0);
-    }
-}
 
 const SECOND_NS: i64 = 1_000_000_000;
 
@@ -55,8 +35,8 @@ fn wait_until(mut done: impl FnMut() -> bool) {
 
 #[test]
 fn feeds_are_merged_by_arrival() {
-    let folder = Folder::new("merged");
-    let path = folder.0.join("merged.pcap");
+    let folder = tempfile::tempdir().unwrap();
+    let path = folder.path().join("merged.pcap");
     let recorder = Recorder::start(RecorderConfig::new(&path)).unwrap();
     let (mut data, mut position) = (recorder.feed(), recorder.feed());
     // The thread of the positions comes to each hundred before that of the data, and after it.
@@ -109,8 +89,8 @@ fn feeds_are_merged_by_arrival() {
 
 #[test]
 fn stamps_that_go_back_are_written_all_the_same() {
-    let folder = Folder::new("back");
-    let path = folder.0.join("back.pcap.gz");
+    let folder = tempfile::tempdir().unwrap();
+    let path = folder.path().join("back.pcap.gz");
     let recorder = Recorder::start(RecorderConfig::new(&path)).unwrap();
     let mut feeds = [recorder.feed(), recorder.feed()];
     let times = [5, 4, 9, 1, 1, 0];
@@ -129,8 +109,8 @@ fn stamps_that_go_back_are_written_all_the_same() {
 
 #[test]
 fn what_has_no_room_or_comes_after_a_failure_is_counted_and_the_failure_told() {
-    let folder = Folder::new("full");
-    let path = folder.0.join("full.pcap");
+    let folder = tempfile::tempdir().unwrap();
+    let path = folder.path().join("full.pcap");
     std::os::unix::fs::symlink("/dev/full", &path).unwrap();
     let recorder = Recorder::start(RecorderConfig::new(&path)).unwrap();
     let mut feed = recorder.feed();
@@ -156,8 +136,8 @@ fn what_has_no_room_or_comes_after_a_failure_is_counted_and_the_failure_told() {
 
 #[test]
 fn a_feed_without_room_refuses_and_goes_on_later() {
-    let folder = Folder::new("room");
-    let path = folder.0.join("room.pcap");
+    let folder = tempfile::tempdir().unwrap();
+    let path = folder.path().join("room.pcap");
     let recorder = Recorder::start(RecorderConfig::new(&path)).unwrap();
     let mut feed = recorder.feed();
     let payload = vec![7; 60_000];
@@ -177,8 +157,8 @@ fn a_feed_without_room_refuses_and_goes_on_later() {
 
 #[test]
 fn one_that_is_dropped_has_written_all() {
-    let folder = Folder::new("dropped");
-    let path = folder.0.join("dropped.pcap.gz");
+    let folder = tempfile::tempdir().unwrap();
+    let path = folder.path().join("dropped.pcap.gz");
     let recorder = Recorder::start(RecorderConfig {
         rotation: Rotation {
             bytes: Some(2000),
@@ -192,7 +172,7 @@ fn one_that_is_dropped_has_written_all() {
     drop(recorder);
     assert!(!feed.put(&addressed(SECOND_NS, 1, b"late")));
     let all: Vec<_> = (0..34)
-        .flat_map(|number| read(&folder.0.join(format!("dropped-{number:03}.pcap.gz"))))
+        .flat_map(|number| read(&folder.path().join(format!("dropped-{number:03}.pcap.gz"))))
         .collect();
     assert!(
         all.into_iter()
@@ -215,12 +195,12 @@ fn record_one(recorder: &Recorder) {
 
 #[test]
 fn a_second_recording_never_takes_the_file_of_the_first() {
-    let folder = Folder::new("busy");
-    let path = folder.0.join("x.pcap");
-    let other_name = folder.0.join("same").join("x.pcap");
-    std::os::unix::fs::symlink(&folder.0, folder.0.join("same")).unwrap();
+    let folder = tempfile::tempdir().unwrap();
+    let path = folder.path().join("x.pcap");
+    let other_name = folder.path().join("same").join("x.pcap");
+    std::os::unix::fs::symlink(folder.path(), folder.path().join("same")).unwrap();
     // What a killed recording left behind is in nobody's hands.
-    std::fs::write(folder.0.join("x.pcap.part"), "left behind").unwrap();
+    std::fs::write(folder.path().join("x.pcap.part"), "left behind").unwrap();
     let first = Recorder::start(replacing(&path)).unwrap();
     record_one(&first);
     for name in [&path, &other_name] {
@@ -230,7 +210,7 @@ fn a_second_recording_never_takes_the_file_of_the_first() {
     let (_, ended) = first.finish();
     assert!(ended.is_ok() && read(&path).len() == 1);
     // One that has its name from the beginning is not replaced before it ends either.
-    let plain = folder.0.join("plain.pcap");
+    let plain = folder.path().join("plain.pcap");
     let first = Recorder::start(RecorderConfig::new(&plain)).unwrap();
     let error = Recorder::start(replacing(&plain)).unwrap_err();
     assert!(matches!(error, RecordError::Busy { .. }), "{error}");
@@ -242,11 +222,11 @@ fn a_second_recording_never_takes_the_file_of_the_first() {
 
 #[test]
 fn a_part_that_was_replaced_replaces_nothing() {
-    let folder = Folder::new("lost");
-    let path = folder.0.join("x.pcap");
+    let folder = tempfile::tempdir().unwrap();
+    let path = folder.path().join("x.pcap");
     std::fs::write(&path, "good").unwrap();
     let recorder = Recorder::start(replacing(&path)).unwrap();
-    let part = folder.0.join("x.pcap.part");
+    let part = folder.path().join("x.pcap.part");
     std::fs::remove_file(&part).unwrap();
     std::fs::write(&part, "of another program").unwrap();
     let (_, ended) = recorder.finish();
@@ -257,10 +237,10 @@ fn a_part_that_was_replaced_replaces_nothing() {
 
 #[test]
 fn a_folder_is_not_replaced() {
-    let folder = Folder::new("folder");
-    let path = folder.0.join("x.pcap");
+    let folder = tempfile::tempdir().unwrap();
+    let path = folder.path().join("x.pcap");
     std::fs::create_dir(&path).unwrap();
     let error = Recorder::start(replacing(&path)).unwrap_err().to_string();
     assert!(error.contains("choose another name"), "{error}");
-    assert!(!folder.0.join("x.pcap.part").exists());
+    assert!(!folder.path().join("x.pcap.part").exists());
 }

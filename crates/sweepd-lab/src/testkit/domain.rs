@@ -14,6 +14,7 @@ use tempfile::{Builder, TempDir};
 #[derive(Debug)]
 pub struct TempDomain {
     folder: TempDir,
+    root: PathBuf,
 }
 
 impl TempDomain {
@@ -26,7 +27,8 @@ impl TempDomain {
             .prefix(prefix)
             .permissions(Permissions::from_mode(0o700))
             .tempdir()?;
-        Ok(Self { folder })
+        let root = folder.path().join("iox2");
+        Ok(Self { folder, root })
     }
 
     /// The folder.
@@ -39,28 +41,43 @@ impl TempDomain {
         self.folder.path().join(name)
     }
 
-    /// The domain. Its root is made by the first program that needs it.
+    /// The root of the domain. The first program that needs it makes it.
+    pub fn root(&self) -> &Path {
+        &self.root
+    }
+
+    /// The domain.
     pub fn domain(&self) -> Domain {
-        Domain::at(self.path("iox2"))
+        Domain::at(&self.root)
     }
 
     /// The files of the domain in shared memory.
     pub fn shared_memory(&self) -> Vec<PathBuf> {
-        let prefix = self.domain().prefix();
-        fs::read_dir(SHARED_MEMORY)
-            .into_iter()
-            .flatten()
-            .flatten()
-            .filter(|entry| entry.file_name().to_string_lossy().starts_with(&prefix))
-            .map(|entry| entry.path())
-            .collect()
+        shared_memory(&self.domain())
     }
 }
 
 impl Drop for TempDomain {
     fn drop(&mut self) {
-        for path in self.shared_memory() {
-            let _ = fs::remove_file(path);
-        }
+        clear(&self.domain());
+    }
+}
+
+/// The files of a domain in shared memory.
+pub fn shared_memory(domain: &Domain) -> Vec<PathBuf> {
+    let prefix = domain.prefix();
+    fs::read_dir(SHARED_MEMORY)
+        .into_iter()
+        .flatten()
+        .flatten()
+        .filter(|entry| entry.file_name().to_string_lossy().starts_with(&prefix))
+        .map(|entry| entry.path())
+        .collect()
+}
+
+/// Removes the files of a domain in shared memory, whose programs have ended or were killed.
+pub fn clear(domain: &Domain) {
+    for path in shared_memory(domain) {
+        let _ = fs::remove_file(path);
     }
 }
