@@ -8,7 +8,7 @@ use std::time::{Duration, Instant};
 
 use serde::{Deserialize, Serialize};
 
-use super::RecordError;
+use super::error::RecordError;
 use super::file::{CaptureFile, Format, is_being_written};
 use crate::capture::write::{Addressed, FILE_HEADER_LEN, record_len};
 use crate::files::output::{is_special, part_of, remove};

@@ -2,7 +2,7 @@
 
 use fearless_simd::Level;
 
-use super::Config;
+use super::config::Config;
 use super::report::{Events, Fault, Notice};
 use crate::assemble::clock::{Clocks, SensorClock};
 use crate::assemble::motion::rate_between;

@@ -25,6 +25,7 @@
 //!   run the daemon is ended or killed, and started again, several times, so that it has two long
 //!   lives.
 
+mod args;
 mod consumers;
 mod episode;
 mod feed;
@@ -36,54 +37,18 @@ mod sys;
 mod usage;
 
 use std::io::{self, Write};
-use std::ops::RangeInclusive;
 use std::path::PathBuf;
 use std::process::ExitCode;
 use std::sync::Arc;
 use std::sync::atomic::AtomicBool;
-use std::time::Duration;
 
 use clap::Parser;
 use signal_hook::consts::{SIGHUP, SIGINT, SIGTERM};
 use signal_hook::flag;
 
+use args::Args;
 use run::Outcome;
 use sweepd_lab::testkit::{Failure, cannot};
-
-/// Runs a daemon through a day of faults, faster than life, and checks that nothing grows and all
-/// is counted
-#[derive(Clone, Debug, Parser)]
-#[command(
-    name = "sweepd-soak",
-    version,
-    max_term_width = 100,
-    after_help = "\
-It runs a daemon of its own, apart from any other, with a simulated VLP-16 and HDL-64E at 10 Hz, as \
-fast as they are decoded; faults on the way; and consumers that come, go, hang and are killed. The \
-counters must be exact all the time, and memory, threads, descriptors and files must not grow: else \
-it ends with an error. About 100 MB of shared memory are needed.
-
-Examples:
-  sweepd-soak                   24 hours, in one to two
-  sweepd-soak --hours 0.5 --seed 7"
-)]
-struct Args {
-    /// The program `sweepd` [default: beside this one]
-    #[arg(long, value_name = "FILE")]
-    sweepd: Option<PathBuf>,
-    /// For how long, by the sensors' clocks
-    #[arg(long, value_name = "HOURS", default_value = "24", value_parser = duration(0.001..=1e4, "hours", 3600.0))]
-    hours: Duration,
-    /// Seed of all chance
-    #[arg(long, value_name = "N", default_value = "1")]
-    seed: u64,
-    /// A line of progress so often
-    #[arg(long, value_name = "SECONDS", default_value = "30", value_parser = duration(0.1..=1e6, "seconds", 1.0))]
-    every: Duration,
-    /// From one consumer that comes to the next, on the average
-    #[arg(long, value_name = "SECONDS", default_value = "1", value_parser = duration(0.01..=1e6, "seconds", 1.0))]
-    consumer_every: Duration,
-}
 
 fn main() -> ExitCode {
     let grown = soak(&Args::parse()).unwrap_or_else(|failure| vec![failure.to_string()]);
@@ -135,22 +100,6 @@ fn end_flag() -> io::Result<Arc<AtomicBool>> {
         flag::register(signal, Arc::clone(&over))?;
     }
     Ok(over)
-}
-
-/// Reads a number within `range` of a unit with this many seconds.
-fn duration(
-    range: RangeInclusive<f64>,
-    unit: &'static str,
-    unit_s: f64,
-) -> impl Fn(&str) -> Result<Duration, String> + Clone {
-    move |text| match text.parse::<f64>() {
-        Ok(number) if range.contains(&number) => Ok(Duration::from_secs_f64(number * unit_s)),
-        _ => Err(format!(
-            "expected {} to {} {unit}",
-            range.start(),
-            range.end()
-        )),
-    }
 }
 
 fn print(outcome: &Outcome) -> io::Result<()> {

@@ -16,7 +16,7 @@ use sweepd_lab::simulate::EmitterConfig;
 use sweepd_lab::testkit::daemon::run_command;
 use sweepd_lab::testkit::{Daemon, Failure, PATIENCE, ReservedPort, TempDomain, cannot};
 
-use super::Args;
+use super::args::Args;
 use super::consumers::{ConsumerPool, ConsumerStats, POOL_PER_SENSOR, SteadyConsumer};
 use super::feed::{ExpectedCounts, Feed, FeedConfig, Injected};
 use super::figures::{Figures, Sample};

@@ -18,18 +18,20 @@
 //! The price: a beam points up to half a column beside its column, and starts beside the axis;
 //! points come back at their range, but so far aside.
 
+mod error;
 mod rows;
 mod send;
 
 use std::f64::consts::TAU;
 
+pub use self::error::FromCloudError;
 use self::rows::RingPlace;
 pub use self::send::{Sender, Sending};
 use super::beam::Laser;
 use super::shape::Vec3;
 use crate::cloud::fit::{self, Prior, Sample};
 use crate::cloud::rings::{self, Polar, Ring};
-use crate::cloud::{COLUMNS, CloudError, places};
+use crate::cloud::{COLUMNS, places};
 use sweepd_core::sensor::model::Spec;
 use sweepd_core::sensor::{Beam, Calibration, Model};
 use sweepd_core::wire::data::ReturnMode;
@@ -44,39 +46,6 @@ const RPM: [f64; 2] = [300.0, 1200.0];
 const DEFAULT_RPM: f64 = 600.0;
 /// How far the vertical offset of a unit is from that of another one, metres.
 const OFFSET_SPREAD_M: f64 = 0.03;
-
-/// Why a cloud cannot be encoded.
-#[derive(Debug, thiserror::Error)]
-pub enum FromCloudError {
-    /// No cloud in the order of its rings.
-    #[error(transparent)]
-    Cloud(#[from] CloudError),
-    /// Nothing to encode.
-    #[error("no points")]
-    Empty,
-    /// More rings than beams.
-    #[error("{found} rings, the HDL-64E has {beams} beams")]
-    Rings {
-        /// Rings of the cloud.
-        found: usize,
-        /// Beams of the sensor.
-        beams: usize,
-    },
-    /// A ring is nowhere near the beam that it would have to be of.
-    #[error(
-        "a ring at {ring_deg:.2} degrees would be that of the beam at {beam_deg:.2}; the cloud is of another sensor, or \
-         the calibration is"
-    )]
-    Apart {
-        /// Median elevation of the ring, degrees.
-        ring_deg: f64,
-        /// Elevation of the beam by the calibration, degrees.
-        beam_deg: f64,
-    },
-    /// A calibration that is not one of an HDL-64E, or that its status stream cannot carry.
-    #[error("the calibration: {0}")]
-    Calibration(String),
-}
 
 /// How a cloud is encoded.
 #[derive(Clone, Copy, Debug, Default, PartialEq)]

@@ -1,6 +1,6 @@
 //! Which beam fired which ring: rings and rows, both from the top down.
 
-use super::FromCloudError;
+use super::error::FromCloudError;
 use sweepd_core::sensor::Beam;
 
 /// A ring may lie so far from the beam that it is given to, degrees: units differ by half as much,
