@@ -15,7 +15,8 @@ use tracing::{error, info, warn};
 
 use super::config::{Config, DaemonConfig};
 use super::counters::SensorCounters;
-use super::health::{self, Http, View};
+use super::health::{self, View};
+use super::http::{self, Http};
 use super::losses::{SensorAddress, Tally};
 use super::notify::{Notifier, Pulse, beat};
 use super::record::server::ControlServer;
@@ -133,7 +134,7 @@ async fn await_start(
 
 async fn serve_health(http: Option<&Http>, view: Arc<Mutex<View>>) -> std::convert::Infallible {
     match http {
-        Some(http) => health::serve(http, view).await,
+        Some(http) => http::serve(http, view).await,
         None => pending().await,
     }
 }

@@ -16,6 +16,7 @@ pub mod config;
 pub mod control;
 pub mod counters;
 pub mod health;
+pub mod http;
 pub mod losses;
 pub mod metrics;
 pub mod nap;

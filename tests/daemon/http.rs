@@ -12,7 +12,7 @@ use crate::child::Daemon;
 use crate::rig::{Sending, free_port, stream, until};
 
 const WATCHDOG: Duration = Duration::from_millis(800);
-/// How long a connection may take, src/daemon/health.rs, and how much later that may be seen on a
+/// How long a connection may take, src/daemon/http.rs, and how much later that may be seen on a
 /// busy machine.
 const PATIENCE: Duration = Duration::from_secs(5);
 const SLACK: Duration = Duration::from_secs(4);
