@@ -200,6 +200,11 @@ impl Components {
         });
     }
 
+    /// How many pieces there are.
+    pub fn pieces(&self) -> usize {
+        self.parent.len()
+    }
+
     /// Gives the small components to others, numbers those that are large enough by their first
     /// pixels, and writes their rows of the segments table, as far as it has room. How many there
     /// are.

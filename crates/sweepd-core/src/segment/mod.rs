@@ -32,6 +32,7 @@ mod labels;
 pub mod mask;
 pub mod mount;
 pub mod naive;
+mod near;
 mod order;
 pub mod paper;
 pub mod points;

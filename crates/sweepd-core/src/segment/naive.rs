@@ -6,9 +6,11 @@
 
 use std::collections::{HashMap, VecDeque};
 
-use super::joining::{Apart, Chords, Limits};
+use super::joining;
+use super::near::{Limits, Polygon, Tangents};
 use super::order::Order;
 use super::points::{self, Placed};
+use super::ranges::to_step;
 use super::{Config, SlopeGround};
 use crate::sweep::SweepRef;
 use crate::sweep::layout::{LABEL_FIRST_SEGMENT, LABEL_GROUND, LABEL_NONE, flags};
@@ -19,14 +21,16 @@ pub fn segment(sweep: &SweepRef<'_>, config: &Config, height_m: Option<f32>) -> 
     let circular = sweep.header.has(flags::CIRCULAR);
     let columns = sweep.columns.len();
     let order = Order::new(sweep, Some(columns));
-    let chords = Chords::new(sweep.beams, sweep.columns, order, config.joining.columns);
+    let pitch_rad = joining::pitch_rad(sweep.columns, order);
+    let mut limits = Limits::default();
+    limits.set(sweep.beams, pitch_rad, config);
     let is_jump = |column: usize| {
         let before = match column.checked_sub(1) {
             None if circular => columns - 1,
             None => return false,
             Some(before) => before,
         };
-        chords.is_jump(&sweep.columns[before], &sweep.columns[column])
+        joining::is_jump(&sweep.columns[before], &sweep.columns[column], pitch_rad)
     };
     let image = Image {
         rows: sweep.rows(),
@@ -48,8 +52,7 @@ pub fn segment(sweep: &SweepRef<'_>, config: &Config, height_m: Option<f32>) -> 
     let near = Nearness {
         image: &image,
         on: &on,
-        chords: &chords,
-        limits: Limits::new(config, image.rows),
+        limits,
         columns: config.joining.columns as i64,
         rows: config.joining.rows as i64,
     };
@@ -114,7 +117,6 @@ fn vote(image: &Image<'_>, climbed: &[bool], limits: &SlopeGround) -> Vec<bool> 
 struct Nearness<'a> {
     image: &'a Image<'a>,
     on: &'a [bool],
-    chords: &'a Chords,
     limits: Limits,
     /// Window.
     columns: i64,
@@ -133,41 +135,36 @@ impl Nearness<'_> {
         (self.on[pixel] && self.on[other] && !is_parted).then_some(other)
     }
 
-    /// What a pixel and another one that is as many columns away are apart.
-    fn apart(&self, pixel: usize, other: usize, on: i64) -> Option<Apart<f32>> {
-        let here = self.image.pixels[pixel]?.range_m;
-        let there = self.image.pixels[other]?.range_m;
-        let rows = self.image.rows;
-        let alone = self.chords.rows(pixel % rows, other % rows);
-        let chord2 = self.chords.of(alone, on.unsigned_abs() as usize);
-        Some(Apart::of(here, there, chord2))
+    /// The pixel there, if it is as near as this.
+    fn near(&self, pixel: usize, down: i64, on: i64, polygon: Polygon) -> Option<usize> {
+        let other = self.beside(pixel, down, on)?;
+        let here = to_step(self.range_m(pixel)?);
+        let there = to_step(self.range_m(other)?);
+        let columns = on.unsigned_abs() as usize;
+        polygon
+            .is_near(here, there, self.tangents(pixel, other), columns)
+            .then_some(other)
     }
 
-    /// The pixel there, if it is near enough to be joined: from one row to another, theta counts
-    /// too.
-    fn near(&self, pixel: usize, down: i64, on: i64) -> Option<usize> {
-        let other = self.beside(pixel, down, on)?;
-        let apart = self.apart(pixel, other, on)?;
-        let tan2_theta = if down == 0 {
-            0.0
-        } else {
-            self.limits.tan2_theta
-        };
-        let is_direct = down == 0 && on == -1;
-        let is_near = apart.square() < self.limits.gap2;
-        (is_near && (is_direct || apart.is_steep(tan2_theta))).then_some(other)
+    fn range_m(&self, pixel: usize) -> Option<f32> {
+        Some(self.image.pixels[pixel]?.range_m)
+    }
+
+    fn tangents(&self, pixel: usize, other: usize) -> &Tangents {
+        self.limits
+            .of(pixel % self.image.rows, other % self.image.rows)
     }
 
     /// Whether a pixel continues the run to the left of it.
     fn goes_on(&self, pixel: usize) -> bool {
-        self.near(pixel, 0, -1).is_some()
+        self.near(pixel, 0, -1, self.limits.gap).is_some()
     }
 
-    /// Whether the pixel in the row above (-1) or below (1) is joined to one, and has a run that
-    /// goes on to the left of it (0) or to the right (1).
-    fn goes_on_beside(&self, pixel: usize, down: i64, right: i64) -> bool {
-        let beside = self.near(pixel, down, 0);
-        let next = beside.and_then(|beside| self.image.beside(beside, 0, right));
+    /// Whether the pixel above is joined to one, and has a run that goes on to the left of it (0)
+    /// or to the right (1).
+    fn goes_on_above(&self, pixel: usize, right: i64) -> bool {
+        let above = self.near(pixel, -1, 0, self.limits.gap);
+        let next = above.and_then(|above| self.image.beside(above, 0, right));
         next.is_some_and(|next| self.goes_on(next))
     }
 
@@ -179,11 +176,8 @@ impl Nearness<'_> {
         for (right, columns) in sides {
             let next = self.image.beside(pixel, 0, right);
             let goes_on = next.is_some_and(|next| self.goes_on(next));
-            if goes_on {
-                continue;
-            }
-            for down in -self.rows..=self.rows {
-                if down == 0 || !self.goes_on_beside(pixel, down.signum(), right) {
+            if !goes_on && !self.goes_on_above(pixel, right) {
+                for down in -self.rows..=self.rows {
                     window.extend(columns.clone().map(|on| (down, on)));
                 }
             }
@@ -198,7 +192,7 @@ impl Nearness<'_> {
         std::iter::once((0, -1))
             .chain(above)
             .chain(self.window(pixel))
-            .filter_map(move |(down, on)| self.near(pixel, down, on))
+            .filter_map(move |(down, on)| self.near(pixel, down, on, self.limits.gap))
     }
 
     /// Breadth-first search over what is joined; the first pixel of each pixel's component.
@@ -251,28 +245,25 @@ impl Nearness<'_> {
                 continue;
             };
             for (down, on) in self.window(pixel) {
-                let Some(other) = self.beside(pixel, down, on) else {
+                let Some(other) = self.near(pixel, down, on, self.limits.reach) else {
                     continue;
                 };
                 let Some(large) = component[other].filter(|&first| !is_small(first)) else {
                     continue;
                 };
-                let Some(apart) = self.apart(pixel, other, on) else {
+                let ranges_m = self.range_m(pixel).zip(self.range_m(other));
+                let Some((here_m, there_m)) = ranges_m else {
                     continue;
                 };
+                let columns = on.unsigned_abs() as usize;
+                let apart2 = self.tangents(pixel, other).apart2(here_m, there_m, columns);
                 let best = nearest.entry(small).or_insert((f32::INFINITY, usize::MAX));
-                let found = (apart.square(), large);
-                if found.0 < self.limits.reach2 && apart.is_steep(0.0) && found < *best {
-                    *best = found;
+                if (apart2, large) < *best {
+                    *best = (apart2, large);
                 }
             }
         }
-        let found = |first: usize| {
-            nearest
-                .get(&first)
-                .filter(|(apart2, _)| apart2.is_finite())
-                .map_or(first, |best| best.1)
-        };
+        let found = |first: usize| nearest.get(&first).map_or(first, |best| best.1);
         component
             .into_iter()
             .map(|first| first.map(found))

@@ -18,6 +18,12 @@ pub(super) const STEPS: f32 = 128.0;
 /// The range in 16 bits where there is no return: so far from all others that it is near to none.
 pub(super) const NO_RETURN: i16 = i16::MIN;
 
+/// The same of one return.
+pub(super) fn to_step(range_m: f32) -> i16 {
+    // Out of its bounds, a float becomes the bound that is nearer.
+    ((range_m * STEPS + 0.5) as i16).max(1)
+}
+
 /// The ranges of the strips at hand.
 #[derive(Clone, Debug)]
 pub(super) struct Ranges {

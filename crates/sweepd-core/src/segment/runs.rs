@@ -3,14 +3,17 @@
 //! A run is a stretch of pixels of a row, each near the one before it. One that is near a run of a
 //! row above, in the same column, belongs to its component; one that is near none begins a piece.
 //! Runs end with the strip, and go on in the next one with their piece.
+//!
+//! Each pixel has a label of 16 bits, so that a window can see what belongs together: the piece,
+//! while all pieces fit. From where they may not, each strip numbers its runs by itself.
 
-use fearless_simd::{Simd, f32x16, mask32x16, prelude::*, u32x16};
+use fearless_simd::{Simd, i16x16, mask16x16, prelude::*, u16x16};
 
 use super::components::{Components, Sum};
-use super::joining::{Apart, Chords, Limits};
-use super::order::{BEFORE, LANES, MOST_ROWS, Order, Plane, STRIP, lane_of};
+use super::near::{Limits, Polygon};
+use super::order::{BEFORE, LANES, MOST_ROWS, Order, Plane, STRIDE, STRIP, lane_of};
 use super::points::{Beams, RowPoints};
-use super::ranges::Ranges;
+use super::ranges::{NO_RETURN, Ranges};
 
 /// A run within a strip.
 #[derive(Clone, Copy, Debug)]
@@ -34,27 +37,52 @@ impl Run {
     }
 }
 
-/// Words of a row of a strip: which pixels are near which of their direct neighbours.
+/// Words of a row: the columns of the strip before, and of that at hand in the upper half.
 #[derive(Clone, Copy, Debug, Default)]
 pub(super) struct Edges {
     /// Pixels that are no ground.
-    pub on: u64,
+    pub on: u128,
     /// Near the one to the left.
-    pub along: u64,
+    pub along: u128,
     /// Near the one a row up, two rows up and so on, in the same column.
-    pub up: [u64; MOST_ROWS],
+    pub up: [u128; MOST_ROWS],
+}
+
+/// The columns of the strip at hand.
+fn at_hand(word: u128) -> u64 {
+    (word >> STRIP) as u64
+}
+
+/// The bits of a word, from the lowest on.
+pub(super) struct Bits(pub u64);
+
+impl Iterator for Bits {
+    type Item = usize;
+
+    #[inline(always)]
+    fn next(&mut self) -> Option<usize> {
+        if self.0 == 0 {
+            return None;
+        }
+        let bit = self.0.trailing_zeros() as usize;
+        self.0 &= self.0 - 1;
+        Some(bit)
+    }
 }
 
 /// The strip at hand, and the columns before it.
 #[derive(Clone, Debug)]
 pub(super) struct Runs {
-    /// Ranges of what is no ground, metres; elsewhere infinite, which is near to nothing.
-    pub range: Plane<f32>,
-    /// The piece of each pixel that is no ground.
-    pub piece: Plane<u32>,
+    /// Ranges of what is no ground; [`NO_RETURN`] elsewhere.
+    pub range: Plane<i16>,
+    /// The label of each pixel that is no ground.
+    pub label: Plane<u16>,
+    /// Whether pieces may be too many to be labels; then the piece of each label.
+    is_full: bool,
+    names: Vec<u32>,
     pub edges: Vec<Edges>,
-    /// Those of the strip before.
-    pub edges_before: Vec<Edges>,
+    /// Columns that are no neighbours of those before, like the words of a row.
+    pub jumps: u128,
     /// The runs of all strips that count, each strip row by row.
     pub all: Vec<Run>,
     /// Index of the first of the strip at hand.
@@ -67,10 +95,12 @@ pub(super) struct Runs {
 impl Default for Runs {
     fn default() -> Self {
         Self {
-            range: Plane::of(f32::INFINITY),
-            piece: Plane::of(0),
+            range: Plane::of(NO_RETURN),
+            label: Plane::of(0),
+            is_full: false,
+            names: Vec::new(),
             edges: Vec::new(),
-            edges_before: Vec::new(),
+            jumps: 0,
             all: Vec::new(),
             from: 0,
             heads: Vec::new(),
@@ -80,106 +110,130 @@ impl Default for Runs {
 }
 
 impl Runs {
-    /// Takes room for any image of so many pixels, and forgets all.
+    /// Takes room for any image of this many pixels, and forgets all.
     pub fn begin(&mut self, rows: usize, pixels: usize) {
         super::reserve(&mut self.all, pixels);
+        super::reserve(&mut self.names, rows * (BEFORE + STRIP));
         self.from = 0;
-        self.range.fill(f32::INFINITY);
-        for edges in [&mut self.edges, &mut self.edges_before] {
-            edges.clear();
-            edges.resize(rows, Edges::default());
-        }
+        self.jumps = 0;
+        self.range.fill(NO_RETURN);
+        self.edges.clear();
+        self.edges.resize(rows, Edges::default());
         self.heads.clear();
         self.heads.resize(rows, (0, 0));
     }
 
-    /// Goes on to the next strip.
+    /// Goes on to the next strip, with the columns in it that are no neighbours of those before.
+    /// What is kept of the strip before learns its components as they are by now.
     #[inline(always)]
-    pub fn advance(&mut self) {
-        std::mem::swap(&mut self.edges, &mut self.edges_before);
-        for row in 0..self.edges.len() {
+    pub fn advance<S: Simd>(&mut self, simd: S, jumps: u64, components: &mut Components) {
+        self.names.clear();
+        self.is_full = components.pieces() + self.edges.len() * STRIP > usize::from(u16::MAX);
+        for index in self.from..self.all.len() {
+            let run = self.all[index];
+            if run.end() > STRIP - BEFORE {
+                let root = components.root(run.piece);
+                let first = usize::from(run.first).max(STRIP - BEFORE);
+                let label = self.name(root);
+                self.label.store(
+                    lane_of(usize::from(run.row)) + first,
+                    u16x16::splat(simd, label),
+                );
+            }
+        }
+        for (row, edges) in self.edges.iter_mut().enumerate() {
             let lane = lane_of(row);
             let last = lane + STRIP - BEFORE..lane + STRIP;
             self.range.copy_within(last.clone(), lane - BEFORE);
-            self.piece.copy_within(last, lane - BEFORE);
+            self.label.copy_within(last, lane - BEFORE);
+            edges.on >>= STRIP;
+            edges.along >>= STRIP;
+            for up in &mut edges.up {
+                *up >>= STRIP;
+            }
         }
+        self.jumps = self.jumps >> STRIP | u128::from(jumps) << STRIP;
         self.from = self.all.len();
+    }
+
+    /// The label of a piece.
+    #[inline(always)]
+    fn name(&mut self, piece: u32) -> u16 {
+        if !self.is_full {
+            return piece as u16;
+        }
+        self.names.push(piece);
+        (self.names.len() - 1) as u16
+    }
+
+    /// The piece of a pixel.
+    #[inline(always)]
+    pub fn piece(&self, lane: usize) -> u32 {
+        let label = self.label[lane];
+        if self.is_full {
+            self.names[usize::from(label)]
+        } else {
+            u32::from(label)
+        }
     }
 
     /// Takes what is no ground in a row.
     #[inline(always)]
     pub fn set_row<S: Simd>(&mut self, simd: S, ranges: &Ranges, row: usize, on: u64) {
-        self.edges[row] = Edges {
-            on,
-            ..Edges::default()
-        };
-        let nothing = f32x16::splat(simd, f32::INFINITY);
+        self.edges[row].on |= u128::from(on) << STRIP;
+        let nothing = i16x16::splat(simd, NO_RETURN);
         for first in (0..STRIP).step_by(LANES) {
-            let is = mask32x16::from_bitmask(simd, on >> first & 0xFFFF);
-            let range = is.select(ranges.load(simd, row, first), nothing);
-            self.range.store(lane_of(row) + first, range);
+            let is = mask16x16::from_bitmask(simd, on >> first & 0xFFFF);
+            let lane = lane_of(row) + first;
+            let range = is.select(ranges.steps.load(simd, lane), nothing);
+            self.range.store(lane, range);
         }
     }
 
-    /// Finds which pixels of a row are near their neighbours to the left and in as many rows above
-    /// as there may be between two points. `jumps` are the columns that are no neighbours of those
-    /// before.
+    /// Finds which pixels are near their neighbours to the left and in as many rows above as a
+    /// window has.
     #[inline(always)]
-    pub fn find_edges<S: Simd>(
-        &mut self,
-        simd: S,
-        chords: &Chords,
-        limits: &Limits,
-        row: usize,
-        window_rows: usize,
-        jumps: u64,
-    ) {
-        let on = self.edges[row].on;
-        if on == 0 {
-            return;
-        }
-        let before = on << 1 | self.edges_before[row].on >> (STRIP - 1);
-        let chord2 = chords.of(chords.rows(row, row), 1);
-        self.edges[row].along = self.near(simd, limits, row, [0, 1], chord2) & before & on & !jumps;
-        for up in 1..=window_rows.min(row) {
-            let both = on & self.edges[row - up].on;
-            if both != 0 {
-                let chord2 = chords.of(chords.rows(row, row - up), 0);
-                self.edges[row].up[up - 1] = self.near(simd, limits, row, [up, 0], chord2) & both;
+    pub fn find_edges<S: Simd>(&mut self, simd: S, limits: &Limits) {
+        for row in 0..self.edges.len() {
+            let on = self.edges[row].on;
+            if at_hand(on) == 0 {
+                continue;
+            }
+            let tangents = limits.of(row, row).pairs(simd, 1);
+            let along = self.near(simd, limits.gap, tangents, row, [0, 1]);
+            self.edges[row].along |= along & on & on << 1 & !self.jumps;
+            for up in 1..=limits.window_rows.min(row) {
+                let both = on & self.edges[row - up].on;
+                if at_hand(both) != 0 {
+                    let tangents = limits.of(row, row - up).pairs(simd, 0);
+                    let near = self.near(simd, limits.gap, tangents, row, [up, 0]);
+                    self.edges[row].up[up - 1] |= near & both;
+                }
             }
         }
     }
 
-    /// Which pixels of a row are near those as many rows up and columns to the left, whose beams
-    /// have this chord.
+    /// Which pixels of a row are near those as many rows up and columns to the left.
     #[inline(always)]
     fn near<S: Simd>(
         &self,
         simd: S,
-        limits: &Limits,
+        gap: Polygon,
+        tangents: [u16x16<S>; 3],
         row: usize,
         [up, left]: [usize; 2],
-        chord2: f32,
-    ) -> u64 {
-        let chord2 = f32x16::splat(simd, chord2);
-        let gap2 = f32x16::splat(simd, limits.gap2);
-        let tan2_theta = f32x16::splat(simd, limits.tan2_theta);
-        let on = self.edges[row].on;
+    ) -> u128 {
+        let on = at_hand(self.edges[row].on);
         let mut near = 0;
         for first in (0..STRIP).step_by(LANES) {
-            if on >> first & 0xFFFF == 0 {
-                continue;
+            if on >> first & 0xFFFF != 0 {
+                let lane = lane_of(row) + first;
+                let here = self.range.load(simd, lane);
+                let there = self.range.load(simd, lane - up * STRIDE - left);
+                near |= gap.near(here, there, tangents).to_bitmask() << first;
             }
-            let here: f32x16<S> = self.range.load(simd, lane_of(row) + first);
-            let there = self.range.load(simd, lane_of(row - up) + first - left);
-            let apart = Apart::lanes(here, there, chord2);
-            let mut is = apart.squares().simd_lt(gap2);
-            if up > 0 {
-                is &= apart.steep(tan2_theta);
-            }
-            near |= is.to_bitmask() << first;
         }
-        near
+        u128::from(near) << STRIP
     }
 
     /// Makes runs of a row, and gives each the component that it is joined to.
@@ -188,29 +242,24 @@ impl Runs {
         &mut self,
         simd: S,
         row: usize,
-        rows_up: usize,
+        window_rows: usize,
         components: &mut Components,
     ) {
-        let edges = self.edges[row];
-        let Edges { on, along, up } = edges;
+        let on = at_hand(self.edges[row].on);
+        let along = at_hand(self.edges[row].along);
         let heads = on & (!along | 1);
         self.heads[row] = (heads, self.all.len());
-        let mut left = heads;
         let mut adopted = 0;
-        while left != 0 {
-            let first = left.trailing_zeros();
-            left &= left - 1;
+        for first in Bits(heads) {
             let count = 1 + (along >> 1 >> first).trailing_ones();
             let span = u64::MAX >> (64 - count) << first;
             let piece = if first == 0 && along & 1 == 1 {
-                components.root(self.piece[lane_of(row) - 1])
-            } else if let Some(rows) = (1..=rows_up.min(row)).find(|rows| up[rows - 1] & span != 0)
-            {
-                let joint = up[rows - 1] & span;
-                if rows == 1 {
-                    adopted |= joint & joint.wrapping_neg();
+                components.root(self.piece(lane_of(row) - 1))
+            } else if let Some((up, joint)) = self.joint(row, span, window_rows) {
+                if up == 1 {
+                    adopted |= 1 << joint;
                 }
-                components.root(self.piece_at(row - rows, joint.trailing_zeros()))
+                components.root(self.all[self.run_at(row - up, joint)].piece)
             } else {
                 components.begin()
             };
@@ -221,23 +270,20 @@ impl Runs {
                 count: count as u8,
             });
         }
-        for rows in 1..=rows_up.min(row) {
-            let above = self.edges[row - rows];
-            let mut joints = up[rows - 1];
+        for up in 1..=window_rows.min(row) {
+            let mut joints = at_hand(self.edges[row].up[up - 1]);
             // By way of the row between, they are joined already.
-            if rows > 1 {
-                joints &= !(up[0] & self.edges[row - 1].up[rows - 2]);
+            if up > 1 {
+                joints &= !at_hand(self.edges[row].up[0] & self.edges[row - 1].up[up - 2]);
             }
             // Of a stretch of the same two runs, one is enough.
-            joints &= !(joints << 1 & along & above.along);
-            if rows == 1 {
+            joints &= !(joints << 1 & along & at_hand(self.edges[row - up].along));
+            if up == 1 {
                 joints &= !adopted;
             }
-            while joints != 0 {
-                let column = joints.trailing_zeros();
-                joints &= joints - 1;
-                let a = self.piece_at(row, column);
-                let b = self.piece_at(row - rows, column);
+            for column in Bits(joints) {
+                let a = self.all[self.run_at(row, column)].piece;
+                let b = self.all[self.run_at(row - up, column)].piece;
                 if a != b {
                     components.unite(simd, a, b);
                 }
@@ -245,12 +291,23 @@ impl Runs {
         }
     }
 
-    /// The piece of the run of a row of the strip at hand that a column is part of.
+    /// The nearest row above that some columns of a row are joined to, and the first of them that
+    /// is: rows up, and column.
     #[inline(always)]
-    fn piece_at(&self, row: usize, column: u32) -> u32 {
+    fn joint(&self, row: usize, columns: u64, window_rows: usize) -> Option<(usize, usize)> {
+        let mut rows = self.edges[row].up[..window_rows].iter().zip(1..);
+        rows.find_map(|(near, up)| {
+            let joint = Bits(at_hand(*near) & columns).next()?;
+            Some((up, joint))
+        })
+    }
+
+    /// The index of the run of a row of the strip at hand that a column is part of.
+    #[inline(always)]
+    fn run_at(&self, row: usize, column: usize) -> usize {
         let (heads, first) = self.heads[row];
         let upto = heads & u64::MAX >> (63 - column);
-        self.all[first + upto.count_ones() as usize - 1].piece
+        first + upto.count_ones() as usize - 1
     }
 
     /// Lets the pixels of the runs at hand know their components, and measures these.
@@ -267,51 +324,35 @@ impl Runs {
         let counted = Order::columns_before(position, order.end()).count_ones() as usize;
         let rows = self.edges.len();
         let mut placed_row = None;
-        for run in self.from..self.all.len() {
-            let Run {
-                piece,
-                row,
-                first,
-                count,
-            } = self.all[run];
-            let root = components.root(piece);
-            self.all[run].piece = root;
-            let lane = lane_of(usize::from(row)) + usize::from(first);
-            self.piece
-                .spread(lane, usize::from(count), u32x16::splat(simd, root));
+        for index in self.from..self.all.len() {
+            let run = self.all[index];
+            let row = usize::from(run.row);
+            let first = usize::from(run.first);
+            let root = components.root(run.piece);
+            self.all[index].piece = root;
+            let label = self.name(root);
+            self.label.spread(
+                lane_of(row) + first,
+                usize::from(run.count),
+                u16x16::splat(simd, label),
+            );
             if placed_row != Some(row) {
                 placed_row = Some(row);
-                let on = self.edges[usize::from(row)].on;
-                self.points
-                    .place(simd, beams, ranges, usize::from(row), position, on);
+                let on = at_hand(self.edges[row].on);
+                self.points.place(simd, beams, ranges, row, position, on);
             }
-            let column = usize::from(first);
-            let count = usize::from(count).min(counted.saturating_sub(column));
+            let count = usize::from(run.count).min(counted.saturating_sub(first));
             if count > 0 {
-                let first = order.least_column(position + column, count) * rows + usize::from(row);
+                let pixel = order.least_column(position + first, count) * rows + row;
                 let sum = Sum::of_run(
                     simd,
                     &self.points,
-                    u16::from(row),
-                    column,
+                    run.row.into(),
+                    first,
                     count,
-                    first as u32,
+                    pixel as u32,
                 );
                 components.measure(simd, root, &sum);
-            }
-        }
-    }
-
-    /// Lets the last columns of the strip at hand know their components as they are by now.
-    #[inline(always)]
-    pub fn refresh<S: Simd>(&mut self, simd: S, components: &mut Components) {
-        for run in self.from..self.all.len() {
-            let run = self.all[run];
-            if run.end() > STRIP - BEFORE {
-                let root = components.root(run.piece);
-                let first = usize::from(run.first).max(STRIP - BEFORE);
-                let lane = lane_of(usize::from(run.row)) + first;
-                self.piece.store(lane, u32x16::splat(simd, root));
             }
         }
     }

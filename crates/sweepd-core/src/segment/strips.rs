@@ -14,12 +14,13 @@ use fearless_simd::{Level, Simd, dispatch, f32x16, mask32x16, prelude::*};
 
 use super::components::Components;
 use super::ground::{Stand, Window as Words};
-use super::joining::{Chords, Limits};
+use super::joining;
 use super::labels::{Found, Labels};
+use super::near::Limits;
 use super::order::{BEFORE, LANES, Order, STRIP, lane_of};
 use super::points::Beams;
 use super::ranges::Ranges;
-use super::runs::Runs;
+use super::runs::{Bits, Runs};
 use super::windows::Windows;
 use super::{Config, reserve};
 use crate::sweep::{SweepMut, SweepRef};
@@ -36,7 +37,8 @@ pub(super) struct Strips {
     /// Columns that are as they will be, while the sweep is not complete.
     ready: Option<usize>,
     beams: Beams,
-    chords: Chords,
+    /// Angle between columns, radians.
+    pitch_rad: f32,
     ranges: Ranges,
     words: Vec<Words>,
     /// Columns of the strip at hand and of the next one that are no neighbours of those before.
@@ -61,7 +63,7 @@ impl Strips {
             at: 0,
             ready: None,
             beams: Beams::default(),
-            chords: Chords::default(),
+            pitch_rad: 0.0,
             ranges: Ranges::default(),
             words: Vec::new(),
             jumps: [0; 2],
@@ -92,7 +94,6 @@ impl Strips {
             up: config.mount.up().axis(),
             height_m,
         };
-        self.limits = Limits::new(config, rows);
         self.at = 0;
         self.ready = ready;
         self.words.clear();
@@ -101,7 +102,6 @@ impl Strips {
         reserve(&mut self.depths_m, columns.next_multiple_of(STRIP));
         self.first.resize(rows, [0; BEFORE]);
         self.beams.reserve(columns);
-        self.chords.reserve(rows);
         self.runs.begin(rows, pixels);
         self.windows.begin(rows, config.joining.rows);
         self.components.reserve(pixels);
@@ -109,7 +109,6 @@ impl Strips {
         let sweep = sweep.as_ref();
         self.beams
             .begin(&sweep, ready.is_none().then_some(sweep.columns.len()));
-        self.chords.set_beams(sweep.beams);
     }
 
     /// More columns are ready, or all (`None`).
@@ -170,12 +169,13 @@ impl Strips {
     /// Joins the runs of that strip with each other and with those before.
     pub fn join(&mut self, config: &Config) {
         // Each step by itself: together they are more than a compiler keeps in view.
-        self.runs.advance();
-        self.windows.advance(self.jumps[0]);
+        let jumps = self.jumps[0];
+        let components = &mut self.components;
+        dispatch!(self.level, simd => self.runs.advance(simd, jumps, components));
         dispatch!(self.level, simd => self.vote(simd, config));
         dispatch!(self.level, simd => self.join_neighbours(simd, config));
         dispatch!(self.level, simd => self.measure(simd));
-        dispatch!(self.level, simd => self.join_windows(simd));
+        dispatch!(self.level, simd => self.join_windows(simd, config));
         dispatch!(self.level, simd => self.meet(simd));
     }
 
@@ -205,8 +205,8 @@ impl Strips {
         let position = self.at * STRIP;
         let order = self.beams.order;
         if self.at == 0 {
-            let columns = config.joining.columns;
-            self.chords.set_columns(sweep.columns, order, columns);
+            self.pitch_rad = joining::pitch_rad(sweep.columns, order);
+            self.limits.set(sweep.beams, self.pitch_rad, config);
         } else {
             self.ranges.advance(self.words.len());
             for words in &mut self.words {
@@ -215,7 +215,7 @@ impl Strips {
         }
         self.jumps = [
             self.jumps[1],
-            self.chords.jumps(sweep.columns, order, position),
+            joining::jumps(sweep.columns, order, position, self.pitch_rad),
         ];
         self.beams.extend(simd, sweep, position + STRIP);
         let words = &mut self.words;
@@ -291,12 +291,11 @@ impl Strips {
     /// Runs, and what is joined to what is directly beside it.
     #[inline(always)]
     fn join_neighbours<S: Simd>(&mut self, simd: S, config: &Config) {
-        let rows_up = config.joining.rows;
-        let jumps = self.jumps[0];
+        let window_rows = config.joining.rows;
+        self.runs.find_edges(simd, &self.limits);
         for row in 0..self.words.len() {
             self.runs
-                .find_edges(simd, &self.chords, &self.limits, row, rows_up, jumps);
-            self.runs.join_row(simd, row, rows_up, &mut self.components);
+                .join_row(simd, row, window_rows, &mut self.components);
         }
     }
 
@@ -314,18 +313,18 @@ impl Strips {
 
     /// What is joined to what lies further away.
     #[inline(always)]
-    fn join_windows<S: Simd>(&mut self, simd: S) {
-        let order = self.beams.order;
-        let position = self.position();
-        self.windows.find_ends(order, position, &self.runs);
-        self.windows.join(
-            simd,
-            &self.chords,
-            &self.limits,
-            &mut self.runs,
-            &mut self.components,
-        );
-        self.runs.refresh(simd, &mut self.components);
+    fn join_windows<S: Simd>(&mut self, simd: S, config: &Config) {
+        self.windows.advance(self.beams.order, self.position());
+        let components = &mut self.components;
+        self.windows
+            .join(simd, &self.limits, &mut self.runs, components);
+        let small_points = config.joining.small_points;
+        if small_points > 1 {
+            self.windows
+                .find_small(small_points, &self.runs, components);
+            self.windows
+                .note_small(simd, &self.limits, &self.ranges, &self.runs, components);
+        }
     }
 
     /// Of a whole turn, notes the pieces of the first columns, or unites them with what these hold
@@ -339,12 +338,10 @@ impl Strips {
             return;
         }
         for row in 0..self.first.len() {
-            let mut on = self.runs.edges[row].on;
-            while on != 0 {
-                let column = on.trailing_zeros() as usize;
-                on &= on - 1;
+            let on = (self.runs.edges[row].on >> STRIP) as u64;
+            for column in Bits(on) {
                 let at = position + column;
-                let piece = self.runs.piece[lane_of(row) + column];
+                let piece = self.runs.piece(lane_of(row) + column);
                 if at < STRIP + BEFORE {
                     self.first[row][at - STRIP] = piece;
                 }
