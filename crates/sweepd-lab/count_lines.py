@@ -12,7 +12,7 @@ from pathlib import Path
 
 ROOT = Path(__file__).resolve().parents[2]
 ROBOT = ("src", "crates/sweepd-core", "crates/sweepd-client")
-TESTS = re.compile(r"(^|/)(tests?|testutil|testing|test_scene)\.rs$|/testkit/stream\.rs$|/tests/|/examples/")
+TESTS = re.compile(r"(^|/)(\w+_tests?|tests?|testutil|testing|test_scene)\.rs$|/testkit/stream\.rs$|/tests/|/examples/")
 TEST_MODULE = re.compile(r"#\[cfg\(test\)\]\s*(?:pub(?:\(\w+\))? )?mod \w+ \{.*\Z", re.S)
 IDIOMS = {
     "closures used as functions": re.compile(r"^\s*let (?:mut )?\w+ = (?:move )?\|", re.M),

@@ -39,6 +39,13 @@ pub enum Likelihood {
     Configured,
 }
 
+impl ConfiguredSensor {
+    /// Whether the port of this source is the one that is configured.
+    fn names_port_of(&self, source: SocketAddr) -> bool {
+        self.source_port == Some(source.port())
+    }
+}
+
 impl ConfiguredSensors {
     /// The sensors of a port, and after them others whose position packets may come through it: the
     /// numbers of a [`Route`] count through both.
@@ -78,12 +85,11 @@ impl ConfiguredSensors {
         if let Some(index) = self.owner(source) {
             return Ok(index);
         }
-        let has_ip = |known: &ConfiguredSensor| known.ip == source.ip();
-        let (here, others) = self.known.split_at(self.here);
-        if !here.iter().any(has_ip) && others.iter().any(has_ip) {
-            return Err(Refusal::Port);
+        // Sensors of this port come first: none of this address is here if the first is not.
+        match self.at(source.ip()).next() {
+            Some((first, _)) if first >= self.here => Err(Refusal::Port),
+            _ => Err(Refusal::Source),
         }
-        Err(Refusal::Source)
     }
 
     /// One sensor at an address gets all position packets from there: many come from a source port
@@ -99,16 +105,18 @@ impl ConfiguredSensors {
             route.insert(first);
             return Ok(route);
         }
-        let is_source = |known: &ConfiguredSensor| known.source_port == Some(source.port());
-        let is_named = self.at(source.ip()).any(|(_, known)| is_source(known));
+        let is_named = self
+            .at(source.ip())
+            .any(|(_, known)| known.names_port_of(source));
         let mut best = None;
         let mut is_alone = false;
         for (place, known) in self
             .at(source.ip())
             .filter(|(_, known)| known.sends_positions)
         {
-            let is_another = is_named && known.source_port.is_some() && !is_source(known);
-            let fit = (!is_another, known.positions_here, is_source(known));
+            let is_source = known.names_port_of(source);
+            let is_another = is_named && known.source_port.is_some() && !is_source;
+            let fit = (!is_another, known.positions_here, is_source);
             if best.is_none_or(|(best_fit, _)| fit >= best_fit) {
                 is_alone = best.is_none_or(|(best_fit, _)| fit > best_fit);
                 best = Some((fit, place));

@@ -57,20 +57,25 @@ impl FromStr for SensorFilter {
     type Err = SensorFilterError;
 
     fn from_str(text: &str) -> Result<Self, Self::Err> {
-        let wrong = || SensorFilterError(text.to_owned());
+        Self::parse(text).ok_or_else(|| SensorFilterError(text.to_owned()))
+    }
+}
+
+impl SensorFilter {
+    fn parse(text: &str) -> Option<Self> {
         if let Ok(ip) = text.parse::<IpAddr>() {
-            return Ok(Self {
+            return Some(Self {
                 ip: ip.to_canonical(),
                 source_port: None,
                 destination_port: None,
             });
         }
         let (source, destination_port) = match text.split_once('>') {
-            Some((source, port)) => (source, Some(port.parse().map_err(|_| wrong())?)),
+            Some((source, port)) => (source, Some(port.parse().ok()?)),
             None => (text, None),
         };
-        let source: SocketAddr = source.parse().map_err(|_| wrong())?;
-        Ok(Self {
+        let source: SocketAddr = source.parse().ok()?;
+        Some(Self {
             ip: source.ip().to_canonical(),
             source_port: Some(source.port()),
             destination_port,

@@ -129,10 +129,10 @@ impl Args {
 
 /// Log lines to standard error, for a person or the journal, which knows the time itself.
 fn log(level: Option<tracing::Level>) -> Result<(), CliError> {
-    let wrong = |error| CliError::Usage(format!("{LOG}: {error}"));
     let filter = match (level, std::env::var(LOG)) {
         (Some(level), _) => EnvFilter::new(level.as_str()),
-        (None, Ok(directives)) => EnvFilter::try_new(directives).map_err(wrong)?,
+        (None, Ok(directives)) => EnvFilter::try_new(directives)
+            .map_err(|error| CliError::Usage(format!("{LOG}: {error}")))?,
         (None, Err(_)) => EnvFilter::new("info"),
     };
     // Without a reader of the log, the sensors go on: complaining of that on standard error

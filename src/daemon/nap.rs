@@ -74,23 +74,33 @@ impl Load {
     }
 }
 
-/// Longest nap of a port with such a buffer, where the data packets of this many sensors come and
-/// the position packets of this many others, and with so much to do, nanoseconds: `most`, or less.
+/// How many sensors send to a port.
+#[derive(Clone, Copy, Debug)]
+pub struct Senders {
+    /// Sensors that send data packets.
+    pub data: usize,
+    /// Sensors that send position packets alone.
+    pub positions: usize,
+}
+
+/// Longest nap of a port, nanoseconds: at most `most`, short enough that the buffer does not
+/// overflow and that the gathered packets take at most [`CATCH_UP_NS`].
 ///
 /// `filled_ns` is the shortest time of the last seconds in which a part of the buffer was filled
 /// ([`UdpSource::shortest_filling_ns`](crate::capture::UdpSource::shortest_filling_ns)). The
-/// configured sensors take longer than the rest of the rule allows, so that it tells of others'
-/// datagrams: their next burst finds a nap that it cannot outlast.
+/// configured sensors alone fill a part more slowly than the other terms allow. A shorter time
+/// means that others send too; their next burst must not last longer than it takes to fill the
+/// buffer during a nap.
 pub fn longest_ns(
     most: Duration,
     buffer: ReceiveBuffer,
-    [data, positions]: [usize; 2],
+    senders: Senders,
     filled_ns: i64,
     load: &Load,
 ) -> i64 {
     let holds_ns = i64::try_from(buffer.fastest_ms() * 1_000_000).unwrap_or(i64::MAX);
-    let senders = (data as i64 * POSITIONS + positions as i64).max(1);
-    let part_ns = holds_ns.saturating_mul(POSITIONS) / (PARTS as i64 * senders);
+    let rate = (senders.data as i64 * POSITIONS + senders.positions as i64).max(1);
+    let part_ns = holds_ns.saturating_mul(POSITIONS) / (PARTS as i64 * rate);
     part_ns
         .min(filled_ns)
         .min(load.brings_in_ns(CATCH_UP_NS))
@@ -119,6 +129,13 @@ mod tests {
     use crate::capture::udp::buffer::CHARGED_BYTES;
 
     const MS: i64 = 1_000_000;
+
+    fn data_of(sensors: usize) -> Senders {
+        Senders {
+            data: sensors,
+            positions: 0,
+        }
+    }
 
     /// The load of a thread that works this many milliseconds of every hundred, for three seconds.
     fn load(busy_ms: u64) -> Load {
@@ -175,7 +192,7 @@ mod tests {
             ..ample
         };
         let longest_ms = |buffer, sensors, load: &Load| {
-            longest_ns(LONGEST, buffer, [sensors, 0], i64::MAX, load) / MS
+            longest_ns(LONGEST, buffer, data_of(sensors), i64::MAX, load) / MS
         };
         let idle = load(0);
         assert_eq!(
@@ -189,7 +206,11 @@ mod tests {
         // Where position packets come alone: 720 a second of each sensor, in a quarter of 2,895 or
         // 184.
         let positions_ms = |buffer, sensors| {
-            longest_ns(LONGEST_OF_POSITIONS, buffer, [0, sensors], i64::MAX, &idle) / MS
+            let senders = Senders {
+                data: 0,
+                positions: sensors,
+            };
+            longest_ns(LONGEST_OF_POSITIONS, buffer, senders, i64::MAX, &idle) / MS
         };
         assert_eq!(
             [1, 8, 10].map(|sensors| positions_ms(ample, sensors)),
@@ -206,7 +227,7 @@ mod tests {
         };
         let idle = load(0);
         let longest =
-            |sensors, filled_ns| longest_ns(LONGEST, ample, [sensors, 0], filled_ns, &idle);
+            |sensors, filled_ns| longest_ns(LONGEST, ample, data_of(sensors), filled_ns, &idle);
         assert_eq!(
             [1, 8].map(|sensors| longest(sensors, 2_900_000)),
             [2_900_000; 2]

@@ -228,12 +228,13 @@ impl<B: Buffers<Buffer: Outgoing>> Port<B> {
             recordings,
             ..
         } = &self.state;
-        let senders = match self.has_sweeps() {
-            true => [sensors.len(), 0],
-            false => [0, others.len()],
+        let has_sweeps = self.has_sweeps();
+        let senders = nap::Senders {
+            data: if has_sweeps { sensors.len() } else { 0 },
+            positions: if has_sweeps { 0 } else { others.len() },
         };
         // Recorded position packets are kept in order with data packets.
-        let longest = match self.has_sweeps() || !recordings.is_empty() {
+        let longest = match has_sweeps || !recordings.is_empty() {
             true => nap::LONGEST,
             false => nap::LONGEST_OF_POSITIONS,
         };

@@ -51,12 +51,11 @@ pub fn set_realtime_priority(priority: u8) -> io::Result<()> {
 /// Waits until there is something to read from one of two, or its other end is gone (poll(2)), at
 /// most so long, in whole milliseconds, rounded up. A signal ends it too.
 pub fn wait_for_either(one: impl AsFd, other: impl AsFd, timeout: Duration) {
-    let watched = |fd| libc::pollfd {
-        fd,
+    let mut both = [one.as_fd(), other.as_fd()].map(|fd| libc::pollfd {
+        fd: fd.as_raw_fd(),
         events: libc::POLLIN,
         revents: 0,
-    };
-    let mut both = [one.as_fd().as_raw_fd(), other.as_fd().as_raw_fd()].map(watched);
+    });
     let ms = timeout
         .as_nanos()
         .div_ceil(1_000_000)

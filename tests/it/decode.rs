@@ -3,7 +3,7 @@
 
 use crate::common;
 use fearless_simd::dispatch;
-use sweepd::assemble::decode::{Decoder, Pixels};
+use sweepd::assemble::decode::{Decoder, DualPixels, Pixels};
 use sweepd::assemble::lanes::Records;
 use sweepd::assemble::row_offsets::RowOffsets;
 use sweepd::files;
@@ -113,19 +113,20 @@ fn decode(decoder: &Decoder, packet: &DataPacket, azimuth_rad: f32, mode: Return
     };
     let [range, range2] = &mut planes.range_m;
     let [reflectivity, reflectivity2] = &mut planes.reflectivity;
-    let (first, second) = (
-        Pixels {
+    let pixels = DualPixels {
+        chosen: Pixels {
             range,
             reflectivity,
         },
-        Pixels {
+        other: Pixels {
             range: range2,
             reflectivity: reflectivity2,
         },
-    );
+        kind: &mut planes.kind,
+    };
     planes.returns = dispatch!(decoder.level(), simd => match mode {
-        ReturnMode::Dual => decoder.dual(simd, records, azimuth_rad, &turns, [first, second], &mut planes.kind),
-        _ => decoder.single(simd, records, azimuth_rad, &turns, first),
+        ReturnMode::Dual => decoder.dual(simd, records, azimuth_rad, &turns, pixels),
+        _ => decoder.single(simd, records, azimuth_rad, &turns, pixels.chosen),
     });
     planes
 }
@@ -241,7 +242,8 @@ fn check(
     let corrected = Corrected::new(beam);
     let expected_m = corrected.range_m(
         f64::from(distance) * calibration.distance_unit_m(),
-        [sin, cos],
+        sin,
+        cos,
         0.001,
     );
     let off_m = (f64::from(range_m) - f64::from(expected_m)).abs();

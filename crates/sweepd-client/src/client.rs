@@ -110,11 +110,11 @@ impl Client {
         let Some(received) = self.subscriber.wait(timeout)? else {
             return Ok(None);
         };
-        let refused = |source| ClientError::Layout {
+        let sweep = Sweep::of(received).map_err(|source| ClientError::Layout {
             name: self.subscriber.name().to_owned(),
             source,
-        };
-        Sweep::of(received).map(Some).map_err(refused)
+        })?;
+        Ok(Some(sweep))
     }
 
     /// Whether the sensor's service was found.

@@ -30,6 +30,11 @@ pub fn realtime_ns() -> i64 {
 }
 
 /// CLOCK_MONOTONIC, nanoseconds: the same in every process of this host.
+#[allow(
+    clippy::unnecessary_cast,
+    clippy::useless_conversion,
+    reason = "32 bits have other types"
+)]
 pub fn monotonic_ns() -> i64 {
     let mut now = libc::timespec {
         tv_sec: 0,
@@ -37,13 +42,7 @@ pub fn monotonic_ns() -> i64 {
     };
     // SAFETY: the call writes a timespec, which lives. It cannot fail: every Linux has this clock.
     unsafe { libc::clock_gettime(libc::CLOCK_MONOTONIC, &raw mut now) };
-    #[allow(
-        clippy::unnecessary_cast,
-        clippy::useless_conversion,
-        reason = "32 bits have other types"
-    )]
-    let (seconds, ns) = (i64::from(now.tv_sec), i64::from(now.tv_nsec));
-    seconds * 1_000_000_000 + ns
+    i64::from(now.tv_sec) * 1_000_000_000 + i64::from(now.tv_nsec)
 }
 
 #[cfg(test)]

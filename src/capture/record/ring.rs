@@ -89,9 +89,12 @@ impl Heading {
         [self.arrival_ns as u64, ips, rest]
     }
 
-    fn of([arrival, ips, rest]: [u64; HEADING_WORDS as usize]) -> Self {
+    /// The heading that begins at a position.
+    fn load(shared: &Shared, begin: u64) -> Self {
+        let ips = shared.load(begin + 1);
+        let rest = shared.load(begin + 2);
         Self {
-            arrival_ns: arrival as i64,
+            arrival_ns: shared.load(begin) as i64,
             source: SocketAddrV4::new(Ipv4Addr::from_bits((ips >> 32) as u32), (rest >> 48) as u16),
             destination: SocketAddrV4::new(Ipv4Addr::from_bits(ips as u32), (rest >> 32) as u16),
             len: rest as u32,
@@ -182,11 +185,7 @@ impl Consumer {
             return None;
         }
         let begin = self.taken();
-        let heading = Heading::of([
-            self.shared.load(begin),
-            self.shared.load(begin + 1),
-            self.shared.load(begin + 2),
-        ]);
+        let heading = Heading::load(&self.shared, begin);
         let len = heading.len as usize;
         let behind = begin + HEADING_WORDS + len.div_ceil(WORD_LEN) as u64;
         self.payload.clear();

@@ -42,14 +42,14 @@ impl Report {
         self.sum(|input| input.dropped)
     }
 
-    /// Datagrams that were not wanted.
-    fn refused(&self) -> u64 {
-        self.sum(|input| input.refused.total())
+    /// Datagrams that were refused for the reason that `of` picks.
+    fn refused(&self, of: fn(&Refused) -> u64) -> u64 {
+        self.sum(|input| of(&input.refused))
     }
 
     /// Datagrams that were wanted and are not in the files.
     fn unwritten(&self) -> u64 {
-        let wanted = self.received().saturating_sub(self.refused());
+        let wanted = self.received().saturating_sub(self.refused(Refused::total));
         wanted.saturating_sub(self.written.datagrams)
     }
 
@@ -107,14 +107,13 @@ impl Report {
             grouped(self.dropped()),
             grouped(self.unwritten())
         )?;
-        let refused = |of: fn(&Refused) -> u64| grouped(self.sum(|input| of(&input.refused)));
         writeln!(
             to,
             "  refused      {} wrong length, {} wrong marker, {} wrong azimuth, {} other source",
-            refused(|count| count.length),
-            refused(|count| count.marker),
-            refused(|count| count.azimuth),
-            refused(|count| count.source),
+            grouped(self.refused(|count| count.length)),
+            grouped(self.refused(|count| count.marker)),
+            grouped(self.refused(|count| count.azimuth)),
+            grouped(self.refused(|count| count.source)),
         )
     }
 
@@ -141,7 +140,7 @@ impl Report {
                 "nothing came from {names}: is the sensor on, does it send to this host, does a firewall stop it? \
                  `tcpdump -ni any udp` shows what comes"
             ));
-        } else if self.received() == self.refused() {
+        } else if self.received() == self.refused(Refused::total) {
             warnings.push(format!(
                 "none of what came from {names} was of a sensor that was asked for"
             ));

@@ -103,14 +103,10 @@ impl Default for Domain {
         let named = std::env::var_os(VARIABLE)
             .filter(|value| !value.is_empty())
             .map(PathBuf::from);
-        let usual = || {
-            PathBuf::from(if Path::new(RUN.0).is_dir() {
-                RUN.1
-            } else {
-                FALLBACK
-            })
-        };
-        Self::at(named.unwrap_or_else(usual))
+        Self::at(named.unwrap_or_else(|| match Path::new(RUN.0).is_dir() {
+            true => PathBuf::from(RUN.1),
+            false => PathBuf::from(FALLBACK),
+        }))
     }
 }
 
@@ -147,13 +143,10 @@ impl Domain {
             return PREFIX.to_owned();
         }
         // FNV-1a: the same in every language and version.
-        let fnv = |hash: u64, byte: &u8| (hash ^ u64::from(*byte)).wrapping_mul(0x0100_0000_01b3);
-        let hash = self
-            .root
-            .as_os_str()
-            .as_encoded_bytes()
-            .iter()
-            .fold(0xcbf2_9ce4_8422_2325, fnv);
+        let mut hash: u64 = 0xcbf2_9ce4_8422_2325;
+        for &byte in self.root.as_os_str().as_encoded_bytes() {
+            hash = (hash ^ u64::from(byte)).wrapping_mul(0x0100_0000_01b3);
+        }
         format!("{PREFIX}{hash:016x}_")
     }
 
@@ -163,15 +156,11 @@ impl Domain {
     /// [`DomainError`].
     pub fn prepare(&self) -> Result<(), DomainError> {
         self.exists()?;
-        let unusable = |source| DomainError::Unusable {
-            root: self.root.clone(),
-            source,
-        };
         fs::DirBuilder::new()
             .recursive(true)
             .mode(0o750)
             .create(&self.root)
-            .map_err(unusable)?;
+            .map_err(|source| self.unusable(source))?;
         self.exists().map(|_| ())
     }
 
@@ -181,10 +170,6 @@ impl Domain {
     /// # Errors
     /// [`DomainError`].
     pub fn exists(&self) -> Result<bool, DomainError> {
-        let unusable = |source| DomainError::Unusable {
-            root: self.root.clone(),
-            source,
-        };
         let own = own_uid();
         let mut links = 0;
         let mut way = PathBuf::new();
@@ -194,7 +179,7 @@ impl Domain {
             let metadata = match fs::symlink_metadata(&way) {
                 Ok(metadata) => metadata,
                 Err(error) if error.kind() == io::ErrorKind::NotFound => return Ok(false),
-                Err(error) => return Err(unusable(error)),
+                Err(error) => return Err(self.unusable(error)),
             };
             let is_last = ahead.is_empty();
             let owner = metadata.uid();
@@ -204,14 +189,14 @@ impl Domain {
             }
             if metadata.is_symlink() {
                 links += 1;
-                let target = fs::read_link(&way).map_err(unusable)?;
+                let target = fs::read_link(&way).map_err(|source| self.unusable(source))?;
                 if links > MAX_LINKS {
-                    return Err(unusable(io::Error::from_raw_os_error(libc::ELOOP)));
+                    return Err(self.unusable(io::Error::from_raw_os_error(libc::ELOOP)));
                 }
                 way.pop();
                 ahead.extend(steps(&target));
             } else if !metadata.is_dir() {
-                return Err(unusable(io::ErrorKind::NotADirectory.into()));
+                return Err(self.unusable(io::ErrorKind::NotADirectory.into()));
             } else if !is_last && metadata.mode() & (OTHERS_WRITE | STICKY) == OTHERS_WRITE {
                 let why = "every user may write to, without the sticky bit".to_owned();
                 return Err(DomainError::Unsafe {
@@ -222,6 +207,14 @@ impl Domain {
             }
         }
         Ok(true)
+    }
+
+    /// The error of a folder that the system does not let us use.
+    pub(super) fn unusable(&self, source: io::Error) -> DomainError {
+        DomainError::Unusable {
+            root: self.root.clone(),
+            source,
+        }
     }
 
     /// Of a link or folder on the way that is neither this user's nor root's. Where the domain

@@ -57,8 +57,8 @@ impl Pool {
             .create()
             .map_err(PublishError::service)?;
         let ending = format!("_{}.data", publisher.id().value());
-        let gone = || PublishError::from(JoinError::MemoryUnknown(io::ErrorKind::NotFound.into()));
-        let file = SharedFile::find(domain, &ending).ok_or_else(gone)?;
+        let file = SharedFile::find(domain, &ending)
+            .ok_or_else(|| JoinError::MemoryUnknown(io::ErrorKind::NotFound.into()))?;
         let reserved_bytes = take_pages(&file).map_err(|error| match error.kind() {
             io::ErrorKind::StorageFull => JoinError::Memory {
                 wanted,

@@ -1,7 +1,6 @@
 //! The service of a sensor, as its one publisher has it open.
 
 use std::fs::{File, TryLockError};
-use std::io;
 use std::os::unix::fs::OpenOptionsExt;
 use std::path::PathBuf;
 use std::sync::Arc;
@@ -10,10 +9,11 @@ use std::time::{Duration, Instant};
 use iceoryx2::port::notifier::Notifier;
 use iceoryx2::prelude::*;
 use iceoryx2::service::attribute::{AttributeKey, AttributeValue};
+use iceoryx2::service::builder::publish_subscribe::Builder;
 use iceoryx2::service::port_factory::event;
 use iceoryx2::service::port_factory::publish_subscribe;
 
-use super::domain::{Domain, DomainError};
+use super::domain::Domain;
 use super::error::{JoinError, PublishError};
 use super::files::{FileState, ServiceFile, SharedFile};
 use super::leftovers::{self, ABANDONED_AFTER};
@@ -204,12 +204,6 @@ impl Claim {
         name: &ServiceName,
         settings: &ServiceSettings,
     ) -> Result<Self, PublishError> {
-        let unusable = |source: io::Error| {
-            PublishError::from(DomainError::Unusable {
-                root: domain.root().to_owned(),
-                source,
-            })
-        };
         let mut options = File::options();
         let path = domain.claim_file(name);
         let file = options
@@ -218,13 +212,13 @@ impl Claim {
             .write(true)
             .mode(0o600)
             .open(path)
-            .map_err(unusable)?;
+            .map_err(|source| domain.unusable(source))?;
         match file.try_lock() {
             Ok(()) => Ok(Self { _file: file }),
             Err(TryLockError::WouldBlock) => Err(PublishError::Taken {
                 name: settings.name.clone(),
             }),
-            Err(TryLockError::Error(error)) => Err(unusable(error)),
+            Err(TryLockError::Error(error)) => Err(domain.unusable(error).into()),
         }
     }
 }
@@ -308,16 +302,17 @@ fn open_both(
     })
 }
 
+fn samples_builder(node: &Node<Ipc>, name: &ServiceName) -> Builder<[u8], Preamble, Ipc> {
+    node.service_builder(name)
+        .publish_subscribe::<[u8]>()
+        .user_header::<Preamble>()
+}
+
 fn open_samples(
     node: &Node<Ipc>,
     name: &ServiceName,
     settings: &ServiceSettings,
 ) -> Result<Samples, PublishError> {
-    let builder = || {
-        node.service_builder(name)
-            .publish_subscribe::<[u8]>()
-            .user_header::<Preamble>()
-    };
     let mut described = AttributeSpecifier::new();
     let mut verified = AttributeVerifier::new();
     for (key, value) in described_by(settings) {
@@ -328,7 +323,7 @@ fn open_samples(
             .require(&key, &value)
             .map_err(PublishError::service)?;
     }
-    let opened = builder().open_with_attributes(&verified);
+    let opened = samples_builder(node, name).open_with_attributes(&verified);
     if let Ok(service) = opened {
         if service.static_config().max_subscribers() == settings.max_consumers {
             return Ok(service);
@@ -337,7 +332,7 @@ fn open_samples(
             "it was made for another number of consumers",
         ));
     }
-    builder()
+    samples_builder(node, name)
         .max_publishers(PUBLISHERS)
         .max_subscribers(settings.max_consumers)
         .max_nodes(settings.max_consumers + MORE_NODES)

@@ -189,10 +189,9 @@ impl Subscriber {
         let service = service_name(name).ok_or_else(|| SubscribeError::Name {
             name: name.to_owned(),
         })?;
-        let (domain, name) = (domain.clone(), name.to_owned());
         Ok(Self {
-            domain,
-            name,
+            domain: domain.clone(),
+            name: name.to_owned(),
             service,
             open: None,
             looked: Instant::now(),
@@ -308,12 +307,11 @@ impl Subscriber {
             return Ok(Vec::new());
         }
         let mut names = Vec::new();
-        let note = |details: ServiceDetails<Ipc>| {
+        <Ipc as iceoryx2::service::Service>::list(&domain.config(), |details| {
             names.extend(sensor_name(details.static_details.name().as_str()).map(str::to_owned));
             CallbackProgression::Continue
-        };
-        <Ipc as iceoryx2::service::Service>::list(&domain.config(), note)
-            .map_err(SubscribeError::service)?;
+        })
+        .map_err(SubscribeError::service)?;
         // The event has the same name.
         names.sort();
         names.dedup();

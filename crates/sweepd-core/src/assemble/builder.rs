@@ -507,18 +507,18 @@ impl Builder {
         let steady = self
             .last_rpm
             .is_none_or(|last| (rpm - last).abs() <= RPM_STEADY * last);
-        let mut bits = 0;
-        let mut set = |flag: u32, is: bool| bits |= if is { flag } else { 0 };
-        set(flags::PARTIAL, partial);
-        set(flags::CIRCULAR, !partial && !open.blanked);
-        set(flags::REVERSED, self.head.reversed());
-        set(flags::BLANKED, open.blanked);
-        set(flags::STOPPED, open.stands_still());
-        set(
-            flags::RATE_UNSTABLE,
-            tells && !(RPM_RANGE.contains(&rpm) && steady),
-        );
-        bits
+        let unstable = tells && !(RPM_RANGE.contains(&rpm) && steady);
+        [
+            (flags::PARTIAL, partial),
+            (flags::CIRCULAR, !partial && !open.blanked),
+            (flags::REVERSED, self.head.reversed()),
+            (flags::BLANKED, open.blanked),
+            (flags::STOPPED, open.stands_still()),
+            (flags::RATE_UNSTABLE, unstable),
+        ]
+        .into_iter()
+        .map(|(flag, is_set)| if is_set { flag } else { 0 })
+        .sum()
     }
 }
 

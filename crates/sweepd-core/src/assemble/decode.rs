@@ -41,6 +41,16 @@ pub struct Pixels<'a> {
     pub reflectivity: &'a mut [u8],
 }
 
+/// Where a firing with two returns is written.
+pub struct DualPixels<'a> {
+    /// The returns to segment.
+    pub chosen: Pixels<'a>,
+    /// The other returns.
+    pub other: Pixels<'a>,
+    /// [`ReturnKind`] of the chosen ones, and [`SECOND_BLOCKS`].
+    pub kind: &'a mut [u8],
+}
+
 /// Two returns of each of sixteen beams.
 struct Pairs<S: Simd> {
     /// Those to segment.
@@ -60,16 +70,10 @@ impl Decoder {
         choice: ReturnChoice,
         limits_m: RangeInclusive<f32>,
     ) -> Self {
-        let beams = |mode| -> Vec<BeamRow> {
-            let beams = calibration
-                .rows()
-                .iter()
-                .map(|&channel| &calibration.beams()[channel]);
-            beams
-                .map(|beam| BeamRow::new(beam, spec.channel_offset_ns(beam.channel, mode)))
-                .collect()
-        };
-        let beams = [ReturnMode::Strongest, ReturnMode::Dual].map(beams);
+        let beams = [
+            beam_rows(calibration, spec, ReturnMode::Strongest),
+            beam_rows(calibration, spec, ReturnMode::Dual),
+        ];
         let lanes = BeamGroups::new(calibration, &beams[0]);
         let bends = lanes.bend();
         Self {
@@ -153,8 +157,7 @@ impl Decoder {
         returns
     }
 
-    /// Writes a firing with two returns in the same way: the chosen ones, the others, and which the
-    /// chosen ones are.
+    /// Writes a firing with two returns in the same way.
     #[inline(always)]
     pub fn dual<S: Simd>(
         &self,
@@ -162,8 +165,7 @@ impl Decoder {
         records: Records<'_>,
         azimuth_rad: f32,
         row_offsets: &RowOffsets,
-        [mut chosen, mut other]: [Pixels<'_>; 2],
-        kind: &mut [u8],
+        mut pixels: DualPixels<'_>,
     ) -> u32 {
         let direction = self.direction(azimuth_rad);
         let (first, second) = records.split_at(self.spec.banks());
@@ -188,9 +190,9 @@ impl Decoder {
                 self.is_normalised,
             );
             let pairs = self.choose(simd, first, second);
-            chosen.write(places, &pairs.chosen);
-            other.write(places, &pairs.other);
-            write_bytes(kind, places, pairs.kind);
+            pixels.chosen.write(places, &pairs.chosen);
+            pixels.other.write(places, &pairs.other);
+            write_bytes(pixels.kind, places, pairs.kind);
             returns += first.returns + second.returns;
         }
         returns
@@ -251,6 +253,15 @@ impl Decoder {
             is_return & range_m.simd_ge(low_m) & range_m.simd_le(high_m),
         )
     }
+}
+
+/// The beams by row, with their times in this mode.
+fn beam_rows(calibration: &Calibration, spec: &Spec, mode: ReturnMode) -> Vec<BeamRow> {
+    let beams = calibration.beams();
+    (calibration.rows().iter())
+        .map(|&channel| &beams[channel])
+        .map(|beam| BeamRow::new(beam, spec.channel_offset_ns(beam.channel, mode)))
+        .collect()
 }
 
 impl Pixels<'_> {
@@ -335,7 +346,12 @@ mod tests {
             blocks: &packet.blocks[..2],
             first: 0,
         };
-        let returns = dispatch!(decoder.level(), simd => decoder.dual(simd, records, 0.0, &row_offsets, [first, second], &mut kind));
+        let pixels = DualPixels {
+            chosen: first,
+            other: second,
+            kind: &mut kind,
+        };
+        let returns = dispatch!(decoder.level(), simd => decoder.dual(simd, records, 0.0, &row_offsets, pixels));
         assert_eq!(
             returns,
             u32::from(last_m > 0.0) + u32::from(strongest_m > 0.0)

@@ -6,7 +6,7 @@ use std::ops::Range;
 use fearless_simd::Simd;
 
 use super::cursor::{Cursor, Firing};
-use super::decode::{Decoder, Pixels};
+use super::decode::{Decoder, DualPixels, Pixels};
 use super::head_tracker::{HeadTracker, STANDSTILL_CDEG, STANDSTILL_NS};
 use super::lanes::Records;
 use super::matcher::OrderedPacket;
@@ -355,14 +355,12 @@ pub fn decode<S: Simd>(
         range: &mut sweep.range2[reach.clone()],
         reflectivity: &mut sweep.reflectivity2[reach.clone()],
     };
-    decoder.dual(
-        simd,
-        records,
-        column.azimuth_rad,
-        place.row_offsets,
-        [chosen, other],
-        &mut sweep.kind[reach],
-    )
+    let pixels = DualPixels {
+        chosen,
+        other,
+        kind: &mut sweep.kind[reach],
+    };
+    decoder.dual(simd, records, column.azimuth_rad, place.row_offsets, pixels)
 }
 
 impl ColumnTarget<'_> {

@@ -38,27 +38,25 @@ impl RowOffsets {
             (rate_cdeg_ns.abs().max(slowest).copysign(rate_cdeg_ns) / 100.0).to_radians();
         let pitch_rad = rate_rad_ns * f64::from(spec.firing_period_ns(mode));
         self.rate_rad_s = (rate_cdeg_ns / 100.0).to_radians() * 1e9;
-        let turn_rad = |beam: &BeamRow| {
-            rate_rad_ns * f64::from(beam.time_offset_ns) - f64::from(beam.rotation_rad)
-        };
         self.shifts.clear();
         self.shifts
             .extend(beams.iter().map(|beam| match spec.shifted {
-                true => (-turn_rad(beam) / pitch_rad).round() as i32,
+                true => (-side_angle_rad(beam, rate_rad_ns) / pitch_rad).round() as i32,
                 false => 0,
             }));
-        let shifts = || self.shifts.iter().copied();
-        self.lead = shifts().max().unwrap_or(0).max(0) as usize;
-        self.trail = shifts().min().unwrap_or(0).min(0).unsigned_abs() as usize;
+        let most = self.shifts.iter().copied().fold(0, i32::max);
+        let least = self.shifts.iter().copied().fold(0, i32::min);
+        self.lead = most as usize;
+        self.trail = least.unsigned_abs() as usize;
         self.side_angles
             .resize(beams.len().div_ceil(LANES), SideAngles::default());
         self.pixels
             .resize(beams.len().div_ceil(LANES), PerLane::default());
         for (row, beam) in beams.iter().enumerate() {
             let (group, lane) = lanes::place(beam.channel);
-            let aside = &mut self.side_angles[group];
-            [aside.sin[lane], aside.cos[lane]] =
-                [turn_rad(beam).sin() as f32, turn_rad(beam).cos() as f32];
+            let (sin, cos) = side_angle_rad(beam, rate_rad_ns).sin_cos();
+            self.side_angles[group].sin[lane] = sin as f32;
+            self.side_angles[group].cos[lane] = cos as f32;
             let column = self.lead as i32 - self.shifts[row];
             self.pixels[group][lane] = column as u32 * beams.len() as u32 + row as u32;
         }
@@ -99,4 +97,9 @@ impl RowOffsets {
     pub fn span(&self) -> usize {
         self.lead + self.trail
     }
+}
+
+/// How far a beam points to the side of its firing when it fires, clockwise from above.
+fn side_angle_rad(beam: &BeamRow, rate_rad_ns: f64) -> f64 {
+    rate_rad_ns * f64::from(beam.time_offset_ns) - f64::from(beam.rotation_rad)
 }

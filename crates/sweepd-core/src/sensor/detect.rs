@@ -309,17 +309,19 @@ impl Detector {
         };
         for &return_mode in modes {
             let period_ns = spec.packet_period_ns(return_mode);
-            let fitting = || intervals.us().iter().filter(|&&us| fits(us, period_ns));
-            let count = fitting().count();
+            let count = intervals.fitting(period_ns).count();
             // Of two modes, the one with the shorter period fits too where the other is meant.
-            let is_seen = modes.len() == 1 || fitting().any(|&us| fits_once(us, period_ns));
+            let is_seen = modes.len() == 1
+                || intervals
+                    .fitting(period_ns)
+                    .any(|us| fits_once(us, period_ns));
             if count > best.fits && is_seen {
                 best = Vote {
                     timing,
                     spec,
                     return_mode,
                     fits: count,
-                    interval_us: fitting().min().copied().unwrap_or_default(),
+                    interval_us: intervals.fitting(period_ns).min().unwrap_or_default(),
                 };
             }
         }
@@ -413,6 +415,14 @@ impl Detector {
 impl Intervals {
     fn us(&self) -> &[u32] {
         &self.us[..self.len]
+    }
+
+    /// Those that this period explains, microseconds.
+    fn fitting(&self, period_ns: u32) -> impl Iterator<Item = u32> {
+        self.us()
+            .iter()
+            .copied()
+            .filter(move |&us| fits(us, period_ns))
     }
 
     fn median(&self) -> u32 {

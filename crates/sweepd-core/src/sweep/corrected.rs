@@ -44,17 +44,26 @@ pub(crate) struct Offset {
 }
 
 impl Offset {
+    /// From the distance offset that was measured at `at_m` near the sensor and the one beyond
+    /// [`FAR_M`], metres.
+    fn new(near_m: f32, at_m: f64, far_m: f64) -> Self {
+        let slope = (f64::from(near_m) - far_m) / (FAR_M - at_m);
+        Self {
+            base_m: slope * FAR_M,
+            slope,
+        }
+    }
+
     /// An axis of the beam, divided by its direction along the axis: a multiple of d and a constant.
     fn along(&self, along: f64) -> [f64; 2] {
         [1.0 - self.slope * along.abs(), self.base_m]
     }
 }
 
-/// Each axis of the corrected beam as a multiple of d and a constant.
-struct Lines {
-    x: [f64; 2],
-    y: [f64; 2],
-    z: [f64; 2],
+/// The corrected point as a line over d: x, y and z are `slope * d + base`.
+struct Line {
+    slope: [f64; 3],
+    base: [f64; 3],
 }
 
 impl Corrected {
@@ -62,16 +71,9 @@ impl Corrected {
     pub fn new(beam: &BeamRow) -> Self {
         let (sin_elevation, cos_elevation) = f64::from(beam.elevation_rad).sin_cos();
         let distance_offset_m = f64::from(beam.distance_offset_m);
-        let offset = |near_m: f32, at_m: f64| {
-            let slope = (f64::from(near_m) - distance_offset_m) / (FAR_M - at_m);
-            Offset {
-                base_m: slope * FAR_M,
-                slope,
-            }
-        };
         let near = [
-            offset(beam.distance_offset_x_m, NEAR_M[0]),
-            offset(beam.distance_offset_y_m, NEAR_M[1]),
+            Offset::new(beam.distance_offset_x_m, NEAR_M[0], distance_offset_m),
+            Offset::new(beam.distance_offset_y_m, NEAR_M[1], distance_offset_m),
         ];
         let near = Some(near).filter(|near| near.iter().any(|offset| offset.slope != 0.0));
         Self {
@@ -110,7 +112,8 @@ impl Corrected {
     pub fn range_m(
         &self,
         measured_m: f64,
-        [sin_azimuth, cos_azimuth]: [f64; 2],
+        sin_azimuth: f64,
+        cos_azimuth: f64,
         least_m: f32,
     ) -> f32 {
         let d = (measured_m + self.distance_offset_m).max(f64::from(least_m));
@@ -120,7 +123,7 @@ impl Corrected {
         let is_near = Self::is_near(measured_m);
         let range_m = match is_near {
             true => {
-                let [x, y, z] = self.lines(&near, sin_azimuth, cos_azimuth).at(d);
+                let [x, y, z] = self.line(&near, sin_azimuth, cos_azimuth).at(d);
                 (x * x + y * y + z * z).sqrt()
             }
             false => d,
@@ -134,8 +137,8 @@ impl Corrected {
         let is_near = range_m.to_bits() & 1 == 1;
         let range_m = f64::from(range_m);
         let bent = self.near.filter(|_| is_near).and_then(|near| {
-            let lines = self.lines(&near, sin_azimuth, cos_azimuth);
-            Some(lines.at(lines.solve(range_m)?))
+            let line = self.line(&near, sin_azimuth, cos_azimuth);
+            Some(line.at(line.solve(range_m)?))
         });
         let straight = [
             self.cos_elevation * sin_azimuth,
@@ -146,37 +149,38 @@ impl Corrected {
     }
 
     #[inline]
-    fn lines(&self, near: &[Offset; 2], sin_azimuth: f64, cos_azimuth: f64) -> Lines {
+    fn line(&self, near: &[Offset; 2], sin_azimuth: f64, cos_azimuth: f64) -> Line {
         let along_x = self.cos_elevation * sin_azimuth;
         let along_y = self.cos_elevation * cos_azimuth;
         let x = near[0].along(along_x);
         let y = near[1].along(along_y);
         let z = [(x[0] + y[0]) / 2.0, (x[1] + y[1]) / 2.0];
-        Lines {
-            x: x.map(|term| term * along_x),
-            y: y.map(|term| term * along_y),
-            z: z.map(|term| term * self.sin_elevation),
+        let up = self.sin_elevation;
+        Line {
+            slope: [x[0] * along_x, y[0] * along_y, z[0] * up],
+            base: [x[1] * along_x, y[1] * along_y, z[1] * up],
         }
     }
 }
 
-impl Lines {
+impl Line {
     #[inline]
     fn at(&self, d: f64) -> [f64; 3] {
-        [self.x, self.y, self.z].map(|[slope, base]| slope * d + base)
+        std::array::from_fn(|axis| self.slope[axis] * d + self.base[axis])
     }
 
     /// The d at which the length is `range_m`: the greater root.
     fn solve(&self, range_m: f64) -> Option<f64> {
-        let sum = |a: usize, b: usize| {
-            self.x[a] * self.x[b] + self.y[a] * self.y[b] + self.z[a] * self.z[b]
-        };
-        let square = sum(0, 0);
-        let linear = sum(0, 1);
-        let rest = sum(1, 1) - range_m * range_m;
+        let square = dot(self.slope, self.slope);
+        let linear = dot(self.slope, self.base);
+        let rest = dot(self.base, self.base) - range_m * range_m;
         let root = linear * linear - square * rest;
         (root >= 0.0 && square > 0.0).then(|| (root.sqrt() - linear) / square)
     }
+}
+
+fn dot(a: [f64; 3], b: [f64; 3]) -> f64 {
+    a[0] * b[0] + a[1] * b[1] + a[2] * b[2]
 }
 
 #[cfg(test)]
@@ -204,13 +208,13 @@ mod tests {
     #[test]
     fn ranges_are_those_of_the_manual() {
         let beam = beam(0.0, 1.2, 1.3, 1.25);
-        for (measured_m, direction, expected_m) in [
-            (8.8, [1.0, 0.0], 10.066_431),
-            (8.8, [0.0, 1.0], 10.032_540),
-            (25.04, [1.0, 0.0], 26.24),
-            (40.0, [0.0, -1.0], 41.2),
+        for (measured_m, sin, cos, expected_m) in [
+            (8.8, 1.0, 0.0, 10.066_431),
+            (8.8, 0.0, 1.0, 10.032_540),
+            (25.04, 1.0, 0.0, 26.24),
+            (40.0, 0.0, -1.0, 41.2),
         ] {
-            let range_m = beam.range_m(measured_m, direction, 0.001);
+            let range_m = beam.range_m(measured_m, sin, cos, 0.001);
             assert!(
                 (f64::from(range_m) - expected_m).abs() < 6e-6,
                 "{measured_m}: {range_m}"
@@ -227,7 +231,7 @@ mod tests {
             let beam = beam(elevation_deg, far_m, far_m + x_m, far_m + y_m);
             let (sin, cos) = azimuth.sin_cos();
             let measured_m = f64::from(units) * 0.002;
-            let range_m = beam.range_m(measured_m, [sin, cos], 0.001);
+            let range_m = beam.range_m(measured_m, sin, cos, 0.001);
             let [x, y, z] = beam.point_m(range_m, sin, cos);
             // The manual's formulas, one after the other.
             let (d, w) = (measured_m + far_m, elevation_deg.to_radians());

@@ -171,11 +171,37 @@ fn cast_mut<T: FromBytes + IntoBytes + KnownLayout + Immutable>(
     <[T]>::mut_from_bytes(bytes).map_err(|_| LayoutError::Bytes { bytes: found })
 }
 
-fn cast_ref<T: FromBytes + KnownLayout + Immutable>(bytes: &[u8]) -> Result<&[T], LayoutError> {
-    if bytes.is_empty() {
-        return Ok(&[]);
+/// The bytes of a sweep whose header was checked.
+struct PartBytes<'a> {
+    header: &'a Header,
+    bytes: &'a [u8],
+}
+
+impl<'a> PartBytes<'a> {
+    /// Items of a part.
+    fn part<T: FromBytes + KnownLayout + Immutable>(
+        &self,
+        part: Part,
+        items: &Range<usize>,
+    ) -> Result<&'a [T], LayoutError> {
+        if items.is_empty() {
+            return Ok(&[]);
+        }
+        let start = self.header.offsets[part as usize] as usize;
+        let size = size_of::<T>();
+        let bytes = &self.bytes[start + items.start * size..start + items.end * size];
+        <[T]>::ref_from_bytes(bytes).map_err(|_| LayoutError::Bytes { bytes: bytes.len() })
     }
-    <[T]>::ref_from_bytes(bytes).map_err(|_| LayoutError::Bytes { bytes: bytes.len() })
+}
+
+/// One return as the planes of the image hold it.
+#[derive(Clone, Copy)]
+struct StoredReturn {
+    range_m: f32,
+    reflectivity: u8,
+    label: u32,
+    kind: ReturnKind,
+    in_second_blocks: bool,
 }
 
 /// One return of a sweep with all that is known of it.
@@ -232,32 +258,22 @@ impl<'a> SweepRef<'a> {
     pub fn with_header(header: &'a Header, bytes: &'a [u8]) -> Result<Self, LayoutError> {
         let shape = checked_shape(header, bytes.len())?;
         let margin = header.margin_columns as usize;
-        let columns = header.columns as usize;
-        let before = margin * shape.rows;
-        let pixels = columns * shape.rows;
-        let part = |part: Part, first: usize, count: usize, size: usize| {
-            let start = header.offsets[part as usize] as usize + first * size;
-            &bytes[start..start + count * size]
-        };
-        let plane = |one: Part, size: usize| part(one, before, pixels, size);
-        let other = |one: Part, size: usize| if shape.dual { plane(one, size) } else { &[] };
+        let columns = margin..margin + header.columns as usize;
+        let pixels = columns.start * shape.rows..columns.end * shape.rows;
+        let other = if shape.dual { pixels.clone() } else { 0..0 };
+        let bytes = PartBytes { header, bytes };
         Ok(Self {
             header,
-            range: cast_ref(plane(Part::Range, 4))?,
-            reflectivity: plane(Part::Reflectivity, 1),
-            label: cast_ref(plane(Part::Label, 4))?,
-            range2: cast_ref(other(Part::Range2, 4))?,
-            reflectivity2: other(Part::Reflectivity2, 1),
-            label2: cast_ref(other(Part::Label2, 4))?,
-            kind: other(Part::Kind, 1),
-            columns: cast_ref(part(Part::Columns, margin, columns, size_of::<Column>()))?,
-            beams: cast_ref(part(Part::Beams, 0, shape.rows, size_of::<BeamRow>()))?,
-            segments: cast_ref(part(
-                Part::Segments,
-                0,
-                header.segments as usize,
-                size_of::<Segment>(),
-            ))?,
+            range: bytes.part(Part::Range, &pixels)?,
+            reflectivity: bytes.part(Part::Reflectivity, &pixels)?,
+            label: bytes.part(Part::Label, &pixels)?,
+            range2: bytes.part(Part::Range2, &other)?,
+            reflectivity2: bytes.part(Part::Reflectivity2, &other)?,
+            label2: bytes.part(Part::Label2, &other)?,
+            kind: bytes.part(Part::Kind, &other)?,
+            columns: bytes.part(Part::Columns, &columns)?,
+            beams: bytes.part(Part::Beams, &(0..shape.rows))?,
+            segments: bytes.part(Part::Segments, &(0..header.segments as usize))?,
         })
     }
 
@@ -314,49 +330,42 @@ impl<'a> SweepRef<'a> {
     /// Of a row or a column that the image does not have, as all here that take one.
     pub fn pixel(&self, row: usize, column: usize) -> [Option<Return>; 2] {
         let index = column * self.rows() + row;
-        let first = (
-            self.range[index],
-            self.reflectivity[index],
-            self.label[index],
-        );
-        let Some(&byte) = self.kind.get(index) else {
-            let last = self.header.return_mode() == ReturnMode::Last;
-            let kind = if last {
-                ReturnKind::Last
-            } else {
-                ReturnKind::Strongest
-            };
-            return [self.at(row, column, (kind, false), first), None];
+        let mut segmented = StoredReturn {
+            range_m: self.range[index],
+            reflectivity: self.reflectivity[index],
+            label: self.label[index],
+            kind: match self.header.return_mode() {
+                ReturnMode::Last => ReturnKind::Last,
+                _ => ReturnKind::Strongest,
+            },
+            in_second_blocks: false,
         };
-        let kind = ReturnKind::of_byte(byte);
-        let is_second = byte & SECOND_BLOCKS != 0;
-        let second = (
-            self.range2[index],
-            self.reflectivity2[index],
-            self.label2[index],
-        );
-        [
-            self.at(row, column, (kind, is_second), first),
-            self.at(row, column, (kind.other(), !is_second), second),
-        ]
+        let Some(&byte) = self.kind.get(index) else {
+            return [self.at(row, column, segmented), None];
+        };
+        segmented.kind = ReturnKind::of_byte(byte);
+        segmented.in_second_blocks = byte & SECOND_BLOCKS != 0;
+        let other = StoredReturn {
+            range_m: self.range2[index],
+            reflectivity: self.reflectivity2[index],
+            label: self.label2[index],
+            kind: segmented.kind.other(),
+            in_second_blocks: !segmented.in_second_blocks,
+        };
+        [self.at(row, column, segmented), self.at(row, column, other)]
     }
 
-    fn at(
-        &self,
-        row: usize,
-        column: usize,
-        (kind, in_second_blocks): (ReturnKind, bool),
-        (range_m, reflectivity, label): (f32, u8, u32),
-    ) -> Option<Return> {
-        if !is_return(range_m) {
+    fn at(&self, row: usize, column: usize, stored: StoredReturn) -> Option<Return> {
+        if !is_return(stored.range_m) {
             return None;
         }
         let firing = self.firing(row, column);
         let beam = &self.beams[row];
         let banks = self.beams.len().div_ceil(RECORDS);
-        let block = beam.channel as usize / RECORDS + if in_second_blocks { banks } else { 0 };
+        let block =
+            beam.channel as usize / RECORDS + if stored.in_second_blocks { banks } else { 0 };
         let shot = Shot::new(firing, beam);
-        let along_m = shot.along_m(range_m);
+        let along_m = shot.along_m(stored.range_m);
         let [azimuth_rad, elevation_rad] = shot.direction_rad(along_m);
         Some(Return {
             row,
@@ -364,13 +373,13 @@ impl<'a> SweepRef<'a> {
             channel: beam.channel as usize,
             packet: firing.packet,
             block: firing.block.wrapping_add(block as u8),
-            kind,
-            range_m,
+            kind: stored.kind,
+            range_m: stored.range_m,
             azimuth_rad,
             elevation_rad,
-            reflectivity,
+            reflectivity: stored.reflectivity,
             time_ns: shot_ns(self.header, firing, beam),
-            label,
+            label: stored.label,
             point_m: shot.point_m(along_m),
         })
     }
@@ -446,7 +455,8 @@ impl<'a> Shot<'a> {
 
     /// The same from the sensor's origin.
     #[inline]
-    fn point_m(&self, [x, y, z]: [f64; 3]) -> [f64; 3] {
+    fn point_m(&self, along_m: [f64; 3]) -> [f64; 3] {
+        let [x, y, z] = along_m;
         let sideways = f64::from(self.beam.horizontal_offset_m);
         let up = f64::from(self.beam.vertical_offset_m);
         [
@@ -457,10 +467,11 @@ impl<'a> Shot<'a> {
     }
 
     /// Azimuth and elevation of what lies along the beam, radians.
-    fn direction_rad(&self, [x, y, z]: [f64; 3]) -> [f64; 2] {
+    fn direction_rad(&self, along_m: [f64; 3]) -> [f64; 2] {
         if self.corrected.is_straight() {
             return [self.azimuth_rad, f64::from(self.beam.elevation_rad)];
         }
+        let [x, y, z] = along_m;
         let azimuth_rad = x.atan2(y).rem_euclid(TAU);
         [
             if azimuth_rad < TAU { azimuth_rad } else { 0.0 },

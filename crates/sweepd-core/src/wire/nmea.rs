@@ -61,16 +61,17 @@ impl Rmc {
         if found != computed {
             return Err(NmeaError::Checksum { found, computed });
         }
-        let mut field = || fields.next().unwrap_or_default();
-        let time = field();
-        let status = field();
-        let latitude = field();
-        let north = field();
-        let longitude = field();
-        let east = field();
-        let _speed = field();
-        let _course = field();
-        let date = field();
+        let [
+            time,
+            status,
+            latitude,
+            north,
+            longitude,
+            east,
+            _speed,
+            _course,
+            date,
+        ] = std::array::from_fn(|_| fields.next().unwrap_or_default());
         let day_ns = parse_time(time).ok_or(NmeaError::Field("time"))?;
         let days = parse_date(date).ok_or(NmeaError::Field("date"))?;
         let position_deg =

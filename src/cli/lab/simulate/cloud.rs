@@ -64,7 +64,6 @@ impl CloudOptions {
 /// [`CliError`]: a cloud or a calibration that cannot be meant, a file that cannot be read or
 /// written.
 pub fn run(args: &Args, cloud: &Path) -> Result<(), CliError> {
-    let wrong = |error: FromCloudError| CliError::Usage(format!("{}: {error}", cloud.display()));
     let fitted = args
         .cloud
         .fit_elevations
@@ -78,7 +77,7 @@ pub fn run(args: &Args, cloud: &Path) -> Result<(), CliError> {
         start_utc_ns,
         address: config::address(MODEL),
     };
-    let sender = Sender::new(&turn, sending).map_err(wrong)?;
+    let sender = Sender::new(&turn, sending).map_err(|error| cloud_error(cloud, error))?;
     let faults = args.faults.rates().plan(args.seed, sender.packets());
     let existing = args.force.existing();
     let former = args.former_truth()?;
@@ -118,13 +117,17 @@ fn encode(args: &Args, cloud: &Path) -> Result<Turn, CliError> {
         let message = "--from-cloud needs --calibration FILE, that of an HDL-64E: each unit has beams of its own";
         return Err(CliError::Usage(message.to_owned()));
     };
-    let wrong = |error: FromCloudError| CliError::Usage(format!("{}: {error}", cloud.display()));
-    let points = points(&read_file(cloud, MAX_CLOUD_LEN)?).map_err(|error| wrong(error.into()))?;
+    let points = points(&read_file(cloud, MAX_CLOUD_LEN)?)
+        .map_err(|error| cloud_error(cloud, error.into()))?;
     let options = Options {
         fit: args.cloud.fit_elevations,
         rpm: args.rpm,
     };
-    Turn::new(&points, &calibration, options).map_err(wrong)
+    Turn::new(&points, &calibration, options).map_err(|error| cloud_error(cloud, error))
+}
+
+fn cloud_error(cloud: &Path, error: FromCloudError) -> CliError {
+    CliError::Usage(format!("{}: {error}", cloud.display()))
 }
 
 /// Where the fitted calibration goes: beside the capture, unless it is said. Never over the one

@@ -137,16 +137,18 @@ struct NewSpeed {
 }
 
 fn new_speed(text: &str) -> Result<NewSpeed, String> {
-    let parse = || {
-        let (rpm, over) = text.split_once('@')?;
-        Some(NewSpeed {
-            rpm: number(rpm, -1200.0..=1200.0)?,
-            over: interval(over)?,
-        })
-    };
-    parse().ok_or_else(|| {
+    rpm_over_interval(text).ok_or_else(|| {
         "expected -1200 to 1200 turns a minute, @, and FROM..TO in seconds, the second greater, such as 900@2..3"
             .to_owned()
+    })
+}
+
+/// `RPM@FROM..TO`.
+fn rpm_over_interval(text: &str) -> Option<NewSpeed> {
+    let (rpm, over) = text.split_once('@')?;
+    Some(NewSpeed {
+        rpm: number(rpm, -1200.0..=1200.0)?,
+        over: interval(over)?,
     })
 }
 
@@ -175,14 +177,17 @@ fn sector(text: &str) -> Option<FieldOfView> {
 }
 
 fn clock_step(text: &str) -> Result<ClockStep, String> {
-    let parse = || {
-        let (step, at) = text.split_once('@')?;
-        Some(ClockStep {
-            at_ns: nanoseconds(number(at, DAY_S)?),
-            by_ns: nanoseconds(number(step, -3600.0..=3600.0)?),
-        })
-    };
-    parse().ok_or_else(|| "expected -3600 to 3600 seconds, @, and when, such as 0.5@2".to_owned())
+    step_at_time(text)
+        .ok_or_else(|| "expected -3600 to 3600 seconds, @, and when, such as 0.5@2".to_owned())
+}
+
+/// `SECONDS@TIME`.
+fn step_at_time(text: &str) -> Option<ClockStep> {
+    let (step, at) = text.split_once('@')?;
+    Some(ClockStep {
+        at_ns: nanoseconds(number(at, DAY_S)?),
+        by_ns: nanoseconds(number(step, -3600.0..=3600.0)?),
+    })
 }
 
 /// From one second to another.

@@ -209,25 +209,21 @@ impl Status {
     /// clearly.
     fn vote(&mut self, count: i64, payload: usize, kind: u8, value: u8) {
         let counted = cycle_in_dump(count, 0);
-        let mut vote = |cycle: usize, votes: u16| {
-            let slot = &mut self.votes[(cycle + CYCLES - counted) % CYCLES];
-            *slot = slot.saturating_add(votes);
-        };
         if let Some((_, cycle, _)) = UNIQUE.into_iter().find(|unique| unique.0 == kind) {
-            vote(cycle, UNIQUE_VOTES);
+            self.add_votes(cycle, counted, UNIQUE_VOTES);
         } else if kind == WARNING {
-            (0..CYCLES)
-                .filter(|&cycle| is_after_beam(cycle))
-                .for_each(|cycle| vote(cycle, 1));
+            for cycle in (0..CYCLES).filter(|&cycle| is_after_beam(cycle)) {
+                self.add_votes(cycle, counted, 1);
+            }
         } else {
             if MAGIC.get(payload) == Some(&value) {
-                vote(0, 1);
+                self.add_votes(0, counted, 1);
             }
             if let Some(cycle) =
                 (0..CYCLES).find(|&cycle| beam_of(cycle) == Some(usize::from(value)))
                 && payload == 0
             {
-                vote(cycle, 1);
+                self.add_votes(cycle, counted, 1);
             }
         }
         let mut best = 0;
@@ -244,6 +240,12 @@ impl Status {
             self.offset = Some(best);
             self.settle(best);
         }
+    }
+
+    /// Votes for the offset at which this cycle of the dump is the counted one.
+    fn add_votes(&mut self, cycle: usize, counted: usize, votes: u16) {
+        let sum = &mut self.votes[(cycle + CYCLES - counted) % CYCLES];
+        *sum = sum.saturating_add(votes);
     }
 
     /// Stores the bytes whose place has become sure.

@@ -111,9 +111,10 @@ impl Head {
     /// The points behind the head, which ends at byte `first`.
     fn body(&mut self, data: Data, body: &[u8], first: usize) -> Result<Cloud, ReadError> {
         let [fields_line, data_line] = self.lines;
-        let in_data = |message| ReadError::line(data_line, message);
-        self.check_counts().map_err(in_data)?;
-        let points = self.point_count().map_err(in_data)?;
+        let points = self
+            .check_counts()
+            .and_then(|()| self.point_count())
+            .map_err(|message| ReadError::line(data_line, message))?;
         let (roles, scalars) = Roles::of_names(self.names.iter().map(String::as_str))
             .and_then(|roles| Ok((roles, self.scalars(roles)?)))
             .map_err(|message| ReadError::line(fields_line, message))?;
@@ -130,7 +131,10 @@ impl Head {
         let expected = points
             .checked_mul(record)
             .filter(|&bytes| bytes <= MAX_BODY_LEN)
-            .ok_or_else(|| in_data(format!("{points} points of {record} bytes are too many")))?;
+            .ok_or_else(|| {
+                let message = format!("{points} points of {record} bytes are too many");
+                ReadError::line(data_line, message)
+            })?;
         let starts = starts(&lengths);
         if data == Data::Binary {
             let fields: Vec<Field> = (0..scalars.len())
@@ -145,10 +149,13 @@ impl Head {
                 .map_err(|(byte, message)| ReadError::byte(first + byte, message));
         }
         if points.saturating_mul(record.max(POINT_BYTES)) > MAX_UNPACKED_LEN {
-            return Err(in_data(format!(
-                "{points} points of {record} bytes, packed; at most {MAX_UNPACKED_LEN} bytes are unpacked, {POINT_BYTES} a point \
+            return Err(ReadError::line(
+                data_line,
+                format!(
+                    "{points} points of {record} bytes, packed; at most {MAX_UNPACKED_LEN} bytes are unpacked, {POINT_BYTES} a point \
                  or more: write the file as DATA binary, or one turn a file"
-            )));
+                ),
+            ));
         }
         let unpacked = unpack(body, expected)
             .map_err(|(byte, message)| ReadError::byte(first + byte, message))?;

@@ -112,7 +112,6 @@ impl Head {
 
     /// The points behind the head, which ends at byte `first`, in this line.
     fn body(&self, body: &[u8], first: usize, line: usize) -> Result<Cloud, ReadError> {
-        let at = |byte: usize, message: String| ReadError::byte(first + byte, message);
         let Some((points, vertex_line)) = self.vertices else {
             return Err(ReadError::line(
                 line,
@@ -139,7 +138,7 @@ impl Head {
                 "{found} bytes follow the head, not enough for {points} points of {step} bytes; the file was cut off, or \
                  its head is wrong"
             );
-            return Err(at(found, message));
+            return Err(ReadError::byte(first + found, message));
         }
         let fields: Vec<Field> = (self.scalars.iter().zip(starts(&lengths)))
             .map(|(&scalar, start)| Field {
@@ -149,7 +148,7 @@ impl Head {
             })
             .collect();
         binary(body, points, &fields, roles, big_endian)
-            .map_err(|(byte, message)| at(byte, message))
+            .map_err(|(byte, message)| ReadError::byte(first + byte, message))
     }
 }
 

@@ -89,13 +89,15 @@ fn check(rings: &[RingPlace], rows: &[Beam], found: &[usize]) -> Result<(), From
 ///
 /// `fits` holds, for each row, what the fit gave.
 pub(super) fn complete(rows: &[Beam], fits: &[Option<Beam>]) -> Vec<Beam> {
-    let shift_rad = |row: usize| Some(fits[row]?.elevation_rad - rows[row].elevation_rad);
+    let shifts_rad: Vec<Option<f64>> = (rows.iter().zip(fits))
+        .map(|(beam, fit)| Some(fit.as_ref()?.elevation_rad - beam.elevation_rad))
+        .collect();
     let mut beams: Vec<Beam> = Vec::with_capacity(rows.len());
     for (row, beam) in rows.iter().enumerate() {
         let above = (0..row)
             .rev()
-            .find_map(|other| Some((row - other, shift_rad(other)?)));
-        let below = (row + 1..rows.len()).find_map(|other| Some((other - row, shift_rad(other)?)));
+            .find_map(|other| Some((row - other, shifts_rad[other]?)));
+        let below = (row + 1..rows.len()).find_map(|other| Some((other - row, shifts_rad[other]?)));
         let shift_rad = match (above, below) {
             (Some((up, a)), Some((down, b))) => {
                 (a * down as f64 + b * up as f64) / (up + down) as f64
