@@ -20,19 +20,20 @@ use crate::wire::data::ReturnMode;
 const RPM_RANGE: std::ops::RangeInclusive<f32> = 240.0..=1320.0;
 /// A speed that differs from the last sweep's by more than this share is not steady.
 const RPM_STEADY: f32 = 0.1;
-/// A packet whose speed differs from the last sweep's by more than this share is of a head that
-/// turns otherwise now; less may be the encoder's noise, where a packet has but three azimuths.
+/// A packet whose speed differs from the last sweep's by more than this share shows a change of
+/// speed. A smaller difference may be noise of the encoder: a packet may have only three azimuths.
 const RATE_LIKE: f64 = 0.35;
-/// A piece of a turn that is shorter does not tell a speed: the encoder's noise is too large a part
-/// of it.
+/// Least travel from which a speed is computed, hundredths of a degree: over less, the encoder's
+/// noise is too large a share.
 const RPM_TELLING_CDEG: f64 = 1_000.0;
-/// No gap is filled that lasted longer: the times in a sweep are to stay small.
+/// Longest gap that is filled with missing columns, nanoseconds: the times in a sweep must stay
+/// small.
 const LONGEST_GAP_NS: i64 = 1_000_000_000;
-/// None waits for another so long: what came so much before the newest one was stamped by a clock
-/// that was set back since.
+/// Packets are held back for much less than this. One that arrived this long before the newest
+/// packet carries a stamp of a clock that has been set back since.
 const SET_BACK_NS: i64 = 100_000_000;
-/// By so much it is in doubt when the head comes to the cut: a turn at 10 Hz that takes 0.15 % less
-/// or more than the last.
+/// Uncertainty of the time at which the head reaches the cut, nanoseconds: a turn at 10 Hz may take
+/// 0.15 % less or more than the last.
 const DOUBT_NS: f64 = 150_000.0;
 
 /// Builds sweeps out of packets that come in order.
@@ -40,14 +41,14 @@ pub struct Builder {
     decoder: Decoder,
     config: BuilderConfig,
     head: HeadTracker,
-    /// What brings sensor time to time since 1970.
+    /// Converts sensor time to time since 1970.
     pub clocks: Clocks,
     open: Option<OpenSweep>,
     /// How the rows of the open sweep are turned.
     row_offsets: RowOffsets,
     cursor: Option<Cursor>,
     last_firing_ns: i64,
-    /// Sweeps before the next one, those of other models included; see
+    /// Number of the next sweep; sweeps of other models count too. See
     /// [`Header::sequence`](crate::sweep::Header::sequence).
     pub sequence: u64,
     last_rpm: Option<f32>,
@@ -66,7 +67,7 @@ pub struct BuilderConfig {
     pub cut_cdeg: f64,
     /// Which of two returns is segmented.
     pub return_choice: ReturnChoice,
-    /// Pixels of the smallest segment: what the segments table needs room for.
+    /// Pixels of the smallest segment: it sets the capacity of the segments table.
     pub min_points: usize,
     /// Name of the sensor.
     pub sensor: String,
@@ -92,7 +93,7 @@ impl Builder {
         }
     }
 
-    /// Tells how fast the head turns, before any sweep has, hundredths of a degree a nanosecond;
+    /// Sets the turning rate until a sweep has measured it, hundredths of a degree a nanosecond;
     /// negative backwards.
     pub fn expect_rate(&mut self, rate_cdeg_ns: Option<f64>) {
         self.last_rate_cdeg_ns = rate_cdeg_ns;
@@ -103,7 +104,7 @@ impl Builder {
         &self.decoder
     }
 
-    /// The same, to be told what the sensor says of itself.
+    /// The decoder, to change its settings to what the sensor says of itself.
     pub fn decoder_mut(&mut self) -> &mut Decoder {
         &mut self.decoder
     }
@@ -113,7 +114,8 @@ impl Builder {
         self.lost
     }
 
-    /// The slot of the packet that is being placed, if there is one.
+    /// Index in [`PacketOrder`](super::order::PacketOrder) of the packet that is being placed, if
+    /// there is one.
     pub fn current_slot(&self) -> Option<usize> {
         self.cursor.map(|cursor| cursor.slot)
     }
@@ -123,11 +125,11 @@ impl Builder {
         self.open.as_ref().map(|open| open.newest_arrival_ns)
     }
 
-    /// When the packet that completes the open sweep will arrive at the earliest, if the head goes
-    /// on as it did, nanoseconds since 1970: this many periods after the newest one as it takes to
-    /// turn past the cut. Where the cut lies so near to the end of a packet that it may be in that
-    /// or in the next one, it is the former; where a sector is left out on the way, a packet may
-    /// end anywhere behind it. What delayed the newest one does not count.
+    /// Earliest arrival of the packet that completes the open sweep, at the present speed,
+    /// nanoseconds since 1970: the time of the newest packet, without its delay, and the packet
+    /// periods that the head needs to pass the cut. Where the cut is so near to the end of a packet
+    /// that the next one may contain it, this assumes the earlier packet. Where a sector is left
+    /// out before the cut, a packet may end anywhere behind it.
     pub fn due_ns(&self) -> Option<i64> {
         let mode = self.open.as_ref()?.mode;
         let until_cut_ns = self.head.until_cut_cdeg()? / self.last_rate_cdeg_ns?.abs() - DOUBT_NS;
@@ -150,9 +152,8 @@ impl Builder {
         self.decode_ns += decode_ns;
     }
 
-    /// The open sweep as far as it goes, as long as it may become a whole turn, and how many of its
-    /// columns will stay as they are (those of the first that can be folded to the other end left
-    /// aside).
+    /// The open sweep so far, while it may still become a whole turn, and how many of its columns
+    /// are final. The first columns, which fold may still change, are not counted.
     pub fn so_far<'a>(&mut self, buffer: &'a mut dyn OpenBuffer) -> Option<(SweepMut<'a>, usize)> {
         let open = self.open.as_ref()?;
         let sweep = SweepMut::open(buffer.bytes()).ok()?;
@@ -166,7 +167,7 @@ impl Builder {
         Some((sweep, placed.saturating_sub(self.row_offsets.lead())))
     }
 
-    /// Takes the next packet in order to hand. The one before must have been placed.
+    /// Starts to place the next packet. The one before must have been placed.
     pub fn begin(&mut self, slot: usize, packet: &OrderedPacket, before: PacketGap) {
         let spec = self.decoder.spec;
         let mut cursor = Cursor {
@@ -203,7 +204,7 @@ impl Builder {
                     };
                     cursor.missing = Some(MissingFirings::new(&travel, firings, packet, spec));
                 }
-                // A whole turn is gone: nothing can be filled in.
+                // A whole turn is missing: there is nothing to fill.
                 _ => {
                     cursor.new_run = true;
                     if let Some(open) = &mut self.open {
@@ -225,9 +226,9 @@ impl Builder {
         self.clocks.note_arrival(sent_ns, packet.arrival_ns);
     }
 
-    /// Places firings of the packet at hand until a sweep is complete, or the packet is used up.
-    /// Returns whether a sweep is complete; its buffer must be taken out then. After a sweep that
-    /// ends within the packet, the next call opens the next one.
+    /// Places firings of the current packet until a sweep is complete or no firing is left. Returns
+    /// whether a sweep is complete; the caller must then take its buffer out. If the sweep ended
+    /// within the packet, the next call opens the next sweep.
     pub fn advance(
         &mut self,
         packet: &OrderedPacket,
@@ -345,8 +346,8 @@ impl Builder {
         FillEnd::PacketDone
     }
 
-    /// Decodes a packet that was overtaken by more than was held back, if its columns wait for it
-    /// in the open sweep.
+    /// Decodes a packet that comes too late to be put in order, if the open sweep has missing
+    /// columns for it.
     pub fn late(&mut self, packet: &OrderedPacket, buffer: &mut dyn OpenBuffer) -> bool {
         let Ok(mut sweep) = SweepMut::open(buffer.bytes()) else {
             return false;
@@ -441,7 +442,7 @@ impl Builder {
         self.open = Some(OpenSweep::new(mode, from_cut, &self.row_offsets));
     }
 
-    /// The speed of the sweep before, unless this packet says quite another one: then the head
+    /// The speed of the sweep before, unless this packet has a very different one: then the head
     /// stood still meanwhile, or was set to another speed.
     fn expected_rate_cdeg_ns(&self, packet: &OrderedPacket) -> f64 {
         let own = packet.motion.rate_cdeg_ns(self.decoder.spec);
@@ -529,7 +530,7 @@ enum FillEnd {
     PacketDone,
     /// It is behind the cut.
     Cut,
-    /// The same, and the sweep began where the cut was before.
+    /// It is behind the cut, which has moved since the sweep began.
     MovedCut,
     /// It belongs to another run, or there is no room.
     NewRun,

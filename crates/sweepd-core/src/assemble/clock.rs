@@ -15,35 +15,36 @@ use crate::wire::{HOUR_US, Position};
 const HOUR_NS: i64 = HOUR_US as i64 * 1000;
 /// A fix older than this no longer vouches for the time.
 const FIX_AGE_NS: i64 = 3_000_000_000;
-/// How long ago a sentence's second began by a clock that follows the pulse: it takes up to a
-/// second to be complete, and stands in the packets until the next one is. (A second more for a
-/// receiver that names the one to come, or is late.)
+/// Age of a sentence's second by a clock that follows the pulse. The sentence takes up to a second
+/// to be complete, and packets repeat it until the next one is. One second more on each side allows
+/// for a receiver that names the coming second, or is late.
 const SENTENCE_AGE_NS: RangeInclusive<i64> = -1_000_000_000..=3_000_000_000;
 /// How fast the least delay may grow: 100 ppm, since sensor clocks drift by up to 60.
 const DRIFT_PPM: i64 = 100;
-/// The applied offset stays until the least delay is this far from it: within a capture of seconds,
-/// times of different sweeps then differ by the sensor's clock alone. Queues on the way make p95 84
-/// us on a VLP-16.
+/// The applied offset stays until the least delay differs from it by this much, so that within a
+/// capture of seconds, times of different sweeps differ by the sensor's clock alone. On a VLP-16,
+/// queueing delays have a 95th percentile of 84 us.
 const DEADBAND_NS: i64 = 250_000;
-/// Where each packet is later than this, against the least delay, for so long by either clock, the
-/// host's was set or slewed. What queued for a pause is sent in time and comes in a burst, and what
-/// queues all the while is seldom late by much: the later, the sooner it is plain.
+/// Pairs of delay and duration: if every packet exceeds the least delay by the first for at least
+/// the second, by both clocks, then the host's clock was set or slewed. Packets that queued during
+/// a pause come in a burst, so that their delay lasts only for a short time; continuous queueing
+/// seldom delays much. So a larger delay needs less time.
 const MOVES_NS: [(i64, i64); 2] = [(5_000_000, 1_000_000_000), (500_000_000, 50_000_000)];
 
-/// Farthest sensor time, either way: 36 years, which only stamps that jump for hours can make. What
-/// is added to such a time cannot overflow.
+/// Limit of sensor time in both directions: 36 years, which only jumping stamps can reach. Sums
+/// with such a time cannot overflow.
 const FARTHEST_NS: i64 = i64::MAX / 8;
 
-/// Brings stamps of the sensor, which begin again each hour, onto one line of time.
+/// Unwraps the sensor's stamps, which wrap every hour, into a continuous time.
 #[derive(Clone, Copy, Debug, Default)]
 pub struct SensorClock {
     last: Option<(u32, i64)>,
 }
 
 impl SensorClock {
-    /// Nanoseconds since the top of the hour in which this clock was started: the time next to the
-    /// last one that has this stamp. Stamps slightly above an hour occur and do no harm. Beyond any
-    /// time that a run can last, it starts again.
+    /// Nanoseconds since the top of the hour in which this clock was started: of all times with
+    /// this stamp, the one nearest to the last. Stamps slightly above an hour occur and are valid.
+    /// Beyond 36 years the clock starts again.
     pub fn read_ns(&self, stamp_us: u32) -> i64 {
         match self
             .last
@@ -74,11 +75,11 @@ impl SensorClock {
 pub struct Clocks {
     /// Least host minus sensor time, and the sensor time it was seen at.
     least_delay: Option<(i64, i64)>,
-    /// Host minus sensor time as sweeps are given it.
+    /// Host minus sensor time, as applied to sweeps.
     offset_ns: Option<i64>,
     /// Sensor time and arrival of the packet noted last.
     newest_ns: [i64; 2],
-    /// For each of the moves, for how long packets in a row have been as late as that.
+    /// For each entry of [`MOVES_NS`], how long consecutive packets have had at least its delay.
     late_for_ns: [Option<i64>; MOVES_NS.len()],
     fix: Option<Fix>,
 }
@@ -91,8 +92,8 @@ struct Fix {
 }
 
 impl Fix {
-    /// What is near a time tells the hour, the stamp the rest: the hour that brings them closest
-    /// together.
+    /// The stamp gives the time within the hour. The hour is the one that brings the result closest
+    /// to `near_utc_ns`.
     fn new(stamp_us: u32, near_utc_ns: i64, arrival_ns: i64) -> Self {
         let of_hour_ns = i64::from(stamp_us) * 1000;
         let hours = (near_utc_ns - of_hour_ns + HOUR_NS / 2).div_euclid(HOUR_NS);
@@ -104,10 +105,10 @@ impl Fix {
     }
 }
 
-/// UTC to some seconds as a position packet tells it, nanoseconds since 1970: where the sentence is
-/// valid and the pulse locked, or with `without_pps` where the sensor's clock is as far behind the
-/// sentence as one that follows the pulse. (One that counts since power-up is, by chance, one time
-/// in 900.)
+/// UTC from a position packet, accurate to some seconds, nanoseconds since 1970. The sentence must
+/// be valid and the pulse locked. With `without_pps` it is enough that the sensor's clock lags the
+/// sentence as much as one that follows the pulse would. (A clock that counts since power-up does
+/// so by chance, one time in 900.)
 pub fn vouched_utc_ns(
     position: &Position<'_>,
     rmc: Option<&Rmc>,
@@ -130,8 +131,8 @@ impl Clocks {
             return;
         };
         let allowed = least + (sensor_ns - at).max(0) / 1_000_000 * DRIFT_PPM;
-        // By the clock that went on less: while the machine stands still the host's does alone, in
-        // the burst after it the sensor's.
+        // Counts the clock that advanced less: during a pause of the machine only the host's clock
+        // advances, in the burst after it only the sensor's.
         let passed_ns = (sensor_ns - before_ns[0])
             .min(arrival_ns - before_ns[1])
             .max(0);
@@ -151,20 +152,20 @@ impl Clocks {
         }
     }
 
-    /// When a data packet whose last shot is at `sensor_ns` arrives at the earliest, nanoseconds
-    /// since 1970: as little delayed as any of late. `None` before the first.
+    /// Earliest arrival of a data packet whose last shot is at `sensor_ns`, nanoseconds since 1970:
+    /// with the least recent delay. `None` before the first packet.
     pub fn earliest_ns(&self, sensor_ns: i64) -> Option<i64> {
         self.least_delay
             .map(|(delay_ns, _)| sensor_ns.saturating_add(delay_ns))
     }
 
-    /// Notes what a sensor says of UTC, to some seconds, along with a packet of this stamp; `None`
-    /// when no receiver vouches for it.
+    /// Notes the UTC that a sensor gives, accurate to some seconds, with a packet of this stamp;
+    /// `None` when no receiver vouches for it.
     pub fn note_utc(&mut self, utc_ns: Option<i64>, stamp_us: u32, arrival_ns: i64) {
         self.fix = utc_ns.map(|utc_ns| Fix::new(stamp_us, utc_ns, arrival_ns));
     }
 
-    /// Forgets what linked the sensor's clock to others, because that clock has jumped.
+    /// Forgets the offsets to the other clocks, because the sensor's clock has jumped.
     pub fn sensor_jumped(&mut self) {
         *self = Self {
             fix: self.fix,
@@ -172,8 +173,8 @@ impl Clocks {
         };
     }
 
-    /// Time since 1970 of a sensor time, and the clock that it is in. `newest_arrival_ns` says how
-    /// old the fix is.
+    /// Time since 1970 of a sensor time, and the clock that it is in. The age of the fix is
+    /// measured at `newest_arrival_ns`.
     pub fn resolve(
         &mut self,
         sensor_ns: i64,
@@ -183,7 +184,7 @@ impl Clocks {
         if let Some(fix) = self.fix {
             let fix_ns = clock.read_ns(fix.stamp_us);
             let fresh = (newest_arrival_ns - fix.arrival_ns).abs() < FIX_AGE_NS;
-            // A stamp far from the data packets' belongs to a clock that was since set again.
+            // A fix far from the stamps of data packets is of a clock that was set since.
             if fresh && (sensor_ns - fix_ns).abs() < FIX_AGE_NS {
                 return (fix.utc_ns + sensor_ns - fix_ns, TimeSource::Gps);
             }

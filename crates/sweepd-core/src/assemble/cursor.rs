@@ -1,10 +1,10 @@
-//! The firings of a packet in their order, with those that are missing before it.
+//! The firings of a packet in order, after those that are missing before it.
 
 use super::matcher::OrderedPacket;
 use super::motion::{FiringTiming, Sector, shortest, within_turn};
 use crate::sensor::model::Spec;
 
-/// How far the packet at hand, with the gap before it, has been placed.
+/// Progress through the current packet and the gap before it.
 #[derive(Clone, Copy, Debug)]
 pub struct Cursor {
     pub slot: usize,
@@ -13,22 +13,22 @@ pub struct Cursor {
     pub rate_rad_s: f32,
     /// The run ends before this packet.
     pub new_run: bool,
-    /// Nothing relates it to the clock of those before.
+    /// It has no relation to the clock of the packets before.
     pub jumped: bool,
     /// The first firing is beyond a sector that was left out.
     pub skips_sector: bool,
     pub missing: Option<MissingFirings>,
     /// Firings placed, missing ones first.
     pub placed: usize,
-    /// The head has turned to the firing at hand already: it opens a sweep.
+    /// The head has turned to the current firing already: it opens a sweep.
     pub turned: bool,
     /// The packet is counted in the open sweep.
     pub counted: bool,
-    /// The firing at hand is the first behind a cut.
+    /// The current firing is the first behind a cut.
     pub from_cut: bool,
 }
 
-/// The way of the head over a gap.
+/// The head's travel over a gap.
 pub struct HeadTravel {
     pub from_cdeg: f64,
     pub from_ns: i64,
@@ -44,7 +44,7 @@ pub struct MissingFirings {
     pub from_ns: i64,
     pub step_cdeg: f64,
     pub step_ns: f64,
-    /// Firings before the sector that was left out in the gap, the way across it, signed as the
+    /// Firings before the sector that was left out in the gap, the travel across it, signed as the
     /// step, and its duration.
     pub silence: Option<(usize, f64, f64)>,
 }
@@ -89,7 +89,7 @@ impl Cursor {
 }
 
 impl MissingFirings {
-    /// Firings between the last one and this packet, at the lasers' beat.
+    /// Firings between the last one and this packet, at the firing period.
     pub fn new(travel: &HeadTravel, firings: usize, packet: &OrderedPacket, spec: &Spec) -> Self {
         let HeadTravel {
             from_cdeg,
@@ -99,8 +99,8 @@ impl MissingFirings {
         } = *travel;
         let lasted_ns = (packet.time_ns - from_ns) as f64;
         let steps = (firings + 1) as f64;
-        // The last firing is less than a packet away from where the way was measured from: a turn's
-        // difference is none.
+        // The last firing is less than a packet from where the travel was measured: whole turns
+        // between them are not real.
         let travelled =
             travelled_cdeg + shortest(packet.motion.first_cdeg() - from_cdeg - travelled_cdeg);
         let Some(sector) = silence else {

@@ -1,4 +1,4 @@
-//! Records to pixels: what a sensor needs for it, and which of two returns is segmented.
+//! Records to pixels: the decoder of a sensor, and the choice of the return to segment.
 
 use std::ops::RangeInclusive;
 
@@ -12,28 +12,28 @@ use crate::sensor::{Calibration, Model};
 use crate::sweep::layout::{BeamRow, ReturnChoice, ReturnKind, SECOND_BLOCKS};
 use crate::wire::data::ReturnMode;
 
-/// What turns records into pixels; chosen once for a sensor.
+/// Turns records into pixels; made once for each sensor.
 #[derive(Clone, Debug)]
 pub struct Decoder {
     /// What the model is.
     pub spec: &'static Spec,
     /// The model.
     pub model: Model,
-    /// The sensor sends reflectivities that need no correction any more.
+    /// The sensor sends corrected reflectivities.
     pub is_normalised: bool,
-    /// The beams as a sweep of one return carries them, and as one of two does.
+    /// The beams of a sweep with one return, and of one with two.
     beams: [Vec<BeamRow>; 2],
     lanes: BeamGroups,
     /// Ranges depend on the azimuth.
     bends: bool,
     choice: ReturnChoice,
-    /// Ranges that may be labelled: of two returns, one of these goes before one that is not.
+    /// Ranges that may be labelled: of two returns, one within these limits is preferred.
     limits_m: RangeInclusive<f32>,
     /// The best vector instructions of this machine.
     level: Level,
 }
 
-/// Where a firing is written: the pixels that it can have, from the top of the first column on.
+/// Where a firing is written: the pixels that it can reach, from the top of the first column on.
 pub struct Pixels<'a> {
     /// Metres.
     pub range: &'a mut [f32],
@@ -61,8 +61,8 @@ struct Pairs<S: Simd> {
 }
 
 impl Decoder {
-    /// For a model with these beams, as [`Calibration::for_model`] fitted them. Of two returns,
-    /// `choice` says which is segmented, where both are within the range limits.
+    /// For a model with these beams, fitted by [`Calibration::for_model`]. `choice` says which of
+    /// two returns is segmented if both are within the range limits.
     pub fn new(
         model: Model,
         spec: &'static Spec,
@@ -89,7 +89,7 @@ impl Decoder {
         }
     }
 
-    /// Takes another table of the same model, whose timing with one return differs.
+    /// Changes to another table of the same model, whose timing with one return differs.
     pub fn take_spec(&mut self, spec: &'static Spec) {
         self.spec = spec;
         for beam in &mut self.beams[0] {
@@ -98,7 +98,7 @@ impl Decoder {
         }
     }
 
-    /// The same, with no more than these instructions of the machine; it gives the same bytes.
+    /// The same decoder with at most these vector instructions; it gives the same bytes.
     pub fn with_level(self, level: Level) -> Self {
         Self { level, ..self }
     }
@@ -112,7 +112,7 @@ impl Decoder {
             .collect()
     }
 
-    /// The vector instructions that it is to be used with.
+    /// The vector instructions to use it with.
     pub fn level(&self) -> Level {
         self.level
     }
@@ -127,9 +127,9 @@ impl Decoder {
         &self.beams[mode.returns() - 1]
     }
 
-    /// Writes a firing at an azimuth, radians, into its pixels; returns how many returns it has. To
-    /// be inlined where many firings are written at [its level](Self::level): to go there again for
-    /// each takes as long as to write it.
+    /// Writes a firing at an azimuth, radians, into its pixels; gives the number of returns. Call
+    /// it in a loop that runs at [its level](Self::level): entering the level for each firing takes
+    /// as long as writing it.
     #[inline(always)]
     pub fn single<S: Simd>(
         &self,
@@ -198,7 +198,7 @@ impl Decoder {
         returns
     }
 
-    /// Where the beams look; of beams whose ranges do not depend on it, anywhere.
+    /// Direction of the azimuth; a constant if no beam's range depends on it.
     fn direction(&self, azimuth_rad: f32) -> Direction {
         if !self.bends {
             return [0.0, 1.0];
@@ -206,12 +206,12 @@ impl Decoder {
         lanes::direction(f64::from(azimuth_rad))
     }
 
-    /// Puts the returns to segment first: of each beam one that is there and within the limits
-    /// before one that is not, else as the user chose.
+    /// Puts the returns to segment first: for each beam, a return before none, one within the
+    /// limits before one beyond, else the user's choice.
     ///
-    /// What the returns of the first and the second blocks are: a sensor with one head puts the
-    /// last first (VLP-16 manual, section 6.2). Of an HDL-64E no manual says it: the farther is the
-    /// last, the brighter the stronger.
+    /// A sensor with one head has the last return in the first block (VLP-16 manual, section 6.2).
+    /// No manual of the HDL-64E says which block holds which: the farther return is taken as the
+    /// last, the brighter as the stronger.
     #[inline(always)]
     fn choose<S: Simd>(&self, simd: S, first: Decoded<S>, second: Decoded<S>) -> Pairs<S> {
         let is_said = mask32x16::splat(simd, self.spec.banks() == 1);
@@ -267,7 +267,7 @@ fn beam_rows(calibration: &Calibration, spec: &Spec, mode: ReturnMode) -> Vec<Be
 impl Pixels<'_> {
     #[inline(always)]
     fn write<S: Simd>(&mut self, places: &PerLane<u32>, decoded: &Decoded<S>) {
-        // One length, so that one look at a place is enough for both.
+        // Equal lengths, so that one bounds check serves both.
         let count = self.range.len().min(self.reflectivity.len());
         let range = &mut self.range[..count];
         let reflectivity = &mut self.reflectivity[..count];
@@ -373,7 +373,7 @@ mod tests {
                 .chain(&range2[1..])
                 .all(|&range| !is_return(range))
         );
-        // To the millimetre: the unit is no whole number of anything in binary.
+        // To the millimetre: 2 mm has no exact binary form.
         let [first_m, second_m] =
             [range[0], range2[0]].map(|range_m| (range_m * 1000.0).round() / 1000.0);
         (first_m, second_m, ReturnKind::of_byte(kind[0]))

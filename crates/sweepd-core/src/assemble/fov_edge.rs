@@ -1,19 +1,19 @@
-//! The end of the sector that a sensor with a limited field of view measures, and the cut that must
-//! come before it.
+//! The end of a limited field of view, and the cut that must come before it.
 //!
-//! Such a sensor sends only full packets: the last firings before the end of its sector wait in it
-//! until those behind the sector that is left out have filled their packet, up to three quarters of
-//! a turn later. A sweep whose cut lies among them, or where nothing is measured at all, would be
-//! as late. So the cut is moved ahead, to the last azimuth that is surely in a packet before the
-//! silence; what is measured between it and the end of the sector begins the next sweep.
+//! A sensor sends only full packets. With a limited field of view, the last firings before its end
+//! wait in the sensor until firings behind the sector that is left out fill the packet, up to three
+//! quarters of a turn later. If the cut were among those firings, or in the sector that is left
+//! out, each sweep would be late by that time. So the cut is moved ahead, to the last azimuth that
+//! is certainly sent before the silence. Firings between this cut and the end of the field of view
+//! begin the next sweep.
 //!
-//! All of this follows from the packets alone, so that a replay cuts where the live sensor was cut.
+//! This depends on the packets alone, so that a replay cuts where the live daemon did.
 
 use super::motion::{TURN, ahead, shortest};
 use crate::sensor::model::Spec;
 use crate::wire::data::ReturnMode;
 
-/// Leaps over the same sector after which its end is believed.
+/// Skips of the same sector after which its end is believed.
 const ALIKE: u32 = 2;
 /// How far the edges of a sector may be from where they were the turn before, hundredths of a
 /// degree: azimuths are up to 80 apart, and where packets were lost an edge is known to a column or
@@ -21,10 +21,11 @@ const ALIKE: u32 = 2;
 const SLACK_CDEG: f64 = 150.0;
 /// The encoder's noise, hundredths of a degree, generously.
 const NOISE_CDEG: f64 = 20.0;
-/// A shorter silence is waited for: moving the cut would gain nothing.
+/// Shortest silence for which the cut is moved, nanoseconds: a shorter one delays sweeps little.
 const LEAST_SILENCE_NS: f64 = 5_000_000.0;
-/// The speed may rise by so much before the cut is moved again, and fall until the way to the end
-/// is so much too long.
+/// The cut is moved ahead of the end by the first of these times the travel that may be unsent. It
+/// stays there until that is less than once the unsent travel at the present speed, or more than
+/// the second of these times it.
 const REACH: (f64, f64) = (1.1, 1.5);
 
 /// How far the head turns, hundredths of a degree.
@@ -34,12 +35,12 @@ pub struct HeadSpeed {
     packet_cdeg: f64,
     /// From one azimuth of a packet to the next.
     azimuth_cdeg: f64,
-    /// During the shortest silence that is not waited for.
+    /// During the shortest silence for which the cut is moved.
     silence_cdeg: f64,
 }
 
 impl HeadSpeed {
-    /// That of a head which turns so fast, hundredths of a degree a nanosecond.
+    /// For a turning rate in hundredths of a degree a nanosecond.
     pub fn new(rate_cdeg_ns: f64, spec: &Spec, mode: ReturnMode) -> Self {
         let rate = rate_cdeg_ns.abs();
         Self {
@@ -49,15 +50,15 @@ impl HeadSpeed {
         }
     }
 
-    /// The way before the end of a sector that may not be sent before the silence. The packet that
-    /// is not full there began less than a packet ahead of it; one azimuth more is needed to pass
-    /// the cut in the packet before, and one is the uncertainty of the end.
+    /// Travel before the end of a sector whose firings may not be sent before the silence. The
+    /// packet that is not full at the end began less than a packet before it. One azimuth more is
+    /// needed to pass the cut in the packet before, and one is the uncertainty of the end.
     fn unsent_cdeg(&self) -> f64 {
         self.packet_cdeg + 2.0 * self.azimuth_cdeg + NOISE_CDEG
     }
 }
 
-/// A way of the head without a firing.
+/// Travel of the head without a firing.
 #[derive(Clone, Copy, Debug)]
 pub struct SectorSkip {
     /// The last firing before it, hundredths of a degree.
@@ -84,9 +85,9 @@ impl SectorSkip {
 #[derive(Clone, Copy, Debug, Default)]
 pub struct FovEdge {
     last: Option<SectorSkip>,
-    /// Leaps in a row that were like the last one.
+    /// Skips in a row that were like the last one.
     alike: u32,
-    /// How far ahead of the end the cut is moved, once it is.
+    /// The moved cut, and its distance ahead of the end; `None` while the cut is not moved.
     moved_cdeg: Option<(f64, f64)>,
 }
 
@@ -123,7 +124,7 @@ impl FovEdge {
         self.moved_cdeg = (is_late && is_worth_it).then_some((moved, reach));
     }
 
-    /// Whether the sector that is left out begins on the way from one azimuth to another.
+    /// Whether the sector that is left out begins between two azimuths.
     pub fn is_between(&self, from_cdeg: f64, to_cdeg: f64, sense: f64) -> bool {
         self.last.is_some_and(|skip| {
             let way_cdeg = ahead(from_cdeg, skip.from_cdeg, sense);
@@ -132,7 +133,7 @@ impl FovEdge {
         })
     }
 
-    /// Hears of a firing, and forgets the sector when it lies where nothing was measured before.
+    /// Notes a firing. If it is in the sector that was left out before, the sector is forgotten.
     pub fn fired(&mut self, azimuth_cdeg: f64) {
         let is_inside = self.last.as_ref().is_some_and(|skip| {
             let way = ahead(skip.from_cdeg, azimuth_cdeg, skip.sense);
@@ -183,8 +184,8 @@ mod tests {
             (9_100.0 - 800.0..9_100.0 - 478.0 - 80.0).contains(&moved),
             "{moved}"
         );
-        // Within what is not sent in time it moves too; where the packets pass it, and beyond the
-        // silence, it does not.
+        // A cut among firings that are sent late moves too; one that packets pass in time, or
+        // beyond the silence, does not.
         assert!(after(&seen, 9_000.0).cut_cdeg().is_some());
         for cut_cdeg in [8_000.0, 27_100.0, 0.0] {
             assert_eq!(after(&seen, cut_cdeg).cut_cdeg(), None, "{cut_cdeg}");

@@ -6,16 +6,16 @@ use super::motion::{TURN, ahead, shortest};
 
 /// Progress since the cut below which a second crossing is encoder jitter, hundredths of a degree.
 const LEAST_TURN_CDEG: f64 = 35_000.0;
-/// Way against the sense of rotation after which the sense was wrong, hundredths of a degree: no
-/// noise goes so far.
+/// Travel against the sense of rotation after which the sense was wrong, hundredths of a degree:
+/// more than any noise.
 const REVERSAL_CDEG: f64 = 500.0;
 /// A head that turns less than this in [`STANDSTILL_NS`] stands still, hundredths of a degree: 1
-/// rpm. An encoder at rest may be off by up to 11 either way.
+/// rpm. The noise of an encoder at rest is up to 11 either way.
 pub const STANDSTILL_CDEG: f64 = 30.0;
 /// See [`STANDSTILL_CDEG`].
 pub const STANDSTILL_NS: i64 = 50_000_000;
 
-/// What a firing means for the sweep at hand.
+/// What a firing means for the open sweep.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub enum HeadEvent {
     /// It belongs to the open sweep.
@@ -33,7 +33,7 @@ pub enum HeadEvent {
 pub struct HeadTracker {
     /// Where it is configured.
     configured_cdeg: f64,
-    /// Where it is: elsewhere when the field of view is limited.
+    /// The present cut: moved when the field of view is limited.
     cut_cdeg: f64,
     edge: FovEdge,
     /// The cut was moved since the last one.
@@ -50,7 +50,7 @@ pub struct HeadTracker {
 }
 
 impl HeadTracker {
-    /// A head of which nothing is known; `cut_cdeg` in 0..36000.
+    /// A head whose position is unknown; `cut_cdeg` in 0..36000.
     pub fn new(cut_cdeg: f64) -> Self {
         Self {
             configured_cdeg: cut_cdeg,
@@ -95,13 +95,13 @@ impl HeadTracker {
         Some(TURN - ahead(self.cut_cdeg, last, self.sense))
     }
 
-    /// Whether a sector is known to be left out on the way there.
+    /// Whether a sector is left out before the next cut.
     pub fn skips_sector_until_cut(&self) -> bool {
         self.last_cdeg
             .is_some_and(|last| self.edge.is_between(last, self.cut_cdeg, self.sense))
     }
 
-    /// Forgets where it was: nothing relates the next firing to the last.
+    /// Forgets its position: the next firing has no relation to the last.
     pub fn lose(&mut self) {
         *self = Self {
             sense: self.sense,
@@ -114,8 +114,8 @@ impl HeadTracker {
         self.go(azimuth_cdeg, time_ns, None)
     }
 
-    /// Turns to the next firing over a sector that was left out, in the sense of rotation however
-    /// far that is, and at this speed if it is known.
+    /// Turns to the next firing over a sector that was left out: always in the sense of rotation,
+    /// however far. `speed` is `None` while it is unknown.
     pub fn skip_sector(
         &mut self,
         azimuth_cdeg: f64,
@@ -146,13 +146,13 @@ impl HeadTracker {
         }
         let turned = self.crosses(last, advance);
         match self.moves_cut(last, azimuth_cdeg, skip) {
-            // The cut may have moved to where the head has just come by.
+            // The cut may have moved to between the last firing and this one.
             true if turned == HeadEvent::Continues => self.crosses(last, advance),
             _ => turned,
         }
     }
 
-    /// Whether the head has just come by the cut.
+    /// Whether the head has just passed the cut.
     fn crosses(&mut self, last_cdeg: f64, advance: f64) -> HeadEvent {
         let phase = ahead(self.cut_cdeg, last_cdeg, self.sense);
         let crosses = advance > 0.0 && phase + advance >= TURN;
@@ -160,7 +160,7 @@ impl HeadTracker {
             return HeadEvent::Continues;
         }
         self.cut_seen = true;
-        // From the cut and not from this firing, which may lie far behind it, beyond a sector that
+        // From the cut and not from this firing, which may be far behind it, beyond a sector that
         // was left out.
         self.progress_cdeg = phase + advance - TURN;
         if std::mem::take(&mut self.moved) {
@@ -170,7 +170,7 @@ impl HeadTracker {
         }
     }
 
-    /// Moves the cut ahead of the end of the sector that is measured, or back, if that is due.
+    /// Moves the cut ahead of the end of a limited field of view, or back, if necessary.
     fn moves_cut(
         &mut self,
         last_cdeg: f64,
@@ -201,8 +201,8 @@ impl HeadTracker {
     fn standstill_changes(&mut self, advance: f64, time_ns: i64) -> bool {
         self.watched_cdeg += advance;
         let since = *self.watched_since_ns.get_or_insert(time_ns);
-        // That it stands takes a while to see; that it moves again is seen at once, and the sweep
-        // in which it stood ends there.
+        // A standstill is noticed only after a while; renewed motion at once, which ends the sweep
+        // of the standstill.
         let moves = self.stopped && self.watched_cdeg.abs() >= STANDSTILL_CDEG;
         if time_ns - since < STANDSTILL_NS && !moves {
             return false;
@@ -295,7 +295,8 @@ mod tests {
     fn a_head_that_turns_backwards_is_noticed_and_cut_too() {
         let azimuths: Vec<f64> = (0..1000).map(|i| 18_000.0 - 40.0 * f64::from(i)).collect();
         let mut head = HeadTracker::new(0.0);
-        // The 13th step back tells; firing 450 is on the cut, and so the first of the next turn.
+        // The 13th step back shows the reversal; firing 450 is on the cut, and so the first of the
+        // next turn.
         assert_eq!(
             events(&mut head, &azimuths),
             [(13, HeadEvent::NewRun), (450, HeadEvent::Cut)]
@@ -311,7 +312,7 @@ mod tests {
         let mut head = HeadTracker::new(0.0);
         let events = events(&mut head, &azimuths);
         assert_eq!(events.len(), 2, "{events:?}");
-        // That it moves on is seen when it has gone 0.3 degrees.
+        // Motion is noticed after 0.3 degrees.
         assert!(
             (1000..=1600).contains(&events[0].0) && events[1].0 == 1703,
             "{events:?}"

@@ -1,12 +1,13 @@
 //! Sixteen beams at once: from the records of a firing to ranges and reflectivities.
 //!
-//! All of it is vectors of [`LANES`] numbers, at whatever level the caller runs it: the
-//! [decoder](super::decode) takes the best one of the machine. Beams stay in the order of their
-//! channels, as the packet has them: where each goes in the image, the [row offsets](super::row_offsets) say.
+//! All code here works on vectors of [`LANES`] numbers at the level of vector instructions that the
+//! caller runs it at; the [decoder](super::decode) uses the best level of the machine. Beams stay
+//! in channel order, as in the packet; the [row offsets](super::row_offsets) give their pixels in
+//! the image.
 //!
-//! Every level gives the same bytes, since nothing here rounds otherwise at one than at another: a
-//! product is never fused with a sum, and a square root is exact to the last bit. A range is within
-//! 4e-5 m of the length that [`Corrected`] means, and says the same of near and far.
+//! Every level gives the same bytes, because all operations round the same at each: products are
+//! never fused with sums, and square roots are correctly rounded. A range is within 4e-5 m of that
+//! of [`Corrected`], with the same mark of near or far.
 
 use std::f64::consts::{FRAC_2_PI, FRAC_PI_2};
 
@@ -20,21 +21,21 @@ use crate::sweep::corrected::Corrected;
 use crate::sweep::layout::BeamRow;
 use crate::wire::data::{Block, RECORDS, Record};
 
-/// Beams that are computed at once: no firing of any model has a number that this does not divide.
+/// Beams that are computed at once. It divides the number of beams of every model.
 pub const LANES: usize = 16;
-/// Least range of a record that is not zero, so that no correction can turn a return into none.
+/// Least range of a record that is not zero, metres, so that no correction can turn a return into
+/// none.
 const LEAST_RANGE_M: f32 = 0.001;
-/// The distance that 16 bits of 2 mm reach, metres: what the focal distance of a beam is a share
-/// of.
+/// The greatest distance of 16 bits at 2 mm, metres; focal distances are given as a share of it.
 const FULL_SCALE_M: f64 = 131.0;
 
 /// Bytes of a record.
 const RECORD: usize = size_of::<Record>();
 
-/// Where sixteen bytes begin that hold four records; the last ones end with them.
+/// Starts of the four groups of sixteen bytes that each hold four records. The last group ends with
+/// the last record.
 const FROM: [usize; 4] = [0, 4 * RECORD, 8 * RECORD, LANES * RECORD - 16];
-/// Of those sixteen bytes, which go where: each record to four bytes, of which the last is
-/// anything.
+/// Byte indices that spread four records to four bytes each; the fourth byte is arbitrary.
 const SPREAD: [u8; 4 * LANES] = {
     let mut spread = [0; 4 * LANES];
     let mut at = 0;
@@ -83,7 +84,7 @@ struct Bend {
     mark: PerLane<i32>,
 }
 
-/// How much less the beams report of what is not in their focus (HDL-64E S3 manual, appendix F).
+/// Intensity that beams lose outside their focus (HDL-64E S3 manual, appendix F).
 #[derive(Clone, Debug, Default)]
 struct Focus {
     /// Where it is bright: 256 times the square of the share of the full scale that is left beyond.
@@ -102,7 +103,7 @@ pub struct SideAngles {
     pub cos: PerLane<f32>,
 }
 
-/// One return of each of the beams, and what they report of it.
+/// One return of each beam: range and reflectivity.
 #[derive(Clone, Copy)]
 pub struct Decoded<S: Simd> {
     /// Metres.
@@ -116,8 +117,8 @@ pub struct Decoded<S: Simd> {
 /// Where a firing points: sine and cosine of its azimuth.
 pub type Direction = [f32; 2];
 
-/// What one return of a firing brought, or both: the blocks from its first on, and where in each
-/// its records begin.
+/// The records of one or both returns of a firing: the blocks from its first on, and where its
+/// records begin in each.
 #[derive(Clone, Copy, Debug)]
 pub struct Records<'a> {
     /// The blocks.
@@ -159,7 +160,8 @@ impl BeamGroups {
         self.groups.len()
     }
 
-    /// Decodes a group of records of a firing that points there, with the beams aside of it so far.
+    /// Decodes a group of records of a firing in this direction, with these angles of the beams to
+    /// its side.
     #[inline(always)]
     pub fn decode<S: Simd>(
         &self,
@@ -196,7 +198,7 @@ impl BeamGroups {
 }
 
 impl<S: Simd> Decoded<S> {
-    /// This where `is`, and the other elsewhere.
+    /// `self` where `is` holds, and `other` elsewhere.
     #[inline(always)]
     pub fn or(self, other: Self, is: mask32x16<S>) -> Self {
         Self {
@@ -224,8 +226,8 @@ impl Records<'_> {
         )
     }
 
-    /// A group of records: distance in the low sixteen bits of each, then the reflectivity, then
-    /// anything.
+    /// A group of records: distance in the low sixteen bits of each, then reflectivity, then an
+    /// arbitrary byte.
     #[inline(always)]
     fn group<S: Simd>(&self, simd: S, group: usize) -> i32x16<S> {
         const IN_BLOCK: usize = RECORDS / LANES;
@@ -275,7 +277,7 @@ impl Group {
 }
 
 impl Bend {
-    /// Ranges of beams of these lengths within the reach of the two-point correction.
+    /// Ranges of beams of these lengths within the limit of the two-point correction.
     #[inline(always)]
     fn ranges_m<S: Simd>(
         &self,
@@ -298,7 +300,7 @@ impl Bend {
         (x * x + y * y + z * z).sqrt().max(LEAST_RANGE_M)
     }
 
-    /// The additional offset along an axis, where the beam is so far along it.
+    /// The additional offset along an axis, at this coordinate of the beam.
     #[inline(always)]
     fn offset_m<S: Simd>(&self, simd: S, axis: usize, along_m: f32x16<S>) -> f32x16<S> {
         load(simd, &self.base_m[axis]) - load(simd, &self.slope[axis]) * along_m
@@ -344,7 +346,7 @@ impl Focus {
         let beyond = 1.0 - units * SHARE;
         let off = (load(simd, &self.at) - beyond * 256.0 * beyond).abs();
         let bright = reported.to_float::<f32x16<S>>() + load(simd, &self.slope) * off;
-        // To the nearest: what is clamped is a byte.
+        // Rounded to nearest: clamped values fit into a byte.
         (bright.max(load(simd, &self.min)).min(load(simd, &self.max)) + 0.5).to_int()
     }
 }
@@ -355,15 +357,15 @@ fn quarter<S: Simd>(simd: S, records: &[u8; LANES * RECORD], quarter: usize) -> 
     u8x16::from_slice(simd, &records[FROM[quarter]..][..16])
 }
 
-/// A function, as all here that has vectors: a closure may stay a call, without the instructions of
-/// its caller's level.
+/// A function, not a closure, as everywhere here: a closure may be compiled without the vector
+/// instructions of its caller's level.
 #[inline(always)]
 fn load<S: Simd>(simd: S, lanes: &PerLane<f32>) -> f32x16<S> {
     f32x16::load_array_ref(simd, lanes)
 }
 
-/// What each term of the series of a sine, and of a cosine, is of the one before, but for the sign;
-/// the last term first.
+/// Ratio of each term to the one before it in the series of a sine, and of a cosine, without the
+/// sign; the last term first.
 const SIN: [f64; 5] = [1.0 / 110.0, 1.0 / 72.0, 1.0 / 42.0, 1.0 / 20.0, 1.0 / 6.0];
 const COS: [f64; 5] = [1.0 / 90.0, 1.0 / 56.0, 1.0 / 30.0, 1.0 / 12.0, 1.0 / 2.0];
 
@@ -376,7 +378,7 @@ fn horner(square: f64, shares: [f64; 5]) -> f64 {
 
 /// Sine and cosine of an azimuth, 0..2 pi, to the last bit or two of an f32.
 ///
-/// The same on every machine, which the system's library does not promise.
+/// The result is the same on every machine, which the system's library does not promise.
 pub fn direction(azimuth_rad: f64) -> Direction {
     // To the nearest quarter turn, and the rest of at most 45 degrees by the series.
     let quarters = (azimuth_rad * FRAC_2_PI + 0.5) as i32;

@@ -1,13 +1,13 @@
-//! How two packets stand to each other: by the sensor's clock, by where the head was, and by the
-//! host's clock if need be.
+//! The relation of two packets, by the sensor's clock, the head's position, and if necessary the
+//! host's clock.
 //!
-//! An interval of more than a packet period is loss, when it is a whole number of periods and the
-//! head is where its speed brought it; a sector that the sensor leaves out, when it is a whole
-//! number of blocks; else the clock jumped.
+//! An interval of more than a packet period is loss, if it is a whole number of periods and the
+//! head is where its speed takes it. It is a sector that the sensor leaves out, if it is a whole
+//! number of blocks. Else the clock jumped.
 //!
-//! Of a stamp that is a little off the beat, it is unknown at first whether the pulse per second
-//! has set the clock right or whether one bit is wrong: what was set right stays, so that the next
-//! packet tells. See [`MatchQuality`].
+//! If a stamp is slightly off the packet period, either the pulse per second has corrected the
+//! clock, or a bit is wrong. A correction persists, so that the next packet decides. See
+//! [`MatchQuality`].
 
 use super::motion::{FiringTiming, Motion, Sector, TURN, ahead, shortest};
 use crate::sensor::model::{Spec, Stamp};
@@ -19,27 +19,27 @@ const LOOK_BACK_NS: i64 = 1_000_000_000;
 /// How far an interval may be from a whole number of periods: two truncated stamps, and drift over
 /// the interval.
 const STAMP_SLACK_NS: i64 = 3_000;
-/// How far the pulse per second may set the sensor's clock, which drifts by up to 60 us a second:
-/// no jump.
+/// How far the pulse per second may correct the sensor's clock, which drifts by up to 60 us a
+/// second, without this being a jump.
 const CORRECTION_NS: i64 = 100_000;
-/// The same for a packet that is not believed at once. The packet behind one that was believed with
-/// a stamp as far off as may be is itself no farther off than this.
+/// The same for a packet that is accepted only after the next one. If a packet was accepted with
+/// the greatest correction, the next is off by at most this.
 const LOOSE_NS: i64 = CORRECTION_NS + STAMP_SLACK_NS;
-/// How far the head may be from where its speed would have brought it, hundredths of a degree and
-/// share of the way.
+/// How far the head may be from the position that its speed predicts: hundredths of a degree, and a
+/// share of the travel.
 const AZIMUTH_SLACK: (f64, f64) = (100.0, 0.1);
-/// What the encoder's noise may add to that where packets are so short that half the way of one is
-/// less.
+/// What the encoder's noise may add to that, where half the travel during a packet is less than the
+/// slack.
 const NOISE_CDEG: f64 = 20.0;
 /// How far a packet that follows directly may be from where the head should be, hundredths of a
 /// degree.
 const FOLLOWING_CDEG: f64 = 300.0;
-/// The shortest way that the head may turn in silence, hundredths of a degree.
+/// Least width of a sector that is left out, hundredths of a degree.
 const LEAST_SECTOR_CDEG: f64 = 200.0;
 /// How far the edges of a sector may be from where they were the turn before, hundredths of a
 /// degree.
 const SECTOR_SLACK_CDEG: f64 = 300.0;
-/// How exactly the time of silence inside a packet is known beforehand: a share of it, and blocks.
+/// Accuracy to which the silence inside a packet can be predicted: a share of it, and blocks.
 const SILENCE_SLACK: (i64, i64) = (20, 3);
 /// How far the interval of arrival may be from that of the stamps, beyond a quarter of it.
 const ARRIVAL_SLACK_NS: i64 = 20_000_000;
@@ -71,8 +71,7 @@ impl OrderedPacket {
 /// What lies between a packet and the one before.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub enum PacketGap {
-    /// Nothing that could be related: the first packet, another return mode, or a clock that
-    /// jumped.
+    /// No relation: the first packet, another return mode, or a clock that jumped.
     Start,
     /// Nothing: it follows directly.
     None,
@@ -85,7 +84,7 @@ pub enum PacketGap {
         /// How far the head turned from the end of the packet before, hundredths of a degree, whole
         /// turns too; negative when it turns backwards.
         travelled_cdeg: f64,
-        /// The sector that the sensor left out meanwhile.
+        /// The sector that the sensor left out in between.
         silence: Option<Sector>,
     },
 }
@@ -93,23 +92,23 @@ pub enum PacketGap {
 /// How well a packet follows an earlier one.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, PartialOrd, Ord)]
 pub enum MatchQuality {
-    /// It may: to be believed when the next packet follows it exactly.
+    /// Possible: it is accepted when the next packet follows it exactly.
     Loose,
-    /// So well that it is believed at once.
+    /// Good enough to be accepted at once.
     Good,
-    /// So well that each of them shows that nothing is wrong with the other. A stamp that is off by
-    /// more than what is good is far from this, whichever of its neighbours it is held against.
+    /// Good enough that each packet confirms the other. A stamp that is off by more than `Good`
+    /// allows matches neither of its neighbours exactly.
     Exact,
 }
 
-/// How a packet stands to an earlier one.
+/// Relation of a packet to an earlier one.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub enum Relation {
     /// After it, with this in between.
     Follows(PacketGap, MatchQuality),
     /// Before it.
     Behind,
-    /// No head that turns and no clock that runs leads from one to the other.
+    /// Neither a turning head nor a running clock explains the step from one to the other.
     Unrelated,
 }
 
@@ -134,10 +133,10 @@ impl GapMotion {
         (self.travelled_cdeg - self.expected_cdeg()).abs()
     }
 
-    /// How well a packet follows whose stamp is so far off the beat.
+    /// Match quality of a packet whose stamp is this far off the packet period.
     fn fit(&self, off_beat_ns: i64, period_ns: i64) -> MatchQuality {
         let at_once_ns = CORRECTION_NS.min(period_ns / 4);
-        // Half the way of a packet: the head tells how many were lost.
+        // Half the travel during a packet: the head's position then tells how many were lost.
         let (most, share) = AZIMUTH_SLACK;
         let half_cdeg = self.rate_cdeg_ns.abs() * period_ns as f64 / 2.0;
         let in_place = self.off_cdeg()
@@ -151,7 +150,7 @@ impl GapMotion {
     }
 }
 
-/// What the packets so far tell of the head, to judge the next ones by.
+/// What earlier packets say about the head; later packets are compared with it.
 #[derive(Debug)]
 pub struct PacketMatcher {
     spec: &'static Spec,
@@ -177,12 +176,12 @@ impl PacketMatcher {
         self.spec = spec;
     }
 
-    /// The sector that the sensor leaves out every turn, once it was seen.
+    /// The sector that the sensor leaves out every turn, once seen.
     pub fn sector(&self) -> Option<Sector> {
         self.sector
     }
 
-    /// How the packet stands to an earlier one.
+    /// The relation of a packet to an earlier one.
     pub fn between(&self, last: &OrderedPacket, packet: &OrderedPacket) -> Relation {
         let interval = packet.time_ns - last.time_ns;
         if packet.mode != last.mode || interval < -LOOK_BACK_NS {
@@ -203,15 +202,15 @@ impl PacketMatcher {
         }
     }
 
-    /// Time and way from the end of one packet to the start of another.
+    /// Time and travel from the end of one packet to the start of another.
     fn way(&self, last: &OrderedPacket, packet: &OrderedPacket, beyond_ns: i64) -> GapMotion {
         let rate = self.rate(&last.motion);
         let from_cdeg = last.motion.next_cdeg();
         let mut unfired_ns = beyond_ns - last.motion.silent_ns;
         let expected = rate * unfired_ns as f64;
         let travelled = expected + shortest(packet.motion.first_cdeg() - from_cdeg - expected);
-        // The silence inside a packet was estimated. Where it puts the near end of that packet to a
-        // wrong time, the azimuths tell how long ago the one before ended.
+        // The silence inside a packet was estimated. If the estimate gives a wrong time for the
+        // near end of that packet, the azimuths show how long ago the one before ended.
         let estimated = match self.spec.stamp {
             Stamp::FirstShot => &last.motion,
             Stamp::Output => &packet.motion,
@@ -232,8 +231,8 @@ impl PacketMatcher {
         }
     }
 
-    /// Corrects the silence inside a packet whose stamp is that of its end, and so when it began,
-    /// by where the head was at the end of the packet before.
+    /// Corrects the silence inside a packet, and so its start, by the head's position at the end of
+    /// the packet before; only where the stamp is that of the packet's end.
     pub fn settle_silence(&self, last: &OrderedPacket, packet: &mut OrderedPacket) {
         if self.spec.stamp != Stamp::Output
             || packet.motion.left_out.is_none()
@@ -260,8 +259,8 @@ impl PacketMatcher {
         let expected = between.expected_cdeg();
         let (least, share) = AZIMUTH_SLACK;
         let in_place = between.off_cdeg() < least + share * expected.abs();
-        // Within a turn the head is the witness; later its place says little, and the host's clock
-        // is.
+        // Within a turn the head's position decides; after that it says little, and the host's
+        // clock decides.
         let within_turn = expected.abs() < TURN && rate_cdeg_ns != 0.0;
         let trusted = if within_turn {
             in_place
@@ -322,25 +321,25 @@ impl PacketMatcher {
         )
     }
 
-    /// The turning rate, by this packet if no other told it.
+    /// The turning rate, from this packet if there is none of earlier ones.
     pub fn rate(&self, motion: &Motion) -> f64 {
         self.rate_cdeg_ns
             .unwrap_or_else(|| motion.rate_cdeg_ns(self.spec))
     }
 
-    /// Tells a packet the turning rate of those before it.
+    /// Gives a packet the turning rate of those before it.
     pub fn steady(&self, motion: &mut Motion) {
         if let Some(rate) = self.rate_cdeg_ns {
             motion.steady(rate, self.spec);
         }
     }
 
-    /// Takes a turning rate from elsewhere, until the packets tell it.
+    /// Sets the turning rate until packets have measured it.
     pub fn expect_rate(&mut self, rate_cdeg_ns: Option<f64>) {
         self.rate_cdeg_ns = rate_cdeg_ns;
     }
 
-    /// Whether a packet leaves nothing out but what was left out the turn before: else one of its
+    /// Whether a packet leaves out no sector, or the same as the turn before. Else one of its
     /// azimuths may be corrupt.
     pub fn is_familiar(&self, motion: &Motion) -> bool {
         let Some((_, seen)) = motion.left_out else {
@@ -362,7 +361,7 @@ impl PacketMatcher {
     ) {
         if before == PacketGap::Start {
             self.sector = None;
-            // A head does not turn otherwise because the return mode was changed.
+            // A change of the return mode does not change the turning rate.
             self.rate_cdeg_ns = self
                 .rate_cdeg_ns
                 .filter(|_| last.is_none_or(|last| last.mode != packet.mode));
@@ -400,7 +399,7 @@ impl PacketMatcher {
             shortest(to - from)
         };
         let measured = travelled / (packet.time_ns - last.time_ns) as f64;
-        // The further the head went, the less the encoder's noise matters.
+        // The longer the travel, the less the encoder's noise matters.
         let weight = (travelled.abs() / (travelled.abs() + TURN / 4.0)).max(0.03);
         self.rate_cdeg_ns = Some(
             self.rate_cdeg_ns

@@ -1,5 +1,5 @@
-//! What one packet says of the head: where it points at each firing, how fast it turns, and whether
-//! it left a sector out.
+//! The head's motion during one packet: its azimuth at each firing, its speed, and a sector that
+//! was left out.
 
 use super::lanes::Records;
 use crate::sensor::model::Spec;
@@ -11,27 +11,27 @@ pub const TURN: f64 = TURN_CDEG as f64;
 /// How far the encoder's noise can carry the first azimuth of a packet from the last one,
 /// hundredths of a degree.
 const STEP_NOISE_CDEG: f64 = 8.0;
-/// How far the turning rate of one packet can be from that of those before.
+/// Greatest difference of a packet's turning rate from that of the packets before, as a share.
 const STEADY_SHARE: f64 = 0.02;
 /// The fastest head turns half around in this time, nanoseconds.
 const HALF_TURN_NS: i64 = 20_000_000;
-/// A step between block azimuths that differs this much from the others is no motion of the head.
+/// A step between block azimuths that differs this much from the others is not motion of the head.
 const BREAK_CDEG: f64 = 200.0;
-/// An encoder without much noise has no step that differs this much from the others, and more is
-/// looked at closely.
+/// With little encoder noise no step differs this much from the others; steps that do are checked
+/// closely.
 const BEND_CDEG: f64 = 16.0;
-/// The same where there are but two steps, and none to tell the noise.
+/// The same where there are only two steps, too few to estimate the noise.
 const BEND_OF_TWO_CDEG: f64 = 40.0;
-/// A step that is off by this many times what the third most is does not come from the encoder's
-/// noise.
+/// A step whose deviation is this many times the third largest does not come from encoder noise.
 const BEND_NOISE: f64 = 4.0;
-/// The encoder's noise is not taken for a head that turns so far from block to block.
+/// A head that turns at least this far from block to block turns: this is more than encoder noise,
+/// hundredths of a degree.
 const TURNING_CDEG: f64 = 5.0;
 /// A head that turns less than this from block to block does not leave a sector out: it would take
 /// seconds.
 const LEAST_STEP_CDEG: f64 = 1.0;
 
-/// A sector that the sensor is set to leave out, met inside a packet or between two.
+/// A sector that the sensor is set to leave out, inside a packet or between two.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct Sector {
     /// Where the head was when it fell silent, hundredths of a degree.
@@ -41,8 +41,8 @@ pub struct Sector {
 }
 
 impl Sector {
-    /// How far it is from an azimuth ahead to the sector, hundredths of a degree; a little less
-    /// than nothing when the encoder's noise put the azimuth past the edge.
+    /// Travel from an azimuth to the sector, hundredths of a degree; slightly negative when encoder
+    /// noise puts the azimuth past the edge.
     pub fn ahead_of(&self, from_cdeg: f64, sense: f64) -> f64 {
         let way = ahead(from_cdeg, self.from_cdeg, sense);
         if way > TURN - BREAK_CDEG {
@@ -53,7 +53,7 @@ impl Sector {
     }
 
     /// Nanoseconds of silence when the head crosses the sector at a rate. The lasers keep their
-    /// beat meanwhile (measured on a VLP-32C), so that it is a whole number of blocks.
+    /// period during the silence (measured on a VLP-32C), so that it is a whole number of blocks.
     pub fn silent_ns(&self, rate_cdeg_ns: f64, spec: &Spec, mode: ReturnMode) -> i64 {
         let block_ns = spec.azimuth_period_ns(mode);
         let blocks =
@@ -62,8 +62,7 @@ impl Sector {
     }
 }
 
-/// How the firings of a packet follow each other: what its model and its return mode say, worked
-/// out once a packet.
+/// Times of the firings in a packet, computed from model and return mode once per packet.
 #[derive(Clone, Copy, Debug)]
 pub struct FiringTiming {
     /// Firings of a packet.
@@ -102,12 +101,12 @@ impl FiringTiming {
         }
     }
 
-    /// Index of the azimuth that a firing has.
+    /// Index of the azimuth of a firing.
     fn azimuth(&self, firing: usize) -> usize {
         firing >> self.sharing
     }
 
-    /// How many firings came before it at the same azimuth.
+    /// Number of firings before it at the same azimuth.
     fn behind(&self, firing: usize) -> usize {
         firing & ((1 << self.sharing) - 1)
     }
@@ -123,12 +122,12 @@ pub struct Motion {
     /// From one azimuth to the next, hundredths of a degree, negative when the head turns the other
     /// way.
     pub step_cdeg: f64,
-    /// The same as the packets before have it, without the encoder's noise; see [`Motion::steady`].
+    /// The step by the packets before, without encoder noise; see [`Motion::steady`].
     steady_step_cdeg: Option<f64>,
     /// The index of the first azimuth behind a sector that was left out, and the sector.
     pub left_out: Option<(usize, Sector)>,
-    /// Nanoseconds of silence inside the packet. By the packet alone this is good to a few percent;
-    /// who knows the speed of the head better may set it.
+    /// Nanoseconds of silence inside the packet. The packet alone gives it to a few percent; a
+    /// caller that knows the speed better may set it.
     pub silent_ns: i64,
 }
 
@@ -150,7 +149,7 @@ impl Motion {
     /// Reads the azimuths of a packet.
     ///
     /// # Errors
-    /// [`Implausible`] where no head, not even one with a limited field of view, turns like that.
+    /// [`Implausible`] if no head turns like that, not even with a limited field of view.
     pub fn of(packet: &DataPacket, mode: ReturnMode, spec: &Spec) -> Result<Self, Implausible> {
         let blocks_per_azimuth = spec.blocks_per_azimuth(mode);
         if !packet.azimuths_in_groups(blocks_per_azimuth) {
@@ -193,9 +192,9 @@ impl Motion {
         })
     }
 
-    /// Tells the turning rate that the packets before had, hundredths of a degree a nanosecond.
-    /// Where the azimuths of this one do not speak against it, it is the better one: they carry the
-    /// encoder's noise, and there may be but three.
+    /// Sets the turning rate of the packets before, hundredths of a degree a nanosecond. It is used
+    /// unless the azimuths of this packet contradict it: they carry encoder noise, and there may be
+    /// only three.
     pub fn steady(&mut self, rate_cdeg_ns: f64, spec: &Spec) {
         let step_cdeg = rate_cdeg_ns * f64::from(spec.azimuth_period_ns(self.mode));
         let noise_cdeg = STEP_NOISE_CDEG / (self.count - 1) as f64;
@@ -251,16 +250,16 @@ impl Motion {
         }
     }
 
-    /// Whether the head leapt over a sector between the firing before and this one.
+    /// Whether a sector was left out between the firing before and this one.
     pub fn skips_sector_before(&self, firing: usize, timing: &FiringTiming) -> bool {
         self.left_out
             .is_some_and(|(index, _)| firing == index << timing.sharing)
     }
 }
 
-/// How fast the head turned from the first azimuth of one packet to the last of another of the same
-/// mode, hundredths of a degree a nanosecond; `None` where that is too short a time, or so long
-/// that it may have turned half around.
+/// Turning rate from the first azimuth of one packet to the last of another of the same mode,
+/// hundredths of a degree a nanosecond; `None` if the time between is too short, or long enough for
+/// half a turn.
 pub fn rate_between(
     first: &DataPacket,
     last: &DataPacket,
@@ -278,8 +277,8 @@ pub fn rate_between(
         .then(|| shortest(turned) / lasted_ns.max(1) as f64)
 }
 
-/// The same angle within 0..36000 hundredths of a degree: `rem_euclid`, which takes a division, for
-/// an angle that is hardly ever more than a turn away.
+/// The same angle within 0..36000 hundredths of a degree. For angles within a turn of that it
+/// avoids the division of `rem_euclid`.
 pub(super) fn within_turn(cdeg: f64) -> f64 {
     match cdeg {
         _ if (0.0..TURN).contains(&cdeg) => cdeg,
@@ -304,7 +303,7 @@ pub(super) fn ahead(from_cdeg: f64, to_cdeg: f64, sense: f64) -> f64 {
 struct Steps {
     /// The mean of all but the break, hundredths of a degree.
     step_cdeg: f64,
-    /// Index of the azimuth behind the one step that is no motion of the head.
+    /// Index of the azimuth behind the one step that is not motion of the head.
     break_at: Option<usize>,
 }
 
@@ -312,7 +311,7 @@ impl Steps {
     fn of(steps: &[f64]) -> Result<Self, Implausible> {
         let least = steps.iter().copied().fold(f64::MAX, f64::min);
         let most = steps.iter().copied().fold(f64::MIN, f64::max);
-        // Where all are alike none is a break, whichever one is taken for the median.
+        // If all steps are alike, none is a break, whichever is the median.
         let is_even = most - least <= BEND_CDEG;
         let median = if is_even { steps[0] } else { median(steps) };
         let mut sum = 0.0;
@@ -340,7 +339,7 @@ impl Steps {
     }
 }
 
-/// Whether a step is no motion of a head whose steps have this median.
+/// Whether a step cannot be motion of a head whose steps have this median.
 fn is_break(step: f64, median: f64) -> bool {
     (step - median).abs() > BREAK_CDEG.max(5.0 * median.abs())
 }
@@ -354,9 +353,9 @@ fn deviation(step: f64, median: f64) -> f64 {
     }
 }
 
-/// Whether one azimuth lies so far beside the line of the others that a bit of it must have been
-/// flipped: then the step to it and the one from it are off, to one side and to the other. Noise is
-/// known by the third step from the worst: a flipped bit spoils two.
+/// Whether one azimuth is so far off the line of the others that a bit of it must be flipped. Then
+/// the step to it and the step from it are off in opposite directions. Since a flipped bit spoils
+/// two steps, the third largest deviation measures the noise.
 fn is_bent(steps: &[f64], median: f64) -> bool {
     let mut sorted = [0.0; BLOCKS];
     let sorted = &mut sorted[..steps.len()];
@@ -368,8 +367,8 @@ fn is_bent(steps: &[f64], median: f64) -> bool {
         ..3 => BEND_OF_TWO_CDEG,
         count => BEND_CDEG + BEND_NOISE * sorted[count - 3],
     };
-    // At either end there is one step alone; it may be shorter because the head was stopped or
-    // started.
+    // The first and last azimuths have one step only; it may be shorter because the head was
+    // stopped or started.
     let slowed = -BEND_CDEG..=median.abs();
     let is_end_bent = [steps[0], steps[steps.len() - 1]].into_iter().any(|step| {
         deviation(step, median).abs() > limit
@@ -384,7 +383,7 @@ fn is_bent(steps: &[f64], median: f64) -> bool {
         })
 }
 
-/// The median of steps by their length; of two the shorter, since the other may be a skip.
+/// The median of the steps by length; of two steps the shorter, since the other may be a skip.
 fn median(values: &[f64]) -> f64 {
     let mut sorted = [0.0; BLOCKS];
     let sorted = &mut sorted[..values.len()];

@@ -1,4 +1,4 @@
-//! What stands in the sweep that is being filled, and how a firing is written into its column.
+//! The open sweep: its columns so far, and how a firing is written into its column.
 
 use std::f32::consts::TAU;
 use std::ops::Range;
@@ -17,7 +17,8 @@ use crate::sweep::image::SweepMut;
 use crate::sweep::layout::{COLUMNS_CAPACITY, Column};
 use crate::wire::data::ReturnMode;
 
-/// How far a packet that comes late may be from where its columns were thought to be.
+/// Greatest difference between the azimuth of a late packet and that of the columns that were kept
+/// for it, hundredths of a degree.
 const LATE_SLACK_CDEG: f64 = 100.0;
 
 /// What stands in the open sweep.
@@ -25,11 +26,11 @@ const LATE_SLACK_CDEG: f64 = 100.0;
 pub struct OpenSweep {
     pub mode: ReturnMode,
     pub from_cut: bool,
-    /// Columns in use, with those before the first firing that its sideways beams need.
+    /// Columns in use, with those before the first firing that beams to its side need.
     pub columns: usize,
     /// The column of the first firing.
     pub first_column: usize,
-    /// Columns among them, behind the first firing, that hold none.
+    /// Columns among them, behind the first firing, that hold no firing.
     pub unfired: usize,
     pub first_ns: i64,
     pub last_ns: i64,
@@ -43,7 +44,7 @@ pub struct OpenSweep {
     pub newest_arrival_ns: i64,
 }
 
-/// A place in the open sweep: the column of a firing, and how its rows are turned.
+/// A place in the open sweep: the column of a firing, and the offsets of its rows.
 #[derive(Clone, Copy)]
 pub struct ColumnTarget<'a> {
     pub column: usize,
@@ -87,8 +88,8 @@ impl OpenSweep {
         self.columns == self.first_column
     }
 
-    /// Whether there is room for a firing, for what a sector left out takes before it, and for what
-    /// is behind.
+    /// Whether there is room for a firing, with the columns of a sector that was left out before
+    /// it, and the trailing columns.
     pub fn has_room(&self, firing: &Firing, row_offsets: &RowOffsets) -> bool {
         let before = if firing.skips_sector {
             row_offsets.span()
@@ -98,8 +99,8 @@ impl OpenSweep {
         self.columns + before + 1 + row_offsets.trail() <= COLUMNS_CAPACITY
     }
 
-    /// The first of the missing columns that wait for this packet: at its times, and with the head
-    /// where it was.
+    /// The first of the missing columns that were kept for this packet: with its times and
+    /// azimuths.
     pub fn room_for(
         &self,
         sweep: &SweepMut<'_>,
@@ -143,8 +144,8 @@ impl OpenSweep {
             self.first_progress_cdeg = head.progress_cdeg();
         }
         self.blanked |= firing.skips_sector;
-        // A clock that is corrected, and an estimate of silence, may step back a little; columns
-        // never do.
+        // A corrected clock or an estimated silence may step back a little; times of columns never
+        // do.
         self.last_ns = firing.time_ns.max(self.last_ns);
         let time_ns = self.last_ns;
         self.last_progress_cdeg = head.progress_cdeg();
@@ -188,9 +189,9 @@ impl OpenSweep {
         self.columns += 1;
     }
 
-    /// Parts two firings between which a sector was left out, so that no beam of one lands among
-    /// those of the other: with columns that go on from the firing before, and then some that lead
-    /// to the one behind.
+    /// Separates two firings between which a sector was left out, so that shifted beams of one
+    /// never share a column with the other: adds columns that continue the firing before, then
+    /// columns that lead to the firing behind.
     fn part(
         &mut self,
         sweep: &mut SweepMut<'_>,
@@ -199,7 +200,7 @@ impl OpenSweep {
         period_ns: u32,
     ) {
         let before = sweep.columns[self.columns - 1];
-        // A narrow sector takes less time than these columns would: times never step back.
+        // A narrow sector may take less time than these columns; times never step back.
         let middle_ns = before.time_ns.midpoint(behind.time_ns);
         for step in 1..=row_offsets.trail() {
             let mut column = extrapolated(&before, step as i64, row_offsets, period_ns);
@@ -226,8 +227,8 @@ impl OpenSweep {
         self.unfired += 1;
     }
 
-    /// Makes an image of the whole turn: what fell beyond an end is folded to the other. The first
-    /// column and the number of them.
+    /// Makes an image of the whole turn: pixels beyond one end are folded to the other. Gives the
+    /// first column and the number of columns.
     pub fn fold(&self, sweep: &mut SweepMut<'_>, row_offsets: &RowOffsets) -> [usize; 2] {
         let first = self.first_column;
         let end = self.columns;
@@ -235,8 +236,8 @@ impl OpenSweep {
         for (row, &shift) in row_offsets.shifts().iter().enumerate() {
             let filled = unshifted(first, shift);
             let behind = unshifted(end, shift);
-            // Azimuths that no head has can make a turn of fewer columns than the shift: then all
-            // of it lies beyond.
+            // Impossible azimuths can make a turn of fewer columns than the shift; then all pixels
+            // are beyond an end.
             for from in (filled..behind.min(first)).chain(filled.max(end)..behind) {
                 let onto = (from as i64 - first as i64).rem_euclid(columns as i64) as usize;
                 move_pixel(sweep, row, from, first + onto);
@@ -245,7 +246,7 @@ impl OpenSweep {
         [first, columns]
     }
 
-    /// Makes an image of a part of a turn: wider than its firings by what fell beyond their ends.
+    /// Makes an image of a part of a turn: wider than its firings by the pixels beyond their ends.
     pub fn widen(
         &mut self,
         sweep: &mut SweepMut<'_>,
@@ -306,19 +307,19 @@ fn unshifted(firing: usize, shift: i32) -> usize {
 
 /// An azimuth as a column has it, radians.
 pub fn radians(azimuth_cdeg: f64) -> f32 {
-    // What is a hair below a whole turn may be rounded to one.
+    // A value just below a whole turn may be rounded to one.
     Some((azimuth_cdeg / 100.0).to_radians() as f32)
         .filter(|&rad| rad < TAU)
         .unwrap_or(0.0)
 }
 
-/// How fast the head turns by a packet, as its columns have it, radians a second.
+/// Turning rate of a packet, for its columns, radians a second.
 pub fn rate_rad_s(packet: &OrderedPacket, spec: &Spec) -> f32 {
     ((packet.motion.rate_cdeg_ns(spec) / 100.0).to_radians() * 1e9) as f32
 }
 
-/// The column that is this many firings before or behind another, at the speed of the sweep: that
-/// of one packet carries the encoder's noise.
+/// The column this many firings before or behind another, extrapolated at the speed of the sweep:
+/// the speed of one packet carries encoder noise.
 fn extrapolated(from: &Column, firings: i64, row_offsets: &RowOffsets, period_ns: u32) -> Column {
     let apart_ns = firings * i64::from(period_ns);
     let azimuth_rad =
@@ -364,7 +365,7 @@ pub fn decode<S: Simd>(
 }
 
 impl ColumnTarget<'_> {
-    /// The pixels that a firing can have, and those between them, in each plane.
+    /// The range of pixels that a firing can write to, in each plane.
     fn reach(self) -> Range<usize> {
         let rows = self.row_offsets.shifts().len();
         (self.column - self.row_offsets.lead()) * rows

@@ -1,11 +1,10 @@
-//! Packets into the order of the sensor's clock, and a name for what is missing between two of
-//! them.
+//! Puts packets into the order of the sensor's clock, and classifies the gap between two of them.
 //!
-//! Velodynes send no sequence number, but their clock is crystal-exact: the interval between two
-//! stamps, divided by the packet period, serves as one. Packets in order pass at once. Behind a gap at
-//! most [`HOLD`] packets are held back, in case the missing ones were only overtaken. A packet that
-//! contradicts the clock or the return mode is believed when the next one agrees with it: then the
-//! stream did change; else it was corrupt.
+//! Velodynes send no sequence number, but their crystal clock is accurate: the interval between two
+//! stamps, divided by the packet period, serves as one. Packets in order pass at once. Behind a gap
+//! at most [`HOLD`] packets are held back, in case the missing ones were only overtaken. A packet
+//! that contradicts the clock or the return mode is accepted if the next one agrees with it,
+//! because then the stream did change; else it was corrupt.
 
 use std::collections::VecDeque;
 
@@ -21,12 +20,13 @@ use crate::wire::data::ReturnMode;
 pub const HOLD: usize = 4;
 /// Packets kept: those held, those ready, and enough of the past to know a duplicate.
 const SLOTS: usize = 32;
-/// So many packets in a row that only look back: the clock was set back, by less than a second.
+/// After this many consecutive packets from before the newest, the clock was set back, by less than
+/// a second.
 const SET_BACK_PACKETS: u32 = 16;
-/// A stamp somewhat off the beat, or far, weighs as much as this many on it.
+/// Added to the sum for a stamp that is slightly off the packet period, and for one that is far
+/// off; one that fits exactly takes 1 away.
 const OFF_BEAT_WEIGHT: [u32; 2] = [4, 8];
-/// Where so much has come together, stamps are off all the time: then none is refused for that any
-/// more.
+/// From this sum on the sensor does not keep its period, and no stamp is refused for being off it.
 const UNSTEADY: u32 = 64;
 
 /// Why a packet will not come out again.
@@ -34,7 +34,7 @@ const UNSTEADY: u32 = 64;
 pub enum Rejection {
     /// The same bytes as a packet that was here before.
     Duplicate,
-    /// Behind what has come out already; the builder may still have room for it.
+    /// Before packets that have come out already; the builder may still have room for it.
     Behind {
         /// How its head moved.
         motion: Motion,
@@ -69,7 +69,7 @@ pub struct PacketOrder {
     last: Option<usize>,
     suspect: Option<usize>,
     set_back: u32,
-    /// How much off the beat stamps were of late.
+    /// The sum for recent stamps that were off the packet period.
     off_beat: u32,
     matcher: PacketMatcher,
     counts: OrderCounts,
@@ -94,8 +94,7 @@ impl PacketOrder {
         }
     }
 
-    /// Takes another table of the same model, whose timing with one return differs: the packets
-    /// tell it only now.
+    /// Changes to another table of the same model, whose timing with one return differs.
     pub fn take_spec(&mut self, spec: &'static Spec) {
         if let Some(suspect) = self.suspect.map(|slot| &mut self.slots[slot]) {
             let silent_ns = suspect.motion.silent_ns;
@@ -116,13 +115,13 @@ impl PacketOrder {
         &self.clock
     }
 
-    /// Tells how fast the head turns, before any packet has, hundredths of a degree a nanosecond;
+    /// Sets the turning rate until packets have measured it, hundredths of a degree a nanosecond;
     /// negative backwards.
     pub fn expect_rate(&mut self, rate_cdeg_ns: Option<f64>) {
         self.matcher.expect_rate(rate_cdeg_ns);
     }
 
-    /// The sector that the sensor leaves out every turn, once it was seen.
+    /// The sector that the sensor leaves out every turn, once seen.
     pub fn sector(&self) -> Option<Sector> {
         self.matcher.sector()
     }
@@ -203,13 +202,13 @@ impl PacketOrder {
         &self.slots[slot]
     }
 
-    /// Waits no longer for what is missing: the stream ended or stalled.
+    /// Stops waiting for missing packets: the stream ended or stalled.
     pub fn flush(&mut self) {
         self.settle(0);
         self.drop_suspect();
     }
 
-    /// Notes whether the sensor keeps the beat.
+    /// Notes whether the sensor keeps the packet period.
     fn weigh(&mut self, relation: Relation) {
         let [somewhat, far] = OFF_BEAT_WEIGHT;
         self.off_beat = match relation {
@@ -221,7 +220,8 @@ impl PacketOrder {
         self.off_beat = self.off_beat.min(2 * UNSTEADY);
     }
 
-    /// Whether a packet follows so well, or as well as any of a sensor that does not keep the beat.
+    /// Whether a packet follows this well, or as well as can be expected of a sensor that does not
+    /// keep its period.
     fn is_as_good(&self, fit: MatchQuality, as_that: MatchQuality) -> bool {
         fit >= as_that || self.off_beat >= UNSTEADY
     }
@@ -234,7 +234,7 @@ impl PacketOrder {
         }
     }
 
-    /// Believes the doubtful packet if this one follows it, or was overtaken by it.
+    /// Accepts the doubtful packet if this one follows it, or was overtaken by it.
     fn confirm(&mut self, packet: &OrderedPacket, relation: Relation) -> bool {
         let Some((suspect, last)) = self.suspect.zip(self.last) else {
             return false;
@@ -242,7 +242,7 @@ impl PacketOrder {
         let doubtful = &self.slots[suspect];
         let is_next = matches!(relation, Relation::Follows(PacketGap::None, fit) if self.is_as_good(fit, MatchQuality::Good));
         let before = self.gap_between(doubtful, packet).filter(|_| !is_next);
-        // An earlier packet says nothing of the far end of a doubtful one.
+        // An earlier packet cannot confirm the far end of a doubtful one.
         let is_overtaken = self.matcher.is_familiar(&doubtful.motion)
             && matches!(relation, Relation::Follows(..))
             && self.gap_between(packet, doubtful).is_some();
@@ -273,7 +273,7 @@ impl PacketOrder {
         true
     }
 
-    /// A packet from before what has come out already. Many of them in a row: the clock was set
+    /// A packet from before those that have come out. Many in a row mean that the clock was set
     /// back.
     fn look_back(&mut self, packet: OrderedPacket) -> Result<(), Rejection> {
         self.set_back += 1;
@@ -300,14 +300,14 @@ impl PacketOrder {
         self.held.insert(at, slot);
     }
 
-    /// Makes ready what follows directly, and what waits behind a gap when more than `patience`
-    /// packets do.
+    /// Makes ready the packets that follow directly, and if more than `patience` packets wait
+    /// behind a gap, those behind it too.
     fn settle(&mut self, patience: usize) {
         while let (Some(&slot), Some(last)) = (self.held.first(), self.last) {
             let Relation::Follows(before, _) =
                 self.matcher.between(&self.slots[last], &self.slots[slot])
             else {
-                // Two of one stamp, or one that came between disagrees.
+                // Two with the same stamp, or a packet between them that contradicts.
                 self.held.remove(0);
                 self.counts.unconfirmed += 1;
                 continue;
@@ -361,7 +361,7 @@ impl PacketOrder {
                 }
             }
         }
-        // Beyond the usual number only if what is ready is not taken out.
+        // Grows beyond the usual number only if ready packets are not taken out.
         self.slots.push(packet);
         self.slots.len() - 1
     }

@@ -6,19 +6,18 @@ use crate::sensor::model::Spec;
 use crate::sweep::layout::BeamRow;
 use crate::wire::data::ReturnMode;
 
-/// A head that turns more slowly, turns a minute, would shift the rows by more columns than there
-/// is room for.
+/// Least speed for which offsets are computed, turns a minute: a slower head would shift rows by
+/// more columns than there is room for.
 const SLOWEST_RPM: f64 = 240.0;
 
-/// The turn of each row at the speed that the head had when a sweep began.
+/// Offset of each row at the speed that the head had when a sweep began.
 #[derive(Clone, Debug, Default)]
 pub struct RowOffsets {
     /// Columns from a pixel to its firing, by row; see [`BeamRow::shift`].
     shifts: Vec<i32>,
     /// By channel, in groups.
     side_angles: Vec<SideAngles>,
-    /// By channel too: where the pixel of each is, counted from the first pixel that a firing can
-    /// have.
+    /// By channel: index of the pixel, counted from the first pixel that a firing can have.
     pixels: Vec<PerLane<u32>>,
     lead: usize,
     trail: usize,
@@ -26,12 +25,12 @@ pub struct RowOffsets {
 }
 
 impl RowOffsets {
-    /// Takes the turns at a speed, hundredths of a degree a nanosecond, negative when the head
+    /// Computes the offsets at a speed, hundredths of a degree a nanosecond, negative when the head
     /// turns backwards.
     ///
-    /// A beam points by its rotation to one side, and its shot comes a little after the first of
-    /// its firing. Both together are rounded to whole columns, so that no return is further from
-    /// the azimuth of its column than half of one.
+    /// A beam points to one side by its rotation, and fires a little after the first shot of its
+    /// firing. The sum of both is rounded to whole columns, so that each return is within half a
+    /// column of the azimuth of its own.
     pub fn set(&mut self, beams: &[BeamRow], rate_cdeg_ns: f64, spec: &Spec, mode: ReturnMode) {
         let slowest = SLOWEST_RPM / 60.0 * TURN * 1e-9;
         let rate_rad_ns =
@@ -67,12 +66,12 @@ impl RowOffsets {
         &self.shifts
     }
 
-    /// How far the beams point aside, by channel.
+    /// Angles of the beams to the side of their firing, by channel.
     pub fn side_angles(&self) -> &[SideAngles] {
         &self.side_angles
     }
 
-    /// Where the pixels of a firing are, by channel, counted from the top of the column that is
+    /// Indices of the pixels of a firing, by channel, counted from the top of the column that is
     /// [`RowOffsets::lead`] before its own.
     pub fn pixels(&self) -> &[PerLane<u32>] {
         &self.pixels

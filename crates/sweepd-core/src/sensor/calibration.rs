@@ -6,12 +6,12 @@ use std::ops::RangeInclusive;
 
 /// Most beams of any sensor that a calibration may describe.
 pub const MAX_BEAMS: usize = 128;
-/// Farthest that any offset of a beam can be, metres; those of real sensors stay under 2.
+/// Greatest offset of a beam, metres; those of real sensors stay under 2.
 pub(super) const MAX_OFFSET_M: f64 = 5.0;
 /// Units of distance that a sensor may have, metres; the real ones are 2 and 4 mm.
 pub(super) const DISTANCE_UNITS_M: RangeInclusive<f64> = 0.0005..=0.05;
 
-/// Two-point distance correction of an HDL-64E beam: what to add at the near end of each axis.
+/// Two-point distance correction of an HDL-64E beam: the offsets at the near end of each axis.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct TwoPoint {
     /// Added to the distance for x at 2.40 m, metres.
@@ -42,7 +42,7 @@ impl Intensity {
         max: 255.0,
     };
 
-    /// The correction where it is one: `None` where it would change nothing.
+    /// The correction, or `None` if it would change nothing.
     ///
     /// # Errors
     /// A sentence: the smallest intensity is not below the largest.
@@ -99,8 +99,8 @@ impl Beam {
         }
     }
 
-    /// What the distance offset is for x and for y at the near points, metres: the plain one where
-    /// there is no two-point correction.
+    /// Distance offsets for x and y at the near points, metres: the plain offset if there is no
+    /// two-point correction.
     pub fn near_distance_offsets_m(&self) -> [f64; 2] {
         self.two_point
             .map_or([self.distance_offset_m; 2], |two_point| {
@@ -108,7 +108,7 @@ impl Beam {
             })
     }
 
-    /// Checks that no value is beyond what a beam can have.
+    /// Checks that all values are possible for a beam.
     fn check(&self) -> Result<(), String> {
         let [near_x_m, near_y_m] = self.near_distance_offsets_m();
         let limits = [
@@ -155,18 +155,18 @@ pub struct Calibration {
     distance_unit_m: f64,
 }
 
-/// Why a calibration cannot be used. Every variant names the file and, where one is to blame, the
-/// line and the key.
+/// Why a calibration cannot be used. Every variant names the file and, if it is one value, its line
+/// and key.
 #[derive(Debug, thiserror::Error)]
 pub enum CalibrationError {
-    /// The text is no calibration, or one of its values is missing or impossible.
+    /// The text is not a calibration, or one of its values is missing or impossible.
     #[error("{file}:{line}: {message}")]
     At {
         /// The file.
         file: String,
         /// Line, from 1.
         line: usize,
-        /// What is wrong with which key, and what was expected.
+        /// The key, what is wrong with it, and what was expected.
         message: String,
     },
     /// The calibration as a whole does not fit.

@@ -1,8 +1,8 @@
-//! Two calibrations side by side: which beams differ, in what, and by how much.
+//! Compares two calibrations: which beams differ, in which values, and by how much.
 
 use super::{Beam, Calibration};
 
-/// Angles may differ by this much, degrees: what the stream rounds away, twice.
+/// Angles may differ by this much, degrees: twice the rounding of the status stream.
 pub const ANGLE_TOLERANCE_DEG: f64 = 0.02;
 /// Lengths may differ by this much, metres.
 pub const LENGTH_TOLERANCE_M: f64 = 0.002;
@@ -86,7 +86,8 @@ impl Quantity {
     }
 
     fn tolerance(self) -> f64 {
-        // Two values that are as far apart as allowed must not differ because they are binary.
+        // A little more than the tolerance, so that binary rounding does not make a difference of
+        // exactly the tolerance count.
         let tolerance = if self.is_angle() {
             ANGLE_TOLERANCE_DEG
         } else {
@@ -98,7 +99,7 @@ impl Quantity {
 
 /// Values in which beams of the same channel differ by more than the tolerances, beam by beam.
 ///
-/// Beams that only one of the two has are passed over: compare their numbers first.
+/// Beams that only one of the two has are skipped: compare the numbers of beams first.
 pub fn differences(a: &Calibration, b: &Calibration) -> Vec<Difference> {
     let mut differences = Vec::new();
     for (a, b) in a.beams().iter().zip(b.beams()) {

@@ -6,9 +6,9 @@
 //!                          > points_ > item > px > id_, rotCorrection_, vertCorrection_, distCorrection_, …
 //! ```
 //!
-//! There are always 64 slots. On a smaller sensor `enabled_` is 0 from slot 16 or 32 on; those
-//! slots hold zeros or (VLP-16 and Puck Hi-Res of VeloView) repeat the first ones, and are left out
-//! here.
+//! There are always 64 entries. On a smaller sensor `enabled_` is 0 from entry 16 or 32 on; those
+//! entries hold zeros or (VLP-16 and Puck Hi-Res of VeloView) repeat the first ones, and are
+//! skipped here.
 
 use roxmltree::{Document, Node, ParsingOptions};
 
@@ -32,7 +32,7 @@ const FORMAT: FileFormat = FileFormat {
         // ROS alone has the switch.
         "",
     ],
-    // A program writes these files, and it leaves none of these out.
+    // Every program that writes these files writes these keys.
     required: &[
         Key::Rotation,
         Key::Elevation,
@@ -54,10 +54,10 @@ const FORMAT: FileFormat = FileFormat {
     distance_unit: "distLSB_",
 };
 
-/// Numbers of beams that a sensor may have; the slots in use are rounded up to one of them.
+/// Possible numbers of beams; the number of entries in use is rounded up to one of them.
 const SIZES: [usize; 4] = [16, 32, 64, 128];
 
-/// Nodes of the largest file that is still read; the real ones have about 4000.
+/// Most nodes of a file; real files have about 4000.
 const MAX_NODES: u32 = 100_000;
 
 /// Attributes of the largest file that is still read, told by their `=`; the real ones have about
@@ -111,11 +111,11 @@ pub fn parse(text: &str, file: &str) -> Result<Calibration, CalibrationError> {
     table.calibration()
 }
 
-/// What takes a parser of XML more time or memory than a file of this size should.
+/// Refuses XML that would take the parser more time or memory than a file of this size should.
 fn refuse_what_no_db_xml_has(text: &str, file: &str) -> Result<(), CalibrationError> {
-    // The form has an empty document type, which must be allowed. Entities of one's own need
-    // `<!ENTITY`, and without them nothing can unfold to more text than there is. Every element
-    // keeps all namespaces around it.
+    // The format has an empty document type, so that one must be allowed. Without `<!ENTITY`
+    // nothing can expand to more text than the file has. Namespaces are refused because every
+    // element keeps all that surround it.
     let words = [
         ("<!ENTITY", "declares an entity (<!ENTITY)"),
         ("xmlns", "declares a namespace (xmlns)"),
@@ -144,7 +144,7 @@ fn line_of(text: &str, offset: usize) -> usize {
     1 + text[..offset].matches('\n').count()
 }
 
-/// Finds things in the document and knows on which line they stand.
+/// Finds values in the document, with their lines.
 struct Reader<'a> {
     file: &'a str,
     /// Offsets of the line ends: counting lines from the top for every value would take quadratic
@@ -182,7 +182,7 @@ impl<'a> Reader<'a> {
     fn laser<'d>(&self, item: Node<'d, '_>) -> Result<Laser<'d>, CalibrationError> {
         let mut laser = Laser::new(self.line(item));
         for node in self.child(item, "px")?.children().filter(Node::is_element) {
-            // Other keys occur (closeSlope_ of VeloView) and mean nothing here.
+            // Other keys occur (closeSlope_ of VeloView) and are ignored.
             let Some(index) = FORMAT
                 .names
                 .iter()
@@ -224,8 +224,8 @@ impl<'a> Reader<'a> {
         Err(at(self.file, self.line(node), message))
     }
 
-    /// Slots in use: all up to the last enabled one, rounded up, since a beam that is switched off
-    /// is still a beam.
+    /// Entries in use: all up to the last enabled one, rounded up, since a beam that is switched
+    /// off is still a beam.
     fn used(&self, db: Node<'_, '_>, lasers: usize) -> Result<usize, CalibrationError> {
         let mut end = 0;
         let enabled = self.list(db, "enabled_", lasers)?;
@@ -258,7 +258,7 @@ fn items<'d, 'i: 'd>(list: Node<'d, 'i>) -> impl Iterator<Item = Node<'d, 'i>> {
     list.children().filter(|node| node.has_tag_name("item"))
 }
 
-/// The parser's own complaint, its place as ours.
+/// The parser's own message, with the line in our form.
 fn xml_error(error: &roxmltree::Error, file: &str) -> CalibrationError {
     let message = error.to_string();
     let message = message

@@ -1,11 +1,11 @@
 //! Which model sends these packets.
 //!
 //! The factory bytes alone mislead: they are blank on old firmware, and early VLP-16 firmware sends
-//! the product byte of an HDL-32E. The time from packet to packet by the sensor clock does not: it
-//! follows from the firing order and is exact to the microsecond that the stamps are cut to. So the
-//! first few packets of a stream decide, and the caller keeps them until then. An HDL-64E has no
-//! product byte at all (bytes of its status are there, and may equal any): its blocks alternate
-//! between two heads, which is asked first.
+//! the product byte of an HDL-32E. The packet period by the sensor clock is reliable: it follows
+//! from the firing order and is exact to the microsecond resolution of the stamps. So the first few
+//! packets of a stream decide, and the caller keeps them until then. An HDL-64E has no product byte
+//! (a status byte in its place may have any value), but its blocks alternate between two heads,
+//! which is checked first.
 //!
 //! ```
 //! use sweepd_core::sensor::Model;
@@ -35,12 +35,12 @@ use super::Model;
 use super::model::Spec;
 use crate::wire::data::{BLOCKS, Banks, DataPacket, ReturnMode};
 
-/// Packets after which [`Detector::observe`] has decided, one way or the other.
+/// Packets after which [`Detector::observe`] has always decided.
 pub const MAX_PACKETS: usize = 12;
 
 /// Intervals that must agree before the last packet.
 const ENOUGH: usize = 2;
-/// Product bytes of sensors that speak this protocol and are not supported.
+/// Product bytes of sensors that use this protocol and are not supported.
 const UNSUPPORTED: [(u8, &str); 5] = [
     (0x23, "VLP-32A or VLP-32B"),
     (0x28, "VLP-32C"),
@@ -49,9 +49,9 @@ const UNSUPPORTED: [(u8, &str); 5] = [
     (0xA1, "VLS-128"),
 ];
 
-/// What the azimuths say about the return mode of packets that do not say it themselves: in how
-/// many packets of a turning head they come in equal pairs, and in how many each is its own. One
-/// packet may be corrupt.
+/// Evidence of the azimuths for the return mode, for packets without a return mode byte: in how
+/// many packets of a turning head they are equal in pairs, and in how many all differ. Counted,
+/// since one packet may be corrupt.
 #[derive(Clone, Copy, Debug, Default)]
 struct Azimuths {
     paired: usize,
@@ -118,7 +118,7 @@ struct Vote {
 }
 
 impl Detector {
-    /// A detector for one sensor; `forced` is what the user says it is.
+    /// A detector for one sensor; `forced` is the model that the user gave.
     pub fn new(forced: Option<Model>) -> Self {
         Self {
             forced,
@@ -135,9 +135,9 @@ impl Detector {
         }
     }
 
-    /// Takes the next packet of the sensor, in the order of arrival, and decides as soon as that is
+    /// Takes the next packet of the sensor, in the order of arrival. It decides as soon as that is
     /// safe: from the third packet on, at the latest with packet [`MAX_PACKETS`], and with the
-    /// first one for a sensor that is not supported.
+    /// first one for an unsupported sensor.
     ///
     /// # Errors
     /// [`DetectError`], final like a detection.
@@ -157,8 +157,8 @@ impl Detector {
                 }));
             }
             Banks::One => match model_of_product(packet.product) {
-                // The user may know a product byte that sweepd does not, but not turn one sensor
-                // into another.
+                // The user may give the model for a product byte that sweepd does not know, but not
+                // for that of an unsupported sensor.
                 Err(DetectError::UnknownProduct { .. }) if self.forced.is_some() => {}
                 Err(error) => return Some(Err(error)),
                 Ok(_) => {}
@@ -175,7 +175,7 @@ impl Detector {
         }
     }
 
-    /// Decides now: for a stream that ended before [`Detector::observe`] did.
+    /// Decides now, for a stream that ended before [`Detector::observe`] decided.
     ///
     /// # Errors
     /// [`DetectError`].
@@ -186,8 +186,8 @@ impl Detector {
             return self.without_period();
         }
         let [best, next] = self.votes(&intervals);
-        // A field of view leaves one odd interval a turn, heavy loss leaves many; chance fits one
-        // in a hundred.
+        // A limited field of view makes one odd interval a turn, heavy loss makes many; by chance
+        // one interval in a hundred fits.
         if best.fits > next.fits && best.fits * 4 >= intervals.len {
             return self.detection(best);
         }
@@ -205,7 +205,7 @@ impl Detector {
         self.bytes.banks == Banks::Alternating
     }
 
-    /// Checks that the blocks can be those of the model that the user says it is.
+    /// Checks that the blocks have the layout of the model that the user gave.
     fn check_layout(&self) -> Result<(), DetectError> {
         let heads = self.has_heads();
         match self.forced {
@@ -219,8 +219,7 @@ impl Detector {
     fn record(&mut self, packet: &DataPacket) {
         let bytes = FactoryBytes::of(packet);
         if self.len == 0 || bytes != self.bytes {
-            // Somebody changed the return mode: the periods on the two sides have nothing in
-            // common.
+            // The return mode was changed: periods before and after differ.
             self.bytes = bytes;
             self.azimuths = Azimuths::default();
             self.first_stamp = packet.stamp_us();
@@ -249,7 +248,7 @@ impl Detector {
         clear.then(|| self.check_layout().and_then(|()| self.detection(best)))
     }
 
-    /// The intervals between stamps in order; those of duplicates are none.
+    /// The intervals between sorted stamps, without those of duplicates.
     fn intervals(&self) -> Intervals {
         let mut stamps = self.stamps;
         let stamps = &mut stamps[..self.len];
@@ -268,7 +267,7 @@ impl Detector {
         intervals
     }
 
-    /// The two timings, the better one first.
+    /// The two best timings, the better one first.
     fn votes(&self, intervals: &Intervals) -> [Vote; 2] {
         let [(model, spec), (other, other_spec)] = timings(self.bytes.banks);
         let mut best = self.vote(model, spec, intervals);
@@ -277,7 +276,7 @@ impl Detector {
             && best.return_mode == next.return_mode
             && self.has_heads()
         {
-            // With two returns there is but one timing.
+            // With two returns there is only one timing.
             next.fits = 0;
         }
         if next.fits > best.fits {
@@ -288,8 +287,8 @@ impl Detector {
 
     /// How well a timing explains the intervals, in the return mode that explains them best.
     fn vote(&self, timing: Model, spec: &'static Spec, intervals: &Intervals) -> Vote {
-        // Strongest first: what both explain is one packet after the other in single mode, not
-        // every second one in dual.
+        // Strongest first: intervals that both explain are of consecutive packets in single mode,
+        // not of every second packet in dual mode.
         let Azimuths { paired, single } = self.azimuths;
         let modes: &[ReturnMode] = match (
             ReturnMode::from_byte(self.bytes.return_mode),
@@ -310,7 +309,8 @@ impl Detector {
         for &return_mode in modes {
             let period_ns = spec.packet_period_ns(return_mode);
             let count = intervals.fitting(period_ns).count();
-            // Of two modes, the one with the shorter period fits too where the other is meant.
+            // The mode with the shorter period also fits the intervals of the other, so that one of
+            // its own length must be seen.
             let is_seen = modes.len() == 1
                 || intervals
                     .fitting(period_ns)
@@ -433,7 +433,7 @@ impl Intervals {
     }
 }
 
-/// The model that a product byte names, none if it is blank. A Puck LITE calls itself a VLP-16.
+/// The model of a product byte; `None` if it is blank. A Puck LITE reports that of a VLP-16.
 fn model_of_product(product: u8) -> Result<Option<Model>, DetectError> {
     if product == 0 {
         return Ok(None);
@@ -457,7 +457,7 @@ fn unsupported(product: u8) -> Option<&'static str> {
         .map(|(_, sensor)| sensor)
 }
 
-/// The name of a sensor that mixes banks of lasers in a way of its own.
+/// The name of an unsupported sensor with another mixture of banks of lasers.
 fn many_banks(product: u8) -> &'static str {
     match unsupported(product) {
         Some(sensor @ "VLS-128") => sensor,

@@ -1,15 +1,16 @@
-//! Which calibrations are those of a model, and the one that all its units have.
+//! Checks that a calibration is of a model; gives a model's nominal calibration.
 
 use std::sync::OnceLock;
 
 use super::{Calibration, Model, ros_yaml};
 
-/// How far a beam may point from its nominal elevation: far more than units differ, far less than
-/// models do.
+/// Greatest deviation of a beam from its nominal elevation: much more than units differ, much less
+/// than models do.
 const MAX_ELEVATION_ERROR_DEG: f64 = 0.5;
-/// How far a beam may be turned on a model whose beams all point the same way.
+/// Greatest rotation of a beam on a model whose beams all point the same way.
 const MAX_ROTATION_DEG: f64 = 0.1;
-/// How far a beam may be turned on a model whose beams point aside; those of real units stay under
+/// Greatest rotation of a beam on a model whose beams point to the side; those of real units stay
+/// under
 /// 10. More would shift rows by more columns than a sweep has room for.
 const MAX_ASIDE_DEG: f64 = 12.0;
 
@@ -28,12 +29,12 @@ impl Model {
 }
 
 impl Calibration {
-    /// Fits a calibration to a model: a db.xml always has 64 slots, of which a smaller model uses
+    /// Fits a calibration to a model: a db.xml always has 64 entries, of which a smaller model uses
     /// the first.
     ///
     /// # Errors
-    /// A sentence when beams, elevations, rotations or distance unit cannot belong to this model;
-    /// it names the model that they do belong to, if it is a supported one.
+    /// A sentence, if beams, elevations, rotations or distance unit cannot be of this model; it
+    /// names the supported model that they fit, if there is one.
     pub fn for_model(self, model: Model) -> Result<Self, String> {
         if let Err(message) = self.fit(model) {
             let other = Model::ALL
@@ -48,12 +49,12 @@ impl Calibration {
         Self::new(beams, self.distance_unit_m())
     }
 
-    /// Checks that these can be the beams of a model; the error says what speaks against it.
+    /// Checks that these can be the beams of a model; the error gives the contradiction.
     fn fit(&self, model: Model) -> Result<(), String> {
         let spec = model.spec();
         let channels = spec.channels;
         let count = self.beams().len();
-        // Spare slots point nowhere or repeat the used ones (VeloView's VLP-16 does); beams of a
+        // Spare entries are zero or repeat the used ones (VeloView's VLP-16 does); beams of a
         // larger sensor do neither.
         let has_count = count >= channels
             && self.beams()[channels..].iter().all(|spare| {
@@ -78,7 +79,7 @@ impl Calibration {
                 ));
             }
         }
-        // Of an HDL-64E each unit has elevations of its own.
+        // Each unit of an HDL-64E has its own elevations.
         let nominal = model
             .calibration()
             .map_or(&[][..], |nominal| nominal.beams());

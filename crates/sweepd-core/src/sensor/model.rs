@@ -1,4 +1,4 @@
-//! The models as const tables: what differs between them stands here and nowhere else.
+//! The models as const tables: everything that differs between them is here.
 
 use crate::wire::data::{BLOCKS, RECORDS, ReturnMode};
 
@@ -15,11 +15,11 @@ pub enum Model {
     Hdl32e,
     /// HDL-64E S2 and S2.1: two heads of 32 beams, each unit with a calibration of its own.
     Hdl64eS2,
-    /// HDL-64E S3: the same with two returns if need be, and a status that is checked.
+    /// HDL-64E S3: the same, optionally with two returns, and with a checksum over its status.
     Hdl64eS3,
 }
 
-/// What a model is: names, factory byte, firing order and timing.
+/// Properties of a model: names, factory byte, firing order and timing.
 #[derive(Debug, PartialEq)]
 pub struct Spec {
     /// Name in output, as the maker writes it.
@@ -28,14 +28,14 @@ pub struct Spec {
     pub flag: &'static str,
     /// Factory byte 1205; `None` where that byte is something else.
     pub product: Option<u8>,
-    /// Beams, and so records of a firing and rows of the image.
+    /// Number of beams, of records in a firing and of rows in the image.
     pub channels: usize,
-    /// When the lasers fire while one return is reported, and while two are.
+    /// Firing times with one return, and with two.
     timing: [Timing; 2],
     /// What the time stamp of a packet is the time of.
     pub stamp: Stamp,
-    /// Whether the beams point so far apart in azimuth that the rows of the image are shifted by
-    /// whole columns.
+    /// Whether the rows of the image are shifted by whole columns, because the beams point far
+    /// apart in azimuth.
     pub shifted: bool,
     /// Metres of one unit of distance.
     pub distance_unit_m: f64,
@@ -43,12 +43,12 @@ pub struct Spec {
     pub(super) nominal: Option<Nominal>,
 }
 
-/// When the lasers of one firing shoot, and when the next firing begins.
+/// Times of the shots of a firing, and of the next firing.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 struct Timing {
     firing_period_ns: u32,
-    /// Shots come in bursts; the period of these, and when each shot of a burst comes after its
-    /// first.
+    /// Shots come in bursts: the period of bursts, and the time of each shot after the first of its
+    /// burst.
     burst_period_ns: u32,
     burst_ns: &'static [u32],
 }
@@ -65,8 +65,8 @@ pub enum Stamp {
 /// The beams that all units of a model have.
 #[derive(Debug, PartialEq)]
 pub(super) struct Nominal {
-    /// Distance of the beams' common focal point from the axis, metres; where the vertical origin
-    /// offsets come from.
+    /// Distance of the beams' common focal point from the axis, metres; gives the vertical origin
+    /// offsets.
     focal_radius_m: f64,
     /// This project's beam table, ROS YAML.
     pub(super) text: &'static str,
@@ -149,8 +149,8 @@ const EVERY_57_6_US: Timing = Timing {
     burst_ns: &[0, 1_300, 2_500, 3_700],
 };
 
-/// HDL-64E S2 manual, Appendix D; S3 manual pp. 20 and 47. An S2 reports one return only: what
-/// reports two is an S3.
+/// HDL-64E S2 manual, Appendix D; S3 manual pp. 20 and 47. An S2 reports one return only: a sensor
+/// with two is an S3.
 const HDL64E_S2: Spec = Spec {
     name: "HDL-64E S2",
     flag: "hdl64e-s2",
@@ -213,8 +213,7 @@ impl Model {
         }
     }
 
-    /// The number that stands for this model in the header of a sweep, from 1; it never changes its
-    /// meaning.
+    /// The number of this model in the header of a sweep, from 1; its meaning never changes.
     pub const fn code(self) -> u32 {
         self as u32 + 1
     }
@@ -296,8 +295,8 @@ impl Spec {
         burst_period_ns * (shot / burst_ns.len()) as u32 + burst_ns[shot % burst_ns.len()]
     }
 
-    /// First shot of a packet after its stamp, nanoseconds: 0 or less. The sensor may have been
-    /// silent meanwhile, where it is set to leave a sector out.
+    /// First shot of a packet after its stamp, nanoseconds: 0 or less. `silent_ns` is the time in
+    /// the packet during which the sensor left a sector out.
     pub fn first_shot_ns(&self, mode: ReturnMode, silent_ns: i64) -> i64 {
         match self.stamp {
             Stamp::FirstShot => 0,
@@ -306,7 +305,7 @@ impl Spec {
     }
 }
 
-/// A text that is the flag of no model.
+/// A text that names no model.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub struct UnknownModel;
 

@@ -1,14 +1,14 @@
-//! Calibration files: text in, calibration out, whichever of the two formats it has.
+//! Reads calibration files in either of the two formats: text in, calibration out.
 
 use super::{Calibration, CalibrationError, db_xml, ros_yaml};
 
-/// Longest file that is read as a calibration, bytes; the real ones have up to 50 000, and XML can
-/// be made to take quadratic time.
+/// Longest file that is read as a calibration, bytes; real files have up to 50 000, and hostile XML
+/// can take quadratic time.
 pub const MAX_FILE_LEN: usize = 256 << 10;
 
 impl Calibration {
-    /// Reads a db.xml or a ROS YAML, whichever the text is: at most [`MAX_FILE_LEN`] bytes of
-    /// UTF-8. `file` is what errors call it.
+    /// Reads the text of a db.xml or a ROS YAML, at most [`MAX_FILE_LEN`] bytes of UTF-8. `file` is
+    /// its name in errors.
     ///
     /// # Errors
     /// [`CalibrationError`] with file, line and key.

@@ -1,4 +1,4 @@
-//! Calibrations as ROS has them: YAML, snake case, radians and metres; read and written.
+//! Reads and writes calibrations in the format of ROS: YAML, snake case, radians and metres.
 //!
 //! ```yaml
 //! num_lasers: 64
@@ -7,9 +7,9 @@
 //! - {laser_id: 0, rot_correction: -0.0765, vert_correction: -0.1262, dist_correction: 1.4139, …}
 //! ```
 //!
-//! `laser_id`, `vert_correction` and `distance_resolution` must be there; what else a file leaves
-//! out is neutral: offsets and rotation 0, intensities 0 to 255. An unknown key is an
-//! error, since it is most likely a misspelt one.
+//! `laser_id`, `vert_correction` and `distance_resolution` are required. Other missing values are
+//! neutral: offsets and rotation 0, intensities 0 to 255. An unknown key is an error, since it is
+//! most likely misspelt.
 
 use std::fmt::{self, Write as _};
 
@@ -52,8 +52,7 @@ const FORMAT: FileFormat = FileFormat {
     distance_unit: "distance_resolution",
 };
 
-/// The file; the values stay text, so that one place turns them into numbers and complains about
-/// them.
+/// The file; values stay text, so that one place converts them to numbers and reports errors.
 #[derive(Deserialize)]
 #[serde(deny_unknown_fields)]
 struct File {
@@ -113,10 +112,10 @@ pub fn parse(text: &str, file: &str) -> Result<Calibration, CalibrationError> {
     .calibration()
 }
 
-/// The text of a file that [`parse`] reads back as the same numbers, and so does ROS: all keys,
-/// each beam a line.
+/// The text of a file that [`parse`] and ROS read as the same numbers: all keys, one line for each
+/// beam.
 ///
-/// Where a beam has no two-point or intensity correction, the keys hold what corrects nothing.
+/// Where a beam has no two-point or intensity correction, the keys hold neutral values.
 pub fn emit(calibration: &Calibration) -> String {
     let mut text = format!("num_lasers: {}\n", calibration.beams().len());
     let _ = writeln!(
@@ -127,7 +126,7 @@ pub fn emit(calibration: &Calibration) -> String {
     for beam in calibration.beams() {
         let [near_x_m, near_y_m] = beam.near_distance_offsets_m();
         let intensity = beam.intensity.unwrap_or(Intensity::NEUTRAL);
-        // The shortest decimals that are read as the same number.
+        // The shortest decimals that read back as the same number.
         let numbers = [
             beam.rotation_rad,
             beam.elevation_rad,
@@ -181,8 +180,8 @@ fn line(location: Location) -> usize {
     usize::try_from(location.line()).unwrap_or(usize::MAX)
 }
 
-/// The YAML reader's own complaint on one line: instead of its drawing of the source, what stands
-/// there from the key on.
+/// The YAML reader's own message on one line: its drawing of the source is replaced by the text
+/// from the key on.
 fn yaml_error(error: &serde_saphyr::Error, text: &str, file: &str) -> CalibrationError {
     let message = error
         .without_snippet()

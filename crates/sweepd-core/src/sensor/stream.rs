@@ -1,7 +1,7 @@
-//! Calibrations as an HDL-64E sends them in its status: hundredths of a degree, millimetres, ten
+//! The calibration that an HDL-64E sends in its status: hundredths of a degree, millimetres, ten
 //! times the focal slope.
 //!
-//! The factory's db.xml has more digits; what the stream has is what the unit itself was given.
+//! The factory's db.xml has more digits; the stream has the values that the unit itself uses.
 
 use zerocopy::little_endian::I16;
 
@@ -18,7 +18,7 @@ const SLOPE_PER_UNIT: f64 = 0.1;
 /// The calibration that a dump holds.
 ///
 /// # Errors
-/// A sentence that names the beam and the value that no beam can have.
+/// A sentence that names the beam and its impossible value.
 pub fn calibration(dump: &Dump) -> Result<Calibration, String> {
     let beams: Result<Vec<Beam>, String> = dump.records().map(beam).collect();
     Calibration::new(beams?, DISTANCE_UNIT_M)
@@ -38,7 +38,7 @@ fn beam(record: &BeamRecord) -> Result<Beam, String> {
     }
     let far_mm = record.distance_mm;
     let near_mm = [record.distance_x_mm, record.distance_y_mm];
-    // Equal offsets correct nothing, and two zeros are a unit that has none.
+    // Equal offsets correct nothing, and two zeros mean that the unit has no such correction.
     let has_two_point = near_mm != [far_mm; 2] && near_mm != [I16::ZERO; 2];
     let intensity = Intensity {
         focal_distance_m: metres(record.focal_distance_mm),
@@ -67,15 +67,15 @@ fn radians(value: I16) -> f64 {
     (f64::from(value.get()) * DEG_PER_UNIT).to_radians()
 }
 
-/// Divided, so that a value is the very number that its decimals stand for.
+/// A division, so that the result is the number nearest to the decimals.
 fn metres(value: I16) -> f64 {
     f64::from(value.get()) / 1000.0
 }
 
-/// The records of a calibration, rounded to what the stream can say.
+/// The records of a calibration, rounded to the units of the stream.
 ///
 /// # Errors
-/// A sentence: it has not 64 beams, or a value of one of them is too large for the stream.
+/// A sentence: it does not have 64 beams, or a value of one is too large for the stream.
 pub fn records(calibration: &Calibration) -> Result<[BeamRecord; BEAMS], String> {
     let found = calibration.beams().len();
     let records: Result<Vec<BeamRecord>, String> = calibration.beams().iter().map(record).collect();
@@ -135,7 +135,7 @@ fn record(beam: &Beam) -> Result<BeamRecord, String> {
             intensity.focal_slope,
             SLOPE_PER_UNIT,
         )?,
-        // Intensities of a file are within 0 and 255; those made by a program are brought there.
+        // Intensities of a file are within 0 and 255; those made by a program are clamped.
         min_intensity: intensity.min.round() as u8,
         max_intensity: intensity.max.round() as u8,
     })

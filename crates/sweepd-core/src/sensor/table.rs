@@ -1,8 +1,8 @@
-//! What both calibration formats are underneath: lasers, each a set of named values that stand on
-//! some line.
+//! The common model of both calibration formats: lasers, each a set of named values with their
+//! lines.
 //!
-//! The readers ([`super::ros_yaml`], [`super::db_xml`]) find the values; here they become beams,
-//! under the same checks and with the same messages for both.
+//! The readers ([`super::ros_yaml`], [`super::db_xml`]) find the values; this file checks them and
+//! makes beams of them, with the same messages for both.
 
 use std::borrow::Cow;
 use std::f64::consts::{FRAC_PI_2, PI};
@@ -11,7 +11,7 @@ use std::ops::RangeInclusive;
 use super::calibration::{DISTANCE_UNITS_M, Intensity, MAX_BEAMS, MAX_OFFSET_M, TwoPoint};
 use super::{Beam, Calibration, CalibrationError};
 
-/// What a value of a laser is, whatever its format calls it.
+/// A value of a laser, in either format.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub(super) enum Key {
     Id,
@@ -26,14 +26,14 @@ pub(super) enum Key {
     FocalSlope,
     MinIntensity,
     MaxIntensity,
-    /// Whether the two-point distance correction is to be used.
+    /// Whether the two-point distance correction is used.
     TwoPoint,
 }
 
 /// Number of [`Key`]s.
 pub(super) const KEYS: usize = Key::TwoPoint as usize + 1;
 
-/// A unit of a format, and the unit that people put there by mistake.
+/// A unit of a format, and the unit that is often used by mistake.
 pub(super) struct MeasureUnit {
     pub name: &'static str,
     /// Radians or metres of one such unit.
@@ -62,7 +62,7 @@ pub(super) struct Entry<'a> {
     pub line: usize,
 }
 
-/// The values of a laser, as far as the file has them.
+/// The values of a laser that the file has.
 #[derive(Debug)]
 pub(super) struct Laser<'a> {
     pub line: usize,
@@ -80,8 +80,7 @@ pub(super) struct Table<'a> {
     pub line: usize,
 }
 
-/// Longest message, bytes. What the parsers say of themselves quotes names as long as a file can
-/// hold.
+/// Longest message, bytes. Messages of the parsers quote names of any length.
 const MAX_MESSAGE_LEN: usize = 180;
 
 /// An error on a line of a file.
@@ -112,7 +111,7 @@ impl FileFormat {
         self.names[key as usize]
     }
 
-    /// The unit of a key, none for a plain number, and the possible values in radians or metres.
+    /// The unit of a key, `None` for a plain number, and the possible values in radians or metres.
     fn limits(&self, key: Key) -> (Option<&MeasureUnit>, RangeInclusive<f64>) {
         match key {
             Key::Rotation => (Some(&self.angle), -PI..=PI),
@@ -122,7 +121,7 @@ impl FileFormat {
             | Key::DistanceY
             | Key::VerticalOffset
             | Key::HorizontalOffset => (Some(&self.length), -MAX_OFFSET_M..=MAX_OFFSET_M),
-            // The farthest that 16 bits of 2 mm reach.
+            // The greatest distance of 16 bits at 2 mm.
             Key::FocalDistance => (Some(&self.length), 0.0..=131.07),
             Key::FocalSlope => (None, 0.0..=10.0),
             Key::MinIntensity | Key::MaxIntensity => (None, 0.0..=255.0),
@@ -244,8 +243,8 @@ impl Table<'_> {
         })
     }
 
-    /// The two-point correction, where there is one: files made before ROS had the switch have the
-    /// values alone, and the files of sensors without it have two zeros, with or without the
+    /// The two-point correction, if there is one. Files older than the switch in ROS have the
+    /// values alone; files of sensors without the correction have two zeros, with or without the
     /// switch.
     fn two_point(
         &self,
@@ -382,7 +381,7 @@ impl Table<'_> {
     }
 }
 
-/// A finite number, or the end of a sentence that begins with its name.
+/// A finite number; the error is the end of a sentence that begins with its name.
 fn number(entry: &Entry<'_>) -> Result<f64, String> {
     match entry.text.trim().parse::<f64>() {
         Ok(value) if value.is_finite() => Ok(value),
@@ -391,7 +390,7 @@ fn number(entry: &Entry<'_>) -> Result<f64, String> {
     }
 }
 
-/// A limit for a message, without the digits that units leave behind.
+/// A limit for a message, without digits that come from the conversion of units.
 fn short(value: f64) -> f64 {
     (value * 1e4).round() / 1e4
 }

@@ -1,5 +1,4 @@
-//! What an HDL-64E says of itself along with its packets, for the decoder: its
-//! calibration, its clock, its power.
+//! The status of an HDL-64E, for the decoder: its calibration, clock and power.
 
 use super::compare::{Difference, differences};
 use super::{Calibration, stream};
@@ -9,30 +8,28 @@ use crate::wire::hdl64::{
     CYCLE_LEN, CalibrationTime, DUMP_LEN, DUMP_PACKETS, Dump, Gps, Series, Status,
 };
 
-/// One unit, as far as it has been heard.
+/// One unit: the part of its status that has been received.
 #[derive(Clone, Debug, Default)]
 pub struct Unit {
     status: Status,
     heard: usize,
-    /// The dump that was compared with the calibration in use, or that is to be.
+    /// The dump that was compared, or will be compared, with the calibration in use.
     compared: Option<Dump>,
-    /// Since when its beams are others than they were before, in packets heard; `None` once they
-    /// have settled.
+    /// The packet count at which its beams changed; `None` once they have settled.
     changed: Option<usize>,
 }
 
-/// What a unit says that decoding depends on; see [`Unit::hear`].
+/// The part of the status that decoding depends on; see [`Unit::hear`].
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub struct UnitUpdate {
     /// Its series, once that is known.
     pub series: Option<Series>,
-    /// UTC to the second, nanoseconds since 1970, while a GPS receiver gives both pulse and
-    /// sentence.
+    /// UTC to the second, nanoseconds since 1970, if a GPS receiver gives both pulse and sentence.
     pub utc_ns: Option<i64>,
 }
 
 impl Unit {
-    /// Takes a packet of this unit. Once a cycle of the status it gives what the unit says by then.
+    /// Takes a packet of this unit. Once in each cycle of the status it gives the present state.
     pub fn hear(&mut self, packet: &DataPacket) -> Option<UnitUpdate> {
         self.status
             .push(packet.return_mode, packet.product, packet.stamp_us());
@@ -52,8 +49,7 @@ impl Unit {
         }
     }
 
-    /// Whether it is known to send reflectivities that are corrected already. It says so in one
-    /// packet of each dump.
+    /// Whether it is known to send corrected reflectivities. One packet of each dump says so.
     pub fn is_normalised(&self) -> bool {
         self.status
             .power()
@@ -68,7 +64,7 @@ impl Unit {
     /// The calibration, when it is complete and verified.
     ///
     /// # Errors
-    /// A sentence: a beam cannot be as it says.
+    /// A sentence: a value of a beam is impossible.
     pub fn calibration(&self) -> Option<Result<Calibration, String>> {
         self.status.dump().map(stream::calibration)
     }
@@ -78,41 +74,41 @@ impl Unit {
         self.status.series()
     }
 
-    /// The return mode that it is set to, once that is known.
+    /// The return mode that it is set to, once known.
     pub fn return_mode(&self) -> Option<ReturnMode> {
         self.status.return_mode()
     }
 
-    /// Its temperature, degrees Celsius, once that is known.
+    /// Its temperature, degrees Celsius, once known.
     pub fn temperature_c(&self) -> Option<i8> {
         self.status.temperature_c()
     }
 
-    /// What it receives from a GPS receiver, once that is known.
+    /// The signals that it receives from a GPS receiver, once known.
     pub fn gps(&self) -> Option<Gps> {
         self.status.gps()
     }
 
-    /// When it was calibrated, by its own account.
+    /// When it was calibrated, as it reports.
     pub fn calibrated(&self) -> Option<CalibrationTime> {
         self.status.calibrated()
     }
 
-    /// Whether all that it said can be of one unit: no other seems to have taken its place a short
-    /// while ago.
+    /// Whether its whole status can be of one unit. `false` for a while after another unit seems to
+    /// have replaced it.
     pub fn is_settled(&self) -> bool {
         self.changed.is_none()
     }
 
-    /// Forgets that its calibration was compared with one, since another may be in use from now on.
+    /// Forgets the comparison with the calibration in use, because another may be used from now on.
     pub fn forget_comparison(&mut self) {
         self.compared = None;
     }
 
-    /// In what the calibration in use differs from the unit's own; once for each that it sends.
-    /// When another unit takes its place, the beams change one after the other, and nothing may
-    /// tell (S2.1) that they are of two units: then it is asked once they have stayed the same for
-    /// a whole dump.
+    /// Differences of the calibration in use from the unit's own, given once for each that it
+    /// sends. When another unit replaces it, the beams change one after the other, and on an S2.1
+    /// nothing marks the change: so the comparison waits until they have stayed the same for a
+    /// whole dump.
     pub fn differences(&mut self, used: &Calibration) -> Option<Vec<Difference>> {
         let dump = self.status.dump()?;
         let is_same = self

@@ -1,4 +1,4 @@
-//! Where the bytes of a sweep come from: the heap here, shared memory elsewhere.
+//! Memory for sweeps: on the heap here, shared memory elsewhere.
 
 use std::sync::{Arc, Mutex, PoisonError};
 
@@ -6,15 +6,15 @@ use zerocopy::{FromZeros, IntoBytes};
 
 /// Gives out slices to build sweeps in.
 pub trait Buffers {
-    /// One slice, aligned to [`super::layout::ALIGN`]; what it holds at first is anything.
+    /// One slice, aligned to [`super::layout::ALIGN`], with arbitrary content.
     type Buffer: AsRef<[u8]> + AsMut<[u8]>;
 
     /// A slice of at least `bytes` bytes.
     fn take(&mut self, bytes: usize) -> Self::Buffer;
 }
 
-/// Slices on the heap; one that is dropped is given out again, so a steady stream of sweeps
-/// allocates nothing.
+/// Slices on the heap. A dropped slice is reused, so that a steady stream of sweeps does not
+/// allocate.
 #[derive(Clone, Debug, Default)]
 pub struct HeapBuffers {
     free: Arc<Mutex<Vec<Vec<Line>>>>,
@@ -50,8 +50,8 @@ impl Buffers for HeapBuffers {
         let lines = fitting
             .map(|index| free.swap_remove(index))
             .unwrap_or_else(|| {
-                // Zeroed pages are the system's until they are touched: capacity that no sweep
-                // fills costs nothing.
+                // Zeroed pages take no memory until they are touched, so that unused capacity is
+                // free.
                 Line::new_vec_zeroed(count).expect("a sweep fits the address space")
             });
         HeapBuffer {
@@ -84,7 +84,7 @@ impl Drop for HeapBuffer {
 }
 
 /// Memory for the sweeps of one sensor: the buffer of the open sweep, and the source of the next.
-/// It outlives pipelines: the next one of the same sensor takes the same.
+/// It outlives pipelines: the sensor's next pipeline uses it too.
 #[derive(Debug)]
 pub struct Memory<B: Buffers> {
     buffers: B,
@@ -106,7 +106,7 @@ impl<B: Buffers> Memory<B> {
         }
     }
 
-    /// Takes the buffer of the sweep that is complete out.
+    /// Takes out the buffer of the complete sweep.
     pub(crate) fn finish(&mut self) -> Option<B::Buffer> {
         self.open.take()
     }
@@ -114,7 +114,7 @@ impl<B: Buffers> Memory<B> {
 
 /// The buffer that is being filled, whatever its type.
 pub trait OpenBuffer {
-    /// Gives room for a new sweep of at least `bytes` bytes; the one before is given up.
+    /// Takes a buffer of at least `bytes` bytes for a new sweep, and drops the one before.
     fn begin(&mut self, bytes: usize) -> &mut [u8];
 
     /// The bytes of the open sweep; empty before the first.
@@ -123,7 +123,7 @@ pub trait OpenBuffer {
 
 impl<B: Buffers> OpenBuffer for Memory<B> {
     fn begin(&mut self, bytes: usize) -> &mut [u8] {
-        // Given back first: a pool needs no room for both.
+        // Dropped first, so that a pool needs no room for both.
         self.open = None;
         self.open.insert(self.buffers.take(bytes)).as_mut()
     }

@@ -2,9 +2,9 @@
 //! from there back to the point (HDL-64E S3 manual, 63-HDL64ES3, appendix on calibration; packets'
 //! distances are corrected twice).
 //!
-//! A beam adds an offset D to what it measures, and within 25.04 m another one along x and along y,
-//! which goes from Dx and Dy near the sensor to D. So the point leaves the straight line a little,
-//! and the range, the length of the corrected beam, is
+//! A beam adds an offset D to the measured distance. Within 25.04 m, x and y have their own
+//! offsets, which go from Dx and Dy near the sensor to D at 25.04 m. So the point is slightly off
+//! the straight line, and the range, the length of the corrected beam, is
 //!
 //! ```text
 //! d = measured + D           length of the beam beyond 25.04 m
@@ -14,19 +14,19 @@
 //! range = sqrt(x² + y² + z²)
 //! ```
 //!
-//! with the elevation w and the azimuth a of the beam. All of it is linear in d, so the range is
-//! the root of a quadratic, and the way back solves that. Near 25.04 m a range can come from either
-//! side of the limit; so in the range of a beam that has such offsets, the last bit of the f32 says
-//! which: 1 within the limit, 0 beyond.
+//! with the elevation w and the azimuth a of the beam. All terms are linear in d, so that d is a
+//! root of a quadratic in the range. Near 25.04 m a range can come from either side of the limit.
+//! So the last bit of the f32 range of a beam with such offsets is a mark: 1 within the limit, 0
+//! beyond.
 
 use super::layout::BeamRow;
 
-/// Measured distance from which on there is but one offset, metres.
+/// Measured distance from which on there is only one offset, metres.
 const FAR_M: f64 = 25.04;
 /// Where the offsets for x and for y were measured near the sensor, metres.
 const NEAR_M: [f64; 2] = [2.40, 1.93];
 
-/// What the range of a beam depends on.
+/// The corrections of a beam that its range depends on.
 #[derive(Clone, Copy, Debug)]
 pub struct Corrected {
     sin_elevation: f64,
@@ -36,7 +36,7 @@ pub struct Corrected {
     near: Option<[Offset; 2]>,
 }
 
-/// An additional offset along an axis: what it is at the axis' zero, and what it loses each metre.
+/// An additional offset along an axis: its value at zero, and its decrease per metre.
 #[derive(Clone, Copy, Debug)]
 pub(crate) struct Offset {
     pub(crate) base_m: f64,
@@ -54,7 +54,7 @@ impl Offset {
         }
     }
 
-    /// An axis of the beam, divided by its direction along the axis: a multiple of d and a constant.
+    /// An axis of the beam, divided by its direction along the axis: factor of d, and constant.
     fn along(&self, along: f64) -> [f64; 2] {
         [1.0 - self.slope * along.abs(), self.base_m]
     }
@@ -202,7 +202,7 @@ mod tests {
         Corrected::new(&BeamRow::new(&beam, 0))
     }
 
-    /// By hand, level, D = 1.2, Dx = 1.3, Dy = 1.25. Measured 8.8 m, straight to the right: d = 10,
+    /// By hand: level, D = 1.2, Dx = 1.3, Dy = 1.25. Measured 8.8 m, straight to the right: d = 10,
     /// and ex = 0.1 x 15.04 / 22.64 = 0.066431. Straight ahead: ey = 0.05 x 15.04 / 23.11 =
     /// 0.032540. From 25.04 m on: D alone.
     #[test]

@@ -63,7 +63,7 @@ pub struct SweepMut<'a> {
 }
 
 impl<'a> SweepMut<'a> {
-    /// Writes the header of an empty sweep of this shape and gives the view.
+    /// Writes the header of an empty sweep of this shape and returns the view.
     ///
     /// # Errors
     /// [`LayoutError::Bytes`] when the slice is too short or not aligned.
@@ -80,7 +80,7 @@ impl<'a> SweepMut<'a> {
     /// The view over a sweep that was [created](Self::create) in these bytes.
     ///
     /// # Errors
-    /// [`LayoutError`] when the bytes are no sweep.
+    /// [`LayoutError`] when the bytes are not a sweep.
     pub fn open(bytes: &'a mut [u8]) -> Result<Self, LayoutError> {
         let found = bytes.len();
         let (header, mut rest) =
@@ -204,7 +204,7 @@ struct StoredReturn {
     in_second_blocks: bool,
 }
 
-/// One return of a sweep with all that is known of it.
+/// One return of a sweep with all its properties.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct Return {
     /// Row, 0 the highest.
@@ -238,7 +238,7 @@ pub struct Return {
 
 impl<'a> SweepRef<'a> {
     /// The view over the bytes of a sweep, checked so that nothing in it can be out of bounds. The
-    /// bytes must stay as they are: for those in shared memory, where a publisher may write on, see
+    /// bytes must not change; for shared memory, where a publisher may still write, see
     /// [`SweepRef::with_header`].
     ///
     /// # Errors
@@ -249,9 +249,8 @@ impl<'a> SweepRef<'a> {
         Self::with_header(header, bytes)
     }
 
-    /// The same with a copy of the header of these bytes: where others may write to the bytes
-    /// meanwhile, what was copied and checked is what counts, and nothing of the header is read
-    /// again.
+    /// The same with a copy of the header of these bytes. Others may write to the bytes at the same
+    /// time: only the checked copy is used, and the header in the bytes is not read again.
     ///
     /// # Errors
     /// [`LayoutError`].
@@ -282,8 +281,8 @@ impl<'a> SweepRef<'a> {
         self.beams.len()
     }
 
-    /// The column in which a pixel was fired: its own, moved by the shift of its row. Beyond the
-    /// ends of an image that is not circular, where no pixel has a return, the one at the end.
+    /// The column in which a pixel was fired: its own plus the shift of its row. Beyond the ends of
+    /// an image that is not circular, where no pixel has a return, the column at the end.
     #[inline]
     pub fn fired_in(&self, row: usize, column: usize) -> usize {
         let circular = self.header.has(flags::CIRCULAR);
@@ -297,7 +296,7 @@ impl<'a> SweepRef<'a> {
     }
 
     /// Azimuth of a pixel's beam when it fired, radians, 0..2 pi. A return of a beam with a
-    /// two-point correction is a little beside it: [`Return::azimuth_rad`] is where that is.
+    /// two-point correction is slightly to its side, at [`Return::azimuth_rad`].
     #[inline]
     pub fn azimuth_rad(&self, row: usize, column: usize) -> f64 {
         pixel_azimuth_rad(self.firing(row, column), &self.beams[row])
@@ -327,7 +326,7 @@ impl<'a> SweepRef<'a> {
     /// The returns of a pixel: the segmented one and the other.
     ///
     /// # Panics
-    /// Of a row or a column that the image does not have, as all here that take one.
+    /// If the image does not have the row or the column; so do all methods here that take one.
     pub fn pixel(&self, row: usize, column: usize) -> [Option<Return>; 2] {
         let index = column * self.rows() + row;
         let mut segmented = StoredReturn {
@@ -396,7 +395,7 @@ pub(crate) fn shifted(column: usize, shift: i32, columns: usize, circular: bool)
     }
 }
 
-/// When a beam of a firing fired; at the end of time for a header that is not to be trusted.
+/// When a beam of a firing fired; saturates for a header with invalid times.
 #[inline]
 fn shot_ns(header: &Header, firing: &Column, beam: &BeamRow) -> i64 {
     header
@@ -410,7 +409,7 @@ pub fn pixel_azimuth_rad(column: &Column, beam: &BeamRow) -> f64 {
     let turned = f64::from(column.azimuth_rate_rad_s) * f64::from(beam.time_offset_ns) * 1e-9;
     let azimuth =
         (f64::from(column.azimuth_rad) + turned - f64::from(beam.rotation_rad)).rem_euclid(TAU);
-    // A hair below 0 is rounded to a whole turn.
+    // A value just below 0 is rounded to a whole turn.
     if azimuth < TAU { azimuth } else { 0.0 }
 }
 
@@ -423,7 +422,7 @@ pub fn pixel_point_m(column: &Column, beam: &BeamRow, range_m: f32) -> [f64; 3] 
     shot.point_m(shot.along_m(range_m))
 }
 
-/// A shot of a beam, and where it went.
+/// A shot of a beam, and its direction.
 struct Shot<'a> {
     beam: &'a BeamRow,
     azimuth_rad: f64,
@@ -525,7 +524,7 @@ mod tests {
             SweepRef::open(&bytes[..100]).err(),
             Some(LayoutError::Bytes { bytes: 100 })
         );
-        // What stands in the tables is anybody's.
+        // The tables hold arbitrary values.
         let sweep = SweepMut::open(bytes).unwrap();
         sweep.range[..6].fill(1.0);
         (
@@ -548,7 +547,7 @@ mod tests {
         assert_eq!(SweepRef::open(bytes).err(), Some(LayoutError::Foreign));
     }
 
-    /// Everything that can be asked of a sweep, whatever stands in it.
+    /// Calls every method of a sweep, whatever it holds.
     fn ask_all(sweep: &SweepRef<'_>) {
         let (rows, columns) = (sweep.rows(), sweep.columns.len());
         assert_eq!(
@@ -585,7 +584,7 @@ mod tests {
     proptest! {
         #![proptest_config(ProptestConfig::with_cases(2000))]
 
-        /// A header that anybody wrote, before anything: no panic, and nothing out of bounds.
+        /// An arbitrary header before arbitrary bytes: no panic, and nothing out of bounds.
         #[test]
         fn a_hostile_header_does_no_harm(
             dual in any::<bool>(),
@@ -596,7 +595,7 @@ mod tests {
             let shape = Shape { dual, ..SHAPE };
             let mut buffer = HeapBuffers::default().take(shape.total_bytes());
             let bytes: &mut [u8] = buffer.as_mut();
-            // xorshift64: planes and tables are full of anything.
+            // xorshift64: planes and tables hold arbitrary values.
             let mut state = noise | 1;
             for byte in &mut *bytes {
                 (state, *byte) = (state ^ state << 13, state as u8);

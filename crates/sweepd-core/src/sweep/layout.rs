@@ -5,10 +5,11 @@
 //! | Header | range | reflectivity | label | (dual: range 2 | reflectivity 2 | label 2 | kind) | columns | beams | segments |
 //! ```
 //!
-//! Every part starts at a multiple of 64 bytes; the header tells where. Planes are stored column
-//! after column: `index = (margin_columns + column) * rows + row`, row 0 being the highest beam; so
-//! are the columns themselves. In a sweep of a dual-return sensor, the planes without a number hold
-//! the return that is segmented, the planes "2" the other one, and `kind` tells which is which.
+//! Every part starts at a multiple of 64 bytes; the header gives the offsets. Planes are stored
+//! column after column: `index = (margin_columns + column) * rows + row`, row 0 being the highest
+//! beam; so are the columns themselves. In a sweep of a dual-return sensor, the planes without a
+//! number hold the return that is segmented, the planes "2" the other one, and `kind` tells which
+//! is which.
 //!
 //! The beams of an HDL-64E point up to ten degrees to the side. Its rows are shifted by whole
 //! columns, so that neighbours in the image are neighbours in space: the return in a row of column
@@ -17,9 +18,9 @@
 //! again); another one is wider by the shifts, with columns that hold no firing at its ends and
 //! where a sector was left out ([`ColumnStatus::Unfired`]).
 //!
-//! The builder of a sweep writes every pixel of every column that the header counts, so nothing
-//! that a header declares valid is left over from an earlier sweep in the same buffer. All numbers
-//! are little-endian, as the host's must be.
+//! The builder of a sweep writes every pixel of every column that the header counts, so that
+//! nothing valid is left over from an earlier sweep in the same buffer. All numbers are
+//! little-endian, as the host's must be.
 
 mod header;
 mod shape;
@@ -45,7 +46,7 @@ pub const ALIGN: usize = 64;
 /// on each side.
 pub const COLUMNS_CAPACITY: usize = 5632;
 
-/// Whether a range in a plane is a return. The one place that knows how "no return" is written.
+/// Whether a range in a plane is a return. Only this function defines how "no return" is stored.
 #[inline(always)]
 pub fn is_return(range_m: f32) -> bool {
     range_m > 0.0
@@ -58,9 +59,9 @@ pub const LABEL_GROUND: u32 = 1;
 /// Label of the first segment.
 pub const LABEL_FIRST_SEGMENT: u32 = 2;
 
-/// What is true of a sweep, as bits of [`Header::flags`].
+/// Properties of a sweep, as bits of [`Header::flags`].
 pub mod flags {
-    /// Not from cut to cut: the first or last of a run, or interrupted.
+    /// Not from cut to cut: the first or last sweep of a run, or interrupted.
     pub const PARTIAL: u32 = 1 << 0;
     /// A whole turn without a blanked sector: the last column and the first are neighbours.
     pub const CIRCULAR: u32 = 1 << 1;
@@ -81,7 +82,7 @@ pub mod flags {
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 #[repr(u32)]
 pub enum TimeSource {
-    /// The host's or the capture's: sensor time brought to it by the least delay seen.
+    /// The clock of the host or the capture: sensor time plus the least delay seen.
     Host = 0,
     /// UTC from GPS: the pulse per second was locked and the sentence valid.
     Gps = 1,
@@ -141,8 +142,8 @@ pub enum ReturnKind {
     Last = 2,
 }
 
-/// Bit of [`Part::Kind`]: the segmented return stands in the second blocks of its firing, the other
-/// in the first.
+/// Bit of [`Part::Kind`]: the segmented return is in the second blocks of its firing, the other in
+/// the first.
 pub const SECOND_BLOCKS: u8 = 4;
 
 impl ReturnKind {
@@ -174,8 +175,8 @@ impl ReturnKind {
 
 /// The header of a sweep. Counts and offsets first, then what was measured.
 ///
-/// The same packets give the same sweep, byte for byte, but for what depends on the host that took
-/// them: [`HOST_FIELDS`].
+/// The same packets give the same sweep, byte for byte, except for [`HOST_FIELDS`], which depend on
+/// the receiving host.
 #[derive(Clone, Copy, Debug, FromBytes, IntoBytes, KnownLayout, Immutable)]
 #[repr(C)]
 pub struct Header {
@@ -224,8 +225,8 @@ pub struct Header {
     pub arrival_ns: i64,
     /// Speed over this sweep, turns a minute; not negative.
     pub rpm: f32,
-    /// Azimuth at which sweeps are cut, radians: the configured one or, where the field of view is
-    /// limited and what is measured there would be sent late, one ahead of it.
+    /// Azimuth at which sweeps are cut, radians: the configured one, or one ahead of it if a
+    /// limited field of view would make the packets at the configured cut late.
     pub cut_azimuth_rad: f32,
     /// Height of the sensor above the ground used for the ground labels, metres; 0 = unknown.
     pub height_m: f32,
@@ -253,8 +254,8 @@ pub struct Header {
     pub margin_columns: u32,
     /// Columns of the image that hold no firing, because the rows are shifted.
     pub unfired_columns: u32,
-    /// Datagrams that the kernel dropped on the sensor's port since the sweep before, because
-    /// nobody fetched them in time.
+    /// Datagrams that the kernel dropped on the sensor's port since the sweep before, because they
+    /// were not fetched in time.
     pub dropped_datagrams: u32,
     /// Rotation of the sensor about the vertical in the frame of the robot, counter-clockwise from
     /// above, radians. Its position is [`Header::position_m`], the other two angles are
@@ -275,8 +276,8 @@ pub struct Header {
     pub run_ns: i64,
     /// Source of the sensor's packets as text, zero padded.
     pub sensor: [u8; 64],
-    /// Name that the sensor was given, which is also that of its service; zero padded, empty where
-    /// it was given none.
+    /// Configured name of the sensor, which is also that of its service; zero padded, empty if
+    /// there is none.
     pub name: [u8; 64],
     _reserved_bytes: [u8; 24],
 }
@@ -309,8 +310,8 @@ pub enum ColumnStatus {
     /// A firing whose packet was lost; azimuth and time are interpolated, all its pixels are "no
     /// return".
     Missing = 2,
-    /// No firing: here are only beams that point aside, of firings in other columns. The azimuth
-    /// goes on from these.
+    /// No firing: only beams to the side of firings in other columns. The azimuth continues that of
+    /// these.
     Unfired = 3,
 }
 
@@ -368,7 +369,7 @@ impl Column {
     }
 }
 
-/// One row: a beam, as far as a consumer needs it for x, y, z and time.
+/// One row: the properties of a beam that a consumer needs for x, y, z and time.
 #[derive(Clone, Copy, Debug, PartialEq, FromBytes, IntoBytes, KnownLayout, Immutable)]
 #[repr(C)]
 pub struct BeamRow {
@@ -396,7 +397,7 @@ pub struct BeamRow {
 }
 
 impl BeamRow {
-    /// The row of a beam that shoots so long after the first shot of its firing.
+    /// The row of a beam that fires this long after the first shot of its firing.
     pub fn new(beam: &Beam, time_offset_ns: u32) -> Self {
         let [near_x_m, near_y_m] = beam.near_distance_offsets_m();
         Self {

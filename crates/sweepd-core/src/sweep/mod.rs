@@ -1,8 +1,7 @@
 //! A sweep as bytes, and the views over them.
 //!
-//! [`layout`] defines the bytes: they are what consumers find in shared memory. [`image`] gives the
-//! views over them, [`buffers`] says where they live, [`corrected`] turns a distance into a range,
-//! and back.
+//! [`layout`] defines the bytes, which are those in shared memory. [`image`] has the views over
+//! them, [`buffers`] their memory, [`corrected`] the conversion of distances to ranges and back.
 
 pub mod buffers;
 pub mod corrected;

@@ -52,7 +52,7 @@ pub struct Record {
 )]
 #[repr(C)]
 pub struct Block {
-    /// Which bank of lasers fired: [`FLAG_BANK_0`] and its kin.
+    /// Which bank of lasers fired: [`FLAG_BANK_0`] and so on.
     pub flag: U16,
     azimuth: U16,
     /// The measurements, in channel order.
@@ -62,7 +62,7 @@ pub struct Block {
 impl Block {
     /// Encoder azimuth at the first firing of the block, 0..36000 hundredths of a degree.
     ///
-    /// The sensors send 36000 now and then (both VeloView captures do); it is 0.
+    /// Sensors sometimes send 36000 (in both VeloView captures); it is read as 0.
     #[inline]
     pub fn azimuth_cdeg(&self) -> u16 {
         match self.azimuth.get() {
@@ -71,13 +71,13 @@ impl Block {
         }
     }
 
-    /// Sets the azimuth, hundredths of a degree, as it stands on the wire.
+    /// Sets the azimuth, hundredths of a degree, unchanged.
     pub fn set_azimuth_cdeg(&mut self, azimuth: u16) {
         self.azimuth = U16::new(azimuth);
     }
 }
 
-/// What the return mode byte (1204) says; VLP-16 since firmware 3.0.29, HDL-32E since 2.2.20.
+/// The return mode (byte 1204); sent by a VLP-16 since firmware 3.0.29, by an HDL-32E since 2.2.20.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub enum ReturnMode {
     /// One return a record: the strongest.
@@ -91,7 +91,7 @@ pub enum ReturnMode {
 }
 
 impl ReturnMode {
-    /// The mode that a factory byte names; `None` for a blank or unknown byte.
+    /// The mode of a factory byte; `None` for a blank or unknown one.
     pub fn from_byte(byte: u8) -> Option<Self> {
         match byte {
             0x37 => Some(Self::Strongest),
@@ -110,7 +110,7 @@ impl ReturnMode {
         }
     }
 
-    /// The word for it in output: `strongest`, `last` or `dual`.
+    /// Its name in output: `strongest`, `last` or `dual`.
     pub fn name(self) -> &'static str {
         match self {
             Self::Strongest => "strongest",
@@ -119,7 +119,7 @@ impl ReturnMode {
         }
     }
 
-    /// Returns that are reported of a shot: 2 in dual mode, else 1.
+    /// Returns reported for each shot: 2 in dual mode, else 1.
     pub fn returns(self) -> usize {
         match self {
             Self::Dual => 2,
@@ -147,7 +147,7 @@ pub enum Banks {
     Other,
 }
 
-/// A data packet as a view over its 1206 bytes, or as a value of its own.
+/// A data packet: a view over its 1206 bytes, or an owned value.
 ///
 /// ```
 /// use sweepd_core::wire::data::{DataPacket, ReturnMode};
@@ -188,10 +188,10 @@ impl DataPacket {
         }
     }
 
-    /// Checks length, bank markers and azimuths, and gives the view.
+    /// Checks length, bank markers and azimuths, and returns the view.
     ///
     /// # Errors
-    /// [`PacketError`] with the block and what was found there.
+    /// [`PacketError`] with the block and the value found.
     #[inline]
     pub fn parse(bytes: &[u8]) -> Result<&Self, PacketError> {
         let packet =
@@ -235,8 +235,8 @@ impl DataPacket {
         self.stamp_us = U32::new(stamp_us);
     }
 
-    /// How the banks lie over the blocks. Ask this before the factory bytes: on an HDL-64E those
-    /// are status bytes that may equal any product id.
+    /// Layout of the banks over the blocks. Check this before the factory bytes: on an HDL-64E
+    /// those are status bytes, which may equal any product id.
     pub fn banks(&self) -> Banks {
         if self.blocks.iter().all(|b| b.flag.get() == FLAG_BANK_0) {
             return Banks::One;

@@ -8,9 +8,9 @@
 //! value  UTC          GPS temperature firmware  7 payload bytes: 260 x 7 = 1820 = one Dump
 //! ```
 //!
-//! ('N' is the month.) A [`Dump`] is what the payload bytes of 260 cycles say, a [`Live`] what the
-//! others do; [`pair`] writes them, [`Status`] reads them, in whatever state the network left them
-//! (HDL-64E S3 manual, 63-HDL64ES3, pp. 30-38).
+//! ('N' is the month.) A [`Dump`] holds the payload bytes of 260 cycles, a [`Live`] the other
+//! bytes. [`pair`] writes them; [`Status`] reads them, also with losses and out of order (HDL-64E
+//! S3 manual, 63-HDL64ES3, pp. 30-38).
 
 mod counter;
 mod status;
@@ -55,10 +55,10 @@ const UNIQUE: [(u8, usize, usize); 10] = [
 ];
 /// How a dump begins.
 const MAGIC: [u8; 5] = *b"UNIT#";
-/// What an S2.1 has in the place of the checksum.
+/// Value of an S2.1 in place of the checksum.
 const S21_CHECKSUM: u16 = DUMP_LEN as u16;
 
-/// Calibration of a beam as it is sent: hundredths of a degree and millimetres.
+/// Calibration of a beam in the units of the stream: hundredths of a degree and millimetres.
 #[derive(
     Clone, Copy, Debug, PartialEq, Eq, FromBytes, IntoBytes, KnownLayout, Immutable, Unaligned,
 )]
@@ -90,7 +90,7 @@ pub struct BeamRecord {
     pub max_intensity: u8,
 }
 
-/// A beam, and the cycle that follows it: on an S3 the warnings come first there, the rest is
+/// A beam, and the cycle that follows it: an S3 has its warnings in the first byte; the rest is
 /// reserved.
 #[derive(
     Clone, Copy, Debug, PartialEq, Eq, FromBytes, IntoBytes, KnownLayout, Immutable, Unaligned,
@@ -135,13 +135,13 @@ pub struct Dump {
 
 const _: () = assert!(size_of::<Dump>() == DUMP_LEN);
 
-/// Why a complete dump is not what the sensor sent.
+/// Why a complete dump cannot be what the sensor sent.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, thiserror::Error)]
 pub enum DumpError {
-    /// It does not begin as all do.
+    /// It does not begin with `UNIT#`.
     #[error("it does not begin with UNIT#")]
     Magic,
-    /// A beam has another number than its place.
+    /// The number of a beam is not that of its place.
     #[error("beam {place} is called {found}")]
     Id {
         /// Which beam it should be.
@@ -152,7 +152,7 @@ pub enum DumpError {
     /// The checksum is another.
     #[error("its checksum is {found:#06x}, expected {expected:#06x}")]
     Checksum {
-        /// What the beams give (S3), or 1820 (S2.1).
+        /// The checksum of the beams (S3), or 1820 (S2.1).
         expected: u16,
         /// What was sent.
         found: u16,
@@ -160,8 +160,7 @@ pub enum DumpError {
 }
 
 impl Dump {
-    /// A dump of these beams, in the order of their places; all else is 0, but for the field of
-    /// view, a whole turn.
+    /// A dump of these beams, in order; the field of view is a whole turn, all other values are 0.
     pub fn new(series: Series, records: &[BeamRecord; BEAMS]) -> Self {
         let mut dump = Self::new_zeroed();
         dump.magic = MAGIC;
@@ -192,7 +191,7 @@ impl Dump {
 
     /// When the unit was calibrated; `None` if it never was.
     pub fn calibrated(&self) -> Option<CalibrationTime> {
-        // Bytes of erased memory: not one of them can be part of a time.
+        // 0xFF is erased memory, and not valid in any byte of a time.
         let is_erased = self.calibration_time.as_bytes().contains(&0xFF);
         (!is_erased).then_some(self.calibration_time)
     }
@@ -211,7 +210,7 @@ impl Dump {
         };
     }
 
-    /// Sets the warnings, everywhere that a series has them.
+    /// Sets the warnings, at all their places in a series.
     pub fn set_warnings(&mut self, series: Series, warnings: Warnings) {
         match series {
             Series::S21 => self.s21_warnings = warnings.0,
@@ -222,10 +221,10 @@ impl Dump {
         }
     }
 
-    /// Whether this is what a sensor of the series sent.
+    /// Checks the dump of a sensor of this series.
     ///
     /// # Errors
-    /// [`DumpError`]: what speaks against it.
+    /// [`DumpError`]: the first contradiction found.
     pub fn check(&self, series: Series) -> Result<(), DumpError> {
         if self.magic != MAGIC {
             return Err(DumpError::Magic);
@@ -269,7 +268,7 @@ fn return_mode(byte: u8) -> Option<ReturnMode> {
     }
 }
 
-/// CRC-16 with the polynomial 0x8005, most significant bit first, going on from `crc`.
+/// CRC-16 with the polynomial 0x8005, most significant bit first, continued from `crc`.
 fn crc16(crc: u16, bytes: &[u8]) -> u16 {
     bytes.iter().fold(crc, |crc, &byte| {
         (0..8).fold(crc ^ u16::from(byte) << 8, |crc, _| {
@@ -278,7 +277,7 @@ fn crc16(crc: u16, bytes: &[u8]) -> u16 {
     })
 }
 
-/// Type and value of packet `index` of a dump; the packet after 4159 is that of 0.
+/// Type and value of packet `index` of a dump; index 4160 is packet 0 again.
 ///
 /// ```
 /// use sweepd_core::wire::hdl64::{BEAMS, BeamRecord, Clock, DUMP_PACKETS, Dump, Gps, Live, Series, Status, DumpState, pair};
@@ -347,12 +346,12 @@ fn is_after_beam(cycle: usize) -> bool {
     cycle.is_multiple_of(4) && (4..256).contains(&cycle)
 }
 
-/// The beam whose number a cycle begins with.
+/// The beam whose number begins a cycle.
 fn beam_of(cycle: usize) -> Option<usize> {
     (cycle % 4 == 1 && cycle < 256).then_some(cycle / 4)
 }
 
-/// Place in the cycle of a packet of this type, where the type tells.
+/// Place in the cycle of a packet of this type; `None` if the type does not determine it.
 fn place_of(kind: u8) -> Option<usize> {
     if let Some(place) = FIXED.iter().position(|&fixed| fixed == kind) {
         return Some(place);

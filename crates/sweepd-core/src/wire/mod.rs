@@ -1,8 +1,8 @@
-//! Bytes and packets: what a Velodyne puts on the network, read and written.
+//! Reads and writes the packets of a Velodyne.
 //!
-//! Each file is one packet type and holds both directions. The views are checked once, on `parse`;
-//! after that no accessor can fail or panic. Nothing here knows a sensor model: a packet says what
-//! it carries, not what it means.
+//! Each file holds one packet type, in both directions. Views are checked once, in `parse`; after
+//! that no accessor can fail or panic. Nothing here depends on the sensor model: these types give
+//! the content of a packet, not its meaning.
 
 pub mod data;
 pub mod hdl64;
@@ -23,9 +23,8 @@ pub const POSITION_PORT: u16 = 8308;
 /// Microseconds in an hour: the sensor clock counts from the top of the hour (ToH) and wraps here.
 pub const HOUR_US: u32 = 3_600_000_000;
 
-/// Times that an arrival can have, nanoseconds since 1970: the years 1897 to 2116, beyond what
-/// classic pcap can say. Differences of such times, and their sums with sensor time, cannot
-/// overflow.
+/// Valid arrival times, nanoseconds since 1970: the years 1897 to 2116, more than classic pcap can
+/// hold. Differences of such times, and their sums with sensor time, cannot overflow.
 pub const TIMES_NS: RangeInclusive<i64> = i64::MIN / 4..=i64::MAX / 2;
 
 /// Why a payload is not a packet.
@@ -42,7 +41,7 @@ pub enum PacketError {
     Flag {
         /// Index of the block, 0..12.
         block: usize,
-        /// What stood there, as a little-endian number.
+        /// The marker found, as a little-endian number.
         found: u16,
     },
     /// A block has an azimuth beyond a whole turn.

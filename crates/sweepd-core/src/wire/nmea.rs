@@ -1,25 +1,25 @@
-//! The one NMEA 0183 sentence that matters here: RMC, which alone carries a date beside the time.
+//! The NMEA 0183 sentence RMC, the only one with both date and time.
 //!
 //! ```text
 //! $GPRMC,081802.00,A,3649.7478558,N,00224.4542928,W,0.004,,210116,,,A*61
 //!        hhmmss.ss  A = valid, V = not                     ddmmyy
 //! ```
 
-/// Recommended minimum data of a GPS receiver: when, where, and whether it believes itself.
+/// Recommended minimum data of a GPS receiver: time, position, and whether they are valid.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct Rmc {
     /// UTC of the fix, nanoseconds since 1970.
     pub utc_ns: i64,
-    /// The receiver says `A` (valid) and not `V` (warning).
+    /// The status is `A` (valid), not `V` (warning).
     pub valid: bool,
-    /// Latitude and longitude in degrees, north and east positive, where the sentence gives both.
+    /// Latitude and longitude in degrees, north and east positive, if the sentence has both.
     pub position_deg: Option<(f64, f64)>,
 }
 
 /// Why a sentence is not a usable RMC.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, thiserror::Error)]
 pub enum NmeaError {
-    /// Another sentence (GGA, ...), or no sentence at all.
+    /// Another sentence (GGA, ...), or not a sentence.
     #[error("not an RMC sentence")]
     NotRmc,
     /// No `*hh` at the end.
@@ -33,7 +33,7 @@ pub enum NmeaError {
         /// Exclusive or of the characters between `$` and `*`.
         computed: u8,
     },
-    /// A field is missing or is no such thing.
+    /// A field is missing or invalid.
     #[error("no readable {0}")]
     Field(&'static str),
 }
@@ -43,7 +43,7 @@ impl Rmc {
     /// firmware does that).
     ///
     /// # Errors
-    /// [`NmeaError`]; the checksum must be there and right, and so must time and date.
+    /// [`NmeaError`]: checksum, time and date must be present and valid.
     pub fn parse(text: &str) -> Result<Self, NmeaError> {
         let text = text.trim_end_matches(['\0', '\r', '\n', ' ']);
         let body = text.strip_prefix('$').ok_or(NmeaError::NotRmc)?;

@@ -1,4 +1,4 @@
-//! A datagram, and what it is once it was read.
+//! A datagram, and the packet that it holds.
 
 use std::net::SocketAddr;
 
@@ -7,7 +7,7 @@ use super::data::{DATA_PACKET_LEN, DataPacket};
 use super::nmea::Rmc;
 use super::position::{POSITION_PACKET_LEN, Position};
 
-/// A UDP payload with its arrival time and its two ends, not read yet.
+/// A UDP payload with arrival time, source and destination, before parsing.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub struct Datagram<'a> {
     /// Arrival on this host or in the capture, nanoseconds since 1970; see [`TIMES_NS`](super::TIMES_NS).
@@ -21,7 +21,7 @@ pub struct Datagram<'a> {
 }
 
 impl<'a> Datagram<'a> {
-    /// Reads the payload: its length says whether it is a data packet or a position packet.
+    /// Parses the payload: its length determines whether it is a data packet or a position packet.
     ///
     /// # Errors
     /// [`PacketError`]: it is neither.
@@ -43,7 +43,7 @@ impl<'a> Datagram<'a> {
     }
 }
 
-/// A datagram that was read: what a [`Pipeline`](crate::pipeline::Pipeline) takes.
+/// A parsed datagram: the input of a [`Pipeline`](crate::pipeline::Pipeline).
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct Packet<'a> {
     /// As in [`Datagram::arrival_ns`].
@@ -53,8 +53,7 @@ pub struct Packet<'a> {
 }
 
 impl Packet<'_> {
-    /// A position packet to keep: all that it says but the text of its sentence. `None` for a data
-    /// packet.
+    /// A position packet to keep, without the text of its sentence. `None` for a data packet.
     pub fn without_sentence(&self) -> Option<Packet<'static>> {
         let Content::Position(position, rmc) = self.content else {
             return None;

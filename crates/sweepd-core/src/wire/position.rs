@@ -1,5 +1,5 @@
-//! The position packet: 512 bytes with the GPS state and, by model and firmware, temperatures and
-//! inertial sensors.
+//! The position packet: 512 bytes with the GPS state and, depending on model and firmware,
+//! temperatures and inertial sensors.
 //!
 //! ```text
 //! 0x00E  3 x { gyro, temperature, accelX, accelY } 12-bit two's complement     HDL-32E only
@@ -8,7 +8,7 @@
 //! 0x0CE  NMEA sentence, zero padded
 //! ```
 //!
-//! Offsets: VLP-16 User Manual 63-9243, section 9.3 (its frame offsets less 42); VLS-128 manual
+//! Offsets: VLP-16 User Manual 63-9243, section 9.3 (its frame offsets minus 42); VLS-128 manual
 //! 63-9483, p. 57; HDL-32E manual, Appendix A for the inertial sensors.
 
 use zerocopy::little_endian::{I16, U16, U32};
@@ -26,7 +26,7 @@ const NMEA_LEN: usize = 128;
 pub enum Pps {
     /// No pulse.
     Absent,
-    /// Pulses are there, the clock is being steered.
+    /// Pulses are present, the clock is being synchronised.
     Synchronizing,
     /// The clock follows the pulse.
     Locked,
@@ -83,7 +83,7 @@ pub struct Inertial {
     pub accel_y: i16,
 }
 
-/// What counts of zero mean: that there is no such chip.
+/// All counts zero: there is no such chip.
 const NOTHING: Inertial = Inertial {
     gyro: 0,
     temperature: 0,
@@ -139,13 +139,13 @@ pub struct Thermal {
     pub power_up_c: i8,
 }
 
-/// What a position packet says. A group of bytes that is all zero was not reported: `None`, never 0
+/// Content of a position packet. A group of bytes that is all zero was not reported: `None`, not 0
 /// degrees.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub struct Position<'a> {
     /// Sensor clock, microseconds since the top of the hour.
     pub stamp_us: u32,
-    /// Pulse per second. The HDL-32E does not report it and always says absent.
+    /// Pulse per second. An HDL-32E does not report it; it always reads as absent.
     pub pps: Pps,
     /// The NMEA sentence without line end, if the receiver sent one.
     pub nmea: Option<&'a str>,
@@ -251,13 +251,12 @@ impl<'a> Position<'a> {
     }
 }
 
-/// The group, unless all its bytes are zero, which means that this model or firmware does not send
-/// it.
+/// The group, or `None` if all its bytes are zero: this model or firmware does not send it.
 fn reported<T: IntoBytes + Immutable>(group: &T) -> Option<&T> {
     group.as_bytes().iter().any(|&b| b != 0).then_some(group)
 }
 
-/// The text up to the line end or the padding; `None` where there is none or it is not ASCII.
+/// The text up to the line end or the padding; `None` if it is empty or not ASCII.
 fn sentence(bytes: &[u8]) -> Option<&str> {
     let end = bytes
         .iter()
@@ -360,7 +359,7 @@ mod tests {
         bytes[0x0BC] = 0xFB;
         let board = Position::parse(&bytes).unwrap().board.unwrap();
         assert_eq!((board.top_c, board.bottom_c), (0, -5));
-        // The spare bits of a chip's words report nothing: found by fuzzing.
+        // Spare bits of a chip's words are not a report (found by fuzzing).
         bytes[0x00F] = 0xF0;
         assert_eq!(Position::parse(&bytes).unwrap().inertial, None);
     }

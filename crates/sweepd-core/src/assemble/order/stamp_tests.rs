@@ -12,7 +12,7 @@ const NOISE_CDEG: f64 = 3.0;
 /// A stamp that is off by at most this is within what the sensor's clock may be off.
 const CORRECTION_US: i64 = 100;
 
-/// A sensor whose head turns evenly, but for the noise of its encoder.
+/// A sensor whose head turns evenly, except for encoder noise.
 #[derive(Clone, Copy, Debug)]
 struct Stream {
     spec: &'static Spec,
@@ -36,7 +36,7 @@ impl Stream {
         f64::from(self.spec.packet_period_ns(self.mode)) / 1e3
     }
 
-    /// Its packets, each with the microseconds that its stamp is off.
+    /// Its packets; `off_us` is the error of each stamp, microseconds.
     fn packets(&self, off_us: impl Fn(usize) -> i64) -> Vec<DataPacket> {
         self.many(PACKETS, off_us)
     }
@@ -67,9 +67,9 @@ impl Stream {
         (0..count).map(each).collect()
     }
 
-    /// Whether a missing packet cannot be told for sure when the clock is corrected so far at the
-    /// same moment: where it is nearly half a packet's time, or that of whole blocks, as is a
-    /// sector that is left out.
+    /// Whether a missing packet is ambiguous if the clock is corrected this far at the same moment:
+    /// nearly half a packet period, or whole blocks, which also occur with a sector that is left
+    /// out.
     fn is_ambiguous(&self, off_us: i64) -> bool {
         let block_us = f64::from(self.spec.azimuth_period_ns(self.mode)) / 1e3;
         let off_us = off_us.abs() as f64;
@@ -115,8 +115,8 @@ impl Outcome {
         }
     }
 
-    /// Whether all came out but these, nothing was refused but what is missing and arrived, and
-    /// nothing else was lost.
+    /// Whether all packets but these came out, only missing ones were refused, and no other was
+    /// lost.
     fn is_all_but(&self, missing: &[usize], refused: u64) -> bool {
         let numbers = (0..PACKETS).filter(|number| !missing.contains(number));
         let lost_before =
@@ -133,7 +133,7 @@ impl Outcome {
             && self.reordered == 0
     }
 
-    /// The part of it that a person looks at.
+    /// The part around the wrong stamp, for messages.
     fn around(&self) -> String {
         let around = self
             .out
@@ -148,8 +148,8 @@ impl Outcome {
     }
 }
 
-/// It comes out with a time that the sensor's clock may have as well, or is refused as if it had
-/// been lost: nothing else changes.
+/// The packet comes out with a time that the sensor's clock could have, or is refused as if it had
+/// been lost; nothing else changes.
 #[test]
 fn one_wrong_stamp_harms_no_other_packet() {
     let near = (-800..=800).step_by(5);
@@ -181,9 +181,8 @@ fn one_wrong_stamp_harms_no_other_packet() {
     );
 }
 
-/// A sensor's clock that drifts is set right by the pulse, once a second: nothing is lost but what
-/// is, whichever packet is missing or out of place just then, and at most one packet waits for the
-/// next.
+/// The pulse per second corrects a drifting clock. No packet is lost by that, whichever packet is
+/// missing or out of order at that moment, and at most one packet waits for the next.
 #[test]
 fn a_stamp_that_is_set_right_costs_nothing() {
     let all: Vec<usize> = (0..PACKETS).collect();
@@ -238,8 +237,8 @@ fn a_stamp_that_is_set_right_costs_nothing() {
     );
 }
 
-/// A sensor that does not keep the beat, by 40 us either way at every packet, loses some at first,
-/// and then none.
+/// A sensor whose stamps are off the period by 40 us either way at every packet loses some at
+/// first, then none.
 #[test]
 fn stamps_that_waver_all_the_time_are_believed() {
     const LONG: usize = 400;

@@ -22,7 +22,7 @@ impl Line {
         line
     }
 
-    /// What comes out when this arrives in place `n`.
+    /// The packets that come out when this one arrives as number `n`.
     fn push(&mut self, packet: &DataPacket, n: u32) -> Result<Vec<(u64, PacketGap)>, Rejection> {
         let arrival_ns = (f64::from(n) * PERIOD_US * 1e3) as i64;
         self.0
@@ -63,8 +63,8 @@ fn behind_a_gap_four_packets_are_held() {
     assert_eq!(line.push(&packet(10), 17), Err(Rejection::Duplicate));
 }
 
-/// Minutes ahead every stamp is near some beat; nobody waits for it, and nobody counts what never
-/// was.
+/// Minutes ahead, every stamp is near a whole number of periods. It must not hold packets back, nor
+/// count as loss.
 #[test]
 fn a_stamp_far_ahead_is_forgotten_with_the_next_packet() {
     let mut line = Line::new();
@@ -87,8 +87,8 @@ fn a_stamp_far_ahead_is_forgotten_with_the_next_packet() {
     );
 }
 
-/// One azimuth at the end of a packet cannot tell a sector that is left out from a corrupt byte;
-/// the next stamp can.
+/// One azimuth at the end of a packet cannot distinguish a sector that is left out from a corrupt
+/// byte; the next stamp can.
 #[test]
 fn a_jump_at_the_edge_of_a_packet_waits_for_the_next_stamp() {
     for block in [0, 11] {
@@ -117,8 +117,8 @@ fn a_jump_at_the_edge_of_a_packet_waits_for_the_next_stamp() {
     }
 }
 
-/// An overtaken packet vouches for the stamp of the one that overtook it, and not for an azimuth at
-/// the far end of that.
+/// An overtaken packet confirms the stamp of the one that overtook it, but not an azimuth at the
+/// far end of that.
 #[test]
 fn an_overtaken_packet_does_not_vouch_for_a_jump_at_the_edge() {
     for block in [0, 11] {

@@ -1,16 +1,16 @@
-//! The model of a stream, once it is told.
+//! The detected model of a stream.
 
 use super::timing::banks_of;
 use crate::sensor::Model;
 use crate::sensor::model::Spec;
 use crate::wire::data::{DataPacket, ReturnMode};
 
-/// The model of a stream, how it was told, and what its packets hold.
+/// The model of a stream, the evidence for it, and the content of its packets.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct Detection {
     /// The model.
     pub model: Model,
-    /// Returns in a packet. A sensor that does not say is taken as strongest, its default, or dual.
+    /// Returns in a packet. If the sensor does not report it, strongest (its default) or dual.
     pub return_mode: ReturnMode,
     /// What told the model.
     pub basis: Basis,
@@ -18,11 +18,11 @@ pub struct Detection {
     pub spec: &'static Spec,
 }
 
-/// A packet of an HDL-64E says two returns by its azimuths alone; they must be so far apart for
-/// that, hundredths of a degree, lest a head that hardly turns seem to.
+/// Only the azimuths of an HDL-64E packet show that it holds two returns. They count only if they
+/// are this far apart, hundredths of a degree, because those of a slow head are equal too.
 const TELLING_STEP_CDEG: i32 = 4;
 
-/// Whether a packet of an HDL-64E holds two returns, where its azimuths tell.
+/// Whether a packet of an HDL-64E holds two returns; `None` if its azimuths do not show it.
 pub(super) fn says_two_returns(packet: &DataPacket) -> Option<bool> {
     const BLOCKS_OF_TWO: usize = 4;
     if !packet.azimuths_in_groups(BLOCKS_OF_TWO) {
@@ -34,9 +34,9 @@ pub(super) fn says_two_returns(packet: &DataPacket) -> Option<bool> {
 }
 
 impl Detection {
-    /// The return mode of a packet, the one before having that of `last`: an HDL-64E says it by its
-    /// azimuths, and a head that stands still does not say it; others have a byte, and where it is
-    /// blank the detection's mode holds.
+    /// The return mode of a packet; `last` is that of the packet before. An HDL-64E shows it by its
+    /// azimuths, and keeps the last mode while the head stands still. Other models have a byte for
+    /// it; if that is blank, the detected mode applies.
     pub fn mode_of(&self, packet: &DataPacket, last: ReturnMode) -> ReturnMode {
         if !self.model.is_hdl64e() {
             return ReturnMode::from_byte(packet.return_mode).unwrap_or(self.return_mode);
@@ -48,7 +48,7 @@ impl Detection {
         }
     }
 
-    /// Whether a packet is laid out as those of this sensor, whatever it holds.
+    /// Whether a packet has the layout of this sensor's packets.
     pub fn has_layout(&self, packet: &DataPacket) -> bool {
         packet.banks() == banks_of(self.model)
     }
@@ -57,9 +57,9 @@ impl Detection {
 /// What told the model.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub enum Basis {
-    /// The user; neither product byte nor packet period speaks against it.
+    /// The user; neither product byte nor packet period contradicts.
     Given,
-    /// The user, against the product byte; the packet period does not speak against it.
+    /// The user, against the product byte; the packet period does not contradict.
     GivenAgainstBytes,
     /// The product byte, and the packet period agrees.
     BytesAndPeriod,

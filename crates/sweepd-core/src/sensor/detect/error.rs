@@ -1,4 +1,4 @@
-//! Why a stream of packets is of no model.
+//! Why the model of a stream cannot be detected.
 
 use super::timing::timings;
 use crate::sensor::Model;
@@ -7,7 +7,7 @@ use crate::wire::data::{Banks, ReturnMode};
 /// Why there is no model.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, thiserror::Error)]
 pub enum DetectError {
-    /// A sensor that is known and not supported.
+    /// A known sensor that is not supported.
     #[error("this is the stream of another sensor, {sensor}")]
     Unsupported {
         /// The sensor.
@@ -34,7 +34,7 @@ pub enum DetectError {
         /// A measured interval, microseconds.
         interval_us: u32,
     },
-    /// The user says one model, and the blocks are laid out as those of another.
+    /// The user gives one model, but the blocks have the layout of another.
     #[error("the given model is {said}, but the blocks of its packets {}", layout(*.heads))]
     Layout {
         /// The model that was said.
@@ -63,7 +63,7 @@ pub enum DetectError {
     },
 }
 
-/// What a packet period should have been.
+/// Packet periods of the supported models with these returns and heads.
 fn expected(mode: &ReturnMode, heads: &bool) -> String {
     timings(if *heads {
         Banks::Alternating

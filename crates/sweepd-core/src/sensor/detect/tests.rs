@@ -26,7 +26,7 @@ fn stamps(period_ns: u64, packets: &[u64]) -> Vec<u32> {
         .collect()
 }
 
-/// The verdict and the number of packets it took, 0 for one at the end of the stream.
+/// The result and the number of packets until it, 0 for a result at the end of the stream.
 fn run(
     forced: Option<Model>,
     bytes: (u8, u8),
@@ -137,8 +137,7 @@ fn loss_duplicates_and_reordering_do_not_mislead() {
         (&[0, 0, 1, 1, 2], 5),
         (&[0, 2, 1], 3),
         (&[3, 4, 0, 1], 3),
-        // Five packets later a VLP-16 stands where an HDL-32E does after twelve: such a gap says
-        // nothing.
+        // Five packets of a VLP-16 take as long as twelve of an HDL-32E: such a gap is ambiguous.
         (&[0, 5, 10, 11, 12, 13], 6),
     ];
     for (order, needed) in orders {
@@ -365,7 +364,7 @@ fn streams_too_short_for_a_period_go_by_what_was_said() {
     );
     let dual = found(Model::Vlp16, ReturnMode::Dual, Basis::Given);
     assert_eq!(run(Some(Model::Vlp16), (0, 0), true, &[0]), (0, dual));
-    // Nothing but copies of one packet: there is no period, and it ends all the same.
+    // Only copies of one packet: there is no period, and detection still ends.
     let bytes = found(Model::Vlp16, strongest, Basis::BytesAlone);
     assert_eq!(
         run(None, (SINGLE, 0x22), false, &[5; 40]),
@@ -492,7 +491,7 @@ fn an_hdl64e_is_told_by_its_heads_and_its_timing_by_the_period() {
     );
 }
 
-/// A head that starts: what looks like pairs may be chance.
+/// A head that starts to turn: azimuths may be equal in pairs by chance.
 #[test]
 fn an_hdl64e_that_hardly_turns_is_told_by_its_period() {
     use ReturnMode::{Dual, Strongest};

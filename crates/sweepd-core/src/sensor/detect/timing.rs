@@ -1,4 +1,4 @@
-//! Which timings there are, and which of them an interval between packets fits.
+//! The timings of the models, and which of them an interval between packets fits.
 
 use crate::sensor::Model;
 use crate::sensor::model::Spec;
@@ -12,11 +12,11 @@ const MAX_MULTIPLE: u32 = 4;
 /// and crystals drift.
 const TOLERANCE_NS: u64 = 3_000;
 
-/// Models that differ in timing, by how their blocks are laid out; the others share the timing of
-/// one of them.
+/// Models with different timings, by layout of their blocks; the others share the timing of one of
+/// them.
 pub(super) fn timings(banks: Banks) -> [(Model, &'static Spec); 2] {
     match banks {
-        // What reports one return every 288 us may be an S2 or an S3; what reports two is an S3.
+        // A sensor with one return every 288 us may be an S2 or an S3; one with two is an S3.
         Banks::Alternating => [
             (Model::Hdl64eS2, Model::Hdl64eS2.spec()),
             (Model::Hdl64eS3, Model::Hdl64eS3.specs()[1]),

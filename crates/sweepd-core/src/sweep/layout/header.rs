@@ -1,4 +1,4 @@
-//! What a header says, and what is written into it.
+//! Reads and writes the fields of a header.
 
 use zerocopy::FromZeros;
 
@@ -23,7 +23,7 @@ impl Header {
         }
     }
 
-    /// The shape that the counts and offsets stand for.
+    /// The shape that the counts and offsets describe.
     pub fn shape(&self) -> Shape {
         Shape {
             rows: self.rows as usize,
@@ -55,28 +55,28 @@ impl Header {
             .unwrap_or(ReturnMode::Strongest)
     }
 
-    /// Source of the sensor's packets; empty where what stands there is no text.
+    /// Source of the sensor's packets; empty if the field is not text.
     pub fn sensor(&self) -> &str {
         text(&self.sensor)
     }
 
-    /// Names the source; what is over 64 bytes is cut off.
+    /// Sets the source, cut to 64 bytes.
     pub fn set_sensor(&mut self, source: &str) {
         self.sensor = padded(source);
     }
 
-    /// Name of the sensor and of its service; empty where what stands there is no text.
+    /// Name of the sensor and of its service; empty if the field is not text.
     pub fn name(&self) -> &str {
         text(&self.name)
     }
 
-    /// Names the sensor; what is over 64 bytes is cut off.
+    /// Sets the name of the sensor, cut to 64 bytes.
     pub fn set_name(&mut self, name: &str) {
         self.name = padded(name);
     }
 }
 
-/// What is known of a sweep only when it is shared: where and when.
+/// The properties of a sweep that are known only when it is shared: name and times.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub struct Completion<'a> {
     /// Name of the sensor and of its service.
@@ -91,9 +91,8 @@ pub struct Completion<'a> {
     pub dropped_datagrams: u32,
 }
 
-/// What of a sweep depends on the host that took the packets, and not on them alone: fields of
-/// [`Header`], and of [`Column`] the last. [`Header::time_ns`] is one where it is in the host's
-/// clock.
+/// The fields that depend on the receiving host, not only on the packets: of [`Header`], and the
+/// last one of [`Column`]. [`Header::time_ns`] depends on it if it is in the host's clock.
 pub const HOST_FIELDS: [&str; 13] = [
     "sequence",
     "run_ns",
@@ -138,7 +137,7 @@ impl Column {
 }
 
 impl Header {
-    /// Says where and when the sweep was completed.
+    /// Sets the fields that are known when the sweep is complete.
     pub fn complete(&mut self, completion: &Completion<'_>) {
         self.set_name(completion.name);
         self.run_ns = completion.run_ns;
@@ -154,7 +153,7 @@ fn text(padded: &[u8; 64]) -> &str {
         .position(|&byte| byte == 0)
         .unwrap_or(padded.len());
     let text = std::str::from_utf8(&padded[..end]).unwrap_or_default();
-    // Names are shown on terminals, which obey what is no text.
+    // Names are shown on terminals, which execute control characters.
     if text.contains(char::is_control) {
         ""
     } else {

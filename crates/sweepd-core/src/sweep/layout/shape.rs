@@ -1,11 +1,10 @@
-//! Where the parts of a sweep stand, how much room they take, and whether a header that others
-//! wrote can be true.
+//! Offsets and sizes of the parts of a sweep, and the check of a header that others wrote.
 
 use super::{
     ALIGN, BeamRow, COLUMNS_CAPACITY, Column, Header, LAYOUT_VERSION, MAGIC, PARTS, Segment,
 };
 
-/// What a sweep must have room for.
+/// Capacities of a sweep.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub struct Shape {
     /// Rows.
@@ -19,8 +18,8 @@ pub struct Shape {
 }
 
 impl Shape {
-    /// The shape of all sweeps of a sensor with this many rows, whose segments have at least so
-    /// many pixels: the table has room for as many segments as there can be.
+    /// The shape of all sweeps of a sensor with this many rows. Segments have at least `min_points`
+    /// pixels, so that the table has room for all that can occur.
     pub fn of(rows: usize, dual: bool, min_points: usize) -> Self {
         let segments_capacity = rows * COLUMNS_CAPACITY / min_points.max(1);
         Self {
@@ -101,8 +100,7 @@ pub enum LayoutError {
     Inconsistent,
 }
 
-/// The shape of a header that was not written here, when everything in it can be true of `bytes`
-/// bytes.
+/// The shape of a header that others wrote, if all its values are possible in `bytes` bytes.
 pub(in crate::sweep) fn checked_shape(header: &Header, bytes: usize) -> Result<Shape, LayoutError> {
     if header.magic != MAGIC {
         return Err(LayoutError::Foreign);

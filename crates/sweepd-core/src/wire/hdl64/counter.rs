@@ -1,4 +1,4 @@
-//! Packets counted by the sensor's clock and by their types, across losses, copies and packets out
+//! Counts packets by the sensor's clock and by their types, across losses, copies and packets out
 //! of order.
 
 use super::{CYCLE_LEN, place_of};
@@ -8,28 +8,28 @@ use crate::wire::HOUR_US;
 const CYCLE: i64 = CYCLE_LEN as i64;
 /// Longest silence, microseconds, after which packets are still counted by the clock.
 const LONGEST_GAP_US: i32 = 500_000;
-/// Longest gap, packets, over which the count needs no witness: one type tells it from any other
-/// that is so short.
+/// Longest gap, packets, over which the count needs no confirmation: the type of one packet
+/// distinguishes it from any other gap of at most this length.
 const NEAR_STEPS: i64 = 8;
-/// Packets one after the other by their types, and as far apart each time, that show what the
-/// period really is.
+/// Packets that are consecutive by type, at equal intervals, after which the interval becomes the
+/// period.
 const ALIKE: u8 = 4;
 /// Packets in a row whose types contradict the count before the count is given up.
 const MOST_CONTRADICTIONS: u8 = 4;
 
-/// Counts packets, so that the count modulo 16 is the place in the cycle.
+/// Counts packets; the count modulo 16 is the place in the cycle.
 #[derive(Clone, Debug, Default)]
 pub(super) struct Counter {
     /// The count and the stamp of the last packet.
     last: Option<(i64, u32)>,
-    /// From packet to packet, microseconds, once two have been seen.
+    /// Packet period, microseconds, once two packets have been seen.
     period_us: Option<f64>,
     /// The interval that does not fit the period, microseconds.
     unusual_us: i32,
     /// How often in a row it came.
     unusual_times: u8,
     contradictions: u8,
-    /// Whether the count has gone over a gap that leaves it in doubt.
+    /// Whether the count is uncertain since a gap.
     pub(super) doubtful: bool,
 }
 
@@ -38,9 +38,9 @@ pub(super) struct Counter {
 pub(super) enum Step {
     /// The packet has this count.
     At(i64),
-    /// The packet is a copy, or its type is wrong, or the place is not known yet: it says nothing.
+    /// The packet is not used: it is a copy, its type is wrong, or the place is not known yet.
     Ignored,
-    /// The count starts again, with this one.
+    /// The count starts again with this packet.
     Restarted(i64),
 }
 
@@ -54,7 +54,7 @@ impl Counter {
         let delta_us = since(last_us, stamp_us);
         let forward = place.map(|place| (place - count).rem_euclid(CYCLE));
         let Some(period_us) = self.period_us else {
-            // The second packet: the types tell how many lie between, as long as it is less than a
+            // The second packet: the types give the number of packets between, if it is less than a
             // cycle.
             let Some(steps @ 1..) = forward else {
                 return Step::Ignored;
@@ -70,8 +70,8 @@ impl Counter {
         }
         let is_next_type = forward == Some(1) && delta_us >= 0;
         let delta = f64::from(delta_us);
-        // The next type so soon is the next packet, however long that took: the return mode may
-        // have been switched.
+        // The next type after a short time is the next packet, whatever the interval: the return
+        // mode may have been switched.
         if is_next_type && delta <= period_us * NEAR_STEPS as f64 {
             self.unusual_times = 0;
             let is_usual = (delta - period_us).abs() < period_us / 4.0;
@@ -97,8 +97,8 @@ impl Counter {
         self.step_by_clock(count, place, periods, stamp_us)
     }
 
-    /// Notes an interval that does not fit the period; returns whether it came so often in a row
-    /// that it is the period.
+    /// Notes an interval that does not fit the period; returns whether it was repeated often enough
+    /// to become the period.
     fn is_new_period(&mut self, delta_us: i32) -> bool {
         let is_alike = self.unusual_times > 0
             && (delta_us - self.unusual_us).abs() <= 2 + self.unusual_us / 20;
@@ -107,7 +107,7 @@ impl Counter {
         self.unusual_times >= ALIKE
     }
 
-    /// Counts the periods that passed since the last packet, and holds its type against them.
+    /// Counts the periods since the last packet, and checks the type against the count.
     fn step_by_clock(
         &mut self,
         count: i64,
@@ -137,13 +137,13 @@ impl Counter {
         Step::Ignored
     }
 
-    /// Takes a count that the types do not confirm.
+    /// Sets a count that the types do not confirm.
     fn keep(&mut self, count: i64, stamp_us: u32) -> Step {
         self.last = Some((count, stamp_us));
         Step::At(count)
     }
 
-    /// Takes a count that the types confirm.
+    /// Sets a count that the types confirm.
     fn advance(&mut self, count: i64, stamp_us: u32) -> Step {
         self.contradictions = 0;
         self.keep(count, stamp_us)

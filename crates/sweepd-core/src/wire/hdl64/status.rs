@@ -1,5 +1,5 @@
-//! The reader of the rolling status: bytes of several dumps put together by place, whatever got
-//! lost between them.
+//! The reader of the rolling status: combines bytes of several dumps by place, so that lost packets
+//! do not matter.
 
 use std::mem::offset_of;
 use std::ops::Range;
@@ -14,53 +14,52 @@ use super::{
 };
 use crate::wire::data::ReturnMode;
 
-/// Bytes that say which cycle it is and contradict the count, in a row, before the count is given
-/// up.
+/// Consecutive bytes that identify another cycle than the count, after which the count is given up.
 const MOST_MISFITS: u8 = 3;
-/// By how many votes a place in the dump must lead before it is believed.
+/// Lead in votes from which a place in the dump is accepted.
 const LEAD: u16 = 8;
-/// Votes of a type that occurs once a dump; a value that may be there by chance has one.
+/// Votes of a type that occurs once in a dump; a value that may match by chance has one.
 const UNIQUE_VOTES: u16 = 4;
-/// Most bytes that wait for their place: those of two dumps.
+/// Most bytes that wait for their place: two dumps.
 const MAX_WAITING: usize = 2 * DUMP_LEN;
-/// Most that one value of a byte can have been seen, for the purpose of believing another.
+/// Upper limit of the count of a byte's value, so that a new value can replace it.
 const MAX_SEEN: u8 = 3;
 
-/// What can be said of the dump.
+/// State of the dump.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub enum DumpState {
     /// Bytes are missing.
     Incomplete,
-    /// All bytes are there, and do not fit together: one of them is wrong. Each dump replaces what
-    /// it contradicts.
+    /// All bytes are there but contradict each other: at least one is wrong. Later dumps replace
+    /// it.
     Contradictory(DumpError),
     /// All bytes were there and right at least once.
     Verified,
 }
 
-/// Puts the status of one sensor together, from the (type, value) pairs of its data packets.
+/// Assembles the status of one sensor from the (type, value) pairs of its data packets.
 ///
-/// The place of a byte in its cycle follows from its type, the cycle in the dump from the bytes
-/// that say so (types that occur once, numbers of beams, warnings, `UNIT#`) and from counting
-/// packets by the sensor's clock. So a lost packet costs its own byte alone, and the next dump
-/// brings it.
+/// The place of a byte in its cycle follows from its type. The cycle in the dump follows from
+/// identifying bytes (types that occur once, numbers of beams, warnings, `UNIT#`) and from counting
+/// packets by the sensor's clock. So a lost packet costs only its own byte, and the next dump
+/// supplies it.
 #[derive(Clone, Debug)]
 pub struct Status {
     counter: Counter,
-    /// Where the count stands in the dump: added to the cycle counted.
+    /// Offset from the counted cycle to the cycle in the dump.
     offset: Option<usize>,
     votes: [u16; CYCLES],
     misfits: u8,
-    /// Payload bytes whose place is not sure yet, with their count.
+    /// Payload bytes whose place is not known yet, with their count.
     waiting: Vec<(i64, u8, u8)>,
     live: LiveBytes,
     bytes: [u8; DUMP_LEN],
-    /// How often the value of a byte was seen; 0 for a byte not known.
+    /// How often the value of each byte was seen; 0 if it is not known.
     seen: [u8; DUMP_LEN],
     known: usize,
-    /// Cycles without and with the S3's warnings, where an S3 has them.
+    /// Cycles without and with warnings, at places where only an S3 has them.
     with_warning: [u32; 2],
-    /// The S3's warnings as they came last.
+    /// The S3's newest warnings.
     s3_warnings: Option<Warnings>,
     /// Whether something changed since the last check.
     unchecked: bool,
@@ -71,7 +70,7 @@ pub struct Status {
 /// The bytes that come in every cycle.
 #[derive(Clone, Copy, Debug, Default)]
 struct LiveBytes {
-    /// The cycle that the clock is being read from, and which of its bytes have come.
+    /// The cycle that the clock is read from, and which of its bytes were received.
     cycle: i64,
     come: u8,
     reading: [u8; 6],
@@ -88,7 +87,7 @@ impl LiveBytes {
             self.others[place - self.reading.len()] = Some(value);
             return;
         };
-        // Bytes of two cycles may be those of two seconds.
+        // Bytes of two cycles may be of two different seconds.
         let cycle = count.div_euclid(CYCLE_LEN as i64);
         if cycle != self.cycle {
             (self.cycle, self.come) = (cycle, 0);
@@ -116,7 +115,7 @@ impl Default for Status {
 }
 
 impl Status {
-    /// Nothing known yet. All memory that it will need is taken here.
+    /// A status with nothing known. Allocates all memory that it will need.
     pub fn new() -> Self {
         Self {
             counter: Counter::default(),
@@ -148,8 +147,7 @@ impl Status {
                 count
             }
         };
-        // Without a place in the dump there is nothing that a doubtful count could be checked
-        // against later.
+        // Without a place in the dump, an uncertain count could never be checked.
         if self.counter.doubtful && !was_doubtful && self.offset.is_none() {
             self.lose_place();
             self.counter.doubtful = false;
@@ -205,8 +203,8 @@ impl Status {
         self.waiting.push((count, kind, value));
     }
 
-    /// Votes for the places in the dump where this byte may belong, and settles on one that leads
-    /// clearly.
+    /// Votes for the places in the dump where this byte may belong, and accepts one with a clear
+    /// lead.
     fn vote(&mut self, count: i64, payload: usize, kind: u8, value: u8) {
         let counted = cycle_in_dump(count, 0);
         if let Some((_, cycle, _)) = UNIQUE.into_iter().find(|unique| unique.0 == kind) {
@@ -248,7 +246,7 @@ impl Status {
         *sum = sum.saturating_add(votes);
     }
 
-    /// Stores the bytes whose place has become sure.
+    /// Stores the waiting bytes, whose places are known now.
     fn settle(&mut self, offset: usize) {
         for index in 0..self.waiting.len() {
             let (count, kind, value) = self.waiting[index];
@@ -277,7 +275,7 @@ impl Status {
                 self.unchecked = true;
             }
             times if *byte == value => *seen = (times + 1).min(MAX_SEEN),
-            // What never changes is believed by how often it was seen, what does by how lately.
+            // For bytes that never change the more frequent value wins, for others the newer one.
             times if times > 1 && is_lasting(index) => *seen -= 1,
             _ => {
                 (*byte, *seen) = (value, 1);
@@ -311,13 +309,13 @@ impl Status {
         }
     }
 
-    /// The dump that was verified last; what changes from dump to dump (speed, warnings) is newer
-    /// in the other methods.
+    /// The last verified dump; for values that change (speed, warnings) the other methods give
+    /// newer ones.
     pub fn dump(&self) -> Option<&Dump> {
         self.verified.as_ref()
     }
 
-    /// S2.1 or S3, told by the types of the warnings.
+    /// S2.1 or S3, by the types of the warnings.
     pub fn series(&self) -> Option<Series> {
         match self.with_warning {
             [0, 0] => None,
@@ -329,7 +327,7 @@ impl Status {
         }
     }
 
-    /// The sensor's own UTC, as a cycle that came whole has it.
+    /// The sensor's own UTC, from a complete cycle.
     pub fn clock(&self) -> Option<Clock> {
         self.live.clock
     }
@@ -424,22 +422,21 @@ fn cycle_in_dump(count: i64, offset: usize) -> usize {
     (count.div_euclid(CYCLE_LEN as i64) + offset as i64).rem_euclid(CYCLES as i64) as usize
 }
 
-/// Whether a byte confirms or contradicts that it stands in this cycle; `None` if it could stand
-/// anywhere.
+/// Whether a byte confirms that it is of this cycle; `None` if it could be of any.
 fn witness(cycle: usize, payload: usize, kind: u8, value: u8) -> Option<bool> {
     if let Some(unique) = UNIQUE.into_iter().find(|unique| unique.0 == kind) {
         return Some((unique.1, unique.2) == (cycle, payload));
     }
     if kind == WARNING {
-        // One that fits is no witness: three of four do not fit, but the fourth may be any beam's.
+        // A byte that fits confirms nothing: three of four cycles do not fit, but the fourth may be
+        // of any beam.
         return (!is_after_beam(cycle)).then_some(false);
     }
     let beam = beam_of(cycle).filter(|_| payload == 0)?;
     Some(usize::from(value) == beam)
 }
 
-/// Whether a byte of the dump stays the same as long as the unit runs: the beams, and what they are
-/// checked by.
+/// Whether a byte of the dump stays the same while the unit runs: beams and checksum.
 fn is_lasting(index: usize) -> bool {
     let slots = offset_of!(Dump, slots);
     let last_beam = offset_of!(Dump, last)..offset_of!(Dump, calibration_time);

@@ -1,11 +1,11 @@
-//! The single values of the status, and what their bytes mean.
+//! The values of the status, and the meaning of their bytes.
 
 use std::fmt;
 
 use crate::wire::nmea::{civil_from_days, days_from_civil};
 use zerocopy::{FromBytes, Immutable, IntoBytes, KnownLayout, Unaligned};
 
-/// Which HDL-64E it is, as far as the status tells.
+/// Series of an HDL-64E with a status.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub enum Series {
     /// S2.1: no checksum, the warnings once a dump.
@@ -54,7 +54,7 @@ pub struct CalibrationTime {
 }
 
 impl CalibrationTime {
-    /// What a unit that was never calibrated has here.
+    /// The value of a unit that was never calibrated.
     pub const NEVER: Self = Self {
         year: 255,
         month: 255,
@@ -108,7 +108,7 @@ impl Warnings {
         self.0 & 1 << 6 != 0
     }
 
-    /// What is wrong with the unit, in words; an S3 does not watch its supply.
+    /// The faults of the unit, in words; an S3 does not monitor its supply.
     pub fn faults(self, series: Series) -> impl Iterator<Item = &'static str> {
         let watched = if series == Series::S3 {
             0b0000_0111
@@ -142,7 +142,7 @@ impl Warnings {
 pub struct Power(pub u8);
 
 impl Power {
-    /// Whether intensities need no correction any more.
+    /// Whether intensities are corrected already.
     pub fn is_normalised(self) -> bool {
         self.0 == 0xA8
     }
@@ -177,7 +177,7 @@ pub struct Clock {
 }
 
 impl Clock {
-    /// Nanoseconds since 1970; `None` where this is no time.
+    /// Nanoseconds since 1970; `None` if it is not a valid time.
     pub fn utc_ns(&self) -> Option<i64> {
         let year = 2000 + i64::from(self.year);
         let month = i64::from(self.month);
@@ -214,7 +214,7 @@ impl fmt::Display for Clock {
     }
 }
 
-/// What the unit receives from a GPS receiver.
+/// Signals that the unit receives from a GPS receiver.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub enum Gps {
     /// Nothing.
@@ -228,7 +228,7 @@ pub enum Gps {
 }
 
 impl Gps {
-    /// What a byte says; `None` for an unknown one.
+    /// The meaning of a byte; `None` for an unknown one.
     pub fn from_byte(byte: u8) -> Option<Self> {
         match byte {
             0 => Some(Self::None),

@@ -6,7 +6,7 @@ use super::super::{BEAMS, DUMP_PACKETS, Live, emit, pair};
 use super::*;
 use crate::wire::HOUR_US;
 
-/// A unit whose every byte comes from the seed.
+/// A unit with random bytes from the seed.
 fn unit(seed: u64, series: Series) -> (Dump, Live) {
     let mut random = fastrand::Rng::with_seed(seed);
     let records = std::array::from_fn::<_, BEAMS, _>(|id| {
@@ -194,8 +194,8 @@ fn bursts_and_other_return_modes_do_not_lose_the_place() {
     let mut status = Status::new();
     let mut stamp_us = HOUR_US - 1_000_000;
     for index in 0..4 * DUMP_PACKETS {
-        // 100 packets are lost every 1500; in the middle of it all, the unit is switched from
-        // single to dual return.
+        // 100 of every 1500 packets are lost; in the middle, the unit is switched from single to
+        // dual return.
         stamp_us = (stamp_us + if index < 6000 { 288 } else { 173 }) % HOUR_US;
         if index % 1500 < 1400 {
             let (kind, value) = pair(dump, Series::S3, live, index);
@@ -224,7 +224,7 @@ fn copies_and_late_packets_do_no_harm() {
             status.push(kind, value, ((index + round * DUMP_PACKETS) * 288) as u32);
         }
     }
-    // Those overwritten by a copy never came.
+    // Packets overwritten by a copy are lost.
     let lost = (100..DUMP_PACKETS - 1)
         .step_by(97)
         .filter(|index| (index - 50) % CYCLE_LEN >= FIXED.len())
