@@ -106,9 +106,9 @@ fn decode(bencher: Bencher, &Stream(model, mode): &Stream) {
                 number as u64,
                 number as i64 * 1_000_000,
             );
-            while let Some((slot, before)) = order.pop() {
-                builder.begin(slot, order.packet(slot), before);
-                while builder.advance(order.packet(slot), order.clock(), &mut buffer) {
+            while let Some((index, before)) = order.pop() {
+                builder.begin(index, order.packet(index), before);
+                while builder.advance(order.packet(index), order.clock(), &mut buffer) {
                     black_box(buffer.bytes());
                 }
             }

@@ -378,14 +378,14 @@ impl MotionStats {
     fn follow(&mut self, order: &mut PacketOrder, detection: &Detection) {
         let spec = detection.spec;
         let mut first = self.rpm_count == 0;
-        while let Some((slot, before)) = order.pop() {
+        while let Some((index, before)) = order.pop() {
             match before {
                 PacketGap::Lost { packets, .. } => self.lost += u64::from(packets),
                 PacketGap::Start if !first => self.restarts += 1,
                 PacketGap::Start | PacketGap::None | PacketGap::Blanked => {}
             }
             first = false;
-            let packet = order.packet(slot);
+            let packet = order.packet(index);
             let rpm = packet.motion.rate_cdeg_ns(spec) * 60e9 / TURN;
             self.rpm_sum += rpm;
             self.rpm_count += 1;

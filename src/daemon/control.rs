@@ -479,9 +479,9 @@ impl Control {
     }
 }
 
-/// Ticks at once, and then at multiples of a period since tokio's clock began. Its timers wait in
-/// slots of 64 ms: one that is due where a slot begins, as all are with the period that [`beat`]
-/// has at most, wakes the thread once, and any other once more before.
+/// Ticks at once, and then at multiples of a period since tokio's clock began. Its timer wheel
+/// turns every 64 ms: a timer that is due at a multiple of that, as with the longest period of
+/// [`beat`], wakes the thread once, any other one twice.
 fn ticks(begun: Instant, period: Duration) -> Interval {
     let mut ticks = interval_at(begun.into(), period);
     ticks.set_missed_tick_behavior(MissedTickBehavior::Skip);

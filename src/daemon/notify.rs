@@ -73,7 +73,7 @@ const HUNG: Duration = Duration::from_secs(2);
 /// How often a thread shows that it lives, and it is looked at all of them: eight times in the
 /// watchdog's time, if there is one, and about twice a second at least.
 pub fn beat(watchdog: Option<Duration>) -> Duration {
-    // Whole slots of tokio's timers: see where the control thread ticks.
+    // A multiple of 64 ms, the step of tokio's timer wheel: see `ticks` of the control thread.
     let seldom = Duration::from_millis(8 * 64);
     watchdog.map_or(seldom, |watchdog| {
         (watchdog / 8).clamp(Duration::from_millis(1), seldom)

@@ -4,7 +4,7 @@
 use std::time::{Duration, Instant};
 
 use super::buffer::CHARGED_BYTES;
-use super::sys::SLOT_LEN;
+use super::sys::BUFFER_LEN;
 
 /// The longest nap of a reader, nanoseconds: a part that took longer does not count as filled.
 const LONGEST_NS: i64 = 250_000_000;
@@ -91,7 +91,7 @@ impl Filling {
 /// What the kernel charges for a datagram, or more: drivers give a short one as much memory as a
 /// long one.
 fn charged_bytes(len: usize) -> usize {
-    if len <= SLOT_LEN {
+    if len <= BUFFER_LEN {
         CHARGED_BYTES
     } else {
         2 * len

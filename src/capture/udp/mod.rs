@@ -22,7 +22,7 @@ use std::time::{Duration, Instant};
 use socket2::{Domain, InterfaceIndexOrAddress, Protocol, Socket, Type};
 
 use self::filling::Filling;
-use self::sys::{BATCH, Slot};
+use self::sys::{BATCH, DatagramBuffer};
 use super::write::Addressed;
 pub use buffer::{ReceiveBuffer, ample_buffer_bytes};
 pub use error::UdpError;
@@ -82,7 +82,7 @@ pub struct UdpSource {
     local: SocketAddrV4,
     buffer: ReceiveBuffer,
     filling: Filling,
-    slots: Box<[Slot]>,
+    buffers: Box<[DatagramBuffer]>,
     timeout: Option<Duration>,
     drops: DropCounter,
     received: u64,
@@ -129,7 +129,7 @@ impl UdpSource {
             local,
             buffer,
             filling: Filling::new(buffer.part_bytes()),
-            slots: vec![Slot::EMPTY; BATCH].into(),
+            buffers: vec![DatagramBuffer::EMPTY; BATCH].into(),
             timeout: None,
             drops: DropCounter::default(),
             received: 0,
@@ -180,32 +180,32 @@ impl UdpSource {
         timeout: Duration,
     ) -> Result<impl Iterator<Item = (Addressed<'_>, u64)> + Clone, UdpError> {
         self.wait_at_most(timeout)?;
-        let count = match sys::receive(self.socket.as_fd(), &mut self.slots, !timeout.is_zero()) {
+        let count = match sys::receive(self.socket.as_fd(), &mut self.buffers, !timeout.is_zero()) {
             Ok(count) => count,
             Err(error) if is_no_datagram(&error) => 0,
             Err(source) => return Err(self.failed(source)),
         };
         self.received += count as u64;
-        self.was_full = count == self.slots.len();
-        let arrived = &self.slots[..count];
+        self.was_full = count == self.buffers.len();
+        let arrived = &self.buffers[..count];
         let now_ns = realtime_ns();
         let local = self.local;
         let mut drops = self.drops;
-        for slot in arrived {
-            self.drops.note(slot.meta.dropped);
-            let stamp_ns = slot.meta.stamp_ns.unwrap_or(now_ns);
-            if let Some(took_ns) = self.filling.note(stamp_ns, slot.len) {
+        for received in arrived {
+            self.drops.note(received.meta.dropped);
+            let stamp_ns = received.meta.stamp_ns.unwrap_or(now_ns);
+            if let Some(took_ns) = self.filling.note(stamp_ns, received.len) {
                 self.filling.remember(took_ns, Instant::now());
             }
         }
-        Ok(arrived.iter().map(move |slot| {
-            drops.note(slot.meta.dropped);
-            let destination = slot.meta.destination.unwrap_or(*local.ip());
+        Ok(arrived.iter().map(move |received| {
+            drops.note(received.meta.dropped);
+            let destination = received.meta.destination.unwrap_or(*local.ip());
             let addressed = Addressed {
-                arrival_ns: slot.meta.stamp_ns.unwrap_or(now_ns),
-                source: slot.source,
+                arrival_ns: received.meta.stamp_ns.unwrap_or(now_ns),
+                source: received.source,
                 destination: SocketAddrV4::new(destination, local.port()),
-                payload: slot.payload(),
+                payload: received.payload(),
             };
             (addressed, drops.total)
         }))

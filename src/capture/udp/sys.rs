@@ -18,7 +18,7 @@ use std::ptr;
 pub(super) const BATCH: usize = 64;
 /// Bytes kept of a datagram, more than any packet has. Of a longer one the rest is lost, not its
 /// length.
-pub(super) const SLOT_LEN: usize = 1280;
+pub(super) const BUFFER_LEN: usize = 1280;
 /// Room for the control messages: 32 bytes of time stamp, 24 of drop counter and 32 of destination
 /// where pointers have 64 bits.
 const CONTROL_LEN: usize = 96;
@@ -26,9 +26,9 @@ const CONTROL_LEN: usize = 96;
 /// Room for one datagram with its metadata.
 #[derive(Clone, Debug)]
 #[repr(C, align(8))]
-pub(super) struct Slot {
+pub(super) struct DatagramBuffer {
     control: [u8; CONTROL_LEN],
-    bytes: [u8; SLOT_LEN],
+    bytes: [u8; BUFFER_LEN],
     /// Bytes of the datagram, those that found no room included.
     pub(super) len: usize,
     pub(super) source: SocketAddrV4,
@@ -47,10 +47,10 @@ pub(super) struct RecvMeta {
     pub(super) destination: Option<Ipv4Addr>,
 }
 
-impl Slot {
+impl DatagramBuffer {
     pub(super) const EMPTY: Self = Self {
         control: [0; CONTROL_LEN],
-        bytes: [0; SLOT_LEN],
+        bytes: [0; BUFFER_LEN],
         len: 0,
         source: SocketAddrV4::new(Ipv4Addr::UNSPECIFIED, 0),
         meta: RecvMeta {
@@ -60,41 +60,41 @@ impl Slot {
         },
     };
 
-    /// The payload; the first [`SLOT_LEN`] bytes of a longer one.
+    /// The payload; the first [`BUFFER_LEN`] bytes of a longer one.
     pub(super) fn payload(&self) -> &[u8] {
-        &self.bytes[..self.len.min(SLOT_LEN)]
+        &self.bytes[..self.len.min(BUFFER_LEN)]
     }
 }
 
 /// Receives a batch (recvmmsg(2)): `waits` for the first datagram as long as the socket's own
-/// timeout says, then takes what is there. Gives the number of slots that were filled.
+/// timeout says, then takes what is there. Gives the number of buffers that were filled.
 ///
 /// The headers are made again each time, on the stack: the kernel shrinks the length of the control
 /// messages in them.
 pub(super) fn receive(
     socket: BorrowedFd<'_>,
-    slots: &mut [Slot],
+    buffers: &mut [DatagramBuffer],
     waits: bool,
 ) -> io::Result<usize> {
     const NAME_LEN: u32 = size_of::<libc::sockaddr_in>() as u32;
-    let count = slots.len().min(BATCH);
+    let count = buffers.len().min(BATCH);
     // SAFETY: all three are C structs of numbers and pointers, for which zeroes are a value.
     let mut names: [libc::sockaddr_in; BATCH] = unsafe { MaybeUninit::zeroed().assume_init() };
     // SAFETY: as above.
     let mut parts: [libc::iovec; BATCH] = unsafe { MaybeUninit::zeroed().assume_init() };
     // SAFETY: as above.
     let mut headers: [libc::mmsghdr; BATCH] = unsafe { MaybeUninit::zeroed().assume_init() };
-    for (index, slot) in slots[..count].iter_mut().enumerate() {
+    for (index, buffer) in buffers[..count].iter_mut().enumerate() {
         parts[index] = libc::iovec {
-            iov_base: slot.bytes.as_mut_ptr().cast(),
-            iov_len: SLOT_LEN,
+            iov_base: buffer.bytes.as_mut_ptr().cast(),
+            iov_len: BUFFER_LEN,
         };
         let header = &mut headers[index].msg_hdr;
         header.msg_name = (&raw mut names[index]).cast();
         header.msg_namelen = NAME_LEN;
         header.msg_iov = &raw mut parts[index];
         header.msg_iovlen = 1;
-        header.msg_control = slot.control.as_mut_ptr().cast();
+        header.msg_control = buffer.control.as_mut_ptr().cast();
         header.msg_controllen = CONTROL_LEN as _;
     }
     // MSG_WAITFORONE, and no timeout argument: that is checked only after a datagram came
@@ -119,14 +119,14 @@ pub(super) fn receive(
     let filled = usize::try_from(filled)
         .map_err(|_| io::Error::last_os_error())?
         .min(count);
-    for (index, slot) in slots[..filled].iter_mut().enumerate() {
-        slot.len = headers[index].msg_len as usize;
-        slot.source = address(&names[index]);
+    for (index, buffer) in buffers[..filled].iter_mut().enumerate() {
+        buffer.len = headers[index].msg_len as usize;
+        buffer.source = address(&names[index]);
         let header = &mut headers[index].msg_hdr;
-        // The pointer that the kernel was given is older than this borrow of the slot, and may not
-        // be read through.
-        header.msg_control = slot.control.as_mut_ptr().cast();
-        slot.meta = control(header);
+        // The pointer that the kernel was given is older than this borrow, and may not be read
+        // through.
+        header.msg_control = buffer.control.as_mut_ptr().cast();
+        buffer.meta = control(header);
     }
     Ok(filled)
 }
@@ -156,8 +156,8 @@ fn has(message: &libc::cmsghdr, len: usize) -> bool {
 )]
 fn control(header: &libc::msghdr) -> RecvMeta {
     let mut meta = RecvMeta::default();
-    // SAFETY: `msg_control` points to the aligned control buffer of a slot that is borrowed by the
-    // caller, and `msg_controllen` is what the kernel wrote of it.
+    // SAFETY: `msg_control` points to the aligned control bytes of a buffer that the caller
+    // borrows, and `msg_controllen` is how many of them the kernel wrote.
     let mut next = unsafe { libc::CMSG_FIRSTHDR(header) };
     // SAFETY: the macros of cmsg(3) give a pointer to a whole message header in the buffer, or
     // null.

@@ -116,8 +116,8 @@ impl Builder {
 
     /// Index in [`PacketOrder`](super::order::PacketOrder) of the packet that is being placed, if
     /// there is one.
-    pub fn current_slot(&self) -> Option<usize> {
-        self.cursor.map(|cursor| cursor.slot)
+    pub fn current_packet(&self) -> Option<usize> {
+        self.cursor.map(|cursor| cursor.packet)
     }
 
     /// Arrival of the newest packet in the open sweep.
@@ -168,10 +168,10 @@ impl Builder {
     }
 
     /// Starts to place the next packet. The one before must have been placed.
-    pub fn begin(&mut self, slot: usize, packet: &OrderedPacket, before: PacketGap) {
+    pub fn begin(&mut self, index: usize, packet: &OrderedPacket, before: PacketGap) {
         let spec = self.decoder.spec;
         let mut cursor = Cursor {
-            slot,
+            packet: index,
             timing: FiringTiming::new(spec, packet.mode),
             rate_rad_s: rate_rad_s(packet, spec),
             new_run: before == PacketGap::Start,

@@ -7,7 +7,8 @@ use crate::sensor::model::Spec;
 /// Progress through the current packet and the gap before it.
 #[derive(Clone, Copy, Debug)]
 pub struct Cursor {
-    pub slot: usize,
+    /// Index of the packet in [`PacketOrder`](super::order::PacketOrder).
+    pub packet: usize,
     pub timing: FiringTiming,
     /// How fast the head turns, radians a second.
     pub rate_rad_s: f32,

@@ -19,7 +19,7 @@ use crate::wire::data::ReturnMode;
 /// Packets that are held back behind a gap, at most.
 pub const HOLD: usize = 4;
 /// Packets kept: those held, those ready, and enough of the past to know a duplicate.
-const SLOTS: usize = 32;
+const KEPT: usize = 32;
 /// After this many consecutive packets from before the newest, the clock was set back, by less than
 /// a second.
 const SET_BACK_PACKETS: u32 = 16;
@@ -62,8 +62,8 @@ pub struct OrderCounts {
 pub struct PacketOrder {
     spec: &'static Spec,
     clock: SensorClock,
-    slots: Vec<OrderedPacket>,
-    next_slot: usize,
+    packets: Vec<OrderedPacket>,
+    next_index: usize,
     held: Vec<usize>,
     ready: VecDeque<(usize, PacketGap)>,
     last: Option<usize>,
@@ -81,8 +81,8 @@ impl PacketOrder {
         Self {
             spec,
             clock: SensorClock::default(),
-            slots: Vec::with_capacity(SLOTS),
-            next_slot: 0,
+            packets: Vec::with_capacity(KEPT),
+            next_index: 0,
             held: Vec::with_capacity(HOLD + 2),
             ready: VecDeque::with_capacity(HOLD + 4),
             last: None,
@@ -96,7 +96,7 @@ impl PacketOrder {
 
     /// Changes to another table of the same model, whose timing with one return differs.
     pub fn take_spec(&mut self, spec: &'static Spec) {
-        if let Some(suspect) = self.suspect.map(|slot| &mut self.slots[slot]) {
+        if let Some(suspect) = self.suspect.map(|index| &mut self.packets[index]) {
             let silent_ns = suspect.motion.silent_ns;
             suspect.time_ns += spec.first_shot_ns(suspect.mode, silent_ns)
                 - self.spec.first_shot_ns(suspect.mode, silent_ns);
@@ -139,7 +139,7 @@ impl PacketOrder {
     ) -> Result<(), Rejection> {
         let mut motion = Motion::of(bytes, mode, self.spec).map_err(Rejection::Implausible)?;
         if self
-            .slots
+            .packets
             .iter()
             .any(|known| known.bytes.stamp_us() == bytes.stamp_us() && known.bytes == *bytes)
         {
@@ -163,8 +163,9 @@ impl PacketOrder {
             self.start(packet);
             return Ok(());
         };
-        self.matcher.settle_silence(&self.slots[last], &mut packet);
-        let relation = self.matcher.between(&self.slots[last], &packet);
+        self.matcher
+            .settle_silence(&self.packets[last], &mut packet);
+        let relation = self.matcher.between(&self.packets[last], &packet);
         self.weigh(relation);
         if self.confirm(&packet, relation) {
             return Ok(());
@@ -176,8 +177,8 @@ impl PacketOrder {
             {
                 self.set_back = 0;
                 self.drop_suspect();
-                let slot = self.store(packet);
-                self.hold(slot);
+                let index = self.store(packet);
+                self.hold(index);
                 self.settle(HOLD);
                 Ok(())
             }
@@ -190,16 +191,16 @@ impl PacketOrder {
         }
     }
 
-    /// The next packet in order, by its slot, and what lies before it; `None` when more must come
+    /// The next packet in order, by its index, and what lies before it; `None` when more must come
     /// first.
     pub fn pop(&mut self) -> Option<(usize, PacketGap)> {
         self.ready.pop_front()
     }
 
-    /// The packet in a slot that [`PacketOrder::pop`] named; it stays there while later packets are
-    /// pushed one by one.
-    pub fn packet(&self, slot: usize) -> &OrderedPacket {
-        &self.slots[slot]
+    /// The packet of an index that [`PacketOrder::pop`] gave; it stays there while later packets
+    /// are pushed one by one.
+    pub fn packet(&self, index: usize) -> &OrderedPacket {
+        &self.packets[index]
     }
 
     /// Stops waiting for missing packets: the stream ended or stalled.
@@ -239,7 +240,7 @@ impl PacketOrder {
         let Some((suspect, last)) = self.suspect.zip(self.last) else {
             return false;
         };
-        let doubtful = &self.slots[suspect];
+        let doubtful = &self.packets[suspect];
         let is_next = matches!(relation, Relation::Follows(PacketGap::None, fit) if self.is_as_good(fit, MatchQuality::Good));
         let before = self.gap_between(doubtful, packet).filter(|_| !is_next);
         // An earlier packet cannot confirm the far end of a doubtful one.
@@ -254,21 +255,21 @@ impl PacketOrder {
             // Now the silence is known exactly.
             let period = i64::from(self.spec.packet_period_ns(packet.mode));
             let silent_ns = packet.time_ns - doubtful.time_ns - period;
-            self.slots[suspect].motion.silent_ns = silent_ns;
+            self.packets[suspect].motion.silent_ns = silent_ns;
         }
         self.suspect = None;
         self.set_back = 0;
         let between = self
             .matcher
-            .between(&self.slots[last], &self.slots[suspect]);
+            .between(&self.packets[last], &self.packets[suspect]);
         if before.is_none() || matches!(between, Relation::Follows(..)) {
             self.hold(suspect);
         } else {
             self.settle(0);
             self.release(suspect, PacketGap::Start);
         }
-        let slot = self.store(*packet);
-        self.hold(slot);
+        let index = self.store(*packet);
+        self.hold(index);
         self.settle(HOLD);
         true
     }
@@ -291,21 +292,22 @@ impl PacketOrder {
     }
 
     /// Puts a packet among those held, by time.
-    fn hold(&mut self, slot: usize) {
-        let time_ns = self.slots[slot].time_ns;
+    fn hold(&mut self, index: usize) {
+        let time_ns = self.packets[index].time_ns;
         let at = self
             .held
-            .partition_point(|&held| self.slots[held].time_ns < time_ns);
+            .partition_point(|&held| self.packets[held].time_ns < time_ns);
         self.counts.reordered += u64::from(at < self.held.len());
-        self.held.insert(at, slot);
+        self.held.insert(at, index);
     }
 
     /// Makes ready the packets that follow directly, and if more than `patience` packets wait
     /// behind a gap, those behind it too.
     fn settle(&mut self, patience: usize) {
-        while let (Some(&slot), Some(last)) = (self.held.first(), self.last) {
-            let Relation::Follows(before, _) =
-                self.matcher.between(&self.slots[last], &self.slots[slot])
+        while let (Some(&index), Some(last)) = (self.held.first(), self.last) {
+            let Relation::Follows(before, _) = self
+                .matcher
+                .between(&self.packets[last], &self.packets[index])
             else {
                 // Two with the same stamp, or a packet between them that contradicts.
                 self.held.remove(0);
@@ -316,7 +318,7 @@ impl PacketOrder {
                 return;
             }
             self.held.remove(0);
-            self.release(slot, before);
+            self.release(index, before);
         }
     }
 
@@ -325,8 +327,8 @@ impl PacketOrder {
     }
 
     fn start(&mut self, packet: OrderedPacket) {
-        let slot = self.store(packet);
-        self.release(slot, PacketGap::Start);
+        let index = self.store(packet);
+        self.release(index, PacketGap::Start);
     }
 
     fn restart(&mut self, packet: OrderedPacket) {
@@ -335,42 +337,42 @@ impl PacketOrder {
         self.start(packet);
     }
 
-    fn release(&mut self, slot: usize, before: PacketGap) {
-        let packet = &self.slots[slot];
+    fn release(&mut self, index: usize, before: PacketGap) {
+        let packet = &self.packets[index];
         let stamp_ns = packet.time_ns
             - self
                 .spec
                 .first_shot_ns(packet.mode, packet.motion.silent_ns);
         self.clock.set(packet.bytes.stamp_us(), stamp_ns);
-        let last = self.last.map(|last| &self.slots[last]);
-        self.matcher.learn(last, &self.slots[slot], before);
-        self.matcher.steady(&mut self.slots[slot].motion);
-        self.last = Some(slot);
-        self.ready.push_back((slot, before));
+        let last = self.last.map(|last| &self.packets[last]);
+        self.matcher.learn(last, &self.packets[index], before);
+        self.matcher.steady(&mut self.packets[index].motion);
+        self.last = Some(index);
+        self.ready.push_back((index, before));
     }
 
-    /// Keeps a packet in the slot that was used longest ago.
+    /// Stores a packet in place of the oldest one that is not in use.
     fn store(&mut self, packet: OrderedPacket) -> usize {
-        if self.slots.len() >= SLOTS {
-            for _ in 0..SLOTS {
-                let slot = self.next_slot;
-                self.next_slot = (slot + 1) % SLOTS;
-                if !self.is_in_use(slot) {
-                    self.slots[slot] = packet;
-                    return slot;
+        if self.packets.len() >= KEPT {
+            for _ in 0..KEPT {
+                let index = self.next_index;
+                self.next_index = (index + 1) % KEPT;
+                if !self.is_in_use(index) {
+                    self.packets[index] = packet;
+                    return index;
                 }
             }
         }
         // Grows beyond the usual number only if ready packets are not taken out.
-        self.slots.push(packet);
-        self.slots.len() - 1
+        self.packets.push(packet);
+        self.packets.len() - 1
     }
 
-    fn is_in_use(&self, slot: usize) -> bool {
-        self.held.contains(&slot)
-            || self.ready.iter().any(|&(ready, _)| ready == slot)
-            || self.suspect == Some(slot)
-            || self.last == Some(slot)
+    fn is_in_use(&self, index: usize) -> bool {
+        self.held.contains(&index)
+            || self.ready.iter().any(|&(ready, _)| ready == index)
+            || self.suspect == Some(index)
+            || self.last == Some(index)
     }
 }
 

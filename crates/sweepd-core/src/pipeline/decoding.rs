@@ -226,16 +226,16 @@ impl Decoding {
         let builder = &mut self.builder;
         loop {
             // Firing by firing into columns, up to a cut.
-            if let Some(slot) = builder.current_slot()
-                && builder.advance(order.packet(slot), order.clock(), buffer)
+            if let Some(index) = builder.current_packet()
+                && builder.advance(order.packet(index), order.clock(), buffer)
             {
                 return true;
             }
             // The next packet by the sensor's clock, with what is missing before it.
-            let Some((slot, before)) = order.pop() else {
+            let Some((index, before)) = order.pop() else {
                 return false;
             };
-            builder.begin(slot, order.packet(slot), before);
+            builder.begin(index, order.packet(index), before);
         }
     }
 

@@ -229,10 +229,10 @@ impl<'a> Reader<'a> {
     fn used(&self, db: Node<'_, '_>, lasers: usize) -> Result<usize, CalibrationError> {
         let mut end = 0;
         let enabled = self.list(db, "enabled_", lasers)?;
-        for (slot, entry) in enabled.iter().enumerate() {
+        for (index, entry) in enabled.iter().enumerate() {
             match entry.text.trim() {
                 "0" | "false" => {}
-                "1" | "true" => end = slot + 1,
+                "1" | "true" => end = index + 1,
                 other => {
                     let message = format!("enabled_: expected 0 or 1, found {}", quote(other));
                     return Err(at(self.file, entry.line, message));

@@ -96,7 +96,7 @@ pub struct BeamRecord {
     Clone, Copy, Debug, PartialEq, Eq, FromBytes, IntoBytes, KnownLayout, Immutable, Unaligned,
 )]
 #[repr(C)]
-struct Slot {
+struct BeamEntry {
     record: BeamRecord,
     rest: [u8; PAYLOAD_LEN],
 }
@@ -110,7 +110,7 @@ pub struct Dump {
     magic: [u8; 5],
     /// Noise thresholds of the upper and the lower head.
     pub noise: [u8; 2],
-    slots: [Slot; BEAMS - 1],
+    entries: [BeamEntry; BEAMS - 1],
     last: BeamRecord,
     /// When the unit was calibrated; see [`Dump::calibrated`].
     pub calibration_time: CalibrationTime,
@@ -164,8 +164,8 @@ impl Dump {
     pub fn new(series: Series, records: &[BeamRecord; BEAMS]) -> Self {
         let mut dump = Self::new_zeroed();
         dump.magic = MAGIC;
-        for (slot, record) in dump.slots.iter_mut().zip(records) {
-            slot.record = *record;
+        for (entry, record) in dump.entries.iter_mut().zip(records) {
+            entry.record = *record;
         }
         dump.last = records[BEAMS - 1];
         dump.calibration_time = CalibrationTime::NEVER;
@@ -181,7 +181,9 @@ impl Dump {
     /// From beam 64 on.
     pub fn record(&self, beam: usize) -> &BeamRecord {
         assert!(beam < BEAMS, "beam {beam} of {BEAMS}");
-        self.slots.get(beam).map_or(&self.last, |slot| &slot.record)
+        self.entries
+            .get(beam)
+            .map_or(&self.last, |entry| &entry.record)
     }
 
     /// The calibration of all beams.
@@ -215,9 +217,9 @@ impl Dump {
         match series {
             Series::S21 => self.s21_warnings = warnings.0,
             Series::S3 => self
-                .slots
+                .entries
                 .iter_mut()
-                .for_each(|slot| slot.rest[0] = warnings.0),
+                .for_each(|entry| entry.rest[0] = warnings.0),
         }
     }
 

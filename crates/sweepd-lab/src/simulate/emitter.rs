@@ -181,7 +181,7 @@ impl<'a> Emitter<'a> {
             draft.met_m[channel] =
                 returns[0].map_or(config.optics.max_range_m, |one| one.distance_m);
             let mut written = None;
-            for (slot, one) in returns.iter().enumerate() {
+            for (number, one) in returns.iter().enumerate() {
                 let Some(one) = one else { continue };
                 // The same return twice has the same noise: the sensor measured it once.
                 let bytes = match written {
@@ -189,7 +189,7 @@ impl<'a> Emitter<'a> {
                     _ => optics::record(&config.optics, one, &aim, rng),
                 };
                 written = Some((*one, bytes));
-                let (block, record) = draft.layout.place(firing, channel, slot);
+                let (block, record) = draft.layout.place(firing, channel, number);
                 draft.packet.blocks[block].records[record] = bytes;
                 if self.tells {
                     draft.truth.returns[block][record] = Some(truth(one, &aim, time_ns));

@@ -48,12 +48,12 @@ impl Layout {
         first..first + blocks
     }
 
-    /// Block and record of a return: slot 0 is the only or the last one, slot 1 the strongest or
+    /// Block and record of a return: number 0 is the only or the last one, 1 the strongest or
     /// second strongest.
-    pub fn place(&self, firing: usize, channel: usize, slot: usize) -> (usize, usize) {
+    pub fn place(&self, firing: usize, channel: usize, number: usize) -> (usize, usize) {
         let banks = self.spec.banks();
         let swaps = banks > 1 && self.mode == ReturnMode::Dual;
-        let pair = if swaps { 1 - slot } else { slot };
+        let pair = if swaps { 1 - number } else { number };
         let block = self.blocks(firing).start + pair * banks + channel / RECORDS;
         (
             block,

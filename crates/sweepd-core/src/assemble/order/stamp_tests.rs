@@ -110,8 +110,8 @@ struct Outcome {
 
 impl Outcome {
     fn take(&mut self, order: &mut PacketOrder) {
-        while let Some((slot, before)) = order.pop() {
-            self.out.push((order.packet(slot).number as usize, before));
+        while let Some((index, before)) = order.pop() {
+            self.out.push((order.packet(index).number as usize, before));
         }
     }
 

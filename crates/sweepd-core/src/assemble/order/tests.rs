@@ -32,8 +32,8 @@ impl Line {
 
     fn out(&mut self) -> Vec<(u64, PacketGap)> {
         let mut out = Vec::new();
-        while let Some((slot, before)) = self.0.pop() {
-            out.push((self.0.packet(slot).number, before));
+        while let Some((index, before)) = self.0.pop() {
+            out.push((self.0.packet(index).number, before));
         }
         out
     }
@@ -167,6 +167,7 @@ fn it_keeps_its_promises_when_nobody_takes_out_what_is_ready() {
             .push(&packet(n), ReturnMode::Strongest, u64::from(n), 0)
             .unwrap();
     }
-    let mut numbers = std::iter::from_fn(|| order.pop().map(|(slot, _)| order.packet(slot).number));
+    let mut numbers =
+        std::iter::from_fn(|| order.pop().map(|(index, _)| order.packet(index).number));
     assert!((0..200).all(|n| numbers.next() == Some(n)));
 }

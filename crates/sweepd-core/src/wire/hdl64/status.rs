@@ -8,9 +8,9 @@ use zerocopy::FromBytes;
 
 use super::counter::{Counter, Step};
 use super::{
-    BeamRecord, CYCLE_LEN, CYCLES, CalibrationTime, Clock, DUMP_LEN, Dump, DumpError, FIXED, Gps,
-    MAGIC, PAYLOAD_LEN, Power, Series, Slot, UNIQUE, WARNING, Warnings, beam_of, is_after_beam,
-    return_mode,
+    BeamEntry, BeamRecord, CYCLE_LEN, CYCLES, CalibrationTime, Clock, DUMP_LEN, Dump, DumpError,
+    FIXED, Gps, MAGIC, PAYLOAD_LEN, Power, Series, UNIQUE, WARNING, Warnings, beam_of,
+    is_after_beam, return_mode,
 };
 use crate::wire::data::ReturnMode;
 
@@ -438,14 +438,17 @@ fn witness(cycle: usize, payload: usize, kind: u8, value: u8) -> Option<bool> {
 
 /// Whether a byte of the dump stays the same while the unit runs: beams and checksum.
 fn is_lasting(index: usize) -> bool {
-    let slots = offset_of!(Dump, slots);
+    let entries = offset_of!(Dump, entries);
     let last_beam = offset_of!(Dump, last)..offset_of!(Dump, calibration_time);
     match index {
-        _ if index < slots || last_beam.contains(&index) || index >= offset_of!(Dump, checksum) => {
+        _ if index < entries
+            || last_beam.contains(&index)
+            || index >= offset_of!(Dump, checksum) =>
+        {
             true
         }
         _ if index < last_beam.start => {
-            (index - slots) % size_of::<Slot>() < size_of::<BeamRecord>()
+            (index - entries) % size_of::<BeamEntry>() < size_of::<BeamRecord>()
         }
         _ => false,
     }

@@ -87,7 +87,7 @@ fn crc_is_the_published_one() {
 #[test]
 fn packets_are_those_of_the_manual() {
     let (mut dump, live) = unit(1, Series::S3);
-    dump.slots[0].record.elevation_cdeg = I16::new(0x0102);
+    dump.entries[0].record.elevation_cdeg = I16::new(0x0102);
     dump.rpm = I16::new(600);
     let packets: Vec<(u8, u8)> = emit(&dump, Series::S3, &live).collect();
     let text = |range: Range<usize>| {
@@ -280,7 +280,7 @@ proptest! {
     fn a_corrupt_beam_is_caught_and_made_good(seed in any::<u64>(), beam in 0..BEAMS, byte in 1..21_usize, flip in 1..=255_u8) {
         let unit = unit(seed, Series::S3);
         let (dump, live) = &unit;
-        let place = offset_of!(Dump, slots) + beam * size_of::<Slot>() + byte;
+        let place = offset_of!(Dump, entries) + beam * size_of::<BeamEntry>() + byte;
         let corrupt = place / PAYLOAD_LEN * CYCLE_LEN + FIXED.len() + place % PAYLOAD_LEN;
         let mut status = Status::new();
         for index in 0..2 * DUMP_PACKETS {
