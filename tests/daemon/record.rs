@@ -394,6 +394,31 @@ fn a_disk_that_does_not_answer_keeps_nobody_waiting_but_the_recording() {
 }
 
 #[test]
+fn a_disk_that_does_not_answer_at_the_start_keeps_nobody_waiting() {
+    let folder = tempfile::tempdir().unwrap();
+    let pipe = folder.path().join("pipe-000.pcap");
+    let mkfifo = Command::new("mkfifo").arg(&pipe).status();
+    assert!(mkfifo.unwrap().success());
+    let record = format!(
+        "[record]\npath = \"{}\"\n",
+        folder.path().join("pipe.pcap").display()
+    );
+    let mut daemon = Daemon::start("slow-start", &roof(96), &record);
+    let _sending = Sending::start(96, daemon.ports, vlp16(200.0));
+    let sweeps = || daemon.health().unwrap()["sensors"][0]["sweeps"].as_u64();
+    until("the sensor is served", || sweeps() > Some(1));
+    assert_eq!(daemon.recording(), Value::Null);
+    let mut reader = fs::File::open(&pipe).unwrap();
+    let mut begin = [0; 4];
+    reader.read_exact(&mut begin).unwrap();
+    until("it is recorded", || {
+        daemon.recording()["datagrams"].is_u64()
+    });
+    drop(reader);
+    daemon.end();
+}
+
+#[test]
 fn a_recording_that_cannot_be_begun_keeps_no_sensor_from_being_served() {
     let daemon = Daemon::start(
         "nowhere",

@@ -85,7 +85,7 @@ impl RemoteRecording {
     ) -> Result<(Self, PathBuf), RemoteRecordError> {
         let stream = UnixStream::connect(socket)
             .await
-            .map_err(|source| unreachable(socket, source))?;
+            .map_err(|source| no_answer(socket, source))?;
         let gone = |source| gone(socket, source);
         let own = own_uid();
         let daemon = stream.peer_cred().map_err(gone)?.uid();
@@ -154,7 +154,7 @@ fn gone(path: &Path, source: io::Error) -> RemoteRecordError {
 }
 
 /// Why there is no answer: no daemon, or one of another user, who alone may open its socket.
-fn unreachable(path: &Path, source: io::Error) -> RemoteRecordError {
+fn no_answer(path: &Path, source: io::Error) -> RemoteRecordError {
     // Of a folder that is closed to this user, its owner.
     let owner = path
         .ancestors()

@@ -40,6 +40,10 @@ pub const MAX_ASKED: usize = 4;
 /// In this time each port thread drops its feed of a recording that ends: it rests for half a
 /// second at most.
 const RELEASE_TIME: Duration = Duration::from_secs(2);
+/// How long the start of the daemon waits for the disk.
+const START_TIME: Duration = Duration::from_secs(1);
+/// How often it is looked whether a wait is over.
+const POLL_TIME: Duration = Duration::from_millis(5);
 
 /// Where the daemon of a root folder is asked for recordings: in that folder, beside the files of
 /// iceoryx2.
@@ -211,15 +215,18 @@ impl Default for Recordings {
 }
 
 impl Recordings {
-    /// Begins the recording of the configuration, if there is to be one, and waits for the disk. If
-    /// it cannot be begun that is logged, and no reason not to run.
+    /// Begins the recording of the configuration, if there is to be one. The ports wait for it, so
+    /// that nothing is missed, but no longer than for [`START_TIME`]. If it cannot be begun that is
+    /// logged, and no reason not to run.
     pub fn start(&mut self, record: Option<&RecordConfig>) {
-        let Some(config) = record else { return };
-        let target = Target::configured(config);
-        let recording = self.add(target, Origin::Configuration(config.clone()));
-        let result = recording.target.start(Arc::clone(&recording.counts));
-        let id = recording.id;
-        self.begun(id, result);
+        self.configure(record);
+        let started = Instant::now();
+        while self.is_configured_beginning() && started.elapsed() < START_TIME {
+            match self.events.try_recv() {
+                Ok(event) => self.handle(event),
+                Err(_) => thread::sleep(POLL_TIME),
+            }
+        }
     }
 
     /// Takes the names of the sensors and the ways to their ports; what has begun is recorded from
@@ -260,7 +267,7 @@ impl Recordings {
     /// Has the configuration record something else, or nothing. What it recorded before goes on
     /// until that is begun, and where it cannot be begun.
     pub fn configure(&mut self, record: Option<&RecordConfig>) {
-        if self.configured().any(|one| one.is_beginning) {
+        if self.is_configured_beginning() {
             self.wanted = Some(record.cloned());
             return;
         }
@@ -301,7 +308,7 @@ impl Recordings {
         }
         let mut due = Vec::new();
         let mut over = Vec::new();
-        let is_replaced = self.configured().any(|one| one.is_beginning);
+        let is_replaced = self.is_configured_beginning();
         for recording in &mut self.list {
             recording.look();
             if !is_replaced && recording.is_due(now) {
@@ -368,6 +375,10 @@ impl Recordings {
 
     fn configured(&self) -> impl Iterator<Item = &Recording> {
         self.list.iter().filter(|one| one.is_configured())
+    }
+
+    fn is_configured_beginning(&self) -> bool {
+        self.configured().any(|one| one.is_beginning)
     }
 
     fn add(&mut self, target: Target, origin: Origin) -> &Recording {
@@ -586,7 +597,7 @@ fn feed(ports: &[PortLink], remove: Option<u64>, recording: &Recording, recorder
 fn await_release(recorder: &Recorder) {
     let begun = Instant::now();
     while recorder.has_feeds() && begun.elapsed() < RELEASE_TIME {
-        thread::sleep(Duration::from_millis(5));
+        thread::sleep(POLL_TIME);
     }
 }
 
