@@ -28,7 +28,7 @@ use tokio::sync::mpsc::{UnboundedReceiver, UnboundedSender, unbounded_channel};
 use tracing::warn;
 
 use self::protocol::Request;
-pub use self::recording::{Begun, Client, RecordingStatus};
+pub use self::recording::{Client, ClientView, RecordingStatus};
 use self::recording::{Drops, Origin, Recording, Target, explain, finish_failed};
 use super::config::RecordConfig;
 use super::counters::PortCounters;
@@ -125,8 +125,8 @@ pub enum Event {
         /// Where it learns what came of it.
         client: Client,
     },
-    /// One has begun, or not.
-    Begun {
+    /// The file of one was opened, or could not be.
+    Opened {
         /// Its number.
         id: u64,
         /// What writes it.
@@ -142,7 +142,7 @@ pub enum Event {
 impl Event {
     /// Drops an event that is not handled any more.
     fn discard(self) {
-        if let Self::Begun {
+        if let Self::Opened {
             result: Ok(recorder),
             ..
         } = self
@@ -259,7 +259,7 @@ impl Recordings {
     pub fn handle(&mut self, event: Event) {
         match event {
             Event::Asked { request, client } => self.ask(request, client),
-            Event::Begun { id, result } => self.begun(id, result),
+            Event::Opened { id, result } => self.opened(id, result),
             Event::Abandoned { id } => self.end(id),
         }
     }
@@ -431,17 +431,17 @@ impl Recordings {
             .name("sweepd-record".to_owned())
             .spawn(move || {
                 let result = target.start(counts);
-                if let Err(unsent) = events.send(Event::Begun { id, result }) {
+                if let Err(unsent) = events.send(Event::Opened { id, result }) {
                     unsent.0.discard();
                 }
             });
         if let Err(source) = thread {
-            self.begun(id, Err(RecordError::Thread { source }));
+            self.opened(id, Err(RecordError::Thread { source }));
         }
     }
 
-    /// A recording was begun, for the first time or once more, or could not be.
-    fn begun(&mut self, id: u64, result: Result<Recorder, RecordError>) {
+    /// The file of a recording was opened, for the first time or once more, or could not be.
+    fn opened(&mut self, id: u64, result: Result<Recorder, RecordError>) {
         let Some(index) = self.list.iter().position(|one| one.id == id) else {
             // It was ended meanwhile, and has recorded nothing.
             if let Ok(recorder) = result {
@@ -471,12 +471,12 @@ impl Recordings {
             return;
         }
         match result {
-            Ok(recorder) => self.begun_well(index, recorder),
-            Err(error) => self.begun_in_vain(index, &error),
+            Ok(recorder) => self.write_with(index, recorder),
+            Err(error) => self.could_not_open(index, &error),
         }
     }
 
-    fn begun_well(&mut self, index: usize, recorder: Recorder) {
+    fn write_with(&mut self, index: usize, recorder: Recorder) {
         let recording = &self.list[index];
         let id = recording.id;
         let is_first = recording.recorder().is_none();
@@ -494,7 +494,7 @@ impl Recordings {
                 counters.push(Arc::clone(&port.counters));
             }
         }
-        let failed = self.list[index].begun(recorder, Drops::since_now(counters));
+        let failed = self.list[index].write_with(recorder, Drops::since_now(counters));
         if let Some(failed) = failed {
             self.wait_aside(None, move || {
                 await_release(&failed);
@@ -506,7 +506,7 @@ impl Recordings {
         }
     }
 
-    fn begun_in_vain(&mut self, index: usize, error: &RecordError) {
+    fn could_not_open(&mut self, index: usize, error: &RecordError) {
         let other = self.other_configured(index);
         let mut list = self.list.iter();
         let goes_on = list.any(|one| Some(one.id) == other && !one.has_failed());
@@ -595,8 +595,8 @@ fn feed(ports: &[PortLink], remove: Option<u64>, recording: &Recording, recorder
 
 /// Waits until all port threads have turned away.
 fn await_release(recorder: &Recorder) {
-    let begun = Instant::now();
-    while recorder.has_feeds() && begun.elapsed() < RELEASE_TIME {
+    let started = Instant::now();
+    while recorder.has_feeds() && started.elapsed() < RELEASE_TIME {
         thread::sleep(POLL_TIME);
     }
 }

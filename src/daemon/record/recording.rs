@@ -166,13 +166,14 @@ impl Drops {
 /// The client that asked for a recording.
 #[derive(Debug)]
 pub struct Client {
-    begun: Option<oneshot::Sender<Result<Begun, String>>>,
+    /// Until it was used.
+    answer: Option<oneshot::Sender<Result<ClientView, String>>>,
     ended: oneshot::Sender<Ended>,
 }
 
 /// What a client sees of its recording while it goes on.
 #[derive(Debug)]
-pub struct Begun {
+pub struct ClientView {
     /// Its number.
     pub id: u64,
     /// Its first file.
@@ -181,7 +182,7 @@ pub struct Begun {
     drops: Drops,
 }
 
-impl Begun {
+impl ClientView {
     /// How far it is.
     pub fn progress(&self) -> Progress {
         Progress {
@@ -195,20 +196,20 @@ impl Client {
     /// A client, where it learns whether its recording has begun, and what it came to.
     pub fn new() -> (
         Self,
-        oneshot::Receiver<Result<Begun, String>>,
+        oneshot::Receiver<Result<ClientView, String>>,
         oneshot::Receiver<Ended>,
     ) {
-        let (begun, has_begun) = oneshot::channel();
+        let (answer, is_answered) = oneshot::channel();
         let (ended, has_ended) = oneshot::channel();
-        let begun = Some(begun);
-        (Self { begun, ended }, has_begun, has_ended)
+        let answer = Some(answer);
+        (Self { answer, ended }, is_answered, has_ended)
     }
 
     /// Says why nothing is recorded.
     pub(super) fn refuse(self, why: String) {
-        if let Some(begun) = self.begun {
+        if let Some(answer) = self.answer {
             // A client that has gone need not know.
-            let _ = begun.send(Err(why));
+            let _ = answer.send(Err(why));
         }
     }
 }
@@ -290,7 +291,8 @@ pub(super) struct Recording {
     pub(super) is_beginning: bool,
     /// The one that writes, or wrote until it failed.
     recorder: Option<Recorder>,
-    begun: Instant,
+    /// When it began to write, at the last attempt.
+    writes_since: Instant,
     drops: Drops,
     /// Why nothing is recorded, as it was logged; of one that was begun again, until it is well.
     trouble: Option<String>,
@@ -309,7 +311,7 @@ impl Recording {
             counts: Arc::default(),
             is_beginning: true,
             recorder: None,
-            begun: Instant::now(),
+            writes_since: Instant::now(),
             drops: Drops::default(),
             trouble: None,
             slow_logged: None,
@@ -347,7 +349,7 @@ impl Recording {
 
     /// Whether its time is up, and its client has not ended it.
     pub(super) fn is_overdue(&self) -> bool {
-        let went_on = self.begun.elapsed().saturating_sub(GRACE);
+        let went_on = self.writes_since.elapsed().saturating_sub(GRACE);
         let limit = self.target.duration;
         self.recorder.is_some() && limit.is_some_and(|limit| went_on >= limit)
     }
@@ -356,17 +358,17 @@ impl Recording {
         self.recorder.as_ref()
     }
 
-    /// Takes the recorder that was begun; gives the one before, which had failed.
-    pub(super) fn begun(&mut self, recorder: Recorder, drops: Drops) -> Option<Recorder> {
+    /// Writes with this recorder from now on; gives the one before, which had failed.
+    pub(super) fn write_with(&mut self, recorder: Recorder, drops: Drops) -> Option<Recorder> {
         if self.trouble.is_none() {
             info!("recording to {}", recorder.path().display());
         }
-        self.begun = Instant::now();
+        self.writes_since = Instant::now();
         if let Origin::Client(client) = &mut self.origin
-            && let Some(begun) = client.begun.take()
+            && let Some(answer) = client.answer.take()
         {
             // Where it has gone, its end follows.
-            let _ = begun.send(Ok(Begun {
+            let _ = answer.send(Ok(ClientView {
                 id: self.id,
                 path: recorder.path().to_owned(),
                 counts: Arc::clone(&self.counts),
@@ -414,8 +416,8 @@ impl Recording {
             }
             return;
         }
-        self.retries.went_on(self.begun.elapsed());
-        if self.trouble.is_some() && self.begun.elapsed() > PROBATION {
+        self.retries.went_on(self.writes_since.elapsed());
+        if self.trouble.is_some() && self.writes_since.elapsed() > PROBATION {
             info!("recording to {} again", recorder.path().display());
             self.trouble = None;
         }

@@ -197,15 +197,15 @@ async fn converse(mut connection: Connection, events: &UnboundedSender<Event>) -
         Ok(Ok(Some(line))) => line,
         _ => return Ok(()),
     };
-    let (client, begun, mut ended) = Client::new();
-    let begun = match Request::parse(&line) {
+    let (client, answer, mut ended) = Client::new();
+    let answer = match Request::parse(&line) {
         Ok(request) => {
-            // Without a receiver the daemon ends, and `begun` fails.
+            // Without a receiver the daemon ends, and `answer` fails.
             let _ = events.send(Event::Asked { request, client });
             tokio::select! {
                 // First: what has begun has to be ended.
                 biased;
-                begun = begun => begun.unwrap_or(Err("the daemon ends".to_owned())),
+                answer = answer => answer.unwrap_or(Err("the daemon ends".to_owned())),
                 // The client goes, or asks for the end, before the beginning: without a receiver,
                 // what is being begun is discarded.
                 _ = connection.receive() => return Ok(()),
@@ -213,14 +213,14 @@ async fn converse(mut connection: Connection, events: &UnboundedSender<Event>) -
         }
         Err(why) => Err(why),
     };
-    let begun = match begun {
-        Ok(begun) => begun,
+    let view = match answer {
+        Ok(view) => view,
         Err(why) => return connection.send_if_ready(&Reply::Refused(why)),
     };
-    let path = begun.path.clone();
+    let path = view.path.clone();
     let mut is_gone = connection.send_if_ready(&Reply::Begun(path)).is_err();
     if is_gone {
-        let _ = events.send(Event::Abandoned { id: begun.id });
+        let _ = events.send(Event::Abandoned { id: view.id });
     }
     let mut ticks = interval(PROGRESS_EVERY);
     ticks.set_missed_tick_behavior(MissedTickBehavior::Skip);
@@ -230,10 +230,10 @@ async fn converse(mut connection: Connection, events: &UnboundedSender<Event>) -
             // Whatever a client says now means the end, and so does its own end.
             _ = connection.receive(), if !is_gone => {
                 is_gone = true;
-                let _ = events.send(Event::Abandoned { id: begun.id });
+                let _ = events.send(Event::Abandoned { id: view.id });
             }
             _ = ticks.tick() => {
-                let _ = connection.send_if_ready(&Reply::Progress(begun.progress()));
+                let _ = connection.send_if_ready(&Reply::Progress(view.progress()));
             }
         }
     };
