@@ -174,8 +174,8 @@ pub struct RecordingsStatus {
 #[derive(Debug)]
 pub struct Recordings {
     list: Vec<Recording>,
-    /// What the configuration wants to be recorded, if it said so while another was being begun.
-    wanted: Option<Option<RecordConfig>>,
+    /// The last configuration that came while the recording of another was being begun.
+    waiting: Option<WaitingConfig>,
     /// Names of the sensors.
     sensors: Vec<String>,
     ports: Vec<PortLink>,
@@ -186,6 +186,12 @@ pub struct Recordings {
     ended_refused: u64,
     to_events: UnboundedSender<Event>,
     events: UnboundedReceiver<Event>,
+}
+
+/// A configuration that waits until the recording of the one before has begun.
+#[derive(Debug)]
+struct WaitingConfig {
+    record: Option<RecordConfig>,
 }
 
 /// A recording whose thread waits for the ports and the disk.
@@ -201,7 +207,7 @@ impl Default for Recordings {
         let (to_events, events) = unbounded_channel();
         Self {
             list: Vec::new(),
-            wanted: None,
+            waiting: None,
             sensors: Vec::new(),
             ports: Vec::new(),
             last_id: 0,
@@ -268,7 +274,9 @@ impl Recordings {
     /// until that is begun, and where it cannot be begun.
     pub fn configure(&mut self, record: Option<&RecordConfig>) {
         if self.is_configured_beginning() {
-            self.wanted = Some(record.cloned());
+            self.waiting = Some(WaitingConfig {
+                record: record.cloned(),
+            });
             return;
         }
         match record {
@@ -286,8 +294,8 @@ impl Recordings {
 
     /// What the configuration has recorded, or is to.
     pub fn config(&self) -> Option<&RecordConfig> {
-        match &self.wanted {
-            Some(wanted) => wanted.as_ref(),
+        match &self.waiting {
+            Some(waiting) => waiting.record.as_ref(),
             None => self.configured().filter_map(Recording::config).last(),
         }
     }
@@ -459,7 +467,7 @@ impl Recordings {
         let recording = &mut self.list[index];
         recording.is_beginning = false;
         if recording.is_configured()
-            && let Some(wanted) = self.wanted.take()
+            && let Some(waiting) = self.waiting.take()
         {
             if recording.recorder().is_none() {
                 self.list.remove(index);
@@ -467,7 +475,7 @@ impl Recordings {
             if let Ok(recorder) = result {
                 self.wait_aside(None, || finish_failed(recorder));
             }
-            self.configure(wanted.as_ref());
+            self.configure(waiting.record.as_ref());
             return;
         }
         match result {
