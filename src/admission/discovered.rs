@@ -6,6 +6,8 @@
 
 use std::net::SocketAddr;
 
+use serde::{Deserialize, Serialize};
+
 use super::{Refusal, RefusalCounts, Refused, Route, SensorFilter, SensorSet, canonical};
 use sweepd_core::wire::data::{FLAG_BANK_0, FLAG_BANK_1};
 use sweepd_core::wire::{Content, DataPacket, Datagram, Packet};
@@ -14,7 +16,7 @@ use sweepd_core::wire::{Content, DataPacket, Datagram, Packet};
 pub const MAX_SENSORS: usize = 64;
 
 /// A sender of data packets.
-#[derive(Clone, Debug, PartialEq, Eq)]
+#[derive(Clone, Debug, PartialEq, Eq, Serialize, Deserialize)]
 pub struct Sender {
     /// Where it sends from; an IPv4 address mapped into IPv6 is given as IPv4.
     pub source: SocketAddr,

@@ -12,6 +12,7 @@ mod filter;
 
 use std::net::SocketAddr;
 
+use serde::{Deserialize, Serialize};
 use sweepd_core::wire::PacketError;
 
 pub use configured::{ConfiguredSensor, ConfiguredSensors, Likelihood};
@@ -137,7 +138,7 @@ impl From<Refusal> for Refused {
 }
 
 /// How many datagrams were refused, by reason.
-#[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
+#[derive(Clone, Copy, Debug, Default, PartialEq, Eq, Serialize, Deserialize)]
 pub struct RefusalCounts([u64; Refusal::TooMany as usize + 1]);
 
 impl RefusalCounts {

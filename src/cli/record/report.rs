@@ -3,8 +3,9 @@
 use std::io::{self, Write};
 use std::time::Duration;
 
+use crate::admission::Refusal;
 use crate::capture::record::Written;
-use crate::daemon::record::protocol::{Received, Refused};
+use crate::daemon::record::protocol::Received;
 use crate::text::{count_of, grouped};
 
 /// What came to one port, or from the daemon.
@@ -42,14 +43,14 @@ impl Report {
         self.sum(|input| input.dropped)
     }
 
-    /// Datagrams that were refused for the reason that `of` picks.
-    fn refused(&self, of: fn(&Refused) -> u64) -> u64 {
-        self.sum(|input| of(&input.refused))
+    /// Datagrams that were not wanted.
+    fn refused(&self) -> u64 {
+        self.sum(Received::refused)
     }
 
     /// Datagrams that were wanted and are not in the files.
     fn unwritten(&self) -> u64 {
-        let wanted = self.received().saturating_sub(self.refused(Refused::total));
+        let wanted = self.received().saturating_sub(self.refused());
         wanted.saturating_sub(self.written.datagrams)
     }
 
@@ -82,10 +83,10 @@ impl Report {
             writeln!(
                 to,
                 "  sensor       {}: {data} on port {}",
-                sender.source, sender.port
+                sender.source, sender.destination_port
             )?;
         }
-        let others = self.sum(|input| input.others);
+        let others = self.sum(Received::others);
         if others > 0 {
             writeln!(
                 to,
@@ -110,11 +111,15 @@ impl Report {
         writeln!(
             to,
             "  refused      {} wrong length, {} wrong marker, {} wrong azimuth, {} other source",
-            grouped(self.refused(|count| count.length)),
-            grouped(self.refused(|count| count.marker)),
-            grouped(self.refused(|count| count.azimuth)),
-            grouped(self.refused(|count| count.source)),
+            self.refused_for(Refusal::Length),
+            self.refused_for(Refusal::Marker),
+            self.refused_for(Refusal::Azimuth),
+            self.refused_for(Refusal::Source),
         )
+    }
+
+    fn refused_for(&self, reason: Refusal) -> String {
+        grouped(self.sum(|input| input.refusals.get(reason)))
     }
 
     /// What people must know of, each with its cure.
@@ -140,7 +145,7 @@ impl Report {
                 "nothing came from {names}: is the sensor on, does it send to this host, does a firewall stop it? \
                  `tcpdump -ni any udp` shows what comes"
             ));
-        } else if self.received() == self.refused(Refused::total) {
+        } else if self.received() == self.refused() {
             warnings.push(format!(
                 "none of what came from {names} was of a sensor that was asked for"
             ));

@@ -6,7 +6,6 @@
 //! ```
 
 use std::io;
-use std::net::SocketAddr;
 use std::path::PathBuf;
 use std::sync::atomic::Ordering;
 use std::time::Duration;
@@ -14,12 +13,12 @@ use std::time::Duration;
 use serde::{Deserialize, Serialize};
 use tokio::net::UnixStream;
 
-use crate::admission::{DiscoveredSensors, Refusal};
+use crate::admission::{DiscoveredSensors, Refusal, RefusalCounts, Sender};
 use crate::capture::record::{RecordCounts, Rotation, Written};
 
 /// Increased whenever a message changes.
-pub const VERSION: u32 = 2;
-/// Longest message, bytes: the summary of 64 senders takes 6 KB, a path at most 4 KB.
+pub const VERSION: u32 = 3;
+/// Longest message, bytes: the summary of 64 senders takes 10 KB, a path at most 4 KB.
 const MAX_LEN: usize = 64 << 10;
 
 /// What a client wants to be recorded.
@@ -129,65 +128,31 @@ pub struct Received {
     pub senders: Vec<Sender>,
     /// Position packets.
     pub positions: u64,
-    /// Datagrams that are not in the files, by reason.
-    pub refused: Refused,
-    /// Data packets of more senders than can be told apart; they are in the files.
-    pub others: u64,
-}
-
-/// A sender of data packets.
-#[derive(Clone, Debug, PartialEq, Eq, Serialize, Deserialize)]
-pub struct Sender {
-    /// Where it sends from.
-    pub source: SocketAddr,
-    /// The port that it sends to.
-    pub port: u16,
-    /// Data packets of it.
-    pub packets: u64,
-}
-
-/// Datagrams that were not wanted.
-#[derive(Clone, Copy, Debug, Default, PartialEq, Eq, Serialize, Deserialize)]
-pub struct Refused {
-    /// Neither as long as a data packet nor as a position packet.
-    pub length: u64,
-    /// Without the marker of a block.
-    pub marker: u64,
-    /// With an azimuth beyond the turn.
-    pub azimuth: u64,
-    /// Of another sensor.
-    pub source: u64,
-}
-
-impl Refused {
-    /// All of them.
-    pub fn total(&self) -> u64 {
-        self.length + self.marker + self.azimuth + self.source
-    }
+    /// Datagrams that admission refused. Data packets of more senders than can be told apart are in
+    /// the files all the same.
+    pub refusals: RefusalCounts,
 }
 
 impl Received {
     /// What admission has counted of so many datagrams, of which others were dropped before.
     pub fn new(datagrams: u64, dropped: u64, admission: &DiscoveredSensors) -> Self {
-        let refusals = admission.refusals();
-        let senders = admission.senders().iter().map(|sender| Sender {
-            source: sender.source,
-            port: sender.destination_port,
-            packets: sender.packets,
-        });
         Self {
             datagrams,
             dropped,
-            senders: senders.collect(),
+            senders: admission.senders().to_vec(),
             positions: admission.positions(),
-            refused: Refused {
-                length: refusals.get(Refusal::Length),
-                marker: refusals.get(Refusal::Marker),
-                azimuth: refusals.get(Refusal::Azimuth),
-                source: refusals.get(Refusal::Source),
-            },
-            others: refusals.get(Refusal::TooMany),
+            refusals: admission.refusals(),
         }
+    }
+
+    /// Data packets of more senders than can be told apart.
+    pub fn others(&self) -> u64 {
+        self.refusals.get(Refusal::TooMany)
+    }
+
+    /// Datagrams that are not in the files since they were not wanted.
+    pub fn refused(&self) -> u64 {
+        self.refusals.total() - self.others()
     }
 }
 

@@ -12,6 +12,7 @@ use super::client::{RemoteRecordError, RemoteRecording};
 use super::protocol::{Connection, Ended, Reply, VERSION};
 use super::server::{ControlServer, SocketError};
 use super::*;
+use crate::admission::Refusal;
 use crate::capture::Capture;
 use crate::capture::record::Rotation;
 use std::io;
@@ -201,7 +202,9 @@ async fn what_two_ports_receive_of_a_sensor_is_recorded_in_the_order_of_arrival(
         (2_040, 40)
     );
     let senders = ended.received.senders.iter();
-    let senders: Vec<_> = senders.map(|one| (one.port, one.packets)).collect();
+    let senders: Vec<_> = senders
+        .map(|one| (one.destination_port, one.packets))
+        .collect();
     assert_eq!(senders, [(2368, 2_000)]);
     expected.sort_by_key(|one| one.0);
     let files = (0..3).map(|number| daemon.read(&format!("roof-00{number}.pcap")));
@@ -276,7 +279,10 @@ async fn senders_that_are_not_wanted_are_counted_and_not_recorded() {
     daemon.ports[0].receive(0, 2368, 5, &data_packet(1));
     let ended = daemon.end(recording).await;
     assert_eq!(
-        (ended.written.datagrams, ended.received.refused.source),
+        (
+            ended.written.datagrams,
+            ended.received.refusals.get(Refusal::Source)
+        ),
         (0, 1)
     );
 }
