@@ -170,6 +170,8 @@ impl Files {
                         path: written.last.clone(),
                     });
                 }
+                // Another may have begun a file of this name meanwhile.
+                let _replaced = unwritten(&path)?;
                 fs::rename(&written.last, &path).map_err(RecordError::of(&path))?;
                 sync_folder_of(&path);
                 (written.first, written.last) = (path.clone(), path);

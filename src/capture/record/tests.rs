@@ -221,6 +221,39 @@ fn a_second_recording_never_takes_the_file_of_the_first() {
 }
 
 #[test]
+fn a_file_that_another_recording_has_begun_meanwhile_is_not_replaced() {
+    let folder = tempfile::tempdir().unwrap();
+    let path = folder.path().join("x.pcap");
+    let first = Recorder::start(replacing(&path)).unwrap();
+    let second = Recorder::start(RecorderConfig::new(&path)).unwrap();
+    record_one(&first);
+    record_one(&second);
+    let (written, ended) = first.finish();
+    assert!(matches!(*ended.unwrap_err(), RecordError::Busy { .. }));
+    assert_eq!(written.last, folder.path().join("x.pcap.part"));
+    assert_eq!(read(&written.last).len(), 1);
+    assert!(second.finish().1.is_ok() && read(&path).len() == 1);
+}
+
+/// The end wakes the writer, which waits for more.
+#[test]
+fn the_end_is_not_a_period_late() {
+    let folder = tempfile::tempdir().unwrap();
+    let ends = (0..10).map(|number| {
+        let path = folder.path().join(format!("{number}.pcap"));
+        let recorder = Recorder::start(RecorderConfig::new(&path)).unwrap();
+        record_one(&recorder);
+        thread::sleep(PERIOD / 4);
+        let asked = Instant::now();
+        assert!(recorder.finish().1.is_ok() && read(&path).len() == 1);
+        asked.elapsed()
+    });
+    // The cores may be busy, but not each time.
+    let fastest = ends.min().unwrap();
+    assert!(fastest < PERIOD / 2, "{fastest:?}");
+}
+
+#[test]
 fn a_part_that_was_replaced_replaces_nothing() {
     let folder = tempfile::tempdir().unwrap();
     let path = folder.path().join("x.pcap");
