@@ -8,6 +8,7 @@ mod input;
 mod remote;
 mod report;
 
+use std::fs::File;
 use std::io::{self, BufWriter, IsTerminal, Write};
 use std::path::{Path, PathBuf};
 use std::sync::Arc;
@@ -24,7 +25,7 @@ use super::output::ForceOptions;
 use super::signals::end_flag;
 use super::{CliError, complain};
 use crate::admission::{DiscoveredSensors, SensorFilter};
-use crate::capture::record::{RecorderConfig, Rotation};
+use crate::capture::record::{RecorderConfig, Rotation, open_special};
 use crate::capture::udp::ample_buffer_bytes;
 use crate::capture::{Recorder, UdpConfig, UdpError, UdpSource};
 use crate::daemon::record::protocol::Progress;
@@ -130,6 +131,7 @@ impl Args {
         over: Arc<AtomicBool>,
     ) -> Result<(Report, Result<(), CliError>), CliError> {
         let sources = self.listen()?;
+        let _pipe = self.await_reader(&over)?;
         let recorder = Recorder::start(RecorderConfig {
             rotation: self.rotation(),
             existing: self.force.existing(),
@@ -153,6 +155,26 @@ impl Args {
             dropped: AtomicU64::new(0),
         };
         Ok(recording.run(self, inputs))
+    }
+
+    /// Waits for a program that reads the pipe, if the output is one, and says so. The pipe is to be
+    /// kept until the recorder has it too, so that the reader sees no end before the beginning.
+    fn await_reader(&self, over: &AtomicBool) -> Result<Option<File>, CliError> {
+        let mut is_announced = false;
+        loop {
+            match open_special(&self.output) {
+                Err(error) if error.is_unread_pipe() && !over.load(Ordering::Relaxed) => {}
+                opened => return Ok(opened?),
+            }
+            if !std::mem::replace(&mut is_announced, true) {
+                let output = self.output.display();
+                complain(
+                    "note",
+                    format_args!("waiting for a program that reads {output}"),
+                );
+            }
+            thread::sleep(TICK);
+        }
     }
 
     /// Opens all ports, and says which have too small a buffer.

@@ -61,14 +61,7 @@ impl Recorder {
     }
 
     fn signal(&self, name: &str) {
-        let pid = self.child.id().to_string();
-        assert!(
-            Command::new("kill")
-                .args(["-s", name, &pid])
-                .status()
-                .unwrap()
-                .success()
-        );
+        signal(&self.child, name);
     }
 
     /// Waits for the end.
@@ -85,6 +78,12 @@ impl Recorder {
         self.signal("TERM");
         self.wait()
     }
+}
+
+fn signal(child: &Child, name: &str) {
+    let pid = child.id().to_string();
+    let kill = Command::new("kill").args(["-s", name, &pid]).status();
+    assert!(kill.unwrap().success());
 }
 
 /// The number before a word of the summary.
@@ -604,6 +603,47 @@ fn a_recording_is_replaced_only_with_force_and_when_the_new_one_is_whole() {
         "{}",
         rotated.stderr
     );
+}
+
+#[test]
+fn a_pipe_that_no_program_reads_yet_is_waited_for_with_a_word() {
+    let folder = Folder::new("record-pipe");
+    let path = folder.path("pipe.pcap");
+    let mkfifo = Command::new("mkfifo").arg(&path).status();
+    assert!(mkfifo.unwrap().success());
+    let options = ["--port", "0", "--bind", "127.0.0.1"];
+    let waiting = || {
+        let output = ["record", "-o", path.to_str().unwrap()];
+        let mut child = command(&[&output[..], &options].concat())
+            .stdout(Stdio::piped())
+            .stderr(Stdio::piped())
+            .spawn()
+            .unwrap();
+        let mut stderr = BufReader::new(child.stderr.take().unwrap());
+        let mut line = String::new();
+        while !line.starts_with("note: waiting for a program that reads ") {
+            line.clear();
+            assert!(stderr.read_line(&mut line).unwrap() > 0);
+        }
+        (child, stderr)
+    };
+    let (mut child, mut stderr) = waiting();
+    signal(&child, "INT");
+    let mut rest = String::new();
+    stderr.read_to_string(&mut rest).unwrap();
+    assert!(rest.contains("no program reads it"), "{rest}");
+    assert!(!child.wait().unwrap().success());
+    let (mut child, mut stderr) = waiting();
+    let mut reader = std::fs::File::open(&path).unwrap();
+    let mut line = String::new();
+    stderr.read_line(&mut line).unwrap();
+    assert!(line.starts_with("recording "), "{line}");
+    signal(&child, "INT");
+    let mut bytes = Vec::new();
+    reader.read_to_end(&mut bytes).unwrap();
+    // The header of a capture without a record.
+    assert_eq!(bytes.len(), 24);
+    assert!(child.wait().unwrap().success());
 }
 
 #[test]

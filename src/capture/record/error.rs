@@ -1,6 +1,7 @@
 //! Why a recording fails, each with what to do about it.
 
 use std::io;
+use std::os::unix::fs::FileTypeExt;
 use std::path::{Path, PathBuf};
 
 /// Why a recording cannot be begun or cannot go on.
@@ -49,6 +50,17 @@ pub enum RecordError {
 }
 
 impl RecordError {
+    /// Whether it is a pipe that no program reads (open(2)).
+    pub fn is_unread_pipe(&self) -> bool {
+        let Self::File { path, source } = self else {
+            return false;
+        };
+        let is_pipe = path
+            .metadata()
+            .is_ok_and(|found| found.file_type().is_fifo());
+        is_pipe && source.raw_os_error() == Some(libc::ENXIO)
+    }
+
     /// An error of a file, and which it is.
     pub(super) fn of(path: &Path) -> impl Fn(io::Error) -> Self {
         move |source| {

@@ -227,6 +227,20 @@ impl Files {
     }
 }
 
+/// Opens a pipe or a device without waiting: to open a pipe that no program reads would take until
+/// one does. A file is not opened.
+///
+/// # Errors
+/// [`RecordError::File`]; [`RecordError::is_unread_pipe`] tells a pipe that no program reads.
+pub fn open_special(path: &Path) -> Result<Option<File>, RecordError> {
+    if !is_special(path) {
+        return Ok(None);
+    }
+    let mut options = File::options();
+    options.write(true).custom_flags(libc::O_NONBLOCK);
+    options.open(path).map(Some).map_err(RecordError::of(path))
+}
+
 /// A file of this name, if there is one, locked: no recording writes it.
 ///
 /// # Errors

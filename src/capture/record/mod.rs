@@ -27,7 +27,7 @@ use std::time::{Duration, Instant};
 
 pub use self::error::RecordError;
 use self::files::Files;
-pub use self::files::{Rotation, Written};
+pub use self::files::{Rotation, Written, open_special};
 use self::ring::{Consumer, Producer, ring};
 use super::write::Addressed;
 use crate::files::output::Existing;

@@ -1,9 +1,7 @@
 //! One recording: what is recorded where, how it is, and who asked for it.
 
-use std::fs::File;
 use std::io;
-use std::os::unix::fs::OpenOptionsExt;
-use std::path::{Path, PathBuf};
+use std::path::PathBuf;
 use std::sync::atomic::Ordering;
 use std::sync::{Arc, Mutex, PoisonError};
 use std::time::{Duration, Instant};
@@ -14,10 +12,12 @@ use tracing::{error, info, warn};
 use super::protocol::{Ended, Progress, Received, Request};
 use crate::admission::{DiscoveredSensors, SensorFilter};
 use crate::capture::RecordError;
-use crate::capture::record::{Accept, RecordCounts, Recorder, RecorderConfig, Rotation, Written};
+use crate::capture::record::{
+    Accept, RecordCounts, Recorder, RecorderConfig, Rotation, Written, open_special,
+};
 use crate::daemon::config::RecordConfig;
 use crate::daemon::counters::PortCounters;
-use crate::files::output::{Existing, is_special};
+use crate::files::output::Existing;
 use crate::text::count_of;
 
 /// From one attempt to begin a recording that has failed to the next, at first and at most. One
@@ -122,23 +122,6 @@ impl Target {
             }
             None => Received::default(),
         }
-    }
-}
-
-/// Opens a pipe or a device of a client, which must not keep the daemon waiting: to open a pipe
-/// that no program reads would take until one does. A file is not opened.
-fn open_special(path: &Path) -> Result<Option<File>, RecordError> {
-    if !is_special(path) {
-        return Ok(None);
-    }
-    let mut options = File::options();
-    options.write(true).custom_flags(libc::O_NONBLOCK);
-    match options.open(path) {
-        Ok(file) => Ok(Some(file)),
-        Err(source) => Err(RecordError::File {
-            path: path.to_owned(),
-            source,
-        }),
     }
 }
 
