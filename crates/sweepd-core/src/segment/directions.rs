@@ -96,12 +96,18 @@ impl Directions {
     /// Sine, cosine and the rest of the turning rate of the firings that a row with this shift
     /// shows, from a position on.
     #[inline(always)]
-    pub fn at<S: Simd>(&self, simd: S, position: usize, shift: i32) -> [f32x16<S>; 3] {
+    pub fn at<S: Simd, V: SimdBase<S, Element = f32>>(
+        &self,
+        simd: S,
+        position: usize,
+        shift: i32,
+    ) -> [V; 3] {
         let at = (position + self.margin).wrapping_add_signed(shift as isize);
+        let lanes = at..at + V::LEN;
         [
-            load(simd, &self.sin, at),
-            load(simd, &self.cos, at),
-            load(simd, &self.surplus_rad_s, at),
+            V::from_slice(simd, &self.sin[lanes.clone()]),
+            V::from_slice(simd, &self.cos[lanes.clone()]),
+            V::from_slice(simd, &self.surplus_rad_s[lanes]),
         ]
     }
 }

@@ -6,11 +6,11 @@
 //! sensors, whose first ground point is metres out. Columns do not look at each other while they
 //! climb: a strip of them climbs at once, row by row.
 
-use fearless_simd::{Simd, f32x16, mask32x16, prelude::*};
+use fearless_simd::{Simd, prelude::*};
 
-use super::order::{LANES, STRIP};
+use super::order::{STRIP, lane_of};
 use super::points::{Beams, Profile};
-use super::ranges::Ranges;
+use super::ranges::{Ranges, to_step};
 use super::{DENSE_ROWS, MAX_ROWS};
 
 /// What counts as ground.
@@ -25,7 +25,7 @@ pub struct SlopeGround {
     pub min_rise_m: f32,
     /// What rises higher than this over its foot, at more than 45 degrees, is an object, metres.
     pub max_step_m: f32,
-    /// Two returns further apart than this are no step, metres.
+    /// What rises further than this from one return to the next is no step, metres.
     pub step_reach_m: f32,
     /// A step that is no higher than this is a kerb when the ground goes on level behind it,
     /// metres.
@@ -53,27 +53,6 @@ impl Default for SlopeGround {
 /// Neighbours on either side that vote.
 pub(super) const VOTERS: usize = 3;
 
-/// Where the sensor is over the ground.
-#[derive(Clone, Copy, Debug, Default)]
-pub(super) struct Stand {
-    /// Direction away from the ground, of length 1.
-    pub up: [f32; 3],
-    /// Height over the ground; `None` while it is unknown: then nothing is ground.
-    pub height_m: Option<f32>,
-}
-
-/// Words of a strip in one row: a bit a column.
-#[derive(Clone, Copy, Debug, Default)]
-pub(super) struct Words {
-    /// Returns that may be labelled.
-    pub real: u64,
-    /// Ground by the climb alone.
-    pub climbed: u64,
-}
-
-/// The words of the strip before, the one at hand and the next.
-pub(super) type Window = [Words; 3];
-
 impl SlopeGround {
     /// Highest rise from one ground point to the next in an image of this many rows, metres: what
     /// was told, else 0.3 where beams are dense, and 0.15 where they are sparse, so that the next
@@ -82,218 +61,377 @@ impl SlopeGround {
         self.max_rise_m
             .unwrap_or(if rows >= DENSE_ROWS { 0.3 } else { 0.15 })
     }
+}
 
-    /// Climbs the columns of the next strip, which begins at this position. The words say what is
-    /// real.
+/// The ground of the strips at hand.
+#[derive(Clone, Debug)]
+pub(super) struct Ground {
+    /// Height of the sensor over the ground, metres; `None` while it is unknown: then nothing is
+    /// ground.
+    pub height_m: Option<f32>,
+    /// Which columns of a row are ground by the climb alone, in the strip before, the one at hand
+    /// and the next.
+    climbed: [[u64; 3]; MAX_ROWS],
+    /// The next strip, row by row.
+    spots: Box<[Spot<[i16; STRIP]>; MAX_ROWS]>,
+}
+
+impl Default for Ground {
+    fn default() -> Self {
+        let nowhere = Spot {
+            away: [0; STRIP],
+            way: [0; STRIP],
+            height: [0; STRIP],
+        };
+        Self {
+            height_m: None,
+            climbed: [[0; 3]; MAX_ROWS],
+            spots: Box::new([nowhere; MAX_ROWS]),
+        }
+    }
+}
+
+/// What the columns of a row are found to be: a bit each.
+#[derive(Clone, Copy, Default)]
+struct Found {
+    ground: u64,
+    /// The face of a kerb, if the way goes on level behind it.
+    face: u64,
+    /// The way goes on level behind a kerb.
+    goes_on: u64,
+}
+
+impl Ground {
+    /// Climbs the columns of the next strip, which begins at this position.
     #[inline(always)]
-    pub(super) fn climb<S: Simd>(
-        &self,
+    pub fn climb<S: Simd>(
+        &mut self,
         simd: S,
+        limits: &SlopeGround,
         beams: &Beams,
         ranges: &Ranges,
         position: usize,
-        stand: &Stand,
-        words: &mut [Window],
     ) {
-        words.iter_mut().for_each(|words| words[2].climbed = 0);
-        let Some(height_m) = stand.height_m else {
-            return;
-        };
-        let max_rise_m = self.max_rise_m(words.len());
-        // For each row: which columns find it the face of a kerb, and which find that a kerb below
-        // goes on level here.
-        let mut kerbs = [[0_u64; 2]; MAX_ROWS];
-        // Sixteen after sixteen: what more have to remember is more than there are registers.
-        for first in (0..STRIP).step_by(LANES) {
-            let mut climber = Climber::new(simd, height_m, max_rise_m);
-            for row in (0..words.len()).rev() {
-                let Words { real, climbed } = &mut words[row][2];
-                if *real >> first & 0xFFFF == 0 {
-                    continue;
+        let rows = beams.rows();
+        let mut found = [Found::default(); MAX_ROWS];
+        if let Some(height_m) = self.height_m {
+            let steps = Steps::new(limits, rows, height_m);
+            for (row, spots) in self.spots[..rows].iter_mut().enumerate() {
+                spots.place(simd, &steps, beams, ranges, row, position);
+            }
+            for first in (0..STRIP).step_by(S::i16s::LEN) {
+                let mut climber = Climber::new(simd);
+                for (row, spots) in self.spots[..rows].iter().enumerate().rev() {
+                    if (ranges.real[row][2] >> first).trailing_zeros() as usize >= S::i16s::LEN {
+                        continue;
+                    }
+                    let real: S::i16s = ranges.steps.load(simd, lane_of(row) + STRIP + first);
+                    let here = spots.load(simd, first);
+                    let [ground, face, goes_on] = climber.step(&steps, here, real.simd_gt(0));
+                    found[row].ground |= ground.to_bitmask() << first;
+                    found[row].face |= face.to_bitmask() << first;
+                    found[row].goes_on |= goes_on.to_bitmask() << first;
                 }
-                let range = ranges.load(simd, row, STRIP + first);
-                let here = beams.profile(simd, row, position + first, range, stand.up);
-                let step = climber.step(simd, self, here, *real >> first);
-                *climbed |= step.ground << first;
-                kerbs[row][0] |= step.face << first;
-                kerbs[row][1] |= step.goes_on << first;
             }
         }
-        // From the top: the faces straight below where a kerb goes on level.
+        // From the top: the faces straight below where the way goes on level are ground, too.
         let mut kerb = 0;
-        for (words, [face, goes_on]) in words.iter_mut().zip(kerbs) {
-            words[2].climbed |= kerb & face;
-            kerb = kerb & (face | !words[2].real) | goes_on;
+        for (row, found) in found[..rows].iter().enumerate() {
+            let [_, here, next] = self.climbed[row];
+            self.climbed[row] = [here, next, found.ground | kerb & found.face];
+            kerb = kerb & (found.face | !ranges.real[row][2]) | found.goes_on;
         }
     }
 
     /// The ground of the strip at hand in a row, after the vote.
     #[inline(always)]
-    pub(super) fn vote<S: Simd>(
-        &self,
-        simd: S,
-        ranges: &Ranges,
-        row: usize,
-        words: &Window,
-    ) -> u64 {
-        let climbed = across(words.map(|words| words.climbed));
-        let real = across(words.map(|words| words.real));
+    pub fn vote<S: Simd>(&self, simd: S, limits: &SlopeGround, ranges: &Ranges, row: usize) -> u64 {
+        let climbed = self.climbed[row];
+        let real = ranges.real[row];
+        let asked = within_reach(climbed);
         // All ground, or none near: nothing to vote on.
-        if climbed == 0 || climbed == real || self.agree_m <= 0.0 {
-            return words[1].climbed;
+        if asked == [0; 3] || asked == within_reach(real) || limits.agree_m <= 0.0 {
+            return climbed[1];
         }
+        let agree = to_step(limits.agree_m);
         let mut ayes = Count::default();
         let mut votes = Count::default();
         for back in 1..=VOTERS {
-            let like = self.like(simd, ranges, row, back) << VOTERS & real;
-            for (voter, is_ground) in [(like, climbed << back), (like >> back, climbed >> back)] {
-                votes.add(voter);
-                ayes.add(voter & is_ground);
-            }
+            let [here, behind] = like(simd, ranges, row, back, agree);
+            let here = here & real[1] & before(real, back);
+            let behind = behind & real[2] & (real[1] >> (STRIP - back));
+            votes.add(here);
+            ayes.add(here & before(climbed, back));
+            let here = after([0, here, behind], back);
+            votes.add(here);
+            ayes.add(here & after(climbed, back));
         }
         let made = ayes.at_least_3();
         let unmade = !ayes.at_least_2() & votes.at_least_4();
-        let voted = (climbed | made) & !(climbed & unmade);
-        (voted >> VOTERS) as u64 & words[1].real
-    }
-
-    /// Which columns of the strip at hand, and of the first behind it, have a range like that of
-    /// the column this many before.
-    #[inline(always)]
-    fn like<S: Simd>(&self, simd: S, ranges: &Ranges, row: usize, back: usize) -> u128 {
-        let mut like = 0;
-        for first in (0..STRIP + LANES).step_by(LANES) {
-            let here = ranges.load(simd, row, first);
-            let there = ranges.load_before(simd, row, first, back);
-            // What has no return is further than that from what has one.
-            let near = (here - there).abs().simd_lt(self.agree_m) & there.simd_gt(0.0);
-            like |= u128::from(near.to_bitmask()) << first;
-        }
-        like
+        (climbed[1] | made) & !(climbed[1] & unmade)
     }
 }
 
-/// A word over the three columns before the strip at hand, the strip, and the three behind it.
+/// Which columns of the strip at hand have a range like that of the column this many before, and
+/// which of the first that follow it; whatever is no return.
 #[inline(always)]
-fn across([before, here, next]: [u64; 3]) -> u128 {
-    u128::from(before >> (STRIP - VOTERS))
-        | u128::from(here) << VOTERS
-        | u128::from(next & ((1 << VOTERS) - 1)) << (STRIP + VOTERS)
+fn like<S: Simd>(simd: S, ranges: &Ranges, row: usize, back: usize, agree: i16) -> [u64; 2] {
+    let lane = lane_of(row);
+    let mut like = [0; 2];
+    for first in (0..STRIP + VOTERS).step_by(S::i16s::LEN) {
+        let here: S::i16s = ranges.steps.load(simd, lane + first);
+        let there: S::i16s = ranges.steps.load(simd, lane + first - back);
+        let near = (here - there).abs().simd_lt(agree).to_bitmask();
+        like[first / STRIP] |= near << (first % STRIP);
+    }
+    like
+}
+
+/// The columns of three strips that those of the middle one can see.
+#[inline(always)]
+fn within_reach([before, here, next]: [u64; 3]) -> [u64; 3] {
+    [before >> (STRIP - VOTERS), here, next & ((1 << VOTERS) - 1)]
+}
+
+/// For each column of the middle strip the bit of the column this many before.
+#[inline(always)]
+fn before(strips: [u64; 3], back: usize) -> u64 {
+    strips[1] << back | strips[0] >> (STRIP - back)
+}
+
+/// For each column of the middle strip the bit of the column this many behind.
+#[inline(always)]
+fn after(strips: [u64; 3], ahead: usize) -> u64 {
+    strips[1] >> ahead | strips[2] << (STRIP - ahead)
 }
 
 /// Counts up to seven for each bit.
 #[derive(Clone, Copy, Default)]
 struct Count {
-    ones: u128,
-    twos: u128,
-    fours: u128,
+    ones: u64,
+    twos: u64,
+    fours: u64,
 }
 
 impl Count {
     #[inline(always)]
-    fn add(&mut self, bit: u128) {
+    fn add(&mut self, bit: u64) {
         let carry = self.ones & bit;
         self.ones ^= bit;
         self.fours |= self.twos & carry;
         self.twos ^= carry;
     }
 
-    fn at_least_2(self) -> u128 {
+    fn at_least_2(self) -> u64 {
         self.twos | self.fours
     }
 
-    fn at_least_3(self) -> u128 {
+    fn at_least_3(self) -> u64 {
         self.fours | self.twos & self.ones
     }
 
-    fn at_least_4(self) -> u128 {
+    fn at_least_4(self) -> u64 {
         self.fours
     }
 }
 
-/// The climb of some columns.
-#[derive(Clone, Copy)]
-struct Climber<S: Simd> {
-    foothold: Profile<f32x16<S>>,
-    /// The foot of what rises steeply: near the sensor, beams are so close that no step from one to
-    /// the next is high.
-    foot: Profile<f32x16<S>>,
-    /// The upper edge of what may be a kerb, where there is one.
-    edge: Profile<f32x16<S>>,
-    has_edge: mask32x16<S>,
-    max_rise_m: f32,
+/// How far away steps reach, metres: as far as any sensor sees.
+const REACH_M: f32 = 256.0;
+/// Ranges that are further are taken for this, metres: in steps it still has less than 32 bits.
+const FURTHEST_M: f32 = 1e6;
+
+/// Limits of a climb in whole steps: so twice as many columns fit into a vector.
+pub(super) struct Steps {
+    /// Steps of a height, a metre: a step is 2 mm, or more where the way may be steeper than 1 to 4,
+    /// so that the way to what is [`REACH_M`] away can be written.
+    pub per_m: f32,
+    max_slope: f32,
+    /// Height of the sensor over the ground, metres.
+    height_m: f32,
+    pub max_rise: i16,
+    pub min_rise: i16,
+    pub max_step: i16,
+    pub step_reach: i16,
+    pub max_kerb: i16,
+    /// The way that is a step back.
+    pub step_back: i16,
 }
 
-/// What columns find in a row.
-struct Step {
-    ground: u64,
-    face: u64,
-    goes_on: u64,
+/// A step of a distance has this many of a height.
+pub(super) const STEPS_AWAY: u32 = 2;
+
+impl Steps {
+    pub fn new(limits: &SlopeGround, rows: usize, height_m: f32) -> Self {
+        let per_m = (f32::from(i16::MAX) / (REACH_M * limits.max_slope)).min(512.0);
+        let whole = |limit_m: f32| (limit_m * per_m).round() as i16;
+        Self {
+            per_m,
+            max_slope: limits.max_slope,
+            height_m,
+            max_rise: whole(limits.max_rise_m(rows)),
+            min_rise: whole(limits.min_rise_m),
+            max_step: whole(limits.max_step_m),
+            step_reach: whole(limits.step_reach_m),
+            max_kerb: whole(limits.max_kerb_m),
+            step_back: whole(-limits.max_step_m * limits.max_slope),
+        }
+    }
+
+    #[inline(always)]
+    fn scale<S: Simd>(&self, at: Profile<S::f32s>) -> Spot<S::i32s> {
+        let away = at.away * (self.per_m / (1 << STEPS_AWAY) as f32);
+        let way = at.away * (self.per_m * self.max_slope);
+        let height = (at.height + self.height_m) * self.per_m;
+        Spot {
+            away: away.to_int(),
+            way: way.to_int(),
+            height: height.round_ties_even().to_int(),
+        }
+    }
+}
+
+/// Returns in steps.
+#[derive(Clone, Copy, Debug)]
+struct Spot<T> {
+    /// Distance from the plumb line.
+    away: T,
+    /// How high the steepest way rises from the plumb line to there: of two returns, the difference
+    /// is what it rises between them. To know it beforehand keeps a product out of the chain from
+    /// row to row.
+    way: T,
+    /// Height over the ground at the sensor.
+    height: T,
+}
+
+impl Spot<[i16; STRIP]> {
+    /// Takes a row of the next strip, which begins at this position.
+    #[inline(always)]
+    fn place<S: Simd>(
+        &mut self,
+        simd: S,
+        steps: &Steps,
+        beams: &Beams,
+        ranges: &Ranges,
+        row: usize,
+        position: usize,
+    ) {
+        let half = S::f32s::LEN;
+        let beam = beams.row(row);
+        for first in (0..STRIP).step_by(2 * half) {
+            let lane = lane_of(row) + STRIP + first;
+            let low_m: S::f32s = ranges.metres.load(simd, lane);
+            let high_m: S::f32s = ranges.metres.load(simd, lane + half);
+            let at = position + first;
+            let low: Spot<S::i32s> =
+                steps.scale::<S>(beams.profile(simd, beam, at, low_m.min(FURTHEST_M)));
+            let high: Spot<S::i32s> =
+                steps.scale::<S>(beams.profile(simd, beam, at + half, high_m.min(FURTHEST_M)));
+            let lanes = first..first + 2 * half;
+            let away = low.away.saturating_narrow(high.away);
+            away.store_slice(&mut self.away[lanes.clone()]);
+            let way = low.way.saturating_narrow(high.way);
+            way.store_slice(&mut self.way[lanes.clone()]);
+            let height = low.height.saturating_narrow(high.height);
+            height.store_slice(&mut self.height[lanes]);
+        }
+    }
+
+    #[inline(always)]
+    fn load<S: Simd>(&self, simd: S, first: usize) -> Spot<S::i16s> {
+        let lanes = first..first + S::i16s::LEN;
+        Spot {
+            away: S::i16s::from_slice(simd, &self.away[lanes.clone()]),
+            way: S::i16s::from_slice(simd, &self.way[lanes.clone()]),
+            height: S::i16s::from_slice(simd, &self.height[lanes]),
+        }
+    }
+}
+
+/// The climb of as many columns as a vector has lanes.
+struct Climber<S: Simd> {
+    foothold: Foothold<S>,
+    /// The foot of what rises steeply: near the sensor, beams are so close that no step from one to
+    /// the next is high.
+    foot_away: S::i16s,
+    foot_height: S::i16s,
+    /// The upper edge of what may be a kerb, where there is one.
+    edge: Foothold<S>,
+    has_edge: S::mask16s,
+}
+
+/// A return that the way leads on from.
+#[derive(Clone, Copy)]
+struct Foothold<S: Simd> {
+    way: S::i16s,
+    height: S::i16s,
+}
+
+impl<S: Simd> Foothold<S> {
+    /// This one where the mask says so, else the other.
+    #[inline(always)]
+    fn or(self, other: Self, mask: S::mask16s) -> Self {
+        Self {
+            way: mask.select(self.way, other.way),
+            height: mask.select(self.height, other.height),
+        }
+    }
 }
 
 impl<S: Simd> Climber<S> {
+    /// At the foot of the sensor.
     #[inline(always)]
-    fn new(simd: S, height_m: f32, max_rise_m: f32) -> Self {
-        let foothold = Profile {
-            away: f32x16::splat(simd, 0.0),
-            height: f32x16::splat(simd, -height_m),
+    fn new(simd: S) -> Self {
+        let zero = S::i16s::splat(simd, 0);
+        let foothold: Foothold<S> = Foothold {
+            way: zero,
+            height: zero,
         };
         Self {
             foothold,
-            foot: foothold,
+            foot_away: zero,
+            foot_height: zero,
             edge: foothold,
-            has_edge: mask32x16::splat(simd, false),
-            max_rise_m,
+            has_edge: S::mask16s::splat(simd, false),
         }
     }
 
+    /// Takes the next row up: whether it is ground, the face of a kerb, and the level way behind
+    /// one.
     #[inline(always)]
-    fn step(&mut self, simd: S, limits: &SlopeGround, here: Profile<f32x16<S>>, real: u64) -> Step {
-        let real = mask32x16::from_bitmask(simd, real);
-        let (away, rise) = here.from(&self.edge);
-        let goes_on = self.has_edge & real & rise.abs().simd_lt(away * limits.max_slope);
-        self.foothold = self.edge.or(&self.foothold, goes_on);
+    fn step(&mut self, steps: &Steps, at: Spot<S::i16s>, real: S::mask16s) -> [S::mask16s; 3] {
+        let here: Foothold<S> = Foothold {
+            way: at.way,
+            height: at.height,
+        };
+        let above = here.height.saturating_sub(self.edge.height);
+        let below = self.edge.height.saturating_sub(here.height);
+        let is_level = above.max(below).simd_lt(here.way - self.edge.way);
+        let goes_on = self.has_edge & real & is_level;
+        self.foothold = self.edge.or(self.foothold, goes_on);
         self.has_edge &= !real;
 
-        let (away, rise) = here.from(&self.foothold);
-        let slope = away * limits.max_slope;
-        let rises_little = rise.simd_lt(slope.min(self.max_rise_m).max(limits.min_rise_m));
-        let falls_little = (-rise).simd_lt(slope.abs().max(limits.min_rise_m));
-        let (foot_away, foot_rise) = here.from(&self.foot);
-        let near = (foot_away * foot_away + foot_rise * foot_rise)
-            .simd_lt(limits.step_reach_m * limits.step_reach_m);
-        let steep = near & foot_rise.simd_gt(foot_away.abs());
-        let ground =
-            real & rises_little & falls_little & !(steep & foot_rise.simd_gt(limits.max_step_m));
-        let low =
-            rise.simd_gt(0.0) & rise.simd_le(limits.max_kerb_m) & away.simd_gt(-limits.max_step_m);
-        let face = real & !ground & low;
+        let rise = here.height.saturating_sub(self.foothold.height);
+        let way: S::i16s = here.way - self.foothold.way;
+        let rises_little = rise.simd_lt(way.min(steps.max_rise).max(steps.min_rise));
+        let falls_little = rise
+            .saturating_add(way.abs().max(steps.min_rise))
+            .simd_gt(0);
+        let foot_away: S::i16s = at.away - self.foot_away;
+        let foot_rise = here.height.saturating_sub(self.foot_height);
+        let is_steep = (foot_rise >> STEPS_AWAY).simd_gt(foot_away.abs())
+            & foot_rise.simd_lt(steps.step_reach);
+        let is_step = is_steep & foot_rise.simd_gt(steps.max_step);
+        let ground = real & rises_little & falls_little & !is_step;
+        let is_low = rise.simd_gt(0) & rise.simd_le(steps.max_kerb) & way.simd_gt(steps.step_back);
+        let face = real & !ground & is_low;
 
-        self.foothold = here.or(&self.foothold, ground);
-        self.edge = here.or(&self.edge, face);
+        self.foothold = here.or(self.foothold, ground);
+        self.edge = here.or(self.edge, face);
         self.has_edge |= face;
-        self.foot = here.or(&self.foot, real & !steep);
-        Step {
-            ground: ground.to_bitmask(),
-            face: face.to_bitmask(),
-            goes_on: goes_on.to_bitmask(),
-        }
-    }
-}
-
-impl<S: Simd> Profile<f32x16<S>> {
-    #[inline(always)]
-    fn from(&self, other: &Self) -> (f32x16<S>, f32x16<S>) {
-        (self.away - other.away, self.height - other.height)
-    }
-
-    /// These where the mask says so, else the others.
-    #[inline(always)]
-    fn or(&self, other: &Self, mask: mask32x16<S>) -> Self {
-        Self {
-            away: mask.select(self.away, other.away),
-            height: mask.select(self.height, other.height),
-        }
+        let is_foot = real & !is_steep;
+        self.foot_away = is_foot.select(at.away, self.foot_away);
+        self.foot_height = is_foot.select(at.height, self.foot_height);
+        [ground, face, goes_on]
     }
 }
 
@@ -303,7 +441,7 @@ mod tests {
 
     use super::*;
     use crate::assemble::lanes::levels;
-    use crate::segment::order::{BEFORE, lane_of};
+    use crate::segment::Mount;
     use crate::sensor::Beam;
     use crate::sweep::{BeamRow, Buffers, HeapBuffers, Shape, SweepMut};
 
@@ -323,37 +461,38 @@ mod tests {
             let sweep = SweepMut::create(buffer.as_mut(), &shape).unwrap();
             sweep.header.columns = STRIP as u32;
             let mut ranges = Ranges::default();
-            let mut words = vec![Window::default(); column.len()];
             let places = [0, 5, 15, 16, 63];
             for (row, &(away_m, height_m)) in column.iter().enumerate() {
                 let elevation_rad = height_m.atan2(away_m) + tilt;
                 sweep.beams[row] = BeamRow::new(&Beam::ideal(row, elevation_rad), 0);
                 for place in places {
-                    ranges.plane[lane_of(row) + STRIP + place] = away_m.hypot(height_m) as f32;
-                    words[row][2].real |= 1 << place;
+                    let lane = lane_of(row) + STRIP + place;
+                    let range_m = away_m.hypot(height_m) as f32;
+                    ranges.metres[lane] = range_m;
+                    ranges.steps[lane] = to_step(range_m);
+                    ranges.real[row][2] |= 1 << place;
                 }
             }
-            let stand = Stand {
-                up: [0.0, -tilt.sin(), tilt.cos()].map(|axis| axis as f32),
+            let mount = Mount {
+                pitch_rad: -tilt as f32,
+                ..Mount::default()
+            };
+            let mut ground = Ground {
                 height_m: Some(1.7),
+                ..Ground::default()
             };
             let sweep = sweep.as_ref();
             dispatch!(level, simd => {
                 let mut beams = Beams::default();
-                beams.begin(&sweep, Some(STRIP));
+                beams.begin(&sweep, Some(STRIP), &mount);
                 beams.extend(simd, &sweep, 2 * STRIP);
-                SlopeGround::default().climb(simd, &beams, &ranges, STRIP, &stand, &mut words);
+                ground.climb(simd, &SlopeGround::default(), &beams, &ranges, STRIP);
             });
             found.extend(places.map(|place| {
-                words.iter().rev().fold(0, |word, words| {
-                    word << 1 | (words[2].climbed >> place & 1) as u32
-                })
+                let bit = |row: usize| (ground.climbed[row][2] >> place & 1) as u32;
+                (0..column.len()).fold(0, |word, row| word | bit(row) << row)
             }));
-            assert!(
-                words
-                    .iter()
-                    .all(|words| words[2].climbed & !words[2].real == 0)
-            );
+            assert!((0..MAX_ROWS).all(|row| ground.climbed[row][2] & !ranges.real[row][2] == 0));
         }
         found.dedup();
         assert_eq!(found.len(), 1, "{found:?}");
@@ -447,21 +586,19 @@ mod tests {
     /// The ground of a strip in a row of which these columns of the strip before, of the strip and
     /// of the next hold a return, all at one range.
     fn voted(alike: [u64; 3], climbed: [u64; 3]) -> u64 {
-        let words = [0, 1, 2].map(|strip| Words {
-            real: alike[strip],
-            climbed: climbed[strip],
-        });
+        let mut ground = Ground::default();
+        ground.climbed[0] = climbed;
         let mut ranges = Ranges::default();
-        for column in 0..3 * STRIP {
-            let is_real = alike[column / STRIP] >> (column % STRIP) & 1 == 1;
-            let lane = (lane_of(0) + column).wrapping_sub(STRIP);
-            if is_real && lane >= lane_of(0) - BEFORE {
-                ranges.plane[lane] = 10.0;
+        ranges.real[0] = alike;
+        for column in STRIP - VOTERS..3 * STRIP {
+            if alike[column / STRIP] >> (column % STRIP) & 1 == 1 {
+                ranges.steps[lane_of(0) + column - STRIP] = to_step(10.0);
             }
         }
+        let limits = SlopeGround::default();
         let mut found: Vec<u64> = levels()
             .into_iter()
-            .map(|level| dispatch!(level, simd => SlopeGround::default().vote(simd, &ranges, 0, &words)))
+            .map(|level| dispatch!(level, simd => ground.vote(simd, &limits, &ranges, 0)))
             .collect();
         found.dedup();
         assert_eq!(found.len(), 1, "{found:?}");

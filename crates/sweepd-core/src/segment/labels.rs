@@ -1,14 +1,15 @@
 //! Labels into the image: a strip's runs in rows first, then column by column, as the image has
 //! them.
 
-use fearless_simd::{Simd, mask32x16, prelude::*, u32x16};
+use fearless_simd::{Simd, mask32x16, prelude::*, u32x4, u32x16};
 
+use super::MAX_ROWS;
 use super::components::Components;
 use super::extent::Extent;
 use super::order::{LANES, Order, Plane, STRIP, lane_of};
 use super::runs::Run;
-use super::turnover::turn_over;
-use crate::sweep::layout::{LABEL_FIRST_SEGMENT, LABEL_GROUND};
+use super::turnover::{TILE, turn_over};
+use crate::sweep::layout::{LABEL_FIRST_SEGMENT, LABEL_GROUND, LABEL_NONE};
 
 /// Words of a row of a strip: the columns that count.
 #[derive(Clone, Copy, Debug, Default)]
@@ -113,43 +114,49 @@ impl Labels {
 
     /// Turns the rows of a strip into columns of the image.
     #[inline(always)]
-    fn write_strip<S: Simd>(&self, simd: S, strip: usize, order: Order, image: &mut [u32]) {
-        let rows = self.rows;
+    #[expect(
+        clippy::needless_range_loop,
+        reason = "iterators over arrays of vectors go through memory"
+    )]
+    fn write_strip<S: Simd>(&mut self, simd: S, strip: usize, order: Order, image: &mut [u32]) {
+        let rows = self.rows.min(MAX_ROWS);
+        for (row, found) in self.found[strip * rows..][..rows].iter().enumerate() {
+            found.lay_over(simd, lane_of(row), &mut self.plane);
+        }
         let position = (strip + 1) * STRIP;
-        let found = &self.found[strip * rows..][..rows];
         let count = STRIP.min(order.end() - position);
-        for first in (0..count).step_by(LANES) {
-            let columns = order.columns_from(position + first);
-            let count = (count - first).min(LANES);
-            let squared = rows / LANES * LANES;
-            for row in (0..squared).step_by(LANES) {
-                let mut tile = [u32x16::splat(simd, 0); LANES];
-                for line in 0..LANES {
-                    let Found { ground, on } = found[row + line];
-                    let label = self.plane.load(simd, lane_of(row + line) + first);
-                    let on = mask32x16::from_bitmask(simd, on >> first & 0xFFFF);
-                    let ground = mask32x16::from_bitmask(simd, ground >> first & 0xFFFF);
-                    let none = u32x16::splat(simd, 0);
-                    let other = ground.select(u32x16::splat(simd, LABEL_GROUND), none);
-                    tile[line] = on.select(label, other);
+        let mut columns = [[0; MAX_ROWS]; TILE];
+        for first in (0..count).step_by(TILE) {
+            for row in (0..rows).step_by(TILE) {
+                let mut tile = [u32x4::splat(simd, 0); TILE];
+                for line in 0..TILE {
+                    tile[line] = self.plane.load(simd, lane_of(row + line) + first);
                 }
                 let tile = turn_over(tile);
-                for ahead in 0..count {
-                    if let Some(column) = columns[ahead] {
-                        tile[ahead].store_slice(&mut image[column * rows + row..][..LANES]);
-                    }
+                for ahead in 0..TILE {
+                    tile[ahead].store_slice(&mut columns[ahead][row..row + TILE]);
                 }
             }
-            for row in squared..rows {
-                let Found { ground, on } = found[row];
-                for (ahead, column) in columns[..count].iter().enumerate() {
-                    let Some(column) = column else { continue };
-                    let at = first + ahead;
-                    let label = self.plane[lane_of(row) + at];
-                    let ground = (ground >> at & 1) as u32 * LABEL_GROUND;
-                    image[column * rows + row] = if on >> at & 1 == 1 { label } else { ground };
+            for (labels, ahead) in columns.iter().zip(first..count) {
+                if let Some(column) = order.column(position + ahead) {
+                    image[column * rows..][..rows].copy_from_slice(&labels[..rows]);
                 }
             }
+        }
+    }
+}
+
+impl Found {
+    /// Writes what is no segment over the labels of a row of a strip.
+    #[inline(always)]
+    fn lay_over<S: Simd>(self, simd: S, lane: usize, labels: &mut Plane<u32>) {
+        let none = u32x16::splat(simd, LABEL_NONE);
+        let ground_label = u32x16::splat(simd, LABEL_GROUND);
+        for first in (0..STRIP).step_by(LANES) {
+            let on = mask32x16::from_bitmask(simd, self.on >> first);
+            let ground = mask32x16::from_bitmask(simd, self.ground >> first);
+            let label = on.select(labels.load(simd, lane + first), none);
+            labels.store(lane + first, ground.select(ground_label, label));
         }
     }
 }

@@ -6,6 +6,7 @@
 
 use std::collections::{HashMap, VecDeque};
 
+use super::ground::{STEPS_AWAY, Steps};
 use super::joining;
 use super::near::{Limits, Polygon, Tangents};
 use super::order::Order;
@@ -90,13 +91,14 @@ impl Image<'_> {
 /// Of three neighbours on either side in the row whose range is alike, three that are ground make a
 /// pixel ground; one at most of four or more unmakes it.
 fn vote(image: &Image<'_>, climbed: &[bool], limits: &SlopeGround) -> Vec<bool> {
+    let agree = to_step(limits.agree_m).unsigned_abs();
     let ballot = |pixel: usize, here: &Placed| {
         let voters = [-3, -2, -1, 1, 2, 3]
             .into_iter()
             .filter_map(|on| image.beside(pixel, 0, on));
         let like = voters.filter(|&other| {
-            image.pixels[other]
-                .is_some_and(|there| (here.range_m - there.range_m).abs() < limits.agree_m)
+            let apart = |there: Placed| to_step(here.range_m).abs_diff(to_step(there.range_m));
+            limits.agree_m > 0.0 && image.pixels[other].is_some_and(|there| apart(there) < agree)
         });
         let votes: Vec<bool> = like.map(|other| climbed[other]).collect();
         let ayes = votes.iter().filter(|aye| **aye).count();
@@ -296,56 +298,56 @@ fn number(
     (0..component.len()).map(label).collect()
 }
 
-/// Ground by the climb of each column: see [`SlopeGround`].
+/// Ground by the climb of each column: see [`SlopeGround`]. All is in whole [`Steps`].
 fn climb(image: &Image<'_>, limits: &SlopeGround, height_m: f32) -> Vec<bool> {
     let mut ground = vec![false; image.pixels.len()];
+    let steps = Steps::new(limits, image.rows, height_m);
     for column in 0..image.columns {
-        let mut foothold = (0.0, -height_m);
-        let mut foot = foothold;
+        // How high the steepest way leads from the plumb line to there, and the height.
+        let mut foothold = (0, 0);
+        // The distance and the height.
+        let mut foot = (0, 0);
         let mut face: Vec<usize> = Vec::new();
-        let mut edge: Option<(f32, f32)> = None;
+        let mut edge: Option<(i16, i16)> = None;
         for row in (0..image.rows).rev() {
             let index = column * image.rows + row;
             let Some(placed) = image.pixels[index] else {
                 continue;
             };
-            let away = placed.away_m;
-            let high = placed.height_m;
+            let away = (placed.away_m * (steps.per_m / (1 << STEPS_AWAY) as f32)) as i16;
+            let way = (placed.away_m * (steps.per_m * limits.max_slope)) as i16;
+            let high = ((placed.height_m + height_m) * steps.per_m).round_ties_even() as i16;
+            let here = (way, high);
 
             if let Some(top) = edge.take()
-                && (high - top.1).abs() < limits.max_slope * (away - top.0)
+                && high.saturating_sub(top.1).saturating_abs() < way - top.0
             {
                 face.drain(..).for_each(|index| ground[index] = true);
                 foothold = top;
             }
 
-            let run = away - foothold.0;
-            let rise = high - foothold.1;
-            let slope_rise = run * limits.max_slope;
-            let highest = slope_rise
-                .min(limits.max_rise_m(image.rows))
-                .max(limits.min_rise_m);
-            let walkable = rise < highest && -rise < slope_rise.abs().max(limits.min_rise_m);
+            let way = way - foothold.0;
+            let rise = high.saturating_sub(foothold.1);
+            let highest = way.min(steps.max_rise).max(steps.min_rise);
+            let deepest = way.abs().max(steps.min_rise);
+            let walkable = rise < highest && rise.saturating_add(deepest) > 0;
 
-            let step_run = away - foot.0;
-            let step_rise = high - foot.1;
-            let near = step_run * step_run + step_rise * step_rise
-                < limits.step_reach_m * limits.step_reach_m;
-            let steep = near && step_rise > step_run.abs();
-
-            let here = (away, high);
-            if walkable && !(steep && step_rise > limits.max_step_m) {
+            let step_rise = high.saturating_sub(foot.1);
+            let is_steep =
+                step_rise >> STEPS_AWAY > (away - foot.0).abs() && step_rise < steps.step_reach;
+            let is_low = rise > 0 && rise <= steps.max_kerb && way > steps.step_back;
+            if walkable && !(is_steep && step_rise > steps.max_step) {
                 ground[index] = true;
                 foothold = here;
                 face.clear();
-            } else if rise > 0.0 && rise <= limits.max_kerb_m && run > -limits.max_step_m {
+            } else if is_low {
                 face.push(index);
                 edge = Some(here);
             } else {
                 face.clear();
             }
-            if !steep {
-                foot = here;
+            if !is_steep {
+                foot = (away, high);
             }
         }
     }

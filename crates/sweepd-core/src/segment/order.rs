@@ -91,19 +91,6 @@ impl Order {
         (column < columns).then_some(column)
     }
 
-    /// The columns at as many positions, from one on, as a vector has lanes.
-    #[inline(always)]
-    pub fn columns_from(self, position: usize) -> [Option<usize>; LANES] {
-        let first = self.column(position);
-        let last = self.column(position + LANES - 1);
-        match (first, last) {
-            (Some(first), Some(last)) if last == first + LANES - 1 => {
-                std::array::from_fn(|ahead| Some(first + ahead))
-            }
-            _ => std::array::from_fn(|ahead| self.column(position + ahead)),
-        }
-    }
-
     /// The least column of some that count, of positions one after another.
     #[inline(always)]
     pub fn least_column(self, position: usize, count: usize) -> usize {

@@ -8,7 +8,7 @@ use super::directions::Directions;
 use super::order::{LANES, Order, STRIP};
 use super::ranges::Ranges;
 use super::turn::turn_rad;
-use super::{Config, MAX_ROWS};
+use super::{Config, MAX_ROWS, Mount};
 use crate::sweep::corrected::Corrected;
 use crate::sweep::{BeamRow, SweepRef};
 
@@ -22,9 +22,15 @@ pub(super) struct Beams {
 
 /// What the points of a row are made from.
 #[derive(Clone, Copy, Debug)]
-struct Beam {
+pub(super) struct Beam {
     cos_elevation: f32,
     sin_elevation: f32,
+    /// What a metre along the beam rises over the sensor, as far as the azimuth does not matter.
+    lift: f32,
+    /// Height of the beam's origin over the sensor's.
+    origin_height_m: f32,
+    /// How far the plumb line leans to the right and forward, if it does: sines.
+    tilt: Option<[f32; 2]>,
     cos_turn: f32,
     sin_turn: f32,
     time_offset_s: f32,
@@ -67,24 +73,22 @@ pub fn placed(sweep: &SweepRef<'_>, config: &Config) -> Vec<Option<Placed>> {
     assert!(rows <= MAX_ROWS, "more rows than an image has");
     let mut beams = Beams::default();
     let mut ranges = Ranges::default();
-    let mut real = vec![0; rows];
     let mut all = vec![None; rows * columns];
-    let up = config.mount.up().axis();
     dispatch!(Level::new(), simd => {
-        beams.begin(sweep, Some(columns));
+        beams.begin(sweep, Some(columns), &config.mount);
         let order = beams.order;
         for position in (STRIP..STRIP + columns).step_by(STRIP) {
             beams.extend(simd, sweep, position + STRIP);
-            ranges.fill(simd, sweep, config, order, position, |row, word| real[row] = word);
+            ranges.fill(simd, sweep, config, order, position);
             ranges.advance(rows);
             for row in 0..rows {
                 for first in (0..STRIP).step_by(LANES) {
                     let range = ranges.load(simd, row, first);
                     let point = beams.points(simd, row, position + first, range);
-                    let profile = beams.profile(simd, row, position + first, range, up);
+                    let profile = beams.profile(simd, beams.row(row), position + first, range);
                     for ahead in 0..LANES {
                         let at = position + first + ahead;
-                        if at < order.end() && real[row] >> (first + ahead) & 1 == 1 {
+                        if at < order.end() && ranges.real[row][1] >> (first + ahead) & 1 == 1 {
                             all[order.column(at).unwrap_or(0) * rows + row] = Some(Placed {
                                 point_m: point.map(|axis| axis.as_slice()[ahead]),
                                 range_m: range.as_slice()[ahead],
@@ -107,7 +111,8 @@ impl Beams {
     }
 
     /// Takes the beams of a sweep; this many columns it has, if that is known.
-    pub fn begin(&mut self, sweep: &SweepRef<'_>, columns: Option<usize>) {
+    pub fn begin(&mut self, sweep: &SweepRef<'_>, columns: Option<usize>, mount: &Mount) {
+        let up = mount.up().axis();
         // How the head turns when the sweep begins: what it turns faster or slower later is a small
         // rest.
         let rate_rad_s = sweep
@@ -120,7 +125,7 @@ impl Beams {
             sweep
                 .beams
                 .iter()
-                .map(|beam| Beam::new(beam, f64::from(rate_rad_s))),
+                .map(|beam| Beam::new(beam, f64::from(rate_rad_s), up)),
         );
         let margin = sweep
             .beams
@@ -129,6 +134,11 @@ impl Beams {
             .max()
             .unwrap_or(0);
         self.directions.clear(margin, rate_rad_s);
+    }
+
+    /// Rows of the image.
+    pub fn rows(&self) -> usize {
+        self.rows.len()
     }
 
     /// Looks up where the head looked at all positions before one.
@@ -150,43 +160,49 @@ impl Beams {
         self.rows[row].points(simd, &self.directions, position, range)
     }
 
-    /// The same as the ground sees them, along a direction that is up, of length 1. Beams are taken
-    /// to be straight here, and to start on the sensor's axis: the few centimetres that they are
-    /// bent or lie aside hardly show in heights.
+    /// The beam of a row.
     #[inline(always)]
-    pub fn profile<S: Simd>(
+    pub fn row(&self, row: usize) -> Beam {
+        self.rows[row]
+    }
+
+    /// The same of a beam as the ground sees them. Beams are taken to be straight here, and to start
+    /// on the sensor's axis: the few centimetres that they are bent or lie aside hardly show in
+    /// heights.
+    #[inline(always)]
+    pub fn profile<S: Simd, V: SimdFloat<S, Element = f32>>(
         &self,
         simd: S,
-        row: usize,
+        beam: Beam,
         position: usize,
-        range: f32x16<S>,
-        [x, y, z]: [f32; 3],
-    ) -> Profile<f32x16<S>> {
-        let beam = &self.rows[row];
-        let offset = z * beam.vertical_offset_m;
-        if x == 0.0 && y == 0.0 {
+        range: V,
+    ) -> Profile<V> {
+        let Some([x, y]) = beam.tilt else {
             return Profile {
                 away: range * beam.cos_elevation,
-                height: range * (z * beam.sin_elevation) + offset,
+                height: range * beam.lift + beam.origin_height_m,
             };
-        }
-        let [sin, cos] = beam.aim(simd, &self.directions, position);
-        let rise = (sin * x + cos * y) * beam.cos_elevation + z * beam.sin_elevation;
-        let one = f32x16::splat(simd, 1.0);
+        };
+        let [sin, cos]: [V; 2] = beam.aim(simd, &self.directions, position);
+        let lift = (sin * x + cos * y) * beam.cos_elevation + beam.lift;
+        let one = V::splat(simd, 1.0);
         Profile {
-            away: range * (one - rise * rise).max(0.0).sqrt(),
-            height: range * rise + offset,
+            away: range * (one - lift * lift).max(0.0).sqrt(),
+            height: range * lift + beam.origin_height_m,
         }
     }
 }
 
 impl Beam {
-    fn new(beam: &BeamRow, rate_rad_s: f64) -> Self {
+    fn new(beam: &BeamRow, rate_rad_s: f64, [x, y, z]: [f32; 3]) -> Self {
         let (sin_elevation, cos_elevation) = f64::from(beam.elevation_rad).sin_cos();
         let (sin_turn, cos_turn) = turn_rad(beam, rate_rad_s).sin_cos();
         Self {
             cos_elevation: cos_elevation as f32,
             sin_elevation: sin_elevation as f32,
+            lift: sin_elevation as f32 * z,
+            origin_height_m: beam.vertical_offset_m * z,
+            tilt: Some([x, y]).filter(|tilt| *tilt != [0.0; 2]),
             cos_turn: cos_turn as f32,
             sin_turn: sin_turn as f32,
             time_offset_s: beam.time_offset_ns as f32 * 1e-9,
@@ -201,8 +217,13 @@ impl Beam {
 
     /// Sines and cosines of where the beam points to in the columns from a position on.
     #[inline(always)]
-    fn aim<S: Simd>(&self, simd: S, directions: &Directions, position: usize) -> [f32x16<S>; 2] {
-        let [head_sin, head_cos, surplus] = directions.at(simd, position, self.shift);
+    fn aim<S: Simd, V: SimdFloat<S, Element = f32>>(
+        &self,
+        simd: S,
+        directions: &Directions,
+        position: usize,
+    ) -> [V; 2] {
+        let [head_sin, head_cos, surplus]: [V; 3] = directions.at(simd, position, self.shift);
         let sin = head_sin * self.cos_turn + head_cos * self.sin_turn;
         let cos = head_cos * self.cos_turn - head_sin * self.sin_turn;
         // What the head turned faster than at first meanwhile is so little that the first order

@@ -13,7 +13,7 @@
 use fearless_simd::{Level, Simd, dispatch, f32x16, mask32x16, prelude::*};
 
 use super::components::Components;
-use super::ground::{Stand, Window as Words};
+use super::ground::Ground;
 use super::joining;
 use super::labels::{Found, Labels};
 use super::near::Limits;
@@ -30,7 +30,7 @@ use crate::sweep::{SweepMut, SweepRef};
 #[derive(Clone, Debug)]
 pub(super) struct Strips {
     level: Level,
-    stand: Stand,
+    ground: Ground,
     limits: Limits,
     /// Strips that were read, with the one that leads in.
     at: usize,
@@ -40,7 +40,6 @@ pub(super) struct Strips {
     /// Angle between columns, radians.
     pitch_rad: f32,
     ranges: Ranges,
-    words: Vec<Words>,
     /// Columns of the strip at hand and of the next one that are no neighbours of those before.
     jumps: [u64; 2],
     /// How deep below the sensor the lowest return of each column lies, position by position,
@@ -58,14 +57,13 @@ impl Strips {
     pub fn new(level: Level) -> Self {
         Self {
             level,
-            stand: Stand::default(),
+            ground: Ground::default(),
             limits: Limits::default(),
             at: 0,
             ready: None,
             beams: Beams::default(),
             pitch_rad: 0.0,
             ranges: Ranges::default(),
-            words: Vec::new(),
             jumps: [0; 2],
             depths_m: Vec::new(),
             runs: Runs::default(),
@@ -90,14 +88,9 @@ impl Strips {
         let columns = sweep.columns.len();
         // The first columns are there twice.
         let pixels = sweep.range.len() + rows * BEFORE;
-        self.stand = Stand {
-            up: config.mount.up().axis(),
-            height_m,
-        };
+        self.ground.height_m = height_m;
         self.at = 0;
         self.ready = ready;
-        self.words.clear();
-        self.words.resize(rows, Words::default());
         self.jumps = [0; 2];
         reserve(&mut self.depths_m, columns.next_multiple_of(STRIP));
         self.first.resize(rows, [0; BEFORE]);
@@ -107,8 +100,8 @@ impl Strips {
         self.components.reserve(pixels);
         self.labels.begin(rows, columns, sweep.segments.len());
         let sweep = sweep.as_ref();
-        self.beams
-            .begin(&sweep, ready.is_none().then_some(sweep.columns.len()));
+        let count = ready.is_none().then_some(sweep.columns.len());
+        self.beams.begin(&sweep, count, &config.mount);
     }
 
     /// More columns are ready, or all (`None`).
@@ -119,7 +112,7 @@ impl Strips {
 
     /// Height of the sensor over the ground, as this sweep was begun with, metres.
     pub fn height_m(&self) -> Option<f32> {
-        self.stand.height_m
+        self.ground.height_m
     }
 
     /// How deep below the sensor the lowest return of each column lies, metres; infinite where
@@ -143,7 +136,10 @@ impl Strips {
     pub fn find_ground(&mut self, sweep: &SweepMut<'_>, config: &Config) -> bool {
         while self.has_next() {
             let sweep = sweep.as_ref();
-            dispatch!(self.level, simd => self.next(simd, &sweep, config));
+            // Each step by itself: together they are more than a compiler keeps in view.
+            dispatch!(self.level, simd => self.read(simd, &sweep, config));
+            dispatch!(self.level, simd => self.climb(simd, config));
+            self.at += 1;
             // The strip at hand is the one before the last that was read, and the first only leads
             // in.
             if self.at > 2 {
@@ -155,7 +151,7 @@ impl Strips {
 
     fn has_next(&self) -> bool {
         let order = self.beams.order;
-        if self.words.is_empty() {
+        if self.beams.rows() == 0 {
             return false;
         }
         match (self.ready, order.columns) {
@@ -168,7 +164,6 @@ impl Strips {
 
     /// Joins the runs of that strip with each other and with those before.
     pub fn join(&mut self, config: &Config) {
-        // Each step by itself: together they are more than a compiler keeps in view.
         let jumps = self.jumps[0];
         let components = &mut self.components;
         dispatch!(self.level, simd => self.runs.advance(simd, jumps, components));
@@ -186,21 +181,6 @@ impl Strips {
 
     /// Goes on to the next strip, and reads the one behind it: the vote looks ahead.
     #[inline(always)]
-    fn next<S: Simd>(&mut self, simd: S, sweep: &SweepRef<'_>, config: &Config) {
-        let position = self.at * STRIP;
-        self.read(simd, sweep, config);
-        config.slope.climb(
-            simd,
-            &self.beams,
-            &self.ranges,
-            position,
-            &self.stand,
-            &mut self.words,
-        );
-        self.at += 1;
-    }
-
-    #[inline(always)]
     fn read<S: Simd>(&mut self, simd: S, sweep: &SweepRef<'_>, config: &Config) {
         let position = self.at * STRIP;
         let order = self.beams.order;
@@ -208,24 +188,24 @@ impl Strips {
             self.pitch_rad = joining::pitch_rad(sweep.columns, order);
             self.limits.set(sweep.beams, self.pitch_rad, config);
         } else {
-            self.ranges.advance(self.words.len());
-            for words in &mut self.words {
-                words.copy_within(1.., 0);
-            }
+            self.ranges.advance(self.beams.rows());
         }
         self.jumps = [
             self.jumps[1],
             joining::jumps(sweep.columns, order, position, self.pitch_rad),
         ];
         self.beams.extend(simd, sweep, position + STRIP);
-        let words = &mut self.words;
-        self.ranges
-            .fill(simd, sweep, config, order, position, |row, real| {
-                words[row][2].real = real
-            });
+        self.ranges.fill(simd, sweep, config, order, position);
         if config.mount.height_m.is_none() {
             self.note_depths(simd);
         }
+    }
+
+    #[inline(always)]
+    fn climb<S: Simd>(&mut self, simd: S, config: &Config) {
+        let position = self.at * STRIP;
+        self.ground
+            .climb(simd, &config.slope, &self.beams, &self.ranges, position);
     }
 
     /// Notes the depths of the strip that was read, of the columns that count.
@@ -239,12 +219,13 @@ impl Strips {
         for first in (0..count).step_by(LANES) {
             let mut depths_m = f32x16::splat(simd, f32::INFINITY);
             let mut open = 0xFFFF;
-            for row in (0..self.words.len()).rev() {
-                let lowest = self.words[row][2].real >> first & open;
+            for row in (0..self.beams.rows()).rev() {
+                let lowest = self.ranges.real[row][2] >> first & open;
                 if lowest != 0 {
                     let range = self.ranges.load(simd, row, STRIP + first);
-                    let up = self.stand.up;
-                    let profile = self.beams.profile(simd, row, position + first, range, up);
+                    let profile =
+                        self.beams
+                            .profile(simd, self.beams.row(row), position + first, range);
                     let is = mask32x16::from_bitmask(simd, lowest);
                     depths_m = is.select(-profile.height, depths_m);
                     open &= !lowest;
@@ -274,10 +255,9 @@ impl Strips {
     fn vote<S: Simd>(&mut self, simd: S, config: &Config) {
         let counted = self.counted();
         let joined = Order::columns_before(self.position(), self.beams.order.joined_end());
-        for row in 0..self.words.len() {
-            let words = &self.words[row];
-            let ground = config.slope.vote(simd, &self.ranges, row, words);
-            let on = words[1].real & !ground & joined;
+        for row in 0..self.beams.rows() {
+            let ground = self.ground.vote(simd, &config.slope, &self.ranges, row);
+            let on = self.ranges.real[row][1] & !ground & joined;
             self.runs.set_row(simd, &self.ranges, row, on);
             if counted != 0 {
                 self.labels.found.push(Found {
@@ -293,7 +273,7 @@ impl Strips {
     fn join_neighbours<S: Simd>(&mut self, simd: S, config: &Config) {
         let window_rows = config.joining.rows;
         self.runs.find_edges(simd, &self.limits);
-        for row in 0..self.words.len() {
+        for row in 0..self.beams.rows() {
             self.runs
                 .join_row(simd, row, window_rows, &mut self.components);
         }

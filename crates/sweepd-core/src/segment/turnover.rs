@@ -1,39 +1,27 @@
-//! Squares of sixteen by sixteen pixels, turned over: an image lies column by column, runs lie in
-//! rows.
+//! Squares of pixels, turned over: an image lies column by column, a strip in rows.
 
 use fearless_simd::{Simd, prelude::*};
 
-use super::order::LANES;
+/// Pixels of a side of the squares that strips are turned by: each instruction set deals as many.
+pub(super) const TILE: usize = 4;
 
-/// Of sixteen lines of sixteen: what was the third of each line becomes the third line.
+/// Of N lines of N numbers: what was the third of each line becomes the third line. N is a power of
+/// two.
 #[inline(always)]
-pub fn turn_over<S: Simd, V: SimdBase<S>>(tile: [V; LANES]) -> [V; LANES] {
-    deal(deal(deal(deal(tile))))
-}
-
-/// Deals the lines of both halves alternately: after four times, each number has gone where its
-/// place was.
-#[inline(always)]
-fn deal<S: Simd, V: SimdBase<S>>(lines: [V; LANES]) -> [V; LANES] {
-    let [a, b, c, d, e, f, g, h, i, j, k, l, m, n, o, p] = lines;
-    [
-        a.zip_low(i),
-        a.zip_high(i),
-        b.zip_low(j),
-        b.zip_high(j),
-        c.zip_low(k),
-        c.zip_high(k),
-        d.zip_low(l),
-        d.zip_high(l),
-        e.zip_low(m),
-        e.zip_high(m),
-        f.zip_low(n),
-        f.zip_high(n),
-        g.zip_low(o),
-        g.zip_high(o),
-        h.zip_low(p),
-        h.zip_high(p),
-    ]
+pub fn turn_over<S: Simd, V: SimdBase<S>, const N: usize>(mut lines: [V; N]) -> [V; N] {
+    const { assert!(N == V::LEN) };
+    // The lines of both halves are dealt alternately, once for each bit of N: then each number has
+    // gone where its place was.
+    let mut dealt = 1;
+    while dealt < N {
+        let before = lines;
+        for line in 0..N / 2 {
+            lines[2 * line] = before[line].zip_low(before[N / 2 + line]);
+            lines[2 * line + 1] = before[line].zip_high(before[N / 2 + line]);
+        }
+        dealt *= 2;
+    }
+    lines
 }
 
 #[cfg(test)]
@@ -42,6 +30,8 @@ mod tests {
 
     use super::*;
     use crate::assemble::lanes::levels;
+
+    const LANES: usize = 16;
 
     #[test]
     fn lines_become_what_stood_across() {

@@ -295,8 +295,8 @@ fn note<S: Simd>(
                 } else {
                     ahead
                 };
-                let here_m = ranges.plane[pixel];
-                let there_m = ranges.plane[lane + ahead];
+                let here_m = ranges.metres[pixel];
+                let there_m = ranges.metres[lane + ahead];
                 let apart2 = tangents.apart2(here_m, there_m, columns);
                 components.note_near(small, large, apart2);
             }

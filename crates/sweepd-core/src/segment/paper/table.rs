@@ -46,12 +46,12 @@ impl Table {
     #[inline(always)]
     fn add<S: Simd>(&mut self, simd: S, sweep: &SweepRef<'_>, config: &Config) {
         let rows = sweep.rows();
-        self.beams.begin(sweep, Some(sweep.columns.len()));
+        self.beams
+            .begin(sweep, Some(sweep.columns.len()), &config.mount);
         let order = self.beams.order;
         for position in (STRIP..order.end()).step_by(STRIP) {
             self.beams.extend(simd, sweep, position + STRIP);
-            self.ranges
-                .fill(simd, sweep, config, order, position, |_, _| {});
+            self.ranges.fill(simd, sweep, config, order, position);
             self.ranges.advance(rows);
             // First pixels of the columns.
             let mut first = [0; STRIP];
