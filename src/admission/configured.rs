@@ -1,5 +1,5 @@
-//! The sensors of a port that the daemon was told of. Nothing is remembered: a sensor that comes
-//! back from another port, for the hundredth time in months, is the same sensor.
+//! The configured sensors of a port of the daemon. This has no state: a sensor whose source port
+//! changes, even a hundred times in months, stays the same sensor.
 
 use std::net::{IpAddr, SocketAddr};
 
@@ -11,7 +11,7 @@ use sweepd_core::wire::{Content, Datagram, Packet};
 pub struct ConfiguredSensors {
     /// Those of the port, then the others whose position packets may come through it.
     known: Vec<ConfiguredSensor>,
-    /// How many of them are of the port.
+    /// Number of them that are of the port.
     here: usize,
 }
 
@@ -31,7 +31,7 @@ pub struct ConfiguredSensor {
 /// How likely a sensor sends its position packets to a port.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, PartialOrd, Ord)]
 pub enum Likelihood {
-    /// Neither they nor its data go there by its configuration.
+    /// By its configuration, neither these nor its data go to this port.
     Unexpected,
     /// Its data come through this port: some senders have one port for everything.
     BesideData,
@@ -56,11 +56,11 @@ impl ConfiguredSensors {
         }
     }
 
-    /// Reads a datagram and says whose it is. The route of a position packet that may be of several
-    /// sensors, of which nothing tells one, is empty.
+    /// Reads a datagram and determines its sensor. The route of a position packet is empty if it
+    /// may be of several sensors and nothing distinguishes them.
     ///
     /// # Errors
-    /// [`Refused`]: why it is not let in.
+    /// [`Refused`]: the reason to refuse it.
     pub fn admit<'a>(&self, datagram: &Datagram<'a>) -> Result<(Route, Packet<'a>), Refused> {
         let source = canonical(datagram.source);
         let packet = datagram.parse().map_err(|error| Refused {
@@ -74,7 +74,7 @@ impl ConfiguredSensors {
         Ok((route, packet))
     }
 
-    /// The sensor of this port that sends from there.
+    /// The sensor of this port that sends from this source.
     fn owner(&self, source: SocketAddr) -> Option<usize> {
         self.known[..self.here].iter().position(|known| {
             known.ip == source.ip() && known.source_port.is_none_or(|own| own == source.port())
@@ -92,9 +92,9 @@ impl ConfiguredSensors {
         }
     }
 
-    /// One sensor at an address gets all position packets from there: many come from a source port
-    /// of their own. Of several, the one that fits best gets it, if it is the only one that fits so
-    /// well.
+    /// A single sensor at an address gets all position packets from it: many come from another
+    /// source port than the data. Of several sensors, the one that fits best gets it, unless
+    /// another fits as well.
     fn position(&self, source: SocketAddr) -> Result<SensorSet, Refusal> {
         let mut route = SensorSet::default();
         let mut at = self.at(source.ip());
@@ -149,7 +149,7 @@ mod tests {
     use sweepd_core::wire::data::DATA_PACKET_LEN;
     use sweepd_core::wire::position::POSITION_PACKET_LEN;
 
-    /// A route, in a form that is written in a line.
+    /// A route in a compact form.
     #[derive(Debug, PartialEq)]
     enum Admitted {
         Data(usize),
@@ -248,8 +248,7 @@ mod tests {
         })
     }
 
-    /// The place in the configuration of who gets a position packet that comes from a port to a
-    /// port.
+    /// The index of the sensor that gets a position packet from one port to another.
     fn recipient(sensors: &[SensorConfig], from: u16, to: u16) -> Option<usize> {
         let config = config_of(sensors.to_vec());
         let plan = plan::ports(&config)
@@ -277,8 +276,7 @@ mod tests {
     #[test]
     fn a_position_packet_is_of_the_sensor_whose_port_it_names() {
         let own_ports = at_one_address([(None, 2001, 3001), (None, 2002, 3002)]);
-        // From whatever port they come; to its data port too, where that is the only port that
-        // tells.
+        // From any source port; also to its data port, if only that distinguishes it.
         for (to, whose) in [(3001, 0), (3002, 1), (2001, 0), (2002, 1)] {
             assert_eq!(recipient(&own_ports, 8308, to), Some(whose), "to {to}");
         }

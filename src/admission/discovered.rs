@@ -1,8 +1,8 @@
-//! Sensors that nothing is known of beforehand, told apart and numbered by their packets.
+//! Distinguishes unknown sensors by their packets, and numbers them.
 //!
-//! A sensor is a sender of data packets: its address and port, and the port that it sends to. What
-//! a datagram is follows from its length, 1206 bytes of data or 512 of position, since bridges and
-//! port forwards mix the ports.
+//! A sensor is a sender of data packets: its address and port, and the port that it sends to. The
+//! length of a datagram decides what it is, 1206 bytes for data or 512 for position, since bridges
+//! and port forwards mix the ports.
 
 use std::net::SocketAddr;
 
@@ -12,7 +12,7 @@ use super::{Refusal, RefusalCounts, Refused, Route, SensorFilter, SensorSet, can
 use sweepd_core::wire::data::{FLAG_BANK_0, FLAG_BANK_1};
 use sweepd_core::wire::{Content, DataPacket, Datagram, Packet};
 
-/// Most sensors that are told apart: more are a mistake or an attack.
+/// Most sensors that are distinguished: more are a mistake or an attack.
 pub const MAX_SENSORS: usize = 64;
 
 /// A sender of data packets.
@@ -27,7 +27,7 @@ pub struct Sender {
     pub name: String,
     /// Data packets of it.
     pub packets: u64,
-    /// Datagrams of it that are as long as a data packet and are none.
+    /// Its datagrams of the length of a data packet that are not one.
     pub malformed: u64,
 }
 
@@ -38,8 +38,8 @@ impl Sender {
     }
 }
 
-/// The senders heard so far, numbered from 0 in the order in which they were first heard. Knows no
-/// time and no model; of the packets it reads only what tells them apart.
+/// The senders so far, numbered from 0 in the order of their first packets. Uses neither time nor
+/// model, and only the parts of packets that distinguish senders.
 #[derive(Debug, Default)]
 pub struct DiscoveredSensors {
     filters: Vec<SensorFilter>,
@@ -59,8 +59,8 @@ struct KeptPosition {
 }
 
 impl DiscoveredSensors {
-    /// No sensors yet. Only those that match one of `filters` will be told apart; all, if there are
-    /// none.
+    /// No sensors yet. Only those that match one of `filters` are admitted; all, if there are no
+    /// filters.
     pub fn new(filters: Vec<SensorFilter>) -> Self {
         Self {
             filters,
@@ -68,13 +68,13 @@ impl DiscoveredSensors {
         }
     }
 
-    /// Reads a datagram and says whose it is. A sensor that is not known yet gets the next number;
-    /// ask [`DiscoveredSensors::position`] then. A position packet may be of several sensors, or of
-    /// none yet: then it is kept for the first.
+    /// Reads a datagram and determines its sensor. A new sensor gets the next number; call
+    /// [`DiscoveredSensors::position`] then. A position packet may be of several sensors. If it is
+    /// of none yet, it is kept for the first.
     ///
     /// # Errors
-    /// [`Refused`]: it is no packet, or of no sensor that is wanted. With [`Refusal::TooMany`] it
-    /// is a packet all the same.
+    /// [`Refused`]: it is not a packet, or not of a selected sensor. With [`Refusal::TooMany`] it
+    /// is a valid packet.
     pub fn admit<'a>(&mut self, datagram: &Datagram<'a>) -> Result<(Route, Packet<'a>), Refused> {
         let admitted = self.find(datagram);
         match &admitted {
@@ -90,8 +90,8 @@ impl DiscoveredSensors {
         admitted
     }
 
-    /// Reads a datagram, counts it, and says whether a recording of these sensors holds it. It
-    /// holds what one sensor more than [`MAX_SENSORS`] sends, too.
+    /// Reads a datagram, counts it, and says whether a recording of these sensors contains it.
+    /// Packets of sensors beyond [`MAX_SENSORS`] are recorded too.
     pub fn is_recorded(&mut self, datagram: &Datagram<'_>) -> bool {
         match self.admit(datagram) {
             Ok(_) => true,
@@ -104,11 +104,11 @@ impl DiscoveredSensors {
         &self.senders
     }
 
-    /// The latest position packet from the sensor's address, which may have come before its first
-    /// data packet, without its sentence; `None` where it is another sensor's.
+    /// The latest position packet from the sensor's address, without its sentence; it may have come
+    /// before the first data packet. `None` if it is another sensor's.
     ///
     /// # Panics
-    /// If the number is of no sender.
+    /// If there is no sender of this number.
     pub fn position(&self, index: usize) -> Option<&Packet<'static>> {
         let ip = self.senders[index].source.ip();
         let kept = self.kept.iter().find(|kept| kept.source.ip() == ip)?;
@@ -168,7 +168,7 @@ impl DiscoveredSensors {
         destination_port: u16,
         packet: &DataPacket,
     ) -> Result<usize, Refused> {
-        // All models begin with one of these; what is damaged makes no sensor.
+        // Packets of all models begin with one of these; a damaged packet must not create a sensor.
         if !matches!(packet.blocks[0].flag.get(), FLAG_BANK_0 | FLAG_BANK_1) {
             return Err(Refusal::Marker.into());
         }
@@ -198,7 +198,7 @@ impl DiscoveredSensors {
         Ok(self.senders.len() - 1)
     }
 
-    /// Keeps a position packet for sensors that are yet to be heard.
+    /// Keeps a position packet for sensors without data packets so far.
     fn keep(
         &mut self,
         source: SocketAddr,
@@ -225,8 +225,8 @@ impl DiscoveredSensors {
         Ok(())
     }
 
-    /// The sensors that a position packet may be of. All at its address, unless its ports are those
-    /// of the data of one of them: of several on one computer, or behind a router.
+    /// The sensors that a position packet may be of: all at its address, unless its ports are those
+    /// of the data of one of them. There are several on one computer, or behind a router.
     fn may_have_sent(&self, source: SocketAddr, destination_port: u16) -> SensorSet {
         let mut all = SensorSet::default();
         let mut by_source = SensorSet::default();
@@ -422,7 +422,7 @@ mod tests {
                 sensor: Some(0)
             })
         );
-        // That of the known sensor is none of the others.
+        // The packet of the known sensor is not counted among the others.
         assert_eq!((sensors.refusals().total(), sensors.others()), (3, 2));
         assert_eq!(sensors.senders()[0].malformed, 1);
     }

@@ -3,7 +3,7 @@
 use std::net::{IpAddr, SocketAddr};
 use std::str::FromStr;
 
-/// Which sensors to take: all at an address, those that send from one port, or also to one port.
+/// Selects sensors: all at an address, those that send from one port, or also to one port.
 ///
 /// ```
 /// use sweepd::admission::SensorFilter;
@@ -27,8 +27,8 @@ impl SensorFilter {
                 .is_none_or(|port| port == destination_port)
     }
 
-    /// Whether a sensor at this address may be selected; position packets come from a port of their
-    /// own.
+    /// Whether a sensor at this address may be selected. For position packets, which come from
+    /// another port.
     pub fn matches_ip(&self, ip: IpAddr) -> bool {
         self.ip == ip.to_canonical()
     }

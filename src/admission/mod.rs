@@ -69,7 +69,7 @@ impl ExactSizeIterator for SensorSet {}
 pub struct Refused {
     /// Why.
     pub reason: Refusal,
-    /// The sensor that sent it, where its source is that of one and its content is damaged.
+    /// The sensor that sent it, if the source is known and the content is damaged.
     pub sensor: Option<usize>,
 }
 
@@ -78,18 +78,18 @@ pub struct Refused {
 pub enum Refusal {
     /// Neither as long as a data packet nor as a position packet.
     Length,
-    /// As long as a data packet, but a block begins with no marker.
+    /// As long as a data packet, but a block does not begin with a marker.
     Marker,
     /// A data packet with an azimuth beyond the turn.
     Azimuth,
-    /// Of no sensor that is configured or selected.
+    /// Not of a configured or selected sensor.
     Source,
     /// A data packet of a sensor that is configured on another port.
     Port,
-    /// A position packet of one of several sensors at its address, and nothing tells which. It is
-    /// recorded all the same.
+    /// A position packet of one of several sensors at its address, and nothing distinguishes them.
+    /// It is still recorded.
     Ambiguous,
-    /// A data packet of one sensor more than [`MAX_SENSORS`]; never where sensors are configured.
+    /// A data packet of a sensor beyond [`MAX_SENSORS`]; never with configured sensors.
     TooMany,
 }
 
@@ -147,7 +147,7 @@ impl RefusalCounts {
         self.0[reason as usize] += 1;
     }
 
-    /// How many there were for this reason.
+    /// Datagrams refused for this reason.
     pub fn get(&self, reason: Refusal) -> u64 {
         self.0[reason as usize]
     }
@@ -166,7 +166,7 @@ impl std::ops::AddAssign for RefusalCounts {
     }
 }
 
-/// A socket that listens on IPv6 gives IPv4 senders as `::ffff:192.168.1.201`.
+/// Converts IPv4 senders of an IPv6 socket, such as `::ffff:192.168.1.201`, to IPv4.
 fn canonical(source: SocketAddr) -> SocketAddr {
     SocketAddr::new(source.ip().to_canonical(), source.port())
 }

@@ -1,11 +1,11 @@
-//! What can go wrong with a capture, each with the place where it did.
+//! Errors of reading a capture, each with its place.
 
 use std::io;
 
-/// Why a capture cannot be read at all, or not any further because of the machine it lies on.
+/// Why a capture cannot be read at all, or not any further because of an error of the system.
 ///
-/// One that is damaged or cut is no error: what it holds up to there is read, and [`Truncation`]
-/// says the rest.
+/// A damaged or cut capture is not an error: it is read up to the damage, which [`Truncation`]
+/// describes.
 #[derive(Debug, thiserror::Error)]
 pub enum CaptureError {
     /// No such file, or no right to read it.
@@ -45,16 +45,15 @@ pub enum CaptureError {
 #[derive(Clone, Debug, PartialEq, Eq, thiserror::Error)]
 #[error("the capture breaks off at record {record} (byte {offset}): {reason}")]
 pub struct Truncation {
-    /// Number of the record that is damaged, which is also how many were read.
+    /// Number of the damaged record, which is also the number of records read.
     pub record: u64,
-    /// Where the damage was met: the start of the record or block, in bytes of the decompressed
-    /// capture.
+    /// Start of the damaged record or block, in bytes of the decompressed capture.
     pub offset: u64,
     /// What is wrong there.
     pub reason: Damage,
 }
 
-/// What is wrong at the place where a capture breaks off.
+/// The damage where a capture breaks off.
 #[derive(Clone, Debug, PartialEq, Eq, thiserror::Error)]
 pub enum Damage {
     /// The writer was stopped, the copy was cut.
@@ -68,7 +67,7 @@ pub enum Damage {
         /// What the decompressor says.
         message: String,
     },
-    /// A length that no capture tool writes: the bytes there are no record.
+    /// A length that no capture tool writes: the bytes are not a record.
     #[error("it claims {found} captured bytes, more than the {limit} that can be there")]
     RecordLength {
         /// The length in the record header.
@@ -97,7 +96,7 @@ pub enum Damage {
     Interface {
         /// The interface that the block names.
         found: u32,
-        /// How many the section has described so far.
+        /// Number of interfaces that the section has described so far.
         described: usize,
     },
     /// More interfaces in a section than any machine has.
@@ -106,7 +105,7 @@ pub enum Damage {
         /// The most that are accepted.
         limit: usize,
     },
-    /// A pcapng section that begins in no known byte order or version.
+    /// A pcapng section with an unknown byte order or version.
     #[error("a pcapng section begins with byte-order mark {mark:#010x} and version {major}")]
     Section {
         /// The byte-order mark, read as big-endian; 0x1a2b3c4d or 0x4d3c2b1a are right.

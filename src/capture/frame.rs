@@ -1,4 +1,4 @@
-//! A captured frame, as both formats have it.
+//! A captured frame, of either format.
 
 use super::link::LinkType;
 
@@ -22,7 +22,7 @@ pub struct Record<'a> {
     pub bytes: &'a [u8],
 }
 
-/// What a record says besides its bytes.
+/// The fields of a record besides its bytes.
 #[derive(Clone, Copy, Debug)]
 pub(super) struct FrameHeader {
     pub(super) time_ns: Option<i64>,

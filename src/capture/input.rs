@@ -1,4 +1,4 @@
-//! The bytes of a capture: opened, decompressed, counted, and read in pieces of known length.
+//! Opens a capture, decompresses it, counts its bytes, and reads pieces of known length.
 
 use std::error::Error;
 use std::fs::File;
@@ -44,7 +44,7 @@ impl ByteOrder {
     }
 }
 
-/// Opens a file to read; a directory, which can be opened and not read, is refused here.
+/// Opens a file to read; refuses a directory, which can be opened but not read.
 fn open_file(path: &Path) -> io::Result<File> {
     let file = File::open(path)?;
     if file.metadata()?.is_dir() {
@@ -54,12 +54,12 @@ fn open_file(path: &Path) -> io::Result<File> {
     }
 }
 
-/// A decompressed stream of bytes that knows how far it was read.
+/// A decompressed stream of bytes that counts how far it was read.
 pub(super) struct Input {
     source: BufReader<Box<dyn Read + Send>>,
     compression: Option<&'static str>,
     offset: u64,
-    /// Where the record or block begins that is being read.
+    /// Start of the record or block that is being read.
     mark: u64,
     bytes: Vec<u8>,
 }
@@ -79,7 +79,7 @@ impl Input {
         }
     }
 
-    /// Looks at the first bytes of `raw` and puts the decompressor before it that they call for.
+    /// Chooses a decompressor by the first bytes of `raw`.
     pub(super) fn new(mut raw: Box<dyn Read + Send>) -> io::Result<Self> {
         let mut magic = [0; 4];
         let len = read_full(&mut raw, &mut magic)?;
@@ -109,7 +109,7 @@ impl Input {
         self.compression
     }
 
-    /// Where the last [`Input::start`] was, in bytes of the decompressed stream.
+    /// Position of the last [`Input::start`], in bytes of the decompressed stream.
     pub(super) fn mark(&self) -> u64 {
         self.mark
     }
@@ -119,7 +119,7 @@ impl Input {
         &self.bytes
     }
 
-    /// Begins a record or block: its first `N` words as they stand, or `None` where the stream ends
+    /// Begins a record or block: its first `N` words as raw bytes, or `None` if the stream ends
     /// exactly here.
     pub(super) fn start<const N: usize>(&mut self) -> Result<Option<[[u8; 4]; N]>, Stop> {
         self.mark = self.offset;
@@ -131,7 +131,7 @@ impl Input {
         }
     }
 
-    /// The next `N` words as they stand, which must be there.
+    /// The next `N` words as raw bytes, which must be there.
     pub(super) fn raw_words<const N: usize>(&mut self) -> Result<[[u8; 4]; N], Stop> {
         let mut words = [[0; 4]; N];
         self.fill_whole(words.as_flattened_mut())?;
@@ -143,8 +143,8 @@ impl Input {
         Ok(self.raw_words()?.map(|word| order.u32(word)))
     }
 
-    /// Reads `len` bytes, to be had from [`Input::bytes`]. The caller bounds `len`, which is also the
-    /// memory that is taken.
+    /// Reads `len` bytes, which [`Input::bytes`] then gives. The caller must bound `len`, since as
+    /// much memory is allocated.
     pub(super) fn load(&mut self, len: usize) -> Result<(), Stop> {
         let mut bytes = std::mem::take(&mut self.bytes);
         bytes.resize(len, 0);
@@ -153,7 +153,7 @@ impl Input {
         filled
     }
 
-    /// Passes over `len` bytes without keeping them.
+    /// Skips `len` bytes.
     pub(super) fn skip(&mut self, len: u64) -> Result<(), Stop> {
         let skipped = io::copy(&mut (&mut self.source).take(len), &mut io::sink());
         let skipped = skipped.map_err(|error| self.stop(error))?;
@@ -178,8 +178,7 @@ impl Input {
         Ok(())
     }
 
-    /// A compressed stream that cannot be decoded is damage; whatever the system says itself is
-    /// not.
+    /// A compressed stream that cannot be decoded is damage; an error of the system is not.
     fn stop(&self, error: io::Error) -> Stop {
         match self.compression {
             Some(format) if !comes_from_system(&error) => Damage::Compression {
@@ -206,8 +205,7 @@ fn read_full(source: &mut impl Read, target: &mut [u8]) -> io::Result<usize> {
     Ok(len)
 }
 
-/// Whether an error of the operating system is at the bottom of `error`, however often it was
-/// wrapped.
+/// Whether the root cause of `error` is an error of the operating system.
 fn comes_from_system(error: &io::Error) -> bool {
     let mut cause: Option<&(dyn Error + 'static)> = Some(error);
     while let Some(error) = cause {
@@ -215,7 +213,7 @@ fn comes_from_system(error: &io::Error) -> bool {
             if io_error.raw_os_error().is_some() {
                 return true;
             }
-            // The `source` of a wrapping `io::Error` is already the source of what it wraps.
+            // The `source` of a wrapping `io::Error` skips the wrapped error itself.
             cause = io_error
                 .get_ref()
                 .map(|inner| inner as &(dyn Error + 'static));
@@ -278,9 +276,9 @@ impl<R: BufRead> ZstdFrames<R> {
         }
     }
 
-    /// Makes the decoder give out the bytes that it holds back as the window of later blocks. It does
-    /// so at the end of a frame only, so it gets one: an empty last block and a checksum that is not
-    /// compared.
+    /// Makes the decoder release the bytes that it keeps as the window of later blocks. It does so
+    /// only at the end of a frame, so this gives it one: an empty last block and a checksum that is
+    /// not compared.
     fn release_window(&mut self) {
         let end: [u8; 7] = [1, 0, 0, 0, 0, 0, 0];
         let _ = self
@@ -312,7 +310,7 @@ impl<R: BufRead> Read for ZstdFrames<R> {
     }
 }
 
-/// What a file that is no capture seems to be, from its first bytes.
+/// The probable type of a file that is not a capture, by its first bytes.
 pub(super) fn describe(head: &[u8]) -> String {
     const CUT_HEADER: &str = "the start of a capture, cut inside the file header";
     const KNOWN: [(&[u8], &str); 14] = [

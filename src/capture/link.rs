@@ -1,4 +1,4 @@
-//! From a captured frame to the UDP payload in it, whatever lies around.
+//! Finds the UDP payload in a captured frame.
 //!
 //! ```text
 //! Ethernet | VLAN tags | \
@@ -6,9 +6,9 @@
 //! NULL, LOOP, raw IP     /
 //! ```
 //!
-//! Every length comes from the IP and UDP headers: behind the IP packet lie Ethernet padding and
-//! check sequences, and options and tags before it move the payload away from the usual offset of
-//! 42 bytes.
+//! All lengths come from the IP and UDP headers: Ethernet padding and check sequences may follow
+//! the IP packet, and options and tags before it shift the payload from its usual offset of 42
+//! bytes.
 
 use std::net::{IpAddr, SocketAddr};
 use std::ops::Range;
@@ -22,17 +22,17 @@ use etherparse::{
 use sweepd_core::wire::Datagram;
 
 const UDP_HEADER_LEN: usize = 8;
-/// Datagrams whose fragments are waited for, at most: 64 KiB each.
+/// Most datagrams whose fragments are kept: up to 64 KiB each.
 const MAX_WAITING: u64 = 256;
-/// How long fragments are waited for, by capture time. Linux takes 30 s.
+/// How long fragments are kept, by capture time; 30 s as on Linux.
 const MAX_WAIT_NS: u64 = 30_000_000_000;
-/// Old fragments are looked for after this many fragments, or this much capture time: to do so for
-/// each one would take longer than everything else. No fragment is forgotten before as many others
+/// Old fragments are removed after this many fragments, or this much capture time: a check for each
+/// fragment would take longer than all other work. No fragment is removed before this many others
 /// have come.
 const LOOK_AFTER: u64 = MAX_WAITING / 2;
 const LOOK_AFTER_NS: u64 = 1_000_000_000;
 
-/// What a captured frame begins with: a LINKTYPE number of the registry at tcpdump.org.
+/// The link layer of captured frames: a LINKTYPE number of the registry at tcpdump.org.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, Hash)]
 pub struct LinkType(pub u16);
 
@@ -45,13 +45,13 @@ impl LinkType {
     pub const LOOP: Self = Self(108);
     /// IPv4 or IPv6 without anything before it.
     pub const RAW: Self = Self(101);
-    /// Linux cooked, version 1: `tcpdump -i any` of old.
+    /// Linux cooked, version 1: older `tcpdump -i any`.
     pub const LINUX_SLL: Self = Self(113);
     /// IPv4 without anything before it.
     pub const IPV4: Self = Self(228);
     /// IPv6 without anything before it.
     pub const IPV6: Self = Self(229);
-    /// Linux cooked, version 2: `tcpdump -i any` of today.
+    /// Linux cooked, version 2: present `tcpdump -i any`.
     pub const LINUX_SLL2: Self = Self(276);
 }
 
@@ -80,13 +80,13 @@ pub enum NoDatagram {
     /// TCP, ICMP.
     #[error("not UDP")]
     NotUdp,
-    /// The headers promise more than was captured, or the UDP header promises nothing at all.
+    /// The headers state more bytes than were captured, or the UDP header states a length of 0.
     #[error("the frame was cut short when it was captured")]
     CutShort,
-    /// A fragment of a datagram whose other fragments have not come yet.
+    /// A fragment of a datagram that is not complete yet.
     #[error("a fragment; the rest of its datagram has not come yet")]
     FragmentWaiting,
-    /// Frames that begin with something else than Ethernet, IP or what stands for them on loopback.
+    /// Frames that begin with something other than Ethernet, IP or a loopback header.
     #[error("frames of {0} are not understood")]
     UnsupportedLink(LinkType),
     /// Headers that contradict themselves.
@@ -94,13 +94,13 @@ pub enum NoDatagram {
     Malformed,
 }
 
-/// Finds the datagram in captured frames, and puts fragmented ones together.
+/// Finds the datagrams in captured frames, and reassembles fragmented ones.
 pub struct Decapsulator {
     waiting: IpDefragPool<Waiting, LinkType>,
-    /// The datagram put together last. Its buffer goes back to the pool with the next fragment.
+    /// The datagram reassembled last. Its buffer goes back to the pool with the next fragment.
     assembled: Option<IpDefragPayloadVec>,
     fragments: u64,
-    /// When old fragments were looked for last.
+    /// When old fragments were removed last.
     looked: Waiting,
 }
 
@@ -111,7 +111,7 @@ struct Waiting {
     fragment: u64,
 }
 
-/// A datagram found: its two ends, and where its payload lies.
+/// A datagram found: its source and destination, and the place of its payload.
 pub(super) struct Found {
     pub(super) source: SocketAddr,
     pub(super) destination_port: u16,
@@ -137,7 +137,7 @@ impl Default for Decapsulator {
 }
 
 impl Decapsulator {
-    /// A decapsulator that waits for no fragments yet.
+    /// A decapsulator without fragments.
     pub fn new() -> Self {
         Self::default()
     }
@@ -145,7 +145,7 @@ impl Decapsulator {
     /// The datagram in a frame that was captured at `time_ns`.
     ///
     /// # Errors
-    /// [`NoDatagram`]: the frame holds something else, or not all of a datagram.
+    /// [`NoDatagram`]: the frame holds something else, or only a part of a datagram.
     pub fn decapsulate<'a>(
         &'a mut self,
         link_type: LinkType,
@@ -182,7 +182,7 @@ impl Decapsulator {
         Ok(udp.found(source, PayloadPlace::Frame(udp.payload(start))))
     }
 
-    /// The payload of what [`Decapsulator::find`] just found in `frame`.
+    /// The payload of the datagram that [`Decapsulator::find`] just found in `frame`.
     pub(super) fn payload<'a>(&'a self, found: &Found, frame: &'a [u8]) -> &'a [u8] {
         let (bytes, range) = match &found.place {
             PayloadPlace::Frame(range) => (frame, range),
@@ -196,7 +196,7 @@ impl Decapsulator {
         bytes.get(range.clone()).unwrap_or_default()
     }
 
-    /// Adds a fragment to the datagrams that wait. The link types of a capture are kept apart.
+    /// Adds a fragment to the incomplete datagrams, separately for each link type.
     fn assemble(
         &mut self,
         link_type: LinkType,
@@ -233,9 +233,8 @@ impl Decapsulator {
         Ok(self.assembled.insert(whole))
     }
 
-    /// Forgets fragments that have waited for too long. The pool itself has no bound: those that
-    /// are kept and those that come until the next look belong to at most [`MAX_WAITING`]
-    /// datagrams.
+    /// Removes fragments that have waited for too long. The pool itself has no bound: the fragments
+    /// kept here and those until the next removal belong to at most [`MAX_WAITING`] datagrams.
     fn forget_old(&mut self, now: Waiting) {
         let is_recent = now.time_ns.abs_diff(self.looked.time_ns) < LOOK_AFTER_NS;
         if is_recent && now.fragment - self.looked.fragment < LOOK_AFTER {
@@ -248,7 +247,7 @@ impl Decapsulator {
     }
 }
 
-/// The frame without what lies before the IP header.
+/// The frame from its IP header on.
 fn ip_packet(link_type: LinkType, frame: &[u8]) -> Result<&[u8], NoDatagram> {
     match link_type {
         LinkType::ETHERNET => after_link_header(frame, 14, 12),
@@ -264,17 +263,17 @@ fn ip_packet(link_type: LinkType, frame: &[u8]) -> Result<&[u8], NoDatagram> {
                 Err(NoDatagram::NotIp)
             }
         }
-        // 12 and 14: what raw IP is called in files from machines that did not know 101.
+        // 12 and 14 are raw IP in files from machines that did not know 101.
         LinkType::RAW | LinkType::IPV4 | LinkType::IPV6 | LinkType(12 | 14) => Ok(frame),
         other => Err(NoDatagram::UnsupportedLink(other)),
     }
 }
 
-/// The IP headers, with all that was captured behind them if their length field promises more.
+/// The IP headers, with all bytes captured behind them if their length field states more.
 ///
-/// Whether that is enough the UDP length says: early VLP-16 firmware sends its position packets
-/// with the IP length of a data packet, 1234 in place of 540. Fragments have only the IP length to
-/// go by, and are not forgiven.
+/// The UDP length then decides whether that is enough: early VLP-16 firmware sends position packets
+/// with the IP length of a data packet, 1234 in place of 540. Fragments have only the IP length,
+/// which must be right.
 fn lax_ip(packet: &[u8]) -> Result<LaxIpSlice<'_>, NoDatagram> {
     match LaxIpSlice::from_slice(packet) {
         Ok((ip, None)) => Ok(ip),
@@ -328,7 +327,7 @@ impl Udp {
         }
     }
 
-    /// Where the payload lies if the header begins at `start`.
+    /// The range of the payload if the header begins at `start`.
     fn payload(&self, start: usize) -> Range<usize> {
         let start = start + UDP_HEADER_LEN;
         start..start + self.payload_len
@@ -342,8 +341,8 @@ impl Udp {
             .first_chunk::<UDP_HEADER_LEN>()
             .ok_or(NoDatagram::CutShort)?;
         let len = usize::from(u16::from_be_bytes([l0, l1]));
-        // A length of 0 means a jumbogram, which no sensor sends, or a frame captured before the
-        // card filled it in.
+        // A length of 0 is a jumbogram, which no sensor sends, or a frame captured before the
+        // network card set it.
         if len == 0 || len > packet.len() {
             return Err(NoDatagram::CutShort);
         }

@@ -1,12 +1,12 @@
-//! Captures and sockets: files of frames in, or a UDP port; datagrams out.
+//! Reads datagrams from capture files and UDP ports, and writes captures.
 //!
 //! * [`pcap`]: the records of a pcap or pcapng file, plain or compressed.
 //! * [`link`]: the UDP datagram in a frame.
-//! * [`Capture`]: both together, with a count of everything passed over.
+//! * [`Capture`]: both together, with counts of all skipped records.
 //! * [`udp`]: the datagrams of live sensors.
-//! * [`pace`]: when to hand on what, for replay.
+//! * [`pace`]: when to send each datagram of a replay.
 //! * [`mod@write`]: captures written.
-//! * [`record`]: captures written of live sensors, without delaying them.
+//! * [`record`]: records live sensors without delaying them.
 
 pub mod error;
 mod frame;
@@ -32,36 +32,36 @@ use sweepd_core::wire::Datagram;
 pub use udp::{UdpConfig, UdpError, UdpSource};
 pub use write::PcapWriter;
 
-/// Most link types that a capture is said to hold.
+/// Most link types that are reported for a capture.
 const MAX_LINK_TYPES: usize = 16;
 
-/// What a capture held so far. Every record is a datagram or one of the others.
+/// Counts of the records so far. Every record is a datagram or one of the others.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
 pub struct RecordCounts {
     /// Records read.
     pub records: u64,
-    /// Records that gave a datagram, the last fragment of one included.
+    /// Records that gave a datagram, including the last fragment of one.
     pub datagrams: u64,
     /// Records without an IP packet.
     pub not_ip: u64,
     /// Records with another protocol than UDP.
     pub not_udp: u64,
-    /// Records with less of a datagram than its headers promise: captured with too small a snap
-    /// length.
+    /// Records with fewer bytes of a datagram than its headers state: captured with too small a
+    /// snap length.
     pub truncated_records: u64,
-    /// Fragments, but for those that made a datagram whole.
+    /// Fragments, except those that completed a datagram.
     pub fragments: u64,
-    /// Records whose link type is not understood.
+    /// Records with an unsupported link type.
     pub unsupported_link: u64,
     /// Records with headers that contradict themselves.
     pub malformed: u64,
-    /// Records without a time (pcapng simple packet blocks), which took that of the record before.
-    /// They are counted above as well.
+    /// Records without a time (pcapng simple packet blocks), which get that of the record before.
+    /// They are also counted above.
     pub untimed: u64,
 }
 
 impl RecordCounts {
-    /// Records that were whole and held no UDP datagram.
+    /// Complete records without a UDP datagram.
     pub fn other_traffic(&self) -> u64 {
         self.not_ip + self.not_udp + self.unsupported_link + self.malformed
     }
@@ -117,7 +117,7 @@ struct CaptureStats {
 }
 
 impl CaptureStats {
-    /// Notes a record, and says what time it has.
+    /// Notes a record, and gives its time.
     fn note(&mut self, record: &Record<'_>) -> i64 {
         self.counts.records += 1;
         if self.link_types.len() < MAX_LINK_TYPES && !self.link_types.contains(&record.link_type) {
@@ -137,7 +137,7 @@ impl Capture {
     /// Opens the capture at `path`, or standard input for `-`.
     ///
     /// # Errors
-    /// [`CaptureError`]: it cannot be opened or read, or is no capture.
+    /// [`CaptureError`]: it cannot be opened or read, or is not a capture.
     pub fn open(path: impl AsRef<Path>) -> Result<Self, CaptureError> {
         CaptureReader::open(path).map(Self::over)
     }
@@ -158,8 +158,8 @@ impl Capture {
         }
     }
 
-    /// The next datagram; `None` at the end, and where the capture breaks off: then
-    /// [`Capture::truncation`] says why.
+    /// The next datagram; `None` at the end, or where the capture breaks off, for which
+    /// [`Capture::truncation`] gives the reason.
     ///
     /// # Errors
     /// [`CaptureError::Read`] when the disk or pipe fails. After that, `None`.
@@ -186,7 +186,7 @@ impl Capture {
             }
         };
         self.stats.counts.datagrams += 1;
-        // Asked for again, since a record that the loop gave out could not be followed by another.
+        // Requested again: the borrow of a record from the loop would forbid to read the next one.
         let frame = self.reader.record().map_or(&[][..], |record| record.bytes);
         let payload = self.decapsulator.payload(&found, frame);
         let datagram = Datagram {
@@ -204,12 +204,12 @@ impl Capture {
         }))
     }
 
-    /// The record that the last datagram came from, to say where something is wrong.
+    /// The record of the last datagram, for messages.
     pub fn record(&self) -> Option<Record<'_>> {
         self.reader.record()
     }
 
-    /// What was read and passed over so far.
+    /// Counts of records read and skipped so far.
     pub fn counts(&self) -> RecordCounts {
         self.stats.counts
     }
@@ -229,7 +229,7 @@ impl Capture {
         self.stats.last_ns
     }
 
-    /// Where and why the capture broke off, once it has.
+    /// Where and why the capture broke off; `None` if it has not.
     pub fn truncation(&self) -> Option<&Truncation> {
         self.reader.truncation()
     }

@@ -1,18 +1,18 @@
-//! When to hand on the datagrams of a replay.
+//! Timing of the datagrams of a replay.
 
 use std::ops::RangeInclusive;
 use std::str::FromStr;
 use std::time::Duration;
 
-/// Capture time that goes back by more than this is a jump (another recording, a clock that was
-/// set), by less the disorder of a network.
+/// If capture time goes back by more than this, it is a jump (another recording, a clock that was
+/// set); by less, it is reordering in the network.
 const DISORDER_NS: i128 = 1_000_000_000;
-/// A time further ahead than this is not waited for: the capture was paused, or the time is
-/// corrupt.
+/// Longest wait for the next datagram; a greater step means that the capture was paused, or that
+/// the time is corrupt.
 const PAUSE_NS: i128 = 60_000_000_000;
 
-/// Factors that a text may name. Slower, the next datagram would be a minute away and more; faster,
-/// no machine can.
+/// Valid factors. With a smaller one the next datagram would be more than a minute away; no machine
+/// can follow a greater one.
 const FACTORS: RangeInclusive<f64> = 0.001..=1000.0;
 
 /// How fast to replay.
@@ -20,7 +20,7 @@ const FACTORS: RangeInclusive<f64> = 0.001..=1000.0;
 pub enum Speed {
     /// As fast as the machine can.
     Max,
-    /// So many times as fast as it was captured; 1 = as it was.
+    /// This many times as fast as captured; 1 is the original speed.
     Factor(f64),
 }
 
@@ -63,8 +63,8 @@ impl FromStr for Speed {
 
 /// Says how long to wait before each datagram of a replay.
 ///
-/// A silence of the capture is as long in the replay. A replay that fell behind catches up without
-/// waiting. After a jump back in capture time it goes on at once, in the new time.
+/// Pauses of the capture are as long in the replay. A replay that fell behind catches up without
+/// waiting. After a jump back in capture time it continues at once, in the new time.
 ///
 /// ```
 /// use std::time::Duration;
@@ -80,7 +80,7 @@ pub struct Pacer {
     latest_ns: i64,
 }
 
-/// The moment from which a replay counts, in both times.
+/// The reference of a replay, in capture time and in monotonic time.
 #[derive(Clone, Copy, Debug)]
 struct Start {
     capture_ns: i64,

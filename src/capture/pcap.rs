@@ -1,16 +1,16 @@
-//! Records out of a capture file, pcap or pcapng, streamed; and the classic pcap itself.
+//! Reads the records of a pcap or pcapng file as a stream; contains the classic pcap format.
 //!
 //! ```text
 //! file   | magic u32, version 2 x u16, zone u32, figures u32, snaplen u32, link type u32 | record | record | ...
 //! record | seconds u32, fraction u32, captured u32, original u32, bytes |
 //! ```
 //!
-//! Layout: draft-ietf-opsawg-pcap and draft-ietf-opsawg-pcapng. The reader is our own: of a capture
-//! that is cut or corrupt it must give every whole record and then say where and why it breaks off.
-//! pcap-parser keeps a block in one buffer that its caller grows by what a length field claims,
-//! drops the cause when a read fails, knows no resolution in powers of two and reads the time
-//! offset as little-endian. What is left of it is a header of four to six words; the tests hold
-//! this reader against it.
+//! Layout: draft-ietf-opsawg-pcap and draft-ietf-opsawg-pcapng. The reader is our own: from a cut
+//! or corrupt capture it must give every whole record, then where and why it breaks off.
+//! pcap-parser keeps a block in one buffer that its caller grows by the value of a length field,
+//! drops the cause when a read fails, does not support resolutions in powers of two and reads the
+//! time offset as little-endian. Without these parts it would only parse headers of four to six
+//! words; the tests compare this reader with it.
 
 use std::io::Read;
 use std::path::Path;
@@ -94,8 +94,8 @@ impl CaptureReader {
         Err(CaptureError::NotACapture { name, found })
     }
 
-    /// The next record; `None` at the end, and where the capture breaks off:
-    /// then [`CaptureReader::truncation`] says why.
+    /// The next record; `None` at the end, or where the capture breaks off, for which
+    /// [`CaptureReader::truncation`] gives the reason.
     ///
     /// # Errors
     /// [`CaptureError::Read`] when the disk or pipe fails. After that, `None`.
@@ -107,7 +107,7 @@ impl CaptureReader {
         Ok(if self.advance()? { self.record() } else { None })
     }
 
-    /// Reads the next record, to be had from [`CaptureReader::record`]. `false` at the end.
+    /// Reads the next record, which [`CaptureReader::record`] then gives. `false` at the end.
     ///
     /// # Errors
     /// As [`CaptureReader::next`].
@@ -173,8 +173,7 @@ impl CaptureReader {
 }
 
 impl Format {
-    /// Reads the file header. Leaves its bytes in `head`, for the message where they are of no known
-    /// format.
+    /// Reads the file header. Leaves its bytes in `head`, for the message if the format is unknown.
     fn recognise(input: &mut Input, head: &mut Vec<u8>) -> Result<Option<Self>, Stop> {
         head.resize(HEAD_LEN, 0);
         let len = input.fill(head)?;
@@ -187,8 +186,8 @@ impl Format {
             return Ok(None);
         };
         if let Some((order, tick_ns)) = Pcap::magic(magic) {
-            // The upper half holds the length of the frame check sequence, which the IP length
-            // makes needless.
+            // The upper half holds the length of the frame check sequence, which is not needed
+            // since the IP length is known.
             let link_type = LinkType(order.u32(link_type) as u16);
             return Ok(Some(Self::Pcap(Pcap {
                 order,

@@ -24,7 +24,7 @@ const BYTE_ORDER_MARK: u32 = 0x1A2B_3C4D;
 
 /// Two lengths and a type.
 const FRAME_LEN: u32 = 12;
-/// What [`Sections::begin`] is given or has read, and the length at the end.
+/// The words that [`Sections::begin`] gets or reads, and the length at the end.
 const SECTION_MIN_LEN: u32 = 28;
 const OPTION_RESOLUTION: u16 = 9;
 const OPTION_OFFSET: u16 = 14;
@@ -65,7 +65,7 @@ impl Sections {
     /// The first word of a section, the same in both byte orders.
     pub(super) const MAGIC: [u8; 4] = SECTION.to_be_bytes();
 
-    /// Begins a section, of which 24 bytes have been read, and forgets the interfaces of the last
+    /// Begins a section, of which 24 bytes have been read, and drops the interfaces of the last
     /// one.
     pub(super) fn begin(
         &mut self,
@@ -124,8 +124,8 @@ impl Sections {
         }
     }
 
-    /// The length once more: where it differs, at least one of the two is wrong, and what was
-    /// between them doubtful.
+    /// The length is repeated at the end. If they differ, at least one is wrong, and the data
+    /// between them is not reliable.
     fn end_block(&self, head: u32, input: &mut Input) -> Result<(), Stop> {
         let [tail] = input.words(self.order)?;
         if tail == head {
@@ -241,7 +241,7 @@ fn check_length(kind: u32, length: u32, least: u32) -> Result<(), Damage> {
     })
 }
 
-/// Loads the packet and passes over padding and options, which fill the rest of the `room`.
+/// Loads the packet and skips padding and options, which fill the rest of the `room`.
 fn load_packet(captured: u32, room: u32, input: &mut Input) -> Result<(), Stop> {
     let limit = room.min(MAX_RECORD_LEN);
     if captured > limit {
@@ -286,7 +286,7 @@ impl Clock {
         } else if exponent <= 9 {
             ticks * 10_i128.pow(9 - exponent)
         } else {
-            // A tick can be too short for any number of them to make a nanosecond.
+            // The power can exceed the type: such ticks are too short to make a nanosecond.
             10_i128
                 .checked_pow(exponent - 9)
                 .map_or(0, |ticks_per_ns| ticks / ticks_per_ns)

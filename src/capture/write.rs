@@ -1,4 +1,4 @@
-//! Captures written: pcap with nanoseconds, frames as a sensor puts them on the wire.
+//! Writes captures: pcap with nanoseconds, frames as a sensor sends them.
 
 use std::io::{self, Write};
 use std::net::SocketAddrV4;
@@ -19,13 +19,13 @@ const ETHERNET: [u8; ETHERNET_LEN] = [
 /// Bytes of a file's header.
 pub const FILE_HEADER_LEN: u64 = 24;
 
-/// Bytes that a datagram takes in a file, its headers included.
+/// Bytes that a datagram takes in a file, including its headers.
 pub fn record_len(payload_len: usize) -> u64 {
     const RECORD_HEADER_LEN: usize = 16;
     (RECORD_HEADER_LEN + HEADERS_LEN + payload_len) as u64
 }
 
-/// A datagram with the addresses of both its ends.
+/// A datagram with its source and destination addresses.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub struct Addressed<'a> {
     /// Arrival, nanoseconds since 1970; pcap has room for 0 to the year 2106.
@@ -39,7 +39,7 @@ pub struct Addressed<'a> {
 }
 
 impl<'a> Addressed<'a> {
-    /// What all but a recording need of it.
+    /// The datagram for all uses but recordings: of the destination it keeps only the port.
     pub fn datagram(&self) -> Datagram<'a> {
         let &Self {
             arrival_ns,
@@ -82,8 +82,8 @@ impl<W: Write> PcapWriter<W> {
     /// Writes a record.
     ///
     /// # Errors
-    /// `InvalidInput` where the time or the payload does not fit the formats, with nothing written;
-    /// else what the sink says.
+    /// `InvalidInput` if the time or the payload does not fit the formats, with nothing written;
+    /// else the error of the sink.
     pub fn write(&mut self, datagram: &Addressed<'_>) -> io::Result<()> {
         let seconds =
             u32::try_from(datagram.arrival_ns.div_euclid(1_000_000_000)).map_err(|_| {
@@ -132,7 +132,7 @@ fn headers(datagram: &Addressed<'_>, ip_len: u16) -> [u8; HEADERS_LEN] {
     ip[16..20].copy_from_slice(&datagram.destination.ip().octets());
     let checksum = checksum(&ip);
     ip[10..12].copy_from_slice(&checksum.to_be_bytes());
-    // The UDP checksum stays 0, which means none, as the sensors themselves send it.
+    // The UDP checksum stays 0, which means none, as in packets of real sensors.
     let mut udp = [0; UDP_LEN];
     udp[0..2].copy_from_slice(&datagram.source.port().to_be_bytes());
     udp[2..4].copy_from_slice(&datagram.destination.port().to_be_bytes());

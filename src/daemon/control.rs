@@ -1,4 +1,4 @@
-//! The control plane, on one thread: signals, what is told of the sensors, systemd, and health over
+//! The control plane, on one thread: signals, log messages about sensors, systemd, and health over
 //! HTTP.
 
 use crate::admission::Refusal;
@@ -28,35 +28,35 @@ use super::state::{Condition, Message, Observation, Running, Watcher};
 use crate::cure::{Dialect, explain};
 use sweepd_core::pipeline::Notice;
 
-/// From one attempt to start to the next, at first and at most.
+/// Interval between attempts to start: the first, and the longest.
 const RETRY: (Duration, Duration) = (Duration::from_millis(250), Duration::from_secs(2));
 
 /// A configuration that was read again.
 #[derive(Clone, Debug)]
 pub struct Reload {
-    /// What runs from now on: the sensors and ports of the one before, with what of the new one can
-    /// be had without a restart.
+    /// The configuration from now on: sensors and ports of the old one, and all values of the new
+    /// one that need no restart.
     pub config: Config,
-    /// What is taken of the new one, a sentence each.
+    /// The changes that were applied, a sentence each.
     pub taken: Vec<String>,
     /// What cannot be, likewise.
     pub needs_restart: Vec<String>,
 }
 
-/// Reads the configuration again and compares it with the one that runs, or says why it cannot be
-/// taken.
+/// Reads the configuration again and compares it with the running one; the error says why it cannot
+/// be applied.
 pub type Reread = Box<dyn FnMut(&Config) -> Result<Reload, String>>;
 
 /// Runs the daemon until SIGTERM or SIGINT; SIGHUP reads the configuration again. `root` is the
-/// folder where consumers find it, and its control socket.
+/// folder in which consumers find it, with its control socket.
 ///
-/// A signal ends it within 200 ms where its threads get a core, all but the recordings: what they
-/// have is on the disk before this returns, however long the disk takes. (systemd gives it the
-/// TimeoutStopSec of the unit; what the disk did not take in that time is lost.)
+/// A signal ends it within 200 ms if its threads get a core. The recordings take longer: their data
+/// is synced before this returns, however slow the disk is. (systemd allows the TimeoutStopSec of
+/// the unit; data not written by then is lost.)
 ///
 /// # Errors
-/// [`DaemonError`]: it cannot start, or cannot go on; then the process is to end, so that systemd
-/// starts it again.
+/// [`DaemonError`]: it cannot start, or cannot continue; the process must then end, so that systemd
+/// restarts it.
 pub fn run<S: Sharing>(
     config: Config,
     sharing: &S,
@@ -72,7 +72,7 @@ pub fn run<S: Sharing>(
             source,
         })?;
     tokio.block_on(async {
-        // Before anything is opened, so that no signal leaves it half done.
+        // Before anything is opened, so that no signal interrupts that.
         let mut signals = Signals::new().map_err(|source| DaemonError::System {
             what: "handle signals",
             source,
@@ -96,9 +96,9 @@ pub fn run<S: Sharing>(
     })
 }
 
-/// Starts, again and again while what is missing may come: at boot, the network may not be there
-/// yet. `None` when it was asked to end meanwhile. A reload ends it too: then systemd starts it
-/// with the new configuration.
+/// Starts, and retries while the cause may pass: at boot, the network may not be up yet. `None`
+/// when it was asked to end. A reload ends it too: systemd then starts it with the new
+/// configuration.
 async fn await_start(
     root: &Path,
     http: Option<&Http>,
@@ -183,15 +183,15 @@ struct Control {
     begun: Instant,
     watchers: Vec<Watcher>,
     pulse: Pulse,
-    /// How often it is looked at all threads and sensors.
+    /// How often all threads and sensors are checked.
     period: Duration,
     /// Threads that hang, as told last.
     hanging: Vec<usize>,
-    /// Ports whose interfaces are gone, as told last.
+    /// Ports whose interfaces are gone, as last logged.
     gone: Vec<usize>,
-    /// How often the shared memory of each sensor was made again, as told last.
+    /// How often the shared memory of each sensor was made again, as last logged.
     renewed: Vec<u64>,
-    /// Ports of which it was told that position packets reach no sensor.
+    /// Ports for which it was logged that position packets reach no sensor.
     ambiguous: Vec<usize>,
     notifier: Notifier,
     view: Arc<Mutex<View>>,
@@ -282,7 +282,7 @@ impl Control {
             }
         };
         self.notifier.stopping();
-        // Who finds it gone is to see that it was asked to.
+        // A client that finds it gone must see in the log that it was asked to end.
         let ended = ended.map(|signal| info!("ends, by {signal}"));
         let stopped = self.runtime.stop();
         self.recordings.finish();
@@ -292,7 +292,7 @@ impl Control {
         ended.and(stopped)
     }
 
-    /// Looks at every thread and sensor, and tells what is new.
+    /// Checks every thread and sensor, and logs changes.
     fn look_around(&mut self) -> Result<(), DaemonError> {
         self.runtime.check()?;
         let now = self.begun.elapsed();
@@ -360,7 +360,7 @@ impl Control {
         }
     }
 
-    /// Tells once of a port that position packets come through it that reach no sensor.
+    /// Logs once for a port that its position packets reach no sensor.
     fn look_at_positions(&mut self) {
         for (index, port) in self.runtime.ports.iter().enumerate() {
             if port.counters.refused(Refusal::Ambiguous) > 0 && !self.ambiguous.contains(&index) {
@@ -417,7 +417,7 @@ impl Control {
         }
     }
 
-    /// Brings what others are told up to date.
+    /// Updates what health and systemd report.
     fn tell(&mut self) {
         let conditions: Vec<Condition> = self.watchers.iter().map(Watcher::condition).collect();
         let named = self.runtime.sensors.iter().zip(&conditions);
@@ -440,7 +440,7 @@ impl Control {
         &self.runtime.ports[index].name
     }
 
-    /// Reads the configuration again; whatever comes of it, everything keeps running.
+    /// Reads the configuration again; everything keeps running, also after an error.
     fn reload(&mut self) {
         self.notifier.reloading();
         match (self.reread)(&self.config) {
@@ -472,7 +472,7 @@ impl Control {
             }
             self.watchers[index].limit_losses(new.losses);
         }
-        // One that has failed is begun again at once: a reload says that the disk is well.
+        // A failed recording is started again at once: the user reloads when the disk works again.
         if self.config.record.as_ref() != self.recordings.config() || self.recordings.has_failed() {
             self.recordings.configure(self.config.record.as_ref());
         }
@@ -496,7 +496,7 @@ fn log(message: &Message) {
     }
 }
 
-/// What became of a sensor's packets, with what happened on its port.
+/// Counts of a sensor's packets, and of its port.
 fn tally(sensor: &SensorStatus, runtime: &Runtime) -> Tally {
     let Some(PortStatus { counters: port, .. }) = runtime.ports.get(sensor.port_index) else {
         return sensor.counters.tally();
@@ -513,7 +513,7 @@ fn tally(sensor: &SensorStatus, runtime: &Runtime) -> Tally {
 }
 
 fn observation(counters: &SensorCounters, now: Duration) -> Observation {
-    // Sweeps before the packets, as they are counted the other way round.
+    // Loaded in the opposite order of counting, so that no sweep is seen before its packets.
     let steady_sweeps = counters.steady_sweeps.get();
     let model = counters.model();
     let return_mode = counters.return_mode();

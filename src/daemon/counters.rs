@@ -1,6 +1,6 @@
-//! What the threads of the ports tell the others: plain atomics.
+//! Counters that the threads of the ports share with the others: plain atomics.
 //!
-//! A reader sees each number as it was a moment ago; two of them need not be of the same moment.
+//! A reader sees each number as of a moment ago; two numbers may be of different moments.
 
 use std::sync::atomic::{AtomicBool, AtomicI32, AtomicU8, AtomicU32, AtomicU64, Ordering::Relaxed};
 
@@ -35,7 +35,7 @@ impl Counter {
 /// How often something took how long.
 #[derive(Debug, Default)]
 pub struct Histogram {
-    /// One more than there are bounds: what took longer than all of them.
+    /// One more than there are bounds, for values above all of them.
     buckets: [Counter; Histogram::BOUNDS_NS.len() + 1],
     sum_ns: Counter,
 }
@@ -70,9 +70,9 @@ impl Histogram {
         self.sum_ns.add(ns);
     }
 
-    /// Upper bound in seconds and count of each bucket, the last without a bound; not added up.
+    /// Upper bound in seconds and count of each bucket, the last without a bound; not cumulative.
     pub fn buckets(&self) -> impl Iterator<Item = (f64, u64)> {
-        // Divided, not multiplied: the nearest number to 0.000001 is written as that.
+        // A division, not a product, gives the number nearest to 0.000001, which prints as that.
         let bounds = Self::BOUNDS_NS
             .iter()
             .map(|&ns| ns as f64 / 1e9)
@@ -94,7 +94,7 @@ impl Histogram {
 /// Part of a sweep's way through the daemon.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub enum Stage {
-    /// Packets to pixels, all those of a sweep together.
+    /// Packets to pixels, for all packets of a sweep.
     Decode,
     /// Ground removal.
     Ground,
@@ -128,15 +128,15 @@ impl Stage {
     }
 }
 
-/// What a sensor says of its GPS receiver.
+/// State of a sensor's GPS receiver.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 #[repr(u8)]
 pub enum Gps {
     /// Neither pulse nor time.
     Absent = 1,
-    /// One of them, or the clock does not follow yet.
+    /// Only one of pulse and sentence, or the clock does not follow yet.
     Incomplete = 2,
-    /// The clock follows the pulse, or is said to by `gps_without_pps`, and the time is valid.
+    /// The clock follows the pulse, or `gps_without_pps` says so, and the time is valid.
     Locked = 3,
 }
 
@@ -151,7 +151,7 @@ impl Gps {
     }
 }
 
-/// What became of one sensor's packets and sweeps.
+/// Counts of one sensor's packets and sweeps.
 #[derive(Debug, Default)]
 pub struct SensorCounters {
     /// Data packets that were let in.
@@ -160,24 +160,24 @@ pub struct SensorCounters {
     pub position: Counter,
     /// Position packets from another port that found the queue of this sensor's thread full.
     pub position_overflows: Counter,
-    /// Datagrams from its address to its data port that are no packets: of another length, or with
+    /// Datagrams from its address to its data port that are not packets: of another length, or with
     /// wrong markers or azimuths.
     pub refused: Counter,
     /// Data packets missing by the sensor's clock.
     pub lost: Counter,
     /// Packets that were put back in order.
     pub reordered: Counter,
-    /// Packets let in and not decoded: see [`SensorCounters::UNDECODED`] for the reasons.
+    /// Packets admitted but not decoded: see [`SensorCounters::UNDECODED`] for the reasons.
     undecoded: [Counter; 6],
-    /// Those of the late ones that showed together that the sensor's clock was set back.
+    /// Those of the late ones that showed that the sensor's clock was set back.
     set_back: Counter,
-    /// Sweeps that were complete, partial ones included.
+    /// Completed sweeps, including partial ones.
     pub sweeps: Counter,
     /// Those of them that are not from cut to cut.
     pub partial_sweeps: Counter,
     /// Whole sweeps at a steady speed.
     pub steady_sweeps: Counter,
-    /// Sweeps that no consumer could have got.
+    /// Sweeps that could not be published.
     pub unshared: Counter,
     /// Times, by [`Stage`].
     stages: [Histogram; Stage::ALL.len()],
@@ -185,15 +185,15 @@ pub struct SensorCounters {
     return_mode: AtomicU8,
     rpm: AtomicU32,
     gps: AtomicU8,
-    /// Degrees Celsius and one more than the greatest of them, so that 0 is "not sent".
+    /// Degrees Celsius plus [`TEMPERATURE_BIAS`]; 0 means "not sent".
     temperature: AtomicI32,
 }
 
-/// So much is added to a temperature to set it apart from 0, which stands for none.
+/// Added to a temperature, so that 0 can mean none.
 const TEMPERATURE_BIAS: i32 = 1_000;
 
 impl SensorCounters {
-    /// Why packets that were let in are not decoded, in the order of [`SensorCounters::undecoded`].
+    /// Reasons why admitted packets are not decoded, in the order of [`SensorCounters::undecoded`].
     pub const UNDECODED: [&'static str; 6] = [
         "malformed",
         "duplicate",
@@ -224,19 +224,19 @@ impl SensorCounters {
             .for_each(|(counter, count)| counter.set(count));
     }
 
-    /// How many packets were let in and not decoded, by reason.
+    /// Number of packets admitted but not decoded, by reason.
     pub fn undecoded(&self) -> impl Iterator<Item = (&'static str, u64)> {
         Self::UNDECODED
             .into_iter()
             .zip(self.undecoded.iter().map(Counter::get))
     }
 
-    /// What the rule of losses asks of them; what is of the port is left out.
+    /// The counts that the rule for losses needs, without those of the port.
     pub fn tally(&self) -> Tally {
         let [malformed, _, late, unconfirmed, other_product, _] =
             self.undecoded.each_ref().map(Counter::get);
-        // A clock that is set back costs some packets once, and no cable or second sensor is to
-        // blame.
+        // A clock that is set back makes some packets late once; that is not a fault of a cable or
+        // a second sensor.
         let late = late.saturating_sub(self.set_back.get());
         let data = self.data.get();
         let lost = self.lost.get();
@@ -258,19 +258,19 @@ impl SensorCounters {
         &self.stages[stage as usize]
     }
 
-    /// Notes what the newest sweep says of its sensor.
+    /// Notes the state of the sensor from the newest sweep.
     pub fn set_sensor(&self, header: &Header) {
         self.model.store(header.model, Relaxed);
         self.return_mode.store(header.return_mode().byte(), Relaxed);
         self.rpm.store(header.rpm.to_bits(), Relaxed);
     }
 
-    /// The model, once a sweep has come.
+    /// The model, after the first sweep.
     pub fn model(&self) -> Option<Model> {
         Model::from_code(self.model.load(Relaxed))
     }
 
-    /// The return mode, once a sweep has come.
+    /// The return mode, after the first sweep.
     pub fn return_mode(&self) -> Option<ReturnMode> {
         ReturnMode::from_byte(self.return_mode.load(Relaxed))
     }
@@ -292,12 +292,12 @@ impl SensorCounters {
         (biased != 0).then_some(biased - TEMPERATURE_BIAS)
     }
 
-    /// Notes what the sensor says of its GPS receiver.
+    /// Notes the state of the GPS receiver.
     pub fn set_gps(&self, gps: Gps) {
         self.gps.store(gps as u8, Relaxed);
     }
 
-    /// What the sensor says of its GPS receiver, where it says anything.
+    /// The state of the GPS receiver, if the sensor reports it.
     pub fn gps(&self) -> Option<Gps> {
         let byte = self.gps.load(Relaxed);
         [Gps::Absent, Gps::Incomplete, Gps::Locked]
@@ -309,7 +309,7 @@ impl SensorCounters {
 /// What came through one port.
 #[derive(Debug, Default)]
 pub struct PortCounters {
-    /// Rounds of its thread: one that stands still hangs.
+    /// Rounds of its thread: if the count does not change, the thread hangs.
     pub heartbeat: Counter,
     /// Datagrams, of any kind.
     pub received: Counter,
@@ -325,13 +325,12 @@ impl PortCounters {
         self.refused[reason as usize].add(1);
     }
 
-    /// Notes whether the interface that it listens on alone is gone.
+    /// Notes whether the only interface that it listens on is gone.
     pub fn set_interface_gone(&self, is_gone: bool) {
         self.is_interface_gone.store(is_gone, Relaxed);
     }
 
-    /// Whether the interface that it listens on alone is gone; known a second later, while nothing
-    /// comes.
+    /// Whether the only interface that it listens on is gone; known after a second without packets.
     pub fn is_interface_gone(&self) -> bool {
         self.is_interface_gone.load(Relaxed)
     }

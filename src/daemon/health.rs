@@ -13,7 +13,7 @@ use super::runtime::{PortStatus, SensorStatus};
 use super::state::{Condition, State};
 use sweepd_core::wire::data::ReturnMode;
 
-/// What is known of the daemon at a moment.
+/// State of the daemon at a moment.
 pub struct View {
     pub(super) sensors: Arc<[SensorStatus]>,
     pub(super) ports: Arc<[PortStatus]>,
@@ -22,7 +22,7 @@ pub struct View {
     /// Ports whose threads hang.
     hanging: Vec<String>,
     pub(super) recordings: RecordingsStatus,
-    /// What is not there yet, without which nothing can be begun.
+    /// The missing resource that the start waits for.
     waits_for: Option<String>,
     /// The folder where consumers find the daemon.
     root: PathBuf,
@@ -53,7 +53,7 @@ impl View {
         }
     }
 
-    /// A daemon that waits for something, as the sentence says, and has opened nothing yet.
+    /// A daemon that waits for a resource, given as a sentence, and has opened nothing yet.
     pub fn waiting(why: String, root: PathBuf) -> Self {
         Self {
             waits_for: Some(why),
@@ -61,8 +61,8 @@ impl View {
         }
     }
 
-    /// Takes how the sensors are, the names of the ports whose threads hang, and how the recordings
-    /// are.
+    /// Updates the conditions of the sensors, the names of ports whose threads hang, and the state
+    /// of the recordings.
     pub fn update(
         &mut self,
         conditions: Vec<Condition>,
@@ -74,7 +74,7 @@ impl View {
         self.recordings = recordings;
     }
 
-    /// Of which sensors not all is well although they stream: warnings, no faults.
+    /// Warnings of sensors that stream but are not well; these are not faults.
     fn warnings(&self) -> Vec<String> {
         self.sensor_reasons(false)
     }
@@ -94,7 +94,7 @@ impl View {
         reasons
     }
 
-    /// What is at fault; empty if nothing is.
+    /// The faults; empty if there are none.
     fn faults(&self) -> Vec<String> {
         let mut faults: Vec<String> = self.waits_for.iter().cloned().collect();
         faults.extend(self.sensor_reasons(true));
@@ -118,7 +118,7 @@ impl View {
         faults
     }
 
-    /// All of it, as JSON; and whether nothing is at fault.
+    /// The state as JSON, and whether there is no fault.
     pub fn report(&self) -> (bool, Value) {
         let faults = self.faults();
         let warnings = self.warnings();
@@ -156,7 +156,7 @@ impl View {
     }
 }
 
-/// What is told of a port whose interface is gone.
+/// The message for a port whose interface is gone.
 pub(super) fn interface_gone(port: &PortStatus) -> String {
     let interface = port.interface.as_deref().unwrap_or_default();
     format!(
@@ -202,7 +202,7 @@ fn sensor(sensor: &SensorStatus, is: &Condition) -> Value {
     })
 }
 
-/// What became of a sensor's packets over the last seconds.
+/// Losses of a sensor over the last seconds.
 fn losses(recent: Recent, words: Option<&[String; 2]>) -> Value {
     let Recent { span, counted } = recent;
     json!({

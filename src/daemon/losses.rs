@@ -1,5 +1,5 @@
-//! Whether a sensor loses packets: from what was counted over the last seconds to a share, its
-//! likely cause, and a sentence with the cure. Pure: time and counts come in.
+//! Detects packet loss of a sensor: from counts over the last seconds to a share, its likely cause,
+//! and a sentence with the cure. Pure: time and counts are inputs.
 //!
 //! ```text
 //! Tally, Tally, ... -> Recent (what was counted over the last seconds) -> share -> Level, with hysteresis
@@ -14,27 +14,27 @@ use std::time::Duration;
 pub const WINDOW: Duration = Duration::from_secs(5);
 /// A shorter time says nothing yet.
 const LEAST: Duration = Duration::from_secs(2);
-/// The first packets of a stream: the model is being told, and the daemon warms up.
+/// Ignored at the start of a stream, while the model is detected and the daemon warms up.
 const SETTLING: Duration = Duration::from_secs(1);
-/// Counts are noted no more often than this; the control thread looks at them twice a second.
+/// Least interval between noted counts; the control thread checks them twice a second.
 const NOTE_EVERY: Duration = Duration::from_millis(400);
-/// Fewer packets than this are too few to speak of a share.
+/// Least number of packets for a share.
 const LEAST_PACKETS: u64 = 100;
-/// A share must come down to this part of a limit before that limit counts as kept again.
+/// A level ends when the share falls below this part of its limit.
 const OVER_AT: f64 = 0.5;
 
-/// Shares of a sensor's packets above which its losses are told, 0 to 1. The warning is not above
-/// the fault.
+/// Shares of a sensor's packets above which losses are reported, 0 to 1. `warning` is at most
+/// `fault`.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct Limits {
     /// From here on it is told.
     pub warning: f64,
-    /// From here on the sensor counts as failed.
+    /// Above this the sensor counts as failed.
     pub fault: f64,
 }
 
 impl Default for Limits {
-    /// 3 % and 20 %. The capture with the greatest loss of those that the tests replay has 2.3 %.
+    /// 3 % and 20 %. Of the captures that the tests replay, the greatest loss is 2.3 %.
     fn default() -> Self {
         Self {
             warning: 0.03,
@@ -52,31 +52,31 @@ pub enum Level {
     Fault,
 }
 
-/// What was counted of a sensor and its port by a moment. Each number only grows.
+/// Counts of a sensor and its port at a moment. They never decrease.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
 pub struct Tally {
     /// Data packets let in.
     pub data: u64,
     /// Data packets missing by the sensor's clock.
     pub lost: u64,
-    /// Packets let in that came too late for their sweep.
+    /// Admitted packets that came too late for their sweep.
     pub late: u64,
-    /// Packets let in whose clock or return mode no neighbour confirmed.
+    /// Admitted packets whose clock or return mode no neighbour confirmed.
     pub unconfirmed: u64,
-    /// Packets let in with the byte of another product.
+    /// Admitted packets with another product byte.
     pub other_product: u64,
-    /// Packets let in with azimuths of no turning head.
+    /// Admitted packets with azimuths that no turning head has.
     pub malformed: u64,
-    /// Datagrams from the sensor's address to its data port that are no packets of a sensor.
+    /// Datagrams from the sensor's address to its data port that are not packets of a sensor.
     pub refused: u64,
-    /// Datagrams that the kernel dropped on the port, of whichever sender.
+    /// Datagrams that the kernel dropped on the port, of any sender.
     pub dropped: u64,
-    /// Datagrams on the port of no sensor that is configured there.
+    /// Datagrams on the port that are not of a sensor configured there.
     pub strangers: u64,
 }
 
 impl Tally {
-    /// What was counted since an earlier one.
+    /// The difference from an earlier tally.
     fn since(&self, earlier: &Self) -> Self {
         Self {
             data: self.data.saturating_sub(earlier.data),
@@ -91,20 +91,20 @@ impl Tally {
         }
     }
 
-    /// Packets that came and fit no single head.
+    /// Packets that came and do not fit one head.
     fn unfitting(&self) -> u64 {
         self.late + self.unconfirmed + self.other_product + self.malformed
     }
 }
 
-/// Where a sensor's packets come in, for sentences.
+/// Address and port of a sensor's packets, for messages.
 #[derive(Clone, Debug, PartialEq, Eq)]
 pub struct SensorAddress {
     /// Where its packets come from.
     pub address: String,
-    /// The port that they come to; `None` where it is not known.
+    /// The port that they come to, if known.
     pub port: Option<u16>,
-    /// How many sensors have that port, this one included.
+    /// Number of sensors on that port, including this one.
     pub sensors: usize,
 }
 
@@ -118,22 +118,22 @@ impl fmt::Display for SensorAddress {
     }
 }
 
-/// What most likely takes the packets away.
+/// Likely cause of losses.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub enum Cause {
     /// They do not reach this host.
     Network,
     /// This host's kernel drops them: they are not fetched in time.
     Host,
-    /// The kernel drops them, and datagrams of others fill its buffer.
+    /// The kernel drops them, because datagrams of other senders fill its buffer.
     Flood,
     /// Two heads send under one address.
     SecondSensor,
-    /// What comes from its address is damaged, or of another program.
+    /// Datagrams from its address are damaged, or of another program.
     NoPackets,
 }
 
-/// What was counted over the last seconds.
+/// Counts over the last seconds.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub struct Recent {
     /// How long.
@@ -143,18 +143,18 @@ pub struct Recent {
 }
 
 impl Recent {
-    /// Packets that came and are in no sweep.
+    /// Packets that came but are in no sweep.
     fn useless(&self) -> u64 {
         self.counted.unfitting() + self.counted.refused
     }
 
-    /// Packets that did not come: a lower bound. One that came damaged or late is missing by the
-    /// sensor's clock as well.
+    /// Lower bound of packets that did not come. A damaged or late packet is also missing by the
+    /// sensor's clock, so that it is subtracted.
     fn absent(&self) -> u64 {
         self.counted.lost.saturating_sub(self.useless())
     }
 
-    /// Packets that the sensor sent or that came under its address.
+    /// Packets that the sensor sent, or that came from its address.
     fn all(&self) -> u64 {
         self.counted.data + self.counted.refused + self.absent()
     }
@@ -164,7 +164,7 @@ impl Recent {
         self.absent() + self.useless()
     }
 
-    /// The share of packets that are in no sweep, 0 to 1; 0 where too few came to tell.
+    /// Share of packets that are in no sweep, 0 to 1; 0 if too few came.
     pub fn share(&self) -> f64 {
         if self.all() < LEAST_PACKETS {
             0.0
@@ -173,8 +173,8 @@ impl Recent {
         }
     }
 
-    /// What is to blame for most of them. The kernel drops packets of all senders on the port
-    /// alike: it is to blame for at most as many as it dropped.
+    /// Cause of most of them. The kernel drops packets of all senders on the port alike, so that it
+    /// is blamed for at most as many as it dropped.
     pub fn cause(&self) -> Cause {
         let Tally {
             data,
@@ -195,19 +195,19 @@ impl Recent {
             (self.counted.unfitting(), Cause::SecondSensor),
             (here, host),
         ];
-        // Of equals the last: what this host itself can say for certain.
+        // Of equal counts the last cause wins: the one that this host knows for certain.
         by_cause
             .into_iter()
             .max_by_key(|&(packets, _)| packets)
             .map_or(Cause::Network, |(_, cause)| cause)
     }
 
-    /// How much is missing, why most likely, and what to do about it.
+    /// A sentence with the share missing, the likely cause, and the cure.
     pub fn sentence(&self, place: &SensorAddress) -> String {
         format!("{}: {}", self.what(place), self.cure(place))
     }
 
-    /// How much is missing, and why most likely.
+    /// The share missing, and the likely cause.
     pub fn what(&self, place: &SensorAddress) -> String {
         let Tally {
             refused,
@@ -282,7 +282,7 @@ impl Recent {
         cure.to_owned()
     }
 
-    /// What is told when losses are over that lasted so long.
+    /// The message when losses are over; `lasted` is their duration.
     pub fn over(&self, lasted: Duration) -> String {
         let seconds = lasted.as_secs_f64();
         let percent = 100.0 * self.share();
@@ -312,12 +312,12 @@ impl Recent {
     }
 }
 
-/// What becomes of a sensor's losses that is to be told.
+/// A change of a sensor's losses that is reported.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub enum Turn {
-    /// They are above a limit, as they were not before.
+    /// They have risen above a limit.
     Begun(Level),
-    /// They are below all limits again, after so long.
+    /// They are below all limits again, after this duration.
     Over(Duration),
 }
 
@@ -325,17 +325,17 @@ pub enum Turn {
 #[derive(Clone, Debug)]
 pub struct Losses {
     limits: Limits,
-    /// Counts by moment, oldest first, over [`WINDOW`] at least if there are this many.
+    /// Counts by time, oldest first, over at least [`WINDOW`] once that has passed.
     noted: VecDeque<(Duration, Tally)>,
     /// When the stream that is watched began.
     begun: Option<Duration>,
     level: Option<Level>,
-    /// When the level was left at which nothing is told.
+    /// When the losses rose above the first limit.
     losing_since: Duration,
 }
 
 impl Losses {
-    /// Those of a sensor that has sent nothing yet.
+    /// For a sensor that has sent nothing yet.
     pub fn new(limits: Limits) -> Self {
         Self {
             limits,
@@ -346,17 +346,17 @@ impl Losses {
         }
     }
 
-    /// Holds them against other limits from now on.
+    /// Changes the limits.
     pub fn limit(&mut self, limits: Limits) {
         self.limits = limits;
     }
 
-    /// How grave they are; `None` below the limits.
+    /// The present level; `None` below the limits.
     pub fn level(&self) -> Option<Level> {
         self.level
     }
 
-    /// What was counted over the last seconds; `None` until it is long enough.
+    /// Counts over the last seconds; `None` until the window is long enough.
     pub fn recent(&self) -> Option<Recent> {
         let (&(from, before), &(to, now)) = (self.noted.front()?, self.noted.back()?);
         let span = to - from;
@@ -366,19 +366,19 @@ impl Losses {
         })
     }
 
-    /// Counts again from here on: packets were decoded in another way before.
+    /// Starts again, because packets were decoded with another configuration before.
     pub fn begin_anew(&mut self) {
         self.noted.clear();
         self.begun = None;
     }
 
-    /// The stream is over, and with it its losses.
+    /// Ends the losses together with the stream.
     pub fn forget(&mut self) {
         self.begin_anew();
         self.level = None;
     }
 
-    /// Takes what was counted by now of a stream that goes on, and gives what is to be told. `now`:
+    /// Takes the present counts of a running stream, and gives the change to report. `now` is the
     /// time since any fixed moment.
     pub fn observe(&mut self, now: Duration, tally: Tally) -> Option<Turn> {
         if now - *self.begun.get_or_insert(now) < SETTLING {

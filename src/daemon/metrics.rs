@@ -1,5 +1,5 @@
-//! The counters in the words of Prometheus: names, labels, units. Nothing is kept here; each
-//! request reads the atomics.
+//! The counters as Prometheus metrics: names, labels, units. Without state; each request reads the
+//! atomics.
 
 use crate::admission::Refusal;
 use std::fmt;
@@ -25,7 +25,7 @@ pub const CONTENT_TYPE: &str = "application/openmetrics-text; version=1.0.0; cha
 /// All metrics of this moment, in the OpenMetrics text format.
 ///
 /// # Errors
-/// None that this format could not hold; what writes to it may fail.
+/// Errors of the writer only; all values fit the format.
 pub fn encode(view: &View) -> Result<String, fmt::Error> {
     let snapshot = Snapshot {
         sensors: Arc::clone(&view.sensors),
@@ -64,7 +64,7 @@ type Labels<'a, const N: usize> = [(&'static str, &'a str); N];
 #[derive(Debug)]
 struct Total(u64);
 
-/// A number that goes up and down.
+/// A gauge.
 #[derive(Debug)]
 struct Now(f64);
 
@@ -316,7 +316,7 @@ fn single(
     family(encoder, name, help, once((none, metric)))
 }
 
-/// One metric of several sensors or ports; none at all where no one of them has it.
+/// One metric of several sensors or ports; nothing if none of them has it.
 fn family_in<'a, const N: usize, M: EncodeMetric>(
     encoder: &mut DescriptorEncoder<'_>,
     name: &str,

@@ -1,5 +1,5 @@
-//! The live daemon: sensors on their ports in, labelled sweeps in shared memory out, and what keeps
-//! that going.
+//! The live daemon: receives sensors on their ports, publishes labelled sweeps in shared memory,
+//! and supervises this.
 //!
 //! ```text
 //! config                            what is to run, from a TOML file

@@ -5,33 +5,32 @@
 //!          the last sweep is complete                              0.2 to 0.7 ms before the next one is
 //! ```
 //!
-//! Where position packets come alone there is no sweep to be in time for, and one nap follows the
-//! other.
+//! On a port with position packets alone there are no sweeps, and one nap follows the other.
 
 use std::time::{Duration, Instant};
 
 use crate::capture::udp::ReceiveBuffer;
 use crate::capture::udp::buffer::PARTS;
 
-/// Longest nap, a turn at 10 Hz: each time that the thread is woken costs as much as decoding some
-/// packets.
+/// Longest nap, a turn at 10 Hz: each wake-up costs as much as decoding some packets.
 pub const LONGEST: Duration = Duration::from_millis(100);
-/// The same where position packets come alone, and no copies of them are kept in order with those
-/// of data: they are not urgent.
+/// The same for a port with position packets alone, which are not urgent, unless a recording keeps
+/// them in order with data packets.
 pub const LONGEST_OF_POSITIONS: Duration = Duration::from_millis(250);
-/// From so long before the packet that completes a sweep is expected, each packet is fetched as it
-/// comes, so that little is left to do.
+/// From this time before the expected end of a sweep, each packet is fetched as it comes, so that
+/// little work is left at the end, nanoseconds.
 const ALERT_NS: i64 = 200_000;
-/// Most work that may wait: it is done before then, else consumers would wait for it.
+/// Most work that may wait, nanoseconds; the nap ends early enough to do it before the sweep is
+/// complete.
 const CATCH_UP_NS: i64 = 2_100_000;
-/// A nap of the last moments that is shorter costs more than the few packets that would be fetched
-/// meanwhile, one by one.
+/// Shortest nap, nanoseconds: a shorter one costs more than fetching the few packets of that time
+/// one by one.
 const WORTH_NS: i64 = 500_000;
-/// Sensors whose position packets are no more than the data packets of the fastest model: an
-/// HDL-32E with two returns sends 720 a second, an HDL-64E S3 5,787.
+/// Number of sensors whose position packets are at most the data packets of the fastest model: an
+/// HDL-32E with two returns sends 720 a second, an HDL-64E S3 sends 5,787 data packets.
 const POSITIONS: i64 = 8;
 
-/// How much of the time a thread works, over the last seconds.
+/// Share of the time that a thread works, over the last seconds.
 #[derive(Clone, Copy, Debug)]
 pub struct Load {
     busy: Duration,
@@ -41,7 +40,7 @@ pub struct Load {
 }
 
 impl Load {
-    /// A thread that is about to begin, taken to work for a twentieth of the time.
+    /// A thread that is about to begin, assumed to work for a twentieth of the time.
     pub fn new(now: Instant) -> Self {
         Self {
             busy: Duration::from_millis(5),
@@ -50,7 +49,7 @@ impl Load {
         }
     }
 
-    /// It has worked from then until now.
+    /// Notes that it worked from then until now.
     pub fn worked(&mut self, from: Instant, now: Instant) {
         self.busy += now.saturating_duration_since(from);
         self.all += now.saturating_duration_since(self.until);
@@ -61,13 +60,13 @@ impl Load {
         }
     }
 
-    /// How long the work takes that comes together in so long; both in nanoseconds.
+    /// Duration of the work that gathers in a time; both in nanoseconds.
     fn takes_ns(&self, gathered_ns: i64) -> i64 {
         let part = self.busy.as_secs_f64() / self.all.as_secs_f64().max(1e-9);
         (gathered_ns as f64 * part) as i64
     }
 
-    /// In how long so much work comes together; both in nanoseconds.
+    /// Time in which this much work gathers; both in nanoseconds.
     fn brings_in_ns(&self, work_ns: i64) -> i64 {
         let times = self.all.as_secs_f64() / self.busy.as_secs_f64().max(1e-9);
         (work_ns as f64 * times) as i64
@@ -107,8 +106,8 @@ pub fn longest_ns(
         .min(most.as_nanos() as i64)
 }
 
-/// How long to sleep when a sweep is due in so long, nanoseconds: then there is time left to do
-/// what has gathered meanwhile.
+/// Duration of a nap when a sweep is due in `until_due_ns`, nanoseconds: it leaves time for the
+/// work that gathers during the nap.
 pub fn length_ns(until_due_ns: i64, longest_ns: i64, load: &Load) -> i64 {
     let until_alert_ns = until_due_ns.saturating_sub(ALERT_NS);
     let work_ns = load
@@ -186,7 +185,7 @@ mod tests {
             wanted_bytes: 6_670_080,
             granted_bytes: 6_670_080,
         };
-        // What Linux gives a user where nothing was set: 184 packets, 31 ms of the fastest model.
+        // The default of Linux for a user: 184 packets, 31 ms of the fastest model.
         let small = ReceiveBuffer {
             granted_bytes: 425_984,
             ..ample
@@ -200,11 +199,10 @@ mod tests {
             [100, 15]
         );
         assert_eq!(longest_ms(small, 1, &idle), 7);
-        // A tenth of the time: 2.1 ms of work come together in 21.
+        // A tenth of the time: 2.1 ms of work gather in 21 ms.
         assert_eq!(longest_ms(ample, 1, &load(10)), 21);
         assert_eq!(longest_ms(ample, 1, &load(100)), 2);
-        // Where position packets come alone: 720 a second of each sensor, in a quarter of 2,895 or
-        // 184.
+        // Position packets alone: 720 a second of each sensor, in a quarter of 2,895 or 184.
         let positions_ms = |buffer, sensors| {
             let senders = Senders {
                 data: 0,
@@ -232,8 +230,8 @@ mod tests {
             [1, 8].map(|sensors| longest(sensors, 2_900_000)),
             [2_900_000; 2]
         );
-        // Nothing that configured sensors may do makes a nap shorter, to a thousandth: they need
-        // this long for a part, or longer.
+        // Configured sensors alone never shorten a nap by more than a thousandth: they need at
+        // least this long to fill a part.
         for sensors in 1..=20 {
             let apart_ns = 172_800 / sensors as i64;
             let own_ns = (ample.part_bytes() / CHARGED_BYTES) as i64 * apart_ns;
@@ -247,7 +245,7 @@ mod tests {
         assert_eq!(longest(1, 0), 0);
     }
 
-    /// Else it would not have the datagrams of several ports in order.
+    /// Otherwise it could not put the datagrams of several ports in order.
     #[test]
     fn a_recording_waits_longer_than_a_nap() {
         let look = Duration::from_millis(10);

@@ -1,5 +1,4 @@
-//! What systemd is told (sd_notify(3)), and when its watchdog is fed. Without systemd all of it
-//! does nothing.
+//! Messages to systemd (sd_notify(3)), and its watchdog. Without systemd all of this does nothing.
 
 use std::time::Duration;
 
@@ -19,8 +18,7 @@ impl Notifier {
         self.send(&[NotifyState::Ready]);
     }
 
-    /// It goes on waiting for so long for what is not there yet; systemd must not take that for a
-    /// start that hangs.
+    /// The start waits for a missing resource: extends the start timeout of systemd by `more`.
     pub fn waits(&mut self, why: &str, more: Duration) {
         self.status(why);
         self.send(&[NotifyState::ExtendTimeoutUsec(
@@ -28,8 +26,8 @@ impl Notifier {
         )]);
     }
 
-    /// The configuration is being read again. systemd before version 253 ignores the time, and
-    /// later ones want it.
+    /// The configuration is being read again. systemd requires the time from version 253 on, and
+    /// ignores it before.
     pub fn reloading(&mut self) {
         match NotifyState::monotonic_usec_now() {
             Ok(now) => self.send(&[NotifyState::Reloading, now]),
@@ -42,7 +40,7 @@ impl Notifier {
         self.send(&[NotifyState::Stopping]);
     }
 
-    /// What `systemctl status` shows; sent when it is another.
+    /// The text of `systemctl status`; sent only when it changes.
     pub fn status(&mut self, status: &str) {
         if status != self.status {
             status.clone_into(&mut self.status);
@@ -66,12 +64,11 @@ impl Notifier {
     }
 }
 
-/// After so long without a round of its thread a port counts as hung, where no watchdog says
-/// otherwise.
+/// A port whose thread makes no round for this long counts as hung, if there is no watchdog.
 const HUNG: Duration = Duration::from_secs(2);
 
-/// How often a thread shows that it lives, and it is looked at all of them: eight times in the
-/// watchdog's time, if there is one, and about twice a second at least.
+/// Period of the threads' heartbeats, and of the check of all threads: an eighth of the watchdog's
+/// time, if there is one, and at most about half a second.
 pub fn beat(watchdog: Option<Duration>) -> Duration {
     // A multiple of 64 ms, the step of tokio's timer wheel: see `ticks` of the control thread.
     let seldom = Duration::from_millis(8 * 64);
@@ -80,7 +77,7 @@ pub fn beat(watchdog: Option<Duration>) -> Duration {
     })
 }
 
-/// Says which threads hang, by their heartbeats, and when the watchdog is to be fed.
+/// Determines by heartbeats which threads hang, and when to notify the watchdog.
 #[derive(Clone, Debug)]
 pub struct Pulse {
     watchdog: Option<Duration>,
@@ -89,7 +86,7 @@ pub struct Pulse {
 }
 
 impl Pulse {
-    /// A pulse of as many threads, all alive at `now` (time since any fixed moment), and the
+    /// A pulse of `threads` threads, all alive at `now` (time since any fixed moment), with the
     /// watchdog's time if there is one.
     pub fn new(watchdog: Option<Duration>, threads: usize, now: Duration) -> Self {
         Self {
@@ -99,8 +96,8 @@ impl Pulse {
         }
     }
 
-    /// Takes the heartbeats of all threads, and gives those that hang: that have not moved for half
-    /// the watchdog's time.
+    /// Takes the heartbeats of all threads, and gives those that hang: whose heartbeat has not
+    /// changed for half the watchdog's time.
     pub fn observe(&mut self, now: Duration, beats: impl IntoIterator<Item = u64>) -> Vec<usize> {
         for (beat, (last, since)) in beats.into_iter().zip(&mut self.beats) {
             if beat != *last {
@@ -117,7 +114,7 @@ impl Pulse {
         hanging
     }
 
-    /// Whether the watchdog is to be fed, four times in its time; ask only while no thread hangs.
+    /// Whether to notify the watchdog, four times in its time; call only while no thread hangs.
     pub fn is_due(&mut self, now: Duration) -> bool {
         let Some(watchdog) = self.watchdog else {
             return false;

@@ -1,5 +1,4 @@
-//! Which ports there are, and whose packets come through each: worked out before anything is
-//! opened.
+//! Plans the ports and the sensors of each, before anything is opened.
 
 use std::fmt;
 
@@ -11,9 +10,9 @@ use sweepd_core::sensor::Model;
 /// A port to open, and the thread that serves it.
 #[derive(Clone, Debug, PartialEq, Eq)]
 pub struct PortPlan {
-    /// Where it listens, and on which core and how urgently it is served.
+    /// Where it listens, and the core and priority of its thread.
     pub config: PortConfig,
-    /// The sensors whose data come through it, as places in [`Config::sensors`]; none where it only
+    /// The sensors whose data come through it, as indices of [`Config::sensors`]; none if it only
     /// takes position packets.
     pub sensors: Vec<usize>,
     /// The sensors that are configured to send their position packets to it.
@@ -22,7 +21,7 @@ pub struct PortPlan {
 
 impl PortPlan {
     /// The sensors whose data come through other ports and whose position packets this one may
-    /// hear. The same address on another interface is another sensor.
+    /// receive. The same address on another interface is another sensor.
     pub fn others<'a>(&'a self, config: &'a Config) -> impl Iterator<Item = usize> + 'a {
         (0..config.sensors.len()).filter(move |index| {
             config.sensors[*index].port.interface == self.config.interface
@@ -30,8 +29,8 @@ impl PortPlan {
         })
     }
 
-    /// What lets in the packets of the port's sensors, and after them the position packets of
-    /// [`PortPlan::others`].
+    /// The admission of the port: its sensors, and after them [`PortPlan::others`] for position
+    /// packets.
     pub fn admission(&self, config: &Config) -> ConfiguredSensors {
         let here = self.sensors.iter().map(|&index| {
             let positions_here = if self.positions.contains(&index) {
@@ -52,8 +51,8 @@ impl PortPlan {
         ConfiguredSensors::new(here.collect(), others.collect())
     }
 
-    /// Those sensors that this port may hear position packets of and that share their address with
-    /// another of them.
+    /// The sensors whose position packets this port may receive and that share their address with
+    /// another of these.
     pub fn sharing_an_address<'a>(
         &'a self,
         config: &'a Config,
@@ -89,8 +88,8 @@ impl PortPlan {
     }
 }
 
-/// The name of a port in output: `2368`, or `10.0.0.5:2368%eth1` where it does not hear all of this
-/// host.
+/// The name of a port in output: `2368`, or `10.0.0.5:2368%eth1` if it does not listen on all
+/// addresses and interfaces.
 pub struct PortName<'a>(pub &'a PortConfig, pub u16);
 
 impl fmt::Display for PortName<'_> {
@@ -106,9 +105,9 @@ impl fmt::Display for PortName<'_> {
     }
 }
 
-/// The ports of all sensors: first those that data come through, then those that only take position
-/// packets. Sensors with the same address, port, group and interface share one; so does a position
-/// port that is somebody's data port.
+/// The ports of all sensors: first those for data, then those for position packets alone. Sensors
+/// with the same address, port, group and interface share a port; a position port that is also a
+/// data port is the same port.
 pub fn ports(config: &Config) -> Vec<PortPlan> {
     let mut plans: Vec<PortPlan> = Vec::new();
     for (index, sensor) in config.sensors.iter().enumerate() {
@@ -126,7 +125,7 @@ pub fn ports(config: &Config) -> Vec<PortPlan> {
         .enumerate()
         .filter(|(_, sensor)| sends_positions(sensor))
     {
-        // Its few packets are in no hurry.
+        // Its few packets are not urgent.
         let cpu = None;
         let realtime_priority = None;
         let port = PortConfig {
@@ -171,7 +170,7 @@ fn configured(sensor: &SensorConfig, positions_here: Likelihood) -> ConfiguredSe
     }
 }
 
-/// An HDL-64E tells its GPS state among its data.
+/// An HDL-64E sends its GPS state in its data packets.
 pub fn sends_positions(sensor: &SensorConfig) -> bool {
     !sensor.pipeline.model.is_some_and(Model::is_hdl64e)
 }

@@ -1,5 +1,5 @@
-//! One plain thread a port: receive, let in, decode, segment, share. No lock, no allocation, no log
-//! line a packet.
+//! One thread per port: receive, admit, decode, segment, publish. No lock, allocation or log line
+//! per packet.
 //!
 //! ```text
 //! socket -> admission -> data packet      -> pipeline of the sensor -> sweep -> consumers
@@ -28,33 +28,33 @@ use sweepd_core::pipeline;
 use sweepd_core::sweep::Buffers;
 use sweepd_core::wire::Packet;
 
-/// How long to wait for packets while some come.
+/// Longest wait for packets while packets come.
 const BUSY: Duration = Duration::from_millis(5);
-/// How often it is looked at what other threads ask of sensors, while no packets come.
+/// How often requests of other threads are checked, while no packets come.
 const IDLE: Duration = Duration::from_millis(100);
 /// How long to wait when the socket has failed.
 const PAUSE: Duration = Duration::from_millis(50);
-/// After so long without packets none come.
+/// A port without packets for this long is quiet.
 const QUIET: Duration = Duration::from_secs(1);
-/// How often it is looked at the interface, while nothing comes.
+/// How often the interface is checked, while nothing comes.
 const LOOK_EVERY: Duration = Duration::from_secs(1);
-/// A socket that fails so often in a row will not recover: the daemon ends, and opens it again when
-/// it is restarted.
+/// A socket that fails this many times in a row will not recover: the daemon ends, and opens it
+/// again when it is restarted.
 const FAILURES: u32 = 20;
-/// Position packets that may wait for the thread of their sensor. An HDL-32E with two returns sends
-/// 720 a second (one for five data packets); the thread that takes them in may rest for a quarter
-/// of a second, that of their sensor for a tenth.
+/// Most position packets that wait for the thread of their sensor. An HDL-32E with two returns
+/// sends 720 a second (one for five data packets); the thread that receives them may nap for a
+/// quarter of a second, that of their sensor for a tenth.
 pub const POSITION_QUEUE_LEN: usize = 512;
 
-/// Where to put position packets for a sensor of another port.
+/// The queue of position packets for a sensor of another port.
 pub struct PositionQueue {
     /// To that port's thread.
     pub sender: SyncSender<Packet<'static>>,
-    /// What is counted when it is full.
+    /// The counters of the sensor, for when the queue is full.
     pub counters: Arc<SensorCounters>,
 }
 
-/// A sensor of this port, and what reaches it from other threads.
+/// A sensor of this port, and its queues from other threads.
 pub struct PortSensor<B: Buffers> {
     /// The sensor.
     pub sensor: Sensor<B>,
@@ -73,24 +73,24 @@ pub struct Port<B: Buffers> {
     /// What changes in its recordings.
     changes: Receiver<PortChange>,
     shutdown: Shutdown,
-    /// How often it shows that it lives, at least.
+    /// Longest interval of its heartbeat.
     beat: Duration,
-    /// When the newest packet was let in.
+    /// When the newest packet was admitted.
     newest: Option<Instant>,
-    /// How much of the time it works.
+    /// Share of the time that it works.
     load: Load,
 }
 
-/// How the thread of a port learns that the daemon ends.
+/// Signals to the thread of a port that the daemon ends.
 pub struct Shutdown {
     /// Set then.
     pub over: Arc<AtomicBool>,
-    /// Can be read then: its other end is shut down.
+    /// Becomes readable then, because its other end is shut down.
     pub ended: UnixStream,
 }
 
-/// All of a port but its socket. Both clocks enter here: that which stamps packets, with each of
-/// them, and CLOCK_MONOTONIC, which cannot be set.
+/// A port without its socket. Both clocks are inputs: the one that stamps packets, and
+/// CLOCK_MONOTONIC, which cannot be set.
 pub struct PortState<B: Buffers> {
     /// Which packets are let in.
     pub admission: ConfiguredSensors,
@@ -98,7 +98,7 @@ pub struct PortState<B: Buffers> {
     pub sensors: Vec<PortSensor<B>>,
     /// The other sensors, in the order of admission.
     pub others: Vec<PositionQueue>,
-    /// Where what is let in is recorded.
+    /// The recordings of admitted packets.
     pub recordings: Vec<PortRecording>,
     /// What is counted.
     pub counters: Arc<PortCounters>,
@@ -107,15 +107,15 @@ pub struct PortState<B: Buffers> {
 /// When the newest data packet of a sensor came, by the clock that stamps packets and by one that
 /// cannot be set.
 ///
-/// The kernel stamps packets by CLOCK_REALTIME, which may be stepped by hours. How long a sensor
-/// has been quiet is therefore told by CLOCK_MONOTONIC: else a step would close an open sweep, or
-/// keep one open for as long as the clock was set back. Each sensor has its own: when the clock was
-/// set, another's newest packet may have come since, and this one's before.
+/// The kernel stamps packets by CLOCK_REALTIME, which may be stepped by hours. So the silence of a
+/// sensor is measured by CLOCK_MONOTONIC: otherwise a step would close an open sweep, or keep one
+/// open for as long as the clock was set back. Each sensor has its own value: the newest packet of
+/// one may have come before the step, that of another after it.
 #[derive(Debug, Default)]
 pub struct Newest {
     /// The stamp of a packet of this batch.
     stamp_ns: Option<i64>,
-    /// That of the newest of a batch before, and when that was looked at.
+    /// The stamp of the newest packet of an earlier batch, and when it was noted.
     noted: Option<(i64, Instant)>,
 }
 
@@ -125,8 +125,8 @@ impl Newest {
         self.stamp_ns = Some(stamp_ns);
     }
 
-    /// What the kernel would stamp a packet with that came now, after a batch, had its clock not
-    /// been set since the newest one; nanoseconds since 1970, `None` before the first one.
+    /// The stamp of a packet that would come now, after a batch, if the clock was not set since the
+    /// newest packet; nanoseconds since 1970, `None` before the first packet.
     fn stamp_of(&mut self, now: Instant) -> Option<i64> {
         if let Some(stamp_ns) = self.stamp_ns.take() {
             self.noted = Some((stamp_ns, now));
@@ -137,7 +137,7 @@ impl Newest {
 }
 
 impl<B: Buffers<Buffer: Outgoing>> Port<B> {
-    /// A port whose socket is open; it goes a round after each `beat`, or sooner.
+    /// A port whose socket is open; its thread makes a round at least every `beat`.
     pub fn new(
         source: UdpSource,
         state: PortState<B>,
@@ -174,7 +174,7 @@ impl<B: Buffers<Buffer: Outgoing>> Port<B> {
             let is_waited_for = !was_quiet && self.has_sweeps();
             match self.round(if is_waited_for { BUSY } else { Duration::ZERO }) {
                 Ok(()) => failures = 0,
-                // An interface that goes down says so once.
+                // An interface that goes down causes one error.
                 Err(error) if failures >= FAILURES => return Err(error),
                 Err(_) => {
                     failures += 1;
@@ -184,13 +184,13 @@ impl<B: Buffers<Buffer: Outgoing>> Port<B> {
             }
             if was_quiet && looked.elapsed() >= LOOK_EVERY {
                 looked = Instant::now();
-                // One that is back and has no address yet is as good as gone; it is looked at
+                // An interface that is back without an address counts as gone, and is checked
                 // again.
                 let is_there = self.source.follow_interface().unwrap_or(false);
                 self.state.counters.set_interface_gone(!is_there);
             }
             self.state.counters.heartbeat.add(1);
-            // What fills a whole batch has more behind it: a nap would let that pile up.
+            // After a full batch more datagrams wait, so that a nap would let them accumulate.
             if !self.source.may_hold_more() {
                 self.rest();
             }
@@ -202,18 +202,18 @@ impl<B: Buffers<Buffer: Outgoing>> Port<B> {
         self.newest.is_none_or(|newest| newest.elapsed() > QUIET)
     }
 
-    /// Whether data packets come here, and not position packets alone.
+    /// Whether this port receives data packets, not only position packets.
     fn has_sweeps(&self) -> bool {
         !self.state.sensors.is_empty()
     }
 
-    /// Sleeps while no sweep of any sensor is about to end; the socket keeps what comes. A quiet
-    /// port waits on its socket instead: nothing gathers there yet. The end of the daemon unparks
-    /// threads that sleep, and rings for those that wait.
+    /// Naps while no sweep of any sensor is about to end; the socket keeps the packets. A quiet
+    /// port waits on its socket instead, until a packet comes. At the end of the daemon, napping
+    /// threads are unparked, and waiting ones are woken by a socket.
     fn rest(&self) {
         if self.is_quiet() {
-            // One for position packets alone is asked for nothing but recordings, which it looks
-            // for before it handles a packet.
+            // A port for position packets alone gets no requests but recordings, for which it
+            // checks before it handles a packet.
             let idle = if self.has_sweeps() {
                 IDLE.min(self.beat)
             } else {
@@ -247,7 +247,7 @@ impl<B: Buffers<Buffer: Outgoing>> Port<B> {
         );
         let naps_ns = sensors.iter().map(|one| match one.sensor.due_ns() {
             Some(due_ns) => nap::length_ns(due_ns.saturating_sub(now_ns), longest_ns, &self.load),
-            // A sensor whose next sweep cannot be foreseen is waited on.
+            // No nap if the end of a sensor's next sweep cannot be predicted.
             None => 0,
         });
         if let ns @ 1.. = naps_ns.min().unwrap_or(longest_ns.max(1_000_000)) {
@@ -255,7 +255,7 @@ impl<B: Buffers<Buffer: Outgoing>> Port<B> {
         }
     }
 
-    /// One batch, or a wait for one in vain.
+    /// Receives one batch, or waits until the timeout.
     fn round(&mut self, timeout: Duration) -> Result<(), UdpError> {
         let Self {
             source,
@@ -267,8 +267,8 @@ impl<B: Buffers<Buffer: Outgoing>> Port<B> {
         } = self;
         let mut some_came = false;
         let batch = source.receive_counted(timeout)?;
-        // Not before: what came after a recording was asked for falls under it. Empty ones take no
-        // memory.
+        // Only now, so that packets which came after the request for a recording are recorded.
+        // Empty vectors do not allocate.
         let (ends, additions): (Vec<PortChange>, Vec<PortChange>) = changes
             .try_iter()
             .partition(|change| change.ends_one_of(&state.recordings));
@@ -280,7 +280,7 @@ impl<B: Buffers<Buffer: Outgoing>> Port<B> {
             some_came |= state.take(&addressed, dropped);
         }
         if !ends.is_empty() {
-            // What came before the end is recorded too.
+            // Packets that came before the end are recorded too.
             let rest = take_waiting(source, state);
             for end in ends {
                 end.apply(&mut state.recordings);
@@ -305,8 +305,8 @@ impl<B: Buffers<Buffer: Outgoing>> Port<B> {
     }
 }
 
-/// Takes what waits in the socket, and no more than can wait there. Returns whether some of it was
-/// let in.
+/// Receives what waits in the socket, at most as much as can wait there. Returns whether a packet
+/// was admitted.
 fn take_waiting<B: Buffers<Buffer: Outgoing>>(
     source: &mut UdpSource,
     state: &mut PortState<B>,
@@ -324,8 +324,8 @@ fn take_waiting<B: Buffers<Buffer: Outgoing>>(
 }
 
 impl<B: Buffers<Buffer: Outgoing>> PortState<B> {
-    /// Hands a datagram to whom it is for, if it is let in. `dropped` is what the kernel had
-    /// dropped on the port so far.
+    /// Gives a datagram to its sensor, if it is admitted. `dropped` counts the datagrams that the
+    /// kernel had dropped on the port so far.
     fn take(&mut self, addressed: &Addressed<'_>, dropped: u64) -> bool {
         let datagram = addressed.datagram();
         let sensor = match self.admission.admit(&datagram) {
@@ -357,7 +357,7 @@ impl<B: Buffers<Buffer: Outgoing>> PortState<B> {
         true
     }
 
-    /// Hands a position packet to a sensor, by its number at admission.
+    /// Gives a position packet to a sensor, by its number at admission.
     fn deliver(&mut self, index: usize, packet: &Packet<'_>) {
         if let Some(served) = self.sensors.get_mut(index) {
             served.sensor.position(packet);
@@ -382,7 +382,7 @@ impl<B: Buffers<Buffer: Outgoing>> PortState<B> {
 impl<B: Buffers<Buffer: Outgoing>> PortSensor<B> {
     /// What is done between batches.
     fn catch_up(&mut self, now: Instant, dropped: u64) {
-        // Of those that waited, the newest says how things are now.
+        // Of the waiting ones, only the newest has the present state.
         if let Some((older, newest)) = self.positions.try_iter().enumerate().last() {
             self.sensor.pass_over_positions(older as u64);
             self.sensor.position(&newest);

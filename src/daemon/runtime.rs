@@ -1,4 +1,4 @@
-//! The ports of a configuration opened, and their threads.
+//! Opens the ports of a configuration, and runs their threads.
 
 use std::any::Any;
 use std::net::{self, IpAddr, SocketAddr, SocketAddrV4};
@@ -29,8 +29,8 @@ use sweepd_core::segment::ConfigError;
 use sweepd_core::sweep::Buffers;
 use sweepd_core::wire::Packet;
 
-/// How long the threads have to end; those that hang end with the process. They take some
-/// milliseconds, and on a machine that is overloaded as long as they wait for a core.
+/// Time limit for the threads to end; hanging ones end with the process. They take some
+/// milliseconds, on an overloaded machine as long as they wait for a core.
 const PATIENCE: Duration = Duration::from_secs(1);
 
 /// Why the daemon cannot run, or cannot go on.
@@ -47,7 +47,7 @@ pub enum DaemonError {
         /// Why not.
         source: SharingError,
     },
-    /// No sweep of a sensor can be segmented like that.
+    /// The configuration of a sensor's segmentation is invalid.
     #[error("{sensor}: {source}")]
     Segmenting {
         /// Its name.
@@ -66,7 +66,7 @@ pub enum DaemonError {
         /// What the system says.
         source: std::io::Error,
     },
-    /// The system refuses what it never should.
+    /// A system call failed that should not.
     #[error("cannot {what}: {source}")]
     System {
         /// What was tried.
@@ -79,7 +79,7 @@ pub enum DaemonError {
     Ended {
         /// The port.
         port: String,
-        /// A panic's message, or what the socket says.
+        /// The message of a panic, or of the socket.
         why: String,
     },
     /// A thread does not end.
@@ -91,9 +91,8 @@ pub enum DaemonError {
 }
 
 impl DaemonError {
-    /// Whether time may mend it: an address or an interface that the network has not set up yet, as
-    /// at boot. (A port that is taken is not among them: somebody who starts a second daemon is to
-    /// know.)
+    /// Whether the cause may pass: an address or an interface that the network has not set up yet,
+    /// as at boot. (Not a port that is taken: whoever starts a second daemon must see the error.)
     pub fn may_pass(&self) -> bool {
         match self {
             Self::Udp(UdpError::NoSuchAddress { .. }) => true,
@@ -107,35 +106,35 @@ impl DaemonError {
     }
 }
 
-/// What is known of a sensor, for other threads.
+/// State of a sensor, for other threads.
 pub struct SensorStatus {
     /// Its name and that of its service.
     pub name: String,
     /// Where its packets come from.
     pub address: IpAddr,
-    /// The port that its data come to.
+    /// The port of its data packets.
     pub port: u16,
     /// Its place among [`Runtime::ports`].
     pub port_index: usize,
-    /// The port that its position packets come to.
+    /// The port of its position packets.
     pub position_port: u16,
-    /// What became of its packets and sweeps.
+    /// The counts of its packets and sweeps.
     pub counters: Arc<SensorCounters>,
     /// How it is shared.
     pub sharing: Arc<dyn SharingStatus>,
 }
 
-/// What is known of a port, for other threads.
+/// State of a port, for other threads.
 pub struct PortStatus {
     /// Its name in output.
     pub name: String,
     /// Where it listens.
     pub local: SocketAddrV4,
-    /// The interface that it listens on alone.
+    /// The only interface that it listens on.
     pub interface: Option<String>,
-    /// Names of the sensors whose position packets it may hear and that share an address.
+    /// Names of the sensors whose position packets it may receive and that share an address.
     pub sharing_an_address: Vec<String>,
-    /// What the kernel gave to hold waiting packets.
+    /// The receive buffer that the kernel granted.
     pub buffer: ReceiveBuffer,
     /// What came.
     pub counters: Arc<PortCounters>,
@@ -147,7 +146,7 @@ pub struct Runtime {
     pub sensors: Arc<[SensorStatus]>,
     /// The ports.
     pub ports: Arc<[PortStatus]>,
-    /// What happens to sensors, by their places.
+    /// Events of sensors, by index.
     pub events: Receiver<(usize, Event)>,
     /// Where sensors take another configuration.
     reconfigurations: Vec<Sender<pipeline::Config>>,
@@ -159,8 +158,7 @@ pub struct Runtime {
 
 impl Runtime {
     /// Opens everything, begins the recording, then starts the threads: when this returns, all
-    /// sockets are bound, all sensors have their way out, and every thread has made its first
-    /// round.
+    /// sockets are bound, all services are open, and every thread has made its first round.
     ///
     /// # Errors
     /// [`DaemonError`]; then nothing is left running.
@@ -169,7 +167,7 @@ impl Runtime {
         sharing: &S,
         recordings: &mut Recordings,
     ) -> Result<Self, DaemonError> {
-        // Ports first: one that is taken is reported before anything is reserved.
+        // Ports first, so that a taken port is reported before memory is reserved.
         let mut sockets = Vec::new();
         for plan in plan::ports(config) {
             sockets.push((UdpSource::bind(&plan.udp())?, plan));
@@ -179,7 +177,7 @@ impl Runtime {
         for index in 0..config.sensors.len() {
             startup.open_sensor(index, &sockets, sharing, &to_events)?;
         }
-        // Now that it may run: a daemon that cannot, again and again, begins no files.
+        // Only now, so that a daemon that repeatedly fails to start creates no files.
         recordings.start(config.record.as_ref());
         let over = Arc::new(AtomicBool::new(false));
         let (end, ended) = UnixStream::pair().map_err(no_socket_pair)?;
@@ -205,7 +203,7 @@ impl Runtime {
         };
         for (index, (port, config)) in ports.into_iter().enumerate() {
             let name = runtime.ports[index].name.clone();
-            // On an early return, dropping the runtime ends those that run already.
+            // On an early return, dropping the runtime ends the running threads.
             let thread = spawn(port, &name, &config)?;
             runtime.threads.push((name, thread));
         }
@@ -213,9 +211,9 @@ impl Runtime {
         Ok(runtime)
     }
 
-    /// Gives a sensor another configuration; whether it could be used is told by an event.
+    /// Gives a sensor another configuration; an event reports whether it was valid.
     pub fn reconfigure(&self, sensor: usize, config: pipeline::Config) {
-        // A thread that has ended is found by `check`.
+        // `check` finds a thread that has ended.
         let _ = self.reconfigurations[sensor].send(config);
     }
 
@@ -250,8 +248,8 @@ impl Runtime {
     /// Ends the threads.
     ///
     /// # Errors
-    /// [`DaemonError::Hangs`]: one does not end in time. [`DaemonError::Ended`]: one had come to
-    /// another end before.
+    /// [`DaemonError::Hangs`]: one does not end in time. [`DaemonError::Ended`]: one had failed
+    /// before.
     pub fn stop(mut self) -> Result<(), DaemonError> {
         self.end();
         let begun = Instant::now();
@@ -272,7 +270,7 @@ impl Runtime {
         Ok(())
     }
 
-    /// Tells all threads to end, and wakes those that sleep.
+    /// Signals all threads to end, and wakes those that sleep.
     fn end(&self) {
         self.over.store(true, Ordering::Relaxed);
         // Once more does no harm.
@@ -308,14 +306,14 @@ fn no_socket_pair(source: std::io::Error) -> DaemonError {
     }
 }
 
-/// What is opened before the threads of the ports run.
+/// Resources that are opened before the threads of the ports run.
 struct Startup<'a, B: Buffers> {
     config: &'a Config,
     sensors: Vec<SensorStatus>,
     reconfigurations: Vec<Sender<pipeline::Config>>,
     /// The sensors, until their ports take them.
     ready: Vec<Option<PortSensor<B>>>,
-    /// Where other ports put their position packets.
+    /// Queues for position packets from other ports.
     queues: Vec<SyncSender<Packet<'static>>>,
     ports: Vec<PortStatus>,
     links: Vec<PortLink>,
@@ -334,7 +332,7 @@ impl<'a, B: Buffers<Buffer: Outgoing>> Startup<'a, B> {
         }
     }
 
-    /// Shares a sensor, and makes what its port's thread will need.
+    /// Opens the service of a sensor, and makes the state that its port's thread needs.
     fn open_sensor<S: Sharing<Buffers = B>>(
         &mut self,
         index: usize,
@@ -456,7 +454,7 @@ where
     let priority = config.realtime_priority;
     let name = name.to_owned();
     let number = port.number();
-    // What the system shows of a thread is 15 bytes long.
+    // The system shows 15 bytes of a thread's name.
     let thread = thread::Builder::new()
         .name(format!("port {number}"))
         .spawn(move || {
@@ -469,7 +467,7 @@ where
     })
 }
 
-/// Gives the thread its core and its priority, as far as the system lets it.
+/// Sets the core and the priority of the thread, if the system permits it.
 fn settle(port: &str, cpu: Option<usize>, priority: Option<u8>) {
     if let Some(core) = cpu
         && let Err(error) = sys::pin_to_core(core)

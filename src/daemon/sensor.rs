@@ -1,5 +1,5 @@
-//! One sensor on the thread of its port: its packets through its pipeline, its sweeps on their way,
-//! and what is told.
+//! One sensor on the thread of its port: pushes its packets through its pipeline, publishes its
+//! sweeps, and reports events.
 
 use std::sync::Arc;
 use std::sync::mpsc::Sender;
@@ -16,20 +16,20 @@ use sweepd_core::wire::nmea::Rmc;
 use sweepd_core::wire::position::Pps;
 use sweepd_core::wire::{Content, Packet, Position, hdl64};
 
-/// A sensor that could not be decoded is looked at again after so long: it may have been exchanged,
-/// or its first packets may have been lost.
+/// A sensor that could not be decoded is detected again after this time: it may have been
+/// exchanged, or its first packets may have been lost.
 const SECOND_LOOK_NS: i64 = 10_000_000_000;
 
-/// What happened to a sensor that people want to know of; rare.
+/// A rare event of a sensor, for the log.
 #[derive(Debug)]
 pub enum Event {
     /// Its packets cannot be decoded.
     Fault(Fault),
     /// Something else that the pipeline tells.
     Notice(Notice),
-    /// It is decoded with a new configuration from now on, or why it cannot be.
+    /// It is decoded with a new configuration from now on, or the reason why not.
     Reconfigured(Result<(), ConfigError>),
-    /// Sweeps cannot be shared any more: why.
+    /// Sweeps can no longer be published, with the reason.
     NotShared(String),
     /// They can again.
     SharedAgain,
@@ -47,18 +47,18 @@ pub struct Sensor<B: Buffers> {
     events: Sender<(usize, Event)>,
     /// What pipelines before this one counted.
     counted: Counts,
-    /// When this pipeline began: with the number of a sweep it names it for good.
+    /// When this pipeline began: together with the number of a sweep it is a permanent name.
     run_ns: i64,
-    /// What the kernel had dropped on the port when the sweep before was complete.
+    /// Datagrams that the kernel had dropped on the port when the sweep before was complete.
     dropped_before: u64,
     second_look_ns: Option<i64>,
     is_shared: bool,
-    /// A sweep that is complete, whose shared memory is still being taken, and when it was
-    /// completed (CLOCK_MONOTONIC).
+    /// A complete sweep that waits for its shared memory, and when it was completed
+    /// (CLOCK_MONOTONIC).
     held: Option<(B::Buffer, i64)>,
 }
 
-/// Who a sensor is and whom it tells what.
+/// Names of a sensor, and the receivers of its events and counts.
 pub struct Identity {
     /// Its place among all sensors.
     pub index: usize,
@@ -76,7 +76,7 @@ impl<B: Buffers<Buffer: Outgoing>> Sensor<B> {
     /// A sensor that has sent nothing yet.
     ///
     /// # Errors
-    /// [`ConfigError`]: no sweep can be segmented like that.
+    /// [`ConfigError`]: the configuration of the segmentation is invalid.
     pub fn new(
         identity: Identity,
         config: pipeline::Config,
@@ -108,13 +108,14 @@ impl<B: Buffers<Buffer: Outgoing>> Sensor<B> {
         })
     }
 
-    /// Takes a data packet; `dropped` is what the kernel had dropped on the port so far.
+    /// Takes a data packet; `dropped` counts the datagrams that the kernel had dropped on the port
+    /// so far.
     pub fn data(&mut self, packet: &Packet<'_>, dropped: u64) {
         self.push(packet);
         self.send_sweeps(dropped);
     }
 
-    /// Counts a datagram from its address to its data port that is no packet.
+    /// Counts a datagram from its address to its data port that is not a packet.
     pub fn refuse(&self) {
         self.counters.refused.add(1);
     }
@@ -137,13 +138,13 @@ impl<B: Buffers<Buffer: Outgoing>> Sensor<B> {
         }
     }
 
-    /// Counts position packets that a newer one came after before anyone asked what they say.
+    /// Counts position packets that were superseded by a newer one before they were read.
     pub fn pass_over_positions(&mut self, count: u64) {
         self.pipeline.pass_over_positions(count);
     }
 
-    /// Tells the time by the clock that stamps its packets, if there were any, between batches: a
-    /// sweep may have stalled, and a sensor deserve a second look.
+    /// Gives the time between batches by the clock that stamps its packets, if there were any: it
+    /// may end a stalled sweep, or detect the sensor again.
     pub fn tick(&mut self, now_ns: Option<i64>, dropped: u64) {
         if now_ns.is_some_and(|now_ns| self.pipeline.tick(now_ns)) {
             self.send_sweeps(dropped);
@@ -157,12 +158,12 @@ impl<B: Buffers<Buffer: Outgoing>> Sensor<B> {
         }
     }
 
-    /// Does what can be done before its sweep is complete, after a batch.
+    /// Segments columns before the sweep is complete, after a batch.
     pub fn work_ahead(&mut self) {
         self.pipeline.segment_early(&mut self.memory);
     }
 
-    /// Brings the counters up to date, after a batch, and sends what was held.
+    /// Updates the counters after a batch, and publishes a held sweep.
     pub fn tell(&mut self) {
         self.publish_held();
         let mut counts = self.counted;
@@ -181,7 +182,7 @@ impl<B: Buffers<Buffer: Outgoing>> Sensor<B> {
         }
     }
 
-    /// Decodes with another configuration from now on; the open sweep is given up.
+    /// Decodes with another configuration from now on; drops the open sweep.
     pub fn reconfigure(&mut self, config: pipeline::Config) {
         let done = self.begin_anew(config);
         self.report(Event::Reconfigured(done));
@@ -211,7 +212,7 @@ impl<B: Buffers<Buffer: Outgoing>> Sensor<B> {
         }
     }
 
-    /// Completes the header of a sweep, sends it, and counts it.
+    /// Completes the header of a sweep, publishes it, and counts it.
     fn send(&mut self, mut sweep: B::Buffer, dropped: u64) {
         let completed_ns = realtime_ns();
         let completed_monotonic_ns = monotonic_ns();
@@ -235,7 +236,7 @@ impl<B: Buffers<Buffer: Outgoing>> Sensor<B> {
         self.publish(sweep, completed_monotonic_ns);
     }
 
-    /// Sends a sweep, or holds it while there is no memory to send it by.
+    /// Publishes a sweep, or holds it until its shared memory is ready.
     fn publish(&mut self, sweep: B::Buffer, completed_monotonic_ns: i64) {
         match sweep.publish() {
             Ok(None) => {
@@ -245,7 +246,7 @@ impl<B: Buffers<Buffer: Outgoing>> Sensor<B> {
                 self.note_sharing(Ok(()));
             }
             Ok(Some(sweep)) => {
-                // One is held at most: the newest.
+                // At most one is held, the newest.
                 if self.held.replace((sweep, completed_monotonic_ns)).is_some() {
                     self.counters.unshared.add(1);
                 }
@@ -272,13 +273,13 @@ impl<B: Buffers<Buffer: Outgoing>> Sensor<B> {
         counters.stage(Stage::Decode).note(header.decode_ns.into());
         counters.stage(Stage::Ground).note(header.ground_ns.into());
         counters.stage(Stage::Label).note(header.label_ns.into());
-        // A clock that was set back in between tells nothing.
+        // If the clock was set back in between, the time is not valid.
         if let Ok(ns) = u64::try_from(header.completed_ns - header.arrival_ns) {
             counters.stage(Stage::Complete).note(ns);
         }
     }
 
-    /// Tells once that sweeps go nowhere, and once that they do again.
+    /// Reports once that sweeps are not published, and once that they are again.
     fn note_sharing(&mut self, sent: Result<(), String>) {
         let was_shared = std::mem::replace(&mut self.is_shared, sent.is_ok());
         match sent {
@@ -316,7 +317,7 @@ fn gps_of_unit(gps: hdl64::Gps) -> Gps {
     }
 }
 
-/// Degrees Celsius of the warmest place that a sensor reports.
+/// Degrees Celsius of the warmest part that a sensor reports.
 fn temperature_of(position: &Position<'_>) -> Option<i32> {
     let boards = position
         .board
@@ -375,7 +376,7 @@ mod tests {
     fn gps_is_locked_without_a_pulse_where_that_is_allowed() {
         let checksum = VALID[1..].bytes().fold(0, |sum, byte| sum ^ byte);
         let valid = format!("{VALID}*{checksum:02X}");
-        // The sentence says 17 minutes and 23 seconds.
+        // The time of the sentence is 17 minutes and 23 seconds.
         for (stamp_us, expected) in [(1_043_900_000, Gps::Locked), (5_000_000, Gps::Incomplete)] {
             let position = Position {
                 stamp_us,

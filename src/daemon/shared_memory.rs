@@ -1,5 +1,4 @@
-//! The daemon's sweeps through shared memory: what [`super::sharing`] asks for, done by
-//! [`sweepd_client::publish`].
+//! Implements [`super::sharing`] with shared memory, by [`sweepd_client::publish`].
 
 use super::config::{SensorConfig, memory};
 use super::sharing::{Outgoing, SharedOutput, Sharing, SharingError, SharingStatus};
@@ -21,7 +20,8 @@ impl Sharing for Keeper {
         };
         let least = *memory::sweep_bytes(sensor).start();
         let mut buffers = Loans::open(self, &settings, least)?;
-        // A sensor of another model, or with two returns, gets a larger pool when it shows.
+        // A sensor that turns out to be of another model, or to have two returns, gets a larger
+        // pool then.
         if memory::is_model_known(sensor) {
             buffers.reserve(least)?;
         }

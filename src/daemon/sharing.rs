@@ -1,8 +1,7 @@
-//! What the daemon asks of the side that shares its sweeps: buffers to build them in, and a way
-//! out.
+//! The daemon's interface for publishing sweeps: buffers to build them in, and a way to send them.
 //!
-//! [`sweepd_client::publish`] does it through shared memory; tests have implementations of their
-//! own.
+//! [`sweepd_client::publish`] implements it with shared memory; tests have their own
+//! implementations.
 
 use std::sync::Arc;
 
@@ -12,29 +11,29 @@ use sweepd_core::sweep::Buffers;
 /// Why a sensor cannot be shared, or a sweep not sent: a sentence with the cure.
 pub type SharingError = Box<dyn std::error::Error + Send + Sync>;
 
-/// Opens the way out for a sensor.
+/// Opens services of sensors.
 pub trait Sharing {
     /// Where its sweeps are built.
     type Buffers: Buffers<Buffer: Outgoing> + Send + 'static;
 
-    /// Opens the service of a sensor. Memory that cannot hold what is known of its sweeps is an
-    /// error now and not when the first one comes.
+    /// Opens the service of a sensor. If memory cannot hold its sweeps, as far as their size is
+    /// known, this is an error now, not at the first sweep.
     ///
     /// # Errors
     /// Why not, and what to do.
     fn open(&self, sensor: &SensorConfig) -> Result<SharedOutput<Self::Buffers>, SharingError>;
 
-    /// Does what the sharing needs done about once a second, and never waits.
+    /// Periodic work, about once a second; never blocks.
     fn look(&self) {}
 }
 
 /// A sweep that can be sent.
 pub trait Outgoing: AsRef<[u8]> + AsMut<[u8]> + Send + 'static {
-    /// Sends it and wakes consumers that wait. Gives it back while the memory for sweeps is still
-    /// being taken: it can be sent later.
+    /// Sends it and wakes waiting consumers. Gives it back while shared memory is not ready yet; it
+    /// can be sent later.
     ///
     /// # Errors
-    /// Why no consumer could get it. Never that one is slow.
+    /// Why no consumer could get it; a slow consumer is never the reason.
     fn publish(self) -> Result<Option<Self>, SharingError>
     where
         Self: Sized;
@@ -48,7 +47,7 @@ pub struct SharedOutput<B> {
     pub status: Arc<dyn SharingStatus>,
 }
 
-/// What people are told of the sharing of one sensor, read by another thread at leisure.
+/// State of the publishing of one sensor, for other threads.
 pub trait SharingStatus: Send + Sync {
     /// Consumers that are connected.
     fn consumers(&self) -> u64;
@@ -56,11 +55,11 @@ pub trait SharingStatus: Send + Sync {
     fn reserved_bytes(&self) -> u64;
     /// Why sweeps are not shared at the moment.
     fn trouble(&self) -> Option<String>;
-    /// How often the way out was made again because files of it were deleted.
+    /// How often the service was made again because its files were deleted.
     fn renewed(&self) -> u64 {
         0
     }
-    /// Why it was made again the last time.
+    /// Why it was last made again.
     fn renewed_because(&self) -> Option<String> {
         None
     }

@@ -1,5 +1,5 @@
-//! How a sensor is: from what was counted to a state, and from a change of state to a sentence.
-//! Pure: time comes in.
+//! State of a sensor: derives it from counts, and a message from each change. Pure: time is an
+//! input.
 
 use std::fmt;
 use std::time::Duration;
@@ -8,11 +8,11 @@ use super::losses::{Level, Limits, Losses, Recent, SensorAddress, Tally, Turn};
 use sweepd_core::sensor::Model;
 use sweepd_core::wire::data::ReturnMode;
 
-/// So long without packets, or without a steady sweep while packets come, and a sensor does not
-/// stream any more.
+/// A sensor no longer streams after this time without packets, or without a steady sweep while
+/// packets come.
 pub const PATIENCE: Duration = Duration::from_secs(2);
-/// A speed further from the one that is set is told, as a share of it; it must come back to within
-/// half of that.
+/// Greatest deviation from the configured speed without a message, as a share of it; the message is
+/// withdrawn within half of that.
 const RPM_TOLERANCE: f32 = 0.05;
 
 /// How a sensor is.
@@ -20,19 +20,19 @@ const RPM_TOLERANCE: f32 = 0.05;
 pub enum State {
     /// No packet has come.
     Waiting,
-    /// Packets come, and no whole sweep at a steady speed yet.
+    /// Packets come, but no whole sweep at a steady speed yet.
     SpinningUp,
     /// Sweeps come.
     Streaming,
-    /// More packets are lost or of no use than the first limit allows: see [`Limits::warning`].
+    /// More packets are lost or unusable than the first limit allows: see [`Limits::warning`].
     Losing,
     /// The same above the second limit: see [`Limits::fault`].
     LosingMany,
     /// Packets came, and come no more.
     Stalled,
-    /// What comes is of no model that can be decoded, or of another than is configured.
+    /// The packets are of an unsupported model, or of another than configured.
     WrongModel,
-    /// An HDL-64E whose calibration is not known: the one that it sends is awaited.
+    /// An HDL-64E without a calibration: waits for the one that it sends.
     NoCalibration,
 }
 
@@ -70,7 +70,7 @@ impl fmt::Display for State {
     }
 }
 
-/// What was counted of a sensor by a moment.
+/// Counts of a sensor at a moment.
 #[derive(Clone, Copy, Debug, Default, PartialEq)]
 pub struct Observation {
     /// The moment: time since any fixed one.
@@ -81,13 +81,13 @@ pub struct Observation {
     pub position: u64,
     /// Whole sweeps at a steady speed so far.
     pub steady_sweeps: u64,
-    /// What the newest sweep says of its sensor.
+    /// State of the sensor from the newest sweep.
     pub running: Option<Running>,
-    /// What became of its packets so far.
+    /// Counts of its packets so far.
     pub tally: Tally,
 }
 
-/// What a sweep says of its sensor.
+/// State of the sensor from a sweep.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct Running {
     /// The model.
@@ -109,35 +109,35 @@ impl fmt::Display for Running {
     }
 }
 
-/// Why the pipeline decodes nothing although packets come.
+/// Why the pipeline decodes nothing while packets come.
 #[derive(Clone, Debug, PartialEq, Eq)]
 enum Hindrance {
     WrongModel(String),
     NoCalibration,
 }
 
-/// A sentence for the log, and how grave it is.
+/// A sentence for the log, and its level.
 #[derive(Clone, Debug, PartialEq, Eq)]
 pub struct Message {
-    /// Whether somebody should do something about it.
+    /// Whether it needs action.
     pub is_warning: bool,
     /// The sentence, with the name of the sensor.
     pub text: String,
 }
 
-/// How a sensor is, for other threads.
+/// Condition of a sensor, for other threads.
 #[derive(Clone, Debug, PartialEq)]
 pub struct Condition {
     /// In a word.
     pub state: State,
-    /// Why it is not well; `None` where it is.
+    /// Why it is not well; `None` if it is.
     pub complaint: Option<String>,
-    /// Whether it counts as failed: not where it streams and loses no more than [`Limits::fault`]
+    /// Whether it counts as failed: it does not stream, or loses more than [`Limits::fault`]
     /// allows.
     pub is_fault: bool,
-    /// What was counted over the last seconds, while packets come.
+    /// Counts over the last seconds, while packets come.
     pub recent: Option<Recent>,
-    /// That in words, where packets are missing: how much and why, and what to do about it.
+    /// The same in words, if packets are missing: share and cause, and the cure.
     pub losses: Option<[String; 2]>,
 }
 
@@ -145,10 +145,10 @@ pub struct Condition {
 #[derive(Clone, Debug)]
 pub struct Watcher {
     name: String,
-    /// Where its packets come from, and the port that they come to.
+    /// Source and port of its packets.
     place: SensorAddress,
     losses: Losses,
-    /// Turns a minute that it is set to, if that is watched.
+    /// Configured speed in turns a minute, if watched.
     rpm: Option<f32>,
     state: State,
     hindrance: Option<Hindrance>,
@@ -157,10 +157,10 @@ pub struct Watcher {
     before: Observation,
     newest_data: Duration,
     newest_sweep: Duration,
-    /// Whether it was told that no packets come at all.
+    /// Whether it was logged that no packets come at all.
     has_hinted: bool,
     is_off_speed: bool,
-    /// What it was when that was last told.
+    /// Model and mode as last logged.
     told: Option<(Model, ReturnMode)>,
 }
 
@@ -194,7 +194,7 @@ impl Watcher {
     pub fn state(&self) -> State {
         match (self.state, self.losses.level()) {
             (State::Streaming, Some(Level::Warning)) => State::Losing,
-            // So much that no sweep is steady is losses too.
+            // Losses so high that no sweep is steady count too.
             (State::Streaming | State::SpinningUp, Some(Level::Fault)) => State::LosingMany,
             (state, _) => state,
         }
@@ -221,12 +221,12 @@ impl Watcher {
         }
     }
 
-    /// Holds losses against other limits from now on.
+    /// Changes the limits of losses.
     pub fn limit_losses(&mut self, limits: Limits) {
         self.losses.limit(limits);
     }
 
-    /// It is decoded in another way from now on: what was counted before says nothing.
+    /// It is decoded with another configuration from now on: earlier counts are not comparable.
     pub fn reconfigured(&mut self) {
         self.hindrance = None;
         self.losses.begin_anew();
@@ -260,13 +260,13 @@ impl Watcher {
         }
     }
 
-    /// The pipeline says that it decodes nothing: why. The sentence for the log comes with the next
+    /// The pipeline reports why it decodes nothing. The message for the log comes with the next
     /// observation.
     pub fn refused(&mut self, why: String) {
         self.hindrance = Some(Hindrance::WrongModel(why));
     }
 
-    /// The pipeline says that it awaits the calibration of an HDL-64E.
+    /// The pipeline reports that it waits for the calibration of an HDL-64E.
     pub fn awaits_calibration(&mut self) {
         self.hindrance = Some(Hindrance::NoCalibration);
     }
@@ -276,7 +276,7 @@ impl Watcher {
         self.hindrance = None;
     }
 
-    /// Takes what was counted by now, and gives what is to be told, once each.
+    /// Takes the present counts, and gives new messages, each once.
     pub fn observe(&mut self, now: &Observation) -> Vec<Message> {
         let before = std::mem::replace(&mut self.before, *now);
         if now.data > before.data {
@@ -320,8 +320,8 @@ impl Watcher {
             (Some(Hindrance::WrongModel(_)), _) => State::WrongModel,
             (Some(Hindrance::NoCalibration), _) => State::NoCalibration,
             _ if has_swept => State::Streaming,
-            // Counted up to the newest packet: when they end in the middle of a turn, that is
-            // silence and no slow head.
+            // Measured up to the newest packet: if packets end in the middle of a turn, that is
+            // silence, not a slow head.
             (None, State::Streaming)
                 if self.newest_data.saturating_sub(self.newest_sweep) < PATIENCE =>
             {
@@ -373,7 +373,7 @@ impl Watcher {
     }
 
     fn observe_losses(&mut self, now: &Observation) -> Option<Message> {
-        // Of a sensor that is silent or cannot be decoded, something else is told.
+        // For a sensor that is silent or cannot be decoded, there are other messages.
         if !matches!(self.state, State::Streaming | State::SpinningUp) {
             self.losses.forget();
             return None;
@@ -448,8 +448,7 @@ mod tests {
             }
         }
 
-        /// Observes for this many tenths of a second in which this many packets and sweeps come in
-        /// each.
+        /// Observes for this many tenths of a second, with this many packets and sweeps in each.
         fn observe(&mut self, tenths: u32, data: u64, sweeps: u64) -> Vec<String> {
             let mut texts = Vec::new();
             for _ in 0..tenths {
@@ -639,7 +638,7 @@ mod tests {
                 .starts_with("6.2 % of its packets are lost or of no use")
         );
         assert!((recent.unwrap().share() - 5.0 / 80.0).abs() < 1e-9);
-        // Another speed than is set is a fault all the same, and both are said.
+        // Another speed than configured is still a fault, and both are reported.
         roof.turn(Running {
             rpm: 500.0,
             ..RUNNING
@@ -684,7 +683,7 @@ mod tests {
             (roof.watcher.state(), roof.watcher.condition().recent),
             (State::Stalled, None)
         );
-        // What the pause cost is counted with the first packet behind it.
+        // The losses of the pause are counted with the first packet behind it.
         roof.seen.tally.lost += 3_750;
         assert_eq!(
             lose(&mut roof, 10, 0),

@@ -1,5 +1,5 @@
-//! The system calls that no safe crate of ours offers: a thread's core and its scheduler, and to
-//! wait on two sockets.
+//! System calls that no safe crate here offers: a thread's core and scheduler, and waiting on two
+//! sockets.
 
 #![allow(unsafe_code)]
 
@@ -11,7 +11,7 @@ use std::time::Duration;
 /// Keeps the calling thread on one core.
 ///
 /// # Errors
-/// What the system says, such as a core that there is not.
+/// The error of the system, such as for a core that does not exist.
 pub fn pin_to_core(core: usize) -> io::Result<()> {
     if core >= libc::CPU_SETSIZE as usize {
         return Err(io::ErrorKind::InvalidInput.into());
@@ -30,11 +30,11 @@ pub fn pin_to_core(core: usize) -> io::Result<()> {
     }
 }
 
-/// Gives the calling thread a priority under SCHED_FIFO, 1 to 99: it runs whenever it can, before
-/// all that have less.
+/// Gives the calling thread a priority under SCHED_FIFO, 1 to 99: it runs before all threads of
+/// lower priority.
 ///
 /// # Errors
-/// What the system says; without CAP_SYS_NICE or a limit that allows it, `PermissionDenied`.
+/// The error of the system; `PermissionDenied` without CAP_SYS_NICE or a limit that allows it.
 pub fn set_realtime_priority(priority: u8) -> io::Result<()> {
     let parameter = libc::sched_param {
         sched_priority: priority.into(),
@@ -48,8 +48,8 @@ pub fn set_realtime_priority(priority: u8) -> io::Result<()> {
     }
 }
 
-/// Waits until there is something to read from one of two, or its other end is gone (poll(2)), at
-/// most so long, in whole milliseconds, rounded up. A signal ends it too.
+/// Waits until one of two descriptors is readable, or its other end is closed (poll(2)), at most
+/// `timeout`, rounded up to whole milliseconds. A signal ends it too.
 pub fn wait_for_either(one: impl AsFd, other: impl AsFd, timeout: Duration) {
     let mut both = [one.as_fd(), other.as_fd()].map(|fd| libc::pollfd {
         fd: fd.as_raw_fd(),

@@ -1,4 +1,4 @@
-//! Why a recording fails, each with what to do about it.
+//! Errors of recordings, each with a cure.
 
 use std::io;
 use std::os::unix::fs::FileTypeExt;
@@ -39,7 +39,7 @@ pub enum RecordError {
         /// What the system says.
         source: io::Error,
     },
-    /// The system gives no thread to write with.
+    /// The thread that writes cannot be started.
     #[error(
         "cannot start the thread that records: {source}; the limit of threads is reached (ulimit -u, TasksMax=)"
     )]
@@ -61,7 +61,7 @@ impl RecordError {
         is_pipe && source.raw_os_error() == Some(libc::ENXIO)
     }
 
-    /// An error of a file, and which it is.
+    /// An error of this file.
     pub(super) fn of(path: &Path) -> impl Fn(io::Error) -> Self {
         move |source| {
             let path = path.to_owned();
@@ -88,7 +88,7 @@ fn cure(error: &io::Error) -> &'static str {
         io::ErrorKind::StorageFull | io::ErrorKind::QuotaExceeded => {
             "free space there, or record to another disk"
         }
-        // Of the writer, not of the system: it names the time.
+        // An error of our writer, not of the system: it names the time.
         io::ErrorKind::InvalidInput if error.raw_os_error().is_none() => {
             "set the clock of this host"
         }

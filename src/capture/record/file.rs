@@ -1,4 +1,4 @@
-//! One capture that is written: plain or compressed, synced so that it can be read up to there.
+//! Writes one capture, plain or compressed; after a sync it can be read up to that point.
 
 use std::fs::{File, TryLockError};
 use std::io::{self, BufWriter, Stdout, Write};
@@ -10,7 +10,7 @@ use flate2::{Compression, GzBuilder};
 use crate::capture::write::{Addressed, PcapWriter};
 use crate::files::output::is_special;
 
-/// How a capture is written, as the end of its name says.
+/// The format of a capture, by the end of its name.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub enum Format {
     /// `.pcap`
@@ -20,7 +20,7 @@ pub enum Format {
 }
 
 impl Format {
-    /// The format that a name says, if it says one.
+    /// The format of a name, if it has one.
     pub fn of(path: &Path) -> Option<Self> {
         let name = path.file_name()?.to_string_lossy();
         let endings = [(".pcap", Self::Plain), (".pcap.gz", Self::Gzip)];
@@ -70,11 +70,11 @@ impl Write for Sink {
 }
 
 impl CaptureFile {
-    /// Writes a capture, and overwrites no file: that is the error `AlreadyExists`. A pipe or a
-    /// device is written directly. A file stays locked while it is written (`is_being_written`).
+    /// Creates a capture; an existing file is the error `AlreadyExists`. A pipe or a device is
+    /// written directly. A file stays locked while it is written (`is_being_written`).
     ///
     /// # Errors
-    /// What the system says; `ResourceBusy` where another recording has taken the file.
+    /// The error of the system; `ResourceBusy` if another recording has taken the file.
     pub fn create_new(path: &Path, format: Format) -> io::Result<Self> {
         if is_special(path) {
             return Self::over(File::options().write(true).open(path)?, format);
@@ -103,7 +103,7 @@ impl CaptureFile {
     pub fn over(file: File, format: Format) -> io::Result<Self> {
         let sink = match format {
             Format::Plain => Sink::Plain(BufWriter::new(file)),
-            // No time of making in the header: the same datagrams give the same file.
+            // No creation time in the header, so that the same datagrams give the same file.
             Format::Gzip => Sink::Gzip(BufWriter::new(
                 GzBuilder::new()
                     .mtime(0)
@@ -123,7 +123,7 @@ impl CaptureFile {
         self.writer.write(datagram)
     }
 
-    /// Has everything so far on the disk, as a capture that can be read up to here.
+    /// Syncs all that was written to the disk, as a capture that can be read up to here.
     ///
     /// # Errors
     /// What the disk says.
@@ -137,16 +137,16 @@ impl CaptureFile {
         }
     }
 
-    /// Writes out what is left, the end of a gzip stream too.
+    /// Writes what is left in buffers, including the end of a gzip stream.
     ///
     /// # Errors
-    /// What the disk or the reader says.
+    /// The error of the disk or the reader.
     pub fn finish(self) -> io::Result<()> {
         self.close().map(drop)
     }
 
-    /// As [`CaptureFile::finish`], and has all of it on the disk. Gives the file, which is locked
-    /// until it is dropped; `None` for standard output.
+    /// As [`CaptureFile::finish`], and syncs it to the disk. Gives the file, which is locked until
+    /// it is dropped; `None` for standard output.
     ///
     /// # Errors
     /// What the disk says.
@@ -174,8 +174,8 @@ impl CaptureFile {
     }
 }
 
-/// Whether a recording writes this file, of this process or another one; if not, it is locked
-/// until it is closed. A file system without locks never says so.
+/// Whether a recording of any process writes this file; if not, it is locked until it is closed. On
+/// a file system without locks, always `false`.
 pub(super) fn is_being_written(file: &File) -> bool {
     matches!(file.try_lock(), Err(TryLockError::WouldBlock))
 }

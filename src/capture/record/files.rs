@@ -1,4 +1,4 @@
-//! The files of a recording: one, or one after the other.
+//! The files of a recording: one, or a sequence.
 
 use std::fs::{self, File};
 use std::io;
@@ -13,15 +13,15 @@ use super::file::{CaptureFile, Format, is_being_written};
 use crate::capture::write::{Addressed, FILE_HEADER_LEN, record_len};
 use crate::files::output::{is_special, part_of, remove};
 
-/// The longest that what was written may be lost by a power failure.
+/// Interval between syncs: a power failure loses at most this much.
 const SYNC_EVERY: Duration = Duration::from_secs(1);
 
 /// When to begin another file.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq, Serialize, Deserialize)]
 pub struct Rotation {
-    /// Before a file would get longer than this, bytes (uncompressed).
+    /// A file is at most this long, bytes (uncompressed).
     pub bytes: Option<u64>,
-    /// When a file holds this many nanoseconds.
+    /// A file spans at most this many nanoseconds.
     pub ns: Option<u64>,
 }
 
@@ -40,7 +40,7 @@ pub struct Written {
     pub bytes: u64,
     /// The first file.
     pub first: PathBuf,
-    /// The last file, the same if there is one.
+    /// The last file; the first, if there is only one.
     pub last: PathBuf,
     /// How many.
     pub files: u64,
@@ -52,7 +52,7 @@ pub(super) struct Files {
     format: Format,
     rotation: Rotation,
     file: CaptureFile,
-    /// What the one file is to replace when it is whole.
+    /// The file to replace when this one is complete.
     replaces: Option<PathBuf>,
     /// Of the file: its length and the arrival of its first datagram.
     len: u64,
@@ -60,7 +60,7 @@ pub(super) struct Files {
     next_number: u64,
     synced: Instant,
     written: Written,
-    /// Datagrams and bytes that are on the disk for sure.
+    /// Datagrams and bytes that are certainly on the disk.
     safe: (u64, u64),
 }
 
@@ -97,8 +97,8 @@ impl Files {
         })
     }
 
-    /// Begins the only file as `NAME.part`; it takes its name, and the place of a file of this
-    /// name, when it is finished.
+    /// Begins the only file as `NAME.part`; when it is finished it is renamed, and replaces a file
+    /// of this name.
     pub(super) fn replacing(path: &Path) -> Result<Self, RecordError> {
         let format = Format::of(path).ok_or_else(|| RecordError::Name {
             path: path.to_owned(),
@@ -111,7 +111,8 @@ impl Files {
         }
         drop(unwritten(path)?);
         let part = part_of(path);
-        // Locked until the new part has its name: another recording may be about to do the same.
+        // Locked until the new part has its name, since another recording may do the same at this
+        // moment.
         let _left_behind = unwritten(&part)?;
         remove(&part).map_err(RecordError::of(&part))?;
         Ok(Self {
@@ -120,7 +121,7 @@ impl Files {
         })
     }
 
-    /// Writes a datagram, in another file if it is time for one.
+    /// Writes a datagram; begins the next file first if that is due.
     pub(super) fn write(&mut self, datagram: &Addressed<'_>) -> Result<(), RecordError> {
         let more = record_len(datagram.payload.len());
         if self.is_full(datagram.arrival_ns, more) {
@@ -136,7 +137,7 @@ impl Files {
         Ok(())
     }
 
-    /// Has what was written on the disk, if it is time again.
+    /// Syncs what was written, if that is due.
     pub(super) fn sync_now_and_then(&mut self) -> Result<(), RecordError> {
         if self.synced.elapsed() < SYNC_EVERY || self.safe == self.so_far() {
             return Ok(());
@@ -149,13 +150,13 @@ impl Files {
         Ok(())
     }
 
-    /// What was written so far, to the disk or to a buffer.
+    /// Counts of what was written so far, to the disk or to a buffer.
     pub(super) fn written(&self) -> &Written {
         &self.written
     }
 
-    /// Has everything on the disk and closes the last file, unless the disk failed before. Gives
-    /// what is there: after a failure, what is there for sure.
+    /// Syncs everything and closes the last file, unless the disk failed before. Gives the counts;
+    /// after a failure, those of data that is certainly on the disk.
     pub(super) fn finish(
         self,
         ended: Result<(), RecordError>,
@@ -164,7 +165,8 @@ impl Files {
         let ended = ended.and_then(|()| close(self.file, &written.last));
         let ended = ended.and_then(|file| match self.replaces {
             Some(path) => {
-                // Still locked, so that no other recording takes the part before the rename.
+                // The file is still locked, so that no other recording takes the part before the
+                // rename.
                 if !file.is_some_and(|file| is_named(&file, &written.last)) {
                     return Err(RecordError::Lost {
                         path: written.last.clone(),
@@ -185,7 +187,7 @@ impl Files {
         (written, ended)
     }
 
-    /// Removes the file, unless it is a pipe or a device. Gives what is there: nothing.
+    /// Removes the file, unless it is a pipe or a device. Gives counts of zero.
     pub(super) fn discard(self) -> Written {
         if is_file(&self.written.last) {
             let _ = fs::remove_file(&self.written.last);
@@ -198,7 +200,7 @@ impl Files {
     }
 
     fn is_full(&self, arrival_ns: i64, more: u64) -> bool {
-        // A file holds at least one datagram. A clock that was set back makes a new file as well.
+        // A file holds at least one datagram. A clock that was set back also begins a new file.
         self.begun_ns.is_some_and(|begun_ns| {
             self.rotation
                 .bytes
@@ -241,18 +243,18 @@ pub fn open_special(path: &Path) -> Result<Option<File>, RecordError> {
     options.open(path).map(Some).map_err(RecordError::of(path))
 }
 
-/// A file of this name, if there is one, locked: no recording writes it.
+/// The file of this name, if there is one, locked; no recording writes it.
 ///
 /// # Errors
 /// [`RecordError::Busy`], if one does.
 fn unwritten(path: &Path) -> Result<Option<File>, RecordError> {
-    // A link is replaced, not followed, and a pipe is not waited for.
+    // A link is replaced, not followed; opening a pipe does not block.
     let flags = libc::O_NOFOLLOW | libc::O_NONBLOCK;
     let opened = File::options().write(true).custom_flags(flags).open(path);
-    // One that is not there, or that may be removed and not written, is in no recording's hands
-    // as far as can be told.
+    // A file that does not exist, or that may be removed but not opened, is assumed to be in no
+    // recording's use.
     let Ok(file) = opened else { return Ok(None) };
-    // What was locked may have been replaced since it was opened.
+    // The locked file may have been replaced since it was opened.
     if is_being_written(&file) || !is_named(&file, path) {
         return Err(RecordError::Busy {
             path: path.to_owned(),
@@ -261,7 +263,7 @@ fn unwritten(path: &Path) -> Result<Option<File>, RecordError> {
     Ok(Some(file))
 }
 
-/// Whether this open file is the one of this name.
+/// Whether this open file still has this name.
 fn is_named(file: &File, path: &Path) -> bool {
     let (Ok(opened), Ok(named)) = (file.metadata(), path.symlink_metadata()) else {
         return false;
@@ -269,12 +271,12 @@ fn is_named(file: &File, path: &Path) -> bool {
     opened.dev() == named.dev() && opened.ino() == named.ino()
 }
 
-/// Ends a file and has it on the disk.
+/// Ends a file and syncs it to the disk.
 fn close(file: CaptureFile, path: &Path) -> Result<Option<File>, RecordError> {
     file.finish_and_sync().map_err(RecordError::of(path))
 }
 
-/// Has the name of a new file on the disk, as far as the system can do that to a folder.
+/// Syncs the name of a new file, if the system can sync folders.
 fn sync_folder_of(path: &Path) {
     let folder = path
         .parent()
@@ -283,7 +285,7 @@ fn sync_folder_of(path: &Path) {
     let _ = File::open(folder).and_then(|folder| folder.sync_all());
 }
 
-/// The next file; of several, the next whose number is free.
+/// Opens the next file; in a sequence, the one with the next free number.
 fn open(
     path: &Path,
     format: Format,
@@ -301,7 +303,7 @@ fn open(
             Err(error) if rotation.is_wanted() && error.kind() == io::ErrorKind::AlreadyExists => {}
             Err(error) => return Err(RecordError::of(&named)(error)),
             Ok(mut file) => {
-                // A full disk has room for a name, and shows here that it has none for more.
+                // A full disk may still have room for a name; this shows that it has none for data.
                 if is_file(&named)
                     && let Err(error) = file.sync()
                 {
@@ -315,7 +317,7 @@ fn open(
     }
 }
 
-/// Whether it is no pipe or device, and no link to one.
+/// Whether it is neither a pipe or a device nor a link to one.
 fn is_file(path: &Path) -> bool {
     path.symlink_metadata().is_ok_and(|found| found.is_file())
 }

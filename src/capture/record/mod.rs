@@ -1,16 +1,16 @@
-//! Datagrams to capture files, so that who receives them never waits for a disk.
+//! Writes datagrams to capture files without ever blocking the threads that receive them.
 //!
 //! ```text
 //! receiving thread -> Feed --ring--> writing thread -> NAME-000.pcap, NAME-001.pcap, ...
 //! receiving thread -> Feed --ring-/
 //! ```
 //!
-//! Each receiving thread has a [`Feed`] of its own, or one for each stream that is in order by
-//! itself. Putting a datagram in is a copy of its bytes: no lock, no system call, no allocation.
-//! What finds no room, since the disk stalls or has failed, is counted and gone. The writing thread
-//! looks every 120 ms, and merges the feeds by arrival: a datagram is written after any other with
-//! an earlier stamp that was put in at most so much later (300 ms, after the first ones of a feed).
-//! Those of one feed keep their order.
+//! Each receiving thread has its own [`Feed`], or one for each ordered stream. To put a datagram in
+//! copies its bytes: no lock, no system call, no allocation. If a feed is full, because the disk
+//! stalls or has failed, the datagram is counted and lost. The writing thread polls the feeds every
+//! 120 ms, and merges them by arrival: a datagram is written after every one with an earlier stamp
+//! that was put in at most 120 ms later (300 ms for the first datagrams of a feed). Datagrams of
+//! one feed keep their order.
 //!
 //! [`mod@file`] is one capture, [`Rotation`] says when another begins.
 
@@ -32,25 +32,25 @@ use self::ring::{Consumer, Producer, ring};
 use super::write::Addressed;
 use crate::files::output::Existing;
 
-/// What may wait for the disk of one feed, bytes: 4.7 s of the fastest model. The system gives the
-/// memory when it is first used.
+/// Capacity of a feed, bytes: 4.7 s of the fastest model. The memory is taken only when it is first
+/// used.
 const FEED_BYTES: usize = 32 << 20;
-/// How often the writing thread looks, which is also for how long a datagram waits for earlier ones
-/// of other feeds: longer than the threads of a daemon nap while they record.
+/// Polling period of the writing thread, which is also how long a datagram waits for earlier ones
+/// of other feeds: longer than the naps of the daemon's threads while they record.
 pub(crate) const PERIOD: Duration = Duration::from_millis(120);
-/// For so long the first ones of a feed wait: a thread that has yet to hear of the recording may
-/// sleep for longer.
+/// How long the first datagrams of a feed wait: a thread that does not know of the recording yet
+/// may nap for longer.
 pub(crate) const OPENING: Duration = Duration::from_millis(300);
 
-/// How far a recording is, readable at any time. A recorder that continues another one adds to its
+/// Counts of a recording, readable at any time. A recorder that continues another one adds to its
 /// counts.
 #[derive(Debug, Default)]
 pub struct RecordCounts {
     /// Datagrams that were to be recorded.
     pub offered: AtomicU64,
-    /// Of these, the ones that found no room or came after the disk failed.
+    /// Of these, those that found the feed full or came after the disk failed.
     pub refused: AtomicU64,
-    /// Datagrams that were written, to the disk or to a buffer that is on the disk within about a
+    /// Datagrams that were written to the disk, or to a buffer that is synced within about a
     /// second.
     pub written: AtomicU64,
     /// Bytes of the files, uncompressed.
@@ -59,8 +59,7 @@ pub struct RecordCounts {
     pub files: AtomicU64,
 }
 
-/// A recording under way. A recorder that is dropped ends as by [`Recorder::finish`], only that
-/// nobody hears of it.
+/// A running recording. Dropping it ends it as [`Recorder::finish`] does, but without a result.
 ///
 /// ```
 /// use sweepd::capture::record::{Recorder, RecorderConfig};
@@ -110,22 +109,22 @@ impl Shared {
     }
 }
 
-/// Asked by the writing thread of each datagram: whether to write it.
+/// Called by the writing thread for each datagram: whether to write it.
 pub type Accept = Box<dyn FnMut(&Addressed<'_>) -> bool + Send>;
 
-/// What a recorder is to write, and where.
+/// What a recorder writes, and where.
 pub struct RecorderConfig<'a> {
     /// The file, or the name from which those of a rotation are made.
     pub path: &'a Path,
     /// When to begin another file.
     pub rotation: Rotation,
-    /// What becomes of a file of this name. One that is replaced stays until the recording is
-    /// finished; until then, and where the disk fails, the new one is `NAME.part`, and there is no
+    /// What to do with an existing file of this name. A file to replace stays until the recording
+    /// is finished; until then, or if the disk fails, the new one is `NAME.part`. Then there is no
     /// rotation.
     pub existing: Existing,
     /// What to write.
     pub accept: Accept,
-    /// What is counted; those of a recorder that failed go on in the one that continues it.
+    /// The counts; a recorder that continues a failed one continues its counts.
     pub counts: Arc<RecordCounts>,
 }
 
@@ -143,7 +142,7 @@ impl<'a> RecorderConfig<'a> {
 }
 
 impl Recorder {
-    /// Begins a recording with its first file; waits for the disk.
+    /// Begins a recording with its first file. May block on the disk.
     ///
     /// # Errors
     /// [`RecordError`]: a name without format, a file that cannot be written.
@@ -177,7 +176,7 @@ impl Recorder {
         })
     }
 
-    /// A way in for one more receiving thread. Takes memory, and a lock: not for the hot path.
+    /// A feed for one more receiving thread. Allocates and takes a lock: not for the hot path.
     pub fn feed(&self) -> Feed {
         let (producer, consumer) = ring(FEED_BYTES);
         self.shared.open_feeds.fetch_add(1, Ordering::Relaxed);
@@ -203,16 +202,16 @@ impl Recorder {
         self.shared.open_feeds.load(Ordering::Acquire) > 0
     }
 
-    /// Why it has ended before its time, once it has; nothing is written any more then.
+    /// Why it has ended early; `None` while it runs. After that nothing is written.
     pub fn error(&self) -> Option<&Arc<RecordError>> {
         self.shared.error.get()
     }
 
-    /// Writes what was put in before, has it on the disk and closes the last file. Says what is
-    /// there, whatever ended the recording: after a failure, what is there for sure.
+    /// Writes all that was put in before, syncs it and closes the last file. Gives the counts in
+    /// any case; after a failure, those of data that is certainly on the disk.
     ///
     /// # Errors
-    /// [`RecordError::File`]: what the disk says, or said.
+    /// [`RecordError::File`]: the disk fails now, or failed before.
     pub fn finish(mut self) -> (Written, Result<(), Arc<RecordError>>) {
         let written = self.end().unwrap_or_default();
         (
@@ -221,8 +220,8 @@ impl Recorder {
         )
     }
 
-    /// Ends a recording that is not wanted any more and has recorded nothing: its file is removed,
-    /// and what it was to replace stays.
+    /// Ends a recording that has recorded nothing: its file is removed, and the file that it would
+    /// have replaced stays.
     pub fn discard(mut self) {
         self.shared.discarded.store(true, Ordering::Relaxed);
         self.end();
@@ -248,7 +247,7 @@ impl Drop for Recorder {
     }
 }
 
-/// The way into a recording for one receiving thread.
+/// The input of a recording for one receiving thread.
 #[derive(Debug)]
 pub struct Feed {
     producer: Producer,
@@ -256,9 +255,9 @@ pub struct Feed {
 }
 
 impl Feed {
-    /// Has a datagram recorded; `false` if there is no room, or the recording is over. Never waits,
-    /// never allocates. Put the last one in before [`Recorder::finish`] is called: one that comes
-    /// while it runs may be lost.
+    /// Puts a datagram in; `false` if the feed is full, or the recording is over. Never blocks,
+    /// never allocates. Put the last datagram in before [`Recorder::finish`] is called: one that
+    /// comes during that call may be lost.
     pub fn put(&mut self, datagram: &Addressed<'_>) -> bool {
         let counts = &self.shared.counts;
         counts.offered.fetch_add(1, Ordering::Relaxed);
@@ -290,9 +289,10 @@ struct Writer {
 struct OpenFeed {
     feed: Consumer,
     begun: Instant,
-    /// Where it ended a period ago: up to here it is due. While it opens, nothing is.
+    /// Its end a period ago: datagrams up to here are due. At the beginning of a feed, nothing is
+    /// due.
     due: u64,
-    /// Where it ended when it was last looked at.
+    /// Its end when it was last polled.
     end: u64,
     closed: bool,
 }
@@ -344,7 +344,8 @@ impl Writer {
 
     fn write_all(&mut self) -> Result<(), RecordError> {
         loop {
-            // Before the look at the feeds: what was put in before the end is seen.
+            // Loaded before the feeds are polled, so that all datagrams put in before the end are
+            // seen.
             let over = self.shared.over.load(Ordering::Acquire);
             self.look(over);
             self.write_due()?;
@@ -358,7 +359,7 @@ impl Writer {
         }
     }
 
-    /// Looks how far the feeds have come; `over`: all of it is due.
+    /// Notes the ends of the feeds; `over`: all datagrams are due.
     fn look(&mut self, over: bool) {
         self.feeds.retain(|merged| !merged.is_done());
         self.feeds
@@ -369,7 +370,8 @@ impl Writer {
         }
     }
 
-    /// Writes what is due in the order of arrival, and before it what came since and is earlier.
+    /// Writes the due datagrams in order of arrival, and before them any newer ones with earlier
+    /// stamps.
     fn write_due(&mut self) -> Result<(), RecordError> {
         while self.feeds.iter().any(OpenFeed::is_due) {
             let next = self
@@ -389,7 +391,7 @@ impl Writer {
     }
 }
 
-/// What of the files is in the counts.
+/// The part of the files' counts that was added to the shared counts.
 #[derive(Default)]
 struct Published {
     datagrams: u64,
@@ -405,8 +407,9 @@ impl Published {
     }
 }
 
-/// Adds the difference. After a failure only what is safe on the disk counts as written, which may be
-/// less than before; the exported counters never go down, so nothing is taken back from them.
+/// Adds the difference. After a failure only data that is certainly on the disk counts as written,
+/// which may be less than before; the exported counters must never go down, so that nothing is
+/// subtracted.
 fn add(count: &AtomicU64, published: &mut u64, now: u64) {
     count.fetch_add(now.saturating_sub(*published), Ordering::Relaxed);
     *published = now.max(*published);

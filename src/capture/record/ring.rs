@@ -1,9 +1,9 @@
-//! Between a socket and the disk: a ring with one thread at each end, so that who receives never
-//! waits, not even for a lock.
+//! A ring buffer between a socket and the disk, with one thread at each end, so that the receiving
+//! thread never waits, not even for a lock.
 //!
 //! It holds 64-bit words. A datagram is three words of [`Heading`] and its payload, the last word
-//! filled up with zeroes. Only whole datagrams are shown to the other end; what finds no room is
-//! refused and leaves no trace.
+//! padded with zeroes. Only whole datagrams are visible to the consumer; one that does not fit is
+//! refused.
 
 use std::net::{Ipv4Addr, SocketAddrV4};
 use std::sync::Arc;
@@ -19,8 +19,7 @@ const WORD_LEN: usize = size_of::<u64>();
 /// What both ends share.
 #[derive(Debug)]
 struct Shared {
-    /// As many as a power of two, untouched until they are needed: the system gives no memory
-    /// before.
+    /// A power of two; untouched until needed, so that they take no memory before.
     words: Box<[AtomicU64]>,
     /// Words that were ever put in, and taken out.
     put: Apart,
@@ -28,16 +27,16 @@ struct Shared {
     closed: AtomicBool,
 }
 
-/// A counter with a cache line of its own: its writer does not disturb the reader of the other one.
+/// A counter in its own cache line, so that writing it does not slow the reader of the other one.
 #[derive(Debug, Default)]
 #[repr(align(64))]
 struct Apart(AtomicU64);
 
-/// The end that datagrams are put into.
+/// The end at which datagrams are put in.
 #[derive(Debug)]
 pub struct Producer(Arc<Shared>);
 
-/// The end that they are taken from.
+/// The end at which they are taken out.
 #[derive(Debug)]
 pub struct Consumer {
     shared: Arc<Shared>,
@@ -48,7 +47,7 @@ pub struct Consumer {
 /// A ring for at least this many bytes, headings included.
 pub fn ring(bytes: usize) -> (Producer, Consumer) {
     let len = bytes.div_ceil(WORD_LEN).max(64).next_power_of_two();
-    // No memory is what ends any program, here as in `Vec`.
+    // Without memory this aborts, as `Vec` does.
     let words = <[AtomicU64]>::new_box_zeroed_with_elems(len).unwrap_or_else(|_| {
         std::iter::repeat_with(|| AtomicU64::new(0))
             .take(len)
@@ -121,7 +120,7 @@ impl Producer {
         };
         let begin = shared.put.0.load(Ordering::Relaxed);
         let end = begin + HEADING_WORDS + u64::from(len).div_ceil(WORD_LEN as u64);
-        // Acquire: what was taken has been read before it is written over.
+        // Acquire: the consumer has read what it took before this overwrites it.
         if end - shared.taken.0.load(Ordering::Acquire) > shared.words.len() as u64 {
             return false;
         }
@@ -146,7 +145,7 @@ impl Producer {
         for (position, word) in (begin..end).zip(heading.into_iter().chain(payload)) {
             shared.word(position).store(word, Ordering::Relaxed);
         }
-        // Release: who sees this sees the words.
+        // Release: a thread that sees this position also sees the words.
         shared.put.0.store(end, Ordering::Release);
         true
     }
@@ -169,7 +168,7 @@ impl Consumer {
         self.taken() >= end
     }
 
-    /// Whether nothing will be put in any more; ask before the last look at [`Consumer::end`].
+    /// Whether the producer is gone; check before the last call of [`Consumer::end`].
     pub fn is_closed(&self) -> bool {
         self.shared.closed.load(Ordering::Acquire)
     }
@@ -193,7 +192,7 @@ impl Consumer {
             self.payload
                 .extend_from_slice(&self.shared.load(position).to_le_bytes());
         }
-        // Release: the words have been read before they are written over.
+        // Release: the words have been read before they are overwritten.
         self.shared.taken.0.store(behind, Ordering::Release);
         let Heading {
             arrival_ns,

@@ -39,7 +39,8 @@ fn feeds_are_merged_by_arrival() {
     let path = folder.path().join("merged.pcap");
     let recorder = Recorder::start(RecorderConfig::new(&path)).unwrap();
     let (mut data, mut position) = (recorder.feed(), recorder.feed());
-    // The thread of the positions comes to each hundred before that of the data, and after it.
+    // The thread of positions reaches each hundred sometimes before that of data, sometimes after
+    // it.
     for hundred in 0..20_i64 {
         let times = hundred * 100..(hundred + 1) * 100;
         let put = |feed: &mut Feed, port, step| {
@@ -67,7 +68,8 @@ fn feeds_are_merged_by_arrival() {
     ended.unwrap();
     let all = read(&path);
     assert_eq!(written.datagrams, 2001);
-    // Who was late for more than a period on a busy machine is out of place, and still there.
+    // On a busy machine, datagrams that are late by more than a period are out of order, but not
+    // lost.
     let mut times: Vec<i64> = all
         .iter()
         .map(|one| i64::from_le_bytes(one.2[..].try_into().unwrap()))
@@ -199,7 +201,7 @@ fn a_second_recording_never_takes_the_file_of_the_first() {
     let path = folder.path().join("x.pcap");
     let other_name = folder.path().join("same").join("x.pcap");
     std::os::unix::fs::symlink(folder.path(), folder.path().join("same")).unwrap();
-    // What a killed recording left behind is in nobody's hands.
+    // A part that a killed recording left behind is not in use.
     std::fs::write(folder.path().join("x.pcap.part"), "left behind").unwrap();
     let first = Recorder::start(replacing(&path)).unwrap();
     record_one(&first);
@@ -209,7 +211,7 @@ fn a_second_recording_never_takes_the_file_of_the_first() {
     }
     let (_, ended) = first.finish();
     assert!(ended.is_ok() && read(&path).len() == 1);
-    // One that has its name from the beginning is not replaced before it ends either.
+    // A file that has its name from the beginning is not replaced before it ends either.
     let plain = folder.path().join("plain.pcap");
     let first = Recorder::start(RecorderConfig::new(&plain)).unwrap();
     let error = Recorder::start(replacing(&plain)).unwrap_err();

@@ -1,4 +1,4 @@
-//! The socket's receive buffer: how large it must be, and how large it is.
+//! The socket's receive buffer: its necessary and its actual size.
 
 use std::io;
 use std::os::fd::AsFd;
@@ -10,18 +10,18 @@ use super::sys;
 use sweepd_core::sensor::Model;
 use sweepd_core::wire::data::ReturnMode;
 
-/// What a data packet costs of the buffer, its 1206 bytes and the kernel's own share; measured on
-/// Linux 6.18, where it is 2304 to 2315.
+/// Bytes that the kernel charges for a data packet: its 1206 bytes and overhead; measured on Linux
+/// 6.18, where it is 2304 to 2315.
 pub const CHARGED_BYTES: usize = 2304;
-/// One of this many parts of the buffer may be full when its reader looks again: others may have
-/// the core then.
+/// One of this many parts of the buffer may be full when its reader wakes; the rest is for the time
+/// until the reader gets a core.
 pub const PARTS: usize = 4;
-/// For how long the buffer shall hold what the fastest model sends, nanoseconds: longer than any
+/// How long the buffer must hold the packets of the fastest model, nanoseconds: longer than any
 /// scheduler lets a thread wait.
 const AMPLE_NS: u64 = 500_000_000;
 
-/// From one data packet to the next of the fastest model that is supported (an HDL-64E S3 with two
-/// returns), nanoseconds. It is asked for with each nap of a port.
+/// Packet period of the fastest supported model (an HDL-64E S3 with two returns), nanoseconds.
+/// Cached, since each nap of a port needs it.
 static FASTEST_PERIOD_NS: LazyLock<u64> = LazyLock::new(|| {
     let periods = Model::ALL.map(|model| {
         [ReturnMode::Strongest, ReturnMode::Dual].map(|mode| model.spec().packet_period_ns(mode))
@@ -35,17 +35,17 @@ pub fn ample_buffer_bytes() -> usize {
     AMPLE_NS.div_ceil(*FASTEST_PERIOD_NS) as usize * CHARGED_BYTES
 }
 
-/// A receive buffer, as it was asked for and as it was given.
+/// A receive buffer: requested and granted size.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub struct ReceiveBuffer {
-    /// Bytes that were asked for, the kernel's own share included.
+    /// Requested bytes, including the kernel's overhead.
     pub wanted_bytes: usize,
     /// Bytes that the kernel gave.
     pub granted_bytes: usize,
 }
 
 impl ReceiveBuffer {
-    /// Whether it is smaller than was asked for.
+    /// Whether it is smaller than requested.
     pub fn is_too_small(&self) -> bool {
         self.granted_bytes < self.wanted_bytes
     }
@@ -55,23 +55,23 @@ impl ReceiveBuffer {
         self.granted_bytes / CHARGED_BYTES
     }
 
-    /// What may wait when its reader looks again, bytes: one of [`PARTS`].
+    /// Bytes that may wait when its reader wakes: one of [`PARTS`].
     pub fn part_bytes(&self) -> usize {
         self.granted_bytes / PARTS
     }
 
-    /// For how long it holds what the fastest supported model sends, milliseconds.
+    /// How long it holds the packets of the fastest supported model, milliseconds.
     pub fn fastest_ms(&self) -> u64 {
         self.packets() as u64 * *FASTEST_PERIOD_NS / 1_000_000
     }
 
     /// The value of the sysctl net.core.rmem_max that would have been enough: the kernel doubles
-    /// what a program asks for, but only up to this (socket(7)).
+    /// the requested size, but limits the request to this value (socket(7)).
     pub fn rmem_max(&self) -> usize {
         self.wanted_bytes.div_ceil(2)
     }
 
-    /// A warning where it is too small, with the cure.
+    /// A warning with the cure, if it is too small.
     pub fn warning(&self, port: u16) -> Option<String> {
         let packets = self.packets();
         let ms = self.fastest_ms();
@@ -92,7 +92,7 @@ pub(super) fn enlarge(socket: &Socket, wanted_bytes: usize) -> io::Result<Receiv
     let ask = wanted_bytes.div_ceil(2);
     socket.set_recv_buffer_size(ask)?;
     if socket.recv_buffer_size()? < wanted_bytes {
-        // Without the right to it, the buffer stays as it is, and there is a warning.
+        // Without the privilege the buffer keeps its size, and there is a warning.
         let _ = sys::force_buffer(socket.as_fd(), ask);
     }
     Ok(ReceiveBuffer {

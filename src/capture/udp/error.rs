@@ -1,4 +1,4 @@
-//! Why a port cannot be listened on, each with what to do about it.
+//! Errors of listening on a port, each with a cure.
 
 use std::io;
 use std::net::{Ipv4Addr, SocketAddrV4};
@@ -13,7 +13,7 @@ pub enum UdpError {
     PortTaken {
         /// The port.
         port: u16,
-        /// Who has it, if that can be found out.
+        /// The program that has it, if known.
         holder: Option<Holder>,
     },
     /// The address is not one of this host.
@@ -32,7 +32,7 @@ pub enum UdpError {
         /// What the system says.
         source: io::Error,
     },
-    /// No such interface, or no right to it.
+    /// No such interface, or no permission to use it.
     #[error("cannot listen on interface {name}: {source}; `ip link` lists the interfaces")]
     Interface {
         /// Its name.
@@ -40,7 +40,7 @@ pub enum UdpError {
         /// What the system says.
         source: io::Error,
     },
-    /// An address that is no multicast group.
+    /// An address that is not a multicast group.
     #[error("{group} is no multicast group; these are 224.0.0.0 to 239.255.255.255")]
     NoGroup {
         /// The address.
@@ -67,7 +67,7 @@ pub enum UdpError {
 fn held(port: u16, holder: &Option<Holder>) -> String {
     match holder {
         Some(holder) => format!("held by {holder}"),
-        // It has gone meanwhile, or /proc is not to be read.
+        // The program has ended since, or /proc cannot be read.
         None => format!("held by another program (`ss -ulpn sport = :{port}` as root may name it)"),
     }
 }

@@ -1,15 +1,15 @@
-//! How fast datagrams filled the socket's buffer in the last seconds: a burst of other datagrams
-//! may take the room of a sensor's.
+//! How fast datagrams filled the socket's buffer in the last seconds: bursts of other datagrams may
+//! take the room of a sensor's packets.
 
 use std::time::{Duration, Instant};
 
 use super::buffer::CHARGED_BYTES;
 use super::sys::BUFFER_LEN;
 
-/// The longest nap of a reader, nanoseconds: a part that took longer does not count as filled.
+/// The longest nap of a reader, nanoseconds: if a part takes longer to fill, it does not count.
 const LONGEST_NS: i64 = 250_000_000;
-/// A fast filling is remembered for one to two times this long: bursts that come every few seconds
-/// are foreseen.
+/// A fast filling is remembered for one to two times this long, so that bursts every few seconds
+/// are expected.
 const REMEMBERED: Duration = Duration::from_secs(5);
 
 /// The shortest times in which a part of the buffer was filled, by the kernel's stamps.
@@ -25,7 +25,7 @@ pub(super) struct Filling {
 }
 
 impl Filling {
-    /// A buffer with parts of this size, none filled yet.
+    /// A buffer with parts of this size, none full yet.
     pub(super) fn new(part_bytes: usize) -> Self {
         Self {
             part_bytes,
@@ -36,10 +36,10 @@ impl Filling {
         }
     }
 
-    /// Counts a datagram of this length. Where it completes a part: how long that took,
-    /// nanoseconds, to be remembered.
+    /// Counts a datagram of this length. If it fills a part, gives the time that this took,
+    /// nanoseconds, to remember.
     pub(super) fn note(&mut self, stamp_ns: i64, len: usize) -> Option<i64> {
-        // A clock that was set begins again, too.
+        // A clock that was set starts the count again.
         let took_ns = match stamp_ns.checked_sub(self.since_ns) {
             Some(took_ns @ 0..=LONGEST_NS) if self.bytes > 0 => took_ns,
             _ => {
@@ -64,15 +64,15 @@ impl Filling {
         }
     }
 
-    /// The shortest time of the last seconds in which a part was filled, nanoseconds; `i64::MAX`
-    /// where none was.
+    /// The shortest time of the last seconds in which a part was filled, nanoseconds; `i64::MAX` if
+    /// none was.
     pub(super) fn shortest_ns(&self, now: Instant) -> i64 {
         let [before, newest] = self.remembered_ns(now);
         before.min(newest)
     }
 
-    /// The shortest times of the period before and of the present one: once the present one is
-    /// over, it is the period before.
+    /// The shortest times of the period before and of the present one, moved on if the present one
+    /// is over.
     fn remembered_ns(&self, now: Instant) -> [i64; 2] {
         let [_, newest] = self.shortest_ns;
         match self.age(now) {
@@ -88,8 +88,8 @@ impl Filling {
     }
 }
 
-/// What the kernel charges for a datagram, or more: drivers give a short one as much memory as a
-/// long one.
+/// Upper bound of what the kernel charges for a datagram: drivers may use as much memory for a
+/// short one as for a long one.
 fn charged_bytes(len: usize) -> usize {
     if len <= BUFFER_LEN {
         CHARGED_BYTES
@@ -106,7 +106,7 @@ mod tests {
     /// Datagrams of a part.
     const PART: usize = 700;
 
-    /// Counts this many datagrams of 1206 bytes from a time on, so far apart.
+    /// Counts this many datagrams of 1206 bytes, from a time and at an interval.
     fn come(filling: &mut Filling, count: usize, (from_ns, apart_ns): (i64, i64), now: Instant) {
         for number in 0..count as i64 {
             if let Some(took_ns) = filling.note(from_ns + number * apart_ns, 1206) {
@@ -141,7 +141,8 @@ mod tests {
         assert_eq!(filling.shortest_ns(now) / MS, 120);
         let mut filling = Filling::new(PART * CHARGED_BYTES);
         for burst in 0..100 {
-            // As many as have room, every 300 ms; once the clock goes back by an hour, once on.
+            // As many as fit, every 300 ms; the clock is set back by an hour once, and forward
+            // once.
             let set_ns = if (30..60).contains(&burst) {
                 -3_600_000 * MS
             } else {
@@ -155,7 +156,7 @@ mod tests {
             );
         }
         assert_eq!(filling.shortest_ns(now), i64::MAX);
-        // A few long ones fill it as many short ones do.
+        // A few long ones fill it like many short ones.
         assert!(
             (0..24)
                 .filter_map(|number| filling.note(number * MS, 65_000))

@@ -1,8 +1,8 @@
-//! Who holds a UDP port of this host: from the socket tables of the kernel to the program.
+//! Finds the program that holds a UDP port, from the socket tables of the kernel.
 //!
 //! /proc/net/udp and /proc/net/udp6 list all sockets of the network namespace, with user and inode
-//! (proc(5)); the program is the one that has a file descriptor of that inode. Of another user's
-//! programs these are hidden, unless root asks: then the user is all that is known.
+//! (proc(5)); the program is the one that has a file descriptor of that inode. Those of other
+//! users' programs are visible to root only; else only the user is known.
 
 use std::fmt;
 use std::fs;
@@ -30,8 +30,7 @@ pub struct Program {
 }
 
 impl Holder {
-    /// Who keeps others from listening on an address; `None` if no process does, or it cannot be
-    /// found out.
+    /// The holder of an address; `None` if there is none, or it cannot be found.
     pub fn of(address: SocketAddrV4) -> Option<Self> {
         let tables = ["/proc/net/udp", "/proc/net/udp6"]
             .map(|table| fs::read_to_string(table).unwrap_or_default());
@@ -46,7 +45,7 @@ impl Holder {
         })
     }
 
-    /// Whether it is sweepd itself, as far as can be known.
+    /// Whether it is a sweepd, by its name.
     pub fn is_sweepd(&self) -> bool {
         match &self.program {
             Some(program) => program.name == "sweepd",
@@ -89,7 +88,7 @@ impl Socket {
         })
     }
 
-    /// Whether it receives datagrams to the address, or to one of those that the address stands for.
+    /// Whether it receives datagrams to the address, or to one that a wildcard address includes.
     fn is_in_the_way_of(&self, address: SocketAddrV4) -> bool {
         let ip = match self.ip {
             IpAddr::V4(ip) => Some(ip),

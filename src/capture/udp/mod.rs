@@ -1,11 +1,12 @@
 //! Live sensors: the datagrams of one UDP port, in batches, stamped by the kernel.
 //!
-//! The socket is one that loses nothing quietly: its buffer is made large enough and read back
-//! ([`ReceiveBuffer`]), what the kernel drops is counted exactly ([`UdpSource::dropped`]), and the
-//! port is never shared. SO_REUSEADDR stays off: with it, Linux gives a unicast datagram to the
-//! socket bound last alone, so that a second program would silently take the sensor from the first.
+//! The socket loses nothing silently: its buffer is made large enough and read back
+//! ([`ReceiveBuffer`]), datagrams that the kernel drops are counted exactly
+//! ([`UdpSource::dropped`]), and the port is never shared. SO_REUSEADDR stays off: with it, Linux
+//! delivers unicast datagrams only to the socket bound last, so that a second program would
+//! silently take the sensor from the first.
 //!
-//! IPv4 only, as the sensors. Sources: socket(7), udp(7), ip(7), recvmmsg(2).
+//! IPv4 only, like the sensors. Sources: socket(7), udp(7), ip(7), recvmmsg(2).
 
 pub mod buffer;
 pub mod error;
@@ -40,16 +41,16 @@ pub struct UdpConfig {
     pub port: u16,
     /// Multicast group to join, if the sensor sends to one.
     pub multicast: Option<Ipv4Addr>,
-    /// Network interface to listen on alone, and to join the group on; by default all, and that of
+    /// The only network interface to listen and to join the group on; by default all, and that of
     /// the route.
     pub interface: Option<String>,
-    /// Bytes that waiting datagrams may hold in the kernel, its own share included;
+    /// Bytes that waiting datagrams may hold in the kernel, including its overhead;
     /// [`ample_buffer_bytes`].
     pub buffer_bytes: usize,
 }
 
 impl UdpConfig {
-    /// All that is sent to a port of this host, with a buffer for the fastest sensor.
+    /// Receives all that is sent to a port of this host, with a buffer for the fastest sensor.
     pub fn port(port: u16) -> Self {
         Self {
             address: Ipv4Addr::UNSPECIFIED,
@@ -138,12 +139,12 @@ impl UdpSource {
     }
 
     /// Waits for datagrams, at most `timeout` (not at all if it is zero, else at least a
-    /// millisecond), and gives those that are there, up to 64 and in the order of their arrival.
-    /// None come after the timeout or a signal: that is the time to look at a clock.
+    /// millisecond), and gives those that are there, up to 64 and in the order of their arrival;
+    /// none after the timeout or a signal.
     ///
-    /// They are of any kind, from anyone; [`admission`](crate::admission) takes those of sensors. One that
-    /// the kernel gave no stamp has the time of this call. Of one longer than 1280 bytes, these are
-    /// given.
+    /// They are of any kind and from any sender; [`admission`](crate::admission) selects those of
+    /// sensors. One without a stamp of the kernel gets the time of this call. One longer than 1280
+    /// bytes is cut to that.
     ///
     /// # Errors
     /// [`UdpError::Socket`], such as an interface that went away for good.
@@ -156,8 +157,8 @@ impl UdpSource {
             .map(|addressed| addressed.datagram()))
     }
 
-    /// As [`UdpSource::receive`], with the addresses that they were sent to, for recordings: this
-    /// host's, the broadcast address, a multicast group.
+    /// As [`UdpSource::receive`], with the destination addresses, for recordings: this host's, the
+    /// broadcast address, a multicast group.
     ///
     /// # Errors
     /// As there.
@@ -216,22 +217,21 @@ impl UdpSource {
         self.received
     }
 
-    /// Follows the interface, if it listens on one alone: one that went away and came back has
-    /// another number, and the kernel ties a socket to the number. Then the port is opened again;
-    /// counters go on. Returns whether the interface is there.
+    /// Follows the interface, if it listens on a single one: an interface that went away and came
+    /// back has another number, to which the kernel binds sockets. Then the port is opened again;
+    /// counters continue. Returns whether the interface is there.
     ///
-    /// This is for quiet times: it asks the system, and may take memory.
+    /// For times without packets: it calls the system, and may allocate.
     ///
     /// # Errors
-    /// [`UdpError`]: the interface is back and cannot be listened on yet, such as without its
+    /// [`UdpError`]: the interface is back but cannot be listened on yet, such as without its
     /// address.
     pub fn follow_interface(&mut self) -> Result<bool, UdpError> {
         let Some(name) = &self.config.interface else {
             return Ok(true);
         };
         match interface_index(name) {
-            // Where that cannot be found out, such as without free descriptors, it is taken to be
-            // there.
+            // If that cannot be determined, such as without free descriptors, it counts as there.
             Err(UdpError::Interface { source, .. }) => Ok(!matches!(
                 source.raw_os_error(),
                 Some(libc::ENODEV | libc::ENXIO)
@@ -254,14 +254,13 @@ impl UdpSource {
         }
     }
 
-    /// Whether more may wait in the socket: the last call gave as many as one can give. Costs
-    /// nothing.
+    /// Whether more may wait in the socket, because the last batch was full. Without a system call.
     pub fn may_hold_more(&self) -> bool {
         self.was_full
     }
 
-    /// Datagrams that the kernel had dropped when the last one that was received came; costs
-    /// nothing.
+    /// Datagrams that the kernel had dropped when the last received one came. Without a system
+    /// call.
     pub fn dropped_so_far(&self) -> u64 {
         self.drops.total
     }
@@ -275,8 +274,8 @@ impl UdpSource {
     }
 
     /// The shortest time of the last seconds in which a part of the buffer was filled
-    /// ([`ReceiveBuffer::part_bytes`]), nanoseconds; `i64::MAX` where none was within a quarter of
-    /// a second.
+    /// ([`ReceiveBuffer::part_bytes`]), nanoseconds; `i64::MAX` if none was within a quarter of a
+    /// second.
     pub fn shortest_filling_ns(&self) -> i64 {
         self.filling.shortest_ns(Instant::now())
     }
@@ -291,7 +290,7 @@ impl UdpSource {
         self.buffer
     }
 
-    /// The socket, to be waited on together with something else.
+    /// The socket, to wait on it together with something else.
     pub fn socket(&self) -> BorrowedFd<'_> {
         self.socket.as_fd()
     }
@@ -300,7 +299,7 @@ impl UdpSource {
         if timeout.is_zero() {
             return Ok(());
         }
-        // A timeout that is rounded to zero would be for ever.
+        // A timeout rounded to zero would mean no timeout.
         let timeout = timeout.max(Duration::from_millis(1));
         if self.timeout != Some(timeout) {
             self.socket
@@ -324,7 +323,7 @@ fn open_socket(buffer_bytes: usize) -> io::Result<(Socket, ReceiveBuffer)> {
     let socket = Socket::new(Domain::IPV4, Type::DGRAM, Some(Protocol::UDP))?;
     let buffer = buffer::enlarge(&socket, buffer_bytes)?;
     sys::request_meta(socket.as_fd())?;
-    // Else it would receive every group that any program of this host has joined, on the same
+    // Otherwise it would receive every group that any program of this host has joined, on the same
     // port (ip(7)).
     socket.set_multicast_all_v4(false)?;
     Ok((socket, buffer))
@@ -355,8 +354,8 @@ fn join(
         .map_err(|source| UdpError::Join { group, source })
 }
 
-/// Adds up a counter of the kernel that wraps at 2^32 and that is read in two ways, one of which
-/// may lag behind.
+/// Unwraps a counter of the kernel that wraps at 2^32 and is read in two ways, one of which may
+/// lag.
 #[derive(Clone, Copy, Debug, Default)]
 struct DropCounter {
     last: u32,
@@ -368,7 +367,7 @@ impl DropCounter {
     fn note(&mut self, dropped: Option<u32>) {
         let Some(dropped) = dropped else { return };
         let more = dropped.wrapping_sub(self.last);
-        // Half the circle or more is behind: read earlier than what is known.
+        // A difference of half the range or more is a value older than the known one.
         if more <= u32::MAX / 2 {
             self.last = dropped;
             self.total += u64::from(more);

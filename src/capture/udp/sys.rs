@@ -1,5 +1,5 @@
-//! The system calls that no safe crate offers: batches with control messages, some socket options,
-//! an interface's index.
+//! System calls that no safe crate offers: batches with control messages, some socket options, an
+//! interface's index.
 //!
 //! nix 0.31 loses the control messages of a batch once datagrams are dropped (its headers are not
 //! reset: nix-rust/nix pull request 2813), rustix has no `recvmmsg`, socket2 neither it nor these
@@ -16,8 +16,8 @@ use std::ptr;
 
 /// Datagrams taken from the kernel at once.
 pub(super) const BATCH: usize = 64;
-/// Bytes kept of a datagram, more than any packet has. Of a longer one the rest is lost, not its
-/// length.
+/// Bytes kept of a datagram, more than any packet has. A longer one is cut, but its length is
+/// known.
 pub(super) const BUFFER_LEN: usize = 1280;
 /// Room for the control messages: 32 bytes of time stamp, 24 of drop counter and 32 of destination
 /// where pointers have 64 bits.
@@ -29,7 +29,7 @@ const CONTROL_LEN: usize = 96;
 pub(super) struct DatagramBuffer {
     control: [u8; CONTROL_LEN],
     bytes: [u8; BUFFER_LEN],
-    /// Bytes of the datagram, those that found no room included.
+    /// Bytes of the datagram, including those that were cut.
     pub(super) len: usize,
     pub(super) source: SocketAddrV4,
     pub(super) meta: RecvMeta,
@@ -38,12 +38,13 @@ pub(super) struct DatagramBuffer {
 /// The kernel's metadata of a datagram.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
 pub(super) struct RecvMeta {
-    /// When the kernel received it, nanoseconds since 1970; `None` if it did not say.
+    /// When the kernel received it, nanoseconds since 1970; `None` if the kernel did not give it.
     pub(super) stamp_ns: Option<i64>,
     /// Datagrams that the socket had dropped when this one came, modulo 2^32; `None` before the
     /// first.
     pub(super) dropped: Option<u32>,
-    /// Where it was sent to: this host, everybody, a multicast group; `None` if it did not say.
+    /// Destination address: this host, broadcast, or a multicast group; `None` if the kernel did
+    /// not give it.
     pub(super) destination: Option<Ipv4Addr>,
 }
 
@@ -66,11 +67,11 @@ impl DatagramBuffer {
     }
 }
 
-/// Receives a batch (recvmmsg(2)): `waits` for the first datagram as long as the socket's own
-/// timeout says, then takes what is there. Gives the number of buffers that were filled.
+/// Receives a batch (recvmmsg(2)): if `waits`, blocks for the first datagram up to the socket's own
+/// timeout, then takes those that are there. Gives the number of buffers that were filled.
 ///
-/// The headers are made again each time, on the stack: the kernel shrinks the length of the control
-/// messages in them.
+/// The headers are made for each call, on the stack, since the kernel changes the length of the
+/// control messages in them.
 pub(super) fn receive(
     socket: BorrowedFd<'_>,
     buffers: &mut [DatagramBuffer],
@@ -190,15 +191,15 @@ fn control(header: &libc::msghdr) -> RecvMeta {
     meta
 }
 
-/// Makes the kernel add to each datagram when it came (SO_TIMESTAMPNS), how many were dropped before
-/// it (SO_RXQ_OVFL) and where it was sent to (IP_PKTINFO); socket(7), ip(7).
+/// Makes the kernel add to each datagram its arrival (SO_TIMESTAMPNS), the number of dropped ones
+/// before it (SO_RXQ_OVFL) and its destination (IP_PKTINFO); socket(7), ip(7).
 pub(super) fn request_meta(socket: BorrowedFd<'_>) -> io::Result<()> {
     set_option(socket, libc::SOL_SOCKET, libc::SO_TIMESTAMPNS, 1)?;
     set_option(socket, libc::SOL_SOCKET, libc::SO_RXQ_OVFL, 1)?;
     set_option(socket, libc::IPPROTO_IP, libc::IP_PKTINFO, 1)
 }
 
-/// Sets the receive buffer beyond net.core.rmem_max (SO_RCVBUFFORCE), which CAP_NET_ADMIN may.
+/// Sets the receive buffer beyond net.core.rmem_max (SO_RCVBUFFORCE), which needs CAP_NET_ADMIN.
 pub(super) fn force_buffer(socket: BorrowedFd<'_>, bytes: usize) -> io::Result<()> {
     set_option(
         socket,

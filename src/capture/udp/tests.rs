@@ -37,8 +37,8 @@ fn drain(source: &mut UdpSource) -> Vec<(i64, Vec<u8>)> {
     }
 }
 
-/// The kernel begins to stamp a moment after a first socket asks for it; what came before is
-/// stamped when it is fetched.
+/// The kernel begins to stamp a moment after a first socket requests it; earlier datagrams are
+/// stamped when they are fetched.
 fn until_stamped(source: &mut UdpSource, sender: &UdpSocket) -> u64 {
     for sent in 1..=100 {
         sender.send_to(b"x", source.local_addr()).unwrap();
@@ -96,7 +96,7 @@ fn the_two_ends_of_a_datagram_are_told() {
         .map(|one| (one.source, one.destination_port))
         .collect();
     assert_eq!(ends, [(sender.local_addr().unwrap(), port)]);
-    // Who listens to all addresses is told which of them it was.
+    // A source on all addresses reports which of them a datagram was sent to.
     let mut all = UdpSource::bind(&UdpConfig::port(0)).unwrap();
     let to = [[127, 0, 0, 1], [127, 0, 0, 77]]
         .map(|ip| SocketAddrV4::new(ip.into(), all.local_addr().port()));
@@ -165,7 +165,7 @@ fn each_datagram_says_how_many_were_dropped_before_it() {
             if taken == before {
                 break;
             }
-            // Finds room behind those that wait, after those that were dropped.
+            // This one fits behind those that wait, after those that were dropped.
             if taken < 70 {
                 sender
                     .send_to(&sent.to_le_bytes(), source.local_addr())
@@ -245,7 +245,7 @@ fn a_silent_port_lets_the_caller_tick() {
     let begun = std::time::Instant::now();
     assert_eq!(source.receive(SOON).unwrap().count(), 0);
     assert!(begun.elapsed() >= SOON / 2);
-    // Nothing is waited for, as often as it is asked.
+    // Never blocks, however often it is called.
     let begun = std::time::Instant::now();
     assert!((0..1000).all(|_| source.receive(Duration::ZERO).unwrap().count() == 0));
     assert!(begun.elapsed() < Duration::from_millis(500));

@@ -1,6 +1,6 @@
 use super::*;
 
-/// A sensor that sends 750 packets a second, looked at twice a second.
+/// A sensor that sends 750 packets a second, observed twice a second.
 struct Watched {
     losses: Losses,
     now: Duration,
@@ -16,7 +16,7 @@ impl Watched {
         }
     }
 
-    /// Seconds in each half of which this happens; gives what is told.
+    /// Runs for these seconds, with this change each half second; gives the reported changes.
     fn run(&mut self, seconds: u32, happens: fn(&mut Tally)) -> Vec<Turn> {
         let mut told = Vec::new();
         for _ in 0..2 * seconds {
@@ -75,9 +75,9 @@ fn losses_are_told_when_they_begin_and_when_they_are_over() {
 #[test]
 fn many_losses_are_a_level_of_their_own_and_fall_back_by_half_of_each_limit() {
     let mut roof = Watched::new();
-    // From the first moment that is judged on: no step between.
+    // From the first observation: no level in between.
     assert_eq!(roof.run(10, loses_half), [Turn::Begun(Level::Fault)]);
-    // A tenth is just above half of the second limit: still that level.
+    // A tenth is just above half of the second limit, so that the level stays.
     assert_eq!(
         (roof.run(20, loses_a_tenth), roof.losses.level()),
         (vec![], Some(Level::Fault))
@@ -112,7 +112,7 @@ fn a_share_that_wavers_about_a_limit_is_told_once() {
 #[test]
 fn what_comes_first_and_what_came_before_a_reload_is_no_loss() {
     let mut roof = Watched::new();
-    // A second in which the model is told and nothing is in order.
+    // A second in which the model is detected and packets are out of order.
     assert_eq!(
         roof.run(1, |tally| (tally.data, tally.lost) =
             (tally.data + 100, tally.lost + 300)),
@@ -153,7 +153,7 @@ fn some_packets_alone_are_no_share() {
     );
 }
 
-/// What is counted in five seconds, and the words of its cause and cure.
+/// Counts of five seconds, and words of their cause and cure.
 #[test]
 fn the_cause_follows_from_what_was_counted() {
     let data = 3000;
@@ -207,7 +207,7 @@ fn the_cause_follows_from_what_was_counted() {
             Cause::Flood,
             "where 40000 of no configured sensor came too: find their sender with `tcpdump -ni any udp port 2368`",
         ),
-        // Strangers that cost nothing are not to blame.
+        // Other senders that cause no drops are not blamed.
         (
             Tally {
                 data,
@@ -295,7 +295,7 @@ fn the_cause_follows_from_what_was_counted() {
 
 #[test]
 fn a_share_counts_each_packet_once() {
-    // Of 1000 that were sent, 200 are in no sweep: 150 did not come, 50 came late and were missed
+    // Of 1000 packets, 200 are in no sweep: 150 did not come, 50 came late and were counted as lost
     // before.
     let counted = Tally {
         data: 850,
@@ -309,7 +309,7 @@ fn a_share_counts_each_packet_once() {
     }
     .share();
     assert!((share - 0.2).abs() < 1e-12, "{share}");
-    // 40 that came damaged are missed by the sensor's clock too: no cable is to blame.
+    // The 40 damaged packets are also missing by the sensor's clock, so that no cable is blamed.
     let recent = Recent {
         span: WINDOW,
         counted: Tally {

@@ -1,5 +1,5 @@
-//! What lies behind the socket, with clocks of the test's own: that which stamps packets is set,
-//! the other never.
+//! Tests a port without its socket, with simulated clocks: the one that stamps packets is set, the
+//! other never.
 
 use std::sync::mpsc::{self, Sender};
 
@@ -25,7 +25,7 @@ const HOUR_NS: i64 = 3_600 * SECOND_NS;
 const TURNS: f64 = 9.0;
 const SET_NS: i64 = 430_000_000;
 
-/// What a sweep says of itself that no clock of the host may change.
+/// The fields of a sweep that no clock of the host may change.
 #[derive(Clone, Debug, PartialEq)]
 struct Sweep {
     sensor: usize,
@@ -87,7 +87,7 @@ impl Outgoing for Open {
     }
 }
 
-/// A sensor that was configured so, with its counters and its position packets from other ports.
+/// A sensor of this configuration, with its counters and its queue of position packets.
 fn served(
     index: usize,
     config: &SensorConfig,
@@ -141,7 +141,7 @@ fn state(sweeps: &Sender<Sweep>) -> PortState<Shared> {
     }
 }
 
-/// What both sensors send, in the order in which it arrives.
+/// The packets of both sensors, in the order of arrival.
 fn sent() -> Vec<(usize, SimulatedDatagram)> {
     let scene = fixtures::scene();
     let of = |index: usize| {
@@ -158,7 +158,7 @@ fn sent() -> Vec<(usize, SimulatedDatagram)> {
 }
 
 /// The sweeps of both, each with the time that passed until it came out, when the clock that stamps
-/// packets is off by so much after so much time. Each packet is a batch, and a second of silence
+/// packets is off by so much after so much time. Each packet is a batch; a second of silence
 /// follows.
 fn run(sent: &[(usize, SimulatedDatagram)], off_ns: impl Fn(i64) -> i64) -> Vec<(i64, Sweep)> {
     let (told, sweeps) = mpsc::channel();
@@ -190,7 +190,7 @@ fn run(sent: &[(usize, SimulatedDatagram)], off_ns: impl Fn(i64) -> i64) -> Vec<
     came
 }
 
-/// The real process cannot be tested so: its packets are stamped by the clock of the machine.
+/// The real process cannot be tested like this, because the machine's clock stamps its packets.
 #[test]
 fn a_clock_that_is_set_closes_no_sweep_and_holds_none() {
     let sent = sent();
@@ -267,9 +267,9 @@ fn the_time_of_a_silent_sensor_goes_on_from_its_own_newest_packet() {
     newest.stamp(4_000_000_000);
     newest.stamp(5_000_000_000);
     assert_eq!(newest.stamp_of(begun), Some(5_000_000_000));
-    // Whatever CLOCK_REALTIME says by now, half a second passed.
+    // Half a second passed, whatever CLOCK_REALTIME is now.
     assert_eq!(newest.stamp_of(after(500)), Some(5_500_000_000));
-    // The first packet after the clock was set back by an hour tells what it is now.
+    // The first packet after the clock was set back by an hour shows its present value.
     newest.stamp(5_600_000_000 - HOUR_NS);
     assert_eq!(newest.stamp_of(after(600)), Some(5_600_000_000 - HOUR_NS));
     assert_eq!(newest.stamp_of(after(601)), Some(5_601_000_000 - HOUR_NS));
