@@ -1,4 +1,5 @@
-//! `sweepd calib`: calibrations shown, compared, and taken from what an HDL-64E sends.
+//! `sweepd calib`: shows and compares calibrations, and extracts that of an HDL-64E from its
+//! packets.
 
 use std::fmt::Write as _;
 use std::io::{self, Write as _};
@@ -110,7 +111,7 @@ fn show(file: &Path, calibration: &Calibration) -> String {
     text
 }
 
-/// A beam in the table; a dash where it has no such correction.
+/// A line of the table; a dash for a missing correction.
 fn line(beam: &Beam) -> String {
     let elevation = beam.elevation_rad.to_degrees();
     let rotation = beam.rotation_rad.to_degrees();
@@ -196,7 +197,7 @@ fn diff(path_a: &Path, path_b: &Path) -> Result<(), CliError> {
     Err(CliError::Reported)
 }
 
-/// What one HDL-64E of a capture sent.
+/// The status that one HDL-64E of a capture sent.
 struct Unit {
     name: String,
     packets: u64,
@@ -269,7 +270,7 @@ fn read_units(capture: &mut Capture, filter: Option<SensorFilter>) -> Result<Vec
         if units.len() <= index {
             units.resize_with(index + 1, || None);
         }
-        // Asked of the blocks: the last two bytes may look like those of any model.
+        // Decided by the blocks, since the last two bytes may look like those of any model.
         if packet.banks() != Banks::Alternating {
             continue;
         }
@@ -285,7 +286,7 @@ fn read_units(capture: &mut Capture, filter: Option<SensorFilter>) -> Result<Vec
     Ok(units.into_iter().flatten().collect())
 }
 
-/// How much of the calibration came, and what to do.
+/// How much of the calibration was received, and what to do.
 fn incomplete(unit: &Unit) -> String {
     let name = &unit.name;
     let known = unit.status.known();

@@ -1,4 +1,4 @@
-//! `sweepd config`: a configuration checked, and one to begin with.
+//! `sweepd config`: checks a configuration, or prints an example.
 
 use std::fmt::{Display, Write as _};
 use std::io::{self, Write as _};
@@ -41,7 +41,7 @@ Example:
 /// Runs the command.
 ///
 /// # Errors
-/// [`CliError::Config`]: what cannot be read or meant.
+/// [`CliError::Config`]: a file that cannot be read, or an invalid value.
 pub fn run(args: &Args) -> Result<(), CliError> {
     match &args.command {
         Command::Example => print(EXAMPLE),
@@ -255,7 +255,7 @@ fn recording(record: &RecordConfig) -> String {
     text
 }
 
-/// A range of bytes, or one number where both ends look the same.
+/// A range of bytes, or one number if both ends print the same.
 fn mib(least: u64, most: u64) -> String {
     let mib = f64::from(1 << 20);
     let least = format!("{:.1} MiB", least as f64 / mib);

@@ -1,4 +1,4 @@
-//! `sweepd doctor`: what is wrong, and how to mend it.
+//! `sweepd doctor`: prints faults, and how to mend them.
 
 use std::io::{self, Write};
 use std::net::{Ipv4Addr, SocketAddr};
@@ -99,7 +99,7 @@ struct SensorReport {
 /// Examines and reports.
 ///
 /// # Errors
-/// [`CliError`]; [`CliError::Reported`] when something is wrong, after it was printed.
+/// [`CliError`]; [`CliError::Reported`] if there are faults, after they were printed.
 pub fn run(args: &Args) -> Result<(), CliError> {
     let web_port = (!args.no_web).then_some(args.web_port);
     let seen = examine(

@@ -1,4 +1,4 @@
-//! What goes wrong in a subcommand, and how it is shown.
+//! Errors of subcommands, and how they are shown.
 
 use std::fmt::Display;
 use std::io::{self, Write};
@@ -14,7 +14,7 @@ use crate::files::CalibrationFileError;
 use sweepd_client::client::ClientError;
 use sweepd_client::publish::PublishError;
 
-/// Why a command did not do all that was asked.
+/// Why a command did not complete.
 #[derive(Debug, thiserror::Error)]
 pub enum CliError {
     /// The capture cannot be read.
@@ -23,7 +23,7 @@ pub enum CliError {
     /// The calibration cannot be read.
     #[error(transparent)]
     Calibration(#[from] CalibrationFileError),
-    /// The configuration cannot be read or meant.
+    /// The configuration cannot be read or is invalid.
     #[error(transparent)]
     Config(#[from] ConfigError),
     /// An output cannot be written.
@@ -43,7 +43,7 @@ pub enum CliError {
     /// Sweeps cannot be shared.
     #[error(transparent)]
     Publish(#[from] PublishError),
-    /// No sweeps can be had from a daemon.
+    /// Sweeps cannot be received from a daemon.
     #[error(transparent)]
     Client(#[from] ClientError),
     /// The daemon does not record.
@@ -52,10 +52,10 @@ pub enum CliError {
     /// A port cannot be listened on.
     #[error(transparent)]
     Udp(#[from] UdpError),
-    /// The daemon cannot start, or cannot go on.
+    /// The daemon cannot start or continue.
     #[error(transparent)]
     Daemon(#[from] DaemonError),
-    /// The system refuses what it never should: a signal handler, a thread.
+    /// A system call failed that should not: a signal handler, a thread.
     #[error("cannot {what}: {source}")]
     System {
         /// What was tried.
@@ -63,7 +63,7 @@ pub enum CliError {
         /// What the system says.
         source: io::Error,
     },
-    /// Options that contradict each other, or a value that cannot be meant.
+    /// Options that contradict each other, or an invalid value.
     #[error("{0}")]
     Usage(String),
     /// The network refuses.
@@ -77,7 +77,7 @@ pub enum CliError {
     /// Standard output is gone or full.
     #[error("cannot write to standard output: {0}")]
     Stdout(io::Error),
-    /// Something was not done, and a line on standard error has said why.
+    /// The command did not complete, and a line on standard error has said why.
     #[error("not all was done")]
     Reported,
 }
@@ -89,8 +89,8 @@ impl From<RecordError> for CliError {
 }
 
 impl CliError {
-    /// What the program ends with: 78 (EX_CONFIG of sysexits.h) where only another configuration
-    /// would help, so that a supervisor need not try again; else 1.
+    /// Exit code of the program: 78 (EX_CONFIG of sysexits.h) if only another configuration would
+    /// help, so that a supervisor need not retry; else 1.
     pub fn exit_code(&self) -> u8 {
         match self {
             Self::Config(ConfigError::Invalid(_)) => 78,
@@ -99,12 +99,12 @@ impl CliError {
     }
 }
 
-/// Shows an error on standard error, with its cause where the message does not hold it. A reader
-/// that went away (`| head`) is not an error.
+/// Prints an error on standard error, with its cause if the message does not contain it. A closed
+/// pipe (`| head`) is not an error.
 pub fn report(error: &CliError) {
     match error {
         CliError::Reported => {}
-        // Its lines begin with their severity themselves.
+        // Its lines already begin with their severity.
         CliError::Config(ConfigError::Invalid(problems)) => {
             let _ = writeln!(io::stderr(), "{problems}");
         }
@@ -113,7 +113,7 @@ pub fn report(error: &CliError) {
     }
 }
 
-/// A line on standard error. When even that is gone, the message is lost.
+/// Prints a line on standard error. If that is closed, the message is lost.
 pub(super) fn complain(severity: &str, message: impl Display) {
     let _ = writeln!(io::stderr(), "{severity}: {message}");
 }

@@ -1,5 +1,4 @@
-//! `sweepd inspect`: what is in a capture, from headers, stamps and azimuths, without decoding a
-//! single return.
+//! `sweepd inspect`: describes a capture by headers, stamps and azimuths, without decoding returns.
 
 mod flows;
 mod positions;
@@ -79,7 +78,7 @@ pub fn run(args: &Args) -> Result<(), CliError> {
     read.map_err(CliError::Capture)
 }
 
-/// All that was seen, sensor by sensor.
+/// The description of a capture, sensor by sensor.
 fn describe(
     capture: &Capture,
     sensors: &DiscoveredSensors,
@@ -118,7 +117,7 @@ fn describe(
     text
 }
 
-/// Other traffic: all of it where no sensor is, since that was hoped for; else the largest part.
+/// Other traffic: all of it if there is no sensor, which the user expected; else the largest part.
 fn describe_others(capture: &Capture, sensors: &DiscoveredSensors, flows: &Flows) -> String {
     let mut lines = flows.lines();
     let counts = capture.counts();
@@ -177,7 +176,7 @@ struct DataStream {
     malformed: u64,
     first_ns: i64,
     last_ns: i64,
-    /// That of an HDL-64E, in the bytes where others have return mode and product.
+    /// The status of an HDL-64E, in the bytes where others have return mode and product.
     status: Option<Status>,
     modes: Vec<ReturnMode>,
     blank_mode: bool,
@@ -190,7 +189,7 @@ struct DataStream {
     motion: MotionStats,
 }
 
-/// What the order of the packets shows.
+/// Statistics from the order of the packets.
 #[derive(Default)]
 struct MotionStats {
     lost: u64,
@@ -205,7 +204,7 @@ struct MotionStats {
     turns_rpm: Vec<f64>,
 }
 
-/// A turn under way: single packets carry the encoder's noise.
+/// An open turn, for mean speeds: single packets carry encoder noise.
 #[derive(Default)]
 struct Turn {
     turned_cdeg: f64,
@@ -214,7 +213,7 @@ struct Turn {
 }
 
 impl Turn {
-    /// Adds a packet; returns the mean speed when the turn is whole.
+    /// Adds a packet; returns the mean speed when the turn is complete.
     fn add(&mut self, rpm: f64, period_ns: f64) -> Option<f64> {
         self.turned_cdeg += (rpm * TURN / 60e9).abs() * period_ns;
         self.rpm_sum += rpm;
@@ -240,7 +239,7 @@ impl DataStream {
         self.malformed += 1;
     }
 
-    /// Adds a data packet; a position packet is passed over.
+    /// Adds a data packet; ignores a position packet.
     fn add(&mut self, packet: &Packet<'_>) {
         let arrival_ns = packet.arrival_ns;
         let Content::Data(packet) = packet.content else {
@@ -348,7 +347,7 @@ impl DataStream {
             None => return "no well-formed packet tells".to_owned(),
         };
         let series = self.status.as_ref().and_then(Status::series);
-        // With one return the packets of both series are alike; the status is not.
+        // With one return, the packets of both series are the same except for the status.
         if detection.model == Model::Hdl64eS2 && series == Some(Series::S3) {
             let model = Model::Hdl64eS3;
             return format!("{model}, by its two heads, packet period and status");

@@ -1,4 +1,4 @@
-//! Work on items side by side, with the results in the order of the items.
+//! Parallel work on items, with the results in the order of the items.
 //!
 //! ```text
 //!          items 0, 3, 6 ──> job 0 ──┐
@@ -6,8 +6,8 @@
 //!          items 2, 5, 8 ──> job 2 ──┘
 //! ```
 //!
-//! The jobs take turns, so the sink knows which of them has the next result. A job holds at most
-//! three items: one that waits, one that it works on, and one whose result waits for its turn.
+//! Jobs get items in turn, so that the sink knows which of them has the next result. A job holds at
+//! most three items: one that waits, one that it works on, and one whose result waits for its turn.
 
 use std::num::NonZero;
 use std::panic::resume_unwind;
@@ -16,7 +16,7 @@ use std::thread::{self, Scope, ScopedJoinHandle};
 
 use super::CliError;
 
-/// More threads than this help no machine, and may be more than the system gives.
+/// Most jobs: more do not help on any machine, and may exceed limits of the system.
 const MOST_JOBS: u16 = 256;
 
 /// How many threads work.
@@ -39,7 +39,7 @@ impl JobOptions {
 
 /// Jobs under way.
 pub enum Jobs<'scope, T> {
-    /// A single one, on the thread that brings the items.
+    /// A single job, on the calling thread.
     Here(Box<dyn FnMut(T) -> Result<(), CliError> + 'scope>),
     /// Each on a thread of its own.
     SideBySide(Threads<'scope, T>),
@@ -76,7 +76,7 @@ impl<'scope, T: Send + 'scope> Jobs<'scope, T> {
             let (item_sender, job_items) = mpsc::sync_channel(1);
             let (job_results, result_receiver) = mpsc::sync_channel(1);
             spawn(scope, move || {
-                // Ends with the items, or when the sink has failed.
+                // Ends after the last item, or when the sink has failed.
                 for item in job_items {
                     if job_results.send(work(item)).is_err() {
                         break;
@@ -87,7 +87,7 @@ impl<'scope, T: Send + 'scope> Jobs<'scope, T> {
             results.push(result_receiver);
         }
         let sink = spawn(scope, move || {
-            // The job that has no result for its turn is the one after the last item.
+            // The first job without a result in its turn is the one after the last item.
             let mut in_turn = results.iter().cycle().map_while(|job| job.recv().ok());
             in_turn.try_for_each(sink)
         })?;
@@ -105,7 +105,7 @@ impl<T> Jobs<'_, T> {
         matches!(self, Self::SideBySide(_))
     }
 
-    /// Gives an item to the job whose turn it is; waits while that one has enough.
+    /// Gives an item to the next job; blocks while that one has enough.
     ///
     /// # Errors
     /// What the sink failed with, once.
@@ -136,7 +136,7 @@ impl<T> Threads<'_, T> {
         self.turn = (self.turn + 1) % self.items.len();
         match job.send(item) {
             Ok(()) => Ok(()),
-            // It has ended: the sink has failed, or a job panicked, which ends the scope.
+            // The job has ended: the sink has failed, or the job panicked, which ends the scope.
             Err(_) => self.join(),
         }
     }
@@ -194,7 +194,7 @@ mod tests {
                 for item in 0..ITEMS {
                     under_way.fetch_add(1, Ordering::SeqCst);
                     jobs.push(item).unwrap();
-                    // One more is in the hands of the sink.
+                    // The sink holds one more.
                     assert!(under_way.load(Ordering::SeqCst) <= 3 * count + 1);
                 }
                 jobs.finish().unwrap();

@@ -1,7 +1,6 @@
-//! The command line: one file a subcommand, and what they share.
+//! The command line: one file for each subcommand, and shared parts.
 
-// The macros panic when the reader has gone away: write what can fail with `write!`, and errors
-// with `complain`.
+// The print macros panic when the pipe is closed: use `write!`, and `complain` for errors.
 #![deny(clippy::print_stdout, clippy::print_stderr)]
 
 pub mod calib;
@@ -69,8 +68,7 @@ pub enum Command {
     Lab(lab::Command),
 }
 
-/// The command line of this process. One that is wrong ends the process with an error and exit code
-/// 2.
+/// The command line of this process. A wrong one ends the process with an error and exit code 2.
 pub fn parse() -> Cli {
     let words: Vec<OsString> = std::env::args_os().collect();
     Cli::try_parse_from(&words).unwrap_or_else(|mut error| {
@@ -84,7 +82,7 @@ pub fn parse() -> Cli {
     })
 }
 
-/// What was meant by a word that clap does not expect.
+/// A suggestion for a word that clap does not expect.
 fn tip(error: &clap::Error, words: &[OsString]) -> Option<String> {
     let word = match (error.kind(), error.get(ContextKind::InvalidArg)?) {
         (ErrorKind::UnknownArgument, ContextValue::String(word)) => word,

@@ -18,7 +18,7 @@ use sweepd_core::sensor::{Calibration, Model};
 use sweepd_core::sweep::layout::ReturnChoice;
 use sweepd_core::wire::{DATA_PORT, POSITION_PORT};
 
-/// Velodynes whose packets are recognised and refused.
+/// Velodynes whose packets are recognised but refused.
 const NOT_YET: [&str; 4] = ["vlp32", "vls128", "ultrapuck", "alphaprime"];
 
 /// A model, by its flag or its name.
@@ -142,7 +142,7 @@ pub struct SegmentOptions {
     pub mask: Option<PathBuf>,
 }
 
-/// The numbers of [`SETTINGS`] that are given, each by an option.
+/// The values of [`SETTINGS`] that were given as options.
 #[derive(Clone, Debug)]
 struct Numbers(Vec<(&'static Setting, f64)>);
 
@@ -219,10 +219,10 @@ impl SensorOptions {
     }
 }
 
-/// The pipeline that these options ask for.
+/// The pipeline of these options.
 ///
 /// # Errors
-/// [`CliError`]: a file that cannot be read, a value that cannot be meant.
+/// [`CliError`]: a file that cannot be read, an invalid value.
 pub fn pipeline_config(
     sensor: &SensorOptions,
     segment: &SegmentOptions,
@@ -242,7 +242,7 @@ impl SegmentOptions {
     /// The segmenter's configuration.
     ///
     /// # Errors
-    /// [`CliError`]: a mask that cannot be read, a value that cannot be meant.
+    /// [`CliError`]: a mask that cannot be read, an invalid value.
     pub fn config(&self) -> Result<segment::Config, CliError> {
         let mask = self.mask.as_deref().map(files::mask).transpose();
         let mask = mask.map_err(|error| CliError::Usage(error.to_string()))?;

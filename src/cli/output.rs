@@ -1,5 +1,5 @@
-//! Where the sweeps of a replay go: a line of JSON, a table, a cloud, a picture; and what becomes
-//! of files that exist.
+//! Outputs of a replay: lines of JSON, tables, clouds, pictures; and the handling of existing
+//! files.
 
 use std::io::{self, BufWriter, Stdout, Write};
 use std::path::{Path, PathBuf};
@@ -45,7 +45,7 @@ pub struct OutputOptions {
 }
 
 impl OutputOptions {
-    /// Whether standard output is for lines of JSON, and tables for people have no place there.
+    /// Whether standard output is for lines of JSON, without tables for people.
     pub fn is_json(&self) -> bool {
         self.json || self.segments.as_deref() == Some(Path::new("-"))
     }
@@ -60,7 +60,7 @@ pub struct ForceOptions {
 }
 
 impl ForceOptions {
-    /// The same, as the writers of files take it.
+    /// The same, for the writers of files.
     pub fn existing(self) -> Existing {
         if self.force {
             Existing::Replace
@@ -104,7 +104,8 @@ pub struct LatencyUs {
 }
 
 impl LatencyUs {
-    /// Older than this is the replay of a capture, whose age says nothing, microseconds.
+    /// A sweep that is older than this is from the replay of a capture, so that its age is
+    /// meaningless, microseconds.
     const LIVE_US: f64 = 10e6;
 
     /// Since the packet that completed it, unless that is the age of a capture.
@@ -178,7 +179,7 @@ pub struct Encoder {
 pub struct EncodedFiles(Vec<io::Result<Vec<u8>>>);
 
 impl Encoder {
-    /// The files of a sweep that are wanted.
+    /// The requested files of a sweep.
     pub fn encode(&self, id: SweepId, sweep: SweepRef<'_>) -> EncodedFiles {
         let title = Title {
             model: id.model.spec().name,
@@ -233,8 +234,8 @@ impl Outputs {
         Ok(outputs)
     }
 
-    /// Removes the files of a former run, where --force is given; before the first sweep, when all
-    /// else is well.
+    /// With --force, removes the files of a former run; before the first sweep, after all other
+    /// checks.
     ///
     /// # Errors
     /// [`CliError::Write`].
@@ -253,7 +254,7 @@ impl Outputs {
         }
     }
 
-    /// Writes a sweep and its files. One that was received says how old it was.
+    /// Writes a sweep and its files, with its age if it was received.
     ///
     /// # Errors
     /// [`CliError`].
@@ -294,7 +295,7 @@ impl Outputs {
         })
     }
 
-    /// Prints a line of JSON, if JSON was asked for.
+    /// Prints a line of JSON, with --json.
     ///
     /// # Errors
     /// [`CliError::Stdout`].
@@ -310,7 +311,7 @@ impl Outputs {
             .map_err(CliError::Stdout)
     }
 
-    /// Gives the table of segments its name. What was not finished is removed.
+    /// Completes the table of segments and renames it. Unfinished files are removed.
     ///
     /// # Errors
     /// [`CliError`].
@@ -341,7 +342,7 @@ impl Outputs {
     }
 }
 
-/// Rounds to a fraction that a person may want to read.
+/// Rounds to a readable fraction.
 pub fn rounded(value: f64, per_unit: f64) -> f64 {
     (value * per_unit).round() / per_unit
 }

@@ -1,4 +1,4 @@
-//! Which part of a capture is played, how fast and how often.
+//! The part of a capture to play, its speed and repetitions.
 
 use std::net::SocketAddr;
 use std::path::Path;
@@ -8,7 +8,7 @@ use super::CliError;
 use super::options::within;
 use crate::capture::Speed;
 
-/// Longest capture that can be asked for, seconds: 31 years.
+/// Greatest time of a capture in options, seconds: 31 years.
 const LONGEST_S: f64 = 1e9;
 
 /// What is played, and how fast.
@@ -93,7 +93,7 @@ pub(super) fn destination(text: &str) -> Result<SocketAddr, String> {
     }
 }
 
-/// When a datagram comes, relative to the part of the capture that is played.
+/// Position of a datagram relative to the part of the capture to play.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub enum When {
     /// Before the part.
@@ -105,7 +105,7 @@ pub enum When {
 }
 
 impl PlayOptions {
-    /// Looks for options that contradict each other.
+    /// Refuses options that contradict each other.
     ///
     /// # Errors
     /// [`CliError::Usage`].
@@ -125,7 +125,7 @@ impl PlayOptions {
         Err(CliError::Usage(message.to_owned()))
     }
 
-    /// Where datagrams are sent, if they are.
+    /// Destination of datagrams, if they are sent.
     pub fn destination(&self) -> Option<SocketAddr> {
         self.to.iter().rev().find_map(|to| match to {
             To::Address(address) => Some(*address),
@@ -142,7 +142,7 @@ impl PlayOptions {
         self.end.or(older)
     }
 
-    /// How fast: by default as it was recorded, if others receive it.
+    /// The speed: by default the original, if others receive the replay.
     pub fn speed(&self, is_published: bool) -> Speed {
         match self.speed {
             Some(speed) => speed,
@@ -151,7 +151,7 @@ impl PlayOptions {
         }
     }
 
-    /// Whether the capture is to be played again after this many times.
+    /// Whether to play the capture again after this many times.
     pub fn again(&self, played: u64) -> bool {
         match self.times {
             None => false,
@@ -160,7 +160,7 @@ impl PlayOptions {
         }
     }
 
-    /// When a moment of the capture is, nanoseconds from its start.
+    /// Position of a time of the capture, nanoseconds from its start.
     pub fn when(&self, since_start_ns: i64) -> When {
         let seconds = since_start_ns as f64 * 1e-9;
         if self.start.is_some_and(|start| seconds < start) {
@@ -172,7 +172,7 @@ impl PlayOptions {
         }
     }
 
-    /// The part that is played, for a sentence: ` from 10 s to 20 s`, or nothing if it is all.
+    /// The part to play, for a message: ` from 10 s to 20 s`, or empty for the whole capture.
     pub fn part(&self) -> String {
         let mut part = String::new();
         if let Some(start) = self.start {

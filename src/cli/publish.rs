@@ -27,7 +27,7 @@ impl RootOptions {
     }
 }
 
-/// Sweeps that are shared as the daemon shares them.
+/// Options to publish sweeps as the daemon does.
 #[derive(Clone, Debug, clap::Args)]
 #[command(next_help_heading = "Sharing")]
 pub struct PublishOptions {
@@ -53,7 +53,7 @@ impl PublishOptions {
         self.publish.get(sensor).map(String::as_str)
     }
 
-    /// Looks for a name that is given twice.
+    /// Refuses a name that is given twice.
     ///
     /// # Errors
     /// [`CliError::Usage`].
@@ -68,8 +68,8 @@ impl PublishOptions {
         Ok(())
     }
 
-    /// A note about a new sensor: the name under which it is shared, or that it is not shared, for
-    /// the first such sensor alone.
+    /// A note about a new sensor: the name under which it is published, or, only for the first such
+    /// sensor, that it is not.
     pub fn note(&self, sensor: usize, address: &str) -> Option<String> {
         match self.name(sensor) {
             Some(name) => Some(format!("{address} is shared as {name}")),
@@ -80,7 +80,7 @@ impl PublishOptions {
         }
     }
 
-    /// The names for which no sensor came, if this many came.
+    /// The unused names after this many sensors.
     pub fn left_over(&self, sensors: usize) -> &[String] {
         self.publish.get(sensors..).unwrap_or_default()
     }
@@ -111,7 +111,7 @@ fn sensor_name(text: &str) -> Result<String, String> {
     }
 }
 
-/// Writes into a sweep where and when it was completed, and hands it to all consumers.
+/// Completes the header of a sweep and publishes it to all consumers.
 ///
 /// # Errors
 /// [`PublishError`].

@@ -1,7 +1,7 @@
-//! `sweepd record`: live sensors to a capture, from UDP, or by the daemon that has them.
+//! `sweepd record`: records live sensors to a capture, from UDP or through a running daemon.
 //!
-//! A thread a port receives and does nothing that could wait; a [`Recorder`] writes. With `--from`
-//! the daemon does both. Signals come by signal-hook, which sets a flag without a runtime, a thread
+//! One thread for each port receives and never blocks on the disk; a [`Recorder`] writes. With
+//! `--from` the daemon does both. signal-hook sets a flag on signals, without a runtime, a thread
 //! or `unsafe` of ours.
 
 mod input;
@@ -31,7 +31,7 @@ use crate::capture::{Recorder, UdpConfig, UdpError, UdpSource};
 use crate::daemon::record::protocol::Progress;
 use crate::text::grouped;
 
-/// How soon everybody hears of the end.
+/// Interval at which threads check for the end.
 const TICK: Duration = Duration::from_millis(50);
 
 /// Options of `sweepd record`.
@@ -93,10 +93,10 @@ pub struct Args {
 /// Runs the command.
 ///
 /// # Errors
-/// [`CliError`]: a port that cannot be listened on, a daemon that cannot be had, a file that cannot
-/// be written.
+/// [`CliError`]: a port that cannot be listened on, a daemon that cannot be reached, a file that
+/// cannot be written.
 pub fn run(args: &Args) -> Result<(), CliError> {
-    // Before anything is opened, so that no signal leaves it half done.
+    // Before anything is opened, so that no signal interrupts that.
     let over = end_flag().map_err(|source| CliError::System {
         what: "handle signals",
         source,
@@ -108,7 +108,7 @@ pub fn run(args: &Args) -> Result<(), CliError> {
     report
         .print(&mut BufWriter::new(io::stdout().lock()))
         .map_err(CliError::Stdout)?;
-    // What an error explains needs no warning.
+    // After an error, warnings would repeat it.
     if ended.is_ok() {
         for warning in report.warnings() {
             complain("warning", &warning);
@@ -177,7 +177,7 @@ impl Args {
         }
     }
 
-    /// Opens all ports, and says which have too small a buffer.
+    /// Opens all ports, and warns of those with too small a buffer.
     fn listen(&self) -> Result<Vec<UdpSource>, CliError> {
         let Listening {
             mut ports,
@@ -219,7 +219,7 @@ impl Args {
     }
 }
 
-/// A port that the daemon has is no reason to stop it.
+/// For a port that the daemon has, the cure is `--from`, not to stop the daemon.
 fn in_place_of_daemon(error: UdpError) -> CliError {
     match &error {
         UdpError::PortTaken {
@@ -236,13 +236,13 @@ fn in_place_of_daemon(error: UdpError) -> CliError {
 struct Recording {
     recorder: Recorder,
     over: Arc<AtomicBool>,
-    /// Datagrams of all ports that came, and that the kernel dropped before.
+    /// Datagrams received on all ports, and those that the kernel dropped.
     received: AtomicU64,
     dropped: AtomicU64,
 }
 
 impl Recording {
-    /// Records until the end. What was recorded is reported whatever ended it.
+    /// Records until the end. Reports what was recorded, also after an error.
     fn run(self, args: &Args, inputs: Vec<Input>) -> (Report, Result<(), CliError>) {
         let begun = Instant::now();
         let ended: Vec<(InputReport, Result<(), CliError>)> = thread::scope(|scope| {
@@ -271,8 +271,8 @@ impl Recording {
         (report, result)
     }
 
-    /// Waits for the end, with a live line where standard error is a terminal. A disk that fails is
-    /// an end as well.
+    /// Waits for the end, with a status line if standard error is a terminal. A failing disk also
+    /// ends it.
     fn watch(&self, args: &Args, begun: Instant) {
         let line = live_line();
         while !self.is_over() && !args.is_due(begun) && self.recorder.error().is_none() {
@@ -319,7 +319,7 @@ fn live_line() -> ProgressBar {
     ProgressBar::new_spinner().with_style(style)
 }
 
-/// What a thread came to; its panic goes on here.
+/// The result of a thread; propagates its panic.
 fn resume<T>(joined: thread::Result<T>) -> T {
     joined.unwrap_or_else(|panic| std::panic::resume_unwind(panic))
 }

@@ -14,7 +14,7 @@ use crate::daemon::config::{Config, ConfigError, Effect};
 use crate::daemon::control::{self, Reload, Reread};
 use sweepd_client::publish::{Domain, Keeper};
 
-/// Variable that says what is logged, in the directives of tracing-subscriber.
+/// Variable with the log filter, in the directives of tracing-subscriber.
 const LOG: &str = "SWEEPD_LOG";
 
 /// Options of `sweepd run`.
@@ -51,8 +51,8 @@ pub struct Args {
 /// Runs the command.
 ///
 /// # Errors
-/// [`CliError`]: a configuration that cannot be meant, and whatever keeps the daemon from starting
-/// or going on.
+/// [`CliError`]: an invalid configuration, or an error that keeps the daemon from starting or
+/// continuing.
 pub fn run(args: &Args) -> Result<(), CliError> {
     let config = args.read()?;
     log(args.log)?;
@@ -77,7 +77,7 @@ pub fn run(args: &Args) -> Result<(), CliError> {
         );
     }
     let domain = Domain::at_or_default(config.daemon.root.as_deref());
-    // Its folder is made here, since the control socket is there too.
+    // The folder is made here, since it also holds the control socket.
     domain
         .prepare()
         .map_err(|error| CliError::Usage(error.to_string()))?;
@@ -102,7 +102,7 @@ impl Args {
         Ok(config)
     }
 
-    /// The file that would say the same as `--sensor`: so the same checks hold.
+    /// The configuration file that is equivalent to `--sensor`, so that the same checks apply.
     fn sensors_as_text(&self) -> String {
         let mut text = String::new();
         for (index, sensor) in self.sensors.iter().enumerate() {
@@ -127,7 +127,7 @@ impl Args {
     }
 }
 
-/// Log lines to standard error, for a person or the journal, which knows the time itself.
+/// Log lines to standard error, for a terminal or the journal, which adds the time itself.
 fn log(level: Option<tracing::Level>) -> Result<(), CliError> {
     let filter = match (level, std::env::var(LOG)) {
         (Some(level), _) => EnvFilter::new(level.as_str()),
@@ -135,8 +135,8 @@ fn log(level: Option<tracing::Level>) -> Result<(), CliError> {
             .map_err(|error| CliError::Usage(format!("{LOG}: {error}")))?,
         (None, Err(_)) => EnvFilter::new("info"),
     };
-    // Without a reader of the log, the sensors go on: complaining of that on standard error
-    // would panic.
+    // Without a reader of the log the daemon continues: an internal error on standard error would
+    // panic.
     let lines = tracing_subscriber::fmt()
         .with_env_filter(filter)
         .with_writer(std::io::stderr)

@@ -1,4 +1,4 @@
-//! The datagrams of a capture on the network again.
+//! Sends the datagrams of a capture.
 
 use std::io;
 use std::net::{IpAddr, Ipv4Addr, Ipv6Addr, SocketAddr, UdpSocket};
@@ -7,8 +7,7 @@ use super::CliError;
 use crate::admission::{MAX_SENSORS, Refused, Route};
 use sweepd_core::wire::{Datagram, Packet};
 
-/// Sends to one address, each sensor from a port of its own, so that a receiver can tell them
-/// apart.
+/// Sends to one address, each sensor from its own port, so that a receiver can distinguish them.
 ///
 /// A position packet belongs to an address, not to a sensor: it is sent once, by the first sensor
 /// at its address.
@@ -79,7 +78,7 @@ impl Sender {
     pub fn position(&mut self, ip: IpAddr, payload: &[u8]) -> Result<(), CliError> {
         let index = match self.ports.iter().position(|port| port.ip == ip) {
             Some(index) => index,
-            // More addresses than there can be sensors are an attack on the number of sockets.
+            // More addresses than possible sensors are an attack on the number of sockets.
             None if self.ports.len() >= MAX_SENSORS => return Ok(()),
             None => self.open(ip)?,
         };
@@ -92,7 +91,7 @@ impl Sender {
             SocketAddr::V6(_) => (Ipv6Addr::UNSPECIFIED, 0).into(),
         };
         let socket = UdpSocket::bind(any).and_then(|socket| {
-            // As the sensors do; without it, 255.255.255.255 is refused.
+            // Sensors broadcast; without this option, 255.255.255.255 is refused.
             socket.set_broadcast(true)?;
             Ok(socket)
         });
@@ -105,8 +104,7 @@ impl Sender {
         Ok(self.ports.len() - 1)
     }
 
-    /// Not connected: a connected socket fails, and sends nothing, after a datagram that found
-    /// no receiver.
+    /// Not connected: a connected socket fails after a datagram without a receiver.
     fn send(&self, index: usize, payload: &[u8]) -> Result<(), CliError> {
         let sent = self.ports[index].socket.send_to(payload, self.to);
         sent.map(drop).map_err(|source| self.failed(source))

@@ -1,4 +1,4 @@
-//! The end, as people and service managers ask for it.
+//! Signals that end a command.
 
 use std::io;
 use std::sync::Arc;
@@ -7,8 +7,8 @@ use std::sync::atomic::AtomicBool;
 use signal_hook::consts::{SIGHUP, SIGINT, SIGTERM};
 use signal_hook::flag;
 
-/// A flag that is set when the command shall end; a second signal ends the program at once, should
-/// something hang.
+/// A flag that is set when the command must end; a second signal ends the program at once, in case
+/// it hangs.
 ///
 /// # Errors
 /// What the system says.

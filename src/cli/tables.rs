@@ -1,4 +1,4 @@
-//! `--segments`: the tables of segments of all sweeps, in one file.
+//! `--segments`: the segments of all sweeps, in one file.
 
 use std::fs::File;
 use std::io::{self, BufWriter, Stdout, Write};
@@ -23,10 +23,10 @@ enum Out {
 }
 
 impl SegmentTables {
-    /// Begins the file that `--segments` names. `is_json`: standard output is taken by `--json`.
+    /// Begins the file of `--segments`. `is_json`: standard output is used by `--json`.
     ///
     /// # Errors
-    /// [`CliError`]: a name that says no format, a file that exists or cannot be written.
+    /// [`CliError`]: a name without a known format, a file that exists or cannot be written.
     pub fn create(
         path: &Path,
         is_json: bool,
@@ -61,7 +61,7 @@ impl SegmentTables {
         Ok(tables)
     }
 
-    /// Writes the segments of a sweep; a reader of a pipe has them at once.
+    /// Writes the segments of a sweep, and flushes them for the reader of a pipe.
     ///
     /// # Errors
     /// [`CliError`]: what the disk or the reader says.

@@ -22,7 +22,7 @@ use sweepd_client::host::{monotonic_ns, realtime_ns};
 use sweepd_core::sensor::Model;
 use sweepd_core::sweep::Header;
 
-/// Longest wait between two looks for a signal.
+/// Interval of the check for a signal.
 const LOOK_EVERY: Duration = Duration::from_millis(100);
 
 /// Options of `sweepd watch`.
@@ -68,7 +68,7 @@ pub struct Args {
 /// Runs the command.
 ///
 /// # Errors
-/// [`CliError`]: no such sensor, another user's, or what cannot be written.
+/// [`CliError`]: there is no such sensor, it is another user's, or an output cannot be written.
 pub fn run(args: &Args) -> Result<(), CliError> {
     let over = end_flag().map_err(|source| CliError::System {
         what: "handle signals",
@@ -112,7 +112,7 @@ struct Watch<'a> {
     table: Option<Table>,
     latencies: Latencies,
     losses: Losses,
-    /// What the sweeps' headers counted so far.
+    /// Sums of the counts in the sweeps' headers.
     tally: Tally,
     /// The run of the newest sweep, and when it came.
     newest: Option<(i64, Duration)>,
@@ -120,8 +120,8 @@ struct Watch<'a> {
 }
 
 impl Watch<'_> {
-    /// Follows the sensor to the end. What was received is shown, and the segments have their file,
-    /// whatever ended it.
+    /// Follows the sensor to the end. Also after an error it prints what was received and completes
+    /// the file of segments.
     fn run(mut self, over: &AtomicBool) -> Result<(), CliError> {
         let ended = self.follow(over);
         if let Some(table) = &mut self.table {
@@ -271,8 +271,8 @@ impl Args {
         self.timeout.is_some_and(|timeout| seconds >= timeout)
     }
 
-    /// The sensor to watch: the one that was named, or the only one. Of several, the names are
-    /// shown, and it is an error.
+    /// The sensor to watch: the named one, or the only one. If there are several, prints their
+    /// names, and fails.
     fn find(&self, domain: &Domain, over: &Arc<AtomicBool>) -> Result<Option<String>, CliError> {
         if let Some(name) = &self.name {
             return Ok(Some(name.clone()));

@@ -1,14 +1,14 @@
-//! Health and metrics over HTTP, for people and for what watches the robot.
+//! Health and metrics over HTTP, for people and for monitoring.
 //!
 //! ```text
 //! GET /health    200 or 503 and JSON: how every sensor is, with the reasons; what came through every port
 //! GET /metrics   Prometheus (OpenMetrics text)
 //! ```
 //!
-//! Few connections at a time, each for one request and not for long: no client can hold the daemon
-//! up here. Unless `http_public` is set, requests to a name other than `localhost` are refused: a
-//! web page whose own name was made to lead here (DNS rebinding) could else read the answers in a
-//! browser of this host.
+//! The number of connections is limited, each is for one request and has a time limit, so that no
+//! client can delay the daemon. Unless `http_public` is set, requests to a host name other than
+//! `localhost` are refused: otherwise a web page whose name resolves to this host (DNS rebinding)
+//! could read the answers in a browser here.
 
 use std::convert::Infallible;
 use std::net::IpAddr;
@@ -30,18 +30,18 @@ use tokio::time::timeout;
 use super::health::View;
 use super::metrics;
 
-/// Connections that are served at a time; more are closed at once.
+/// Most simultaneous connections; more are closed at once.
 const CONNECTIONS: usize = 16;
-/// How long a connection may take in all.
+/// Time limit of a connection.
 const PATIENCE: Duration = Duration::from_secs(5);
-/// Bytes of a request at most; the least that hyper takes.
+/// Most bytes of a request; the least limit that hyper accepts.
 const REQUEST_BYTES: usize = 8192;
 
 /// Where health and metrics are served.
 pub struct Http {
     /// The socket.
     pub listener: TcpListener,
-    /// Whether requests to any name are answered, and not to an IP address and `localhost` alone.
+    /// Whether requests to any host name are answered, not only to IP addresses and `localhost`.
     pub is_public: bool,
 }
 
@@ -54,7 +54,7 @@ pub async fn serve(http: &Http, view: Arc<Mutex<View>>) -> Infallible {
     let places = Arc::new(Semaphore::new(CONNECTIONS));
     loop {
         let Ok((stream, _)) = listener.accept().await else {
-            // Out of file descriptors, most likely: they come back.
+            // Most likely there are no free file descriptors: retry later.
             tokio::time::sleep(Duration::from_millis(100)).await;
             continue;
         };
@@ -79,7 +79,7 @@ async fn converse(stream: TcpStream, view: Arc<Mutex<View>>, is_public: bool) {
         .header_read_timeout(PATIENCE)
         .max_buf_size(REQUEST_BYTES)
         .keep_alive(false);
-    // The client that broke off knows it.
+    // An error means that the client closed the connection.
     let _ = http.serve_connection(TokioIo::new(stream), service).await;
 }
 
@@ -123,8 +123,8 @@ fn answer(
     }
 }
 
-/// Whether each name in a request is `localhost` or an IP address, which no name server can make
-/// lead elsewhere. A browser always sends one; programs of old do not.
+/// Whether each host name in a request is `localhost` or an IP address, which DNS cannot redirect.
+/// Browsers always send one; very old programs may not.
 fn is_for_this_host<B>(request: &Request<B>) -> bool {
     let mut hosts = request.headers().get_all(HOST).iter();
     request.uri().authority().is_none_or(is_own)

@@ -1,4 +1,4 @@
-//! What a daemon that holds the ports says of itself.
+//! Asks a running daemon for its health.
 
 use std::net::SocketAddr;
 use std::time::Duration;
@@ -12,7 +12,7 @@ const PATIENCE: Duration = Duration::from_secs(2);
 /// The daemon's `/health`, whether all is well there or not.
 ///
 /// # Errors
-/// In a few words: why there is no answer.
+/// In a few words, why there is no answer.
 pub fn ask(at: SocketAddr) -> Result<Value, String> {
     runtime()
         .map_err(|error| error.to_string())?

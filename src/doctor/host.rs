@@ -1,4 +1,4 @@
-//! What is to be known of this host.
+//! Examines this host.
 
 use std::fs;
 use std::path::Path;
@@ -7,8 +7,8 @@ use super::observe::{Host, Interface, RootTrouble};
 use super::sys;
 use sweepd_client::publish::{self, Domain};
 
-/// Looks at this host; `root` is the folder of iceoryx2's files, if it is not the default. What
-/// cannot be found out is left out.
+/// Examines this host; `root` is the folder of iceoryx2's files, if not the default. Leaves out
+/// what cannot be determined.
 pub fn look(root: Option<&Path>) -> Host {
     Host {
         interfaces: interfaces(),
@@ -59,7 +59,7 @@ fn root_trouble(domain: &Domain) -> Option<RootTrouble> {
         Ok(exists) => exists,
         Err(error) => return Some(RootTrouble::Unusable(error.to_string())),
     };
-    // Where it is not there yet, it is made in the nearest folder that is.
+    // If it does not exist yet, the nearest existing parent counts.
     let folder = domain
         .root()
         .ancestors()

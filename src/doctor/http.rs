@@ -1,4 +1,4 @@
-//! One GET, of a page that is not large, in not much time.
+//! One GET request with limits of size and time.
 
 use std::net::SocketAddr;
 use std::time::Duration;
@@ -14,7 +14,7 @@ use tokio::net::TcpStream;
 /// Bytes of an answer at most.
 const LIMIT: usize = 1 << 20;
 
-/// The JSON at a path, whatever the status. The error says in a few words why there is none.
+/// The JSON at a path, with any status. The error says in a few words why there is none.
 pub(super) async fn get_json(
     to: SocketAddr,
     path: &str,

@@ -1,5 +1,4 @@
-//! What comes to the ports, listened to for a few seconds, through the same admission and pipelines
-//! as the daemon's.
+//! Listens to the ports for a few seconds, with the same admission and pipelines as the daemon.
 
 use std::net::{IpAddr, SocketAddr};
 use std::time::{Duration, Instant};
@@ -43,7 +42,7 @@ impl Received {
 struct Listener {
     source: UdpSource,
     admission: DiscoveredSensors,
-    /// Senders of datagrams that are no packets.
+    /// Senders of datagrams that are not packets.
     others: Vec<(SocketAddr, u64)>,
     /// By number of the sender.
     sensors: Vec<DecodedSensor>,
@@ -61,7 +60,7 @@ struct DecodedSensor {
 /// before anything is received.
 ///
 /// # Errors
-/// [`UdpError`], when a port fails that could be opened.
+/// [`UdpError`], when an open port fails.
 pub fn listen(
     plan: &Plan,
     lasting: Duration,
@@ -81,7 +80,7 @@ pub fn listen(
             let Ok(listener) = &mut listeners[index] else {
                 continue;
             };
-            // GPS time goes to the sensor of the same address, on whichever port its data comes.
+            // GPS time goes to the sensor of the same address, on any port of its data.
             for (address, packet) in listener.receive(&mut positions)? {
                 for sensor in listeners
                     .iter_mut()
@@ -141,7 +140,7 @@ impl Listener {
         self.source.local_addr().port()
     }
 
-    /// Takes what has come. Returns the position packets, with the address of each.
+    /// Takes waiting datagrams. Returns the position packets, with the address of each.
     fn receive(
         &mut self,
         positions: &mut Vec<PositionSender>,
@@ -167,7 +166,7 @@ impl Listener {
                         for_sensors.push((address, packet));
                     }
                 }
-                // A sensor beyond those that are told apart is none of the others.
+                // A sensor beyond the most that are distinguished does not count as another sender.
                 Err(refused) if refused.reason == Refusal::TooMany => {}
                 Err(_) => note_other(&mut self.others, datagram.source),
             }

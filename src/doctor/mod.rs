@@ -1,4 +1,4 @@
-//! What is wrong with a sensor, its network or this host, and how to mend it.
+//! Finds faults of a sensor, its network and this host, with cures.
 //!
 //! ```text
 //! plan      what should be there: ports and sensors, from a configuration or from options
@@ -40,13 +40,13 @@ use plan::ipv4;
 pub enum Severity {
     /// Nothing can work like this.
     Error,
-    /// It works, and not as it should.
+    /// It works, but not as it should.
     Warning,
     /// Nothing is wrong; good to know.
     Note,
 }
 
-/// What a finding is about, in a word for programs.
+/// The topic of a finding, as a word for programs.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, PartialOrd, Ord, Serialize)]
 #[serde(rename_all = "kebab-case")]
 pub enum Topic {
@@ -88,7 +88,7 @@ pub enum Topic {
     Daemon,
 }
 
-/// Something that people should know, and what to do about it.
+/// A finding for people, and its cure.
 #[derive(Clone, Debug, PartialEq, Eq, Serialize)]
 pub struct Finding {
     /// How bad it is.
@@ -97,7 +97,7 @@ pub struct Finding {
     pub topic: Topic,
     /// What was found.
     pub what: String,
-    /// How to mend it; a line for each thing to try, and empty where nothing is to be done.
+    /// The cure, a line for each step; empty if there is nothing to do.
     pub cure: String,
 }
 
@@ -108,28 +108,27 @@ impl Finding {
     }
 }
 
-/// Web pages that are asked at most.
+/// Most web pages that are requested.
 const MAX_ASKED: usize = 16;
-/// Where a sensor is as it leaves the factory.
+/// Factory address of a sensor.
 const FACTORY: Ipv4Addr = Ipv4Addr::new(192, 168, 1, 201);
 
 /// Why nothing can be found out.
 #[derive(Debug, thiserror::Error)]
 pub enum ExamineError {
-    /// A port that could be opened fails.
+    /// An open port fails.
     #[error(transparent)]
     Udp(#[from] UdpError),
-    /// The system refuses what it never should.
+    /// A system call failed that should not.
     #[error("cannot ask web pages: {0}")]
     System(#[from] io::Error),
 }
 
-/// Listens for a time, examines this host, and asks the sensors' web pages at a port, unless it is
-/// `None`. `opened` gets the ports that are listened on, once they are.
+/// Listens for a time, examines this host, and requests the sensors' web pages at a port, unless it
+/// is `None`. `opened` is called with the open ports.
 ///
 /// # Errors
-/// [`ExamineError`]; whatever is wrong with sensors, network and host is an observation and no
-/// error.
+/// [`ExamineError`]; faults of sensors, network and host are observations, not errors.
 pub fn examine(
     plan: Plan,
     lasting: Duration,
@@ -141,7 +140,7 @@ pub fn examine(
     let daemon = match plan.health {
         Some(address) if is_taken => Some(health::ask(address)),
         None if is_taken => Some(Err("its configuration has no `http`".to_owned())),
-        // A daemon may have other ports than the usual ones. Where there is none, silence is the
+        // A daemon may have other ports than the usual ones. Without a daemon, silence is the
         // finding.
         Some(address) if plan.is_usual() && received.is_empty() => {
             health::ask(address).ok().map(Ok)
@@ -165,8 +164,8 @@ pub fn examine(
     Ok(seen)
 }
 
-/// Addresses that may have a web page: senders that were heard, named sensors, or a sensor as it
-/// leaves the factory; no HDL-64E.
+/// Addresses that may have a web page: senders of packets, named sensors, or the factory address;
+/// not those of an HDL-64E.
 fn addresses_to_ask(seen: &Observations) -> Vec<Ipv4Addr> {
     let senders = (seen.sensors.iter())
         .filter(|sensor| !sensor.model.is_some_and(|model| model.is_hdl64e()))

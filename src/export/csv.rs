@@ -1,5 +1,4 @@
-//! A line per return: everything that is known of it, for checks against other drivers and for
-//! spreadsheets.
+//! A line per return with all its properties, to compare with other drivers and for spreadsheets.
 
 use std::io::{self, Write};
 
@@ -15,8 +14,8 @@ const CHUNK: usize = 1 << 16;
 
 /// Writes [`HEADER`] and a line per return, in the order of [`SweepRef::returns`].
 ///
-/// Angles and lengths have four decimals; the azimuth is in `0.0000..=359.9999` and no number is
-/// `-0.0000`.
+/// Angles and lengths have four decimals; the azimuth is in `0.0000..=359.9999`, and `-0.0000` does
+/// not occur.
 ///
 /// # Errors
 /// Those of `out`.
@@ -50,23 +49,23 @@ fn push_line(text: &mut Vec<u8>, found: &Return, axes: Axes) {
     push_integer(text, u64::from(found.reflectivity));
     push_signed(text, found.time_ns);
     push_integer(text, u64::from(found.label));
-    // Every field left a comma behind it.
+    // Removes the comma after the last field.
     text.pop();
     text.push(b'\n');
 }
 
-/// Four decimals of an angle in 0..360; what rounds to 360 is 0.
+/// Four decimals of an angle in 0..360; 0 if it rounds to 360.
 fn push_azimuth(text: &mut Vec<u8>, degrees: f64) {
     push_ten_thousandths(text, (degrees * 1e4).round().rem_euclid(360e4) as i64);
 }
 
-/// Four decimals and a comma. `write!` does the same in ten times the time, which is most of the
-/// time of an export.
+/// Four decimals and a comma. `write!` takes ten times as long, which would be most of the time of
+/// an export.
 pub(super) fn push_decimal(text: &mut Vec<u8>, value: f64) {
     if value.abs() < 1e12 {
         push_ten_thousandths(text, (value * 1e4).round() as i64);
     } else {
-        // No sensor measures this, but a file of it must still be a file.
+        // No sensor measures such values, but they must not break the file.
         text.extend_from_slice(format!("{value:.4},").as_bytes());
     }
 }

@@ -3,7 +3,7 @@
 //! * [`csv`]: every return with its provenance, to check the driver or to feed a spreadsheet.
 //! * [`pcd`]: the points and labels, for PCL, Open3D and CloudCompare.
 //! * [`segments`]: the table of segments, a line each.
-//! * [`png`]: one picture that shows what was measured and what the segmentation made of it.
+//! * [`png`]: one picture of the measurements and their segmentation.
 //!
 //! The writers take a [`SweepRef`] and any [`Write`]. [`Format::encode`] makes a whole file in memory,
 //! on any thread; an [`Exporter`] puts such files into a directory, in their order.
@@ -41,7 +41,7 @@ pub enum Axes {
 }
 
 impl Axes {
-    /// A point of the sensor's axes in these.
+    /// A point of the sensor's axes in these axes.
     #[inline]
     pub fn of_sensor(self, point: [f64; 3]) -> [f64; 3] {
         let [x, y, z] = point;
@@ -76,7 +76,7 @@ impl Format {
     /// The file of a sweep.
     ///
     /// # Errors
-    /// What the writer of the format says.
+    /// Errors of the writer of the format.
     pub fn encode(self, sweep: SweepRef<'_>, axes: Axes, title: &Title<'_>) -> io::Result<Vec<u8>> {
         let mut file = Vec::new();
         match self {
@@ -123,12 +123,12 @@ impl Exporter {
     /// Writes the file of a sweep, as [`Format::encode`] made it, under [`file_stem`] of its number
     /// with the format's ending, and gives the path.
     ///
-    /// The file grows as `NAME.part` and takes its name when it is whole: no reader gets half a
-    /// sweep.
+    /// The file is written as `NAME.part` and renamed when it is complete, so that no reader gets
+    /// half a sweep.
     ///
     /// # Errors
-    /// [`WriteError`]: a file of this name exists and is not to be replaced, or cannot be written;
-    /// nothing of it is left then.
+    /// [`WriteError`]: a file of this name exists and must not be replaced, or it cannot be
+    /// written; then no part of it is left.
     pub fn write(
         &mut self,
         number: u64,
@@ -137,7 +137,8 @@ impl Exporter {
         let path = self
             .dir
             .join(format!("{}.{}", file_stem(number), self.format.extension()));
-        // A publisher that begins again counts from 0 again: those files are of this run.
+        // A publisher that restarts counts from 0 again: files of lower numbers are then of this
+        // run.
         let existing = if number < self.next_number {
             Existing::Replace
         } else {
@@ -201,7 +202,8 @@ mod tests {
             let path = exporter.write(3, encode()).unwrap();
             assert_eq!(path, dir.join(format!("a/b/sweep_000003.{word}")));
             assert!(fs::read(&path).unwrap().starts_with(first));
-            // Its own, when a publisher counts from the start again; but not another's.
+            // It replaces its own files when a publisher counts from 0 again, but not those of
+            // another run.
             exporter.write(3, encode()).unwrap();
             assert!(
                 matches!(new().write(3, encode()), Err(WriteError::Exists { path: found }) if found == path)

@@ -13,8 +13,8 @@ pub const POINT_BYTES: usize = 26;
 ///
 /// `intensity` is the calibrated reflectivity. `ring` counts from the lowest beam up, as ROS
 /// drivers do: it is `rows - 1 - row`. `label` is 0 none, 1 ground, 2.. segment. `time` is when the
-/// beam fired, seconds since the first shot of the sweep, which a comment in the head has in
-/// nanoseconds since 1970; within 0.2 s it is exact to 8 ns.
+/// beam fired, seconds since the first shot of the sweep, whose time is in a comment of the header,
+/// in nanoseconds since 1970; within 0.2 s it is exact to 8 ns.
 ///
 /// # Errors
 /// Those of `out`.

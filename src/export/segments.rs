@@ -1,4 +1,4 @@
-//! The table of segments, a line each: objects instead of points.
+//! The table of segments, a line each.
 
 use std::io::{self, Write};
 use std::path::Path;
@@ -78,7 +78,7 @@ fn values<'a>(sweep: &SweepRef<'a>, seq: u64, segment: &Segment, axes: Axes) -> 
     let centroid = axes.of_sensor(segment.centroid_m.map(f64::from));
     let one = axes.of_sensor(segment.min_m.map(f64::from));
     let other = axes.of_sensor(segment.max_m.map(f64::from));
-    // An axis may be reversed, and its least is the greatest then.
+    // A reversed axis exchanges least and greatest.
     let least: [f64; 3] = std::array::from_fn(|axis| one[axis].min(other[axis]));
     let greatest: [f64; 3] = std::array::from_fn(|axis| one[axis].max(other[axis]));
     [
@@ -106,8 +106,8 @@ fn values<'a>(sweep: &SweepRef<'a>, seq: u64, segment: &Segment, axes: Axes) -> 
     ]
 }
 
-/// The azimuth of a column to four decimals, 0 where it rounds to 360; NaN where the sweep has no
-/// such column.
+/// The azimuth of a column to four decimals, 0 if it rounds to 360; NaN if the sweep has no such
+/// column.
 fn azimuth_deg(sweep: &SweepRef<'_>, column: u32) -> f64 {
     let Some(column) = sweep.columns.get(column as usize) else {
         return f64::NAN;
@@ -143,7 +143,7 @@ fn push_line(text: &mut Vec<u8>, values: &[Value<'_>], format: TableFormat) {
             Value::Decimal(number) => push_decimal(text, number),
         }
     }
-    // Every value left a comma behind it.
+    // Removes the comma after the last value.
     text.pop();
     text.extend_from_slice(if is_json { b"}\n" } else { b"\n" });
 }

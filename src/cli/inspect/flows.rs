@@ -1,4 +1,5 @@
-//! Datagrams of no Velodyne: who sends how much where, and which LiDAR that looks like.
+//! Traffic that is not of a Velodyne: senders, destinations and amounts, and the LiDAR that it may
+//! be of.
 
 use std::collections::HashMap;
 use std::net::SocketAddr;
@@ -7,7 +8,7 @@ use std::ops::RangeInclusive;
 use crate::text::{count_of, rate};
 use sweepd_core::wire::Datagram;
 
-/// Most flows that are counted apart: a hostile capture may have millions.
+/// Most flows that are counted separately: a hostile capture may have millions.
 const MAX_FLOWS: usize = 1024;
 /// Most that are shown, the largest first.
 const SHOWN: usize = 8;
@@ -28,7 +29,7 @@ struct Flow {
     bytes: RangeInclusive<usize>,
     first_ns: i64,
     last_ns: i64,
-    /// What all payloads begin with, as far as they agree.
+    /// The common first bytes of all payloads.
     head: Vec<u8>,
 }
 
@@ -64,7 +65,7 @@ impl Flows {
     /// A line for each of the largest flows, and one for the rest.
     pub fn lines(&self) -> Vec<String> {
         let mut flows: Vec<(&(SocketAddr, u16), &Flow)> = self.flows.iter().collect();
-        // The address last, so that the order is always the same.
+        // The address last, for a stable order.
         flows.sort_by_key(|&(key, flow)| (std::cmp::Reverse(flow.datagrams), *key));
         let shown = flows.len().min(SHOWN);
         let mut lines: Vec<String> = flows[..shown]
@@ -98,7 +99,7 @@ impl Flow {
         line
     }
 
-    /// The LiDAR that sends such datagrams by default, by the drivers that its maker publishes.
+    /// The LiDAR that sends such datagrams by default, according to its maker's drivers.
     fn looks_like(&self, source_port: u16, port: u16) -> Option<&'static str> {
         let least = *self.bytes.start();
         match (source_port, port) {

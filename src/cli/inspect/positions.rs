@@ -1,11 +1,11 @@
-//! What position packets say: the GPS state, and how the sensor is.
+//! GPS state and health of a sensor, from position packets.
 
 use crate::text::{count_of, rate, row, utc_text};
 use sweepd_core::wire::nmea::Rmc;
 use sweepd_core::wire::position::Pps;
 use sweepd_core::wire::{Content, Packet};
 
-/// What was seen of the position packets from one address.
+/// Statistics of the position packets from one address.
 #[derive(Default)]
 pub(super) struct Positions {
     packets: u64,
@@ -19,7 +19,7 @@ pub(super) struct Positions {
 }
 
 impl Positions {
-    /// Adds a position packet; a data packet is passed over.
+    /// Adds a position packet; ignores a data packet.
     pub(super) fn add(&mut self, packet: &Packet<'_>) {
         let Content::Position(position, _) = packet.content else {
             return;
@@ -66,8 +66,8 @@ impl Positions {
             Some(Pps::Locked) if self.locked < self.packets => {
                 format!("PPS locked in {} of {} packets", self.locked, self.packets)
             }
-            // The HDL-32E, which alone sends the inertial chips, leaves the byte 0 whatever the
-            // pulse does.
+            // The HDL-32E, the only model that sends the inertial chips, leaves the byte 0 in any
+            // case.
             Some(Pps::Absent) if self.chips_c.is_some() => {
                 "PPS not reported by this model".to_owned()
             }

@@ -1,4 +1,4 @@
-//! What an HDL-64E says about itself, in rows.
+//! Rows for the status of an HDL-64E.
 
 use crate::text::{grouped, row};
 use sweepd_core::wire::hdl64::{DUMP_LEN, DumpState, Status};
@@ -34,7 +34,7 @@ pub fn describe(status: &Status, text: &mut String) {
     row(text, "calibration", calibration(status));
 }
 
-/// Which unit it is, and how it is.
+/// Identity and health of the unit.
 fn unit(status: &Status) -> String {
     let facts = [
         status.series().map(|series| format!("series {series}")),

@@ -150,7 +150,7 @@ pub fn run(args: &Args) -> Result<(), CliError> {
 }
 
 impl Args {
-    /// Each size once, as the tables need it.
+    /// Each size once, in order.
     fn sizes(&self) -> Vec<u32> {
         let mut sizes = self.min_points.clone();
         sizes.sort_unstable();
@@ -229,7 +229,7 @@ fn scan_report(name: &str, score: &ScanScore) -> ScanReport {
     }
 }
 
-/// How many of the scans are done, for who looks on: all methods take seconds a scan.
+/// Progress over the scans, since all methods take seconds for each.
 fn progress(scans: usize) -> ProgressBar {
     let style = ProgressStyle::with_template("{pos} of {len} scans, {elapsed} gone");
     let style = style.unwrap_or_else(|_| ProgressStyle::default_bar());

@@ -162,7 +162,7 @@ impl Labels {
     }
 }
 
-/// What is wrong with a cloud; where its order is, the options that do without.
+/// The error of a cloud; if its order is wrong, with the options that do not need one.
 fn wrong(path: &Path, error: &CloudError) -> CliError {
     let path = path.display();
     CliError::Usage(match error {
@@ -216,8 +216,8 @@ fn table(args: &Args) -> Result<Option<RowTable>, CliError> {
 /// Longest cloud that is read, bytes: 64 million points.
 pub(super) const MAX_CLOUD_LEN: u64 = 1 << 30;
 
-/// Where the labels of each cloud go; two clouds must not go to one place, and none to where labels
-/// lie beside it.
+/// The label file of each cloud. Two clouds must not share one, and none may replace labels beside
+/// the cloud.
 fn label_files(args: &Args) -> Result<Vec<PathBuf>, CliError> {
     let mut files: Vec<PathBuf> = Vec::with_capacity(args.clouds.len());
     for cloud in &args.clouds {

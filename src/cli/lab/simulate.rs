@@ -1,4 +1,4 @@
-//! `sweepd simulate`: sensors that are not there, in a scene that does not exist.
+//! `sweepd simulate`: simulated sensors in a simulated scene.
 
 mod cloud;
 mod faults;
@@ -218,11 +218,11 @@ fn seed(text: &str) -> Result<u64, String> {
         .map_err(|_| format!("expected a whole number from 0 to {}", u64::MAX))
 }
 
-/// Sensors that there is room for: their addresses are 192.168.1.201 to .254.
+/// Most sensors: their addresses are 192.168.1.201 to .254.
 const MAX_SENSORS: usize = 54;
-/// Turns a minute, unless it is said.
+/// Default speed, turns a minute.
 const RPM: f64 = 600.0;
-/// For how long, unless it is said.
+/// Default duration, seconds.
 const SECONDS: f64 = 10.0;
 /// First shot in a capture: 2026-05-04 10:17:23 UTC, so that the same command gives the same bytes.
 const START_UTC_NS: i64 = 1_777_889_843_000_000_000;
@@ -230,8 +230,7 @@ const START_UTC_NS: i64 = 1_777_889_843_000_000_000;
 /// Runs the command.
 ///
 /// # Errors
-/// [`CliError`]: a value that cannot be meant, a file that cannot be read or written, a network
-/// that refuses.
+/// [`CliError`]: an invalid value, a file that cannot be read or written, an error of the network.
 pub fn run(args: &Args) -> Result<(), CliError> {
     args.check()?;
     if let Some(file) = &args.cloud.from_cloud {
@@ -293,7 +292,7 @@ impl Args {
             .check(self.models.len(), self.seconds.unwrap_or(SECONDS))
     }
 
-    /// What a former run left in the folder of the truth.
+    /// Files of a former run in the folder of the truth.
     fn former_truth(&self) -> Result<Former, CliError> {
         self.truth.as_ref().map_or(Ok(Former::default()), |folder| {
             former(folder, self.force.existing())
@@ -365,7 +364,7 @@ impl Args {
         }
     }
 
-    /// The sensors that are to be simulated.
+    /// The sensors to simulate.
     fn configs(&self) -> Result<Vec<EmitterConfig>, CliError> {
         let start_utc_ns = self.start_utc_ns();
         let mode = if self.returns == Returns::Dual {
@@ -451,14 +450,14 @@ impl<'a> Simulated<'a> {
             return Ok(());
         };
         self.data += 1;
-        // One of another length is not counted by a replay either.
+        // A packet of another length is not counted, as in a replay.
         match &mut self.truth {
             Some(file) if sent.payload.len() == DATA_PACKET_LEN => file.packet(truth),
             _ => Ok(()),
         }
     }
 
-    /// Finishes the truth, and says on standard error what was sent and what was done to it.
+    /// Finishes the truth, and prints on standard error what was sent, and its faults.
     fn finish(self) -> Result<(), CliError> {
         self.truth.map_or(Ok(()), TruthFile::finish)?;
         let config = &self.config;
@@ -466,7 +465,7 @@ impl<'a> Simulated<'a> {
             Some(at) => format!(", {} from data packet {at}", config.mode_of(at)),
             None => String::new(),
         };
-        // When even standard error is gone, the message is lost.
+        // If standard error is closed, the message is lost.
         let _ = writeln!(
             io::stderr(),
             "{} ({}): data packets {}, position packets {}; injected: {}{switched}",

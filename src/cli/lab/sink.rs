@@ -9,7 +9,7 @@ use crate::cli::CliError;
 use crate::export::Existing;
 use crate::files::output::NewFile;
 
-/// A capture under way, with errors that name it.
+/// An open capture, with errors that name it.
 pub struct CaptureFile {
     file: file::CaptureFile,
     /// `None` for standard output.
@@ -20,7 +20,7 @@ impl CaptureFile {
     /// Opens what `--pcap` names and writes the header.
     ///
     /// # Errors
-    /// [`CliError`]: a name that says no format, a file that exists or cannot be written.
+    /// [`CliError`]: a name without a known format, a file that exists or cannot be written.
     pub fn create(path: &Path, existing: Existing) -> Result<Self, CliError> {
         if path.as_os_str() == "-" {
             return Ok(Self {

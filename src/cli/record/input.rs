@@ -1,4 +1,4 @@
-//! Ports of this host, received to a recorder.
+//! Receives ports of this host into a recorder.
 
 use std::sync::atomic::Ordering;
 use std::time::Duration;
@@ -21,7 +21,7 @@ pub struct Input {
 }
 
 impl Input {
-    /// Receives until the end, and then what came before it. A port that fails ends the recording.
+    /// Receives until the end, then what came before it. A failing port ends the recording.
     pub(super) fn receive_all(
         mut self,
         recording: &Recording,
@@ -41,20 +41,20 @@ impl Input {
         while !recording.is_over() {
             self.receive(recording, TICK)?;
         }
-        // What waits, and no more than can have waited when the end came.
+        // Receives what waits, at most as much as can have waited at the end.
         let most = self.source.received() + self.source.buffer().packets() as u64;
         while self.source.received() < most && self.receive(recording, Duration::ZERO)? > 0 {}
         Ok(())
     }
 
-    /// Receives a batch, and gives how many there were.
+    /// Receives a batch, and gives its size.
     fn receive(&mut self, recording: &Recording, timeout: Duration) -> Result<usize, CliError> {
         let dropped_before = self.source.dropped_so_far();
         let mut count = 0;
         for datagram in self.source.receive_addressed(timeout)? {
             count += 1;
             if self.admission.is_recorded(&datagram.datagram()) {
-                // The recorder counts what it has no room for.
+                // If there is no room, the recorder counts it.
                 self.feed.put(&datagram);
             }
         }

@@ -68,7 +68,7 @@ pub fn record(
 }
 
 fn request(args: &Args, sensor: &str) -> Result<Request, CliError> {
-    // The daemon has a folder of its own.
+    // The daemon has another working directory.
     let path = std::path::absolute(&args.output).map_err(|source| CliError::System {
         what: "find the current folder",
         source,

@@ -8,13 +8,13 @@ use crate::capture::record::Written;
 use crate::daemon::record::protocol::Received;
 use crate::text::{count_of, grouped};
 
-/// What came to one port, or from the daemon.
+/// Counts of one port, or of the daemon.
 pub struct InputReport {
     /// `port 2368`, or `sensor roof of the daemon`.
     pub name: String,
     /// What came.
     pub received: Received,
-    /// Whether it ended without being asked to.
+    /// Whether it ended before the recording was stopped.
     pub ended_early: bool,
 }
 
@@ -48,13 +48,13 @@ impl Report {
         self.sum(Received::refused)
     }
 
-    /// Datagrams that were wanted and are not in the files.
+    /// Datagrams that were selected but are not in the files.
     fn unwritten(&self) -> u64 {
         let wanted = self.received().saturating_sub(self.refused());
         wanted.saturating_sub(self.written.datagrams)
     }
 
-    /// Prints it for people; each number has its word beside it.
+    /// Prints it for people.
     ///
     /// # Errors
     /// What the reader says.
@@ -100,7 +100,7 @@ impl Report {
         to.flush()
     }
 
-    /// What is not in the files, and why.
+    /// Prints what is not in the files, and why.
     fn print_missing(&self, to: &mut impl Write) -> io::Result<()> {
         writeln!(
             to,
@@ -122,7 +122,7 @@ impl Report {
         grouped(self.sum(|input| input.refusals.get(reason)))
     }
 
-    /// What people must know of, each with its cure.
+    /// Warnings, each with its cure.
     pub fn warnings(&self) -> Vec<String> {
         let mut warnings = Vec::new();
         if self.dropped() > 0 {

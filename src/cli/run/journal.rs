@@ -1,4 +1,4 @@
-//! Log lines as the journal wants them.
+//! Log lines in the format of the journal.
 
 use std::fmt;
 use std::fs;
@@ -10,8 +10,8 @@ use tracing_subscriber::fmt::format::{Compact, Format, Writer};
 use tracing_subscriber::fmt::{FmtContext, FormatEvent, FormatFields, format};
 use tracing_subscriber::registry::LookupSpan;
 
-/// Whether standard error goes to the journal, as systemd.exec(5) says it: the variable alone is
-/// inherited by terminals too.
+/// Whether standard error goes to the journal (systemd.exec(5)). The variable alone is not enough,
+/// since terminals may inherit it.
 pub fn hears_stderr() -> bool {
     std::env::var("JOURNAL_STREAM")
         .is_ok_and(|stream| is_stream(Path::new("/proc/self/fd/2"), &stream))
@@ -21,8 +21,8 @@ fn is_stream(path: &Path, stream: &str) -> bool {
     fs::metadata(path).is_ok_and(|file| stream == format!("{}:{}", file.dev(), file.ino()))
 }
 
-/// Lines without a time, which the journal knows, that begin with their priority as sd-daemon(3)
-/// has it: `journalctl -p warning` finds those that matter.
+/// Lines without a time, which the journal adds, that begin with their priority (sd-daemon(3)), so
+/// that `journalctl -p warning` selects by it.
 pub struct Prioritised(Format<Compact, ()>);
 
 impl Default for Prioritised {

@@ -1,4 +1,4 @@
-//! How long the stages of many sweeps took.
+//! Statistics of the durations of stages over many sweeps.
 
 use std::io::{self, Write};
 
@@ -14,7 +14,7 @@ pub struct Latencies {
     stages: [Vec<f64>; STAGES.len()],
 }
 
-/// What is measured, in the order in which it happens.
+/// The stages, in order.
 const STAGES: [(&str, &str); 6] = [
     ("decode", "packets to pixels, all of a sweep's together"),
     ("ground", "ground removal"),
@@ -85,7 +85,7 @@ fn quantile(sorted: &[f64], share: f64) -> f64 {
     sorted[rank.clamp(1, sorted.len()) - 1]
 }
 
-/// Sorted values in buckets that double: from, to, how many. What is below 1 is in the first.
+/// Sorted values in buckets that double: from, to, count. Values below 1 are in the first.
 fn buckets(sorted: &[f64]) -> Vec<(f64, f64, u64)> {
     let mut buckets: Vec<(f64, f64, u64)> = Vec::new();
     for &value in sorted {

@@ -1,4 +1,4 @@
-//! What people see of a running sensor: a line a second.
+//! The table of a running sensor: a line every second.
 
 use std::io::{self, Write};
 use std::time::{Duration, Instant};
@@ -21,7 +21,7 @@ pub struct Table {
     line: Line,
     begun: Instant,
     lines: u32,
-    /// What the last sweep was of, as it was shown.
+    /// Model and mode of the last sweep, as printed.
     shown: String,
     kind: String,
     last: Option<(i64, u64)>,
@@ -112,12 +112,12 @@ impl Table {
         self.print(Some(rate))
     }
 
-    /// Prints what came since the last line.
+    /// Prints the sweeps since the last line.
     ///
     /// # Errors
     /// What writing gives.
     pub fn finish(&mut self) -> io::Result<()> {
-        // A part of a second has no rate but that between its sweeps.
+        // For less than a second, the rate is that between its sweeps.
         let seconds = self
             .line
             .newest
@@ -127,7 +127,7 @@ impl Table {
         self.print(rate)
     }
 
-    /// Prints a line, if sweeps came, below the head where that is due.
+    /// Prints a line, if sweeps came, and before it the header if that is due.
     fn print(&mut self, sweeps_per_second: Option<f64>) -> io::Result<()> {
         let line = std::mem::take(&mut self.line);
         if line.sweeps == 0 {

@@ -11,7 +11,7 @@ use sweepd_core::wire::data::ReturnMode;
 
 pub(super) fn find(seen: &Observations, findings: &mut Findings) {
     buffers(seen, findings);
-    // A daemon that runs has its memory already.
+    // A running daemon has its memory already.
     if seen.daemon.is_none() {
         shared_memory(seen, findings);
     }
@@ -94,7 +94,7 @@ fn shared_memory(seen: &Observations, findings: &mut Findings) {
     }
 }
 
-/// Bytes of a sweep of a sensor: of the largest that it may be, as far as it is not known.
+/// Bytes of a sweep of a sensor; of the largest possible model, if that is not known.
 pub fn sweep_bytes(expected: &ExpectedSensor, seen: &Observations) -> u64 {
     let sensor = seen.sensor_of(expected);
     let found_model = sensor.and_then(|sensor| sensor.model);

@@ -1,4 +1,4 @@
-//! From what was seen to what is wrong; pure, so that every finding has its test.
+//! Derives findings from observations. Pure, so that every finding has its test.
 
 mod host;
 mod sensors;
@@ -13,11 +13,10 @@ use serde_json::Value;
 use super::observe::{Observations, PortResult};
 use super::{Finding, Severity, Topic};
 
-/// Packets missing over some seconds of which a running daemon is asked, percent: with fewer all is
-/// well.
+/// Least percentage of missing packets in a running daemon's last seconds that is reported.
 const LEAST_LOSS_PERCENT: f64 = 0.1;
 
-/// What is wrong and how to mend it, worst first. Nothing, or notes alone, when all is well.
+/// The findings with their cures, worst first. None, or notes alone, when all is well.
 pub fn diagnose(seen: &Observations) -> Vec<Finding> {
     let mut findings = Findings::default();
     ports(seen, &mut findings);
@@ -100,7 +99,7 @@ fn ports(seen: &Observations, findings: &mut Findings) {
     }
 }
 
-/// Whether a daemon says that it listens on a port; or does not say on which.
+/// Whether a daemon reports that it listens on a port, or does not report its ports.
 fn serves(health: &Value, port: u16) -> bool {
     let Some(ports) = health["ports"].as_array() else {
         return true;
@@ -110,7 +109,7 @@ fn serves(health: &Value, port: u16) -> bool {
         .any(|one| one["port"].as_u64() == Some(port.into()))
 }
 
-/// What a running daemon says, as far as it is understood.
+/// Findings from a running daemon's report, as far as it can be read.
 fn daemon(health: &Value, findings: &mut Findings) {
     let reasons: Vec<String> = elements(&health["reasons"]).filter_map(clean).collect();
     let warnings: Vec<String> = elements(&health["sensors"]).filter_map(warning).collect();
@@ -184,8 +183,8 @@ fn warning(sensor: &Value) -> Option<String> {
     clean(&Value::from(reason))
 }
 
-/// What is missing now, where it is too little for a reason of the daemon's. Sums since the daemon
-/// began say nothing of now.
+/// Present losses that are too small for a warning of the daemon. Counts since the daemon began say
+/// nothing about the present.
 fn losses(sensor: &Value, findings: &mut Findings) {
     let losses = &sensor["losses"];
     let state = sensor["state"].as_str().unwrap_or_default();
@@ -200,7 +199,7 @@ fn losses(sensor: &Value, findings: &mut Findings) {
     }
 }
 
-/// A text that came over the network, fit for a terminal.
+/// A text from the network, without characters that a terminal would interpret.
 fn clean(value: &Value) -> Option<String> {
     let clean = value.as_str()?.chars().filter(|one| !one.is_control());
     Some(clean.take(500).collect())

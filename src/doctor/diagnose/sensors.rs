@@ -1,4 +1,4 @@
-//! What the packets of the sensors say.
+//! Findings from the sensors' packets.
 
 use std::fmt::Display;
 
@@ -13,13 +13,13 @@ use sweepd_core::wire::position::Pps;
 
 /// Speeds that a Velodyne can be set to, turns a minute, with a margin.
 const SPEEDS: std::ops::RangeInclusive<f32> = 290.0..=1210.0;
-/// How far a speed may be from what it is set to.
+/// Greatest deviation of a speed from its setting, as a share.
 const SPEED_SHARE: f32 = 0.03;
-/// How far the speeds of a few sweeps may be apart.
+/// Greatest difference of the speeds of a few sweeps, as a share.
 const STEADY_SHARE: f32 = 0.05;
 /// More than this share of the packets lost costs whole objects.
 const MUCH_LOSS: f64 = 0.01;
-/// How far a clock may be off before times of other sensors no longer fit, seconds.
+/// Greatest error of a clock, seconds: beyond it, times no longer fit those of other sensors.
 const CLOCK_OFF_S: f64 = 0.1;
 
 const LOSS_CURE: &str = "they were lost before this host: look at cable and plugs, a switch that is shared with \
@@ -53,10 +53,10 @@ pub(super) fn find(seen: &Observations, findings: &mut Findings) {
     }
 }
 
-/// Senders that no configured sensor is, and those that are taken for the same one.
+/// Senders that are not configured, and senders that match the same configured sensor.
 fn unexpected_senders(seen: &Observations, findings: &mut Findings) {
     for sensor in &seen.sensors {
-        // The same address on another port is reported where it is missed.
+        // The same address on another port is reported with the missing sensor.
         let is_configured =
             (seen.plan.sensors.iter()).any(|expected| expected.address == sensor.source.ip());
         if !is_configured {
@@ -276,7 +276,7 @@ impl SensorCheck<'_> {
             self.warning(Topic::Clock, what, cure);
         }
         let Some(position) = position else { return };
-        // An HDL-32E says nothing of the pulse.
+        // An HDL-32E does not report the pulse.
         let is_hdl32e = self.sensor.model == Some(Model::Hdl32e);
         match (position.pps, position.fix) {
             (Pps::Locked, Some(true)) => {}
@@ -306,7 +306,7 @@ impl SensorCheck<'_> {
     }
 }
 
-/// Datagrams that the kernel dropped on a port while it was listened on.
+/// Datagrams that the kernel dropped on a port during the examination.
 fn dropped(seen: &Observations, port: u16) -> u64 {
     let mut sum = 0;
     for one in &seen.ports {
@@ -319,7 +319,7 @@ fn dropped(seen: &Observations, port: u16) -> u64 {
     sum
 }
 
-/// Whether the packets of two models differ in nothing that can be told.
+/// Whether the packets of two models cannot be distinguished.
 fn speak_alike(one: Model, other: Model) -> bool {
     let one = one.spec();
     let other = other.spec();

@@ -8,7 +8,7 @@ use crate::doctor::observe::{Interface, Observations, PortResult, Web};
 use crate::doctor::plan::ExpectedSensor;
 
 pub(super) fn find(seen: &Observations, findings: &mut Findings) {
-    // What a daemon receives it reports itself.
+    // A daemon reports itself what it receives.
     if !seen.ports.iter().any(|port| port.is_open()) {
         return;
     }
@@ -50,8 +50,8 @@ fn misplaced(seen: &Observations, expected: &ExpectedSensor, findings: &mut Find
     }
 }
 
-/// No packet came, and no sensor is configured. Where a daemon runs that has ports of its own, it
-/// is the one that receives them.
+/// No packet came, and no sensor is configured. If a daemon with ports of its own runs, it receives
+/// the packets.
 fn no_sensor(seen: &Observations, findings: &mut Findings) {
     let Some(Ok(health)) = &seen.daemon else {
         return nothing(seen, None, findings);
@@ -104,7 +104,7 @@ fn position_only(seen: &Observations, address: IpAddr, packets: u64, findings: &
     findings.error(Topic::PositionOnly, what, cure);
 }
 
-/// Nothing came, from one sensor or at all.
+/// Nothing came, from one sensor or from any.
 fn nothing(seen: &Observations, expected: Option<&ExpectedSensor>, findings: &mut Findings) {
     let what = match expected {
         Some(ExpectedSensor {
@@ -130,7 +130,7 @@ fn nothing(seen: &Observations, expected: Option<&ExpectedSensor>, findings: &mu
     findings.error(Topic::Silent, what, cure);
 }
 
-/// What to try where nothing comes; `web` is the page of the sensor, if that answers.
+/// Cures of silence; `web` is the page of the sensor, if that answers.
 fn cure_of_silence(
     seen: &Observations,
     expected: Option<&ExpectedSensor>,

@@ -1,4 +1,4 @@
-//! Each finding by itself: a healthy sensor, and one thing that is wrong.
+//! Each finding by itself: a healthy sensor with one fault.
 
 use std::net::{Ipv4Addr, SocketAddr};
 
@@ -57,7 +57,7 @@ fn sensor(source: &str) -> ObservedSensor {
     }
 }
 
-/// A VLP-16 with GPS that broadcasts, as configured, to a host that lacks nothing.
+/// A VLP-16 with GPS that broadcasts, as configured, to a host without faults.
 fn healthy() -> Observations {
     let expected = ExpectedSensor {
         name: "roof".to_owned(),
@@ -164,7 +164,7 @@ fn with(change: impl FnOnce(&mut Observations), severity: Severity, topic: Topic
 #[test]
 fn of_a_healthy_sensor_there_is_nothing_to_say() {
     assert_eq!(diagnose(&healthy()), []);
-    // Nor when nothing is configured and nobody asked.
+    // Nor without a configuration and named sensors.
     let mut seen = healthy();
     (seen.plan.sensors, seen.web) = (Vec::new(), Vec::new());
     assert_eq!(diagnose(&seen), []);
@@ -353,7 +353,7 @@ fn a_port_that_is_taken_is_asked_of_its_daemon() {
         Topic::Daemon,
         &["roof: stalled: no packet for 3 s[2J"],
     );
-    // Sums since the daemon began say nothing of now, and blame nobody.
+    // Counts since the daemon began say nothing about the present, and are not blamed.
     holds(
         &findings[1],
         Severity::Note,
@@ -390,7 +390,7 @@ fn a_port_that_is_taken_is_asked_of_its_daemon() {
     }
 }
 
-/// What a daemon says of a sensor whose losses are these, and what is found then.
+/// The findings for a daemon's report of a sensor with these losses.
 fn beside(state: &str, is_fault: bool, percent: f64) -> Vec<Finding> {
     let mut seen = silent();
     seen.ports[0].result =
@@ -463,7 +463,7 @@ fn silence_on_the_usual_ports_is_none_where_a_daemon_has_others() {
         Topic::Silent,
         &["to port 2368, 8308", "daemon listens on port 2400"],
     );
-    // What its sensor sends beside is no sensor without data.
+    // Position packets beside the data of its sensor are not a sensor without data.
     seen.daemon = Some(Ok(
         json!({"ports": [{"port": 2400}], "sensors": [{"address": "192.168.1.201", "packets": 5}]}),
     ));
@@ -757,7 +757,7 @@ fn what_this_host_lacks_is_told_with_the_command() {
         Topic::SharedMemory,
         &["6 MiB free of 16 MiB", "mount -o remount,size="],
     );
-    // What a running daemon holds is not free any more, and need not be.
+    // Memory that a running daemon holds need not be free.
     let mut seen = healthy();
     memory(&mut seen);
     seen.daemon = Some(Ok(json!({"status": "ok"})));

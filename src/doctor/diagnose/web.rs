@@ -1,11 +1,11 @@
-//! What the sensors' own settings say, held against this host and against what came.
+//! Compares the sensors' own settings with this host and the packets received.
 
 use super::Findings;
 use crate::doctor::Topic;
 use crate::doctor::observe::{Observations, ObservedSensor, Web};
 use sweepd_core::sweep::layout::flags;
 
-/// How far a speed may be from what it is set to.
+/// Greatest deviation of a speed from its setting, as a share.
 const SPEED_SHARE: f64 = 0.03;
 
 pub(super) fn find(seen: &Observations, findings: &mut Findings) {
@@ -81,7 +81,7 @@ fn settings(seen: &Observations, web: &Web, findings: &mut Findings) {
     }
     if let Some((start, end)) = web.view_deg
         && (end - start).rem_euclid(360.0) < 358.0
-        // Start and end alike are no sector at all.
+        // Equal start and end mean no limit.
         && (start != end || sensor.is_some_and(|sensor| sensor.has(flags::BLANKED)))
     {
         let what = format!("{address} is set to measure from {start:.0} to {end:.0} degrees alone");

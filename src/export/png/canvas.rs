@@ -13,10 +13,10 @@ use embedded_graphics::text::{Alignment, Baseline, Text, TextStyleBuilder};
 
 use super::palette::{self, DIM, RIM, TEXT, WARNING};
 
-/// How a text looks: its font and colour.
+/// Font and colour of a text.
 pub type TextStyle = MonoTextStyle<'static, Rgb888>;
 
-/// Names, and the values of the legend: a page is shown at two thirds of its size on most screens.
+/// For names, and values of the legend. Most screens show a page at two thirds of its size.
 pub const BODY: TextStyle = MonoTextStyle::new(&fonts::FONT_10X20, TEXT);
 /// Sentences, and numbers at axes.
 pub const NOTE: TextStyle = MonoTextStyle::new(&fonts::FONT_10X20, DIM);
@@ -25,7 +25,7 @@ pub const ALERT: TextStyle = MonoTextStyle::new(&fonts::FONT_10X20, WARNING);
 /// Numbers at segments.
 pub const NUMBER: TextStyle = MonoTextStyle::new(&fonts::FONT_9X18_BOLD, TEXT);
 
-/// An image in memory; what is drawn outside of it is left out.
+/// An image in memory; drawing outside of it is clipped.
 pub struct Canvas {
     size: Size,
     bytes: Vec<u8>,
@@ -56,7 +56,7 @@ impl Canvas {
         let mut encoder = png::Encoder::new(out, self.size.width, self.size.height);
         encoder.set_color(png::ColorType::Rgb);
         encoder.set_depth(png::BitDepth::Eight);
-        // Two thirds of the size that the fastest gives, in a tenth more time.
+        // Two thirds of the file size of the fastest level, in a tenth more time.
         encoder.set_deflate_compression(png::DeflateCompression::Level(1));
         let mut writer = encoder.write_header()?;
         writer.write_image_data(&self.bytes)?;
@@ -130,7 +130,7 @@ impl Canvas {
         self.text(at + Point::new(1, 0), text, BODY)
     }
 
-    /// Text with a rim of a pixel, readable whatever is below it.
+    /// Text with a rim of a pixel, readable on any background.
     pub fn rimmed_text(&mut self, at: Point, text: &str, style: TextStyle) {
         let rim = TextStyle::new(style.font, RIM);
         for y in -1..=1 {

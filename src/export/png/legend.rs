@@ -1,4 +1,4 @@
-//! What the colours mean, and the segments nearest to the sensor as numbers.
+//! The meaning of the colours, and a table of the segments nearest to the sensor.
 
 use embedded_graphics::prelude::*;
 use embedded_graphics::primitives::Rectangle;
@@ -20,12 +20,12 @@ const COLUMNS: [(i32, &str); 5] = [
     (480, "x × y × z"),
     (570, "points"),
 ];
-/// Segments that are no higher are not listed, metres.
+/// Least height of listed segments, metres.
 const LOW_M: f32 = 0.2;
 /// A swatch.
 const SWATCH: Size = Size::new(32, 16);
 
-/// What the swatches mean, from the top.
+/// Meanings of the swatches, from the top.
 const MEANINGS: [&str; 6] = [
     "no return: nothing hit, too far, or too dark",
     "a return without label: part of a speck, or masked",
@@ -51,7 +51,7 @@ pub fn draw(page: &mut Canvas, area: &Rectangle, sweep: SweepRef<'_>) {
     if sweep.segments.is_empty() {
         page.text(at, "none in this sweep", NOTE);
     }
-    // Slivers of kerb are the nearest of all, and say nothing.
+    // Slivers of kerb would be the nearest of all, and are of no interest.
     let mut segments: Vec<&Segment> = sweep
         .segments
         .iter()

@@ -148,7 +148,7 @@ mod tests {
         [color.r(), color.g(), color.b()]
     }
 
-    /// The box stands at azimuth 90, the wall at 180; at 0 there is only ground.
+    /// The box is at azimuth 90, the wall at 180; at 0 there is only ground.
     #[test]
     fn known_places_have_known_colours() {
         let picture = Picture::of(&Scene::small());
@@ -250,8 +250,8 @@ mod tests {
         }
     }
 
-    /// What the numbers change is what differs from the picture of the same sweep without its table
-    /// of segments.
+    /// The numbers are the difference from the picture of the same sweep without its table of
+    /// segments.
     #[test]
     fn a_number_is_at_its_segment_in_both_views() {
         let with = Picture::of(&Scene::small());

@@ -1,5 +1,4 @@
-//! Texts over a panel, above all the numbers of segments: readable on any colour, and none covers
-//! another.
+//! Texts over a panel, mainly the numbers of segments: readable on any colour, without overlap.
 
 use embedded_graphics::prelude::*;
 use embedded_graphics::primitives::Rectangle;
@@ -11,8 +10,8 @@ use sweepd_core::sweep::{Segment, SweepRef};
 /// Pixels between two texts.
 const GAP: u32 = 4;
 
-/// Segments whose returns take at least as much of the label image, which has this size, as their
-/// numbers do, the largest first.
+/// Segments whose returns take at least as much area of the label image, of this size, as their
+/// numbers; the largest first.
 pub fn numbered(sweep: SweepRef<'_>, image: Size) -> Vec<&Segment> {
     let row_height = image.height / (sweep.rows() as u32).max(1);
     let row_pixels = u64::from(image.width) * u64::from(row_height);
@@ -62,8 +61,7 @@ impl Texts {
         self.taken.push(area);
     }
 
-    /// Draws the number of a segment around the first of these points where there is room, none if
-    /// there is no room.
+    /// Draws the number of a segment around the first of these points with enough room, if any.
     pub fn draw_number(&mut self, page: &mut Canvas, label: u32, centers: &[Point]) {
         let text = label.to_string();
         centers
@@ -72,7 +70,7 @@ impl Texts {
     }
 
     /// Draws a text around a point of the panel, moved into the panel, if there is room; returns
-    /// whether there was.
+    /// whether it was drawn.
     pub fn draw(&mut self, page: &mut Canvas, center: Point, text: &str, style: TextStyle) -> bool {
         let size = text_size(text, style) + Size::new_equal(GAP);
         let area = self.area;

@@ -49,9 +49,9 @@ pub fn label(label: u32) -> Rgb888 {
     }
 }
 
-/// Labels are dealt in the order in which segments appear, so neighbours in number are often
+/// Labels follow the order in which segments appear, so that consecutive numbers are often
 /// neighbours in space: successive hues are a golden section of the circle apart, and lightness
-/// changes with each.
+/// alternates.
 static SEGMENTS: LazyLock<[Rgb888; 1000]> = LazyLock::new(|| {
     std::array::from_fn(|index| {
         let hue_turns = (index as f64 * 0.618_034 + 0.35).fract();
@@ -62,8 +62,8 @@ static SEGMENTS: LazyLock<[Rgb888; 1000]> = LazyLock::new(|| {
     })
 });
 
-/// The most saturated colour of this lightness and hue that a screen shows, up to where it begins
-/// to glare.
+/// The most saturated colour of this lightness and hue that a screen shows, limited so that it does
+/// not glare.
 fn vivid(lightness: f64, hue_rad: f64) -> Rgb888 {
     let shown = (4..=19)
         .rev()
@@ -100,7 +100,8 @@ fn oklch(lightness: f64, chroma: f64, hue_rad: f64) -> [f64; 3] {
     ]
 }
 
-/// Ranges as colours, warm near and cold far, on a logarithmic scale: what is near matters most.
+/// Ranges as colours, warm near and cold far, on a logarithmic scale, since near ranges matter
+/// most.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct RangeScale {
     near_m: f64,
@@ -205,7 +206,7 @@ fn between(from: u8, to: u8, part: f64) -> u8 {
     (from + (f64::from(to) - from) * part).round() as u8
 }
 
-/// The value below which this many percent of the values are. Reorders them; there must be one.
+/// The percentile of the values. Reorders them; there must be at least one.
 fn percentile(values: &mut [f64], percent: usize) -> f64 {
     let index = (values.len() - 1) * percent / 100;
     *values.select_nth_unstable_by(index, f64::total_cmp).1

@@ -1,4 +1,4 @@
-//! The points of a sweep seen from above, cut to where they are.
+//! The points of a sweep seen from above, cropped to their extent.
 
 use std::f64::consts::{PI, TAU};
 
@@ -14,7 +14,8 @@ use super::strip::draw_caption;
 use sweepd_core::sweep::layout::{LABEL_GROUND, LABEL_NONE};
 use sweepd_core::sweep::{Column, Segment, SweepRef};
 
-/// How many of the returns may be outside at each side: a few far ones would make all others small.
+/// Percentage of the returns that may be outside at each side, since a few far ones would make all
+/// others small.
 const PERCENT_OUTSIDE: usize = 2;
 /// Reach of a plan without returns, and lower bound of any reach, metres from the sensor.
 const DEFAULT_REACH_M: f64 = 20.0;
@@ -40,7 +41,7 @@ struct Spot {
 }
 
 impl Spot {
-    /// What covers what: the greater covers the lesser.
+    /// Drawing order: a greater number covers a lesser one.
     fn layer(&self) -> u8 {
         match self.label {
             LABEL_GROUND => 0,
@@ -50,8 +51,7 @@ impl Spot {
     }
 }
 
-/// Where metres are on the page: y to the right, x down, as an axis of azimuth that turns clockwise
-/// needs it.
+/// Maps metres to the page: y to the right, x down, so that azimuths are clockwise.
 struct FloorPlan {
     area: Rectangle,
     sensor: Point,
@@ -192,7 +192,7 @@ impl FloorPlan {
         }
     }
 
-    /// The rings of which something is in the area.
+    /// The rings that intersect the area.
     fn rings_m(&self) -> impl Iterator<Item = f64> + use<> {
         let ring_m = self.ring_m;
         let [forward, right, back, left] = self.axis_ends().map(|end| end - self.sensor);
@@ -215,8 +215,7 @@ impl FloorPlan {
         }
     }
 
-    /// Degrees at the ends of the axes, metres at the rings along the longer one of those that lie
-    /// flat.
+    /// Degrees at the ends of the axes, metres at the rings along the longer horizontal axis.
     fn draw_axes(&self, page: &mut Canvas, texts: &mut Texts) {
         let ends = self.axis_ends();
         for (end, text) in ends.into_iter().zip(["0° forward", "90°", "180°", "270°"]) {
@@ -229,7 +228,7 @@ impl FloorPlan {
         }
     }
 
-    /// The number of a segment, which has a return at `at`: there where the segment is larger than
+    /// The number of a segment with a return at `at`: at that point if the segment is larger than
     /// its number, else beside it.
     fn draw_number(&self, page: &mut Canvas, texts: &mut Texts, segment: &Segment, at: Point) {
         let size = number_size(segment.label);
@@ -239,8 +238,7 @@ impl FloorPlan {
         let [y, x, _] = std::array::from_fn(|axis| {
             f64::from(segment.max_m[axis] - segment.min_m[axis]) * self.pixels_per_m
         });
-        // Beside a large one is still at the return, not at the edge of its box, where nothing
-        // may be.
+        // For a large segment stay near the return: there may be no returns at the edge of its box.
         let half_x = x.min(BESIDE) as i32 / 2;
         let half_y = y.min(BESIDE) as i32 / 2;
         let mut centers = vec![
@@ -256,8 +254,8 @@ impl FloorPlan {
     }
 }
 
-/// Of each segment of the table the return nearest to its mean, x and y: the mean itself may be
-/// where nothing is.
+/// The return of each segment nearest to its mean, x and y: there may be no return at the mean
+/// itself.
 fn anchors(spots: &[Spot], segments: &[Segment]) -> Vec<Option<[f64; 2]>> {
     let mut nearest = vec![(f64::INFINITY, None); segments.len()];
     for spot in spots {
@@ -279,7 +277,7 @@ fn bin(azimuth_rad: f64) -> usize {
     (azimuth_rad.rem_euclid(TAU) / TAU * BINS as f64) as usize % BINS
 }
 
-/// The directions from each lost column to the one after it; nothing where no column is lost.
+/// The directions from each lost column to the one after it; `None` if no column is lost.
 fn lost_bins(columns: &[Column]) -> Option<[bool; BINS]> {
     let mut lost = None;
     for (index, column) in columns

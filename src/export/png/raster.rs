@@ -3,7 +3,7 @@
 use sweepd_core::sweep::SweepRef;
 use sweepd_core::sweep::layout::is_return;
 
-/// What a cell of the raster shows.
+/// Content of a cell of the raster.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub enum Cell {
     /// Columns whose packet was lost.

@@ -96,9 +96,8 @@ struct Run {
     off_middle: usize,
 }
 
-/// The longest run of each segment of the table, of equals the one nearest the middle of the
-/// segment's height: there a number is on its segment, also if that is hollow or lies across the
-/// seam.
+/// The longest run of each segment of the table; of equal runs the one nearest the middle of the
+/// segment's height. A number there is on its segment, even if that is hollow or across the seam.
 fn anchors(sweep: SweepRef<'_>, raster: &Raster) -> Vec<Option<Run>> {
     let mut longest: Vec<Option<Run>> = vec![None; sweep.segments.len()];
     for row in 0..raster.rows {

@@ -1,4 +1,4 @@
-//! The head of a page: which sweep this is, and what is in it.
+//! The head of a page: identity and properties of the sweep.
 
 use embedded_graphics::prelude::*;
 
@@ -10,12 +10,12 @@ use sweepd_core::sweep::layout::{LABEL_GROUND, TimeSource, flags, is_return};
 /// Height of the head, pixels.
 pub const HEIGHT: i32 = 68;
 
-/// What a picture says of a sweep that the sweep does not know itself.
+/// Information for a picture that is not in the sweep itself.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub struct Title<'a> {
     /// Name of the sensor's model.
     pub model: &'a str,
-    /// Number of the sweep among those given out.
+    /// Number of the sweep in the output.
     pub sweep_number: u64,
 }
 
@@ -72,7 +72,7 @@ fn returns(ranges: &[f32]) -> usize {
     ranges.iter().filter(|&&range| is_return(range)).count()
 }
 
-/// What makes this sweep unlike a whole turn at a steady speed.
+/// Warnings, where the sweep is not a whole turn at a steady speed.
 fn warnings(sweep: SweepRef<'_>) -> Vec<String> {
     let words = [
         (flags::PARTIAL, "partial sweep"),

@@ -1,7 +1,7 @@
 //! A picture of figures over a parameter: panels side by side, each with lines over an axis of its
 //! own, and all over the same shares from 0 to 1.
 //!
-//! Colour alone tells no line from another: each has a mark of its own shape.
+//! Lines are not distinguished by colour alone: each has its own shape of mark.
 
 use std::io::{self, Write};
 
@@ -17,7 +17,7 @@ use crate::export::png::palette::{BACKGROUND, DIM, GRID, NO_RETURN, TEXT, round_
 /// Pixels of a chart.
 pub const CHART_SIZE: (u32, u32) = (1200, 620);
 
-// A chart is shown as large as it is, other than a picture of a sweep.
+// A chart is shown at its full size, unlike a picture of a sweep.
 /// Names of axes and lines.
 const CAPTION: TextStyle = TextStyle::new(&fonts::FONT_9X15_BOLD, TEXT);
 /// Sentences.

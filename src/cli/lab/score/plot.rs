@@ -1,4 +1,4 @@
-//! `--plot`: the paper's Fig. 6, the share of things that are found over what a method is told.
+//! `--plot`: the paper's Fig. 6, the share of instances found over the parameter of a method.
 
 use std::fs::File;
 use std::io::{BufWriter, Write};
@@ -11,13 +11,13 @@ use crate::export::Existing;
 use crate::files::output::NewFile;
 use sweepd_lab::score::{Group, Summary};
 
-/// A file that waits for its picture.
+/// A file for a picture that is made at the end.
 pub(super) struct Plot {
     file: File,
     new: NewFile,
 }
 
-/// Creates the file before minutes are spent on what is to be in it.
+/// Creates the file before the minutes of work for its content.
 pub(super) fn create(path: &Path, existing: Existing) -> Result<Plot, CliError> {
     let (file, new) = NewFile::create(path, existing)?;
     Ok(Plot { file, new })

@@ -72,7 +72,7 @@ pub(super) fn number(value: Option<f64>, decimals: usize) -> String {
     value.map_or("-".to_owned(), |value| format!("{value:.decimals$}"))
 }
 
-/// A line a scan, with the figures that tell most; nothing for no scans.
+/// A line for each scan, with the most important figures; empty without scans.
 pub(super) fn scans(scans: &[(&str, &ScanScore)]) -> String {
     let Some((_, first)) = scans.first() else {
         return String::new();

@@ -9,8 +9,7 @@ use sweepd_core::segment::{Config, Method};
 use sweepd_lab::cloud::CloudSegmenter;
 use sweepd_lab::score::{Baseline, ScanScore};
 
-/// A method of ours. What it learns of a sequence, as the height of the sensor, is forgotten with
-/// the next one.
+/// A method of ours. Its state, such as the height of the sensor, is reset for each sequence.
 pub(super) struct OwnMethod {
     config: Config,
     columns: usize,
@@ -45,7 +44,7 @@ fn segmenter(config: &Config, columns: usize) -> Result<CloudSegmenter, CliError
 /// What segments a cloud.
 enum Segmentation {
     Own(Box<OwnMethod>),
-    /// Segments of what our default method leaves when it has taken the ground away.
+    /// Segments of the points that our default method does not label as ground.
     Baseline(Baseline),
 }
 
@@ -152,7 +151,7 @@ impl Trial {
         Ok(labels)
     }
 
-    /// The time of the middle one of the scans: the first of a sequence also takes memory.
+    /// The median time of the scans: the first of a sequence also allocates memory.
     pub(super) fn median_ms(&self) -> f64 {
         let mut ms = self.ms.clone();
         ms.sort_unstable_by(f64::total_cmp);

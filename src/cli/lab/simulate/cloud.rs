@@ -40,8 +40,8 @@ pub struct CloudOptions {
 }
 
 impl CloudOptions {
-    /// Looks for what says nothing without the rest. (The parser takes it, once an option that
-    /// excludes the rest is given.)
+    /// Refuses options without those that they need. (The parser accepts them if an option is given
+    /// that excludes the others.)
     ///
     /// # Errors
     /// [`CliError::Usage`].
@@ -61,8 +61,7 @@ impl CloudOptions {
 /// Runs the command for the cloud in a file.
 ///
 /// # Errors
-/// [`CliError`]: a cloud or a calibration that cannot be meant, a file that cannot be read or
-/// written.
+/// [`CliError`]: an invalid cloud or calibration, a file that cannot be read or written.
 pub fn run(args: &Args, cloud: &Path) -> Result<(), CliError> {
     let fitted = args
         .cloud
@@ -130,8 +129,8 @@ fn cloud_error(cloud: &Path, error: FromCloudError) -> CliError {
     CliError::Usage(format!("{}: {error}", cloud.display()))
 }
 
-/// Where the fitted calibration goes: beside the capture, unless it is said. Never over the one
-/// that is fitted.
+/// The file of the fitted calibration: beside the capture by default. Never the file that is
+/// fitted.
 fn fitted_file(args: &Args) -> Result<PathBuf, CliError> {
     let beside = args.target.pcap.as_deref().and_then(yaml_beside);
     let named = args.cloud.fitted.clone().or(beside);
@@ -163,7 +162,7 @@ fn yaml_beside(capture: &Path) -> Option<PathBuf> {
     Some(capture.with_file_name(format!("{stem}.yaml")))
 }
 
-/// Says on standard error what became of the points, and what was sent.
+/// Prints on standard error how many points were encoded, and what was sent.
 fn conclude(cloud: &Path, turn: &Turn, packets: u64, faults: &Faults) {
     complain(&cloud.display().to_string(), turn.report());
     let message = format!(

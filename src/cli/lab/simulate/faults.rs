@@ -1,4 +1,4 @@
-//! What is to go wrong in a simulation.
+//! Faults of a simulation.
 
 use std::ops::RangeInclusive;
 
@@ -9,7 +9,7 @@ use sweepd_lab::simulate::{ClockStep, FieldOfView, Motor, PacketPart, Rates, Spe
 const PERCENT: RangeInclusive<f64> = 0.0..=100.0;
 /// Any moment of the longest simulation, seconds.
 const DAY_S: RangeInclusive<f64> = 0.0..=86_400.0;
-/// Packets lost in a burst, unless it is said.
+/// Default number of packets lost in a burst.
 const BURST_LEN: u64 = 10;
 
 /// Faults, by seed; rates in percent of the data packets. The first and the last packet are always
@@ -227,7 +227,7 @@ fn nanoseconds(seconds: f64) -> i64 {
 }
 
 impl FaultOptions {
-    /// Looks for what would come only after the end.
+    /// Refuses faults that would begin after the end.
     ///
     /// # Errors
     /// [`CliError::Usage`].
@@ -259,7 +259,7 @@ impl FaultOptions {
         Ok(())
     }
 
-    /// Whether two sensors have each other's address, so long after the start.
+    /// Whether the first two sensors have exchanged their addresses, this long after the start.
     pub fn is_exchanged(&self, elapsed_ns: i64) -> bool {
         self.exchange
             .is_some_and(|at| elapsed_ns >= nanoseconds(at))

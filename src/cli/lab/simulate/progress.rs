@@ -1,4 +1,4 @@
-//! How far a simulation is, on standard error; silent where that is no terminal.
+//! Progress of a simulation, on standard error, if that is a terminal.
 
 use indicatif::{ProgressBar, ProgressDrawTarget, ProgressStyle};
 

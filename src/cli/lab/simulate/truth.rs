@@ -1,4 +1,4 @@
-//! `--truth`: what every return of a simulation really was.
+//! `--truth`: the true values of every return of a simulation.
 
 use std::fs::File;
 use std::io::{self, BufWriter, Write};
@@ -12,10 +12,10 @@ use sweepd_lab::simulate::{PacketTruth, Scene};
 /// First line of every `truth.csv`.
 const HEADER: &str = "packet,block,record,object,class,range_m,azimuth_deg,time_ns";
 
-/// Looks for what a former run left in the folder and in those of further sensors.
+/// Looks for files of a former run in the folder and in those of further sensors.
 ///
 /// # Errors
-/// [`CliError::Write`]: there is something, and it is not to be replaced.
+/// [`CliError::Write`]: there are some, and they must not be replaced.
 pub fn former(folder: &Path, existing: Existing) -> Result<Former, CliError> {
     Ok(Former::find(folder, existing, "file", |name| {
         matches!(name, "truth.csv" | "objects.csv")
@@ -32,7 +32,7 @@ pub struct TruthFile {
 }
 
 impl TruthFile {
-    /// Creates the file and the folder that it is to be in.
+    /// Creates the file and its folder.
     ///
     /// # Errors
     /// [`CliError::Write`].
@@ -68,7 +68,7 @@ impl TruthFile {
         for (block, records) in truth.returns.iter().enumerate() {
             for (record, one) in records.iter().enumerate() {
                 let Some(one) = one else { continue };
-                // What rounds to a whole turn is 0.
+                // An azimuth that rounds to a whole turn is written as 0.
                 let azimuth_deg = (one.azimuth_rad.to_degrees() * 1e4)
                     .round()
                     .rem_euclid(360e4)
