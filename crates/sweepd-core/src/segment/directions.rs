@@ -1,5 +1,4 @@
-//! Where the head looked at each firing: sines and cosines, by position in the order in which
-//! columns are taken.
+//! Where the head looked at each firing: sines and cosines.
 
 use std::f32::consts::FRAC_2_PI;
 
@@ -7,10 +6,11 @@ use fearless_simd::{Simd, f32x16, i32x16, prelude::*};
 
 use super::order::{LANES, Order, STRIP, load};
 use super::reserve;
+use crate::sweep::SweepRef;
 use crate::sweep::image::shifted;
-use crate::sweep::{Column, SweepRef};
 
-/// Where the head looked at each firing, by position; with a margin for beams of other columns.
+/// Where the head looked at the firings that a strip shows: those of its columns, and of the
+/// columns beside it that shifted beams point from.
 #[derive(Clone, Debug, Default)]
 pub(super) struct Directions {
     sin: Vec<f32>,
@@ -19,9 +19,10 @@ pub(super) struct Directions {
     surplus_rad_s: Vec<f32>,
     /// Turning rate of the first column.
     rate_rad_s: f32,
+    /// Columns on either side.
     margin: usize,
-    /// Entries that will stay as they are.
-    sure: usize,
+    /// Position of the strip.
+    strip: usize,
 }
 
 impl Directions {
@@ -29,72 +30,51 @@ impl Directions {
     /// wide.
     pub fn reserve(&mut self, columns: usize) {
         for table in [&mut self.sin, &mut self.cos, &mut self.surplus_rad_s] {
-            reserve(table, 3 * columns + 6 * STRIP);
+            reserve(table, STRIP + 2 * columns.next_multiple_of(LANES));
         }
     }
 
-    /// Forgets all; beams point to firings up to this many columns aside.
-    pub fn clear(&mut self, margin: usize, rate_rad_s: f32) {
-        self.sin.clear();
-        self.cos.clear();
-        self.surplus_rad_s.clear();
-        (self.margin, self.rate_rad_s, self.sure) = (margin, rate_rad_s, 0);
+    /// Takes the turning rate of the first column, and how far beams are shifted at most.
+    pub fn begin(&mut self, margin: usize, rate_rad_s: f32) {
+        self.margin = margin.next_multiple_of(LANES);
+        self.rate_rad_s = rate_rad_s;
     }
 
-    /// Looks up the directions up to a position, and those that beams aside of it point to.
+    /// Looks up the directions of the strip at a position.
     #[inline(always)]
-    pub fn extend<S: Simd>(&mut self, simd: S, sweep: &SweepRef<'_>, order: Order, end: usize) {
-        let columns = sweep.columns;
-        // While the head still turns, the last vector may hold columns that are not there yet: it
-        // is made again.
-        let is_open = order.columns.is_none();
+    pub fn look_up<S: Simd>(
+        &mut self,
+        simd: S,
+        sweep: &SweepRef<'_>,
+        order: Order,
+        position: usize,
+    ) {
+        self.strip = position;
         for table in [&mut self.sin, &mut self.cos, &mut self.surplus_rad_s] {
-            table.truncate(self.sure);
+            table.clear();
         }
-        for first in (self.sure..end + 2 * self.margin).step_by(LANES) {
-            let ahead = (order.start + first) as i32 - (STRIP + self.margin) as i32;
-            let mut azimuth = [0.0; LANES];
-            let mut surplus = [0.0; LANES];
-            let mut take = |lane: usize, column: &Column| {
-                azimuth[lane] = column.azimuth_rad;
-                surplus[lane] = column.azimuth_rate_rad_s - self.rate_rad_s;
-            };
-            match usize::try_from(ahead)
-                .ok()
-                .and_then(|at| columns.get(at..at + LANES))
-            {
-                Some(columns) => columns
-                    .iter()
-                    .enumerate()
-                    .for_each(|(lane, column)| take(lane, column)),
-                // Over an end of the image.
-                None => {
-                    let at = |lane: usize| {
-                        shifted(
-                            0,
-                            ahead + lane as i32,
-                            columns.len(),
-                            order.circular && !is_open,
-                        )
-                    };
-                    (0..LANES).for_each(|lane| take(lane, &columns[at(lane)]));
-                }
+        let columns = sweep.columns;
+        // While the head still turns, what lies beyond the last column is no firing of the strip.
+        let circular = order.circular && order.columns.is_some();
+        let start = (order.start + position) as i32 - (STRIP + self.margin) as i32;
+        for first in (0..STRIP + 2 * self.margin).step_by(LANES) {
+            let mut azimuth_rad = [0.0; LANES];
+            let mut surplus_rad_s = [0.0; LANES];
+            for lane in 0..LANES {
+                let ahead = start + (first + lane) as i32;
+                let column = &columns[shifted(0, ahead, columns.len(), circular)];
+                azimuth_rad[lane] = column.azimuth_rad;
+                surplus_rad_s[lane] = column.azimuth_rate_rad_s - self.rate_rad_s;
             }
-            let [sin, cos] = sin_cos(load(simd, &azimuth, 0));
+            self.surplus_rad_s.extend_from_slice(&surplus_rad_s);
+            let [sin, cos] = sin_cos(load(simd, &azimuth_rad, 0));
             self.sin.extend_from_slice(sin.as_slice());
             self.cos.extend_from_slice(cos.as_slice());
-            self.surplus_rad_s.extend_from_slice(&surplus);
         }
-        let there = if is_open {
-            columns.len() + STRIP + self.margin - order.start.min(columns.len())
-        } else {
-            usize::MAX
-        };
-        self.sure = self.sin.len().min(there / LANES * LANES);
     }
 
     /// Sine, cosine and the rest of the turning rate of the firings that a row with this shift
-    /// shows, from a position on.
+    /// shows, from a position of the strip on.
     #[inline(always)]
     pub fn at<S: Simd, V: SimdBase<S, Element = f32>>(
         &self,
@@ -102,7 +82,7 @@ impl Directions {
         position: usize,
         shift: i32,
     ) -> [V; 3] {
-        let at = (position + self.margin).wrapping_add_signed(shift as isize);
+        let at = (position - self.strip + self.margin).wrapping_add_signed(shift as isize);
         let lanes = at..at + V::LEN;
         [
             V::from_slice(simd, &self.sin[lanes.clone()]),

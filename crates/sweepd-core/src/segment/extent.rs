@@ -30,21 +30,13 @@ impl Extent {
     fn close(&mut self, order: Order) {
         let mut columns = std::mem::take(&mut self.columns);
         while columns != 0 {
-            let first = columns.trailing_zeros();
-            let stretch = (columns >> first).trailing_ones();
-            let here = self.strip + first as usize;
-            if let Some([_, last]) = self.ends {
+            let here = self.strip + columns.trailing_zeros() as usize;
+            columns &= columns - 1;
+            let [first, last] = self.ends.unwrap_or([here; 2]);
+            if here - last > 1 {
                 self.look_at_hole([last, here], order);
             }
-            self.ends = Some([
-                self.ends.map_or(here, |ends| ends[0]),
-                here + stretch as usize - 1,
-            ]);
-            columns = columns
-                .checked_shr(first + stretch)
-                .unwrap_or(0)
-                .checked_shl(first + stretch)
-                .unwrap_or(0);
+            self.ends = Some([first, here]);
         }
     }
 

@@ -73,20 +73,15 @@ pub(super) struct Ground {
     /// and the next.
     climbed: [[u64; 3]; MAX_ROWS],
     /// The next strip, row by row.
-    spots: Box<[Spot<[i16; STRIP]>; MAX_ROWS]>,
+    spots: Box<[Spots; MAX_ROWS]>,
 }
 
 impl Default for Ground {
     fn default() -> Self {
-        let nowhere = Spot {
-            away: [0; STRIP],
-            way: [0; STRIP],
-            height: [0; STRIP],
-        };
         Self {
             height_m: None,
             climbed: [[0; 3]; MAX_ROWS],
-            spots: Box::new([nowhere; MAX_ROWS]),
+            spots: Box::new([Spots([[0; STRIP]; 3]); MAX_ROWS]),
         }
     }
 }
@@ -126,8 +121,12 @@ impl Ground {
                         continue;
                     }
                     let real: S::i16s = ranges.steps.load(simd, lane_of(row) + STRIP + first);
-                    let here = spots.load(simd, first);
-                    let [ground, face, goes_on] = climber.step(&steps, here, real.simd_gt(0));
+                    let away = spots.load(simd, first, 0);
+                    let here = Foothold {
+                        way: spots.load(simd, first, 1),
+                        height: spots.load(simd, first, 2),
+                    };
+                    let [ground, face, goes_on] = climber.step(&steps, away, here, real.simd_gt(0));
                     found[row].ground |= ground.to_bitmask() << first;
                     found[row].face |= face.to_bitmask() << first;
                     found[row].goes_on |= goes_on.to_bitmask() << first;
@@ -166,8 +165,8 @@ impl Ground {
             votes.add(here);
             ayes.add(here & after(climbed, back));
         }
-        let made = ayes.at_least_3();
-        let unmade = !ayes.at_least_2() & votes.at_least_4();
+        let made = ayes.fours | ayes.twos & ayes.ones;
+        let unmade = votes.fours & !(ayes.fours | ayes.twos);
         (climbed[1] | made) & !(climbed[1] & unmade)
     }
 }
@@ -221,18 +220,6 @@ impl Count {
         self.fours |= self.twos & carry;
         self.twos ^= carry;
     }
-
-    fn at_least_2(self) -> u64 {
-        self.twos | self.fours
-    }
-
-    fn at_least_3(self) -> u64 {
-        self.fours | self.twos & self.ones
-    }
-
-    fn at_least_4(self) -> u64 {
-        self.fours
-    }
 }
 
 /// How far away steps reach, metres: as far as any sensor sees.
@@ -278,32 +265,27 @@ impl Steps {
     }
 
     #[inline(always)]
-    fn scale<S: Simd>(&self, at: Profile<S::f32s>) -> Spot<S::i32s> {
+    fn scale<S: Simd>(&self, at: Profile<S::f32s>) -> [S::i32s; 3] {
         let away = at.away * (self.per_m / (1 << STEPS_AWAY) as f32);
         let way = at.away * (self.per_m * self.max_slope);
         let height = (at.height + self.height_m) * self.per_m;
-        Spot {
-            away: away.to_int(),
-            way: way.to_int(),
-            height: height.round_ties_even().to_int(),
-        }
+        [
+            away.to_int(),
+            way.to_int(),
+            height.round_ties_even().to_int(),
+        ]
     }
 }
 
-/// Returns in steps.
+/// A row of a strip in steps: of each return the distance from the plumb line, how high the
+/// steepest way rises from the plumb line to there, and its height over the ground at the sensor.
+///
+/// The difference of two ways is what the way rises between them. To know it beforehand keeps a
+/// product out of the chain from row to row.
 #[derive(Clone, Copy, Debug)]
-struct Spot<T> {
-    /// Distance from the plumb line.
-    away: T,
-    /// How high the steepest way rises from the plumb line to there: of two returns, the difference
-    /// is what it rises between them. To know it beforehand keeps a product out of the chain from
-    /// row to row.
-    way: T,
-    /// Height over the ground at the sensor.
-    height: T,
-}
+struct Spots([[i16; STRIP]; 3]);
 
-impl Spot<[i16; STRIP]> {
+impl Spots {
     /// Takes a row of the next strip, which begins at this position.
     #[inline(always)]
     fn place<S: Simd>(
@@ -322,28 +304,20 @@ impl Spot<[i16; STRIP]> {
             let low_m: S::f32s = ranges.metres.load(simd, lane);
             let high_m: S::f32s = ranges.metres.load(simd, lane + half);
             let at = position + first;
-            let low: Spot<S::i32s> =
-                steps.scale::<S>(beams.profile(simd, beam, at, low_m.min(FURTHEST_M)));
-            let high: Spot<S::i32s> =
-                steps.scale::<S>(beams.profile(simd, beam, at + half, high_m.min(FURTHEST_M)));
-            let lanes = first..first + 2 * half;
-            let away = low.away.saturating_narrow(high.away);
-            away.store_slice(&mut self.away[lanes.clone()]);
-            let way = low.way.saturating_narrow(high.way);
-            way.store_slice(&mut self.way[lanes.clone()]);
-            let height = low.height.saturating_narrow(high.height);
-            height.store_slice(&mut self.height[lanes]);
+            let low = beams.profile(simd, beam, at, low_m.min(FURTHEST_M));
+            let high = beams.profile(simd, beam, at + half, high_m.min(FURTHEST_M));
+            let low = steps.scale::<S>(low);
+            let high = steps.scale::<S>(high);
+            for kind in 0..3 {
+                let spots = low[kind].saturating_narrow(high[kind]);
+                spots.store_slice(&mut self.0[kind][first..first + 2 * half]);
+            }
         }
     }
 
     #[inline(always)]
-    fn load<S: Simd>(&self, simd: S, first: usize) -> Spot<S::i16s> {
-        let lanes = first..first + S::i16s::LEN;
-        Spot {
-            away: S::i16s::from_slice(simd, &self.away[lanes.clone()]),
-            way: S::i16s::from_slice(simd, &self.way[lanes.clone()]),
-            height: S::i16s::from_slice(simd, &self.height[lanes]),
-        }
+    fn load<S: Simd>(&self, simd: S, first: usize, kind: usize) -> S::i16s {
+        S::i16s::from_slice(simd, &self.0[kind][first..first + S::i16s::LEN])
     }
 }
 
@@ -398,11 +372,13 @@ impl<S: Simd> Climber<S> {
     /// Takes the next row up: whether it is ground, the face of a kerb, and the level way behind
     /// one.
     #[inline(always)]
-    fn step(&mut self, steps: &Steps, at: Spot<S::i16s>, real: S::mask16s) -> [S::mask16s; 3] {
-        let here: Foothold<S> = Foothold {
-            way: at.way,
-            height: at.height,
-        };
+    fn step(
+        &mut self,
+        steps: &Steps,
+        away: S::i16s,
+        here: Foothold<S>,
+        real: S::mask16s,
+    ) -> [S::mask16s; 3] {
         let above = here.height.saturating_sub(self.edge.height);
         let below = self.edge.height.saturating_sub(here.height);
         let is_level = above.max(below).simd_lt(here.way - self.edge.way);
@@ -416,7 +392,7 @@ impl<S: Simd> Climber<S> {
         let falls_little = rise
             .saturating_add(way.abs().max(steps.min_rise))
             .simd_gt(0);
-        let foot_away: S::i16s = at.away - self.foot_away;
+        let foot_away: S::i16s = away - self.foot_away;
         let foot_rise = here.height.saturating_sub(self.foot_height);
         let is_steep = (foot_rise >> STEPS_AWAY).simd_gt(foot_away.abs())
             & foot_rise.simd_lt(steps.step_reach);
@@ -429,8 +405,8 @@ impl<S: Simd> Climber<S> {
         self.edge = here.or(self.edge, face);
         self.has_edge |= face;
         let is_foot = real & !is_steep;
-        self.foot_away = is_foot.select(at.away, self.foot_away);
-        self.foot_height = is_foot.select(at.height, self.foot_height);
+        self.foot_away = is_foot.select(away, self.foot_away);
+        self.foot_height = is_foot.select(here.height, self.foot_height);
         [ground, face, goes_on]
     }
 }
@@ -485,7 +461,7 @@ mod tests {
             dispatch!(level, simd => {
                 let mut beams = Beams::default();
                 beams.begin(&sweep, Some(STRIP), &mount);
-                beams.extend(simd, &sweep, 2 * STRIP);
+                beams.look_up(simd, &sweep, STRIP);
                 ground.climb(simd, &SlopeGround::default(), &beams, &ranges, STRIP);
             });
             found.extend(places.map(|place| {

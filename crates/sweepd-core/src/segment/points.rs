@@ -77,27 +77,25 @@ pub fn placed(sweep: &SweepRef<'_>, config: &Config) -> Vec<Option<Placed>> {
     dispatch!(Level::new(), simd => {
         beams.begin(sweep, Some(columns), &config.mount);
         let order = beams.order;
-        for position in (STRIP..STRIP + columns).step_by(STRIP) {
-            beams.extend(simd, sweep, position + STRIP);
+        for position in (STRIP..order.end()).step_by(STRIP) {
+            beams.look_up(simd, sweep, position);
             ranges.fill(simd, sweep, config, order, position);
             ranges.advance(rows);
-            for row in 0..rows {
-                for first in (0..STRIP).step_by(LANES) {
-                    let range = ranges.load(simd, row, first);
-                    let point = beams.points(simd, row, position + first, range);
-                    let profile = beams.profile(simd, beams.row(row), position + first, range);
-                    for ahead in 0..LANES {
-                        let at = position + first + ahead;
-                        if at < order.end() && ranges.real[row][1] >> (first + ahead) & 1 == 1 {
-                            all[order.column(at).unwrap_or(0) * rows + row] = Some(Placed {
-                                point_m: point.map(|axis| axis.as_slice()[ahead]),
-                                range_m: range.as_slice()[ahead],
-                                away_m: profile.away.as_slice()[ahead],
-                                height_m: profile.height.as_slice()[ahead],
-                            });
-                        }
-                    }
+            for (row, ahead) in (0..rows).flat_map(|row| (0..STRIP).map(move |ahead| (row, ahead))) {
+                let column = order.column(position + ahead).unwrap_or(0);
+                if ranges.real[row][1] >> ahead & 1 == 0 || position + ahead >= order.end() {
+                    continue;
                 }
+                let lane = ahead % LANES;
+                let at = position + ahead - lane;
+                let range = ranges.load(simd, row, ahead - lane);
+                let profile = beams.profile(simd, beams.row(row), at, range);
+                all[column * rows + row] = Some(Placed {
+                    point_m: beams.points(simd, row, at, range).map(|axis| axis[lane]),
+                    range_m: range[lane],
+                    away_m: profile.away[lane],
+                    height_m: profile.height[lane],
+                });
             }
         }
     });
@@ -133,7 +131,7 @@ impl Beams {
             .map(|beam| beam.shift.unsigned_abs() as usize)
             .max()
             .unwrap_or(0);
-        self.directions.clear(margin, rate_rad_s);
+        self.directions.begin(margin, rate_rad_s);
     }
 
     /// Rows of the image.
@@ -141,10 +139,16 @@ impl Beams {
         self.rows.len()
     }
 
-    /// Looks up where the head looked at all positions before one.
+    /// Whether heights depend on where the head looked.
+    pub fn is_tilted(&self) -> bool {
+        self.rows.first().is_some_and(|beam| beam.tilt.is_some())
+    }
+
+    /// Looks up where the head looked at the firings of the strip at a position: what follows is of
+    /// its columns.
     #[inline(always)]
-    pub fn extend<S: Simd>(&mut self, simd: S, sweep: &SweepRef<'_>, end: usize) {
-        self.directions.extend(simd, sweep, self.order, end);
+    pub fn look_up<S: Simd>(&mut self, simd: S, sweep: &SweepRef<'_>, position: usize) {
+        self.directions.look_up(simd, sweep, self.order, position);
     }
 
     /// The points at these ranges of a row, of the columns from a position on: right, forward, up,

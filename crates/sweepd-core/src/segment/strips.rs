@@ -139,6 +139,9 @@ impl Strips {
             // Each step by itself: together they are more than a compiler keeps in view.
             dispatch!(self.level, simd => self.read(simd, &sweep, config));
             dispatch!(self.level, simd => self.climb(simd, config));
+            // The runs of the strip at hand are placed.
+            let position = self.at.saturating_sub(1) * STRIP;
+            dispatch!(self.level, simd => self.beams.look_up(simd, &sweep, position));
             self.at += 1;
             // The strip at hand is the one before the last that was read, and the first only leads
             // in.
@@ -194,7 +197,9 @@ impl Strips {
             self.jumps[1],
             joining::jumps(sweep.columns, order, position, self.pitch_rad),
         ];
-        self.beams.extend(simd, sweep, position + STRIP);
+        if self.beams.is_tilted() {
+            self.beams.look_up(simd, sweep, position);
+        }
         self.ranges.fill(simd, sweep, config, order, position);
         if config.mount.height_m.is_none() {
             self.note_depths(simd);

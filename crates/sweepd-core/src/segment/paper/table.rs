@@ -50,7 +50,7 @@ impl Table {
             .begin(sweep, Some(sweep.columns.len()), &config.mount);
         let order = self.beams.order;
         for position in (STRIP..order.end()).step_by(STRIP) {
-            self.beams.extend(simd, sweep, position + STRIP);
+            self.beams.look_up(simd, sweep, position);
             self.ranges.fill(simd, sweep, config, order, position);
             self.ranges.advance(rows);
             // First pixels of the columns.
