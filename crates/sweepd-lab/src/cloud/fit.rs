@@ -5,18 +5,18 @@
 //! z = away x tan w + V        far points tell the elevation w, near ones the vertical offset V
 //! ```
 //!
-//! Scans of a moving vehicle are mostly corrected for its motion, which shifts the points of a ring
-//! by up to a metre along the way: they lie no longer on a cone. A fit that takes each point for an
-//! independent measurement would then give vertical offsets that no unit has, so that offset leans
-//! on the calibration as long as the scan does not speak clearly.
+//! Scans of a moving vehicle are usually corrected for its motion, which shifts the points of a
+//! ring by up to a metre in the direction of travel, so that they no longer lie on a cone. A fit
+//! that took each point for an independent measurement would then give impossible vertical offsets.
+//! So the calibration is a prior of the offset, which only a clear scan outweighs.
 
 use fearless_simd::{Level, dispatch};
 
 /// Noise of a point's height near the sensor, metres: the laser's own.
 const NOISE_M: f64 = 0.01;
-/// The same far away, radians: the vehicle's pitching during a turn.
+/// The same far away, radians: from the vehicle's pitching during a turn.
 const NOISE_RAD: f64 = 0.000_5;
-/// Least noise of a scan, in that noise: what looks better is luck.
+/// Lower bound of a scan's noise, as a share of that noise: less is by chance.
 const LEAST_NOISE: f64 = 0.5;
 /// All points of a ring together count as this many independent ones.
 const INDEPENDENT: f64 = 100.0;
@@ -24,7 +24,7 @@ const INDEPENDENT: f64 = 100.0;
 const OFFSETS_M: [f64; 2] = [0.0, 0.3];
 /// Points off the line by more than this many standard deviations do not count (Tukey's biweight).
 const CUT: f64 = 4.685;
-/// The median deviation of a round is looked for so far around that of the one before, in parts of
+/// Range in which the median deviation is searched around that of the round before, as a share of
 /// it.
 const AROUND: f64 = 0.1;
 /// Standard deviations in a median deviation.
@@ -47,12 +47,12 @@ pub(crate) struct Sample {
     pub z_m: f64,
 }
 
-/// What is known of a vertical offset before the scan is looked at, metres.
+/// Prior of a vertical offset, metres.
 #[derive(Clone, Copy, Debug)]
 pub(crate) struct Prior {
     /// What it is most likely.
     pub offset_m: f64,
-    /// How far off that may be: a standard deviation.
+    /// Its standard deviation.
     pub spread_m: f64,
 }
 
@@ -126,9 +126,9 @@ impl Fitter {
         (line.slope.is_finite() && line.offset_m.is_finite()).then_some(line)
     }
 
-    /// The line with each point weighed again: by inverse variance, less for points off the last
-    /// line. Together they count as [`INDEPENDENT`] points. And the median deviation from the last
-    /// line, which is found sooner near the one before.
+    /// The line with new weights: inverse variances, reduced for points off the last line. Together
+    /// the points count as [`INDEPENDENT`] points. Also the median deviation from the last line,
+    /// whose search starts near the one before.
     #[inline(always)]
     fn better(&mut self, samples: &[Sample], prior: Prior, line: Line, before: f64) -> (Line, f64) {
         for ((off, sample), precision) in self.off.iter_mut().zip(samples).zip(&self.precision) {
@@ -180,8 +180,8 @@ impl Sums {
         self.xz += weighted * sample.z_m;
     }
 
-    /// The line of least weighted squares; if its offset is one that no unit has, the best with the
-    /// nearest offset.
+    /// The weighted least squares line; if its offset is impossible, the best line with the nearest
+    /// possible offset.
     fn solve(&self) -> Option<Line> {
         let determinant = self.xx * self.ones - self.x * self.x;
         if self.xx <= 0.0 || determinant <= 0.0 {
@@ -217,7 +217,7 @@ fn median_near(scratch: &mut Vec<i64>, values: &[f64], near: f64) -> f64 {
     let mut below = 0;
     let mut around = 0;
     for &value in values {
-        // Written in any case: a branch on whether a value is near would be mispredicted.
+        // Written unconditionally: a branch on whether a value is near would be mispredicted.
         scratch[around] = value.to_bits() as i64;
         around += usize::from(value >= low && value < high);
         below += usize::from(value < low);

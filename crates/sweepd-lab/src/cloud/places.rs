@@ -1,12 +1,12 @@
-//! Which column each point of a ring goes to, and which points share one.
+//! Assigns the points of a ring to columns.
 //!
-//! Firings are even; the points of a real scan are not: the encoder steps unevenly, a correction
-//! for motion crowds them, and a beam that starts beside the axis sees near and far things shifted.
-//! Most points lie within half a pitch of a column, but a point in twelve shares that one with
-//! another. So points make room: those next to it move up by a column, in order, to the nearest
-//! free one; of two about as near, to that for which all together move less; none lies more than
-//! two pitches from its column. A point that finds no room is in the column where it lies, where
-//! the nearer of two hides the other.
+//! Columns are evenly spaced; the points of a real scan are not: the encoder steps unevenly, the
+//! correction for motion crowds points, and a beam with an offset from the axis shifts near points
+//! against far ones. Most points are within half a pitch of a column, but one in twelve shares it
+//! with another. So points make room: neighbours move by a column, in order, up to the nearest free
+//! one; of two free ones at about the same distance, the one with the smaller sum of moves. No
+//! point may be more than two pitches from its column. A point without room stays in its own
+//! column, where the nearer of two hides the other.
 
 use std::f64::consts::TAU;
 
@@ -14,18 +14,18 @@ use fearless_simd::{Level, Simd, dispatch, f32x16, i32x16, prelude::*, u32x16};
 
 use super::rings::Polar;
 
-/// A point may be so far from its column, pitches.
+/// Greatest distance of a point from its column, pitches.
 const REACH: f32 = 2.0;
-/// The nearest free column may be so far away.
+/// Greatest distance to a free column, columns.
 const FARTHEST: usize = 48;
-/// One that is so much farther on the other side is as good, if points move less.
+/// A free column on the other side may be this much farther, if points move less.
 const FARTHER: usize = 2;
 /// Stands for no column, and for no point.
 pub(crate) const NONE: u32 = u32::MAX;
 /// Points or columns that one instruction treats.
 const LANES: usize = 16;
-/// Columns that are looked at together for one that is free: more than [`FARTHEST`] and
-/// [`FARTHER`].
+/// Columns that are searched together for a free one: more than [`FARTHEST`] and [`FARTHER`]
+/// together.
 const WINDOW: usize = 4 * LANES;
 
 /// Places the points of rings, one ring after the other, in the same memory.
@@ -35,7 +35,7 @@ pub(crate) struct Placer {
     off: Vec<f32>,
     /// The same of the point that has a column; NaN where it is free.
     held: Vec<f32>,
-    /// The column that each point is in; [`NONE`] for what is no point.
+    /// The column of each point; [`NONE`] for an invalid point.
     pub columns: Vec<u32>,
     /// The point that has each column for itself; [`NONE`] where it is free.
     pub points: Vec<u32>,
@@ -45,7 +45,8 @@ pub(crate) struct Placer {
     late: Vec<u32>,
 }
 
-/// How a point could get a column: those from there to the next free one move by one, up or down.
+/// A way to free a column for a point: the points from there to the next free column move by one,
+/// up or down.
 #[derive(Clone, Copy)]
 struct ColumnShift {
     column: usize,
@@ -106,8 +107,7 @@ impl Placer {
         self.late.resize(self.columns.len(), NONE);
         let held = &mut self.held[..columns];
         let points = &mut self.points[..columns];
-        // From the last point on, each takes the place of those behind it: nothing is read that has
-        // just been written.
+        // In descending order, so that no value is read that was just written.
         for (point, (&column, &off)) in self.columns.iter().zip(&self.off).enumerate().rev() {
             // What is no point has none.
             let Some(holder) = points.get_mut(column as usize) else {
@@ -119,7 +119,7 @@ impl Placer {
         let late = &mut self.late[..];
         let mut count = 0;
         for (point, &column) in self.columns.iter().enumerate() {
-            // Written in any case: which points are late, no processor foretells.
+            // Written unconditionally: a branch would be mispredicted.
             late[count] = point as u32;
             count += usize::from(
                 points
@@ -130,8 +130,7 @@ impl Placer {
         self.late.truncate(count);
     }
 
-    /// Finds a column for a point among those that have the columns around it; whether there was
-    /// one.
+    /// Finds a column for a point by moving its neighbours; returns whether there was one.
     #[inline(always)]
     fn squeeze<S: Simd>(&mut self, simd: S, point: u32) -> bool {
         let columns = self.points.len();
@@ -168,7 +167,7 @@ impl Placer {
         true
     }
 
-    /// The way to a column, so far before the new point, and from there on.
+    /// The shift that frees a column; `off` is the distance of the new point behind it.
     #[inline(always)]
     fn shift_from<S: Simd>(&self, simd: S, column: usize, off: f32, up: bool) -> ColumnShift {
         let columns = self.held.len();
@@ -206,7 +205,7 @@ impl Placer {
         }
     }
 
-    /// What a way adds to the squares of all moves, and the new point's own.
+    /// Increase of the sum of squared distances by a shift, including the new point's.
     #[inline(always)]
     fn cost(&self, shift: ColumnShift) -> f32 {
         let mut cost = shift.off * shift.off;
@@ -236,8 +235,7 @@ impl Placer {
     }
 }
 
-/// Of columns whose points lie so far behind them: where a way ends, since they are free or their
-/// point cannot move.
+/// Mask of columns at which a shift ends, because they are free or their point cannot move.
 #[inline(always)]
 fn ends<S: Simd>(simd: S, held: &[f32; WINDOW], up: bool) -> u64 {
     let mut movable = 0;

@@ -1,14 +1,14 @@
-//! Points in the cylinder around the sensor: the one step that looks at every point's direction.
+//! Points in cylindrical coordinates around the sensor.
 //!
-//! Plain loops over slices, compiled for each level of SIMD that the machine may have. The azimuth
-//! comes from a polynomial that is off by less than [`AZIMUTH_ERROR_TURN`], a thousandth of a
-//! column; the range by what f32 rounds.
+//! Plain loops over slices, compiled for each level of SIMD. The azimuth comes from a polynomial
+//! with an error below [`AZIMUTH_ERROR_TURN`], a thousandth of a column; the range has the rounding
+//! error of f32.
 
 use fearless_simd::{Level, dispatch};
 
-/// Points of which it is asked at once whether a ring begins among them.
+/// Points that are tested together for the start of a ring.
 const BLOCK: usize = 64;
-/// How far an azimuth may be off, turns: less than a millionth of a radian.
+/// Upper bound of the azimuth error, turns: less than a millionth of a radian.
 #[cfg(test)]
 const AZIMUTH_ERROR_TURN: f64 = 1.6e-7;
 /// atan t / (2 pi t) as a polynomial of t squared, for t from 0 to 1: the one of seven terms whose
@@ -250,8 +250,7 @@ mod tests {
         }
     }
 
-    /// What the machine has and what every machine has give the same, but for a contracted rounding
-    /// or two.
+    /// The machine's level and the baseline give the same, except for one or two roundings.
     #[test]
     fn every_level_gives_the_same() {
         let points = around();

@@ -1,7 +1,8 @@
 //! Clouds to sweeps, and labels back to points.
 //!
-//! Rows are filled one by one in an image of rows, where a ring stays in the first cache, and the
-//! whole is turned to the columns of a sweep at the end. All memory is kept from cloud to cloud.
+//! Rows are filled one by one in a row-major image, in which a ring stays in the first cache; the
+//! image is transposed to the columns of a sweep at the end. All memory is reused for the next
+//! cloud.
 
 use std::f64::consts::TAU;
 
@@ -18,11 +19,11 @@ use sweepd_core::sweep::buffers::HeapBuffer;
 use sweepd_core::sweep::layout::{COLUMNS_CAPACITY, LABEL_NONE, flags, is_return};
 use sweepd_core::sweep::{BeamRow, Buffers, Column, HeapBuffers, Shape, SweepMut};
 
-/// Turns a second that the columns' times stand for; a cloud has none.
+/// Turns a second for the columns' times; a cloud has no times.
 const TURNS_A_SECOND: f64 = 10.0;
-/// Columns that a point without a pixel of its own looks to either side for one that it resembles.
+/// Columns to either side in which a hidden point searches for a similar range.
 const REACH: usize = 8;
-/// Lines and columns that are turned at once.
+/// Lines and columns that are transposed at once.
 const TILE: usize = 16;
 
 /// Projects clouds to sweeps; after the first clouds without allocating.
@@ -271,8 +272,8 @@ impl Image {
 
     /// Puts the points of a ring into the pixels of a row, and notes the pixel of each.
     ///
-    /// Where a column is wanted by more points than have room around it, points share a pixel: the
-    /// nearer is segmented, and the other takes the label of the pixel that it resembles.
+    /// If more points fall on a column than there is room around it, points share a pixel: the
+    /// nearer is segmented, and the other takes the label of the most similar pixel.
     fn draw(&mut self, row: usize, ring: &Ring, placed: &Placer, columns: usize) {
         let first = row * columns;
         let nowhere = self.range_m.len() as u32;
@@ -379,7 +380,7 @@ fn even_columns(columns: usize) -> Vec<Column> {
         .collect()
 }
 
-/// Writes what the sweep says of itself: a whole turn of even columns.
+/// Writes header and tables of the sweep: a whole turn of even columns.
 fn fill_tables(sweep: &mut SweepMut<'_>, rings: &[Ring], columns: &[Column]) {
     sweep.header.columns = columns.len() as u32;
     sweep.header.flags = flags::CIRCULAR;

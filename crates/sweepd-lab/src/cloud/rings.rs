@@ -9,15 +9,14 @@ use super::fit::{Fitter, Prior, Sample};
 use super::polar::{Polars, Starts};
 use sweepd_core::segment::MAX_ROWS;
 
-/// Points so near tell nothing of the order: their azimuth is noise.
+/// Points nearer than this are not used for the order: their azimuth is noise, metres.
 const NOISE_M: f64 = 0.5;
-/// A ring may have this many times the points of a turn: dual returns, and columns chosen too few.
+/// A ring may have this many times the points of a turn: with dual returns, or too few columns.
 const MOST_TURNS: usize = 8;
 /// Points of a ring that its beam is fitted to.
 const SAMPLES: usize = 128;
 
-/// The vertical offset of a beam of which nothing is known: most sensors' beams start at the
-/// origin.
+/// Prior of the vertical offset of an unknown sensor: most beams start at the origin.
 const OF_ANY_SENSOR: Prior = Prior {
     offset_m: 0.0,
     spread_m: 0.05,
@@ -168,9 +167,9 @@ pub(crate) struct BeamFitter {
 }
 
 impl BeamFitter {
-    /// Takes elevation and vertical offset of a ring's beam from its points; where there are not
-    /// enough of them, the median elevation. An elevation alone would put points near the sensor
-    /// off by the offset, 20 cm in height.
+    /// Fits elevation and vertical offset of a ring's beam to its points; with too few points,
+    /// takes the median elevation. With an elevation alone, points near the sensor would be off by
+    /// the offset, 20 cm in height.
     ///
     /// Neighbouring points lie on the same surfaces: [`SAMPLES`] of a ring, evenly spread, are as
     /// good as all of them.

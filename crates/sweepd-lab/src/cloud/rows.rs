@@ -9,7 +9,7 @@ use sweepd_core::sensor::Calibration;
 /// Farthest that a beam of a table may start above or below the sensor's origin, metres.
 const MAX_OFFSET_M: f64 = 5.0;
 
-/// The beams of a sensor whose points come in any order, from the top: a row each.
+/// The beams of a sensor, from the top, one for each row, for points in any order.
 #[derive(Clone, Debug, PartialEq)]
 pub struct RowTable {
     beams: Vec<RowBeam>,
@@ -24,7 +24,7 @@ pub struct RowBeam {
     pub vertical_offset_m: f64,
 }
 
-/// Why a text is no table of rows.
+/// Why a text is not a table of rows.
 #[derive(Debug, thiserror::Error)]
 pub enum RowTableError {
     /// A line cannot be meant.
@@ -38,7 +38,7 @@ pub enum RowTableError {
         /// What is wrong with it.
         message: String,
     },
-    /// As many rows as no image has.
+    /// An impossible number of rows.
     #[error(
         "{found} rows, expected 1 to {MAX_ROWS}: a line with an elevation in degrees for each, from the top"
     )]

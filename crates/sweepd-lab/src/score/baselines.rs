@@ -1,10 +1,10 @@
-//! Two plain ways to segment what is no ground, to have something to compare with.
+//! Two simple methods to segment points off the ground, for comparison.
 
 use super::linkage::{link, link_grid, number_groups};
 use super::truth::place;
 use sweepd_core::sweep::layout::{LABEL_GROUND, LABEL_NONE};
 
-/// A way to segment points that knows nothing of beams and neighbours in an image.
+/// A method that segments points without beams or an image.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub enum Baseline {
     /// Points nearer than a distance are one segment: Euclidean clustering, exact.

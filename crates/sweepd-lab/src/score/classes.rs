@@ -1,10 +1,10 @@
-//! The classes of SemanticKITTI that figures are made of.
+//! The classes of SemanticKITTI that are scored.
 
 /// Points without a class.
 pub(super) const UNLABELLED: u16 = 0;
 /// Points that no surface made.
 pub(super) const OUTLIER: u16 = 1;
-/// Trees, bushes: what stands and is no thing.
+/// Trees and bushes, which are not instances.
 pub(super) const VEGETATION: u16 = 70;
 /// Ground that is not paved.
 pub(super) const TERRAIN: u16 = 72;
@@ -24,7 +24,7 @@ pub(super) fn is_thing(class: u16) -> bool {
     matches!(class, 10 | 11 | 13 | 15 | 16 | 18 | 20 | 30..=32 | 252..=259)
 }
 
-/// Whether a true label is that of one thing, told from others of its class.
+/// Whether a true label is that of a single instance.
 pub(super) fn is_instance(label: u32) -> bool {
     is_thing(class_of(label)) && label >> 16 != 0
 }

@@ -19,8 +19,8 @@ pub struct EntropyScore {
     pub ose_per_object: Option<f64>,
     /// The same for a mean point of objects: the conditional entropy of segments, given the object.
     pub ose_per_point: Option<f64>,
-    /// Under-segmentation entropy. All that is no object is one bin, and a segment of nothing else
-    /// does not count.
+    /// Under-segmentation entropy. Points of no object are one bin, and a segment of only such
+    /// points does not count.
     pub use_: f64,
     /// The same for a mean segment that counts.
     pub use_per_segment: Option<f64>,
@@ -101,7 +101,7 @@ impl Entropies {
         let mut entropies = Self::default();
         for bins in groups {
             let points: f64 = bins.iter().map(|bin| f64::from(bin.points)).sum();
-            // From 0, not from the -0 of an empty sum: what is not mixed has none.
+            // Starts from 0, because an empty sum is -0.
             let entropy = bins
                 .iter()
                 .map(|bin| f64::from(bin.points) / points)

@@ -4,7 +4,7 @@ use super::classes::{OUTLIER, TERRAIN, UNLABELLED, VEGETATION, class_of, is_grou
 use super::{Group, ratio};
 use sweepd_core::sweep::layout::LABEL_GROUND;
 
-/// Points by what they are and what they were taken for.
+/// Points by true and by given label.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
 pub struct GroundCounts {
     /// Ground, labelled as ground.
@@ -13,25 +13,25 @@ pub struct GroundCounts {
     pub wrong: u64,
     /// Ground, labelled as something else or not at all.
     pub missed: u64,
-    /// No ground, and not labelled as ground.
+    /// Not ground, and not labelled as ground.
     pub left: u64,
 }
 
 /// Shares of 1; `None` where there is nothing to divide by.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct GroundScore {
-    /// Of what is labelled ground, how much is.
+    /// Share of points labelled as ground that are ground.
     pub precision: Option<f64>,
-    /// Of what is ground, how much is labelled so.
+    /// Share of points of ground that are labelled so.
     pub recall: Option<f64>,
     /// Harmonic mean of the two.
     pub f1: Option<f64>,
-    /// Of all points, how many are on the right side.
+    /// Share of all points that are labelled correctly.
     pub accuracy: Option<f64>,
 }
 
 impl GroundCounts {
-    /// Counts the points that a group is about.
+    /// Counts the points of a group.
     pub(super) fn new(truth: &[u32], labels: &[u32], group: Group) -> Self {
         let mut counts = Self::default();
         for (&truth, &label) in truth
@@ -76,7 +76,7 @@ impl GroundScore {
     }
 }
 
-/// Whether a group of ground figures looks at points of a class.
+/// Whether a group of ground figures includes points of a class.
 fn counts_for(group: Group, class: u16) -> bool {
     match class {
         UNLABELLED => false,

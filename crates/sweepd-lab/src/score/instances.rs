@@ -7,14 +7,14 @@ use super::classes::{OUTLIER, class_of, is_instance, is_thing};
 use super::pairs::{self, Pair};
 use super::{is_segment, ratio, segment_of};
 
-/// Share of an instance that is most of it: less is missed, and two such instances in one segment
-/// are merged.
+/// Share of an instance that is most of it: with less, it is missed; two such instances in one
+/// segment are merged.
 const MOST: f64 = 0.5;
 /// Share of an instance that makes a segment a part of it.
 const PART: f64 = 0.1;
 
-/// What became of the instances of at least [`InstanceCounts::min_points`] points. Counts of
-/// several scans add up.
+/// Results for the instances of at least [`InstanceCounts::min_points`] points. Counts of several
+/// scans add up.
 #[derive(Clone, Copy, Debug, Default, PartialEq)]
 pub struct InstanceCounts {
     /// Fewest points of an instance that counts.
@@ -32,16 +32,17 @@ pub struct InstanceCounts {
     pub over: u64,
     /// Those of which half or more of the points are in no segment.
     pub missed: u64,
-    /// Those of which a segment covers half or more whose points are mostly of no thing.
+    /// Those of which a segment covers half or more, while most points of the segment are of no
+    /// instance.
     pub merged_background: u64,
-    /// Segments of at least `min_points` points that no instance was found by, though half of their
-    /// points or more are of things; but not if half are of instances too small to count.
+    /// Segments of at least `min_points` points that match no instance, although at least half of
+    /// their points are of things; except if half are of instances too small to count.
     pub false_positives: u64,
     /// Sum of the best IoU of each.
     pub iou_sum: f64,
     /// Sum of the best IoU of each one found.
     pub found_iou_sum: f64,
-    /// Sum over instances of the mean IoU that their points see; points in no segment see 0.
+    /// Sum over instances of the mean IoU over their points; points in no segment have 0.
     pub association_sum: f64,
 }
 
@@ -53,7 +54,7 @@ struct Segment {
     of_things: u32,
 }
 
-/// What a segment is to the instances that count.
+/// Relation of a segment to the instances that count.
 #[derive(Clone, Copy, Default)]
 struct Role {
     /// Instances.
@@ -79,7 +80,7 @@ struct Overlap {
     share: f64,
 }
 
-/// What does not depend on the size that is asked for.
+/// The parts that do not depend on the minimum size.
 struct Scene {
     /// In the order of their labels.
     segments: Vec<Segment>,

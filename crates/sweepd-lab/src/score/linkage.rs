@@ -1,5 +1,4 @@
-//! Single linkage: points nearer to each other than a distance are in one group, and so is all that
-//! such steps lead to.
+//! Single linkage: points nearer to each other than a distance are in one group, transitively.
 //!
 //! Cells are sorted by place, so that the cells near a cell are a few short runs of the sorted
 //! ones, which move on with it: no look-up is needed, and one pass over the cells for each run
@@ -18,8 +17,8 @@ const BIAS: i64 = 1 << 20;
 /// not finite, or further from the origin than about 600,000 times that distance, is a group of its
 /// own.
 pub fn link(points: &[[f32; 3]], distance_m: f64) -> Vec<u32> {
-    // A cell's diagonal is a hair shorter than the distance: all its points are linked, whatever
-    // rounding does.
+    // A cell's diagonal is slightly shorter than the distance, so that all its points are linked in
+    // spite of rounding.
     let side_m = distance_m / 3f64.sqrt() * 0.9999;
     let cells = Cells::new(points, |[x, y, z]| pack(x / side_m, y / side_m, z / side_m));
     let near_m2 = distance_m * distance_m;
@@ -53,8 +52,8 @@ pub fn link_grid(points: &[[f32; 3]], cell_m: f64) -> Vec<u32> {
     cells.groups(&mut sets, points.len())
 }
 
-/// A number for each group: those of a kept size get the numbers behind `last`, which moves on; the
-/// others get `none`.
+/// A number for each group: groups of sufficient size get the numbers after `last`, which is
+/// advanced; the others get `none`.
 pub(super) fn number_groups(
     groups: &[u32],
     kept: RangeInclusive<u32>,
@@ -345,8 +344,8 @@ mod tests {
         }
     }
 
-    /// Less than the distance, not as much; steps lead on; who is not finite or lost in space is
-    /// alone.
+    /// Links need less than the distance, are transitive, and never include points that are not
+    /// finite or too far away.
     #[test]
     fn the_distance_itself_is_too_far() {
         let chain = |step: f32| -> Vec<[f32; 3]> {

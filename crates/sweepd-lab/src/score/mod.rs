@@ -1,4 +1,4 @@
-//! How good labels are, held against a truth that people made.
+//! Scores labels against ground truth by people.
 //!
 //! A scan is a cloud whose points carry true labels in the manner of SemanticKITTI: class in the
 //! low 16 bits, number of the instance in the high 16. What is scored has one label a point, as
@@ -13,8 +13,8 @@
 //! baselines                       Euclidean clustering and a grid, to have something to compare with
 //! ```
 //!
-//! The frames of a sequence are nearly the same scan again: as many samples are independent as
-//! there are sequences, so the mean of the sequences' means stands beside the mean of the scans.
+//! The frames of a sequence are nearly the same scan, so that there are only as many independent
+//! samples as sequences: the mean of the sequences' means is given besides the mean of the scans.
 
 pub mod baselines;
 mod classes;
@@ -58,16 +58,15 @@ pub enum ScoreError {
     },
 }
 
-/// What figures have in common: which of the truth they are about.
+/// Groups of figures, by the part of the truth that they use.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, Hash, PartialOrd, Ord)]
 pub enum Group {
-    /// Ground, of all points that have a class. Terrain is ground, vegetation is none, outliers are
-    /// none.
+    /// Ground, of all points with a class. Terrain is ground; vegetation and outliers are not.
     Ground,
     /// Ground, without the points of vegetation and the outliers.
     GroundNoVegetation,
-    /// Ground, without the points of vegetation and terrain and the outliers: what is paved against
-    /// what clearly stands.
+    /// Ground, without the points of vegetation, terrain and outliers: paved ground against clear
+    /// objects.
     GroundPaved,
     /// USE, OSE and cover.
     Objects,
@@ -99,7 +98,7 @@ pub struct Figure {
     pub value: Option<f64>,
 }
 
-/// What the labels of one scan are worth.
+/// Scores of the labels of one scan.
 #[derive(Clone, Debug, PartialEq)]
 pub struct ScanScore {
     /// Ground, of all points with a class.

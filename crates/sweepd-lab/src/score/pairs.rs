@@ -1,4 +1,4 @@
-//! Which labels of one kind meet which of another, and in how many points.
+//! Counts of points by pairs of labels of two kinds.
 
 /// Points that have both labels.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]

@@ -1,4 +1,4 @@
-//! What people know about a scan, and the objects that follow from it.
+//! Ground truth of a scan, and the objects derived from it.
 
 use super::ScoreError;
 use super::classes::{UNLABELLED, class_of, is_ground};
@@ -13,9 +13,9 @@ pub(super) const NO_OBJECT: u32 = 0;
 
 /// True labels of a scan, and its objects.
 ///
-/// An object is what USE and OSE are about: points of one true label, class and instance alike,
-/// linked where they are nearer than 1 m; 10 to 300,000 of them. Ground and what has no class are
-/// no objects. A wall behind a gap is two.
+/// Objects are the units of USE and OSE: points of one true label (class and instance) that are
+/// linked if nearer than 1 m, 10 to 300,000 of them. Ground and points without a class are not
+/// objects. A wall interrupted by a gap is two objects.
 #[derive(Clone, Debug, PartialEq)]
 pub struct Truth {
     labels: Vec<u32>,

@@ -1,10 +1,9 @@
-//! One beam of a unit: from the distance that a packet says to the place that it means, and
-//! numerically back.
+//! One beam of a unit: from the distance in a packet to its point, and numerically back.
 //!
-//! Forwards are the formulas of the manual (HDL-64E S3 manual, 63-HDL64ES3, pp. 30-31 and Appendix
-//! F; S2 manual, Appendix C). They are written here once more, apart from those of the decoder, and
-//! are never solved on paper: the distance that gives a range is searched for. A mistake in one of
-//! the two cannot hide in the other.
+//! The forward direction uses the formulas of the manual (HDL-64E S3 manual, 63-HDL64ES3, pp. 30-31
+//! and Appendix F; S2 manual, Appendix C), implemented independently of the decoder. The inverse is
+//! not solved in closed form: the distance that gives a range is found by search. So a mistake in
+//! one of the two cannot hide in the other.
 //!
 //! ```text
 //! a' = head's azimuth - rotation      d = distance in the packet, metres
@@ -24,10 +23,10 @@ const FAR_M: f64 = 25.04;
 const NEAR_X_M: f64 = 2.40;
 /// Where the offset for y was measured at the near point, metres.
 const NEAR_Y_M: f64 = 1.93;
-/// The farthest that a packet can say: 65535 units of 2 mm; the intensity formula has it rounded.
+/// The greatest distance in a packet: 65535 units of 2 mm; rounded in the intensity formula.
 const FARTHEST_M: f64 = 131.0;
 
-/// A beam of a unit, with what of the formulas does not depend on the head.
+/// A beam of a unit, with the terms of the formulas that do not depend on the head.
 #[derive(Clone, Copy, Debug)]
 pub struct Laser {
     rotation_rad: f64,
@@ -50,14 +49,14 @@ struct Near {
     /// What the offsets change by for each metre of x and of y.
     x_gain: f64,
     y_gain: f64,
-    /// More than the offsets of x, y and z ever differ by, and more than that changes by in a
+    /// Upper bound of the differences between the offsets of x, y and z, and of their change per
     /// metre.
     bend_m: f64,
     gain: f64,
 }
 
 impl Laser {
-    /// A beam of a sensor that counts distances in such units, metres.
+    /// A beam of a sensor with this unit of distance, metres.
     pub fn new(beam: &Beam, distance_unit_m: f64) -> Self {
         let far_m = beam.distance_offset_m;
         let near = beam.two_point.map(|two| {
@@ -101,27 +100,26 @@ impl Laser {
     }
 }
 
-/// A beam while the head points somewhere, in the frame of the sensor.
+/// A beam at an azimuth of the head, in the frame of the sensor.
 #[derive(Clone, Copy, Debug)]
 pub struct Aim<'a> {
     laser: &'a Laser,
     /// Where the light leaves, metres.
     pub origin: Vec3,
-    /// Where it goes to if it meets something far away: length 1.
+    /// Its direction towards far surfaces: length 1.
     pub straight: Vec3,
     /// Azimuth of that direction, radians; it may be outside of a turn.
     pub azimuth_rad: f64,
 }
 
 impl Aim<'_> {
-    /// Whether its direction depends on how far away a surface is.
+    /// Whether its direction depends on the distance of a surface.
     pub fn is_curved(&self) -> bool {
         self.laser.near.is_some()
     }
 
-    /// Whether it is plain that the ways to a distance in the packet and to a range part by less
-    /// than this many metres there. That they do is not always plain: then only
-    /// [`Aim::towards_range`] tells.
+    /// Whether a cheap bound shows that the directions for a distance in the packet and for a range
+    /// differ by less than this many metres there. If not, [`Aim::towards_range`] must decide.
     pub fn goes_by(&self, distance_m: f64, range_m: f64, beside_m: f64) -> bool {
         let Some(near) = &self.laser.near else {
             return true;
@@ -133,14 +131,12 @@ impl Aim<'_> {
         }
         let apart_m = (self.near_vector(near, distance_m).norm() - range_m).abs();
         let is_before_the_break = distance_m + 2.0 * apart_m < FAR_M;
-        // By what the offsets differ from each other the beam is aslant, and less so the farther it
-        // goes.
+        // The difference of the offsets tilts the beam, less at greater distances.
         let aslant_m = 2.5 * apart_m * (near.bend_m + near.gain * range_m);
         is_before_the_break && apart_m < range_m / 4.0 && aslant_m < beside_m * range_m
     }
 
-    /// From the origin to the place that a distance in the packet means, metres. Its length is the
-    /// range.
+    /// From the origin to the point of a distance in the packet, metres. Its length is the range.
     pub fn vector(&self, distance_m: f64) -> Vec3 {
         match &self.laser.near {
             Some(near) if distance_m < FAR_M => self.near_vector(near, distance_m),
@@ -156,9 +152,9 @@ impl Aim<'_> {
         self.straight.component_mul(&offsets.add_scalar(distance_m))
     }
 
-    /// The distance in the packet that means a range: that of [`Aim::vector`], or next to it where
-    /// none does. The correction breaks off at 25.04 m, and ranges of a few millimetres there are
-    /// said by no distance or by two.
+    /// The distance in the packet that gives a range by [`Aim::vector`], or the nearest one. The
+    /// correction is discontinuous at 25.04 m, where ranges within a few millimetres have no
+    /// distance or two.
     pub fn distance_m(&self, range_m: f64) -> f64 {
         let far_m = range_m - self.laser.far_offset_m;
         let Some(near) = &self.laser.near else {
@@ -168,7 +164,7 @@ impl Aim<'_> {
             return far_m;
         }
         let near_m = self.search(near, range_m, 1e-7);
-        // Whatever rounds to less than 25.04 m.
+        // All that rounds to less than 25.04 m.
         let nearest_m = FAR_M - self.laser.distance_unit_m / 2.0;
         if near_m <= nearest_m {
             return near_m;
@@ -180,14 +176,14 @@ impl Aim<'_> {
         }
     }
 
-    /// How far a distance in the packet is from meaning a range, metres.
+    /// Difference between the range of a distance in the packet and this range, metres.
     fn miss_m(&self, distance_m: f64, range_m: f64) -> f64 {
         (self.vector(distance_m).norm() - range_m).abs()
     }
 
-    /// The same for a near surface, by secants, to about a tolerance: the range grows nearly as the
-    /// distance does, so that the first step leaves a hundredth of the error at most, and the next
-    /// ones far less.
+    /// The same for a near surface, by the secant method, to about a tolerance. The range grows
+    /// nearly linearly with the distance, so that the first step leaves at most a hundredth of the
+    /// error.
     fn search(&self, near: &Near, range_m: f64, tolerance_m: f64) -> f64 {
         let mut distance_m = range_m - self.laser.far_offset_m;
         let mut moved_m = 0.0;
@@ -208,23 +204,21 @@ impl Aim<'_> {
         distance_m
     }
 
-    /// About the direction towards a surface at a range, and its azimuth, as [`Aim::towards`] has
-    /// them.
+    /// Approximate direction towards a surface at a range, and its azimuth, as in [`Aim::towards`].
     pub fn towards_range(&self, range_m: f64) -> (Vec3, f64) {
         let far_m = range_m - self.laser.far_offset_m;
         let near = self.laser.near.as_ref().filter(|_| far_m < FAR_M);
         self.towards(near.map_or(far_m, |near| self.search(near, range_m, 1e-3)))
     }
 
-    /// The number of units that says a distance, less or more by noise, best; outside of 1 to 65535
-    /// no packet can.
+    /// The number of units nearest to a distance with noise; a packet can hold 1 to 65535.
     pub fn units(&self, distance_m: f64, noise_m: f64) -> f64 {
         let unit_m = self.laser.distance_unit_m;
         let units = rounded((distance_m + noise_m) / unit_m);
         if !self.is_curved() || (distance_m - FAR_M).abs() > 2.0 * unit_m + noise_m.abs() {
             return units;
         }
-        // Carried or rounded over the end of the correction, a number would mean a range
+        // A number that noise or rounding moves across the end of the correction would give a range
         // centimetres off.
         let range_m = self.vector(distance_m).norm() + noise_m;
         let units = rounded(self.distance_m(range_m) / unit_m);
@@ -237,13 +231,13 @@ impl Aim<'_> {
         best
     }
 
-    /// Whether a number of 16 bits can say a distance.
+    /// Whether a 16-bit number can represent a distance.
     pub fn is_sayable(&self, distance_m: f64) -> bool {
         (1.0..=f64::from(u16::MAX)).contains(&rounded(distance_m / self.laser.distance_unit_m))
     }
 
-    /// The direction towards the place that a distance in the packet means, and its azimuth,
-    /// radians, to a hundredth of a milliradian.
+    /// The direction towards the point of a distance in the packet, and its azimuth, radians, to a
+    /// hundredth of a milliradian.
     pub fn towards(&self, distance_m: f64) -> (Vec3, f64) {
         if !self.is_curved() || distance_m >= FAR_M {
             return (self.straight, self.azimuth_rad);
@@ -257,8 +251,7 @@ impl Aim<'_> {
         )
     }
 
-    /// Azimuth of the place that a distance in the packet means, radians; it may be outside of a
-    /// turn.
+    /// Azimuth of the point of a distance in the packet, radians; it may be outside of a turn.
     pub fn azimuth_of(&self, distance_m: f64) -> f64 {
         if !self.is_curved() {
             return self.azimuth_rad;
@@ -267,7 +260,7 @@ impl Aim<'_> {
         self.azimuth_rad + f64::atan2(across, along)
     }
 
-    /// A place as seen along the straight direction: how far along, and to the right.
+    /// A point relative to the straight direction: along it, and to the right.
     fn turned(&self, place: &Vec3) -> [f64; 2] {
         let straight = &self.straight;
         [
@@ -288,8 +281,8 @@ impl Aim<'_> {
         )
     }
 
-    /// The byte that says a reflectivity at a distance of this many units, as far as a byte can:
-    /// what the unit adds is taken off.
+    /// The byte for a reflectivity at a distance of this many units, saturated: the unit's
+    /// correction is subtracted.
     pub fn intensity_byte(&self, units: f64, reflectivity: u8) -> u8 {
         let boost = self
             .laser
@@ -300,8 +293,8 @@ impl Aim<'_> {
     }
 }
 
-/// What is added to the intensity of a return at a distance of this many units (S3 manual, Appendix
-/// F): the lens is focused at one distance, and what is nearer or farther returns less light.
+/// Correction of the intensity of a return at a distance of this many units (S3 manual, Appendix
+/// F): the lens is focused at one distance, and nearer or farther surfaces return less light.
 fn intensity_boost(intensity: &Intensity, units: f64) -> f64 {
     let focus = 256.0 * (1.0 - intensity.focal_distance_m / FARTHEST_M).powi(2);
     let here = 256.0 * (1.0 - units / f64::from(u16::MAX)).powi(2);
@@ -423,8 +416,7 @@ mod tests {
         // xx = 26.288: cx = 1.35 - 0.1 (26.288 - 2.40) / 22.64 = 1.244 487 633.
         ends_at(&beam, 90.0, 25.038, [26.282_487_633, 0.0, 0.0]);
         ends_at(&beam, 90.0, 25.04, [26.29, 0.0, 0.0]);
-        // Between the two, 26.284 and 26.29 m, lie ranges that no packet says: the nearer of both
-        // is said.
+        // Ranges between 26.284 and 26.29 m have no distance: the nearer end is sent.
         let laser = Laser::new(&beam, UNIT_M);
         let aim = laser.aimed(90_f64.to_radians());
         for (range_m, units) in [(26.283, 12_519.0), (26.289, 12_520.0), (26.2925, 12_521.0)] {
@@ -491,8 +483,8 @@ mod tests {
         assert_eq!(plain.aimed(0.0).intensity_byte(13_107.0, 80), 80);
     }
 
-    /// What every number of a packet means is said by that number, or by another that means it as
-    /// well.
+    /// The range of every number of a packet is encoded as that number, or as another with the same
+    /// range.
     #[test]
     fn every_distance_comes_back() {
         let unit = unit(3);

@@ -1,4 +1,4 @@
-//! What all scenes are built with: a scene, dice, and the things that stand anywhere.
+//! Builder for scenes: a scene, a random generator, and common props.
 
 use fastrand::Rng;
 
@@ -28,7 +28,7 @@ impl Builder {
         self.rng.f64() < probability
     }
 
-    /// Puts in a thing that stands still.
+    /// Adds a prop that stands still.
     pub fn put(&mut self, prop: Prop) {
         self.scene.add(prop.class, Vec3::zeros(), prop.solids);
     }
@@ -43,7 +43,7 @@ impl Builder {
         );
     }
 
-    /// Puts in what moves the way it faces.
+    /// Adds a prop that moves in the direction it faces.
     pub fn send(&mut self, speed_m_s: f64, prop: Prop) {
         let (sin, cos) = prop.place.heading_rad.sin_cos();
         let velocity = Vec3::new(sin, cos, 0.0) * speed_m_s;
@@ -57,7 +57,7 @@ impl Builder {
             .expect("there are colours")
     }
 
-    /// Someone on foot, who may have stopped.
+    /// A pedestrian, walking or standing.
     pub fn walker(&mut self, place: GroundPose) {
         let height_m = self.between(1.52, 1.92);
         let clothes = self.rng.u8(10..70);

@@ -1,4 +1,4 @@
-//! The clock of a simulated sensor, and the receiver that it follows.
+//! The clock of a simulated sensor, and its GPS receiver.
 
 use sweepd_core::wire::HOUR_US;
 use sweepd_core::wire::position::Pps;
@@ -9,7 +9,7 @@ const HOUR_NS: i64 = HOUR_US as i64 * 1000;
 /// What the sensor clock follows.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub enum Clock {
-    /// Nothing: it counts from wherever it was at the first shot, nanoseconds after the top of its
+    /// No receiver: it counts from this value at the first shot, nanoseconds after the top of its
     /// own hour.
     Free {
         /// The clock at the first shot.
@@ -29,11 +29,11 @@ pub enum Clock {
 pub struct ClockStep {
     /// Nanoseconds after the first shot.
     pub at_ns: i64,
-    /// Ahead of what it was; negative back.
+    /// Forward; negative sets it back.
     pub by_ns: i64,
 }
 
-/// When a GPS receiver hears satellites, nanoseconds after the first shot.
+/// When a GPS receiver has satellites, nanoseconds after the first shot.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub struct Reception {
     /// From then on.
@@ -42,7 +42,7 @@ pub struct Reception {
     pub to_ns: i64,
 }
 
-/// So long after the first pulse the sensor clock follows it.
+/// The sensor clock follows the pulse this long after the first one.
 const SYNCHRONIZING_NS: i64 = 2_000_000_000;
 
 impl Reception {
@@ -56,13 +56,13 @@ impl Reception {
         self.from_ns.saturating_add(SYNCHRONIZING_NS)
     }
 
-    /// Whether the sensor clock counts UTC by then: since it was first locked, also when the
+    /// Whether the sensor clock counts UTC at this time: from the first lock on, also if the
     /// receiver is lost again.
     pub fn follows_utc(self, elapsed_ns: i64) -> bool {
         elapsed_ns >= self.locks_ns() && self.to_ns > self.locks_ns()
     }
 
-    /// What the sensor says of the pulse.
+    /// State of the pulse as the sensor reports it.
     fn pps(self, elapsed_ns: i64) -> Pps {
         match elapsed_ns {
             at if at < self.from_ns || at >= self.to_ns => Pps::Absent,
@@ -85,8 +85,8 @@ impl Clock {
         ((start_ns + elapsed_ns + ahead_ns).rem_euclid(HOUR_NS) / 1000) as u32
     }
 
-    /// What the sensor says of the pulse, and the place that the receiver's sentence tells: a
-    /// sentence since satellites were first heard, a place while they are.
+    /// Reported state of the pulse, and position in the receiver's sentence: there is a sentence
+    /// after the first satellites, and a position while there are satellites.
     pub(super) fn received(&self, elapsed_ns: i64) -> (Pps, Option<Option<(f64, f64)>>) {
         match *self {
             Self::Free { .. } => (Pps::Absent, None),

@@ -1,4 +1,4 @@
-//! A sensor as it is configured: model, unit, mode, speed, place, and what it is connected to.
+//! Configuration of a sensor: model, unit, mode, speed, pose, and connections.
 
 use std::borrow::Cow;
 use std::f64::consts::TAU;
@@ -22,8 +22,8 @@ pub struct EmitterConfig {
     pub spec: &'static Spec,
     /// Which returns it reports.
     pub return_mode: ReturnMode,
-    /// The beams of this unit; `None` for those of the model or, of an HDL-64E, for those of a unit
-    /// that was made up, [`unit::unit`].
+    /// The beams of this unit; `None` for those of the model or, for an HDL-64E, of the generated
+    /// [`unit::unit`].
     pub calibration: Option<Calibration>,
     /// Turns a minute.
     pub rpm: f64,
@@ -34,8 +34,8 @@ pub struct EmitterConfig {
     /// From this data packet on it reports the strongest return instead of both, or both instead of
     /// one.
     pub mode_switch: Option<u64>,
-    /// Data packets to send: fewer where the field of view is limited, which leaves out a part of
-    /// the time that this many take.
+    /// Duration in data packets of a whole field of view; with a limited one, fewer are sent in
+    /// that time.
     pub packets: u64,
     /// Where it stands.
     pub pose: Pose,
@@ -45,14 +45,14 @@ pub struct EmitterConfig {
     pub optics: Optics,
     /// What its clock follows.
     pub clock: Clock,
-    /// When its clock is set to another time.
+    /// A step of its clock.
     pub clock_step: Option<ClockStep>,
     /// UTC of the first shot, nanoseconds since 1970.
     pub start_utc_ns: i64,
     /// How far the receiving host's clock is ahead of UTC, nanoseconds.
     pub host_ahead_ns: i64,
-    /// Data packets for each position packet; real sensors have been seen with 5 and with 14. An
-    /// HDL-64E sends none.
+    /// Data packets for each position packet; 5 and 14 were observed on real sensors. An HDL-64E
+    /// sends none.
     pub data_per_position: u64,
     /// Its address.
     pub address: Ipv4Addr,

@@ -1,4 +1,4 @@
-//! What can be wrong with one data packet: a bit of a part of it, or its length.
+//! Damage of one data packet: a bit of a part of it, or its length.
 //!
 //! ```text
 //! block 0 .. 11                                     1200     1204
@@ -81,7 +81,7 @@ impl PacketPart {
         }
     }
 
-    /// Something that is wrong with this part, by chance.
+    /// Random damage of this part.
     pub fn damage(self, rng: &mut Rng) -> Damage {
         let byte = match self {
             Self::Any => rng.usize(..DATA_PACKET_LEN),
@@ -128,8 +128,8 @@ pub(super) fn other_length(rng: &mut Rng) -> u16 {
     }
 }
 
-/// What is wrong with a packet. A Velodyne's datagrams have no checksum of their own: nobody on the
-/// way would notice.
+/// Damage of a packet. Velodyne datagrams have no UDP checksum, so that the network does not detect
+/// it.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub enum Damage {
     /// One bit is flipped, counted from the lowest of the first byte.
@@ -159,7 +159,7 @@ impl Damage {
         }
     }
 
-    /// Block and record of a record that is struck.
+    /// Block and record of a damaged record.
     pub fn record(self) -> Option<(usize, usize)> {
         let Self::Bit(bit) = self else { return None };
         let byte = usize::from(bit / 8);

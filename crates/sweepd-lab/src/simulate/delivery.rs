@@ -1,5 +1,5 @@
-//! What happens to datagrams between the sensor and the host: some are lost, some come twice, some
-//! change places or bits, and some come that no sensor sent.
+//! Faults between the sensor and the host: datagrams that are lost, duplicated, reordered,
+//! corrupted, or not sent by a sensor.
 
 use std::collections::VecDeque;
 use std::ops::RangeInclusive;
@@ -7,7 +7,7 @@ use std::ops::RangeInclusive;
 use super::damage::Damage;
 use super::truth::SimulatedDatagram;
 
-/// What goes wrong, by number of data packet; each list in ascending order.
+/// Faults by number of data packet; each list in ascending order.
 #[derive(Clone, Debug, Default, PartialEq, Eq)]
 pub struct Faults {
     /// Never arrive.
@@ -16,7 +16,7 @@ pub struct Faults {
     pub duplicated: Vec<u64>,
     /// Arrive after the packets that follow them.
     pub swapped: Vec<u64>,
-    /// How many they let pass: 0 and 1 are one.
+    /// How many packets overtake them: 0 and 1 mean one.
     pub places: u64,
     /// Arrive damaged.
     pub corrupted: Vec<(u64, Damage)>,
@@ -119,12 +119,12 @@ pub struct Delivery<I> {
 
 /// A second copy arrives this much later.
 const COPY_DELAY_NS: i64 = 4_000;
-/// What nobody sent arrives so long before the packet behind it.
+/// A stray datagram arrives this much before the packet behind it.
 const STRAY_AHEAD_NS: i64 = 3_000;
 
 impl<I: Iterator<Item = SimulatedDatagram>> Delivery<I> {
-    /// Takes the datagrams up to and with the next data packets, and puts `held` behind them: each
-    /// comes when the one before would have.
+    /// Takes the datagrams up to and including the next data packets, and puts `held` behind them;
+    /// each takes the arrival time of the one before.
     fn swap(&mut self, mut held: SimulatedDatagram) {
         let mut behind = VecDeque::new();
         for _ in 0..self.faults.places.max(1) {

@@ -1,11 +1,9 @@
-//! From time to packets: when each beam fires, where it points then, and what of it reaches the
-//! wire.
+//! From time to packets: when each beam fires, its direction, and the bytes on the wire.
 //!
-//! Everything starts from one continuous clock. A shot has a time; the time gives the azimuth of
-//! the head, which turns while the beams fire; the direction gives the returns. What reaches the
-//! wire is then less than what was known: the stamp is truncated to microseconds, the azimuth is
-//! that of the first shot in the block, rounded, and the range is noisy and counted in units. The
-//! [`PacketTruth`] keeps what was lost.
+//! Everything derives from one continuous clock. A shot has a time; the time gives the azimuth of
+//! the head, which turns while the beams fire; the direction gives the returns. The wire holds
+//! less: the stamp is truncated to microseconds, the azimuth is the rounded one of the first shot
+//! in the block, and the range is noisy and in units. The [`PacketTruth`] keeps the exact values.
 
 use std::f64::consts::TAU;
 use std::net::SocketAddrV4;
@@ -29,16 +27,17 @@ use sweepd_core::wire::data::{BLOCKS, DataPacket, RECORDS, ReturnMode};
 use sweepd_core::wire::hdl64::CYCLE_LEN;
 use sweepd_core::wire::{DATA_PORT, POSITION_PORT};
 
-/// Moving things are looked up for so long at a time.
+/// Duration of a view, in which moving objects are indexed, nanoseconds.
 const VIEW_NS: i64 = 10_000_000;
-/// So long they are where they are seen beyond that, for a packet that begins shortly before.
+/// Time by which a view is valid beyond its end, for a packet that begins shortly before it,
+/// nanoseconds.
 const VIEW_SLACK_NS: i64 = 1_800_000;
 
 /// The datagrams of a sensor, in the order in which they leave it.
 pub struct Emitter<'a> {
     config: EmitterConfig,
     lasers: Vec<Laser>,
-    /// What bytes 1204 and 1205 say, where that is not mode and product.
+    /// The status for bytes 1204 and 1205, if these are not mode and product.
     status: Option<Status>,
     /// The scene around a time, and the number of that time.
     view: (i64, View<'a>),
@@ -46,7 +45,7 @@ pub struct Emitter<'a> {
     /// Stamp of the first packet of the status cycle, nanoseconds after the first shot of all.
     cycle_ns: i64,
     position: Option<SimulatedDatagram>,
-    /// Whether the truth of each return is wanted.
+    /// Whether to keep the truth of each return.
     tells: bool,
 }
 
@@ -57,7 +56,7 @@ struct Draft {
     layout: Layout,
     mode: ReturnMode,
     times: Times,
-    /// Distance that each channel said last in this packet, metres.
+    /// Last distance of each channel in this packet, metres.
     met_m: [f64; MAX_CHANNELS],
 }
 
@@ -68,7 +67,7 @@ impl<'a> Emitter<'a> {
     /// A sensor in a scene.
     ///
     /// # Panics
-    /// Where [`EmitterConfig::check`] says that there can be no such sensor.
+    /// If [`EmitterConfig::check`] fails.
     pub fn new(config: EmitterConfig, scene: &'a Scene) -> Self {
         config.check().expect("a sensor that can be");
         let beams = config.beams();
@@ -96,8 +95,7 @@ impl<'a> Emitter<'a> {
         }
     }
 
-    /// The same, with nothing but its number in the truth of a packet: for whoever does not want
-    /// more, and has no time.
+    /// The same with only the packet's number as truth, which is faster.
     pub fn untold(mut self) -> Self {
         self.tells = false;
         self
@@ -135,8 +133,8 @@ impl<'a> Emitter<'a> {
         (draft.packet, draft.truth)
     }
 
-    /// Sees to it that what moves is where it is at a time: that of a packet's first shot, or of a
-    /// later one if there was a silence meanwhile.
+    /// Updates the view to a time: that of a packet's first shot, or of a later one after a
+    /// silence.
     fn look_around(&mut self, time_ns: i64, is_first: bool) {
         let stretch = time_ns / VIEW_NS;
         let is_due = is_first || time_ns > (self.view.0 + 1) * VIEW_NS + VIEW_SLACK_NS;
@@ -147,7 +145,7 @@ impl<'a> Emitter<'a> {
         }
     }
 
-    /// Fires all beams once and writes what they see into the blocks of this firing.
+    /// Fires all beams once and writes the returns into the blocks of this firing.
     fn fire(&self, firing: usize, draft: &mut Draft, rng: &mut Rng) {
         let Self { config, .. } = self;
         let time_ns = draft.times.firing_ns(firing, config);
@@ -235,7 +233,7 @@ fn truth(one: &Return, aim: &Aim<'_>, time_ns: i64) -> ReturnTruth {
     }
 }
 
-/// An azimuth from 0 to a whole turn; most are, and need not be divided.
+/// An azimuth from 0 to a whole turn; avoids the division for those that already are.
 fn within_turn(azimuth_rad: f64) -> f64 {
     if (0.0..TAU).contains(&azimuth_rad) {
         azimuth_rad
@@ -244,8 +242,7 @@ fn within_turn(azimuth_rad: f64) -> f64 {
     }
 }
 
-/// Where the beams of a sensor start: the middle of them, and how far from it the farthest does,
-/// metres.
+/// The origins of a sensor's beams: their middle, and the distance of the farthest from it, metres.
 fn eye(pose: &Pose, beams: &Calibration) -> (Vec3, f64) {
     let heights = beams.beams().iter().map(|beam| beam.vertical_offset_m);
     let [low, high] = [
@@ -278,13 +275,13 @@ impl Iterator for Emitter<'_> {
             return Some(position);
         }
         let times = self.schedule.next(&self.config)?;
-        // Each packet has dice of its own, so that it is the same whatever was sent before.
+        // Each packet has its own random generator, so that it does not depend on earlier ones.
         let mut rng =
             Rng::with_seed(self.config.seed ^ times.ordinal.wrapping_mul(0x9E37_79B9_7F4A_7C15));
         let (packet, truth) = self.data_packet(times, &mut rng);
         let sent_ns = times.end_ns;
-        // 90 us on the way, and now and then a busy host; less than a packet's period, so nothing
-        // overtakes.
+        // A delay of 90 us, and sometimes a busy host; less than a packet period, so that packets
+        // stay in order.
         let delay_ns = 90_000
             + rng.i64(0..20_000)
             + if rng.f64() < 0.05 {
@@ -293,7 +290,7 @@ impl Iterator for Emitter<'_> {
                 0
             };
         let arrival_ns = self.config.start_utc_ns + self.config.host_ahead_ns + sent_ns + delay_ns;
-        // An HDL-64E has no position packets: its status says what they would.
+        // An HDL-64E has no position packets: its status has the same content.
         if self.status.is_none()
             && (times.ordinal + 1).is_multiple_of(self.config.data_per_position)
         {

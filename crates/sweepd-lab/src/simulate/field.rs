@@ -1,5 +1,5 @@
-//! An empty field: gently sloping ground, a fence far off on one side, a few bushes and trees, and
-//! somebody with a way to go. What is hard here is how little there is.
+//! An empty field: gently sloping ground, a distant fence on one side, a few bushes and trees, and
+//! a pedestrian. The difficulty is how few objects there are.
 
 use std::f64::consts::TAU;
 

@@ -11,7 +11,7 @@ use sweepd_core::wire::position::{Board, Inertial, POSITION_PACKET_LEN, Position
 /// The sentence for the second before is complete this long after the pulse.
 const SENTENCE_DELAY_NS: i64 = 250_000_000;
 
-/// The 512 bytes of the position packet that a sensor sends so long after its first shot.
+/// The 512 bytes of the position packet that a sensor sends this long after its first shot.
 pub fn position_packet(
     config: &EmitterConfig,
     elapsed_ns: i64,
@@ -26,7 +26,7 @@ pub fn position_packet(
     let (pulse, place) = clock.received(elapsed_ns);
     let sentence = place.map(|position_deg| {
         let second = (start_utc_ns + elapsed_ns - SENTENCE_DELAY_NS).div_euclid(1_000_000_000);
-        // Without satellites it goes on by its own clock, with a warning.
+        // Without satellites it continues by its own clock, with status `V`.
         Rmc {
             utc_ns: second * 1_000_000_000,
             valid: position_deg.is_some(),

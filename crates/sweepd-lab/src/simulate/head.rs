@@ -1,4 +1,4 @@
-//! The turning head: where it stands, how fast it turns, and what its encoder says of it.
+//! The turning head: its pose, its motion, and its encoder.
 
 use fastrand::Rng;
 
@@ -25,7 +25,7 @@ impl Pose {
     }
 }
 
-/// The sector in which the sensor measures while it is set to.
+/// A limited field of view, and the time in which it is set.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct FieldOfView {
     /// From this azimuth of the head on, clockwise, degrees.
@@ -53,12 +53,12 @@ pub struct Encoder {
     pub start_deg: f64,
     /// The reported azimuth is off by at most this, degrees.
     pub jitter_deg: f64,
-    /// Sends 36000 where rounding gives that, as real sensors do now and then, and not 0.
+    /// Sends 36000 if rounding gives that, as real sensors sometimes do, instead of 0.
     pub sends_36000: bool,
 }
 
 impl Encoder {
-    /// What it says of an azimuth, hundredths of a degree.
+    /// The encoder value of an azimuth, hundredths of a degree.
     pub(super) fn azimuth_cdeg(&self, azimuth_rad: f64, rng: &mut Rng) -> u16 {
         let off_deg = self.jitter_deg * (2.0 * rng.f64() - 1.0);
         let turn = f64::from(TURN_CDEG);
@@ -73,17 +73,17 @@ impl Encoder {
     }
 }
 
-/// What the motor does beside turning steadily.
+/// Deviations of the motor from steady rotation.
 #[derive(Clone, Copy, Debug, Default, PartialEq)]
 pub struct Motor {
-    /// The head starts at rest and gains speed evenly for so long, nanoseconds.
+    /// The head starts at rest and accelerates evenly for this long, nanoseconds.
     pub spin_up_ns: i64,
     /// It stands still, while the lasers fire on, from one time to another; nanoseconds after the
     /// first shot.
     pub stall_ns: Option<[i64; 2]>,
-    /// It is told to turn at another speed.
+    /// A change of the set speed.
     pub change: Option<SpeedChange>,
-    /// The controller lets the speed drift up and down by at most this share of it.
+    /// The speed drifts up and down by at most this share of it.
     pub drift: f64,
 }
 
@@ -99,8 +99,8 @@ pub struct SpeedChange {
 }
 
 impl SpeedChange {
-    /// For how long more (less, where negative) it would have had to turn at the first speed,
-    /// nanoseconds.
+    /// Additional time at the first speed that gives the same angle, nanoseconds; negative for
+    /// less.
     fn gained_ns(&self, time_ns: f64) -> f64 {
         let since_ns = (time_ns - self.from_ns as f64).max(0.0);
         let lasts_ns = self.lasts_ns as f64;
@@ -114,12 +114,12 @@ impl SpeedChange {
     }
 }
 
-/// From one greatest speed of a drifting motor to the next, nanoseconds: a VLP-16 was seen to be
-/// 0.06 degrees off a steady turn, root mean square, within a few turns.
+/// Period of the drift, nanoseconds. On a VLP-16 the deviation from a steady turn was 0.06 degrees,
+/// root mean square, within a few turns.
 const DRIFT_PERIOD_NS: f64 = 1.3e9;
 
 impl Motor {
-    /// For how long it would have had to turn steadily to be where it is at a time, nanoseconds.
+    /// Time of steady rotation that gives the azimuth at a time, nanoseconds.
     pub(super) fn steady_ns(&self, time_ns: i64) -> f64 {
         let even_ns = match self.stall_ns {
             Some([from, to]) if time_ns > from => {
@@ -203,7 +203,7 @@ mod tests {
                 );
             }
         }
-        // Nothing is made up for while it stands.
+        // A standstill is not caught up.
         let stall_ns = Some([5 * second, 8 * second]);
         let motor = Motor {
             change: change(2.0),

@@ -1,4 +1,4 @@
-//! Where a data packet has room for what: firings, channels and returns, by block and record.
+//! Layout of a data packet: blocks and records of firings, channels and returns.
 //!
 //! ```text
 //! blocks of one azimuth     one return     two returns
@@ -6,8 +6,9 @@
 //! HDL-64E                   upper, lower   upper and lower of strong, upper and lower of last
 //! ```
 //!
-//! (VLP-16 User Manual, section 9.3; HDL-64E S3 manual, 63-HDL64ES3, pp. 20 and 47. Which pair of
-//! an HDL-64E is which its manual does not say: as VeloView and velodyne_decoder read it.)
+//! (VLP-16 User Manual, section 9.3; HDL-64E S3 manual, 63-HDL64ES3, pp. 20 and 47. The manual does
+//! not define which pair of an HDL-64E holds which return: this follows VeloView and
+//! velodyne_decoder.)
 
 use std::ops::Range;
 
@@ -27,7 +28,7 @@ impl Layout {
         Self { spec, mode }
     }
 
-    /// Marks each block with the lasers that it is of.
+    /// Sets the bank marker of each block.
     pub fn mark(&self, packet: &mut DataPacket) {
         for (index, block) in packet.blocks.iter_mut().enumerate() {
             block

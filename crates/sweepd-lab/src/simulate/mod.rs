@@ -1,5 +1,5 @@
-//! A sensor without a sensor: a scene, a head that turns in it, and the datagrams that a real one
-//! would send.
+//! A simulated sensor: a scene, a head that turns in it, and the datagrams that a real sensor would
+//! send.
 //!
 //! ```text
 //! setting ->  Scene  ->  View::cast  ->  optics  ->  Emitter  ->  deliver  ->  SimulatedDatagram { bytes, truth }
@@ -20,10 +20,10 @@
 //!   what is wrong with one packet.
 //! * [`fixtures`]: the captures in `pcap_fixtures/`.
 //!
-//! The simulator solves the problem forwards, from time to direction to bytes, and shares nothing
-//! with the decoder but the tables in [`sweepd_core::sensor`]: an error in one does not hide in the
-//! other. The same configuration gives the same bytes, and a packet depends on when it is fired
-//! alone, not on those before it.
+//! The simulator computes forwards, from time to direction to bytes, and shares only the tables in
+//! [`sweepd_core::sensor`] with the decoder, so that an error in one does not hide in the other.
+//! The same configuration gives the same bytes; a packet depends only on its time, not on the
+//! packets before it.
 //!
 //! ```
 //! use sweepd_core::sensor::Model;

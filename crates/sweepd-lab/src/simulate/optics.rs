@@ -1,5 +1,4 @@
-//! From what a beam meets to what the receiver reports: spread of the beam, several returns, weak
-//! ones, noise.
+//! From surfaces to reported returns: spread of the beam, several returns, weak returns, noise.
 
 use fastrand::Rng;
 
@@ -11,7 +10,7 @@ use super::view::{Look, View};
 use sweepd_core::sensor::Model;
 use sweepd_core::wire::data::{Record, ReturnMode};
 
-/// What the lasers and the receiver can do.
+/// Properties of lasers and receiver.
 #[derive(Clone, Copy, Debug)]
 pub struct Optics {
     /// Nearer than this nothing is reported, metres.
@@ -21,7 +20,7 @@ pub struct Optics {
     pub max_range_m: f64,
     /// Standard deviation of the range, metres.
     pub noise_m: f64,
-    /// Share of the shots that give nothing for no visible reason.
+    /// Share of shots without a return for no visible reason.
     pub dropout: f64,
     /// Half the angle of the cone that a beam lights, radians.
     pub spread_rad: f64,
@@ -55,7 +54,7 @@ impl Optics {
         }
     }
 
-    /// Whether the instrument has no flaws and need not roll dice.
+    /// Whether the instrument has no flaws, so that no random numbers are needed.
     fn is_perfect(&self) -> bool {
         self.dropout == 0.0 && self.noise_m == 0.0
     }
@@ -64,9 +63,9 @@ impl Optics {
 /// One return: what was met, and how much light came back.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct Return {
-    /// The place that sent most of the light; its distance is that of all of it.
+    /// The point that returned most of the light; its distance is the weighted one.
     pub hit: Hit,
-    /// Light of all of it; 1 is what the receiver sees half of the time.
+    /// Total light; the receiver detects 1 half of the time.
     pub signal: f64,
     /// The distance in the packet that means this place, before noise and rounding, metres.
     pub distance_m: f64,
@@ -124,7 +123,7 @@ const RESOLUTION_M: f64 = 0.8;
 /// The returns that a shot gives, one for each block that reports it: `[only]` or, in dual mode,
 /// `[last, strong]`.
 ///
-/// Dual (VLP-16 User Manual, section 6.2): the last, and the strongest, or second strongest when
+/// Dual (VLP-16 User Manual, section 6.2): the last, and the strongest, or the second strongest if
 /// the strongest is the last.
 pub fn shoot(
     optics: &Optics,
@@ -135,7 +134,7 @@ pub fn shoot(
 ) -> [Option<Return>; 2] {
     let centre = cast(optics, view, shot, 0.0, 0.0, rng);
     if !centre.edge {
-        // The middle of the beam stands for all of it: a fifth of the work.
+        // Only the middle of the beam is cast, which takes a fifth of the time.
         let only = centre
             .hit
             .map(|hit| Pulse::new(hit, signal(optics, &hit)))
@@ -162,10 +161,10 @@ pub fn shoot(
     }
 }
 
-/// How far beside a curved beam a surface may be that is taken as met, metres.
+/// Tolerance for the intersection of a curved beam with a surface, metres.
 const BESIDE_M: f64 = 0.001;
-/// Rays that are cast along a curved beam before the last one counts as it is: leaves are somewhere
-/// else each time.
+/// Most rays that are cast along a curved beam; then the last one counts, since leaves are random
+/// in each cast.
 const MOST_CASTS: usize = 4;
 
 /// What a part of the beam meets, this many radians across and up from its middle.
@@ -203,8 +202,8 @@ fn cast(
     unreachable!("the loop ends with the last cast")
 }
 
-/// A return as the packet can say it: none where 16 bits have no number for its distance, and next
-/// to it where none means its range exactly.
+/// A return that a packet can represent: `None` if 16 bits cannot hold its distance, else the
+/// nearest representable range.
 fn sayable(aim: &Aim<'_>, pulse: Pulse) -> Option<Return> {
     let Pulse { mut hit, signal } = pulse;
     let distance_m = aim.distance_m(hit.distance_m);
@@ -241,8 +240,8 @@ fn met(
     met
 }
 
-/// Whether the receiver sees two that follow each other as one pulse. It lies between the surfaces
-/// that sent it, where the light's middle is.
+/// Whether the receiver merges two consecutive pulses. The merged pulse is at the weighted mean of
+/// its surfaces.
 fn is_one_pulse(a: &Pulse, b: &Pulse) -> bool {
     // Ground under a flat beam gives one long pulse.
     let ground = a.hit.class == Class::Ground && b.hit.class == Class::Ground;
@@ -254,8 +253,8 @@ fn merged(parts: &[Pulse]) -> Option<Pulse> {
     let brightest = parts.iter().max_by(|a, b| a.signal.total_cmp(&b.signal))?;
     let mut hit = brightest.hit;
     let signal: f64 = parts.iter().map(|part| part.signal).sum();
-    // Of a long pulse the receiver times the peak; of glass that mirrored all of it there is no
-    // light to weigh.
+    // The receiver times the peak of a long pulse; glass that mirrored everything away has no light
+    // to weight by.
     if signal > 0.0 && parts.iter().any(|part| part.hit.class != Class::Ground) {
         hit.distance_m = parts
             .iter()

@@ -1,11 +1,11 @@
-//! Faults at random rates: which packets they strike is settled before the first one is sent.
+//! Faults at random rates; the affected packets are chosen before the first one is sent.
 
 use fastrand::Rng;
 
 use super::damage::{PacketPart, other_length};
 use super::delivery::Faults;
 
-/// How often what goes wrong, each as a share of the data packets, 0 to 1.
+/// Rates of faults, each as a share of the data packets, 0 to 1.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct Rates {
     /// Packets lost one by one.
@@ -18,7 +18,7 @@ pub struct Rates {
     pub duplicate: f64,
     /// Packets that arrive after those behind them.
     pub reorder: f64,
-    /// How many they let pass, at least 1.
+    /// How many packets overtake them, at least 1.
     pub places: u64,
     /// Packets that are damaged.
     pub corrupt: f64,
@@ -45,7 +45,8 @@ impl Default for Rates {
     }
 }
 
-/// Dice for each kind of fault, so that one rate does not change what the others strike.
+/// A random generator for each kind of fault, so that one rate does not change the packets of other
+/// faults.
 struct Dice {
     loss: Rng,
     burst: Rng,
@@ -73,11 +74,11 @@ fn dice(seed: u64, kind: u64) -> Rng {
 }
 
 impl Rates {
-    /// What strikes a stream of this many data packets.
+    /// The faults of a stream of this many data packets.
     ///
-    /// The first and the last packet are spared: without them no receiver could tell what is
-    /// missing. A packet suffers one fault at most, and those that overtake it none, so that each
-    /// fault can be counted at the other end.
+    /// The first and the last packet have no faults: without them a receiver could not know what is
+    /// missing. A packet has at most one fault, and packets that overtake another have none, so
+    /// that the receiver can count each fault.
     pub fn plan(&self, seed: u64, packets: u64) -> Faults {
         let places = self.places.max(1);
         let mut faults = Faults {
@@ -97,7 +98,7 @@ impl Rates {
         }
         let mut dice = Dice::new(seed);
         let mut burst_end = 0;
-        // The packet that is to be overtaken by this one and others, if that may be.
+        // The packet that this one and others overtake, if possible.
         let mut waits: Option<u64> = None;
         for ordinal in 1..packets {
             let last = ordinal + 1 == packets;

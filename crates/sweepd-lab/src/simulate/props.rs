@@ -1,4 +1,4 @@
-//! What stands and moves in the scenes, each made of a few solids.
+//! Props of the scenes, each made of a few solids.
 //!
 //! Sizes are those of the real things, in metres; numbers like 220 are reflectivities (see
 //! [`Surface`]).

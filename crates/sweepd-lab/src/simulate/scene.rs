@@ -1,9 +1,9 @@
-//! What there is to see: objects made of solids with a surface, on sloping ground, and what a ray
-//! meets of each.
+//! A scene: objects made of solids with a surface, on sloping ground, and their intersections with
+//! rays.
 //!
-//! The slope is a shear. A scene is built on level ground and the ray is bent instead: its rise is
-//! lessened by what the ground gains under it. Distances along the ray stay true, upright things
-//! stay upright, and everything stands on the ground without being told how high that is.
+//! The slope is a shear. A scene is built on level ground and the ray is sheared instead: its rise
+//! is reduced by the rise of the ground below it. Distances along the ray stay true, upright
+//! objects stay upright, and objects stand on the ground without knowing its height.
 
 use fastrand::Rng;
 
@@ -35,7 +35,7 @@ pub enum Class {
     Tree,
     /// Bins, benches, shelters, fences, tables and shelves.
     Furniture,
-    /// Whatever a point of a real scan is on: its labels tell.
+    /// The surface of a real scan's point, whose class is in the labels.
     Unknown,
 }
 
@@ -67,7 +67,7 @@ pub enum Surface {
     /// A front with rows of windows, set back into the wall; the number is the wall's reflectivity.
     /// Where a window mirrors the beam away, the hit has reflectivity 0.
     Windows(u8),
-    /// Leaves: the light gets lost within, once in this many metres.
+    /// Leaves: the light hits one after a random distance.
     Leaves {
         /// Reflectivity of a leaf.
         reflectivity: u8,
@@ -113,7 +113,7 @@ pub struct Hit {
 /// Objects on a plane.
 #[derive(Clone, Debug)]
 pub struct Scene {
-    /// What the ground gains in height per metre of x and of y.
+    /// Rise of the ground per metre of x and of y.
     pub slope: [f64; 2],
     /// Reflectivity of the road.
     pub road: u8,
@@ -229,7 +229,7 @@ impl Scene {
         }
     }
 
-    /// What a ray meets that passes through a solid; leaves and windows answer by chance.
+    /// The hit of a ray that passes through a solid; random for leaves and windows.
     #[inline]
     pub(super) fn meet(&self, solid: &Solid, ray: &Ray, span: &Span, rng: &mut Rng) -> Option<Hit> {
         let (distance_m, reflectivity, cos_incidence) = match solid.surface {
@@ -265,8 +265,8 @@ impl Scene {
 }
 
 impl Solid {
-    /// From where on the outline of the solid may be as near to a ray as its rim is wide: a number
-    /// beyond all distances where it is not. Leaves are nothing but outline.
+    /// Distance from which on the outline of the solid may be within the rim of a ray; greater than
+    /// all distances if it is not. Leaves are all outline.
     #[inline]
     pub(super) fn outline_m(&self, brim: &Brim, ray: &Ray, rim_m: f64) -> f64 {
         let within = match (self.surface, brim.core_m) {
@@ -291,13 +291,13 @@ fn is_storey(z_m: f64) -> bool {
     z_m > 0.9 && (0.6..2.1).contains(&remainder(z_m - 0.4, 3.0))
 }
 
-/// Whether windows are so far along. Fronts run along x or y; the sum of both tells places apart on
-/// both.
+/// Whether there are windows at this coordinate along a front. Fronts run along x or y; the sum of
+/// both serves for either.
 fn is_column(along_m: f64) -> bool {
     remainder(along_m, 2.2) < 1.2
 }
 
-/// What is left of a number of periods, but for the last bits: a tenth of the work of
+/// The remainder of a division by the period, except for the last bits: a tenth of the time of
 /// `f64::rem_euclid`.
 fn remainder(place_m: f64, period_m: f64) -> f64 {
     place_m - period_m * floor(place_m / period_m)
@@ -311,7 +311,7 @@ fn is_frame(place: Vec3, rim_m: f64) -> bool {
         || is_column(along_m) && changes_near(is_storey, up_m, rim_m)
 }
 
-/// Whether something is otherwise this many metres to one side or the other.
+/// Whether the value changes within this many metres to either side.
 fn changes_near(is_there: fn(f64) -> bool, at_m: f64, rim_m: f64) -> bool {
     let here = is_there(at_m);
     is_there(at_m + rim_m) != here || is_there(at_m - rim_m) != here

@@ -1,5 +1,5 @@
-//! When the blocks of each packet are fired: on and on in one beat, but for the sector that is left
-//! out.
+//! Firing times of the blocks of each packet: with a constant period, except for a sector that is
+//! left out.
 
 use super::config::EmitterConfig;
 use sweepd_core::sensor::model::Stamp;
@@ -24,7 +24,7 @@ pub(super) struct Times {
 }
 
 impl Schedule {
-    /// The times of the next packet; `None` when all were sent.
+    /// The times of the next packet; `None` after the last one.
     pub fn next(&mut self, config: &EmitterConfig) -> Option<Times> {
         let ordinal = self.ordinal;
         let mode = config.mode_of(ordinal);

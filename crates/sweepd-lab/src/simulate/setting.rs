@@ -1,4 +1,4 @@
-//! The scenes that there are, and where a sensor stands in each.
+//! The kinds of scenes, and the pose of a sensor in each.
 
 use super::field::field;
 use super::head::Pose;
@@ -45,8 +45,8 @@ impl Setting {
         }
     }
 
-    /// Where a sensor stands: on the roof of a car, indoors on a robot. Further ones, counted from
-    /// 0, stand beside the first, to its right and to its left by turns.
+    /// Pose of a sensor: on the roof of a car, indoors on a robot. Further sensors, counted from 0,
+    /// are beside the first, alternately to its right and left.
     pub fn pose(self, number: usize) -> Pose {
         let (x, height_m) = match self {
             Self::Street => (street::LANE_M, 1.9),

@@ -88,7 +88,7 @@ pub struct Span {
     pub wall: bool,
 }
 
-/// What a ray meets of a solid and of those that are larger and smaller than it by a rim.
+/// Intersections of a ray with a solid, and with the same solid enlarged and shrunk by a rim.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct Brim {
     /// Distance at which the ray enters the larger one.
@@ -149,7 +149,7 @@ impl Shape {
         }
     }
 
-    /// Where a ray passes the solid and its brim, if it comes within `rim_m` of it.
+    /// Intersections of a ray with the solid and its rim, if it comes within `rim_m` of it.
     pub fn brim(&self, ray: &Ray, rim_m: f64) -> Option<Brim> {
         if let Self::Cuboid(cuboid) = self {
             return cuboid.brim(ray, rim_m);
@@ -163,8 +163,8 @@ impl Shape {
         })
     }
 
-    /// The same solid, larger by a margin to all sides, or smaller by one below 0; none if nothing
-    /// of it is left.
+    /// The same solid, larger by a margin to all sides, or smaller if negative; `None` if nothing
+    /// is left.
     pub fn grown(&self, margin_m: f64) -> Option<Self> {
         let mut grown = *self;
         let least_m = match &mut grown {
@@ -237,14 +237,14 @@ fn greater(a: f64, b: f64) -> f64 {
     if a > b { a } else { b }
 }
 
-/// The number rounded down, if it is no more than a 64-bit integer holds: a few instructions, where
-/// `f64::floor` is a call on processors that may be old.
+/// The number rounded down, if it fits into a 64-bit integer: a few instructions, whereas
+/// `f64::floor` is a call without SSE4.1.
 pub fn floor(x: f64) -> f64 {
     let whole = x as i64 as f64;
     if whole > x { whole - 1.0 } else { whole }
 }
 
-/// The number rounded as `f64::round` does, if it is no more than a 64-bit integer holds.
+/// The number rounded as by `f64::round`, if it fits into a 64-bit integer.
 pub fn rounded(x: f64) -> f64 {
     let whole = x as i64 as f64;
     let rest = x - whole;
@@ -280,8 +280,8 @@ fn slabs_span(slabs: &[[f64; 2]; 3], direction: &[f64; 3]) -> Option<Span> {
     })
 }
 
-/// Where a ray enters the cuboid that is larger by so much to all sides, if it meets that.
-/// `steps_m` is what it goes along the ray between the faces of the two.
+/// Where a ray enters the cuboid enlarged by a margin to all sides, if it does. `steps_m` are the
+/// distances along the ray between the faces of both.
 fn grown_enter_m(slabs: &[[f64; 2]; 3], steps_m: [f64; 3]) -> Option<f64> {
     let [x, y, z] = slabs;
     let [step_x, step_y, step_z] = steps_m;
@@ -315,7 +315,7 @@ impl Cuboid {
     /// See [`Shape::brim`]: all three from the same six divisions.
     fn brim(&self, ray: &Ray, rim_m: f64) -> Option<Brim> {
         let [origin, direction] = self.in_frame(ray);
-        // Along a face the step would be infinite; so it is hardly aslant.
+        // Parallel to a face the step would be infinite, so that a small slope is used.
         let direction = direction.map(|d| if d == 0.0 { 1e-300 } else { d });
         let slabs = self.slabs(&origin, &direction)?;
         let steps_m = direction.map(|d| rim_m / d.abs());
@@ -402,7 +402,7 @@ impl Bounds {
         self
     }
 
-    /// Horizontal distances from a point to the nearest and the farthest place of the prism; the
+    /// Horizontal distances from a point to the nearest and the farthest point of the prism; the
     /// nearest is 0 inside.
     pub fn reach(&self, eye: Vec3) -> [f64; 2] {
         let [x, y] = turned(eye.x - self.centre[0], eye.y - self.centre[1], self.heading);
@@ -412,15 +412,15 @@ impl Bounds {
         [near, f64::hypot(x + self.half[0], y + self.half[1])]
     }
 
-    /// The same of what of the prism is between two azimuths a few degrees apart, radians, as seen
-    /// from a point outside; none if nothing is. The nearest may be a little nearer than it is.
+    /// The same for the part of the prism between two azimuths a few degrees apart, radians, as
+    /// seen from a point outside; `None` if there is no such part. The nearest is a lower bound.
     pub fn reach_between(&self, eye: Vec3, edges: [f64; 2]) -> Option<[f64; 2]> {
         let [x, y] = turned(eye.x - self.centre[0], eye.y - self.centre[1], self.heading);
         let ways = edges.map(|edge_rad| {
             let (sin, cos) = edge_rad.sin_cos();
             turned(sin, cos, self.heading)
         });
-        // The corners of what is between: those of the prism, and where the edges go in and out.
+        // The corners of that part: those of the prism, and the intersections with the edges.
         let [first, last] = ways;
         let corners = [(1.0, 1.0), (1.0, -1.0), (-1.0, 1.0), (-1.0, -1.0)]
             .map(|(across, along)| (across * self.half[0] - x, along * self.half[1] - y));
@@ -440,7 +440,7 @@ impl Bounds {
         let [near, far] = places.fold([f64::INFINITY, 0.0], |[near, far], at| {
             [lesser(near, at), greater(far, at)]
         });
-        // A side between two corners comes nearer than both by as much as its chord.
+        // A side may be nearer than both of its corners, by at most its chord.
         (far > 0.0).then_some([near * (edges[1] - edges[0]).cos(), far])
     }
 

@@ -1,4 +1,4 @@
-//! The status of a simulated HDL-64E: what its bytes 1204 and 1205 say, packet after packet.
+//! The status of a simulated HDL-64E in bytes 1204 and 1205 of its packets.
 
 use zerocopy::little_endian::{I16, U16};
 
@@ -99,8 +99,8 @@ impl Status {
         })
     }
 
-    /// Type and value in a data packet. A cycle of packets tells one moment: that of its first
-    /// one's stamp, this many nanoseconds after the first shot of all.
+    /// Type and value in a data packet. All packets of a cycle give the same time: that of the
+    /// first one's stamp, this many nanoseconds after the first shot of all.
     pub fn pair(&self, config: &EmitterConfig, ordinal: u64, elapsed_ns: i64) -> (u8, u8) {
         let begun = ordinal - ordinal % CYCLE_LEN as u64;
         let (pps, sentence) = config.clock.received(elapsed_ns);

@@ -24,7 +24,7 @@ const KERB_M: f64 = 6.3;
 const FRONT_M: f64 = 11.5;
 /// Height of a kerb.
 const STEP_M: f64 = 0.14;
-/// How far the street goes on, ahead and behind.
+/// Length of the street, ahead and behind, metres.
 const END_M: f64 = 110.0;
 /// The side streets between house fronts: to the right ahead, to the left behind.
 const RIGHT_STREET: [f64; 2] = [10.0, 20.0];
@@ -104,7 +104,7 @@ impl Street {
             let mut y = from;
             while y < to - 4.0 {
                 let wanted_m = self.between(8.0, 15.0);
-                // What is left must do for another house, or go to this one.
+                // If the rest is too short for another house, this one gets it.
                 let width_m = if to - y - wanted_m < 7.0 {
                     to - y
                 } else {
@@ -289,7 +289,7 @@ impl Street {
         }
     }
 
-    /// What drives: cars both ways, a lorry, bicycles, someone who crosses the road.
+    /// Traffic: cars in both directions, a lorry, bicycles, a pedestrian who crosses the road.
     fn traffic(&mut self) {
         for (side, y, speed_m_s) in [
             (1.0, 13.5, 7.0),

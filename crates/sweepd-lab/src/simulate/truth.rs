@@ -1,5 +1,5 @@
-//! What leaves a simulated sensor: datagrams, and beside each the truth that did not fit into its
-//! bytes.
+//! The output of a simulated sensor: datagrams, each with the exact values that its bytes cannot
+//! hold.
 
 use std::net::SocketAddrV4;
 
@@ -7,7 +7,7 @@ use super::scene::Class;
 use sweepd_core::wire::Datagram;
 use sweepd_core::wire::data::{BLOCKS, RECORDS};
 
-/// A datagram, and what the simulator knows about it.
+/// A datagram with its truth.
 #[derive(Clone, Debug)]
 pub struct SimulatedDatagram {
     /// Arrival at the host by the host's clock, nanoseconds since 1970.
@@ -18,7 +18,7 @@ pub struct SimulatedDatagram {
     pub destination: SocketAddrV4,
     /// The UDP payload.
     pub payload: Vec<u8>,
-    /// What a data packet measured; `None` for a position packet.
+    /// The truth of a data packet; `None` for a position packet.
     pub truth: Option<Box<PacketTruth>>,
 }
 
@@ -43,15 +43,14 @@ pub struct PacketTruth {
     pub returns: [[Option<ReturnTruth>; RECORDS]; BLOCKS],
 }
 
-/// What one return measured, before noise and rounding.
+/// The truth of a return, before noise and rounding.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct ReturnTruth {
-    /// Object number in the scene, [`super::scene::GROUND`] and up: what sent most of the light.
+    /// Number of the object that returned most of the light, from [`super::scene::GROUND`] up.
     pub object: u32,
     /// What that object is.
     pub class: Class,
-    /// Along the beam from where it leaves the sensor, metres; between two surfaces that the
-    /// receiver saw as one.
+    /// Along the beam from its origin, metres; between two surfaces if the receiver merged them.
     pub range_m: f64,
     /// Where the beam really pointed: its azimuth in the sensor's frame at the shot, 0 to a whole
     /// turn, radians. That of the head, but for an HDL-64E, whose beams are turned away from it.

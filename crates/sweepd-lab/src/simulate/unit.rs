@@ -1,8 +1,7 @@
-//! A unit of the HDL-64E that was never built: what its maker would have found had it been
-//! calibrated.
+//! A generated unit of the HDL-64E, with the calibration of its beams.
 //!
-//! Made up to be like the real ones in kind and size, in the very numbers that the status can say,
-//! so that a receiver that reads its calibration from there knows it exactly.
+//! Its values are similar to those of real units, and exactly representable in the status, so that
+//! a receiver that reads the calibration from there has it exactly.
 
 use std::ops::RangeInclusive;
 

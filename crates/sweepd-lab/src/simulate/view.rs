@@ -1,5 +1,4 @@
-//! A scene from where the sensor is: which solids a ray has to be tried on, and the nearest that it
-//! meets.
+//! A scene as seen from the sensor: the solids to test for a ray, and its nearest hit.
 
 use std::cmp::Ordering;
 
@@ -14,14 +13,14 @@ const SECTORS: usize = 720;
 /// Sectors a radian.
 const PER_SECTOR: f64 = SECTORS as f64 / std::f64::consts::TAU;
 
-/// How far beside a beam a solid is still looked for: twice what the beams of any sensor spread,
+/// Angle beside a beam within which solids are tested: twice the spread of any sensor's beams,
 /// radians.
 const RIM_RAD: f64 = 0.003;
 
-/// More than the azimuth of a curved ray is off, radians.
+/// Upper bound of the azimuth error of a curved ray, radians.
 const ASTRAY_RAD: f64 = 0.000_1;
 
-/// One solid as seen from the eye: what a ray must have for a test to be worth while.
+/// One solid as seen from the eye: conditions for a ray that may hit it.
 #[derive(Clone, Copy)]
 struct Candidate {
     solid: u32,
@@ -32,12 +31,12 @@ struct Candidate {
     far_m: f64,
     /// Least and greatest rise of a ray that can meet it, metres a metre.
     rise: [f64; 2],
-    /// What a ray must have in this sector.
+    /// Conditions for a ray in this sector.
     here: Within,
 }
 
-/// What a ray of one sector must have to meet a solid or come near its outline: where it does not,
-/// there is no need to look closer.
+/// Necessary conditions for a ray of one sector to hit a solid or come near its outline; other rays
+/// are not tested.
 #[derive(Clone, Copy)]
 struct Within {
     /// Horizontal distance that it must reach.
@@ -46,25 +45,24 @@ struct Within {
     rise: [f64; 2],
 }
 
-/// What matters of a solid beside its bounds.
+/// Properties of a solid besides its bounds.
 #[derive(Clone, Copy)]
 struct Traits {
     /// It is elsewhere in the next view.
     moves: bool,
-    /// Dice are rolled for it, even if it is farther away than the nearest hit.
+    /// It needs random numbers, even if it is farther away than the nearest hit.
     by_chance: bool,
 }
 
 impl Candidate {
-    /// Nearest first; at one distance as they stand in the scene.
+    /// Nearest first; at equal distance in the order of the scene.
     fn order(&self, other: &Self) -> Ordering {
         self.near_m
             .total_cmp(&other.near_m)
             .then(self.solid.cmp(&other.solid))
     }
 
-    /// For each sector in which a ray from the eye can meet what is within bounds, what it must
-    /// have for that.
+    /// The candidates of a solid within these bounds, for each sector from which a ray can hit it.
     fn of(solid: u32, bounds: &Bounds, eye: Vec3, traits: Traits) -> Vec<(usize, Self)> {
         let [near_m, far_m] = bounds.reach(eye);
         let rise = [f64::NEG_INFINITY, f64::INFINITY];
@@ -90,7 +88,7 @@ impl Candidate {
         let rim = bounds.grown(RIM_RAD * far_m);
         let mut candidates = Vec::new();
         for sector in first..=last {
-            // What is looked up but a few times is not worth a closer look at each sector.
+            // Finer conditions for each sector do not pay for a view that is used only a few times.
             let here = if traits.moves {
                 Some(here)
             } else {

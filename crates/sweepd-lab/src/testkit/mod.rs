@@ -1,5 +1,5 @@
-//! What the tests and `sweepd-soak` share: a temporary domain, reserved ports, a daemon in a
-//! process of its own, and packet streams made by hand.
+//! Shared by the tests and `sweepd-soak`: a temporary domain, reserved ports, a daemon in a process
+//! of its own, and packet streams made by hand.
 
 pub mod daemon;
 pub mod domain;
@@ -14,7 +14,7 @@ pub use domain::TempDomain;
 pub use port::ReservedPort;
 pub use process::{PATIENCE, Process};
 
-/// What went wrong, as a sentence for the one who runs the tests.
+/// A failure, as a sentence for the person who runs the tests.
 #[derive(Clone, PartialEq, Eq, thiserror::Error)]
 #[error("{0}")]
 pub struct Failure(pub String);

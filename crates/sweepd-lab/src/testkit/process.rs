@@ -11,9 +11,10 @@ use rustix::process::{Pid, Signal, kill_process};
 
 use super::{Failure, cannot};
 
-/// Longer than a healthy program takes for anything on a busy machine: to start, to answer, to end.
+/// Time limit, longer than a healthy program needs on a busy machine to start, to answer, or to
+/// end.
 pub const PATIENCE: Duration = Duration::from_secs(20);
-/// How long a process that closed its sockets may take until it has ended and its log is complete.
+/// Time limit for a process that closed its sockets to end and complete its log.
 const DYING: Duration = Duration::from_millis(500);
 /// Lines of the log that are kept.
 const KEPT_LINES: usize = 1_000;

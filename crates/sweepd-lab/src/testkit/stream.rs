@@ -1,4 +1,4 @@
-//! Packet streams made by hand, block by block, and what a pipeline makes of them: no scene, only
+//! Packet streams made block by block, and the sweeps that a pipeline makes of them: no scene, only
 //! time and azimuth.
 
 use std::collections::BTreeSet;
@@ -17,7 +17,7 @@ use sweepd_core::wire::data::{
 pub const START_NS: i64 = 1_777_888_800_000_000_000;
 const TURN: f64 = 36_000.0;
 
-/// A turning head, told by where it is at a time.
+/// A turning head, given by its azimuth over time.
 pub struct Spin {
     /// What it is.
     pub model: Model,
@@ -287,8 +287,8 @@ impl Run {
         columns.map(|column| column.packet as usize).collect()
     }
 
-    /// Every return of every decoded packet is in one pixel, every other packet is counted, and
-    /// each sweep is sane.
+    /// Checks that every return of every decoded packet is in one pixel, every other packet is
+    /// counted, and each sweep is valid.
     #[track_caller]
     pub fn check(&self, arrived: &[DataPacket]) -> &Self {
         let decoded = self.decoded();
@@ -368,8 +368,8 @@ impl Run {
             .sum()
     }
 
-    /// All that is in the sweeps but counters and arrival, with packets named by the order in which
-    /// they were sent.
+    /// The content of the sweeps without counters and arrival, with packets numbered in the order
+    /// in which they were sent.
     pub fn content(&self, arrived: &[Sent]) -> Vec<Content> {
         let name = |number: u64| arrived.get(number as usize).map(|sent| sent.ordinal);
         let content = |sweep: SweepRef<'_>| Content {
@@ -437,7 +437,7 @@ impl Wire {
 }
 
 impl Content {
-    /// The same but for the columns' turning rates, and azimuths to a hundredth of a degree.
+    /// The same without the columns' turning rates, and with azimuths to a hundredth of a degree.
     pub fn without_rates(mut self) -> Self {
         for (_, azimuth_rad, rate_rad_s, ..) in &mut self.columns {
             *rate_rad_s = 0.0;
@@ -447,7 +447,7 @@ impl Content {
     }
 }
 
-/// What the header says is what is there.
+/// Checks the header against the content.
 #[track_caller]
 fn check_sweep(sweep: &SweepRef<'_>) {
     use sweepd_core::sweep::layout::flags::{CIRCULAR, PARTIAL, RATE_UNSTABLE};
@@ -498,7 +498,7 @@ fn check_sweep(sweep: &SweepRef<'_>) {
     assert!(header.rpm >= 0.0 && header.rpm.is_finite());
 }
 
-/// Each return is where its firing was.
+/// Checks that each return is in the column of its firing.
 #[track_caller]
 fn check_pixels(sweep: &SweepRef<'_>) {
     use sweepd_core::sweep::layout::flags::{CIRCULAR, PARTIAL, RATE_UNSTABLE};
@@ -521,7 +521,7 @@ fn check_pixels(sweep: &SweepRef<'_>) {
             range == 0.0 || firing.is_measured() && !beyond,
             "a return without a firing"
         );
-        // Within half a column of where its column is, and one more where the turn was folded.
+        // Within half a column of its column's azimuth, and one more where the turn was folded.
         if range > 0.0 && header.flags & (PARTIAL | RATE_UNSTABLE) == 0 && moved {
             let pitch = f64::from(header.rpm) / 60.0 * std::f64::consts::TAU * 57.6e-6;
             let off = sweep.azimuth_rad(row, column) - f64::from(sweep.columns[column].azimuth_rad);

@@ -4,10 +4,9 @@
 //! * [`pcd`]: PCL's PCD: ascii, binary and compressed, whose packing [`lzf`] undoes.
 //! * [`ply`]: PLY: ascii and binary of either order of bytes.
 //!
-//! Fields may be of any type and in any order; what is neither `x`, `y`, `z`, `intensity` nor
-//! `ring` is passed over. The points are taken as they stand: x forward, y left, z up around the
-//! sensor, in metres; a PCD's viewpoint moves nothing. Counts are believed only after they were
-//! held against the length of the file.
+//! Fields may be of any type and in any order; fields other than `x`, `y`, `z`, `intensity` and
+//! `ring` are ignored. Points are not transformed: x forward, y left, z up around the sensor, in
+//! metres; the viewpoint of a PCD is ignored. Counts are checked against the length of the file.
 
 mod kitti;
 mod lzf;
@@ -176,7 +175,7 @@ impl Scalar {
     }
 }
 
-/// Which field of a file is what; the index is that of the field.
+/// Index of the field for each role.
 #[derive(Clone, Copy, Debug)]
 struct Roles {
     xyz: [usize; 3],
@@ -310,7 +309,7 @@ fn ascii(
     words: usize,
     roles: Roles,
 ) -> Result<(Cloud, Option<usize>), ReadError> {
-    // A point takes at least a letter and a gap for each word.
+    // A point takes at least a character and a space for each word.
     let room = points.min(text.len() / (2 * words.max(1)) + 1);
     let mut collector = Collector::new(roles, room);
     let mut values = Vec::new();

@@ -22,9 +22,8 @@ use super::{
 /// Longest points that are read, all together, bytes.
 const MAX_BODY_LEN: usize = 1 << 30;
 
-/// Longest packed points that are read, bytes when they are unpacked, each taken for
-/// [`POINT_BYTES`] at least: four million points. A few bytes may promise a gigabyte, and what is
-/// labelled here is one turn.
+/// Most unpacked bytes of packed points, counting at least [`POINT_BYTES`] for each: four million
+/// points. A few bytes can expand to a gigabyte, while a cloud here is one turn.
 const MAX_UNPACKED_LEN: usize = 64 << 20;
 
 /// How the points are written.
@@ -166,7 +165,7 @@ impl Head {
                 step: lengths[field],
             })
             .collect();
-        // A byte of what was unpacked stands nowhere in the file.
+        // An unpacked byte has no position in the file.
         binary(&unpacked, points, &fields, roles, false)
             .map_err(|(_, message)| ReadError::byte(first + 8, message))
     }
@@ -335,7 +334,7 @@ fn check_length(
     nothing_behind(body, expected)
 }
 
-/// Behind the points there may be zeros, as writers leave that map whole pages.
+/// Zeros may follow the points, since writers that map whole pages leave them.
 fn nothing_behind(body: &[u8], end: usize) -> Result<(), (usize, String)> {
     match body[end..].iter().position(|&byte| byte != 0) {
         None => Ok(()),

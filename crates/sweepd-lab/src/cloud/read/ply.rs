@@ -9,7 +9,7 @@
 //! end_header
 //! ```
 //!
-//! The vertices must be the first element; what comes behind them is passed over.
+//! The vertices must be the first element; later ones are ignored.
 
 use super::{
     Cloud, Field, ReadError, Roles, Scalar, ascii, binary, count, head_lines, shortened, starts,

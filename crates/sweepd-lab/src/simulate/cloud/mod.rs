@@ -8,15 +8,14 @@
 //!                     Turn -> Sender -> packets, each return with the index of its point
 //! ```
 //!
-//! A cloud has lost what its sensor was: rotations, distance offsets and the columns. So the unit
-//! is one whose calibration is given, and the scan is what that unit would have seen. Its
-//! elevations are another unit's, and bend flat ground: [`Options::fit`] takes those of the scan.
+//! A cloud does not contain its sensor's rotations, distance offsets and columns. So the packets
+//! are those of a unit with a given calibration that sees this scan. Since its elevations are those
+//! of another unit, flat ground is bent: [`Options::fit`] fits them to the scan.
 //!
-//! The columns are those onto which `sweepd segment` projects the scan, and a firing stands for a
-//! column as it does to whoever shifts each row by whole columns so that neighbours in space are
-//! neighbours in the image. So both paths see one image, and what they make of it can be compared.
-//! The price: a beam points up to half a column beside its column, and starts beside the axis;
-//! points come back at their range, but so far aside.
+//! The columns are those onto which `sweepd segment` projects the scan, and rows are shifted by
+//! whole columns as in a sweep. So both paths give the same image, and their results can be
+//! compared. The cost: a beam points up to half a column beside its column, and starts beside the
+//! axis, so that points return at their range but shifted sideways by that much.
 
 mod error;
 mod rows;
@@ -42,9 +41,9 @@ pub const MODEL: Model = Model::Hdl64eS2;
 pub const MODE: ReturnMode = ReturnMode::Strongest;
 /// Turns a minute that a sensor can make.
 const RPM: [f64; 2] = [300.0, 1200.0];
-/// What a scan is mostly made with.
+/// Usual speed of a scan, turns a minute.
 const DEFAULT_RPM: f64 = 600.0;
-/// How far the vertical offset of a unit is from that of another one, metres.
+/// Spread of vertical offsets between units, metres.
 const OFFSET_SPREAD_M: f64 = 0.03;
 
 /// How a cloud is encoded.
@@ -56,7 +55,7 @@ pub struct Options {
     pub rpm: Option<f64>,
 }
 
-/// What became of the points of a cloud.
+/// Counts of the points of a cloud.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
 pub struct Report {
     /// Points of the file.
@@ -69,7 +68,7 @@ pub struct Report {
     pub encoded: usize,
     /// Those of them that are within half a pitch of the azimuth of their beam.
     pub within: usize,
-    /// Points in whose column a nearer one is shown.
+    /// Points hidden by a nearer one in their column.
     pub hidden: usize,
     /// Points that have a firing, but are nearer or farther than the sensor can report.
     pub out_of_reach: usize,
@@ -100,7 +99,7 @@ impl std::fmt::Display for Report {
     }
 }
 
-/// A turn of the sensor: what each of its firings reports.
+/// A turn of the sensor: the returns of each firing.
 #[derive(Debug)]
 pub struct Turn {
     calibration: Calibration,
@@ -255,7 +254,7 @@ impl Turn {
         }
     }
 
-    /// What a beam reports of a point in a firing.
+    /// The return of a point in a firing.
     fn echo(
         &self,
         laser: &Laser,
@@ -274,7 +273,7 @@ impl Turn {
             return None;
         }
         let units = aim.units(distance_m, 0.0).clamp(1.0, f64::from(u16::MAX));
-        // A remission that is none is 0.
+        // A remission that is not a number becomes 0.
         let reflectivity = (f64::from(remission) * 255.0).round().clamp(0.0, 255.0) as u8;
         let reflectivity = aim.intensity_byte(units, reflectivity);
         Some(Echo {
@@ -285,7 +284,7 @@ impl Turn {
         })
     }
 
-    /// What a channel reports in a firing.
+    /// The return of a channel in a firing.
     fn at(&self, firing: usize, channel: usize) -> Option<&Echo> {
         self.echoes[firing * self.spec.channels + channel].as_ref()
     }
@@ -337,7 +336,7 @@ fn place(ring: &Ring, points: &[[f32; 4]]) -> RingPlace {
     }
 }
 
-/// The beams of all rows, with elevations and vertical offsets as the rings have them.
+/// The beams of all rows, with elevations and vertical offsets fitted to the rings.
 fn fitted(rings: &[RowRing<'_>], rows: &[Beam], unit_m: f64) -> Vec<Beam> {
     let mut fits = vec![None; rows.len()];
     for ring in rings {

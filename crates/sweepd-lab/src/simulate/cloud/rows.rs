@@ -1,12 +1,12 @@
-//! Which beam fired which ring: rings and rows, both from the top down.
+//! Assigns rings to beams; rings and rows are both in order from the top.
 
 use super::error::FromCloudError;
 use sweepd_core::sensor::Beam;
 
-/// A ring may lie so far from the beam that it is given to, degrees: units differ by half as much,
-/// models by more.
+/// Greatest distance of a ring from its beam, degrees: units differ by half as much, models by
+/// more.
 const MAX_APART_DEG: f64 = 6.0;
-/// Least difference of the elevations of two beams, degrees: what the status stream can tell.
+/// Least difference of the elevations of two beams, degrees: the resolution of the status stream.
 const STEP_DEG: f64 = 0.01;
 
 /// Where a ring lies.
@@ -26,12 +26,12 @@ impl RingPlace {
     }
 }
 
-/// The row of each ring. Rings and rows keep their order; where there are fewer rings than rows,
-/// those rows stay empty with which the elevations fit best.
+/// The row of each ring. Rings and rows keep their order; if there are fewer rings than rows, the
+/// empty rows are those that give the best fit of elevations.
 ///
 /// # Errors
-/// [`FromCloudError::Rings`]: more rings than beams; [`FromCloudError::Apart`]: a ring that is
-/// nowhere near its beam.
+/// [`FromCloudError::Rings`]: more rings than beams; [`FromCloudError::Apart`]: a ring that is too
+/// far from its beam.
 pub(super) fn of_rings(rings: &[RingPlace], rows: &[Beam]) -> Result<Vec<usize>, FromCloudError> {
     let Some(spare) = rows.len().checked_sub(rings.len()) else {
         return Err(FromCloudError::Rings {
@@ -84,10 +84,10 @@ fn check(rings: &[RingPlace], rows: &[Beam], found: &[usize]) -> Result<(), From
     }
 }
 
-/// Brings beams, row by row from the top, into an order that a calibration keeps: those without a
-/// fit follow their neighbours, and each lies at least [`STEP_DEG`] below the one above it.
+/// Completes the beams, row by row from the top, so that a calibration can hold them: beams without
+/// a fit follow their neighbours, and each is at least [`STEP_DEG`] below the one above it.
 ///
-/// `fits` holds, for each row, what the fit gave.
+/// `fits` holds the fit of each row.
 pub(super) fn complete(rows: &[Beam], fits: &[Option<Beam>]) -> Vec<Beam> {
     let shifts_rad: Vec<Option<f64>> = (rows.iter().zip(fits))
         .map(|(beam, fit)| Some(fit.as_ref()?.elevation_rad - beam.elevation_rad))

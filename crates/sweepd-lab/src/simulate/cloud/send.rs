@@ -1,4 +1,4 @@
-//! The packets of a sensor that sees the same turn again and again, with its status beside.
+//! The packets of a sensor that sees the same turn repeatedly, with its status.
 
 use std::net::{Ipv4Addr, SocketAddrV4};
 
@@ -13,7 +13,7 @@ use sweepd_core::wire::DATA_PORT;
 use sweepd_core::wire::data::{BLOCKS, DataPacket, RECORDS, Record};
 use sweepd_core::wire::hdl64::CYCLE_LEN;
 
-/// Share of a turn before the first cut: what a receiver needs to tell the model and the pitch.
+/// Share of a turn before the first cut, which a receiver needs to detect the model and the speed.
 const LEAD: f64 = 0.25;
 /// Share of a turn behind the last cut, which closes the sweep.
 const TAIL: f64 = 0.1;
@@ -21,7 +21,7 @@ const TAIL: f64 = 0.1;
 /// How packets are sent.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct Sending {
-    /// For how long, seconds; `None` for one turn from cut to cut, and what must be before and
+    /// Duration, seconds; `None` for one turn from cut to cut, with the necessary parts before and
     /// behind it.
     pub seconds: Option<f64>,
     /// What the sensor's clock follows.
@@ -81,7 +81,7 @@ impl<'a> Sender<'a> {
         self.config.packets
     }
 
-    /// The time that the stamp of a packet says, nanoseconds after the first shot of all.
+    /// The time of a packet's stamp, nanoseconds after the first shot of all.
     fn stamped_ns(&self, ordinal: u64) -> i64 {
         self.config.first_shot_ns(ordinal) - self.config.spec.first_shot_ns(MODE, 0)
     }
@@ -109,7 +109,7 @@ impl<'a> Sender<'a> {
         (packet, truth)
     }
 
-    /// Writes what a firing of the turn reports into its blocks.
+    /// Writes the returns of a firing into its blocks.
     fn fire(&self, firing: usize, index: usize, packet: &mut DataPacket, truth: &mut PacketTruth) {
         let Turn { spec, .. } = self.turn;
         let period_ns = i64::from(spec.firing_period_ns(MODE));
