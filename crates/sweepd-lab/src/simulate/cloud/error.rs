@@ -5,7 +5,7 @@ use crate::cloud::CloudError;
 /// Why a cloud cannot be encoded.
 #[derive(Debug, thiserror::Error)]
 pub enum FromCloudError {
-    /// No cloud in the order of its rings.
+    /// The cloud is not in the order of its rings.
     #[error(transparent)]
     Cloud(#[from] CloudError),
     /// Nothing to encode.
@@ -19,7 +19,7 @@ pub enum FromCloudError {
         /// Beams of the sensor.
         beams: usize,
     },
-    /// A ring is nowhere near the beam that it would have to be of.
+    /// A ring is too far from its beam.
     #[error(
         "a ring at {ring_deg:.2} degrees would be that of the beam at {beam_deg:.2}; the cloud is of another sensor, or \
          the calibration is"
