@@ -288,7 +288,7 @@ mod tests {
     }
 
     #[test]
-    fn sensors_are_told_apart_by_both_ends_and_named() {
+    fn sensors_are_distinguished_by_source_and_destination_and_named() {
         let packet = packet();
         let mut sensors = DiscoveredSensors::default();
         let mut heard =
@@ -315,7 +315,7 @@ mod tests {
     }
 
     #[test]
-    fn length_decides_whatever_the_port() {
+    fn length_decides_for_any_port() {
         let (packet, position) = (packet(), [7; POSITION_PACKET_LEN]);
         let mut sensors = DiscoveredSensors::default();
         assert_eq!(

@@ -148,7 +148,7 @@ mod tests {
     }
 
     #[test]
-    fn naps_end_so_long_before_a_sweep_is_due_that_the_work_is_done_by_then() {
+    fn naps_end_early_enough_to_do_the_work_before_a_sweep_is_due() {
         for busy_ms in [0, 1, 2, 5, 20] {
             let load = load(busy_ms);
             for (turn_ms, longest_ms) in [

@@ -388,7 +388,7 @@ mod tests {
     }
 
     #[test]
-    fn the_warmest_place_tells_the_temperature() {
+    fn the_temperature_is_that_of_the_warmest_part() {
         let mut sent = position(Pps::Absent, None);
         assert_eq!(temperature_of(&sent), None);
         let chip = |temperature| Inertial {

@@ -473,7 +473,7 @@ mod tests {
     }
 
     #[test]
-    fn a_day_in_the_life_of_a_sensor_is_told_once_each() {
+    fn each_change_of_a_sensors_state_is_logged_once() {
         let mut roof = Watched::new(None);
         let silence = "roof: no packets from 192.168.1.201 on port 2368 for 2 s: is it powered, and is this host its \
                        destination?";
@@ -498,7 +498,7 @@ mod tests {
     }
 
     #[test]
-    fn a_head_that_stops_is_told_and_a_stumble_is_not() {
+    fn a_head_that_stops_is_reported_and_a_short_slowdown_is_not() {
         let mut roof = Watched::new(None);
         roof.observe(10, 75, 1);
         assert_eq!(roof.observe(15, 75, 0), [""; 0]);
@@ -508,7 +508,7 @@ mod tests {
     }
 
     #[test]
-    fn a_wrong_model_is_told_in_its_own_words_and_again_only_when_they_change() {
+    fn a_wrong_model_is_reported_again_only_when_the_reason_changes() {
         let mut roof = Watched::new(None);
         roof.observe(1, 75, 0);
         for expected in [&["roof: this is a VLS-128"][..], &[], &[]] {
@@ -540,7 +540,7 @@ mod tests {
     }
 
     #[test]
-    fn another_mode_or_model_is_told_and_a_speed_that_wanders_is_not() {
+    fn another_mode_or_model_is_reported_and_a_drifting_speed_is_not() {
         let mut roof = Watched::new(None);
         roof.observe(1, 75, 1);
         roof.turn(Running {
@@ -567,7 +567,7 @@ mod tests {
     }
 
     #[test]
-    fn a_speed_that_is_off_is_told_once_and_makes_the_sensor_unwell() {
+    fn a_wrong_speed_is_reported_once_and_makes_the_sensor_unwell() {
         let mut roof = Watched::new(Some(600.0));
         assert_eq!(roof.observe(5, 75, 1).len(), 1);
         roof.turn(Running {

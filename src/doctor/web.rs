@@ -132,7 +132,7 @@ mod tests {
     }
 
     #[test]
-    fn nobody_there_is_no_answer() {
+    fn without_a_web_page_there_is_no_answer() {
         let free = std::net::TcpListener::bind("127.0.0.1:0")
             .unwrap()
             .local_addr()

@@ -247,7 +247,7 @@ mod tests {
     }
 
     #[test]
-    fn files_of_sweeps_are_told_by_their_names() {
+    fn files_of_sweeps_are_recognised_by_their_names() {
         for name in ["sweep_000000.png", "sweep_123456.png", "sweep_1234567.png"] {
             assert!(
                 is_sweep_file(name, Format::Png) && !is_sweep_file(name, Format::Csv),

@@ -370,7 +370,7 @@ mod tests {
     }
 
     #[test]
-    fn a_file_that_another_process_makes_meanwhile_stays() {
+    fn a_file_that_another_process_makes_at_the_same_time_is_kept() {
         let folder = tempfile::tempdir().unwrap();
         let path = folder.path().join("a.pcap");
         let (_file, new) = NewFile::create(&path, Existing::Keep).unwrap();
@@ -407,7 +407,7 @@ mod tests {
     }
 
     #[test]
-    fn folders_of_sensors_are_told_by_their_names() {
+    fn folders_of_sensors_are_recognised_by_their_names() {
         let sensors = [
             "192.168.1.201:2368",
             "192.168.1.201:2368>2369",

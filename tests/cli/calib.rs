@@ -114,7 +114,7 @@ fn a_calibration_that_is_not_whole_is_refused_and_nothing_overwritten() {
 }
 
 #[test]
-fn calibrations_that_differ_are_told_beam_by_beam() {
+fn calibrations_that_differ_are_reported_beam_by_beam() {
     let folder = Folder::new("calib-diff");
     let a = folder.write("a.yaml", ros_yaml::emit(&unit()));
     let mut beams = unit().beams().to_vec();
@@ -161,7 +161,7 @@ fn calibrations_that_differ_are_told_beam_by_beam() {
 }
 
 #[test]
-fn inspect_tells_what_an_hdl64e_says_about_itself() {
+fn inspect_prints_the_status_of_an_hdl64e() {
     let folder = Folder::new("calib-inspect");
     let capture = folder.path("hdl64e.pcap");
     write_capture(

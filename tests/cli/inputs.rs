@@ -81,7 +81,7 @@ fn two_sensors_in_one_file_are_replayed_each_as_alone() {
 }
 
 #[test]
-fn each_of_several_sensors_has_files_of_its_own_whoever_comes_first() {
+fn each_of_several_sensors_has_its_own_files_in_any_order_of_arrival() {
     let folder = Folder::new("folders");
     let one = made::vlp16();
     // The second sensor is heard before the third, and has its first whole sweep after it.

@@ -50,7 +50,7 @@ fn a_capture_is_described_in_full() {
 }
 
 #[test]
-fn a_head_that_turns_the_other_way_is_told_in_words() {
+fn a_head_that_turns_the_other_way_is_reported() {
     let folder = Folder::new("reversed");
     let path = folder.write("reversed.pcap", made::pcap(&made::reversed(made::vlp16())));
     let text = inspect(&path).done();
@@ -67,7 +67,7 @@ fn a_head_that_turns_the_other_way_is_told_in_words() {
 }
 
 #[test]
-fn a_change_of_the_return_mode_and_sensors_at_one_address_are_told() {
+fn a_change_of_return_mode_and_shared_addresses_are_reported() {
     let folder = Folder::new("modes");
     let mut changed = made::datagrams("street_vlp16.pcap.gz");
     let dual = made::datagrams("street_vlp16_dual.pcap.gz");

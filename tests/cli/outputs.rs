@@ -71,7 +71,7 @@ fn a_sweep_in_json_has_exactly_its_keys() {
 
 /// The simulated one has a receiver with a fix and, as a real one, no byte for the pulse.
 #[test]
-fn an_hdl32e_tells_utc_where_its_sentence_is_enough() {
+fn an_hdl32e_gives_utc_if_its_sentence_is_enough() {
     let folder = Folder::new("hdl32e-gps");
     let capture = folder.path("gps.pcap");
     let made = [

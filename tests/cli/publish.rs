@@ -59,7 +59,7 @@ fn names_that_no_service_or_file_may_have_are_refused() {
 }
 
 #[test]
-fn sensors_are_told_with_their_names_and_what_is_left_over_is_told_too() {
+fn new_sensors_are_reported_by_name_and_so_are_unused_names() {
     let own = temp_domain();
     let folder = Folder::new("publish");
     let two = made::together(&[&made::vlp16(), &made::datagrams("street_hdl32e.pcap.gz")]);

@@ -365,7 +365,7 @@ fn several_sensors_stand_in_one_scene() {
 }
 
 #[test]
-fn the_motor_and_the_mode_do_what_they_are_told() {
+fn motor_and_mode_follow_the_options() {
     let folder = Folder::new("motor");
     let path = folder.path("made.pcap");
     let made = |options: &[&str]| {
@@ -455,7 +455,7 @@ fn payloads(capture: &Path) -> Vec<Vec<u8>> {
 }
 
 #[test]
-fn an_hdl64e_sends_its_calibration_and_fires_as_often_as_it_is_told() {
+fn an_hdl64e_sends_its_calibration_and_fires_at_the_configured_period() {
     let folder = Folder::new("hdl64e");
     let path = folder.path("made.pcap");
     let (unit, again) = (folder.path("unit.yaml"), folder.path("again.yaml"));
@@ -506,7 +506,7 @@ fn an_hdl64e_sends_its_calibration_and_fires_as_often_as_it_is_told() {
 }
 
 #[test]
-fn a_receiver_is_heard_when_it_is_told_to_be() {
+fn the_gps_receiver_has_satellites_when_configured() {
     let folder = Folder::new("gps");
     let path = folder.path("made.pcap");
     let hour_us = |options: &[&str]| {

@@ -96,7 +96,7 @@ fn only_what_is_played_is_sent() {
 }
 
 #[test]
-fn a_port_where_nobody_listens_is_no_error() {
+fn a_port_without_a_listener_is_no_error() {
     let free = UdpSocket::bind("127.0.0.1:0")
         .unwrap()
         .local_addr()

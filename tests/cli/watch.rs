@@ -169,7 +169,7 @@ fn several_sensors_are_listed_and_none_are_waited_for() {
 }
 
 #[test]
-fn another_user_gets_nothing_and_is_told_whose_it_is() {
+fn another_user_gets_an_error_that_names_the_owner() {
     let own = temp_domain();
     let capture = fixture("street_vlp16.pcap.gz");
     let mut child = within(

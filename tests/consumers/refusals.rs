@@ -57,7 +57,7 @@ fn ask_all(sweep: &SweepRef<'_>) -> usize {
 }
 
 #[test]
-fn rust_takes_or_refuses_whatever_is_sent() {
+fn rust_accepts_or_refuses_any_bytes() {
     let own = temp_domain();
     let hostile = Hostile::new(&own);
     let mut client = client(&own);
@@ -456,7 +456,7 @@ fn hold(sweep: &Sweep) -> bool {
 
 /// A client that was refused gets the sweeps of the daemon that comes afterwards.
 #[test]
-fn who_was_refused_goes_on_when_the_daemon_comes() {
+fn a_refused_consumer_continues_when_the_daemon_comes() {
     let own = temp_domain();
     let hostile = Hostile::new(&own);
     let mut client = client(&own);
@@ -485,7 +485,7 @@ fn a_wait_ends_however_short_it_is() {
 
 /// `sweepd watch` with all of its outputs.
 #[test]
-fn watch_shows_or_refuses_whatever_is_sent() {
+fn watch_shows_or_refuses_any_bytes() {
     let folder = folder("watch_hostile");
     for Case {
         name,
@@ -545,7 +545,7 @@ fn refusing(own: &TempDomain) -> Talk {
 
 #[test]
 #[cfg_attr(without_python, ignore = "no SWEEPD_PYTHON")]
-fn python_takes_or_refuses_whatever_is_sent() {
+fn python_accepts_or_refuses_any_bytes() {
     let own = temp_domain();
     let hostile = Hostile::new(&own);
     let mut python = refusing(&own);
@@ -587,7 +587,7 @@ fn python_takes_or_refuses_whatever_is_sent() {
 /// The header for C and C++ and the program that uses it, with every access watched.
 #[test]
 #[cfg_attr(without_compilers, ignore = "no compilers")]
-fn cpp_takes_or_refuses_whatever_is_in_a_file() {
+fn cpp_accepts_or_refuses_any_file() {
     let folder = folder("hostile");
     let program = folder.join("consumer");
     let options = [

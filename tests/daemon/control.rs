@@ -107,7 +107,7 @@ fn a_thread_that_panics_ends_the_daemon_with_an_error() {
 }
 
 #[test]
-fn sweeps_that_reach_nobody_are_told_with_the_reason() {
+fn sweeps_that_cannot_be_published_are_reported_with_the_reason() {
     let port = free_port();
     let mut daemon = Daemon::start(&[[80, port, port]], free_port(), WATCHDOG);
     daemon.until_ready();
@@ -173,7 +173,7 @@ fn sighup_takes_what_it_can_and_a_bad_file_changes_nothing() {
 }
 
 #[test]
-fn health_and_metrics_tell_how_the_sensors_are() {
+fn health_and_metrics_give_the_state_of_the_sensors() {
     let ports = [free_port(), free_port()];
     let sensors = [[76, ports[0], ports[0]], [77, ports[1], ports[1]]];
     let daemon = Daemon::start(&sensors, free_port(), WATCHDOG);
@@ -290,7 +290,7 @@ fn health_and_metrics_tell_how_the_sensors_are() {
 }
 
 #[test]
-fn two_sensors_at_one_address_tell_their_own_gps_and_temperature() {
+fn two_sensors_at_one_address_have_their_own_gps_and_temperature() {
     let ports = [(); 2].map(|()| (free_port(), free_port()));
     let sensors = ports.map(|(data, position)| [81, data, position]);
     let daemon = Daemon::start(&sensors, free_port(), WATCHDOG);
@@ -331,7 +331,7 @@ fn two_sensors_at_one_address_tell_their_own_gps_and_temperature() {
 }
 
 #[test]
-fn position_packets_of_which_nothing_tells_whose_they_are_reach_no_sensor_and_are_told_of_once() {
+fn ambiguous_position_packets_reach_no_sensor_and_are_logged_once() {
     let (data, position) = ([free_port(), free_port()], free_port());
     let daemon = Daemon::start(
         &data.map(|data| [82, data, position]),
@@ -370,7 +370,7 @@ fn position_packets_of_which_nothing_tells_whose_they_are_reach_no_sensor_and_ar
 }
 
 #[test]
-fn whoever_says_nothing_keeps_nobody_from_asking() {
+fn silent_connections_do_not_block_others() {
     let port = free_port();
     let daemon = Daemon::start(&[[79, port, port]], free_port(), WATCHDOG);
     daemon.until_ready();

@@ -232,7 +232,7 @@ fn a_connection_is_for_one_request() {
 /// Everybody at once, for longer than a connection may last, while a sensor streams: it loses
 /// nothing, its sweeps come as fast as ever, and the watchdog is fed.
 #[test]
-fn who_dawdles_and_floods_delays_no_sensor_and_is_not_waited_for() {
+fn slow_clients_and_floods_delay_no_sensor_and_are_cut_off() {
     let (daemon, port) = daemon(82);
     let _sending = Sending::start(
         82,

@@ -59,7 +59,7 @@ fn until_told(daemon: &Daemon, words: &str) -> String {
 }
 
 #[test]
-fn a_loss_of_a_tenth_is_a_warning_with_its_cause_and_is_told_twice_in_all() {
+fn a_loss_of_a_tenth_is_a_warning_with_its_cause_and_is_logged_twice_in_all() {
     let (daemon, [port]) = daemon([101]);
     let lossless = Duration::from_secs(8);
     let sent = lossy(20.0, 10, lossless);
@@ -144,7 +144,7 @@ fn a_loss_of_half_and_more_is_a_fault() {
 }
 
 #[test]
-fn a_second_sensor_at_one_address_is_told_whether_it_is_of_the_same_model_or_not() {
+fn a_second_sensor_at_one_address_is_reported_for_the_same_model_and_for_another() {
     let (daemon, ports) = daemon([104, 105]);
     let (vlp16, hdl32e) = (
         stream(Model::Vlp16, SINGLE, 100.0),
@@ -179,7 +179,7 @@ fn a_second_sensor_at_one_address_is_told_whether_it_is_of_the_same_model_or_not
 
 /// An HDL-32E with two returns sends more in a second and a half than the largest buffer holds.
 #[test]
-fn what_this_hosts_kernel_drops_is_laid_at_this_hosts_door() {
+fn losses_by_this_hosts_kernel_have_this_host_as_their_cause() {
     let (daemon, [port]) = daemon([106]);
     let _sending = sending(106, port, stream(Model::Hdl32e, ReturnMode::Dual, 120.0));
     until("it is judged", || {
@@ -199,7 +199,7 @@ fn what_this_hosts_kernel_drops_is_laid_at_this_hosts_door() {
 }
 
 #[test]
-fn datagrams_of_another_program_at_the_address_are_told_when_they_are_many() {
+fn many_datagrams_of_another_program_at_the_address_are_reported() {
     let (daemon, [port]) = daemon([107]);
     let _sending = sending(107, port, stream(Model::Vlp16, SINGLE, 120.0));
     until("it is judged", || {

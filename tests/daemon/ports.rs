@@ -133,7 +133,7 @@ fn what_a_sensor_sends_comes_out_as_in_a_replay_with_the_times_of_this_host() {
 }
 
 #[test]
-fn two_sensors_on_one_port_are_told_apart_by_their_address() {
+fn two_sensors_on_one_port_are_distinguished_by_their_address() {
     let (rig, sweeps) = Rig::new();
     let both = config(vec![
         sensor("left", 21, (0, 0)),
@@ -212,7 +212,7 @@ fn a_steady_stream_of_packets_allocates_nothing_on_the_thread_of_its_port() {
 }
 
 #[test]
-fn an_hdl64e_tells_its_calibration_and_then_streams() {
+fn an_hdl64e_streams_after_it_has_sent_its_calibration() {
     let (rig, sweeps) = Rig::new();
     let mut one = sensor("roof", 28, (0, 0));
     one.pipeline.model = Some(Model::Hdl64eS3);
@@ -670,7 +670,7 @@ fn a_sweep_that_is_complete_before_its_memory_is_there_is_sent_when_it_is() {
 }
 
 #[test]
-fn what_cannot_be_shared_is_told_once_and_the_sensor_goes_on() {
+fn sweeps_that_cannot_be_shared_are_reported_once_and_the_sensor_continues() {
     let (rig, sweeps) = Rig::new();
     let runtime = Runtime::start(
         &config(vec![sensor("roof", 62, (0, 0))]),

@@ -127,7 +127,7 @@ fn highest_share(path: &Path) -> f64 {
 /// was set back.
 #[test]
 #[cfg_attr(without_captures, ignore = "no captures")]
-fn no_capture_loses_so_much_that_it_is_told() {
+fn no_capture_loses_enough_to_be_reported() {
     let dir = common::data_dir();
     for (name, ..) in CAPTURES {
         let percent = 100.0 * highest_share(&dir.join(format!("pcap/{name}.pcap")));

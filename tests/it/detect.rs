@@ -112,7 +112,7 @@ fn every_capture_is_detected_as_its_sensor() {
 
 #[test]
 #[cfg_attr(without_captures, ignore = "no captures")]
-fn captures_with_their_factory_bytes_blanked_are_told_by_the_period() {
+fn captures_with_blank_factory_bytes_are_detected_by_the_period() {
     let dir = data_dir();
     let rows = [
         ("hdl32e_mrpt-sample", Model::Hdl32e, ReturnMode::Strongest),

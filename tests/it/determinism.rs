@@ -215,7 +215,7 @@ fn labelled_side_by_side() {
 }
 
 #[test]
-fn however_often_the_pipeline_is_asked_and_told_the_time() {
+fn independent_of_how_often_the_pipeline_is_polled() {
     for stream in &*STREAMS {
         let mut rng = fastrand::Rng::with_seed(1);
         let mut extra = 0;
@@ -241,7 +241,7 @@ fn however_often_the_pipeline_is_asked_and_told_the_time() {
 }
 
 #[test]
-fn whenever_the_packets_arrive_and_whatever_the_host_takes_for_the_time() {
+fn independent_of_arrival_times_and_the_hosts_clock() {
     for stream in &*STREAMS {
         for (seed, ahead_ns) in [
             (2, 0),

@@ -367,7 +367,7 @@ fn a_late_packet_across_a_cut_is_refused_as_a_whole() {
 }
 
 #[test]
-fn the_field_of_view_may_be_set_anew_at_any_time() {
+fn the_field_of_view_may_be_changed_at_any_time() {
     for (model, mode) in KINDS {
         let mut sent: Vec<Sent> = Vec::new();
         for (part, fov) in (0..).zip([
@@ -449,7 +449,7 @@ fn a_corrupt_first_packet_does_not_set_the_tone() {
 }
 
 #[test]
-fn speed_is_told_while_it_changes() {
+fn speed_is_measured_while_it_changes() {
     // From 300 to 900 rpm in a second.
     let spin = Spin {
         turns_at: Box::new(|s| 5.0 * s + 5.0 * s * s),
@@ -1016,7 +1016,7 @@ fn a_head_that_stops_gives_small_partial_sweeps() {
 }
 
 #[test]
-fn another_model_on_the_same_address_is_detected_anew() {
+fn another_model_on_the_same_address_is_detected_again() {
     let mut arrived = Spin::new(Vlp16, Strongest, 600.0).packets(0.25);
     let own = arrived.len();
     arrived.extend(

@@ -156,7 +156,7 @@ fn made_up(model: Model, packets: u64) -> (EmitterConfig, Vec<SimulatedDatagram>
 }
 
 #[test]
-fn decoding_begins_when_the_unit_has_told_its_beams() {
+fn decoding_begins_when_the_unit_has_sent_its_calibration() {
     for model in [Model::Hdl64eS2, Model::Hdl64eS3] {
         let (config, sent) = made_up(model, 4_160 + 700);
         let mut runner = Runner::new(Config::default());
@@ -474,7 +474,7 @@ fn a_file_that_comes_with_a_reload_takes_the_place_of_what_the_unit_said() {
 
 #[test]
 #[cfg_attr(without_captures, ignore = "no captures")]
-fn a_unit_that_never_told_its_beams_is_an_error_that_says_how_far_it_came() {
+fn an_incomplete_calibration_is_an_error_that_says_how_many_bytes_came() {
     let (_, sent) = made_up(Model::Hdl64eS2, 4_000);
     let mut runner = Runner::new(Config::default());
     sent.iter()

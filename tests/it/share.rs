@@ -192,7 +192,7 @@ fn valid(sweep: &SweepRef<'_>) -> Vec<u8> {
 }
 
 #[test]
-fn shared_sweeps_are_those_of_the_heap_whatever_the_pool_held() {
+fn shared_sweeps_equal_those_of_the_heap_for_any_earlier_content_of_the_pool() {
     for (model, mode) in [
         (Model::Vlp16, ReturnMode::Strongest),
         (Model::Hdl64eS3, ReturnMode::Dual),
@@ -267,7 +267,7 @@ fn number(sweep: &Sweep) -> u64 {
 }
 
 #[test]
-fn slow_stuck_and_greedy_consumers_delay_nobody() {
+fn slow_stuck_and_greedy_consumers_delay_no_one() {
     let own = temp_domain();
     let mut loans = loans(&own, 4);
     let [mut good, mut slow, mut greedy, stuck] = [(); 4].map(|()| client(&own));
@@ -314,7 +314,7 @@ fn slow_stuck_and_greedy_consumers_delay_nobody() {
 }
 
 #[test]
-fn who_comes_late_gets_the_last_sweep() {
+fn a_late_consumer_gets_the_last_sweep() {
     let own = temp_domain();
     let mut loans = loans(&own, 4);
     for sequence in 0..3 {
@@ -372,7 +372,7 @@ fn a_consumer_waits_for_the_daemon() {
 /// Everything under the root is deleted while both sides live: the daemon makes its service again,
 /// and the consumer, who is told nothing, finds it.
 #[test]
-fn files_that_vanish_are_made_anew_and_found_again() {
+fn files_that_vanish_are_made_again_and_found_again() {
     let own = temp_domain();
     let mut loans = loans(&own, 2);
     let mut consumer = client(&own);
@@ -534,7 +534,7 @@ fn a_sweep_that_was_begun_before_its_pool_is_there_is_shared_when_it_is_complete
 /// A pool that is too large is not asked for again with each sweep; what was shared before is
 /// shared again at once.
 #[test]
-fn a_pool_that_cannot_be_had_is_told_and_tried_again() {
+fn a_pool_that_cannot_be_made_is_reported_and_tried_again() {
     let own = temp_domain();
     let mut loans = loans(&own, 100);
     publish(&mut loans, 1);
@@ -599,7 +599,7 @@ fn of_several_that_begin_at_once_one_publishes() {
 /// The daemon comes back with another `max_consumers` and another sensor, while a consumer of the
 /// one before lives.
 #[test]
-fn a_service_that_does_not_fit_any_more_is_made_anew() {
+fn a_service_that_no_longer_fits_is_made_again() {
     let own = temp_domain();
     let mut first = loans(&own, 1);
     let mut consumer = client(&own);

@@ -24,7 +24,7 @@ fn goes_on(world: &World) {
 
 #[test]
 #[cfg_attr(without_root, ignore = "not root, or no namespaces")]
-fn a_full_shared_memory_is_told_and_sweeps_are_shared_again_when_there_is_room() {
+fn full_shared_memory_is_reported_and_sweeps_are_shared_again_when_there_is_room() {
     let mut world = World::new();
     // The model is told by the packets: so the memory is taken when they come.
     world.configure("", "");
@@ -141,7 +141,7 @@ fn where_nothing_can_be_written_nothing_is_recorded_and_it_is_begun_when_somethi
 
 #[test]
 #[cfg_attr(without_root, ignore = "not root, or no namespaces")]
-fn a_log_that_nobody_reads_any_more_stops_nothing() {
+fn a_closed_log_pipe_does_not_stop_the_daemon() {
     let mut world = World::new();
     world.configure("", "");
     let (reader, writer) = std::io::pipe().unwrap();

@@ -110,7 +110,7 @@ fn stamps_that_go_back_are_written_all_the_same() {
 }
 
 #[test]
-fn what_has_no_room_or_comes_after_a_failure_is_counted_and_the_failure_told() {
+fn unwritten_datagrams_are_counted_and_a_failure_is_reported() {
     let folder = tempfile::tempdir().unwrap();
     let path = folder.path().join("full.pcap");
     std::os::unix::fs::symlink("/dev/full", &path).unwrap();

@@ -116,7 +116,7 @@ mod tests {
     }
 
     #[test]
-    fn a_burst_tells_how_fast_it_fills_a_part_whatever_comes_before_it() {
+    fn the_filling_time_of_a_burst_does_not_depend_on_earlier_datagrams() {
         let now = Instant::now();
         // Behind packets of an HDL-32E and alone: 5000 datagrams in 20 ms fill a part in 2.8 ms.
         for before in [0, 1, PART / 2, PART - 1] {

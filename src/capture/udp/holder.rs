@@ -177,7 +177,7 @@ mod tests {
 
     #[test]
     #[cfg(target_endian = "little")]
-    fn only_sockets_that_hear_the_same_are_in_the_way() {
+    fn only_sockets_that_receive_the_same_conflict() {
         let stands = |line: &str, address: &str| {
             Socket::parse(line)
                 .unwrap()
@@ -224,7 +224,7 @@ mod tests {
     }
 
     #[test]
-    fn who_is_hidden_is_told_by_user() {
+    fn a_hidden_program_is_reported_by_its_user() {
         let hidden = Holder {
             uid: 0,
             program: None,

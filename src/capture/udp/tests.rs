@@ -86,7 +86,7 @@ fn all_that_is_sent_arrives_in_order_with_the_stamps_of_the_kernel() {
 }
 
 #[test]
-fn the_two_ends_of_a_datagram_are_told() {
+fn source_and_destination_of_a_datagram_are_given() {
     let (mut source, sender) = (source(100_000), sender());
     sender.send_to(b"x", source.local_addr()).unwrap();
     let port = source.local_addr().port();
@@ -212,7 +212,7 @@ fn longer_datagrams_are_cut_and_never_taken_for_packets() {
 }
 
 #[test]
-fn others_on_the_port_are_told_apart() {
+fn others_on_the_port_are_distinguished() {
     let (mut source, sensor, foreign) = (source(ample_buffer_bytes()), sender(), sender());
     let mut sensors = DiscoveredSensors::new(vec![
         sensor.local_addr().unwrap().to_string().parse().unwrap(),
@@ -289,7 +289,7 @@ fn what_this_host_has_not_is_an_error_that_names_it() {
 }
 
 #[test]
-fn a_multicast_group_is_heard_by_who_joined_it_alone() {
+fn a_multicast_group_is_received_only_by_sources_that_joined_it() {
     let group = Ipv4Addr::new(239, 255, 77, 77);
     let on_loopback = UdpConfig {
         interface: Some("lo".to_owned()),

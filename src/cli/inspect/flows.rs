@@ -135,7 +135,7 @@ mod tests {
     }
 
     #[test]
-    fn well_known_lidars_are_told_by_ports_lengths_and_marks() {
+    fn well_known_lidars_are_recognised_by_ports_lengths_and_marks() {
         let robosense = [&[0x55, 0xAA, 0x05, 0x0A][..], &[0; 1244]].concat();
         for (source, port, payload, like) in [
             (

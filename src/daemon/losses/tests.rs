@@ -57,7 +57,7 @@ fn loses_one_in_a_hundred(tally: &mut Tally) {
 }
 
 #[test]
-fn losses_are_told_when_they_begin_and_when_they_are_over() {
+fn losses_are_logged_when_they_begin_and_when_they_are_over() {
     let mut roof = Watched::new();
     assert_eq!(roof.run(20, well), []);
     assert_eq!(roof.run(20, loses_a_tenth), [Turn::Begun(Level::Warning)]);
@@ -94,7 +94,7 @@ fn many_losses_are_a_level_of_their_own_and_fall_back_by_half_of_each_limit() {
 }
 
 #[test]
-fn a_share_that_wavers_about_a_limit_is_told_once() {
+fn losses_that_vary_around_a_limit_are_reported_once() {
     let mut roof = Watched::new();
     roof.run(10, well);
     let mut told = Vec::new();

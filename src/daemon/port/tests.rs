@@ -230,7 +230,7 @@ fn a_clock_that_is_set_closes_no_sweep_and_holds_none() {
 
 /// A sensor falls silent when the clock is set, or soon after it.
 #[test]
-fn silence_is_told_whatever_the_clock_says_meanwhile() {
+fn silence_is_reported_when_the_clock_is_set_during_it() {
     let all = sent();
     let first_ns = all[0].1.arrival_ns;
     for more_ns in [0, 10_000_000] {

@@ -171,7 +171,7 @@ fn of_a_healthy_sensor_there_is_nothing_to_say() {
 }
 
 #[test]
-fn silence_tells_what_to_check() {
+fn silence_comes_with_what_to_check() {
     let told = [
         "roof: nothing came from 192.168.1.201",
         "power",
@@ -414,7 +414,7 @@ fn beside(state: &str, is_fault: bool, percent: f64) -> Vec<Finding> {
 }
 
 #[test]
-fn beside_a_daemon_losses_are_those_of_now_and_laid_at_the_door_that_it_names() {
+fn beside_a_daemon_losses_are_recent_and_have_the_cause_that_it_names() {
     // 879 lost and 942 dropped since it began, and none of late: port 8308 is silent since nobody
     // uses it.
     assert_eq!(beside("streaming", false, 0.0), []);
@@ -526,7 +526,7 @@ fn other_models_are_told() {
 }
 
 #[test]
-fn senders_that_nobody_configured_are_named() {
+fn senders_that_are_not_configured_are_named() {
     let second = |seen: &mut Observations| seen.sensors.push(sensor("192.168.1.202:2368"));
     with(
         second,
@@ -612,7 +612,7 @@ fn speeds_are_held_against_what_was_set() {
 }
 
 #[test]
-fn losses_are_laid_at_the_right_door() {
+fn losses_have_the_right_cause() {
     let lost = |lost| move |seen: &mut Observations| seen.sensors[0].counts.lost = lost;
     with(
         lost(5),
@@ -654,7 +654,7 @@ fn losses_are_laid_at_the_right_door() {
 }
 
 #[test]
-fn settings_of_the_sensor_are_told() {
+fn settings_of_the_sensor_are_reported() {
     let dual = |seen: &mut Observations| seen.sensors[0].return_mode = Some(ReturnMode::Dual);
     with(
         dual,
@@ -737,7 +737,7 @@ fn clocks_are_looked_at() {
 }
 
 #[test]
-fn what_this_host_lacks_is_told_with_the_command() {
+fn missing_settings_of_the_host_are_reported_with_the_command() {
     let small = |seen: &mut Observations| {
         seen.host.rmem_max = Some(212_992);
         if let PortResult::Open { buffer, .. } = &mut seen.ports[0].result {

@@ -282,7 +282,7 @@ impl<'a> Check<'a> {
                     told("not counted as lost")
                 });
                 self.expect(reordered == 0, || told("out of order"));
-                self.refused_where_it_can_be_told(&decoded);
+                self.refused_if_it_can_be_detected(&decoded);
             }
             Told::Interrupted => {
                 self.row.counted = Some(self.interruptions());
@@ -297,7 +297,7 @@ impl<'a> Check<'a> {
     }
 
     /// Length and flags always tell.
-    fn refused_where_it_can_be_told(&mut self, decoded: &BTreeSet<u64>) {
+    fn refused_if_it_can_be_detected(&mut self, decoded: &BTreeSet<u64>) {
         let tells =
             |damage: &Damage| matches!(damage.part(), PacketPart::Length | PacketPart::Flag);
         let accepted = self

@@ -386,7 +386,7 @@ mod tests {
 
     /// A daemon of a version to come, and one of this, while a consumer of the first lives.
     #[test]
-    fn what_another_version_left_is_made_anew_and_its_consumers_are_told() {
+    fn a_service_of_another_version_is_made_again_and_its_consumers_get_an_error() {
         let root = std::env::temp_dir().join(format!("sweepd-version-{}", std::process::id()));
         let domain = Domain::at(&root);
         domain.prepare().unwrap();

@@ -255,7 +255,7 @@ mod tests {
     };
 
     #[test]
-    fn a_ring_with_a_span_tells_both() {
+    fn a_fit_of_a_wide_ring_gives_elevation_and_offset() {
         let mut samples = samples(-0.2, 0.21, (0..2000).map(|i| 3.0 + f64::from(i) * 0.02));
         // One point in five is off the beam altogether.
         samples

@@ -186,7 +186,7 @@ mod tests {
     use sweepd_core::wire::data::ReturnMode;
 
     #[test]
-    fn faults_strike_where_they_are_told_to() {
+    fn faults_affect_the_planned_packets() {
         let scene = Scene::new([0.0; 2], 20);
         let mut config = EmitterConfig::new(Model::Vlp16, ReturnMode::Strongest);
         (config.packets, config.data_per_position) = (12, 5);

@@ -108,7 +108,7 @@ mod tests {
     }
 
     #[test]
-    fn a_locked_puck_tells_the_second_before_last() {
+    fn the_sentence_of_a_locked_puck_is_two_seconds_old() {
         let at = |elapsed_ns| {
             let bytes = position_packet(
                 &sensor(Model::Vlp16, GPS),

@@ -154,7 +154,7 @@ mod tests {
     use super::*;
 
     #[test]
-    fn the_motor_gains_speed_and_stands_still_when_it_is_told_to() {
+    fn the_motor_gains_speed_and_stands_still_when_configured() {
         let second = 1_000_000_000;
         let motor = Motor {
             spin_up_ns: 2 * second,
@@ -180,7 +180,7 @@ mod tests {
     }
 
     #[test]
-    fn the_motor_changes_its_speed_and_its_sense_when_it_is_told_to() {
+    fn the_motor_changes_speed_and_sense_when_configured() {
         let second = 1_000_000_000;
         let change = |to| {
             Some(SpeedChange {
@@ -219,7 +219,7 @@ mod tests {
     }
 
     #[test]
-    fn the_speed_drifts_by_what_it_is_told_to_and_not_on_average() {
+    fn the_speed_drifts_by_the_configured_share_and_not_on_average() {
         let motor = Motor {
             drift: 0.002,
             ..Motor::default()

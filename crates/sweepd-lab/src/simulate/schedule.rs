@@ -101,7 +101,7 @@ mod tests {
     }
 
     #[test]
-    fn a_whole_turn_is_fired_in_one_beat() {
+    fn a_whole_turn_is_fired_with_one_period() {
         let mut config = EmitterConfig::new(Model::Vlp16, ReturnMode::Dual);
         (config.packets, config.mode_switch) = (40, Some(10));
         let times = times(&config);

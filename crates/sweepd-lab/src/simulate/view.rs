@@ -486,7 +486,7 @@ mod tests {
     }
 
     #[test]
-    fn away_from_edges_the_whole_beam_meets_what_its_middle_does() {
+    fn away_from_edges_the_whole_beam_hits_what_its_middle_hits() {
         let mut rng = Rng::with_seed(9);
         let mut scene = Scene::new([0.01, -0.02], 20);
         for _ in 0..200 {

@@ -60,7 +60,7 @@ mod tests {
     use super::*;
 
     #[test]
-    fn a_reserved_port_can_be_bound_and_is_given_to_nobody_else() {
+    fn a_reserved_port_can_be_bound_and_is_given_to_no_one_else() {
         let port = ReservedPort::new().unwrap();
         assert!(ReservedPort::reserve(port.number()).is_none());
         for _ in 0..2 {

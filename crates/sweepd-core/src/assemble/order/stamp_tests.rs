@@ -240,7 +240,7 @@ fn a_stamp_that_is_set_right_costs_nothing() {
 /// A sensor whose stamps are off the period by 40 us either way at every packet loses some at
 /// first, then none.
 #[test]
-fn stamps_that_waver_all_the_time_are_believed() {
+fn stamps_that_are_always_off_the_period_are_accepted() {
     const LONG: usize = 400;
     for stream in streams().filter(|stream| stream.rpm.abs() <= 600.0) {
         let mut noise = fastrand::Rng::with_seed(5);

@@ -160,7 +160,7 @@ fn a_clock_that_jumps_is_believed_when_the_next_packet_agrees() {
 }
 
 #[test]
-fn it_keeps_its_promises_when_nobody_takes_out_what_is_ready() {
+fn it_keeps_its_promises_when_ready_packets_are_not_taken_out() {
     let mut order = PacketOrder::new(Model::Vlp16.spec());
     for n in 0..200 {
         order

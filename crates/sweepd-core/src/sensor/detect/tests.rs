@@ -184,7 +184,7 @@ fn the_odd_interval_of_a_field_of_view_is_outvoted() {
 }
 
 #[test]
-fn a_head_that_stands_still_tells_its_mode_by_the_period() {
+fn the_mode_of_a_head_that_stands_still_follows_from_the_period() {
     for (period_ns, mode) in [
         (HDL32E_NS, ReturnMode::Strongest),
         (HDL32E_NS / 2, ReturnMode::Dual),
@@ -420,7 +420,7 @@ fn two_heads(stamp_us: u32, blocks_per_azimuth: usize) -> DataPacket {
 }
 
 #[test]
-fn an_hdl64e_is_told_by_its_heads_and_its_timing_by_the_period() {
+fn an_hdl64e_is_detected_by_its_heads_and_its_timing_by_the_period() {
     use ReturnMode::{Dual, Strongest};
     let run = |forced, period_ns, group, packets: &[u64]| {
         let mut detector = Detector::new(forced);
@@ -493,7 +493,7 @@ fn an_hdl64e_is_told_by_its_heads_and_its_timing_by_the_period() {
 
 /// A head that starts to turn: azimuths may be equal in pairs by chance.
 #[test]
-fn an_hdl64e_that_hardly_turns_is_told_by_its_period() {
+fn an_hdl64e_that_hardly_turns_is_detected_by_its_period() {
     use ReturnMode::{Dual, Strongest};
     for (period_ns, mode, packet_ns) in [
         (288_000, Strongest, 288_000),

@@ -201,7 +201,7 @@ mod tests {
     use super::*;
 
     #[test]
-    fn clock_and_head_go_on_where_the_packets_begin_anew() {
+    fn clock_and_head_continue_where_the_packets_begin_again() {
         let mut stream = Stream::new(Model::Vlp16, &[ReturnMode::Strongest, ReturnMode::Dual]);
         let packets: Vec<DataPacket> = (0..400).map(|_| stream.next_packet()).collect();
         for two in packets.windows(2) {
@@ -231,7 +231,7 @@ mod tests {
     }
 
     #[test]
-    fn an_hdl64e_says_a_whole_dump_of_itself() {
+    fn an_hdl64e_sends_a_whole_dump() {
         let stream = Stream::new(Model::Hdl64eS2, &[ReturnMode::Strongest]);
         assert_eq!(stream.status.len(), DUMP_PACKETS);
     }

@@ -116,7 +116,7 @@ fn a_wall_stands_where_plain_trigonometry_puts_it() {
 }
 
 #[test]
-fn who_is_told_nothing_gets_the_same_bytes() {
+fn packets_are_the_same_without_the_truth() {
     let scene = street(3);
     let mut config = EmitterConfig::new(Model::Hdl64eS3, ReturnMode::Dual);
     config.packets = 5;
@@ -194,7 +194,7 @@ fn dual_blocks_come_in_pairs_and_the_even_one_is_never_nearer_than_the_last() {
 }
 
 #[test]
-fn the_head_turns_as_fast_as_it_is_told() {
+fn the_head_turns_at_the_configured_speed() {
     let packets = data(
         exact(Model::Hdl32e, ReturnMode::Strongest),
         &Scene::new([0.0; 2], 20),
@@ -479,7 +479,7 @@ fn pairs_of_blocks_are_the_strongest_and_the_last() {
 }
 
 #[test]
-fn the_status_tells_the_unit_the_mode_and_the_receiver() {
+fn the_status_has_unit_mode_and_receiver() {
     const SECOND_NS: i64 = 1_000_000_000;
     for (model, series, pps_s, switch) in [
         (Model::Hdl64eS2, Series::S21, None, None),

@@ -120,7 +120,7 @@ fn packets_are_those_of_the_manual() {
 }
 
 #[test]
-fn all_that_a_dump_says_is_told() {
+fn every_value_of_a_dump_can_be_read() {
     for series in SERIES {
         let unit = unit(2, series);
         let (dump, live) = &unit;
