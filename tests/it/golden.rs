@@ -8,10 +8,12 @@ use std::path::{Path, PathBuf};
 
 use crate::common::npy;
 use serde_json::Value;
+use sweepd::segment::paper::PaperSegmenter;
 use sweepd::segment::paper::angles::Angles;
-use sweepd::segment::paper::components::Components;
-use sweepd::segment::paper::ground::{Flood, PaperGround, Slopes, Window, repair};
-use sweepd::sweep::layout::is_return;
+use sweepd::segment::{Config, PaperGround, Window};
+use sweepd::sensor::Beam;
+use sweepd::sweep::layout::LABEL_GROUND;
+use sweepd::sweep::{BeamRow, Buffers, HeapBuffers, Shape, SweepMut};
 
 const CASES: usize = 16;
 
@@ -22,7 +24,7 @@ struct Case {
     params: Value,
     rows: usize,
     columns: usize,
-    elevations_rad: Vec<f32>,
+    elevations_rad: Vec<f64>,
     down_rad: Vec<f64>,
 }
 
@@ -31,12 +33,11 @@ impl Case {
         let params: Value =
             serde_json::from_slice(&std::fs::read(dir.join("params.json")).unwrap()).unwrap();
         let [rows, columns] = ["rows", "cols"].map(|key| params[key].as_u64().unwrap() as usize);
-        let row_angles = npy::read(&dir.join("row_angles.npy")).values;
-        let down_rad: Vec<f64> = row_angles
+        let elevations_rad = npy::read(&dir.join("row_angles.npy")).values;
+        let down_rad: Vec<f64> = elevations_rad
             .windows(2)
             .map(|pair| (pair[0] - pair[1]).abs())
             .collect();
-        let elevations_rad = row_angles.iter().map(|&angle| angle as f32).collect();
         let name = dir.file_name().unwrap().to_string_lossy().into_owned();
         Self {
             dir,
@@ -88,37 +89,56 @@ impl Case {
             .collect()
     }
 
-    fn angles(&self, theta_deg: f64) -> Angles {
-        Angles::even(&self.down_rad, self.columns, theta_deg.to_radians())
+    /// A segmenter that has begun an image of these ranges.
+    fn segmenter(&self, range_m: &[f32]) -> PaperSegmenter {
+        let shape = Shape {
+            rows: self.rows,
+            columns_capacity: self.columns,
+            dual: false,
+            segments_capacity: range_m.len(),
+        };
+        let mut buffer = HeapBuffers::default().take(shape.total_bytes());
+        let sweep = SweepMut::create(buffer.as_mut(), &shape).unwrap();
+        sweep.header.columns = self.columns as u32;
+        sweep.range.copy_from_slice(range_m);
+        for (beam, elevation_rad) in sweep.beams.iter_mut().zip(&self.elevations_rad) {
+            *beam = BeamRow::new(&Beam::ideal(0, *elevation_rad), 0);
+        }
+        let mut segmenter = PaperSegmenter::default();
+        segmenter.begin(&sweep, &Config::default());
+        segmenter.angles = Angles::even(&self.down_rad, self.columns);
+        segmenter
     }
 
     /// Fills the holes of an image, and gives the inclinations.
     fn inclinations_rad(&self, ground: &PaperGround, range_m: &mut [f32]) -> Vec<f32> {
-        let mut slopes = Slopes::default();
-        slopes.begin(self.elevations_rad.iter().copied());
-        for column in range_m.chunks_exact_mut(self.rows) {
-            repair(column, ground);
-            slopes.add(column, ground.window);
-        }
-        slopes.inclination_rad
+        let mut segmenter = self.segmenter(range_m);
+        segmenter.incline(ground);
+        range_m.copy_from_slice(&segmenter.range_m);
+        segmenter.inclinations.plane_rad
     }
 
     /// The ground by these inclinations.
     fn flood(&self, ground: &PaperGround, range_m: &[f32], inclination_rad: &[f32]) -> Vec<bool> {
-        let mut flood = Flood::default();
-        flood.run(range_m, inclination_rad, &self.angles(10.0), ground);
-        flood.ground
+        let mut segmenter = self.segmenter(range_m);
+        segmenter.inclinations.plane_rad = inclination_rad.to_vec();
+        segmenter.label_ground(ground);
+        let labels = segmenter.labels.iter();
+        labels.map(|&label| label == LABEL_GROUND).collect()
     }
 
     /// Labels of all pixels with a range, numbered from 1 by their first pixel in the authors'
     /// order: row after row.
-    fn labels(&self, range_m: &[f32], theta_deg: f64) -> Vec<f32> {
-        let counts: Vec<bool> = range_m.iter().map(|&range_m| is_return(range_m)).collect();
-        let mut components = Components::default();
-        components.connect(range_m, &counts, &self.angles(theta_deg));
-        let mut labels = vec![u32::MAX; range_m.len()];
-        let segments = components.label(&counts, 1, usize::MAX, &mut labels);
-        let (mut numbers, mut next) = (vec![0.0; segments + 2], 1.0);
+    fn labels(&self, range_m: &[f32], theta_deg: f32) -> Vec<f32> {
+        let mut segmenter = self.segmenter(range_m);
+        segmenter.join(&Config {
+            theta_rad: theta_deg.to_radians(),
+            min_points: 1,
+            ..Config::default()
+        });
+        let labels = segmenter.labels;
+        let segments = labels.iter().max().map_or(0, |&label| label as usize);
+        let (mut numbers, mut next) = (vec![0.0; segments + 1], 1.0);
         for place in 0..labels.len() {
             let label = labels[place % self.columns * self.rows + place / self.columns] as usize;
             if label > 0 && numbers[label] == 0.0 {

@@ -411,7 +411,7 @@ impl Segmenter {
     /// time that [`Segmenter::find_ground`] said that there is some.
     pub fn join(&mut self) {
         match self.config.method {
-            Method::Paper => self.paper.join(),
+            Method::Paper => self.paper.join(&self.config),
             Method::Slope => self.strips.join(&self.config),
         }
     }

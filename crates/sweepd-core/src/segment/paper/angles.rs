@@ -23,51 +23,77 @@ use crate::sweep::{BeamRow, Column, SweepRef};
 const MAX_PITCHES: f64 = 3.0;
 /// Beams whose origins are closer together than this count as beams of one origin, metres: on a
 /// VLP-16 the origins of neighbours are 1.4 mm apart, on an HDL-64E up to 90 mm.
-const ONE_ORIGIN_M: f64 = 0.005;
+const ONE_ORIGIN_M: f32 = 0.005;
 
-/// How two neighbours of a column lie to each other.
-///
-/// At the range d, the upper one is `sin_up d + up_m` above the lower one and `sin_aside d +
-/// aside_m` to the right of it, and its range, counted from the origin of the lower one, is
-/// `along_m` more. The lengths are 0 where both beams start at one place; those of the two heads of
-/// an HDL-64E do not.
+/// How the beams of two neighbours lie to each other.
 #[derive(Clone, Copy, Debug, Default)]
-struct Pair {
-    /// Sine of the angle between the elevations; of alpha where both beams start at one place.
-    sin_up: f64,
-    /// Height of the upper beam's origin over the lower one's, across the beams, metres.
-    up_m: f64,
-    /// Sine of the angle between the azimuths, seen at this elevation.
-    sin_aside: f64,
-    /// How far the upper beam's origin is to the right of the lower one's, metres.
-    aside_m: f64,
-    /// Along the beams, metres.
+pub struct Pair {
+    /// The square of what they are apart across the beams at the range d, m², as a polynomial: its
+    /// terms of d⁰, d¹ and d². Beams of one origin have the last alone, the square of the sine of
+    /// alpha; the two heads of an HDL-64E have two origins.
+    across2: [f64; 3],
+    /// What the upper range is longer when it is counted from the origin of the lower beam, metres.
     along_m: f64,
-    /// Cosine of alpha.
     cos_alpha: f64,
 }
 
 impl Pair {
-    fn of_one_origin(alpha_rad: f64) -> Self {
+    /// Beams of one origin, by the square of the sine of half of alpha.
+    fn of_one_origin(sin2_half_alpha: f64) -> Self {
         Self {
-            sin_up: alpha_rad.sin(),
-            cos_alpha: alpha_rad.cos(),
-            ..Self::default()
+            across2: [0.0, 0.0, 4.0 * sin2_half_alpha * (1.0 - sin2_half_alpha)],
+            along_m: 0.0,
+            cos_alpha: 1.0 - 2.0 * sin2_half_alpha,
         }
     }
 
-    fn apart(high: &BeamRow, low: &BeamRow, turned_rad: f64, alpha_rad: f64) -> Self {
-        let elevation_rad = (f64::from(high.elevation_rad) + f64::from(low.elevation_rad)) / 2.0;
-        let up_m = f64::from(high.vertical_offset_m) - f64::from(low.vertical_offset_m);
+    /// Two neighbours of a column, by the angle that the head turns from the lower to the upper.
+    ///
+    /// At the range d the upper one is `sin_up d + up_m` above the lower one, and `sin_aside d +
+    /// aside_m` to the right of it.
+    fn of_rows(high: &BeamRow, low: &BeamRow, turned_rad: f64, is_one_origin: bool) -> Self {
+        let high_rad = f64::from(high.elevation_rad);
+        let low_rad = f64::from(low.elevation_rad);
+        let (sin, cos) = ((high_rad + low_rad) / 2.0).sin_cos();
+        let sin_up = (high_rad - low_rad).sin();
+        let sin_aside = turned_rad.sin() * cos;
+        let sin2_alpha = sin_up * sin_up + sin_aside * sin_aside;
+        let offset = if is_one_origin { 0.0 } else { 1.0 };
+        let height_m = offset * f64::from(high.vertical_offset_m - low.vertical_offset_m);
+        let aside_m = offset * f64::from(low.horizontal_offset_m - high.horizontal_offset_m);
+        let up_m = height_m * cos;
+        let across_m = 2.0 * (sin_up * up_m + sin_aside * aside_m);
         Self {
-            sin_up: (f64::from(high.elevation_rad) - f64::from(low.elevation_rad)).sin(),
-            up_m: up_m * elevation_rad.cos(),
-            sin_aside: turned_rad.sin() * elevation_rad.cos(),
-            aside_m: f64::from(low.horizontal_offset_m) - f64::from(high.horizontal_offset_m),
-            along_m: up_m * elevation_rad.sin(),
-            cos_alpha: alpha_rad.cos(),
+            across2: [up_m * up_m + aside_m * aside_m, across_m, sin2_alpha],
+            along_m: height_m * sin,
+            cos_alpha: (1.0 - sin2_alpha).max(0.0).sqrt(),
         }
     }
+
+    /// Whether the beta of two returns at these ranges in metres is greater than theta, by the
+    /// square of its tangent. False where one is no return.
+    #[inline]
+    pub fn joins(&self, high_m: f32, low_m: f32, tan2_theta: f64) -> bool {
+        let is_both = is_return(high_m) & is_return(low_m);
+        let high_m = f64::from(high_m) + self.along_m;
+        let low_m = f64::from(low_m);
+        let d1 = high_m.max(low_m);
+        let d2 = high_m.min(low_m);
+        let across2 = self.across2[0] + (self.across2[1] + self.across2[2] * d2) * d2;
+        let along = d1 - d2 * self.cos_alpha;
+        // Without branches: which way they go is hard to foresee.
+        is_both & ((along < 0.0) | (across2 > along * along * tan2_theta))
+    }
+}
+
+/// What the angles of a row are made from.
+#[derive(Clone, Debug)]
+struct Row {
+    /// To the row below; of the last row, nothing that counts.
+    below: Pair,
+    cos2_elevation: f64,
+    /// In how many columns further its pixels were fired.
+    shift: i32,
 }
 
 /// The true angle between each two measurements that are neighbours in an image.
@@ -79,194 +105,110 @@ impl Pair {
 /// firings.
 #[derive(Clone, Debug, Default)]
 pub struct Angles {
-    /// By row, but for the last: it and the one below.
-    below: Vec<Pair>,
-    /// By row: the square of the cosine of the elevation.
-    cos2_elevation: Vec<f64>,
-    /// By row: in how many columns further its pixel was fired.
-    shifts: Vec<i32>,
-    /// Gaps between neighbouring columns, in disorder.
+    rows: Vec<Row>,
+    /// Gaps between neighbouring columns, sorted.
     pub(super) gaps_rad: Vec<f64>,
     /// By column: the square of the sine of half the gap to the firing before, of column 0 to the
     /// last one; `None` where the two are no neighbours.
     pub(super) sin2_half_gap: Vec<Option<f64>>,
-    circular: bool,
-    /// The square of the tangent of theta.
-    tan2_theta: f64,
+    is_circular: bool,
 }
 
 impl Angles {
     /// Angles of a whole turn of columns that are as far apart in every row: the approximation of
-    /// the paper. `down_rad[r]` is the angle between row `r` and the one below it. Angles are in
-    /// radians.
-    pub fn even(down_rad: &[f64], columns: usize, theta_rad: f64) -> Self {
+    /// the paper. `down_rad[r]` is the angle between row `r` and the one below it.
+    pub fn even(down_rad: &[f64], columns: usize) -> Self {
+        let down_rad = down_rad.iter().chain(&[0.0]);
+        let rows = down_rad.map(|angle_rad| Row {
+            below: Pair::of_one_origin((angle_rad / 2.0).sin().powi(2)),
+            cos2_elevation: 1.0,
+            shift: 0,
+        });
         Self {
-            below: down_rad.iter().copied().map(Pair::of_one_origin).collect(),
-            cos2_elevation: vec![1.0; down_rad.len() + 1],
-            shifts: vec![0; down_rad.len() + 1],
+            rows: rows.collect(),
+            gaps_rad: Vec::new(),
             sin2_half_gap: vec![Some((PI / columns as f64).sin().powi(2)); columns],
-            circular: true,
-            tan2_theta: theta_rad.tan().powi(2),
-            ..Self::default()
+            is_circular: true,
         }
     }
 
-    /// Takes the angles of a sweep, and theta, radians.
-    pub fn measure(&mut self, sweep: &SweepRef<'_>, theta_rad: f64) {
-        self.tan2_theta = theta_rad.tan().powi(2);
+    /// Takes the angles of a sweep.
+    pub fn measure(&mut self, sweep: &SweepRef<'_>) {
         let pitch_rad = self.measure_columns(sweep.columns, sweep.header.has(flags::CIRCULAR));
         self.measure_rows(sweep.beams, pitch_rad, mean_rate_rad_s(sweep.columns));
     }
 
     /// Takes the gaps between the columns, and gives the nominal one. That is the median of the
     /// gaps themselves, so that it needs no model and holds at any speed.
-    fn measure_columns(&mut self, columns: &[Column], circular: bool) -> f64 {
-        self.circular = circular;
+    fn measure_columns(&mut self, columns: &[Column], is_circular: bool) -> f64 {
+        self.is_circular = is_circular;
+        let first = usize::from(!is_circular);
         self.gaps_rad.clear();
-        self.sin2_half_gap.clear();
         self.gaps_rad
-            .extend((usize::from(!circular)..columns.len()).map(|column| gap_rad(columns, column)));
-        let mut pitch_rad = 0.0;
-        if !self.gaps_rad.is_empty() {
-            let middle = (self.gaps_rad.len() - 1) / 2;
-            pitch_rad = *self
-                .gaps_rad
-                .select_nth_unstable_by(middle, f64::total_cmp)
-                .1;
-        }
-        for column in 0..columns.len() {
+            .extend((first..columns.len()).map(|column| gap_rad(columns, column)));
+        self.gaps_rad.sort_unstable_by(f64::total_cmp);
+        let middle = self.gaps_rad.len().saturating_sub(1) / 2;
+        let pitch_rad = self.gaps_rad.get(middle).copied().unwrap_or(0.0);
+        self.sin2_half_gap.clear();
+        self.sin2_half_gap.extend((0..columns.len()).map(|column| {
             let gap_rad = gap_rad(columns, column);
-            let is_near = gap_rad < MAX_PITCHES * pitch_rad && (column > 0 || circular);
-            self.sin2_half_gap
-                .push(is_near.then(|| (gap_rad / 2.0).sin().powi(2)));
-        }
+            let is_near = gap_rad < MAX_PITCHES * pitch_rad && column >= first;
+            is_near.then(|| (gap_rad / 2.0).sin().powi(2))
+        }));
         pitch_rad
     }
 
     fn measure_rows(&mut self, beams: &[BeamRow], pitch_rad: f64, rate_rad_s: f64) {
-        self.cos2_elevation.clear();
-        self.shifts.clear();
-        for beam in beams {
-            self.cos2_elevation
-                .push(f64::from(beam.elevation_rad).cos().powi(2));
-            self.shifts.push(beam.shift);
-        }
-        // From the azimuth of the column to that of the pixel.
         let pitch_rad = pitch_rad.copysign(rate_rad_s);
-        let turn = |beam: &BeamRow| turn_rad(beam, rate_rad_s) + f64::from(beam.shift) * pitch_rad;
-        let of_one_origin = beams.windows(2).all(|pair| {
-            let up_m = f64::from(pair[0].vertical_offset_m - pair[1].vertical_offset_m);
-            let aside_m = f64::from(pair[0].horizontal_offset_m - pair[1].horizontal_offset_m);
-            up_m.abs() <= ONE_ORIGIN_M && aside_m.abs() <= ONE_ORIGIN_M
+        let is_one_origin = beams.windows(2).all(|pair| {
+            let up_m = pair[0].vertical_offset_m - pair[1].vertical_offset_m;
+            let aside_m = pair[0].horizontal_offset_m - pair[1].horizontal_offset_m;
+            up_m.abs().max(aside_m.abs()) <= ONE_ORIGIN_M
         });
-        self.below.clear();
-        for pair in beams.windows(2) {
-            let turned_rad = turn(&pair[0]) - turn(&pair[1]);
-            let alpha_rad = alpha_rad(&pair[0], &pair[1], turned_rad);
-            self.below.push(match of_one_origin {
-                true => Pair::of_one_origin(alpha_rad),
-                false => Pair::apart(&pair[0], &pair[1], turned_rad, alpha_rad),
-            });
-        }
+        self.rows.clear();
+        self.rows
+            .extend(beams.iter().enumerate().map(|(row, high)| {
+                let low = beams.get(row + 1).unwrap_or(high);
+                let turned_rad = turn_rad(high, rate_rad_s) - turn_rad(low, rate_rad_s)
+                    + (f64::from(high.shift) - f64::from(low.shift)) * pitch_rad;
+                Row {
+                    below: Pair::of_rows(high, low, turned_rad, is_one_origin),
+                    cos2_elevation: f64::from(high.elevation_rad).cos().powi(2),
+                    shift: high.shift,
+                }
+            }));
     }
 
     /// Rows of the image.
-    #[inline]
     pub fn rows(&self) -> usize {
-        self.cos2_elevation.len()
+        self.rows.len()
     }
 
-    /// Columns of the image.
-    #[inline]
-    pub fn columns(&self) -> usize {
-        self.sin2_half_gap.len()
+    /// The pixels of a row and of the row below it.
+    pub fn below(&self, row: usize) -> &Pair {
+        &self.rows[row].below
     }
 
-    /// Whether the pixels of a row in a column and in the one before it, for the first the last
-    /// one, are neighbours.
+    /// The pixels of a row in a column and in the one before it, for the first the last one; `None`
+    /// where the two are no neighbours.
     #[inline]
-    pub fn are_neighbours(&self, column: usize, row: usize) -> bool {
-        self.sin2_half_gap_before(column, row).is_some()
-    }
-
-    #[inline]
-    fn sin2_half_gap_before(&self, column: usize, row: usize) -> Option<f64> {
-        if column == 0 && !self.circular {
+    pub fn before(&self, column: usize, row: usize) -> Option<Pair> {
+        if column == 0 && !self.is_circular {
             return None;
         }
-        self.sin2_half_gap[shifted(column, self.shifts[row], self.columns(), self.circular)]
+        let columns = self.sin2_half_gap.len();
+        let row = &self.rows[row];
+        let fired_in = shifted(column, row.shift, columns, self.is_circular);
+        self.sin2_half_gap[fired_in].map(|sin2| Pair::of_one_origin(row.cos2_elevation * sin2))
     }
-
-    /// Whether the pixels of a row and of the row below it, at these ranges in metres, belong
-    /// together.
-    #[inline]
-    pub fn joins_below(&self, row: usize, high_m: f32, low_m: f32) -> bool {
-        if !(is_return(high_m) && is_return(low_m)) {
-            return false;
-        }
-        let pair = &self.below[row];
-        let high_m = f64::from(high_m) + pair.along_m;
-        let low_m = f64::from(low_m);
-        let near_m = high_m.min(low_m);
-        let up_m = pair.sin_up * near_m + pair.up_m;
-        let aside_m = pair.sin_aside * near_m + pair.aside_m;
-        self.passes(
-            up_m * up_m + aside_m * aside_m,
-            high_m.max(low_m) - near_m * pair.cos_alpha,
-        )
-    }
-
-    /// Whether the pixels of a row in a column and in the one before it, at these ranges in metres,
-    /// belong together.
-    #[inline]
-    pub fn joins_before(&self, column: usize, row: usize, here_m: f32, before_m: f32) -> bool {
-        if !(is_return(here_m) && is_return(before_m)) {
-            return false;
-        }
-        let Some(sin2_half_gap) = self.sin2_half_gap_before(column, row) else {
-            return false;
-        };
-        // The square of the sine of half of alpha.
-        let sin2_half = self.cos2_elevation[row] * sin2_half_gap;
-        let near_m = f64::from(here_m.min(before_m));
-        let across2 = near_m * near_m * 4.0 * sin2_half * (1.0 - sin2_half);
-        self.passes(
-            across2,
-            f64::from(here_m.max(before_m)) - near_m * (1.0 - 2.0 * sin2_half),
-        )
-    }
-
-    /// Whether the beta of a line that goes so far across a beam, squared, and so far along it is
-    /// greater than theta.
-    #[inline]
-    fn passes(&self, across2: f64, along: f64) -> bool {
-        along < 0.0 || across2 > along * along * self.tan2_theta
-    }
-}
-
-/// The angle between two neighbours of a column, radians.
-fn alpha_rad(high: &BeamRow, low: &BeamRow, turned_rad: f64) -> f64 {
-    let high_rad = f64::from(high.elevation_rad);
-    let low_rad = f64::from(low.elevation_rad);
-    let upright = ((high_rad - low_rad) / 2.0).sin();
-    let sideways = (turned_rad / 2.0).sin();
-    2.0 * (upright * upright + high_rad.cos() * low_rad.cos() * sideways * sideways)
-        .sqrt()
-        .min(1.0)
-        .asin()
 }
 
 /// Azimuth between a column and the one before it, or the last one for the first, whichever is
 /// ahead, 0..pi.
 fn gap_rad(columns: &[Column], column: usize) -> f64 {
-    let before = if column == 0 {
-        columns.len() - 1
-    } else {
-        column - 1
-    };
-    let gap = (f64::from(columns[before].azimuth_rad) - f64::from(columns[column].azimuth_rad))
-        .rem_euclid(TAU);
-    if gap > PI { TAU - gap } else { gap }
+    let before = &columns[(column + columns.len() - 1) % columns.len()];
+    let gap_rad = (f64::from(before.azimuth_rad) - f64::from(columns[column].azimuth_rad)).abs();
+    gap_rad.min(TAU - gap_rad)
 }
 
 #[cfg(test)]
@@ -281,51 +223,59 @@ mod tests {
             .collect()
     }
 
-    fn at_theta(angles: &Angles, degrees: f64) -> Angles {
+    fn joins(pair: &Pair, high_m: f32, low_m: f32, theta_deg: f64) -> bool {
+        pair.joins(high_m, low_m, theta_deg.to_radians().tan().powi(2))
+    }
+
+    /// Angles of rows with these shifts.
+    fn shifted_by(shifts: &[i32]) -> Angles {
+        let row = |&shift: &i32| Row {
+            below: Pair::default(),
+            cos2_elevation: 1.0,
+            shift,
+        };
         Angles {
-            tan2_theta: degrees.to_radians().tan().powi(2),
-            ..angles.clone()
+            rows: shifts.iter().map(row).collect(),
+            ..Angles::default()
         }
+    }
+
+    fn are_neighbours(angles: &Angles, column: usize, row: usize) -> bool {
+        angles.before(column, row).is_some()
     }
 
     #[test]
     fn a_jump_of_three_pitches_parts_two_columns() {
-        let mut angles = Angles {
-            shifts: vec![0],
-            ..Angles::default()
-        };
+        let mut angles = shifted_by(&[0]);
         let pitch_rad =
             angles.measure_columns(&columns(&[356.0, 357.0, 358.0, 359.0, 0.0, 2.9, 6.0]), true);
         assert!((pitch_rad.to_degrees() - 1.0).abs() < 1e-4);
         let neighbours: Vec<bool> = (0..7)
-            .map(|column| angles.are_neighbours(column, 0))
+            .map(|column| are_neighbours(&angles, column, 0))
             .collect();
         assert_eq!(neighbours, [false, true, true, true, true, true, false]);
 
         angles.measure_columns(&columns(&[0.0, 90.0, 180.0, 270.0]), true);
-        assert!(angles.are_neighbours(0, 0));
+        assert!(are_neighbours(&angles, 0, 0));
         angles.measure_columns(&columns(&[0.0, 90.0, 180.0, 270.0]), false);
-        assert!(!angles.are_neighbours(0, 0));
+        assert!(!are_neighbours(&angles, 0, 0));
     }
 
     /// The gap before the third column is too wide: a row that is fired two columns later has it
     /// before its first.
     #[test]
     fn a_shifted_row_has_the_gaps_of_its_firings() {
-        let mut angles = Angles {
-            shifts: vec![0, 2],
-            ..Angles::default()
-        };
+        let mut angles = shifted_by(&[0, 2]);
         angles.measure_columns(&columns(&[0.0, 1.0, 9.0, 10.0, 11.0, 12.0]), false);
         let breaks = |row| {
             (1..6)
-                .filter(|&column| !angles.are_neighbours(column, row))
+                .filter(|&column| !are_neighbours(&angles, column, row))
                 .collect::<Vec<usize>>()
         };
         assert_eq!([breaks(0), breaks(1)], [vec![2], vec![]]);
-        angles.shifts[1] = -2;
+        angles.rows[1].shift = -2;
         let breaks: Vec<usize> = (1..6)
-            .filter(|&column| !angles.are_neighbours(column, 1))
+            .filter(|&column| !are_neighbours(&angles, column, 1))
             .collect();
         assert_eq!(breaks, [1, 2, 4], "before column 0 there is nothing");
     }
@@ -338,15 +288,12 @@ mod tests {
         let row =
             |degrees: f64, time_ns| BeamRow::new(&Beam::ideal(0, degrees.to_radians()), time_ns);
         let rows = [row(1.0, 0), row(-1.0, 1_000_000)];
-        assert!(
-            (alpha_rad(&rows[0], &rows[1], 0.5_f64.to_radians()).to_degrees() - 2_f64.hypot(0.5))
-                .abs()
-                < 1e-3
-        );
+        let pair = Pair::of_rows(&rows[0], &rows[1], 0.5_f64.to_radians(), true);
+        assert!((pair.cos_alpha.acos().to_degrees() - 2_f64.hypot(0.5)).abs() < 1e-3);
         let mut angles = Angles::default();
         angles.measure_rows(&rows, 0.01, 500_f64.to_radians());
-        assert!(at_theta(&angles, 35.2).joins_below(0, 10.5, 10.0));
-        assert!(!at_theta(&angles, 35.6).joins_below(0, 10.5, 10.0));
+        assert!(joins(angles.below(0), 10.5, 10.0, 35.2));
+        assert!(!joins(angles.below(0), 10.5, 10.0, 35.6));
     }
 
     /// By hand: a degree at 60 degrees of elevation is half a degree. 10 m and 10.5 m are
@@ -360,10 +307,10 @@ mod tests {
             pitch_rad,
             0.0,
         );
-        assert!(at_theta(&angles, 9.8).joins_before(1, 0, 10.0, 10.5));
-        assert!(!at_theta(&angles, 10.0).joins_before(1, 0, 10.0, 10.5));
+        assert!(joins(&angles.before(1, 0).unwrap(), 10.0, 10.5, 9.8));
+        assert!(!joins(&angles.before(1, 0).unwrap(), 10.0, 10.5, 10.0));
         assert!(
-            !at_theta(&angles, 1.0).joins_before(0, 0, 10.0, 10.5),
+            angles.before(0, 0).is_none(),
             "nothing is before the first column"
         );
     }
@@ -386,12 +333,9 @@ mod tests {
         let mut angles = Angles::default();
         angles.measure_rows(&[beam(0.1, 0.05), beam(0.0, 0.0)], 0.01, 0.0);
         for [high_m, low_m] in [[10.0, 11.0], [11.0, 10.0], [50.0, 51.0]] {
-            assert!(at_theta(&angles, 6.3).joins_below(0, high_m, low_m));
-            assert!(!at_theta(&angles, 6.5).joins_below(0, high_m, low_m));
+            assert!(joins(angles.below(0), high_m, low_m, 6.3));
+            assert!(!joins(angles.below(0), high_m, low_m, 6.5));
         }
-        assert!(
-            !at_theta(&angles, 1.0).joins_below(0, 0.0, 11.0)
-                && !at_theta(&angles, 1.0).joins_below(0, 11.0, 0.0)
-        );
+        assert!(!joins(angles.below(0), 0.0, 11.0, 1.0) && !joins(angles.below(0), 11.0, 0.0, 1.0));
     }
 }

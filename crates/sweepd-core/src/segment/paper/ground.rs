@@ -1,12 +1,13 @@
 //! Ground as the paper's authors find it: where the inclination of a column changes little, seen
-//! from below (section III).
+//! from below (their journal paper, PFG 2017, "Efficient Online Segmentation for Sparse 3D Laser
+//! Scans").
 //!
 //! It needs neither the sensor's height nor its tilt. All numbers are f32, in the order of the
 //! authors' own program, so that its golden images come out.
 
 use std::f32::consts::{FRAC_PI_2, FRAC_PI_4};
 
-use super::angles::Angles;
+use crate::sweep::BeamRow;
 use crate::sweep::layout::is_return;
 
 /// What counts as ground.
@@ -40,25 +41,22 @@ impl Default for PaperGround {
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub enum Window {
     /// Five.
-    Five,
+    Five = 2,
     /// Seven.
-    Seven,
+    Seven = 3,
     /// Nine.
-    Nine,
+    Nine = 4,
     /// Eleven.
-    Eleven,
+    Eleven = 5,
 }
 
 impl Window {
-    /// Weight of the pixel in the middle and of those beside it, outwards, and what to divide by
-    /// (Savitzky and Golay, Analytical Chemistry 36, 1964, table I).
-    pub fn weights(self) -> (&'static [f32], f32) {
-        match self {
-            Self::Five => (&[17.0, 12.0, -3.0], 35.0),
-            Self::Seven => (&[7.0, 6.0, 3.0, -2.0], 21.0),
-            Self::Nine => (&[59.0, 54.0, 39.0, 14.0, -21.0], 231.0),
-            Self::Eleven => (&[89.0, 84.0, 69.0, 44.0, 9.0, -36.0], 429.0),
-        }
+    /// Weight of a pixel this far from the middle (Savitzky and Golay, Analytical Chemistry 36,
+    /// 1964, table I; the formula is Madden's, Analytical Chemistry 50, 1978).
+    fn weight(self, distance: usize) -> f32 {
+        let reach = self as usize;
+        let weight = 3 * (3 * reach * (reach + 1) - 1) as i32 - 15 * (distance * distance) as i32;
+        weight as f32 / ((2 * reach - 1) * (2 * reach + 1) * (2 * reach + 3)) as f32
     }
 }
 
@@ -66,72 +64,67 @@ impl Window {
 /// are near it and alike. What is filled helps to fill the next.
 pub fn repair(column: &mut [f32], limits: &PaperGround) {
     for row in 0..column.len() {
-        if !is_return(column[row])
-            && let Some(mean_m) = mean_of_pairs(column, row, limits)
-        {
-            column[row] = mean_m;
+        let (above, below) = column.split_at(row);
+        if is_return(below[0]) {
+            continue;
         }
-    }
-}
-
-fn mean_of_pairs(column: &[f32], row: usize, limits: &PaperGround) -> Option<f32> {
-    let (above, below) = column.split_at(row);
-    let mut sum_m = 0.0;
-    let mut count = 0;
-    for above_m in above
-        .iter()
-        .rev()
-        .take(limits.repair_reach)
-        .filter(|above_m| is_return(**above_m))
-    {
-        for below_m in below[1..]
-            .iter()
-            .take(limits.repair_reach)
-            .filter(|below_m| is_return(**below_m))
-        {
-            if (above_m - below_m).abs() < limits.repair_jump_m {
-                sum_m += above_m + below_m;
-                count += 2;
+        let mut sum_m = 0.0;
+        let mut count = 0;
+        let above = above.iter().rev().take(limits.repair_reach);
+        for above_m in above.filter(|range_m| is_return(**range_m)) {
+            for below_m in below[1..].iter().take(limits.repair_reach) {
+                if is_return(*below_m) && (above_m - below_m).abs() < limits.repair_jump_m {
+                    sum_m += above_m + below_m;
+                    count += 2;
+                }
             }
         }
+        column[row] = sum_m / count.max(1) as f32;
     }
-    (count > 0).then(|| sum_m / count as f32)
 }
 
 /// The inclination from each pixel to the one above it, radians, 0..pi/2, smoothed along its
-/// column. That of the top row is 0, and a pixel without range stands at the sensor, as it does
-/// with the authors.
+/// column:
+///
+/// ```text
+/// alpha = atan2(|R sin e - R' sin e'|, |R cos e - R' cos e'|)
+/// ```
+///
+/// with the ranges R and R' of the two and the elevations e and e' of their rows. That of the top
+/// row is 0, and a pixel without range stands at the sensor, as it does with the authors.
 #[derive(Clone, Debug, Default)]
-pub struct Slopes {
+pub struct Inclinations {
     /// Column after column.
-    pub inclination_rad: Vec<f32>,
-    /// By row: cosine and sine of the elevation.
-    cos: Vec<f32>,
+    pub plane_rad: Vec<f32>,
+    /// By row: sine and cosine of the elevation.
     sin: Vec<f32>,
-    /// The inclinations of a column, with a margin on both ends.
+    cos: Vec<f32>,
+    /// Those of a column before they are smoothed, with a margin on both ends.
     line_rad: Vec<f32>,
 }
 
-impl Slopes {
-    /// Begins an image whose rows have these elevations, radians.
-    pub fn begin(&mut self, elevations_rad: impl Iterator<Item = f32>) {
-        self.inclination_rad.clear();
-        self.cos.clear();
+/// Pixels that the longest window reaches to each side.
+const MARGIN: usize = 5;
+
+impl Inclinations {
+    /// Begins an image whose rows have these beams.
+    pub fn begin(&mut self, beams: &[BeamRow]) {
         self.sin.clear();
-        for elevation_rad in elevations_rad {
-            self.cos.push(elevation_rad.cos());
-            self.sin.push(elevation_rad.sin());
+        self.cos.clear();
+        for beam in beams {
+            self.sin.push(beam.elevation_rad.sin());
+            self.cos.push(beam.elevation_rad.cos());
         }
         self.line_rad.clear();
-        self.line_rad.resize(self.cos.len() + 2 * MARGIN, 0.0);
+        self.line_rad.resize(beams.len() + 2 * MARGIN, 0.0);
     }
 
     /// Adds a column with these ranges, metres.
     pub fn add(&mut self, range_m: &[f32], window: Window) {
         let rows = range_m.len();
         // Slices of one length: the loop needs no check of its bounds.
-        let cos = &self.cos[..rows];
         let sin = &self.sin[..rows];
+        let cos = &self.cos[..rows];
         let line_rad = &mut self.line_rad[MARGIN..][..rows];
         for row in 1..rows {
             let rise_m = range_m[row] * sin[row] - range_m[row - 1] * sin[row - 1];
@@ -140,139 +133,47 @@ impl Slopes {
         }
         // Beyond its ends, the column is mirrored at its last pixels.
         for beyond in 1..=MARGIN {
-            self.line_rad[MARGIN - beyond] = self.line_rad[MARGIN + mirrored(beyond, rows)];
-            self.line_rad[MARGIN + rows - 1 + beyond] =
-                self.line_rad[MARGIN + mirrored(rows - 1 + beyond, rows)];
+            self.line_rad[MARGIN - beyond] = self.line_rad[MARGIN + beyond];
+            self.line_rad[MARGIN + rows - 1 + beyond] = self.line_rad[MARGIN + rows - 1 - beyond];
         }
-        smooth(&self.line_rad, window, &mut self.inclination_rad);
-    }
-}
-
-/// Pixels that the longest window reaches to each side.
-const MARGIN: usize = 5;
-
-/// The row of a column that a row beyond its ends mirrors, by its distance from the top: a ball
-/// between two walls.
-fn mirrored(row: usize, rows: usize) -> usize {
-    let last = rows - 1;
-    let turned = row % (2 * last).max(1);
-    if turned > last {
-        2 * last - turned
-    } else {
-        turned
+        smooth(&self.line_rad, window, &mut self.plane_rad);
     }
 }
 
 /// Smooths a column that goes on for a margin beyond both ends.
 fn smooth(line: &[f32], window: Window, smoothed: &mut Vec<f32>) {
-    let (weights, divisor) = window.weights();
     let first = smoothed.len();
     let middle = &line[MARGIN..line.len() - MARGIN];
-    smoothed.extend(middle.iter().map(|value| weights[0] / divisor * value));
-    for (distance, weight) in (1..).zip(&weights[1..]) {
+    smoothed.extend(middle.iter().map(|value| window.weight(0) * value));
+    for distance in 1..=window as usize {
+        let weight = window.weight(distance);
         let beside = line[MARGIN - distance..]
             .iter()
             .zip(&line[MARGIN + distance..]);
         for (sum, (above, below)) in smoothed[first..].iter_mut().zip(beside) {
-            *sum += weight / divisor * (above + below);
+            *sum += weight * (above + below);
         }
-    }
-}
-
-/// Floods an image with ground.
-#[derive(Clone, Debug, Default)]
-pub struct Flood {
-    /// What is ground, by pixel; of holes too, where it reaches them.
-    pub ground: Vec<bool>,
-    /// Column and row of the pixels whose neighbours are still to be looked at.
-    pub(super) queue: Vec<[usize; 2]>,
-}
-
-impl Flood {
-    /// Starts at the lowest pixel of each column with a range, where it is flat enough, and goes on
-    /// to all neighbours whose inclination differs by less than the angle. A hole is reached, but
-    /// nothing from there.
-    pub fn run(
-        &mut self,
-        range_m: &[f32],
-        inclination_rad: &[f32],
-        angles: &Angles,
-        limits: &PaperGround,
-    ) {
-        let rows = angles.rows();
-        let columns = angles.columns();
-        self.ground.clear();
-        self.ground.resize(range_m.len(), false);
-        for (column, ranges_m) in range_m.chunks_exact(rows.max(1)).enumerate() {
-            let lowest = ranges_m
-                .iter()
-                .rposition(|&range_m| is_return(range_m))
-                .unwrap_or(0);
-            let start = column * rows + lowest;
-            if !self.ground[start] && inclination_rad[start] <= limits.start_angle_rad {
-                self.mark(start, [column, lowest]);
-            }
-            while let Some([column, row]) = self.queue.pop() {
-                let here = column * rows + row;
-                if !is_return(range_m[here]) {
-                    continue;
-                }
-                let is_level = |there: usize| {
-                    (inclination_rad[here] - inclination_rad[there]).abs() < limits.angle_rad
-                };
-                if row > 0 && !self.ground[here - 1] && is_level(here - 1) {
-                    self.mark(here - 1, [column, row - 1]);
-                }
-                if row + 1 < rows && !self.ground[here + 1] && is_level(here + 1) {
-                    self.mark(here + 1, [column, row + 1]);
-                }
-                let before = if column == 0 { columns - 1 } else { column - 1 };
-                let there = before * rows + row;
-                if !self.ground[there] && is_level(there) && angles.are_neighbours(column, row) {
-                    self.mark(there, [before, row]);
-                }
-                let after = if column + 1 == columns { 0 } else { column + 1 };
-                let there = after * rows + row;
-                if !self.ground[there] && is_level(there) && angles.are_neighbours(after, row) {
-                    self.mark(there, [after, row]);
-                }
-            }
-        }
-    }
-
-    fn mark(&mut self, pixel: usize, place: [usize; 2]) {
-        self.ground[pixel] = true;
-        self.queue.push(place);
     }
 }
 
 /// Terms of the arctangent in the first eighth of a turn (Cephes, atanf), from the highest on.
-const ARCTANGENT: [f32; 4] = [
-    8.053_744_5e-2,
-    -1.387_768_6e-1,
-    1.997_771_1e-1,
-    -3.333_295e-1,
-];
+const ARCTANGENT: [f32; 4] = [8.0537445e-2, -1.3877686e-1, 1.9977711e-1, -3.333295e-1];
 /// The tangent of a sixteenth of a turn.
 const TAN_PI_8: f32 = 0.414_213_57;
 
 /// The arctangent of a slope, `rise.atan2(run)` for numbers of 0 or more, to 3e-7 radians.
 ///
-/// It uses nothing but what every machine rounds alike, so `steepness` gives the same bits at every
-/// SIMD level.
+/// It uses nothing but what every machine rounds alike, and compilers make vectors of it.
 pub fn steepness_rad(rise: f32, run: f32) -> f32 {
-    let (less, more) = if rise > run { (run, rise) } else { (rise, run) };
+    let less = rise.min(run);
+    let more = rise.max(run);
     let is_steep = less > more * TAN_PI_8;
-    let (above, below) = if is_steep {
-        (less - more, less + more)
-    } else {
-        (less, more)
-    };
-    let tangent = above / if below > 0.0 { below } else { 1.0 };
+    let above = if is_steep { less - more } else { less };
+    let below = if is_steep { less + more } else { more };
+    let tangent = above / below.max(f32::MIN_POSITIVE);
     let square = tangent * tangent;
-    let [a, b, c, d] = ARCTANGENT;
-    let rest = (((a * square + b) * square + c) * square + d) * square * tangent + tangent;
-    let angle_rad = rest + if is_steep { FRAC_PI_4 } else { 0.0 };
+    let rest = ARCTANGENT.iter().fold(0.0, |sum, term| sum * square + term) * square * tangent;
+    let angle_rad = rest + tangent + if is_steep { FRAC_PI_4 } else { 0.0 };
     if rise > run {
         FRAC_PI_2 - angle_rad
     } else {
@@ -283,12 +184,34 @@ pub fn steepness_rad(rise: f32, run: f32) -> f32 {
 #[cfg(test)]
 mod tests {
     use super::*;
+    use crate::sensor::Beam;
+
+    fn rows(elevations_rad: &[f64]) -> Vec<BeamRow> {
+        elevations_rad
+            .iter()
+            .map(|&elevation_rad| BeamRow::new(&Beam::ideal(0, elevation_rad), 0))
+            .collect()
+    }
+
+    #[test]
+    fn the_weights_are_those_of_the_table() {
+        let table: [(Window, f32, &[f32]); 4] = [
+            (Window::Five, 35.0, &[17.0, 12.0, -3.0]),
+            (Window::Seven, 21.0, &[7.0, 6.0, 3.0, -2.0]),
+            (Window::Nine, 231.0, &[59.0, 54.0, 39.0, 14.0, -21.0]),
+            (Window::Eleven, 429.0, &[89.0, 84.0, 69.0, 44.0, 9.0, -36.0]),
+        ];
+        for (window, divisor, weights) in table {
+            assert_eq!(weights.len(), window as usize + 1);
+            for (distance, weight) in weights.iter().enumerate() {
+                assert_eq!(window.weight(distance), weight / divisor, "{window:?}");
+            }
+        }
+    }
 
     #[test]
     fn smoothing_keeps_a_parabola() {
         for window in [Window::Five, Window::Seven, Window::Nine, Window::Eleven] {
-            let (weights, divisor) = window.weights();
-            assert_eq!(weights[0] + 2.0 * weights[1..].iter().sum::<f32>(), divisor);
             let parabola: Vec<f32> = (0..31)
                 .map(|i| 0.01 * (i as f32 - 9.0).powi(2) + 0.3)
                 .collect();
@@ -306,13 +229,24 @@ mod tests {
         }
     }
 
+    /// A ball between two walls.
     #[test]
     fn a_column_shorter_than_the_window_is_mirrored_again_and_again() {
+        let elevations_rad = [0.2, 0.0, -0.2];
+        let mut inclinations = Inclinations::default();
+        inclinations.begin(&rows(&elevations_rad));
+        inclinations.add(&[9.0, 7.0, 3.0], Window::Five);
+        let [_, _, _, _, _, a, b, c, ..] = inclinations.line_rad[..] else {
+            panic!("{:?}", inclinations.line_rad)
+        };
+        assert!(a == 0.0 && b > 0.0 && c > 0.0 && b != c);
         assert_eq!(
-            (0..8).map(|row| mirrored(row, 3)).collect::<Vec<_>>(),
-            [0, 1, 2, 1, 0, 1, 2, 1]
+            inclinations.line_rad,
+            [b, a, b, c, b, a, b, c, b, a, b, c, b]
         );
-        assert_eq!(mirrored(4, 1), 0);
+        inclinations.begin(&rows(&[0.1]));
+        inclinations.add(&[9.0], Window::Five);
+        assert_eq!(inclinations.line_rad, [0.0; 1 + 2 * MARGIN]);
     }
 
     /// By hand: the pairs (10, 10.5) and (10, 10.25) fill the hole with the mean of four ranges; 12
@@ -327,11 +261,11 @@ mod tests {
     /// By hand: 1 m up over 1 m forward is 45 degrees, and so is down; a hole stands at the sensor.
     #[test]
     fn inclinations_are_those_of_the_steps() {
-        let elevations_rad = [1_f32.atan2(4.0), 0.0, 1_f32.atan2(-2.0)];
-        let mut slopes = Slopes::default();
-        slopes.begin(elevations_rad.into_iter());
-        slopes.add(&[17_f32.sqrt(), 3.0, 0.0], Window::Five);
-        let line = &slopes.line_rad[MARGIN..MARGIN + 3];
+        let elevations_rad = [1_f64.atan2(4.0), 0.0, 1_f64.atan2(-2.0)];
+        let mut inclinations = Inclinations::default();
+        inclinations.begin(&rows(&elevations_rad));
+        inclinations.add(&[17_f32.sqrt(), 3.0, 0.0], Window::Five);
+        let line = &inclinations.line_rad[MARGIN..MARGIN + 3];
         assert!(
             line.iter()
                 .zip([0.0, FRAC_PI_4, 0.0])
@@ -357,33 +291,5 @@ mod tests {
                 "{rise} {run}"
             );
         }
-    }
-
-    /// Three columns of four rows: the ground starts at the foot of the first, goes up, over the
-    /// seam to the last column and down there to a hole, which it marks and does not leave. What is
-    /// steeper by 0.2 stays, as does a steep foot.
-    #[test]
-    fn the_ground_floods_level_neighbours() {
-        let angles = Angles::even(&[0.02; 3], 3, 0.2);
-        let range_m = [
-            [0.0, 9.0, 9.0, 9.0],
-            [9.0, 9.0, 9.0, 9.0],
-            [9.0, 9.0, 0.0, 9.0],
-        ]
-        .concat();
-        let inclination_rad = [
-            [0.3, 0.1, 0.1, 0.1],
-            [0.9, 0.9, 0.9, 0.9],
-            [0.3, 0.1, 0.1, 0.8],
-        ]
-        .concat();
-        let mut flood = Flood::default();
-        flood.run(&range_m, &inclination_rad, &angles, &PaperGround::default());
-        let ground: Vec<u8> = flood
-            .ground
-            .iter()
-            .map(|ground| u8::from(*ground))
-            .collect();
-        assert_eq!(ground, [[0, 1, 1, 1], [0; 4], [0, 1, 1, 0]].concat());
     }
 }

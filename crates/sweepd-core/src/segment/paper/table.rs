@@ -8,7 +8,7 @@ use crate::segment::extent::Extent;
 use crate::segment::order::STRIP;
 use crate::segment::points::{Beams, RowPoints};
 use crate::segment::ranges::Ranges;
-use crate::sweep::layout::LABEL_FIRST_SEGMENT;
+use crate::sweep::layout::{LABEL_FIRST_SEGMENT, LABEL_NONE};
 use crate::sweep::{SweepMut, SweepRef};
 
 /// Workspace of the table.
@@ -17,8 +17,7 @@ pub(super) struct Table {
     pub beams: Beams,
     ranges: Ranges,
     points: RowPoints,
-    pub sums: Vec<Sum>,
-    pub extents: Vec<Extent>,
+    pub measured: Vec<(Sum, Extent)>,
 }
 
 impl Table {
@@ -26,18 +25,12 @@ impl Table {
     /// with no more than these instructions of the machine.
     pub fn describe(&mut self, sweep: &mut SweepMut<'_>, config: &Config, level: Level) {
         let segments = sweep.header.segments as usize;
-        self.sums.clear();
-        self.sums.resize(segments, Sum::NONE);
-        self.extents.clear();
-        self.extents.resize(segments, Extent::default());
+        self.measured.clear();
+        self.measured
+            .resize(segments, (Sum::NONE, Extent::default()));
         dispatch!(level, simd => self.add(simd, &sweep.as_ref(), config));
-        let measured = self.sums.iter().zip(&self.extents);
-        for ((segment, (sum, extent)), label) in sweep
-            .segments
-            .iter_mut()
-            .zip(measured)
-            .zip(LABEL_FIRST_SEGMENT..)
-        {
+        let measured = self.measured.iter().zip(LABEL_FIRST_SEGMENT..);
+        for (segment, ((sum, extent), label)) in sweep.segments.iter_mut().zip(measured) {
             *segment = sum.segment(label);
             [segment.column_first, segment.column_last] = extent.columns(self.beams.order);
         }
@@ -53,30 +46,26 @@ impl Table {
             self.beams.look_up(simd, sweep, position);
             self.ranges.fill(simd, sweep, config, order, position);
             self.ranges.advance(rows);
-            // First pixels of the columns.
-            let mut first = [0; STRIP];
-            let count = STRIP.min(order.end() - position);
-            for (ahead, first) in first[..count].iter_mut().enumerate() {
-                *first = order.column(position + ahead).unwrap_or(0) * rows;
-            }
+            let columns: [Option<usize>; STRIP] = std::array::from_fn(|ahead| {
+                let is_there = position + ahead < order.end();
+                order.column(position + ahead).filter(|_| is_there)
+            });
             for row in 0..rows {
                 self.points
                     .place(simd, &self.beams, &self.ranges, row, position, u64::MAX);
+                let labels = columns.map(|column| {
+                    column.map_or(LABEL_NONE, |column| sweep.label[column * rows + row])
+                });
                 let mut at = 0;
-                // Run by run.
-                while at < count {
-                    let label = sweep.label[first[at] + row];
-                    let length = first[at..count]
-                        .iter()
-                        .take_while(|first| sweep.label[**first + row] == label)
-                        .count();
-                    if let Some(place) = label.checked_sub(LABEL_FIRST_SEGMENT) {
-                        let sum = Sum::of_run(simd, &self.points, row as u16, at, length, u32::MAX);
-                        self.sums[place as usize].add(simd, &sum);
-                        let columns = u64::MAX >> (STRIP - length) << at;
-                        self.extents[place as usize].add(position, columns, order);
+                for run in labels.chunk_by(|a, b| a == b) {
+                    if let Some(place) = run[0].checked_sub(LABEL_FIRST_SEGMENT) {
+                        let (sum, extent) = &mut self.measured[place as usize];
+                        let of_run =
+                            Sum::of_run(simd, &self.points, row as u16, at, run.len(), u32::MAX);
+                        sum.add(simd, &of_run);
+                        extent.add(position, u64::MAX >> (STRIP - run.len()) << at, order);
                     }
-                    at += length;
+                    at += run.len();
                 }
             }
         }
