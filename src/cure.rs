@@ -1,11 +1,11 @@
-//! What to do about a sensor that cannot be decoded. The core says what is wrong; the name of a
-//! setting depends on where the user makes it.
+//! Cures for a sensor that cannot be decoded. The core gives the fault; the name of a setting
+//! depends on where the user sets it.
 
 use sweepd_core::pipeline::Fault;
 use sweepd_core::sensor::Model;
 use sweepd_core::sensor::detect::DetectError;
 
-/// Where the user makes settings: this decides their names.
+/// Where the user sets options, which decides their names.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub enum Dialect {
     /// Options of a command.
@@ -49,7 +49,7 @@ fn cure(fault: &Fault, dialect: Dialect) -> String {
     }
 }
 
-/// Why packets are of no model and the cure, in one sentence.
+/// Why the model cannot be detected, and the cure, in one sentence.
 pub fn explain_model(error: &DetectError, dialect: Dialect) -> String {
     format!("{error}; {}", cure_model(error, dialect))
 }

@@ -6,7 +6,8 @@ use std::path::Path;
 use super::read;
 use sweepd_core::segment::{Mask, MaskError};
 
-/// Longest file that is read as a picture, bytes: as many as its pixels could have uncompressed.
+/// Longest file that is read as a picture, bytes: the size of the largest picture without
+/// compression.
 const MAX_FILE_LEN: u64 = 64 << 20;
 
 /// Why a picture is no mask.
@@ -20,7 +21,7 @@ pub enum MaskFileError {
         /// What the system says.
         source: io::Error,
     },
-    /// The file is no picture in the PNG format.
+    /// The file is not a PNG picture.
     #[error("mask {name}: {source}; expected a PNG picture with one row of pixels for each beam")]
     Png {
         /// The file.
@@ -38,7 +39,7 @@ pub enum MaskFileError {
     },
 }
 
-/// What the PNG decoder says, without the full stop that ends some of its sentences.
+/// The message of the PNG decoder, without the full stop at the end of some.
 #[derive(Debug, thiserror::Error)]
 #[error("{}", .0.to_string().trim_end_matches('.'))]
 pub struct Sentence(#[from] png::DecodingError);
@@ -56,8 +57,8 @@ pub fn mask(path: &Path) -> Result<Mask, MaskFileError> {
 }
 
 /// A mask from the bytes of a PNG picture of any colour type, as high as its sensor has rows. Dark
-/// pixels (luma under 128) are hidden, unless they are transparent (alpha under 128). `name` is
-/// what errors call it.
+/// pixels (luma under 128) are hidden, unless they are transparent (alpha under 128). `name` is its
+/// name in errors.
 ///
 /// # Errors
 /// [`MaskFileError`].
@@ -87,8 +88,8 @@ pub fn decode_mask(bytes: &[u8], name: &str) -> Result<Mask, MaskFileError> {
     Mask::new(width, height, &hidden).map_err(no_mask)
 }
 
-/// Whether the luma (ITU-R BT.601) of a grey or RGB pixel is under 128, and the pixel is there to
-/// be seen: drawing programs leave black where nothing was drawn on a transparent ground.
+/// Whether the luma (ITU-R BT.601) of a grey or RGB pixel is under 128, and the pixel is visible:
+/// drawing programs store transparent pixels as black.
 fn is_dark(pixel: &[u8]) -> bool {
     let (luma, alpha) = match *pixel {
         [red, green, blue] => (luma(red, green, blue), 255),

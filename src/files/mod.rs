@@ -1,5 +1,4 @@
-//! Files: read with a limit, since a longer one is not the one that was meant; written by
-//! [`output`]. The core takes bytes.
+//! Reads files with a limit of length, and writes them by [`output`]. The core takes bytes.
 
 mod mask;
 pub mod output;
@@ -24,7 +23,7 @@ pub enum CalibrationFileError {
         /// What the system says.
         source: io::Error,
     },
-    /// What it holds is no calibration; the error names the file.
+    /// Its content is not a calibration; the error names the file.
     #[error(transparent)]
     Content(#[from] CalibrationError),
 }
@@ -34,7 +33,7 @@ pub enum CalibrationFileError {
 /// # Errors
 /// [`CalibrationFileError`].
 pub fn calibration(path: &Path) -> Result<Calibration, CalibrationFileError> {
-    // One byte more than is allowed: the core refuses it, with the limit.
+    // One byte more than allowed, so that the core refuses a longer file and names the limit.
     let bytes =
         read_start(path, MAX_FILE_LEN as u64 + 1).map_err(|source| CalibrationFileError::Io {
             path: path.to_owned(),
@@ -46,8 +45,8 @@ pub fn calibration(path: &Path) -> Result<Calibration, CalibrationFileError> {
 /// The bytes of a file of at most `limit` bytes.
 ///
 /// # Errors
-/// What the system says; [`io::ErrorKind::FileTooLarge`] for a longer file, of which no more is
-/// read.
+/// The error of the system; [`io::ErrorKind::FileTooLarge`] for a longer file, which is not read
+/// further.
 pub fn read(path: &Path, limit: u64) -> io::Result<Vec<u8>> {
     let bytes = read_start(path, limit + 1)?;
     if bytes.len() as u64 > limit {

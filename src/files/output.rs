@@ -1,5 +1,5 @@
-//! Files that take their name when they are whole, and replace no other file unless that was asked
-//! for.
+//! Writes files that get their name when they are complete, and replace existing files only on
+//! request.
 
 use std::fs::{self, File};
 use std::io::{self, Write};
@@ -8,10 +8,10 @@ use std::path::{Path, PathBuf};
 
 use crate::text::count_of;
 
-/// What becomes of files that exist under the names of an output.
+/// What to do with existing files of the same name.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
 pub enum Existing {
-    /// They stay, and the output is refused.
+    /// They are kept, and the output is refused.
     #[default]
     Keep,
     /// They are replaced.
@@ -21,13 +21,13 @@ pub enum Existing {
 /// Why an output cannot be written.
 #[derive(Debug, thiserror::Error)]
 pub enum WriteError {
-    /// The directory is not there and cannot be made.
+    /// The directory does not exist and cannot be made.
     #[error("cannot create the directory {}: {cause}", path.display())]
     Directory {
         /// The directory.
         path: PathBuf,
-        /// What the system says. Part of the message, so not a `source` that a report would print
-        /// again.
+        /// The error of the system. Part of the message, so not a `source`, which a report would
+        /// print again.
         cause: io::Error,
     },
     /// The file cannot be written.
@@ -50,7 +50,7 @@ pub enum WriteError {
         /// The part.
         path: PathBuf,
     },
-    /// The directory holds files that a former run wrote.
+    /// The directory holds files of a former run.
     #[error("{} holds {held} of a former run ({}{}); --force replaces {}, or name another folder",
         dir.display(), first.display(), if *several { ", ..." } else { "" }, if *several { "them" } else { "it" })]
     Former {
@@ -75,14 +75,13 @@ impl WriteError {
     }
 }
 
-/// The name of a file that is being written. The file grows as `NAME.part` and takes its name by
-/// [`NewFile::commit`]; without that, the part is removed and a file that was there before stays as
-/// it was. A pipe or a device is written directly.
+/// A file that is being written as `NAME.part`. [`NewFile::commit`] renames it; without that, the
+/// part is removed and an existing file stays unchanged. A pipe or a device is written directly.
 #[derive(Debug)]
 #[must_use = "without a commit the file is removed"]
 pub struct NewFile {
     path: PathBuf,
-    /// `None` where it is written directly, or has its name.
+    /// `None` if it is written directly, or already renamed.
     part: Option<PathBuf>,
     existing: Existing,
 }
@@ -91,7 +90,7 @@ impl NewFile {
     /// Opens the file.
     ///
     /// # Errors
-    /// [`WriteError`]: it exists and is not to be replaced, or cannot be made.
+    /// [`WriteError`]: it exists and must not be replaced, or cannot be made.
     pub fn create(path: &Path, existing: Existing) -> Result<(File, Self), WriteError> {
         check(path, existing)?;
         let failed = |cause| WriteError::file(path, cause);
@@ -111,7 +110,7 @@ impl NewFile {
         if existing == Existing::Replace {
             remove(&part).map_err(failed)?;
         }
-        // Never through a link that stands there.
+        // Never follows an existing link.
         let file = File::create_new(&part).map_err(|cause| match cause.kind() {
             io::ErrorKind::AlreadyExists => WriteError::Part { path: part.clone() },
             _ => failed(cause),
@@ -120,11 +119,11 @@ impl NewFile {
         Ok((file, new))
     }
 
-    /// Gives the file its name; all must have been written to it.
+    /// Renames the file; all data must have been written.
     ///
     /// # Errors
-    /// [`WriteError`]: another process has made a file of this name meanwhile, or what the system
-    /// says.
+    /// [`WriteError`]: another process has made a file of this name since, or an error of the
+    /// system.
     pub fn commit(mut self) -> Result<(), WriteError> {
         let Some(part) = &self.part else {
             return Ok(());
@@ -132,7 +131,7 @@ impl NewFile {
         if self.existing == Existing::Keep {
             // Unlike a rename, a link never replaces a file.
             match fs::hard_link(part, &self.path) {
-                // Dropped, the part goes; the file has another name now.
+                // The part is removed on drop; the file has its other name now.
                 Ok(()) => return Ok(()),
                 Err(cause) if cause.kind() == io::ErrorKind::AlreadyExists => {
                     return Err(WriteError::Exists {
@@ -166,15 +165,15 @@ impl Drop for NewFile {
 /// Writes a whole file.
 ///
 /// # Errors
-/// [`WriteError`]: it exists and is not to be replaced, or what the system says; nothing of it is
-/// left then.
+/// [`WriteError`]: it exists and must not be replaced, or an error of the system; then no part of
+/// it is left.
 pub fn write(path: &Path, bytes: &[u8], existing: Existing) -> Result<(), WriteError> {
     let (mut file, new) = NewFile::create(path, existing)?;
     file.write_all(bytes).map_err(|cause| new.failed(cause))?;
     new.commit()
 }
 
-/// Looks whether a file may be written under this name, so that it is known before the work.
+/// Checks whether a file of this name may be written, before the work is done.
 ///
 /// # Errors
 /// [`WriteError::Exists`].
@@ -191,10 +190,10 @@ pub fn check(path: &Path, existing: Existing) -> Result<(), WriteError> {
     })
 }
 
-/// Whether there is a pipe or a device under this name, or one of the streams of this process:
-/// nothing that can be replaced.
+/// Whether this names a pipe, a device, or one of the streams of this process, which cannot be
+/// replaced.
 pub fn is_special(path: &Path) -> bool {
-    // /dev/stdout leads there, and may be a file that a shell has opened for it.
+    // /dev/stdout leads there, and may be a file that a shell has opened.
     is_stream(path)
         || path.read_link().is_ok_and(|target| is_stream(&target))
         || path
@@ -231,12 +230,11 @@ pub fn remove(path: &Path) -> io::Result<()> {
 pub struct Former(Vec<PathBuf>);
 
 impl Former {
-    /// Looks for files that `is_output` knows by their names, in a folder and in those of further
-    /// sensors in it. `what` is what one is called.
+    /// Looks for files that `is_output` recognises by name, in a folder and in those of further
+    /// sensors in it. `what` is the word for one of them.
     ///
     /// # Errors
-    /// [`WriteError`]: there are any, and they are not to be replaced; or the folder cannot be
-    /// read.
+    /// [`WriteError`]: there are some, and they must not be replaced; or the folder cannot be read.
     pub fn find(
         dir: &Path,
         existing: Existing,
@@ -351,7 +349,7 @@ mod tests {
             refused,
             format!("{} exists; --force replaces it", path.display())
         );
-        // One that is given up leaves the old one.
+        // A dropped new file leaves the old one.
         drop(NewFile::create(&path, Existing::Replace).unwrap());
         assert_eq!(
             (names(&folder), fs::read(&path).unwrap()),
@@ -397,7 +395,7 @@ mod tests {
             .unwrap_err()
             .to_string();
         assert!(full.contains("/full: No space left on device"), "{full}");
-        // A link that leads nowhere exists all the same, and no file is made behind it.
+        // A dangling link counts as existing, and no file is made at its target.
         std::os::unix::fs::symlink(folder.path().join("none"), folder.path().join("link")).unwrap();
         assert!(matches!(
             write(&folder.path().join("link"), b"x", Existing::Keep),

@@ -22,14 +22,13 @@
 //! # Ok::<(), Box<dyn std::error::Error>>(())
 //! ```
 //!
-//! It may be started before the daemon, and goes on when that was restarted. It must run as the
-//! daemon's user: shared memory is open to its owner alone, and another user, root included, is
-//! told so.
+//! It may be started before the daemon, and continues after a restart of the daemon. It must run as
+//! the daemon's user: only the owner has access to the shared memory, and another user, including
+//! root, gets an error that says so.
 //!
-//! A publisher that is none of sweepd's, or of another version, or broken, is an error and never a
-//! panic: the header of each sweep is copied once and checked, and the copy is what counts from
-//! then on. What stands in planes and tables is the publisher's word: a range may be infinite, a
-//! label may have no segment.
+//! A publisher that is not sweepd, or of another version, or broken, causes an error and never a
+//! panic: the header of each sweep is copied once and checked, and only the copy is used. Values in
+//! planes and tables are not checked: a range may be infinite, a label may have no segment.
 
 use std::time::Duration;
 
@@ -47,10 +46,10 @@ pub struct Client {
     subscriber: Subscriber,
 }
 
-/// A sweep in shared memory, which stays as it is until this is dropped.
+/// A sweep in shared memory, which does not change until this is dropped.
 #[derive(Debug)]
 pub struct Sweep {
-    /// As it was when the sweep came: what the publisher writes there later is not looked at.
+    /// A copy from when the sweep came: later writes of the publisher have no effect.
     header: Header,
     received: Received,
 }
@@ -72,7 +71,8 @@ pub enum ClientError {
 }
 
 impl Client {
-    /// The sensor of this name in the [default domain](Domain::default). It need not run yet.
+    /// The sensor of this name in the [default domain](Domain::default). It need not be published
+    /// yet.
     ///
     /// # Errors
     /// [`SubscribeError::Name`].
@@ -98,14 +98,14 @@ impl Client {
         Ok(Subscriber::names(domain)?)
     }
 
-    /// The next sweep; waits for it, and for the daemon if there is none, but at most so long.
-    /// `None` when none came, or the program handled a signal meanwhile.
+    /// The next sweep; waits at most `timeout` for it, and for the daemon if there is none. `None`
+    /// if none came, or if the program handled a signal.
     ///
-    /// A consumer that is too slow gets the newest two:
-    /// [`Header::sequence`](sweepd_core::sweep::Header::sequence) tells what it missed.
+    /// A slow consumer gets the newest two: gaps in
+    /// [`Header::sequence`](sweepd_core::sweep::Header::sequence) show what it missed.
     ///
     /// # Errors
-    /// [`ClientError`]: what waiting longer does not mend.
+    /// [`ClientError`]: an error that does not pass by waiting.
     pub fn next(&mut self, timeout: Duration) -> Result<Option<Sweep>, ClientError> {
         let Some(received) = self.subscriber.wait(timeout)? else {
             return Ok(None);
@@ -122,12 +122,12 @@ impl Client {
         self.subscriber.is_connected()
     }
 
-    /// Whether a daemon publishes at the moment.
+    /// Whether a daemon publishes it at present.
     pub fn is_published(&self) -> bool {
         self.subscriber.is_published()
     }
 
-    /// How often the service went away and was looked for again.
+    /// Number of times that the service was lost and searched again.
     pub fn reopened(&self) -> u64 {
         self.subscriber.reopened()
     }
@@ -154,10 +154,10 @@ impl Sweep {
         Ok(sweep)
     }
 
-    /// What is in it. This is checked each time, and costs next to nothing.
+    /// The view of the sweep. Checked on each call, at negligible cost.
     ///
     /// # Errors
-    /// [`LayoutError`], when the publisher takes back some of what it has published.
+    /// [`LayoutError`], if the publisher has changed its sweep to be invalid.
     pub fn view(&self) -> Result<SweepRef<'_>, LayoutError> {
         SweepRef::with_header(&self.header, self.received.as_ref())
     }

@@ -4,14 +4,14 @@
 
 use std::time::{SystemTime, UNIX_EPOCH};
 
-/// The user that this program acts as, by number. (/proc/self would be root's in a program with
-/// capabilities of its own.)
+/// The effective user number of this program. (The owner of /proc/self would be root for a program
+/// with capabilities.)
 pub fn own_uid() -> u32 {
     // SAFETY: takes nothing, touches nothing and cannot fail (geteuid(2)).
     unsafe { libc::geteuid() }
 }
 
-/// The name of a user in /etc/passwd, or `number 1000` for one that is not there.
+/// The name of a user from /etc/passwd, or `number 1000` if it has none.
 pub fn user_name(uid: u32) -> String {
     let users = std::fs::read_to_string("/etc/passwd").unwrap_or_default();
     let named = users.lines().find_map(|line| {

@@ -1,4 +1,4 @@
-//! Where the files are by which a daemon and its consumers find each other, and who may use them.
+//! The folder in which daemon and consumers find each other, and its owner.
 
 use std::fs::{self, DirEntry};
 use std::io;
@@ -21,13 +21,13 @@ const VARIABLE: &str = "SWEEPD_ROOT";
 const RUN: (&str, &str) = ("/run/sweepd", "/run/sweepd/iox2");
 /// Where there is no such folder.
 const FALLBACK: &str = "/tmp/sweepd/iox2";
-/// What the names of all files begin with, in the folder and in /dev/shm.
+/// Prefix of the names of all files, in the folder and in /dev/shm.
 const PREFIX: &str = "sweepd_";
-/// Links on the way to the folder, at most: as many as Linux follows.
+/// Most links on the path to the folder: as many as Linux follows.
 const MAX_LINKS: usize = 40;
 
-/// A folder of iceoryx2's files. Daemons and consumers see each other when it is the same and
-/// belongs to the user of both: shared memory is open to its owner alone.
+/// A folder of iceoryx2's files. Daemons and consumers find each other if they use the same folder,
+/// which must belong to their user: only the owner has access to the shared memory.
 #[derive(Clone, Debug, PartialEq, Eq)]
 pub struct Domain {
     root: PathBuf,
@@ -36,7 +36,7 @@ pub struct Domain {
 /// Why a domain cannot be used.
 #[derive(Debug, thiserror::Error)]
 pub enum DomainError {
-    /// It belongs to someone else. Root could open it, and would silently get nothing.
+    /// It belongs to another user. Root could open it, and would silently get nothing.
     #[error(
         "{root} belongs to user {owner}, this program runs as {own}: sweeps are shared within one user alone. Run it as {owner} \
          (`sudo -u {owner} ...`, or `User={owner}` in its systemd unit)",
@@ -50,7 +50,7 @@ pub enum DomainError {
         /// Whose this program is.
         own: String,
     },
-    /// Somebody else could lead it elsewhere, at any time.
+    /// Another user could replace it at any time.
     #[error(
         "{root} leads through {on_the_way}, which {why}: another user could lead it elsewhere. Name a folder whose parents belong \
          to this user or to root, with --root or the variable SWEEPD_ROOT, the same for the daemon and its consumers",
@@ -60,7 +60,7 @@ pub enum DomainError {
     Unsafe {
         /// The folder.
         root: PathBuf,
-        /// The link or folder on the way there.
+        /// The link or folder on the path.
         on_the_way: PathBuf,
         /// What is wrong with it.
         why: String,
@@ -81,7 +81,7 @@ pub enum DomainError {
         /// Whose this program is.
         own: String,
     },
-    /// It cannot be made, or looked at.
+    /// It cannot be made or examined.
     #[error(
         "cannot use {root} for shared memory: {source}; name a folder of this user with --root or the variable SWEEPD_ROOT, \
          the same for the daemon and its consumers",
@@ -97,8 +97,8 @@ pub enum DomainError {
 
 impl Default for Domain {
     /// `$SWEEPD_ROOT`; else /run/sweepd/iox2 where there is a /run/sweepd; else /tmp/sweepd/iox2.
-    /// The same for all users of a host, so that who runs as the wrong one is told so and does not
-    /// wait for ever.
+    /// It is the same for all users of a host, so that a program of the wrong user gets an error
+    /// instead of waiting forever.
     fn default() -> Self {
         let named = std::env::var_os(VARIABLE)
             .filter(|value| !value.is_empty())
@@ -114,7 +114,7 @@ impl Domain {
     /// The domain in a folder; a relative path is one of the current folder.
     pub fn at(root: impl Into<PathBuf>) -> Self {
         let root = root.into();
-        // Its name makes names, so that one folder must have one name: `/x/` is `/x`.
+        // Other names derive from this one, so that it must be unique: `/x/` becomes `/x`.
         Self {
             root: std::path::absolute(&root)
                 .unwrap_or(root)
@@ -133,8 +133,8 @@ impl Domain {
         &self.root
     }
 
-    /// What the names of its files in /dev/shm begin with: another root has another prefix, so that
-    /// two daemons never meet there.
+    /// Prefix of its files in /dev/shm: different for each root, so that two daemons never conflict
+    /// there.
     pub fn prefix(&self) -> String {
         let is_usual = [RUN.1, FALLBACK]
             .iter()
@@ -150,7 +150,7 @@ impl Domain {
         format!("{PREFIX}{hash:016x}_")
     }
 
-    /// Makes the folder and checks whose it is: for who is to write there.
+    /// Makes the folder and checks its owner; for programs that write there.
     ///
     /// # Errors
     /// [`DomainError`].
@@ -164,8 +164,7 @@ impl Domain {
         self.exists().map(|_| ())
     }
 
-    /// Whether it is there; whose it is, and whether another user could put another in its place,
-    /// is checked.
+    /// Whether it exists. Checks its owner, and that no other user could replace it.
     ///
     /// # Errors
     /// [`DomainError`].
@@ -217,8 +216,8 @@ impl Domain {
         }
     }
 
-    /// Of a link or folder on the way that is neither this user's nor root's. Where the domain
-    /// itself is that user's as well, the program runs as the wrong one.
+    /// The error of a link or folder on the path that belongs neither to this user nor to root. If
+    /// the domain itself belongs to that user too, the program runs as the wrong user.
     fn not_ours(&self, on_the_way: PathBuf, owner: u32) -> DomainError {
         let root = self.root.clone();
         let is_link = fs::symlink_metadata(&on_the_way).is_ok_and(|metadata| metadata.is_symlink());
@@ -241,7 +240,7 @@ impl Domain {
         }
     }
 
-    /// Whether another user has made the one file of shared memory whose name everybody knows.
+    /// Whether another user has made the one file of shared memory with a predictable name.
     ///
     /// # Errors
     /// [`DomainError::Occupied`].
@@ -266,18 +265,19 @@ impl Domain {
         Ok(())
     }
 
-    /// What iceoryx2 is told; nothing is taken from its configuration files.
+    /// Settings of iceoryx2; its configuration files are not used.
     pub(super) fn config(&self) -> Config {
         let mut config = Config::default();
-        // A path too long or with a zero in it makes the node fail, which is an error there.
+        // With a path that is too long or contains a zero, creating the node fails, which is an
+        // error there.
         if let Ok(root) = iceoryx2::prelude::Path::new(self.root.as_os_str().as_encoded_bytes()) {
             config.global.set_root_path(&root);
         }
         if let Ok(prefix) = FileName::new(self.prefix().as_bytes()) {
             config.global.prefix = prefix;
         }
-        // The keeper of a publisher does it: it may wait for long, which neither a sensor nor a
-        // consumer must.
+        // The keeper of a publisher does this: it may block for long, which neither a sensor nor a
+        // consumer may.
         config.global.node.cleanup_dead_nodes_on_creation = false;
         config.global.node.cleanup_dead_nodes_on_destruction = false;
         config.global.service.cleanup_dead_nodes_on_open = false;
@@ -290,15 +290,15 @@ impl Domain {
         entries(Path::new(SHARED_MEMORY)).filter(move |entry| is_named(&name_of(entry), &prefix))
     }
 
-    /// Closes to others what iceoryx2 leaves open to all: the counter by which it numbers nodes,
-    /// which every program of the domain maps and which nobody else has any business with.
+    /// Removes access by other users to the counter by which iceoryx2 numbers nodes, which iceoryx2
+    /// leaves open to all; only programs of the domain need it.
     pub(super) fn close_to_others(&self) {
         for entry in self.shared_memory().filter(is_counter) {
             let _ = fs::set_permissions(entry.path(), fs::Permissions::from_mode(0o600));
         }
     }
 
-    /// The folder of the files by which services are found.
+    /// The folder of the service files.
     pub(super) fn services(&self) -> PathBuf {
         self.root
             .join(Config::default().global.service.directory.to_string())
@@ -310,7 +310,7 @@ impl Domain {
             .join(Config::default().global.node.directory.to_string())
     }
 
-    /// The file by which a service is found.
+    /// The file of a service.
     pub(super) fn service_file(&self, name: &ServiceName, pattern: MessagingPattern) -> PathBuf {
         let service = Config::default().global.service;
         let hash = service_hash(name, pattern);
@@ -347,8 +347,8 @@ const OTHERS_WRITE: u32 = 0o002;
 /// Only the owner of a file in a folder, and root, may remove or rename it.
 const STICKY: u32 = 0o1000;
 
-/// The steps of a path, the last one first. An absolute one begins at the root of the file system,
-/// wherever it is joined to.
+/// The components of a path, the last one first. An absolute path begins at the root of the file
+/// system.
 fn steps(path: &Path) -> Vec<PathBuf> {
     let mut steps: Vec<PathBuf> = path
         .components()
@@ -371,7 +371,7 @@ fn is_named(name: &str, prefix: &str) -> bool {
     })
 }
 
-/// What a folder holds; nothing where it cannot be read.
+/// The entries of a folder; none if it cannot be read.
 pub(super) fn entries(folder: &Path) -> impl Iterator<Item = DirEntry> + use<> {
     fs::read_dir(folder).into_iter().flatten().flatten()
 }

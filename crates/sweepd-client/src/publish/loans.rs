@@ -27,12 +27,12 @@ pub struct Loans {
 struct PoolAccess {
     keeper: Keeper,
     sensor_pool: Arc<SensorPool>,
-    /// Whether to wait while the pool is made.
+    /// Whether to block while the pool is made.
     waits: bool,
 }
 
 impl Default for Loans {
-    /// Memory of this process alone, where nothing is shared.
+    /// Private memory, without sharing.
     fn default() -> Self {
         Self {
             shared: None,
@@ -92,7 +92,7 @@ impl Loans {
         self
     }
 
-    /// Takes the memory for sweeps of up to this many bytes now.
+    /// Reserves the memory for sweeps of up to this many bytes now.
     ///
     /// # Errors
     /// [`JoinError::Memory`](super::JoinError::Memory), where there is not enough.
@@ -133,7 +133,7 @@ impl Loans {
         } else if is_new {
             keeper.reserve_soon(sensor_pool);
         }
-        // What troubles is known by now, and tried again each second.
+        // The reason is known already, and the keeper retries each second.
         let without = if is_troubled {
             PublishError::NotShared
         } else {
@@ -170,7 +170,7 @@ impl Buffers for Loans {
     }
 }
 
-/// Memory for one sweep: on loan, or of this process alone where there is none to be had.
+/// Memory for one sweep: a loan of shared memory, or private memory if there is none.
 #[derive(Debug)]
 pub struct Slot {
     memory: SlotMemory,
@@ -187,16 +187,16 @@ enum SlotMemory {
 #[derive(Debug)]
 struct OwnMemory {
     buffer: HeapBuffer,
-    /// Bytes that were asked for; there may be more.
+    /// Requested bytes; there may be more.
     bytes: usize,
     /// Why it is not shared.
     why: PublishError,
-    /// Where shared memory may be had when the sweep is complete.
+    /// The pool, which may have shared memory when the sweep is complete.
     sensor_pool: Option<Arc<SensorPool>>,
 }
 
 impl OwnMemory {
-    /// A copy in shared memory, where that is there by now.
+    /// A copy in shared memory, if that is available now.
     fn shared(self) -> Result<Loan, PublishError> {
         let Some(loan) = self.sensor_pool.and_then(|pool| pool.loan(self.bytes)) else {
             return Err(self.why);
@@ -209,7 +209,7 @@ impl OwnMemory {
 }
 
 impl Slot {
-    /// Hands the sweep to all consumers and wakes those that wait. Gives how many there are.
+    /// Sends the sweep to all consumers and wakes those that wait. Returns their number.
     ///
     /// # Errors
     /// [`PublishError`]; the sensor goes on, and the next sweep may be shared again.
@@ -232,8 +232,7 @@ impl Slot {
         }
     }
 
-    /// Whether the pool for it is still being made: it finds its way to the consumers when it is
-    /// published a little later.
+    /// Whether its pool is still being made: it can be published a little later.
     pub fn is_early(&self) -> bool {
         let SlotMemory::Own(OwnMemory {
             sensor_pool: Some(sensor_pool),

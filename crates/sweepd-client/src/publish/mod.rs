@@ -1,16 +1,16 @@
-//! Sweeps through shared memory: buffers on loan, sent and received without a copy. Knows iceoryx2,
-//! and of a sweep only that it is bytes.
+//! Sweeps through shared memory: loaned buffers, sent and received without a copy. Uses iceoryx2; a
+//! sweep is only bytes here.
 //!
 //! ```text
 //! daemon    Loans::take -> Slot (filled while packets arrive) -> Slot::publish          consumer   Subscriber::wait -> Received
 //!                       \_________ one pool in /dev/shm, mapped by both _________________________________________/
 //! ```
 //!
-//! * [`Domain`]: the folder of the files by which both sides find each other.
-//! * [`Loans`]: the daemon's side, which gives out room in the pool.
+//! * [`Domain`]: the folder in which both sides find each other.
+//! * [`Loans`]: the daemon's side, which loans memory of the pool.
 //! * [`Keeper`]: the daemon's thread that makes services and pools, makes them again when their
-//!   files are gone, and cleans up after processes that died. All that may take long is done there.
-//! * [`Subscriber`]: a consumer's side, which finds the service again whatever happens to the
+//!   files are gone, and cleans up after processes that died. All slow work is done there.
+//! * [`Subscriber`]: a consumer's side, which finds the service again after any failure of the
 //!   daemon.
 //!
 //! Each sensor has one service, `sweepd/<name>/sweep`, with an event of the same name that fires
@@ -18,9 +18,9 @@
 //! in front of it stands a [`Preamble`], whose alignment is also the payload's. The service's
 //! attributes say what it is: `schema` (version of the layout), `model`, `address`.
 //!
-//! A slow, stuck or crashed consumer delays no other process: each has room for [`BUFFERED`] sweeps
-//! of its own, of which the oldest gives way, and may hold [`BORROWED`] more. iceoryx2's settings,
-//! and which of them fail silently, were measured; the reasons stand beside them.
+//! A slow, stuck or crashed consumer delays no other process: each has its own queue of
+//! [`BUFFERED`] sweeps, of which the oldest is dropped, and may hold [`BORROWED`] more. The
+//! settings of iceoryx2 were tested, since some of them fail silently; the reasons are beside them.
 
 mod domain;
 mod error;

@@ -1,4 +1,4 @@
-//! The memory of one sensor's sweeps: a publisher whose pages are all there.
+//! The memory of one sensor's sweeps: a publisher with all its pages allocated.
 
 #![allow(unsafe_code)]
 
@@ -46,7 +46,7 @@ impl Pool {
         sweep_bytes: usize,
     ) -> Result<Self, PublishError> {
         let wanted = pool_bytes(service.static_config().max_subscribers(), sweep_bytes);
-        // The first pages are written before all can be taken, so they must be there.
+        // The first pages are written before all are allocated, so that they must be free.
         require_free(wanted + OVERHEAD_BYTES)?;
         let publisher = service
             .publisher_builder()
@@ -75,21 +75,21 @@ impl Pool {
         })
     }
 
-    /// Room for one sweep; what it holds at first is anything.
+    /// Memory for one sweep, with arbitrary content.
     fn loan(self: Arc<Self>, bytes: usize) -> Result<Loan, PublishError> {
         let sample = self
             .publisher
             .loan_slice_uninit(bytes)
             .map_err(PublishError::service)?;
-        // SAFETY: the pages of the pool were made by the system, zeroed, or written as sweeps
-        // since: any byte of them is a byte.
+        // SAFETY: the pages of the pool are zeroed by the system or were written as sweeps, so that
+        // all bytes are initialised.
         let sample = unsafe { sample.assume_init() };
         Ok(Loan { sample, pool: self })
     }
 
-    /// Brings consumers that came since into touch with this pool.
+    /// Connects new consumers to this pool.
     pub(super) fn greet(&self) {
-        // Fails for a consumer that is gone already, which is no fault of the others.
+        // Fails for a consumer that is gone already, which does not affect the others.
         let _ = self.publisher.update_connections();
     }
 }
@@ -111,17 +111,17 @@ impl Loan {
         self.sample.payload_mut()
     }
 
-    /// Hands the sweep to all consumers and wakes those that wait. Gives how many there are.
+    /// Sends the sweep to all consumers and wakes those that wait. Returns their number.
     pub(super) fn send(mut self) -> Result<usize, PublishError> {
         *self.sample.user_header_mut() = Preamble::of(self.sample.payload().len());
         let sent = self.sample.send().map_err(PublishError::service);
-        // A listener whose buffer is full was woken before; one that is gone needs nothing.
+        // An error is harmless: a listener with a full buffer is awake already, or it is gone.
         let _ = self.pool.notifier.notify();
         sent
     }
 }
 
-/// Where the thread of a sensor finds its pool.
+/// The pool of a sensor, shared between its thread and the keeper.
 #[derive(Debug)]
 pub(super) struct SensorPool {
     pub(super) settings: ServiceSettings,
@@ -167,7 +167,7 @@ impl SensorPool {
     }
 }
 
-/// Takes the pages of the pool's file, and says how many bytes they are.
+/// Allocates the pages of the pool's file, and returns their size in bytes.
 fn take_pages(file: &SharedFile) -> io::Result<u64> {
     let file = File::options().read(true).write(true).open(file.path())?;
     let bytes = file.metadata()?.len();

@@ -1,4 +1,4 @@
-//! The service of a sensor, as its one publisher has it open.
+//! The service of a sensor, on the side of its publisher.
 
 use std::fs::{File, TryLockError};
 use std::os::unix::fs::OpenOptionsExt;
@@ -25,17 +25,16 @@ use super::settings::{
 };
 use sweepd_core::sweep::layout::LAYOUT_VERSION;
 
-/// Attempts at opening a service: what is in the way is removed after each.
+/// Attempts to open a service: files that block it are removed after each.
 const ATTEMPTS: usize = 3;
-/// How often it is looked whether another process has completed its file.
+/// Interval of the check whether another process has completed its file.
 const PENDING_PAUSE: Duration = Duration::from_millis(20);
 type Samples = publish_subscribe::PortFactory<Ipc, [u8], Preamble>;
 type Event = event::PortFactory<Ipc>;
 const PATTERNS: [MessagingPattern; 2] =
     [MessagingPattern::PublishSubscribe, MessagingPattern::Event];
 
-/// A service that is open. Dropped in this order: the pools before what they belong to, the claim
-/// last.
+/// An open service. Dropped in this order: the pools before the service, the claim last.
 #[derive(Debug)]
 pub(super) struct Service {
     pool: Option<Arc<Pool>>,
@@ -45,7 +44,7 @@ pub(super) struct Service {
     samples: Samples,
     /// By which consumers find it.
     files: [ServiceFile; 2],
-    /// The lists of who takes part, which consumers open when they come.
+    /// The lists of participants, which new consumers open.
     lists: [SharedFile; 2],
     /// There as long as others can find the node.
     node_folder: PathBuf,
@@ -67,7 +66,7 @@ impl Service {
         let claim = Claim::take(domain, &name, settings)?;
         leftovers::remove_remains(domain);
         let node = node_when_possible(domain, pool_bytes.saturating_add(OVERHEAD_BYTES))?;
-        // What died before holds places in the service.
+        // Dead processes hold places in the service.
         node.try_cleanup_dead_nodes();
         let OpenService {
             samples,
@@ -107,7 +106,7 @@ impl Service {
         Ok(Arc::clone(self.pool.insert(pool)))
     }
 
-    /// Bytes of the largest sweep that it has room for.
+    /// Bytes of the largest sweep that fits.
     pub(super) fn sweep_bytes(&self) -> usize {
         self.pool.as_ref().map_or(0, |pool| pool.sweep_bytes)
     }
@@ -126,8 +125,8 @@ impl Service {
             .sum()
     }
 
-    /// What consumers that come now would not find, if anything. A file of the service that a
-    /// consumer of the one before took with it is put back.
+    /// A file that new consumers would not find, if any. A file of the service that a consumer of
+    /// the one before removed is put back.
     pub(super) fn missing(&self) -> Option<PathBuf> {
         for file in &self.files {
             let is_there = match file.state() {
@@ -151,8 +150,7 @@ impl Service {
         Some(gone.path().to_owned())
     }
 
-    /// Removes the files by which it is found, so that it is made again and not opened with what is
-    /// left of it.
+    /// Removes its service files, so that it is made again and not opened with the remaining files.
     pub(super) fn hide(&self) {
         if self.lists.iter().any(|list| !list.is_there()) {
             for file in &self.files {
@@ -161,8 +159,7 @@ impl Service {
         }
     }
 
-    /// Brings consumers that came since into touch with the pool, and gives back pools that are
-    /// filled no more.
+    /// Connects new consumers to the pool, and drops old pools that are no longer filled.
     pub(super) fn tidy(&mut self) {
         if let Some(pool) = &self.pool {
             pool.greet();
@@ -176,8 +173,8 @@ impl Service {
     }
 }
 
-/// A node, once no other process is in the middle of making a file: that takes microseconds, and a
-/// second when it died then.
+/// A node, once no other process is making a file: that takes microseconds, or a second if the
+/// process died.
 fn node_when_possible(domain: &Domain, wanted: u64) -> Result<Node<Ipc>, PublishError> {
     let begun = Instant::now();
     loop {
@@ -191,8 +188,8 @@ fn node_when_possible(domain: &Domain, wanted: u64) -> Result<Node<Ipc>, Publish
 }
 
 /// The right to publish under a name: a file that is locked (flock(2)) as long as the program
-/// lives. What iceoryx2 knows of publishers does not tell: a tunnel to another host is one too, and
-/// stays when the daemon is restarted.
+/// lives. iceoryx2's list of publishers is not enough: a tunnel to another host is a publisher too,
+/// and survives a restart of the daemon.
 #[derive(Debug)]
 struct Claim {
     _file: File,
@@ -344,7 +341,7 @@ fn open_samples(
         .map_err(PublishError::service)
 }
 
-/// The attributes; what is not known is left out.
+/// The known attributes.
 fn described_by(
     settings: &ServiceSettings,
 ) -> impl Iterator<Item = (AttributeKey, AttributeValue)> {

@@ -1,4 +1,4 @@
-//! What a service is made with: names, sizes, attributes, and the header of each sample.
+//! Settings of a service: names, sizes, attributes, and the header of each sample.
 
 use iceoryx2::prelude::*;
 use iceoryx2::service::attribute::{AttributeKey, AttributeValue};
@@ -9,18 +9,18 @@ use sweepd_core::sweep::layout::LAYOUT_VERSION;
 /// `ipc` kind see the same.
 pub(super) type Ipc = iceoryx2::service::ipc_threadsafe::Service;
 
-/// Sweeps that wait for a consumer; the oldest gives way to a newer one.
+/// Length of a consumer's queue of sweeps; the oldest is dropped for a newer one.
 pub const BUFFERED: usize = 2;
 /// Sweeps that a consumer may hold at a time.
 pub const BORROWED: usize = 2;
-/// Sweeps that a consumer gets which comes later.
+/// Past sweeps that a late consumer gets.
 pub const HISTORY: usize = 1;
 /// Sweeps that are being filled or segmented.
 pub const LOANED: usize = 2;
-/// Publishers at most: the pool, the pool before it while its last sweep is out, and a tunnel to
+/// Most publishers: the pool, the pool before it while its last sweep is filled, and a tunnel to
 /// another host.
 pub(super) const PUBLISHERS: usize = 3;
-/// Programs that may look at a service beside its consumers: the daemon, tools, a tunnel.
+/// Programs that may open a service besides its consumers: the daemon, tools, a tunnel.
 pub(super) const MORE_NODES: usize = 8;
 
 /// Sweeps that the pool of one sensor has room for.
@@ -36,7 +36,7 @@ pub(super) fn pool_bytes(max_consumers: usize, sweep_bytes: usize) -> u64 {
         .min(u64::MAX / 2)
 }
 
-/// What stands in front of the bytes of a sweep, as iceoryx2's user header.
+/// Header in front of the bytes of a sweep: iceoryx2's user header.
 ///
 /// Its alignment makes that of the payload. (Payload alignment, the other way to ask for it, would
 /// pad each single byte.)
@@ -90,7 +90,7 @@ pub mod attributes {
     pub const ADDRESS: &str = "address";
 }
 
-/// What a sensor may be called, in words.
+/// The rule for names of sensors, in words.
 pub const NAME_RULE: &str =
     "letters, digits, `-`, `_` and `.`, a letter or digit first, 63 characters at most";
 

@@ -1,18 +1,18 @@
-//! How the sharing of one sensor's sweeps goes.
+//! Status of publishing one sensor's sweeps.
 
 use std::sync::atomic::{AtomicBool, AtomicU64, AtomicUsize, Ordering};
 use std::sync::{Mutex, MutexGuard, PoisonError};
 
 use super::error::PublishError;
 
-/// How the sharing goes, for other threads to look at.
+/// Status of publishing, for other threads.
 #[derive(Debug, Default)]
 pub struct PublishStatus {
     consumers: AtomicUsize,
     reserved_bytes: AtomicU64,
     unshared: AtomicU64,
     renewed: AtomicU64,
-    /// Whether there is a text: where all is well, no lock is taken.
+    /// Whether there is a text, so that usually no lock is taken.
     is_troubled: AtomicBool,
     trouble: Mutex<Option<String>>,
     renewed_because: Mutex<Option<String>>,
@@ -29,7 +29,7 @@ impl PublishStatus {
         self.reserved_bytes.load(Ordering::Relaxed)
     }
 
-    /// Sweeps that found no way to the consumers.
+    /// Sweeps that could not be published.
     pub fn unshared(&self) -> u64 {
         self.unshared.load(Ordering::Relaxed)
     }
@@ -39,7 +39,7 @@ impl PublishStatus {
         self.renewed.load(Ordering::Relaxed)
     }
 
-    /// Why it was made again the last time.
+    /// Why it was last made again.
     pub fn renewed_because(&self) -> Option<String> {
         lock(&self.renewed_because).clone()
     }
@@ -50,8 +50,8 @@ impl PublishStatus {
     }
 
     pub(super) fn set_trouble(&self, error: &PublishError) {
-        // That nothing is shared is told with its reason, which is another; that the pool is being
-        // made is no trouble.
+        // `NotShared` has another error as its reason, and a pool that is being made is not a
+        // fault.
         if !matches!(error, PublishError::NotShared | PublishError::Preparing) {
             *lock(&self.trouble) = Some(error.to_string());
             self.is_troubled.store(true, Ordering::Relaxed);
@@ -88,7 +88,7 @@ impl PublishStatus {
     }
 }
 
-/// A panic of another thread leaves nothing half written in what is locked here.
+/// The values locked here are never left inconsistent by a panic of another thread.
 pub(super) fn lock<T>(mutex: &Mutex<T>) -> MutexGuard<'_, T> {
     mutex.lock().unwrap_or_else(PoisonError::into_inner)
 }

@@ -27,15 +27,13 @@ use super::settings::{
 };
 use sweepd_core::sweep::layout::{LAYOUT_VERSION, LayoutError};
 
-/// The longest that is slept at once: then it is looked whether everything is still there.
+/// Longest sleep: then the files of the service are checked.
 const LOOK_EVERY: Duration = Duration::from_millis(200);
-/// The shortest: iceoryx2 tells the socket whole microseconds, and none of them would be to sleep
-/// for ever.
+/// Shortest sleep: iceoryx2 rounds down to microseconds, and zero would mean no timeout.
 const LEAST: Duration = Duration::from_micros(100);
-/// How often it is looked for a service that is not there.
+/// Interval of the search for a missing service.
 const SEEK_EVERY: Duration = Duration::from_millis(50);
-/// How long places that consumers hold which died are waited for: the publisher cleans up after
-/// them each second.
+/// How long to wait for places of dead consumers: the publisher cleans up after them each second.
 const FULL_FOR: Duration = Duration::from_secs(2);
 
 /// Why no sweeps can be had.
@@ -61,7 +59,7 @@ pub enum SubscribeError {
         /// Version of the layout that the service names.
         found: String,
     },
-    /// A program that is not sweepd has a service of this name.
+    /// Another program than sweepd has a service of this name.
     #[error(
         "`{name}` is published by a program that is not sweepd ({found}): stop that one, or give sweepd and its consumers a \
          folder of their own (--root, or the variable SWEEPD_ROOT)"
@@ -111,7 +109,7 @@ impl From<DomainError> for SubscribeError {
     }
 }
 
-/// The sweeps of one sensor as bytes, one after the other.
+/// Receives the sweeps of one sensor as bytes.
 #[derive(Debug)]
 pub struct Subscriber {
     domain: Domain,
@@ -119,36 +117,36 @@ pub struct Subscriber {
     service: ServiceName,
     open: Option<Connection>,
     looked: Instant,
-    /// Since when the service has had no place for this consumer.
+    /// When the service first had no place for this consumer.
     full_since: Option<Instant>,
     reopened: u64,
 }
 
-/// A service that was found. Dropped in this order.
+/// An open service. Dropped in this order.
 #[derive(Debug)]
 struct Connection {
     samples: Arc<Port<Ipc, [u8], Preamble>>,
     listener: Listener<Ipc>,
     service: PortFactory<Ipc, [u8], Preamble>,
     file: ServiceFile,
-    /// By which the daemon finds this consumer.
+    /// The files by which the daemon finds this consumer.
     own_files: [PathBuf; 2],
     _node: Node<Ipc>,
 }
 
-/// The bytes of a sweep, in the memory that the daemon wrote them to. They stay as they are while
-/// this is held; what is held too long is no longer new, and no more than [`BORROWED`] can be held.
+/// The bytes of a sweep, in the memory that the daemon wrote them to. They do not change while this
+/// is held. At most [`BORROWED`] can be held at a time.
 #[derive(Debug)]
 pub struct Received {
-    /// As it was when the sample came.
+    /// A copy from when the sample came.
     preamble: Preamble,
     sample: Sample<Ipc, [u8], Preamble>,
-    /// What a subscriber holds is given back with it, even what its samples still look at.
+    /// Keeps the subscriber alive: dropping it would give back memory that its samples still use.
     _holder: Arc<Port<Ipc, [u8], Preamble>>,
 }
 
 impl Received {
-    /// Where the bytes stand and what they are.
+    /// The header in front of the bytes.
     pub fn preamble(&self) -> &Preamble {
         &self.preamble
     }
@@ -181,7 +179,7 @@ impl AsRef<[u8]> for Received {
 }
 
 impl Subscriber {
-    /// A subscriber of the sensor of this name; whether there is one shows at the first wait.
+    /// A subscriber of the sensor of this name; the first wait shows whether it exists.
     ///
     /// # Errors
     /// [`SubscribeError::Name`].
@@ -201,10 +199,10 @@ impl Subscriber {
     }
 
     /// The next sweep; waits for it, and for the daemon if there is none, but at most `timeout`:
-    /// less when the program handles a signal meanwhile. It comes as soon as it is published.
+    /// less if the program handles a signal.
     ///
     /// # Errors
-    /// [`SubscribeError`]: what waiting longer does not mend.
+    /// [`SubscribeError`]: an error that does not pass by waiting.
     pub fn wait(&mut self, timeout: Duration) -> Result<Option<Received>, SubscribeError> {
         let deadline = Instant::now().checked_add(timeout);
         loop {
@@ -231,7 +229,7 @@ impl Subscriber {
                     self.reopened += 1;
                     continue;
                 }
-                // By such a file another process may be held up, and with it the daemon.
+                // Such a file may block another process, and with it the daemon.
                 leftovers::remove_unfinished(&self.domain);
             }
             if rest.is_zero() {
@@ -241,7 +239,7 @@ impl Subscriber {
                 .listener
                 .timed_wait(|_| {}, rest.clamp(LEAST, LOOK_EVERY))
             {
-                // What it means is the program's to say, which handles it.
+                // The program that handles the signal decides what it means.
                 Err(ListenerWaitError::InterruptSignal) => return Ok(None),
                 woken => woken.map_err(SubscribeError::service)?,
             };
@@ -256,7 +254,7 @@ impl Subscriber {
         self.wait(Duration::ZERO)
     }
 
-    /// Whether the service was found; the daemon may be gone for all that.
+    /// Whether the service was found; the daemon may still be gone.
     pub fn is_connected(&self) -> bool {
         self.open.is_some()
     }
@@ -268,7 +266,7 @@ impl Subscriber {
             .is_some_and(|open| open.service.dynamic_config().number_of_publishers() > 0)
     }
 
-    /// How often the service was lost and looked for again.
+    /// Number of times that the service was lost and searched again.
     pub fn reopened(&self) -> u64 {
         self.reopened
     }
