@@ -14,7 +14,7 @@ use sweepd_lab::testkit::{TempDomain, stream};
 use serde_json::{Value, json};
 use stream::Spin;
 use sweepd::doctor::observe::PortResult;
-use sweepd::doctor::plan::{ExpectedSensor, PortPlan};
+use sweepd::doctor::plan::{ExaminedPort, ExpectedSensor};
 use sweepd::doctor::{Finding, Observations, Plan, Severity, Topic, diagnose, examine};
 use sweepd::sensor::Model;
 use sweepd::simulate::{Emitter, EmitterConfig, fixtures};
@@ -362,7 +362,7 @@ fn a_daemon_that_holds_the_ports_is_asked() {
         "ports": [{"port": number, "dropped": 0}], "sensors": [{"name": "roof", "state": "waiting"}],
     });
     let (port, server) = serve(vec![("/health", health)], 1);
-    let ports = vec![PortPlan {
+    let ports = vec![ExaminedPort {
         bind: LOCAL,
         port: number,
         multicast: None,
@@ -388,7 +388,7 @@ fn a_daemon_that_holds_the_ports_is_asked() {
         "{findings:#?}"
     );
     // Nobody answers: then the port is the finding.
-    let ports = vec![PortPlan {
+    let ports = vec![ExaminedPort {
         bind: LOCAL,
         port: number,
         multicast: None,

@@ -37,7 +37,7 @@ const MAX_LINK_TYPES: usize = 16;
 
 /// Counts of the records so far. Every record is a datagram or one of the others.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
-pub struct RecordCounts {
+pub struct CaptureCounts {
     /// Records read.
     pub records: u64,
     /// Records that gave a datagram, including the last fragment of one.
@@ -60,7 +60,7 @@ pub struct RecordCounts {
     pub untimed: u64,
 }
 
-impl RecordCounts {
+impl CaptureCounts {
     /// Complete records without a UDP datagram.
     pub fn other_traffic(&self) -> u64 {
         self.not_ip + self.not_udp + self.unsupported_link + self.malformed
@@ -110,7 +110,7 @@ pub struct Placed<'a> {
 /// What is remembered of the records read.
 #[derive(Default)]
 struct CaptureStats {
-    counts: RecordCounts,
+    counts: CaptureCounts,
     link_types: Vec<LinkType>,
     first_ns: Option<i64>,
     last_ns: Option<i64>,
@@ -210,7 +210,7 @@ impl Capture {
     }
 
     /// Counts of records read and skipped so far.
-    pub fn counts(&self) -> RecordCounts {
+    pub fn counts(&self) -> CaptureCounts {
         self.stats.counts
     }
 

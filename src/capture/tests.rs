@@ -181,10 +181,10 @@ fn pcapng_with_several_interfaces_and_sections() {
         );
         assert_eq!(
             capture.counts(),
-            RecordCounts {
+            CaptureCounts {
                 records: 3,
                 datagrams: 3,
-                ..RecordCounts::default()
+                ..CaptureCounts::default()
             }
         );
     }
@@ -271,10 +271,10 @@ fn what_the_writer_wrote_comes_back() {
     );
     assert_eq!(
         capture.counts(),
-        RecordCounts {
+        CaptureCounts {
             records: 5,
             datagrams: 5,
-            ..RecordCounts::default()
+            ..CaptureCounts::default()
         }
     );
     let file = sample(1);

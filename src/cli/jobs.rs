@@ -31,8 +31,10 @@ pub struct JobOptions {
 impl JobOptions {
     /// How many there are, 1 or more.
     pub fn count(self) -> usize {
-        let cores = || thread::available_parallelism().map_or(1, NonZero::get);
-        let count = self.jobs.map_or_else(cores, usize::from);
+        let count = match self.jobs {
+            Some(jobs) => jobs.into(),
+            None => thread::available_parallelism().map_or(1, NonZero::get),
+        };
         count.min(MOST_JOBS.into())
     }
 }

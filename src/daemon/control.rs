@@ -18,7 +18,7 @@ use super::counters::SensorCounters;
 use super::health::{self, View};
 use super::http::{self, Http};
 use super::losses::{SensorAddress, Tally};
-use super::notify::{Notifier, Pulse, beat};
+use super::notify::{Notifier, Pulse, heartbeat_period};
 use super::record::server::ControlServer;
 use super::record::{Recordings, socket_path};
 use super::runtime::{DaemonError, PortStatus, Runtime, SensorStatus};
@@ -240,7 +240,7 @@ impl Control {
             begun,
             watchers,
             pulse,
-            period: beat(watchdog),
+            period: heartbeat_period(watchdog),
             hanging: Vec::new(),
             gone: Vec::new(),
             renewed,
@@ -481,7 +481,7 @@ impl Control {
 
 /// Ticks at once, and then at multiples of a period since tokio's clock began. Its timer wheel
 /// turns every 64 ms: a timer that is due at a multiple of that, as with the longest period of
-/// [`beat`], wakes the thread once, any other one twice.
+/// [`heartbeat_period`], wakes the thread once, any other one twice.
 fn ticks(begun: Instant, period: Duration) -> Interval {
     let mut ticks = interval_at(begun.into(), period);
     ticks.set_missed_tick_behavior(MissedTickBehavior::Skip);

@@ -69,7 +69,7 @@ const HUNG: Duration = Duration::from_secs(2);
 
 /// Period of the threads' heartbeats, and of the check of all threads: an eighth of the watchdog's
 /// time, if there is one, and at most about half a second.
-pub fn beat(watchdog: Option<Duration>) -> Duration {
+pub fn heartbeat_period(watchdog: Option<Duration>) -> Duration {
     // A multiple of 64 ms, the step of tokio's timer wheel: see `ticks` of the control thread.
     let seldom = Duration::from_millis(8 * 64);
     watchdog.map_or(seldom, |watchdog| {
@@ -139,7 +139,8 @@ mod tests {
     fn the_watchdog_is_fed_four_times_in_its_time() {
         let mut pulse = Pulse::new(Some(ms(800)), 1, ms(0));
         assert_eq!(
-            [Some(800), Some(400), Some(5_000), None].map(|watchdog| beat(watchdog.map(ms))),
+            [Some(800), Some(400), Some(5_000), None]
+                .map(|watchdog| heartbeat_period(watchdog.map(ms))),
             [100, 50, 512, 512].map(ms)
         );
         let fed: Vec<u64> = (0..=800)

@@ -74,7 +74,7 @@ pub struct Port<B: Buffers> {
     changes: Receiver<PortChange>,
     shutdown: Shutdown,
     /// Longest interval of its heartbeat.
-    beat: Duration,
+    heartbeat_period: Duration,
     /// When the newest packet was admitted.
     newest: Option<Instant>,
     /// Share of the time that it works.
@@ -137,20 +137,20 @@ impl Newest {
 }
 
 impl<B: Buffers<Buffer: Outgoing>> Port<B> {
-    /// A port whose socket is open; its thread makes a round at least every `beat`.
+    /// A port whose socket is open; its thread makes a round at least every `heartbeat_period`.
     pub fn new(
         source: UdpSource,
         state: PortState<B>,
         changes: Receiver<PortChange>,
         shutdown: Shutdown,
-        beat: Duration,
+        heartbeat_period: Duration,
     ) -> Self {
         Self {
             source,
             state,
             changes,
             shutdown,
-            beat,
+            heartbeat_period,
             newest: None,
             load: Load::new(Instant::now()),
         }
@@ -215,9 +215,9 @@ impl<B: Buffers<Buffer: Outgoing>> Port<B> {
             // A port for position packets alone gets no requests but recordings, for which it
             // checks before it handles a packet.
             let idle = if self.has_sweeps() {
-                IDLE.min(self.beat)
+                IDLE.min(self.heartbeat_period)
             } else {
-                self.beat
+                self.heartbeat_period
             };
             return wait_for_either(self.source.socket(), &self.shutdown.ended, idle);
         }
@@ -239,7 +239,7 @@ impl<B: Buffers<Buffer: Outgoing>> Port<B> {
             false => nap::LONGEST_OF_POSITIONS,
         };
         let longest_ns = nap::longest_ns(
-            longest.min(self.beat),
+            longest.min(self.heartbeat_period),
             self.source.buffer(),
             senders,
             self.source.shortest_filling_ns(),

@@ -13,7 +13,7 @@ use tracing::{info, warn};
 
 use super::config::{Config, PortConfig};
 use super::counters::{PortCounters, SensorCounters};
-use super::notify::beat;
+use super::notify::heartbeat_period;
 use super::plan::{self, PortName, PortPlan};
 use super::port::{
     Newest, POSITION_QUEUE_LEN, Port, PortSensor, PortState, PositionQueue, Shutdown,
@@ -412,8 +412,8 @@ impl<'a, B: Buffers<Buffer: Outgoing>> Startup<'a, B> {
             changes: to_port,
         });
         self.ports.push(status);
-        let beat = beat(sd_notify::watchdog_enabled());
-        Port::new(source, state, changes, shutdown, beat)
+        let heartbeat_period = heartbeat_period(sd_notify::watchdog_enabled());
+        Port::new(source, state, changes, shutdown, heartbeat_period)
     }
 }
 

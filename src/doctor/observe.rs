@@ -5,7 +5,7 @@ use std::path::PathBuf;
 
 use serde_json::Value;
 
-use super::plan::{ExpectedSensor, Plan, PortPlan};
+use super::plan::{ExaminedPort, ExpectedSensor, Plan};
 use crate::capture::udp::ReceiveBuffer;
 use sweepd_core::pipeline::Counts;
 use sweepd_core::sensor::Model;
@@ -75,7 +75,7 @@ impl Observations {
 #[derive(Clone, Debug)]
 pub struct ObservedPort {
     /// What should be there.
-    pub plan: PortPlan,
+    pub plan: ExaminedPort,
     /// The result of listening.
     pub result: PortResult,
 }

@@ -16,7 +16,7 @@ pub const HEALTH: SocketAddr = SocketAddr::new(IpAddr::V4(Ipv4Addr::LOCALHOST), 
 #[derive(Clone, Debug)]
 pub struct Plan {
     /// Where packets should come in.
-    pub ports: Vec<PortPlan>,
+    pub ports: Vec<ExaminedPort>,
     /// The sensors that should be heard; whichever there are, if none is named.
     pub sensors: Vec<ExpectedSensor>,
     /// Addresses whose web page is asked even if nothing is heard from them.
@@ -29,7 +29,7 @@ pub struct Plan {
 
 /// A port to listen on.
 #[derive(Clone, Debug, PartialEq, Eq)]
-pub struct PortPlan {
+pub struct ExaminedPort {
     /// Address of this host; 0.0.0.0 hears all.
     pub bind: Ipv4Addr,
     /// The port.
@@ -79,7 +79,7 @@ impl ExpectedSensor {
     }
 }
 
-impl PortPlan {
+impl ExaminedPort {
     fn of(port: &PortConfig, number: u16) -> Self {
         Self {
             bind: port.bind,
@@ -104,10 +104,10 @@ impl PortPlan {
 impl Plan {
     /// What a daemon with this configuration counts on.
     pub fn of(config: &Config) -> Self {
-        let mut ports: Vec<PortPlan> = Vec::new();
+        let mut ports: Vec<ExaminedPort> = Vec::new();
         for sensor in &config.sensors {
             for number in [sensor.port.port, sensor.position_port] {
-                let plan = PortPlan::of(&sensor.port, number);
+                let plan = ExaminedPort::of(&sensor.port, number);
                 if !ports.contains(&plan) {
                     ports.push(plan);
                 }
@@ -139,7 +139,7 @@ impl Plan {
         Self {
             ports: ports
                 .iter()
-                .map(|&port| PortPlan {
+                .map(|&port| ExaminedPort {
                     bind,
                     port,
                     multicast,

@@ -90,15 +90,15 @@ fn calibrations() -> Vec<(String, Calibration, Model)> {
     all
 }
 
-fn turns(decoder: &Decoder, mode: ReturnMode) -> RowOffsets {
-    let mut turns = RowOffsets::default();
-    turns.set(decoder.beams(mode), RATE, decoder.spec, mode);
-    turns
+fn row_offsets(decoder: &Decoder, mode: ReturnMode) -> RowOffsets {
+    let mut offsets = RowOffsets::default();
+    offsets.set(decoder.beams(mode), RATE, decoder.spec, mode);
+    offsets
 }
 
 fn decode(decoder: &Decoder, packet: &DataPacket, azimuth_rad: f32, mode: ReturnMode) -> Planes {
-    let turns = turns(decoder, mode);
-    let pixels = (turns.span() + 1) * decoder.rows();
+    let offsets = row_offsets(decoder, mode);
+    let pixels = (offsets.span() + 1) * decoder.rows();
     let mut planes = Planes {
         range_m: [vec![9.0; pixels], vec![9.0; pixels]],
         reflectivity: [vec![9; pixels], vec![9; pixels]],
@@ -125,8 +125,8 @@ fn decode(decoder: &Decoder, packet: &DataPacket, azimuth_rad: f32, mode: Return
         kind: &mut planes.kind,
     };
     planes.returns = dispatch!(decoder.level(), simd => match mode {
-        ReturnMode::Dual => decoder.dual(simd, records, azimuth_rad, &turns, pixels),
-        _ => decoder.single(simd, records, azimuth_rad, &turns, pixels.chosen),
+        ReturnMode::Dual => decoder.dual(simd, records, azimuth_rad, &offsets, pixels),
+        _ => decoder.single(simd, records, azimuth_rad, &offsets, pixels.chosen),
     });
     planes
 }
@@ -188,15 +188,15 @@ fn a_firing_is_what_the_formulas_make_of_its_records() {
             LIMITS_M,
         );
         for mode in [ReturnMode::Strongest, ReturnMode::Dual] {
-            let turns = turns(&decoder, mode);
+            let offsets = row_offsets(&decoder, mode);
             for _ in 0..100 {
                 let (packet, azimuth_rad) = (noise.packet(), (noise.next() % 6_283) as f32 * 0.001);
                 let planes = decode(&decoder, &packet, azimuth_rad, mode);
                 let mut returns = 0;
                 for (row, (beam, shift)) in
-                    decoder.beams(mode).iter().zip(turns.shifts()).enumerate()
+                    decoder.beams(mode).iter().zip(offsets.shifts()).enumerate()
                 {
-                    let pixel = (turns.lead() as i32 - shift) as usize * decoder.rows() + row;
+                    let pixel = (offsets.lead() as i32 - shift) as usize * decoder.rows() + row;
                     for second in [false, true].into_iter().take(mode.returns()) {
                         let swapped =
                             mode == ReturnMode::Dual && planes.kind[pixel] & SECOND_BLOCKS != 0;
@@ -314,11 +314,11 @@ fn of_two_returns_the_rules_choose() {
             ReturnChoice::Last,
         ] {
             let decoder = Decoder::new(model, model.spec(), &calibration, choice, LIMITS_M);
-            let turns = turns(&decoder, ReturnMode::Dual);
+            let offsets = row_offsets(&decoder, ReturnMode::Dual);
             for _ in 0..40 {
                 let (packet, azimuth_rad) = (noise.packet(), (noise.next() % 6_283) as f32 * 0.001);
                 let both = decode(&decoder, &packet, azimuth_rad, ReturnMode::Dual);
-                for places in turns.pixels().iter().flatten() {
+                for places in offsets.pixels().iter().flatten() {
                     let at = *places as usize;
                     let takes_second = both.kind[at] & SECOND_BLOCKS != 0;
                     let order = if takes_second { [1, 0] } else { [0, 1] };

@@ -9,7 +9,7 @@ use crate::capture::udp::ReceiveBuffer;
 use crate::doctor::observe::{
     Host, Interface, ObservedPort, ObservedSensor, PositionSender, RootTrouble, Web,
 };
-use crate::doctor::plan::{ExpectedSensor, HEALTH, Plan, PortPlan};
+use crate::doctor::plan::{ExaminedPort, ExpectedSensor, HEALTH, Plan};
 use sweepd_core::pipeline::Counts;
 use sweepd_core::sensor::Model;
 use sweepd_core::sweep::layout::flags;
@@ -20,7 +20,7 @@ const ADDRESS: Ipv4Addr = Ipv4Addr::new(192, 168, 1, 201);
 const OWN: Ipv4Addr = Ipv4Addr::new(192, 168, 1, 100);
 
 fn port(number: u16, received: u64) -> ObservedPort {
-    let plan = PortPlan {
+    let plan = ExaminedPort {
         bind: Ipv4Addr::UNSPECIFIED,
         port: number,
         multicast: None,

@@ -3,7 +3,7 @@
 use std::io::Cursor;
 
 use sweepd::admission::DiscoveredSensors;
-use sweepd::capture::{Capture, Decapsulator, LinkType, NoDatagram, RecordCounts};
+use sweepd::capture::{Capture, CaptureCounts, Decapsulator, LinkType, NoDatagram};
 
 use super::Numbers;
 
@@ -35,7 +35,7 @@ pub fn capture(input: &[u8]) {
         }
     }
     let tally = capture.counts();
-    let RecordCounts {
+    let CaptureCounts {
         records,
         not_ip,
         not_udp,

@@ -121,7 +121,8 @@ impl Within {
 
 /// Least and greatest rise of a ray that can meet what is between two heights and two horizontal
 /// distances.
-fn rises(z: [f64; 2], eye: Vec3, [near_m, far_m]: [f64; 2]) -> [f64; 2] {
+fn rises(z: [f64; 2], eye: Vec3, reach_m: [f64; 2]) -> [f64; 2] {
+    let [near_m, far_m] = reach_m;
     let low = z[0] - eye.z;
     let high = z[1] - eye.z;
     [
