@@ -1,18 +1,18 @@
 //! Parallel work on items, with the results in the order of the items.
 //!
 //! ```text
-//!          items 0, 3, 6 ──> job 0 ──┐
-//! push ──> items 1, 4, 7 ──> job 1 ──┼──> sink: 0, 1, 2, 3, ...
-//!          items 2, 5, 8 ──> job 2 ──┘
+//! job 0   take item 0 │ work on it │ write its result │ take item 3 ...
+//! job 1               │ take item 1 │ work on it      │ write its result ...
+//! job 2                             │ take item 2 │ work on it         │ ...
 //! ```
 //!
-//! Jobs get items in turn, so that the sink knows which of them has the next result. A job holds at
-//! most three items: one that waits, one that it works on, and one whose result waits for its turn.
+//! One job at a time takes an item, and one at a time writes, in the order of the items. A job stays
+//! with its item from the beginning to the end: what it works on stays in the cache of its core, and
+//! there are never more items than jobs.
 
 use std::num::NonZero;
-use std::panic::resume_unwind;
-use std::sync::mpsc::{self, SyncSender};
-use std::thread::{self, Scope, ScopedJoinHandle};
+use std::sync::{Condvar, Mutex, MutexGuard, PoisonError};
+use std::thread;
 
 use super::CliError;
 
@@ -39,131 +39,143 @@ impl JobOptions {
     }
 }
 
-/// Jobs under way.
-pub enum Jobs<'scope, T> {
-    /// A single job, on the calling thread.
-    Here(Box<dyn FnMut(T) -> Result<(), CliError> + 'scope>),
-    /// Each on a thread of its own.
-    SideBySide(Threads<'scope, T>),
+/// Takes items until there are none, works on them, and writes the results: a job for each of
+/// `works`, the first on this thread. `take` is given the number of its job.
+///
+/// # Errors
+/// The first error in the order of the items, of `take` or `write`; nothing is written behind it.
+/// [`CliError::System`]: a thread cannot be started.
+pub fn run<T, R>(
+    take: impl FnMut(usize) -> Result<Option<T>, CliError> + Send,
+    works: Vec<impl FnMut(T) -> R + Send>,
+    write: impl FnMut(R) -> Result<(), CliError> + Send,
+) -> Result<(), CliError> {
+    let jobs = Jobs {
+        source: Mutex::new(Source {
+            take,
+            taken: 0,
+            is_over: false,
+        }),
+        sink: Mutex::new(Sink {
+            write,
+            written: 0,
+            result: Ok(()),
+            is_over: false,
+        }),
+        turn: Condvar::new(),
+    };
+    thread::scope(|scope| {
+        let mut works = works.into_iter().enumerate();
+        let own = works.next();
+        for (job, work) in works {
+            let shared = &jobs;
+            let builder = thread::Builder::new();
+            let thread = builder.spawn_scoped(scope, move || shared.go_through(job, work));
+            if let Err(source) = thread {
+                jobs.stop();
+                let what = "start a thread";
+                return Err(CliError::System { what, source });
+            }
+        }
+        if let Some((job, work)) = own {
+            jobs.go_through(job, work);
+        }
+        Ok(())
+    })?;
+    let sink = jobs.sink.into_inner();
+    sink.unwrap_or_else(PoisonError::into_inner).result
 }
 
-/// The threads of several jobs, and that of the sink.
-pub struct Threads<'scope, T> {
-    /// The ways to the jobs.
-    items: Vec<SyncSender<T>>,
-    /// The job whose turn it is.
-    turn: usize,
-    sink: Option<ScopedJoinHandle<'scope, Result<(), CliError>>>,
+/// What all jobs share.
+struct Jobs<T, W> {
+    source: Mutex<Source<T>>,
+    sink: Mutex<Sink<W>>,
+    /// Another result may be written, or none any more.
+    turn: Condvar,
 }
 
-impl<'scope, T: Send + 'scope> Jobs<'scope, T> {
-    /// Starts a job for each of `works`, of which there is at least one. The results go to `sink`,
-    /// in the order of the items, until it fails.
-    ///
-    /// # Errors
-    /// [`CliError::System`]: a thread cannot be started.
-    pub fn start<R: Send + 'scope>(
-        scope: &'scope Scope<'scope, '_>,
-        mut works: Vec<impl FnMut(T) -> R + Send + 'scope>,
-        mut sink: impl FnMut(R) -> Result<(), CliError> + Send + 'scope,
-    ) -> Result<Self, CliError> {
-        if works.len() == 1
-            && let Some(mut work) = works.pop()
-        {
-            return Ok(Self::Here(Box::new(move |item| sink(work(item)))));
-        }
-        let mut items = Vec::new();
-        let mut results = Vec::new();
-        for mut work in works {
-            let (item_sender, job_items) = mpsc::sync_channel(1);
-            let (job_results, result_receiver) = mpsc::sync_channel(1);
-            spawn(scope, move || {
-                // Ends after the last item, or when the sink has failed.
-                for item in job_items {
-                    if job_results.send(work(item)).is_err() {
-                        break;
-                    }
-                }
-            })?;
-            items.push(item_sender);
-            results.push(result_receiver);
-        }
-        let sink = spawn(scope, move || {
-            // The first job without a result in its turn is the one after the last item.
-            let mut in_turn = results.iter().cycle().map_while(|job| job.recv().ok());
-            in_turn.try_for_each(sink)
-        })?;
-        Ok(Self::SideBySide(Threads {
-            items,
-            turn: 0,
-            sink: Some(sink),
-        }))
-    }
+struct Source<T> {
+    take: T,
+    taken: u64,
+    is_over: bool,
 }
 
-impl<T> Jobs<'_, T> {
-    /// Whether each job has a thread of its own.
-    pub fn are_side_by_side(&self) -> bool {
-        matches!(self, Self::SideBySide(_))
-    }
+struct Sink<W> {
+    write: W,
+    written: u64,
+    result: Result<(), CliError>,
+    is_over: bool,
+}
 
-    /// Gives an item to the next job; blocks while that one has enough.
-    ///
-    /// # Errors
-    /// What the sink failed with, once.
-    pub fn push(&mut self, item: T) -> Result<(), CliError> {
-        match self {
-            Self::Here(work) => work(item),
-            Self::SideBySide(threads) => threads.push(item),
+impl<T, W> Jobs<T, W> {
+    /// One job, from its first item to the end of all.
+    fn go_through<I, R>(&self, job: usize, mut work: impl FnMut(I) -> R)
+    where
+        T: FnMut(usize) -> Result<Option<I>, CliError>,
+        W: FnMut(R) -> Result<(), CliError>,
+    {
+        let _stop = StopOnPanic(self);
+        while let Some((number, item)) = self.take(job) {
+            if !self.write(number, item.map(&mut work)) {
+                break;
+            }
         }
     }
 
-    /// Waits until the sink has all results.
-    ///
-    /// # Errors
-    /// As [`Jobs::push`].
-    pub fn finish(self) -> Result<(), CliError> {
-        match self {
-            Self::Here(_) => Ok(()),
-            Self::SideBySide(mut threads) => threads.join(),
+    /// The next item and its number, or the error in its place.
+    fn take<I>(&self, job: usize) -> Option<(u64, Result<I, CliError>)>
+    where
+        T: FnMut(usize) -> Result<Option<I>, CliError>,
+    {
+        let mut source = lock(&self.source);
+        if source.is_over {
+            return None;
         }
+        let item = (source.take)(job).transpose();
+        source.is_over = !matches!(item, Some(Ok(_)));
+        source.taken += 1;
+        Some((source.taken - 1, item?))
+    }
+
+    /// Writes a result when its turn comes; false when nothing is written any more.
+    fn write<R>(&self, number: u64, result: Result<R, CliError>) -> bool
+    where
+        W: FnMut(R) -> Result<(), CliError>,
+    {
+        let waiting = self.turn.wait_while(lock(&self.sink), |sink| {
+            sink.written < number && !sink.is_over
+        });
+        let mut sink = waiting.unwrap_or_else(PoisonError::into_inner);
+        if sink.is_over {
+            return false;
+        }
+        sink.result = result.and_then(|result| (sink.write)(result));
+        sink.written += 1;
+        sink.is_over = sink.result.is_err();
+        self.turn.notify_all();
+        !sink.is_over
+    }
+
+    /// Has all jobs end after the items that they work on.
+    fn stop(&self) {
+        lock(&self.sink).is_over = true;
+        self.turn.notify_all();
     }
 }
 
-impl<T> Threads<'_, T> {
-    fn push(&mut self, item: T) -> Result<(), CliError> {
-        let Some(job) = self.items.get(self.turn) else {
-            return Ok(());
-        };
-        self.turn = (self.turn + 1) % self.items.len();
-        match job.send(item) {
-            Ok(()) => Ok(()),
-            // The job has ended: the sink has failed, or the job panicked, which ends the scope.
-            Err(_) => self.join(),
-        }
-    }
+/// Ends the other jobs where one panics: its turn will not come.
+struct StopOnPanic<'a, T, W>(&'a Jobs<T, W>);
 
-    fn join(&mut self) -> Result<(), CliError> {
-        self.items.clear();
-        match self.sink.take().map(ScopedJoinHandle::join) {
-            None => Ok(()),
-            Some(Ok(result)) => result,
-            Some(Err(panic)) => resume_unwind(panic),
+impl<T, W> Drop for StopOnPanic<'_, T, W> {
+    fn drop(&mut self) {
+        if thread::panicking() {
+            self.0.stop();
         }
     }
 }
 
-fn spawn<'scope, R: Send + 'scope>(
-    scope: &'scope Scope<'scope, '_>,
-    work: impl FnOnce() -> R + Send + 'scope,
-) -> Result<ScopedJoinHandle<'scope, R>, CliError> {
-    let builder = thread::Builder::new();
-    builder
-        .spawn_scoped(scope, work)
-        .map_err(|source| CliError::System {
-            what: "start a thread",
-            source,
-        })
+fn lock<T>(mutex: &Mutex<T>) -> MutexGuard<'_, T> {
+    mutex.lock().unwrap_or_else(PoisonError::into_inner)
 }
 
 #[cfg(test)]
@@ -181,61 +193,60 @@ mod tests {
         item
     }
 
+    fn next(items: &mut impl Iterator<Item = usize>) -> Result<Option<usize>, CliError> {
+        Ok(items.next())
+    }
+
     #[test]
-    fn results_come_in_the_order_of_the_items_and_few_are_under_way() {
+    fn results_come_in_the_order_of_the_items_and_there_is_one_a_job() {
         for count in 1..5 {
             let under_way = AtomicUsize::new(0);
+            let mut items = 0..ITEMS;
+            let take = |_| {
+                assert!(under_way.fetch_add(1, Ordering::SeqCst) < count);
+                next(&mut items)
+            };
             let mut results = Vec::new();
-            thread::scope(|scope| {
-                let sink = |item| {
-                    under_way.fetch_sub(1, Ordering::SeqCst);
-                    results.push(item);
-                    Ok(())
-                };
-                let mut jobs = Jobs::start(scope, vec![work; count], sink).unwrap();
-                for item in 0..ITEMS {
-                    under_way.fetch_add(1, Ordering::SeqCst);
-                    jobs.push(item).unwrap();
-                    // The sink holds one more.
-                    assert!(under_way.load(Ordering::SeqCst) <= 3 * count + 1);
-                }
-                jobs.finish().unwrap();
-            });
+            let write = |item| {
+                under_way.fetch_sub(1, Ordering::SeqCst);
+                results.push(item);
+                Ok(())
+            };
+            run(take, vec![work; count], write).unwrap();
             assert!(results.into_iter().eq(0..ITEMS), "{count} jobs");
         }
     }
 
     #[test]
-    fn nothing_comes_after_the_result_that_the_sink_failed_with() {
-        for count in 1..4 {
-            let mut results = Vec::new();
-            let error = thread::scope(|scope| {
-                let sink = |item| {
-                    results.push(item);
-                    match item {
-                        50 => Err(CliError::Usage("full".to_owned())),
-                        _ => Ok(()),
-                    }
+    fn nothing_is_written_behind_an_error() {
+        for count in 1..5 {
+            for is_of_write in [true, false] {
+                let full = || CliError::Usage("full".to_owned());
+                let mut items = 0..ITEMS;
+                let take = |_| match next(&mut items)? {
+                    Some(50) if !is_of_write => Err(full()),
+                    item => Ok(item),
                 };
-                let mut jobs = Jobs::start(scope, vec![work; count], sink).unwrap();
-                (0..ITEMS)
-                    .try_for_each(|item| jobs.push(item))
-                    .and_then(|()| jobs.finish())
-                    .unwrap_err()
-            });
-            assert_eq!(error.to_string(), "full");
-            assert!(results.into_iter().eq(0..=50), "{count} jobs");
+                let mut results = Vec::new();
+                let write = |item| {
+                    if item == 50 {
+                        return Err(full());
+                    }
+                    results.push(item);
+                    Ok(())
+                };
+                let error = run(take, vec![work; count], write).unwrap_err();
+                assert_eq!(error.to_string(), "full");
+                assert!(results.into_iter().eq(0..50), "{count} jobs");
+            }
         }
     }
 
     #[test]
-    #[should_panic(expected = "a scoped thread panicked")]
+    #[should_panic]
     fn a_job_that_panics_ends_all() {
-        thread::scope(|scope| {
-            let work = |item| assert!(item != 50);
-            let mut jobs = Jobs::start(scope, vec![work; 3], |()| Ok(())).unwrap();
-            (0..ITEMS).try_for_each(|item| jobs.push(item)).unwrap();
-            jobs.finish().unwrap();
-        });
+        let mut items = 0..ITEMS;
+        let work = |item| assert!(item != 50);
+        let _ = run(|_| next(&mut items), vec![work; 3], |()| Ok(()));
     }
 }

@@ -2,28 +2,18 @@
 
 mod args;
 mod messages;
+mod playback;
 mod progress;
 mod summary;
 mod sweeps;
 mod track;
 
-use std::thread;
-use std::time::{Duration, Instant};
-
-use indicatif::ProgressBar;
-
+use self::playback::Playback;
 use self::summary::{SensorReport, SummaryLine, Sums};
-use self::sweeps::{Finisher, Sweep, Writer};
-use self::track::Track;
-use super::CliError;
-use super::jobs::Jobs;
+use self::sweeps::{Finisher, Writer};
 use super::output::Outputs;
-use super::play::When;
-use super::send::Sender;
-use crate::admission::{DiscoveredSensors, Route};
-use crate::capture::{Capture, CaptureError, Pacer, Placed, Speed};
-use sweepd_core::pipeline::{Config, TimedSegmenter};
-use sweepd_core::segment::Segmenter;
+use super::{CliError, jobs};
+use crate::capture::{Capture, CaptureError};
 
 pub use args::Args;
 
@@ -49,16 +39,21 @@ pub fn run(args: &Args) -> Result<(), CliError> {
 /// A replay under way.
 struct Replay<'a> {
     playback: Playback<'a>,
+    /// Of each job; kept from round to round.
+    finishers: Vec<Finisher>,
     writer: Writer<'a>,
 }
 
 impl<'a> Replay<'a> {
     fn new(args: &'a Args) -> Result<Self, CliError> {
+        let playback = Playback::new(args)?;
+        let outputs = Outputs::new(&args.output)?;
         Ok(Self {
-            playback: Playback::new(args)?,
+            finishers: playback.finishers(&outputs)?,
+            playback,
             writer: Writer {
                 args,
-                outputs: Outputs::new(&args.output)?,
+                outputs,
                 sums: Vec::new(),
             },
         })
@@ -67,17 +62,22 @@ impl<'a> Replay<'a> {
     /// Plays the capture once. Where it cannot be read to its end, everything before is played, and
     /// the inner error says why.
     fn play(&mut self, capture: &mut Capture) -> Result<Result<(), CaptureError>, CliError> {
-        let mut finishers = self.playback.finishers(&self.writer.outputs)?;
-        thread::scope(|scope| {
-            let works = finishers
-                .iter_mut()
-                .map(|finisher| |sweep| finisher.finish(sweep))
-                .collect();
-            let mut jobs = Jobs::start(scope, works, |sweep| self.writer.write(sweep))?;
-            let read = self.playback.play(capture, &mut jobs)?;
-            jobs.finish()?;
-            Ok(read)
-        })
+        let Self {
+            playback,
+            finishers,
+            writer,
+        } = self;
+        let mut round = playback.begin_round(capture)?;
+        let works = finishers
+            .iter_mut()
+            .map(|finisher| |sweep| finisher.finish(sweep))
+            .collect();
+        jobs::run(
+            |job| playback.next_sweep(&mut round, job),
+            works,
+            |sweep| writer.write(sweep),
+        )?;
+        Ok(round.end())
     }
 
     /// Whether another round could bring more than this one, and nothing that was asked for is
@@ -124,175 +124,5 @@ impl<'a> Replay<'a> {
         } else {
             Err(CliError::Reported)
         }
-    }
-}
-
-/// The way of a capture's datagrams to the pipelines.
-struct Playback<'a> {
-    args: &'a Args,
-    config: Config,
-    progress: ProgressBar,
-    sender: Option<Sender>,
-    sensors: DiscoveredSensors,
-    /// By number of the sensor.
-    tracks: Vec<Track<'a>>,
-    /// Datagrams of other senders in the rounds before.
-    others_before: u64,
-}
-
-impl<'a> Playback<'a> {
-    fn new(args: &'a Args) -> Result<Self, CliError> {
-        Ok(Self {
-            args,
-            config: args.pipeline_config()?,
-            progress: progress::bar(args),
-            sender: args.play.destination().map(Sender::new),
-            sensors: DiscoveredSensors::new(args.sensor.sensor.clone()),
-            tracks: Vec::new(),
-            others_before: 0,
-        })
-    }
-
-    /// How fast it goes.
-    fn speed(&self) -> Speed {
-        self.args.play.speed(self.args.publish.is_wanted())
-    }
-
-    /// What finishes sweeps, for each job. Where there is time, or sweeps are shared, one job does
-    /// as the daemon does.
-    fn finishers(&self, outputs: &Outputs) -> Result<Vec<Finisher>, CliError> {
-        let is_live = self.speed() != Speed::Max || self.args.publish.is_wanted();
-        let count = if is_live { 1 } else { self.args.jobs.count() };
-        let mut finishers = Vec::new();
-        for _ in 0..count {
-            let segmenter = match count {
-                1 => None,
-                _ => Some(self.segmenter()?),
-            };
-            finishers.push(Finisher {
-                segmenter,
-                encoder: outputs.encoder(),
-            });
-        }
-        Ok(finishers)
-    }
-
-    /// Labels what pipelines decoded.
-    fn segmenter(&self) -> Result<TimedSegmenter, CliError> {
-        let segmenter = Segmenter::new(self.config.segment.clone())
-            .map_err(|error| CliError::Usage(error.to_string()))?
-            .with_heights_in_headers();
-        Ok(TimedSegmenter::new(segmenter, self.args.clock()))
-    }
-
-    /// Plays the capture once.
-    fn play(
-        &mut self,
-        capture: &mut Capture,
-        jobs: &mut Jobs<'_, Sweep>,
-    ) -> Result<Result<(), CaptureError>, CliError> {
-        self.others_before = self.sensors.others();
-        for track in &mut self.tracks {
-            track.begin_round(&self.config)?;
-        }
-        let mut pacer = Pacer::new(self.speed());
-        let begun = Instant::now();
-        let mut is_over = false;
-        let mut before_ns = i64::MAX;
-        let read = loop {
-            let placed = match capture.next_placed() {
-                Ok(Some(placed)) => placed,
-                Ok(None) => break Ok(()),
-                Err(error) => break Err(error),
-            };
-            let arrival_ns = placed.datagram.arrival_ns;
-            let when = self.args.play.when(placed.since_start_ns);
-            // A single late time may be corrupt: only the second one ends the replay.
-            let was_over = std::mem::replace(&mut is_over, when == When::After);
-            match when {
-                When::Before => {}
-                When::Within => {
-                    self.wait(pacer.wait(arrival_ns, begun.elapsed().as_nanos() as u64));
-                }
-                When::After if was_over => break Ok(()),
-                When::After => continue,
-            }
-            // For the same reason the earlier of two neighbours counts.
-            let now_ns = arrival_ns.min(before_ns);
-            before_ns = arrival_ns;
-            for track in &mut self.tracks {
-                track.tick(now_ns, jobs)?;
-            }
-            self.datagram(&placed, when, jobs)?;
-        };
-        for track in &mut self.tracks {
-            track.end(jobs)?;
-        }
-        Ok(read)
-    }
-
-    /// Waits until the next datagram is due, and meanwhile segments, as the daemon does.
-    fn wait(&mut self, wait: Duration) {
-        if wait.is_zero() {
-            return;
-        }
-        let until = Instant::now() + wait;
-        self.tracks.iter_mut().for_each(Track::segment_early);
-        thread::sleep(until.saturating_duration_since(Instant::now()));
-    }
-
-    /// Sends a datagram on, and gives its packet to its sensors.
-    fn datagram(
-        &mut self,
-        placed: &Placed<'_>,
-        when: When,
-        jobs: &mut Jobs<'_, Sweep>,
-    ) -> Result<(), CliError> {
-        let admitted = self.sensors.admit(&placed.datagram);
-        if when == When::Within
-            && let Some(sender) = &mut self.sender
-        {
-            sender.forward(&placed.datagram, &admitted)?;
-        }
-        match admitted {
-            Ok((Route::Data(index), packet)) => {
-                let track = self.track(index)?;
-                if when == When::Before {
-                    track.pipeline.pass_over();
-                } else {
-                    self.tracks[index].push(&packet, placed.record, jobs)?;
-                }
-            }
-            // Also before --start: they have the time.
-            Ok((Route::Position(sensors), packet)) => {
-                for index in sensors {
-                    self.tracks[index].push(&packet, placed.record, jobs)?;
-                }
-            }
-            Err(refused) => {
-                if let Some(index) = refused.sensor {
-                    let pipeline = &mut self.tracks[index].pipeline;
-                    match when {
-                        When::Before => pipeline.pass_over(),
-                        _ => pipeline.refuse(),
-                    }
-                }
-            }
-        }
-        Ok(())
-    }
-
-    /// The track of a sensor, a new one for a new sensor.
-    fn track(&mut self, index: usize) -> Result<&mut Track<'a>, CliError> {
-        if index == self.tracks.len() {
-            let name = &self.sensors.senders()[index].name;
-            let mut track = Track::new(self.args, &self.progress, index, name, &self.config)?;
-            if let Some(position) = self.sensors.position(index) {
-                // A position packet is never a fault.
-                let _ = track.pipeline.push(position);
-            }
-            self.tracks.push(track);
-        }
-        Ok(&mut self.tracks[index])
     }
 }

@@ -2,11 +2,10 @@
 
 use std::io::{self, Write};
 use std::path::{Path, PathBuf};
-use std::thread;
 
 use super::read_file;
 use crate::cli::CliError;
-use crate::cli::jobs::{JobOptions, Jobs};
+use crate::cli::jobs::{self, JobOptions};
 use crate::cli::options::{SegmentOptions, model};
 use crate::cli::output::ForceOptions;
 use crate::export::{Existing, WriteError};
@@ -78,19 +77,19 @@ pub fn run(args: &Args) -> Result<(), CliError> {
         path: args.out.clone(),
         cause,
     })?;
-    thread::scope(|scope| {
-        let works = segmenters
-            .iter_mut()
-            .map(|segmenter| |cloud: CloudFile<'_>| cloud.segment(segmenter))
-            .collect();
-        let mut jobs = Jobs::start(scope, works, |labels: Result<Labels, CliError>| {
-            labels?.write(existing)
-        })?;
-        for ((path, format), file) in args.clouds.iter().zip(formats).zip(files) {
-            jobs.push(CloudFile { path, format, file })?;
-        }
-        jobs.finish()
-    })
+    let works = segmenters
+        .iter_mut()
+        .map(|segmenter| |cloud: CloudFile<'_>| cloud.segment(segmenter))
+        .collect();
+    let mut clouds = args.clouds.iter().zip(formats).zip(files);
+    jobs::run(
+        |_| {
+            let next = clouds.next();
+            Ok(next.map(|((path, format), file)| CloudFile { path, format, file }))
+        },
+        works,
+        |labels: Result<Labels, CliError>| labels?.write(existing),
+    )
 }
 
 /// A segmenter for each job.

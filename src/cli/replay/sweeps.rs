@@ -1,13 +1,16 @@
-//! From a whole sweep to the outputs: a job finishes it, and it is written when its turn comes.
+//! From a whole sweep to the outputs: its job finishes it, and writes it when its turn comes.
+
+use std::sync::Arc;
+use std::sync::atomic::{AtomicUsize, Ordering};
 
 use super::args::Args;
 use super::summary::Sums;
 use crate::cli::CliError;
 use crate::cli::output::{EncodedFiles, Encoder, Outputs, SweepId};
 use crate::cli::publish::publish;
-use sweepd_client::publish::Slot;
+use sweepd_client::publish::{Loans, Slot};
 use sweepd_core::pipeline::TimedSegmenter;
-use sweepd_core::sweep::{SweepMut, SweepRef};
+use sweepd_core::sweep::{Buffers, SweepMut, SweepRef};
 
 /// A sweep that is whole.
 pub(super) struct Sweep {
@@ -23,6 +26,29 @@ pub(super) struct Sweep {
 pub(super) struct FinishedSweep {
     sweep: Sweep,
     files: Option<EncodedFiles>,
+}
+
+/// Memory for the sweeps of a sensor, of each job its own: what a job has written before is in the
+/// cache of its core.
+pub(super) struct JobBuffers {
+    /// By number of the job.
+    pub(super) buffers: Vec<Loans>,
+    /// The job that takes a sweep.
+    pub(super) job: Arc<AtomicUsize>,
+}
+
+impl JobBuffers {
+    pub(super) fn has_one_job(&self) -> bool {
+        self.buffers.len() == 1
+    }
+}
+
+impl Buffers for JobBuffers {
+    type Buffer = Slot;
+
+    fn take(&mut self, bytes: usize) -> Slot {
+        self.buffers[self.job.load(Ordering::Relaxed)].take(bytes)
+    }
 }
 
 /// One job: the part of the work on a sweep that the sweeps before it have no say in.

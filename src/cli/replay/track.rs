@@ -4,13 +4,11 @@ use indicatif::ProgressBar;
 
 use super::args::Args;
 use super::summary::{SensorReport, Sums};
-use super::sweeps::Sweep;
-use crate::cli::jobs::Jobs;
+use super::sweeps::{JobBuffers, Sweep};
 use crate::cli::output::SweepId;
 use crate::cli::{CliError, complain};
 use crate::text::count_of;
 use sweepd_client::host::realtime_ns;
-use sweepd_client::publish::Loans;
 use sweepd_core::pipeline::{Config, Counts, Fault, Notice, Pipeline};
 use sweepd_core::sensor::compare::Difference;
 use sweepd_core::sensor::detect::Detection;
@@ -26,8 +24,10 @@ pub(super) struct Track<'a> {
     index: usize,
     name: String,
     pub(super) pipeline: Pipeline,
+    /// Whether the pipeline labels its sweeps.
+    has_labels: bool,
     /// Kept from round to round.
-    memory: Memory<Loans>,
+    memory: Memory<JobBuffers>,
     /// When this round began.
     run_ns: i64,
     /// Of the last packet; the pipeline forgets it when another sensor takes the place of this one.
@@ -46,8 +46,8 @@ impl<'a> Track<'a> {
         index: usize,
         name: &str,
         config: &Config,
+        buffers: JobBuffers,
     ) -> Result<Self, CliError> {
-        let memory = Memory::new(args.publish.loans(index, name)?);
         let pipeline = pipeline(args, name, config)?;
         if let Some(note) = args.publish.note(index, name) {
             progress.suspend(|| complain("note", note));
@@ -58,7 +58,8 @@ impl<'a> Track<'a> {
             index,
             name: name.to_owned(),
             pipeline,
-            memory,
+            has_labels: buffers.has_one_job(),
+            memory: Memory::new(buffers),
             run_ns: realtime_ns(),
             detection: None,
             emitted: 0,
@@ -76,12 +77,7 @@ impl<'a> Track<'a> {
     }
 
     /// Takes a packet from a record of the capture.
-    pub(super) fn push(
-        &mut self,
-        packet: &Packet<'_>,
-        record: u64,
-        jobs: &mut Jobs<'_, Sweep>,
-    ) -> Result<(), CliError> {
+    pub(super) fn push(&mut self, packet: &Packet<'_>, record: u64) {
         if let Err(fault) = self.pipeline.push(packet) {
             self.show_fault(&fault, &format!(", record {record}"));
         }
@@ -91,16 +87,6 @@ impl<'a> Track<'a> {
             self.progress
                 .suspend(|| complain(level, format_args!("{}: {text}", self.name)));
         }
-        self.pass_on(jobs)
-    }
-
-    /// Takes the time of the capture: a sensor that fell silent has its sweep closed, as it would be
-    /// live.
-    pub(super) fn tick(&mut self, now_ns: i64, jobs: &mut Jobs<'_, Sweep>) -> Result<(), CliError> {
-        if self.pipeline.tick(now_ns) {
-            self.pass_on(jobs)?;
-        }
-        Ok(())
     }
 
     /// Segments what is there of the open sweep.
@@ -109,11 +95,10 @@ impl<'a> Track<'a> {
     }
 
     /// Closes the last sweep.
-    pub(super) fn end(&mut self, jobs: &mut Jobs<'_, Sweep>) -> Result<(), CliError> {
+    pub(super) fn end(&mut self) {
         if let Err(fault) = self.pipeline.end() {
             self.show_fault(&fault, "");
         }
-        self.pass_on(jobs)
     }
 
     /// Of all rounds.
@@ -135,11 +120,11 @@ impl<'a> Track<'a> {
         }
     }
 
-    /// Gives the sweeps that are whole to the jobs.
-    fn pass_on(&mut self, jobs: &mut Jobs<'_, Sweep>) -> Result<(), CliError> {
-        while let Some(buffer) = match jobs.are_side_by_side() {
-            false => self.pipeline.poll(&mut self.memory),
-            true => self.pipeline.poll_unlabelled(&mut self.memory),
+    /// The next sweep that is whole.
+    pub(super) fn next_sweep(&mut self) -> Option<Sweep> {
+        while let Some(buffer) = match self.has_labels {
+            true => self.pipeline.poll(&mut self.memory),
+            false => self.pipeline.poll_unlabelled(&mut self.memory),
         } {
             let Ok(sweep) = SweepRef::open(buffer.as_ref()) else {
                 continue;
@@ -154,14 +139,14 @@ impl<'a> Track<'a> {
                 seq: self.emitted,
             };
             self.emitted += u64::from(is_emitted);
-            jobs.push(Sweep {
+            return Some(Sweep {
                 id,
                 is_emitted,
                 run_ns: self.run_ns,
                 buffer,
-            })?;
+            });
         }
-        Ok(())
+        None
     }
 
     /// Shows a fault at once, since a replay may take long; the same one only once, since it may
