@@ -67,17 +67,16 @@ impl Sum {
     pub fn of_run<S: Simd>(
         simd: S,
         points: &RowPoints,
-        row: u16,
+        row: usize,
         column: usize,
         count: usize,
-        first: u32,
+        first: usize,
     ) -> Self {
-        let begin = points.at(simd, column);
-        let mut least = begin;
-        let mut most = begin;
-        let mut total = begin;
-        for column in column + 1..column + count {
-            let point = points.at(simd, column);
+        let mut least = f32x4::splat(simd, f32::INFINITY);
+        let mut most = f32x4::splat(simd, f32::NEG_INFINITY);
+        let mut total = f32x4::splat(simd, 0.0);
+        for point in points.run(column, count).chunks_exact(4) {
+            let point = f32x4::from_slice(simd, point);
             least = least.min(point);
             most = most.max(point);
             total += point;
@@ -85,8 +84,8 @@ impl Sum {
         let [x, y, z, _]: [f32; 4] = total.to_array();
         Self {
             points: count as u32,
-            first,
-            rows: [row; 2],
+            first: first as u32,
+            rows: [row as u16; 2],
             least_m: least.to_array(),
             most_m: most.to_array(),
             sum_m: [x, y, z].map(f64::from),

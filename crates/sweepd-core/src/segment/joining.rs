@@ -36,10 +36,10 @@ impl Default for Joining {
 
 impl Joining {
     /// Distance that two points of an image of this many rows may be apart, metres: the configured
-    /// one, else 0.58 where beams are dense, and 0.785 where they are sparse.
+    /// one, else 0.59 where beams are dense, and 0.785 where they are sparse.
     pub fn gap_m(&self, rows: usize) -> f32 {
         self.gap_m
-            .unwrap_or(if rows >= DENSE_ROWS { 0.58 } else { 0.785 })
+            .unwrap_or(if rows >= DENSE_ROWS { 0.59 } else { 0.785 })
     }
 }
 

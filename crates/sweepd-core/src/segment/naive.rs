@@ -162,11 +162,11 @@ impl Nearness<'_> {
         self.near(pixel, 0, -1, self.limits.gap).is_some()
     }
 
-    /// Whether the pixel above is joined to one, and has a run that goes on to the left of it (0)
-    /// or to the right (1).
-    fn goes_on_above(&self, pixel: usize, right: i64) -> bool {
-        let above = self.near(pixel, -1, 0, self.limits.gap);
-        let next = above.and_then(|above| self.image.beside(above, 0, right));
+    /// Whether the pixel above (-1) or below (1) is joined to one, and has a run that goes on to
+    /// the left of it (0) or to the right (1).
+    fn goes_on_beside(&self, pixel: usize, down: i64, right: i64) -> bool {
+        let beside = self.near(pixel, down, 0, self.limits.gap);
+        let next = beside.and_then(|beside| self.image.beside(beside, 0, right));
         next.is_some_and(|next| self.goes_on(next))
     }
 
@@ -178,7 +178,8 @@ impl Nearness<'_> {
         for (right, columns) in sides {
             let next = self.image.beside(pixel, 0, right);
             let goes_on = next.is_some_and(|next| self.goes_on(next));
-            if !goes_on && !self.goes_on_above(pixel, right) {
+            let beside = [-1, 1].map(|down| self.goes_on_beside(pixel, down, right));
+            if !goes_on && beside == [false; 2] {
                 for down in -self.rows..=self.rows {
                     window.extend(columns.clone().map(|on| (down, on)));
                 }

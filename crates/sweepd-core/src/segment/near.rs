@@ -12,10 +12,10 @@
 //! at an angle t:
 //!
 //! ```text
-//! d cos t + w sin t < gap        that is        d < gap / cos t - w tan t        t = 0°, 36°, 68°
+//! d cos t + w sin t < gap        that is        d < gap / cos t - w tan t        t = 0°, 36°, 70°
 //! ```
 //!
-//! Its corners lie 5 % and 4 % outside the circle, and where ranges are equal it is 8 % wider. Two
+//! Its corners lie 5 % outside the circle, and where ranges are equal it is 6 % wider. Two
 //! returns of different rows must also lie on a line that meets the beams at more than theta (beta
 //! of the paper, equation 1, for the small angles between beams), which is one more line:
 //!
@@ -40,18 +40,18 @@ const SIDES: [Side; 2] = [
         tan: 0.726_543,
     },
     Side {
-        cos: 0.374_607,
-        tan: 2.475_087,
+        cos: 0.342_020,
+        tan: 2.747_477,
     },
 ];
 
 struct Side {
-    cos: f64,
-    tan: f64,
+    cos: f32,
+    tan: f32,
 }
 
 /// What 1 is in tangents.
-const ONE: f64 = 65536.0;
+const ONE: f32 = 65536.0;
 
 /// What two near returns are apart at most.
 #[derive(Clone, Copy, Debug, Default)]
@@ -62,7 +62,7 @@ pub(super) struct Polygon {
 
 impl Polygon {
     pub fn new(gap_m: f32) -> Self {
-        let gap = f64::from(gap_m * STEPS);
+        let gap = gap_m * STEPS;
         let [second, third] = SIDES.map(|side| (gap / side.cos).round() as i16);
         Self {
             sides: [gap.round() as i16, second, third],
@@ -142,7 +142,7 @@ impl Tangents {
     /// Square of the distance of two pixels with these ranges, m².
     pub fn apart2(&self, a_m: f32, b_m: f32, columns: usize) -> f32 {
         let [_, third, _] = &self.0;
-        let chord = f32::from(third[LANES - 1 + columns]) * (1.0 / (ONE * SIDES[1].tan)) as f32;
+        let chord = f32::from(third[LANES - 1 + columns]) * (1.0 / (ONE * SIDES[1].tan));
         (a_m - b_m) * (a_m - b_m) + a_m * b_m * chord * chord
     }
 }
@@ -156,6 +156,8 @@ pub(super) struct Limits {
     pub reach: Polygon,
     /// Rows above and below that a window has.
     pub window_rows: usize,
+    /// Sine and cosine of the elevation, row by row.
+    directions: Vec<[f32; 2]>,
     /// Row after row: with as many rows above it as a window has, and so on down to as many below.
     pairs: Vec<Tangents>,
 }
@@ -164,42 +166,43 @@ impl Limits {
     /// Takes the beams of an image whose columns are one pitch apart, and the window. Beams are
     /// taken to start at one place: one that starts some centimetres aside is off by no more than
     /// that.
+    #[inline(always)]
     pub fn set(&mut self, beams: &[BeamRow], pitch_rad: f32, config: &Config) {
-        let across: [f64; LANES] = std::array::from_fn(|columns| {
-            let half_rad = f64::from(pitch_rad) * columns as f64 / 2.0;
+        let across: [f32; LANES] = std::array::from_fn(|columns| {
+            let half_rad = pitch_rad * columns as f32 / 2.0;
             4.0 * half_rad.sin() * half_rad.sin()
         });
-        let cot_theta = 1.0 / f64::from(config.theta_rad).tan();
         let gap_m = config.joining.gap_m(beams.len());
         self.gap = Polygon::new(gap_m);
         self.reach = Polygon::new(gap_m + config.joining.small_reach_m);
         self.window_rows = config.joining.rows;
-        self.pairs.clear();
-        for (row, beam) in beams.iter().enumerate() {
+        self.directions.clear();
+        self.directions.extend(beams.iter().map(|beam| {
             let (sin, cos) = f64::from(beam.elevation_rad).sin_cos();
+            [sin as f32, cos as f32]
+        }));
+        let cot_theta = 1.0 / config.theta_rad.tan();
+        self.pairs.clear();
+        for row in 0..beams.len() {
+            let [sin, cos] = self.directions[row];
             for down in 0..=2 * self.window_rows {
                 let other = (row + down).saturating_sub(self.window_rows);
-                let other_rad = f64::from(beams[other.min(beams.len() - 1)].elevation_rad);
-                let (other_sin, other_cos) = other_rad.sin_cos();
+                let [other_sin, other_cos] = self.directions[other.min(beams.len() - 1)];
                 let rise = sin - other_sin;
                 let run = cos - other_cos;
-                let mut tangents = Tangents([[0; 2 * LANES]; 3]);
-                // Beyond the window, nothing is steeper than a theta of 0.
-                for columns in 0..=config.joining.columns {
-                    let chord2 = rise * rise + run * run + cos * other_cos * across[columns];
-                    let chord = ONE * chord2.sqrt();
-                    let theta = if down == self.window_rows {
-                        ONE
-                    } else {
-                        chord * cot_theta
-                    };
-                    let of_columns = [chord * SIDES[0].tan, chord * SIDES[1].tan, theta];
-                    for (tangents, tangent) in tangents.0.iter_mut().zip(of_columns) {
-                        tangents[LANES - 1 - columns] = (tangent + 0.5) as u16;
-                        tangents[LANES - 1 + columns] = (tangent + 0.5) as u16;
-                    }
+                let chords = across
+                    .map(|across| (rise * rise + run * run + cos * other_cos * across).sqrt());
+                let mut theta = [1.0; LANES];
+                if down != self.window_rows {
+                    theta = chords.map(|chord| chord * cot_theta);
                 }
-                self.pairs.push(tangents);
+                // Beyond the window, nothing is steeper than a theta of 0.
+                theta[config.joining.columns + 1..].fill(0.0);
+                self.pairs.push(Tangents([
+                    mirrored(chords.map(|chord| chord * SIDES[0].tan)),
+                    mirrored(chords.map(|chord| chord * SIDES[1].tan)),
+                    mirrored(theta),
+                ]));
             }
         }
     }
@@ -216,6 +219,18 @@ impl Limits {
     pub fn of(&self, a: usize, b: usize) -> &Tangents {
         &self.window(a)[b + self.window_rows - a]
     }
+}
+
+/// Numbers by columns apart, to the left and to the right, in 65536ths.
+#[inline(always)]
+fn mirrored(right: [f32; LANES]) -> [u16; 2 * LANES] {
+    let right = right.map(|number| (number * ONE + 0.5).min(ONE - 1.0) as i32 as u16);
+    let mut both = [0; 2 * LANES];
+    for columns in 0..LANES {
+        both[LANES - 1 - columns] = right[columns];
+        both[LANES - 1 + columns] = right[columns];
+    }
+    both
 }
 
 /// The upper 16 bits of the products of ranges and tangents.
@@ -329,7 +344,7 @@ mod tests {
             let wider = (f64::from(there_m) / f64::from(here_m)).sqrt();
             assert!(is_near || apart_m * wider > gap_m - 0.03, "{what}: near");
             assert!(
-                !is_near || apart_m < 1.079 * gap_m + 0.03,
+                !is_near || apart_m < 1.065 * gap_m + 0.03,
                 "{what}: not near"
             );
             let measured_m = limits.of(0, 0).apart2(here_m, there_m, columns).sqrt();

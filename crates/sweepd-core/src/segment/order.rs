@@ -91,13 +91,34 @@ impl Order {
         (column < columns).then_some(column)
     }
 
-    /// The least column of some that count, of positions one after another.
-    #[inline(always)]
-    pub fn least_column(self, position: usize, count: usize) -> usize {
+    /// The columns of a strip that begins at a position.
+    pub fn strip(self, position: usize) -> StripColumns {
         let first = self.column(position).unwrap_or(0);
-        let last = self.column(position + count - 1).unwrap_or(0);
+        let seam = self.columns.map_or(usize::MAX, |columns| columns - first);
+        StripColumns { first, seam }
+    }
+}
+
+/// The columns of the image that a strip takes.
+#[derive(Clone, Copy)]
+pub(super) struct StripColumns {
+    first: usize,
+    /// Where in the strip they begin again, if that is within it.
+    seam: usize,
+}
+
+impl StripColumns {
+    /// The least of some that count, at least one.
+    #[inline(always)]
+    pub fn least(self, first: usize, count: usize) -> usize {
+        if first >= self.seam {
+            return first - self.seam;
+        }
         // Where the columns begin again among them, the first of all is one of them.
-        if last < first { 0 } else { first }
+        if first + count > self.seam {
+            return 0;
+        }
+        self.first + first
     }
 }
 
@@ -218,7 +239,7 @@ mod tests {
             (74, 90, 2)
         );
         assert_eq!(
-            [(64, 4), (66, 5)].map(|(at, count)| order.least_column(at, count)),
+            [(0, 4), (2, 5)].map(|(first, count)| order.strip(64).least(first, count)),
             [6, 0]
         );
         let open = Order {

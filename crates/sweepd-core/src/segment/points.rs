@@ -338,10 +338,10 @@ impl RowPoints {
         }
     }
 
-    /// The point of a column, and its range.
+    /// The points of some columns: four numbers each.
     #[inline(always)]
-    pub fn at<S: Simd>(&self, simd: S, column: usize) -> f32x4<S> {
-        f32x4::from_slice(simd, &self.0[4 * column..4 * column + 4])
+    pub fn run(&self, first: usize, count: usize) -> &[f32] {
+        &self.0[4 * first..4 * (first + count)]
     }
 }
 

@@ -126,7 +126,13 @@ impl Runs {
     /// Goes on to the next strip, with the columns in it that are no neighbours of those before.
     /// What is kept of the strip before learns its components as they are by now.
     #[inline(always)]
-    pub fn advance<S: Simd>(&mut self, simd: S, jumps: u64, components: &mut Components) {
+    pub fn advance<S: Simd>(
+        &mut self,
+        simd: S,
+        window_rows: usize,
+        jumps: u64,
+        components: &mut Components,
+    ) {
         self.names.clear();
         self.is_full = components.pieces() + self.edges.len() * STRIP > usize::from(u16::MAX);
         for index in self.from..self.all.len() {
@@ -148,7 +154,7 @@ impl Runs {
             self.label.copy_within(last, lane - BEFORE);
             edges.on >>= STRIP;
             edges.along >>= STRIP;
-            for up in &mut edges.up {
+            for up in &mut edges.up[..window_rows] {
                 *up >>= STRIP;
             }
         }
@@ -322,37 +328,29 @@ impl Runs {
     ) {
         let order = beams.order;
         let counted = Order::columns_before(position, order.end()).count_ones() as usize;
+        let columns = order.strip(position);
         let rows = self.edges.len();
-        let mut placed_row = None;
-        for index in self.from..self.all.len() {
-            let run = self.all[index];
-            let row = usize::from(run.row);
-            let first = usize::from(run.first);
-            let root = components.root(run.piece);
-            self.all[index].piece = root;
-            let label = self.name(root);
-            self.label.spread(
-                lane_of(row) + first,
-                usize::from(run.count),
-                u16x16::splat(simd, label),
-            );
-            if placed_row != Some(row) {
-                placed_row = Some(row);
-                let on = at_hand(self.edges[row].on);
-                self.points.place(simd, beams, ranges, row, position, on);
+        for row in 0..rows {
+            let (heads, from) = self.heads[row];
+            if heads == 0 {
+                continue;
             }
-            let count = usize::from(run.count).min(counted.saturating_sub(first));
-            if count > 0 {
-                let pixel = order.least_column(position + first, count) * rows + row;
-                let sum = Sum::of_run(
-                    simd,
-                    &self.points,
-                    run.row.into(),
-                    first,
-                    count,
-                    pixel as u32,
-                );
-                components.measure(simd, root, &sum);
+            let on = at_hand(self.edges[row].on);
+            self.points.place(simd, beams, ranges, row, position, on);
+            for index in from..from + heads.count_ones() as usize {
+                let run = self.all[index];
+                let first = usize::from(run.first);
+                let root = components.root(run.piece);
+                self.all[index].piece = root;
+                let label = u16x16::splat(simd, self.name(root));
+                let count = usize::from(run.count);
+                self.label.spread(lane_of(row) + first, count, label);
+                let count = count.min(counted.saturating_sub(first));
+                if count > 0 {
+                    let pixel = columns.least(first, count) * rows + row;
+                    let sum = Sum::of_run(simd, &self.points, row, first, count, pixel);
+                    components.measure(simd, root, &sum);
+                }
             }
         }
     }

@@ -96,7 +96,7 @@ impl Strips {
         self.first.resize(rows, [0; BEFORE]);
         self.beams.reserve(columns);
         self.runs.begin(rows, pixels);
-        self.windows.begin(rows, config.joining.rows);
+        self.windows.begin(rows);
         self.components.reserve(pixels);
         self.labels.begin(rows, columns, sweep.segments.len());
         let sweep = sweep.as_ref();
@@ -167,9 +167,10 @@ impl Strips {
 
     /// Joins the runs of that strip with each other and with those before.
     pub fn join(&mut self, config: &Config) {
+        let window_rows = config.joining.rows;
         let jumps = self.jumps[0];
         let components = &mut self.components;
-        dispatch!(self.level, simd => self.runs.advance(simd, jumps, components));
+        dispatch!(self.level, simd => self.runs.advance(simd, window_rows, jumps, components));
         dispatch!(self.level, simd => self.vote(simd, config));
         dispatch!(self.level, simd => self.join_neighbours(simd, config));
         dispatch!(self.level, simd => self.measure(simd));

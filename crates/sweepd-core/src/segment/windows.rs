@@ -3,13 +3,13 @@
 //!
 //! The window of a pixel holds the columns to the left of it in its own row and some above and
 //! below, or those to the right. Nothing is lost when only the pixels are asked where a run begins
-//! (to the left) or ends (to the right), and not those where the pixel above is joined to it and has
-//! a run that goes on to that side. What lies to the right has to be there, so ends are asked twelve
-//! columns late.
+//! (to the left) or ends (to the right), and not those where the pixel above or below is joined to
+//! it and has a run that goes on to that side. What lies to the right has to be there, so ends are
+//! asked twelve columns late.
 //!
-//! The windows of a row are scanned first, without a branch that depends on what they hold; then
-//! those that hold something are looked at. When all rows are joined, the windows of small
-//! components are scanned again for what these may become part of.
+//! The windows of a row to one side are scanned first, without a branch that depends on what they
+//! hold; then those that hold something are looked at. When all rows are joined, the windows of
+//! small components are scanned again for what these may become part of.
 
 use fearless_simd::{Simd, i16x16, prelude::*, u16x16};
 
@@ -28,16 +28,8 @@ enum Side {
 
 const SIDES: [Side; 2] = [Side::Left, Side::Right];
 
-/// Pixels of a row whose windows to a side are scanned: a bit each.
-#[derive(Clone, Copy, Debug)]
-struct Ends {
-    row: usize,
-    side: Side,
-    pixels: u64,
-}
-
 impl Side {
-    /// Columns that the first pixel lies before the strip at hand.
+    /// Columns before the strip at hand from which on windows can be scanned.
     fn late(self) -> usize {
         match self {
             Self::Left => 0,
@@ -45,7 +37,15 @@ impl Side {
         }
     }
 
-    /// The columns of a word of a row whose windows can be scanned now.
+    /// Columns from the first of a window to its pixel.
+    fn back(self) -> usize {
+        match self {
+            Self::Left => LANES - 1,
+            Self::Right => 0,
+        }
+    }
+
+    /// The columns of a word of a row whose windows can be scanned.
     fn columns(self, word: u128) -> u64 {
         (word >> (STRIP - self.late())) as u64
     }
@@ -57,38 +57,82 @@ impl Side {
             Self::Right => edges.along >> 1,
         }
     }
+
+    /// Which lanes of a window no jump parts from the pixel in its middle.
+    fn open(self, pixel: usize, jumps: u128) -> u16 {
+        if jumps == 0 {
+            return u16::MAX;
+        }
+        let column = pixel % STRIDE + STRIP - BEFORE;
+        match self {
+            Self::Left => {
+                let jumps = (jumps >> (column + 1 - LANES)) as u16;
+                let last = jumps.checked_ilog2();
+                last.map_or(u16::MAX, |last| u16::MAX << last)
+            }
+            Self::Right => {
+                let jumps = (jumps >> column) as u16 & !1;
+                ((1_u32 << jumps.trailing_zeros()) - 1) as u16
+            }
+        }
+    }
 }
 
-/// Of a pixel, what a row of its window holds that is near.
+/// Pixels of a row whose windows to a side are scanned: a bit each.
+#[derive(Clone, Copy, Debug)]
+struct Ends {
+    row: usize,
+    side: Side,
+    pixels: u64,
+}
+
+/// A window that holds something.
 #[derive(Clone, Copy, Debug, Default)]
 struct Hit {
     /// Lane of the pixel.
-    pixel: u16,
-    /// Lane of the first of sixteen others.
-    others: u16,
-    /// Which of these are near, and have another label.
-    near: u16,
+    pixel: usize,
+    /// Row by row, from above: which of sixteen are near, and have another label.
+    near: [u16; 2 * MOST_ROWS + 1],
+}
+
+impl Hit {
+    /// Of each row that holds something: its place in the window, its first lane, and what is near.
+    fn rows(&self, side: Side, limits: &Limits) -> impl Iterator<Item = (usize, usize, u16)> {
+        let first = self.pixel - side.back() - limits.window_rows * STRIDE;
+        let mut holding = 0;
+        for (row, near) in self.near[..2 * limits.window_rows + 1].iter().enumerate() {
+            holding |= u64::from(*near != 0) << row;
+        }
+        Bits(holding).map(move |row| (row, first + row * STRIDE, self.near[row]))
+    }
 }
 
 /// The windows of the strip at hand.
-#[derive(Clone, Debug, Default)]
+#[derive(Clone, Debug)]
 pub(super) struct Windows {
     /// Columns whose windows are scanned, by the side: a bit each.
     columns: [u64; 2],
     /// Where runs of small components begin and end, row by row, like the words of a row.
     small: Vec<[u128; 2]>,
-    hits: Vec<Hit>,
+    /// Those of a row, and room for one that holds nothing.
+    hits: Box<[Hit; STRIP + 1]>,
+}
+
+impl Default for Windows {
+    fn default() -> Self {
+        Self {
+            columns: [0; 2],
+            small: Vec::new(),
+            hits: Box::new([Hit::default(); STRIP + 1]),
+        }
+    }
 }
 
 impl Windows {
-    /// Takes room for this many rows, and windows of this many above and below; forgets all.
-    pub fn begin(&mut self, rows: usize, window_rows: usize) {
+    /// Takes room for this many rows, and forgets all.
+    pub fn begin(&mut self, rows: usize) {
         self.small.clear();
         self.small.resize(rows, [0; 2]);
-        let most = STRIP * (2 * window_rows + 1) + 1;
-        if self.hits.len() < most {
-            self.hits.resize(most, Hit::default());
-        }
     }
 
     /// Goes on to the strip at a position.
@@ -100,7 +144,8 @@ impl Windows {
         self.columns = [starts, ends];
     }
 
-    /// Joins the runs of the strip to what their windows hold.
+    /// Joins the runs of the strip to what their windows hold. What a window shows learns of it, so
+    /// that the next windows pass it over.
     #[inline(always)]
     pub fn join<S: Simd>(
         &mut self,
@@ -113,11 +158,17 @@ impl Windows {
         let is_dust = runs.edges.iter().all(|edges| edges.along == 0);
         let sides = if is_dust { &SIDES[..1] } else { &SIDES };
         for row in 0..runs.edges.len() {
+            if runs.edges[row].on == 0 {
+                continue;
+            }
             for &side in sides {
                 let ends = self.ends(runs, row, side);
                 let count = self.scan(simd, limits.gap, limits.window(row), runs, ends);
                 for hit in &self.hits[..count] {
-                    unite(simd, *hit, side, runs, components);
+                    let open = side.open(hit.pixel, runs.jumps);
+                    for (_, lane, near) in hit.rows(side, limits) {
+                        unite(simd, hit.pixel, lane, near & open, runs, components);
+                    }
                 }
             }
         }
@@ -134,8 +185,8 @@ impl Windows {
             let root = components.root(run.piece);
             if components.points(root) < small_points {
                 let [starts, ends] = &mut self.small[usize::from(run.row)];
-                *starts |= 1 << (STRIP + usize::from(run.first));
-                *ends |= 1 << (STRIP + run.end() - 1);
+                *starts |= u128::from(1_u64 << run.first) << STRIP;
+                *ends |= u128::from(1_u64 << (run.end() - 1)) << STRIP;
             }
         }
     }
@@ -151,16 +202,29 @@ impl Windows {
         components: &mut Components,
     ) {
         for row in 0..runs.edges.len() {
+            if self.small[row] == [0; 2] {
+                continue;
+            }
             for side in SIDES {
-                let small = side.columns(self.small[row][side as usize]);
-                if small == 0 {
-                    continue;
-                }
                 let mut ends = self.ends(runs, row, side);
-                ends.pixels &= small;
-                let count = self.scan(simd, limits.reach, limits.window(row), runs, ends);
+                ends.pixels &= side.columns(self.small[row][side as usize]);
+                let window = limits.window(row);
+                let count = self.scan(simd, limits.reach, window, runs, ends);
                 for hit in &self.hits[..count] {
-                    note(simd, *hit, side, limits, ranges, runs, components);
+                    let open = side.open(hit.pixel, runs.jumps);
+                    let small = components.root(runs.piece(hit.pixel));
+                    let here_m = ranges.metres[hit.pixel];
+                    for (row, lane, near) in hit.rows(side, limits) {
+                        for ahead in Bits(u64::from(near & open)) {
+                            let large = components.root(runs.piece(lane + ahead));
+                            if large != small {
+                                let columns = side.back().abs_diff(ahead);
+                                let there_m = ranges.metres[lane + ahead];
+                                let apart2 = window[row].apart2(here_m, there_m, columns);
+                                components.note_near(small, large, apart2);
+                            }
+                        }
+                    }
                 }
             }
         }
@@ -174,6 +238,9 @@ impl Windows {
         if row > 0 {
             ends &= !(here.up[0] & side.goes_on(&runs.edges[row - 1]));
         }
+        if let Some(below) = runs.edges.get(row + 1) {
+            ends &= !(below.up[0] & side.goes_on(below));
+        }
         Ends {
             row,
             side,
@@ -181,81 +248,70 @@ impl Windows {
         }
     }
 
-    /// Scans windows; how many hits there are.
+    /// Scans windows; how many hold something.
     #[inline(always)]
     fn scan<S: Simd>(
         &mut self,
         simd: S,
         polygon: Polygon,
-        tangents: &[Tangents],
+        window: &[Tangents],
+        runs: &Runs,
+        ends: Ends,
+    ) -> usize {
+        // As high as by default, it is a loop of a known length.
+        match <&[Tangents; 5]>::try_from(window) {
+            Ok(window) => self.scan_rows(simd, polygon, window, runs, ends),
+            Err(_) => self.scan_rows(simd, polygon, window, runs, ends),
+        }
+    }
+
+    #[inline(always)]
+    fn scan_rows<S: Simd>(
+        &mut self,
+        simd: S,
+        polygon: Polygon,
+        window: &[Tangents],
         runs: &Runs,
         ends: Ends,
     ) -> usize {
         let is_left = ends.side == Side::Left;
-        let back = tangents.len() / 2 * STRIDE + if is_left { LANES - 1 } else { 0 };
+        let back = window.len() / 2 * STRIDE + ends.side.back();
         let mut count = 0;
         for column in Bits(ends.pixels) {
             let pixel = lane_of(ends.row) - ends.side.late() + column;
             let here = i16x16::splat(simd, runs.range[pixel]);
             let mine = u16x16::splat(simd, runs.label[pixel]);
-            let mut others = pixel - back;
-            for tangents in tangents {
-                let there = runs.range.load(simd, others);
+            let hit = &mut self.hits[count];
+            hit.pixel = pixel;
+            let mut lane = pixel - back;
+            let mut holds = 0;
+            for (tangents, hit) in window.iter().zip(&mut hit.near) {
+                let there = runs.range.load(simd, lane);
                 let near = polygon.near(here, there, tangents.window(simd, is_left));
-                let is_other = !runs.label.load::<S, u16x16<S>>(simd, others).simd_eq(mine);
-                let near = (near & is_other).to_bitmask() as u16;
-                self.hits[count] = Hit {
-                    pixel: pixel as u16,
-                    others: others as u16,
-                    near,
-                };
-                count += usize::from(near != 0);
-                others += STRIDE;
+                let is_other = !runs.label.load::<S, u16x16<S>>(simd, lane).simd_eq(mine);
+                *hit = (near & is_other).to_bitmask() as u16;
+                holds |= *hit;
+                lane += STRIDE;
             }
+            count += usize::from(holds != 0);
         }
         count
     }
 }
 
-/// What of a hit is near and no jump away.
+/// Unites a pixel with those of sixteen others that are near.
 #[inline(always)]
-fn near(hit: Hit, side: Side, jumps: u128) -> u16 {
-    if jumps == 0 {
-        return hit.near;
-    }
-    let column = column_of(hit.pixel);
-    match side {
-        Side::Left => {
-            let jumps = (jumps >> (column + 1 - LANES)) as u16;
-            let last = jumps.checked_ilog2();
-            hit.near & last.map_or(u16::MAX, |last| u16::MAX << last)
-        }
-        Side::Right => {
-            let jumps = (jumps >> column) as u16 & !1;
-            hit.near & ((1_u32 << jumps.trailing_zeros()) - 1) as u16
-        }
-    }
-}
-
-/// The column of a lane, as the words of a row have it.
-fn column_of(lane: u16) -> usize {
-    usize::from(lane) % STRIDE + STRIP - BEFORE
-}
-
-/// The row of a lane.
-fn row_of(lane: u16) -> usize {
-    usize::from(lane) / STRIDE - MOST_ROWS
-}
-
-/// Makes one what a hit says is near. The others learn of it, so that they are passed over by the
-/// next windows that hold them.
-#[inline(always)]
-fn unite<S: Simd>(simd: S, hit: Hit, side: Side, runs: &mut Runs, components: &mut Components) {
-    let lane = usize::from(hit.others);
-    let pixel = usize::from(hit.pixel);
+fn unite<S: Simd>(
+    simd: S,
+    pixel: usize,
+    lane: usize,
+    mut near: u16,
+    runs: &mut Runs,
+    components: &mut Components,
+) {
     let mine = u16x16::splat(simd, runs.label[pixel]);
     let mut others: u16x16<S> = runs.label.load(simd, lane);
-    let mut near = near(hit, side, runs.jumps) & !(others.simd_eq(mine).to_bitmask() as u16);
+    near &= !(others.simd_eq(mine).to_bitmask() as u16);
     while near != 0 {
         let other = lane + near.trailing_zeros() as usize;
         components.unite(simd, runs.piece(pixel), runs.piece(other));
@@ -264,42 +320,4 @@ fn unite<S: Simd>(simd: S, hit: Hit, side: Side, runs: &mut Runs, components: &m
         others = these.select(mine, others);
     }
     runs.label.store(lane, others);
-}
-
-/// Notes how near the other components of a hit are.
-#[inline(always)]
-fn note<S: Simd>(
-    simd: S,
-    hit: Hit,
-    side: Side,
-    limits: &Limits,
-    ranges: &Ranges,
-    runs: &Runs,
-    components: &mut Components,
-) {
-    let pixel = usize::from(hit.pixel);
-    let lane = usize::from(hit.others);
-    let tangents = limits.of(row_of(hit.pixel), row_of(hit.others));
-    let small = components.root(runs.piece(pixel));
-    let others: u16x16<S> = runs.label.load(simd, lane);
-    let mut near = near(hit, side, runs.jumps);
-    while near != 0 {
-        let other = lane + near.trailing_zeros() as usize;
-        let these = near & others.simd_eq(runs.label[other]).to_bitmask() as u16;
-        near &= !these;
-        let large = components.root(runs.piece(other));
-        if large != small {
-            for ahead in Bits(these.into()) {
-                let columns = if side == Side::Left {
-                    LANES - 1 - ahead
-                } else {
-                    ahead
-                };
-                let here_m = ranges.metres[pixel];
-                let there_m = ranges.metres[lane + ahead];
-                let apart2 = tangents.apart2(here_m, there_m, columns);
-                components.note_near(small, large, apart2);
-            }
-        }
-    }
 }

@@ -61,7 +61,7 @@ impl Table {
                     if let Some(place) = run[0].checked_sub(LABEL_FIRST_SEGMENT) {
                         let (sum, extent) = &mut self.measured[place as usize];
                         let of_run =
-                            Sum::of_run(simd, &self.points, row as u16, at, run.len(), u32::MAX);
+                            Sum::of_run(simd, &self.points, row, at, run.len(), usize::MAX);
                         sum.add(simd, &of_run);
                         extent.add(position, u64::MAX >> (STRIP - run.len()) << at, order);
                     }
