@@ -3,8 +3,10 @@
 use std::sync::atomic::{AtomicBool, Ordering};
 use std::time::{Duration, Instant};
 
+use super::args::Args;
+use super::live::{TICK, announce, describe, live_line};
 use super::report::{InputReport, Report};
-use super::{Args, CliError, TICK, announce, describe, live_line};
+use crate::cli::CliError;
 use crate::daemon::record::client::{RemoteRecordError, RemoteRecording};
 use crate::daemon::record::protocol::{Ended, Reply, Request, VERSION};
 use crate::daemon::record::socket_path;
