@@ -2,9 +2,10 @@
 
 use std::path::{Path, PathBuf};
 
+use super::args::Args;
+use super::output::Output;
 use super::progress::Progress;
 use super::truth::TruthFile;
-use super::{Args, Output};
 use crate::cli::lab::read_file;
 use crate::cli::lab::segment::MAX_CLOUD_LEN;
 use crate::cli::{CliError, complain};
@@ -13,50 +14,6 @@ use sweepd_core::sensor::ros_yaml;
 use sweepd_lab::cloud::points;
 use sweepd_lab::simulate::cloud::{FromCloudError, MODEL, Options, Sender, Sending, Turn};
 use sweepd_lab::simulate::{Faults, config, deliver};
-
-/// Options of a simulation from a cloud.
-#[derive(Clone, Debug, clap::Args)]
-#[command(next_help_heading = "A real scan instead of a scene")]
-pub struct CloudOptions {
-    /// Encode this KITTI cloud (x forward, y left, z up, remission as f32, ring after ring) as what
-    /// an HDL-64E S2 with the given --calibration would have sent, at 600 turns a minute unless
-    /// --rpm is given: one turn, with a part of a turn before and behind it; with --seconds, the
-    /// same turn again and again. A point goes to the firing that stands for its column of the
-    /// image of `sweepd segment`: its range comes back, its azimuth to about a column; of two
-    /// points without room the nearer is sent
-    #[arg(
-        long,
-        value_name = "FILE.bin",
-        conflicts_with_all = ["models", "scene", "returns", "spin_up", "stall", "mode_switch", "new_rpm", "fov", "clock_step", "exchange"]
-    )]
-    pub from_cloud: Option<PathBuf>,
-    /// Fit each beam's elevation and vertical offset to the scan, and write the calibration to
-    /// replay with: those of another unit bend flat ground
-    #[arg(long)]
-    fit_elevations: bool,
-    /// Where to write the fitted calibration, ROS YAML [default: NAME.yaml beside the NAME.pcap]
-    #[arg(long, value_name = "FILE.yaml")]
-    fitted: Option<PathBuf>,
-}
-
-impl CloudOptions {
-    /// Refuses options without those that they need. (The parser accepts them if an option is given
-    /// that excludes the others.)
-    ///
-    /// # Errors
-    /// [`CliError::Usage`].
-    pub fn check(&self) -> Result<(), CliError> {
-        if self.fit_elevations && self.from_cloud.is_none() {
-            let message = "--fit-elevations needs --from-cloud FILE.bin, the scan to fit to";
-            return Err(CliError::Usage(message.to_owned()));
-        }
-        if self.fitted.is_some() && !self.fit_elevations {
-            let message = "--fitted needs --fit-elevations: without it the packets are those of the given --calibration";
-            return Err(CliError::Usage(message.to_owned()));
-        }
-        Ok(())
-    }
-}
 
 /// Runs the command for the cloud in a file.
 ///
