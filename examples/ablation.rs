@@ -293,11 +293,10 @@ impl Variant {
 type Field = fn(&mut SlopeGround) -> &mut f32;
 
 /// All of them, but for the one that is chosen by the rows.
-const FIELDS: [(&str, Field); 6] = [
+const FIELDS: [(&str, Field); 5] = [
     ("max_slope", |slope| &mut slope.max_slope),
     ("min_rise_m", |slope| &mut slope.min_rise_m),
     ("max_step_m", |slope| &mut slope.max_step_m),
-    ("step_reach_m", |slope| &mut slope.step_reach_m),
     ("max_kerb_m", |slope| &mut slope.max_kerb_m),
     ("agree_m", |slope| &mut slope.agree_m),
 ];

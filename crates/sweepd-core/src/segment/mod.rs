@@ -7,8 +7,8 @@
 //!
 //! ```text
 //! begin         what the sweep says of its beams, and how high the sensor is      mask, mount
-//! find_ground   the ground of the next strip of columns                           ranges, points, ground
-//! join          what is no ground there: runs of neighbours, then windows         runs, windows, joining, components
+//! find_ground   the ground of the next strip of columns                           ranges, points, climb
+//! join          what is no ground there: runs of neighbours, then windows         vote, runs, windows, near, components
 //! label         components, small ones to others, labels and segments table       components, labels, extent
 //! ```
 //!
@@ -23,6 +23,7 @@
 //! [`settings`] is the table of numbers that people set. [`naive`] says the same as the default
 //! method without any of the speed, and the tests hold the two against each other.
 
+mod climb;
 mod components;
 mod directions;
 mod extent;
@@ -42,6 +43,7 @@ pub mod settings;
 mod strips;
 mod turn;
 mod turnover;
+mod vote;
 mod windows;
 
 use std::f32::consts::FRAC_PI_2;

@@ -6,7 +6,7 @@
 
 use std::collections::{HashMap, VecDeque};
 
-use super::ground::{STEPS_AWAY, Steps};
+use super::climb::{STEPS_AWAY, Steps};
 use super::joining;
 use super::near::{Limits, Polygon, Tangents};
 use super::order::Order;
@@ -334,8 +334,7 @@ fn climb(image: &Image<'_>, limits: &SlopeGround, height_m: f32) -> Vec<bool> {
             let walkable = rise < highest && rise.saturating_add(deepest) > 0;
 
             let step_rise = high.saturating_sub(foot.1);
-            let is_steep =
-                step_rise >> STEPS_AWAY > (away - foot.0).abs() && step_rise < steps.step_reach;
+            let is_steep = step_rise >> STEPS_AWAY > (away - foot.0).abs();
             let is_low = rise > 0 && rise <= steps.max_kerb && way > steps.step_back;
             if walkable && !(is_steep && step_rise > steps.max_step) {
                 ground[index] = true;

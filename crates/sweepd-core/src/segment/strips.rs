@@ -12,8 +12,8 @@
 
 use fearless_simd::{Level, Simd, dispatch, f32x16, mask32x16, prelude::*};
 
+use super::climb::Climb;
 use super::components::Components;
-use super::ground::Ground;
 use super::joining;
 use super::labels::{Found, Labels};
 use super::near::Limits;
@@ -21,6 +21,7 @@ use super::order::{BEFORE, LANES, Order, STRIP, lane_of};
 use super::points::Beams;
 use super::ranges::Ranges;
 use super::runs::{Bits, Runs};
+use super::vote::vote;
 use super::windows::Windows;
 use super::{Config, reserve};
 use crate::sweep::{SweepMut, SweepRef};
@@ -30,7 +31,7 @@ use crate::sweep::{SweepMut, SweepRef};
 #[derive(Clone, Debug)]
 pub(super) struct Strips {
     level: Level,
-    ground: Ground,
+    climb: Climb,
     limits: Limits,
     /// Strips that were read, with the one that leads in.
     at: usize,
@@ -57,7 +58,7 @@ impl Strips {
     pub fn new(level: Level) -> Self {
         Self {
             level,
-            ground: Ground::default(),
+            climb: Climb::default(),
             limits: Limits::default(),
             at: 0,
             ready: None,
@@ -88,7 +89,7 @@ impl Strips {
         let columns = sweep.columns.len();
         // The first columns are there twice.
         let pixels = sweep.range.len() + rows * BEFORE;
-        self.ground.height_m = height_m;
+        self.climb.height_m = height_m;
         self.at = 0;
         self.ready = ready;
         self.jumps = [0; 2];
@@ -112,7 +113,7 @@ impl Strips {
 
     /// Height of the sensor over the ground, as this sweep was begun with, metres.
     pub fn height_m(&self) -> Option<f32> {
-        self.ground.height_m
+        self.climb.height_m
     }
 
     /// How deep below the sensor the lowest return of each column lies, metres; infinite where
@@ -210,8 +211,8 @@ impl Strips {
     #[inline(always)]
     fn climb<S: Simd>(&mut self, simd: S, config: &Config) {
         let position = self.at * STRIP;
-        self.ground
-            .climb(simd, &config.slope, &self.beams, &self.ranges, position);
+        self.climb
+            .next(simd, &config.slope, &self.beams, &self.ranges, position);
     }
 
     /// Notes the depths of the strip that was read, of the columns that count.
@@ -262,7 +263,8 @@ impl Strips {
         let counted = self.counted();
         let joined = Order::columns_before(self.position(), self.beams.order.joined_end());
         for row in 0..self.beams.rows() {
-            let ground = self.ground.vote(simd, &config.slope, &self.ranges, row);
+            let climbed = self.climb.ground[row];
+            let ground = vote(simd, &config.slope, &self.ranges, row, climbed);
             let on = self.ranges.real[row][1] & !ground & joined;
             self.runs.set_row(simd, &self.ranges, row, on);
             if counted != 0 {
