@@ -15,7 +15,7 @@ pub struct ConfiguredSensors {
     here: usize,
 }
 
-/// What tells a sensor from others.
+/// Properties that distinguish a sensor from others.
 #[derive(Clone, Copy, Debug)]
 pub struct ConfiguredSensor {
     /// Its address.

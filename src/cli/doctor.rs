@@ -40,7 +40,7 @@ pub struct Args {
     /// Ask no sensor for its settings
     #[arg(long)]
     no_web: bool,
-    /// Where a running daemon tells how it is, asked when it holds a port
+    /// Address of a running daemon's /health, requested if it holds a port
     #[arg(long, value_name = "IP:PORT", default_value_t = HEALTH)]
     health: SocketAddr,
     /// One JSON object on standard output

@@ -54,9 +54,9 @@ pub enum Command {
     Record(record::Args),
     /// Watch the sweeps that a running daemon shares
     Watch(Box<watch::Args>),
-    /// Listen to the sensors and say what is wrong, and how to mend it
+    /// Listen to the sensors, and print faults and how to fix them
     Doctor(doctor::Args),
-    /// Say what is in a capture without decoding it all
+    /// Describe a capture without decoding all of it
     Inspect(inspect::Args),
     /// Show and compare calibrations, and read that of an HDL-64E from its packets
     Calib(calib::Args),

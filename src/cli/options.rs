@@ -78,7 +78,7 @@ pub(super) fn within(
 #[command(next_help_heading = "Sensor")]
 pub struct SensorOptions {
     /// Model: vlp16, puck-lite, puck-hires, hdl32e, hdl64e-s2 (S2.1 too) or hdl64e-s3 [default:
-    /// told by the packets: factory bytes, heads and period]
+    /// detected from the packets: factory bytes, heads and period]
     #[arg(long, value_name = "MODEL", value_parser = model)]
     pub model: Option<Model>,
     /// Calibration of the unit, db.xml or ROS YAML [default: the model's own table; of an HDL-64E,

@@ -21,8 +21,7 @@ pub struct OutputOptions {
     /// One JSON object a sweep on standard output; a replay ends with one that holds the summary
     #[arg(long)]
     pub json: bool,
-    /// A line per return: DIR/sweep_000000.csv, ...; each sensor but the first in a folder of its
-    /// own
+    /// A line per return: DIR/sweep_000000.csv, ...; each sensor but the first in its own folder
     #[arg(long, value_name = "DIR")]
     pub csv: Option<PathBuf>,
     /// Point clouds for PCL, Open3D and CloudCompare: DIR/sweep_000000.pcd, ...

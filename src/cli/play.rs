@@ -31,8 +31,7 @@ pub struct PlayOptions {
     /// Also emit partial sweeps: the first, the last, and those that were interrupted
     #[arg(long)]
     pub partial: bool,
-    /// Send the capture's own datagrams there with their own timing, each sensor from a port of its
-    /// own
+    /// Send the capture's own datagrams there with their own timing, each sensor from its own port
     #[arg(long, alias = "to-udp", value_name = "ADDR:PORT", value_parser = to, allow_negative_numbers = true)]
     to: Vec<To>,
 }

@@ -33,8 +33,8 @@ pub struct Args {
     #[arg(short, long, value_name = "FILE")]
     config: Option<PathBuf>,
     /// Run this sensor without a file, all else at its default: its address, as `address` in a
-    /// file, and its model if it is not to be told by the packets. It is called `sensor`; several
-    /// are `sensor-1`, `sensor-2` and so on
+    /// file, and its model if it is not to be detected from the packets. It is called `sensor`;
+    /// several are `sensor-1`, `sensor-2` and so on
     #[arg(long = "sensor", value_name = "ADDRESS[,MODEL]")]
     sensors: Vec<String>,
     /// Folder by which the daemon and its consumers find each other [default: `root` of the

@@ -185,7 +185,7 @@ struct Control {
     pulse: Pulse,
     /// How often all threads and sensors are checked.
     period: Duration,
-    /// Threads that hang, as told last.
+    /// Threads that hang, as last logged.
     hanging: Vec<usize>,
     /// Ports whose interfaces are gone, as last logged.
     gone: Vec<usize>,

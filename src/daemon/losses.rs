@@ -27,7 +27,7 @@ const OVER_AT: f64 = 0.5;
 /// `fault`.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct Limits {
-    /// From here on it is told.
+    /// From here on it is reported.
     pub warning: f64,
     /// Above this the sensor counts as failed.
     pub fault: f64,

@@ -69,7 +69,7 @@ impl PortPlan {
         indexes.map(|index| &config.sensors[index])
     }
 
-    /// What the socket is told.
+    /// Settings of the socket.
     pub fn udp(&self) -> UdpConfig {
         let PortConfig {
             bind: address,

@@ -25,7 +25,7 @@ const SECOND_LOOK_NS: i64 = 10_000_000_000;
 pub enum Event {
     /// Its packets cannot be decoded.
     Fault(Fault),
-    /// Something else that the pipeline tells.
+    /// Another notice of the pipeline.
     Notice(Notice),
     /// It is decoded with a new configuration from now on, or the reason why not.
     Reconfigured(Result<(), ConfigError>),
@@ -68,7 +68,7 @@ pub struct Identity {
     pub address: String,
     /// What is counted.
     pub counters: Arc<SensorCounters>,
-    /// Whom to tell what happens.
+    /// The receiver of events.
     pub events: Sender<(usize, Event)>,
 }
 

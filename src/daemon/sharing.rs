@@ -43,7 +43,7 @@ pub trait Outgoing: AsRef<[u8]> + AsMut<[u8]> + Send + 'static {
 pub struct SharedOutput<B> {
     /// Where its sweeps are built.
     pub buffers: B,
-    /// What people are told of it.
+    /// Its status, for people.
     pub status: Arc<dyn SharingStatus>,
 }
 

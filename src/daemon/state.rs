@@ -75,9 +75,9 @@ impl fmt::Display for State {
 pub struct Observation {
     /// The moment: time since any fixed one.
     pub now: Duration,
-    /// Data packets let in so far.
+    /// Data packets admitted so far.
     pub data: u64,
-    /// Position packets let in so far.
+    /// Position packets admitted so far.
     pub position: u64,
     /// Whole sweeps at a steady speed so far.
     pub steady_sweeps: u64,
@@ -152,7 +152,7 @@ pub struct Watcher {
     rpm: Option<f32>,
     state: State,
     hindrance: Option<Hindrance>,
-    /// The hindrance that was told last.
+    /// The hindrance that was last logged.
     told_hindrance: Option<Hindrance>,
     before: Observation,
     newest_data: Duration,

@@ -96,7 +96,7 @@ pub enum PortResult {
         received: u64,
         /// Datagrams that the kernel dropped.
         dropped: u64,
-        /// Senders of what is no sensor's packet, and how many of these each sent.
+        /// Senders of datagrams that are not packets of a sensor, with counts.
         others: Vec<(SocketAddr, u64)>,
         /// The receive buffer.
         buffer: ReceiveBuffer,
@@ -116,7 +116,7 @@ pub struct ObservedSensor {
     pub port: u16,
     /// What became of its packets.
     pub counts: Counts,
-    /// Its model, once told.
+    /// Its model, once detected.
     pub model: Option<Model>,
     /// Why its packets cannot be decoded.
     pub fault: Option<String>,
@@ -186,7 +186,7 @@ pub struct PositionSender {
 /// This host.
 #[derive(Clone, Debug, Default)]
 pub struct Host {
-    /// Its interfaces, but for loopback.
+    /// Its interfaces, except loopback.
     pub interfaces: Vec<Interface>,
     /// Value of net.core.rmem_max, bytes.
     pub rmem_max: Option<u64>,
@@ -238,7 +238,7 @@ pub struct Interface {
     pub name: String,
     /// Whether it is switched on.
     pub up: bool,
-    /// Whether something is at the other end of the cable; `None` where that is not told.
+    /// Whether something is at the other end of the cable; `None` if unknown.
     pub carrier: Option<bool>,
     /// Addresses and how many of their bits are those of the net.
     pub addresses: Vec<(Ipv4Addr, u8)>,

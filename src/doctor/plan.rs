@@ -9,7 +9,7 @@ use crate::daemon::config::{Config, PortConfig, SensorConfig};
 use sweepd_core::sensor::Model;
 use sweepd_core::wire::{DATA_PORT, POSITION_PORT};
 
-/// Where a daemon tells how it is, unless it is configured otherwise.
+/// Default address of a daemon's /health.
 pub const HEALTH: SocketAddr = SocketAddr::new(IpAddr::V4(Ipv4Addr::LOCALHOST), 9177);
 
 /// What should be there.
@@ -30,7 +30,7 @@ pub struct Plan {
 /// A port to listen on.
 #[derive(Clone, Debug, PartialEq, Eq)]
 pub struct ExaminedPort {
-    /// Address of this host; 0.0.0.0 hears all.
+    /// Address of this host; 0.0.0.0 receives on all.
     pub bind: Ipv4Addr,
     /// The port.
     pub port: u16,
@@ -47,7 +47,7 @@ pub struct ExpectedSensor {
     pub name: String,
     /// Where its packets come from.
     pub address: IpAddr,
-    /// The port it sends from, if that tells it from another one.
+    /// The port that it sends from, if that distinguishes it from another sensor.
     pub source_port: Option<u16>,
     /// The port it sends data to.
     pub port: u16,

@@ -1,4 +1,4 @@
-//! What of this host no safe crate at hand tells: its addresses, and what this user may write.
+//! Facts of this host that no safe crate here gives: its addresses, and where this user may write.
 
 #![allow(unsafe_code)]
 
@@ -25,7 +25,7 @@ pub(super) fn addresses() -> io::Result<Vec<Address>> {
     let mut found = Vec::new();
     let mut next = list;
     while !next.is_null() {
-        // SAFETY: the list that the call made; it lives until freeifaddrs below, and nobody else
+        // SAFETY: the list that the call made; it lives until freeifaddrs below, and no other code
         // has it.
         let one = unsafe { &*next };
         if let (Some(address), Some(mask)) = (ipv4(one.ifa_addr), ipv4(one.ifa_netmask)) {

@@ -1,8 +1,8 @@
-//! What a sensor's web page says of its settings. It is asked, and never told anything.
+//! Reads the settings of a sensor from its web page, without changing them.
 //!
-//! VLP-16 and HDL-32E answer `/cgi/snapshot.hdl` (how it is set) and `/cgi/status.json` (how it
-//! is); VLP-16 User Manual, chapter 10. Firmware differs in whether numbers are numbers or text,
-//! and in what is there at all.
+//! VLP-16 and HDL-32E answer `/cgi/snapshot.hdl` (settings) and `/cgi/status.json` (status); VLP-16
+//! User Manual, chapter 10. Firmware versions differ in whether numbers are text, and in which
+//! values they have.
 
 use std::net::{Ipv4Addr, SocketAddr};
 use std::time::Duration;
@@ -46,7 +46,7 @@ async fn ask_one(address: Ipv4Addr, port: u16) -> Option<Web> {
     }
     let snapshot = snapshot.unwrap_or_default();
     let web = read(address, &snapshot, &status.unwrap_or_default());
-    // Otherwise it is some other device with a web page of its own.
+    // Otherwise it is the web page of another device.
     (web != Web::unknown(address)).then_some(web)
 }
 

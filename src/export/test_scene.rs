@@ -259,7 +259,7 @@ fn enters(ray: [f64; 3], [min, max]: &Box3) -> Option<f64> {
     (near < far).then_some(near)
 }
 
-/// Two beams, two columns, three returns: see the tests for what comes of them.
+/// Two beams, two columns, three returns: the tests give their files.
 pub fn two_beams() -> Scene {
     let mut scene = Scene::new(&[30_f64.to_radians(), 0.0], 2, true);
     scene.fill(|sweep| {

@@ -1,11 +1,11 @@
 //! Point clouds without a range image, from KITTI, PCD and PLY files, to sweeps: the projection of
 //! the paper's section III.
 //!
-//! Where a file names the ring of each point, or the beams of the sensor are told, the rows come
-//! from there. A cloud of a spinning sensor that lists ring after ring still tells which beam each
-//! point came from: a new ring begins where the azimuth starts over. Where each beam starts and
-//! points is fitted to its points, which lie on a cone whose tip is up to a hand's breadth above
-//! the sensor's origin. The columns are even in azimuth, and each shows one point.
+//! If a file has the ring of each point, or the beams of the sensor are given, the rows come from
+//! there. A cloud of a spinning sensor that lists ring after ring still tells which beam each point
+//! came from: a new ring begins where the azimuth starts over. Where each beam starts and points is
+//! fitted to its points, which lie on a cone whose tip is up to a hand's breadth above the sensor's
+//! origin. The columns are even in azimuth, and each shows one point.
 
 pub(crate) mod fit;
 pub(crate) mod places;
@@ -33,8 +33,8 @@ pub const POINT_BYTES: usize = 16;
 pub struct Cloud {
     /// x forward, y left, z up in metres, and intensity.
     pub points: Vec<[f32; 4]>,
-    /// Number of the ring that each point belongs to, where the file tells; the numbers mean
-    /// nothing but "the same".
+    /// Ring number of each point, if the file has it; equal numbers mean the same ring, without an
+    /// order.
     pub rings: Option<Vec<u32>>,
 }
 
@@ -131,8 +131,7 @@ impl CloudSegmenter {
         })
     }
 
-    /// For clouds in any order, whose points tell by their elevation which of these beams they come
-    /// from.
+    /// For clouds in any order: the elevation of a point determines its beam.
     #[must_use]
     pub fn with_rows(self, table: RowTable) -> Self {
         Self {

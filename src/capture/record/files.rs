@@ -172,7 +172,7 @@ impl Files {
                         path: written.last.clone(),
                     });
                 }
-                // Another may have begun a file of this name meanwhile.
+                // Another recording may have begun a file of this name since.
                 let _replaced = unwritten(&path)?;
                 fs::rename(&written.last, &path).map_err(RecordError::of(&path))?;
                 sync_folder_of(&path);
@@ -233,7 +233,7 @@ impl Files {
 /// one does. A file is not opened.
 ///
 /// # Errors
-/// [`RecordError::File`]; [`RecordError::is_unread_pipe`] tells a pipe that no program reads.
+/// [`RecordError::File`]; [`RecordError::is_unread_pipe`] if no program reads the pipe.
 pub fn open_special(path: &Path) -> Result<Option<File>, RecordError> {
     if !is_special(path) {
         return Ok(None);

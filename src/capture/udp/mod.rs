@@ -147,7 +147,7 @@ impl UdpSource {
     /// bytes is cut to that.
     ///
     /// # Errors
-    /// [`UdpError::Socket`], such as an interface that went away for good.
+    /// [`UdpError::Socket`], such as an interface that is permanently gone.
     pub fn receive(
         &mut self,
         timeout: Duration,

@@ -123,7 +123,7 @@ fn what_a_small_buffer_cannot_hold_is_counted_exactly_over_many_batches() {
             sender.send_to(&[7; 1206], source.local_addr()).unwrap();
             sent += 1;
         }
-        // Also without a datagram that tells.
+        // Also without a datagram that carries the count.
         let dropped = source.dropped();
         assert!(dropped >= round * 280, "{dropped}");
         drain(&mut source);

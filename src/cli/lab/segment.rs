@@ -35,8 +35,8 @@ pub struct Args {
     /// Columns of the range image: firings of a turn
     #[arg(long, value_name = "N", default_value_t = cloud::COLUMNS)]
     columns: usize,
-    /// What the clouds are: kitti, nuscenes, pcd or ply [default: told by the name: .bin, .pcd.bin,
-    /// .pcd, .ply]
+    /// Format of the clouds: kitti, nuscenes, pcd or ply [default: by the end of the name: .bin,
+    /// .pcd.bin, .pcd, .ply]
     #[arg(long, value_name = "FORMAT")]
     format: Option<Format>,
     /// For clouds in any order: each point goes to the beam of this model that passes it nearest:
@@ -183,7 +183,7 @@ fn format_of(args: &Args, cloud: &Path) -> Result<Format, CliError> {
     })
 }
 
-/// The beams of the rows, if they are told.
+/// The beams of the rows, if they are given.
 fn table(args: &Args) -> Result<Option<RowTable>, CliError> {
     if let Some(path) = &args.rows_table {
         let text = read_file(path, MAX_FILE_LEN as u64)?;

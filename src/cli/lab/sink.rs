@@ -52,7 +52,7 @@ impl CaptureFile {
             .map_err(|cause| failed(self.new.as_ref(), cause))
     }
 
-    /// Writes out what is left, and gives the file its name.
+    /// Flushes the file and renames it.
     ///
     /// # Errors
     /// [`CliError`]: what the disk or the reader says.

@@ -58,7 +58,7 @@ pub fn record(
             inputs: vec![InputReport {
                 name,
                 received,
-                // The daemon ends what is overdue.
+                // The daemon ends an overdue recording itself.
                 ended_early: ended_early && !args.is_due(begun),
             }],
             written,

@@ -157,9 +157,8 @@ fn sent() -> Vec<(usize, SimulatedDatagram)> {
     sent
 }
 
-/// The sweeps of both, each with the time that passed until it came out, when the clock that stamps
-/// packets is off by so much after so much time. Each packet is a batch; a second of silence
-/// follows.
+/// The sweeps of both, each with the time until it came out. The clock that stamps packets has this
+/// error after this time. Each packet is a batch; a second of silence follows.
 fn run(sent: &[(usize, SimulatedDatagram)], off_ns: impl Fn(i64) -> i64) -> Vec<(i64, Sweep)> {
     let (told, sweeps) = mpsc::channel();
     let mut state = state(&told);

@@ -29,7 +29,7 @@ pub fn diagnose(seen: &Observations) -> Vec<Finding> {
     findings
 }
 
-/// What was found so far.
+/// Findings so far.
 #[derive(Default)]
 struct Findings(Vec<Finding>);
 

@@ -415,8 +415,8 @@ fn beside(state: &str, is_fault: bool, percent: f64) -> Vec<Finding> {
 
 #[test]
 fn beside_a_daemon_losses_are_recent_and_have_the_cause_that_it_names() {
-    // 879 lost and 942 dropped since it began, and none of late: port 8308 is silent since nobody
-    // uses it.
+    // 879 lost and 942 dropped since it began, but none recently: port 8308 is silent because it is
+    // not used.
     assert_eq!(beside("streaming", false, 0.0), []);
     let [few] = &beside("streaming", false, 0.5)[..] else {
         panic!("one finding")
@@ -501,7 +501,7 @@ fn other_models_are_told() {
         Topic::Model,
         &["configured as VLP-16", "HDL-32E", "model = \"hdl32e\""],
     );
-    // Nothing in the packets tells these apart.
+    // The packets of these do not differ.
     let mut seen = healthy();
     seen.plan.sensors[0].model = Some(Model::PuckLite);
     assert_eq!(diagnose(&seen), []);

@@ -142,7 +142,7 @@ impl FloorPlan {
         }
     }
 
-    /// The pixel of a place; far outside of the area for what is far away.
+    /// The pixel of a place, possibly far outside of the area.
     fn pixel(&self, x_m: f64, y_m: f64) -> Point {
         self.sensor + Point::new(self.pixels(y_m), self.pixels(x_m))
     }

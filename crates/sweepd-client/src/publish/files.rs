@@ -47,7 +47,7 @@ impl ServiceFile {
     /// Puts it back under its name.
     pub(super) fn restore(&self) -> std::io::Result<()> {
         use std::os::unix::fs::PermissionsExt;
-        // Whole at once, for who reads it meanwhile; as readable as iceoryx2 makes it.
+        // Replaced atomically, for concurrent readers; with the permissions that iceoryx2 sets.
         let beside = self.path.with_extension("restored");
         // One that was killed here may have left it, closed to writing.
         let _ = fs::remove_file(&beside);

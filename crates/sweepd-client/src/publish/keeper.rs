@@ -49,7 +49,7 @@ enum Request {
         usize,
         SyncSender<Result<Arc<SensorPool>, PublishError>>,
     ),
-    /// To make room for what is wanted.
+    /// Make a pool of the wanted size.
     Reserve(
         Arc<SensorPool>,
         Option<SyncSender<Result<(), PublishError>>>,
@@ -104,14 +104,14 @@ impl Keeper {
         &self.domain
     }
 
-    /// Makes room for what is wanted, and waits until it is there.
+    /// Makes a pool of the wanted size, and waits until it is ready.
     pub(super) fn reserve(&self, sensor_pool: &Arc<SensorPool>) -> Result<(), PublishError> {
         self.ask(PATIENCE, |reply| {
             Request::Reserve(Arc::clone(sensor_pool), Some(reply))
         })?
     }
 
-    /// Has room made for what is wanted.
+    /// Requests a pool of the wanted size.
     pub(super) fn reserve_soon(&self, sensor_pool: &Arc<SensorPool>) {
         // The thread that waits for a keeper reports that it has ended.
         let _ = self
@@ -243,11 +243,11 @@ impl KeptService {
         if let Some(service) = &mut self.service {
             service.tidy();
         }
-        // What fails is told by the status, and tried again at the next look.
+        // The status reports a failure; it is tried again at the next look.
         let _ = self.make_room(domain);
     }
 
-    /// Takes the service from the sensor, and removes what is left of it.
+    /// Takes the service from the sensor, and removes its files.
     fn close(&mut self) {
         self.sensor_pool.set_pool(None);
         if let Some(service) = self.service.take() {

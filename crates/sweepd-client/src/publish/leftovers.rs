@@ -152,7 +152,7 @@ fn is_abandoned(metadata: &Metadata) -> bool {
 
 fn remove(entry: &DirEntry) {
     let path = entry.path();
-    // What another process removed meanwhile is as well.
+    // A file that another process has removed is fine too.
     let _ = if path.is_dir() {
         fs::remove_dir_all(path)
     } else {

@@ -416,7 +416,7 @@ impl Subscriber {
         let name = self.name.clone();
         let schema = AttributeKey::try_from(attributes::SCHEMA).ok()?;
         let version = found.attributes().key_value(&schema, 0).map(shown);
-        // A service that names this version and is still another is nobody's that is known here.
+        // A service that names this version but differs is of an unknown program.
         if let Some(found) = version.filter(|version| *version != LAYOUT_VERSION.to_string()) {
             return Some(SubscribeError::OtherVersion { name, found });
         }
@@ -433,8 +433,7 @@ impl Subscriber {
     }
 }
 
-/// What a program that may not be sweepd says of itself, for a message: terminals obey what is no
-/// text.
+/// Text of a program that may not be sweepd, for a message: terminals execute control characters.
 fn shown(told: impl Display) -> String {
     told.to_string().escape_debug().to_string()
 }
@@ -448,7 +447,7 @@ impl Connection {
                 _holder: Arc::clone(&self.samples),
             })),
             Err(ReceiveError::ExceedsMaxBorrows) => Err(SubscribeError::TooManyHeld),
-            // The pool of a daemon that is going away: the next look tells.
+            // The pool of a daemon that is ending: the next check shows it.
             Err(ReceiveError::ConnectionFailure(_)) => Ok(None),
         }
     }

@@ -52,8 +52,8 @@ pub struct Builder {
     /// [`Header::sequence`](crate::sweep::Header::sequence).
     pub sequence: u64,
     last_rpm: Option<f32>,
-    /// Turning rate over the last sweep that tells one, hundredths of a degree a nanosecond;
-    /// negative when reversed.
+    /// Turning rate over the last sweep that was long enough to give one, hundredths of a degree a
+    /// nanosecond; negative when reversed.
     last_rate_cdeg_ns: Option<f64>,
     lost: u64,
     /// Time spent on the open sweep.
@@ -443,7 +443,7 @@ impl Builder {
     }
 
     /// The speed of the sweep before, unless this packet has a very different one: then the head
-    /// stood still meanwhile, or was set to another speed.
+    /// stood still in between, or was set to another speed.
     fn expected_rate_cdeg_ns(&self, packet: &OrderedPacket) -> f64 {
         let own = packet.motion.rate_cdeg_ns(self.decoder.spec);
         self.last_rate_cdeg_ns

@@ -242,8 +242,8 @@ impl HeadTracker {
 mod tests {
     use super::*;
 
-    /// Turns through azimuths 40 hundredths and 0.1 ms apart and tells the indices of all that is
-    /// not `On`.
+    /// Turns through azimuths 40 hundredths and 0.1 ms apart and returns the events other than
+    /// `Continues`, with their indices.
     fn events(head: &mut HeadTracker, azimuths: &[f64]) -> Vec<(usize, HeadEvent)> {
         let turned = azimuths.iter().enumerate().map(|(index, &azimuth)| {
             (

@@ -136,7 +136,7 @@ impl GapMotion {
     /// Match quality of a packet whose stamp is this far off the packet period.
     fn fit(&self, off_beat_ns: i64, period_ns: i64) -> MatchQuality {
         let at_once_ns = CORRECTION_NS.min(period_ns / 4);
-        // Half the travel during a packet: the head's position then tells how many were lost.
+        // Half the travel during a packet: the head's position then shows how many were lost.
         let (most, share) = AZIMUTH_SLACK;
         let half_cdeg = self.rate_cdeg_ns.abs() * period_ns as f64 / 2.0;
         let in_place = self.off_cdeg()

@@ -105,7 +105,7 @@ impl PacketOrder {
         self.matcher.take_spec(spec);
     }
 
-    /// What happened so far.
+    /// Counts so far.
     pub fn counts(&self) -> OrderCounts {
         self.counts
     }

@@ -30,7 +30,7 @@ impl RowOffsets {
     ///
     /// A beam points to one side by its rotation, and fires a little after the first shot of its
     /// firing. The sum of both is rounded to whole columns, so that each return is within half a
-    /// column of the azimuth of its own.
+    /// column of its column's azimuth.
     pub fn set(&mut self, beams: &[BeamRow], rate_cdeg_ns: f64, spec: &Spec, mode: ReturnMode) {
         let slowest = SLOWEST_RPM / 60.0 * TURN * 1e-9;
         let rate_rad_ns =

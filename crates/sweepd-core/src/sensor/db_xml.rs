@@ -60,7 +60,7 @@ const SIZES: [usize; 4] = [16, 32, 64, 128];
 /// Most nodes of a file; real files have about 4000.
 const MAX_NODES: u32 = 100_000;
 
-/// Attributes of the largest file that is still read, told by their `=`; the real ones have about
+/// Most attributes of a file, counted by their `=`; real files have about
 /// 160. Those of a tag are compared with each other, and so tens of thousands take far too long.
 const MAX_ATTRIBUTES: usize = 2000;
 

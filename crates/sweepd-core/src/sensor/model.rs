@@ -201,7 +201,7 @@ impl Model {
 
     /// All tables of this model, [`Model::spec`] first: an HDL-64E S3 has one more, in which a
     /// firing takes 57.6 us with one return as well. Sources contradict each other; the packet
-    /// period tells.
+    /// period decides.
     pub fn specs(self) -> &'static [&'static Spec] {
         match self {
             Self::Vlp16 => &[&VLP16],

@@ -272,7 +272,7 @@ pub struct Header {
     /// CLOCK_MONOTONIC at the same moment, nanoseconds.
     pub completed_monotonic_ns: i64,
     /// CLOCK_REALTIME when the publisher of this sweep began, nanoseconds since 1970: with
-    /// [`Header::sequence`] it names the sweep for good. 0 where nothing is published.
+    /// [`Header::sequence`] it identifies the sweep permanently. 0 where nothing is published.
     pub run_ns: i64,
     /// Source of the sensor's packets as text, zero padded.
     pub sensor: [u8; 64],

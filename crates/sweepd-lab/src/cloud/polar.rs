@@ -97,7 +97,7 @@ fn arctangent(tangent: f32) -> f32 {
             * (b + square * (c + square * (d + square * (e + square * (f + square * g))))))
 }
 
-/// Ranges of points as seen from so far above the sensor's origin.
+/// Ranges of points from a point this far above the sensor's origin.
 pub(crate) fn ranges(
     level: Level,
     away_m: &[f32],

@@ -98,7 +98,7 @@ impl CloudProjector {
         self.draw()
     }
 
-    /// A sweep of points of which each tells its ring: by these numbers, in any order.
+    /// A sweep of points in any order, with the ring number of each.
     ///
     /// # Errors
     /// [`CloudError::RingNumbers`]; [`CloudError::RingCount`] where there is not one number a

@@ -1,4 +1,4 @@
-//! Segments against instances of things: vehicles, people and riders, told apart one by one.
+//! Segments against instances of things: vehicles, people and riders, each by itself.
 //!
 //! Points without a class, and outliers, are left out on both sides. Overlap is measured as IoU,
 //! points in both over points in either, and as share, points in both over points of the instance.

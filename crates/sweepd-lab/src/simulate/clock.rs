@@ -19,7 +19,7 @@ pub enum Clock {
     Gps {
         /// Where the receiver is: latitude and longitude, degrees.
         position_deg: (f64, f64),
-        /// When it hears satellites.
+        /// When it has satellites.
         reception: Reception,
     },
 }

@@ -146,7 +146,7 @@ impl EmitterConfig {
         before as i64 * period_ns + (ordinal - before) as i64 * other_period_ns
     }
 
-    /// The sensor clock as packets carry it, so long after the first shot of all.
+    /// The sensor clock in packets, this long after the first shot of all.
     pub(super) fn stamp_us(&self, elapsed_ns: i64) -> u32 {
         let step = self.clock_step.filter(|step| elapsed_ns >= step.at_ns);
         self.clock.stamp_us(
@@ -182,7 +182,7 @@ pub fn address(model: Model) -> Ipv4Addr {
     }
 }
 
-/// Where a sensor sends to: everyone, or on an HDL-64E everyone of its own network.
+/// Destination of a sensor's packets: broadcast, for an HDL-64E only within its own network.
 pub fn destination(model: Model, address: Ipv4Addr) -> Ipv4Addr {
     let [a, b, c, _] = address.octets();
     if model.is_hdl64e() {

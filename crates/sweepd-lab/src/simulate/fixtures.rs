@@ -146,7 +146,7 @@ fn hdl64e(mut config: EmitterConfig, from_ns: i64, start_deg: f64) -> EmitterCon
     };
     config.start_utc_ns = 1_777_889_843_000_000_000;
     config.encoder.start_deg = start_deg;
-    // Ranges compress better for it: a status takes 4160 packets to tell.
+    // With less noise ranges compress better: a whole status takes 4160 packets.
     config.optics.noise_m = 0.004;
     config
 }

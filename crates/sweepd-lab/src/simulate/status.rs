@@ -18,7 +18,7 @@ const START_OF_UNIT_NS: i64 = 946_684_800_000_000_000;
 const PPS_PRESENT: u8 = 1 << 5;
 const GPS_TIME_PRESENT: u8 = 1 << 6;
 
-/// What a unit tells of itself.
+/// The status of a unit.
 #[derive(Clone, Debug)]
 pub struct Status {
     series: Series,
@@ -60,7 +60,7 @@ impl EmitterConfig {
     /// Whether there can be such a sensor.
     ///
     /// # Errors
-    /// A sentence: what speaks against it.
+    /// A sentence with the contradiction.
     pub fn check(&self) -> Result<(), String> {
         let found = self.beams().beams().len();
         let expected = self.spec.channels;

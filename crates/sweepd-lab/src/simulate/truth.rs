@@ -53,7 +53,8 @@ pub struct ReturnTruth {
     /// Along the beam from its origin, metres; between two surfaces if the receiver merged them.
     pub range_m: f64,
     /// Where the beam really pointed: its azimuth in the sensor's frame at the shot, 0 to a whole
-    /// turn, radians. That of the head, but for an HDL-64E, whose beams are turned away from it.
+    /// turn, radians. It is that of the head, except for an HDL-64E, whose beams are rotated from
+    /// it.
     pub azimuth_rad: f64,
     /// Time of the shot, nanoseconds after the first of all.
     pub time_ns: i64,

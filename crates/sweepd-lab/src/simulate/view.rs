@@ -105,7 +105,8 @@ impl Candidate {
 }
 
 impl Within {
-    /// What a ray from the eye within a sector must have to meet what is within bounds, if any can.
+    /// Necessary conditions for a ray from the eye within a sector to hit something within bounds;
+    /// `None` if none can.
     fn of(bounds: &Bounds, eye: Vec3, sector: i64) -> Option<Self> {
         let edges = [
             sector as f64 / PER_SECTOR - ASTRAY_RAD,
@@ -119,7 +120,7 @@ impl Within {
     }
 }
 
-/// Least and greatest rise of a ray that can meet what is between two heights and two horizontal
+/// Least and greatest rise of a ray that can hit something between two heights and two horizontal
 /// distances.
 fn rises(z: [f64; 2], eye: Vec3, reach_m: [f64; 2]) -> [f64; 2] {
     let [near_m, far_m] = reach_m;
@@ -332,7 +333,7 @@ impl Sight {
         }
     }
 
-    /// Whether it may meet a solid, or come near its outline, before it has gone so far across.
+    /// Whether it may hit a solid, or come near its outline, within this horizontal distance.
     #[inline]
     fn may_meet(&self, candidate: &Candidate, limit_across_m: f64) -> bool {
         let Self { rise, slack, .. } = *self;

@@ -204,8 +204,8 @@ impl Scale {
     }
 }
 
-/// ColorBrewer's Set2: its hues can be told apart without red or green, and its lightness suits a
-/// dark page.
+/// ColorBrewer's Set2: its hues can be distinguished without red or green, and its lightness suits
+/// a dark page.
 fn color(mark: usize) -> Rgb888 {
     let color = colorous::SET2[mark % colorous::SET2.len()];
     Rgb888::new(color.r, color.g, color.b)

@@ -69,8 +69,8 @@ pub(super) fn find(folder: &Path, only: &[String]) -> Result<Found, CliError> {
     )))
 }
 
-/// Collects the clouds of a folder and all folders in it, each folder once, whatever links lead to
-/// it.
+/// Collects the clouds of a folder and all folders in it, each folder once, even if several links
+/// lead to it.
 fn walk(
     folder: &Path,
     seen: &mut BTreeSet<PathBuf>,
@@ -162,7 +162,7 @@ impl Scan {
         })
     }
 
-    /// The file of its labels that are to be scored.
+    /// The file of its labels to score.
     pub(super) fn prediction(&self, folder: &Path, suffix: &str) -> Result<PathBuf, CliError> {
         let path = folder.join(format!("{}{suffix}", self.name));
         let cloud = self.cloud.display();

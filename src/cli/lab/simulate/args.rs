@@ -81,8 +81,8 @@ pub struct Args {
     /// each other [default: 48]
     #[arg(long, value_name = "MICROSECONDS", value_parser = firing_period, allow_negative_numbers = true)]
     pub(super) firing_period: Option<u32>,
-    /// The GPS receiver: locked, none, or the seconds FROM..TO in which it hears satellites, either
-    /// left out if need be, such as 2..; the clock follows two seconds after FROM
+    /// The GPS receiver: locked, none, or the seconds FROM..TO in which it has satellites; either
+    /// may be left out, such as 2..; the clock follows two seconds after FROM
     #[arg(long, value_name = "WHEN", default_value = "locked", value_parser = gps, allow_negative_numbers = true)]
     pub(super) gps: GpsReceiver,
     /// By how much the speed of the motor drifts up and down, percent
@@ -101,8 +101,8 @@ pub struct Args {
     pub(super) seconds: Option<f64>,
     #[command(flatten)]
     pub(super) target: Target,
-    /// Write there what every return really was: truth.csv and objects.csv; the truth.csv of each
-    /// sensor but the first is in a folder of its own
+    /// Write the true values of every return there: truth.csv and objects.csv; the truth.csv of
+    /// each sensor but the first is in its own folder
     #[arg(long, value_name = "DIR")]
     pub(super) truth: Option<PathBuf>,
     #[command(flatten)]
@@ -121,7 +121,7 @@ pub struct Target {
     #[arg(long, value_name = "FILE")]
     pub(super) pcap: Option<PathBuf>,
     /// Send as a sensor does, in real time: data and position packets to one port, each sensor from
-    /// a port of its own
+    /// its own port
     #[arg(long, value_name = "ADDR:PORT", value_parser = destination)]
     pub(super) to: Option<SocketAddr>,
 }
@@ -146,7 +146,7 @@ fn setting(text: &str) -> Result<Setting, String> {
         })
 }
 
-/// Value of `--gps`: none, or when it hears satellites.
+/// Value of `--gps`: none, or when it has satellites.
 #[derive(Clone, Copy, Debug)]
 pub struct GpsReceiver(Option<Reception>);
 

@@ -46,7 +46,7 @@ pub struct FaultOptions {
         value_parser = within(PERCENT, "percent"), allow_negative_numbers = true
     )]
     stray: f64,
-    /// Start at rest and gain speed evenly for so long
+    /// Start at rest and gain speed evenly for this time
     #[arg(
         long, value_name = "SECONDS", default_value = "0", hide_default_value = true,
         value_parser = within(DAY_S, "seconds"), allow_negative_numbers = true
@@ -62,13 +62,14 @@ pub struct FaultOptions {
     /// another
     #[arg(long, value_name = "DEG..DEG[@FROM..TO]", value_parser = fov, allow_negative_numbers = true)]
     pub fov: Option<FieldOfView>,
-    /// Set the sensor's clock ahead by so much after so long; a negative amount sets it back
+    /// Set the sensor's clock ahead by the first number after the second; a negative amount sets it
+    /// back
     #[arg(long, value_name = "SECONDS@AT", value_parser = clock_step, allow_negative_numbers = true)]
     pub clock_step: Option<ClockStep>,
-    /// Exchange the addresses of the first two sensors after so long
+    /// Exchange the addresses of the first two sensors after this time
     #[arg(long, value_name = "SECONDS", value_parser = within(DAY_S, "seconds"), allow_negative_numbers = true)]
     pub exchange: Option<f64>,
-    /// Change from one return to two, or from two to one, after so long
+    /// Change from one return to two, or from two to one, after this time
     #[arg(long, value_name = "SECONDS", value_parser = within(DAY_S, "seconds"), allow_negative_numbers = true)]
     pub mode_switch: Option<f64>,
 }

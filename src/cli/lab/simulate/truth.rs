@@ -86,7 +86,7 @@ impl TruthFile {
         Ok(())
     }
 
-    /// Writes out what is left, and gives the file its name.
+    /// Flushes the file and renames it.
     ///
     /// # Errors
     /// [`CliError::Write`].

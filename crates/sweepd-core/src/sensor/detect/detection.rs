@@ -12,7 +12,7 @@ pub struct Detection {
     pub model: Model,
     /// Returns in a packet. If the sensor does not report it, strongest (its default) or dual.
     pub return_mode: ReturnMode,
-    /// What told the model.
+    /// The evidence for the model.
     pub basis: Basis,
     /// The table of the model that has the measured packet period.
     pub spec: &'static Spec,
@@ -54,7 +54,7 @@ impl Detection {
     }
 }
 
-/// What told the model.
+/// The evidence for the model.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub enum Basis {
     /// The user; neither product byte nor packet period contradicts.

@@ -178,7 +178,7 @@ impl Turn {
         Ok(turn)
     }
 
-    /// The calibration that the packets are to be decoded with.
+    /// The calibration to decode the packets with.
     pub fn calibration(&self) -> &Calibration {
         &self.calibration
     }

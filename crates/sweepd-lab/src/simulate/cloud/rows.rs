@@ -133,7 +133,7 @@ mod tests {
             .collect()
     }
 
-    /// What these rows of a unit would make, that points so much higher than the calibration says.
+    /// The rings of these rows for a unit that points this much higher than its calibration.
     fn rings(rows_with_ring: impl IntoIterator<Item = usize>, higher_deg: f64) -> Vec<RingPlace> {
         let ring = |row: usize| {
             let rise = (rows()[row].elevation_rad + higher_deg.to_radians()).tan() + 0.2 / 15.0;
