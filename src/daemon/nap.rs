@@ -83,7 +83,7 @@ pub struct Senders {
 }
 
 /// Longest nap of a port, nanoseconds: at most `most`, short enough that the buffer does not
-/// overflow and that the gathered packets take at most [`CATCH_UP_NS`].
+/// overflow and that the gathered packets take at most 2.1 ms.
 ///
 /// `filled_ns` is the shortest time of the last seconds in which a part of the buffer was filled
 /// ([`UdpSource::shortest_filling_ns`](crate::capture::UdpSource::shortest_filling_ns)). The
