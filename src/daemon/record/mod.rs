@@ -10,8 +10,8 @@
 //! that cannot be begun or fails stops no sensor. That of the configuration is begun again by
 //! itself, after a second at first and after a minute at most; `/health` and the metrics say so
 //! until it is well. One that a client asked for ends, and the client learns why. Threads of their
-//! own wait for the disk. The control thread, which has a watchdog to feed, waits for them a second
-//! at the start, so that nothing is missed, and never after that.
+//! own wait for the disk. The control thread, which has a watchdog to feed, waits for them at most a
+//! second at the start, so that nothing is missed, and at the end, until all is on the disk.
 
 pub mod client;
 pub mod protocol;
