@@ -89,9 +89,10 @@ pub fn placed(sweep: &SweepRef<'_>, config: &Config) -> Vec<Option<Placed>> {
                 let lane = ahead % LANES;
                 let at = position + ahead - lane;
                 let range = ranges.load(simd, row, ahead - lane);
-                let profile = beams.profile(simd, beams.row(row), at, range);
+                let beam = beams.row(row);
+                let profile = beams.profile(simd, beam, at, range);
                 all[column * rows + row] = Some(Placed {
-                    point_m: beams.points(simd, row, at, range).map(|axis| axis[lane]),
+                    point_m: beams.points(simd, beam, at, range).map(|axis| axis[lane]),
                     range_m: range[lane],
                     away_m: profile.away[lane],
                     height_m: profile.height[lane],
@@ -151,28 +152,35 @@ impl Beams {
         self.directions.look_up(simd, sweep, self.order, position);
     }
 
-    /// The points at these ranges of a row, of the columns from a position on: right, forward, up,
-    /// from the sensor's origin, metres.
-    #[inline(always)]
-    pub fn points<S: Simd>(
-        &self,
-        simd: S,
-        row: usize,
-        position: usize,
-        range: f32x16<S>,
-    ) -> [f32x16<S>; 3] {
-        self.rows[row].points(simd, &self.directions, position, range)
-    }
-
     /// The beam of a row.
     #[inline(always)]
     pub fn row(&self, row: usize) -> Beam {
         self.rows[row]
     }
 
-    /// The same of a beam as the ground sees them. Beams are taken to be straight here, and to start
-    /// on the sensor's axis: the few centimetres that they are bent or lie aside hardly show in
-    /// heights.
+    /// The points of a beam at these ranges, of the columns from a position on: right, forward, up,
+    /// from the sensor's origin, metres.
+    #[inline(always)]
+    pub fn points<S: Simd>(
+        &self,
+        simd: S,
+        beam: Beam,
+        position: usize,
+        range: f32x16<S>,
+    ) -> [f32x16<S>; 3] {
+        let [sin, cos] = self.aim(simd, beam, position);
+        let flat = range * beam.cos_elevation;
+        let straight = [flat * sin, flat * cos, range * beam.sin_elevation];
+        let [x, y, z] = match &beam.bent {
+            Some(offsets) => beam.bend(simd, offsets, [sin, cos], range, straight),
+            None => straight,
+        };
+        let aside = beam.horizontal_offset_m;
+        [x - cos * aside, y + sin * aside, z + beam.vertical_offset_m]
+    }
+
+    /// The same as the ground sees them. Beams are taken to be straight here, and to start on the
+    /// sensor's axis: the few centimetres that they are bent or lie aside hardly show in heights.
     #[inline(always)]
     pub fn profile<S: Simd, V: SimdFloat<S, Element = f32>>(
         &self,
@@ -187,13 +195,30 @@ impl Beams {
                 height: range * beam.lift + beam.origin_height_m,
             };
         };
-        let [sin, cos]: [V; 2] = beam.aim(simd, &self.directions, position);
+        let [sin, cos]: [V; 2] = self.aim(simd, beam, position);
         let lift = (sin * x + cos * y) * beam.cos_elevation + beam.lift;
         let one = V::splat(simd, 1.0);
         Profile {
             away: range * (one - lift * lift).max(0.0).sqrt(),
             height: range * lift + beam.origin_height_m,
         }
+    }
+
+    /// Sines and cosines of where a beam points to in the columns from a position on.
+    #[inline(always)]
+    fn aim<S: Simd, V: SimdFloat<S, Element = f32>>(
+        &self,
+        simd: S,
+        beam: Beam,
+        position: usize,
+    ) -> [V; 2] {
+        let [head_sin, head_cos, surplus]: [V; 3] = self.directions.at(simd, position, beam.shift);
+        let sin = head_sin * beam.cos_turn + head_cos * beam.sin_turn;
+        let cos = head_cos * beam.cos_turn - head_sin * beam.sin_turn;
+        // What the head turned faster than at first meanwhile is so little that the first order
+        // will do.
+        let rest = surplus * beam.time_offset_s;
+        [sin + rest * cos, cos - rest * sin]
     }
 }
 
@@ -217,42 +242,6 @@ impl Beam {
                 .near()
                 .map(|axes| axes.map(|offset| [offset.base_m as f32, offset.slope as f32])),
         }
-    }
-
-    /// Sines and cosines of where the beam points to in the columns from a position on.
-    #[inline(always)]
-    fn aim<S: Simd, V: SimdFloat<S, Element = f32>>(
-        &self,
-        simd: S,
-        directions: &Directions,
-        position: usize,
-    ) -> [V; 2] {
-        let [head_sin, head_cos, surplus]: [V; 3] = directions.at(simd, position, self.shift);
-        let sin = head_sin * self.cos_turn + head_cos * self.sin_turn;
-        let cos = head_cos * self.cos_turn - head_sin * self.sin_turn;
-        // What the head turned faster than at first meanwhile is so little that the first order
-        // will do.
-        let rest = surplus * self.time_offset_s;
-        [sin + rest * cos, cos - rest * sin]
-    }
-
-    #[inline(always)]
-    fn points<S: Simd>(
-        &self,
-        simd: S,
-        directions: &Directions,
-        position: usize,
-        range: f32x16<S>,
-    ) -> [f32x16<S>; 3] {
-        let [sin, cos] = self.aim(simd, directions, position);
-        let flat = range * self.cos_elevation;
-        let straight = [flat * sin, flat * cos, range * self.sin_elevation];
-        let [x, y, z] = match &self.bent {
-            Some(offsets) => self.bend(simd, offsets, [sin, cos], range, straight),
-            None => straight,
-        };
-        let aside = self.horizontal_offset_m;
-        [x - cos * aside, y + sin * aside, z + self.vertical_offset_m]
     }
 
     /// The points of a bent beam, where the range says that they are within its bend; see
@@ -323,12 +312,13 @@ impl RowPoints {
         position: usize,
         columns: u64,
     ) {
+        let beam = beams.row(row);
         for first in (0..STRIP).step_by(LANES) {
             if columns >> first & 0xFFFF == 0 {
                 continue;
             }
             let range = ranges.load(simd, row, first);
-            let [x, y, z] = beams.points(simd, row, position + first, range);
+            let [x, y, z] = beams.points(simd, beam, position + first, range);
             let [x, y, z, range] = [quarters(x), quarters(y), quarters(z), quarters(range)];
             for quarter in 0..4 {
                 let lanes = [x[quarter], y[quarter], z[quarter], range[quarter]];
