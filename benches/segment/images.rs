@@ -45,6 +45,11 @@ impl Image {
         SweepMut::open(self.buffer.as_mut()).unwrap()
     }
 
+    /// The bytes of the sweep.
+    pub fn bytes(&self) -> &[u8] {
+        self.buffer.as_ref()
+    }
+
     /// Segments that it was last found to have.
     pub fn segments(&mut self) -> u32 {
         self.sweep().header.segments
@@ -81,7 +86,19 @@ pub fn full() -> Image {
 
 /// A real scan in an image of this many columns, where the data is at hand.
 pub fn scan(columns: usize) -> Option<Image> {
-    Some(Image::new("KITTI", projected(&kitti(&data()?), columns)))
+    Some(Image::new(
+        "KITTI",
+        projected(&kitti(&data()?, SCAN), columns),
+    ))
+}
+
+/// Another real scan in an image of full width, where the data is at hand.
+pub fn scan_of(name: &str) -> Option<Image> {
+    let points = kitti(&data()?, name);
+    Some(Image::new(
+        &format!("KITTI {}", name.replace('/', "-")),
+        projected(&points, cloud::COLUMNS),
+    ))
 }
 
 /// The folder with real data, if it is there.
@@ -91,10 +108,13 @@ pub fn data() -> Option<PathBuf> {
         .filter(|dir| dir.join("pcap").is_dir())
 }
 
+/// The scan that most tables have.
+pub const SCAN: &str = "00/000000";
+
 /// The points of a scan.
-pub fn kitti(data: &Path) -> Vec<[f32; 4]> {
-    cloud::points(&std::fs::read(data.join("labelled/semantickitti/00/000000.bin")).unwrap())
-        .unwrap()
+pub fn kitti(data: &Path, name: &str) -> Vec<[f32; 4]> {
+    let path = data.join("labelled/semantickitti").join(name);
+    cloud::points(&std::fs::read(path.with_extension("bin")).unwrap()).unwrap()
 }
 
 fn projected(points: &[[f32; 4]], columns: usize) -> HeapBuffer {

@@ -25,10 +25,19 @@
 //! What it prints as "Collected" is one sweep of the image that the first line names.
 //! `clock::begin`, `find_ground`, `join` and `label` in place of `segment_sweep` count one stage.
 //! Valgrind knows no AVX-512: AVX2 at most is counted.
+//!
+//! Beside an older commit, in alternate turns of two processes: put `serve.rs` into its `examples`,
+//! build that in release, and name the program:
+//!
+//! ```text
+//! SWEEPD_BENCH_OTHER=../older/target/release/examples/serve cargo bench --bench segment -- paired
+//! ```
 
 mod clock;
 mod images;
+mod paired;
 mod plain;
+mod serve;
 
 use std::hint::black_box;
 use std::time::{Duration, Instant};
@@ -55,6 +64,9 @@ fn main() {
         .filter(|word| !word.starts_with("--"))
         .collect();
     let is_word = |name: &str| words.iter().any(|word| word == name);
+    if is_word("serve") {
+        return serve::main().expect("a sweep");
+    }
     if is_word("count") {
         return count(is_word);
     }
@@ -62,7 +74,7 @@ fn main() {
     if images::data().is_none() {
         println!("no real data at hand (SWEEPD_DATA): simulated images alone");
     }
-    let tables: [(&str, fn()); 7] = [
+    let tables: [(&str, fn()); 8] = [
         ("sensors", sensors),
         ("levels", levels),
         ("options", options),
@@ -70,6 +82,7 @@ fn main() {
         ("segments", segments),
         ("worst", worst),
         ("cloud", clouds),
+        ("paired", paired::paired),
     ];
     for (name, print) in tables {
         if words.is_empty() || is_word(name) {
@@ -341,7 +354,7 @@ fn worst() {
 /// A cloud to an image, and labels back to its points.
 fn clouds() {
     let Some(data) = images::data() else { return };
-    let points = images::kitti(&data);
+    let points = images::kitti(&data, images::SCAN);
     let mut projector = CloudProjector::new(cloud::COLUMNS).unwrap();
     let (mut there, mut back) = (Vec::new(), Vec::new());
     for _ in 0..TURNS {
