@@ -223,7 +223,7 @@ impl Default for Recordings {
 
 impl Recordings {
     /// Begins the recording of the configuration, if there is to be one. The ports wait for it, so
-    /// that nothing is missed, but no longer than for [`START_TIME`]. If it cannot be begun that is
+    /// that nothing is missed, but for at most a second. If it cannot be begun that is
     /// logged, and no reason not to run.
     pub fn start(&mut self, record: Option<&RecordConfig>) {
         self.configure(record);
