@@ -140,16 +140,17 @@ impl Nearness<'_> {
     /// The pixel there, if it is as near as this.
     fn near(&self, pixel: usize, down: i64, on: i64, polygon: Polygon) -> Option<usize> {
         let other = self.beside(pixel, down, on)?;
-        let here = to_step(self.range_m(pixel)?);
-        let there = to_step(self.range_m(other)?);
+        let here = to_step(self.range_m(pixel));
+        let there = to_step(self.range_m(other));
         let columns = on.unsigned_abs() as usize;
         polygon
             .is_near(here, there, self.tangents(pixel, other), columns)
             .then_some(other)
     }
 
-    fn range_m(&self, pixel: usize) -> Option<f32> {
-        Some(self.image.pixels[pixel]?.range_m)
+    /// The range of a pixel; 0 where there is no return.
+    fn range_m(&self, pixel: usize) -> f32 {
+        self.image.pixels[pixel].map_or(0.0, |placed| placed.range_m)
     }
 
     fn tangents(&self, pixel: usize, other: usize) -> &Tangents {
@@ -236,11 +237,7 @@ impl Nearness<'_> {
         if small_points <= 1 {
             return component;
         }
-        let mut points: HashMap<usize, u32> = HashMap::new();
-        component
-            .iter()
-            .flatten()
-            .for_each(|first| *points.entry(*first).or_default() += 1);
+        let points = points_of(&component);
         let is_small = |first: usize| points[&first] < small_points;
         let mut nearest: HashMap<usize, (f32, usize)> = HashMap::new();
         for (pixel, small) in component.iter().enumerate() {
@@ -254,11 +251,9 @@ impl Nearness<'_> {
                 let Some(large) = component[other].filter(|&first| !is_small(first)) else {
                     continue;
                 };
-                let ranges_m = self.range_m(pixel).zip(self.range_m(other));
-                let Some((here_m, there_m)) = ranges_m else {
-                    continue;
-                };
                 let columns = on.unsigned_abs() as usize;
+                let here_m = self.range_m(pixel);
+                let there_m = self.range_m(other);
                 let apart2 = self.tangents(pixel, other).apart2(here_m, there_m, columns);
                 let best = nearest.entry(small).or_insert((f32::INFINITY, usize::MAX));
                 if (apart2, large) < *best {
@@ -274,6 +269,15 @@ impl Nearness<'_> {
     }
 }
 
+/// How many points each component has, by its first pixel.
+fn points_of(component: &[Option<usize>]) -> HashMap<usize, u32> {
+    let mut points = HashMap::new();
+    for first in component.iter().flatten() {
+        *points.entry(*first).or_default() += 1;
+    }
+    points
+}
+
 /// Numbers the components that are large enough by their first pixels in memory.
 fn number(
     component: &[Option<usize>],
@@ -281,11 +285,7 @@ fn number(
     pixels: &[Option<Placed>],
     min_points: u32,
 ) -> Vec<u32> {
-    let mut points: HashMap<usize, u32> = HashMap::new();
-    component
-        .iter()
-        .flatten()
-        .for_each(|first| *points.entry(*first).or_default() += 1);
+    let points = points_of(component);
     let mut number: HashMap<usize, u32> = HashMap::new();
     let label = |pixel: usize| match component[pixel] {
         _ if pixels[pixel].is_none() => LABEL_NONE,
