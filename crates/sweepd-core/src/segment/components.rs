@@ -192,11 +192,34 @@ impl Components {
     /// Notes that a piece may become part of another one, as far away as this squared.
     #[inline(always)]
     pub fn note_near(&mut self, small: u32, large: u32, apart2: f32) {
+        if self.nears.len() == self.nears.capacity() {
+            self.thin_nears();
+        }
         self.nears.push(Near {
             small,
             large,
             apart2,
         });
+    }
+
+    /// Keeps the nearest of the notes of each two components, so that there are no more notes than
+    /// such pairs.
+    #[cold]
+    fn thin_nears(&mut self) {
+        for index in 0..self.nears.len() {
+            let Near { small, large, .. } = self.nears[index];
+            self.nears[index].small = self.root(small);
+            self.nears[index].large = self.root(large);
+        }
+        self.nears.sort_unstable_by(|a, b| {
+            let pairs = (a.small, a.large).cmp(&(b.small, b.large));
+            pairs.then(a.apart2.total_cmp(&b.apart2))
+        });
+        self.nears.dedup_by_key(|near| (near.small, near.large));
+        // Else it would be as full again soon.
+        if self.nears.len() > self.nears.capacity() / 2 {
+            self.nears.reserve(self.nears.capacity());
+        }
     }
 
     /// How many pieces there are.
