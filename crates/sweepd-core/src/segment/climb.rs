@@ -37,7 +37,7 @@ impl Default for Climb {
 
 /// What the columns of a row are found to be: a bit each.
 #[derive(Clone, Copy, Default)]
-struct Found {
+struct ClimbedRow {
     ground: u64,
     /// The face of a kerb, if the way goes on level behind it.
     face: u64,
@@ -57,7 +57,7 @@ impl Climb {
         position: usize,
     ) {
         let rows = beams.rows();
-        let mut found = [Found::default(); MAX_ROWS];
+        let mut found = [ClimbedRow::default(); MAX_ROWS];
         if let Some(height_m) = self.height_m {
             let steps = Steps::new(limits, rows, height_m);
             for (row, spots) in self.spots[..rows].iter_mut().enumerate() {

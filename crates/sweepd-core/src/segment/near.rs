@@ -34,18 +34,18 @@ use super::ranges::STEPS;
 use crate::sweep::BeamRow;
 
 /// Cosine and tangent of t for the sides of the polygon beside that of 0°.
-const SIDES: [Side; 2] = [
-    Side {
+const LINES: [Line; 2] = [
+    Line {
         cos: 0.809_017,
         tan: 0.726_543,
     },
-    Side {
+    Line {
         cos: 0.342_020,
         tan: 2.747_477,
     },
 ];
 
-struct Side {
+struct Line {
     cos: f32,
     tan: f32,
 }
@@ -62,8 +62,9 @@ pub(super) struct Polygon {
 
 impl Polygon {
     pub fn new(gap_m: f32) -> Self {
-        let gap = gap_m * STEPS;
-        let [second, third] = SIDES.map(|side| (gap / side.cos).round() as i16);
+        // A gap of no step would join nothing.
+        let gap = (gap_m * STEPS).max(1.0);
+        let [second, third] = LINES.map(|line| (gap / line.cos).round() as i16);
         Self {
             sides: [gap.round() as i16, second, third],
         }
@@ -142,7 +143,7 @@ impl Tangents {
     /// Square of the distance of two pixels with these ranges, m².
     pub fn apart2(&self, a_m: f32, b_m: f32, columns: usize) -> f32 {
         let [_, third, _] = &self.0;
-        let chord = f32::from(third[LANES - 1 + columns]) * (1.0 / (ONE * SIDES[1].tan));
+        let chord = f32::from(third[LANES - 1 + columns]) * (1.0 / (ONE * LINES[1].tan));
         (a_m - b_m) * (a_m - b_m) + a_m * b_m * chord * chord
     }
 }
@@ -196,11 +197,11 @@ impl Limits {
                 if down != self.window_rows {
                     theta = chords.map(|chord| chord * cot_theta);
                 }
-                // Beyond the window, nothing is steeper than a theta of 0.
+                // Beyond the window no pair passes: no difference is less than 0.
                 theta[config.joining.columns + 1..].fill(0.0);
                 self.pairs.push(Tangents([
-                    mirrored(chords.map(|chord| chord * SIDES[0].tan)),
-                    mirrored(chords.map(|chord| chord * SIDES[1].tan)),
+                    mirrored(chords.map(|chord| chord * LINES[0].tan)),
+                    mirrored(chords.map(|chord| chord * LINES[1].tan)),
                     mirrored(theta),
                 ]));
             }

@@ -122,8 +122,9 @@ impl StripColumns {
     }
 }
 
-/// Lanes of a row: columns before the strip at hand, the strip, and the next one. Nine cache lines:
-/// an odd number, so that rows do not fall into the same places of a cache.
+/// Lanes of a row: columns before the strip at hand, the strip, and the next one. Nine cache lines
+/// of 32-bit numbers, four and a half of 16-bit ones: no power of two, so that rows do not fall into
+/// the same places of a cache.
 pub(super) const STRIDE: usize = BEFORE + 2 * STRIP;
 /// Lanes of all rows that there can be, and of those that a window reaches beyond them.
 const ALL: usize = (MAX_ROWS + 2 * MOST_ROWS) * STRIDE;
@@ -134,8 +135,9 @@ pub(super) fn lane_of(row: usize) -> usize {
     (row + MOST_ROWS) * STRIDE + BEFORE
 }
 
-/// A number for each lane of each row. Sixteen columns, counted from the first of a strip, are one
-/// cache line: a vector across two of them takes twice as long.
+/// A number for each lane of each row. Sixteen columns, counted from the first of a strip, are a
+/// cache line of 32-bit numbers, or half of one of 16-bit numbers: a vector across two cache lines
+/// takes twice as long.
 #[derive(Clone, Debug)]
 pub(super) struct Plane<T>(Box<Lines<T>>);
 

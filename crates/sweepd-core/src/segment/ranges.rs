@@ -30,7 +30,7 @@ pub(super) struct Ranges {
     pub real: [[u64; 3]; MAX_ROWS],
 }
 
-/// Ranges in metres in [`STEPS`], from one on; the whole number below is the nearest.
+/// Ranges in metres in [`STEPS`], at least one, with a half added: truncation rounds to the nearest.
 #[inline(always)]
 fn to_steps<S: Simd>(range_m: f32x16<S>) -> f32x16<S> {
     (range_m * STEPS + 0.5).max(1.0).min(f32::from(i16::MAX))
