@@ -22,8 +22,9 @@ pub fn record(
     args: &Args,
     over: Arc<AtomicBool>,
 ) -> Result<(Report, Result<(), CliError>), CliError> {
-    let sources = listen(args)?;
+    // Before the ports are open: what came during the wait would be old, or dropped.
     let _pipe = await_reader(args, &over)?;
+    let sources = listen(args)?;
     let recorder = Recorder::start(RecorderConfig {
         rotation: args.rotation(),
         existing: args.force.existing(),

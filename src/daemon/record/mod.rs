@@ -234,6 +234,9 @@ impl Recordings {
                 Err(_) => thread::sleep(POLL_TIME),
             }
         }
+        for recording in &mut self.list {
+            recording.note_slow_start();
+        }
     }
 
     /// Takes the names of the sensors and the ways to their ports; what has begun is recorded from
@@ -370,7 +373,9 @@ impl Recordings {
     /// Ends all. When this returns, what was put in is on the disk; how long that takes is up to
     /// the disk.
     pub fn finish(&mut self) {
-        // One that is being begun has nothing yet, and must replace nothing.
+        // One that is being begun has nothing yet, and must replace nothing. After this, the thread
+        // that opens it finds no receiver, and discards it.
+        self.events.close();
         while let Ok(event) = self.events.try_recv() {
             event.discard();
         }

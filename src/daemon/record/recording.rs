@@ -377,6 +377,15 @@ impl Recording {
         }
     }
 
+    /// Says that its file is not open yet, if that is so.
+    pub(super) fn note_slow_start(&mut self) {
+        if self.is_beginning {
+            let path = self.target.path.display();
+            warn!("{path} is not open yet: nothing is recorded until it is; the sensors go on");
+            self.trouble = Some(format!("{path} is not open yet"));
+        }
+    }
+
     /// It could not be begun. Only the first failure in a row is news.
     pub(super) fn failed(&mut self, error: &RecordError) {
         if self.trouble.is_none() && self.recorder.is_none() {
