@@ -22,8 +22,8 @@ const MOST_JOBS: u16 = 256;
 /// How many threads work.
 #[derive(Clone, Copy, Debug, clap::Args)]
 pub struct JobOptions {
-    /// Threads that segment and write side by side; the output is the same with any number [default:
-    /// one for each core]
+    /// Threads that segment, and make files, side by side; the output is the same with any number
+    /// [default: one for each core; one at a given pace, and with --publish]
     #[arg(long, value_name = "N", value_parser = clap::value_parser!(u16).range(1..=i64::from(MOST_JOBS)))]
     jobs: Option<u16>,
 }
@@ -131,6 +131,8 @@ impl<T, W> Jobs<T, W> {
         if source.is_over {
             return None;
         }
+        // After a panic of `take`, no other job may call it.
+        source.is_over = true;
         let item = (source.take)(job).transpose();
         source.is_over = !matches!(item, Some(Ok(_)));
         source.taken += 1;
