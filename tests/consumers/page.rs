@@ -116,7 +116,7 @@ fn the_page_has_every_number() {
 fn the_page_names_what_depends_on_the_host() {
     let page = std::fs::read_to_string(of_project("docs/layout.md")).unwrap();
     let (_, rest) = page
-        .split_once("The same packets give the same sweep, byte for byte, but for")
+        .split_once("The same packets give the same sweep, byte for byte, except for the fields that depend on the receiving host:")
         .unwrap();
     let sentence = rest.split(". ").next().unwrap();
     let named: Vec<&str> = sentence.split('`').skip(1).step_by(2).collect();
