@@ -7,9 +7,8 @@
 
 use fearless_simd::{Simd, prelude::*};
 
-use super::MAX_ROWS;
 use super::ground::SlopeGround;
-use super::order::{STRIP, lane_of};
+use super::order::{MAX_ROWS, STRIP, lane_of};
 use super::points::{Beams, Profile};
 use super::ranges::Ranges;
 

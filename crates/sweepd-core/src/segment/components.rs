@@ -129,12 +129,12 @@ impl Sum {
 impl Components {
     /// Takes room for as many pieces as an image can have.
     pub fn reserve(&mut self, pixels: usize) {
-        super::reserve(&mut self.parent, pixels);
-        super::reserve(&mut self.sums, pixels);
-        super::reserve(&mut self.nears, pixels);
-        super::reserve(&mut self.nearest, pixels);
-        super::reserve(&mut self.order, pixels);
-        super::reserve(&mut self.label, pixels);
+        super::order::reserve(&mut self.parent, pixels);
+        super::order::reserve(&mut self.sums, pixels);
+        super::order::reserve(&mut self.nears, pixels);
+        super::order::reserve(&mut self.nearest, pixels);
+        super::order::reserve(&mut self.order, pixels);
+        super::order::reserve(&mut self.label, pixels);
     }
 
     /// A piece that begins here.

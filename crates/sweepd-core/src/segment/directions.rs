@@ -4,8 +4,7 @@ use std::f32::consts::FRAC_2_PI;
 
 use fearless_simd::{Simd, f32x16, i32x16, prelude::*};
 
-use super::order::{LANES, Order, STRIP, load};
-use super::reserve;
+use super::order::{LANES, Order, STRIP, load, reserve};
 use crate::sweep::SweepRef;
 use crate::sweep::image::shifted;
 

@@ -10,7 +10,7 @@
 //! heights and what the steepest way rises are in steps of 2 mm, distances in steps of 7.8 mm; where
 //! `max_slope` is more than 1 to 4, steps are as much longer as the way rises more in 256 m.
 
-use super::DENSE_ROWS;
+use super::order::DENSE_ROWS;
 
 /// What counts as ground.
 #[derive(Clone, Copy, Debug, PartialEq)]

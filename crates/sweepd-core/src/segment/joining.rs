@@ -2,8 +2,7 @@
 
 use std::f32::consts::TAU;
 
-use super::DENSE_ROWS;
-use super::order::{MOST_COLUMNS, Order, STRIP};
+use super::order::{DENSE_ROWS, MOST_COLUMNS, Order, STRIP};
 use crate::sweep::Column;
 
 /// What is joined.

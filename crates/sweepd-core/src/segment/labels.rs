@@ -3,10 +3,9 @@
 
 use fearless_simd::{Simd, mask32x16, prelude::*, u32x4, u32x16};
 
-use super::MAX_ROWS;
 use super::components::Components;
 use super::extent::Extent;
-use super::order::{LANES, Order, Plane, STRIP, lane_of};
+use super::order::{LANES, MAX_ROWS, Order, Plane, STRIP, lane_of};
 use super::runs::Run;
 use super::turnover::{TILE, turn_over};
 use crate::sweep::layout::{LABEL_FIRST_SEGMENT, LABEL_GROUND, LABEL_NONE};
@@ -47,9 +46,9 @@ impl Labels {
     /// Takes room for any image of this shape, and forgets all.
     pub fn begin(&mut self, rows: usize, columns: usize, segments: usize) {
         self.rows = rows;
-        super::reserve(&mut self.found, rows * columns.div_ceil(STRIP));
-        super::reserve(&mut self.run_ends, columns.div_ceil(STRIP));
-        super::reserve(&mut self.extents, segments);
+        super::order::reserve(&mut self.found, rows * columns.div_ceil(STRIP));
+        super::order::reserve(&mut self.run_ends, columns.div_ceil(STRIP));
+        super::order::reserve(&mut self.extents, segments);
     }
 
     /// Pixels that are ground.

@@ -2,7 +2,7 @@
 
 use std::f64::consts::TAU;
 
-use super::MAX_ROWS;
+use super::order::MAX_ROWS;
 
 /// Most columns of a mask: finer than the encoder of any sensor.
 pub const MAX_WIDTH: usize = 36_000;

@@ -70,7 +70,7 @@ pub struct HeightEstimator {
 impl HeightEstimator {
     /// Takes room for sweeps of up to this many columns.
     pub fn reserve(&mut self, columns: usize) {
-        super::reserve(&mut self.near_m, columns);
+        super::order::reserve(&mut self.near_m, columns);
     }
 
     /// Takes one more sweep: how deep below the sensor the lowest return of each column lies,

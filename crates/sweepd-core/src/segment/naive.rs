@@ -7,12 +7,13 @@
 use std::collections::{HashMap, VecDeque};
 
 use super::climb::{STEPS_AWAY, Steps};
+use super::config::Config;
+use super::ground::SlopeGround;
 use super::joining;
 use super::near::{Limits, Polygon, Tangents};
 use super::order::Order;
 use super::points::{self, Placed};
 use super::ranges::to_step;
-use super::{Config, SlopeGround};
 use crate::sweep::SweepRef;
 use crate::sweep::layout::{LABEL_FIRST_SEGMENT, LABEL_GROUND, LABEL_NONE, flags};
 

@@ -28,7 +28,7 @@
 
 use fearless_simd::{Simd, i16x16, mask16x16, prelude::*, u16x16};
 
-use super::Config;
+use super::config::Config;
 use super::order::LANES;
 use super::ranges::STEPS;
 use crate::sweep::BeamRow;

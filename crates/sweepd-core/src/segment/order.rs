@@ -5,9 +5,14 @@ use std::ops::{Deref, DerefMut};
 
 use fearless_simd::{Simd, f32x16, prelude::*};
 
-use super::MAX_ROWS;
 use crate::sweep::SweepRef;
 use crate::sweep::layout::flags;
+
+/// Most rows of an image.
+pub const MAX_ROWS: usize = 128;
+
+/// Images of this many rows or more are dense: some limits that were not told are chosen by that.
+pub(super) const DENSE_ROWS: usize = 48;
 
 /// Widest window.
 pub const MOST_COLUMNS: usize = 12;
@@ -201,6 +206,12 @@ impl<T> DerefMut for Plane<T> {
 #[inline(always)]
 pub(super) fn load<S: Simd>(simd: S, plane: &[f32], at: usize) -> f32x16<S> {
     f32x16::from_slice(simd, &plane[at..at + LANES])
+}
+
+/// Empties a vector and takes room for this many elements.
+pub(super) fn reserve<T>(vec: &mut Vec<T>, count: usize) {
+    vec.clear();
+    vec.reserve(count);
 }
 
 #[cfg(test)]

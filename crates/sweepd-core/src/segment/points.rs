@@ -4,11 +4,12 @@
 
 use fearless_simd::{Level, Simd, dispatch, f32x4, f32x8, f32x16, prelude::*, u32x16};
 
+use super::config::Config;
 use super::directions::Directions;
-use super::order::{LANES, Order, STRIP};
+use super::mount::Mount;
+use super::order::{LANES, MAX_ROWS, Order, STRIP};
 use super::ranges::Ranges;
 use super::turn::turn_rad;
-use super::{Config, MAX_ROWS, Mount};
 use crate::sweep::corrected::Corrected;
 use crate::sweep::{BeamRow, SweepRef};
 

@@ -7,9 +7,10 @@
 
 use fearless_simd::{Simd, f32x4, f32x16, i32x16, prelude::*};
 
-use super::order::{BEFORE, LANES, Order, Plane, STRIDE, STRIP, lane_of};
+use super::config::Config;
+use super::mask::Mask;
+use super::order::{BEFORE, LANES, MAX_ROWS, Order, Plane, STRIDE, STRIP, lane_of};
 use super::turnover::{TILE, turn_over};
-use super::{Config, MAX_ROWS, Mask};
 use crate::sweep::SweepRef;
 
 /// Steps of a range in 16 bits, in a metre: a step is 7.8 mm, and ranges beyond 256 m are that.

@@ -112,8 +112,8 @@ impl Default for Runs {
 impl Runs {
     /// Takes room for any image of this many pixels, and forgets all.
     pub fn begin(&mut self, rows: usize, pixels: usize) {
-        super::reserve(&mut self.all, pixels);
-        super::reserve(&mut self.names, rows * (BEFORE + STRIP));
+        super::order::reserve(&mut self.all, pixels);
+        super::order::reserve(&mut self.names, rows * (BEFORE + STRIP));
         self.from = 0;
         self.jumps = 0;
         self.range.fill(NO_RETURN);

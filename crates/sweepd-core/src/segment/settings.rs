@@ -3,7 +3,7 @@
 
 use std::ops::RangeInclusive;
 
-use super::Config;
+use super::config::Config;
 use super::order::{MOST_COLUMNS, MOST_ROWS};
 
 /// Angles that a beta test can have, degrees; the ends are none.

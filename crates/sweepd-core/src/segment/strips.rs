@@ -14,16 +14,16 @@ use fearless_simd::{Level, Simd, dispatch, f32x16, mask32x16, prelude::*};
 
 use super::climb::Climb;
 use super::components::Components;
+use super::config::Config;
 use super::joining;
 use super::labels::{Found, Labels};
 use super::near::Limits;
-use super::order::{BEFORE, LANES, Order, STRIP, lane_of};
+use super::order::{BEFORE, LANES, Order, STRIP, lane_of, reserve};
 use super::points::Beams;
 use super::ranges::Ranges;
 use super::runs::{Bits, Runs};
 use super::vote::vote;
 use super::windows::Windows;
-use super::{Config, reserve};
 use crate::sweep::{SweepMut, SweepRef};
 
 /// Labels sweeps by the default method; after the first in buffers of one size it allocates

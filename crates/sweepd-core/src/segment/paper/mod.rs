@@ -18,7 +18,8 @@ mod table;
 
 use fearless_simd::Level;
 
-use super::{Config, reserve};
+use super::config::Config;
+use super::order::reserve;
 use crate::sweep::SweepMut;
 use crate::sweep::layout::{LABEL_FIRST_SEGMENT, LABEL_GROUND, LABEL_NONE, is_return};
 use angles::{Angles, Pair};

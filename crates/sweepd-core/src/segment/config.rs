@@ -1,0 +1,161 @@
+//! What a segmenter is made with.
+
+use std::f32::consts::FRAC_PI_2;
+
+use super::ground::SlopeGround;
+use super::joining::Joining;
+use super::mask::Mask;
+use super::mount::Mount;
+use super::order::{MOST_COLUMNS, MOST_ROWS};
+use super::paper::ground::PaperGround;
+use crate::sweep::layout::is_return;
+
+/// How ground is found.
+#[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
+pub enum Method {
+    /// By slope, from the sensor's foot on: needs the sensor's height, configured or estimated.
+    /// Until a sweep has shown the height, no ground is labelled.
+    #[default]
+    Slope,
+    /// As the paper's authors do, by changes of inclination.
+    Paper,
+}
+
+/// What a [`Segmenter`](super::Segmenter) is told once.
+#[derive(Clone, Debug, PartialEq)]
+pub struct Config {
+    /// How ground is found.
+    pub method: Method,
+    /// Two neighbours belong together when the line through them meets the longer beam at more than
+    /// this angle, radians.
+    pub theta_rad: f32,
+    /// Ground by [`Method::Slope`].
+    pub slope: SlopeGround,
+    /// What is joined, beside the angle, after [`Method::Slope`].
+    pub joining: Joining,
+    /// Ground by [`Method::Paper`].
+    pub paper: PaperGround,
+    /// Returns that a segment has at least; smaller ones are not labelled.
+    pub min_points: u32,
+    /// How the sensor sits on the robot.
+    pub mount: Mount,
+    /// Returns nearer than this are not labelled, metres.
+    pub min_range_m: f32,
+    /// Returns further than this are not labelled, metres.
+    pub max_range_m: f32,
+    /// Pixels that show the robot itself and are not labelled; for the sensor's number of rows.
+    pub mask: Option<Mask>,
+}
+
+impl Default for Config {
+    fn default() -> Self {
+        Self {
+            method: Method::Slope,
+            theta_rad: 10_f64.to_radians() as f32,
+            slope: SlopeGround::default(),
+            joining: Joining::default(),
+            paper: PaperGround::default(),
+            min_points: 10,
+            mount: Mount::default(),
+            min_range_m: 0.0,
+            max_range_m: f32::INFINITY,
+            mask: None,
+        }
+    }
+}
+
+/// A [`Config`] that no sweep can be segmented with.
+#[derive(Clone, Copy, Debug, PartialEq, thiserror::Error)]
+pub enum ConfigError {
+    /// The angle of the beta test.
+    #[error("theta is {found_deg} degrees, expected more than 0 and less than 90")]
+    Theta {
+        /// Degrees.
+        found_deg: f32,
+    },
+    /// The range limits.
+    #[error(
+        "the range is limited to {min_m}..{max_m} m, expected 0 or more, and the second greater than the first"
+    )]
+    Range {
+        /// Metres.
+        min_m: f32,
+        /// Metres.
+        max_m: f32,
+    },
+    /// The window.
+    #[error(
+        "the window is {columns} columns and {rows} rows, expected 1 to {MOST_COLUMNS} and 1 to {MOST_ROWS}"
+    )]
+    Window {
+        /// Columns to either side.
+        columns: usize,
+        /// Rows up and down.
+        rows: usize,
+    },
+    /// The gap.
+    #[error("segments have gaps of {found_m} m, expected more than 0")]
+    Gap {
+        /// Metres.
+        found_m: f32,
+    },
+    /// How near another component has to be that a small one becomes part of.
+    #[error("small parts reach {found_m} m beyond the gap, expected 0 or more")]
+    SmallReach {
+        /// Metres.
+        found_m: f32,
+    },
+    /// The mounting height.
+    #[error("the sensor is mounted {found_m} m above the ground, expected more than 0")]
+    Height {
+        /// Metres.
+        found_m: f32,
+    },
+}
+
+impl Config {
+    /// Whether the numbers can be meant.
+    ///
+    /// # Errors
+    /// [`ConfigError`] of the first that cannot.
+    pub fn check(&self) -> Result<(), ConfigError> {
+        let min_m = self.min_range_m;
+        let max_m = self.max_range_m;
+        if !(self.theta_rad > 0.0 && self.theta_rad < FRAC_PI_2) {
+            return Err(ConfigError::Theta {
+                found_deg: self.theta_rad.to_degrees(),
+            });
+        }
+        if !(min_m >= 0.0 && min_m < max_m) {
+            return Err(ConfigError::Range { min_m, max_m });
+        }
+        let Joining {
+            columns,
+            rows,
+            gap_m,
+            small_reach_m: found_m,
+            ..
+        } = self.joining;
+        if !((1..=MOST_COLUMNS).contains(&columns) && (1..=MOST_ROWS).contains(&rows)) {
+            return Err(ConfigError::Window { columns, rows });
+        }
+        if let Some(found_m) = gap_m.filter(|gap_m| gap_m.is_nan() || *gap_m <= 0.0) {
+            return Err(ConfigError::Gap { found_m });
+        }
+        if found_m.is_nan() || found_m < 0.0 {
+            return Err(ConfigError::SmallReach { found_m });
+        }
+        match self.mount.height_m {
+            Some(found_m) if !(found_m > 0.0 && found_m.is_finite()) => {
+                Err(ConfigError::Height { found_m })
+            }
+            _ => Ok(()),
+        }
+    }
+
+    /// Whether a range may be labelled.
+    #[inline(always)]
+    pub(super) fn holds(&self, range_m: f32) -> bool {
+        is_return(range_m) && range_m >= self.min_range_m && range_m <= self.max_range_m
+    }
+}
