@@ -147,12 +147,7 @@ impl Pipeline {
     /// The next sweep that is whole, labelled; [`SweepRef::open`](crate::sweep::SweepRef::open)
     /// reads it. Each call takes the same memory: the open sweep is built there.
     pub fn poll<B: Buffers>(&mut self, memory: &mut Memory<B>) -> Option<B::Buffer> {
-        if self.assemble(memory) {
-            self.complete(memory, TimedSegmenter::segment);
-            memory.finish()
-        } else {
-            None
-        }
+        self.poll_with(memory, TimedSegmenter::segment)
     }
 
     /// The same without labels, but with the height of the sensor: the labels are for a
@@ -160,12 +155,20 @@ impl Pipeline {
     /// thread, while this one decodes the next sweep. Instead of [`Pipeline::poll`] and
     /// [`Pipeline::segment_early`].
     pub fn poll_unlabelled<B: Buffers>(&mut self, memory: &mut Memory<B>) -> Option<B::Buffer> {
-        if self.assemble(memory) {
-            self.complete(memory, TimedSegmenter::find_height);
-            memory.finish()
-        } else {
-            None
+        self.poll_with(memory, TimedSegmenter::find_height)
+    }
+
+    /// The next sweep that is whole, after a step of the segmenter.
+    fn poll_with<B: Buffers>(
+        &mut self,
+        memory: &mut Memory<B>,
+        step: fn(&mut TimedSegmenter, &mut SweepMut<'_>),
+    ) -> Option<B::Buffer> {
+        if !self.assemble(memory) {
+            return None;
         }
+        self.complete(memory, step);
+        memory.finish()
     }
 
     /// Places packets until the sweep in this buffer is whole, or there are no more; returns
@@ -255,7 +258,7 @@ impl Pipeline {
         std::mem::take(&mut self.events.notices)
     }
 
-    /// The model and how it was told, once it is known.
+    /// The model, and how it was detected, once it is known.
     pub fn detection(&self) -> Option<Detection> {
         self.state.detection()
     }

@@ -1,4 +1,4 @@
-//! What a pipeline is told once.
+//! The configuration of a pipeline.
 
 use crate::segment;
 use crate::sensor::{Calibration, Model};
@@ -24,10 +24,10 @@ pub struct Config {
     /// report the pulse as locked; see [`assemble::clock`](crate::assemble::clock).
     pub gps_without_pps: bool,
     /// Position of the sensor in the frame of the robot, metres: x right, y forward, z up; only
-    /// told on.
+    /// passed on.
     pub position_m: [f32; 3],
     /// Rotation about the vertical in the frame of the robot, counter-clockwise from above,
-    /// radians; only told on.
+    /// radians; only passed on.
     pub yaw_rad: f32,
 }
 

@@ -43,7 +43,7 @@ pub(super) struct Decoding {
     late: Option<OrderedPacket>,
     order: PacketOrder,
     pub builder: Builder,
-    /// Whether the open sweep is to be closed when all packets are placed.
+    /// Whether the open sweep is closed once all packets are placed.
     closing: bool,
 }
 
@@ -251,7 +251,7 @@ impl Decoding {
         self.closing
     }
 
-    /// Whether the sensor has been silent for so long that its open sweep is to be closed.
+    /// Whether the sensor has been silent for longer than [`STALL_NS`].
     pub fn is_stalled(&self, now_ns: i64) -> bool {
         self.builder
             .newest_arrival_ns()

@@ -61,7 +61,7 @@ pub enum Fault {
     /// The calibration that an HDL-64E sends is impossible.
     #[error("the calibration in its packets cannot be used: {0}")]
     OwnCalibration(String),
-    /// The packets of an HDL-64E ended before they had told its calibration.
+    /// The packets of an HDL-64E ended before its calibration was complete.
     #[error(
         "no calibration: {known} of the {of} bytes of the one in its packets had come when they ended, and a whole one takes \
          4160 packets"

@@ -139,7 +139,7 @@ impl State {
         }
     }
 
-    /// The model and how it was told, once it is known.
+    /// The model, and how it was detected, once it is known.
     pub fn detection(&self) -> Option<Detection> {
         match self {
             State::Decoding(decoding) => Some(decoding.detection),

@@ -45,9 +45,13 @@ impl TimedSegmenter {
         self.segmenter.forget_height();
     }
 
-    /// The height of the sensor into a whole sweep, that another segmenter labels.
+    /// Writes the height of the sensor into a whole sweep that another segmenter labels. The time
+    /// counts as that of the ground.
     pub(super) fn find_height(&mut self, sweep: &mut SweepMut<'_>) {
+        let begun_ns = (self.clock)();
         self.segmenter.find_height(sweep);
+        let height_ns = (self.clock)() - begun_ns;
+        sweep.header.ground_ns = u32::try_from(height_ns).unwrap_or(u32::MAX);
     }
 
     /// Ground and joins of the open sweep, of which the first `ready` columns will stay as they
@@ -65,6 +69,8 @@ impl TimedSegmenter {
         self.take_time(sweep.header.sequence);
         let begun_ns = (self.clock)();
         self.segmenter.begin(sweep);
+        // What finding the height took, if that was done apart.
+        self.spent.ground_ns += i64::from(sweep.header.ground_ns);
         self.spent.ground_ns += (self.clock)() - begun_ns;
         self.segment_strips(sweep);
         let joined_ns = (self.clock)();
