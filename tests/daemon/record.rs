@@ -351,7 +351,7 @@ fn a_disk_that_fails_stops_no_sensor_and_a_reload_begins_again() {
 }
 
 #[test]
-fn a_disk_that_does_not_answer_keeps_nobody_waiting_but_the_recording() {
+fn a_disk_that_does_not_answer_delays_only_its_recording() {
     let mut daemon = Daemon::start("waits", &roof(97), "");
     // Whoever opens a pipe to write waits for somebody who reads.
     let pipe = daemon.folder.join("pipe-000.pcap");
@@ -394,7 +394,7 @@ fn a_disk_that_does_not_answer_keeps_nobody_waiting_but_the_recording() {
 }
 
 #[test]
-fn a_disk_that_does_not_answer_at_the_start_keeps_nobody_waiting() {
+fn a_disk_that_does_not_answer_at_the_start_does_not_hold_the_daemon() {
     let folder = tempfile::tempdir().unwrap();
     let pipe = folder.path().join("pipe-000.pcap");
     let mkfifo = Command::new("mkfifo").arg(&pipe).status();

@@ -53,7 +53,7 @@ pub struct Args {
         conflicts_with = "force"
     )]
     pub(super) rotate_mb: Option<f64>,
-    /// Begin another file when one holds so much, likewise
+    /// Begin another file before one covers more time than this; names as with --rotate-mb
     #[arg(
         long,
         value_name = "SECONDS",

@@ -50,8 +50,8 @@ pub fn record(
     Ok(recording.run(args, inputs))
 }
 
-/// Waits for a program that reads the pipe, if the output is one, and says so. The pipe is to be
-/// kept until the recorder has it too, so that the reader sees no end before the beginning.
+/// Waits for a program that reads the pipe, if the output is one, and says so. Keep the
+/// pipe until the recorder has it too: else the reader sees an end before the beginning.
 fn await_reader(args: &Args, over: &AtomicBool) -> Result<Option<File>, CliError> {
     let mut is_announced = false;
     loop {

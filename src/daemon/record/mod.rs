@@ -222,9 +222,9 @@ impl Default for Recordings {
 }
 
 impl Recordings {
-    /// Begins the recording of the configuration, if there is to be one. The ports wait for it, so
-    /// that nothing is missed, but for at most a second. If it cannot be begun that is
-    /// logged, and no reason not to run.
+    /// Begins the recording of the configuration, if there is one. The ports wait for it, so that
+    /// nothing is missed, but for at most a second. A failure is logged; the daemon runs all the
+    /// same.
     pub fn start(&mut self, record: Option<&RecordConfig>) {
         self.configure(record);
         let started = Instant::now();

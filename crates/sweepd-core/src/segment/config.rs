@@ -1,4 +1,4 @@
-//! What a segmenter is made with.
+//! The configuration of a segmenter, and its limits.
 
 use std::f32::consts::FRAC_PI_2;
 
@@ -21,7 +21,7 @@ pub enum Method {
     Paper,
 }
 
-/// What a [`Segmenter`](super::Segmenter) is told once.
+/// The configuration of a [`Segmenter`](super::Segmenter).
 #[derive(Clone, Debug, PartialEq)]
 pub struct Config {
     /// How ground is found.

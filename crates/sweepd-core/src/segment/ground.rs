@@ -4,7 +4,7 @@
 //! The `climb` starts at the sensor's foot, the point of the ground straight below it, and goes on
 //! from each ground point to the next. So it needs the sensor's height, and holds for sparse
 //! sensors, whose first ground point is metres out. Columns do not look at each other while they
-//! climb; in the `vote` they do. This file says what both are told.
+//! climb; in the `vote` they do. This file has the limits of both.
 //!
 //! Both compare whole steps in 16 bits. The vote has those of ranges, of 7.8 mm. For the climb,
 //! heights and what the steepest way rises are in steps of 2 mm, distances in steps of 7.8 mm; where
@@ -48,7 +48,7 @@ impl Default for SlopeGround {
 
 impl SlopeGround {
     /// Highest rise from one ground point to the next in an image of this many rows, metres: what
-    /// was told, else 0.3 where beams are dense, and 0.15 where they are sparse, so that the next
+    /// is configured, else 0.3 where beams are dense, and 0.15 where they are sparse, so that the next
     /// point may lie on what stands there.
     pub fn max_rise_m(&self, rows: usize) -> f32 {
         self.max_rise_m

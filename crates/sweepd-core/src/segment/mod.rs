@@ -117,7 +117,7 @@ impl Segmenter {
         self
     }
 
-    /// What it was told.
+    /// The configuration.
     pub fn config(&self) -> &Config {
         &self.config
     }
@@ -149,10 +149,10 @@ impl Segmenter {
         check_rows(sweep);
         sweep.header.pitch_rad = self.config.mount.pitch_rad;
         sweep.header.roll_rad = self.config.mount.roll_rad;
-        let told = self.config.mount.height_m;
+        let configured_m = self.config.mount.height_m;
         match self.config.method {
             Method::Paper => {
-                write_height(sweep, told, false);
+                write_height(sweep, configured_m, false);
                 self.paper.begin(sweep, &self.config);
             }
             Method::Slope => {
@@ -163,7 +163,7 @@ impl Segmenter {
                     self.strips.go_on(sweep, None);
                 } else {
                     let height_m = match &mut self.height {
-                        _ if told.is_some() => told,
+                        _ if configured_m.is_some() => configured_m,
                         None => Some(sweep.header.height_m).filter(|height_m| *height_m > 0.0),
                         Some(height) => {
                             height.reserve(sweep.columns.len());
@@ -175,7 +175,7 @@ impl Segmenter {
                     };
                     self.strips.begin(sweep, &self.config, height_m, None);
                 }
-                write_height(sweep, self.strips.height_m(), told.is_none());
+                write_height(sweep, self.strips.height_m(), configured_m.is_none());
             }
         }
     }
@@ -185,7 +185,7 @@ impl Segmenter {
     /// [`Segmenter::find_ground`] and [`Segmenter::join`] are to be called until there is no more.
     /// When it is complete, [`Segmenter::begin`] goes on where this stopped.
     ///
-    /// A sweep is told by its sequence number: another one has another, or [`Segmenter::spoil`] is
+    /// A sweep is known by its sequence number: another one has another, or [`Segmenter::spoil`] is
     /// called in between.
     pub fn begin_early(&mut self, sweep: &mut SweepMut<'_>, ready: usize) -> bool {
         let estimated_m = self.height.as_ref().and_then(HeightEstimator::height_m);
@@ -229,9 +229,9 @@ impl Segmenter {
     /// If the sweep has more than [`MAX_ROWS`] rows.
     pub fn find_height(&mut self, sweep: &mut SweepMut<'_>) {
         check_rows(sweep);
-        let told = self.config.mount.height_m;
+        let configured_m = self.config.mount.height_m;
         match &mut self.height {
-            Some(height) if told.is_none() && self.config.method == Method::Slope => {
+            Some(height) if configured_m.is_none() && self.config.method == Method::Slope => {
                 height.reserve(sweep.columns.len());
                 let depths_m = self.strips.sound(sweep, &self.config);
                 if height.height_m().is_none() {
@@ -240,7 +240,7 @@ impl Segmenter {
                 write_height(sweep, height.height_m(), true);
                 height.observe(depths_m);
             }
-            _ => write_height(sweep, told, false),
+            _ => write_height(sweep, configured_m, false),
         }
     }
 

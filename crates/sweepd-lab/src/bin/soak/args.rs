@@ -33,7 +33,7 @@ pub struct Args {
     /// Seed of all chance
     #[arg(long, value_name = "N", default_value = "1")]
     pub seed: u64,
-    /// A line of progress so often
+    /// Print a line of progress at this interval
     #[arg(long, value_name = "SECONDS", default_value = "30", value_parser = duration(0.1..=1e6, "seconds", 1.0))]
     pub every: Duration,
     /// From one consumer that comes to the next, on the average
