@@ -508,8 +508,10 @@ fn python_refuses_a_full_service() {
 }
 
 #[test]
-#[cfg_attr(without_python, ignore = "no SWEEPD_PYTHON")]
-#[cfg_attr(without_root, ignore = "not root, or no namespaces")]
+#[cfg_attr(
+    any(without_python, without_root),
+    ignore = "no SWEEPD_PYTHON, not root, or no namespaces"
+)]
 fn a_folder_of_another_user_is_named() {
     let folder = temp_domain();
     std::fs::create_dir(folder.root()).unwrap();

@@ -125,8 +125,10 @@ fn a_rust_consumer_without_shared_memory_says_so() {
 }
 
 #[test]
-#[cfg_attr(without_python, ignore = "no SWEEPD_PYTHON")]
-#[cfg_attr(without_root, ignore = "not root, or no namespaces")]
+#[cfg_attr(
+    any(without_python, without_root),
+    ignore = "no SWEEPD_PYTHON, not root, or no namespaces"
+)]
 fn a_python_consumer_without_shared_memory_says_so() {
     let python = python_with_iceoryx2();
     let script = concat!(env!("CARGO_MANIFEST_DIR"), "/examples/consumer.py");

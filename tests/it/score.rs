@@ -839,8 +839,10 @@ fn equal(
 }
 
 #[test]
-#[cfg_attr(without_captures, ignore = "no captures")]
-#[cfg_attr(without_python, ignore = "no SWEEPD_PYTHON")]
+#[cfg_attr(
+    any(without_captures, without_python),
+    ignore = "no captures or no SWEEPD_PYTHON"
+)]
 fn equal_to_segquality_on_real_scans() {
     let folder = Folder::new("segquality");
     let (python, evaluator) = real(&folder);
@@ -873,8 +875,10 @@ fn equal_to_segquality_on_real_scans() {
 
 /// What methods are said to reach is what their labels get when they are scored from files.
 #[test]
-#[cfg_attr(without_captures, ignore = "no captures")]
-#[cfg_attr(without_python, ignore = "no SWEEPD_PYTHON")]
+#[cfg_attr(
+    any(without_captures, without_python),
+    ignore = "no captures or no SWEEPD_PYTHON"
+)]
 fn methods_are_scored_as_their_files_are() {
     let folder = Folder::new("files");
     real(&folder);

@@ -170,8 +170,10 @@ impl Drop for Comparison<'_> {
 }
 
 #[test]
-#[cfg_attr(without_captures, ignore = "no captures")]
-#[cfg_attr(without_python, ignore = "no SWEEPD_PYTHON")]
+#[cfg_attr(
+    any(without_captures, without_python),
+    ignore = "no captures or no SWEEPD_PYTHON"
+)]
 fn returns_of_real_captures_are_those_of_velodyne_decoder() {
     let data = common::data_dir();
     let python = common::python();
@@ -212,8 +214,10 @@ fn returns_of_simulated_captures_are_those_of_velodyne_decoder() {
 }
 
 #[test]
-#[cfg_attr(without_captures, ignore = "no captures")]
-#[cfg_attr(without_python, ignore = "no SWEEPD_PYTHON")]
+#[cfg_attr(
+    any(without_captures, without_python),
+    ignore = "no captures or no SWEEPD_PYTHON"
+)]
 fn returns_of_real_units_of_an_hdl64e_are_those_of_velodyne_decoder() {
     let data = common::data_dir();
     let python = common::python();

@@ -275,8 +275,10 @@ fn captures_replayed_at_any_speed() {
 }
 
 #[test]
-#[cfg_attr(without_captures, ignore = "no captures")]
-#[cfg_attr(without_python, ignore = "no SWEEPD_PYTHON")]
+#[cfg_attr(
+    any(without_captures, without_python),
+    ignore = "no captures or no SWEEPD_PYTHON"
+)]
 fn real_captures_live_and_replayed() {
     let data = crate::common::data_dir();
     let python = crate::common::python_with_iceoryx2();
