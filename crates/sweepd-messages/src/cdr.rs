@@ -1,0 +1,144 @@
+//! Writes CDR, the format of messages in DDS and in bags: plain, little-endian (XCDR1, OMG CDR
+//! section 15.3).
+//!
+//! A value lies at a multiple of its size, counted from the end of the 4 bytes of encapsulation. A
+//! text has its length in front, the NUL behind it included; a sequence its number of items.
+
+/// The encapsulation: plain CDR, little-endian, no options.
+pub const ENCAPSULATION: [u8; 4] = [0, 1, 0, 0];
+
+/// Writes one message to the end of a vector. There is no padding behind the last value.
+#[derive(Debug)]
+pub struct Writer<'a> {
+    bytes: &'a mut Vec<u8>,
+    /// Where alignment is counted from.
+    origin: usize,
+}
+
+/// Where a `u32` stands that is to be written later.
+#[derive(Clone, Copy, Debug)]
+pub struct Place(usize);
+
+macro_rules! number {
+    ($($name:ident: $type:ty),*) => {$(
+        #[doc = concat!("Writes a `", stringify!($type), "`.")]
+        #[inline]
+        pub fn $name(&mut self, value: $type) {
+            self.align(size_of::<$type>());
+            self.bytes.extend_from_slice(&value.to_le_bytes());
+        }
+    )*};
+}
+
+impl<'a> Writer<'a> {
+    /// Writes the encapsulation.
+    pub fn new(bytes: &'a mut Vec<u8>) -> Self {
+        bytes.extend_from_slice(&ENCAPSULATION);
+        let origin = bytes.len();
+        Self { bytes, origin }
+    }
+
+    number!(u8: u8, u32: u32, i32: i32, f32: f32, f64: f64);
+
+    /// Writes a truth value.
+    pub fn bool(&mut self, value: bool) {
+        self.u8(u8::from(value));
+    }
+
+    /// Writes a text.
+    pub fn text(&mut self, text: &str) {
+        self.count(text.len() + 1);
+        self.bytes.extend_from_slice(text.as_bytes());
+        self.bytes.push(0);
+    }
+
+    /// Writes the number of items of a sequence. The items are the caller's to write.
+    pub fn count(&mut self, items: usize) {
+        self.u32(u32::try_from(items).unwrap_or(u32::MAX));
+    }
+
+    /// Writes bytes as they are: an array of them, or the items of a sequence of bytes.
+    pub fn raw(&mut self, bytes: &[u8]) {
+        self.bytes.extend_from_slice(bytes);
+    }
+
+    /// Writes a `builtin_interfaces/Time`: nanoseconds since 1970. Times that its 32 bits of
+    /// seconds cannot hold become the nearest that they can.
+    pub fn time(&mut self, time_ns: i64) {
+        let seconds = time_ns.div_euclid(1_000_000_000);
+        self.i32(seconds.clamp(i32::MIN.into(), i32::MAX.into()) as i32);
+        self.u32(time_ns.rem_euclid(1_000_000_000) as u32);
+    }
+
+    /// Writes a `std_msgs/Header`.
+    pub fn header(&mut self, time_ns: i64, frame_id: &str) {
+        self.time(time_ns);
+        self.text(frame_id);
+    }
+
+    /// Leaves room for a `u32`.
+    pub fn later(&mut self) -> Place {
+        self.u32(0);
+        Place(self.bytes.len() - 4)
+    }
+
+    /// Writes a `u32` where there is room for it.
+    pub fn fill(&mut self, place: Place, value: usize) {
+        let value = u32::try_from(value).unwrap_or(u32::MAX);
+        self.bytes[place.0..place.0 + 4].copy_from_slice(&value.to_le_bytes());
+    }
+
+    /// The bytes of the items of a sequence of bytes, to write as a whole: this many, zero.
+    pub fn items(&mut self, len: usize) -> &mut [u8] {
+        let start = self.bytes.len();
+        self.bytes.resize(start + len, 0);
+        &mut self.bytes[start..]
+    }
+
+    /// Drops bytes at the end.
+    pub fn drop_last(&mut self, len: usize) {
+        self.bytes.truncate(self.bytes.len() - len);
+    }
+
+    #[inline]
+    fn align(&mut self, size: usize) {
+        let len = self.bytes.len();
+        let padded = (len - self.origin).next_multiple_of(size) + self.origin;
+        self.bytes.resize(padded, 0);
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    /// By hand, and the second message in the same vector counts from its own start.
+    #[test]
+    fn values_are_aligned_from_the_encapsulation_on() {
+        let mut bytes = vec![9];
+        let mut writer = Writer::new(&mut bytes);
+        writer.u8(7);
+        writer.text("ab");
+        writer.f64(1.0);
+        writer.bool(true);
+        assert_eq!(bytes[..5], [9, 0, 1, 0, 0]);
+        assert_eq!(bytes[5..16], [7, 0, 0, 0, 3, 0, 0, 0, b'a', b'b', 0]);
+        assert_eq!(
+            bytes[16..],
+            [0, 0, 0, 0, 0, 0, 0, 0, 0, 0, 0, 0xF0, 0x3F, 1]
+        );
+    }
+
+    #[test]
+    fn times_before_1970_and_beyond_32_bits_are_written() {
+        let time = |time_ns| {
+            let mut bytes = Vec::new();
+            Writer::new(&mut bytes).time(time_ns);
+            let word = |at: usize| <[u8; 4]>::try_from(&bytes[at..at + 4]).unwrap();
+            (i32::from_le_bytes(word(4)), u32::from_le_bytes(word(8)))
+        };
+        assert_eq!(time(1_700_000_000_000_000_001), (1_700_000_000, 1));
+        assert_eq!(time(-1), (-1, 999_999_999));
+        assert_eq!(time(i64::MAX), (i32::MAX, 854_775_807));
+    }
+}
